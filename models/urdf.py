@@ -14,15 +14,10 @@ import numpy as np
 
 from kinebench_drake.errors import InputError, SetupError, cause
 from kinebench_drake.geometry import Array
+from kinebench_drake.io.files import cache_folder
 
 _CONVERSION = "4"  # version of the conversion; increment it with every change to invalidate caches
 _VISUAL_MATERIAL, _VISUAL_COLOR = "plain_white", "0.9 0.92 0.93 1"
-
-
-def cache_folder() -> Path:
-    """Return the folder of converted models: $XDG_CACHE_HOME/kinebench_drake, else ~/.cache/kinebench_drake."""
-    base = os.environ.get("XDG_CACHE_HOME")
-    return (Path(base) if base else Path.home() / ".cache") / "kinebench_drake"
 
 
 def read_urdf(source: Path) -> ElementTree.Element:

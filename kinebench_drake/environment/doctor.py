@@ -2,7 +2,6 @@
 
 import importlib.metadata
 import importlib.util
-import os
 import subprocess
 import sys
 import tempfile
@@ -11,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from kinebench_drake.environment import native
+from kinebench_drake.io.files import cache_folder
 
 FIX = "`kinebench-drake doctor --fix`"
 CLONE = "in a clone: delete .venv, run setup/install.sh"
@@ -237,8 +237,7 @@ def _weights() -> str:
 
 
 def _cache_folder() -> str:
-    base = os.environ.get("XDG_CACHE_HOME")
-    folder = (Path(base) if base else Path.home() / ".cache") / "kinebench_drake"
+    folder = cache_folder()
     folder.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryFile(dir=folder):
         return str(folder)

@@ -1,4 +1,4 @@
-"""Files named by the user: regular files only, read whole within a size limit, and the suffixes of videos."""
+"""Files named by the user: regular files only, read whole within a size limit; suffixes of videos; cache folder."""
 
 import errno
 import os
@@ -16,6 +16,12 @@ VIDEO_SUFFIXES = frozenset({".mp4", ".mov", ".avi", ".gif", ".webm", ".mkv"})
 """Video containers."""
 IMAGE_SUFFIXES = frozenset({".png", ".jpg", ".jpeg"})
 """Images of a frame folder."""
+
+
+def cache_folder() -> Path:
+    """Return the folder of converted models: $XDG_CACHE_HOME/kinebench_drake, else ~/.cache/kinebench_drake."""
+    base = os.environ.get("XDG_CACHE_HOME")
+    return (Path(base) if base else Path.home() / ".cache") / "kinebench_drake"
 
 
 def require_accessible(path: Path, what: str) -> Path:

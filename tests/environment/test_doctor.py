@@ -1,4 +1,5 @@
 import importlib.metadata
+import importlib.util
 import sys
 from pathlib import Path
 
@@ -127,11 +128,12 @@ def test_unusable_cache_folder_fails(monkeypatch: pytest.MonkeyPatch, tmp_path: 
     assert list((tmp_path / "kinebench_drake").iterdir()) == []
 
 
-def test_cache_folder_is_the_one_that_is_used(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    from kinebench_drake.models.urdf import cache_folder
-
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    assert doctor._cache_folder() == str(cache_folder())
+def test_a_missing_panda_fails(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert doctor._check("Panda URDF", doctor._panda, "").ok
+    monkeypatch.setattr(importlib.util, "find_spec", lambda _: None)
+    check = doctor._check("Panda URDF", doctor._panda, "")
+    assert not check.ok
+    assert "mani_skill is not installed" in check.detail
 
 
 @pytest.mark.slow
