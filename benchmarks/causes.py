@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from typing_extensions import override
 
 from kinebench_drake.camera import Camera
-from kinebench_drake.closed_loop.attribution import FailureVerdict, find_cause
+from kinebench_drake.closed_loop.attribution import find_cause
 from kinebench_drake.closed_loop.commands import CommandPlanner
 from kinebench_drake.closed_loop.loop import ClosedLoop, LoopOptions
 from kinebench_drake.errors import InputError, KinebenchError
@@ -39,7 +39,7 @@ from kinebench_drake.suites.suite import EpisodeSpec
 from kinebench_drake.suites.tasks.task import Scene
 from kinebench_drake.suites.worldmodels.reference import OracleModel, OracleRenderer
 from kinebench_drake.suites.worldmodels.worldmodel import Request, SimulatorState
-from kinebench_drake.types import AnomalyKind, GripperTrack, Priors
+from kinebench_drake.types import AnomalyKind, FailureVerdict, GripperTrack, Priors
 
 FAULTS = (
     FaultGrade(kind=AnomalyKind.TELEPORT, size=0.15, form=None),

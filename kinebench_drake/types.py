@@ -184,6 +184,19 @@ class Anomaly:
         }
 
 
+class FailureVerdict(Enum):
+    """Causes of failed episodes, in the order in which they are tested."""
+
+    GROUNDING = "grounding"
+    """The gripper, or the gap between its fingers, was not tracked with confidence in frames that show it."""
+    GENERATION = "generation"
+    """The video has an anomaly, or a motion that the robot cannot execute."""
+    EXECUTION = "execution"
+    """The executed gripper deviated from the generated one."""
+    TASK = "task"
+    """None of these, and the goal is not reached: the generated motion does not do the task."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class InitialState:
     """State of the robot in the conditioning image of a generated video: exact, unlike an estimate."""

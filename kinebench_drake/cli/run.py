@@ -19,7 +19,7 @@ from kinebench_drake.errors import count_noun, one_line
 from kinebench_drake.evaluation.evaluator import REQUESTS
 from kinebench_drake.evaluation.runner import RunObserver, RunSummary
 from kinebench_drake.report.timeline import anomalies_of
-from kinebench_drake.results.aggregate import VERDICTS, estimate, estimate_passes
+from kinebench_drake.results.aggregate import VERDICT_SHARES, estimate, estimate_passes
 from kinebench_drake.results.inputs import input_lines
 from kinebench_drake.results.row import SampleRow, Status
 from kinebench_drake.types import Json
@@ -162,7 +162,7 @@ def _has_anomalies(rows: Sequence[SampleRow]) -> bool:
 
 def _share(name: str, rows: Sequence[SampleRow]) -> str:
     """Describe the share of a truth value; empty if no row has it."""
-    verdicts = (getattr(row, name) if name in VERDICTS else row.extra.get(name) for row in rows)
+    verdicts = (getattr(row, name) if name in VERDICT_SHARES else row.extra.get(name) for row in rows)
     values = [verdict if row.status is Status.OK else None for row, verdict in zip(rows, verdicts, strict=True)]
     judged = [(value, row.episode) for value, row in zip(values, rows, strict=True) if isinstance(value, bool)]
     share = estimate([v for v, _ in judged], total=len(rows), episodes=[episode for _, episode in judged])

@@ -6,7 +6,6 @@ the video is not one of the robot, and a deviation of the robot is not one of th
 
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
-from enum import Enum
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +16,7 @@ from kinebench_drake.grounding.pipeline import GroundingResult
 from kinebench_drake.metrics.executable import LOST_FRAMES, LOST_SHARE
 from kinebench_drake.metrics.result import KinematicResult
 from kinebench_drake.segments import segments
-from kinebench_drake.types import Anomaly, AnomalyKind
+from kinebench_drake.types import Anomaly, AnomalyKind, FailureVerdict
 
 ASTRAY_M, ASTRAY_RAD = 0.03, float(np.deg2rad(15.0))
 """Deviation of the executed from the generated gripper that counts as failed execution; servos err by 5 mm at most."""
@@ -25,19 +24,6 @@ FINGERS_M = 0.02
 """Deviation of the gap between the fingers that counts as failed execution."""
 ASTRAY_FRAMES = 2
 """Number of consecutive frames with a deviation that counts."""
-
-
-class FailureVerdict(Enum):
-    """Causes of failure, in the order in which they are tested."""
-
-    GROUNDING = "grounding"
-    """The gripper, or the gap between its fingers, was not tracked with confidence in frames that show it."""
-    GENERATION = "generation"
-    """The video has an anomaly, or a motion that the robot cannot execute."""
-    EXECUTION = "execution"
-    """The executed gripper deviated from the generated one."""
-    TASK = "task"
-    """None of these, and the goal is not reached: the generated motion does not do the task."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

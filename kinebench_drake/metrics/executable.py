@@ -15,7 +15,7 @@ LOST_SHARE = 0.1
 INFEASIBLE, UNDECIDED, LOST = "infeasible", "undecided", "lost"
 """Reasons other than the kinds of anomalies."""
 
-_ROBOTIC = frozenset({AnomalyKind.CAMERA.value})  # anomalies that say nothing about the robot
+_NOT_OF_THE_ROBOT = frozenset({AnomalyKind.CAMERA.value})
 
 
 def find_obstacles(feasible: bool | None, tracked: NDArray[np.bool_], anomalies: Collection[str] | None) -> list[str]:
@@ -36,7 +36,7 @@ def find_obstacles(feasible: bool | None, tracked: NDArray[np.bool_], anomalies:
     bridged = bridged and all(gap.start > 0 and gap.stop < n and gap.stop - gap.start < LOST_FRAMES for gap in gaps)
     if gaps and not bridged:
         obstacles.append(LOST)
-    return obstacles + sorted(set(anomalies or ()) - _ROBOTIC)
+    return obstacles + sorted(set(anomalies or ()) - _NOT_OF_THE_ROBOT)
 
 
 def is_executable(obstacles: Collection[str]) -> bool | None:

@@ -13,14 +13,14 @@ from kinebench_drake.io.figure import new_figure, plain, save, shorten
 from kinebench_drake.report.metric import layout_of
 from kinebench_drake.report.page import SampleGroup, bootstrap_seed, count_metrics, group_rows, read_results
 from kinebench_drake.report.plot import Histogram
-from kinebench_drake.report.sample import VERDICTS, badness, verdict_of
+from kinebench_drake.report.sample import VERDICT_LABELS, badness, verdict_of
 from kinebench_drake.report.table import format_csv
 from kinebench_drake.report.timeline import LEGEND, FaultLane, anomalies_of, fault_lanes, frame_count
-from kinebench_drake.results.aggregate import VERDICTS as VERDICT_SHARES
-from kinebench_drake.results.aggregate import Estimate, RunStatistics
+from kinebench_drake.results.aggregate import VERDICT_SHARES, Estimate, RunStatistics
 from kinebench_drake.results.row import SampleRow, Status
 from kinebench_drake.results.store import artifact_path, read_rows
 from kinebench_drake.results.trackfile import read_track
+from kinebench_drake.types import FailureVerdict
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -130,15 +130,17 @@ def inline_svg(svg: str, name: str, title: str) -> str:
 _MAX_TIMELINES = 40
 """Samples with faults in the figure of timelines, the worst first."""
 _VERDICT_COLOURS = {
-    **{
-        "executable": "#1b7f4b",
-        "success": "#2563ab",
-        "feasible": "#2563ab",
-        "infeasible": "#c2361c",
-        "error": "#7a1f10",
-    },
-    **{"grounding": "#a3842b", "generation": "#c2361c", "execution": "#8a4fb5", "task": "#c04a80"},
-    **{"unmeasurable": "#9a6700", "unjudged": "#66727f"},
+    "executable": "#1b7f4b",
+    "success": "#2563ab",
+    "feasible": "#2563ab",
+    "infeasible": "#c2361c",
+    "error": "#7a1f10",
+    FailureVerdict.GROUNDING.value: "#a3842b",
+    FailureVerdict.GENERATION.value: "#c2361c",
+    FailureVerdict.EXECUTION.value: "#8a4fb5",
+    FailureVerdict.TASK.value: "#c04a80",
+    "unmeasurable": "#9a6700",
+    "unjudged": "#66727f",
 }
 _FAULT_COLOURS = {"violation": "#c2361c", "anomaly": "#d99200", "lost": "#66727f", "unsure": "#c7a6e0"}
 _COLUMNS = 3
@@ -260,7 +262,7 @@ def _draw_verdicts(groups: Sequence[SampleGroup]) -> "Figure":
     for verdict, colour in _VERDICT_COLOURS.items():
         counts = [group.verdicts.get(verdict, 0) for group in groups]
         if any(counts):
-            ax.barh(range(len(groups)), counts, left=left, color=colour, label=VERDICTS[verdict], height=0.7)
+            ax.barh(range(len(groups)), counts, left=left, color=colour, label=VERDICT_LABELS[verdict], height=0.7)
             left = [a + b for a, b in zip(left, counts, strict=True)]
     ax.set_yticks(range(len(groups)), [plain(shorten(group.name)) for group in groups], fontsize=8)
     ax.invert_yaxis()
@@ -294,7 +296,7 @@ def _draw_distributions(histograms: Sequence[Histogram]) -> "Figure":
     for ax in axes.flat[len(histograms) :]:
         ax.set_visible(False)
     handles = [
-        Patch(color=colour, label=VERDICTS[verdict])
+        Patch(color=colour, label=VERDICT_LABELS[verdict])
         for verdict, colour in _VERDICT_COLOURS.items()
         if any(verdict in h.counts for h in histograms)
     ]

@@ -7,7 +7,7 @@ from collections.abc import Hashable, Sequence
 from pathlib import Path
 
 from kinebench_drake.report.metric import Metric
-from kinebench_drake.report.sample import VERDICTS, VIDEOS, explain, numeric_value, verdict_of
+from kinebench_drake.report.sample import VERDICT_LABELS, VIDEOS, explain, numeric_value, verdict_of
 from kinebench_drake.report.table import format_value
 from kinebench_drake.report.timeline import anomalies_of
 from kinebench_drake.results.row import SampleRow, Status
@@ -40,7 +40,7 @@ def pack_listing(out: Path, rows: Sequence[SampleRow], columns: Sequence[Metric]
     def number(name: str, value: Hashable) -> int:
         return lists[name].setdefault(value, len(lists[name]))
 
-    verdicts = list(VERDICTS)
+    verdicts = list(VERDICT_LABELS)
     lines = []
     for row in rows:
         viewable = row.status is Status.OK and artifact_path(out, "tracks", row.id).is_file()
@@ -66,7 +66,7 @@ def pack_listing(out: Path, rows: Sequence[SampleRow], columns: Sequence[Metric]
     data = {
         "rows": lines,
         **{name: list(values) for name, values in lists.items()},
-        "verdicts": list(VERDICTS.items()),
+        "verdicts": list(VERDICT_LABELS.items()),
         "videos": list(VIDEOS.items()),
     }
     text = json.dumps(data, separators=(",", ":"), ensure_ascii=False)

@@ -12,7 +12,7 @@ from kinebench_drake.io.figure import FAINT, new_figure, plain, shorten
 from kinebench_drake.report.figures import COLOURS, ReportFigure, draw_interval
 from kinebench_drake.report.metric import BY_NAME, Metric
 from kinebench_drake.report.table import Column, Table, Value, format_interval, format_value, table_lines
-from kinebench_drake.results.aggregate import VERDICTS, Estimate, estimate
+from kinebench_drake.results.aggregate import VERDICT_SHARES, Estimate, estimate
 from kinebench_drake.results.direction import LOWER_IS_BETTER
 from kinebench_drake.results.row import SampleRow, Status
 from kinebench_drake.stats import CONFIDENCE, PairedShares, paired_mean_difference, share_interval, sign_test
@@ -92,7 +92,7 @@ class NumberComparison:
 
 def value_of(row: SampleRow, name: str) -> float | None:
     """Return a number of a row, truth values as 0 or 1; None if it was not measured."""
-    value = getattr(row, name) if name in VERDICTS else row.metrics.get(name)
+    value = getattr(row, name) if name in VERDICT_SHARES else row.metrics.get(name)
     if row.status is not Status.OK or not isinstance(value, bool | int | float) or not math.isfinite(value):
         return None
     return float(value)

@@ -18,7 +18,7 @@ from kinebench_drake.report.metric import BY_NAME, Metric, MetricLayout, layout_
 from kinebench_drake.report.plot import Histogram, count_values, draw_histogram
 from kinebench_drake.report.sample import (
     GOOD_VERDICTS,
-    VERDICTS,
+    VERDICT_LABELS,
     badness,
     explain,
     goodness,
@@ -29,8 +29,7 @@ from kinebench_drake.report.sample import (
 )
 from kinebench_drake.report.table import format_bound, format_interval, format_value
 from kinebench_drake.report.timeline import anomalies_of
-from kinebench_drake.results.aggregate import VERDICTS as VERDICT_SHARES
-from kinebench_drake.results.aggregate import Aggregate, RunStatistics, split_rows
+from kinebench_drake.results.aggregate import VERDICT_SHARES, Aggregate, RunStatistics, split_rows
 from kinebench_drake.results.inputs import input_lines
 from kinebench_drake.results.provenance import report_hash
 from kinebench_drake.results.row import SampleRow, Status
@@ -127,7 +126,7 @@ def build_page(out: Path, rows: Iterable[SampleRow] | None = None, statistics: R
     templates = template_environment()
     templates.filters |= {
         "chips": fault_chips,
-        "label": VERDICTS.__getitem__,
+        "label": VERDICT_LABELS.__getitem__,
         "verdict": verdict_of,
         "explanation": explain,
     }
@@ -145,7 +144,7 @@ def build_page(out: Path, rows: Iterable[SampleRow] | None = None, statistics: R
             if _is_measured(total, m.name)
         ],
         groups=[(key, groups) for key in ("task", "model") if (groups := group_rows(rows, key, statistics))],
-        histograms=[draw_histogram(h, VERDICTS) for h in count_metrics(rows, total, layout)],
+        histograms=[draw_histogram(h, VERDICT_LABELS) for h in count_metrics(rows, total, layout)],
         gallery=[
             (title, [views[row.id] for row in chosen]) for title, chosen in (("Worst", worst), ("Best", best)) if chosen
         ],
@@ -159,7 +158,7 @@ def build_page(out: Path, rows: Iterable[SampleRow] | None = None, statistics: R
         drawn=min(DRAWN, len(samples)),
         left_out=max(len(rows) - DRAWN, 0),
         normalization=_read_normalization(results),
-        counts={v: verdicts[v] for v in VERDICTS if v in verdicts},
+        counts={v: verdicts[v] for v in VERDICT_LABELS if v in verdicts},
         numeric_value=numeric_value,
         Status=Status,
     )
@@ -204,7 +203,7 @@ def group_rows(rows: Sequence[SampleRow], key: str, statistics: RunStatistics) -
     groups = []
     for name, group in split_rows(rows, key).items():
         verdicts = Counter(map(verdict_of, group))
-        counts = {verdict: verdicts[verdict] for verdict in VERDICTS if verdict in verdicts}
+        counts = {verdict: verdicts[verdict] for verdict in VERDICT_LABELS if verdict in verdicts}
         groups.append(SampleGroup(name=name, total=statistics.groups[key][name], verdicts=counts))
     return groups
 

@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 from kinebench_drake.io.atomic import write_atomically
 from kinebench_drake.report.figures import ReportFigure, write_figure
 from kinebench_drake.report.page import template_environment
-from kinebench_drake.report.sample import VERDICTS, explain, relative_link, verdict_of
+from kinebench_drake.report.sample import VERDICT_LABELS, explain, relative_link, verdict_of
 from kinebench_drake.report.table import Table, sort_key, table_csv, table_latex
 from kinebench_drake.report.timeline import anomalies_of
 from kinebench_drake.results.row import SampleRow
@@ -82,7 +82,7 @@ def write_parts(
             write_atomically(out / f"{table.name}.tex", table_latex(table).encode())
     templates = template_environment()
     templates.filters |= {"key": sort_key, "explanation": explain, "verdict": verdict_of, "anomalies": anomalies_of}
-    templates.filters["label"] = VERDICTS.__getitem__
+    templates.filters["label"] = VERDICT_LABELS.__getitem__
     sectioned = any(isinstance(part, Section) for part in parts)
     page = templates.get_template(template).render(
         title=title,

@@ -19,17 +19,17 @@ from kinebench_drake.report.timeline import anomalies_of, draw_strip, fault_lane
 from kinebench_drake.results.row import SampleRow, Status
 from kinebench_drake.results.store import artifact_path
 from kinebench_drake.results.trackfile import read_track
-from kinebench_drake.types import Json
+from kinebench_drake.types import FailureVerdict, Json
 
-_FAILURES = {cause: f"failed: {cause}" for cause in ("grounding", "generation", "execution", "task")}
-VERDICTS = {
+_FAILURES = {cause.value: f"failed: {cause.value}" for cause in FailureVerdict}
+VERDICT_LABELS = {
     **{"error": "error", "infeasible": "infeasible", **_FAILURES},
     **{"unmeasurable": "unmeasurable", "unjudged": "unjudged", "feasible": "feasible, not executable"},
     **{"executable": "executable", "success": "success"},
 }
 """Labels of the verdicts, the worst first."""
 GOOD_VERDICTS = ("executable", "success")
-_RANK = {verdict: rank for rank, verdict in enumerate(VERDICTS)}
+_RANK = {verdict: rank for rank, verdict in enumerate(VERDICT_LABELS)}
 _MAX_VIOLATIONS = 20
 """Violations that a sample's table lists, the first ones."""
 VIDEOS = {"rollouts": "Imagined and executed, side by side", "overlays": "Video with the gripper's pose drawn on it"}
@@ -70,7 +70,7 @@ def numeric_value(row: SampleRow, name: str) -> float | None:
 
 
 def verdict_of(row: SampleRow) -> str:
-    """Return the verdict of a row, a key of VERDICTS; of a closed-loop episode its outcome."""
+    """Return the verdict of a row, a key of VERDICT_LABELS; of a closed-loop episode its outcome."""
     if row.status is not Status.OK:
         return str(row.status.value)
     if "verdict" in row.extra:

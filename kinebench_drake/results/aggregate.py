@@ -19,7 +19,7 @@ NORMALIZED = ("manipulability_cost_mean",)
 PERCENTILES = (10.0, 90.0)
 """Percentiles at the ends of the scale."""
 
-VERDICTS = ("executable", "feasible")
+VERDICT_SHARES = ("executable", "feasible")
 """Shares of a group that are no metrics."""
 
 _EXTRA = ("success", "progress", "rounds")
@@ -72,8 +72,8 @@ class Aggregate:
         """Return the object in `results.json`."""
         return {
             "samples": {"total": self.total, **{s.value: self.status[s] for s in Status}},
-            **{name: self.estimates[name].to_json() for name in VERDICTS},
-            "metrics": {name: e.to_json() for name, e in self.estimates.items() if name not in VERDICTS},
+            **{name: self.estimates[name].to_json() for name in VERDICT_SHARES},
+            "metrics": {name: e.to_json() for name, e in self.estimates.items() if name not in VERDICT_SHARES},
             "violations": dict(self.violations),
             "anomalies": dict(self.anomalies),
             "executable_reasons": dict(self.executable_reasons),

@@ -34,8 +34,9 @@ from kinebench_drake.report.suite.episode import (
 from kinebench_drake.report.table import Column, Table, Value, plain_columns
 from kinebench_drake.results.aggregate import Estimate, estimate, estimate_passes
 from kinebench_drake.results.row import Status
+from kinebench_drake.types import FailureVerdict
 
-VERDICTS = ("grounding", "generation", "execution", "task")
+FAILURE_CAUSES = tuple(cause.value for cause in FailureVerdict)
 """Causes of failure, in causal order (see docs/formats.md)."""
 NO_VERDICT = "no verdict"
 """Failures without a recorded cause."""
@@ -89,7 +90,7 @@ def tally(episodes: Sequence[EpisodeResult], seed: int = 0, among: Sequence[Epis
     runs = [(e.part, e.model, e.row.episode) for e in episodes]
     errors = sum(e.row.status is Status.ERROR for e in episodes)
     failures = Counter(e.verdict or NO_VERDICT for e in episodes if e.success is False)
-    verdicts = {name: failures.pop(name, 0) for name in VERDICTS}
+    verdicts = {name: failures.pop(name, 0) for name in FAILURE_CAUSES}
     return Tally(
         episodes=len(episodes),
         tasks=len({e.task for e in episodes if e.success is not None}),
@@ -128,7 +129,7 @@ _TALLY = (
         key="success_all", label="Success, unmeasured as failures", pattern=_PERCENT, estimated=True,
         meaning="share of all episodes, with Wilson's interval",
     ),
-    *(Column(key=f"failed_{name}", label=f"Failed: {name}") for name in VERDICTS),
+    *(Column(key=f"failed_{name}", label=f"Failed: {name}") for name in FAILURE_CAUSES),
     Column(key="failed_no_verdict", label=f"Failed: {NO_VERDICT}"),
 )  # fmt: skip
 
@@ -315,7 +316,7 @@ def draw_verdicts(episodes: Sequence[EpisodeResult]) -> ReportFigure:
     runs = group_by_run(episodes)
     colours = {
         "success": SUCCESS,
-        **dict(zip(VERDICTS, (COLOURS[4], COLOURS[1], COLOURS[3], COLOURS[5]), strict=True)),
+        **dict(zip(FAILURE_CAUSES, (COLOURS[4], COLOURS[1], COLOURS[3], COLOURS[5]), strict=True)),
         NO_VERDICT: COLOURS[8],
         _NOT_MEASURED: NEUTRAL,
     }
