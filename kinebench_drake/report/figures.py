@@ -174,7 +174,7 @@ def write_figures(out: Path) -> Path:
     write_csv("metrics", ("metric", *_ESTIMATE), ([n, *_estimate_cells(e)] for n, e in total.estimates.items()))
     write_csv(
         "faults",
-        ("id", "frames", "fault", "sort", "frame_start", "frame_end", "told"),
+        ("id", "frames", "fault", "category", "frame_start", "frame_end", "description"),
         (
             (row.id, n, lane.label, LEGEND[lane.css], span.start, span.end, span.text)
             for row, lanes, n in faults

@@ -129,6 +129,7 @@ def test_csv_of_the_figures_holds_every_sample(tmp_path):
     assert {line["id"]: float(line["sparc"]) for line in tables["samples.csv"]} == {f"s{k}": -1.0 - k for k in range(6)}
     assert sum(int(line["samples"]) for line in tables["distributions.csv"]) == 6
     assert [(line["id"], line["frame_start"], line["frame_end"]) for line in tables["faults.csv"]] == [("s0", "2", "4")]
+    assert all(line["category"] and line["description"] for line in tables["faults.csv"])
     for name in ("distributions", "faults", "verdicts_by_task", "verdicts_by_model"):
         assert first[f"{name}.png"].startswith(b"\x89PNG")
         assert b"<svg" in first[f"{name}.svg"]
