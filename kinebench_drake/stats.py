@@ -18,10 +18,10 @@ RESAMPLES = 2000
 """Resamples of a bootstrap distribution."""
 MANY = 1000
 """Values up to which a mean is resampled value by value."""
-_EXTREME = (
-    30  # values drawn one by one of more: no other one differs from the mean by more than 0.18 sqrt(N) deviations
-)
-_AT_ONCE = 2_000_000  # numbers drawn at a time: all at once would take 1 GB for 20,000 samples
+# Values drawn one by one of more than MANY: no other one differs from the mean by more than 0.18 sqrt(N) deviations.
+_EXTREME = 30
+# Numbers drawn at a time: all at once would take 1 GB for 20,000 samples.
+_AT_ONCE = 2_000_000
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

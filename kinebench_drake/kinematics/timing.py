@@ -27,8 +27,8 @@ _FINEST = 64  # greatest number of cells between two frames
 _HALVINGS = 4  # of cells at the edge of a rest:
 _BRINK = 0.6  # the slower end has at most this share of the faster end's speed,
 _REST = 1e-3  # unless both are slower than this share of the greatest speed
-_CAP_RATE = 1e-6  # speed of the last joint outside the arm, such as a finger [m/s of own time]: its limit caps the
-# speed-up
+# Speed of the last joint outside the arm, such as a finger [m/s of own time]: its limit caps the speed-up.
+_CAP_RATE = 1e-6
 _STRETCHES = (100.0, 10.0, 1000.0, 1.0)  # factors of the path parameter, tried in turn until Toppra finds a solution
 _FALLBACKS = ((1, (100.0, 10.0)), (0, (100.0, 10.0)))  # halvings and stretches then: Toppra may fail on small cells
 _KINDS = (ViolationKind.VELOCITY, ViolationKind.ACCELERATION, ViolationKind.TORQUE)  # limits of the speed of a path
