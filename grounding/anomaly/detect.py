@@ -21,11 +21,11 @@ from kinebench_drake.grounding.view import Frames, GripperView
 from kinebench_drake.types import Domain
 
 FAIR_CONFIDENCE = 0.1
-"""Least confidence at which a frame's position and shape count; a deformed gripper has a low confidence ..."""
+"""Least confidence at which a frame's position and shape count; low, because a deformed gripper has a low one."""
 SURE_CONFIDENCE = 0.3
-"""... its finger travel ..."""
+"""Least confidence at which a frame's finger travel counts."""
 GOOD_CONFIDENCE = 0.5
-"""... and its size, which an error of a few degrees falsifies."""
+"""Least confidence at which a frame's size of the gripper counts: an error of a few degrees falsifies it."""
 WIDTH_SIGMA_M = 0.006
 """Largest standard deviation of a width that counts [m]."""
 MAX_SIDE_COSINE = 0.5

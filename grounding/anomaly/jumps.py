@@ -15,11 +15,11 @@ from kinebench_drake.types import AnomalyKind
 TELEPORT_M, TELEPORT_CONTRAST = 0.04, 4.0
 """Least length of a teleport [m], and least ratio to the median jump length of the path around it."""
 FREEZE_FRAMES = 5
-"""Least number of still frames of a freeze ..."""
+"""Least number of still frames of a freeze."""
 FREEZE_SPEED_M_S = 0.035
-"""... that begins at no less than this speed [m/s] ..."""
+"""Least speed of the gripper before a freeze [m/s]."""
 FREEZE_JUMP = 2.0
-"""... and ends with a step of no less than so many times those before the freeze and after that step."""
+"""Least length of the step that ends a freeze, over the longer of the steps before the freeze and after that step."""
 STILL_LEVELS = 4.0
 """A frame is still if all but 0.5 % of its pixels, slightly blurred, change by less than this, of 255."""
 FINGER_SPEED_M_S = 0.1

@@ -11,12 +11,14 @@ from kinebench_drake.grounding.view import GripperView
 from kinebench_drake.types import AnomalyKind
 
 MISFIT = 0.02
-"""Least relative misfit of the shape of a deformation ..."""
+"""Least relative misfit of the shape of a deformation; `EXCESS` must hold, too.
+
+The misfit alone is unreliable where the gripper is seen edge-on.
+"""
 EXCESS = 1.45
-"""... whose residual against any rigid gripper is at least so many times the usual one ..."""
+"""Least residual of a deformation against any rigid gripper, over the usual one of the video."""
 USUAL = 0.6
-"""... of the video, at most that of videos without a deformation [standard deviations]. The misfit alone is unreliable
-where the gripper is seen edge-on."""
+"""Greatest usual residual of a video: that of videos without a deformation [standard deviations]."""
 SHAPE_WINDOW = 5
 """Frames of the running median of misfit and residual."""
 OFF = 0.035

@@ -208,7 +208,7 @@ def audit_trajectory(
             path as `audit` takes it (docs/formats.md).
         t_s: (T,) times [s], increasing; of arrays only.
         rate_hz: frames per second [Hz], over the times.
-        tracked: (T,) which frames are known; None: all. Of arrays only.
+        tracked: (T,) frames with a pose or joint angles; None: all. Of arrays only.
         finger_width_m: (T,) gap between the pads, 0 to 0.08 [m]; NaN or None: unknown. Of arrays only.
         id: id of the sample, where the path holds several.
         joints: array, data set or column of a file that holds the joint angles.
@@ -218,13 +218,13 @@ def audit_trajectory(
         tcp_frame: frame of the URDF whose poses are given.
 
     Returns:
-        `feasible` (None where it cannot be told), `violations`, `metrics` (None where not measurable, with `reasons`),
-        `joints` (the joint path (T, 7) [rad] with its outcome frame by frame), `details`, `curves`.
+        `feasible` (None if undecided), `violations`, `metrics` (None where not measurable, with `reasons`), `joints`
+        (the joint path (T, 7) [rad] with the outcome of each frame), `details`, `curves`.
 
     Raises:
         UsageError: an argument cannot be used, or the path holds no trajectory or several.
         InputError: the trajectory is not sound: shapes, times, units, rotations.
-        UnmeasurableError: it has fewer than two known frames.
+        UnmeasurableError: it has fewer than two tracked frames.
         SetupError: a library or the Panda's files are missing.
 
     Example:

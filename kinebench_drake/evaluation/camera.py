@@ -153,10 +153,11 @@ def check_camera(
     grounding: "GroundingResult",
     judge: CameraJudge,
 ) -> CameraChoice:
-    """Check a camera of the input against the arm: a wrong one is said, and where it is far off there is no base frame.
+    """Check a camera of the input against the arm.
 
-    Where hand and arm lie on edges of the image in the postures of the track, the camera is right, and nothing else is
-    computed. Elsewhere a camera that explains the arm clearly better contradicts it.
+    If the contours of hand and arm, in the postures of the track, lie on edges of the image, the camera is confirmed
+    and nothing else is computed. Otherwise a camera that explains the arm clearly better is returned as contradiction;
+    if it moves the gripper far, or if no camera is better and the agreement is low, the base frame is unknown.
 
     Args:
         choice: the camera.
@@ -213,7 +214,7 @@ def explain_loss(choice: CameraChoice, frames: NDArray[np.uint8], camera: Camera
 
 
 def describe_contradiction(other: "CameraContradiction") -> str:
-    """Return what the arm says about a camera of the input."""
+    """Describe the contradiction between the arm and a camera of the input: agreements, focal length, displacement."""
     return (
         f"the arm contradicts the camera of the input: {other.agreement:.0%} of its contours lie on image edges, "
         f"{other.better:.0%} with a focal length {1 / other.focal_ratio:.2f} times as long, which moves the gripper by "

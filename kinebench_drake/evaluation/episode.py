@@ -184,7 +184,7 @@ class EpisodeEvaluator(Evaluator[EpisodeSample, EpisodeResources]):
         return dict(summarize_following(clips, self.loop.frame_period_s)) if clips else {}
 
     def _ask(self, sample: EpisodeSample, episode: Episode, pending: PendingRound) -> Evaluation:
-        """Write the first frame of the next round; the row has what a manifest says of it."""
+        """Write the first frame of the next round; return a row with the entry of this round in a manifest."""
         number = pending.request.round
         id = f"{sample.id}_r{number}"
         path = request_path(self.config.out, id)
