@@ -1,11 +1,10 @@
 """`kinebench-drake audit`."""
 
-from pathlib import Path
 from typing import Any
 
 import click
 
-from kinebench_drake.cli.options import judging_options, sample_options
+from kinebench_drake.cli.options import PathParameter, judging_options, sample_options
 
 
 @click.command(
@@ -18,7 +17,7 @@ from kinebench_drake.cli.options import judging_options, sample_options
         "  kinebench-drake audit track.csv --out results/ --robot arm.urdf --tcp-frame tool0"
     )
 )
-@click.argument("source", metavar="PATH", type=click.Path(path_type=Path))
+@click.argument("source", metavar="PATH", type=PathParameter())
 @sample_options
 @click.option(
     "--rate",
@@ -31,7 +30,7 @@ from kinebench_drake.cli.options import judging_options, sample_options
 @click.option(
     "--robot",
     "urdf",
-    type=click.Path(path_type=Path),
+    type=PathParameter(),
     help="URDF of a seven-joint arm, with --tcp-frame.  [default: mani_skill's Franka Panda]",
     metavar="URDF",
 )

@@ -5,6 +5,8 @@ from typing import Any
 
 import click
 
+from kinebench_drake.cli.options import PathParameter
+
 
 @click.command(
     epilog=(
@@ -15,9 +17,9 @@ import click
         "  kinebench-drake calibrate robot.mp4 --out camera.json"
     )
 )
-@click.argument("video", metavar="VIDEO", type=click.Path(path_type=Path))
+@click.argument("video", metavar="VIDEO", type=PathParameter(exists=True))
 @click.option(
-    "--out", type=click.Path(path_type=Path, dir_okay=False), required=True,
+    "--out", type=PathParameter(dir_okay=False), required=True,
     help="Output file; `score` reads it as camera.json beside the videos.",
 )  # fmt: skip
 @click.option(
@@ -36,7 +38,7 @@ import click
     help="Time between two frames, for joint angles with times.  [default: from the video]",
 )  # fmt: skip
 @click.option(
-    "--camera", type=click.Path(path_type=Path, dir_okay=False), metavar="FILE",
+    "--camera", type=PathParameter(dir_okay=False), metavar="FILE",
     help="camera.json with the intrinsics; without joint angles its pose is the initial guess.",
 )  # fmt: skip
 @click.option(
@@ -46,7 +48,7 @@ import click
     "--frames", type=click.IntRange(min=1), default=24, show_default=True, metavar="N", help="Frames used at most."
 )
 @click.option(
-    "--figure", type=click.Path(path_type=Path, dir_okay=False),
+    "--figure", type=PathParameter(dir_okay=False),
     help="Image of the CAD robot drawn over a frame with the calibrated camera (png).",
 )  # fmt: skip
 @click.option("--json", "as_json", is_flag=True, help="Print all results as JSON.")

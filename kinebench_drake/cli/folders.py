@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from kinebench_drake.cli.options import PathParameter
 from kinebench_drake.cli.run import ProgressView, run
 from kinebench_drake.errors import InputError, UsageError
 from kinebench_drake.io.jsonl import as_object
@@ -14,9 +15,9 @@ from kinebench_drake.results.store import SAMPLES, artifact_path, read_rows
 if TYPE_CHECKING:
     from kinebench_drake.kinematics.plant import ArmPlant
 
-folders_argument = click.argument("folders", metavar="DIR...", nargs=-1, required=True, type=click.Path(path_type=Path))
+folders_argument = click.argument("folders", metavar="DIR...", nargs=-1, required=True, type=PathParameter())
 comparison_out_option = click.option(
-    "--out", type=click.Path(path_type=Path, file_okay=False),
+    "--out", type=PathParameter(file_okay=False),
     help="Also write report.html, figure and table (csv, LaTeX) to this folder.",
 )  # fmt: skip
 bootstrap_seed_option = click.option(
@@ -106,7 +107,7 @@ class MergeView(ProgressView):
 )
 @folders_argument
 @click.option(
-    "--out", type=click.Path(path_type=Path), required=True,
+    "--out", type=PathParameter(), required=True,
     help="Output folder; created if absent, extended if it holds an earlier merge of the run.",
 )  # fmt: skip
 @click.pass_context
@@ -123,12 +124,12 @@ def merge(ctx: click.Context, /, folders: tuple[Path, ...], out: Path) -> None:
 
 
 @click.command(epilog="\b\nExample:\n  kinebench-drake view results/ episode_0003 --open")
-@click.argument("out", metavar="OUT", type=click.Path(path_type=Path))
+@click.argument("out", metavar="OUT", type=PathParameter())
 @click.argument("id", metavar="ID")
 @click.option(
     "--robot",
     "urdf",
-    type=click.Path(path_type=Path),
+    type=PathParameter(),
     help="URDF of the robot, for a run judged with another robot than the Panda.",
     metavar="URDF",
 )
@@ -149,6 +150,8 @@ def view(out: Path, id: str, urdf: Path | None, opened: bool) -> None:
             hint = f"such as {', '.join(near)}" if near else "it is empty"
             raise UsageError(f"{out}: holds no sample {id!r} ({len(rows)} samples, {hint})")
         row = rows[id]
+        if isinstance(reason := row.extra.get("base_frame_reason"), str):
+            raise UsageError(f"{id}: cannot be shown with the robot, it has no base frame: {reason}")
         if not artifact_path(out, "tracks", id).is_file():
             raise UsageError(f"{id}: has no track to show ({row.reason or f'tracks/{id}.npz is absent'})")
         from kinebench_drake.report.replay import write_replays

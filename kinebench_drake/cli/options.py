@@ -1,5 +1,6 @@
 """Options shared by several commands."""
 
+import os
 import re
 from collections.abc import Callable
 from pathlib import Path
@@ -13,6 +14,20 @@ from kinebench_drake.results.metadata import Shard
 from kinebench_drake.suites.clock import ClipTiming
 
 Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
+
+
+class PathParameter(click.Path):
+    """Path on the command line. An empty one, as of an unset variable, is refused: it would be the current folder."""
+
+    def __init__(self, **options: Any) -> None:
+        """Create the type; `options` are those of `click.Path`."""
+        super().__init__(path_type=Path, **options)
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Return the path; fails if it is empty, or not as the options demand."""
+        if not os.fspath(value):
+            self.fail("the path is empty", param, ctx)
+        return super().convert(value, param, ctx)
 
 
 def _combine(*options: Decorator) -> Decorator:
@@ -41,7 +56,7 @@ def _tags(ctx: click.Context, param: click.Parameter, values: tuple[str, ...]) -
 _COUNT = click.IntRange(min=1)
 
 run_options = _combine(
-    click.option("--out", type=click.Path(path_type=Path), required=True, help="Output folder; created if absent."),
+    click.option("--out", type=PathParameter(), required=True, help="Output folder; created if absent."),
     click.option("--limit", type=_COUNT, help="Evaluate only the first N samples.", metavar="N"),
     click.option("--jobs", type=_COUNT, default=1, show_default=True, help="Worker processes.", metavar="N"),
     click.option(
@@ -144,9 +159,7 @@ video_options = _combine(
         is_flag=True,
         help="Ignore the initial state in the manifest (pose of the first frame, or task and seed of an episode).",
     ),
-    click.option(
-        "--masks", type=click.Path(path_type=Path), help="Gripper masks that replace the network's.", metavar="DIR"
-    ),
+    click.option("--masks", type=PathParameter(), help="Gripper masks that replace the network's.", metavar="DIR"),
     click.option(
         "--depth",
         help="Metric depth that replaces the network's: files, MoGe-2 or a class of yours.",
@@ -159,7 +172,7 @@ video_options = _combine(
     ),
     click.option(
         "--poses",
-        type=click.Path(path_type=Path),
+        type=PathParameter(),
         help="Poses of panda_hand in the camera frame that replace the tracker's.",
         metavar="DIR",
     ),
@@ -215,7 +228,7 @@ prompt_options = _combine(
     click.option("--prompt-suffix", metavar="TEXT", help="Text after each prompt."),
     click.option(
         "--prompts",
-        type=click.Path(path_type=Path),
+        type=PathParameter(),
         metavar="FILE",
         help='JSON object of texts by task in place of the instruction; "{prompt}" in a text stands for it.',
     ),

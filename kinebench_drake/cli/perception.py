@@ -7,11 +7,12 @@ from typing import Any
 
 import click
 
+from kinebench_drake.cli.options import PathParameter
 from kinebench_drake.cli.perception_evaluate import anomalies, budget, depth_ablation, evaluate, framing, robustness
 
-_FILE = click.Path(path_type=Path, dir_okay=False)
-_FOLDER = click.Path(path_type=Path, file_okay=False)
-_EXISTING_FOLDER = click.Path(path_type=Path, exists=True, file_okay=False)
+_FILE = PathParameter(dir_okay=False)
+_FOLDER = PathParameter(file_okay=False)
+_EXISTING_FOLDER = PathParameter(exists=True, file_okay=False)
 _DATA = click.option(
     "--data", type=_FOLDER, default=Path("data/frames"), show_default=True,
     help="Folder of rendered frames; missing ones are rendered into it.",
@@ -52,7 +53,7 @@ def perception() -> None:
 @click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Seed of crops and weights.")
 @_demos("to train on")
 @click.option(
-    "--start", type=click.Path(path_type=Path, dir_okay=False, exists=True),
+    "--start", type=PathParameter(dir_okay=False, exists=True),
     help="Initial weights (safetensors).  [default: an encoder trained on ImageNet]",
 )  # fmt: skip
 @_JOBS

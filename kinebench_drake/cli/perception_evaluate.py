@@ -8,15 +8,16 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from kinebench_drake.cli.options import PathParameter
 from kinebench_drake.errors import UsageError
 
 if TYPE_CHECKING:
     from kinebench_drake.grounding.evaluation.study import GroundingStudy, StudyOutcome
 
-_FOLDER = click.Path(path_type=Path, exists=True, file_okay=False)
-_FILE = click.Path(path_type=Path, dir_okay=False)
+_FOLDER = PathParameter(exists=True, file_okay=False)
+_FILE = PathParameter(dir_okay=False)
 _WEIGHTS = click.option(
-    "--weights", type=click.Path(path_type=Path, dir_okay=False, exists=True), default=None,
+    "--weights", type=PathParameter(dir_okay=False, exists=True), default=None,
     help="Network weights to evaluate (safetensors).  [default: those shipped]",
 )  # fmt: skip
 _JOBS = click.option("--jobs", type=click.IntRange(1), default=1, show_default=True, help="Worker processes.")

@@ -1,11 +1,10 @@
 """`kinebench-drake score` and `kinebench-drake ground`."""
 
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from kinebench_drake.cli.options import judging_options, sample_options, video_options
+from kinebench_drake.cli.options import PathParameter, judging_options, sample_options, video_options
 
 if TYPE_CHECKING:
     from kinebench_drake.evaluation.score import ScoreConfig
@@ -22,7 +21,7 @@ if TYPE_CHECKING:
         "  kinebench-drake score heldout/manifest.jsonl --out results/ --masks heldout --depth heldout"
     )
 )
-@click.argument("source", metavar="PATH", type=click.Path(path_type=Path))
+@click.argument("source", metavar="PATH", type=PathParameter())
 @sample_options
 @video_options
 @judging_options
@@ -50,7 +49,7 @@ def score(ctx: click.Context, /, dry_run: bool, **options: Any) -> None:
         "  kinebench-drake ground videos/ --out tracks/ --poses foundationpose/"
     )
 )
-@click.argument("source", metavar="PATH", type=click.Path(path_type=Path))
+@click.argument("source", metavar="PATH", type=PathParameter())
 @sample_options
 @video_options
 @click.pass_context

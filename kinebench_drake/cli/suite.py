@@ -8,7 +8,14 @@ from typing import Any
 
 import click
 
-from kinebench_drake.cli.options import check_parent, episodes_option, jobs_option, tasks_option, variant_option
+from kinebench_drake.cli.options import (
+    PathParameter,
+    check_parent,
+    episodes_option,
+    jobs_option,
+    tasks_option,
+    variant_option,
+)
 from kinebench_drake.cli.suite_data import demos, export
 from kinebench_drake.cli.suite_results import ceiling, report, tolerance
 from kinebench_drake.cli.suite_run import plan, run
@@ -96,7 +103,7 @@ def _echo_json(facts: list[dict[str, Any]]) -> None:
 )  # fmt: skip
 @variant_option
 @click.option("--pool", type=click.Choice(["all", "seen", "unseen"]), default="all", show_default=True)
-@click.option("--json", "json_out", type=click.Path(path_type=Path, dir_okay=False), help="Write the trials as JSON.")
+@click.option("--json", "json_out", type=PathParameter(dir_okay=False), help="Write the trials as JSON.")
 @jobs_option
 def check(
     tasks: str | None, episodes: int, seed: int, policy: str, variant: str, pool: str, json_out: Path | None, jobs: int
@@ -132,7 +139,7 @@ def check(
 
 
 @suite.command(epilog="\b\nExample:\n  kinebench-drake suite sheet --out tasks.jpg --seed 3 --jobs 2")
-@click.option("--out", type=click.Path(path_type=Path, dir_okay=False), required=True, help="Image file, PNG or JPEG.")
+@click.option("--out", type=PathParameter(dir_okay=False), required=True, help="Image file, PNG or JPEG.")
 @tasks_option
 @click.option("--looks", type=click.Choice(["table", "background", "light"]), help="Show all looks of a sort instead.")
 @_SEED

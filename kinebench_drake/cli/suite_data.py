@@ -1,13 +1,13 @@
 """`kinebench-drake suite export` and `suite demos`."""
 
 from dataclasses import replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from kinebench_drake.cli.options import (
     SIZES,
+    PathParameter,
     first_seed_option,
     jobs_option,
     prompt_options,
@@ -22,7 +22,7 @@ from kinebench_drake.suites.selection import chosen_tasks
 if TYPE_CHECKING:
     from kinebench_drake.suites.formats.demo import FormatKind, RenderOptions
 
-_OUT = click.option("--out", type=click.Path(path_type=Path), required=True, help="Output folder; made if absent.")
+_OUT = click.option("--out", type=PathParameter(), required=True, help="Output folder; made if absent.")
 
 
 @click.command(

@@ -6,7 +6,7 @@ from pathlib import Path
 import click
 
 from kinebench_drake.cli.folders import bootstrap_seed_option, comparison_out_option, folders_argument
-from kinebench_drake.cli.options import check_parent, first_seed_option, jobs_option, suite_options
+from kinebench_drake.cli.options import PathParameter, check_parent, first_seed_option, jobs_option, suite_options
 from kinebench_drake.io.atomic import write_atomically
 from kinebench_drake.suites.selection import chosen_tasks
 
@@ -57,7 +57,7 @@ def ceiling(folders: tuple[Path, ...], out: Path | None, seed: int, jobs: int) -
     help="Write the paper's tables and figures to index.html, and the missing ones with their commands to missing.md; "
     "DIR may also be a file of `perception` with --json, or the folder of `perception baseline evaluate`.",
 )
-@click.option("--out", type=click.Path(path_type=Path, file_okay=False), required=True, help="Folder to write to.")
+@click.option("--out", type=PathParameter(file_okay=False), required=True, help="Folder to write to.")
 @bootstrap_seed_option
 def report(folders: tuple[Path, ...], out: Path, seed: int, paper: bool) -> None:
     """Report on output folders DIR of `suite run`: report.html, figures (png, svg), tables (csv, LaTeX).
@@ -84,10 +84,8 @@ _ERRORS = ("bias", "jitter", "finger_delay")
 @suite_options()
 @first_seed_option
 @click.option("--errors", default=",".join(_ERRORS), show_default=True, help="Errors to plant, comma-separated.")
-@click.option(
-    "--out", type=click.Path(path_type=Path, dir_okay=False), required=True, help="Output file of all attempts, JSON."
-)
-@click.option("--figure", type=click.Path(path_type=Path, dir_okay=False), help="Draw the curves (png, svg, pdf).")
+@click.option("--out", type=PathParameter(dir_okay=False), required=True, help="Output file of all attempts, JSON.")
+@click.option("--figure", type=PathParameter(dir_okay=False), help="Draw the curves (png, svg, pdf).")
 @jobs_option
 def tolerance(
     number: int,

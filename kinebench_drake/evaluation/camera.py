@@ -13,7 +13,7 @@ from kinebench_drake.datasets.videos.sample import CameraSource, VideoSample
 from kinebench_drake.errors import UnmeasurableError, count_noun
 from kinebench_drake.geometry import Array
 from kinebench_drake.io.camerafile import load_camera
-from kinebench_drake.results.row import SampleRow
+from kinebench_drake.results.row import SampleRow, Status
 from kinebench_drake.types import GripperTrack, Json
 
 if TYPE_CHECKING:  # loads torch and Open3D
@@ -230,6 +230,7 @@ def _usual_camera(frames: NDArray[np.uint8]) -> Camera:
 
 def camera_warnings(rows: Sequence[SampleRow]) -> list[str]:
     """Return warnings about cameras that the input does not name."""
+    rows = [row for row in rows if row.status is Status.OK]
     sources = [row.extra.get("camera_source") for row in rows]
     assumed, estimated = (sources.count(source.value) for source in (CameraSource.BENCHMARK, CameraSource.ESTIMATED))
     lost = sum("base_frame_reason" in row.extra for row in rows)

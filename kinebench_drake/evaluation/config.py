@@ -12,6 +12,8 @@ from kinebench_drake.executors.base import ExecutorKind
 from kinebench_drake.results.metadata import Shard
 from kinebench_drake.types import Json
 
+MAX_SEED = 2**63 - 1
+"""Largest seed: JSON readers take a larger integer for a float."""
 _Sample = TypeVar("_Sample")
 
 
@@ -74,6 +76,8 @@ class RunConfig:
         for name, value, least in (("limit", self.limit, 1), ("seed", self.seed, 0), ("replays", self.replays, 0)):
             if value is not None and value < least:
                 raise UsageError(f"--{name} is {value}, expected {least} or more")
+        if self.seed > MAX_SEED:
+            raise UsageError(f"--seed is {self.seed}, expected {MAX_SEED} or less")
         self.robot_options()
 
     @property

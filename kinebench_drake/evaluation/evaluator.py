@@ -10,6 +10,9 @@ from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Generic, Protocol, TypeVar
 
+import numpy as np
+from numpy.typing import NDArray
+
 from kinebench_drake.errors import KinebenchError, SetupError, UnmeasurableError, one_line
 from kinebench_drake.evaluation.config import RunConfig
 from kinebench_drake.executors.base import SupportsClose
@@ -86,6 +89,8 @@ class Evaluation:
     reasons: Mapping[str, str] = field(default_factory=dict)
     """Why metrics besides those of the kinematics are null, by name; where kinematics is not judged, that of all others
     by ""."""
+    tracked: NDArray[np.bool_] | None = None
+    """(T,) frames with a pose in the camera frame, where the run judges but there is no base frame to judge in."""
     unmeasurable: str | None = None
     """Reason why the sample cannot be measured, where the row still has further keys."""
 
@@ -196,7 +201,7 @@ class Evaluator(ABC, Generic[SampleT, ResourcesT]):
             **evaluation.metrics,
             **(kinematics.metrics if kinematics else {}),
         }
-        executable, obstacles = _executability(kinematics, evaluation.metrics.get("anomalies"))
+        executable, obstacles = _executability(evaluation)
         return SampleRow(
             id=sample.id,
             video=evaluation.video or sample.video,
@@ -235,14 +240,17 @@ class SampleWorker(Generic[SampleT, ResourcesT]):
             self.resources.close()
 
 
-def _executability(kinematics: "KinematicResult | None", anomalies: Json) -> tuple[bool | None, tuple[str, ...]]:
-    """Return whether the sample can be executed, and what is against it; `anomalies` is None without a video."""
-    if kinematics is None:
+def _executability(evaluation: Evaluation) -> tuple[bool | None, tuple[str, ...]]:
+    """Return whether the sample can be executed, and what is against it; None and nothing if the run does not judge."""
+    kinematics = evaluation.kinematics
+    tracked = kinematics.track.tracked if kinematics else evaluation.tracked
+    if tracked is None:
         return None, ()
     from kinebench_drake.metrics.executable import find_obstacles, is_executable
 
+    anomalies = evaluation.metrics.get("anomalies")  # none in an audit, which has no video
     kinds = [str(as_object(a).get("kind")) for a in anomalies] if isinstance(anomalies, list) else None
-    obstacles = find_obstacles(kinematics.feasible, kinematics.track.tracked, kinds)
+    obstacles = find_obstacles(kinematics.feasible if kinematics else None, tracked, kinds)
     return is_executable(obstacles), tuple(obstacles)
 
 

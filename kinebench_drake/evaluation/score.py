@@ -286,6 +286,7 @@ class VideoEvaluator(Evaluator[VideoSample, Analyzer]):
                 **smoothness,
             },
             reasons=reasons,
+            tracked=track.tracked if self.config.kind.judges else None,
             extra={
                 "first_frame": grounding.first_frame.value,
                 "domain": grounding.domain.value,
@@ -365,7 +366,8 @@ class _VideoReader(VideoEvaluator):
             raise InputError(sample.problem)
         video = read_video(sample.path, sample.part)
         video.require_measurable()
-        if not is_assumed(sample, self.config.camera):
+        assumed = is_assumed(sample, self.config.camera)
+        if not assumed:
             _framing(sample, video)
         t_s, period_s, source = _times(sample, video, self.config.frame_period_s)
         return Evaluation(
@@ -376,6 +378,7 @@ class _VideoReader(VideoEvaluator):
                 "height": video.height,
                 "frame_period_s": period_s,
                 "frame_period_source": source.value,
+                **({"camera_source": AUTO} if assumed else {}),
             },
         )
 

@@ -39,6 +39,7 @@ def read_container(path: Path, part: VideoPart) -> Video:
             rate = stream.average_rate or stream.guessed_rate
             frames = stack_frames(path.name, _decode(path.name, container, stream, part, rate, stamps))
             missing = _missing_s(container, stream, stamps, rate) if part.to_s is None else None
+            is_gif = container.format.name == "gif"
     except (av.FFmpegError, OSError, ValueError, OverflowError, MemoryError) as error:
         progress = f" after {len(stamps)} frames" if stamps else ""
         reason = getattr(error, "strerror", None) or str(error)
@@ -47,7 +48,7 @@ def read_container(path: Path, part: VideoPart) -> Video:
         raise InputError(f"{path.name}: cut off, the last {missing:.2f} s are missing after {len(frames)} frames")
     if part.frames is not None and len(frames) != part.frames:
         raise InputError(f"{path.name}: has {len(frames)} frames{_span(part)}, its metadata says {part.frames}")
-    if path.suffix.lower() == ".gif" and not _gif_ends(path):
+    if is_gif and not _gif_ends(path):
         raise InputError(f"{path.name}: cut off after {len(frames)} frames (the gif lacks its trailer)")
     fps = float(rate) if rate else None
     return Video(frames=frames, fps=fps, stamps_s=_irregular_stamps(stamps, fps))

@@ -7,7 +7,7 @@ import numpy as np
 
 from kinebench_drake.geometry import Array
 from kinebench_drake.io.jsonl import as_object
-from kinebench_drake.report.limits import to_number
+from kinebench_drake.report.limits import in_unit, to_number
 from kinebench_drake.results.row import SampleRow
 from kinebench_drake.types import Json
 
@@ -110,8 +110,11 @@ def _trajectory(row: SampleRow, t_s: Array | None) -> str | None:
     if feasible or not isinstance(obstacle, Mapping):
         return text
     value, limit = to_number(obstacle.get("value")), to_number(obstacle.get("limit"))
-    numbers = "" if value is None or limit is None else f", {value:.4g} against {limit:.4g}"
-    return f"{text}; prevented by {_format_limit({**obstacle, 'limit': obstacle.get('kind')}, t_s)}{numbers}"
+    kind, numbers = str(obstacle.get("kind")), ""
+    if value is not None and limit is not None:
+        (shown, unit), (most, _) = in_unit(kind, value), in_unit(kind, limit)
+        numbers = f", {shown:.4g} against {most:.4g} {unit}".rstrip()
+    return f"{text}; prevented by {_format_limit({**obstacle, 'limit': kind}, t_s)}{numbers}"
 
 
 def _format_limit(details: Json, t_s: Array | None) -> str:

@@ -134,6 +134,12 @@ def find_checks(details: Mapping[str, Json]) -> dict[str, Mapping[str, Json]]:
     return checks
 
 
+def in_unit(kind: str, value: float) -> tuple[float, str]:
+    """Return a value of a kind of limit as on the page, and its unit; empty for a kind without one."""
+    factor, unit = _UNITS.get(kind, (1.0, ""))
+    return value * factor, unit
+
+
 def _violation_peak(v: Mapping[str, Json], t_s: Array | None) -> LimitPeak:
     kind = str(v.get("kind"))
     start, end, joint = v.get("frame_start"), v.get("frame_end"), v.get("joint")

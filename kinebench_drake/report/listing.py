@@ -7,10 +7,10 @@ from collections.abc import Hashable, Sequence
 from pathlib import Path
 
 from kinebench_drake.report.metric import Metric
-from kinebench_drake.report.sample import VERDICT_LABELS, VIDEOS, explain, numeric_value, verdict_of
+from kinebench_drake.report.sample import VERDICT_LABELS, VIDEOS, explain, is_viewable, numeric_value, verdict_of
 from kinebench_drake.report.table import format_value
 from kinebench_drake.report.timeline import anomalies_of
-from kinebench_drake.results.row import SampleRow, Status
+from kinebench_drake.results.row import SampleRow
 from kinebench_drake.results.store import artifact_path
 
 LOST = "lost frames"
@@ -43,8 +43,7 @@ def pack_listing(out: Path, rows: Sequence[SampleRow], columns: Sequence[Metric]
     verdicts = list(VERDICT_LABELS)
     lines = []
     for row in rows:
-        viewable = row.status is Status.OK and artifact_path(out, "tracks", row.id).is_file()
-        links = [viewable, *(artifact_path(out, kind, row.id).is_file() for kind in ("replays", *VIDEOS))]
+        links = [is_viewable(out, row), *(artifact_path(out, kind, row.id).is_file() for kind in ("replays", *VIDEOS))]
         values = (numeric_value(row, metric.name) for metric in columns)
         texts = ("" if x is None else format_value(x, m.pattern) for x, m in zip(values, columns, strict=True))
         lines.append(

@@ -28,7 +28,7 @@ from kinebench_drake.report.sample import (
     view_sample,
 )
 from kinebench_drake.report.table import format_bound, format_interval, format_value
-from kinebench_drake.report.timeline import anomalies_of
+from kinebench_drake.report.timeline import SEVERITY_UNITS, anomalies_of
 from kinebench_drake.results.aggregate import VERDICT_SHARES, Aggregate, RunStatistics, split_rows
 from kinebench_drake.results.inputs import input_lines
 from kinebench_drake.results.provenance import report_hash
@@ -131,6 +131,7 @@ def build_page(out: Path, rows: Iterable[SampleRow] | None = None, statistics: R
         "explanation": explain,
     }
     templates.filters |= {"anomalies": anomalies_of, "scalar": to_number}
+    templates.filters["severity_unit"] = lambda kind: SEVERITY_UNITS.get(kind, "")
     return templates.get_template("page.html.j2").render(
         title=_title(results),
         stamp=_stamp(out),

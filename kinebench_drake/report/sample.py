@@ -117,6 +117,15 @@ def has_thumbnail(out: Path, row: SampleRow) -> bool:
     return artifact_path(out, "thumbnails", row.id).is_file()
 
 
+def is_viewable(out: Path, row: SampleRow) -> bool:
+    """Return whether `view` can show the sample: it has a track, in the base frame."""
+    return _has_track(out, row) and "base_frame_reason" not in row.extra
+
+
+def _has_track(out: Path, row: SampleRow) -> bool:
+    return row.status is Status.OK and artifact_path(out, "tracks", row.id).is_file()
+
+
 def relative_link(file: Path, folder: Path, anchor: str = "") -> str:
     """Return the address of a file, relative to the folder of a page, with an optional anchor."""
     return quote(Path(os.path.relpath(file, folder)).as_posix()) + (f"#{quote(anchor)}" if anchor else "")
@@ -138,9 +147,8 @@ def view_sample(out: Path, row: SampleRow, *, drawn: bool, pictured: bool = True
     if pictured and has_thumbnail(out, row):
         data = artifact_path(out, "thumbnails", row.id).read_bytes()
         uri = f"data:image/jpeg;base64,{base64.b64encode(data).decode()}"
-    track = artifact_path(out, "tracks", row.id)
-    viewable = row.status is Status.OK and track.is_file()
-    file = read_track(track) if viewable and drawn else None
+    viewable = is_viewable(out, row)
+    file = read_track(artifact_path(out, "tracks", row.id)) if drawn and _has_track(out, row) else None
     links = {
         part: relative_link(path, out)
         for part in ("replays", *VIDEOS)

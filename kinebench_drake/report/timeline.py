@@ -14,10 +14,19 @@ from kinebench_drake.report.plot import WIDTH, FrameSpan, merge_spans, round_tic
 from kinebench_drake.results.row import SampleRow
 from kinebench_drake.results.trackfile import TrackFile
 from kinebench_drake.segments import segments
-from kinebench_drake.types import IkStatus, Json
+from kinebench_drake.types import AnomalyKind, IkStatus, Json
 
 MIN_CONFIDENCE = 0.5
 """Confidence below which a pose is doubtful."""
+SEVERITY_UNITS = {
+    AnomalyKind.VANISH.value: "frames",
+    AnomalyKind.DUPLICATE.value: "of a gripper",
+    AnomalyKind.TELEPORT.value: "m",
+    AnomalyKind.FREEZE.value: "frames",
+    AnomalyKind.CAMERA.value: "px",
+    AnomalyKind.FINGERS.value: "m",
+}
+"""Unit of the severity by kind of anomaly; that of the others is relative."""
 LEGEND = {
     "violation": "limit broken",
     "anomaly": "visual anomaly",

@@ -4,7 +4,7 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from enum import Enum
 
-from kinebench_drake.results.row import SampleRow
+from kinebench_drake.results.row import SampleRow, Status
 from kinebench_drake.types import Json
 
 
@@ -41,6 +41,7 @@ _CAMERAS: Mapping[str, str] = {
     "folder": "from camera.json",
     "benchmark": "the benchmark's, by default",
     "option": "from --camera",
+    "auto": "the benchmark's where the arm agrees with it, else estimated from the arm",
     "estimated": "estimated from the arm",
 }
 _MOST = 3
@@ -52,14 +53,14 @@ def list_inputs(rows: Iterable[SampleRow]) -> dict[str, list[dict[str, Json]]]:
 
     Returns:
         `frame_periods`: objects of frame_period_s [s], source and number of samples; `cameras`: of source and number of
-        samples. A row without one of them is not counted there.
+        samples that were measured. A row without one of them is not counted there.
     """
     periods, cameras = Counter[tuple[float, str]](), Counter[str]()
     for row in rows:
         period_s, source = row.extra.get("frame_period_s"), row.extra.get("frame_period_source")
         if isinstance(period_s, int | float) and isinstance(source, str):
             periods[float(f"{period_s:.4g}"), source] += 1
-        if isinstance(camera := row.extra.get("camera_source"), str):
+        if row.status is Status.OK and isinstance(camera := row.extra.get("camera_source"), str):
             cameras[camera] += 1
     return {
         "frame_periods": [

@@ -3,6 +3,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from fake_analyzer import Act
 
 from kinebench_drake.calibration.camera_estimate import (
     ARM_AGREEMENT,
@@ -142,9 +143,26 @@ def test_without_a_base_frame_motion_and_anomalies_are_measured_alone(film, conf
     assert row.null_reasons["feasible"] == row.extra["base_frame_reason"] == row.null_reasons["ik_success_rate"]
     assert row.metrics["sparc"] is not None
     assert row.metrics["anomalies"] == []
+    assert row.executable is None
+    assert row.executable_reasons == ("undecided",)
     with np.load(tmp_path / "out" / "tracks" / "wide.npz") as track:
         assert np.isnan(track["base_from_tcp"]).all()
         assert np.isfinite(track["camera_from_hand"]).all()
+
+
+def test_lost_frames_and_anomalies_are_against_execution_without_a_base_frame_too(config, program, tmp_path):
+    frames = np.repeat(FRAMES[:1], 12, axis=0)
+    frames[:, :20, :20] = [40 * Act.INFEASIBLE, 0, 0]
+    np.save(tmp_path / "wide.npy", frames)
+    score_videos(config(source=tmp_path / "wide.npy"))
+    row = read_rows(tmp_path / "out")["wide"]
+    assert "base_frame_reason" in row.extra
+    assert row.executable is False
+    assert row.executable_reasons == ("undecided", "lost", "vanish")
+    code, _, err = program("view", tmp_path / "out", "wide")
+    assert code == 2
+    assert "no base frame" in err
+    assert "kinebench-drake view OUT" not in (tmp_path / "out" / "report.html").read_text()
 
 
 def test_the_benchmark_camera_can_be_insisted_on(film, config, tmp_path):

@@ -11,6 +11,7 @@ import sys
 import time
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -556,12 +557,31 @@ def test_a_dry_run_lists_and_writes_nothing(film, program, tmp_path):
     film("videos/c.mp4")
     code, out, _ = program("score", tmp_path / "videos", "--out", tmp_path / "out", "--dry-run", "--limit", 2)
     a, b, *totals = out.splitlines()
-    period, camera = "frame period: 0.1 s, 1 / fps of the file", "camera: the benchmark's, by default"
+    period = "frame period: 0.1 s, 1 / fps of the file"
+    camera = "camera: the benchmark's where the arm agrees with it, else estimated from the arm"
     assert a == f"a: 8 frames of 96 x 96 px; {period}; {camera}"
     assert b.startswith("b: b.mp4: ")
     assert totals == ["1 of 2 samples can be read; nothing was measured or written", period, camera]
     assert code == 0
     assert not (tmp_path / "out").exists()
+
+
+def test_an_empty_path_is_not_the_current_folder(film, program, tmp_path, monkeypatch):
+    film("videos/a.mp4")
+    monkeypatch.chdir(tmp_path / "videos")
+    for arguments in (("score", "", "--out", "out"), ("score", ".", "--out", ""), ("audit", "", "--out", "out")):
+        code, _, err = program(*arguments)
+        assert code == 2
+        assert "the path is empty" in err
+    assert [path.name for path in Path().iterdir()] == ["a.mp4"]
+
+
+def test_a_seed_that_json_cannot_hold_is_refused_at_once(film, program, tmp_path):
+    film("videos/a.mp4")
+    out = ("--out", tmp_path / "out", "--seed")
+    assert program("score", tmp_path / "videos", *out, 2**63)[0] == 2
+    assert not (tmp_path / "out").exists()
+    assert [program("score", tmp_path / "videos", *out, 2**63 - 1)[0] for _ in range(2)] == [0, 0]
 
 
 def test_no_empty_folder_is_left_behind(film, config, tmp_path):

@@ -132,6 +132,18 @@ def test_cut_off_films_are_refused(tmp_path, frames, name, codec, pixel_format, 
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.parametrize(("written", "named"), [("a.mp4", "b.gif"), ("a.gif", "b.mp4")])
+def test_a_film_is_read_by_its_content_whatever_its_name(tmp_path, frames, written, named):
+    codec, pixel_format = ("gif", "rgb8") if written.endswith("gif") else ("libx264", "yuv420p")
+    encode(tmp_path / written, frames, codec, pixel_format, options={})
+    data = (tmp_path / written).read_bytes()
+    (tmp_path / named).write_bytes(data)
+    assert len(read_video(tmp_path / named).frames) == len(frames)
+    (tmp_path / named).write_bytes(data[: int(len(data) * 0.8)])
+    with pytest.raises(InputError, match=rf"^{named}: "):
+        read_video(tmp_path / named)
+
+
 def test_files_that_are_no_video_are_told_by_name(tmp_path, frames):
     (tmp_path / "empty.mp4").touch()
     (tmp_path / "text.mp4").write_text("this is no film\n" * 50)

@@ -73,7 +73,7 @@ def test_an_infeasible_track_names_the_limit_that_prevents_it(judged):
     texts = summary(judged(details=details, metrics=metrics))
     assert texts["slow-down needed"].startswith("1.5, for acceleration")
     assert texts["smooth trajectory within all limits"] == (
-        "within 18 mm of the track (allowed: 5 mm); prevented by table collision at 2.30 s, -0.02 against -0.002"
+        "within 18 mm of the track (allowed: 5 mm); prevented by table collision at 2.30 s, -20 against -2 mm"
     )
     metrics["trajopt_position_tube_m"] = None
     texts = summary(judged(details=details, metrics=metrics), None)
