@@ -17,7 +17,7 @@ from kinebench_drake.cli.options import PathParameter
         "  kinebench-drake calibrate robot.mp4 --out camera.json"
     )
 )
-@click.argument("video", metavar="VIDEO", type=PathParameter(exists=True))
+@click.argument("video", metavar="VIDEO", type=PathParameter())
 @click.option(
     "--out", type=PathParameter(dir_okay=False), required=True,
     help="Output file; `score` reads it as camera.json beside the videos.",
@@ -66,8 +66,11 @@ def calibrate(out: Path, figure: Path | None, as_json: bool, **options: Any) -> 
     from kinebench_drake.calibration.calibrate import calibrate as run_calibration
     from kinebench_drake.calibration.result import format_lines
     from kinebench_drake.io.camerafile import save_camera
+    from kinebench_drake.io.files import absence
     from kinebench_drake.io.jsonl import dump
 
+    if not options["video"].exists():
+        raise click.UsageError(f"{options['video']}: {absence(options['video'])}")
     for name, path, suffix in (("--out", out, ".json"), ("--figure", figure, ".png")):
         if path is not None and path.suffix.lower() != suffix:
             raise click.UsageError(f"{name} {path.name}: expected a name that ends in {suffix}")

@@ -93,7 +93,7 @@ def test_bad_input_is_one_line(program, video, arguments, code, said):
 
 def test_a_video_that_is_not_there_is_one_line(program, tmp_path):
     code, _, err = program("calibrate", tmp_path / "none.mp4", "--out", tmp_path / "c.json")
-    assert (code, len(err.splitlines())) == (1, 1)
+    assert (code, len(err.splitlines())) == (2, 1)
     assert "none.mp4: there is no such file" in err
 
 
