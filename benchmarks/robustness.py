@@ -104,10 +104,10 @@ def section(outcome: StudyOutcome, tasks: Sequence[str], training: str) -> str:
             "",
             *table(head, _rows(outcome, tasks)),
             "",
-            f"The commands ({len(videos)} videos):",
+            "The commands:",
             "",
             f"    kinebench-drake {' '.join(HELDOUT)} --out heldout",
-            "    python -m benchmarks robustness --heldout heldout --work robustness",
+            f"    python -m benchmarks robustness --heldout heldout --work robustness --limit {len(videos)}",
         ]
     )
 
@@ -142,7 +142,7 @@ def _row(name: str, videos: int, columns: Sequence[Mapping[str, IntervalEstimate
 
 
 def draw(outcome: StudyOutcome) -> "Figure":
-    """Draw median and 95th percentile of both errors, and the tracked share, by condition and extractor."""
+    """Draw both errors, median to 95th percentile, and the tracked share with its interval, for each condition."""
     names = [c.name for c in outcome.study.conditions if c.baseline is None]
     figure, axes = new_figure(11.0, 0.3 * len(names) + 1.4, 1, 3, sharey=True)
     for extractor, suffix, shift, color in _STYLES:
@@ -162,10 +162,10 @@ def draw(outcome: StudyOutcome) -> "Figure":
         ax.set_xscale("log")
         ax.xaxis.set_major_formatter("{x:g}")
         ax.axvline(good, color="#5b6470", linestyle="--", linewidth=1)
-        ax.set_xlabel(f"{quantity} error [{unit}], median to 95th percentile")
-    axes[0][2].set_xlabel("tracked, 95 % interval over videos")
+        ax.set_xlabel(f"{quantity} error [{unit}]")
+    axes[0][2].set_xlabel("tracked")
     required = set(outcome.study.required)
     axes[0][0].set_yticks(np.arange(len(names)), [f"{name} *" if name in required else name for name in names])
-    axes[0][0].invert_yaxis()
+    axes[0][0].set_ylim(len(names) - 0.4, -0.6)
     figure.legend(loc="outside upper center", ncols=2, frameon=False)
     return figure
