@@ -37,7 +37,7 @@ def test_score_tells_what_it_did(program, film, tmp_path):
     assert "frame period: 0.05882 s, 1 / fps of the file\ncamera: the benchmark's, by default\n" in out
     *progress, warning = err.splitlines()
     assert [line.split("]")[0] for line in progress] == ["[1/3", "[2/3", "[3/3"]
-    assert warning.startswith("warning: no camera is named for 3 samples: the benchmark's was assumed")
+    assert warning.startswith("warning: no camera is named for 2 samples: the benchmark's was assumed")
     assert '"x": "a=b"' in (tmp_path / "out" / "results.json").read_text()
     code, _, err = program("score", tmp_path / "videos", "--out", tmp_path / "out", "--overwrite", "--limit", 1)
     assert (code, list(read_rows(tmp_path / "out"))) == (0, ["a"])
