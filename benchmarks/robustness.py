@@ -13,6 +13,7 @@ from benchmarks.markdown import table
 from kinebench_drake.evaluation.runner import RunObserver
 from kinebench_drake.executors.local import LocalExecutor
 from kinebench_drake.grounding.baseline.network import Baseline
+from kinebench_drake.grounding.confidence import GOOD_M, GOOD_RAD
 from kinebench_drake.grounding.evaluation.clip import find_clips
 from kinebench_drake.grounding.evaluation.perturbation.catalogue import PerturbationKind
 from kinebench_drake.grounding.evaluation.study import (
@@ -32,11 +33,13 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 TRUE_DEPTH = TrialCondition(name="true depth", variant="true-depth", group="true depth")
+"""Grounding with the depth of the ground truth."""
 FIGURE = Path("docs/robustness.png")
 """Figure of the docs, named in the section."""
 _GROUNDING, _BASELINE = "grounding", "inverse dynamics"
 _STYLES = ((_GROUNDING, "", -0.15, POSITION), (_BASELINE, f", {LEARNED}", 0.15, ROTATION))
-_PANELS = (("position", "mm", 10.0), ("rotation", "deg", 5.0))  # with the errors within which a pose is good
+# Quantity, unit, and error within which a pose is good.
+_PANELS = (("position", "mm", 1e3 * GOOD_M), ("rotation", "deg", float(np.rad2deg(GOOD_RAD))))
 _INTRODUCTION = (
     "Errors of panda_hand in the camera frame on the same held-out videos, median / 95th percentile over frames: of "
     "the grounding those it tracks, of the network all. Medians have 95 % bootstrap intervals "

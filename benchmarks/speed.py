@@ -252,7 +252,10 @@ def accuracy(results: Path, heldout: Path | None, others: tuple[Path, ...], work
 @click.option("--limit", type=COUNT, help="Number of videos, tasks in turn.  [default: all]", metavar="N")
 @jobs_option
 def robustness(results: Path, heldout: Path | None, work: Path, weights: Path, limit: int | None, jobs: int) -> None:
-    """Measure grounding and inverse-dynamics baseline on held-out renderings, unchanged and perturbed."""
+    """Measure grounding and inverse-dynamics baseline on held-out renderings, unchanged and perturbed.
+
+    Also draws docs/robustness.png.
+    """
     one_thread()
     from benchmarks.robustness import FIGURE, draw, figures, measure, section
     from kinebench_drake.cli.run import ProgressView
