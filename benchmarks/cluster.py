@@ -15,6 +15,7 @@ from benchmarks.equivalence import compare_values
 from benchmarks.markdown import table
 from benchmarks.process import children, command_line, run_program
 from kinebench_drake.errors import KinebenchError, SetupError
+from kinebench_drake.executors.ray import RayWorker
 from kinebench_drake.io.jsonl import read_json
 from kinebench_drake.results.store import REPORT, RESULTS, SAMPLES, TIMINGS
 
@@ -24,7 +25,7 @@ NODES = 2
 """Nodes of the cluster, each with one CPU and so with one worker."""
 SUITE = ("--suite", "0", "--world-model", "oracle", "--pixels-only", "--rounds", "1")
 _STORE_BYTES = 100 * 2**20  # of a node's object store; messages are small
-_WORKER = "ray::_Servant"  # title of our workers' processes, followed by `.work` while they work on a sample
+WORKER_TITLE = f"ray::{RayWorker.__name__}"  # of our workers' processes, followed by `.work` at a sample
 _NOT_COMPARED = {TIMINGS, REPORT, RESULTS}  # wall times; written from results.json, which is compared by value
 
 
@@ -64,7 +65,7 @@ class WorkerKiller:
         """Kill a worker the first time that enough samples are finished and a worker is busy."""
         if self.node is not None or finished < self.after:
             return
-        workers = [[pid for pid in children(raylet) if _WORKER in command_line(pid)] for raylet in self.raylets]
+        workers = [[pid for pid in children(raylet) if WORKER_TITLE in command_line(pid)] for raylet in self.raylets]
         busy = [(k, pid) for k, pids in enumerate(workers) for pid in pids if ".work" in command_line(pid)]
         if busy:
             self.node, pid = busy[-1]

@@ -84,7 +84,7 @@ def _connected(address: str | None) -> Iterator[None]:
         ray.shutdown()
 
 
-class _ActorWorker(Generic[Item, Result]):
+class RayWorker(Generic[Item, Result]):
     """Class of the actors: one worker process on some node."""
 
     def __init__(self) -> None:
@@ -141,7 +141,7 @@ class ActorPool(Generic[Item, Result]):
 
         self._ray = ray
         gpus = gpu_share(int(ray.cluster_resources().get("GPU", 0.0)), size)
-        self._actor_class = ray.remote(num_cpus=1, num_gpus=gpus, scheduling_strategy="SPREAD")(_ActorWorker)
+        self._actor_class = ray.remote(num_cpus=1, num_gpus=gpus, scheduling_strategy="SPREAD")(RayWorker)
         self._make_worker = ray.put(make_worker)
         self._queue = deque(_QueuedItem(item) for item in items)
         self._size = size

@@ -6,7 +6,7 @@ import subprocess
 import sys
 import time
 
-from benchmarks.cluster import ClusterTrial, WorkerKiller, section
+from benchmarks.cluster import WORKER_TITLE, ClusterTrial, WorkerKiller, section
 from benchmarks.process import children, command_line
 
 STAND_IN = """
@@ -39,7 +39,7 @@ def test_the_section_names_what_is_not_the_same():
 def test_a_busy_worker_is_killed_once_when_half_is_done():
     nodes = [
         subprocess.Popen([sys.executable, "-c", STAND_IN, *names], stdin=subprocess.PIPE, stdout=subprocess.PIPE)
-        for names in (["ray::_Servant", "ray::IDLE"], ["ray::_Servant.work"])
+        for names in ([WORKER_TITLE, "ray::IDLE"], [f"{WORKER_TITLE}.work"])
     ]
     try:
         for node in nodes:

