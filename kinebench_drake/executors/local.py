@@ -20,6 +20,8 @@ from multiprocessing.process import BaseProcess
 from types import FrameType
 from typing import Generic, cast
 
+from threadpoolctl import threadpool_limits
+
 from kinebench_drake.errors import KinebenchError
 from kinebench_drake.executors.base import Item, ItemResult, MakeWorker, Outcomes, Result, WorkerCrash, open_worker
 
@@ -59,7 +61,7 @@ class LocalExecutor:
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """Limit numeric libraries to one thread: by environment for those not loaded yet, and by call for torch."""
+    """Limit numeric libraries to one thread: by environment those not loaded yet, by call BLAS and torch."""
     before = {name: os.environ.get(name) for name in THREAD_VARIABLES}
     torch = sys.modules.get("torch")
     threads = torch.get_num_threads() if torch else 0
@@ -67,7 +69,8 @@ def one_thread() -> Iterator[None]:
     if torch:
         torch.set_num_threads(1)
     try:
-        yield
+        with threadpool_limits(1, user_api="blas"):
+            yield
     finally:
         for name, value in before.items():
             if value is None:

@@ -6,7 +6,9 @@ import subprocess
 import time
 from contextlib import closing, suppress
 
+import numpy as np
 import pytest
+from threadpoolctl import threadpool_info, threadpool_limits
 
 from kinebench_drake.executors import local
 from kinebench_drake.executors.base import ItemResult
@@ -34,6 +36,25 @@ def make_busy():
             program.wait()
 
     return work
+
+
+def make_counting():
+    """Work that returns the largest number of threads of the BLAS libraries of its process."""
+    np.linalg.inv(np.eye(2))
+    return lambda item: blas_threads()
+
+
+def blas_threads():
+    return max(library["num_threads"] for library in threadpool_info() if library["user_api"] == "blas")
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_every_worker_computes_with_one_thread(jobs):
+    with threadpool_limits(2, user_api="blas"):
+        before = blas_threads()
+        outcomes = list(LocalExecutor(jobs=jobs).run(make_counting, ["a", "b"]))
+        assert blas_threads() == before == 2
+    assert [outcome.result for outcome in outcomes] == [1, 1]
 
 
 def test_a_worker_that_is_ended_ends_what_it_started(tmp_path):
