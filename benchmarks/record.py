@@ -20,7 +20,8 @@ RESULTS = Path("benchmarks/results")
 PAGES = {
     **dict.fromkeys(("accuracy", "robustness"), Path("README.md")),
     **dict.fromkeys(
-        ("ik", "audit", "simulation", "rounds", "throughput", "streaming", "scale"), Path("docs/benchmarks.md")
+        ("ik", "audit", "simulation", "rounds", "runtimes", "throughput", "streaming", "scale"),
+        Path("docs/benchmarks.md"),
     ),
     **dict.fromkeys(("cluster", "driver"), Path("docs/cluster.md")),
 }

@@ -226,6 +226,26 @@ def rounds(results: Path, work: Path | None, tasks: str | None, episodes: int) -
     _record("rounds", results, figures(timing), section(timing))
 
 
+@click.command(epilog="\b\nExample:\n  python -m benchmarks runtimes")
+@results_option
+@click.option(
+    "--video", type=click.Path(path_type=Path, dir_okay=False, exists=True),
+    default=EXAMPLES / "StackCube-v1_s0010_unseen.mp4", show_default=True, help="Video whose frames are processed.",
+)  # fmt: skip
+@click.option("--turns", type=COUNT, default=15, show_default=True, help="Timed runs of each runtime.")
+def runtimes(results: Path, video: Path, turns: int) -> None:
+    """Compare runtimes of the perception network on the CPU.
+
+    Packages that are not installed are left out: pip install 'kinebench-drake[bench]' installs them.
+    """
+    one_thread()
+    from benchmarks.runtimes import figures, measure, section
+
+    with errors():
+        costs = measure(video, turns=turns, log=log)
+    _record("runtimes", results, figures(costs), section(costs))
+
+
 @click.command(
     epilog="\b\nExample:\n"
     "  python -m benchmarks accuracy --heldout heldout --others robosuite --others clips --work accuracy"
@@ -301,4 +321,18 @@ def figures(results: Path, measure: Path | None, others: tuple[Path, ...]) -> No
             click.echo(line)
 
 
-COMMANDS = (accuracy, robustness, ik, audit, throughput, streaming, scale, cluster, driver, simulation, rounds, figures)
+COMMANDS = (
+    accuracy,
+    robustness,
+    ik,
+    audit,
+    throughput,
+    streaming,
+    scale,
+    cluster,
+    driver,
+    simulation,
+    rounds,
+    runtimes,
+    figures,
+)
