@@ -201,9 +201,9 @@ def section(costs: Sequence[RuntimeCost]) -> str:
             "## Runtimes of the network on the CPU",
             "",
             f"Written by `python -m benchmarks runtimes`, one thread, batches of {_BATCH} frames of a video, the "
-            "runtimes in turn. Deviations from torch with float32: share of cells with another label; 95th percentiles in cells "
-            "of the robot, of depth at a distance of 1 m and of points on the CAD model. The program uses torch, with "
-            "bfloat16 where the processor multiplies in it (AVX-512 BF16), else with float32.",
+            "runtimes in turn. Deviations from torch with float32: share of cells with another label; 95th percentiles "
+            "in cells of the robot, of depth at a distance of 1 m and of points on the CAD model. The program uses "
+            "torch, with bfloat16 where the processor multiplies in it (AVX-512 BF16), else with float32.",
             "",
             *table(head, rows),
             "",
