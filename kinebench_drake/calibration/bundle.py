@@ -4,23 +4,30 @@ The link lengths are known and the base is fixed, so the arm is the calibration 
 adjustment, a modern synthesis", 1999). Unknown are the camera's pose and focal length, common to all frames, and seven
 joint angles and an opening per frame. The frames' unknowns are eliminated from the normal equations (Schur complement),
 so a step costs little more than the evaluation of the residuals.
+
+Contours of one part err together: surfaces darken or shine towards their outlines, and meshes differ from the robot. So
+each part has one offset of its contours, common to all frames: sizes count less than places.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from kinebench_drake.calibration.fit import CAUCHY, Lens
 from kinebench_drake.calibration.fit import UNKNOWNS as CENTRED_UNKNOWNS
+from kinebench_drake.calibration.surroundings import Surroundings
 from kinebench_drake.geometry import Array
 from kinebench_drake.grounding.registration.arm_model import OVER_LIMIT_RAD, ArmModel
 from kinebench_drake.models.panda.cad import MAX_FINGER_M
+from kinebench_drake.models.panda.robot import RobotPart
 from kinebench_drake.models.robot import N_JOINTS
 
 UNKNOWNS = CENTRED_UNKNOWNS + 2
 """Number of unknowns of the camera: those of a centred lens, then the principal point [px]."""
 _A_FRAME = N_JOINTS + 1
+_PARTS = len(RobotPart)
+_SHARED = UNKNOWNS + _PARTS  # unknowns that frames have in common: the camera's, and the offsets of contours
 POSTURE_SIGMA_RAD = np.array([10.0, *[1.5] * 6])
 """Standard deviations of unknown joint angles about their start [rad]: they keep joints that nothing shows."""
 _OPENING_INFORMATION = 25.0  # of an opening that nothing shows [1/m^2]
@@ -73,6 +80,8 @@ class ArmScene:
     """(T, 7) joint angles [rad]."""
     finger_m: Array
     """(T,) opening of each finger [m]."""
+    offset: Array = field(default_factory=lambda: np.zeros(_PARTS))
+    """(PARTS,) how far out the images show the contours of each part, in standard deviations of one of their points."""
 
     def take(self, rows: NDArray[np.intp]) -> "ArmScene":
         """Select frames."""
@@ -95,6 +104,10 @@ class Prior:
     """Standard deviation of the principal point [px]; 0 for a fixed one."""
     place_free: bool = True
     """False to keep the place of the camera."""
+    offset_sigma: float = 0.0
+    """Standard deviation of the offset of a part's contours, in those of one of their points; 0 for none."""
+    surroundings: Surroundings | None = None
+    """Lines along the axes of the base."""
 
     def of_lens(self, lens: Lens) -> tuple[Array, Array, NDArray[np.bool_]]:
         """Return information (9,), deviation (9,) of a lens from the mean, and which unknowns are free (9,)."""
@@ -115,7 +128,7 @@ class Bundle:
     error_px: Array
     """(N,) errors in the directions that are measured [px]."""
     information: Array
-    """(9, 9) inverse covariance of the camera, postures eliminated; 0 for what is fixed."""
+    """(9, 9) inverse covariance of the camera, postures and offsets eliminated; 0 for what is fixed."""
     response: Array
     """(T, 7, 9) derivative of the fitted joint angles by the camera."""
 
@@ -150,26 +163,8 @@ def adjust(
     return current.bundle()
 
 
-def displacement(observations: Observations, scene: ArmScene, prior: Prior, model: ArmModel, sigmas: float) -> Array:
-    """Return by how much the fitted camera (9,) changes if all contours lie farther out by so many standard deviations.
-
-    A first-order change of the solution, as `adjust` takes it: in the direction of steps of the camera.
-
-    Args:
-        observations: points on contours, whose whitening has one row each.
-        scene: the solution.
-        prior: prior of the unknowns.
-        model: link poses of the arm.
-        sigmas: common error along the normals, in standard deviations of one point.
-    """
-    rows = observations.whitening[:, 0]
-    outward = rows / (rows**2).sum(axis=1, keepdims=True)
-    moved = replace(observations, uv_px=observations.uv_px + sigmas * outward)
-    steps = [_Linearization(o, scene, prior, model).step(0.0)[0] for o in (observations, moved)]
-    return np.asarray(steps[1] - steps[0])
-
-
-def _update(scene: ArmScene, lens_step: Array, frame_steps: Array, model: ArmModel) -> ArmScene:
+def _update(scene: ArmScene, step: Array, frame_steps: Array, model: ArmModel) -> ArmScene:
+    lens_step, offset_step = step[:UNKNOWNS], step[UNKNOWNS:]
     unit = 0.1 * scene.lens.camera.width
     bound = np.array([*[_LARGEST_STEP_RAD] * 3, *[_LARGEST_STEP_M] * 3, _LARGEST_ZOOM, unit, unit])
     lens_step = lens_step / max(1.0, float((np.abs(lens_step) / bound).max()))
@@ -180,6 +175,7 @@ def _update(scene: ArmScene, lens_step: Array, frame_steps: Array, model: ArmMod
         lens=replace(lens, camera=camera),
         q=np.clip(q, model.lower - OVER_LIMIT_RAD, model.upper + OVER_LIMIT_RAD),
         finger_m=np.clip(scene.finger_m + frame_steps[:, N_JOINTS], 0.0, MAX_FINGER_M),
+        offset=scene.offset + offset_step,
     )
 
 
@@ -195,61 +191,79 @@ class _Linearization:
         opened_P[:, 1] += o.opening_sign * scene.finger_m[o.frame]
         p_B = np.einsum("nij,nj->ni", X[:, :3, :3], opened_P) + X[:, :3, 3]
         uv, z = lens.project(p_B)
+        of_contour = ~o.whitening[:, 1].any(axis=1)
         self._residual = np.einsum("nij,nj->ni", o.whitening, uv - o.uv_px)
+        self._residual[of_contour, 0] += scene.offset[o.part[of_contour]]
         square = (self._residual**2).sum(axis=1)
         behind = z < _LEAST_DEPTH_M
         dq = scene.q - prior.q
         q_information = 1.0 / prior.q_sigma**2
-        lens_information, deviation, self._free = prior.of_lens(lens)
+        lens_information, deviation, free = prior.of_lens(lens)
+        offset_information = 1.0 / prior.offset_sigma**2 if prior.offset_sigma else 0.0
         loss = CAUCHY**2 * np.log1p(square / CAUCHY**2) + _BEHIND * behind
         self._data_cost = float((o.weight * loss).sum())
         self.cost = (
-            self._data_cost + float((q_information * dq**2).sum()) + float((lens_information * deviation**2).sum())
+            self._data_cost
+            + float((q_information * dq**2).sum())
+            + float((lens_information * deviation**2).sum())
+            + offset_information * float((scene.offset**2).sum())
         )
         by_lens, by_C = lens.derivatives(p_B)
         by_B = by_C @ lens.X_CB[:3, :3]
         turning = np.cross(axis[o.frame], p_B[:, None] - point[o.frame]) * model.moves[o.part][..., None]
         moving = np.concatenate([turning, (o.opening_sign[:, None] * X[:, :3, 1])[:, None]], axis=1)
         by_centre = np.broadcast_to(np.eye(2), (len(o), 2, 2))
-        J = o.whitening @ np.concatenate([by_lens, by_centre, by_B @ np.swapaxes(moving, 1, 2)], axis=2)
+        by_offset = np.zeros((len(o), 2, _PARTS))
+        by_offset[of_contour, 0, o.part[of_contour]] = 1.0
+        by_camera = o.whitening @ np.concatenate([by_lens, by_centre], axis=2)
+        J = np.concatenate([by_camera, by_offset, o.whitening @ by_B @ np.swapaxes(moving, 1, 2)], axis=2)
         W = o.weight / (1.0 + square / CAUCHY**2) * ~behind
-        frames, n = len(scene.q), UNKNOWNS + _A_FRAME
+        frames, n = len(scene.q), _SHARED + _A_FRAME
         self._H, self._g = np.zeros((frames, n, n)), np.zeros((frames, n))
         for t in range(frames):
             own = o.frame == t
             flat = J[own].reshape(-1, n)
             weighted = flat * np.repeat(W[own], 2)[:, None]
             self._H[t], self._g[t] = flat.T @ weighted, weighted.T @ self._residual[own].ravel()
-        k = np.arange(UNKNOWNS, UNKNOWNS + N_JOINTS)
+        k = np.arange(_SHARED, _SHARED + N_JOINTS)
         self._H[:, k, k] += q_information
         self._g[:, k] += q_information * dq
         self._H[:, -1, -1] += _OPENING_INFORMATION
-        self._lens_information, self._lens_gradient = np.diag(lens_information), lens_information * deviation
+        self._information = np.diag([*lens_information, *[offset_information] * _PARTS])
+        self._gradient = np.array([*lens_information * deviation, *offset_information * scene.offset])
+        self._free = np.array([*free, *[prior.offset_sigma > 0] * _PARTS])
+        if prior.surroundings is not None:
+            cost, information, gradient = prior.surroundings.linearize(lens)
+            self.cost += cost
+            self._information[:UNKNOWNS, :UNKNOWNS] += information
+            self._gradient[:UNKNOWNS] += gradient
 
     def _eliminate(self, damping: float) -> tuple[Array, Array, Array, Array]:
-        """Return the camera's normal matrix (9, 9) and gradient (9,), and the frames' back substitution."""
-        c, s, k = slice(None, UNKNOWNS), slice(UNKNOWNS, None), np.arange(_A_FRAME)
+        """Return normal matrix and gradient of what frames have in common, and the frames' back substitution."""
+        c, s, k = slice(None, _SHARED), slice(_SHARED, None), np.arange(_A_FRAME)
         S = self._H[:, s, s].copy()
         S[:, k, k] = S[:, k, k] * (1 + damping) + 1e-9
         back = np.linalg.solve(S, np.concatenate([self._H[:, s, c], self._g[:, s, None]], axis=2))
-        H = (self._H[:, c, c] - self._H[:, c, s] @ back[..., :-1]).sum(axis=0) + self._lens_information
-        g = (self._g[:, c] - (self._H[:, c, s] @ back[..., -1:])[..., 0]).sum(axis=0) + self._lens_gradient
+        H = (self._H[:, c, c] - self._H[:, c, s] @ back[..., :-1]).sum(axis=0) + self._information
+        g = (self._g[:, c] - (self._H[:, c, s] @ back[..., -1:])[..., 0]).sum(axis=0) + self._gradient
         return H, g, back[..., :-1], back[..., -1]
 
     def step(self, damping: float) -> tuple[Array, Array]:
-        """Return the steps of the camera (9,) and of the frames (T, 8)."""
+        """Return the steps of camera and offsets (9 + PARTS,) and of the frames (T, 8)."""
         H, g, back, own = self._eliminate(damping)
-        k = np.arange(UNKNOWNS)
+        k = np.arange(_SHARED)
         H[k, k] += damping * self._H[:, k, k].sum(axis=0) + 1e-9
-        free, lens = np.flatnonzero(self._free), np.zeros(UNKNOWNS)
-        if len(free):
-            lens[free] = -np.linalg.solve(H[np.ix_(free, free)], g[free])
-        return lens, -own - back @ lens
+        free, step = np.flatnonzero(self._free), np.zeros(_SHARED)
+        step[free] = -np.linalg.solve(H[np.ix_(free, free)], g[free])
+        return step, -own - back @ step
 
     def bundle(self) -> Bundle:
         """Return the result with its information."""
-        information, _, back, _ = self._eliminate(0.0)
-        information[~self._free] = information[:, ~self._free] = 0.0
+        H, _, back, _ = self._eliminate(0.0)
+        c, s = slice(None, UNKNOWNS), slice(UNKNOWNS, None)
+        offsets = np.linalg.solve(H[s, s], H[s, c]) if self._free[s].any() else np.zeros((_PARTS, UNKNOWNS))
+        information, fixed = H[c, c] - H[c, s] @ offsets, ~self._free[c]
+        information[fixed] = information[:, fixed] = 0.0
         W = self._o.whitening
         rows = np.maximum((np.abs(W).sum(axis=2) > 0).sum(axis=1), 1)
         per_px = np.sqrt((W**2).sum(axis=(1, 2)) / rows)
@@ -258,5 +272,5 @@ class _Linearization:
             cost=self._data_cost / max(float(self._o.weight.sum()), 1e-9),
             error_px=np.linalg.norm(self._residual, axis=1) / np.maximum(per_px, 1e-9),
             information=information,
-            response=-back[:, :N_JOINTS],
+            response=-(back[..., c] - back[..., s] @ offsets)[:, :N_JOINTS],
         )

@@ -12,6 +12,7 @@ from kinebench_drake.calibration.correspondences import LINK_SIGMAS, Calibration
 from kinebench_drake.calibration.detections import ArmDetections
 from kinebench_drake.calibration.fit import PIXEL_SIGMA, Lens
 from kinebench_drake.calibration.hypotheses import Hypothesis
+from kinebench_drake.calibration.surroundings import Surroundings
 from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array
 from kinebench_drake.grounding.registration.arm_model import ArmModel
@@ -51,6 +52,10 @@ class LensPrior:
     """Standard deviation of the principal point [px]; 0 for a fixed one."""
     place_free: bool = True
     """False to keep the place of the camera."""
+    offset_sigma: float = 0.0
+    """Standard deviation of the offset of a part's contours, in those of one of their points; 0 for none."""
+    surroundings: Surroundings | None = None
+    """Lines along the axes of the base."""
 
     def with_postures(self, q: Array, q_sigma: Array | float) -> Prior:
         """Return the prior with joint angles (T, 7) [rad] and their standard deviations."""
@@ -61,6 +66,8 @@ class LensPrior:
             log_focal_sigma=self.log_focal_sigma,
             centre_sigma_px=self.centre_sigma_px,
             place_free=self.place_free,
+            offset_sigma=self.offset_sigma,
+            surroundings=self.surroundings,
         )
 
 

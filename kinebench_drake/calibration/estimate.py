@@ -14,7 +14,6 @@ from kinebench_drake.calibration.bundle import (
     Bundle,
     Observations,
     adjust,
-    displacement,
 )
 from kinebench_drake.calibration.camera_estimate import CameraEstimate, describe
 from kinebench_drake.calibration.candidate import (
@@ -32,11 +31,13 @@ from kinebench_drake.calibration.contours import ContourImages
 from kinebench_drake.calibration.detections import ArmDetections, find_robot
 from kinebench_drake.calibration.fit import Lens, focal_px
 from kinebench_drake.calibration.hypotheses import ChainSearch, Hypothesis
+from kinebench_drake.calibration.surroundings import Surroundings, find_lines, find_surroundings
 from kinebench_drake.calibration.turn import find_turn, is_same_arm, turned
 from kinebench_drake.camera import Camera, benchmark_camera
 from kinebench_drake.errors import UnmeasurableError
+from kinebench_drake.geometry import Array
 from kinebench_drake.grounding.registration.arm_model import ArmModel
-from kinebench_drake.grounding.registration.edges import SIGMA_PX, EdgeMatcher
+from kinebench_drake.grounding.registration.edges import EdgeMatcher
 from kinebench_drake.grounding.view import DenseEstimator, Frames
 from kinebench_drake.models.panda.robot import RobotPart
 
@@ -54,9 +55,8 @@ _FINE = ((8.0, 0.3), (5.0, 0.1), (4.0, 0.0), (3.0, 0.0), (3.0, 0.0), (2.0, 0.0),
 _ROUNDS = ((4, COARSE, 8), (6, MIDDLE, 5))
 """Successive comparisons of candidates: frames, passes, candidates kept."""
 _CLEARLY = 3.0  # of the tolerances within which cameras are the same: beyond, they contradict each other
-_PART_INDEPENDENT = 12.0  # independent measurements of the contours of a part, whose errors correlate
-_SIGMA_FACTOR, _JOINTS_SIGMA_FACTOR = 1.2, 2.1  # errors over those of independent contours; at known joint angles
-_COMMON_PX = 0.3  # common error of all contours along their normals: blur and compression; twice that of own renders
+_PART_INDEPENDENT = 4.0  # independent measurements of the contours of a part in an image, whose errors correlate
+_OFFSET_SIGMA = 0.4  # of a part's contours: 0.3 px, twice those of own renders
 _LEAST_SHARE = 0.75  # of the agreement of the better frames, below which a frame is left out
 _BETTER = 75  # percentile of these
 _LEAST_EXPLAINED = 0.5  # share of the frames with the robot below which a camera that explains no more is unlikely
@@ -151,13 +151,30 @@ class CameraEstimator:
         ranked = sorted(zip(arms, turns, strict=True), key=lambda pair: -(pair[0].agreement + pair[1].share))
         best, turn = ranked[0]
         start = replace(best, scene=turned(best.scene, turn.angle_rad))
+        estimate = self.finish(start, images, prior, rows=detections.rows, total=total)
+        surroundings = self._find_surroundings(estimate, frames)
+        if surroundings is not None:
+            rows = np.searchsorted(detections.rows, estimate.rows)
+            start = self._extend(replace(start, scene=estimate.scene, rows=rows), detections, search)
+            prior = replace(prior, surroundings=surroundings)
+            estimate = self.finish(start, images, prior, rows=detections.rows, total=total)
+            rows = np.searchsorted(detections.rows, estimate.rows)
+            agreement = _explained(arm_images.take(rows).agreement(estimate.scene), total)
+            best = replace(best, agreement=max(best.agreement, agreement))
         return replace(
-            self.finish(start, images, prior, rows=detections.rows, total=total),
+            estimate,
             agreement=best.agreement,
             base_agreement=turn.share,
             base_runner_up=turn.runner_up,
             runner_up=max(((arm.agreement + other.share) / 2 for arm, other in ranked[1:]), default=0.0),
         )
+
+    def _find_surroundings(self, estimate: CameraEstimate, frames: Frames) -> Surroundings | None:
+        """Return the lines of frames (T, H, W, 3) along the axes of the base of an estimate; None without them."""
+        lens, upwards = estimate.scene.lens, estimate.scene.lens.X_CB[:3, 2]
+        X_CP = lens.X_CB @ self.fitter.model.poses(estimate.scene.q)
+        lines = find_lines(frames, lens.camera, X_CP, self.fitter.matcher)
+        return find_surroundings(lines, lens, float(upwards @ estimate.covariance[:3, :3] @ upwards) ** 0.5)
 
     def _candidates(
         self, detections: ArmDetections, hypotheses: Sequence[Hypothesis], prior: LensPrior
@@ -235,13 +252,13 @@ class CameraEstimator:
             total: number of frames that show the robot.
             q_sigma: standard deviation of known joint angles [rad]; None if they are unknown.
         """
+        prior = replace(prior, offset_sigma=_OFFSET_SIGMA)
         candidate, edges = self._settle(candidate, images, prior, total, q_sigma)
         if edges is None:
             raise UnmeasurableError("no camera can be estimated: the images show no edges where the arm should be")
         scene = candidate.scene
-        estimate = describe(
-            self._uncertainty(scene, edges, prior, q_sigma), edges.part, self.fitter.model, rows[candidate.rows]
-        )
+        bundle = self._weigh(scene, edges, prior, q_sigma)
+        estimate = describe(bundle, edges.part, self.fitter.model, rows[candidate.rows])
         return replace(estimate, agreement=candidate.agreement)
 
     def _settle(
@@ -259,16 +276,15 @@ class CameraEstimator:
             q = None if q_sigma is None else candidate.scene.q
             scene, edges = self.fitter.fit_contours(candidate.scene, candidate.cells, own, prior, passes, sigma, q)
             agreement = own.agreement(scene)
-            share = float(np.median(agreement)) * min(1.0, len(candidate.rows) / (_LEAST_EXPLAINED * total))
-            candidate = replace(candidate, scene=scene, agreement=share)
+            candidate = replace(candidate, scene=scene, agreement=_explained(agreement, total))
             good = np.flatnonzero(agreement >= _LEAST_SHARE * np.percentile(agreement, _BETTER))
             if number + 1 == len(rounds) or len(good) == len(agreement) or len(good) < MIN_FRAMES:
                 break
             candidate = candidate.take(good)
         return candidate, edges
 
-    def _uncertainty(self, scene: ArmScene, edges: Observations, prior: LensPrior, q_sigma: float | None) -> Bundle:
-        """Return the information of a scene, contours of one part in one frame and parts at rest counted once."""
+    def _weigh(self, scene: ArmScene, edges: Observations, prior: LensPrior, q_sigma: float | None) -> Bundle:
+        """Fit a scene to contours, those of one part in one image and of parts at rest counted once."""
         X_BP = self.fitter.model.poses(scene.q)
         near = np.linalg.norm(X_BP[:, None, :, :3, 3] - X_BP[None, ..., :3, 3], axis=-1) <= _ALIKE_M
         cosine = (np.einsum("spij,tpij->stp", X_BP[..., :3, :3], X_BP[..., :3, :3]) - 1.0) / 2.0
@@ -277,15 +293,13 @@ class CameraEstimator:
         np.add.at(count, (edges.frame, edges.part), 1.0)
         weight = np.minimum(1.0, _PART_INDEPENDENT / count[edges.frame, edges.part]) / alike[edges.frame, edges.part]
         posture_sigma = POSTURE_SIGMA_RAD if q_sigma is None else q_sigma
-        factor = _SIGMA_FACTOR if q_sigma is None else _JOINTS_SIGMA_FACTOR
-        honest = replace(edges, weight=weight / factor**2)
         postures = prior.with_postures(scene.q, posture_sigma)
-        bundle = adjust(honest, scene, postures, self.fitter.model, iterations=0)
-        # One more direction of error, with standard deviation 1 along `common` (Sherman and Morrison's formula).
-        common = displacement(honest, scene, postures, self.fitter.model, _COMMON_PX / SIGMA_PX)
-        along = bundle.information @ common
-        information = bundle.information - np.outer(along, along) / (1.0 + common @ along)
-        return replace(bundle, information=information)
+        return adjust(replace(edges, weight=weight), scene, postures, self.fitter.model)
+
+
+def _explained(agreement: Array, total: int) -> float:
+    """Return the median of the agreements (T,) of frames, less if they are few of the `total` with the robot."""
+    return float(np.median(agreement)) * min(1.0, len(agreement) / (_LEAST_EXPLAINED * total))
 
 
 def usual_camera(width: int, height: int) -> Camera:
