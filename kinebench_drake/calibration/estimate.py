@@ -56,6 +56,7 @@ _ROUNDS = ((4, COARSE, 8), (6, MIDDLE, 5))
 """Successive comparisons of candidates: frames, passes, candidates kept."""
 _CLEARLY = 3.0  # of the tolerances within which cameras are the same: beyond, they contradict each other
 _PART_INDEPENDENT = 4.0  # independent measurements of the contours of a part in an image, whose errors correlate
+_JOINTS_INDEPENDENT = 2.0  # the same at known joint angles, whose errors the contours have in common
 _OFFSET_SIGMA = 0.4  # of a part's contours: 0.3 px, twice those of own renders
 _LEAST_SHARE = 0.75  # of the agreement of the better frames, below which a frame is left out
 _BETTER = 75  # percentile of these
@@ -291,7 +292,8 @@ class CameraEstimator:
         alike = np.maximum(1, (near & (cosine >= np.cos(_ALIKE_RAD))).sum(axis=1))
         count = np.zeros(X_BP.shape[:2])
         np.add.at(count, (edges.frame, edges.part), 1.0)
-        weight = np.minimum(1.0, _PART_INDEPENDENT / count[edges.frame, edges.part]) / alike[edges.frame, edges.part]
+        independent = _PART_INDEPENDENT if q_sigma is None else _JOINTS_INDEPENDENT
+        weight = np.minimum(1.0, independent / count[edges.frame, edges.part]) / alike[edges.frame, edges.part]
         posture_sigma = POSTURE_SIGMA_RAD if q_sigma is None else q_sigma
         postures = prior.with_postures(scene.q, posture_sigma)
         return adjust(replace(edges, weight=weight), scene, postures, self.fitter.model)
