@@ -14,6 +14,7 @@ from kinebench_drake.grounding.confidence import CALIBRATION, load_confidence, s
 from kinebench_drake.grounding.evaluation.clip import TruthClipFile, find_clips
 from kinebench_drake.grounding.evaluation.store import MeasurementStore, fingerprint
 from kinebench_drake.grounding.pipeline import TRACKED_CONFIDENCE, GroundingPipeline
+from kinebench_drake.grounding.training.augment import degrade
 from kinebench_drake.grounding.training.calibration import MeasuredPoses, fit_confidence
 from kinebench_drake.grounding.training.layout import random_surface
 from kinebench_drake.grounding.training.vtk import VtkScene
@@ -21,8 +22,11 @@ from kinebench_drake.grounding.view import Frames
 from kinebench_drake.io.atomic import make_folder, write_atomically
 from kinebench_drake.io.reader import read_video
 from kinebench_drake.models.panda.robot import GRIPPER, LINK_OF
+from kinebench_drake.models.perception.network import ARM_WEIGHTS
 from kinebench_drake.types import Domain, GripperKind
 
+_Video = tuple[Frames, Camera, Array]
+"""Frames (T, H, W, 3), camera and true poses (T, 4, 4) of panda_hand in its frame [m]."""
 FRAMES = 16
 """Frames of a video that are measured, from its middle."""
 _HALVES = ((0.05, 0.08, 0.05), (0.012, 0.02, 0.06), (0.012, 0.02, 0.06))  # of palm and fingers [m]
@@ -52,49 +56,52 @@ def measure(demos: Path, out: Path, *, count: int, log: Callable[[str], None]) -
     Args:
         demos: folder of `suite demos`; of its Franka hand nothing is used.
         out: output folder; finished videos are kept.
-        count: videos of each of the two.
+        count: videos of each of the two; each is measured as it is, and degraded.
         log: receives a line per video.
 
     Returns:
         The measurements by video.
     """
     make_folder(out)
-    base = fingerprint(modules=["kinebench_drake.grounding.flange_tracker"])
+    base = fingerprint(modules=["kinebench_drake.grounding.flange_tracker"], files=[ARM_WEIGHTS])
     store = MeasurementStore(out / "flange.jsonl", MeasuredPoses)
     pipeline = GroundingPipeline.create(gripper=GripperKind.NONE)
-    videos: list[tuple[str, Callable[[], MeasuredPoses]]] = []
+    videos: list[tuple[str, Callable[[], _Video]]] = []
     clips = find_clips(demos)
     for file in clips[:: max(1, len(clips) // count)][:count]:
 
-        def of_demo(file: TruthClipFile = file) -> MeasuredPoses:
+        def of_demo(file: TruthClipFile = file) -> _Video:
             clip = file.load()
-            return _measure(pipeline, read_video(file.video).frames, clip.camera, clip.X_CH)
+            return read_video(file.video).frames, clip.camera, clip.X_CH
 
         videos.append((f"demos/{file.id}", of_demo))
     for seed in range(count):
 
-        def of_scene(seed: int = seed) -> MeasuredPoses:
+        def of_scene(seed: int = seed) -> _Video:
             video = BoxGripperScene(np.random.default_rng([88, seed])).video()
-            return _measure(pipeline, video.frames, video.camera, invert(video.camera.X_BC) @ video.X_BH)
+            return video.frames, video.camera, invert(video.camera.X_BC) @ video.X_BH
 
         videos.append((f"boxes/{seed:03d}", of_scene))
     measured = {}
-    for id, run in videos:
-        key = f"{base}-{id}"
-        if key not in store:
-            store.put(key, run())
-        measured[id] = store[key]
-        distance, angle = pose_difference(store[key].X_true, store[key].X_AH)
-        log(
-            f"{id}: {store[key].detected.mean():.2f} detected, {1e3 * np.nanmedian(distance):.1f} mm, "
-            f"{np.rad2deg(np.nanmedian(angle)):.1f} degrees"
-        )
+    for number, (name, load) in enumerate(videos):
+        for degraded in (False, True):
+            id = f"degraded {name}" if degraded else name
+            key = f"{base}-{id}"
+            if key not in store:
+                store.put(key, _measure(pipeline, *load(), seed=number if degraded else None))
+            measured[id] = store[key]
+            distance, angle = pose_difference(store[key].X_true, store[key].X_AH)
+            log(
+                f"{id}: {store[key].detected.mean():.2f} detected, {1e3 * np.nanmedian(distance):.1f} mm, "
+                f"{np.rad2deg(np.nanmedian(angle)):.1f} degrees"
+            )
     return measured
 
 
 def summarize(measured: Mapping[str, MeasuredPoses], out: Path) -> str:
     """Write flange.md into a folder, a table of errors with the shipped confidence, and return it."""
-    rows = [_row(kind, [m for id, m in measured.items() if id.startswith(kind)]) for kind in ("demos", "boxes")]
+    kinds = ("demos", "degraded demos", "boxes", "degraded boxes")
+    rows = [_row(kind, [m for id, m in measured.items() if id.startswith(f"{kind}/")]) for kind in kinds]
     head = ("videos", "frames", "tracked", "right among tracked", "median [mm]", "95 % [mm]", "median [degrees]")
     text = "\n".join(table(head, rows)) + "\n"
     write_atomically(out / "flange.md", text.encode())
@@ -106,12 +113,18 @@ def write_confidence(measured: Mapping[str, MeasuredPoses]) -> None:
     save_confidence({**load_confidence(), Domain.ARM: fit_confidence(list(measured.values()))}, CALIBRATION)
 
 
-def _measure(pipeline: GroundingPipeline, frames: Frames, camera: Camera, X_CH: Array) -> MeasuredPoses:
+def _measure(
+    pipeline: GroundingPipeline, frames: Frames, camera: Camera, X_CH: Array, *, seed: int | None
+) -> MeasuredPoses:
+    """Track the flange in the middle of a video; with a seed, in frames degraded as in training."""
     first = max(0, (len(frames) - FRAMES) // 2)
     chosen = np.arange(first, min(first + FRAMES, len(frames)))
     camera = camera.resized(frames.shape[2], frames.shape[1])
+    video = frames[chosen]
+    if seed is not None:
+        video = np.stack([degrade(frame, np.random.default_rng(seed)) for frame in video])
     t_s = 0.2 * chosen.astype(np.float64)
-    observation = pipeline.observe(frames[chosen], camera, np.asarray(t_s, np.float64))
+    observation = pipeline.observe(video, camera, np.asarray(t_s, np.float64))
     return MeasuredPoses.from_observation(observation, X_CH[chosen])
 
 

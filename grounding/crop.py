@@ -17,6 +17,8 @@ GRIPPER_CENTRE_H = np.array([0.0, 0.0, 0.045])
 """Centre of the gripper's bounding sphere in panda_hand [m]."""
 GRIPPER_RADIUS_M = 0.115
 """Radius of that sphere [m]."""
+WRIST_CENTRE_H, WRIST_RADIUS_M = np.array([0.044, 0.0, -0.15]), 0.17
+"""The same for the last links."""
 WIDE_SIZE = 192
 """Width of the crop that holds the whole image, for detection [px]."""
 CLOSE_SIZE = 128

@@ -4,7 +4,7 @@ import numpy as np
 
 from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array, pose_difference
-from kinebench_drake.grounding.crop import CLOSE_SIZE, Crop
+from kinebench_drake.grounding.crop import CLOSE_SIZE, WRIST_CENTRE_H, WRIST_RADIUS_M, Crop
 from kinebench_drake.grounding.localization import find_region
 from kinebench_drake.grounding.pose import FramePose
 from kinebench_drake.grounding.registration.arm_fit import (
@@ -27,7 +27,6 @@ from kinebench_drake.types import NO_PRIORS, Domain, Priors
 _SEEN = (RobotPart.LINK5, *LAST_LINKS, RobotPart.HAND)
 _MIN_CELLS = 12
 _QUANTILES, _MARGIN = (5.0, 95.0), 0.8  # of the cells of the wrist; half size of its crop over their extent
-_WRIST_H, _WRIST_RADIUS_M = np.array([0.044, 0.0, -0.15]), 0.17  # sphere around the last links, in the hand's frame
 _LINK_CELLS, _INDEPENDENT = 300, 30.0
 _LINKS = ARM[-4:]  # links whose edges are matched
 _POINTS = 300
@@ -68,12 +67,14 @@ class FlangeTracker:
             if pose is not None:
                 poses[i] = pose
         for step in (1, -1):
-            for i in sorted(closes)[::step]:
+            for i in sorted(wide)[::step]:
                 near = poses.get(i - step)
                 if near is not None and _agreement(near) > _agreement(poses.get(i)) + _GAIN:
-                    pose = self._measure(closes[i], wide[i], fitter.at([i]), images[i], near)
-                    if pose is not None and _agreement(pose) > _agreement(poses.get(i)):
-                        poses[i] = pose
+                    image = images.setdefault(i, GradientImage(frames[i], camera))
+                    for _, close in self._estimator.estimate(frames, camera, {i: _crop_at(near.X_CH)}):
+                        pose = self._measure(close, wide[i], fitter.at([i]), image, near)
+                        if pose is not None and _agreement(pose) > _agreement(poses.get(i)):
+                            poses[i] = pose
         return Tracking(
             poses=tuple(poses.get(i) for i in range(len(frames))),
             wide=tuple(wide[i] for i in range(len(frames))),
@@ -155,8 +156,8 @@ def _wrist_crop(view: GripperView) -> Crop | None:
 
 def _crop_at(X_CH: Array) -> Crop:
     """Return the crop of the last links behind a hand at `X_CH` (4, 4)."""
-    centre = X_CH[:3, :3] @ _WRIST_H + X_CH[:3, 3]
-    return Crop.towards(centre, _WRIST_RADIUS_M / float(np.linalg.norm(centre)), CLOSE_SIZE)
+    centre = X_CH[:3, :3] @ WRIST_CENTRE_H + X_CH[:3, 3]
+    return Crop.towards(centre, WRIST_RADIUS_M / float(np.linalg.norm(centre)), CLOSE_SIZE)
 
 
 def _frame_pose(arm: ArmFit, chain: Solution[ChainModel], close: GripperView) -> FramePose:

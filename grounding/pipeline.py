@@ -23,7 +23,7 @@ from kinebench_drake.grounding.smoothing import RawTrack
 from kinebench_drake.grounding.tracker import CadTracker, PoseTracker, Tracking
 from kinebench_drake.grounding.view import Frames, GripperView
 from kinebench_drake.models.panda.robot import RobotPart, hand_from_tcp
-from kinebench_drake.models.perception.network import WEIGHTS, load_network
+from kinebench_drake.models.perception.network import ARM_WEIGHTS, WEIGHTS, load_network
 from kinebench_drake.models.robot import N_JOINTS
 from kinebench_drake.types import (
     NO_PRIORS,
@@ -120,9 +120,9 @@ class GroundingPipeline:
         Raises:
             SetupError: weights, calibration, meshes or native libraries are missing.
         """
-        estimator = NetworkEstimator(load_network(weights or WEIGHTS), device)
-        tracker = CadTracker(estimator) if gripper is GripperKind.FRANKA else FlangeTracker(estimator)
-        return cls(tracker, load_confidence(), table_height_m)
+        shipped, tracker = (WEIGHTS, CadTracker) if gripper is GripperKind.FRANKA else (ARM_WEIGHTS, FlangeTracker)
+        estimator = NetworkEstimator(load_network(weights or shipped), device)
+        return cls(tracker(estimator), load_confidence(), table_height_m)
 
     def warm_up(self) -> None:
         """Ground a blank video, since the first use of the network and of the ray caster is slow."""

@@ -1,6 +1,6 @@
 """Actors of a SAPIEN scene that are not the robot's own: loose things, other robots, mounts on the hand and the arm."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +11,6 @@ from kinebench_drake.grounding.training.layout import (
     Attachment,
     SolidKind,
     Surface,
-    random_attachments,
     random_solid,
     random_surface,
 )
@@ -84,9 +83,8 @@ class Clutter:
         turn = rng.uniform(-np.pi, np.pi)
         robot.set_root_pose(self._sapien.Pose(position, [np.cos(turn / 2), 0, 0, np.sin(turn / 2)]))
 
-    def attachments(self) -> list[tuple[Any, Attachment]]:
-        """Return random attachments with new actors."""
-        attachments = random_attachments(self._rng)
+    def add_attachments(self, attachments: Sequence[Attachment]) -> list[tuple[Any, Attachment]]:
+        """Return attachments with new actors."""
         return [(self.box(a.half, tuple(FAR_AWAY), a.surface), a) for a in attachments]
 
     def place(self, attachments: list[tuple[Any, Attachment]], links: Mapping[str, Any]) -> None:

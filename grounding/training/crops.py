@@ -1,6 +1,7 @@
 """Random training crops of rendered frames, with labels and degradation."""
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,15 @@ from torch.utils.data import Dataset, Sampler
 from kinebench_drake.camera import Camera
 from kinebench_drake.errors import UsageError
 from kinebench_drake.geometry import Array, invert, make_pose, transform_points
-from kinebench_drake.grounding.crop import CLOSE_SIZE, GRIPPER_CENTRE_H, GRIPPER_RADIUS_M, WIDE_SIZE, Crop
+from kinebench_drake.grounding.crop import (
+    CLOSE_SIZE,
+    GRIPPER_CENTRE_H,
+    GRIPPER_RADIUS_M,
+    WIDE_SIZE,
+    WRIST_CENTRE_H,
+    WRIST_RADIUS_M,
+    Crop,
+)
 from kinebench_drake.grounding.training.augment import degrade, occlude, replace_background
 from kinebench_drake.models.panda.robot import ARM, GRIPPER, OPENING_SIGN, RobotPart
 from kinebench_drake.models.perception.frame import DEPTH_UNIT_M, RenderedFrame
@@ -20,7 +29,7 @@ from kinebench_drake.models.perception.network import COORDINATE_SCALE_M, DEPTH_
 
 CLOSE_EVERY = 4
 """Interval of the steps on close crops of the gripper; the others use wide ones, which show frames or arms."""
-_MIN_GRIPPER_PX = 60
+_MIN_TARGET_PX = 60
 _DOUBLED = 0.12  # share of wide crops with a second gripper
 _OCCLUDED = 0.4  # share of crops with occluders
 _CLEAN = 0.3  # share of crops that are not degraded
@@ -31,6 +40,21 @@ _LARGEST_WIDE = 1.3  # size of the largest wide crop over that of the frame
 _NARROW = 0.4  # share of draws that take the narrower of two grippers
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CropTarget:
+    """What crops show: a bounding sphere, and the parts inside."""
+
+    centre_H: Array
+    """(3,) centre in panda_hand [m]."""
+    radius_m: float
+    parts: tuple[RobotPart, ...]
+
+
+GRIPPER_TARGET = CropTarget(centre_H=GRIPPER_CENTRE_H, radius_m=GRIPPER_RADIUS_M, parts=GRIPPER)
+WRIST_TARGET = CropTarget(centre_H=WRIST_CENTRE_H, radius_m=WRIST_RADIUS_M, parts=ARM[-3:])
+"""The last links, for the network of the arm alone."""
+
+
 def frame_camera(frame: RenderedFrame) -> Camera:
     """Return the camera of a frame."""
     height, width = frame.part.shape
@@ -39,27 +63,27 @@ def frame_camera(frame: RenderedFrame) -> Camera:
     return Camera(width=width, height=height, fx=K[0, 0], fy=K[1, 1], cx=K[0, 2], cy=K[1, 2], X_BC=X_BC)
 
 
-def close_crop(frame: RenderedFrame, rng: np.random.Generator) -> Crop:
-    """Return a random crop around the gripper, mostly as close as in tracking, sometimes wider."""
-    centre = transform_points(frame.X_CH, GRIPPER_CENTRE_H[None])[0]
+def close_crop(frame: RenderedFrame, rng: np.random.Generator, target: CropTarget = GRIPPER_TARGET) -> Crop:
+    """Return a random crop around a target, mostly as close as in tracking, sometimes wider."""
+    centre = transform_points(frame.X_CH, target.centre_H[None])[0]
     distance = float(np.linalg.norm(centre))
     low, high = (0.95, 1.7) if rng.random() < 0.8 else (1.7, 4.0)
     margin = np.exp(rng.uniform(np.log(low), np.log(high)))
-    half_tangent = margin * GRIPPER_RADIUS_M / distance
+    half_tangent = margin * target.radius_m / distance
     shift = rng.normal(0, 0.18, 3) * half_tangent * distance
     return Crop.towards(centre + shift, half_tangent, CLOSE_SIZE, roll=float(rng.normal(0, np.deg2rad(12))))
 
 
-def wide_crop(frame: RenderedFrame, rng: np.random.Generator) -> Crop:
-    """Return a random crop that shows the gripper small, anywhere in it, as in detection and around the arm."""
+def wide_crop(frame: RenderedFrame, rng: np.random.Generator, target: CropTarget = GRIPPER_TARGET) -> Crop:
+    """Return a random crop that shows a target small, anywhere in it, as in detection and around the arm."""
     camera = frame_camera(frame)
-    gripper_C = transform_points(frame.X_CH, GRIPPER_CENTRE_H[None])[0]
-    apparent = GRIPPER_RADIUS_M / float(np.linalg.norm(gripper_C))
+    centre_C = transform_points(frame.X_CH, target.centre_H[None])[0]
+    apparent = GRIPPER_RADIUS_M / float(np.linalg.norm(centre_C))
     half_tangent = apparent * WIDE_SIZE / np.exp(rng.uniform(*np.log(_WIDE_GRIPPER_PX)))
     half_tangent = min(half_tangent, _LARGEST_WIDE * camera.width / 2 / camera.fx)
     half_px = half_tangent * camera.fx
-    centre_px = camera.project(gripper_C) + rng.uniform(-0.85, 0.85, 2) * half_px
-    if gripper_C[2] <= 0 or rng.random() < _ELSEWHERE:
+    centre_px = camera.project(centre_C) + rng.uniform(-0.85, 0.85, 2) * half_px
+    if centre_C[2] <= 0 or rng.random() < _ELSEWHERE:
         centre_px = rng.uniform(0, camera.width, 2)
     margin = min(0.8 * half_px, camera.width / 2)
     u, v = np.clip(centre_px, margin, camera.width - margin)
@@ -165,8 +189,8 @@ class Crops(Dataset[dict[str, Tensor]]):
     All crops of a step have one size: every `CLOSE_EVERY`-th step uses close crops, the others wide ones.
     """
 
-    def __init__(self, shards: Shards, seed: int) -> None:
-        self._shards, self._seed = shards, seed
+    def __init__(self, shards: Shards, seed: int, target: CropTarget = GRIPPER_TARGET) -> None:
+        self._shards, self._seed, self._target = shards, seed, target
 
     def __getitem__(self, item: tuple[int, int]) -> dict[str, Tensor]:
         """Return the crop of (step, slot) with its labels, h = w = S / STRIDE.
@@ -178,9 +202,9 @@ class Crops(Dataset[dict[str, Tensor]]):
         wide = is_wide(item[0])
         for _ in range(20):
             frame = self._draw(rng)
-            crop = (wide_crop if wide else close_crop)(frame, rng)
+            crop = (wide_crop if wide else close_crop)(frame, rng, self._target)
             part, coordinates, log_depth = label(frame, crop)
-            if np.isin(part, GRIPPER).sum() >= _MIN_GRIPPER_PX / STRIDE**2 or rng.random() < 0.1:
+            if np.isin(part, self._target.parts).sum() >= _MIN_TARGET_PX / STRIDE**2 or rng.random() < 0.1:
                 break
         image = np.array(crop.warp(frame.rgb, frame_camera(frame)), dtype=np.uint8)
         if rng.random() < _OTHER_BACKGROUND:

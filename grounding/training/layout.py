@@ -2,12 +2,12 @@
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from enum import IntEnum
+from enum import Enum, IntEnum
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from kinebench_drake.geometry import Array, from_quaternion, make_pose, rotation_exp
+from kinebench_drake.geometry import Array, from_quaternion, make_pose, rotation_exp, rotation_z
 from kinebench_drake.grounding.training.texture import random_photograph, random_texture
 from kinebench_drake.grounding.training.viewpoint import ViewBounds
 
@@ -124,6 +124,15 @@ def random_room(
     return ViewBounds(tuple(lower), tuple(upper))
 
 
+class ShownGripper(Enum):
+    """Gripper that a random scene shows."""
+
+    FRANKA = "franka"
+    NONE = "none"
+    OTHER = "other"
+    """A random one, of boxes."""
+
+
 class SolidKind(IntEnum):
     """Shape of a loose thing."""
 
@@ -196,30 +205,84 @@ class Attachment:
 
 
 def random_attachments(rng: np.random.Generator) -> list[Attachment]:
-    """Return mounts and cameras on the hand, cables along the arm, and pads on the fingers; often none."""
-    attachments = []
-
-    def attach(link: str, half: tuple[float, ...], p_LA: Sequence[float], turn: Array, surface: Surface) -> None:
-        X_LA = make_pose(rotation_exp(turn), p_LA)
-        attachments.append(Attachment(link=link, half=half, X_LA=X_LA, surface=surface))
-
-    if rng.random() < 0.35:  # a camera and its mount: boxes before or behind the wide side of the hand
-        side = float(rng.choice([-1.0, 1.0]))
-        surface = random_surface(rng) if rng.random() < 0.4 else _dark_surface(rng)
-        for _ in range(rng.integers(1, 4)):
-            half = tuple(float(h) for h in rng.uniform([0.008, 0.012, 0.006], [0.03, 0.06, 0.03]))
-            p_HA = [side * (0.032 + half[0] + rng.uniform(0, 0.03)), rng.normal(0, 0.02), rng.uniform(-0.05, 0.06)]
-            attach("panda_hand", half, p_HA, rng.normal(0, 0.2, 3), surface)
-    if rng.random() < 0.2:  # a cable
-        surface, angle = _dark_surface(rng), rng.uniform(-np.pi, np.pi)
-        for link, height in (("panda_link5", -0.15), ("panda_link5", -0.05), ("panda_link7", 0.05)):
-            p_LA = [0.07 * np.cos(angle), 0.07 * np.sin(angle), height + rng.normal(0, 0.03)]
-            attach(link, (0.005, 0.005, 0.06), p_LA, rng.normal(0, 0.4, 3), surface)
+    """Return mounts and cameras on Franka's hand, cables along the arm, and pads on the fingers; often none."""
+    attachments = _random_mount(rng) + _random_cable(rng)
     if rng.random() < 0.25:  # other pads or fingers over Franka's own
         surface = random_surface(rng)
         half = tuple(float(h) for h in rng.uniform([0.008, 0.003, 0.01], [0.014, 0.009, 0.03]))
         outward = rng.uniform(0.0, 0.008)
         for link, sign in (("panda_leftfinger", 1.0), ("panda_rightfinger", -1.0)):
             p_LA = [0.0, sign * (half[1] + outward), 0.054 - rng.uniform(-0.01, 0.6) * half[2]]
-            attach(link, half, p_LA, np.zeros(3), surface)
+            attachments.append(_attach(link, half, p_LA, np.zeros(3), surface))
+    return attachments
+
+
+def random_gripper(rng: np.random.Generator) -> list[Attachment]:
+    """Return a gripper that is not Franka's, of boxes: adapter, palm, up to three fingers; often mounts and a cable."""
+    surface = _dark_surface(rng) if rng.random() < 0.6 else random_surface(rng)
+    other = _dark_surface(rng) if rng.random() < 0.5 else random_surface(rng)
+    R_HG, up = rotation_exp([0.0, 0.0, rng.uniform(-np.pi, np.pi)]), np.array([0.0, 0.0, 1.0])
+    gripper, top = list[Attachment](), 0.0
+
+    def add(half: Array, p_GA: Array, R_GA: Array, look: Surface) -> None:
+        X_HA = make_pose(R_HG @ R_GA, R_HG @ p_GA)
+        gripper.append(Attachment(link="panda_hand", half=tuple(half.tolist()), X_LA=X_HA, surface=look))
+
+    adapter, palm = (rng.uniform(0.035, 0.048), rng.uniform(0.003, 0.02)), rng.uniform([0.025, 0.02], [0.06, 0.06])
+    for (wide, high), look in ((adapter, other), (palm, surface)):
+        half = np.array([wide, wide * rng.uniform(0.6, 1.0), high])
+        for eighth in range(1 + (rng.random() < 0.6)):  # two boxes at 45 degrees are nearly round
+            add(half, (top + high) * up, rotation_z(eighth * np.pi / 4), look)
+        top += 2 * high
+    count, spread = int(rng.choice([1, 2, 3], p=[0.12, 0.73, 0.15])), rng.uniform(0.0, 0.05)
+    half, lean = rng.uniform([0.005, 0.007, 0.02], [0.014, 0.018, 0.05]), rng.uniform(-0.2, 0.9)
+    for k in range(count):
+        R_GF = rotation_z(2 * np.pi * k / count)
+        outward = R_GF[:, 0] * (count > 1)
+        along, knuckle = np.sin(lean) * outward + np.cos(lean) * up, spread * outward + top * up
+        look = surface if rng.random() < 0.8 else other
+        add(half, knuckle + half[2] * along, R_GF @ rotation_exp([0.0, lean, 0.0]), look)
+        add(half, knuckle + half[2] * (2 * along + up), R_GF, look)
+    return gripper + _random_mount(rng) + _random_bracket(rng) + _random_cable(rng)
+
+
+def _attach(link: str, half: tuple[float, ...], p_LA: ArrayLike, turn: Array, surface: Surface) -> Attachment:
+    return Attachment(link=link, half=half, X_LA=make_pose(rotation_exp(turn), p_LA), surface=surface)
+
+
+def _random_mount(rng: np.random.Generator) -> list[Attachment]:
+    """Return a camera and its mount: boxes before or behind the wide side of the hand; often none."""
+    attachments = []
+    if rng.random() < 0.35:
+        side = float(rng.choice([-1.0, 1.0]))
+        surface = random_surface(rng) if rng.random() < 0.4 else _dark_surface(rng)
+        for _ in range(rng.integers(1, 4)):
+            half = tuple(float(h) for h in rng.uniform([0.008, 0.012, 0.006], [0.03, 0.06, 0.03]))
+            p_HA = [side * (0.032 + half[0] + rng.uniform(0, 0.03)), rng.normal(0, 0.02), rng.uniform(-0.05, 0.06)]
+            attachments.append(_attach("panda_hand", half, p_HA, rng.normal(0, 0.2, 3), surface))
+    return attachments
+
+
+def _random_bracket(rng: np.random.Generator) -> list[Attachment]:
+    """Return a plate between flange and gripper that holds a camera at its end; often none."""
+    if rng.random() < 0.6:
+        return []
+    angle, reach = rng.uniform(-np.pi, np.pi), rng.uniform(0.05, 0.1)
+    ahead, turn = np.array([np.cos(angle), np.sin(angle), 0.0]), np.array([0.0, 0.0, angle])
+    plate, camera = random_surface(rng), random_surface(rng) if rng.random() < 0.6 else _dark_surface(rng)
+    half = tuple(float(h) for h in rng.uniform([0.008, 0.015, 0.008], [0.02, 0.06, 0.02]))
+    return [
+        _attach("panda_hand", (reach / 2, float(rng.uniform(0.02, 0.045)), 0.004), 0.5 * reach * ahead, turn, plate),
+        _attach("panda_hand", half, reach * ahead + [0.0, 0.0, rng.normal(0, 0.02)], turn, camera),
+    ]
+
+
+def _random_cable(rng: np.random.Generator) -> list[Attachment]:
+    """Return a cable along the last links; often none."""
+    attachments = []
+    if rng.random() < 0.2:
+        surface, angle = _dark_surface(rng), rng.uniform(-np.pi, np.pi)
+        for link, height in (("panda_link5", -0.15), ("panda_link5", -0.05), ("panda_link7", 0.05)):
+            p_LA = [0.07 * np.cos(angle), 0.07 * np.sin(angle), height + rng.normal(0, 0.03)]
+            attachments.append(_attach(link, (0.005, 0.005, 0.06), p_LA, rng.normal(0, 0.4, 3), surface))
     return attachments

@@ -9,27 +9,37 @@ from pathlib import Path
 import numpy as np
 
 from kinebench_drake.errors import SetupError
+from kinebench_drake.grounding.training.layout import ShownGripper
 from kinebench_drake.grounding.training.scene import TrainingScene
 from kinebench_drake.models.perception.frame import FILES, save_shard
 
 FRAMES_PER_SCENE = 20
 HANDLESS_EVERY = 16
 """Interval of the scenes that show an arm without its gripper."""
+OTHERS = (ShownGripper.OTHER, ShownGripper.OTHER, ShownGripper.NONE, ShownGripper.OTHER, ShownGripper.FRANKA)
+"""Grippers of successive scenes for the network of the arm alone."""
 
 _REPORT_EVERY = 20
 _STREAM = 0x4B42  # separates these random streams from others with the same seed
 
 
-def render_shards(folder: Path, seeds: Iterable[int]) -> Iterator[int]:
+def _gripper(seed: int, *, arm: bool) -> ShownGripper:
+    """Return the gripper of a scene, of those for the network of the arm alone if `arm`."""
+    if arm:
+        return OTHERS[seed % len(OTHERS)]
+    return ShownGripper.NONE if seed % HANDLESS_EVERY == HANDLESS_EVERY - 1 else ShownGripper.FRANKA
+
+
+def render_shards(folder: Path, seeds: Iterable[int], *, arm: bool = False) -> Iterator[int]:
     """Render the frames of one scene per seed into `folder`; yield each finished seed.
 
-    The same seed gives the same scene.
+    The same seed gives the same scene; with `arm` those for the network of the arm alone.
     """
     for seed in seeds:
         # The variable keeps the last scene alive until the next is built: SAPIEN compiles its shaders again, for
         # seconds, whenever no scene exists.
         rng = np.random.default_rng([seed, _STREAM])
-        scene = TrainingScene(rng, handless=seed % HANDLESS_EVERY == HANDLESS_EVERY - 1)
+        scene = TrainingScene(rng, _gripper(seed, arm=arm))
         save_shard([scene.frame() for _ in range(FRAMES_PER_SCENE)], _shard(folder, seed))
         yield seed
 
@@ -38,13 +48,13 @@ def _shard(folder: Path, seed: int) -> Path:
     return folder / f"{seed:06d}"
 
 
-def _work(folder: Path, seeds: list[int], done: "multiprocessing.Queue[int | None]") -> None:
-    for seed in render_shards(folder, seeds):
+def _work(folder: Path, seeds: list[int], arm: bool, done: "multiprocessing.Queue[int | None]") -> None:
+    for seed in render_shards(folder, seeds, arm=arm):
         done.put(seed)
     done.put(None)
 
 
-def render(folder: Path, seeds: Iterable[int], jobs: int, report: Callable[[str], None]) -> None:
+def render(folder: Path, seeds: Iterable[int], jobs: int, report: Callable[[str], None], *, arm: bool = False) -> None:
     """Render the scenes of `seeds` that `folder` lacks, in `jobs` processes; call `report` with lines on the progress.
 
     Raises:
@@ -59,7 +69,7 @@ def render(folder: Path, seeds: Iterable[int], jobs: int, report: Callable[[str]
     done: multiprocessing.Queue[int | None] = context.Queue()
     os.environ.setdefault("LP_NUM_THREADS", "1")  # lavapipe: one thread per process
     workers = [
-        context.Process(target=_work, args=(folder, missing[k::jobs], done), daemon=True)
+        context.Process(target=_work, args=(folder, missing[k::jobs], arm, done), daemon=True)
         for k in range(min(jobs, len(missing)))
     ]
     for worker in workers:

@@ -11,8 +11,11 @@ from kinebench_drake.grounding.crop import GRIPPER_CENTRE_H
 from kinebench_drake.grounding.training.clutter import Clutter
 from kinebench_drake.grounding.training.layout import (
     FAR_AWAY,
+    ShownGripper,
+    random_attachments,
     random_finger,
     random_grasp,
+    random_gripper,
     random_paint,
     random_places,
     random_room,
@@ -30,13 +33,14 @@ _OPENCV_FROM_SAPIEN = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0
 _MINIMAL = 0.5  # share of scenes with the fast shader, without shadows and reflections
 _NEAR_BENCHMARK = 0.2  # share of frames from near the benchmark camera
 _FAR_M = 15.0
+_ATTACHMENTS = {ShownGripper.FRANKA: random_attachments, ShownGripper.OTHER: random_gripper}
 
 
 class TrainingScene:
     """Table, walls, loose objects, lights and a Panda; `frame` draws new poses for all of them and renders."""
 
-    def __init__(self, rng: np.random.Generator, *, handless: bool = False) -> None:
-        """Build the scene from `rng`; a `handless` scene hides hand and fingers, as some generated videos do."""
+    def __init__(self, rng: np.random.Generator, gripper: ShownGripper = ShownGripper.FRANKA) -> None:
+        """Build the scene from `rng`; without Franka's gripper, hand and fingers are hidden."""
         native.prepare_vulkan()
         import sapien
 
@@ -62,8 +66,9 @@ class TrainingScene:
         self._payload = self._clutter.object(half), half
         if rng.random() < 0.2:
             self._clutter.other_robot()
-        self._add_robot(handless)
-        self._attachments = [] if handless else self._clutter.attachments()
+        self._add_robot(hides_hand=gripper is not ShownGripper.FRANKA)
+        attachments = _ATTACHMENTS[gripper](rng) if gripper in _ATTACHMENTS else []
+        self._attachments = self._clutter.add_attachments(attachments)
         self._component: Any = None
 
     def _add_room(self) -> ViewBounds:
@@ -91,7 +96,7 @@ class TrainingScene:
             position = [*rng.uniform(-1.0, 1.5, 2), rng.uniform(0.6, 2.0)]
             self._scene.add_point_light(position, (rng.uniform(0.2, 1.5) * rng.uniform(0.8, 1.0, 3)).tolist())
 
-    def _add_robot(self, handless: bool) -> None:
+    def _add_robot(self, *, hides_hand: bool) -> None:
         """Load the Panda, in three of ten scenes the one with a wrist camera, and paint it."""
         rng = self._rng
         urdf = "panda_v3.urdf" if rng.random() < 0.3 else "panda_v2.urdf"
@@ -108,7 +113,7 @@ class TrainingScene:
             body = link.entity.find_component_by_type(self._sapien.render.RenderBodyComponent)
             if body is None:
                 continue
-            if handless and part in GRIPPER:
+            if hides_hand and part in GRIPPER:
                 body.visibility = 0.0
             for shape in body.render_shapes:
                 for piece in getattr(shape, "parts", []):

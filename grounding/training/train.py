@@ -9,10 +9,10 @@ from torch import nn
 from torch.nn import functional
 from torch.utils.data import DataLoader
 
-from kinebench_drake.grounding.training.crops import Crops, Shards, Steps
+from kinebench_drake.grounding.training.crops import GRIPPER_TARGET, WRIST_TARGET, Crops, Shards, Steps
 from kinebench_drake.grounding.training.loop import Batch, LossTerms, Schedule, optimise, pick_device, save_weights
 from kinebench_drake.models.panda.robot import ARM, RobotPart
-from kinebench_drake.models.perception.network import DenseOutput, GripperNetwork, load_network
+from kinebench_drake.models.perception.network import ARM_WEIGHTS, WEIGHTS, DenseOutput, GripperNetwork, load_network
 
 _PIXEL_WEIGHTS = (1.0, 1.0, 5.0, 5.0, *[1.0] * len(ARM))  # by RobotPart
 _ARM_WEIGHT = 0.6  # weight of the arm's coordinates and depth / weight of the gripper's
@@ -32,6 +32,8 @@ class TrainingConfig:
     """Initial weights; if None, an ImageNet encoder."""
     schedule: Schedule
     """Schedule; its examples are crops."""
+    arm: bool = False
+    """True for the network of the arm alone: crops show the last links, and weights are named `arm.safetensors`."""
     workers: int = 1
     """Processes that prepare batches."""
 
@@ -88,7 +90,7 @@ def train(config: TrainingConfig, report: Callable[[str], None]) -> Path:
     else:
         network = load_network(config.start)
     network.to(pick_device()).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
-    crops = Crops(Shards(config.data), schedule.seed)
+    crops = Crops(Shards(config.data), schedule.seed, WRIST_TARGET if config.arm else GRIPPER_TARGET)
 
     def batches(start: int) -> Iterable[Batch]:
         steps = Steps(range(start, schedule.steps), schedule.batch_size)
@@ -104,6 +106,6 @@ def train(config: TrainingConfig, report: Callable[[str], None]) -> Path:
         folder=config.out,
         report=report,
     )
-    weights = config.out / "gripper.safetensors"
+    weights = config.out / (ARM_WEIGHTS if config.arm else WEIGHTS).name
     save_weights(average, weights)
     return weights

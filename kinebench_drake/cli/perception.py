@@ -53,6 +53,11 @@ def perception() -> None:
 @click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Seed of crops and weights.")
 @_demos("to train on")
 @click.option(
+    "--arm",
+    is_flag=True,
+    help="Train the network of the arm alone: most scenes show a gripper that is not Franka's; name another --data.",
+)
+@click.option(
     "--start", type=PathParameter(dir_okay=False, exists=True),
     help="Initial weights (safetensors).  [default: an encoder trained on ImageNet]",
 )  # fmt: skip
@@ -66,6 +71,7 @@ def train(
     learning_rate: float,
     seed: int,
     demos: tuple[Path, ...],
+    arm: bool,
     start: Path | None,
     jobs: int,
 ) -> None:
@@ -75,9 +81,9 @@ def train(
     from kinebench_drake.grounding.training.train import TrainingConfig
     from kinebench_drake.grounding.training.train import train as run
 
-    render(data, range(scenes), jobs, click.echo)
+    render(data, range(scenes), jobs, click.echo, arm=arm)
     schedule = Schedule(steps=steps, learning_rate=learning_rate, batch_size=batch_size, seed=seed)
-    weights = run(TrainingConfig(data=(data, *demos), out=out, start=start, schedule=schedule), click.echo)
+    weights = run(TrainingConfig(data=(data, *demos), out=out, start=start, schedule=schedule, arm=arm), click.echo)
     click.echo(f"weights: {weights}; next: kinebench-drake perception calibrate --weights {weights}")
 
 

@@ -21,6 +21,8 @@ from kinebench_drake.models.panda.robot import RobotPart
 
 WEIGHTS = Path(__file__).with_name("gripper.safetensors")
 """Shipped weights, in half precision."""
+ARM_WEIGHTS = Path(__file__).with_name("arm.safetensors")
+"""Those for the arm alone, whatever gripper it carries."""
 PARTS = len(RobotPart)
 STRIDE = 2
 """Input pixels per output pixel."""

@@ -3,8 +3,17 @@ import pytest
 
 from kinebench_drake.geometry import invert, transform_points
 from kinebench_drake.grounding.crop import CLOSE_SIZE, WIDE_SIZE, Crop
-from kinebench_drake.grounding.training.crops import CLOSE_EVERY, Crops, Shards, Steps, frame_camera, label
-from kinebench_drake.grounding.training.render import FRAMES_PER_SCENE
+from kinebench_drake.grounding.training.crops import (
+    CLOSE_EVERY,
+    WRIST_TARGET,
+    Crops,
+    Shards,
+    Steps,
+    frame_camera,
+    label,
+)
+from kinebench_drake.grounding.training.layout import ShownGripper, random_gripper
+from kinebench_drake.grounding.training.render import FRAMES_PER_SCENE, OTHERS, render_shards
 from kinebench_drake.grounding.training.scene import TrainingScene
 from kinebench_drake.models.panda.cad import GripperCad, link_meshes
 from kinebench_drake.models.panda.robot import ARM, RobotPart
@@ -52,6 +61,42 @@ def test_a_handless_scene_shows_an_arm_without_gripper(shards: Shards) -> None:
     shown = set(np.unique(parts))
     assert shown <= {RobotPart.BACKGROUND, *ARM}
     assert len(shown) > 4
+
+
+@pytest.fixture(scope="module")
+def other_shards(tmp_path_factory: pytest.TempPathFactory) -> Shards:
+    folder = tmp_path_factory.mktemp("other")
+    assert OTHERS[0] is ShownGripper.OTHER
+    list(render_shards(folder, [0], arm=True))
+    return Shards([folder])
+
+
+def test_another_gripper_is_background(other_shards: Shards) -> None:
+    parts = {part for i in range(FRAMES_PER_SCENE) for part in np.unique(other_shards[i].part)}
+    assert parts <= {RobotPart.BACKGROUND, *ARM}
+    assert len(parts) > 4
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_another_gripper_stands_on_the_flange(seed: int) -> None:
+    gripper = [a for a in random_gripper(np.random.default_rng(seed)) if a.link == "panda_hand"]
+    corners = np.stack(np.meshgrid(*[[-1.0, 1.0]] * 3), axis=-1).reshape(-1, 3)
+    solid = [transform_points(a.X_LA, corners * a.half) for a in gripper]
+    assert all(np.isfinite(box).all() for box in solid)
+    # One box begins at the flange, around its axis; the fingers end beyond the palm.
+    on_flange = [np.abs(box[:, 2].min()) < 1e-9 and np.abs(box[:, :2].mean(axis=0)).max() < 1e-9 for box in solid]
+    assert any(on_flange)
+    assert 0.06 < max(box[:, 2].max() for box in solid) < 0.4
+
+
+def test_crops_of_the_wrist_show_the_last_links(other_shards: Shards) -> None:
+    crops = Crops(other_shards, 0, WRIST_TARGET)
+    shown = [np.isin(crops[0, slot]["part"].numpy(), WRIST_TARGET.parts).mean() for slot in range(12)]
+    assert np.median(shown) > 0.08
+    gripper = Crops(other_shards, 0)
+    assert np.mean(shown) > np.mean(
+        [np.isin(gripper[0, s]["part"].numpy(), WRIST_TARGET.parts).mean() for s in range(12)]
+    )
 
 
 def test_crops_depend_on_seed_and_index_alone(shards: Shards) -> None:

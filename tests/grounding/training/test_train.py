@@ -50,6 +50,14 @@ def test_an_interrupted_training_goes_on_to_the_same_weights(
         assert torch.isfinite(network(torch.rand(1, 3, 64, 64)).coordinates).all()
 
 
+@pytest.mark.sapien
+def test_the_network_of_the_arm_alone_has_weights_of_its_own(shards: Shards, tmp_path: Path) -> None:
+    weights = [train(replace(config(shards, tmp_path / str(arm)), arm=arm), lambda _: None) for arm in (True, False)]
+    assert [file.name for file in weights] == ["arm.safetensors", "gripper.safetensors"]
+    of_arm, of_gripper = (load_file(file) for file in weights)
+    assert any((of_arm[key] != of_gripper[key]).any() for key in of_arm)  # other crops of the same frames
+
+
 def test_training_without_frames_is_refused(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="no rendered shards"):
         Shards([tmp_path])
