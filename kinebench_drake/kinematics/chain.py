@@ -152,15 +152,15 @@ class LinkChain:
         return np.ascontiguousarray(np.swapaxes(J, -1, -2))
 
     def torques(self, q: ArrayLike, v: ArrayLike, a: ArrayLike) -> Array:
-        """Return the joint torques (N, 7) [N m] of motions without payload: those of `ArmPlant.torque`, all at once.
+        """Return the joint torques (..., N, 7) [N m] of motions without payload: those of `ArmPlant.torque`, at once.
 
         Newton-Euler equations of all links about the origin of B (R. Featherstone, "Rigid Body Dynamics Algorithms",
         2008, sections 2.13 and 5.3), without friction, fingers and other joints at rest.
 
         Args:
             q: (N, 7) joint angles [rad].
-            v: (N, 7) speeds [rad/s].
-            a: (N, 7) accelerations [rad/s^2].
+            v: (..., N, 7) speeds [rad/s].
+            a: (..., N, 7) accelerations [rad/s^2].
         """
         v, a = (np.asarray(rates, dtype=np.float64)[..., None] for rates in (v, a))
         motions = self.motions(q)
@@ -170,14 +170,14 @@ class LinkChain:
         R = M[..., :3, :3]
         center = (R @ self._center[..., None])[..., 0] + M[..., :3, 3]
         inertia = R @ self._inertia @ np.swapaxes(R, -1, -2)
-        turn, shift = np.cumsum(axis * v, axis=1), np.cumsum(lever * v, axis=1)
-        turn_rate = np.cumsum(axis * a + cross(turn, axis * v), axis=1)
-        shift_rate = np.cumsum(lever * a + cross(turn, lever * v) + cross(shift, axis * v), axis=1)
+        turn, shift = np.cumsum(axis * v, axis=-2), np.cumsum(lever * v, axis=-2)
+        turn_rate = np.cumsum(axis * a + cross(turn, axis * v), axis=-2)
+        shift_rate = np.cumsum(lever * a + cross(turn, lever * v) + cross(shift, axis * v), axis=-2)
         acceleration = shift_rate + cross(turn_rate, center) + cross(turn, shift + cross(turn, center))
         force = self._mass[:, None] * (acceleration - self._gravity)
         spin = (inertia @ turn[..., None])[..., 0]
         moment = (inertia @ turn_rate[..., None])[..., 0] + cross(turn, spin) + cross(center, force)
-        force, moment = (np.cumsum(array[:, ::-1], axis=1)[:, ::-1] for array in (force, moment))
+        force, moment = (np.cumsum(array[..., ::-1, :], axis=-2)[..., ::-1, :] for array in (force, moment))
         return np.asarray((axis * moment + lever * force).sum(axis=-1) + self._reflected * a[..., 0])
 
 
