@@ -6,13 +6,13 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from skimage.metrics import peak_signal_noise_ratio, structural_similarity
 
 from kinebench_drake.errors import InputError
 from kinebench_drake.geometry import Array, pose_difference
 from kinebench_drake.suites.rollout import RolloutVideo
 
 _RANGE = 255
+_WINDOW = 7  # of structural similarity [px]
 GAP_METRICS = {
     "gap_robot_iou": "robot_iou",
     "gap_gripper_m": "distance_m",
@@ -63,12 +63,32 @@ def measure_gap(
         robot = cv2.resize(generated_robot[i].astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) > 0
         union = int((robot | executed.robot[i]).sum())
         iou[i] = (robot & executed.robot[i]).sum() / union if union else np.nan
-        with np.errstate(divide="ignore"):
-            psnr[i] = peak_signal_noise_ratio(executed.rgb[i], image, data_range=_RANGE)
-        grey = [cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY) for rgb in (executed.rgb[i], image)]
-        ssim[i] = structural_similarity(*grey, data_range=_RANGE)
+        psnr[i] = _signal_noise_ratio_db(executed.rgb[i], image)
+        ssim[i] = _structural_similarity(*(cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY) for rgb in (executed.rgb[i], image)))
     distance, angle = pose_difference(generated_X_BG[:frames], executed.X_BG)
     return Gap(robot_iou=iou, distance_m=distance, angle_rad=angle, psnr_db=psnr, ssim=ssim)
+
+
+def _signal_noise_ratio_db(a: NDArray[np.uint8], b: NDArray[np.uint8]) -> float:
+    """Return the peak signal-to-noise ratio [dB] of two images; infinite where they are equal."""
+    with np.errstate(divide="ignore"):
+        return float(10.0 * np.log10(np.float64(_RANGE**2 * a.size) / cv2.norm(a, b, cv2.NORM_L2SQR)))
+
+
+def _structural_similarity(a: NDArray[np.uint8], b: NDArray[np.uint8]) -> float:
+    """Return the mean structural similarity of two grey images (H, W) over all windows of 7 x 7 px in them."""
+    n, edge = _WINDOW**2, _WINDOW // 2
+    x, y = a.astype(np.float64), b.astype(np.float64)
+
+    def mean(image: Array) -> Array:
+        return np.asarray(cv2.boxFilter(image, -1, (_WINDOW, _WINDOW)))[edge:-edge, edge:-edge]
+
+    mean_x, mean_y = mean(x), mean(y)
+    product, squares = mean_x * mean_y, mean_x**2 + mean_y**2
+    covariance = n / (n - 1) * (mean(x * y) - product)
+    variances = n / (n - 1) * (mean(x * x + y * y) - squares)
+    c_1, c_2 = (0.01 * _RANGE) ** 2, (0.03 * _RANGE) ** 2
+    return float(((2.0 * product + c_1) * (2.0 * covariance + c_2) / ((squares + c_1) * (variances + c_2))).mean())
 
 
 def average_gaps(gaps: Sequence[Gap]) -> tuple[dict[str, float | None], dict[str, str]]:

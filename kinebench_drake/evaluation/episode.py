@@ -141,7 +141,7 @@ class EpisodeEvaluator(Evaluator[EpisodeSample, EpisodeResources]):
         if self.rollouts:
             path = artifact_path(self.config.out, "rollouts", sample.id)
             with disk_errors(f"rollouts/{path.name}"):
-                write_video(path, _rollout_frames(run, executed, resources.analyzer), FPS, crf=20)
+                write_video(path, _rollout_frames(run, executed, resources.analyzer), FPS, crf=20, preset="veryfast")
         cause = find_cause(run, results)
         gap_metrics, gap_reasons = average_gaps(
             [

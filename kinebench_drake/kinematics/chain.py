@@ -70,7 +70,8 @@ class LinkChain:
         self._shift = np.where(turning, 0.0, self._axis)
         self._point = np.where(turning, [X_BF[:3, 3] for X_BF in X], 0.0)
         rotary = np.where(turning, self._axis, 0.0)
-        self._K = np.array([[[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]] for x, y, z in rotary])  # their cross products
+        K = np.array([[[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]] for x, y, z in rotary])  # their cross products
+        self._K, self._K_squared = K, K @ K
         first = [next(name for name in names if self.stage[name] == i + 1) for i in range(len(moving))]
         self._carried = [drake.GetBodyByName(name) for name in first]
         self._to_zero = invert([home[name] for name in first])
@@ -113,7 +114,7 @@ class LinkChain:
     def _steps(self, positions: Array) -> Array:
         """Return the motion (N, J, 4, 4) of each joint by `positions` (N, J) [rad or m] (Rodrigues' formula)."""
         s, c = np.sin(positions)[..., None, None], np.cos(positions)[..., None, None]
-        R = np.eye(3) + s * self._K + (1.0 - c) * (self._K @ self._K)
+        R = np.eye(3) + s * self._K + (1.0 - c) * self._K_squared
         return make_pose(R, self._point - (R @ self._point[..., None])[..., 0] + positions[..., None] * self._shift)
 
     def current(self, context: Any) -> Array:
@@ -144,23 +145,27 @@ class LinkChain:
 
     def jacobians(self, q: ArrayLike) -> Array:
         """Return the geometric Jacobians (N, 6, 7) of the TCP in B at `q` (N, 7) [rad], rows as `ArmPlant.jacobian`."""
+        return self.poses_and_jacobians(q)[1]
+
+    def poses_and_jacobians(self, q: ArrayLike) -> tuple[Array, Array]:
+        """Return the poses (N, 4, 4) of the TCP in B [m] and its Jacobians (N, 6, 7) at `q` (N, 7) [rad]."""
         M = self.motions(q)
         tcp = self._tcp_link
-        p = (M[:, self.stage[tcp]] @ self.home[tcp])[:, None, :3, 3]
+        X = M[:, self.stage[tcp]] @ self.home[tcp]
         axis, point = self.axes(M)
-        J = np.concatenate([axis, cross(axis, p - point)], axis=-1)
-        return np.ascontiguousarray(np.swapaxes(J, -1, -2))
+        J = np.concatenate([axis, cross(axis, X[:, None, :3, 3] - point)], axis=-1)
+        return X, np.ascontiguousarray(np.swapaxes(J, -1, -2))
 
     def torques(self, q: ArrayLike, v: ArrayLike, a: ArrayLike) -> Array:
-        """Return the joint torques (N, 7) [N m] of motions without payload: those of `ArmPlant.torque`, all at once.
+        """Return the joint torques (..., N, 7) [N m] of motions without payload: those of `ArmPlant.torque`, at once.
 
         Newton-Euler equations of all links about the origin of B (R. Featherstone, "Rigid Body Dynamics Algorithms",
         2008, sections 2.13 and 5.3), without friction, fingers and other joints at rest.
 
         Args:
             q: (N, 7) joint angles [rad].
-            v: (N, 7) speeds [rad/s].
-            a: (N, 7) accelerations [rad/s^2].
+            v: (..., N, 7) speeds [rad/s].
+            a: (..., N, 7) accelerations [rad/s^2].
         """
         v, a = (np.asarray(rates, dtype=np.float64)[..., None] for rates in (v, a))
         motions = self.motions(q)
@@ -170,14 +175,14 @@ class LinkChain:
         R = M[..., :3, :3]
         center = (R @ self._center[..., None])[..., 0] + M[..., :3, 3]
         inertia = R @ self._inertia @ np.swapaxes(R, -1, -2)
-        turn, shift = np.cumsum(axis * v, axis=1), np.cumsum(lever * v, axis=1)
-        turn_rate = np.cumsum(axis * a + cross(turn, axis * v), axis=1)
-        shift_rate = np.cumsum(lever * a + cross(turn, lever * v) + cross(shift, axis * v), axis=1)
+        turn, shift = np.cumsum(axis * v, axis=-2), np.cumsum(lever * v, axis=-2)
+        turn_rate = np.cumsum(axis * a + cross(turn, axis * v), axis=-2)
+        shift_rate = np.cumsum(lever * a + cross(turn, lever * v) + cross(shift, axis * v), axis=-2)
         acceleration = shift_rate + cross(turn_rate, center) + cross(turn, shift + cross(turn, center))
         force = self._mass[:, None] * (acceleration - self._gravity)
         spin = (inertia @ turn[..., None])[..., 0]
         moment = (inertia @ turn_rate[..., None])[..., 0] + cross(turn, spin) + cross(center, force)
-        force, moment = (np.cumsum(array[:, ::-1], axis=1)[:, ::-1] for array in (force, moment))
+        force, moment = (np.cumsum(array[..., ::-1, :], axis=-2)[..., ::-1, :] for array in (force, moment))
         return np.asarray((axis * moment + lever * force).sum(axis=-1) + self._reflected * a[..., 0])
 
 

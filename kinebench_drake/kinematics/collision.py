@@ -7,25 +7,24 @@ excludes are ignored. The table is the plane z = const of B; links fixed to the 
 """
 
 from dataclasses import dataclass
-from itertools import product
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
-from pydrake.geometry import Box, Capsule, Cylinder, Ellipsoid, Role, Sphere
-from scipy.optimize import nnls
+from pydrake.geometry import Role
 
-from kinebench_drake.errors import InputError, UsageError
-from kinebench_drake.geometry import Array, transform_points
-from kinebench_drake.kinematics.chain import LinkChain
+from kinebench_drake.errors import UsageError
+from kinebench_drake.geometry import Array
 from kinebench_drake.kinematics.plant import ArmPlant
+from kinebench_drake.kinematics.solid import Solid, nearest_points, read_solid, slab_width
 from kinebench_drake.models.robot import N_JOINTS
 from kinebench_drake.segments import spread
 
 TABLE = "table"
 """Name of the table in pairs of links."""
 
-_REACH_M = 0.2  # first search radius of self distances; the Panda is never farther from itself
+_REACH_M = 0.25  # greatest first search radius of self distances; the Panda is hardly ever farther from itself
+_FAR_M = 0.06  # distance beyond the least up to which pairs are followed along a motion
 # Drake's iteration for the distance of two hulls sometimes stops early, with points that are not the nearest: too far
 # by 8 mm at worst in a million random postures of the Panda, never with the wrong sign. So each distance is compared
 # with the width of the slab that separates the two solids, and computed again where the two differ.
@@ -57,37 +56,6 @@ class Proximity:
     """(7,) derivative of the distance with respect to the joint angles [m/rad]."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Solid:
-    """Convex body fixed to a link: convex hull of points, each enlarged by the same (possibly degenerate) ellipsoid."""
-
-    link: str
-    stage: int
-    """Motion of `LinkChain` that moves it."""
-    points: Array
-    """(V, 3) in B at the zero posture [m]."""
-    axes: Array | None
-    """(3, 3) semi-axes of the ellipsoid as columns, in B at the zero posture [m]; None for a polytope."""
-
-    def least(self, n: Array) -> Array:
-        """Return the least n . x (N,) over the points x of the solid at the zero posture, for directions `n` (N, 3)."""
-        least = np.asarray((n @ self.points.T).min(axis=-1))
-        return least if self.axes is None else least - np.linalg.norm(n @ self.axes, axis=-1)
-
-    def ball(self) -> tuple[Array, float]:
-        """Return centre (3,) and radius [m] of a ball around the solid at the zero posture."""
-        center = 0.5 * (self.points.min(axis=0) + self.points.max(axis=0))
-        radius = float(np.linalg.norm(self.points - center, axis=-1).max())
-        return center, radius if self.axes is None else radius + float(np.linalg.norm(self.axes, ord=2))
-
-    def lowest(self, n: Array) -> Array:
-        """Return the point x (3,) of the solid at the zero posture with the least n . x."""
-        point = self.points[np.argmin(self.points @ n)]
-        if self.axes is not None and (norm := np.linalg.norm(n @ self.axes)) > 0.0:
-            point = point - self.axes @ (n @ self.axes) / norm
-        return np.asarray(point)
-
-
 class CollisionModel:
     """Distances of an arm from itself and from the table. Uses the context of the plant."""
 
@@ -109,19 +77,18 @@ class CollisionModel:
         self._plant = plant
         self._chain = plant.chain
         inspector = plant.query(plant.robot.rest_q).inspector()
-        self._solids: dict[Any, _Solid] = {}
+        self._solids: dict[Any, Solid] = {}
         for geometry in inspector.GetAllGeometryIds(Role.kProximity):
             link = plant.drake.GetBodyFromFrameId(inspector.GetFrameId(geometry)).name()
-            self._solids[geometry] = _solid(inspector, geometry, link, self._chain)
+            self._solids[geometry] = read_solid(inspector, geometry, link, self._chain)
         self._movable = [solid for solid in self._solids.values() if solid.stage > 0]
         self._stages = np.array([solid.stage for solid in self._movable], dtype=np.intp)
         balls = [solid.ball() for solid in self._movable]
+        self._last = b"", Clearance(distance_m=np.zeros(0), pair=())  # of the same path ask search and judgement
         self._centers = np.reshape([center for center, _ in balls], (-1, 3))
         self._radii = np.array([radius for _, radius in balls])
 
-    def self_distance(
-        self, q: ArrayLike, finger_width_m: ArrayLike | None = None, *, within_m: float = np.inf
-    ) -> Clearance:
+    def self_distance(self, q: ArrayLike, finger_width_m: ArrayLike | None = None) -> Clearance:
         """Return the least distance between two links that must not touch, by Drake's SceneGraph.
 
         Exact to 1e-6 m for polytopes, at any distance.
@@ -129,47 +96,110 @@ class CollisionModel:
         Args:
             q: (N, 7) postures [rad].
             finger_width_m: (N,) finger gap [m]; the plant's default where None or NaN.
-            within_m: greatest distance of interest [m]: greater ones take less time and are NaN.
 
         Raises:
             UsageError: `q` is not (N, 7), or `finger_width_m` not (N,).
         """
         q, width = _arguments(q, finger_width_m)
-        rows = np.flatnonzero(np.isfinite(q).all(axis=-1))
+        asked = q.tobytes() + width.tobytes()
+        if asked != self._last[0]:
+            rows = np.flatnonzero(np.isfinite(q).all(axis=-1))
+            M = self._chain.motions(q[rows], width[rows])
+            least, pairs, _ = self._measure(q[rows], width[rows], M, _DOUBT_M)
+            names: list[tuple[str, str] | None] = [None] * len(q)
+            for row, pair in zip(rows, pairs, strict=True):
+                names[row] = None if pair is None else _link_names(*pair)
+            self._last = asked, Clearance(distance_m=spread(least, rows, len(q)), pair=tuple(names))
+        return self._last[1]
+
+    def least_self_distances(self, q: Array, finger_width_m: Array | None, every: int, within_m: float) -> Array:
+        """Return self distances (N,) [m] along a motion wherever they may be the least, or at most `within_m` [m].
+
+        NaN at other postures: there a plane between each two solids that are near each other at the nearest measured
+        posture, one in `every`, shows that they are farther apart; solids far from each other have not moved enough.
+
+        Args:
+            q: (N, 7) postures [rad], finite.
+            finger_width_m: (N,) finger gap [m]; None for the plant's default.
+            every: number of postures from one that is measured in any case to the next.
+            within_m: distance of interest [m].
+        """
+        q, width = _arguments(q, finger_width_m)
+        M = self._chain.motions(q, width)
+        distance = np.full(len(q), np.nan)
+        at = np.arange(0, len(q), every)
+        distance[at], _, near = self._measure(q[at], width[at], M[at], _FAR_M)
+        if np.isnan(distance[at]).all():  # nothing can collide
+            return distance
+        within_m = max(float(distance[at].min()), within_m)
+        rest = np.flatnonzero(np.isnan(distance))
+        nearest = np.minimum((rest + every // 2) // every, len(at) - 1)
+        moved = 2.0 * self._way(M[at][nearest], M[rest])
+        bound = distance[at][nearest] + _FAR_M - _DOUBT_M - moved
+        for (id_A, id_B), entries in near.items():
+            n = np.full((len(at), 3), np.nan)
+            apart = np.full(len(at), np.inf)
+            for row, pair in entries:
+                n[row], apart[row] = pair.nhat_BA_W, pair.distance - _DOUBT_M
+            close = np.flatnonzero(apart[nearest] - moved <= within_m)
+            width_m = slab_width(self._solids[id_A], self._solids[id_B], M[rest[close]], n[nearest[close]])
+            bound[close] = np.minimum(bound[close], width_m)
+        unsure = rest[~(bound > within_m)]
+        distance[unsure], _, _ = self._measure(q[unsure], width[unsure], M[unsure], _DOUBT_M)
+        return distance
+
+    def _way(self, M_from: Array, M_to: Array) -> Array:
+        """Return upper bounds (N,) [m] of the way of all points of the solids, by motions (N, stages, 4, 4)."""
+        change = (M_to - M_from)[:, self._stages]
+        # The points of a ball move at most as far as its centre and, by its rotation, its radius * |R' - R|.
+        center = (change[..., :3, :3] @ self._centers[..., None])[..., 0] + change[..., :3, 3]
+        turn = np.linalg.norm(change[..., :3, :3], axis=(-2, -1)) / np.sqrt(2.0)
+        return np.asarray((np.linalg.norm(center, axis=-1) + self._radii * turn).max(axis=-1, initial=0.0))
+
+    def _measure(
+        self, q: Array, width: Array, M: Array, beyond_m: float
+    ) -> tuple[Array, list[tuple[Solid, Solid] | None], dict[tuple[Any, Any], list[tuple[int, Any]]]]:
+        """Measure the least distances (N,) [m], NaN where nothing can collide, at postures with motions `M`.
+
+        Returns:
+            The distances; the solids they are between; rows and results of Drake for all pairs of solids that are up to
+            `beyond_m` farther apart than the nearest.
+        """
         near: dict[tuple[Any, Any], list[tuple[int, Any]]] = {}
-        most = within_m + _DOUBT_M
+        closest = np.full(len(q), np.inf)
         reach = _REACH_M
-        for i, row in enumerate(rows):
-            query = self._plant.query(q[row], None if np.isnan(width[row]) else float(width[row]))
+        for i, row in enumerate(q):
+            query = self._plant.query(row, None if np.isnan(width[i]) else float(width[i]))
             # Pairs that cannot be the nearest cost time. Along a motion the distance changes little from row to row.
-            for reach_m in (reach, _REACH_M, np.inf):
-                results = query.ComputeSignedDistancePairwiseClosestPoints(min(reach_m, most))
+            for reach_m in (reach, np.inf):
+                results = query.ComputeSignedDistancePairwiseClosestPoints(reach_m)
                 distances = [pair.distance for pair in results]
-                farthest = min(distances, default=np.inf) + _DOUBT_M
-                if farthest <= reach_m or most <= reach_m:
+                closest[i] = min(distances, default=np.inf)
+                if closest[i] + beyond_m <= reach_m:
                     break
-            reach = min(farthest + _DOUBT_M, _REACH_M)
+            reach = min(closest[i] + beyond_m + _DOUBT_M, _REACH_M)
             for distance, pair in zip(distances, results, strict=True):
-                if distance <= farthest:
+                if distance <= closest[i] + beyond_m:
                     near.setdefault((pair.id_A, pair.id_B), []).append((i, pair))
-        least = np.full(len(rows), np.inf)
-        pairs: list[tuple[str, str] | None] = [None] * len(q)
-        M = self._chain.motions(q[rows], width[rows])
+        least = np.full(len(q), np.inf)
+        solids: list[tuple[Solid, Solid] | None] = [None] * len(q)
         for (id_A, id_B), entries in near.items():
             A, B = self._solids[id_A], self._solids[id_B]
+            entries = [(i, pair) for i, pair in entries if pair.distance <= closest[i] + _DOUBT_M]
+            if not entries:
+                continue
             frames = np.array([frame for frame, _ in entries])
             distance = np.array([pair.distance for _, pair in entries])
-            gap = _gap(A, B, M[frames], np.array([pair.nhat_BA_W for _, pair in entries]))
+            gap = slab_width(A, B, M[frames], np.array([pair.nhat_BA_W for _, pair in entries]))
             for k in np.flatnonzero((distance > 0.0) & (gap < distance - _CERTAIN_M)):
                 if A.axes is None and B.axes is None:
-                    a, b = _nearest(A, B, M[frames[k]])
+                    a, b = nearest_points(A, B, M[frames[k]])
                     distance[k] = np.linalg.norm(a - b)
             for frame, value in zip(frames, distance, strict=True):
                 if value < least[frame]:
-                    least[frame] = value
-                    pairs[rows[frame]] = _link_names(A, B)
-        least[np.isinf(least) | (least > within_m)] = np.nan
-        return Clearance(distance_m=spread(least, rows, len(q)), pair=tuple(pairs))
+                    least[frame], solids[frame] = value, (A, B)
+        least[np.isinf(least)] = np.nan
+        return least, solids, near
 
     def table_distance(self, q: ArrayLike, finger_width_m: ArrayLike | None = None) -> Clearance:
         """Return the height of the lowest point of all moving links above the table, at postures `q` (N, 7) [rad].
@@ -217,8 +247,8 @@ class CollisionModel:
             a = query.GetPoseInWorld(pair.id_A) @ pair.p_ACa
             b = query.GetPoseInWorld(pair.id_B) @ pair.p_BCb
             polytopes = A.axes is None and B.axes is None
-            if polytopes and distance > 0.0 and float(_gap(A, B, M[None], n[None])[0]) < distance - _CERTAIN_M:
-                a, b = _nearest(A, B, M)
+            if polytopes and distance > 0.0 and float(slab_width(A, B, M[None], n[None])[0]) < distance - _CERTAIN_M:
+                a, b = nearest_points(A, B, M)
                 distance = float(np.linalg.norm(a - b))
                 n = (a - b) / distance
             gradient = self._rate(A.link, a, n, axis, moment) - self._rate(B.link, b, n, axis, moment)
@@ -249,37 +279,9 @@ def _cross(a: Array, b: Array) -> Array:
     return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
 
 
-def _link_names(A: _Solid, B: _Solid) -> tuple[str, str]:
+def _link_names(A: Solid, B: Solid) -> tuple[str, str]:
     first, second = sorted((A, B), key=lambda solid: (solid.stage, solid.link))
     return first.link, second.link
-
-
-def _gap(A: _Solid, B: _Solid, M: Array, n: Array) -> Array:
-    """Return the width (N,) [m] of the empty slab between A and B along `n` (N, 3), by motions `M` (N, stages, 4, 4).
-
-    It is at most the distance between them, and equal to it where `n` is the direction between the nearest points.
-    """
-    X_A, X_B = M[:, A.stage], M[:, B.stage]
-    offset = np.einsum("ni,ni->n", n, X_A[:, :3, 3] - X_B[:, :3, 3])
-    n_A, n_B = (np.einsum("ni,nij->nj", n, X[:, :3, :3]) for X in (X_A, X_B))
-    return np.asarray(A.least(n_A) + B.least(-n_B) + offset)
-
-
-def _nearest(A: _Solid, B: _Solid, M: Array) -> tuple[Array, Array]:
-    """Return the nearest points (3,) of two separate polytopes, in B, by motions `M` (stages, 4, 4).
-
-    Both are convex combinations of vertices; the weights are the non-negative least-squares solution of a - b = 0, with
-    both sums of weights constrained to 1 by a heavy weight (C. L. Lawson and R. J. Hanson, "Solving Least Squares
-    Problems", 1974, ch. 22 and 23).
-    """
-    points_A, points_B = (transform_points(M[solid.stage], solid.points) for solid in (A, B))
-    heavy, n = 1e3, len(points_A)
-    system = np.zeros((5, n + len(points_B)))
-    system[:3, :n], system[:3, n:] = points_A.T, -points_B.T
-    system[3, :n] = system[4, n:] = heavy
-    weights, _ = nnls(system, np.array([0.0, 0.0, 0.0, heavy, heavy]), maxiter=100 * system.shape[1])
-    a, b = weights[:n], weights[n:]
-    return np.asarray(a @ points_A / a.sum()), np.asarray(b @ points_B / b.sum())
 
 
 def _arguments(q: ArrayLike, finger_width_m: ArrayLike | None) -> tuple[Array, Array]:
@@ -290,41 +292,3 @@ def _arguments(q: ArrayLike, finger_width_m: ArrayLike | None) -> tuple[Array, A
     if width.shape != (len(q),):
         raise UsageError(f"finger_width_m has shape {width.shape}, expected ({len(q)},) as q has {len(q)} rows")
     return q, width
-
-
-def _solid(inspector: Any, geometry: Any, link: str, chain: LinkChain) -> _Solid:
-    """Return a collision geometry as points and an ellipsoid, in B at the zero posture."""
-    shape = inspector.GetShape(geometry)
-    points, axes = _shape(shape, inspector.GetConvexHull(geometry))
-    X = chain.home[link] @ inspector.GetPoseInFrame(geometry).GetAsMatrix4()
-    return _Solid(
-        link=link,
-        stage=chain.stage[link],
-        points=transform_points(X, points),
-        axes=None if axes is None else X[:3, :3] @ axes,
-    )
-
-
-def _shape(shape: Any, hull: Any) -> tuple[Array, Array | None]:
-    """Return points (V, 3) [m] and the semi-axes (3, 3) [m] of the ellipsoid around each, in the frame of the shape."""
-    origin = np.zeros((1, 3))
-    match shape:
-        case Box():
-            signs = np.array(list(product((-1.0, 1.0), repeat=3)))
-            return 0.5 * signs * shape.size(), None
-        case Sphere():
-            return origin, shape.radius() * np.eye(3)
-        case Ellipsoid():
-            return origin, np.diag([shape.a(), shape.b(), shape.c()])
-        case Cylinder():
-            return _ends(shape.length()), shape.radius() * np.diag([1.0, 1.0, 0.0])
-        case Capsule():
-            return _ends(shape.length()), shape.radius() * np.eye(3)
-        case _ if hull is not None:
-            return np.array([hull.vertex(i) for i in range(hull.num_vertices())]), None
-    kind = type(shape).__name__
-    raise InputError(f"a collision geometry is a {kind}; expected a mesh, box, cylinder, sphere, capsule or ellipsoid")
-
-
-def _ends(length: float) -> Array:
-    return np.array([[0.0, 0.0, -0.5 * length], [0.0, 0.0, 0.5 * length]])

@@ -113,17 +113,17 @@ def solve_newton_path(plant: ArmPlant, X_BG: Array, q: Array) -> Array:
     q = q.copy()
     rows = np.flatnonzero(np.isfinite(q).all(axis=-1))
     for _ in range(_PATH_STEPS if len(rows) else 0):
-        error = pose_twists(plant.chain.poses(q[rows], plant.robot.tcp_link), X_BG[rows])
+        X_now, J = plant.chain.poses_and_jacobians(q[rows])
+        error = pose_twists(X_now, X_BG[rows])
         if np.abs(error).max() < REACHED_M:
             break
-        step = (damped_pseudoinverses(plant, q[rows]) @ error[..., None])[..., 0]
+        step = (damped_pseudoinverses(J) @ error[..., None])[..., 0]
         q[rows] += np.clip(step, -_PATH_STEP_RAD, _PATH_STEP_RAD)
     return q
 
 
-def damped_pseudoinverses(plant: ArmPlant, q: Array) -> Array:
-    """Return damped pseudo-inverses (n, 7, 6) of the Jacobians at postures (n, 7)."""
-    J = plant.chain.jacobians(q)
+def damped_pseudoinverses(J: Array) -> Array:
+    """Return damped pseudo-inverses (n, 7, 6) of Jacobians (n, 6, 7)."""
     J_T = np.swapaxes(J, -1, -2)
     return np.asarray(J_T @ np.linalg.inv(J @ J_T + _PATH_DAMPING * np.eye(6)))
 

@@ -49,7 +49,14 @@ def speed_ratios(plant: ArmPlant, t_s: Array, q: Array) -> Array:
 
 def within_limits(plant: ArmPlant, layers: list[Array], past_rad: float = 0.0) -> list[Array]:
     """Return the postures (N_t, 7) [rad] of each layer that exceed limits by at most `past_rad`."""
-    return [layer[limit_excess(plant, layer).max(axis=-1, initial=0.0) <= past_rad] for layer in layers]
+    rows, ends = _joined(layers)
+    within = limit_excess(plant, rows).max(axis=-1, initial=0.0) <= past_rad
+    return [layer[inside] for layer, inside in zip(layers, np.split(within, ends), strict=True)]
+
+
+def _joined(layers: list[Array]) -> tuple[Array, NDArray[np.intp]]:
+    """Return the postures (N, 7) of all layers and the ends of all layers but the last in them."""
+    return np.concatenate([np.zeros((0, 7)), *layers]), np.cumsum([len(layer) for layer in layers])[:-1]
 
 
 def grid_postures(plant: ArmPlant, X_BG: Array, samples: int, rounds: int = 0) -> list[Array]:
@@ -177,14 +184,12 @@ def find_cheapest_path(
     frames = [i for i, layer in enumerate(layers) if len(layer)]
     if not frames:
         return path
-    scaled = [layers[i] / plant.velocity_limits for i in frames]
+    rows, ends = _joined([layers[i] for i in frames])
+    scaled = np.split(rows / plant.velocity_limits, ends)
     noise_s = ALLOWANCE * np.sqrt(2.0) * noise_rad / plant.velocity_limits.min()
     slack = spacing / plant.velocity_limits.min()
-    rest = plant.robot.rest_q
-    own = [
-        _OUTSIDE * limit_excess(plant, q).max(axis=-1) + FROM_REST * np.sum((q - rest) ** 2, axis=-1)
-        for q in (layers[i] for i in frames)
-    ]
+    outside = limit_excess(plant, rows).max(axis=-1)
+    own = np.split(_OUTSIDE * outside + FROM_REST * np.sum((rows - plant.robot.rest_q) ** 2, axis=-1), ends)
     cost = _FROM_START * np.sum((layers[frames[0]] - q_start) ** 2, axis=-1) + own[0]
     parents = []
     for k, (i, j) in enumerate(pairwise(frames)):

@@ -1,16 +1,15 @@
-"""Time-optimal parameterization of a joint path: Toppra under the limits of speed, acceleration and torque."""
+"""Time-optimal parameterization of a joint path under the limits of speed, acceleration and torque."""
 
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydrake.multibody.optimization import Toppra, ToppraDiscretization
-from pydrake.trajectories import PiecewisePolynomial
 from scipy.interpolate import CubicSpline
 
 from kinebench_drake.geometry import Array
-from kinebench_drake.kinematics.plant import ArmPlant, silent_drake
+from kinebench_drake.kinematics.plant import ArmPlant
+from kinebench_drake.kinematics.toppra import PathLimits, fastest_rates
 from kinebench_drake.models.robot import N_JOINTS
 from kinebench_drake.types import ViolationKind
 
@@ -27,12 +26,8 @@ _FINEST = 64  # greatest number of cells between two frames
 _HALVINGS = 4  # of cells at the edge of a rest:
 _BRINK = 0.6  # the slower end has at most this share of the faster end's speed,
 _REST = 1e-3  # unless both are slower than this share of the greatest speed
-# Speed of the last joint outside the arm, such as a finger [m/s of own time]: its limit caps the speed-up.
-_CAP_RATE = 1e-6
-_STRETCHES = (100.0, 10.0, 1000.0, 1.0)  # factors of the path parameter, tried in turn until Toppra finds a solution
-_FALLBACKS = ((1, (100.0, 10.0)), (0, (100.0, 10.0)))  # halvings and stretches then: Toppra may fail on small cells
+_COARSER = (1, 0)  # halvings then: a long last cell, whose far end has no limit, may reach the speed of the last frame
 _KINDS = (ViolationKind.VELOCITY, ViolationKind.ACCELERATION, ViolationKind.TORQUE)  # limits of the speed of a path
-_UNBOUNDED = 1e9  # limit given to Toppra where there is none
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -68,11 +63,10 @@ def time_scale(plant: ArmPlant, t_s: Array, q: Array) -> TimeScale:
     """Compute the fastest feasible duration of the path through `q` over its own duration.
 
     The path is the cubic spline through the rows (second derivative continuous, ends not-a-knot); its parameter s is
-    its own time, so that ds/dt = 1 is its own timing. Drake's Toppra (H. Pham and Q.-C. Pham, "A New Approach to
-    Time-Optimal Path Parameterization Based on Reachability Analysis", IEEE Trans. Robot. 34, 2018) finds the fastest
-    s(t) with ds/dt = 1 at both ends: a clip is cut in mid-motion, so its boundary speeds are kept. Limits hold at the
-    points of a grid and, to first order, between them: at 49 frames the result is some tenths of a percent too large,
-    with rests at either end up to one percent.
+    its own time, so that ds/dt = 1 is its own timing. `toppra.fastest_rates` finds the fastest s(t) with ds/dt = 1 at
+    both ends: a clip is cut in mid-motion, so its boundary speeds are kept. Limits hold at the points of a grid and, to
+    first order, between them: at 49 frames the result is some tenths of a percent too large, with rests at either end
+    up to one percent.
 
     A rest within a track takes nearly no time: it is passed `FASTEST` times faster, and the robot comes to rest there
     as the path does. A path without motion has no value.
@@ -92,18 +86,15 @@ def time_scale(plant: ArmPlant, t_s: Array, q: Array) -> TimeScale:
         return TimeScale(reason="the joints do not move: a rest has no fastest duration")
     motion = _Motion(plant, t, rows, frames)
     end = _broken_end(motion)
-    if end is not None and end.constraint is ViolationKind.VELOCITY:  # infeasible without running Toppra
+    if end is not None and end.constraint is ViolationKind.VELOCITY:
         return end
-    try:
-        profile = motion.fastest(1.0, 1.0)
-        for halvings, stretches in _FALLBACKS if profile is None else ():
-            motion = _Motion(plant, t, rows, frames, halvings)
-            profile = motion.fastest(1.0, 1.0, stretches)
-            if profile is not None:
-                break
-    except RuntimeError as error:  # raised by Drake's checks of its input
-        return TimeScale(reason=f"Toppra rejected the path: {str(error).splitlines()[0]}")
-    return _explain(motion) if profile is None else _describe(motion, *profile)
+    rate = fastest_rates(motion.limits, 1.0, 1.0)
+    for halvings in _COARSER if rate is None else ():
+        motion = _Motion(plant, t, rows, frames, halvings)
+        rate = fastest_rates(motion.limits, 1.0, 1.0)
+        if rate is not None:
+            break
+    return _explain(motion) if rate is None else _describe(motion, rate)
 
 
 class _Motion:
@@ -113,60 +104,35 @@ class _Motion:
         self, plant: ArmPlant, t_s: Array, q: Array, frames: NDArray[np.intp], halvings: int = _HALVINGS
     ) -> None:
         self.plant, self.frames, self.t = plant, frames, t_s - t_s[0]
-        self.spline: Any = CubicSpline(self.t, q)
-        self.grid = _grid(self.t, self.spline, plant.velocity_limits, halvings)
-        self.q, self.v, self.a = (np.asarray(self.spline(self.grid, order)) for order in range(3))
+        spline: Any = CubicSpline(self.t, q)
+        self.grid = _grid(self.t, spline, plant.velocity_limits, halvings)
+        q, v, a = (np.asarray(spline(self.grid, order)) for order in range(3))
+        still = np.zeros_like(v)
+        # Torques are linear in d2s/dt2 and (ds/dt)^2.
+        torque = plant.chain.torques(q, np.stack([still, still, v]), np.stack([still, v, a])) / plant.effort_limits
+        bounds = np.inf if plant.acceleration_limits is None else plant.acceleration_limits
+        self.speed = v / plant.velocity_limits
+        """(G, 7) speeds in own time over their limits."""
+        self.limits = PathLimits(
+            s=self.grid,
+            fastest=1.0 / np.maximum(np.abs(self.speed).max(axis=-1), 1.0 / FASTEST),
+            slope=np.hstack([v / bounds, torque[1] - torque[0]]),
+            bend=np.hstack([a / bounds, torque[2] - torque[0]]),
+            rest=np.hstack([still, torque[0]]),
+        )
 
-    def fastest(
-        self, start: float, end: float, stretches: tuple[float, ...] = _STRETCHES
-    ) -> tuple[Array, Array] | None:
-        """Return times (G,) [s] and rates ds/dt (G,) at the grid points for the rates of the ends; None if infeasible.
+    def ratios(self, points: int | slice | NDArray[np.intp], rate: Array, change: Array) -> Array:
+        """Return speed, acceleration and torque over their limits (..., 3, 7) at grid points.
 
-        Toppra's linear programs may miss solutions where their unknown, (ds/dt)^2, is too small or too large for the
-        absolute tolerance of the solver. So the path parameter is stretched, by one factor after the other.
+        Args:
+            points: the points (...).
+            rate: (...) ds/dt.
+            change: (...) d2s/dt2.
         """
-        for stretch in stretches:
-            with silent_drake():
-                s: Any = self._toppra(stretch).SolvePathParameterization(stretch * start, stretch * end)
-            if s is not None:
-                times = np.asarray(s.get_segment_times())
-                return times, np.array([s.EvalDerivative(t, 1)[0, 0] for t in times]) / stretch
-        return None
-
-    def _toppra(self, stretch: float) -> Any:
-        """Return Drake's Toppra with all limits, on the path whose parameter is own time * `stretch`."""
-        plant = self.plant
-        positions = plant.positions(self.spline(self.t))
-        rates = np.zeros_like(positions)
-        rates[:, plant.arm] = self.spline(self.t, 1) / stretch
-        fixed = np.delete(np.arange(positions.shape[1]), plant.arm)[-1:]
-        positions[:, fixed] += _CAP_RATE * self.t[:, None]
-        rates[:, fixed] = _CAP_RATE / stretch
-        # Toppra keeps a reference to the path but does not own it.
-        self._path: Any = PiecewisePolynomial.CubicHermite(stretch * self.t, positions.T, rates.T)
-        grid: Any = stretch * self.grid
-        toppra: Any = Toppra(self._path, plant.drake, grid)
-        speed = _bounds(plant, plant.velocity_limits)
-        speed[np.delete(np.arange(len(speed)), plant.arm_rates)[-1:]] = FASTEST * _CAP_RATE
-        toppra.AddJointVelocityLimit(-speed, speed)
-        if plant.acceleration_limits is not None:
-            acceleration = _bounds(plant, plant.acceleration_limits)
-            toppra.AddJointAccelerationLimit(-acceleration, acceleration, ToppraDiscretization.kInterpolation)
-        torque = _bounds(plant, plant.effort_limits)
-        toppra.AddJointTorqueLimit(-torque, torque, ToppraDiscretization.kInterpolation)
-        return toppra
-
-    def ratios(self, index: int, rate: float, change: float) -> Array:
-        """Return velocity, acceleration and torque over their limits (3, 7) at a grid point, for ds/dt and d2s/dt2."""
-        plant = self.plant
-        v = self.v[index] * rate
-        a = self.a[index] * rate**2 + self.v[index] * change
-        out = np.zeros((3, N_JOINTS))
-        out[0] = v / plant.velocity_limits
-        if plant.acceleration_limits is not None:
-            out[1] = a / plant.acceleration_limits
-        out[2] = plant.torque(self.q[index], v, a) / plant.effort_limits
-        return out
+        rate, change = np.asarray(rate)[..., None], np.asarray(change)[..., None]
+        limits = self.limits
+        both = limits.slope[points] * change + limits.bend[points] * rate**2 + limits.rest[points]
+        return np.concatenate([self.speed[points] * rate, both], axis=-1).reshape(*both.shape[:-1], 3, N_JOINTS)
 
     def frame(self, index: int) -> int:
         """Return the frame nearest to a grid point."""
@@ -176,7 +142,7 @@ class _Motion:
 def _grid(t: Array, spline: Any, speeds: Array, halvings: int) -> Array:
     """Return grid points (G,) in own time: whole cells per frame, cells at the edge of a rest halved repeatedly.
 
-    There the speed-up of the fastest motion changes steeply, and Toppra takes its square as linear within a cell.
+    There the speed-up of the fastest motion changes steeply, while its square is taken as linear within a cell.
     """
     cells = len(t) - 1
     parts = min(-(-_GRID // cells), _FINEST)
@@ -193,17 +159,10 @@ def _grid(t: Array, spline: Any, speeds: Array, halvings: int) -> Array:
     return grid
 
 
-def _bounds(plant: ArmPlant, limits: Array) -> Array:
-    """Return bounds of all joints of the plant: the limits (7,) for the arm, none for the others."""
-    bounds = np.full(plant.drake.num_velocities(), _UNBOUNDED)
-    bounds[plant.arm_rates] = np.minimum(limits, _UNBOUNDED)
-    return bounds
-
-
-def _describe(motion: _Motion, times: Array, rate: Array) -> TimeScale:
+def _describe(motion: _Motion, rate: Array) -> TimeScale:
     # ds/dt squared is linear in s between grid points, so the change is constant there.
     change = np.diff(rate**2) / (2.0 * np.diff(motion.grid))
-    spent = np.diff(times)
+    spent = 2.0 * np.diff(motion.grid) / (rate[1:] + rate[:-1])
     share, active = _usage(motion, rate, change, spent)
     kinds, joints = _KINDS, motion.plant.robot.joints
     order = [np.unravel_index(i, share.shape) for i in np.argsort(-share, axis=None, kind="stable")]
@@ -225,24 +184,15 @@ def _describe(motion: _Motion, times: Array, rate: Array) -> TimeScale:
 
 def _usage(motion: _Motion, rate: Array, change: Array, spent: Array) -> tuple[Array, NDArray[np.bool_]]:
     """Return the share of time (3, 7) in which each limit is active, and whether it is in each cell (G - 1, 3, 7)."""
-    plant = motion.plant
-    at_ends = np.zeros((2, len(spent), 3, N_JOINTS))
-    for i, points in enumerate((slice(None, -1), slice(1, None))):
-        at_ends[i, :, 0] = motion.v[points] * rate[points, None] / plant.velocity_limits
-        a = motion.a[points] * rate[points, None] ** 2 + motion.v[points] * change[:, None]
-        if plant.acceleration_limits is not None:
-            at_ends[i, :, 1] = a / plant.acceleration_limits
-        if i == 0:  # torques cost most: once a cell
-            torque = plant.chain.torques(motion.q[points], motion.v[points] * rate[points, None], a)
-            at_ends[:, :, 2] = torque / plant.effort_limits
-    active = np.abs(at_ends) >= ACTIVE
+    near, far = motion.ratios(slice(None, -1), rate[:-1], change), motion.ratios(slice(1, None), rate[1:], change)
+    active = np.abs([near, far]) >= ACTIVE
     return np.einsum("k,ikcj->cj", 0.5 * spent / spent.sum(), active), np.asarray(active.any(axis=0))
 
 
 def _explain(motion: _Motion) -> TimeScale:
     """Explain why no timing is feasible: a posture that the motors cannot hold, else a speed at one of the ends."""
-    joints, last = motion.plant.robot.joints, len(motion.grid) - 1
-    weight = np.array([motion.ratios(k, 0.0, 0.0)[2] for k in range(last + 1)])
+    joints, still = motion.plant.robot.joints, np.zeros(len(motion.grid))
+    weight = motion.ratios(slice(None), still, still)[:, 2]
     heaviest, j = np.unravel_index(np.argmax(np.abs(weight)), weight.shape)
     if abs(weight[heaviest, j]) > 1.0:
         text = f"{joints[j]} cannot hold the arm's weight ({abs(weight[heaviest, j]):.2f} x its torque limit)"
@@ -251,12 +201,12 @@ def _explain(motion: _Motion) -> TimeScale:
     end = _broken_end(motion)
     if end is not None:
         return end
-    own = np.abs([motion.ratios(k, 1.0, 0.0) for k in range(last + 1)])
+    own = np.abs(motion.ratios(slice(None), np.ones_like(still), still))
     broken = np.flatnonzero(own.max(axis=(1, 2)) > 1.0)
     if len(broken) == 0:
-        return TimeScale(reason="Toppra found no solution, though the path's own timing keeps the limits on the grid")
+        return TimeScale(reason="no timing was found, though the path's own one keeps the limits on the grid")
     # If a motion that ends at rest is feasible, the speed of the last frame cannot be reached.
-    starts = motion.fastest(1.0, 0.0, _STRETCHES[:2]) is not None
+    starts = fastest_rates(motion.limits, 1.0, 0.0) is not None
     k = int(broken[-1] if starts else broken[0])
     c, j = np.unravel_index(np.argmax(own[k]), own[k].shape)
     kind = _KINDS[c]
@@ -281,8 +231,8 @@ def _broken_end(motion: _Motion) -> TimeScale | None:
 
 def _least_ratios(motion: _Motion, index: int) -> Array:
     """Return |ratios| (3, 7) at a grid point at the own speed, for the d2s/dt2 that minimises their maximum."""
-    fixed = motion.ratios(index, 1.0, 0.0)
-    slope = motion.ratios(index, 1.0, 1.0) - fixed
+    fixed, moved = motion.ratios(index, np.ones(2), np.array([0.0, 1.0]))
+    slope = moved - fixed
     # The maximum of |fixed + slope x| is convex and piecewise linear in x: its minimum is where two lines cross.
     level = np.concatenate([fixed.ravel(), -fixed.ravel()])
     incline = np.concatenate([slope.ravel(), -slope.ravel()])

@@ -84,7 +84,7 @@ def branch_jumps(plant: ArmPlant, X_BG: Array, q: Array) -> NDArray[np.intp]:
     """
     if len(q) < 2:
         return np.zeros(0, dtype=np.intp)
-    inverse = damped_pseudoinverses(plant, q)
+    inverse = damped_pseudoinverses(plant.chain.jacobians(q))
     explained = 0.5 * (inverse[:-1] + inverse[1:]) @ pose_twists(X_BG[:-1], X_BG[1:])[..., None]
     return np.flatnonzero(np.abs(np.diff(q, axis=0) - explained[..., 0]).max(axis=-1) > JUMP_RAD) + 1
 

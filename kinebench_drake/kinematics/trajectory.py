@@ -188,28 +188,15 @@ class JointTrajectory:
     def _distances(self) -> tuple[Array, Array]:
         """Distances (N,) of the arm from itself, NaN where not computed, and from the table [m], at the samples.
 
-        The distance from the table is computed at every sample; that from itself, which costs more, twice per span, and
-        in those spans that come within `NEAR_M` of the least distance also at the samples between, where it is less
-        than that or than `NEAR_M`: others are of no interest.
+        The distance from the table is computed at every sample; that from itself, which costs more, twice per span and
+        elsewhere only where it may be the least or below `NEAR_M`: others are of no interest.
         """
         collision = self.problem.collision
         t, q = self.samples_s, self.motion[0]
-        own, table = np.full(len(t), np.nan), np.full(len(t), np.nan)
         if collision is None:
-            return own, table
+            return np.full(len(t), np.nan), np.full(len(t), np.nan)
         widths = self.problem.widths(t)
-
-        def compute(samples: NDArray[np.intp], within_m: float) -> None:
-            gaps = None if widths is None else widths[samples]
-            own[samples] = collision.self_distance(q[samples], gaps, within_m=within_m).distance_m
-
-        half = np.arange(0, len(t), SAMPLES // 2)
-        compute(half, np.inf)
-        if np.isfinite(own[half]).any():
-            least = float(np.nanmin(own))
-            near = own[half] <= least + NEAR_M
-            within = np.repeat(near[:-1] | near[1:], SAMPLES // 2)
-            compute(np.flatnonzero(within & np.isnan(own[:-1])), max(least, NEAR_M))
+        own = collision.least_self_distances(q, widths, SAMPLES // 2, NEAR_M)
         return own, collision.table_distance(q, widths).distance_m
 
     @cached_property

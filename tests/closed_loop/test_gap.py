@@ -1,8 +1,10 @@
 from types import SimpleNamespace
 from typing import Any, cast
 
+import cv2
 import numpy as np
 import pytest
+from skimage.metrics import peak_signal_noise_ratio, structural_similarity
 
 from kinebench_drake.closed_loop.gap import GAP_METRICS, average_gaps, measure_gap
 from kinebench_drake.geometry import Array, make_pose
@@ -36,6 +38,18 @@ def test_an_execution_like_the_video_has_no_gap(rgb: Any) -> None:
     assert metrics["gap_gripper_m"] == 0.0
     assert metrics["gap_ssim"] == pytest.approx(1.0)
     assert reasons == {"gap_psnr_db": "the videos are equal"}
+
+
+@pytest.mark.parametrize("noise", [1.0, 10.0, 80.0])
+def test_similarity_of_images_is_that_of_scikit_image(rgb: Any, noise: float) -> None:
+    smooth = np.stack([cv2.GaussianBlur(image, (9, 9), 3.0) for image in rgb])
+    changed = np.clip(smooth + np.random.default_rng(1).normal(0.0, noise, smooth.shape), 0.0, 255.0).astype(np.uint8)
+    film = executed(smooth)
+    gap = measure_gap(changed, film.robot, POSES, film)
+    for i, (a, b) in enumerate(zip(smooth, changed, strict=True)):
+        grey = [cv2.cvtColor(image, cv2.COLOR_RGB2GRAY) for image in (a, b)]
+        assert gap.psnr_db[i] == pytest.approx(peak_signal_noise_ratio(a, b, data_range=255), rel=1e-12)
+        assert gap.ssim[i] == pytest.approx(structural_similarity(*grey, data_range=255), rel=1e-9)
 
 
 def test_losing_the_worst_frames_does_not_make_the_gap_smaller(rgb: Any) -> None:

@@ -109,14 +109,22 @@ def test_distances_hold_where_drakes_iteration_stops_early(plant: ArmPlant, mode
     assert (raw - ours > 1e-5).any()
 
 
-def test_distances_beyond_those_of_interest_are_left_out(plant: ArmPlant, model: CollisionModel) -> None:
-    q = _random(plant, 200, seed=3)
-    all_of_them = model.self_distance(q).distance_m
-    for within_m in (-0.01, 0.0, 0.03, 0.1):
-        near = model.self_distance(q, within_m=within_m)
-        wanted = all_of_them <= within_m
-        assert 0 < wanted.sum() < len(q)
-        np.testing.assert_allclose(near.distance_m, np.where(wanted, all_of_them, np.nan), atol=1e-12)
+@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("speed", [0.02, 0.2, 2.0])
+def test_least_distances_along_a_motion_are_those_of_all_postures(
+    plant: ArmPlant, model: CollisionModel, seed: int, speed: float
+) -> None:
+    start, end = _random(plant, 2, seed=seed)
+    q = start + speed * np.linspace(0.0, 1.0, 101)[:, None] * (end - start)
+    width = np.linspace(0.0, 0.08, 101)
+    every = model.self_distance(q, width).distance_m
+    found = model.least_self_distances(q, width, 4, 0.03)
+    wanted = every <= max(every.min(), 0.03) + 1e-9
+    np.testing.assert_allclose(found[wanted], every[wanted], atol=1e-9)
+    np.testing.assert_allclose(found[np.isfinite(found)], every[np.isfinite(found)], atol=1e-9)
+    np.testing.assert_allclose(found[::4], every[::4], atol=1e-9)
+    if speed < 0.1 and every.min() > 0.03:
+        assert np.isnan(found).mean() > 0.3
 
 
 def test_distance_is_continuous(plant: ArmPlant, model: CollisionModel) -> None:
