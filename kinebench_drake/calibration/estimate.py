@@ -253,7 +253,7 @@ class CameraEstimator:
             total: number of frames that show the robot.
             q_sigma: standard deviation of known joint angles [rad]; None if they are unknown.
         """
-        prior = replace(prior, offset_sigma=_OFFSET_SIGMA)
+        prior = replace(prior, offset_sigma=_OFFSET_SIGMA if q_sigma is None else 0.0)
         candidate, edges = self._settle(candidate, images, prior, total, q_sigma)
         if edges is None:
             raise UnmeasurableError("no camera can be estimated: the images show no edges where the arm should be")
