@@ -15,6 +15,9 @@ from kinebench_drake.types import Json
 ARM_AGREEMENT, BASE_AGREEMENT = 0.64, 0.4
 """Least shares of the contours of hand and arm, and of the base link, on image edges at which a camera counts as found:
 no wrong camera of our own renders reaches both."""
+ALIGNED_AGREEMENT = 0.4
+"""The first of them where lines of the surroundings run along the axes of the base: of own renders with an estimate,
+they did so with the right camera only, with none of 14 wrong ones."""
 LEAD, BASE_LEAD = 0.08, 0.08
 """Least differences between the mean of both and that with another camera, and between the share of the base link and
 that with the base turned elsewhere about joint 1."""
@@ -43,6 +46,8 @@ class CameraEstimate:
     """Share of the contours of the base link on image edges, all frames together."""
     base_runner_up: float
     """The same with the base turned elsewhere about joint 1; 0 if no other turn agrees."""
+    is_aligned: bool
+    """Whether lines of the surroundings along the axes of the base were used."""
     runner_up: float
     """Mean of the two agreements with the next best camera under which the arm stands elsewhere; 0 if there is none."""
     residual_px: float
@@ -64,6 +69,7 @@ class CameraEstimate:
             "runner_up": self.runner_up,
             "base_agreement": self.base_agreement,
             "base_runner_up": self.base_runner_up,
+            "aligned": self.is_aligned,
             "residual_px": self.residual_px,
             "position_sigma_m": self.position_sigma_m,
             "rotation_sigma_rad": self.rotation_sigma_rad,
@@ -76,10 +82,11 @@ class CameraEstimate:
     @property
     def doubt(self) -> str | None:
         """Why the camera gives no base frame; None if it does."""
-        if self.agreement < ARM_AGREEMENT:
+        least = ALIGNED_AGREEMENT if self.is_aligned else ARM_AGREEMENT
+        if self.agreement < least:
             return (
                 f"no estimated camera agrees with the arm (best: {self.agreement:.0%} of its contours on image edges, "
-                f"at least {ARM_AGREEMENT:.0%} are needed)"
+                f"at least {least:.0%} are needed)"
             )
         if self.base_agreement < BASE_AGREEMENT:
             return (
@@ -148,6 +155,7 @@ def describe(bundle: Bundle, part: NDArray[np.uint8], model: ArmModel, rows: NDA
         gripper_sigma_m=position,
         gripper_sigma_rad=rotation,
         agreement=0.0,
+        is_aligned=False,
         runner_up=0.0,
         base_agreement=0.0,
         base_runner_up=0.0,

@@ -58,6 +58,7 @@ _CLEARLY = 3.0  # of the tolerances within which cameras are the same: beyond, t
 _PART_INDEPENDENT = 4.0  # independent measurements of the contours of a part in an image, whose errors correlate
 _JOINTS_INDEPENDENT = 2.0  # the same at known joint angles, whose errors the contours have in common
 _OFFSET_SIGMA = 0.4  # of a part's contours: 0.3 px, twice those of own renders
+_BASE_LOSS = 0.2  # of the base's contours on edges, at which lines along its axes are those of something askew
 _LEAST_SHARE = 0.75  # of the agreement of the better frames, below which a frame is left out
 _BETTER = 75  # percentile of these
 _LEAST_EXPLAINED = 0.5  # share of the frames with the robot below which a camera that explains no more is unlikely
@@ -153,18 +154,22 @@ class CameraEstimator:
         best, turn = ranked[0]
         start = replace(best, scene=turned(best.scene, turn.angle_rad))
         estimate = self.finish(start, images, prior, rows=detections.rows, total=total)
+        agreement = best.agreement
         surroundings = self._find_surroundings(estimate, frames)
         if surroundings is not None:
-            rows = np.searchsorted(detections.rows, estimate.rows)
-            start = self._extend(replace(start, scene=estimate.scene, rows=rows), detections, search)
+            start = self._extend(_at(start, estimate, detections), detections, search)
             prior = replace(prior, surroundings=surroundings)
-            estimate = self.finish(start, images, prior, rows=detections.rows, total=total)
-            rows = np.searchsorted(detections.rows, estimate.rows)
-            agreement = _explained(arm_images.take(rows).agreement(estimate.scene), total)
-            best = replace(best, agreement=max(best.agreement, agreement))
+            aligned = self.finish(start, images, prior, rows=detections.rows, total=total)
+            before, after = (
+                images.take(_at(start, e, detections).rows).base_share(e.scene) for e in (estimate, aligned)
+            )
+            if after >= before - _BASE_LOSS:
+                estimate = replace(aligned, is_aligned=True)
+                own = arm_images.take(_at(start, estimate, detections).rows)
+                agreement = max(agreement, _explained(own.agreement(estimate.scene), total))
         return replace(
             estimate,
-            agreement=best.agreement,
+            agreement=agreement,
             base_agreement=turn.share,
             base_runner_up=turn.runner_up,
             runner_up=max(((arm.agreement + other.share) / 2 for arm, other in ranked[1:]), default=0.0),
@@ -297,6 +302,11 @@ class CameraEstimator:
         posture_sigma = POSTURE_SIGMA_RAD if q_sigma is None else q_sigma
         postures = prior.with_postures(scene.q, posture_sigma)
         return adjust(replace(edges, weight=weight), scene, postures, self.fitter.model)
+
+
+def _at(candidate: Candidate, estimate: CameraEstimate, detections: ArmDetections) -> Candidate:
+    """Return a candidate with the camera, frames and postures of an estimate."""
+    return replace(candidate, scene=estimate.scene, rows=np.searchsorted(detections.rows, estimate.rows))
 
 
 def _explained(agreement: Array, total: int) -> float:

@@ -93,6 +93,7 @@ class CellsAlone:
             agreement=1.0,
             base_agreement=1.0,
             base_runner_up=0.0,
+            is_aligned=False,
             runner_up=0.0,
             residual_px=0.0,
             rows=start.rows,

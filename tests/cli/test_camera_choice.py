@@ -6,6 +6,7 @@ import pytest
 from fake_analyzer import Act
 
 from kinebench_drake.calibration.camera_estimate import (
+    ALIGNED_AGREEMENT,
     ARM_AGREEMENT,
     BASE_AGREEMENT,
     GRIPPER_SIGMA_M,
@@ -75,6 +76,7 @@ def estimate(**changes):
         "gripper_sigma_m": 0.01,
         "gripper_sigma_rad": 0.01,
         "agreement": ARM_AGREEMENT + 0.1,
+        "is_aligned": False,
         "runner_up": 0.0,
         "base_agreement": BASE_AGREEMENT + 0.1,
         "base_runner_up": 0.0,
@@ -95,6 +97,12 @@ def test_the_benchmark_camera_stays_where_the_arm_agrees_or_is_not_seen(tmp_path
         assert choice.estimate is None
 
 
+def test_lines_along_the_base_confirm_a_camera_that_few_contours_do():
+    few = estimate(agreement=ALIGNED_AGREEMENT + 0.01)
+    assert few.doubt is not None
+    assert replace(few, is_aligned=True).doubt is None
+
+
 @pytest.mark.parametrize("whole", [None, (SQUARE, benchmark_camera())])
 def test_a_camera_is_estimated_where_shape_or_arm_contradict_the_benchmarks(tmp_path, monkeypatch, whole):
     monkeypatch.setattr(CameraEstimate, "to_json", lambda self: {"agreement": self.agreement})
@@ -111,6 +119,7 @@ def test_a_camera_is_estimated_where_shape_or_arm_contradict_the_benchmarks(tmp_
     [
         (None, "nothing is seen"),
         (estimate(agreement=ARM_AGREEMENT - 0.01), "no estimated camera agrees"),
+        (estimate(agreement=ALIGNED_AGREEMENT - 0.01, is_aligned=True), "no estimated camera agrees"),
         (estimate(runner_up=0.9), "two different cameras"),
         (estimate(base_agreement=BASE_AGREEMENT - 0.01), "cannot be seen"),
         (estimate(base_runner_up=BASE_AGREEMENT + 0.09), "two turns"),
