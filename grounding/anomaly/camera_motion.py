@@ -31,7 +31,7 @@ SHARE = 0.3
 robot, and up to the rest may be moved by the robot while the camera is fixed."""
 MIN_FRAMES = 2
 """Least number of consecutive frames of a motion: a single one may have lost its features to the robot."""
-_MAX_FEATURES = 200
+_MAX_FEATURES, _ENOUGH_FEATURES = 100, 40  # tracked at once; of tracked ones, that more are not looked for
 _MARGIN_PX = 15  # features this near the robot's outline may move with it
 _ROUND_TRIP_PX = 0.5  # largest error of a feature tracked forth and back
 _ROTATION_PASSES = 8
@@ -155,10 +155,11 @@ class FeatureTracks:
         Returns:
             Places (N, 2) in the first frame and (T - 1, N, 2) in the others [px]; whether (T - 1, N) they are there.
         """
-        start = cv2.goodFeaturesToTrack(self._grey[0], _MAX_FEATURES, 0.01, 6, mask=mask)
-        if start is None:
-            return np.zeros((0, 2)), np.zeros((len(self) - 1, 0, 2)), np.zeros((len(self) - 1, 0), dtype=bool)
-        places = [(float(u), float(v)) for u, v in start[:, 0]]
+        places = [(u, v) for u, v in self._column if mask[int(v), int(u)]]
+        if len(places) < _ENOUGH_FEATURES:
+            found = cv2.goodFeaturesToTrack(self._grey[0], _MAX_FEATURES, 0.01, 6, mask=mask)
+            places = [] if found is None else [(float(u), float(v)) for u, v in found[:, 0]]
+        start = np.array(places, np.float32).reshape(-1, 1, 2)
         new = [k for k, place in enumerate(places) if place not in self._column]
         if new and len(self) > 1:
             self._column.update({places[k]: len(self._column) + n for n, k in enumerate(new)})
