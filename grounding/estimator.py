@@ -8,6 +8,7 @@ import torch
 from numpy.typing import NDArray
 
 from kinebench_drake.camera import Camera
+from kinebench_drake.environment.native import share_heap
 from kinebench_drake.geometry import Array
 from kinebench_drake.grounding.crop import Crop
 from kinebench_drake.grounding.view import Frames, GripperView
@@ -37,6 +38,7 @@ class NetworkEstimator:
 
         Processors that multiply in bfloat16 need half the time for it, with errors far below the network's own.
         """
+        share_heap()
         self._device = torch.device(device or ("cuda" if torch.cuda.is_available() else "cpu"))
         folded = fold_batch_normalisation(network)
         if self._device.type == "cpu" and supports_bfloat16(self._device):
