@@ -17,15 +17,17 @@ from kinebench_drake.grounding.crop import CLOSE_SIZE, WIDE_SIZE
 from kinebench_drake.io.container import read_container
 from kinebench_drake.io.video import WHOLE
 from kinebench_drake.models.panda.robot import ARM, RobotPart
+from kinebench_drake.models.perception.inference import (
+    fold_batch_normalisation,
+    reduce_precision,
+    supports_bfloat16,
+)
 from kinebench_drake.models.perception.network import (
     COORDINATE_SCALE_M,
     WEIGHTS,
     DenseOutput,
     GripperNetwork,
-    fold_batch_normalisation,
     load_network,
-    reduce_precision,
-    supports_bfloat16,
 )
 
 REFERENCE = "torch, float32"

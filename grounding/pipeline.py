@@ -21,7 +21,7 @@ from kinebench_drake.grounding.gripper_width import smooth_gripper_width
 from kinebench_drake.grounding.pose import FramePose
 from kinebench_drake.grounding.smoothing import RawTrack
 from kinebench_drake.grounding.tracker import CadTracker, PoseTracker, Tracking
-from kinebench_drake.grounding.view import Frames, GripperView
+from kinebench_drake.grounding.view import DenseEstimator, Frames, GripperView
 from kinebench_drake.models.panda.robot import RobotPart, hand_from_tcp
 from kinebench_drake.models.perception.network import ARM_WEIGHTS, WEIGHTS, load_network
 from kinebench_drake.models.robot import N_JOINTS
@@ -120,9 +120,16 @@ class GroundingPipeline:
         Raises:
             SetupError: weights, calibration, meshes or native libraries are missing.
         """
-        shipped, tracker = (WEIGHTS, CadTracker) if gripper is GripperKind.FRANKA else (ARM_WEIGHTS, FlangeTracker)
-        estimator = NetworkEstimator(load_network(weights or shipped), device)
-        return cls(tracker(estimator), load_confidence(), table_height_m)
+        shipped = WEIGHTS if gripper is GripperKind.FRANKA else ARM_WEIGHTS
+        return cls.of(NetworkEstimator(load_network(weights or shipped), device), table_height_m, gripper)
+
+    @classmethod
+    def of(
+        cls, estimator: DenseEstimator, table_height_m: float = 0.0, gripper: GripperKind = GripperKind.FRANKA
+    ) -> "GroundingPipeline":
+        """Create the pipeline that measures with dense estimates of `estimator`; of other grippers the arm alone."""
+        tracker = CadTracker(estimator) if gripper is GripperKind.FRANKA else FlangeTracker(estimator)
+        return cls(tracker, load_confidence(), table_height_m)
 
     def warm_up(self) -> None:
         """Ground a blank video, since the first use of the network and of the ray caster is slow."""

@@ -112,7 +112,8 @@ class CadTracker:
             refinement = EdgeRefinement(
                 poses, wide, frames, camera, arm, self._silhouette, measure, camera_is_fitted=priors.camera_is_fitted
             )
-            refinement.run()
+            if refinement.is_familiar or not priors.camera_is_assumed:
+                refinement.run()
             domain = refinement.domain
         poses = {i: self._register(pose) for i, pose in poses.items()}
         return Tracking(

@@ -276,6 +276,8 @@ class Priors:
     """(T,) gap between the finger pads [m]; NaN where unknown."""
     camera_is_fitted: bool = False
     """True if the camera was fitted to the edges of the video itself, which then say little about the networks."""
+    camera_is_assumed: bool = False
+    """True if the camera is an assumption: where the edges contradict it, poses are not refined."""
 
     @property
     def replaces_stage(self) -> bool:

@@ -31,7 +31,8 @@ SHARE = 0.3
 robot, and up to the rest may be moved by the robot while the camera is fixed."""
 MIN_FRAMES = 2
 """Least number of consecutive frames of a motion: a single one may have lost its features to the robot."""
-_MAX_FEATURES = 200
+_MAX_FEATURES, _ENOUGH_FEATURES = 100, 40  # tracked at once; of tracked ones, that more are not looked for
+_LK_CRITERIA = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 10, 0.03)  # iterations, least step [px]
 _MARGIN_PX = 15  # features this near the robot's outline may move with it
 _ROUND_TRIP_PX = 0.5  # largest error of a feature tracked forth and back
 _ROTATION_PASSES = 8
@@ -155,10 +156,11 @@ class FeatureTracks:
         Returns:
             Places (N, 2) in the first frame and (T - 1, N, 2) in the others [px]; whether (T - 1, N) they are there.
         """
-        start = cv2.goodFeaturesToTrack(self._grey[0], _MAX_FEATURES, 0.01, 6, mask=mask)
-        if start is None:
-            return np.zeros((0, 2)), np.zeros((len(self) - 1, 0, 2)), np.zeros((len(self) - 1, 0), dtype=bool)
-        places = [(float(u), float(v)) for u, v in start[:, 0]]
+        places = [(u, v) for u, v in self._column if mask[int(v), int(u)]]
+        if len(places) < _ENOUGH_FEATURES:
+            corners = cv2.goodFeaturesToTrack(self._grey[0], _MAX_FEATURES, 0.01, 6, mask=mask)
+            places = [] if corners is None else [(float(u), float(v)) for u, v in corners[:, 0]]
+        start = np.array(places, np.float32).reshape(-1, 1, 2)
         new = [k for k, place in enumerate(places) if place not in self._column]
         if new and len(self) > 1:
             self._column.update({places[k]: len(self._column) + n for n, k in enumerate(new)})
@@ -170,8 +172,8 @@ class FeatureTracks:
         return first, np.asarray(self._now[:, columns], dtype=np.float64) + 0.5, self._good[:, columns]
 
     def _flow(self, image: NDArray[np.uint8], start: NDArray[np.float32]) -> tuple[Array, NDArray[np.bool_]]:
-        forth, ok, _ = cv2.calcOpticalFlowPyrLK(self._grey[0], image, start, None)
-        back, ok_back, _ = cv2.calcOpticalFlowPyrLK(image, self._grey[0], forth, None)
+        forth, ok, _ = cv2.calcOpticalFlowPyrLK(self._grey[0], image, start, None, criteria=_LK_CRITERIA)
+        back, ok_back, _ = cv2.calcOpticalFlowPyrLK(image, self._grey[0], forth, None, criteria=_LK_CRITERIA)
         returned = np.linalg.norm((back - start)[:, 0], axis=1) < _ROUND_TRIP_PX
         return forth[:, 0], (ok[:, 0] > 0) & (ok_back[:, 0] > 0) & returned
 

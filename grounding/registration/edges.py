@@ -14,7 +14,6 @@ from functools import cache
 import cv2
 import numpy as np
 import trimesh
-from cv2.typing import MatLike
 from numpy.typing import NDArray
 
 from kinebench_drake.camera import Camera
@@ -25,6 +24,7 @@ from kinebench_drake.models.panda.robot import OPENING_SIGN, RobotPart
 
 _HIDDEN = 3  # points on edges per point that is seen
 _SPACING_PX = 2.0  # distance of the points along an edge
+_NEAREST_M = 0.05  # least depth of a contour
 _BEHIND_M = 0.01  # a point farther than this behind the surface is hidden
 _BULGE_M = 0.03  # greatest difference of depth between a contour and the surface beside it
 _JUMP_M = 0.015  # least jump of the depth at a contour
@@ -38,6 +38,7 @@ LEAST_GRADIENT = 6.0
 """Least gradient of an edge, of an image in 0..255 [1/px]."""
 _STEP_PX = 0.5
 _BAND_PX, _OUTER_SHARE = 4.0, 0.45  # how far outside and how strong an outline is next to a stronger edge
+_RIM_SIGMAS = 5.0  # standard deviations of a segmented rim beyond which nothing is near it
 _OFF_RIM = 0.1  # weight of edges of the hand far from its segmented rim
 _MIN_POINTS = 20
 _SEARCH_PX, _ON_CONTOUR_PX = 8.0, 1.0  # where the agreement looks for the strongest edge, and how near it must lie
@@ -115,12 +116,7 @@ class GradientImage:
             image = np.asarray(cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA), dtype=np.uint8)
             camera = camera.resized(width, height)
         self.camera, self.gray = camera, cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
-        first, *others = (_gradient(plane) for plane in cv2.split(image))
-        for other in others:  # the channel of the strongest gradient counts
-            stronger = cv2.compare(other[2], first[2], cv2.CMP_GT)
-            for strongest, values in zip(first, other, strict=True):
-                cv2.copyTo(values, stronger, strongest)
-        self._dx, self._dy, _ = first
+        self._dx, self._dy = _gradient(image)
         self._near_rim: NDArray[np.float32] | None = None
 
     def with_hand(self, gripper: NDArray[np.bool_], sigma_px: float) -> "GradientImage":
@@ -133,9 +129,15 @@ class GradientImage:
         image = copy(self)
         size = (self.camera.width, self.camera.height)
         mask = np.asarray(cv2.resize(gripper.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST))
-        inside, outside = (cv2.distanceTransform(m, cv2.DIST_L2, 5) for m in (mask, 1 - mask))
         sigma = sigma_px * size[0] / gripper.shape[1]
-        image._near_rim = np.exp(-0.5 * ((inside + outside) / sigma) ** 2).astype(np.float32) if mask.any() else None
+        u, v, width, height = cv2.boundingRect(mask)
+        image._near_rim = None
+        if width:
+            margin = int(np.ceil(_RIM_SIGMAS * sigma))
+            near = slice(max(0, v - margin), v + height + margin), slice(max(0, u - margin), u + width + margin)
+            inside, outside = (cv2.distanceTransform(m, cv2.DIST_L2, 5) for m in (mask[near], 1 - mask[near]))
+            image._near_rim = np.zeros(mask.shape, np.float32)
+            image._near_rim[near] = np.exp(-0.5 * ((inside + outside) / sigma) ** 2)
         return image
 
     def find_edges(self, points: EdgePoints, reach_px: float) -> tuple[Array, Array]:
@@ -172,14 +174,16 @@ class GradientImage:
         return np.asarray(cv2.remap(values, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT), np.float32)
 
 
-def _gradient(plane: MatLike) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
-    """Return the derivatives (H, W) of a channel (H, W) along x and y [1/px], and their squared length."""
-    smooth = cv2.GaussianBlur(plane.astype(np.float32), (0, 0), _SMOOTHING_PX)
-    dx, dy = (
-        np.asarray(cv2.Sobel(smooth, cv2.CV_32F, *order, ksize=3, scale=0.125), np.float32)
-        for order in ((1, 0), (0, 1))
-    )
-    return dx, dy, dx * dx + dy * dy
+def _gradient(image: NDArray[np.uint8]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Return the derivatives (H, W) of an image (H, W, 3) along x and y [1/px], in the channel of the largest."""
+    smooth = cv2.GaussianBlur(image.astype(np.float32), (0, 0), _SMOOTHING_PX)
+    dx, dy = (cv2.Sobel(smooth, cv2.CV_32F, *order, ksize=3, scale=0.125) for order in ((1, 0), (0, 1)))
+    first, *others = zip(*(cv2.split(values) for values in (dx, dy, dx * dx + dy * dy)), strict=True)
+    for other in others:
+        stronger = cv2.compare(other[2], first[2], cv2.CMP_GT)
+        for strongest, values in zip(first, other, strict=True):
+            cv2.copyTo(values, stronger, strongest)
+    return np.asarray(first[0], np.float32), np.asarray(first[1], np.float32)
 
 
 class EdgeMatcher:
@@ -204,32 +208,27 @@ class EdgeMatcher:
             parts: parts whose contours count; all parts hide them.
             points: greatest number of points.
         """
-        ends_C, ends_P, part = [], [], []
-        for p in parts:
-            X_PC = invert(X_CP[p])
-            ends = _edge_meshes()[p].contour(X_PC[:3, 3])
-            ends_P.append(ends)
-            ends_C.append(ends @ X_CP[p, :3, :3].T + X_CP[p, :3, 3])
-            part.append(np.full(len(ends), p, np.uint8))
-        a, a_P, of = np.concatenate(ends_C), np.concatenate(ends_P), np.concatenate(part)
-        ahead = (a[..., 2] > 0.05).all(axis=1)
-        a, a_P, of = a[ahead], a_P[ahead], of[ahead]
-        pixel = camera.project(a.reshape(-1, 3)).reshape(-1, 2, 2)
-        size = np.array([camera.width, camera.height])
-        inside = ((pixel > 0) & (pixel < size)).all(axis=(1, 2))
-        a, a_P, of, pixel = a[inside], a_P[inside], of[inside], pixel[inside]
-        length = np.linalg.norm(pixel[:, 1] - pixel[:, 0], axis=1)
+        contours = [_edge_meshes()[p].contour(invert(X_CP[p])[:3, 3]) for p in parts]
+        placed = [ends @ X_CP[p, :3, :3].T + X_CP[p, :3, 3] for p, ends in zip(parts, contours, strict=True)]
+        of = np.repeat(np.array(parts, np.uint8), [len(ends) for ends in contours])
+        a, a_P = np.concatenate(placed), np.concatenate(contours)
+        x, y, z = a[..., 0], a[..., 1], np.maximum(a[..., 2], 1e-9)
+        u, v = camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy
+        inside = (z > _NEAREST_M) & (u > 0) & (u < camera.width) & (v > 0) & (v < camera.height)
+        shown = np.flatnonzero(inside[:, 0] & inside[:, 1])
+        du, dv = (side[shown, 1] - side[shown, 0] for side in (u, v))
+        length = np.sqrt(du**2 + dv**2)
         total = float(length.sum())
         if total < _SPACING_PX:
             return None
         # Points evenly spaced along all edges laid end to end.
         ends_at = np.cumsum(length)
         at = np.arange(0.5 * _SPACING_PX, total, max(_SPACING_PX, total / (_HIDDEN * points)))
-        edge = np.searchsorted(ends_at, at).clip(max=len(length) - 1)
-        t = (1.0 - (ends_at[edge] - at) / np.maximum(length[edge], 1e-9)).clip(0, 1)[:, None]
+        row = np.searchsorted(ends_at, at).clip(max=len(length) - 1)
+        edge, size = shown[row], np.maximum(length[row], 1e-9)
+        t = (1.0 - (ends_at[row] - at) / size).clip(0, 1)[:, None]
         p_C = a[edge, 0] + t * (a[edge, 1] - a[edge, 0])
-        along = (pixel[edge, 1] - pixel[edge, 0]) / np.maximum(length[edge], 1e-9)[:, None]
-        normal = np.column_stack([-along[:, 1], along[:, 0]])
+        normal = np.column_stack([-dv[row] / size, du[row] / size])
         side = self._outer_side(X_CP, p_C, normal, camera)
         contour = side != 0
         edge, t, p_C, normal = edge[contour], t[contour], p_C[contour], (side[:, None] * normal)[contour]

@@ -27,6 +27,10 @@ _NVIDIA_CONTROL = Path("/dev/nvidiactl")
 _DRIVER_VARIABLES = ("VK_DRIVER_FILES", "VK_ICD_FILENAMES")
 
 
+_M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD, _M_ARENA_MAX = -1, -3, -8  # of malloc.h
+_KEPT_BYTES, _LARGEST_BYTES = 1 << 28, 1 << 25
+
+
 def _listed(purpose: str) -> list[Path]:
     """Return the libraries that were unpacked for a purpose; empty if the system has them all."""
     listing = ROOT / f"{purpose}.txt"
@@ -49,6 +53,19 @@ def _preload(purpose: str) -> None:
                 f"cannot load {failed[0].name} ({reason}); `kinebench-drake doctor --fix` unpacks it again"
             )
         waiting = failed
+
+
+@cache
+def share_heap() -> None:
+    """Let all threads use one heap that keeps what is freed; without effect where the C library is not glibc.
+
+    By default an array of some MB is mapped anew each time, page by page, and what one thread frees no other one uses.
+    """
+    mallopt = getattr(ctypes.CDLL(None), "mallopt", None)
+    if mallopt is not None:
+        mallopt(_M_ARENA_MAX, 1)
+        mallopt(_M_MMAP_THRESHOLD, _LARGEST_BYTES)
+        mallopt(_M_TRIM_THRESHOLD, _KEPT_BYTES)
 
 
 @cache

@@ -21,6 +21,7 @@ if TYPE_CHECKING:  # Drake, torch and Open3D take seconds to load
     from kinebench_drake.calibration.camera_estimate import CameraEstimate
     from kinebench_drake.calibration.contradiction import CameraChecker, CameraContradiction
     from kinebench_drake.calibration.estimate import CameraEstimator
+    from kinebench_drake.grounding.estimator import NetworkEstimator
     from kinebench_drake.grounding.pipeline import GroundingPipeline, GroundingResult
     from kinebench_drake.metrics.result import KinematicResult
 
@@ -85,10 +86,17 @@ class Analyzer:
         self._judge = TrackJudge(ArmPlant(options.load()), table_height_m=options.table_height_m)
 
     @cached_property
+    def _estimator(self) -> "NetworkEstimator":
+        from kinebench_drake.grounding.estimator import NetworkEstimator
+        from kinebench_drake.models.perception.network import load_network
+
+        return NetworkEstimator(load_network())
+
+    @cached_property
     def _pipeline(self) -> "GroundingPipeline":
         from kinebench_drake.grounding.pipeline import GroundingPipeline
 
-        return GroundingPipeline.create(table_height_m=self._table_height_m)
+        return GroundingPipeline.of(self._estimator, self._table_height_m)
 
     def ground(self, frames: NDArray[np.uint8], camera: Camera, t_s: Array, priors: Priors) -> "GroundingResult":
         """Track the gripper through frames (T, H, W, 3) at times (T,) [s]; priors replace estimates.
@@ -117,7 +125,7 @@ class Analyzer:
     def _cameras(self) -> "CameraEstimator":
         from kinebench_drake.calibration.estimate import CameraEstimator
 
-        return CameraEstimator.create()
+        return CameraEstimator(self._estimator)
 
     @cached_property
     def _checker(self) -> "CameraChecker":

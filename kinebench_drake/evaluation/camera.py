@@ -168,13 +168,7 @@ def check_camera(
     """
     if choice.sample.camera_source not in _INPUT_SOURCES:
         return choice
-    q, track = grounding.arm_q, grounding.track
-    fitted = np.flatnonzero(np.isfinite(q).all(axis=1) & track.tracked) if len(q) else np.zeros(0, dtype=np.intp)
-    agreement = None
-    if len(fitted):
-        chosen = fitted[np.unique(np.linspace(0, len(fitted) - 1, _CHECKED).round().astype(int))]
-        finger_m = np.nan_to_num(track.finger_width_m[chosen], nan=_USUAL_WIDTH_M) / 2
-        agreement = judge.posture_agreement(frames[chosen], camera, q[chosen], finger_m)
+    agreement = track_agreement(frames, camera, grounding, judge)
     choice = replace(choice, agreement=agreement)
     if agreement is not None and agreement >= CONFIRMED:
         return choice
@@ -182,9 +176,29 @@ def check_camera(
     reason = None
     if other is not None and other.is_large:
         reason = f"the base frame is unknown: {describe_contradiction(other)}"
-    elif other is None and len(q):
+    elif other is None and len(grounding.arm_q):
         reason = _explain_disagreement(agreement, arm_is_seen=grounding.arm_consistency_px is not None)
     return replace(choice, contradiction=other, reason=reason)
+
+
+def track_agreement(
+    frames: NDArray[np.uint8], camera: Camera, grounding: "GroundingResult", judge: CameraJudge
+) -> float | None:
+    """Return the share of the contours of hand and arm on image edges in the postures of a track; None without any.
+
+    Args:
+        frames: (T, H, W, 3) as grounded.
+        camera: the camera of these frames.
+        grounding: track with this camera.
+        judge: checks cameras.
+    """
+    q, track = grounding.arm_q, grounding.track
+    fitted = np.flatnonzero(np.isfinite(q).all(axis=1) & track.tracked) if len(q) else np.zeros(0, dtype=np.intp)
+    if not len(fitted):
+        return None
+    chosen = fitted[np.unique(np.linspace(0, len(fitted) - 1, _CHECKED).round().astype(int))]
+    finger_m = np.nan_to_num(track.finger_width_m[chosen], nan=_USUAL_WIDTH_M) / 2
+    return judge.posture_agreement(frames[chosen], camera, q[chosen], finger_m)
 
 
 def _explain_disagreement(agreement: float | None, *, arm_is_seen: bool) -> str | None:

@@ -22,6 +22,7 @@ from kinebench_drake.evaluation.analyzer import Analyzer, load_analyzer
 from kinebench_drake.evaluation.camera import (
     AUTO,
     BENCHMARK,
+    CONFIRMED,
     CameraChoice,
     camera_frame_metrics,
     camera_warnings,
@@ -29,6 +30,7 @@ from kinebench_drake.evaluation.camera import (
     choose_camera,
     explain_loss,
     is_assumed,
+    track_agreement,
     with_camera_option,
 )
 from kinebench_drake.evaluation.config import RunConfig, RunKind
@@ -534,6 +536,10 @@ def ground_with_camera(
         UnmeasurableError: the video is too small or too short, or the gripper was found in too few frames.
         SetupError: weights or libraries are missing.
     """
+    if is_assumed(sample, option) and overrides.poses is None and gripper in (GripperKind.AUTO, GripperKind.FRANKA):
+        confirmed = _ground_as_assumed(video, sample, overrides, analyzer, period_s, duration_s)
+        if confirmed is not None:
+            return confirmed
     choice = choose_video_camera(video, sample, option, overrides, analyzer)
     prepared = prepare_video(video, choice.sample, period_s, overrides, duration_s=duration_s)
     try:
@@ -545,6 +551,29 @@ def ground_with_camera(
     if overrides.poses is None and grounding.camera_path is None and grounding.domain is not Domain.ARM:
         choice = check_camera(choice, prepared.frames, prepared.camera, grounding, analyzer)
     return choice, prepared, grounding
+
+
+def _ground_as_assumed(
+    video: Video,
+    sample: VideoSample,
+    overrides: Overrides,
+    analyzer: Analyzer,
+    period_s: float | None,
+    duration_s: float | None,
+) -> tuple[CameraChoice, PreparedVideo, "GroundingResult"] | None:
+    """Ground a video with the benchmark camera; None where the arm does not confirm that camera."""
+    try:
+        prepared = prepare_video(video, sample, period_s, overrides, duration_s=duration_s)
+        tried = replace(prepared, priors=replace(prepared.priors, camera_is_assumed=True))
+        grounding = ground_prepared(tried, analyzer, GripperKind.FRANKA)
+    except UnmeasurableError:
+        return None
+    if grounding.domain is not Domain.FAMILIAR or grounding.camera_path is not None:
+        return None
+    agreement = track_agreement(prepared.frames, prepared.camera, grounding, analyzer)
+    if agreement is None or agreement < CONFIRMED:
+        return None
+    return CameraChoice(sample=sample, agreement=agreement), prepared, grounding
 
 
 def _gripper_found(option: GripperKind) -> GripperKind:

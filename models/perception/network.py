@@ -6,15 +6,12 @@ visible point, its depth, and the uncertainty of the latter two. The encoder is 
 MICCAI 2015); dense CAD coordinates follow NOCS (Wang et al., CVPR 2019), here metric in the frame of the hand.
 """
 
-from copy import deepcopy
 from dataclasses import dataclass
-from itertools import pairwise
 from pathlib import Path
 
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
-from torch.nn.utils import fuse_conv_bn_eval
 
 from kinebench_drake.errors import SetupError
 from kinebench_drake.models.panda.robot import RobotPart
@@ -86,16 +83,18 @@ class _Block(nn.Module):
         if self._expands:
             self._expand_conv = nn.Conv2d(cin, mid, 1, bias=False)
             self._bn0 = nn.BatchNorm2d(mid, eps=1e-3, momentum=0.01)
+            self._relu0 = nn.ReLU6()
         padding = kernel // 2 if stride == 1 else 0
         self._pad = nn.Identity() if stride == 1 else _SamePad(kernel, stride)
         self._depthwise_conv = nn.Conv2d(mid, mid, kernel, stride, padding, groups=mid, bias=False)
         self._bn1 = nn.BatchNorm2d(mid, eps=1e-3, momentum=0.01)
+        self._relu1 = nn.ReLU6()
         self._project_conv = nn.Conv2d(mid, cout, 1, bias=False)
         self._bn2 = nn.BatchNorm2d(cout, eps=1e-3, momentum=0.01)
 
     def forward(self, x: Tensor) -> Tensor:
-        y = functional.relu6(self._bn0(self._expand_conv(x))) if self._expands else x
-        y = functional.relu6(self._bn1(self._depthwise_conv(self._pad(y))))
+        y = self._relu0(self._bn0(self._expand_conv(x))) if self._expands else x
+        y = self._relu1(self._bn1(self._depthwise_conv(self._pad(y))))
         y = self._bn2(self._project_conv(y))
         return torch.add(x, y) if self._residual else y
 
@@ -106,6 +105,7 @@ class _Encoder(nn.Module):
         self._pad = _SamePad(3, 2)
         self._conv_stem = nn.Conv2d(3, 32, 3, 2, bias=False)
         self._bn0 = nn.BatchNorm2d(32, eps=1e-3, momentum=0.01)
+        self._relu0 = nn.ReLU6()
         blocks, channels = [], 32
         for repeats, kernel, stride, expand, cout in _STAGES:
             for i in range(repeats):
@@ -115,7 +115,7 @@ class _Encoder(nn.Module):
 
     def forward(self, x: Tensor) -> list[Tensor]:
         """Return features at strides 2, 4, 8, 16, 32."""
-        x = functional.relu6(self._bn0(self._conv_stem(self._pad(x))))
+        x = self._relu0(self._bn0(self._conv_stem(self._pad(x))))
         features = []
         for i, block in enumerate(self._blocks):
             x = block(x)
@@ -192,27 +192,3 @@ def load_network(path: Path = WEIGHTS) -> GripperNetwork:
         first = str(error).splitlines()[0]
         raise SetupError(f"{path.name}: not weights of this network ({first}); {_FIX}") from None
     return network.eval()
-
-
-def fold_batch_normalisation(network: GripperNetwork) -> GripperNetwork:
-    """Return a copy for inference with each batch normalisation folded into the convolution before it."""
-    network = deepcopy(network).eval()
-    for module in list(network.modules()):
-        for (before, convolution), (after, normalisation) in pairwise(list(module.named_children())):
-            if isinstance(convolution, nn.Conv2d) and isinstance(normalisation, nn.BatchNorm2d):
-                setattr(module, before, fuse_conv_bn_eval(convolution, normalisation))
-                setattr(module, after, nn.Identity())
-    return network
-
-
-def reduce_precision(network: GripperNetwork) -> GripperNetwork:
-    """Return a copy whose layers compute in bfloat16, except the last one, whose outputs are coordinates."""
-    network = deepcopy(network)
-    for module in (network.encoder, network.squeeze, network.decoder):
-        module.to(torch.bfloat16)
-    return network
-
-
-def supports_bfloat16(device: torch.device) -> bool:
-    """Return whether bfloat16 is fast: always on a GPU, on a CPU only with AVX-512 BF16 instructions."""
-    return device.type == "cuda" or bool(torch.cpu._is_avx512_bf16_supported())

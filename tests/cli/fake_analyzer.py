@@ -52,10 +52,10 @@ class FakeGrounding:
     track: GripperTrack
     anomalies: tuple[Anomaly, ...]
     camera_motion_px: float | None
+    arm_q: np.ndarray
     arm_consistency_px: float | None = 2.0
     first_frame: InitialStateUse = InitialStateUse.UNKNOWN
     domain: Domain = Domain.FAMILIAR
-    arm_q: np.ndarray = field(default_factory=lambda: np.zeros((0, 7)))
     curves: dict[str, np.ndarray] = field(default_factory=dict)
     camera_path: None = None
 
@@ -111,7 +111,7 @@ class FakeAnalyzer:
             confidence=confidence,
             finger_width_m=np.where(tracked, width, np.nan),
         )
-        return FakeGrounding(track, anomalies, 0.12)
+        return FakeGrounding(track, anomalies, 0.12, np.zeros((n, 7)))
 
     def camera_agreement(self, frames, camera):
         return 0.7
