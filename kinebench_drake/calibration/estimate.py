@@ -154,22 +154,20 @@ class CameraEstimator:
         best, turn = ranked[0]
         start = replace(best, scene=turned(best.scene, turn.angle_rad))
         estimate = self.finish(start, images, prior, rows=detections.rows, total=total)
-        agreement = best.agreement
+        estimate = replace(estimate, agreement=best.agreement)
         surroundings = self._find_surroundings(estimate, frames)
         if surroundings is not None:
             start = self._extend(_at(start, estimate, detections), detections, search)
-            prior = replace(prior, surroundings=surroundings)
-            aligned = self.finish(start, images, prior, rows=detections.rows, total=total)
-            before, after = (
-                images.take(_at(start, e, detections).rows).base_share(e.scene) for e in (estimate, aligned)
+            aligned = self.finish(
+                start, images, replace(prior, surroundings=surroundings), rows=detections.rows, total=total
             )
-            if after >= before - _BASE_LOSS:
-                estimate = replace(aligned, is_aligned=True)
-                own = arm_images.take(_at(start, estimate, detections).rows)
-                agreement = max(agreement, _explained(own.agreement(estimate.scene), total))
+            shares = [images.take(_at(start, e, detections).rows).base_share(e.scene) for e in (estimate, aligned)]
+            if shares[1] >= shares[0] - _BASE_LOSS:
+                own = arm_images.take(_at(start, aligned, detections).rows).agreement(aligned.scene)
+                agreement = max(best.agreement, _explained(own, total))
+                estimate = replace(aligned, agreement=agreement, is_aligned=True)
         return replace(
             estimate,
-            agreement=agreement,
             base_agreement=turn.share,
             base_runner_up=turn.runner_up,
             runner_up=max(((arm.agreement + other.share) / 2 for arm, other in ranked[1:]), default=0.0),
