@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from kinebench_drake.camera import Camera
 from kinebench_drake.environment.native import share_heap
 from kinebench_drake.geometry import Array
-from kinebench_drake.grounding.crop import Crop
+from kinebench_drake.grounding.crop import CLOSE_SIZE, Crop
 from kinebench_drake.grounding.view import Frames, GripperView
 from kinebench_drake.models.panda.robot import ARM
 from kinebench_drake.models.perception.inference import (
@@ -27,7 +27,7 @@ from kinebench_drake.models.perception.network import (
     GripperNetwork,
 )
 
-_BATCH, _BATCH_ON_GPU = 8, 64
+_BATCH, _BATCH_ON_GPU = 8, 64  # crops; on the CPU of `CLOSE_SIZE`, fewer larger ones: they need as much memory
 DEPTH_FACTOR_SIGMA = 0.012
 """Relative standard deviation of the depth error that the network makes alike on all of the robot."""
 _LAPLACE_TO_SIGMA = np.sqrt(2.0)  # standard deviation of a Laplace distribution of scale 1
@@ -72,8 +72,8 @@ class NetworkEstimator:
                 yield from zip(ahead[0], ahead[1].result(), strict=True)
 
     def _batches(self, crops: Mapping[int, Crop]) -> Iterator[list[int]]:
-        count = _BATCH_ON_GPU if self._device.type == "cuda" else _BATCH
         for size in sorted({crop.size for crop in crops.values()}):
+            count = _BATCH_ON_GPU if self._device.type == "cuda" else max(1, _BATCH * CLOSE_SIZE**2 // size**2)
             members = [i for i, crop in crops.items() if crop.size == size]
             yield from (members[start : start + count] for start in range(0, len(members), count))
 

@@ -29,6 +29,7 @@ _SMALL_M = 0.0025  # median change by fits to the edges alone up to which they c
 _FAR_M, _GAIN = 0.02, 0.18  # above which the change, or the gain of agreement by it, contradicts the network's poses
 _MISSED_SHARE = 0.1  # greatest share of frames of a familiar video that are only reached by following the arm
 _FOLLOWED_FRAMES = 3  # frames without a sure pose across which the surface is followed at once
+_KEPT_IMAGES = 2 * BATCH  # images whose gradients are kept, those used last
 _BEST_QUANTILE, _BEST_SHARE = 0.75, 0.9  # frames that agree nearly as well as the best ones are not tried again
 
 
@@ -280,6 +281,8 @@ class EdgeRefinement:
             self._poses[number] = pose.with_arm(arm, self._silhouette.overlap(*hand))
 
     def _image(self, number: int) -> GradientImage:
-        if number not in self._images:
-            self._images[number] = GradientImage(self._frames[number], self._camera)
-        return self._images[number]
+        image = self._images.pop(number, None) or GradientImage(self._frames[number], self._camera)
+        self._images[number] = image
+        if len(self._images) > _KEPT_IMAGES:
+            del self._images[next(iter(self._images))]
+        return image

@@ -5,6 +5,7 @@ One module, so that the way of one video can be read from top to bottom.
 
 import dataclasses
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -480,11 +481,21 @@ def prepare_video(
 
 
 def ground_prepared(
-    video: PreparedVideo, analyzer: Analyzer, gripper: GripperKind = GripperKind.AUTO
+    video: PreparedVideo,
+    analyzer: Analyzer,
+    gripper: GripperKind = GripperKind.AUTO,
+    *,
+    measured: "GroundingResult | None" = None,
 ) -> "GroundingResult":
     """Track the gripper through a prepared video, or the flange by the arm alone.
 
     Automatically the arm alone is measured where the hand is found in next to no frame, and the arm in most.
+
+    Args:
+        video: the video.
+        analyzer: grounds.
+        gripper: gripper of the video.
+        measured: track of the gripper, if it is measured already.
 
     Raises:
         InputError: the priors do not fit the video.
@@ -493,7 +504,7 @@ def ground_prepared(
     """
     inputs = video.frames, video.camera, video.t_s, video.priors
     measures_hand = gripper in (GripperKind.FRANKA, GripperKind.AUTO)
-    grounding = analyzer.ground(*inputs) if measures_hand else analyzer.ground_arm(*inputs)
+    grounding = measured or (analyzer.ground(*inputs) if measures_hand else analyzer.ground_arm(*inputs))
     tracked = int(grounding.track.tracked.sum())
     if gripper is GripperKind.AUTO and tracked < max(MIN_TRACKED, HAND_SHARE * len(video.t_s)):
         arm = analyzer.ground_arm(*inputs)
@@ -536,14 +547,19 @@ def ground_with_camera(
         UnmeasurableError: the video is too small or too short, or the gripper was found in too few frames.
         SetupError: weights or libraries are missing.
     """
+    measured = None
     if is_assumed(sample, option) and overrides.poses is None and gripper in (GripperKind.AUTO, GripperKind.FRANKA):
-        confirmed = _ground_as_assumed(video, sample, overrides, analyzer, period_s, duration_s)
-        if confirmed is not None:
-            return confirmed
+        with suppress(UnmeasurableError):  # the shape of the video is not that of the benchmark camera's image
+            prepared = prepare_video(video, sample, period_s, overrides, duration_s=duration_s)
+            measured, agreement = _ground_as_assumed(prepared, analyzer)
+            if agreement >= CONFIRMED:
+                return CameraChoice(sample=sample, agreement=agreement), prepared, measured
     choice = choose_video_camera(video, sample, option, overrides, analyzer)
+    if choice.sample is not sample or (measured is not None and not _is_complete(measured)):
+        measured = None
     prepared = prepare_video(video, choice.sample, period_s, overrides, duration_s=duration_s)
     try:
-        grounding = ground_prepared(prepared, analyzer, gripper)
+        grounding = ground_prepared(prepared, analyzer, gripper, measured=measured)
     except UnmeasurableError as error:
         if overrides.poses is not None:
             raise
@@ -553,27 +569,21 @@ def ground_with_camera(
     return choice, prepared, grounding
 
 
-def _ground_as_assumed(
-    video: Video,
-    sample: VideoSample,
-    overrides: Overrides,
-    analyzer: Analyzer,
-    period_s: float | None,
-    duration_s: float | None,
-) -> tuple[CameraChoice, PreparedVideo, "GroundingResult"] | None:
-    """Ground a video with the benchmark camera; None where the arm does not confirm that camera."""
-    try:
-        prepared = prepare_video(video, sample, period_s, overrides, duration_s=duration_s)
-        tried = replace(prepared, priors=replace(prepared.priors, camera_is_assumed=True))
-        grounding = ground_prepared(tried, analyzer, GripperKind.FRANKA)
-    except UnmeasurableError:
-        return None
+def _ground_as_assumed(video: PreparedVideo, analyzer: Analyzer) -> "tuple[GroundingResult, float]":
+    """Track the gripper with the benchmark camera; return also how well the arm confirms that camera, 0 to 1.
+
+    Where edges contradict the camera poses are not refined, since another one is likely.
+    """
+    priors = replace(video.priors, camera_is_assumed=True)
+    grounding = analyzer.ground(video.frames, video.camera, video.t_s, priors)
     if grounding.domain is not Domain.FAMILIAR or grounding.camera_path is not None:
-        return None
-    agreement = track_agreement(prepared.frames, prepared.camera, grounding, analyzer)
-    if agreement is None or agreement < CONFIRMED:
-        return None
-    return CameraChoice(sample=sample, agreement=agreement), prepared, grounding
+        return grounding, 0.0
+    return grounding, track_agreement(video.frames, video.camera, grounding, analyzer) or 0.0
+
+
+def _is_complete(grounding: "GroundingResult") -> bool:
+    """Return whether a track with an assumed camera is the same as with a certain one: refined, or there is nothing."""
+    return grounding.domain is Domain.FAMILIAR or not grounding.track.confidence.any()
 
 
 def _gripper_found(option: GripperKind) -> GripperKind:

@@ -3,7 +3,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from fake_analyzer import Act
+from fake_analyzer import Act, FakeAnalyzer
 
 from kinebench_drake.calibration.camera_estimate import (
     ALIGNED_AGREEMENT,
@@ -17,6 +17,7 @@ from kinebench_drake.calibration.estimate import usual_camera
 from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.datasets.videos.sample import CameraSource, VideoSample
 from kinebench_drake.errors import UnmeasurableError
+from kinebench_drake.evaluation.analyzer import RobotOptions
 from kinebench_drake.evaluation.camera import (
     AGREEMENT,
     CONFIRMED,
@@ -26,8 +27,10 @@ from kinebench_drake.evaluation.camera import (
     explain_loss,
     with_camera_option,
 )
-from kinebench_drake.evaluation.score import score_videos
+from kinebench_drake.evaluation.score import ground_with_camera, score_videos
+from kinebench_drake.grounding.overrides.overrides import Overrides
 from kinebench_drake.io.camerafile import save_camera
+from kinebench_drake.io.video import Video
 from kinebench_drake.results.row import Status
 from kinebench_drake.results.store import read_rows
 
@@ -181,6 +184,35 @@ def test_the_benchmark_camera_can_be_insisted_on(film, config, tmp_path):
     row = read_rows(tmp_path / "out")["wide"]
     assert row.status is Status.UNMEASURABLE
     assert "aspect ratios differ" in row.reason
+
+
+@pytest.mark.parametrize(
+    ("posture_agreement", "agreement", "groundings", "source"),
+    [
+        (CONFIRMED, None, 1, CameraSource.BENCHMARK),
+        (CONFIRMED - 0.01, AGREEMENT, 1, CameraSource.BENCHMARK),
+        (CONFIRMED - 0.01, AGREEMENT - 0.01, 2, CameraSource.ESTIMATED),
+    ],
+)
+def test_the_benchmark_camera_is_confirmed_by_the_track_itself(
+    tmp_path, monkeypatch, posture_agreement, agreement, groundings, source
+):
+    analyzer, assumed = FakeAnalyzer(RobotOptions()), []
+
+    def ground(frames, camera, t_s, priors):
+        assumed.append(priors.camera_is_assumed)
+        return analyzer.ground_arm(frames, camera, t_s, priors)
+
+    analyzer.ground = ground
+    analyzer.posture_agreement = lambda *_: posture_agreement
+    analyzer.camera_agreement = lambda *_: agreement
+    analyzer.estimate_camera = lambda _: estimate(camera=usual_camera(96, 96))
+    video = Video(frames=np.repeat(SQUARE[:1], 12, axis=0), fps=10.0, stamps_s=None)
+    choice, _, grounding = ground_with_camera(video, sample(tmp_path), Overrides(), analyzer)
+    assert assumed == [True, False][:groundings]
+    assert choice.sample.camera_source is source
+    assert choice.agreement == (posture_agreement if agreement is None else agreement)
+    assert grounding.track.tracked.all()
 
 
 def checked(tmp_path, judge, *, source=CameraSource.FOLDER, fitted=True, arm_seen=True):

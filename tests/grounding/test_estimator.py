@@ -12,6 +12,7 @@ from kinebench_drake.grounding.crop import Crop
 from kinebench_drake.grounding.estimator import NetworkEstimator
 from kinebench_drake.grounding.view import GripperView
 from kinebench_drake.io.reader import read_video
+from kinebench_drake.models.perception.inference import fold_batch_normalisation, fuse_activations
 from kinebench_drake.models.perception.network import load_network
 
 VIDEO = Path(__file__).parents[2] / "examples" / "videos" / "StackCube-v1_s0010_unseen.mp4"
@@ -52,6 +53,17 @@ def test_reduced_precision_changes_estimates_less_than_their_errors(
     reduced = estimate("cpu")
     assert not np.array_equal(reduced.depth_m, exact.depth_m)
     assert_alike(reduced, exact)
+
+
+@pytest.mark.parametrize("size", [64, 96])
+def test_convolutions_that_clamp_their_outputs_compute_the_same(size: int) -> None:
+    network = fold_batch_normalisation(load_network()).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+    images = torch.rand(2, 3, size, size, generator=torch.Generator().manual_seed(0))
+    images = images.contiguous(memory_format=torch.channels_last)
+    with torch.inference_mode():
+        plain, fused = network(images), fuse_activations(network)(images)
+    torch.testing.assert_close(fused.log_depth, plain.log_depth, atol=1e-4, rtol=0.0)
+    torch.testing.assert_close(fused.coordinates, plain.coordinates, atol=1e-4, rtol=0.0)
 
 
 @pytest.mark.gpu
