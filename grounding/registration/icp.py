@@ -51,7 +51,6 @@ _DEGREES_OF_FREEDOM, _MIN_BLOCKS = 6, 7
 _LEAST_VARIANCE_M2 = 1e-10
 _REGULARIZATION = np.diag([1e-6] * 3 + [1e-4] * 3)  # information of unobservable directions, relative to a point's
 _FIT_VARIANCE_RATIO = 3.5  # mean squared error of fits over their covariance, on held-out videos
-_LEAST_INFORMATION = 0.25  # of a registration over that of the fit, from which on further passes may give it weight
 _FIT_FLOOR = np.diag([1e-8] * 3 + [1e-10] * 3)  # least covariance of a fit [rad^2, m^2]: an arm may be stretched out
 _LARGEST_SQUARE = 12.6  # 95 % quantile of chi-square with six degrees of freedom
 _INFLATIONS = np.geomspace(1.0, 1e8, 161)
@@ -132,18 +131,13 @@ class IcpRefiner:
     def register(
         self, view: GripperView, X_CH: Array, covariance: Array, finger_m: float, cells: int = _MAX_CELLS
     ) -> IcpRegistration | None:
-        """Register at most `cells` cells of a view to the CAD surface; None if too few match. Arguments as `refine`.
-
-        Passes follow until the pose stays, or until the registration is so imprecise that it will not count.
-        """
+        """Register at most `cells` cells of a view to the CAD surface; None if too few match. Arguments as `refine`."""
         surface_only = surface_cells(view)
         row = np.arange(len(surface_only)) % max(1, -(-int(surface_only.sum()) // cells)) == 0
         v, u = np.nonzero(surface_only & row[:, None])
         rays = view.rays()[v, u]
         X_VH, points = invert(view.crop.X_CV) @ X_CH, rays * view.depth_m[v, u][:, None]
         source, gate = self._geometry.PointCloud(), _GATE_M[1]
-        width = max(1, round((int(surface_only.sum()) / _BLOCKS) ** 0.5))
-        R_CV, registration = view.crop.R_CV, None
         for number in range(_PASSES):
             surface = self._cad.cast(X_VH, rays, finger_m)
             hit = surface.part > 0
@@ -163,17 +157,18 @@ class IcpRefiner:
             previous, X_VH = X_VH, invert(result.transformation)
             offset, normal = target_H[j] @ X_VH[:3, :3].T, normal_H[j] @ X_VH[:3, :3].T
             residual = ((points[i] - X_VH[:3, 3] - offset) * normal).sum(axis=1)
-            block, p = v[i] // width * view.part.shape[1] + u[i] // width, points[i] @ R_CV.T
-            registration = IcpRegistration(
-                X_CH=view.crop.X_CV @ X_VH,
-                fitness=len(i) / len(points),
-                rmse_m=float(np.sqrt(np.mean(residual**2))),
-                covariance=_covariance(offset @ R_CV.T, normal @ R_CV.T, p, residual, block, view.depth_factor_sigma),
-            )
-            if _change_m(previous, X_VH) < _CONVERGED_M or _information(registration, covariance) < _LEAST_INFORMATION:
+            if _change_m(previous, X_VH) < _CONVERGED_M:
                 break
             gate = _gate(residual, gate)
-        return registration
+        width = max(1, round((int(surface_only.sum()) / _BLOCKS) ** 0.5))
+        block = v[i] // width * view.part.shape[1] + u[i] // width
+        R_CV, p = view.crop.R_CV, points[i] @ view.crop.R_CV.T
+        return IcpRegistration(
+            X_CH=view.crop.X_CV @ X_VH,
+            fitness=len(i) / len(points),
+            rmse_m=float(np.sqrt(np.mean(residual**2))),
+            covariance=_covariance(offset @ R_CV.T, normal @ R_CV.T, p, residual, block, view.depth_factor_sigma),
+        )
 
     def _match(self, source: Any, target_H: Array, normal_H: Array, gate_m: float, X_VH: Array) -> Any:
         """Return Open3D's registration of `source` in V to a surface in H, from the pose `X_VH` on."""
@@ -182,15 +177,6 @@ class IcpRefiner:
         estimation = self._icp.TransformationEstimationPointToPlane(self._icp.TukeyLoss(k=gate_m))
         criteria = self._icp.ICPConvergenceCriteria(1e-4, 1e-4, _MAX_ITERATIONS)
         return self._icp.registration_icp(source, target, gate_m, invert(X_VH), estimation, criteria)
-
-
-def _information(registration: IcpRegistration, covariance: Array) -> float:
-    """Return the information of a registration over that of a fit with `covariance` (6, 6), mean of the directions.
-
-    Where it is below 1 the registration has no weight in `fuse`.
-    """
-    ratio = np.linalg.solve(registration.covariance, covariance + _FIT_FLOOR)
-    return float(_FIT_VARIANCE_RATIO * np.trace(ratio) / len(ratio))
 
 
 def _gate(residual: Array, largest_m: float) -> float:

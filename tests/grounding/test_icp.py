@@ -60,18 +60,6 @@ def test_depth_with_large_smooth_errors_has_no_weight(cad: GripperCad) -> None:
     np.testing.assert_array_equal(fused.covariance, STATED)
 
 
-def test_passes_end_with_a_registration_that_cannot_count(cad: GripperCad, monkeypatch: pytest.MonkeyPatch) -> None:
-    passes = []
-    match = IcpRefiner._match
-    monkeypatch.setattr(IcpRefiner, "_match", lambda *arguments: passes.append(1) or match(*arguments))
-    X_CH = hand_pose(0)
-    for size, least, most in ((0.03, 1, 1), (0.0, 2, 3)):
-        passes.clear()
-        view = with_smooth_error(perfect_view(cad, X_CH), size, 0)
-        assert IcpRefiner(cad).register(view, start(X_CH, 0), STATED, 0.02) is not None
-        assert least <= len(passes) <= most
-
-
 @pytest.mark.parametrize("size", [0.0, 0.003, 0.01, 0.03])
 def test_the_combination_is_no_worse_than_the_fit_at_any_error_of_the_depth(cad: GripperCad, size: float) -> None:
     errors = []
