@@ -50,6 +50,8 @@ class CameraTrial:
     base_agreement: float = np.nan
     base_runner_up: float = np.nan
     runner_up: float = np.nan
+    aligned: bool = False
+    """Whether lines of the surroundings were used."""
     tcp_m: tuple[float, ...] = ()
     """Distances of the tracked from the true TCPs in the base frame [m], whatever `reason` says."""
     tcp_rad: tuple[float, ...] = ()
@@ -119,6 +121,7 @@ def try_video(video: ReferenceVideo, analyzer: Analyzer) -> CameraTrial:
         base_agreement=estimate.base_agreement,
         base_runner_up=estimate.base_runner_up,
         runner_up=estimate.runner_up,
+        aligned=estimate.is_aligned,
     )
 
 
@@ -199,6 +202,7 @@ def _rows(trials: Sequence[CameraTrial]) -> list[str]:
             f"{t.agreement:.2f}",
             f"{t.base_agreement:.2f} / {t.base_runner_up:.2f}",
             f"{(t.agreement + t.base_agreement) / 2:.2f} / {t.runner_up:.2f}",
+            "yes" if t.aligned else "no",
             "yes" if t.reason is None else f"no: {t.reason}",
         ]
         for t in trials
@@ -211,5 +215,5 @@ def _rows(trials: Sequence[CameraTrial]) -> list[str]:
         "TCP: error (sigma) [mm]",
         "[degrees]",
     )
-    shares = ("tracked", "arm on edges", "base, next turn", "both, next camera", "base frame")
+    shares = ("tracked", "arm on edges", "base, next turn", "both, next camera", "lines used", "base frame")
     return table((*head, *shares), rows)
