@@ -21,22 +21,41 @@ from kinebench_drake.types import Domain
 GOOD_M, GOOD_RAD = 0.010, float(np.deg2rad(5.0))
 """Error bounds [m, rad] whose probability the confidence is."""
 CALIBRATION = Path(__file__).parents[1] / "models" / "perception" / "confidence.json"
-FRAME_FEATURES = (
+_HAND_FEATURES = (
     *("log_sigma", "log_residual", "log_cells", "overlap", "log_level"),
     *("log_position_sigma", "arm_agrees", "log_arm_consistency", "edge_agreement", "icp_fitness", "log_icp_rmse"),
 )
-"""Features of a single frame: the network's own uncertainty, the residual of its coordinates against one rigid pose,
-the visible cells, the overlap with the rendered gripper, the disagreement of depth and apparent size, the standard
-deviation of the position, whether the arm is consistent with the hand, and how closely, the share of the contour on
-edges of the image where the pose was fitted to them, and how well the depth matches the CAD surface."""
+_FLANGE_FEATURES = (
+    *("log_residual", "log_cells", "edge_agreement", "flange_agreement"),
+    *("log_position_sigma", "log_rotation_sigma", "on_base"),
+)
+FRAME_FEATURES: Mapping[Domain, tuple[str, ...]] = {
+    Domain.FAMILIAR: _HAND_FEATURES,
+    Domain.UNFAMILIAR: _HAND_FEATURES,
+    Domain.ARM: _FLANGE_FEATURES,
+}
+"""Features of a single frame by domain.
+
+With a hand: the network's own uncertainty, the residual of its coordinates against one rigid pose, the visible cells,
+the overlap with the rendered gripper, the disagreement of depth and apparent size, the standard deviation of the
+position, whether the arm is consistent with the hand, and how closely, the share of the contour on edges of the image
+where the pose was fitted to them, and how well the depth matches the CAD surface.
+
+Of the arm alone: the residual of the fit, the visible cells of the last link, the shares of the contours of the last
+links and of the very last on edges of the image, the standard deviations of position and rotation, and whether the arm
+stands on the base."""
 TRACK_FEATURES = ("frame_logit", "log_distance", "log_angle", "alone")
 """Features of a frame in its track: the log-odds of the frame alone, its deviation from the pose predicted by its
 neighbours, and whether there are too few of them for a prediction."""
 _CERTAIN = 1e-3  # least distance of a single frame's confidence from 0 and 1
 
 
-def frame_features(pose: FramePose) -> Array:
-    """Return the features (11,) of a single frame, each of order one."""
+def frame_features(pose: FramePose, domain: Domain) -> Array:
+    """Return the features (n,) of a single frame in the order of `FRAME_FEATURES`, each of order one."""
+    return _flange_features(pose) if domain is Domain.ARM else _hand_features(pose)
+
+
+def _hand_features(pose: FramePose) -> Array:
     icp = None if pose.icp is None else pose.icp.registration
     arm = pose.arm if pose.arm is not None and pose.arm.agrees else None
     return np.array(
@@ -52,6 +71,22 @@ def frame_features(pose: FramePose) -> Array:
             4.0 * float(np.nan_to_num(arm.edge_agreement)) if arm is not None else 0.0,
             10.0 * (icp.fitness - 0.9) if icp is not None else -5.0,
             np.log(max(icp.rmse_m, 1e-4) / 0.002) if icp is not None else 0.0,
+        ]
+    )
+
+
+def _flange_features(pose: FramePose) -> Array:
+    arm = pose.arm
+    rotation, position = (float(np.trace(block)) ** 0.5 for block in (pose.covariance[:3, :3], pose.covariance[3:, 3:]))
+    return np.array(
+        [
+            np.log(max(pose.hand.residual, 1e-2)),
+            np.log(max(pose.hand.points, 1) / 100.0),
+            4.0 * (arm.edge_agreement - 0.6) if arm is not None else -2.4,
+            4.0 * (arm.hand_agreement - 0.5) if arm is not None else -2.0,
+            np.log(max(position, 1e-4) / 0.005),
+            np.log(max(rotation, 1e-3) / 0.1),
+            float(pose.arm_agrees),
         ]
     )
 
@@ -104,7 +139,7 @@ def load_confidence(path: Path = CALIBRATION) -> Mapping[Domain, Confidence]:
         data = json.loads(path.read_text())
         return {
             domain: Confidence(
-                frame=_read(data[domain.value]["frame"], FRAME_FEATURES),
+                frame=_read(data[domain.value]["frame"], FRAME_FEATURES[domain]),
                 track=_read(data[domain.value]["track"], TRACK_FEATURES),
             )
             for domain in Domain
@@ -118,7 +153,7 @@ def save_confidence(confidence: Mapping[Domain, Confidence], path: Path) -> None
     data = {
         domain.value: {
             name: {"features": names, "intercept": step.intercept, "weights": step.weights.tolist()}
-            for name, step, names in (("frame", c.frame, FRAME_FEATURES), ("track", c.track, TRACK_FEATURES))
+            for name, step, names in (("frame", c.frame, FRAME_FEATURES[domain]), ("track", c.track, TRACK_FEATURES))
         }
         for domain, c in confidence.items()
     }

@@ -1,39 +1,65 @@
-"""Tracking of the flange by the arm alone, whatever gripper it carries."""
+"""Tracking of the flange by the arm alone, whatever gripper it carries.
+
+The network proposes a posture in each frame; the contours of the last links on edges of the image decide. Looks differ
+from those that the network was trained on, so the arm is followed from the frames where its contours lie best into
+their neighbours, which needs no network. The last link is nearly round: its turn comes from its grip, which stands out
+on one side, and from all frames together, as joints turn smoothly.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from kinebench_drake.camera import Camera
-from kinebench_drake.geometry import Array, pose_difference
+from kinebench_drake.geometry import Array, make_pose, pose_difference
 from kinebench_drake.grounding.crop import CLOSE_SIZE, WRIST_CENTRE_H, WRIST_RADIUS_M, Crop
 from kinebench_drake.grounding.localization import find_region
 from kinebench_drake.grounding.pose import FramePose
-from kinebench_drake.grounding.registration.arm_fit import (
-    LAST_LINKS,
-    ArmFit,
-    ArmFitter,
-)
+from kinebench_drake.grounding.registration.arm_fit import LAST_LINKS, ArmFit, ArmFitter
 from kinebench_drake.grounding.registration.arm_model import ArmModel
 from kinebench_drake.grounding.registration.chain_fit import UNKNOWNS, ChainFitter, ChainModel
 from kinebench_drake.grounding.registration.correspondences import Correspondences
 from kinebench_drake.grounding.registration.edges import EdgeMatcher, GradientImage
 from kinebench_drake.grounding.registration.fit import HandFit
+from kinebench_drake.grounding.registration.flow import follow_surface
 from kinebench_drake.grounding.registration.solver import Solution
 from kinebench_drake.grounding.tracker import Tracking
+from kinebench_drake.grounding.turn import TURNS_RAD, likeliest_turns
 from kinebench_drake.grounding.view import DenseEstimator, Frames, GripperView
 from kinebench_drake.models.panda.robot import ARM, RobotPart
 from kinebench_drake.types import NO_PRIORS, Domain, Priors
 
 # Cells of a gripper are taken for a hand, and lie where the wrist is.
-_SEEN = (RobotPart.LINK5, *LAST_LINKS, RobotPart.HAND)
+_SEEN = (*LAST_LINKS, RobotPart.HAND)
 _MIN_CELLS = 12
 _QUANTILES, _MARGIN = (5.0, 95.0), 0.8  # of the cells of the wrist; half size of its crop over their extent
 _LINK_CELLS, _INDEPENDENT = 300, 30.0
 _LINKS = ARM[-4:]  # links whose edges are matched
+_FLANGE = (RobotPart.LINK7,)
 _POINTS = 300
-_REACHES_PX = (8.0, 5.0, 3.0)  # farthest edges of the last links in successive passes
-_GAIN = 0.05  # least lead of a neighbour's agreement with edges that makes its posture worth a try
-_UNSEEN_SIGMA_M = 0.1
+_REACHES_PX = (8.0, 5.0, 3.0, 2.0)  # farthest edges of the last links in successive passes
+_FOLLOWED_REACHES_PX = (6.0, 4.0, 3.0, 2.0)  # likewise from a posture that followed the surface
+_GAIN = 0.05  # least lead of a neighbour's agreement with edges that makes its posture the better one
+_LOST = 0.8  # of the agreement of a frame, below which the arm was not followed from it
+_TURN_WEIGHT = 15.0  # log-likelihood of a last link whose contours and cells agree entirely
+_TURN_SIGMA_RAD = np.deg2rad(6.0)  # of the likeliest turns, which lie on a grid
 _SAME_M, _SAME_RAD = 0.06, np.deg2rad(20.0)  # from the chain with a free base to the arm on the base
+_ON_BASE, _BASE_LOSS = 0.4, 0.1  # least agreement of an arm on the base, and its largest loss by the base
+_UNSEEN_SIGMA_M = 0.1
+_BEHIND_M = 10.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Video:
+    """Input of one call."""
+
+    frames: Frames
+    camera: Camera
+    wide: Mapping[int, GripperView]
+    """Views that show the whole arm, by frame number."""
+    images: Sequence[GradientImage]
+    fitter: ArmFitter
 
 
 class FlangeTracker:
@@ -53,28 +79,16 @@ class FlangeTracker:
         region = find_region(self._estimator, frames, camera, wide)
         if region is not None:
             wide = dict(self._estimator.estimate(frames, camera, dict.fromkeys(whole, region)))
-        fitter = ArmFitter(camera, self._model, self._edges, places)
-        crops = {i: crop for i, view in wide.items() if (crop := _wrist_crop(view)) is not None}
-        for i, view in self._estimator.estimate(frames, camera, dict(crops)):
-            chain = self._chain.fit(_link_cells(view, wide[i]))
-            if chain is not None:
-                crops[i] = _crop_at(chain.model.X_CH[0])
-        closes = dict(self._estimator.estimate(frames, camera, crops))
-        images = {i: GradientImage(frames[i], camera) for i in closes}
-        poses: dict[int, FramePose] = {}
-        for i, close in sorted(closes.items()):
-            pose = self._measure(close, wide[i], fitter.at([i]), images[i])
-            if pose is not None:
-                poses[i] = pose
-        for step in (1, -1):
-            for i in sorted(wide)[::step]:
-                near = poses.get(i - step)
-                if near is not None and _agreement(near) > _agreement(poses.get(i)) + _GAIN:
-                    image = images.setdefault(i, GradientImage(frames[i], camera))
-                    for _, close in self._estimator.estimate(frames, camera, {i: _crop_at(near.X_CH)}):
-                        pose = self._measure(close, wide[i], fitter.at([i]), image, near)
-                        if pose is not None and _agreement(pose) > _agreement(poses.get(i)):
-                            poses[i] = pose
+        video = _Video(
+            frames=frames,
+            camera=camera,
+            wide=wide,
+            images=[GradientImage(frame, camera) for frame in frames],
+            fitter=ArmFitter(camera, self._model, self._edges, places),
+        )
+        poses = self._detect(video)
+        self._spread(poses, video)
+        self._turn(poses, video)
         return Tracking(
             poses=tuple(poses.get(i) for i in range(len(frames))),
             wide=tuple(wide[i] for i in range(len(frames))),
@@ -82,60 +96,176 @@ class FlangeTracker:
             domain=Domain.ARM,
         )
 
-    def _measure(
-        self,
-        close: GripperView,
-        wide: GripperView,
-        fitter: ArmFitter,
-        image: GradientImage,
-        near: FramePose | None = None,
-    ) -> FramePose | None:
-        """Return the pose of a frame, from its cells or from the posture of a neighbouring frame; None without one."""
-        cells = _link_cells(close, wide)
-        if near is None or near.arm is None:
+    def _detect(self, video: _Video) -> dict[int, FramePose]:
+        """Return the poses of the frames that show the last links, each by itself."""
+        crops = {i: crop for i, view in video.wide.items() if (crop := _wrist_crop(view)) is not None}
+        for i, view in self._estimator.estimate(video.frames, video.camera, dict(crops)):
+            chain = self._chain.fit(_link_cells(view, video.wide[i]))
+            if chain is not None:
+                crops[i] = _crop_at(chain.model.X_CH[0])
+        poses = {}
+        for i, view in self._estimator.estimate(video.frames, video.camera, crops):
+            cells = _link_cells(view, video.wide[i])
             chain = self._chain.fit(cells)
-        else:
-            chain = self._chain.refit(self._chain.at(near.X_CH, near.arm.q), cells)
-        if chain is None:
+            sharp = None if chain is None else self._sharpen(chain.model, cells, video.images[i], _REACHES_PX)
+            if sharp is not None:
+                poses[i] = self._pose(sharp, video.images[i], view)
+        return poses
+
+    def _spread(self, poses: dict[int, FramePose], video: _Video) -> None:
+        """Take the arm from the surest frames to their neighbours, where its contours then lie better on edges."""
+        waiting = set(video.wide)
+        while rest := waiting & poses.keys():
+            i = max(rest, key=lambda k: _agreement(poses[k]))
+            waiting.remove(i)
+            for k in {i - 1, i + 1} & waiting:
+                proposed = [poses.get(k), self._follow(poses[i], video.images[i], video.images[k])]
+                if _agreement(proposed[1]) < _LOST * _agreement(poses[i]):
+                    proposed += self._detect_near(poses[i], k, video)
+                best = max(proposed, key=_agreement)
+                if best is not None and _agreement(best) > _agreement(proposed[0]) + _GAIN:
+                    poses[k] = best
+
+    def _follow(self, near: FramePose, before: GradientImage, after: GradientImage) -> FramePose | None:
+        """Return the pose of a frame by the surface of the arm, followed from a neighbouring frame."""
+        start = self._chain_of(near)
+        points = follow_surface(self._edges.caster, start.place().X_CP[0], before, after)
+        moved = None if points is None else self._chain.refit(start, points)
+        if points is None or moved is None:
             return None
-        arm = fitter.fit_links(chain.model.X_CH[0], chain.model.q[0], cells, image)
-        if arm is not None:
-            distance, angle = pose_difference(arm.X_CH, chain.model.X_CH[0])
-            if arm.agrees and distance <= _SAME_M and angle <= _SAME_RAD:
-                return _frame_pose(arm, chain, close)
-        chain = self._sharpen(chain, cells, image)
-        return _frame_pose(self._free_arm(chain, image), chain, close)
+        chain = self._sharpen(moved.model, points, after, _FOLLOWED_REACHES_PX)
+        return None if chain is None else self._pose(chain, after, near.view)
+
+    def _detect_near(self, near: FramePose, number: int, video: _Video) -> list[FramePose]:
+        """Return the pose of a frame by its cells, from crop and posture of a neighbouring frame; or nothing."""
+        image, poses = video.images[number], []
+        for _, view in self._estimator.estimate(video.frames, video.camera, {number: _crop_at(near.X_CH)}):
+            cells = _link_cells(view, video.wide[number])
+            start = self._chain.refit(self._chain_of(near), cells)
+            chain = None if start is None else self._sharpen(start.model, cells, image, _REACHES_PX)
+            if chain is not None:
+                poses.append(self._pose(chain, image, view))
+        return poses
+
+    def _turn(self, poses: dict[int, FramePose], video: _Video) -> None:
+        """Turn the last joint as contours and cells of the last link are likeliest along the whole video."""
+        crops = {i: _crop_at(pose.X_CH) for i, pose in poses.items()}
+        views = dict(self._estimator.estimate(video.frames, video.camera, crops))
+        log_likelihood = np.zeros((len(video.images), len(TURNS_RAD)))
+        for i, view in views.items():
+            turned = self._chain.turned(self._chain_of(poses[i]), TURNS_RAD).place().X_CP
+            shares = [self._edges.agreement(video.images[i], X, _FLANGE) + self._overlap(view, X) for X in turned]
+            log_likelihood[i] = _TURN_WEIGHT * _agreement(poses[i]) * np.array(shares)
+        turns, sigma = likeliest_turns(log_likelihood)
+        for i, view in views.items():
+            start = self._chain.turned(self._chain_of(poses[i]), turns[i : i + 1], _TURN_SIGMA_RAD)
+            chain = self._sharpen(start, _link_cells(view, video.wide[i]), video.images[i], _REACHES_PX[-2:])
+            if chain is not None:
+                pose = self._pose(chain, video.images[i], view)
+                poses[i] = _with_turn_sigma(self._on_base(pose, i, video) or pose, sigma[i])
+
+    def _overlap(self, view: GripperView, X_CP: Array) -> float:
+        """Return the intersection over union of the last link in a view and with parts at `X_CP` (PARTS, 4, 4)."""
+        X_VC = make_pose(view.crop.R_CV.T, np.zeros(3))
+        _, part = self._edges.caster.first_hits(X_VC @ X_CP, view.rays().reshape(-1, 3))
+        posed, seen = part.reshape(view.part.shape) == RobotPart.LINK7, view.part == RobotPart.LINK7
+        return float((posed & seen).sum() / max(1, (posed | seen).sum()))
+
+    def _on_base(self, pose: FramePose, number: int, video: _Video) -> FramePose | None:
+        """Return a pose that the base of the camera confirms, with the arm on it; None if it does not."""
+        links = _link_cells(pose.view, video.wide[number])
+        image = video.images[number]
+        arm = video.fitter.at([number]).fit_links(pose.X_CH, _TURN_SIGMA_RAD, links, image)
+        if arm is None or arm.edge_agreement < max(_ON_BASE, _agreement(pose) - _BASE_LOSS):
+            return None
+        distance, angle = pose_difference(arm.X_CH, pose.X_CH)
+        if distance > _SAME_M or angle > _SAME_RAD:
+            return None
+        return replace(pose, X_CH=arm.X_CH, arm=arm, overlap=arm.edge_agreement)
+
+    def _chain_of(self, pose: FramePose) -> ChainModel:
+        """Return the chain of a pose."""
+        if pose.arm is None:
+            raise ValueError("a pose of the flange has a posture")
+        return self._chain.at(pose.X_CH, pose.arm.q)
 
     def _sharpen(
-        self, chain: Solution[ChainModel], cells: Correspondences, image: GradientImage
-    ) -> Solution[ChainModel]:
-        """Fit the chain to cells and edges together."""
-        for reach_px in _REACHES_PX:
-            edges = self._edges.match(image, chain.model.place().X_CP[0], reach_px, _LINKS, _POINTS)
+        self, start: ChainModel, points: Correspondences, image: GradientImage, reaches_px: Sequence[float]
+    ) -> Solution[ChainModel] | None:
+        """Fit a chain to points of the links and to edges together; None if it diverges or no edges are near."""
+        chain = None
+        for reach_px in reaches_px:
+            model = start if chain is None else chain.model
+            edges = self._edges.match(image, model.place().X_CP[0], reach_px, _LINKS, _POINTS)
             if edges is None:
                 break
-            joined = Correspondences.join([cells, edges])
-            chain = self._chain.refit(chain.model, joined, chain.log_depth_factor) or chain
+            depth = None if chain is None else chain.log_depth_factor
+            chain = self._chain.refit(model, Correspondences.join([points, edges]), depth) or chain
         return chain
 
-    def _free_arm(self, chain: Solution[ChainModel], image: GradientImage) -> ArmFit:
-        """Return the fit of a chain whose base is not that of the camera."""
-        return ArmFit(
+    def _pose(self, chain: Solution[ChainModel], image: GradientImage, view: GripperView) -> FramePose:
+        """Return the pose of a frame; in place of a hand it has the last link and the residual of the chain."""
+        flange = view.part == RobotPart.LINK7
+        X_CP, unknown = _without_upper_arm(chain.model.place().X_CP[0]), float("nan")
+        arm = ArmFit(
             q=chain.model.q[0],
             X_CH=chain.model.X_CH[0],
-            finger_m=float("nan"),
-            finger_sigma_m=float("nan"),
+            finger_m=unknown,
+            finger_sigma_m=unknown,
             agrees=False,
-            consistency_px=float("nan"),
-            scale=float("nan"),
+            consistency_px=unknown,
+            scale=unknown,
             evidence=0.0,
             covariance=np.asarray(np.linalg.inv(chain.information[0] + 1e-6 * np.eye(UNKNOWNS))[:6, :6]),
-            edge_agreement=self._edges.agreement(image, chain.model.place().X_CP[0], LAST_LINKS),
+            edge_agreement=self._edges.agreement(image, X_CP, LAST_LINKS),
+            hand_agreement=self._edges.agreement(image, X_CP, _FLANGE),
+        )
+        hand = HandFit(
+            X_CH=arm.X_CH,
+            finger_m=unknown,
+            finger_free=False,
+            finger_sigma_m=unknown,
+            depth_factor=float(np.exp(chain.log_depth_factor[0])),
+            residual=chain.growth(0),
+            points=int(flange.sum()),
+            sigma_m=float(np.median(view.coordinates_sigma_m[flange])) if flange.any() else _UNSEEN_SIGMA_M,
+            covariance=arm.covariance,
+        )
+        return FramePose(
+            X_CH=arm.X_CH,
+            finger_m=unknown,
+            finger_sigma_m=unknown,
+            hand=hand,
+            hand_without_silhouette=hand,
+            arm=arm,
+            view=view,
+            overlap=arm.edge_agreement,
         )
 
 
 def _agreement(pose: FramePose | None) -> float:
     return 0.0 if pose is None or pose.arm is None else pose.arm.edge_agreement
+
+
+def _without_upper_arm(X_CP: Array) -> Array:
+    """Return poses (..., PARTS, 4, 4) with all links before the last ones behind the camera.
+
+    Without a base their postures are hardly known, and one that hides a bad contour must not look better.
+    """
+    X_CP = X_CP.copy()
+    X_CP[..., ARM[: -len(LAST_LINKS)], :3, 3] = [0.0, 0.0, -_BEHIND_M]
+    return X_CP
+
+
+def _with_turn_sigma(pose: FramePose, sigma_rad: float) -> FramePose:
+    """Return a pose whose covariance includes a standard deviation of its turn about the flange's axis."""
+    if pose.arm is None:
+        return pose
+    covariance, axis = pose.arm.covariance.copy(), pose.X_CH[:3, 2]
+    covariance[:3, :3] += sigma_rad**2 * np.outer(axis, axis)
+    hand = replace(pose.hand, covariance=covariance)
+    arm = replace(pose.arm, covariance=covariance)
+    return replace(pose, arm=arm, hand=hand, hand_without_silhouette=hand)
 
 
 def _link_cells(close: GripperView, wide: GripperView) -> Correspondences:
@@ -158,29 +288,3 @@ def _crop_at(X_CH: Array) -> Crop:
     """Return the crop of the last links behind a hand at `X_CH` (4, 4)."""
     centre = X_CH[:3, :3] @ WRIST_CENTRE_H + X_CH[:3, 3]
     return Crop.towards(centre, WRIST_RADIUS_M / float(np.linalg.norm(centre)), CLOSE_SIZE)
-
-
-def _frame_pose(arm: ArmFit, chain: Solution[ChainModel], close: GripperView) -> FramePose:
-    """Return the pose of a frame; in place of a hand it has the last link and the residual of the free chain."""
-    flange = close.part == RobotPart.LINK7
-    hand = HandFit(
-        X_CH=chain.model.X_CH[0],
-        finger_m=float("nan"),
-        finger_free=False,
-        finger_sigma_m=float("nan"),
-        depth_factor=float(np.exp(chain.log_depth_factor[0])),
-        residual=chain.growth(0),
-        points=int(flange.sum()),
-        sigma_m=float(np.median(close.coordinates_sigma_m[flange])) if flange.any() else _UNSEEN_SIGMA_M,
-        covariance=arm.covariance,
-    )
-    return FramePose(
-        X_CH=arm.X_CH,
-        finger_m=float("nan"),
-        finger_sigma_m=float("nan"),
-        hand=hand,
-        hand_without_silhouette=hand,
-        arm=arm,
-        view=close,
-        overlap=arm.edge_agreement,
-    )

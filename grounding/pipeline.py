@@ -207,7 +207,9 @@ class GroundingPipeline:
     def _frame_confidence(self, pose: FramePose | None, domain: Domain) -> float:
         if pose is None:
             return 0.0
-        return 1.0 if pose.from_prior else float(self._confidence[domain].frame.probability(frame_features(pose)))
+        return (
+            1.0 if pose.from_prior else float(self._confidence[domain].frame.probability(frame_features(pose, domain)))
+        )
 
     def observe(self, frames: Frames, camera: Camera, t_s: Array, priors: Priors = NO_PRIORS) -> Observation:
         """Measure each frame, without confidence and smoothing along the video.

@@ -13,7 +13,7 @@ import numpy as np
 
 from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array, invert, make_pose, pose_difference
-from kinebench_drake.grounding.registration.arm_model import OVER_LIMIT_RAD, ArmHandModel, ArmModel
+from kinebench_drake.grounding.registration.arm_model import OVER_LIMIT_RAD, POSTURE_SIGMA_RAD, ArmHandModel, ArmModel
 from kinebench_drake.grounding.registration.correspondences import Correspondences
 from kinebench_drake.grounding.registration.edges import FLANGE, RIGID, ROBOT, EdgeMatcher, GradientImage
 from kinebench_drake.grounding.registration.fit import (
@@ -31,6 +31,7 @@ from kinebench_drake.grounding.view import GripperView
 from kinebench_drake.kinematics.analytic import analytic_ik
 from kinebench_drake.models.panda.cad import open_fingers
 from kinebench_drake.models.panda.robot import ARM, RobotPart
+from kinebench_drake.models.robot import N_JOINTS
 
 _LAST_ANGLES = np.linspace(-np.pi, np.pi, 32, endpoint=False)
 _MAX_CELLS, _SCORED_CELLS = 300, 48
@@ -60,9 +61,7 @@ _MAX_GROWTH, _MAX_GROWTH_SIGMAS = 1.4, 0.3  # largest increase of the hand's res
 
 LINKS_DEPTH_SIGMA = 0.1
 """Relative standard deviation of the depth factor where only links are measured: looks are often unfamiliar."""
-LINK_REACHES_PX = (5.0, 3.0)
-"""Farthest edges of links in successive passes [px]."""
-LAST_LINKS = (RobotPart.LINK6, RobotPart.LINK7)
+LAST_LINKS = (RobotPart.LINK5, RobotPart.LINK6, RobotPart.LINK7)
 """Links whose contours say whether the flange is right; those before them may be wrong, or hidden."""
 
 
@@ -91,7 +90,7 @@ class ArmFit:
     edge_agreement: float = float("nan")
     """Share of the contour of hand and wrist that lies on edges of the image; NaN if not measured."""
     hand_agreement: float = float("nan")
-    """The same of the contour of the hand alone."""
+    """The same of the contour of the hand alone, or of the last link where no hand is measured."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -209,38 +208,40 @@ class ArmFitter:
         fitted = self._arm_fits(solution, *arm.hand(), [links], [hand])[0]
         return None if fitted is None else replace(fitted, evidence=evidence)
 
-    def fit_links(self, X_CH: Array, q: Array, links: Correspondences, image: GradientImage) -> ArmFit | None:
-        """Fit the arm to cells and edges of its links alone; None if that diverges.
+    def fit_links(
+        self, X_CH: Array, turn_sigma_rad: float, links: Correspondences, image: GradientImage
+    ) -> ArmFit | None:
+        """Fit the arm to cells and edges of its links alone; None if the base is out of reach or no edges are near.
 
         The hand still hides what is behind it: other grippers are as large.
 
         Args:
-            X_CH: (4, 4) initial pose of panda_hand [m].
-            q: (7,) joint angles near it [rad]; those that no link shows are arbitrary.
-            links: cells of the links.
+            X_CH: (4, 4) pose of panda_hand, right within some pixels [m].
+            turn_sigma_rad: standard deviation of its turn about the flange's axis [rad].
+            links: cells of the links, which also tell postures with this pose apart.
             image: gradients of the frame.
         """
-        if len(links) < _MIN_CELLS:
+        initial = self._initial_posture(X_CH, links, self._X_CB[0]) if len(links) >= _MIN_CELLS else None
+        if initial is None:
             return None
-        initial = self._initial_posture(X_CH, links, self._X_CB[0])
-        start, sigma = self._links_at(np.stack([q] if initial is None else [q, initial[0]])), [LINKS_DEPTH_SIGMA]
-        solutions = solve(start, Correspondences.stack([links] * len(start.q)), sigma * len(start.q), iterations=12)
-        if not solutions.valid.any():
-            return None
-        cost = np.minimum((solutions.residual[:, :2] ** 2).sum(axis=1), _COST_CAP).mean(axis=1)
-        solution = solutions.take(np.array([np.where(solutions.valid, cost, np.inf).argmin()]))
-        for reach_px in LINK_REACHES_PX:
-            edges = self._edges.match(image, self._poses(solution.model)[0], reach_px, ARM, _SHARPENING_POINTS)
+        q_sigma = np.array([*[POSTURE_SIGMA_RAD] * (N_JOINTS - 1), turn_sigma_rad])
+        arm = replace(self._links_at(initial[0][None]), q_sigma=q_sigma)
+        fit = None
+        for reach_px in _FOLLOWED_REACHES_PX:
+            edges = self._edges.match(image, self._poses(arm)[0], reach_px, ARM, _SHARPENING_POINTS)
             if edges is None:
-                break
-            joined = Correspondences.stack([Correspondences.join([links, edges])])
-            sharper = solve(self._links_at(solution.model.q), joined, sigma, solution.log_depth_factor)
-            if not sharper.valid[0]:
-                break
-            solution = sharper
-        arm = self._arm_fits(solution, *solution.model.hand(), [links], [None])[0]
-        agreement = self._edges.agreement(image, self._poses(solution.model)[0], LAST_LINKS)
-        return None if arm is None else replace(arm, edge_agreement=agreement)
+                return None
+            solution = solve(arm, Correspondences.stack([Correspondences.join([links, edges])]), [LINKS_DEPTH_SIGMA])
+            arm, fit = solution.model, self._arm_fits(solution, *solution.model.hand(), [links], [None])[0]
+        if fit is None:
+            return None
+        X_CP = self._poses(arm)[0]
+        return replace(
+            fit,
+            agrees=True,
+            edge_agreement=self._edges.agreement(image, X_CP, LAST_LINKS),
+            hand_agreement=self._edges.agreement(image, X_CP, (RobotPart.LINK7,)),
+        )
 
     def _links_at(self, q: Array) -> ArmHandModel:
         """Return postures (B, 7) of one frame with fixed fingers."""

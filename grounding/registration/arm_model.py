@@ -1,6 +1,6 @@
 """Model of the arm for fitting: poses of its parts at a posture, and their derivatives by the joint angles."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Self
 
 import numpy as np
@@ -11,10 +11,12 @@ from kinebench_drake.grounding.registration.fit import clip_finger, finger_infor
 from kinebench_drake.grounding.registration.solver import Placement
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.models.panda.robot import ARM_LINKS, GRIPPER, HAND_LINK, LINK_OF, RobotPart
+from kinebench_drake.models.robot import N_JOINTS
 
 OVER_LIMIT_RAD = 0.1
 """Tolerance of the joint limits: the pose that a posture is computed from is not exact yet."""
-_POSTURE_SIGMA_RAD = 0.7  # prior standard deviation of the joint angles about the initial posture
+POSTURE_SIGMA_RAD = 0.7
+"""Prior standard deviation of the joint angles about the initial posture [rad]."""
 
 
 class ArmModel:
@@ -69,6 +71,8 @@ class ArmHandModel:
     """(B,) travel of each finger [m]."""
     finger_free: NDArray[np.bool_]
     """(B,) whether the travel is estimated."""
+    q_sigma: Array = field(default_factory=lambda: np.full(N_JOINTS, POSTURE_SIGMA_RAD))
+    """(7,) standard deviations of the prior of the joint angles [rad]."""
 
     def place(self) -> Placement:
         """Return the poses of the parts, each moved by the joints between it and the base."""
@@ -84,10 +88,10 @@ class ArmHandModel:
 
     def prior(self) -> tuple[Array, Array]:
         """Return the information (B, 8, 8) that keeps unobserved joints near `q_start`, and its gradient (B, 8)."""
-        information = np.tile(np.eye(8) / _POSTURE_SIGMA_RAD**2, (len(self.q), 1, 1))
+        information = np.tile(np.diag([*self.q_sigma**-2, 1.0]), (len(self.q), 1, 1))
         information[:, 7, 7] = finger_information(self.finger_free)
         gradient = np.zeros((len(self.q), 8))
-        gradient[:, :7] = (self.q - self.q_start) / _POSTURE_SIGMA_RAD**2
+        gradient[:, :7] = (self.q - self.q_start) / self.q_sigma**2
         return information, gradient
 
     def updated(self, step: Array) -> Self:

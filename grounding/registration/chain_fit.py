@@ -5,7 +5,7 @@ after the other. Then the pose of the hand's frame, which is fixed to the flange
 cells of the links together, the angles with a prior: links that are not seen are left where they usually are.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Self
 
 import numpy as np
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from kinebench_drake.geometry import Array, cross, invert, make_pose, rotation_exp
 from kinebench_drake.grounding.registration.arm_fit import LINKS_DEPTH_SIGMA
-from kinebench_drake.grounding.registration.arm_model import OVER_LIMIT_RAD, ArmModel
+from kinebench_drake.grounding.registration.arm_model import OVER_LIMIT_RAD, POSTURE_SIGMA_RAD, ArmModel
 from kinebench_drake.grounding.registration.correspondences import Correspondences
 from kinebench_drake.grounding.registration.fit import align, pose_twist
 from kinebench_drake.grounding.registration.solver import Placement, Solution, solve
@@ -27,7 +27,6 @@ _ANGLES = 72
 _LEAST_CELLS, _COMPARED = 8, 60  # cells of a link that determine a joint, and greatest number of them compared
 _CAP = 25.0  # of a cell's squared residual
 _USUAL_Q = np.array([0.0, 0.3, 0.0, -2.0, 0.0, 2.3, 0.8])
-_POSTURE_SIGMA_RAD = 0.7
 UNKNOWNS = 6 + N_JOINTS
 """Number of parameters of a `ChainModel`."""
 _ALIGN_PASSES = 6
@@ -44,6 +43,8 @@ class ChainModel:
     """(B, 7) joint angles [rad]."""
     q_start: Array
     """(B, 7) mean of their prior [rad]."""
+    q_sigma: Array = field(default_factory=lambda: np.full(N_JOINTS, POSTURE_SIGMA_RAD))
+    """(7,) standard deviations of their prior [rad]."""
 
     def place(self) -> Placement:
         """Return the poses of the parts; a joint turns what is behind it against the hand."""
@@ -61,9 +62,9 @@ class ChainModel:
 
     def prior(self) -> tuple[Array, Array]:
         """Return the information (B, 13, 13) that keeps unobserved joints near `q_start`, and its gradient (B, 13)."""
-        information = np.diag([*[0.0] * 6, *[1.0 / _POSTURE_SIGMA_RAD**2] * N_JOINTS])
+        information = np.diag([*[0.0] * 6, *self.q_sigma**-2])
         gradient = np.zeros((len(self.q), 6 + N_JOINTS))
-        gradient[:, 6:] = (self.q - self.q_start) / _POSTURE_SIGMA_RAD**2
+        gradient[:, 6:] = (self.q - self.q_start) / self.q_sigma**2
         return np.tile(information, (len(self.q), 1, 1)), gradient
 
     def updated(self, step: Array) -> Self:
@@ -108,6 +109,21 @@ class ChainFitter:
                 square = np.minimum((solution.residual[:, :2] ** 2).sum(axis=1), _CAP)
                 solutions.append((float(square.mean()), solution))
         return min(solutions, key=lambda pair: pair[0])[1] if solutions else None
+
+    def turned(self, chain: ChainModel, angle_rad: Array, sigma_rad: float = POSTURE_SIGMA_RAD) -> ChainModel:
+        """Return a chain with its last joint at each of some angles (M,), the other links where they are.
+
+        Args:
+            chain: a single chain.
+            angle_rad: (M,) angles of the last joint [rad].
+            sigma_rad: standard deviation of their prior [rad].
+        """
+        q = np.repeat(chain.q, len(angle_rad), axis=0)
+        q[:, -1] = angle_rad
+        before, after = (self._model.poses(posture) for posture in (chain.q, q))
+        X_6H, X_6T = (invert(X[:, RobotPart.LINK6]) @ X[:, RobotPart.HAND] for X in (before, after))
+        q_sigma = np.array([*chain.q_sigma[:-1], sigma_rad])
+        return replace(chain, X_CH=chain.X_CH @ invert(X_6H) @ X_6T, q=q, q_start=q, q_sigma=q_sigma)
 
     @staticmethod
     def refit(

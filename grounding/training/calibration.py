@@ -74,7 +74,7 @@ class MeasuredPoses:
 
     domain: Domain
     features: Array
-    """(T, 11) FRAME_FEATURES."""
+    """(T, n) FRAME_FEATURES of the domain."""
     X_AH: Array
     """(T, 4, 4) poses in the camera frame of the first frame [m]."""
     covariance: Array
@@ -86,23 +86,26 @@ class MeasuredPoses:
     def from_observation(cls, observation: Observation, X_true: Array) -> "MeasuredPoses":
         """Collect what the confidence is fitted to."""
         poses, n = observation.poses, len(X_true)
-        features, X_AH = np.full((n, len(FRAME_FEATURES)), np.nan), np.full((n, 4, 4), np.nan)
+        domain = observation.domain
+        features, X_AH = np.full((n, len(FRAME_FEATURES[domain])), np.nan), np.full((n, 4, 4), np.nan)
         covariance = np.zeros((n, 6, 6))
         for i, pose in enumerate(poses):
             if pose is not None and not observation.evidence.motion.lost[i]:
-                features[i], X_AH[i], covariance[i] = frame_features(pose), pose.X_CH, pose.covariance
-        return cls(domain=observation.domain, features=features, X_AH=X_AH, covariance=covariance, X_true=X_true)
+                features[i], X_AH[i], covariance[i] = frame_features(pose, domain), pose.X_CH, pose.covariance
+        return cls(domain=domain, features=features, X_AH=X_AH, covariance=covariance, X_true=X_true)
 
     def to_json(self) -> dict[str, Any]:
         """Return the JSON object."""
-        arrays = {name: getattr(self, name) for name in _ARRAYS}
+        arrays = {name: getattr(self, name) for name in ("features", *_ARRAYS)}
         return {"domain": self.domain.value, **{name: _to_lists(array) for name, array in arrays.items()}}
 
     @classmethod
     def from_json(cls, data: dict[str, Any], /) -> "MeasuredPoses":
         """Read the object that `to_json` returns."""
-        arrays = {name: np.array(data[name], dtype=np.float64).reshape(-1, *shape) for name, shape in _ARRAYS.items()}
-        return cls(domain=Domain(data["domain"]), **arrays)
+        domain = Domain(data["domain"])
+        shapes = {**_ARRAYS, "features": (len(FRAME_FEATURES[domain]),)}
+        arrays = {name: np.array(data[name], dtype=np.float64).reshape(-1, *shape) for name, shape in shapes.items()}
+        return cls(domain=domain, **arrays)
 
     @property
     def detected(self) -> NDArray[np.bool_]:
@@ -127,7 +130,6 @@ class MeasuredPoses:
 
 
 _ARRAYS: Mapping[str, tuple[int, ...]] = {
-    "features": (len(FRAME_FEATURES),),
     "X_AH": (4, 4),
     "covariance": (6, 6),
     "X_true": (4, 4),

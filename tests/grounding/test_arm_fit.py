@@ -220,13 +220,23 @@ def test_the_last_links_give_the_flange_without_gripper_and_base(model: ArmModel
     assert ChainFitter(model).fit(hidden.take(hidden.part != RobotPart.LINK7)) is None
 
 
+def test_a_turned_last_joint_leaves_the_other_links_where_they_are(model: ArmModel) -> None:
+    q, fitter = posture(1), ChainFitter(model)
+    X_BP = model.poses(q[None])[0]
+    chain = fitter.at(X_BP[RobotPart.HAND], q)
+    angles = np.array([q[6], q[6] + 0.5, -1.0])
+    X_CP = fitter.turned(chain, angles).place().X_CP
+    for angle, X in zip(angles, X_CP, strict=True):
+        np.testing.assert_allclose(X, model.poses(np.array([[*q[:6], angle]]))[0], atol=1e-12)
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_the_base_and_edges_of_the_links_sharpen_the_flange(model: ArmModel, seed: int) -> None:
     q = posture(seed)
     X_CH, close, wide = views(model, q, seed)
     start = X_CH @ make_pose(rotation_exp([0.03, 0.0, 0.05]), [0.01, 0.0, 0.01])
     image = GradientImage(drawn(model, q), CAMERA)
-    arm = ArmFitter(CAMERA, model, EdgeMatcher()).fit_links(start, q + 0.05, link_cells(close, wide), image)
+    arm = ArmFitter(CAMERA, model, EdgeMatcher()).fit_links(start, 0.1, link_cells(close, wide), image)
     assert arm is not None
     assert arm.agrees
     distance, angle = pose_difference(arm.X_CH, X_CH)

@@ -60,13 +60,15 @@ def test_frames_without_neighbours_have_their_own_feature_and_no_distance() -> N
 
 def test_save_and_load(tmp_path: Path) -> None:
     path = tmp_path / "confidence.json"
-    frame = LogisticRegression(intercept=0.5, weights=np.arange(float(len(FRAME_FEATURES))))
+    frame, other, arm = (
+        LogisticRegression(intercept=0.5 + i, weights=(i - 1) * np.arange(float(len(FRAME_FEATURES[domain]))))
+        for i, domain in enumerate(Domain)
+    )
     track = LogisticRegression(intercept=-1.5, weights=np.arange(float(len(TRACK_FEATURES))))
-    other = LogisticRegression(intercept=2.0, weights=-frame.weights)
     saved = {
         Domain.FAMILIAR: Confidence(frame=frame, track=track),
         Domain.UNFAMILIAR: Confidence(frame=other, track=track),
-        Domain.ARM: Confidence(frame=frame, track=track),
+        Domain.ARM: Confidence(frame=arm, track=track),
     }
     save_confidence(saved, path)
     loaded = load_confidence(path)

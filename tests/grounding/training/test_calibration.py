@@ -59,7 +59,7 @@ def drawn_video(rng: np.random.Generator, frames: int = 30) -> MeasuredPoses:
     t = np.arange(frames, dtype=np.float64)[:, None]
     p = np.array([0.0, 0.0, 1.0]) + 0.01 * t * rng.normal(size=3)
     X_true = np.stack([make_pose(np.eye(3), row) for row in p])
-    features = rng.normal(size=(frames, len(FRAME_FEATURES)))
+    features = rng.normal(size=(frames, len(FRAME_FEATURES[Domain.UNFAMILIAR])))
     X_AH = X_true.copy()
     X_AH[features[:, 0] < -0.5, :3, 3] += rng.uniform(0.02, 0.05, 3)
     features[:, 0] *= 4.0
