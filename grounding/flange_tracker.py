@@ -168,8 +168,8 @@ class FlangeTracker:
         """Return the intersection over union of the last link in a view and with parts at `X_CP` (PARTS, 4, 4)."""
         X_VC = make_pose(view.crop.R_CV.T, np.zeros(3))
         _, part = self._edges.caster.first_hits(X_VC @ X_CP, view.rays().reshape(-1, 3))
-        posed, seen = part.reshape(view.part.shape) == RobotPart.LINK7, view.part == RobotPart.LINK7
-        return float((posed & seen).sum() / max(1, (posed | seen).sum()))
+        posed, shown = (p == RobotPart.LINK7 for p in (part.reshape(view.part.shape), view.part))
+        return float((posed & shown).sum() / max(1, (posed | shown).sum()))
 
     def _on_base(self, pose: FramePose, number: int, video: _Video) -> FramePose | None:
         """Return a pose that the base of the camera confirms, with the arm on it; None if it does not."""
