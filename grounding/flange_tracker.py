@@ -16,7 +16,7 @@ from kinebench_drake.geometry import Array, make_pose, pose_difference
 from kinebench_drake.grounding.crop import CLOSE_SIZE, WRIST_CENTRE_H, WRIST_RADIUS_M, Crop
 from kinebench_drake.grounding.localization import find_region
 from kinebench_drake.grounding.pose import FramePose
-from kinebench_drake.grounding.registration.arm_fit import LAST_LINKS, ArmFit, ArmFitter
+from kinebench_drake.grounding.registration.arm_fit import FOLLOWED_REACHES_PX, LAST_LINKS, ArmFit, ArmFitter
 from kinebench_drake.grounding.registration.arm_model import ArmModel
 from kinebench_drake.grounding.registration.chain_fit import UNKNOWNS, ChainFitter, ChainModel
 from kinebench_drake.grounding.registration.correspondences import Correspondences
@@ -39,10 +39,9 @@ _LINKS = ARM[-4:]  # links whose edges are matched
 _FLANGE = (RobotPart.LINK7,)
 _POINTS = 300
 _REACHES_PX = (8.0, 5.0, 3.0, 2.0)  # farthest edges of the last links in successive passes
-_FOLLOWED_REACHES_PX = (6.0, 4.0, 3.0, 2.0)  # likewise from a posture that followed the surface
 _GAIN = 0.05  # least lead of a neighbour's agreement with edges that makes its posture the better one
 _LOST = 0.8  # of the agreement of a frame, below which the arm was not followed from it
-_TURN_WEIGHT = 15.0  # log-likelihood of a last link whose contours and cells agree entirely
+_TURN_WEIGHT = 15.0  # log-likelihood of a last link per share of its contours on edges, and of its cells in place
 _TURN_SIGMA_RAD = np.deg2rad(6.0)  # of the likeliest turns, which lie on a grid
 _SAME_M, _SAME_RAD = 0.06, np.deg2rad(20.0)  # from the chain with a free base to the arm on the base
 _ON_BASE, _BASE_LOSS = 0.4, 0.1  # least agreement of an arm on the base, and its largest loss by the base
@@ -121,7 +120,7 @@ class FlangeTracker:
             for k in {i - 1, i + 1} & waiting:
                 proposed = [poses.get(k), self._follow(poses[i], video.images[i], video.images[k])]
                 if _agreement(proposed[1]) < _LOST * _agreement(poses[i]):
-                    proposed += self._detect_near(poses[i], k, video)
+                    proposed.append(self._detect_near(poses[i], k, video))
                 best = max(proposed, key=_agreement)
                 if best is not None and _agreement(best) > _agreement(proposed[0]) + _GAIN:
                     poses[k] = best
@@ -133,19 +132,17 @@ class FlangeTracker:
         moved = None if points is None else self._chain.refit(start, points)
         if points is None or moved is None:
             return None
-        chain = self._sharpen(moved.model, points, after, _FOLLOWED_REACHES_PX)
+        chain = self._sharpen(moved.model, points, after, FOLLOWED_REACHES_PX)
         return None if chain is None else self._pose(chain, after, near.view)
 
-    def _detect_near(self, near: FramePose, number: int, video: _Video) -> list[FramePose]:
-        """Return the pose of a frame by its cells, from crop and posture of a neighbouring frame; or nothing."""
-        image, poses = video.images[number], []
-        for _, view in self._estimator.estimate(video.frames, video.camera, {number: _crop_at(near.X_CH)}):
-            cells = _link_cells(view, video.wide[number])
-            start = self._chain.refit(self._chain_of(near), cells)
-            chain = None if start is None else self._sharpen(start.model, cells, image, _REACHES_PX)
-            if chain is not None:
-                poses.append(self._pose(chain, image, view))
-        return poses
+    def _detect_near(self, near: FramePose, number: int, video: _Video) -> FramePose | None:
+        """Return the pose of a frame by its cells, from crop and posture of a neighbouring frame."""
+        crop = {number: _crop_at(near.X_CH)}
+        ((_, view),) = self._estimator.estimate(video.frames, video.camera, crop)
+        cells, image = _link_cells(view, video.wide[number]), video.images[number]
+        start = self._chain.refit(self._chain_of(near), cells)
+        chain = None if start is None else self._sharpen(start.model, cells, image, _REACHES_PX)
+        return None if chain is None else self._pose(chain, image, view)
 
     def _turn(self, poses: dict[int, FramePose], video: _Video) -> None:
         """Turn the last joint as contours and cells of the last link are likeliest along the whole video."""

@@ -28,7 +28,7 @@ class FramePose:
     view: GripperView
     """View of the crop around the gripper."""
     overlap: float
-    """Intersection over union of the segmented and the rendered gripper."""
+    """Intersection over union of the segmented and the rendered gripper; of the arm alone `ArmFit.edge_agreement`."""
     from_prior: bool = False
     """True if the pose was taken from priors."""
     icp: FusedPose | None = None

@@ -46,7 +46,6 @@ _NO_RANGE_SIGMA = 1e3  # relative standard deviation of an ignored range
 _LINKS_ONLY_WEIGHT = 0.03  # weight of the hand's cells where the links alone determine its distance
 _NEIGHBOUR_GATES = (8.0, 5.0, 3.0)  # farthest silhouette pairs in successive passes [cells]
 _EDGE_REACHES_PX = (10.0, 6.0, 4.0, 3.0, 2.0)  # farthest image edges in successive passes
-_FOLLOWED_REACHES_PX = (6.0, 4.0, 3.0, 2.0)  # likewise from a posture that followed the surface
 _CELLS_REACH_PX = 6.0  # from which on the cells count in a pass, too
 _SHARPENING_PX, _SHARPENING_POINTS = 4.0, 300  # farthest image edges of a posture that is nearly right
 _SHARPENING_M = 0.02  # largest change of such a pose
@@ -61,6 +60,8 @@ _MAX_GROWTH, _MAX_GROWTH_SIGMAS = 1.4, 0.3  # largest increase of the hand's res
 
 LINKS_DEPTH_SIGMA = 0.1
 """Relative standard deviation of the depth factor where only links are measured: looks are often unfamiliar."""
+FOLLOWED_REACHES_PX = (6.0, 4.0, 3.0, 2.0)
+"""Farthest image edges in successive passes from a posture that followed the surface [px]."""
 LAST_LINKS = (RobotPart.LINK5, RobotPart.LINK6, RobotPart.LINK7)
 """Links whose contours say whether the flange is right; those before them may be wrong, or hidden."""
 
@@ -227,11 +228,13 @@ class ArmFitter:
         q_sigma = np.array([*[POSTURE_SIGMA_RAD] * (N_JOINTS - 1), turn_sigma_rad])
         arm = replace(self._links_at(initial[0][None]), q_sigma=q_sigma)
         fit = None
-        for reach_px in _FOLLOWED_REACHES_PX:
+        for reach_px in FOLLOWED_REACHES_PX:
             edges = self._edges.match(image, self._poses(arm)[0], reach_px, ARM, _SHARPENING_POINTS)
             if edges is None:
                 return None
             solution = solve(arm, Correspondences.stack([Correspondences.join([links, edges])]), [LINKS_DEPTH_SIGMA])
+            if not solution.valid[0]:
+                return None
             arm, fit = solution.model, self._arm_fits(solution, *solution.model.hand(), [links], [None])[0]
         if fit is None:
             return None
@@ -336,7 +339,7 @@ class ArmFitter:
                 arm, log_depth_factor = solution.model, solution.log_depth_factor
             return solution
 
-        reaches_px = _EDGE_REACHES_PX if followed is None else _FOLLOWED_REACHES_PX
+        reaches_px = _EDGE_REACHES_PX if followed is None else FOLLOWED_REACHES_PX
         solution = fit(self._start(q[None], [hand.finger_m], [hand], self._X_CB), reaches_px)
         if solution is None:
             return None

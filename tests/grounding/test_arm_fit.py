@@ -1,5 +1,6 @@
 """Fits of the arm, on views rendered from the CAD models of all its parts."""
 
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -7,9 +8,10 @@ import pytest
 import trimesh
 from numpy.typing import NDArray
 
-from kinebench_drake.camera import benchmark_camera
+from kinebench_drake.camera import Camera, benchmark_camera
 from kinebench_drake.geometry import Array, invert, make_pose, pose_difference, rotation_exp, transform_points
 from kinebench_drake.grounding.crop import CLOSE_SIZE, Crop
+from kinebench_drake.grounding.flange_tracker import FlangeTracker
 from kinebench_drake.grounding.registration.arm_fit import ArmFit, ArmFitter
 from kinebench_drake.grounding.registration.arm_model import ArmModel
 from kinebench_drake.grounding.registration.chain_fit import ChainFitter
@@ -242,6 +244,40 @@ def test_the_base_and_edges_of_the_links_sharpen_the_flange(model: ArmModel, see
     distance, angle = pose_difference(arm.X_CH, X_CH)
     assert distance < 0.005
     assert np.rad2deg(angle) < 1.0
+
+
+class PartialEstimator:
+    """Views of a video whose network sees the robot in some frames alone."""
+
+    def __init__(self, model: ArmModel, q: Array, blind: set[int]) -> None:
+        self._model, self._q, self._blind = model, q, blind
+
+    def estimate(
+        self, frames: NDArray[np.uint8], camera: Camera, crops: Mapping[int, Crop]
+    ) -> Iterator[tuple[int, GripperView]]:
+        for i, crop in crops.items():
+            shown = view(self._model, self._q[i], crop, noise_m=0.003, depth_factor=1.03, seed=i)
+            yield i, replace(shown, part=np.zeros_like(shown.part)) if i in self._blind else shown
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_flange_is_followed_into_frames_in_which_the_network_finds_nothing(model: ArmModel, seed: int) -> None:
+    q = posture(seed) + 0.015 * np.arange(4)[:, None] * np.array([1.0, -1.0, 0.0, 1.0, 0.0, 1.0, 1.0])
+    blind = {2, 3}
+    frames = np.stack([drawn(model, each) for each in q])
+    poses = FlangeTracker(PartialEstimator(model, q, blind)).track(frames, CAMERA).poses
+    X_CH = invert(CAMERA.X_BC) @ model.poses(q)[:, RobotPart.HAND]
+    for i, (pose, X) in enumerate(zip(poses, X_CH, strict=True)):
+        assert pose is not None
+        distance, angle = pose_difference(pose.X_CH, X)
+        R, axis = X[:3, :3].T @ pose.X_CH[:3, :3], pose.X_CH[:3, 2]
+        turn = np.arctan2(R[1, 0] - R[0, 1], R[0, 0] + R[1, 1])
+        assert abs(turn) < 2.0 * np.sqrt(axis @ pose.covariance[:3, :3] @ axis)
+        if i in blind:
+            assert distance < 0.02
+        else:
+            assert distance < 0.003
+            assert np.rad2deg(angle) < 1.5
 
 
 def test_a_moving_camera_has_a_fitter_for_each_frame(model: ArmModel) -> None:
