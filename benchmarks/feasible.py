@@ -47,7 +47,7 @@ class FeasibleMotion:
         q = self.motion.q(when)
         return Trajectory(
             t_s=self.t_s if t_s is None else t_s,
-            X_BG=np.array([arm.plant.forward(posture) for posture in q]),
+            X_BG=arm.plant.forward_path(q),
             finger_width_m=self.motion.width(when),
             q=q,
         )

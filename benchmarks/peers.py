@@ -48,7 +48,7 @@ Solve: TypeAlias = Callable[[Sequence[IkProblem]], list[Array]]
 def problem_of(plant: ArmPlant, motion: Motion, t_s: Array) -> IkProblem:
     """Return the problem of the poses of a motion at times (T,) [s]."""
     q = motion.q(t_s)
-    return IkProblem(t_s=t_s - t_s[0], X_BG=np.array([plant.forward(row) for row in q]), q=q)
+    return IkProblem(t_s=t_s - t_s[0], X_BG=plant.forward_path(q), q=q)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -347,7 +347,7 @@ def reached_share(plant: ArmPlant, problems: Sequence[IkProblem], paths: Sequenc
     """Return the share of poses reached, by Drake's forward kinematics, with joints within limits; NaN are not."""
     good = []
     for problem, path in zip(problems, paths, strict=True):
-        at = np.array([plant.forward(q) for q in np.nan_to_num(path)])
+        at = plant.forward_path(np.nan_to_num(path))
         position, rotation = pose_difference(at, problem.X_BG)
         inside = ((path >= plant.lower) & (path <= plant.upper)).all(axis=-1)
         good.append((position <= POSITION_M) & (rotation <= ROTATION_RAD) & inside)

@@ -56,7 +56,7 @@ class ActionSource:
         values = np.column_stack([np.interp(t_s, reached_s, column) for column in reached.T])
         return ActionTrack(
             t_s=t_s,
-            X_BG=np.stack([self._plant.forward(q) for q in values[:, :7]]),
+            X_BG=self._plant.forward_path(values[:, :7]),
             finger_width_m=values[:, 7],
             q=values[:, :7],
         )

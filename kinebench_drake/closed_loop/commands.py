@@ -136,7 +136,7 @@ class CommandPlanner:
         too_fast[np.searchsorted(frame_steps, np.flatnonzero(slowed) + 1)] = True
         return Commands(
             q=targets,
-            X_BG=np.stack([self.plant.forward(row) for row in targets]),
+            X_BG=self.plant.forward_path(targets),
             finger_width_m=np.interp(lead_s, t_s, width),
             frame_steps=frame_steps,
             gripping=gripping,

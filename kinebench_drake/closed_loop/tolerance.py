@@ -131,7 +131,7 @@ class _AttemptWorker(SimulatorWorker[Simulator]):
     def _attempt(self, simulator: Simulator, rollout: Rollout, grade: ErrorGrade) -> ToleranceAttempt:
         episode, plant = rollout.episode, self._planner.plant
         rng = generator("tolerance", episode.id, "" if grade.error is None else grade.error.value)
-        X_BG = np.stack([plant.forward(s.q) for s in rollout.snapshots])
+        X_BG = plant.forward_path([s.q for s in rollout.snapshots])
         width = np.array([s.fingers_m.sum() for s in rollout.snapshots])
         X_BG, width = plant_error(X_BG, width, grade, rng)
         simulator.reset(episode)

@@ -9,7 +9,8 @@ Design", ICCMA 2021; here for arrays of poses and joint-7 angles. Joint limits a
 import numpy as np
 from numpy.typing import ArrayLike
 
-from kinebench_drake.geometry import Array, cross
+from kinebench_drake.geometry import Array
+from kinebench_drake.models.robot import N_JOINTS
 
 N_BRANCHES = 8
 """Greatest number of postures for a joint-7 angle."""
@@ -81,60 +82,54 @@ def analytic_ik(X_BF: ArrayLike, q7: ArrayLike) -> Array:
     """
     X_BF, q7 = np.asarray(X_BF, dtype=np.float64), np.asarray(q7, dtype=np.float64)
     shape = np.broadcast_shapes(X_BF.shape[:-2], q7.shape)
-    x6, y6, z6, SW = _wrist(X_BF, q7)
-    reach_2 = np.einsum("...i,...i->...", SW, SW)
+    X_BF = X_BF[(None,) * (len(shape) + 2 - X_BF.ndim)]
+    # Axes of link 6 in the base, and the way from the shoulder to its origin (wrist) along them.
+    c, s = np.cos(q7), np.sin(q7)
+    x7, y7, z7, p = (np.moveaxis(X_BF[..., :3, k], -1, 0) for k in range(4))
+    x6, y6, z6 = c * x7 - s * y7, -z7, s * x7 + c * y7
+    p = p - _D_FLANGE * z7 - np.reshape([0.0, 0.0, _D1], (3, *[1] * (p.ndim - 1)))
+    u, v, w = _dot(p, x6) - _A7, _dot(p, y6), _dot(p, z6)
 
-    q = np.full((*shape, 2, 2, 2, 7), np.nan)
-    # Elbow: the triangle shoulder, elbow joint, wrist has three known sides.
+    q = np.empty((N_JOINTS, 2, 2, 2, *shape))  # joint, elbow, wrist, shoulder
+    sign = np.reshape([1.0, -1.0], (2, *[1] * len(shape)))
     with np.errstate(invalid="ignore", divide="ignore"):
-        bend = np.arccos((_UPPER**2 + _LOWER**2 - reach_2) / (2 * _UPPER * _LOWER))  # NaN out of reach
-        q4 = np.stack([bend - _ELBOW, -bend - _ELBOW + 2 * np.pi], axis=-1)  # (..., 2 elbow)
+        # Elbow: the triangle shoulder, elbow joint, wrist has three known sides.
+        bend = np.arccos((_UPPER**2 + _LOWER**2 - u * u - v * v - w * w) / (2 * _UPPER * _LOWER))  # NaN out of reach
+        q4 = (sign * bend - _ELBOW)[:, None]  # (2 elbow, 1, ...)
+        q4[1] += 2 * np.pi
         q4 -= 2 * np.pi * (q4 > np.pi / 2)
-        # In frame 4, whose y is joint 5's axis: from the shoulder S to the wrist W.
+        # In frame 4, whose y is joint 5's axis: from the shoulder to the wrist.
         c4, s4 = np.cos(q4), np.sin(q4)
         along_x = c4 * _A4 + s4 * _D3 - _A4
         along_y = -s4 * _A4 + c4 * _D3 + _D5
 
-        # Wrist: joint 5's axis z5 is normal to z6 and has the component along_y of S-W.
-        u, v = np.einsum("...i,...i->...", SW, x6)[..., None], np.einsum("...i,...i->...", SW, y6)[..., None]
+        # Wrist: joint 5's axis z5 is normal to z6 and has the component along_y of the way (u, v, w). From here on
+        # vectors are in the axes of link 6.
         half = np.arccos(along_y / np.hypot(u, v))  # NaN where joint 6 cannot turn that far
-        phi = np.arctan2(v, u)[..., None] + half[..., None] * np.array([1.0, -1.0])  # (..., 2 elbow, 2 wrist)
-    z5 = np.cos(phi)[..., None] * x6[..., None, None, :] + np.sin(phi)[..., None] * y6[..., None, None, :]
-    # Frame 4: y4 = z5 and S-W = along_x x4 + along_y y4.
-    with np.errstate(invalid="ignore", divide="ignore"):
-        x4 = (SW[..., None, None, :] - along_y[..., None, None] * z5) / along_x[..., None, None]
-    z4 = cross(x4, z5)
-    # From frame 4 by q5 to frame 5, whose -y is z6; from there by q6 to x6.
-    z6, x6 = z6[..., None, None, :], x6[..., None, None, :]
-    q5 = np.arctan2(_dot(z6, x4), _dot(z6, z4))
-    x5 = np.cos(q5)[..., None] * x4 - np.sin(q5)[..., None] * z4
-    q6 = np.arctan2(_dot(x6, z5), _dot(x6, x5))
-    q6 += 2 * np.pi * (q6 < -np.pi / 2)
+        phi = np.arctan2(v, u) + sign * half  # (2 elbow, 2 wrist, ...)
+        z5 = np.cos(phi), np.sin(phi)
+        # Frame 4: y4 = z5, (u, v, w) = along_x x4 + along_y y4 and z4 = x4 x y4.
+        x4 = (u - along_y * z5[0]) / along_x, (v - along_y * z5[1]) / along_x, w / along_x
+        z4 = -x4[2] * z5[1], x4[2] * z5[0], x4[0] * z5[1] - x4[1] * z5[0]
+        # By q5 to frame 5, whose -y is z6; from there by q6 to x6.
+        q5 = np.arctan2(x4[2], z4[2])
+        q6 = np.arctan2(z5[0], np.cos(q5) * x4[0] - np.sin(q5) * z4[0])
+        q6 += 2 * np.pi * (q6 < -np.pi / 2)
 
-    # Shoulder: R_B3 = Rz(q1) Ry(q2) Rz(q3), whose z axis leaves two ways.
-    c4, s4 = c4[..., None, None], s4[..., None, None]
-    x3_z = c4[..., 0] * x4[..., 2] - s4[..., 0] * z5[..., 2]
-    z3, y3_z = s4 * x4 + c4 * z5, -z4[..., 2]
-    sine = np.hypot(z3[..., 0], z3[..., 1])
-    q1, q2 = np.arctan2(z3[..., 1], z3[..., 0]), np.arctan2(sine, z3[..., 2])
+        # Shoulder: R_B3 = Rz(q1) Ry(q2) Rz(q3), whose z axis leaves two ways.
+        a, b, c = s4 * x4[0] + c4 * z5[0], s4 * x4[1] + c4 * z5[1], s4 * x4[2]
+        z3 = [x6[k] * a + y6[k] * b + z6[k] * c for k in range(3)]
+        x3_z = x6[2] * (c4 * x4[0] - s4 * z5[0]) + y6[2] * (c4 * x4[1] - s4 * z5[1]) + z6[2] * (c4 * x4[2])
+        y3_z = -x6[2] * z4[0] - y6[2] * z4[1] - z6[2] * z4[2]
+    q1, q2 = np.arctan2(z3[1], z3[0]), np.arctan2(np.hypot(z3[0], z3[1]), z3[2])
     q3 = np.arctan2(y3_z, -x3_z)
-    q[..., 0, 0], q[..., 0, 1], q[..., 0, 2] = q1, q2, q3
-    q[..., 1, 0], q[..., 1, 1], q[..., 1, 2] = q1 - np.copysign(np.pi, q1), -q2, q3 - np.copysign(np.pi, q3)
-    q[..., 3], q[..., 4], q[..., 5] = q4[..., None, None], q5[..., None], q6[..., None]
-    q[..., 6] = q7[..., None, None, None]
-    q = q.reshape(*shape, N_BRANCHES, 7)
+    q[0, :, :, 0], q[1, :, :, 0], q[2, :, :, 0] = q1, q2, q3
+    q[0, :, :, 1], q[1, :, :, 1], q[2, :, :, 1] = q1 - np.copysign(np.pi, q1), -q2, q3 - np.copysign(np.pi, q3)
+    q[3], q[4], q[5], q[6] = q4[:, :, None], q5[:, :, None], q6[:, :, None], q7
+    q = np.moveaxis(q.reshape(N_JOINTS, N_BRANCHES, *shape), (0, 1), (-1, -2))
     q[~np.isfinite(q[..., 4])] = np.nan
-    return np.asarray(q)
-
-
-def _wrist(X_BF: Array, q7: Array) -> tuple[Array, Array, Array, Array]:
-    """Return the axes x6, y6, z6 of link 6 and the vector from the shoulder to its origin (wrist), each (..., 3)."""
-    c, s = np.cos(q7)[..., None], np.sin(q7)[..., None]
-    x7, y7, z7 = X_BF[..., :3, 0], X_BF[..., :3, 1], X_BF[..., :3, 2]
-    x6, z6 = c * x7 - s * y7, s * x7 + c * y7
-    SW = X_BF[..., :3, 3] - _D_FLANGE * z7 - _A7 * x6 - np.array([0.0, 0.0, _D1])
-    return x6, np.broadcast_to(-z7, x6.shape), z6, SW
+    return np.ascontiguousarray(q)
 
 
 def _dot(a: Array, b: Array) -> Array:
-    return np.asarray(a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1] + a[..., 2] * b[..., 2])
+    return np.asarray(a[0] * b[0] + a[1] * b[1] + a[2] * b[2])

@@ -2,7 +2,7 @@
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline
+from scipy.interpolate import make_interp_spline
 
 from kinebench_drake.geometry import Array
 from kinebench_drake.kinematics.ik import IkSolution, solve_pose
@@ -92,7 +92,7 @@ def _interpolate_layers(
         return np.full((len(t_s), 7), np.nan)
     for _ in range(_SMOOTHING_PASSES):  # removes the steps of the grid
         path[1:-1] = 0.25 * path[:-2] + 0.5 * path[1:-1] + 0.25 * path[2:]
-    guess = CubicSpline(t_s[chosen], path)(t_s)
+    guess = make_interp_spline(t_s[chosen], path)(t_s)
     path = posture_solver(plant).nearest(X_BG, guess)
     # Where the redundancy's angle leaves the branch, Newton steps may still follow the poses.
     return path if is_sound(plant, t_s, path) else solve_newton_path(plant, X_BG, guess)

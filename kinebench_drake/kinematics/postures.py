@@ -61,7 +61,7 @@ def posture_solver(plant: ArmPlant) -> PostureSolver:
     """Return the closed-form solver if the arm equals the Panda up to its tool (numerically), else Newton's."""
     rng = np.random.default_rng(0)
     q = rng.uniform(plant.lower, plant.upper, size=(8, 7))
-    X_FG = invert(flange_pose(q)) @ np.array([plant.forward(row) for row in q])
+    X_FG = invert(flange_pose(q)) @ plant.forward_path(q)
     if np.abs(X_FG - X_FG[0]).max() < 1e-9:
         return ClosedFormSolver(X_FG[0])
     return NumericSolver(plant)

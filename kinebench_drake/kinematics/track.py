@@ -93,7 +93,7 @@ def verify_path(plant: ArmPlant, t_s: Array, X_BG: Array, path: Array) -> JointT
     """Return the path (n, 7) where Drake confirms it; other frames are solved again from the previous frame."""
     finite = np.asarray(np.isfinite(path).all(axis=-1))
     q = np.where(finite[:, None], path, plant.robot.rest_q)
-    position, rotation = pose_difference(np.reshape([plant.forward(row) for row in q], (-1, 4, 4)), X_BG)
+    position, rotation = pose_difference(plant.forward_path(q), X_BG)
     ok = finite & (limit_excess(plant, q).max(axis=-1, initial=0.0) <= 0.0)
     ok &= (position <= POSITION_TOLERANCE_M) & (rotation <= ROTATION_TOLERANCE_RAD)
     status = [IkStatus.OK] * len(q)

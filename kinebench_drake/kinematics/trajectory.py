@@ -102,7 +102,7 @@ class TubeProblem:
 
     def errors(self, q: Array) -> Array:
         """Return the pose errors (T, 6) [m] of `q` (T, 7) [rad]: rotation by its arm, position, expressed in B."""
-        return self._errors(np.array([self.plant.forward(row) for row in q]))
+        return self._errors(self.plant.forward_path(q))
 
     def _errors(self, X_now: Array) -> Array:
         e = pose_twists(X_now, self.X_BG)

@@ -112,7 +112,7 @@ class TrackJudge:
         if not (np.diff(t_s) > 0.0).all():
             raise InputError("t_s must increase from frame to frame")
         valid = np.asarray(np.isfinite(q).all(axis=-1))
-        X_BG = spread(np.reshape([self._plant.forward(row) for row in q[valid]], (-1, 4, 4)), valid, len(q))
+        X_BG = spread(self._plant.forward_path(q[valid]), valid, len(q))
         track = GripperTrack(
             t_s=t_s,
             X_CH=np.full_like(X_BG, np.nan),

@@ -98,7 +98,7 @@ class ReplayScene:
             if measured.any()
             else np.full(len(width), plant.finger_width_m)
         )
-        self._reached = np.array([plant.forward(q) for q in file.q[self._solved]]).reshape(-1, 4, 4)
+        self._reached = plant.forward_path(file.q[self._solved])
         self._apart = np.zeros(len(self._t_s), dtype=bool)
         both = self._solved & self._posed
         distance, angle = pose_difference(self._reached[both[self._solved]], self._X_BG[both])

@@ -135,7 +135,7 @@ def test_a_jump_of_given_joints_names_the_joint(plant: ArmPlant) -> None:
     t_s = 0.2 * np.arange(40)
     q = plant.robot.rest_q + 0.3 * np.sin(0.5 * t_s)[:, None] * np.ones(7)
     q[20:, 4] += 0.6
-    X = np.array([plant.forward(row) for row in q])
+    X = plant.forward_path(q)
     tracked = np.ones(40, dtype=bool)
     found = find_discontinuities(t_s, X, tracked, CLEAN, q, NAMES)
     joint = [v for v in found if v.joint is not None]
@@ -150,7 +150,7 @@ def test_a_turn_of_the_last_joint_by_a_full_circle_is_a_jump_of_the_joint_alone(
     t_s = 0.2 * np.arange(40)
     q = np.tile(plant.robot.rest_q, (40, 1))
     q[20:, 6] -= 2.0 * np.pi
-    X = np.array([plant.forward(row) for row in q])
+    X = plant.forward_path(q)
     (jump,) = find_discontinuities(t_s, X, np.ones(40, dtype=bool), CLEAN, q, NAMES)
     assert jump.joint == "panda_joint7"
     assert jump.value == pytest.approx(2.0 * np.pi)

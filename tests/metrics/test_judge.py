@@ -39,7 +39,7 @@ def _gripper(t_s: Array, X_BG: Array) -> GripperTrack:
 
 def _poses(plant: ArmPlant, q: Array, period_s: float = 0.2) -> GripperTrack:
     """Gripper track of joint angles (T, 7)."""
-    return _gripper(period_s * np.arange(len(q)), np.array([plant.forward(row) for row in q]))
+    return _gripper(period_s * np.arange(len(q)), plant.forward_path(q))
 
 
 def _given(judge: TrackJudge, q: Array, period_s: float = 0.2) -> KinematicResult:

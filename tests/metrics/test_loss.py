@@ -111,7 +111,7 @@ def reach(plant: ArmPlant) -> GripperTrack:
     """A feasible track."""
     share = 0.5 - 0.5 * np.cos(np.linspace(0.0, np.pi, 25))
     q = plant.robot.rest_q + share[:, None] * np.array([0.6, 0.3, -0.2, 0.4, 0.2, -0.3, 0.5])
-    return _gripper(np.array([plant.forward(row) for row in q]), np.ones(25, dtype=bool))
+    return _gripper(plant.forward_path(q), np.ones(25, dtype=bool))
 
 
 def _lose(judge: TrackJudge, track: GripperTrack, frames: list[int]) -> KinematicResult:

@@ -62,7 +62,7 @@ def test_plan_follows_the_path_within_speed_limits() -> None:
     plant = ArmPlant()
     X_goal = lift(plant.forward(rest_q()), 0.1)
     motion = plan(plant, rest_q(), 0.08, [Waypoint(X_BG=X_goal, finger_width_m=0.04)], 40)
-    reached = np.stack([plant.forward(q) for q in motion.q])
+    reached = plant.forward_path(motion.q)
     distance, angle = pose_difference(reached, motion.X_BG)
     assert distance.max() < 1e-5
     assert angle.max() < 1e-5

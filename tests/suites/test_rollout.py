@@ -82,7 +82,7 @@ def test_pixels_of_the_gripper_lie_on_the_gripper(filmed: Filmed) -> None:
 def test_truth_agrees_with_drake(filmed: Filmed) -> None:
     _, _, clip = filmed
     plant = ArmPlant()
-    X_BG = np.stack([plant.forward(q) for q in clip.q])
+    X_BG = plant.forward_path(clip.q)
     X_CH = invert(clip.camera.X_BC) @ np.stack([plant.link_poses(q)["panda_hand"] for q in clip.q])
     for found, expected in ((clip.X_BG, X_BG), (clip.X_CH, X_CH)):
         distance, angle = pose_difference(found, expected)
