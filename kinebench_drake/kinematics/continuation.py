@@ -92,7 +92,7 @@ def _interpolate_layers(
         return np.full((len(t_s), 7), np.nan)
     for _ in range(_SMOOTHING_PASSES):  # removes the steps of the grid
         path[1:-1] = 0.25 * path[:-2] + 0.5 * path[1:-1] + 0.25 * path[2:]
-    guess = make_interp_spline(t_s[chosen], path)(t_s)
+    guess = make_interp_spline(t_s[chosen], path, k=min(3, len(chosen) - 1))(t_s)
     path = posture_solver(plant).nearest(X_BG, guess)
     # Where the redundancy's angle leaves the branch, Newton steps may still follow the poses.
     return path if is_sound(plant, t_s, path) else solve_newton_path(plant, X_BG, guess)
