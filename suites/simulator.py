@@ -3,11 +3,13 @@
 sapien and mani_skill are loaded when a `Simulator` is created.
 """
 
+import gc
 import re
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from enum import Enum
+from functools import cache
 from typing import Any, Self
 
 import numpy as np
@@ -29,6 +31,16 @@ GRIPPER_LINKS = (HAND_LINK, *FINGER_LINKS, *(f"{finger}_pad" for finger in FINGE
 """Links of the gripper in masks; some of ManiSkill's Pandas have no pad links."""
 
 _FINGER_RANGE_M = (-0.01, 0.04)  # of one finger joint's target, for actions -1 and 1 (ManiSkill's Panda)
+
+
+@cache
+def _exempt_libraries() -> None:
+    """Exempt all that is loaded by now from garbage collection, once a process.
+
+    ManiSkill collects garbage at each reset; going through the objects of the libraries takes most of the reset.
+    """
+    gc.collect()
+    gc.freeze()
 
 
 @contextmanager
@@ -139,6 +151,7 @@ class Simulator:
 
             from kinebench_drake.suites.tasks.environment import CAMERA, X_WB, KineBenchEnv
 
+        _exempt_libraries()
         plant = ArmPlant()
         self.joint_limits = (plant.lower, plant.upper)
         """Lower and upper joint limits, each (7,) [rad]."""

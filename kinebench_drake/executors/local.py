@@ -25,8 +25,8 @@ from threadpoolctl import threadpool_limits
 from kinebench_drake.errors import KinebenchError
 from kinebench_drake.executors.base import Item, ItemResult, MakeWorker, Outcomes, Result, WorkerCrash, open_worker
 
-THREAD_VARIABLES = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
-"""Environment variables that set the number of threads of numeric libraries."""
+THREAD_VARIABLES = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS", "LP_NUM_THREADS")
+"""Environment variables that set the number of threads of numeric libraries, and of the renderer on the CPU."""
 _GRACE_S = 10.0
 """Time that terminated workers have to end their own child processes, such as a world model's program [s]."""
 _TERMINATED = 128 + signal.SIGTERM
