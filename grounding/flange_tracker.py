@@ -12,20 +12,20 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from kinebench_drake.camera import Camera
-from kinebench_drake.geometry import Array, make_pose, pose_difference
+from kinebench_drake.geometry import Array, pose_difference
 from kinebench_drake.grounding.crop import CLOSE_SIZE, WRIST_CENTRE_H, WRIST_RADIUS_M, Crop
 from kinebench_drake.grounding.localization import find_region
 from kinebench_drake.grounding.pose import FramePose
 from kinebench_drake.grounding.registration.arm_fit import FOLLOWED_REACHES_PX, LAST_LINKS, ArmFit, ArmFitter
 from kinebench_drake.grounding.registration.arm_model import ArmModel
-from kinebench_drake.grounding.registration.chain_fit import UNKNOWNS, ChainFitter, ChainModel
+from kinebench_drake.grounding.registration.chain_fit import MIN_FLANGE_CELLS, UNKNOWNS, ChainFitter, ChainModel, misfit
 from kinebench_drake.grounding.registration.correspondences import Correspondences
 from kinebench_drake.grounding.registration.edges import EdgeMatcher, GradientImage
 from kinebench_drake.grounding.registration.fit import HandFit
 from kinebench_drake.grounding.registration.flow import follow_surface
 from kinebench_drake.grounding.registration.solver import Solution
 from kinebench_drake.grounding.tracker import Tracking
-from kinebench_drake.grounding.turn import TURNS_RAD, likeliest_turns
+from kinebench_drake.grounding.turn import OFFSETS_RAD, TURNS_RAD, likeliest_turns
 from kinebench_drake.grounding.view import DenseEstimator, Frames, GripperView
 from kinebench_drake.models.panda.robot import ARM, RobotPart
 from kinebench_drake.types import NO_PRIORS, Domain, Priors
@@ -41,8 +41,8 @@ _POINTS = 300
 _REACHES_PX = (8.0, 5.0, 3.0, 2.0)  # farthest edges of the last links in successive passes
 _GAIN = 0.05  # least lead of a neighbour's agreement with edges that makes its posture the better one
 _LOST = 0.8  # of the agreement of a frame, below which the arm was not followed from it
-_TURN_WEIGHT = 15.0  # log-likelihood of a last link per share of its contours on edges, and of its cells in place
-_TURN_SIGMA_RAD = np.deg2rad(6.0)  # of the likeliest turns, which lie on a grid
+_ON_EDGES, _OFF_CELLS = 15.0, 0.05  # log-likelihood of a turn per share of contours on edges, and per misfit of cells
+_TURN_SIGMA_RAD = np.deg2rad(2.0)  # of the likeliest turns, which lie on a grid
 _SAME_M, _SAME_RAD = 0.06, np.deg2rad(20.0)  # from the chain with a free base to the arm on the base
 _ON_BASE, _BASE_LOSS = 0.4, 0.1  # least agreement of an arm on the base, and its largest loss by the base
 _UNSEEN_SIGMA_M = 0.1
@@ -127,13 +127,17 @@ class FlangeTracker:
 
     def _follow(self, near: FramePose, before: GradientImage, after: GradientImage) -> FramePose | None:
         """Return the pose of a frame by the surface of the arm, followed from a neighbouring frame."""
-        start = self._chain_of(near)
+        moved = self._move(self._chain_of(near), before, after)
+        chain = None if moved is None else self._sharpen(*moved, after, FOLLOWED_REACHES_PX)
+        return None if chain is None else self._pose(chain, after, near.view)
+
+    def _move(
+        self, start: ChainModel, before: GradientImage, after: GradientImage
+    ) -> tuple[ChainModel, Correspondences] | None:
+        """Return a chain moved to the next image by the points of its surface there, and these points."""
         points = follow_surface(self._edges.caster, start.place().X_CP[0], before, after)
         moved = None if points is None else self._chain.refit(start, points)
-        if points is None or moved is None:
-            return None
-        chain = self._sharpen(moved.model, points, after, FOLLOWED_REACHES_PX)
-        return None if chain is None else self._pose(chain, after, near.view)
+        return None if points is None or moved is None else (moved.model, points)
 
     def _detect_near(self, near: FramePose, number: int, video: _Video) -> FramePose | None:
         """Return the pose of a frame by its cells, from crop and posture of a neighbouring frame."""
@@ -148,25 +152,41 @@ class FlangeTracker:
         """Turn the last joint as contours and cells of the last link are likeliest along the whole video."""
         crops = {i: _crop_at(pose.X_CH) for i, pose in poses.items()}
         views = dict(self._estimator.estimate(video.frames, video.camera, crops))
-        log_likelihood = np.zeros((len(video.images), len(TURNS_RAD)))
+        chains = {i: self._chain_of(pose) for i, pose in poses.items()}
+        turns, sigma = np.zeros(len(video.images)), np.zeros(len(video.images))
+        for grid in (TURNS_RAD, OFFSETS_RAD):
+            log_likelihood = np.zeros((len(turns), len(grid)))
+            for i, view in views.items():
+                turned = self._chain.turned(chains[i], turns[i] + grid).place().X_CP
+                on_edges = [self._edges.agreement(video.images[i], X, _FLANGE) for X in turned]
+                log_likelihood[i] = _ON_EDGES * _agreement(poses[i]) * np.array(on_edges)
+                cells = Correspondences.of_view(view, view.part == RobotPart.LINK7, _LINK_CELLS, _INDEPENDENT)
+                if len(cells) >= MIN_FLANGE_CELLS:
+                    log_likelihood[i] -= _OFF_CELLS * misfit(cells, turned[:, RobotPart.LINK7])
+            changes = self._turn_changes(chains, video.images) - np.diff(turns)
+            offsets, own_sigma = likeliest_turns(grid, log_likelihood, changes)
+            turns, sigma = turns + offsets, np.maximum(sigma, own_sigma)
+            chains = {i: self._chain.turned(chain, turns[i : i + 1]) for i, chain in chains.items()}
         for i, view in views.items():
-            turned = self._chain.turned(self._chain_of(poses[i]), TURNS_RAD).place().X_CP
-            shares = [self._edges.agreement(video.images[i], X, _FLANGE) + self._overlap(view, X) for X in turned]
-            log_likelihood[i] = _TURN_WEIGHT * _agreement(poses[i]) * np.array(shares)
-        turns, sigma = likeliest_turns(log_likelihood)
-        for i, view in views.items():
-            start = self._chain.turned(self._chain_of(poses[i]), turns[i : i + 1], _TURN_SIGMA_RAD)
+            start = self._chain.turned(chains[i], turns[i : i + 1], _TURN_SIGMA_RAD)
             chain = self._sharpen(start, _link_cells(view, video.wide[i]), video.images[i], _REACHES_PX[-2:])
             if chain is not None:
                 pose = self._pose(chain, video.images[i], view)
                 poses[i] = _with_turn_sigma(self._on_base(pose, i, video) or pose, sigma[i])
 
-    def _overlap(self, view: GripperView, X_CP: Array) -> float:
-        """Return the intersection over union of the last link in a view and with parts at `X_CP` (PARTS, 4, 4)."""
-        X_VC = make_pose(view.crop.R_CV.T, np.zeros(3))
-        _, part = self._edges.caster.first_hits(X_VC @ X_CP, view.rays().reshape(-1, 3))
-        posed, shown = (p == RobotPart.LINK7 for p in (part.reshape(view.part.shape), view.part))
-        return float((posed & shown).sum() / max(1, (posed | shown).sum()))
+    def _turn_changes(self, chains: Mapping[int, ChainModel], images: Sequence[GradientImage]) -> Array:
+        """Return the changes (T - 1,) of the last joint from frame to frame by the surface of the arm [rad]; or NaN.
+
+        The surface carries the last link itself: errors of the links before it, which differ between frames, cancel.
+        """
+        changes = np.full(len(images) - 1, np.nan)
+        for i in chains.keys() & {k - 1 for k in chains}:
+            moved, after = self._move(chains[i], images[i], images[i + 1]), chains[i + 1]
+            if moved is not None:
+                R = after.X_CH[0, :3, :3].T @ moved[0].X_CH[0, :3, :3]
+                turn = np.arctan2(R[1, 0] - R[0, 1], R[0, 0] + R[1, 1])
+                changes[i] = (after.q[0, -1] + turn - chains[i].q[0, -1] + np.pi) % (2 * np.pi) - np.pi
+        return changes
 
     def _on_base(self, pose: FramePose, number: int, video: _Video) -> FramePose | None:
         """Return a pose that the base of the camera confirms, with the arm on it; None if it does not."""

@@ -154,11 +154,16 @@ class ChainFitter:
         own = cells.take(cells.part == part)
         if len(own) < _LEAST_CELLS:
             return int(np.abs(self._angle[joint] - _USUAL_Q[joint]).argmin())
-        own = own.take(np.linspace(0, len(own) - 1, min(len(own), _COMPARED)).astype(int))
-        p_C = np.einsum("mij,nj->mni", X_CP[:, :3, :3], own.p_P) + X_CP[:, None, :3, 3]
-        p_L = np.einsum("nij,mnj->mni", own.R_LC, p_C)
-        square = (p_L[..., :2] ** 2).sum(axis=-1) / own.sigma_m[:, 0] ** 2
-        return int(np.where(p_L[..., 2] > 0, np.minimum(square, _CAP), _CAP).mean(axis=1).argmin())
+        return int(misfit(own, X_CP).argmin())
+
+
+def misfit(cells: Correspondences, X_CP: Array) -> Array:
+    """Return the mean squared residual (M,), capped, of cells of one link at each of its poses (M, 4, 4) [sigmas]."""
+    cells = cells.take(np.linspace(0, len(cells) - 1, min(len(cells), _COMPARED)).astype(int))
+    p_C = np.einsum("mij,nj->mni", X_CP[:, :3, :3], cells.p_P) + X_CP[:, None, :3, 3]
+    p_L = np.einsum("nij,mnj->mni", cells.R_LC, p_C)
+    square = (p_L[..., :2] ** 2).sum(axis=-1) / cells.sigma_m[:, 0] ** 2
+    return np.asarray(np.where(p_L[..., 2] > 0, np.minimum(square, _CAP), _CAP).mean(axis=1))
 
 
 def _align_robustly(cells: Correspondences) -> Array:

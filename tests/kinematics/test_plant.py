@@ -33,6 +33,12 @@ def test_forward_is_the_makers_denavit_hartenberg_chain(plant: ArmPlant) -> None
         np.testing.assert_allclose(plant.forward(q), _dh_forward(q), atol=1e-12)
 
 
+def test_forward_path_is_forward_of_each_posture(plant: ArmPlant) -> None:
+    q = np.random.default_rng(1).uniform(plant.lower, plant.upper, size=(5, 7))
+    np.testing.assert_array_equal(plant.forward_path(q), [plant.forward(row) for row in q])
+    assert plant.forward_path(q[:0]).shape == (0, 4, 4)
+
+
 def test_rest_posture_points_the_gripper_down_in_front_of_the_base(plant: ArmPlant) -> None:
     X_BG = plant.forward(rest_q())
     np.testing.assert_allclose(X_BG[:3, 3], [0.615, 0.0, 0.17], atol=1e-3)
