@@ -35,7 +35,7 @@ _FINGER_RANGE_M = (-0.01, 0.04)  # of one finger joint's target, for actions -1 
 
 @cache
 def _exempt_libraries() -> None:
-    """Exempt all that is loaded by now from garbage collection, once a process.
+    """Exempt every object that is loaded by now from garbage collection, once a process.
 
     ManiSkill collects garbage at each reset; going through the objects of the libraries takes most of the reset.
     """
