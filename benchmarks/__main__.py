@@ -364,9 +364,19 @@ def planted_videos(
 @click.option("--videos", metavar="A,B", help="Ids of videos, comma-separated.  [default: all]")
 @click.option("--weights", type=EXISTING_FILE, help="Network weights (safetensors).  [default: those shipped]")
 @click.option("--calibration", type=EXISTING_FILE, help="Calibration of the confidence.  [default: that shipped]")
+@click.option(
+    "--gripper", type=click.Choice(["franka", "none"]), default="franka", show_default=True,
+    help="none: measure the arm alone.",
+)  # fmt: skip
 @click.option("--window", is_flag=True, help="Cut frames to where the reference is: errors without those of detection.")
 def footage(
-    folder: Path, out: Path, videos: str | None, weights: Path | None, calibration: Path | None, window: bool
+    folder: Path,
+    out: Path,
+    videos: str | None,
+    weights: Path | None,
+    calibration: Path | None,
+    gripper: str,
+    window: bool,
 ) -> None:
     """Ground the videos of other programs and cameras in FOLDER, and compare with their references.
 
@@ -376,10 +386,14 @@ def footage(
     """
     one_thread()
     from benchmarks.footage_report import measure
+    from kinebench_drake.types import GripperKind
 
     names = None if videos is None else videos.split(",")
     with errors():
-        text = measure(folder, out, names, weights=weights, calibration=calibration, window=window, log=log)
+        kind = GripperKind(gripper)
+        text = measure(
+            folder, out, names, weights=weights, calibration=calibration, gripper=kind, window=window, log=log
+        )
     click.echo(text)
 
 

@@ -11,6 +11,7 @@ from benchmarks.footage import ReferenceKind
 from benchmarks.markdown import table
 from benchmarks.process import run_program
 from kinebench_drake.io.jsonl import read_json
+from kinebench_drake.types import GripperKind
 
 HELDOUT = ("suite", "demos", "--suite", "2", "--split", "unseen", "--episodes", "1", "--with-depth")
 """Arguments of the program for the renderings; `--out` is to be added."""
@@ -63,7 +64,8 @@ def measure(
     run_program(["perception", "evaluate", str(heldout), "--json", str(result)])
     for folder in others:
         out = work / folder.name
-        footage_report.measure(folder, out, None, weights=None, calibration=None, window=False, log=log)
+        kind = GripperKind.FRANKA
+        footage_report.measure(folder, out, None, weights=None, calibration=None, gripper=kind, window=False, log=log)
     return _read(result), [_read(work / folder.name / "footage.json") for folder in others]
 
 

@@ -23,20 +23,16 @@ from kinebench_drake.camera import Camera
 from kinebench_drake.datasets.manifest import NAME, entry_camera, read_manifest
 from kinebench_drake.errors import InputError, UsageError
 from kinebench_drake.geometry import Array, invert, transform_points
-from kinebench_drake.grounding.confidence import CALIBRATION, load_confidence
 from kinebench_drake.grounding.crop import GRIPPER_CENTRE_H, GRIPPER_RADIUS_M
-from kinebench_drake.grounding.estimator import NetworkEstimator
 from kinebench_drake.grounding.evaluation.errors import read_anomaly
 from kinebench_drake.grounding.evaluation.store import MeasurementStore, fingerprint
 from kinebench_drake.grounding.overlay import draw_overlay
 from kinebench_drake.grounding.pipeline import GroundingPipeline, Observation
-from kinebench_drake.grounding.tracker import CadTracker
 from kinebench_drake.grounding.view import Frames
 from kinebench_drake.io.container import write_video
 from kinebench_drake.io.npz import open_npz
 from kinebench_drake.io.reader import read_video
-from kinebench_drake.models.perception.network import WEIGHTS, load_network
-from kinebench_drake.types import NO_PRIORS, Anomaly, GripperTrack, Priors
+from kinebench_drake.types import NO_PRIORS, Anomaly, GripperKind, GripperTrack, Priors
 
 _OVERLAY_FPS = 5.0
 _WINDOW_MARGIN = 2.5  # distance of the window's border from the gripper's centre, over the gripper's radius
@@ -198,16 +194,6 @@ class ObservedPipeline(GroundingPipeline):
 
     observation: Observation
 
-    @classmethod
-    def load(cls, weights: Path | None, calibration: Path | None) -> "ObservedPipeline":
-        """Create the pipeline with `weights` and `calibration` in place of those shipped.
-
-        Raises:
-            SetupError: weights, calibration, meshes or native libraries are missing.
-        """
-        tracker = CadTracker(NetworkEstimator(load_network(weights or WEIGHTS)))
-        return cls(tracker, load_confidence(calibration or CALIBRATION))
-
     def observe(self, frames: Frames, camera: Camera, t_s: Array, priors: Priors = NO_PRIORS) -> Observation:
         """Measure each frame, as `GroundingPipeline.observe`."""
         self.observation = super().observe(frames, camera, t_s, priors)
@@ -276,6 +262,7 @@ def ground_videos(
     *,
     weights: Path | None,
     calibration: Path | None,
+    gripper: GripperKind,
     window: bool,
     log: Callable[[str], None],
 ) -> list[TrackRecord]:
@@ -284,14 +271,14 @@ def ground_videos(
     Measurements of other code, weights or options are ignored.
     """
     files = [path for path in (weights, calibration) if path is not None]
-    base = fingerprint(window, modules=["kinebench_drake.grounding.pipeline"], files=files)
+    base = fingerprint(window, gripper.value, modules=["kinebench_drake.grounding.pipeline"], files=files)
     store = MeasurementStore(out / "tracks.jsonl", TrackRecord)
     pipeline: ObservedPipeline | None = None
     records = []
     for video in videos:
         key = f"{base}-{video.digest}-{video.id}"
         if key not in store:
-            pipeline = pipeline or ObservedPipeline.load(weights, calibration)
+            pipeline = pipeline or ObservedPipeline.create(weights=weights, gripper=gripper, calibration=calibration)
             store.put(key, ground_video(pipeline, video, out / "overlays" / f"{video.id}.mp4", window=window))
             log(f"{video.id}: {store[key].cpu_s:.0f} s of processor time")
         records.append(store[key])

@@ -11,7 +11,7 @@ from benchmarks.structure import current_revision
 from kinebench_drake.errors import UsageError
 from kinebench_drake.io.atomic import make_folder, write_atomically
 from kinebench_drake.io.jsonl import dump, finite
-from kinebench_drake.types import Json
+from kinebench_drake.types import GripperKind, Json
 
 _POSES = (ReferenceKind.SIMULATOR, ReferenceKind.JOINTS, ReferenceKind.EDGES)
 
@@ -23,6 +23,7 @@ def measure(
     *,
     weights: Path | None,
     calibration: Path | None,
+    gripper: GripperKind,
     window: bool,
     log: Callable[[str], None],
 ) -> str:
@@ -34,6 +35,7 @@ def measure(
         names: ids of videos to measure; all if None.
         weights: weights in place of those shipped.
         calibration: calibration of the confidence in place of that shipped.
+        gripper: of others than Franka's the arm alone is measured.
         window: cut frames to where the reference is; only with reference poses.
         log: receives a line per video.
 
@@ -47,11 +49,14 @@ def measure(
         raise UsageError(f"--videos: no video {', '.join(unknown)}; there are {', '.join(v.id for v in videos)}")
     videos = [v for v in videos if (v.kind in _POSES or not window) and (names is None or v.id in names)]
     make_folder(out)
-    tracks = ground_videos(videos, out, weights=weights, calibration=calibration, window=window, log=log)
+    tracks = ground_videos(
+        videos, out, weights=weights, calibration=calibration, gripper=gripper, window=window, log=log
+    )
     result: dict[str, Json] = {
         "revision": current_revision(Path(__file__).parent.parent),
         "weights": "shipped" if weights is None else weights.name,
         "calibration": "shipped" if calibration is None else calibration.name,
+        "gripper": gripper.value,
         "window": window,
     }
     lines = [f"Revision {result['revision']}, weights {result['weights']}, calibration {result['calibration']}."]

@@ -3,7 +3,7 @@
 The network proposes a posture in each frame; the contours of the last links on edges of the image decide. Looks differ
 from those that the network was trained on, so the arm is followed from the frames where its contours lie best into
 their neighbours, which needs no network. The last link is nearly round: its turn comes from its grip, which stands out
-on one side, and from all frames together, as joints turn smoothly.
+on one side, and from all frames together, as the optical flow of its surface shows how it turns between them.
 """
 
 from collections.abc import Mapping, Sequence
@@ -42,7 +42,7 @@ _REACHES_PX = (8.0, 5.0, 3.0, 2.0)  # farthest edges of the last links in succes
 _GAIN = 0.05  # least lead of a neighbour's agreement with edges that makes its posture the better one
 _LOST = 0.8  # of the agreement of a frame, below which the arm was not followed from it
 _ON_EDGES, _OFF_CELLS = 15.0, 0.05  # log-likelihood of a turn per share of contours on edges, and per misfit of cells
-_TURN_SIGMA_RAD = np.deg2rad(6.0)  # of the likeliest turns, which lie on a grid
+_TURN_SIGMA_RAD = np.deg2rad(6.0)  # of the likeliest turns, before each frame is fitted once more
 _SAME_M, _SAME_RAD = 0.06, np.deg2rad(20.0)  # from the chain with a free base to the arm on the base
 _ON_BASE, _BASE_LOSS = 0.4, 0.1  # least agreement of an arm on the base, and its largest loss by the base
 _UNSEEN_SIGMA_M = 0.1
@@ -158,11 +158,7 @@ class FlangeTracker:
             log_likelihood = np.zeros((len(turns), len(grid)))
             for i, view in views.items():
                 turned = self._chain.turned(chains[i], turns[i] + grid).place().X_CP
-                on_edges = [self._edges.agreement(video.images[i], X, _FLANGE) for X in turned]
-                log_likelihood[i] = _ON_EDGES * _agreement(poses[i]) * np.array(on_edges)
-                cells = Correspondences.of_view(view, view.part == RobotPart.LINK7, _LINK_CELLS, _INDEPENDENT)
-                if len(cells) >= MIN_FLANGE_CELLS:
-                    log_likelihood[i] -= _OFF_CELLS * misfit(cells, turned[:, RobotPart.LINK7])
+                log_likelihood[i] = self._log_likelihood(turned, poses[i], view, video.images[i])
             changes = self._turn_changes(chains, video.images) - np.diff(turns)
             offsets, own_sigma = likeliest_turns(grid, log_likelihood, changes)
             turns, sigma = turns + offsets, np.maximum(sigma, own_sigma)
@@ -173,6 +169,15 @@ class FlangeTracker:
             if chain is not None:
                 pose = self._pose(chain, video.images[i], view)
                 poses[i] = _with_turn_sigma(self._on_base(pose, i, video) or pose, sigma[i])
+
+    def _log_likelihood(self, X_CP: Array, pose: FramePose, view: GripperView, image: GradientImage) -> Array:
+        """Return the log-likelihoods (M,) of poses of the parts (M, PARTS, 4, 4) by the last link, in a frame."""
+        on_edges = [self._edges.agreement(image, X, _FLANGE) for X in X_CP]
+        log_likelihood = _ON_EDGES * _agreement(pose) * np.array(on_edges)
+        cells = Correspondences.of_view(view, view.part == RobotPart.LINK7, _LINK_CELLS, _INDEPENDENT)
+        if len(cells) >= MIN_FLANGE_CELLS:
+            log_likelihood -= _OFF_CELLS * misfit(cells, X_CP[:, RobotPart.LINK7])
+        return log_likelihood
 
     def _turn_changes(self, chains: Mapping[int, ChainModel], images: Sequence[GradientImage]) -> Array:
         """Return the changes (T - 1,) of the last joint from frame to frame by the surface of the arm [rad]; or NaN.

@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +14,14 @@ from kinebench_drake.grounding.anomaly.camera_motion import CameraMotion, Featur
 from kinebench_drake.grounding.anomaly.detect import SURE_CONFIDENCE, AnomalyEvidence, find_anomalies, gather_evidence
 from kinebench_drake.grounding.anomaly.detection import AnomalyDetections
 from kinebench_drake.grounding.camera_path import CameraPath, follow_camera
-from kinebench_drake.grounding.confidence import GOOD_M, GOOD_RAD, Confidence, frame_features, load_confidence
+from kinebench_drake.grounding.confidence import (
+    CALIBRATION,
+    GOOD_M,
+    GOOD_RAD,
+    Confidence,
+    frame_features,
+    load_confidence,
+)
 from kinebench_drake.grounding.estimator import NetworkEstimator
 from kinebench_drake.grounding.flange_tracker import FlangeTracker
 from kinebench_drake.grounding.flips import X_HALF_TURN, resolve_flips
@@ -114,22 +122,29 @@ class GroundingPipeline:
         weights: Path | None = None,
         table_height_m: float = 0.0,
         gripper: GripperKind = GripperKind.FRANKA,
-    ) -> "GroundingPipeline":
-        """Create the pipeline, with `weights` in place of those shipped; of other grippers the arm alone is measured.
+        calibration: Path | None = None,
+    ) -> Self:
+        """Create the pipeline, with `weights` and `calibration` of the confidence in place of those shipped.
+
+        Of other grippers than Franka's the arm alone is measured.
 
         Raises:
             SetupError: weights, calibration, meshes or native libraries are missing.
         """
         shipped = WEIGHTS if gripper is GripperKind.FRANKA else ARM_WEIGHTS
-        return cls.of(NetworkEstimator(load_network(weights or shipped), device), table_height_m, gripper)
+        return cls.of(NetworkEstimator(load_network(weights or shipped), device), table_height_m, gripper, calibration)
 
     @classmethod
     def of(
-        cls, estimator: DenseEstimator, table_height_m: float = 0.0, gripper: GripperKind = GripperKind.FRANKA
-    ) -> "GroundingPipeline":
+        cls,
+        estimator: DenseEstimator,
+        table_height_m: float = 0.0,
+        gripper: GripperKind = GripperKind.FRANKA,
+        calibration: Path | None = None,
+    ) -> Self:
         """Create the pipeline that measures with dense estimates of `estimator`; of other grippers the arm alone."""
         tracker = CadTracker(estimator) if gripper is GripperKind.FRANKA else FlangeTracker(estimator)
-        return cls(tracker, load_confidence(), table_height_m)
+        return cls(tracker, load_confidence(calibration or CALIBRATION), table_height_m)
 
     def warm_up(self) -> None:
         """Ground a blank video, since the first use of the network and of the ray caster is slow."""

@@ -130,7 +130,9 @@ class Simulator:
         renders: bool = True,
         control: Control = Control.JOINTS,
     ) -> None:
-        """Build the scene (0.3 s; some seconds the first time in a process).
+        """Build the scene, which takes some seconds the first time in a process.
+
+        What the process holds then is exempt from garbage collection from there on.
 
         Args:
             task: plain task id.

@@ -1,7 +1,6 @@
 """Rendering of training frames in several processes."""
 
 import multiprocessing
-import os
 import queue
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
@@ -9,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from kinebench_drake.errors import SetupError
+from kinebench_drake.executors.local import one_thread
 from kinebench_drake.grounding.training.layout import ShownGripper
 from kinebench_drake.grounding.training.scene import TrainingScene
 from kinebench_drake.models.perception.frame import FILES, save_shard
@@ -67,13 +67,13 @@ def render(folder: Path, seeds: Iterable[int], jobs: int, report: Callable[[str]
     folder.mkdir(parents=True, exist_ok=True)
     context = multiprocessing.get_context("spawn")
     done: multiprocessing.Queue[int | None] = context.Queue()
-    os.environ.setdefault("LP_NUM_THREADS", "1")  # lavapipe: one thread per process
     workers = [
         context.Process(target=_work, args=(folder, missing[k::jobs], arm, done), daemon=True)
         for k in range(min(jobs, len(missing)))
     ]
-    for worker in workers:
-        worker.start()
+    with one_thread():
+        for worker in workers:
+            worker.start()
     finished, running = 0, len(workers)
     while running:
         try:

@@ -6,6 +6,8 @@ bend (joint 4), wrist side (joint 6) and shoulder flip (joint 2). Derivation aft
 Design", ICCMA 2021; here for arrays of poses and joint-7 angles. Joint limits are ignored.
 """
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -117,11 +119,11 @@ def analytic_ik(X_BF: ArrayLike, q7: ArrayLike) -> Array:
         q6 += 2 * np.pi * (q6 < -np.pi / 2)
 
         # Shoulder: R_B3 = Rz(q1) Ry(q2) Rz(q3), whose z axis leaves two ways.
-        a, b, c = s4 * x4[0] + c4 * z5[0], s4 * x4[1] + c4 * z5[1], s4 * x4[2]
-        z3 = [x6[k] * a + y6[k] * b + z6[k] * c for k in range(3)]
-        x3_z = x6[2] * (c4 * x4[0] - s4 * z5[0]) + y6[2] * (c4 * x4[1] - s4 * z5[1]) + z6[2] * (c4 * x4[2])
-        y3_z = -x6[2] * z4[0] - y6[2] * z4[1] - z6[2] * z4[2]
-    q1, q2 = np.arctan2(z3[1], z3[0]), np.arctan2(np.hypot(z3[0], z3[1]), z3[2])
+        x3 = c4 * x4[0] - s4 * z5[0], c4 * x4[1] - s4 * z5[1], c4 * x4[2]
+        z3 = s4 * x4[0] + c4 * z5[0], s4 * x4[1] + c4 * z5[1], s4 * x4[2]
+        z3_B = [_dot((x6[k], y6[k], z6[k]), z3) for k in range(3)]
+        x3_z, y3_z = (_dot((x6[2], y6[2], z6[2]), axis) for axis in (x3, (-z4[0], -z4[1], -z4[2])))
+    q1, q2 = np.arctan2(z3_B[1], z3_B[0]), np.arctan2(np.hypot(z3_B[0], z3_B[1]), z3_B[2])
     q3 = np.arctan2(y3_z, -x3_z)
     q[0, :, :, 0], q[1, :, :, 0], q[2, :, :, 0] = q1, q2, q3
     q[0, :, :, 1], q[1, :, :, 1], q[2, :, :, 1] = q1 - np.copysign(np.pi, q1), -q2, q3 - np.copysign(np.pi, q3)
@@ -131,5 +133,6 @@ def analytic_ik(X_BF: ArrayLike, q7: ArrayLike) -> Array:
     return np.ascontiguousarray(q)
 
 
-def _dot(a: Array, b: Array) -> Array:
+def _dot(a: Array | Sequence[Array], b: Array | Sequence[Array]) -> Array:
+    """Return the scalar products (...) of vectors given by component."""
     return np.asarray(a[0] * b[0] + a[1] * b[1] + a[2] * b[2])

@@ -29,7 +29,7 @@ from kinebench_drake.geometry import make_pose, rotation_exp
 from kinebench_drake.grounding.flips import X_HALF_TURN
 from kinebench_drake.models.panda.cad import FINGER_ORIGIN_H, part_meshes
 from kinebench_drake.models.panda.robot import RobotPart
-from kinebench_drake.types import Anomaly, AnomalyKind
+from kinebench_drake.types import Anomaly, AnomalyKind, GripperKind
 
 T = 4
 CAMERA = benchmark_camera()
@@ -150,7 +150,8 @@ def test_finished_videos_are_not_grounded_again(folder, monkeypatch, tmp_path):
         return record(np.stack([pose(0.1 * i) for i in range(T)]))
 
     monkeypatch.setattr(footage, "ground_video", ground)
-    monkeypatch.setattr(footage.ObservedPipeline, "load", lambda weights, calibration: None)
+    grippers = []
+    monkeypatch.setattr(footage.ObservedPipeline, "create", lambda **options: grippers.append(options["gripper"]))
     out = tmp_path / "out"
     for expected in (["sim", "real"], ["sim", "real", "edge", "none"]):
         names = [] if len(expected) == 4 else ["--videos", "sim,real"]
@@ -161,6 +162,11 @@ def test_finished_videos_are_not_grounded_again(folder, monkeypatch, tmp_path):
     assert report["kinds"][ReferenceKind.JOINTS.value]["hand_mm_p95"] < 0.01
     assert (out / "footage.md").read_text() == result.stdout.removesuffix("\n")
     assert CliRunner().invoke(main, ["footage", str(folder), "--out", str(out), "--videos", "x"]).exit_code == 2
+    arm_alone = ["footage", str(folder), "--out", str(out), "--videos", "sim", "--gripper", "none"]
+    assert CliRunner().invoke(main, arm_alone).exit_code == 0
+    assert grounded[4:] == ["sim"]
+    assert set(grippers[:-1]) == {GripperKind.FRANKA}
+    assert grippers[-1] is GripperKind.NONE
 
 
 def labelled(X_CH, width_m, frame=0):
