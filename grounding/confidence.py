@@ -25,10 +25,7 @@ _HAND_FEATURES = (
     *("log_sigma", "log_residual", "log_cells", "overlap", "log_level"),
     *("log_position_sigma", "arm_agrees", "log_arm_consistency", "edge_agreement", "icp_fitness", "log_icp_rmse"),
 )
-_FLANGE_FEATURES = (
-    *("log_residual", "log_cells", "edge_agreement", "flange_agreement"),
-    *("log_position_sigma", "log_rotation_sigma", "on_base"),
-)
+_FLANGE_FEATURES = ("log_residual", "log_cells", "flange_agreement", "log_position_sigma", "log_rotation_sigma")
 FRAME_FEATURES: Mapping[Domain, tuple[str, ...]] = {
     Domain.FAMILIAR: _HAND_FEATURES,
     Domain.UNFAMILIAR: _HAND_FEATURES,
@@ -41,9 +38,8 @@ the overlap with the rendered gripper, the disagreement of depth and apparent si
 position, whether the arm is consistent with the hand, and how closely, the share of the contour on edges of the image
 where the pose was fitted to them, and how well the depth matches the CAD surface.
 
-Of the arm alone: the residual of the fit, the visible cells of the last link, the shares of the contours of the last
-links and of the very last on edges of the image, the standard deviations of position and rotation, and whether the arm
-stands on the base."""
+Of the arm alone: the residual of the fit, the visible cells of the last link, the share of its contours on edges of the
+image, and the standard deviations of position and rotation."""
 TRACK_FEATURES = ("frame_logit", "log_distance", "log_angle", "alone")
 """Features of a frame in its track: the log-odds of the frame alone, its deviation from the pose predicted by its
 neighbours, and whether there are too few of them for a prediction."""
@@ -82,11 +78,9 @@ def _flange_features(pose: FramePose) -> Array:
         [
             np.log(max(pose.hand.residual, 1e-2)),
             np.log(max(pose.hand.points, 1) / 100.0),
-            4.0 * (arm.edge_agreement - 0.6) if arm is not None else -2.4,
             4.0 * (arm.hand_agreement - 0.5) if arm is not None else -2.0,
             np.log(max(position, 1e-4) / 0.005),
             np.log(max(rotation, 1e-3) / 0.1),
-            float(pose.arm_agrees),
         ]
     )
 

@@ -8,9 +8,11 @@ from kinebench_drake.grounding.training.texture import random_photograph, random
 
 Image = NDArray[np.uint8]
 
+_GAINS = (0.4, 1.5)  # of the exposure: videos of dim rooms use half of the range
+
 
 def _colour(image: NDArray[np.float32], rng: np.random.Generator) -> NDArray[np.float32]:
-    gain = rng.uniform(0.7, 1.4) * rng.uniform(0.85, 1.15, 3)
+    gain = np.exp(rng.uniform(*np.log(_GAINS))) * rng.uniform(0.85, 1.15, 3)
     offset = rng.uniform(-20, 20) + rng.uniform(-8, 8, 3)
     image = image * gain.astype(np.float32) + offset.astype(np.float32)
     if rng.random() < 0.3:
