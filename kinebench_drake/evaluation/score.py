@@ -511,9 +511,14 @@ def ground_prepared(
         if arm.track.tracked.mean() >= ARM_SHARE:
             return arm
     if tracked < MIN_TRACKED:
+        share = f"in {tracked} of {len(video.t_s)} frames, a path needs {MIN_TRACKED}"
+        if not measures_hand:
+            raise UnmeasurableError(
+                f"the flange was tracked {share}: its confidence is {grounding.track.confidence.max():.2f} at most; "
+                "are wrist and forearm in view, and is this the video's camera?"
+            )
         raise UnmeasurableError(
-            f"the gripper was found in {tracked} of {len(video.t_s)} frames, a path needs {MIN_TRACKED}: is the "
-            "robot in view, and is this the video's camera?"
+            f"the gripper was found {share}: is the robot in view, and is this the video's camera?"
             + (" With another gripper than Franka's take --gripper none." if gripper is GripperKind.FRANKA else "")
         )
     return grounding

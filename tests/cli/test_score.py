@@ -617,3 +617,12 @@ def test_another_gripper_leaves_the_arm_alone(film, config, tmp_path):
     assert "--gripper none" in rows["franka"].reason
     with pytest.raises(UsageError, match="--gripper is 'claw', expected 'franka'"):
         config(gripper="claw")
+
+
+def test_an_arm_that_is_nowhere_sure_is_unmeasurable_with_its_confidence(film, config):
+    film("videos/a.mp4", Act.NO_ROBOT)
+    score_videos(config(gripper="none"))
+    (row,) = read_rows(config().out).values()
+    assert row.status is Status.UNMEASURABLE
+    assert row.reason.startswith("the flange was tracked in 0 of ")
+    assert "its confidence is 0.00 at most;" in row.reason
