@@ -123,6 +123,13 @@ class Confidence:
     """Regression on TRACK_FEATURES."""
 
 
+def frame_confidence(pose: FramePose | None, domain: Domain, confidence: Mapping[Domain, Confidence]) -> float:
+    """Return the confidence of a single frame, 0..1: 0 without a pose, 1 for one that was given."""
+    if pose is None or pose.from_prior:
+        return float(pose is not None)
+    return float(confidence[domain].frame.probability(frame_features(pose, domain)))
+
+
 def load_confidence(path: Path = CALIBRATION) -> Mapping[Domain, Confidence]:
     """Read a calibration, by default the shipped one.
 

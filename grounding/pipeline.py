@@ -19,7 +19,7 @@ from kinebench_drake.grounding.confidence import (
     GOOD_M,
     GOOD_RAD,
     Confidence,
-    frame_features,
+    frame_confidence,
     load_confidence,
 )
 from kinebench_drake.grounding.estimator import NetworkEstimator
@@ -143,8 +143,10 @@ class GroundingPipeline:
         calibration: Path | None = None,
     ) -> Self:
         """Create the pipeline that measures with dense estimates of `estimator`; of other grippers the arm alone."""
-        tracker = CadTracker(estimator) if gripper is GripperKind.FRANKA else FlangeTracker(estimator)
-        return cls(tracker, load_confidence(calibration or CALIBRATION), table_height_m)
+        confidence = load_confidence(calibration or CALIBRATION)
+        franka = gripper is GripperKind.FRANKA
+        tracker = CadTracker(estimator, confidence=confidence) if franka else FlangeTracker(estimator)
+        return cls(tracker, confidence, table_height_m)
 
     def warm_up(self) -> None:
         """Ground a blank video, since the first use of the network and of the ray caster is slow."""
@@ -212,19 +214,12 @@ class GroundingPipeline:
         """Return whether the first frame confidently shows the gripper elsewhere; a 180-degree flip is tolerated."""
         tracking = self._tracker.track(frames[:1], camera)
         pose = tracking.poses[0]
-        if self._frame_confidence(pose, tracking.domain) < SURE_CONFIDENCE or pose is None:
+        if pose is None or frame_confidence(pose, tracking.domain, self._confidence) < SURE_CONFIDENCE:
             return False
         distance, angle = pose_difference(
             _initial_hand_pose(state, camera), np.stack([pose.X_CH, pose.X_CH @ X_HALF_TURN])
         )
         return not bool(((distance <= FIRST_M) & (angle <= FIRST_RAD)).any())
-
-    def _frame_confidence(self, pose: FramePose | None, domain: Domain) -> float:
-        if pose is None:
-            return 0.0
-        return (
-            1.0 if pose.from_prior else float(self._confidence[domain].frame.probability(frame_features(pose, domain)))
-        )
 
     def observe(self, frames: Frames, camera: Camera, t_s: Array, priors: Priors = NO_PRIORS) -> Observation:
         """Measure each frame, without confidence and smoothing along the video.
@@ -249,7 +244,7 @@ class GroundingPipeline:
         resolved = tracking.poses if tracking.domain is Domain.ARM else resolve_flips(tracking.poses)
         X_AC = motion.X_AS if stabilized else motion.X_AC
         poses = [p and replace(p, X_CH=X @ p.X_CH) for p, X in zip(resolved, X_AC, strict=True)]
-        confidence = np.array([self._frame_confidence(p, tracking.domain) for p in poses])
+        confidence = np.array([frame_confidence(p, tracking.domain, self._confidence) for p in poses])
         return Observation(
             poses=tuple(poses),
             evidence=gather_evidence(frames, camera, t_s, tracking.wide, poses, confidence, motion, tracking.domain),

@@ -94,24 +94,26 @@ class EdgeRefinement:
         camera: Camera,
         arm_fitter: ArmFitter,
         silhouette: SilhouetteMatcher,
-        measure: Callable[[dict[int, Crop]], None],
+        measure: Callable[[dict[int, Crop]], dict[int, FramePose]],
         *,
-        camera_is_fitted: bool = False,
+        may_be_familiar: bool,
     ) -> None:
         """Refine `poses`.
 
         Args:
-            poses: pose by frame number, which are replaced.
+            poses: pose by frame number.
             wide: view that shows the arm by frame number.
             frames: (T, H, W, 3) RGB.
             camera: camera of the frames.
             arm_fitter: fitter of the arm.
             silhouette: comparison of the rendered with the segmented gripper.
-            measure: measures frames in these crops, and stores the poses of those that show a gripper in `poses`.
-            camera_is_fitted: True if the camera was fitted to the edges: they cannot confirm the network then.
+            measure: measures frames in these crops, and returns the poses of those that show a gripper.
+            may_be_familiar: False if the edges cannot confirm the network, as where the camera was fitted to them.
         """
-        self._measure, self._camera_is_fitted = measure, camera_is_fitted
-        self._poses, self._wide, self._frames, self._camera = poses, wide, frames, camera
+        self._measure, self._may_be_familiar = measure, may_be_familiar
+        self.poses = dict(poses)
+        """Refined poses by frame number."""
+        self._wide, self._frames, self._camera = wide, frames, camera
         self._fitter, self._silhouette = arm_fitter, silhouette
         self._images: dict[int, GradientImage] = {}
         self._sharp: dict[int, tuple[ArmFit, ArmFit]] = {}  # by frame: fit to the cells, and to cells and edges
@@ -123,12 +125,12 @@ class EdgeRefinement:
 
         A gripper that is too large for its arm agrees with its edges nowhere.
         """
-        if self._camera_is_fitted:
+        if not self._may_be_familiar:
             return False
-        numbers = [i for i, pose in sorted(self._poses.items()) if pose.arm_agrees and not pose.from_prior]
-        estimated = sum(not pose.from_prior for pose in self._poses.values())
+        numbers = [i for i, pose in sorted(self.poses.items()) if pose.arm_agrees and not pose.from_prior]
+        estimated = sum(not pose.from_prior for pose in self.poses.values())
         if not numbers or len(numbers) < _AGREEING_SHARE * estimated:
-            return bool(self._poses) and estimated == 0
+            return bool(self.poses) and estimated == 0
         sample = [numbers[k] for k in np.unique(np.linspace(0, len(numbers) - 1, _SAMPLES).round().astype(int))]
         arms = self._sharpened(sample)
         agreements = [self._fitter.at([i]).edge_agreement(arm.q, self._image(i)) for i, arm in arms.items()]
@@ -145,12 +147,12 @@ class EdgeRefinement:
     @property
     def domain(self) -> Domain:
         """Domain of the video, after `run`: where the network missed the gripper in many frames, its views mislead."""
-        missed = len(self._reached) > _MISSED_SHARE * len(self._poses)
+        missed = len(self._reached) > _MISSED_SHARE * len(self.poses)
         return Domain.FAMILIAR if self.is_familiar and not missed else Domain.UNFAMILIAR
 
     def run(self) -> None:
         """Replace the poses: all of an unfamiliar video, else the doubtful ones."""
-        self.fit([i for i, pose in self._poses.items() if _is_doubtful(pose) or not self.is_familiar])
+        self.fit([i for i, pose in self.poses.items() if _is_doubtful(pose) or not self.is_familiar])
         if not self.is_familiar:
             self._search()
         self._follow()
@@ -171,54 +173,52 @@ class EdgeRefinement:
 
     def _follow_from(self, near: int, number: int) -> None:
         """Measure a frame again where the arm of a sure frame went, and keep the pose that the edges confirm more."""
-        before, fitter = self._poses[near].arm, self._fitter.at([number])
+        before, fitter = self.poses[near].arm, self._fitter.at([number])
         if before is None:
             return
         X_CP, images = self._fitter.at([near]).poses(before), (self._image(near), self._image(number))
         arm = fitter.follow(before, X_CP, *images)
         if arm is None:
             return
-        old = self._poses.get(number)
-        self._measure({number: Crop.of_gripper(arm.X_CH, CLOSE_MARGIN, CLOSE_SIZE)})
-        pose = self._poses.get(number)
-        if pose is None or pose is old:
+        old = self.poses.get(number)
+        pose = self._measure({number: Crop.of_gripper(arm.X_CH, CLOSE_MARGIN, CLOSE_SIZE)}).get(number)
+        if pose is None:
             return
+        self.poses[number] = pose
         views = pose.hand, pose.view, self._wide[number], images[1]
         self._keep_better(number, fitter.refine(arm.q, *views, followed=arm.points))
-        if not self._is_sure(number) or (old is not None and _agreement(self._poses[number]) < _agreement(old)):
-            del self._poses[number]
+        if not self._is_sure(number) or (old is not None and _agreement(self.poses[number]) < _agreement(old)):
+            del self.poses[number]
             if old is not None:
-                self._poses[number] = old
+                self.poses[number] = old
         else:
             self._reached.add(number)
 
     def _is_less_sure(self, number: int, near: int) -> bool:
         """Return whether a frame is not sure, or the edges agree less with its arm than with that of a sure frame."""
-        pose = self._poses.get(number)
+        pose = self.poses.get(number)
         if not self._is_sure(number) or pose is None:
             return pose is None or not pose.from_prior
-        return not self.is_familiar and _agreement(pose) < _BEST_SHARE * _agreement(self._poses[near])
+        return not self.is_familiar and _agreement(pose) < _BEST_SHARE * _agreement(self.poses[near])
 
     def _is_sure(self, number: int) -> bool:
         """Return whether the arm of a frame agrees with its hand and, in unfamiliar videos, with its edges."""
-        pose = self._poses.get(number)
+        pose = self.poses.get(number)
         return pose is not None and pose.arm_agrees and (self.is_familiar or _agreement(pose) > 0.0)
 
     def _sharpen(self) -> None:
         """Fit poses whose arm agrees to cells and edges together; those fitted to edges alone had doubtful cells."""
-        rest = [
-            i for i, pose in self._poses.items() if pose.arm_agrees and not pose.from_prior and not _agreement(pose)
-        ]
+        rest = [i for i, pose in self.poses.items() if pose.arm_agrees and not pose.from_prior and not _agreement(pose)]
         for i, arm in self._sharpened(rest).items():
-            self._poses[i] = self._poses[i].with_arm(arm, self._poses[i].overlap)
+            self.poses[i] = self.poses[i].with_arm(arm, self.poses[i].overlap)
 
     def _sharpened(self, numbers: Sequence[int]) -> dict[int, ArmFit]:
         """Return the arms of frames fitted to cells and edges together, by frame number."""
-        arms = {i: arm for i in numbers if (arm := self._poses[i].arm) is not None}
+        arms = {i: arm for i in numbers if (arm := self.poses[i].arm) is not None}
         old = [i for i, arm in arms.items() if i not in self._sharp or self._sharp[i][0] is not arm]
         for start in range(0, len(old), BATCH):
             batch = old[start : start + BATCH]
-            poses = [self._poses[i] for i in batch]
+            poses = [self.poses[i] for i in batch]
             fits = self._fitter.at(batch).sharpen_all(
                 [arms[i] for i in batch],
                 [pose.hand for pose in poses],
@@ -231,23 +231,23 @@ class EdgeRefinement:
 
     def _reject(self) -> None:
         """Mark the poses of an unfamiliar video that the edges do not confirm: hand and arm do not agree in them."""
-        for i, pose in self._poses.items():
+        for i, pose in self.poses.items():
             if i not in self.confirmed and pose.arm is not None and not pose.from_prior:
-                self._poses[i] = replace(pose, arm=replace(pose.arm, agrees=False))
+                self.poses[i] = replace(pose, arm=replace(pose.arm, agrees=False))
 
     def fit(self, numbers: Iterable[int]) -> None:
         """Fit frames to the edges, from their own postures, then from those of the frames before and after."""
-        ordered = sorted(i for i in numbers if i in self._poses and not self._poses[i].from_prior)
+        ordered = sorted(i for i in numbers if i in self.poses and not self.poses[i].from_prior)
         for i in ordered:
-            arm = self._poses[i].arm
+            arm = self.poses[i].arm
             if arm is not None:
                 self._keep_better(i, self._refine(i, arm))
         for step in (1, -1):
-            agreements = [_agreement(pose) for pose in self._poses.values()]
+            agreements = [_agreement(pose) for pose in self.poses.values()]
             enough = _BEST_SHARE * float(np.quantile(agreements, _BEST_QUANTILE)) if agreements else 0.0
             for i in ordered[::step]:
-                near = self._poses.get(i - step)
-                if near is not None and near.arm is not None and _agreement(self._poses[i]) < enough:
+                near = self.poses.get(i - step)
+                if near is not None and near.arm is not None and _agreement(self.poses[i]) < enough:
                     self._keep_better(i, self._refine(i, near.arm))
 
     def _search(self) -> None:
@@ -255,7 +255,7 @@ class EdgeRefinement:
 
         Frames whose silhouette matches come first: their direction is right.
         """
-        rest = {i: pose for i, pose in self._poses.items() if i not in self.confirmed and not pose.from_prior}
+        rest = {i: pose for i, pose in self.poses.items() if i not in self.confirmed and not pose.from_prior}
         for i in sorted(rest, key=lambda i: -rest[i].overlap)[:_SEARCHED_FRAMES]:
             pose = rest[i]
             self._keep_better(i, self._fitter.at([i]).search(pose.hand, pose.view, self._wide[i], self._image(i)))
@@ -265,20 +265,20 @@ class EdgeRefinement:
     @property
     def confirmed(self) -> dict[int, FramePose]:
         """Poses that the edges confirm, by frame number."""
-        return {i: pose for i, pose in self._poses.items() if _agreement(pose) > 0.0}
+        return {i: pose for i, pose in self.poses.items() if _agreement(pose) > 0.0}
 
     def _refine(self, number: int, start: ArmFit) -> ArmFit | None:
-        pose = self._poses[number]
+        pose = self.poses[number]
         return self._fitter.at([number]).refine(start.q, pose.hand, pose.view, self._wide[number], self._image(number))
 
     def _keep_better(self, number: int, arm: ArmFit | None) -> None:
         """Replace the pose of a frame by a fit that the edges agree with better."""
-        pose = self._poses[number]
+        pose = self.poses[number]
         if arm is None or not arm.agrees or arm.edge_agreement <= _agreement(pose):
             return
         hand = pose.view, arm.X_CH, finger_or_default(arm.finger_m)
         if self._silhouette.coverage(*hand) >= _MIN_COVERAGE:
-            self._poses[number] = pose.with_arm(arm, self._silhouette.overlap(*hand))
+            self.poses[number] = pose.with_arm(arm, self._silhouette.overlap(*hand))
 
     def _image(self, number: int) -> GradientImage:
         image = self._images.pop(number, None) or GradientImage(self._frames[number], self._camera)

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array, interpolate_pose, transform_points
+from kinebench_drake.grounding.confidence import Confidence, frame_confidence, load_confidence
 from kinebench_drake.grounding.crop import CLOSE_MARGIN, CLOSE_SIZE, GRIPPER_CENTRE_H, Crop
 from kinebench_drake.grounding.localization import find_region, likeliest_gripper
 from kinebench_drake.grounding.override_estimator import OverrideEstimator, calibrate_depth
@@ -29,6 +30,7 @@ from kinebench_drake.types import NO_PRIORS, Domain, Priors
 
 _RECENTRE = 0.2  # offset of the gripper from the crop's centre, over half the crop, beyond which a new crop is taken
 _RESCALE = 1.25  # likewise the factor between its size in the crop and the desired one
+_SURE_SHARE = 0.9  # expected share of right poses below which a familiar video is tried as an unfamiliar one
 _MAX_GAP = 12  # frames over which the crop of a lost gripper is interpolated
 
 
@@ -69,9 +71,14 @@ class CadTracker:
     following the arm from its neighbours, and its edges must confirm it.
     """
 
-    def __init__(self, estimator: DenseEstimator, cad: GripperCad | None = None) -> None:
-        """Track with dense estimates of `estimator`."""
-        self._estimator = estimator
+    def __init__(
+        self,
+        estimator: DenseEstimator,
+        cad: GripperCad | None = None,
+        confidence: Mapping[Domain, Confidence] | None = None,
+    ) -> None:
+        """Track with dense estimates of `estimator`; `confidence` (default: the shipped one) decides on the domain."""
+        self._estimator, self._confidence = estimator, confidence or load_confidence()
         self._cad = cad or GripperCad()
         self._icp = IcpRefiner(self._cad)
         self._silhouette = SilhouetteMatcher(self._cad)
@@ -95,33 +102,49 @@ class CadTracker:
             wide = dict(estimator.estimate(frames, camera, dict.fromkeys(whole, region)))
         crops = self._detected_crops(wide, priors)
         arm = ArmFitter(camera, self._arm, self._edges, places)
-        poses: dict[int, FramePose] = {}
 
-        def measure(crops: dict[int, Crop]) -> None:
-            """Measure the frames of `crops` and store their poses in `poses`."""
-            estimates = estimator.estimate(frames, camera, crops)
+        def measure(crops: dict[int, Crop]) -> dict[int, FramePose]:
+            """Return the poses of the frames of `crops` that show a gripper."""
+            estimates, poses = estimator.estimate(frames, camera, crops), dict[int, FramePose]()
             while views := dict(islice(estimates, BATCH)):
-                poses.update(self._measure(views, wide, arm, priors))
+                poses |= self._measure(views, wide, arm, priors)
+            return poses
 
-        measure(crops)
-        measure(self._corrected_crops(poses))
-        measure(self._proposed_crops(len(frames), poses))
-        domain = Domain.FAMILIAR
-        if not priors.has_exact_depth:
-            propagate(poses, wide, arm, self._silhouette)
+        poses = measure(crops)
+        poses |= measure(self._corrected_crops(poses))
+        poses |= measure(self._proposed_crops(len(frames), poses))
+
+        def refine(*, may_be_familiar: bool) -> EdgeRefinement:
             refinement = EdgeRefinement(
-                poses, wide, frames, camera, arm, self._silhouette, measure, camera_is_fitted=priors.camera_is_fitted
+                poses, wide, frames, camera, arm, self._silhouette, measure, may_be_familiar=may_be_familiar
             )
             if refinement.is_familiar or not priors.camera_is_assumed:
                 refinement.run()
-            domain = refinement.domain
-        poses = {i: self._register(pose) for i, pose in poses.items()}
+            return refinement
+
+        domain = Domain.FAMILIAR
+        if priors.has_exact_depth:
+            found = self._register(poses)
+        else:
+            propagate(poses, wide, arm, self._silhouette)
+            refinement = refine(may_be_familiar=not priors.camera_is_fitted)
+            found, domain = self._register(refinement.poses), refinement.domain
+            expected = self._expected(found, domain)
+            is_settled = not refinement.is_familiar or priors.camera_is_assumed
+            if not is_settled and expected < _SURE_SHARE * len(frames):
+                other = self._register(refine(may_be_familiar=False).poses)
+                if self._expected(other, Domain.UNFAMILIAR) > expected:
+                    found, domain = other, Domain.UNFAMILIAR
         return Tracking(
-            poses=tuple(poses.get(i) for i in range(len(frames))),
+            poses=tuple(found.get(i) for i in range(len(frames))),
             wide=tuple(wide[i] for i in range(len(frames))),
             robot=wide[0].to_frame(wide[0].part > 0, camera),
             domain=domain,
         )
+
+    def _expected(self, poses: Mapping[int, FramePose], domain: Domain) -> float:
+        """Return how many of the poses are right, as their confidence states."""
+        return sum(frame_confidence(pose, domain, self._confidence) for pose in poses.values())
 
     def _calibrate(self, frames: Frames, camera: Camera, priors: Priors) -> Priors:
         """Scale another program's estimated depth by the first frame, if the pose in it is known.
@@ -185,8 +208,11 @@ class CadTracker:
             return None
         return self._silhouette.match(view, hand.X_CH, finger_or_default(hand.finger_m))
 
-    def _register(self, pose: FramePose) -> FramePose:
-        """Return the pose combined with its registration by ICP."""
+    def _register(self, poses: Mapping[int, FramePose]) -> dict[int, FramePose]:
+        """Return the poses, each combined with its registration by ICP."""
+        return {i: self._registered(pose) for i, pose in poses.items()}
+
+    def _registered(self, pose: FramePose) -> FramePose:
         finger_m = finger_or_default(pose.finger_m)
         icp = None if pose.from_prior else self._icp.refine(pose.view, pose.X_CH, pose.covariance, finger_m)
         if icp is None or icp.weight == 0.0:

@@ -46,6 +46,9 @@ def exact(monkeypatch: pytest.MonkeyPatch) -> GripperView:
         return estimate("cpu")
 
 
+@pytest.mark.skipif(
+    not torch.ops.mkldnn._is_mkldnn_bf16_supported(), reason="the processor does not compute in bfloat16"
+)
 def test_reduced_precision_changes_estimates_less_than_their_errors(
     monkeypatch: pytest.MonkeyPatch, exact: GripperView
 ) -> None:

@@ -5,10 +5,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.special import logit
 
 from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.geometry import make_pose
-from kinebench_drake.grounding.confidence import load_confidence
+from kinebench_drake.grounding.confidence import FRAME_FEATURES, Confidence, LogisticRegression, load_confidence
 from kinebench_drake.grounding.estimator import NetworkEstimator
 from kinebench_drake.grounding.evaluation.clip import TruthClip, find_clips
 from kinebench_drake.grounding.evaluation.errors import ClipErrors
@@ -21,7 +22,7 @@ from kinebench_drake.grounding.tracker import CadTracker
 from kinebench_drake.io.reader import read_video
 from kinebench_drake.models.panda.cad import GripperCad
 from kinebench_drake.models.perception.network import load_network
-from kinebench_drake.types import InitialStateUse, Priors
+from kinebench_drake.types import Domain, InitialStateUse, Priors
 
 EXAMPLES = Path(__file__).parents[2] / "examples" / "videos"
 pytestmark = pytest.mark.slow
@@ -104,6 +105,29 @@ def test_the_initial_state_is_used_unless_the_first_frame_contradicts_it(
     refused = pipeline.ground(frames, clip.camera, t_s, Priors(initial_state=elsewhere))
     assert refused.first_frame is InitialStateUse.CONTRADICTED
     np.testing.assert_array_equal(refused.track.X_CH, pipeline.ground(frames, clip.camera, t_s).track.X_CH)
+
+
+@pytest.mark.parametrize(
+    ("familiar", "unfamiliar", "domain"),
+    [(0.95, 0.99, Domain.FAMILIAR), (0.8, 0.85, Domain.UNFAMILIAR), (0.8, 0.75, Domain.FAMILIAR)],
+)
+def test_a_doubtful_video_has_the_domain_in_which_more_poses_are_expected_to_be_right(
+    estimator: NetworkEstimator, cad: GripperCad, clip: TruthClip, familiar: float, unfamiliar: float, domain: Domain
+) -> None:
+    def always(probability: float, of: Domain) -> Confidence:
+        weights = np.zeros(len(FRAME_FEATURES[of]))
+        return replace(shipped[of], frame=LogisticRegression(intercept=float(logit(probability)), weights=weights))
+
+    shipped = load_confidence()
+    confidence = {
+        **shipped,
+        Domain.FAMILIAR: always(familiar, Domain.FAMILIAR),
+        Domain.UNFAMILIAR: always(unfamiliar, Domain.UNFAMILIAR),
+    }
+    frames = read_video(clip.path).frames[:2]
+    assert CadTracker(estimator, cad, confidence).track(frames, clip.camera).domain is domain
+    assumed = CadTracker(estimator, cad, confidence).track(frames, clip.camera, Priors(camera_is_assumed=True))
+    assert assumed.domain is Domain.FAMILIAR
 
 
 def test_poses_from_priors_are_used_unchanged(pipeline: GroundingPipeline, clip: TruthClip) -> None:

@@ -94,11 +94,14 @@ def refinement(
     poses: dict[int, FramePose],
     fitter: Fitter,
     coverage: float = 1.0,
-    measure: Callable[[dict[int, Crop]], None] = lambda crops: None,
+    measure: Callable[[dict[int, Crop]], dict[int, FramePose]] = lambda crops: {},
+    *,
+    may_be_familiar: bool = True,
 ) -> EdgeRefinement:
     frames = np.zeros((FRAMES, 64, 64, 3), np.uint8)
     wide = {i: pose.view for i, pose in poses.items()}
-    return EdgeRefinement(poses, wide, frames, CAMERA, fitter, Silhouette(coverage), measure)  # type: ignore[arg-type]
+    views = poses, wide, frames, CAMERA, fitter, Silhouette(coverage), measure
+    return EdgeRefinement(*views, may_be_familiar=may_be_familiar)  # type: ignore[arg-type]
 
 
 @pytest.fixture
@@ -113,7 +116,7 @@ def test_a_right_pose_spreads_to_all_frames_of_an_unfamiliar_video(poses: dict[i
     unfamiliar.run()
     assert not unfamiliar.is_familiar
     assert set(unfamiliar.confirmed) == set(range(FRAMES))
-    assert all(pose.arm is not None and pose.arm.q[0] == RIGHT for pose in poses.values())
+    assert all(pose.arm is not None and pose.arm.q[0] == RIGHT for pose in unfamiliar.poses.values())
 
 
 def test_where_no_posture_leads_to_the_right_one_the_distance_is_searched(poses: dict[int, FramePose]) -> None:
@@ -128,46 +131,45 @@ def test_where_no_posture_leads_to_the_right_one_the_distance_is_searched(poses:
 def test_the_arm_is_followed_from_a_sure_frame_past_a_few_without_gripper(
     poses: dict[int, FramePose], hidden: list[int]
 ) -> None:
-    def measure(crops: dict[int, Crop]) -> None:
-        poses.update({i: replace(poses[5], arm=arm_fit(WRONG)) for i in crops if i not in hidden})
+    def measure(crops: dict[int, Crop]) -> dict[int, FramePose]:
+        return {i: replace(poses[5], arm=arm_fit(WRONG)) for i in crops if i not in hidden}
 
     poses[5] = replace(poses[5], arm=arm_fit(RIGHT, 0.7))
     unfamiliar = refinement(poses, Fitter(reach=0.0, follows=True), measure=measure)
-    del poses[3]
-    before = dict(poses)
+    del unfamiliar.poses[3]
     unfamiliar.run()
     reached = set(range(FRAMES)) - ({8} if hidden == [8] else {7, 8, 9, 10, 11})
     assert set(unfamiliar.confirmed) == reached
-    assert all(poses[i].X_CH is before[i].X_CH for i in range(FRAMES) if i not in reached)
+    assert all(unfamiliar.poses[i].X_CH is poses[i].X_CH for i in range(FRAMES) if i not in reached)
 
 
 @pytest.mark.parametrize(("missed", "domain"), [(1, Domain.FAMILIAR), (3, Domain.UNFAMILIAR)])
 def test_a_video_whose_gripper_the_network_misses_in_many_frames_is_unfamiliar(
     poses: dict[int, FramePose], missed: int, domain: Domain
 ) -> None:
-    def measure(crops: dict[int, Crop]) -> None:
-        poses.update({i: replace(poses[5], arm=arm_fit(WRONG)) for i in crops})
+    def measure(crops: dict[int, Crop]) -> dict[int, FramePose]:
+        return {i: replace(poses[5], arm=arm_fit(WRONG)) for i in crops}
 
     for i in range(missed):
         poses[i] = replace(poses[i], arm=arm_fit(WRONG, agrees=False))
     familiar = refinement(poses, Fitter(reach=0.0, network_agreement=0.6, follows=True), measure=measure)
     familiar.run()
     assert familiar.is_familiar
-    assert all(pose.arm_agrees for pose in poses.values())
+    assert all(pose.arm_agrees for pose in familiar.poses.values())
     assert familiar.domain is domain
 
 
 def test_only_doubtful_frames_of_a_familiar_video_are_fitted_to_edges_alone(poses: dict[int, FramePose]) -> None:
     poses[3] = replace(poses[3], overlap=0.5)
     poses[7] = replace(poses[7], arm=arm_fit(WRONG, agrees=False), overlap=0.9)
-    before, fitter = dict(poses), Fitter(reach=2.0, network_agreement=0.6)
+    fitter = Fitter(reach=2.0, network_agreement=0.6)
     familiar = refinement(poses, fitter)
     familiar.run()
     assert familiar.is_familiar
     assert fitter.searched == 0
-    for i, pose in poses.items():
+    for i, pose in familiar.poses.items():
         assert pose.arm is not None
-        expected = RIGHT if i in (3, 7) else before[i].arm.q[0] + SHARPENED  # type: ignore[union-attr]
+        expected = RIGHT if i in (3, 7) else poses[i].arm.q[0] + SHARPENED  # type: ignore[union-attr]
         assert pose.arm.q[0] == expected
 
 
@@ -179,15 +181,15 @@ def test_each_frame_is_sharpened_once(poses: dict[int, FramePose]) -> None:
 
 def test_poses_from_priors_are_kept(poses: dict[int, FramePose]) -> None:
     priors = {i: replace(pose, from_prior=True) for i, pose in poses.items()}
-    before = dict(priors)
-    refinement(priors, Fitter(reach=2.0)).run()
-    assert all(priors[i] is before[i] for i in before)
+    unfamiliar = refinement(priors, Fitter(reach=2.0))
+    unfamiliar.run()
+    assert all(unfamiliar.poses[i] is priors[i] for i in priors)
 
 
 def test_a_fit_to_edges_where_the_image_shows_no_robot_is_dropped(poses: dict[int, FramePose]) -> None:
-    before = dict(poses)
-    refinement(poses, Fitter(reach=2.0), coverage=0.3).run()
-    assert all(poses[i].X_CH is before[i].X_CH and not poses[i].arm_agrees for i in before)
+    unfamiliar = refinement(poses, Fitter(reach=2.0), coverage=0.3)
+    unfamiliar.run()
+    assert all(unfamiliar.poses[i].X_CH is poses[i].X_CH and not unfamiliar.poses[i].arm_agrees for i in poses)
 
 
 @pytest.mark.parametrize(
@@ -208,9 +210,10 @@ def test_a_video_in_which_hand_and_arm_mostly_disagree_is_unfamiliar(poses: dict
     poses[6] = replace(poses[6], arm=arm_fit(WRONG))
     assert refinement(poses, Fitter(network_agreement=0.7)).is_familiar
     assert not refinement({}, Fitter()).is_familiar
+    assert not refinement(poses, Fitter(network_agreement=0.7), may_be_familiar=False).is_familiar
 
 
 def test_poses_that_the_edges_do_not_confirm_are_rejected(poses: dict[int, FramePose]) -> None:
     unfamiliar = refinement(poses, Fitter(), coverage=0.3)
     unfamiliar.run()
-    assert not any(pose.arm_agrees for pose in poses.values())
+    assert not any(pose.arm_agrees for pose in unfamiliar.poses.values())
