@@ -30,7 +30,7 @@ from kinebench_drake.types import NO_PRIORS, Domain, Priors
 
 _RECENTRE = 0.2  # offset of the gripper from the crop's centre, over half the crop, beyond which a new crop is taken
 _RESCALE = 1.25  # likewise the factor between its size in the crop and the desired one
-_SURE_SHARE = 0.9  # expected share of right poses below which a familiar video is tried as an unfamiliar one
+_SURE_SHARE = 0.8  # expected share of right poses below which a familiar video is tried as an unfamiliar one
 _MAX_GAP = 12  # frames over which the crop of a lost gripper is interpolated
 
 

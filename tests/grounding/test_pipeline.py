@@ -109,7 +109,7 @@ def test_the_initial_state_is_used_unless_the_first_frame_contradicts_it(
 
 @pytest.mark.parametrize(
     ("familiar", "unfamiliar", "domain"),
-    [(0.95, 0.99, Domain.FAMILIAR), (0.8, 0.85, Domain.UNFAMILIAR), (0.8, 0.75, Domain.FAMILIAR)],
+    [(0.9, 0.99, Domain.FAMILIAR), (0.7, 0.75, Domain.UNFAMILIAR), (0.7, 0.65, Domain.FAMILIAR)],
 )
 def test_a_doubtful_video_has_the_domain_in_which_more_poses_are_expected_to_be_right(
     estimator: NetworkEstimator, cad: GripperCad, clip: TruthClip, familiar: float, unfamiliar: float, domain: Domain
