@@ -11,6 +11,7 @@ from benchmarks.footage import ReferenceKind
 from benchmarks.markdown import table
 from benchmarks.process import run_program
 from kinebench_drake.io.jsonl import read_json
+from kinebench_drake.results.provenance import host
 from kinebench_drake.types import GripperKind
 
 HELDOUT = ("suite", "demos", "--suite", "2", "--split", "unseen", "--episodes", "1", "--with-depth")
@@ -94,11 +95,21 @@ def figures(heldout: Mapping[str, Any], others: Sequence[Mapping[str, Any]]) -> 
 
 def section(heldout: Mapping[str, Any], others: Sequence[Mapping[str, Any]]) -> str:
     """Return the section of the page, in Markdown: videos of others first."""
+    introduction = (*_INTRODUCTION, f"Networks in {'bfloat16' if host()['bfloat16'] else 'single precision'}.")
     rows = [_footage_row(_TITLES[kind], f) for kind, f in _kinds(others).items()]
     rows.append(_heldout_row(heldout["summary"], heldout["intervals"]))
     texts = [_other_text(others), _heldout_text(heldout["summary"])]
     return "\n".join(
-        ["## Accuracy", "", *_INTRODUCTION, "", *table(_HEAD, rows), *chain.from_iterable(texts), *_COMMANDS]
+        [
+            "## Accuracy",
+            "",
+            *_INTRODUCTION,
+            f"Networks in {precision}.",
+            "",
+            *table(_HEAD, rows),
+            *chain.from_iterable(texts),
+            *_COMMANDS,
+        ]
     )
 
 
