@@ -103,8 +103,7 @@ def section(heldout: Mapping[str, Any], others: Sequence[Mapping[str, Any]]) -> 
         [
             "## Accuracy",
             "",
-            *_INTRODUCTION,
-            f"Networks in {precision}.",
+            *introduction,
             "",
             *table(_HEAD, rows),
             *chain.from_iterable(texts),
