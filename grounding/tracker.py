@@ -30,7 +30,7 @@ from kinebench_drake.types import NO_PRIORS, Domain, Priors
 
 _RECENTRE = 0.2  # offset of the gripper from the crop's centre, over half the crop, beyond which a new crop is taken
 _RESCALE = 1.25  # likewise the factor between its size in the crop and the desired one
-_SURE_SHARE = 0.8  # expected share of right poses below which a familiar video is tried as an unfamiliar one
+_SURE_SHARE = 0.8  # mean confidence of the poses below which a familiar video is tried as an unfamiliar one
 _MAX_GAP = 12  # frames over which the crop of a lost gripper is interpolated
 
 
@@ -131,7 +131,7 @@ class CadTracker:
             found, domain = self._register(refinement.poses), refinement.domain
             expected = self._expected(found, domain)
             is_settled = not refinement.is_familiar or priors.camera_is_assumed
-            if not is_settled and expected < _SURE_SHARE * len(frames):
+            if not is_settled and expected < _SURE_SHARE * len(found):
                 other = self._register(refine(may_be_familiar=False).poses)
                 if self._expected(other, Domain.UNFAMILIAR) > expected:
                     found, domain = other, Domain.UNFAMILIAR
