@@ -110,13 +110,13 @@ class CadTracker:
                 poses |= self._measure(views, wide, arm, priors)
             return poses
 
-        poses = measure(crops)
-        poses |= measure(self._corrected_crops(poses))
-        poses |= measure(self._proposed_crops(len(frames), poses))
+        start = measure(crops)
+        start |= measure(self._corrected_crops(start))
+        start |= measure(self._proposed_crops(len(frames), start))
 
         def refine(*, may_be_familiar: bool) -> EdgeRefinement:
             refinement = EdgeRefinement(
-                poses, wide, frames, camera, arm, self._silhouette, measure, may_be_familiar=may_be_familiar
+                start, wide, frames, camera, arm, self._silhouette, measure, may_be_familiar=may_be_familiar
             )
             if refinement.is_familiar or not priors.camera_is_assumed:
                 refinement.run()
@@ -124,19 +124,19 @@ class CadTracker:
 
         domain = Domain.FAMILIAR
         if priors.has_exact_depth:
-            found = self._register(poses)
+            poses = self._register(start)
         else:
-            propagate(poses, wide, arm, self._silhouette)
+            propagate(start, wide, arm, self._silhouette)
             refinement = refine(may_be_familiar=not priors.camera_is_fitted)
-            found, domain = self._register(refinement.poses), refinement.domain
-            expected = self._expected(found, domain)
+            poses, domain = self._register(refinement.poses), refinement.domain
+            expected = self._expected(poses, domain)
             is_settled = not refinement.is_familiar or priors.camera_is_assumed
-            if not is_settled and expected < _SURE_SHARE * len(found):
+            if not is_settled and expected < _SURE_SHARE * len(poses):
                 other = self._register(refine(may_be_familiar=False).poses)
                 if self._expected(other, Domain.UNFAMILIAR) > expected:
-                    found, domain = other, Domain.UNFAMILIAR
+                    poses, domain = other, Domain.UNFAMILIAR
         return Tracking(
-            poses=tuple(found.get(i) for i in range(len(frames))),
+            poses=tuple(poses.get(i) for i in range(len(frames))),
             wide=tuple(wide[i] for i in range(len(frames))),
             robot=wide[0].to_frame(wide[0].part > 0, camera),
             domain=domain,
