@@ -100,15 +100,7 @@ def section(heldout: Mapping[str, Any], others: Sequence[Mapping[str, Any]]) -> 
     rows.append(_heldout_row(heldout["summary"], heldout["intervals"]))
     texts = [_other_text(others), _heldout_text(heldout["summary"])]
     return "\n".join(
-        [
-            "## Accuracy",
-            "",
-            *introduction,
-            "",
-            *table(_HEAD, rows),
-            *chain.from_iterable(texts),
-            *_COMMANDS,
-        ]
+        ["## Accuracy", "", *introduction, "", *table(_HEAD, rows), *chain.from_iterable(texts), *_COMMANDS]
     )
 
 

@@ -124,15 +124,15 @@ class CadTracker:
 
         domain = Domain.FAMILIAR
         if priors.has_exact_depth:
-            poses = self._register(start)
+            poses = self._register_all(start)
         else:
             propagate(start, wide, arm, self._silhouette)
             refinement = refine(may_be_familiar=not priors.camera_is_fitted)
-            poses, domain = self._register(refinement.poses), refinement.domain
+            poses, domain = self._register_all(refinement.poses), refinement.domain
             expected = self._expected(poses, domain)
             is_settled = not refinement.is_familiar or priors.camera_is_assumed
             if not is_settled and expected < _SURE_SHARE * len(poses):
-                other = self._register(refine(may_be_familiar=False).poses)
+                other = self._register_all(refine(may_be_familiar=False).poses)
                 if self._expected(other, Domain.UNFAMILIAR) > expected:
                     poses, domain = other, Domain.UNFAMILIAR
         return Tracking(
@@ -208,11 +208,12 @@ class CadTracker:
             return None
         return self._silhouette.match(view, hand.X_CH, finger_or_default(hand.finger_m))
 
-    def _register(self, poses: Mapping[int, FramePose]) -> dict[int, FramePose]:
-        """Return the poses, each combined with its registration by ICP."""
-        return {i: self._registered(pose) for i, pose in poses.items()}
+    def _register_all(self, poses: Mapping[int, FramePose]) -> dict[int, FramePose]:
+        """Return `_register` of each pose."""
+        return {i: self._register(pose) for i, pose in poses.items()}
 
-    def _registered(self, pose: FramePose) -> FramePose:
+    def _register(self, pose: FramePose) -> FramePose:
+        """Return the pose combined with its registration by ICP."""
         finger_m = finger_or_default(pose.finger_m)
         icp = None if pose.from_prior else self._icp.refine(pose.view, pose.X_CH, pose.covariance, finger_m)
         if icp is None or icp.weight == 0.0:

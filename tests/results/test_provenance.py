@@ -1,8 +1,10 @@
-"""Which changes of the code invalidate stored rows."""
+"""Which changes of the code invalidate stored rows, and what a result says of the machine."""
 
 import pytest
+import torch
 
 from kinebench_drake.environment.sources import reachable_sources
+from kinebench_drake.models.perception.inference import supports_bfloat16
 from kinebench_drake.results import provenance
 from kinebench_drake.results.provenance import MEASURING, NOT_MEASURING, sources
 
@@ -52,3 +54,7 @@ def test_only_changes_of_measuring_code_change_the_hash(package, name, counts):
     assert provenance.code_hash.__wrapped__() == before
     (package / name).write_text("changed")
     assert (provenance.code_hash.__wrapped__() != before) is counts
+
+
+def test_the_host_tells_whether_the_networks_compute_in_bfloat16():
+    assert provenance.host()["bfloat16"] is supports_bfloat16(torch.device("cpu"))
