@@ -15,7 +15,7 @@ from kinebench_drake.calibration.bundle import (
     Observations,
     adjust,
 )
-from kinebench_drake.calibration.camera_estimate import CameraEstimate, describe
+from kinebench_drake.calibration.camera_estimate import BASE_LEAD, CameraEstimate, describe
 from kinebench_drake.calibration.candidate import (
     COARSE,
     LOG_FOCAL_SIGMA,
@@ -32,10 +32,10 @@ from kinebench_drake.calibration.detections import ArmDetections, find_robot
 from kinebench_drake.calibration.fit import Lens, focal_px
 from kinebench_drake.calibration.hypotheses import ChainSearch, Hypothesis
 from kinebench_drake.calibration.surroundings import Surroundings, find_lines, find_surroundings
-from kinebench_drake.calibration.turn import find_turn, is_same_arm, turned
+from kinebench_drake.calibration.turn import DIFFERENT_TURN_RAD, BaseTurn, find_turns, is_same_arm, turned
 from kinebench_drake.camera import Camera, benchmark_camera
 from kinebench_drake.errors import UnmeasurableError
-from kinebench_drake.geometry import Array
+from kinebench_drake.geometry import Array, pose_difference
 from kinebench_drake.grounding.registration.arm_model import ArmModel
 from kinebench_drake.grounding.registration.edges import EdgeMatcher
 from kinebench_drake.grounding.view import DenseEstimator, Frames
@@ -149,29 +149,58 @@ class CameraEstimator:
         arms.sort(key=lambda arm: -arm.agreement)
         arms = _distinct([(arm.scene.lens, arm) for arm in arms], _CLEARLY)
         lower, upper = self.fitter.model.lower[0], self.fitter.model.upper[0]
-        turns = [find_turn(arm.scene, images.take(arm.rows), lower, upper) for arm in arms]
-        ranked = sorted(zip(arms, turns, strict=True), key=lambda pair: -(pair[0].agreement + pair[1].share))
-        best, turn = ranked[0]
-        start = replace(best, scene=turned(best.scene, turn.angle_rad))
-        estimate = self.finish(start, images, prior, rows=detections.rows, total=total)
-        estimate = replace(estimate, agreement=best.agreement)
+        turns = [find_turns(arm.scene, images.take(arm.rows), lower, upper) for arm in arms]
+        ranked = sorted(zip(arms, turns, strict=True), key=lambda pair: -(pair[0].agreement + pair[1][0].share))
+        best, best_turns = ranked[0]
+        estimate = self._turn(best, best_turns, images, prior, rows=detections.rows, total=total)
         surroundings = self._find_surroundings(estimate, frames)
         if surroundings is not None:
-            start = self._extend(_at(start, estimate, detections), detections, search)
+            start = self._extend(_at(best, estimate, detections), detections, search)
             aligned = self.finish(
                 start, images, replace(prior, surroundings=surroundings), rows=detections.rows, total=total
             )
             shares = [images.take(_at(start, e, detections).rows).base_share(e.scene) for e in (estimate, aligned)]
             if shares[1] >= shares[0] - _BASE_LOSS:
                 own = arm_images.take(_at(start, aligned, detections).rows).agreement(aligned.scene)
-                agreement = max(best.agreement, _explained(own, total))
-                estimate = replace(aligned, agreement=agreement, is_aligned=True)
-        return replace(
-            estimate,
-            base_agreement=turn.share,
-            base_runner_up=turn.runner_up,
-            runner_up=max(((arm.agreement + other.share) / 2 for arm, other in ranked[1:]), default=0.0),
-        )
+                estimate = replace(
+                    aligned,
+                    agreement=max(best.agreement, _explained(own, total)),
+                    base_agreement=estimate.base_agreement,
+                    base_runner_up=estimate.base_runner_up,
+                    is_aligned=True,
+                )
+        others = ((arm.agreement + turns[0].share) / 2 for arm, turns in ranked[1:])
+        return replace(estimate, runner_up=max(others, default=0.0))
+
+    def _turn(
+        self,
+        arm: Candidate,
+        turns: Sequence[BaseTurn],
+        images: ContourImages,
+        prior: LensPrior,
+        *,
+        rows: NDArray[np.intp],
+        total: int,
+    ) -> CameraEstimate:
+        """Return the estimate with the base turned as its contours show it.
+
+        Of a right camera and turn their share on image edges grows if they are fitted as well, of a wrong one it seldom
+        does: that decides between turns that differ too little. Arguments as of `finish`, with `turns` best first.
+        """
+        close = [turn for turn in turns if turn is turns[0] or turn.share > turns[0].share - BASE_LEAD]
+        fits = []
+        for turn in close:
+            start = replace(arm, scene=turned(arm.scene, turn.angle_rad))
+            fit = self.finish(start, images, prior, rows=rows, total=total)
+            own = images.take(np.searchsorted(rows, fit.rows))
+            share = own.base_share(fit.scene) if len(close) > 1 else turn.share
+            fits.append(replace(fit, agreement=arm.agreement, base_agreement=share))
+        best = max(fits, key=lambda fit: fit.base_agreement)
+        # Fits of different turns may lead to the same one.
+        X_CB = best.scene.lens.X_CB
+        apart = [fit for fit in fits if pose_difference(X_CB, fit.scene.lens.X_CB)[1] > DIFFERENT_TURN_RAD]
+        others = [fit.base_agreement for fit in apart] + [turn.share for turn in turns[len(close) :]]
+        return replace(best, base_runner_up=max(others, default=0.0))
 
     def _find_surroundings(self, estimate: CameraEstimate, frames: Frames) -> Surroundings | None:
         """Return the lines of frames (T, H, W, 3) along the axes of the base of an estimate; None without them."""

@@ -37,18 +37,19 @@ class BaseTurn:
     """Angle by which joint 1 has to turn for it [rad]."""
     share: float
     """Share of the contours of the base link on image edges; 0 if the base is not seen."""
-    runner_up: float
-    """The same at the next best turn that differs from it."""
 
 
-def find_turn(scene: ArmScene, images: ContourImages, lower_rad: float, upper_rad: float) -> BaseTurn:
-    """Find the turn at which most contours of the base link lie on image edges.
+def find_turns(scene: ArmScene, images: ContourImages, lower_rad: float, upper_rad: float) -> list[BaseTurn]:
+    """Find the turns, each different from all better ones, at which contours of the base link lie on image edges.
 
     Args:
         scene: camera and postures, right but for the turn.
         images: images of these frames.
         lower_rad: least angle of joint 1 [rad].
         upper_rad: greatest one.
+
+    Returns:
+        At least one, the best first; only that of the scene itself where no other is within the limits.
     """
     rows = np.unique(np.linspace(0, len(scene.q) - 1, _FRAMES).round().astype(int))
     few, images = scene.take(rows), images.take(rows)
@@ -59,18 +60,19 @@ def find_turn(scene: ArmScene, images: ContourImages, lower_rad: float, upper_ra
 
     angles = np.arange(lower_rad - q1.min(), upper_rad - q1.max(), _STEP_RAD)
     if not len(angles):
-        return BaseTurn(angle_rad=0.0, share=images.base_share(few), runner_up=0.0)
+        return [BaseTurn(angle_rad=0.0, share=images.base_share(few))]
     share = shares(angles)
     # Contours are narrower than a step: the best steps are searched closely.
     tops = angles[np.argsort(-share, kind="stable")[:_TOPS]]
     fine = np.unique(np.clip((tops[:, None] + _FINE_STEPS_RAD).ravel(), angles[0], angles[-1]))
     angles, share = np.concatenate([angles, fine]), np.concatenate([share, shares(fine)])
-    best = int(share.argmax())
-    away = np.abs(angles - angles[best]) > DIFFERENT_TURN_RAD
-    runner_up = float(share[away].max()) if away.any() else 0.0
-    return BaseTurn(
-        angle_rad=float(angles[best]) if share[best] > 0 else 0.0, share=float(share[best]), runner_up=runner_up
-    )
+    turns: list[BaseTurn] = []
+    for k in np.argsort(-share, kind="stable"):
+        if all(abs(angles[k] - turn.angle_rad) > DIFFERENT_TURN_RAD for turn in turns):
+            turns.append(BaseTurn(angle_rad=float(angles[k]), share=float(share[k])))
+    if turns[0].share == 0.0:
+        return [BaseTurn(angle_rad=0.0, share=0.0)]
+    return turns
 
 
 def is_same_arm(one: Lens, other: Lens, factor: float = 1.0) -> bool:

@@ -6,13 +6,13 @@ import pytest
 from kinebench_drake.calibration import contradiction
 from kinebench_drake.calibration import estimate as estimate_module
 from kinebench_drake.calibration.bundle import ArmScene
-from kinebench_drake.calibration.candidate import Candidate
+from kinebench_drake.calibration.candidate import Candidate, LensPrior
 from kinebench_drake.calibration.contours import ContourImages
 from kinebench_drake.calibration.contradiction import CLEARLY, CameraChecker
 from kinebench_drake.calibration.detections import ArmDetections
 from kinebench_drake.calibration.estimate import JOINT_SIGMA_RAD, CameraEstimator, usual_camera
 from kinebench_drake.calibration.fit import Lens, solve_pnp, with_focal
-from kinebench_drake.calibration.turn import find_turn, is_same_arm, turned
+from kinebench_drake.calibration.turn import DIFFERENT_TURN_RAD, BaseTurn, find_turns, is_same_arm, turned
 from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.geometry import invert, pose_difference
 from kinebench_drake.models.panda.cad import PartCaster, link_meshes, open_fingers, part_meshes
@@ -89,9 +89,33 @@ def test_the_contours_of_the_base_show_how_it_is_turned(estimator, model, film, 
     X_CP, same = right.lens.X_CB @ model.poses(right.q), wrong.lens.X_CB @ model.poses(wrong.q)
     arm = [part for part in RobotPart if part > RobotPart.LINK0 or part == RobotPart.HAND]
     assert np.allclose(X_CP[:, arm], same[:, arm])
-    found = find_turn(wrong, images, model.lower[0], model.upper[0])
-    assert np.rad2deg(found.angle_rad) == pytest.approx(-turn_deg, abs=2.0)
-    assert found.share > found.runner_up + 0.2
+    turns = find_turns(wrong, images, model.lower[0], model.upper[0])
+    assert np.rad2deg(turns[0].angle_rad) == pytest.approx(-turn_deg, abs=2.0)
+    assert turns[0].share > turns[1].share + 0.2
+    angles = np.sort([turn.angle_rad for turn in turns])
+    assert np.diff(angles).min() > DIFFERENT_TURN_RAD
+    assert [turn.share for turn in turns] == sorted((turn.share for turn in turns), reverse=True)
+
+
+def test_turns_that_differ_too_little_are_decided_by_their_fits(estimator, model, film):
+    q, frames = film
+    images = ContourImages(frames, CAMERA, model, estimator.fitter.matcher)
+    right = start(q, model, np.zeros(7))
+    wrong, better = BaseTurn(angle_rad=1.2, share=0.5), BaseTurn(angle_rad=0.0, share=0.45)
+    prior, rows = LensPrior(lens=right.scene.lens, log_focal_sigma=0.0), np.arange(len(frames))
+
+    def fit(*turns):
+        return estimator._turn(right, turns, images, prior, rows=rows, total=len(frames))
+
+    both = fit(wrong, better, BaseTurn(angle_rad=-1.0, share=0.2))
+    assert np.allclose(both.scene.lens.X_CB, right.scene.lens.X_CB, atol=0.02)
+    assert both.base_agreement > both.base_runner_up + 0.2
+    assert both.base_runner_up >= 0.2
+    alone = fit(wrong)
+    assert not np.allclose(alone.scene.lens.X_CB, right.scene.lens.X_CB, atol=0.1)
+    assert (alone.base_agreement, alone.base_runner_up) == (0.5, 0.0)
+    near = fit(better, BaseTurn(angle_rad=np.deg2rad(21.0), share=0.45))  # leads to the same turn
+    assert near.base_runner_up == 0.0
 
 
 def test_cameras_are_the_same_arm_whatever_the_turn_but_not_from_elsewhere(model, film):
