@@ -12,7 +12,13 @@ from kinebench_drake.geometry import Array, invert, transform_points
 from kinebench_drake.grounding.anomaly.camera_motion import CameraMotion, find_camera_motion
 from kinebench_drake.grounding.anomaly.detection import AnomalyDetections, Detection
 from kinebench_drake.grounding.anomaly.jumps import find_finger_faults, find_freezes, find_teleports, still_frames
-from kinebench_drake.grounding.anomaly.presence import find_duplicates, find_vanishing, second_gripper
+from kinebench_drake.grounding.anomaly.presence import (
+    ABSENT_CELLS,
+    expect_gripper,
+    find_duplicates,
+    find_vanishing,
+    second_gripper,
+)
 from kinebench_drake.grounding.anomaly.shape import find_deformations, find_scale_drift, shape_misfit
 from kinebench_drake.grounding.crop import GRIPPER_CENTRE_H
 from kinebench_drake.grounding.gripper_width import SHARP_M
@@ -53,6 +59,8 @@ class AnomalyEvidence:
     """(T, 3) centre of the gripper in the camera frame [m]."""
     confidence: Array
     """(T,) confidence 0..1, 0 without a detection."""
+    expected: NDArray[np.bool_]
+    """(T,) frames in which the gripper should be seen (`expect_gripper`)."""
     explained: Array
     """(T,) cells of the crop explained by the posed gripper; 0 without a detection, infinite where edges confirm it."""
     finger_width_m: Array
@@ -68,7 +76,6 @@ class AnomalyEvidence:
     still: NDArray[np.bool_]
     """(T,) frames that repeat the one before."""
     motion: CameraMotion
-    camera: Camera
     domain: Domain = Domain.FAMILIAR
 
     def __post_init__(self) -> None:
@@ -138,12 +145,14 @@ def gather_evidence(
             cosine = abs(float(pose.X_CH[:3, 1] @ p_C[i])) / float(np.linalg.norm(p_C[i]))
             if cosine <= MAX_SIDE_COSINE and pose.arm is not None and confidence[i] >= GOOD_CONFIDENCE:
                 scale[i] = pose.arm.scale
+    X_SA = invert(motion.X_AS)
     other = np.array(
         [
-            second_gripper(view, None if pose is None else X_SA @ pose.X_CH, camera)
-            for view, pose, X_SA in zip(wide, poses, invert(motion.X_AS), strict=True)
+            second_gripper(view, None if pose is None else X @ pose.X_CH, camera)
+            for view, pose, X in zip(wide, poses, X_SA, strict=True)
         ]
     )
+    present = (confidence >= FAIR_CONFIDENCE) & (explained >= ABSENT_CELLS)
     if domain is not Domain.FAMILIAR:
         for series in (width, misfit, residual, scale, other):
             series[:] = np.nan
@@ -151,6 +160,7 @@ def gather_evidence(
         t_s=t_s,
         p_C=p_C,
         confidence=confidence,
+        expected=expect_gripper(p_C, present, camera, wide, X_SA),
         explained=explained,
         finger_width_m=width,
         other=other,
@@ -159,7 +169,6 @@ def gather_evidence(
         scale=scale,
         still=still_frames(frames),
         motion=motion,
-        camera=camera,
         domain=domain,
     )
 
@@ -184,9 +193,9 @@ def find_anomalies(evidence: AnomalyEvidence) -> AnomalyDetections:
 def _find_vanishing(e: AnomalyEvidence) -> Detection:
     """Detect a vanished gripper; in an unfamiliar video a doubtful pose is none, unless most others are fair."""
     if e.domain is Domain.FAMILIAR:
-        return find_vanishing(e.p_C, e.confidence, e.explained, e.fair, e.camera)
+        return find_vanishing(e.confidence, e.explained, e.expected)
     detected = (e.confidence > 0.0).astype(np.float64)
-    detection = find_vanishing(e.p_C, detected, e.explained, e.fair, e.camera)
+    detection = find_vanishing(detected, e.explained, e.expected)
     others = e.fair[detection.score <= 1.0]
     if len(others) and others.mean() >= MEASURABLE_SHARE:
         return detection

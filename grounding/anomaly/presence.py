@@ -1,5 +1,6 @@
 """Detectors of a vanished gripper and of a second one."""
 
+from collections.abc import Sequence
 from functools import cache
 
 import cv2
@@ -9,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array, transform_points
 from kinebench_drake.grounding.anomaly.detection import Detection, sustained
+from kinebench_drake.grounding.crop import GRIPPER_RADIUS_M
 from kinebench_drake.grounding.view import GripperView
 from kinebench_drake.models.panda.cad import part_meshes
 from kinebench_drake.models.panda.robot import OPENING_SIGN
@@ -21,30 +23,28 @@ ABSENT_CONFIDENCE, ABSENT_CELLS = 0.01, 50.0
 """Confidence, or cells explained by the posed gripper, below which it is absent: a third of a gripper explains 100."""
 DUPLICATE_SHARE, DUPLICATE_FRAMES = 0.2, 3
 """Least share of a second gripper's cells, and least number of consecutive frames that show it."""
-_BORDER_PX = 8.0
+_CORE_M = GRIPPER_RADIUS_M / 2  # around the centre of a gripper that is hardly cut or hidden
+_HIDDEN_SHARE = 0.4  # of it behind links of the arm, from which on a gripper may be hidden altogether
+_NEAREST_M = 0.05
 _MARGIN_CELLS = 2  # cells of the whole-image view around the tracked gripper that belong to it
 _FINGER_M = 0.04
 
 
-def find_vanishing(
-    p_C: Array, confidence: Array, explained: Array, fair: NDArray[np.bool_], camera: Camera
-) -> Detection:
-    """Detect frames without a gripper that should be inside the image by its motion; severity: their number.
+def find_vanishing(confidence: Array, explained: Array, expected: NDArray[np.bool_]) -> Detection:
+    """Detect frames without a gripper that should be seen there; severity: their number.
 
     Absence is c0 / (c0 + confidence), one half at the threshold c0, or the same of the explained cells, whichever is
     larger; the score is twice the absence that `VANISH_FRAMES` consecutive frames reach.
 
     Args:
-        p_C: (T, 3) centre of the gripper in the camera frame [m]; NaN where unknown.
         confidence: (T,) confidence 0..1, 0 without a detection.
         explained: (T,) cells of the crop explained by the posed gripper, 0 without a detection.
-        fair: (T,) frames whose position counts.
-        camera: camera of the frames.
+        expected: (T,) frames in which the gripper should be seen (`expect_gripper`).
     """
     absence = np.maximum(
         ABSENT_CONFIDENCE / (ABSENT_CONFIDENCE + confidence), ABSENT_CELLS / (ABSENT_CELLS + explained)
     )
-    score = 2.0 * sustained(absence * _expected(p_C, fair & finite_rows(p_C), camera), VANISH_FRAMES)
+    score = 2.0 * sustained(absence * expected, VANISH_FRAMES)
     anomalies = tuple(
         Anomaly(
             kind=AnomalyKind.VANISH,
@@ -57,21 +57,49 @@ def find_vanishing(
     return Detection(kind=AnomalyKind.VANISH, score=score, anomalies=anomalies)
 
 
-def _expected(p_C: Array, fair: NDArray[np.bool_], camera: Camera) -> Array:
-    """Return (T,) 1 where the gripper, at constant velocity, would be inside the image; 0 before it first appears."""
-    expected = np.zeros(len(p_C))
-    last = None
-    for i in range(len(p_C)):
-        if fair[i]:
-            last, expected[i] = i, 1.0
-            continue
-        if last is None:
-            continue
-        ahead = p_C[last] + (p_C[last] - p_C[last - 1] if last > 0 and fair[last - 1] else 0.0)
-        pixel = camera.project(ahead)
-        size = np.array([camera.width, camera.height])
-        expected[i] = float(ahead[2] > 0 and (pixel > _BORDER_PX).all() and (pixel < size - _BORDER_PX).all())
+def expect_gripper(
+    p_C: Array, present: NDArray[np.bool_], camera: Camera, wide: Sequence[GripperView], X_SC: Array
+) -> NDArray[np.bool_]:
+    """Return (T,) frames in which the gripper should be seen: where it is, and where it would be at constant velocity.
+
+    It should not where it would leave the image, nor after links of the arm hid it, nor before it first appears.
+
+    Args:
+        p_C: (T, 3) centre of the gripper in the camera frame [m]; NaN where unknown.
+        present: (T,) frames that show the gripper there.
+        camera: camera of the frames.
+        wide: (T,) views of whole images.
+        X_SC: (T, 4, 4) camera frame in that of each image, which a moving camera shifts.
+    """
+    known = present & finite_rows(p_C)
+    expected, last, hidden = known.copy(), -1, True
+    for i in np.flatnonzero(~known).tolist():
+        if i and known[i - 1]:
+            # A gripper that its own arm hides more and more may be gone in the next frame; one in full view may not.
+            last = i - 1
+            hidden = _hidden_share(transform_points(X_SC[last], p_C[last, None])[0], wide[last]) >= _HIDDEN_SHARE
+        if not hidden:
+            step = p_C[last] - p_C[last - 1] if last and known[last - 1] else np.zeros(3)
+            expected[i] = _inside(transform_points(X_SC[i], (p_C[last] + step)[None])[0], camera)
     return expected
+
+
+def _inside(p_S: Array, camera: Camera) -> bool:
+    """Return whether the core of a gripper around `p_S` (3,) [m] is inside the image."""
+    if p_S[2] <= _NEAREST_M:
+        return False
+    pixel, radius_px = camera.project(p_S), camera.fx * _CORE_M / p_S[2]
+    size = np.array([camera.width, camera.height])
+    return bool((pixel >= radius_px).all() and (pixel <= size - radius_px).all())
+
+
+def _hidden_share(p_S: Array, view: GripperView) -> float:
+    """Return the share of the core of a gripper around `p_S` (3,) [m] behind links of the arm; 0 outside the view."""
+    rays_V, p_V = view.rays(), view.crop.R_CV.T @ p_S
+    cosine = rays_V @ p_V / np.linalg.norm(rays_V, axis=-1) / np.linalg.norm(p_V)
+    core = cosine >= np.cos(np.arctan2(_CORE_M, p_V[2]))
+    hidden = view.arm[core] & (view.depth_m[core] < p_V[2])
+    return float(hidden.mean()) if len(hidden) else 0.0
 
 
 def second_gripper(view: GripperView, X_CH: Array | None, camera: Camera) -> float:
@@ -117,7 +145,7 @@ def _outline(view: GripperView, X_CH: Array, camera: Camera) -> NDArray[np.uint8
     n = view.part.shape[0]
     outline = np.zeros((n, n), np.uint8)
     p_C = transform_points(X_CH, _hull_corners_H())
-    if p_C[:, 2].min() <= 0.05:
+    if p_C[:, 2].min() <= _NEAREST_M:
         return outline
     pixel = np.column_stack([camera.project(p_C), np.ones(len(p_C))])
     cell = pixel @ np.linalg.inv(view.crop.homography(camera, view.stride)).T

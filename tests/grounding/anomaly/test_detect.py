@@ -3,7 +3,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.errors import InputError
 from kinebench_drake.grounding.anomaly.camera_motion import CameraMotion
 from kinebench_drake.grounding.anomaly.detect import AnomalyEvidence, find_anomalies
@@ -19,6 +18,7 @@ def clean(reach, t_s):
         t_s=t_s,
         p_C=reach(),
         confidence=np.full(n, 0.8),
+        expected=np.ones(n, dtype=bool),
         explained=np.full(n, 400.0),
         finger_width_m=0.04 + rng.normal(0, 0.003, n),
         other=np.zeros(n),
@@ -27,7 +27,6 @@ def clean(reach, t_s):
         scale=1.0 + rng.normal(0, 0.02, n),
         still=np.zeros(n, dtype=bool),
         motion=CameraMotion(px=np.zeros(n), R_AC=np.repeat(np.eye(3)[None], n, axis=0), unit_px=1.0),
-        camera=benchmark_camera(),
     )
 
 
@@ -74,8 +73,9 @@ def test_nothing_seen_is_nothing_found(clean):
     n = len(clean.t_s)
     unknown = np.full(n, np.nan)
     blind = replace(
-        clean, p_C=np.full((n, 3), np.nan), confidence=np.zeros(n), finger_width_m=unknown, other=unknown,
-        misfit=unknown, residual=unknown, scale=unknown, motion=replace(clean.motion, px=unknown),
+        clean, p_C=np.full((n, 3), np.nan), confidence=np.zeros(n), expected=np.zeros(n, dtype=bool),
+        finger_width_m=unknown, other=unknown, misfit=unknown, residual=unknown, scale=unknown,
+        motion=replace(clean.motion, px=unknown),
     )  # fmt: skip
     assert max(find_anomalies(blind).scores.values()) == 0.0
 

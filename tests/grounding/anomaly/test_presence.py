@@ -3,19 +3,37 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from kinebench_drake.camera import benchmark_camera
-from kinebench_drake.grounding.anomaly.presence import find_duplicates, find_vanishing, second_gripper
+from kinebench_drake.grounding.anomaly.presence import expect_gripper, find_duplicates, find_vanishing, second_gripper
 from kinebench_drake.grounding.crop import Crop
+from kinebench_drake.models.panda.robot import RobotPart
 from tests.grounding.conftest import hand_pose, perfect_view
 
 CAMERA = benchmark_camera()
 
 
-def spans(p, confidence):
-    explained = np.full(len(p), 400.0)  # phantoms apart, as many cells whatever the confidence
-    result = find_vanishing(p, confidence, explained, confidence >= 0.1, CAMERA).anomalies
-    return [(a.frame_start, a.frame_end) for a in result]
+@pytest.fixture
+def background(cad):
+    """View of a whole image without a robot."""
+    view = perfect_view(cad, hand_pose(0), crop=Crop.of_frame(CAMERA))
+    return replace(view, part=np.zeros_like(view.part))
+
+
+@pytest.fixture
+def spans(background):
+    """First and last frames of vanished grippers, by centres (T, 3) [m], confidence (T,) and views."""
+
+    def find(p, confidence, views=background):
+        explained = np.full(len(p), 400.0)  # phantoms apart, as many cells whatever the confidence
+        X_SC = np.repeat(np.eye(4)[None], len(p), axis=0)
+        wide = views if isinstance(views, list) else [views] * len(p)
+        expected = expect_gripper(p, confidence >= 0.1, CAMERA, wide, X_SC)
+        result = find_vanishing(confidence, explained, expected).anomalies
+        return [(a.frame_start, a.frame_end) for a in result]
+
+    return find
 
 
 def gone(start, end):
@@ -24,19 +42,19 @@ def gone(start, end):
     return confidence
 
 
-def test_a_gripper_that_is_gone_has_vanished(reach):
+def test_a_gripper_that_is_gone_has_vanished(reach, spans):
     for start, end in ((12, 22), (20, 23), (40, 49)):
         p = reach()
         p[start:end] = np.nan
         assert spans(p, gone(start, end)) == [(start, end - 1)]
 
 
-def test_a_passing_occlusion_is_none(reach):
+def test_a_passing_occlusion_is_none(reach, spans):
     assert spans(reach(), gone(12, 14)) == []
     assert spans(reach(), gone(0, 0)) == []
 
 
-def test_a_gripper_that_leaves_the_image_or_never_appeared_has_not_vanished(reach):
+def test_a_gripper_that_leaves_the_image_or_never_appeared_has_not_vanished(reach, spans):
     leaving = np.tile([0.0, 0.0, 0.7], (49, 1))
     leaving[:12, 0] = np.linspace(0.2, 0.42, 12)  # the picture ends at x = 0.404 there
     assert spans(leaving, gone(12, 22)) == []
@@ -44,12 +62,33 @@ def test_a_gripper_that_leaves_the_image_or_never_appeared_has_not_vanished(reac
     assert spans(np.full((49, 3), np.nan), np.zeros(49)) == []
 
 
-def test_a_phantom_of_a_few_cells_is_no_gripper(reach):
+def test_a_gripper_cut_by_the_border_may_have_left_the_image(spans):
+    p = np.tile([0.36, 0.0, 0.7], (49, 1))  # 21 px from the border
+    assert spans(p, gone(12, 22)) == []
+    assert spans(p - [0.05, 0.0, 0.0], gone(12, 22)) == [(12, 21)]
+
+
+def test_a_gripper_behind_links_of_the_arm_has_not_vanished(background, spans):
+    p = np.tile([0.1, 0.0, 0.7], (49, 1))
+    part = background.part.copy()
+    middle = part.shape[0] // 2
+    part[:, middle:] = RobotPart.LINK6
+
+    def behind(depth_m):
+        return replace(background, part=part, depth_m=np.full(part.shape, depth_m))
+
+    assert spans(p, gone(12, 22), behind(0.6)) == []
+    assert spans(p, gone(12, 22), behind(0.8)) == [(12, 21)]  # the link is behind the gripper
+    assert spans(p * [-1.0, 1.0, 1.0], gone(12, 22), behind(0.6)) == [(12, 21)]
+    assert spans(p, gone(12, 22), [background] * 12 + [behind(0.6)] * 37) == [(12, 21)]  # it was in full view before
+
+
+def test_a_phantom_of_a_few_cells_is_no_gripper():
     explained = np.full(49, 400.0)
     explained[20:24] = 15.0
     confidence = np.full(49, 0.8)
     confidence[20:24] = 0.05
-    (result,) = find_vanishing(reach(), confidence, explained, confidence >= 0.1, CAMERA).anomalies
+    (result,) = find_vanishing(confidence, explained, np.ones(49, dtype=bool)).anomalies
     assert (result.frame_start, result.frame_end) == (20, 23)
 
 
