@@ -184,8 +184,8 @@ class CameraEstimator:
     ) -> CameraEstimate:
         """Return the estimate with the base turned as its contours show it.
 
-        Of a right camera and turn their share on image edges grows if they are fitted as well, of a wrong one it seldom
-        does: that decides between turns that differ too little. Arguments as of `finish`, with `turns` best first.
+        Turns that differ too little before the contours of the base are fitted are compared afterwards: a right one has
+        more of them on image edges then. Arguments as of `finish`, with `turns` best first.
         """
         close = [turn for turn in turns if turn is turns[0] or turn.share > turns[0].share - BASE_LEAD]
         fits = []
