@@ -71,15 +71,15 @@ def expect_gripper(
         wide: (T,) views of whole images.
         X_SC: (T, 4, 4) camera frame in that of each image, which a moving camera shifts.
     """
-    known = present & finite_rows(p_C)
-    expected, last, hidden = known.copy(), -1, True
-    for i in np.flatnonzero(~known).tolist():
-        if i and known[i - 1]:
+    present = present & finite_rows(p_C)
+    expected, last, hidden = present.copy(), -1, True
+    for i in np.flatnonzero(~present).tolist():
+        if i and present[i - 1]:
             # A gripper that its own arm hides more and more may be gone in the next frame; one in full view may not.
             last = i - 1
             hidden = _hidden_share(transform_points(X_SC[last], p_C[last, None])[0], wide[last]) >= _HIDDEN_SHARE
         if not hidden:
-            step = p_C[last] - p_C[last - 1] if last and known[last - 1] else np.zeros(3)
+            step = p_C[last] - p_C[last - 1] if last and present[last - 1] else np.zeros(3)
             expected[i] = _inside(transform_points(X_SC[i], (p_C[last] + step)[None])[0], camera)
     return expected
 
