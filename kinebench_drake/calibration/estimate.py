@@ -169,7 +169,9 @@ class CameraEstimator:
                     base_runner_up=estimate.base_runner_up,
                     is_aligned=True,
                 )
-        others = ((arm.agreement + turns[0].share) / 2 for arm, turns in ranked[1:])
+        # Other cameras are not fitted to the contours of the base: they are granted what that gained here.
+        gain = max(0.0, estimate.base_agreement - best_turns[0].share)
+        others = ((arm.agreement + own_turns[0].share + gain) / 2 for arm, own_turns in ranked[1:])
         return replace(estimate, runner_up=max(others, default=0.0))
 
     def _turn(
@@ -187,7 +189,7 @@ class CameraEstimator:
         Turns that differ too little before the contours of the base are fitted are compared afterwards: a right one has
         more of them on image edges then. Arguments as of `finish`, with `turns` best first.
         """
-        close = [turn for turn in turns if turn is turns[0] or turn.share > turns[0].share - BASE_LEAD]
+        close = [turn for turn in turns if turn.share > turns[0].share - BASE_LEAD]
         fits = []
         for turn in close:
             start = replace(arm, scene=turned(arm.scene, turn.angle_rad))
@@ -195,11 +197,12 @@ class CameraEstimator:
             own = images.take(np.searchsorted(rows, fit.rows))
             share = own.base_share(fit.scene) if len(close) > 1 else turn.share
             fits.append(replace(fit, agreement=arm.agreement, base_agreement=share))
-        best = max(fits, key=lambda fit: fit.base_agreement)
+        best, turn = max(zip(fits, close, strict=True), key=lambda pair: pair[0].base_agreement)
         # Fits of different turns may lead to the same one.
         X_CB = best.scene.lens.X_CB
         apart = [fit for fit in fits if pose_difference(X_CB, fit.scene.lens.X_CB)[1] > DIFFERENT_TURN_RAD]
-        others = [fit.base_agreement for fit in apart] + [turn.share for turn in turns[len(close) :]]
+        gain = max(0.0, best.base_agreement - turn.share)  # granted to turns that are not fitted
+        others = [fit.base_agreement for fit in apart] + [other.share + gain for other in turns[len(close) :]]
         return replace(best, base_runner_up=max(others, default=0.0))
 
     def _find_surroundings(self, estimate: CameraEstimate, frames: Frames) -> Surroundings | None:

@@ -110,7 +110,7 @@ def test_turns_that_differ_too_little_are_decided_by_their_fits(estimator, model
     both = fit(wrong, better, BaseTurn(angle_rad=-1.0, share=0.2))
     assert np.allclose(both.scene.lens.X_CB, right.scene.lens.X_CB, atol=0.02)
     assert both.base_agreement > both.base_runner_up + 0.2
-    assert both.base_runner_up >= 0.2
+    assert both.base_runner_up >= 0.2 + both.base_agreement - better.share  # the third has the gain of the best
     alone = fit(wrong)
     assert not np.allclose(alone.scene.lens.X_CB, right.scene.lens.X_CB, atol=0.1)
     assert (alone.base_agreement, alone.base_runner_up) == (0.5, 0.0)

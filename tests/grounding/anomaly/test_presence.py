@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from kinebench_drake.camera import benchmark_camera
+from kinebench_drake.geometry import make_pose
 from kinebench_drake.grounding.anomaly.presence import expect_gripper, find_duplicates, find_vanishing, second_gripper
 from kinebench_drake.grounding.crop import Crop
 from kinebench_drake.models.panda.robot import RobotPart
@@ -23,11 +24,11 @@ def background(cad):
 
 @pytest.fixture
 def spans(background):
-    """First and last frames of vanished grippers, by centres (T, 3) [m], confidence (T,) and views."""
+    """First and last frames of vanished grippers, by centres (T, 3) [m], confidence (T,), views, camera's shift."""
 
-    def find(p, confidence, views=background):
+    def find(p, confidence, views=background, shift_m=0.0):
         explained = np.full(len(p), 400.0)  # phantoms apart, as many cells whatever the confidence
-        X_SC = np.repeat(np.eye(4)[None], len(p), axis=0)
+        X_SC = np.repeat(make_pose(np.eye(3), [shift_m, 0.0, 0.0])[None], len(p), axis=0)
         wide = views if isinstance(views, list) else [views] * len(p)
         expected = expect_gripper(p, confidence >= 0.1, CAMERA, wide, X_SC)
         result = find_vanishing(confidence, explained, expected).anomalies
@@ -65,7 +66,12 @@ def test_a_gripper_that_leaves_the_image_or_never_appeared_has_not_vanished(reac
 def test_a_gripper_cut_by_the_border_may_have_left_the_image(spans):
     p = np.tile([0.36, 0.0, 0.7], (49, 1))  # 21 px from the border
     assert spans(p, gone(12, 22)) == []
-    assert spans(p - [0.05, 0.0, 0.0], gone(12, 22)) == [(12, 21)]
+    inside = p - [0.05, 0.0, 0.0]
+    assert spans(inside, gone(12, 22)) == [(12, 21)]
+    assert spans(inside, gone(12, 22), shift_m=0.05) == []  # the camera moved
+    fast = inside.copy()
+    fast[10, 0] -= 0.05
+    assert spans(fast, gone(12, 22)) == []  # it would be at the border in the next frame
 
 
 def test_a_gripper_behind_links_of_the_arm_has_not_vanished(background, spans):
@@ -80,6 +86,7 @@ def test_a_gripper_behind_links_of_the_arm_has_not_vanished(background, spans):
     assert spans(p, gone(12, 22), behind(0.6)) == []
     assert spans(p, gone(12, 22), behind(0.8)) == [(12, 21)]  # the link is behind the gripper
     assert spans(p * [-1.0, 1.0, 1.0], gone(12, 22), behind(0.6)) == [(12, 21)]
+    assert spans(p, gone(12, 22), behind(0.6), shift_m=-0.2) == [(12, 21)]  # the camera moved
     assert spans(p, gone(12, 22), [background] * 12 + [behind(0.6)] * 37) == [(12, 21)]  # it was in full view before
 
 
