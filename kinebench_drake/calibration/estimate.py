@@ -15,7 +15,7 @@ from kinebench_drake.calibration.bundle import (
     Observations,
     adjust,
 )
-from kinebench_drake.calibration.camera_estimate import BASE_LEAD, CameraEstimate, describe
+from kinebench_drake.calibration.camera_estimate import BASE_AGREEMENT, BASE_LEAD, CameraEstimate, describe
 from kinebench_drake.calibration.candidate import (
     COARSE,
     LOG_FOCAL_SIGMA,
@@ -189,7 +189,9 @@ class CameraEstimator:
         Turns that differ too little before the contours of the base are fitted are compared afterwards: a right one has
         more of them on image edges then. Arguments as of `finish`, with `turns` best first.
         """
-        close = [turn for turn in turns if turn.share > turns[0].share - BASE_LEAD]
+        close = list(turns[:1])
+        if turns[0].share >= BASE_AGREEMENT:  # with less there is no base frame, however the base is turned
+            close = [turn for turn in turns if turn.share > turns[0].share - BASE_LEAD]
         fits = []
         for turn in close:
             start = replace(arm, scene=turned(arm.scene, turn.angle_rad))

@@ -114,6 +114,8 @@ def test_turns_that_differ_too_little_are_decided_by_their_fits(estimator, model
     alone = fit(wrong)
     assert not np.allclose(alone.scene.lens.X_CB, right.scene.lens.X_CB, atol=0.1)
     assert (alone.base_agreement, alone.base_runner_up) == (0.5, 0.0)
+    poor = fit(BaseTurn(angle_rad=1.2, share=0.3), BaseTurn(angle_rad=0.0, share=0.29))  # too little for a base frame
+    assert (poor.base_agreement, poor.base_runner_up) == (0.3, 0.29)
     near = fit(better, BaseTurn(angle_rad=np.deg2rad(21.0), share=0.45))  # leads to the same turn
     assert near.base_runner_up == 0.0
 
