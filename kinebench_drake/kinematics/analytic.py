@@ -71,7 +71,18 @@ def reach_window(X_BF: ArrayLike) -> tuple[Array, Array, Array]:
     return np.arctan2(-y, x), np.arccos(np.clip(cos, -1.0, 1.0)), np.maximum(least - _REACH, 0.0)
 
 
-def analytic_ik(X_BF: ArrayLike, q7: ArrayLike) -> Array:
+def branch_of(q: ArrayLike) -> int:
+    """Return the branch of a posture `q` (7,) [rad]: `analytic_ik` of its flange pose and joint 7 has it there.
+
+    By the signs of the angles of elbow, wrist and shoulder in `analytic_ik`. That of the wrist, `half`, has the sign of
+    z6 . (way x z5) = along_x z4 . z6, and z4 . z6 = cos q5.
+    """
+    _, q2, _, q4, q5, _, _ = np.asarray(q, dtype=np.float64)
+    along_x = np.cos(q4) * _A4 + np.sin(q4) * _D3 - _A4
+    return 4 * bool(np.sin(q4 + _ELBOW) < 0.0) + 2 * bool(along_x * np.cos(q5) < 0.0) + bool(q2 < 0.0)
+
+
+def analytic_ik(X_BF: ArrayLike, q7: ArrayLike, branch: int | None = None) -> Array:
     """Return the joint angles (..., 8, 7) [rad] that bring the flange to `X_BF` for joint-7 angles `q7`.
 
     The branch index is 4 * elbow + 2 * wrist + shoulder; a branch is a continuous function of the pose and q7 away
@@ -81,24 +92,25 @@ def analytic_ik(X_BF: ArrayLike, q7: ArrayLike) -> Array:
     Args:
         X_BF: poses (..., 4, 4) of panda_link8 in panda_link0 [m].
         q7: joint-7 angles (...) [rad]; broadcast with the poses.
+        branch: if not None, only this one (..., 1, 7).
     """
     X_BF, q7 = np.asarray(X_BF, dtype=np.float64), np.asarray(q7, dtype=np.float64)
     shape = np.broadcast_shapes(X_BF.shape[:-2], q7.shape)
     X_BF = X_BF[(None,) * (len(shape) + 2 - X_BF.ndim)]
     # Axes of link 6 in the base, and the way from the shoulder to its origin (wrist) along them.
     c, s = np.cos(q7), np.sin(q7)
-    x7, y7, z7, p = (np.moveaxis(X_BF[..., :3, k], -1, 0) for k in range(4))
+    x7, y7, z7, p = np.moveaxis(X_BF[..., :3, :], (-1, -2), (0, 1))
     x6, y6, z6 = c * x7 - s * y7, -z7, s * x7 + c * y7
     p = p - _D_FLANGE * z7 - np.reshape([0.0, 0.0, _D1], (3, *[1] * (p.ndim - 1)))
     u, v, w = _dot(p, x6) - _A7, _dot(p, y6), _dot(p, z6)
 
-    q = np.empty((N_JOINTS, 2, 2, 2, *shape))  # joint, elbow, wrist, shoulder
-    sign = np.reshape([1.0, -1.0], (2, *[1] * len(shape)))
+    signs = np.reshape([1.0, -1.0], (2, *[1] * len(shape)))
+    elbow, wrist = (signs, signs) if branch is None else (signs[[branch // 4]], signs[[branch // 2 % 2]])
+    q = np.empty((N_JOINTS, len(elbow), len(wrist), 2, *shape))  # joint, elbow, wrist, shoulder
     with np.errstate(invalid="ignore", divide="ignore"):
         # Elbow: the triangle shoulder, elbow joint, wrist has three known sides.
         bend = np.arccos((_UPPER**2 + _LOWER**2 - u * u - v * v - w * w) / (2 * _UPPER * _LOWER))  # NaN out of reach
-        q4 = (sign * bend - _ELBOW)[:, None]  # (2 elbow, 1, ...)
-        q4[1] += 2 * np.pi
+        q4 = (elbow * bend - _ELBOW + 2 * np.pi * (elbow < 0.0))[:, None]  # (elbow, 1, ...)
         q4 -= 2 * np.pi * (q4 > np.pi / 2)
         # In frame 4, whose y is joint 5's axis: from the shoulder to the wrist.
         c4, s4 = np.cos(q4), np.sin(q4)
@@ -108,7 +120,7 @@ def analytic_ik(X_BF: ArrayLike, q7: ArrayLike) -> Array:
         # Wrist: joint 5's axis z5 is normal to z6 and has the component along_y of the way (u, v, w). From here on
         # vectors are in the axes of link 6.
         half = np.arccos(along_y / np.hypot(u, v))  # NaN where joint 6 cannot turn that far
-        phi = np.arctan2(v, u) + sign * half  # (2 elbow, 2 wrist, ...)
+        phi = np.arctan2(v, u) + wrist * half  # (elbow, wrist, ...)
         z5 = np.cos(phi), np.sin(phi)
         # Frame 4: y4 = z5, (u, v, w) = along_x x4 + along_y y4 and z4 = x4 x y4.
         x4 = (u - along_y * z5[0]) / along_x, (v - along_y * z5[1]) / along_x, w / along_x
@@ -128,8 +140,10 @@ def analytic_ik(X_BF: ArrayLike, q7: ArrayLike) -> Array:
     q[0, :, :, 0], q[1, :, :, 0], q[2, :, :, 0] = q1, q2, q3
     q[0, :, :, 1], q[1, :, :, 1], q[2, :, :, 1] = q1 - np.copysign(np.pi, q1), -q2, q3 - np.copysign(np.pi, q3)
     q[3], q[4], q[5], q[6] = q4[:, :, None], q5[:, :, None], q6[:, :, None], q7
-    q = np.moveaxis(q.reshape(N_JOINTS, N_BRANCHES, *shape), (0, 1), (-1, -2))
+    q = np.moveaxis(q.reshape(N_JOINTS, -1, *shape), (0, 1), (-1, -2))
     q[~np.isfinite(q[..., 4])] = np.nan
+    if branch is not None:
+        q = q[..., [branch % 2], :]
     return np.ascontiguousarray(q)
 
 

@@ -1,5 +1,8 @@
 """Joint paths along a track of poses that continue from a known posture, such as the one in which the robot stands."""
 
+from dataclasses import dataclass
+from functools import lru_cache
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
@@ -71,28 +74,50 @@ def continue_path(plant: ArmPlant, t_s: Array, X_BG: Array, q_start: Array) -> A
     All NaN if the result passes a limit or has a step that is too fast: then `search_path` may find a path.
     Arguments as for `search_path`.
     """
-    solver, chosen = posture_solver(plant), select_anchors(t_s, ANCHORS_S[0])
-    path = _interpolate_layers(plant, t_s, X_BG, chosen, solver.along_branch(X_BG[chosen], q_start), q_start)
+    solver, anchors = posture_solver(plant), _spread_anchors(tuple(t_s), ANCHORS_S[0])
+    layers = solver.along_branch(X_BG[anchors.frames], q_start)
+    path = _interpolate_layers(plant, t_s, X_BG, anchors, layers, q_start)
     if not is_sound(plant, t_s, path):
-        chosen = select_anchors(t_s, ANCHORS_S[1])
-        layers = solver.all(X_BG[chosen], _GRID_SAMPLES)
+        anchors = _spread_anchors(tuple(t_s), ANCHORS_S[1])
+        layers = solver.all(X_BG[anchors.frames], _GRID_SAMPLES)
         layers[0] = solver.nearest(X_BG[:1], q_start[None])
-        path = _interpolate_layers(plant, t_s, X_BG, chosen, layers, q_start)
+        path = _interpolate_layers(plant, t_s, X_BG, anchors, layers, q_start)
         if np.isfinite(path).all() and not is_sound(plant, t_s, path):
             path = relax(plant, t_s, X_BG, path)
     return path if is_sound(plant, t_s, path) else np.full((len(t_s), 7), np.nan)
 
 
-def _interpolate_layers(
-    plant: ArmPlant, t_s: Array, X_BG: Array, chosen: NDArray[np.intp], layers: list[Array], q_start: Array
-) -> Array:
-    """Return the path (T, 7) through the cheapest of `layers`, the postures of frames `chosen`; NaN if one has none."""
-    path = find_cheapest_path(plant, t_s[chosen], within_limits(plant, layers), q_start, _GRID_STEP_RAD)
-    if len(chosen) < 2 or not np.isfinite(path).all():
-        return np.full((len(t_s), 7), np.nan)
+@dataclass(frozen=True, slots=True)
+class _Anchors:
+    """Frames whose postures are searched, and the path through them."""
+
+    frames: NDArray[np.intp]
+    """(A,)."""
+    weights: Array
+    """(T, A) of the anchors' postures in those of all frames: smoothed, then interpolated by a cubic spline."""
+
+
+@lru_cache(maxsize=16)
+def _spread_anchors(times: tuple[float, ...], spacing_s: float) -> _Anchors:
+    """Select anchors at least `spacing_s` apart among `times` (T,) [s]: tracks often have the same."""
+    t_s = np.array(times)
+    frames = select_anchors(t_s, spacing_s)
+    weights = np.eye(len(frames))
     for _ in range(_SMOOTHING_PASSES):  # removes the steps of the grid
-        path[1:-1] = 0.25 * path[:-2] + 0.5 * path[1:-1] + 0.25 * path[2:]
-    guess = make_interp_spline(t_s[chosen], path, k=min(3, len(chosen) - 1))(t_s)
+        weights[1:-1] = 0.25 * weights[:-2] + 0.5 * weights[1:-1] + 0.25 * weights[2:]
+    if len(frames) > 1:
+        weights = make_interp_spline(t_s[frames], weights, k=min(3, len(frames) - 1))(t_s)
+    return _Anchors(frames, weights)
+
+
+def _interpolate_layers(
+    plant: ArmPlant, t_s: Array, X_BG: Array, anchors: _Anchors, layers: list[Array], q_start: Array
+) -> Array:
+    """Return the path (T, 7) through the cheapest of `layers`, the postures of the anchors; NaN if one has none."""
+    path = find_cheapest_path(plant, t_s[anchors.frames], within_limits(plant, layers), q_start, _GRID_STEP_RAD)
+    if len(path) < 2 or not np.isfinite(path).all():
+        return np.full((len(t_s), 7), np.nan)
+    guess = anchors.weights @ path
     path = posture_solver(plant).nearest(X_BG, guess)
     # Where the redundancy's angle leaves the branch, Newton steps may still follow the poses.
     return path if is_sound(plant, t_s, path) else solve_newton_path(plant, X_BG, guess)

@@ -4,7 +4,7 @@ Dynamic programming over grids of postures selects branch and coarse path global
 minimise joint speed over its limit, the relaxation also acceleration.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from itertools import pairwise
 
 import numpy as np
@@ -31,6 +31,7 @@ _FROM_START = 1e-2  # weight of the squared distance from the start [1/rad^2]
 _OUTSIDE = 30.0  # weight of a posture past a limit, per radian
 _PEAK = 4.0  # weight of the eighth power of a step's speed ratio beside its square
 _TOO_FAST = 1000.0  # weight of a step that no joint speed allows
+_PAIRS_AT_ONCE = 2**17  # most pairs of postures whose steps are computed in one array
 
 
 def limit_excess(plant: ArmPlant, q: Array) -> Array:
@@ -50,14 +51,10 @@ def speed_ratios(plant: ArmPlant, t_s: Array, q: Array) -> Array:
 
 def within_limits(plant: ArmPlant, layers: list[Array], past_rad: float = 0.0) -> list[Array]:
     """Return the postures (N_t, 7) [rad] of each layer that exceed limits by at most `past_rad`."""
-    rows, ends = _joined(layers)
+    rows = np.concatenate([np.zeros((0, 7)), *layers])
     within = limit_excess(plant, rows).max(axis=-1, initial=0.0) <= past_rad
+    ends = np.cumsum([len(layer) for layer in layers])[:-1]
     return [layer[inside] for layer, inside in zip(layers, np.split(within, ends), strict=True)]
-
-
-def _joined(layers: list[Array]) -> tuple[Array, NDArray[np.intp]]:
-    """Return the postures (N, 7) of all layers and the ends of all layers but the last in them."""
-    return np.concatenate([np.zeros((0, 7)), *layers]), np.cumsum([len(layer) for layer in layers])[:-1]
 
 
 def grid_postures(plant: ArmPlant, X_BG: Array, samples: int, rounds: int = 0) -> list[Array]:
@@ -185,26 +182,52 @@ def find_cheapest_path(
     frames = [i for i, layer in enumerate(layers) if len(layer)]
     if not frames:
         return path
-    rows, ends = _joined([layers[i] for i in frames])
-    scaled = np.split(rows / plant.velocity_limits, ends)
-    noise_s = ALLOWANCE * np.sqrt(2.0) * noise_rad / plant.velocity_limits.min()
-    slack = spacing / plant.velocity_limits.min()
-    outside = limit_excess(plant, rows).max(axis=-1)
-    own = np.split(_OUTSIDE * outside + FROM_REST * np.sum((rows - plant.robot.rest_q) ** 2, axis=-1), ends)
-    cost = _FROM_START * np.sum((layers[frames[0]] - q_start) ** 2, axis=-1) + own[0]
+    counts = np.array([len(layers[i]) for i in frames])
+    slots = np.arange(counts.max()) < counts[:, None]  # of each layer in an array for all
+    q = np.zeros((*slots.shape, 7))
+    q[slots] = np.concatenate([layers[i] for i in frames])
+    own = _OUTSIDE * limit_excess(plant, q).max(axis=-1) + FROM_REST * np.sum((q - plant.robot.rest_q) ** 2, axis=-1)
+    own[~slots] = np.inf
+    dt = np.diff(t_s[frames]) + ALLOWANCE * np.sqrt(2.0) * noise_rad / plant.velocity_limits.min()
+    steps = _step_costs(q / plant.velocity_limits, counts, dt, spacing / plant.velocity_limits.min())
+    cost = _FROM_START * np.sum((q[0] - q_start) ** 2, axis=-1) + own[0]
     parents = []
-    for k, (i, j) in enumerate(pairwise(frames)):
-        dt = float(t_s[j] - t_s[i]) + noise_s
-        time = cdist(scaled[k + 1], scaled[k], "chebyshev")
-        square = (time / dt) ** 2
-        fast = np.square(square**2)  # several times as fast as a power of 8
-        total = cost + square + _PEAK * fast + _TOO_FAST * np.maximum((time - slack) / dt - 1.0, 0.0) ** 2
-        best = np.argmin(total, axis=-1)
+    for k, step in enumerate(steps, start=1):
+        total = cost[: step.shape[1]] + step
+        best = total.argmin(axis=-1)
         parents.append(best)
-        cost = total[np.arange(len(best)), best] + own[k + 1]
+        cost = total[np.arange(len(best)), best] + own[k, : len(best)]
     k = int(np.argmin(cost))
     for n in range(len(frames) - 1, -1, -1):
-        path[frames[n]] = layers[frames[n]][k]
+        path[frames[n]] = q[n, k]
         if n:
             k = int(parents[n - 1][k])
     return path
+
+
+def _step_costs(scaled: Array, counts: NDArray[np.intp], dt: Array, slack_s: float) -> Iterator[Array]:
+    """Yield the cost of each step between consecutive layers, rows the later postures, columns the earlier ones.
+
+    Small layers are computed in one array, as calls would cost more than arithmetic, and are yielded with the rows and
+    columns beyond their counts.
+
+    Args:
+        scaled: (T, N, 7) postures over the speed limits [s], of which each layer has the first `counts` (T,).
+        counts: (T,) numbers of postures.
+        dt: (T - 1,) times between layers [s].
+        slack_s: time by which a step may exceed the speed limits, as the grid explains it [s].
+    """
+
+    def costs(time_s: Array, step_s: Array | float) -> Array:
+        square = (time_s / step_s) ** 2
+        fast = np.square(square**2)  # several times as fast as a power of 8
+        return np.asarray(square + _PEAK * fast + _TOO_FAST * np.maximum((time_s - slack_s) / step_s - 1.0, 0.0) ** 2)
+
+    if len(dt) * scaled.shape[1] ** 2 <= _PAIRS_AT_ONCE:
+        joints = np.moveaxis(scaled, -1, 0)
+        times = np.abs(joints[:, 1:, :, None] - joints[:, :-1, None, :]).max(axis=0)
+        yield from costs(times, dt[:, None, None])
+    else:
+        rows = [row[:count] for row, count in zip(scaled, counts, strict=True)]
+        for (before, after), step_s in zip(pairwise(rows), dt, strict=True):
+            yield costs(cdist(after, before, "chebyshev"), float(step_s))

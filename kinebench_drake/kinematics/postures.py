@@ -10,7 +10,7 @@ import numpy as np
 from typing_extensions import override
 
 from kinebench_drake.geometry import Array, invert
-from kinebench_drake.kinematics.analytic import N_BRANCHES, analytic_ik, flange_pose, reach_window
+from kinebench_drake.kinematics.analytic import N_BRANCHES, analytic_ik, branch_of, flange_pose, reach_window
 from kinebench_drake.kinematics.newton import REACHED_M, solve_newton
 from kinebench_drake.kinematics.plant import ArmPlant
 
@@ -37,9 +37,10 @@ class PostureSolver(Protocol):
         ...
 
     def along_branch(self, X_BG: Array, q_start: Array) -> list[Array]:
-        """Return for each pose postures (N_t, 7) [rad] of the branch nearest to `q_start` (7,) at the first pose.
+        """Return for each pose postures (N_t, 7) [rad] of the branch of `q_start` (7,).
 
-        The postures are on a coarse grid of the redundancy about that of `q_start`; none where branches are unknown.
+        The postures are on a coarse grid of the redundancy about that of `q_start`, NaN where there is none; no rows
+        where branches are unknown.
         """
         ...
 
@@ -112,10 +113,7 @@ class ClosedFormSolver(PostureSolver):
 
     @override
     def along_branch(self, X_BG: Array, q_start: Array) -> list[Array]:
-        q = analytic_ik((X_BG @ self._X_GF)[:, None], q_start[6] + _BRANCH_RAD)
-        distance = np.abs(q[0, len(_BRANCH_RAD) // 2] - q_start).max(axis=-1)
-        branch = np.argmin(np.where(np.isfinite(distance), distance, np.inf))
-        return [_listed(row) for row in q[:, :, branch]]
+        return list(analytic_ik((X_BG @ self._X_GF)[:, None], q_start[6] + _BRANCH_RAD, branch_of(q_start))[:, :, 0])
 
     @override
     def direction(self, X_BG: Array, q: Array) -> Array:

@@ -1,7 +1,7 @@
 import numpy as np
 
 from kinebench_drake.geometry import make_pose, pose_difference
-from kinebench_drake.kinematics.analytic import analytic_ik, flange_pose, reach_window
+from kinebench_drake.kinematics.analytic import analytic_ik, branch_of, flange_pose, reach_window
 from kinebench_drake.kinematics.plant import ArmPlant
 
 
@@ -18,6 +18,19 @@ def test_every_branch_reaches_the_pose_and_one_is_the_posture_it_came_from(plant
             assert solution[6] == q[6]
         assert np.nanmin(np.abs(solutions - q).max(axis=-1)) < 1e-6
     assert branches_seen == set(range(8))
+
+
+def test_the_branch_of_a_posture_alone_is_that_of_all_branches(plant: ArmPlant) -> None:
+    rng = np.random.default_rng(3)
+    branches = set()
+    for q in rng.uniform(plant.lower, plant.upper, size=(200, 7)):
+        X_BF, branch = flange_pose(q), branch_of(q)
+        branches.add(branch)
+        alone = analytic_ik(X_BF, q[6], branch)
+        assert alone.shape == (1, 7)
+        np.testing.assert_allclose(alone[0], analytic_ik(X_BF, q[6])[branch], atol=1e-12)
+        np.testing.assert_allclose(alone[0], q, atol=1e-6)
+    assert branches == set(range(8))
 
 
 def test_the_flange_is_where_drake_has_it(plant: ArmPlant) -> None:

@@ -21,6 +21,18 @@ def _poses(plant: ArmPlant, q: Array) -> Array:
     return np.array([plant.forward(row) for row in q])
 
 
+def test_small_layers_together_give_the_path_of_large_ones_step_by_step(
+    plant: ArmPlant, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rng = np.random.default_rng(0)
+    layers = [rng.uniform(plant.lower - 0.1, plant.upper + 0.1, size=(n, 7)) for n in (3, 9, 1, 0, 6, 12, 2)]
+    t_s = np.cumsum(rng.uniform(0.2, 1.0, len(layers)))
+    together = find_cheapest_path(plant, t_s, layers, rest_q(), spacing=0.1, noise_rad=0.01)
+    monkeypatch.setattr(path_search, "_PAIRS_AT_ONCE", 0)
+    np.testing.assert_array_equal(find_cheapest_path(plant, t_s, layers, rest_q(), 0.1, 0.01), together)
+    assert list(np.flatnonzero(np.isnan(together[:, 0]))) == [3]
+
+
 def test_the_cheapest_path_is_that_of_all_paths(plant: ArmPlant) -> None:
     """Against every combination of three layers."""
     rng = np.random.default_rng(0)
