@@ -1,5 +1,6 @@
 """Joint paths along a track of poses that continue from a known posture, such as the one in which the robot stands."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -74,17 +75,29 @@ def continue_path(plant: ArmPlant, t_s: Array, X_BG: Array, q_start: Array) -> A
     All NaN if the result passes a limit or has a step that is too fast: then `search_path` may find a path.
     Arguments as for `search_path`.
     """
+    for path in _candidates(plant, t_s, X_BG, q_start):
+        if is_sound(plant, t_s, path):
+            return path
+    return np.full((len(t_s), 7), np.nan)
+
+
+def _candidates(plant: ArmPlant, t_s: Array, X_BG: Array, q_start: Array) -> Iterator[Array]:
+    """Yield paths (T, 7), which may pass limits, the ones that cost least time first. Arguments as `continue_path`."""
     solver, anchors = posture_solver(plant), _spread_anchors(tuple(t_s), ANCHORS_S[0])
-    layers = solver.along_branch(X_BG[anchors.frames], q_start)
-    path = _interpolate_layers(plant, t_s, X_BG, anchors, layers, q_start)
-    if not is_sound(plant, t_s, path):
-        anchors = _spread_anchors(tuple(t_s), ANCHORS_S[1])
-        layers = solver.all(X_BG[anchors.frames], _GRID_SAMPLES)
-        layers[0] = solver.nearest(X_BG[:1], q_start[None])
-        path = _interpolate_layers(plant, t_s, X_BG, anchors, layers, q_start)
-        if np.isfinite(path).all() and not is_sound(plant, t_s, path):
-            path = relax(plant, t_s, X_BG, path)
-    return path if is_sound(plant, t_s, path) else np.full((len(t_s), 7), np.nan)
+    guess = _interpolate_layers(plant, t_s, anchors, solver.along_branch(X_BG[anchors.frames], q_start), q_start)
+    if guess is not None:
+        yield solver.nearest(X_BG, guess)
+        # Where the redundancy's angle leaves the branch, Newton steps may still follow the poses.
+        yield solve_newton_path(plant, X_BG, guess)
+    anchors = _spread_anchors(tuple(t_s), ANCHORS_S[1])
+    layers = solver.all(X_BG[anchors.frames], _GRID_SAMPLES)
+    layers[0] = solver.nearest(X_BG[:1], q_start[None])
+    guess = _interpolate_layers(plant, t_s, anchors, layers, q_start)
+    if guess is not None:
+        yield solver.nearest(X_BG, guess)
+        path = solve_newton_path(plant, X_BG, guess)
+        yield path
+        yield relax(plant, t_s, X_BG, path)
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,13 +124,8 @@ def _spread_anchors(times: tuple[float, ...], spacing_s: float) -> _Anchors:
 
 
 def _interpolate_layers(
-    plant: ArmPlant, t_s: Array, X_BG: Array, anchors: _Anchors, layers: list[Array], q_start: Array
-) -> Array:
-    """Return the path (T, 7) through the cheapest of `layers`, the postures of the anchors; NaN if one has none."""
+    plant: ArmPlant, t_s: Array, anchors: _Anchors, layers: list[Array], q_start: Array
+) -> Array | None:
+    """Return the path (T, 7) near the cheapest of `layers`, the postures of the anchors; None if an anchor has none."""
     path = find_cheapest_path(plant, t_s[anchors.frames], within_limits(plant, layers), q_start, _GRID_STEP_RAD)
-    if len(path) < 2 or not np.isfinite(path).all():
-        return np.full((len(t_s), 7), np.nan)
-    guess = anchors.weights @ path
-    path = posture_solver(plant).nearest(X_BG, guess)
-    # Where the redundancy's angle leaves the branch, Newton steps may still follow the poses.
-    return path if is_sound(plant, t_s, path) else solve_newton_path(plant, X_BG, guess)
+    return anchors.weights @ path if len(path) > 1 and np.isfinite(path).all() else None

@@ -5,7 +5,7 @@ minimise joint speed over its limit, the relaxation also acceleration.
 """
 
 from collections.abc import Callable, Iterator, Mapping
-from itertools import pairwise
+from itertools import accumulate, pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,8 +53,8 @@ def within_limits(plant: ArmPlant, layers: list[Array], past_rad: float = 0.0) -
     """Return the postures (N_t, 7) [rad] of each layer that exceed limits by at most `past_rad`."""
     rows = np.concatenate([np.zeros((0, 7)), *layers])
     within = limit_excess(plant, rows).max(axis=-1, initial=0.0) <= past_rad
-    ends = np.cumsum([len(layer) for layer in layers])[:-1]
-    return [layer[inside] for layer, inside in zip(layers, np.split(within, ends), strict=True)]
+    bounds = pairwise(accumulate(map(len, layers), initial=0))
+    return [layer[within[first:last]] for layer, (first, last) in zip(layers, bounds, strict=True)]
 
 
 def grid_postures(plant: ArmPlant, X_BG: Array, samples: int, rounds: int = 0) -> list[Array]:
