@@ -2,7 +2,7 @@
 
 import hashlib
 import subprocess
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import cache
 from pathlib import Path
@@ -17,15 +17,15 @@ from kinebench_drake.results.provenance import host
 ROOT = Path(__file__).parents[1]
 RESULTS = Path("benchmarks/results")
 """Folder of the result files."""
+_README, _SPEED, _CLUSTER = (Path(name) for name in ("README.md", "docs/benchmarks.md", "docs/cluster.md"))
 PAGES = {
-    **dict.fromkeys(("accuracy", "robustness"), Path("README.md")),
-    **dict.fromkeys(
-        ("ik", "audit", "simulation", "rounds", "runtimes", "throughput", "streaming", "scale"),
-        Path("docs/benchmarks.md"),
-    ),
-    **dict.fromkeys(("cluster", "driver"), Path("docs/cluster.md")),
+    **dict.fromkeys(("accuracy", "robustness"), (_README,)),
+    **dict.fromkeys(("ik", "audit", "simulation", "rounds", "runtimes"), (_SPEED,)),
+    "throughput": (_SPEED, _README),
+    **dict.fromkeys(("streaming", "scale"), (_SPEED,)),
+    **dict.fromkeys(("cluster", "driver"), (_CLUSTER,)),
 }
-"""Page with the section of each benchmark, in the order in which they are measured."""
+"""Page of each section of each benchmark, in the order in which they are measured."""
 SLOWER = 1.1
 """Ratio to the result before from which a figure is listed as worse."""
 _FOLDERS = ("kinebench_drake", "grounding", "models", "suites", "benchmarks")
@@ -39,8 +39,8 @@ class BenchmarkRecord:
     """Command: `python -m benchmarks NAME`."""
     figures: Mapping[str, float]
     """Costs by name with unit: of all of them less is better."""
-    section: str
-    """Section of the page."""
+    sections: Sequence[str]
+    """Sections, one for each page of `PAGES`."""
     machine: Mapping[str, Any]
     revision: str
     """Commit that was checked out."""
@@ -48,12 +48,12 @@ class BenchmarkRecord:
     """Hash of all sources, committed or not."""
 
     @classmethod
-    def of(cls, name: str, figures: Mapping[str, float], section: str) -> "BenchmarkRecord":
+    def of(cls, name: str, figures: Mapping[str, float], *sections: str) -> "BenchmarkRecord":
         """Return the record of a result just measured here."""
         return cls(
             name=name,
             figures=figures,
-            section=section,
+            sections=list(sections),
             machine=host(),
             revision=revision(),
             sources_sha256=sources_hash(),
@@ -96,15 +96,16 @@ def compare_records(before: BenchmarkRecord, now: BenchmarkRecord) -> Iterator[s
 
 
 def write_pages(folder: Path = RESULTS) -> Iterator[str]:
-    """Write the section of each record into its page; yields a line for each benchmark."""
-    for name, page in PAGES.items():
+    """Write the sections of each record into their pages; yields a line for each benchmark."""
+    for name, pages in PAGES.items():
         record = BenchmarkRecord.read(name, folder)
         if record is None:
             yield f"{name}: no result"
             continue
-        write_atomically(page, replace_section(page.read_text(), record.section).encode())
+        for page, section in zip(pages, record.sections, strict=True):
+            write_atomically(page, replace_section(page.read_text(), section).encode())
         state = "these sources" if record.sources_sha256 == sources_hash() else "other sources"
-        yield f"{name}: {page}, measured at {record.revision} with {state}"
+        yield f"{name}: {', '.join(map(str, pages))}, measured at {record.revision} with {state}"
 
 
 def revision() -> str:

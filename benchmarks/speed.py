@@ -39,10 +39,10 @@ heldout_option = click.option(
 )
 
 
-def _record(name: str, results: Path, figures: Mapping[str, float], section: str) -> None:
-    """Print a section, write the result, and print what became worse since the result before."""
-    click.echo(section)
-    before, now = BenchmarkRecord.read(name, results), BenchmarkRecord.of(name, figures, section)
+def _record(name: str, results: Path, figures: Mapping[str, float], *sections: str) -> None:
+    """Print the sections, write the result, and print what became worse since the result before."""
+    click.echo("\n".join(sections))
+    before, now = BenchmarkRecord.read(name, results), BenchmarkRecord.of(name, figures, *sections)
     log(now.write(results))
     for line in compare_records(before, now) if before else ():
         log(line)
@@ -112,12 +112,12 @@ def throughput(results: Path, work: Path | None, video: Path, count: int, tracks
     """Measure runs of score and audit with one and two processes, and on the GPU if there is one."""
     import torch
 
-    from benchmarks.throughput import figures, measure, section
+    from benchmarks.throughput import figures, measure, section, summary
 
     gpu = torch.cuda.is_available()
     with errors(), work_folder(work) as folder:
         costs = measure(video, folder, videos=count, tracks=tracks, turns=turns, gpu=gpu, log=log)
-    _record("throughput", results, figures(costs), section(costs, videos=count, tracks=tracks))
+    _record("throughput", results, figures(costs), section(costs, videos=count, tracks=tracks), summary(costs))
 
 
 @click.command(epilog="\b\nExample:\n  python -m benchmarks streaming")

@@ -24,6 +24,8 @@ from kinebench_drake.results.store import TIMINGS
 
 HEADING = "## Whole runs"
 """Heading of the section of the document."""
+SUMMARY_HEADING = "## Speed"
+"""Heading of the section of the README."""
 PROCESSES = (1, 2)
 """Numbers of worker processes that are compared."""
 _NO_GPU = {"CUDA_VISIBLE_DEVICES": ""}
@@ -175,6 +177,29 @@ def section(costs: RunCosts, *, videos: int, tracks: int) -> str:
             "are fitted. Memory: peak resident memory, libraries included, of the main process and of each worker.",
             "",
             *table(head, _rows(costs)),
+            "",
+        ]
+    )
+
+
+def summary(costs: RunCosts) -> str:
+    """Return the section of the README: runs without a GPU."""
+
+    def seconds(job: Job) -> str:
+        one, two = (np.median([run.sample_s for run in costs[Setting(job=job, processes=n)]]) for n in PROCESSES)
+        return f"{two:.2f} s with two processes and {one:.2f} s with one"
+
+    runs = [run for setting, of in costs.items() for run in of if setting.job is Job.SCORE and not setting.gpu]
+    memory_gb = max(max(run.peak.main_mb, *run.peak.workers_mb, 0.0) for run in runs) / 1000.0
+    machine = host()
+    return "\n".join(
+        [
+            SUMMARY_HEADING,
+            "",
+            f"On {machine['cpu']} ({machine['cores']} cores, no GPU), after start-up: `score` takes {seconds(Job.SCORE)} "
+            f"a video of 49 frames, and {memory_gb:.1f} GB a process;",
+            f"`audit` takes {seconds(Job.AUDIT)} a trajectory. Written by `python -m benchmarks throughput`; start-up and "
+            "more: [docs/benchmarks.md](docs/benchmarks.md#whole-runs).",
             "",
         ]
     )

@@ -34,12 +34,14 @@ def test_only_what_became_worse_is_listed(result):
 
 
 def test_pages_have_the_sections_of_the_results(result, tmp_path, monkeypatch):
-    page = tmp_path / "page.md"
+    page, other = tmp_path / "page.md", tmp_path / "other.md"
     page.write_text("# Page\n\n## Speed\n\nold\n\n## Other\n\nkept\n")
-    monkeypatch.setattr(record, "PAGES", dict.fromkeys(PAGES, page))
-    result.write(tmp_path)
+    other.write_text("# Other\n")
+    monkeypatch.setattr(record, "PAGES", dict.fromkeys(PAGES, (page, other)))
+    replace(result, sections=[*result.sections, "## Summary\n\nfast\n"]).write(tmp_path)
     lines = list(write_pages(tmp_path))
     assert page.read_text() == "# Page\n\n## Speed\n\n2 ms\n\n## Other\n\nkept\n"
+    assert other.read_text() == "# Other\n\n## Summary\n\nfast\n"
     by_name = dict(zip(PAGES, lines, strict=True))
     assert by_name.pop(result.name).endswith("with these sources")
     assert by_name == {name: f"{name}: no result" for name in by_name}
