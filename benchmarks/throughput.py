@@ -192,14 +192,15 @@ def summary(costs: RunCosts) -> str:
     runs = [run for setting, of in costs.items() for run in of if setting.job is Job.SCORE and not setting.gpu]
     memory_gb = max(max(run.peak.main_mb, *run.peak.workers_mb, 0.0) for run in runs) / 1000.0
     machine = host()
+    where = f"{machine['cpu']} ({machine['cores']} cores, no GPU)"
     return "\n".join(
         [
             SUMMARY_HEADING,
             "",
-            f"On {machine['cpu']} ({machine['cores']} cores, no GPU), after start-up: `score` takes {seconds(Job.SCORE)} "
-            f"a video of 49 frames, and {memory_gb:.1f} GB a process;",
-            f"`audit` takes {seconds(Job.AUDIT)} a trajectory. Written by `python -m benchmarks throughput`; start-up and "
-            "more: [docs/benchmarks.md](docs/benchmarks.md#whole-runs).",
+            f"On {where}, after start-up: `score` takes {seconds(Job.SCORE)} "
+            f"for a video of 49 frames, and {memory_gb:.1f} GB a process; `audit` takes {seconds(Job.AUDIT)} for",
+            "a trajectory. Written by `python -m benchmarks throughput`; start-up and more: "
+            "[docs/benchmarks.md](docs/benchmarks.md#whole-runs).",
             "",
         ]
     )

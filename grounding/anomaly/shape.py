@@ -23,8 +23,8 @@ SHAPE_WINDOW = 5
 """Frames of the running median of misfit and residual."""
 OFF = 0.035
 """Least relative error of the size of an anomaly."""
-SCALE_WINDOW = 13
-"""Frames of the running median of the size."""
+SCALE_WINDOW = 21
+"""Frames of the running median of the size: its errors last some ten frames, a gripper of the wrong size keeps it."""
 _MIN_CELLS = 100
 _PASSES = 4
 
