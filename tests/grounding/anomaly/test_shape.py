@@ -62,3 +62,11 @@ def test_a_wrong_size_is_detected_whether_constant_or_growing(size):
         assert result.peak >= 1.0
         assert result.anomalies[-1].frame_end == 48
     assert find_scale_drift(np.full(49, np.nan)).peak == 0.0
+
+
+def test_an_error_of_the_size_that_lasts_ten_frames_is_no_drift():
+    scale = np.ones(49)
+    scale[20:30] = 1.06
+    assert find_scale_drift(scale).anomalies == ()
+    scale[20:35] = 1.06
+    assert find_scale_drift(scale).peak >= 1.0
