@@ -39,14 +39,15 @@ from kinebench_drake.cli.options import PathParameter
 )  # fmt: skip
 @click.option(
     "--camera", type=PathParameter(dir_okay=False), metavar="FILE",
-    help="camera.json with the intrinsics; without joint angles its pose is the initial guess.",
+    help="camera.json with the intrinsics; its pose is a first guess where the posture of one frame is given.",
 )  # fmt: skip
 @click.option(
     "--focal", "focal_px", type=float, metavar="PX", help="Focal length in pixels of the video.  [default: estimated]"
 )
 @click.option(
-    "--frames", type=click.IntRange(min=1), default=24, show_default=True, metavar="N", help="Frames used at most."
-)
+    "--frames", type=click.IntRange(min=1), default=24, show_default=True, metavar="N",
+    help="Frames used at most; not more than 12 without --joints of all frames.",
+)  # fmt: skip
 @click.option(
     "--figure", type=PathParameter(dir_okay=False),
     help="Image of the CAD robot drawn over a frame with the calibrated camera (png).",
