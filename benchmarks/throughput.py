@@ -190,7 +190,7 @@ def summary(costs: RunCosts) -> str:
         return f"{two:.2f} s with two processes and {one:.2f} s with one"
 
     runs = [run for setting, of in costs.items() for run in of if setting.job is Job.SCORE and not setting.gpu]
-    memory_gb = max(max(run.peak.main_mb, *run.peak.workers_mb, 0.0) for run in runs) / 1000.0
+    memory_gb = max(mb for run in runs for mb in (run.peak.main_mb, *run.peak.workers_mb)) / 1000.0
     machine = host()
     where = f"{machine['cpu']} ({machine['cores']} cores, no GPU)"
     return "\n".join(

@@ -37,6 +37,7 @@ def test_videos_of_others_come_before_renderings_of_this_project():
     assert "4.2 / 14.0 mm" in rows[0]
     assert "9.5 / 14.0 mm" in rows[1]
     assert "1.4 [1.2, 1.5] / 3.9 mm" in rows[2]
+    assert "by 0.010 (mean over bins" in section(HELDOUT, OTHERS).replace("\n", " ")
 
 
 def test_a_section_without_videos_of_others_says_nothing_of_them():

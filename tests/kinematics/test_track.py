@@ -156,6 +156,16 @@ def test_a_warm_start_goes_on_from_its_posture(plant: ArmPlant) -> None:
         assert speed_ratios(plant, joints.t_s, joints.q).max() <= 1.0
 
 
+def test_a_path_from_a_posture_is_sound_or_nan(plant: ArmPlant) -> None:
+    for q, period in _joint_paths(plant, 10, seed=11, share=0.9):
+        X_BG, t_s = plant.forward_path(q), period * np.arange(len(q))
+        for step_s in (1.0, 0.05):  # at the second no joint is fast enough
+            path = continue_path(plant, step_s * t_s, X_BG, q[0])
+            assert is_sound(plant, step_s * t_s, path) or np.isnan(path).all()
+        X_BG[20, :3, 3] += 2.0  # out of reach
+        assert np.isnan(continue_path(plant, t_s, X_BG, q[0])).all()
+
+
 def test_a_jump_between_branches_is_told_from_motion(plant: ArmPlant) -> None:
     q, _ = _joint_paths(plant, 1, seed=5, share=0.3)[0]
     X_BG = np.array([plant.forward(row) for row in q])
