@@ -464,7 +464,7 @@ def views(out: Path, changes: str, episodes: int, seed: int, limit: int | None) 
 @click.option("--count", type=COUNT, default=12, show_default=True, help="Demonstrations, and as many random scenes.")
 @click.option("--calibrate", is_flag=True, help="Fit the confidence of the arm alone and write it into the package.")
 def flange(demos: Path, out: Path, count: int, calibrate: bool) -> None:
-    """Track the flange by the arm alone, in DEMOS (of `suite demos`) and in scenes with boxes for a gripper.
+    """Track the flange in DEMOS (of `suite demos`) without the hand, and in scenes with boxes or a Robotiq 2F-85.
 
     The same command resumes.
     """

@@ -1,34 +1,36 @@
-"""The arm alone: tracking of the flange with the hand left out, and with boxes in its place; fit of its confidence."""
+"""Tracking of the flange with the hand left out, and with boxes or a Robotiq 2F-85 in its place; its confidence."""
 
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
-from pydrake.geometry import Box
+from pydrake.geometry import Box, Mesh
 from typing_extensions import override
 
 from benchmarks.markdown import table
 from kinebench_drake.camera import Camera
-from kinebench_drake.geometry import Array, invert, make_pose, pose_difference
+from kinebench_drake.geometry import Array, invert, make_pose, pose_difference, rotation_z
 from kinebench_drake.grounding.confidence import CALIBRATION, load_confidence, save_confidence
 from kinebench_drake.grounding.evaluation.clip import TruthClipFile, find_clips
 from kinebench_drake.grounding.evaluation.store import MeasurementStore, fingerprint
 from kinebench_drake.grounding.pipeline import TRACKED_CONFIDENCE, GroundingPipeline
 from kinebench_drake.grounding.training.augment import degrade
 from kinebench_drake.grounding.training.calibration import MeasuredPoses, fit_confidence
-from kinebench_drake.grounding.training.layout import random_surface
+from kinebench_drake.grounding.training.layout import Surface, random_surface
 from kinebench_drake.grounding.training.vtk import VtkScene
 from kinebench_drake.grounding.view import Frames
 from kinebench_drake.io.atomic import make_folder, write_atomically
 from kinebench_drake.io.reader import read_video
-from kinebench_drake.models.panda.robot import GRIPPER, LINK_OF
+from kinebench_drake.models.panda.robot import GRIPPER, HAND_LINK, LINK_OF
 from kinebench_drake.models.perception.network import ARM_WEIGHTS
+from kinebench_drake.models.robotiq.cad import CLOSED_RAD, robotiq_mesh
 from kinebench_drake.types import Domain, GripperKind
 
 _Video = tuple[Frames, Camera, Array]
 """Frames (T, H, W, 3), camera and true poses (T, 4, 4) of panda_hand in its frame [m]."""
 FRAMES = 16
 """Frames of a video that are measured, from its middle."""
+_DARK = 0.7  # share of scenes whose Robotiq gripper is dark, as it is sold
 _HALVES = ((0.05, 0.08, 0.05), (0.012, 0.02, 0.06), (0.012, 0.02, 0.06))  # of palm and fingers [m]
 _CENTRES = ((0.0, 0.0, 0.05), (0.0, 0.06, 0.15), (0.0, -0.06, 0.15))
 
@@ -50,13 +52,35 @@ class BoxGripperScene(VtkScene):
         super()._move({**X_BL, **{f"box{k}": X_BL[LINK_OF[GRIPPER[0]]] for k in range(len(GRIPPER))}}, X_BO, X_BP)
 
 
+class RobotiqScene(VtkScene):
+    """Random scene of a Panda with a Robotiq 2F-85 at one opening, turned by eighths, behind an adapter or none."""
+
+    @override
+    def _add_robot(self) -> None:
+        super()._add_robot()
+        rng = self._rng
+        for part in GRIPPER:
+            geometries = self._graph.model_inspector().GetGeometries(self._frames[LINK_OF[part]])
+            self._graph.RemoveGeometry(self._source, geometries[0])
+        file = self._folder / "robotiq.obj"
+        robotiq_mesh(float(rng.uniform(0.0, CLOSED_RAD))).export(file, include_normals=True)
+        X_HR = make_pose(rotation_z(int(rng.integers(8)) * np.pi / 4), [0.0, 0.0, rng.uniform(0.0, 0.014)])
+        look = Surface(colour=rng.uniform(0.02, 0.25) + rng.uniform(0.0, 0.05, 3), roughness=0.5)
+        self._add("robotiq", Mesh(file), look if rng.random() < _DARK else random_surface(rng), X=X_HR)
+
+    @override
+    def _move(self, X_BL: Mapping[str, Array], X_BO: Sequence[Array], X_BP: Array) -> None:
+        super()._move({**X_BL, "robotiq": X_BL[HAND_LINK]}, X_BO, X_BP)
+
+
 def measure(demos: Path, out: Path, *, count: int, log: Callable[[str], None]) -> Mapping[str, MeasuredPoses]:
-    """Track the flange in demonstrations and in random scenes with a gripper of boxes.
+    """Track the flange in demonstrations and in random scenes with a gripper of boxes, and with a Robotiq 2F-85.
 
     Args:
         demos: folder of `suite demos`; of its Franka hand nothing is used.
         out: output folder; finished videos are kept.
-        count: videos of each of the two; each is measured as it is, and degraded.
+        count: videos of each of the three; each is measured as it is, and degraded; with the Robotiq 2F-85 by the links
+            alone, too.
         log: receives a line per video.
 
     Returns:
@@ -65,8 +89,10 @@ def measure(demos: Path, out: Path, *, count: int, log: Callable[[str], None]) -
     make_folder(out)
     base = fingerprint(modules=["kinebench_drake.grounding.flange_tracker"], files=[ARM_WEIGHTS])
     store = MeasurementStore(out / "flange.jsonl", MeasuredPoses)
-    pipeline = GroundingPipeline.create(gripper=GripperKind.NONE)
-    videos: list[tuple[str, Callable[[], _Video]]] = []
+    by_links, by_gripper = (
+        GroundingPipeline.create(gripper=kind) for kind in (GripperKind.NONE, GripperKind.ROBOTIQ_2F85)
+    )
+    videos: list[tuple[str, Callable[[], _Video], GroundingPipeline, int]] = []
     clips = find_clips(demos)
     for file in clips[:: max(1, len(clips) // count)][:count]:
 
@@ -74,21 +100,26 @@ def measure(demos: Path, out: Path, *, count: int, log: Callable[[str], None]) -
             clip = file.load()
             return read_video(file.video).frames, clip.camera, clip.X_CH
 
-        videos.append((f"demos/{file.id}", of_demo))
-    for seed in range(count):
+        videos.append((f"demos/{file.id}", of_demo, by_links, len(videos)))
+    for kind, scene, pipeline, first in (
+        ("boxes", BoxGripperScene, by_links, len(videos)),
+        ("robotiq by links", RobotiqScene, by_links, 0),
+        ("robotiq", RobotiqScene, by_gripper, 0),
+    ):
+        for seed in range(count):
 
-        def of_scene(seed: int = seed) -> _Video:
-            video = BoxGripperScene(np.random.default_rng([88, seed])).video()
-            return video.frames, video.camera, invert(video.camera.X_BC) @ video.X_BH
+            def of_scene(seed: int = seed, scene: type[VtkScene] = scene) -> _Video:
+                video = scene(np.random.default_rng([88, seed])).video()
+                return video.frames, video.camera, invert(video.camera.X_BC) @ video.X_BH
 
-        videos.append((f"boxes/{seed:03d}", of_scene))
+            videos.append((f"{kind}/{seed:03d}", of_scene, pipeline, first + seed))
     measured = {}
-    for number, (name, load) in enumerate(videos):
+    for name, load, pipeline, noise in videos:
         for degraded in (False, True):
             id = f"degraded {name}" if degraded else name
             key = f"{base}-{id}"
             if key not in store:
-                store.put(key, _measure(pipeline, *load(), seed=number if degraded else None))
+                store.put(key, _measure(pipeline, *load(), seed=noise if degraded else None))
             measured[id] = store[key]
             distance, angle = pose_difference(store[key].X_true, store[key].X_AH)
             log(
@@ -100,7 +131,9 @@ def measure(demos: Path, out: Path, *, count: int, log: Callable[[str], None]) -
 
 def summarize(measured: Mapping[str, MeasuredPoses], out: Path) -> str:
     """Write flange.md into a folder, a table of errors with the shipped confidence, and return it."""
-    kinds = ("demos", "degraded demos", "boxes", "degraded boxes")
+    kinds = [
+        f"{look}{name}" for name in ("demos", "boxes", "robotiq by links", "robotiq") for look in ("", "degraded ")
+    ]
     rows = [_row(kind, [m for id, m in measured.items() if id.startswith(f"{kind}/")]) for kind in kinds]
     head = ("videos", "frames", "tracked", "right among tracked", "median [mm]", "95 % [mm]", "median [degrees]")
     text = "\n".join(table(head, rows)) + "\n"
@@ -109,8 +142,9 @@ def summarize(measured: Mapping[str, MeasuredPoses], out: Path) -> str:
 
 
 def write_confidence(measured: Mapping[str, MeasuredPoses]) -> None:
-    """Fit the confidence of the arm alone and write it into the shipped calibration."""
-    save_confidence({**load_confidence(), Domain.ARM: fit_confidence(list(measured.values()))}, CALIBRATION)
+    """Fit the confidence of the arm alone, without the Robotiq 2F-85, and write it into the shipped calibration."""
+    fitted = [poses for id, poses in measured.items() if "robotiq" not in id]
+    save_confidence({**load_confidence(), Domain.ARM: fit_confidence(fitted)}, CALIBRATION)
 
 
 def _measure(

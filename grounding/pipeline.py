@@ -145,7 +145,7 @@ class GroundingPipeline:
         """Create the pipeline that measures with dense estimates of `estimator`; of other grippers the arm alone."""
         confidence = load_confidence(calibration or CALIBRATION)
         franka = gripper is GripperKind.FRANKA
-        tracker = CadTracker(estimator, confidence=confidence) if franka else FlangeTracker(estimator)
+        tracker = CadTracker(estimator, confidence=confidence) if franka else FlangeTracker(estimator, gripper)
         return cls(tracker, confidence, table_height_m)
 
     def warm_up(self) -> None:

@@ -215,7 +215,7 @@ class Domain(Enum):
     UNFAMILIAR = "unfamiliar"
     """They do not: poses are fitted to the edges, and what these do not confirm is doubtful."""
     ARM = "arm_alone"
-    """The links alone are measured, whatever the gripper."""
+    """The links give the flange, alone or with another gripper than Franka's."""
 
 
 class GripperKind(Enum):
@@ -224,7 +224,7 @@ class GripperKind(Enum):
     FRANKA = "franka"
     """The Franka hand."""
     ROBOTIQ_2F85 = "robotiq-2f85"
-    """Measured as `NONE`: the links give the flange, the opening is unknown."""
+    """The Robotiq 2F-85: links and contours of the gripper give the flange, the opening is unknown."""
     NONE = "none"
     """None, or an unknown one."""
     AUTO = "auto"

@@ -6,7 +6,7 @@ Stennett, "RAPID", BMVC 1990; Drummond and Cipolla, PAMI 2002). It needs no netw
 network was not trained on, from a posture that is right within a few pixels.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass
 from functools import cache
@@ -72,12 +72,12 @@ class EdgeMesh:
         return np.asarray(self.ends[front.take(self.faces[0]) ^ front.take(self.faces[1])])
 
 
-def _meshes() -> dict[RobotPart, trimesh.Trimesh]:
-    return {**part_meshes(), **link_meshes()}
-
-
 @cache
-def _edge_meshes() -> dict[RobotPart, EdgeMesh]:
+def _arm_edges() -> dict[RobotPart, EdgeMesh]:
+    return _edges_of(link_meshes())
+
+
+def _edges_of(meshes: Mapping[RobotPart, trimesh.Trimesh]) -> dict[RobotPart, EdgeMesh]:
     return {
         part: EdgeMesh(
             ends=np.asarray(mesh.vertices, dtype=np.float64)[mesh.face_adjacency_edges],
@@ -85,7 +85,7 @@ def _edge_meshes() -> dict[RobotPart, EdgeMesh]:
             normals=np.asarray(mesh.face_normals, dtype=np.float64),
             offsets=np.asarray((mesh.face_normals * mesh.triangles_center).sum(axis=1)),
         )
-        for part, mesh in _meshes().items()
+        for part, mesh in meshes.items()
     }
 
 
@@ -189,13 +189,15 @@ def _gradient(image: NDArray[np.uint8]) -> tuple[NDArray[np.float32], NDArray[np
 class EdgeMatcher:
     """Projection of the robot's edges and their search in images."""
 
-    def __init__(self) -> None:
-        """Build the ray-casting scenes.
+    def __init__(self, gripper: Mapping[RobotPart, trimesh.Trimesh] | None = None) -> None:
+        """Build the ray-casting scenes, with the meshes of another gripper in place of those of the Franka hand.
 
         Raises:
             SetupError: Open3D's native libraries or mani_skill's meshes are missing.
         """
-        self.caster = PartCaster(_meshes())
+        meshes = part_meshes() if gripper is None else gripper
+        self._edges = {**_edges_of(meshes), **_arm_edges()}
+        self.caster = PartCaster({**meshes, **link_meshes()})
 
     def project(
         self, X_CP: Array, camera: Camera, parts: tuple[RobotPart, ...] = ROBOT, points: int = MAX_POINTS
@@ -208,7 +210,7 @@ class EdgeMatcher:
             parts: parts whose contours count; all parts hide them.
             points: greatest number of points.
         """
-        contours = [_edge_meshes()[p].contour(invert(X_CP[p])[:3, 3]) for p in parts]
+        contours = [self._edges[p].contour(invert(X_CP[p])[:3, 3]) for p in parts]
         placed = [ends @ X_CP[p, :3, :3].T + X_CP[p, :3, 3] for p, ends in zip(parts, contours, strict=True)]
         of = np.repeat(np.array(parts, np.uint8), [len(ends) for ends in contours])
         a, a_P = np.concatenate(placed), np.concatenate(contours)
@@ -265,24 +267,31 @@ class EdgeMatcher:
         side[visible] = np.where(is_contour, np.where(along > against, 1.0, -1.0), 0.0)
         return side
 
-    def agreement(self, image: GradientImage, X_CP: Array, parts: tuple[RobotPart, ...] = WRIST) -> float:
+    def agreement(
+        self,
+        image: GradientImage,
+        X_CP: Array,
+        parts: tuple[RobotPart, ...] = WRIST,
+        tolerance_px: float = _ON_CONTOUR_PX,
+    ) -> float:
         """Return the share of the contour of `parts` that lies on the strongest image edge nearby.
 
         Args:
             image: gradients of the image.
             X_CP: (PARTS, 4, 4) poses of the parts in the camera frame [m].
             parts: parts whose contours count.
+            tolerance_px: standard deviation of a point that lies on an edge [px].
         """
         points = self.project(X_CP, image.camera, parts)
         if points is None:
             return 0.0
-        return float(self.edge_shares(image, points).mean())
+        return float(self.edge_shares(image, points, tolerance_px).mean())
 
     @staticmethod
-    def edge_shares(image: GradientImage, points: EdgePoints) -> Array:
+    def edge_shares(image: GradientImage, points: EdgePoints, tolerance_px: float = _ON_CONTOUR_PX) -> Array:
         """Return how surely (N,) contour points lie on the strongest image edge nearby, 0..1."""
         offset, strength = image.find_edges(points, _SEARCH_PX)
-        return np.asarray(np.exp(-0.5 * (offset / _ON_CONTOUR_PX) ** 2) * (strength > LEAST_GRADIENT))
+        return np.asarray(np.exp(-0.5 * (offset / tolerance_px) ** 2) * (strength > LEAST_GRADIENT))
 
     def match_all(
         self,

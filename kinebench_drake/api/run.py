@@ -56,7 +56,7 @@ class ScoreOptions(RunOptions, total=False):
     camera: PathName
     """Camera of videos that name none: "auto" or "benchmark"; or the camera.json of all videos. Default "auto"."""
     gripper: str
-    """ "franka", "robotiq-2f85", "none" or "auto", the default: other grippers than Franka's leave the arm alone."""
+    """ "franka", "robotiq-2f85", "none" or "auto", the default: with others than Franka's the arm gives the flange."""
     pixels_only: bool
     """Ignore the initial state that the manifest states."""
     overlay: bool

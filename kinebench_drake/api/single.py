@@ -113,7 +113,7 @@ def ground_video(
         camera_key: camera to take of datasets that have several.
         frame_period_s: task time between two frames [s], where no manifest tells; None: 1 / fps, 0.2 without a clock.
         first: state of the robot in the first frame, in place of the input's (`X_BG`: TCP in the robot base frame [m]).
-        gripper: "franka", "robotiq-2f85", "none" or "auto"; other grippers than Franka's leave the arm alone.
+        gripper: "franka", "robotiq-2f85", "none" or "auto"; with other grippers than Franka's the arm gives the flange.
         pixels_only: ignore the initial state that the input states.
         masks: folder of masks that replace the network's.
         depth: folder of depth maps [m], `moge:CHECKPOINT` or `module:Class` that replaces the network's depth.

@@ -145,8 +145,8 @@ video_options = _combine(
         type=click.Choice(["auto", "franka", "robotiq-2f85", "none"]),
         default="auto",
         show_default=True,
-        help="Gripper on the arm. With another one than Franka's the links alone give the flange, its opening is "
-        "unknown; auto does so where the arm is seen without a Franka hand.",
+        help="Gripper on the arm. With another one than Franka's the links give the flange, with robotiq-2f85 also its "
+        "contours; the opening is unknown. auto takes the links alone where the arm is seen without a Franka hand.",
     ),
     click.option(
         "--dry-run",

@@ -83,6 +83,7 @@ class Analyzer:
         from kinebench_drake.metrics.judge import TrackJudge
 
         self._table_height_m = options.table_height_m
+        self._arm_pipelines: dict[GripperKind, GroundingPipeline] = {}
         self._judge = TrackJudge(ArmPlant(options.load()), table_height_m=options.table_height_m)
 
     @cached_property
@@ -107,19 +108,26 @@ class Analyzer:
         """
         return self._pipeline.ground(frames, camera, t_s, priors)
 
-    @cached_property
-    def _arm_pipeline(self) -> "GroundingPipeline":
-        from kinebench_drake.grounding.pipeline import GroundingPipeline
-
-        return GroundingPipeline.create(table_height_m=self._table_height_m, gripper=GripperKind.NONE)
-
-    def ground_arm(self, frames: NDArray[np.uint8], camera: Camera, t_s: Array, priors: Priors) -> "GroundingResult":
-        """Track the flange by the arm alone, as `ground` does the gripper.
+    def ground_arm(
+        self,
+        frames: NDArray[np.uint8],
+        camera: Camera,
+        t_s: Array,
+        priors: Priors,
+        gripper: GripperKind = GripperKind.NONE,
+    ) -> "GroundingResult":
+        """Track the flange by the arm, and by another gripper than Franka's, as `ground` does the hand.
 
         Raises:
             SetupError: weights or libraries are missing.
         """
-        return self._arm_pipeline.ground(frames, camera, t_s, priors)
+        from kinebench_drake.grounding.pipeline import GroundingPipeline
+
+        if gripper not in self._arm_pipelines:
+            self._arm_pipelines[gripper] = GroundingPipeline.create(
+                table_height_m=self._table_height_m, gripper=gripper
+            )
+        return self._arm_pipelines[gripper].ground(frames, camera, t_s, priors)
 
     @cached_property
     def _cameras(self) -> "CameraEstimator":

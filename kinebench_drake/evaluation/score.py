@@ -504,7 +504,7 @@ def ground_prepared(
     """
     inputs = video.frames, video.camera, video.t_s, video.priors
     measures_hand = gripper in (GripperKind.FRANKA, GripperKind.AUTO)
-    grounding = measured or (analyzer.ground(*inputs) if measures_hand else analyzer.ground_arm(*inputs))
+    grounding = measured or (analyzer.ground(*inputs) if measures_hand else analyzer.ground_arm(*inputs, gripper))
     tracked = int(grounding.track.tracked.sum())
     if gripper is GripperKind.AUTO and tracked < max(MIN_TRACKED, HAND_SHARE * len(video.t_s)):
         arm = analyzer.ground_arm(*inputs)

@@ -20,6 +20,7 @@ from kinebench_drake.types import (
     Anomaly,
     AnomalyKind,
     Domain,
+    GripperKind,
     GripperTrack,
     IkStatus,
     InitialStateUse,
@@ -74,7 +75,7 @@ class FakeAnalyzer:
                 log.write(f"{act.name} {os.getpid()}\n")
         return self.ground_arm(frames, camera, t_s, known)
 
-    def ground_arm(self, frames, camera, t_s, known):
+    def ground_arm(self, frames, camera, t_s, known, gripper=GripperKind.NONE):
         act = act_of(frames)
         if act is Act.RAISE:
             raise RuntimeError("the fake\nfell over")

@@ -34,7 +34,7 @@ from kinebench_drake.results.inputs import input_lines, list_inputs
 from kinebench_drake.results.metadata import Shard
 from kinebench_drake.results.row import Status
 from kinebench_drake.results.store import read_rows
-from kinebench_drake.types import Domain
+from kinebench_drake.types import Domain, GripperKind
 
 
 @pytest.fixture
@@ -600,8 +600,8 @@ class HandlessAnalyzer(FakeAnalyzer):
         lost = replace(grounding.track, tracked=np.zeros(len(t_s), dtype=bool))
         return replace(grounding, track=lost)
 
-    def ground_arm(self, frames, camera, t_s, known):
-        return replace(super().ground_arm(frames, camera, t_s, known), domain=Domain.ARM)
+    def ground_arm(self, frames, camera, t_s, known, gripper=GripperKind.NONE):
+        return replace(super().ground_arm(frames, camera, t_s, known, gripper), domain=Domain.ARM)
 
 
 def test_another_gripper_leaves_the_arm_alone(film, config, tmp_path):

@@ -9,7 +9,15 @@ import trimesh
 from numpy.typing import NDArray
 
 from kinebench_drake.camera import Camera, benchmark_camera
-from kinebench_drake.geometry import Array, invert, make_pose, pose_difference, rotation_exp, transform_points
+from kinebench_drake.geometry import (
+    Array,
+    invert,
+    make_pose,
+    pose_difference,
+    rotation_exp,
+    rotation_z,
+    transform_points,
+)
 from kinebench_drake.grounding.crop import CLOSE_SIZE, Crop
 from kinebench_drake.grounding.flange_tracker import FlangeTracker
 from kinebench_drake.grounding.registration.arm_fit import ArmFit, ArmFitter
@@ -22,6 +30,8 @@ from kinebench_drake.grounding.registration.silhouette import SilhouetteMatcher
 from kinebench_drake.grounding.view import GripperView
 from kinebench_drake.models.panda.cad import GripperCad, PartCaster, link_meshes, open_fingers, part_meshes
 from kinebench_drake.models.panda.robot import ARM, OPENING_SIGN, RobotPart
+from kinebench_drake.models.robotiq.cad import robotiq_mesh
+from kinebench_drake.types import GripperKind
 
 CAMERA = benchmark_camera()
 FINGER_M = 0.025
@@ -110,10 +120,11 @@ def test_the_arm_determines_the_distance_of_the_hand(
     np.testing.assert_allclose(CAMERA.X_BC @ arm.X_CH, model.poses(arm.q[None])[0, RobotPart.HAND], atol=1e-9)
 
 
-def drawn(model: ArmModel, q: Array) -> NDArray[np.uint8]:
-    """An image of the robot in one grey, before a darker one."""
+def drawn(model: ArmModel, q: Array, gripper: trimesh.Trimesh | None = None) -> NDArray[np.uint8]:
+    """An image of the robot in one grey, before a darker one; with another gripper in place of the Franka hand."""
     X_CP = open_fingers(invert(CAMERA.X_BC) @ model.poses(q[None])[0], FINGER_M)
-    hit = PartCaster({**part_meshes(), **link_meshes()}).cast(X_CP, CAMERA.rays().reshape(-1, 3))
+    shown = part_meshes() if gripper is None else {RobotPart.HAND: gripper}
+    hit = PartCaster({**shown, **link_meshes()}).cast(X_CP, CAMERA.rays().reshape(-1, 3))
     # A grey of its own for each part: contours between parts count as well.
     grey = np.where(hit.part > 0, 120 + 12 * hit.part.astype(int), 50).astype(np.uint8)
     return np.repeat(grey.reshape(CAMERA.height, CAMERA.width, 1), 3, axis=2)
@@ -312,3 +323,28 @@ def test_frames_of_a_moving_camera_are_fitted_together_like_alone(model: ArmMode
         sharp_alone = alone.sharpen_all([same], [hand], [close], [wide], [image])[0]
         np.testing.assert_allclose(one.q, sharp_alone.q, atol=1e-8)
     assert pose_difference(both[1].X_CH, both[0].X_CH)[0] > 1e-3
+
+
+class TurnedEstimator(PartialEstimator):
+    """Views whose network takes the last link to be turned, as it may where its looks are new."""
+
+    def __init__(self, model: ArmModel, q: Array, error_rad: float) -> None:
+        super().__init__(model, q + error_rad * (np.arange(7) == 6), set())
+
+
+@pytest.mark.parametrize("mount", [0.0, np.pi / 4])
+def test_a_gripper_whose_shape_is_known_corrects_the_turn(model: ArmModel, mount: float) -> None:
+    q = posture(1) + 0.015 * np.arange(2)[:, None] * np.array([1.0, -1.0, 0.0, 1.0, 0.0, 1.0, 1.0])
+    gripper = robotiq_mesh(0.35).apply_transform(make_pose(rotation_z(mount), [0.0, 0.0, 0.004]))
+    frames = np.stack([drawn(model, each, gripper) for each in q])
+    X_CH = invert(CAMERA.X_BC) @ model.poses(q)[:, RobotPart.HAND]
+
+    def errors(kind: GripperKind) -> tuple[Array, Array]:
+        estimator = TurnedEstimator(model, q, np.deg2rad(12.0))
+        poses = FlangeTracker(estimator, kind).track(frames, CAMERA).poses
+        return pose_difference(np.stack([pose.X_CH for pose in poses if pose is not None]), X_CH)
+
+    distance, angle = errors(GripperKind.ROBOTIQ_2F85)
+    assert distance.max() < 0.006
+    assert np.rad2deg(angle).max() < 3.0
+    assert np.rad2deg(errors(GripperKind.NONE)[1]).max() > 4.0

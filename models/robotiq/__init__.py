@@ -1,0 +1,1 @@
+"""The Robotiq 2F-85: CAD meshes."""
