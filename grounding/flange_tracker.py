@@ -47,6 +47,7 @@ _SHOWN, _COARSE = 12, 3  # frames and openings that tell how a gripper is mounte
 _MOUNT_GRID_RAD = np.deg2rad(np.arange(0.0, 360.0, 9.0))
 _MOUNT_STEPS = (0, 5, 10, 15)  # of that grid, between panda_hand and a gripper: the bolts are an eighth turn apart
 _MOUNT_OFFSETS_M = (0.0, 0.012)  # with and without an adapter
+_MOUNTS, _CLEAR = 3, 10.0  # of these, how many are tried, unless the log-likelihood of one leads by more
 _GAIN = 0.05  # least lead of a neighbour's agreement with edges that makes its posture the better one
 _LOST = 0.8  # of the agreement of a frame, below which the arm was not followed from it
 _ON_EDGES, _OFF_CELLS = 15.0, 0.5  # log-likelihood of a turn per share of contours on edges, and per misfit of cells
@@ -171,7 +172,8 @@ class FlangeTracker:
         """Return the gripper as it is likeliest mounted, by the frames whose contours lie best on edges."""
         shapes = [robotiq_shape(0.0, offset_m, _COARSE) for offset_m in _MOUNT_OFFSETS_M]
         total = np.zeros((len(_MOUNT_STEPS), len(shapes)))
-        for i in sorted(poses, key=lambda k: -_agreement(poses[k]))[:_SHOWN]:
+        shown = sorted(poses, key=lambda k: -_agreement(poses[k]))[:_SHOWN]
+        for i in shown:
             pose, image = poses[i], video.images[i]
             X_CP = self._chain.turned(self._chain_of(pose), _MOUNT_GRID_RAD).place().X_CP
             by_link = self._log_likelihood(X_CP, pose, pose.view, image, video.shape)
@@ -180,8 +182,27 @@ class FlangeTracker:
                 half = [shape.gripper_agreement(image, X).max() for X in X_CP[: len(X_CP) // 2]]
                 by_gripper = _ON_GRIPPER * _agreement(pose) * np.array([*half, *half])
                 total[:, k] += [logsumexp(by_link + np.roll(by_gripper, -step)) for step in _MOUNT_STEPS]
-        turn, offset = np.unravel_index(total.argmax(), total.shape)
-        return robotiq_shape(_MOUNT_GRID_RAD[_MOUNT_STEPS[turn]], _MOUNT_OFFSETS_M[offset])
+        likeliest = np.argsort(-total, axis=None)[:_MOUNTS]
+        likeliest = likeliest[total.flat[likeliest] > total.max() - _CLEAR]
+        turn, offset = np.unravel_index(likeliest, total.shape)
+        mounted = [
+            replace(video, shape=robotiq_shape(_MOUNT_GRID_RAD[_MOUNT_STEPS[t]], _MOUNT_OFFSETS_M[o]))
+            for t, o in zip(turn, offset, strict=True)
+        ]
+        if len(mounted) == 1:
+            return mounted[0].shape
+        return max(mounted, key=lambda tried: self._support({i: poses[i] for i in shown}, tried)).shape
+
+    def _support(self, poses: dict[int, FramePose], video: _Video) -> float:
+        """Return the log-likelihood of a gripper by frames that are fitted with it."""
+        self._fit_gripper(poses, video)
+        support = 0.0
+        for i, pose in poses.items():
+            X_CP = self._chain_of(pose).place().X_CP
+            on_gripper = video.shape.gripper_agreement(video.images[i], X_CP[0]).max()
+            on_edges = _agreement(pose) * (_ON_EDGES + _ON_GRIPPER * on_gripper)
+            support += float(on_edges - _OFF_CELLS * _off_cells(pose.view, X_CP)[0])
+        return support
 
     def _fit_gripper(self, poses: dict[int, FramePose], video: _Video) -> None:
         """Fit each frame anew with the contours of the gripper, from the likeliest turns of the last joint."""

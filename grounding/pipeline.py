@@ -60,6 +60,8 @@ class GroundingResult:
 
     track: GripperTrack
     domain: Domain
+    gripper: GripperKind = GripperKind.FRANKA
+    """Gripper that was looked for."""
     from_prior: NDArray[np.bool_]
     """(T,) frames whose pose was taken from priors."""
     first_frame: InitialStateUse
@@ -104,7 +106,11 @@ class GroundingPipeline:
     """Tracker, confidence, smoothing and anomaly detectors; one instance serves any number of videos."""
 
     def __init__(
-        self, tracker: PoseTracker, confidence: Mapping[Domain, Confidence], table_height_m: float = 0.0
+        self,
+        tracker: PoseTracker,
+        confidence: Mapping[Domain, Confidence],
+        table_height_m: float = 0.0,
+        gripper: GripperKind = GripperKind.FRANKA,
     ) -> None:
         """Compose the pipeline.
 
@@ -112,8 +118,10 @@ class GroundingPipeline:
             tracker: estimator of poses.
             confidence: calibrated confidence of its poses in each domain.
             table_height_m: height of the table top in the robot base frame, which tells how far a camera moves [m].
+            gripper: what `tracker` looks for.
         """
-        self._tracker, self._confidence, self._table_height_m = tracker, confidence, table_height_m
+        self._tracker, self._confidence = tracker, confidence
+        self._table_height_m, self._gripper = table_height_m, gripper
 
     @classmethod
     def create(
@@ -146,7 +154,7 @@ class GroundingPipeline:
         confidence = load_confidence(calibration or CALIBRATION)
         franka = gripper is GripperKind.FRANKA
         tracker = CadTracker(estimator, confidence=confidence) if franka else FlangeTracker(estimator, gripper)
-        return cls(tracker, confidence, table_height_m)
+        return cls(tracker, confidence, table_height_m, gripper)
 
     def warm_up(self) -> None:
         """Ground a blank video, since the first use of the network and of the ray caster is slow."""
@@ -198,6 +206,7 @@ class GroundingPipeline:
         )
         return GroundingResult(
             track=track,
+            gripper=self._gripper,
             domain=observation.domain,
             from_prior=raw.from_prior,
             first_frame=InitialStateUse.of(initial_state, priors.initial_state),

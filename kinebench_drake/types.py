@@ -228,7 +228,7 @@ class GripperKind(Enum):
     NONE = "none"
     """None, or an unknown one."""
     AUTO = "auto"
-    """The Franka hand, unless the arm is seen without it."""
+    """The Franka hand; where the arm is seen without it, none, else the Robotiq 2F-85."""
 
 
 class InitialStateUse(Enum):

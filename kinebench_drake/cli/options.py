@@ -146,7 +146,7 @@ video_options = _combine(
         default="auto",
         show_default=True,
         help="Gripper on the arm. With another one than Franka's the links give the flange, with robotiq-2f85 also its "
-        "contours; the opening is unknown. auto takes the links alone where the arm is seen without a Franka hand.",
+        "contours; the opening is unknown. auto does so where the arm is seen without a Franka hand, links first.",
     ),
     click.option(
         "--dry-run",

@@ -293,7 +293,7 @@ class VideoEvaluator(Evaluator[VideoSample, Analyzer]):
             extra={
                 "first_frame": grounding.first_frame.value,
                 "domain": grounding.domain.value,
-                **({} if draws_hand else {"gripper": _gripper_found(config.gripper_kind).value}),
+                **({} if draws_hand else {"gripper": grounding.gripper.value}),
                 "frames": len(track.t_s),
                 "width": video.width,
                 "height": video.height,
@@ -487,9 +487,10 @@ def ground_prepared(
     *,
     measured: "GroundingResult | None" = None,
 ) -> "GroundingResult":
-    """Track the gripper through a prepared video, or the flange by the arm alone.
+    """Track the hand through a prepared video, or the flange.
 
-    Automatically the arm alone is measured where the hand is found in next to no frame, and the arm in most.
+    Automatically the flange is measured where the hand is found in next to no frame, and the flange in most: by the
+    links alone, else with the contours of a Robotiq 2F-85.
 
     Args:
         video: the video.
@@ -507,9 +508,10 @@ def ground_prepared(
     grounding = measured or (analyzer.ground(*inputs) if measures_hand else analyzer.ground_arm(*inputs, gripper))
     tracked = int(grounding.track.tracked.sum())
     if gripper is GripperKind.AUTO and tracked < max(MIN_TRACKED, HAND_SHARE * len(video.t_s)):
-        arm = analyzer.ground_arm(*inputs)
-        if arm.track.tracked.mean() >= ARM_SHARE:
-            return arm
+        for other in (GripperKind.NONE, GripperKind.ROBOTIQ_2F85):
+            arm = analyzer.ground_arm(*inputs, other)
+            if arm.track.tracked.mean() >= ARM_SHARE:
+                return arm
     if tracked < MIN_TRACKED:
         share = f"in {tracked} of {len(video.t_s)} frames, a path needs {MIN_TRACKED}"
         if not measures_hand:
@@ -589,11 +591,6 @@ def _ground_as_assumed(video: PreparedVideo, analyzer: Analyzer) -> "tuple[Groun
 def _is_complete(grounding: "GroundingResult") -> bool:
     """Return whether a track with an assumed camera is the same as with a certain one: refined, or there is nothing."""
     return grounding.domain is Domain.FAMILIAR or not grounding.track.confidence.any()
-
-
-def _gripper_found(option: GripperKind) -> GripperKind:
-    """Return the gripper of a video whose arm alone was measured."""
-    return GripperKind.NONE if option is GripperKind.AUTO else option
 
 
 def with_initial_states(samples: Iterable[VideoSample]) -> list[VideoSample]:

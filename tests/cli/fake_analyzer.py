@@ -57,6 +57,7 @@ class FakeGrounding:
     arm_consistency_px: float | None = 2.0
     first_frame: InitialStateUse = InitialStateUse.UNKNOWN
     domain: Domain = Domain.FAMILIAR
+    gripper: GripperKind = GripperKind.FRANKA
     curves: dict[str, np.ndarray] = field(default_factory=dict)
     camera_path: None = None
 

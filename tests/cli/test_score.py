@@ -601,7 +601,7 @@ class HandlessAnalyzer(FakeAnalyzer):
         return replace(grounding, track=lost)
 
     def ground_arm(self, frames, camera, t_s, known, gripper=GripperKind.NONE):
-        return replace(super().ground_arm(frames, camera, t_s, known, gripper), domain=Domain.ARM)
+        return replace(super().ground_arm(frames, camera, t_s, known, gripper), domain=Domain.ARM, gripper=gripper)
 
 
 def test_another_gripper_leaves_the_arm_alone(film, config, tmp_path):
@@ -617,6 +617,26 @@ def test_another_gripper_leaves_the_arm_alone(film, config, tmp_path):
     assert "--gripper none" in rows["franka"].reason
     with pytest.raises(UsageError, match="--gripper is 'claw', expected 'franka'"):
         config(gripper="claw")
+
+
+class RobotiqAnalyzer(HandlessAnalyzer):
+    """Is sure of the flange with the contours of a Robotiq 2F-85 alone."""
+
+    def ground_arm(self, frames, camera, t_s, known, gripper=GripperKind.NONE):
+        grounding = super().ground_arm(frames, camera, t_s, known, gripper)
+        sure = gripper is GripperKind.ROBOTIQ_2F85
+        return replace(grounding, track=replace(grounding.track, tracked=grounding.track.tracked & sure))
+
+
+def test_a_flange_that_the_links_leave_unsure_is_tried_with_a_known_gripper(film, config, tmp_path):
+    film("videos/a.mp4")
+    grippers = {}
+    for option in ("auto", "none"):
+        out = tmp_path / option
+        score_videos(config(out=out, gripper=option, make_analyzer=RobotiqAnalyzer))
+        (row,) = read_rows(out).values()
+        grippers[option] = row.status, row.extra.get("gripper")
+    assert grippers == {"auto": (Status.OK, "robotiq-2f85"), "none": (Status.UNMEASURABLE, None)}
 
 
 def test_an_arm_that_is_nowhere_sure_is_unmeasurable_with_its_confidence(film, config):
