@@ -35,15 +35,24 @@ _HALVES = ((0.05, 0.08, 0.05), (0.012, 0.02, 0.06), (0.012, 0.02, 0.06))  # of p
 _CENTRES = ((0.0, 0.0, 0.05), (0.0, 0.06, 0.15), (0.0, -0.06, 0.15))
 
 
-class BoxGripperScene(VtkScene):
+class _HandlessScene(VtkScene):
+    """Random scene of a Panda without the hand."""
+
+    @override
+    def _add_robot(self) -> None:
+        super()._add_robot()
+        for part in GRIPPER:
+            geometries = self._graph.model_inspector().GetGeometries(self._frames[LINK_OF[part]])
+            self._graph.RemoveGeometry(self._source, geometries[0])
+
+
+class BoxGripperScene(_HandlessScene):
     """Random scene of a Panda with a gripper of boxes."""
 
     @override
     def _add_robot(self) -> None:
         super()._add_robot()
-        for k, (part, half, centre) in enumerate(zip(GRIPPER, _HALVES, _CENTRES, strict=True)):
-            link = LINK_OF[part]
-            self._graph.RemoveGeometry(self._source, self._graph.model_inspector().GetGeometries(self._frames[link])[0])
+        for k, (half, centre) in enumerate(zip(_HALVES, _CENTRES, strict=True)):
             size = np.array(half) * self._rng.uniform(0.7, 1.3)
             self._add(f"box{k}", Box(*(2 * size)), random_surface(self._rng), X=make_pose(np.eye(3), centre))
 
@@ -52,16 +61,13 @@ class BoxGripperScene(VtkScene):
         super()._move({**X_BL, **{f"box{k}": X_BL[LINK_OF[GRIPPER[0]]] for k in range(len(GRIPPER))}}, X_BO, X_BP)
 
 
-class RobotiqScene(VtkScene):
+class RobotiqScene(_HandlessScene):
     """Random scene of a Panda with a Robotiq 2F-85 at one opening, turned by eighths, behind an adapter or none."""
 
     @override
     def _add_robot(self) -> None:
         super()._add_robot()
         rng = self._rng
-        for part in GRIPPER:
-            geometries = self._graph.model_inspector().GetGeometries(self._frames[LINK_OF[part]])
-            self._graph.RemoveGeometry(self._source, geometries[0])
         file = self._folder / "robotiq.obj"
         robotiq_mesh(float(rng.uniform(0.0, CLOSED_RAD))).export(file, include_normals=True)
         X_HR = make_pose(rotation_z(int(rng.integers(8)) * np.pi / 4), [0.0, 0.0, rng.uniform(0.0, 0.014)])

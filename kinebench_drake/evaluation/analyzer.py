@@ -108,6 +108,13 @@ class Analyzer:
         """
         return self._pipeline.ground(frames, camera, t_s, priors)
 
+    @cached_property
+    def _arm_estimator(self) -> "NetworkEstimator":
+        from kinebench_drake.grounding.estimator import NetworkEstimator
+        from kinebench_drake.models.perception.network import ARM_WEIGHTS, load_network
+
+        return NetworkEstimator(load_network(ARM_WEIGHTS))
+
     def ground_arm(
         self,
         frames: NDArray[np.uint8],
@@ -124,9 +131,7 @@ class Analyzer:
         from kinebench_drake.grounding.pipeline import GroundingPipeline
 
         if gripper not in self._arm_pipelines:
-            self._arm_pipelines[gripper] = GroundingPipeline.create(
-                table_height_m=self._table_height_m, gripper=gripper
-            )
+            self._arm_pipelines[gripper] = GroundingPipeline.of(self._arm_estimator, self._table_height_m, gripper)
         return self._arm_pipelines[gripper].ground(frames, camera, t_s, priors)
 
     @cached_property

@@ -32,7 +32,7 @@ def test_after_half_a_turn_the_fingers_look_alike(knuckle_rad: float) -> None:
     assert distance.max() < 1e-4
 
 
-def test_closing_moves_the_fingertips_outwards_and_keeps_their_direction() -> None:
+def test_closing_moves_the_fingertips_forwards_and_keeps_their_direction() -> None:
     opened, closed = (robotiq_mesh(angle) for angle in (0.0, CLOSED_RAD))
     assert 0.005 < closed.bounds[1, 2] - opened.bounds[1, 2] < 0.02
     for mesh in (opened, closed):
