@@ -461,7 +461,9 @@ def views(out: Path, changes: str, episodes: int, seed: int, limit: int | None) 
 @main.command(epilog="\b\nExample:\n  python -m benchmarks flange heldout --out flange")
 @click.argument("demos", type=EXISTING_FOLDER)
 @click.option("--out", type=FOLDER, required=True, help="Folder for flange.jsonl and flange.md.")
-@click.option("--count", type=COUNT, default=12, show_default=True, help="Demonstrations, and as many random scenes.")
+@click.option(
+    "--count", type=COUNT, default=12, show_default=True, help="Demonstrations, and as many random scenes with boxes."
+)
 @click.option("--calibrate", is_flag=True, help="Fit the confidence of the arm alone and write it into the package.")
 def flange(demos: Path, out: Path, count: int, calibrate: bool) -> None:
     """Track the flange in DEMOS (of `suite demos`) without the hand, and in scenes with boxes or a Robotiq 2F-85.

@@ -85,8 +85,8 @@ def measure(demos: Path, out: Path, *, count: int, log: Callable[[str], None]) -
     Args:
         demos: folder of `suite demos`; of its Franka hand nothing is used.
         out: output folder; finished videos are kept.
-        count: videos of each of the three; each is measured as it is, and degraded; with the Robotiq 2F-85 by the links
-            alone, too.
+        count: demonstrations, and videos with boxes; of the Robotiq 2F-85, which takes several times as long, a quarter
+            as many, also by the links alone. Each video is measured as it is, and degraded.
         log: receives a line per video.
 
     Returns:
@@ -107,12 +107,12 @@ def measure(demos: Path, out: Path, *, count: int, log: Callable[[str], None]) -
             return read_video(file.video).frames, clip.camera, clip.X_CH
 
         videos.append((f"demos/{file.id}", of_demo, by_links, len(videos)))
-    for kind, scene, pipeline, first in (
-        ("boxes", BoxGripperScene, by_links, len(videos)),
-        ("robotiq by links", RobotiqScene, by_links, 0),
-        ("robotiq", RobotiqScene, by_gripper, 0),
+    for kind, scene, pipeline, first, scenes in (
+        ("boxes", BoxGripperScene, by_links, len(videos), count),
+        ("robotiq by links", RobotiqScene, by_links, 0, -(-count // 4)),
+        ("robotiq", RobotiqScene, by_gripper, 0, -(-count // 4)),
     ):
-        for seed in range(count):
+        for seed in range(scenes):
 
             def of_scene(seed: int = seed, scene: type[VtkScene] = scene) -> _Video:
                 video = scene(np.random.default_rng([88, seed])).video()

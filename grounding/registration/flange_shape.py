@@ -3,9 +3,9 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
+import trimesh
 
 from kinebench_drake.geometry import Array, make_pose, rotation_z
-from kinebench_drake.grounding.registration.arm_fit import LAST_LINKS
 from kinebench_drake.grounding.registration.edges import EdgeMatcher, GradientImage
 from kinebench_drake.models.panda.robot import RobotPart
 from kinebench_drake.models.robotiq.cad import CLOSED_RAD, robotiq_mesh
@@ -14,6 +14,7 @@ OPENINGS = 5
 """Openings at which the contours of a gripper are known, from open to closed."""
 _TOLERANCE_PX = 2.0  # standard deviation of the gripper's contours: openings between two of them fit either
 _GRIPPER = (RobotPart.HAND,)
+_CYLINDER_M = (0.038, 0.09)  # radius and height of what stands for an unknown gripper
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -25,15 +26,18 @@ class FlangeShape:
     gripper: tuple[RobotPart, ...] = ()
     """Parts whose contours count besides those of the links."""
 
-    @property
-    def wrist(self) -> tuple[RobotPart, ...]:
-        """Parts whose contours say whether the flange is right."""
-        return (*LAST_LINKS, *self.gripper)
+    def agreement(self, image: GradientImage, X_CP: Array, links: tuple[RobotPart, ...]) -> float:
+        """Return the share of the contours of `links` on edges of the image, or its mean with that of the gripper.
 
-    @property
-    def flange(self) -> tuple[RobotPart, ...]:
-        """Parts that turn with the last joint."""
-        return (RobotPart.LINK7, *self.gripper)
+        A hidden gripper has none on edges: a posture that hides one must not look better.
+
+        Args:
+            image: gradients of the image.
+            X_CP: (PARTS, 4, 4) poses of the parts in the camera frame [m].
+            links: links whose contours count.
+        """
+        of_links = self.edges[0].agreement(image, X_CP, links)
+        return float(0.5 * (of_links + self.gripper_agreement(image, X_CP).max())) if self.gripper else of_links
 
     def gripper_agreement(self, image: GradientImage, X_CP: Array) -> Array:
         """Return the share (OPENINGS,) of the gripper's contours on edges of the image.
@@ -49,6 +53,17 @@ class FlangeShape:
         if len(self.edges) == 1:
             return self
         return replace(self, edges=(self.edges[int(self.gripper_agreement(image, X_CP).argmax())],))
+
+
+def links_shape() -> FlangeShape:
+    """Return the shape of the links alone; a cylinder hides what about any gripper hides, and tells no turn.
+
+    Raises:
+        SetupError: Open3D's native libraries or mani_skill's meshes are missing.
+    """
+    radius_m, height_m = _CYLINDER_M
+    cylinder = trimesh.creation.cylinder(radius_m, height_m).apply_translation([0.0, 0.0, height_m / 2])
+    return FlangeShape(edges=(EdgeMatcher({_GRIPPER[0]: cylinder}),))
 
 
 def robotiq_shape(turn_rad: float, offset_m: float, openings: int = OPENINGS) -> FlangeShape:
