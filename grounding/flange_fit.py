@@ -107,7 +107,7 @@ class FlangeFitter:
 
     def support(self, pose: FramePose, image: GradientImage) -> float:
         """Return the log-likelihood of the gripper by a pose that was fitted with it to an image."""
-        X_CP = place(self.chain_of(pose))[0]
+        X_CP = self._place(self.chain_of(pose))[0]
         return self._support(pose, _ON_GRIPPER * float(self.shape.gripper_agreement(image, X_CP).max()))
 
     def log_likelihood(
@@ -122,7 +122,7 @@ class FlangeFitter:
             image: gradients of the image.
             agreement: share of the contours of the links on edges of the image, which says how much edges tell there.
         """
-        X_CP = place(self._chain.turned(chain, turns_rad))
+        X_CP = self._place(self._chain.turned(chain, turns_rad))
         on_edges = _ON_EDGES * np.array([self.shape.edges[0].agreement(image, X, _FLANGE) for X in X_CP])
         if self.shape.gripper:
             on_edges += _ON_GRIPPER * np.array([self.shape.gripper_agreement(image, X).max() for X in X_CP])
@@ -132,12 +132,12 @@ class FlangeFitter:
         self, chain: ChainModel, turns_rad: Array, image: GradientImage, agreement: float
     ) -> Array:
         """Return the log-likelihoods (M,) of turns by the contours of the gripper alone; see `log_likelihood`."""
-        X_CP = place(self._chain.turned(chain, turns_rad))
+        X_CP = self._place(self._chain.turned(chain, turns_rad))
         return _ON_GRIPPER * agreement * np.array([self.shape.gripper_agreement(image, X).max() for X in X_CP])
 
     def at_likeliest(self, chain: ChainModel, image: GradientImage) -> "FlangeFitter":
         """Return a fitter with the opening of the gripper alone whose contours lie best on edges."""
-        return FlangeFitter(self._chain, self.shape.at_likeliest(image, place(chain)[0]))
+        return FlangeFitter(self._chain, self.shape.at_likeliest(image, self._place(chain)[0]))
 
     def turned(self, chain: ChainModel, turn_rad: float) -> ChainModel:
         """Return a chain with its last joint at an angle [rad], the other links where they are."""
@@ -159,7 +159,7 @@ class FlangeFitter:
 
     def flow(self, chain: ChainModel, before: GradientImage, after: GradientImage) -> Correspondences | None:
         """Return the points of the arm's surface in one image where another shows them; None if too few."""
-        X_CP = place(chain)[0]
+        X_CP = self._place(chain)[0]
         return follow_surface(self.shape.at_likeliest(before, X_CP).edges[0].caster, X_CP, before, after)
 
     def chain_of(self, pose: FramePose) -> ChainModel:
@@ -167,6 +167,11 @@ class FlangeFitter:
         if pose.arm is None:
             raise ValueError("a pose of the flange has a posture")
         return self._chain.at(pose.X_CH, pose.arm.q)
+
+    def _place(self, chain: ChainModel, links: Sequence[RobotPart] = LAST_LINKS) -> Array:
+        """Return the poses (B, PARTS, 4, 4) of the parts; with a gripper, which little hides, without the upper arm."""
+        X_CP = chain.place().X_CP
+        return _without_upper_arm(X_CP, links) if self.shape.gripper else X_CP
 
     def _move(
         self, start: ChainModel, before: GradientImage, after: GradientImage
@@ -177,7 +182,7 @@ class FlangeFitter:
         return None if points is None or moved is None else (moved.model, points)
 
     def _support(self, pose: FramePose, on_gripper: float) -> float:
-        off_cells = _off_cells(pose.view, place(self.chain_of(pose)))[0]
+        off_cells = _off_cells(pose.view, self._place(self.chain_of(pose)))[0]
         return float(pose.overlap * (_ON_EDGES + on_gripper) - _OFF_CELLS * off_cells)
 
     def _fit(self, start: ChainModel, shown: FlangeView, reaches_px: Sequence[float] = REACHES_PX) -> FramePose | None:
@@ -192,10 +197,12 @@ class FlangeFitter:
         reaches_px: Sequence[float],
     ) -> Solution[ChainModel] | None:
         """Fit a chain to points of the links and to edges together; None if it diverges or no edges are near."""
-        chain, (matcher,) = None, self.shape.at_likeliest(image, place(start, _LINKS)[0]).edges
+        chain, (matcher,) = None, self.shape.at_likeliest(image, self._place(start, _LINKS)[0]).edges
         for reach_px in reaches_px:
             model = start if chain is None else chain.model
-            edges = matcher.match(image, place(model, _LINKS)[0], reach_px, (*_LINKS, *self.shape.gripper), _POINTS)
+            edges = matcher.match(
+                image, self._place(model, _LINKS)[0], reach_px, (*_LINKS, *self.shape.gripper), _POINTS
+            )
             if edges is None:
                 break
             depth = None if chain is None else chain.log_depth_factor
@@ -205,7 +212,7 @@ class FlangeFitter:
     def _pose(self, chain: Solution[ChainModel], image: GradientImage, view: GripperView) -> FramePose:
         """Return the pose of a frame; in place of a hand it has the last link and the residual of the chain."""
         flange = view.part == RobotPart.LINK7
-        X_CP, unknown = place(chain.model)[0], float("nan")
+        X_CP, unknown = _without_upper_arm(chain.model.place().X_CP[0]), float("nan")
         shape = self.shape.at_likeliest(image, X_CP)
         arm = ArmFit(
             q=chain.model.q[0],
@@ -243,13 +250,13 @@ class FlangeFitter:
         )
 
 
-def place(chain: ChainModel, links: Sequence[RobotPart] = LAST_LINKS) -> Array:
-    """Return the poses (B, PARTS, 4, 4) of the parts in the camera frame, with all but the last `links` behind it.
+def _without_upper_arm(X_CP: Array, links: Sequence[RobotPart] = LAST_LINKS) -> Array:
+    """Return poses (..., PARTS, 4, 4) with all but the last `links` behind the camera.
 
     Without a base their postures are hardly known, and one that hides a bad contour must not look better.
     """
-    X_CP = chain.place().X_CP
-    X_CP[:, ARM[: -len(links)], :3, 3] = [0.0, 0.0, -_BEHIND_M]
+    X_CP = X_CP.copy()
+    X_CP[..., ARM[: -len(links)], :3, 3] = [0.0, 0.0, -_BEHIND_M]
     return X_CP
 
 

@@ -22,8 +22,8 @@ from kinebench_drake.grounding.registration.arm_fit import LAST_LINKS, ArmFitter
 from kinebench_drake.grounding.registration.arm_model import ArmModel
 from kinebench_drake.grounding.registration.chain_fit import ChainFitter
 from kinebench_drake.grounding.registration.correspondences import Correspondences
-from kinebench_drake.grounding.registration.edges import GradientImage
-from kinebench_drake.grounding.registration.flange_shape import links_shape, robotiq_shape
+from kinebench_drake.grounding.registration.edges import EdgeMatcher, GradientImage
+from kinebench_drake.grounding.registration.flange_shape import FlangeShape, robotiq_shape
 from kinebench_drake.grounding.tracker import Tracking
 from kinebench_drake.grounding.turn import OFFSETS_RAD, TURNS_RAD, likeliest_turns
 from kinebench_drake.grounding.view import DenseEstimator, Frames, GripperView
@@ -64,7 +64,7 @@ class FlangeTracker:
 
     def __init__(self, estimator: DenseEstimator, gripper: GripperKind = GripperKind.NONE) -> None:
         """Track with dense estimates of `estimator`; the contours of a gripper whose shape is known count, too."""
-        self._estimator, self._model, self._links = estimator, ArmModel(), links_shape()
+        self._estimator, self._model, self._links = estimator, ArmModel(), FlangeShape(edges=(EdgeMatcher(),))
         self._gripper = gripper
         self._chain = ChainFitter(self._model)
 
@@ -185,7 +185,7 @@ class FlangeTracker:
         reaches_px = REACHES_PX[0 if flange.shape.gripper else -2 :]
         for i, chain in chains.items():
             points = []
-            for k in {i - 1, i + 1} & chains.keys():
+            for k in {i - 1, i + 1} & chains.keys() if flange.shape.gripper else ():
                 flow = flange.flow(chains[k], images[k], images[i])
                 if flow is not None:
                     points.append(replace(flow, weight=_certainty(poses[k], poses[i]) * flow.weight))

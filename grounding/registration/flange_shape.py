@@ -3,7 +3,6 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
-import trimesh
 
 from kinebench_drake.geometry import Array, make_pose, rotation_z
 from kinebench_drake.grounding.registration.edges import EdgeMatcher, GradientImage
@@ -14,7 +13,6 @@ OPENINGS = 5
 """Openings at which the contours of a gripper are known, from open to closed."""
 _TOLERANCE_PX = 2.0  # standard deviation of the gripper's contours: openings between two of them fit either
 _GRIPPER = (RobotPart.HAND,)
-_CYLINDER_M = (0.038, 0.09)  # radius and height of what stands for an unknown gripper
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -53,17 +51,6 @@ class FlangeShape:
         if len(self.edges) == 1:
             return self
         return replace(self, edges=(self.edges[int(self.gripper_agreement(image, X_CP).argmax())],))
-
-
-def links_shape() -> FlangeShape:
-    """Return the shape of the links alone; a cylinder hides what about any gripper hides, and tells no turn.
-
-    Raises:
-        SetupError: Open3D's native libraries or mani_skill's meshes are missing.
-    """
-    radius_m, height_m = _CYLINDER_M
-    cylinder = trimesh.creation.cylinder(radius_m, height_m).apply_translation([0.0, 0.0, height_m / 2])
-    return FlangeShape(edges=(EdgeMatcher({_GRIPPER[0]: cylinder}),))
 
 
 def robotiq_shape(turn_rad: float, offset_m: float, openings: int = OPENINGS) -> FlangeShape:
