@@ -1,0 +1,39 @@
+"""Contours at the flange with a gripper whose shape is known."""
+
+import numpy as np
+import pytest
+
+from kinebench_drake.camera import benchmark_camera
+from kinebench_drake.geometry import Array, invert
+from kinebench_drake.grounding.registration.arm_fit import LAST_LINKS
+from kinebench_drake.grounding.registration.arm_model import ArmModel
+from kinebench_drake.grounding.registration.edges import GradientImage
+from kinebench_drake.grounding.registration.flange_shape import FlangeShape, robotiq_shape
+from kinebench_drake.models.panda.robot import RobotPart
+
+CAMERA = benchmark_camera()
+
+
+@pytest.fixture(scope="module")
+def scene() -> tuple[FlangeShape, GradientImage, Array]:
+    """A gripper, the image of the robot in white before black, and the poses of its parts."""
+    shape = robotiq_shape(0.0, 0.0, openings=3)
+    X_CP = invert(CAMERA.X_BC) @ ArmModel().poses(np.array([[0.0, 0.3, 0.0, -2.0, 0.0, 2.3, 0.8]]))[0]
+    hit = shape.edges[1].caster.cast(X_CP, CAMERA.rays().reshape(-1, 3))
+    grey = np.where(hit.part > 0, 220, 30).astype(np.uint8).reshape(CAMERA.height, CAMERA.width, 1)
+    return shape, GradientImage(np.repeat(grey, 3, axis=2), CAMERA), X_CP
+
+
+def test_the_opening_in_the_image_is_likeliest(scene: tuple[FlangeShape, GradientImage, Array]) -> None:
+    shape, image, X_CP = scene
+    assert shape.gripper_agreement(image, X_CP).argmax() == 1
+    assert shape.at_likeliest(image, X_CP).edges == (shape.edges[1],)
+
+
+def test_a_gripper_that_is_hidden_does_not_count_as_found(scene: tuple[FlangeShape, GradientImage, Array]) -> None:
+    shape, image, X_CP = scene
+    behind = X_CP.copy()
+    behind[RobotPart.HAND, 2, 3] = -10.0
+    links = shape.edges[0].agreement(image, behind, LAST_LINKS)
+    assert shape.agreement(image, behind, LAST_LINKS) == pytest.approx(0.5 * links)
+    assert shape.agreement(image, X_CP, LAST_LINKS) > 0.6
