@@ -60,7 +60,7 @@ class _Video:
 
 
 class FlangeTracker:
-    """`PoseTracker` that measures the links alone; the pose of panda_hand follows from the flange."""
+    """`PoseTracker` by the last links, and a gripper of known shape; the pose of panda_hand follows from the flange."""
 
     def __init__(self, estimator: DenseEstimator, gripper: GripperKind = GripperKind.NONE) -> None:
         """Track with dense estimates of `estimator`; the contours of a gripper whose shape is known count, too."""
