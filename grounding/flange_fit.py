@@ -124,9 +124,10 @@ class FlangeFitter:
         """
         X_CP = self._place(self._chain.turned(chain, turns_rad))
         on_edges = _ON_EDGES * np.array([self.shape.edges[0].agreement(image, X, _FLANGE) for X in X_CP])
-        if self.shape.gripper:
-            on_edges += _ON_GRIPPER * np.array([self.shape.gripper_agreement(image, X).max() for X in X_CP])
-        return np.asarray(agreement * on_edges - _OFF_CELLS * _off_cells(view, X_CP))
+        by_links = np.asarray(agreement * on_edges - _OFF_CELLS * _off_cells(view, X_CP))
+        if not self.shape.gripper:
+            return by_links
+        return by_links + self.gripper_log_likelihood(chain, turns_rad, image, agreement)
 
     def gripper_log_likelihood(
         self, chain: ChainModel, turns_rad: Array, image: GradientImage, agreement: float
