@@ -132,9 +132,13 @@ class FlangeFitter:
     def gripper_log_likelihood(
         self, chain: ChainModel, turns_rad: Array, image: GradientImage, agreement: float
     ) -> Array:
-        """Return the log-likelihoods (M,) of turns by the contours of the gripper alone; see `log_likelihood`."""
-        X_CP = self._place(self._chain.turned(chain, turns_rad))
-        return _ON_GRIPPER * agreement * np.array([self.shape.gripper_agreement(image, X).max() for X in X_CP])
+        """Return the log-likelihoods (M,) of turns by the contours of the gripper alone; see `log_likelihood`.
+
+        After half a turn it looks alike, so its contours are projected at one of two such turns only.
+        """
+        _, first, same = np.unique((turns_rad % np.pi).round(6), return_index=True, return_inverse=True)
+        X_CP = self._place(self._chain.turned(chain, turns_rad[first]))
+        return _ON_GRIPPER * agreement * np.array([self.shape.gripper_agreement(image, X).max() for X in X_CP])[same]
 
     def at_likeliest(self, chain: ChainModel, image: GradientImage) -> "FlangeFitter":
         """Return a fitter with the opening of the gripper alone whose contours lie best on edges."""

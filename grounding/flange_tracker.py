@@ -22,8 +22,8 @@ from kinebench_drake.grounding.registration.arm_fit import LAST_LINKS, ArmFitter
 from kinebench_drake.grounding.registration.arm_model import ArmModel
 from kinebench_drake.grounding.registration.chain_fit import ChainFitter
 from kinebench_drake.grounding.registration.correspondences import Correspondences
-from kinebench_drake.grounding.registration.edges import EdgeMatcher, GradientImage
-from kinebench_drake.grounding.registration.flange_shape import FlangeShape, robotiq_shape
+from kinebench_drake.grounding.registration.edges import GradientImage
+from kinebench_drake.grounding.registration.flange_shape import links_shape, robotiq_shape
 from kinebench_drake.grounding.tracker import Tracking
 from kinebench_drake.grounding.turn import OFFSETS_RAD, TURNS_RAD, likeliest_turns
 from kinebench_drake.grounding.view import DenseEstimator, Frames, GripperView
@@ -64,7 +64,7 @@ class FlangeTracker:
 
     def __init__(self, estimator: DenseEstimator, gripper: GripperKind = GripperKind.NONE) -> None:
         """Track with dense estimates of `estimator`; the contours of a gripper whose shape is known count, too."""
-        self._estimator, self._model, self._links = estimator, ArmModel(), FlangeShape(edges=(EdgeMatcher(),))
+        self._estimator, self._model, self._links = estimator, ArmModel(), links_shape()
         self._gripper = gripper
         self._chain = ChainFitter(self._model)
 
@@ -139,9 +139,7 @@ class FlangeTracker:
             pose, image, chain = poses[i], video.images[i], video.flange.chain_of(poses[i])
             by_link = video.flange.log_likelihood(chain, _MOUNT_GRID_RAD, pose.view, image, pose.overlap)
             for k, fitter in enumerate(offsets):
-                # After half a turn the gripper looks alike.
-                grid = _MOUNT_GRID_RAD[: len(_MOUNT_GRID_RAD) // 2]
-                by_gripper = np.tile(fitter.gripper_log_likelihood(chain, grid, image, pose.overlap), 2)
+                by_gripper = fitter.gripper_log_likelihood(chain, _MOUNT_GRID_RAD, image, pose.overlap)
                 total[:, k] += [logsumexp(by_link + np.roll(by_gripper, -step)) for step in _MOUNT_STEPS]
         likeliest = np.argsort(-total, axis=None)[:_MOUNTS]
         likeliest = likeliest[total.flat[likeliest] > total.max() - _CLEAR]
@@ -182,13 +180,13 @@ class FlangeTracker:
             offsets, own_sigma = likeliest_turns(grid, log_likelihood, changes - np.diff(turns))
             turns, sigma = turns + offsets, np.maximum(sigma, own_sigma)
             chains = {i: flange.turned(chain, turns[i]) for i, chain in chains.items()}
-        reaches_px = REACHES_PX[0 if flange.shape.gripper else -2 :]
+        reaches_px, before = REACHES_PX[0 if flange.shape.gripper else -2 :], dict(poses)
         for i, chain in chains.items():
             points = []
-            for k in {i - 1, i + 1} & chains.keys() if flange.shape.gripper else ():
+            for k in {i - 1, i + 1} & chains.keys():
                 flow = flange.flow(chains[k], images[k], images[i])
                 if flow is not None:
-                    points.append(replace(flow, weight=_certainty(poses[k], poses[i]) * flow.weight))
+                    points.append(replace(flow, weight=_certainty(before[k], before[i]) * flow.weight))
             pose = flange.fit_turned(chain, turns[i], _TURN_SIGMA_RAD, shown[i], reaches_px, points)
             if pose is not None:
                 based = None if flange.shape.gripper else self._on_base(pose, i, video)

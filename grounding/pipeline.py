@@ -111,6 +111,7 @@ class GroundingPipeline:
         confidence: Mapping[Domain, Confidence],
         table_height_m: float = 0.0,
         gripper: GripperKind = GripperKind.FRANKA,
+        arm_tracker: PoseTracker | None = None,
     ) -> None:
         """Compose the pipeline.
 
@@ -119,8 +120,9 @@ class GroundingPipeline:
             confidence: calibrated confidence of its poses in each domain.
             table_height_m: height of the table top in the robot base frame, which tells how far a camera moves [m].
             gripper: what `tracker` looks for.
+            arm_tracker: a faster one by which the motion of a camera is checked; None for the same.
         """
-        self._tracker, self._confidence = tracker, confidence
+        self._tracker, self._arm_tracker, self._confidence = tracker, arm_tracker or tracker, confidence
         self._table_height_m, self._gripper = table_height_m, gripper
 
     @classmethod
@@ -154,7 +156,8 @@ class GroundingPipeline:
         confidence = load_confidence(calibration or CALIBRATION)
         franka = gripper is GripperKind.FRANKA
         tracker = CadTracker(estimator, confidence=confidence) if franka else FlangeTracker(estimator, gripper)
-        return cls(tracker, confidence, table_height_m, gripper)
+        by_arm = FlangeTracker(estimator) if gripper is GripperKind.ROBOTIQ_2F85 else None
+        return cls(tracker, confidence, table_height_m, gripper, by_arm)
 
     def warm_up(self) -> None:
         """Ground a blank video, since the first use of the network and of the ray caster is slow."""
@@ -273,7 +276,7 @@ class GroundingPipeline:
         nothing = np.zeros(frames.shape[1:3], dtype=bool)
         if not self._measure_motion(frames, tracks, nothing, camera, priors, follows=False).is_clear:
             return None
-        robot = self._tracker.track(frames[:1], camera).robot
+        robot = self._arm_tracker.track(frames[:1], camera).robot
         motion = self._measure_motion(frames, tracks, robot, camera, priors)
         if motion.path is None:
             return None
@@ -283,8 +286,8 @@ class GroundingPipeline:
         followed, fixed = (
             sum(pose is not None and pose.arm_agrees for pose in tracking.poses)
             for tracking in (
-                self._tracker.track(steady[chosen], wide, places=places),
-                self._tracker.track(frames[chosen], camera),
+                self._arm_tracker.track(steady[chosen], wide, places=places),
+                self._arm_tracker.track(frames[chosen], camera),
             )
         )
         return motion if followed >= LEAST_AGREEING * fixed else replace(motion, path=None)

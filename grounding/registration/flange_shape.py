@@ -3,6 +3,7 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
+import trimesh
 
 from kinebench_drake.geometry import Array, make_pose, rotation_z
 from kinebench_drake.grounding.registration.edges import EdgeMatcher, GradientImage
@@ -13,6 +14,7 @@ OPENINGS = 5
 """Openings at which the contours of a gripper are known, from open to closed."""
 _TOLERANCE_PX = 2.0  # standard deviation of the gripper's contours: openings between two of them fit either
 _GRIPPER = (RobotPart.HAND,)
+_BODY_RADIUS_M, _BODY_LENGTH_M = 0.038, 0.09  # body that hides the flange where an unknown gripper would
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -51,6 +53,16 @@ class FlangeShape:
         if len(self.edges) == 1:
             return self
         return replace(self, edges=(self.edges[int(self.gripper_agreement(image, X_CP).argmax())],))
+
+
+def links_shape() -> FlangeShape:
+    """Return the shape of the links alone; a round body hides them where an unknown gripper would.
+
+    Raises:
+        SetupError: Open3D's native libraries or mani_skill's meshes are missing.
+    """
+    body = trimesh.creation.cylinder(_BODY_RADIUS_M, _BODY_LENGTH_M)
+    return FlangeShape(edges=(EdgeMatcher({_GRIPPER[0]: body.apply_translation([0.0, 0.0, _BODY_LENGTH_M / 2])}),))
 
 
 def robotiq_shape(turn_rad: float, offset_m: float, openings: int = OPENINGS) -> FlangeShape:

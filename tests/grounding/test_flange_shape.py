@@ -1,14 +1,14 @@
-"""Contours at the flange with a gripper whose shape is known."""
+"""Contours at the flange, with a gripper whose shape is known and with an unknown one."""
 
 import numpy as np
 import pytest
 
 from kinebench_drake.camera import benchmark_camera
-from kinebench_drake.geometry import Array, invert
+from kinebench_drake.geometry import Array, invert, make_pose, rotation_z
 from kinebench_drake.grounding.registration.arm_fit import LAST_LINKS
 from kinebench_drake.grounding.registration.arm_model import ArmModel
 from kinebench_drake.grounding.registration.edges import GradientImage
-from kinebench_drake.grounding.registration.flange_shape import FlangeShape, robotiq_shape
+from kinebench_drake.grounding.registration.flange_shape import FlangeShape, links_shape, robotiq_shape
 from kinebench_drake.models.panda.robot import RobotPart
 
 CAMERA = benchmark_camera()
@@ -24,6 +24,13 @@ def scene() -> tuple[FlangeShape, GradientImage, Array]:
     return shape, GradientImage(np.repeat(grey, 3, axis=2), CAMERA), X_CP
 
 
+def turn_gripper(X_CP: Array, turn_rad: float) -> Array:
+    """Return poses of the parts with the gripper turned on the flange [rad]."""
+    X_CP = X_CP.copy()
+    X_CP[RobotPart.HAND] = X_CP[RobotPart.HAND] @ make_pose(rotation_z(turn_rad), np.zeros(3))
+    return X_CP
+
+
 def test_the_opening_in_the_image_is_likeliest(scene: tuple[FlangeShape, GradientImage, Array]) -> None:
     shape, image, X_CP = scene
     assert shape.gripper_agreement(image, X_CP).argmax() == 1
@@ -37,3 +44,25 @@ def test_a_gripper_that_is_hidden_does_not_count_as_found(scene: tuple[FlangeSha
     links = shape.edges[0].agreement(image, behind, LAST_LINKS)
     assert shape.agreement(image, behind, LAST_LINKS) == pytest.approx(0.5 * links)
     assert shape.agreement(image, X_CP, LAST_LINKS) > 0.6
+
+
+def test_a_gripper_looks_alike_after_half_a_turn(scene: tuple[FlangeShape, GradientImage, Array]) -> None:
+    shape, image, X_CP = scene
+    still, half, quarter = (
+        shape.gripper_agreement(image, turn_gripper(X_CP, turn)) for turn in (0.0, np.pi, np.pi / 2)
+    )
+    assert half == pytest.approx(still, abs=0.05)
+    assert quarter[1] < 0.8 * still[1]
+
+
+def test_an_unknown_gripper_hides_the_same_of_the_links_however_it_is_turned(
+    scene: tuple[FlangeShape, GradientImage, Array],
+) -> None:
+    *_, X_CP = scene
+    turned, removed = turn_gripper(X_CP, np.pi / 2), X_CP.copy()
+    removed[RobotPart.HAND, 2, 3] = -10.0
+    (matcher,) = links_shape().edges
+    shown = [matcher.project(X, CAMERA, LAST_LINKS, 5000) for X in (X_CP, turned, removed)]
+    pixels = [np.empty((0, 2)) if points is None else points.pixel for points in shown]
+    np.testing.assert_allclose(pixels[1], pixels[0], atol=1e-6)
+    assert len(pixels[0]) < 0.98 * len(pixels[2])
