@@ -280,7 +280,7 @@ def test_the_flange_is_followed_into_frames_in_which_the_network_finds_nothing(m
     X_CH = invert(CAMERA.X_BC) @ model.poses(q)[:, RobotPart.HAND]
     for i, (pose, X) in enumerate(zip(poses, X_CH, strict=True)):
         assert pose is not None
-        distance, angle = pose_difference(pose.X_CH, X)
+        distance, _ = pose_difference(pose.X_CH, X)
         R, axis = X[:3, :3].T @ pose.X_CH[:3, :3], pose.X_CH[:3, 2]
         turn = np.arctan2(R[1, 0] - R[0, 1], R[0, 0] + R[1, 1])
         assert abs(turn) < 2.0 * np.sqrt(axis @ pose.covariance[:3, :3] @ axis)
@@ -288,7 +288,8 @@ def test_the_flange_is_followed_into_frames_in_which_the_network_finds_nothing(m
             assert distance < 0.02
         else:
             assert distance < 0.003
-            assert np.rad2deg(angle) < 1.5
+            assert np.rad2deg(np.arccos(R[2, 2])) < 1.0
+            assert np.rad2deg(abs(turn)) < 3.0  # the hand drawn hides the grip, of which the tracker knows nothing
 
 
 def test_a_moving_camera_has_a_fitter_for_each_frame(model: ArmModel) -> None:
@@ -332,19 +333,14 @@ class TurnedEstimator(PartialEstimator):
         super().__init__(model, q + error_rad * (np.arange(7) == 6), set())
 
 
+@pytest.mark.parametrize("kind", [GripperKind.NONE, GripperKind.ROBOTIQ_2F85])
 @pytest.mark.parametrize("mount", [0.0, np.pi / 4])
-def test_a_gripper_whose_shape_is_known_corrects_the_turn(model: ArmModel, mount: float) -> None:
+def test_contours_correct_the_turn_with_another_gripper(model: ArmModel, mount: float, kind: GripperKind) -> None:
     q = posture(1) + 0.015 * np.arange(2)[:, None] * np.array([1.0, -1.0, 0.0, 1.0, 0.0, 1.0, 1.0])
     gripper = robotiq_mesh(0.35).apply_transform(make_pose(rotation_z(mount), [0.0, 0.0, 0.004]))
     frames = np.stack([drawn(model, each, gripper) for each in q])
     X_CH = invert(CAMERA.X_BC) @ model.poses(q)[:, RobotPart.HAND]
-
-    def errors(kind: GripperKind) -> tuple[Array, Array]:
-        estimator = TurnedEstimator(model, q, np.deg2rad(12.0))
-        poses = FlangeTracker(estimator, kind).track(frames, CAMERA).poses
-        return pose_difference(np.stack([pose.X_CH for pose in poses if pose is not None]), X_CH)
-
-    distance, angle = errors(GripperKind.ROBOTIQ_2F85)
+    poses = FlangeTracker(TurnedEstimator(model, q, np.deg2rad(12.0)), kind).track(frames, CAMERA).poses
+    distance, angle = pose_difference(np.stack([pose.X_CH for pose in poses if pose is not None]), X_CH)
     assert distance.max() < 0.006
     assert np.rad2deg(angle).max() < 3.0
-    assert np.rad2deg(errors(GripperKind.NONE)[1]).max() > 4.0
