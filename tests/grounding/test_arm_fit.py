@@ -120,14 +120,18 @@ def test_the_arm_determines_the_distance_of_the_hand(
     np.testing.assert_allclose(CAMERA.X_BC @ arm.X_CH, model.poses(arm.q[None])[0, RobotPart.HAND], atol=1e-9)
 
 
-def drawn(model: ArmModel, q: Array, gripper: trimesh.Trimesh | None = None) -> NDArray[np.uint8]:
-    """An image of the robot in one grey, before a darker one; with another gripper in place of the Franka hand."""
+def drawn(model: ArmModel, q: Array, gripper: trimesh.Trimesh | None = None, stains: float = 0.0) -> NDArray[np.uint8]:
+    """An image of the robot in one grey, before a darker one; with another gripper, or stains of that contrast."""
     X_CP = open_fingers(invert(CAMERA.X_BC) @ model.poses(q[None])[0], FINGER_M)
-    shown = part_meshes() if gripper is None else {RobotPart.HAND: gripper}
-    hit = PartCaster({**shown, **link_meshes()}).cast(X_CP, CAMERA.rays().reshape(-1, 3))
+    meshes = part_meshes() if gripper is None else {RobotPart.HAND: gripper}
+    hit = PartCaster({**meshes, **link_meshes()}).cast(X_CP, CAMERA.rays().reshape(-1, 3))
     # A grey of its own for each part: contours between parts count as well.
-    grey = np.where(hit.part > 0, 120 + 12 * hit.part.astype(int), 50).astype(np.uint8)
-    return np.repeat(grey.reshape(CAMERA.height, CAMERA.width, 1), 3, axis=2)
+    grey = np.where(hit.part > 0, 120.0 + 12.0 * hit.part, 50.0)
+    shown = hit.part > 0
+    p_C = (CAMERA.rays().reshape(-1, 3) * hit.distance[:, None])[shown]
+    p_P = transform_points(invert(X_CP)[hit.part[shown]], p_C[:, None])[:, 0]
+    grey[shown] += stains * np.sin(p_P @ np.random.default_rng(0).normal(0.0, 150.0, (3, 6))).mean(axis=1)
+    return np.repeat(grey.clip(0, 255).astype(np.uint8).reshape(CAMERA.height, CAMERA.width, 1), 3, axis=2)
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -271,16 +275,17 @@ class PartialEstimator:
             yield i, replace(shown, part=np.zeros_like(shown.part)) if i in self._blind else shown
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", [0, 1, 2, 6, 7])  # of others the wrist leaves the image
 def test_the_flange_is_followed_into_frames_in_which_the_network_finds_nothing(model: ArmModel, seed: int) -> None:
     q = posture(seed) + 0.015 * np.arange(4)[:, None] * np.array([1.0, -1.0, 0.0, 1.0, 0.0, 1.0, 1.0])
     blind = {2, 3}
-    frames = np.stack([drawn(model, each) for each in q])
+    gripper = trimesh.creation.box([0.07, 0.09, 0.10]).apply_translation([0.0, 0.0, 0.05])
+    frames = np.stack([drawn(model, each, gripper, stains=40.0) for each in q])
     poses = FlangeTracker(PartialEstimator(model, q, blind)).track(frames, CAMERA).poses
     X_CH = invert(CAMERA.X_BC) @ model.poses(q)[:, RobotPart.HAND]
     for i, (pose, X) in enumerate(zip(poses, X_CH, strict=True)):
         assert pose is not None
-        distance, _ = pose_difference(pose.X_CH, X)
+        distance, angle = pose_difference(pose.X_CH, X)
         R, axis = X[:3, :3].T @ pose.X_CH[:3, :3], pose.X_CH[:3, 2]
         turn = np.arctan2(R[1, 0] - R[0, 1], R[0, 0] + R[1, 1])
         assert abs(turn) < 2.0 * np.sqrt(axis @ pose.covariance[:3, :3] @ axis)
@@ -288,8 +293,7 @@ def test_the_flange_is_followed_into_frames_in_which_the_network_finds_nothing(m
             assert distance < 0.02
         else:
             assert distance < 0.003
-            assert np.rad2deg(np.arccos(R[2, 2])) < 1.0
-            assert np.rad2deg(abs(turn)) < 3.0  # the hand drawn hides the grip, of which the tracker knows nothing
+            assert np.rad2deg(angle) < 1.5
 
 
 def test_a_moving_camera_has_a_fitter_for_each_frame(model: ArmModel) -> None:
