@@ -26,7 +26,7 @@ LINK_CELLS, INDEPENDENT = 300, 30.0
 """Greatest number of cells of the links in a view, and of independent measurements that they count as."""
 REACHES_PX = (8.0, 5.0, 3.0, 2.0)
 """Farthest edges of the last links in successive passes [px]."""
-_WIDE_REACHES_PX = (14.0, 6.0, 3.0)  # likewise from other turns, where the links are placed only roughly
+_START_REACHES_PX = REACHES_PX[:-1]  # likewise from several turns
 _LINKS = ARM[-4:]  # links whose edges are matched
 _FLANGE = (RobotPart.LINK7,)
 _POINTS = 300
@@ -100,7 +100,7 @@ class FlangeFitter:
         off_cells = _OFF_CELLS * _off_cells(shown.view, self._place(self._chain.turned(chain, _START_RAD)))
         likely = off_cells < off_cells.min() + _UNLIKELY
         starts = self._chain.turned(chain, _START_RAD[likely], _START_SIGMA_RAD)
-        fits = self._sharpen(starts, shown.cells, shown.image, _WIDE_REACHES_PX)
+        fits = self._sharpen(starts, shown.cells, shown.image, _START_REACHES_PX)
         if fits is None:
             return []
         return [self._pose(fits.take(np.array([k])), shown.image, shown.view) for k in range(len(fits.valid))]
