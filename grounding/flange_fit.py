@@ -95,7 +95,12 @@ class FlangeFitter:
         return self._fit(start, replace(shown, cells=Correspondences.join([shown.cells, *points])), reaches_px)
 
     def fit_turns(self, pose: FramePose, shown: FlangeView) -> list[FramePose]:
-        """Return poses fitted from turns of the last joint that its cells allow; none if all diverge."""
+        """Return poses fitted from turns of the last joint that its cells allow; none if all diverge.
+
+        Nor are there any where neither cells nor a gripper tell the turn.
+        """
+        if not self.shape.gripper and (shown.view.part == RobotPart.LINK7).sum() < MIN_FLANGE_CELLS:
+            return []
         chain = self.chain_of(pose)
         off_cells = _OFF_CELLS * _off_cells(shown.view, self._place(self._chain.turned(chain, _START_RAD)))
         likely = off_cells < off_cells.min() + _UNLIKELY

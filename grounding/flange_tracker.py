@@ -177,17 +177,18 @@ class FlangeTracker:
         """
         flange, images = video.flange, video.images
         crops = {i: _crop_at(pose.X_CH) for i, pose in poses.items()}
-        fits = {i: flange.fit_turns(poses[i], shown) or [poses[i]] for i, shown in self._look(crops, video)}
+        fits = {i: flange.fit_turns(poses[i], shown) for i, shown in self._look(crops, video)}
         tried, log_likelihood = {}, np.zeros((len(images), len(TURNS_RAD)))
         for i, own in fits.items():
-            tried[i] = TurnFits(
-                turn_rad=np.array([flange.chain_of(fit).q[0, -1] for fit in own]),
-                log_likelihood=np.array([flange.support(fit, images[i]) for fit in own]),
-            )
-            log_likelihood[i] = tried[i].on_grid()
+            if own:
+                tried[i] = TurnFits(
+                    turn_rad=np.array([flange.chain_of(fit).q[0, -1] for fit in own]),
+                    log_likelihood=np.array([flange.support(fit, images[i]) for fit in own]),
+                )
+                log_likelihood[i] = tried[i].on_grid()
         changes = self._changes({i: flange.chain_of(pose) for i, pose in poses.items()}, video)
         turns, sigma = likeliest_turns(TURNS_RAD, log_likelihood, changes, OFFSETS_RAD[-1])
-        poses.update({i: own[tried[i].likeliest_at(turns[i])] for i, own in fits.items()})
+        poses.update({i: fits[i][own.likeliest_at(turns[i])] for i, own in tried.items()})
         return turns, sigma
 
     def _turn(self, poses: dict[int, FramePose], video: _Video) -> None:
