@@ -209,7 +209,7 @@ def test_a_clip_in_150_frames_is_the_same_motion(oracle: Path, long_film: Path, 
     assert "75 frames in place of 49: 0.2 s a frame were taken" in said
     [slow] = rows(tmp_path / "slow")
     assert slow["metrics"]["manipulability_integral"] == pytest.approx(
-        (74 / 48) * one["manipulability_integral"], rel=0.02
+        (74 / 48) * one["manipulability_integral"], rel=0.05
     )
 
 
