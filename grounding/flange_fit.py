@@ -16,9 +16,10 @@ from kinebench_drake.grounding.registration.chain_fit import MIN_FLANGE_CELLS, U
 from kinebench_drake.grounding.registration.correspondences import Correspondences
 from kinebench_drake.grounding.registration.edges import GradientImage
 from kinebench_drake.grounding.registration.fit import HandFit
-from kinebench_drake.grounding.registration.flange_shape import FlangeShape
+from kinebench_drake.grounding.registration.flange_shape import OPENINGS, FlangeShape
 from kinebench_drake.grounding.registration.flow import follow_surface
 from kinebench_drake.grounding.registration.solver import Solution
+from kinebench_drake.grounding.turn import TURNS_RAD
 from kinebench_drake.grounding.view import GripperView
 from kinebench_drake.models.panda.robot import ARM, RobotPart
 
@@ -26,12 +27,11 @@ LINK_CELLS, INDEPENDENT = 300, 30.0
 """Greatest number of cells of the links in a view, and of independent measurements that they count as."""
 REACHES_PX = (8.0, 5.0, 3.0, 2.0)
 """Farthest edges of the last links in successive passes [px]."""
-_START_REACHES_PX = REACHES_PX[:-1]  # likewise from several turns
+_WIDE_REACHES_PX = (14.0, 10.0, 6.0, 4.0, 3.0, 2.0)  # likewise of a gripper, which the links place only roughly
 _LINKS = ARM[-4:]  # links whose edges are matched
 _FLANGE = (RobotPart.LINK7,)
 _POINTS = 300
-_START_RAD, _START_SIGMA_RAD = np.deg2rad(np.arange(-160.0, 161.0, 40.0)), np.deg2rad(15.0)  # turns to fit from, prior
-_UNLIKELY = 8.0  # log-likelihood by cells below that of the best turn, from which on none is tried
+_STARTS, _START_SIGMA_RAD = 4, np.deg2rad(15.0)  # turns from which a frame is fitted with a gripper, and their prior
 _ON_EDGES, _OFF_CELLS = 15.0, 0.5  # log-likelihood of a turn per share of contours on edges, and per misfit of cells
 _ON_GRIPPER = 30.0  # likewise per share of the gripper's contours, which stand out on two sides
 _UNSEEN_SIGMA_M = 0.1
@@ -94,29 +94,21 @@ class FlangeFitter:
         start = self._chain.turned(chain, np.array([turn_rad]), sigma_rad)
         return self._fit(start, replace(shown, cells=Correspondences.join([shown.cells, *points])), reaches_px)
 
-    def fit_turns(self, pose: FramePose, shown: FlangeView) -> list[FramePose]:
-        """Return poses fitted from turns of the last joint that its cells allow; none if all diverge.
-
-        Nor are there any where neither cells nor a gripper tell the turn.
-        """
-        if not self.shape.gripper and (shown.view.part == RobotPart.LINK7).sum() < MIN_FLANGE_CELLS:
-            return []
+    def fit_gripper(self, pose: FramePose, shown: FlangeView) -> FramePose | None:
+        """Return the pose with the contours of the gripper, from the likeliest turns of the last joint; or None."""
         chain = self.chain_of(pose)
-        off_cells = _OFF_CELLS * _off_cells(shown.view, self._place(self._chain.turned(chain, _START_RAD)))
-        likely = off_cells < off_cells.min() + _UNLIKELY
-        starts = self._chain.turned(chain, _START_RAD[likely], _START_SIGMA_RAD)
-        fits = self._sharpen(starts, shown.cells, shown.image, _START_REACHES_PX)
-        if fits is None:
-            return []
-        return [self._pose(fits.take(np.array([k])), shown.image, shown.view) for k in range(len(fits.valid))]
+        coarse = FlangeFitter(self._chain, replace(self.shape, edges=self.shape.edges[:: OPENINGS // 2]))
+        likeliest = _peaks(coarse.log_likelihood(chain, TURNS_RAD, shown.view, shown.image, pose.overlap))[:_STARTS]
+        fits = [
+            self.fit_turned(chain, turn_rad, _START_SIGMA_RAD, shown, _WIDE_REACHES_PX)
+            for turn_rad in TURNS_RAD[likeliest]
+        ]
+        return max((fit for fit in fits if fit is not None), key=lambda fit: self._support(fit, 0.0), default=None)
 
     def support(self, pose: FramePose, image: GradientImage) -> float:
-        """Return the log-likelihood of a pose that was fitted to an image, by cells of the last link and contours."""
-        X_CP = self._place(self.chain_of(pose))
-        on_edges = _ON_EDGES * (1.0 + (0.0 if pose.arm is None else pose.arm.hand_agreement))
-        if self.shape.gripper:
-            on_edges += _ON_GRIPPER * float(self.shape.gripper_agreement(image, X_CP[0]).max())
-        return float(pose.overlap * on_edges - _OFF_CELLS * _off_cells(pose.view, X_CP)[0])
+        """Return the log-likelihood of the gripper by a pose that was fitted with it to an image."""
+        X_CP = self._place(self.chain_of(pose))[0]
+        return self._support(pose, _ON_GRIPPER * float(self.shape.gripper_agreement(image, X_CP).max()))
 
     def log_likelihood(
         self, chain: ChainModel, turns_rad: Array, view: GripperView, image: GradientImage, agreement: float
@@ -194,33 +186,33 @@ class FlangeFitter:
         moved = None if points is None else self._chain.refit(start, points)
         return None if points is None or moved is None else (moved.model, points)
 
+    def _support(self, pose: FramePose, on_gripper: float) -> float:
+        off_cells = _off_cells(pose.view, self._place(self.chain_of(pose)))[0]
+        return float(pose.overlap * (_ON_EDGES + on_gripper) - _OFF_CELLS * off_cells)
+
     def _fit(self, start: ChainModel, shown: FlangeView, reaches_px: Sequence[float] = REACHES_PX) -> FramePose | None:
         chain = self._sharpen(start, shown.cells, shown.image, reaches_px)
         return None if chain is None else self._pose(chain, shown.image, shown.view)
 
     def _sharpen(
         self,
-        starts: ChainModel,
+        start: ChainModel,
         points: Correspondences,
         image: GradientImage,
         reaches_px: Sequence[float],
     ) -> Solution[ChainModel] | None:
-        """Fit chains to points of the links and to edges together; without those that diverge or are near no edges."""
-        models, depth = starts, np.zeros(len(starts.q))
-        shapes = [self.shape.at_likeliest(image, X_CP) for X_CP in self._place(starts, _LINKS)]
+        """Fit a chain to points of the links and to edges together; None if it diverges or no edges are near."""
+        chain, (matcher,) = None, self.shape.at_likeliest(image, self._place(start, _LINKS)[0]).edges
         for reach_px in reaches_px:
-            edges = [
-                shape.edges[0].match(image, X_CP, reach_px, (*_LINKS, *shape.gripper), _POINTS)
-                for shape, X_CP in zip(shapes, self._place(models, _LINKS), strict=True)
-            ]
-            cells = {k: Correspondences.join([points, own]) for k, own in enumerate(edges) if own is not None}
-            if not cells:
-                return None
-            near = np.array([*cells])
-            chains = self._chain.refit_all(models.take(near), [*cells.values()], depth[near])
-            chains, kept = chains.take(chains.valid), near[chains.valid]
-            models, depth, shapes = chains.model, chains.log_depth_factor, [shapes[k] for k in kept]
-        return chains if len(chains.valid) else None
+            model = start if chain is None else chain.model
+            edges = matcher.match(
+                image, self._place(model, _LINKS)[0], reach_px, (*_LINKS, *self.shape.gripper), _POINTS
+            )
+            if edges is None:
+                break
+            depth = None if chain is None else chain.log_depth_factor
+            chain = self._chain.refit(model, Correspondences.join([points, edges]), depth) or chain
+        return chain
 
     def _pose(self, chain: Solution[ChainModel], image: GradientImage, view: GripperView) -> FramePose:
         """Return the pose of a frame; in place of a hand it has the last link and the residual of the chain."""
@@ -277,3 +269,10 @@ def _off_cells(view: GripperView, X_CP: Array) -> Array:
     """Return the misfit (M,) of the cells of the last link, with parts at `X_CP` (M, PARTS, 4, 4); 0 without cells."""
     cells = Correspondences.of_view(view, view.part == RobotPart.LINK7, LINK_CELLS, INDEPENDENT)
     return misfit(cells, X_CP[:, RobotPart.LINK7]) if len(cells) >= MIN_FLANGE_CELLS else np.zeros(len(X_CP))
+
+
+def _peaks(values: Array) -> list[int]:
+    """Return the numbers of the local maxima of `values` (N,), highest first."""
+    padded = np.pad(values, 1, constant_values=-np.inf)
+    peak = (values >= padded[:-2]) & (values > padded[2:])
+    return sorted(np.flatnonzero(peak).tolist(), key=lambda k: -values[k])

@@ -20,12 +20,12 @@ from kinebench_drake.grounding.localization import find_region
 from kinebench_drake.grounding.pose import FramePose
 from kinebench_drake.grounding.registration.arm_fit import LAST_LINKS, ArmFitter
 from kinebench_drake.grounding.registration.arm_model import ArmModel
-from kinebench_drake.grounding.registration.chain_fit import ChainFitter, ChainModel
+from kinebench_drake.grounding.registration.chain_fit import ChainFitter
 from kinebench_drake.grounding.registration.correspondences import Correspondences
 from kinebench_drake.grounding.registration.edges import GradientImage
 from kinebench_drake.grounding.registration.flange_shape import links_shape, robotiq_shape
 from kinebench_drake.grounding.tracker import Tracking
-from kinebench_drake.grounding.turn import OFFSETS_RAD, TURNS_RAD, TurnFits, likeliest_turns
+from kinebench_drake.grounding.turn import OFFSETS_RAD, TURNS_RAD, likeliest_turns
 from kinebench_drake.grounding.view import DenseEstimator, Frames, GripperView
 from kinebench_drake.models.panda.robot import RobotPart
 from kinebench_drake.types import NO_PRIORS, Domain, GripperKind, Priors
@@ -39,7 +39,6 @@ _MOUNT_GRID_RAD = np.deg2rad(np.arange(0.0, 360.0, 9.0))
 _MOUNT_STEPS = (0, 5, 10, 15)  # of that grid, from panda_hand to a gripper: eighths of a turn
 _MOUNT_OFFSETS_M = (0.0, 0.012)  # with and without an adapter
 _MOUNTS, _CLEAR = 3, 10.0  # mounts that are fitted and compared, unless one leads by this log-likelihood
-_ROUNDS = 2  # in which the arm is followed into neighbouring frames, and its turn estimated
 _GAIN = 0.05  # least lead of a neighbour's agreement with edges that makes its posture the better one
 _LOST = 0.8  # of the agreement of a frame, below which the arm was not followed from it
 _TURN_SIGMA_RAD = np.deg2rad(6.0)  # of the likeliest turns, before each frame is fitted once more
@@ -87,9 +86,8 @@ class FlangeTracker:
             flange=FlangeFitter(self._chain, self._links),
         )
         poses = self._detect(video)
-        for _ in range(_ROUNDS):
-            self._spread(poses, video)
-            self._turn(poses, video)
+        self._spread(poses, video)
+        self._turn(poses, video)
         if poses and self._gripper is GripperKind.ROBOTIQ_2F85:
             video = replace(video, flange=self._mount(poses, video))
             poses = self._fit_gripper(poses, video)
@@ -163,50 +161,25 @@ class FlangeTracker:
     def _fit_gripper(self, poses: Mapping[int, FramePose], video: _Video) -> dict[int, FramePose]:
         """Return the poses fitted anew with the contours of the gripper."""
         crops = {i: _crop_at(pose.X_CH) for i, pose in poses.items()}
-        fits = {i: video.flange.fit_turns(poses[i], shown) for i, shown in self._look(crops, video)}
-        return {
-            i: max(fits[i], key=lambda fit: video.flange.support(fit, video.images[i]), default=pose)
-            for i, pose in poses.items()
-        }
-
-    def _choose(self, poses: dict[int, FramePose], video: _Video) -> tuple[Array, Array]:
-        """Replace poses by those fits from several turns of the last joint that are likeliest along the whole video.
-
-        Returns:
-            Likeliest turns (T,), and their standard deviations (T,) by other fits [rad].
-        """
-        flange, images = video.flange, video.images
-        crops = {i: _crop_at(pose.X_CH) for i, pose in poses.items()}
-        fits = {i: flange.fit_turns(poses[i], shown) for i, shown in self._look(crops, video)}
-        tried, log_likelihood = {}, np.zeros((len(images), len(TURNS_RAD)))
-        for i, own in fits.items():
-            if own:
-                tried[i] = TurnFits(
-                    turn_rad=np.array([flange.chain_of(fit).q[0, -1] for fit in own]),
-                    log_likelihood=np.array([flange.support(fit, images[i]) for fit in own]),
-                )
-                log_likelihood[i] = tried[i].on_grid()
-        changes = self._changes({i: flange.chain_of(pose) for i, pose in poses.items()}, video)
-        turns, sigma = likeliest_turns(TURNS_RAD, log_likelihood, changes, OFFSETS_RAD[-1])
-        poses.update({i: fits[i][own.likeliest_at(turns[i])] for i, own in tried.items()})
-        return turns, sigma
+        return {i: video.flange.fit_gripper(poses[i], shown) or poses[i] for i, shown in self._look(crops, video)}
 
     def _turn(self, poses: dict[int, FramePose], video: _Video) -> None:
-        """Turn the last joint as is likeliest along the whole video: from the likeliest fits, then by small offsets."""
+        """Turn the last joint as contours and cells of the last link are likeliest along the whole video."""
         flange, images = video.flange, video.images
-        turns, sigma = self._choose(poses, video)
         shown = dict(self._look({i: _crop_at(pose.X_CH) for i, pose in poses.items()}, video))
-        chains = {i: flange.turned(flange.chain_of(pose), turns[i]) for i, pose in poses.items()}
-        log_likelihood = np.zeros((len(images), len(OFFSETS_RAD)))
-        for i, chain in chains.items():
-            likeliest, agreement = flange.at_likeliest(chain, images[i]), poses[i].overlap
-            log_likelihood[i] = likeliest.log_likelihood(
-                chain, turns[i] + OFFSETS_RAD, shown[i].view, images[i], agreement
-            )
-        changes = self._changes(chains, video) - np.diff(turns)
-        offsets, own_sigma = likeliest_turns(OFFSETS_RAD, log_likelihood, changes)
-        turns, sigma = turns + offsets, np.hypot(sigma, own_sigma)
-        chains = {i: flange.turned(chain, turns[i]) for i, chain in chains.items()}
+        chains = {i: flange.chain_of(pose) for i, pose in poses.items()}
+        turns, sigma = np.zeros(len(images)), np.zeros(len(images))
+        for grid in (TURNS_RAD, OFFSETS_RAD):
+            log_likelihood, changes = np.zeros((len(turns), len(grid))), np.full(len(turns) - 1, np.nan)
+            for i, chain in chains.items():
+                likeliest = flange.at_likeliest(chain, images[i])
+                view, agreement = shown[i].view, poses[i].overlap
+                log_likelihood[i] = likeliest.log_likelihood(chain, turns[i] + grid, view, images[i], agreement)
+                if i + 1 in chains:
+                    changes[i] = flange.turn_change(chain, chains[i + 1], images[i], images[i + 1])
+            offsets, own_sigma = likeliest_turns(grid, log_likelihood, changes - np.diff(turns))
+            turns, sigma = turns + offsets, np.maximum(sigma, own_sigma)
+            chains = {i: flange.turned(chain, turns[i]) for i, chain in chains.items()}
         reaches_px, before = REACHES_PX[0 if flange.shape.gripper else -2 :], dict(poses)
         for i, chain in chains.items():
             points = []
@@ -218,15 +191,6 @@ class FlangeTracker:
             if pose is not None:
                 based = None if flange.shape.gripper else self._on_base(pose, i, video)
                 poses[i] = _with_turn_sigma(based or pose, sigma[i])
-
-    @staticmethod
-    def _changes(chains: Mapping[int, ChainModel], video: _Video) -> Array:
-        """Return the changes (T - 1,) of the last joint from frame to frame by the arm's surface [rad]; or NaN."""
-        changes = np.full(len(video.images) - 1, np.nan)
-        for i in chains:
-            if i + 1 in chains:
-                changes[i] = video.flange.turn_change(chains[i], chains[i + 1], video.images[i], video.images[i + 1])
-        return changes
 
     def _on_base(self, pose: FramePose, number: int, video: _Video) -> FramePose | None:
         """Return a pose that the base of the camera confirms, with the arm on it; None if it does not."""

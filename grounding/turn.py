@@ -5,8 +5,6 @@ A hidden Markov model whose state is the turn on a grid: the likeliest path (Vit
 between two frames is measured, both vote for the same turn, up to the error of that change.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 from scipy.special import logsumexp
 
@@ -16,45 +14,18 @@ TURNS_RAD = np.deg2rad(np.arange(-170.0, 171.0, 10.0))
 """Turns over the range of the joint [rad]."""
 OFFSETS_RAD = np.deg2rad(np.arange(-15.0, 15.1, 3.0))
 """Offsets from turns that are known roughly [rad]."""
-_FIT_RAD = np.deg2rad(8.0)  # standard deviation of the turns that a fit tells about
-_MISSED = 5.0  # log-likelihood of all others below that of the best fit
 _STATES = 5  # states from one turn of the grid to the next
 _STEP_RAD = np.deg2rad(8.0)  # standard deviation of a step from frame to frame, and of a change that is measured badly
 _CHANGE_RAD, _BADLY = np.deg2rad(1.5), 0.1  # standard deviation of a measured change, and share of the bad ones
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class TurnFits:
-    """Fits of a frame from several turns of the last joint, whose other joints are fitted, too."""
-
-    turn_rad: Array
-    """(K,) fitted turns [rad]."""
-    log_likelihood: Array
-    """(K,) of the fits."""
-
-    def on_grid(self) -> Array:
-        """Return the log-likelihood (M,) of `TURNS_RAD`; a fit tells about the turns near its own."""
-        near = self._near(TURNS_RAD[:, None]).max(axis=1)
-        return np.asarray(np.logaddexp(near, self.log_likelihood.max() - _MISSED))
-
-    def likeliest_at(self, turn_rad: float) -> int:
-        """Return the number of the likeliest fit near a turn [rad]."""
-        return int(self._near(turn_rad).argmax())
-
-    def _near(self, turn_rad: Array | float) -> Array:
-        return np.asarray(self.log_likelihood - 0.5 * ((turn_rad - self.turn_rad) / _FIT_RAD) ** 2)
-
-
-def likeliest_turns(
-    grid_rad: Array, log_likelihood: Array, change_rad: Array, beyond_rad: float = 0.0
-) -> tuple[Array, Array]:
+def likeliest_turns(grid_rad: Array, log_likelihood: Array, change_rad: Array) -> tuple[Array, Array]:
     """Return the turns (T,) that are likeliest together, and their standard deviations (T,) [rad].
 
     Args:
         grid_rad: (M,) turns at equal steps [rad]; between them likelihoods are interpolated.
         log_likelihood: (T, M) of each turn in each frame; 0 where nothing is known.
         change_rad: (T - 1,) measured changes of the turn from each frame to the next [rad]; NaN where there is none.
-        beyond_rad: smaller deviations from the likeliest turn do not count in its standard deviation [rad].
     """
     state = np.linspace(grid_rad[0], grid_rad[-1], _STATES * (len(grid_rad) - 1) + 1)
     own = np.array([np.interp(state, grid_rad, row) for row in log_likelihood])
@@ -70,8 +41,7 @@ def likeliest_turns(
     turns = state[path[::-1]]
     posterior = _forward(own, steps) + _forward(own[::-1], [step.T for step in reversed(steps)])[::-1] - own
     probability = np.exp(posterior - logsumexp(posterior, axis=1, keepdims=True))
-    deviation = np.abs(state - turns[:, None])
-    return turns, np.sqrt((probability * np.where(deviation > beyond_rad, deviation, 0.0) ** 2).sum(axis=1))
+    return turns, np.sqrt((probability * (state - turns[:, None]) ** 2).sum(axis=1))
 
 
 def _step(state: Array, change_rad: float) -> Array:

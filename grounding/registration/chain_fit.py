@@ -5,7 +5,6 @@ after the other. Then the pose of the hand's frame, which is fixed to the flange
 cells of the links together, the angles with a prior: links that are not seen are left where they usually are.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Self
 
@@ -127,20 +126,12 @@ class ChainFitter:
         return replace(chain, X_CH=chain.X_CH @ invert(X_6H) @ X_6T, q=q, q_start=q, q_sigma=q_sigma)
 
     @staticmethod
-    def refit_all(
-        chains: ChainModel,
-        cells: Sequence[Correspondences],
-        log_depth_factor: Array | None = None,
-        iterations: int = 8,
-    ) -> Solution[ChainModel]:
-        """Fit chains (B,), from their present states, to the cells of a frame each; those that diverge are invalid."""
-        sigma = np.full(len(cells), LINKS_DEPTH_SIGMA)
-        return solve(chains, Correspondences.stack(cells), sigma, log_depth_factor, iterations=iterations)
-
-    @classmethod
-    def refit(cls, chain: ChainModel, cells: Correspondences, iterations: int = 8) -> Solution[ChainModel] | None:
+    def refit(
+        chain: ChainModel, cells: Correspondences, log_depth_factor: Array | None = None, iterations: int = 8
+    ) -> Solution[ChainModel] | None:
         """Fit a chain, from its present state, to cells of one frame; None if that diverges."""
-        solution = cls.refit_all(chain, [cells], iterations=iterations)
+        stacked = Correspondences.stack([cells])
+        solution = solve(chain, stacked, [LINKS_DEPTH_SIGMA], log_depth_factor, iterations=iterations)
         return solution if solution.valid[0] else None
 
     def _follow(self, root: RobotPart, own: Correspondences, cells: Correspondences) -> ChainModel:

@@ -19,7 +19,6 @@ from kinebench_drake.geometry import (
     transform_points,
 )
 from kinebench_drake.grounding.crop import CLOSE_SIZE, Crop
-from kinebench_drake.grounding.flange_fit import FlangeFitter, FlangeView
 from kinebench_drake.grounding.flange_tracker import FlangeTracker
 from kinebench_drake.grounding.registration.arm_fit import ArmFit, ArmFitter
 from kinebench_drake.grounding.registration.arm_model import ArmModel
@@ -27,7 +26,6 @@ from kinebench_drake.grounding.registration.chain_fit import ChainFitter
 from kinebench_drake.grounding.registration.correspondences import Correspondences
 from kinebench_drake.grounding.registration.edges import EdgeMatcher, GradientImage
 from kinebench_drake.grounding.registration.fit import HandFit, fit
-from kinebench_drake.grounding.registration.flange_shape import links_shape
 from kinebench_drake.grounding.registration.silhouette import SilhouetteMatcher
 from kinebench_drake.grounding.view import GripperView
 from kinebench_drake.models.panda.cad import GripperCad, PartCaster, link_meshes, open_fingers, part_meshes
@@ -296,25 +294,6 @@ def test_the_flange_is_followed_into_frames_in_which_the_network_finds_nothing(m
         else:
             assert distance < 0.003
             assert np.rad2deg(angle) < 1.5
-
-
-@pytest.mark.parametrize("seed", [0, 1, 2])
-def test_from_a_posture_that_is_turned_wrongly_one_of_the_fits_is_right(model: ArmModel, seed: int) -> None:
-    q = posture(seed)
-    X_CH, close, wide = views(model, q, seed)
-    fitter = FlangeFitter(ChainFitter(model), links_shape())
-    shown = FlangeView(view=close, cells=link_cells(close, wide), image=GradientImage(drawn(model, q), CAMERA))
-    pose = fitter.detect(shown)
-    assert pose is not None
-    assert pose.arm is not None
-    chain = fitter.turned(fitter.chain_of(pose), pose.arm.q[6] + 0.9)
-    wrong = replace(pose, X_CH=chain.X_CH[0], arm=replace(pose.arm, q=chain.q[0]))
-    fits = fitter.fit_turns(wrong, shown)
-    best = max(fits, key=lambda fit: fitter.support(fit, shown.image))
-    distance, angle = pose_difference(best.X_CH, X_CH)
-    assert distance < 0.006
-    assert np.rad2deg(angle) < 3.0
-    assert fitter.support(best, shown.image) > fitter.support(wrong, shown.image)
 
 
 def test_a_moving_camera_has_a_fitter_for_each_frame(model: ArmModel) -> None:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from kinebench_drake.geometry import Array
-from kinebench_drake.grounding.turn import TURNS_RAD, TurnFits, likeliest_turns
+from kinebench_drake.grounding.turn import TURNS_RAD, likeliest_turns
 
 
 def peaks(truth_rad: Array, weight: float = 8.0) -> Array:
@@ -59,31 +59,3 @@ def test_a_change_that_the_likelihoods_contradict_was_measured_badly() -> None:
     truth = np.repeat([-0.2, 0.2], 10)
     turns, _ = likeliest_turns(TURNS_RAD, peaks(truth), np.zeros(19))
     assert np.abs(turns - truth).max() < np.deg2rad(8.0)
-
-
-def test_deviations_that_a_finer_grid_settles_do_not_count() -> None:
-    truth = np.full(15, 0.7)
-    near, _ = likeliest_turns(TURNS_RAD, peaks(truth), unknown(15))
-    turns, sigma = likeliest_turns(TURNS_RAD, peaks(truth), unknown(15), np.deg2rad(60.0))
-    np.testing.assert_array_equal(turns, near)
-    assert (sigma < np.deg2rad(2.0)).all()
-    both = peaks(truth, 6.0) + peaks(truth - np.deg2rad(120.0), 6.0)
-    _, of_two = likeliest_turns(TURNS_RAD, both, unknown(15), np.deg2rad(60.0))
-    assert np.rad2deg(of_two) == pytest.approx(120.0 * np.sqrt(0.5), rel=0.1)
-
-
-def test_a_fit_that_is_best_in_one_frame_only_is_not_taken() -> None:
-    """In most frames the fit near 0.5 rad leads by a little; one frame prefers another one clearly."""
-    fits = [TurnFits(turn_rad=np.array([0.5, -1.2]), log_likelihood=np.array([4.0, 3.0])) for _ in range(9)]
-    fits[4] = TurnFits(turn_rad=np.array([0.45, -1.2]), log_likelihood=np.array([2.0, 4.0]))
-    assert TURNS_RAD[fits[4].on_grid().argmax()] == pytest.approx(-1.2, abs=np.deg2rad(5.0))
-    turns, _ = likeliest_turns(TURNS_RAD, np.array([own.on_grid() for own in fits]), np.zeros(8))
-    assert np.abs(turns - 0.5).max() < np.deg2rad(5.0)
-    assert [own.likeliest_at(turn) for own, turn in zip(fits, turns, strict=True)] == [0] * 9
-
-
-def test_turns_near_no_fit_are_as_unlikely_as_each_other() -> None:
-    row = TurnFits(turn_rad=np.array([0.0]), log_likelihood=np.array([7.0])).on_grid()
-    far = np.abs(TURNS_RAD) > np.deg2rad(50.0)
-    assert np.ptp(row[far]) < 0.01
-    assert row.max() - row[far].max() == pytest.approx(5.0, abs=0.1)
