@@ -90,7 +90,7 @@ def test_two_rounds_without_a_server_equal_the_live_ones(tmp_path: Path, monkeyp
     options = ("--rounds", "2", "--clip-timing", "native", "--prompt-suffix", "Slowly.", "--replays", "0")
     assert run(live, "--world-model", "random", *options)[0] == 0
     [row] = rows(live)
-    assert (row["success"], row["rounds"]) == (False, 2)
+    assert (row["success"], row["rounds"], row["clip_frames"]) == (False, 2, [17, 17])
     for number in range(2):
         id = row["id"] if number == 0 else f"{row['id']}_r{number}"
         if number:
@@ -201,16 +201,11 @@ def test_a_clip_in_150_frames_is_the_same_motion(oracle: Path, long_film: Path, 
     one, other = reference["metrics"], row["metrics"]
     for name, most in (("sparc", 0.02), ("sparc_filtered", 0.02), ("ldlj", 0.05), ("manipulability_integral", 0.01)):
         assert other[name] == pytest.approx(one[name], rel=most), name
-    frames = read_video(long_film / f"{row['id']}.mp4").frames
-    (tmp_path / "half").mkdir()
-    write_video(tmp_path / "half" / f"{row['id']}.mp4", frames[::2], 30)
     options = ("--clip-timing", "native", "--pixels-only", "--no-rollouts", "--rounds", "1")
-    _, said = run(tmp_path / "slow", "--world-model", f"folder:{tmp_path / 'half'}", *options)
-    assert "75 frames in place of 49: 0.2 s a frame were taken" in said
+    _, said = run(tmp_path / "slow", "--world-model", f"folder:{long_film}", *options)
+    assert "150 frames in place of 49: 0.2 s a frame were taken" in said
     [slow] = rows(tmp_path / "slow")
-    assert slow["metrics"]["manipulability_integral"] == pytest.approx(
-        (74 / 48) * one["manipulability_integral"], rel=0.05
-    )
+    assert slow["metrics"]["manipulability_integral"] > 1.5 * one["manipulability_integral"]
 
 
 def test_a_still_video_fails_for_the_task_s_reason(still: Path) -> None:
