@@ -2,9 +2,6 @@
 
 import hashlib
 import math
-import os
-import shutil
-import tempfile
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Sequence
 from pathlib import Path
@@ -14,6 +11,7 @@ import numpy as np
 
 from kinebench_drake.errors import InputError, SetupError, cause
 from kinebench_drake.geometry import Array
+from kinebench_drake.io.atomic import atomic_folder
 from kinebench_drake.io.files import cache_folder
 
 _CONVERSION = "4"  # version of the conversion; increment it with every change to invalidate caches
@@ -155,10 +153,8 @@ def read_allowed_pairs(srdf: Path) -> frozenset[frozenset[str]]:
 
 
 def _convert(source: str, root: ElementTree.Element, meshes: dict[str, Path | None], folder: Path, name: str) -> None:
-    """Write URDF and meshes to a folder beside `folder`, then rename it: concurrent conversions are safe."""
-    folder.parent.mkdir(parents=True, exist_ok=True)
-    work = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.parent))
-    try:
+    """Write URDF and meshes to a folder."""
+    with atomic_folder(folder) as work:
         for parent in list(root.iter()):
             for tag in ("mimic", "safety_controller"):
                 for child in parent.findall(tag):
@@ -177,13 +173,6 @@ def _convert(source: str, root: ElementTree.Element, meshes: dict[str, Path | No
                 if not _convert_element(source, element, meshes, targets, work):
                     link.remove(element)
         ElementTree.ElementTree(root).write(work / name, encoding="utf-8", xml_declaration=True)
-        try:
-            os.replace(work, folder)
-        except OSError:
-            if not (folder / name).is_file():  # else another process wrote the same bytes first
-                raise
-    finally:
-        shutil.rmtree(work, ignore_errors=True)
 
 
 def _targets(meshes: dict[str, Path | None]) -> dict[str, str]:

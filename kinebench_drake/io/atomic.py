@@ -1,8 +1,9 @@
-"""Atomic file writes, output folders, and disk errors as one-line messages."""
+"""Atomic writes of files and folders, output folders, and disk errors as one-line messages."""
 
 import errno
 import os
 import shutil
+import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -75,6 +76,28 @@ def atomic_path(path: Path) -> Iterator[Path]:
     finally:
         with suppress(OSError):  # the parent may be no folder, which the error being raised reports
             part.unlink()
+
+
+@contextmanager
+def atomic_folder(folder: Path) -> Iterator[Path]:
+    """Yield a folder to fill, which becomes `folder` when the context ends without an error.
+
+    Several processes may write the same content at once.
+
+    Raises:
+        OSError: writing failed.
+    """
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    work = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.parent))
+    try:
+        yield work
+        try:
+            os.replace(work, folder)
+        except OSError:
+            if not folder.is_dir():  # else another process was first
+                raise
+    finally:
+        shutil.rmtree(work, ignore_errors=True)
 
 
 def write_atomically(path: Path, data: bytes) -> None:

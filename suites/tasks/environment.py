@@ -12,6 +12,7 @@ import sapien
 import torch
 from mani_skill.agents.robots import Panda, PandaWristCam
 from mani_skill.envs.sapien_env import BaseEnv
+from mani_skill.render import ShaderConfig
 from mani_skill.sensors.camera import CameraConfig
 from mani_skill.utils.registration import REGISTERED_ENVS, register_env
 from mani_skill.utils.structs import Actor, Articulation
@@ -28,6 +29,7 @@ from kinebench_drake.suites.split import Pool
 from kinebench_drake.suites.start import start_q
 from kinebench_drake.suites.tasks.builder import build_actor, build_articulation, to_pose
 from kinebench_drake.suites.tasks.registry import TASKS, find_task
+from kinebench_drake.suites.tasks.rendering import simplify_arm, software_shaders
 from kinebench_drake.suites.tasks.state import ARM, State
 from kinebench_drake.suites.tasks.task import Placement, Scene, SceneLayout, TaskVariant
 
@@ -46,8 +48,8 @@ def sapien_from_opencv(X_AC: Array) -> Array:
     return X_AC @ make_pose(R_CS, np.zeros(3))
 
 
-def camera_config(camera: Camera) -> CameraConfig:
-    """Convert a camera to ManiSkill's configuration."""
+def camera_config(camera: Camera, shaders: ShaderConfig | None = None) -> CameraConfig:
+    """Convert a camera to ManiSkill's configuration; without shaders it has ManiSkill's own."""
     return CameraConfig(
         CAMERA,
         pose=to_pose(sapien_from_opencv(X_WB @ camera.X_BC)),
@@ -56,6 +58,7 @@ def camera_config(camera: Camera) -> CameraConfig:
         near=_NEAR_M,
         far=_FAR_M,
         intrinsic=camera.K,
+        shader_config=shaders,
     )
 
 
@@ -113,8 +116,13 @@ class KineBenchEnv(BaseEnv):  # type: ignore[misc]
         super().__init__(*args, robot_uids=robot_uids, **kwargs)
 
     @property
+    def _by_software(self) -> bool:
+        """Whether images are rendered on the CPU."""
+        return self._render_device is not None and bool(self._render_device.is_cpu())
+
+    @property
     def _default_sensor_configs(self) -> list[CameraConfig]:
-        return [camera_config(self._camera)]
+        return [camera_config(self._camera, software_shaders() if self._by_software else None)]
 
     @property
     def _default_human_render_camera_configs(self) -> CameraConfig:
@@ -124,6 +132,8 @@ class KineBenchEnv(BaseEnv):  # type: ignore[misc]
 
     def _load_agent(self, options: dict[str, Any]) -> None:
         super()._load_agent(options, sapien.Pose(X_WB[:3, 3]))
+        if self._by_software:
+            simplify_arm(self.agent.robot)
 
     def _compose(self, options: dict[str, Any]) -> None:
         """Set the episodes and layouts of all scenes."""
