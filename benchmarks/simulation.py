@@ -23,7 +23,7 @@ from kinebench_drake.suites.clock import CLIP_FRAMES
 from kinebench_drake.suites.episode import compose
 from kinebench_drake.suites.experts.registry import find_expert
 from kinebench_drake.suites.rollout import render_video, run_expert
-from kinebench_drake.suites.simulator import Simulator
+from kinebench_drake.suites.simulator import Simulator, Snapshot
 
 HEADING = "## Simulation"
 """Heading of the section of the document."""
@@ -40,7 +40,7 @@ class TaskTiming:
 
     task: str
     step_ms: float
-    """Median control step, state only, `evaluate` included."""
+    """Median control step with the task's verdict, state only."""
     image_ms: float
     """Median image of 384x384: colour, depth and segmentation."""
     reset_ms: float
@@ -58,6 +58,11 @@ def _median_ms(action: Callable[[], object], times: int) -> float:
     return 1000.0 * float(np.median(seconds))
 
 
+def _step(simulator: Simulator, rest: Snapshot) -> None:
+    simulator.step(rest.q, float(rest.fingers_m.sum()))
+    simulator.outcome()
+
+
 def time_task(task: str, out: Path) -> TaskTiming:
     """Time one task after its scene is built and its shaders are compiled."""
     episode = compose(task, 0)
@@ -67,7 +72,7 @@ def time_task(task: str, out: Path) -> TaskTiming:
         rest = simulator.snapshot()
         reset_ms = _median_ms(lambda: simulator.reset(episode), 3)
         simulator.render()
-        step_ms = _median_ms(lambda: simulator.step(rest.q, float(rest.fingers_m.sum())), ROUNDS * STEPS)
+        step_ms = _median_ms(lambda: _step(simulator, rest), ROUNDS * STEPS)
         image_ms = _median_ms(simulator.render, ROUNDS * IMAGES)
         start = time.perf_counter()
         rollout = run_expert(simulator, find_expert(task), compose(task, 1))
@@ -122,14 +127,10 @@ def compare_with_stock() -> tuple[Array, Array]:
     with Simulator(STOCK) as simulator:
         simulator.reset(compose(STOCK, 0))
         rest = simulator.snapshot()
-
-        def step() -> None:
-            simulator.step(rest.q, 0.08)
-
         simulator.render()
         stock.render()
         for _ in range(ROUNDS):
-            steps.append(_median_ms(step, STEPS) / _median_ms(stock.step, STEPS))
+            steps.append(_median_ms(lambda: _step(simulator, rest), STEPS) / _median_ms(stock.step, STEPS))
             images.append(_median_ms(simulator.render, IMAGES) / _median_ms(stock.render, IMAGES))
     stock.close()
     return np.array(steps), np.array(images)

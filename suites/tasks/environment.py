@@ -17,6 +17,7 @@ from mani_skill.sensors.camera import CameraConfig
 from mani_skill.utils.registration import REGISTERED_ENVS, register_env
 from mani_skill.utils.structs import Actor, Articulation
 from mani_skill.utils.structs.pose import Pose
+from numpy.typing import NDArray
 from torch import Tensor
 
 from kinebench_drake.camera import Camera, benchmark_camera
@@ -315,6 +316,11 @@ class KineBenchEnv(BaseEnv):  # type: ignore[misc]
             fixed=self.layouts[index].fixed,
             avoided=self.layouts[index].avoided,
         )
+
+    def advance(self, action: NDArray[np.float32]) -> None:
+        """Simulate one control step; unlike `step` neither evaluates the task nor observes."""
+        self._step_action(action)
+        self._elapsed_steps += 1
 
     def evaluate(self) -> dict[str, Tensor]:
         """Return success, progress 0..1 and the task's sub-conditions, each (N,)."""
