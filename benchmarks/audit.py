@@ -10,6 +10,7 @@ import numpy as np
 from benchmarks.feasible import BENCHMARK_FRAMES, BENCHMARK_PERIOD_S, TrackSet, smooth_motions
 from benchmarks.motion import Arm, Motion
 from benchmarks.peers import problem_of
+from benchmarks.record import machine_text
 from kinebench_drake.geometry import Array
 from kinebench_drake.kinematics.manipulability import compute_manipulability
 from kinebench_drake.kinematics.plant import ArmPlant
@@ -18,7 +19,6 @@ from kinebench_drake.metrics.judge import TrackJudge
 from kinebench_drake.metrics.limits import check_limits
 from kinebench_drake.metrics.noise import estimate_track_noise, propagate_noise
 from kinebench_drake.metrics.smoothness import measure_smoothness
-from kinebench_drake.results.provenance import host
 from kinebench_drake.types import GripperTrack
 
 HEADING = "## The audit in one process"
@@ -121,14 +121,12 @@ def figures(timing: AuditTiming) -> dict[str, float]:
 
 def section(timing: AuditTiming) -> str:
     """Return the section of the document."""
-    machine = host()
     parts = ", ".join(f"{part} {seconds:.1f} s" for part, seconds in timing.parts_s.items())
     return "\n".join(
         [
             HEADING,
             "",
-            f"Written by `python -m benchmarks audit`, one thread, on {machine['cpu']} ({machine['cores']} cores); CPU "
-            "times.",
+            f"Written by `python -m benchmarks audit`, one thread, on {machine_text()}; CPU times.",
             "",
             f"{timing.tracks} tracks of {BENCHMARK_FRAMES} frames: {sum(timing.parts_s.values()):.1f} s ({parts}).",
             "",

@@ -16,9 +16,9 @@ from typing import Any
 import numpy as np
 
 from benchmarks.markdown import table
+from benchmarks.record import machine_text
 from kinebench_drake.executors.base import ItemResult
 from kinebench_drake.executors.ray import ActorPool, WorkerActor
-from kinebench_drake.results.provenance import host
 from kinebench_drake.results.row import SampleRow
 from kinebench_drake.results.store import ResultStore, read_rows
 
@@ -146,13 +146,12 @@ def measure(
 
 def section(driver_s: float, runs: Sequence[SimulatedRun], sample_s: float) -> str:
     """Return the section of the document."""
-    machine = host()
     rows = [[str(r.workers), f"{r.hours:.2f}", f"{r.efficiency:.1%}", f"{r.driver_load:.0%}"] for r in runs]
     return "\n".join(
         [
             HEADING,
             "",
-            f"Written by `python -m benchmarks driver` on {machine['cpu']} ({machine['cores']} cores). The process "
+            f"Written by `python -m benchmarks driver` on {machine_text()}. The process "
             f"that started the run spends {1e3 * driver_s:.2f} ms of processor time on a sample (Ray, queue, storage), "
             f"measured with real rows and {IN_FLIGHT} samples in flight in {_PROCESSES} processes. From this a "
             f"simulation of 100,000 samples of {sample_s:g} s (standard deviation {SPREAD:.0%}); it has no node that "

@@ -32,9 +32,9 @@ from benchmarks.peers import (
     reached_share,
     within_speed_share,
 )
+from benchmarks.record import machine_text
 from kinebench_drake.geometry import Array
 from kinebench_drake.kinematics.plant import ArmPlant
-from kinebench_drake.results.provenance import host
 
 HEADING = "## Inverse kinematics along smooth tracks"
 """Heading of the section of the document."""
@@ -148,11 +148,10 @@ def figures(comparisons: Sequence[IkComparison]) -> dict[str, float]:
 
 def section(comparisons: Sequence[IkComparison]) -> str:
     """Return the section of the document."""
-    machine = host()
     lines = [
         HEADING,
         "",
-        f"Written by `python -m benchmarks ik`, one thread, on {machine['cpu']} ({machine['cores']} cores); CPU times, "
+        f"Written by `python -m benchmarks ik`, one thread, on {machine_text()}; CPU times, "
         "so that other load hardly counts. Seconds are those of this machine, ratios carry over.",
         "",
         "Expert-like tracks, each started from the posture of its first pose, reached to "

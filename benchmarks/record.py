@@ -31,6 +31,13 @@ SLOWER = 1.1
 _FOLDERS = ("kinebench_drake", "grounding", "models", "suites", "benchmarks")
 
 
+def machine_text() -> str:
+    """Return processor, cores and precision of the networks, such as "AMD EPYC (2 cores, networks in bfloat16)"."""
+    machine = host()
+    precision = "bfloat16" if machine["bfloat16"] else "single precision"
+    return f"{machine['cpu']} ({machine['cores']} cores, networks in {precision})"
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BenchmarkRecord:
     """Result of one benchmark."""

@@ -11,6 +11,7 @@ from typing import Any
 from unittest.mock import patch
 
 from benchmarks.markdown import table
+from benchmarks.record import machine_text
 from kinebench_drake.closed_loop import loop
 from kinebench_drake.closed_loop.commands import CommandPlanner
 from kinebench_drake.errors import KinebenchError
@@ -156,10 +157,10 @@ def section(timing: RoundTiming) -> str:
         [
             "## A round of the closed loop",
             "",
-            f"Written by `python -m benchmarks rounds`: {timing.episodes} episodes of suite 0 with the oracle, "
-            f"{timing.successes} of them successful, {timing.rounds} rounds in one process, without the first "
-            "episode, which loads networks and simulator. Processor times of all threads: other load hardly counts, "
-            "and `--jobs 2` takes about half.",
+            f"Written by `python -m benchmarks rounds` on {machine_text()}: {timing.episodes} episodes of suite 0 with "
+            f"the oracle, {timing.successes} of them successful, {timing.rounds} rounds in one process, without the "
+            "first episode, which loads networks and simulator. Processor times of all threads: other load "
+            "hardly counts, and `--jobs 2` takes about half.",
             "",
             *table(("stage", "s a round", "share"), [*rows, ["all", f"{total / timing.rounds:.2f}", "100%"]]),
             "",

@@ -24,6 +24,7 @@ import numpy as np
 
 from benchmarks.markdown import table
 from benchmarks.process import read_memory
+from benchmarks.record import machine_text
 from kinebench_drake.datasets.videos.find import find_samples
 from kinebench_drake.datasets.videos.sample import VideoSample
 from kinebench_drake.errors import KinebenchError, UsageError
@@ -33,7 +34,6 @@ from kinebench_drake.evaluation.runner import NullRunObserver, run_samples
 from kinebench_drake.evaluation.score import ScoreConfig, VideoEvaluator
 from kinebench_drake.report.page import write_report
 from kinebench_drake.results.metadata import Shard
-from kinebench_drake.results.provenance import host
 from kinebench_drake.results.row import SampleRow, Status
 from kinebench_drake.results.store import REPORT, RESULTS, SAMPLES, artifact_path, read_rows
 
@@ -286,7 +286,6 @@ def figures(result: ScaleResult) -> dict[str, float]:
 
 def section(result: ScaleResult) -> str:
     """Return the section of the document."""
-    machine = host()
     browser = result.browser_ms
     opened = (
         f" In a headless browser it opens in {browser['open_ms'] / 1e3:.1f} s; filtering takes "
@@ -299,7 +298,7 @@ def section(result: ScaleResult) -> str:
         [
             HEADING,
             "",
-            f"Written by `python -m benchmarks scale` on {machine['cpu']} ({machine['cores']} cores): a run of "
+            f"Written by `python -m benchmarks scale` on {machine_text()}: a run of "
             f"{result.rows} samples in which only reading, grounding and judging the videos is replaced, by rows and "
             "tracks of the example videos with scaled numbers. Each stage in a process of its own: wall time, "
             "processor time and peak resident memory of the main process, libraries included.",

@@ -4,7 +4,6 @@ ManiSkill's own StackCube-v1 is measured in the same run with the same camera, c
 turn, so that ratios are independent of other load.
 """
 
-import os
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -15,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.markdown import table
+from benchmarks.record import machine_text
 from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.environment.native import prepare_vulkan
 from kinebench_drake.geometry import Array
@@ -144,7 +144,7 @@ def section(timings: Sequence[TaskTiming], steps: Array, images: Array) -> str:
         [
             HEADING,
             "",
-            f"Written by `python -m benchmarks simulation` on {os.cpu_count()} cores, rendering on the "
+            f"Written by `python -m benchmarks simulation` on {machine_text()}, rendering on the "
             f"{prepare_vulkan()}; wall times. Step: one control step of 0.05 s with the task's verdict, no image. "
             "Image: 384x384, colour, depth and segmentation. Reset: with the scene rebuilt. Demonstration: a clip of "
             "49 frames planned, executed, rendered and encoded as mp4.",

@@ -10,11 +10,11 @@ import numpy as np
 
 from benchmarks.markdown import table
 from benchmarks.process import ProcessMemory, ProcessRun, run_program
+from benchmarks.record import machine_text
 from kinebench_drake.errors import UsageError
 from kinebench_drake.geometry import Array
 from kinebench_drake.io.container import write_video
 from kinebench_drake.io.reader import read_video
-from kinebench_drake.results.provenance import host
 from kinebench_drake.results.store import REPORT, SAMPLES
 
 HEADING = "## Memory over many samples"
@@ -140,7 +140,6 @@ def figures(result: StreamingResult) -> dict[str, float]:
 
 def section(result: StreamingResult) -> str:
     """Return the section of the document."""
-    machine = host()
     readings = result.run.memory
     main, workers = growth(result.run, SETTLED * result.samples)
     rows = []
@@ -155,8 +154,8 @@ def section(result: StreamingResult) -> str:
         [
             HEADING,
             "",
-            f"Written by `python -m benchmarks streaming` on {machine['cpu']} ({machine['cores']} "
-            f"cores): `score` of {result.samples} videos of {result.frames} frames with `--jobs {result.jobs}`. "
+            f"Written by `python -m benchmarks streaming` on {machine_text()}: `score` of {result.samples} videos of "
+            f"{result.frames} frames with `--jobs {result.jobs}`. "
             "Resident memory by number of finished samples, libraries included [MB].",
             "",
             *table(("samples", "main process", *(f"worker {k + 1}" for k in range(len(workers)))), rows),

@@ -17,9 +17,9 @@ import numpy as np
 from benchmarks.feasible import BENCHMARK_FRAMES
 from benchmarks.markdown import table
 from benchmarks.process import ProcessMemory, run_program, spread
+from benchmarks.record import machine_text
 from benchmarks.trajectory_sets import Recipe, TrajectorySet, write_set
 from kinebench_drake.errors import UsageError
-from kinebench_drake.results.provenance import host
 from kinebench_drake.results.store import TIMINGS
 
 HEADING = "## Whole runs"
@@ -157,7 +157,6 @@ def figures(costs: RunCosts) -> dict[str, float]:
 
 def section(costs: RunCosts, *, videos: int, tracks: int) -> str:
     """Return the section of the document."""
-    machine = host()
     turns = len(next(iter(costs.values())))
     head = (
         *("run", "start-up, s", "additional time of the first sample, s", "s a sample", "samples an hour"),
@@ -167,8 +166,8 @@ def section(costs: RunCosts, *, videos: int, tracks: int) -> str:
         [
             HEADING,
             "",
-            f"Written by `python -m benchmarks throughput` on {machine['cpu']} ({machine['cores']} "
-            f"cores); wall times of the program, median (minimum to maximum) of {turns} turns. `score`: {videos} "
+            f"Written by `python -m benchmarks throughput` on {machine_text()}; wall times of the program, median "
+            f"(minimum to maximum) of {turns} turns. `score`: {videos} "
             f"copies of a rendered video of 384x384; `audit`: {tracks} trajectories of about {BENCHMARK_FRAMES} "
             "frames. Start-up and the additional time of the first sample are paid once a process: interpreter, "
             "libraries and robot; then networks and meshes. A sample: time from one finished sample to the next, once "
@@ -191,13 +190,11 @@ def summary(costs: RunCosts) -> str:
 
     runs = [run for setting, of in costs.items() for run in of if setting.job is Job.SCORE and not setting.gpu]
     memory_gb = max(mb for run in runs for mb in (run.peak.main_mb, *run.peak.workers_mb)) / 1000.0
-    machine = host()
-    where = f"{machine['cpu']} ({machine['cores']} cores, no GPU)"
     return "\n".join(
         [
             SUMMARY_HEADING,
             "",
-            f"On {where}, after start-up: `score` takes {seconds(Job.SCORE)} "
+            f"On {machine_text()}, without a GPU, after start-up: `score` takes {seconds(Job.SCORE)} "
             f"for a video of 49 frames, and {memory_gb:.1f} GB a process; `audit` takes {seconds(Job.AUDIT)} for",
             "a trajectory. Written by `python -m benchmarks throughput`; start-up and more: "
             "[docs/benchmarks.md](docs/benchmarks.md#whole-runs).",
