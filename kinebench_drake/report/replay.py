@@ -12,12 +12,12 @@ from markupsafe import escape
 from pydrake.geometry import Box, Capsule, Convex, Cylinder, Ellipsoid, Mesh, Meshcat, MeshcatParams, Role, Sphere
 from pydrake.multibody.tree import BodyIndex
 
-from kinebench_drake.environment import native
 from kinebench_drake.errors import SetupError, UnmeasurableError, UsageError, cause
 from kinebench_drake.geometry import Array
 from kinebench_drake.io.atomic import write_atomically
 from kinebench_drake.io.jsonl import as_object
 from kinebench_drake.kinematics.plant import ArmPlant
+from kinebench_drake.models.mesh import simplify
 from kinebench_drake.report.limits import to_number
 from kinebench_drake.report.page import read_results, template_environment
 from kinebench_drake.report.replay_scene import COLORS, LinkMesh, ReplayScene, posed_frames
@@ -199,17 +199,8 @@ def _to_mesh(shape: Any) -> Any:
 
 
 def _simplify(link: str, mesh: Any) -> LinkMesh:
-    """Reduce a mesh to MAX_TRIANGLES at most.
-
-    By quadric error metrics (M. Garland and P. S. Heckbert, "Surface simplification using quadric error metrics",
-    SIGGRAPH 1997), Open3D's implementation.
-    """
+    """Reduce a mesh to MAX_TRIANGLES at most."""
     vertices, faces = mesh.vertices, mesh.faces
     if len(faces) > MAX_TRIANGLES:
-        open3d = native.load_open3d()
-        full = open3d.geometry.TriangleMesh(
-            open3d.utility.Vector3dVector(vertices), open3d.utility.Vector3iVector(faces)
-        )
-        light = full.simplify_quadric_decimation(MAX_TRIANGLES)
-        vertices, faces = light.vertices, light.triangles
+        vertices, faces = simplify(vertices, faces, MAX_TRIANGLES)
     return LinkMesh(link=link, vertices=np.asarray(vertices, dtype=np.float64), faces=np.asarray(faces, dtype=np.int32))
