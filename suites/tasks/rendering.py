@@ -134,16 +134,16 @@ def _surfaces(file: str) -> tuple[_Surface, ...]:
 
 
 def _simplify(vertices: NDArray[np.float32], triangles: NDArray[np.uint32], normals: NDArray[np.float32]) -> _Surface:
-    """Return a quarter of the triangles of a mesh, with its normals."""
-    corner, faces = simplify(
+    """Simplify a mesh to a quarter of its triangles; normals are those of the original at the nearest point."""
+    points, faces = simplify(
         vertices.astype(np.float64),
         triangles.astype(np.int32),
         int(_SHARE * len(triangles)),
         border_weight=_BORDER_WEIGHT,
     )
-    corners = corner[faces]  # (N, 3, 3)
-    o3d = native.load_open3d()
+    corners = points[faces]  # (N, 3, 3)
     inside = corners + _INWARD * (corners.mean(axis=1, keepdims=True) - corners)
+    o3d = native.load_open3d()
     original = o3d.t.geometry.RaycastingScene()
     original.add_triangles(o3d.core.Tensor(vertices), o3d.core.Tensor(triangles))
     nearest = original.compute_closest_points(o3d.core.Tensor(inside.reshape(-1, 3).astype(np.float32)))
