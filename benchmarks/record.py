@@ -22,7 +22,7 @@ PAGES = {
     **dict.fromkeys(("accuracy", "robustness"), (_README,)),
     **dict.fromkeys(("ik", "audit", "simulation", "rounds", "runtimes"), (_SPEED,)),
     "throughput": (_SPEED, _README),
-    **dict.fromkeys(("streaming", "scale"), (_SPEED,)),
+    **dict.fromkeys(("gpu", "streaming", "scale"), (_SPEED,)),
     **dict.fromkeys(("cluster", "driver"), (_CLUSTER,)),
 }
 """Page of each section of each benchmark, in the order in which they are measured."""

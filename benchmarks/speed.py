@@ -30,6 +30,11 @@ template_option = click.option(
     "--template", type=EXISTING_FOLDER, help="Output folder of `score` whose rows are returned.  [default: made first]"
 )
 
+video_option = click.option(
+    "--video", type=click.Path(path_type=Path, dir_okay=False, exists=True),
+    default=EXAMPLES / "StackCube-v1_s0010_unseen.mp4", show_default=True, help="Video that is processed.",
+)  # fmt: skip
+
 others_option = click.option(
     "--others", type=EXISTING_FOLDER, multiple=True, help="Videos of others, as `footage` takes them; repeatable."
 )
@@ -101,23 +106,32 @@ def audit(results: Path, tracks: int, audits: int) -> None:
 @click.command(epilog="\b\nExample:\n  python -m benchmarks throughput")
 @results_option
 @work_option
-@click.option(
-    "--video", type=click.Path(path_type=Path, dir_okay=False, exists=True),
-    default=EXAMPLES / "StackCube-v1_s0010_unseen.mp4", show_default=True, help="Video whose copies are scored.",
-)  # fmt: skip
+@video_option
 @click.option("--count", type=click.IntRange(3), default=12, show_default=True, help="Copies of the video.")
 @click.option("--tracks", type=click.IntRange(3), default=200, show_default=True, help="Trajectories audited.")
 @click.option("--turns", type=COUNT, default=3, show_default=True, help="Runs of each setting.")
 def throughput(results: Path, work: Path | None, video: Path, count: int, tracks: int, turns: int) -> None:
-    """Measure runs of score and audit with one and two processes, and on the GPU if there is one."""
-    import torch
-
+    """Measure runs of score and audit with one and two processes, without a GPU."""
     from benchmarks.throughput import figures, measure, section, summary
 
-    gpu = torch.cuda.is_available()
     with errors(), work_folder(work) as folder:
-        costs = measure(video, folder, videos=count, tracks=tracks, turns=turns, gpu=gpu, log=log)
+        costs = measure(video, folder, videos=count, tracks=tracks, turns=turns, log=log)
     _record("throughput", results, figures(costs), section(costs, videos=count, tracks=tracks), summary(costs))
+
+
+@click.command(epilog="\b\nExample:\n  python -m benchmarks gpu")
+@results_option
+@work_option
+@video_option
+@click.option("--count", type=click.IntRange(9), default=16, show_default=True, help="Copies of the video.")
+@click.option("--turns", type=COUNT, default=2, show_default=True, help="Measurements with and without the GPU.")
+def gpu(results: Path, work: Path | None, video: Path, count: int, turns: int) -> None:
+    """Measure networks, training, images of the simulator and whole runs with and without the GPU."""
+    from benchmarks.gpu import figures, measure, section
+
+    with errors(), work_folder(work) as folder:
+        costs = measure(video, folder, videos=count, turns=turns, log=log)
+    _record("gpu", results, figures(costs), section(costs))
 
 
 @click.command(epilog="\b\nExample:\n  python -m benchmarks streaming")
@@ -228,10 +242,7 @@ def rounds(results: Path, work: Path | None, tasks: str | None, episodes: int) -
 
 @click.command(epilog="\b\nExample:\n  python -m benchmarks runtimes")
 @results_option
-@click.option(
-    "--video", type=click.Path(path_type=Path, dir_okay=False, exists=True),
-    default=EXAMPLES / "StackCube-v1_s0010_unseen.mp4", show_default=True, help="Video whose frames are processed.",
-)  # fmt: skip
+@video_option
 @click.option("--turns", type=COUNT, default=15, show_default=True, help="Timed runs of each runtime.")
 def runtimes(results: Path, video: Path, turns: int) -> None:
     """Compare runtimes of the perception network on the CPU.
@@ -327,6 +338,7 @@ COMMANDS = (
     ik,
     audit,
     throughput,
+    gpu,
     streaming,
     scale,
     cluster,

@@ -28,7 +28,8 @@ SUMMARY_HEADING = "## Speed"
 """Heading of the section of the README."""
 PROCESSES = (1, 2)
 """Numbers of worker processes that are compared."""
-_NO_GPU = {"CUDA_VISIBLE_DEVICES": ""}
+NO_GPU = {"CUDA_VISIBLE_DEVICES": ""}
+"""Environment variables of a process that sees no GPU."""
 
 
 class Job(Enum):
@@ -44,12 +45,9 @@ class Setting:
 
     job: Job
     processes: int
-    gpu: bool = False
-    """True if the networks run on a GPU."""
 
     def __str__(self) -> str:
-        gpu = " on the GPU" if self.gpu else ""
-        return f"{self.job.value}, {self.processes} process{'es' if self.processes > 1 else ''}{gpu}"
+        return f"{self.job.value}, {self.processes} process{'es' if self.processes > 1 else ''}"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -89,17 +87,8 @@ RunCosts = Mapping[Setting, Sequence[RunCost]]
 """Costs of each setting, one a turn, in the order of the table."""
 
 
-def settings(gpu: bool) -> list[Setting]:
-    """Return all settings that are compared."""
-    scores = [Setting(job=Job.SCORE, processes=n) for n in PROCESSES]
-    on_gpu = [Setting(job=Job.SCORE, processes=n, gpu=True) for n in PROCESSES] if gpu else []
-    return [*scores, *on_gpu, *(Setting(job=Job.AUDIT, processes=n) for n in PROCESSES)]
-
-
-def measure(
-    video: Path, work: Path, *, videos: int, tracks: int, turns: int, gpu: bool, log: Callable[[str], None]
-) -> RunCosts:
-    """Run every setting `turns` times, in turn.
+def measure(video: Path, work: Path, *, videos: int, tracks: int, turns: int, log: Callable[[str], None]) -> RunCosts:
+    """Run every setting `turns` times, in turn, without a GPU.
 
     Args:
         video: the video whose copies are scored.
@@ -107,7 +96,6 @@ def measure(
         videos: copies of the video in a run.
         tracks: trajectories in an audit.
         turns: number of runs of each setting.
-        gpu: True if there is a GPU to compare.
         log: receives a line before each run.
 
     Raises:
@@ -120,11 +108,12 @@ def measure(
     link_copies(video, [inputs[Job.SCORE] / f"copy-{k:04d}.mp4" for k in range(videos)])
     for _ in write_set(Recipe(set=TrajectorySet.FEASIBLE, seed=0), tracks, inputs[Job.AUDIT]):
         pass
-    costs: dict[Setting, list[RunCost]] = {setting: [] for setting in settings(gpu)}
+    settings = (Setting(job=job, processes=n) for job in Job for n in PROCESSES)
+    costs: dict[Setting, list[RunCost]] = {setting: [] for setting in settings}
     for turn in range(turns):
         for setting, runs in costs.items():
             log(f"turn {turn + 1} of {turns}: {setting}")
-            runs.append(_run(setting, inputs[setting.job], work / "out"))
+            runs.append(run_cost(setting, inputs[setting.job], work / "out", NO_GPU))
     return costs
 
 
@@ -137,10 +126,15 @@ def link_copies(video: Path, paths: Sequence[Path]) -> None:
         os.link(first, path)
 
 
-def _run(setting: Setting, source: Path, out: Path) -> RunCost:
+def run_cost(setting: Setting, source: Path, out: Path, environment: Mapping[str, str]) -> RunCost:
+    """Run one setting on a folder of samples, more than processes, with additional environment variables.
+
+    Raises:
+        KinebenchError: the run failed.
+    """
     options = ["--frame-period", "0.2"] if setting.job is Job.SCORE else []
     arguments = [setting.job.value, str(source), "--out", str(out), "--jobs", str(setting.processes), *options]
-    run = run_program([*arguments, "--overwrite"], environment=None if setting.gpu else _NO_GPU)
+    run = run_program([*arguments, "--overwrite"], environment=environment)
     wall_s = [json.loads(line)["wall_s"] for line in (out / TIMINGS).read_text().splitlines()]
     return RunCost.from_times(run.finished_s, wall_s, setting.processes, run.peak)
 
@@ -182,13 +176,13 @@ def section(costs: RunCosts, *, videos: int, tracks: int) -> str:
 
 
 def summary(costs: RunCosts) -> str:
-    """Return the section of the README: runs without a GPU."""
+    """Return the section of the README."""
 
     def seconds(job: Job) -> str:
         one, two = (np.median([run.sample_s for run in costs[Setting(job=job, processes=n)]]) for n in PROCESSES)
         return f"{two:.2f} s with two processes and {one:.2f} s with one"
 
-    runs = [run for setting, of in costs.items() for run in of if setting.job is Job.SCORE and not setting.gpu]
+    runs = [run for setting, of in costs.items() for run in of if setting.job is Job.SCORE]
     memory_gb = max(mb for run in runs for mb in (run.peak.main_mb, *run.peak.workers_mb)) / 1000.0
     return "\n".join(
         [

@@ -66,7 +66,8 @@ def losses(output: DenseOutput, batch: Batch) -> LossTerms:
     return LossTerms(total=3.0 * terms["part"] + terms["coordinates"] + terms["depth"], reported=terms)
 
 
-def _forward(network: nn.Module, batch: Batch) -> DenseOutput:
+def forward(network: nn.Module, batch: Batch) -> DenseOutput:
+    """Return the output of the network for the images of a batch."""
     images = (batch["image"].float() / 255.0).contiguous(memory_format=torch.channels_last)
     output: DenseOutput = network(images)
     return output
@@ -99,7 +100,7 @@ def train(config: TrainingConfig, report: Callable[[str], None]) -> Path:
     average = optimise(
         network,
         batches=batches,
-        forward=_forward,
+        forward=forward,
         losses=losses,
         schedule=schedule,
         identity=schedule.identity(),

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from benchmarks.process import ProcessMemory
-from benchmarks.throughput import Job, RunCost, Setting, link_copies, measure, section, settings, summary
+from benchmarks.throughput import Job, RunCost, Setting, link_copies, measure, section, summary
 from kinebench_drake.errors import UsageError
 
 PEAK = ProcessMemory(main_mb=100.0, workers_mb=(900.0, 800.0))
@@ -37,27 +37,17 @@ def test_the_table_gives_ratios_of_the_same_turn_and_the_most_memory():
     assert "12 copies" in text
 
 
-def test_the_summary_has_the_medians_of_runs_without_a_gpu():
-    large = ProcessMemory(main_mb=5000.0, workers_mb=())
+def test_the_summary_has_the_medians():
     costs = {
-        Setting(job=job, processes=n, gpu=gpu): [
-            RunCost(start_up_s=3.0, first_s=2.0, sample_s=each / n, peak=large if gpu else PEAK)
-            for each in ((0.1, 0.1, 0.1) if gpu else (6.0, 3.0, 4.0))
+        Setting(job=job, processes=n): [
+            RunCost(start_up_s=3.0, first_s=2.0, sample_s=each / n, peak=PEAK) for each in (6.0, 3.0, 4.0)
         ]
         for job in Job
         for n in (1, 2)
-        for gpu in (False, True)
     }
     text = summary(costs)
     assert text.count("2.00 s with two processes and 4.00 s with one") == 2
     assert "0.9 GB a process" in text
-
-
-def test_a_gpu_is_compared_where_there_is_one():
-    assert [str(s) for s in settings(gpu=False)] == [
-        *("score, 1 process", "score, 2 processes", "audit, 1 process", "audit, 2 processes")
-    ]
-    assert "score, 2 processes on the GPU" in map(str, settings(gpu=True))
 
 
 def test_copies_take_no_room(tmp_path):
@@ -71,4 +61,4 @@ def test_copies_take_no_room(tmp_path):
 
 def test_too_few_samples_are_refused(tmp_path):
     with pytest.raises(UsageError, match="2 samples are too few, expected more than 2"):
-        measure(tmp_path / "a.mp4", tmp_path, videos=2, tracks=9, turns=1, gpu=False, log=print)
+        measure(tmp_path / "a.mp4", tmp_path, videos=2, tracks=9, turns=1, log=print)

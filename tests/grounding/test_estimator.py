@@ -10,10 +10,12 @@ from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.grounding import estimator as module
 from kinebench_drake.grounding.crop import Crop
 from kinebench_drake.grounding.estimator import NetworkEstimator
+from kinebench_drake.grounding.pipeline import GroundingPipeline
 from kinebench_drake.grounding.view import GripperView
 from kinebench_drake.io.reader import read_video
 from kinebench_drake.models.perception.inference import fold_batch_normalisation, fuse_activations
 from kinebench_drake.models.perception.network import load_network
+from kinebench_drake.types import GripperTrack
 
 VIDEO = Path(__file__).parents[2] / "examples" / "videos" / "StackCube-v1_s0010_unseen.mp4"
 
@@ -73,3 +75,20 @@ def test_convolutions_that_clamp_their_outputs_compute_the_same(size: int) -> No
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="no GPU")
 def test_a_gpu_estimates_what_the_processor_does(exact: GripperView) -> None:
     assert_alike(estimate("cuda"), exact)
+
+
+@pytest.mark.gpu
+@pytest.mark.slow
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="no GPU")
+def test_a_gpu_tracks_what_the_processor_does() -> None:
+    frames, camera = read_video(VIDEO).frames, benchmark_camera()
+
+    def track(device: str) -> GripperTrack:
+        return GroundingPipeline.create(device).ground(frames, camera, 0.2 * np.arange(len(frames))).track
+
+    on_gpu, exact = track("cuda"), track("cpu")
+    assert exact.tracked.sum() > 40
+    np.testing.assert_array_equal(on_gpu.tracked, exact.tracked)
+    off_m = np.linalg.norm((on_gpu.X_BG - exact.X_BG)[exact.tracked, :3, 3], axis=-1)
+    assert np.median(off_m) < 5e-4
+    assert off_m.max() < 3e-3

@@ -1,11 +1,15 @@
 """Rendering by a software driver: the same images by other shaders, nearly the same with a simplified arm."""
 
-from collections.abc import Sequence
+import os
+import subprocess
+import sys
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from kinebench_drake.environment.native import RENDER_VARIABLE, has_nvidia_vulkan
 from kinebench_drake.suites.episode import compose
 from kinebench_drake.suites.experts.registry import find_expert
 from kinebench_drake.suites.rollout import run_expert
@@ -68,3 +72,36 @@ def test_a_simplified_arm_looks_as_before(states: Sequence[Snapshot], monkeypatc
         assert (difference > 8).sum() < 0.02 * full.robot.sum()
         assert (image.robot ^ full.robot).sum() < 0.002 * full.robot.sum()
         assert (image.mask ^ full.mask).sum() < 0.002 * full.robot.sum()
+
+
+_RENDER = f"""
+import sys
+import numpy as np
+from kinebench_drake.environment.native import prepare_vulkan
+from kinebench_drake.suites.episode import compose
+from kinebench_drake.suites.simulator import Simulator
+with Simulator("{TASK}") as simulator:
+    simulator.reset(compose("{TASK}", 0))
+    image = simulator.render()
+np.savez(sys.argv[1], driver=prepare_vulkan(), rgb=image.rgb, depth_mm=image.depth_mm, robot=image.robot)
+"""
+
+
+def _render_in(path: Path, environment: Mapping[str, str]) -> Mapping[str, np.ndarray]:
+    subprocess.run([sys.executable, "-c", _RENDER, str(path)], env={**os.environ, **environment}, check=True)
+    with np.load(path) as image:
+        return dict(image)
+
+
+@pytest.mark.gpu
+@pytest.mark.sapien
+@pytest.mark.skipif(not has_nvidia_vulkan(), reason="no GPU")
+def test_a_gpu_renders_what_the_processor_does(tmp_path: Path) -> None:
+    on_gpu, own = (
+        _render_in(tmp_path / f"{k}.npz", environment) for k, environment in enumerate(({}, {RENDER_VARIABLE: "cpu"}))
+    )
+    assert (on_gpu["driver"], own["driver"]) == ("gpu", "cpu")
+    assert (on_gpu["robot"] ^ own["robot"]).sum() < 0.01 * own["robot"].sum()
+    off_mm = np.abs(on_gpu["depth_mm"].astype(int) - own["depth_mm"])
+    assert (off_mm > 2).mean() < 0.01
+    assert (np.abs(on_gpu["rgb"].astype(int) - own["rgb"]).max(axis=-1) > 16).mean() < 0.02
