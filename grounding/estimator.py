@@ -27,7 +27,8 @@ from kinebench_drake.models.perception.network import (
     GripperNetwork,
 )
 
-_BATCH, _BATCH_ON_GPU = 8, 64  # crops; on the CPU of `CLOSE_SIZE`, fewer larger ones: they need as much memory
+_BATCH = 8  # crops of `CLOSE_SIZE` on the CPU; fewer larger ones, which need as much memory
+_BATCH_ON_GPU = 64  # crops of any size; always as many, since cuDNN plans for seconds for each number of them
 DEPTH_FACTOR_SIGMA = 0.012
 """Relative standard deviation of the depth error that the network makes alike on all of the robot."""
 _LAPLACE_TO_SIGMA = np.sqrt(2.0)  # standard deviation of a Laplace distribution of scale 1
@@ -48,9 +49,13 @@ class NetworkEstimator:
             folded = reduce_precision(folded)
         network = folded.to(self._device).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
         self._network = fuse_activations(network) if self._device.type == "cpu" else network
+        self._whole_batch = _BATCH_ON_GPU if self._device.type == "cuda" else None
+        self._worker = ThreadPoolExecutor(max_workers=1)  # one for all: cuDNN plans anew in each thread
 
     @torch.inference_mode()
     def _run(self, images: list[NDArray[np.generic]]) -> DenseOutput:
+        if self._whole_batch is not None:
+            images = images + images[-1:] * (self._whole_batch - len(images))
         batch = torch.from_numpy(np.stack(images)).to(self._device).permute(0, 3, 1, 2).float() / 255.0
         output: DenseOutput = self._network(batch.contiguous(memory_format=torch.channels_last))
         return output
@@ -62,18 +67,17 @@ class NetworkEstimator:
             output = self._run([crops[i].warp(frames[i], camera) for i in batch])
             return _views(output, [crops[i] for i in batch], camera)
 
-        with ThreadPoolExecutor(max_workers=1) as worker:
-            ahead = None
-            for batch in self._batches(crops):
-                ready, ahead = ahead, (batch, worker.submit(run, batch))
-                if ready:
-                    yield from zip(ready[0], ready[1].result(), strict=True)
-            if ahead:
-                yield from zip(ahead[0], ahead[1].result(), strict=True)
+        ahead = None
+        for batch in self._batches(crops):
+            ready, ahead = ahead, (batch, self._worker.submit(run, batch))
+            if ready:
+                yield from zip(ready[0], ready[1].result(), strict=True)
+        if ahead:
+            yield from zip(ahead[0], ahead[1].result(), strict=True)
 
     def _batches(self, crops: Mapping[int, Crop]) -> Iterator[list[int]]:
         for size in sorted({crop.size for crop in crops.values()}):
-            count = _BATCH_ON_GPU if self._device.type == "cuda" else max(1, _BATCH * CLOSE_SIZE**2 // size**2)
+            count = self._whole_batch or max(1, _BATCH * CLOSE_SIZE**2 // size**2)
             members = [i for i, crop in crops.items() if crop.size == size]
             yield from (members[start : start + count] for start in range(0, len(members), count))
 

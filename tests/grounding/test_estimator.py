@@ -1,5 +1,6 @@
 """The network as an estimator: in reduced precision and on a GPU it estimates what it does in single precision."""
 
+import threading
 from pathlib import Path
 
 import numpy as np
@@ -69,6 +70,28 @@ def test_convolutions_that_clamp_their_outputs_compute_the_same(size: int) -> No
         plain, fused = network(images), fuse_activations(network)(images)
     torch.testing.assert_close(fused.log_depth, plain.log_depth, atol=1e-4, rtol=0.0)
     torch.testing.assert_close(fused.coordinates, plain.coordinates, atol=1e-4, rtol=0.0)
+
+
+def test_batches_of_one_size_in_one_thread_as_a_gpu_needs_them(
+    exact: GripperView, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    camera = benchmark_camera()
+    frames = read_video(VIDEO).frames[:3]
+    estimator = NetworkEstimator(load_network(), "cpu")
+    monkeypatch.setattr(estimator, "_whole_batch", 2)
+    sizes, threads = [], set()
+
+    def spy(network: torch.nn.Module, inputs: tuple[torch.Tensor, ...]) -> None:
+        sizes.append(len(inputs[0]))
+        threads.add(threading.get_ident())
+
+    estimator._network.register_forward_pre_hook(spy)
+    for _ in range(2):
+        views = dict(estimator.estimate(frames, camera, dict.fromkeys(range(3), Crop.of_frame(camera))))
+        assert list(views) == [0, 1, 2]
+        assert_alike(views[0], exact)
+    assert sizes == [2, 2, 2, 2]
+    assert len(threads) == 1
 
 
 @pytest.mark.gpu
