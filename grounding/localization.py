@@ -22,7 +22,7 @@ from kinebench_drake.models.panda.robot import RobotPart
 _KEY_FRAMES = 5
 _SMALL_PX = 32.0  # diameter of a gripper in the crop of the whole image below which the region is enlarged
 _LEVELS = (2, 4)  # sizes of the image over that of a tile
-_LEAST_TILE_PX = 96.0  # smaller tiles show nothing that larger ones do not
+_LEAST_TILE_PX = 128.0  # in smaller ones a gripper that larger ones do not show is too small to be measured
 _MIN_CELLS = 40  # robot cells that a tile must show to count
 _MARGIN = 1.25  # size of the region over that of the box around the robot
 _LEAST_SHARE = 0.2  # least size of the region over that of the image

@@ -283,13 +283,10 @@ class GroundingPipeline:
         steady, wide = motion.stabilize(frames, camera)
         chosen = np.unique(np.linspace(0, len(frames) - 1, CHECKED_FRAMES).round().astype(int))
         places = None if motion.places is None else motion.places[chosen]
-        followed, fixed = (
-            sum(pose is not None and pose.arm_agrees for pose in tracking.poses)
-            for tracking in (
-                self._arm_tracker.track(steady[chosen], wide, places=places),
-                self._arm_tracker.track(frames[chosen], camera),
-            )
-        )
+        fixed = _agreeing(self._arm_tracker.track(frames[chosen], camera))
+        if fixed == 0:
+            return motion
+        followed = _agreeing(self._arm_tracker.track(steady[chosen], wide, places=places))
         return motion if followed >= LEAST_AGREEING * fixed else replace(motion, path=None)
 
     def _measure_motion(
@@ -321,6 +318,11 @@ class GroundingPipeline:
             return None
         motion = measure_camera_motion(FeatureTracks(np.stack([priors.image, frames[0]])), robot, camera)
         return priors.image if motion.moves or np.isnan(motion.px[1]) else None
+
+
+def _agreeing(tracking: Tracking) -> int:
+    """Return the number of frames in which hand and arm agree."""
+    return sum(pose is not None and pose.arm_agrees for pose in tracking.poses)
 
 
 def _initial_hand_pose(state: InitialState, camera: Camera) -> Array:

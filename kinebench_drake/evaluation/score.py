@@ -512,6 +512,8 @@ def ground_prepared(
             arm = analyzer.ground_arm(*inputs, other)
             if arm.track.tracked.mean() >= ARM_SHARE:
                 return arm
+            if _is_empty(arm):  # contours of a gripper are sought where there is an arm
+                break
     if tracked < MIN_TRACKED:
         share = f"in {tracked} of {len(video.t_s)} frames, a path needs {MIN_TRACKED}"
         if not measures_hand:
@@ -561,7 +563,10 @@ def ground_with_camera(
             measured, agreement = _ground_as_assumed(prepared, analyzer)
             if agreement >= CONFIRMED:
                 return CameraChoice(sample=sample, agreement=agreement), prepared, measured
-    choice = choose_video_camera(video, sample, option, overrides, analyzer)
+    if measured is not None and _is_empty(measured):  # nothing that could agree with another camera
+        choice = CameraChoice(sample=sample)
+    else:
+        choice = choose_video_camera(video, sample, option, overrides, analyzer)
     if choice.sample is not sample or (measured is not None and not _is_complete(measured)):
         measured = None
     prepared = prepare_video(video, choice.sample, period_s, overrides, duration_s=duration_s)
@@ -590,7 +595,12 @@ def _ground_as_assumed(video: PreparedVideo, analyzer: Analyzer) -> "tuple[Groun
 
 def _is_complete(grounding: "GroundingResult") -> bool:
     """Return whether a track with an assumed camera is the same as with a certain one: refined, or there is nothing."""
-    return grounding.domain is Domain.FAMILIAR or not grounding.track.confidence.any()
+    return grounding.domain is Domain.FAMILIAR or _is_empty(grounding)
+
+
+def _is_empty(grounding: "GroundingResult") -> bool:
+    """Return whether no frame has a pose."""
+    return not grounding.track.confidence.any()
 
 
 def with_initial_states(samples: Iterable[VideoSample]) -> list[VideoSample]:
