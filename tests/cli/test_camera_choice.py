@@ -33,6 +33,7 @@ from kinebench_drake.io.camerafile import save_camera
 from kinebench_drake.io.video import Video
 from kinebench_drake.results.row import Status
 from kinebench_drake.results.store import read_rows
+from kinebench_drake.types import GripperKind
 
 FRAMES = np.zeros((4, 96, 160, 3), np.uint8)
 SQUARE = np.zeros((4, 96, 96, 3), np.uint8)
@@ -213,6 +214,23 @@ def test_the_benchmark_camera_is_confirmed_by_the_track_itself(
     assert choice.sample.camera_source is source
     assert choice.agreement == (posture_agreement if agreement is None else agreement)
     assert grounding.track.tracked.all()
+
+
+def test_where_no_gripper_is_seen_neither_another_camera_nor_another_gripper_is_sought(tmp_path):
+    analyzer, sought = FakeAnalyzer(RobotOptions()), []
+
+    def ground_arm(*inputs):
+        sought.append(inputs[4])
+        return FakeAnalyzer.ground_arm(analyzer, *inputs)
+
+    analyzer.ground = lambda *inputs: FakeAnalyzer.ground_arm(analyzer, *inputs)
+    analyzer.ground_arm = ground_arm
+    analyzer.camera_agreement = analyzer.estimate_camera = lambda *_: pytest.fail("a camera is sought")
+    frames = np.repeat(SQUARE[:1], 12, axis=0)
+    frames[:, :20, :20] = [40 * Act.NO_ROBOT, 0, 0]
+    with pytest.raises(UnmeasurableError, match="0 of 12 frames"):
+        ground_with_camera(Video(frames=frames, fps=10.0, stamps_s=None), sample(tmp_path), Overrides(), analyzer)
+    assert sought == [GripperKind.NONE]
 
 
 def checked(tmp_path, judge, *, source=CameraSource.FOLDER, fitted=True, arm_seen=True):
