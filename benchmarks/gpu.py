@@ -1,6 +1,5 @@
 """What a GPU changes: networks, training, images of the simulator and whole runs, with it and without it in turn."""
 
-import json
 import os
 import subprocess
 import sys
@@ -15,7 +14,7 @@ import torch
 
 from benchmarks.markdown import table
 from benchmarks.process import run_program, spread
-from benchmarks.record import machine_text
+from benchmarks.record import BenchmarkRecord, machine_text
 from benchmarks.throughput import NO_GPU, Job, Setting, link_copies, run_cost
 from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.environment.native import RENDER_VARIABLE, has_nvidia_vulkan
@@ -155,17 +154,13 @@ def _simulation(device: Device, work: Path) -> Iterator[tuple[str, float]]:
     """Yield the figures of the benchmark of the simulation, in a process of its own: it chooses the driver once."""
     results = work / f"simulation {device.value}"
     command = [sys.executable, "-m", "benchmarks", "simulation", "--tasks", TASKS[0], "--results", str(results)]
-    run = _run_in(device, command)
-    if run.returncode:
+    environment = {**os.environ, **device.environment}
+    run = subprocess.run(command, env=environment, capture_output=True, text=True)
+    record = BenchmarkRecord.read("simulation", results)
+    if run.returncode or record is None:
         raise KinebenchError(f"`{' '.join(command[1:])}` ended with status {run.returncode}: {run.stderr.strip()}")
-    figures = json.loads((results / "simulation.json").read_text())["figures"]
-    yield "an image of the simulator, 384x384, ms", figures["image, ms"]
-    yield "a demonstration of 49 frames, s", figures["demonstration, s"]
-
-
-def _run_in(device: Device, command: Sequence[str]) -> "subprocess.CompletedProcess[str]":
-    """Run a command that computes on a device."""
-    return subprocess.run(command, env={**os.environ, **device.environment}, capture_output=True, text=True)
+    yield "an image of the simulator, 384x384, ms", record.figures["image, ms"]
+    yield "a demonstration of 49 frames, s", record.figures["demonstration, s"]
 
 
 def _episode_s(device: Device, work: Path) -> float:
