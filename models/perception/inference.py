@@ -38,11 +38,17 @@ class _ClampedConvolution(nn.Module):
         self._shape = (*(list(pair) for pair in shape), convolution.groups)
         clamp = ("hardtanh", [0.0, 6.0], "") if isinstance(activation, nn.ReLU6) else ("relu", [], "")
         self._clamp: tuple[str, list[float], str] = clamp
-        self._bias = convolution.bias
-        self._weight = torch.ops.mkldnn._reorder_convolution_weight(convolution.weight.detach(), *self._shape, None)
+        self._weight, self._bias = convolution.weight.detach(), convolution.bias
+        self._reordered: dict[torch.Size, Tensor] = {}
 
     def forward(self, x: Tensor) -> Tensor:
-        y: Tensor = torch.ops.mkldnn._convolution_pointwise(x, self._weight, self._bias, *self._shape, *self._clamp)
+        size = x.shape[-2:]
+        if size not in self._reordered:  # oneDNN takes the order by the size, and any other one costs time in each call
+            reordered = torch.ops.mkldnn._reorder_convolution_weight(self._weight, *self._shape, list(x.shape))
+            self._reordered[size] = reordered
+        y: Tensor = torch.ops.mkldnn._convolution_pointwise(
+            x, self._reordered[size], self._bias, *self._shape, *self._clamp
+        )
         return y
 
 
