@@ -19,9 +19,9 @@ from kinebench_drake.io.video import WHOLE
 from kinebench_drake.models.panda.robot import ARM, RobotPart
 from kinebench_drake.models.perception.inference import (
     fold_batch_normalisation,
-    fuse_activations,
     reduce_precision,
     supports_bfloat16,
+    use_onednn,
 )
 from kinebench_drake.models.perception.network import (
     COORDINATE_SCALE_M,
@@ -83,7 +83,7 @@ def runtimes(example: Tensor, log: Callable[[str], None]) -> Iterator[tuple[str,
         precisions["bfloat16"] = reduce_precision(network)
     for precision, own in precisions.items():
         yield f"torch, {precision}", own
-        yield f"torch, fused activations, {precision}", fuse_activations(own)
+        yield f"torch with layers of oneDNN, {precision}", use_onednn(own)
     for precision, own in precisions.items():
         name = f"torch.compile, {precision}"
         compiled: Estimate = torch.compile(own)
@@ -207,7 +207,7 @@ def section(costs: Sequence[RuntimeCost]) -> str:
             f"Written by `python -m benchmarks runtimes`, one thread, batches of {_BATCH} frames of a video, the "
             "runtimes in turn. Deviations from torch with float32: share of cells with another label; 95th percentiles "
             "in cells of the robot, of depth at a distance of 1 m and of points on the CAD model. The program uses "
-            "torch with fused activations, in bfloat16 where the processor multiplies in it (AVX-512 BF16), else in "
+            "torch with layers of oneDNN, in bfloat16 where the processor multiplies in it (AVX-512 BF16), else in "
             "float32.",
             "",
             *table(head, rows),

@@ -15,9 +15,9 @@ from kinebench_drake.grounding.view import Frames, GripperView
 from kinebench_drake.models.panda.robot import ARM
 from kinebench_drake.models.perception.inference import (
     fold_batch_normalisation,
-    fuse_activations,
     reduce_precision,
     supports_bfloat16,
+    use_onednn,
 )
 from kinebench_drake.models.perception.network import (
     COORDINATE_SCALE_M,
@@ -48,7 +48,7 @@ class NetworkEstimator:
         if self._device.type == "cpu" and supports_bfloat16(self._device):
             folded = reduce_precision(folded)
         network = folded.to(self._device).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
-        self._network = fuse_activations(network) if self._device.type == "cpu" else network
+        self._network = use_onednn(network) if self._device.type == "cpu" else network
         self._whole_batch = _BATCH_ON_GPU if self._device.type == "cuda" else None
         self._worker = ThreadPoolExecutor(max_workers=1)  # one for all: cuDNN plans anew in each thread
 

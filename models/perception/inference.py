@@ -29,31 +29,33 @@ def reduce_precision(network: GripperNetwork) -> GripperNetwork:
     return network
 
 
-class _ClampedConvolution(nn.Module):
-    """Convolution of oneDNN that clamps its output on the way to memory; for inference."""
+class _Convolution(nn.Module):
+    """Convolution of oneDNN that clamps its output on the way to memory, where an activation follows; for inference."""
 
-    def __init__(self, convolution: nn.Conv2d, activation: nn.ReLU | nn.ReLU6) -> None:
+    def __init__(self, convolution: nn.Conv2d, activation: nn.Module) -> None:
         super().__init__()
         shape = (convolution.padding, convolution.stride, convolution.dilation)
         self._shape = (*(list(pair) for pair in shape), convolution.groups)
-        clamp = ("hardtanh", [0.0, 6.0], "") if isinstance(activation, nn.ReLU6) else ("relu", [], "")
-        self._clamp: tuple[str, list[float], str] = clamp
-        self._weight, self._bias = convolution.weight.detach(), convolution.bias
+        clamps = {nn.ReLU: ("relu", [], ""), nn.ReLU6: ("hardtanh", [0.0, 6.0], ""), nn.Identity: ("none", [], "")}
+        self._clamp = clamps[type(activation)]
+        self.weight, self.bias = convolution.weight, convolution.bias
         self._reordered: dict[torch.Size, Tensor] = {}
 
     def forward(self, x: Tensor) -> Tensor:
         size = x.shape[-2:]
         if size not in self._reordered:  # oneDNN takes the order by the size, and any other one costs time in each call
-            reordered = torch.ops.mkldnn._reorder_convolution_weight(self._weight, *self._shape, list(x.shape))
-            self._reordered[size] = reordered
+            reorder = torch.ops.mkldnn._reorder_convolution_weight
+            self._reordered[size] = reorder(self.weight.detach(), *self._shape, list(x.shape))
         y: Tensor = torch.ops.mkldnn._convolution_pointwise(
-            x, self._reordered[size], self._bias, *self._shape, *self._clamp
+            x, self._reordered[size], self.bias, *self._shape, *self._clamp
         )
         return y
 
 
-def fuse_activations(network: GripperNetwork) -> GripperNetwork:
-    """Return a copy for inference on the CPU whose convolutions clamp their outputs themselves, where oneDNN can.
+def use_onednn(network: GripperNetwork) -> GripperNetwork:
+    """Return a copy for inference on the CPU whose convolutions are oneDNN's, where it is available.
+
+    Weights are in its order, and outputs are clamped where they are computed.
 
     Args:
         network: network without batch normalisation (`fold_batch_normalisation`).
@@ -62,17 +64,13 @@ def fuse_activations(network: GripperNetwork) -> GripperNetwork:
     if not torch.backends.mkldnn.is_available():  # type: ignore[no-untyped-call]
         return network
     for module in list(network.modules()):
-        children = list(module.named_children())
-        for (name, convolution), (_, between), (last, activation) in zip(
-            children, children[1:], children[2:], strict=False
-        ):
-            if (
-                isinstance(convolution, nn.Conv2d)
-                and isinstance(between, nn.Identity)
-                and isinstance(activation, nn.ReLU | nn.ReLU6)
-            ):
-                setattr(module, name, _ClampedConvolution(convolution, activation))
-                setattr(module, last, nn.Identity())
+        children = [*module.named_children(), *2 * [("", nn.Identity())]]
+        for (name, convolution), (_, between), (last, after) in zip(children, children[1:], children[2:], strict=False):
+            if isinstance(convolution, nn.Conv2d):
+                clamps = isinstance(between, nn.Identity) and isinstance(after, nn.ReLU | nn.ReLU6)
+                setattr(module, name, _Convolution(convolution, after if clamps else nn.Identity()))
+                if clamps:
+                    setattr(module, last, nn.Identity())
     return network
 
 

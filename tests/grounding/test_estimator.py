@@ -14,7 +14,7 @@ from kinebench_drake.grounding.estimator import NetworkEstimator
 from kinebench_drake.grounding.pipeline import GroundingPipeline
 from kinebench_drake.grounding.view import GripperView
 from kinebench_drake.io.reader import read_video
-from kinebench_drake.models.perception.inference import fold_batch_normalisation, fuse_activations
+from kinebench_drake.models.perception.inference import fold_batch_normalisation, use_onednn
 from kinebench_drake.models.perception.network import load_network
 from kinebench_drake.types import GripperTrack
 
@@ -63,7 +63,7 @@ def test_reduced_precision_changes_estimates_less_than_their_errors(
 
 def test_convolutions_that_clamp_their_outputs_compute_the_same() -> None:
     network = fold_batch_normalisation(load_network()).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
-    clamping = fuse_activations(network)
+    clamping = use_onednn(network)
     random = torch.Generator().manual_seed(0)
     for count, size in ((2, 64), (1, 96), (3, 64), (2, 96)):  # in turn: each size has its own order of the weights
         images = torch.rand(count, 3, size, size, generator=random).contiguous(memory_format=torch.channels_last)
