@@ -3,12 +3,13 @@
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from scipy.special import logit
 
-from kinebench_drake.camera import benchmark_camera
-from kinebench_drake.geometry import make_pose
+from kinebench_drake.camera import Camera, benchmark_camera
+from kinebench_drake.geometry import Array, make_pose
 from kinebench_drake.grounding.confidence import FRAME_FEATURES, Confidence, LogisticRegression, load_confidence
 from kinebench_drake.grounding.estimator import NetworkEstimator
 from kinebench_drake.grounding.evaluation.clip import TruthClip, find_clips
@@ -17,12 +18,13 @@ from kinebench_drake.grounding.evaluation.summary import summarize
 from kinebench_drake.grounding.evaluation.trial import evaluate
 from kinebench_drake.grounding.evaluation.variants import VARIANTS, VariantTools
 from kinebench_drake.grounding.overlay import draw_overlay
-from kinebench_drake.grounding.pipeline import GroundingPipeline
-from kinebench_drake.grounding.tracker import CadTracker
+from kinebench_drake.grounding.pipeline import CHECKED_FRAMES, GroundingPipeline
+from kinebench_drake.grounding.tracker import CadTracker, Tracking
+from kinebench_drake.grounding.view import Frames
 from kinebench_drake.io.reader import read_video
 from kinebench_drake.models.panda.cad import GripperCad
 from kinebench_drake.models.perception.network import load_network
-from kinebench_drake.types import Domain, InitialStateUse, Priors
+from kinebench_drake.types import NO_PRIORS, Domain, InitialStateUse, Priors
 
 EXAMPLES = Path(__file__).parents[2] / "examples" / "videos"
 pytestmark = pytest.mark.slow
@@ -87,6 +89,32 @@ def test_images_without_a_robot_give_no_track(pipeline: GroundingPipeline) -> No
     assert not grounding.track.tracked.any()
     assert np.isnan(grounding.track.X_BG).all()
     assert grounding.anomalies == ()
+
+
+@pytest.mark.parametrize(("agreeing", "comparisons"), [(0, 1), (CHECKED_FRAMES, 2)])
+def test_a_moving_background_is_compared_with_the_robot_only_where_there_is_one(
+    pipeline: GroundingPipeline, clip: TruthClip, agreeing: int, comparisons: int
+) -> None:
+    class Fake:
+        """Tracker that finds the same poses in any images, and counts these."""
+
+        def __init__(self) -> None:
+            self.counts: list[int] = []
+
+        def track(
+            self, frames: Frames, camera: Camera, priors: Priors = NO_PRIORS, places: Array | None = None
+        ) -> Tracking:
+            self.counts.append(len(frames))
+            return replace(seen, poses=(pose,) * len(frames), wide=seen.wide[:1] * len(frames))
+
+    seen = pipeline._tracker.track(read_video(clip.path).frames[:1], clip.camera)
+    pose = seen.poses[0] if agreeing else None
+    rng = np.random.default_rng(0)
+    wide = cv2.resize(rng.integers(0, 255, (48, 72, 3), dtype=np.uint8), (576, 384), interpolation=cv2.INTER_CUBIC)
+    frames = np.stack([wide[:, 8 * k : 8 * k + 384] for k in range(12)])
+    tracker = Fake()
+    GroundingPipeline(tracker, load_confidence()).observe(frames, clip.camera, 0.2 * np.arange(12))
+    assert tracker.counts == [1, *comparisons * [CHECKED_FRAMES], len(frames)]
 
 
 def test_the_initial_state_is_used_unless_the_first_frame_contradicts_it(
