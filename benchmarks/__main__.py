@@ -189,7 +189,7 @@ def validity_report(work: Path, out: Path | None) -> None:
 @jobs_option
 @out_option
 def extractors(work: Path, weights: Path, jobs: int, out: Path | None) -> None:
-    """Execute the videos of a validity study through truth, grounding and baseline, and count changed verdicts.
+    """Execute the videos of a validity study through truth, grounding and baseline, and count changed outcomes.
 
     WORK is the folder of `validity measure`. An interrupted run continues where it was.
     """

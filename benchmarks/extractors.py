@@ -1,7 +1,7 @@
 """Causal attribution: the same videos executed through the truth, the grounding and the inverse-dynamics baseline.
 
 All is taken from the work folder of `validity`: videos of the oracle without and with planted faults, their ground
-truth, the tracks of the grounding and the success of these. An extractor changes the verdict of an episode if its track
+truth, the tracks of the grounding and the success of these. An extractor changes the outcome of an episode if its track
 succeeds where the true one fails, or fails where that succeeds: the failure is then not the video's.
 
     extractions.jsonl    success of the true track and of the baseline's, one video a line
@@ -80,7 +80,7 @@ class Extraction:
     success: dict[Extractor, bool]
 
     def changes(self, extractor: Extractor) -> bool:
-        """Return whether an extractor changes the verdict."""
+        """Return whether an extractor changes the outcome."""
         return self.success[extractor] is not self.success[Extractor.TRUTH]
 
 
@@ -197,12 +197,12 @@ def _groups(extractions: Sequence[Extraction]) -> Iterator[tuple[str, list[Extra
 
 
 def changed(extractions: Sequence[Extraction], extractor: Extractor) -> IntervalEstimate:
-    """Return the share of videos whose verdict an extractor changes, with its interval over episodes."""
+    """Return the share of videos whose outcome an extractor changes, with its interval over episodes."""
     return _over_episodes(extractions, np.array([e.changes(extractor) for e in extractions], dtype=np.float64))
 
 
 def difference(extractions: Sequence[Extraction]) -> IntervalEstimate:
-    """Return the share of verdicts that the baseline changes less that of the grounding, on the same videos."""
+    """Return the share of outcomes that the baseline changes less that of the grounding, on the same videos."""
     return _over_episodes(
         extractions,
         np.array([float(e.changes(Extractor.BASELINE)) - e.changes(Extractor.GROUNDING) for e in extractions]),
@@ -234,12 +234,12 @@ def _over_episodes(extractions: Sequence[Extraction], values: Array, seed: int =
 def section(extractions: Sequence[Extraction], about: str) -> list[str]:
     """Return the lines of the section of docs/validity.md; `about` describes the baseline."""
     head = ["videos", "number", *(f"success through the {e.value}" for e in Extractor)]
-    head += [f"verdict changed by the {e.value}" for e in (Extractor.GROUNDING, Extractor.BASELINE)]
+    head += [f"outcome changed by the {e.value}" for e in (Extractor.GROUNDING, Extractor.BASELINE)]
     head += ["lost / gained by the grounding", "lost / gained by the baseline", "difference"]
     rows = [[name, *_cells(members)] for name, members in _groups(extractions) if members]
     episodes = len({e.episode for e in extractions})
     return [
-        "## Verdicts by extractor",
+        "## Outcomes by extractor",
         "",
         f"Written by `python -m benchmarks extractors`: {len(extractions)} videos of {episodes} episodes, each "
         "executed through its true track, through the grounding's and through that of the inverse-dynamics baseline "
@@ -247,7 +247,7 @@ def section(extractions: Sequence[Extraction], about: str) -> list[str]:
         "(lost). Difference: share changed by the baseline less share changed by the grounding, in the same videos. "
         "95 % bootstrap intervals over episodes.",
         "",
-        f"![Verdicts that an extractor changes]({FIGURE})",
+        f"![Outcomes that an extractor changes]({FIGURE})",
         "",
         *table(head, rows),
     ]
@@ -269,7 +269,7 @@ def _cells(members: Sequence[Extraction]) -> Iterator[str]:
 
 
 def draw(extractions: Sequence[Extraction]) -> "Figure":
-    """Draw the share of changed verdicts by group of videos, with intervals."""
+    """Draw the share of changed outcomes by group of videos, with intervals."""
     groups = [(name, members) for name, members in _groups(extractions) if members]
     figure, axes = new_figure(7.5, 0.45 * len(groups) + 1.2)
     ax = axes[0][0]
@@ -283,7 +283,7 @@ def draw(extractions: Sequence[Extraction]) -> "Figure":
     ax.set_yticks(range(len(groups)), [f"{name.strip('`').replace('_', ' ')} ({len(m)})" for name, m in groups])
     ax.invert_yaxis()
     ax.set_xlim(-0.02, 1.02)
-    ax.set_xlabel("share of videos whose verdict the extractor changes, 95 % interval")
+    ax.set_xlabel("share of videos whose outcome the extractor changes, 95 % interval")
     ax.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2, frameon=False)
     return figure
 

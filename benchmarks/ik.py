@@ -204,7 +204,11 @@ def _summary(comparison: IkComparison) -> str:
     parts = [] if drake is None else [f"{_short(np.median(drake))} times as fast as plain Drake InverseKinematics"]
     complete = [t for t in others if t.reached == 1.0 and t.within_speed == 1.0]
     for group, words in (
-        (complete, "the fastest of the other packages that reaches every pose within the speed limits"),
+        (
+            complete,
+            "the fastest of the other packages that reaches every pose within the speed limits (warm starts, which are "
+            "given the true postures, left out)",
+        ),
         ([t for t in others if t not in complete], "the fastest of those that do not"),
     ):
         ratios = {t.label: r for t in group if (r := comparison.ratio(t.name)) is not None}

@@ -180,8 +180,9 @@ def section(results: Mapping[str, Sequence[RegistrationErrors]], seed: int = 0) 
     return [
         "## What ICP contributes",
         "",
-        f"Written by `python -m benchmarks icp`: {videos} held-out videos, errors of single frames before smoothing. "
-        "The depth is the network's, the true one with a share of the network's error or with a smooth error, or "
+        f"Written by `python -m benchmarks icp heldout --keep icp.jsonl --limit {videos} --out docs/grounding.md`, with "
+        f"{videos} held-out videos: errors of single frames before smoothing. The depth is the network's, the true one "
+        "with a share of the network's error or with a smooth error, or "
         "exact; the rule is the same. Weight, fitness, distance of the matched cells from the surface, and errors are "
         "medians; the last column is the mean difference in the same frames, with its 95 % bootstrap interval over "
         "videos.",

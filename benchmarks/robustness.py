@@ -43,8 +43,10 @@ _PANELS = (("position", "mm", 1e3 * GOOD_M), ("rotation", "deg", float(np.rad2de
 _INTRODUCTION = (
     "Errors of panda_hand in the camera frame on the same held-out videos, median / 95th percentile over frames: of "
     "the grounding those it tracks, of the network all. Medians have 95 % bootstrap intervals "
-    "over videos. Tracked: of the frames in which at least 30 % of the gripper is visible. No perturbation is used in "
-    "training. The network: [docs/grounding.md](docs/grounding.md#learned-baseline), trained on {training}. "
+    "over videos. Tracked: of the frames in which at least 30 % of the gripper is visible. The programs that perturb "
+    "these frames are not used in training, but training images of both networks are degraded in similar ways: "
+    "contrast, blur, noise, ghosts, JPEG; those of the grounding by occluders, too. The network: "
+    "[docs/grounding.md](docs/grounding.md#learned-baseline), trained on {training}. "
     "All strengths: [{figure}]({figure})."
 )
 

@@ -114,7 +114,7 @@ def _verdict_lines(study: Study) -> Iterator[str]:
     yield ""
     yield (
         f"**separates** and responds, with the area under the ROC curve at the greatest size; **separates** from "
-        f"{SEPARATION:g} on. -: no response distinct from chance."
+        f"{SEPARATION:g} on. -: no response distinct from chance at the greatest size, and not better at any."
     )
     yield ""
     wrong = [(name, kind) for name in NUMBERS for kind in study.kinds if study.verdict(name, kind) is Verdict.IMPROVES]
@@ -130,7 +130,8 @@ def _verdict_lines(study: Study) -> Iterator[str]:
 
 def _improvement(study: Study, name: str, kind: AnomalyKind) -> str:
     cells = [
-        f"{r.better} of {r.episodes} videos at {grade.label}{'' if r.change is None else f', by {r.change.value:+.2g}'}"
+        f"{r.better} of {r.episodes} videos at {grade.label}"
+        f"{'' if r.change is None else f', mean change of all {r.change.value:+.2g}'}"
         for grade in study.grades(kind)
         if study.is_significant(name, grade) and (r := study.responses[name, grade]).better > r.worse
     ]

@@ -200,8 +200,9 @@ def score_videos(config: ScoreConfig, observer: RunObserver | None = None) -> Ru
     unfamiliar = sum(row.extra.get("domain") == Domain.UNFAMILIAR.value for row in summary.rows)
     if unfamiliar:
         observer.warn(
-            f"{count_noun(unfamiliar, 'sample')} of unfamiliar look or viewpoint: poses are fitted to edges, with "
-            "a confidence of their own, and anomalies of the gripper's shape and number are not looked for"
+            f"{count_noun(unfamiliar, 'sample')} of unfamiliar look or viewpoint, or with an estimated camera: poses "
+            "are fitted to edges, with a confidence of their own, and anomalies of the gripper's shape and number are "
+            "not looked for"
         )
     return summary
 

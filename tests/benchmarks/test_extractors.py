@@ -1,4 +1,4 @@
-"""Verdicts by extractor: counts with known answers, and the execution of true and estimated tracks."""
+"""Outcomes by extractor: counts with known answers, and the execution of true and estimated tracks."""
 
 from pathlib import Path
 
