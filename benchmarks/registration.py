@@ -180,7 +180,7 @@ def section(results: Mapping[str, Sequence[RegistrationErrors]], seed: int = 0) 
     return [
         "## What ICP contributes",
         "",
-        f"Written by `python -m benchmarks icp heldout --keep icp.jsonl --limit {videos} --out docs/grounding.md`, with "
+        f"Written by `python -m benchmarks icp heldout --keep icp.jsonl --limit {videos} --out docs/grounding.md`, "
         f"{videos} held-out videos: errors of single frames before smoothing. The depth is the network's, the true one "
         "with a share of the network's error or with a smooth error, or "
         "exact; the rule is the same. Weight, fitness, distance of the matched cells from the surface, and errors are "
