@@ -125,7 +125,10 @@ def test_report(trials: list[ValidityTrial], tmp_path: Path) -> None:
     assert all((tmp_path / name).stat().st_size > 10_000 for name in FIGURES)
     faults, verdicts, responses, success = sections
     assert f"| none |  | {EPISODES} | 100%" in faults
-    assert f"- `ldlj`: not for `vanish` (better in {EPISODES} of {EPISODES} videos at 1 frame, by +1" in verdicts
+    assert (
+        f"- `ldlj`: not for `vanish` (better in {EPISODES} of {EPISODES} videos at 1 frame, mean change of all +1"
+        in verdicts
+    )
     assert "| `sparc` | **separates** 1.00 | - |" in verdicts
     assert f"`manipulability_mean` | null; {EPISODES} worse, 0 better, {EPISODES} null *" in responses
     assert success.count("\n| `") == len(NUMBERS)
