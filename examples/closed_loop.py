@@ -31,7 +31,7 @@ def main(out: Path) -> None:
         print(f"{row.id}: {'success' if told['success'] else 'failure'}, progress {told['progress']:.2f}")
         if told["cause"]:
             print(f"  {told['verdict']}: {told['cause']['text']}")
-        print(f"  imagined and executed side by side: {out / 'rollouts' / f'{row.id}.mp4'}")
+        print(f"  generated and executed side by side: {out / 'rollouts' / f'{row.id}.mp4'}")
     print(f"report: {summary.report}")
 
 

@@ -42,19 +42,13 @@ class Panel:
     """True if the text is the reason of a failure."""
 
 
-def task_panels(executor: Executor, tasks: Sequence[str], seed: int) -> list[Panel]:
-    """Run the expert of each task and return its first and last frames, in the order of the tasks.
-
-    Args:
-        executor: executor of the tasks.
-        tasks: plain task ids.
-        seed: seed of every task's scene.
+def task_panels(executor: Executor, episodes: Sequence[Episode]) -> list[Panel]:
+    """Run the expert in each episode and return its first and last frames, in the order of the episodes.
 
     Raises:
-        UsageError: there is no such task.
         SetupError: rendering is not possible.
     """
-    return _render_panels(executor, [compose(task, seed) for task in tasks], with_expert=True)
+    return _render_panels(executor, episodes, with_expert=True)
 
 
 def look_panels(executor: Executor, sort: str, seed: int) -> list[Panel]:

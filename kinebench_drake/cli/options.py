@@ -235,6 +235,7 @@ prompt_options = _combine(
     click.option("--negative-prompt", metavar="TEXT", help="Content to avoid; replaces that of the preset."),
 )
 """Options of the prompts of world models."""
+SPLITS = click.Choice(["train", "test", "seen", "unseen"])
 SIZES = click.IntRange(128, 2048)
 """Side lengths of images [px]: below that x264 does not write reproducible bytes."""
 
@@ -252,7 +253,7 @@ def suite_options(*, number: int | None = None, split: str = "test") -> Decorato
             **({"required": True} if number is None else {"default": number, "show_default": True}),
         ),
         click.option(
-            "--split", type=click.Choice(["train", "test", "seen", "unseen"]), default=split, show_default=True,
+            "--split", type=SPLITS, default=split, show_default=True,
             help="Split of the suite; test: the split on which models are evaluated.",
         ),
         tasks_option,

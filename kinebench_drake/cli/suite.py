@@ -4,11 +4,12 @@ import json
 from dataclasses import asdict
 from enum import Enum
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from kinebench_drake.cli.options import (
+    SPLITS,
     PathParameter,
     check_parent,
     episodes_option,
@@ -19,17 +20,54 @@ from kinebench_drake.cli.options import (
 from kinebench_drake.cli.suite_data import demos, export
 from kinebench_drake.cli.suite_results import ceiling, report, tolerance
 from kinebench_drake.cli.suite_run import plan, run
+from kinebench_drake.errors import UsageError
 from kinebench_drake.io.atomic import atomic_path, write_atomically
-from kinebench_drake.suites.selection import task_names, with_variant
+from kinebench_drake.suites.selection import chosen_tasks, task_names, with_variant
+
+if TYPE_CHECKING:  # slow to import
+    from kinebench_drake.suites.episode import Episode
 
 _SEED = click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Seed of the first episode.")
 
 
-def _tasks(names: str | None) -> list[str]:
-    from kinebench_drake.suites.tasks.registry import TASKS, find_task
+_SUITE = click.option(
+    "--suite", "number", type=click.IntRange(0, 3), metavar="N",
+    help="Take tasks, seeds and assets from a suite's split.  [default: all tasks, seeds as they are, all assets]",
+)  # fmt: skip
+_SPLIT = click.option("--split", type=SPLITS, help="Split, with --suite.  [default: test]")
 
-    chosen = task_names(names)
-    return list(TASKS) if chosen is None else [find_task(name).card.id for name in chosen]
+
+def _episodes(
+    number: int | None, split: str | None, tasks: str | None, count: int, seed: int, pool: str | None, variant: str
+) -> "list[Episode]":
+    """Return `count` episodes of each task, of a suite's split or of all tasks, in order.
+
+    Raises:
+        UsageError: an option needs --suite, or contradicts it, or there is no such task, split or seed.
+    """
+    from kinebench_drake.suites.episode import compose
+    from kinebench_drake.suites.split import Pool
+    from kinebench_drake.suites.suite import load_suite
+    from kinebench_drake.suites.tasks.registry import TASKS, find_task
+    from kinebench_drake.suites.tasks.task import TaskVariant
+
+    own = TaskVariant(variant)
+    if number is None:
+        if split is not None:
+            raise UsageError(f"--split {split}: of which suite? add --suite N")
+        names = task_names(tasks)
+        chosen = list(TASKS) if names is None else [find_task(name).card.id for name in names]
+        seeds = range(seed, seed + count)
+        having = with_variant(chosen, own, named=names is not None)
+        return [compose(task, s, pool=Pool(pool or "all"), variant=own) for task in having for s in seeds]
+    if pool is not None:
+        raise UsageError(f"--pool {pool}: the assets are those of the split of --suite {number}; leave out one of them")
+    suite, name = load_suite(number), split or "test"
+    return [
+        spec.episode()
+        for task in chosen_tasks(suite, name, tasks, own)
+        for spec in suite.specs(name, task, count, offset=seed, variant=own)
+    ]
 
 
 @click.group(
@@ -94,6 +132,8 @@ def _echo_json(facts: list[dict[str, Any]]) -> None:
 
 
 @suite.command(epilog="\b\nExample:\n  kinebench-drake suite check --tasks StackCube-v1 --episodes 100 --jobs 2")
+@_SUITE
+@_SPLIT
 @tasks_option
 @episodes_option
 @_SEED
@@ -102,26 +142,29 @@ def _echo_json(facts: list[dict[str, Any]]) -> None:
     help="Policy that moves the robot.",
 )  # fmt: skip
 @variant_option
-@click.option("--pool", type=click.Choice(["all", "seen", "unseen"]), default="all", show_default=True)
+@click.option("--pool", type=click.Choice(["all", "seen", "unseen"]), help="Assets and looks.  [default: all]")
 @click.option("--json", "json_out", type=PathParameter(dir_okay=False), help="Write the trials as JSON.")
 @jobs_option
 def check(
-    tasks: str | None, episodes: int, seed: int, policy: str, variant: str, pool: str, json_out: Path | None, jobs: int
+    number: int | None,
+    split: str | None,
+    tasks: str | None,
+    episodes: int,
+    seed: int,
+    policy: str,
+    variant: str,
+    pool: str | None,
+    json_out: Path | None,
+    jobs: int,
 ) -> None:
     """Run a scripted policy on tasks; print success rates with 95 % intervals and the reasons of failures."""
     from kinebench_drake.executors.base import ExecutorKind, create_executor
-    from kinebench_drake.suites.episode import compose
     from kinebench_drake.suites.expert_check import ExpertTrial, Policy, run_trials, task_lines
-    from kinebench_drake.suites.split import Pool
-    from kinebench_drake.suites.tasks.task import TaskVariant
 
-    task_variant = TaskVariant(variant)
     if json_out is not None:
         check_parent("--json", json_out)
-    chosen = with_variant(_tasks(tasks), task_variant, named=tasks is not None)
-    seeds = range(seed, seed + episodes)
-    todo = [compose(task, s, pool=Pool(pool), variant=task_variant) for task in chosen for s in seeds]
-    trials: dict[str, list[ExpertTrial]] = {task: [] for task in sorted(chosen)}
+    todo = _episodes(number, split, tasks, episodes, seed, pool, variant)
+    trials: dict[str, list[ExpertTrial]] = {task: [] for task in sorted({episode.task for episode in todo})}
     for trial in run_trials(create_executor(ExecutorKind.LOCAL, jobs), todo, Policy(policy)):
         own = trials[trial.episode.task]
         own.append(trial)
@@ -140,21 +183,29 @@ def check(
 
 @suite.command(epilog="\b\nExample:\n  kinebench-drake suite sheet --out tasks.jpg --seed 3 --jobs 2")
 @click.option("--out", type=PathParameter(dir_okay=False), required=True, help="Image file, PNG or JPEG.")
+@_SUITE
+@_SPLIT
 @tasks_option
 @click.option("--looks", type=click.Choice(["table", "background", "light"]), help="Show all looks of a sort instead.")
 @_SEED
 @jobs_option
-def sheet(out: Path, tasks: str | None, looks: str | None, seed: int, jobs: int) -> None:
+def sheet(
+    out: Path, number: int | None, split: str | None, tasks: str | None, looks: str | None, seed: int, jobs: int
+) -> None:
     """Draw a contact sheet: first and last frame of each task's expert, or all tables, backgrounds or lights."""
-    from kinebench_drake.errors import UsageError
     from kinebench_drake.executors.base import ExecutorKind, create_executor
     from kinebench_drake.suites.contact_sheet import contact_sheet, look_panels, task_panels
 
     if out.suffix.lower() not in (".png", ".jpg", ".jpeg"):
         raise UsageError(f"--out {out} should end in .png or .jpg")
     check_parent("--out", out)
+    if looks is not None and (number, split, tasks) != (None, None, None):
+        raise UsageError(f"--looks {looks}: shows one scene of one task; leave out --suite, --split and --tasks")
     executor = create_executor(ExecutorKind.LOCAL, jobs)
-    panels = task_panels(executor, _tasks(tasks), seed) if looks is None else look_panels(executor, looks, seed)
+    if looks is None:
+        panels = task_panels(executor, _episodes(number, split, tasks, 1, seed, None, "plain"))
+    else:
+        panels = look_panels(executor, looks, seed)
     with atomic_path(out) as part:
         contact_sheet(panels, columns=4 if looks is None else 6).save(part)
     click.echo(f"{out}: {len(panels)} panels, {sum(panel.failed for panel in panels)} failed")

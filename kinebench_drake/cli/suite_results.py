@@ -30,9 +30,12 @@ def ceiling(folders: tuple[Path, ...], out: Path | None, seed: int, jobs: int) -
     from kinebench_drake.cli.run import ProgressView, terminate_as_interrupt
     from kinebench_drake.closed_loop.tolerance import run_attempts
     from kinebench_drake.executors.base import ExecutorKind, create_executor
+    from kinebench_drake.report.run import check_page_folder
     from kinebench_drake.report.suite.comparison import ceiling_lines, comparison_lines, read_ceiling
     from kinebench_drake.report.suite.suite_page import write_comparison
 
+    if out is not None:
+        check_page_folder(out)
     executor = create_executor(ExecutorKind.LOCAL, jobs)
     with ProgressView() as view, terminate_as_interrupt():
         comparison = read_ceiling(folders, lambda episodes: run_attempts(executor, episodes, (), view), seed)

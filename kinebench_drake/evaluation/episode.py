@@ -190,6 +190,7 @@ class EpisodeEvaluator(Evaluator[EpisodeSample, EpisodeResources]):
         path = request_path(self.config.out, id)
         make_folder(path.parent)
         state = {**self.subject, **first_facts(pending.X_BG, pending.finger_width_m)}
+        state["frame_period_s"] = self.loop.frame_period_s
         if (actions := pending.request.actions) is not None:
             write_json(path.with_suffix(".json"), actions.to_json())
             state["actions"] = f"{id}.json"
@@ -261,7 +262,7 @@ def _rollout_frames(
 ) -> Iterator[NDArray[np.uint8]]:
     """Yield generated frames, executed frames, and the generated gripper drawn on the executed frames, side by side."""
     for number, (done, execution) in enumerate(zip(run.rounds, executed, strict=True), 1):
-        text = f"imagined, round {number}"
+        text = f"generated, round {number}"
         if execution is None:
             blank = _captioned(np.zeros((SIZE_PX, SIZE_PX, 3), dtype=np.uint8), "nothing executed")
             for frame in done.frames:
@@ -276,7 +277,7 @@ def _rollout_frames(
 def _thumbnail(run: EpisodeRun, executed: Sequence[RolloutVideo | None]) -> bytes:
     """Encode the first frame, the last generated and the last executed one."""
     last = next((video.rgb[-1] for video in reversed(executed) if video is not None), run.rounds[0].frames[0])
-    images = (run.rounds[0].frames[0], "start"), (run.rounds[-1].frames[-1], "imagined"), (last, "executed")
+    images = (run.rounds[0].frames[0], "start"), (run.rounds[-1].frames[-1], "generated"), (last, "executed")
     return encode_strip([_captioned(frame, text) for frame, text in images])
 
 

@@ -32,7 +32,7 @@ GOOD_VERDICTS = ("executable", "success")
 _RANK = {verdict: rank for rank, verdict in enumerate(VERDICT_LABELS)}
 _MAX_VIOLATIONS = 20
 """Violations that a sample's table lists, the first ones."""
-VIDEOS = {"rollouts": "Imagined and executed, side by side", "overlays": "Video with the gripper's pose drawn on it"}
+VIDEOS = {"rollouts": "Generated and executed, side by side", "overlays": "Video with the gripper's pose drawn on it"}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

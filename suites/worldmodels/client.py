@@ -181,7 +181,7 @@ class HttpClient:
 
         def attempt() -> None:
             url = self._download_address(address)
-            for _ in range(_REDIRECTS):
+            for _ in range(_REDIRECTS + 1):
                 headers = {**_PLAIN, **self._authorization(url)}
                 timeout = self._timeout(deadline, False)
                 with self._stream("GET", url, deadline, True, headers=headers, timeout=timeout) as response:

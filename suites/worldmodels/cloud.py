@@ -103,7 +103,7 @@ class CloudModel(ABC, Generic[_Options]):
 
 _SUBMIT = "/api/v1/services/aigc/video-generation/video-synthesis"
 _SEEDS = 2**31
-_MODERATED = "DataInspectionFailed"
+_MODERATED, _ARREARS = "DataInspectionFailed", "Arrearage"
 
 
 class DashScopeModel(CloudModel[DashScopeOptions]):
@@ -131,6 +131,8 @@ class DashScopeModel(CloudModel[DashScopeOptions]):
         try:
             answer = self._client.call("POST", _SUBMIT, deadline, body=body, headers=headers, repeatable=False)
         except ServiceError as error:
+            if error.code == _ARREARS:
+                raise SetupError(f"{error}; look at the account that {DASHSCOPE_KEY} belongs to") from None
             raise self._moderated(str(error)) if error.code == _MODERATED else error from None
         task = _object(answer, "output").get("task_id")
         if not isinstance(task, str) or not task:

@@ -138,6 +138,10 @@ def test_what_cannot_be_made_is_a_usage_error(suite, orders, tmp_path, arguments
         ),
         (("check", "--json", "absent/x.json"), "there is no folder absent"),
         (("sheet", "--out", "absent/x.png"), "there is no folder absent"),
+        (("sheet", "--out", "x.png", "--looks", "table", "--suite", 1), "leave out --suite"),
+        (("check", "--split", "unseen"), "add --suite N"),
+        (("check", "--suite", 2, "--pool", "seen"), "those of the split of --suite 2"),
+        (("check", "--suite", 1, "--split", "train", "--tasks", "StoreCube-v2"), "not in suite 1's split train"),
     ],
 )
 def test_what_cannot_be_tried_or_drawn_is_told_before_the_work(suite, arguments, told):
@@ -145,6 +149,19 @@ def test_what_cannot_be_tried_or_drawn_is_told_before_the_work(suite, arguments,
     assert code == 2
     assert told in err
     assert len(err.splitlines()) == 1
+
+
+def test_episodes_of_a_suite_are_checked(suite, monkeypatch):
+    from kinebench_drake.suites.suite import load_suite
+
+    checked = []
+    monkeypatch.setattr(
+        "kinebench_drake.suites.expert_check.run_trials",
+        lambda executor, episodes, policy: checked.extend(episodes) or (),
+    )
+    code, _, err = suite("check", "--suite", 2, "--split", "unseen", "--episodes", 2, "--seed", 3)
+    assert code == 0, err
+    assert [episode.id for episode in checked] == [e.id for e in load_suite(2).episodes("unseen", 2, offset=3)]
 
 
 def test_a_task_named_twice_is_one():

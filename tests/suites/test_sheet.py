@@ -11,7 +11,7 @@ from PIL import Image
 from kinebench_drake.cli import cli
 from kinebench_drake.executors.base import ExecutorKind, ItemResult, WorkerCrash, create_executor
 from kinebench_drake.suites.contact_sheet import GAP_PX, IMAGE_PX, MARGIN_PX, Panel, contact_sheet, task_panels
-from kinebench_drake.suites.episode import Episode
+from kinebench_drake.suites.episode import Episode, compose
 
 
 def _shot(level: int) -> Panel:
@@ -59,7 +59,7 @@ class _Backwards:
 
 def test_panels_come_in_the_order_asked_for() -> None:
     tasks = ["StackCube-v1", "PullCube-v1", "CloseBox-v1"]
-    panels = task_panels(_Backwards(), tasks, 0)
+    panels = task_panels(_Backwards(), [compose(task, 0) for task in tasks])
     assert [panel.title for panel in panels] == tasks
     assert [panel.failed for panel in panels] == [False, True, False]
     assert "killed" in panels[1].text
@@ -67,7 +67,7 @@ def test_panels_come_in_the_order_asked_for() -> None:
 
 @pytest.mark.sapien
 def test_a_shot_is_the_first_and_last_frame() -> None:
-    [panel] = task_panels(create_executor(ExecutorKind.LOCAL, 1), ["StackCube-v1"], 0)
+    [panel] = task_panels(create_executor(ExecutorKind.LOCAL, 1), [compose("StackCube-v1", 0)])
     assert not panel.failed
     first, last = panel.images
     assert first.shape == last.shape == (384, 384, 3)
@@ -76,7 +76,7 @@ def test_a_shot_is_the_first_and_last_frame() -> None:
 
 def test_command_writes_a_picture(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(
-        "kinebench_drake.suites.contact_sheet.task_panels", lambda executor, tasks, seed: [_shot(9)] * len(tasks)
+        "kinebench_drake.suites.contact_sheet.task_panels", lambda executor, episodes: [_shot(9)] * len(episodes)
     )
     out = tmp_path / "sheet.jpg"
     done = CliRunner().invoke(cli, ["suite", "sheet", "--tasks", "StackCube-v1,PullCube-v1", "--out", str(out)])

@@ -80,7 +80,7 @@ class EpisodeResult:
 
     @property
     def executable(self) -> float:
-        """1 if the imagined videos can be executed as a whole, else 0."""
+        """1 if the generated videos can be executed as a whole, else 0."""
         return float(self.row.executable is True)
 
     @property

@@ -30,7 +30,7 @@ _METRICS = (
     ("ik_success_rate", "IK success", "{:.1%}"),
     ("slowdown_min", "Slow-down needed", "{:.2f}"),
     ("tracked_fraction", "Frames tracked", "{:.1%}"),
-    ("gap_gripper_m", "Imagined to executed [m]", "{:.4f}"),
+    ("gap_gripper_m", "Generated to executed [m]", "{:.4f}"),
     ("gap_robot_iou", "Robot overlap", "{:.2f}"),
 )
 
@@ -54,7 +54,7 @@ def tabulate_kinematics(episodes: Sequence[EpisodeResult], seed: int = 0) -> Tab
     worst = {name: worst_metric(name, episodes) for name, *_ in metrics}
     return Table(
         name="kinematics",
-        title="Motion of the imagined gripper",
+        title="Motion of the generated gripper",
         note="Means over tasks of the episodes that have the metric, with 95 % bootstrap intervals over episodes "
         "within tasks; successes and failures alike. Bound: the mean if the other episodes had the worst value of all.",
         columns=(
@@ -113,7 +113,7 @@ def tabulate_following(episodes: Sequence[EpisodeResult], seed: int = 0) -> Tabl
     return Table(
         name="following",
         title="Following of actions",
-        note="Differences between the imagined and the commanded gripper: an episode's median over frames, a lost "
+        note="Differences between the generated and the commanded gripper: an episode's median over frames, a lost "
         "frame worse than any other; means over tasks with 95 % bootstrap intervals over episodes within tasks. "
         "Shuffled: against the commanded frames in random order. Following: 1 - error / shuffled error of the "
         "position, 1 for a video that obeys, 0 for one that does not depend on the actions. Delay: that with the least "

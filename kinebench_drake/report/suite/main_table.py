@@ -95,7 +95,7 @@ def tabulate_main(folders: Sequence[RunFolder], episodes: Sequence[EpisodeResult
         Table(
             name="table1_executable",
             title="Executable videos by suite",
-            note="Share of all episodes whose imagined videos a robot can execute as a whole, mean over tasks, with "
+            note="Share of all episodes whose generated videos a robot can execute as a whole, mean over tasks, with "
             "95 % bootstrap intervals over episodes within tasks; an episode without a verdict is not executable.",
             columns=columns,
             rows=rows(lambda t: t.executable),

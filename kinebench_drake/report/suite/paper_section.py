@@ -74,7 +74,7 @@ _SUCCESS = "The paper's Table 1, suites by models, and the share of videos that 
 _DROP = "Success lost on assets, looks and tasks that were not trained, for the same model."
 _SPARC = "One point per model and suite: task-balanced mean SPARC, and success standardised within tasks."
 _MANIPULABILITY = (
-    "Manipulability cost of the imagined motion by suite and model, and whether it goes along with success."
+    "Manipulability cost of the generated motion by suite and model, and whether it goes along with success."
 )
 _SCALING = "Success on suite 3 by demonstrations and optimisation steps, for tasks of rising difficulty."
 

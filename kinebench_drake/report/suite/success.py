@@ -173,7 +173,7 @@ def tabulate_suites(episodes: Sequence[EpisodeResult], seed: int = 0) -> Table:
     return Table(
         name="suites",
         title="Closed-loop success by suite",
-        note="Executable: share of all its episodes whose imagined videos a robot can execute as a whole. "
+        note="Executable: share of all its episodes whose generated videos a robot can execute as a whole. "
         "Otherwise mean over tasks of the share of successes among measured episodes; 95 % bootstrap intervals over "
         "episodes within tasks. A dash: no measured episode."
         + incomplete_note(tallies, episodes)
@@ -340,7 +340,7 @@ def draw_verdicts(episodes: Sequence[EpisodeResult]) -> ReportFigure:
         name="verdicts",
         title="Outcomes of the episodes",
         caption="Shares of all episodes: successes; failures by verdict (grounding: the gripper was not read; "
-        "generation: the video shows what no robot does; execution: the executed gripper deviates from the imagined "
+        "generation: the video shows what no robot does; execution: the executed gripper deviates from the generated "
         "one; task: none of these, and the goal was not reached); episodes that could not be measured.",
         figure=figure,
     )

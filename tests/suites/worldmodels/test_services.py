@@ -102,11 +102,14 @@ def test_dashscope_refuses(dashscope: DashScopeModel, servant: Servant, request_
     servant.routes[SUBMIT] = [
         Reply({"code": "DataInspectionFailed", "message": "bad words"}, status=400),
         Reply({"code": "InvalidApiKey", "message": "no"}, status=401),
+        Reply({"code": "Arrearage", "message": "overdue"}, status=400),
         Reply({"output": {}}),
     ]
     with pytest.raises(WorldModelError, match=r"moderation refused the request or the video .*bad words"):
         dashscope.generate(request_, out)
     with pytest.raises(SetupError, match="InvalidApiKey"):
+        dashscope.generate(request_, out)
+    with pytest.raises(SetupError, match=r"overdue.*account"):
         dashscope.generate(request_, out)
     with pytest.raises(WorldModelError, match="gave no task_id"):
         dashscope.generate(request_, out)
