@@ -27,10 +27,10 @@ def main(out: Path) -> None:
         if row.reason is not None:
             print(f"{row.id}: {row.status.value}, {row.reason}")
             continue
-        told = row.extra
-        print(f"{row.id}: {'success' if told['success'] else 'failure'}, progress {told['progress']:.2f}")
-        if told["cause"]:
-            print(f"  {told['verdict']}: {told['cause']['text']}")
+        outcome = row.extra
+        print(f"{row.id}: {'success' if outcome['success'] else 'failure'}, progress {outcome['progress']:.2f}")
+        if outcome["cause"]:
+            print(f"  {outcome['verdict']}: {outcome['cause']['text']}")
         print(f"  generated and executed side by side: {out / 'rollouts' / f'{row.id}.mp4'}")
     print(f"report: {summary.report}")
 

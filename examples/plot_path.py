@@ -40,5 +40,5 @@ def main(video: Path, picture: Path) -> None:
 
 
 if __name__ == "__main__":
-    given = [Path(argument) for argument in sys.argv[1:]]
-    main(*given, *[VIDEO, Path("path.png")][len(given) :])
+    paths = [Path(argument) for argument in sys.argv[1:]]
+    main(*paths, *[VIDEO, Path("path.png")][len(paths) :])

@@ -25,10 +25,11 @@ def main(folder: Path, out: Path) -> None:
         if row.status is not Status.OK:
             print(f"{row.id}: {row.status.value}, {row.reason}")
             continue
-        verdict = {True: "feasible", False: "infeasible", None: "cannot be told"}[row.feasible]
+        verdict = {True: "feasible", False: "infeasible", None: "undecided"}[row.feasible]
         why = ", ".join(f"{v['kind']} in frames {v['frame_start']} to {v['frame_end']}" for v in row.violations)
         print(f"{row.id}: {verdict}{f' ({why})' if why else ''}")
-        print(f"  executable as a whole: {'yes' if row.executable else 'no, ' + ', '.join(row.executable_reasons)}")
+        whole = {True: "yes", False: "no", None: "undecided"}[row.executable]
+        print("  executable as a whole:", ", ".join([whole, *(r for r in row.executable_reasons if r != "undecided")]))
         print(f"  tracked {row.metrics['tracked_fraction']:.0%}, anomalies: {row.metrics['anomalies'] or 'none'}")
         track = read_track(artifact_path(out, "tracks", row.id)).track
         start, end = track.X_BG[track.tracked][[0, -1], :3, 3]
@@ -39,5 +40,5 @@ def main(folder: Path, out: Path) -> None:
 
 
 if __name__ == "__main__":  # with jobs above 1 the worker processes import this file, too
-    given = [Path(argument) for argument in sys.argv[1:]]
-    main(*given, *[HERE / "videos" / "manifest.jsonl", Path("scored")][len(given) :])
+    paths = [Path(argument) for argument in sys.argv[1:]]
+    main(*paths, *[HERE / "videos" / "manifest.jsonl", Path("scored")][len(paths) :])

@@ -25,7 +25,7 @@ MISS_M = 0.005
 still counts as following its track (`judge.TUBE_M`). Up to it the frame's manipulability falls linearly to 0."""
 COST_MAX = 1000.0
 """Greatest manipulability cost of a frame, that of a lost or unreachable one. PyRoki's own, 1e6 at a singularity, would
-leave nothing of a mean but the share of such frames; on 40 random feasible tracks no frame has more than 32."""
+leave nothing of a mean but the share of such frames."""
 
 _SAMPLES, _ROUNDS = 128, 5  # angles of the redundancy among which the worst posture is searched, and their halvings
 _BETWEEN = 0.99  # allowance for worse postures between them

@@ -22,7 +22,12 @@ _METRICS = (
     ("tracked_fraction", "Frames tracked", "{:.0%}", "share of frames with a reliable gripper pose"),
     ("camera_motion_px", "Camera motion [px]", "{:.2f}", "motion of the background; about 0 for a fixed camera"),
     ("arm_consistency_px", "Arm consistency [px]", "{:.1f}", "distance of the links from the arm posed by the hand"),
-    ("ik_success_rate", "IK success", "{:.0%}", "share of tracked frames reached within joint limits"),
+    (
+        "ik_success_rate",
+        "IK success",
+        "{:.0%}",
+        "share of all frames reached within joint limits, without collision",
+    ),
     ("ik_position_error_max_m", "IK position error, max [m]", "{:.2g}", "greatest distance from the wanted pose"),
     ("joint_limit_margin_min", "Joint margin, min", "{:.3f}", "distance to the limit / half the range; < 0 is outside"),
     ("manipulability_mean", "Manipulability, mean", "{:.4f}", "volume of the 6x7 Jacobian; 0 is singular"),
