@@ -135,6 +135,14 @@ def test_a_suite_report_shows_names_and_runs_none(tmp_path):
     clean(page)
 
 
+@pytest.mark.parametrize("split", ['x"><script>alert(1)<!--', "/../../../elsewhere", "", "a b"])
+def test_a_suite_report_takes_no_split_that_is_no_name(tmp_path, split):
+    write_run(tmp_path / "run", {"T": [True, False]}, split=split)
+    with pytest.raises(UsageError, match="names no suite, split and variant"):
+        write_suite_report([tmp_path / "run"], tmp_path / "deep" / "page")
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["run"]
+
+
 def clean(page: Page) -> None:
     """The page holds as many scripts as one of plain names, loads nothing, and no tag of a name became one."""
     assert page.scripts <= 2

@@ -299,4 +299,4 @@ def _method(states: RobotStates) -> CalibrationMethod:
         return CalibrationMethod.MOTION
     if not np.isfinite(states.q).any():
         return CalibrationMethod.POSES
-    return CalibrationMethod.POSTURE if count < len(states.q) or count == 1 else CalibrationMethod.JOINTS
+    return CalibrationMethod.POSTURE if count == 1 else CalibrationMethod.JOINTS

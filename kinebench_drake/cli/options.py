@@ -1,5 +1,6 @@
 """Options shared by several commands."""
 
+import errno
 import os
 import re
 from collections.abc import Callable
@@ -27,6 +28,11 @@ class PathParameter(click.Path):
         """Return the path; fails if it is empty, or not as the options demand."""
         if not os.fspath(value):
             self.fail("the path is empty", param, ctx)
+        try:
+            os.stat(value)
+        except OSError as error:
+            if error.errno in (errno.ENAMETOOLONG, errno.ELOOP):
+                self.fail(f"{os.fspath(value)[:60]}...: {error.strerror}", param, ctx)
         return super().convert(value, param, ctx)
 
 

@@ -120,6 +120,8 @@ def tolerance(
     for option, path in (("--out", out), ("--figure", figure)):
         if path is not None:
             check_parent(option, path)
+    if figure is not None and figure.suffix.lower() not in (".png", ".svg", ".pdf"):
+        raise UsageError(f"--figure {figure}: expected a name that ends in .png, .svg or .pdf")
     suite = load_suite(number)
     chosen = chosen_tasks(suite, split, tasks, TaskVariant.PLAIN)
     todo = suite.episodes(suite.split_name(split), episodes, tasks=chosen, offset=seed)

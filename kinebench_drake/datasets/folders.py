@@ -7,7 +7,7 @@ from pathlib import Path, PurePosixPath
 
 from kinebench_drake.errors import InputError, UsageError
 from kinebench_drake.io.files import require_accessible
-from kinebench_drake.results.store import ARTIFACTS, RESULTS, RUN, SAMPLES
+from kinebench_drake.results.store import ARTIFACTS, REQUESTS, RESULTS, RUN, SAMPLES
 
 WRITTEN = (*ARTIFACTS, "figures")
 """Folders of an output folder that hold no input, unlike the clips of a world model in videos/."""
@@ -65,7 +65,8 @@ def walk(top: Path, skipped: Sequence[Path] = ()) -> Iterator[tuple[Path, list[s
             folders.clear()
             continue
         visited.add(real)
-        folders[:] = sorted(f for f in folders if not f.startswith(".") and not (output and f in WRITTEN))
+        filled = (*WRITTEN, REQUESTS) if output else ()
+        folders[:] = sorted(f for f in folders if not f.startswith(".") and f not in filled)
         yield here, folders, sorted(f for f in files if not f.startswith("."))
 
 

@@ -23,7 +23,8 @@ from kinebench_drake.closed_loop.gap import GAP_METRICS, average_gaps, measure_g
 from kinebench_drake.closed_loop.loop import ClosedLoop, Condition, EpisodeRun, LoopOptions, PendingRound
 from kinebench_drake.evaluation.analyzer import Analyzer, load_analyzer
 from kinebench_drake.evaluation.clips import clip_starts, combine, join_curves, join_tracks
-from kinebench_drake.evaluation.evaluator import KINEMATIC_METRICS, PENDING, REQUESTS, Evaluation, Evaluator
+from kinebench_drake.evaluation.evaluator import KINEMATIC_METRICS, PENDING, Evaluation, Evaluator
+from kinebench_drake.evaluation.requests import SIZE_PX, request_path
 from kinebench_drake.evaluation.score import VISUAL_METRICS
 from kinebench_drake.evaluation.thumbnail import encode_strip
 from kinebench_drake.grounding.overlay import draw_caption
@@ -34,7 +35,7 @@ from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.results.inputs import PeriodSource
 from kinebench_drake.results.provenance import weights_hash
 from kinebench_drake.results.row import SampleRow, sample_suffix
-from kinebench_drake.results.store import artifact_path
+from kinebench_drake.results.store import REQUESTS, artifact_path
 from kinebench_drake.results.trackfile import write_track
 from kinebench_drake.suites.clock import FRAME_PERIOD_S
 from kinebench_drake.suites.episode import Episode
@@ -48,9 +49,6 @@ from kinebench_drake.suites.worldmodels.factory import LazyWorldModel
 from kinebench_drake.suites.worldmodels.remote import png
 from kinebench_drake.suites.worldmodels.worldmodel import OfflineModel
 from kinebench_drake.types import Domain, GripperTrack, Json
-
-SIZE_PX = 384
-"""Width and height of conditioning images."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -250,11 +248,6 @@ class EpisodeEvaluator(Evaluator[EpisodeSample, EpisodeResources]):
             "frame_period_source": source.value,
             "camera_source": "benchmark",
         }
-
-
-def request_path(out: Path, id: str) -> Path:
-    """Return the path of the first frame of a round that waits for its video."""
-    return out / REQUESTS / f"{id}.png"
 
 
 def _rollout_frames(

@@ -31,8 +31,6 @@ SCHEMA_VERSION = 2
 
 PENDING = "pending"
 """Key of a row with the manifest's row of the video that it waits for."""
-REQUESTS = "ask"
-"""Folder with first frames and manifest of such videos."""
 KINEMATIC_METRICS = (
     *("sparc", "sparc_rotation", "ldlj", "manipulability_mean", "manipulability_min", "manipulability_integral"),
     *("manipulability_cost_mean", "ik_success_rate", "ik_position_error_max_m", "joint_limit_margin_min"),
@@ -172,29 +170,31 @@ class Evaluator(ABC, Generic[SampleT, ResourcesT]):
         present = all(artifact_path(self.config.out, name, row.id).is_file() for name in artifacts)
         return present and row.content_hash == self.content_hash(sample)
 
-    def failed_row(self, sample: SampleT, status: Status, reason: str) -> SampleRow:
+    def failed_row(self, sample: SampleT, status: Status, reason: str, content_hash: str | None = None) -> SampleRow:
         """Return the row of a sample without results: every metric is null."""
-        row = self._ok_row(sample, Evaluation(kinematics=None))
+        row = self._ok_row(sample, Evaluation(kinematics=None), content_hash or self.content_hash(sample))
         return replace(row, status=status, reason=one_line(reason), null_reasons={})
 
     def row(self, sample: SampleT, resources: ResourcesT) -> SampleRow:
         """Evaluate a sample; any failure but a SetupError ends here and becomes its row."""
+        content_hash = self.content_hash(sample)  # of the bytes before: a file that changes meanwhile is measured again
         try:
             evaluation = self.evaluate(sample, resources)
-            row = self._ok_row(sample, evaluation)
+            row = self._ok_row(sample, evaluation, content_hash)
             if evaluation.unmeasurable is None:
                 return row
             return replace(row, status=Status.UNMEASURABLE, reason=one_line(evaluation.unmeasurable), null_reasons={})
         except SetupError:
             raise
         except UnmeasurableError as error:
-            return self.failed_row(sample, Status.UNMEASURABLE, str(error))
+            return self.failed_row(sample, Status.UNMEASURABLE, str(error), content_hash)
         except KinebenchError as error:
-            return self.failed_row(sample, Status.ERROR, str(error))
+            return self.failed_row(sample, Status.ERROR, str(error), content_hash)
         except Exception as error:
-            return self.failed_row(sample, Status.ERROR, f"unexpected {type(error).__name__}: {error}")
+            reason = f"unexpected {type(error).__name__}: {error}"
+            return self.failed_row(sample, Status.ERROR, reason, content_hash)
 
-    def _ok_row(self, sample: SampleT, evaluation: Evaluation) -> SampleRow:
+    def _ok_row(self, sample: SampleT, evaluation: Evaluation, content_hash: str) -> SampleRow:
         kinematics = evaluation.kinematics
         metrics = {
             **dict.fromkeys(self.metric_names),
@@ -209,7 +209,7 @@ class Evaluator(ABC, Generic[SampleT, ResourcesT]):
             model=sample.model,
             status=Status.OK,
             reason=None,
-            content_hash=self.content_hash(sample),
+            content_hash=content_hash,
             feasible=kinematics.feasible if kinematics else None,
             executable=executable,
             executable_reasons=obstacles,

@@ -8,10 +8,11 @@ from pathlib import Path
 
 from kinebench_drake.errors import InputError, UsageError, count_noun
 from kinebench_drake.evaluation.config import RunKind
-from kinebench_drake.evaluation.evaluator import SCHEMA_VERSION
+from kinebench_drake.evaluation.evaluator import PENDING, SCHEMA_VERSION
+from kinebench_drake.evaluation.requests import request_path, write_requests
 from kinebench_drake.evaluation.runner import NullRunObserver, RunObserver, RunSummary, close_run, summarize
 from kinebench_drake.io.atomic import atomic_path, write_atomically
-from kinebench_drake.io.jsonl import dump
+from kinebench_drake.io.jsonl import as_object, dump
 from kinebench_drake.report.sample import worst_samples
 from kinebench_drake.results.aggregate import RunStatistics
 from kinebench_drake.results.metadata import RunMetadata, read_metadata
@@ -100,7 +101,9 @@ def merge_folders(folders: Sequence[Path], out: Path, observer: RunObserver | No
         store.replace_rows({id: s.row for id, s in samples.items()}, {id: s.line for id, s in samples.items()})
         statistics = RunStatistics.of(store.rows.values(), run.bootstrap_seed)
         store.finish(summarize(store.sorted_rows(), run, statistics))
-        return close_run(store, RunKind(run.kind), run.bootstrap_seed, statistics)
+        summary = close_run(store, RunKind(run.kind), run.bootstrap_seed, statistics)
+        write_requests(out, summary.pending)
+        return summary
 
 
 def _read_shard(path: Path) -> ShardFolder:
@@ -246,7 +249,7 @@ def _merge_metadata(runs: Sequence[RunMetadata]) -> RunMetadata:
             **{name: _common([run.config.get(name) for run in runs]) for name in ("jobs", "engine")},
         },
         versions={
-            name: ", ".join(sorted({str(run.versions.get(name)) for run in runs}))
+            name: ", ".join(sorted({version for run in runs for version in str(run.versions.get(name)).split(", ")}))
             if name in _differing_versions(runs)
             else value
             for name, value in first.versions.items()
@@ -285,6 +288,8 @@ def _merge_warnings(runs: Sequence[RunMetadata], merged: RunMetadata, samples: i
 
 
 def _absent_shards(runs: Sequence[RunMetadata]) -> str:
+    if any(run.shard is None for run in runs):  # an earlier merge does not say which shards it holds
+        return ""
     shards = [shard for run in runs if (shard := run.shard) is not None]
     counts = {shard.count for shard in shards}
     if len(counts) != 1:
@@ -310,6 +315,10 @@ def _sample_files(sample: MergedSample, *, with_replay: bool) -> Iterator[Path]:
         path = sample.artifact(kind)
         if path.is_file() and (kind != "replays" or with_replay):
             yield path
+    asked = as_object(sample.row.extra.get(PENDING)).get("id")
+    if isinstance(asked, str) and asked == Path(asked).name:
+        image = request_path(sample.shard.path, asked)
+        yield from (path for path in (image, image.with_suffix(".json")) if path.is_file())
     for clip in sample.shard.clips.get(sample.row.id, ()):
         yield from (file for file in sorted(clip.rglob("*")) if file.is_file()) if clip.is_dir() else (clip,)
 

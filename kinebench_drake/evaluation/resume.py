@@ -60,7 +60,7 @@ def resume(
             f"{len(unlisted)} earlier results are dropped: they are not among the {len(samples)} {noun} "
             f"named now (such as {unlisted[0]!r})"
         )
-    if unlisted or any(s.id not in current for s in waiting):
+    if store.rows.keys() - current or any(s.id not in current for s in waiting):
         store.begin(metadata.to_json())
     store.keep_rows(lambda row: row.id in current)
     return waiting

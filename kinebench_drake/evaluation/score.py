@@ -373,7 +373,7 @@ class _VideoReader(VideoEvaluator):
         assumed = is_assumed(sample, self.config.camera)
         if not assumed:
             _framing(sample, video)
-        t_s, period_s, source = _times(sample, video, self.config.frame_period_s)
+        _, t_s, period_s, source = _clock(sample, video, self.config.frame_period_s, self.config.duration_s)
         return Evaluation(
             kinematics=None,
             extra={
@@ -457,12 +457,7 @@ def prepare_video(
     """
     video.require_measurable()
     framing = _framing(sample, video)
-    chosen = np.arange(len(video.frames))
-    if duration_s is None:
-        t_s, period_s, source = _times(sample, video, period_s)
-    else:
-        chosen, t_s = sample_uniformly(len(chosen), duration_s, period_s or BENCHMARK_PERIOD_S)
-        period_s, source = duration_s / (len(t_s) - 1), PeriodSource.TASK_DURATION
+    chosen, t_s, period_s, source = _clock(sample, video, period_s, duration_s)
     camera = framing.whole_camera(sample.camera)
     priors = overrides.priors(override_names(sample), video.frames, camera, sample.initial_state)
     priors = replace(priors, camera_is_fitted=sample.camera_source is CameraSource.ESTIMATED)
@@ -656,6 +651,17 @@ def override_names(sample: VideoSample) -> tuple[str, ...]:
         return (sample.id,)
     stem = sample.path.name if sample.path.is_dir() else sample.path.stem
     return tuple(dict.fromkeys((sample.id, stem)))
+
+
+def _clock(
+    sample: VideoSample, video: Video, option_s: float | None, duration_s: float | None
+) -> tuple[NDArray[np.intp], Array, float, PeriodSource]:
+    """Return the frames to use, their task times [s], the period between two [s], and its source."""
+    count = len(video.frames)
+    if duration_s is None:
+        return np.arange(count), *_times(sample, video, option_s)
+    chosen, t_s = sample_uniformly(count, duration_s, option_s or BENCHMARK_PERIOD_S)
+    return chosen, t_s, duration_s / (len(t_s) - 1), PeriodSource.TASK_DURATION
 
 
 def _times(sample: VideoSample, video: Video, option_s: float | None) -> tuple[Array, float, PeriodSource]:

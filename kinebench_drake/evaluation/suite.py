@@ -1,26 +1,20 @@
 """`suite run`: a world model on the episodes of a suite in closed loop."""
 
 import hashlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import closing
 from dataclasses import dataclass, field, fields, replace
-from pathlib import Path
 from typing import Any
 
-from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.closed_loop.loop import Condition, LoopOptions
 from kinebench_drake.errors import UsageError, count_noun, member_of
 from kinebench_drake.evaluation.config import RunConfig, RunKind
-from kinebench_drake.evaluation.episode import SIZE_PX, EpisodeEvaluator, EpisodeSample
-from kinebench_drake.evaluation.evaluator import REQUESTS
+from kinebench_drake.evaluation.episode import EpisodeEvaluator, EpisodeSample
+from kinebench_drake.evaluation.requests import write_requests
 from kinebench_drake.evaluation.runner import NullRunObserver, RunObserver, RunSummary, run_samples
 from kinebench_drake.executors.base import ExecutorKind
-from kinebench_drake.io.atomic import disk_errors
-from kinebench_drake.io.camerafile import save_camera
-from kinebench_drake.io.jsonl import write_lines
 from kinebench_drake.results.row import SampleRow
 from kinebench_drake.suites.clock import ClipTiming
-from kinebench_drake.suites.export import CAMERA, MANIFEST
 from kinebench_drake.suites.prompts import PROMPT_OPTIONS, prompt_template
 from kinebench_drake.suites.selection import chosen_tasks
 from kinebench_drake.suites.simulator import Control
@@ -171,30 +165,9 @@ def run_suite(config: SuiteConfig, observer: RunObserver | None = None) -> RunSu
             for index in range(config.samples)
         ]
         summary = run_samples(samples, evaluator, observer)
-        _write_requests(config.out / REQUESTS, summary.pending)
+        write_requests(config.out, summary.pending)
         _warn_of_lengths(summary.rows, config.loop, observer)
         return summary
-
-
-def _write_requests(folder: Path, requests: Sequence[Mapping[str, object]]) -> None:
-    """Write manifest and camera of the rounds that wait for their videos; remove the first frames of others.
-
-    Raises:
-        SetupError: writing failed.
-    """
-    wanted = {str(request.get(key)) for request in requests for key in ("first_frame", "actions")}
-    with disk_errors(folder.name):
-        for file in (*folder.glob("*_r[0-9]*.png"), *folder.glob("*_r[0-9]*.json")):
-            if file.name not in wanted:
-                file.unlink()
-        if requests:
-            save_camera(benchmark_camera().resized(SIZE_PX, SIZE_PX), folder / CAMERA)
-            write_lines(folder / MANIFEST, requests)
-        elif folder.is_dir():
-            for name in (CAMERA, MANIFEST):
-                (folder / name).unlink(missing_ok=True)
-            if not any(folder.iterdir()):  # else videos were put beside the first frames
-                folder.rmdir()
 
 
 def _warn_of_lengths(rows: Sequence[SampleRow], loop: LoopOptions, observer: RunObserver) -> None:

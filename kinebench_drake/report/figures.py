@@ -110,7 +110,7 @@ def _save(figure: "Figure", path: Path) -> None:
 
 def inline_svg(svg: str, name: str, title: str) -> str:
     """Convert a drawing to a part of an html page: unique ids, the page's colours, no external addresses."""
-    body = svg[svg.index("<svg") :]
+    body, name = svg[svg.index("<svg") :], re.sub(r"[^\w.-]", "_", name)
     body = re.sub(r"<metadata>.*?</metadata>", "", body, flags=re.DOTALL)
     body = re.sub(r"<style[^>]*>.*?</style>", "", body, flags=re.DOTALL)
     body = re.sub(r"<!--.*?-->", "", body, flags=re.DOTALL)

@@ -81,9 +81,16 @@ class Aggregate:
 
 
 def worst_values(rows: Sequence[SampleRow]) -> dict[str, float | None]:
-    """Return the worst value of each verdict and metric among all rows of a run; None where no value is the worst."""
-    columns = {name: _to_array(values) for name, (values, _) in _columns(rows).items()}
-    return {name: worst_value(name, column[np.isfinite(column)].tolist()) for name, column in columns.items()}
+    """Return the worst value of each verdict and metric among all rows of a run; None where no value is the worst.
+
+    Of values that are true or false it is false, 0.
+    """
+    worst: dict[str, float | None] = {}
+    for name, (values, _) in _columns(rows).items():
+        column = _to_array(values)
+        numbers = column[np.isfinite(column)].tolist()
+        worst[name] = 0.0 if numbers and _is_share(values) else worst_value(name, numbers)
+    return worst
 
 
 def aggregate(rows: Sequence[SampleRow], seed: int = 0, worst: Mapping[str, float | None] | None = None) -> Aggregate:
@@ -101,7 +108,7 @@ def aggregate(rows: Sequence[SampleRow], seed: int = 0, worst: Mapping[str, floa
         estimates={
             **{
                 name: estimate(values, total=len(rows), seed=seed, worst=worst.get(name), episodes=episodes)
-                for name, (values, episodes) in _columns(rows).items()
+                for name, (values, episodes) in _columns(rows, judged=worst.get("executable") is not None).items()
             },
             **{f"pass_at_{k}": share for k, share in estimate_passes(rows, seed).items()},
         },
@@ -134,10 +141,10 @@ class RunStatistics:
         )
 
 
-def _columns(rows: Sequence[SampleRow]) -> dict[str, tuple[list[Json], list[Hashable]]]:
+def _columns(rows: Sequence[SampleRow], *, judged: bool = False) -> dict[str, tuple[list[Json], list[Hashable]]]:
     """Return the values of verdicts and metrics by name, and their episodes.
 
-    A null verdict on execution is no, if any row has one.
+    A null verdict on execution is no, if the run is `judged`, that is if any of its rows has one.
     """
     columns: dict[str, tuple[list[Json], list[Hashable]]] = {"executable": ([], []), "feasible": ([], [])}
 
@@ -146,8 +153,7 @@ def _columns(rows: Sequence[SampleRow]) -> dict[str, tuple[list[Json], list[Hash
         values.append(value)
         episodes.append(episode)
 
-    judged = any(row.executable is not None for row in rows)
-    for row in rows if judged else ():
+    for row in rows if judged or any(row.executable is not None for row in rows) else ():
         add("executable", row.executable is True, row.episode)
     for row in (r for r in rows if r.status is Status.OK):
         episode = row.episode
@@ -235,7 +241,7 @@ def estimate(
     mean = math.fsum(units) / len(units)
     low: float | None = None
     high: float | None = None
-    if all(isinstance(v, bool) for v in values if v is not None):
+    if _is_share(values):
         worst = 0.0
         low, high = share_interval(np.array(units), np.random.default_rng(seed))
     elif len(units) > 1 and min(units) < max(units):  # equal values do not mean a certain mean
@@ -243,6 +249,11 @@ def estimate(
     missing = total - n
     bound = mean if missing == 0 else None if worst is None else (math.fsum(numbers) + missing * worst) / total
     return Estimate(mean=mean, low=low, high=high, n=n, total=total, bound=bound)
+
+
+def _is_share(values: Sequence[Json]) -> bool:
+    """Return whether all values that there are are true or false."""
+    return all(isinstance(v, bool) for v in values if v is not None)
 
 
 def _to_array(values: Sequence[Json]) -> Array:

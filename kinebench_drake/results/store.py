@@ -18,6 +18,8 @@ RUN = "run.json"
 """Metadata of a run that has no `results.json` yet."""
 ARTIFACTS = {"tracks": "npz", "overlays": "mp4", "rollouts": "mp4", "thumbnails": "jpg", "replays": "html"}
 """Folders with one file per sample, and the suffix of the files."""
+REQUESTS = "ask"
+"""Folder with first frames and manifest of the videos that samples wait for."""
 
 
 def artifact_path(out: Path, kind: str, id: str) -> Path:

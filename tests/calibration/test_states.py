@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from kinebench_drake.calibration.calibrate import _times
+from kinebench_drake.calibration.calibrate import CalibrationMethod, _method, _times
 from kinebench_drake.calibration.states import make_posture_states, parse_posture, read_states
 from kinebench_drake.errors import InputError, UsageError
 from kinebench_drake.io.video import Video
@@ -16,6 +16,19 @@ def test_a_row_a_frame_is_taken_as_it_is_whatever_its_times_say(tmp_path, model)
     assert np.array_equal(states.q, q)
     assert np.allclose(states.X_BH, model.poses(q)[:, RobotPart.HAND])
     assert np.allclose(states.finger_m, 0.02)
+
+
+def test_a_frame_without_joint_angles_does_not_change_the_method(tmp_path, model):
+    q = postures(5)
+    states = []
+    for lost in ([], [2], [0, 1, 2]):
+        some = q.copy()
+        some[lost] = np.nan
+        tracked = np.isfinite(some).all(axis=1)
+        np.savez(tmp_path / "a.npz", t_s=np.arange(5.0), q=q, tracked=tracked)
+        states.append(read_states(tmp_path / "a.npz", None, None, np.arange(5.0), model))
+    assert [int(s.has_hand.sum()) for s in states] == [5, 4, 2]
+    assert {_method(s) for s in states} == {CalibrationMethod.JOINTS}
 
 
 def test_faster_joint_angles_are_taken_at_the_frames_times(tmp_path, model):

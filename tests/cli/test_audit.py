@@ -8,7 +8,7 @@ import pytest
 from fake_analyzer import LOG, FakeAnalyzer
 
 from kinebench_drake.errors import SetupError, UsageError
-from kinebench_drake.evaluation.audit import AuditConfig, audit_trajectories
+from kinebench_drake.evaluation.audit import AuditConfig, TrajectoryEvaluator, audit_trajectories
 from kinebench_drake.evaluation.evaluator import KINEMATIC_METRICS
 from kinebench_drake.evaluation.runner import NullRunObserver
 from kinebench_drake.results.metadata import Shard
@@ -53,6 +53,31 @@ def content(out):
     return {
         p.relative_to(out).as_posix(): p.read_bytes() for p in out.rglob("*") if p.is_file() and "timings" not in p.name
     }
+
+
+def test_a_file_that_changes_while_it_is_judged_is_judged_again(run, source, tmp_path, monkeypatch):
+    for path in source.iterdir():
+        if path.stem != "good":
+            path.unlink()
+    evaluate = TrajectoryEvaluator.evaluate
+
+    def change(self, sample, analyzer):
+        evaluation = evaluate(self, sample, analyzer)
+        np.savez(sample.path, t_s=T_S, q=Q + 1.0)
+        return evaluation
+
+    with monkeypatch.context() as patch:
+        patch.setattr(TrajectoryEvaluator, "evaluate", change)
+        run()
+    assert [row.feasible for row in run().rows] == [False]
+
+
+def test_an_outdated_error_leaves_the_statistics_with_its_row(run, source, tmp_path):
+    run()
+    (source / "empty.npz").write_bytes(b"other")
+    run(limit=3)  # which it is not among
+    counts = json.loads((tmp_path / "out" / "results.json").read_text())["aggregates"]["samples"]
+    assert counts["total"] == len(read_rows(tmp_path / "out")) == 7
 
 
 def test_every_kind_of_trajectory_becomes_a_row(run, tmp_path):

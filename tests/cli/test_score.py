@@ -566,6 +566,30 @@ def test_a_dry_run_lists_and_writes_nothing(film, program, tmp_path):
     assert not (tmp_path / "out").exists()
 
 
+def test_a_dry_run_counts_the_frames_that_are_used(film, program, tmp_path):
+    film("videos/a.mp4", fps=10)
+    code, out, _ = program("score", tmp_path / "videos", "--out", tmp_path / "out", "--dry-run", "--task-duration", 0.8)
+    assert code == 0
+    assert out.startswith("a: 5 frames of 96 x 96 px; frame period: 0.2 s")
+
+
+@pytest.mark.parametrize("command", ["score", "audit"])
+def test_a_name_that_no_file_can_have_is_one_line(program, tmp_path, command):
+    code, _, err = program(command, tmp_path / ("x" * 300), "--out", tmp_path / "out")
+    assert code == 2
+    assert "File name too long" in err
+
+
+def test_first_frames_of_waiting_episodes_are_no_video(film, program, tmp_path):
+    film("run/videos/a_r0.mp4", fps=10)
+    for name in ("run/samples.jsonl", "run/results.json"):
+        (tmp_path / name).write_text("")
+    for k in range(2):
+        film(f"run/ask/{k}.png")
+    _, out, _ = program("score", tmp_path / "run", "--out", tmp_path / "out", "--dry-run")
+    assert "ask" not in out
+
+
 def test_an_empty_path_is_not_the_current_folder(film, program, tmp_path, monkeypatch):
     film("videos/a.mp4")
     monkeypatch.chdir(tmp_path / "videos")

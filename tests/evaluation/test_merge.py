@@ -279,6 +279,41 @@ def test_lost_files_and_unlike_versions_are_told(tmp_path):
     assert json.loads((tmp_path / "out" / "results.json").read_text())["versions"] == {"drake": "1.51, 1.52"}
 
 
+def test_merging_again_changes_nothing(tmp_path):
+    one = fill(tmp_path / "one", header(), [sample("a")])
+    two = fill(tmp_path / "two", header(versions={"drake": "1.52"}), [sample("b")])
+    merge_folders([one, two], tmp_path / "out")
+    before = content(tmp_path / "out")
+    merge_folders([one, two], tmp_path / "out")
+    assert content(tmp_path / "out") == before
+
+
+def test_an_extended_merge_names_no_shard_that_it_may_hold(shards, tmp_path):
+    merge_folders([shards[0]], tmp_path / "out")
+    ear = Ear()
+    merge_folders([shards[2]], tmp_path / "out", ear)
+    assert ear.warnings == ["2 of 7 samples are absent"]
+
+
+def test_first_frames_of_episodes_that_wait_are_merged(tmp_path):
+    def waiting(id):
+        asked = {"id": f"{id}_r1", "video": f"{id}_r1.mp4", "first_frame": f"{id}_r1.png"}
+        return sample(
+            id, status=Status.UNMEASURABLE, reason="waits", feasible=None, metrics={}, extra={"pending": asked}
+        )
+
+    parts = []
+    for k, id in enumerate("ac", 1):
+        parts.append(fill(tmp_path / f"part{k}", header(shard=f"{k}/2"), [waiting(id)]))
+        (parts[-1] / "ask").mkdir()
+        (parts[-1] / "ask" / f"{id}_r1.png").write_text(id)
+    merge_folders(parts, tmp_path / "out")
+    asked = sorted(p.name for p in (tmp_path / "out" / "ask").iterdir())
+    assert asked == ["a_r1.png", "c_r1.png", "camera.json", "manifest.jsonl"]
+    lines = (tmp_path / "out" / "ask" / "manifest.jsonl").read_text().splitlines()
+    assert [json.loads(line)["id"] for line in lines] == ["a_r1", "c_r1"]
+
+
 def test_headers_survive_their_file(tmp_path):
     out = fill(tmp_path / "out", header(), [sample("a")], finished=False)
     found = read_metadata(out)

@@ -76,6 +76,17 @@ def test_samples_without_a_verdict_are_not_executable() -> None:
     assert "executable" not in total.to_json()["metrics"]
 
 
+def test_a_group_without_a_verdict_is_not_executable_where_others_have_one() -> None:
+    good = [_row(k, executable=True, feasible=True, metrics={"trajopt_feasible": True}) for k in "ab"]
+    broken = [_row(k, status=Status.ERROR, reason="broken") for k in "cd"]
+    null = [_row("e", metrics={"trajopt_feasible": None})]
+    worst = worst_values([*good, *broken, *null])
+    executable = aggregate(broken, worst=worst).estimates["executable"]
+    assert (executable.mean, executable.n) == (0.0, 2)
+    assert aggregate(broken, worst=worst).estimates["feasible"].bound == 0.0
+    assert aggregate(null, worst=worst).estimates["trajopt_feasible"].bound == 0.0
+
+
 def test_runs_without_verdicts_have_no_share() -> None:
     assert aggregate([_row("a"), _row("b")]).estimates["executable"].n == 0
 

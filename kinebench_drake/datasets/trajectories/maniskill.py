@@ -105,6 +105,8 @@ def read_maniskill(path: Path, group: str, rate_hz: float | None, choice: Trajec
             data = trajectory.get(name)
             if not isinstance(data, h5py.Dataset):
                 raise InputError(f"{group} holds no data set {name!r}, but {_list_data_sets(trajectory)}")
+            if data.file.filename != file.filename:
+                raise InputError(f"{group}/{name} is a link to another file, which is not read")
             if data.dtype.kind not in "iuf":
                 raise InputError(f"{group}/{name} holds {data.dtype}, expected real numbers")
             if data.shape and data.shape[0] > MAX_FRAMES:

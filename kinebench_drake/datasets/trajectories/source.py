@@ -114,7 +114,7 @@ def _list_output(folder: Path) -> list[TrajectorySample]:
     except InputError as error:
         raise UsageError(str(error)) from None
     samples = []
-    for path in sorted((folder / "tracks").glob("*.npz")):
+    for path in sorted(p for p in (folder / "tracks").glob("*.npz") if not p.name.startswith(".")):
         row = rows.get(path.stem)
         seed, prompt = (row.extra.get(key) if row else None for key in ("seed", "prompt"))
         samples.append(

@@ -210,9 +210,9 @@ def _episode_means(episodes: Sequence[EpisodeResult], values: Sequence[float | N
     return list(group_means([value for value, _ in present], [key for _, key in present]))
 
 
-def executable_share(episodes: Sequence[EpisodeResult], seed: int = 0) -> Estimate | None:
-    """Return the share of executable episodes, mean over tasks; None if none has a verdict."""
-    if all(e.row.executable is None for e in episodes):
+def executable_share(episodes: Sequence[EpisodeResult], seed: int, among: Iterable[EpisodeResult]) -> Estimate | None:
+    """Return the share of executable episodes, mean over tasks; None if no episode of a report, `among`, is judged."""
+    if all(e.row.executable is None for e in among):
         return None
     return mean_over_tasks(episodes, lambda e: e.executable, seed)
 

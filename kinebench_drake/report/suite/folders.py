@@ -16,6 +16,8 @@ from kinebench_drake.results.store import RESULTS
 from kinebench_drake.types import Json
 
 _KIND = "suite"
+_NAME = re.compile(r"[A-Za-z0-9_-]{1,40}")
+"""Names of splits and variants: parts of file names and of ids in the page."""
 _SETTINGS = (
     *("rounds", "control", "action_repeat", "frame_period_s", "clip_timing", "pixels_only"),
     *("prompt_prefix", "prompt_suffix", "prompts", "negative_prompt", "condition"),
@@ -81,13 +83,13 @@ def _suite_folder(run: Run) -> RunFolder:
     if run.kind != _KIND:
         raise UsageError(f"{run.path}: is of a run of kind {run.kind!r}, expected {_KIND!r}")
     suite, split, variant = run.config.get("suite"), run.config.get("split"), run.config.get("variant", "plain")
-    if not isinstance(suite, int) or not isinstance(split, str) or not isinstance(variant, str):
+    if not isinstance(suite, int) or not all(isinstance(v, str) and _NAME.fullmatch(v) for v in (split, variant)):
         raise UsageError(
             f"{run.path / RESULTS}: config names no suite, split and variant, expected those of a suite run"
         )
     return RunFolder(
         path=run.path,
-        part=SuitePart(suite=suite, split=split, variant=variant),
+        part=SuitePart(suite=suite, split=str(split), variant=str(variant)),
         rows=run.rows,
         planned=run.planned,
         config=run.config,

@@ -70,7 +70,7 @@ def tabulate_kinematics(episodes: Sequence[EpisodeResult], seed: int = 0) -> Tab
             (
                 part.title,
                 model,
-                executable_share(own, seed),
+                executable_share(own, seed, episodes),
                 mean_over_tasks(own, lambda e: e.cost_scaled, seed, 1.0),
                 *(
                     mean_over_tasks(own, lambda e, name=name: e.metric(name), seed, worst[name])  # type: ignore[misc]

@@ -97,7 +97,7 @@ def tally(episodes: Sequence[EpisodeResult], seed: int = 0, among: Sequence[Epis
         measured=len(measured),
         errors=errors,
         unmeasurable=len(episodes) - len(measured) - errors,
-        executable=executable_share(episodes, seed),
+        executable=executable_share(episodes, seed, every),
         pooled=estimate(outcomes, total=len(episodes), seed=seed, episodes=runs),
         counted=estimate([o is True for o in outcomes], total=len(episodes), seed=seed, episodes=runs),
         success=mean_over_tasks(episodes, lambda e: e.hit, seed, 0.0),
@@ -165,7 +165,7 @@ def tabulate_suites(episodes: Sequence[EpisodeResult], seed: int = 0) -> Table:
     """
     parts, models = sorted({e.part for e in episodes}), list_models(episodes)
     tallies = {key: tally(own, seed, episodes) for key, own in group_by(episodes, lambda e: (e.model, e.part)).items()}
-    executable = {m: executable_share(own, seed) for m, own in group_by(episodes, lambda e: e.model).items()}
+    executable = {m: executable_share(own, seed, episodes) for m, own in group_by(episodes, lambda e: e.model).items()}
     rows = [
         tuple[Value, ...]([m, executable[m], *(t.success if (t := tallies.get((m, p))) else None for p in parts)])
         for m in models

@@ -1,5 +1,6 @@
 """ManiSkill's .h5 files and the .json beside them."""
 
+import h5py
 import numpy as np
 import pytest
 
@@ -25,6 +26,16 @@ def state(q):
 
 def about(episodes=(), **arguments):
     return {"env_info": {"env_id": "StackCube-v1", "env_kwargs": arguments}, "episodes": list(episodes)}
+
+
+def test_a_link_to_another_file_is_not_followed(maniskill, q, tmp_path):
+    with h5py.File(tmp_path / "other.h5", "w") as other:
+        other["secret"] = qpos(q)
+    path = maniskill({"traj_0": {"obs/agent/extra": q}}, about())
+    with h5py.File(path, "a") as file:
+        file["traj_0/obs/agent/qpos"] = h5py.ExternalLink("other.h5", "/secret")
+    with pytest.raises(InputError, match="link to another file"):
+        read_all(path)
 
 
 def test_many_trajectories_of_a_file_in_the_order_of_their_numbers(maniskill, q):

@@ -44,7 +44,7 @@ def test_an_output_folder_and_its_tracks_keep_their_labels(tmp_path):
     )
     with ResultStore(tmp_path) as store:
         store.append(row, 0.1)
-    touch(tmp_path, "tracks/a.npz", "tracks/b.npz")
+    touch(tmp_path, "tracks/a.npz", "tracks/b.npz", "tracks/.4711.part.a.npz")
     for source in (tmp_path, tmp_path / "tracks"):
         a, b = find_trajectories(source, TrajectoryOptions(), task="other")
         assert (a.id, a.task, a.model, a.seed, a.prompt, a.video) == ("a", "T", "M", 4, "p", "tracks/a.npz")
