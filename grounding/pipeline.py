@@ -215,7 +215,7 @@ class GroundingPipeline:
             first_frame=InitialStateUse.of(initial_state, priors.initial_state),
             detections=detections,
             camera_path=motion.path,
-            camera_motion_px=motion.largest_px,
+            camera_motion_px=None if motion.is_unknown else motion.largest_px,
             arm_consistency_px=_arm_consistency_px(poses, tracked),
             robot=np.stack([view.to_frame(view.part > RobotPart.BACKGROUND, camera) for view in observation.wide]),
             arm_q=np.stack([_arm_posture(pose) for pose in poses]),

@@ -180,7 +180,7 @@ def find_anomalies(evidence: AnomalyEvidence) -> AnomalyDetections:
     detections = (
         _find_vanishing(e),
         find_duplicates(e.other),
-        _without(find_teleports(e.p_C, e.fair, e.good), {a.frame_end + 1 for a in freezes.anomalies}),
+        _without(find_teleports(e.p_C, e.fair, e.good, e.t_s), {a.frame_end + 1 for a in freezes.anomalies}),
         freezes,
         find_deformations(e.misfit, e.residual),
         find_scale_drift(e.scale),

@@ -34,11 +34,12 @@ FLUTTER_M = 0.015
 _STEPS = 3  # steps to each side whose median is the velocity at a jump
 _AROUND = 8  # frames to each side whose median is the usual jump length
 _MAX_GAP = 2  # frames that may be missing at a jump
+_UNEVEN = 0.02  # least deviation from even spacing that counts [frame periods]
 _STILL_M = 0.004  # motion per frame of a track of still images: codec and network noise
 _FLUTTER_FRAMES = 4
 
 
-def jump_lengths(p: ArrayLike, fair: NDArray[np.bool_]) -> Array:
+def jump_lengths(p: ArrayLike, fair: NDArray[np.bool_], t_s: Array) -> Array:
     """Return the length (T,) of the path's jump just before each frame [m].
 
     The displacement from each of the two frames before to each of the two from it on, less what the median velocity of
@@ -50,26 +51,37 @@ def jump_lengths(p: ArrayLike, fair: NDArray[np.bool_]) -> Array:
     Args:
         p: (T, n) positions [m].
         fair: (T,) frames whose position counts.
+        t_s: (T,) task time [s].
     """
     p = np.asarray(p, dtype=np.float64)
     index = np.flatnonzero(fair & finite_rows(p))
     lengths = np.zeros(len(p))
     if len(index) < 4:
         return lengths
-    q, gaps = p[index], np.diff(index)
+    place = _periods(t_s)[index]
+    q, gaps = p[index], np.diff(place)
     velocity = np.diff(q, axis=0) / gaps[:, None]
     for k in range(2, len(index) - 1):
-        if gaps[k - 1] > _MAX_GAP:
+        if gaps[k - 1] > _MAX_GAP + _UNEVEN:
             continue
         steps = [j for j in range(k - 1 - _STEPS, k + _STEPS) if 0 <= j < len(gaps) and j != k - 1]
         usual = np.median(velocity[steps], axis=0)
-        moves = [q[b] - q[a] - usual * (index[b] - index[a]) for a in (k - 2, k - 1) for b in (k, k + 1)]
+        moves = [q[b] - q[a] - usual * (place[b] - place[a]) for a in (k - 2, k - 1) for b in (k, k + 1)]
         moves.append(q[k] - q[k - 1] - 0.5 * (velocity[k - 2] + velocity[k]) * gaps[k - 1])
         lengths[index[k]] = min(float(np.linalg.norm(move)) for move in moves) / gaps[k - 1]
     return lengths
 
 
-def find_teleports(p: ArrayLike, fair: NDArray[np.bool_], good: NDArray[np.bool_]) -> Detection:
+def _periods(t_s: Array) -> Array:
+    """Return times (T,) in frame periods since the first: frame numbers, unless the frames are unevenly spaced."""
+    numbers = np.arange(len(t_s), dtype=np.float64)
+    if len(t_s) < 2:
+        return numbers
+    periods = (t_s - t_s[0]) / np.median(np.diff(t_s))
+    return numbers if np.abs(periods - numbers).max() < _UNEVEN else np.asarray(periods)
+
+
+def find_teleports(p: ArrayLike, fair: NDArray[np.bool_], good: NDArray[np.bool_], t_s: Array) -> Detection:
     """Detect jumps of the gripper; start and end: the first frame after the jump; severity: its length [m].
 
     The score is the length over the larger of `TELEPORT_M` and `TELEPORT_CONTRAST` times the median length around it.
@@ -78,8 +90,9 @@ def find_teleports(p: ArrayLike, fair: NDArray[np.bool_], good: NDArray[np.bool_
         p: (T, 3) position of the gripper [m].
         fair: (T,) frames whose position counts.
         good: (T,) frames that a jump may start from or lead to: others are too likely wrong.
+        t_s: (T,) task time [s].
     """
-    lengths = jump_lengths(p, fair)
+    lengths = jump_lengths(p, fair, t_s)
     index = np.flatnonzero(fair & finite_rows(np.asarray(p, dtype=np.float64)))
     doubtful = ~(good[index[1:]] & good[index[:-1]])
     lengths[index[1:][doubtful]] = 0.0
@@ -138,7 +151,8 @@ def find_freezes(p: ArrayLike, fair: NDArray[np.bool_], still: NDArray[np.bool_]
 
 def excess_change(width_m: Array, t_s: Array) -> Array:
     """Return by how much (T,) the width jumps just before each frame beyond the fingers' largest travel [m]."""
-    jumps = jump_lengths(width_m[:, None], np.ones(len(width_m), dtype=bool))
+    numbers = np.arange(len(width_m), dtype=np.float64)  # frames of unknown width are left out: no times
+    jumps = jump_lengths(width_m[:, None], np.ones(len(width_m), dtype=bool), numbers)
     return np.maximum(0.0, jumps - FINGER_SPEED_M_S * np.diff(t_s, prepend=t_s[0]))
 
 

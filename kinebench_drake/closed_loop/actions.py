@@ -113,21 +113,21 @@ def measure_following(track: GripperTrack, actions: ActionTrack, *seed: str | in
     frames = track.at(own)
     order = generator("shuffled actions", *seed).permutation(len(own))
 
-    def compare(at: Array) -> ActionError:
+    def compare(at: Array, lost: float = np.inf) -> ActionError:
         X_BG, finger_width_m = _interpolate(actions, at)
         distance, angle = pose_difference(frames.X_BG, X_BG)
         finger = np.abs(frames.finger_width_m - finger_width_m)
-        lost = np.full(absent, np.inf)
+        after = np.full(absent, lost)
         return ActionError(
             **{
-                name: np.concatenate([np.where(frames.tracked & np.isfinite(error), error, np.inf), lost])
+                name: np.concatenate([np.where(frames.tracked & np.isfinite(error), error, lost), after])
                 for name, error in (("distance_m", distance), ("angle_rad", angle), ("finger_m", finger))
             }
         )
 
     return ActionFollowing(
         commanded=compare(frames.t_s),
-        shuffled=compare(frames.t_s[order]),
+        shuffled=compare(frames.t_s[order], lost=0.0),  # where nothing is seen, chance does as well as can be
         lagged=tuple(compare(frames.t_s - lag * period_s) for lag in range(_LAGS)),
     )
 

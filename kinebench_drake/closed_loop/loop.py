@@ -45,6 +45,7 @@ from kinebench_drake.suites.worldmodels.worldmodel import (
     Request,
     SupportsTrueTrack,
     WorldModel,
+    WorldModelError,
 )
 from kinebench_drake.types import GripperTrack, InitialState, Json, Priors
 
@@ -203,16 +204,25 @@ class ClosedLoop:
             state = RobotState(q=now.q, finger_width_m=float(now.fingers_m.sum()), gripping=gripping)
             request = self._request(episode, videos.name, sample, number, first_frame)
             if self._actions is not None:
-                track = self._actions.track(
-                    episode, simulator.simulation_state(), self._options.num_frames, self._options.frame_period_s
-                )
+                now_state, frames = simulator.simulation_state(), self._options.num_frames
+                try:
+                    track = self._actions.track(episode, now_state, frames, self._options.frame_period_s)
+                except InputError:
+                    if not rounds:
+                        raise
+                    break  # the clips have led to where no expert continues: the episode has failed
                 request = replace(request, actions=track)
             asks = number > 0 or request.actions is not None  # `suite export` writes first frames without actions
             if asks and isinstance(model, OfflineModel) and not model.files(videos.name, episode.task, number):
                 X_BG = simulator.link_pose(TCP_LINK)
                 pending = PendingRound(request=request, X_BG=X_BG, finger_width_m=state.finger_width_m)
                 break
-            video = self._generate(request, simulator, episode, videos.with_name(f"{videos.name}_r{number}"))
+            try:
+                video = self._generate(request, simulator, episode, videos.with_name(f"{videos.name}_r{number}"))
+            except WorldModelError:
+                if not rounds or not isinstance(model, PrivilegedModel):
+                    raise
+                break  # likewise of the expert that is rendered
             grounded = self._ground_video(video, first_frame, simulator.camera, state)
             commands, rejection = self._plan(grounded.grounding.track, state)
             execution = None if commands is None else execute(simulator, commands, self._options.control)

@@ -283,11 +283,11 @@ def _captioned(frame: NDArray[np.uint8], text: str) -> NDArray[np.uint8]:
 def _visual_metrics(run: EpisodeRun, track: GripperTrack) -> dict[str, Json]:
     """Return the visual metrics over all clips, frames counted through all of them."""
     groundings = [r.grounding for r in run.rounds]
-    motions = [g.camera_motion_px for g in groundings if g.camera_motion_px is not None]
+    motions = [np.nan if g.camera_motion_px is None else g.camera_motion_px for g in groundings]
     distances = [g.arm_consistency_px for g in groundings if g.arm_consistency_px is not None]
     return {
         "tracked_fraction": float(track.tracked.mean()),
-        "camera_motion_px": max(motions) if motions else None,
+        "camera_motion_px": None if np.isnan(motions).any() else max(motions),  # unknown in one clip: in all
         "arm_consistency_px": float(np.median(distances)) if distances else None,
         "anomalies": [
             anomaly.to_json(start)

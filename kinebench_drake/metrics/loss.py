@@ -96,7 +96,9 @@ def cover_joints(plant: ArmPlant, q: Array) -> Coverage:
     error_m = np.linalg.norm(twists * np.repeat([ROTATION_ARM_M, 1.0], 3), axis=-1)
     weight[valid] = np.maximum(0.0, 1.0 - error_m / MISS_M)
     q_near = np.where(weight[:, None] > 0.0, within, np.nan)
-    return Coverage(lost=~valid, weight=weight, q=q_near, position_error_m=np.where(valid, 0.0, np.nan))
+    position_error_m = np.full(len(q), np.nan)
+    position_error_m[valid] = np.linalg.norm(twists[:, 3:], axis=-1)
+    return Coverage(lost=~valid, weight=weight, q=q_near, position_error_m=position_error_m)
 
 
 def weigh_manipulability(plant: ArmPlant, coverage: Coverage) -> Manipulability:

@@ -34,6 +34,7 @@ frames on (its 99.99 % quantile to 9 % from 16 frames on; below 10 frames Studen
 JOINT_FREEDOM_PER_FRAME = 0.2
 """Degrees of freedom per frame of `estimate_joint_noise`, measured as 0.21 to 0.23: one axis, not the mean of three."""
 
+_DISTINCT = 10  # least number of different values that tell that all were rounded
 _MEDIAN_OF_NORMAL = 0.6744897501960817  # median of |x| for a standard normal x
 
 
@@ -70,8 +71,9 @@ def estimate_track_noise(t_s: Array, X_BG: Array, tracked: NDArray[np.bool_]) ->
     times = [t_s[run] for run in pieces]
     moves = [np.diff(X_BG[run, :3, 3], axis=0) for run in pieces]
     turns = [rotation_steps(X_BG[run, :3, :3]) for run in pieces]
+    estimated_m = float(np.sqrt(np.mean(_variance(times, moves, 3))))
     return TrackNoise(
-        position_m=float(np.sqrt(np.mean(_variance(times, moves, 3)))),
+        position_m=max(estimated_m, _rounding(X_BG[tracked, :3, 3])),
         rotation_rad=float(np.sqrt(np.mean(_variance(times, turns, 3)))),
     )
 
@@ -80,7 +82,7 @@ def estimate_joint_noise(t_s: Array, q: Array) -> Array:
     """Estimate the noise (7,) [rad] of joint angles `q` (T, 7) at `t_s` (T,) [s], ignoring NaN; NaN if too short."""
     pieces = [run for run in segments(finite_rows(q)) if run.stop - run.start > ORDERS[0]]
     variance = _variance([t_s[run] for run in pieces], [np.diff(q[run], axis=0) for run in pieces], q.shape[1])
-    return np.asarray(np.sqrt(variance))
+    return np.asarray(np.maximum(np.sqrt(variance), _rounding(q[finite_rows(q)])))
 
 
 def propagate_noise(jacobians: Array, noise: TrackNoise) -> Array:
@@ -117,6 +119,21 @@ def _variance(times: list[Array], steps: list[Array], axes: int) -> Array:
         if not variance.sum() >= least.sum():
             least = variance
     return least
+
+
+def _rounding(values: Array) -> float:
+    """Return the standard deviation of the errors of values that were rounded to 3 to 6 decimals; 0 for others.
+
+    Most differences of a slow motion that was rounded are 0, and hide these errors: they are uniform over one unit of
+    the last decimal.
+    """
+    if len(np.unique(values)) < _DISTINCT:
+        return 0.0
+    for decimals in range(3, 7):
+        unit = 10.0**-decimals
+        if np.abs(values - values.round(decimals)).max() < 0.05 * unit:
+            return float(unit / np.sqrt(12.0))
+    return 0.0
 
 
 def _unit_differences(t_s: Array, steps: Array, order: int) -> Array:

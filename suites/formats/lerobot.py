@@ -16,7 +16,7 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from kinebench_drake.errors import SetupError
-from kinebench_drake.geometry import to_quaternion
+from kinebench_drake.geometry import Array, to_quaternion
 from kinebench_drake.io.atomic import atomic_path, disk_errors
 from kinebench_drake.io.camerafile import save_camera
 from kinebench_drake.io.container import join_videos, write_video
@@ -48,6 +48,16 @@ _STRIDE_PX = 4  # of the pixels in image statistics, along both axes
 Columns = dict[str, NDArray[Any]]
 
 
+def _continuous(quaternions: Array) -> Array:
+    """Return quaternions wxyz (T, 4) whose signs do not jump: q and -q are the same rotation.
+
+    The first has the sign of a gripper that points down, (0, 1, 0, 0), every other one that of the frame before.
+    """
+    before = np.vstack([[0.0, 1.0, 0.0, 0.0], quaternions[:-1]])
+    turns = np.cumsum(np.sum(quaternions * before, axis=1) < 0.0) % 2
+    return np.asarray(quaternions * np.where(turns, -1.0, 1.0)[:, None])
+
+
 class LeRobot:
     """Format of LeRobot datasets."""
 
@@ -65,7 +75,7 @@ class LeRobot:
         columns_file, video_file = _parts(folder, demo.id)
         write_arrays(folder / "truth" / f"{demo.id}.npz", demo.truth())
         actions = demo.rollout.controls[every - 1 :: every]  # command until the next frame; the last frame repeats it
-        quaternions = np.stack([to_quaternion(X[:3, :3]) for X in video.X_BG])
+        quaternions = _continuous(np.stack([to_quaternion(X[:3, :3]) for X in video.X_BG]))
         pixels = video.rgb[:, ::_STRIDE_PX, ::_STRIDE_PX]
         columns = {
             STATE: np.column_stack([video.q, video.finger_width_m]).astype(np.float32),

@@ -194,7 +194,7 @@ def _body(request: Request, conditioning: dict[str, Any], frame: NDArray[np.uint
         "num_frames": num_frames,
         "size": [width, height],
         "fps": request.fps,
-        **({} if request.actions is None else {"actions": request.actions.to_json()}),
+        **({} if request.actions is None else {"actions": request.actions.first(num_frames).to_json()}),
     }
 
 

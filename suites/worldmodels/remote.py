@@ -6,6 +6,7 @@ import io
 import ipaddress
 import os
 import re
+import socket
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from email.utils import parsedate_to_datetime
@@ -96,6 +97,7 @@ def from_base64(text: str) -> bytes:
 _LONGEST = 200
 _SECRET = re.compile(r"KEY|TOKEN|SECRET|PASSWORD|CREDENTIAL")
 _LEAST_SECRET = 6  # shorter values are no secrets; masking them would garble words
+_KEYS: set[str] = set()  # that were read in this process, whatever their variables are called
 
 
 def clean(message: object) -> str:
@@ -107,7 +109,7 @@ def clean(message: object) -> str:
     """
     text = str(message)
     values = (v.strip() for name, v in os.environ.items() if _SECRET.search(name.upper()))
-    for value in sorted((v for v in values if len(v) >= _LEAST_SECRET), key=len, reverse=True):
+    for value in sorted({*(v for v in values if len(v) >= _LEAST_SECRET), *_KEYS}, key=len, reverse=True):
         text = text.replace(value, "***")
     line = " ".join("".join(sign if sign.isprintable() else " " for sign in text).split())
     return line if len(line) <= _LONGEST else line[: _LONGEST - 3] + "..."
@@ -124,6 +126,7 @@ def key_from(variable: str) -> SecretStr:
         raise SetupError(f"{variable} is not set: set this environment variable to the service's key")
     if not (key.isascii() and key.isprintable()):
         raise SetupError(f"{variable} holds signs that no key has: set it to the service's key alone")
+    _KEYS.add(key)
     return SecretStr(key)
 
 
@@ -143,9 +146,14 @@ def is_loopback(url: httpx.URL) -> bool:
     if host == "localhost" or host.endswith(".localhost"):
         return True
     try:
-        return ipaddress.ip_address(host).is_loopback
+        address = ipaddress.ip_address(host)
     except ValueError:
-        return False
+        try:
+            address = ipaddress.ip_address(socket.inet_aton(host))  # other notations, such as 127.1 or 0x7f000001
+        except OSError:
+            return False
+    address = getattr(address, "ipv4_mapped", None) or address
+    return address.is_loopback or address.is_unspecified
 
 
 def origin(url: httpx.URL) -> tuple[str, str, int | None]:

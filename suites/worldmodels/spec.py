@@ -53,7 +53,7 @@ class Spec:
     @property
     def identity(self) -> str:
         """Text that identifies the model: the spec, but for a server with a name without scheme, host and port."""
-        url = urlsplit(self.plain)
+        url = urlsplit(self.plain if self.rest.startswith("//") else self.rest)  # "http://..." or "http:http://..."
         if self.kind not in SERVERS or "name" not in self.options:
             return self.text
         options = "&".join(f"{key}={value}" for key, value in sorted(self.options.items()))

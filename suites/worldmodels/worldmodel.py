@@ -38,6 +38,13 @@ class ActionTrack:
     q: Array
     """(T, 7) joint angles of the arm [rad]."""
 
+    def first(self, frames: int) -> "ActionTrack":
+        """Return the actions of the first frames."""
+        own = slice(frames)
+        return ActionTrack(
+            t_s=self.t_s[own], X_BG=self.X_BG[own], finger_width_m=self.finger_width_m[own], q=self.q[own]
+        )
+
     def to_json(self) -> dict[str, Json]:
         """Serialize with the names of track files."""
         arrays = {"t_s": self.t_s, "base_from_tcp": self.X_BG, "finger_width_m": self.finger_width_m, "q": self.q}

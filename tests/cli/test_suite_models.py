@@ -106,6 +106,7 @@ def test_results_tell_what_differs_between_runs_and_no_address(config: Callable[
         for address, options in (("10.0.0.1", "key_env=K"), ("10.0.0.2", "key_env=K"), ("10.0.0.1", "key_env=L"))
     )
     assert moved == here != changed
+    assert config("http:http://10.0.0.3/a?name=wan&key_env=K", model_name="wan").to_json() == moved
     everywhere = config(specs[0], model_name="wan", out=Path("elsewhere")).to_json()
     assert everywhere == one
 

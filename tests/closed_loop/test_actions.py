@@ -111,6 +111,7 @@ def test_lost_frames_improve_no_error(lost: set[int], delay: int) -> None:
     before, after = summary(whole), summary(replace(whole, X_BG=X_BG, tracked=tracked, finger_width_m=fingers))
     for name in ("action_error_m", "action_error_rad", "action_error_finger_m"):
         assert after[name] is None or after[name] >= before[name] - 1e-9
+    assert after["action_following"] is None or after["action_following"] <= before["action_following"] + 1e-9
     if (~tracked[1:]).sum() > 24:
         assert after["action_error_m"] is None
 

@@ -6,10 +6,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from kinebench_drake.closed_loop.loop import ClosedLoop, LoopOptions, _place_beside
+from kinebench_drake.closed_loop import loop as module
+from kinebench_drake.closed_loop.loop import ClosedLoop, LoopOptions, Round, _place_beside
+from kinebench_drake.errors import InputError
 from kinebench_drake.suites.clock import ClipTiming
 from kinebench_drake.suites.episode import compose
 from kinebench_drake.suites.seeding import generator
+from kinebench_drake.suites.worldmodels.worldmodel import WorldModelError
 
 
 @pytest.fixture
@@ -74,6 +77,70 @@ def test_models_that_choose_the_length_fill_the_clip(
         used, chosen, t_s = loop._times(frames)
         assert chosen.tolist() == list(range(frames))
     np.testing.assert_array_equal(t_s, 0.2 * np.arange(49))
+
+
+class Stuck:
+    """Simulator whose task is not done, and the expert, which finds no path from its second state on."""
+
+    camera = None
+
+    def __init__(self, tracks: int) -> None:
+        self._left = tracks
+
+    def reset(self, episode: object) -> None: ...
+
+    def snapshot(self) -> SimpleNamespace:
+        return SimpleNamespace(q=np.zeros(7), fingers_m=np.zeros(2))
+
+    def render(self) -> SimpleNamespace:
+        return SimpleNamespace(rgb=np.zeros((4, 4, 3), np.uint8))
+
+    def simulation_state(self) -> dict[str, object]:
+        return {}
+
+    def outcome(self) -> SimpleNamespace:
+        return SimpleNamespace(success=False)
+
+    def use(self) -> None:
+        self._left -= 1
+        if self._left < 0:
+            raise InputError("the expert's path leaves the workspace")
+
+    def track(self, *_: object) -> None:
+        self.use()
+
+    def set_state(self, *_: object) -> None: ...
+
+    def generate(self, request: object, out: Path) -> Path:
+        try:
+            self.use()
+        except InputError as error:
+            raise WorldModelError(str(error)) from None
+        out.write_bytes(b"")
+        return out
+
+
+@pytest.mark.parametrize("privileged", [True, False])
+def test_where_no_expert_continues_the_episode_has_failed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, privileged: bool
+) -> None:
+    round_ = Round(
+        video=tmp_path / "x", timing=ClipTiming.NATIVE, generated_frames=49, frames=None, robot=None,
+        grounding=SimpleNamespace(track=None),
+    )  # fmt: skip
+    monkeypatch.setattr(ClosedLoop, "_ground_video", lambda *_: round_)
+    monkeypatch.setattr(ClosedLoop, "_plan", lambda *_: (SimpleNamespace(gripping=False), None))
+    monkeypatch.setattr(module, "execute", lambda *_: SimpleNamespace(outcome=SimpleNamespace(success=False)))
+    for tracks in (1, 0):
+        stuck = Stuck(tracks)
+        model = stuck if privileged else SimpleNamespace(generate=Stuck(9).generate)
+        loop = ClosedLoop(None, None, model, LoopOptions(), None if privileged else stuck)
+        if tracks == 0:
+            with pytest.raises((InputError, WorldModelError), match="leaves the workspace"):
+                loop.run(stuck, compose("PullCube-v1", 0), tmp_path / "x")
+            continue
+        run = loop.run(stuck, compose("PullCube-v1", 0), tmp_path / "x")
+        assert (len(run.rounds), run.outcome.success, run.pending) == (1, False, None)
 
 
 def test_samples_have_seeds_of_their_own() -> None:

@@ -164,6 +164,7 @@ def test_joints_past_their_limits_are_unreachable(plant: ArmPlant, judge: TrackJ
     np.testing.assert_allclose(result.curves["manipulability"][:5], w[:5])
     assert result.metrics["manipulability_mean"] == pytest.approx(np.delete(w, [5, 6, 7]).sum() / 20)
     assert result.metrics["joint_limit_margin_min"] < 0.0
+    assert result.metrics["ik_position_error_max_m"] > 0.01  # from where the arm would be within its limits
 
 
 def test_a_track_without_a_reached_frame_has_no_manipulability(judge: TrackJudge, reach: GripperTrack) -> None:

@@ -47,6 +47,17 @@ def test_a_clean_motion_has_next_to_none(period_s: float, most_m: float, most_ra
     assert 0.0 <= noise.rotation_rad < most_rad
 
 
+@pytest.mark.parametrize("decimals", [3, 4])
+def test_rounding_is_noise_though_a_slow_motion_hides_it(decimals: int) -> None:
+    t_s, X = reach_and_place(0.01)
+    unit = 10.0**-decimals
+    q = np.outer(np.sin(0.3 * t_s), np.linspace(0.1, 0.4, 7)).round(decimals)
+    assert (estimate_joint_noise(t_s, q) >= 0.28 * unit).all()
+    X[:, :3, 3] = X[:, :3, 3].round(decimals)
+    assert 0.28 * unit <= _measure(t_s, X).position_m <= unit
+    assert _measure(t_s, reach_and_place(0.01)[1]).position_m < 1e-6
+
+
 def test_every_axis_counts() -> None:
     """The axis of depth is noisier than the others; its noise is not lost in the median over all."""
     rng = np.random.default_rng(0)

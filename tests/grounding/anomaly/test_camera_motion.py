@@ -62,6 +62,15 @@ def test_motion_is_unknown_without_features():
     assert find_camera_motion(motion).peak == 0.0
 
 
+def test_a_cut_to_another_scene_is_no_fixed_camera():
+    frames = recorded(np.zeros((6, 3)))
+    noise = np.random.default_rng(1).integers(0, 255, (20, 20, 3), dtype=np.uint8)
+    frames[1:] = cv2.resize(noise, (192, 192), interpolation=cv2.INTER_CUBIC)
+    motion = measure_camera_motion(FeatureTracks(frames), ROBOT, CAMERA)
+    assert motion.is_unknown
+    assert motion.largest_px is None
+
+
 def test_tracks_do_not_depend_on_the_masks_before():
     frames = recorded(np.arange(5)[:, None] * [0.0, 0.5 / CAMERA.fx, 0.0], robot_px=2)
     again = FeatureTracks(frames)

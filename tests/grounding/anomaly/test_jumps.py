@@ -11,9 +11,13 @@ from kinebench_drake.grounding.anomaly.jumps import (
 )
 
 
+def teleports(p, fair, good):
+    return find_teleports(p, fair, good, 0.2 * np.arange(len(p)))
+
+
 def test_a_smooth_noisy_path_has_no_jump(reach, visible):
     for seed in range(60):
-        assert find_teleports(reach(seed), visible, visible).peak < 1.0
+        assert teleports(reach(seed), visible, visible).peak < 1.0
 
 
 @pytest.mark.parametrize("size_m", [0.05, 0.15])
@@ -23,53 +27,61 @@ def test_a_jump_is_named_at_its_frame_with_its_length(reach, visible, size_m):
         frame = (3, 20, 45)[seed % 3]
         p = reach(seed, noise_m=0.003, wild=0.0)
         p[frame:] += [0.0, size_m, 0.0]
-        (result,) = find_teleports(p, visible, visible).anomalies
+        (result,) = teleports(p, visible, visible).anomalies
         assert result.frame_start == result.frame_end
         assert abs(result.frame_start - frame) <= 1
         lengths.append(result.severity)
     assert np.median(lengths) == pytest.approx(size_m, abs=0.008)
 
 
+@pytest.mark.parametrize("dropped", [1, 2, 3])
+def test_dropped_frames_of_a_video_with_time_stamps_are_no_jump(dropped):
+    t_s = np.delete(np.arange(60) / 15.0, np.arange(28, 28 + dropped))
+    p = np.outer(0.25 * (1.0 - np.cos(np.pi * t_s / 4.0)), [1.0, 0.5, 0.0])
+    fair = np.ones(len(t_s), dtype=bool)
+    assert find_teleports(p, fair, fair, t_s).peak < 0.01
+
+
 def test_a_jump_there_and_back_is_two(reach, visible):
     p = reach()
     p[20:30] += [0.0, 0.15, 0.0]
-    assert [a.frame_start for a in find_teleports(p, visible, visible).anomalies] == [20, 30]
+    assert [a.frame_start for a in teleports(p, visible, visible).anomalies] == [20, 30]
 
 
 def test_one_wild_frame_is_no_jump(reach, visible):
     for frame in (5, 24, 40):
         p = reach(noise_m=0.002)
         p[frame] += [0.0, 0.2, 0.0]
-        assert find_teleports(p, visible, visible).anomalies == ()
+        assert teleports(p, visible, visible).anomalies == ()
 
 
 def test_even_motion_is_no_jump():
     p = np.arange(20.0)[:, None] * [0.03, 0.01, 0.0]
-    assert jump_lengths(p, np.ones(20, dtype=bool)).max() < 1e-12
+    assert jump_lengths(p, np.ones(20, dtype=bool), np.arange(20.0)).max() < 1e-12
 
 
 def test_the_score_grows_with_the_jump(reach, visible):
     def peak(size_m):
         p = reach(3)
         p[25:] += [size_m, 0.0, 0.0]
-        return find_teleports(p, visible, visible).peak
+        return teleports(p, visible, visible).peak
 
     peaks = [peak(size) for size in (0.0, 0.02, 0.05, 0.1)]
     assert peaks == sorted(peaks)
 
 
 def test_unknown_positions_are_no_jump(visible):
-    assert find_teleports(np.full((49, 3), np.nan), visible, visible).peak == 0.0
-    assert find_teleports(np.zeros((1, 3)), visible[:1], visible[:1]).peak == 0.0
+    assert teleports(np.full((49, 3), np.nan), visible, visible).peak == 0.0
+    assert teleports(np.zeros((1, 3)), visible[:1], visible[:1]).peak == 0.0
 
 
 def test_a_jump_to_a_doubtful_frame_is_none(reach, visible):
     p = reach(3)
     p[20] += [0.0, 0.12, 0.0]
     p[21:] += [0.0, 0.06, 0.0]
-    assert find_teleports(p, visible, visible).peak > 1.0
+    assert teleports(p, visible, visible).peak > 1.0
     doubtful = visible & (np.arange(len(visible)) != 20)
-    assert find_teleports(p, visible, doubtful).peak < 1.0
+    assert teleports(p, visible, doubtful).peak < 1.0
 
 
 @pytest.mark.parametrize("length", [5, 8])

@@ -14,9 +14,18 @@ from kinebench_drake.datasets.trajectories.trajectory import TrajectoryOptions
 from kinebench_drake.datasets.videos.find import find_samples
 from kinebench_drake.io.reader import read_video
 from kinebench_drake.suites.formats.demo import Demo
-from kinebench_drake.suites.formats.lerobot import CAMERA, STATE, LeRobot
+from kinebench_drake.suites.formats.lerobot import CAMERA, STATE, LeRobot, _continuous
 from tests.films import decoded
 from tests.suites.formats.records import record_of
+
+
+def test_quaternions_do_not_change_their_sign_along_an_episode() -> None:
+    down = np.array([0.0, 0.995, 0.1, 0.0])
+    w = np.array([1e-17, -1e-17, -0.01, 0.01, 0.0])
+    q = np.where(w[:, None] < 0, -1.0, 1.0) * (np.outer(np.ones(5), down) + w[:, None] * [1.0, 0.0, 0.0, 0.0])
+    smooth = _continuous(q)
+    assert (smooth[:, 1] > 0.9).all()
+    np.testing.assert_array_equal(np.abs(smooth), np.abs(q))
 
 
 @pytest.mark.sapien

@@ -130,9 +130,15 @@ def test_redirects_out_of_the_web_or_in_circles_are_not_followed(
             client.download(servant.url + path, tmp_path / "v", Deadline(5))
 
 
-def test_a_far_service_does_not_send_us_to_our_own(tmp_path: Path) -> None:
+@pytest.mark.parametrize("host", ["localhost", "127.1", "0.0.0.0", "2130706433", "0x7f.1", "[::ffff:127.0.0.1]"])
+def test_a_far_service_does_not_send_us_to_our_own(tmp_path: Path, host: str) -> None:
     with pytest.raises(WorldModelError, match="on this machine"):
-        HttpClient("it", "https://example.org").download("http://localhost:80/v", tmp_path / "v", Deadline(5))
+        HttpClient("it", "https://example.org").download(f"http://{host}:80/v", tmp_path / "v", Deadline(5))
+
+
+@pytest.mark.parametrize("host", ["example.org", "8.8.8.8", "cafe", "10.1"])
+def test_other_machines_are_not_our_own(host: str) -> None:
+    assert not is_loopback(httpx.URL(f"http://{host}/"))
 
 
 @pytest.mark.parametrize("headers", [{}, {"Content-Length": "99999999"}])

@@ -111,6 +111,16 @@ def test_a_path_is_believed_only_from_this_machine(hurried: Limits, tmp_path: Pa
         model._fetch({"video_path": str(tmp_path / "v.mp4")}, tmp_path / "part", None)  # no server there to ask
 
 
+def test_a_key_is_masked_whatever_its_variable_is_called(
+    ask: Callable[..., Path], servant: Servant, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("WORLD_MODEL_AUTH", "sk-12345678")
+    with pytest.raises(WorldModelError) as raised:
+        ask({"error": "no quota for sk-12345678"}, options="&key_env=WORLD_MODEL_AUTH")
+    assert "sk-12345678" not in str(raised.value)
+    assert "***" in str(raised.value)
+
+
 def test_a_key_on_request(ask: Callable[..., Path], servant: Servant, film: bytes, keys: str) -> None:
     ask({"video_base64": base64_of(film)}, options="&key_env=MY_API_KEY")
     assert {asked.headers["Authorization"] for asked in servant.asked} == {f"Bearer {keys}"}
@@ -163,12 +173,19 @@ def test_predict(
 
 
 def test_predict_keeps_within_what_the_server_can(
-    predictor: dict[str, Any], servant: Servant, hurried: Limits, request_: Request, out: Path
+    predictor: dict[str, Any],
+    servant: Servant,
+    hurried: Limits,
+    request_: Request,
+    actions: ActionTrack,
+    out: Path,
 ) -> None:
     predictor.update(max_num_frames=3, size=[32, 48])
-    frames = decoded(HttpModel(parse(servant.url), hurried).generate(request_, out))[1]
+    model = HttpModel(parse(servant.url), hurried)
+    frames = decoded(model.generate(replace(request_, actions=actions), out))[1]
     assert frames.shape == (3, 48, 32, 3)
     (asked,) = servant.at("/v1/predict")
+    assert asked.body["actions"] == {name: values[:3] for name, values in actions.to_json().items()}
     (picture,) = asked.body["frames"]
     assert Image.open(io.BytesIO(base64.b64decode(picture))).size == (32, 48)
 
