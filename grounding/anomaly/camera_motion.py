@@ -73,8 +73,8 @@ class CameraMotion:
     @property
     def largest_px(self) -> float | None:
         """Largest displacement [px]; None if it is unknown in all frames but the first, which is its own reference."""
-        known = np.isfinite(self.px[1:] if len(self.px) > 1 else self.px)
-        return float(np.nanmax(self.px)) if known.any() else None
+        others = self.px[1:] if len(self.px) > 1 else self.px
+        return float(np.nanmax(self.px)) if np.isfinite(others).any() else None
 
     @property
     def lost(self) -> NDArray[np.bool_]:

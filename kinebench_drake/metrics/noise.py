@@ -127,11 +127,9 @@ def _rounding(values: Array) -> float:
     Most differences of a slow motion that was rounded are 0, and hide these errors: they are uniform over one unit of
     the last decimal.
     """
-    if len(np.unique(values)) < _DISTINCT:
-        return 0.0
     for decimals in range(3, 7):
-        unit = 10.0**-decimals
-        if np.abs(values - values.round(decimals)).max() < 0.05 * unit:
+        unit, rounded = 10.0**-decimals, values.round(decimals)
+        if len(np.unique(rounded)) >= _DISTINCT and np.abs(values - rounded).max() < 0.05 * unit:
             return float(unit / np.sqrt(12.0))
     return 0.0
 
