@@ -190,7 +190,9 @@ class GroundingPipeline:
         X_prior = no_poses if priors.X_CH is None else motion.X_AC @ priors.X_CH
         if priors.initial_state is not None and priors.X_CH is not None:
             X_prior[0] = priors.X_CH[0]
-        raw = RawTrack.from_poses(poses, observation.evidence.confidence, detections.anomalies, motion.lost, X_prior)
+        raw = RawTrack.from_poses(
+            poses, observation.evidence.confidence, detections.anomalies, motion.lost, X_prior, t_s
+        )
         confidence = np.where(
             raw.from_prior, 1.0, self._confidence[observation.domain].track.probability(raw.features())
         )

@@ -22,3 +22,16 @@ def spread(values: Array, frames: NDArray[np.bool_] | NDArray[np.intp], count: i
     out = np.full((count, *np.shape(values)[1:]), np.nan)
     out[frames] = values
     return out
+
+
+UNEVEN = 0.02
+"""Least deviation from even spacing that counts [frame periods]."""
+
+
+def frame_periods(t_s: Array) -> Array:
+    """Return times (T,) [s] in frame periods since the first: frame numbers, unless frames are unevenly spaced."""
+    numbers = np.arange(len(t_s), dtype=np.float64)
+    if len(t_s) < 2:
+        return numbers
+    periods = (t_s - t_s[0]) / np.median(np.diff(t_s))
+    return numbers if np.abs(periods - numbers).max() < UNEVEN else np.asarray(periods)

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 from kinebench_drake.geometry import Array
 from kinebench_drake.grounding.anomaly.detection import Detection
 from kinebench_drake.grounding.view import Frames
-from kinebench_drake.segments import finite_rows, segments
+from kinebench_drake.segments import UNEVEN, finite_rows, frame_periods, segments
 from kinebench_drake.types import AnomalyKind
 
 TELEPORT_M, TELEPORT_CONTRAST = 0.04, 4.0
@@ -34,7 +34,6 @@ FLUTTER_M = 0.015
 _STEPS = 3  # steps to each side whose median is the velocity at a jump
 _AROUND = 8  # frames to each side whose median is the usual jump length
 _MAX_GAP = 2  # frames that may be missing at a jump
-_UNEVEN = 0.02  # least deviation from even spacing that counts [frame periods]
 _STILL_M = 0.004  # motion per frame of a track of still images: codec and network noise
 _FLUTTER_FRAMES = 4
 
@@ -58,11 +57,11 @@ def jump_lengths(p: ArrayLike, fair: NDArray[np.bool_], t_s: Array) -> Array:
     lengths = np.zeros(len(p))
     if len(index) < 4:
         return lengths
-    place = _periods(t_s)[index]
+    place = frame_periods(t_s)[index]
     q, gaps = p[index], np.diff(place)
     velocity = np.diff(q, axis=0) / gaps[:, None]
     for k in range(2, len(index) - 1):
-        if gaps[k - 1] > _MAX_GAP + _UNEVEN:
+        if gaps[k - 1] > _MAX_GAP + UNEVEN:
             continue
         steps = [j for j in range(k - 1 - _STEPS, k + _STEPS) if 0 <= j < len(gaps) and j != k - 1]
         usual = np.median(velocity[steps], axis=0)
@@ -70,15 +69,6 @@ def jump_lengths(p: ArrayLike, fair: NDArray[np.bool_], t_s: Array) -> Array:
         moves.append(q[k] - q[k - 1] - 0.5 * (velocity[k - 2] + velocity[k]) * gaps[k - 1])
         lengths[index[k]] = min(float(np.linalg.norm(move)) for move in moves) / gaps[k - 1]
     return lengths
-
-
-def _periods(t_s: Array) -> Array:
-    """Return times (T,) in frame periods since the first: frame numbers, unless the frames are unevenly spaced."""
-    numbers = np.arange(len(t_s), dtype=np.float64)
-    if len(t_s) < 2:
-        return numbers
-    periods = (t_s - t_s[0]) / np.median(np.diff(t_s))
-    return numbers if np.abs(periods - numbers).max() < _UNEVEN else np.asarray(periods)
 
 
 def find_teleports(p: ArrayLike, fair: NDArray[np.bool_], good: NDArray[np.bool_], t_s: Array) -> Detection:

@@ -126,6 +126,7 @@ class MeasuredPoses:
             confidence=confidence,
             from_prior=np.zeros(len(confidence), dtype=bool),
             breaks=(),
+            place=np.arange(len(confidence), dtype=np.float64),
         )
 
 

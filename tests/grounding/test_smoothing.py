@@ -9,6 +9,7 @@ from kinebench_drake.geometry import Array, make_pose, pose_difference, rotation
 from kinebench_drake.grounding.pose import FramePose
 from kinebench_drake.grounding.smoothing import RawTrack, smooth_track
 from kinebench_drake.models.panda.cad import GripperCad
+from kinebench_drake.segments import frame_periods
 from kinebench_drake.types import Anomaly, AnomalyKind
 from tests.grounding.conftest import fitted_pose, hand_pose, perfect_view
 
@@ -38,6 +39,17 @@ def test_noise_shrinks_and_the_motion_stays() -> None:
     for before, after in zip(pose_difference(X, Y), pose_difference(X, Z), strict=True):
         assert np.sqrt((after**2).mean()) < 0.75 * np.sqrt((before**2).mean())
     assert pose_difference(X, smooth_track(X, EQUAL, np.ones(len(X))))[0].max() < 1e-3
+
+
+@pytest.mark.parametrize("dropped", [1, 3, 5])
+def test_dropped_frames_of_a_video_with_time_stamps_bend_no_path(dropped: int) -> None:
+    kept = np.delete(np.arange(FRAMES), np.arange(20, 20 + dropped))
+    X = motion()[kept]
+    place = frame_periods(0.1 * kept)
+    smoothed = smooth_track(X, EQUAL[kept], np.ones(len(X)), place=place)
+    assert pose_difference(X, smoothed)[0].max() < 1e-3
+    even = smooth_track(X, EQUAL[kept], np.ones(len(X)), place=frame_periods(0.1 * np.arange(len(X))))
+    np.testing.assert_array_equal(even, smooth_track(X, EQUAL[kept], np.ones(len(X))))
 
 
 def test_one_wild_frame_is_pulled_back() -> None:
@@ -94,6 +106,7 @@ def made(pose: FramePose, confidence: np.ndarray, anomalies: tuple[Anomaly, ...]
         anomalies,
         known.get("lost", np.zeros(N_RAW, dtype=bool)),
         known.get("X_prior", np.full((N_RAW, 4, 4), np.nan)),
+        0.2 * np.arange(N_RAW),
     )
 
 
