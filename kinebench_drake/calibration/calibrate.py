@@ -83,6 +83,11 @@ class CalibrationConfig:
             raise UsageError("--focal and --camera exclude each other: the camera file states the focal length")
         if self.frame_period_s is not None and not 1e-4 <= self.frame_period_s <= 1e3:
             raise UsageError(f"--frame-period is {self.frame_period_s:g}, expected seconds from 0.0001 to 1000")
+        if self.joints is None and self.joints_frame:
+            raise UsageError(f"--joints-frame {self.joints_frame}: there is no --joints, whose posture it would be")
+        is_file = self.joints is not None and (Path(self.joints).exists() or parse_posture(self.joints) is None)
+        if not is_file and (self.episode or self.column):
+            raise UsageError("--episode and --column choose from a file of joint angles, and --joints names none")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -199,8 +204,6 @@ def calibrate(config: CalibrationConfig, calibrator: Calibrator | None = None) -
         SetupError: weights, meshes or native libraries are missing.
     """
     intrinsics = None if config.camera is None else load_camera(config.camera)
-    if config.joints is not None and not Path(config.joints).exists():
-        parse_posture(config.joints)  # raises a usage error before minutes of work
     try:
         video = read_video(config.video)
         video.require_measurable()

@@ -83,6 +83,8 @@ def test_a_given_focal_length_is_kept(program, video, tmp_path):
         (["--out", "c.txt"], 2, "--out c.txt: expected a name that ends in .json"),
         (["--focal", "0", "--out", "c.json"], 2, "--focal is 0, expected pixels"),
         (["--focal", "9", "--camera", "c.json", "--out", "c.json"], 2, "exclude each other"),
+        (["--joints-frame", "3", "--out", "c.json"], 2, "there is no --joints, whose posture"),
+        (["--joints", "home", "--episode", "3", "--out", "c.json"], 2, "and --joints names none"),
     ],
 )
 def test_bad_input_is_one_line(program, video, arguments, code, said):
