@@ -55,9 +55,10 @@ def draw_pose(frame: Image, camera: Camera, X_CH: Array, finger_width_m: float, 
     X_CG = X_CH @ hand_from_tcp()
     tips = transform_points(X_CG, np.vstack([np.zeros(3), _AXIS_M * np.eye(3)]))
     if (tips[:, 2] > 0.05).all():
-        origin, *ends = (tuple(round(float(c)) for c in pixel) for pixel in camera.project(tips))
+        sixteenths = np.rint(16 * (camera.project(tips) - 0.5)).astype(int)  # OpenCV's pixel centres are integers
+        origin, *ends = (tuple(pixel) for pixel in sixteenths.tolist())
         for end, colour in zip(ends, _AXES, strict=True):
-            cv2.line(image, origin, end, colour, 2, cv2.LINE_AA)
+            cv2.line(image, origin, end, colour, 2, cv2.LINE_AA, 4)
     return image
 
 

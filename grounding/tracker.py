@@ -26,6 +26,7 @@ from kinebench_drake.grounding.registration.silhouette import SilhouetteMatcher
 from kinebench_drake.grounding.registration.solver import BATCH
 from kinebench_drake.grounding.view import DenseEstimator, Frames, GripperView
 from kinebench_drake.models.panda.cad import GripperCad
+from kinebench_drake.models.panda.robot import RobotPart
 from kinebench_drake.types import NO_PRIORS, Domain, Priors
 
 _RECENTRE = 0.2  # offset of the gripper from the crop's centre, over half the crop, beyond which a new crop is taken
@@ -156,6 +157,9 @@ class CadTracker:
             return priors
         crop = Crop.of_gripper(X_CH, CLOSE_MARGIN, CLOSE_SIZE)
         ((_, view),) = OverrideEstimator(self._estimator, priors).estimate(frames, camera, {0: crop})
+        is_given = np.isfinite(depth.depth_m[0]) & (depth.depth_m[0] > 0)  # elsewhere the view has the network's depth
+        cells = np.asarray(crop.warp(is_given.astype(np.uint8), camera, view.stride, nearest=True), dtype=bool)
+        view = replace(view, part=np.where(cells, view.part, RobotPart.BACKGROUND).astype(np.uint8))
         finger_m = UNSEEN_FINGER_M if finger_m is None else finger_m
         return replace(priors, depth=calibrate_depth(depth, view, X_CH, finger_m))
 

@@ -88,7 +88,7 @@ def _inside(p_S: Array, camera: Camera) -> bool:
     """Return whether the core of a gripper around `p_S` (3,) [m] is inside the image."""
     if p_S[2] <= _NEAREST_M:
         return False
-    pixel, radius_px = camera.project(p_S), camera.fx * _CORE_M / p_S[2]
+    pixel, radius_px = camera.project(p_S), np.array([camera.fx, camera.fy]) * _CORE_M / p_S[2]
     size = np.array([camera.width, camera.height])
     return bool((pixel >= radius_px).all() and (pixel <= size - radius_px).all())
 

@@ -55,6 +55,13 @@ def _open_stream(file: IO[bytes]) -> Iterator[Image.Image]:
         raise ValueError(f"no readable png or jpg ({cause(error)})") from None
 
 
+def _rgb(image: Image.Image) -> NDArray[np.uint8]:
+    """Return an image as (H, W, 3) RGB; of 16-bit grey the upper 8 bits, which Pillow would clip to white."""
+    if image.mode.startswith("I"):
+        image = Image.fromarray((np.asarray(image) >> 8).astype(np.uint8))
+    return np.asarray(image.convert("RGB"), dtype=np.uint8)
+
+
 def decode_image(file: IO[bytes]) -> NDArray[np.uint8]:
     """Decode an image to (H, W, 3) RGB.
 
@@ -62,7 +69,7 @@ def decode_image(file: IO[bytes]) -> NDArray[np.uint8]:
         ValueError: it is not a readable image, or a very large one.
     """
     with _open_stream(file) as image:
-        return np.asarray(image.convert("RGB"), dtype=np.uint8)
+        return _rgb(image)
 
 
 @contextmanager
@@ -86,7 +93,7 @@ def read_image(path: Path) -> NDArray[np.uint8]:
         InputError: it is not a readable image.
     """
     with open_image(path) as image:
-        return np.asarray(image.convert("RGB"), dtype=np.uint8)
+        return _rgb(image)
 
 
 def read_folder(folder: Path) -> Video:

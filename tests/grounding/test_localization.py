@@ -9,7 +9,7 @@ import pytest
 from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array, make_pose
 from kinebench_drake.grounding.crop import WIDE_SIZE, Crop
-from kinebench_drake.grounding.localization import find_region, likeliest_gripper
+from kinebench_drake.grounding.localization import _tiles, find_region, likeliest_gripper
 from kinebench_drake.grounding.view import Frames, GripperView
 from kinebench_drake.models.panda.cad import GripperCad
 from kinebench_drake.models.panda.robot import RobotPart
@@ -49,6 +49,13 @@ def test_a_small_gripper_is_found_by_tiles_and_shown_larger(cad: GripperCad, pla
     assert region.focal > 1.5 * Crop.of_frame(CAMERA).focal
     p_V = region.R_CV.T @ X_CH[:3, 3]
     assert (np.abs(p_V[:2] / p_V[2] * region.focal) < WIDE_SIZE / 2).all()
+
+
+@pytest.mark.parametrize(("fx", "fy"), [(700.0, 700.0), (1400.0, 700.0), (700.0, 1400.0)])
+def test_tiles_cover_images_of_stretched_pixels(fx: float, fy: float) -> None:
+    camera = replace(CAMERA, fx=fx, fy=fy)
+    covered = sum(tile.unwarp(np.ones((WIDE_SIZE, WIDE_SIZE), np.uint8), camera) > 0 for tile in _tiles(camera, 2))
+    assert (np.asarray(covered) > 0).mean() > 0.99
 
 
 def test_a_large_gripper_needs_no_search(cad: GripperCad) -> None:

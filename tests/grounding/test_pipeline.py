@@ -17,12 +17,13 @@ from kinebench_drake.grounding.evaluation.errors import ClipErrors
 from kinebench_drake.grounding.evaluation.summary import summarize
 from kinebench_drake.grounding.evaluation.trial import evaluate
 from kinebench_drake.grounding.evaluation.variants import VARIANTS, VariantTools
-from kinebench_drake.grounding.overlay import draw_overlay
+from kinebench_drake.grounding.overlay import draw_overlay, draw_pose
 from kinebench_drake.grounding.pipeline import CHECKED_FRAMES, GroundingPipeline
 from kinebench_drake.grounding.tracker import CadTracker, Tracking
 from kinebench_drake.grounding.view import Frames
 from kinebench_drake.io.reader import read_video
 from kinebench_drake.models.panda.cad import GripperCad
+from kinebench_drake.models.panda.robot import hand_from_tcp
 from kinebench_drake.models.perception.network import load_network
 from kinebench_drake.types import NO_PRIORS, Domain, InitialStateUse, Priors
 
@@ -196,6 +197,17 @@ def test_the_overlay_lies_on_the_gripper(pipeline: GroundingPipeline, clip: Trut
 
 
 @pytest.mark.sapien
+def test_axes_are_drawn_where_the_tcp_is_projected() -> None:
+    camera = benchmark_camera()
+    for offset in np.linspace(0.0, 0.002, 9):
+        X_CH = make_pose(np.eye(3), [0.0, 0.05 + offset, 0.8])
+        drawn = draw_pose(np.zeros((camera.height, camera.width, 3), np.uint8), camera, X_CH, 0.04, None)
+        weight = np.maximum(drawn[..., 0].astype(float) - drawn[..., 1], 0.0)  # the red axis, x, is level in the image
+        weight[:, : camera.width // 2 + 8] = 0.0  # where the others begin
+        row = (weight.sum(axis=1) * (np.arange(camera.height) + 0.5)).sum() / weight.sum()
+        assert row == pytest.approx(camera.project((X_CH @ hand_from_tcp())[None, :3, 3])[0, 1], abs=0.3)
+
+
 def test_true_depth_leaves_a_millimetre_and_half_a_degree(tmp_path: Path, tools: VariantTools) -> None:
     from click.testing import CliRunner
 

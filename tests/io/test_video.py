@@ -8,6 +8,7 @@ from PIL import Image
 from kinebench_drake.errors import InputError, UnmeasurableError
 from kinebench_drake.io import video as module
 from kinebench_drake.io.container import write_video
+from kinebench_drake.io.images import read_image
 from kinebench_drake.io.npz import at_most, open_npz
 from kinebench_drake.io.reader import read_video
 from kinebench_drake.io.video import Video
@@ -194,6 +195,13 @@ def test_too_little_to_measure(shape, told):
     video = Video(frames=np.zeros(shape, dtype=np.uint8), fps=17.0, stamps_s=None)
     with pytest.raises(UnmeasurableError, match=told):
         video.require_measurable()
+
+
+def test_frames_of_16_bit_grey_are_no_white(tmp_path):
+    ramp = np.linspace(0, 65535, 96 * 96).reshape(96, 96).astype(np.uint16)
+    Image.fromarray(ramp).save(tmp_path / "0.png")
+    image = read_image(tmp_path / "0.png")
+    np.testing.assert_array_equal(image, np.repeat((ramp >> 8)[..., None], 3, axis=-1))
 
 
 def test_frames_with_channels_first_are_named():

@@ -135,14 +135,21 @@ def _times(array: NDArray[np.generic] | None, n: int, rate_hz: float | None, war
     if abs(t_s[0]) > _LATE_S:
         warnings.append(f"times begin at {t_s[0]:.0f} s; they were shifted to begin at 0")
         t_s = t_s - t_s[0]
-    return _undo_rounding(t_s, array.dtype)
+    return _undo_rounding(t_s)
 
 
-def _undo_rounding(t_s: Array, dtype: np.dtype[np.generic]) -> Array:
-    """Return uniform times if single precision has rounded them: the steps would look like changes of speed."""
+def _undo_rounding(t_s: Array) -> Array:
+    """Return uniform times if single precision or decimals rounded them: the steps would look like changes of speed.
+
+    A unit of more than a quarter of a step could hide a frame that is missing.
+    """
     even = np.linspace(t_s[0], t_s[-1], len(t_s))
-    rounding = np.spacing(np.float32(np.abs(t_s).max()))
-    return even if dtype == np.float32 and np.abs(t_s - even).max() <= rounding else t_s
+    units = [10.0**-d for d in range(3, 7) if np.abs(t_s - t_s.round(d)).max() < 0.05 * 10.0**-d]
+    if (t_s == t_s.astype(np.float32)).all():
+        units.append(float(np.spacing(np.float32(np.abs(t_s).max()))))
+    step = (t_s[-1] - t_s[0]) / max(len(t_s) - 1, 1)
+    rounding = max((unit for unit in units if unit <= 0.25 * step), default=0.0)
+    return even if 1e-9 * step < np.abs(t_s - even).max() <= rounding else t_s
 
 
 def _joints(values: Array, tracked: NDArray[np.bool_], warnings: list[str]) -> tuple[Array, Array | None]:

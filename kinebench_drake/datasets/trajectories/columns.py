@@ -48,6 +48,7 @@ _QUATERNION_WORDS = {"quat", "quaternion", "q", "orientation", "ori", "orn", "ro
 _OTHER_WORDS = {
     *("vel", "velocity", "velocities", "acc", "acceleration", "accelerations", "force", "forces", "torque", "torques"),
     *("effort", "efforts", "delta", "deltas", "target", "targets", "goal", "desired", "commanded", "command"),
+    *("error", "errors"),
 }
 _JOINT_WORDS, _POSITION_WORDS = {"joint", "joints"}, {"pos", "position", "positions", "state", "angle", "angles"}
 _NO_NUMBERS = ("video", "image", "string", "bool")
@@ -111,7 +112,7 @@ def _match_joints(name: str, size: int, names: Sequence[str] | None) -> Columns 
     arms: dict[str, dict[int, int]] = {}
     for k, element in enumerate(names):
         match = _NUMBERED.fullmatch(element.lower())
-        if match and not _FINGER.fullmatch(element.lower()):
+        if match and not _FINGER.fullmatch(element.lower()) and not _OTHER_WORDS & set(_words(match["arm"])):
             arms.setdefault(match["arm"], {})[int(match["number"])] = k
     whole = [arm for arm in arms.values() if len(arm) == N_JOINTS and max(arm) - min(arm) == N_JOINTS - 1]
     if len(whole) != 1:

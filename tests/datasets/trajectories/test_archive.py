@@ -70,6 +70,17 @@ def test_a_rate_replaces_the_times(archive, q):
         read(archive(q=q))
 
 
+@pytest.mark.parametrize(("rate_hz", "decimals"), [(240, 3), (30, 3), (3000, 6)])
+def test_even_times_are_freed_of_rounding(archive, q, rate_hz, decimals):
+    times = np.arange(len(q)) / rate_hz
+    found = read(archive(t_s=times.round(decimals), q=q)).t_s
+    assert np.ptp(np.diff(found)) < 1e-12
+    gap = np.delete(np.arange(len(q) + 1), 3) / rate_hz
+    np.testing.assert_array_equal(read(archive(t_s=gap.round(decimals), q=q)).t_s, gap.round(decimals))
+    single = (100 + times).astype(np.float32).astype(float)
+    assert rate_hz > 1000 or np.ptp(np.diff(read(archive(t_s=single, q=q)).t_s)) < 1e-12
+
+
 def test_even_times_are_freed_of_single_precision(archive, q):
     times = np.arange(len(q)) / 30.0 + 200.0
     steps = np.diff(read(archive(t_s=times.astype(np.float32), q=q)).t_s)

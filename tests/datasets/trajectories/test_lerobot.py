@@ -118,6 +118,13 @@ def test_columns_that_tell_what_they_are(columns, column, layout):
     assert (found.column, found.layout) == (column, layout)
 
 
+@pytest.mark.parametrize("other", ["joint_vel.", "target_", "torque.", "error_"])
+def test_elements_that_are_no_angles_are_passed_over(other):
+    names = [f"{other}joint_{k}" for k in range(7)]
+    found = find_columns(features(observation__state=names, observation__q=NUMBERED), TrajectoryOptions())
+    assert found.column == "observation.q"
+
+
 def test_names_within_names(q):
     feature = {"dtype": "float32", "shape": [8], "names": {"motors": [*NUMBERED, "gripper"]}}
     assert find_columns({"observation.state": feature}, TrajectoryOptions()).indices == tuple(range(7))

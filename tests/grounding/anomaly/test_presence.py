@@ -7,7 +7,13 @@ import pytest
 
 from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.geometry import make_pose
-from kinebench_drake.grounding.anomaly.presence import expect_gripper, find_duplicates, find_vanishing, second_gripper
+from kinebench_drake.grounding.anomaly.presence import (
+    _inside,
+    expect_gripper,
+    find_duplicates,
+    find_vanishing,
+    second_gripper,
+)
 from kinebench_drake.grounding.crop import Crop
 from kinebench_drake.models.panda.robot import RobotPart
 from tests.grounding.conftest import hand_pose, perfect_view
@@ -72,6 +78,14 @@ def test_a_gripper_cut_by_the_border_may_have_left_the_image(spans):
     fast = inside.copy()
     fast[10, 0] -= 0.05
     assert spans(fast, gone(12, 22)) == []  # it would be at the border in the next frame
+
+
+def test_stretched_pixels_change_no_place():
+    square = replace(CAMERA, fx=CAMERA.fx / 2, fy=CAMERA.fy / 2)
+    stretched = replace(square, fx=CAMERA.fx, width=2 * CAMERA.width, cx=2 * CAMERA.cx)
+    for x in np.linspace(-0.9, 0.9, 19):
+        for y in np.linspace(-0.9, 0.9, 19):
+            assert _inside(np.array([x, y, 0.8]), square) is _inside(np.array([x, y, 0.8]), stretched)
 
 
 def test_a_gripper_behind_links_of_the_arm_has_not_vanished(background, spans):
