@@ -231,7 +231,7 @@ def test_an_offline_model_gets_the_actions_of_the_first_round(
     )
     monkeypatch.setattr(episode, "Simulator", Scene)
     monkeypatch.setattr(ActionSource, "track", lambda *_: commanded)
-    run = config("my_models:Stored", episodes=1, loop=LoopOptions(condition=Condition.ACTIONS))
+    run = config("my_models:Stored", episodes=1, loop=LoopOptions(condition=Condition.ACTIONS, frame_period_s=0.1))
     summary = run_suite(run)
     [row] = summary.rows
     assert (
@@ -240,6 +240,7 @@ def test_an_offline_model_gets_the_actions_of_the_first_round(
     )
     [asked] = summary.pending
     assert asked["actions"] == "PullCube-v1_s0000_r0.json"
+    assert asked["frame_period_s"] == 0.1
     assert json.loads((run.out / "ask" / asked["actions"]).read_text()) == commanded.to_json()
     assert (run.out / "ask" / asked["first_frame"]).is_file()
     assert run.to_json()["condition"] == "actions"

@@ -242,3 +242,6 @@ def test_direct_execution_is_the_ceiling(oracle: Path, tmp_path: Path) -> None:
     assert code == 0
     assert "success in 1 of 1, direct execution in 1, 100.0% of it" in said
     assert (tmp_path / "report.html").is_file()
+    code, said = invoke("suite", "ceiling", str(oracle), "--out", str(oracle))  # before any execution
+    assert code == 2
+    assert "the output folder of a run" in said
