@@ -114,7 +114,7 @@ def _region(boxes: Array, camera: Camera) -> Crop | None:
 
 
 def _crop_around(pixel: Array, size_px: float, camera: Camera) -> Crop:
-    """Return the crop around a pixel (2,) that is `size_px` wide in the image, at least, and high."""
+    """Return the crop around a pixel (2,) that is at least `size_px` wide and high in the image."""
     x, y = (pixel - [camera.cx, camera.cy]) / [camera.fx, camera.fy]
     distance = float(np.linalg.norm([x, y, 1.0]))
     return Crop.towards([x, y, 1.0], size_px / 2 / min(camera.fx, camera.fy) / distance, WIDE_SIZE)

@@ -29,13 +29,13 @@ def _local_values(offset: Array, values: Array, weight: Array, information: Arra
     Tukey's weights about that fit. Points of weight 0 in `weight` (M, n) do not count; at least four of each row do.
     """
     A = offset[..., None] ** np.arange(_DEGREE + 1)
-    rows = "n" if A.ndim == 2 else "mn"
+    axes = "n" if A.ndim == 2 else "mn"
     count, size = len(values), 6 * (_DEGREE + 1)
     robust, coefficients = np.ones_like(weight), np.zeros((count, _DEGREE + 1, 6))
     for number in range(1 + _L1_PASSES + _TUKEY_PASSES):
         weighted = (weight * robust)[..., None, None] * information
-        H = np.einsum(f"{rows}a,{rows}b,mnij->maibj", A, A, weighted, optimize=True).reshape(count, size, size)
-        g = np.einsum(f"{rows}a,mni->mai", A, (weighted @ values[..., None])[..., 0]).reshape(count, size, 1)
+        H = np.einsum(f"{axes}a,{axes}b,mnij->maibj", A, A, weighted, optimize=True).reshape(count, size, size)
+        g = np.einsum(f"{axes}a,mni->mai", A, (weighted @ values[..., None])[..., 0]).reshape(count, size, 1)
         coefficients = np.linalg.solve(H, g).reshape(count, _DEGREE + 1, 6)
         error = values - A @ coefficients
         residual = np.sqrt(np.einsum("mni,mnij,mnj->mn", error, information, error, optimize=True) / 6)

@@ -5,6 +5,9 @@ from numpy.typing import NDArray
 
 from kinebench_drake.geometry import Array
 
+UNEVEN = 0.02
+"""Least deviation from even spacing that counts [frame periods]."""
+
 
 def segments(mask: NDArray[np.bool_]) -> list[slice]:
     """Return the runs of consecutive true values of `mask` (T,)."""
@@ -22,10 +25,6 @@ def spread(values: Array, frames: NDArray[np.bool_] | NDArray[np.intp], count: i
     out = np.full((count, *np.shape(values)[1:]), np.nan)
     out[frames] = values
     return out
-
-
-UNEVEN = 0.02
-"""Least deviation from even spacing that counts [frame periods]."""
 
 
 def frame_periods(t_s: Array) -> Array:

@@ -182,6 +182,7 @@ class Suite:
         *,
         tasks: Sequence[str] | None = None,
         offset: int = 0,
+        variant: TaskVariant = TaskVariant.PLAIN,
     ) -> list[Episode]:
         """Return `count` episodes of each task of a split; a larger count begins with the episodes of a smaller one.
 
@@ -191,7 +192,7 @@ class Suite:
         return [
             spec.episode()
             for task in self.tasks_of(split, tasks)
-            for spec in self.specs(split, task, count, offset=offset)
+            for spec in self.specs(split, task, count, offset=offset, variant=variant)
         ]
 
 

@@ -5,7 +5,7 @@ from typing import Any
 
 import click
 
-from kinebench_drake.cli.options import PathParameter
+from kinebench_drake.cli.options import PathParameter, check_suffix
 
 
 @click.command(
@@ -72,9 +72,8 @@ def calibrate(out: Path, figure: Path | None, as_json: bool, **options: Any) -> 
 
     if not options["video"].exists():
         raise click.UsageError(f"{options['video']}: {absence(options['video'])}")
-    for name, path, suffix in (("--out", out, ".json"), ("--figure", figure, ".png")):
-        if path is not None and path.suffix.lower() != suffix:
-            raise click.UsageError(f"{name} {path.name}: expected a name that ends in {suffix}")
+    check_suffix("--out", out, ".json")
+    check_suffix("--figure", figure, ".png")
     outcome = run_calibration(CalibrationConfig(**options))
     camera = outcome.calibration.camera
     save_camera(camera, out)

@@ -275,3 +275,13 @@ def check_parent(option: str, path: Path) -> None:
     """
     if not path.parent.is_dir():
         raise UsageError(f"{option} {path}: there is no folder {path.parent}; create it first")
+
+
+def check_suffix(option: str, path: Path | None, *suffixes: str) -> None:
+    """Check, before long work, that the name of an output file ends in one of `suffixes`; None for no file.
+
+    Raises:
+        UsageError: it does not.
+    """
+    if path is not None and path.suffix.lower() not in suffixes:
+        raise UsageError(f"{option} {path.name}: expected a name that ends in {' or '.join(suffixes)}")

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from kinebench_drake.cli.options import PathParameter
-from kinebench_drake.errors import UsageError
+from kinebench_drake.cli.options import PathParameter, check_suffix
 
 if TYPE_CHECKING:
     from kinebench_drake.grounding.evaluation.study import GroundingStudy, StudyOutcome
@@ -85,7 +84,7 @@ def _measure_options(command: Callable[..., None]) -> Callable[..., None]:
     @wraps(command)
     def wrapped(**options: Any) -> None:
         common = {field.name: options.pop(field.name) for field in fields(MeasureOptions)}
-        _check_figure(common["figure"])
+        check_suffix("--figure", common["figure"], ".png")
         command(MeasureOptions(**common), **options)
 
     for option in reversed(_OPTIONS):
@@ -103,16 +102,6 @@ def _write_json(path: Path | None, value: dict[str, Any]) -> None:
 
     if path is not None:
         write_json(path, value)
-
-
-def _check_figure(path: Path | None) -> None:
-    """Check the name of a figure before minutes of work.
-
-    Raises:
-        UsageError: it does not end in .png.
-    """
-    if path is not None and path.suffix.lower() != ".png":
-        raise UsageError(f"--figure {path.name}: expected a name that ends in .png")
 
 
 @click.command(
@@ -243,7 +232,7 @@ def robustness(options: MeasureOptions, only: str, sheet: Path | None, baseline:
     from kinebench_drake.grounding.evaluation.perturbation.catalogue import PerturbationKind
     from kinebench_drake.io.figure import save
 
-    _check_figure(sheet)
+    check_suffix("--sheet", sheet, ".png")
     try:
         kinds = [PerturbationKind(name.strip()) for name in only.split(",")]
     except ValueError:
@@ -288,7 +277,7 @@ def depth_ablation(options: MeasureOptions, plug_ins: tuple[str, ...], heatmap: 
     from kinebench_drake.grounding.evaluation.variants import VariantTools
     from kinebench_drake.io.figure import save
 
-    _check_figure(heatmap)
+    check_suffix("--heatmap", heatmap, ".png")
     outcome = options.compare(study.depth_ablation(plug_ins))
     clips = choose(find_clips(options.folder), options.limit)
     errors = measure_depth(clips, VariantTools.load(options.weights).estimator)
@@ -343,7 +332,7 @@ def anomalies(
     from kinebench_drake.grounding.evaluation.anomaly_table import draw_anomalies, table_json, table_lines
     from kinebench_drake.io.figure import save
 
-    _check_figure(figure)
+    check_suffix("--figure", figure, ".png")
     cases = find_cases(clean, faulty, limit)
     with ProgressView("videos") as view:
         findings = detect_all(cases, weights, create_executor(ExecutorKind.LOCAL, jobs), view, _clips_file(json_out))

@@ -12,6 +12,7 @@ from kinebench_drake.cli.options import (
     SPLITS,
     PathParameter,
     check_parent,
+    check_suffix,
     episodes_option,
     jobs_option,
     tasks_option,
@@ -63,11 +64,7 @@ def _episodes(
     if pool is not None:
         raise UsageError(f"--pool {pool}: the assets are those of the split of --suite {number}; leave out one of them")
     suite, name = load_suite(number), split or "test"
-    return [
-        spec.episode()
-        for task in chosen_tasks(suite, name, tasks, own)
-        for spec in suite.specs(name, task, count, offset=seed, variant=own)
-    ]
+    return suite.episodes(name, count, tasks=chosen_tasks(suite, name, tasks, own), offset=seed, variant=own)
 
 
 @click.group(
@@ -196,8 +193,7 @@ def sheet(
     from kinebench_drake.executors.base import ExecutorKind, create_executor
     from kinebench_drake.suites.contact_sheet import contact_sheet, look_panels, task_panels
 
-    if out.suffix.lower() not in (".png", ".jpg", ".jpeg"):
-        raise UsageError(f"--out {out} should end in .png or .jpg")
+    check_suffix("--out", out, ".png", ".jpg", ".jpeg")
     check_parent("--out", out)
     if looks is not None and (number, split, tasks) != (None, None, None):
         raise UsageError(f"--looks {looks}: shows one scene of one task; leave out --suite, --split and --tasks")

@@ -6,7 +6,14 @@ from pathlib import Path
 import click
 
 from kinebench_drake.cli.folders import bootstrap_seed_option, comparison_out_option, folders_argument
-from kinebench_drake.cli.options import PathParameter, check_parent, first_seed_option, jobs_option, suite_options
+from kinebench_drake.cli.options import (
+    PathParameter,
+    check_parent,
+    check_suffix,
+    first_seed_option,
+    jobs_option,
+    suite_options,
+)
 from kinebench_drake.io.atomic import write_atomically
 from kinebench_drake.suites.selection import chosen_tasks
 
@@ -120,8 +127,7 @@ def tolerance(
     for option, path in (("--out", out), ("--figure", figure)):
         if path is not None:
             check_parent(option, path)
-    if figure is not None and figure.suffix.lower() not in (".png", ".svg", ".pdf"):
-        raise UsageError(f"--figure {figure}: expected a name that ends in .png, .svg or .pdf")
+    check_suffix("--figure", figure, ".png", ".svg", ".pdf")
     suite = load_suite(number)
     chosen = chosen_tasks(suite, split, tasks, TaskVariant.PLAIN)
     todo = suite.episodes(suite.split_name(split), episodes, tasks=chosen, offset=seed)

@@ -204,9 +204,9 @@ class ClosedLoop:
             state = RobotState(q=now.q, finger_width_m=float(now.fingers_m.sum()), gripping=gripping)
             request = self._request(episode, videos.name, sample, number, first_frame)
             if self._actions is not None:
-                now_state, frames = simulator.simulation_state(), self._options.num_frames
+                options, here = self._options, simulator.simulation_state()
                 try:
-                    track = self._actions.track(episode, now_state, frames, self._options.frame_period_s)
+                    track = self._actions.track(episode, here, options.num_frames, options.frame_period_s)
                 except InputError:
                     if not rounds:
                         raise

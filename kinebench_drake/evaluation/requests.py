@@ -4,6 +4,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from kinebench_drake.camera import benchmark_camera
+from kinebench_drake.datasets.manifest import NAME
+from kinebench_drake.datasets.videos.search import CAMERA_NAME
 from kinebench_drake.io.atomic import disk_errors
 from kinebench_drake.io.camerafile import save_camera
 from kinebench_drake.io.jsonl import write_lines
@@ -11,7 +13,6 @@ from kinebench_drake.results.store import REQUESTS
 
 SIZE_PX = 384
 """Width and height of conditioning images."""
-_MANIFEST, _CAMERA = "manifest.jsonl", "camera.json"
 
 
 def request_path(out: Path, id: str) -> Path:
@@ -36,10 +37,10 @@ def write_requests(out: Path, requests: Sequence[Mapping[str, object]]) -> None:
             if file.name not in wanted:
                 file.unlink()
         if requests:
-            save_camera(benchmark_camera().resized(SIZE_PX, SIZE_PX), folder / _CAMERA)
-            write_lines(folder / _MANIFEST, requests)
+            save_camera(benchmark_camera().resized(SIZE_PX, SIZE_PX), folder / CAMERA_NAME)
+            write_lines(folder / NAME, requests)
         elif folder.is_dir():
-            for name in (_CAMERA, _MANIFEST):
+            for name in (CAMERA_NAME, NAME):
                 (folder / name).unlink(missing_ok=True)
             if not any(folder.iterdir()):  # else videos were put beside the first frames
                 folder.rmdir()

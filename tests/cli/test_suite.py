@@ -138,7 +138,7 @@ def test_what_cannot_be_made_is_a_usage_error(suite, orders, tmp_path, arguments
         ),
         (("check", "--json", "absent/x.json"), "there is no folder absent"),
         (("sheet", "--out", "absent/x.png"), "there is no folder absent"),
-        (("tolerance", "--suite", 0, "--out", "t.json", "--figure", "t.bmp"), "ends in .png, .svg or .pdf"),
+        (("tolerance", "--suite", 0, "--out", "t.json", "--figure", "t.bmp"), "ends in .png or .svg or .pdf"),
         (("sheet", "--out", "x.png", "--looks", "table", "--suite", 1), "leave out --suite"),
         (("check", "--split", "unseen"), "add --suite N"),
         (("check", "--suite", 2, "--pool", "seen"), "those of the split of --suite 2"),
