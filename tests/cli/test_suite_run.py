@@ -84,13 +84,13 @@ def test_what_is_finished_is_kept_and_made_again_it_is_the_same(oracle: Path, tm
 
 def test_two_rounds_without_a_server_equal_the_live_ones(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Each command ends with the first frames of the next round; the last row differs in the model's identity only."""
-    monkeypatch.setitem(LoopOptions.__init__.__kwdefaults__, "num_frames", 17)  # pictures take long without a GPU
+    monkeypatch.setitem(LoopOptions.__init__.__kwdefaults__, "num_frames", 13)  # pictures take long without a GPU
     live, offline, videos = tmp_path / "live", tmp_path / "offline", tmp_path / "videos"
     videos.mkdir()
     options = ("--rounds", "2", "--clip-timing", "native", "--prompt-suffix", "Slowly.", "--replays", "0")
     assert run(live, "--world-model", "random", *options)[0] == 0
     [row] = rows(live)
-    assert (row["success"], row["rounds"], row["clip_frames"]) == (False, 2, [17, 17])
+    assert (row["success"], row["rounds"], row["clip_frames"]) == (False, 2, [13, 13])
     for number in range(2):
         id = row["id"] if number == 0 else f"{row['id']}_r{number}"
         if number:
@@ -130,7 +130,9 @@ def still(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (videos / "PullCube-v1_s0000_r2" / "0.png").touch()
     (videos / "PullCube-v1_s0000_r1.mp4").touch()
     (videos / "other_r1.mp4").touch()
-    assert run(out, "--world-model", "still", "--rounds", "1", "--no-rollouts", "--overwrite")[0] == 0
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(LoopOptions.__init__.__kwdefaults__, "num_frames", 13)
+        assert run(out, "--world-model", "still", "--rounds", "1", "--no-rollouts", "--overwrite")[0] == 0
     return out
 
 
@@ -191,7 +193,8 @@ def between(steps: Sequence[Snapshot], at: float) -> Snapshot:
 
 def test_a_clip_in_150_frames_is_the_same_motion(oracle: Path, long_film: Path, tmp_path: Path) -> None:
     """Rendered, grounded and executed: metrics differ by the errors of grounding other frames, and not by the clock."""
-    code, said = run(tmp_path / "even", "--world-model", f"folder:{long_film}", "--pixels-only")
+    options = ("--pixels-only", "--no-rollouts")
+    code, said = run(tmp_path / "even", "--world-model", f"folder:{long_film}", *options)
     assert code == 0
     assert "1 episode with clips of 150 frames in place of 49: each was sampled evenly over 9.6 s" in said
     [reference], [row] = rows(oracle), rows(tmp_path / "even")
@@ -204,7 +207,7 @@ def test_a_clip_in_150_frames_is_the_same_motion(oracle: Path, long_film: Path, 
     (tmp_path / "first").mkdir()
     [film] = long_film.iterdir()
     write_video(tmp_path / "first" / film.name, read_video(film).frames[:100], 30)
-    options = ("--clip-timing", "native", "--pixels-only", "--no-rollouts", "--rounds", "1")
+    options += ("--clip-timing", "native", "--rounds", "1")
     _, said = run(tmp_path / "slow", "--world-model", f"folder:{tmp_path / 'first'}", *options)
     assert "100 frames in place of 49: 0.2 s a frame were taken" in said
     [slow] = rows(tmp_path / "slow")
