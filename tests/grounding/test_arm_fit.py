@@ -275,9 +275,8 @@ class PartialEstimator:
             yield i, replace(shown, part=np.zeros_like(shown.part)) if i in self._blind else shown
 
 
-@pytest.mark.parametrize(
-    "seed", [0, 7, *(pytest.param(seed, marks=pytest.mark.exhaustive) for seed in (1, 2, 6))]
-)  # of others the wrist leaves the image
+# Of other seeds the wrist leaves the image.
+@pytest.mark.parametrize("seed", [0, 7, *(pytest.param(seed, marks=pytest.mark.exhaustive) for seed in (1, 2, 6))])
 def test_the_flange_is_followed_into_frames_in_which_the_network_finds_nothing(model: ArmModel, seed: int) -> None:
     q = posture(seed) + 0.015 * np.arange(4)[:, None] * np.array([1.0, -1.0, 0.0, 1.0, 0.0, 1.0, 1.0])
     blind = {2, 3}
