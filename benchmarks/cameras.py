@@ -14,7 +14,7 @@ from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.datasets.videos.sample import CameraSource, VideoSample
 from kinebench_drake.errors import UnmeasurableError, UsageError
 from kinebench_drake.evaluation.analyzer import Analyzer, RobotOptions
-from kinebench_drake.evaluation.score import ground_with_camera
+from kinebench_drake.evaluation.grounding import ground_with_camera
 from kinebench_drake.geometry import pose_difference
 from kinebench_drake.grounding.evaluation.store import MeasurementStore, fingerprint
 from kinebench_drake.grounding.overrides.overrides import Overrides
@@ -141,7 +141,7 @@ def measure(folder: Path, out: Path, names: Sequence[str] | None, *, log: Callab
     if not videos:
         raise UsageError(f"{folder.name}: no video of these names has reference poses")
     make_folder(out)
-    base = fingerprint(modules=["kinebench_drake.evaluation.score"])
+    base = fingerprint(modules=["kinebench_drake.evaluation.grounding"])
     store = MeasurementStore(out / "cameras.jsonl", CameraTrial)
     analyzer, trials = Analyzer(RobotOptions()), []
     for video in videos:

@@ -10,7 +10,7 @@ from kinebench_drake.calibration.fit import with_focal
 from kinebench_drake.datasets.videos.sample import CameraSource, VideoSample
 from kinebench_drake.errors import UnmeasurableError
 from kinebench_drake.evaluation.analyzer import Analyzer, RobotOptions
-from kinebench_drake.evaluation.score import ground_with_camera
+from kinebench_drake.evaluation.grounding import ground_with_camera
 from kinebench_drake.grounding.evaluation.clip import TruthClipFile, choose, find_clips
 from kinebench_drake.grounding.evaluation.store import MeasurementStore, fingerprint
 from kinebench_drake.grounding.overrides.overrides import Overrides
@@ -90,7 +90,7 @@ def measure(folder: Path, out: Path, factors: Sequence[float], *, limit: int | N
     """
     clips = choose(find_clips(folder), limit)
     make_folder(out)
-    base = fingerprint(modules=["kinebench_drake.evaluation.score"])
+    base = fingerprint(modules=["kinebench_drake.evaluation.grounding"])
     store = MeasurementStore(out / "focal.jsonl", FocalTrial)
     analyzer, trials = Analyzer(RobotOptions()), []
     for clip in clips:

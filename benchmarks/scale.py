@@ -31,7 +31,8 @@ from kinebench_drake.errors import KinebenchError, UsageError
 from kinebench_drake.evaluation.config import RunKind
 from kinebench_drake.evaluation.merge import merge_folders
 from kinebench_drake.evaluation.runner import NullRunObserver, run_samples
-from kinebench_drake.evaluation.score import ScoreConfig, VideoEvaluator
+from kinebench_drake.evaluation.score import VideoEvaluator
+from kinebench_drake.evaluation.score_config import ScoreConfig
 from kinebench_drake.report.page import write_report
 from kinebench_drake.results.metadata import Shard
 from kinebench_drake.results.row import SampleRow, Status

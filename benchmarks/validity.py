@@ -25,7 +25,8 @@ from kinebench_drake.closed_loop.commands import CommandPlanner, RobotState
 from kinebench_drake.closed_loop.execution import execute
 from kinebench_drake.errors import InputError, UnmeasurableError, UsageError
 from kinebench_drake.evaluation.runner import RunObserver
-from kinebench_drake.evaluation.score import ScoreConfig, score_videos
+from kinebench_drake.evaluation.score import score_videos
+from kinebench_drake.evaluation.score_config import ScoreConfig
 from kinebench_drake.executors.base import Executor
 from kinebench_drake.executors.local import LocalExecutor
 from kinebench_drake.grounding.evaluation.store import MeasurementStore, fingerprint

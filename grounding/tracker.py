@@ -96,12 +96,20 @@ class CadTracker:
         priors.check_shapes(*frames.shape[:3])
         priors = self._calibrate(frames, camera, priors)
         estimator = OverrideEstimator(self._estimator, priors)
-        whole = dict.fromkeys(range(len(frames)), Crop.of_frame(camera))
-        wide = dict(estimator.estimate(frames, camera, whole))
+
+        def detect(region: Crop) -> tuple[dict[int, GripperView], dict[int, Crop]]:
+            """Return the view of `region` by frame number, and crops around the gripper where it is detected."""
+            estimates = estimator.estimate(frames, camera, dict.fromkeys(range(len(frames)), region))
+            wide, crops = dict[int, GripperView](), dict[int, Crop]()
+            while views := dict(islice(estimates, BATCH)):
+                wide |= views
+                crops |= self._detected_crops(views, priors)
+            return wide, crops
+
+        wide, crops = detect(Crop.of_frame(camera))
         region = find_region(estimator, frames, camera, wide)
         if region is not None:
-            wide = dict(estimator.estimate(frames, camera, dict.fromkeys(whole, region)))
-        crops = self._detected_crops(wide, priors)
+            wide, crops = detect(region)
         arm = ArmFitter(camera, self._arm, self._edges, places)
 
         def measure(crops: dict[int, Crop]) -> dict[int, FramePose]:
@@ -164,16 +172,14 @@ class CadTracker:
         return replace(priors, depth=calibrate_depth(depth, view, X_CH, finger_m))
 
     @staticmethod
-    def _detected_crops(wide: Mapping[int, GripperView], priors: Priors) -> dict[int, Crop]:
+    def _detected_crops(views: Mapping[int, GripperView], priors: Priors) -> dict[int, Crop]:
         """Return crops around the gripper where it is detected in views of whole images, or known from priors."""
-        poses = {i: X_CH for i in wide if (X_CH := priors.pose(i)) is not None}
-        rest = [i for i in wide if i not in poses]
-        for start in range(0, len(rest), BATCH):
-            numbers = rest[start : start + BATCH]
-            none = [None] * len(numbers)
-            hands = fit_all([likeliest_gripper(wide[i]) for i in numbers], none, none)
-            poses |= {i: hand.X_CH for i, hand in zip(numbers, hands, strict=True) if hand is not None}
-        return {i: Crop.of_gripper(poses[i], CLOSE_MARGIN, CLOSE_SIZE) for i in wide if i in poses}
+        poses = {i: X_CH for i in views if (X_CH := priors.pose(i)) is not None}
+        rest = [i for i in views if i not in poses]
+        none = [None] * len(rest)
+        hands = fit_all([likeliest_gripper(views[i]) for i in rest], none, none)
+        poses |= {i: hand.X_CH for i, hand in zip(rest, hands, strict=True) if hand is not None}
+        return {i: Crop.of_gripper(poses[i], CLOSE_MARGIN, CLOSE_SIZE) for i in views if i in poses}
 
     def _measure(
         self, views: Mapping[int, GripperView], wide: Mapping[int, GripperView], arm_fitter: ArmFitter, priors: Priors

@@ -176,14 +176,18 @@ class GradientImage:
 
 def _gradient(image: NDArray[np.uint8]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Return the derivatives (H, W) of an image (H, W, 3) along x and y [1/px], in the channel of the largest."""
-    smooth = cv2.GaussianBlur(image.astype(np.float32), (0, 0), _SMOOTHING_PX)
-    dx, dy = (cv2.Sobel(smooth, cv2.CV_32F, *order, ksize=3, scale=0.125) for order in ((1, 0), (0, 1)))
-    first, *others = zip(*(cv2.split(values) for values in (dx, dy, dx * dx + dy * dy)), strict=True)
-    for other in others:
-        stronger = cv2.compare(other[2], first[2], cv2.CMP_GT)
-        for strongest, values in zip(first, other, strict=True):
-            cv2.copyTo(values, stronger, strongest)
-    return np.asarray(first[0], np.float32), np.asarray(first[1], np.float32)
+    strongest: list[NDArray[np.float32]] = []
+    for channel in cv2.split(image):
+        smooth = cv2.GaussianBlur(channel.astype(np.float32), (0, 0), _SMOOTHING_PX)
+        dx, dy = (cv2.Sobel(smooth, cv2.CV_32F, *order, ksize=3, scale=0.125) for order in ((1, 0), (0, 1)))
+        derivatives = [np.asarray(values, np.float32) for values in (dx, dy, dx * dx + dy * dy)]
+        if not strongest:
+            strongest = derivatives
+            continue
+        stronger = cv2.compare(derivatives[2], strongest[2], cv2.CMP_GT)
+        for kept, values in zip(strongest, derivatives, strict=True):
+            cv2.copyTo(values, stronger, kept)
+    return strongest[0], strongest[1]
 
 
 class EdgeMatcher:

@@ -11,6 +11,7 @@ from typing import Any, TypeAlias, TypedDict, Unpack
 from kinebench_drake.errors import KinebenchError, member_of
 from kinebench_drake.evaluation import score
 from kinebench_drake.evaluation.runner import NullRunObserver, RunObserver, RunSummary
+from kinebench_drake.evaluation.score_config import ScoreConfig
 from kinebench_drake.executors.base import ExecutorKind
 from kinebench_drake.results.metadata import Shard
 
@@ -170,7 +171,7 @@ def score_videos(
         for row in summary.rows:
             print(row.id, row.status.value, row.feasible, row.metrics["sparc"])
     """
-    config = score.ScoreConfig(source=Path(source), out=Path(out), **_parsed(options))
+    config = ScoreConfig(source=Path(source), out=Path(out), **_parsed(options))
     return score.score_videos(config, observer or Warner())
 
 

@@ -24,13 +24,9 @@ from kinebench_drake.evaluation.analyzer import Analyzer, AnalyzerFactory, Robot
 from kinebench_drake.evaluation.audit import judge_trajectory
 from kinebench_drake.evaluation.camera import describe_contradiction
 from kinebench_drake.evaluation.evaluator import SampleInfo
-from kinebench_drake.evaluation.score import (
-    BENCHMARK_PERIOD_S,
-    check_period,
-    ground_with_camera,
-    period_warnings,
-    with_initial_states,
-)
+from kinebench_drake.evaluation.grounding import ground_with_camera
+from kinebench_drake.evaluation.preparation import BENCHMARK_PERIOD_S, with_initial_states
+from kinebench_drake.evaluation.score_config import check_period, period_warnings
 from kinebench_drake.executors.local import one_thread
 from kinebench_drake.grounding.overrides.overrides import Overrides
 from kinebench_drake.io.camerafile import load_camera

@@ -7,7 +7,7 @@ import click
 from kinebench_drake.cli.options import PathParameter, judging_options, sample_options, video_options
 
 if TYPE_CHECKING:
-    from kinebench_drake.evaluation.score import ScoreConfig
+    from kinebench_drake.evaluation.score_config import ScoreConfig
 
 
 @click.command(
@@ -36,7 +36,7 @@ def score(ctx: click.Context, /, dry_run: bool, **options: Any) -> None:
     --masks, --depth and --poses replace stages of the grounding by results of other tools. Each DIR holds ID.npz,
     ID.npy or a folder ID/ for every video (docs/grounding.md), or is a demonstration folder with its truth.
     """
-    from kinebench_drake.evaluation.score import ScoreConfig
+    from kinebench_drake.evaluation.score_config import ScoreConfig
 
     ctx.exit(_score(ScoreConfig(**options), dry_run=dry_run))
 
@@ -63,7 +63,7 @@ def ground(ctx: click.Context, /, dry_run: bool, **options: Any) -> None:
     ID.npy or a folder ID/ for every video (docs/grounding.md), or is a demonstration folder with its truth.
     """
     from kinebench_drake.evaluation.config import RunKind
-    from kinebench_drake.evaluation.score import ScoreConfig
+    from kinebench_drake.evaluation.score_config import ScoreConfig
 
     ctx.exit(_score(ScoreConfig(kind=RunKind.GROUND, **options), dry_run=dry_run))
 

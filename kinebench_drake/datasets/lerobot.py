@@ -16,8 +16,9 @@ from pyarrow import compute
 
 from kinebench_drake.datasets.folders import join_relative
 from kinebench_drake.datasets.manifest import MAX_PERIOD_S, MIN_PERIOD_S
-from kinebench_drake.datasets.trajectories.check import MAX_FRAMES, require_numbers
+from kinebench_drake.datasets.trajectories.check import MAX_FRAMES
 from kinebench_drake.datasets.trajectories.columns import ColumnLayout, Columns, find_columns
+from kinebench_drake.datasets.trajectories.numbers import require_numbers
 from kinebench_drake.datasets.trajectories.pose import from_quaternions, from_vectors
 from kinebench_drake.datasets.trajectories.trajectory import (
     RawTrajectory,

@@ -9,7 +9,7 @@ from kinebench_drake import cli
 from kinebench_drake.evaluation import audit, score
 from kinebench_drake.evaluation import runner as run
 from kinebench_drake.evaluation.analyzer import Analyzer
-from kinebench_drake.evaluation.score import ScoreConfig
+from kinebench_drake.evaluation.score_config import ScoreConfig
 from kinebench_drake.io.container import write_video
 from kinebench_drake.results.provenance import code_hash
 

@@ -17,6 +17,7 @@ from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.cli import cli
 from kinebench_drake.errors import InputError, KinebenchError, UnmeasurableError, UsageError
 from kinebench_drake.evaluation import score, suite
+from kinebench_drake.evaluation.score_config import ScoreConfig
 from kinebench_drake.geometry import make_pose
 from kinebench_drake.io.camerafile import save_camera
 from kinebench_drake.io.jsonl import finite
@@ -238,7 +239,7 @@ def test_errors_and_warnings_name_arguments(tmp_path, film):
 def test_warnings_point_at_the_caller(tmp_path, film, quick, monkeypatch):
     film("videos/a.mp4")
     np.save(tmp_path / "videos" / "b.npy", np.zeros((2, 96, 96, 3), np.uint8))
-    monkeypatch.setitem(score.ScoreConfig.__init__.__kwdefaults__, "make_analyzer", FakeAnalyzer)
+    monkeypatch.setitem(ScoreConfig.__init__.__kwdefaults__, "make_analyzer", FakeAnalyzer)
     with pytest.warns(UserWarning, match="videos in npy or npz files ignored") as caught:
         score_videos(tmp_path / "videos", out=tmp_path / "out", replays=0)
     with pytest.warns(UserWarning, match="frame period of 200 s") as more:

@@ -27,7 +27,8 @@ from kinebench_drake.evaluation.camera import (
     explain_loss,
     with_camera_option,
 )
-from kinebench_drake.evaluation.score import ground_with_camera, score_videos
+from kinebench_drake.evaluation.grounding import ground_with_camera
+from kinebench_drake.evaluation.score import score_videos
 from kinebench_drake.grounding.overrides.overrides import Overrides
 from kinebench_drake.io.camerafile import save_camera
 from kinebench_drake.io.video import Video

@@ -149,8 +149,8 @@ import signal, sys
 signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background jobs are born deaf to it
 from fake_analyzer import FakeAnalyzer
 from kinebench_drake import cli
-from kinebench_drake.evaluation import score
-score.ScoreConfig.__init__.__kwdefaults__["make_analyzer"] = FakeAnalyzer
+from kinebench_drake.evaluation.score_config import ScoreConfig
+ScoreConfig.__init__.__kwdefaults__["make_analyzer"] = FakeAnalyzer
 if __name__ == "__main__":
     cli.main(sys.argv[1:])
 """

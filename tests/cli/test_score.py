@@ -480,7 +480,8 @@ RUN = """
 import sys
 from pathlib import Path
 from fake_analyzer import FakeAnalyzer
-from kinebench_drake.evaluation.score import ScoreConfig, score_videos
+from kinebench_drake.evaluation.score import score_videos
+from kinebench_drake.evaluation.score_config import ScoreConfig
 if __name__ == "__main__":
     source, out, jobs = sys.argv[1:]
     score_videos(ScoreConfig(source=Path(source), out=Path(out), jobs=int(jobs), make_analyzer=FakeAnalyzer))

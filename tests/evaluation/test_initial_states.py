@@ -7,7 +7,7 @@ import pytest
 
 from kinebench_drake.datasets.videos.find import find_samples
 from kinebench_drake.datasets.videos.sample import VideoSample
-from kinebench_drake.evaluation.score import with_initial_states
+from kinebench_drake.evaluation.preparation import with_initial_states
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.suites.start import start_q
 from kinebench_drake.types import InitialState

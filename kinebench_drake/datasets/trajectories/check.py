@@ -3,15 +3,10 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from kinebench_drake.datasets.trajectories.numbers import others_text, require_numbers
 from kinebench_drake.datasets.trajectories.pose import rigid_poses
-from kinebench_drake.datasets.trajectories.trajectory import (
-    MAX_STEP_S,
-    MIN_STEP_S,
-    N_JOINTS,
-    SLOW_STEP_S,
-    RawTrajectory,
-    Trajectory,
-)
+from kinebench_drake.datasets.trajectories.times import check_times, undo_jitter
+from kinebench_drake.datasets.trajectories.trajectory import N_JOINTS, RawTrajectory, Trajectory
 from kinebench_drake.errors import InputError, UnmeasurableError
 from kinebench_drake.geometry import Array
 
@@ -26,7 +21,6 @@ _MOST_DEGREES = 720.0
 _TURN_RAD = 2.0 * np.pi  # larger angles give a warning
 _WIDTH_M = 0.08  # gap between the Panda's pads when open
 _WIDTH_SLACK_M = 0.01  # overshoot of sensors and simulators
-_LATE_S = 1e6  # later times, such as seconds since 1970, would lose precision
 
 
 def check(raw: RawTrajectory, rate_hz: float | None = None) -> Trajectory:
@@ -56,7 +50,7 @@ def check(raw: RawTrajectory, rate_hz: float | None = None) -> Trajectory:
     if n > MAX_FRAMES:
         raise InputError(f"has {n} frames, at most {MAX_FRAMES} are accepted: cut it into parts")
     tracked = _tracked(raw.tracked, n)
-    t_s = _times(raw.t_s, n, rate_hz, warnings)
+    t_s = check_times(raw.t_s, n, rate_hz, warnings)
     if n < MIN_FRAMES:
         raise UnmeasurableError(f"has {n} frame, a path needs at least {MIN_FRAMES}")
     width = None if raw.finger_width_m is None else require_numbers("finger_width_m", raw.finger_width_m)
@@ -64,14 +58,16 @@ def check(raw: RawTrajectory, rate_hz: float | None = None) -> Trajectory:
     X_BG: Array | None = None
     if raw.q is not None:
         q, fingers = _joints(values, tracked, warnings)
+        path = q
         width = fingers if width is None else width
     else:
         X_BG, repairs = rigid_poses(values, tracked)
+        path = X_BG[:, :3, 3]
         warnings += repairs
     if tracked.sum() < MIN_FRAMES:
         raise UnmeasurableError(f"{int(tracked.sum())} of {n} frames are tracked, a path needs {MIN_FRAMES}")
     return Trajectory(
-        t_s=t_s,
+        t_s=undo_jitter(t_s, path, warnings),
         X_BG=X_BG,
         q=q,
         tracked=tracked,
@@ -81,75 +77,12 @@ def check(raw: RawTrajectory, rate_hz: float | None = None) -> Trajectory:
     )
 
 
-def require_numbers(name: str, array: NDArray[np.generic]) -> Array:
-    """Return the array in double precision.
-
-    Raises:
-        InputError: it does not hold real numbers.
-    """
-    if array.dtype.kind not in "iuf":
-        raise InputError(f"{name} holds {array.dtype}, expected real numbers")
-    return np.asarray(array, dtype=np.float64)
-
-
 def _tracked(array: NDArray[np.generic] | None, n: int) -> NDArray[np.bool_]:
     if array is None:
         return np.ones(n, dtype=bool)
     if array.shape != (n,) or array.dtype.kind not in "biu":
         raise InputError(f"tracked has shape {array.shape} and type {array.dtype}, expected ({n},) of booleans")
     return array.astype(bool)
-
-
-def _times(array: NDArray[np.generic] | None, n: int, rate_hz: float | None, warnings: list[str]) -> Array:
-    if rate_hz is not None:
-        return np.arange(n, dtype=np.float64) / rate_hz
-    if array is None:
-        raise InputError("holds no times t_s; add them, or give --rate HZ")
-    t_s = require_numbers("t_s", array)
-    if t_s.shape != (n,):
-        raise InputError(f"t_s has shape {t_s.shape}, but there are {n} frames")
-    broken = ~np.isfinite(t_s)
-    if broken.any():
-        raise InputError(f"the time of frame {int(np.argmax(broken))} is {t_s[broken][0]}, expected finite seconds")
-    with np.errstate(over="ignore"):
-        steps = np.diff(t_s)
-    for bad, relation in ((steps < 0.0, "is before"), (steps == 0.0, "is the same as")):
-        if bad.any():
-            k = int(np.argmax(bad))
-            raise InputError(
-                f"the time of frame {k + 1} ({t_s[k + 1]:.6g} s) {relation} that of frame {k} ({t_s[k]:.6g} s)"
-                f"{_more(bad)}: times must increase; sort the frames, or give --rate HZ"
-            )
-    bad = (steps < MIN_STEP_S * (1.0 - 1e-6)) | (steps > MAX_STEP_S)
-    if bad.any():
-        k = int(np.argmax(bad))
-        raise InputError(
-            f"frames {k} and {k + 1} are {steps[k]:.3g} s apart, expected {MIN_STEP_S:g} to {MAX_STEP_S:g} s"
-            f"{_more(bad)}: are the times in seconds? --rate HZ overrides them"
-        )
-    if len(steps) and np.median(steps) > SLOW_STEP_S:
-        warnings.append(
-            f"frames are {np.median(steps):.4g} s apart (median): are the times in milliseconds? They are interpreted "
-            "as seconds; --rate HZ overrides them"
-        )
-    if abs(t_s[0]) > _LATE_S:
-        warnings.append(f"times begin at {t_s[0]:.0f} s; they were shifted to begin at 0")
-        t_s = t_s - t_s[0]
-    return _undo_rounding(t_s)
-
-
-def _undo_rounding(t_s: Array) -> Array:
-    """Return uniform times if single precision or decimals rounded them: the steps would look like changes of speed.
-
-    A unit of more than a quarter of a step could hide a frame that is missing.
-    """
-    even = np.linspace(t_s[0], t_s[-1], len(t_s))
-    units = [10.0**-d for d in range(3, 7) if np.abs(t_s - t_s.round(d)).max() < 0.05 * 10.0**-d]
-    if (t_s == t_s.astype(np.float32)).all():
-        units.append(float(np.spacing(np.float32(np.abs(t_s).max()))))
-    step = (t_s[-1] - t_s[0]) / max(len(t_s) - 1, 1)
-    rounding = max((unit for unit in units if unit <= 0.25 * step), default=0.0)
-    return even if 1e-9 * step < np.abs(t_s - even).max() <= rounding else t_s
 
 
 def _joints(values: Array, tracked: NDArray[np.bool_], warnings: list[str]) -> tuple[Array, Array | None]:
@@ -166,7 +99,7 @@ def _joints(values: Array, tracked: NDArray[np.bool_], warnings: list[str]) -> t
         k = int(np.argmax(broken))
         value = "NaN" if np.isnan(q[k]).any() else "infinity"
         raise InputError(
-            f"the joint angles of frame {k} hold {value}{_more(broken)}, expected finite radians; "
+            f"the joint angles of frame {k} hold {value}{others_text(broken)}, expected finite radians; "
             "unknown frames are marked in an array tracked"
         )
     if tracked.any():
@@ -199,8 +132,3 @@ def _widths(width: Array | None, n: int, warnings: list[str]) -> Array:
         )
         return np.full(n, np.nan)
     return np.clip(np.where(np.isfinite(width), width, np.nan), 0.0, _WIDTH_M)
-
-
-def _more(bad: NDArray[np.bool_]) -> str:
-    count = int(bad.sum()) - 1
-    return f" (and at {count} more places)" if count else ""
