@@ -11,7 +11,8 @@ import numpy as np
 
 from kinebench_drake.geometry import Array
 from kinebench_drake.grounding.pose import FramePose
-from kinebench_drake.grounding.registration.arm_fit import FOLLOWED_REACHES_PX, LAST_LINKS, ArmFit
+from kinebench_drake.grounding.registration.arm_edge_fit import FOLLOWED_REACHES_PX, LAST_LINKS
+from kinebench_drake.grounding.registration.arm_fit import ArmFit
 from kinebench_drake.grounding.registration.chain_fit import MIN_FLANGE_CELLS, UNKNOWNS, ChainFitter, ChainModel, misfit
 from kinebench_drake.grounding.registration.correspondences import Correspondences
 from kinebench_drake.grounding.registration.edges import GradientImage

@@ -18,7 +18,7 @@ from kinebench_drake.grounding.crop import CLOSE_SIZE, WRIST_CENTRE_H, WRIST_RAD
 from kinebench_drake.grounding.flange_fit import INDEPENDENT, LINK_CELLS, REACHES_PX, FlangeFitter, FlangeView
 from kinebench_drake.grounding.localization import find_region
 from kinebench_drake.grounding.pose import FramePose
-from kinebench_drake.grounding.registration.arm_fit import LAST_LINKS, ArmFitter
+from kinebench_drake.grounding.registration.arm_edge_fit import LAST_LINKS, ArmEdgeFitter
 from kinebench_drake.grounding.registration.arm_model import ArmModel
 from kinebench_drake.grounding.registration.chain_fit import ChainFitter
 from kinebench_drake.grounding.registration.correspondences import Correspondences
@@ -55,7 +55,7 @@ class _Video:
     wide: Mapping[int, GripperView]
     """Views that show the whole arm, by frame number."""
     images: Sequence[GradientImage]
-    arm: ArmFitter
+    arm: ArmEdgeFitter
     flange: FlangeFitter
 
 
@@ -82,7 +82,7 @@ class FlangeTracker:
             camera=camera,
             wide=wide,
             images=[GradientImage(frame, camera) for frame in frames],
-            arm=ArmFitter(camera, self._model, self._links.edges[0], places),
+            arm=ArmEdgeFitter(camera, self._model, self._links.edges[0], places),
             flange=FlangeFitter(self._chain, self._links),
         )
         poses = self._detect(video)

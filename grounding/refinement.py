@@ -10,7 +10,8 @@ from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import pose_difference
 from kinebench_drake.grounding.crop import CLOSE_MARGIN, CLOSE_SIZE, Crop
 from kinebench_drake.grounding.pose import FramePose
-from kinebench_drake.grounding.registration.arm_fit import ArmFit, ArmFitter
+from kinebench_drake.grounding.registration.arm_edge_fit import ArmEdgeFitter
+from kinebench_drake.grounding.registration.arm_fit import ArmFit
 from kinebench_drake.grounding.registration.edges import GradientImage
 from kinebench_drake.grounding.registration.fit import finger_or_default
 from kinebench_drake.grounding.registration.silhouette import SilhouetteMatcher
@@ -34,7 +35,7 @@ _BEST_QUANTILE, _BEST_SHARE = 0.75, 0.9  # frames that agree nearly as well as t
 
 
 def propagate(
-    poses: dict[int, FramePose], wide: dict[int, GripperView], arm_fitter: ArmFitter, silhouette: SilhouetteMatcher
+    poses: dict[int, FramePose], wide: dict[int, GripperView], arm_fitter: ArmEdgeFitter, silhouette: SilhouetteMatcher
 ) -> None:
     """Refit doubtful poses from the frame before, then from the one after; keep a refit that matches better.
 
@@ -56,7 +57,7 @@ def propagate(
 
 
 def _refit_from(
-    pose: FramePose, near: FramePose, wide: GripperView, arm_fitter: ArmFitter, silhouette: SilhouetteMatcher
+    pose: FramePose, near: FramePose, wide: GripperView, arm_fitter: ArmEdgeFitter, silhouette: SilhouetteMatcher
 ) -> FramePose:
     arm = None if near.arm is None else arm_fitter.fit_from_neighbour(near.arm, pose.hand, pose.view, wide, silhouette)
     if arm is None or not arm.agrees:
@@ -92,7 +93,7 @@ class EdgeRefinement:
         wide: dict[int, GripperView],
         frames: Frames,
         camera: Camera,
-        arm_fitter: ArmFitter,
+        arm_fitter: ArmEdgeFitter,
         silhouette: SilhouetteMatcher,
         measure: Callable[[dict[int, Crop]], dict[int, FramePose]],
         *,

@@ -16,6 +16,7 @@ from kinebench_drake.grounding.localization import find_region, likeliest_grippe
 from kinebench_drake.grounding.override_estimator import OverrideEstimator, calibrate_depth
 from kinebench_drake.grounding.pose import FramePose
 from kinebench_drake.grounding.refinement import EdgeRefinement, propagate
+from kinebench_drake.grounding.registration.arm_edge_fit import ArmEdgeFitter
 from kinebench_drake.grounding.registration.arm_fit import ArmFitter
 from kinebench_drake.grounding.registration.arm_model import ArmModel
 from kinebench_drake.grounding.registration.correspondences import Correspondences
@@ -110,7 +111,7 @@ class CadTracker:
         region = find_region(estimator, frames, camera, wide)
         if region is not None:
             wide, crops = detect(region)
-        arm = ArmFitter(camera, self._arm, self._edges, places)
+        arm = ArmEdgeFitter(camera, self._arm, self._edges, places)
 
         def measure(crops: dict[int, Crop]) -> dict[int, FramePose]:
             """Return the poses of the frames of `crops` that show a gripper."""

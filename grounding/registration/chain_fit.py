@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinebench_drake.geometry import Array, cross, invert, make_pose, rotation_exp
-from kinebench_drake.grounding.registration.arm_fit import LINKS_DEPTH_SIGMA
+from kinebench_drake.grounding.registration.arm_edge_fit import LINKS_DEPTH_SIGMA
 from kinebench_drake.grounding.registration.arm_model import OVER_LIMIT_RAD, POSTURE_SIGMA_RAD, ArmModel
 from kinebench_drake.grounding.registration.correspondences import Correspondences
 from kinebench_drake.grounding.registration.fit import align, pose_twist

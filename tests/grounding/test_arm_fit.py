@@ -20,7 +20,8 @@ from kinebench_drake.geometry import (
 )
 from kinebench_drake.grounding.crop import CLOSE_SIZE, Crop
 from kinebench_drake.grounding.flange_tracker import FlangeTracker
-from kinebench_drake.grounding.registration.arm_fit import ArmFit, ArmFitter
+from kinebench_drake.grounding.registration.arm_edge_fit import ArmEdgeFitter
+from kinebench_drake.grounding.registration.arm_fit import ArmFit
 from kinebench_drake.grounding.registration.arm_model import ArmModel
 from kinebench_drake.grounding.registration.chain_fit import ChainFitter
 from kinebench_drake.grounding.registration.correspondences import Correspondences
@@ -96,7 +97,7 @@ def views(model: ArmModel, q: Array, seed: int) -> tuple[Array, GripperView, Gri
     return X_CH, close, wide
 
 
-def fit_arm(fitter: ArmFitter, hand: HandFit, close: GripperView, wide: GripperView) -> ArmFit | None:
+def fit_arm(fitter: ArmEdgeFitter, hand: HandFit, close: GripperView, wide: GripperView) -> ArmFit | None:
     """Fit the arm behind one hand, without silhouette."""
     return fitter.fit_all([hand], [close], [wide], [None])[0]
 
@@ -107,7 +108,7 @@ def test_the_arm_determines_the_distance_of_the_hand(
     X_CH, close, wide = scene
     hand = fit(close)
     assert hand is not None
-    arm = fit_arm(ArmFitter(CAMERA, model, EdgeMatcher()), hand, close, wide)
+    arm = fit_arm(ArmEdgeFitter(CAMERA, model, EdgeMatcher()), hand, close, wide)
     assert arm is not None
     assert arm.agrees
     assert arm.consistency_px < 3.0
@@ -140,7 +141,7 @@ def test_edges_sharpen_a_fit_whose_coordinates_are_all_off_alike(model: ArmModel
     X_CH, close, wide = views(model, q, seed)
     shift = 0.004 * np.array([1.0, 0.0, 1.0])  # of the coordinates, which noise would not average
     close, wide = (replace(v, coordinates_P=v.coordinates_P + shift) for v in (close, wide))
-    hand, fitter = fit(close), ArmFitter(CAMERA, model, EdgeMatcher())
+    hand, fitter = fit(close), ArmEdgeFitter(CAMERA, model, EdgeMatcher())
     assert hand is not None
     arm = fit_arm(fitter, hand, close, wide)
     assert arm is not None
@@ -161,7 +162,7 @@ def test_a_hand_that_is_elsewhere_than_its_arm_disagrees(
     away = hand_alone(close, moved)
     elsewhere = fit(away)
     assert elsewhere is not None
-    arm = fit_arm(ArmFitter(CAMERA, model, EdgeMatcher()), elsewhere, away, wide)
+    arm = fit_arm(ArmEdgeFitter(CAMERA, model, EdgeMatcher()), elsewhere, away, wide)
     assert arm is None or not arm.agrees
 
 
@@ -170,7 +171,7 @@ def test_a_hand_that_is_drawn_too_large_shows_in_the_scale(
 ) -> None:
     """A hand 8 % too large appears 8 % nearer than the arm implies."""
     X_CH, close, wide = scene
-    fitter = ArmFitter(CAMERA, model, EdgeMatcher())
+    fitter = ArmEdgeFitter(CAMERA, model, EdgeMatcher())
     hand = fit(close)
     assert hand is not None
     usual = fit_arm(fitter, hand, close, wide)
@@ -192,7 +193,7 @@ def test_too_little_of_an_arm_is_no_arm(scene: tuple[Array, GripperView, Gripper
     close, wide = (
         replace(v, part=np.where(v.part >= RobotPart.LINK0, 0, v.part).astype(np.uint8)) for v in (close, wide)
     )
-    assert fit_arm(ArmFitter(CAMERA, model, EdgeMatcher()), hand, close, wide) is None
+    assert fit_arm(ArmEdgeFitter(CAMERA, model, EdgeMatcher()), hand, close, wide) is None
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -202,7 +203,7 @@ def test_a_misread_hand_is_found_from_the_frame_before(model: ArmModel, seed: in
     silhouette = SilhouetteMatcher(GripperCad())
     hand = fit(close)
     assert hand is not None
-    fitter = ArmFitter(CAMERA, model, EdgeMatcher())
+    fitter = ArmEdgeFitter(CAMERA, model, EdgeMatcher())
     right = fit_arm(fitter, hand, close, wide)
     assert right is not None
     turned = close.coordinates_P @ make_pose(rotation_exp([0.0, 0.0, np.deg2rad(30.0)]), np.zeros(3))[:3, :3].T
@@ -253,7 +254,7 @@ def test_the_base_and_edges_of_the_links_sharpen_the_flange(model: ArmModel, see
     X_CH, close, wide = views(model, q, seed)
     start = X_CH @ make_pose(rotation_exp([0.03, 0.0, 0.05]), [0.01, 0.0, 0.01])
     image = GradientImage(drawn(model, q), CAMERA)
-    arm = ArmFitter(CAMERA, model, EdgeMatcher()).fit_links(start, 0.1, link_cells(close, wide), image)
+    arm = ArmEdgeFitter(CAMERA, model, EdgeMatcher()).fit_links(start, 0.1, link_cells(close, wide), image)
     assert arm is not None
     assert arm.agrees
     distance, angle = pose_difference(arm.X_CH, X_CH)
@@ -299,7 +300,7 @@ def test_the_flange_is_followed_into_frames_in_which_the_network_finds_nothing(m
 
 def test_a_moving_camera_has_a_fitter_for_each_frame(model: ArmModel) -> None:
     places = np.array([[0.0, 0.0, 0.0], [0.05, -0.02, 0.03]])
-    fitter = ArmFitter(CAMERA, model, EdgeMatcher(), places)
+    fitter = ArmEdgeFitter(CAMERA, model, EdgeMatcher(), places)
     q = posture(0)
     image = GradientImage(drawn(model, q), CAMERA)
     assert fitter.at([0]).edge_agreement(q, image) > 2 * fitter.at([1]).edge_agreement(q, image)
@@ -311,10 +312,10 @@ def test_frames_of_a_moving_camera_are_fitted_together_like_alone(model: ArmMode
     hand, image = fit(close), GradientImage(drawn(model, posture(0)), CAMERA)
     assert hand is not None
     places = np.array([[0.05, -0.02, 0.03], [0.0, 0.0, 0.0], [0.01, 0.0, 0.01]])
-    moving = ArmFitter(CAMERA, model, EdgeMatcher(), places)
+    moving = ArmEdgeFitter(CAMERA, model, EdgeMatcher(), places)
     numbers, count = [1, 2], 2
     arms = moving.at(numbers).fit_all([hand] * count, [close] * count, [wide] * count, [None] * count)
-    fixed = fit_arm(ArmFitter(CAMERA, model, EdgeMatcher()), hand, close, wide)
+    fixed = fit_arm(ArmEdgeFitter(CAMERA, model, EdgeMatcher()), hand, close, wide)
     assert fixed is not None
     assert arms[0] is not None
     np.testing.assert_allclose(arms[0].X_CH, fixed.X_CH, atol=1e-8)

@@ -1,0 +1,287 @@
+"""Commands that measure poses and cameras against the truth, and render videos for it."""
+
+from pathlib import Path
+
+import click
+
+from benchmarks.options import (
+    COUNT,
+    EXISTING_FILE,
+    EXISTING_FOLDER,
+    FILE,
+    FOLDER,
+    errors,
+    jobs_option,
+    log,
+    one_thread,
+    out_option,
+    write_section,
+)
+from kinebench_drake.io.atomic import write_atomically
+from kinebench_drake.io.jsonl import dump, finite
+from kinebench_drake.types import AnomalyKind
+
+KINDS = tuple(kind.value for kind in AnomalyKind)
+
+
+@click.command(
+    epilog="\b\nExample:\n"
+    "  kinebench-drake suite demos --suite 2 --split unseen --episodes 5 --out heldout\n"
+    "  python -m benchmarks calibration heldout --limit 20",
+)
+@click.argument("folder", type=EXISTING_FOLDER)
+@click.option("--limit", type=COUNT, help="Maximum number of videos, tasks in turn.", metavar="N")
+@click.option(
+    "--frames", type=click.IntRange(min=4), default=12, show_default=True, help="Frames a video.", metavar="N"
+)
+@click.option(
+    "--part",
+    type=click.FloatRange(min=0.3, max=1.0),
+    default=1.0,
+    show_default=True,
+    help="Keep the middle of each image only, this share of its sides: a longer focal length.",
+)
+@click.option("--quick", is_flag=True, help="Only with the joint angles of all frames.")
+@click.option("--json", "json_out", type=FILE, help="All figures, as JSON.")
+def calibration(folder: Path, limit: int | None, frames: int, part: float, quick: bool, json_out: Path | None) -> None:
+    """Calibrate the cameras of rendered videos with all kinds of prior information about the robot."""
+    from benchmarks.calibration import CONDITIONS, measure, trial_table
+    from kinebench_drake.calibration.result import CalibrationMethod
+
+    conditions = [c for c in CONDITIONS if c.method is CalibrationMethod.JOINTS] if quick else CONDITIONS
+    trials = []
+    with errors():
+        for trial in measure(folder, limit=limit, frames=frames, part=part, conditions=conditions):
+            trials.append(trial)
+            if trial.condition == conditions[-1]:
+                log(trial.clip)
+        if json_out is not None:
+            write_atomically(json_out, dump(finite([trial.to_json() for trial in trials]), indent=1).encode())
+    for line in trial_table(trials):
+        click.echo(line)
+
+
+@click.command(epilog="\b\nExample:\n  python -m benchmarks icp heldout --keep icp.jsonl --out docs/grounding.md")
+@click.argument("videos", type=EXISTING_FOLDER)
+@click.option("--keep", type=FILE, required=True, help="File of finished measurements; an earlier run is resumed.")
+@click.option("--limit", type=COUNT, help="Number of videos, tasks in turn.")
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True)
+@jobs_option
+@out_option
+def icp(videos: Path, keep: Path, limit: int | None, seed: int, jobs: int, out: Path | None) -> None:
+    """Measure the contribution of ICP to the poses of VIDEOS, a folder of `suite demos --with-depth`."""
+    from benchmarks.registration import measure, section
+    from kinebench_drake.cli.run import ProgressView
+    from kinebench_drake.executors.local import LocalExecutor
+
+    with errors(), ProgressView("steps") as view:
+        results = measure(videos, keep, limit, seed, LocalExecutor(jobs=jobs), view)
+    write_section(out, "\n".join(section(results)))
+
+
+@click.command(
+    epilog="\b\nExamples:\n"
+    "  python -m benchmarks footage ../videos --out before\n"
+    "  python -m benchmarks footage ../videos --out after --weights gripper.safetensors --calibration confidence.json",
+)
+@click.argument("folder", type=EXISTING_FOLDER)
+@click.option("--out", type=FOLDER, required=True, help="Folder for footage.json, footage.md, tracks and overlays.")
+@click.option("--videos", metavar="A,B", help="Ids of videos, comma-separated.  [default: all]")
+@click.option("--weights", type=EXISTING_FILE, help="Network weights (safetensors).  [default: those shipped]")
+@click.option("--calibration", type=EXISTING_FILE, help="Calibration of the confidence.  [default: that shipped]")
+@click.option(
+    "--gripper", type=click.Choice(["franka", "none"]), default="franka", show_default=True,
+    help="none: measure the arm alone.",
+)  # fmt: skip
+@click.option("--window", is_flag=True, help="Cut frames to where the reference is: errors without those of detection.")
+def footage(
+    folder: Path,
+    out: Path,
+    videos: str | None,
+    weights: Path | None,
+    calibration: Path | None,
+    gripper: str,
+    window: bool,
+) -> None:
+    """Ground the videos of other programs and cameras in FOLDER, and compare with their references.
+
+    FOLDER, or each of its subfolders, has a manifest.jsonl with a camera for each video. References are exact poses
+    (NAME.gt.npz), poses from joint angles (gt/NAME.npz) or edges (gt/NAME.edge.npz), or labels by eye. What is measured
+    is kept in tracks.jsonl: the same command resumes.
+    """
+    one_thread()
+    from benchmarks.footage_report import measure
+    from kinebench_drake.types import GripperKind
+
+    names = None if videos is None else videos.split(",")
+    with errors():
+        kind = GripperKind(gripper)
+        text = measure(
+            folder, out, names, weights=weights, calibration=calibration, gripper=kind, window=window, log=log
+        )
+    click.echo(text)
+
+
+@click.command(epilog="\b\nExample:\n  python -m benchmarks cameras ../videos --out cameras")
+@click.argument("folder", type=EXISTING_FOLDER)
+@click.option("--out", type=FOLDER, required=True, help="Folder for cameras.md and cameras.jsonl.")
+@click.option("--videos", metavar="A,B", help="Ids of videos, comma-separated.  [default: all]")
+def cameras(folder: Path, out: Path, videos: str | None) -> None:
+    """Score the videos in FOLDER as if nobody named their cameras, and compare cameras and tracks with the true ones.
+
+    FOLDER is as for `footage`; videos without reference poses are left out. The same command resumes.
+    """
+    one_thread()
+    from benchmarks.cameras import measure
+
+    names = None if videos is None else videos.split(",")
+    with errors():
+        text = measure(folder, out, names, log=log)
+    click.echo(text)
+
+
+@click.command(epilog="\b\nExample:\n  python -m benchmarks focal heldout --limit 8 --out focal")
+@click.argument("folder", type=EXISTING_FOLDER)
+@click.option("--out", type=FOLDER, required=True, help="Folder for focal.md and focal.jsonl.")
+@click.option("--factors", default="1,0.7,1.4", show_default=True, help="Focal lengths over the true one.")
+@click.option("--limit", type=COUNT, help="Maximum number of videos, tasks in turn.", metavar="N")
+def focal(folder: Path, out: Path, factors: str, limit: int | None) -> None:
+    """Give right and wrong focal lengths as the cameras of videos, and count those that the arm contradicts.
+
+    FOLDER is as `suite demos` or `perception render` write it. The same command resumes.
+    """
+    one_thread()
+    from benchmarks.contradiction import measure
+
+    with errors():
+        text = measure(folder, out, [float(f) for f in factors.split(",")], limit=limit, log=log)
+    click.echo(text)
+
+
+@click.command(epilog="\b\nExample:\n  python -m benchmarks views --out views")
+@click.option("--out", type=FOLDER, required=True, help="Folder for clips, views.jsonl and views.md.")
+@click.option("--changes", default="turn,move", show_default=True, help="Of still, turn, move, zoom; in turn.")
+@click.option("--episodes", type=COUNT, default=1, show_default=True, help="Episodes of each task.", metavar="K")
+@click.option("--seed", type=click.IntRange(min=0), default=40, show_default=True, help="First seed of the split.")
+@click.option("--limit", type=COUNT, help="Number of clips.")
+def views(out: Path, changes: str, episodes: int, seed: int, limit: int | None) -> None:
+    """Ground clips whose camera turns by 10 degrees, moves by 10 cm or zooms by 5 %, and compare with true poses.
+
+    The scenes are those of suite 2, unseen, with the expert's first clip. The same command resumes.
+    """
+    one_thread()
+    from benchmarks.views import CHANGES, measure
+    from kinebench_drake.suites.suite import load_suite
+
+    names = changes.split(",")
+    if unknown := sorted(set(names) - set(CHANGES)):
+        raise click.UsageError(f"--changes {','.join(unknown)}: there are {', '.join(CHANGES)}")
+    suite = load_suite(2)
+    specs = [s for task in suite.tasks_of("unseen") for s in suite.specs("unseen", task, episodes, offset=seed)]
+    with errors():
+        text = measure(specs[:limit], names, out, log=log)
+    click.echo(text)
+
+
+@click.command(epilog="\b\nExample:\n  python -m benchmarks flange heldout --out flange")
+@click.argument("demos", type=EXISTING_FOLDER)
+@click.option("--out", type=FOLDER, required=True, help="Folder for flange.jsonl and flange.md.")
+@click.option(
+    "--count", type=COUNT, default=12, show_default=True, help="Demonstrations, and as many random scenes with boxes."
+)
+@click.option("--calibrate", is_flag=True, help="Fit the confidence of the arm alone and write it into the package.")
+def flange(demos: Path, out: Path, count: int, calibrate: bool) -> None:
+    """Track the flange in DEMOS (of `suite demos`) without the hand, and in scenes with boxes or a Robotiq 2F-85.
+
+    The same command resumes.
+    """
+    one_thread()
+    from benchmarks.flange import measure, summarize, write_confidence
+
+    with errors():
+        measured = measure(demos, out, count=count, log=log)
+        if calibrate:
+            write_confidence(measured)
+        click.echo(summarize(measured, out))
+
+
+@click.command(
+    name="planted-videos",
+    epilog="\b\nExamples:\n"
+    "  python -m benchmarks planted-videos --out faults --suite 2 --split unseen --episodes 1 --sizes gated\n"
+    "  python -m benchmarks planted-videos --out jumps --tasks StackCube-v1 --seeds 0:5 --kinds teleport "
+    "--sizes 0.03,0.05",
+)
+@click.option("--out", type=FOLDER, required=True, help="Folder to write to.")
+@click.option("--tasks", metavar="A,B", help="Tasks, comma-separated.  [default: all]")
+@click.option("--seeds", default="0:1", show_default=True, help="Seeds: 7, 0:5 (end excluded), 0:5,9.")
+@click.option("--suite", type=click.IntRange(0, 3), metavar="N", help="Use a suite's episodes instead of --seeds.")
+@click.option("--split", default="test", show_default=True, help="Split of the suite.")
+@click.option("--episodes", type=COUNT, default=1, show_default=True, help="Episodes of each task.")
+@click.option("--seed", "first", type=click.IntRange(0), default=0, show_default=True, help="First seed of the split.")
+@click.option("--robot", type=click.Choice(["panda", "panda_wristcam"]), default="panda", show_default=True)
+@click.option("--with-depth", is_flag=True, help="Keep depth and gripper masks in truth/ (some MB a video).")
+@click.option("--kinds", default=",".join(KINDS), show_default=True, help="Kinds of faults.")
+@click.option(
+    "--sizes", default="all", show_default=True, help="all, gated (must be detected), or numbers for one kind."
+)
+@click.option("--each", type=COUNT, metavar="N", help="Each fault N times, on the episodes in turn.  [default: on all]")
+@click.option("--crf", type=click.IntRange(0, 51), default=16, show_default=True, help="H.264 quality, 0 is lossless.")
+@jobs_option
+def planted_videos(
+    out: Path,
+    tasks: str | None,
+    seeds: str,
+    suite: int | None,
+    split: str,
+    episodes: int,
+    first: int,
+    robot: str,
+    with_depth: bool,
+    kinds: str,
+    sizes: str,
+    each: int | None,
+    crf: int,
+    jobs: int,
+) -> None:
+    """Render videos of the Panda, each with one planted fault, and their ground truth."""
+    from benchmarks.planted_videos import (
+        PlantedVideo,
+        PlantingOrder,
+        choose_episodes,
+        make_videos,
+        parse_kinds,
+        write_index,
+    )
+    from kinebench_drake.suites.faults.fault import choose
+
+    with errors():
+        grades = choose(parse_kinds(kinds), sizes)
+        specs = choose_episodes(tasks, seeds, suite, split, episodes, first)
+    orders = [
+        PlantingOrder(
+            spec=spec,
+            robot=robot,
+            grades=grades if each is None else tuple(dict.fromkeys((grades * each)[i :: len(specs)])),
+            with_depth=with_depth,
+            crf=crf,
+            out=out,
+        )
+        for i, spec in enumerate(specs)
+    ]
+    (out / "truth").mkdir(parents=True, exist_ok=True)
+    videos: list[PlantedVideo] = []
+    with errors():
+        for result in make_videos([order for order in orders if order.grades], jobs):
+            videos += result.videos
+            for problem in result.problems:
+                log(problem)
+            for video in result.videos:
+                click.echo(video.id)
+    if not videos:
+        raise click.ClickException("no video was made; the reasons are printed above")
+    write_index(out, videos)
+
+
+COMMANDS = (calibration, icp, footage, cameras, focal, views, flange, planted_videos)
+"""All of them, in the order of the help."""

@@ -1,0 +1,201 @@
+"""Commands that compare verdicts, causes of failure and metrics with planted ones."""
+
+import math
+from pathlib import Path
+
+import click
+
+from benchmarks.options import (
+    COUNT,
+    EXISTING_FOLDER,
+    FOLDER,
+    baseline_option,
+    errors,
+    jobs_option,
+    out_option,
+    write_section,
+)
+from kinebench_drake.io.jsonl import dump
+
+
+@click.command(epilog="\b\nExample:\n  python -m benchmarks causes --episodes 5 --jobs 2")
+@click.option("--episodes", type=COUNT, default=5, show_default=True, help="Episodes of each task.", metavar="K")
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="First seed.")
+@click.option("--limit", type=COUNT, help="Run the first N cases only.", metavar="N")
+@jobs_option
+def causes(episodes: int, seed: int, limit: int | None, jobs: int) -> None:
+    """Run episodes in closed loop with one planted cause of failure each, and compare with the verdicts."""
+    from benchmarks.causes import cause_cases, cause_table, run_cases
+    from kinebench_drake.executors.base import ExecutorKind, create_executor
+    from kinebench_drake.suites.suite import load_suite
+
+    suite = load_suite(0)
+    split = suite.split_name("test")
+    specs = [spec for task in suite.tasks_of(split) for spec in suite.specs(split, task, episodes, offset=seed)]
+    cases = cause_cases(specs)[:limit]
+    with (
+        errors(),
+        click.progressbar(run_cases(create_executor(ExecutorKind.LOCAL, jobs), cases), length=len(cases)) as results,
+    ):
+        ordered = sorted(results, key=lambda r: (r.case.spec.id, r.case.planted.name))
+    for line in cause_table(ordered):
+        click.echo(line)
+
+
+@click.command(epilog="\b\nExample:\n  python -m benchmarks loss --count 1000 --jobs 2")
+@click.option("--count", type=COUNT, default=1000, show_default=True, help="Random tracks.", metavar="N")
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True)
+@jobs_option
+def loss(count: int, seed: int, jobs: int) -> None:
+    """Replace frames of random tracks by lost or unreachable ones; exit status 1 if a number improves."""
+    from benchmarks.loss import loss_table, run_trials
+
+    with errors(), click.progressbar(run_trials(count, seed, jobs), length=count) as trials:
+        ordered = sorted(trials, key=lambda trial: trial.index)
+    for line in loss_table(ordered):
+        click.echo(line)
+    if any(trial.improved for trial in ordered):
+        raise SystemExit(1)
+
+
+@click.group()
+def validity() -> None:
+    """Numbers of videos with planted faults: which of them respond to which fault, and which predict success."""
+
+
+@validity.command(
+    name="measure", epilog="\b\nExample:\n  python -m benchmarks validity measure --work validity --jobs 2"
+)
+@click.option("--work", type=FOLDER, required=True, help="Folder of videos and results; an earlier run is resumed.")
+@click.option("--episodes", type=COUNT, default=40, show_default=True, help="Clean episodes, tasks in turn.")
+@click.option("--sizes", type=click.IntRange(1, 3), default=3, show_default=True, help="Sizes of each kind of fault.")
+@jobs_option
+def validity_measure(work: Path, episodes: int, sizes: int, jobs: int) -> None:
+    """Render episodes without and with planted faults, score the videos and execute their tracks.
+
+    An interrupted run continues where it was; more --episodes extend an earlier run.
+    """
+    from benchmarks.validity import measure
+    from kinebench_drake.cli.run import ProgressView
+
+    work.mkdir(parents=True, exist_ok=True)
+    with errors(), ProgressView("steps") as view:
+        measure(work, episodes, sizes, jobs, view)
+    click.echo(work)
+
+
+@validity.command(
+    name="report", epilog="\b\nExample:\n  python -m benchmarks validity report validity --out docs/validity.md"
+)
+@click.argument("work", type=EXISTING_FOLDER)
+@out_option
+def validity_report(work: Path, out: Path | None) -> None:
+    """Print the tables of the study in the folder WORK, and write tables and figures into a page."""
+    from benchmarks.validity import read_study
+    from benchmarks.validity_report import write_report
+
+    with errors():
+        sections = write_report(*read_study(work), work if out is None else out.parent)
+    for text in sections:
+        write_section(out, text)
+
+
+@click.command(
+    epilog="\b\nExamples:\n"
+    "  python -m benchmarks validity measure --work validity --jobs 2\n"
+    "  python -m benchmarks extractors validity --jobs 2 --out docs/validity.md"
+)
+@click.argument("work", type=EXISTING_FOLDER)
+@baseline_option
+@jobs_option
+@out_option
+def extractors(work: Path, weights: Path, jobs: int, out: Path | None) -> None:
+    """Execute the videos of a validity study through truth, grounding and baseline, and count changed outcomes.
+
+    WORK is the folder of `validity measure`. An interrupted run continues where it was.
+    """
+    from benchmarks.extractors import FIGURE, draw, measure, section
+    from kinebench_drake.cli.run import ProgressView
+    from kinebench_drake.grounding.baseline.network import Baseline
+    from kinebench_drake.io.figure import save
+
+    with errors(), ProgressView("executions") as view:
+        done = measure(work, weights, jobs, view)
+        save(draw(done), (work if out is None else out.parent) / FIGURE)
+        text = "\n".join(section(done, Baseline.load(weights).training))
+    write_section(out, text)
+
+
+@click.command(epilog="\b\nExample:\n  python -m benchmarks baseline --out baseline --jobs 2")
+@click.option("--out", type=FOLDER, required=True, help="Folder of demonstrations, checkpoints and weights.")
+@click.option("--episodes", type=COUNT, default=100, show_default=True, help="Demonstrations of each training task.")
+@click.option("--steps", type=COUNT, default=6000, show_default=True, help="Training steps.")
+@click.option("--size", type=COUNT, default=224, show_default=True, help="Width of the frames, a multiple of 32 [px].")
+@jobs_option
+def baseline(out: Path, episodes: int, steps: int, size: int, jobs: int) -> None:
+    """Train the inverse-dynamics baseline as published: on 100 demonstrations of each training task of suite 1.
+
+    Both the demonstrations and the training continue where an interrupted run stopped.
+    """
+    from benchmarks.extractors import train_baseline
+    from kinebench_drake.cli.run import ProgressView
+
+    with errors(), ProgressView("demonstrations") as view:
+        weights = train_baseline(out, episodes, steps, size, jobs, view, click.echo)
+    click.echo(weights)
+
+
+@click.group()
+def trajectories() -> None:
+    """Trajectories with ground truth by proof, and audits compared with it."""
+
+
+@trajectories.command(
+    epilog="\b\nExample:\n  python -m benchmarks trajectories make --out tracks --kind feasible --count 1000",
+)
+@click.option("--out", type=FOLDER, required=True, help="Folder; created if absent.")
+@click.option(
+    "--kind",
+    type=click.Choice(["feasible", "infeasible", "perturbed", "noisy"]),
+    required=True,
+    help="Feasible motions (also with noise), planted faults, or random disturbances.",
+)
+@click.option("--count", type=COUNT, default=1000, show_default=True, metavar="N")
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True)
+@click.option(
+    "--noise-mm",
+    type=click.FloatRange(min=0.0),
+    default=0.0,
+    help="Noise of `noisy`: standard deviation along each axis [mm]; half as many degrees about each.",
+)
+@jobs_option
+def make(out: Path, kind: str, count: int, seed: int, noise_mm: float, jobs: int) -> None:
+    """Draw trajectories and write them as npz files, with truth.jsonl."""
+    from benchmarks.trajectory_sets import Recipe, TrajectorySet, write_set
+
+    if noise_mm and kind != "noisy":
+        raise click.UsageError(f"--noise-mm goes with --kind noisy, found --kind {kind}")
+    noise_rad = math.radians(0.5 * noise_mm)
+    recipe = Recipe(set=TrajectorySet(kind), seed=seed, noise_m=1e-3 * noise_mm, noise_rad=noise_rad)
+    with errors(), click.progressbar(write_set(recipe, count, out, jobs=jobs), length=count, label=kind) as truths:
+        for _ in truths:
+            pass
+    click.echo(out)
+
+
+@trajectories.command(epilog="\b\nExample:\n  python -m benchmarks trajectories check results tracks")
+@click.argument("results", type=click.Path(path_type=Path, exists=True))
+@click.argument("tracks", type=EXISTING_FOLDER)
+@click.option("--json", "as_json", is_flag=True, help="As JSON.")
+def check(results: Path, tracks: Path, as_json: bool) -> None:
+    """Compare an audit's output folder RESULTS with the ground truth in the folder TRACKS."""
+    from benchmarks.check import compare, read_rows, summary_table
+    from benchmarks.trajectory import TRUTH, read_truths
+
+    with errors():
+        summaries = compare(read_rows(results), read_truths(tracks / TRUTH))
+    click.echo(dump([s.to_json() for s in summaries], indent=2) if as_json else summary_table(summaries))
+
+
+COMMANDS = (causes, loss, validity, extractors, baseline, trajectories)
+"""All of them, in the order of the help."""
