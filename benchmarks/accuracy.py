@@ -14,7 +14,7 @@ from kinebench_drake.io.jsonl import read_json
 from kinebench_drake.results.provenance import host
 from kinebench_drake.types import GripperKind
 
-HELDOUT = ("suite", "demos", "--suite", "2", "--split", "unseen", "--episodes", "1", "--with-depth")
+HELDOUT = ("suite", "demos", "--suite", "2", "--split", "unseen", "--episodes", "2", "--with-depth")
 """Arguments of the program for the renderings; `--out` is to be added."""
 _TITLES = {
     ReferenceKind.SIMULATOR.value: "other simulator, cameras from anywhere; exact poses",
