@@ -284,4 +284,3 @@ def planted_videos(
 
 
 COMMANDS = (calibration, icp, footage, cameras, focal, views, flange, planted_videos)
-"""All of them, in the order of the help."""

@@ -198,4 +198,3 @@ def check(results: Path, tracks: Path, as_json: bool) -> None:
 
 
 COMMANDS = (causes, loss, validity, extractors, baseline, trajectories)
-"""All of them, in the order of the help."""
