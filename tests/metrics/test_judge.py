@@ -4,6 +4,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from kinebench_drake.datasets.trajectories.check import check
+from kinebench_drake.datasets.trajectories.trajectory import RawTrajectory
 from kinebench_drake.errors import InputError
 from kinebench_drake.evaluation.evaluator import KINEMATIC_METRICS
 from kinebench_drake.geometry import Array, make_pose, rotation_exp
@@ -299,6 +301,18 @@ def test_rounding_at_a_limit_is_within_it(plant: ArmPlant, judge: TrackJudge) ->
     result = _given(judge, q)
     assert result.feasible is True
     assert result.metrics["ik_success_rate"] == 1.0
+
+
+@pytest.mark.parametrize("seed", [0, 2])
+def test_jittering_stamps_make_no_feasible_motion_infeasible(judge: TrackJudge, seed: int) -> None:
+    """Stamps of a 250 Hz recording that are off by 0.5 ms: as they are, and as an audit reads them."""
+    rng, even = np.random.default_rng(seed), np.arange(500) / 250
+    q = rest_q() + 0.4 * np.sin(3 * even)[:, None] * np.linspace(1.0, 0.2, 7) + 1e-5 * rng.normal(size=(500, 7))
+    stamps = even + np.clip(5e-4 * rng.normal(size=500), -1e-3, 1e-3)
+    width = np.full(500, 0.04)
+    assert ViolationKind.DISCONTINUITY in _kinds(judge.judge_joints(stamps, q, width))
+    t_s = check(RawTrajectory(columns="q", t_s=stamps, q=q)).t_s
+    assert judge.judge_joints(t_s, q, width).feasible is True
 
 
 def test_nothing_is_said_of_postures_that_do_not_reach(plant: ArmPlant, judge: TrackJudge) -> None:

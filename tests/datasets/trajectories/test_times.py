@@ -75,3 +75,12 @@ def test_times_without_any_five_poses_in_a_row_are_kept():
         columns="test", t_s=stamps, q=np.where(tracked[:, None], raw(even, stamps).q, np.nan), tracked=tracked
     )
     np.testing.assert_array_equal(check(sparse).t_s, stamps)
+
+
+@pytest.mark.parametrize(("rate_hz", "jitter_s"), [(10, 0.015), (250, 0.0018)])
+def test_greater_deviations_are_no_jitter(rate_hz, jitter_s):
+    """Beyond 10 ms, or 0.4 of a step, the stamps are taken as they are, smooth as the motion would be without them."""
+    even = np.arange(100) / rate_hz
+    stamps = even + jitter_s * np.where(np.arange(100) % 3 == 0, 1.0, -1.0)
+    assert (np.diff(stamps) > 0).all()
+    np.testing.assert_array_equal(check(raw(even, stamps)).t_s, stamps)
