@@ -10,8 +10,7 @@ import numpy as np
 
 from benchmarks.footage import ReferenceKind, ReferenceVideo, find_reference_videos
 from benchmarks.markdown import table
-from kinebench_drake.camera import benchmark_camera
-from kinebench_drake.datasets.videos.sample import CameraSource, VideoSample
+from kinebench_drake.datasets.videos.sample import VideoSample
 from kinebench_drake.errors import UnmeasurableError, UsageError
 from kinebench_drake.evaluation.analyzer import Analyzer, RobotOptions
 from kinebench_drake.evaluation.grounding import ground_with_camera
@@ -72,26 +71,19 @@ class CameraTrial:
 
 def try_video(video: ReferenceVideo, analyzer: Analyzer) -> CameraTrial:
     """Score a video as one whose camera nobody names."""
-    camera = benchmark_camera()
-    sample = VideoSample(
-        id=video.id, path=video.video, video=video.video.name, camera=camera, camera_source=CameraSource.BENCHMARK
-    )
+    sample = VideoSample(id=video.id, path=video.video, video=video.video.name)
     assert video.X_CH is not None
     frames = int(finite_rows(video.X_CH.reshape(-1, 16)).sum())
     start = time.process_time()
     try:
-        choice, _, grounding = ground_with_camera(
-            read_video(video.video),
-            sample,
-            Overrides(),
-            analyzer,
-            period_s=video.frame_period_s,
-            gripper=GripperKind.FRANKA,
+        grounded = ground_with_camera(
+            read_video(video.video), sample, Overrides(), analyzer, video.frame_period_s, GripperKind.FRANKA
         )
     except UnmeasurableError as error:
         return CameraTrial(id=video.id, reason=str(error), frames=frames, cpu_s=time.process_time() - start)
     cpu_s = time.process_time() - start
-    estimate, X_BG = choice.estimate, grounding.track.X_BG
+    choice = grounded.choice
+    estimate, X_BG = choice.estimate, grounded.grounding.track.X_BG
     X_true = video.camera.X_BC @ video.X_CH @ hand_from_tcp()
     both = finite_rows(X_true.reshape(-1, 16)) & finite_rows(X_BG.reshape(-1, 16))
     tcp_m, tcp_rad = pose_difference(X_BG[both], X_true[both])

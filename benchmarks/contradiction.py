@@ -57,13 +57,12 @@ def try_focal(clip: TruthClipFile, factor: float, analyzer: Analyzer) -> FocalTr
         id=clip.id, path=clip.video, video=clip.video.name, camera=camera, camera_source=CameraSource.MANIFEST
     )
     try:
-        choice, _, grounding = ground_with_camera(
-            read_video(clip.video), sample, Overrides(), analyzer, gripper=GripperKind.FRANKA
-        )
+        grounded = ground_with_camera(read_video(clip.video), sample, Overrides(), analyzer, gripper=GripperKind.FRANKA)
     except UnmeasurableError as error:
         return FocalTrial(
             id=clip.id, factor=factor, tracked=None, agreement=None, contradiction=None, reason=str(error)
         )
+    choice, grounding = grounded.choice, grounded.grounding
     other = choice.contradiction
     return FocalTrial(
         id=clip.id,

@@ -85,11 +85,12 @@ def find_reference_videos(folder: Path, labelled: Sequence[str] = ()) -> list[Re
     for manifest in manifests:
         for line in read_manifest(manifest):
             entry = line.entry
-            camera = None if entry is None else entry_camera(entry, manifest.parent)
-            if entry is None or camera is None or entry.frame_period_s is None:
+            setting = None if entry is None else entry_camera(entry, manifest.parent)
+            if entry is None or setting is None or entry.frame_period_s is None:
                 problem = line.problem or "expected the keys video, camera and frame_period_s"
                 raise UsageError(f"{manifest.parent.name}/{NAME} line {line.number}: {problem}")
-            videos.append(_read_reference(manifest.parent / entry.video, camera, entry.frame_period_s, labelled))
+            video = manifest.parent / entry.video
+            videos.append(_read_reference(video, setting.camera, entry.frame_period_s, labelled))
     return videos
 
 

@@ -51,6 +51,9 @@ class CameraWay(Enum):
     PLACE = "rotation and place"
 
 
+_REST_RAD, _REST_M, _REST_ZOOM = np.deg2rad(0.2), 0.003, 0.003  # of a camera that stands where the first one does
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CameraPath:
     """Camera C of each frame in A, the camera of the reference image."""
@@ -71,6 +74,12 @@ class CameraPath:
     def X_AC(self) -> Array:
         """(T, 4, 4) pose of the camera in A [m]."""
         return make_pose(self.R_AC, self.p_AC)
+
+    @property
+    def at_rest(self) -> NDArray[np.bool_]:
+        """(T,) frames in which the camera is where A is."""
+        still = (rotation_angle(self.R_AC) <= _REST_RAD) & (np.linalg.norm(self.p_AC, axis=1) <= _REST_M)
+        return np.asarray(self.followed & still & (np.abs(self.zoom - 1.0) <= _REST_ZOOM))
 
     def to_json(self) -> dict[str, Json]:
         """Serialize the largest changes from the first camera into `camera_path` of a row."""

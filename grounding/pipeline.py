@@ -80,8 +80,16 @@ class GroundingResult:
     arm_q: Array = field(default_factory=lambda: np.zeros((0, N_JOINTS)))
     """(T, 7) fitted joint angles with the assumed camera [rad]; NaN where hand and arm do not agree; empty without a
     fit."""
+    X_CH_raw: Array = field(default_factory=lambda: np.zeros((0, 4, 4)))
+    """(T, 4, 4) poses of panda_hand before confidence and smoothing, in the camera of each frame [m]; NaN where no
+    gripper is seen."""
     curves: Mapping[str, Array] = field(default_factory=dict)
     """Curves (T,) of the track file: share of matched points, their distance [m] and weight of ICP; NaN without it."""
+
+    @property
+    def has_pose(self) -> NDArray[np.bool_]:
+        """(T,) frames in which a gripper is seen, trusted or not."""
+        return np.asarray(np.isfinite(self.X_CH_raw).all(axis=(1, 2)))
 
     @property
     def anomalies(self) -> tuple[Anomaly, ...]:
@@ -221,6 +229,7 @@ class GroundingPipeline:
             arm_consistency_px=_arm_consistency_px(poses, tracked),
             robot=np.stack([view.to_frame(view.part > RobotPart.BACKGROUND, camera) for view in observation.wide]),
             arm_q=np.stack([_arm_posture(pose) for pose in poses]),
+            X_CH_raw=invert(motion.X_AC) @ np.stack([no_poses[0] if p is None else p.X_CH for p in poses]),
             curves=_icp_curves(poses),
         )
 
@@ -309,7 +318,8 @@ class GroundingPipeline:
         if not follows:
             return motion if reference is None else replace(motion, px=np.full(len(frames), np.inf))
         start = frames[0] if reference is None else reference
-        return motion.with_path(follow_camera(frames, start, robot, camera, self._table_height_m))
+        height_m = self._table_height_m if priors.table_height_m is None else priors.table_height_m
+        return motion.with_path(follow_camera(frames, start, robot, camera, height_m))
 
     @staticmethod
     def _reference(

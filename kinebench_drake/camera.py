@@ -9,6 +9,9 @@ from kinebench_drake.errors import InputError, UsageError
 from kinebench_drake.geometry import Array, checked_pose, invert, make_pose, orthonormalize
 
 _KEYS = ("width", "height", "fx", "fy", "cx", "cy", "base_from_camera")
+_OPTIONAL_KEYS = ("mirrored", "table_height_m")
+MAX_TABLE_HEIGHT_M = 2.0
+"""Greatest distance of the table top from the robot's base, up or down [m]."""
 _BENCHMARK_PX = 384
 _HUGE = 1e9  # bound of all numbers of a camera; NaN and infinity fail the comparison too
 
@@ -101,16 +104,20 @@ class Camera:
 
     @classmethod
     def from_json(cls, data: object, source: str) -> "Camera":
-        """Parse the object of `camera.json`; `source` names it in messages.
+        """Parse the object of `camera.json`, whose optional keys are left out; `source` names it in messages.
 
         Raises:
             UsageError: a key is missing, unknown or of the wrong type, or the values are invalid.
         """
         if not isinstance(data, dict):
             raise UsageError(f"{source}: expected an object with {', '.join(_KEYS)}, found {type(data).__name__}")
-        missing, unknown = sorted(set(_KEYS) - set(data)), sorted(map(str, set(data) - set(_KEYS)))
+        missing = sorted(set(_KEYS) - set(data))
+        unknown = sorted(map(str, set(data) - set(_KEYS) - set(_OPTIONAL_KEYS)))
         if missing or unknown:
-            raise UsageError(f"{source}: missing keys {missing}, unknown keys {unknown}; expected {', '.join(_KEYS)}")
+            raise UsageError(
+                f"{source}: missing keys {missing}, unknown keys {unknown}; expected {', '.join(_KEYS)}, and "
+                f"optionally {', '.join(_OPTIONAL_KEYS)}"
+            )
         for key in _KEYS[:6]:
             value = data[key]
             number = isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < _HUGE
@@ -132,6 +139,37 @@ class Camera:
             )
         except UsageError as error:
             raise UsageError(f"{source}: {error}") from None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CameraSetting:
+    """What a `camera.json` states: the camera, and how the picture and the table lie to it."""
+
+    camera: Camera
+    mirrored: bool = False
+    """True if the frames show the scene mirrored: they are turned left-right before they are measured."""
+    table_height_m: float | None = None
+    """Height of the table top in the robot base frame [m]; None if it is not stated."""
+
+    @classmethod
+    def from_json(cls, data: object, source: str) -> "CameraSetting":
+        """Parse the object of `camera.json`; `source` names it in messages.
+
+        Raises:
+            UsageError: a key is missing, unknown or of the wrong type, or the values are invalid.
+        """
+        camera = Camera.from_json(data, source)
+        assert isinstance(data, dict)
+        mirrored, height_m = data.get("mirrored", False), data.get("table_height_m")
+        if not isinstance(mirrored, bool):
+            raise UsageError(f"{source}: mirrored must be true or false, found {mirrored!r}")
+        is_number = isinstance(height_m, int | float) and not isinstance(height_m, bool)
+        if height_m is not None and not (is_number and abs(height_m) <= MAX_TABLE_HEIGHT_M):
+            raise UsageError(
+                f"{source}: table_height_m must be metres from {-MAX_TABLE_HEIGHT_M:g} to {MAX_TABLE_HEIGHT_M:g}, "
+                f"found {height_m!r}"
+            )
+        return cls(camera=camera, mirrored=mirrored, table_height_m=None if height_m is None else float(height_m))
 
 
 def benchmark_camera() -> Camera:

@@ -279,6 +279,9 @@ class Priors:
     camera_is_assumed: bool = False
     """True if the camera is an assumption: where the edges contradict it, poses are not refined."""
 
+    table_height_m: float | None = None
+    """Height of the table top in the robot base frame [m]."""
+
     @property
     def replaces_stage(self) -> bool:
         """True if a whole stage of the grounding is replaced, in the frames as they are."""

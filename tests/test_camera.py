@@ -38,7 +38,7 @@ def test_resizing_keeps_directions() -> None:
 def test_save_and_load(tmp_path: Path) -> None:
     camera = benchmark_camera()
     save_camera(camera, tmp_path / "camera.json")
-    loaded = load_camera(tmp_path / "camera.json")
+    loaded = load_camera(tmp_path / "camera.json").camera
     assert loaded.K.tolist() == camera.K.tolist()
     np.testing.assert_allclose(loaded.X_BC, camera.X_BC, atol=1e-12)
 

@@ -189,7 +189,7 @@ def find_clips(folder: Path) -> list[TruthClipFile]:
             camera = Camera.from_json(entry["camera"], f"{manifest.name} line {number}")
             truth = truth if truth.is_file() else folder / f"{name}.gt.npz"
         else:
-            camera = load_camera(folder / "camera.json")
+            camera = load_camera(folder / "camera.json").camera
         if not truth.is_file():
             raise UsageError(f"{folder.name}: {truth.relative_to(folder)} is missing, so errors cannot be measured")
         clips.append(

@@ -56,6 +56,8 @@ class ScoreOptions(RunOptions, total=False):
     """Camera to use of datasets that have several."""
     camera: PathName
     """Camera of videos that name none: "auto" or "benchmark"; or the camera.json of all videos. Default "auto"."""
+    mirrored: bool
+    """Turn all frames left-right before they are measured."""
     gripper: str
     """ "franka", "robotiq-2f85", "none" or "auto", the default: with others than Franka's the arm gives the flange."""
     pixels_only: bool
@@ -119,6 +121,7 @@ class SuiteOptions(RunOptions, total=False):
 
 _ARGUMENTS = {
     "frame-period": "frame_period_s",
+    "mirrored": "mirrored=True",
     "overwrite": "overwrite=True",
     "pixels-only": "pixels_only=True",
     "rate": "rate_hz",

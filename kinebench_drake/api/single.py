@@ -13,13 +13,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from kinebench_drake.api.run import PathName, name_arguments, own_arguments
-from kinebench_drake.camera import Camera, benchmark_camera
+from kinebench_drake.camera import Camera, CameraSetting
 from kinebench_drake.datasets.trajectories.check import check
 from kinebench_drake.datasets.trajectories.source import find_trajectories, read_trajectory
 from kinebench_drake.datasets.trajectories.trajectory import RawTrajectory, TrajectoryOptions
 from kinebench_drake.datasets.videos.find import find_samples
 from kinebench_drake.datasets.videos.sample import CameraSource, VideoSample
-from kinebench_drake.errors import InputError, UsageError, member_of
+from kinebench_drake.errors import InputError, UnmeasurableError, UsageError, member_of
 from kinebench_drake.evaluation.analyzer import Analyzer, AnalyzerFactory, RobotOptions, load_analyzer
 from kinebench_drake.evaluation.audit import judge_trajectory
 from kinebench_drake.evaluation.camera import describe_contradiction
@@ -92,6 +92,7 @@ def ground_video(
     frame_period_s: float | None = None,
     first: InitialState | None = None,
     gripper: str = "auto",
+    mirrored: bool = False,
     pixels_only: bool = False,
     masks: PathName | None = None,
     depth: PathName | None = None,
@@ -105,11 +106,12 @@ def ground_video(
     Args:
         video: a path as `score_videos` takes it, or frames (T, H, W, 3) uint8 RGB.
         id: id of the sample, where the path holds several; of frames: name of their files in `masks`, `depth`, `poses`.
-        camera: the camera, or the path of its camera.json; None: that of the input, else the benchmark's.
+        camera: the camera, or the path of its camera.json; None: that of the input, else as `score_videos` chooses it.
         camera_key: camera to take of datasets that have several.
         frame_period_s: task time between two frames [s], where no manifest tells; None: 1 / fps, 0.2 without a clock.
         first: state of the robot in the first frame, in place of the input's (`X_BG`: TCP in the robot base frame [m]).
         gripper: "franka", "robotiq-2f85", "none" or "auto"; with other grippers than Franka's the arm gives the flange.
+        mirrored: turn the frames left-right first.
         pixels_only: ignore the initial state that the input states.
         masks: folder of masks that replace the network's.
         depth: folder of depth maps [m], `moge:CHECKPOINT` or `module:Class` that replaces the network's depth.
@@ -151,32 +153,29 @@ def ground_video(
     else:
         _refuse_with("frames", camera_key=camera_key)
         name = id or "video"
-        sample = VideoSample(
-            id=name, path=Path(name), video=name, camera=benchmark_camera(), camera_source=CameraSource.BENCHMARK
-        )
+        sample = VideoSample(id=name, path=Path(name), video=name)
         decoded = Video(frames=np.asarray(video), fps=None, stamps_s=None)
     if camera is not None:
-        chosen = camera if isinstance(camera, Camera) else load_camera(Path(camera))
-        sample = replace(sample, camera=chosen, camera_source=CameraSource.GIVEN)
+        setting = CameraSetting(camera=camera) if isinstance(camera, Camera) else load_camera(Path(camera))
+        sample = sample.filmed_by(setting, CameraSource.GIVEN)
     if first is not None:
         sample = replace(sample, initial_state=first)
+    sample = replace(sample, mirrored=sample.mirrored or mirrored)
     with one_thread():
         analyzer = _analyzer_for(RobotOptions())
-        choice, prepared, grounding = ground_with_camera(
-            decoded,
-            sample,
-            overrides,
-            analyzer,
-            period_s=frame_period_s,
-            gripper=member_of(GripperKind, gripper, "--gripper"),
+        grounded = ground_with_camera(
+            decoded, sample, overrides, analyzer, frame_period_s, member_of(GripperKind, gripper, "--gripper")
         )
+        if grounded.unmeasurable is not None:
+            raise UnmeasurableError(grounded.unmeasurable)
+        choice, prepared = grounded.choice, grounded.prepared
         if choice.reason is not None:
             _warn(choice.reason)
         elif choice.contradiction is not None:
             _warn(describe_contradiction(choice.contradiction))
         if prepared.period_source is PeriodSource.BENCHMARK:
             _warn(f"the video has no frame rate: {BENCHMARK_PERIOD_S} s between frames was taken; give frame_period_s")
-        return replace(grounding, track=choice.without_base(grounding.track))
+        return replace(grounded.grounding, track=grounded.track)
 
 
 @own_arguments()

@@ -203,7 +203,7 @@ def calibrate(config: CalibrationConfig, calibrator: Calibrator | None = None) -
         UnmeasurableError: the camera moves, or the video does not determine it.
         SetupError: weights, meshes or native libraries are missing.
     """
-    intrinsics = None if config.camera is None else load_camera(config.camera)
+    intrinsics = None if config.camera is None else load_camera(config.camera).camera
     try:
         video = read_video(config.video)
         video.require_measurable()

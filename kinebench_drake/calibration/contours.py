@@ -43,11 +43,11 @@ class ContourImages:
         chosen._model, chosen._matcher, chosen._left_out = self._model, self._matcher, self._left_out
         return chosen
 
-    def without_base(self) -> "ContourImages":
-        """Return the images with the contours of hand and arm alone, without those of the base link."""
-        arm = self.take(range(len(self._images)))
-        arm._left_out = (RobotPart.LINK0,)
-        return arm
+    def without(self, *parts: RobotPart) -> "ContourImages":
+        """Return the images without the contours of some parts, which still hide others."""
+        rest = self.take(range(len(self._images)))
+        rest._left_out = parts
+        return rest
 
     def _poses(self, scene: ArmScene) -> list[Array]:
         """Return for each frame the poses (PARTS, 4, 4) of the parts in the camera frame [m]."""

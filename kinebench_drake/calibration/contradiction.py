@@ -5,7 +5,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from kinebench_drake.calibration.bundle import ArmScene
-from kinebench_drake.calibration.camera_estimate import GRIPPER_SIGMA_M, GRIPPER_SIGMA_RAD
 from kinebench_drake.calibration.candidate import (
     COARSE,
     LEAST_EXPLAINED,
@@ -17,9 +16,10 @@ from kinebench_drake.calibration.candidate import (
     CandidateFitter,
     LensPrior,
 )
-from kinebench_drake.calibration.detections import ArmDetections, find_robot
+from kinebench_drake.calibration.detections import ArmDetections, count_hands, find_robot
 from kinebench_drake.calibration.fit import Lens, with_focal
 from kinebench_drake.calibration.hypotheses import ChainSearch
+from kinebench_drake.calibration.reading import BetterReading, Reading, list_readings
 from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array, invert, pose_difference
 from kinebench_drake.grounding.view import DenseEstimator, Frames
@@ -27,11 +27,18 @@ from kinebench_drake.models.panda.robot import RobotPart, hand_from_tcp
 from kinebench_drake.types import Json
 
 _CHECKED, _CHECK_SEARCHED = 5, 8  # frames that check a camera, and those that they are chosen from
+_READ, _READ_SEARCHED = 4, 6  # the same of a reading of the picture
+_CROP_ZOOMS, _CROP_LOG_SIGMA, _CROP_CENTRE_SIGMA = (1.1, 1.3, 1.5), 0.2, 0.15
+"""Focal lengths of cropped pictures over that of the camera, and standard deviations of their logarithm and of the
+principal point over the picture's width."""
 _SUFFICIENT = 0.6  # agreement, after a fit of the postures, of a camera that is not in doubt
 _ZOOMS, _ZOOMS_FITTED = (0.63, 0.72, 0.85, 1.0, 1.2, 1.4, 1.6), 3  # focal lengths over that of a camera in doubt
 CONTRADICTING, CLEARLY = 0.5, 0.1
 """Least agreement with another camera that contradicts the assumed one, and how much better it has to be."""
+LARGE_M, LARGE_RAD = 0.03, np.deg2rad(5.0)
+"""Displacement of the gripper by the other camera from which on there is no verdict [m, rad]."""
 _PASSES = (*COARSE, *MIDDLE[1:])
+_CROP = Reading.CROPPED
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -51,8 +58,8 @@ class CameraContradiction:
 
     @property
     def is_large(self) -> bool:
-        """True if no verdict bears it: the two put the gripper farther apart than an estimated camera may be wrong."""
-        return self.gripper_m > GRIPPER_SIGMA_M or self.gripper_rad > GRIPPER_SIGMA_RAD
+        """True if no verdict bears it."""
+        return self.gripper_m > LARGE_M or self.gripper_rad > LARGE_RAD
 
     def to_json(self) -> dict[str, Json]:
         """Serialize into `camera_contradiction` of samples.jsonl."""
@@ -66,8 +73,10 @@ class CameraChecker:
         """Check with the dense estimates of `estimator`."""
         self._estimator, self._fitter = estimator, fitter
 
-    def measure_agreement(self, frames: Frames, camera: Camera) -> float | None:
-        """Return the share of the arm's contours that lies on image edges if the camera is as given.
+    def measure_agreement(
+        self, frames: Frames, camera: Camera, *, used: int = _CHECKED, searched: int = _CHECK_SEARCHED
+    ) -> float | None:
+        """Return the share of the arm's contours that lies on image edges if the camera is the right one.
 
         The postures are fitted, the camera is kept; median over the frames. None if hand and arm are seen in fewer than
         `MIN_FRAMES` of the frames searched.
@@ -75,14 +84,18 @@ class CameraChecker:
         Args:
             frames: (T, H, W, 3) RGB.
             camera: camera of the frames.
+            used: greatest number of frames.
+            searched: number of frames that these are chosen from.
         """
-        detections = find_robot(self._estimator, frames, camera, _CHECKED, searched=_CHECK_SEARCHED)
+        detections = find_robot(self._estimator, frames, camera, used, searched=searched)
         if detections is None or len(detections.rows) < MIN_FRAMES:
             return None
         fixed = self._fit_postures(detections, frames[detections.rows], camera)
         return 0.0 if fixed is None else fixed.agreement
 
-    def posture_agreement(self, frames: Frames, camera: Camera, q: Array, finger_m: Array) -> float:
+    def posture_agreement(
+        self, frames: Frames, camera: Camera, q: Array, finger_m: Array, *, hand: bool = True
+    ) -> float:
         """Return the share of the arm's contours on image edges at postures already fitted, median over frames.
 
         Args:
@@ -90,9 +103,64 @@ class CameraChecker:
             camera: camera of the frames.
             q: (T, 7) joint angles [rad].
             finger_m: (T,) opening of each finger [m].
+            hand: False to leave out the hand, where the arm carries another gripper.
         """
         scene = ArmScene(lens=Lens(camera=camera, X_CB=invert(camera.X_BC)), q=q, finger_m=finger_m)
-        return float(np.median(self._fitter.images(frames, camera).agreement(scene)))
+        images = self._fitter.images(frames, camera)
+        return float(np.median((images if hand else images.without(RobotPart.HAND)).agreement(scene)))
+
+    def find_reading(
+        self, frames: Frames, camera: Camera, least: float, readings: tuple[Reading, ...] = tuple(Reading)
+    ) -> BetterReading | None:
+        """Return the reading of picture or camera with which the arm agrees clearly better; None if there is none.
+
+        Args:
+            frames: (T, H, W, 3) RGB.
+            camera: camera of the frames as they are.
+            least: agreement that the reading has to reach, besides being better by `CLEARLY`.
+            readings: to be tried.
+        """
+        frames = frames[np.unique(np.linspace(0, len(frames) - 1, _READ_SEARCHED).round().astype(int))]
+        own = self.measure_agreement(frames, camera, used=_READ, searched=_READ_SEARCHED) or 0.0
+        shares = [
+            (self.measure_agreement(turned, lens, used=_READ, searched=_READ_SEARCHED) or 0.0, reading, lens)
+            for reading, turned, lens in list_readings(frames, camera, tuple(r for r in readings if r is not _CROP))
+        ]
+        if _CROP in readings and (crop := self._fit_crop(frames, camera)) is not None:
+            shares.append((crop.agreement, _CROP, crop.scene.lens.to_camera()))
+        better, reading, lens = max(shares, key=lambda share: share[0])
+        if better < max(least, own + CLEARLY):
+            return None
+        return BetterReading(reading=reading, agreement=own, better=better, camera=lens)
+
+    def _fit_crop(self, frames: Frames, camera: Camera) -> Candidate | None:
+        """Return the camera at the same place whose picture is a part of that of `camera`; None if no arm is seen."""
+        detections = find_robot(self._estimator, frames, camera, _READ, searched=_READ_SEARCHED)
+        if detections is None or len(detections.rows) < MIN_FRAMES:
+            return None
+        images = self._fitter.images(frames[detections.rows], camera)
+        search = ChainSearch(detections.cells, detections.finger_m, self._fitter.model)
+        X_CB = invert(camera.X_BC)
+        fits = []
+        for zoom in _CROP_ZOOMS:
+            lens = Lens(camera=with_focal(camera, zoom * camera.fx), X_CB=X_CB)
+            start = self._fitter.start(detections, search.explain(lens, search.hands(lens.camera)))
+            if start is not None:
+                prior = LensPrior(
+                    lens=lens,
+                    log_focal_sigma=_CROP_LOG_SIGMA,
+                    centre_sigma_px=_CROP_CENTRE_SIGMA * camera.width,
+                    place_free=False,
+                )
+                fits.append(self._fitter.compare(start, images, prior, len(start.rows), _PASSES))
+        return max(fits, key=lambda fit: fit.agreement, default=None)
+
+    def count_hands(self, frames: Frames, camera: Camera) -> tuple[int, int]:
+        """Return in how many frames a hand is seen, and how many were searched: a few of `frames` (T, H, W, 3).
+
+        Only the size of `camera` matters, and its focal length a little.
+        """
+        return count_hands(self._estimator, frames, camera, _CHECK_SEARCHED)
 
     def find_contradiction(self, frames: Frames, camera: Camera) -> CameraContradiction | None:
         """Return another camera under which the arm agrees clearly better with the images; None if there is none.

@@ -87,6 +87,23 @@ def find_robot(
     )
 
 
+def count_hands(estimator: DenseEstimator, frames: Frames, camera: Camera, searched: int) -> tuple[int, int]:
+    """Return in how many of some frames a hand is seen, and how many were searched.
+
+    Args:
+        estimator: source of dense estimates.
+        frames: (T, H, W, 3) RGB.
+        camera: assumed camera; only its focal length matters, and little.
+        searched: greatest number of frames.
+    """
+    detections = find_robot(estimator, frames, camera, searched, searched=searched)
+    hand = np.zeros(len(frames), dtype=np.intp)
+    if detections is not None:
+        cells = detections.cells
+        np.add.at(hand, detections.rows[cells.frame[cells.part == RobotPart.HAND]], 1)
+    return int((hand >= _PART_CELLS).sum()), min(searched, len(frames))
+
+
 def _approach(
     estimator: DenseEstimator,
     frames: Frames,

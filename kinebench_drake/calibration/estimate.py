@@ -135,7 +135,7 @@ class CameraEstimator:
             raise UnmeasurableError(
                 f"no camera can be estimated: the arm behind the gripper is seen in fewer than {MIN_FRAMES} frames"
             )
-        arm_images = images.without_base()
+        arm_images = images.without(RobotPart.LINK0)
         for frames_used, passes, kept in _ROUNDS:
             compared = [self.fitter.compare(c, arm_images, prior, frames_used, passes) for c in candidates]
             compared.sort(key=lambda candidate: -candidate.agreement)
@@ -152,7 +152,9 @@ class CameraEstimator:
         turns = [find_turns(arm.scene, images.take(arm.rows), lower, upper) for arm in arms]
         ranked = sorted(zip(arms, turns, strict=True), key=lambda pair: -(pair[0].agreement + pair[1][0].share))
         best, best_turns = ranked[0]
-        estimate = self._turn(best, best_turns, images, prior, rows=detections.rows, total=total)
+        estimate, turn = self._turn(best, best_turns, images, prior, rows=detections.rows, total=total)
+        # Other cameras and turns are not fitted to the contours of the base: they are granted what that gained here.
+        gain = max(0.0, estimate.base_agreement - turn.share)
         surroundings = self._find_surroundings(estimate, frames)
         if surroundings is not None:
             start = self._extend(_at(best, estimate, detections), detections, search)
@@ -166,11 +168,13 @@ class CameraEstimator:
                     aligned,
                     agreement=max(best.agreement, _explained(own, total)),
                     base_agreement=estimate.base_agreement,
-                    base_runner_up=estimate.base_runner_up,
+                    # Other turns than by right angles would put these lines askew to the base.
+                    base_runner_up=min(
+                        estimate.base_runner_up,
+                        max((t.share + gain for t in best_turns if t.is_right_angle_from(turn)), default=0.0),
+                    ),
                     is_aligned=True,
                 )
-        # Other cameras are not fitted to the contours of the base: they are granted what that gained here.
-        gain = max(0.0, estimate.base_agreement - best_turns[0].share)
         others = ((arm.agreement + own_turns[0].share + gain) / 2 for arm, own_turns in ranked[1:])
         return replace(estimate, runner_up=max(others, default=0.0))
 
@@ -183,8 +187,8 @@ class CameraEstimator:
         *,
         rows: NDArray[np.intp],
         total: int,
-    ) -> CameraEstimate:
-        """Return the estimate with the base turned as its contours show it.
+    ) -> tuple[CameraEstimate, BaseTurn]:
+        """Return the estimate with the base turned as its contours show it, and the turn.
 
         Turns that differ too little before the contours of the base are fitted are compared afterwards: a right one has
         more of them on image edges then. Arguments as of `finish`, with `turns` best first.
@@ -205,7 +209,7 @@ class CameraEstimator:
         apart = [fit for fit in fits if pose_difference(X_CB, fit.scene.lens.X_CB)[1] > DIFFERENT_TURN_RAD]
         gain = max(0.0, best.base_agreement - turn.share)  # granted to turns that are not fitted
         others = [fit.base_agreement for fit in apart] + [other.share + gain for other in turns[len(close) :]]
-        return replace(best, base_runner_up=max(others, default=0.0))
+        return replace(best, base_runner_up=max(others, default=0.0)), turn
 
     def _find_surroundings(self, estimate: CameraEstimate, frames: Frames) -> Surroundings | None:
         """Return the lines of frames (T, H, W, 3) along the axes of the base of an estimate; None without them."""

@@ -17,6 +17,7 @@ from kinebench_drake.models.robot import N_JOINTS
 DIFFERENT_TURN_RAD = np.deg2rad(20.0)
 """Least angle between turns that count as different."""
 _SHOULDER_M = 0.333  # height of the shoulder above the base
+_RIGHT_RAD = np.deg2rad(15.0)  # from a right angle, of turns that are one
 _STEP_RAD, _TOPS = np.deg2rad(5.0), 6
 _FINE_STEPS_RAD = np.deg2rad([-3.75, -2.5, -1.25, 1.25, 2.5, 3.75])
 _FRAMES = 6
@@ -37,6 +38,11 @@ class BaseTurn:
     """Angle by which joint 1 has to turn for it [rad]."""
     share: float
     """Share of the contours of the base link on image edges; 0 if the base is not seen."""
+
+    def is_right_angle_from(self, other: "BaseTurn") -> bool:
+        """Return whether the two differ by a right angle or two, so that a base stands square to the same lines."""
+        angle = abs(self.angle_rad - other.angle_rad)
+        return bool(angle > _RIGHT_RAD and abs((angle + np.pi / 4) % (np.pi / 2) - np.pi / 4) <= _RIGHT_RAD)
 
 
 def find_turns(scene: ArmScene, images: ContourImages, lower_rad: float, upper_rad: float) -> list[BaseTurn]:

@@ -142,9 +142,12 @@ video_options = _combine(
         "--camera",
         default="auto",
         show_default=True,
-        help="Camera of videos that name none: auto takes the benchmark camera where the arm agrees with it and "
+        help="Camera of videos that name none: auto takes the benchmark camera where the arm confirms it and "
         "estimates it from the arm elsewhere, benchmark insists on the former; a camera.json is that of all videos.",
         metavar="auto|benchmark|FILE",
+    ),
+    click.option(
+        "--mirrored", is_flag=True, help="The pictures show the scene mirrored: turn them left-right first (LIBERO)."
     ),
     click.option(
         "--gripper",

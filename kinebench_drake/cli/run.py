@@ -17,11 +17,13 @@ from rich.text import Text
 
 from kinebench_drake.errors import count_noun, one_line
 from kinebench_drake.evaluation.runner import RunObserver, RunSummary
+from kinebench_drake.io.jsonl import as_object
 from kinebench_drake.report.timeline import anomalies_of
 from kinebench_drake.results.aggregate import VERDICT_SHARES, estimate, estimate_passes
 from kinebench_drake.results.inputs import input_lines
 from kinebench_drake.results.row import SampleRow, Status
 from kinebench_drake.results.store import REQUESTS
+from kinebench_drake.results.trust import TRUST, trust_lines
 from kinebench_drake.types import Json
 
 _STYLES = {Status.OK: "green", Status.UNMEASURABLE: "yellow", Status.ERROR: "red"}
@@ -82,6 +84,8 @@ class ProgressView:
         self._count()
         if self._bar is None or row.status is not Status.OK:
             reason = f": {row.reason}" if row.reason else ""
+            if trust := as_object(row.extra.get(TRUST)):
+                reason += f"; {trust['line']}"
             line = f"[{self.completed}/{self.total}] {row.id} {row.status.value}{reason} ({wall_s:.1f} s)"
             self._print(line, _STYLES[row.status])
 
@@ -153,6 +157,7 @@ def summary_lines(rows: Sequence[SampleRow]) -> Iterator[str]:
         if (n := sum(row.status is status for row in rows)) or status is Status.UNMEASURABLE
     )
     yield from input_lines(rows)
+    yield from trust_lines(row.extra for row in rows)
 
 
 def _has_anomalies(rows: Sequence[SampleRow]) -> bool:

@@ -9,10 +9,10 @@ from typing import Annotated
 import numpy as np
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
-from kinebench_drake.camera import Camera
+from kinebench_drake.camera import CameraSetting
 from kinebench_drake.datasets.folders import join_relative
 from kinebench_drake.datasets.ids import shorten
-from kinebench_drake.datasets.videos.sample import CameraSource, VideoSample, default_camera
+from kinebench_drake.datasets.videos.sample import CameraSource, VideoSample
 from kinebench_drake.datasets.videos.search import Search, image_beside
 from kinebench_drake.errors import InputError, UsageError, cause
 from kinebench_drake.geometry import checked_pose
@@ -163,7 +163,7 @@ def _explain(error: ValidationError) -> str:
     return "; ".join(clauses.values())
 
 
-def entry_camera(entry: ManifestEntry, folder: Path) -> Camera | None:
+def entry_camera(entry: ManifestEntry, folder: Path) -> CameraSetting | None:
     """Return the camera of a line; None if it names none.
 
     Raises:
@@ -174,7 +174,7 @@ def entry_camera(entry: ManifestEntry, folder: Path) -> Camera | None:
     try:
         if isinstance(entry.camera, str):
             return load_camera(join_relative(folder, entry.camera, "camera", links_out=False))
-        return Camera.from_json(entry.camera, "camera")
+        return CameraSetting.from_json(entry.camera, "camera")
     except UsageError as error:
         raise InputError(str(error)) from None
 
@@ -210,23 +210,18 @@ def _sample(line: ManifestLine, folder: Path, search: Search) -> VideoSample:
             first_frame = _conditioning_image(entry, folder) or image_beside(path)
         except InputError as error:
             problem = f"line {line.number}: {error}"
-    if camera is not None:
-        chosen, source = camera, CameraSource.MANIFEST
-    elif problem is not None:
-        chosen, source = default_camera()
-    else:
-        chosen, source = search.cameras.of(path if path.is_dir() else path.parent)
-    return VideoSample(
+    sample = VideoSample(
         id=id,
         path=path,
         video=line.video,
-        camera=chosen,
-        camera_source=source,
         initial_state=_initial_state(entry) if entry else None,
         first_frame=first_frame,
         problem=problem,
         **(entry.model_dump(include=_LABELS) if entry else {}),
     )
+    if camera is not None:
+        return sample.filmed_by(camera, CameraSource.MANIFEST)
+    return sample if problem is not None else search.cameras.film(sample, path if path.is_dir() else path.parent)
 
 
 def _conditioning_image(entry: ManifestEntry, folder: Path) -> Path | None:

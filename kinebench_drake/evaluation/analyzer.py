@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from kinebench_drake.camera import Camera
+from kinebench_drake.camera import MAX_TABLE_HEIGHT_M, Camera
 from kinebench_drake.errors import InputError, SetupError, UsageError
 from kinebench_drake.geometry import Array
 from kinebench_drake.io.files import absence
@@ -21,12 +21,11 @@ if TYPE_CHECKING:  # Drake, torch and Open3D take seconds to load
     from kinebench_drake.calibration.camera_estimate import CameraEstimate
     from kinebench_drake.calibration.contradiction import CameraChecker, CameraContradiction
     from kinebench_drake.calibration.estimate import CameraEstimator
+    from kinebench_drake.calibration.reading import BetterReading
     from kinebench_drake.grounding.estimator import NetworkEstimator
     from kinebench_drake.grounding.pipeline import GroundingPipeline, GroundingResult
+    from kinebench_drake.metrics.judge import TrackJudge
     from kinebench_drake.metrics.result import KinematicResult
-
-MAX_TABLE_HEIGHT_M = 2.0
-"""Greatest distance of the table top from the robot's base, up or down [m]."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -84,7 +83,8 @@ class Analyzer:
 
         self._table_height_m = options.table_height_m
         self._arm_pipelines: dict[GripperKind, GroundingPipeline] = {}
-        self._judge = TrackJudge(ArmPlant(options.load()), table_height_m=options.table_height_m)
+        self._plant = ArmPlant(options.load())
+        self._judges = {options.table_height_m: TrackJudge(self._plant, table_height_m=options.table_height_m)}
 
     @cached_property
     def _estimator(self) -> "NetworkEstimator":
@@ -163,13 +163,40 @@ class Analyzer:
         """
         return self._cameras.estimate(frames)
 
-    def posture_agreement(self, frames: NDArray[np.uint8], camera: Camera, q: Array, finger_m: Array) -> float:
+    def posture_agreement(
+        self, frames: NDArray[np.uint8], camera: Camera, q: Array, finger_m: Array, *, hand: bool = True
+    ) -> float:
         """Return the share of the arm's contours on image edges at postures (T, 7) [rad], openings (T,) [m].
+
+        Without `hand` its contours do not count.
 
         Raises:
             SetupError: weights or libraries are missing.
         """
-        return self._checker.posture_agreement(frames, camera, q, finger_m)
+        return self._checker.posture_agreement(frames, camera, q, finger_m, hand=hand)
+
+    def camera_reading(
+        self, frames: NDArray[np.uint8], camera: Camera, least: float, *, mirrored_only: bool = False
+    ) -> "BetterReading | None":
+        """Return a reading of picture or camera with which the arm agrees clearly better; None if there is none.
+
+        Raises:
+            SetupError: weights or libraries are missing.
+        """
+        from kinebench_drake.calibration.reading import Reading
+
+        readings = (Reading.MIRRORED,) if mirrored_only else tuple(Reading)
+        return self._checker.find_reading(frames, camera, least, readings)
+
+    def count_hands(self, frames: NDArray[np.uint8]) -> tuple[int, int]:
+        """Return in how many of some frames a hand is seen, whatever the camera, and how many were searched.
+
+        Raises:
+            SetupError: weights or libraries are missing.
+        """
+        from kinebench_drake.calibration.estimate import usual_camera
+
+        return self._checker.count_hands(frames, usual_camera(frames.shape[2], frames.shape[1]))
 
     def camera_contradiction(self, frames: NDArray[np.uint8], camera: Camera) -> "CameraContradiction | None":
         """Return another camera under which the arm agrees clearly better with the images; None if there is none.
@@ -179,9 +206,21 @@ class Analyzer:
         """
         return self._checker.find_contradiction(frames, camera)
 
-    def judge(self, track: GripperTrack) -> "KinematicResult":
-        """Judge a track of poses: infeasible only if no joint path follows it."""
-        return self._judge.judge_poses(track)
+    def judge(self, track: GripperTrack, table_height_m: float | None = None) -> "KinematicResult":
+        """Judge a track of poses: infeasible only if no joint path follows it.
+
+        Args:
+            track: the track.
+            table_height_m: height of the table in the robot base frame [m]; None: that of the options.
+        """
+        return self._judge(self._table_height_m if table_height_m is None else table_height_m).judge_poses(track)
+
+    def _judge(self, table_height_m: float) -> "TrackJudge":
+        from kinebench_drake.metrics.judge import TrackJudge
+
+        if table_height_m not in self._judges:
+            self._judges[table_height_m] = TrackJudge(self._plant, table_height_m=table_height_m)
+        return self._judges[table_height_m]
 
     def judge_joints(self, t_s: Array, q: Array, finger_width_m: Array) -> "KinematicResult":
         """Judge joint angles (T, 7) [rad] as recorded; NaN where unknown.
@@ -191,7 +230,7 @@ class Analyzer:
             q: (T, 7) joint angles [rad].
             finger_width_m: (T,) gap between the finger pads [m].
         """
-        return self._judge.judge_joints(t_s, q, finger_width_m)
+        return self._judge(self._table_height_m).judge_joints(t_s, q, finger_width_m)
 
     def overlay(
         self,

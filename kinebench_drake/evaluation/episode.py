@@ -25,7 +25,7 @@ from kinebench_drake.evaluation.analyzer import Analyzer, load_analyzer
 from kinebench_drake.evaluation.clips import clip_starts, combine, join_curves, join_tracks
 from kinebench_drake.evaluation.evaluator import KINEMATIC_METRICS, PENDING, Evaluation, Evaluator
 from kinebench_drake.evaluation.requests import SIZE_PX, request_path
-from kinebench_drake.evaluation.score import VISUAL_METRICS
+from kinebench_drake.evaluation.score import VISUAL_METRICS, mean_confidence
 from kinebench_drake.evaluation.thumbnail import encode_strip
 from kinebench_drake.grounding.overlay import draw_caption
 from kinebench_drake.io.atomic import disk_errors, make_folder, write_atomically
@@ -247,6 +247,7 @@ class EpisodeEvaluator(Evaluator[EpisodeSample, EpisodeResources]):
             "frame_period_s": period_s,
             "frame_period_source": source.value,
             "camera_source": "benchmark",
+            "camera_state": "named",
         }
 
 
@@ -287,6 +288,7 @@ def _visual_metrics(run: EpisodeRun, track: GripperTrack) -> dict[str, Json]:
     distances = [g.arm_consistency_px for g in groundings if g.arm_consistency_px is not None]
     return {
         "tracked_fraction": float(track.tracked.mean()),
+        "confidence_mean": mean_confidence(track),
         "camera_motion_px": None if np.isnan(motions).any() else max(motions),  # unknown in one clip: in all
         "arm_consistency_px": float(np.median(distances)) if distances else None,
         "anomalies": [

@@ -22,6 +22,7 @@ from kinebench_drake.models.urdf import robot_files
 from kinebench_drake.results.provenance import code_hash
 from kinebench_drake.results.row import SampleRow, Status
 from kinebench_drake.results.store import artifact_path
+from kinebench_drake.results.trust import TRUST, assess_trust
 from kinebench_drake.types import Json
 
 if TYPE_CHECKING:  # loads Drake
@@ -202,6 +203,10 @@ class Evaluator(ABC, Generic[SampleT, ResourcesT]):
             **(kinematics.metrics if kinematics else {}),
         }
         executable, obstacles = _executability(evaluation)
+        extra = {**self.labels(sample), **evaluation.extra}
+        if "domain" in extra:  # a video was grounded
+            trust = assess_trust(extra, metrics, is_measured=evaluation.unmeasurable is None)
+            extra[TRUST] = trust.to_json()
         return SampleRow(
             id=sample.id,
             video=evaluation.video or sample.video,
@@ -218,7 +223,7 @@ class Evaluator(ABC, Generic[SampleT, ResourcesT]):
             null_reasons=_null_reasons(metrics, kinematics, evaluation.reasons),
             without_lost=dict(kinematics.without_lost) if kinematics else {},
             details=dict(kinematics.details) if kinematics else {},
-            extra={**evaluation.extra, **{k: v for k, v in self.labels(sample).items() if k not in evaluation.extra}},
+            extra=extra,
         )
 
 

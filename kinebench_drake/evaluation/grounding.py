@@ -1,33 +1,246 @@
-"""Grounding of a video: choose its camera, track the gripper or the flange, check the camera against the arm."""
+"""Grounding of a video: choose its camera, track the gripper or the flange, confirm the camera by the arm."""
 
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-from kinebench_drake.datasets.videos.sample import VideoSample
+import numpy as np
+from numpy.typing import NDArray
+
+from kinebench_drake.camera import Camera
+from kinebench_drake.datasets.videos.sample import CameraSource, VideoSample
 from kinebench_drake.errors import UnmeasurableError
 from kinebench_drake.evaluation.analyzer import Analyzer
 from kinebench_drake.evaluation.camera import (
-    AUTO,
+    AGREEMENT,
     CONFIRMED,
     CameraChoice,
-    check_camera,
-    choose_camera,
-    explain_loss,
-    is_assumed,
+    check_named,
+    find_reading,
     track_agreement,
+    usual_camera,
 )
 from kinebench_drake.evaluation.evaluator import MIN_TRACKED
-from kinebench_drake.evaluation.preparation import PreparedVideo, find_video_framing, prepare_video
+from kinebench_drake.evaluation.preparation import PreparedVideo, prepare_video
+from kinebench_drake.geometry import Array
 from kinebench_drake.grounding.overrides.overrides import Overrides
 from kinebench_drake.io.video import Video
-from kinebench_drake.types import Domain, GripperKind
+from kinebench_drake.types import Domain, GripperKind, GripperTrack, Priors
 
 if TYPE_CHECKING:  # torch and Open3D take seconds to load
+    from kinebench_drake.calibration.camera_estimate import CameraEstimate
     from kinebench_drake.grounding.pipeline import GroundingResult
 
 HAND_SHARE, ARM_SHARE = 0.1, 0.5
 """Share of tracked frames below which a hand counts as not seen, and from which on an arm does."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GroundedVideo:
+    """Track of a video with the camera behind it."""
+
+    choice: CameraChoice
+    prepared: PreparedVideo
+    grounding: "GroundingResult"
+
+    @property
+    def track(self) -> GripperTrack:
+        """The track; of an unmeasurable video with the poses that are seen, but not trusted."""
+        track = self.choice.without_base(self.grounding.track)
+        if self.unmeasurable is None:
+            return track
+        return replace(track, X_CH=np.where(track.tracked[:, None, None], track.X_CH, self.grounding.X_CH_raw))
+
+    @property
+    def unmeasurable(self) -> str | None:
+        """Why the track cannot be measured although a gripper is seen; None if it can."""
+        track, tracked = self.grounding.track, int(self.grounding.track.tracked.sum())
+        if tracked >= MIN_TRACKED:
+            return None
+        flange, count = self.grounding.domain is Domain.ARM, int(self.grounding.has_pose.sum())
+        reason = "" if self.choice.reason is None else f"; {self.choice.reason}"
+        return (
+            f"{'the flange' if flange else 'a gripper'} is seen in {count} of {len(track.t_s)} frames, but trusted in "
+            f"{tracked}, a path needs {MIN_TRACKED}: its confidence is {track.confidence.max():.2f} at most{reason}"
+        )
+
+
+class VideoGrounder:
+    """Grounding of one video with the cameras that come into question."""
+
+    def __init__(
+        self,
+        video: Video,
+        sample: VideoSample,
+        overrides: Overrides,
+        analyzer: Analyzer,
+        period_s: float | None = None,
+        gripper: GripperKind = GripperKind.AUTO,
+        *,
+        duration_s: float | None = None,
+    ) -> None:
+        """Set the input; see `ground_with_camera`."""
+        self._video, self._sample, self._overrides, self._analyzer = video, sample, overrides, analyzer
+        self._period_s, self._duration_s, self._gripper = period_s, duration_s, gripper
+
+    def ground_named(self) -> GroundedVideo:
+        """Ground with the named camera, and check it."""
+        prepared = self._prepare(self._sample)
+        if self._overrides.poses is not None:
+            grounding = self._analyzer.ground(*_inputs(prepared))
+            return GroundedVideo(choice=CameraChoice(sample=self._sample), prepared=prepared, grounding=grounding)
+        hand = None if self._seeks_other else self._analyzer.ground(*_inputs(prepared))
+        if hand is not None:
+            choice = self._check(prepared, hand)
+            if choice.reading is not None:  # then the arm alone would agree with the wrong reading, too
+                _require_seen(hand, choice.reason)
+                return GroundedVideo(choice=choice, prepared=prepared, grounding=hand)
+            if not self._is_lost(hand):
+                return GroundedVideo(choice=choice, prepared=prepared, grounding=hand)
+        arm = self._ground_arm(prepared)
+        if arm is not None:
+            return GroundedVideo(choice=self._check(prepared, arm), prepared=prepared, grounding=arm)
+        assert hand is not None  # without a hand to measure there is an arm
+        _require_seen(hand, choice.reason)
+        return GroundedVideo(choice=choice, prepared=prepared, grounding=hand)
+
+    def ground_unnamed(self) -> GroundedVideo:
+        """Ground with the benchmark camera if the arm confirms it, else with an estimated one, else without any."""
+        if self._seeks_other:
+            arm = self._confirmed_arm(self._prepare(self._sample))
+            if arm is None:
+                raise UnmeasurableError(
+                    "no camera is named, and the arm does not confirm the benchmark camera; with another gripper than "
+                    "Franka's no camera is estimated: name it (camera.json)"
+                )
+            return arm
+        assumed: GroundedVideo | None = None
+        with suppress(UnmeasurableError):  # the shape of the video is not that of the benchmark camera's image
+            assumed = self._ground_as_assumed()
+        if assumed is not None and (assumed.choice.reason is None or assumed.choice.reading is not None):
+            _require_seen(assumed.grounding, assumed.choice.reason)
+            return assumed
+        against = (
+            "no camera is named, and the shape of the video is not that of the benchmark camera"
+            if assumed is None
+            else f"no camera is named, and {_contradiction_of_benchmark(assumed.choice.agreement)}"
+        )
+        hands, searched = self._analyzer.count_hands(self._video.frames)
+        if not hands and assumed is not None and (arm := self._confirmed_arm(assumed.prepared)) is not None:
+            return arm
+        if not hands:
+            raise UnmeasurableError(
+                f"no Franka hand is found in any of {searched} frames searched, whatever the camera; is the robot in "
+                "view? With another gripper name the camera (camera.json)"
+            )
+        estimate: CameraEstimate | None = None
+        try:
+            estimate = self._analyzer.estimate_camera(self._video.frames)
+            doubt = estimate.doubt
+        except UnmeasurableError as error:
+            doubt = str(error)
+        camera = usual_camera(self._video.frames) if estimate is None else estimate.camera
+        source = CameraSource.ESTIMATED if doubt is None else CameraSource.NONE
+        sample = replace(self._sample, camera=camera, camera_source=source)
+        prepared = self._prepare(sample)
+        grounding = self._analyzer.ground(*_inputs(prepared))
+        agreement = track_agreement(prepared.frames, prepared.camera, grounding, self._analyzer)
+        reading = None
+        if doubt is None:
+            reading = find_reading(prepared.frames, prepared.camera, agreement, self._analyzer)
+            if reading is not None:
+                doubt = reading.describe()
+            elif agreement is None or agreement < AGREEMENT:
+                doubt = f"the track does not confirm the estimated camera ({_share(agreement)})"
+        _require_seen(grounding, None)
+        choice = CameraChoice(
+            sample=sample,
+            agreement=agreement,
+            estimate=estimate,
+            reading=reading,
+            reason=None if doubt is None else f"the base frame is unknown: {against}, and {doubt}",
+        )
+        return GroundedVideo(choice=choice, prepared=prepared, grounding=grounding)
+
+    @property
+    def _seeks_other(self) -> bool:
+        """Whether another gripper than Franka's is sought from the start."""
+        return self._gripper in (GripperKind.NONE, GripperKind.ROBOTIQ_2F85)
+
+    def _prepare(self, sample: VideoSample) -> PreparedVideo:
+        return prepare_video(self._video, sample, self._period_s, self._overrides, duration_s=self._duration_s)
+
+    def _check(self, prepared: PreparedVideo, grounding: "GroundingResult") -> CameraChoice:
+        return check_named(self._sample, prepared.frames, prepared.camera, grounding, self._analyzer)
+
+    def _is_lost(self, hand: "GroundingResult") -> bool:
+        """Return whether a hand is tracked in so few frames that it may be another gripper."""
+        least = max(MIN_TRACKED, HAND_SHARE * len(hand.track.t_s))
+        return self._gripper is GripperKind.AUTO and int(hand.track.tracked.sum()) < least
+
+    def _ground_arm(self, prepared: PreparedVideo) -> "GroundingResult | None":
+        """Track the flange: by the links alone, else with the contours of a Robotiq 2F-85; None if it is not seen.
+
+        A gripper that is named is measured in any case.
+
+        Raises:
+            UnmeasurableError: the flange with a named gripper is seen in no frame.
+        """
+        if self._seeks_other:
+            arm = self._analyzer.ground_arm(*_inputs(prepared), self._gripper)
+            if not arm.track.confidence.any():
+                raise UnmeasurableError(
+                    f"the flange is found in none of {len(arm.track.t_s)} frames: are wrist and forearm in view, and "
+                    "is this the video's camera?"
+                )
+            return arm
+        for gripper in (GripperKind.NONE, GripperKind.ROBOTIQ_2F85):
+            arm = self._analyzer.ground_arm(*_inputs(prepared), gripper)
+            if arm.track.tracked.mean() >= ARM_SHARE:
+                return arm
+            if not arm.track.confidence.any():  # contours of a gripper are sought where there is an arm
+                break
+        return None
+
+    def _ground_as_assumed(self) -> GroundedVideo:
+        """Track with the benchmark camera; without a base frame unless the arm confirms the camera.
+
+        Where edges contradict the camera poses are not refined, since another one is likely.
+        """
+        prepared = self._prepare(self._sample)
+        frames, camera = prepared.frames, prepared.camera
+        priors = replace(prepared.priors, camera_is_assumed=True)
+        grounding = self._analyzer.ground(frames, camera, prepared.t_s, priors)
+        agreement = track_agreement(frames, camera, grounding, self._analyzer)
+        if grounding.domain is not Domain.FAMILIAR:
+            agreement = self._analyzer.camera_agreement(frames, camera)
+            if agreement is not None and agreement >= CONFIRMED:
+                grounding = self._analyzer.ground(*_inputs(prepared))
+                agreement = track_agreement(frames, camera, grounding, self._analyzer)
+        reading = find_reading(frames, camera, agreement, self._analyzer)
+        reason = None
+        if reading is not None:
+            reason = (
+                f"the base frame is unknown: no camera is named, and with the benchmark camera {reading.describe()}"
+            )
+        elif agreement is None or agreement < CONFIRMED:
+            reason = _contradiction_of_benchmark(agreement)
+        choice = CameraChoice(sample=self._sample, agreement=agreement, reading=reading, reason=reason)
+        return GroundedVideo(choice=choice, prepared=prepared, grounding=grounding)
+
+    def _confirmed_arm(self, prepared: PreparedVideo) -> GroundedVideo | None:
+        """Track the flange with the benchmark camera; None if its arm does not confirm the camera."""
+        if self._gripper is GripperKind.FRANKA:
+            return None
+        with suppress(UnmeasurableError):
+            arm = self._ground_arm(prepared)
+            if arm is None:
+                return None
+            agreement = track_agreement(prepared.frames, prepared.camera, arm, self._analyzer)
+            if agreement is not None and agreement >= CONFIRMED:
+                choice = CameraChoice(sample=self._sample, agreement=agreement)
+                return GroundedVideo(choice=choice, prepared=prepared, grounding=arm)
+        return None
 
 
 def ground_with_camera(
@@ -35,144 +248,59 @@ def ground_with_camera(
     sample: VideoSample,
     overrides: Overrides,
     analyzer: Analyzer,
-    option: str = AUTO,
     period_s: float | None = None,
     gripper: GripperKind = GripperKind.AUTO,
     *,
     duration_s: float | None = None,
-) -> tuple[CameraChoice, PreparedVideo, "GroundingResult"]:
-    """Choose the camera of a video, ground the video, and check a camera of the input against the arm.
+) -> GroundedVideo:
+    """Choose the camera of a video, ground the video, and confirm the camera by the arm of the track.
+
+    Base-frame poses exist only where the camera is named and not contradicted, or confirmed.
 
     Args:
         video: as decoded.
         sample: labels and camera of the video.
         overrides: stages of the grounding that are replaced; poses leave a camera unchecked.
         analyzer: checks and estimates cameras, grounds.
-        option: value of `--camera`.
         period_s: task time between two frames [s]; None: the video's own.
         gripper: value of `--gripper`.
         duration_s: task time over which the frames lie evenly [s]; None: they are one period apart.
 
     Raises:
         InputError: an override does not fit the video.
-        UnmeasurableError: the video is too small or too short, or the gripper was found in too few frames.
+        UnmeasurableError: the video is too small or too short, or shows no gripper.
         SetupError: weights or libraries are missing.
-    """
-    measured = None
-    if is_assumed(sample, option) and overrides.poses is None and gripper in (GripperKind.AUTO, GripperKind.FRANKA):
-        with suppress(UnmeasurableError):  # the shape of the video is not that of the benchmark camera's image
-            prepared = prepare_video(video, sample, period_s, overrides, duration_s=duration_s)
-            measured, agreement = _ground_as_assumed(prepared, analyzer)
-            if agreement >= CONFIRMED:
-                return CameraChoice(sample=sample, agreement=agreement), prepared, measured
-    if measured is not None and _is_empty(measured):  # nothing that could agree with another camera
-        choice = CameraChoice(sample=sample)
-    else:
-        choice = choose_video_camera(video, sample, option, overrides, analyzer)
-    if choice.sample is not sample or (measured is not None and not _is_complete(measured)):
-        measured = None
-    prepared = prepare_video(video, choice.sample, period_s, overrides, duration_s=duration_s)
-    try:
-        grounding = ground_prepared(prepared, analyzer, gripper, measured=measured)
-    except UnmeasurableError as error:
-        if overrides.poses is not None:
-            raise
-        raise UnmeasurableError(f"{error}{explain_loss(choice, prepared.frames, prepared.camera, analyzer)}") from None
-    if overrides.poses is None and grounding.camera_path is None and grounding.domain is not Domain.ARM:
-        choice = check_camera(choice, prepared.frames, prepared.camera, grounding, analyzer)
-    return choice, prepared, grounding
-
-
-def choose_video_camera(
-    video: Video, sample: VideoSample, option: str, overrides: Overrides, analyzer: Analyzer
-) -> CameraChoice:
-    """Choose the camera of a video: that of the input, or as `--camera` says.
-
-    Args:
-        video: as decoded.
-        sample: labels and camera of the video.
-        option: value of `--camera`.
-        overrides: stages of the grounding that are replaced; poses need no camera to be found.
-        analyzer: checks and estimates cameras.
-
-    Raises:
-        UnmeasurableError: the video is too small or too short.
     """
     video.require_measurable()
-    if not is_assumed(sample, option) or overrides.poses is not None:
-        return CameraChoice(sample=sample)
-    try:
-        framing = find_video_framing(sample, video)
-    except UnmeasurableError:
-        return choose_camera(sample, video.frames, None, analyzer)
-    return choose_camera(sample, video.frames, (framing.crop(video.frames), framing.camera(sample.camera)), analyzer)
+    if sample.mirrored:
+        video = replace(video, frames=np.ascontiguousarray(video.frames[:, :, ::-1]))
+    grounder = VideoGrounder(video, sample, overrides, analyzer, period_s, gripper, duration_s=duration_s)
+    if sample.camera_source.is_named or overrides.poses is not None:
+        return grounder.ground_named()
+    return grounder.ground_unnamed()
 
 
-def ground_prepared(
-    video: PreparedVideo,
-    analyzer: Analyzer,
-    gripper: GripperKind = GripperKind.AUTO,
-    *,
-    measured: "GroundingResult | None" = None,
-) -> "GroundingResult":
-    """Track the hand through a prepared video, or the flange.
+def _inputs(prepared: PreparedVideo) -> tuple[NDArray[np.uint8], Camera, Array, Priors]:
+    return prepared.frames, prepared.camera, prepared.t_s, prepared.priors
 
-    Automatically the flange is measured where the hand is found in next to no frame, and the flange in most: by the
-    links alone, else with the contours of a Robotiq 2F-85.
 
-    Args:
-        video: the video.
-        analyzer: grounds.
-        gripper: gripper of the video.
-        measured: track of the gripper, if it is measured already.
+def _share(agreement: float | None) -> str:
+    return "no posture fits" if agreement is None else f"{agreement:.0%} of the arm's contours on image edges"
+
+
+def _contradiction_of_benchmark(agreement: float | None) -> str:
+    return f"the arm does not confirm the benchmark camera ({_share(agreement)}, at least {CONFIRMED:.0%} are needed)"
+
+
+def _require_seen(grounding: "GroundingResult", reason: str | None) -> None:
+    """Check that a gripper is seen.
 
     Raises:
-        InputError: the priors do not fit the video.
-        UnmeasurableError: the gripper was found in too few frames.
-        SetupError: weights or libraries are missing.
+        UnmeasurableError: it is found in no frame.
     """
-    inputs = video.frames, video.camera, video.t_s, video.priors
-    measures_hand = gripper in (GripperKind.FRANKA, GripperKind.AUTO)
-    grounding = measured or (analyzer.ground(*inputs) if measures_hand else analyzer.ground_arm(*inputs, gripper))
-    tracked = int(grounding.track.tracked.sum())
-    if gripper is GripperKind.AUTO and tracked < max(MIN_TRACKED, HAND_SHARE * len(video.t_s)):
-        for other in (GripperKind.NONE, GripperKind.ROBOTIQ_2F85):
-            arm = analyzer.ground_arm(*inputs, other)
-            if arm.track.tracked.mean() >= ARM_SHARE:
-                return arm
-            if _is_empty(arm):  # contours of a gripper are sought where there is an arm
-                break
-    if tracked < MIN_TRACKED:
-        share = f"in {tracked} of {len(video.t_s)} frames, a path needs {MIN_TRACKED}"
-        if not measures_hand:
-            raise UnmeasurableError(
-                f"the flange was tracked {share}: its confidence is {grounding.track.confidence.max():.2f} at most; "
-                "are wrist and forearm in view, and is this the video's camera?"
-            )
+    if not grounding.has_pose.any():
+        more = "" if reason is None else f"; {reason}"
         raise UnmeasurableError(
-            f"the gripper was found {share}: is the robot in view, and is this the video's camera?"
-            + (" With another gripper than Franka's take --gripper none." if gripper is GripperKind.FRANKA else "")
+            f"no Franka hand is found in any of {len(grounding.track.t_s)} frames: is the robot in view, and is this "
+            f"the video's camera? With another gripper take --gripper none{more}"
         )
-    return grounding
-
-
-def _ground_as_assumed(video: PreparedVideo, analyzer: Analyzer) -> "tuple[GroundingResult, float]":
-    """Track the gripper with the benchmark camera; return also how well the arm confirms that camera, 0 to 1.
-
-    Where edges contradict the camera poses are not refined, since another one is likely.
-    """
-    priors = replace(video.priors, camera_is_assumed=True)
-    grounding = analyzer.ground(video.frames, video.camera, video.t_s, priors)
-    if grounding.domain is not Domain.FAMILIAR or grounding.camera_path is not None:
-        return grounding, 0.0
-    return grounding, track_agreement(video.frames, video.camera, grounding, analyzer) or 0.0
-
-
-def _is_complete(grounding: "GroundingResult") -> bool:
-    """Return whether a track with an assumed camera is the same as with a certain one: refined, or there is nothing."""
-    return grounding.domain is Domain.FAMILIAR or _is_empty(grounding)
-
-
-def _is_empty(grounding: "GroundingResult") -> bool:
-    """Return whether no frame has a pose."""
-    return not grounding.track.confidence.any()

@@ -74,7 +74,11 @@ def prepare_video(
     chosen, t_s, period_s, source = choose_frames(sample, video, period_s, duration_s)
     camera = framing.whole_camera(sample.camera)
     priors = overrides.priors(override_names(sample), video.frames, camera, sample.initial_state)
-    priors = replace(priors, camera_is_fitted=sample.camera_source is CameraSource.ESTIMATED)
+    priors = replace(
+        priors,
+        camera_is_fitted=sample.camera_source in (CameraSource.ESTIMATED, CameraSource.NONE),
+        table_height_m=sample.table_height_m,
+    )
     frames = video.frames
     if len(chosen) < len(frames):
         frames, priors = frames[chosen], priors.at(chosen)
@@ -161,6 +165,8 @@ def find_video_framing(sample: VideoSample, video: Video) -> "Framing":
         conditioning = None if sample.first_frame is None else read_image(sample.first_frame)
     except InputError:
         conditioning = None  # an image with the name of the video need not be its conditioning image
+    if sample.mirrored and conditioning is not None:
+        conditioning = np.ascontiguousarray(conditioning[:, ::-1])
     try:
         return find_framing(video.frames, sample.camera, conditioning)
     except UnmeasurableError as error:

@@ -8,14 +8,13 @@ from pathlib import Path
 import numpy as np
 
 from kinebench_drake.datasets.videos.find import find_samples
-from kinebench_drake.datasets.videos.sample import VideoSample, VideoSamples
+from kinebench_drake.datasets.videos.sample import CameraSource, VideoSample, VideoSamples
 from kinebench_drake.errors import InputError, count_noun
 from kinebench_drake.evaluation.analyzer import Analyzer, load_analyzer
 from kinebench_drake.evaluation.camera import (
     AUTO,
     camera_frame_metrics,
     camera_warnings,
-    is_assumed,
     with_camera_option,
 )
 from kinebench_drake.evaluation.evaluator import KINEMATIC_METRICS, Evaluation, Evaluator
@@ -40,9 +39,9 @@ from kinebench_drake.results.provenance import weights_hash
 from kinebench_drake.results.row import SampleRow
 from kinebench_drake.results.store import artifact_path
 from kinebench_drake.results.trackfile import write_track
-from kinebench_drake.types import Domain, GripperKind, InitialStateUse, Json
+from kinebench_drake.types import Domain, GripperKind, GripperTrack, InitialStateUse, Json
 
-VISUAL_METRICS = ("tracked_fraction", "camera_motion_px", "arm_consistency_px", "anomalies")
+VISUAL_METRICS = ("tracked_fraction", "confidence_mean", "camera_motion_px", "arm_consistency_px", "anomalies")
 """Metrics of every row of a video; null where not measurable."""
 
 
@@ -86,6 +85,11 @@ def score_videos(config: ScoreConfig, observer: RunObserver | None = None) -> Ru
     return summary
 
 
+def mean_confidence(track: GripperTrack) -> float | None:
+    """Return the mean confidence of the tracked frames; None if there are none."""
+    return round(float(track.confidence[track.tracked].mean()), 4) if track.tracked.any() else None
+
+
 def plan_videos(config: ScoreConfig, observer: RunObserver | None = None) -> Iterator[SampleRow]:
     """Read the videos of a run and yield a row of each with size, frame period and camera; nothing is written.
 
@@ -111,7 +115,7 @@ def _find(config: ScoreConfig) -> VideoSamples:
         camera_key=config.camera_key,
     )
     periods = [config.frame_period_s, *(s.frame_period_s or s.dataset_period_s for s in inputs.samples)]
-    samples = tuple(with_camera_option(inputs.samples, config.camera))
+    samples = tuple(with_camera_option(inputs.samples, config.camera, mirrored=config.mirrored))
     return replace(inputs, samples=samples, warnings=(*inputs.warnings, *period_warnings(periods)))
 
 
@@ -133,16 +137,17 @@ class VideoEvaluator(Evaluator[VideoSample, Analyzer]):
             raise InputError(sample.problem)
         video = read_video(sample.path, sample.part)
         config = self.config
-        choice, prepared, grounding = ground_with_camera(
-            video, sample, self.overrides, analyzer, config.camera, config.frame_period_s, config.gripper_kind,
+        grounded = ground_with_camera(
+            video, sample, self.overrides, analyzer, config.frame_period_s, config.gripper_kind,
             duration_s=config.duration_s,
         )  # fmt: skip
-        draws_hand = grounding.domain is not Domain.ARM
-        track, path = choice.without_base(grounding.track), grounding.camera_path
-        kinematics = analyzer.judge(track) if self.config.kind.judges and choice.reason is None else None
+        choice, prepared, grounding = grounded.choice, grounded.prepared, grounded.grounding
+        draws_hand, judges = grounding.domain is not Domain.ARM, config.kind.judges and grounded.unmeasurable is None
+        track, path = grounded.track, grounding.camera_path
+        kinematics = analyzer.judge(track, sample.table_height_m) if judges and choice.reason is None else None
         smoothness: Mapping[str, Json] = {}
         reasons: Mapping[str, str] = {}
-        if self.config.kind.judges and choice.reason is not None:
+        if judges and choice.reason is not None:
             smoothness, reasons = camera_frame_metrics(track, choice.reason)
         zoom = np.ones(len(track.t_s)) if path is None else path.zoom
         if self.config.overlay:
@@ -163,13 +168,15 @@ class VideoEvaluator(Evaluator[VideoSample, Analyzer]):
             kinematics=kinematics,
             metrics={
                 "tracked_fraction": int(track.tracked.sum()) / len(track.t_s),
+                "confidence_mean": mean_confidence(track),
                 "camera_motion_px": grounding.camera_motion_px,
                 "arm_consistency_px": grounding.arm_consistency_px,
                 "anomalies": [anomaly.to_json() for anomaly in grounding.anomalies],
                 **smoothness,
             },
             reasons=reasons,
-            tracked=track.tracked if self.config.kind.judges else None,
+            tracked=track.tracked if judges else None,
+            unmeasurable=grounded.unmeasurable,
             extra={
                 "first_frame": grounding.first_frame.value,
                 "domain": grounding.domain.value,
@@ -184,6 +191,7 @@ class VideoEvaluator(Evaluator[VideoSample, Analyzer]):
                 "clip_timing": prepared.timing.value,
                 "clip_frames": len(video.frames),
                 **({} if path is None else {"camera_path": path.to_json()}),
+                **({} if sample.table_height_m is None else {"table_height_m": sample.table_height_m}),
                 **choice.to_json(),
             },
         )
@@ -211,7 +219,7 @@ class VideoEvaluator(Evaluator[VideoSample, Analyzer]):
             "first": None if initial is None else [*initial.X_BG.ravel().tolist(), str(initial.finger_width_m)],
             "depth_exact": self.overrides.depth_exact,
             **({} if self.config.gripper_kind is GripperKind.AUTO else {"gripper": self.config.gripper}),
-            **({"camera_option": AUTO} if is_assumed(sample, self.config.camera) else {}),
+            "scene": [sample.mirrored, sample.table_height_m],
             "labels": [sample.seed, sample.prompt, sample.fps, sample.frame_period_s, sample.problem],
             "part": [*dataclasses.astuple(sample.part), sample.camera_key, sample.dataset_period_s],
         }
@@ -227,7 +235,7 @@ class VideoEvaluator(Evaluator[VideoSample, Analyzer]):
     def labels(self, sample: VideoSample) -> Mapping[str, Json]:
         """Return the camera's source, replaced stages, seed and prompt."""
         return {
-            "camera_source": sample.camera_source.value,
+            "camera_source": (sample.camera_source if sample.camera_source.is_named else CameraSource.NONE).value,
             "given": self._replaced(sample),
             "seed": sample.seed,
             "prompt": sample.prompt,
@@ -249,8 +257,7 @@ class _VideoReader(VideoEvaluator):
             raise InputError(sample.problem)
         video = read_video(sample.path, sample.part)
         video.require_measurable()
-        assumed = is_assumed(sample, self.config.camera)
-        if not assumed:
+        if sample.camera_source.is_named:
             find_video_framing(sample, video)
         _, t_s, period_s, source = choose_frames(sample, video, self.config.frame_period_s, self.config.duration_s)
         return Evaluation(
@@ -261,6 +268,6 @@ class _VideoReader(VideoEvaluator):
                 "height": video.height,
                 "frame_period_s": period_s,
                 "frame_period_source": source.value,
-                **({"camera_source": AUTO} if assumed else {}),
+                **({} if sample.camera_source.is_named else {"camera_source": AUTO}),
             },
         )

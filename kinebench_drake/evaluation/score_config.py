@@ -41,6 +41,8 @@ class ScoreConfig(RunConfig):
     """Folder of poses that replace the tracker's."""
     camera: str = AUTO
     """`auto`, `benchmark`, or the path of a camera.json for all videos."""
+    mirrored: bool = False
+    """Turn all frames left-right before they are measured."""
     gripper: str = GripperKind.AUTO.value
     """Name of a `GripperKind`."""
     pixels_only: bool = False
@@ -106,6 +108,7 @@ class ScoreConfig(RunConfig):
             "task_duration_s": self.duration_s,
             "camera_key": self.camera_key,
             "camera": self.camera if self.camera in (AUTO, BENCHMARK) else Path(self.camera).name,
+            "mirrored": self.mirrored,
             "gripper": self.gripper,
             "overlay": self.overlay,
             "pixels_only": self.pixels_only,

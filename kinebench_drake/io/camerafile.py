@@ -2,12 +2,12 @@
 
 from pathlib import Path
 
-from kinebench_drake.camera import Camera
+from kinebench_drake.camera import Camera, CameraSetting
 from kinebench_drake.errors import UsageError, cause
 from kinebench_drake.io.jsonl import read_json, write_json
 
 
-def load_camera(path: Path, name: str | None = None) -> Camera:
+def load_camera(path: Path, name: str | None = None) -> CameraSetting:
     """Read `camera.json`.
 
     Args:
@@ -22,7 +22,7 @@ def load_camera(path: Path, name: str | None = None) -> Camera:
         data = read_json(path)
     except (OSError, ValueError) as error:
         raise UsageError(f"{name}: cannot be read as JSON ({cause(error)})") from None
-    return Camera.from_json(data, name)
+    return CameraSetting.from_json(data, name)
 
 
 def save_camera(camera: Camera, path: Path) -> None:

@@ -5,10 +5,12 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from fractions import Fraction
 from pathlib import Path
+from typing import cast
 
 import av
 import numpy as np
 from av.container import InputContainer, OutputContainer
+from av.sidedata.sidedata import SideData
 from av.video.frame import VideoFrame
 from av.video.stream import VideoStream
 from numpy.typing import NDArray
@@ -20,6 +22,8 @@ from kinebench_drake.io.video import Video, VideoPart, stack_frames
 
 _OPTIONS = {"format_whitelist": "mov,matroska,avi,gif", "protocol_whitelist": "file"}
 """FFmpeg must read no playlist: playlists name other files and addresses."""
+_SQUARE, _STRETCHED = 0.01, 4.0
+"""Deviation from 1 below which pixels count as square, and greatest ratio of their sides, either way."""
 _BEFORE_S = 1.0  # decoding starts this much earlier: seeking uses the decoding order, not the display order
 
 
@@ -64,6 +68,7 @@ def _decode(
 ) -> Iterator[tuple[str, NDArray[np.uint8]]]:
     """Yield the name and the image of each frame of a part, and append its time stamp to `stamps`."""
     half_s = 0.5 / float(rate) if rate else 0.0
+    aspect = _pixel_aspect(name, stream)
     if part.from_s and stream.time_base:
         begin_s = max(0.0, part.from_s - _BEFORE_S)
         container.seek(int(begin_s / stream.time_base), stream=stream)
@@ -75,7 +80,7 @@ def _decode(
         label = f"{name}: frame {len(stamps)}"
         if frame.is_corrupt:
             raise InputError(f"{label} is damaged")
-        image = _upright(frame)
+        image = _displayed(frame, aspect)
         stamps.append(frame.time)
         yield label, image
     if not stamps:
@@ -86,10 +91,35 @@ def _span(part: VideoPart) -> str:
     return f" from {part.from_s or 0.0:g} s to {part.to_s:g} s" if part.to_s is not None else ""
 
 
-def _upright(frame: VideoFrame) -> NDArray[np.uint8]:
-    """Return the image as players show it: phones store a rotation beside the pixels."""
-    image = frame.to_ndarray(format="rgb24")
-    return np.ascontiguousarray(np.rot90(image, k=round(frame.rotation / 90) % 4)).astype(np.uint8, copy=False)
+def _displayed(frame: VideoFrame, pixel_aspect: Fraction) -> NDArray[np.uint8]:
+    """Return the image as players show it: with square pixels, turned or mirrored as its display matrix says."""
+    width = round(frame.width * pixel_aspect)
+    image = frame.to_ndarray(format="rgb24", width=width, height=frame.height)
+    matrix = frame.side_data.get("DISPLAYMATRIX")
+    if matrix is not None:
+        # Pixel (x, y) is shown at (a x + c y, b x + d y) from the corner of the image: libavutil/display.h.
+        (a, b), (c, d) = np.sign(np.frombuffer(bytes(cast(SideData, matrix)), np.int32).reshape(3, 3)[:2, :2])
+        if b and c:
+            image, a, d = image.transpose(1, 0, 2), c, b
+        image = image[:: d or 1, :: a or 1]
+    return np.ascontiguousarray(image).astype(np.uint8, copy=False)
+
+
+def _pixel_aspect(name: str, stream: VideoStream) -> Fraction:
+    """Return width over height of the stream's pixels; 1 where it is unknown or next to it.
+
+    Raises:
+        InputError: it is far from 1, so that the file is damaged rather than squeezed.
+    """
+    aspect = stream.sample_aspect_ratio
+    if not aspect or abs(aspect - 1) < _SQUARE:
+        return Fraction(1)
+    if not 1 / _STRETCHED <= aspect <= _STRETCHED:
+        raise InputError(
+            f"{name}: its pixels are {float(aspect):.3g} times as wide as high, expected {1 / _STRETCHED:g} to "
+            f"{_STRETCHED:g}"
+        )
+    return aspect
 
 
 def _missing_s(

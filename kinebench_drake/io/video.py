@@ -1,7 +1,7 @@
 """A decoded video as an array, the part of a file that is a video, and limits of both."""
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,6 +52,10 @@ class Video:
     def height(self) -> int:
         """Image height [px]."""
         return int(self.frames.shape[1])
+
+    def mirrored(self) -> "Video":
+        """Return the video turned left-right."""
+        return replace(self, frames=np.ascontiguousarray(self.frames[:, :, ::-1]))
 
     def require_measurable(self) -> None:
         """Check that a track can be estimated.

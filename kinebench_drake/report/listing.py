@@ -6,21 +6,25 @@ import zlib
 from collections.abc import Hashable, Sequence
 from pathlib import Path
 
+from kinebench_drake.io.jsonl import as_object
 from kinebench_drake.report.metric import Metric
 from kinebench_drake.report.sample import VERDICT_LABELS, VIDEOS, explain, is_viewable, numeric_value, verdict_of
 from kinebench_drake.report.table import format_value
 from kinebench_drake.report.timeline import anomalies_of
 from kinebench_drake.results.row import SampleRow
 from kinebench_drake.results.store import artifact_path
+from kinebench_drake.results.trust import TRUST, TrustLevel
 
 LOST = "lost frames"
 
 
 def fault_chips(row: SampleRow) -> list[tuple[str, str]]:
-    """List the kinds of faults of a sample once each, with the class of their colour."""
+    """List the kinds of faults of a sample once each, and trust that needs a look, with the class of their colour."""
     chips = [(str(v["kind"]), "") for v in row.violations] + [(str(a["kind"]), "anomaly") for a in anomalies_of(row)]
     lost = [(LOST, "lost")] if "lost" in row.executable_reasons else []
-    return list(dict.fromkeys((kind.replace("_", " "), css) for kind, css in [*chips, *lost]))
+    level = as_object(row.extra.get(TRUST)).get("level")
+    trust = [(f"trust: {level}", "lost")] if level in (TrustLevel.CHECK.value, TrustLevel.UNKNOWN.value) else []
+    return list(dict.fromkeys((kind.replace("_", " "), css) for kind, css in [*chips, *lost, *trust]))
 
 
 def pack_listing(out: Path, rows: Sequence[SampleRow], columns: Sequence[Metric]) -> str:

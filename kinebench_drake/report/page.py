@@ -34,6 +34,7 @@ from kinebench_drake.results.inputs import input_lines
 from kinebench_drake.results.provenance import report_hash
 from kinebench_drake.results.row import SampleRow, Status
 from kinebench_drake.results.store import ARTIFACTS, REPORT, RESULTS, read_rows
+from kinebench_drake.results.trust import trust_lines
 from kinebench_drake.types import Json
 
 DRAWN = 100
@@ -136,7 +137,7 @@ def build_page(out: Path, rows: Iterable[SampleRow] | None = None, statistics: R
         title=_title(results),
         stamp=_stamp(out),
         results=results,
-        inputs=input_lines(rows),
+        inputs=[*input_lines(rows), *trust_lines(row.extra for row in rows)],
         total=total,
         headlines=[(BY_NAME[n], total.estimates[n]) for n in layout.headlines if _is_measured(total, n)],
         metrics=[

@@ -64,7 +64,8 @@ def write_replays(out: Path, ids: Sequence[str], plant: ArmPlant | None = None) 
             continue
         plant = plant or ArmPlant()
         meshes = meshes or link_meshes(plant)
-        page = build_replay(plant, meshes, rows[id], file, table_height_m=height or 0.0)
+        own_m = to_number(rows[id].extra.get("table_height_m"))
+        page = build_replay(plant, meshes, rows[id], file, table_height_m=height or 0.0 if own_m is None else own_m)
         write_atomically(path, page.encode())
         written.append(path)
     return written

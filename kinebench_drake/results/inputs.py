@@ -39,13 +39,22 @@ _CAMERAS: Mapping[str, str] = {
     "given": "argument of the call",
     "manifest": "from the manifest",
     "folder": "from camera.json",
-    "benchmark": "the benchmark's, by default",
+    "benchmark": "the benchmark's, confirmed by the arm",
     "option": "from --camera",
-    "auto": "the benchmark's where the arm agrees with it, else estimated from the arm",
+    "auto": "the benchmark's where the arm confirms it, else estimated from the arm",
     "estimated": "estimated from the arm",
+    "none": "unknown, there is no base frame",
 }
 _MOST = 3
 """Values that a line lists."""
+
+
+def describe_period(extra: Mapping[str, Json]) -> str:
+    """Describe the frame period of a row and its source by the row's further keys."""
+    period_s, source = extra.get("frame_period_s"), str(extra.get("frame_period_source"))
+    if not isinstance(period_s, int | float):
+        return "unknown"
+    return f"{period_s:.4g} s, {_PERIODS.get(source, source)}"
 
 
 def list_inputs(rows: Iterable[SampleRow]) -> dict[str, list[dict[str, Json]]]:

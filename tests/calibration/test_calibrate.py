@@ -56,7 +56,7 @@ def test_the_command_writes_a_camera_that_score_takes(program, video, estimator,
     joints = tmp_path / "joints.npz"
     code, stated, err = program("calibrate", video, "--joints", joints, "--out", out, "--figure", figure, "--json")
     assert (code, err) == (0, "")
-    camera, figures = load_camera(out), json.loads(stated)
+    camera, figures = load_camera(out).camera, json.loads(stated)
     assert float(pose_difference(camera.X_BC, estimator.camera.X_BC)[0]) < 0.02
     assert camera.fx == pytest.approx(400.0, rel=0.03)
     assert figures["camera"] == json.loads(out.read_text())
@@ -72,7 +72,7 @@ def test_a_given_focal_length_is_kept(program, video, tmp_path):
     assert code == 0
     assert "400.0 px, given" in stated
     assert "4 frames" in stated
-    assert load_camera(out).fx == 400.0
+    assert load_camera(out).camera.fx == 400.0
 
 
 @pytest.mark.parametrize(

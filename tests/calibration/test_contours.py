@@ -105,7 +105,7 @@ def test_turns_that_differ_too_little_are_decided_by_their_fits(estimator, model
     prior, rows = LensPrior(lens=right.scene.lens, log_focal_sigma=0.0), np.arange(len(frames))
 
     def fit(*turns):
-        return estimator._turn(right, turns, images, prior, rows=rows, total=len(frames))
+        return estimator._turn(right, turns, images, prior, rows=rows, total=len(frames))[0]
 
     both = fit(wrong, better, BaseTurn(angle_rad=-1.0, share=0.2))
     assert np.allclose(both.scene.lens.X_CB, right.scene.lens.X_CB, atol=0.02)

@@ -61,6 +61,14 @@ class FakeGrounding:
     curves: dict[str, np.ndarray] = field(default_factory=dict)
     camera_path: None = None
 
+    @property
+    def X_CH_raw(self):
+        return self.track.X_CH
+
+    @property
+    def has_pose(self):
+        return np.isfinite(self.track.X_CH).all(axis=(1, 2))
+
 
 class FakeAnalyzer:
     def __init__(self, options):
@@ -121,13 +129,19 @@ class FakeAnalyzer:
     def estimate_camera(self, frames):
         raise UnmeasurableError("no camera can be estimated: a gripper is seen in 0 of the frames searched")
 
-    def posture_agreement(self, frames, camera, q, finger_m):
+    def posture_agreement(self, frames, camera, q, finger_m, *, hand):
         return 0.7
 
     def camera_contradiction(self, frames, camera):
         return None
 
-    def judge(self, track):
+    def camera_reading(self, frames, camera, least, *, mirrored_only):
+        return None
+
+    def count_hands(self, frames):
+        return (0 if act_of(frames) is Act.NO_ROBOT else len(frames)), len(frames)
+
+    def judge(self, track, table_height_m=None):
         n = len(track.t_s)
         q = np.linspace(-0.5, 0.5, n)[:, None] * np.ones(7)
         q[~track.tracked] = np.nan
@@ -149,7 +163,7 @@ class FakeAnalyzer:
             metrics={"sparc": -1.6 - speed, "ik_success_rate": 1.0, "trajopt_feasible": True, "ldlj": float("nan")},
             violations=(violation,) if self._infeasible else (),
             reasons={"ldlj": "the fake has none"},
-            details={"table_height_m": self._options.table_height_m},
+            details={"table_height_m": self._options.table_height_m if table_height_m is None else table_height_m},
             curves={"manipulability": 0.05 + 0.02 * np.cos(q[:, 0] * 5), "joint_margin": 0.4 - q[:, 0] ** 2},
         )
 

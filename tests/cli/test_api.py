@@ -147,7 +147,7 @@ def test_a_video_by_itself_has_the_track_of_the_command(program, film, tmp_path)
 @pytest.mark.usefixtures("quick")
 def test_a_camera_that_the_arm_contradicts_is_said_and_gives_no_base_frame(film, monkeypatch):
     other = CameraContradiction(agreement=0.3, better=0.7, focal_ratio=0.7, gripper_m=0.2, gripper_rad=0.0)
-    monkeypatch.setattr(FakeAnalyzer, "posture_agreement", lambda *_: 0.3)
+    monkeypatch.setattr(FakeAnalyzer, "posture_agreement", lambda *_, hand: 0.3)
     monkeypatch.setattr(FakeAnalyzer, "camera_contradiction", lambda *_: other)
     with pytest.warns(UserWarning, match="1.43 times as long"):
         track = ground_video(film("clip.mp4"), camera=benchmark_camera()).track

@@ -30,7 +30,7 @@ def test_shards_merged_are_one_run(film, program, tmp_path, monkeypatch, command
         program(*shared, "--out", part, "--shard", f"{k}/3")
     code, said, err = program("merge", *parts, "--out", tmp_path / "out")
     assert (code, err) == (0, "")
-    reason = "unmeasurable: 1 of 5 samples: the gripper was found in 0 of"
+    reason = "unmeasurable: 1 of 5 samples: no Franka hand is found in any of"
     assert reason in said
     assert "; error: 1 of 5 samples: " in said
     assert content(tmp_path / "out") == content(tmp_path / "whole")

@@ -8,7 +8,7 @@ from kinebench_drake.datasets import lerobot, manifest
 from kinebench_drake.datasets.folders import is_output, list_suffixes, require_apart, run_of, walk
 from kinebench_drake.datasets.ids import unique_ids
 from kinebench_drake.datasets.videos import ewmbench, hdf5_videos, videofolder, worldarena
-from kinebench_drake.datasets.videos.sample import VideoSample, VideoSamples, default_camera
+from kinebench_drake.datasets.videos.sample import VideoSample, VideoSamples
 from kinebench_drake.datasets.videos.search import CameraLookup, Search
 from kinebench_drake.errors import InputError, UsageError
 from kinebench_drake.io.files import IMAGE_SUFFIXES, VIDEO_SUFFIXES, absence
@@ -113,9 +113,7 @@ def list_folder(folder: Path, search: Search, skipped: Sequence[Path]) -> list[V
             except InputError as error:
                 if here == search.top:
                     raise
-                camera, source = default_camera()
-                name = search.name(here)
-                broken = VideoSample(id=here.name, path=here, video=name, camera=camera, camera_source=source)
+                broken = VideoSample(id=here.name, path=here, video=search.name(here))
                 samples.append(replace(broken, problem=str(error)))
             continue
         videos = [f for f in files if Path(f).suffix.lower() in VIDEO_SUFFIXES]

@@ -1,11 +1,10 @@
 """Video samples and the result of a search for them."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from enum import Enum
-from functools import cache
 from pathlib import Path
 
-from kinebench_drake.camera import Camera, benchmark_camera
+from kinebench_drake.camera import Camera, CameraSetting, benchmark_camera
 from kinebench_drake.io.video import WHOLE, VideoPart
 from kinebench_drake.types import InitialState
 
@@ -22,6 +21,13 @@ class CameraSource(Enum):
     """File of the command line, which precedes all."""
     ESTIMATED = "estimated"
     """Estimated from the arm."""
+    NONE = "none"
+    """None: a lens with a usual field of view is assumed, and there is no base frame."""
+
+    @property
+    def is_named(self) -> bool:
+        """True if the user or the input names the camera."""
+        return self in (CameraSource.GIVEN, CameraSource.MANIFEST, CameraSource.FOLDER, CameraSource.OPTION)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -36,9 +42,13 @@ class VideoSample:
     """Part of the file."""
     video: str
     """Name of the video in results: relative to the named folder or manifest, with `#` before a part of a file."""
-    camera: Camera
+    camera: Camera = field(default_factory=benchmark_camera)
     """Camera before scaling to the size of the video."""
-    camera_source: CameraSource
+    camera_source: CameraSource = CameraSource.BENCHMARK
+    mirrored: bool = False
+    """True if the frames are turned left-right before they are measured."""
+    table_height_m: float | None = None
+    """Height of the table top in the robot base frame by the camera's file [m]; None if it is not stated."""
     camera_key: str | None = None
     """Name of the camera in its dataset; None for a file with one video."""
     task: str | None = None
@@ -58,6 +68,18 @@ class VideoSample:
     problem: str | None = None
     """Reason why the sample cannot be read (a broken manifest line); None if it can be tried."""
 
+    def filmed_by(self, setting: CameraSetting | None, source: CameraSource) -> "VideoSample":
+        """Return the sample with a named camera; unchanged if `setting` is None."""
+        if setting is None:
+            return self
+        return replace(
+            self,
+            camera=setting.camera,
+            camera_source=source,
+            mirrored=setting.mirrored or self.mirrored,
+            table_height_m=setting.table_height_m,
+        )
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class VideoSamples:
@@ -65,9 +87,3 @@ class VideoSamples:
 
     samples: tuple[VideoSample, ...]
     warnings: tuple[str, ...] = ()
-
-
-@cache
-def default_camera() -> tuple[Camera, CameraSource]:
-    """Return the camera of samples that have none of their own, and its source."""
-    return benchmark_camera(), CameraSource.BENCHMARK

@@ -5,8 +5,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from kinebench_drake.camera import Camera
-from kinebench_drake.datasets.videos.sample import CameraSource, VideoSample, default_camera
+from kinebench_drake.camera import CameraSetting
+from kinebench_drake.datasets.videos.sample import CameraSource, VideoSample
 from kinebench_drake.errors import InputError
 from kinebench_drake.io.camerafile import load_camera
 from kinebench_drake.io.files import IMAGE_SUFFIXES
@@ -24,17 +24,16 @@ class CameraLookup:
             UsageError: its file is unusable, which is reported even if no sample needs it.
         """
         self._top = top
-        self._cameras: dict[Path, Camera | None] = {}
+        self._cameras: dict[Path, CameraSetting | None] = {}
         self._find(top)
 
-    def of(self, folder: Path) -> tuple[Camera, CameraSource]:
-        """Return the camera of the videos in a folder, the benchmark's if there is no file, and its source.
+    def film(self, sample: VideoSample, folder: Path) -> VideoSample:
+        """Return a sample with the camera of the videos in a folder; unchanged if there is no file.
 
         Raises:
             UsageError: its file is unusable.
         """
-        camera = self._find(folder)
-        return default_camera() if camera is None else (camera, CameraSource.FOLDER)
+        return sample.filmed_by(self._find(folder), CameraSource.FOLDER)
 
     def assign(self, folder: Path, file: Path) -> None:
         """Use a `file` elsewhere, if it exists, for `folder` and below, unless that has its own.
@@ -45,7 +44,7 @@ class CameraLookup:
         if file.is_file() and not (folder / CAMERA_NAME).exists():
             self._cameras[folder] = load_camera(file, str(file))
 
-    def _find(self, folder: Path) -> Camera | None:
+    def _find(self, folder: Path) -> CameraSetting | None:
         if folder not in self._cameras:
             file = folder / CAMERA_NAME
             if file.exists():
@@ -103,9 +102,9 @@ class Search:
             UsageError: the camera file is unusable.
         """
         is_folder = path.is_dir()
-        camera, source = self.cameras.of(path if is_folder else path.parent)
         id = path.resolve().name if is_folder else path.stem
-        return VideoSample(id=id, path=path, video=self.name(path), camera=camera, camera_source=source)
+        sample = VideoSample(id=id, path=path, video=self.name(path))
+        return self.cameras.film(sample, path if is_folder else path.parent)
 
     def sample(self, path: Path) -> VideoSample:
         """Return a sample of a video without metadata, with the camera of its folder and the image beside it.
