@@ -236,7 +236,7 @@ def check_named(
 def _explain_disagreement(agreement: float | None, grounding: "GroundingResult") -> str | None:
     """Return why a camera that no other explains better gives no base frame; None if it does."""
     if agreement is None:
-        if grounding.arm_consistency_px is None:  # too little of the arm is seen to agree or disagree
+        if grounding.arm_consistency_px is None or not grounding.has_pose.any():  # nothing could agree or disagree
             return None
         return (
             "the base frame is unknown: the arm contradicts the camera of the input: it is seen, but agrees with the "

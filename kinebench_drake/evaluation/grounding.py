@@ -64,6 +64,26 @@ class GroundedVideo:
             f"{tracked}, a path needs {MIN_TRACKED}: its confidence is {track.confidence.max():.2f} at most{reason}"
         )
 
+    def require_pose(self) -> None:
+        """Check that a gripper is seen.
+
+        Raises:
+            UnmeasurableError: it is found in no frame.
+        """
+        if self.grounding.has_pose.any():
+            return
+        frames = len(self.grounding.track.t_s)
+        reason = "" if self.choice.reason is None else f"; {self.choice.reason}"
+        if self.grounding.domain is Domain.ARM:
+            raise UnmeasurableError(
+                f"the flange is found in none of {frames} frames: are wrist and forearm in view, and is this the "
+                f"video's camera?{reason}"
+            )
+        raise UnmeasurableError(
+            f"no Franka hand is found in any of {frames} frames: is the robot in view, and is this the video's camera? "
+            f"With another gripper take --gripper none{reason}"
+        )
+
 
 class VideoGrounder:
     """Grounding of one video with the cameras that come into question."""
@@ -93,7 +113,6 @@ class VideoGrounder:
         if hand is not None:
             choice = self._check(prepared, hand)
             if choice.reading is not None:  # then the arm alone would agree with the wrong reading, too
-                _require_seen(hand, choice.reason)
                 return GroundedVideo(choice=choice, prepared=prepared, grounding=hand)
             if not self._is_lost(hand):
                 return GroundedVideo(choice=choice, prepared=prepared, grounding=hand)
@@ -101,7 +120,6 @@ class VideoGrounder:
         if arm is not None:
             return GroundedVideo(choice=self._check(prepared, arm), prepared=prepared, grounding=arm)
         assert hand is not None  # without a hand to measure there is an arm
-        _require_seen(hand, choice.reason)
         return GroundedVideo(choice=choice, prepared=prepared, grounding=hand)
 
     def ground_unnamed(self) -> GroundedVideo:
@@ -118,7 +136,6 @@ class VideoGrounder:
         with suppress(UnmeasurableError):  # the shape of the video is not that of the benchmark camera's image
             assumed = self._ground_as_assumed()
         if assumed is not None and (assumed.choice.reason is None or assumed.choice.reading is not None):
-            _require_seen(assumed.grounding, assumed.choice.reason)
             return assumed
         against = (
             "no camera is named, and the shape of the video is not that of the benchmark camera"
@@ -152,7 +169,6 @@ class VideoGrounder:
                 doubt = reading.describe()
             elif agreement is None or agreement < AGREEMENT:
                 doubt = f"the track does not confirm the estimated camera ({_share(agreement)})"
-        _require_seen(grounding, None)
         choice = CameraChoice(
             sample=sample,
             agreement=agreement,
@@ -182,18 +198,9 @@ class VideoGrounder:
         """Track the flange: by the links alone, else with the contours of a Robotiq 2F-85; None if it is not seen.
 
         A gripper that is named is measured in any case.
-
-        Raises:
-            UnmeasurableError: the flange with a named gripper is seen in no frame.
         """
         if self._seeks_other:
-            arm = self._analyzer.ground_arm(*_inputs(prepared), self._gripper)
-            if not arm.track.confidence.any():
-                raise UnmeasurableError(
-                    f"the flange is found in none of {len(arm.track.t_s)} frames: are wrist and forearm in view, and "
-                    "is this the video's camera?"
-                )
-            return arm
+            return self._analyzer.ground_arm(*_inputs(prepared), self._gripper)
         for gripper in (GripperKind.NONE, GripperKind.ROBOTIQ_2F85):
             arm = self._analyzer.ground_arm(*_inputs(prepared), gripper)
             if arm.track.tracked.mean() >= ARM_SHARE:
@@ -232,15 +239,14 @@ class VideoGrounder:
         """Track the flange with the benchmark camera; None if its arm does not confirm the camera."""
         if self._gripper is GripperKind.FRANKA:
             return None
-        with suppress(UnmeasurableError):
-            arm = self._ground_arm(prepared)
-            if arm is None:
-                return None
-            agreement = track_agreement(prepared.frames, prepared.camera, arm, self._analyzer)
-            if agreement is not None and agreement >= CONFIRMED:
-                choice = CameraChoice(sample=self._sample, agreement=agreement)
-                return GroundedVideo(choice=choice, prepared=prepared, grounding=arm)
-        return None
+        arm = self._ground_arm(prepared)
+        if arm is None:
+            return None
+        agreement = track_agreement(prepared.frames, prepared.camera, arm, self._analyzer)
+        if agreement is None or agreement < CONFIRMED:
+            return None
+        choice = CameraChoice(sample=self._sample, agreement=agreement)
+        return GroundedVideo(choice=choice, prepared=prepared, grounding=arm)
 
 
 def ground_with_camera(
@@ -275,9 +281,10 @@ def ground_with_camera(
     if sample.mirrored:
         video = replace(video, frames=np.ascontiguousarray(video.frames[:, :, ::-1]))
     grounder = VideoGrounder(video, sample, overrides, analyzer, period_s, gripper, duration_s=duration_s)
-    if sample.camera_source.is_named or overrides.poses is not None:
-        return grounder.ground_named()
-    return grounder.ground_unnamed()
+    is_settled = sample.camera_source.is_named or overrides.poses is not None
+    grounded = grounder.ground_named() if is_settled else grounder.ground_unnamed()
+    grounded.require_pose()
+    return grounded
 
 
 def _inputs(prepared: PreparedVideo) -> tuple[NDArray[np.uint8], Camera, Array, Priors]:
@@ -290,17 +297,3 @@ def _share(agreement: float | None) -> str:
 
 def _contradiction_of_benchmark(agreement: float | None) -> str:
     return f"the arm does not confirm the benchmark camera ({_share(agreement)}, at least {CONFIRMED:.0%} are needed)"
-
-
-def _require_seen(grounding: "GroundingResult", reason: str | None) -> None:
-    """Check that a gripper is seen.
-
-    Raises:
-        UnmeasurableError: it is found in no frame.
-    """
-    if not grounding.has_pose.any():
-        more = "" if reason is None else f"; {reason}"
-        raise UnmeasurableError(
-            f"no Franka hand is found in any of {len(grounding.track.t_s)} frames: is the robot in view, and is this "
-            f"the video's camera? With another gripper take --gripper none{more}"
-        )
