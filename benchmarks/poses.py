@@ -1,5 +1,6 @@
 """Commands that measure poses and cameras against the truth, and render videos for it."""
 
+import os
 from pathlib import Path
 
 import click
@@ -17,6 +18,7 @@ from benchmarks.options import (
     out_option,
     write_section,
 )
+from kinebench_drake.errors import member_of
 from kinebench_drake.io.atomic import write_atomically
 from kinebench_drake.io.jsonl import dump, finite
 from kinebench_drake.types import AnomalyKind
@@ -122,40 +124,57 @@ def footage(
     click.echo(text)
 
 
-@click.command(epilog="\b\nExample:\n  python -m benchmarks cameras ../videos --out cameras")
+@click.command(
+    epilog="\b\nExamples:\n"
+    "  python -m benchmarks cameras ../videos --out cameras\n"
+    "  python -m benchmarks cameras heldout --out cameras --limit 20 --presented plain,mirrored,middle,opengl_axes"
+)
 @click.argument("folder", type=EXISTING_FOLDER)
 @click.option("--out", type=FOLDER, required=True, help="Folder for cameras.md and cameras.jsonl.")
-@click.option("--videos", metavar="A,B", help="Ids of videos, comma-separated.  [default: all]")
-def cameras(folder: Path, out: Path, videos: str | None) -> None:
-    """Score the videos in FOLDER as if nobody named their cameras, and compare cameras and tracks with the true ones.
-
-    FOLDER is as for `footage`; videos without reference poses are left out. The same command resumes.
-    """
-    one_thread()
-    from benchmarks.cameras import measure
-
-    names = None if videos is None else videos.split(",")
-    with errors():
-        text = measure(folder, out, names, log=log)
-    click.echo(text)
-
-
-@click.command(epilog="\b\nExample:\n  python -m benchmarks focal heldout --limit 8 --out focal")
-@click.argument("folder", type=EXISTING_FOLDER)
-@click.option("--out", type=FOLDER, required=True, help="Folder for focal.md and focal.jsonl.")
-@click.option("--factors", default="1,0.7,1.4", show_default=True, help="Focal lengths over the true one.")
+@click.option("--presented", default="plain,named", show_default=True, help="Presentations, comma-separated.")
 @click.option("--limit", type=COUNT, help="Maximum number of videos, tasks in turn.", metavar="N")
-def focal(folder: Path, out: Path, factors: str, limit: int | None) -> None:
-    """Give right and wrong focal lengths as the cameras of videos, and count those that the arm contradicts.
+@jobs_option
+def cameras(folder: Path, out: Path, presented: str, limit: int | None, jobs: int) -> None:
+    """Ground the videos in FOLDER with and without their cameras, mirrored, cropped or turned; compare with the truth.
 
-    FOLDER is as `suite demos` or `perception render` write it. The same command resumes.
+    FOLDER has a manifest.jsonl and the true poses, as `suite demos` writes them or as NAME.gt.npz. The same command
+    resumes.
     """
     one_thread()
-    from benchmarks.contradiction import measure
+    from benchmarks.presentations import Presentation, Trial, measure, outcome_table, summary_table
+    from kinebench_drake.executors.local import LocalExecutor
+    from kinebench_drake.grounding.evaluation.clip import choose, find_clips
 
     with errors():
-        text = measure(folder, out, [float(f) for f in factors.split(",")], limit=limit, log=log)
-    click.echo(text)
+        kinds = [member_of(Presentation, name, "--presented") for name in presented.split(",")]
+        trials = [Trial(clip=clip, presentation=kind) for kind in kinds for clip in choose(find_clips(folder), limit)]
+        out.mkdir(parents=True, exist_ok=True)
+        outcomes = measure(trials, LocalExecutor(jobs=jobs), out / "cameras.jsonl", log=log)
+        text = "\n".join([*summary_table(outcomes), "", *outcome_table(outcomes)]) + "\n"
+        write_atomically(out / "cameras.md", text.encode())
+    click.echo("\n".join(summary_table(outcomes)))
+
+
+@click.command(epilog="\b\nExample:\n  KINEBENCH_GATE_CLIPS=../videos python -m benchmarks gate --jobs 2")
+@jobs_option
+def gate(jobs: int) -> None:
+    """Ground short clips of several programs, with and without cameras, mirrored and cropped; exit 1 if one is wrong.
+
+    The clips and their bounds are in tests/gate. The environment variable KINEBENCH_GATE_CLIPS adds a folder of your
+    own, as `cameras` takes it.
+    """
+    one_thread()
+    from benchmarks.gate import CLIPS, CLIPS_VARIABLE, run_gate
+    from kinebench_drake.executors.local import LocalExecutor
+
+    extra = os.environ.get(CLIPS_VARIABLE)
+    with errors():
+        faults = run_gate(CLIPS, Path(extra) if extra else None, LocalExecutor(jobs=jobs), log=log)
+    for fault in faults:
+        click.echo(fault)
+    if faults:
+        raise SystemExit(1)
+    click.echo("the gate holds")
 
 
 @click.command(epilog="\b\nExample:\n  python -m benchmarks views --out views")
@@ -283,4 +302,4 @@ def planted_videos(
     write_index(out, videos)
 
 
-COMMANDS = (calibration, icp, footage, cameras, focal, views, flange, planted_videos)
+COMMANDS = (calibration, icp, footage, cameras, gate, views, flange, planted_videos)

@@ -132,6 +132,8 @@ class TruthClipFile:
     camera: Camera
     planted: PlantedCase | None
     """Planted anomaly; None for a clean clip."""
+    frame_period_s: float = 0.2
+    """Task time between two frames, where the truth has no times [s]."""
 
     def load(self, *, with_depth: bool = False) -> TruthClip:
         """Read the ground truth; depth maps only if `with_depth`.
@@ -143,13 +145,15 @@ class TruthClipFile:
             with open_npz(self.truth) as truth:
                 if with_depth and not {"depth_mm", "mask"} <= set(truth.files):
                     raise UsageError(f"{self.id}: its truth holds no depth; make the videos with --with-depth")
+                in_camera = "camera_from_hand" in truth.files
+                X_CH = truth["camera_from_hand"] if in_camera else invert(self.camera.X_BC) @ truth["base_from_hand"]
                 return TruthClip(
                     id=self.id,
                     task=self.task,
                     path=self.video,
                     camera=self.camera,
-                    t_s=truth["t_s"],
-                    X_CH=truth["camera_from_hand"],
+                    t_s=np.asarray(truth["t_s"] if "t_s" in truth.files else self._times(len(X_CH)), dtype=np.float64),
+                    X_CH=X_CH,
                     finger_width_m=truth["finger_width_m"],
                     depth_m=true_depth(truth) if with_depth else None,
                     mask=true_mask(truth) if "mask" in truth.files else None,
@@ -157,6 +161,9 @@ class TruthClipFile:
                 )
         except InputError as error:
             raise UsageError(f"{self.truth.name}: not a readable truth file ({error})") from None
+
+    def _times(self, frames: int) -> Array:
+        return self.frame_period_s * np.arange(frames, dtype=np.float64)
 
     def digest(self) -> str:
         """Return a hash of the video and its ground truth."""
@@ -200,6 +207,7 @@ def find_clips(folder: Path) -> list[TruthClipFile]:
                 truth=truth,
                 camera=camera,
                 planted=faults.get(name),
+                frame_period_s=float(entry.get("frame_period_s") or 0.2),
             )
         )
     if not clips:

@@ -28,9 +28,12 @@ from kinebench_drake.types import Json
 
 _CHECKED, _CHECK_SEARCHED = 5, 8  # frames that check a camera, and those that they are chosen from
 _READ, _READ_SEARCHED = 4, 6  # the same of a reading of the picture
-_CROP_ZOOMS, _CROP_LOG_SIGMA, _CROP_CENTRE_SIGMA = (1.1, 1.3, 1.5), 0.2, 0.15
-"""Focal lengths of cropped pictures over that of the camera, and standard deviations of their logarithm and of the
-principal point over the picture's width."""
+_CROP_ZOOMS, _CROPS_FITTED = (1.1, 1.25, 1.45), 3  # focal lengths of cropped pictures over that of the camera
+_CROP_PLACES = np.array([[0.0, 0.0], [-1.0, -1.0], [-1.0, 1.0], [1.0, -1.0], [1.0, 1.0]])
+"""Places of a cropped picture in the whole one: its middle and its corners."""
+_CROP_LOG_SIGMA, _CROP_CENTRE_SIGMA = 0.15, 0.1
+"""Standard deviations of the logarithm of the focal length of a cropped picture, and of its principal point over its
+width."""
 _SUFFICIENT = 0.6  # agreement, after a fit of the postures, of a camera that is not in doubt
 _ZOOMS, _ZOOMS_FITTED = (0.63, 0.72, 0.85, 1.0, 1.2, 1.4, 1.6), 3  # focal lengths over that of a camera in doubt
 CONTRADICTING, CLEARLY = 0.5, 0.1
@@ -140,19 +143,30 @@ class CameraChecker:
             return None
         images = self._fitter.images(frames[detections.rows], camera)
         search = ChainSearch(detections.cells, detections.finger_m, self._fitter.model)
-        X_CB = invert(camera.X_BC)
-        fits = []
+        starts = []
         for zoom in _CROP_ZOOMS:
-            lens = Lens(camera=with_focal(camera, zoom * camera.fx), X_CB=X_CB)
-            start = self._fitter.start(detections, search.explain(lens, search.hands(lens.camera)))
-            if start is not None:
-                prior = LensPrior(
-                    lens=lens,
+            margin = 0.5 * (zoom - 1.0) * np.array([camera.width, camera.height])
+            for place in _CROP_PLACES:
+                cx, cy = np.array([camera.cx, camera.cy]) + place * margin
+                part = replace(with_focal(camera, zoom * camera.fx), cx=float(cx), cy=float(cy))
+                lens = Lens(camera=part, X_CB=invert(camera.X_BC))
+                start = self._fitter.start(detections, search.explain(lens, search.hands(part)))
+                starts += [] if start is None else [start]
+        fits = [
+            self._fitter.compare(
+                start,
+                images,
+                LensPrior(
+                    lens=start.scene.lens,
                     log_focal_sigma=_CROP_LOG_SIGMA,
                     centre_sigma_px=_CROP_CENTRE_SIGMA * camera.width,
                     place_free=False,
-                )
-                fits.append(self._fitter.compare(start, images, prior, len(start.rows), _PASSES))
+                ),
+                len(start.rows),
+                _PASSES,
+            )
+            for start in sorted(starts, key=lambda start: start.cost)[:_CROPS_FITTED]
+        ]
         return max(fits, key=lambda fit: fit.agreement, default=None)
 
     def count_hands(self, frames: Frames, camera: Camera) -> tuple[int, int]:

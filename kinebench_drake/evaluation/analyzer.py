@@ -176,16 +176,18 @@ class Analyzer:
         return self._checker.posture_agreement(frames, camera, q, finger_m, hand=hand)
 
     def camera_reading(
-        self, frames: NDArray[np.uint8], camera: Camera, least: float, *, mirrored_only: bool = False
+        self, frames: NDArray[np.uint8], camera: Camera, least: float, *, likely_only: bool = False
     ) -> "BetterReading | None":
         """Return a reading of picture or camera with which the arm agrees clearly better; None if there is none.
+
+        With `likely_only` those are tried that a camera in the plane of symmetry, or a narrow margin, hides.
 
         Raises:
             SetupError: weights or libraries are missing.
         """
         from kinebench_drake.calibration.reading import Reading
 
-        readings = (Reading.MIRRORED,) if mirrored_only else tuple(Reading)
+        readings = (Reading.MIRRORED, Reading.CROPPED) if likely_only else tuple(Reading)
         return self._checker.find_reading(frames, camera, least, readings)
 
     def count_hands(self, frames: NDArray[np.uint8]) -> tuple[int, int]:

@@ -31,8 +31,8 @@ or with an estimated one."""
 CONFIRMED = 0.6
 """Share from which on the arm confirms a camera: of 30 demonstrations of unseen looks right cameras have 0.65 or more
 with the postures of the track, mirrored pictures 0.59 or less, cameras with 0.7 or 1.4 times the focal length 0.51."""
-SURE = 0.66
-"""Share from which on not even the mirrored picture is tried."""
+SURE = 0.68
+"""Share from which on not even a mirrored or a slightly cropped picture is tried."""
 _USUAL_WIDTH_M = 0.04  # gap between the pads where none is measured
 _CHECKED = 5  # frames whose postures check a camera
 
@@ -63,7 +63,7 @@ class CameraJudge(Protocol):
         ...
 
     def camera_reading(
-        self, frames: NDArray[np.uint8], camera: Camera, least: float, *, mirrored_only: bool
+        self, frames: NDArray[np.uint8], camera: Camera, least: float, *, likely_only: bool
     ) -> "BetterReading | None":
         """Return a reading of picture or camera with which the arm agrees clearly better; None if there is none."""
         ...
@@ -196,7 +196,7 @@ def find_reading(
     if agreement is not None and agreement >= SURE:
         return None
     confirmed = agreement is not None and agreement >= CONFIRMED
-    return judge.camera_reading(frames, camera, max(CONFIRMED, agreement or 0.0), mirrored_only=confirmed)
+    return judge.camera_reading(frames, camera, max(CONFIRMED, agreement or 0.0), likely_only=confirmed)
 
 
 def check_named(

@@ -135,7 +135,7 @@ class FakeAnalyzer:
     def camera_contradiction(self, frames, camera):
         return None
 
-    def camera_reading(self, frames, camera, least, *, mirrored_only):
+    def camera_reading(self, frames, camera, least, *, likely_only):
         return None
 
     def count_hands(self, frames):

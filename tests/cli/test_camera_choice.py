@@ -67,8 +67,8 @@ class CameraAnalyzer(FakeAnalyzer):
     def camera_agreement(self, frames, camera):
         return self.detected
 
-    def camera_reading(self, frames, camera, least, *, mirrored_only):
-        self.asked.append("mirror" if mirrored_only else "readings")
+    def camera_reading(self, frames, camera, least, *, likely_only):
+        self.asked.append("mirror" if likely_only else "readings")
         return self.reading
 
     def camera_contradiction(self, frames, camera):

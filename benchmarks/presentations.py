@@ -1,0 +1,281 @@
+"""Videos with known poses, presented rightly and wrongly: which get a base frame, and how far off it is."""
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, replace
+from enum import Enum
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.markdown import table
+from kinebench_drake.calibration.fit import with_focal
+from kinebench_drake.calibration.reading import Reading
+from kinebench_drake.camera import Camera, CameraSetting
+from kinebench_drake.datasets.videos.sample import CameraSource, VideoSample
+from kinebench_drake.errors import UnmeasurableError
+from kinebench_drake.evaluation.analyzer import Analyzer, RobotOptions
+from kinebench_drake.evaluation.grounding import ground_with_camera
+from kinebench_drake.executors.base import Executor, WorkerCrash
+from kinebench_drake.geometry import pose_difference
+from kinebench_drake.grounding.evaluation.clip import TruthClipFile
+from kinebench_drake.grounding.evaluation.store import MeasurementStore, fingerprint
+from kinebench_drake.grounding.overrides.overrides import Overrides
+from kinebench_drake.io.reader import read_video
+from kinebench_drake.models.panda.robot import hand_from_tcp
+
+WRONG_M, WRONG_RAD = 0.03, np.deg2rad(15.0)
+"""Median errors of the TCP in the base frame beyond which it is wrong."""
+RIGHT_M, RIGHT_RAD = 0.02, np.deg2rad(5.0)
+"""Median errors up to which it is right."""
+_MIDDLE, _CORNER = 0.875, 0.9  # sides of a cropped picture over those of the whole one
+
+
+class Presentation(Enum):
+    """How a video is presented to the grounding."""
+
+    NAMED = "named"
+    """With its camera."""
+    PLAIN = "plain"
+    """Without a camera."""
+    MIRRORED = "mirrored"
+    UPSIDE_DOWN = "upside_down"
+    TURNED = "turned"
+    """By 90 degrees to the left."""
+    MIDDLE = "middle"
+    """Cropped to its middle."""
+    CORNER = "corner"
+    """Cropped to its upper right."""
+    NAMED_MIRRORED = "named_mirrored"
+    """Mirrored, with the camera of the picture that is not."""
+    NAMED_MIDDLE = "named_middle"
+    """Cropped to its middle, with the camera of the whole picture."""
+    OPENGL_AXES = "opengl_axes"
+    """With its camera, the axes as in OpenGL."""
+    INVERTED = "inverted"
+    """With its camera, the matrix inverted."""
+    SHORT_FOCAL = "short_focal"
+    """With its camera, 0.7 of the focal length."""
+    LONG_FOCAL = "long_focal"
+    """With its camera, 1.4 times the focal length."""
+
+    @property
+    def names_camera(self) -> bool:
+        """True if the video comes with a camera."""
+        return self.value.startswith("named") or self in _MATRICES or self in _FOCALS
+
+    def apply(self, frames: NDArray[np.uint8], camera: Camera) -> tuple[NDArray[np.uint8], Camera]:
+        """Return frames (T, H, W, 3) and camera as presented."""
+        height, width = frames.shape[1:3]
+        if self in _PICTURES:
+            return _PICTURES[self].frames(frames), camera
+        if self in _MATRICES:
+            return frames, _MATRICES[self].camera(camera)
+        if self in _FOCALS:
+            return frames, with_focal(camera, _FOCALS[self] * camera.fx)
+        if self is Presentation.CORNER:
+            rows, columns = round(_CORNER * height), round(_CORNER * width)
+            return np.ascontiguousarray(frames[:, :rows, width - columns :]), camera
+        if self in (Presentation.MIDDLE, Presentation.NAMED_MIDDLE):
+            top, left = round((1 - _MIDDLE) / 2 * height), round((1 - _MIDDLE) / 2 * width)
+            return np.ascontiguousarray(frames[:, top : height - top, left : width - left]), camera
+        return frames, camera
+
+
+_PICTURES = {
+    Presentation.MIRRORED: Reading.MIRRORED,
+    Presentation.NAMED_MIRRORED: Reading.MIRRORED,
+    Presentation.UPSIDE_DOWN: Reading.UPSIDE_DOWN,
+    Presentation.TURNED: Reading.TURNED_LEFT,
+}
+_MATRICES = {Presentation.OPENGL_AXES: Reading.OPENGL_AXES, Presentation.INVERTED: Reading.INVERTED}
+_FOCALS = {Presentation.SHORT_FOCAL: 0.7, Presentation.LONG_FOCAL: 1.4}
+
+
+class Verdict(Enum):
+    """What became of a presented video."""
+
+    RIGHT = "right"
+    """There are base-frame poses, and they are right."""
+    NEAR = "near"
+    """They are between right and wrong."""
+    WRONG = "wrong"
+    """They are wrong, and nothing says so."""
+    WITHHELD = "withheld"
+    """There are none, with a reason."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Trial:
+    """One video, presented in one way."""
+
+    clip: TruthClipFile
+    presentation: Presentation
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Outcome:
+    """What the grounding makes of a trial."""
+
+    id: str
+    presentation: str
+    state: str
+    """How the camera is known; "none" without a base frame."""
+    reason: str | None = None
+    """Why there is no base frame, or no track."""
+    agreement: float | None = None
+    reading: str | None = None
+    tracked: float = 0.0
+    """Share of the frames."""
+    position_m: float | None = None
+    """Median distance of the tracked from the true TCPs in the base frame [m]; None without a base frame."""
+    rotation_rad: float | None = None
+    """Likewise of their rotations [rad]."""
+    camera_m: float | None = None
+    """Distance of an estimated camera from the true one [m]; this and the next are None without an estimate."""
+    camera_sigma_m: float | None = None
+    cpu_s: float
+    """Processor time [s]."""
+
+    @property
+    def verdict(self) -> Verdict:
+        """What became of the video."""
+        if self.position_m is None or self.rotation_rad is None:
+            return Verdict.WITHHELD
+        if self.position_m > WRONG_M or self.rotation_rad > WRONG_RAD:
+            return Verdict.WRONG
+        return Verdict.RIGHT if self.position_m <= RIGHT_M and self.rotation_rad <= RIGHT_RAD else Verdict.NEAR
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the JSON object."""
+        return asdict(self)
+
+    @classmethod
+    def from_json(cls, data: dict[str, Any]) -> "Outcome":
+        """Read the object that `to_json` returns."""
+        return cls(**data)
+
+
+class TrialWorker:
+    """Grounds trials."""
+
+    def __init__(self) -> None:
+        """Load the analyzer."""
+        self._analyzer = Analyzer(RobotOptions())
+
+    def __call__(self, trial: Trial) -> Outcome:
+        """Ground a trial and compare its track with the truth."""
+        clip, presentation = trial.clip, trial.presentation
+        truth, video = clip.load(), read_video(clip.video)
+        frames, camera = presentation.apply(video.frames, clip.camera.resized(video.width, video.height))
+        sample = VideoSample(id=clip.id, path=clip.video, video=clip.video.name)
+        if presentation.names_camera:
+            sample = sample.filmed_by(CameraSetting(camera=camera), CameraSource.MANIFEST)
+        start = time.process_time()
+        base = Outcome(id=clip.id, presentation=presentation.value, state="none", cpu_s=0.0)
+        try:
+            grounded = ground_with_camera(
+                replace(video, frames=frames), sample, Overrides(), self._analyzer, clip.frame_period_s
+            )
+        except UnmeasurableError as error:
+            return replace(base, reason=str(error), cpu_s=round(time.process_time() - start, 2))
+        choice, track = grounded.choice, grounded.track
+        position_m, rotation_rad = pose_difference(track.X_BG, clip.camera.X_BC @ truth.X_CH @ hand_from_tcp())
+        compared = track.tracked & np.isfinite(position_m)
+        estimate = choice.estimate
+        return replace(
+            base,
+            state=choice.state.value,
+            reason=choice.reason or grounded.unmeasurable,
+            agreement=choice.agreement,
+            reading=None if choice.reading is None else choice.reading.reading.value,
+            tracked=round(float(track.tracked.mean()), 4),
+            position_m=float(np.median(position_m[compared])) if compared.any() else None,
+            rotation_rad=float(np.median(rotation_rad[compared])) if compared.any() else None,
+            camera_m=None if estimate is None else float(pose_difference(estimate.camera.X_BC, clip.camera.X_BC)[0]),
+            camera_sigma_m=None if estimate is None else estimate.position_sigma_m,
+            cpu_s=round(time.process_time() - start, 2),
+        )
+
+
+def measure(
+    trials: Sequence[Trial], executor: Executor, keep: Path | None = None, *, log: Callable[[str], None]
+) -> list[Outcome]:
+    """Ground trials, in the order of `trials`.
+
+    Args:
+        trials: videos and presentations.
+        executor: runs them.
+        keep: file of finished outcomes, from which the same call goes on; None: none.
+        log: receives a line per trial.
+    """
+    base = fingerprint(modules=["kinebench_drake.evaluation.grounding"])
+    store = None if keep is None else MeasurementStore(keep, Outcome)
+    keys = {id(trial): f"{base}-{trial.clip.digest()}-{trial.clip.id}-{trial.presentation.value}" for trial in trials}
+    outcomes: dict[tuple[str, str], Outcome] = {}
+    waiting = []
+    for trial in trials:
+        key = keys[id(trial)]
+        if store is not None and key in store:
+            outcomes[trial.clip.id, trial.presentation.value] = store[key]
+        else:
+            waiting.append(trial)
+    for done in executor.run(TrialWorker, waiting):
+        if isinstance(done, WorkerCrash):
+            raise RuntimeError(f"{done.item.clip.id}: {done.reason}")
+        trial, outcome = done.item, done.result
+        log(f"{outcome.id} {outcome.presentation}: {outcome.verdict.value} ({outcome.cpu_s:.0f} s)")
+        outcomes[outcome.id, outcome.presentation] = outcome
+        if store is not None:
+            key = f"{base}-{trial.clip.digest()}-{trial.clip.id}-{trial.presentation.value}"
+            store.put(key, outcome)
+    return [outcomes[trial.clip.id, trial.presentation.value] for trial in trials]
+
+
+def summary_table(outcomes: Sequence[Outcome]) -> list[str]:
+    """Return a row for each presentation: how many videos became what, and the errors where there is a base frame."""
+    rows = []
+    for presentation in Presentation:
+        own = [o for o in outcomes if o.presentation == presentation.value]
+        if not own:
+            continue
+        based = [o for o in own if o.position_m is not None]
+        error = f"{1e3 * np.median([o.position_m for o in based if o.position_m is not None]):.1f}" if based else "-"
+        turn = (
+            f"{np.rad2deg(np.median([o.rotation_rad for o in based if o.rotation_rad is not None])):.1f}"
+            if based
+            else "-"
+        )
+        counts = [str(sum(o.verdict is verdict for o in own)) for verdict in Verdict]
+        named = str(sum(o.reading is not None for o in own))
+        cpu = f"{np.median([o.cpu_s for o in own]):.0f}"
+        rows.append([presentation.value.replace("_", " "), str(len(own)), *counts, named, error, turn, cpu])
+    head = ("presented", "videos", *(v.value for v in Verdict), "reading named", "TCP [mm]", "[degrees]", "time [s]")
+    return table(head, rows)
+
+
+def outcome_table(outcomes: Sequence[Outcome]) -> list[str]:
+    """Return a row for each outcome."""
+
+    def number(value: float | None, scale: float = 1.0, digits: int = 0) -> str:
+        return "" if value is None else f"{scale * value:.{digits}f}"
+
+    rows = [
+        [
+            o.id,
+            o.presentation.replace("_", " "),
+            o.verdict.value,
+            o.state,
+            number(o.agreement, digits=2),
+            f"{o.tracked:.0%}",
+            number(o.position_m, 1e3, 1),
+            number(o.rotation_rad, np.rad2deg(1.0), 1),
+            f"{number(o.camera_m, 1e3)} ({number(o.camera_sigma_m, 1e3)})" if o.camera_m is not None else "",
+            o.reason or "",
+        ]
+        for o in outcomes
+    ]
+    head = ("video", "presented", "verdict", "camera", "agreement", "tracked", "TCP [mm]", "[degrees]")
+    return table((*head, "estimated camera: error (sigma) [mm]", "reason"), rows)
