@@ -3,7 +3,7 @@
 BIN := .venv/bin
 JOBS ?= 2
 
-.PHONY: demo test test-all soak bench bench-ik bench-audit bench-simulation bench-rounds bench-runtimes bench-throughput bench-streaming bench-scale check setup wheel format constraints clean
+.PHONY: demo test test-all gate soak bench bench-ik bench-audit bench-simulation bench-rounds bench-runtimes bench-throughput bench-streaming bench-scale check setup wheel format constraints clean
 
 demo: setup
 	$(BIN)/kinebench-drake score examples/videos/manifest.jsonl --out demo-output --overlay
@@ -18,6 +18,10 @@ test: check
 
 test-all: check
 	$(PYTEST)
+
+# Short clips of several programs, with and without their cameras: none may come out silently wrong.
+gate: setup
+	$(BIN)/python -m benchmarks gate --jobs $(JOBS)
 
 # Properties and damaged inputs with thousands of random examples each, then runs that are killed: about an hour.
 soak: setup

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from kinebench_drake.camera import benchmark_camera
+from kinebench_drake.camera import CameraSetting, benchmark_camera
 from kinebench_drake.errors import UsageError
 from kinebench_drake.io.camerafile import load_camera, save_camera
 
@@ -79,3 +79,21 @@ def test_a_file_that_is_no_json(tmp_path: Path) -> None:
     path.write_text("{")
     with pytest.raises(UsageError, match="JSON"):
         load_camera(path)
+
+
+def test_the_file_may_state_a_mirrored_picture_and_the_table(tmp_path: Path) -> None:
+    (tmp_path / "camera.json").write_text(
+        json.dumps({**benchmark_camera().to_json(), "mirrored": True, "table_height_m": -0.1})
+    )
+    setting = load_camera(tmp_path / "camera.json")
+    assert (setting.mirrored, setting.table_height_m) == (True, -0.1)
+    save_camera(benchmark_camera(), tmp_path / "camera.json")
+    assert load_camera(tmp_path / "camera.json").table_height_m is None
+
+
+@pytest.mark.parametrize(
+    ("key", "value"), [("mirrored", 1), ("mirrored", None), ("table_height_m", True), ("table_height_m", 80.0)]
+)
+def test_what_the_file_states_besides_is_checked(key: str, value: object) -> None:
+    with pytest.raises(UsageError, match=f"mine: {key} must be"):
+        CameraSetting.from_json({**benchmark_camera().to_json(), key: value}, "mine")

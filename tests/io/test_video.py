@@ -1,3 +1,4 @@
+import struct
 from fractions import Fraction
 
 import av
@@ -39,6 +40,64 @@ def encode(path, frames, codec, pixel_format, *, options=None, stamps=None):
                 frame.pts, frame.time_base = stamps[k], Fraction(1, 1000)
             container.mux(stream.encode(frame))
         container.mux(stream.encode())
+
+
+QUARTERS = np.zeros((H, W, 3), dtype=np.uint8)
+QUARTERS[: H // 2, : W // 2], QUARTERS[: H // 2, W // 2 :], QUARTERS[H // 2 :, : W // 2] = np.eye(3) * 255
+
+
+def with_display_matrix(path, a, b, c, d):
+    """Write a video whose file says that pixel (x, y) is shown at (a x + c y, b x + d y)."""
+    write_video(path, [QUARTERS] * 2, 17)
+    data = bytearray(path.read_bytes())
+    at = data.index(b"tkhd") + 44
+    identity = struct.pack(">9i", 1 << 16, 0, 0, 0, 1 << 16, 0, 0, 0, 1 << 30)
+    assert data[at : at + 36] == identity
+    data[at : at + 36] = struct.pack(">9i", a << 16, b << 16, 0, c << 16, d << 16, 0, 0, 0, 1 << 30)
+    path.write_bytes(data)
+
+
+@pytest.mark.parametrize(
+    ("matrix", "shown"),
+    [
+        ((1, 0, 0, 1), lambda image: image),
+        ((-1, 0, 0, 1), lambda image: image[:, ::-1]),
+        ((1, 0, 0, -1), lambda image: image[::-1]),
+        ((-1, 0, 0, -1), lambda image: image[::-1, ::-1]),
+        ((0, 1, -1, 0), lambda image: np.rot90(image, -1)),
+        ((0, -1, 1, 0), lambda image: np.rot90(image, 1)),
+        ((0, 1, 1, 0), lambda image: image.transpose(1, 0, 2)),
+        ((0, -1, -1, 0), lambda image: image.transpose(1, 0, 2)[::-1, ::-1]),
+    ],
+)
+def test_a_display_matrix_turns_and_mirrors_the_picture_as_players_do(tmp_path, matrix, shown):
+    with_display_matrix(tmp_path / "a.mp4", *matrix)
+    frame, expected = read_video(tmp_path / "a.mp4").frames[0], shown(QUARTERS)
+    assert frame.shape == expected.shape
+    assert np.abs(frame.astype(int) - expected).mean() < 6.0
+
+
+def squeezed(path, frames, aspect):
+    with av.open(path, "w") as container:
+        stream = container.add_stream("libx264", rate=17)
+        stream.height, stream.width = frames.shape[1:3]
+        stream.pix_fmt = "yuv420p"
+        stream.codec_context.sample_aspect_ratio = aspect
+        for image in frames:
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(image, format="rgb24")))
+        container.mux(stream.encode())
+
+
+@pytest.mark.parametrize(("aspect", "width"), [(Fraction(4, 3), 173), (Fraction(1, 2), 65), (Fraction(1216, 1215), W)])
+def test_pixels_that_are_not_square_are_shown_square(tmp_path, frames, aspect, width):
+    squeezed(tmp_path / "a.mp4", frames, aspect)
+    assert read_video(tmp_path / "a.mp4").frames.shape == (T, H, width, 3)
+
+
+def test_pixels_far_from_square_are_refused(tmp_path, frames):
+    squeezed(tmp_path / "a.mp4", frames, Fraction(10))
+    with pytest.raises(InputError, match=r"a\.mp4: its pixels are 10 times as wide as high, expected 0\.25 to 4"):
+        read_video(tmp_path / "a.mp4")
 
 
 @pytest.mark.parametrize(
