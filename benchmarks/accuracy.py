@@ -56,7 +56,7 @@ def measure(
         log: receives a line per video.
 
     Returns:
-        Result of `perception evaluate`, and one of `footage` for each folder.
+        Result of `python -m benchmarks evaluate`, and one of `footage` for each folder.
 
     Raises:
         UsageError: a folder cannot be used.

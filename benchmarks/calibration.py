@@ -7,17 +7,17 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.markdown import table
-from kinebench_drake.calibration.calibrate import Calibrator
-from kinebench_drake.calibration.fit import with_focal
-from kinebench_drake.calibration.result import CalibrationMethod, CameraCalibration
-from kinebench_drake.calibration.solve import default_focal_px
-from kinebench_drake.calibration.states import RobotStates, unknown_states
+from benchmarks.perception.clip import TruthClipFile, choose, find_clips
 from kinebench_drake.camera import Camera
 from kinebench_drake.errors import UnmeasurableError, UsageError, cause
 from kinebench_drake.geometry import pose_difference
-from kinebench_drake.grounding.evaluation.clip import TruthClipFile, choose, find_clips
+from kinebench_drake.grounding.camera.calibrate import Calibrator
+from kinebench_drake.grounding.camera.fit import with_focal
+from kinebench_drake.grounding.camera.result import CalibrationMethod, CameraCalibration
+from kinebench_drake.grounding.camera.solve import default_focal_px
+from kinebench_drake.grounding.camera.states import RobotStates, unknown_states
 from kinebench_drake.grounding.registration.arm_model import ArmModel
-from kinebench_drake.grounding.view import Frames
+from kinebench_drake.grounding.tracking.view import Frames
 from kinebench_drake.io.reader import read_video
 from kinebench_drake.models.panda.robot import RobotPart
 from kinebench_drake.types import Json

@@ -23,20 +23,20 @@ from kinebench_drake.closed_loop.attribution import find_cause
 from kinebench_drake.closed_loop.commands import CommandPlanner
 from kinebench_drake.closed_loop.loop import ClosedLoop, LoopOptions
 from kinebench_drake.errors import InputError, KinebenchError
-from kinebench_drake.evaluation.analyzer import Analyzer, RobotOptions
 from kinebench_drake.executors.base import Executor, WorkerCrash
 from kinebench_drake.geometry import Array
 from kinebench_drake.grounding.pipeline import GroundingResult
 from kinebench_drake.kinematics.plant import ArmPlant
+from kinebench_drake.runs.analyzer import Analyzer, RobotOptions
 from kinebench_drake.suites.episode import Episode
-from kinebench_drake.suites.experts.motion import Waypoint
-from kinebench_drake.suites.experts.registry import Expert, find_expert
+from kinebench_drake.suites.expert.motion import Waypoint
+from kinebench_drake.suites.expert.registry import Expert, find_expert
+from kinebench_drake.suites.families.task import Scene
 from kinebench_drake.suites.faults.fault import FaultGrade
 from kinebench_drake.suites.seeding import generator
 from kinebench_drake.suites.simulator import Simulator
 from kinebench_drake.suites.simulator_cache import SimulatorCache
 from kinebench_drake.suites.suite import EpisodeSpec
-from kinebench_drake.suites.tasks.task import Scene
 from kinebench_drake.suites.worldmodels.reference import OracleModel, OracleRenderer
 from kinebench_drake.suites.worldmodels.worldmodel import Request, SimulatorState
 from kinebench_drake.types import AnomalyKind, FailureVerdict, GripperTrack, Priors

@@ -17,24 +17,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.markdown import table
+from benchmarks.perception.store import MeasurementStore, fingerprint
 from benchmarks.validity import ExecutionWorker, TrackExecution, ValidityTrial, read_study, study_specs
 from kinebench_drake.errors import InputError, UsageError
-from kinebench_drake.evaluation.runner import RunObserver
 from kinebench_drake.executors.local import LocalExecutor
 from kinebench_drake.geometry import Array
-from kinebench_drake.grounding.baseline.fitting import SCHEDULE, BaselineConfig, train
-from kinebench_drake.grounding.baseline.network import Baseline
-from kinebench_drake.grounding.evaluation.store import MeasurementStore, fingerprint
 from kinebench_drake.io.figure import POSITION, ROTATION, new_figure
 from kinebench_drake.io.npz import open_npz
 from kinebench_drake.io.reader import read_video
+from kinebench_drake.runs.runner import RunObserver
 from kinebench_drake.stats import IntervalEstimate, percentile_interval, resampled_indices, wilson
 from kinebench_drake.suites.demo_config import DemoConfig
 from kinebench_drake.suites.demos import make_demos
+from kinebench_drake.suites.families.task import TaskVariant
 from kinebench_drake.suites.formats.demo import FormatKind, RenderOptions
 from kinebench_drake.suites.suite import EpisodeSpec, load_suite
-from kinebench_drake.suites.tasks.task import TaskVariant
 from kinebench_drake.types import AnomalyKind, GripperTrack
+from training.baseline.fitting import SCHEDULE, BaselineConfig, train
+from training.baseline.network import Baseline
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -158,9 +158,7 @@ def measure(work: Path, weights: Path, jobs: int, observer: RunObserver) -> list
     modules = ["kinebench_drake.closed_loop.execution", "kinebench_drake.closed_loop.commands"]
     code = {
         Extractor.TRUTH: fingerprint(modules=modules),
-        Extractor.BASELINE: fingerprint(
-            modules=[*modules, "kinebench_drake.grounding.baseline.network"], files=[weights]
-        ),
+        Extractor.BASELINE: fingerprint(modules=[*modules, "training.baseline.network"], files=[weights]),
     }
     store = MeasurementStore(work / _EXTRACTIONS, TrackExecution)
     done = store.complete(

@@ -8,23 +8,23 @@ from pydrake.geometry import Box, Mesh
 from typing_extensions import override
 
 from benchmarks.markdown import table
+from benchmarks.perception.clip import TruthClipFile, find_clips
+from benchmarks.perception.store import MeasurementStore, fingerprint
 from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array, invert, make_pose, pose_difference, rotation_z
-from kinebench_drake.grounding.confidence import CALIBRATION, load_confidence, save_confidence
-from kinebench_drake.grounding.evaluation.clip import TruthClipFile, find_clips
-from kinebench_drake.grounding.evaluation.store import MeasurementStore, fingerprint
 from kinebench_drake.grounding.pipeline import TRACKED_CONFIDENCE, GroundingPipeline
-from kinebench_drake.grounding.training.augment import degrade
-from kinebench_drake.grounding.training.calibration import MeasuredPoses, fit_confidence
-from kinebench_drake.grounding.training.layout import Surface, random_surface
-from kinebench_drake.grounding.training.vtk import VtkScene
-from kinebench_drake.grounding.view import Frames
+from kinebench_drake.grounding.tracking.confidence import CALIBRATION, load_confidence, save_confidence
+from kinebench_drake.grounding.tracking.view import Frames
 from kinebench_drake.io.atomic import make_folder, write_atomically
 from kinebench_drake.io.reader import read_video
 from kinebench_drake.models.panda.robot import GRIPPER, HAND_LINK, LINK_OF
 from kinebench_drake.models.perception.network import ARM_WEIGHTS
 from kinebench_drake.models.robotiq.cad import CLOSED_RAD, robotiq_mesh
 from kinebench_drake.types import Domain, GripperKind
+from training.augment import degrade
+from training.calibration import MeasuredPoses, fit_confidence
+from training.layout import Surface, random_surface
+from training.vtk import VtkScene
 
 _Video = tuple[Frames, Camera, Array]
 """Frames (T, H, W, 3), camera and true poses (T, 4, 4) of panda_hand in its frame [m]."""
@@ -93,7 +93,7 @@ def measure(demos: Path, out: Path, *, count: int, log: Callable[[str], None]) -
         The measurements by video.
     """
     make_folder(out)
-    base = fingerprint(modules=["kinebench_drake.grounding.flange_tracker"], files=[ARM_WEIGHTS])
+    base = fingerprint(modules=["kinebench_drake.grounding.tracking.flange_tracker"], files=[ARM_WEIGHTS])
     store = MeasurementStore(out / "flange.jsonl", MeasuredPoses)
     by_links, by_gripper = (
         GroundingPipeline.create(gripper=kind) for kind in (GripperKind.NONE, GripperKind.ROBOTIQ_2F85)

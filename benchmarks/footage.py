@@ -19,16 +19,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.perception.errors import read_anomaly
+from benchmarks.perception.store import MeasurementStore, fingerprint
 from kinebench_drake.camera import Camera
-from kinebench_drake.datasets.manifest import NAME, entry_camera, read_manifest
 from kinebench_drake.errors import InputError, UsageError
+from kinebench_drake.formats.manifest import NAME, entry_camera, read_manifest
 from kinebench_drake.geometry import Array, invert, transform_points
-from kinebench_drake.grounding.crop import GRIPPER_CENTRE_H, GRIPPER_RADIUS_M
-from kinebench_drake.grounding.evaluation.errors import read_anomaly
-from kinebench_drake.grounding.evaluation.store import MeasurementStore, fingerprint
 from kinebench_drake.grounding.overlay import draw_overlay
 from kinebench_drake.grounding.pipeline import GroundingPipeline, Observation
-from kinebench_drake.grounding.view import Frames
+from kinebench_drake.grounding.tracking.crop import GRIPPER_CENTRE_H, GRIPPER_RADIUS_M
+from kinebench_drake.grounding.tracking.view import Frames
 from kinebench_drake.io.container import write_video
 from kinebench_drake.io.npz import open_npz
 from kinebench_drake.io.reader import read_video

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from benchmarks.footage import ReferenceVideo, TrackRecord
 from benchmarks.markdown import table
+from benchmarks.perception.summary import percentile, reliability_curve
 from kinebench_drake.geometry import Array, pose_difference
-from kinebench_drake.grounding.confidence import GOOD_M, GOOD_RAD
-from kinebench_drake.grounding.evaluation.summary import percentile, reliability_curve
+from kinebench_drake.grounding.tracking.confidence import GOOD_M, GOOD_RAD
 from kinebench_drake.models.panda.robot import hand_from_tcp
 from kinebench_drake.types import Json
 

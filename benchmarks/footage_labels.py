@@ -25,10 +25,10 @@ from numpy.typing import NDArray
 
 from benchmarks.footage import ReferenceVideo, TrackRecord
 from benchmarks.markdown import table
+from benchmarks.perception.summary import percentile
 from kinebench_drake.camera import Camera
 from kinebench_drake.errors import UsageError, cause
 from kinebench_drake.geometry import Array, invert, transform_points
-from kinebench_drake.grounding.evaluation.summary import percentile
 from kinebench_drake.io.jsonl import read_json
 from kinebench_drake.types import Json
 

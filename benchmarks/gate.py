@@ -4,9 +4,9 @@ import json
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+from benchmarks.perception.clip import find_clips
 from benchmarks.presentations import Outcome, Presentation, Trial, Verdict, measure
 from kinebench_drake.executors.base import Executor
-from kinebench_drake.grounding.evaluation.clip import find_clips
 
 CLIPS = Path("tests/gate")
 """Folder of the clips, each with its truth, and of their bounds."""

@@ -20,15 +20,15 @@ from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.environment.native import RENDER_VARIABLE, has_nvidia_vulkan
 from kinebench_drake.errors import KinebenchError, UsageError
 from kinebench_drake.geometry import Array, make_pose
-from kinebench_drake.grounding.crop import CLOSE_MARGIN, CLOSE_SIZE, WIDE_SIZE, Crop
-from kinebench_drake.grounding.estimator import NetworkEstimator
-from kinebench_drake.grounding.training.loop import Batch, Schedule, optimise
-from kinebench_drake.grounding.training.train import forward, losses
-from kinebench_drake.grounding.view import Frames
+from kinebench_drake.grounding.tracking.crop import CLOSE_MARGIN, CLOSE_SIZE, WIDE_SIZE, Crop
+from kinebench_drake.grounding.tracking.estimator import NetworkEstimator
+from kinebench_drake.grounding.tracking.view import Frames
 from kinebench_drake.io.container import read_container
 from kinebench_drake.io.video import WHOLE
 from kinebench_drake.models.panda.robot import RobotPart
 from kinebench_drake.models.perception.network import STRIDE, load_network
+from training.loop import Batch, Schedule, optimise
+from training.train import forward, losses
 
 HEADING = "## GPU"
 """Heading of the section of the document."""

@@ -18,9 +18,9 @@ from kinebench_drake.kinematics.continuation import minimum_jerk
 from kinebench_drake.kinematics.newton import REACHED_M, solve_newton
 from kinebench_drake.suites.clock import CONTROL_PERIOD_S
 from kinebench_drake.suites.episode import compose
-from kinebench_drake.suites.experts.grasp import DOWN, grasp_rotation
-from kinebench_drake.suites.experts.motion import plan
-from kinebench_drake.suites.experts.registry import EXPERTS
+from kinebench_drake.suites.expert.grasp import DOWN, grasp_rotation
+from kinebench_drake.suites.expert.motion import plan
+from kinebench_drake.suites.expert.registry import EXPERTS
 
 KNOT_S = 0.04
 """Time between the knots of a spline [s]."""

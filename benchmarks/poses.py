@@ -48,7 +48,7 @@ KINDS = tuple(kind.value for kind in AnomalyKind)
 def calibration(folder: Path, limit: int | None, frames: int, part: float, quick: bool, json_out: Path | None) -> None:
     """Calibrate the cameras of rendered videos with all kinds of prior information about the robot."""
     from benchmarks.calibration import CONDITIONS, measure, trial_table
-    from kinebench_drake.calibration.result import CalibrationMethod
+    from kinebench_drake.grounding.camera.result import CalibrationMethod
 
     conditions = [c for c in CONDITIONS if c.method is CalibrationMethod.JOINTS] if quick else CONDITIONS
     trials = []
@@ -141,9 +141,9 @@ def cameras(folder: Path, out: Path, presented: str, limit: int | None, jobs: in
     resumes.
     """
     one_thread()
+    from benchmarks.perception.clip import choose, find_clips
     from benchmarks.presentations import Presentation, Trial, measure, outcome_table, summary_table
     from kinebench_drake.executors.local import LocalExecutor
-    from kinebench_drake.grounding.evaluation.clip import choose, find_clips
 
     with errors():
         kinds = [member_of(Presentation, name, "--presented") for name in presented.split(",")]

@@ -11,20 +11,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.markdown import table
-from kinebench_drake.calibration.fit import with_focal
-from kinebench_drake.calibration.reading import Reading
+from benchmarks.perception.clip import TruthClipFile
+from benchmarks.perception.store import MeasurementStore, fingerprint
 from kinebench_drake.camera import Camera, CameraSetting
-from kinebench_drake.datasets.videos.sample import CameraSource, VideoSample
 from kinebench_drake.errors import UnmeasurableError
-from kinebench_drake.evaluation.analyzer import Analyzer, RobotOptions
-from kinebench_drake.evaluation.grounding import ground_with_camera
 from kinebench_drake.executors.base import Executor, WorkerCrash
+from kinebench_drake.formats.videos.sample import CameraSource, VideoSample
 from kinebench_drake.geometry import pose_difference
-from kinebench_drake.grounding.evaluation.clip import TruthClipFile
-from kinebench_drake.grounding.evaluation.store import MeasurementStore, fingerprint
+from kinebench_drake.grounding.camera.fit import with_focal
+from kinebench_drake.grounding.camera.reading import Reading
 from kinebench_drake.grounding.overrides.overrides import Overrides
 from kinebench_drake.io.reader import read_video
 from kinebench_drake.models.panda.robot import hand_from_tcp
+from kinebench_drake.runs.analyzer import Analyzer, RobotOptions
+from kinebench_drake.runs.grounding import ground_with_camera
 
 WRONG_M, WRONG_RAD = 0.03, np.deg2rad(15.0)
 """Median errors of the TCP in the base frame beyond which it is wrong."""
@@ -211,7 +211,7 @@ def measure(
         keep: file of finished outcomes, from which the same call goes on; None: none.
         log: receives a line per trial.
     """
-    base = fingerprint(modules=["kinebench_drake.evaluation.grounding"])
+    base = fingerprint(modules=["kinebench_drake.runs.grounding"])
     store = None if keep is None else MeasurementStore(keep, Outcome)
     keys = {id(trial): f"{base}-{trial.clip.digest()}-{trial.clip.id}-{trial.presentation.value}" for trial in trials}
     outcomes: dict[tuple[str, str], Outcome] = {}

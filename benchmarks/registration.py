@@ -13,20 +13,20 @@ from typing import Any
 import numpy as np
 
 from benchmarks.markdown import table
+from benchmarks.perception.clip import TruthClip, TruthClipFile, choose, find_clips
+from benchmarks.perception.store import MeasurementStore, fingerprint
+from benchmarks.perception.variants import Degradation, DegradedEstimator
 from kinebench_drake.camera import Camera
 from kinebench_drake.errors import UsageError
 from kinebench_drake.executors.base import Executor
 from kinebench_drake.executors.progress import Observer
 from kinebench_drake.geometry import Array, pose_difference
-from kinebench_drake.grounding.crop import Crop
-from kinebench_drake.grounding.estimator import NetworkEstimator
-from kinebench_drake.grounding.evaluation.clip import TruthClip, TruthClipFile, choose, find_clips
-from kinebench_drake.grounding.evaluation.store import MeasurementStore, fingerprint
-from kinebench_drake.grounding.evaluation.variants import Degradation, DegradedEstimator
-from kinebench_drake.grounding.override_estimator import replace_depth
-from kinebench_drake.grounding.pose import FramePose
-from kinebench_drake.grounding.tracker import CadTracker
-from kinebench_drake.grounding.view import DenseEstimator, Frames, GripperView
+from kinebench_drake.grounding.overrides.estimates import replace_depth
+from kinebench_drake.grounding.tracking.crop import Crop
+from kinebench_drake.grounding.tracking.estimator import NetworkEstimator
+from kinebench_drake.grounding.tracking.pose import FramePose
+from kinebench_drake.grounding.tracking.tracker import CadTracker
+from kinebench_drake.grounding.tracking.view import DenseEstimator, Frames, GripperView
 from kinebench_drake.io.reader import read_video
 from kinebench_drake.models.panda.cad import GripperCad
 from kinebench_drake.models.perception.network import WEIGHTS, load_network
@@ -157,7 +157,7 @@ def measure(
     """
     clips = choose(find_clips(folder), limit)
     trials = [RegistrationTrial(clip=clip, kind=kind, seed=seed) for clip in clips for kind in KINDS]
-    code = fingerprint(seed, modules=["kinebench_drake.grounding.tracker"])
+    code = fingerprint(seed, modules=["kinebench_drake.grounding.tracking.tracker"])
     digests = {clip.id: clip.digest() for clip in clips}
     store = MeasurementStore(keep, RegistrationErrors)
     done = store.complete(

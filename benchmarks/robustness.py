@@ -10,13 +10,9 @@ import numpy as np
 
 from benchmarks.accuracy import HELDOUT, WIDTH
 from benchmarks.markdown import table
-from kinebench_drake.evaluation.runner import RunObserver
-from kinebench_drake.executors.local import LocalExecutor
-from kinebench_drake.grounding.baseline.network import Baseline
-from kinebench_drake.grounding.confidence import GOOD_M, GOOD_RAD
-from kinebench_drake.grounding.evaluation.clip import find_clips
-from kinebench_drake.grounding.evaluation.perturbation.catalogue import PerturbationKind
-from kinebench_drake.grounding.evaluation.study import (
+from benchmarks.perception.clip import find_clips
+from benchmarks.perception.perturbation.catalogue import PerturbationKind
+from benchmarks.perception.study import (
     CLEAN,
     LEARNED,
     StudyOutcome,
@@ -24,10 +20,14 @@ from kinebench_drake.grounding.evaluation.study import (
     robustness,
     run_study,
 )
-from kinebench_drake.grounding.evaluation.summary import intervals
-from kinebench_drake.grounding.evaluation.trial import TrialCondition
+from benchmarks.perception.summary import intervals
+from benchmarks.perception.trial import TrialCondition
+from kinebench_drake.executors.local import LocalExecutor
+from kinebench_drake.grounding.tracking.confidence import GOOD_M, GOOD_RAD
 from kinebench_drake.io.figure import POSITION, ROTATION, new_figure
+from kinebench_drake.runs.runner import RunObserver
 from kinebench_drake.stats import IntervalEstimate
+from training.baseline.network import Baseline
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

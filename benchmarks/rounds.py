@@ -15,12 +15,12 @@ from benchmarks.record import machine_text
 from kinebench_drake.closed_loop import loop
 from kinebench_drake.closed_loop.commands import CommandPlanner
 from kinebench_drake.errors import KinebenchError
-from kinebench_drake.evaluation import episode
-from kinebench_drake.evaluation.analyzer import Analyzer
-from kinebench_drake.evaluation.episode import EpisodeEvaluator, EpisodeResources, EpisodeSample
-from kinebench_drake.evaluation.evaluator import Evaluation
-from kinebench_drake.evaluation.runner import RunObserver
-from kinebench_drake.evaluation.suite import run_suite, suite_config
+from kinebench_drake.runs import episode
+from kinebench_drake.runs.analyzer import Analyzer
+from kinebench_drake.runs.episode import EpisodeEvaluator, EpisodeResources, EpisodeSample
+from kinebench_drake.runs.evaluator import Evaluation
+from kinebench_drake.runs.runner import RunObserver
+from kinebench_drake.runs.suite import run_suite, suite_config
 from kinebench_drake.suites.simulator import Simulator
 from kinebench_drake.suites.worldmodels.reference import OracleModel
 

@@ -13,7 +13,7 @@ from torch import Tensor, nn
 
 from benchmarks.markdown import table
 from kinebench_drake.geometry import Array
-from kinebench_drake.grounding.crop import CLOSE_SIZE, WIDE_SIZE
+from kinebench_drake.grounding.tracking.crop import CLOSE_SIZE, WIDE_SIZE
 from kinebench_drake.io.container import read_container
 from kinebench_drake.io.video import WHOLE
 from kinebench_drake.models.panda.robot import ARM, RobotPart

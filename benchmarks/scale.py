@@ -25,18 +25,18 @@ import numpy as np
 from benchmarks.markdown import table
 from benchmarks.process import read_memory
 from benchmarks.record import machine_text
-from kinebench_drake.datasets.videos.find import find_samples
-from kinebench_drake.datasets.videos.sample import VideoSample
 from kinebench_drake.errors import KinebenchError, UsageError
-from kinebench_drake.evaluation.config import RunKind
-from kinebench_drake.evaluation.merge import merge_folders
-from kinebench_drake.evaluation.runner import NullRunObserver, run_samples
-from kinebench_drake.evaluation.score import VideoEvaluator
-from kinebench_drake.evaluation.score_config import ScoreConfig
+from kinebench_drake.formats.videos.find import find_samples
+from kinebench_drake.formats.videos.sample import VideoSample
 from kinebench_drake.report.page import write_report
 from kinebench_drake.results.metadata import Shard
 from kinebench_drake.results.row import SampleRow, Status
 from kinebench_drake.results.store import REPORT, RESULTS, SAMPLES, artifact_path, read_rows
+from kinebench_drake.runs.config import RunKind
+from kinebench_drake.runs.merge import merge_folders
+from kinebench_drake.runs.runner import NullRunObserver, run_samples
+from kinebench_drake.runs.score import VideoEvaluator
+from kinebench_drake.runs.score_config import ScoreConfig
 
 HEADING = "## A hundred thousand samples"
 """Heading of the section of the document."""

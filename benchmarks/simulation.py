@@ -21,7 +21,7 @@ from kinebench_drake.geometry import Array
 from kinebench_drake.io.container import write_video
 from kinebench_drake.suites.clock import CLIP_FRAMES
 from kinebench_drake.suites.episode import compose
-from kinebench_drake.suites.experts.registry import find_expert
+from kinebench_drake.suites.expert.registry import find_expert
 from kinebench_drake.suites.rollout import render_video, run_expert
 from kinebench_drake.suites.simulator import Simulator, Snapshot
 
@@ -90,8 +90,8 @@ class _StockTask:
         import gymnasium
         import mani_skill.envs  # noqa: F401 (registers the tasks)
 
+        from kinebench_drake.suites.scene.environment import camera_config
         from kinebench_drake.suites.start import START_Q
-        from kinebench_drake.suites.tasks.environment import camera_config
 
         self._env: Any = gymnasium.make(
             STOCK,

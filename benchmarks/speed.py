@@ -217,7 +217,7 @@ def driver(results: Path, work: Path | None, template: Path | None, samples: int
 def simulation(results: Path, tasks: str | None) -> None:
     """Measure the speed of environments, rendering and demonstrations."""
     from benchmarks.simulation import figures, measure, section
-    from kinebench_drake.suites.tasks.registry import TASKS
+    from kinebench_drake.suites.families.registry import TASKS
 
     with errors():
         timings, steps, images = measure(list(TASKS) if tasks is None else tasks.split(","))
@@ -290,8 +290,8 @@ def robustness(results: Path, heldout: Path | None, work: Path, weights: Path, l
     one_thread()
     from benchmarks.robustness import FIGURE, draw, figures, measure, section
     from kinebench_drake.cli.run import ProgressView
-    from kinebench_drake.grounding.baseline.network import Baseline
     from kinebench_drake.io.figure import save
+    from training.baseline.network import Baseline
 
     with errors(), ProgressView("measurements") as view:
         outcome = measure(_heldout(heldout, work), weights, work / "robustness.jsonl", limit, jobs, view)

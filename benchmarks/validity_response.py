@@ -11,10 +11,10 @@ from scipy.stats import false_discovery_control, rankdata
 
 from benchmarks.validity import ValidityTrial
 from kinebench_drake.errors import InputError
-from kinebench_drake.evaluation.evaluator import KINEMATIC_METRICS
-from kinebench_drake.evaluation.score import VISUAL_METRICS
 from kinebench_drake.geometry import Array
 from kinebench_drake.results.direction import HIGHER_IS_BETTER
+from kinebench_drake.runs.evaluator import KINEMATIC_METRICS
+from kinebench_drake.runs.score import VISUAL_METRICS
 from kinebench_drake.stats import (
     IntervalEstimate,
     paired_mean_difference,

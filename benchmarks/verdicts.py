@@ -116,8 +116,8 @@ def extractors(work: Path, weights: Path, jobs: int, out: Path | None) -> None:
     """
     from benchmarks.extractors import FIGURE, draw, measure, section
     from kinebench_drake.cli.run import ProgressView
-    from kinebench_drake.grounding.baseline.network import Baseline
     from kinebench_drake.io.figure import save
+    from training.baseline.network import Baseline
 
     with errors(), ProgressView("executions") as view:
         done = measure(work, weights, jobs, view)

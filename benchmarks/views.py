@@ -8,16 +8,16 @@ from typing import Any
 import numpy as np
 
 from benchmarks.markdown import table
+from benchmarks.perception.store import MeasurementStore, fingerprint
 from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.errors import InputError
 from kinebench_drake.geometry import pose_difference
-from kinebench_drake.grounding.evaluation.store import MeasurementStore, fingerprint
 from kinebench_drake.grounding.pipeline import GroundingPipeline
 from kinebench_drake.io.atomic import make_folder, write_atomically
 from kinebench_drake.io.container import write_video
 from kinebench_drake.io.npz import open_npz, write_arrays
 from kinebench_drake.io.reader import read_video
-from kinebench_drake.suites.experts.registry import find_expert
+from kinebench_drake.suites.expert.registry import find_expert
 from kinebench_drake.suites.faults.fault_simulator import FaultSimulator
 from kinebench_drake.suites.faults.view import ViewChange, ViewKind, render_view
 from kinebench_drake.suites.rollout import render_video, run_expert

@@ -13,8 +13,8 @@ from kinebench_drake.geometry import Array, invert, pose_difference
 from kinebench_drake.grounding.anomaly.camera_motion import CameraMotion, FeatureTracks, measure_camera_motion
 from kinebench_drake.grounding.anomaly.detect import SURE_CONFIDENCE, AnomalyEvidence, find_anomalies, gather_evidence
 from kinebench_drake.grounding.anomaly.detection import AnomalyDetections
-from kinebench_drake.grounding.camera_path import CameraPath, follow_camera
-from kinebench_drake.grounding.confidence import (
+from kinebench_drake.grounding.tracking.camera_path import CameraPath, follow_camera
+from kinebench_drake.grounding.tracking.confidence import (
     CALIBRATION,
     GOOD_M,
     GOOD_RAD,
@@ -22,14 +22,14 @@ from kinebench_drake.grounding.confidence import (
     frame_confidence,
     load_confidence,
 )
-from kinebench_drake.grounding.estimator import NetworkEstimator
-from kinebench_drake.grounding.flange_tracker import FlangeTracker
-from kinebench_drake.grounding.flips import X_HALF_TURN, resolve_flips
-from kinebench_drake.grounding.gripper_width import smooth_gripper_width
-from kinebench_drake.grounding.pose import FramePose
-from kinebench_drake.grounding.smoothing import RawTrack
-from kinebench_drake.grounding.tracker import CadTracker, PoseTracker, Tracking
-from kinebench_drake.grounding.view import DenseEstimator, Frames, GripperView
+from kinebench_drake.grounding.tracking.estimator import NetworkEstimator
+from kinebench_drake.grounding.tracking.flange_tracker import FlangeTracker
+from kinebench_drake.grounding.tracking.flips import X_HALF_TURN, resolve_flips
+from kinebench_drake.grounding.tracking.gripper_width import smooth_gripper_width
+from kinebench_drake.grounding.tracking.pose import FramePose
+from kinebench_drake.grounding.tracking.smoothing import RawTrack
+from kinebench_drake.grounding.tracking.tracker import CadTracker, PoseTracker, Tracking
+from kinebench_drake.grounding.tracking.view import DenseEstimator, Frames, GripperView
 from kinebench_drake.models.panda.robot import RobotPart, hand_from_tcp
 from kinebench_drake.models.perception.network import ARM_WEIGHTS, WEIGHTS, load_network
 from kinebench_drake.models.robot import N_JOINTS

@@ -11,13 +11,13 @@ from PIL import Image, ImageDraw, ImageFont
 from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.errors import InputError
 from kinebench_drake.executors.base import Executor, WorkerCrash
-from kinebench_drake.suites.assets.look import look_ids
 from kinebench_drake.suites.episode import Episode, compose
-from kinebench_drake.suites.experts.registry import find_expert
+from kinebench_drake.suites.expert.registry import find_expert
+from kinebench_drake.suites.families.registry import find_task
 from kinebench_drake.suites.rollout import run_expert
+from kinebench_drake.suites.scene.look import look_ids
 from kinebench_drake.suites.simulator import Simulator
 from kinebench_drake.suites.simulator_cache import SimulatorCache, SimulatorWorker
-from kinebench_drake.suites.tasks.registry import find_task
 
 LOOKS_TASK = "StackCube-v1"
 """Task whose scene shows the looks."""

@@ -27,7 +27,7 @@ from kinebench_drake.io.atomic import disk_errors, make_folder
 from kinebench_drake.io.jsonl import append_line, read_lines, write_json, write_lines
 from kinebench_drake.suites.demo_config import DemoConfig
 from kinebench_drake.suites.episode import Episode
-from kinebench_drake.suites.experts.registry import find_expert
+from kinebench_drake.suites.expert.registry import find_expert
 from kinebench_drake.suites.export import episode_facts
 from kinebench_drake.suites.formats.demo import (
     CLIP_STEPS,
@@ -118,7 +118,7 @@ class _DemoWorker(SimulatorWorker[Simulator]):
 
 
 def _demo(simulator: Simulator, rollout: Rollout, options: RenderOptions, content: Content) -> Demo:
-    from kinebench_drake.suites.tasks.environment import X_WB
+    from kinebench_drake.suites.scene.environment import X_WB
 
     recorder = simulator if isinstance(simulator, _RecordingSimulator) else None
     rng = generator("stills", rollout.episode.id)

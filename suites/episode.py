@@ -5,13 +5,20 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 
 from kinebench_drake.errors import UsageError
-from kinebench_drake.suites.assets import blocks, boxes, cabinets, containers, faucets, fruits, laptops, marks
-from kinebench_drake.suites.assets.look import SORTS, look_ids
-from kinebench_drake.suites.assets.model import AssetMaker, AssetModel
+from kinebench_drake.suites.families.blocks import assets as blocks
+from kinebench_drake.suites.families.boxes import assets as boxes
+from kinebench_drake.suites.families.drawers import assets as cabinets
+from kinebench_drake.suites.families.faucets import assets as faucets
+from kinebench_drake.suites.families.fruits import assets as fruits
+from kinebench_drake.suites.families.fruits import containers
+from kinebench_drake.suites.families.laptops import assets as laptops
+from kinebench_drake.suites.families.registry import find_task
+from kinebench_drake.suites.families.task import SceneLayout, TaskVariant
+from kinebench_drake.suites.scene import marks
+from kinebench_drake.suites.scene.look import SORTS, look_ids
+from kinebench_drake.suites.scene.model import AssetMaker, AssetModel
 from kinebench_drake.suites.seeding import generator
 from kinebench_drake.suites.split import Pool, pool_ids
-from kinebench_drake.suites.tasks.registry import find_task
-from kinebench_drake.suites.tasks.task import SceneLayout, TaskVariant
 
 INSTANCES = 24
 """Number of instances of each kind."""

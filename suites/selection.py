@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING
 from kinebench_drake.errors import UsageError
 
 if TYPE_CHECKING:  # slow to import: help texts and usage errors do not need it
+    from kinebench_drake.suites.families.task import TaskVariant
     from kinebench_drake.suites.suite import Suite
-    from kinebench_drake.suites.tasks.task import TaskVariant
 
 _PREFIX = "KineBench/"
 
@@ -30,7 +30,7 @@ def with_variant(tasks: Sequence[str], variant: "TaskVariant", *, named: bool) -
     Raises:
         UsageError: a named task does not have it, or no task has.
     """
-    from kinebench_drake.suites.tasks.registry import TASKS
+    from kinebench_drake.suites.families.registry import TASKS
 
     having = [task for task in tasks if variant in TASKS[task].card.variants]
     if not having or (named and len(having) < len(tasks)):

@@ -24,8 +24,8 @@ from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.models.panda.robot import FINGER_LINKS, HAND_LINK, LINK_OF, RobotPart
 from kinebench_drake.models.perception.frame import RENDERED_DEPTH_BIAS_M, RenderedFrame, label_parts
 from kinebench_drake.suites.episode import Episode
-from kinebench_drake.suites.tasks.registry import find_task
-from kinebench_drake.suites.tasks.task import Scene, TaskVariant
+from kinebench_drake.suites.families.registry import find_task
+from kinebench_drake.suites.families.task import Scene, TaskVariant
 
 GRIPPER_LINKS = (HAND_LINK, *FINGER_LINKS, *(f"{finger}_pad" for finger in FINGER_LINKS))
 """Links of the gripper in masks; some of ManiSkill's Pandas have no pad links."""
@@ -151,7 +151,7 @@ class Simulator:
         with _setup_errors():
             import sapien
 
-            from kinebench_drake.suites.tasks.environment import CAMERA, X_WB, KineBenchEnv
+            from kinebench_drake.suites.scene.environment import CAMERA, X_WB, KineBenchEnv
 
         _exempt_libraries()
         plant = ArmPlant()
@@ -282,7 +282,7 @@ class Simulator:
                 f"the simulator renders images of {self.camera.width} x {self.camera.height}, not of {camera.width} x "
                 f"{camera.height}"
             )
-        from kinebench_drake.suites.tasks.environment import place_camera
+        from kinebench_drake.suites.scene.environment import place_camera
 
         place_camera(self._env._sensors[self._camera_name], camera)
         self.camera = camera

@@ -5,8 +5,8 @@ from typing import Generic, TypeVar
 
 from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.errors import KinebenchError, SetupError, UsageError, cause
+from kinebench_drake.suites.families.task import TaskVariant
 from kinebench_drake.suites.simulator import Simulator
-from kinebench_drake.suites.tasks.task import TaskVariant
 
 S = TypeVar("S", bound=Simulator)
 

@@ -11,9 +11,9 @@ from pydantic import ConfigDict, TypeAdapter
 
 from kinebench_drake.errors import UsageError, suggestion
 from kinebench_drake.suites.episode import Episode, compose, episode_id
+from kinebench_drake.suites.families.registry import TASKS
+from kinebench_drake.suites.families.task import TaskVariant
 from kinebench_drake.suites.split import Pool
-from kinebench_drake.suites.tasks.registry import TASKS
-from kinebench_drake.suites.tasks.task import TaskVariant
 
 _STRICT = ConfigDict(extra="forbid")
 NUMBERS = (0, 1, 2, 3)

@@ -7,9 +7,9 @@ import threading
 import numpy as np
 import pytest
 
-from kinebench_drake.datasets.folders import join_relative
-from kinebench_drake.datasets.videos.find import find_samples
 from kinebench_drake.errors import InputError, UsageError, one_line
+from kinebench_drake.formats.folders import join_relative
+from kinebench_drake.formats.videos.find import find_samples
 from kinebench_drake.io.camerafile import load_camera
 from kinebench_drake.io.files import read_bytes
 from kinebench_drake.io.jsonl import parse_json

@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 import kinebench_drake
+from kinebench_drake.environment import sources
 from kinebench_drake.environment.sources import reachable_sources
 
 TOP = Path(kinebench_drake.__file__).parent
@@ -19,7 +20,8 @@ def names(*modules):
 @pytest.fixture
 def package(tmp_path, monkeypatch):
     """A package of the same name in another folder; returns a function that writes a module of it."""
-    monkeypatch.setattr(kinebench_drake, "__file__", str(tmp_path / "__init__.py"))
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    monkeypatch.setattr(sources, "_TOP", tmp_path)
     monkeypatch.setattr(sys.modules[__name__], "TOP", tmp_path)
 
     def write(name, text=""):

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array, make_pose, orthonormalize
 from kinebench_drake.grounding.anomaly.detection import Detection, sustained
-from kinebench_drake.grounding.camera_path import CameraPath, CameraWay
-from kinebench_drake.grounding.view import Frames
+from kinebench_drake.grounding.tracking.camera_path import CameraPath, CameraWay
+from kinebench_drake.grounding.tracking.view import Frames
 from kinebench_drake.types import AnomalyKind
 
 MOVING_PX = 1.2

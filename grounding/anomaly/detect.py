@@ -20,10 +20,10 @@ from kinebench_drake.grounding.anomaly.presence import (
     second_gripper,
 )
 from kinebench_drake.grounding.anomaly.shape import find_deformations, find_scale_drift, shape_misfit
-from kinebench_drake.grounding.crop import GRIPPER_CENTRE_H
-from kinebench_drake.grounding.gripper_width import SHARP_M
-from kinebench_drake.grounding.pose import FramePose
-from kinebench_drake.grounding.view import Frames, GripperView
+from kinebench_drake.grounding.tracking.crop import GRIPPER_CENTRE_H
+from kinebench_drake.grounding.tracking.gripper_width import SHARP_M
+from kinebench_drake.grounding.tracking.pose import FramePose
+from kinebench_drake.grounding.tracking.view import Frames, GripperView
 from kinebench_drake.types import Domain
 
 FAIR_CONFIDENCE = 0.1

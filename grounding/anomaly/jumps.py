@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from kinebench_drake.geometry import Array
 from kinebench_drake.grounding.anomaly.detection import Detection
-from kinebench_drake.grounding.view import Frames
+from kinebench_drake.grounding.tracking.view import Frames
 from kinebench_drake.segments import UNEVEN, finite_rows, frame_periods, segments
 from kinebench_drake.types import AnomalyKind
 

@@ -10,8 +10,8 @@ from numpy.typing import ArrayLike, NDArray
 from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array, transform_points
 from kinebench_drake.grounding.anomaly.detection import Detection, sustained
-from kinebench_drake.grounding.crop import GRIPPER_RADIUS_M
-from kinebench_drake.grounding.view import GripperView
+from kinebench_drake.grounding.tracking.crop import GRIPPER_RADIUS_M
+from kinebench_drake.grounding.tracking.view import GripperView
 from kinebench_drake.models.panda.cad import part_meshes
 from kinebench_drake.models.panda.robot import OPENING_SIGN
 from kinebench_drake.segments import finite_rows, segments

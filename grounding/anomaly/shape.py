@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike
 
 from kinebench_drake.geometry import Array, invert, transform_points
 from kinebench_drake.grounding.anomaly.detection import Detection, finite_median
-from kinebench_drake.grounding.view import GripperView
+from kinebench_drake.grounding.tracking.view import GripperView
 from kinebench_drake.types import AnomalyKind
 
 MISFIT = 0.02

@@ -15,7 +15,7 @@ from kinebench_drake.grounding.registration.edges import FLANGE, RIGID, ROBOT, E
 from kinebench_drake.grounding.registration.fit import UNSEEN_FINGER_M, HandFit, gripper_cells
 from kinebench_drake.grounding.registration.flow import follow_surface
 from kinebench_drake.grounding.registration.solver import Solution, solve
-from kinebench_drake.grounding.view import GripperView
+from kinebench_drake.grounding.tracking.view import GripperView
 from kinebench_drake.models.panda.robot import ARM, RobotPart
 from kinebench_drake.models.robot import N_JOINTS
 

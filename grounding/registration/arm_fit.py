@@ -33,7 +33,7 @@ from kinebench_drake.grounding.registration.fit import (
 )
 from kinebench_drake.grounding.registration.silhouette import SilhouetteMatcher
 from kinebench_drake.grounding.registration.solver import CellRows, Solution, solve
-from kinebench_drake.grounding.view import GripperView
+from kinebench_drake.grounding.tracking.view import GripperView
 from kinebench_drake.models.panda.cad import open_fingers
 from kinebench_drake.models.panda.robot import RobotPart
 

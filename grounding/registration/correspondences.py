@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinebench_drake.geometry import Array
-from kinebench_drake.grounding.view import OPENING_SIGNS, GripperView
+from kinebench_drake.grounding.tracking.view import OPENING_SIGNS, GripperView
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

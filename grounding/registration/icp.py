@@ -35,7 +35,7 @@ from kinebench_drake.geometry import (
     rotation_log,
     transform_points,
 )
-from kinebench_drake.grounding.view import GripperView
+from kinebench_drake.grounding.tracking.view import GripperView
 from kinebench_drake.models.panda.cad import GripperCad
 
 _MAX_CELLS = 500  # cells of the gripper that are registered

@@ -13,7 +13,7 @@ from scipy.ndimage import distance_transform_edt
 
 from kinebench_drake.geometry import Array, cross, invert, transform_points
 from kinebench_drake.grounding.registration.correspondences import Correspondences
-from kinebench_drake.grounding.view import GripperView
+from kinebench_drake.grounding.tracking.view import GripperView
 from kinebench_drake.models.panda.cad import GripperCad
 
 GATE_CELLS = 4.0

@@ -9,11 +9,11 @@ from pathlib import Path
 from typing import Any, TypeAlias, TypedDict, Unpack
 
 from kinebench_drake.errors import KinebenchError, member_of
-from kinebench_drake.evaluation import score
-from kinebench_drake.evaluation.runner import NullRunObserver, RunObserver, RunSummary
-from kinebench_drake.evaluation.score_config import ScoreConfig
 from kinebench_drake.executors.base import ExecutorKind
 from kinebench_drake.results.metadata import Shard
+from kinebench_drake.runs import score
+from kinebench_drake.runs.runner import NullRunObserver, RunObserver, RunSummary
+from kinebench_drake.runs.score_config import ScoreConfig
 
 PathName: TypeAlias = str | PathLike[str]
 
@@ -206,7 +206,7 @@ def run_suite(
         summary = run_suite(0, world_model="oracle", tasks=["StackCube-v1"], episodes=2, out="ceiling")
         print(summary.success.mean, [row.extra["verdict"] for row in summary.rows])
     """
-    from kinebench_drake.evaluation import suite as suites  # the simulator and torch: seconds to load
+    from kinebench_drake.runs import suite as suites
 
     config = suites.suite_config(suite, world_model=world_model, out=Path(out), **_parsed(options))
     return suites.run_suite(config, observer or Warner())

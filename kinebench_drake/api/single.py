@@ -14,25 +14,25 @@ from numpy.typing import ArrayLike, NDArray
 
 from kinebench_drake.api.run import PathName, name_arguments, own_arguments
 from kinebench_drake.camera import Camera, CameraSetting
-from kinebench_drake.datasets.trajectories.check import check
-from kinebench_drake.datasets.trajectories.source import find_trajectories, read_trajectory
-from kinebench_drake.datasets.trajectories.trajectory import RawTrajectory, TrajectoryOptions
-from kinebench_drake.datasets.videos.find import find_samples
-from kinebench_drake.datasets.videos.sample import CameraSource, VideoSample
 from kinebench_drake.errors import InputError, UnmeasurableError, UsageError, member_of
-from kinebench_drake.evaluation.analyzer import Analyzer, AnalyzerFactory, RobotOptions, load_analyzer
-from kinebench_drake.evaluation.audit import judge_trajectory
-from kinebench_drake.evaluation.camera import describe_contradiction
-from kinebench_drake.evaluation.evaluator import SampleInfo
-from kinebench_drake.evaluation.grounding import ground_with_camera
-from kinebench_drake.evaluation.preparation import BENCHMARK_PERIOD_S, with_initial_states
-from kinebench_drake.evaluation.score_config import check_period, period_warnings
 from kinebench_drake.executors.local import one_thread
+from kinebench_drake.formats.trajectories.check import check
+from kinebench_drake.formats.trajectories.source import find_trajectories, read_trajectory
+from kinebench_drake.formats.trajectories.trajectory import RawTrajectory, TrajectoryOptions
+from kinebench_drake.formats.videos.find import find_samples
+from kinebench_drake.formats.videos.sample import CameraSource, VideoSample
 from kinebench_drake.grounding.overrides.overrides import Overrides
 from kinebench_drake.io.camerafile import load_camera
 from kinebench_drake.io.reader import read_video
 from kinebench_drake.io.video import Video
 from kinebench_drake.results.inputs import PeriodSource
+from kinebench_drake.runs.analyzer import Analyzer, AnalyzerFactory, RobotOptions, load_analyzer
+from kinebench_drake.runs.audit import judge_trajectory
+from kinebench_drake.runs.camera import describe_contradiction
+from kinebench_drake.runs.evaluator import SampleInfo
+from kinebench_drake.runs.grounding import ground_with_camera
+from kinebench_drake.runs.preparation import BENCHMARK_PERIOD_S, with_initial_states
+from kinebench_drake.runs.score_config import check_period, period_warnings
 from kinebench_drake.types import GripperKind, GripperTrack, InitialState
 
 if TYPE_CHECKING:  # torch, Open3D and Drake take seconds to load

@@ -24,7 +24,6 @@ _COMMANDS = {
     "compare": ("folders", "Compare output folders."),
     "merge": ("folders", "Merge output folders of shards."),
     "view": ("folders", "Show one sample in 3D."),
-    "perception": ("perception", "Train and evaluate the perception networks."),
 }
 """Command name to (module in `kinebench_drake.cli`, short help); the command is the module's object of that name."""
 

@@ -47,7 +47,7 @@ def audit(ctx: click.Context, /, **options: Any) -> None:
     path follows them. Lengths are metres, angles radians, poses those of the TCP in the robot's base frame.
     """
     from kinebench_drake.cli.run import run
-    from kinebench_drake.evaluation.audit import AuditConfig, audit_trajectories
+    from kinebench_drake.runs.audit import AuditConfig, audit_trajectories
 
     config = AuditConfig(**options)
     ctx.exit(run(lambda observer: audit_trajectories(config, observer), config.out))

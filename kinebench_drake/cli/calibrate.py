@@ -63,9 +63,9 @@ def calibrate(out: Path, figure: Path | None, as_json: bool, **options: Any) -> 
     Without joint angles the motion of the robot determines the camera, if the base is visible. If the video does not
     determine the camera, the command fails with the reason.
     """
-    from kinebench_drake.calibration.calibrate import CalibrationConfig
-    from kinebench_drake.calibration.calibrate import calibrate as run_calibration
-    from kinebench_drake.calibration.result import format_lines
+    from kinebench_drake.grounding.camera.calibrate import CalibrationConfig
+    from kinebench_drake.grounding.camera.calibrate import calibrate as run_calibration
+    from kinebench_drake.grounding.camera.result import format_lines
     from kinebench_drake.io.camerafile import save_camera
     from kinebench_drake.io.files import absence
     from kinebench_drake.io.jsonl import dump
@@ -78,7 +78,7 @@ def calibrate(out: Path, figure: Path | None, as_json: bool, **options: Any) -> 
     camera = outcome.calibration.camera
     save_camera(camera, out)
     if figure is not None:
-        from kinebench_drake.calibration.overlay import draw_robot, save_image
+        from kinebench_drake.grounding.camera.overlay import draw_robot, save_image
 
         save_image(draw_robot(outcome.frame, camera, outcome.X_BP, outcome.finger_m), figure)
     if as_json:

@@ -118,7 +118,7 @@ def merge(ctx: click.Context, /, folders: tuple[Path, ...], out: Path) -> None:
     rows. Shards must agree in all settings but --shard, --jobs, --engine and --limit. To complete a merged folder, run
     the original command without --shard and with the merged folder as --out: it processes the samples still absent.
     """
-    from kinebench_drake.evaluation.merge import merge_folders
+    from kinebench_drake.runs.merge import merge_folders
 
     ctx.exit(run(lambda observer: merge_folders(folders, out, observer), out, MergeView("samples")))
 

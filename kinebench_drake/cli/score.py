@@ -7,7 +7,7 @@ import click
 from kinebench_drake.cli.options import PathParameter, judging_options, sample_options, video_options
 
 if TYPE_CHECKING:
-    from kinebench_drake.evaluation.score_config import ScoreConfig
+    from kinebench_drake.runs.score_config import ScoreConfig
 
 
 @click.command(
@@ -36,7 +36,7 @@ def score(ctx: click.Context, /, dry_run: bool, **options: Any) -> None:
     --masks, --depth and --poses replace stages of the grounding by results of other tools. Each DIR holds ID.npz,
     ID.npy or a folder ID/ for every video (docs/grounding.md), or is a demonstration folder with its truth.
     """
-    from kinebench_drake.evaluation.score_config import ScoreConfig
+    from kinebench_drake.runs.score_config import ScoreConfig
 
     ctx.exit(_score(ScoreConfig(**options), dry_run=dry_run))
 
@@ -62,8 +62,8 @@ def ground(ctx: click.Context, /, dry_run: bool, **options: Any) -> None:
     --masks, --depth and --poses replace stages of the grounding by results of other tools. Each DIR holds ID.npz,
     ID.npy or a folder ID/ for every video (docs/grounding.md), or is a demonstration folder with its truth.
     """
-    from kinebench_drake.evaluation.config import RunKind
-    from kinebench_drake.evaluation.score_config import ScoreConfig
+    from kinebench_drake.runs.config import RunKind
+    from kinebench_drake.runs.score_config import ScoreConfig
 
     ctx.exit(_score(ScoreConfig(kind=RunKind.GROUND, **options), dry_run=dry_run))
 
@@ -71,9 +71,9 @@ def ground(ctx: click.Context, /, dry_run: bool, **options: Any) -> None:
 def _score(config: "ScoreConfig", *, dry_run: bool) -> int:
     """Carry out a run, or list what it would read; return the exit status."""
     from kinebench_drake.cli.run import ProgressView, run
-    from kinebench_drake.evaluation.score import plan_videos, score_videos
     from kinebench_drake.results.inputs import input_lines
     from kinebench_drake.results.row import Status
+    from kinebench_drake.runs.score import plan_videos, score_videos
 
     if not dry_run:
         return run(lambda observer: score_videos(config, observer), config.out)

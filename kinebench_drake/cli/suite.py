@@ -47,10 +47,10 @@ def _episodes(
         UsageError: an option needs --suite, or contradicts it, or there is no such task, split or seed.
     """
     from kinebench_drake.suites.episode import compose
+    from kinebench_drake.suites.families.registry import TASKS, find_task
+    from kinebench_drake.suites.families.task import TaskVariant
     from kinebench_drake.suites.split import Pool
     from kinebench_drake.suites.suite import load_suite
-    from kinebench_drake.suites.tasks.registry import TASKS, find_task
-    from kinebench_drake.suites.tasks.task import TaskVariant
 
     own = TaskVariant(variant)
     if number is None:
@@ -95,7 +95,7 @@ suite.add_command(report)
 @click.option("--markdown", is_flag=True, help="The tasks as a table.")
 def list_tasks(as_json: bool, suites: bool, markdown: bool) -> None:
     """List the tasks, one plain id a line."""
-    from kinebench_drake.suites.tasks.registry import TASKS
+    from kinebench_drake.suites.families.registry import TASKS
 
     if suites:
         _list_suites(as_json)

@@ -60,8 +60,8 @@ def export(size: int, jobs: int, **options: Any) -> None:
 
 def _dataset(number: int, split: str, tasks: str | None, variant: str, **others: Any) -> dict[str, Any]:
     """Return the fields of `DatasetConfig` from the options of the command line."""
+    from kinebench_drake.suites.families.task import TaskVariant
     from kinebench_drake.suites.suite import load_suite
-    from kinebench_drake.suites.tasks.task import TaskVariant
 
     suite, task_variant = load_suite(number), TaskVariant(variant)
     chosen = chosen_tasks(suite, split, tasks, task_variant)

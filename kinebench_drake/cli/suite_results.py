@@ -65,7 +65,8 @@ def ceiling(folders: tuple[Path, ...], out: Path | None, seed: int, jobs: int) -
     "--paper",
     is_flag=True,
     help="Write the paper's tables and figures to index.html, and the missing ones with their commands to missing.md; "
-    "DIR may also be a file of `perception` with --json, or the folder of `perception baseline evaluate`.",
+    "DIR may also be a --json file of the studies of `python -m benchmarks`, or the folder of "
+    "`python -m training baseline evaluate`.",
 )
 @click.option("--out", type=PathParameter(file_okay=False), required=True, help="Folder to write to.")
 @bootstrap_seed_option
@@ -118,8 +119,8 @@ def tolerance(
     from kinebench_drake.closed_loop.tolerance import PoseError, run_attempts, table_json, table_lines
     from kinebench_drake.errors import UsageError
     from kinebench_drake.executors.base import ExecutorKind, create_executor
+    from kinebench_drake.suites.families.task import TaskVariant
     from kinebench_drake.suites.suite import load_suite
-    from kinebench_drake.suites.tasks.task import TaskVariant
 
     names = errors.split(",")
     if unknown := [name for name in names if name not in _ERRORS]:

@@ -77,7 +77,7 @@ def run(ctx: click.Context, /, number: int, **options: Any) -> None:
     Each episode begins with its seeded scene; after a clip the model is asked again from the last executed frame, until
     the task succeeds or the rounds are used up. --seed is the number of the first of the split's seeds.
     """
-    from kinebench_drake.evaluation.suite import run_suite, suite_config
+    from kinebench_drake.runs.suite import run_suite, suite_config
 
     config = suite_config(number, **options)
     ctx.exit(carry_out(lambda observer: run_suite(config, observer), config.out))

@@ -1,16 +1,41 @@
 """Source files behind a result: the modules that a module reaches through its imports, read from the syntax trees."""
 
 import ast
-from collections.abc import Iterator
+import hashlib
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
+from typing import cast
 
-import kinebench_drake
+from kinebench_drake.errors import SetupError
+from kinebench_drake.io.files import cache_folder
+from kinebench_drake.io.jsonl import read_object, write_json
 
-_PACKAGE = "kinebench_drake"
+_TOP, _PACKAGE = Path(__file__).parents[1], "kinebench_drake"
+_CACHE = "sources.json"
+"""File in the cache folder: code hash and imports of sources by the hash of their bytes; parsing takes a second."""
+_MOST = 3000  # sources in that file; beyond, those of earlier versions are dropped
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Source:
+    """One source file."""
+
+    name: str
+    """Full name of the module."""
+    path: Path
+    code: str
+    """SHA-256 of its syntax tree, without docstrings and comments."""
 
 
 def reachable_sources(*modules: str) -> tuple[Path, ...]:
-    """Return the source files of modules of this package and of all its modules that they import, sorted.
+    """Return the files of `trace_sources`, sorted."""
+    return tuple(sorted(source.path for source in trace_sources(*modules)))
+
+
+def trace_sources(*modules: str) -> tuple[Source, ...]:
+    """Return the sources of modules of this package and of all its modules that they import, sorted by name.
 
     Imports are followed wherever they stand, also inside functions; packages on the way count with their `__init__`.
     The top `__init__` counts, but is not followed: its function that loads the Python interface on demand would reach
@@ -22,7 +47,9 @@ def reachable_sources(*modules: str) -> tuple[Path, ...]:
     Raises:
         ValueError: there is no such module in this package.
     """
-    reached: dict[str, Path] = {}
+    cache = _read_cache()
+    parsed = dict[str, tuple[str, list[str]]]()
+    reached: dict[str, Source] = {}
     pending = list(modules)
     while pending:
         name = pending.pop()
@@ -31,10 +58,25 @@ def reachable_sources(*modules: str) -> tuple[Path, ...]:
         path = _path(name)
         if path is None:
             raise ValueError(f"there is no module {name!r} in {_PACKAGE}")
-        reached[name] = path
+        data = path.read_bytes()
+        key = hashlib.sha256(data).hexdigest()
+        code, imports = parsed[key] = cache.get(key) or _parse(data)
+        reached[name] = Source(name=name, path=path, code=code)
         if name != _PACKAGE:
-            pending += [name.rpartition(".")[0], *_imports(path)]
-    return tuple(sorted(reached.values()))
+            pending += [name.rpartition(".")[0], *filter(_path, imports)]
+    if parsed.keys() - cache.keys():
+        with suppress(OSError, SetupError):  # without a cache every call takes a second
+            cache_folder().mkdir(parents=True, exist_ok=True)
+            kept = cache if len(cache) < _MOST else {}
+            write_json(cache_folder() / _CACHE, {**kept, **parsed})
+    return tuple(reached[name] for name in sorted(reached))
+
+
+def _read_cache() -> dict[str, tuple[str, list[str]]]:
+    with suppress(OSError, ValueError, TypeError, AttributeError):
+        stored = cast(Mapping[str, tuple[str, list[str]]], read_object(cache_folder() / _CACHE))
+        return {key: (str(code), list(map(str, imports))) for key, (code, imports) in stored.items()}
+    return {}
 
 
 def _path(name: str) -> Path | None:
@@ -42,19 +84,41 @@ def _path(name: str) -> Path | None:
     top, *rest = name.split(".")
     if top != _PACKAGE:
         return None
-    base = Path(kinebench_drake.__file__).parent.joinpath(*rest)
+    base = _TOP.joinpath(*rest)
     candidates = (base / "__init__.py", base.with_suffix(".py")) if rest else (base / "__init__.py",)
     return next((path for path in candidates if path.is_file()), None)
 
 
-def _imports(path: Path) -> Iterator[str]:
-    """Yield the modules of this package that a file imports."""
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+def _parse(data: bytes) -> tuple[str, list[str]]:
+    """Return the hash of the syntax tree of a source, and the names in this package that it imports.
+
+    A name may be a module or something inside one.
+    """
+    tree = ast.parse(data)
+    imports = sorted(set(_imports(tree)))
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
+            code = [statement for statement in node.body if not _is_text(statement)]
+            node.body = code if code or isinstance(node, ast.Module) else [ast.Pass()]
+    return hashlib.sha256(ast.unparse(tree).encode()).hexdigest(), imports
+
+
+def _is_text(statement: ast.stmt) -> bool:
+    """Return whether a statement is a string alone: the docstring of a module, class, function or constant."""
+    return (
+        isinstance(statement, ast.Expr)
+        and isinstance(statement.value, ast.Constant)
+        and isinstance(statement.value.value, str)
+    )
+
+
+def _imports(tree: ast.Module) -> Iterator[str]:
+    """Yield the names in this package that a syntax tree imports."""
+    for node in ast.walk(tree):
         if isinstance(node, ast.Import):
             names = [alias.name for alias in node.names]
         elif isinstance(node, ast.ImportFrom) and node.module:
-            inner = [f"{node.module}.{alias.name}" for alias in node.names]
-            names = [node.module, *(name for name in inner if _path(name))]
+            names = [node.module, *(f"{node.module}.{alias.name}" for alias in node.names)]
         else:
             continue
         yield from (name for name in names if name.split(".")[0] == _PACKAGE)

@@ -19,7 +19,7 @@ from typing import Any, Generic
 from kinebench_drake.errors import KinebenchError, SetupError
 from kinebench_drake.executors.base import Item, ItemResult, MakeWorker, Outcomes, Result, WorkerCrash
 from kinebench_drake.executors.local import THREAD_VARIABLES
-from kinebench_drake.results.provenance import code_hash
+from kinebench_drake.results.provenance import RUNS, code_hash
 
 TRIES = 2
 """Attempts at an item whose worker is lost: the first loss may be caused by the machine, not by the item."""
@@ -93,7 +93,7 @@ class RayWorker(Generic[Item, Result]):
     def equip(self, folder: str, code: str, make_worker: MakeWorker[Item, Result]) -> KinebenchError | None:
         """Create the worker; return an error if this node cannot run it."""
         node = platform.node()
-        if code_hash() != code:
+        if code_hash(*RUNS) != code:
             return SetupError(f"node {node} has another version of kinebench-drake: install the same on all nodes")
         try:
             os.chdir(folder)
@@ -169,7 +169,7 @@ class ActorPool(Generic[Item, Result]):
 
     def _equip(self, actor: Any) -> Any:
         """Let an actor load its models; returns the reference to its answer."""
-        return actor.equip.remote(os.getcwd(), code_hash(), self._make_worker)
+        return actor.equip.remote(os.getcwd(), code_hash(*RUNS), self._make_worker)
 
     def _dismiss(self, worker: WorkerActor[Item]) -> None:
         self._workers.remove(worker)

@@ -7,13 +7,13 @@ from collections.abc import Hashable, Sequence
 from pathlib import Path
 
 from kinebench_drake.io.jsonl import as_object
+from kinebench_drake.metrics.trust import TRUST, TrustLevel
 from kinebench_drake.report.metric import Metric
 from kinebench_drake.report.sample import VERDICT_LABELS, VIDEOS, explain, is_viewable, numeric_value, verdict_of
 from kinebench_drake.report.table import format_value
 from kinebench_drake.report.timeline import anomalies_of
 from kinebench_drake.results.row import SampleRow
 from kinebench_drake.results.store import artifact_path
-from kinebench_drake.results.trust import TRUST, TrustLevel
 
 LOST = "lost frames"
 

@@ -7,32 +7,16 @@ from functools import cache
 from importlib import metadata
 from pathlib import Path
 
+from kinebench_drake.environment.sources import trace_sources
 from kinebench_drake.types import Json
 
 _TOP = Path(__file__).parents[1]
 _PACKAGES = ("numpy", "scipy", "drake", "open3d", "torch", "av", "mani_skill", "sapien")
 
-MEASURING = (
-    *("camera.py", "geometry.py", "segments.py", "types.py", "io/*.py", "datasets/**/*.py", "models/**/*.py"),
-    *("kinematics/*.py", "metrics/*.py", "grounding/*.py", "grounding/anomaly/*.py", "grounding/framing/*.py"),
-    *("grounding/overrides/*.py", "grounding/registration/*.py", "calibration/*.py", "evaluation/*.py"),
-    "closed_loop/*.py",
-    *("suites/*.py", "suites/assets/*.py", "suites/experts/*.py", "suites/faults/*.py", "suites/tasks/*.py"),
-    "suites/worldmodels/*.py",
-)
-"""Sources that shape a measurement, as patterns below the package: changed code invalidates stored rows."""
-NOT_MEASURING = (
-    # Imported by measuring code, but no number depends on them: storage, presentation, distribution of the work.
-    *("__init__.py", "errors.py", "plugin.py", "stats.py", "environment/*.py", "executors/*.py", "report/*.py"),
-    *("results/*.py", "evaluation/resume.py", "evaluation/runner.py", "evaluation/suite.py"),
-    *("evaluation/thumbnail.py", "io/atomic.py", "grounding/overlay.py"),
-    # In the folders of measuring code, but not used by it.
-    *("io/figure.py", "evaluation/merge.py", "closed_loop/tolerance.py", "suites/contact_sheet.py"),
-    *("calibration/articulated.py", "calibration/calibrate.py", "calibration/observability.py"),
-    *("calibration/overlay.py", "calibration/result.py", "calibration/solve.py", "calibration/states.py"),
-    *("suites/demos.py", "suites/expert_check.py", "suites/demo_config.py", "suites/selection.py"),
-)
-"""Exceptions from `MEASURING`."""
+RUNS = ("kinebench_drake.runs.score", "kinebench_drake.runs.audit", "kinebench_drake.runs.episode")
+"""Modules that measure samples."""
+_NOT_MEASURING = ("report", "results", "executors", "environment", "cli", "errors", "stats")
+"""Parts of the package on which no number of a row depends: storage, statistics, presentation, distribution of work."""
 
 
 def versions() -> dict[str, Json]:
@@ -60,17 +44,19 @@ def weights_hash() -> str:
     return digest.hexdigest()
 
 
-def sources(patterns: tuple[str, ...]) -> set[Path]:
-    """Return the files of the package that match one of the patterns."""
-    return {file for pattern in patterns for file in _TOP.glob(pattern)}
-
-
 @cache
-def code_hash() -> str:
-    """Return the SHA-256 of the sources that shape a measurement: a row with another hash is computed again."""
+def code_hash(*modules: str) -> str:
+    """Return the SHA-256 of the code that shapes a measurement: a row with another hash is computed again.
+
+    It is that of the syntax trees, without docstrings and comments, of all modules that measuring modules reach.
+
+    Args:
+        modules: full names of measuring modules.
+    """
     digest = hashlib.sha256()
-    for file in sorted(sources(MEASURING) - sources(NOT_MEASURING)):
-        digest.update(file.relative_to(_TOP).as_posix().encode() + b"\0" + file.read_bytes() + b"\0")
+    for source in trace_sources(*modules):
+        if source.name.split(".")[1:2] not in [[part] for part in _NOT_MEASURING]:
+            digest.update(f"{source.name} {source.code}\n".encode())
     return digest.hexdigest()
 
 
@@ -78,7 +64,7 @@ def code_hash() -> str:
 def report_hash() -> str:
     """Return the SHA-256 of the sources and templates that shape statistics and reports."""
     digest = hashlib.sha256()
-    for file in sorted(sources(("*.py", "*/*.py", "report/*.j2"))):
+    for file in sorted(file for pattern in ("*.py", "*/*.py", "report/*.j2") for file in _TOP.glob(pattern)):
         digest.update(file.relative_to(_TOP).as_posix().encode() + b"\0" + file.read_bytes() + b"\0")
     return digest.hexdigest()
 

@@ -40,7 +40,7 @@ _STAGES = (
 )
 _SKIPS = {0: 16, 2: 24, 4: 40, 10: 112}  # last block before each stride -> its channels
 _DECODER = (128, 96, 64, 48)
-_FIX = "reinstall kinebench-drake, which contains them, or train new ones with `kinebench-drake perception train`"
+_FIX = "reinstall kinebench-drake, which contains them, or train new ones with `python -m training train`"
 
 
 @dataclass(frozen=True, slots=True)

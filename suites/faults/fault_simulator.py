@@ -43,7 +43,7 @@ class FaultSimulator(Simulator):
 
     def set_camera_pose(self, camera: Camera) -> None:
         """Move the camera; its intrinsics stay."""
-        from kinebench_drake.suites.tasks.environment import X_WB, sapien_from_opencv
+        from kinebench_drake.suites.scene.environment import X_WB, sapien_from_opencv
 
         X_WS = sapien_from_opencv(X_WB @ camera.X_BC)
         rendering = self._env._sensors[self._camera_name].camera._render_cameras[0]

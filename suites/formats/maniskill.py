@@ -15,9 +15,9 @@ from kinebench_drake.io.atomic import atomic_path
 from kinebench_drake.io.jsonl import write_json
 from kinebench_drake.io.npz import write_arrays
 from kinebench_drake.suites.clock import CONTROL_PERIOD_S
+from kinebench_drake.suites.families.registry import TASKS
 from kinebench_drake.suites.formats.demo import CLIP_STEPS, PARTS, Content, Demo, Record, RenderOptions
 from kinebench_drake.suites.simulator import Simulator
-from kinebench_drake.suites.tasks.registry import TASKS
 
 CONTROL_MODE = "pd_joint_pos"
 _STATES = "env_states"
@@ -78,7 +78,7 @@ def _part(folder: Path, id: str) -> Path:
 
 def _description(task: str, records: Sequence[Record], lengths: Sequence[int], about: dict[str, Any]) -> dict[str, Any]:
     """Return the description of a file: arguments of the environment, seed and length of each trajectory."""
-    from kinebench_drake.suites.tasks.environment import environment_id
+    from kinebench_drake.suites.scene.environment import environment_id
 
     return {
         "env_info": {

@@ -18,9 +18,9 @@ from kinebench_drake.io.camerafile import save_camera
 from kinebench_drake.io.container import write_video
 from kinebench_drake.io.jsonl import write_lines
 from kinebench_drake.io.npz import write_arrays
+from kinebench_drake.suites.families.registry import TASKS
 from kinebench_drake.suites.formats.demo import Content, Demo, Record, RenderOptions
 from kinebench_drake.suites.start import first_facts
-from kinebench_drake.suites.tasks.registry import TASKS
 
 
 def _names(task: str, id: str, clips: int) -> list[str]:

@@ -2,17 +2,17 @@ import json
 
 import numpy as np
 import pytest
+from tests.calibration.robot import CellsAlone, PerfectEstimator, postures
 
 from benchmarks.calibration import CONDITIONS, CalibrationCondition, measure, trial_table
-from kinebench_drake.calibration.calibrate import Calibrator
-from kinebench_drake.calibration.result import CalibrationMethod
 from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.errors import UsageError
 from kinebench_drake.geometry import invert
+from kinebench_drake.grounding.camera.calibrate import Calibrator
+from kinebench_drake.grounding.camera.result import CalibrationMethod
 from kinebench_drake.grounding.registration.arm_model import ArmModel
 from kinebench_drake.io.camerafile import save_camera
 from kinebench_drake.models.panda.robot import RobotPart
-from tests.calibration.robot import CellsAlone, PerfectEstimator, postures
 
 T = 5
 

@@ -4,12 +4,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from benchmarks.perception.errors import ClipErrors, Expense
+from benchmarks.perception.perturbation.catalogue import PerturbationKind
+from benchmarks.perception.study import GroundingStudy, StudyOutcome, robustness
+from benchmarks.perception.tables import compared
+from benchmarks.perception.trial import TrialCondition
 from benchmarks.robustness import TRUE_DEPTH, draw, figures, section
-from kinebench_drake.grounding.evaluation.errors import ClipErrors, Expense
-from kinebench_drake.grounding.evaluation.perturbation.catalogue import PerturbationKind
-from kinebench_drake.grounding.evaluation.study import GroundingStudy, StudyOutcome, robustness
-from kinebench_drake.grounding.evaluation.tables import compared
-from kinebench_drake.grounding.evaluation.trial import TrialCondition
 
 FRAMES = 10
 

@@ -10,14 +10,14 @@ from scipy.stats import spearmanr
 
 from benchmarks import validity
 from benchmarks.__main__ import main
+from benchmarks.perception.store import MeasurementStore
 from benchmarks.planted_videos import PlantingResult
 from benchmarks.validity import ExecutionWorker, TrackExecution, ValidityTrial, study_grades, study_specs
 from benchmarks.validity_report import FIGURES, write_report
 from benchmarks.validity_response import NUMBERS, Grade, Study, Verdict, correlate
-from kinebench_drake.grounding.evaluation.store import MeasurementStore
+from kinebench_drake.suites.families.registry import TASKS
 from kinebench_drake.suites.faults.fault import GRADES, FaultGrade, PlantedFault
 from kinebench_drake.suites.split import Pool
-from kinebench_drake.suites.tasks.registry import TASKS
 from kinebench_drake.types import AnomalyKind, GripperTrack
 
 EPISODES = 24

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from kinebench_drake import cli
-from kinebench_drake.evaluation import audit, score
-from kinebench_drake.evaluation import runner as run
-from kinebench_drake.evaluation.analyzer import Analyzer
-from kinebench_drake.evaluation.score_config import ScoreConfig
 from kinebench_drake.io.container import write_video
 from kinebench_drake.results.provenance import code_hash
+from kinebench_drake.runs import audit, score
+from kinebench_drake.runs import runner as run
+from kinebench_drake.runs.analyzer import Analyzer
+from kinebench_drake.runs.score_config import ScoreConfig
 
 HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE))

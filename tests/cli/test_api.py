@@ -12,19 +12,19 @@ from fake_analyzer import Act, FakeAnalyzer
 import kinebench_drake
 from kinebench_drake import audit_trajectory, ground_video, run_suite, score_videos
 from kinebench_drake.api import single
-from kinebench_drake.calibration.contradiction import CameraContradiction
 from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.cli import cli
 from kinebench_drake.errors import InputError, KinebenchError, UnmeasurableError, UsageError
-from kinebench_drake.evaluation import score, suite
-from kinebench_drake.evaluation.score_config import ScoreConfig
 from kinebench_drake.geometry import make_pose
+from kinebench_drake.grounding.camera.contradiction import CameraContradiction
 from kinebench_drake.io.camerafile import save_camera
 from kinebench_drake.io.jsonl import finite
 from kinebench_drake.io.reader import read_video
 from kinebench_drake.results.row import Status
 from kinebench_drake.results.store import read_rows
 from kinebench_drake.results.trackfile import read_track
+from kinebench_drake.runs import score, suite
+from kinebench_drake.runs.score_config import ScoreConfig
 from kinebench_drake.types import InitialState
 
 NOISE = np.random.default_rng(0).integers(0, 255, (4, 96, 200, 3), np.uint8)

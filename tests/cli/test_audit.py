@@ -8,13 +8,13 @@ import pytest
 from fake_analyzer import LOG, FakeAnalyzer
 
 from kinebench_drake.errors import SetupError, UsageError
-from kinebench_drake.evaluation.audit import AuditConfig, TrajectoryEvaluator, audit_trajectories
-from kinebench_drake.evaluation.evaluator import KINEMATIC_METRICS
-from kinebench_drake.evaluation.runner import NullRunObserver
 from kinebench_drake.results.metadata import Shard
 from kinebench_drake.results.row import Status
 from kinebench_drake.results.store import artifact_path, read_rows
 from kinebench_drake.results.trackfile import read_track
+from kinebench_drake.runs.audit import AuditConfig, TrajectoryEvaluator, audit_trajectories
+from kinebench_drake.runs.evaluator import KINEMATIC_METRICS
+from kinebench_drake.runs.runner import NullRunObserver
 
 N = 10
 Q = 0.1 * np.ones((N, 7)) + 0.01 * np.arange(N)[:, None]
@@ -241,7 +241,7 @@ def test_replays_are_those_of_the_worst_of_all_whatever_came_before(run, tmp_pat
     def replayed():
         return {path.stem for path in tmp_path.glob("out/replays/*")}
 
-    monkeypatch.setattr("kinebench_drake.evaluation.runner._replay", write)
+    monkeypatch.setattr("kinebench_drake.runs.runner._replay", write)
     run(limit=2, replays=1)
     assert replayed() == {"demo-traj_0"}
     run(replays=1)

@@ -4,7 +4,10 @@ import numpy as np
 import pytest
 from fake_analyzer import Act, FakeAnalyzer
 
-from kinebench_drake.calibration.camera_estimate import (
+from kinebench_drake.camera import CameraSetting, benchmark_camera
+from kinebench_drake.errors import UnmeasurableError
+from kinebench_drake.formats.videos.sample import CameraSource, VideoSample
+from kinebench_drake.grounding.camera.camera_estimate import (
     ALIGNED_AGREEMENT,
     ALIGNED_BASE_AGREEMENT,
     ARM_AGREEMENT,
@@ -12,21 +15,18 @@ from kinebench_drake.calibration.camera_estimate import (
     GRIPPER_SIGMA_M,
     CameraEstimate,
 )
-from kinebench_drake.calibration.contradiction import LARGE_M, CameraContradiction
-from kinebench_drake.calibration.estimate import usual_camera
-from kinebench_drake.calibration.reading import BetterReading, Reading
-from kinebench_drake.camera import CameraSetting, benchmark_camera
-from kinebench_drake.datasets.videos.sample import CameraSource, VideoSample
-from kinebench_drake.errors import UnmeasurableError
-from kinebench_drake.evaluation.analyzer import RobotOptions
-from kinebench_drake.evaluation.camera import AGREEMENT, CONFIRMED, SURE, CameraState, with_camera_option
-from kinebench_drake.evaluation.grounding import ground_with_camera
-from kinebench_drake.evaluation.score import score_videos
+from kinebench_drake.grounding.camera.contradiction import LARGE_M, CameraContradiction
+from kinebench_drake.grounding.camera.estimate import usual_camera
+from kinebench_drake.grounding.camera.reading import BetterReading, Reading
 from kinebench_drake.grounding.overrides.overrides import Overrides
 from kinebench_drake.io.camerafile import save_camera
 from kinebench_drake.io.video import Video
 from kinebench_drake.results.row import Status
 from kinebench_drake.results.store import read_rows
+from kinebench_drake.runs.analyzer import RobotOptions
+from kinebench_drake.runs.camera import AGREEMENT, CONFIRMED, SURE, CameraState, with_camera_option
+from kinebench_drake.runs.grounding import ground_with_camera
+from kinebench_drake.runs.score import score_videos
 from kinebench_drake.types import Domain, GripperKind
 
 WIDE = np.zeros((12, 96, 160, 3), np.uint8)

@@ -10,9 +10,9 @@ import time
 import pytest
 from fake_analyzer import Act, broken
 
-from kinebench_drake.evaluation import score
-from kinebench_drake.evaluation.analyzer import load_analyzer
 from kinebench_drake.results.store import read_rows
+from kinebench_drake.runs import score
+from kinebench_drake.runs.analyzer import load_analyzer
 
 COMMANDS = ["score", "ground", "audit", "report", "doctor"]
 
@@ -149,7 +149,7 @@ import signal, sys
 signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background jobs are born deaf to it
 from fake_analyzer import FakeAnalyzer
 from kinebench_drake import cli
-from kinebench_drake.evaluation.score_config import ScoreConfig
+from kinebench_drake.runs.score_config import ScoreConfig
 ScoreConfig.__init__.__kwdefaults__["make_analyzer"] = FakeAnalyzer
 if __name__ == "__main__":
     cli.main(sys.argv[1:])

@@ -8,9 +8,9 @@ import pytest
 from fake_analyzer import LOG
 from PIL import Image
 
-from kinebench_drake.evaluation.score import score_videos
 from kinebench_drake.geometry import make_pose
 from kinebench_drake.results.store import read_rows
+from kinebench_drake.runs.score import score_videos
 
 T, SIDE = 8, 96
 MASK = np.zeros((T, SIDE, SIDE), dtype=bool)

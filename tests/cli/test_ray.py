@@ -7,11 +7,11 @@ import pytest
 from fake_analyzer import LOG, Act, broken
 
 from kinebench_drake.errors import SetupError
-from kinebench_drake.evaluation.runner import NullRunObserver
-from kinebench_drake.evaluation.score import score_videos
 from kinebench_drake.executors.base import ExecutorKind
 from kinebench_drake.results.row import Status
 from kinebench_drake.results.store import read_rows
+from kinebench_drake.runs.runner import NullRunObserver
+from kinebench_drake.runs.score import score_videos
 
 ray = pytest.importorskip("ray", reason="ray is not installed: pip install 'kinebench-drake[ray]'")
 pytestmark = pytest.mark.slow

@@ -20,11 +20,6 @@ from PIL import Image
 
 from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.errors import SetupError, UsageError
-from kinebench_drake.evaluation import score
-from kinebench_drake.evaluation.config import RunKind
-from kinebench_drake.evaluation.evaluator import KINEMATIC_METRICS
-from kinebench_drake.evaluation.runner import NullRunObserver
-from kinebench_drake.evaluation.score import VISUAL_METRICS, score_videos
 from kinebench_drake.executors.base import ExecutorKind
 from kinebench_drake.io.atomic import disk_errors
 from kinebench_drake.io.camerafile import save_camera
@@ -34,6 +29,11 @@ from kinebench_drake.results.inputs import input_lines, list_inputs
 from kinebench_drake.results.metadata import Shard
 from kinebench_drake.results.row import Status
 from kinebench_drake.results.store import read_rows
+from kinebench_drake.runs import score
+from kinebench_drake.runs.config import RunKind
+from kinebench_drake.runs.evaluator import KINEMATIC_METRICS
+from kinebench_drake.runs.runner import NullRunObserver
+from kinebench_drake.runs.score import VISUAL_METRICS, score_videos
 from kinebench_drake.types import Domain, GripperKind
 
 
@@ -480,8 +480,8 @@ RUN = """
 import sys
 from pathlib import Path
 from fake_analyzer import FakeAnalyzer
-from kinebench_drake.evaluation.score import score_videos
-from kinebench_drake.evaluation.score_config import ScoreConfig
+from kinebench_drake.runs.score import score_videos
+from kinebench_drake.runs.score_config import ScoreConfig
 if __name__ == "__main__":
     source, out, jobs = sys.argv[1:]
     score_videos(ScoreConfig(source=Path(source), out=Path(out), jobs=int(jobs), make_analyzer=FakeAnalyzer))

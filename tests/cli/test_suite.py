@@ -9,9 +9,9 @@ from kinebench_drake.results.power import PowerDesign
 from kinebench_drake.suites import demos as making
 from kinebench_drake.suites import export as exporting
 from kinebench_drake.suites.demos import DemoSummary
+from kinebench_drake.suites.families.registry import TASKS
 from kinebench_drake.suites.formats.demo import FormatKind, RenderOptions
 from kinebench_drake.suites.suite import load_suite
-from kinebench_drake.suites.tasks.registry import TASKS
 
 
 @pytest.fixture
@@ -173,8 +173,8 @@ def test_a_task_named_twice_is_one():
 
 @pytest.mark.sapien
 def test_the_namespace_is_that_of_the_environments():
+    from kinebench_drake.suites.scene.environment import environment_id
     from kinebench_drake.suites.selection import task_names
-    from kinebench_drake.suites.tasks.environment import environment_id
 
     assert task_names(",".join(environment_id(task) for task in TASKS)) == list(TASKS)
 

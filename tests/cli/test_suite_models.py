@@ -15,16 +15,16 @@ from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.closed_loop.actions import ACTION_METRICS, ActionSource
 from kinebench_drake.closed_loop.loop import Condition, LoopOptions
 from kinebench_drake.errors import InputError, UsageError
-from kinebench_drake.evaluation import episode
-from kinebench_drake.evaluation.episode import EpisodeEvaluator, EpisodeSample
-from kinebench_drake.evaluation.evaluator import Evaluation
-from kinebench_drake.evaluation.merge import merge_folders
-from kinebench_drake.evaluation.suite import SuiteConfig, run_suite
 from kinebench_drake.executors.local import LocalExecutor
 from kinebench_drake.report.suite.folders import pool_episodes, read_folders
 from kinebench_drake.results.metadata import Shard
 from kinebench_drake.results.store import artifact_path, read_rows
 from kinebench_drake.results.trackfile import write_track
+from kinebench_drake.runs import episode
+from kinebench_drake.runs.episode import EpisodeEvaluator, EpisodeSample
+from kinebench_drake.runs.evaluator import Evaluation
+from kinebench_drake.runs.merge import merge_folders
+from kinebench_drake.runs.suite import SuiteConfig, run_suite
 from kinebench_drake.suites.prompts import PromptTemplate
 from kinebench_drake.suites.simulator import Snapshot, TaskOutcome
 from kinebench_drake.suites.suite import load_suite

@@ -14,11 +14,11 @@ from PIL import Image
 
 from kinebench_drake import cli
 from kinebench_drake.closed_loop.loop import LoopOptions
-from kinebench_drake.datasets.videos.find import find_samples
+from kinebench_drake.formats.videos.find import find_samples
 from kinebench_drake.io.container import write_video
 from kinebench_drake.io.reader import read_video
 from kinebench_drake.suites.episode import compose
-from kinebench_drake.suites.experts.registry import find_expert
+from kinebench_drake.suites.expert.registry import find_expert
 from kinebench_drake.suites.rollout import render_video, run_expert
 from kinebench_drake.suites.simulator import Simulator, Snapshot
 from kinebench_drake.suites.split import Pool

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from kinebench_drake.geometry import Array, invert, make_pose, rotation_exp, transform_points
-from kinebench_drake.grounding.crop import Crop
-from kinebench_drake.grounding.pose import FramePose
 from kinebench_drake.grounding.registration.fit import fit
-from kinebench_drake.grounding.view import GripperView
+from kinebench_drake.grounding.tracking.crop import Crop
+from kinebench_drake.grounding.tracking.pose import FramePose
+from kinebench_drake.grounding.tracking.view import GripperView
 from kinebench_drake.models.panda.cad import GripperCad
 from kinebench_drake.models.panda.robot import RobotPart
 

@@ -18,8 +18,6 @@ from kinebench_drake.geometry import (
     rotation_z,
     transform_points,
 )
-from kinebench_drake.grounding.crop import CLOSE_SIZE, Crop
-from kinebench_drake.grounding.flange_tracker import FlangeTracker
 from kinebench_drake.grounding.registration.arm_edge_fit import ArmEdgeFitter
 from kinebench_drake.grounding.registration.arm_fit import ArmFit
 from kinebench_drake.grounding.registration.arm_model import ArmModel
@@ -28,7 +26,9 @@ from kinebench_drake.grounding.registration.correspondences import Correspondenc
 from kinebench_drake.grounding.registration.edges import EdgeMatcher, GradientImage
 from kinebench_drake.grounding.registration.fit import HandFit, fit
 from kinebench_drake.grounding.registration.silhouette import SilhouetteMatcher
-from kinebench_drake.grounding.view import GripperView
+from kinebench_drake.grounding.tracking.crop import CLOSE_SIZE, Crop
+from kinebench_drake.grounding.tracking.flange_tracker import FlangeTracker
+from kinebench_drake.grounding.tracking.view import GripperView
 from kinebench_drake.models.panda.cad import GripperCad, PartCaster, link_meshes, open_fingers, part_meshes
 from kinebench_drake.models.panda.robot import ARM, OPENING_SIGN, RobotPart
 from kinebench_drake.models.robotiq.cad import robotiq_mesh

@@ -8,7 +8,7 @@ import pytest
 
 from kinebench_drake.geometry import Array, make_pose, pose_difference, rotation_exp
 from kinebench_drake.grounding.registration.icp import IcpRefiner, IcpRegistration, fuse, surface_cells
-from kinebench_drake.grounding.view import GripperView
+from kinebench_drake.grounding.tracking.view import GripperView
 from kinebench_drake.models.panda.cad import GripperCad
 from tests.grounding.conftest import hand_pose, perfect_view
 

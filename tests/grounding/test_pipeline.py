@@ -8,19 +8,24 @@ import numpy as np
 import pytest
 from scipy.special import logit
 
+from benchmarks.perception.clip import TruthClip, find_clips
+from benchmarks.perception.errors import ClipErrors
+from benchmarks.perception.summary import summarize
+from benchmarks.perception.trial import evaluate
+from benchmarks.perception.variants import VARIANTS, VariantTools
 from kinebench_drake.camera import Camera, benchmark_camera
 from kinebench_drake.geometry import Array, make_pose
-from kinebench_drake.grounding.confidence import FRAME_FEATURES, Confidence, LogisticRegression, load_confidence
-from kinebench_drake.grounding.estimator import NetworkEstimator
-from kinebench_drake.grounding.evaluation.clip import TruthClip, find_clips
-from kinebench_drake.grounding.evaluation.errors import ClipErrors
-from kinebench_drake.grounding.evaluation.summary import summarize
-from kinebench_drake.grounding.evaluation.trial import evaluate
-from kinebench_drake.grounding.evaluation.variants import VARIANTS, VariantTools
 from kinebench_drake.grounding.overlay import draw_overlay, draw_pose
 from kinebench_drake.grounding.pipeline import CHECKED_FRAMES, GroundingPipeline
-from kinebench_drake.grounding.tracker import CadTracker, Tracking
-from kinebench_drake.grounding.view import Frames
+from kinebench_drake.grounding.tracking.confidence import (
+    FRAME_FEATURES,
+    Confidence,
+    LogisticRegression,
+    load_confidence,
+)
+from kinebench_drake.grounding.tracking.estimator import NetworkEstimator
+from kinebench_drake.grounding.tracking.tracker import CadTracker, Tracking
+from kinebench_drake.grounding.tracking.view import Frames
 from kinebench_drake.io.reader import read_video
 from kinebench_drake.models.panda.cad import GripperCad
 from kinebench_drake.models.panda.robot import hand_from_tcp

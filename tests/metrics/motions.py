@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kinebench_drake.geometry import Array, make_pose, rotation_exp
-from kinebench_drake.suites.experts.motion import minimum_jerk
+from kinebench_drake.suites.expert.motion import minimum_jerk
 from kinebench_drake.types import GripperTrack
 
 

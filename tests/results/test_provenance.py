@@ -3,57 +3,79 @@
 import pytest
 import torch
 
-from kinebench_drake.environment.sources import reachable_sources
+from kinebench_drake.environment import sources
 from kinebench_drake.models.perception.inference import supports_bfloat16
 from kinebench_drake.results import provenance
-from kinebench_drake.results.provenance import MEASURING, NOT_MEASURING, sources
+from kinebench_drake.results.provenance import RUNS, code_hash
 
-EVALUATORS = ("evaluation.score", "evaluation.audit", "evaluation.episode")
-"""Modules that measure a sample; all that shapes a row is imported below them."""
-
-
-def package_names(paths):
-    return {path.relative_to(provenance._TOP).as_posix() for path in paths}
-
-
-def test_every_module_that_a_measurement_imports_is_listed():
-    reachable = package_names(reachable_sources(*(f"kinebench_drake.{name}" for name in EVALUATORS)))
-    measuring = package_names(sources(MEASURING) - sources(NOT_MEASURING))
-    assert reachable - package_names(sources(MEASURING + NOT_MEASURING)) == set()
-    assert measuring - reachable == set(), "no measurement uses these: name them in NOT_MEASURING"
-
-
-@pytest.mark.parametrize("pattern", [*MEASURING, *NOT_MEASURING])
-def test_every_pattern_matches_a_source(pattern):
-    assert sources((pattern,))
+ENTRY = "kinebench_drake.runs.score"
+SOURCES = {
+    "__init__.py": "",
+    "runs/__init__.py": "",
+    "runs/score.py": "import kinebench_drake.kinematics.ik\nimport kinebench_drake.report.page\n",
+    "kinematics/__init__.py": "",
+    "kinematics/ik.py": '"""Solve."""\n\nLIMIT = 3\n"""Bound."""\n\n\ndef solve():\n    """Solve it."""\n    return LIMIT  # at once\n',
+    "kinematics/unused.py": "",
+    "report/__init__.py": "",
+    "report/page.py": "",
+}
 
 
 @pytest.fixture
 def package(tmp_path, monkeypatch):
-    """A copy of some sources, with grounding behind a link as in the repository."""
-    names = ("kinematics/ik.py", "grounding/registration/fit.py", "cli/score.py", "report/page.py", "io/figure.py")
-    for name in names:
+    """A package of the same name in another folder; returns the hash of its code after a file was changed."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    monkeypatch.setattr(sources, "_TOP", tmp_path / "package")
+    for name, text in SOURCES.items():
         path = tmp_path / "package" / name
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(name)
-    (tmp_path / "package" / "grounding").rename(tmp_path / "grounding")
-    (tmp_path / "package" / "grounding").symlink_to(tmp_path / "grounding")
-    monkeypatch.setattr(provenance, "_TOP", tmp_path / "package")
-    return tmp_path / "package"
+        path.write_text(text)
+
+    def hash_with(name=None, text=None):
+        if name is not None:
+            (tmp_path / "package" / name).write_text(text)
+        return code_hash.__wrapped__(ENTRY)
+
+    return hash_with
 
 
 @pytest.mark.parametrize(
-    ("name", "counts"),
+    ("name", "old", "new", "counts"),
     [
-        *(("kinematics/ik.py", True), ("grounding/registration/fit.py", True), ("kinematics/new.py", True)),
-        *(("cli/score.py", False), ("report/page.py", False), ("io/figure.py", False), ("kinematics/x.pyc", False)),
+        ("kinematics/ik.py", "LIMIT = 3", "LIMIT = 4", True),
+        ("kinematics/ik.py", "Solve it", "Solve it well", False),
+        ("kinematics/ik.py", "# at once", "# immediately", False),
+        ("kinematics/ik.py", "Bound.", "Upper bound.", False),
+        ("kinematics/__init__.py", "", "import os", True),
+        ("kinematics/unused.py", "", "LIMIT = 4", False),
+        ("report/page.py", "", "WIDTH = 3", False),
     ],
 )
-def test_only_changes_of_measuring_code_change_the_hash(package, name, counts):
-    before = provenance.code_hash.__wrapped__()
-    assert provenance.code_hash.__wrapped__() == before
-    (package / name).write_text("changed")
-    assert (provenance.code_hash.__wrapped__() != before) is counts
+def test_rows_are_measured_again_where_code_changed_that_they_depend_on(package, name, old, new, counts):
+    before = package()
+    assert package() == before
+    text = SOURCES[name].replace(old, new) if old else new
+    assert (package(name, text) != before) is counts
+
+
+def test_another_import_brings_other_code(package):
+    before = package()
+    assert package("runs/score.py", SOURCES["runs/score.py"] + "import kinebench_drake.kinematics.unused\n") != before
+
+
+def test_a_damaged_cache_changes_nothing(package, tmp_path):
+    before = package()
+    (tmp_path / "cache" / "kinebench_drake" / "sources.json").write_text('{"a": 3}')
+    assert package() == before
+
+
+def test_each_kind_of_run_depends_on_its_own_code():
+    assert len({code_hash(run) for run in RUNS}) == len(RUNS)
+    names = {source.name for source in provenance.trace_sources("kinebench_drake.runs.audit")}
+    assert "kinebench_drake.kinematics.ik" in names
+    assert "kinebench_drake.grounding.pipeline" not in {
+        source.name for source in provenance.trace_sources("kinebench_drake.metrics.judge")
+    }
 
 
 def test_the_host_tells_whether_the_networks_compute_in_bfloat16():

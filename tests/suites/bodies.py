@@ -6,9 +6,9 @@ import numpy as np
 import torch
 
 from kinebench_drake.geometry import Array, transform_points
-from kinebench_drake.suites.assets.model import Collider, ColliderKind, RigidBody
 from kinebench_drake.suites.episode import Episode
-from kinebench_drake.suites.tasks.state import ARM, State
+from kinebench_drake.suites.scene.model import Collider, ColliderKind, RigidBody
+from kinebench_drake.suites.scene.state import ARM, State
 
 
 def visual_points(body: RigidBody) -> Array:

@@ -2,8 +2,8 @@
 
 import pytest
 
-from kinebench_drake.suites.tasks.registry import TASKS
-from kinebench_drake.suites.tasks.task import TaskVariant
+from kinebench_drake.suites.families.registry import TASKS
+from kinebench_drake.suites.families.task import TaskVariant
 
 REPRESENTATIVES = frozenset(
     {

@@ -7,13 +7,14 @@ import numpy as np
 import pytest
 
 from kinebench_drake.geometry import Array, make_pose, rotation_exp, to_quaternion
-from kinebench_drake.suites.assets import blocks, marks
 from kinebench_drake.suites.episode import asset_ids, compose, model
-from kinebench_drake.suites.experts.registry import find_expert
+from kinebench_drake.suites.expert.registry import find_expert
+from kinebench_drake.suites.families.blocks import assets as blocks
+from kinebench_drake.suites.families.task import TaskVariant
 from kinebench_drake.suites.rollout import run_expert
+from kinebench_drake.suites.scene import marks
+from kinebench_drake.suites.scene.state import MOVED_M
 from kinebench_drake.suites.simulator import Simulator, TaskOutcome
-from kinebench_drake.suites.tasks.state import MOVED_M
-from kinebench_drake.suites.tasks.task import TaskVariant
 from tests.suites.bodies import visual_points
 
 X_WB = np.array([-0.615, 0.0, 0.0])

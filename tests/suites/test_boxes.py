@@ -8,14 +8,14 @@ import torch
 
 from kinebench_drake.geometry import make_pose, rotation_exp, transform_points
 from kinebench_drake.kinematics.plant import ArmPlant
-from kinebench_drake.suites.assets.boxes import FLUSH, OPEN_RAD, OVERHANG_M, RIMMED, with_tight_hinge
-from kinebench_drake.suites.assets.model import AssetModel
 from kinebench_drake.suites.episode import asset_ids, compose, model
-from kinebench_drake.suites.experts.registry import find_expert
+from kinebench_drake.suites.expert.registry import find_expert
+from kinebench_drake.suites.families.boxes.assets import FLUSH, OPEN_RAD, OVERHANG_M, RIMMED, with_tight_hinge
+from kinebench_drake.suites.families.registry import find_task
 from kinebench_drake.suites.rollout import run_expert
+from kinebench_drake.suites.scene.model import AssetModel
+from kinebench_drake.suites.scene.state import ARM, State
 from kinebench_drake.suites.simulator import Simulator
-from kinebench_drake.suites.tasks.registry import find_task
-from kinebench_drake.suites.tasks.state import ARM, State
 from tests.suites.bodies import initial_state, solid_points
 
 TASKS = ("CloseBox-v1", "OpenBoxEasy-v1", "OpenBoxEasy-v2", "OpenBoxHard-v1", "OpenBoxHard-v2")

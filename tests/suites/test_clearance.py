@@ -8,10 +8,10 @@ import pytest
 from kinebench_drake.errors import InputError
 from kinebench_drake.geometry import make_pose
 from kinebench_drake.kinematics.plant import ArmPlant
-from kinebench_drake.suites.assets.model import AssetModel, Collider, ColliderKind, RigidBody
-from kinebench_drake.suites.experts.clearance import SceneGeometry
-from kinebench_drake.suites.experts.motion import Waypoint, plan
-from kinebench_drake.suites.tasks.task import Scene
+from kinebench_drake.suites.expert.clearance import SceneGeometry
+from kinebench_drake.suites.expert.motion import Waypoint, plan
+from kinebench_drake.suites.families.task import Scene
+from kinebench_drake.suites.scene.model import AssetModel, Collider, ColliderKind, RigidBody
 
 UPRIGHT = make_pose(np.array([[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]]), np.zeros(3))
 POST = np.array([0.5, 0.2, 0.15])

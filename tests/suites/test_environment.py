@@ -11,12 +11,12 @@ import pytest
 from kinebench_drake.errors import InputError, UsageError
 from kinebench_drake.geometry import pose_difference
 from kinebench_drake.suites.episode import compose, model
-from kinebench_drake.suites.experts.registry import find_expert
+from kinebench_drake.suites.expert.registry import find_expert
+from kinebench_drake.suites.families.registry import TASKS
+from kinebench_drake.suites.families.task import TaskVariant
 from kinebench_drake.suites.rollout import run_expert
 from kinebench_drake.suites.simulator import Simulator
 from kinebench_drake.suites.split import Pool
-from kinebench_drake.suites.tasks.registry import TASKS
-from kinebench_drake.suites.tasks.task import TaskVariant
 from tests.suites.scenes import EACH_TASK
 
 TASK = "StackCube-v1"
@@ -39,7 +39,7 @@ def test_names_shadow_none_of_maniskill() -> None:
     from mani_skill.envs.tasks import StackCubeEnv
     from mani_skill.utils.registration import REGISTERED_ENVS
 
-    from kinebench_drake.suites.tasks.environment import KineBenchEnv, register
+    from kinebench_drake.suites.scene.environment import KineBenchEnv, register
 
     register()
     register()
@@ -112,7 +112,7 @@ def test_another_seed_on_the_same_assets_keeps_who_plays_what(task: str) -> None
 
 @pytest.mark.sapien
 def test_a_scene_that_is_not_rebuilt_keeps_its_assets_and_moves_them() -> None:
-    from kinebench_drake.suites.tasks.environment import KineBenchEnv
+    from kinebench_drake.suites.scene.environment import KineBenchEnv
 
     env = KineBenchEnv(task=TASK, sim_backend="cpu", render_backend="none", reconfiguration_freq=0)
     env.reset(seed=1, options={"reconfigure": True})

@@ -8,17 +8,17 @@ import pytest
 from PIL import Image
 
 from kinebench_drake.camera import benchmark_camera
-from kinebench_drake.datasets.videos.find import find_samples
 from kinebench_drake.errors import SetupError, UsageError
 from kinebench_drake.executors.base import ExecutorKind, create_executor
+from kinebench_drake.formats.videos.find import find_samples
 from kinebench_drake.io.atomic import write_atomically
 from kinebench_drake.io.camerafile import load_camera, save_camera
 from kinebench_drake.suites.episode import compose
 from kinebench_drake.suites.export import ExportConfig, export_suite
+from kinebench_drake.suites.families.task import TaskVariant
 from kinebench_drake.suites.prompts import PromptTemplate
 from kinebench_drake.suites.simulator import Simulator
 from kinebench_drake.suites.suite import load_suite
-from kinebench_drake.suites.tasks.task import TaskVariant
 from tests.suites.orders import Recorder
 
 TASKS = ("PullCube-v1", "StackCube-v1")

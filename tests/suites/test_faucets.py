@@ -7,16 +7,16 @@ import numpy as np
 import pytest
 
 from kinebench_drake.kinematics.plant import ArmPlant
-from kinebench_drake.suites.assets import faucets
-from kinebench_drake.suites.assets.model import AssetModel, RigidBody
 from kinebench_drake.suites.episode import asset_ids, compose, model
-from kinebench_drake.suites.experts.clearance import SceneGeometry
-from kinebench_drake.suites.experts.registry import find_expert
+from kinebench_drake.suites.expert.clearance import SceneGeometry
+from kinebench_drake.suites.expert.registry import find_expert
+from kinebench_drake.suites.families.faucets import assets as faucets
+from kinebench_drake.suites.families.faucets.task import CLOSED_FRACTION, OPEN_FRACTION, TASKS
+from kinebench_drake.suites.families.task import Scene
 from kinebench_drake.suites.rollout import run_expert
+from kinebench_drake.suites.scene.model import AssetModel, RigidBody
 from kinebench_drake.suites.simulator import Simulator
 from kinebench_drake.suites.start import START_Q
-from kinebench_drake.suites.tasks.faucets import CLOSED_FRACTION, OPEN_FRACTION, TASKS
-from kinebench_drake.suites.tasks.task import Scene
 from tests.suites.bodies import visual_points
 
 IDS = asset_ids("faucet")

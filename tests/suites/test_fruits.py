@@ -8,16 +8,16 @@ import pytest
 import torch
 
 from kinebench_drake.geometry import Array, make_pose
-from kinebench_drake.suites.assets.containers import COMPARTMENTS, compartment_center
-from kinebench_drake.suites.assets.fruits import FRUITS
 from kinebench_drake.suites.episode import Episode, asset_ids, compose, model
-from kinebench_drake.suites.experts.registry import find_expert
+from kinebench_drake.suites.expert.registry import find_expert
+from kinebench_drake.suites.families.fruits.assets import FRUITS
+from kinebench_drake.suites.families.fruits.containers import COMPARTMENTS, compartment_center
+from kinebench_drake.suites.families.fruits.task import GAP_M, ORDER, OTHERS
+from kinebench_drake.suites.families.registry import find_task
+from kinebench_drake.suites.families.task import TaskVariant
 from kinebench_drake.suites.rollout import run_expert
+from kinebench_drake.suites.scene.state import State
 from kinebench_drake.suites.simulator import Simulator
-from kinebench_drake.suites.tasks.fruits import GAP_M, ORDER, OTHERS
-from kinebench_drake.suites.tasks.registry import find_task
-from kinebench_drake.suites.tasks.state import State
-from kinebench_drake.suites.tasks.task import TaskVariant
 from tests.suites.bodies import collider_points, initial_state, solid_points
 
 GRIP_M = (0.030, 0.062)

@@ -8,16 +8,16 @@ import pytest
 import torch
 
 from kinebench_drake.geometry import Array, make_pose
-from kinebench_drake.suites.assets import laptops as assets
-from kinebench_drake.suites.assets.laptops import GREATEST_RAD
-from kinebench_drake.suites.assets.model import AssetModel
 from kinebench_drake.suites.episode import asset_ids, compose, model
-from kinebench_drake.suites.experts.registry import find_expert
+from kinebench_drake.suites.expert.registry import find_expert
+from kinebench_drake.suites.families.laptops import assets
+from kinebench_drake.suites.families.laptops.assets import GREATEST_RAD
+from kinebench_drake.suites.families.laptops.task import OPEN_RAD, SHUT_RAD, TASKS
+from kinebench_drake.suites.families.registry import find_task
 from kinebench_drake.suites.rollout import run_expert
+from kinebench_drake.suites.scene.model import AssetModel
+from kinebench_drake.suites.scene.state import ARM, State
 from kinebench_drake.suites.simulator import Simulator
-from kinebench_drake.suites.tasks.laptops import OPEN_RAD, SHUT_RAD, TASKS
-from kinebench_drake.suites.tasks.registry import find_task
-from kinebench_drake.suites.tasks.state import ARM, State
 from tests.suites.bodies import initial_state, solid_points
 
 TASK_IDS = [task.card.id for task in TASKS]

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from kinebench_drake.errors import UsageError
-from kinebench_drake.suites.assets import look, texture
-from kinebench_drake.suites.assets.look import WALL_M, WALL_TOP_M, surroundings
-from kinebench_drake.suites.assets.texture import Texture
+from kinebench_drake.suites.scene import look, texture
+from kinebench_drake.suites.scene.look import WALL_M, WALL_TOP_M, surroundings
+from kinebench_drake.suites.scene.texture import Texture
 
 RED, SAND, SLATE = (170, 50, 50), (200, 190, 170), (80, 90, 100)
 MAKERS: dict[str, Callable[[np.random.Generator], Texture]] = {

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from kinebench_drake.geometry import rotation_exp, transform_points
-from kinebench_drake.suites.assets.mesh import BodyParts, box_collider, box_visual
-from kinebench_drake.suites.assets.model import Material, SurfaceFinish
+from kinebench_drake.suites.scene.mesh import BodyParts, box_collider, box_visual
+from kinebench_drake.suites.scene.model import Material, SurfaceFinish
 
 LOW, HIGH = np.array([-0.1, 0.2, 0.0]), np.array([0.3, 0.25, 0.5])
 

@@ -9,8 +9,8 @@ from kinebench_drake.kinematics.continuation import minimum_jerk
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.models.panda.robot import rest_q
 from kinebench_drake.suites.clock import CONTROL_PERIOD_S
-from kinebench_drake.suites.experts.grasp import DOWN, grasp_rotation, level_axes, lift
-from kinebench_drake.suites.experts.motion import Waypoint, cartesian_path, plan
+from kinebench_drake.suites.expert.grasp import DOWN, grasp_rotation, level_axes, lift
+from kinebench_drake.suites.expert.motion import Waypoint, cartesian_path, plan
 
 R = grasp_rotation(DOWN, (0.0, -1.0, 0.0))
 START = make_pose(R, [0.6, 0.0, 0.2])

@@ -8,8 +8,8 @@ import pytest
 from kinebench_drake.cli.suite_run import run
 from kinebench_drake.errors import UsageError
 from kinebench_drake.suites.episode import compose
+from kinebench_drake.suites.families.registry import TASKS
 from kinebench_drake.suites.prompts import PRESETS, PromptTemplate, prompt_template
-from kinebench_drake.suites.tasks.registry import TASKS
 
 
 def test_a_template_of_nothing_leaves_the_instruction() -> None:

@@ -11,12 +11,12 @@ import pytest
 
 from kinebench_drake.environment.native import RENDER_VARIABLE, has_nvidia_vulkan
 from kinebench_drake.suites.episode import compose
-from kinebench_drake.suites.experts.registry import find_expert
+from kinebench_drake.suites.expert.registry import find_expert
 from kinebench_drake.suites.rollout import run_expert
 from kinebench_drake.suites.simulator import CameraImage, Simulator, Snapshot
 
 TASK = "PullCube-v1"
-_ENVIRONMENT = "kinebench_drake.suites.tasks.environment"
+_ENVIRONMENT = "kinebench_drake.suites.scene.environment"
 
 
 @pytest.fixture(scope="module")
@@ -46,7 +46,7 @@ def _images(states: Sequence[Snapshot]) -> tuple[int, list[CameraImage]]:
 def test_shaders_give_the_images_of_maniskill_s_to_the_bit(
     states: Sequence[Snapshot], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from kinebench_drake.suites.tasks.rendering import software_shaders
+    from kinebench_drake.suites.scene.rendering import software_shaders
 
     folder = Path(software_shaders().shader_pack)
     assert "IBL(f" not in (folder / "gbuffer.frag").read_text()

@@ -9,10 +9,10 @@ from kinebench_drake.geometry import invert, pose_difference, transform_points
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.suites.clock import FRAME_PERIOD_S
 from kinebench_drake.suites.episode import compose
-from kinebench_drake.suites.experts.registry import find_expert
+from kinebench_drake.suites.expert.registry import find_expert
+from kinebench_drake.suites.families.registry import TASKS
 from kinebench_drake.suites.rollout import Rollout, RolloutVideo, render_video, run_expert
 from kinebench_drake.suites.simulator import Simulator, TaskOutcome
-from kinebench_drake.suites.tasks.registry import TASKS
 from tests.suites.scenes import EACH_TASK
 
 Filmed = tuple[Simulator, Rollout, RolloutVideo]
@@ -31,7 +31,7 @@ def test_a_failure_names_the_conditions_that_fail() -> None:
 
 @pytest.mark.sapien
 def test_sapien_camera_looks_along_its_x_axis() -> None:
-    from kinebench_drake.suites.tasks.environment import sapien_from_opencv
+    from kinebench_drake.suites.scene.environment import sapien_from_opencv
 
     X_WC = benchmark_camera().X_BC
     X_WS = sapien_from_opencv(X_WC)

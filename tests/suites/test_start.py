@@ -5,10 +5,10 @@ import pytest
 
 from kinebench_drake.errors import UsageError
 from kinebench_drake.suites.episode import compose
+from kinebench_drake.suites.families.registry import TASKS
 from kinebench_drake.suites.simulator import Simulator
 from kinebench_drake.suites.split import Pool
 from kinebench_drake.suites.start import START_WIDTH_M, start_q
-from kinebench_drake.suites.tasks.registry import TASKS
 
 
 def test_every_task_of_the_benchmark_has_its_gap() -> None:

@@ -6,11 +6,11 @@ from itertools import pairwise
 import pytest
 
 from kinebench_drake.errors import UsageError
-from kinebench_drake.suites.assets.look import SORTS, look_ids
 from kinebench_drake.suites.episode import KINDS, Episode, asset_ids
+from kinebench_drake.suites.families.registry import TASKS
+from kinebench_drake.suites.scene.look import SORTS, look_ids
 from kinebench_drake.suites.split import Pool, pool_ids
 from kinebench_drake.suites.suite import NUMBERS, Relation, Suite, load_suite
-from kinebench_drake.suites.tasks.registry import TASKS
 
 
 def suites() -> list[Suite]:

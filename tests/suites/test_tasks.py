@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from kinebench_drake.suites.episode import KINDS, asset_ids, compose, model
-from kinebench_drake.suites.experts.registry import EXPERTS
+from kinebench_drake.suites.expert.registry import EXPERTS
+from kinebench_drake.suites.families.registry import TASKS
+from kinebench_drake.suites.families.task import TaskVariant
 from kinebench_drake.suites.simulator import Simulator
-from kinebench_drake.suites.tasks.registry import TASKS
-from kinebench_drake.suites.tasks.task import TaskVariant
 from tests.suites.bodies import solid_points, visual_points
 from tests.suites.scenes import EACH_SCENE
 
@@ -115,7 +115,7 @@ def test_verdicts_of_a_batch_are_those_of_its_scenes(simulator: tuple[Simulator,
     """Conditions and progress of a batch of two scenes, as in ManiSkill's GPU simulation."""
     import torch
 
-    from kinebench_drake.suites.tasks.state import State
+    from kinebench_drake.suites.scene.state import State
 
     own, variant = simulator
     single = []

@@ -118,9 +118,9 @@ def read_ceiling(
 
 def _compose(result: EpisodeResult) -> "Episode":
     """Compose the episode that a row names."""
+    from kinebench_drake.suites.families.task import TaskVariant
     from kinebench_drake.suites.split import Pool
     from kinebench_drake.suites.suite import EpisodeSpec
-    from kinebench_drake.suites.tasks.task import TaskVariant
 
     extra = result.row.extra
     try:

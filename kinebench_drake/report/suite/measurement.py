@@ -10,13 +10,13 @@ from pydantic import BaseModel, ValidationError
 from kinebench_drake.errors import UsageError
 
 BASELINE = "baseline.json"
-"""File of `perception baseline evaluate` in its output folder."""
+"""File of `python -m training baseline evaluate` in its output folder."""
 ROBUSTNESS, DEPTH = "robustness", "depth-ablation"
 """Studies that are drawn."""
 LEARNED = "learned"
 """Group of the conditions in which the learned baseline was measured."""
 _EXPECTED = (
-    f"expected a file of `perception baseline evaluate` ({BASELINE}), or of `perception robustness`, `depth-ablation` "
+    f"expected a file of `python -m training baseline evaluate` ({BASELINE}), or of `python -m benchmarks perturb`, `depth-ablation` "
     "or `evaluate` with --json"
 )
 
@@ -102,7 +102,7 @@ class Measurements(BaseModel):
 
 
 def is_measurement(path: Path) -> bool:
-    """Return whether a path names a file of `perception` or the output folder of `perception baseline evaluate`."""
+    """Return whether a path names a file of `perception` or the output folder of `python -m training baseline evaluate`."""
     return path.suffix == ".json" or (path / BASELINE).is_file()
 
 

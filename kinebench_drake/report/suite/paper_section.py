@@ -16,16 +16,16 @@ _HELDOUT = "kinebench-drake suite demos --suite 2 --split unseen --episodes 5 --
 _TRAINED = "baseline/baseline.safetensors"
 _BASELINE_COMMANDS = (
     "kinebench-drake suite demos --suite 1 --split train --episodes 100 --size 256 --out demos/",
-    "kinebench-drake perception baseline train --data demos/ --out baseline/",
+    "python -m training baseline train --data demos/ --out baseline/",
     "kinebench-drake suite demos --suite 1 --split unseen --episodes 5 --out unseen/",
-    f"kinebench-drake perception baseline evaluate unseen/ --weights {_TRAINED} --out comparison/",
+    f"python -m training baseline evaluate unseen/ --weights {_TRAINED} --out comparison/",
 )
 _ROBUSTNESS_COMMANDS = (
     *_BASELINE_COMMANDS[:2],
     _HELDOUT,
-    f"kinebench-drake perception robustness heldout/ --baseline {_TRAINED} --json robustness.json",
+    f"python -m benchmarks perturb heldout/ --baseline {_TRAINED} --json robustness.json",
 )
-_DEPTH_COMMANDS = (_HELDOUT, "kinebench-drake perception depth-ablation heldout/ --json depth.json")
+_DEPTH_COMMANDS = (_HELDOUT, "python -m benchmarks depth-ablation heldout/ --json depth.json")
 _GRID = (*((100, steps) for steps in (1500, 4500, 7500, 15000)), *((data, 7500) for data in (10, 25, 50)))
 """Demonstrations a task and optimisation steps of the paper's scaling study."""
 

@@ -98,8 +98,8 @@ def untagged(folders: Sequence[RunFolder]) -> list[Path]:
 
 def task_difficulties() -> dict[str, str]:
     """Return the difficulty of each task of the suites, the easy ones first."""
-    from kinebench_drake.suites.tasks.registry import TASKS
-    from kinebench_drake.suites.tasks.task import Difficulty
+    from kinebench_drake.suites.families.registry import TASKS
+    from kinebench_drake.suites.families.task import Difficulty
 
     cards = sorted((task.card for task in TASKS.values()), key=lambda card: list(Difficulty).index(card.difficulty))
     return {card.id: card.difficulty.value for card in cards}

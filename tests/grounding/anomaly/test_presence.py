@@ -14,7 +14,7 @@ from kinebench_drake.grounding.anomaly.presence import (
     find_vanishing,
     second_gripper,
 )
-from kinebench_drake.grounding.crop import Crop
+from kinebench_drake.grounding.tracking.crop import Crop
 from kinebench_drake.models.panda.robot import RobotPart
 from tests.grounding.conftest import hand_pose, perfect_view
 

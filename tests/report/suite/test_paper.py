@@ -35,7 +35,7 @@ def interval(value, width=0.2):
 
 
 def study_json(name, conditions):
-    """File of `perception robustness` or `depth-ablation`: group and error [mm] by condition."""
+    """File of `python -m benchmarks perturb` or `depth-ablation`: group and error [mm] by condition."""
     rows, spreads = {}, {}
     for condition, (group, error) in conditions.items():
         spread = [error * f for f in (0.2, 0.6, 1.0, 1.6, 3.0)]

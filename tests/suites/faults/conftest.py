@@ -5,7 +5,7 @@ import pytest
 
 from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.suites.episode import compose
-from kinebench_drake.suites.experts.registry import find_expert
+from kinebench_drake.suites.expert.registry import find_expert
 from kinebench_drake.suites.faults.fault_simulator import FaultSimulator
 from kinebench_drake.suites.faults.recording import Recording
 from kinebench_drake.suites.rollout import render_video, run_expert

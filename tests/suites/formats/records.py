@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 
 from kinebench_drake.suites.export import episode_facts
+from kinebench_drake.suites.families.registry import TASKS
 from kinebench_drake.suites.formats.demo import Demo, Record
 from kinebench_drake.suites.rollout import RolloutVideo
-from kinebench_drake.suites.tasks.registry import TASKS
 
 
 def record_of(demo: Demo) -> Record:

@@ -8,10 +8,10 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from kinebench_drake.datasets.lerobot import list_lerobot_trajectories, read_lerobot
-from kinebench_drake.datasets.trajectories.check import check
-from kinebench_drake.datasets.trajectories.trajectory import TrajectoryOptions
-from kinebench_drake.datasets.videos.find import find_samples
+from kinebench_drake.formats.lerobot import list_lerobot_trajectories, read_lerobot
+from kinebench_drake.formats.trajectories.check import check
+from kinebench_drake.formats.trajectories.trajectory import TrajectoryOptions
+from kinebench_drake.formats.videos.find import find_samples
 from kinebench_drake.io.reader import read_video
 from kinebench_drake.suites.formats.demo import Demo
 from kinebench_drake.suites.formats.lerobot import CAMERA, STATE, LeRobot, _continuous

@@ -6,10 +6,10 @@ import h5py
 import numpy as np
 import pytest
 
-from kinebench_drake.datasets.trajectories.check import check
-from kinebench_drake.datasets.trajectories.maniskill import list_maniskill, read_maniskill
-from kinebench_drake.datasets.trajectories.trajectory import TrajectoryOptions
 from kinebench_drake.executors.base import ExecutorKind, create_executor
+from kinebench_drake.formats.trajectories.check import check
+from kinebench_drake.formats.trajectories.maniskill import list_maniskill, read_maniskill
+from kinebench_drake.formats.trajectories.trajectory import TrajectoryOptions
 from kinebench_drake.suites.demos import make_demos
 from kinebench_drake.suites.formats.demo import FormatKind
 from kinebench_drake.suites.simulator import Simulator

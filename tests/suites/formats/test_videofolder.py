@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from kinebench_drake.datasets.videos.find import find_samples
+from kinebench_drake.formats.videos.find import find_samples
 from kinebench_drake.io.camerafile import load_camera
 from kinebench_drake.suites.formats.demo import Demo
 from kinebench_drake.suites.formats.videofolder import VideoFolder

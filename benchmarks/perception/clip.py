@@ -1,0 +1,245 @@
+"""Videos with ground truth, as `kinebench-drake suite demos` and `python -m benchmarks planted-videos` write them.
+
+Videos of `python -m training render` have a camera each in the manifest, and NAME.gt.npz beside the video in
+place of truth/NAME.npz.
+"""
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from hashlib import blake2b
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinebench_drake.camera import Camera
+from kinebench_drake.errors import InputError, UsageError, cause
+from kinebench_drake.geometry import Array, invert
+from kinebench_drake.grounding.overrides.arrays import true_depth, true_mask
+from kinebench_drake.grounding.tracking.crop import Crop
+from kinebench_drake.io.camerafile import load_camera
+from kinebench_drake.io.npz import open_npz
+from kinebench_drake.models.panda.cad import GripperCad
+from kinebench_drake.models.panda.robot import hand_from_tcp
+from kinebench_drake.types import Anomaly, AnomalyKind, InitialState
+
+_MARGIN = 1.1  # half width of a crop over the gripper's radius
+_MASK_PX = 160  # width of the crop in which silhouettes for masks are rendered
+_SHARE_PX = 64  # width of the crop in which silhouettes for visible shares are rendered
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TruthClip:
+    """Ground truth of one video."""
+
+    id: str
+    task: str
+    """Plain task id; empty if the manifest has none."""
+    path: Path
+    """Video file."""
+    camera: Camera
+    t_s: Array
+    """(T,) task time [s]."""
+    X_CH: Array
+    """(T, 4, 4) true pose of panda_hand in the camera frame; NaN where the gripper is absent."""
+    finger_width_m: Array
+    """(T,) true gap between the finger pads [m]."""
+    depth_m: Array | None
+    """(T, H, W) true depth [m]; None if not stored or not requested."""
+    mask: NDArray[np.bool_] | None
+    """(T, H, W) gripper pixels; None if not stored."""
+    faults: tuple[Anomaly, ...]
+    """Planted anomalies."""
+
+    @property
+    def initial_state(self) -> InitialState:
+        """State of the robot in the first frame."""
+        X_BG = self.camera.X_BC @ self.X_CH[0] @ hand_from_tcp()
+        return InitialState(X_BG=X_BG, finger_width_m=float(self.finger_width_m[0]))
+
+    def masks(self, cad: GripperCad) -> NDArray[np.bool_]:
+        """Return the gripper masks (T, H, W): those stored, else the silhouettes of the CAD model at the true poses.
+
+        Silhouettes ignore occlusion by the arm and by objects.
+        """
+        if self.mask is not None:
+            return self.mask
+        masks = np.zeros((len(self.t_s), self.camera.height, self.camera.width), dtype=bool)
+        for i, X_CH in enumerate(self.X_CH):
+            if np.isfinite(X_CH).all() and X_CH[2, 3] > 0:
+                crop, hit = _silhouette(X_CH, float(self.finger_width_m[i]), cad, _MASK_PX)
+                masks[i] = crop.unwarp(hit.astype(np.uint8), self.camera) > 0
+        return masks
+
+    def visible_share(self, masks: NDArray[np.bool_], cad: GripperCad) -> Array:
+        """Return the share (T,) of the gripper's silhouette that `masks` (T, H, W) cover.
+
+        The silhouette includes what lies outside the image. NaN where the gripper is absent.
+        """
+        share = np.full(len(self.t_s), np.nan)
+        for i, X_CH in enumerate(self.X_CH):
+            if not np.isfinite(X_CH).all():
+                continue
+            if X_CH[2, 3] <= 0:
+                share[i] = 0.0
+                continue
+            crop, hit = _silhouette(X_CH, float(self.finger_width_m[i]), cad, _SHARE_PX)
+            z = np.maximum((crop.rays()[hit] @ crop.R_CV.T)[:, 2], 0.1)
+            # area [px] on the image plane: each pixel times the determinant of the homography's Jacobian
+            area = float((self.camera.fx * self.camera.fy / crop.focal**2 / z**3).sum())
+            share[i] = min(float(masks[i].sum()) / area, 1.0) if area else 0.0
+        return share
+
+
+def _silhouette(X_CH: Array, width_m: float, cad: GripperCad, size: int) -> tuple[Crop, NDArray[np.bool_]]:
+    """Return a crop around the gripper and the pixels (size, size) of it that the gripper covers."""
+    crop = Crop.of_gripper(X_CH, _MARGIN, size)
+    finger_m = width_m / 2 if np.isfinite(width_m) else 0.02
+    surface = cad.cast(invert(crop.X_CV) @ X_CH, crop.rays().reshape(-1, 3), finger_m)
+    return crop, surface.part.reshape(size, size) > 0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PlantedCase:
+    """Planted anomaly of a clip."""
+
+    kind: AnomalyKind
+    frame_start: int
+    """First affected frame (0-based)."""
+    frame_end: int
+    """Last affected frame, inclusive."""
+    size: float
+    """Size in the unit of the kind."""
+    form: str
+    """Course in time; empty if the kind has a single form."""
+
+    @property
+    def anomaly(self) -> Anomaly:
+        """The same as an anomaly whose severity is the size."""
+        return Anomaly(kind=self.kind, frame_start=self.frame_start, frame_end=self.frame_end, severity=self.size)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TruthClipFile:
+    """Paths of a video and its ground truth: cheap to send to worker processes."""
+
+    id: str
+    task: str
+    """Plain task id; empty if the manifest has none."""
+    video: Path
+    truth: Path
+    camera: Camera
+    planted: PlantedCase | None
+    """Planted anomaly; None for a clean clip."""
+    frame_period_s: float = 0.2
+    """Task time between two frames, where the truth has no times [s]."""
+
+    def load(self, *, with_depth: bool = False) -> TruthClip:
+        """Read the ground truth; depth maps only if `with_depth`.
+
+        Raises:
+            UsageError: the file is damaged, or holds no depth although `with_depth`.
+        """
+        try:
+            with open_npz(self.truth) as truth:
+                if with_depth and not {"depth_mm", "mask"} <= set(truth.files):
+                    raise UsageError(f"{self.id}: its truth holds no depth; make the videos with --with-depth")
+                in_camera = "camera_from_hand" in truth.files
+                X_CH = truth["camera_from_hand"] if in_camera else invert(self.camera.X_BC) @ truth["base_from_hand"]
+                return TruthClip(
+                    id=self.id,
+                    task=self.task,
+                    path=self.video,
+                    camera=self.camera,
+                    t_s=np.asarray(truth["t_s"] if "t_s" in truth.files else self._times(len(X_CH)), dtype=np.float64),
+                    X_CH=X_CH,
+                    finger_width_m=truth["finger_width_m"],
+                    depth_m=true_depth(truth) if with_depth else None,
+                    mask=true_mask(truth) if "mask" in truth.files else None,
+                    faults=() if self.planted is None else (self.planted.anomaly,),
+                )
+        except InputError as error:
+            raise UsageError(f"{self.truth.name}: not a readable truth file ({error})") from None
+
+    def _times(self, frames: int) -> Array:
+        return self.frame_period_s * np.arange(frames, dtype=np.float64)
+
+    def digest(self) -> str:
+        """Return a hash of the video and its ground truth."""
+        digest = blake2b(digest_size=8)
+        for path in (self.video, self.truth):
+            digest.update(path.read_bytes())
+        return digest.hexdigest()
+
+
+def find_clips(folder: Path) -> list[TruthClipFile]:
+    """Return the clips listed in the manifest of a folder, in its order.
+
+    Raises:
+        UsageError: manifest, camera or ground truth is missing or unusable, or no video is listed.
+    """
+    manifest = folder / "manifest.jsonl"
+    if not manifest.is_file():
+        raise UsageError(f"{folder.name}: has no manifest.jsonl; make such a folder with `kinebench-drake suite demos`")
+    faults = _read_faults(folder / "truth" / "faults.json")
+    clips = []
+    for number, line in enumerate(manifest.read_text().splitlines(), 1):
+        try:
+            entry = json.loads(line)
+            video = str(entry["video"])
+        except (ValueError, KeyError, TypeError):
+            raise UsageError(f"{manifest.name} line {number}: expected a JSON object with the key video") from None
+        name = Path(video).stem
+        truth = folder / "truth" / f"{name}.npz"
+        if isinstance(entry.get("camera"), dict):
+            camera = Camera.from_json(entry["camera"], f"{manifest.name} line {number}")
+            truth = truth if truth.is_file() else folder / f"{name}.gt.npz"
+        else:
+            camera = load_camera(folder / "camera.json").camera
+        if not truth.is_file():
+            raise UsageError(f"{folder.name}: {truth.relative_to(folder)} is missing, so errors cannot be measured")
+        clips.append(
+            TruthClipFile(
+                id=name,
+                task=str(entry.get("task") or ""),
+                video=folder / video,
+                truth=truth,
+                camera=camera,
+                planted=faults.get(name),
+                frame_period_s=float(entry.get("frame_period_s") or 0.2),
+            )
+        )
+    if not clips:
+        raise UsageError(f"{folder.name}: its manifest lists no video")
+    return clips
+
+
+def choose(clips: Sequence[TruthClipFile], limit: int | None) -> list[TruthClipFile]:
+    """Return at most `limit` clips, taken from all tasks in turn, in the order of the manifest; all if None."""
+    counts: dict[str, int] = {}
+    turns = []
+    for clip in clips:
+        turns.append(counts.get(clip.task, 0))
+        counts[clip.task] = turns[-1] + 1
+    order = sorted(range(len(clips)), key=lambda i: (turns[i], i))
+    return [clips[i] for i in sorted(order[:limit])]
+
+
+def _read_faults(path: Path) -> dict[str, PlantedCase]:
+    """Read the planted anomalies by clip; none if there is no such file."""
+    if not path.is_file():
+        return {}
+    try:
+        return {
+            name: PlantedCase(
+                kind=AnomalyKind(fault["kind"]),
+                frame_start=int(fault["frame_start"]),
+                frame_end=int(fault["frame_end"]),
+                size=float(fault["size"]),
+                form=str(fault.get("form") or ""),
+            )
+            for name, fault in json.loads(path.read_text()).items()
+        }
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+        raise UsageError(f"truth/{path.name}: not a readable file of planted anomalies ({cause(error)})") from None

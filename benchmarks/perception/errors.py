@@ -1,0 +1,177 @@
+"""Frame-by-frame errors of the grounding of one clip against its ground truth."""
+
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.perception.clip import TruthClip
+from kinebench_drake.geometry import Array, pose_difference
+from kinebench_drake.grounding.pipeline import GroundingResult
+from kinebench_drake.segments import segments
+from kinebench_drake.types import Anomaly, AnomalyKind, GripperTrack
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Expense:
+    """Time and memory that the grounding of one clip took."""
+
+    wall_s: float
+    """Wall time, decoding included [s]."""
+    cpu_s: float
+    """Processor time of all threads [s]: more reliable than wall time on a busy machine."""
+    peak_mb: float
+    """Peak resident memory of the process so far [MiB]."""
+
+    def to_json(self) -> dict[str, float]:
+        """Return the JSON object."""
+        return {name: round(value, 3) for name, value in asdict(self).items()}
+
+
+FLIP_RAD = np.pi / 2
+"""Rotation error beyond which the pose is flipped: the gripper looks alike after a half turn."""
+LASTING_FRAMES = 3
+"""Consecutive flipped frames, among the tracked ones, that make a lasting flip."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ClipErrors:
+    """Errors of the grounding of one clip, frame by frame."""
+
+    id: str
+    task: str
+    """Plain task id; empty if unknown."""
+    position_m: Array
+    """(T,) position error of panda_hand [m]; NaN where not tracked or absent."""
+    rotation_rad: Array
+    """(T,) rotation error [rad]; NaN likewise."""
+    width_m: Array
+    """(T,) estimated gap between the finger pads [m]; NaN where unknown."""
+    true_width_m: Array
+    """(T,) true gap [m]; NaN where the gripper is absent."""
+    tracked: NDArray[np.bool_]
+    """(T,)."""
+    confidence: Array
+    """(T,) 0..1."""
+    visible: NDArray[np.bool_]
+    """(T,) frames in which the gripper is present."""
+    share: Array
+    """(T,) share of the gripper's silhouette that the image shows, 0..1; NaN where not measured."""
+    detected: tuple[Anomaly, ...]
+    """Anomalies that the grounding reports."""
+    planted: tuple[Anomaly, ...]
+    """Anomalies of the ground truth."""
+    expense: Expense
+
+    @property
+    def finger_m(self) -> Array:
+        """(T,) error of the gap between the finger pads [m]; NaN where the estimate or the truth is unknown."""
+        return np.asarray(np.abs(self.width_m - self.true_width_m))
+
+    @property
+    def tracked_fraction(self) -> float:
+        """Tracked frames / frames with a gripper; NaN without any."""
+        return float(self.tracked[self.visible].mean()) if self.visible.any() else float("nan")
+
+    @property
+    def flips(self) -> list[int]:
+        """Lengths of the runs of flipped frames; frames that are not tracked neither end nor lengthen a run."""
+        flipped = self.rotation_rad[np.isfinite(self.rotation_rad)] > FLIP_RAD
+        return [run.stop - run.start for run in segments(flipped)]
+
+    @property
+    def longest_flip(self) -> int:
+        """Length of the longest run of flipped frames."""
+        return max(self.flips, default=0)
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the JSON object, numbers rounded to the resolution of the measurement."""
+        return {
+            "id": self.id,
+            "task": self.task,
+            "position_m": _numbers(self.position_m, 7),
+            "rotation_rad": _numbers(self.rotation_rad, 6),
+            "width_m": _numbers(self.width_m, 6),
+            "true_width_m": _numbers(self.true_width_m, 6),
+            "tracked": self.tracked.astype(int).tolist(),
+            "confidence": _numbers(self.confidence, 4),
+            "visible": self.visible.astype(int).tolist(),
+            "share": _numbers(self.share, 3),
+            "found": [a.to_json() for a in self.detected],
+            "planted": [a.to_json() for a in self.planted],
+            "expense": self.expense.to_json(),
+        }
+
+    @classmethod
+    def from_json(cls, data: dict[str, Any]) -> "ClipErrors":
+        """Read the object that `to_json` returns.
+
+        Raises:
+            KeyError: a key is missing.
+        """
+        names = ("position_m", "rotation_rad", "width_m", "true_width_m", "confidence", "share")
+        return cls(
+            id=data["id"],
+            task=data["task"],
+            **{name: np.array(data[name], dtype=np.float64) for name in names},
+            tracked=np.array(data["tracked"], dtype=bool),
+            visible=np.array(data["visible"], dtype=bool),
+            detected=tuple(map(read_anomaly, data["found"])),
+            planted=tuple(map(read_anomaly, data["planted"])),
+            expense=Expense(**data["expense"]),
+        )
+
+
+def compare(clip: TruthClip, grounding: GroundingResult, expense: Expense, share: Array | None = None) -> ClipErrors:
+    """Return the errors of a grounding; `share` (T,) is the share of the gripper that each frame shows.
+
+    Frames whose pose was an input are not an achievement of the grounding: they count as frames without a gripper.
+    """
+    return compare_track(clip, grounding.track, expense, share, grounding.from_prior, grounding.anomalies)
+
+
+def compare_track(
+    clip: TruthClip,
+    track: GripperTrack,
+    expense: Expense,
+    share: Array | None = None,
+    from_prior: NDArray[np.bool_] | None = None,
+    anomalies: tuple[Anomaly, ...] = (),
+) -> ClipErrors:
+    """Return the errors of a track of any method.
+
+    Args:
+        clip: ground truth.
+        track: poses and gaps of the clip's frames.
+        expense: time and memory that they took.
+        share: (T,) share of the gripper that each frame shows; None if not measured.
+        from_prior: (T,) frames whose pose was an input; None for none.
+        anomalies: anomalies that the method reports.
+    """
+    overridden = np.zeros(len(track.tracked), dtype=bool) if from_prior is None else from_prior
+    position, rotation = pose_difference(clip.X_CH, track.X_CH)
+    return ClipErrors(
+        id=clip.id,
+        task=clip.task,
+        position_m=np.where(overridden, np.nan, position),
+        rotation_rad=np.where(overridden, np.nan, rotation),
+        width_m=track.finger_width_m,
+        true_width_m=clip.finger_width_m,
+        tracked=track.tracked & ~overridden,
+        confidence=track.confidence,
+        visible=np.asarray(np.isfinite(clip.X_CH).all(axis=(1, 2)) & ~overridden),
+        share=np.full(len(clip.t_s), np.nan) if share is None else np.where(overridden, np.nan, share),
+        detected=anomalies,
+        planted=clip.faults,
+        expense=expense,
+    )
+
+
+def _numbers(values: Array, digits: int) -> list[float | None]:
+    return [round(v, digits) if np.isfinite(v) else None for v in values.tolist()]
+
+
+def read_anomaly(data: dict[str, Any]) -> Anomaly:
+    """Read the object that `Anomaly.to_json` returns."""
+    return Anomaly(**{**data, "kind": AnomalyKind(data["kind"])})

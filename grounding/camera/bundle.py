@@ -1,0 +1,276 @@
+"""Bundle adjustment: camera, focal length, postures and finger openings of several frames, by robust least squares.
+
+The link lengths are known and the base is fixed, so the arm is the calibration target (Triggs et al., "Bundle
+adjustment, a modern synthesis", 1999). Unknown are the camera's pose and focal length, common to all frames, and seven
+joint angles and an opening per frame. The frames' unknowns are eliminated from the normal equations (Schur complement),
+so a step costs little more than the evaluation of the residuals.
+
+Contours of one part err together: surfaces darken or shine towards their outlines, and meshes differ from the robot. So
+each part has one offset of its contours, common to all frames: sizes count less than places.
+"""
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinebench_drake.geometry import Array
+from kinebench_drake.grounding.camera.fit import CAUCHY, Lens
+from kinebench_drake.grounding.camera.fit import UNKNOWNS as CENTRED_UNKNOWNS
+from kinebench_drake.grounding.camera.surroundings import Surroundings
+from kinebench_drake.grounding.registration.arm_model import OVER_LIMIT_RAD, ArmModel
+from kinebench_drake.models.panda.cad import MAX_FINGER_M
+from kinebench_drake.models.panda.robot import RobotPart
+from kinebench_drake.models.robot import N_JOINTS
+
+UNKNOWNS = CENTRED_UNKNOWNS + 2
+"""Number of unknowns of the camera: those of a centred lens, then the principal point [px]."""
+_A_FRAME = N_JOINTS + 1
+_PARTS = len(RobotPart)
+_SHARED = UNKNOWNS + _PARTS  # unknowns that frames have in common: the camera's, and the offsets of contours
+POSTURE_SIGMA_RAD = np.array([10.0, *[1.5] * 6])
+"""Standard deviations of unknown joint angles about their start [rad]: they keep joints that nothing shows."""
+_OPENING_INFORMATION = 25.0  # of an opening that nothing shows [1/m^2]
+_LEAST_DEPTH_M = 0.05
+_BEHIND = 1e3  # cost of a point behind the camera
+_LARGEST_STEP_RAD, _LARGEST_STEP_M, _LARGEST_ZOOM = 0.4, 0.4, 0.2
+_CONVERGED = 1e-5
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Observations:
+    """N points of the robot observed in T frames."""
+
+    frame: NDArray[np.intp]
+    """(N,) row of the frame."""
+    part: NDArray[np.uint8]
+    """(N,) values of `RobotPart`."""
+    p_P: Array
+    """(N, 3) point in the frame of its part, fingers closed [m]."""
+    opening_sign: Array
+    """(N,) direction along the hand's y axis as the gripper opens: 1 or -1 for fingers, else 0."""
+    uv_px: Array
+    """(N, 2) where the image shows it [px]."""
+    whitening: Array
+    """(N, 2, 2) matrices that turn an error [px] into standard deviations; the second row of an edge is 0."""
+    weight: Array
+    """(N,) weight in independent measurements."""
+
+    def __len__(self) -> int:
+        """Return the number of points."""
+        return len(self.frame)
+
+    def take(self, chosen: NDArray[np.generic]) -> "Observations":
+        """Select points by index or mask."""
+        return Observations(**{name: getattr(self, name)[chosen] for name in self.__slots__})
+
+    @staticmethod
+    def join(parts: "list[Observations]") -> "Observations":
+        """Concatenate observations of the same frames."""
+        names = Observations.__slots__
+        return Observations(**{name: np.concatenate([getattr(part, name) for part in parts]) for name in names})
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ArmScene:
+    """Unknowns of a bundle adjustment."""
+
+    lens: Lens
+    q: Array
+    """(T, 7) joint angles [rad]."""
+    finger_m: Array
+    """(T,) opening of each finger [m]."""
+    offset: Array = field(default_factory=lambda: np.zeros(_PARTS))
+    """(PARTS,) how far out the images show the contours of each part, in standard deviations of one of their points."""
+
+    def take(self, rows: NDArray[np.intp]) -> "ArmScene":
+        """Select frames."""
+        return replace(self, q=self.q[rows], finger_m=self.finger_m[rows])
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Prior:
+    """Gaussian prior of the unknowns."""
+
+    q: Array
+    """(T, 7) mean of the joint angles [rad]."""
+    q_sigma: Array
+    """(T, 7) their standard deviations [rad]."""
+    lens: Lens
+    """Mean of focal length and principal point."""
+    log_focal_sigma: float
+    """Standard deviation of the logarithm of the focal length; 0 for a fixed one."""
+    centre_sigma_px: float = 0.0
+    """Standard deviation of the principal point [px]; 0 for a fixed one."""
+    place_free: bool = True
+    """False to keep the place of the camera."""
+    offset_sigma: float = 0.0
+    """Standard deviation of the offset of a part's contours, in those of one of their points; 0 for none."""
+    surroundings: Surroundings | None = None
+    """Lines along the axes of the base."""
+
+    def of_lens(self, lens: Lens) -> tuple[Array, Array, NDArray[np.bool_]]:
+        """Return information (9,), deviation (9,) of a lens from the mean, and which unknowns are free (9,)."""
+        camera, mean = lens.camera, self.lens.camera
+        sigma = np.array([*[np.inf if self.place_free else 0.0] * 6, self.log_focal_sigma, *[self.centre_sigma_px] * 2])
+        free = sigma > 0
+        deviation = np.array([*[0.0] * 6, np.log(camera.fx / mean.fx), camera.cx - mean.cx, camera.cy - mean.cy])
+        return np.where(free, 1.0 / np.where(free, sigma, 1.0) ** 2, 0.0), deviation, free
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Bundle:
+    """Result of a bundle adjustment."""
+
+    scene: ArmScene
+    cost: float
+    """Weighted mean of Cauchy's loss."""
+    error_px: Array
+    """(N,) errors in the directions that are measured [px]."""
+    information: Array
+    """(9, 9) inverse covariance of the camera, postures and offsets eliminated; 0 for what is fixed."""
+    response: Array
+    """(T, 7, 9) derivative of the fitted joint angles by the camera."""
+
+
+def adjust(
+    observations: Observations, start: ArmScene, prior: Prior, model: ArmModel, *, iterations: int = 20
+) -> Bundle:
+    """Minimise Cauchy's loss of all errors by Levenberg-Marquardt.
+
+    Args:
+        observations: points observed in T frames.
+        start: initial unknowns.
+        prior: prior of the unknowns.
+        model: link poses of the arm.
+        iterations: greatest number of steps.
+    """
+    scene, damping = start, 1e-3
+    current = _Linearization(observations, scene, prior, model)
+    for _ in range(iterations):
+        lens_step, frame_steps = current.step(damping)
+        candidate = _update(scene, lens_step, frame_steps, model)
+        trial = _Linearization(observations, candidate, prior, model)
+        if trial.cost < current.cost:
+            gain = current.cost - trial.cost
+            scene, current, damping = candidate, trial, max(damping / 5, 1e-7)
+            if gain < _CONVERGED * current.cost:
+                break
+        else:
+            damping *= 8
+            if damping > 1e4:
+                break
+    return current.bundle()
+
+
+def _update(scene: ArmScene, step: Array, frame_steps: Array, model: ArmModel) -> ArmScene:
+    lens_step, offset_step = step[:UNKNOWNS], step[UNKNOWNS:]
+    unit = 0.1 * scene.lens.camera.width
+    bound = np.array([*[_LARGEST_STEP_RAD] * 3, *[_LARGEST_STEP_M] * 3, _LARGEST_ZOOM, unit, unit])
+    lens_step = lens_step / max(1.0, float((np.abs(lens_step) / bound).max()))
+    lens = scene.lens.displace(lens_step[:CENTRED_UNKNOWNS])
+    camera = replace(lens.camera, cx=lens.camera.cx + float(lens_step[-2]), cy=lens.camera.cy + float(lens_step[-1]))
+    q = scene.q + np.clip(frame_steps[:, :N_JOINTS], -_LARGEST_STEP_RAD, _LARGEST_STEP_RAD)
+    return ArmScene(
+        lens=replace(lens, camera=camera),
+        q=np.clip(q, model.lower - OVER_LIMIT_RAD, model.upper + OVER_LIMIT_RAD),
+        finger_m=np.clip(scene.finger_m + frame_steps[:, N_JOINTS], 0.0, MAX_FINGER_M),
+        offset=scene.offset + offset_step,
+    )
+
+
+class _Linearization:
+    """Cost and normal equations at one scene."""
+
+    def __init__(self, observations: Observations, scene: ArmScene, prior: Prior, model: ArmModel) -> None:
+        o, lens = observations, scene.lens
+        self._scene, self._o = scene, o
+        X_BP, axis, point = model.poses_and_axes_of(scene.q)
+        X = X_BP[o.frame, o.part]
+        opened_P = o.p_P.copy()
+        opened_P[:, 1] += o.opening_sign * scene.finger_m[o.frame]
+        p_B = np.einsum("nij,nj->ni", X[:, :3, :3], opened_P) + X[:, :3, 3]
+        uv, z = lens.project(p_B)
+        of_contour = ~o.whitening[:, 1].any(axis=1)
+        self._residual = np.einsum("nij,nj->ni", o.whitening, uv - o.uv_px)
+        self._residual[of_contour, 0] += scene.offset[o.part[of_contour]]
+        square = (self._residual**2).sum(axis=1)
+        behind = z < _LEAST_DEPTH_M
+        dq = scene.q - prior.q
+        q_information = 1.0 / prior.q_sigma**2
+        lens_information, deviation, free = prior.of_lens(lens)
+        offset_information = 1.0 / prior.offset_sigma**2 if prior.offset_sigma else 0.0
+        loss = CAUCHY**2 * np.log1p(square / CAUCHY**2) + _BEHIND * behind
+        self._data_cost = float((o.weight * loss).sum())
+        self.cost = (
+            self._data_cost
+            + float((q_information * dq**2).sum())
+            + float((lens_information * deviation**2).sum())
+            + offset_information * float((scene.offset**2).sum())
+        )
+        by_lens, by_C = lens.derivatives(p_B)
+        by_B = by_C @ lens.X_CB[:3, :3]
+        turning = np.cross(axis[o.frame], p_B[:, None] - point[o.frame]) * model.moves[o.part][..., None]
+        moving = np.concatenate([turning, (o.opening_sign[:, None] * X[:, :3, 1])[:, None]], axis=1)
+        by_centre = np.broadcast_to(np.eye(2), (len(o), 2, 2))
+        by_offset = np.zeros((len(o), 2, _PARTS))
+        by_offset[of_contour, 0, o.part[of_contour]] = 1.0
+        by_camera = o.whitening @ np.concatenate([by_lens, by_centre], axis=2)
+        J = np.concatenate([by_camera, by_offset, o.whitening @ by_B @ np.swapaxes(moving, 1, 2)], axis=2)
+        W = o.weight / (1.0 + square / CAUCHY**2) * ~behind
+        frames, n = len(scene.q), _SHARED + _A_FRAME
+        self._H, self._g = np.zeros((frames, n, n)), np.zeros((frames, n))
+        for t in range(frames):
+            own = o.frame == t
+            flat = J[own].reshape(-1, n)
+            weighted = flat * np.repeat(W[own], 2)[:, None]
+            self._H[t], self._g[t] = flat.T @ weighted, weighted.T @ self._residual[own].ravel()
+        k = np.arange(_SHARED, _SHARED + N_JOINTS)
+        self._H[:, k, k] += q_information
+        self._g[:, k] += q_information * dq
+        self._H[:, -1, -1] += _OPENING_INFORMATION
+        self._information = np.diag([*lens_information, *[offset_information] * _PARTS])
+        self._gradient = np.array([*lens_information * deviation, *offset_information * scene.offset])
+        self._free = np.array([*free, *[prior.offset_sigma > 0] * _PARTS])
+        if prior.surroundings is not None:
+            cost, information, gradient = prior.surroundings.linearize(lens)
+            self.cost += cost
+            self._information[:UNKNOWNS, :UNKNOWNS] += information
+            self._gradient[:UNKNOWNS] += gradient
+
+    def _eliminate(self, damping: float) -> tuple[Array, Array, Array, Array]:
+        """Return normal matrix and gradient of what frames have in common, and the frames' back substitution."""
+        c, s, k = slice(None, _SHARED), slice(_SHARED, None), np.arange(_A_FRAME)
+        S = self._H[:, s, s].copy()
+        S[:, k, k] = S[:, k, k] * (1 + damping) + 1e-9
+        back = np.linalg.solve(S, np.concatenate([self._H[:, s, c], self._g[:, s, None]], axis=2))
+        H = (self._H[:, c, c] - self._H[:, c, s] @ back[..., :-1]).sum(axis=0) + self._information
+        g = (self._g[:, c] - (self._H[:, c, s] @ back[..., -1:])[..., 0]).sum(axis=0) + self._gradient
+        return H, g, back[..., :-1], back[..., -1]
+
+    def step(self, damping: float) -> tuple[Array, Array]:
+        """Return the steps of camera and offsets (9 + PARTS,) and of the frames (T, 8)."""
+        H, g, back, own = self._eliminate(damping)
+        k = np.arange(_SHARED)
+        H[k, k] += damping * self._H[:, k, k].sum(axis=0) + 1e-9
+        free, step = np.flatnonzero(self._free), np.zeros(_SHARED)
+        step[free] = -np.linalg.solve(H[np.ix_(free, free)], g[free])
+        return step, -own - back @ step
+
+    def bundle(self) -> Bundle:
+        """Return the result with its information."""
+        H, _, back, _ = self._eliminate(0.0)
+        c, s = slice(None, UNKNOWNS), slice(UNKNOWNS, None)
+        offsets = np.linalg.solve(H[s, s], H[s, c]) if self._free[s].any() else np.zeros((_PARTS, UNKNOWNS))
+        information, fixed = H[c, c] - H[c, s] @ offsets, ~self._free[c]
+        information[fixed] = information[:, fixed] = 0.0
+        W = self._o.whitening
+        rows = np.maximum((np.abs(W).sum(axis=2) > 0).sum(axis=1), 1)
+        per_px = np.sqrt((W**2).sum(axis=(1, 2)) / rows)
+        return Bundle(
+            scene=self._scene,
+            cost=self._data_cost / max(float(self._o.weight.sum()), 1e-9),
+            error_px=np.linalg.norm(self._residual, axis=1) / np.maximum(per_px, 1e-9),
+            information=information,
+            response=-(back[..., c] - back[..., s] @ offsets)[:, :N_JOINTS],
+        )

@@ -1,0 +1,305 @@
+"""Calibration of a static camera from a video of the robot."""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinebench_drake.camera import Camera, benchmark_camera
+from kinebench_drake.errors import UnmeasurableError, UsageError
+from kinebench_drake.geometry import Array
+from kinebench_drake.grounding.anomaly.camera_motion import (
+    COMPENSABLE_PX,
+    MOVING_PX,
+    FeatureTracks,
+    measure_camera_motion,
+)
+from kinebench_drake.grounding.camera.bundle import ArmScene
+from kinebench_drake.grounding.camera.camera_estimate import CameraEstimate
+from kinebench_drake.grounding.camera.candidate import Candidate
+from kinebench_drake.grounding.camera.correspondences import LensView, NetworkViewEstimator, ViewEstimator
+from kinebench_drake.grounding.camera.detections import DetectedViewEstimator
+from kinebench_drake.grounding.camera.estimate import CameraEstimator
+from kinebench_drake.grounding.camera.observability import require_determined, warnings_of
+from kinebench_drake.grounding.camera.result import CalibrationMethod, CameraCalibration, describe, describe_estimate
+from kinebench_drake.grounding.camera.solve import LensSolution, default_focal_px, solve_with_reestimate
+from kinebench_drake.grounding.camera.states import (
+    RobotStates,
+    make_posture_states,
+    parse_posture,
+    read_states,
+    unknown_states,
+)
+from kinebench_drake.grounding.registration.arm_model import ArmModel
+from kinebench_drake.grounding.tracking.estimator import NetworkEstimator
+from kinebench_drake.grounding.tracking.tracker import CadTracker
+from kinebench_drake.grounding.tracking.view import Frames
+from kinebench_drake.io.camerafile import load_camera
+from kinebench_drake.io.reader import read_video
+from kinebench_drake.io.video import Video
+from kinebench_drake.models.perception.network import load_network
+
+MAX_MOVING_FRAMES = 12
+"""Greatest number of frames without joint angles: each adds eight unknowns."""
+DEFAULT_FRAMES = 24
+"""Greatest number of frames used by default."""
+_CENTRE_SIGMA = 0.06  # standard deviation of an unknown principal point over the image's width
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CalibrationConfig:
+    """Video to calibrate and prior information."""
+
+    video: Path
+    joints: str | None = None
+    """File of joint angles, one posture, or the name of a posture; None without either."""
+    joints_frame: int = 0
+    """Frame in which the robot is in that posture."""
+    episode: str | None = None
+    """Episode of the video in a file of several."""
+    column: str | None = None
+    """Array or column of joint angles in the file, if ambiguous."""
+    frame_period_s: float | None = None
+    """Time between two frames [s]; None for that of the video."""
+    camera: Path | None = None
+    """camera.json with the intrinsics; without joint angles its pose is the initial guess."""
+    focal_px: float | None = None
+    """Focal length of the video [px]; None to estimate it."""
+    frames: int = DEFAULT_FRAMES
+    """Greatest number of frames used."""
+
+    def __post_init__(self) -> None:
+        """Check the options without reading files.
+
+        Raises:
+            UsageError: a number is out of range, or two options contradict each other.
+        """
+        if self.frames < 1:
+            raise UsageError(f"--frames is {self.frames}, expected 1 or more")
+        if self.focal_px is not None and not 1.0 <= self.focal_px <= 1e5:
+            raise UsageError(f"--focal is {self.focal_px:g}, expected pixels from 1 to 100000, such as 600")
+        if self.focal_px is not None and self.camera is not None:
+            raise UsageError("--focal and --camera exclude each other: the camera file states the focal length")
+        if self.frame_period_s is not None and not 1e-4 <= self.frame_period_s <= 1e3:
+            raise UsageError(f"--frame-period is {self.frame_period_s:g}, expected seconds from 0.0001 to 1000")
+        if self.joints is None and self.joints_frame:
+            raise UsageError(f"--joints-frame {self.joints_frame}: there is no --joints, whose posture it would be")
+        is_file = self.joints is not None and (Path(self.joints).exists() or parse_posture(self.joints) is None)
+        if not is_file and (self.episode or self.column):
+            raise UsageError("--episode and --column choose from a file of joint angles, and --joints names none")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CalibrationOutcome:
+    """Calibration with the data of its figure."""
+
+    calibration: CameraCalibration
+    frame: NDArray[np.uint8]
+    """(H, W, 3) one of the frames used."""
+    X_BP: Array
+    """(PARTS, 4, 4) frames of the parts' CAD coordinates in B in that frame [m]; NaN where unknown."""
+    finger_m: float
+    """Opening of each finger in that frame [m]."""
+
+
+class Calibrator:
+    """Calibration of cameras from decoded videos; one instance serves any number of them."""
+
+    def __init__(self, detected: ViewEstimator, tracked: ViewEstimator, cameras: CameraEstimator) -> None:
+        """Set the sources of measurements.
+
+        Args:
+            detected: views of frames whose postures are known.
+            tracked: views with postures, of frames of which one posture is known.
+            cameras: fit of cameras to contours.
+        """
+        self._detected, self._tracked, self._cameras, self._model = detected, tracked, cameras, ArmModel()
+
+    @staticmethod
+    def load() -> "Calibrator":
+        """Return a calibrator with the networks of the tracker.
+
+        Raises:
+            SetupError: weights, meshes or native libraries are missing.
+        """
+        dense = NetworkEstimator(load_network())
+        tracked = NetworkViewEstimator(CadTracker(dense))
+        return Calibrator(DetectedViewEstimator(dense), tracked, CameraEstimator(dense))
+
+    def calibrate(
+        self,
+        frames: Frames,
+        states: RobotStates,
+        guess: Camera,
+        *,
+        focal_free: bool,
+        centre_free: bool = False,
+        most: int = DEFAULT_FRAMES,
+    ) -> CalibrationOutcome:
+        """Calibrate the camera of frames (T, H, W, 3).
+
+        Args:
+            frames: images.
+            states: robot states in these frames.
+            guess: initial camera.
+            focal_free: True to estimate the focal length.
+            centre_free: True if the principal point is not known exactly.
+            most: greatest number of frames used.
+
+        Raises:
+            UnmeasurableError: the camera moves, or the video does not determine it.
+        """
+        method = _method(states)
+        chosen = _chosen(states, most)
+        images, postures = frames[chosen], states.take(chosen)
+        estimator = self._tracked if method is CalibrationMethod.POSTURE else self._detected
+        view = estimator.estimate(images, guess)
+        shift = _camera_shift(images, view, guess)
+        if method is CalibrationMethod.MOTION:
+            estimate = self._cameras.estimate(frames, None if focal_free else guess, focal_free=focal_free)
+            if estimate.doubt is not None:
+                raise UnmeasurableError(
+                    f"base_from_camera is not determined without joint angles: {estimate.doubt}; give --joints FILE, "
+                    "or the posture of one frame (--joints q1,...,q7)"
+                )
+            fitted = _of_estimate(estimate, self._model, method, states.source, focal_free=focal_free)
+        else:
+            solved = solve_with_reestimate(estimator, images, view, postures, guess, self._model, focal_free=focal_free)
+            if method is CalibrationMethod.JOINTS:
+                centre_sigma_px = _CENTRE_SIGMA * guess.width if centre_free else 0.0
+                estimate = self._cameras.refine(
+                    images, guess, _start(solved, postures), focal_free=focal_free, centre_sigma_px=centre_sigma_px
+                )
+                estimate = replace(estimate, rows=chosen[estimate.rows])
+                fitted = _of_estimate(estimate, self._model, method, states.source, focal_free=focal_free)
+            else:
+                calibration = describe(
+                    solved, method=method, source=states.source, frames=chosen[solved.rows], focal_free=focal_free
+                )
+                fitted = calibration, solved.X_BP, solved.finger_m
+        calibration, X_BP, finger_m = fitted
+        if method is not CalibrationMethod.MOTION:
+            require_determined(calibration)
+        middle = len(calibration.frames) // 2
+        return CalibrationOutcome(
+            calibration=replace(calibration, warnings=(*shift, *warnings_of(calibration))),
+            frame=frames[calibration.frames[middle]],
+            X_BP=X_BP[middle],
+            finger_m=float(finger_m[middle]),
+        )
+
+
+def calibrate(config: CalibrationConfig, calibrator: Calibrator | None = None) -> CalibrationOutcome:
+    """Calibrate the camera of a video.
+
+    Args:
+        config: video and prior information.
+        calibrator: with the tracker's networks if None.
+
+    Raises:
+        UsageError: an option cannot be used.
+        InputError: the video or the joint angles are invalid, or inconsistent with each other.
+        UnmeasurableError: the camera moves, or the video does not determine it.
+        SetupError: weights, meshes or native libraries are missing.
+    """
+    intrinsics = None if config.camera is None else load_camera(config.camera).camera
+    try:
+        video = read_video(config.video)
+        video.require_measurable()
+    except UnmeasurableError as error:
+        raise UnmeasurableError(f"{config.video.name}: {error}") from None
+    states = _states(config, video, ArmModel())
+    return (calibrator or Calibrator.load()).calibrate(
+        video.frames,
+        states,
+        _guess(config, intrinsics, video.width, video.height),
+        focal_free=config.camera is None and config.focal_px is None,
+        centre_free=config.camera is None,
+        most=config.frames,
+    )
+
+
+def _of_estimate(
+    estimate: CameraEstimate, model: ArmModel, method: CalibrationMethod, source: str, *, focal_free: bool
+) -> tuple[CameraCalibration, Array, Array]:
+    """Return the calibration of an estimate, with the poses of the parts and the openings in its frames."""
+    calibration = describe_estimate(estimate, model, method=method, source=source, focal_free=focal_free)
+    return calibration, model.poses(estimate.scene.q), estimate.scene.finger_m
+
+
+def _start(solved: LensSolution, states: RobotStates) -> Candidate:
+    """Return the solution from the cells as the start of the fit to contours."""
+    scene = ArmScene(lens=solved.fit.lens, q=states.q[solved.rows], finger_m=solved.finger_m)
+    costs = np.zeros(len(solved.rows))
+    return Candidate(scene=scene, rows=solved.rows, cells=solved.cells, costs=costs, cost=solved.fit.cost)
+
+
+def _states(config: CalibrationConfig, video: Video, model: ArmModel) -> RobotStates:
+    n = len(video.frames)
+    if config.joints is None:
+        return unknown_states(n)
+    if not Path(config.joints).exists():
+        return make_posture_states(config.joints, config.joints_frame, n, model)
+    return read_states(Path(config.joints), config.episode, config.column, _times(video, config.frame_period_s), model)
+
+
+def _times(video: Video, period_s: float | None) -> Array:
+    """Return the times (T,) of the frames [s]; NaN if neither the user nor the video states them."""
+    if period_s is None and video.stamps_s is not None:
+        return video.stamps_s
+    period = period_s or (1.0 / video.fps if video.fps else np.nan)
+    return np.asarray(period * np.arange(len(video.frames)), dtype=np.float64)
+
+
+def _guess(config: CalibrationConfig, intrinsics: Camera | None, width: int, height: int) -> Camera:
+    """Return the initial camera: the pose of the benchmark camera unless a camera is provided."""
+    if intrinsics is not None:
+        return intrinsics.resized(width, height)
+    focal = config.focal_px or default_focal_px(width)
+    return replace(benchmark_camera(), width=width, height=height, fx=focal, fy=focal, cx=width / 2, cy=height / 2)
+
+
+def _chosen(states: RobotStates, most: int) -> NDArray[np.intp]:
+    """Return the frames to use: spread over those of known hand pose if there are two or more, else over all."""
+    rows, everything = np.flatnonzero(states.has_hand), np.arange(len(states.q))
+    if len(rows) > 1:
+        return _evenly(rows, most)
+    others = _evenly(np.setdiff1d(everything, rows), min(most, MAX_MOVING_FRAMES) - len(rows))
+    return np.asarray(np.union1d(rows, others), dtype=np.intp)
+
+
+def _evenly(numbers: NDArray[np.intp], most: int) -> NDArray[np.intp]:
+    places = np.linspace(0, len(numbers) - 1, min(most, len(numbers)))
+    return np.asarray(numbers[np.unique(places.round().astype(int))], dtype=np.intp)
+
+
+def _camera_shift(frames: Frames, view: LensView, camera: Camera) -> tuple[str, ...]:
+    """Return warnings about camera motion.
+
+    Raises:
+        UnmeasurableError: the camera moves.
+    """
+    if len(frames) < 2:
+        return ()
+    moved_px = measure_camera_motion(FeatureTracks(frames), view.robot, camera).largest_px
+    unit = camera.unit_px
+    if moved_px is None:
+        return ("it is unknown whether the camera is static: the background has too few features",)
+    if moved_px > COMPENSABLE_PX * unit:
+        raise UnmeasurableError(
+            f"the camera moves: the background shifts by {moved_px:.0f} px, at most {COMPENSABLE_PX * unit:.0f}; "
+            "calibrate with a part of the video in which it stands still"
+        )
+    if moved_px > MOVING_PX * unit:
+        return (f"the background shifts by {moved_px:.1f} px: the camera is not quite static",)
+    return ()
+
+
+def _method(states: RobotStates) -> CalibrationMethod:
+    count = int(states.has_hand.sum())
+    if count == 0:
+        return CalibrationMethod.MOTION
+    if not np.isfinite(states.q).any():
+        return CalibrationMethod.POSES
+    return CalibrationMethod.POSTURE if count == 1 else CalibrationMethod.JOINTS

@@ -1,0 +1,172 @@
+"""Camera estimated from the arm, with its uncertainty."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinebench_drake.camera import Camera
+from kinebench_drake.geometry import Array
+from kinebench_drake.grounding.camera.bundle import UNKNOWNS, ArmScene, Bundle
+from kinebench_drake.grounding.registration.arm_model import ArmModel
+from kinebench_drake.models.panda.robot import HAND_TO_TCP_M, RobotPart
+from kinebench_drake.types import Json
+
+ARM_AGREEMENT, BASE_AGREEMENT = 0.64, 0.4
+"""Least shares of the contours of hand and arm, and of the base link, on image edges at which a camera counts as found:
+no wrong camera of our own renders reaches both."""
+ALIGNED_AGREEMENT, ALIGNED_BASE_AGREEMENT = 0.5, 0.3
+"""The same where lines of the surroundings run along the axes of the base: of 43 renders by two other programs they do
+so with 18 right cameras, and with one whose focal length is wrong by a quarter (0.48 of the arm's contours)."""
+LEAD, BASE_LEAD = 0.08, 0.08
+"""Least differences between the mean of both and that with another camera, and between the share of the base link and
+that with the base turned elsewhere about joint 1."""
+ALIGNED_LEAD = 0.03
+"""The first of them where lines run along the axes of the base and the arm agrees by `ARM_AGREEMENT`."""
+GRIPPER_SIGMA_M, GRIPPER_SIGMA_RAD = 0.02, float(np.deg2rad(3.0))
+"""Greatest standard deviations of the gripper in the base frame, due to its camera, of a verdict [m, rad]."""
+_MOVE, _TURN = slice(0, 3), slice(3, 6)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CameraEstimate:
+    """Camera estimated from the arm, with its uncertainty."""
+
+    camera: Camera
+    covariance: Array
+    """(9, 9) of the base's rotation about the camera's axes [rad], its position in the camera frame [m], the logarithm
+    of the focal length and the principal point [px]."""
+    gripper_sigma_m: float
+    """Standard deviation of the TCP's position in the base frame due to the camera: root of the sum over axes [m]."""
+    gripper_sigma_rad: float
+    """Likewise of its rotation [rad]."""
+    agreement: float
+    """Share of the contours of hand and arm on image edges, median over the frames; less where few frames fit.
+
+    Without the base link, unless the joint angles are known."""
+    base_agreement: float
+    """Share of the contours of the base link on image edges, all frames together."""
+    base_runner_up: float
+    """The same with the base turned elsewhere about joint 1; 0 if no other turn agrees."""
+    is_aligned: bool
+    """Whether lines of the surroundings along the axes of the base were used."""
+    runner_up: float
+    """Mean of the two agreements with the next best camera under which the arm stands elsewhere; 0 if there is none."""
+    residual_px: float
+    """Median distance between contours and image edges [px]."""
+    rows: NDArray[np.intp]
+    """(T,) numbers of the frames used."""
+    scene: ArmScene
+    """Camera and postures in these frames."""
+    contour_part: NDArray[np.uint8]
+    """(N,) values of `RobotPart` of the contour points used."""
+    contour_error_px: Array
+    """(N,) their distances from the image edges [px]."""
+
+    def to_json(self) -> dict[str, Json]:
+        """Serialize into `camera_estimate` of samples.jsonl."""
+        return {
+            "camera": self.camera.to_json(),
+            "agreement": self.agreement,
+            "runner_up": self.runner_up,
+            "base_agreement": self.base_agreement,
+            "base_runner_up": self.base_runner_up,
+            "aligned": self.is_aligned,
+            "residual_px": self.residual_px,
+            "position_sigma_m": self.position_sigma_m,
+            "rotation_sigma_rad": self.rotation_sigma_rad,
+            "focal_sigma": self.focal_sigma,
+            "gripper_sigma_m": self.gripper_sigma_m,
+            "gripper_sigma_rad": self.gripper_sigma_rad,
+            "frames": self.rows.tolist(),
+        }
+
+    @property
+    def doubt(self) -> str | None:
+        """Why the camera gives no base frame; None if it does."""
+        least, least_base = ARM_AGREEMENT, BASE_AGREEMENT
+        if self.is_aligned:
+            least, least_base = ALIGNED_AGREEMENT, ALIGNED_BASE_AGREEMENT
+        lead = ALIGNED_LEAD if self.is_aligned and self.agreement >= ARM_AGREEMENT else LEAD
+        if self.agreement < least:
+            return (
+                f"no estimated camera agrees with the arm (best: {self.agreement:.0%} of its contours on image edges, "
+                f"at least {least:.0%} are needed)"
+            )
+        if self.base_agreement < least_base:
+            return (
+                "how the base is turned about joint 1 cannot be seen (best: "
+                f"{self.base_agreement:.0%} of the contours of the base link on image edges, at least "
+                f"{least_base:.0%} are needed)"
+            )
+        if self.base_agreement < self.base_runner_up + BASE_LEAD:
+            return (
+                f"two turns of the base about joint 1 explain its contours ({self.base_agreement:.0%} and "
+                f"{self.base_runner_up:.0%} on image edges)"
+            )
+        if self.support < self.runner_up + lead:
+            return (
+                f"two different cameras explain arm and base ({self.support:.0%} and {self.runner_up:.0%} of their "
+                "contours on image edges)"
+            )
+        if self.gripper_sigma_m > GRIPPER_SIGMA_M or self.gripper_sigma_rad > GRIPPER_SIGMA_RAD:
+            return (
+                "with the estimated camera the gripper's place in it is uncertain by "
+                f"{1e3 * self.gripper_sigma_m:.0f} mm and {np.rad2deg(self.gripper_sigma_rad):.1f} degrees (one "
+                f"sigma, at most {1e3 * GRIPPER_SIGMA_M:.0f} and {np.rad2deg(GRIPPER_SIGMA_RAD):.0f})"
+            )
+        return None
+
+    @property
+    def support(self) -> float:
+        """Mean of the agreements of arm and base link."""
+        return (self.agreement + self.base_agreement) / 2
+
+    @property
+    def position_sigma_m(self) -> float:
+        """Standard deviation of the camera's position in the base frame: root of the sum over axes [m]."""
+        return self.scene.lens.position_sigma_m(self.covariance[:6, :6])
+
+    @property
+    def rotation_sigma_rad(self) -> float:
+        """Standard deviation of the camera's rotation [rad]."""
+        return float(np.trace(self.covariance[:3, :3]) ** 0.5)
+
+    @property
+    def focal_sigma(self) -> float:
+        """Relative standard deviation of the focal length; 0 if it was fixed."""
+        return float(self.covariance[6, 6] ** 0.5)
+
+
+def describe(bundle: Bundle, part: NDArray[np.uint8], model: ArmModel, rows: NDArray[np.intp]) -> CameraEstimate:
+    """Return the estimate of a bundle adjustment."""
+    scene, H = bundle.scene, bundle.information
+    free = np.flatnonzero(np.diag(H) > 0)
+    scale = np.sqrt(np.diag(H)[free])
+    covariance = np.zeros((UNKNOWNS, UNKNOWNS))
+    inverse = np.linalg.pinv(H[np.ix_(free, free)] / np.outer(scale, scale) + 1e-9 * np.eye(len(free)))
+    covariance[np.ix_(free, free)] = inverse / np.outer(scale, scale)
+    spread = []
+    for q, response in zip(scene.q, bundle.response, strict=True):
+        X_BP, axis, point = model.poses_and_axes(q)
+        X_BH = X_BP[RobotPart.HAND]
+        tcp = X_BH[:3, 3] + HAND_TO_TCP_M * X_BH[:3, 2]
+        J = np.concatenate([np.cross(axis, tcp - point).T, axis.T]) @ response
+        spread.append(J @ covariance @ J.T)
+    position, rotation = (float(np.median([np.trace(V[k, k]) for V in spread])) ** 0.5 for k in (_MOVE, _TURN))
+    return CameraEstimate(
+        camera=scene.lens.to_camera(),
+        covariance=covariance,
+        gripper_sigma_m=position,
+        gripper_sigma_rad=rotation,
+        agreement=0.0,
+        is_aligned=False,
+        runner_up=0.0,
+        base_agreement=0.0,
+        base_runner_up=0.0,
+        residual_px=float(np.median(bundle.error_px)),
+        rows=rows,
+        scene=scene,
+        contour_part=part,
+        contour_error_px=bundle.error_px,
+    )

@@ -1,0 +1,242 @@
+"""Checks of a camera against the arm: agreement with it, and other cameras that explain the arm better."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from kinebench_drake.camera import Camera
+from kinebench_drake.geometry import Array, invert, pose_difference
+from kinebench_drake.grounding.camera.bundle import ArmScene
+from kinebench_drake.grounding.camera.candidate import (
+    COARSE,
+    LEAST_EXPLAINED,
+    LOG_FOCAL_SIGMA,
+    MIDDLE,
+    MIN_FRAMES,
+    PASS_SIGMA_RAD,
+    Candidate,
+    CandidateFitter,
+    LensPrior,
+)
+from kinebench_drake.grounding.camera.detections import ArmDetections, count_hands, find_robot
+from kinebench_drake.grounding.camera.fit import Lens, with_focal
+from kinebench_drake.grounding.camera.hypotheses import ChainSearch
+from kinebench_drake.grounding.camera.reading import BetterReading, Reading, list_readings
+from kinebench_drake.grounding.tracking.view import DenseEstimator, Frames
+from kinebench_drake.models.panda.robot import RobotPart, hand_from_tcp
+from kinebench_drake.types import Json
+
+_CHECKED, _CHECK_SEARCHED = 5, 8  # frames that check a camera, and those that they are chosen from
+_READ, _READ_SEARCHED = 4, 6  # the same of a reading of the picture
+_CROP_ZOOMS, _CROPS_FITTED = (1.1, 1.25, 1.45), 3  # focal lengths of cropped pictures over that of the camera
+_CROP_PLACES = np.array([[0.0, 0.0], [-1.0, -1.0], [-1.0, 1.0], [1.0, -1.0], [1.0, 1.0]])
+"""Places of a cropped picture in the whole one: its middle and its corners."""
+_CROP_LOG_SIGMA, _CROP_CENTRE_SIGMA = 0.15, 0.1
+"""Standard deviations of the logarithm of the focal length of a cropped picture, and of its principal point over its
+width."""
+_SUFFICIENT = 0.6  # agreement, after a fit of the postures, of a camera that is not in doubt
+_ZOOMS, _ZOOMS_FITTED = (0.63, 0.72, 0.85, 1.0, 1.2, 1.4, 1.6), 3  # focal lengths over that of a camera in doubt
+CONTRADICTING, CLEARLY = 0.5, 0.1
+"""Least agreement with another camera that contradicts the assumed one, and how much better it has to be."""
+LARGE_M, LARGE_RAD = 0.03, np.deg2rad(5.0)
+"""Displacement of the gripper by the other camera from which on there is no verdict [m, rad]."""
+_PASSES = (*COARSE, *MIDDLE[1:])
+_CROP = Reading.CROPPED
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CameraContradiction:
+    """Camera that explains the arm clearly better than the assumed one."""
+
+    agreement: float
+    """Share of the contours of hand and arm on image edges with the assumed camera."""
+    better: float
+    """The same with the other one."""
+    focal_ratio: float
+    """Focal length of the assumed camera over that of the other one."""
+    gripper_m: float
+    """Distance between the TCPs that the two give in the base frame, median over the frames [m]."""
+    gripper_rad: float
+    """Angle between them [rad]."""
+
+    @property
+    def is_large(self) -> bool:
+        """True if no verdict bears it."""
+        return self.gripper_m > LARGE_M or self.gripper_rad > LARGE_RAD
+
+    def to_json(self) -> dict[str, Json]:
+        """Serialize into `camera_contradiction` of samples.jsonl."""
+        return {name: round(getattr(self, name), 4) for name in self.__slots__}
+
+
+class CameraChecker:
+    """Checks of cameras; one instance serves any number of videos."""
+
+    def __init__(self, estimator: DenseEstimator, fitter: CandidateFitter) -> None:
+        """Check with the dense estimates of `estimator`."""
+        self._estimator, self._fitter = estimator, fitter
+
+    def measure_agreement(
+        self, frames: Frames, camera: Camera, *, used: int = _CHECKED, searched: int = _CHECK_SEARCHED
+    ) -> float | None:
+        """Return the share of the arm's contours that lies on image edges if the camera is the right one.
+
+        The postures are fitted, the camera is kept; median over the frames. None if hand and arm are seen in fewer than
+        `MIN_FRAMES` of the frames searched.
+
+        Args:
+            frames: (T, H, W, 3) RGB.
+            camera: camera of the frames.
+            used: greatest number of frames.
+            searched: number of frames that these are chosen from.
+        """
+        detections = find_robot(self._estimator, frames, camera, used, searched=searched)
+        if detections is None or len(detections.rows) < MIN_FRAMES:
+            return None
+        fixed = self._fit_postures(detections, frames[detections.rows], camera)
+        return 0.0 if fixed is None else fixed.agreement
+
+    def posture_agreement(
+        self, frames: Frames, camera: Camera, q: Array, finger_m: Array, *, hand: bool = True
+    ) -> float:
+        """Return the share of the arm's contours on image edges at postures already fitted, median over frames.
+
+        Args:
+            frames: (T, H, W, 3) RGB.
+            camera: camera of the frames.
+            q: (T, 7) joint angles [rad].
+            finger_m: (T,) opening of each finger [m].
+            hand: False to leave out the hand, where the arm carries another gripper.
+        """
+        scene = ArmScene(lens=Lens(camera=camera, X_CB=invert(camera.X_BC)), q=q, finger_m=finger_m)
+        images = self._fitter.images(frames, camera)
+        return float(np.median((images if hand else images.without(RobotPart.HAND)).agreement(scene)))
+
+    def find_reading(
+        self, frames: Frames, camera: Camera, least: float, readings: tuple[Reading, ...] = tuple(Reading)
+    ) -> BetterReading | None:
+        """Return the reading of picture or camera with which the arm agrees clearly better; None if there is none.
+
+        Args:
+            frames: (T, H, W, 3) RGB.
+            camera: camera of the frames as they are.
+            least: agreement that the reading has to reach, besides being better by `CLEARLY`.
+            readings: to be tried.
+        """
+        frames = frames[np.unique(np.linspace(0, len(frames) - 1, _READ_SEARCHED).round().astype(int))]
+        own = self.measure_agreement(frames, camera, used=_READ, searched=_READ_SEARCHED) or 0.0
+        shares = [
+            (self.measure_agreement(turned, lens, used=_READ, searched=_READ_SEARCHED) or 0.0, reading, lens)
+            for reading, turned, lens in list_readings(frames, camera, tuple(r for r in readings if r is not _CROP))
+        ]
+        if _CROP in readings and (crop := self._fit_crop(frames, camera)) is not None:
+            shares.append((crop.agreement, _CROP, crop.scene.lens.to_camera()))
+        better, reading, lens = max(shares, key=lambda share: share[0])
+        if better < max(least, own + CLEARLY):
+            return None
+        return BetterReading(reading=reading, agreement=own, better=better, camera=lens)
+
+    def _fit_crop(self, frames: Frames, camera: Camera) -> Candidate | None:
+        """Return the camera at the same place whose picture is a part of that of `camera`; None if no arm is seen."""
+        detections = find_robot(self._estimator, frames, camera, _READ, searched=_READ_SEARCHED)
+        if detections is None or len(detections.rows) < MIN_FRAMES:
+            return None
+        images = self._fitter.images(frames[detections.rows], camera)
+        search = ChainSearch(detections.cells, detections.finger_m, self._fitter.model)
+        starts = []
+        for zoom in _CROP_ZOOMS:
+            margin = 0.5 * (zoom - 1.0) * np.array([camera.width, camera.height])
+            for place in _CROP_PLACES:
+                cx, cy = np.array([camera.cx, camera.cy]) + place * margin
+                part = replace(with_focal(camera, zoom * camera.fx), cx=float(cx), cy=float(cy))
+                lens = Lens(camera=part, X_CB=invert(camera.X_BC))
+                start = self._fitter.start(detections, search.explain(lens, search.hands(part)))
+                starts += [] if start is None else [start]
+        fits = [
+            self._fitter.compare(
+                start,
+                images,
+                LensPrior(
+                    lens=start.scene.lens,
+                    log_focal_sigma=_CROP_LOG_SIGMA,
+                    centre_sigma_px=_CROP_CENTRE_SIGMA * camera.width,
+                    place_free=False,
+                ),
+                len(start.rows),
+                _PASSES,
+            )
+            for start in sorted(starts, key=lambda start: start.cost)[:_CROPS_FITTED]
+        ]
+        return max(fits, key=lambda fit: fit.agreement, default=None)
+
+    def count_hands(self, frames: Frames, camera: Camera) -> tuple[int, int]:
+        """Return in how many frames a hand is seen, and how many were searched: a few of `frames` (T, H, W, 3).
+
+        Only the size of `camera` matters, and its focal length a little.
+        """
+        return count_hands(self._estimator, frames, camera, _CHECK_SEARCHED)
+
+    def find_contradiction(self, frames: Frames, camera: Camera) -> CameraContradiction | None:
+        """Return another camera under which the arm agrees clearly better with the images; None if there is none.
+
+        Focal lengths within a factor of 1.6 are tried at the place of the camera, and both are then fitted. The arm has
+        to agree with the result, in all frames that show it.
+
+        Args:
+            frames: (T, H, W, 3) RGB.
+            camera: camera of the frames.
+        """
+        detections = find_robot(self._estimator, frames, camera, _CHECKED + 1, searched=2 * _CHECK_SEARCHED)
+        if detections is None or len(detections.rows) < MIN_FRAMES:
+            return None
+        frames = frames[detections.rows]
+        fixed = self._fit_postures(detections, frames, camera)
+        # Where no posture explains the hand, its detection is wrong, which says nothing about the camera.
+        if fixed is None or fixed.agreement >= _SUFFICIENT:
+            return None
+        images = self._fitter.images(frames, camera)
+        prior = LensPrior(lens=Lens(camera=camera, X_CB=np.eye(4)), log_focal_sigma=LOG_FOCAL_SIGMA)
+        search = ChainSearch(detections.cells, detections.finger_m, self._fitter.model)
+        X_CB = invert(camera.X_BC)
+        lenses = [Lens(camera=with_focal(camera, zoom * camera.fx), X_CB=X_CB) for zoom in _ZOOMS]
+        starts = [self._fitter.start(detections, search.explain(lens, search.hands(lens.camera))) for lens in lenses]
+        enough = LEAST_EXPLAINED * len(detections.rows)
+        likely = sorted((s for s in starts if s is not None and len(s.rows) >= enough), key=lambda start: start.cost)
+        fitted = [
+            self._fitter.compare(start, images, prior, len(start.rows), _PASSES) for start in likely[:_ZOOMS_FITTED]
+        ]
+        best = max(fitted, key=lambda candidate: candidate.agreement, default=None)
+        if best is None or best.agreement < max(CONTRADICTING, fixed.agreement + CLEARLY):
+            return None
+        X_CB = best.scene.lens.X_CB
+        X_CG = X_CB @ self._fitter.model.poses(best.scene.q)[:, RobotPart.HAND] @ hand_from_tcp()
+        # What the assumed camera makes of the pose of the gripper that its focal length gives.
+        zoom = camera.fx / best.scene.lens.camera.fx
+        X_assumed = X_CG.copy()
+        X_assumed[:, :3, 3] *= zoom
+        moved_m, turned_rad = pose_difference(camera.X_BC @ X_assumed, invert(X_CB) @ X_CG)
+        return CameraContradiction(
+            agreement=fixed.agreement,
+            better=best.agreement,
+            focal_ratio=zoom,
+            gripper_m=float(np.median(moved_m)),
+            gripper_rad=float(np.median(turned_rad)),
+        )
+
+    def _fit_postures(self, detections: ArmDetections, frames: Frames, camera: Camera) -> Candidate | None:
+        """Return the postures that explain the robot with a camera, and their agreement; None if they explain too few.
+
+        Args:
+            detections: robot in T frames.
+            frames: (T, H, W, 3) these frames.
+            camera: camera, which is kept.
+        """
+        lens = Lens(camera=camera, X_CB=invert(camera.X_BC))
+        search = ChainSearch(detections.cells, detections.finger_m, self._fitter.model)
+        start = self._fitter.start(detections, search.explain(lens, search.hands(camera)))
+        if start is None:
+            return None
+        images = self._fitter.images(frames[start.rows], camera)
+        prior = LensPrior(lens=lens, log_focal_sigma=0.0, place_free=False)
+        scene, _ = self._fitter.fit_contours(start.scene, start.cells, images, prior, _PASSES, PASS_SIGMA_RAD)
+        return replace(start, scene=scene, agreement=float(np.median(images.agreement(scene))))

@@ -1,0 +1,197 @@
+"""Correspondences between image cells and points of the robot, the measurements of a calibration."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from typing_extensions import override
+
+from kinebench_drake.camera import Camera
+from kinebench_drake.geometry import Array
+from kinebench_drake.grounding.registration.fit import UNSEEN_FINGER_M
+from kinebench_drake.grounding.tracking.crop import CLOSE_SIZE
+from kinebench_drake.grounding.tracking.flips import X_HALF_TURN
+from kinebench_drake.grounding.tracking.tracker import PoseTracker
+from kinebench_drake.grounding.tracking.view import Frames, GripperView
+from kinebench_drake.models.panda.robot import ARM, GRIPPER, RobotPart
+from kinebench_drake.models.robot import N_JOINTS
+
+MIN_CELLS = 60
+"""Least number of cells of the robot over all frames of a calibration."""
+PART_CELLS = 60
+"""Greatest number of cells of one part in one view."""
+INDEPENDENT = 8.0
+"""Greatest total weight of the cells of one part in one view, in independent measurements: their errors correlate."""
+LINK_SIGMAS = 3.0
+"""Factor of the network's standard deviations for cells of links, of which it is overconfident."""
+_ALIKE_M, _ALIKE_RAD = 0.01, np.deg2rad(2.0)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CalibrationCorrespondences:
+    """N cells of the network's output grid in several frames of one camera, with the robot points that they show."""
+
+    frame: NDArray[np.intp]
+    """(N,) row of the frame."""
+    uv_px: Array
+    """(N, 2) pixel coordinates of the cell in the frame [px]."""
+    part: NDArray[np.uint8]
+    """(N,) values of `RobotPart`."""
+    p_P: Array
+    """(N, 3) visible point in the frame of its part [m], as `GripperView.coordinates_P`."""
+    sigma_m: Array
+    """(N,) standard deviation of each coordinate of the point [m]."""
+    opening_sign: Array
+    """(N,) direction of the cell along the hand's y axis as the gripper opens: 1 or -1 for fingers, else 0."""
+    depth_per_px: Array
+    """(N,) estimated depth over the focal length of the assumed camera [m/px]: it scales with the true one."""
+    weight: Array
+    """(N,) weight in independent measurements within its frame."""
+    repeats: Array
+    """(N,) number of frames in which its part has the same pose, so that errors correlate."""
+
+    def __len__(self) -> int:
+        """Return the number of cells."""
+        return len(self.frame)
+
+    def take(self, chosen: NDArray[np.generic]) -> "CalibrationCorrespondences":
+        """Select cells by index or mask."""
+        return CalibrationCorrespondences(**{f.name: getattr(self, f.name)[chosen] for f in fields(self)})
+
+    def of_frames(self, rows: NDArray[np.intp]) -> "CalibrationCorrespondences":
+        """Select the cells of some frames, renumbered from 0."""
+        number = {int(row): i for i, row in enumerate(rows)}
+        chosen = self.take(np.isin(self.frame, rows))
+        return replace(chosen, frame=np.array([number[int(f)] for f in chosen.frame], dtype=np.intp))
+
+    def thin(self, every: int) -> "CalibrationCorrespondences":
+        """Keep one of `every` cells, with the weight of the others."""
+        chosen = self.take(np.arange(0, len(self), every))
+        return replace(chosen, weight=np.minimum(1.0, chosen.weight * every))
+
+    @property
+    def of_gripper(self) -> NDArray[np.bool_]:
+        """(N,) cells that show hand or fingers."""
+        return np.isin(self.part, GRIPPER)
+
+    def flip(self, frames: NDArray[np.bool_]) -> "CalibrationCorrespondences":
+        """Return the cells with the gripper rotated by 180 degrees about its axis in some `frames` (T,)."""
+        changed = self.of_gripper & frames[self.frame]
+        p_P = np.where(changed[:, None], self.p_P @ X_HALF_TURN[:3, :3].T, self.p_P)
+        sign = np.where(changed, -self.opening_sign, self.opening_sign)
+        return replace(self, p_P=p_P, opening_sign=sign)
+
+    def count_repeats(self, X_BP: Array) -> "CalibrationCorrespondences":
+        """Count for each cell the frames in which its part has the same pose.
+
+        Args:
+            X_BP: (T, PARTS, 4, 4) poses of the parts in B [m].
+        """
+        p, R = X_BP[..., :3, 3], X_BP[..., :3, :3]
+        near = np.linalg.norm(p[:, None] - p[None], axis=-1) <= _ALIKE_M
+        cosine = (np.einsum("spij,tpij->stp", R, R) - 1.0) / 2.0
+        alike = np.maximum(1, (near & (cosine >= np.cos(_ALIKE_RAD))).sum(axis=1))
+        return replace(self, repeats=alike[self.frame, self.part].astype(np.float64))
+
+
+def find_correspondences(views: Sequence[tuple[int, GripperView]], camera: Camera) -> CalibrationCorrespondences:
+    """Extract the cells of several views that show the robot.
+
+    Args:
+        views: row of the frame and view; gripper cells are taken from close views alone.
+        camera: camera of the crops.
+    """
+    close = {row for row, view in views if _is_close(view)}
+    cells = []
+    for row, view in views:
+        parts = (*GRIPPER, *ARM) if _is_close(view) or row not in close else ARM
+        cells += [_part_cells(row, view, part, camera) for part in parts]
+    columns = {f.name: np.concatenate([getattr(part, f.name) for part in cells]) for f in fields(cells[0])}
+    return CalibrationCorrespondences(**columns)
+
+
+def locate_points(cells: CalibrationCorrespondences, X_BP: Array, finger_m: Array) -> Array:
+    """Return the points (N, 3) of the cells in B [m]; NaN where the pose of their part is unknown.
+
+    Args:
+        cells: cells of T frames.
+        X_BP: (T, PARTS, 4, 4) frames of the parts' CAD coordinates in B [m].
+        finger_m: (T,) opening of each finger [m].
+    """
+    X = X_BP[cells.frame, cells.part]
+    opened_P = cells.p_P.copy()
+    opened_P[:, 1] += cells.opening_sign * finger_m[cells.frame]
+    return np.asarray(np.einsum("nij,nj->ni", X[:, :3, :3], opened_P) + X[:, :3, 3])
+
+
+def _is_close(view: GripperView) -> bool:
+    return view.crop.size == CLOSE_SIZE
+
+
+def _part_cells(row: int, view: GripperView, part: RobotPart, camera: Camera) -> CalibrationCorrespondences:
+    v, u = np.nonzero(view.part == part)
+    if len(v) > PART_CELLS:
+        chosen = np.linspace(0, len(v) - 1, PART_CELLS).astype(int)
+        v, u = v[chosen], u[chosen]
+    n = len(v)
+    rays = view.rays()[v, u] @ view.crop.R_CV.T
+    return CalibrationCorrespondences(
+        frame=np.full(n, row, dtype=np.intp),
+        uv_px=camera.project(rays),
+        part=view.part[v, u],
+        p_P=view.coordinates_P[v, u],
+        sigma_m=view.coordinates_sigma_m[v, u] * (LINK_SIGMAS if part in ARM else 1.0),
+        opening_sign=view.opening_sign[v, u],
+        depth_per_px=rays[:, 2] * view.depth_m[v, u] / camera.fx,
+        weight=np.full(n, min(1.0, INDEPENDENT / max(1, n))),
+        repeats=np.ones(n),
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LensView:
+    """Cells, openings and postures of the robot in T frames."""
+
+    cells: CalibrationCorrespondences
+    """Cells of all frames."""
+    finger_m: Array
+    """(T,) estimated opening of each finger [m]; a default where there is none."""
+    q: Array
+    """(T, 7) arm posture for the estimated hand pose, given the assumed camera pose [rad]; NaN where there is none."""
+    robot: NDArray[np.bool_]
+    """(H, W) robot pixels of the first frame."""
+
+    def of_frames(self, rows: NDArray[np.intp]) -> "LensView":
+        """Select frames."""
+        return replace(self, cells=self.cells.of_frames(rows), finger_m=self.finger_m[rows], q=self.q[rows])
+
+
+class ViewEstimator(Protocol):
+    """Estimator of cells and postures: the tracker's networks, or the ground truth in tests."""
+
+    def estimate(self, frames: Frames, camera: Camera) -> LensView:
+        """Estimate the views of `frames` (T, H, W, 3), taken with approximately this camera."""
+        ...
+
+
+class NetworkViewEstimator(ViewEstimator):
+    """View estimator by the networks of the tracker."""
+
+    def __init__(self, tracker: PoseTracker) -> None:
+        """Set the tracker, of which the views are used rather than the poses."""
+        self._tracker = tracker
+
+    @override
+    def estimate(self, frames: Frames, camera: Camera) -> LensView:
+        tracked = self._tracker.track(frames, camera)
+        close = [(row, pose.view) for row, pose in enumerate(tracked.poses) if pose is not None]
+        finger_m = [np.nan if pose is None else pose.finger_m for pose in tracked.poses]
+        arms = [None if pose is None else pose.arm for pose in tracked.poses]
+        return LensView(
+            cells=find_correspondences([*close, *enumerate(tracked.wide)], camera),
+            finger_m=np.nan_to_num(np.array(finger_m), nan=UNSEEN_FINGER_M),
+            q=np.stack([np.full(N_JOINTS, np.nan) if arm is None else arm.q for arm in arms]),
+            robot=tracked.robot,
+        )

@@ -1,0 +1,242 @@
+"""Initial cameras and postures of frames whose camera, focal length and joint angles are all unknown.
+
+For a focal length, perspective-n-point gives the hand's pose in the camera of one frame. From the hand the arm is
+followed link by link towards the base: each joint's angle decides where the next link appears (beam search). The
+camera of each frame's best chain is then tried in the other frames: closed-form inverse kinematics of their hands gives
+their postures, and the cells of their links say how well the camera explains them.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinebench_drake.camera import Camera
+from kinebench_drake.geometry import Array, invert, make_pose
+from kinebench_drake.grounding.camera.correspondences import CalibrationCorrespondences
+from kinebench_drake.grounding.camera.fit import Lens, solve_pnp, with_focal
+from kinebench_drake.grounding.registration.arm_model import OVER_LIMIT_RAD, ArmModel
+from kinebench_drake.kinematics.analytic import analytic_ik
+from kinebench_drake.models.panda.robot import ARM, GRIPPER, RobotPart
+from kinebench_drake.models.robot import N_JOINTS
+
+_ANGLES, _COARSE_ANGLES = 36, 9  # angles of a joint whose next link is visible, and of another
+_BEAM = 100
+_CELLS = 8  # cells of a link that are compared
+_LEAST_CELLS = 10
+_CAP = 16.0  # of a cell's squared error in standard deviations
+_EXPLAINED = 9.0  # mean capped error of a frame above which its hand is no hand, or the camera another
+_SLACK_M, _SLACK_PX = 0.02, 2.0  # standard deviation that the start of the chain adds, and of the cells
+_LINK_FACTOR = 0.4  # of the cells' standard deviations: a wrong chain is farther off than they are
+_DEPTH_SIGMA = 0.04
+_ROLL_SIGMA_RAD = np.deg2rad(12.0)
+_USUAL_Q = np.array([0.0, 0.3, 0.0, -2.0, 0.0, 2.3, 0.8])
+_USUAL_SIGMA = np.array([1.2, 0.7, 0.6, 0.7, 0.7, 0.7, 1.3])
+_PRIOR_WEIGHT = 0.05
+_CONSENSUS_PX, _CONSENSUS_ROUNDS = 6.0, 100
+_DEPTH_M = (0.05, 20.0)  # of a hand
+_TIE = 1e-3  # difference of costs that says nothing
+_DISTANCES = np.exp(np.array([0.0, -0.16, -0.08, 0.08, 0.16]))  # of the hand, over that of its pose
+_COMPARED_FRAMES, _KEPT = 6, 32  # frames in which all chains are compared, and chains compared in all frames
+_FLIP_COST = 0.5  # of a gripper turned against its cells
+_LAST_ANGLES = np.linspace(-np.pi, np.pi, 32, endpoint=False)
+_HALF_TURN = make_pose(np.diag([-1.0, -1.0, 1.0]), np.zeros(3))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Hypothesis:
+    """Camera and postures of all frames."""
+
+    lens: Lens
+    q: Array
+    """(T, 7) joint angles [rad]; NaN in frames that it does not explain."""
+    flipped: NDArray[np.bool_]
+    """(T,) frames whose gripper is turned by 180 degrees against its cells."""
+    costs: Array
+    """(T,) mean capped squared errors of the cells of hand and links; NaN in frames without them."""
+
+    @property
+    def cost(self) -> float:
+        """Mean of `costs`."""
+        return float(np.nanmean(self.costs)) if np.isfinite(self.costs).any() else _CAP
+
+
+class ChainSearch:
+    """Search for cameras that explain the cells of several frames."""
+
+    def __init__(self, cells: CalibrationCorrespondences, finger_m: Array, model: ArmModel) -> None:
+        """Sort the cells by frame and part.
+
+        Args:
+            cells: cells of T frames.
+            finger_m: (T,) opening of each finger [m].
+            model: link poses of the arm.
+        """
+        self._model, self._finger_m, self._frames = model, finger_m, len(finger_m)
+        self._cells = [cells.take(cells.frame == t) for t in range(self._frames)]
+        self._gripper = [self._hand_cells(t) for t in range(self._frames)]
+        zero = model.poses(np.zeros((1, N_JOINTS)))[0]
+        self._X_H7 = invert(zero[RobotPart.HAND]) @ zero[RobotPart.LINK7]
+        self._grids = [self._relative(joint, _ANGLES) for joint in range(N_JOINTS)]
+        self._coarse = [self._relative(joint, _COARSE_ANGLES) for joint in range(N_JOINTS)]
+
+    def _hand_cells(self, frame: int) -> CalibrationCorrespondences | None:
+        """Return some cells of the gripper in a frame, opened, in the hand's frame; None if there are too few."""
+        cells = self._cells[frame].take(np.isin(self._cells[frame].part, GRIPPER))
+        if len(cells) < _LEAST_CELLS:
+            return None
+        cells = cells.take(np.linspace(0, len(cells) - 1, min(len(cells), 2 * _CELLS)).astype(int))
+        return replace(cells, p_P=cells.p_P + cells.opening_sign[:, None] * [0.0, self._finger_m[frame], 0.0])
+
+    def _relative(self, joint: int, count: int) -> tuple[Array, Array]:
+        """Return angles (G,) of a joint [rad] and poses (G, 4, 4) of the link before it in the link after it."""
+        angle = np.linspace(self._model.lower[joint], self._model.upper[joint], count)
+        q = np.zeros((count, N_JOINTS))
+        q[:, joint] = angle
+        X = self._model.poses(q)
+        return angle, invert(X[:, ARM[joint + 1]]) @ X[:, ARM[joint]]
+
+    def hand(self, frame: int, camera: Camera) -> Array | None:
+        """Return the pose X_CH (4, 4) of the hand by perspective-n-point; None if it fails."""
+        cells = self._cells[frame]
+        used = np.isin(cells.part, GRIPPER)
+        p_H = cells.p_P + cells.opening_sign[:, None] * [0.0, self._finger_m[frame], 0.0]
+        if used.sum() < _LEAST_CELLS:
+            return None
+        error_px = _CONSENSUS_PX * camera.unit_px
+        solution = solve_pnp(p_H[used], cells.uv_px[used], camera, rounds=_CONSENSUS_ROUNDS, error_px=error_px)
+        if solution is None or not _DEPTH_M[0] < solution[0][2, 3] < _DEPTH_M[1]:
+            return None
+        return solution[0]
+
+    def hands(self, camera: Camera) -> list[Array | None]:
+        """Return the poses X_CH (4, 4) of the hand in all frames by perspective-n-point."""
+        return [self.hand(t, camera) for t in range(self._frames)]
+
+    def _errors(self, X_CP: Array, cells: CalibrationCorrespondences, camera: Camera) -> Array:
+        """Return the capped squared errors (M, n) of cells of one part at poses `X_CP` (M, 4, 4)."""
+        p = cells.p_P @ np.swapaxes(X_CP[:, :3, :3], -1, -2) + X_CP[:, None, :3, 3]
+        z = np.maximum(p[..., 2], 0.05)
+        du = p[..., 0] / z * camera.fx + (camera.cx - cells.uv_px[:, 0])
+        dv = p[..., 1] / z * camera.fy + (camera.cy - cells.uv_px[:, 1])
+        spread_m = np.hypot(_SLACK_M, cells.sigma_m * _LINK_FACTOR)
+        sigma = _SLACK_PX * camera.unit_px + camera.fx / z * spread_m
+        log_sigma = _DEPTH_SIGMA + spread_m / z
+        square = (du**2 + dv**2) / sigma**2 + (np.log(z / (cells.depth_per_px * camera.fx)) / log_sigma) ** 2
+        return np.asarray(np.where(p[..., 2] > 0.05, np.minimum(square, _CAP), _CAP))
+
+    def _prior(self, X_CB: Array, q: Array) -> Array:
+        """Return the cost (M,) of unusual postures and of cameras that are not upright."""
+        roll = np.arctan2(X_CB[:, 0, 2], -X_CB[:, 1, 2])
+        tilt = np.minimum((roll * np.hypot(X_CB[:, 0, 2], X_CB[:, 1, 2]) / _ROLL_SIGMA_RAD) ** 2, 9.0)
+        posture = np.minimum(((q - _USUAL_Q) / _USUAL_SIGMA) ** 2, 9.0).sum(axis=1)
+        return np.asarray(_PRIOR_WEIGHT * (tilt + posture))
+
+    def _links(self, frame: int) -> dict[int, CalibrationCorrespondences]:
+        own = {}
+        for part in ARM:
+            cells = self._cells[frame]
+            cells = cells.take(cells.part == part)
+            if len(cells) >= _LEAST_CELLS:
+                own[int(part)] = cells.take(np.linspace(0, len(cells) - 1, min(len(cells), _CELLS)).astype(int))
+        return own
+
+    def follow(self, frame: int, X_CH: Array, camera: Camera) -> tuple[Array, float]:
+        """Return base pose X_CB (4, 4) and mean cost of the best chain of one frame."""
+        links = self._links(frame)
+        X, q, cost = (X_CH @ self._X_H7)[None], np.zeros((1, N_JOINTS)), np.zeros(1)
+        count = 1e-9
+        for joint in range(N_JOINTS - 1, -1, -1):
+            part = int(ARM[joint])
+            cells = links.get(part)
+            angle, step = self._grids[joint] if cells is not None else self._coarse[joint]
+            X_next = (X[:, None] @ step[None]).reshape(-1, 4, 4)
+            q_next = np.repeat(q, len(angle), axis=0)
+            q_next[:, joint] = np.tile(angle, len(q))
+            total = np.repeat(cost, len(angle))
+            if cells is not None:
+                total = total + self._errors(X_next, cells, camera).mean(axis=1)
+                count += 1.0
+            total = total + 0.2 * _PRIOR_WEIGHT * np.minimum(
+                ((q_next[:, joint] - _USUAL_Q[joint]) / _USUAL_SIGMA[joint]) ** 2, 9.0
+            )
+            best = np.argsort(total, kind="stable")[:_BEAM] if cells is not None else _spread(total, 4 * _BEAM)
+            X, q, cost = X_next[best], q_next[best], total[best]
+        cost = cost / count + self._prior(X, q)
+        first = int(cost.argmin())
+        return X[first], float(cost[first])
+
+    def explain(self, lens: Lens, hands: Sequence[Array | None]) -> Hypothesis:
+        """Return the postures of all frames that a camera explains, by inverse kinematics of their hands."""
+        q = np.full((self._frames, N_JOINTS), np.nan)
+        flipped = np.zeros(self._frames, dtype=bool)
+        costs = np.full(self._frames, np.nan)
+        for t, X_CH in enumerate(hands):
+            if X_CH is None:
+                continue
+            links = self._links(t)
+            if not links:
+                continue
+            fit = self._posture(X_CH, t, links, lens)
+            costs[t] = _CAP
+            if fit is not None and fit[2] <= _EXPLAINED:
+                q[t], flipped[t], costs[t] = fit
+        return Hypothesis(lens=lens, q=q, flipped=flipped, costs=costs)
+
+    def _posture(
+        self, X_CH: Array, frame: int, links: dict[int, CalibrationCorrespondences], lens: Lens
+    ) -> tuple[Array, bool, float] | None:
+        """Return the posture (7,) that explains hand and links of a frame best, whether its hand is flipped, its cost.
+
+        The distance of a small hand is the least certain part of its pose: others than that of `X_CH` are tried.
+        """
+        X = np.repeat(X_CH[None], len(_DISTANCES), axis=0)
+        X[:, :3, 3] *= _DISTANCES[:, None]
+        hand = self._gripper[frame]
+        hand_cost = np.zeros(len(X)) if hand is None else self._errors(X, hand, lens.camera).mean(axis=1)
+        X_BH = invert(lens.X_CB) @ np.concatenate([X, X @ _HALF_TURN])
+        q = analytic_ik((X_BH @ self._model.X_HF)[:, None], _LAST_ANGLES).reshape(-1, N_JOINTS)
+        start = np.repeat(np.tile(hand_cost, 2) + _FLIP_COST * (np.arange(len(X_BH)) >= len(X)), len(q) // len(X_BH))
+        flipped = np.repeat(np.arange(len(X_BH)) >= len(X), len(q) // len(X_BH))
+        lower, upper = self._model.lower - OVER_LIMIT_RAD, self._model.upper + OVER_LIMIT_RAD
+        with np.errstate(invalid="ignore"):
+            possible = np.flatnonzero(((q >= lower) & (q <= upper)).all(axis=1))
+        if not len(possible):
+            return None
+        q, start, flipped = q[possible], start[possible], flipped[possible]
+        X_CP = lens.X_CB @ self._model.poses(q)
+        errors = [self._errors(X_CP[:, part], cells, lens.camera).mean(axis=1) for part, cells in links.items()]
+        cost = (np.sum(errors, axis=0) + start) / (len(links) + 1)
+        cost = cost + self._prior(np.repeat(lens.X_CB[None], len(q), axis=0), q)
+        best = int(cost.argmin())
+        return q[best], bool(flipped[best]), float(cost[best])
+
+    def run(self, camera: Camera, focals: Sequence[float]) -> list[Hypothesis]:
+        """Return hypotheses for several focal lengths [px], the best first.
+
+        The chains of all frames are compared in some of them, and the best ones in all.
+        """
+        few = np.unique(np.linspace(0, self._frames - 1, _COMPARED_FRAMES).round().astype(int))
+        compared = []
+        for focal in focals:
+            lens_camera = with_focal(camera, focal)
+            hands = self.hands(lens_camera)
+            some = [X_CH if t in few else None for t, X_CH in enumerate(hands)]
+            for t, X_CH in enumerate(hands):
+                if X_CH is not None and len(self._links(t)) >= 2:
+                    X_CB, _ = self.follow(t, X_CH, lens_camera)
+                    lens = Lens(camera=lens_camera, X_CB=X_CB)
+                    compared.append((self.explain(lens, some).cost, lens, hands))
+        best = sorted(compared, key=lambda entry: entry[0])[:_KEPT]
+        return sorted((self.explain(lens, hands) for _, lens, hands in best), key=lambda h: h.cost)
+
+
+def _spread(total: Array, most: int) -> NDArray[np.intp]:
+    """Return the indices of the best, ties in the order of their spread over the beam."""
+    if len(total) <= most:
+        return np.arange(len(total))
+    order = np.argsort(total, kind="stable")
+    if np.ptp(total) < _TIE:
+        order = order[np.linspace(0, len(order) - 1, most).astype(int)]
+    return np.asarray(order[:most], dtype=np.intp)

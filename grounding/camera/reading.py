@@ -1,0 +1,119 @@
+"""Readings of a picture and its camera: mirrored, upside down, sideways, cropped, or a matrix in another convention.
+
+A camera with which the arm agrees poorly is often the right one, read wrongly. All readings are compared by the same
+evidence: the share of the arm's contours on image edges.
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from enum import Enum
+
+import numpy as np
+
+from kinebench_drake.camera import Camera
+from kinebench_drake.errors import UsageError
+from kinebench_drake.geometry import invert
+from kinebench_drake.grounding.tracking.view import Frames
+from kinebench_drake.types import Json
+
+_OPENGL_FROM_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
+
+
+class Reading(Enum):
+    """How a picture or a camera matrix may have to be read."""
+
+    MIRRORED = "mirrored"
+    UPSIDE_DOWN = "upside_down"
+    ROWS_REVERSED = "rows_reversed"
+    TURNED_LEFT = "turned_left"
+    TURNED_RIGHT = "turned_right"
+    OPENGL_AXES = "opengl_axes"
+    INVERTED = "inverted"
+    CROPPED = "cropped"
+
+    @property
+    def phrase(self) -> str:
+        """Subject of a sentence."""
+        return {
+            Reading.MIRRORED: "the picture mirrored left-right",
+            Reading.UPSIDE_DOWN: "the picture turned upside down",
+            Reading.ROWS_REVERSED: "the picture with its rows reversed",
+            Reading.TURNED_LEFT: "the picture turned by 90 degrees to the left",
+            Reading.TURNED_RIGHT: "the picture turned by 90 degrees to the right",
+            Reading.OPENGL_AXES: "base_from_camera read in OpenGL axes (y up, z backwards)",
+            Reading.INVERTED: "the inverse of base_from_camera (camera_from_base)",
+            Reading.CROPPED: "a cropped picture",
+        }[self]
+
+    @property
+    def remedy(self) -> str:
+        """How to have the video read so."""
+        return {
+            Reading.MIRRORED: 'if it is mirrored, set "mirrored": true in camera.json, or take --mirrored',
+            Reading.OPENGL_AXES: "negate its second and third column",
+            Reading.INVERTED: "invert it",
+            Reading.CROPPED: "state the cropped picture's own fx, fy, cx and cy in a camera.json",
+        }.get(self, "turn the frames before they are scored")
+
+    def frames(self, frames: Frames) -> Frames:
+        """Return the frames (T, H, W, 3) as read."""
+        turns: dict[Reading, Callable[[Frames], Frames]] = {
+            Reading.MIRRORED: lambda f: f[:, :, ::-1],
+            Reading.UPSIDE_DOWN: lambda f: f[:, ::-1, ::-1],
+            Reading.ROWS_REVERSED: lambda f: f[:, ::-1],
+            Reading.TURNED_LEFT: lambda f: np.rot90(f, 1, (1, 2)),
+            Reading.TURNED_RIGHT: lambda f: np.rot90(f, -1, (1, 2)),
+        }
+        return np.ascontiguousarray(turns[self](frames)) if self in turns else frames
+
+    def camera(self, camera: Camera) -> Camera:
+        """Return the camera as read; that of a cropped picture is found by a search."""
+        if self is Reading.OPENGL_AXES:
+            return replace(camera, X_BC=camera.X_BC @ _OPENGL_FROM_OPENCV)
+        return replace(camera, X_BC=invert(camera.X_BC)) if self is Reading.INVERTED else camera
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BetterReading:
+    """Reading with which the arm agrees clearly better than with the picture and the camera as they are."""
+
+    reading: Reading
+    agreement: float
+    """Share of the contours of hand and arm on image edges as they are."""
+    better: float
+    """The same as read."""
+    camera: Camera
+    """Camera as read, of the frames as read."""
+
+    def describe(self) -> str:
+        """Describe the reading, both agreements and the remedy."""
+        return (
+            f"{self.reading.phrase} agrees better with the arm ({self.better:.0%} of its contours on image edges "
+            f"against {self.agreement:.0%}): {self.reading.remedy}"
+        )
+
+    def to_json(self) -> dict[str, Json]:
+        """Serialize into `camera_reading` of samples.jsonl."""
+        return {
+            "reading": self.reading.value,
+            "agreement": round(self.agreement, 4),
+            "better": round(self.better, 4),
+        }
+
+
+def list_readings(
+    frames: Frames, camera: Camera, readings: tuple[Reading, ...]
+) -> Iterator[tuple[Reading, Frames, Camera]]:
+    """Yield those of `readings` whose picture has the shape of the camera's, with frames and camera as read.
+
+    Args:
+        frames: (T, H, W, 3) RGB.
+        camera: camera of the frames.
+        readings: to be tried.
+    """
+    for reading in readings:
+        turned, lens = reading.frames(frames), reading.camera(camera)
+        try:
+            yield reading, turned, lens.resized(turned.shape[2], turned.shape[1])
+        except UsageError:  # a picture that is not square, on its side
+            continue

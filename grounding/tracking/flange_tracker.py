@@ -1,0 +1,248 @@
+"""Tracking of the flange by the arm alone, whatever gripper it carries.
+
+The network proposes a posture in each frame; the contours of the last links on edges of the image decide. Looks differ
+from those that the network was trained on, so the arm is followed from the frames where its contours lie best into
+their neighbours, which needs no network. Its turn about the flange comes from all frames together, as the optical flow
+of its surface shows how it turns between them.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.special import logsumexp
+
+from kinebench_drake.camera import Camera
+from kinebench_drake.geometry import Array, pose_difference
+from kinebench_drake.grounding.registration.arm_edge_fit import LAST_LINKS, ArmEdgeFitter
+from kinebench_drake.grounding.registration.arm_model import ArmModel
+from kinebench_drake.grounding.registration.chain_fit import ChainFitter
+from kinebench_drake.grounding.registration.correspondences import Correspondences
+from kinebench_drake.grounding.registration.edges import GradientImage
+from kinebench_drake.grounding.registration.flange_shape import links_shape, robotiq_shape
+from kinebench_drake.grounding.tracking.crop import CLOSE_SIZE, WRIST_CENTRE_H, WRIST_RADIUS_M, Crop
+from kinebench_drake.grounding.tracking.flange_fit import INDEPENDENT, LINK_CELLS, REACHES_PX, FlangeFitter, FlangeView
+from kinebench_drake.grounding.tracking.localization import find_region
+from kinebench_drake.grounding.tracking.pose import FramePose
+from kinebench_drake.grounding.tracking.tracker import Tracking
+from kinebench_drake.grounding.tracking.turn import OFFSETS_RAD, TURNS_RAD, likeliest_turns
+from kinebench_drake.grounding.tracking.view import DenseEstimator, Frames, GripperView
+from kinebench_drake.models.panda.robot import RobotPart
+from kinebench_drake.types import NO_PRIORS, Domain, GripperKind, Priors
+
+# Cells of a gripper are taken for a hand, and lie where the wrist is.
+_SEEN = (*LAST_LINKS, RobotPart.HAND)
+_MIN_CELLS = 12
+_QUANTILES, _MARGIN = (5.0, 95.0), 0.8  # of the cells of the wrist; half size of its crop over their extent
+_SHOWN, _COARSE = 12, 3  # frames and openings that tell how a gripper is mounted
+_MOUNT_GRID_RAD = np.deg2rad(np.arange(0.0, 360.0, 9.0))
+_MOUNT_STEPS = (0, 5, 10, 15)  # of that grid, from panda_hand to a gripper: eighths of a turn
+_MOUNT_OFFSETS_M = (0.0, 0.012)  # with and without an adapter
+_MOUNTS, _CLEAR = 3, 10.0  # mounts that are fitted and compared, unless one leads by this log-likelihood
+_GAIN = 0.05  # least lead of a neighbour's agreement with edges that makes its posture the better one
+_LOST = 0.8  # of the agreement of a frame, below which the arm was not followed from it
+_TURN_SIGMA_RAD = np.deg2rad(6.0)  # of the likeliest turns, before each frame is fitted once more
+_SAME_M, _SAME_RAD = 0.06, np.deg2rad(20.0)  # from the chain with a free base to the arm on the base
+_ON_BASE, _BASE_LOSS = 0.4, 0.1  # least agreement of an arm on the base, and its largest loss by the base
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Video:
+    """Input of one call."""
+
+    frames: Frames
+    camera: Camera
+    wide: Mapping[int, GripperView]
+    """Views that show the whole arm, by frame number."""
+    images: Sequence[GradientImage]
+    arm: ArmEdgeFitter
+    flange: FlangeFitter
+
+
+class FlangeTracker:
+    """`PoseTracker` by the last links, and a gripper of known shape; the pose of panda_hand follows from the flange."""
+
+    def __init__(self, estimator: DenseEstimator, gripper: GripperKind = GripperKind.NONE) -> None:
+        """Track with dense estimates of `estimator`; the contours of a gripper whose shape is known count, too."""
+        self._estimator, self._model, self._links = estimator, ArmModel(), links_shape()
+        self._gripper = gripper
+        self._chain = ChainFitter(self._model)
+
+    def track(
+        self, frames: Frames, camera: Camera, priors: Priors = NO_PRIORS, places: Array | None = None
+    ) -> Tracking:
+        """Measure the flange in each of `frames` (T, H, W, 3); of `priors` none is used."""
+        whole = dict.fromkeys(range(len(frames)), Crop.of_frame(camera))
+        wide = dict(self._estimator.estimate(frames, camera, whole))
+        region = find_region(self._estimator, frames, camera, wide)
+        if region is not None:
+            wide = dict(self._estimator.estimate(frames, camera, dict.fromkeys(whole, region)))
+        video = _Video(
+            frames=frames,
+            camera=camera,
+            wide=wide,
+            images=[GradientImage(frame, camera) for frame in frames],
+            arm=ArmEdgeFitter(camera, self._model, self._links.edges[0], places),
+            flange=FlangeFitter(self._chain, self._links),
+        )
+        poses = self._detect(video)
+        self._spread(poses, video)
+        self._turn(poses, video)
+        if poses and self._gripper is GripperKind.ROBOTIQ_2F85:
+            video = replace(video, flange=self._mount(poses, video))
+            poses = self._fit_gripper(poses, video)
+            self._spread(poses, video)
+            self._turn(poses, video)
+        return Tracking(
+            poses=tuple(poses.get(i) for i in range(len(frames))),
+            wide=tuple(wide[i] for i in range(len(frames))),
+            robot=wide[0].to_frame(wide[0].part > 0, camera),
+            domain=Domain.ARM,
+        )
+
+    def _look(self, crops: Mapping[int, Crop], video: _Video) -> Iterator[tuple[int, FlangeView]]:
+        """Yield what some frames show of the last links, by frame number."""
+        for i, view in self._estimator.estimate(video.frames, video.camera, crops):
+            yield i, FlangeView(view=view, cells=_link_cells(view, video.wide[i]), image=video.images[i])
+
+    def _detect(self, video: _Video) -> dict[int, FramePose]:
+        """Return the poses of the frames that show the last links, each by itself."""
+        crops = {i: crop for i, view in video.wide.items() if (crop := _wrist_crop(view)) is not None}
+        for i, shown in self._look(dict(crops), video):
+            chain = self._chain.fit(shown.cells)
+            if chain is not None:
+                crops[i] = _crop_at(chain.model.X_CH[0])
+        detected = {i: video.flange.detect(shown) for i, shown in self._look(crops, video)}
+        return {i: pose for i, pose in detected.items() if pose is not None}
+
+    def _spread(self, poses: dict[int, FramePose], video: _Video) -> None:
+        """Take the arm from the surest frames to their neighbours, where its contours then lie better on edges."""
+        waiting = set(video.wide)
+        while rest := waiting & poses.keys():
+            i = max(rest, key=lambda k: poses[k].overlap)
+            waiting.remove(i)
+            for k in {i - 1, i + 1} & waiting:
+                proposed = [poses.get(k), video.flange.follow(poses[i], video.images[i], video.images[k])]
+                if _agreement(proposed[1]) < _LOST * _agreement(poses[i]):
+                    ((_, shown),) = self._look({k: _crop_at(poses[i].X_CH)}, video)
+                    proposed.append(video.flange.detect_near(poses[i], shown))
+                best = max(proposed, key=_agreement)
+                if best is not None and _agreement(best) > _agreement(proposed[0]) + _GAIN:
+                    poses[k] = best
+
+    def _mount(self, poses: Mapping[int, FramePose], video: _Video) -> FlangeFitter:
+        """Return a fitter with the gripper as it is likeliest mounted, by the frames whose contours lie best."""
+        offsets = [FlangeFitter(self._chain, robotiq_shape(0.0, offset_m, _COARSE)) for offset_m in _MOUNT_OFFSETS_M]
+        total = np.zeros((len(_MOUNT_STEPS), len(offsets)))
+        surest = sorted(poses, key=lambda k: -poses[k].overlap)[:_SHOWN]
+        for i in surest:
+            pose, image, chain = poses[i], video.images[i], video.flange.chain_of(poses[i])
+            by_link = video.flange.log_likelihood(chain, _MOUNT_GRID_RAD, pose.view, image, pose.overlap)
+            for k, fitter in enumerate(offsets):
+                by_gripper = fitter.gripper_log_likelihood(chain, _MOUNT_GRID_RAD, image, pose.overlap)
+                total[:, k] += [logsumexp(by_link + np.roll(by_gripper, -step)) for step in _MOUNT_STEPS]
+        likeliest = np.argsort(-total, axis=None)[:_MOUNTS]
+        likeliest = likeliest[total.flat[likeliest] > total.max() - _CLEAR]
+        turn, offset = np.unravel_index(likeliest, total.shape)
+        mounted = [
+            FlangeFitter(self._chain, robotiq_shape(_MOUNT_GRID_RAD[_MOUNT_STEPS[t]], _MOUNT_OFFSETS_M[o]))
+            for t, o in zip(turn, offset, strict=True)
+        ]
+        if len(mounted) == 1:
+            return mounted[0]
+        shown_poses = {i: poses[i] for i in surest}
+        return max(mounted, key=lambda flange: self._support(shown_poses, replace(video, flange=flange)))
+
+    def _support(self, poses: Mapping[int, FramePose], video: _Video) -> float:
+        """Return the log-likelihood of a gripper by frames that are fitted with it."""
+        fitted = self._fit_gripper(poses, video)
+        return sum(video.flange.support(pose, video.images[i]) for i, pose in fitted.items())
+
+    def _fit_gripper(self, poses: Mapping[int, FramePose], video: _Video) -> dict[int, FramePose]:
+        """Return the poses fitted anew with the contours of the gripper."""
+        crops = {i: _crop_at(pose.X_CH) for i, pose in poses.items()}
+        return {i: video.flange.fit_gripper(poses[i], shown) or poses[i] for i, shown in self._look(crops, video)}
+
+    def _turn(self, poses: dict[int, FramePose], video: _Video) -> None:
+        """Turn the last joint as contours and cells of the last link are likeliest along the whole video."""
+        flange, images = video.flange, video.images
+        shown = dict(self._look({i: _crop_at(pose.X_CH) for i, pose in poses.items()}, video))
+        chains = {i: flange.chain_of(pose) for i, pose in poses.items()}
+        turns, sigma = np.zeros(len(images)), np.zeros(len(images))
+        for grid in (TURNS_RAD, OFFSETS_RAD):
+            log_likelihood, changes = np.zeros((len(turns), len(grid))), np.full(len(turns) - 1, np.nan)
+            for i, chain in chains.items():
+                likeliest = flange.at_likeliest(chain, images[i])
+                view, agreement = shown[i].view, poses[i].overlap
+                log_likelihood[i] = likeliest.log_likelihood(chain, turns[i] + grid, view, images[i], agreement)
+                if i + 1 in chains:
+                    changes[i] = flange.turn_change(chain, chains[i + 1], images[i], images[i + 1])
+            offsets, own_sigma = likeliest_turns(grid, log_likelihood, changes - np.diff(turns))
+            turns, sigma = turns + offsets, np.maximum(sigma, own_sigma)
+            chains = {i: flange.turned(chain, turns[i]) for i, chain in chains.items()}
+        reaches_px, before = REACHES_PX[0 if flange.shape.gripper else -2 :], dict(poses)
+        for i, chain in chains.items():
+            points = []
+            for k in {i - 1, i + 1} & chains.keys():
+                flow = flange.flow(chains[k], images[k], images[i])
+                if flow is not None:
+                    points.append(replace(flow, weight=_certainty(before[k], before[i]) * flow.weight))
+            pose = flange.fit_turned(chain, turns[i], _TURN_SIGMA_RAD, shown[i], reaches_px, points)
+            if pose is not None:
+                based = None if flange.shape.gripper else self._on_base(pose, i, video)
+                poses[i] = _with_turn_sigma(based or pose, sigma[i])
+
+    def _on_base(self, pose: FramePose, number: int, video: _Video) -> FramePose | None:
+        """Return a pose that the base of the camera confirms, with the arm on it; None if it does not."""
+        links = _link_cells(pose.view, video.wide[number])
+        image = video.images[number]
+        arm = video.arm.at([number]).fit_links(pose.X_CH, _TURN_SIGMA_RAD, links, image)
+        if arm is None or arm.edge_agreement < max(_ON_BASE, pose.overlap - _BASE_LOSS):
+            return None
+        distance, angle = pose_difference(arm.X_CH, pose.X_CH)
+        if distance > _SAME_M or angle > _SAME_RAD:
+            return None
+        return replace(pose, X_CH=arm.X_CH, arm=arm, overlap=arm.edge_agreement)
+
+
+def _agreement(pose: FramePose | None) -> float:
+    return 0.0 if pose is None else pose.overlap
+
+
+def _certainty(pose: FramePose, other: FramePose) -> float:
+    """Return the information of a pose as a share of that of two, by the variance of their positions."""
+    variance, other_variance = (float(np.trace(p.covariance[3:, 3:])) for p in (pose, other))
+    return other_variance / (variance + other_variance)
+
+
+def _with_turn_sigma(pose: FramePose, sigma_rad: float) -> FramePose:
+    """Return a pose whose covariance includes a standard deviation of its turn about the flange's axis."""
+    if pose.arm is None:
+        return pose
+    covariance, axis = pose.arm.covariance.copy(), pose.X_CH[:3, 2]
+    covariance[:3, :3] += sigma_rad**2 * np.outer(axis, axis)
+    hand = replace(pose.hand, covariance=covariance)
+    arm = replace(pose.arm, covariance=covariance)
+    return replace(pose, arm=arm, hand=hand, hand_without_silhouette=hand)
+
+
+def _link_cells(close: GripperView, wide: GripperView) -> Correspondences:
+    return Correspondences.join([Correspondences.of_view(v, v.arm, LINK_CELLS, INDEPENDENT) for v in (close, wide)])
+
+
+def _wrist_crop(view: GripperView) -> Crop | None:
+    """Return the crop around the last links in a view of the whole image; None if it shows too few of their cells."""
+    cells = np.isin(view.part, _SEEN)
+    if cells.sum() < _MIN_CELLS:
+        return None
+    low, high = np.percentile(np.argwhere(cells), _QUANTILES, axis=0)
+    v, u = ((low + high) / 2).round().astype(int)
+    direction = view.crop.R_CV @ view.rays()[v, u]
+    extent = float((high - low).max()) * view.stride / view.crop.focal
+    return Crop.towards(direction, _MARGIN * max(extent, 4 * view.stride / view.crop.focal), CLOSE_SIZE)
+
+
+def _crop_at(X_CH: Array) -> Crop:
+    """Return the crop of the last links behind a hand at `X_CH` (4, 4)."""
+    centre = X_CH[:3, :3] @ WRIST_CENTRE_H + X_CH[:3, 3]
+    return Crop.towards(centre, WRIST_RADIUS_M / float(np.linalg.norm(centre)), CLOSE_SIZE)

@@ -1,0 +1,289 @@
+"""Refinement of poses along a video: refits from neighbouring frames, and fits to the edges of the images."""
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
+from functools import cached_property
+
+import numpy as np
+
+from kinebench_drake.camera import Camera
+from kinebench_drake.geometry import pose_difference
+from kinebench_drake.grounding.registration.arm_edge_fit import ArmEdgeFitter
+from kinebench_drake.grounding.registration.arm_fit import ArmFit
+from kinebench_drake.grounding.registration.edges import GradientImage
+from kinebench_drake.grounding.registration.fit import finger_or_default
+from kinebench_drake.grounding.registration.silhouette import SilhouetteMatcher
+from kinebench_drake.grounding.registration.solver import BATCH
+from kinebench_drake.grounding.tracking.crop import CLOSE_MARGIN, CLOSE_SIZE, Crop
+from kinebench_drake.grounding.tracking.pose import FramePose
+from kinebench_drake.grounding.tracking.view import Frames, GripperView
+from kinebench_drake.types import Domain
+
+_SOURCE_OVERLAP, _GOOD_OVERLAP = 0.6, 0.8  # overlap from which a pose is propagated, and from which it is not replaced
+_OVERLAP_GAIN = 0.03  # least improvement of the overlap by a propagated pose, where the arm agreed before
+_MIN_COVERAGE = 0.6  # least share of a refined gripper that shows the robot: edge-on, a hand may be taken for a link
+_SEARCHED_FRAMES = 8  # frames of a video in which the gripper's distance is searched
+_AGREEING_SHARE = 0.5  # least share of poses whose hand and arm agree, of a familiar video
+_SAMPLES = 7  # frames in which the edges are compared with the network's poses
+_CONFIRMATION = 0.6  # median agreement from which on the edges confirm the network's poses without a fit
+_SMALL_M = 0.0025  # median change by fits to the edges alone up to which they confirm the network's poses, too
+_FAR_M, _GAIN = 0.02, 0.18  # above which the change, or the gain of agreement by it, contradicts the network's poses
+_MISSED_SHARE = 0.1  # greatest share of frames of a familiar video that are only reached by following the arm
+_FOLLOWED_FRAMES = 3  # frames without a sure pose across which the surface is followed at once
+_KEPT_IMAGES = 2 * BATCH  # images whose gradients are kept, those used last
+_BEST_QUANTILE, _BEST_SHARE = 0.75, 0.9  # frames that agree nearly as well as the best ones are not tried again
+
+
+def propagate(
+    poses: dict[int, FramePose], wide: dict[int, GripperView], arm_fitter: ArmEdgeFitter, silhouette: SilhouetteMatcher
+) -> None:
+    """Refit doubtful poses from the frame before, then from the one after; keep a refit that matches better.
+
+    Seen edge-on, a gripper's CAD coordinates can all be wrong by the same 30 mm and 25 degrees and still be consistent
+    with each other; only silhouette and arm contradict them. Started from the posture of a neighbouring frame, the fit
+    of silhouette and arm converges to the right pose.
+
+    Args:
+        poses: pose by frame number; doubtful ones are replaced.
+        wide: view of the whole image by frame number.
+        arm_fitter: fitter of the arm.
+        silhouette: comparison of the rendered with the segmented gripper.
+    """
+    for step in (1, -1):
+        for i in sorted(poses)[::step]:
+            near = poses.get(i - step)
+            if near is not None and _is_doubtful(poses[i]) and near.arm_agrees and near.overlap >= _SOURCE_OVERLAP:
+                poses[i] = _refit_from(poses[i], near, wide[i], arm_fitter.at([i]), silhouette)
+
+
+def _refit_from(
+    pose: FramePose, near: FramePose, wide: GripperView, arm_fitter: ArmEdgeFitter, silhouette: SilhouetteMatcher
+) -> FramePose:
+    arm = None if near.arm is None else arm_fitter.fit_from_neighbour(near.arm, pose.hand, pose.view, wide, silhouette)
+    if arm is None or not arm.agrees:
+        return pose
+    overlap = silhouette.overlap(pose.view, arm.X_CH, finger_or_default(arm.finger_m))
+    gain = _OVERLAP_GAIN if pose.arm_agrees else -_OVERLAP_GAIN  # a hand that its arm confirms may match a little less
+    if overlap < max(_SOURCE_OVERLAP, pose.overlap + gain):
+        return pose
+    return pose.with_arm(arm, overlap)
+
+
+def _is_doubtful(pose: FramePose) -> bool:
+    return not pose.from_prior and not (pose.arm_agrees and pose.overlap >= _GOOD_OVERLAP)
+
+
+def _agreement(pose: FramePose) -> float:
+    """Return the share of the contour on edges of the image at a pose that was fitted to them; 0 at others."""
+    return float(np.nan_to_num(pose.arm.edge_agreement)) if pose.arm is not None and pose.arm.agrees else 0.0
+
+
+class EdgeRefinement:
+    """Refinement of the poses of a video by the edges of its images.
+
+    Where the edges contradict the network's poses, its look or viewpoint is unfamiliar to the network, whose depth is
+    then off by several percent although hand and arm agree: all frames are fitted to the edges alone. In familiar
+    videos only doubtful frames are, and all others to edges and network together. Each fit starts from the posture of
+    the frame itself, then from those of its neighbours, then from where the arm's surface went since a sure frame.
+    """
+
+    def __init__(
+        self,
+        poses: dict[int, FramePose],
+        wide: dict[int, GripperView],
+        frames: Frames,
+        camera: Camera,
+        arm_fitter: ArmEdgeFitter,
+        silhouette: SilhouetteMatcher,
+        measure: Callable[[dict[int, Crop]], dict[int, FramePose]],
+        *,
+        may_be_familiar: bool,
+    ) -> None:
+        """Refine `poses`.
+
+        Args:
+            poses: pose by frame number.
+            wide: view that shows the arm by frame number.
+            frames: (T, H, W, 3) RGB.
+            camera: camera of the frames.
+            arm_fitter: fitter of the arm.
+            silhouette: comparison of the rendered with the segmented gripper.
+            measure: measures frames in these crops, and returns the poses of those that show a gripper.
+            may_be_familiar: False if the edges cannot confirm the network, as where the camera was fitted to them.
+        """
+        self._measure, self._may_be_familiar = measure, may_be_familiar
+        self.poses = dict(poses)
+        """Refined poses by frame number."""
+        self._wide, self._frames, self._camera = wide, frames, camera
+        self._fitter, self._silhouette = arm_fitter, silhouette
+        self._images: dict[int, GradientImage] = {}
+        self._sharp: dict[int, tuple[ArmFit, ArmFit]] = {}  # by frame: fit to the cells, and to cells and edges
+        self._reached: set[int] = set()  # frames whose pose comes from following the arm
+
+    @cached_property
+    def is_familiar(self) -> bool:
+        """True if the edges agree with the poses of network and edges together, or alone agree hardly better elsewhere.
+
+        A gripper that is too large for its arm agrees with its edges nowhere.
+        """
+        if not self._may_be_familiar:
+            return False
+        numbers = [i for i, pose in sorted(self.poses.items()) if pose.arm_agrees and not pose.from_prior]
+        estimated = sum(not pose.from_prior for pose in self.poses.values())
+        if not numbers or len(numbers) < _AGREEING_SHARE * estimated:
+            return bool(self.poses) and estimated == 0
+        sample = [numbers[k] for k in np.unique(np.linspace(0, len(numbers) - 1, _SAMPLES).round().astype(int))]
+        arms = self._sharpened(sample)
+        agreements = [self._fitter.at([i]).edge_agreement(arm.q, self._image(i)) for i, arm in arms.items()]
+        agreement = float(np.median(agreements))
+        if agreement >= _CONFIRMATION:
+            return True
+        fits = [(fit, arms[i]) for i in arms if (fit := self._refine(i, arms[i])) is not None]
+        if 2 * len(fits) < len(arms):
+            return False
+        distance = float(np.median([pose_difference(fit.X_CH, arm.X_CH)[0] for fit, arm in fits]))
+        gain = float(np.median([fit.edge_agreement for fit, _ in fits])) - agreement
+        return distance <= _SMALL_M or (distance <= _FAR_M and gain <= _GAIN)
+
+    @property
+    def domain(self) -> Domain:
+        """Domain of the video, after `run`: where the network missed the gripper in many frames, its views mislead."""
+        missed = len(self._reached) > _MISSED_SHARE * len(self.poses)
+        return Domain.FAMILIAR if self.is_familiar and not missed else Domain.UNFAMILIAR
+
+    def run(self) -> None:
+        """Replace the poses: all of an unfamiliar video, else the doubtful ones."""
+        self.fit([i for i, pose in self.poses.items() if _is_doubtful(pose) or not self.is_familiar])
+        if not self.is_familiar:
+            self._search()
+        self._follow()
+        if self.is_familiar:
+            self._sharpen()
+        else:
+            self._reject()
+
+    def _follow(self) -> None:
+        """Follow the arm from sure frames into those beside them that are less sure, forwards and back."""
+        for step in (1, -1):
+            near: int | None = None
+            for i in range(len(self._frames))[::step]:
+                if near is not None and abs(i - near) <= _FOLLOWED_FRAMES and self._is_less_sure(i, near):
+                    self._follow_from(near, i)
+                if self._is_sure(i):
+                    near = i
+
+    def _follow_from(self, near: int, number: int) -> None:
+        """Measure a frame again where the arm of a sure frame went, and keep the pose that the edges confirm more."""
+        before, fitter = self.poses[near].arm, self._fitter.at([number])
+        if before is None:
+            return
+        X_CP, images = self._fitter.at([near]).poses(before), (self._image(near), self._image(number))
+        arm = fitter.follow(before, X_CP, *images)
+        if arm is None:
+            return
+        old = self.poses.get(number)
+        pose = self._measure({number: Crop.of_gripper(arm.X_CH, CLOSE_MARGIN, CLOSE_SIZE)}).get(number)
+        if pose is None:
+            return
+        self.poses[number] = pose
+        views = pose.hand, pose.view, self._wide[number], images[1]
+        self._keep_better(number, fitter.refine(arm.q, *views, followed=arm.points))
+        if not self._is_sure(number) or (old is not None and _agreement(self.poses[number]) < _agreement(old)):
+            del self.poses[number]
+            if old is not None:
+                self.poses[number] = old
+        else:
+            self._reached.add(number)
+
+    def _is_less_sure(self, number: int, near: int) -> bool:
+        """Return whether a frame is not sure, or the edges agree less with its arm than with that of a sure frame."""
+        pose = self.poses.get(number)
+        if not self._is_sure(number) or pose is None:
+            return pose is None or not pose.from_prior
+        return not self.is_familiar and _agreement(pose) < _BEST_SHARE * _agreement(self.poses[near])
+
+    def _is_sure(self, number: int) -> bool:
+        """Return whether the arm of a frame agrees with its hand and, in unfamiliar videos, with its edges."""
+        pose = self.poses.get(number)
+        return pose is not None and pose.arm_agrees and (self.is_familiar or _agreement(pose) > 0.0)
+
+    def _sharpen(self) -> None:
+        """Fit poses whose arm agrees to cells and edges together; those fitted to edges alone had doubtful cells."""
+        rest = [i for i, pose in self.poses.items() if pose.arm_agrees and not pose.from_prior and not _agreement(pose)]
+        for i, arm in self._sharpened(rest).items():
+            self.poses[i] = self.poses[i].with_arm(arm, self.poses[i].overlap)
+
+    def _sharpened(self, numbers: Sequence[int]) -> dict[int, ArmFit]:
+        """Return the arms of frames fitted to cells and edges together, by frame number."""
+        arms = {i: arm for i in numbers if (arm := self.poses[i].arm) is not None}
+        old = [i for i, arm in arms.items() if i not in self._sharp or self._sharp[i][0] is not arm]
+        for start in range(0, len(old), BATCH):
+            batch = old[start : start + BATCH]
+            poses = [self.poses[i] for i in batch]
+            fits = self._fitter.at(batch).sharpen_all(
+                [arms[i] for i in batch],
+                [pose.hand for pose in poses],
+                [pose.view for pose in poses],
+                [self._wide[i] for i in batch],
+                [self._image(i) for i in batch],
+            )
+            self._sharp.update({i: (arms[i], fit) for i, fit in zip(batch, fits, strict=True)})
+        return {i: self._sharp[i][1] for i in arms}
+
+    def _reject(self) -> None:
+        """Mark the poses of an unfamiliar video that the edges do not confirm: hand and arm do not agree in them."""
+        for i, pose in self.poses.items():
+            if i not in self.confirmed and pose.arm is not None and not pose.from_prior:
+                self.poses[i] = replace(pose, arm=replace(pose.arm, agrees=False))
+
+    def fit(self, numbers: Iterable[int]) -> None:
+        """Fit frames to the edges, from their own postures, then from those of the frames before and after."""
+        ordered = sorted(i for i in numbers if i in self.poses and not self.poses[i].from_prior)
+        for i in ordered:
+            arm = self.poses[i].arm
+            if arm is not None:
+                self._keep_better(i, self._refine(i, arm))
+        for step in (1, -1):
+            agreements = [_agreement(pose) for pose in self.poses.values()]
+            enough = _BEST_SHARE * float(np.quantile(agreements, _BEST_QUANTILE)) if agreements else 0.0
+            for i in ordered[::step]:
+                near = self.poses.get(i - step)
+                if near is not None and near.arm is not None and _agreement(self.poses[i]) < enough:
+                    self._keep_better(i, self._refine(i, near.arm))
+
+    def _search(self) -> None:
+        """Search the distance of the gripper in some of the frames that the edges do not confirm, then fit all others.
+
+        Frames whose silhouette matches come first: their direction is right.
+        """
+        rest = {i: pose for i, pose in self.poses.items() if i not in self.confirmed and not pose.from_prior}
+        for i in sorted(rest, key=lambda i: -rest[i].overlap)[:_SEARCHED_FRAMES]:
+            pose = rest[i]
+            self._keep_better(i, self._fitter.at([i]).search(pose.hand, pose.view, self._wide[i], self._image(i)))
+        if any(i in self.confirmed for i in rest):
+            self.fit(i for i in rest if i not in self.confirmed)
+
+    @property
+    def confirmed(self) -> dict[int, FramePose]:
+        """Poses that the edges confirm, by frame number."""
+        return {i: pose for i, pose in self.poses.items() if _agreement(pose) > 0.0}
+
+    def _refine(self, number: int, start: ArmFit) -> ArmFit | None:
+        pose = self.poses[number]
+        return self._fitter.at([number]).refine(start.q, pose.hand, pose.view, self._wide[number], self._image(number))
+
+    def _keep_better(self, number: int, arm: ArmFit | None) -> None:
+        """Replace the pose of a frame by a fit that the edges agree with better."""
+        pose = self.poses[number]
+        if arm is None or not arm.agrees or arm.edge_agreement <= _agreement(pose):
+            return
+        hand = pose.view, arm.X_CH, finger_or_default(arm.finger_m)
+        if self._silhouette.coverage(*hand) >= _MIN_COVERAGE:
+            self.poses[number] = pose.with_arm(arm, self._silhouette.overlap(*hand))
+
+    def _image(self, number: int) -> GradientImage:
+        image = self._images.pop(number, None) or GradientImage(self._frames[number], self._camera)
+        self._images[number] = image
+        if len(self._images) > _KEPT_IMAGES:
+            del self._images[next(iter(self._images))]
+        return image

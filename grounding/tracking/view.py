@@ -1,0 +1,87 @@
+"""Dense estimates of one crop: part labels, metric depth and CAD coordinates on a grid of cells."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinebench_drake.camera import Camera
+from kinebench_drake.geometry import Array
+from kinebench_drake.grounding.tracking.crop import Crop
+from kinebench_drake.models.panda.robot import GRIPPER, OPENING_SIGN, RobotPart
+
+Frames = NDArray[np.uint8]
+"""(T, H, W, 3) RGB."""
+OPENING_SIGNS = np.array([OPENING_SIGN.get(part, 0.0) for part in RobotPart])
+"""(PARTS,) `OPENING_SIGN` by value of `RobotPart`; 0 where a part does not move along the hand."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GripperView:
+    """Dense estimates of one crop on a grid of h x w cells, every `stride`-th pixel of the crop."""
+
+    crop: Crop
+    stride: int
+    in_image: NDArray[np.bool_]
+    """(h, w) cells inside the camera image; outside, a gripper cut by the image border goes on unseen."""
+    part: NDArray[np.uint8]
+    """(h, w) values of `RobotPart`."""
+    depth_m: Array
+    """(h, w) depth along the crop's optical axis [m]."""
+    depth_sigma: Array
+    """(h, w) relative standard deviation of the depth."""
+    depth_factor_sigma: float
+    """Relative standard deviation of the depth error that all cells have in common."""
+    coordinates_P: Array
+    """(h, w, 3) CAD coordinates of the surface point [m]: of the gripper in the hand frame with closed fingers, of a
+    link in the link's frame."""
+    coordinates_sigma_m: Array
+    """(h, w) standard deviation of each CAD coordinate [m]."""
+
+    @property
+    def gripper(self) -> NDArray[np.bool_]:
+        """(h, w) cells that show hand or fingers."""
+        return (self.part >= GRIPPER[0]) & (self.part <= GRIPPER[-1])
+
+    @property
+    def arm(self) -> NDArray[np.bool_]:
+        """(h, w) cells that show a link of the arm."""
+        return self.part >= RobotPart.LINK0
+
+    @property
+    def opening_sign(self) -> Array:
+        """(h, w) direction along the hand's y axis as the fingers open: 1 (left finger), -1 (right finger) or 0."""
+        return OPENING_SIGNS[self.part]
+
+    def rays(self) -> Array:
+        """Return the viewing directions (h, w, 3) of the cells in the crop's frame, scaled to z = 1."""
+        return self.crop.rays(self.stride)
+
+    def rays_at(self, v: NDArray[np.intp], u: NDArray[np.intp]) -> Array:
+        """Return the viewing directions (N, 3) of the cells in rows `v` and columns `u`, like `rays`."""
+        centre = self.crop.size / 2
+        columns = [((index + 0.5) * self.stride - centre) / self.crop.focal for index in (u, v)]
+        return np.column_stack([*columns, np.ones(len(u))])
+
+    def to_frame(self, cells: NDArray[np.bool_], camera: Camera) -> NDArray[np.bool_]:
+        """Return the pixels (H, W) of the camera image that are covered by `cells` (h, w)."""
+        return self.crop.unwarp(cells.astype(np.uint8), camera, self.stride) > 0
+
+
+class DenseEstimator(Protocol):
+    """Source of dense estimates: the trained network, ground truth, or another model."""
+
+    def estimate(self, frames: Frames, camera: Camera, crops: Mapping[int, Crop]) -> Iterator[tuple[int, GripperView]]:
+        """Estimate one view per crop.
+
+        Args:
+            frames: (T, H, W, 3) all frames of the video.
+            camera: camera of the frames.
+            crops: crop by frame number.
+
+        Yields:
+            Frame number and view of each crop, in any order.
+        """
+        ...

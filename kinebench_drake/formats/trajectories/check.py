@@ -1,0 +1,134 @@
+"""Validation of a raw trajectory: a trajectory that can be judged, or a one-line reason why it cannot."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinebench_drake.errors import InputError, UnmeasurableError
+from kinebench_drake.formats.trajectories.numbers import others_text, require_numbers
+from kinebench_drake.formats.trajectories.pose import rigid_poses
+from kinebench_drake.formats.trajectories.times import check_times, undo_jitter
+from kinebench_drake.formats.trajectories.trajectory import N_JOINTS, RawTrajectory, Trajectory
+from kinebench_drake.geometry import Array
+
+MAX_FRAMES = 100_000
+"""Greatest number of frames; over an hour at 25 Hz."""
+MIN_FRAMES = 2
+"""A path needs two postures."""
+
+_JOINT_SHAPES = ((N_JOINTS,), (N_JOINTS + 1,), (N_JOINTS + 2,))  # the arm, followed by fingers
+_MANY_RAD = 10.0  # larger angles are taken for degrees
+_MOST_DEGREES = 720.0
+_TURN_RAD = 2.0 * np.pi  # larger angles give a warning
+_WIDTH_M = 0.08  # gap between the Panda's pads when open
+_WIDTH_SLACK_M = 0.01  # overshoot of sensors and simulators
+
+
+def check(raw: RawTrajectory, rate_hz: float | None = None) -> Trajectory:
+    """Check shapes, times, rotations, units and values of a trajectory, and convert it.
+
+    Args:
+        raw: content of the file.
+        rate_hz: frames per second, overriding the times of the file [Hz].
+
+    Raises:
+        InputError: shapes, times, rotations, units or values are wrong; the message names the frame and the fix.
+        UnmeasurableError: there are fewer than two frames, or fewer than two are tracked.
+    """
+    warnings = list(raw.warnings)
+    name = "base_from_tcp" if raw.q is None else "q"
+    array = raw.X_BG if raw.q is None else raw.q
+    if array is None:
+        raise InputError("holds neither poses nor joint angles")
+    values = require_numbers(name, array)
+    if values.shape[:1] == (0,):
+        raise UnmeasurableError(f"holds no frame, a path needs at least {MIN_FRAMES}")
+    if values.shape[1:] not in (((4, 4),) if raw.q is None else _JOINT_SHAPES):
+        expected = "(T, 4, 4)" if raw.q is None else f"(T, {N_JOINTS}) in radians"
+        turned = ", transposed?" if raw.q is not None and values.shape[:1] == (N_JOINTS,) else ""
+        raise InputError(f"{name} has shape {values.shape}, expected {expected}{turned}")
+    n = len(values)
+    if n > MAX_FRAMES:
+        raise InputError(f"has {n} frames, at most {MAX_FRAMES} are accepted: cut it into parts")
+    tracked = _tracked(raw.tracked, n)
+    t_s = check_times(raw.t_s, n, rate_hz, warnings)
+    if n < MIN_FRAMES:
+        raise UnmeasurableError(f"has {n} frame, a path needs at least {MIN_FRAMES}")
+    width = None if raw.finger_width_m is None else require_numbers("finger_width_m", raw.finger_width_m)
+    q: Array | None = None
+    X_BG: Array | None = None
+    if raw.q is not None:
+        q, fingers = _joints(values, tracked, warnings)
+        path = q
+        width = fingers if width is None else width
+    else:
+        X_BG, repairs = rigid_poses(values, tracked)
+        path = X_BG[:, :3, 3]
+        warnings += repairs
+    if tracked.sum() < MIN_FRAMES:
+        raise UnmeasurableError(f"{int(tracked.sum())} of {n} frames are tracked, a path needs {MIN_FRAMES}")
+    return Trajectory(
+        t_s=undo_jitter(t_s, path, warnings),
+        X_BG=X_BG,
+        q=q,
+        tracked=tracked,
+        finger_width_m=_widths(width, n, warnings),
+        columns=raw.columns,
+        warnings=tuple(warnings),
+    )
+
+
+def _tracked(array: NDArray[np.generic] | None, n: int) -> NDArray[np.bool_]:
+    if array is None:
+        return np.ones(n, dtype=bool)
+    if array.shape != (n,) or array.dtype.kind not in "biu":
+        raise InputError(f"tracked has shape {array.shape} and type {array.dtype}, expected ({n},) of booleans")
+    return array.astype(bool)
+
+
+def _joints(values: Array, tracked: NDArray[np.bool_], warnings: list[str]) -> tuple[Array, Array | None]:
+    """Return the arm angles (T, 7) and the finger gap (T,) [m] if two finger joints follow them."""
+    columns = values.shape[1]
+    q = np.where(tracked[:, None], values[:, :N_JOINTS], np.nan)
+    fingers: Array | None = None
+    if columns > N_JOINTS:
+        warnings.append(f"q has {columns} columns: the first {N_JOINTS} are used as the arm's joints")
+    if columns == N_JOINTS + 2:  # the two finger joints of the Panda, each half of the gap
+        fingers = values[:, N_JOINTS:].sum(axis=1)
+    broken = tracked & ~np.isfinite(q).all(axis=1)
+    if broken.any():
+        k = int(np.argmax(broken))
+        value = "NaN" if np.isnan(q[k]).any() else "infinity"
+        raise InputError(
+            f"the joint angles of frame {k} hold {value}{others_text(broken)}, expected finite radians; "
+            "unknown frames are marked in an array tracked"
+        )
+    if tracked.any():
+        largest = np.nanmax(np.abs(q), axis=0)
+        j = int(np.argmax(largest))
+        if largest[j] > _MANY_RAD:
+            k = int(np.nanargmax(np.abs(q[:, j])))
+            message = f"joint {j + 1} is at {q[k, j]:.4g} rad in frame {k}, more than {_MANY_RAD:g}"
+            degrees = "the angles look like degrees, convert them to radians (multiply by pi / 180)"
+            guess = degrees if largest[j] <= _MOST_DEGREES else "these are no joint angles in radians"
+            raise InputError(f"{message}: {guess}")
+        if largest[j] > _TURN_RAD:
+            warnings.append(
+                f"joint {j + 1} goes up to {largest[j]:.4g} rad, more than a full turn: are the angles in degrees? "
+                "They are interpreted as radians"
+            )
+    return q, fingers
+
+
+def _widths(width: Array | None, n: int, warnings: list[str]) -> Array:
+    if width is None:
+        return np.full(n, np.nan)
+    if width.shape != (n,):
+        raise InputError(f"finger_width_m has shape {width.shape}, but there are {n} frames")
+    finite = width[np.isfinite(width)]
+    if len(finite) and (finite.min() < -_WIDTH_SLACK_M or finite.max() > _WIDTH_M + _WIDTH_SLACK_M):
+        warnings.append(
+            f"finger widths from {finite.min():.4g} to {finite.max():.4g} are not metres from 0 to {_WIDTH_M}: they "
+            "are ignored"
+        )
+        return np.full(n, np.nan)
+    return np.clip(np.where(np.isfinite(width), width, np.nan), 0.0, _WIDTH_M)

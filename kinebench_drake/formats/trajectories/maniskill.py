@@ -1,0 +1,191 @@
+"""Trajectories recorded by ManiSkill: an .h5 file of many, and a .json file beside it with their metadata.
+
+The layout is that of mani_skill 3's `RecordEpisode` wrapper: groups `traj_K` with `obs` and `env_states`;
+the state of an articulation is the pose (7) and velocity (6) of its root, joint positions, joint velocities.
+"""
+
+import re
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+from kinebench_drake.errors import InputError, cause
+from kinebench_drake.formats.trajectories.check import MAX_FRAMES
+from kinebench_drake.formats.trajectories.trajectory import (
+    MAX_STEP_S,
+    MIN_STEP_S,
+    N_JOINTS,
+    RawTrajectory,
+    TrajectoryFormat,
+    TrajectoryOptions,
+    TrajectorySample,
+)
+from kinebench_drake.io.hdf5 import DAMAGED, open_hdf5, read_all
+from kinebench_drake.io.jsonl import as_object, read_object
+
+DEFAULT_RATE_HZ = 20.0
+"""Default control frequency of ManiSkill [Hz]."""
+
+_QPOS = "obs/agent/qpos"
+_ARTICULATIONS = "env_states/articulations"
+_MAX_BYTES = 2**28
+_ROOT = 13  # elements of an articulation's state before its joints
+_TRAJECTORY = re.compile(r"traj_\d{1,9}", re.ASCII)
+_ROBOT = re.compile(r"panda|franka|fr3", re.IGNORECASE)
+
+
+def list_maniskill(path: Path, video: str) -> list[TrajectorySample]:
+    """List the trajectories of a file in the order of their numbers, without reading them.
+
+    Args:
+        path: the .h5 file.
+        video: name of the file in results.
+    """
+    unread = TrajectorySample(id=path.stem, path=path, video=video, format=TrajectoryFormat.MANISKILL)
+    try:
+        with open_hdf5(path) as file:
+            names = [name for name in map(str, file) if _TRAJECTORY.fullmatch(name)]
+            content = ", ".join(map(str, list(file)[:8]))
+    except DAMAGED as error:
+        return [replace(unread, problem=cause(error))]
+    if not names:
+        return [replace(unread, problem=f"holds no trajectory traj_0, traj_1, ... but {content or 'nothing'}")]
+    about, note = _read_metadata(path.with_suffix(".json"))
+    info, episodes = as_object(about.get("env_info")), about.get("episodes")
+    entries = map(as_object, episodes if isinstance(episodes, list) else [])
+    by_id = {entry["episode_id"]: entry for entry in entries if isinstance(entry.get("episode_id"), int)}
+    samples = []
+    for name in sorted(names, key=lambda n: int(n.removeprefix("traj_"))):
+        episode = as_object(by_id.get(int(name.removeprefix("traj_"))))
+        task, seed, success = info.get("env_id"), episode.get("episode_seed"), episode.get("success")
+        samples.append(
+            TrajectorySample(
+                id=f"{path.stem}-{name}",
+                path=path,
+                video=f"{video}#{name}",
+                format=TrajectoryFormat.MANISKILL,
+                part=name,
+                rate_hz=_rate(about),
+                task=task if isinstance(task, str) else None,
+                seed=seed if isinstance(seed, int) and not isinstance(seed, bool) else None,
+                success=success if isinstance(success, bool) else None,
+                warnings=(note,) if note else (),
+            )
+        )
+    return samples
+
+
+def read_maniskill(path: Path, group: str, rate_hz: float | None, choice: TrajectoryOptions) -> RawTrajectory:
+    """Read the robot's joints of one trajectory: obs/agent/qpos, else its articulation's state.
+
+    Args:
+        path: the .h5 file.
+        group: the trajectory's group, such as "traj_3".
+        rate_hz: control frequency [Hz]; None if the metadata lack it.
+        choice: `joints` names the data set below the group.
+
+    Raises:
+        InputError: the file is damaged, or holds no robot's joints.
+    """
+    if choice.poses is not None:
+        raise InputError(
+            "poses of a ManiSkill file are in its world frame, not in the robot's: only its joint angles are read "
+            "(--joints names their data set)"
+        )
+    try:
+        with open_hdf5(path) as file:
+            trajectory = file[group]
+            if not isinstance(trajectory, h5py.Group):
+                raise InputError(f"{group} is a data set, expected a group of them")
+            name = choice.joints or _find_joints(trajectory)
+            data = trajectory.get(name)
+            if not isinstance(data, h5py.Dataset):
+                raise InputError(f"{group} holds no data set {name!r}, but {_list_data_sets(trajectory)}")
+            if data.file.filename != file.filename:
+                raise InputError(f"{group}/{name} is a link to another file, which is not read")
+            if data.dtype.kind not in "iuf":
+                raise InputError(f"{group}/{name} holds {data.dtype}, expected real numbers")
+            if data.shape and data.shape[0] > MAX_FRAMES:
+                raise InputError(f"has {data.shape[0]} frames, at most {MAX_FRAMES} are accepted: cut it into parts")
+            values = read_all(data, _MAX_BYTES)
+    except DAMAGED as error:
+        raise InputError(f"{group} cannot be read ({cause(error)})") from None
+    columns, first = f"{group}/{name}", 0
+    if name.startswith(_ARTICULATIONS):
+        values, first = _joints_of_state(values, columns), _ROOT
+    if values.ndim != 2:
+        raise InputError(f"{columns} has shape {values.shape}, expected (T, 7) to (T, 9)")
+    fingers = values[:, N_JOINTS:].sum(axis=1) if values.shape[1] == N_JOINTS + 2 else None
+    values = values if fingers is None else values[:, :N_JOINTS]
+    assumed = rate_hz is None and choice.rate_hz is None
+    warning = f"control_freq is missing: ManiSkill's default of {DEFAULT_RATE_HZ:g} Hz is used; --rate HZ overrides it"
+    return RawTrajectory(
+        t_s=np.arange(len(values)) / (rate_hz or DEFAULT_RATE_HZ),
+        q=values,
+        finger_width_m=fingers,
+        columns=f"{columns}[:, {first}:{first + values.shape[1]}]",
+        warnings=(warning,) if assumed else (),
+    )
+
+
+def _find_joints(trajectory: h5py.Group) -> str:
+    """Return the name of the data set that holds the robot's joints.
+
+    Raises:
+        InputError: there is none, or more than one.
+    """
+    if isinstance(trajectory.get(_QPOS), h5py.Dataset):
+        return _QPOS
+    articulations = trajectory.get(_ARTICULATIONS)
+    names = list(articulations) if isinstance(articulations, h5py.Group) else []
+    robots = [name for name in map(str, names) if _ROBOT.search(name)]
+    if len(robots) == 1:
+        return f"{_ARTICULATIONS}/{robots[0]}"
+    if robots:
+        raise InputError(f"holds {len(robots)} robots: --joints {_ARTICULATIONS}/{robots[0]} names one of them")
+    raise InputError(
+        f"holds {_list_data_sets(trajectory)}, expected {_QPOS} or {_ARTICULATIONS}/panda...; record it with "
+        "observations or states, or name the data set by --joints"
+    )
+
+
+def _joints_of_state(state: NDArray[np.generic], name: str) -> NDArray[np.generic]:
+    """Return the joint positions (T, n) from the states of an articulation (T, 13 + 2 n)."""
+    if state.ndim != 2 or state.shape[1] <= _ROOT or (state.shape[1] - _ROOT) % 2:
+        raise InputError(f"{name} has shape {state.shape}, expected (T, {_ROOT} + 2 x joints)")
+    return state[:, _ROOT : _ROOT + (state.shape[1] - _ROOT) // 2]
+
+
+def _list_data_sets(trajectory: h5py.Group) -> str:
+    names: list[str] = []
+    trajectory.visititems(lambda name, item: names.append(str(name)) if isinstance(item, h5py.Dataset) else None)
+    return ", ".join(names[:10]) + (", ..." if len(names) > 10 else "") if names else "nothing"
+
+
+def _read_metadata(path: Path) -> tuple[Mapping[str, object], str | None]:
+    """Read the metadata beside a file; return them and a warning if they are missing or damaged."""
+    try:
+        return read_object(path), None
+    except FileNotFoundError:
+        return {}, f"{path.name} is not there: task, seed and success are unknown"
+    except InputError as error:
+        return {}, f"{error}: task, seed and success are unknown"
+
+
+def _rate(about: Mapping[str, object]) -> float | None:
+    """Return the control frequency by the metadata [Hz]."""
+    info = as_object(about.get("env_info"))
+    arguments = as_object(info.get("env_kwargs"))
+    for place in (info, arguments, as_object(arguments.get("sim_config")), as_object(arguments.get("sim_cfg"))):
+        value = place.get("control_freq")
+        if (
+            isinstance(value, int | float)
+            and not isinstance(value, bool)
+            and 1.0 / MAX_STEP_S <= value <= 1.0 / MIN_STEP_S
+        ):
+            return float(value)
+    return None

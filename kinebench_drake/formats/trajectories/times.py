@@ -1,0 +1,126 @@
+"""Times of the frames of a trajectory: checks, and even times in place of rounded or jittering stamps."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinebench_drake.errors import InputError
+from kinebench_drake.formats.trajectories.numbers import others_text, require_numbers
+from kinebench_drake.formats.trajectories.trajectory import MAX_STEP_S, MIN_STEP_S, SLOW_STEP_S
+from kinebench_drake.geometry import Array
+
+_LATE_S = 1e6  # later times, such as seconds since 1970, would lose precision
+_EVEN = 1e-6  # deviation from even times that counts as none [steps]
+_JITTER = 0.4  # greatest deviation that is taken for jitter: where a frame is missing it is half a step [steps]
+_JITTER_S = 0.01  # the same in seconds: operating systems delay by milliseconds
+_JITTER_FRAMES = 20  # least number of frames for a comparison of errors
+_SMOOTHER = 0.8  # ratio of errors from which the motion counts as smoother; noise alone gives 1
+
+
+def check_times(array: NDArray[np.generic] | None, n: int, rate_hz: float | None, warnings: list[str]) -> Array:
+    """Check the times (T,) of `n` frames, and free even ones of rounding [s].
+
+    Args:
+        array: times of the file [s], if it holds any.
+        n: number of frames.
+        rate_hz: frames per second, overriding the times of the file [Hz].
+        warnings: is extended.
+
+    Raises:
+        InputError: there are none, or they are not finite, do not increase or are too close or too far apart.
+    """
+    if rate_hz is not None:
+        return np.arange(n, dtype=np.float64) / rate_hz
+    if array is None:
+        raise InputError("holds no times t_s; add them, or give --rate HZ")
+    t_s = require_numbers("t_s", array)
+    if t_s.shape != (n,):
+        raise InputError(f"t_s has shape {t_s.shape}, but there are {n} frames")
+    broken = ~np.isfinite(t_s)
+    if broken.any():
+        raise InputError(f"the time of frame {int(np.argmax(broken))} is {t_s[broken][0]}, expected finite seconds")
+    with np.errstate(over="ignore"):
+        steps = np.diff(t_s)
+    for bad, relation in ((steps < 0.0, "is before"), (steps == 0.0, "is the same as")):
+        if bad.any():
+            k = int(np.argmax(bad))
+            raise InputError(
+                f"the time of frame {k + 1} ({t_s[k + 1]:.6g} s) {relation} that of frame {k} ({t_s[k]:.6g} s)"
+                f"{others_text(bad)}: times must increase; sort the frames, or give --rate HZ"
+            )
+    bad = (steps < MIN_STEP_S * (1.0 - 1e-6)) | (steps > MAX_STEP_S)
+    if bad.any():
+        k = int(np.argmax(bad))
+        raise InputError(
+            f"frames {k} and {k + 1} are {steps[k]:.3g} s apart, expected {MIN_STEP_S:g} to {MAX_STEP_S:g} s"
+            f"{others_text(bad)}: are the times in seconds? --rate HZ overrides them"
+        )
+    if len(steps) and np.median(steps) > SLOW_STEP_S:
+        warnings.append(
+            f"frames are {np.median(steps):.4g} s apart (median): are the times in milliseconds? They are interpreted "
+            "as seconds; --rate HZ overrides them"
+        )
+    if abs(t_s[0]) > _LATE_S:
+        warnings.append(f"times begin at {t_s[0]:.0f} s; they were shifted to begin at 0")
+        t_s = t_s - t_s[0]
+    return _undo_rounding(t_s)
+
+
+def _undo_rounding(t_s: Array) -> Array:
+    """Return uniform times if single precision or decimals rounded them: the steps would look like changes of speed.
+
+    A unit of more than a quarter of a step could hide a frame that is missing.
+    """
+    even = np.linspace(t_s[0], t_s[-1], len(t_s))
+    units = [10.0**-d for d in range(3, 7) if np.abs(t_s - t_s.round(d)).max() < 0.05 * 10.0**-d]
+    if (t_s == t_s.astype(np.float32)).all():
+        units.append(float(np.spacing(np.float32(np.abs(t_s).max()))))
+    step = (t_s[-1] - t_s[0]) / max(len(t_s) - 1, 1)
+    rounding = max((unit for unit in units if unit <= 0.25 * step), default=0.0)
+    return even if 1e-9 * step < np.abs(t_s - even).max() <= rounding else t_s
+
+
+def undo_jitter(t_s: Array, path: Array, warnings: list[str]) -> Array:
+    """Return uniform times if the motion is smoother over them than over jittering time stamps of an even recording.
+
+    Each sample of the path is predicted from two before and two after it by a cubic polynomial. Where the samples were
+    taken at the times stated, even times make the errors larger; where a recorder stamped even samples too early or
+    too late, the stamps do.
+
+    Args:
+        t_s: (T,) times, increasing [s].
+        path: (T, N) positions [m] or joint angles [rad]; NaN where unknown.
+        warnings: is extended.
+    """
+    frames = np.arange(len(t_s), dtype=np.float64)
+    if len(t_s) < _JITTER_FRAMES:
+        return t_s
+    step, start = np.polyfit(frames, t_s, 1)
+    even = start + step * frames
+    deviation = float(np.abs(t_s - even).max())
+    if not _EVEN * step < deviation <= min(_JITTER * step, _JITTER_S):
+        return t_s
+    rough, smooth = prediction_error(t_s, path), prediction_error(even, path)
+    if not smooth < _SMOOTHER * rough:
+        return t_s
+    warnings.append(
+        f"times deviate from even ones by up to {1000.0 * deviation:.2g} ms, and the motion is smoother over even "
+        f"ones: {step:.6g} s between frames is used"
+    )
+    return np.asarray(even - even[0] + t_s[0])
+
+
+def prediction_error(t_s: Array, path: Array) -> float:
+    """Return the median distance of `path` (T, N) from cubics through two samples before and two after each at `t_s`.
+
+    NaN if no five consecutive samples are known.
+    """
+    near = np.stack([np.arange(k, len(t_s) - 4 + k) for k in (0, 1, 3, 4)], axis=1)
+    times, middle = t_s[near], t_s[2:-2]
+    predicted = np.zeros((len(near), path.shape[1]))
+    for k in range(4):
+        others = [i for i in range(4) if i != k]
+        weight = np.prod((middle[:, None] - times[:, others]) / (times[:, [k]] - times[:, others]), axis=1)
+        predicted += weight[:, None] * path[near[:, k]]
+    errors = np.linalg.norm(path[2:-2] - predicted, axis=1)
+    errors = errors[np.isfinite(errors)]
+    return float(np.median(errors)) if len(errors) else float("nan")

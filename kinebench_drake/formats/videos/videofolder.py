@@ -1,0 +1,138 @@
+"""Labels of videos in Hugging Face's VideoFolder layout: `metadata.csv`, `metadata.jsonl` or `metadata.parquet`.
+
+A row belongs to the video that its column `file_name` (or `video_file_name`) names, relative to the file
+(https://huggingface.co/docs/datasets/video_dataset). The prompt is in a column text, prompt, caption or instruction.
+`suite demos` writes such a file; its further columns have the names of the keys in manifests.
+"""
+
+import csv
+import io
+import math
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import pyarrow
+import pyarrow.parquet as parquet
+
+from kinebench_drake.errors import InputError, cause
+from kinebench_drake.formats.folders import join_relative
+from kinebench_drake.formats.manifest import MAX_PERIOD_S, MIN_PERIOD_S
+from kinebench_drake.formats.videos.sample import VideoSample
+from kinebench_drake.formats.videos.search import Search
+from kinebench_drake.io.files import VIDEO_SUFFIXES, absence, read_bytes
+from kinebench_drake.io.jsonl import as_object, parse_json
+
+Row = Mapping[str, object]
+
+_FILES = ("file_name", "video_file_name")
+_PROMPTS = ("text", "prompt", "caption", "instruction")
+
+
+def list_metadata(path: Path, search: Search) -> list[VideoSample]:
+    """List the videos that a metadata file names.
+
+    Raises:
+        InputError: it cannot be read, or names no video.
+    """
+    samples = add_labels([], [path], search)
+    if not samples:
+        raise InputError(f"names no video; expected a column file_name with {', '.join(sorted(VIDEO_SUFFIXES))} files")
+    return samples
+
+
+def add_labels(samples: Sequence[VideoSample], files: Sequence[Path], search: Search) -> list[VideoSample]:
+    """Return the samples with the labels of metadata files, and a sample with a problem for every missing video.
+
+    Args:
+        samples: videos in the folders.
+        files: metadata files, from the top folder down: the file nearest to a video takes precedence.
+        search: the search.
+    """
+    labels: dict[Path, tuple[Row, Path]] = {}
+    added: dict[Path, VideoSample] = {}
+    problems: list[VideoSample] = []
+    listed = {sample.path for sample in samples}
+    for file in files:
+        unnamed = 0
+        for row in _read_rows(file, search):
+            name = next((row[key] for key in _FILES if isinstance(row.get(key), str)), None)
+            if not isinstance(name, str) or Path(name).suffix.lower() not in VIDEO_SUFFIXES:
+                unnamed += 1
+                continue
+            try:
+                path = join_relative(file.parent, name, "file_name")
+            except InputError as error:
+                problems.append(replace(search.sample(file), id=Path(name).stem, video=name, problem=str(error)))
+                continue
+            labels[path] = row, file
+            if path not in listed:
+                problem = None if path.is_file() else f"{name}: {absence(path)} ({file.name} names it)"
+                added[path] = replace(search.sample(path), problem=problem)
+        if unnamed:
+            search.warnings.append(f"{search.name(file)}: {unnamed} of its rows name no video ({', '.join(_FILES)})")
+    labelled = [_add_label(s, *labels[s.path]) if s.path in labels else s for s in (*samples, *added.values())]
+    return [*labelled, *problems]
+
+
+def _add_label(sample: VideoSample, row: Row, file: Path) -> VideoSample:
+    """Return the sample with the values of a row that have the right type: columns may have any meaning."""
+    seed = _number(row.get("seed"), -math.inf, math.inf)
+    return replace(
+        sample,
+        task=_text(row.get("task")),
+        model=_text(row.get("model")),
+        seed=None if seed is None or seed != int(seed) else int(seed),
+        prompt=next((text for key in _PROMPTS if (text := _text(row.get(key)))), None),
+        dataset_period_s=_number(row.get("frame_period_s"), MIN_PERIOD_S, MAX_PERIOD_S),
+        first_frame=_image(row.get("first_frame"), file.parent) or sample.first_frame,
+    )
+
+
+def _text(value: object) -> str | None:
+    return value if isinstance(value, str) and value else None
+
+
+def _number(value: object, least: float, most: float) -> float | None:
+    """Return a number in a range, also one written as text as in csv files; None for other values."""
+    if isinstance(value, bool) or not isinstance(value, int | float | str):
+        return None
+    try:
+        number = float(value)
+    except (ValueError, OverflowError):
+        return None
+    return number if math.isfinite(number) and least <= number <= most else None
+
+
+def _image(name: object, folder: Path) -> Path | None:
+    if not isinstance(name, str):
+        return None
+    try:
+        path = join_relative(folder, name, "first_frame")
+    except InputError:
+        return None
+    return path if path.is_file() else None
+
+
+def _read_rows(file: Path, search: Search) -> list[Row]:
+    """Return the rows of a metadata file; none, with a warning, if it cannot be read."""
+    try:
+        return list(_READERS[file.suffix](read_bytes(file)))
+    except (OSError, ValueError, TypeError, MemoryError, csv.Error, pyarrow.ArrowException) as error:
+        search.warnings.append(f"{search.name(file)} is not read ({cause(error).replace(str(file), file.name)})")
+        return []
+
+
+def _jsonl(data: bytes) -> Iterator[Row]:
+    for line in data.decode("utf-8-sig").split("\n"):
+        if line.strip():
+            yield as_object(parse_json(line))
+
+
+_READERS: Mapping[str, Callable[[bytes], Iterable[Row]]] = {
+    ".csv": lambda data: csv.DictReader(io.StringIO(data.decode("utf-8-sig"), newline="")),
+    ".jsonl": _jsonl,
+    ".parquet": lambda data: parquet.read_table(io.BytesIO(data)).to_pylist(),
+}
+NAMES = tuple(f"metadata{suffix}" for suffix in _READERS)
+"""Names of metadata files."""

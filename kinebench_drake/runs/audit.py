@@ -1,0 +1,200 @@
+"""`audit`: read a trajectory, judge it, write its file."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from kinebench_drake.formats.trajectories.source import find_trajectories, read_trajectory
+from kinebench_drake.formats.trajectories.trajectory import Trajectory, TrajectoryOptions, TrajectorySample
+from kinebench_drake.results.inputs import PeriodSource
+from kinebench_drake.results.row import SampleRow
+from kinebench_drake.results.store import artifact_path
+from kinebench_drake.results.trackfile import write_track
+from kinebench_drake.runs.analyzer import Analyzer, RobotOptions, load_analyzer
+from kinebench_drake.runs.config import RunConfig, RunKind
+from kinebench_drake.runs.evaluator import KINEMATIC_METRICS, Evaluation, Evaluator
+from kinebench_drake.runs.runner import NullRunObserver, RunObserver, RunSummary, run_samples
+from kinebench_drake.types import GripperTrack, Json
+
+if TYPE_CHECKING:  # loads Drake
+    from kinebench_drake.metrics.result import KinematicResult
+
+_MOST_WARNINGS = 5  # shown on the terminal
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AuditConfig(RunConfig):
+    """Options of a run over trajectories."""
+
+    source: Path
+    """Trajectory file, LeRobot dataset, output folder, or folder of these."""
+    task: str | None = None
+    """Task of samples whose input names none."""
+    kind: RunKind = RunKind.AUDIT
+    rate_hz: float | None = None
+    """Frames per second, in place of the files' times [Hz]."""
+    joints: str | None = None
+    """Name of the array, data set or column of joint angles."""
+    poses: str | None = None
+    """Name of the array or column of TCP poses."""
+    urdf: Path | None = None
+    """URDF of the robot; None for mani_skill's Panda."""
+    tcp_frame: str | None = None
+    """TCP frame of the URDF."""
+    robot_remarks: tuple[str, ...] = ()
+    """Assumptions made when the URDF was read; filled in by `audit_trajectories`."""
+
+    def __post_init__(self) -> None:
+        """Check the options.
+
+        Raises:
+            UsageError: one of them is invalid.
+        """
+        RunConfig.__post_init__(self)
+        self.trajectory_options()
+
+    def trajectory_options(self) -> TrajectoryOptions:
+        """Return the options of reading trajectories.
+
+        Raises:
+            UsageError: they are invalid.
+        """
+        return TrajectoryOptions(rate_hz=self.rate_hz, joints=self.joints, poses=self.poses)
+
+    def robot_options(self) -> RobotOptions:
+        """Return robot and table.
+
+        Raises:
+            UsageError: they are invalid.
+        """
+        return RobotOptions(table_height_m=self.table_height_m, urdf=self.urdf, tcp_frame=self.tcp_frame)
+
+    def to_json(self) -> dict[str, Json]:
+        """Serialize into `config` of results.json; paths by their last name only."""
+        return {
+            **RunConfig.to_json(self),
+            "source": self.source.resolve().name,
+            "task": self.task,
+            "rate_hz": self.rate_hz,
+            "joints": self.joints,
+            "poses": self.poses,
+            "robot": self.urdf.name if self.urdf else None,
+            "tcp_frame": self.tcp_frame,
+            "robot_remarks": list(self.robot_remarks),
+        }
+
+
+def audit_trajectories(config: AuditConfig, observer: RunObserver | None = None) -> RunSummary:
+    """Judge every trajectory of `config.source` and fill the output folder.
+
+    Raises:
+        UsageError: the configuration, the input or the output folder cannot be used.
+        SetupError: something is missing on this machine, or the disk is full. Finished samples are kept.
+    """
+    observer = observer or NullRunObserver()
+    samples = find_trajectories(
+        config.source, config.trajectory_options(), out=config.out, model=config.model, task=config.task
+    )
+    if config.urdf is not None:
+        remarks = config.robot_options().load().remarks
+        for remark in remarks:
+            observer.warn(f"{config.urdf.name}: {remark}")
+        config = replace(config, robot_remarks=remarks)
+    summary = run_samples(samples, TrajectoryEvaluator(config=config), observer)
+    warnings = _warnings(summary.rows)
+    for text, ids in list(warnings.items())[:_MOST_WARNINGS]:
+        observer.warn(f"{ids[0]}: {text}" + (f" (and {len(ids) - 1} more)" if ids[1:] else ""))
+    if len(warnings) > _MOST_WARNINGS:
+        observer.warn(f"{len(warnings) - _MOST_WARNINGS} more kinds of warnings: see the rows")
+    return summary
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TrajectoryEvaluator(Evaluator[TrajectorySample, Analyzer]):
+    """Evaluation of the trajectories of one run."""
+
+    config: AuditConfig
+
+    def setup(self) -> Analyzer:
+        """Load the robot."""
+        return load_analyzer(self.config.make_analyzer, self.config.robot_options())
+
+    def evaluate(self, sample: TrajectorySample, analyzer: Analyzer) -> Evaluation:
+        """Read, judge, write."""
+        trajectory = read_trajectory(sample, self.config.trajectory_options())
+        result = judge_trajectory(analyzer, trajectory)
+        write_track(artifact_path(self.config.out, "tracks", sample.id), result.track, result.joints, result.curves)
+        source = PeriodSource.TIME_STAMPS if self.config.rate_hz is None else PeriodSource.RATE
+        return Evaluation(
+            kinematics=result,
+            extra={
+                "frames": len(trajectory.t_s),
+                "frames_tracked": int(trajectory.tracked.sum()),
+                "duration_s": float(trajectory.t_s[-1] - trajectory.t_s[0]),
+                "frame_period_s": float(np.median(np.diff(trajectory.t_s))),
+                "frame_period_source": source.value,
+                "judged": "poses" if trajectory.q is None else "joints",
+                "columns": trajectory.columns,
+                "warnings": list(trajectory.warnings),
+            },
+        )
+
+    @property
+    def metric_names(self) -> tuple[str, ...]:
+        """Kinematic metrics."""
+        return KINEMATIC_METRICS
+
+    @property
+    def artifacts(self) -> tuple[str, ...]:
+        """Tracks."""
+        return ("tracks",)
+
+    def cache_key(self, sample: TrajectorySample) -> Mapping[str, Json]:
+        """Return reading options and labels."""
+        return {
+            "choice": [self.config.rate_hz, self.config.joints, self.config.poses],
+            "labels": [sample.seed, sample.prompt, sample.success, sample.rate_hz, sample.warnings, sample.problem],
+            "part": [sample.format.value, sample.part],
+        }
+
+    def input_files(self, sample: TrajectorySample) -> Sequence[Path]:
+        """Return the trajectory's file and those that describe it."""
+        return () if sample.problem is not None else (sample.path, *sample.about)
+
+    def labels(self, sample: TrajectorySample) -> Mapping[str, Json]:
+        """Return format, seed, prompt and success."""
+        success = {} if sample.success is None else {"success": sample.success}
+        return {"format": sample.format.value, "seed": sample.seed, "prompt": sample.prompt, **success}
+
+
+def judge_trajectory(analyzer: Analyzer, trajectory: Trajectory) -> "KinematicResult":
+    """Judge a trajectory: joint angles as recorded, poses by the best joint path that follows them."""
+    if trajectory.q is not None:
+        return analyzer.judge_joints(trajectory.t_s, trajectory.q, trajectory.finger_width_m)
+    return analyzer.judge(_pose_track(trajectory))
+
+
+def _pose_track(trajectory: Trajectory) -> GripperTrack:
+    """Return the track of recorded poses: without a camera, with confidence 1 where tracked."""
+    no_poses = np.full((len(trajectory.t_s), 4, 4), np.nan)
+    return GripperTrack(
+        t_s=trajectory.t_s,
+        X_CH=no_poses,
+        X_BG=no_poses if trajectory.X_BG is None else trajectory.X_BG,
+        tracked=trajectory.tracked,
+        confidence=trajectory.tracked.astype(np.float64),
+        finger_width_m=trajectory.finger_width_m,
+    )
+
+
+def _warnings(rows: Sequence[SampleRow]) -> dict[str, list[str]]:
+    """Return the warnings of the rows, each with the ids of its rows."""
+    ids: dict[str, list[str]] = {}
+    for row in rows:
+        texts = row.extra.get("warnings")
+        for text in texts if isinstance(texts, list) else ():
+            ids.setdefault(str(text), []).append(row.id)
+    return ids

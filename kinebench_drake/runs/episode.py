@@ -1,0 +1,323 @@
+"""Evaluation of one episode of a suite: closed loop, kinematics of the clips, gap to the execution, attribution."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from itertools import takewhile
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from kinebench_drake.closed_loop.actions import (
+    ACTION_METRICS,
+    ActionSource,
+    action_curves,
+    measure_following,
+    summarize_following,
+)
+from kinebench_drake.closed_loop.attribution import find_cause
+from kinebench_drake.closed_loop.commands import CommandPlanner
+from kinebench_drake.closed_loop.gap import GAP_METRICS, average_gaps, measure_gap
+from kinebench_drake.closed_loop.loop import ClosedLoop, Condition, EpisodeRun, LoopOptions, PendingRound
+from kinebench_drake.grounding.overlay import draw_caption
+from kinebench_drake.io.atomic import disk_errors, make_folder, write_atomically
+from kinebench_drake.io.container import write_video
+from kinebench_drake.io.jsonl import as_object, write_json
+from kinebench_drake.kinematics.plant import ArmPlant
+from kinebench_drake.results.inputs import PeriodSource
+from kinebench_drake.results.provenance import weights_hash
+from kinebench_drake.results.row import SampleRow, sample_suffix
+from kinebench_drake.results.store import REQUESTS, artifact_path
+from kinebench_drake.results.trackfile import write_track
+from kinebench_drake.runs.analyzer import Analyzer, load_analyzer
+from kinebench_drake.runs.clips import clip_starts, combine, join_curves, join_tracks
+from kinebench_drake.runs.evaluator import KINEMATIC_METRICS, PENDING, Evaluation, Evaluator
+from kinebench_drake.runs.requests import SIZE_PX, request_path
+from kinebench_drake.runs.score import VISUAL_METRICS, mean_confidence
+from kinebench_drake.runs.thumbnail import encode_strip
+from kinebench_drake.suites.clock import FRAME_PERIOD_S
+from kinebench_drake.suites.episode import Episode
+from kinebench_drake.suites.export import FPS, manifest_row
+from kinebench_drake.suites.rollout import RolloutVideo, render_video
+from kinebench_drake.suites.simulator import Simulator
+from kinebench_drake.suites.simulator_cache import SimulatorCache
+from kinebench_drake.suites.start import first_facts
+from kinebench_drake.suites.suite import EpisodeSpec
+from kinebench_drake.suites.worldmodels.factory import LazyWorldModel
+from kinebench_drake.suites.worldmodels.remote import png
+from kinebench_drake.suites.worldmodels.worldmodel import OfflineModel
+from kinebench_drake.types import Domain, GripperTrack, Json
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class EpisodeSample:
+    """One episode to run with one world model, once or several times."""
+
+    spec: EpisodeSpec
+    index: int = 0
+    """Number of the sample among those of the episode."""
+    model: str
+    """Name of the world model."""
+
+    @property
+    def id(self) -> str:
+        """Id of the episode, of a further sample followed by its number, such as "StackCube-v1_s0003_k1"."""
+        return f"{self.spec.id}{sample_suffix(self.index)}"
+
+    @property
+    def video(self) -> str:
+        """First clip of the episode, relative to the output folder."""
+        return f"videos/{self.id}_r0.mp4"
+
+    @property
+    def task(self) -> str:
+        """Task id."""
+        return self.spec.task
+
+
+@dataclass(frozen=True, slots=True)
+class EpisodeResources:
+    """Resources of a process that runs episodes."""
+
+    analyzer: Analyzer
+    simulators: SimulatorCache[Simulator]
+    model: LazyWorldModel
+    loop: ClosedLoop
+    actions: ActionSource | None = None
+
+    def close(self) -> None:
+        """Release simulators and world model."""
+        self.simulators.close()
+        if self.actions is not None:
+            self.actions.close()
+        self.model.close()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class EpisodeEvaluator(Evaluator[EpisodeSample, EpisodeResources]):
+    """Evaluation of the episodes of one run."""
+
+    world_model: LazyWorldModel
+    offline: bool
+    """True if the world model is `OfflineModel`: its files count as input."""
+    loop: LoopOptions
+    rollouts: bool
+    """Write rollouts/ID.mp4."""
+    subject: Mapping[str, Json]
+    """Suite and split, as keys of a manifest."""
+
+    def setup(self) -> EpisodeResources:
+        """Load robot, world model and simulator cache."""
+        analyzer = load_analyzer(self.config.make_analyzer, self.config.robot_options())
+        actions = ActionSource(ArmPlant(), SIZE_PX) if self.loop.condition is Condition.ACTIONS else None
+        loop = ClosedLoop(analyzer.ground, CommandPlanner(ArmPlant()), self.world_model.get(), self.loop, actions)
+        simulators = SimulatorCache(partial(Simulator, control=self.loop.control), SIZE_PX)
+        return EpisodeResources(analyzer, simulators, self.world_model, loop, actions)
+
+    def evaluate(self, sample: EpisodeSample, resources: EpisodeResources) -> Evaluation:
+        """Run the episode, judge its clips, attribute a failure, write its files."""
+        episode = sample.spec.episode()
+        simulator = resources.simulators.get(episode.task, episode.variant)
+        videos = self.config.out / "videos"
+        videos.mkdir(exist_ok=True)
+        run = resources.loop.run(simulator, episode, videos / sample.id, sample.index)
+        if run.pending is not None:
+            return self._ask(sample, episode, run.pending)
+        executed = [None if r.execution is None else render_video(simulator, r.execution.snapshots) for r in run.rounds]
+        tracks = [r.grounding.track for r in run.rounds]
+        results = [resources.analyzer.judge(track) for track in tracks]
+        track, kinematics = join_tracks(tracks), combine(tracks, results)
+        curves = {
+            **kinematics.curves,
+            **join_curves([r.grounding.curves for r in run.rounds]),
+            **action_curves(tracks, [r.actions for r in run.rounds]),
+        }
+        write_track(artifact_path(self.config.out, "tracks", sample.id), track, kinematics.joints, curves)
+        write_atomically(artifact_path(self.config.out, "thumbnails", sample.id), _thumbnail(run, executed))
+        if self.rollouts:
+            path = artifact_path(self.config.out, "rollouts", sample.id)
+            with disk_errors(f"rollouts/{path.name}"):
+                write_video(path, _rollout_frames(run, executed, resources.analyzer), FPS, crf=20, preset="veryfast")
+        cause = find_cause(run, results)
+        gap_metrics, gap_reasons = average_gaps(
+            [
+                measure_gap(done.frames, done.robot, done.grounding.track.X_BG, video)
+                for done, video in zip(run.rounds, executed, strict=True)
+                if video is not None
+            ]
+        )
+        clips = [f"videos/{r.video.name}" for r in run.rounds]
+        return Evaluation(
+            kinematics=kinematics,
+            video=clips[0],
+            metrics={**_visual_metrics(run, track), **gap_metrics, **self._action_metrics(sample, run)},
+            reasons=gap_reasons,
+            extra={
+                "success": run.outcome.success,
+                "progress": run.outcome.progress,
+                "domain": _domain(run).value,
+                "rounds": len(run.rounds),
+                "verdict": None if cause is None else cause.verdict.value,
+                "cause": None if cause is None else cause.to_json(),
+                "missed": [name for name, satisfied in run.outcome.conditions.items() if not satisfied],
+                "refused": _rejections(run),
+                "prompt": self.loop.prompts.prompt(episode),
+                "videos": clips,
+                "clip_timing": run.rounds[0].timing.value,
+                "clip_frames": [r.generated_frames for r in run.rounds],
+                "frames": len(track.t_s),
+                **_camera_paths(run),
+            },
+        )
+
+    def _action_metrics(self, sample: EpisodeSample, run: EpisodeRun) -> Mapping[str, Json]:
+        """Return how far the clips follow the actions; empty without actions."""
+        clips = [
+            measure_following(done.grounding.track, done.actions, sample.id, number)
+            for number, done in enumerate(run.rounds)
+            if done.actions is not None
+        ]
+        return dict(summarize_following(clips, self.loop.frame_period_s)) if clips else {}
+
+    def _ask(self, sample: EpisodeSample, episode: Episode, pending: PendingRound) -> Evaluation:
+        """Write the first frame of the next round; return a row with the entry of this round in a manifest."""
+        number = pending.request.round
+        id = f"{sample.id}_r{number}"
+        path = request_path(self.config.out, id)
+        make_folder(path.parent)
+        state = {**self.subject, **first_facts(pending.X_BG, pending.finger_width_m)}
+        state["frame_period_s"] = self.loop.frame_period_s
+        if (actions := pending.request.actions) is not None:
+            write_json(path.with_suffix(".json"), actions.to_json())
+            state["actions"] = f"{id}.json"
+        write_atomically(path, png(pending.request.first_frame))
+        return Evaluation(
+            kinematics=None,
+            unmeasurable=f"waits for the video of round {number + 1}: generate {id}.mp4 from {REQUESTS}/{id}.png",
+            extra={PENDING: manifest_row(id, episode, self.loop.prompts, state)},
+        )
+
+    def is_current(self, sample: EpisodeSample, row: SampleRow) -> bool:
+        """Return whether the stored row is still valid; that of a pending round needs its first frame, too."""
+        asked = as_object(row.extra.get(PENDING)).get("id")
+        return Evaluator.is_current(self, sample, row) and (
+            not isinstance(asked, str) or request_path(self.config.out, asked).is_file()
+        )
+
+    @property
+    def metric_names(self) -> tuple[str, ...]:
+        """Visual, gap, action and kinematic metrics."""
+        actions = ACTION_METRICS if self.loop.condition is Condition.ACTIONS else ()
+        return (*VISUAL_METRICS, *GAP_METRICS, *actions, *KINEMATIC_METRICS)
+
+    @property
+    def artifacts(self) -> tuple[str, ...]:
+        """Tracks, thumbnails, and rollouts where they are written."""
+        return ("tracks", "thumbnails", *(["rollouts"] if self.rollouts else []))
+
+    def cache_key(self, sample: EpisodeSample) -> Mapping[str, Json]:
+        """Return weights, world model, loop options and episode."""
+        spec = sample.spec
+        return {
+            "weights": weights_hash(),
+            "world_model": self.world_model.identity,
+            "loop": [self.loop.to_json(), self.loop.num_frames, self.loop.seed],
+            "episode": [spec.task, spec.seed, spec.pool.value, spec.variant.value],
+        }
+
+    def input_files(self, sample: EpisodeSample) -> Sequence[Path]:
+        """Return the clips of an offline world model, up to the first that is missing."""
+        model = self.world_model.get() if self.offline else None
+        if not isinstance(model, OfflineModel):
+            return ()
+        clips = (model.files(sample.id, sample.task, number) for number in range(self.loop.rounds))
+        return [file for files in takewhile(bool, clips) for file in files]
+
+    def labels(self, sample: EpisodeSample) -> Mapping[str, Json]:
+        """Return seed, number of the sample, pool, variant, frame period and camera."""
+        spec, period_s = sample.spec, self.loop.frame_period_s
+        source = PeriodSource.BENCHMARK if period_s == FRAME_PERIOD_S else PeriodSource.OPTION
+        return {
+            "seed": spec.seed,
+            "sample_index": sample.index,
+            "pool": spec.pool.value,
+            "variant": spec.variant.value,
+            "frame_period_s": period_s,
+            "frame_period_source": source.value,
+            "camera_source": "benchmark",
+            "camera_state": "named",
+        }
+
+
+def _rollout_frames(
+    run: EpisodeRun, executed: Sequence[RolloutVideo | None], analyzer: Analyzer
+) -> Iterator[NDArray[np.uint8]]:
+    """Yield generated frames, executed frames, and the generated gripper drawn on the executed frames, side by side."""
+    for number, (done, execution) in enumerate(zip(run.rounds, executed, strict=True), 1):
+        text = f"generated, round {number}"
+        if execution is None:
+            blank = _captioned(np.zeros((SIZE_PX, SIZE_PX, 3), dtype=np.uint8), "nothing executed")
+            for frame in done.frames:
+                yield np.concatenate([_captioned(frame, text), blank, blank], axis=1)
+            continue
+        track = done.grounding.track.at(np.arange(len(execution.rgb)))
+        overlays = analyzer.overlay(execution.rgb, execution.camera, track)
+        for frame, image, overlay in zip(done.frames, execution.rgb, overlays, strict=False):
+            yield np.concatenate([_captioned(frame, text), _captioned(image, "executed"), overlay], axis=1)
+
+
+def _thumbnail(run: EpisodeRun, executed: Sequence[RolloutVideo | None]) -> bytes:
+    """Encode the first frame, the last generated and the last executed one."""
+    last = next((video.rgb[-1] for video in reversed(executed) if video is not None), run.rounds[0].frames[0])
+    images = (run.rounds[0].frames[0], "start"), (run.rounds[-1].frames[-1], "generated"), (last, "executed")
+    return encode_strip([_captioned(frame, text) for frame, text in images])
+
+
+def _captioned(frame: NDArray[np.uint8], text: str) -> NDArray[np.uint8]:
+    image = np.asarray(cv2.resize(frame, (SIZE_PX, SIZE_PX), interpolation=cv2.INTER_AREA), dtype=np.uint8)
+    draw_caption(image, text)
+    return image
+
+
+def _visual_metrics(run: EpisodeRun, track: GripperTrack) -> dict[str, Json]:
+    """Return the visual metrics over all clips, frames counted through all of them."""
+    groundings = [r.grounding for r in run.rounds]
+    motions = [np.nan if g.camera_motion_px is None else g.camera_motion_px for g in groundings]
+    distances = [g.arm_consistency_px for g in groundings if g.arm_consistency_px is not None]
+    return {
+        "tracked_fraction": float(track.tracked.mean()),
+        "confidence_mean": mean_confidence(track),
+        "camera_motion_px": None if np.isnan(motions).any() else max(motions),  # unknown in one clip: in all
+        "arm_consistency_px": float(np.median(distances)) if distances else None,
+        "anomalies": [
+            anomaly.to_json(start)
+            for start, g in zip(clip_starts([g.track for g in groundings]), groundings, strict=True)
+            for anomaly in g.anomalies
+        ],
+    }
+
+
+def _camera_paths(run: EpisodeRun) -> dict[str, Json]:
+    """Return how the view of each clip changes, null where it does not; no key if it never does."""
+    paths = [None if r.grounding.camera_path is None else r.grounding.camera_path.to_json() for r in run.rounds]
+    return {"camera_paths": paths} if any(paths) else {}
+
+
+def _domain(run: EpisodeRun) -> Domain:
+    """Return whether all clips are familiar."""
+    familiar = all(r.grounding.domain is Domain.FAMILIAR for r in run.rounds)
+    return Domain.FAMILIAR if familiar else Domain.UNFAMILIAR
+
+
+def _rejections(run: EpisodeRun) -> list[Json]:
+    """Return what was not commanded as generated, round by round."""
+    rejections = list[Json]()
+    for number, done in enumerate(run.rounds):
+        if done.rejection is not None:
+            rejections.append({"round": number, "reason": "nothing_to_execute", "text": done.rejection})
+        for rejected in done.commands.rejections if done.commands else ():
+            frames: dict[str, Json] = {"frame_start": rejected.frame_start, "frame_end": rejected.frame_end}
+            rejections.append({"round": number, "reason": rejected.reason.value, **frames})
+    return rejections

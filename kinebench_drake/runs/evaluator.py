@@ -1,0 +1,297 @@
+"""Evaluation of one sample: the boundary that turns every failure into a row, and what makes a stored row valid."""
+
+import hashlib
+import math
+import time
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Generic, Protocol, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinebench_drake.errors import KinebenchError, SetupError, UnmeasurableError, one_line
+from kinebench_drake.executors.base import SupportsClose
+from kinebench_drake.io.files import open_file
+from kinebench_drake.io.jsonl import as_object, dump, finite
+from kinebench_drake.metrics.trust import TRUST, assess_trust
+from kinebench_drake.models.urdf import robot_files
+from kinebench_drake.results.inputs import describe_period
+from kinebench_drake.results.provenance import code_hash
+from kinebench_drake.results.row import SampleRow, Status
+from kinebench_drake.results.store import artifact_path
+from kinebench_drake.runs.config import RunConfig
+from kinebench_drake.types import Json
+
+if TYPE_CHECKING:  # loads Drake
+    from kinebench_drake.metrics.result import KinematicResult
+
+SCHEMA_VERSION = 2
+
+PENDING = "pending"
+"""Key of a row with the manifest's row of the video that it waits for."""
+KINEMATIC_METRICS = (
+    *("sparc", "sparc_rotation", "ldlj", "manipulability_mean", "manipulability_min", "manipulability_integral"),
+    *("manipulability_cost_mean", "ik_success_rate", "ik_position_error_max_m", "joint_limit_margin_min"),
+    *("velocity_ratio_max", "acceleration_ratio_max", "jerk_ratio_max", "torque_ratio_max", "time_scale"),
+    *("slowdown_min", "trajopt_feasible", "trajopt_position_tube_m", "self_distance_min_m", "table_distance_min_m"),
+)
+"""Metrics of every judged row; null where not measurable."""
+
+MIN_TRACKED = 2
+"""Fewest frames with a pose: a path needs two."""
+
+
+class SampleInfo(Protocol):
+    """Fields common to all samples."""
+
+    @property
+    def id(self) -> str:
+        """Unique id, safe as a file name."""
+        ...
+
+    @property
+    def video(self) -> str:
+        """Source of the sample as results name it."""
+        ...
+
+    @property
+    def task(self) -> str | None:
+        """Task name."""
+        ...
+
+    @property
+    def model(self) -> str | None:
+        """Name of the model that made the sample."""
+        ...
+
+
+SampleT = TypeVar("SampleT", bound=SampleInfo)
+ResourcesT = TypeVar("ResourcesT")
+"""Resources that a worker process loads once: networks, robot, simulator."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Evaluation:
+    """Results of one measurable sample."""
+
+    kinematics: "KinematicResult | None"
+    """Verdict and metrics of the track; None where kinematics is not judged."""
+    metrics: Mapping[str, Json] = field(default_factory=dict)
+    """Metrics besides those of the kinematics."""
+    extra: Mapping[str, Json] = field(default_factory=dict)
+    """Further keys of the row."""
+    video: str | None = None
+    """Name of the video where it differs from the sample's."""
+    reasons: Mapping[str, str] = field(default_factory=dict)
+    """Why metrics besides those of the kinematics are null, by name; where kinematics is not judged, that of all others
+    by ""."""
+    tracked: NDArray[np.bool_] | None = None
+    """(T,) frames with a pose in the camera frame, where the run judges but there is no base frame to judge in."""
+    unmeasurable: str | None = None
+    """Reason why the sample cannot be measured, where the row still has further keys."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Evaluator(ABC, Generic[SampleT, ResourcesT]):
+    """Evaluation of the samples of one run; picklable, for worker processes."""
+
+    config: RunConfig
+    code: str = field(init=False)
+    """SHA-256 of the measuring sources when the run began, shared by all workers."""
+
+    def __post_init__(self) -> None:
+        """Hash the sources."""
+        object.__setattr__(self, "code", code_hash(type(self).__module__))
+
+    @property
+    @abstractmethod
+    def metric_names(self) -> tuple[str, ...]:
+        """Metrics of every row of the run."""
+
+    @property
+    @abstractmethod
+    def artifacts(self) -> tuple[str, ...]:
+        """Folders in which every sample of status ok has a file: "tracks", "overlays", ..."""
+
+    @abstractmethod
+    def cache_key(self, sample: SampleT) -> Mapping[str, Json]:
+        """Return the options and labels that determine the row, besides input files, code and robot."""
+
+    @abstractmethod
+    def input_files(self, sample: SampleT) -> Sequence[Path]:
+        """Return the files that the sample is read from; none where it cannot be read."""
+
+    @abstractmethod
+    def labels(self, sample: SampleT) -> Mapping[str, Json]:
+        """Return further keys of the row that are defined before the sample is read."""
+
+    @abstractmethod
+    def setup(self) -> ResourcesT:
+        """Load the resources; called once a process, and closed at its end if they have `close`.
+
+        Raises:
+            SetupError: a library, a driver or the weights are missing.
+            UsageError: an option cannot be used.
+        """
+
+    @abstractmethod
+    def evaluate(self, sample: SampleT, resources: ResourcesT) -> Evaluation:
+        """Read the sample, measure it, write its artifacts.
+
+        Raises:
+            InputError: the sample is broken.
+            UnmeasurableError: it is sound, but cannot be measured.
+            SetupError: something is missing on this machine, or the disk is full.
+        """
+
+    def content_hash(self, sample: SampleT) -> str:
+        """Return the SHA-256 of all that determines a sample's row: input bytes, labels, options, code and robot."""
+        make, robot = self.config.make_analyzer, self.config.robot_options()
+        key: dict[str, Json] = {
+            "schema": SCHEMA_VERSION,
+            "kind": self.config.kind.value,
+            "analyzer": f"{make.__module__}:{make.__qualname__}",
+            "code": self.code,
+            "table_height_m": robot.table_height_m,
+            "tcp_frame": robot.tcp_frame,
+            "sample": [sample.id, sample.video, sample.task, sample.model],
+            **self.cache_key(sample),
+        }
+        try:
+            text = dump(key)
+        except ValueError:  # labels of a broken sample may be NaN
+            text = dump(finite(key))
+        digest = hashlib.sha256(text.encode())
+        for file in (*self.input_files(sample), *(robot_files(robot.urdf) if robot.urdf else ())):
+            digest.update(file.name.encode(errors="surrogateescape") + b"\0" + _digest(file))
+        return digest.hexdigest()
+
+    def is_current(self, sample: SampleT, row: SampleRow) -> bool:
+        """Return whether the stored row is still valid: same content hash, all artifacts present."""
+        artifacts = self.artifacts if row.status is Status.OK else ()
+        present = all(artifact_path(self.config.out, name, row.id).is_file() for name in artifacts)
+        return present and row.content_hash == self.content_hash(sample)
+
+    def failed_row(self, sample: SampleT, status: Status, reason: str, content_hash: str | None = None) -> SampleRow:
+        """Return the row of a sample without results: every metric is null."""
+        row = self._ok_row(sample, Evaluation(kinematics=None), content_hash or self.content_hash(sample))
+        return replace(row, status=status, reason=one_line(reason), null_reasons={})
+
+    def row(self, sample: SampleT, resources: ResourcesT) -> SampleRow:
+        """Evaluate a sample; any failure but a SetupError ends here and becomes its row."""
+        content_hash = self.content_hash(sample)  # of the bytes before: a file that changes meanwhile is measured again
+        try:
+            evaluation = self.evaluate(sample, resources)
+            row = self._ok_row(sample, evaluation, content_hash)
+            if evaluation.unmeasurable is None:
+                return row
+            return replace(row, status=Status.UNMEASURABLE, reason=one_line(evaluation.unmeasurable), null_reasons={})
+        except SetupError:
+            raise
+        except UnmeasurableError as error:
+            return self.failed_row(sample, Status.UNMEASURABLE, str(error), content_hash)
+        except KinebenchError as error:
+            return self.failed_row(sample, Status.ERROR, str(error), content_hash)
+        except Exception as error:
+            reason = f"unexpected {type(error).__name__}: {error}"
+            return self.failed_row(sample, Status.ERROR, reason, content_hash)
+
+    def _ok_row(self, sample: SampleT, evaluation: Evaluation, content_hash: str) -> SampleRow:
+        kinematics = evaluation.kinematics
+        metrics = {
+            **dict.fromkeys(self.metric_names),
+            **evaluation.metrics,
+            **(kinematics.metrics if kinematics else {}),
+        }
+        executable, obstacles = _executability(evaluation)
+        extra = {**self.labels(sample), **evaluation.extra}
+        if "domain" in extra:  # a video was grounded
+            trust = assess_trust(extra, metrics, describe_period(extra), is_measured=evaluation.unmeasurable is None)
+            extra[TRUST] = trust.to_json()
+        return SampleRow(
+            id=sample.id,
+            video=evaluation.video or sample.video,
+            task=sample.task,
+            model=sample.model,
+            status=Status.OK,
+            reason=None,
+            content_hash=content_hash,
+            feasible=kinematics.feasible if kinematics else None,
+            executable=executable,
+            executable_reasons=obstacles,
+            violations=tuple(v.to_json() for v in kinematics.violations) if kinematics else (),
+            metrics=metrics,
+            null_reasons=_null_reasons(metrics, kinematics, evaluation.reasons),
+            without_lost=dict(kinematics.without_lost) if kinematics else {},
+            details=dict(kinematics.details) if kinematics else {},
+            extra=extra,
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class SampleWorker(Generic[SampleT, ResourcesT]):
+    """Evaluates samples in one process."""
+
+    evaluator: Evaluator[SampleT, ResourcesT]
+    resources: ResourcesT
+
+    def __call__(self, sample: SampleT) -> tuple[SampleRow, float]:
+        """Return the sample's row and the wall time it took [s]."""
+        start = time.perf_counter()
+        return self.evaluator.row(sample, self.resources), time.perf_counter() - start
+
+    def close(self) -> None:
+        """Release the resources."""
+        if isinstance(self.resources, SupportsClose):
+            self.resources.close()
+
+
+def _executability(evaluation: Evaluation) -> tuple[bool | None, tuple[str, ...]]:
+    """Return whether the sample can be executed, and what is against it; None and nothing if the run does not judge."""
+    kinematics = evaluation.kinematics
+    tracked = kinematics.track.tracked if kinematics else evaluation.tracked
+    if tracked is None:
+        return None, ()
+    from kinebench_drake.metrics.executable import find_obstacles, is_executable
+
+    anomalies = evaluation.metrics.get("anomalies")  # none in an audit, which has no video
+    kinds = [str(as_object(a).get("kind")) for a in anomalies] if isinstance(anomalies, list) else None
+    obstacles = find_obstacles(kinematics.feasible if kinematics else None, tracked, kinds)
+    return is_executable(obstacles), tuple(obstacles)
+
+
+def _null_reasons(
+    metrics: Mapping[str, Json], kinematics: "KinematicResult | None", others: Mapping[str, str]
+) -> dict[str, str]:
+    """Return why each null metric is null, in the metrics' order."""
+    stated = {**others, **(kinematics.reasons if kinematics else {})}
+    reasons = {}
+    for name, value in metrics.items():
+        if value is None:
+            reasons[name] = stated.get(name) or stated.get("") or "cannot be measured on this sample"
+        elif isinstance(value, float) and not math.isfinite(value):
+            reasons[name] = stated.get(name) or f"came out as {value}"
+    if "feasible" in others and kinematics is None:
+        reasons["feasible"] = others["feasible"]
+    if kinematics and kinematics.feasible is None:
+        reasons["feasible"] = stated.get("feasible", "cannot be measured on this sample")
+    return reasons
+
+
+def _digest(file: Path) -> bytes:
+    """Return the SHA-256 of a file's bytes; a file shared by many samples is read once."""
+    try:
+        state = file.stat()
+        return _digest_of(file, state.st_ino, state.st_size, state.st_mtime_ns, state.st_ctime_ns)
+    except OSError as error:
+        return f"unreadable: {error.strerror}".encode()
+
+
+@lru_cache(maxsize=256)
+def _digest_of(file: Path, *_state: int) -> bytes:
+    with open_file(file) as data:
+        return hashlib.file_digest(data, "sha256").digest()

@@ -1,0 +1,46 @@
+"""Videos that the episodes of a run wait for: first frames, manifest and camera, for a model that runs elsewhere."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from kinebench_drake.camera import benchmark_camera
+from kinebench_drake.formats.manifest import NAME
+from kinebench_drake.formats.videos.search import CAMERA_NAME
+from kinebench_drake.io.atomic import disk_errors
+from kinebench_drake.io.camerafile import save_camera
+from kinebench_drake.io.jsonl import write_lines
+from kinebench_drake.results.store import REQUESTS
+
+SIZE_PX = 384
+"""Width and height of conditioning images."""
+
+
+def request_path(out: Path, id: str) -> Path:
+    """Return the path of the first frame of a round that waits for its video."""
+    return out / REQUESTS / f"{id}.png"
+
+
+def write_requests(out: Path, requests: Sequence[Mapping[str, object]]) -> None:
+    """Write manifest and camera of the rounds that wait for their videos; remove the first frames of others.
+
+    Args:
+        out: output folder of the run.
+        requests: rows of the manifest.
+
+    Raises:
+        SetupError: writing failed.
+    """
+    folder = out / REQUESTS
+    wanted = {str(request.get(key)) for request in requests for key in ("first_frame", "actions")}
+    with disk_errors(folder.name):
+        for file in (*folder.glob("*_r[0-9]*.png"), *folder.glob("*_r[0-9]*.json")):
+            if file.name not in wanted:
+                file.unlink()
+        if requests:
+            save_camera(benchmark_camera().resized(SIZE_PX, SIZE_PX), folder / CAMERA_NAME)
+            write_lines(folder / NAME, requests)
+        elif folder.is_dir():
+            for name in (CAMERA_NAME, NAME):
+                (folder / name).unlink(missing_ok=True)
+            if not any(folder.iterdir()):  # else videos were put beside the first frames
+                folder.rmdir()

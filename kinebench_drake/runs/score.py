@@ -1,0 +1,273 @@
+"""`score`: read a video, ground it, judge its track, write its files; `ground` leaves out the judgement."""
+
+import dataclasses
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from kinebench_drake.errors import InputError, count_noun
+from kinebench_drake.formats.videos.find import find_samples
+from kinebench_drake.formats.videos.sample import CameraSource, VideoSample, VideoSamples
+from kinebench_drake.grounding.overrides.overrides import Overrides
+from kinebench_drake.io.atomic import disk_errors, write_atomically
+from kinebench_drake.io.container import write_video
+from kinebench_drake.io.images import frame_files
+from kinebench_drake.io.reader import read_video
+from kinebench_drake.results.inputs import PeriodSource
+from kinebench_drake.results.provenance import weights_hash
+from kinebench_drake.results.row import SampleRow
+from kinebench_drake.results.store import artifact_path
+from kinebench_drake.results.trackfile import write_track
+from kinebench_drake.runs.analyzer import Analyzer, load_analyzer
+from kinebench_drake.runs.camera import (
+    AUTO,
+    camera_frame_metrics,
+    camera_warnings,
+    with_camera_option,
+)
+from kinebench_drake.runs.evaluator import KINEMATIC_METRICS, Evaluation, Evaluator
+from kinebench_drake.runs.grounding import ground_with_camera
+from kinebench_drake.runs.preparation import (
+    BENCHMARK_PERIOD_S,
+    choose_frames,
+    find_video_framing,
+    override_names,
+    with_initial_states,
+)
+from kinebench_drake.runs.runner import NullRunObserver, RunObserver, RunSummary, run_samples
+from kinebench_drake.runs.score_config import ScoreConfig, period_warnings
+from kinebench_drake.runs.thumbnail import encode_strip, worst_frame
+from kinebench_drake.types import Domain, GripperKind, GripperTrack, InitialStateUse, Json
+
+VISUAL_METRICS = ("tracked_fraction", "confidence_mean", "camera_motion_px", "arm_consistency_px", "anomalies")
+"""Metrics of every row of a video; null where not measurable."""
+
+
+def score_videos(config: ScoreConfig, observer: RunObserver | None = None) -> RunSummary:
+    """Evaluate every video of `config.source` and fill the output folder.
+
+    Raises:
+        UsageError: the configuration, the input or the output folder cannot be used.
+        SetupError: something is missing on this machine, or the disk is full. Finished samples are kept.
+    """
+    observer = observer or NullRunObserver()
+    inputs = _find(config)
+    for warning in inputs.warnings:
+        observer.warn(warning)
+    if config.pixels_only:
+        samples = [replace(sample, initial_state=None) for sample in inputs.samples]
+    else:
+        samples = with_initial_states(inputs.samples)
+    summary = run_samples(samples, VideoEvaluator(config=config, overrides=config.overrides()), observer)
+    contradicted = sum(row.extra.get("first_frame") == InitialStateUse.CONTRADICTED.value for row in summary.rows)
+    if contradicted:
+        observer.warn(
+            "the first frame contradicts the pose of the manifest, or of the episode of task and seed, in "
+            f"{count_noun(contradicted, 'sample')}: the pose was not used"
+        )
+    for warning in camera_warnings(summary.rows):
+        observer.warn(warning)
+    without_clock = sum(row.extra.get("frame_period_source") == PeriodSource.BENCHMARK.value for row in summary.rows)
+    if without_clock:
+        observer.warn(
+            f"no frame rate in {count_noun(without_clock, 'sample')}: {BENCHMARK_PERIOD_S} s between frames was "
+            "assumed, as in the benchmark; set --frame-period SECONDS if it differs"
+        )
+    unfamiliar = sum(row.extra.get("domain") == Domain.UNFAMILIAR.value for row in summary.rows)
+    if unfamiliar:
+        observer.warn(
+            f"{count_noun(unfamiliar, 'sample')} of unfamiliar look or viewpoint, or with an estimated camera: poses "
+            "are fitted to edges, with a confidence of their own, and anomalies of the gripper's shape and number are "
+            "not looked for"
+        )
+    return summary
+
+
+def mean_confidence(track: GripperTrack) -> float | None:
+    """Return the mean confidence of the tracked frames; None if there are none."""
+    return round(float(track.confidence[track.tracked].mean()), 4) if track.tracked.any() else None
+
+
+def plan_videos(config: ScoreConfig, observer: RunObserver | None = None) -> Iterator[SampleRow]:
+    """Read the videos of a run and yield a row of each with size, frame period and camera; nothing is written.
+
+    Raises:
+        UsageError: the configuration or the input cannot be used.
+    """
+    observer, inputs = observer or NullRunObserver(), _find(config)
+    for warning in inputs.warnings:
+        observer.warn(warning)
+    reader = _VideoReader(config=config, overrides=config.overrides())
+    analyzer = reader.setup()
+    yield from (reader.row(sample, analyzer) for sample in config.select(inputs.samples))
+
+
+def _find(config: ScoreConfig) -> VideoSamples:
+    """List the videos of a run, with warnings about the input."""
+    inputs = find_samples(
+        config.source,
+        out=config.out,
+        model=config.model,
+        task=config.task,
+        others=tuple(config.overrides().folders.values()),
+        camera_key=config.camera_key,
+    )
+    periods = [config.frame_period_s, *(s.frame_period_s or s.dataset_period_s for s in inputs.samples)]
+    samples = tuple(with_camera_option(inputs.samples, config.camera, mirrored=config.mirrored))
+    return replace(inputs, samples=samples, warnings=(*inputs.warnings, *period_warnings(periods)))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class VideoEvaluator(Evaluator[VideoSample, Analyzer]):
+    """Evaluation of the videos of one run."""
+
+    config: ScoreConfig
+    overrides: Overrides
+    """Stages of the grounding that are replaced."""
+
+    def setup(self) -> Analyzer:
+        """Load the robot."""
+        return load_analyzer(self.config.make_analyzer, self.config.robot_options())
+
+    def evaluate(self, sample: VideoSample, analyzer: Analyzer) -> Evaluation:
+        """Read, prepare, ground, judge, write."""
+        if sample.problem is not None:
+            raise InputError(sample.problem)
+        video = read_video(sample.path, sample.part)
+        config = self.config
+        grounded = ground_with_camera(
+            video, sample, self.overrides, analyzer, config.frame_period_s, config.gripper_kind,
+            duration_s=config.duration_s,
+        )  # fmt: skip
+        choice, prepared, grounding = grounded.choice, grounded.prepared, grounded.grounding
+        draws_hand, judges = grounding.domain is not Domain.ARM, config.kind.judges and grounded.unmeasurable is None
+        track, path = grounded.track, grounding.camera_path
+        kinematics = analyzer.judge(track, sample.table_height_m) if judges and choice.reason is None else None
+        smoothness: Mapping[str, Json] = {}
+        reasons: Mapping[str, str] = {}
+        if judges and choice.reason is not None:
+            smoothness, reasons = camera_frame_metrics(track, choice.reason)
+        zoom = np.ones(len(track.t_s)) if path is None else path.zoom
+        if self.config.overlay:
+            file = artifact_path(self.config.out, "overlays", sample.id)
+            native = len(prepared.frames) == len(video.frames)
+            rate = float(np.clip((native and video.fps) or 1.0 / prepared.period_s, 1.0, 60.0))
+            with disk_errors(f"overlays/{file.name}"):
+                write_video(
+                    file, analyzer.overlay(prepared.frames, prepared.camera, track, zoom, hand=draws_hand), rate
+                )
+        shown = np.unique([0, worst_frame(track, kinematics)])
+        chosen = prepared.frames[shown], prepared.camera, track.at(shown), zoom[shown]
+        images = list(analyzer.overlay(*chosen, hand=draws_hand))
+        write_atomically(artifact_path(self.config.out, "thumbnails", sample.id), encode_strip(images))
+        joints, curves = (kinematics.joints, kinematics.curves) if kinematics else (None, {})
+        write_track(artifact_path(self.config.out, "tracks", sample.id), track, joints, {**curves, **grounding.curves})
+        return Evaluation(
+            kinematics=kinematics,
+            metrics={
+                "tracked_fraction": int(track.tracked.sum()) / len(track.t_s),
+                "confidence_mean": mean_confidence(track),
+                "camera_motion_px": grounding.camera_motion_px,
+                "arm_consistency_px": grounding.arm_consistency_px,
+                "anomalies": [anomaly.to_json() for anomaly in grounding.anomalies],
+                **smoothness,
+            },
+            reasons=reasons,
+            tracked=track.tracked if judges else None,
+            unmeasurable=grounded.unmeasurable,
+            extra={
+                "first_frame": grounding.first_frame.value,
+                "domain": grounding.domain.value,
+                **({} if draws_hand else {"gripper": grounding.gripper.value}),
+                "frames": len(track.t_s),
+                "width": video.width,
+                "height": video.height,
+                "framing": prepared.framing.to_json(),
+                "fps": video.fps,
+                "frame_period_s": prepared.period_s,
+                "frame_period_source": prepared.period_source.value,
+                "clip_timing": prepared.timing.value,
+                "clip_frames": len(video.frames),
+                **({} if path is None else {"camera_path": path.to_json()}),
+                **({} if sample.table_height_m is None else {"table_height_m": sample.table_height_m}),
+                **choice.to_json(),
+            },
+        )
+
+    @property
+    def metric_names(self) -> tuple[str, ...]:
+        """Visual metrics, and kinematic ones where tracks are judged."""
+        return (*VISUAL_METRICS, *(KINEMATIC_METRICS if self.config.kind.judges else ()))
+
+    @property
+    def artifacts(self) -> tuple[str, ...]:
+        """Tracks and thumbnails, and overlays where they are written."""
+        return ("tracks", "thumbnails", *(["overlays"] if self.config.overlay else []))
+
+    def cache_key(self, sample: VideoSample) -> Mapping[str, Json]:
+        """Return weights, camera, clock, overrides and labels."""
+        initial = sample.initial_state
+        return {
+            "weights": weights_hash(),
+            "camera": sample.camera.to_json(),
+            "camera_source": sample.camera_source.value,
+            "option_period_s": self.config.frame_period_s,
+            "task_duration_s": self.config.duration_s,
+            "given": self._replaced(sample),
+            "first": None if initial is None else [*initial.X_BG.ravel().tolist(), str(initial.finger_width_m)],
+            "depth_exact": self.overrides.depth_exact,
+            **({} if self.config.gripper_kind is GripperKind.AUTO else {"gripper": self.config.gripper}),
+            "scene": [sample.mirrored, sample.table_height_m],
+            "labels": [sample.seed, sample.prompt, sample.fps, sample.frame_period_s, sample.problem],
+            "part": [*dataclasses.astuple(sample.part), sample.camera_key, sample.dataset_period_s],
+        }
+
+    def input_files(self, sample: VideoSample) -> Sequence[Path]:
+        """Return the video's files, its conditioning image and its overrides."""
+        if sample.problem is not None:
+            return ()
+        video = frame_files(sample.path) if sample.path.is_dir() else [sample.path]
+        conditioning = [] if sample.first_frame is None else [sample.first_frame]
+        return [*video, *conditioning, *self.overrides.files(override_names(sample))]
+
+    def labels(self, sample: VideoSample) -> Mapping[str, Json]:
+        """Return the camera's source, replaced stages, seed and prompt."""
+        return {
+            "camera_source": (sample.camera_source if sample.camera_source.is_named else CameraSource.NONE).value,
+            "given": self._replaced(sample),
+            "seed": sample.seed,
+            "prompt": sample.prompt,
+            **({} if sample.camera_key is None else {"camera_key": sample.camera_key}),
+        }
+
+    def _replaced(self, sample: VideoSample) -> dict[str, Json]:
+        """Return the estimates that are replaced, with the source of each."""
+        return {**({"first_frame": "manifest"} if sample.initial_state else {}), **self.overrides.names}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _VideoReader(VideoEvaluator):
+    """Evaluation that ends before the grounding."""
+
+    def evaluate(self, sample: VideoSample, analyzer: Analyzer) -> Evaluation:
+        """Read the video, check size and shape, determine its times."""
+        if sample.problem is not None:
+            raise InputError(sample.problem)
+        video = read_video(sample.path, sample.part)
+        video.require_measurable()
+        if sample.camera_source.is_named:
+            find_video_framing(sample, video)
+        _, t_s, period_s, source = choose_frames(sample, video, self.config.frame_period_s, self.config.duration_s)
+        return Evaluation(
+            kinematics=None,
+            extra={
+                "frames": len(t_s),
+                "width": video.width,
+                "height": video.height,
+                "frame_period_s": period_s,
+                "frame_period_source": source.value,
+                **({} if sample.camera_source.is_named else {"camera_source": AUTO}),
+            },
+        )

@@ -1,1 +1,0 @@
-"""Scripted experts: waypoints from the ground-truth state, planned with Drake; nothing is learned."""

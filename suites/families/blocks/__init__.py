@@ -1,0 +1,1 @@
+"""Cubes and pegs: PullCube, StackCube, LiftPegUpright."""

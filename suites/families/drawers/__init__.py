@@ -1,0 +1,1 @@
+"""Cabinets with a drawer."""

@@ -1,0 +1,1 @@
+"""Faucets with a turning handle."""

@@ -1,0 +1,1 @@
+"""Fruits and their containers."""

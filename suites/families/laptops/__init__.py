@@ -1,0 +1,1 @@
+"""Laptops with a hinged screen."""

@@ -1,0 +1,149 @@
+"""Tasks with laptops."""
+
+from collections.abc import Mapping
+from typing import ClassVar
+
+import numpy as np
+import torch
+from torch import Tensor
+from typing_extensions import override
+
+from kinebench_drake.suites.families.task import Difficulty, Placement, SceneLayout, Task, TaskCard, TaskVariant
+from kinebench_drake.suites.scene.model import AssetModel
+from kinebench_drake.suites.scene.state import State, to_frame
+from kinebench_drake.suites.start import START_WIDTH_M
+
+OPEN_RAD = float(np.deg2rad(90.0))
+"""Least opening of an open lid."""
+SHUT_RAD = float(np.deg2rad(4.0))
+"""Greatest opening of a shut lid."""
+
+FORWARD_M = (0.45, 0.52)
+"""Least and greatest x of the base's centre."""
+
+
+def _distance_to_lid(state: State) -> Tensor:
+    """Return the distance (N,) of the TCP from the lid's box [m]."""
+    p = to_frame(state.poses["laptop/lid"], state.X_BG[:, :3, 3])
+    half_width, zero = 0.5 * state.size("laptop", "width_m"), torch.zeros_like(p[:, 0])
+    low = torch.stack([zero, -half_width, state.size("laptop", "inside_m")], dim=-1)
+    high = torch.stack([state.size("laptop", "reach_m"), half_width, state.size("laptop", "outside_m")], dim=-1)
+    distance: Tensor = torch.linalg.norm(p - torch.minimum(torch.maximum(p, low), high), dim=-1)
+    return distance
+
+
+class _MoveLid(Task):
+    """Common part of the tasks with a laptop."""
+
+    slots: ClassVar[Mapping[str, str]] = {"laptop": "laptop"}
+    prompt: ClassVar[str]
+    """Prompt with a placeholder for the laptop's name."""
+    goal_rad: ClassVar[float]
+    """Opening of the lid at which the task is done."""
+    side_m: ClassVar[tuple[float, float]] = (-0.02, 0.05)
+    """Least and greatest y of the base's centre."""
+    start_deg: ClassVar[tuple[float, float]]
+    """Least and greatest initial opening of the lid."""
+    turn_deg: ClassVar[tuple[float, float]]
+    """Least and greatest angle from the robot's right (-y) to the direction of the free edge, towards the camera."""
+
+    def layout(self, models: Mapping[str, AssetModel], rng: np.random.Generator, variant: TaskVariant) -> SceneLayout:
+        """Place a laptop whose hinge is on the robot's left."""
+        model = models["laptop"]
+        x, y = rng.uniform(*FORWARD_M), rng.uniform(*self.side_m)
+        yaw = np.deg2rad(rng.uniform(*self.turn_deg) - 90.0)
+        joint = float(np.deg2rad(rng.uniform(*self.start_deg)))
+        return SceneLayout(
+            placements={"laptop": Placement.upright(model, (x, y, 0.0), yaw, joint=joint)},
+            prompt=self.prompt.format(model.words),
+            finger_width_m=START_WIDTH_M[self.card.id],
+        )
+
+    def progress(self, state: State) -> Tensor:
+        """Return the fraction of the lid's way to the goal."""
+        return state.joint_progress("laptop", self.goal_rad)
+
+    @override
+    def conditions(self, state: State) -> dict[str, Tensor]:
+        angle = state.joints["laptop"]
+        goal = {"open": angle >= OPEN_RAD} if self.goal_rad == OPEN_RAD else {"shut": angle <= SHUT_RAD}
+        return {**goal, **state.rest_conditions("laptop", _distance_to_lid(state))}
+
+
+class OpenLaptopEasy(_MoveLid):
+    """Push a laptop that is ajar open.
+
+    Description: the lid is slightly open; put a finger under its edge and push it up and over until it stands.
+    Randomizations: the laptop, its position and yaw, the initial opening (18 to 32 degrees).
+    Success: the lid is open by at least `OPEN_RAD` (`open`) and slower than `STILL_RAD_S` (`still`); the arm is slower
+    than `CALM_RAD_S` (`calm`), and the TCP at least `CLEAR_M` away from the lid (`released`).
+    """
+
+    card = TaskCard(id="OpenLaptopEasy-v1", family="laptops", difficulty=Difficulty.EASY, articulated_dof=1, axes="x")
+    prompt = (
+        "The robot arm puts a finger under the lid of the {} that stands ajar and pushes it up and back until the "
+        "laptop is open."
+    )
+    goal_rad = OPEN_RAD
+    start_deg, turn_deg = (18.0, 32.0), (15.0, 35.0)
+
+
+class OpenLaptopHard(_MoveLid):
+    """Pry a shut laptop's lid up and push it open.
+
+    Description: the laptop is shut; pry the lid's edge up with a fingertip, then push it up and over until it stands.
+    Randomizations: the laptop, its position and yaw.
+    Success: the lid is open by at least `OPEN_RAD` (`open`) and slower than `STILL_RAD_S` (`still`); the arm is slower
+    than `CALM_RAD_S` (`calm`), and the TCP at least `CLEAR_M` away from the lid (`released`).
+    """
+
+    card = TaskCard(
+        id="OpenLaptopHard-v1", family="laptops", difficulty=Difficulty.HARD, articulated_dof=1, axes="x", contacts=2
+    )
+    prompt = (
+        "The robot arm pries up the edge of the shut {}'s lid with a fingertip, then pushes the lid up and back until "
+        "the laptop is open."
+    )
+    goal_rad = OPEN_RAD
+    start_deg, turn_deg = (0.0, 0.0), (15.0, 35.0)
+
+
+class CloseLaptopEasy(_MoveLid):
+    """Press a half-open laptop shut.
+
+    Description: the lid is partly open; press it down from above until it lies on the base.
+    Randomizations: the laptop, its position and yaw, the initial opening (37 to 47 degrees).
+    Success: the lid is open by at most `SHUT_RAD` (`shut`) and slower than `STILL_RAD_S` (`still`); the arm is slower
+    than `CALM_RAD_S` (`calm`), and the TCP at least `CLEAR_M` away from the lid (`released`).
+    """
+
+    card = TaskCard(id="CloseLaptopEasy-v1", family="laptops", difficulty=Difficulty.EASY, articulated_dof=1, axes="x")
+    prompt = "The robot arm presses the lid of the half-open {} down until the laptop is shut."
+    goal_rad = SHUT_RAD
+    start_deg, turn_deg = (37.0, 47.0), (-15.0, 20.0)
+
+
+class CloseLaptopHard(_MoveLid):
+    """Shut a laptop that is wide open.
+
+    Description: the lid leans back past the vertical; reach behind it, pull it forward over the vertical, then press it
+    down until it lies on the base.
+    Randomizations: the laptop, its position and yaw, the initial opening (110 to 125 degrees).
+    Success: the lid is open by at most `SHUT_RAD` (`shut`) and slower than `STILL_RAD_S` (`still`); the arm is slower
+    than `CALM_RAD_S` (`calm`), and the TCP at least `CLEAR_M` away from the lid (`released`).
+    """
+
+    card = TaskCard(
+        id="CloseLaptopHard-v1", family="laptops", difficulty=Difficulty.MEDIUM, articulated_dof=1, axes="x", contacts=2
+    )
+    prompt = (
+        "The robot arm reaches behind the lid of the wide open {}, pulls it up and forward, then presses it down until "
+        "the laptop is shut."
+    )
+    goal_rad = SHUT_RAD
+    start_deg, turn_deg = (110.0, 125.0), (-25.0, 0.0)
+    side_m = (-0.02, 0.02)
+
+
+TASKS = (CloseLaptopEasy(), CloseLaptopHard(), OpenLaptopEasy(), OpenLaptopHard())
+"""Tasks of this family."""

@@ -1,0 +1,1 @@
+"""Scenes: procedural meshes, looks and physics, and the ManiSkill environment that runs a task."""

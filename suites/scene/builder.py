@@ -1,0 +1,188 @@
+"""Builders of ManiSkill actors and articulations from asset models, directly from arrays without files."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import sapien
+from mani_skill.utils.building import ActorBuilder, ArticulationBuilder
+from mani_skill.utils.structs import Actor, Articulation
+from numpy.typing import NDArray
+from sapien.wrapper.articulation_builder import LinkBuilder
+
+from kinebench_drake.geometry import Array, to_quaternion
+from kinebench_drake.suites.scene.model import AssetModel, Collider, ColliderKind, RigidBody, SurfaceFinish, Visual
+
+_MIPMAPS = 6
+
+
+def to_pose(X: Array) -> sapien.Pose:
+    """Convert a pose (4, 4) to SAPIEN."""
+    return sapien.Pose(X[:3, 3], to_quaternion(X[:3, :3]))
+
+
+def _tint(image: NDArray[np.uint8], color: tuple[float, float, float]) -> NDArray[np.uint8]:
+    """Multiply an sRGB image (H, W, 3) by a linear colour, because SAPIEN ignores the colour if there is a texture."""
+    if color == (1.0, 1.0, 1.0):
+        return image
+    level = np.arange(256) / 255.0
+    linear = np.where(level <= 0.04045, level / 12.92, ((level + 0.055) / 1.055) ** 2.4)[:, None] * np.array(color)
+    tinted = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1.0 / 2.4) - 0.055)
+    table = np.clip(np.round(255.0 * tinted), 0, 255).astype(np.uint8)
+    return np.stack([table[image[..., channel], channel] for channel in range(3)], axis=-1)
+
+
+def _render_material(surface: SurfaceFinish) -> sapien.render.RenderMaterial:
+    material = sapien.render.RenderMaterial()
+    material.base_color = [*surface.color, 1.0]
+    material.roughness, material.metallic, material.specular = surface.roughness, surface.metallic, surface.specular
+    if surface.texture is not None:
+        image = _tint(surface.texture, surface.color)
+        image = np.concatenate([image, np.full((*image.shape[:2], 1), 255, np.uint8)], axis=-1)
+        material.base_color_texture = sapien.render.RenderTexture2D(
+            np.ascontiguousarray(image), "R8G8B8A8Unorm", mipmap_levels=_MIPMAPS, srgb=True
+        )
+    return material
+
+
+def _render_shape(visual: Visual) -> sapien.render.RenderShapeTriangleMesh:
+    mesh = visual.mesh
+    shape = sapien.render.RenderShapeTriangleMesh(
+        mesh.vertices.astype(np.float32),
+        mesh.faces.astype(np.uint32),
+        mesh.normals.astype(np.float32),
+        mesh.uv.astype(np.float32),
+        _render_material(visual.surface),
+    )
+    shape.local_pose = to_pose(visual.X_BodyV)
+    return shape
+
+
+def _collision_shape(collider: Collider, material: sapien.physx.PhysxMaterial) -> sapien.physx.PhysxCollisionShape:
+    physx = sapien.physx
+    match collider.kind:
+        case ColliderKind.BOX:
+            return physx.PhysxCollisionShapeBox(collider.size, material)
+        case ColliderKind.SPHERE:
+            return physx.PhysxCollisionShapeSphere(collider.size[0], material)
+        case ColliderKind.CYLINDER:
+            return physx.PhysxCollisionShapeCylinder(*collider.size, material)
+        case ColliderKind.CAPSULE:
+            return physx.PhysxCollisionShapeCapsule(*collider.size, material)
+        case ColliderKind.HULL:
+            points = np.asarray(collider.points, dtype=np.float32)
+            return physx.PhysxCollisionShapeConvexMesh(vertices=points, scale=[1.0, 1.0, 1.0], material=material)
+
+
+class _BodyBuilder:
+    """Mixin for SAPIEN's builders that makes visuals and colliders directly from a body's arrays."""
+
+    body: RigidBody
+    decor = False
+    collision_groups: list[int]
+
+    def attach_colliders(self, component: Any) -> Any:
+        """Attach the body's colliders to a PhysX component and return it."""
+        m = self.body.material
+        material = sapien.physx.PhysxMaterial(m.static_friction, m.dynamic_friction, m.restitution)
+        for collider in () if self.decor else self.body.colliders:
+            shape = _collision_shape(collider, material)
+            shape.local_pose = to_pose(collider.X_BodyC)
+            shape.set_collision_groups(self.collision_groups)
+            shape.set_density(m.density)
+            component.attach(shape)
+        return component
+
+    def build_render_component(self) -> sapien.render.RenderBodyComponent:
+        """Make the render component with the body's visuals."""
+        component = sapien.render.RenderBodyComponent()
+        for visual in self.body.visuals:
+            component.attach(_render_shape(visual))
+        component.name = self.body.name
+        return component
+
+
+class _ActorBuilder(_BodyBuilder, ActorBuilder):  # type: ignore[misc]
+    def build_physx_component(self, link_parent: Any = None) -> Any:
+        component = self.attach_colliders(super().build_physx_component(link_parent))
+        if self.physx_body_type == "dynamic":
+            component.linear_damping = self.body.material.linear_damping
+            component.angular_damping = self.body.material.angular_damping
+        return component
+
+    def build_entity(self) -> Any:
+        entity = sapien.Entity()
+        if self.scene.can_render():
+            entity.add_component(self.build_render_component())
+        entity.add_component(self.build_physx_component())
+        entity.name = self.name
+        return entity
+
+
+class _LinkBuilder(_BodyBuilder, LinkBuilder):  # type: ignore[misc]
+    def __init__(self, index: int, parent: "_LinkBuilder | None", body: RigidBody) -> None:
+        super().__init__(index, parent)
+        self.body = body
+        self.visual_records = [None]  # ManiSkill renders only links that have some; the visuals come from the body
+
+    def build_physx_component(self, link_parent: Any = None) -> Any:
+        component = self.attach_colliders(super().build_physx_component(link_parent))
+        component.disable_gravity = self.body.joint is not None and self.body.joint.balanced
+        return component
+
+
+def build_actor(
+    scene: Any, name: str, body: RigidBody, X_WA: Array, scene_idxs: Sequence[int], *, physics: str, decor: bool = False
+) -> Actor:
+    """Build a single rigid body.
+
+    Args:
+        scene: ManiSkill scene.
+        name: unique name in the scene.
+        body: the body.
+        X_WA: pose (4, 4) in the ManiSkill world [m].
+        scene_idxs: parallel scenes that get one.
+        physics: "dynamic", "kinematic" or "static".
+        decor: True for no colliders.
+    """
+    builder = _ActorBuilder()
+    builder.scene, builder.body, builder.decor = scene, body, decor
+    builder.set_scene_idxs(list(scene_idxs))
+    builder.set_physx_body_type(physics)
+    builder.initial_pose = to_pose(X_WA)
+    return builder.build(name)
+
+
+def build_articulation(
+    scene: Any, name: str, model: AssetModel, X_WM: Array, scene_idxs: Sequence[int]
+) -> Articulation:
+    """Build bodies with joints, the first one fixed at the pose (4, 4) in the ManiSkill world.
+
+    Arguments as of `build_actor`.
+    """
+    builder = ArticulationBuilder()
+    builder.scene = scene
+    builder.set_scene_idxs(list(scene_idxs))
+    builder.initial_pose = to_pose(X_WM)
+    root = None
+    for body in model.bodies:
+        link = _LinkBuilder(len(builder.link_builders), root, body)
+        builder.link_builders.append(link)
+        link.set_name(body.name)
+        if body.joint is None:
+            root = link
+            continue
+        joint = body.joint
+        link.set_joint_name(f"{body.name}_joint")
+        link.set_joint_properties(
+            joint.kind.value,
+            limits=[[joint.lower, joint.upper]],
+            pose_in_parent=to_pose(joint.X_ParentJ),
+            pose_in_child=to_pose(joint.X_BodyJ),
+            damping=joint.damping,
+        )
+    articulation = builder.build(name, fix_root_link=True)
+    for body, active in zip(model.bodies[1:], articulation.active_joints, strict=True):
+        if body.joint is not None:
+            active.set_friction(body.joint.friction)
+    return articulation

@@ -1,0 +1,56 @@
+"""What a grounding's errors against the truth are."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from benchmarks.perception.clip import TruthClip
+from benchmarks.perception.errors import ClipErrors, Expense, compare
+from kinebench_drake.geometry import Array, make_pose, rotation_exp
+from kinebench_drake.grounding.pipeline import GroundingResult
+from kinebench_drake.types import Anomaly, AnomalyKind
+
+HALF_TURN = make_pose(rotation_exp([0.0, 0.0, np.pi]), np.zeros(3))
+EXPENSE = Expense(wall_s=1.0, cpu_s=1.0, peak_mb=1.0)
+
+
+def test_the_truth_itself_has_no_error(errors: Callable[..., ClipErrors]) -> None:
+    e = errors()
+    assert e.position_m.max() == 0.0
+    assert e.rotation_rad.max() < 1e-7
+    assert e.finger_m.max() == 0.0
+    assert e.tracked_fraction == 1.0
+    assert e.flips == []
+
+
+def test_an_offset_is_read_as_it_is(errors: Callable[..., ClipErrors]) -> None:
+    np.testing.assert_allclose(errors(0.010).position_m, 0.010, atol=1e-12)
+
+
+@pytest.mark.parametrize(("hidden", "runs"), [((), [5]), ((5,), [4]), ((2,), [5])])
+def test_a_flip_is_counted_in_tracked_frames(
+    clip: TruthClip, grounded: Callable[..., GroundingResult], hidden: tuple[int, ...], runs: list[int]
+) -> None:
+    X: Array = clip.X_CH.copy()
+    X[3:8] = X[3:8] @ HALF_TURN
+    tracked = ~np.isin(np.arange(len(X)), hidden)
+    assert compare(clip, grounded(clip, X, tracked), EXPENSE).flips == runs
+
+
+def test_two_flips_are_two(clip: TruthClip, grounded: Callable[..., GroundingResult]) -> None:
+    X = clip.X_CH.copy()
+    X[1:3], X[9:] = X[1:3] @ HALF_TURN, X[9:] @ HALF_TURN
+    e = compare(clip, grounded(clip, X), EXPENSE)
+    assert e.flips == [2, 3]
+    assert e.longest_flip == 3
+
+
+def test_json_gives_back_the_same(errors: Callable[..., ClipErrors]) -> None:
+    fault = Anomaly(kind=AnomalyKind.VANISH, frame_start=4, frame_end=6, severity=3.0)
+    e = errors(0.0123, faults=(fault,), gone=slice(4, 7), tracked=np.arange(12) != 5)
+    again = ClipErrors.from_json(e.to_json())
+    assert again.to_json() == e.to_json()
+    assert again.planted == e.planted
+    np.testing.assert_allclose(again.position_m, e.position_m, atol=1e-7)
+    np.testing.assert_array_equal(np.isnan(again.rotation_rad), np.isnan(e.rotation_rad))

@@ -1,0 +1,223 @@
+"""Studies with fake workers."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import cast
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from benchmarks.perception import study
+from benchmarks.perception.clip import TruthClip, choose, find_clips
+from benchmarks.perception.errors import ClipErrors
+from benchmarks.perception.figures import draw_comparison, draw_evaluation
+from benchmarks.perception.perturbation.catalogue import PerturbationKind
+from benchmarks.perception.store import MeasurementStore
+from benchmarks.perception.tables import evaluation_json, pooled_lines, table, task_table
+from benchmarks.perception.trial import GroundingTrial, evaluate_baseline
+from kinebench_drake.cli import cli
+from kinebench_drake.errors import UsageError
+from kinebench_drake.executors.base import ExecutorKind, create_executor
+from kinebench_drake.executors.progress import Observer
+from kinebench_drake.geometry import Array
+from kinebench_drake.grounding.tracking.view import Frames
+from kinebench_drake.io.figure import save
+from kinebench_drake.models.panda.robot import hand_from_tcp
+from training.baseline.network import Baseline
+
+EXECUTOR = create_executor(ExecutorKind.LOCAL, 1)
+
+
+class SilentObserver(Observer):
+    completed = 0
+
+    def start(self, total: int, completed: int) -> None:
+        self.completed = completed
+
+
+class FakeWorkers:
+    """Errors that grow with the strength of the perturbation; stops like a killed program after so many trials."""
+
+    def __init__(self, errors: Callable[..., ClipErrors], patience: int = 10_000) -> None:
+        self.errors, self.patience, self.made = errors, patience, 0
+
+    def __call__(self) -> Callable[[GroundingTrial], ClipErrors]:
+        def measure(trial: GroundingTrial) -> ClipErrors:
+            if self.made == self.patience:
+                raise KeyboardInterrupt
+            self.made += 1
+            p = trial.condition.perturbation
+            return replace(self.errors(0.001 * (1 + (p.strength if p else 0))), id=trial.clip.id, task=trial.clip.task)
+
+        return measure
+
+
+class Recall:
+    """A baseline that knows the poses, and is off by a distance [m] along the base's z axis."""
+
+    def __init__(self, clip: TruthClip, offset_m: float) -> None:
+        self.X_BG, self.width_m = clip.camera.X_BC @ clip.X_CH @ hand_from_tcp(), clip.finger_width_m
+        self.X_BG[:, 2, 3] += offset_m
+
+    def predict(self, frames: Frames) -> tuple[Array, Array]:
+        return self.X_BG[: len(frames)], self.width_m[: len(frames)]
+
+
+@pytest.mark.parametrize("offset_m", [0.0, 0.08])
+def test_the_baseline_is_measured_like_the_grounding(clip: TruthClip, offset_m: float) -> None:
+    n = len(clip.t_s)
+    share = np.full(n, 0.5)
+    e = evaluate_baseline(clip, cast(Baseline, Recall(clip, offset_m)), np.zeros((n, 8, 8, 3), np.uint8), share)
+    np.testing.assert_allclose(e.position_m, offset_m, atol=1e-9)
+    np.testing.assert_allclose(e.rotation_rad, 0.0, atol=1e-6)
+    np.testing.assert_allclose(e.finger_m, 0.0)
+    assert e.tracked.all()
+    np.testing.assert_array_equal(e.share, share)
+
+
+def test_each_perturbation_is_measured_with_the_baseline_too(tmp_path: Path) -> None:
+    weights = tmp_path / "baseline.safetensors"
+    weights.write_bytes(b"one")
+    both = study.robustness([PerturbationKind.NOISE], weights)
+    own, learned = both.conditions[::2], both.conditions[1::2]
+    assert own == study.robustness([PerturbationKind.NOISE]).conditions
+    assert [c.perturbation for c in learned] == [c.perturbation for c in own]
+    assert {c.group for c in learned} == {study.LEARNED}
+    before = {c.identity() for c in both.conditions}
+    assert len(before) == len(both.conditions)
+    assert not any(str(tmp_path) in identity for identity in before)
+    weights.write_bytes(b"other")
+    after = {c.identity() for c in both.conditions}
+    assert before & after == {c.identity() for c in own}
+
+
+def test_an_interrupted_study_goes_on(folder: Path, tmp_path: Path, errors: Callable[..., ClipErrors]) -> None:
+    plan = study.StudyPlan(folder=folder, keep=tmp_path / "kept.clips.jsonl")
+    noise = study.robustness([PerturbationKind.NOISE])
+    first = FakeWorkers(errors, patience=5)
+    with pytest.raises(KeyboardInterrupt):
+        study.run_study(noise, plan, EXECUTOR, SilentObserver(), first)
+    with (tmp_path / "kept.clips.jsonl").open("a") as file:
+        file.write('{"key": "torn')
+    second, observer = FakeWorkers(errors), SilentObserver()
+    whole = study.run_study(noise, plan, EXECUTOR, observer, second)
+    assert observer.completed == 5
+    assert second.made == 3 * 4 - 5
+    fresh = study.run_study(noise, replace(plan, keep=None), EXECUTOR, SilentObserver(), FakeWorkers(errors))
+    assert list(whole.lines()) == list(fresh.lines())
+    assert whole.to_json() == fresh.to_json()
+    third = FakeWorkers(errors)
+    study.run_study(noise, replace(plan, seed=1), EXECUTOR, SilentObserver(), third)
+    assert third.made == 3 * 4  # another seed's measurements are no measurements of this one
+
+
+def test_the_table_tells_conditions_apart(folder: Path, errors: Callable[..., ClipErrors]) -> None:
+    outcome = study.run_study(
+        study.robustness([PerturbationKind.NOISE]),
+        study.StudyPlan(folder=folder),
+        EXECUTOR,
+        SilentObserver(),
+        FakeWorkers(errors),
+    )
+    lines = list(outcome.lines())
+    assert lines[0].startswith("Pose errors under perturbations: 3 videos, 36 frames")
+    (row,) = [line for line in lines if line.startswith("noise 20/255 *")]
+    assert "21.00 [21.00, 21.00]" in row
+    assert outcome.to_json()["conditions"]["as it is"]["position_median_mm"]["value"] == pytest.approx(1.0)
+
+
+def test_a_budget_puts_in_one_thing_at_a_time(folder: Path, errors: Callable[..., ClipErrors]) -> None:
+    order = study.budget()
+    outcome = study.run_study(order, study.StudyPlan(folder=folder), EXECUTOR, SilentObserver(), FakeWorkers(errors))
+    text = "\n".join(outcome.lines())
+    assert all(
+        name in text for name in ("pixels only", "true mask", "true depth", "true start pose", "true finger opening")
+    )
+
+
+def test_unknown_depth_estimators_are_refused_before_any_work() -> None:
+    with pytest.raises(UsageError, match="moge:x"):
+        study.depth_ablation(["moge:x"])
+
+
+def test_tasks_take_turns(folder: Path) -> None:
+    clips = find_clips(folder)
+    assert [c.id for c in choose(clips, 2)] == ["A-v1_s0", "B-v1_s0"]
+    assert [c.id for c in choose(clips, None)] == ["A-v1_s0", "A-v1_s1", "B-v1_s0"]
+
+
+def test_clips_are_read_as_written(folder: Path) -> None:
+    clip = find_clips(folder)[0].load(with_depth=True)
+    assert clip.task == "A-v1"
+    assert clip.mask is not None
+    assert clip.depth_m is not None
+    assert clip.depth_m[clip.mask].min() == pytest.approx(0.7005)
+    assert clip.mask.sum(axis=(1, 2)).tolist() == [900] * 12
+
+
+def test_folders_without_truth_are_refused(folder: Path, tmp_path: Path) -> None:
+    (folder / "truth" / "B-v1_s0.npz").unlink()
+    with pytest.raises(UsageError, match=r"B-v1_s0\.npz is missing"):
+        find_clips(folder)
+    (folder / "manifest.jsonl").unlink()
+    with pytest.raises(UsageError, match=r"no manifest\.jsonl"):
+        find_clips(folder)
+
+
+def test_a_file_of_something_else_is_no_store(tmp_path: Path) -> None:
+    path = tmp_path / "other.jsonl"
+    path.write_text('{"key": "a", "size": 3}\n')
+    with pytest.raises(UsageError, match="no measurements"):
+        MeasurementStore(path, ClipErrors)
+
+
+def test_figures_are_drawn(folder: Path, tmp_path: Path, errors: Callable[..., ClipErrors]) -> None:
+    outcome = study.run_study(
+        study.robustness([PerturbationKind.NOISE]),
+        study.StudyPlan(folder=folder),
+        EXECUTOR,
+        SilentObserver(),
+        FakeWorkers(errors),
+    )
+    save(
+        draw_comparison(outcome.results, outcome.figures, [c.group for c in outcome.study.conditions], "title"),
+        tmp_path / "a.png",
+    )
+    save(draw_evaluation(outcome.results["as it is"]), tmp_path / "b.png")
+    for name in ("a.png", "b.png"):
+        assert (tmp_path / name).read_bytes().startswith(b"\x89PNG")
+
+
+def test_lines_and_json_hold_the_same(errors: Callable[..., ClipErrors]) -> None:
+    results = [errors(0.004), replace(errors(0.006), id="other", task="Z-v1")]
+    (line,) = [line for line in pooled_lines(results, 0) if line.startswith("position_median_mm")]
+    assert line.split()[1] == "5"
+    data = evaluation_json(results, 0)
+    assert data["summary"]["position_median_mm"] == pytest.approx(5.0)
+    assert data["summary"]["vanish_loss_max_frames"] is None
+    assert set(data["videos"]) == {"Some-v1_s0", "other"}
+    assert [row.split()[0] for row in task_table(results)] == ["task", "Some-v1", "Z-v1"]
+
+
+def test_columns_line_up() -> None:
+    assert list(table(["", "n"], [["a", "10"], ["bcd", "1"]])) == ["      n", "a    10", "bcd   1"]
+
+
+@pytest.mark.parametrize("name", ["evaluate", "robustness", "framing", "depth-ablation", "budget"])
+def test_commands_have_help_with_an_example(name: str) -> None:
+    result = CliRunner().invoke(cli, ["perception", name, "--help"])
+    assert result.exit_code == 0
+    assert f"kinebench-drake perception {name} heldout" in result.output
+
+
+def test_unknown_pipelines_are_refused() -> None:
+    with pytest.raises(UsageError, match="there are pixels, true-mask"):
+        study.evaluation("magic")
+
+
+def test_unknown_kinds_of_perturbation_are_refused(folder: Path) -> None:
+    result = CliRunner().invoke(cli, ["perception", "robustness", str(folder), "--only", "fog"])
+    assert result.exit_code == 2
+    assert "deformation" in result.output

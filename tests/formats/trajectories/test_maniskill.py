@@ -1,0 +1,139 @@
+"""ManiSkill's .h5 files and the .json beside them."""
+
+import h5py
+import numpy as np
+import pytest
+
+from kinebench_drake.errors import InputError
+from kinebench_drake.formats.trajectories.source import find_trajectories, read_trajectory
+from kinebench_drake.formats.trajectories.trajectory import TrajectoryOptions
+
+
+def read_all(path, **choice):
+    chosen = TrajectoryOptions(**choice)
+    samples = find_trajectories(path, chosen)
+    return samples, [read_trajectory(s, chosen) for s in samples]
+
+
+def qpos(q):
+    return np.hstack([q, np.full((len(q), 2), 0.015)])
+
+
+def state(q):
+    full = qpos(q)
+    return np.hstack([np.full((len(q), 13), 9.0), full, np.full_like(full, 5.0)])
+
+
+def about(episodes=(), **arguments):
+    return {"env_info": {"env_id": "StackCube-v1", "env_kwargs": arguments}, "episodes": list(episodes)}
+
+
+def test_a_link_to_another_file_is_not_followed(maniskill, q, tmp_path):
+    with h5py.File(tmp_path / "other.h5", "w") as other:
+        other["secret"] = qpos(q)
+    path = maniskill({"traj_0": {"obs/agent/extra": q}}, about())
+    with h5py.File(path, "a") as file:
+        file["traj_0/obs/agent/qpos"] = h5py.ExternalLink("other.h5", "/secret")
+    with pytest.raises(InputError, match="link to another file"):
+        read_all(path)
+
+
+def test_many_trajectories_of_a_file_in_the_order_of_their_numbers(maniskill, q):
+    episodes = [{"episode_id": k, "episode_seed": 100 + k, "success": k == 2} for k in (2, 10)]
+    path = maniskill(
+        {f"traj_{k}": {"obs/agent/qpos": qpos(q + 0.01 * k), "actions": np.zeros((11, 8))} for k in (0, 10, 2)},
+        about(episodes, sim_config={"control_freq": 50}),
+    )
+    samples, found = read_all(path)
+    assert [s.id for s in samples] == ["demo-traj_0", "demo-traj_2", "demo-traj_10"]
+    assert [s.video for s in samples] == ["demo.h5#traj_0", "demo.h5#traj_2", "demo.h5#traj_10"]
+    assert [(s.task, s.seed, s.success) for s in samples] == [
+        ("StackCube-v1", None, None),
+        ("StackCube-v1", 102, True),
+        ("StackCube-v1", 110, False),
+    ]
+    np.testing.assert_array_equal(found[1].q, q + 0.02)
+    np.testing.assert_allclose(found[0].finger_width_m, 0.03)
+    np.testing.assert_allclose(found[0].t_s, np.arange(len(q)) / 50.0)
+    assert found[0].columns == "traj_0/obs/agent/qpos[:, 0:7]"
+
+
+def test_joints_of_the_articulations_state_where_nothing_was_observed(maniskill, q):
+    cabinet = {"env_states/articulations/cabinet": np.zeros((12, 13 + 2))}
+    path = maniskill({"traj_0": {"env_states/articulations/panda_wristcam": state(q), **cabinet}}, about())
+    _, (found,) = read_all(path)
+    np.testing.assert_array_equal(found.q, q)
+    assert found.columns == "traj_0/env_states/articulations/panda_wristcam[:, 13:20]"
+    np.testing.assert_allclose(found.finger_width_m, 0.03)
+    assert all("control_freq" in w for w in found.warnings)
+
+
+def test_flat_observations_are_passed_over(maniskill, q):
+    sets = {"obs": np.zeros((12, 40)), "env_states/articulations/panda": state(q)}
+    _, (found,) = read_all(maniskill({"traj_0": sets}, about()))
+    np.testing.assert_array_equal(found.q, q)
+
+
+def test_an_unknown_frequency_is_told_unless_a_rate_is_given(maniskill, q):
+    path = maniskill({"traj_0": {"obs/agent/qpos": q}}, about())
+    _, (found,) = read_all(path)
+    np.testing.assert_allclose(found.t_s, np.arange(12) / 20.0)
+    assert any("default of 20 Hz is used; --rate HZ" in w for w in found.warnings)
+    _, (found,) = read_all(path, rate_hz=10.0)
+    np.testing.assert_allclose(found.t_s, np.arange(12) / 10.0)
+    assert found.warnings == ()
+
+
+@pytest.mark.parametrize(("text", "told"), [(None, "is not there"), ("{", "cannot be read as JSON")])
+def test_without_a_description_the_labels_are_unknown(maniskill, q, text, told):
+    path = maniskill({"traj_0": {"obs/agent/qpos": q}})
+    if text is not None:
+        path.with_suffix(".json").write_text(text)
+    (sample,), (found,) = read_all(path)
+    assert (sample.task, sample.seed, sample.success) == (None, None, None)
+    assert any(told in w for w in found.warnings)
+
+
+def test_the_data_set_can_be_named(maniskill, q):
+    robots = {f"env_states/articulations/panda-{k}": state(q + k) for k in (0, 1)}
+    path = maniskill({"traj_0": {**robots, "mine": q + 2}}, about())
+    with pytest.raises(InputError, match="2 robots: --joints env_states/articulations/panda-0"):
+        read_all(path)
+    np.testing.assert_array_equal(read_all(path, joints="env_states/articulations/panda-1")[1][0].q, q + 1)
+    np.testing.assert_array_equal(read_all(path, joints="mine")[1][0].q, q + 2)
+    with pytest.raises(InputError, match="no data set 'nope', but env_states"):
+        read_all(path, joints="nope")
+    with pytest.raises(InputError, match="world frame"):
+        read_all(path, poses="mine")
+
+
+@pytest.mark.parametrize(
+    ("sets", "told"),
+    [
+        ({"actions": np.zeros((5, 7))}, "holds actions, expected obs/agent/qpos or env_states/articulations/panda"),
+        ({"obs/agent/qpos": np.zeros(5)}, r"has shape \(5,\), expected \(T, 7\)"),
+        ({"obs/agent/qpos": np.zeros((5, 6))}, r"q has shape \(5, 6\)"),
+        ({"env_states/articulations/panda": np.zeros((5, 14))}, r"expected \(T, 13 \+ 2 x joints\)"),
+        ({"obs/agent/qpos": np.full((5, 9), 100.0)}, "look like degrees"),
+    ],
+)
+def test_a_bad_trajectory_is_one_bad_sample(maniskill, q, sets, told):
+    path = maniskill({"traj_0": sets, "traj_1": {"obs/agent/qpos": q}}, about())
+    bad, good = find_trajectories(path, TrajectoryOptions())
+    with pytest.raises(InputError, match=told):
+        read_trajectory(bad, TrajectoryOptions())
+    np.testing.assert_array_equal(read_trajectory(good, TrajectoryOptions()).q, q)
+
+
+@pytest.mark.parametrize("data", [b"", b"no hdf5 at all" * 40])
+def test_files_that_are_no_hdf5(tmp_path, data):
+    (tmp_path / "a.h5").write_bytes(data)
+    (sample,) = find_trajectories(tmp_path / "a.h5", TrajectoryOptions())
+    with pytest.raises(InputError, match="empty" if not data else "not a readable HDF5 file") as caught:
+        read_trajectory(sample, TrajectoryOptions())
+    assert str(tmp_path) not in str(caught.value)
+
+
+def test_a_file_without_trajectories(maniskill):
+    (sample,) = find_trajectories(maniskill({"other": {"a": np.zeros(3)}}), TrajectoryOptions())
+    assert "holds no trajectory traj_0, traj_1, ... but other" in sample.problem

@@ -1,0 +1,122 @@
+"""csv files."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from kinebench_drake.errors import InputError, UnmeasurableError
+from kinebench_drake.formats.trajectories.check import check
+from kinebench_drake.formats.trajectories.tables import JOINTS, POSE, read_table
+from kinebench_drake.formats.trajectories.trajectory import TrajectoryOptions
+
+
+def read(path, **choice):
+    return check(read_table(path, TrajectoryOptions(**choice)))
+
+
+@pytest.fixture
+def poses(t_s, X_BG, quaternion):
+    return np.column_stack([t_s, X_BG[:, :3, 3], quaternion])
+
+
+def test_poses_survive_the_file_in_any_order_of_columns(csv_file, t_s, X_BG, poses):
+    order = np.random.default_rng(0).permutation(8)
+    header = np.array(["t_s", *POSE])
+    found = read(csv_file(header[order], poses[:, order]))
+    np.testing.assert_array_equal(found.t_s, t_s)
+    np.testing.assert_allclose(found.X_BG, X_BG, atol=1e-12)
+    assert (found.warnings, found.columns) == ((), "x_m,y_m,z_m,qw,qx,qy,qz")
+
+
+def test_joint_angles_survive_the_file_and_further_columns_are_told(csv_file, t_s, q):
+    rows = [[*row, f"note {k}", 0.02] for k, row in enumerate(np.column_stack([t_s, q]))]
+    found = read(csv_file(["t_s", *JOINTS, "comment", "finger_width_m"], rows))
+    np.testing.assert_array_equal(found.q, q)
+    assert set(found.finger_width_m) == {0.02}
+    assert found.warnings == ("columns comment are not read",)
+
+
+def test_both_kinds_of_columns(csv_file, poses, q):
+    path = csv_file(["t_s", *POSE, *JOINTS], np.hstack([poses, q]))
+    assert read(path).q is not None
+    assert "were read" in read(path).warnings[0]
+    assert read(path, poses="any").X_BG is not None
+
+
+def test_quaternions_are_normalised_and_refused(csv_file, X_BG, poses):
+    near, far, flipped = poses.copy(), poses.copy(), poses.copy()
+    near[4, 4:] *= 1.0005
+    found = read(csv_file(["t_s", *POSE], near))
+    np.testing.assert_allclose(found.X_BG, X_BG, atol=1e-12)
+    assert "1 quaternions, off by up to 5.0e-04" in found.warnings[0]
+    far[4, 4:] *= 1.01
+    with pytest.raises(InputError, match=r"quaternion of frame 4 has norm 1\.01, expected 1"):
+        read(csv_file(["t_s", *POSE], far))
+    far[4, 4:] = 0.0
+    with pytest.raises(InputError, match="quaternion of frame 4 has norm 0"):
+        read(csv_file(["t_s", *POSE], far))
+    flipped[::2, 4:] *= -1.0
+    np.testing.assert_allclose(read(csv_file(["t_s", *POSE], flipped)).X_BG, X_BG, atol=1e-12)
+
+
+def test_millimetres_are_suspected(csv_file, poses):
+    poses[:, 1:4] *= 1000.0
+    with pytest.raises(InputError, match="look like millimetres"):
+        read(csv_file(["t_s", *POSE], poses))
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("", r"empty \(0 bytes\)"),
+        ("\n\n", "the header has no name; expected t_s and"),
+        ("a,b\n1,2\n", "the header has a, b; expected t_s and x_m"),
+        ("t_s,q1_rad,q2_rad\n", "lacks q3_rad, q4_rad"),
+        ("t_s;x_m;y_m\n1;2;3\n", "not separated by commas"),
+        (",".join(["t_s", "t_s", *JOINTS]) + "\n", "names t_s more than once"),
+        (",".join(["t_s", *JOINTS]) + "\n0,1,2,3\n", "line 2 has 4 fields, the header 8"),
+        (
+            ",".join(["t_s", *JOINTS]) + "\n0,1,2,3,4,5,6,7\n1,1,2,x,4,5,6,7\n",
+            "line 3: q3_rad is 'x', expected a number",
+        ),
+        (",".join(["t_s", *JOINTS]) + "\n0,1,2,,4,5,6,7\n", "line 2: q3_rad is '', expected a number"),
+        (",".join(["t_s", *JOINTS]) + "\n0,1,2,nan,4,5,6,7\n1,1,2,3,4,5,6,7\n", "joint angles of frame 0 hold NaN"),
+    ],
+)
+def test_broken_tables(tmp_path, text, told):
+    (tmp_path / "a.csv").write_text(text)
+    with pytest.raises(InputError, match=told) as caught:
+        read(tmp_path / "a.csv")
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("names", [JOINTS, POSE])
+def test_a_header_alone_is_sound_but_cannot_be_measured(csv_file, names):
+    with pytest.raises(UnmeasurableError, match="holds no frame"):
+        read(csv_file(["t_s", *names], []))
+
+
+@pytest.mark.parametrize(("choice", "absent"), [("joints", "q1_rad, q2_rad"), ("poses", "x_m, y_m")])
+def test_a_wanted_kind_that_is_not_there_is_named(csv_file, poses, t_s, q, choice, absent):
+    held = poses if choice == "joints" else np.column_stack([t_s, q])
+    path = csv_file(["t_s", *(POSE if choice == "joints" else JOINTS)], held)
+    with pytest.raises(InputError, match=f"lacks {absent}"):
+        read(path, **{choice: "any"})
+
+
+def test_what_is_no_text(tmp_path):
+    (tmp_path / "a.csv").write_bytes(b"t_s,x_m\n\xff\xfe\x00\n")
+    with pytest.raises(InputError, match="comma-separated"):
+        read(tmp_path / "a.csv")
+
+
+@pytest.mark.parametrize(("order", "suspected"), [([0, 1, 2, 3], False), ([1, 2, 3, 0], True)])
+def test_quaternions_in_another_order_are_suspected(csv_file, t_s, order, suspected):
+    """A gripper that points down within 40 degrees, turned about the vertical at random."""
+    rng = np.random.default_rng(1)
+    down = Rotation.from_euler("x", 180, degrees=True)
+    angles = np.hstack([rng.uniform(-90, 90, (len(t_s), 1)), rng.uniform(-28, 28, (len(t_s), 2))])
+    tilt = Rotation.from_euler("zxy", angles, degrees=True)
+    quaternion = (tilt * down).as_quat(scalar_first=True)
+    path = csv_file(["t_s", *POSE], np.column_stack([t_s, np.full((len(t_s), 3), 0.4), quaternion[:, order]]))
+    assert any("x y z w" in warning for warning in read(path).warnings) is suspected

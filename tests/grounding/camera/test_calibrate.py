@@ -1,0 +1,135 @@
+import functools
+import json
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from tests.calibration.robot import CellsAlone, PerfectEstimator, postures
+
+from kinebench_drake import cli
+from kinebench_drake.errors import UnmeasurableError
+from kinebench_drake.geometry import invert, pose_difference, transform_points
+from kinebench_drake.grounding.camera import calibrate as calibration
+from kinebench_drake.grounding.camera.calibrate import CalibrationConfig, Calibrator, calibrate
+from kinebench_drake.grounding.camera.fit import with_focal
+from kinebench_drake.grounding.camera.overlay import render_part_map
+from kinebench_drake.io.camerafile import load_camera
+from kinebench_drake.models.panda.robot import RobotPart
+
+T = 6
+
+
+@pytest.fixture
+def estimator(camera, model):
+    return PerfectEstimator(with_focal(camera, 400.0), postures(T), model, noise_px=0.3)
+
+
+@pytest.fixture
+def video(tmp_path):
+    """A still picture; the first pixel of each frame tells its number."""
+    frames = np.repeat(np.random.default_rng(0).integers(0, 255, (1, 384, 384, 3), np.uint8), T, axis=0)
+    frames[:, 0, 0, 0] = np.arange(T)
+    np.save(tmp_path / "video.npy", frames)
+    np.savez(tmp_path / "joints.npz", t_s=np.arange(T) * 0.1, q=postures(T))
+    return tmp_path / "video.npy"
+
+
+@pytest.fixture
+def program(monkeypatch, capsys, estimator):
+    monkeypatch.setattr(
+        calibration,
+        "calibrate",
+        functools.partial(calibrate, calibrator=Calibrator(estimator, estimator, CellsAlone())),
+    )
+
+    def run(*arguments):
+        with pytest.raises(SystemExit) as ended:
+            cli.main([str(a) for a in arguments])
+        stated = capsys.readouterr()
+        return ended.value.code, stated.out, stated.err
+
+    return run
+
+
+def test_the_command_writes_a_camera_that_score_takes(program, video, estimator, tmp_path):
+    out, figure = tmp_path / "camera.json", tmp_path / "check.png"
+    joints = tmp_path / "joints.npz"
+    code, stated, err = program("calibrate", video, "--joints", joints, "--out", out, "--figure", figure, "--json")
+    assert (code, err) == (0, "")
+    camera, figures = load_camera(out).camera, json.loads(stated)
+    assert float(pose_difference(camera.X_BC, estimator.camera.X_BC)[0]) < 0.02
+    assert camera.fx == pytest.approx(400.0, rel=0.03)
+    assert figures["camera"] == json.loads(out.read_text())
+    assert figures["frames"] == list(range(T))
+    assert figure.read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_given_focal_length_is_kept(program, video, tmp_path):
+    out = tmp_path / "camera.json"
+    code, stated, _ = program(
+        "calibrate", video, "--joints", tmp_path / "joints.npz", "--focal", 400, "--out", out, "--frames", 4
+    )
+    assert code == 0
+    assert "400.0 px, given" in stated
+    assert "4 frames" in stated
+    assert load_camera(out).camera.fx == 400.0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "said"),
+    [
+        (["--joints", "0,1,2", "--out", "c.json"], 2, "expected 7 joint angles in radians"),
+        (["--joints", "none.csv", "--out", "c.json"], 2, "there is no such file"),
+        (["--out", "c.txt"], 2, "--out c.txt: expected a name that ends in .json"),
+        (["--focal", "0", "--out", "c.json"], 2, "--focal is 0, expected pixels"),
+        (["--focal", "9", "--camera", "c.json", "--out", "c.json"], 2, "exclude each other"),
+        (["--joints-frame", "3", "--out", "c.json"], 2, "there is no --joints, whose posture"),
+        (["--joints", "home", "--episode", "3", "--out", "c.json"], 2, "and --joints names none"),
+    ],
+)
+def test_bad_input_is_one_line(program, video, arguments, code, said):
+    ended, out, err = program("calibrate", video, *arguments)
+    assert (ended, out, len(err.splitlines())) == (code, "", 1)
+    assert said in err
+
+
+def test_a_video_that_is_not_there_is_one_line(program, tmp_path):
+    code, _, err = program("calibrate", tmp_path / "none.mp4", "--out", tmp_path / "c.json")
+    assert (code, len(err.splitlines())) == (2, 1)
+    assert "none.mp4: there is no such file" in err
+
+
+def test_a_moving_camera_is_refused(video, estimator, tmp_path):
+    frames = np.load(video)
+    background = np.kron(np.random.default_rng(0).integers(0, 255, (24, 24)), np.ones((16, 16))).astype(np.uint8)
+    for i, frame in enumerate(frames):
+        frame[:] = np.roll(background, 4 * i, axis=1)[..., None]
+        frame[0, 0, 0] = i
+    np.save(video, frames)
+    with pytest.raises(UnmeasurableError, match="the camera moves"):
+        calibrate(
+            CalibrationConfig(video=video, joints=str(tmp_path / "joints.npz")),
+            Calibrator(estimator, estimator, CellsAlone()),
+        )
+
+
+@pytest.mark.parametrize("focal_px", [None, 400.0])
+def test_without_joint_angles_the_camera_is_estimated_from_the_arm(video, estimator, focal_px):
+    class Cameras:
+        def estimate(self, frames, camera, *, focal_free):
+            assert len(frames) == T
+            assert focal_free is (camera is None) is (focal_px is None)
+            return SimpleNamespace(doubt="two turns of the base explain its contours")
+
+    with pytest.raises(UnmeasurableError, match=r"two turns of the base .*; give --joints FILE"):
+        calibrate(CalibrationConfig(video=video, focal_px=focal_px), Calibrator(estimator, estimator, Cameras()))
+
+
+def test_the_drawn_robot_is_where_the_camera_has_it(camera, model):
+    X_BP = model.poses(postures(1))[0]
+    labels = render_part_map(camera, X_BP, 0.01)
+    inside = transform_points(invert(camera.X_BC) @ X_BP[RobotPart.HAND], np.array([[0.0, 0.0, 0.03]]))
+    u, v = camera.project(inside)[0].astype(int)
+    assert labels[v, u] in (RobotPart.HAND, RobotPart.LINK7, RobotPart.LINK6)
+    X_BP[RobotPart.HAND] = np.nan
+    assert RobotPart.HAND not in render_part_map(camera, X_BP, 0.01)

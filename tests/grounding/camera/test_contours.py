@@ -1,0 +1,169 @@
+"""Cameras fitted to the contours of the robot, on images drawn by ray casting."""
+
+import numpy as np
+import pytest
+from tests.calibration.robot import postures, project_robot
+
+from kinebench_drake.camera import benchmark_camera
+from kinebench_drake.geometry import invert, pose_difference
+from kinebench_drake.grounding.camera import contradiction
+from kinebench_drake.grounding.camera import estimate as estimate_module
+from kinebench_drake.grounding.camera.bundle import ArmScene
+from kinebench_drake.grounding.camera.candidate import Candidate, LensPrior
+from kinebench_drake.grounding.camera.contours import ContourImages
+from kinebench_drake.grounding.camera.contradiction import CLEARLY, CameraChecker
+from kinebench_drake.grounding.camera.detections import ArmDetections
+from kinebench_drake.grounding.camera.estimate import JOINT_SIGMA_RAD, CameraEstimator, usual_camera
+from kinebench_drake.grounding.camera.fit import Lens, solve_pnp, with_focal
+from kinebench_drake.grounding.camera.turn import DIFFERENT_TURN_RAD, BaseTurn, find_turns, is_same_arm, turned
+from kinebench_drake.models.panda.cad import PartCaster, link_meshes, open_fingers, part_meshes
+from kinebench_drake.models.panda.robot import RobotPart, hand_from_tcp
+
+CAMERA = benchmark_camera().resized(320, 320)
+FINGER_M = 0.03
+EDGES_M = 3e-3  # of the camera, by the edges of these images alone
+
+
+@pytest.fixture(scope="module")
+def estimator():
+    return CameraEstimator(None)  # the networks are not asked
+
+
+@pytest.fixture(scope="module")
+def film(model):
+    """Postures and images of a shaded robot before a plain background, with noise."""
+    q = postures(3)
+    rng = np.random.default_rng(0)
+    caster = PartCaster({**part_meshes(), **link_meshes()})
+    rays = CAMERA.rays().reshape(-1, 3)
+    frames = []
+    for X_BP in model.poses(q):
+        hit = caster.cast(open_fingers(invert(CAMERA.X_BC) @ X_BP, FINGER_M), rays)
+        shade = 120.0 + 120.0 * np.abs(hit.normal @ [0.3, -0.8, -0.5])
+        grey = np.where(hit.part > 0, shade, 50.0) + rng.normal(0, 4.0, len(rays))
+        frames.append(np.repeat(np.clip(grey, 0, 255).astype(np.uint8).reshape(320, 320, 1), 3, axis=2))
+    return q, np.stack(frames)
+
+
+def start(q, model, step):
+    lens = Lens(camera=CAMERA, X_CB=invert(CAMERA.X_BC)).displace(np.array(step))
+    scene = ArmScene(lens=lens, q=q, finger_m=np.full(len(q), FINGER_M))
+    cells = project_robot(CAMERA, q, model, finger_m=FINGER_M)
+    return Candidate(scene=scene, rows=np.arange(len(q)), cells=cells, costs=np.zeros(len(q)), cost=0.0)
+
+
+@pytest.mark.parametrize("joint_sigma_rad", [JOINT_SIGMA_RAD, 0.1 * JOINT_SIGMA_RAD])
+def test_contours_give_the_camera_as_precisely_as_the_joint_angles_are_known(
+    estimator, model, film, monkeypatch, joint_sigma_rad
+):
+    """If all joints may be off, so may the camera's turn about the robot: by their error times its distance."""
+    monkeypatch.setattr(estimate_module, "JOINT_SIGMA_RAD", joint_sigma_rad)
+    q, frames = film
+    wrong = start(q, model, [0.01, -0.01, 0.01, 0.01, -0.01, 0.02, 0.0])
+    estimate = estimator.refine(frames, CAMERA, wrong, focal_free=False)
+    distance, angle = pose_difference(estimate.camera.X_BC, CAMERA.X_BC)
+    lever_m = joint_sigma_rad * np.linalg.norm(CAMERA.X_BC[:3, 3])
+    assert distance < max(lever_m, EDGES_M)
+    assert angle < np.deg2rad(0.35)
+    assert distance < 2 * estimate.position_sigma_m < 3 * max(lever_m, EDGES_M)
+    assert estimate.agreement > 0.6
+    assert estimate.camera.fx == CAMERA.fx
+
+
+def test_agreement_tells_a_wrong_camera_from_the_right_one(estimator, model, film):
+    q, frames = film
+    images = ContourImages(frames, CAMERA, model, estimator.fitter.matcher)
+    right = images.agreement(start(q, model, np.zeros(7)).scene)
+    wrong = images.agreement(start(q, model, [0.0, 0.1, 0.0, 0.05, 0.0, 0.0, 0.0]).scene)
+    assert right.shape == (3,)
+    assert right.min() > 0.6
+    assert wrong.max() < right.min() - 0.2
+
+
+@pytest.mark.parametrize("turn_deg", [-50.0, 30.0])
+def test_the_contours_of_the_base_show_how_it_is_turned(estimator, model, film, turn_deg):
+    q, frames = film
+    images = ContourImages(frames, CAMERA, model, estimator.fitter.matcher)
+    right = start(q, model, np.zeros(7)).scene
+    wrong = turned(right, np.deg2rad(turn_deg))
+    X_CP, same = right.lens.X_CB @ model.poses(right.q), wrong.lens.X_CB @ model.poses(wrong.q)
+    arm = [part for part in RobotPart if part > RobotPart.LINK0 or part == RobotPart.HAND]
+    assert np.allclose(X_CP[:, arm], same[:, arm])
+    turns = find_turns(wrong, images, model.lower[0], model.upper[0])
+    assert np.rad2deg(turns[0].angle_rad) == pytest.approx(-turn_deg, abs=2.0)
+    assert turns[0].share > turns[1].share + 0.2
+    angles = np.sort([turn.angle_rad for turn in turns])
+    assert np.diff(angles).min() > DIFFERENT_TURN_RAD
+    assert [turn.share for turn in turns] == sorted((turn.share for turn in turns), reverse=True)
+
+
+def test_turns_that_differ_too_little_are_decided_by_their_fits(estimator, model, film):
+    q, frames = film
+    images = ContourImages(frames, CAMERA, model, estimator.fitter.matcher)
+    right = start(q, model, np.zeros(7))
+    wrong, better = BaseTurn(angle_rad=1.2, share=0.5), BaseTurn(angle_rad=0.0, share=0.45)
+    prior, rows = LensPrior(lens=right.scene.lens, log_focal_sigma=0.0), np.arange(len(frames))
+
+    def fit(*turns):
+        return estimator._turn(right, turns, images, prior, rows=rows, total=len(frames))[0]
+
+    both = fit(wrong, better, BaseTurn(angle_rad=-1.0, share=0.2))
+    assert np.allclose(both.scene.lens.X_CB, right.scene.lens.X_CB, atol=0.02)
+    assert both.base_agreement > both.base_runner_up + 0.2
+    assert both.base_runner_up >= 0.2 + both.base_agreement - better.share  # the third has the gain of the best
+    alone = fit(wrong)
+    assert not np.allclose(alone.scene.lens.X_CB, right.scene.lens.X_CB, atol=0.1)
+    assert (alone.base_agreement, alone.base_runner_up) == (0.5, 0.0)
+    poor = fit(BaseTurn(angle_rad=1.2, share=0.3), BaseTurn(angle_rad=0.0, share=0.29))  # too little for a base frame
+    assert (poor.base_agreement, poor.base_runner_up) == (0.3, 0.29)
+    near = fit(better, BaseTurn(angle_rad=np.deg2rad(21.0), share=0.45))  # leads to the same turn
+    assert near.base_runner_up == 0.0
+
+
+def test_cameras_are_the_same_arm_whatever_the_turn_but_not_from_elsewhere(model, film):
+    scene = start(film[0], model, np.zeros(7)).scene
+    assert is_same_arm(scene.lens, turned(scene, 1.0).lens)
+    for step in ([0.0, 0.1, 0.0, 0.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 0.0, 0.1, 0.0, 0.0]):
+        moved = start(film[0], model, step).scene.lens
+        assert not is_same_arm(scene.lens, moved)
+        assert is_same_arm(scene.lens, moved, 4.0)
+
+
+def test_a_camera_is_found_from_cells_and_contours_alone(estimator, model, film):
+    q, frames = film
+    cells = project_robot(CAMERA, q, model, finger_m=FINGER_M, noise_px=1.0)
+    robot = ArmDetections(
+        rows=np.arange(len(q)), cells=cells, finger_m=np.full(len(q), FINGER_M), robot=np.zeros((320, 320), dtype=bool)
+    )
+    estimate = estimator.solve(robot, frames, usual_camera(320, 320), focal_free=True)
+    distance, angle = pose_difference(estimate.camera.X_BC, CAMERA.X_BC)
+    assert distance < 2 * estimate.position_sigma_m
+    assert distance < 0.06
+    assert angle < np.deg2rad(3.0)
+    assert estimate.camera.fx == pytest.approx(CAMERA.fx, rel=0.05)
+    assert estimate.base_agreement > estimate.base_runner_up + 0.1
+
+
+def test_points_without_a_pose_give_none():
+    rng = np.random.default_rng(0)
+    p, uv = rng.normal(size=(12, 3)), rng.uniform(0, 320, (12, 2))
+    assert solve_pnp(p, uv, CAMERA, rounds=20, error_px=1e-6) is None
+
+
+def test_another_focal_length_that_explains_the_arm_better_contradicts_a_camera(estimator, model, film, monkeypatch):
+    q, frames = film
+    cells = project_robot(CAMERA, q, model, finger_m=FINGER_M)
+    robot = ArmDetections(
+        rows=np.arange(len(q)), cells=cells, finger_m=np.full(len(q), FINGER_M), robot=np.zeros((320, 320), dtype=bool)
+    )
+    monkeypatch.setattr(contradiction, "find_robot", lambda *_, **__: robot)
+    checker = CameraChecker(None, estimator.fitter)
+    assert checker.find_contradiction(frames, CAMERA) is None
+    X_CG = invert(CAMERA.X_BC) @ model.poses(q)[:, RobotPart.HAND] @ hand_from_tcp()
+    distance_m = float(np.median(np.linalg.norm(X_CG[:, :3, 3], axis=1)))  # it grows with the focal length
+    for zoom in (0.7, 1.4):
+        found = checker.find_contradiction(frames, with_focal(CAMERA, zoom * CAMERA.fx))
+        assert found.focal_ratio == pytest.approx(zoom, rel=0.05)
+        assert found.better > found.agreement + CLEARLY
+
+        assert found.gripper_m == pytest.approx(abs(zoom - 1.0) * distance_m, rel=0.15)

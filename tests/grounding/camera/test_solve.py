@@ -1,0 +1,150 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from tests.calibration.robot import VISIBLE, postures, project_robot
+
+from kinebench_drake.errors import UnmeasurableError
+from kinebench_drake.geometry import invert, make_pose, pose_difference, rotation_exp
+from kinebench_drake.grounding.camera.correspondences import LensView
+from kinebench_drake.grounding.camera.fit import with_focal
+from kinebench_drake.grounding.camera.observability import require_determined, warnings_of
+from kinebench_drake.grounding.camera.result import CalibrationMethod, CameraCalibration, describe
+from kinebench_drake.grounding.camera.solve import solve
+from kinebench_drake.grounding.camera.states import RobotStates
+from kinebench_drake.models.panda.robot import RobotPart
+
+
+def states_of(q, model):
+    return RobotStates(q=q, X_BH=model.poses(q)[:, RobotPart.HAND], finger_m=np.full(len(q), 0.01), source="joints.csv")
+
+
+def view_of(cells, q):
+    return LensView(cells=cells, finger_m=np.full(len(q), 0.01), q=q, robot=np.zeros((2, 2), dtype=bool))
+
+
+def described(solved, *, focal_free=True, method=CalibrationMethod.JOINTS):
+    return describe(
+        solved,
+        method=method,
+        source="joints.csv",
+        frames=solved.rows,
+        focal_free=focal_free,
+    )
+
+
+def calibrated(
+    camera, model, *, q=None, stated=None, noise_px=0.5, guess=None, focal_free=True, parts=VISIBLE
+) -> CameraCalibration:
+    q = postures(6) if q is None else q
+    cells = project_robot(camera, q, model, noise_px=noise_px, parts=parts)
+    states = states_of(q if stated is None else stated, model)
+    return described(
+        solve(view_of(cells, q), states, guess or camera, model, focal_free=focal_free), focal_free=focal_free
+    )
+
+
+def off(camera, found):
+    distance, angle = pose_difference(camera.X_BC, found.X_BC)
+    return float(distance), float(angle), abs(found.fx / camera.fx - 1.0)
+
+
+@pytest.mark.parametrize("fov_deg", [40.0, 60.0, 80.0])
+def test_an_exact_picture_gives_the_camera_and_its_lens(camera, model, fov_deg):
+    true = with_focal(camera, camera.width / 2 / np.tan(np.deg2rad(fov_deg) / 2))
+    found = calibrated(true, model, noise_px=0.0, guess=camera)
+    assert max(off(true, found.camera)) < 1e-5
+    assert found.residual_px < 1e-3
+
+
+def test_a_known_lens_is_kept(camera, model):
+    found = calibrated(camera, model, focal_free=False)
+    assert (found.camera.fx, found.focal_sigma) == (camera.fx, 0.0)
+    assert off(camera, found.camera)[0] < 0.01
+
+
+def test_errors_are_of_the_size_that_is_claimed(camera, model):
+    found = calibrated(camera, model, noise_px=1.0)
+    distance, angle, zoom = off(camera, found.camera)
+    assert distance < 4 * found.position_sigma_m < 0.1
+    assert angle < 4 * found.rotation_sigma_rad < 0.05
+    assert zoom < 4 * found.focal_sigma < 0.1
+
+
+def test_more_postures_tell_more_but_the_same_posture_again_does_not(camera, model):
+    few, many = (calibrated(camera, model, q=postures(n)) for n in (3, 12))
+    assert many.position_sigma_m < 0.7 * few.position_sigma_m
+    one = postures(1)
+    once, again = (calibrated(camera, model, q=np.repeat(one, n, axis=0)) for n in (2, 8))
+    assert again.position_sigma_m == pytest.approx(once.position_sigma_m, rel=0.1)
+    assert "the hand moves by 0 mm only" in " ".join(warnings_of(again))
+
+
+def test_a_robot_far_away_leaves_the_focal_length_open_and_says_why(camera, model):
+    back = make_pose(np.eye(3), [0.0, 0.0, -12.0])
+    tele = with_focal(replace(camera, X_BC=camera.X_BC @ back), 12 * camera.fx)
+    found = calibrated(tele, model, guess=tele)
+    with pytest.raises(UnmeasurableError, match=r"focal length is not determined.*nearly the same depth.*--focal"):
+        require_determined(found)
+    require_determined(calibrated(camera, model))
+
+
+def test_a_gripper_read_upside_down_in_a_frame_is_read_again(camera, model):
+    q = postures(5)
+    wrong = project_robot(camera, q, model).flip(np.arange(5) == 2)
+    found = described(solve(view_of(wrong, q), states_of(q, model), camera, model, focal_free=True))
+    assert max(off(camera, found.camera)) < 1e-5
+
+
+def test_joint_angles_of_another_motion_are_refused(camera, model):
+    with pytest.raises(UnmeasurableError, match=r"contradicts the images|agree with joints.csv"):
+        require_determined(calibrated(camera, model, stated=postures(6, seed=5, reach=0.6)))
+
+
+def test_poses_of_the_gripper_do_without_the_arm(camera, model):
+    q = postures(6)
+    states = replace(states_of(q, model), q=np.full((6, 7), np.nan))
+    solved = solve(view_of(project_robot(camera, q, model), q), states, camera, model, focal_free=True)
+    assert set(np.unique(solved.cells.part)) == {
+        RobotPart.HAND,
+        RobotPart.LEFT_FINGER,
+        RobotPart.RIGHT_FINGER,
+        RobotPart.LINK0,
+    }
+    assert max(off(camera, solved.fit.lens.to_camera())) < 1e-5
+
+
+def test_one_posture_in_a_motion_determines_the_turn_about_joint_1(camera, model):
+    q = postures(6)
+    guess = replace(camera, X_BC=make_pose(rotation_exp([0.0, 0.0, 0.08]), [0.02, 0.0, -0.02]) @ camera.X_BC)
+    states = states_of(q, model)
+    first = np.arange(6)[:, None] == 0
+    states = replace(states, q=np.where(first, q, np.nan), X_BH=np.where(first[..., None], states.X_BH, np.nan))
+    parts = tuple(part for part in VISIBLE if part is not RobotPart.LINK0)
+    estimate = view_of(project_robot(camera, q, model, parts=parts), q + 0.02)
+    solved = solve(estimate, states, guess, model, focal_free=False)
+    assert off(camera, solved.fit.lens.to_camera())[0] < 2e-3
+
+
+def test_derivatives_are_those_of_the_projection(camera, model):
+    from kinebench_drake.grounding.camera.articulated import _derivatives
+    from kinebench_drake.grounding.camera.correspondences import locate_points
+    from kinebench_drake.grounding.camera.fit import Lens
+
+    q, finger_m = postures(2), np.array([0.01, 0.02])
+    cells = project_robot(camera, q, model, cells=2)
+    lens = Lens(camera=camera, X_CB=invert(camera.X_BC))
+
+    def pixels(step, dq, dw):
+        return lens.displace(step).project(locate_points(cells, model.poses(q + dq), finger_m + dw))[0]
+
+    by_lens, by_state = _derivatives(cells, lens, q, finger_m, model)
+    h = 1e-6
+    for k in range(7):
+        e = h * np.eye(7)[k]
+        slope = (pixels(e, 0, 0) - pixels(-e, 0, 0)) / (2 * h)
+        assert np.allclose(by_lens[..., k], slope, rtol=1e-5, atol=1e-3)
+        slope = (pixels(0 * e, e, 0) - pixels(0 * e, -e, 0)) / (2 * h)
+        assert np.allclose(by_state[..., k], slope, rtol=1e-5, atol=1e-3)
+    slope = (pixels(np.zeros(7), 0, h) - pixels(np.zeros(7), 0, -h)) / (2 * h)
+    assert np.allclose(by_state[..., 7], slope, rtol=1e-5, atol=1e-3)

@@ -1,0 +1,94 @@
+import numpy as np
+import pytest
+from tests.calibration.robot import postures
+
+from kinebench_drake.errors import InputError, UsageError
+from kinebench_drake.grounding.camera.calibrate import CalibrationMethod, _method, _times
+from kinebench_drake.grounding.camera.states import make_posture_states, parse_posture, read_states
+from kinebench_drake.io.video import Video
+from kinebench_drake.models.panda.robot import RobotPart, hand_from_tcp
+
+
+def test_a_row_a_frame_is_taken_as_it_is_whatever_its_times_say(tmp_path, model):
+    q = postures(5)
+    np.savez(tmp_path / "a.npz", t_s=np.arange(5) * 7.0, q=q, finger_width_m=np.full(5, 0.04))
+    states = read_states(tmp_path / "a.npz", None, None, np.arange(5) * 0.1, model)
+    assert np.array_equal(states.q, q)
+    assert np.allclose(states.X_BH, model.poses(q)[:, RobotPart.HAND])
+    assert np.allclose(states.finger_m, 0.02)
+
+
+def test_a_frame_without_joint_angles_does_not_change_the_method(tmp_path, model):
+    q = postures(5)
+    states = []
+    for lost in ([], [2], [0, 1, 2]):
+        some = q.copy()
+        some[lost] = np.nan
+        tracked = np.isfinite(some).all(axis=1)
+        np.savez(tmp_path / "a.npz", t_s=np.arange(5.0), q=q, tracked=tracked)
+        states.append(read_states(tmp_path / "a.npz", None, None, np.arange(5.0), model))
+    assert [int(s.has_hand.sum()) for s in states] == [5, 4, 2]
+    assert {_method(s) for s in states} == {CalibrationMethod.JOINTS}
+
+
+def test_faster_joint_angles_are_taken_at_the_frames_times(tmp_path, model):
+    t_s = np.linspace(0.0, 2.0, 201)
+    q = np.outer(t_s, np.linspace(0.1, 0.4, 7)) + postures(1)
+    np.savez(tmp_path / "a.npz", t_s=t_s + 5.0, q=q)
+    states = read_states(tmp_path / "a.npz", None, None, np.array([0.0, 0.503, 1.999]), model)
+    assert np.allclose(states.q, postures(1) + np.outer([0.0, 0.503, 1.999], np.linspace(0.1, 0.4, 7)))
+
+
+def test_poses_of_the_tcp_are_poses_of_the_hand(tmp_path, model):
+    X_BH = model.poses(postures(4))[:, RobotPart.HAND]
+    np.savez(tmp_path / "a.npz", t_s=np.arange(4.0), base_from_tcp=X_BH @ hand_from_tcp())
+    states = read_states(tmp_path / "a.npz", None, None, np.arange(4.0), model)
+    assert np.allclose(states.X_BH, X_BH)
+    assert np.isnan(states.q).all()
+    X_BP = states.part_poses(model)
+    assert np.isfinite(X_BP[:, [RobotPart.HAND, RobotPart.LINK0]]).all()
+    assert np.isnan(X_BP[:, RobotPart.LINK3]).all()
+
+
+def test_joint_angles_shorter_than_the_video_are_refused(tmp_path, model):
+    np.savez(tmp_path / "a.npz", t_s=np.arange(5) * 0.1, q=postures(5))
+    with pytest.raises(InputError, match=r"5 rows over 0.40 s.*20 frames over 1.90 s.*--frame-period"):
+        read_states(tmp_path / "a.npz", None, None, np.arange(20) * 0.1, model)
+
+
+def test_a_video_without_a_clock_wants_a_row_a_frame_or_a_period(tmp_path, model):
+    """Else every frame would have the posture of the first row."""
+    np.savez(tmp_path / "a.npz", t_s=np.arange(8) * 0.1, q=postures(8))
+    clockless = Video(frames=np.zeros((5, 2, 2, 3), np.uint8), fps=None, stamps_s=None)
+    assert np.array_equal(read_states(tmp_path / "a.npz", None, None, np.full(8, np.nan), model).q, postures(8))
+    with pytest.raises(UsageError, match=r"8 rows, but 5 frames of a video without a clock.*--frame-period"):
+        read_states(tmp_path / "a.npz", None, None, _times(clockless, None), model)
+
+
+def test_files_of_several_episodes_want_one_named(tmp_path, model):
+    (tmp_path / "many").mkdir()
+    for name in ("a", "b"):
+        np.savez(tmp_path / "many" / f"{name}.npz", t_s=np.arange(3.0), q=postures(3))
+    with pytest.raises(UsageError, match=r"contains 2 episodes.*--episode, one of a, b"):
+        read_states(tmp_path / "many", None, None, np.arange(3.0), model)
+    assert len(read_states(tmp_path / "many", "b", None, np.arange(3.0), model).q) == 3
+
+
+def test_one_posture_is_known_in_its_frame_alone(model):
+    states = make_posture_states("0,-0.5,0,-2,0,1.6,0.8", 2, 4, model)
+    assert states.has_hand.tolist() == [False, False, True, False]
+    assert np.allclose(states.q[2], [0, -0.5, 0, -2, 0, 1.6, 0.8])
+    with pytest.raises(UsageError, match=r"--joints-frame is 4, expected 0 to 3"):
+        make_posture_states("home", 4, 4, model)
+
+
+@pytest.mark.parametrize("text", ["0,1,2", "0,0,0,-90,0,90,45", "0,0,0,nan,0,0,0"])
+def test_numbers_that_are_no_posture_are_refused(text):
+    with pytest.raises(UsageError, match="expected 7 joint angles in radians"):
+        parse_posture(text)
+
+
+def test_named_postures_are_within_the_joints_limits(model):
+    for name in ("home", "rest"):
+        q = parse_posture(name)
+        assert ((q >= model.lower) & (q <= model.upper)).all()

@@ -1,0 +1,59 @@
+import pytest
+
+from kinebench_drake.metrics.trust import TRUST, TrustLevel, assess_trust, trust_lines
+
+EXTRA = {
+    "camera_state": "named",
+    "camera_agreement": 0.72,
+    "domain": "familiar",
+    "frames": 49,
+    "frame_period_source": "manifest",
+}
+PERIOD = "0.2 s, from the manifest"
+METRICS = {"tracked_fraction": 1.0, "confidence_mean": 0.97}
+
+
+def test_nothing_against_a_sample_is_solid_and_the_line_says_what_it_rests_on():
+    trust = assess_trust(EXTRA, METRICS, PERIOD, is_measured=True)
+    assert trust.level is TrustLevel.SOLID
+    assert trust.line == (
+        "solid: nothing speaks against it (camera named, 72% of the arm's contours on image edges; look familiar; mean "
+        "confidence 0.97; frame period 0.2 s, from the manifest; 0 of 49 frames not measured)"
+    )
+
+
+@pytest.mark.parametrize(
+    ("extra", "metrics", "is_measured", "level", "reason"),
+    [
+        ({"camera_state": "none"}, {}, True, TrustLevel.UNKNOWN, "the base frame is unknown"),
+        ({}, {}, False, TrustLevel.UNKNOWN, "the track is not trusted"),
+        ({"camera_state": "estimated"}, {}, True, TrustLevel.CHECK, "the camera is estimated"),
+        ({"camera_agreement": 0.5}, {}, True, TrustLevel.CHECK, "does not confirm the named camera"),
+        ({}, {"tracked_fraction": 0.9}, True, TrustLevel.CHECK, "could not be measured"),
+        ({}, {"confidence_mean": 0.6}, True, TrustLevel.CHECK, "confidence is low"),
+        ({"domain": "unfamiliar"}, {}, True, TrustLevel.CHECK, "unfamiliar"),
+        ({"domain": "arm_alone"}, {}, True, TrustLevel.CHECK, "without a hand"),
+        ({"camera_state": "confirmed", "frame_period_source": "fps"}, {}, True, TrustLevel.CHECK, "0.2 s"),
+    ],
+)
+def test_each_doubt_lowers_the_level_and_is_its_reason(extra, metrics, is_measured, level, reason):
+    trust = assess_trust({**EXTRA, **extra}, {**METRICS, **metrics}, PERIOD, is_measured=is_measured)
+    assert trust.level is level
+    assert reason in trust.reason
+
+
+def test_an_unknown_base_frame_gives_its_numbers():
+    trust = assess_trust(
+        {**EXTRA, "camera_state": "none", "base_frame_reason": "72% against 56%"}, METRICS, PERIOD, is_measured=True
+    )
+    assert trust.reason == "the base frame is unknown"
+    assert trust.line.startswith("unknown: 72% against 56% (")
+
+
+def test_a_run_counts_its_levels_with_their_reasons():
+    rows = [EXTRA, EXTRA, {**EXTRA, "camera_state": "none"}, {**EXTRA, "domain": "unfamiliar"}]
+    assessed = [{TRUST: assess_trust(extra, METRICS, PERIOD, is_measured=True).to_json()} for extra in rows]
+    assert trust_lines([*assessed, {}]) == [
+        "trust: 2 solid, 1 check (the look is unfamiliar: 1), 1 unknown (the base frame is unknown: 1)"
+    ]
+    assert trust_lines([{}]) == []

@@ -1,0 +1,89 @@
+"""Clips judged one by one and put together: the step between two of them is nobody's motion."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from kinebench_drake.geometry import make_pose
+from kinebench_drake.kinematics.plant import ArmPlant
+from kinebench_drake.runs.analyzer import Analyzer, RobotOptions
+from kinebench_drake.runs.clips import combine, join_tracks
+from kinebench_drake.types import GripperTrack
+
+Q = np.array([0.0, 0.3, 0.0, -2.0, 0.0, 2.2, 0.8])
+N = 25
+
+
+@pytest.fixture(scope="module")
+def analyzer():
+    return Analyzer(RobotOptions())
+
+
+def clip(shift=(0.0, 0.0, 0.0), reach=0.1, seen=N):
+    """A smooth move sideways by `reach` [m], from a start that is displaced by `shift` (3,) [m]."""
+    s = 0.5 - 0.5 * np.cos(np.linspace(0.0, np.pi, N))
+    X = ArmPlant().forward(Q)
+    X_BG = make_pose(np.broadcast_to(X[:3, :3], (N, 3, 3)), X[:3, 3] + shift + np.outer(s, [0.0, reach, 0.0]))
+    tracked = np.arange(N) < seen
+    X_BG[~tracked] = np.nan
+    return GripperTrack(
+        t_s=0.2 * np.arange(N), X_CH=X_BG, X_BG=X_BG, tracked=tracked, confidence=tracked.astype(float),
+        finger_width_m=np.full(N, 0.04),
+    )  # fmt: skip
+
+
+def judged(analyzer, *clips):
+    return combine(clips, [analyzer.judge(c) for c in clips])
+
+
+def test_one_clip_is_judged_as_it_is(analyzer):
+    alone, combined = analyzer.judge(clip()), judged(analyzer, clip())
+    assert combined.metrics == alone.metrics
+    assert combined.violations == alone.violations
+
+
+def test_a_step_between_clips_is_no_violation(analyzer):
+    clips = clip(), clip(shift=(0.0, -0.1, 0.15))  # the second begins 25 cm from where the first ends
+    assert judged(analyzer, *clips).feasible is True
+    assert analyzer.judge(join_tracks(clips)).feasible is False
+
+
+def test_extremes_count_and_integrals_add_up(analyzer):
+    slow, fast = clip(reach=0.05), clip(reach=0.25)
+    a, b, both = analyzer.judge(slow).metrics, analyzer.judge(fast).metrics, judged(analyzer, slow, fast).metrics
+    assert both.keys() == a.keys()
+    assert both["velocity_ratio_max"] == max(a["velocity_ratio_max"], b["velocity_ratio_max"]) > a["velocity_ratio_max"]
+    assert both["slowdown_min"] == max(a["slowdown_min"], b["slowdown_min"])
+    assert both["manipulability_min"] == min(a["manipulability_min"], b["manipulability_min"])
+    assert both["manipulability_integral"] == pytest.approx(a["manipulability_integral"] + b["manipulability_integral"])
+    assert both["sparc"] == pytest.approx((a["sparc"] + b["sparc"]) / 2)
+
+
+def test_frames_are_counted_through(analyzer):
+    down = clip(shift=(0.0, 0.0, -0.5))  # through the table
+    alone, both = analyzer.judge(down), judged(analyzer, clip(), down)
+    assert both.feasible is False
+    assert [v["kind"] for v in both.violations] == [v["kind"] for v in alone.violations]
+    starts = [v["frame_start"] for v in alone.violations]
+    assert starts
+    assert [v["frame_start"] for v in both.violations] == [N - 1 + s for s in starts]
+    assert len(both.joints.q) == len(both.track.t_s) == 2 * N - 1
+    assert (np.diff(both.track.t_s) > 0).all()
+    assert all(len(curve) == 2 * N - 1 for curve in both.curves.values())
+
+
+def test_a_clip_that_was_not_seen_leaves_the_verdict_open(analyzer):
+    both = judged(analyzer, clip(), clip(seen=1))
+    assert both.feasible is None
+    assert both.metrics["slowdown_min"] is None
+    assert both.reasons["slowdown_min"].startswith("clip 2: ")
+    assert both.metrics["sparc"] is None
+    assert both.metrics["manipulability_mean"] < analyzer.judge(clip()).metrics["manipulability_mean"]
+
+
+def test_join_trackss_leave_out_what_is_seen_twice():
+    one, other = clip(), replace(clip(), finger_width_m=np.full(N, 0.01))
+    joined = join_tracks([one, other])
+    assert joined.finger_width_m.tolist() == [0.04] * N + [0.01] * (N - 1)
+    np.testing.assert_allclose(np.diff(joined.t_s), 0.2)

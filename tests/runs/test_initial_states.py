@@ -1,0 +1,38 @@
+"""Known first frames of benchmark episodes."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from kinebench_drake.formats.videos.find import find_samples
+from kinebench_drake.formats.videos.sample import VideoSample
+from kinebench_drake.kinematics.plant import ArmPlant
+from kinebench_drake.runs.preparation import with_initial_states
+from kinebench_drake.suites.start import start_q
+from kinebench_drake.types import InitialState
+
+
+@pytest.fixture
+def sample(tmp_path) -> VideoSample:
+    (tmp_path / "a.mp4").touch()
+    return find_samples(tmp_path).samples[0]
+
+
+def test_an_episode_tells_where_its_robot_begins(sample: VideoSample) -> None:
+    (told,) = with_initial_states([replace(sample, task="PullCube-v1", seed=7)])
+    assert told.initial_state is not None
+    np.testing.assert_allclose(told.initial_state.X_BG, ArmPlant().forward(start_q("PullCube-v1", 7)[:7]), atol=1e-12)
+    assert told.initial_state.finger_width_m == 0.0
+
+
+@pytest.mark.parametrize(("task", "seed"), [("PullCube-v1", None), (None, 3), ("Juggle-v1", 3)])
+def test_nothing_is_told_of_what_is_no_episode(sample: VideoSample, task: str | None, seed: int | None) -> None:
+    (told,) = with_initial_states([replace(sample, task=task, seed=seed)])
+    assert told.initial_state is None
+
+
+def test_what_the_manifest_says_goes_before(sample: VideoSample) -> None:
+    own = InitialState(X_BG=np.eye(4))
+    (told,) = with_initial_states([replace(sample, task="PullCube-v1", seed=7, initial_state=own)])
+    assert told.initial_state is own

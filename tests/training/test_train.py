@@ -1,0 +1,124 @@
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from safetensors.torch import load_file
+
+from kinebench_drake.errors import SetupError, UsageError
+from kinebench_drake.models.panda.robot import RobotPart
+from kinebench_drake.models.perception.network import DenseOutput, load_network
+from training import loop
+from training.crops import Shards
+from training.loop import Schedule
+from training.train import TrainingConfig, losses, train
+
+
+def config(shards: Shards, out: Path) -> TrainingConfig:
+    schedule = Schedule(
+        steps=4, batch_size=2, learning_rate=1e-3, checkpoint_every=2, warm_up_steps=1,  # steps that show a lost state
+    )  # fmt: skip
+    return TrainingConfig(data=shards.folders, out=out, workers=0, schedule=schedule)
+
+
+@pytest.mark.sapien
+def test_an_interrupted_training_goes_on_to_the_same_weights(
+    shards: Shards, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole = load_file(train(config(shards, tmp_path / "whole"), lambda _: None))
+
+    update = loop.update_average
+
+    def cut_at_step_3(average: torch.nn.Module, network: torch.nn.Module, step: int, decay: float) -> None:
+        if step == 2:
+            raise KeyboardInterrupt
+        update(average, network, step, decay)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(loop, "update_average", cut_at_step_3)
+        with pytest.raises(KeyboardInterrupt):
+            train(config(shards, tmp_path / "cut"), lambda _: None)
+    messages: list[str] = []
+    resumed = load_file(train(config(shards, tmp_path / "cut"), messages.append))
+    assert messages == ["going on from step 2"]
+    assert whole.keys() == resumed.keys()
+    for key, value in whole.items():
+        torch.testing.assert_close(resumed[key], value, atol=2e-4, rtol=2e-3, msg=key)
+    network = load_network(tmp_path / "cut" / "gripper.safetensors")
+    with torch.inference_mode():
+        assert torch.isfinite(network(torch.rand(1, 3, 64, 64)).coordinates).all()
+
+
+@pytest.mark.sapien
+def test_the_network_of_the_arm_alone_has_weights_of_its_own(shards: Shards, tmp_path: Path) -> None:
+    weights = [train(replace(config(shards, tmp_path / str(arm)), arm=arm), lambda _: None) for arm in (True, False)]
+    assert [file.name for file in weights] == ["arm.safetensors", "gripper.safetensors"]
+    of_arm, of_gripper = (load_file(file) for file in weights)
+    assert any((of_arm[key] != of_gripper[key]).any() for key in of_arm)  # other crops of the same frames
+
+
+def test_training_without_frames_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="no rendered shards"):
+        Shards([tmp_path])
+
+
+def test_weights_that_are_none_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "w.safetensors"
+    with pytest.raises(SetupError, match="no such weights"):
+        load_network(path)
+    path.write_bytes(b"not safetensors at all")
+    with pytest.raises(SetupError, match="not weights"):
+        load_network(path)
+
+
+def batch_of(part: RobotPart) -> dict[str, torch.Tensor]:
+    return {
+        "part": torch.full((1, 8, 8), int(part)),
+        "coordinates": torch.zeros(1, 3, 8, 8),
+        "log_depth": torch.zeros(1, 8, 8),
+    }
+
+
+def output_for(batch: dict[str, torch.Tensor], errors: tuple[float, float], log_scale: float) -> DenseOutput:
+    """An output whose coordinates are off by one error where it takes cells for gripper, by another for arm."""
+    h = batch["part"].shape[1]
+    return DenseOutput(
+        part_logits=torch.zeros(1, len(RobotPart), h, h),
+        coordinates=torch.stack([batch["coordinates"] + error for error in errors], dim=1),
+        coordinate_log_scale=torch.full((1, 2, h, h), log_scale),
+        log_depth=batch["log_depth"].clone(),
+        depth_log_scale=torch.zeros(1, h, h),
+    )
+
+
+def coordinate_loss(output: DenseOutput, batch: dict[str, torch.Tensor]) -> float:
+    return float(losses(output, batch).reported["coordinates"])
+
+
+def test_the_likelihood_is_best_at_the_true_scale() -> None:
+    batch = batch_of(RobotPart.HAND)
+    scales = np.linspace(-4, 0, 41)
+    values = [coordinate_loss(output_for(batch, (0.1, 0.1), float(s)), batch) for s in scales]
+    assert scales[int(np.argmin(values))] == pytest.approx(np.log(0.1), abs=0.06)
+
+
+@pytest.mark.parametrize(("part", "others"), [(RobotPart.LEFT_FINGER, (0.1, 9.0)), (RobotPart.LINK6, (9.0, 0.1))])
+def test_gripper_and_arm_answer_for_their_own_coordinates(part: RobotPart, others: tuple[float, float]) -> None:
+    batch = batch_of(part)
+    right = coordinate_loss(output_for(batch, (0.1, 0.1), 0.0), batch)
+    assert coordinate_loss(output_for(batch, others, 0.0), batch) == pytest.approx(right)
+    assert coordinate_loss(output_for(batch, others[::-1], 0.0), batch) > 2 * right
+
+
+def test_the_background_has_no_coordinates() -> None:
+    batch = batch_of(RobotPart.BACKGROUND)
+    assert coordinate_loss(output_for(batch, (5.0, 5.0), 0.0), batch) == 0.0
+
+
+@pytest.mark.sapien
+def test_another_training_does_not_go_on_from_this_one(shards: Shards, tmp_path: Path) -> None:
+    first = config(shards, tmp_path)
+    train(first, lambda _: None)
+    with pytest.raises(UsageError, match="holds a training with"):
+        train(replace(first, schedule=replace(first.schedule, seed=1)), lambda _: None)

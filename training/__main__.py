@@ -1,0 +1,220 @@
+"""`python -m training`: rendering of training data, training and calibration of the networks and of the learned baseline."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import click
+
+from kinebench_drake.cli.options import PathParameter
+from kinebench_drake.errors import KinebenchError
+
+_FILE = PathParameter(dir_okay=False)
+_FOLDER = PathParameter(file_okay=False)
+_EXISTING_FOLDER = PathParameter(exists=True, file_okay=False)
+_DATA = click.option(
+    "--data", type=_FOLDER, default=Path("data/frames"), show_default=True,
+    help="Folder of rendered frames; missing ones are rendered into it.",
+)  # fmt: skip
+_JOBS = click.option("--jobs", type=click.IntRange(1), default=2, show_default=True, help="Rendering processes.")
+_WEIGHTS = click.option("--weights", type=_FILE, help="Network weights (safetensors).  [default: those shipped]")
+
+
+def _demos(purpose: str) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    return click.option(
+        "--demos", multiple=True, type=_EXISTING_FOLDER,
+        help=f"Folder of `suite demos --format frames` {purpose} as well; repeatable.",
+    )  # fmt: skip
+
+
+class TrainingGroup(click.Group):
+    """A group whose commands turn errors of the package into errors of the command line."""
+
+    def invoke(self, ctx: click.Context) -> Any:
+        """Invoke a command."""
+        try:
+            return super().invoke(ctx)
+        except KinebenchError as error:
+            raise click.ClickException(str(error)) from None
+
+
+@click.group(cls=TrainingGroup, epilog="\b\nExample:\n  python -m training render data/vtk --videos 40")
+def main() -> None:
+    """Train and calibrate the perception networks and the learned baseline."""
+
+
+@main.command(
+    epilog="\b\nExample:\n"
+    "  kinebench-drake suite demos --suite 2 --split train --episodes 40 --format frames --out data/demos --jobs 2\n"
+    "  python -m training train --demos data/demos --out data/training"
+)
+@_DATA
+@click.option(
+    "--out", type=_FOLDER, default=Path("data/training"), show_default=True,
+    help="Folder for checkpoints and weights; an interrupted run resumes from it.",
+)  # fmt: skip
+@click.option("--scenes", type=click.IntRange(1), default=600, show_default=True, help="Number of scenes of 20 frames.")
+@click.option("--steps", type=click.IntRange(1), default=4000, show_default=True, help="Training steps.")
+@click.option("--batch-size", type=click.IntRange(2), default=32, show_default=True, help="Crops per step.")
+@click.option(
+    "--learning-rate", type=click.FloatRange(0.0, min_open=True), default=1.2e-3, show_default=True,
+    help="Maximum learning rate of AdamW, reached after the warm-up.",
+)  # fmt: skip
+@click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Seed of crops and weights.")
+@_demos("to train on")
+@click.option(
+    "--arm",
+    is_flag=True,
+    help="Train the network of the arm alone: most scenes show a gripper that is not Franka's; name another --data.",
+)
+@click.option(
+    "--start", type=PathParameter(dir_okay=False, exists=True),
+    help="Initial weights (safetensors).  [default: an encoder trained on ImageNet]",
+)  # fmt: skip
+@_JOBS
+def train(
+    data: Path,
+    out: Path,
+    scenes: int,
+    steps: int,
+    batch_size: int,
+    learning_rate: float,
+    seed: int,
+    demos: tuple[Path, ...],
+    arm: bool,
+    start: Path | None,
+    jobs: int,
+) -> None:
+    """Render frames and train the gripper network on them, on the GPU if there is one."""
+    from training.loop import Schedule
+    from training.render import render
+    from training.train import TrainingConfig
+    from training.train import train as run
+
+    render(data, range(scenes), jobs, click.echo, arm=arm)
+    schedule = Schedule(steps=steps, learning_rate=learning_rate, batch_size=batch_size, seed=seed)
+    weights = run(TrainingConfig(data=(data, *demos), out=out, start=start, schedule=schedule, arm=arm), click.echo)
+    click.echo(f"weights: {weights}; next: python -m training calibrate --weights {weights}")
+
+
+@main.command(
+    epilog="\b\nExample:\n"
+    "  kinebench-drake suite demos --suite 2 --split seen --episodes 3 --out data/held-out\n"
+    "  python -m training render data/vtk --videos 40\n"
+    "  python -m training calibrate data/held-out data/vtk --out models/perception/confidence.json --jobs 2"
+)
+@click.argument("folders", nargs=-1, required=True, type=_EXISTING_FOLDER)
+@_WEIGHTS
+@click.option("--limit", type=click.IntRange(2), help="Number of videos of each folder.  [default: all]")
+@click.option(
+    "--out", type=_FILE, help="File for the calibration; measurements are kept beside it, so that a run resumes."
+)
+@click.option("--jobs", type=click.IntRange(1), default=1, show_default=True, help="Worker processes.")
+def calibrate(folders: tuple[Path, ...], weights: Path | None, limit: int | None, out: Path | None, jobs: int) -> None:
+    """Fit the confidence to the errors on held-out videos of FOLDERS, of `suite demos` or `python -m training render`.
+
+    Each video is measured as it is, and degraded, occluded, without its gripper or with a wrong camera. The printed
+    reliability is that of a fit to half of the videos, measured on the other half; videos with a wrong camera are only
+    measured.
+    """
+    from kinebench_drake.cli.run import ProgressView
+    from kinebench_drake.executors.base import ExecutorKind, create_executor
+    from kinebench_drake.grounding.tracking.confidence import save_confidence
+    from training.calibration import ConfidenceCalibration, calibrate_confidence
+
+    keep = None if out is None else out.with_name(f"{out.stem}_poses.jsonl")
+    config = ConfidenceCalibration(videos=folders, weights=weights, limit=limit, keep=keep)
+    with ProgressView("measurements") as view:
+        confidence, lines = calibrate_confidence(config, create_executor(ExecutorKind.LOCAL, jobs), view)
+    for line in lines:
+        click.echo(line)
+    if out is not None:
+        save_confidence(confidence, out)
+        click.echo(f"calibration fitted to all videos: {out}")
+
+
+@main.command(epilog="\b\nExample:\n  python -m training render data/vtk --videos 40")
+@click.argument("out", type=_FOLDER)
+@click.option("--videos", type=click.IntRange(1), default=20, show_default=True, help="Number of videos.")
+def render(out: Path, videos: int) -> None:
+    """Render videos with ground truth with Drake's VTK renderer, on which the networks are not trained.
+
+    Videos that OUT holds already are kept. Cameras stand anywhere around the arm, and images have several sizes and
+    shapes.
+    """
+    from training.video import render_videos
+
+    render_videos(out, range(videos), click.echo)
+
+
+@main.group(epilog="\b\nExample:\n  python -m training baseline train --data demos/ --out baseline/")
+def baseline() -> None:
+    """Train and measure the baseline: a network that maps pixels directly to poses.
+
+    It represents the inverse-dynamics networks of other benchmarks, for comparison only.
+    """
+
+
+@baseline.command(
+    "train",
+    epilog="\b\nExamples:\n"
+    "  kinebench-drake suite demos --suite 1 --split train --episodes 100 --size 256 --out demos/ --jobs 2\n"
+    "  python -m training baseline train --data demos/ --out baseline/",
+)
+@click.option(
+    "--data", type=_EXISTING_FOLDER, required=True,
+    help="Folder of demonstrations, as `suite demos --format mp4` writes them.",
+)  # fmt: skip
+@click.option(
+    "--out", type=_FOLDER, required=True,
+    help="Folder for decoded frames, checkpoints and weights; an interrupted run resumes from it.",
+)  # fmt: skip
+@click.option("--steps", type=click.IntRange(1), default=2400, show_default=True, help="Training steps.")
+@click.option(
+    "--batch-size", type=click.IntRange(2), default=8, show_default=True, help="Windows of 5 frames per step."
+)
+@click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Seed of windows and weights.")
+def train_baseline(data: Path, out: Path, steps: int, batch_size: int, seed: int) -> None:
+    """Train the baseline on demonstrations of one camera, on the GPU when there is one."""
+    from training.baseline.fitting import SCHEDULE, BaselineConfig
+    from training.baseline.fitting import train as run
+
+    schedule = replace(SCHEDULE, steps=steps, batch_size=batch_size, seed=seed)
+    weights = run(BaselineConfig(data=data, out=out, schedule=schedule), click.echo)
+    click.echo(f"weights: {weights}; next: python -m training baseline evaluate FOLDER --weights {weights}")
+
+
+@baseline.command(
+    "evaluate",
+    epilog="\b\nExamples:\n"
+    "  kinebench-drake suite demos --suite 1 --split seen --episodes 5 --out seen/\n"
+    "  kinebench-drake suite demos --suite 1 --split unseen --episodes 5 --out unseen/\n"
+    "  python -m training baseline evaluate seen/ unseen/ --weights baseline/baseline.safetensors\n",
+)
+@click.argument("folders", metavar="FOLDER...", nargs=-1, required=True, type=_EXISTING_FOLDER)
+@click.option("--weights", type=_FILE, required=True, help="Weights of the baseline.")
+@click.option("--grounding-weights", type=_FILE, help="Weights of the grounding.  [default: those shipped]")
+@click.option("--limit", type=click.IntRange(1), default=None, help="Number of videos of each task.")
+@click.option(
+    "--out", type=_FOLDER, default=Path("baseline-comparison"), show_default=True,
+    help="Folder for the table (txt, json) and the figure (png).",
+)  # fmt: skip
+def evaluate_baseline(
+    folders: tuple[Path, ...], weights: Path, grounding_weights: Path | None, limit: int | None, out: Path
+) -> None:
+    """Measure the errors of baseline and grounding against ground truth on the same videos.
+
+    A FOLDER is the output of `suite demos --format mp4`. Tasks that the baseline was trained on and unseen tasks are
+    listed separately. Errors are those of panda_hand_tcp in the base frame: in all frames for the baseline, in tracked
+    frames for the grounding, with 95 % bootstrap intervals over videos.
+    """
+    from training.baseline.report import comparison_lines
+
+    for line in comparison_lines(folders, weights, grounding_weights, limit, out):
+        click.echo(line)
+    click.echo(out)
+
+
+if __name__ == "__main__":
+    main(prog_name="python -m training")

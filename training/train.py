@@ -1,0 +1,112 @@
+"""Training of the gripper network on rendered frames."""
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import torch
+from torch import nn
+from torch.nn import functional
+from torch.utils.data import DataLoader
+
+from kinebench_drake.models.panda.robot import ARM, RobotPart
+from kinebench_drake.models.perception.network import ARM_WEIGHTS, WEIGHTS, DenseOutput, GripperNetwork, load_network
+from training.crops import GRIPPER_TARGET, WRIST_TARGET, Crops, Shards, Steps
+from training.loop import Batch, LossTerms, Schedule, optimise, pick_device, save_weights
+
+_PIXEL_WEIGHTS = (1.0, 1.0, 5.0, 5.0, *[1.0] * len(ARM))  # by RobotPart
+_ARM_WEIGHT = 0.6  # weight of the arm's coordinates and depth / weight of the gripper's
+_FIXED_FROM = 0.3
+"""Part of the steps after which batch normalisation is frozen, as the statistics of close and wide crops differ."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TrainingConfig:
+    """Inputs and settings of a training run."""
+
+    data: tuple[Path, ...]
+    """Folders of rendered shards."""
+    out: Path
+    """Folder for checkpoints and the final weights."""
+    start: Path | None = None
+    """Initial weights; if None, an ImageNet encoder."""
+    schedule: Schedule
+    """Schedule; its examples are crops."""
+    arm: bool = False
+    """True for the network of the arm alone: crops show the last links, and weights are named `arm.safetensors`."""
+    workers: int = 1
+    """Processes that prepare batches."""
+
+
+def losses(output: DenseOutput, batch: Batch) -> LossTerms:
+    """Return the cross-entropy of the parts and the Laplace likelihoods of coordinates and depth on robot pixels.
+
+    The negative log-likelihood with a predicted scale follows Kendall and Gal (NeurIPS 2017), with L1 in place of L2.
+    The fingers are a fiftieth of the pixels but determine the opening and resolve the half-turn ambiguity, so their
+    pixels have a larger weight in every term. In the total the cross-entropy has a larger weight, as it is small
+    compared to the likelihoods in nats.
+    """
+    part = batch["part"]
+    weight = torch.tensor(_PIXEL_WEIGHTS, device=part.device)
+    robot = weight[part] * (part != int(RobotPart.BACKGROUND))
+    is_arm = part >= int(ARM[0])
+    of_kind = torch.stack([robot * ~is_arm, robot * is_arm], dim=1)
+    count = of_kind.sum(dim=(0, 2, 3)).clamp(min=1.0)
+    error = (output.coordinates - batch["coordinates"][:, None]).abs().sum(dim=2)
+    b = output.coordinate_log_scale
+    of_gripper, of_arm = ((error * torch.exp(-b) + 3 * b) * of_kind).sum(dim=(0, 2, 3)) / count
+    error = (output.log_depth - batch["log_depth"]).abs()
+    b = output.depth_log_scale
+    depth = ((error * torch.exp(-b) + b)[:, None] * of_kind).sum(dim=(0, 2, 3)) / count
+    terms = {
+        "part": functional.cross_entropy(output.part_logits, part, weight),
+        "coordinates": of_gripper + _ARM_WEIGHT * of_arm,
+        "depth": depth[0] + _ARM_WEIGHT * depth[1],
+    }
+    return LossTerms(total=3.0 * terms["part"] + terms["coordinates"] + terms["depth"], reported=terms)
+
+
+def forward(network: nn.Module, batch: Batch) -> DenseOutput:
+    """Return the output of the network for the images of a batch."""
+    images = (batch["image"].float() / 255.0).contiguous(memory_format=torch.channels_last)
+    output: DenseOutput = network(images)
+    return output
+
+
+def train(config: TrainingConfig, report: Callable[[str], None]) -> Path:
+    """Train, or resume from the last checkpoint in `config.out`; return the path of the weights.
+
+    Args:
+        config: inputs and settings.
+        report: called with lines of text on the progress.
+
+    Raises:
+        UsageError: `config.data` holds no frames, or `config.out` holds another training.
+    """
+    schedule = replace(config.schedule, fixed_from=_FIXED_FROM)
+    torch.manual_seed(schedule.seed)
+    if config.start is None:
+        network = GripperNetwork()
+        network.encoder.load_imagenet()
+    else:
+        network = load_network(config.start)
+    network.to(pick_device()).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+    crops = Crops(Shards(config.data), schedule.seed, WRIST_TARGET if config.arm else GRIPPER_TARGET)
+
+    def batches(start: int) -> Iterable[Batch]:
+        steps = Steps(range(start, schedule.steps), schedule.batch_size)
+        return DataLoader(crops, batch_sampler=steps, num_workers=config.workers)
+
+    average = optimise(
+        network,
+        batches=batches,
+        forward=forward,
+        losses=losses,
+        schedule=schedule,
+        identity=schedule.identity(),
+        folder=config.out,
+        report=report,
+    )
+    weights = config.out / (ARM_WEIGHTS if config.arm else WEIGHTS).name
+    save_weights(average, weights)
+    return weights
