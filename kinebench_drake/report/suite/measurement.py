@@ -1,4 +1,4 @@
-"""Errors of motion extraction as `perception` writes them: records of its files."""
+"""Errors of motion extraction as the studies of `benchmarks` and `training` write them: records of their files."""
 
 import json
 from collections.abc import Sequence
@@ -16,8 +16,8 @@ ROBUSTNESS, DEPTH = "robustness", "depth-ablation"
 LEARNED = "learned"
 """Group of the conditions in which the learned baseline was measured."""
 _EXPECTED = (
-    f"expected a file of `python -m training baseline evaluate` ({BASELINE}), or of `python -m benchmarks perturb`, `depth-ablation` "
-    "or `evaluate` with --json"
+    f"expected a file of `python -m training baseline evaluate` ({BASELINE}), or of `python -m benchmarks perturb`, "
+    "`depth-ablation` or `evaluate` with --json"
 )
 
 
