@@ -15,19 +15,18 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from typing_extensions import override
 
-from kinebench_drake.camera import Camera
 from kinebench_drake.closed_loop.attribution import find_cause
 from kinebench_drake.closed_loop.commands import CommandPlanner
 from kinebench_drake.closed_loop.loop import ClosedLoop, LoopOptions
 from kinebench_drake.errors import InputError, KinebenchError
 from kinebench_drake.executors.base import Executor, WorkerCrash
-from kinebench_drake.geometry import Array
-from kinebench_drake.grounding.pipeline import GroundingResult
+from kinebench_drake.grounding.clip import Clip
+from kinebench_drake.grounding.video import Grounder, GroundingResult
 from kinebench_drake.kinematics.plant import ArmPlant
-from kinebench_drake.runs.analyzer import Analyzer, RobotOptions
+from kinebench_drake.runs.tools import RobotOptions, Tools
 from kinebench_drake.suites.episode import Episode
 from kinebench_drake.suites.expert.motion import Waypoint
 from kinebench_drake.suites.expert.registry import Expert, find_expert
@@ -39,7 +38,7 @@ from kinebench_drake.suites.simulator_cache import SimulatorCache
 from kinebench_drake.suites.suite import EpisodeSpec
 from kinebench_drake.suites.worldmodels.reference import OracleModel, OracleRenderer
 from kinebench_drake.suites.worldmodels.worldmodel import Request, SimulatorState
-from kinebench_drake.types import AnomalyKind, FailureVerdict, GripperTrack, Priors
+from kinebench_drake.types import AnomalyKind, FailureVerdict, GripperTrack
 
 FAULTS = (
     FaultGrade(kind=AnomalyKind.TELEPORT, size=0.15, form=None),
@@ -84,19 +83,19 @@ class CauseResult:
     """Explanation of the verdict, or why there is none."""
 
 
-class _LossyAnalyzer(Analyzer):
-    """An analyzer that loses the gripper in consecutive frames."""
+class _LossyGrounder(Grounder):
+    """A grounding that loses the gripper in consecutive frames."""
 
     lost: tuple[float, float] | None = None
     """First lost frame and number of lost frames, as shares of the clip."""
 
-    def ground(self, frames: NDArray[np.uint8], camera: Camera, t_s: Array, priors: Priors) -> GroundingResult:
-        """Track the gripper, then remove the lost frames."""
-        grounding = super().ground(frames, camera, t_s, priors)
+    @override
+    def ground(self, clip: Clip, *arguments: Any, **options: Any) -> GroundingResult:
+        result = super().ground(clip, *arguments, **options)
         if self.lost is None:
-            return grounding
-        start, length = (round(part * len(frames)) for part in self.lost)
-        return replace(grounding, track=_without(grounding.track, slice(start, start + length)))
+            return result
+        start, length = (round(part * len(clip.frames)) for part in self.lost)
+        return replace(result, track=_without(result.track, slice(start, start + length)))
 
 
 def _without(track: GripperTrack, lost: slice) -> GripperTrack:
@@ -147,10 +146,10 @@ class _Worker:
     """Runs cases."""
 
     def __init__(self) -> None:
-        self._analyzer = _LossyAnalyzer(RobotOptions())
+        self._grounder, self._tools = _LossyGrounder(), Tools(RobotOptions())
         self._simulators = SimulatorCache(_FaultyRobot, _SIZE_PX)
         options = LoopOptions(rounds=1, pixels_only=True)
-        make: Any = partial(ClosedLoop, self._analyzer.ground, CommandPlanner(ArmPlant()))
+        make: Any = partial(ClosedLoop, self._grounder, CommandPlanner(ArmPlant()))
         self._plain, self._half = make(OracleModel(), options), make(_HalfWayModel(), options)
         self._faulty = [make(OracleModel(fault=fault), options) for fault in FAULTS]
 
@@ -159,7 +158,7 @@ class _Worker:
         simulator = self._simulators.get(episode.task, episode.variant)
         rng = generator("causes", episode.id, case.planted.name)
         length = float(rng.uniform(*LOST_SHARE))
-        self._analyzer.lost = (
+        self._grounder.lost = (
             (float(rng.uniform(0.05, 1.0 - length)), length) if case.planted is PlantedCause.READING else None
         )
         robot = case.planted is PlantedCause.ROBOT
@@ -173,7 +172,7 @@ class _Worker:
                 run = loop.run(simulator, episode, Path(folder) / episode.id)
             except InputError as error:  # the expert has no path, the clip no place for the fault
                 return CauseResult(case=case, verdict=None, text=str(error))
-        cause = find_cause(run, [self._analyzer.judge(r.grounding.track) for r in run.rounds])
+        cause = find_cause(run, [self._tools.judge(r.grounding.track) for r in run.rounds])
         return CauseResult(
             case=case,
             verdict=None if cause is None else cause.verdict,

@@ -16,15 +16,13 @@ from benchmarks.perception.store import MeasurementStore, fingerprint
 from kinebench_drake.camera import Camera, CameraSetting
 from kinebench_drake.errors import UnmeasurableError
 from kinebench_drake.executors.base import Executor, WorkerCrash
-from kinebench_drake.formats.videos.sample import CameraSource, VideoSample
 from kinebench_drake.geometry import pose_difference
 from kinebench_drake.grounding.camera.fit import with_focal
 from kinebench_drake.grounding.camera.reading import Reading
-from kinebench_drake.grounding.overrides.overrides import Overrides
+from kinebench_drake.grounding.clip import Clip
+from kinebench_drake.grounding.video import Grounder
 from kinebench_drake.io.reader import read_video
 from kinebench_drake.models.panda.robot import hand_from_tcp
-from kinebench_drake.runs.analyzer import Analyzer, RobotOptions
-from kinebench_drake.runs.grounding import ground_with_camera
 
 WRONG_M, WRONG_RAD = 0.03, np.deg2rad(15.0)
 """Median errors of the TCP in the base frame beyond which it is wrong."""
@@ -95,7 +93,7 @@ _FOCALS = {Presentation.SHORT_FOCAL: 0.7, Presentation.LONG_FOCAL: 1.4}
 
 
 class Verdict(Enum):
-    """What became of a presented video."""
+    """Result of a presented video."""
 
     RIGHT = "right"
     """There are base-frame poses, and they are right."""
@@ -141,7 +139,7 @@ class Outcome:
 
     @property
     def verdict(self) -> Verdict:
-        """What became of the video."""
+        """Result of the video."""
         if self.position_m is None or self.rotation_rad is None:
             return Verdict.WITHHELD
         if self.position_m > WRONG_M or self.rotation_rad > WRONG_RAD:
@@ -162,33 +160,29 @@ class TrialWorker:
     """Grounds trials."""
 
     def __init__(self) -> None:
-        """Load the analyzer."""
-        self._analyzer = Analyzer(RobotOptions())
+        """Create the grounding."""
+        self._grounder = Grounder()
 
     def __call__(self, trial: Trial) -> Outcome:
         """Ground a trial and compare its track with the truth."""
         clip, presentation = trial.clip, trial.presentation
         truth, video = clip.load(), read_video(clip.video)
         frames, camera = presentation.apply(video.frames, clip.camera.resized(video.width, video.height))
-        sample = VideoSample(id=clip.id, path=clip.video, video=clip.video.name)
-        if presentation.names_camera:
-            sample = sample.filmed_by(CameraSetting(camera=camera), CameraSource.MANIFEST)
+        setting = CameraSetting(camera=camera) if presentation.names_camera else None
         start = time.process_time()
         base = Outcome(id=clip.id, presentation=presentation.value, state="none", cpu_s=0.0)
         try:
-            grounded = ground_with_camera(
-                replace(video, frames=frames), sample, Overrides(), self._analyzer, clip.frame_period_s
-            )
+            result = self._grounder.ground(Clip(frames=frames, t_s=truth.t_s), setting)
         except UnmeasurableError as error:
             return replace(base, reason=str(error), cpu_s=round(time.process_time() - start, 2))
-        choice, track = grounded.choice, grounded.track
+        choice, track = result.choice, result.track
         position_m, rotation_rad = pose_difference(track.X_BG, clip.camera.X_BC @ truth.X_CH @ hand_from_tcp())
         compared = track.tracked & np.isfinite(position_m)
         estimate = choice.estimate
         return replace(
             base,
             state=choice.state.value,
-            reason=choice.reason or grounded.unmeasurable,
+            reason=choice.reason or result.unmeasurable,
             agreement=choice.agreement,
             reading=None if choice.reading is None else choice.reading.reading.value,
             tracked=round(float(track.tracked.mean()), 4),
@@ -211,7 +205,7 @@ def measure(
         keep: file of finished outcomes, from which the same call goes on; None: none.
         log: receives a line per trial.
     """
-    base = fingerprint(modules=["kinebench_drake.runs.grounding"])
+    base = fingerprint(modules=["kinebench_drake.grounding.video"])
     store = None if keep is None else MeasurementStore(keep, Outcome)
     keys = {id(trial): f"{base}-{trial.clip.digest()}-{trial.clip.id}-{trial.presentation.value}" for trial in trials}
     outcomes: dict[tuple[str, str], Outcome] = {}

@@ -15,12 +15,13 @@ from benchmarks.record import machine_text
 from kinebench_drake.closed_loop import loop
 from kinebench_drake.closed_loop.commands import CommandPlanner
 from kinebench_drake.errors import KinebenchError
+from kinebench_drake.grounding.video import Grounder
 from kinebench_drake.runs import episode
-from kinebench_drake.runs.analyzer import Analyzer
 from kinebench_drake.runs.episode import EpisodeEvaluator, EpisodeResources, EpisodeSample
 from kinebench_drake.runs.evaluator import Evaluation
 from kinebench_drake.runs.runner import RunObserver
 from kinebench_drake.runs.suite import run_suite, suite_config
+from kinebench_drake.runs.tools import Tools
 from kinebench_drake.suites.simulator import Simulator
 from kinebench_drake.suites.worldmodels.reference import OracleModel
 
@@ -45,11 +46,11 @@ _FUNCTIONS: tuple[tuple[Any, str, Stage], ...] = (
     (Simulator, "reset", Stage.RESET),
     (Simulator, "render", Stage.IMAGE),
     (OracleModel, "generate", Stage.MODEL),
-    (Analyzer, "ground", Stage.GROUNDING),
+    (Grounder, "ground", Stage.GROUNDING),
     (CommandPlanner, "plan", Stage.COMMANDS),
     (loop, "execute", Stage.EXECUTION),
     (episode, "render_video", Stage.EXECUTED_IMAGES),
-    (Analyzer, "judge", Stage.KINEMATICS),
+    (Tools, "judge", Stage.KINEMATICS),
     (episode, "measure_gap", Stage.GAP),
     (episode, "write_video", Stage.FILM),
 )

@@ -55,7 +55,7 @@ FIRST_M, FIRST_RAD = 0.015, np.deg2rad(6.0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class GroundingResult:
+class PipelineResult:
     """Result of `GroundingPipeline.ground`."""
 
     track: GripperTrack
@@ -173,7 +173,7 @@ class GroundingPipeline:
         blank = np.zeros((2, camera.height, camera.width, 3), np.uint8)
         self.ground(blank, camera, np.array([0.0, 1.0]))
 
-    def ground(self, frames: Frames, camera: Camera, t_s: Array, priors: Priors = NO_PRIORS) -> GroundingResult:
+    def ground(self, frames: Frames, camera: Camera, t_s: Array, priors: Priors = NO_PRIORS) -> PipelineResult:
         """Estimate the gripper track of a video.
 
         Args:
@@ -217,7 +217,7 @@ class GroundingPipeline:
             offset_m=GOOD_M * (not raw.from_prior.all()),
             offset_rad=GOOD_RAD * (not raw.from_prior.all()),
         )
-        return GroundingResult(
+        return PipelineResult(
             track=track,
             gripper=self._gripper,
             domain=observation.domain,

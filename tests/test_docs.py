@@ -11,6 +11,7 @@ import pytest
 
 from benchmarks.__main__ import main as validation
 from kinebench_drake.cli import cli
+from training.__main__ import main as training
 
 ROOT = Path(__file__).parent.parent
 PAGES = [
@@ -116,7 +117,7 @@ def test_command_lines_can_be_parsed(page):
 
 @pytest.mark.parametrize("page", PAGES, ids=name)
 def test_commands_and_options_in_prose_exist(page):
-    known = all_options() | all_options(validation)
+    known = all_options() | all_options(validation) | all_options(training)
     for span in spans(page.read_text()):
         words = re.findall(r"[^\s=\[\]|/]+", span)
         if span.startswith(PROGRAM):

@@ -1,4 +1,4 @@
-"""`python -m training`: rendering of training data, training and calibration of the networks and of the learned baseline."""
+"""`python -m training`: training and calibration of the networks, training of the learned baseline."""
 
 from collections.abc import Callable
 from dataclasses import replace

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from benchmarks.perception.clip import TruthClip
 from kinebench_drake.geometry import Array, pose_difference
-from kinebench_drake.grounding.pipeline import GroundingResult
+from kinebench_drake.grounding.pipeline import PipelineResult
 from kinebench_drake.segments import segments
 from kinebench_drake.types import Anomaly, AnomalyKind, GripperTrack
 
@@ -123,7 +123,7 @@ class ClipErrors:
         )
 
 
-def compare(clip: TruthClip, grounding: GroundingResult, expense: Expense, share: Array | None = None) -> ClipErrors:
+def compare(clip: TruthClip, grounding: PipelineResult, expense: Expense, share: Array | None = None) -> ClipErrors:
     """Return the errors of a grounding; `share` (T,) is the share of the gripper that each frame shows.
 
     Frames whose pose was an input are not an achievement of the grounding: they count as frames without a gripper.

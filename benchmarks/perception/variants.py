@@ -11,7 +11,7 @@ from benchmarks.perception.clip import TruthClip
 from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array
 from kinebench_drake.grounding.overrides.depth import DepthPlugIn
-from kinebench_drake.grounding.pipeline import GroundingPipeline, GroundingResult
+from kinebench_drake.grounding.pipeline import GroundingPipeline, PipelineResult
 from kinebench_drake.grounding.tracking.confidence import load_confidence
 from kinebench_drake.grounding.tracking.crop import Crop
 from kinebench_drake.grounding.tracking.estimator import NetworkEstimator
@@ -47,7 +47,7 @@ class VariantTools:
         return cls(estimator=estimator, cad=cad, shipped=pipeline)
 
 
-Ground = Callable[[VariantTools, TruthClip, Frames], GroundingResult]
+Ground = Callable[[VariantTools, TruthClip, Frames], PipelineResult]
 """Function that grounds the frames of a clip."""
 
 
@@ -69,7 +69,7 @@ class PipelineVariant:
         """True if the ground truth must hold depth and mask."""
         return self.mask or self.depth
 
-    def ground(self, tools: VariantTools, clip: TruthClip, frames: Frames) -> GroundingResult:
+    def ground(self, tools: VariantTools, clip: TruthClip, frames: Frames) -> PipelineResult:
         """Ground frames with the priors of this variant."""
         exact = ExternalDepth(depth_m=clip.depth_m, exact=True) if self.depth and clip.depth_m is not None else None
         priors = Priors(
@@ -142,7 +142,7 @@ class DegradedEstimator:
 def degraded(degradation: Degradation, seed: int) -> Ground:
     """Return the shipped pipeline on degraded depth; `seed` and the clip's id determine the errors."""
 
-    def ground(tools: VariantTools, clip: TruthClip, frames: Frames) -> GroundingResult:
+    def ground(tools: VariantTools, clip: TruthClip, frames: Frames) -> PipelineResult:
         rng = np.random.default_rng([seed, *clip.id.encode()])
         estimator = DegradedEstimator(tools.estimator, len(clip.t_s), degradation, rng)
         pipeline = GroundingPipeline(CadTracker(estimator, tools.cad), load_confidence())
@@ -154,7 +154,7 @@ def degraded(degradation: Degradation, seed: int) -> Ground:
 def external(plug_in: DepthPlugIn) -> Ground:
     """Return the shipped pipeline on the depth of another estimator."""
 
-    def ground(tools: VariantTools, clip: TruthClip, frames: Frames) -> GroundingResult:
+    def ground(tools: VariantTools, clip: TruthClip, frames: Frames) -> PipelineResult:
         camera = clip.camera.resized(frames.shape[2], frames.shape[1])
         priors = Priors(depth=plug_in.estimate(frames, camera))
         return tools.shipped.ground(frames, clip.camera, clip.t_s[: len(frames)], priors)

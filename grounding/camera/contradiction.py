@@ -64,6 +64,14 @@ class CameraContradiction:
         """True if no verdict bears it."""
         return self.gripper_m > LARGE_M or self.gripper_rad > LARGE_RAD
 
+    def describe(self) -> str:
+        """Describe both agreements, the focal length and the displacement."""
+        return (
+            f"the arm contradicts the camera of the input: {self.agreement:.0%} of its contours lie on image edges, "
+            f"{self.better:.0%} with a focal length {1 / self.focal_ratio:.2f} times as long, which moves the gripper "
+            f"by {1e3 * self.gripper_m:.0f} mm and {np.rad2deg(self.gripper_rad):.0f} degrees in the base frame"
+        )
+
     def to_json(self) -> dict[str, Json]:
         """Serialize into `camera_contradiction` of samples.jsonl."""
         return {name: round(getattr(self, name), 4) for name in self.__slots__}

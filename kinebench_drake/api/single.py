@@ -13,44 +13,42 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from kinebench_drake.api.run import PathName, name_arguments, own_arguments
-from kinebench_drake.camera import Camera, CameraSetting
+from kinebench_drake.camera import Camera, CameraSetting, CameraSource
 from kinebench_drake.errors import InputError, UnmeasurableError, UsageError, member_of
 from kinebench_drake.executors.local import one_thread
 from kinebench_drake.formats.trajectories.check import check
 from kinebench_drake.formats.trajectories.source import find_trajectories, read_trajectory
 from kinebench_drake.formats.trajectories.trajectory import RawTrajectory, TrajectoryOptions
 from kinebench_drake.formats.videos.find import find_samples
-from kinebench_drake.formats.videos.sample import CameraSource, VideoSample
+from kinebench_drake.formats.videos.sample import VideoSample
 from kinebench_drake.grounding.overrides.overrides import Overrides
 from kinebench_drake.io.camerafile import load_camera
 from kinebench_drake.io.reader import read_video
 from kinebench_drake.io.video import Video
 from kinebench_drake.results.inputs import PeriodSource
-from kinebench_drake.runs.analyzer import Analyzer, AnalyzerFactory, RobotOptions, load_analyzer
 from kinebench_drake.runs.audit import judge_trajectory
-from kinebench_drake.runs.camera import describe_contradiction
 from kinebench_drake.runs.evaluator import SampleInfo
-from kinebench_drake.runs.grounding import ground_with_camera
-from kinebench_drake.runs.preparation import BENCHMARK_PERIOD_S, with_initial_states
+from kinebench_drake.runs.preparation import BENCHMARK_PERIOD_S, ground_sample, with_initial_states
 from kinebench_drake.runs.score_config import check_period, period_warnings
+from kinebench_drake.runs.tools import RobotOptions, Tools, ToolsFactory, load_tools
 from kinebench_drake.types import GripperKind, GripperTrack, InitialState
 
 if TYPE_CHECKING:  # torch, Open3D and Drake take seconds to load
-    from kinebench_drake.grounding.pipeline import GroundingResult
+    from kinebench_drake.grounding.video import GroundingResult
     from kinebench_drake.metrics.result import KinematicResult
 
-make_analyzer: AnalyzerFactory = Analyzer
+make_tools: ToolsFactory = Tools
 AnySample = TypeVar("AnySample", bound=SampleInfo)
 
 
-def _analyzer_for(options: RobotOptions) -> Analyzer:
-    """Return the analyzer of a robot, cached between calls unless the URDF is the user's own."""
-    return _cached_analyzer(options) if options.urdf is None else load_analyzer(make_analyzer, options)
+def _tools_for(options: RobotOptions) -> Tools:
+    """Return the tools for a robot, cached between calls unless the URDF is the user's own."""
+    return _cached_tools(options) if options.urdf is None else load_tools(make_tools, options)
 
 
 @lru_cache(maxsize=4)
-def _cached_analyzer(options: RobotOptions) -> Analyzer:
-    return load_analyzer(make_analyzer, options)
+def _cached_tools(options: RobotOptions) -> Tools:
+    return load_tools(make_tools, options)
 
 
 def _one(samples: Sequence[AnySample], source: Path, id: str | None) -> AnySample:
@@ -87,7 +85,7 @@ def ground_video(
     video: PathName | NDArray[np.uint8],
     *,
     id: str | None = None,
-    camera: Camera | PathName | None = None,
+    camera: Camera | CameraSetting | PathName | None = None,
     camera_key: str | None = None,
     frame_period_s: float | None = None,
     first: InitialState | None = None,
@@ -106,7 +104,7 @@ def ground_video(
     Args:
         video: a path as `score_videos` takes it, or frames (T, H, W, 3) uint8 RGB.
         id: id of the sample, where the path holds several; of frames: name of their files in `masks`, `depth`, `poses`.
-        camera: the camera, or the path of its camera.json; None: that of the input, else as `score_videos` chooses it.
+        camera: the camera, what its camera.json states (`load_camera`), or the path of that file; None: that of the input, else as `score_videos` chooses it.
         camera_key: camera to take of datasets that have several.
         frame_period_s: task time between two frames [s], where no manifest tells; None: 1 / fps, 0.2 without a clock.
         first: state of the robot in the first frame, in place of the input's (`X_BG`: TCP in the robot base frame [m]).
@@ -156,26 +154,28 @@ def ground_video(
         sample = VideoSample(id=name, path=Path(name), video=name)
         decoded = Video(frames=np.asarray(video), fps=None, stamps_s=None)
     if camera is not None:
-        setting = CameraSetting(camera=camera) if isinstance(camera, Camera) else load_camera(Path(camera))
+        if isinstance(camera, str | PathLike):
+            camera = load_camera(Path(camera))
+        setting = CameraSetting(camera=camera) if isinstance(camera, Camera) else camera
         sample = sample.filmed_by(setting, CameraSource.GIVEN)
     if first is not None:
         sample = replace(sample, initial_state=first)
     sample = replace(sample, mirrored=sample.mirrored or mirrored)
     with one_thread():
-        analyzer = _analyzer_for(RobotOptions())
-        grounded = ground_with_camera(
-            decoded, sample, overrides, analyzer, frame_period_s, member_of(GripperKind, gripper, "--gripper")
+        kind = member_of(GripperKind, gripper, "--gripper")
+        timed, result = ground_sample(
+            decoded, sample, overrides, _tools_for(RobotOptions()).grounder, frame_period_s, kind
         )
-        if grounded.unmeasurable is not None:
-            raise UnmeasurableError(grounded.unmeasurable)
-        choice, prepared = grounded.choice, grounded.prepared
-        if choice.reason is not None:
-            _warn(choice.reason)
-        elif choice.contradiction is not None:
-            _warn(describe_contradiction(choice.contradiction))
-        if prepared.period_source is PeriodSource.BENCHMARK:
-            _warn(f"the video has no frame rate: {BENCHMARK_PERIOD_S} s between frames was taken; give frame_period_s")
-        return replace(grounded.grounding, track=grounded.track)
+    if result.unmeasurable is not None:
+        raise UnmeasurableError(result.unmeasurable)
+    choice = result.choice
+    if choice.reason is not None:
+        _warn(choice.reason)
+    elif choice.contradiction is not None:
+        _warn(choice.contradiction.describe())
+    if timed.source is PeriodSource.BENCHMARK:
+        _warn(f"the video has no frame rate: {BENCHMARK_PERIOD_S} s between frames was taken; give frame_period_s")
+    return result
 
 
 @own_arguments()
@@ -238,7 +238,7 @@ def audit_trajectory(
             id=id, joints=joints, poses=poses,
         )  # fmt: skip
         with one_thread():
-            return _analyzer_for(options).judge(trajectory)
+            return _tools_for(options).judge(trajectory)
     if isinstance(trajectory, str | PathLike):
         _refuse_with("a file", t_s=t_s, tracked=tracked, finger_width_m=finger_width_m)
         path = Path(trajectory)
@@ -261,4 +261,4 @@ def audit_trajectory(
         checked = check(recording, rate_hz)
     _warn(*checked.warnings)
     with one_thread():
-        return judge_trajectory(_analyzer_for(options), checked)
+        return judge_trajectory(_tools_for(options), checked)

@@ -2,7 +2,6 @@
 
 import glob
 import shutil
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from enum import Enum
 from pathlib import Path
@@ -10,15 +9,15 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from kinebench_drake.camera import Camera
+from kinebench_drake.camera import Camera, CameraSetting
 from kinebench_drake.closed_loop.actions import ActionSource
 from kinebench_drake.closed_loop.commands import CommandPlanner, Commands, RobotState
 from kinebench_drake.closed_loop.execution import Execution, execute
 from kinebench_drake.errors import InputError, UnmeasurableError, UsageError
 from kinebench_drake.geometry import Array
-from kinebench_drake.grounding.framing.framing import apply_framing, undo_framing
-from kinebench_drake.grounding.framing.search import find_framing
-from kinebench_drake.grounding.pipeline import GroundingResult
+from kinebench_drake.grounding.clip import Clip
+from kinebench_drake.grounding.framing.framing import undo_framing
+from kinebench_drake.grounding.video import Grounder, GroundingResult
 from kinebench_drake.io.atomic import disk_errors, remove
 from kinebench_drake.io.files import VIDEO_SUFFIXES
 from kinebench_drake.io.reader import read_video
@@ -160,23 +159,19 @@ class EpisodeRun:
     """None for a complete episode."""
 
 
-Ground = Callable[[NDArray[np.uint8], Camera, Array, Priors], GroundingResult]
-"""Tracks the gripper through frames (T, H, W, 3) of a camera at times (T,) [s], with priors."""
-
-
 class ClosedLoop:
     """Runs episodes with one world model."""
 
     def __init__(
         self,
-        ground: Ground,
+        grounder: Grounder,
         planner: CommandPlanner,
         model: WorldModel,
         options: LoopOptions,
         actions: ActionSource | None = None,
     ) -> None:
         """Create the loop; without a source of actions requests state none."""
-        self._ground, self._planner, self._model, self._options = ground, planner, model, options
+        self._grounder, self._planner, self._model, self._options = grounder, planner, model, options
         self._actions = actions
 
     def run(self, simulator: Simulator, episode: Episode, videos: Path, sample: int = 0) -> EpisodeRun:
@@ -276,22 +271,22 @@ class ClosedLoop:
         if len(decoded) < 2:
             raise InputError(f"{video.name}: has {len(decoded)} frames, expected {self._options.num_frames}")
         timing, chosen, t_s = self._times(len(decoded))
-        frames = decoded[chosen]
+        clip = Clip(frames=decoded[chosen], t_s=t_s, conditioning=first_frame, is_view=True)
         try:
-            framing = find_framing(frames, camera, first_frame)
+            grounding = self._grounder.ground(
+                clip, CameraSetting(camera=camera), self._priors(state, chosen), trusts_camera=True
+            )
         except UnmeasurableError as error:
             raise InputError(f"{video.name}: {error}") from None
-        cropped, own_camera = framing.crop(frames), framing.camera(camera)
-        priors = replace(self._priors(state, chosen), image=apply_framing(framing, first_frame))
-        grounding = self._ground(cropped, own_camera, t_s, priors)
+        frames = grounding.frames
         if grounding.camera_path is not None:
-            cropped, _ = grounding.camera_path.stabilize(cropped, own_camera, extends=False)
+            frames, _ = grounding.camera_path.stabilize(frames, grounding.camera, extends=False)
         return Round(
             video=video,
             timing=timing,
             generated_frames=len(decoded),
-            frames=undo_framing(framing, cropped),
-            robot=undo_framing(framing, grounding.robot),
+            frames=undo_framing(grounding.framing, frames),
+            robot=undo_framing(grounding.framing, grounding.robot),
             grounding=grounding,
         )
 

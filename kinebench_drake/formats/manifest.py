@@ -9,11 +9,11 @@ from typing import Annotated
 import numpy as np
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
-from kinebench_drake.camera import CameraSetting
+from kinebench_drake.camera import CameraSetting, CameraSource
 from kinebench_drake.errors import InputError, UsageError, cause
 from kinebench_drake.formats.folders import join_relative
 from kinebench_drake.formats.ids import shorten
-from kinebench_drake.formats.videos.sample import CameraSource, VideoSample
+from kinebench_drake.formats.videos.sample import VideoSample
 from kinebench_drake.formats.videos.search import Search, image_beside
 from kinebench_drake.geometry import checked_pose
 from kinebench_drake.io.camerafile import load_camera

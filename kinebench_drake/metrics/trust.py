@@ -5,12 +5,11 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from enum import Enum
 
+from kinebench_drake.camera import CONFIRMED, CameraState
 from kinebench_drake.errors import count_noun
 from kinebench_drake.io.jsonl import as_object
 from kinebench_drake.types import Domain, Json
 
-LEAST_AGREEMENT = 0.6
-"""Share of the arm's contours on image edges below which a camera is not confirmed."""
 LEAST_CONFIDENCE = 0.8
 """Mean confidence of the tracked frames below which poses deserve a look."""
 LEAST_TRACKED = 0.95
@@ -73,23 +72,25 @@ def assess_trust(extra: Mapping[str, Json], metrics: Mapping[str, Json], period:
     if isinstance(tracked, float) and isinstance(frames, int):
         facts.append(f"{round((1.0 - tracked) * frames)} of {count_noun(frames, 'frame')} not measured")
     doubts = {
-        "the camera is estimated from the arm": state == "estimated",
-        "the arm does not confirm the named camera": state == "named"
+        "the camera is estimated from the arm": state == CameraState.ESTIMATED.value,
+        "the arm does not confirm the named camera": state == CameraState.NAMED.value
         and isinstance(agreement, float)
-        and agreement < LEAST_AGREEMENT,
+        and agreement < CONFIRMED,
         "frames could not be measured": isinstance(tracked, float) and tracked < LEAST_TRACKED,
         "the mean confidence is low": isinstance(confidence, float) and confidence < LEAST_CONFIDENCE,
         "the look is unfamiliar": domain == Domain.UNFAMILIAR.value,
         "the flange is measured without a hand": domain == Domain.ARM.value,
-        "the benchmark camera fits, but the frame period is not the benchmark's 0.2 s": state == "confirmed"
-        and extra.get("frame_period_source") == _FILE_RATE,
+        "the benchmark camera fits, but the frame period is not the benchmark's 0.2 s": extra.get("frame_period_source")
+        == _FILE_RATE
+        and state == CameraState.CONFIRMED.value,
     }
-    unknown = {"the base frame is unknown": state == "none", "the track is not trusted": not is_measured}
+    has_base = state != CameraState.NONE.value
+    unknown = {"the base frame is unknown": not has_base, "the track is not trusted": not is_measured}
     detail = extra.get("base_frame_reason")
     for level, reasons in ((TrustLevel.UNKNOWN, unknown), (TrustLevel.CHECK, doubts)):
         for reason, applies in reasons.items():
             if applies:
-                own = detail if isinstance(detail, str) and state == "none" else None
+                own = detail if isinstance(detail, str) and not has_base else None
                 return Trust(level=level, reason=reason, facts=tuple(facts), detail=own)
     return Trust(level=TrustLevel.SOLID, reason="nothing speaks against it", facts=tuple(facts))
 

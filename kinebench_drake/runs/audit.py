@@ -13,10 +13,10 @@ from kinebench_drake.results.inputs import PeriodSource
 from kinebench_drake.results.row import SampleRow
 from kinebench_drake.results.store import artifact_path
 from kinebench_drake.results.trackfile import write_track
-from kinebench_drake.runs.analyzer import Analyzer, RobotOptions, load_analyzer
 from kinebench_drake.runs.config import RunConfig, RunKind
 from kinebench_drake.runs.evaluator import KINEMATIC_METRICS, Evaluation, Evaluator
 from kinebench_drake.runs.runner import NullRunObserver, RunObserver, RunSummary, run_samples
+from kinebench_drake.runs.tools import RobotOptions, Tools, load_tools
 from kinebench_drake.types import GripperTrack, Json
 
 if TYPE_CHECKING:  # loads Drake
@@ -113,19 +113,19 @@ def audit_trajectories(config: AuditConfig, observer: RunObserver | None = None)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class TrajectoryEvaluator(Evaluator[TrajectorySample, Analyzer]):
+class TrajectoryEvaluator(Evaluator[TrajectorySample, Tools]):
     """Evaluation of the trajectories of one run."""
 
     config: AuditConfig
 
-    def setup(self) -> Analyzer:
+    def setup(self) -> Tools:
         """Load the robot."""
-        return load_analyzer(self.config.make_analyzer, self.config.robot_options())
+        return load_tools(self.config.make_tools, self.config.robot_options())
 
-    def evaluate(self, sample: TrajectorySample, analyzer: Analyzer) -> Evaluation:
+    def evaluate(self, sample: TrajectorySample, tools: Tools) -> Evaluation:
         """Read, judge, write."""
         trajectory = read_trajectory(sample, self.config.trajectory_options())
-        result = judge_trajectory(analyzer, trajectory)
+        result = judge_trajectory(tools, trajectory)
         write_track(artifact_path(self.config.out, "tracks", sample.id), result.track, result.joints, result.curves)
         source = PeriodSource.TIME_STAMPS if self.config.rate_hz is None else PeriodSource.RATE
         return Evaluation(
@@ -170,11 +170,11 @@ class TrajectoryEvaluator(Evaluator[TrajectorySample, Analyzer]):
         return {"format": sample.format.value, "seed": sample.seed, "prompt": sample.prompt, **success}
 
 
-def judge_trajectory(analyzer: Analyzer, trajectory: Trajectory) -> "KinematicResult":
+def judge_trajectory(tools: Tools, trajectory: Trajectory) -> "KinematicResult":
     """Judge a trajectory: joint angles as recorded, poses by the best joint path that follows them."""
     if trajectory.q is not None:
-        return analyzer.judge_joints(trajectory.t_s, trajectory.q, trajectory.finger_width_m)
-    return analyzer.judge(_pose_track(trajectory))
+        return tools.judge_joints(trajectory.t_s, trajectory.q, trajectory.finger_width_m)
+    return tools.judge(_pose_track(trajectory))
 
 
 def _pose_track(trajectory: Trajectory) -> GripperTrack:

@@ -9,7 +9,7 @@ from typing import TypeVar
 from kinebench_drake.errors import UsageError
 from kinebench_drake.executors.base import ExecutorKind
 from kinebench_drake.results.metadata import Shard
-from kinebench_drake.runs.analyzer import Analyzer, AnalyzerFactory, RobotOptions
+from kinebench_drake.runs.tools import RobotOptions, Tools, ToolsFactory
 from kinebench_drake.types import Json
 
 MAX_SEED = 2**63 - 1
@@ -60,8 +60,8 @@ class RunConfig:
     """Model of samples whose input names none."""
     tags: Mapping[str, str] = field(default_factory=dict)
     """Labels kept in the results."""
-    make_analyzer: AnalyzerFactory = Analyzer
-    """Creates the analyzer of a worker process; picklable."""
+    make_tools: ToolsFactory = Tools
+    """Creates the tools of a worker process; picklable."""
     table_height_m: float = 0.0
     """Height of the table top in the robot base frame [m]."""
     replays: int | None = None

@@ -31,12 +31,12 @@ from kinebench_drake.results.provenance import weights_hash
 from kinebench_drake.results.row import SampleRow, sample_suffix
 from kinebench_drake.results.store import REQUESTS, artifact_path
 from kinebench_drake.results.trackfile import write_track
-from kinebench_drake.runs.analyzer import Analyzer, load_analyzer
 from kinebench_drake.runs.clips import clip_starts, combine, join_curves, join_tracks
 from kinebench_drake.runs.evaluator import KINEMATIC_METRICS, PENDING, Evaluation, Evaluator
 from kinebench_drake.runs.requests import SIZE_PX, request_path
 from kinebench_drake.runs.score import VISUAL_METRICS, mean_confidence
 from kinebench_drake.runs.thumbnail import encode_strip
+from kinebench_drake.runs.tools import Tools, load_tools
 from kinebench_drake.suites.clock import FRAME_PERIOD_S
 from kinebench_drake.suites.episode import Episode
 from kinebench_drake.suites.export import FPS, manifest_row
@@ -81,7 +81,7 @@ class EpisodeSample:
 class EpisodeResources:
     """Resources of a process that runs episodes."""
 
-    analyzer: Analyzer
+    tools: Tools
     simulators: SimulatorCache[Simulator]
     model: LazyWorldModel
     loop: ClosedLoop
@@ -110,11 +110,11 @@ class EpisodeEvaluator(Evaluator[EpisodeSample, EpisodeResources]):
 
     def setup(self) -> EpisodeResources:
         """Load robot, world model and simulator cache."""
-        analyzer = load_analyzer(self.config.make_analyzer, self.config.robot_options())
+        tools = load_tools(self.config.make_tools, self.config.robot_options())
         actions = ActionSource(ArmPlant(), SIZE_PX) if self.loop.condition is Condition.ACTIONS else None
-        loop = ClosedLoop(analyzer.ground, CommandPlanner(ArmPlant()), self.world_model.get(), self.loop, actions)
+        loop = ClosedLoop(tools.grounder, CommandPlanner(ArmPlant()), self.world_model.get(), self.loop, actions)
         simulators = SimulatorCache(partial(Simulator, control=self.loop.control), SIZE_PX)
-        return EpisodeResources(analyzer, simulators, self.world_model, loop, actions)
+        return EpisodeResources(tools, simulators, self.world_model, loop, actions)
 
     def evaluate(self, sample: EpisodeSample, resources: EpisodeResources) -> Evaluation:
         """Run the episode, judge its clips, attribute a failure, write its files."""
@@ -127,7 +127,7 @@ class EpisodeEvaluator(Evaluator[EpisodeSample, EpisodeResources]):
             return self._ask(sample, episode, run.pending)
         executed = [None if r.execution is None else render_video(simulator, r.execution.snapshots) for r in run.rounds]
         tracks = [r.grounding.track for r in run.rounds]
-        results = [resources.analyzer.judge(track) for track in tracks]
+        results = [resources.tools.judge(track) for track in tracks]
         track, kinematics = join_tracks(tracks), combine(tracks, results)
         curves = {
             **kinematics.curves,
@@ -139,7 +139,7 @@ class EpisodeEvaluator(Evaluator[EpisodeSample, EpisodeResources]):
         if self.rollouts:
             path = artifact_path(self.config.out, "rollouts", sample.id)
             with disk_errors(f"rollouts/{path.name}"):
-                write_video(path, _rollout_frames(run, executed, resources.analyzer), FPS, crf=20, preset="veryfast")
+                write_video(path, _rollout_frames(run, executed, resources.tools), FPS, crf=20, preset="veryfast")
         cause = find_cause(run, results)
         gap_metrics, gap_reasons = average_gaps(
             [
@@ -252,7 +252,7 @@ class EpisodeEvaluator(Evaluator[EpisodeSample, EpisodeResources]):
 
 
 def _rollout_frames(
-    run: EpisodeRun, executed: Sequence[RolloutVideo | None], analyzer: Analyzer
+    run: EpisodeRun, executed: Sequence[RolloutVideo | None], tools: Tools
 ) -> Iterator[NDArray[np.uint8]]:
     """Yield generated frames, executed frames, and the generated gripper drawn on the executed frames, side by side."""
     for number, (done, execution) in enumerate(zip(run.rounds, executed, strict=True), 1):
@@ -263,7 +263,7 @@ def _rollout_frames(
                 yield np.concatenate([_captioned(frame, text), blank, blank], axis=1)
             continue
         track = done.grounding.track.at(np.arange(len(execution.rgb)))
-        overlays = analyzer.overlay(execution.rgb, execution.camera, track)
+        overlays = tools.overlay(execution.rgb, execution.camera, track)
         for frame, image, overlay in zip(done.frames, execution.rgb, overlays, strict=False):
             yield np.concatenate([_captioned(frame, text), _captioned(image, "executed"), overlay], axis=1)
 

@@ -100,12 +100,12 @@ class Evaluator(ABC, Generic[SampleT, ResourcesT]):
     """Evaluation of the samples of one run; picklable, for worker processes."""
 
     config: RunConfig
-    code: str = field(init=False)
+    code: str = ""
     """SHA-256 of the measuring sources when the run began, shared by all workers."""
 
     def __post_init__(self) -> None:
         """Hash the sources."""
-        object.__setattr__(self, "code", code_hash(type(self).__module__))
+        object.__setattr__(self, "code", self.code or code_hash(type(self).__module__))
 
     @property
     @abstractmethod
@@ -150,11 +150,11 @@ class Evaluator(ABC, Generic[SampleT, ResourcesT]):
 
     def content_hash(self, sample: SampleT) -> str:
         """Return the SHA-256 of all that determines a sample's row: input bytes, labels, options, code and robot."""
-        make, robot = self.config.make_analyzer, self.config.robot_options()
+        make, robot = self.config.make_tools, self.config.robot_options()
         key: dict[str, Json] = {
             "schema": SCHEMA_VERSION,
             "kind": self.config.kind.value,
-            "analyzer": f"{make.__module__}:{make.__qualname__}",
+            "tools": f"{make.__module__}:{make.__qualname__}",
             "code": self.code,
             "table_height_m": robot.table_height_m,
             "tcp_frame": robot.tcp_frame,

@@ -7,91 +7,108 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from kinebench_drake.camera import Camera
+from kinebench_drake.camera import Camera, CameraSetting
 from kinebench_drake.errors import InputError, UnmeasurableError
-from kinebench_drake.formats.videos.sample import CameraSource, VideoSample
+from kinebench_drake.formats.videos.sample import VideoSample
 from kinebench_drake.geometry import Array
+from kinebench_drake.grounding.clip import Clip
 from kinebench_drake.grounding.overrides.overrides import Overrides
 from kinebench_drake.io.images import read_image
 from kinebench_drake.io.video import WHOLE, Video
 from kinebench_drake.results.inputs import PeriodSource
 from kinebench_drake.suites.clock import ClipTiming, sample_uniformly
 from kinebench_drake.suites.start import START_WIDTH_M, start_q
-from kinebench_drake.types import InitialState, Priors
+from kinebench_drake.types import GripperKind, InitialState, Priors
 
-if TYPE_CHECKING:  # loads OpenCV
-    from kinebench_drake.grounding.framing.framing import Framing
+if TYPE_CHECKING:  # loads torch and Open3D
+    from kinebench_drake.grounding.video import Grounder, GroundingResult
 
 BENCHMARK_PERIOD_S = 0.2
 """Task time between two frames of a benchmark video (4 control steps at 20 Hz) [s]."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class PreparedVideo:
-    """Input of the grounding."""
+class TimedFrames:
+    """Frames of a video that are used, and when they are."""
 
-    frames: NDArray[np.uint8]
-    """(T, H, W, 3) RGB, without letter-box bars."""
-    camera: Camera
-    """Camera of these frames."""
+    rows: NDArray[np.intp]
+    """(T,) their numbers in the video."""
     t_s: Array
-    """(T,) task time of each frame [s]."""
+    """(T,) task time of each [s]."""
     period_s: float
-    """Task time between two frames [s]."""
-    period_source: PeriodSource
+    """Task time between two [s]."""
+    source: PeriodSource
     timing: ClipTiming
     """How the frames of the video lie in task time."""
-    framing: "Framing"
-    """How the camera's image lies in the video."""
-    priors: Priors
-    """Quantities that replace estimates."""
 
 
-def prepare_video(
+def time_frames(sample: VideoSample, video: Video, option_s: float | None, duration_s: float | None) -> TimedFrames:
+    """Choose the frames of a video and determine their times.
+
+    Args:
+        sample: labels of the video.
+        video: as decoded.
+        option_s: task time between two frames from the command line [s].
+        duration_s: task time over which its frames lie evenly [s]; None: they are one period apart.
+    """
+    count = len(video.frames)
+    if duration_s is None:
+        t_s, period_s, source = _times(sample, video, option_s)
+        rows, timing = np.arange(count), ClipTiming.NATIVE
+    else:
+        rows, t_s = sample_uniformly(count, duration_s, option_s or BENCHMARK_PERIOD_S)
+        period_s, source, timing = duration_s / (len(t_s) - 1), PeriodSource.TASK_DURATION, ClipTiming.UNIFORM
+    return TimedFrames(rows=rows, t_s=t_s, period_s=period_s, source=source, timing=timing)
+
+
+def ground_sample(
     video: Video,
     sample: VideoSample,
-    period_s: float | None,
     overrides: Overrides,
+    grounder: "Grounder",
+    period_s: float | None = None,
+    gripper: GripperKind = GripperKind.AUTO,
     *,
     duration_s: float | None = None,
-) -> PreparedVideo:
-    """Determine frames, camera, times and priors of a video.
+) -> "tuple[TimedFrames, GroundingResult]":
+    """Ground a video with the camera, the times and the priors that its sample and the options state.
 
     Args:
         video: as decoded.
         sample: labels and camera of the video.
+        overrides: stages of the grounding that are replaced; poses leave a camera unchecked.
+        grounder: the grounding.
         period_s: task time between two frames from the command line [s].
-        overrides: stages of the grounding that are replaced.
+        gripper: gripper of the robot.
         duration_s: task time over which its frames lie evenly [s]; None: they are one period apart.
 
     Raises:
         InputError: an override is missing, broken or does not fit the video.
-        UnmeasurableError: the video is too small or too short, or its shape does not fit the camera's image.
-        SetupError: a plug-in cannot be loaded.
+        UnmeasurableError: the video is too small or too short, does not fit its camera, or shows no gripper.
+        SetupError: weights, libraries or a plug-in are missing.
     """
     video.require_measurable()
-    framing = find_video_framing(sample, video)
-    chosen, t_s, period_s, source = choose_frames(sample, video, period_s, duration_s)
-    camera = framing.whole_camera(sample.camera)
-    priors = overrides.priors(override_names(sample), video.frames, camera, sample.initial_state)
-    priors = replace(
+    timed = time_frames(sample, video, period_s, duration_s)
+    if sample.mirrored:
+        video = video.mirrored()
+
+    def priors(camera: Camera) -> Priors:
+        """Read the overrides, which are of all frames of the video."""
+        return overrides.priors(override_names(sample), video.frames, camera, sample.initial_state).at(timed.rows)
+
+    image = _conditioning_image(sample)
+    clip = Clip(frames=video.frames[timed.rows], t_s=timed.t_s, conditioning=image)
+    named = sample.camera_source.is_named
+    setting = CameraSetting(camera=sample.camera, table_height_m=sample.table_height_m)
+    result = grounder.ground(
+        clip,
+        setting if named else None,
         priors,
-        camera_is_fitted=sample.camera_source in (CameraSource.ESTIMATED, CameraSource.NONE),
-        table_height_m=sample.table_height_m,
+        source=sample.camera_source,
+        gripper=gripper,
+        trusts_camera=overrides.poses is not None,
     )
-    frames = video.frames
-    if len(chosen) < len(frames):
-        frames, priors = frames[chosen], priors.at(chosen)
-    return PreparedVideo(
-        frames=framing.crop(frames),
-        camera=framing.camera(sample.camera),
-        t_s=t_s,
-        period_s=period_s,
-        period_source=source,
-        timing=ClipTiming.NATIVE if duration_s is None else ClipTiming.UNIFORM,
-        framing=framing,
-        priors=priors.crop(*framing.window),
-    )
+    return timed, result
 
 
 def with_initial_states(samples: Iterable[VideoSample]) -> list[VideoSample]:
@@ -125,17 +142,6 @@ def override_names(sample: VideoSample) -> tuple[str, ...]:
     return tuple(dict.fromkeys((sample.id, stem)))
 
 
-def choose_frames(
-    sample: VideoSample, video: Video, option_s: float | None, duration_s: float | None
-) -> tuple[NDArray[np.intp], Array, float, PeriodSource]:
-    """Return the frames to use, their task times [s], the period between two [s], and its source."""
-    count = len(video.frames)
-    if duration_s is None:
-        return np.arange(count), *_times(sample, video, option_s)
-    chosen, t_s = sample_uniformly(count, duration_s, option_s or BENCHMARK_PERIOD_S)
-    return chosen, t_s, duration_s / (len(t_s) - 1), PeriodSource.TASK_DURATION
-
-
 def _times(sample: VideoSample, video: Video, option_s: float | None) -> tuple[Array, float, PeriodSource]:
     """Return the task time of each frame [s], the period between two [s], and its source."""
     periods = {
@@ -153,8 +159,17 @@ def _times(sample: VideoSample, video: Video, option_s: float | None) -> tuple[A
     return np.arange(len(video.frames), dtype=np.float64) * period_s, period_s, source
 
 
-def find_video_framing(sample: VideoSample, video: Video) -> "Framing":
-    """Determine how the camera's image lies in the video.
+def _conditioning_image(sample: VideoSample) -> NDArray[np.uint8] | None:
+    """Return the image from which the video was generated; None without a usable one."""
+    try:
+        image = None if sample.first_frame is None else read_image(sample.first_frame)
+    except InputError:
+        return None  # an image with the name of the video need not be its conditioning image
+    return np.ascontiguousarray(image[:, ::-1]) if image is not None and sample.mirrored else image
+
+
+def check_framing(sample: VideoSample, video: Video) -> None:
+    """Check that the named camera's image lies in the video.
 
     Raises:
         UnmeasurableError: the shapes differ, and nothing explains it.
@@ -162,12 +177,6 @@ def find_video_framing(sample: VideoSample, video: Video) -> "Framing":
     from kinebench_drake.grounding.framing.search import find_framing  # loads OpenCV
 
     try:
-        conditioning = None if sample.first_frame is None else read_image(sample.first_frame)
-    except InputError:
-        conditioning = None  # an image with the name of the video need not be its conditioning image
-    if sample.mirrored and conditioning is not None:
-        conditioning = np.ascontiguousarray(conditioning[:, ::-1])
-    try:
-        return find_framing(video.frames, sample.camera, conditioning)
+        find_framing(video.frames, sample.camera, _conditioning_image(sample))
     except UnmeasurableError as error:
         raise UnmeasurableError(f"{sample.camera_source.value} {error}") from None

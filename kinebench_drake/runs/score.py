@@ -7,9 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
+from kinebench_drake.camera import CameraSource
 from kinebench_drake.errors import InputError, count_noun
 from kinebench_drake.formats.videos.find import find_samples
-from kinebench_drake.formats.videos.sample import CameraSource, VideoSample, VideoSamples
+from kinebench_drake.formats.videos.sample import VideoSample, VideoSamples
 from kinebench_drake.grounding.overrides.overrides import Overrides
 from kinebench_drake.io.atomic import disk_errors, write_atomically
 from kinebench_drake.io.container import write_video
@@ -20,7 +21,6 @@ from kinebench_drake.results.provenance import weights_hash
 from kinebench_drake.results.row import SampleRow
 from kinebench_drake.results.store import artifact_path
 from kinebench_drake.results.trackfile import write_track
-from kinebench_drake.runs.analyzer import Analyzer, load_analyzer
 from kinebench_drake.runs.camera import (
     AUTO,
     camera_frame_metrics,
@@ -28,17 +28,18 @@ from kinebench_drake.runs.camera import (
     with_camera_option,
 )
 from kinebench_drake.runs.evaluator import KINEMATIC_METRICS, Evaluation, Evaluator
-from kinebench_drake.runs.grounding import ground_with_camera
 from kinebench_drake.runs.preparation import (
     BENCHMARK_PERIOD_S,
-    choose_frames,
-    find_video_framing,
+    check_framing,
+    ground_sample,
     override_names,
+    time_frames,
     with_initial_states,
 )
 from kinebench_drake.runs.runner import NullRunObserver, RunObserver, RunSummary, run_samples
 from kinebench_drake.runs.score_config import ScoreConfig, period_warnings
 from kinebench_drake.runs.thumbnail import encode_strip, worst_frame
+from kinebench_drake.runs.tools import Tools, load_tools
 from kinebench_drake.types import Domain, GripperKind, GripperTrack, InitialStateUse, Json
 
 VISUAL_METRICS = ("tracked_fraction", "confidence_mean", "camera_motion_px", "arm_consistency_px", "anomalies")
@@ -100,8 +101,8 @@ def plan_videos(config: ScoreConfig, observer: RunObserver | None = None) -> Ite
     for warning in inputs.warnings:
         observer.warn(warning)
     reader = _VideoReader(config=config, overrides=config.overrides())
-    analyzer = reader.setup()
-    yield from (reader.row(sample, analyzer) for sample in config.select(inputs.samples))
+    tools = reader.setup()
+    yield from (reader.row(sample, tools) for sample in config.select(inputs.samples))
 
 
 def _find(config: ScoreConfig) -> VideoSamples:
@@ -120,47 +121,44 @@ def _find(config: ScoreConfig) -> VideoSamples:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class VideoEvaluator(Evaluator[VideoSample, Analyzer]):
+class VideoEvaluator(Evaluator[VideoSample, Tools]):
     """Evaluation of the videos of one run."""
 
     config: ScoreConfig
     overrides: Overrides
     """Stages of the grounding that are replaced."""
 
-    def setup(self) -> Analyzer:
+    def setup(self) -> Tools:
         """Load the robot."""
-        return load_analyzer(self.config.make_analyzer, self.config.robot_options())
+        return load_tools(self.config.make_tools, self.config.robot_options())
 
-    def evaluate(self, sample: VideoSample, analyzer: Analyzer) -> Evaluation:
-        """Read, prepare, ground, judge, write."""
+    def evaluate(self, sample: VideoSample, tools: Tools) -> Evaluation:
+        """Read, ground, judge, write."""
         if sample.problem is not None:
             raise InputError(sample.problem)
         video = read_video(sample.path, sample.part)
         config = self.config
-        grounded = ground_with_camera(
-            video, sample, self.overrides, analyzer, config.frame_period_s, config.gripper_kind,
+        timed, grounding = ground_sample(
+            video, sample, self.overrides, tools.grounder, config.frame_period_s, config.gripper_kind,
             duration_s=config.duration_s,
         )  # fmt: skip
-        choice, prepared, grounding = grounded.choice, grounded.prepared, grounded.grounding
-        draws_hand, judges = grounding.domain is not Domain.ARM, config.kind.judges and grounded.unmeasurable is None
-        track, path = grounded.track, grounding.camera_path
-        kinematics = analyzer.judge(track, sample.table_height_m) if judges and choice.reason is None else None
+        draws_hand, judges = grounding.domain is not Domain.ARM, config.kind.judges and grounding.unmeasurable is None
+        track, path, reason = grounding.visible_track, grounding.camera_path, grounding.choice.reason
+        kinematics = tools.judge(track, sample.table_height_m) if judges and reason is None else None
         smoothness: Mapping[str, Json] = {}
         reasons: Mapping[str, str] = {}
-        if judges and choice.reason is not None:
-            smoothness, reasons = camera_frame_metrics(track, choice.reason)
+        if judges and reason is not None:
+            smoothness, reasons = camera_frame_metrics(track, reason)
         zoom = np.ones(len(track.t_s)) if path is None else path.zoom
         if self.config.overlay:
             file = artifact_path(self.config.out, "overlays", sample.id)
-            native = len(prepared.frames) == len(video.frames)
-            rate = float(np.clip((native and video.fps) or 1.0 / prepared.period_s, 1.0, 60.0))
+            native = len(grounding.frames) == len(video.frames)
+            rate = float(np.clip((native and video.fps) or 1.0 / timed.period_s, 1.0, 60.0))
             with disk_errors(f"overlays/{file.name}"):
-                write_video(
-                    file, analyzer.overlay(prepared.frames, prepared.camera, track, zoom, hand=draws_hand), rate
-                )
+                write_video(file, tools.overlay(grounding.frames, grounding.camera, track, zoom, hand=draws_hand), rate)
         shown = np.unique([0, worst_frame(track, kinematics)])
-        chosen = prepared.frames[shown], prepared.camera, track.at(shown), zoom[shown]
-        images = list(analyzer.overlay(*chosen, hand=draws_hand))
+        chosen = grounding.frames[shown], grounding.camera, track.at(shown), zoom[shown]
+        images = list(tools.overlay(*chosen, hand=draws_hand))
         write_atomically(artifact_path(self.config.out, "thumbnails", sample.id), encode_strip(images))
         joints, curves = (kinematics.joints, kinematics.curves) if kinematics else (None, {})
         write_track(artifact_path(self.config.out, "tracks", sample.id), track, joints, {**curves, **grounding.curves})
@@ -176,7 +174,7 @@ class VideoEvaluator(Evaluator[VideoSample, Analyzer]):
             },
             reasons=reasons,
             tracked=track.tracked if judges else None,
-            unmeasurable=grounded.unmeasurable,
+            unmeasurable=grounding.unmeasurable,
             extra={
                 "first_frame": grounding.first_frame.value,
                 "domain": grounding.domain.value,
@@ -184,15 +182,16 @@ class VideoEvaluator(Evaluator[VideoSample, Analyzer]):
                 "frames": len(track.t_s),
                 "width": video.width,
                 "height": video.height,
-                "framing": prepared.framing.to_json(),
+                "framing": grounding.framing.to_json(),
                 "fps": video.fps,
-                "frame_period_s": prepared.period_s,
-                "frame_period_source": prepared.period_source.value,
-                "clip_timing": prepared.timing.value,
+                "frame_period_s": timed.period_s,
+                "frame_period_source": timed.source.value,
+                "clip_timing": timed.timing.value,
                 "clip_frames": len(video.frames),
                 **({} if path is None else {"camera_path": path.to_json()}),
                 **({} if sample.table_height_m is None else {"table_height_m": sample.table_height_m}),
-                **choice.to_json(),
+                **({"mirrored": True} if sample.mirrored else {}),
+                **grounding.choice.to_json(),
             },
         )
 
@@ -251,23 +250,23 @@ class VideoEvaluator(Evaluator[VideoSample, Analyzer]):
 class _VideoReader(VideoEvaluator):
     """Evaluation that ends before the grounding."""
 
-    def evaluate(self, sample: VideoSample, analyzer: Analyzer) -> Evaluation:
+    def evaluate(self, sample: VideoSample, tools: Tools) -> Evaluation:
         """Read the video, check size and shape, determine its times."""
         if sample.problem is not None:
             raise InputError(sample.problem)
         video = read_video(sample.path, sample.part)
         video.require_measurable()
         if sample.camera_source.is_named:
-            find_video_framing(sample, video)
-        _, t_s, period_s, source = choose_frames(sample, video, self.config.frame_period_s, self.config.duration_s)
+            check_framing(sample, video)
+        timed = time_frames(sample, video, self.config.frame_period_s, self.config.duration_s)
         return Evaluation(
             kinematics=None,
             extra={
-                "frames": len(t_s),
+                "frames": len(timed.t_s),
                 "width": video.width,
                 "height": video.height,
-                "frame_period_s": period_s,
-                "frame_period_source": source.value,
+                "frame_period_s": timed.period_s,
+                "frame_period_source": timed.source.value,
                 **({} if sample.camera_source.is_named else {"camera_source": AUTO}),
             },
         )

@@ -2,7 +2,6 @@ import json
 
 import numpy as np
 import pytest
-from tests.calibration.robot import CellsAlone, PerfectEstimator, postures
 
 from benchmarks.calibration import CONDITIONS, CalibrationCondition, measure, trial_table
 from kinebench_drake.camera import benchmark_camera
@@ -13,6 +12,7 @@ from kinebench_drake.grounding.camera.result import CalibrationMethod
 from kinebench_drake.grounding.registration.arm_model import ArmModel
 from kinebench_drake.io.camerafile import save_camera
 from kinebench_drake.models.panda.robot import RobotPart
+from tests.grounding.camera.robot import CellsAlone, PerfectEstimator, postures
 
 T = 5
 

@@ -10,12 +10,12 @@ from kinebench_drake.io.container import write_video
 from kinebench_drake.results.provenance import code_hash
 from kinebench_drake.runs import audit, score
 from kinebench_drake.runs import runner as run
-from kinebench_drake.runs.analyzer import Analyzer
 from kinebench_drake.runs.score_config import ScoreConfig
+from kinebench_drake.runs.tools import Tools
 
 HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE))
-from fake_analyzer import FakeAnalyzer  # noqa: E402  importable by name in worker processes, too
+from fake_tools import FakeTools  # noqa: E402  importable by name in worker processes, too
 
 
 @pytest.fixture(autouse=True)
@@ -25,7 +25,7 @@ def _code_as_it_is_now():
 
 
 @pytest.fixture(autouse=True)
-def _fake_analyzer_in_workers(monkeypatch):
+def _fake_tools_in_workers(monkeypatch):
     """Worker processes can import the fake analyzer, too, and the same package as the tests."""
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(HERE), str(HERE.parent.parent)]))
 
@@ -53,7 +53,7 @@ def config(tmp_path):
 
     def make(**changes):
         return ScoreConfig(
-            **{"source": tmp_path / "videos", "out": tmp_path / "out", "make_analyzer": FakeAnalyzer, **changes}
+            **{"source": tmp_path / "videos", "out": tmp_path / "out", "make_tools": FakeTools, **changes}
         )
 
     return make
@@ -64,8 +64,8 @@ def program(capfd, monkeypatch):
     """Runs the program in this process with the fake analyzer; returns exit status, standard output and error."""
     for config in (score.ScoreConfig, audit.AuditConfig):
         defaults = config.__init__.__kwdefaults__
-        assert defaults["make_analyzer"] is Analyzer
-        monkeypatch.setitem(defaults, "make_analyzer", FakeAnalyzer)
+        assert defaults["make_tools"] is Tools
+        monkeypatch.setitem(defaults, "make_tools", FakeTools)
 
     monkeypatch.setattr(run, "_replay", lambda *_: None)  # needs Drake and seconds
 

@@ -5,7 +5,7 @@ import json
 import h5py
 import numpy as np
 import pytest
-from fake_analyzer import LOG, FakeAnalyzer
+from fake_tools import LOG, FakeTools
 
 from kinebench_drake.errors import SetupError, UsageError
 from kinebench_drake.results.metadata import Shard
@@ -43,7 +43,7 @@ def source(tmp_path):
 @pytest.fixture
 def run(source, tmp_path):
     def call(observer=None, **changes):
-        config = {"source": source, "out": tmp_path / "out", "make_analyzer": FakeAnalyzer, **changes}
+        config = {"source": source, "out": tmp_path / "out", "make_tools": FakeTools, **changes}
         return audit_trajectories(AuditConfig(**config), observer)
 
     return call

@@ -8,11 +8,11 @@ import sys
 import time
 
 import pytest
-from fake_analyzer import Act, broken
+from fake_tools import Act, broken
 
 from kinebench_drake.results.store import read_rows
 from kinebench_drake.runs import score
-from kinebench_drake.runs.analyzer import load_analyzer
+from kinebench_drake.runs.tools import load_tools
 
 COMMANDS = ["score", "ground", "audit", "report", "doctor"]
 
@@ -111,7 +111,7 @@ def test_status_2_and_one_line_for_usage_errors(program, film, tmp_path, monkeyp
 
 def test_missing_parts_of_the_machine_are_one_line_and_status_1(program, film, tmp_path, monkeypatch):
     film("videos/a.mp4")
-    monkeypatch.setattr(score, "load_analyzer", lambda make, options: load_analyzer(broken, options))
+    monkeypatch.setattr(score, "load_tools", lambda make, options: load_tools(broken, options))
     code, _, err = program("score", tmp_path / "videos", "--out", tmp_path / "out")
     assert code == 1
     assert "doctor" in one_line(err)
@@ -147,10 +147,10 @@ def test_help_answers_at_once():
 SCORE = """
 import signal, sys
 signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background jobs are born deaf to it
-from fake_analyzer import FakeAnalyzer
+from fake_tools import FakeTools
 from kinebench_drake import cli
 from kinebench_drake.runs.score_config import ScoreConfig
-ScoreConfig.__init__.__kwdefaults__["make_analyzer"] = FakeAnalyzer
+ScoreConfig.__init__.__kwdefaults__["make_tools"] = FakeTools
 if __name__ == "__main__":
     cli.main(sys.argv[1:])
 """

@@ -5,7 +5,7 @@ import sys
 
 import numpy as np
 import pytest
-from fake_analyzer import LOG
+from fake_tools import LOG
 from PIL import Image
 
 from kinebench_drake.geometry import make_pose

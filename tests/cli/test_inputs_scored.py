@@ -7,7 +7,6 @@ import av
 import numpy as np
 import pytest
 from PIL import Image
-from tests.datasets.videos.conftest import write_info, write_v3_episodes
 
 from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.grounding.framing.framing import letterboxes
@@ -15,6 +14,7 @@ from kinebench_drake.io.container import join_videos, write_video
 from kinebench_drake.results.row import Status
 from kinebench_drake.results.store import read_rows
 from kinebench_drake.runs.score import score_videos
+from tests.formats.videos.conftest import write_info, write_v3_episodes
 
 KEY = "observation.images.front"
 

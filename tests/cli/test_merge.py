@@ -6,7 +6,7 @@ import subprocess
 from pathlib import Path
 
 import pytest
-from fake_analyzer import LOG, Act
+from fake_tools import LOG, Act
 
 from kinebench_drake.results.store import read_rows
 
@@ -22,7 +22,7 @@ def content(out):
 @pytest.mark.parametrize("command", ["score", "ground"])
 def test_shards_merged_are_one_run(film, program, tmp_path, monkeypatch, command):
     for k, act in enumerate([Act.FEASIBLE, Act.INFEASIBLE, Act.NO_ROBOT, Act.RAISE, Act.FEASIBLE]):
-        film(f"videos/v{k}.mp4", act)
+        film(f"videos/v{k}.mp4", act, side=160)
     shared = [command, tmp_path / "videos", "--overlay", "--tag", "run=7", "--model", "m"]
     program(*shared, "--out", tmp_path / "whole")
     parts = [tmp_path / f"part{k}" for k in (1, 2, 3)]

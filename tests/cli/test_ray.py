@@ -4,7 +4,7 @@ import os
 import signal
 
 import pytest
-from fake_analyzer import LOG, Act, broken
+from fake_tools import LOG, Act, broken
 
 from kinebench_drake.errors import SetupError
 from kinebench_drake.executors.base import ExecutorKind
@@ -131,4 +131,4 @@ def test_an_interrupt_keeps_what_is_done(film, tmp_path, scored):
 def test_what_is_missing_stops_the_run_at_once(film, scored):
     film("videos/a.mp4")
     with pytest.raises(SetupError, match="doctor"):
-        scored(make_analyzer=broken)
+        scored(make_tools=broken)

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from fake_analyzer import LOG, Act, FakeAnalyzer, broken
+from fake_tools import LOG, Act, FakeGrounder, FakeTools, broken
 from PIL import Image
 
 from kinebench_drake.camera import benchmark_camera
@@ -387,7 +387,7 @@ def test_an_analyzer_that_cannot_be_loaded_stops_the_run_at_once(film, config, t
         film(f"videos/v{k}.mp4")
     for jobs in (1, 2):
         with pytest.raises(SetupError, match="doctor"):
-            score_videos(config(make_analyzer=broken, jobs=jobs))
+            score_videos(config(make_tools=broken, jobs=jobs))
     assert read_rows(tmp_path / "out") == {}
 
 
@@ -479,12 +479,12 @@ def test_a_disk_that_fills_up_stops_the_run_and_keeps_what_is_done(film, config,
 RUN = """
 import sys
 from pathlib import Path
-from fake_analyzer import FakeAnalyzer
+from fake_tools import FakeTools
 from kinebench_drake.runs.score import score_videos
 from kinebench_drake.runs.score_config import ScoreConfig
 if __name__ == "__main__":
     source, out, jobs = sys.argv[1:]
-    score_videos(ScoreConfig(source=Path(source), out=Path(out), jobs=int(jobs), make_analyzer=FakeAnalyzer))
+    score_videos(ScoreConfig(source=Path(source), out=Path(out), jobs=int(jobs), make_tools=FakeTools))
 """
 
 
@@ -617,56 +617,21 @@ def test_no_empty_folder_is_left_behind(film, config, tmp_path):
     assert [p for p in (tmp_path / "out").iterdir() if p.is_dir()] == []
 
 
-class HandlessAnalyzer(FakeAnalyzer):
-    """Sees the arm, but no Franka hand."""
+class ArmGrounder(FakeGrounder):
+    """Sees the arm with another gripper."""
 
-    def ground(self, frames, camera, t_s, known):
-        grounding = FakeAnalyzer.ground_arm(self, frames, camera, t_s, known)
-        lost = replace(grounding.track, tracked=np.zeros(len(t_s), dtype=bool))
-        return replace(grounding, track=replace(lost, X_CH=np.full_like(lost.X_CH, np.nan)))
-
-    def ground_arm(self, frames, camera, t_s, known, gripper=GripperKind.NONE):
-        return replace(super().ground_arm(frames, camera, t_s, known, gripper), domain=Domain.ARM, gripper=gripper)
+    def result(self, result):
+        return replace(result, domain=Domain.ARM, gripper=GripperKind.ROBOTIQ_2F85)
 
 
-def test_another_gripper_leaves_the_arm_alone(film, config, tmp_path):
+class ArmTools(FakeTools):
+    make_grounder = ArmGrounder
+
+
+def test_a_flange_is_reported_with_the_gripper_that_was_looked_for(film, config, tmp_path):
     film("videos/a.mp4")
-    rows = {}
-    for option in ("auto", "none", "robotiq-2f85", "franka"):
-        out = tmp_path / option
-        score_videos(config(out=out, gripper=option, make_analyzer=HandlessAnalyzer, camera="benchmark"))
-        (rows[option],) = read_rows(out).values()
-    assert [rows[o].extra.get("gripper") for o in rows] == ["none", "none", "robotiq-2f85", None]
-    assert rows["auto"].extra["domain"] == "arm_alone"
-    assert rows["franka"].status is Status.UNMEASURABLE
-    assert "--gripper none" in rows["franka"].reason
+    score_videos(config(make_tools=ArmTools))
+    (row,) = read_rows(tmp_path / "out").values()
+    assert (row.extra["domain"], row.extra["gripper"]) == ("arm_alone", "robotiq-2f85")
     with pytest.raises(UsageError, match="--gripper is 'claw', expected 'franka'"):
         config(gripper="claw")
-
-
-class RobotiqAnalyzer(HandlessAnalyzer):
-    """Is sure of the flange with the contours of a Robotiq 2F-85 alone."""
-
-    def ground_arm(self, frames, camera, t_s, known, gripper=GripperKind.NONE):
-        grounding = super().ground_arm(frames, camera, t_s, known, gripper)
-        sure = gripper is GripperKind.ROBOTIQ_2F85
-        return replace(grounding, track=replace(grounding.track, tracked=grounding.track.tracked & sure))
-
-
-def test_a_flange_that_the_links_leave_unsure_is_tried_with_a_known_gripper(film, config, tmp_path):
-    film("videos/a.mp4")
-    grippers = {}
-    for option in ("auto", "none"):
-        out = tmp_path / option
-        score_videos(config(out=out, gripper=option, make_analyzer=RobotiqAnalyzer, camera="benchmark"))
-        (row,) = read_rows(out).values()
-        grippers[option] = row.status, row.extra.get("gripper")
-    assert grippers == {"auto": (Status.OK, "robotiq-2f85"), "none": (Status.UNMEASURABLE, "none")}
-
-
-def test_a_video_without_an_arm_is_unmeasurable(film, config):
-    film("videos/a.mp4", Act.NO_ROBOT)
-    score_videos(config(gripper="none", camera="benchmark", make_analyzer=HandlessAnalyzer))
-    (row,) = read_rows(config().out).values()
-    assert row.status is Status.UNMEASURABLE
-    assert row.reason.startswith("the flange is found in none of ")

@@ -30,7 +30,7 @@ from kinebench_drake.suites.simulator import Snapshot, TaskOutcome
 from kinebench_drake.suites.suite import load_suite
 from kinebench_drake.suites.worldmodels.worldmodel import ActionTrack
 from kinebench_drake.types import GripperTrack
-from tests.cli.fake_analyzer import FakeAnalyzer
+from tests.cli.fake_tools import FakeTools
 
 did: Counter[str] = Counter()
 
@@ -80,7 +80,7 @@ def config(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Sui
 
     def make(world_model: str, **changes: object) -> SuiteConfig:
         told = {"suite": load_suite(0), "split": "test", "tasks": ("PullCube-v1",), "episodes": 2}
-        told |= {"out": tmp_path / "out", "make_analyzer": FakeAnalyzer, "world_model": world_model}
+        told |= {"out": tmp_path / "out", "make_tools": FakeTools, "world_model": world_model}
         return SuiteConfig(**{**told, **changes})
 
     return make

@@ -2,7 +2,7 @@
 
 import pytest
 
-from kinebench_drake.formats.videos.sample import CameraSource
+from kinebench_drake.camera import CameraSource
 from kinebench_drake.results.inputs import PeriodSource, input_lines, list_inputs
 from tests.report.pages import row
 

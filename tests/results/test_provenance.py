@@ -14,7 +14,13 @@ SOURCES = {
     "runs/__init__.py": "",
     "runs/score.py": "import kinebench_drake.kinematics.ik\nimport kinebench_drake.report.page\n",
     "kinematics/__init__.py": "",
-    "kinematics/ik.py": '"""Solve."""\n\nLIMIT = 3\n"""Bound."""\n\n\ndef solve():\n    """Solve it."""\n    return LIMIT  # at once\n',
+    "kinematics/ik.py": """'Solve.'
+LIMIT = 3
+'Bound.'
+def f():
+    'Solve it.'
+    return 1  # at once
+""",
     "kinematics/unused.py": "",
     "report/__init__.py": "",
     "report/page.py": "",

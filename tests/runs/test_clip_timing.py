@@ -9,7 +9,7 @@ from scipy.interpolate import PchipInterpolator
 from kinebench_drake.geometry import Array, rotation_exp
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.metrics.result import KinematicResult
-from kinebench_drake.runs.analyzer import Analyzer, RobotOptions
+from kinebench_drake.runs.tools import RobotOptions, Tools
 from kinebench_drake.suites.clock import CLIP_S, FRAME_PERIOD_S, sample_uniformly
 from kinebench_drake.types import GripperTrack
 
@@ -19,8 +19,8 @@ SMOOTHNESS = ("sparc", "ldlj", "sparc_filtered", "sparc_rotation")
 
 
 @pytest.fixture(scope="module")
-def analyzer() -> Analyzer:
-    return Analyzer(RobotOptions())
+def analyzer() -> Tools:
+    return Tools(RobotOptions())
 
 
 @pytest.fixture(scope="module", params=["CloseLaptopEasy", "OpenFaucet", "PickFruits"])
@@ -31,7 +31,7 @@ def motion(request: pytest.FixtureRequest) -> PchipInterpolator:
 
 
 def judge(
-    analyzer: Analyzer, motion: PchipInterpolator, frames: int, t_s: Array, chosen: Array, noise: float = 1.0
+    analyzer: Tools, motion: PchipInterpolator, frames: int, t_s: Array, chosen: Array, noise: float = 1.0
 ) -> KinematicResult:
     """Judge the chosen frames of a clip of the motion with white noise, the same in equal frames."""
     plant = ArmPlant()
@@ -50,12 +50,12 @@ def judge(
     return analyzer.judge(track)
 
 
-def sampled(analyzer: Analyzer, motion: PchipInterpolator, frames: int, noise: float = 1.0) -> KinematicResult:
+def sampled(analyzer: Tools, motion: PchipInterpolator, frames: int, noise: float = 1.0) -> KinematicResult:
     chosen, t_s = sample_uniformly(frames, CLIP_S, FRAME_PERIOD_S)
     return judge(analyzer, motion, frames, t_s, chosen, noise)
 
 
-def test_49_and_150_frames_have_the_same_metrics(analyzer: Analyzer, motion: PchipInterpolator) -> None:
+def test_49_and_150_frames_have_the_same_metrics(analyzer: Tools, motion: PchipInterpolator) -> None:
     """Within the noise floor of the smoothness, and within 2 % of manipulability."""
     short, long = sampled(analyzer, motion, 49), sampled(analyzer, motion, 150)
     assert short.feasible is long.feasible is True
@@ -67,14 +67,14 @@ def test_49_and_150_frames_have_the_same_metrics(analyzer: Analyzer, motion: Pch
     assert long.metrics["slowdown_min"] == pytest.approx(short.metrics["slowdown_min"], rel=0.1)
 
 
-def test_without_noise_the_smoothness_is_that_of_the_motion(analyzer: Analyzer, motion: PchipInterpolator) -> None:
+def test_without_noise_the_smoothness_is_that_of_the_motion(analyzer: Tools, motion: PchipInterpolator) -> None:
     """Frames at their own times; at times rounded to the period LDLJ would be off by 0.4 to 1.4."""
     short, long = sampled(analyzer, motion, 49, noise=0.0), sampled(analyzer, motion, 150, noise=0.0)
     assert long.metrics["sparc"] == pytest.approx(short.metrics["sparc"], abs=0.05)
     assert long.metrics["ldlj"] == pytest.approx(short.metrics["ldlj"], abs=0.2)
 
 
-def test_150_frames_at_the_period_of_49_are_another_motion(analyzer: Analyzer, motion: PchipInterpolator) -> None:
+def test_150_frames_at_the_period_of_49_are_another_motion(analyzer: Tools, motion: PchipInterpolator) -> None:
     """What uniform timing is for: the same frames, played at one frame period each, are a third as fast."""
     short = sampled(analyzer, motion, 49)
     slow = judge(analyzer, motion, 150, FRAME_PERIOD_S * np.arange(150), np.arange(150))

@@ -7,8 +7,8 @@ import pytest
 
 from kinebench_drake.geometry import make_pose
 from kinebench_drake.kinematics.plant import ArmPlant
-from kinebench_drake.runs.analyzer import Analyzer, RobotOptions
 from kinebench_drake.runs.clips import combine, join_tracks
+from kinebench_drake.runs.tools import RobotOptions, Tools
 from kinebench_drake.types import GripperTrack
 
 Q = np.array([0.0, 0.3, 0.0, -2.0, 0.0, 2.2, 0.8])
@@ -17,7 +17,7 @@ N = 25
 
 @pytest.fixture(scope="module")
 def analyzer():
-    return Analyzer(RobotOptions())
+    return Tools(RobotOptions())
 
 
 def clip(shift=(0.0, 0.0, 0.0), reach=0.1, seen=N):

@@ -1,33 +1,11 @@
 """Video samples and the result of a search for them."""
 
 from dataclasses import dataclass, field, replace
-from enum import Enum
 from pathlib import Path
 
-from kinebench_drake.camera import Camera, CameraSetting, benchmark_camera
+from kinebench_drake.camera import Camera, CameraSetting, CameraSource, benchmark_camera
 from kinebench_drake.io.video import WHOLE, VideoPart
 from kinebench_drake.types import InitialState
-
-
-class CameraSource(Enum):
-    """Source of a sample's camera, in order of precedence."""
-
-    GIVEN = "given"
-    """Argument of a function of the Python interface."""
-    MANIFEST = "manifest"
-    FOLDER = "folder"
-    BENCHMARK = "benchmark"
-    OPTION = "option"
-    """File of the command line, which precedes all."""
-    ESTIMATED = "estimated"
-    """Estimated from the arm."""
-    NONE = "none"
-    """None: a lens with a usual field of view is assumed, and there is no base frame."""
-
-    @property
-    def is_named(self) -> bool:
-        """True if the user or the input names the camera."""
-        return self in (CameraSource.GIVEN, CameraSource.MANIFEST, CameraSource.FOLDER, CameraSource.OPTION)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -5,9 +5,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from kinebench_drake.camera import CameraSetting
+from kinebench_drake.camera import CameraSetting, CameraSource
 from kinebench_drake.errors import InputError
-from kinebench_drake.formats.videos.sample import CameraSource, VideoSample
+from kinebench_drake.formats.videos.sample import VideoSample
 from kinebench_drake.io.camerafile import load_camera
 from kinebench_drake.io.files import IMAGE_SUFFIXES
 

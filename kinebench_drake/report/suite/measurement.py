@@ -102,7 +102,7 @@ class Measurements(BaseModel):
 
 
 def is_measurement(path: Path) -> bool:
-    """Return whether a path names a file of `perception` or the output folder of `python -m training baseline evaluate`."""
+    """Return whether a path names a --json file of a study, or the output folder of the learned baseline's."""
     return path.suffix == ".json" or (path / BASELINE).is_file()
 
 

@@ -13,7 +13,7 @@ from benchmarks.perception.errors import ClipErrors, Expense, compare
 from kinebench_drake.camera import Camera, benchmark_camera
 from kinebench_drake.geometry import Array, make_pose, rotation_exp
 from kinebench_drake.grounding.anomaly.detection import AnomalyDetections, Detection
-from kinebench_drake.grounding.pipeline import GroundingResult
+from kinebench_drake.grounding.pipeline import PipelineResult
 from kinebench_drake.io.camerafile import save_camera
 from kinebench_drake.io.container import write_video
 from kinebench_drake.types import Anomaly, AnomalyKind, Domain, GripperTrack, InitialStateUse
@@ -50,10 +50,10 @@ def clip(camera: Camera, truth: Array) -> TruthClip:
 
 
 @pytest.fixture
-def grounded() -> Callable[..., GroundingResult]:
+def grounded() -> Callable[..., PipelineResult]:
     """A grounding that says so much."""
 
-    def make(clip: TruthClip, X_CH: Array, tracked: Array | None = None, confidence: float = 0.9) -> GroundingResult:
+    def make(clip: TruthClip, X_CH: Array, tracked: Array | None = None, confidence: float = 0.9) -> PipelineResult:
         n = len(clip.t_s)
         tracked = np.ones(n, dtype=bool) if tracked is None else tracked.astype(bool)
         X_CH = np.where(tracked[:, None, None], X_CH, np.nan)
@@ -65,7 +65,7 @@ def grounded() -> Callable[..., GroundingResult]:
             confidence=np.full(n, confidence),
             finger_width_m=np.where(tracked, clip.finger_width_m, np.nan),
         )
-        return GroundingResult(
+        return PipelineResult(
             track=track,
             from_prior=np.zeros(n, dtype=bool),
             first_frame=InitialStateUse.UNKNOWN,
@@ -80,7 +80,7 @@ def grounded() -> Callable[..., GroundingResult]:
 
 
 @pytest.fixture
-def errors(clip: TruthClip, grounded: Callable[..., GroundingResult]) -> Callable[..., ClipErrors]:
+def errors(clip: TruthClip, grounded: Callable[..., PipelineResult]) -> Callable[..., ClipErrors]:
     """The errors of a track that is off by an offset [m], tracked where told."""
 
     def make(

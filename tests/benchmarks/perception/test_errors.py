@@ -8,7 +8,7 @@ import pytest
 from benchmarks.perception.clip import TruthClip
 from benchmarks.perception.errors import ClipErrors, Expense, compare
 from kinebench_drake.geometry import Array, make_pose, rotation_exp
-from kinebench_drake.grounding.pipeline import GroundingResult
+from kinebench_drake.grounding.pipeline import PipelineResult
 from kinebench_drake.types import Anomaly, AnomalyKind
 
 HALF_TURN = make_pose(rotation_exp([0.0, 0.0, np.pi]), np.zeros(3))
@@ -30,7 +30,7 @@ def test_an_offset_is_read_as_it_is(errors: Callable[..., ClipErrors]) -> None:
 
 @pytest.mark.parametrize(("hidden", "runs"), [((), [5]), ((5,), [4]), ((2,), [5])])
 def test_a_flip_is_counted_in_tracked_frames(
-    clip: TruthClip, grounded: Callable[..., GroundingResult], hidden: tuple[int, ...], runs: list[int]
+    clip: TruthClip, grounded: Callable[..., PipelineResult], hidden: tuple[int, ...], runs: list[int]
 ) -> None:
     X: Array = clip.X_CH.copy()
     X[3:8] = X[3:8] @ HALF_TURN
@@ -38,7 +38,7 @@ def test_a_flip_is_counted_in_tracked_frames(
     assert compare(clip, grounded(clip, X, tracked), EXPENSE).flips == runs
 
 
-def test_two_flips_are_two(clip: TruthClip, grounded: Callable[..., GroundingResult]) -> None:
+def test_two_flips_are_two(clip: TruthClip, grounded: Callable[..., PipelineResult]) -> None:
     X = clip.X_CH.copy()
     X[1:3], X[9:] = X[1:3] @ HALF_TURN, X[9:] @ HALF_TURN
     e = compare(clip, grounded(clip, X), EXPENSE)

@@ -7,11 +7,11 @@ import h5py
 import numpy as np
 import pytest
 from PIL import Image
-from tests.datasets.videos.conftest import frames_of
 
 from kinebench_drake.errors import InputError, UsageError
 from kinebench_drake.formats.videos.find import find_samples
 from kinebench_drake.io.reader import read_video
+from tests.formats.videos.conftest import frames_of
 
 
 @pytest.fixture

@@ -8,14 +8,13 @@ import pyarrow
 import pyarrow.parquet as parquet
 import pytest
 from PIL import Image
-from tests.datasets.videos.conftest import SIDE, frames_of, grey, levels, write_info, write_v3_episodes
 
-from kinebench_drake.camera import benchmark_camera
+from kinebench_drake.camera import CameraSource, benchmark_camera
 from kinebench_drake.errors import InputError, UsageError
 from kinebench_drake.formats.videos.find import find_samples
-from kinebench_drake.formats.videos.sample import CameraSource
 from kinebench_drake.io.camerafile import save_camera
 from kinebench_drake.io.reader import read_video
+from tests.formats.videos.conftest import SIDE, frames_of, grey, levels, write_info, write_v3_episodes
 
 LENGTHS = (5, 4, 6)
 TWO = ("observation.images.front", "observation.images.wrist")

@@ -2,7 +2,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from tests.calibration.robot import postures, project_robot
 
 from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.geometry import invert, pose_difference
@@ -10,6 +9,7 @@ from kinebench_drake.grounding.camera.bundle import ArmScene, Observations, Prio
 from kinebench_drake.grounding.camera.fit import Lens
 from kinebench_drake.grounding.camera.hypotheses import ChainSearch
 from kinebench_drake.models.panda.robot import ARM, GRIPPER
+from tests.grounding.camera.robot import postures, project_robot
 
 CAMERA = benchmark_camera()
 PARTS = (*GRIPPER, *ARM)

@@ -4,7 +4,6 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from tests.calibration.robot import CellsAlone, PerfectEstimator, postures
 
 from kinebench_drake import cli
 from kinebench_drake.errors import UnmeasurableError
@@ -15,6 +14,7 @@ from kinebench_drake.grounding.camera.fit import with_focal
 from kinebench_drake.grounding.camera.overlay import render_part_map
 from kinebench_drake.io.camerafile import load_camera
 from kinebench_drake.models.panda.robot import RobotPart
+from tests.grounding.camera.robot import CellsAlone, PerfectEstimator, postures
 
 T = 6
 

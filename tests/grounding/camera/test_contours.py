@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from tests.calibration.robot import postures, project_robot
 
 from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.geometry import invert, pose_difference
@@ -18,6 +17,7 @@ from kinebench_drake.grounding.camera.fit import Lens, solve_pnp, with_focal
 from kinebench_drake.grounding.camera.turn import DIFFERENT_TURN_RAD, BaseTurn, find_turns, is_same_arm, turned
 from kinebench_drake.models.panda.cad import PartCaster, link_meshes, open_fingers, part_meshes
 from kinebench_drake.models.panda.robot import RobotPart, hand_from_tcp
+from tests.grounding.camera.robot import postures, project_robot
 
 CAMERA = benchmark_camera().resized(320, 320)
 FINGER_M = 0.03

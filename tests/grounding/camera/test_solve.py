@@ -2,7 +2,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from tests.calibration.robot import VISIBLE, postures, project_robot
 
 from kinebench_drake.errors import UnmeasurableError
 from kinebench_drake.geometry import invert, make_pose, pose_difference, rotation_exp
@@ -13,6 +12,7 @@ from kinebench_drake.grounding.camera.result import CalibrationMethod, CameraCal
 from kinebench_drake.grounding.camera.solve import solve
 from kinebench_drake.grounding.camera.states import RobotStates
 from kinebench_drake.models.panda.robot import RobotPart
+from tests.grounding.camera.robot import VISIBLE, postures, project_robot
 
 
 def states_of(q, model):

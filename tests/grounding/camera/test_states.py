@@ -1,12 +1,12 @@
 import numpy as np
 import pytest
-from tests.calibration.robot import postures
 
 from kinebench_drake.errors import InputError, UsageError
 from kinebench_drake.grounding.camera.calibrate import CalibrationMethod, _method, _times
 from kinebench_drake.grounding.camera.states import make_posture_states, parse_posture, read_states
 from kinebench_drake.io.video import Video
 from kinebench_drake.models.panda.robot import RobotPart, hand_from_tcp
+from tests.grounding.camera.robot import postures
 
 
 def test_a_row_a_frame_is_taken_as_it_is_whatever_its_times_say(tmp_path, model):

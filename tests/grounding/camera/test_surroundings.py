@@ -3,8 +3,6 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-from tests.calibration.robot import postures, project_robot
-from tests.calibration.test_bundle import observe, prior
 
 from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.geometry import invert, make_pose, pose_difference, rotation_exp, rotation_z
@@ -14,6 +12,8 @@ from kinebench_drake.grounding.camera.surroundings import Lines, Surroundings, f
 from kinebench_drake.grounding.registration.arm_model import ArmModel
 from kinebench_drake.grounding.registration.edges import EdgeMatcher
 from kinebench_drake.models.panda.robot import ARM, GRIPPER
+from tests.grounding.camera.robot import postures, project_robot
+from tests.grounding.camera.test_bundle import observe, prior
 
 CAMERA = benchmark_camera()
 TRUE = Lens(camera=CAMERA, X_CB=invert(CAMERA.X_BC))

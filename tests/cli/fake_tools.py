@@ -13,10 +13,14 @@ from pathlib import Path
 
 import numpy as np
 
+from kinebench_drake.camera import Camera, CameraSource, benchmark_camera
 from kinebench_drake.errors import InputError, UnmeasurableError
 from kinebench_drake.geometry import make_pose
+from kinebench_drake.grounding.framing.framing import Framing
+from kinebench_drake.grounding.framing.search import find_framing
 from kinebench_drake.metrics.result import KinematicResult
 from kinebench_drake.types import (
+    NO_PRIORS,
     Anomaly,
     AnomalyKind,
     Domain,
@@ -25,11 +29,12 @@ from kinebench_drake.types import (
     IkStatus,
     InitialStateUse,
     JointTrack,
+    Priors,
     Violation,
     ViolationKind,
 )
 
-LOG = "FAKE_ANALYZER_LOG"
+LOG = "FAKE_TOOLS_LOG"
 """Environment variable: file to which every call of `ground` adds a line."""
 
 
@@ -49,11 +54,28 @@ def act_of(frames):
 
 
 @dataclass(frozen=True)
-class FakeGrounding:
+class FakeChoice:
+    source: CameraSource
+    reason: str | None = None
+    agreement: float = 0.7
+    contradiction: object = None
+
+    def to_json(self):
+        state = "none" if self.reason else "named" if self.source.is_named else "confirmed"
+        data = {"camera_source": "none" if state == "none" else self.source.value, "camera_state": state}
+        data["camera_agreement"] = self.agreement
+        return data | ({} if self.reason is None else {"base_frame_reason": self.reason})
+
+
+@dataclass(frozen=True)
+class FakeResult:
     track: GripperTrack
     anomalies: tuple[Anomaly, ...]
-    camera_motion_px: float | None
-    arm_q: np.ndarray
+    frames: np.ndarray
+    camera: Camera
+    framing: Framing
+    choice: FakeChoice
+    camera_motion_px: float | None = 0.12
     arm_consistency_px: float | None = 2.0
     first_frame: InitialStateUse = InitialStateUse.UNKNOWN
     domain: Domain = Domain.FAMILIAR
@@ -62,37 +84,82 @@ class FakeGrounding:
     camera_path: None = None
 
     @property
-    def X_CH_raw(self):
-        return self.track.X_CH
+    def robot(self):
+        return np.zeros(self.frames.shape[:3], bool)
 
     @property
-    def has_pose(self):
-        return np.isfinite(self.track.X_CH).all(axis=(1, 2))
+    def visible_track(self):
+        return self.track
+
+    @property
+    def unmeasurable(self):
+        return None if self.track.tracked.sum() > 1 else "a gripper is seen, but trusted in 0"
 
 
-class FakeAnalyzer:
-    def __init__(self, options):
-        if options.tcp_frame == "nowhere":
-            raise InputError("arm.urdf has no frame nowhere")
-        self._options = options
-        self._infeasible = False
+class FakeGrounder:
+    """Grounding that reads its track from the frames; an unnamed camera is the benchmark's where the shape fits."""
 
-    def ground(self, frames, camera, t_s, known):
-        act = act_of(frames)
+    infeasible = False
+
+    def ground(
+        self,
+        clip,
+        camera=None,
+        priors=NO_PRIORS,
+        *,
+        source=CameraSource.GIVEN,
+        gripper=GripperKind.AUTO,
+        trusts_camera=False,
+    ):
+        act = act_of(clip.frames)
         if LOG in os.environ:
             with Path(os.environ[LOG]).open("a") as log:
                 log.write(f"{act.name} {os.getpid()}\n")
-        return self.ground_arm(frames, camera, t_s, known)
-
-    def ground_arm(self, frames, camera, t_s, known, gripper=GripperKind.NONE):
-        act = act_of(frames)
+        named = camera is not None or trusts_camera
+        lens = benchmark_camera() if camera is None else camera.camera
+        choice = FakeChoice(source if named else CameraSource.BENCHMARK)
+        try:
+            framing = find_framing(clip.frames, lens, clip.conditioning)
+        except UnmeasurableError as error:
+            if named:
+                raise UnmeasurableError(f"{choice.source.value} {error}") from None
+            choice = replace(
+                choice,
+                reason="the base frame is unknown: no camera is named, the shape of the video differs, and nothing is seen",
+            )
+            lens = replace(lens, width=clip.frames.shape[2], height=clip.frames.shape[1])
+            framing = find_framing(clip.frames, lens, None)
         if act is Act.RAISE:
             raise RuntimeError("the fake\nfell over")
         if act is Act.DIE:
             os.kill(os.getpid(), signal.SIGKILL)
         if act is Act.SLOW:
             time.sleep(0.4)
-        self._infeasible = act is Act.INFEASIBLE
+        if not isinstance(priors, Priors):
+            priors = priors(framing.whole_camera(lens))
+        track, anomalies = self.track(clip, priors)
+        if choice.reason is not None:
+            track = replace(track, X_BG=np.full_like(track.X_BG, np.nan))
+        if not track.tracked.any() and not trusts_camera:
+            raise UnmeasurableError(f"no Franka hand is found in any of {len(clip.frames)} frames")
+        return self.result(
+            FakeResult(
+                track=track,
+                anomalies=anomalies,
+                frames=framing.crop(clip.frames),
+                camera=framing.camera(lens),
+                framing=framing,
+                choice=choice,
+            )
+        )
+
+    def result(self, result):
+        """What subclasses change."""
+        return result
+
+    def track(self, clip, known):
+        act, t_s = act_of(clip.frames), clip.t_s
+        self.infeasible = act is Act.INFEASIBLE
         n = len(t_s)
         s = np.linspace(0.0, 1.0, n)
         p = np.stack([0.4 + 0.1 * s, 0.2 * np.sin(3 * s), 0.3 + 0.05 * np.cos(5 * s)], axis=1)
@@ -106,7 +173,7 @@ class FakeAnalyzer:
         anomalies = ()
         if act is Act.NO_ROBOT:
             tracked[:] = False
-        if self._infeasible:
+        if self.infeasible:
             tracked[n // 2 : n // 2 + 2] = False
             anomalies = (Anomaly(kind=AnomalyKind.VANISH, frame_start=n // 2, frame_end=n // 2 + 1, severity=2.0),)
         X[~tracked] = np.nan
@@ -121,28 +188,21 @@ class FakeAnalyzer:
             confidence=confidence,
             finger_width_m=np.where(tracked, width, np.nan),
         )
-        return FakeGrounding(track, anomalies, 0.12, np.zeros((n, 7)))
+        return track, anomalies
 
-    def camera_agreement(self, frames, camera):
-        return 0.7
 
-    def estimate_camera(self, frames):
-        raise UnmeasurableError("no camera can be estimated: a gripper is seen in 0 of the frames searched")
+class FakeTools:
+    make_grounder = FakeGrounder
 
-    def posture_agreement(self, frames, camera, q, finger_m, *, hand):
-        return 0.7
-
-    def camera_contradiction(self, frames, camera):
-        return None
-
-    def camera_reading(self, frames, camera, least, *, likely_only):
-        return None
-
-    def count_hands(self, frames):
-        return (0 if act_of(frames) is Act.NO_ROBOT else len(frames)), len(frames)
+    def __init__(self, options):
+        if options.tcp_frame == "nowhere":
+            raise InputError("arm.urdf has no frame nowhere")
+        self._options = options
+        self.grounder = self.make_grounder()
+        self._infeasible = False
 
     def judge(self, track, table_height_m=None):
-        n = len(track.t_s)
+        n, infeasible = len(track.t_s), self._infeasible or self.grounder.infeasible
         q = np.linspace(-0.5, 0.5, n)[:, None] * np.ones(7)
         q[~track.tracked] = np.nan
         joints = JointTrack(
@@ -159,9 +219,9 @@ class FakeAnalyzer:
         return KinematicResult(
             track=track,
             joints=joints,
-            feasible=not self._infeasible,
+            feasible=not infeasible,
             metrics={"sparc": -1.6 - speed, "ik_success_rate": 1.0, "trajopt_feasible": True, "ldlj": float("nan")},
-            violations=(violation,) if self._infeasible else (),
+            violations=(violation,) if infeasible else (),
             reasons={"ldlj": "the fake has none"},
             details={"table_height_m": self._options.table_height_m if table_height_m is None else table_height_m},
             curves={"manipulability": 0.05 + 0.02 * np.cos(q[:, 0] * 5), "joint_margin": 0.4 - q[:, 0] ** 2},

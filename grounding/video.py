@@ -1,0 +1,401 @@
+"""Grounding of a video, the one way in: choose its camera, track gripper or flange, confirm the camera by the arm."""
+
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass, fields, replace
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from kinebench_drake.camera import CONFIRMED, Camera, CameraSetting, CameraSource, benchmark_camera
+from kinebench_drake.errors import UnmeasurableError
+from kinebench_drake.geometry import Array
+from kinebench_drake.grounding.camera.choice import (
+    AGREEMENT,
+    CameraChoice,
+    check_named,
+    find_reading,
+    track_agreement,
+)
+from kinebench_drake.grounding.camera.contradiction import CameraChecker
+from kinebench_drake.grounding.camera.estimate import CameraEstimator, usual_camera
+from kinebench_drake.grounding.clip import Clip
+from kinebench_drake.grounding.framing.framing import Framing, apply_framing
+from kinebench_drake.grounding.framing.search import find_framing
+from kinebench_drake.grounding.pipeline import GroundingPipeline, PipelineResult
+from kinebench_drake.grounding.tracking.estimator import NetworkEstimator
+from kinebench_drake.grounding.tracking.view import Frames
+from kinebench_drake.models.perception.network import ARM_WEIGHTS, load_network
+from kinebench_drake.types import NO_PRIORS, Domain, GripperKind, GripperTrack, Priors
+
+if TYPE_CHECKING:
+    from kinebench_drake.grounding.camera.camera_estimate import CameraEstimate
+
+MIN_TRACKED = 2
+"""Fewest frames with a pose: a path needs two."""
+HAND_SHARE, ARM_SHARE = 0.1, 0.5
+"""Share of tracked frames below which a hand counts as not seen, and from which on an arm does."""
+PriorSource = Callable[[Camera], Priors]
+"""Function from the camera of the whole frames to quantities that replace estimates."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GroundingResult(PipelineResult):
+    """Track of a video with the camera behind it; poses in the base frame are NaN where that is unknown."""
+
+    frames: Frames
+    """(T, h, w, 3) as grounded: without letter-box bars."""
+    camera: Camera
+    """Camera of these frames."""
+    framing: Framing
+    """How the camera's image lies in the video."""
+    choice: CameraChoice
+
+    @property
+    def unmeasurable(self) -> str | None:
+        """Why the track cannot be measured although a gripper is seen; None if it can."""
+        track, tracked = self.track, int(self.track.tracked.sum())
+        if tracked >= MIN_TRACKED:
+            return None
+        subject = "the flange" if self.domain is Domain.ARM else "a gripper"
+        reason = "" if self.choice.reason is None else f"; {self.choice.reason}"
+        return (
+            f"{subject} is seen in {int(self.has_pose.sum())} of {len(track.t_s)} frames, but trusted in {tracked}, a "
+            f"path needs {MIN_TRACKED}: its confidence is {track.confidence.max():.2f} at most{reason}"
+        )
+
+    @property
+    def visible_track(self) -> GripperTrack:
+        """The track; of an unmeasurable video with the poses that are seen, but not trusted."""
+        track = self.track
+        if self.unmeasurable is None:
+            return track
+        return replace(track, X_CH=np.where(track.tracked[:, None, None], track.X_CH, self.X_CH_raw))
+
+    def require_pose(self) -> None:
+        """Check that a gripper is seen.
+
+        Raises:
+            UnmeasurableError: it is found in no frame.
+        """
+        if self.has_pose.any():
+            return
+        frames = len(self.track.t_s)
+        reason = "" if self.choice.reason is None else f"; {self.choice.reason}"
+        if self.domain is Domain.ARM:
+            raise UnmeasurableError(
+                f"the flange is found in none of {frames} frames: are wrist and forearm in view, and is this the "
+                f"video's camera?{reason}"
+            )
+        raise UnmeasurableError(
+            f"no Franka hand is found in any of {frames} frames: is the robot in view, and is this the video's camera? "
+            f"With another gripper take --gripper none{reason}"
+        )
+
+
+class GroundingParts:
+    """Networks and fits behind the grounding, each loaded when it is first used."""
+
+    def __init__(self, table_height_m: float = 0.0) -> None:
+        """Set the height of the table top in the robot base frame [m]."""
+        self._table_height_m = table_height_m
+        self._arms: dict[GripperKind, GroundingPipeline] = {}
+
+    @cached_property
+    def _estimator(self) -> NetworkEstimator:
+        return NetworkEstimator(load_network())
+
+    @cached_property
+    def _arm_estimator(self) -> NetworkEstimator:
+        return NetworkEstimator(load_network(ARM_WEIGHTS))
+
+    @cached_property
+    def hand(self) -> GroundingPipeline:
+        """Tracking of the Franka hand.
+
+        Raises:
+            SetupError: weights or libraries are missing; so do the others.
+        """
+        return GroundingPipeline.of(self._estimator, self._table_height_m)
+
+    def arm(self, gripper: GripperKind) -> GroundingPipeline:
+        """Return the tracking of the flange by the arm, and by another gripper than Franka's."""
+        if gripper not in self._arms:
+            self._arms[gripper] = GroundingPipeline.of(self._arm_estimator, self._table_height_m, gripper)
+        return self._arms[gripper]
+
+    @cached_property
+    def cameras(self) -> CameraEstimator:
+        """Estimation of cameras."""
+        return CameraEstimator(self._estimator)
+
+    @cached_property
+    def checker(self) -> CameraChecker:
+        """Checks of cameras."""
+        return CameraChecker(self.cameras.estimator, self.cameras.fitter)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _View:
+    """A clip with a camera that comes into question."""
+
+    choice: CameraChoice
+    frames: Frames
+    camera: Camera
+    framing: Framing
+    t_s: Array
+    priors: Priors
+
+    def result(self, measured: PipelineResult, choice: CameraChoice | None = None) -> GroundingResult:
+        """Return the result of a track, with this choice or another one."""
+        choice = choice or self.choice
+        own = {f.name: getattr(measured, f.name) for f in fields(PipelineResult)}
+        if choice.reason is not None:
+            own["track"] = replace(measured.track, X_BG=np.full_like(measured.track.X_BG, np.nan))
+        return GroundingResult(**own, frames=self.frames, camera=self.camera, framing=self.framing, choice=choice)
+
+
+class Grounder:
+    """Grounding of videos; one instance serves any number of them."""
+
+    def __init__(self, parts: GroundingParts | None = None) -> None:
+        """Ground with `parts`; None: the shipped networks."""
+        self._parts = parts or GroundingParts()
+
+    def ground(
+        self,
+        clip: Clip,
+        camera: CameraSetting | None = None,
+        priors: PriorSource | Priors = NO_PRIORS,
+        *,
+        source: CameraSource = CameraSource.GIVEN,
+        gripper: GripperKind = GripperKind.AUTO,
+        trusts_camera: bool = False,
+    ) -> GroundingResult:
+        """Choose the camera of a video, ground the video, and confirm the camera by the arm of the track.
+
+        Base-frame poses exist only where the camera is named and not contradicted, or confirmed.
+
+        Args:
+            clip: frames and their times.
+            camera: the named camera; None: the benchmark's if the arm confirms it, else an estimated one, else none.
+            priors: quantities that replace estimates, or their source.
+            source: source of the named camera.
+            gripper: gripper of the robot.
+            trusts_camera: True to take the camera, or without one the benchmark's, as exact, and whatever is seen.
+
+        Raises:
+            InputError: the priors do not fit the video.
+            UnmeasurableError: the shape of the video does not fit the named camera, or no gripper is seen.
+            SetupError: weights or libraries are missing.
+        """
+        if camera is not None and camera.mirrored:
+            clip = clip.mirrored()
+        run = _VideoGrounding(self._parts, clip, priors, gripper, None if camera is None else camera.table_height_m)
+        if camera is None and not trusts_camera:
+            result = run.ground_unnamed()
+        else:
+            chosen = benchmark_camera() if camera is None else camera.camera
+            choice = CameraChoice(camera=chosen, source=CameraSource.BENCHMARK if camera is None else source)
+            result = run.ground_trusted(choice) if trusts_camera else run.ground_named(choice)
+        if not trusts_camera:
+            result.require_pose()
+        return result
+
+
+class _VideoGrounding:
+    """Grounding of one video with the cameras that come into question."""
+
+    def __init__(
+        self,
+        parts: GroundingParts,
+        clip: Clip,
+        priors: PriorSource | Priors,
+        gripper: GripperKind,
+        table_height_m: float | None,
+    ) -> None:
+        self._parts, self._clip, self._priors, self._gripper = parts, clip, priors, gripper
+        self._table_height_m = table_height_m
+
+    def ground_trusted(self, choice: CameraChoice) -> GroundingResult:
+        """Ground with a camera that is taken as exact."""
+        view = self._view(choice)
+        return view.result(self._ground_hand(view))
+
+    def ground_named(self, choice: CameraChoice) -> GroundingResult:
+        """Ground with the named camera, and check it."""
+        view = self._view(choice)
+        hand: GroundingResult | None = None
+        if not self._seeks_other:
+            measured = self._ground_hand(view)
+            hand = view.result(measured, self._check(view, measured))
+            # Where another reading explains the hand, the arm alone would agree with the wrong one, too.
+            if hand.choice.reading is not None or not self._is_lost(hand):
+                return hand
+        arm = self._ground_arm(view)
+        if arm is not None:
+            return view.result(arm, self._check(view, arm))
+        assert hand is not None  # without a hand to measure there is an arm
+        return hand
+
+    def ground_unnamed(self) -> GroundingResult:
+        """Ground with the benchmark camera if the arm confirms it, else with an estimated one, else without any."""
+        benchmark = CameraChoice(camera=benchmark_camera(), source=CameraSource.BENCHMARK)
+        if self._seeks_other:
+            flange = self._confirmed_arm(self._view(benchmark))
+            if flange is None:
+                raise UnmeasurableError(
+                    "no camera is named, and the arm does not confirm the benchmark camera; with another gripper than "
+                    "Franka's no camera is estimated: name it (camera.json)"
+                )
+            return flange
+        view: _View | None = None
+        with suppress(UnmeasurableError):  # the shape of the video is not that of the benchmark camera's image
+            view = self._view(benchmark)
+        against = "the shape of the video is not that of the benchmark camera"
+        if view is not None:
+            assumed = self._ground_as_assumed(view)
+            if assumed.choice.reason is None or assumed.choice.reading is not None:
+                return assumed
+            against = assumed.choice.reason
+        usual = usual_camera(self._clip.frames.shape[2], self._clip.frames.shape[1])
+        hands, searched = self._parts.checker.count_hands(self._clip.frames, usual)
+        if not hands and view is not None and (arm := self._confirmed_arm(view)) is not None:
+            return arm
+        if not hands:
+            raise UnmeasurableError(
+                f"no Franka hand is found in any of {searched} frames searched, whatever the camera; is the robot in "
+                "view? With another gripper name the camera (camera.json)"
+            )
+        return self._ground_estimated(usual, against)
+
+    def _ground_estimated(self, usual: Camera, against: str) -> GroundingResult:
+        """Ground with a camera estimated from the arm; without a base frame unless it is determined and confirmed.
+
+        Args:
+            usual: lens of a camera about which nothing is known.
+            against: what is against the benchmark camera.
+        """
+        estimate: CameraEstimate | None = None
+        try:
+            estimate = self._parts.cameras.estimate(self._clip.frames)
+            doubt = estimate.doubt
+        except UnmeasurableError as error:
+            doubt = str(error)
+        source = CameraSource.ESTIMATED if doubt is None else CameraSource.NONE
+        choice = CameraChoice(camera=usual if estimate is None else estimate.camera, source=source, estimate=estimate)
+        view = self._view(choice)
+        measured = self._ground_hand(view)
+        agreement = track_agreement(view.frames, view.camera, measured, self._parts.checker)
+        reading = None
+        if doubt is None:
+            reading = find_reading(view.frames, view.camera, agreement, self._parts.checker)
+            if reading is not None:
+                doubt = reading.describe()
+            elif agreement is None or agreement < AGREEMENT:
+                doubt = f"the track does not confirm the estimated camera ({_share(agreement)})"
+        reason = None if doubt is None else f"the base frame is unknown: no camera is named, {against}, and {doubt}"
+        return view.result(measured, replace(choice, agreement=agreement, reading=reading, reason=reason))
+
+    def _ground_as_assumed(self, view: _View) -> GroundingResult:
+        """Track with the benchmark camera; without a base frame unless the arm confirms the camera.
+
+        Where edges contradict the camera poses are not refined, since another one is likely.
+        """
+        checker, pictures = self._parts.checker, (view.frames, view.camera)
+        measured = self._ground_hand(replace(view, priors=replace(view.priors, camera_is_assumed=True)))
+        agreement = track_agreement(*pictures, measured, checker)
+        if measured.domain is not Domain.FAMILIAR:
+            agreement = checker.measure_agreement(*pictures)
+            if agreement is not None and agreement >= CONFIRMED:
+                measured = self._ground_hand(view)
+                agreement = track_agreement(*pictures, measured, checker)
+        reading = find_reading(*pictures, agreement, checker)
+        reason = None
+        if reading is not None:
+            reason = (
+                f"the base frame is unknown: no camera is named, and with the benchmark camera {reading.describe()}"
+            )
+        elif agreement is None or agreement < CONFIRMED:
+            reason = (
+                f"the arm does not confirm the benchmark camera ({_share(agreement)}, at least {CONFIRMED:.0%} are "
+                "needed)"
+            )
+        return view.result(measured, replace(view.choice, agreement=agreement, reading=reading, reason=reason))
+
+    def _confirmed_arm(self, view: _View) -> GroundingResult | None:
+        """Track the flange with the benchmark camera; None if its arm does not confirm the camera."""
+        arm = None if self._gripper is GripperKind.FRANKA else self._ground_arm(view)
+        if arm is None:
+            return None
+        agreement = track_agreement(view.frames, view.camera, arm, self._parts.checker)
+        if agreement is None or agreement < CONFIRMED:
+            return None
+        return view.result(arm, replace(view.choice, agreement=agreement))
+
+    @property
+    def _seeks_other(self) -> bool:
+        """Whether another gripper than Franka's is sought from the start."""
+        return self._gripper in (GripperKind.NONE, GripperKind.ROBOTIQ_2F85)
+
+    def _is_lost(self, hand: PipelineResult) -> bool:
+        """Return whether a hand is tracked in so few frames that it may be another gripper."""
+        least = max(MIN_TRACKED, HAND_SHARE * len(hand.track.t_s))
+        return self._gripper is GripperKind.AUTO and int(hand.track.tracked.sum()) < least
+
+    def _view(self, choice: CameraChoice) -> _View:
+        """Return the clip as a camera shows it.
+
+        Raises:
+            UnmeasurableError: the shape of the video differs from that of the camera's image, and nothing explains it.
+        """
+        clip, camera = self._clip, choice.camera
+        try:
+            framing = find_framing(clip.frames, camera, clip.conditioning)
+        except UnmeasurableError as error:
+            raise UnmeasurableError(f"{choice.source.value} {error}") from None
+        priors = self._priors
+        if not isinstance(priors, Priors):
+            priors = priors(framing.whole_camera(camera))
+        priors = replace(
+            priors.crop(*framing.window),
+            camera_is_fitted=choice.source in (CameraSource.ESTIMATED, CameraSource.NONE),
+            table_height_m=self._table_height_m,
+        )
+        if clip.is_view and clip.conditioning is not None:
+            priors = replace(priors, image=apply_framing(framing, clip.conditioning))
+        return _View(
+            choice=choice,
+            frames=framing.crop(clip.frames),
+            camera=framing.camera(camera),
+            framing=framing,
+            t_s=clip.t_s,
+            priors=priors,
+        )
+
+    def _check(self, view: _View, measured: PipelineResult) -> CameraChoice:
+        return check_named(view.choice, view.frames, view.camera, measured, self._parts.checker)
+
+    def _ground_hand(self, view: _View) -> PipelineResult:
+        return self._parts.hand.ground(view.frames, view.camera, view.t_s, view.priors)
+
+    def _ground_arm(self, view: _View) -> PipelineResult | None:
+        """Track the flange: by the links alone, else with the contours of a Robotiq 2F-85; None if it is not seen.
+
+        A gripper that is named is measured in any case.
+        """
+        inputs = view.frames, view.camera, view.t_s, view.priors
+        if self._seeks_other:
+            return self._parts.arm(self._gripper).ground(*inputs)
+        for gripper in (GripperKind.NONE, GripperKind.ROBOTIQ_2F85):
+            arm = self._parts.arm(gripper).ground(*inputs)
+            if arm.track.tracked.mean() >= ARM_SHARE:
+                return arm
+            if not arm.track.confidence.any():  # contours of a gripper are sought where there is an arm
+                break
+        return None
+
+
+def _share(agreement: float | None) -> str:
+    return "no posture fits" if agreement is None else f"{agreement:.0%} of the arm's contours on image edges"

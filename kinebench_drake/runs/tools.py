@@ -1,0 +1,151 @@
+"""The grounding and the kinematic judge of a worker process, and the robot that they are loaded for."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinebench_drake.camera import MAX_TABLE_HEIGHT_M, Camera
+from kinebench_drake.errors import InputError, SetupError, UsageError
+from kinebench_drake.geometry import Array
+from kinebench_drake.io.files import absence
+from kinebench_drake.models.arm import choose_robot
+from kinebench_drake.models.robot import Robot
+from kinebench_drake.types import GripperTrack
+
+if TYPE_CHECKING:  # Drake, torch and Open3D take seconds to load
+    from kinebench_drake.grounding.video import Grounder
+    from kinebench_drake.metrics.judge import TrackJudge
+    from kinebench_drake.metrics.result import KinematicResult
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RobotOptions:
+    """The robot and its table."""
+
+    table_height_m: float = 0.0
+    """Height of the table top in the robot base frame B [m]."""
+    urdf: Path | None = None
+    """URDF of the robot; None for mani_skill's Panda."""
+    tcp_frame: str | None = None
+    """TCP frame of the URDF; None for the Panda's."""
+
+    def __post_init__(self) -> None:
+        """Check the options against each other.
+
+        Raises:
+            UsageError: the table height is out of range, or only one of URDF and TCP frame is set.
+        """
+        if not abs(self.table_height_m) <= MAX_TABLE_HEIGHT_M:
+            raise UsageError(
+                f"--table-height is {self.table_height_m}, expected metres from {-MAX_TABLE_HEIGHT_M} to "
+                f"{MAX_TABLE_HEIGHT_M} in the robot's base frame"
+            )
+        if (self.urdf is None) is not (self.tcp_frame is None):
+            raise UsageError("--robot and --tcp-frame go together: the URDF and the name of its TCP frame")
+        if self.urdf is not None and not self.urdf.is_file():
+            raise UsageError(f"--robot {self.urdf}: {absence(self.urdf)}, expected a URDF")
+
+    def load(self) -> Robot:
+        """Load the robot.
+
+        Raises:
+            UsageError: it cannot be used.
+            SetupError: the Panda's files are missing.
+        """
+        try:
+            return choose_robot(self.urdf, self.tcp_frame)
+        except InputError as error:
+            raise UsageError(f"--robot and --tcp-frame: {error}") from None
+
+
+class Tools:
+    """Grounding with the shipped networks and kinematics in Drake, loaded once per worker process."""
+
+    def __init__(self, options: RobotOptions) -> None:
+        """Load the robot; networks and gripper meshes are loaded with the first video.
+
+        Raises:
+            UsageError: the robot cannot be used.
+            SetupError: the Panda's files are missing.
+        """
+        from kinebench_drake.kinematics.plant import ArmPlant
+
+        self._table_height_m, self._plant = options.table_height_m, ArmPlant(options.load())
+        self._judges: dict[float, TrackJudge] = {}
+        self._judge(self._table_height_m)
+
+    @cached_property
+    def grounder(self) -> "Grounder":
+        """The grounding."""
+        from kinebench_drake.grounding.video import Grounder, GroundingParts
+
+        return Grounder(GroundingParts(self._table_height_m))
+
+    def judge(self, track: GripperTrack, table_height_m: float | None = None) -> "KinematicResult":
+        """Judge a track of poses: infeasible only if no joint path follows it.
+
+        Args:
+            track: the track.
+            table_height_m: height of the table in the robot base frame [m]; None: that of the options.
+        """
+        return self._judge(self._table_height_m if table_height_m is None else table_height_m).judge_poses(track)
+
+    def _judge(self, table_height_m: float) -> "TrackJudge":
+        from kinebench_drake.metrics.judge import TrackJudge
+
+        if table_height_m not in self._judges:
+            self._judges[table_height_m] = TrackJudge(self._plant, table_height_m=table_height_m)
+        return self._judges[table_height_m]
+
+    def judge_joints(self, t_s: Array, q: Array, finger_width_m: Array) -> "KinematicResult":
+        """Judge joint angles (T, 7) [rad] as recorded; NaN where unknown.
+
+        Args:
+            t_s: (T,) times [s], increasing.
+            q: (T, 7) joint angles [rad].
+            finger_width_m: (T,) gap between the finger pads [m].
+        """
+        return self._judge(self._table_height_m).judge_joints(t_s, q, finger_width_m)
+
+    def overlay(
+        self,
+        frames: NDArray[np.uint8],
+        camera: Camera,
+        track: GripperTrack,
+        zoom: Array | None = None,
+        *,
+        hand: bool = True,
+    ) -> Iterator[NDArray[np.uint8]]:
+        """Draw the posed gripper on the frames, or without `hand` its axes alone.
+
+        `zoom` (T,) is the focal length of the frames over that of the camera.
+        """
+        from kinebench_drake.grounding.overlay import draw_overlay
+
+        return draw_overlay(frames, camera, track, zoom, hand=hand)
+
+
+ToolsFactory = Callable[[RobotOptions], Tools]
+"""Creates the tools of a worker process; picklable."""
+
+
+def load_tools(make: ToolsFactory, options: RobotOptions) -> Tools:
+    """Create the tools.
+
+    Raises:
+        UsageError: the robot cannot be used.
+        SetupError: a library, a driver or the Panda's files are missing.
+    """
+    try:
+        return make(options)
+    except (ImportError, OSError) as error:
+        raise SetupError(
+            f"cannot load the robot ({error}); `kinebench-drake doctor --fix` repairs what is missing, or says how"
+        ) from error
+    except InputError as error:
+        raise UsageError(f"--robot and --tcp-frame: {error}") from None

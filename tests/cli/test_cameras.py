@@ -1,0 +1,97 @@
+from dataclasses import replace
+
+import numpy as np
+from fake_tools import Act, FakeGrounder, FakeTools
+
+from kinebench_drake.camera import CameraSource, benchmark_camera
+from kinebench_drake.formats.videos.sample import VideoSample
+from kinebench_drake.io.camerafile import save_camera
+from kinebench_drake.results.row import Status
+from kinebench_drake.results.store import read_rows
+from kinebench_drake.runs.camera import with_camera_option
+from kinebench_drake.runs.score import score_videos
+
+WIDE = np.zeros((12, 96, 160, 3), np.uint8)
+
+
+def test_a_camera_file_of_the_command_line_is_that_of_all_videos(tmp_path):
+    save_camera(replace(benchmark_camera(), fx=400.0), tmp_path / "mine.json")
+    sample = VideoSample(id="a", path=tmp_path / "a.mp4", video="a.mp4")
+    (changed,) = with_camera_option([sample], str(tmp_path / "mine.json"))
+    assert changed.camera.fx == 400.0
+    assert changed.camera_source is CameraSource.OPTION
+    (insisted,) = with_camera_option([sample], "benchmark", mirrored=True)
+    assert insisted.camera_source is CameraSource.OPTION
+    assert insisted.mirrored
+
+
+def test_without_a_base_frame_motion_and_anomalies_are_measured_alone(film, config, tmp_path):
+    (tmp_path / "videos").mkdir()
+    np.save(tmp_path / "videos" / "wide.npy", WIDE)
+    score_videos(config(source=tmp_path / "videos" / "wide.npy"))
+    row = read_rows(tmp_path / "out")["wide"]
+    assert row.status is Status.OK
+    assert row.feasible is None
+    assert row.null_reasons["feasible"] == row.extra["base_frame_reason"] == row.null_reasons["ik_success_rate"]
+    assert row.metrics["sparc"] is not None
+    assert row.metrics["anomalies"] == []
+    assert row.executable is None
+    assert row.executable_reasons == ("undecided",)
+    assert row.extra["camera_source"] == "none"
+    assert row.extra["trust"]["level"] == "unknown"
+    with np.load(tmp_path / "out" / "tracks" / "wide.npz") as track:
+        assert np.isnan(track["base_from_tcp"]).all()
+        assert np.isfinite(track["camera_from_hand"]).all()
+
+
+def test_lost_frames_and_anomalies_are_against_execution_without_a_base_frame_too(config, program, tmp_path):
+    frames = WIDE.copy()
+    frames[:, :20, :20] = [40 * Act.INFEASIBLE, 0, 0]
+    np.save(tmp_path / "wide.npy", frames)
+    score_videos(config(source=tmp_path / "wide.npy"))
+    row = read_rows(tmp_path / "out")["wide"]
+    assert "base_frame_reason" in row.extra
+    assert row.executable is False
+    assert row.executable_reasons == ("undecided", "lost", "vanish")
+    code, _, err = program("view", tmp_path / "out", "wide")
+    assert code == 2
+    assert "no base frame" in err
+    assert "kinebench-drake view OUT" not in (tmp_path / "out" / "report.html").read_text()
+
+
+def test_the_benchmark_camera_can_be_insisted_on(film, config, tmp_path):
+    (tmp_path / "videos").mkdir()
+    np.save(tmp_path / "videos" / "wide.npy", WIDE)
+    score_videos(config(source=tmp_path / "videos" / "wide.npy", camera="benchmark"))
+    row = read_rows(tmp_path / "out")["wide"]
+    assert row.status is Status.UNMEASURABLE
+    assert "aspect ratios differ" in row.reason
+
+
+class Unsure(FakeGrounder):
+    """Sees the gripper everywhere and trusts it nowhere."""
+
+    def track(self, clip, known):
+        track, anomalies = super().track(clip, known)
+        tracked = np.zeros(len(track.t_s), bool)
+        return replace(track, tracked=tracked, confidence=0.2 * track.confidence), anomalies
+
+    def ground(self, *arguments, **options):
+        return super().ground(*arguments, **{**options, "trusts_camera": True})
+
+
+class UnsureTools(FakeTools):
+    make_grounder = Unsure
+
+
+def test_what_is_seen_but_not_trusted_has_a_track_an_overlay_and_its_confidence(film, config, tmp_path):
+    film("videos/a.mp4")
+    score_videos(config(make_tools=UnsureTools, camera="benchmark", overlay=True))
+    row = read_rows(tmp_path / "out")["a"]
+    assert row.status is Status.UNMEASURABLE
+    assert "trusted in 0" in row.reason
+    assert row.executable is None
+    assert (tmp_path / "out" / "overlays" / "a.mp4").is_file()
+    with np.load(tmp_path / "out" / "tracks" / "a.npz") as track:
+        assert np.isfinite(track["camera_from_hand"]).all()
+        assert not track["tracked"].any()

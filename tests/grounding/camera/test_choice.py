@@ -1,0 +1,325 @@
+"""Which camera a video gets: the rule for named, assumed and estimated cameras, with evidence known in advance."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from kinebench_drake.camera import CONFIRMED, CameraSetting, CameraSource, CameraState, benchmark_camera
+from kinebench_drake.errors import UnmeasurableError
+from kinebench_drake.geometry import make_pose
+from kinebench_drake.grounding.anomaly.detection import AnomalyDetections, Detection
+from kinebench_drake.grounding.camera.camera_estimate import (
+    ALIGNED_AGREEMENT,
+    ALIGNED_BASE_AGREEMENT,
+    ARM_AGREEMENT,
+    BASE_AGREEMENT,
+    GRIPPER_SIGMA_M,
+    CameraEstimate,
+)
+from kinebench_drake.grounding.camera.choice import AGREEMENT, SURE
+from kinebench_drake.grounding.camera.contradiction import LARGE_M, CameraContradiction
+from kinebench_drake.grounding.camera.estimate import usual_camera
+from kinebench_drake.grounding.camera.reading import BetterReading, Reading
+from kinebench_drake.grounding.clip import Clip
+from kinebench_drake.grounding.pipeline import PipelineResult
+from kinebench_drake.grounding.video import Grounder
+from kinebench_drake.types import AnomalyKind, Domain, GripperKind, GripperTrack, InitialStateUse
+
+WIDE = np.zeros((12, 96, 160, 3), np.uint8)
+SQUARE = np.zeros((12, 96, 96, 3), np.uint8)
+T = len(SQUARE)
+NO_ANOMALY = AnomalyDetections(by_kind={kind: Detection(kind=kind, score=np.zeros(T)) for kind in AnomalyKind})
+
+
+class Tracker:
+    """A pipeline that tracks everything or nothing, and notes that it was asked."""
+
+    def __init__(self, parts, name, domain, *, tracks):
+        self.parts, self.name, self.domain, self.tracks = parts, name, domain, tracks
+
+    def ground(self, frames, camera, t_s, priors):
+        self.parts.asked.append("assumed" if priors.camera_is_assumed else self.name)
+        tracked = np.full(T, self.tracks)
+        X = np.where(tracked[:, None, None], make_pose(np.eye(3), [0.4, 0.0, 0.3]), np.nan)
+        track = GripperTrack(
+            t_s=t_s,
+            X_CH=X,
+            X_BG=X,
+            tracked=tracked,
+            confidence=0.9 * tracked,
+            finger_width_m=np.full(T, np.nan),
+        )
+        return PipelineResult(
+            track=track,
+            domain=self.domain,
+            from_prior=np.zeros(T, bool),
+            first_frame=InitialStateUse.UNKNOWN,
+            detections=NO_ANOMALY,
+            camera_motion_px=0.1,
+            arm_consistency_px=2.0 if self.parts.arm_seen else None,
+            robot=np.zeros(frames.shape[:3], bool),
+            arm_q=np.full((T, 7), 0.1 if self.parts.fitted else np.nan),
+            X_CH_raw=X,
+        )
+
+
+class Evidence:
+    """Parts of the grounding whose evidence for cameras is known in advance, and that note what is asked of them."""
+
+    def __init__(self, *, agreements=(0.7,), detected=None, estimate=None, contradiction=None, reading=None, hands=8):
+        self.agreements, self.detected, self.estimated = list(agreements), detected, estimate
+        self.contradiction, self.reading, self.hands = contradiction, reading, hands
+        self.asked = []
+        self.domain, self.fitted, self.arm_seen, self.arm_tracks, self.hand_tracks = (
+            Domain.FAMILIAR,
+            True,
+            True,
+            False,
+            True,
+        )
+        self.checker = self.cameras = self
+
+    @property
+    def hand(self):
+        return Tracker(self, "ground", self.domain, tracks=self.hand_tracks)
+
+    def arm(self, gripper):
+        return Tracker(self, gripper.value, Domain.ARM, tracks=self.arm_tracks)
+
+    def posture_agreement(self, frames, camera, q, finger_m, *, hand):
+        assert len(frames) == len(q) == len(finger_m) <= 5
+        return self.agreements.pop(0) if len(self.agreements) > 1 else self.agreements[0]
+
+    def measure_agreement(self, frames, camera):
+        return self.detected
+
+    def find_reading(self, frames, camera, least, readings):
+        self.asked.append("readings" if len(readings) == len(Reading) else "likely readings")
+        return self.reading
+
+    def find_contradiction(self, frames, camera):
+        self.asked.append("contradiction")
+        return self.contradiction
+
+    def count_hands(self, frames, camera):
+        return self.hands, 8
+
+    def estimate(self, frames):
+        self.asked.append("estimate")
+        if self.estimated is None:
+            raise UnmeasurableError("no camera can be estimated: nothing is seen")
+        return self.estimated
+
+
+def estimate(**changes):
+    fields = {
+        "camera": usual_camera(160, 96),
+        "covariance": 1e-6 * np.eye(9),
+        "gripper_sigma_m": 0.01,
+        "gripper_sigma_rad": 0.01,
+        "agreement": ARM_AGREEMENT + 0.1,
+        "is_aligned": False,
+        "runner_up": 0.0,
+        "base_agreement": BASE_AGREEMENT + 0.1,
+        "base_runner_up": 0.0,
+        "residual_px": 0.4,
+        "rows": np.arange(4),
+        "scene": None,
+        "contour_part": np.zeros(0, np.uint8),
+        "contour_error_px": np.zeros(0),
+    }
+    return CameraEstimate(**{**fields, **changes})
+
+
+def reading(kind=Reading.MIRRORED):
+    return BetterReading(reading=kind, agreement=0.5, better=0.72, camera=benchmark_camera())
+
+
+def contradiction(gripper_m):
+    return CameraContradiction(agreement=0.3, better=0.7, focal_ratio=0.7, gripper_m=gripper_m, gripper_rad=0.01)
+
+
+def ground(evidence, frames=SQUARE, *, source=None, gripper=GripperKind.AUTO, **setting):
+    """Ground a video, unnamed if there is no source."""
+    camera = None if source is None else CameraSetting(camera=benchmark_camera(), **setting)
+    clip = Clip(frames=frames, t_s=0.1 * np.arange(len(frames)))
+    return Grounder(evidence).ground(clip, camera, source=source or CameraSource.GIVEN, gripper=gripper)
+
+
+@pytest.mark.parametrize(
+    ("agreement", "asked"),
+    [(SURE, ["assumed"]), (SURE - 0.01, ["assumed", "likely readings"]), (CONFIRMED, ["assumed", "likely readings"])],
+)
+def test_an_unnamed_camera_is_the_benchmarks_where_the_track_confirms_it(agreement, asked):
+    evidence = Evidence(agreements=[agreement])
+    grounded = ground(evidence)
+    assert evidence.asked == asked
+    assert grounded.choice.state is CameraState.CONFIRMED
+    assert grounded.choice.agreement == agreement
+    assert np.isfinite(grounded.track.X_BG).all()
+
+
+def test_without_confirmation_there_is_no_base_frame_however_close_the_agreement_is():
+    grounded = ground(Evidence(agreements=[CONFIRMED - 0.01]))
+    assert grounded.choice.state is CameraState.NONE
+    assert grounded.choice.to_json()["camera_source"] == "none"
+    assert np.isnan(grounded.track.X_BG).all()
+    assert np.isfinite(grounded.track.X_CH).all()
+    assert "59%" in grounded.choice.reason
+    assert "nothing is seen" in grounded.choice.reason
+
+
+@pytest.mark.parametrize("detected", [None, CONFIRMED - 0.01, CONFIRMED])
+def test_a_video_of_unfamiliar_look_needs_a_whole_grounding_that_confirms_the_camera(detected):
+    evidence = Evidence(agreements=[0.2, CONFIRMED], detected=detected)
+    evidence.domain = Domain.UNFAMILIAR
+    grounded = ground(evidence)
+    confirmed = detected is not None and detected >= CONFIRMED
+    assert (grounded.choice.state is CameraState.CONFIRMED) == confirmed
+    assert evidence.asked[:2] == (["assumed", "ground"] if confirmed else ["assumed", "readings"])
+
+
+@pytest.mark.parametrize("source", [None, CameraSource.FOLDER, CameraSource.OPTION])
+@pytest.mark.parametrize("agreement", [0.3, CONFIRMED + 0.02])
+def test_a_reading_that_agrees_better_is_named_and_costs_the_base_frame(source, agreement):
+    evidence = Evidence(agreements=[agreement], reading=reading())
+    grounded = ground(evidence, source=source)
+    assert "the picture mirrored left-right agrees better" in grounded.choice.reason
+    assert "72%" in grounded.choice.reason
+    assert "--mirrored" in grounded.choice.reason
+    assert grounded.choice.to_json()["camera_reading"]["reading"] == "mirrored"
+    assert "estimate" not in evidence.asked
+    assert np.isnan(grounded.track.X_BG).all()
+
+
+def test_mirrored_frames_are_turned_before_they_are_measured():
+    frames = SQUARE.copy()
+    frames[:, :, 50:] = 200
+    grounded = ground(Evidence(), frames, source=CameraSource.FOLDER, mirrored=True)
+    assert (grounded.frames[0, 30, :40] == 200).all()
+
+
+def test_where_no_hand_is_seen_whatever_the_camera_none_is_estimated():
+    evidence = Evidence(hands=0)
+    evidence.hand_tracks = False
+    with pytest.raises(UnmeasurableError, match="no Franka hand is found in any of 8 frames searched"):
+        ground(evidence)
+    assert "estimate" not in evidence.asked
+
+
+@pytest.mark.parametrize("agreement", [CONFIRMED, CONFIRMED - 0.01])
+def test_the_arm_alone_counts_where_it_confirms_the_assumed_camera(agreement):
+    evidence = Evidence(hands=0, agreements=[agreement])
+    evidence.arm_tracks, evidence.hand_tracks = True, False
+    if agreement < CONFIRMED:
+        with pytest.raises(UnmeasurableError, match="no Franka hand"):
+            ground(evidence)
+    else:
+        grounded = ground(evidence)
+        assert grounded.domain is Domain.ARM
+        assert grounded.choice.state is CameraState.CONFIRMED
+
+
+def test_a_hand_that_is_seen_but_lost_under_the_benchmark_camera_leads_to_an_estimate():
+    evidence = Evidence(hands=8)
+    evidence.hand_tracks = False
+    with pytest.raises(UnmeasurableError, match="no Franka hand is found in any of 12 frames"):
+        ground(evidence)
+    assert "estimate" in evidence.asked
+
+
+@pytest.mark.parametrize(
+    ("best", "words"),
+    [
+        (estimate(), None),
+        (None, "nothing is seen"),
+        (estimate(agreement=ARM_AGREEMENT - 0.01), "no estimated camera agrees"),
+        (estimate(agreement=ALIGNED_AGREEMENT - 0.01, is_aligned=True), "no estimated camera agrees"),
+        (estimate(runner_up=0.9), "two different cameras"),
+        (estimate(base_agreement=BASE_AGREEMENT - 0.01), "cannot be seen"),
+        (estimate(base_agreement=ALIGNED_BASE_AGREEMENT - 0.01, is_aligned=True), "cannot be seen"),
+        (estimate(base_runner_up=BASE_AGREEMENT + 0.09), "two turns"),
+        (estimate(gripper_sigma_m=GRIPPER_SIGMA_M + 0.01), "uncertain by 30 mm"),
+    ],
+)
+def test_an_estimated_camera_gives_a_base_frame_where_it_agrees_and_is_determined(monkeypatch, best, words):
+    monkeypatch.setattr(CameraEstimate, "to_json", lambda self: {"agreement": self.agreement})
+    choice = ground(Evidence(estimate=best), WIDE).choice
+    assert (choice.camera.width, choice.camera.height) == (160, 96)
+    if words is None:
+        assert choice.reason is None
+        assert choice.to_json()["camera_source"] == choice.state.value == "estimated"
+    else:
+        assert words in choice.reason
+        assert choice.to_json()["camera_source"] == choice.state.value == "none"
+
+
+def test_lines_along_the_base_confirm_a_camera_that_few_contours_do():
+    few = estimate(agreement=ALIGNED_AGREEMENT + 0.01, base_agreement=ALIGNED_BASE_AGREEMENT + 0.01)
+    assert few.doubt is not None
+    assert replace(few, is_aligned=True).doubt is None
+
+
+@pytest.mark.parametrize("agreement", [AGREEMENT, AGREEMENT - 0.01])
+def test_the_reported_track_has_to_confirm_an_estimated_camera(agreement):
+    choice = ground(Evidence(agreements=[agreement], estimate=estimate()), WIDE).choice
+    assert (choice.reason is None) == (agreement >= AGREEMENT)
+
+
+def test_a_named_camera_that_the_arm_confirms_costs_no_search():
+    for source in (CameraSource.FOLDER, CameraSource.GIVEN):
+        sure, unsure = Evidence(agreements=[SURE]), Evidence(agreements=[CONFIRMED - 0.01])
+        assert ground(sure, source=source).choice.state is CameraState.NAMED
+        assert sure.asked == ["ground"]
+        ground(unsure, source=source)
+        assert unsure.asked == ["ground", "readings", "contradiction"]
+
+
+@pytest.mark.parametrize("fitted", [True, False])
+def test_another_camera_that_explains_the_arm_better_costs_the_base_frame_where_it_is_far_off(fitted):
+    def choose(gripper_m):
+        evidence = Evidence(agreements=[0.3], contradiction=contradiction(gripper_m))
+        evidence.fitted = fitted
+        return ground(evidence, source=CameraSource.FOLDER).choice
+
+    near, far = choose(0.5 * LARGE_M), choose(2 * LARGE_M)
+    assert near.reason is None
+    assert near.to_json()["camera_contradiction"]["focal_ratio"] == 0.7
+    assert "1.43 times as long" in far.reason
+    assert "60 mm" in far.reason
+    assert far.source is CameraSource.FOLDER
+
+
+@pytest.mark.parametrize("agreement", [AGREEMENT + 0.01, AGREEMENT - 0.01])
+def test_a_doubtful_camera_stays_where_no_other_explains_the_arm_better_and_the_arm_agrees(agreement):
+    choice = ground(Evidence(agreements=[agreement]), source=CameraSource.FOLDER).choice
+    assert (choice.reason is None) == (agreement > AGREEMENT)
+    assert choice.to_json()["camera_agreement"] == agreement
+
+
+@pytest.mark.parametrize("arm_seen", [True, False])
+def test_a_camera_with_which_a_visible_arm_never_agrees_gives_no_base_frame(arm_seen):
+    evidence = Evidence()
+    evidence.fitted, evidence.arm_seen = False, arm_seen
+    choice = ground(evidence, source=CameraSource.FOLDER).choice
+    assert (choice.reason is not None) == arm_seen
+    assert not arm_seen or "no tracked frame" in choice.reason
+
+
+@pytest.mark.parametrize("agreement", [CONFIRMED, AGREEMENT - 0.01])
+def test_the_arm_alone_is_checked_like_a_hand(agreement):
+    evidence = Evidence(agreements=[agreement])
+    evidence.arm_tracks = True
+    grounded = ground(evidence, source=CameraSource.FOLDER, gripper=GripperKind.NONE)
+    assert evidence.asked[0] == "none"
+    assert "contradiction" not in evidence.asked  # it is sought by hands
+    assert (grounded.choice.reason is None) == (agreement >= AGREEMENT)
+
+
+def test_where_another_reading_explains_the_hand_the_arm_alone_is_not_tried():
+    evidence = Evidence(reading=reading(Reading.OPENGL_AXES))
+    evidence.hand_tracks = False
+    with pytest.raises(UnmeasurableError, match="OpenGL axes"):
+        ground(evidence, source=CameraSource.FOLDER)
+    assert evidence.asked == ["ground", "readings"]
