@@ -104,7 +104,8 @@ def ground_video(
     Args:
         video: a path as `score_videos` takes it, or frames (T, H, W, 3) uint8 RGB.
         id: id of the sample, where the path holds several; of frames: name of their files in `masks`, `depth`, `poses`.
-        camera: the camera, what its camera.json states (`load_camera`), or the path of that file; None: that of the input, else as `score_videos` chooses it.
+        camera: the camera, what its camera.json states (`load_camera`), or the path of that file; None: that of the
+            input, else as `score_videos` chooses it.
         camera_key: camera to take of datasets that have several.
         frame_period_s: task time between two frames [s], where no manifest tells; None: 1 / fps, 0.2 without a clock.
         first: state of the robot in the first frame, in place of the input's (`X_BG`: TCP in the robot base frame [m]).
