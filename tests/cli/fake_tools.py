@@ -125,7 +125,7 @@ class FakeGrounder:
                 raise UnmeasurableError(f"{choice.source.value} {error}") from None
             choice = replace(
                 choice,
-                reason="the base frame is unknown: no camera is named, the shape of the video differs, and nothing fits",
+                reason="the base frame is unknown: no camera is named, the shape of the video differs, nothing fits",
             )
             lens = replace(lens, width=clip.frames.shape[2], height=clip.frames.shape[1])
             framing = find_framing(clip.frames, lens, None)
