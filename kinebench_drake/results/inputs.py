@@ -39,7 +39,7 @@ _CAMERAS: Mapping[str, str] = {
     "given": "argument of the call",
     "manifest": "from the manifest",
     "folder": "from camera.json",
-    "benchmark": "the benchmark's, confirmed by the arm",
+    "benchmark": "the benchmark's",
     "option": "from --camera",
     "auto": "the benchmark's where the arm confirms it, else estimated from the arm",
     "estimated": "estimated from the arm",

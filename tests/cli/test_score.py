@@ -420,7 +420,7 @@ def test_the_task_time_between_frames_and_where_it_comes_from(film, config, tmp_
     rows = read_rows(tmp_path / "out")
     assert input_lines(summary.rows) == [
         "frame period: 0.1 s, 1 / fps of the file (1 x); 0.2 s, the benchmark's, by default (1 x)",
-        "camera: the benchmark's, confirmed by the arm",
+        "camera: the benchmark's",
     ]
     for line in input_lines(summary.rows):
         assert f'<p class="note">{line.capitalize()}</p>' in html.unescape(summary.report.read_text())
