@@ -169,7 +169,7 @@ class Grounder:
         camera: CameraSetting | None = None,
         priors: PriorSource | Priors = NO_PRIORS,
         *,
-        source: CameraSource = CameraSource.GIVEN,
+        source: CameraSource = CameraSource.ARGUMENT,
         gripper: GripperKind = GripperKind.AUTO,
         trusts_camera: bool = False,
     ) -> GroundingResult:

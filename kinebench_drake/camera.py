@@ -179,7 +179,7 @@ class CameraSetting:
 class CameraSource(Enum):
     """Source of a sample's camera, in order of precedence."""
 
-    GIVEN = "given"
+    ARGUMENT = "argument"
     """Argument of a function of the Python interface."""
     MANIFEST = "manifest"
     FOLDER = "folder"
@@ -194,7 +194,7 @@ class CameraSource(Enum):
     @property
     def is_named(self) -> bool:
         """True if the user or the input names the camera."""
-        return self in (CameraSource.GIVEN, CameraSource.MANIFEST, CameraSource.FOLDER, CameraSource.OPTION)
+        return self in (CameraSource.ARGUMENT, CameraSource.MANIFEST, CameraSource.FOLDER, CameraSource.OPTION)
 
 
 class CameraState(Enum):

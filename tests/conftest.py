@@ -53,3 +53,11 @@ def write_arm(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., 
         return path
 
     return write
+
+
+@pytest.fixture(scope="session")
+def cad():
+    """The CAD model of the gripper."""
+    from kinebench_drake.models.panda.cad import GripperCad  # loads Open3D
+
+    return GripperCad()

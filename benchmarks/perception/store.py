@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, Generic, Protocol, Self, TypeVar
 
 import kinebench_drake
-from kinebench_drake.environment.sources import reachable_sources
+from kinebench_drake.environment.sources import trace_sources
 from kinebench_drake.errors import InputError, SetupError, UsageError
 from kinebench_drake.executors.base import Executor, MakeWorker, WorkerCrash
 from kinebench_drake.executors.progress import Observer
@@ -39,15 +39,17 @@ def fingerprint(*settings: object, modules: Iterable[str] = (), files: Iterable[
 
     Args:
         settings: anything whose `repr` is the same for the same setting.
-        modules: names of measuring modules; they count with every module of the package that they import, and with
-            the weights and calibrations in models/.
+        modules: names of measuring modules; they count with every module that they import, without docstrings and
+            comments, and with the weights and calibrations in models/.
         files: further files that shape the result.
     """
     digest = blake2b(repr(settings).encode(), digest_size=8)
-    code = reachable_sources(*modules)
+    code = trace_sources(*modules)
+    for source in code:
+        digest.update(f"{source.name} {source.code}\n".encode())
     models = Path(kinebench_drake.__file__).parent / "models"
     data = sorted([*models.rglob("*.json"), *models.rglob("*.safetensors")]) if code else []
-    for path in [*code, *data, *files]:
+    for path in [*data, *files]:
         digest.update(path.name.encode())
         digest.update(path.read_bytes())
     return digest.hexdigest()

@@ -160,7 +160,7 @@ class StudyOutcome:
                 condition.name: {"group": condition.group, **distribution_json(self.results[condition.name])}
                 for condition in self.study.conditions
             },
-            "to_be_borne": list(self.study.required),
+            "required": list(self.study.required),
         }
 
 

@@ -86,7 +86,7 @@ class CameraCalibration:
             "method": self.method.value,
             "source": self.source,
             "frames": self.frames.tolist(),
-            "focal_length": "estimated" if self.focal_free else "given",
+            "focal_length": "estimated" if self.focal_free else "fixed",
             "sigma": {
                 "position_mm": 1e3 * self.position_sigma_m,
                 "rotation_deg": float(np.rad2deg(self.rotation_sigma_rad)),
@@ -214,7 +214,7 @@ def format_lines(calibration: CameraCalibration) -> list[str]:
     c, camera = calibration, calibration.camera
     place = ", ".join(f"{1e3 * x:.0f}" for x in camera.X_BC[:3, 3])
     fov = np.rad2deg(2 * np.arctan(camera.width / 2 / camera.fx))
-    sure = f" +- {100 * c.focal_sigma:.1f} %" if c.focal_free else ", given"
+    sure = f" +- {100 * c.focal_sigma:.1f} %" if c.focal_free else ", fixed"
     report = [
         f"from: {c.source}; {len(c.frames)} frames, {sum(c.part_cells.values())} points of the robot's {c.fitted_to} "
         f"(gripper {c.part_cells['gripper']}, arm {c.part_cells['arm']}, base {c.part_cells['base']})",

@@ -148,7 +148,7 @@ class Framing:
         }
         return {
             "changes": [change.value for change in self.changes],
-            "told_by": self.source.value,
+            "source": self.source.value,
             **{name: round(float(value), 4) + 0.0 for name, value in numbers.items()},
             "correlation": None if self.correlation is None else round(self.correlation, 3),
         }

@@ -158,7 +158,7 @@ def ground_video(
         if isinstance(camera, str | PathLike):
             camera = load_camera(Path(camera))
         setting = CameraSetting(camera=camera) if isinstance(camera, Camera) else camera
-        sample = sample.filmed_by(setting, CameraSource.GIVEN)
+        sample = sample.filmed_by(setting, CameraSource.ARGUMENT)
     if first is not None:
         sample = replace(sample, initial_state=first)
     sample = replace(sample, mirrored=sample.mirrored or mirrored)

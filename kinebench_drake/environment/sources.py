@@ -13,6 +13,8 @@ from kinebench_drake.io.files import cache_folder
 from kinebench_drake.io.jsonl import read_object, write_json
 
 _TOP, _PACKAGE = Path(__file__).parents[1], "kinebench_drake"
+_FOLLOWED = (_PACKAGE, "benchmarks", "training")
+"""Top names of imports that are followed; the developers' tools stand beside the package in a clone alone."""
 _CACHE = "sources.json"
 """File in the cache folder: code hash and imports of sources by the hash of their bytes; parsing takes a second."""
 _MOST = 3000  # sources in that file; beyond, those of earlier versions are dropped
@@ -63,7 +65,7 @@ def trace_sources(*modules: str) -> tuple[Source, ...]:
         code, imports = parsed[key] = cache.get(key) or _parse(data)
         reached[name] = Source(name=name, path=path, code=code)
         if name != _PACKAGE:
-            pending += [name.rpartition(".")[0], *filter(_path, imports)]
+            pending += filter(_path, [name.rpartition(".")[0], *imports])
     if parsed.keys() - cache.keys():
         with suppress(OSError, SetupError):  # without a cache every call takes a second
             cache_folder().mkdir(parents=True, exist_ok=True)
@@ -80,11 +82,11 @@ def _read_cache() -> dict[str, tuple[str, list[str]]]:
 
 
 def _path(name: str) -> Path | None:
-    """Return the file of a module of this package, None where the name is no module of it."""
+    """Return the file of a module, None where the name is no module of this package or of a developer's tool."""
     top, *rest = name.split(".")
-    if top != _PACKAGE:
+    if top not in _FOLLOWED:
         return None
-    base = _TOP.joinpath(*rest)
+    base = (_TOP if top == _PACKAGE else _TOP.parent / top).joinpath(*rest)
     candidates = (base / "__init__.py", base.with_suffix(".py")) if rest else (base / "__init__.py",)
     return next((path for path in candidates if path.is_file()), None)
 
@@ -121,4 +123,4 @@ def _imports(tree: ast.Module) -> Iterator[str]:
             names = [node.module, *(f"{node.module}.{alias.name}" for alias in node.names)]
         else:
             continue
-        yield from (name for name in names if name.split(".")[0] == _PACKAGE)
+        yield from (name for name in names if name.split(".")[0] in _FOLLOWED)

@@ -36,7 +36,7 @@ _PERIODS: Mapping[str, str] = {
     PeriodSource.TASK_DURATION.value: "from --task-duration",
 }
 _CAMERAS: Mapping[str, str] = {
-    "given": "argument of the call",
+    "argument": "argument of the call",
     "manifest": "from the manifest",
     "folder": "from camera.json",
     "benchmark": "the benchmark's",

@@ -214,7 +214,7 @@ class VideoEvaluator(Evaluator[VideoSample, Tools]):
             "camera_source": sample.camera_source.value,
             "option_period_s": self.config.frame_period_s,
             "task_duration_s": self.config.duration_s,
-            "given": self._replaced(sample),
+            "replaced": self._replaced(sample),
             "first": None if initial is None else [*initial.X_BG.ravel().tolist(), str(initial.finger_width_m)],
             "depth_exact": self.overrides.depth_exact,
             **({} if self.config.gripper_kind is GripperKind.AUTO else {"gripper": self.config.gripper}),
@@ -235,7 +235,7 @@ class VideoEvaluator(Evaluator[VideoSample, Tools]):
         """Return the camera's source, replaced stages, seed and prompt."""
         return {
             "camera_source": (sample.camera_source if sample.camera_source.is_named else CameraSource.NONE).value,
-            "given": self._replaced(sample),
+            "replaced": self._replaced(sample),
             "seed": sample.seed,
             "prompt": sample.prompt,
             **({} if sample.camera_key is None else {"camera_key": sample.camera_key}),

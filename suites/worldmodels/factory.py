@@ -24,7 +24,7 @@ class OracleOptions(Options):
     """Options of the oracle."""
 
     true_track: bool = Field(
-        False, alias="told", description="report the true track of each clip, so that no pose is read from pixels"
+        False, description="report the true track of each clip, so that no pose is read from pixels"
     )
     delay: int = Field(0, ge=0, le=48, description="frames by which the motion comes late")
 

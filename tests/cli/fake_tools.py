@@ -107,7 +107,7 @@ class FakeGrounder:
         camera=None,
         priors=NO_PRIORS,
         *,
-        source=CameraSource.GIVEN,
+        source=CameraSource.ARGUMENT,
         gripper=GripperKind.AUTO,
         trusts_camera=False,
     ):

@@ -59,7 +59,7 @@ def test_a_letter_boxed_video_is_measured_without_its_bars(film, config, tmp_pat
     assert rows["boxed"].status is Status.OK
     told = rows["boxed"].extra
     assert (told["width"], told["height"]) == (208, 120)
-    assert (told["framing"]["changes"], told["framing"]["told_by"]) == (["letterbox"], "bars")
+    assert (told["framing"]["changes"], told["framing"]["source"]) == (["letterbox"], "bars")
     with av.open(tmp_path / "out" / "overlays" / "boxed.mp4") as overlay:
         assert overlay.streams.video[0].width == 120
     assert rows["wide"].feasible is None

@@ -1,7 +1,6 @@
 """Views of the gripper rendered from the CAD model: estimates of a perfect network."""
 
 import numpy as np
-import pytest
 
 from kinebench_drake.geometry import Array, invert, make_pose, rotation_exp, transform_points
 from kinebench_drake.grounding.registration.fit import fit
@@ -10,11 +9,6 @@ from kinebench_drake.grounding.tracking.pose import FramePose
 from kinebench_drake.grounding.tracking.view import GripperView
 from kinebench_drake.models.panda.cad import GripperCad
 from kinebench_drake.models.panda.robot import RobotPart
-
-
-@pytest.fixture(scope="session")
-def cad() -> GripperCad:
-    return GripperCad()
 
 
 def hand_pose(seed: int) -> Array:

@@ -198,7 +198,7 @@ def test_a_gap_in_a_long_curve_stays_a_gap():
     ("used", "words"), [("used", "first-frame prior used"), ("contradicted", "was not used"), ("unknown", None)]
 )
 def test_priors_are_named_beside_the_video(tmp_path, used, words):
-    priors = {"given": {"first_frame": "manifest", "depth": "sensor"}, "first_frame": used}
+    priors = {"replaced": {"first_frame": "manifest", "depth": "sensor"}, "first_frame": used}
     with ResultStore(tmp_path) as store:
         store.append(row("a", feasible=True, extra=priors), 0.1)
         store.finish({"kind": "score", "config": {}, "tags": {}, "seeds": {"bootstrap": 0}})

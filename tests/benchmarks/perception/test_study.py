@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
+from benchmarks.__main__ import main
 from benchmarks.perception import study
 from benchmarks.perception.clip import TruthClip, choose, find_clips
 from benchmarks.perception.errors import ClipErrors
@@ -17,7 +18,6 @@ from benchmarks.perception.perturbation.catalogue import PerturbationKind
 from benchmarks.perception.store import MeasurementStore
 from benchmarks.perception.tables import evaluation_json, pooled_lines, table, task_table
 from benchmarks.perception.trial import GroundingTrial, evaluate_baseline
-from kinebench_drake.cli import cli
 from kinebench_drake.errors import UsageError
 from kinebench_drake.executors.base import ExecutorKind, create_executor
 from kinebench_drake.executors.progress import Observer
@@ -205,11 +205,11 @@ def test_columns_line_up() -> None:
     assert list(table(["", "n"], [["a", "10"], ["bcd", "1"]])) == ["      n", "a    10", "bcd   1"]
 
 
-@pytest.mark.parametrize("name", ["evaluate", "robustness", "framing", "depth-ablation", "budget"])
+@pytest.mark.parametrize("name", ["evaluate", "perturb", "framing", "depth-ablation", "budget"])
 def test_commands_have_help_with_an_example(name: str) -> None:
-    result = CliRunner().invoke(cli, ["perception", name, "--help"])
+    result = CliRunner().invoke(main, [name, "--help"])
     assert result.exit_code == 0
-    assert f"kinebench-drake perception {name} heldout" in result.output
+    assert f"python -m benchmarks {name} heldout" in result.output
 
 
 def test_unknown_pipelines_are_refused() -> None:
@@ -218,6 +218,6 @@ def test_unknown_pipelines_are_refused() -> None:
 
 
 def test_unknown_kinds_of_perturbation_are_refused(folder: Path) -> None:
-    result = CliRunner().invoke(cli, ["perception", "robustness", str(folder), "--only", "fog"])
+    result = CliRunner().invoke(main, ["perturb", str(folder), "--only", "fog"])
     assert result.exit_code == 2
     assert "deformation" in result.output

@@ -70,7 +70,7 @@ def test_a_given_focal_length_is_kept(program, video, tmp_path):
         "calibrate", video, "--joints", tmp_path / "joints.npz", "--focal", 400, "--out", out, "--frames", 4
     )
     assert code == 0
-    assert "400.0 px, given" in stated
+    assert "400.0 px, fixed" in stated
     assert "4 frames" in stated
     assert load_camera(out).camera.fx == 400.0
 

@@ -144,7 +144,7 @@ def ground(evidence, frames=SQUARE, *, source=None, gripper=GripperKind.AUTO, **
     """Ground a video, unnamed if there is no source."""
     camera = None if source is None else CameraSetting(camera=benchmark_camera(), **setting)
     clip = Clip(frames=frames, t_s=0.1 * np.arange(len(frames)))
-    return Grounder(evidence).ground(clip, camera, source=source or CameraSource.GIVEN, gripper=gripper)
+    return Grounder(evidence).ground(clip, camera, source=source or CameraSource.ARGUMENT, gripper=gripper)
 
 
 @pytest.mark.parametrize(
@@ -268,7 +268,7 @@ def test_the_reported_track_has_to_confirm_an_estimated_camera(agreement):
 
 
 def test_a_named_camera_that_the_arm_confirms_costs_no_search():
-    for source in (CameraSource.FOLDER, CameraSource.GIVEN):
+    for source in (CameraSource.FOLDER, CameraSource.ARGUMENT):
         sure, unsure = Evidence(agreements=[SURE]), Evidence(agreements=[CONFIRMED - 0.01])
         assert ground(sure, source=source).choice.state is CameraState.NAMED
         assert sure.asked == ["ground"]

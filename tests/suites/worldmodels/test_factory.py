@@ -38,7 +38,7 @@ def test_still_shows_the_first_frame_and_nothing_else(request_: Request, out: Pa
         ("dashscope", "wan2.6-i2v"),
         ("minimax:MiniMax-Hailuo-2.3", "MiniMax-Hailuo-2.3"),
         ("oracle", "oracle"),
-        ("oracle?told=true", "oracle, true track"),
+        ("oracle?true_track=true", "oracle, true track"),
         ("oracle?delay=2", "oracle, 2 frames late"),
         ("oracle+teleport:0.15", "oracle+teleport_15cm"),
         ("oracle+zoom:0.05", "oracle+zoom_0.05"),

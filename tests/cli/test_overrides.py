@@ -58,9 +58,9 @@ def track(tmp_path):
 def test_true_values_take_the_place_of_each_stage(film, config, folder, track, tmp_path):
     film("videos/a.mp4")
     row, plain = track(config())
-    assert row.extra["given"] == {}
+    assert row.extra["replaced"] == {}
     row, masked = track(config(masks=folder))
-    assert row.extra["given"] == {"masks": "videos"}
+    assert row.extra["replaced"] == {"masks": "videos"}
     assert masked["confidence"] == pytest.approx(np.full(T, 0.25))
     assert masked["camera_from_hand"] == pytest.approx(plain["camera_from_hand"])
     _, deep = track(config(depth=str(folder)))
@@ -69,7 +69,7 @@ def test_true_values_take_the_place_of_each_stage(film, config, folder, track, t
     assert posed["camera_from_hand"] == pytest.approx(X_CH)
     assert posed["finger_width_m"] == pytest.approx(np.full(T, 0.011))
     row, all_three = track(config(masks=folder, depth=str(folder), poses=folder))
-    assert row.extra["given"] == {"depth": "videos", "masks": "videos", "poses": "videos"}
+    assert row.extra["replaced"] == {"depth": "videos", "masks": "videos", "poses": "videos"}
     assert all_three["confidence"] == pytest.approx(masked["confidence"])
     told = json.loads((tmp_path / "out" / "results.json").read_text())["config"]
     assert (told["masks"], told["depth"], told["poses"], told["depth_exact"]) == ("videos", "videos", "videos", False)
@@ -83,7 +83,7 @@ def test_a_class_takes_the_place_of_depth_in_workers_too(film, config, track, tm
     film("videos/a.mp4")
     for jobs in (1, 2):
         row, deep = track(config(depth="wall_of_mine:Wall", jobs=jobs, overwrite=True))
-        assert row.extra["given"] == {"depth": "wall_of_mine:Wall"}
+        assert row.extra["replaced"] == {"depth": "wall_of_mine:Wall"}
         assert deep["camera_from_hand"][:, 2, 3] == pytest.approx(0.77)
 
 
@@ -93,7 +93,7 @@ def test_the_first_frame_of_a_manifest_is_known(film, config, track, tmp_path):
     for X_BG in X_CH[:2]:  # another one is another input
         manifest.write_text(json.dumps({"video": "a.mp4", "first_base_from_tcp": X_BG.tolist()}))
         row, found = track(config(source=manifest))
-        assert row.extra["given"] == {"first_frame": "manifest"}
+        assert row.extra["replaced"] == {"first_frame": "manifest"}
         assert found["base_from_tcp"][0] == pytest.approx(X_BG)
 
 
