@@ -60,7 +60,7 @@ def test_same_arguments_same_bytes(tmp_path: Path) -> None:
     out = tmp_path / "a"
     lines = [json.loads(line) for line in (out / "manifest.jsonl").read_text().splitlines()]
     assert [line["id"] for line in lines] == ["PullCube-v1_s0003_freeze_5f"]
-    assert load_camera(out / "camera.json").width == 384
+    assert load_camera(out / "camera.json").camera.width == 384
     faults = json.loads((out / "truth" / "faults.json").read_text())
     assert set(faults) == {"PullCube-v1_s0003_freeze_5f"}
     with np.load(out / "truth" / "PullCube-v1_s0003_freeze_5f.npz") as truth:

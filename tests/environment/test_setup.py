@@ -74,9 +74,9 @@ def test_scripts_parse_and_run(script: Path) -> None:
     subprocess.run(["bash", "-n", str(script)], check=True)
 
 
-def test_ci_runs_the_command_of_the_readme() -> None:
+def test_ci_runs_the_command_of_the_readme_and_the_gate() -> None:
     lines = (REPOSITORY / ".ci" / "run").read_text().splitlines()
-    assert lines[-1] == "make test"
+    assert lines[-2:] == ["make test", "make gate"]
     readme = (REPOSITORY / "README.md").read_text()
     assert re.search(r"^make test\b", readme, re.MULTILINE)
     assert re.search(r"^make demo\b", readme, re.MULTILINE)

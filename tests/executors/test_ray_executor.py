@@ -155,7 +155,7 @@ def test_workers_that_cannot_begin_end_the_run(ray):
 def test_an_unlike_node_is_told(ray, monkeypatch):
     codes = iter("ab")
     with monkeypatch.context() as patch:
-        patch.setattr("kinebench_drake.executors.ray.code_hash", lambda: next(codes))
+        patch.setattr("kinebench_drake.executors.ray.code_hash", lambda *_: next(codes))
         with pytest.raises(SetupError, match="has another version"):
             run(doubling(), [1], jobs=1)
     monkeypatch.setattr("os.getcwd", lambda: "/nowhere/at/all")

@@ -81,7 +81,7 @@ def test_the_manifest_is_one_for_score(exported: Path) -> None:
         assert sample.frame_period_s == 0.2
         assert sample.problem is None
         assert sample.prompt
-    assert load_camera(exported / "camera.json").width == 96
+    assert load_camera(exported / "camera.json").camera.width == 96
 
 
 @pytest.mark.sapien

@@ -22,7 +22,7 @@ from training.calibration import (
     wrong_camera,
 )
 
-WHOLE = find_clips(Path(__file__).parents[3] / "examples" / "videos")[0].load()
+WHOLE = find_clips(Path(__file__).parents[2] / "examples" / "videos")[0].load()
 CLIP = replace(WHOLE, t_s=WHOLE.t_s[:6], X_CH=WHOLE.X_CH[:6], finger_width_m=WHOLE.finger_width_m[:6], mask=None)
 FRAMES = read_video(CLIP.path).frames[:6]
 

@@ -18,7 +18,7 @@ from kinebench_drake.models.perception.inference import fold_batch_normalisation
 from kinebench_drake.models.perception.network import load_network
 from kinebench_drake.types import GripperTrack
 
-VIDEO = Path(__file__).parents[2] / "examples" / "videos" / "StackCube-v1_s0010_unseen.mp4"
+VIDEO = Path(__file__).parents[3] / "examples" / "videos" / "StackCube-v1_s0010_unseen.mp4"
 
 
 def estimate(device: str) -> GripperView:

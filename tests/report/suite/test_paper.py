@@ -6,6 +6,7 @@ import shlex
 
 import pytest
 
+from benchmarks.__main__ import main as benchmarks
 from kinebench_drake.cli import cli, main
 from kinebench_drake.errors import UsageError
 from kinebench_drake.report.number import ALL_TASKS
@@ -21,6 +22,7 @@ from kinebench_drake.stats import PairedOutcomes
 from kinebench_drake.suites.suite import load_suite
 from tests.report.pages import BROWSER, WIDTH, Page, probe
 from tests.report.suite.synthetic import change, failed, outcome, write_run
+from training.__main__ import main as training
 
 TASKS = ("CloseBox-v1", "OpenBoxHard-v1", "StackCube-v1")
 SPREAD = {"percentiles": [5, 25, 50, 75, 95]}
@@ -284,6 +286,9 @@ def test_runs_of_different_settings_have_no_drop(tmp_path):
     ]
 
 
+PROGRAMS = {"kinebench-drake": cli, "python -m benchmarks": benchmarks, "python -m training": training}
+
+
 def test_what_is_missing_has_commands_that_exist(tmp_path, monkeypatch):
     """Every option is one of the program, and its values are accepted; paths need not exist."""
     import click
@@ -298,9 +303,8 @@ def test_what_is_missing_has_commands_that_exist(tmp_path, monkeypatch):
         commands = commands_of(make_sections(read_paper_data(inputs)))
         assert len(commands) > 10
         for command in commands:
-            words = shlex.split(command)
-            assert words[0] == "kinebench-drake"
-            group, arguments = cli, words[1:]
+            program = next(name for name in PROGRAMS if command.startswith(name))
+            group, arguments = PROGRAMS[program], shlex.split(command.removeprefix(program))
             while isinstance(group, click.Group):
                 group = group.get_command(click.Context(group), arguments.pop(0))
             group.make_context(group.name, arguments)

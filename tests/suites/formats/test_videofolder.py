@@ -34,7 +34,7 @@ def test_a_video_folder_names_each_clip_with_its_caption(demo: Demo, tmp_path: P
     assert sample.initial_state.finger_width_m == pytest.approx(0.08, abs=1e-6)
     [labelled] = find_samples(tmp_path).samples  # without the manifest, by the metadata
     assert (labelled.prompt, labelled.task, labelled.dataset_period_s) == (record.prompt, record.task, 0.2)
-    assert load_camera(tmp_path / "camera.json").to_json() == demo.options.camera.to_json()
+    assert load_camera(tmp_path / "camera.json").camera.to_json() == demo.options.camera.to_json()
 
 
 @pytest.mark.sapien
