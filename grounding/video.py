@@ -36,6 +36,7 @@ MIN_TRACKED = 2
 """Fewest frames with a pose: a path needs two."""
 HAND_SHARE, ARM_SHARE = 0.1, 0.5
 """Share of tracked frames below which a hand counts as not seen, and from which on an arm does."""
+_SIGMAS = 2.0  # standard deviations of an estimated camera that its poses may be off by
 PriorSource = Callable[[Camera], Priors]
 """Function from the camera of the whole frames to quantities that replace estimates."""
 
@@ -295,6 +296,13 @@ class _VideoGrounding:
                 doubt = reading.describe()
             elif agreement is None or agreement < AGREEMENT:
                 doubt = f"the track does not confirm the estimated camera ({_share(agreement)})"
+        if doubt is None and estimate is not None:  # all poses in the base frame share the camera's error
+            track = replace(
+                measured.track,
+                offset_m=measured.track.offset_m + _SIGMAS * estimate.gripper_sigma_m,
+                offset_rad=measured.track.offset_rad + _SIGMAS * estimate.gripper_sigma_rad,
+            )
+            measured = replace(measured, track=track)
         reason = None if doubt is None else f"the base frame is unknown: no camera is named, {against}, and {doubt}"
         return view.result(measured, replace(choice, agreement=agreement, reading=reading, reason=reason))
 

@@ -261,6 +261,12 @@ def test_lines_along_the_base_confirm_a_camera_that_few_contours_do():
     assert replace(few, is_aligned=True).doubt is None
 
 
+def test_poses_with_an_estimated_camera_may_be_off_by_two_of_its_sigmas():
+    track = ground(Evidence(estimate=estimate()), WIDE).track
+    assert (track.offset_m, track.offset_rad) == (0.02, 0.02)
+    assert ground(Evidence(), SQUARE).track.offset_m == 0.0
+
+
 @pytest.mark.parametrize("agreement", [AGREEMENT, AGREEMENT - 0.01])
 def test_the_reported_track_has_to_confirm_an_estimated_camera(agreement):
     choice = ground(Evidence(agreements=[agreement], estimate=estimate()), WIDE).choice
