@@ -246,7 +246,7 @@ prompt_options = _combine(
 """Options of the prompts of world models."""
 SPLITS = click.Choice(["train", "test", "seen", "unseen"])
 SIZES = click.IntRange(128, 2048)
-"""Side lengths of images [px]: below that x264 does not write reproducible bytes."""
+"""Side lengths of images [px]."""
 
 
 def suite_options(*, number: int | None = None, split: str = "test") -> Decorator:

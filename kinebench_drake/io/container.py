@@ -22,6 +22,8 @@ from kinebench_drake.io.video import Video, VideoPart, stack_frames
 
 _OPTIONS = {"format_whitelist": "mov,matroska,avi,gif", "protocol_whitelist": "file"}
 """FFmpeg must read no playlist: playlists name other files and addresses."""
+_PARAMETERS = "no-mbtree=1"
+"""Of x264: its tree of macroblocks reads memory that nobody has written, so that small films differ each time."""
 _SQUARE, _STRETCHED = 0.01, 4.0
 """Deviation from 1 below which pixels count as square, and greatest ratio of their sides, either way."""
 _BEFORE_S = 1.0  # decoding starts this much earlier: seeking uses the decoding order, not the display order
@@ -205,8 +207,6 @@ def write_video(
 ) -> None:
     """Write frames (H, W, 3) RGB as H.264 in mp4: same frames, same bytes. The file appears only when complete.
 
-    Videos with sides of less than 96 pixels may differ in their bytes each time: x264's choices vary.
-
     Of odd sizes the last row or column is repeated, as yuv420p needs even ones.
 
     Args:
@@ -222,7 +222,7 @@ def write_video(
         for image in frames:
             if stream is None:
                 rate = Fraction(fps).limit_denominator(10_000)
-                options = {"crf": str(crf), "preset": preset}
+                options = {"crf": str(crf), "preset": preset, "x264-params": _PARAMETERS}
                 if keyframe_every is not None:
                     options["g"] = str(keyframe_every)
                 stream = container.add_stream("libx264", rate=rate, options=options)
