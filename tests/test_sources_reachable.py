@@ -8,13 +8,13 @@ import pytest
 
 import kinebench_drake
 from kinebench_drake.environment import sources
-from kinebench_drake.environment.sources import reachable_sources
+from kinebench_drake.environment.sources import trace_sources
 
 TOP = Path(kinebench_drake.__file__).parent
 
 
 def names(*modules):
-    return [path.relative_to(TOP).as_posix() for path in reachable_sources(*modules)]
+    return sorted(source.path.relative_to(TOP).as_posix() for source in trace_sources(*modules))
 
 
 @pytest.fixture
@@ -54,7 +54,7 @@ def test_all_forms_of_import_are_followed(package):
 def test_a_missing_module_is_refused(package, name):
     package("a.py")
     with pytest.raises(ValueError, match=name):
-        reachable_sources(name)
+        trace_sources(name)
 
 
 @pytest.mark.parametrize("module", ["kinebench_drake.grounding.pipeline", "kinebench_drake.report.page"])

@@ -31,11 +31,6 @@ class Source:
     """SHA-256 of its syntax tree, without docstrings and comments."""
 
 
-def reachable_sources(*modules: str) -> tuple[Path, ...]:
-    """Return the files of `trace_sources`, sorted."""
-    return tuple(sorted(source.path for source in trace_sources(*modules)))
-
-
 def trace_sources(*modules: str) -> tuple[Source, ...]:
     """Return the sources of modules of this package and of all its modules that they import, sorted by name.
 
