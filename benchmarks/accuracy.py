@@ -11,8 +11,8 @@ from benchmarks.footage import ReferenceKind
 from benchmarks.markdown import table
 from benchmarks.process import run_program
 from kinebench_drake.io.jsonl import read_json
+from kinebench_drake.models.panda.robot import GripperKind
 from kinebench_drake.results.provenance import host
-from kinebench_drake.types import GripperKind
 
 HELDOUT = ("suite", "demos", "--suite", "2", "--split", "unseen", "--episodes", "2", "--with-depth")
 """Arguments of the program for the renderings; `--out` is to be added."""

@@ -19,7 +19,7 @@ from kinebench_drake.metrics.judge import TrackJudge
 from kinebench_drake.metrics.limits import check_limits
 from kinebench_drake.metrics.noise import estimate_track_noise, propagate_noise
 from kinebench_drake.metrics.smoothness import measure_smoothness
-from kinebench_drake.types import GripperTrack
+from kinebench_drake.track import GripperTrack
 
 HEADING = "## The audit in one process"
 """Heading of the section of the document."""

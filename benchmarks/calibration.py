@@ -18,9 +18,9 @@ from kinebench_drake.grounding.camera.solve import default_focal_px
 from kinebench_drake.grounding.camera.states import RobotStates, unknown_states
 from kinebench_drake.grounding.registration.arm_model import ArmModel
 from kinebench_drake.grounding.tracking.view import Frames
+from kinebench_drake.io.jsonl import Json
 from kinebench_drake.io.reader import read_video
 from kinebench_drake.models.panda.robot import RobotPart
-from kinebench_drake.types import Json
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

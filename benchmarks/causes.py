@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from typing_extensions import override
 
+from kinebench_drake.anomaly import AnomalyKind
 from kinebench_drake.closed_loop.attribution import find_cause
 from kinebench_drake.closed_loop.commands import CommandPlanner
 from kinebench_drake.closed_loop.loop import ClosedLoop, LoopOptions
@@ -26,6 +27,7 @@ from kinebench_drake.executors.base import Executor, WorkerCrash
 from kinebench_drake.grounding.clip import Clip
 from kinebench_drake.grounding.video import Grounder, GroundingResult
 from kinebench_drake.kinematics.plant import ArmPlant
+from kinebench_drake.metrics.executable import FailureVerdict
 from kinebench_drake.runs.tools import RobotOptions, Tools
 from kinebench_drake.suites.episode import Episode
 from kinebench_drake.suites.expert.motion import Waypoint
@@ -38,7 +40,7 @@ from kinebench_drake.suites.simulator_cache import SimulatorCache
 from kinebench_drake.suites.suite import EpisodeSpec
 from kinebench_drake.suites.worldmodels.reference import OracleModel, OracleRenderer
 from kinebench_drake.suites.worldmodels.worldmodel import Request, SimulatorState
-from kinebench_drake.types import AnomalyKind, FailureVerdict, GripperTrack
+from kinebench_drake.track import GripperTrack
 
 FAULTS = (
     FaultGrade(kind=AnomalyKind.TELEPORT, size=0.15, form=None),

@@ -7,10 +7,9 @@ from pathlib import Path, PurePosixPath
 from benchmarks.markdown import table
 from benchmarks.trajectory import TrajectoryKind, TrajectoryTruth
 from kinebench_drake.errors import InputError, cause
-from kinebench_drake.io.jsonl import parse_json
+from kinebench_drake.io.jsonl import Json, parse_json
 from kinebench_drake.results.aggregate import Estimate, estimate
 from kinebench_drake.results.row import SampleRow, Status
-from kinebench_drake.types import Json
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from benchmarks.markdown import table
 from benchmarks.perception.store import MeasurementStore, fingerprint
 from benchmarks.validity import ExecutionWorker, TrackExecution, ValidityTrial, read_study, study_specs
+from kinebench_drake.anomaly import AnomalyKind
 from kinebench_drake.errors import InputError, UsageError
 from kinebench_drake.executors.local import LocalExecutor
 from kinebench_drake.geometry import Array
@@ -32,7 +33,7 @@ from kinebench_drake.suites.demos import make_demos
 from kinebench_drake.suites.families.task import TaskVariant
 from kinebench_drake.suites.formats.demo import FormatKind, RenderOptions
 from kinebench_drake.suites.suite import EpisodeSpec, load_suite
-from kinebench_drake.types import AnomalyKind, GripperTrack
+from kinebench_drake.track import GripperTrack
 from training.baseline.fitting import SCHEDULE, BaselineConfig, train
 from training.baseline.network import Baseline
 

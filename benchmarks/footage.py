@@ -21,18 +21,21 @@ from numpy.typing import NDArray
 
 from benchmarks.perception.errors import read_anomaly
 from benchmarks.perception.store import MeasurementStore, fingerprint
+from kinebench_drake.anomaly import Anomaly
 from kinebench_drake.camera import Camera
 from kinebench_drake.errors import InputError, UsageError
 from kinebench_drake.formats.manifest import NAME, entry_camera, read_manifest
 from kinebench_drake.geometry import Array, invert, transform_points
 from kinebench_drake.grounding.overlay import draw_overlay
 from kinebench_drake.grounding.pipeline import GroundingPipeline, Observation
+from kinebench_drake.grounding.priors import NO_PRIORS, Priors
 from kinebench_drake.grounding.tracking.crop import GRIPPER_CENTRE_H, GRIPPER_RADIUS_M
 from kinebench_drake.grounding.tracking.view import Frames
 from kinebench_drake.io.container import write_video
 from kinebench_drake.io.npz import open_npz
 from kinebench_drake.io.reader import read_video
-from kinebench_drake.types import NO_PRIORS, Anomaly, GripperKind, GripperTrack, Priors
+from kinebench_drake.models.panda.robot import GripperKind
+from kinebench_drake.track import GripperTrack
 
 _OVERLAY_FPS = 5.0
 _WINDOW_MARGIN = 2.5  # distance of the window's border from the gripper's centre, over the gripper's radius

@@ -13,8 +13,8 @@ from benchmarks.markdown import table
 from benchmarks.perception.summary import percentile, reliability_curve
 from kinebench_drake.geometry import Array, pose_difference
 from kinebench_drake.grounding.tracking.confidence import GOOD_M, GOOD_RAD
+from kinebench_drake.io.jsonl import Json
 from kinebench_drake.models.panda.robot import hand_from_tcp
-from kinebench_drake.types import Json
 
 VISIBLE_PX = 400
 """Pixels of the gripper from which a frame is expected to be tracked."""

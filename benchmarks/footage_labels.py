@@ -29,8 +29,7 @@ from benchmarks.perception.summary import percentile
 from kinebench_drake.camera import Camera
 from kinebench_drake.errors import UsageError, cause
 from kinebench_drake.geometry import Array, invert, transform_points
-from kinebench_drake.io.jsonl import read_json
-from kinebench_drake.types import Json
+from kinebench_drake.io.jsonl import Json, read_json
 
 LABELS = Path(__file__).with_name("footage_labels.json")
 CORNER_H = np.array([0.0155, 0.0935, 0.0637])

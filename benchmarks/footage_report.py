@@ -10,8 +10,8 @@ from benchmarks.markdown import table
 from benchmarks.structure import current_revision
 from kinebench_drake.errors import UsageError
 from kinebench_drake.io.atomic import make_folder, write_atomically
-from kinebench_drake.io.jsonl import dump, finite
-from kinebench_drake.types import GripperKind, Json
+from kinebench_drake.io.jsonl import Json, dump, finite
+from kinebench_drake.models.panda.robot import GripperKind
 
 _POSES = (ReferenceKind.SIMULATOR, ReferenceKind.JOINTS, ReferenceKind.EDGES)
 

@@ -21,7 +21,7 @@ from kinebench_drake.metrics.judge import TrackJudge
 from kinebench_drake.metrics.result import KinematicResult, Value
 from kinebench_drake.results.direction import HIGHER_IS_BETTER, LOWER_IS_BETTER, improves
 from kinebench_drake.segments import finite_rows
-from kinebench_drake.types import GripperTrack
+from kinebench_drake.track import GripperTrack
 
 STAGES = 2
 """Times that frames of a track are replaced, one after the other."""

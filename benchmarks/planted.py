@@ -16,8 +16,8 @@ from benchmarks.motion import Arm, acceleration_limits, self_distance
 from benchmarks.sweep import REACH_M, least_bend, least_excess, least_step, reachable, wrist_distance
 from benchmarks.trajectory import Trajectory, TrajectoryKind
 from kinebench_drake.geometry import Array, pose_difference, rotation_exp
+from kinebench_drake.io.jsonl import Json
 from kinebench_drake.kinematics.continuation import minimum_jerk
-from kinebench_drake.types import Json
 
 REACH_EXCESS_M = (0.005, 0.3)
 """Distance of the wrist beyond the sphere that it can reach [m]."""

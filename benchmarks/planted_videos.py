@@ -21,6 +21,7 @@ from typing import Any
 
 import numpy as np
 
+from kinebench_drake.anomaly import AnomalyKind
 from kinebench_drake.errors import InputError, UsageError
 from kinebench_drake.io.camerafile import save_camera
 from kinebench_drake.io.container import write_video
@@ -35,7 +36,6 @@ from kinebench_drake.suites.faults.recording import Recording
 from kinebench_drake.suites.rollout import Rollout, RolloutVideo, render_video, run_expert
 from kinebench_drake.suites.split import Pool
 from kinebench_drake.suites.suite import EpisodeSpec, load_suite
-from kinebench_drake.types import AnomalyKind
 
 FPS = 17
 """Frame rate of the mp4; the task time between frames is `FRAME_PERIOD_S`."""

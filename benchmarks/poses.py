@@ -18,10 +18,10 @@ from benchmarks.options import (
     out_option,
     write_section,
 )
+from kinebench_drake.anomaly import AnomalyKind
 from kinebench_drake.errors import member_of
 from kinebench_drake.io.atomic import write_atomically
 from kinebench_drake.io.jsonl import dump, finite
-from kinebench_drake.types import AnomalyKind
 
 KINDS = tuple(kind.value for kind in AnomalyKind)
 
@@ -113,7 +113,7 @@ def footage(
     """
     one_thread()
     from benchmarks.footage_report import measure
-    from kinebench_drake.types import GripperKind
+    from kinebench_drake.models.panda.robot import GripperKind
 
     names = None if videos is None else videos.split(",")
     with errors():

@@ -22,6 +22,7 @@ from kinebench_drake.executors.base import Executor
 from kinebench_drake.executors.progress import Observer
 from kinebench_drake.geometry import Array, pose_difference
 from kinebench_drake.grounding.overrides.estimates import replace_depth
+from kinebench_drake.grounding.priors import NO_PRIORS, ExternalDepth, Priors
 from kinebench_drake.grounding.tracking.crop import Crop
 from kinebench_drake.grounding.tracking.estimator import NetworkEstimator
 from kinebench_drake.grounding.tracking.pose import FramePose
@@ -31,7 +32,6 @@ from kinebench_drake.io.reader import read_video
 from kinebench_drake.models.panda.cad import GripperCad
 from kinebench_drake.models.perception.network import WEIGHTS, load_network
 from kinebench_drake.stats import percentile_interval, resampled_indices
-from kinebench_drake.types import NO_PRIORS, ExternalDepth, Priors
 
 _FLIP_RAD = np.pi / 2
 _RESAMPLES = 1000

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from kinebench_drake.errors import InputError, cause
 from kinebench_drake.geometry import Array
-from kinebench_drake.io.jsonl import parse_json, write_lines
+from kinebench_drake.io.jsonl import Json, parse_json, write_lines
 from kinebench_drake.io.npz import pack_arrays
-from kinebench_drake.types import Json, ViolationKind
+from kinebench_drake.kinematics.violation import ViolationKind
 
 TRUTH = "truth.jsonl"
 """Name of the file with the ground truth, beside the trajectories."""

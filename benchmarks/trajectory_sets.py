@@ -22,7 +22,7 @@ from kinebench_drake.errors import KinebenchError
 from kinebench_drake.executors.base import WorkerCrash
 from kinebench_drake.executors.local import LocalExecutor
 from kinebench_drake.io.atomic import write_atomically
-from kinebench_drake.types import Json
+from kinebench_drake.io.jsonl import Json
 
 _BASES = 200  # feasible trajectories that the perturbed ones are made from
 _PLANT_TRIES = 8  # attempts to plant a fault into one feasible trajectory

@@ -21,13 +21,14 @@ import numpy as np
 from benchmarks.perception.store import MeasurementStore, fingerprint
 from benchmarks.planted_videos import PlantedVideo, PlantingOrder, PlantingResult, plant_episode, write_index
 from benchmarks.structure import current_revision
+from kinebench_drake.anomaly import AnomalyKind
 from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.closed_loop.commands import CommandPlanner, RobotState
 from kinebench_drake.closed_loop.execution import execute
 from kinebench_drake.errors import InputError, UnmeasurableError, UsageError
 from kinebench_drake.executors.base import Executor
 from kinebench_drake.executors.local import LocalExecutor
-from kinebench_drake.io.jsonl import as_object, read_lines, read_object, write_json, write_lines
+from kinebench_drake.io.jsonl import Json, as_object, read_lines, read_object, write_json, write_lines
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.results.provenance import weights_hash
 from kinebench_drake.results.row import SampleRow
@@ -42,7 +43,7 @@ from kinebench_drake.suites.faults.fault import GRADES, FaultGrade
 from kinebench_drake.suites.simulator import Control, Simulator
 from kinebench_drake.suites.simulator_cache import SimulatorCache
 from kinebench_drake.suites.suite import EpisodeSpec, load_suite
-from kinebench_drake.types import AnomalyKind, GripperTrack, Json
+from kinebench_drake.track import GripperTrack
 
 SUITE, SPLIT = 2, "unseen"
 """Episodes with the half of the assets and looks that the networks were not trained on."""

@@ -20,9 +20,10 @@ from benchmarks.validity_response import (
     correlate,
     unit_of,
 )
+from kinebench_drake.anomaly import AnomalyKind
 from kinebench_drake.io.figure import POSITION, ROTATION, new_figure, save
+from kinebench_drake.io.jsonl import Json
 from kinebench_drake.stats import IntervalEstimate, sign_test, wilson
-from kinebench_drake.types import AnomalyKind, Json
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy.stats import false_discovery_control, rankdata
 
 from benchmarks.validity import ValidityTrial
+from kinebench_drake.anomaly import AnomalyKind
 from kinebench_drake.errors import InputError
 from kinebench_drake.geometry import Array
 from kinebench_drake.results.direction import HIGHER_IS_BETTER
@@ -23,7 +24,6 @@ from kinebench_drake.stats import (
     sign_test,
 )
 from kinebench_drake.suites.faults.fault import GRADES
-from kinebench_drake.types import AnomalyKind
 
 NUMBERS = ("executable", "feasible", *(name for name in VISUAL_METRICS if name != "anomalies"), *KINEMATIC_METRICS)
 """Numbers that the study is about."""

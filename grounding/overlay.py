@@ -12,7 +12,7 @@ from kinebench_drake.geometry import Array, transform_points
 from kinebench_drake.grounding.tracking.crop import GRIPPER_CENTRE_H, GRIPPER_RADIUS_M
 from kinebench_drake.models.panda.cad import GripperCad
 from kinebench_drake.models.panda.robot import RobotPart, hand_from_tcp
-from kinebench_drake.types import GripperTrack
+from kinebench_drake.track import GripperTrack
 
 Image = NDArray[np.uint8]
 

@@ -8,11 +8,13 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
+from kinebench_drake.anomaly import Anomaly
 from kinebench_drake.camera import Camera, benchmark_camera
 from kinebench_drake.geometry import Array, invert, pose_difference
 from kinebench_drake.grounding.anomaly.camera_motion import CameraMotion, FeatureTracks, measure_camera_motion
 from kinebench_drake.grounding.anomaly.detect import SURE_CONFIDENCE, AnomalyEvidence, find_anomalies, gather_evidence
 from kinebench_drake.grounding.anomaly.detection import AnomalyDetections
+from kinebench_drake.grounding.priors import NO_PRIORS, InitialStateUse, Priors
 from kinebench_drake.grounding.tracking.camera_path import CameraPath, follow_camera
 from kinebench_drake.grounding.tracking.confidence import (
     CALIBRATION,
@@ -30,19 +32,10 @@ from kinebench_drake.grounding.tracking.pose import FramePose
 from kinebench_drake.grounding.tracking.smoothing import RawTrack
 from kinebench_drake.grounding.tracking.tracker import CadTracker, PoseTracker, Tracking
 from kinebench_drake.grounding.tracking.view import DenseEstimator, Frames, GripperView
-from kinebench_drake.models.panda.robot import RobotPart, hand_from_tcp
+from kinebench_drake.models.panda.robot import GripperKind, RobotPart, hand_from_tcp
 from kinebench_drake.models.perception.network import ARM_WEIGHTS, WEIGHTS, load_network
 from kinebench_drake.models.robot import N_JOINTS
-from kinebench_drake.types import (
-    NO_PRIORS,
-    Anomaly,
-    Domain,
-    GripperKind,
-    GripperTrack,
-    InitialState,
-    InitialStateUse,
-    Priors,
-)
+from kinebench_drake.track import Domain, GripperTrack, InitialState
 
 TRACKED_CONFIDENCE = 0.3
 """Least confidence at which a frame counts as tracked."""

@@ -24,10 +24,12 @@ from kinebench_drake.grounding.clip import Clip
 from kinebench_drake.grounding.framing.framing import Framing, apply_framing
 from kinebench_drake.grounding.framing.search import find_framing
 from kinebench_drake.grounding.pipeline import GroundingPipeline, PipelineResult
+from kinebench_drake.grounding.priors import NO_PRIORS, Priors
 from kinebench_drake.grounding.tracking.estimator import NetworkEstimator
 from kinebench_drake.grounding.tracking.view import Frames
+from kinebench_drake.models.panda.robot import GripperKind
 from kinebench_drake.models.perception.network import ARM_WEIGHTS, load_network
-from kinebench_drake.types import NO_PRIORS, Domain, GripperKind, GripperTrack, Priors
+from kinebench_drake.track import Domain, GripperTrack
 
 if TYPE_CHECKING:
     from kinebench_drake.grounding.camera.camera_estimate import CameraEstimate

@@ -6,10 +6,9 @@ from pathlib import Path
 
 from kinebench_drake.errors import UsageError, cause
 from kinebench_drake.io.files import read_text
-from kinebench_drake.io.jsonl import parse_json
+from kinebench_drake.io.jsonl import Json, parse_json
 from kinebench_drake.suites.episode import Episode
 from kinebench_drake.suites.families.registry import TASKS
-from kinebench_drake.types import Json
 
 INSTRUCTION = "{prompt}"
 """Placeholder for the episode's own instruction in the text of a task."""

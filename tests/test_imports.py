@@ -11,7 +11,7 @@ import pytest
 ROOT = Path(__file__).parent.parent
 PACKAGE = "kinebench_drake"
 
-LEAF = {"__init__", "errors", "geometry", "camera", "types", "segments", "stats", "plugin"}
+LEAF = {"__init__", "errors", "geometry", "camera", "track", "anomaly", "segments", "stats", "plugin"}
 IO = LEAF | {"io", "environment"}
 MAY_IMPORT = {
     **dict.fromkeys(LEAF, LEAF),

@@ -21,7 +21,7 @@ from kinebench_drake.results.metadata import RunMetadata
 from kinebench_drake.results.row import SampleRow, Status
 from kinebench_drake.results.store import SAMPLES, read_rows
 from kinebench_drake.results.trackfile import read_track, write_track
-from kinebench_drake.types import GripperTrack, IkStatus, JointTrack
+from kinebench_drake.track import GripperTrack, IkStatus, JointTrack
 
 usual = settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 

@@ -34,7 +34,7 @@ from kinebench_drake.grounding.tracking.smoothing import MIN_CONFIDENCE, RawTrac
 from kinebench_drake.grounding.tracking.view import Frames
 from kinebench_drake.io.reader import read_video
 from kinebench_drake.models.panda.cad import GripperCad
-from kinebench_drake.types import Domain
+from kinebench_drake.track import Domain
 from training.augment import degrade, occlude
 
 _PENALTY = 1.0  # ridge

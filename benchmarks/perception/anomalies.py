@@ -10,11 +10,11 @@ from benchmarks.perception.clip import PlantedCase, TruthClipFile, choose, find_
 from benchmarks.perception.errors import read_anomaly
 from benchmarks.perception.store import MeasurementStore, fingerprint
 from benchmarks.perception.variants import VariantTools
+from kinebench_drake.anomaly import Anomaly, AnomalyKind
 from kinebench_drake.errors import UsageError
 from kinebench_drake.executors.base import Executor
 from kinebench_drake.executors.progress import Observer
 from kinebench_drake.io.reader import read_video
-from kinebench_drake.types import Anomaly, AnomalyKind
 
 _START_FRAMES = {
     AnomalyKind.VANISH: 1,

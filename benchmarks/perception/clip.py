@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from kinebench_drake.anomaly import Anomaly, AnomalyKind
 from kinebench_drake.camera import Camera
 from kinebench_drake.errors import InputError, UsageError, cause
 from kinebench_drake.geometry import Array, invert
@@ -22,7 +23,7 @@ from kinebench_drake.io.camerafile import load_camera
 from kinebench_drake.io.npz import open_npz
 from kinebench_drake.models.panda.cad import GripperCad
 from kinebench_drake.models.panda.robot import hand_from_tcp
-from kinebench_drake.types import Anomaly, AnomalyKind, InitialState
+from kinebench_drake.track import InitialState
 
 _MARGIN = 1.1  # half width of a crop over the gripper's radius
 _MASK_PX = 160  # width of the crop in which silhouettes for masks are rendered

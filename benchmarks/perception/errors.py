@@ -7,10 +7,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.perception.clip import TruthClip
+from kinebench_drake.anomaly import Anomaly, AnomalyKind
 from kinebench_drake.geometry import Array, pose_difference
 from kinebench_drake.grounding.pipeline import PipelineResult
 from kinebench_drake.segments import segments
-from kinebench_drake.types import Anomaly, AnomalyKind, GripperTrack
+from kinebench_drake.track import GripperTrack
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.perception.errors import LASTING_FRAMES, ClipErrors
+from kinebench_drake.anomaly import Anomaly, AnomalyKind
 from kinebench_drake.geometry import Array
 from kinebench_drake.grounding.tracking.confidence import GOOD_M, GOOD_RAD
 from kinebench_drake.stats import IntervalEstimate, percentile_interval, resampled_indices, wilson
-from kinebench_drake.types import Anomaly, AnomalyKind
 
 OFF_M = 0.03
 """Position error beyond which a tracked frame is a false track [m]."""

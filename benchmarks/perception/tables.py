@@ -17,8 +17,8 @@ from benchmarks.perception.summary import (
     reliability,
     summarize,
 )
+from kinebench_drake.anomaly import Anomaly
 from kinebench_drake.stats import IntervalEstimate
-from kinebench_drake.types import Anomaly
 
 COMPARED = {
     "tracked_when_seen": "tracked",

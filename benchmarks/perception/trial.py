@@ -28,7 +28,7 @@ from kinebench_drake.grounding.overrides.depth import DepthPlugIn
 from kinebench_drake.grounding.tracking.view import Frames
 from kinebench_drake.io.reader import read_video
 from kinebench_drake.models.panda.robot import hand_from_tcp
-from kinebench_drake.types import GripperTrack
+from kinebench_drake.track import GripperTrack
 from training.baseline.network import Baseline
 
 

@@ -12,6 +12,7 @@ from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array
 from kinebench_drake.grounding.overrides.depth import DepthPlugIn
 from kinebench_drake.grounding.pipeline import GroundingPipeline, PipelineResult
+from kinebench_drake.grounding.priors import ExternalDepth, Priors
 from kinebench_drake.grounding.tracking.confidence import load_confidence
 from kinebench_drake.grounding.tracking.crop import Crop
 from kinebench_drake.grounding.tracking.estimator import NetworkEstimator
@@ -19,7 +20,6 @@ from kinebench_drake.grounding.tracking.tracker import CadTracker
 from kinebench_drake.grounding.tracking.view import DenseEstimator, Frames, GripperView
 from kinebench_drake.models.panda.cad import GripperCad
 from kinebench_drake.models.perception.network import WEIGHTS, load_network
-from kinebench_drake.types import ExternalDepth, Priors
 
 _FIELD_CELLS = 12  # nodes of an error field across the image: about a gripper's width apart
 _FIELD_FRAMES = 8  # frames from one error field to the next, interpolated smoothly between

@@ -6,12 +6,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from kinebench_drake.anomaly import AnomalyKind
 from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array, make_pose, orthonormalize
 from kinebench_drake.grounding.anomaly.detection import Detection, sustained
 from kinebench_drake.grounding.tracking.camera_path import CameraPath, CameraWay
 from kinebench_drake.grounding.tracking.view import Frames
-from kinebench_drake.types import AnomalyKind
 
 MOVING_PX = 1.2
 """Least motion of a moving camera [px of an image 384 px wide]."""

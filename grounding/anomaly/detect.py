@@ -24,7 +24,7 @@ from kinebench_drake.grounding.tracking.crop import GRIPPER_CENTRE_H
 from kinebench_drake.grounding.tracking.gripper_width import SHARP_M
 from kinebench_drake.grounding.tracking.pose import FramePose
 from kinebench_drake.grounding.tracking.view import Frames, GripperView
-from kinebench_drake.types import Domain
+from kinebench_drake.track import Domain
 
 FAIR_CONFIDENCE = 0.1
 """Least confidence at which a frame's position and shape count; low, because a deformed gripper has a low one."""

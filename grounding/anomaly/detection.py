@@ -7,10 +7,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.ndimage import grey_opening
 
+from kinebench_drake.anomaly import Anomaly, AnomalyKind
 from kinebench_drake.errors import InputError
 from kinebench_drake.geometry import Array
 from kinebench_drake.segments import segments
-from kinebench_drake.types import Anomaly, AnomalyKind
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

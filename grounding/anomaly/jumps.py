@@ -6,11 +6,11 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from kinebench_drake.anomaly import AnomalyKind
 from kinebench_drake.geometry import Array
 from kinebench_drake.grounding.anomaly.detection import Detection
 from kinebench_drake.grounding.tracking.view import Frames
 from kinebench_drake.segments import UNEVEN, finite_rows, frame_periods, segments
-from kinebench_drake.types import AnomalyKind
 
 TELEPORT_M, TELEPORT_CONTRAST = 0.04, 4.0
 """Least length of a teleport [m], and least ratio to the median jump length of the path around it."""

@@ -7,6 +7,7 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from kinebench_drake.anomaly import Anomaly, AnomalyKind
 from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array, transform_points
 from kinebench_drake.grounding.anomaly.detection import Detection, sustained
@@ -15,7 +16,6 @@ from kinebench_drake.grounding.tracking.view import GripperView
 from kinebench_drake.models.panda.cad import part_meshes
 from kinebench_drake.models.panda.robot import OPENING_SIGN
 from kinebench_drake.segments import finite_rows, segments
-from kinebench_drake.types import Anomaly, AnomalyKind
 
 VANISH_FRAMES = 3
 """Least number of frames without a gripper; fewer may be an occlusion."""

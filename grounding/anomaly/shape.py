@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
+from kinebench_drake.anomaly import AnomalyKind
 from kinebench_drake.geometry import Array, invert, transform_points
 from kinebench_drake.grounding.anomaly.detection import Detection, finite_median
 from kinebench_drake.grounding.tracking.view import GripperView
-from kinebench_drake.types import AnomalyKind
 
 MISFIT = 0.02
 """Least relative misfit of the shape of a deformation; `EXCESS` must hold, too.

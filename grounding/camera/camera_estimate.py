@@ -9,8 +9,8 @@ from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array
 from kinebench_drake.grounding.camera.bundle import UNKNOWNS, ArmScene, Bundle
 from kinebench_drake.grounding.registration.arm_model import ArmModel
+from kinebench_drake.io.jsonl import Json
 from kinebench_drake.models.panda.robot import HAND_TO_TCP_M, RobotPart
-from kinebench_drake.types import Json
 
 ARM_AGREEMENT, BASE_AGREEMENT = 0.64, 0.4
 """Least shares of the contours of hand and arm, and of the base link, on image edges at which a camera counts as found:

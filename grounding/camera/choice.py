@@ -10,7 +10,8 @@ from kinebench_drake.grounding.camera.contradiction import CameraChecker, Camera
 from kinebench_drake.grounding.camera.reading import BetterReading, Reading
 from kinebench_drake.grounding.pipeline import PipelineResult
 from kinebench_drake.grounding.tracking.view import Frames
-from kinebench_drake.types import Domain, Json
+from kinebench_drake.io.jsonl import Json
+from kinebench_drake.track import Domain
 
 AGREEMENT = 0.45
 """Least share of the contours on image edges at which the arm agrees with a named camera that no other explains better,

@@ -23,8 +23,8 @@ from kinebench_drake.grounding.camera.fit import Lens, with_focal
 from kinebench_drake.grounding.camera.hypotheses import ChainSearch
 from kinebench_drake.grounding.camera.reading import BetterReading, Reading, list_readings
 from kinebench_drake.grounding.tracking.view import DenseEstimator, Frames
+from kinebench_drake.io.jsonl import Json
 from kinebench_drake.models.panda.robot import RobotPart, hand_from_tcp
-from kinebench_drake.types import Json
 
 _CHECKED, _CHECK_SEARCHED = 5, 8  # frames that check a camera, and those that they are chosen from
 _READ, _READ_SEARCHED = 4, 6  # the same of a reading of the picture

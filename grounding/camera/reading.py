@@ -14,7 +14,7 @@ from kinebench_drake.camera import Camera
 from kinebench_drake.errors import UsageError
 from kinebench_drake.geometry import invert
 from kinebench_drake.grounding.tracking.view import Frames
-from kinebench_drake.types import Json
+from kinebench_drake.io.jsonl import Json
 
 _OPENGL_FROM_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
 

@@ -13,8 +13,8 @@ from kinebench_drake.grounding.camera.correspondences import MIN_CELLS, Calibrat
 from kinebench_drake.grounding.camera.fit import UNKNOWNS, LensFit, refine
 from kinebench_drake.grounding.camera.solve import LensSolution
 from kinebench_drake.grounding.registration.arm_model import ArmModel
+from kinebench_drake.io.jsonl import Json
 from kinebench_drake.models.panda.robot import ARM, GRIPPER, RobotPart
-from kinebench_drake.types import Json
 
 _GROUPS = {"gripper": GRIPPER, "arm": ARM[1:], "base": ARM[:1]}
 

@@ -20,9 +20,9 @@ from kinebench_drake.grounding.overrides.arrays import (
     read_pngs,
     true_depth,
 )
+from kinebench_drake.grounding.priors import ExternalDepth
 from kinebench_drake.io.npz import open_npz, read_npy
 from kinebench_drake.plugin import is_class_name, load_class
-from kinebench_drake.types import ExternalDepth
 
 _NEAR_M, _FAR_M = 0.02, 50.0  # range of the median depth of a scene with a robot
 _MOGE = "moge:"

@@ -8,11 +8,11 @@ from numpy.typing import NDArray
 
 from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array
+from kinebench_drake.grounding.priors import ExternalDepth, Priors
 from kinebench_drake.grounding.registration.fit import MIN_CELLS, gripper_cells, place_hand
 from kinebench_drake.grounding.tracking.crop import Crop
 from kinebench_drake.grounding.tracking.view import DenseEstimator, Frames, GripperView
 from kinebench_drake.models.panda.robot import RobotPart
-from kinebench_drake.types import ExternalDepth, Priors
 
 _EXACT_SIGMA, _EXACT_FACTOR_SIGMA = 1e-3, 1e-4  # relative; depth is stored in whole millimetres
 _ESTIMATE_SIGMA, _ESTIMATE_FACTOR_SIGMA = 0.02, 0.1  # estimator of unknown accuracy

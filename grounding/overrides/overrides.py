@@ -12,7 +12,8 @@ from kinebench_drake.errors import InputError, UsageError
 from kinebench_drake.grounding.overrides.arrays import array_files, errors_naming, read_masks
 from kinebench_drake.grounding.overrides.depth import DepthPlugIn, read_depth
 from kinebench_drake.grounding.overrides.poses import pose_files, read_poses
-from kinebench_drake.types import NO_PRIORS, InitialState, Priors
+from kinebench_drake.grounding.priors import NO_PRIORS, Priors
+from kinebench_drake.track import InitialState
 
 TRUTH, TRACKS = "truth", "tracks"
 """Subfolder of a demonstration folder, and of the output folder of another run."""

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from kinebench_drake.errors import InputError, cause
 from kinebench_drake.geometry import Array, checked_pose
 from kinebench_drake.grounding.overrides.arrays import errors_naming, pick
+from kinebench_drake.grounding.priors import Priors
 from kinebench_drake.io.files import read_text
 from kinebench_drake.io.npz import open_npz, read_npy
-from kinebench_drake.types import Priors
 
 MESH_NAME = "mesh_from_hand.txt"
 """File with the pose (4, 4) of panda_hand in the frame of the tracked mesh."""

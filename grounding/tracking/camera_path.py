@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array, make_pose, rotation_angle, rotation_exp
 from kinebench_drake.grounding.tracking.view import Frames
-from kinebench_drake.types import Json
+from kinebench_drake.io.jsonl import Json
 
 MAX_TURN_RAD, MAX_MOVE_M, MAX_ZOOM = float(np.deg2rad(15.0)), 0.15, 0.2
 """Largest rotation, distance and relative zoom from the first camera that are followed."""

@@ -16,7 +16,7 @@ from scipy.special import expit, logit
 from kinebench_drake.errors import SetupError
 from kinebench_drake.geometry import Array
 from kinebench_drake.grounding.tracking.pose import FramePose
-from kinebench_drake.types import Domain
+from kinebench_drake.track import Domain
 
 GOOD_M, GOOD_RAD = 0.010, float(np.deg2rad(5.0))
 """Error bounds [m, rad] whose probability the confidence is."""

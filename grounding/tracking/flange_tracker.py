@@ -14,6 +14,7 @@ from scipy.special import logsumexp
 
 from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array, pose_difference
+from kinebench_drake.grounding.priors import NO_PRIORS, Priors
 from kinebench_drake.grounding.registration.arm_edge_fit import LAST_LINKS, ArmEdgeFitter
 from kinebench_drake.grounding.registration.arm_model import ArmModel
 from kinebench_drake.grounding.registration.chain_fit import ChainFitter
@@ -27,8 +28,8 @@ from kinebench_drake.grounding.tracking.pose import FramePose
 from kinebench_drake.grounding.tracking.tracker import Tracking
 from kinebench_drake.grounding.tracking.turn import OFFSETS_RAD, TURNS_RAD, likeliest_turns
 from kinebench_drake.grounding.tracking.view import DenseEstimator, Frames, GripperView
-from kinebench_drake.models.panda.robot import RobotPart
-from kinebench_drake.types import NO_PRIORS, Domain, GripperKind, Priors
+from kinebench_drake.models.panda.robot import GripperKind, RobotPart
+from kinebench_drake.track import Domain
 
 # Cells of a gripper are taken for a hand, and lie where the wrist is.
 _SEEN = (*LAST_LINKS, RobotPart.HAND)

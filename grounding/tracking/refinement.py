@@ -17,7 +17,7 @@ from kinebench_drake.grounding.registration.solver import BATCH
 from kinebench_drake.grounding.tracking.crop import CLOSE_MARGIN, CLOSE_SIZE, Crop
 from kinebench_drake.grounding.tracking.pose import FramePose
 from kinebench_drake.grounding.tracking.view import Frames, GripperView
-from kinebench_drake.types import Domain
+from kinebench_drake.track import Domain
 
 _SOURCE_OVERLAP, _GOOD_OVERLAP = 0.6, 0.8  # overlap from which a pose is propagated, and from which it is not replaced
 _OVERLAP_GAIN = 0.03  # least improvement of the overlap by a propagated pose, where the arm agreed before

@@ -6,11 +6,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from kinebench_drake.anomaly import Anomaly, AnomalyKind
 from kinebench_drake.geometry import Array, make_pose, pose_difference, rotation_exp, rotation_log
 from kinebench_drake.grounding.tracking.confidence import track_features
 from kinebench_drake.grounding.tracking.pose import FramePose
 from kinebench_drake.segments import frame_periods
-from kinebench_drake.types import Anomaly, AnomalyKind
 
 HALF_WINDOW = 3
 """Number of frames before and after a frame that its pose is smoothed with."""

@@ -25,13 +25,14 @@ from kinebench_drake.grounding.overrides.overrides import Overrides
 from kinebench_drake.io.camerafile import load_camera
 from kinebench_drake.io.reader import read_video
 from kinebench_drake.io.video import Video
+from kinebench_drake.models.panda.robot import GripperKind
 from kinebench_drake.results.inputs import PeriodSource
 from kinebench_drake.runs.audit import judge_trajectory
 from kinebench_drake.runs.evaluator import SampleInfo
 from kinebench_drake.runs.preparation import BENCHMARK_PERIOD_S, ground_sample, with_initial_states
 from kinebench_drake.runs.score_config import check_period, period_warnings
 from kinebench_drake.runs.tools import RobotOptions, Tools, ToolsFactory, load_tools
-from kinebench_drake.types import GripperKind, GripperTrack, InitialState
+from kinebench_drake.track import GripperTrack, InitialState
 
 if TYPE_CHECKING:  # torch, Open3D and Drake take seconds to load
     from kinebench_drake.grounding.video import GroundingResult

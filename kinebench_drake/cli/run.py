@@ -16,7 +16,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.text import Text
 
 from kinebench_drake.errors import count_noun, one_line
-from kinebench_drake.io.jsonl import as_object
+from kinebench_drake.io.jsonl import Json, as_object
 from kinebench_drake.metrics.trust import TRUST, trust_lines
 from kinebench_drake.report.timeline import anomalies_of
 from kinebench_drake.results.aggregate import VERDICT_SHARES, estimate, estimate_passes
@@ -24,7 +24,6 @@ from kinebench_drake.results.inputs import input_lines
 from kinebench_drake.results.row import SampleRow, Status
 from kinebench_drake.results.store import REQUESTS
 from kinebench_drake.runs.runner import RunObserver, RunSummary
-from kinebench_drake.types import Json
 
 _STYLES = {Status.OK: "green", Status.UNMEASURABLE: "yellow", Status.ERROR: "red"}
 

@@ -16,7 +16,7 @@ from kinebench_drake.suites.seeding import generator
 from kinebench_drake.suites.simulator import Control, Simulator
 from kinebench_drake.suites.simulator_cache import SimulatorCache
 from kinebench_drake.suites.worldmodels.worldmodel import ActionTrack, SimulatorState
-from kinebench_drake.types import GripperTrack
+from kinebench_drake.track import GripperTrack
 
 _LAGS = 11
 """Delays that are tried, from 0 on [frames]."""

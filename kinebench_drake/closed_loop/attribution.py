@@ -10,13 +10,13 @@ from dataclasses import asdict, dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from kinebench_drake.anomaly import Anomaly, AnomalyKind
 from kinebench_drake.closed_loop.loop import EpisodeRun, Round
 from kinebench_drake.geometry import Array, pose_difference
 from kinebench_drake.grounding.video import GroundingResult
-from kinebench_drake.metrics.executable import LOST_FRAMES, LOST_SHARE
+from kinebench_drake.metrics.executable import LOST_FRAMES, LOST_SHARE, FailureVerdict
 from kinebench_drake.metrics.result import KinematicResult
 from kinebench_drake.segments import segments
-from kinebench_drake.types import Anomaly, AnomalyKind, FailureVerdict
 
 ASTRAY_M, ASTRAY_RAD = 0.03, float(np.deg2rad(15.0))
 """Deviation of the executed from the generated gripper that counts as failed execution; servos err by 5 mm at most."""

@@ -17,9 +17,11 @@ from kinebench_drake.errors import InputError, UnmeasurableError, UsageError
 from kinebench_drake.geometry import Array
 from kinebench_drake.grounding.clip import Clip
 from kinebench_drake.grounding.framing.framing import undo_framing
+from kinebench_drake.grounding.priors import Priors
 from kinebench_drake.grounding.video import Grounder, GroundingResult
 from kinebench_drake.io.atomic import disk_errors, remove
 from kinebench_drake.io.files import VIDEO_SUFFIXES
+from kinebench_drake.io.jsonl import Json
 from kinebench_drake.io.reader import read_video
 from kinebench_drake.models.panda.robot import TCP_LINK
 from kinebench_drake.suites.clock import (
@@ -46,7 +48,7 @@ from kinebench_drake.suites.worldmodels.worldmodel import (
     WorldModel,
     WorldModelError,
 )
-from kinebench_drake.types import GripperTrack, InitialState, Json, Priors
+from kinebench_drake.track import GripperTrack, InitialState
 
 
 class Condition(Enum):

@@ -19,7 +19,7 @@ from kinebench_drake.geometry import checked_pose
 from kinebench_drake.io.camerafile import load_camera
 from kinebench_drake.io.files import read_text
 from kinebench_drake.io.jsonl import parse_json
-from kinebench_drake.types import InitialState
+from kinebench_drake.track import InitialState
 
 NAME = "manifest.jsonl"
 

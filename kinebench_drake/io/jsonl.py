@@ -6,13 +6,14 @@ import os
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, BinaryIO, TypeVar
+from typing import Any, BinaryIO, TypeAlias, TypeVar
 
 from kinebench_drake.errors import InputError, cause
 from kinebench_drake.io.atomic import atomic_path, disk_errors, write_atomically
 from kinebench_drake.io.files import read_bytes
-from kinebench_drake.types import Json
 
+Json: TypeAlias = bool | int | float | str | Sequence["Json"] | Mapping[str, "Json"] | None
+"""A JSON value."""
 Row = TypeVar("Row")
 
 _DIGITS = 20

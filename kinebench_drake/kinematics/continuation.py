@@ -15,7 +15,7 @@ from kinebench_drake.kinematics.path import find_cheapest_path, is_sound, select
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.kinematics.postures import posture_solver
 from kinebench_drake.kinematics.relaxation import relax
-from kinebench_drake.types import IkStatus
+from kinebench_drake.track import IkStatus
 
 ANCHORS_S = (0.8, 0.4)
 """Least time between poses of the search: on the branch of the start, then on all branches [s]."""

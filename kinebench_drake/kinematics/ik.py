@@ -11,7 +11,7 @@ from kinebench_drake.kinematics.newton import solve_newton, solve_snopt
 from kinebench_drake.kinematics.path import limit_excess
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.kinematics.postures import posture_solver, spread_postures
-from kinebench_drake.types import IkStatus
+from kinebench_drake.track import IkStatus
 
 POSITION_TOLERANCE_M = 1e-6
 """Greatest position error of a reached pose [m]."""

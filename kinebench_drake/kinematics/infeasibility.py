@@ -11,7 +11,7 @@ from kinebench_drake.kinematics.path import limit_excess
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.kinematics.spline import SplineBasis
 from kinebench_drake.kinematics.trajectory import Contact, JointTrajectory, TubeProblem
-from kinebench_drake.types import ViolationKind
+from kinebench_drake.kinematics.violation import ViolationKind
 
 _WORST_FRAMES = 10  # frames of the greatest errors whose poses are solved one by one
 _LEAST_EXCESS = 1e-3  # of a limit, above which it counts as broken

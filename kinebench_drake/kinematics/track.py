@@ -15,7 +15,7 @@ from kinebench_drake.kinematics.newton import damped_pseudoinverses, pose_twists
 from kinebench_drake.kinematics.path import SAMPLES, grid_postures, limit_excess, search_path, within_limits
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.segments import spread
-from kinebench_drake.types import GripperTrack, IkStatus, JointTrack
+from kinebench_drake.track import GripperTrack, IkStatus, JointTrack
 
 CONTACT_TOLERANCE_M = 0.002
 """Penetration depth [m] up to which a contact is no collision: tasks touch the table."""

@@ -1,12 +1,13 @@
 """Whether a robot can execute a whole video, and what is against it."""
 
 from collections.abc import Collection
+from enum import Enum
 
 import numpy as np
 from numpy.typing import NDArray
 
+from kinebench_drake.anomaly import AnomalyKind
 from kinebench_drake.segments import segments
-from kinebench_drake.types import AnomalyKind
 
 LOST_FRAMES = 3
 """Number of consecutive frames without a pose that no interpolation bridges soundly."""
@@ -42,3 +43,16 @@ def find_obstacles(feasible: bool | None, tracked: NDArray[np.bool_], anomalies:
 def is_executable(obstacles: Collection[str]) -> bool | None:
     """Return whether nothing is against it; None if only the open verdict on the motion is."""
     return True if not obstacles else None if list(obstacles) == [UNDECIDED] else False
+
+
+class FailureVerdict(Enum):
+    """Causes of failed episodes, in the order in which they are tested."""
+
+    GROUNDING = "grounding"
+    """The gripper, or the gap between its fingers, was not tracked with confidence in frames that show it."""
+    GENERATION = "generation"
+    """The video has an anomaly, or a motion that the robot cannot execute."""
+    EXECUTION = "execution"
+    """The executed gripper deviated from the generated one."""
+    TASK = "task"
+    """None of these, and the goal is not reached: the generated motion does not do the task."""

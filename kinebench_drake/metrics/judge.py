@@ -15,6 +15,7 @@ from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.kinematics.timing import time_scale
 from kinebench_drake.kinematics.track import branch_jumps, find_free, solve_track
 from kinebench_drake.kinematics.trajopt import optimize_in_tube
+from kinebench_drake.kinematics.violation import Violation, ViolationKind
 from kinebench_drake.metrics.derivatives import smooth_path
 from kinebench_drake.metrics.discontinuity import find_discontinuities
 from kinebench_drake.metrics.limits import LimitChecks, check_limits
@@ -44,7 +45,7 @@ from kinebench_drake.metrics.result import (
 )
 from kinebench_drake.metrics.smoothness import measure_smoothness
 from kinebench_drake.segments import spread
-from kinebench_drake.types import GripperTrack, IkStatus, JointTrack, Violation, ViolationKind
+from kinebench_drake.track import GripperTrack, IkStatus, JointTrack
 
 MIN_TRACKED_FRAMES = 5
 """Fewest tracked frames of a feasible track."""

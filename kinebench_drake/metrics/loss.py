@@ -18,7 +18,7 @@ from kinebench_drake.kinematics.newton import ROTATION_ARM_M, pose_twists
 from kinebench_drake.kinematics.path import grid_postures
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.segments import finite_rows
-from kinebench_drake.types import GripperTrack, JointTrack
+from kinebench_drake.track import GripperTrack, JointTrack
 
 MISS_M = 0.005
 """Pose error [m], rotations weighted by ROTATION_ARM_M, from which on a frame is unreachable: that of a trajectory that

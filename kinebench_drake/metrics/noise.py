@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from kinebench_drake.geometry import Array, from_quaternion, rotation_log, to_quaternion
 from kinebench_drake.metrics.derivatives import smooth_path
 from kinebench_drake.segments import finite_rows, segments, spread
-from kinebench_drake.types import GripperTrack
+from kinebench_drake.track import GripperTrack
 
 ORDERS = (2, 3, 4, 5, 6)
 """Orders of the differences."""

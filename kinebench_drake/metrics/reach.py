@@ -12,9 +12,10 @@ from kinebench_drake.kinematics.newton import ROTATION_ARM_M
 from kinebench_drake.kinematics.path import limit_excess
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.kinematics.track import CONTACT_TOLERANCE_M
+from kinebench_drake.kinematics.violation import Violation, ViolationKind
 from kinebench_drake.metrics.noise import TrackNoise
 from kinebench_drake.segments import segments
-from kinebench_drake.types import GripperTrack, IkStatus, JointTrack, Violation, ViolationKind
+from kinebench_drake.track import GripperTrack, IkStatus, JointTrack
 
 NOISE_SIGMAS = 3.0
 """Standard deviations of the noise by which a pose may exceed what the robot can do."""

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinebench_drake.geometry import Array
+from kinebench_drake.io.jsonl import Json
 from kinebench_drake.kinematics.collision import Clearance
 from kinebench_drake.kinematics.manipulability import Manipulability, time_integral
 from kinebench_drake.kinematics.path import limit_margin
@@ -14,11 +15,12 @@ from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.kinematics.timing import TimeScale
 from kinebench_drake.kinematics.trajectory import TrajectoryCheck
 from kinebench_drake.kinematics.trajopt import TubeResult
+from kinebench_drake.kinematics.violation import Violation, ViolationKind
 from kinebench_drake.metrics.limits import LimitCheck, LimitChecks
 from kinebench_drake.metrics.loss import Coverage
 from kinebench_drake.metrics.noise import TrackNoise
 from kinebench_drake.metrics.smoothness import Smoothness
-from kinebench_drake.types import GripperTrack, JointTrack, Json, Violation, ViolationKind
+from kinebench_drake.track import GripperTrack, JointTrack
 
 Value = float | bool | None
 

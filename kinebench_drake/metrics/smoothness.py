@@ -21,7 +21,7 @@ from kinebench_drake.metrics.completion import least_arc, least_ldlj
 from kinebench_drake.metrics.derivatives import smooth_path
 from kinebench_drake.metrics.noise import TrackNoise, estimate_track_noise, rotation_steps
 from kinebench_drake.segments import segments
-from kinebench_drake.types import GripperTrack
+from kinebench_drake.track import GripperTrack
 
 PAD_LEVEL = 4
 """Zero padding: the spectrum has 2^(ceil(log2 N) + PAD_LEVEL) bins."""

@@ -7,8 +7,8 @@ from enum import Enum
 
 from kinebench_drake.camera import CONFIRMED, CameraState
 from kinebench_drake.errors import count_noun
-from kinebench_drake.io.jsonl import as_object
-from kinebench_drake.types import Domain, Json
+from kinebench_drake.io.jsonl import Json, as_object
+from kinebench_drake.track import Domain
 
 LEAST_CONFIDENCE = 0.8
 """Mean confidence of the tracked frames below which poses deserve a look."""

@@ -6,10 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from kinebench_drake.geometry import Array
-from kinebench_drake.io.jsonl import as_object
+from kinebench_drake.io.jsonl import Json, as_object
 from kinebench_drake.report.limits import in_unit, to_number
 from kinebench_drake.results.row import SampleRow
-from kinebench_drake.types import Json
 
 _SUFFIXES = {
     "_m": (1000.0, "mm"),

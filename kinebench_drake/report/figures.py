@@ -10,6 +10,7 @@ from markupsafe import Markup, escape
 
 from kinebench_drake.io.atomic import atomic_path, write_atomically
 from kinebench_drake.io.figure import new_figure, plain, save, shorten
+from kinebench_drake.metrics.executable import FailureVerdict
 from kinebench_drake.report.metric import layout_of
 from kinebench_drake.report.page import SampleGroup, bootstrap_seed, count_metrics, group_rows, read_results
 from kinebench_drake.report.plot import Histogram
@@ -20,7 +21,6 @@ from kinebench_drake.results.aggregate import VERDICT_SHARES, Estimate, RunStati
 from kinebench_drake.results.row import SampleRow, Status
 from kinebench_drake.results.store import artifact_path, read_rows
 from kinebench_drake.results.trackfile import read_track
-from kinebench_drake.types import FailureVerdict
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -6,11 +6,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from kinebench_drake.geometry import Array
-from kinebench_drake.io.jsonl import as_object
+from kinebench_drake.io.jsonl import Json, as_object
 from kinebench_drake.models.robot import N_JOINTS
 from kinebench_drake.results.row import SampleRow
 from kinebench_drake.results.trackfile import TrackFile
-from kinebench_drake.types import Json
 
 RATES = ("velocity", "acceleration", "jerk", "torque")
 """Limits on magnitudes per joint, also the names of their curves."""

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from kinebench_drake.types import Json
+from kinebench_drake.io.jsonl import Json
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

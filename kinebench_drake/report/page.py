@@ -11,7 +11,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from kinebench_drake.errors import InputError, cause, count_noun
 from kinebench_drake.io.atomic import write_atomically
-from kinebench_drake.io.jsonl import as_object, intern_text, read_json
+from kinebench_drake.io.jsonl import Json, as_object, intern_text, read_json
 from kinebench_drake.metrics.trust import trust_lines
 from kinebench_drake.report.limits import to_number
 from kinebench_drake.report.listing import fault_chips, pack_listing
@@ -35,7 +35,6 @@ from kinebench_drake.results.inputs import input_lines
 from kinebench_drake.results.provenance import report_hash
 from kinebench_drake.results.row import SampleRow, Status
 from kinebench_drake.results.store import ARTIFACTS, REPORT, RESULTS, read_rows
-from kinebench_drake.types import Json
 
 DRAWN = 100
 """Samples, the worst first, whose curves and details are on the page: all would make it slow to open."""

@@ -15,7 +15,7 @@ from pydrake.multibody.tree import BodyIndex
 from kinebench_drake.errors import SetupError, UnmeasurableError, UsageError, cause
 from kinebench_drake.geometry import Array
 from kinebench_drake.io.atomic import write_atomically
-from kinebench_drake.io.jsonl import as_object
+from kinebench_drake.io.jsonl import Json, as_object
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.models.mesh import simplify
 from kinebench_drake.report.limits import to_number
@@ -25,7 +25,6 @@ from kinebench_drake.report.timeline import anomalies_of, frame_states
 from kinebench_drake.results.row import SampleRow
 from kinebench_drake.results.store import artifact_path, read_rows
 from kinebench_drake.results.trackfile import TrackFile, read_track
-from kinebench_drake.types import Json
 
 MAX_TRIANGLES = 1600
 """Triangles that a link is simplified to."""

@@ -6,11 +6,10 @@ from pathlib import Path
 from typing import cast
 
 from kinebench_drake.errors import InputError, UsageError
-from kinebench_drake.io.jsonl import as_object
+from kinebench_drake.io.jsonl import Json, as_object
 from kinebench_drake.report.page import read_results
 from kinebench_drake.results.row import SampleRow
 from kinebench_drake.results.store import RESULTS, SAMPLES, read_rows
-from kinebench_drake.types import Json
 
 _VERSIONS = ("schema_version", "suite_version")
 

@@ -11,7 +11,8 @@ from urllib.parse import quote
 import numpy as np
 from markupsafe import Markup
 
-from kinebench_drake.io.jsonl import as_object
+from kinebench_drake.io.jsonl import Json, as_object
+from kinebench_drake.metrics.executable import FailureVerdict
 from kinebench_drake.report.curves import draw_curves
 from kinebench_drake.report.details import DetailLine, list_details, summarize_checks
 from kinebench_drake.report.limits import LimitPeak, find_checks, find_peaks
@@ -19,7 +20,6 @@ from kinebench_drake.report.timeline import anomalies_of, draw_strip, fault_lane
 from kinebench_drake.results.row import SampleRow, Status
 from kinebench_drake.results.store import artifact_path
 from kinebench_drake.results.trackfile import read_track
-from kinebench_drake.types import FailureVerdict, Json
 
 _FAILURES = {cause.value: f"failed: {cause.value}" for cause in FailureVerdict}
 VERDICT_LABELS = {

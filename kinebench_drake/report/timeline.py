@@ -8,13 +8,15 @@ import numpy as np
 from markupsafe import Markup, escape
 from numpy.typing import NDArray
 
+from kinebench_drake.anomaly import AnomalyKind
 from kinebench_drake.geometry import Array
+from kinebench_drake.io.jsonl import Json
 from kinebench_drake.report.limits import joint_limits, limit_ratios
 from kinebench_drake.report.plot import WIDTH, FrameSpan, merge_spans, round_ticks, wrap_svg
 from kinebench_drake.results.row import SampleRow
 from kinebench_drake.results.trackfile import TrackFile
 from kinebench_drake.segments import segments
-from kinebench_drake.types import AnomalyKind, IkStatus, Json
+from kinebench_drake.track import IkStatus
 
 MIN_CONFIDENCE = 0.5
 """Confidence below which a pose is doubtful."""

@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kinebench_drake.geometry import Array
+from kinebench_drake.io.jsonl import Json
 from kinebench_drake.results.direction import worst_value
 from kinebench_drake.results.row import SampleRow, Status
 from kinebench_drake.stats import bootstrap_mean, group_means, pass_at_k, share_interval
-from kinebench_drake.types import Json
 
 NORMALIZED = ("manipulability_cost_mean",)
 """Metrics that results also report on a scale from 0 to 1."""

@@ -4,8 +4,8 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from enum import Enum
 
+from kinebench_drake.io.jsonl import Json
 from kinebench_drake.results.row import SampleRow, Status
-from kinebench_drake.types import Json
 
 
 class PeriodSource(Enum):

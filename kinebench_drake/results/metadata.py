@@ -7,9 +7,8 @@ from pathlib import Path
 from typing import Any, TypeVar, cast
 
 from kinebench_drake.errors import InputError, UsageError
-from kinebench_drake.io.jsonl import intern_text, read_json
+from kinebench_drake.io.jsonl import Json, intern_text, read_json
 from kinebench_drake.results.store import RESULTS, RUN
-from kinebench_drake.types import Json
 
 Item = TypeVar("Item")
 

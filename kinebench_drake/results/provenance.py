@@ -8,7 +8,7 @@ from importlib import metadata
 from pathlib import Path
 
 from kinebench_drake.environment.sources import trace_sources
-from kinebench_drake.types import Json
+from kinebench_drake.io.jsonl import Json
 
 _TOP = Path(__file__).parents[1]
 _PACKAGES = ("numpy", "scipy", "drake", "open3d", "torch", "av", "mani_skill", "sapien")

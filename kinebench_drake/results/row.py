@@ -8,9 +8,8 @@ from types import UnionType
 from typing import Any, cast
 
 from kinebench_drake.errors import InputError
-from kinebench_drake.io.jsonl import finite, intern_text
+from kinebench_drake.io.jsonl import Json, finite, intern_text
 from kinebench_drake.results.rowfile import PackedObject, RowLine, StoredObject
-from kinebench_drake.types import Json
 
 
 class Status(Enum):

@@ -6,8 +6,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any, cast
 
-from kinebench_drake.io.jsonl import dump, intern_text, parse_json
-from kinebench_drake.types import Json
+from kinebench_drake.io.jsonl import Json, dump, intern_text, parse_json
 
 _SHORT = 200
 """Characters of JSON up to which an object is kept; as many samples have the same camera or framing, it is shared."""

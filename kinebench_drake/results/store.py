@@ -8,10 +8,9 @@ from pathlib import Path
 
 from kinebench_drake.errors import InputError, UsageError
 from kinebench_drake.io.atomic import disk_errors, remove
-from kinebench_drake.io.jsonl import append_line, dump, parse_lines, write_json, write_raw_lines
+from kinebench_drake.io.jsonl import Json, append_line, dump, parse_lines, write_json, write_raw_lines
 from kinebench_drake.results.row import SampleRow
 from kinebench_drake.results.rowfile import RowFile, RowLine
-from kinebench_drake.types import Json
 
 SAMPLES, TIMINGS, RESULTS, REPORT = "samples.jsonl", "timings.jsonl", "results.json", "report.html"
 RUN = "run.json"

@@ -12,7 +12,7 @@ from kinebench_drake.errors import InputError
 from kinebench_drake.geometry import Array
 from kinebench_drake.io.atomic import write_atomically
 from kinebench_drake.io.npz import Archive, open_npz, pack_arrays
-from kinebench_drake.types import GripperTrack, IkStatus, JointTrack
+from kinebench_drake.track import GripperTrack, IkStatus, JointTrack
 
 _TRACK = {"t_s": "t_s", "camera_from_hand": "X_CH", "base_from_tcp": "X_BG"}
 _TRACK |= {name: name for name in ("tracked", "confidence", "finger_width_m")}

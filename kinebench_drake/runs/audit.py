@@ -9,6 +9,7 @@ import numpy as np
 
 from kinebench_drake.formats.trajectories.source import find_trajectories, read_trajectory
 from kinebench_drake.formats.trajectories.trajectory import Trajectory, TrajectoryOptions, TrajectorySample
+from kinebench_drake.io.jsonl import Json
 from kinebench_drake.results.inputs import PeriodSource
 from kinebench_drake.results.row import SampleRow
 from kinebench_drake.results.store import artifact_path
@@ -17,7 +18,7 @@ from kinebench_drake.runs.config import RunConfig, RunKind
 from kinebench_drake.runs.evaluator import KINEMATIC_METRICS, Evaluation, Evaluator
 from kinebench_drake.runs.runner import NullRunObserver, RunObserver, RunSummary, run_samples
 from kinebench_drake.runs.tools import RobotOptions, Tools, load_tools
-from kinebench_drake.types import GripperTrack, Json
+from kinebench_drake.track import GripperTrack
 
 if TYPE_CHECKING:  # loads Drake
     from kinebench_drake.metrics.result import KinematicResult

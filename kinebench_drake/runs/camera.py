@@ -9,8 +9,9 @@ from kinebench_drake.errors import count_noun
 from kinebench_drake.formats.videos.sample import VideoSample
 from kinebench_drake.geometry import Array
 from kinebench_drake.io.camerafile import load_camera
+from kinebench_drake.io.jsonl import Json
 from kinebench_drake.results.row import SampleRow, Status
-from kinebench_drake.types import GripperTrack, Json
+from kinebench_drake.track import GripperTrack
 
 AUTO, BENCHMARK = "auto", "benchmark"
 """Values of `--camera` besides the path of a camera.json."""

@@ -11,9 +11,10 @@ from typing import Any
 import numpy as np
 
 from kinebench_drake.geometry import Array
+from kinebench_drake.io.jsonl import Json
 from kinebench_drake.metrics.loss import COST_MAX
 from kinebench_drake.metrics.result import KinematicResult, Value
-from kinebench_drake.types import GripperTrack, JointTrack, Json
+from kinebench_drake.track import GripperTrack, JointTrack
 
 _GREATEST = frozenset(
     {

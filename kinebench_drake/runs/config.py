@@ -8,9 +8,9 @@ from typing import TypeVar
 
 from kinebench_drake.errors import UsageError
 from kinebench_drake.executors.base import ExecutorKind
+from kinebench_drake.io.jsonl import Json
 from kinebench_drake.results.metadata import Shard
 from kinebench_drake.runs.tools import RobotOptions, Tools, ToolsFactory
-from kinebench_drake.types import Json
 
 MAX_SEED = 2**63 - 1
 """Largest seed: JSON readers take a larger integer for a float."""

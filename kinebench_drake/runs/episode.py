@@ -24,7 +24,7 @@ from kinebench_drake.closed_loop.loop import ClosedLoop, Condition, EpisodeRun, 
 from kinebench_drake.grounding.overlay import draw_caption
 from kinebench_drake.io.atomic import disk_errors, make_folder, write_atomically
 from kinebench_drake.io.container import write_video
-from kinebench_drake.io.jsonl import as_object, write_json
+from kinebench_drake.io.jsonl import Json, as_object, write_json
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.results.inputs import PeriodSource
 from kinebench_drake.results.provenance import weights_hash
@@ -48,7 +48,7 @@ from kinebench_drake.suites.suite import EpisodeSpec
 from kinebench_drake.suites.worldmodels.factory import LazyWorldModel
 from kinebench_drake.suites.worldmodels.remote import png
 from kinebench_drake.suites.worldmodels.worldmodel import OfflineModel
-from kinebench_drake.types import Domain, GripperTrack, Json
+from kinebench_drake.track import Domain, GripperTrack
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

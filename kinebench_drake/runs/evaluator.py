@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from kinebench_drake.errors import KinebenchError, SetupError, UnmeasurableError, one_line
 from kinebench_drake.executors.base import SupportsClose
 from kinebench_drake.io.files import open_file
-from kinebench_drake.io.jsonl import as_object, dump, finite
+from kinebench_drake.io.jsonl import Json, as_object, dump, finite
 from kinebench_drake.metrics.trust import TRUST, assess_trust
 from kinebench_drake.models.urdf import robot_files
 from kinebench_drake.results.inputs import describe_period
@@ -24,7 +24,6 @@ from kinebench_drake.results.provenance import code_hash
 from kinebench_drake.results.row import SampleRow, Status
 from kinebench_drake.results.store import artifact_path
 from kinebench_drake.runs.config import RunConfig
-from kinebench_drake.types import Json
 
 if TYPE_CHECKING:  # loads Drake
     from kinebench_drake.metrics.result import KinematicResult

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from kinebench_drake.errors import InputError, UsageError, count_noun
 from kinebench_drake.io.atomic import atomic_path, write_atomically
-from kinebench_drake.io.jsonl import as_object, dump
+from kinebench_drake.io.jsonl import Json, as_object, dump
 from kinebench_drake.report.sample import worst_samples
 from kinebench_drake.results.aggregate import RunStatistics
 from kinebench_drake.results.metadata import RunMetadata, read_metadata
@@ -19,7 +19,6 @@ from kinebench_drake.runs.config import RunKind
 from kinebench_drake.runs.evaluator import PENDING, SCHEMA_VERSION
 from kinebench_drake.runs.requests import request_path, write_requests
 from kinebench_drake.runs.runner import NullRunObserver, RunObserver, RunSummary, close_run, summarize
-from kinebench_drake.types import Json
 
 _BLOCK = 2**20
 _SHARD_SETTINGS = ("limit", "shard", "jobs", "engine")

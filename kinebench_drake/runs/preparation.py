@@ -13,12 +13,14 @@ from kinebench_drake.formats.videos.sample import VideoSample
 from kinebench_drake.geometry import Array
 from kinebench_drake.grounding.clip import Clip
 from kinebench_drake.grounding.overrides.overrides import Overrides
+from kinebench_drake.grounding.priors import Priors
 from kinebench_drake.io.images import read_image
 from kinebench_drake.io.video import WHOLE, Video
+from kinebench_drake.models.panda.robot import GripperKind
 from kinebench_drake.results.inputs import PeriodSource
 from kinebench_drake.suites.clock import ClipTiming, sample_uniformly
 from kinebench_drake.suites.start import START_WIDTH_M, start_q
-from kinebench_drake.types import GripperKind, InitialState, Priors
+from kinebench_drake.track import InitialState
 
 if TYPE_CHECKING:  # loads torch and Open3D
     from kinebench_drake.grounding.video import Grounder, GroundingResult

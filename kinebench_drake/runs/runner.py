@@ -15,7 +15,7 @@ from kinebench_drake.executors.base import Executor, SupportsDrain, WorkerCrash,
 from kinebench_drake.executors.interrupt import graceful_interrupt
 from kinebench_drake.executors.progress import Observer
 from kinebench_drake.io.atomic import disk_errors
-from kinebench_drake.io.jsonl import as_object
+from kinebench_drake.io.jsonl import Json, as_object
 from kinebench_drake.report.sample import worst_samples
 from kinebench_drake.results.aggregate import Estimate, RunStatistics, estimate, normalize_run
 from kinebench_drake.results.inputs import list_inputs
@@ -26,7 +26,6 @@ from kinebench_drake.results.store import REPORT, RESULTS, RUN, ResultStore, art
 from kinebench_drake.runs.config import RunConfig, RunKind
 from kinebench_drake.runs.evaluator import PENDING, SCHEMA_VERSION, Evaluator, ResourcesT, SampleT, SampleWorker
 from kinebench_drake.runs.resume import resume
-from kinebench_drake.types import Json
 
 
 class RunObserver(Observer, Protocol):

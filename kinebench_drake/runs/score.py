@@ -12,10 +12,13 @@ from kinebench_drake.errors import InputError, count_noun
 from kinebench_drake.formats.videos.find import find_samples
 from kinebench_drake.formats.videos.sample import VideoSample, VideoSamples
 from kinebench_drake.grounding.overrides.overrides import Overrides
+from kinebench_drake.grounding.priors import InitialStateUse
 from kinebench_drake.io.atomic import disk_errors, write_atomically
 from kinebench_drake.io.container import write_video
 from kinebench_drake.io.images import frame_files
+from kinebench_drake.io.jsonl import Json
 from kinebench_drake.io.reader import read_video
+from kinebench_drake.models.panda.robot import GripperKind
 from kinebench_drake.results.inputs import PeriodSource
 from kinebench_drake.results.provenance import weights_hash
 from kinebench_drake.results.row import SampleRow
@@ -40,7 +43,7 @@ from kinebench_drake.runs.runner import NullRunObserver, RunObserver, RunSummary
 from kinebench_drake.runs.score_config import ScoreConfig, period_warnings
 from kinebench_drake.runs.thumbnail import encode_strip, worst_frame
 from kinebench_drake.runs.tools import Tools, load_tools
-from kinebench_drake.types import Domain, GripperKind, GripperTrack, InitialStateUse, Json
+from kinebench_drake.track import Domain, GripperTrack
 
 VISUAL_METRICS = ("tracked_fraction", "confidence_mean", "camera_motion_px", "arm_consistency_px", "anomalies")
 """Metrics of every row of a video; null where not measurable."""

@@ -8,10 +8,11 @@ from kinebench_drake.errors import UsageError, member_of
 from kinebench_drake.formats.manifest import MAX_PERIOD_S, MIN_PERIOD_S
 from kinebench_drake.formats.trajectories.trajectory import SLOW_STEP_S
 from kinebench_drake.grounding.overrides.overrides import Overrides
+from kinebench_drake.io.jsonl import Json
+from kinebench_drake.models.panda.robot import GripperKind
 from kinebench_drake.runs.camera import AUTO, BENCHMARK
 from kinebench_drake.runs.config import RunConfig, RunKind
 from kinebench_drake.suites.clock import CLIP_S, ClipTiming
-from kinebench_drake.types import GripperKind, Json
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

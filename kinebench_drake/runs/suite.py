@@ -9,6 +9,7 @@ from typing import Any
 from kinebench_drake.closed_loop.loop import Condition, LoopOptions
 from kinebench_drake.errors import UsageError, count_noun, member_of
 from kinebench_drake.executors.base import ExecutorKind
+from kinebench_drake.io.jsonl import Json
 from kinebench_drake.results.row import SampleRow
 from kinebench_drake.runs.config import RunConfig, RunKind
 from kinebench_drake.runs.episode import EpisodeEvaluator, EpisodeSample
@@ -23,7 +24,6 @@ from kinebench_drake.suites.suite import VERSION, Suite, load_suite
 from kinebench_drake.suites.worldmodels.factory import LazyWorldModel
 from kinebench_drake.suites.worldmodels.spec import parse
 from kinebench_drake.suites.worldmodels.worldmodel import OfflineModel
-from kinebench_drake.types import Json
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

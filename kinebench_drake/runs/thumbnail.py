@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from kinebench_drake.types import GripperTrack
+from kinebench_drake.track import GripperTrack
 
 if TYPE_CHECKING:  # loads Drake
     from kinebench_drake.metrics.result import KinematicResult

@@ -15,7 +15,7 @@ from kinebench_drake.geometry import Array
 from kinebench_drake.io.files import absence
 from kinebench_drake.models.arm import choose_robot
 from kinebench_drake.models.robot import Robot
-from kinebench_drake.types import GripperTrack
+from kinebench_drake.track import GripperTrack
 
 if TYPE_CHECKING:  # Drake, torch and Open3D take seconds to load
     from kinebench_drake.grounding.video import Grounder

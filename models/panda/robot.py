@@ -5,7 +5,7 @@ Drake's collision engine does not support: they are converted (`models.urdf`).
 """
 
 import importlib.util
-from enum import IntEnum
+from enum import Enum, IntEnum
 from functools import cache
 from pathlib import Path
 
@@ -104,6 +104,19 @@ def panda() -> Robot:
         jerk_limits=np.array(JERK_LIMITS),
         allowed_pairs=read_allowed_pairs(source_urdf().with_suffix(".srdf")),
     )
+
+
+class GripperKind(Enum):
+    """Gripper of a Panda."""
+
+    FRANKA = "franka"
+    """The Franka hand."""
+    ROBOTIQ_2F85 = "robotiq-2f85"
+    """The Robotiq 2F-85: links and contours of the gripper give the flange, the opening is unknown."""
+    NONE = "none"
+    """None, or an unknown one."""
+    AUTO = "auto"
+    """The Franka hand; where the arm is seen without it, none, else the Robotiq 2F-85."""
 
 
 class RobotPart(IntEnum):

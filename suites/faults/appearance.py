@@ -2,13 +2,13 @@
 
 import numpy as np
 
+from kinebench_drake.anomaly import AnomalyKind
 from kinebench_drake.errors import InputError
 from kinebench_drake.geometry import Array, invert, make_pose, rotation_exp, transform_points
 from kinebench_drake.suites.faults.fault import FaultForm, PlantedFault
 from kinebench_drake.suites.faults.fault_simulator import RenderFault, Warp
 from kinebench_drake.suites.faults.recording import LEAST_VISIBLE, Recording
 from kinebench_drake.suites.rollout import RolloutVideo
-from kinebench_drake.types import AnomalyKind
 
 DUPLICATE_FRAMES = 10
 """Frames with a second gripper."""

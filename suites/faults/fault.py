@@ -5,8 +5,9 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Any
 
+from kinebench_drake.anomaly import AnomalyKind
 from kinebench_drake.errors import UsageError
-from kinebench_drake.types import AnomalyKind, Json
+from kinebench_drake.io.jsonl import Json
 
 
 class FaultForm(Enum):

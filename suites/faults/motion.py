@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
+from kinebench_drake.anomaly import AnomalyKind
 from kinebench_drake.camera import Camera
 from kinebench_drake.errors import InputError
 from kinebench_drake.geometry import Array, make_pose, rotation_exp
@@ -16,7 +17,7 @@ from kinebench_drake.suites.faults.fault import FaultForm, PlantedFault
 from kinebench_drake.suites.faults.recording import LEAST_VISIBLE, Recording
 from kinebench_drake.suites.rollout import RolloutVideo, render_video
 from kinebench_drake.suites.simulator import GRIPPER_LINKS
-from kinebench_drake.types import AnomalyKind, IkStatus
+from kinebench_drake.track import IkStatus
 
 FREEZE_SPEED_M_S = 0.05
 """Least mean speed of the gripper through frozen frames."""

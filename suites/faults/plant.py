@@ -1,5 +1,6 @@
 """Planting of a fault of any kind."""
 
+from kinebench_drake.anomaly import AnomalyKind
 from kinebench_drake.errors import InputError
 from kinebench_drake.suites.faults.appearance import plant_deformation, plant_duplicate, plant_scale
 from kinebench_drake.suites.faults.fault import FaultForm, FaultGrade, PlantedFault
@@ -13,7 +14,6 @@ from kinebench_drake.suites.faults.motion import (
 from kinebench_drake.suites.faults.recording import Recording
 from kinebench_drake.suites.rollout import RolloutVideo
 from kinebench_drake.suites.seeding import generator
-from kinebench_drake.types import AnomalyKind
 
 
 def plant(recording: Recording, grade: FaultGrade) -> tuple[RolloutVideo, PlantedFault]:

@@ -5,11 +5,11 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
+from kinebench_drake.anomaly import AnomalyKind
 from kinebench_drake.errors import InputError
 from kinebench_drake.suites.faults.fault import FaultForm, PlantedFault
 from kinebench_drake.suites.faults.fault_simulator import FaultSimulator
 from kinebench_drake.suites.rollout import Rollout, RolloutVideo, join_videos, render_video
-from kinebench_drake.types import AnomalyKind
 
 LEAST_VISIBLE = 0.01
 """Share of the image that the gripper must cover for a fault to be visible."""

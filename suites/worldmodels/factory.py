@@ -6,6 +6,7 @@ from typing import Any, Literal, cast
 
 from pydantic import Field
 
+from kinebench_drake.anomaly import AnomalyKind
 from kinebench_drake.errors import UsageError, count_noun, suggestion
 from kinebench_drake.plugin import is_class_name, load_class
 from kinebench_drake.suites.worldmodels.cloud import DashScopeModel, MiniMaxModel
@@ -15,7 +16,6 @@ from kinebench_drake.suites.worldmodels.folder import FolderModel
 from kinebench_drake.suites.worldmodels.http import HttpModel
 from kinebench_drake.suites.worldmodels.spec import OPTION, SERVERS, Options, Spec, parse
 from kinebench_drake.suites.worldmodels.worldmodel import WorldModel
-from kinebench_drake.types import AnomalyKind
 
 _FAULTY = "oracle+"
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from kinebench_drake.errors import InputError
 from kinebench_drake.geometry import Array
-from kinebench_drake.types import Json
+from kinebench_drake.io.jsonl import Json
 
 if TYPE_CHECKING:  # naming a world model should not load the assets
     from kinebench_drake.suites.episode import Episode

@@ -10,9 +10,10 @@ from benchmarks import extractors
 from benchmarks.__main__ import main
 from benchmarks.extractors import Extraction, ExtractionItem, Extractor, changed, difference, section
 from benchmarks.validity import ExecutionWorker, TrackExecution
+from kinebench_drake.anomaly import AnomalyKind
 from kinebench_drake.geometry import Array
 from kinebench_drake.suites.suite import EpisodeSpec, load_suite
-from kinebench_drake.types import AnomalyKind, GripperTrack
+from kinebench_drake.track import GripperTrack
 
 
 def extraction(

@@ -8,10 +8,10 @@ import pytest
 
 from benchmarks.registration import RegistrationErrors, _BlendedEstimator, section
 from kinebench_drake.camera import Camera, benchmark_camera
+from kinebench_drake.grounding.priors import ExternalDepth
 from kinebench_drake.grounding.tracking.crop import Crop
 from kinebench_drake.grounding.tracking.view import Frames, GripperView
 from kinebench_drake.models.panda.cad import GripperCad
-from kinebench_drake.types import ExternalDepth
 from tests.grounding.conftest import hand_pose, perfect_view
 
 

@@ -15,10 +15,11 @@ from benchmarks.planted_videos import PlantingResult
 from benchmarks.validity import ExecutionWorker, TrackExecution, ValidityTrial, study_grades, study_specs
 from benchmarks.validity_report import FIGURES, write_report
 from benchmarks.validity_response import NUMBERS, Grade, Study, Verdict, correlate
+from kinebench_drake.anomaly import AnomalyKind
 from kinebench_drake.suites.families.registry import TASKS
 from kinebench_drake.suites.faults.fault import GRADES, FaultGrade, PlantedFault
 from kinebench_drake.suites.split import Pool
-from kinebench_drake.types import AnomalyKind, GripperTrack
+from kinebench_drake.track import GripperTrack
 
 EPISODES = 24
 

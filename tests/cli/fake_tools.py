@@ -13,26 +13,17 @@ from pathlib import Path
 
 import numpy as np
 
+from kinebench_drake.anomaly import Anomaly, AnomalyKind
 from kinebench_drake.camera import Camera, CameraSource, benchmark_camera
 from kinebench_drake.errors import InputError, UnmeasurableError
 from kinebench_drake.geometry import make_pose
 from kinebench_drake.grounding.framing.framing import Framing
 from kinebench_drake.grounding.framing.search import find_framing
+from kinebench_drake.grounding.priors import NO_PRIORS, InitialStateUse, Priors
+from kinebench_drake.kinematics.violation import Violation, ViolationKind
 from kinebench_drake.metrics.result import KinematicResult
-from kinebench_drake.types import (
-    NO_PRIORS,
-    Anomaly,
-    AnomalyKind,
-    Domain,
-    GripperKind,
-    GripperTrack,
-    IkStatus,
-    InitialStateUse,
-    JointTrack,
-    Priors,
-    Violation,
-    ViolationKind,
-)
+from kinebench_drake.models.panda.robot import GripperKind
+from kinebench_drake.track import Domain, GripperTrack, IkStatus, JointTrack
 
 LOG = "FAKE_TOOLS_LOG"
 """Environment variable: file to which every call of `ground` adds a line."""

@@ -25,7 +25,7 @@ from kinebench_drake.results.store import read_rows
 from kinebench_drake.results.trackfile import read_track
 from kinebench_drake.runs import score, suite
 from kinebench_drake.runs.score_config import ScoreConfig
-from kinebench_drake.types import InitialState
+from kinebench_drake.track import InitialState
 
 NOISE = np.random.default_rng(0).integers(0, 255, (4, 96, 200, 3), np.uint8)
 EXAMPLES = Path(__file__).parents[2] / "examples" / "videos"

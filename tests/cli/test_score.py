@@ -24,6 +24,7 @@ from kinebench_drake.executors.base import ExecutorKind
 from kinebench_drake.io.atomic import disk_errors
 from kinebench_drake.io.camerafile import save_camera
 from kinebench_drake.io.reader import read_video
+from kinebench_drake.models.panda.robot import GripperKind
 from kinebench_drake.results import store
 from kinebench_drake.results.inputs import input_lines, list_inputs
 from kinebench_drake.results.metadata import Shard
@@ -34,7 +35,7 @@ from kinebench_drake.runs.config import RunKind
 from kinebench_drake.runs.evaluator import KINEMATIC_METRICS
 from kinebench_drake.runs.runner import NullRunObserver
 from kinebench_drake.runs.score import VISUAL_METRICS, score_videos
-from kinebench_drake.types import Domain, GripperKind
+from kinebench_drake.track import Domain
 
 
 @pytest.fixture

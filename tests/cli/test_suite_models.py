@@ -29,7 +29,7 @@ from kinebench_drake.suites.prompts import PromptTemplate
 from kinebench_drake.suites.simulator import Snapshot, TaskOutcome
 from kinebench_drake.suites.suite import load_suite
 from kinebench_drake.suites.worldmodels.worldmodel import ActionTrack
-from kinebench_drake.types import GripperTrack
+from kinebench_drake.track import GripperTrack
 from tests.cli.fake_tools import FakeTools
 
 did: Counter[str] = Counter()

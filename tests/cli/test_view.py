@@ -11,7 +11,7 @@ from kinebench_drake.models.panda.robot import panda_urdf
 from kinebench_drake.results.row import SampleRow, Status
 from kinebench_drake.results.store import ResultStore
 from kinebench_drake.results.trackfile import write_track
-from kinebench_drake.types import GripperTrack
+from kinebench_drake.track import GripperTrack
 
 view_module = importlib.import_module("kinebench_drake.cli.folders")
 

@@ -17,7 +17,7 @@ from kinebench_drake.suites.episode import compose
 from kinebench_drake.suites.simulator import Simulator
 from kinebench_drake.suites.worldmodels.reference import OracleModel
 from kinebench_drake.suites.worldmodels.worldmodel import ActionTrack, Request
-from kinebench_drake.types import GripperTrack
+from kinebench_drake.track import GripperTrack
 
 PERIOD_S = 0.2
 T_S = PERIOD_S * np.arange(49)

@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from kinebench_drake.anomaly import Anomaly, AnomalyKind
 from kinebench_drake.closed_loop.attribution import ClipEvidence, attribute
 from kinebench_drake.geometry import make_pose, rotation_exp
-from kinebench_drake.metrics.executable import LOST_FRAMES, LOST_SHARE
-from kinebench_drake.types import Anomaly, AnomalyKind, FailureVerdict
+from kinebench_drake.metrics.executable import LOST_FRAMES, LOST_SHARE, FailureVerdict
 
 FRAMES = 30
 

@@ -30,9 +30,8 @@ from kinebench_drake.grounding.tracking.crop import CLOSE_SIZE, Crop
 from kinebench_drake.grounding.tracking.flange_tracker import FlangeTracker
 from kinebench_drake.grounding.tracking.view import GripperView
 from kinebench_drake.models.panda.cad import GripperCad, PartCaster, link_meshes, open_fingers, part_meshes
-from kinebench_drake.models.panda.robot import ARM, OPENING_SIGN, RobotPart
+from kinebench_drake.models.panda.robot import ARM, OPENING_SIGN, GripperKind, RobotPart
 from kinebench_drake.models.robotiq.cad import robotiq_mesh
-from kinebench_drake.types import GripperKind
 
 CAMERA = benchmark_camera()
 FINGER_M = 0.025

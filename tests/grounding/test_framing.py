@@ -17,7 +17,7 @@ from kinebench_drake.grounding.framing.framing import (
     undo_framing,
 )
 from kinebench_drake.grounding.framing.search import find_framing
-from kinebench_drake.types import ExternalDepth, Priors
+from kinebench_drake.grounding.priors import ExternalDepth, Priors
 
 SIZES = [(832, 480), (720, 480), (512, 512), (480, 832)]
 CAMERA = benchmark_camera()

@@ -17,6 +17,7 @@ from kinebench_drake.camera import Camera, benchmark_camera
 from kinebench_drake.geometry import Array, make_pose
 from kinebench_drake.grounding.overlay import draw_overlay, draw_pose
 from kinebench_drake.grounding.pipeline import CHECKED_FRAMES, GroundingPipeline
+from kinebench_drake.grounding.priors import NO_PRIORS, InitialStateUse, Priors
 from kinebench_drake.grounding.tracking.confidence import (
     FRAME_FEATURES,
     Confidence,
@@ -30,7 +31,7 @@ from kinebench_drake.io.reader import read_video
 from kinebench_drake.models.panda.cad import GripperCad
 from kinebench_drake.models.panda.robot import hand_from_tcp
 from kinebench_drake.models.perception.network import load_network
-from kinebench_drake.types import NO_PRIORS, Domain, InitialStateUse, Priors
+from kinebench_drake.track import Domain
 
 EXAMPLES = Path(__file__).parents[2] / "examples" / "videos"
 pytestmark = pytest.mark.slow

@@ -13,7 +13,7 @@ from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.kinematics.postures import posture_solver
 from kinebench_drake.kinematics.track import branch_jumps, solve_track, verify_path
 from kinebench_drake.models.panda.robot import rest_q
-from kinebench_drake.types import GripperTrack, IkStatus
+from kinebench_drake.track import GripperTrack, IkStatus
 
 FAR_POSE = make_pose(np.eye(3), [2.0, 0.0, 0.0])
 

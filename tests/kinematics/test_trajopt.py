@@ -11,8 +11,8 @@ from kinebench_drake.kinematics.newton import solve_newton
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.kinematics.trajectory import TrajectoryCheck
 from kinebench_drake.kinematics.trajopt import LARGEST_M, RATIO, SMALLEST_M, TubeResult, optimize_in_tube
+from kinebench_drake.kinematics.violation import ViolationKind
 from kinebench_drake.models.panda.robot import rest_q
-from kinebench_drake.types import ViolationKind
 
 
 @pytest.fixture(scope="module")

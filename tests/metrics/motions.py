@@ -5,7 +5,7 @@ from numpy.typing import ArrayLike
 
 from kinebench_drake.geometry import Array, make_pose, rotation_exp
 from kinebench_drake.suites.expert.motion import minimum_jerk
-from kinebench_drake.types import GripperTrack
+from kinebench_drake.track import GripperTrack
 
 
 def reach_and_place(period_s: float, duration_s: float = 9.6) -> tuple[Array, Array]:

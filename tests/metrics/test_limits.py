@@ -6,6 +6,7 @@ from scipy.stats import norm
 
 from kinebench_drake.geometry import Array
 from kinebench_drake.kinematics.plant import ArmPlant
+from kinebench_drake.kinematics.violation import ViolationKind
 from kinebench_drake.metrics.limits import (
     FALSE_ALARM,
     LimitChecks,
@@ -15,7 +16,6 @@ from kinebench_drake.metrics.limits import (
     torque_slowdown,
 )
 from kinebench_drake.models.panda.robot import panda
-from kinebench_drake.types import ViolationKind
 
 EXACT = np.zeros(7)
 MOTIONS = [ViolationKind.VELOCITY, ViolationKind.ACCELERATION, ViolationKind.JERK]

@@ -21,7 +21,7 @@ from kinebench_drake.metrics.judge import TrackJudge
 from kinebench_drake.metrics.loss import COST_MAX, MISS_M
 from kinebench_drake.metrics.result import KinematicResult
 from kinebench_drake.metrics.smoothness import MAX_LOST_SHARE, ldlj, measure_smoothness, sparc
-from kinebench_drake.types import GripperTrack, IkStatus
+from kinebench_drake.track import GripperTrack, IkStatus
 
 N = 40
 SPEEDS = arrays(np.float64, N, elements=st.floats(0.0, 5.0, width=32))

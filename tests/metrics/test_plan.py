@@ -2,7 +2,7 @@ import numpy as np
 
 from kinebench_drake.geometry import Array, make_pose, pose_difference, rotation_exp
 from kinebench_drake.metrics.noise import TrackNoise, smooth_poses
-from kinebench_drake.types import GripperTrack
+from kinebench_drake.track import GripperTrack
 
 
 def _track(X_BG: Array) -> GripperTrack:

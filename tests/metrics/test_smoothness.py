@@ -8,7 +8,7 @@ from kinebench_drake.geometry import Array, make_pose, rotation_exp
 from kinebench_drake.metrics import smoothness
 from kinebench_drake.metrics.noise import TrackNoise, estimate_track_noise
 from kinebench_drake.metrics.smoothness import METRICS, measure_smoothness
-from kinebench_drake.types import GripperTrack
+from kinebench_drake.track import GripperTrack
 from tests.metrics.motions import gripper, reach_and_place, with_noise
 
 

@@ -18,7 +18,7 @@ from kinebench_drake.geometry import make_pose
 from kinebench_drake.io.container import write_video
 from kinebench_drake.io.npz import pack_arrays
 from kinebench_drake.results.trackfile import write_track
-from kinebench_drake.types import GripperTrack
+from kinebench_drake.track import GripperTrack
 from tests.reliability.damage import Tree, npy
 from tests.report.suite.synthetic import write_run
 

@@ -4,7 +4,7 @@ import pytest
 from kinebench_drake.geometry import make_pose
 from kinebench_drake.results.row import SampleRow, Status
 from kinebench_drake.results.trackfile import TrackFile
-from kinebench_drake.types import GripperTrack, IkStatus
+from kinebench_drake.track import GripperTrack, IkStatus
 
 N = 10
 JOINTS = [f"arm_joint{k}" for k in range(1, 8)]

@@ -10,7 +10,7 @@ from kinebench_drake.report import page
 from kinebench_drake.report.page import write_report
 from kinebench_drake.results.store import ResultStore
 from kinebench_drake.results.trackfile import write_track
-from kinebench_drake.types import GripperTrack, IkStatus, JointTrack
+from kinebench_drake.track import GripperTrack, IkStatus, JointTrack
 from tests.report.pages import EVIL, Page, row
 
 

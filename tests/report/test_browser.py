@@ -9,7 +9,7 @@ from kinebench_drake.report.page import write_report
 from kinebench_drake.results.row import Status
 from kinebench_drake.results.store import ResultStore
 from kinebench_drake.results.trackfile import write_track
-from kinebench_drake.types import GripperTrack
+from kinebench_drake.track import GripperTrack
 from tests.report.pages import BROWSER, EVIL, probe, row
 
 # 1 x 1 pixel, white.

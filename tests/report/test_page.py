@@ -13,7 +13,7 @@ from kinebench_drake.report.plot import Curve, FrameSpan, draw_plot
 from kinebench_drake.results.row import Status
 from kinebench_drake.results.store import ResultStore
 from kinebench_drake.results.trackfile import write_track
-from kinebench_drake.types import GripperTrack
+from kinebench_drake.track import GripperTrack
 from tests.report.pages import EVIL, Page, row
 
 

@@ -19,7 +19,7 @@ from kinebench_drake.report.sample import worst_samples
 from kinebench_drake.results.row import SampleRow, Status
 from kinebench_drake.results.store import ResultStore, artifact_path, read_rows
 from kinebench_drake.results.trackfile import TrackFile, read_track, write_track
-from kinebench_drake.types import GripperTrack, IkStatus, JointTrack
+from kinebench_drake.track import GripperTrack, IkStatus, JointTrack
 
 N = 12
 

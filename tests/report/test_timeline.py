@@ -7,7 +7,7 @@ import pytest
 
 from kinebench_drake.report.limits import joint_limits, limit_ratios
 from kinebench_drake.report.timeline import FrameState, covered_frames, frame_states
-from kinebench_drake.types import IkStatus
+from kinebench_drake.track import IkStatus
 
 OK, DOUBT, BROKEN, UNTRACKED = FrameState.OK, FrameState.DOUBT, FrameState.BROKEN, FrameState.UNTRACKED
 

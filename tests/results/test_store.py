@@ -18,7 +18,7 @@ from kinebench_drake.results.aggregate import aggregate, estimate, split_rows
 from kinebench_drake.results.row import SampleRow, Status
 from kinebench_drake.results.store import ResultStore, read_rows
 from kinebench_drake.results.trackfile import read_track, write_track
-from kinebench_drake.types import GripperTrack
+from kinebench_drake.track import GripperTrack
 
 
 def row(id="a", status=Status.OK, **changes):

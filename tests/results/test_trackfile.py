@@ -6,7 +6,7 @@ import pytest
 from kinebench_drake.errors import InputError
 from kinebench_drake.geometry import make_pose
 from kinebench_drake.results.trackfile import read_track, write_track
-from kinebench_drake.types import GripperTrack, IkStatus, JointTrack
+from kinebench_drake.track import GripperTrack, IkStatus, JointTrack
 
 N = 5
 

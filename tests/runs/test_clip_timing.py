@@ -11,7 +11,7 @@ from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.metrics.result import KinematicResult
 from kinebench_drake.runs.tools import RobotOptions, Tools
 from kinebench_drake.suites.clock import CLIP_S, FRAME_PERIOD_S, sample_uniformly
-from kinebench_drake.types import GripperTrack
+from kinebench_drake.track import GripperTrack
 
 TRUTH = Path(__file__).parents[2] / "examples" / "videos" / "truth"
 NOISE_M, NOISE_RAD = 0.0015, 0.0075

@@ -9,7 +9,7 @@ from kinebench_drake.geometry import make_pose
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.runs.clips import combine, join_tracks
 from kinebench_drake.runs.tools import RobotOptions, Tools
-from kinebench_drake.types import GripperTrack
+from kinebench_drake.track import GripperTrack
 
 Q = np.array([0.0, 0.3, 0.0, -2.0, 0.0, 2.2, 0.8])
 N = 25

@@ -10,7 +10,7 @@ from kinebench_drake.formats.videos.sample import VideoSample
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.runs.preparation import with_initial_states
 from kinebench_drake.suites.start import start_q
-from kinebench_drake.types import InitialState
+from kinebench_drake.track import InitialState
 
 
 @pytest.fixture

@@ -17,7 +17,7 @@ from kinebench_drake.results.trackfile import write_track
 from kinebench_drake.runs.config import RunKind
 from kinebench_drake.runs.merge import _copy, merge_folders
 from kinebench_drake.runs.runner import NullRunObserver, close_run, summarize
-from kinebench_drake.types import GripperTrack
+from kinebench_drake.track import GripperTrack
 
 IDS = ["a", "b", "b_r0", "c", "d", "e", "f"]
 

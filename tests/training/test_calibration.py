@@ -13,7 +13,7 @@ from kinebench_drake.geometry import make_pose
 from kinebench_drake.grounding.tracking.confidence import FRAME_FEATURES
 from kinebench_drake.io.reader import read_video
 from kinebench_drake.models.panda.cad import GripperCad
-from kinebench_drake.types import Domain
+from kinebench_drake.track import Domain
 from training.calibration import (
     MeasuredPoses,
     VideoDegradation,

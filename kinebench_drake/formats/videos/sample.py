@@ -5,7 +5,7 @@ from pathlib import Path
 
 from kinebench_drake.camera import Camera, CameraSetting, CameraSource, benchmark_camera
 from kinebench_drake.io.video import WHOLE, VideoPart
-from kinebench_drake.types import InitialState
+from kinebench_drake.track import InitialState
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

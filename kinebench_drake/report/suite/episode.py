@@ -7,13 +7,12 @@ from typing import TypeVar
 
 import numpy as np
 
-from kinebench_drake.io.jsonl import dump, finite
+from kinebench_drake.io.jsonl import Json, dump, finite
 from kinebench_drake.report.table import Column, Table, Value
 from kinebench_drake.results.aggregate import Estimate
 from kinebench_drake.results.direction import worst_value
 from kinebench_drake.results.row import SampleRow, Status
 from kinebench_drake.stats import group_means, percentile_interval, resampled_means
-from kinebench_drake.types import Json
 
 COST = "manipulability_cost_mean"
 """Metric that is scaled over all episodes of a report."""

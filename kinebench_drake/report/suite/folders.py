@@ -8,12 +8,11 @@ from itertools import combinations
 from pathlib import Path
 
 from kinebench_drake.errors import UsageError
-from kinebench_drake.io.jsonl import dump
+from kinebench_drake.io.jsonl import Json, dump
 from kinebench_drake.report.run import Run, read_runs
 from kinebench_drake.report.suite.episode import EpisodeResult, SuitePart, group_by
 from kinebench_drake.results.row import SampleRow
 from kinebench_drake.results.store import RESULTS
-from kinebench_drake.types import Json
 
 _KIND = "suite"
 _NAME = re.compile(r"[A-Za-z0-9_-]{1,40}")

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from kinebench_drake.io.figure import new_figure, plain, shorten
+from kinebench_drake.metrics.executable import FailureVerdict
 from kinebench_drake.report.figures import (
     COLOURS,
     NEUTRAL,
@@ -34,7 +35,6 @@ from kinebench_drake.report.suite.episode import (
 from kinebench_drake.report.table import Column, Table, Value, plain_columns
 from kinebench_drake.results.aggregate import Estimate, estimate, estimate_passes
 from kinebench_drake.results.row import Status
-from kinebench_drake.types import FailureVerdict
 
 FAILURE_CAUSES = tuple(cause.value for cause in FailureVerdict)
 """Causes of failure, in causal order (see docs/formats.md)."""

@@ -17,11 +17,11 @@ from benchmarks.perception.anomaly_table import (
     table_lines,
 )
 from benchmarks.perception.clip import PlantedCase
+from kinebench_drake.anomaly import Anomaly, AnomalyKind
 from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.errors import UsageError
 from kinebench_drake.io.camerafile import save_camera
 from kinebench_drake.suites.faults.fault import GRADES
-from kinebench_drake.types import Anomaly, AnomalyKind
 
 
 def clip(i, planted=None, score=0.1, found=()):

@@ -15,7 +15,7 @@ from benchmarks.perception.summary import (
     reliability_curve,
     summarize,
 )
-from kinebench_drake.types import Anomaly, AnomalyKind
+from kinebench_drake.anomaly import Anomaly, AnomalyKind
 
 VANISH = Anomaly(kind=AnomalyKind.VANISH, frame_start=4, frame_end=7, severity=4.0)
 

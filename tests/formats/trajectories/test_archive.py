@@ -9,7 +9,7 @@ from kinebench_drake.errors import InputError, UnmeasurableError
 from kinebench_drake.formats.trajectories.source import find_trajectories, read_trajectory
 from kinebench_drake.formats.trajectories.trajectory import TrajectoryOptions
 from kinebench_drake.results.trackfile import write_track
-from kinebench_drake.types import GripperTrack
+from kinebench_drake.track import GripperTrack
 
 
 def read(path, **choice):

@@ -3,11 +3,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from kinebench_drake.anomaly import AnomalyKind
 from kinebench_drake.errors import InputError
 from kinebench_drake.grounding.anomaly.camera_motion import CameraMotion
 from kinebench_drake.grounding.anomaly.detect import AnomalyEvidence, find_anomalies
 from kinebench_drake.grounding.anomaly.detection import AnomalyDetections
-from kinebench_drake.types import AnomalyKind, Domain
+from kinebench_drake.track import Domain
 
 
 @pytest.fixture

@@ -1,7 +1,7 @@
 import numpy as np
 
+from kinebench_drake.anomaly import AnomalyKind
 from kinebench_drake.grounding.anomaly.detection import Detection, finite_median, sustained
-from kinebench_drake.types import AnomalyKind
 
 
 def test_an_anomaly_is_a_run_of_scores_of_one_or_more_and_as_severe_as_its_worst_frame():

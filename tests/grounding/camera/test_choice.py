@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from kinebench_drake.anomaly import AnomalyKind
 from kinebench_drake.camera import CONFIRMED, CameraSetting, CameraSource, CameraState, benchmark_camera
 from kinebench_drake.errors import UnmeasurableError
 from kinebench_drake.geometry import make_pose
@@ -23,8 +24,10 @@ from kinebench_drake.grounding.camera.estimate import usual_camera
 from kinebench_drake.grounding.camera.reading import BetterReading, Reading
 from kinebench_drake.grounding.clip import Clip
 from kinebench_drake.grounding.pipeline import PipelineResult
+from kinebench_drake.grounding.priors import InitialStateUse
 from kinebench_drake.grounding.video import Grounder
-from kinebench_drake.types import AnomalyKind, Domain, GripperKind, GripperTrack, InitialStateUse
+from kinebench_drake.models.panda.robot import GripperKind
+from kinebench_drake.track import Domain, GripperTrack
 
 WIDE = np.zeros((12, 96, 160, 3), np.uint8)
 SQUARE = np.zeros((12, 96, 96, 3), np.uint8)

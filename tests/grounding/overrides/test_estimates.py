@@ -7,11 +7,11 @@ import pytest
 
 from kinebench_drake.camera import Camera, benchmark_camera
 from kinebench_drake.grounding.overrides.estimates import calibrate_depth
+from kinebench_drake.grounding.priors import ExternalDepth, Priors
 from kinebench_drake.grounding.tracking.crop import Crop
 from kinebench_drake.grounding.tracking.tracker import CadTracker
 from kinebench_drake.grounding.tracking.view import Frames, GripperView
 from kinebench_drake.models.panda.cad import GripperCad
-from kinebench_drake.types import ExternalDepth, Priors
 from tests.grounding.conftest import hand_pose, perfect_view
 
 

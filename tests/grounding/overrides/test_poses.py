@@ -12,7 +12,7 @@ from kinebench_drake.errors import InputError
 from kinebench_drake.geometry import Array, make_pose, rotation_exp
 from kinebench_drake.grounding.overrides.poses import MESH_NAME, pose_files, read_poses
 from kinebench_drake.results.trackfile import write_track
-from kinebench_drake.types import GripperTrack
+from kinebench_drake.track import GripperTrack
 
 T = 12
 X_CH = make_pose(rotation_exp(np.random.default_rng(0).normal(size=(T, 3))), [[0.01 * k, 0.1, 0.7] for k in range(T)])

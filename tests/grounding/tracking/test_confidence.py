@@ -18,7 +18,7 @@ from kinebench_drake.grounding.tracking.confidence import (
     save_confidence,
     track_features,
 )
-from kinebench_drake.types import Domain
+from kinebench_drake.track import Domain
 from training.calibration import calibration_bins, fit_logistic
 
 LAW = [-1.0, -0.5, 0.8, 0.0, 0.3, -0.2, 0.5, -0.7]

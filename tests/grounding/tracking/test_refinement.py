@@ -14,7 +14,7 @@ from kinebench_drake.grounding.tracking.crop import Crop
 from kinebench_drake.grounding.tracking.pose import FramePose
 from kinebench_drake.grounding.tracking.refinement import EdgeRefinement
 from kinebench_drake.models.panda.cad import GripperCad
-from kinebench_drake.types import Domain
+from kinebench_drake.track import Domain
 from tests.grounding.conftest import fitted_pose, hand_pose, perfect_view
 
 CAMERA = benchmark_camera().resized(64, 64)

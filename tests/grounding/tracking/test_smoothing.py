@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from kinebench_drake.anomaly import Anomaly, AnomalyKind
 from kinebench_drake.geometry import Array, make_pose, pose_difference, rotation_exp
 from kinebench_drake.grounding.tracking.pose import FramePose
 from kinebench_drake.grounding.tracking.smoothing import RawTrack, smooth_track
 from kinebench_drake.models.panda.cad import GripperCad
 from kinebench_drake.segments import frame_periods
-from kinebench_drake.types import Anomaly, AnomalyKind
 from tests.grounding.conftest import fitted_pose, hand_pose, perfect_view
 
 FRAMES = 40

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from kinebench_drake.anomaly import AnomalyKind
 from kinebench_drake.errors import InputError
 from kinebench_drake.geometry import pose_difference, transform_points
 from kinebench_drake.kinematics.plant import ArmPlant
@@ -15,7 +16,6 @@ from kinebench_drake.suites.faults.motion import FREEZE_SPEED_M_S, plant_freeze,
 from kinebench_drake.suites.faults.plant import plant
 from kinebench_drake.suites.faults.recording import Recording
 from kinebench_drake.suites.rollout import RolloutVideo
-from kinebench_drake.types import AnomalyKind
 
 pytestmark = pytest.mark.sapien
 

@@ -5,6 +5,7 @@ from types import ModuleType
 import numpy as np
 import pytest
 
+from kinebench_drake.anomaly import AnomalyKind
 from kinebench_drake.errors import UsageError
 from kinebench_drake.io.files import VIDEO_SUFFIXES
 from kinebench_drake.suites.faults.view import ViewKind
@@ -12,7 +13,6 @@ from kinebench_drake.suites.worldmodels.factory import FORMS, create
 from kinebench_drake.suites.worldmodels.spec import Spec, parse
 from kinebench_drake.suites.worldmodels.videofile import _DEMUXERS, suffix_of
 from kinebench_drake.suites.worldmodels.worldmodel import Request
-from kinebench_drake.types import AnomalyKind
 from tests.films import decoded
 
 
