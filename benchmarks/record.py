@@ -20,10 +20,10 @@ RESULTS = Path("benchmarks/results")
 _README, _SPEED, _CLUSTER = (Path(name) for name in ("README.md", "docs/benchmarks.md", "docs/cluster.md"))
 PAGES = {
     **dict.fromkeys(("accuracy", "robustness"), (_README,)),
-    **dict.fromkeys(("ik", "audit", "simulation", "rounds", "runtimes"), (_SPEED,)),
+    **dict.fromkeys(("ik", "audit", "simulation", "rounds"), (_SPEED,)),
     "throughput": (_SPEED, _README),
     **dict.fromkeys(("gpu", "streaming", "scale"), (_SPEED,)),
-    **dict.fromkeys(("cluster", "driver"), (_CLUSTER,)),
+    "cluster": (_CLUSTER,),
 }
 """Page of each section of each benchmark, in the order in which they are measured."""
 SLOWER = 1.1

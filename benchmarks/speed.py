@@ -26,10 +26,6 @@ results_option = click.option(
     "--results", type=FOLDER, default=RESULTS, show_default=True, help="Folder of the result files."
 )
 
-template_option = click.option(
-    "--template", type=EXISTING_FOLDER, help="Output folder of `score` whose rows are returned.  [default: made first]"
-)
-
 video_option = click.option(
     "--video", type=click.Path(path_type=Path, dir_okay=False, exists=True),
     default=EXAMPLES / "StackCube-v1_s0010_unseen.mp4", show_default=True, help="Video that is processed.",
@@ -154,7 +150,9 @@ def streaming(results: Path, work: Path | None, videos: Path, samples: int, fram
 @results_option
 @work_option
 @click.option("--videos", type=EXISTING_FOLDER, default=EXAMPLES, show_default=True, help="Folder of mp4 files.")
-@template_option
+@click.option(
+    "--template", type=EXISTING_FOLDER, help="Output folder of `score` whose rows are returned.  [default: made first]"
+)
 @click.option("--rows", type=click.IntRange(10), default=100_000, show_default=True, help="Samples.")
 @click.option("--jobs", type=COUNT, default=2, show_default=True, help="Worker processes.")
 def scale(results: Path, work: Path | None, videos: Path, template: Path | None, rows: int, jobs: int) -> None:
@@ -189,28 +187,6 @@ def cluster(results: Path, work: Path | None, videos: Path, tasks: str, episodes
     _record("cluster", results, {}, text)
 
 
-@click.command(epilog="\b\nExample:\n  python -m benchmarks driver --sample-s 3")
-@results_option
-@work_option
-@template_option
-@click.option("--samples", type=click.IntRange(min=200), default=3000, show_default=True, help="Samples measured.")
-@click.option(
-    "--sample-s", type=click.FloatRange(min=0.01), default=1.5, show_default=True,
-    help="Time of a simulated sample in a worker [s].",
-)  # fmt: skip
-def driver(results: Path, work: Path | None, template: Path | None, samples: int, sample_s: float) -> None:
-    """Measure what a sample costs the process that starts a run on Ray; simulate runs with many workers.
-
-    The samples measured only wait and return rows of the template.
-    """
-    from benchmarks.driver import figures, measure, section
-
-    with errors(), work_folder(work) as folder:
-        rows = template or _score(EXAMPLES, folder / "template")
-        driver_s, runs = measure(rows, folder, samples=samples, sample_s=sample_s, log=log)
-    _record("driver", results, figures(driver_s), section(driver_s, runs, sample_s))
-
-
 @click.command(epilog="\b\nExample:\n  python -m benchmarks simulation")
 @results_option
 @click.option("--tasks", help="Tasks, comma-separated.  [default: all]", metavar="A,B")
@@ -238,23 +214,6 @@ def rounds(results: Path, work: Path | None, tasks: str | None, episodes: int) -
     with errors(), work_folder(work) as folder, ProgressView("episodes") as view:
         timing = measure(tasks, episodes, folder / "rounds", view)
     _record("rounds", results, figures(timing), section(timing))
-
-
-@click.command(epilog="\b\nExample:\n  python -m benchmarks runtimes")
-@results_option
-@video_option
-@click.option("--turns", type=COUNT, default=15, show_default=True, help="Timed runs of each runtime.")
-def runtimes(results: Path, video: Path, turns: int) -> None:
-    """Compare runtimes of the perception network on the CPU.
-
-    Packages that are not installed are left out: pip install 'kinebench-drake[bench]' installs them.
-    """
-    one_thread()
-    from benchmarks.runtimes import figures, measure, section
-
-    with errors():
-        costs = measure(video, turns=turns, log=log)
-    _record("runtimes", results, figures(costs), section(costs))
 
 
 @click.command(
@@ -342,9 +301,7 @@ COMMANDS = (
     streaming,
     scale,
     cluster,
-    driver,
     simulation,
     rounds,
-    runtimes,
     figures,
 )
