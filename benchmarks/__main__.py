@@ -6,7 +6,7 @@ import click
 
 from benchmarks import grounding, poses, speed, verdicts
 from benchmarks.options import EXISTING_FOLDER, errors
-from kinebench_drake.errors import KinebenchError
+from kinebench_drake.errors import KinebenchError, name_options
 
 
 @click.group(
@@ -37,7 +37,7 @@ def equivalence(before: Path, after: Path) -> None:
     try:
         result = compare_folders(before, after)
     except KinebenchError as error:
-        raise click.ClickException(str(error)) from None
+        raise click.ClickException(name_options(str(error))) from None
     for line in result.differences:
         click.echo(line)
     click.echo(

@@ -146,7 +146,7 @@ def cameras(folder: Path, out: Path, presented: str, limit: int | None, jobs: in
     from kinebench_drake.executors.local import LocalExecutor
 
     with errors():
-        kinds = [member_of(Presentation, name, "--presented") for name in presented.split(",")]
+        kinds = [member_of(Presentation, name, "presented") for name in presented.split(",")]
         trials = [Trial(clip=clip, presentation=kind) for kind in kinds for clip in choose(find_clips(folder), limit)]
         out.mkdir(parents=True, exist_ok=True)
         outcomes = measure(trials, LocalExecutor(jobs=jobs), out / "cameras.jsonl", log=log)

@@ -93,7 +93,7 @@ class GroundingResult(PipelineResult):
             )
         raise UnmeasurableError(
             f"no Franka hand is found in any of {frames} frames: is the robot in view, and is this the video's camera? "
-            f"With another gripper take --gripper none{reason}"
+            f"With another gripper take $gripper none{reason}"
         )
 
 

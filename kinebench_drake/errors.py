@@ -1,5 +1,10 @@
-"""Expected errors. Every message is one line: the value, what was expected, and the fix."""
+"""Expected errors. Every message is one line: the value, what was expected, and the fix.
 
+Messages and warnings mark arguments, as in "$table_height_m is 7": the command line words them by `name_options`, the
+Python interface by `name_arguments`.
+"""
+
+import re
 from collections.abc import Iterable
 from difflib import get_close_matches
 from enum import Enum
@@ -8,6 +13,25 @@ from typing import TypeVar
 Member = TypeVar("Member", bound=Enum)
 
 _MAX_CHARACTERS = 1000
+_ARGUMENT = re.compile(r"\$([a-z][a-z_]*)(=True)?")
+_UNIT = re.compile(r"_(s|m|hz|px)$")
+_OPTIONS = {"urdf": "--robot", "tags": "--tag"}
+"""Options that are not called after their arguments."""
+
+
+def option_of(argument: str) -> str:
+    """Return the option of an argument: dashes for underscores, without the unit, `--table-height`."""
+    return _OPTIONS.get(argument) or f"--{_UNIT.sub('', argument).replace('_', '-')}"
+
+
+def name_options(text: str) -> str:
+    """Return a message with command line options in place of marked arguments."""
+    return _ARGUMENT.sub(lambda match: option_of(match[1]), text)
+
+
+def name_arguments(text: str) -> str:
+    """Return a message with the bare names of marked arguments."""
+    return _ARGUMENT.sub(lambda match: match[0][1:], text)
 
 
 def one_line(text: str) -> str:
@@ -24,7 +48,7 @@ def count_noun(n: int, noun: str) -> str:
 
 
 class KinebenchError(Exception):
-    """Base of all expected errors; the text is shown to the user unchanged."""
+    """Base of all expected errors."""
 
     def __init__(self, message: str = "") -> None:
         super().__init__(one_line(message))
@@ -59,8 +83,8 @@ def suggestion(word: str, choices: Iterable[str]) -> str:
     return f" (did you mean {near[0]}?)" if near else ""
 
 
-def member_of(kind: type[Member], value: Member | str, option: str) -> Member:
-    """Return the member of an enumeration for an option's value.
+def member_of(kind: type[Member], value: Member | str, argument: str) -> Member:
+    """Return the member of an enumeration for an argument's value.
 
     Raises:
         UsageError: the value is invalid; the message lists the valid ones.
@@ -68,4 +92,4 @@ def member_of(kind: type[Member], value: Member | str, option: str) -> Member:
     try:
         return kind(value)
     except ValueError:
-        raise UsageError(f"{option} is {value!r}, expected {', '.join(repr(m.value) for m in kind)}") from None
+        raise UsageError(f"${argument} is {value!r}, expected {', '.join(repr(m.value) for m in kind)}") from None

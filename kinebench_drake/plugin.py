@@ -15,12 +15,12 @@ def is_class_name(text: str) -> bool:
     return _CLASS.fullmatch(text) is not None
 
 
-def load_class(spec: str, *, option: str, method: str, arguments: str) -> type:
+def load_class(spec: str, *, argument: str, method: str, arguments: str) -> type:
     """Import the class of a spec `module:Class`, from installed modules or else from the working directory.
 
     Args:
         spec: the spec.
-        option: option of the spec for messages, such as `--depth`.
+        argument: argument that holds the spec, for messages.
         method: a method that the class must have.
         arguments: arguments of the method, for messages.
 
@@ -34,13 +34,13 @@ def load_class(spec: str, *, option: str, method: str, arguments: str) -> type:
         loaded = getattr(importlib.import_module(module_name), name)
     except ModuleNotFoundError as error:
         raise UsageError(
-            f"{option} {spec}: there is no module {error.name!r}; expected one that is installed, or a file "
+            f"${argument} {spec}: there is no module {error.name!r}; expected one that is installed, or a file "
             f"{(error.name or module_name).split('.')[0]}.py in the working directory"
         ) from None
     except AttributeError:
-        raise UsageError(f"{option} {spec}: the module {module_name} has no {name}") from None
+        raise UsageError(f"${argument} {spec}: the module {module_name} has no {name}") from None
     except Exception as error:  # code of the user, which may raise anything
-        raise UsageError(f"{option} {spec}: cannot be imported ({type(error).__name__}: {error})") from error
+        raise UsageError(f"${argument} {spec}: cannot be imported ({type(error).__name__}: {error})") from error
     if not isinstance(loaded, type) or not callable(getattr(loaded, method, None)):
-        raise UsageError(f"{option} {spec}: expected a class with a method {method}({arguments})")
+        raise UsageError(f"${argument} {spec}: expected a class with a method {method}({arguments})")
     return loaded

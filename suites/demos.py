@@ -173,12 +173,12 @@ def _lock(out: Path) -> Iterator[None]:
     try:
         lock = os.open(out, os.O_RDONLY)
     except OSError as error:
-        raise UsageError(f"--out {out}: cannot be written ({error.strerror or error})") from None
+        raise UsageError(f"$out {out}: cannot be written ({error.strerror or error})") from None
     try:
         fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         yield
     except BlockingIOError:
-        raise UsageError(f"--out {out}: another run is writing there; wait for it, or name another folder") from None
+        raise UsageError(f"$out {out}: another run is writing there; wait for it, or name another folder") from None
     finally:
         os.close(lock)
 
@@ -225,10 +225,10 @@ def _read_summary(config: DemoConfig, records: Records) -> dict[str, Any]:
     try:
         before: dict[str, Any] = json.loads(path.read_text())
     except (OSError, ValueError):
-        raise UsageError(f"{path}: is damaged; --overwrite starts anew") from None
+        raise UsageError(f"{path}: is damaged; $overwrite=True starts anew") from None
     if not isinstance(before, dict):
-        raise UsageError(f"{path}: is damaged; --overwrite starts anew")
-    fix = "name another --out, or --overwrite to start anew"
+        raise UsageError(f"{path}: is damaged; $overwrite=True starts anew")
+    fix = "name another $out, or $overwrite=True to start anew"
     for name, value in config.settings().items():
         if before.get(name) != value:
             raise UsageError(f"{config.out} holds demonstrations with {name} {before.get(name)}, not {value}: {fix}")
@@ -247,7 +247,7 @@ def _read_records(config: DemoConfig) -> dict[tuple[str, int], Record]:
     try:
         records = read_lines(config.out / RECORDS, Record.from_json)
     except (OSError, InputError):
-        raise UsageError(f"{config.out / RECORDS}: is damaged; --overwrite starts anew") from None
+        raise UsageError(f"{config.out / RECORDS}: is damaged; $overwrite=True starts anew") from None
     return {(record.task, record.seed): record for record in records}
 
 

@@ -143,15 +143,15 @@ def _check_folder(config: ExportConfig, specs: Sequence[EpisodeSpec]) -> None:
     except (OSError, ValueError, InputError):
         before, ids = {}, []
     if SAMPLES in used or "suite_version" not in before:
-        raise UsageError(f"--out {out}: holds {used[0]}, which no export wrote; name another folder")
+        raise UsageError(f"$out {out}: holds {used[0]}, which no export wrote; name another folder")
     for key, value in summary.items():
         if key not in _CHOICE and before.get(key) != value:
             raise UsageError(
-                f"--out {out}: holds an export of {key} {before.get(key)}, this one is of {value}; name another folder"
+                f"$out {out}: holds an export of {key} {before.get(key)}, this one is of {value}; name another folder"
             )
     if lost := sorted(set(ids) - {spec.id for spec in specs}):
         raise UsageError(
-            f"--out {out}: {len(lost)} of its {len(ids)} episodes (such as {lost[0]}) are not in this export; name "
+            f"$out {out}: {len(lost)} of its {len(ids)} episodes (such as {lost[0]}) are not in this export; name "
             "another folder, or export their tasks and seeds as well"
         )
 

@@ -82,12 +82,12 @@ def prompt_template(
         UsageError: there is no such preset or task, or the file is not a JSON object of texts.
     """
     if prompt_preset is not None and prompt_preset not in PRESETS:
-        raise UsageError(f"--prompt-preset is {prompt_preset!r}, expected {', '.join(map(repr, PRESETS))}")
+        raise UsageError(f"$prompt_preset is {prompt_preset!r}, expected {', '.join(map(repr, PRESETS))}")
     base = PromptTemplate() if prompt_preset is None else PRESETS[prompt_preset]
     return PromptTemplate(
         prefix=(base.prefix if prompt_prefix is None else prompt_prefix).strip(),
         suffix=(base.suffix if prompt_suffix is None else prompt_suffix).strip(),
-        tasks=_read_tasks(prompts) if isinstance(prompts, Path) else _checked("prompts", prompts or {}),
+        tasks=_read_tasks(prompts) if isinstance(prompts, Path) else _checked("$prompts", prompts or {}),
         negative=(base.negative if negative_prompt is None else negative_prompt).strip(),
     )
 
@@ -100,10 +100,10 @@ def _read_tasks(file: Path) -> Mapping[str, str]:
     try:
         texts = parse_json(read_text(file))
     except (OSError, ValueError) as error:
-        raise UsageError(f"--prompts {file}: {cause(error)}; expected a JSON object of texts by task") from None
+        raise UsageError(f"$prompts {file}: {cause(error)}; expected a JSON object of texts by task") from None
     if not isinstance(texts, Mapping):
-        raise UsageError(f"--prompts {file}: holds a {type(texts).__name__}, expected a JSON object of texts by task")
-    return _checked(f"--prompts {file}", texts)
+        raise UsageError(f"$prompts {file}: holds a {type(texts).__name__}, expected a JSON object of texts by task")
+    return _checked(f"$prompts {file}", texts)
 
 
 def _checked(source: str, texts: Mapping[str, object]) -> dict[str, str]:

@@ -169,7 +169,7 @@ class Suite:
         first, end = part.seeds
         if offset < 0 or count < 0 or first + offset + count > end:
             raise UsageError(
-                f"suite {self.number}'s split {split} has {end - first} seeds a task; --seed {offset} with {count} "
+                f"suite {self.number}'s split {split} has {end - first} seeds a task; $seed {offset} with {count} "
                 "episodes leaves them"
             )
         seeds = range(first + offset, first + offset + count)

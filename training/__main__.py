@@ -8,7 +8,7 @@ from typing import Any
 import click
 
 from kinebench_drake.cli.options import PathParameter
-from kinebench_drake.errors import KinebenchError
+from kinebench_drake.errors import KinebenchError, name_options
 
 _FILE = PathParameter(dir_okay=False)
 _FOLDER = PathParameter(file_okay=False)
@@ -36,7 +36,7 @@ class TrainingGroup(click.Group):
         try:
             return super().invoke(ctx)
         except KinebenchError as error:
-            raise click.ClickException(str(error)) from None
+            raise click.ClickException(name_options(str(error))) from None
 
 
 @click.group(cls=TrainingGroup, epilog="\b\nExample:\n  python -m training render data/vtk --videos 40")

@@ -76,18 +76,18 @@ class CalibrationConfig:
             UsageError: a number is out of range, or two options contradict each other.
         """
         if self.frames < 1:
-            raise UsageError(f"--frames is {self.frames}, expected 1 or more")
+            raise UsageError(f"$frames is {self.frames}, expected 1 or more")
         if self.focal_px is not None and not 1.0 <= self.focal_px <= 1e5:
-            raise UsageError(f"--focal is {self.focal_px:g}, expected pixels from 1 to 100000, such as 600")
+            raise UsageError(f"$focal_px is {self.focal_px:g}, expected pixels from 1 to 100000, such as 600")
         if self.focal_px is not None and self.camera is not None:
-            raise UsageError("--focal and --camera exclude each other: the camera file states the focal length")
+            raise UsageError("$focal_px and $camera exclude each other: the camera file states the focal length")
         if self.frame_period_s is not None and not 1e-4 <= self.frame_period_s <= 1e3:
-            raise UsageError(f"--frame-period is {self.frame_period_s:g}, expected seconds from 0.0001 to 1000")
+            raise UsageError(f"$frame_period_s is {self.frame_period_s:g}, expected seconds from 0.0001 to 1000")
         if self.joints is None and self.joints_frame:
-            raise UsageError(f"--joints-frame {self.joints_frame}: there is no --joints, whose posture it would be")
+            raise UsageError(f"$joints_frame {self.joints_frame}: there is no $joints, whose posture it would be")
         is_file = self.joints is not None and (Path(self.joints).exists() or parse_posture(self.joints) is None)
         if not is_file and (self.episode or self.column):
-            raise UsageError("--episode and --column choose from a file of joint angles, and --joints names none")
+            raise UsageError("$episode and $column choose from a file of joint angles, and $joints names none")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -160,8 +160,8 @@ class Calibrator:
             estimate = self._cameras.estimate(frames, None if focal_free else guess, focal_free=focal_free)
             if estimate.doubt is not None:
                 raise UnmeasurableError(
-                    f"base_from_camera is not determined without joint angles: {estimate.doubt}; give --joints FILE, "
-                    "or the posture of one frame (--joints q1,...,q7)"
+                    f"base_from_camera is not determined without joint angles: {estimate.doubt}; give $joints FILE, "
+                    "or the posture of one frame ($joints q1,...,q7)"
                 )
             fitted = _of_estimate(estimate, self._model, method, states.source, focal_free=focal_free)
         else:

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from kinebench_drake.camera import CONFIRMED, Camera, CameraSource, CameraState
+from kinebench_drake.errors import name_options
 from kinebench_drake.grounding.camera.camera_estimate import CameraEstimate
 from kinebench_drake.grounding.camera.contradiction import CameraChecker, CameraContradiction
 from kinebench_drake.grounding.camera.reading import BetterReading, Reading
@@ -64,7 +65,7 @@ class CameraChoice:
             if part is not None:
                 data[key] = part.to_json()
         if self.reason is not None:
-            data["base_frame_reason"] = self.reason
+            data["base_frame_reason"] = name_options(self.reason)
         return data
 
 

@@ -46,7 +46,7 @@ def require_determined(calibration: CameraCalibration) -> None:
     if calibration.focal_sigma > FOCAL_LIMIT:
         raise UnmeasurableError(
             f"the focal length is not determined ({calibration.focal_sigma:.1%} standard deviation, at most "
-            f"{FOCAL_LIMIT:.0%}): {_why(calibration)}; give --focal PX or --camera FILE, or a video in which the arm "
+            f"{FOCAL_LIMIT:.0%}): {_why(calibration)}; give $focal_px PX or $camera FILE, or a video in which the arm "
             "moves towards the camera"
         )
     if calibration.position_sigma_m > POSITION_LIMIT_M or calibration.rotation_sigma_rad > ROTATION_LIMIT_RAD:

@@ -49,7 +49,7 @@ class Reading(Enum):
     def remedy(self) -> str:
         """How to have the video read so."""
         return {
-            Reading.MIRRORED: 'if it is mirrored, set "mirrored": true in camera.json, or take --mirrored',
+            Reading.MIRRORED: 'if it is mirrored, set "mirrored": true in camera.json, or take $mirrored=True',
             Reading.OPENGL_AXES: "negate its second and third column",
             Reading.INVERTED: "invert it",
             Reading.CROPPED: "state the cropped picture's own fx, fy, cx and cy in a camera.json",

@@ -166,7 +166,7 @@ def solve_lens_and_postures(
     if len(rows) < MIN_MOVING_FRAMES:
         raise UnmeasurableError(
             f"the arm behind the gripper is visible in {len(rows)} of {len(q)} frames, at least {MIN_MOVING_FRAMES} "
-            "are needed without joint angles; give --joints FILE"
+            "are needed without joint angles; give $joints FILE"
         )
     cells = view.cells.of_frames(rows).thin(_EVERY)
     require_enough_cells(cells)

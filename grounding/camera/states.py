@@ -74,11 +74,11 @@ def make_posture_states(text: str, frame: int, frames: int, model: ArmModel) -> 
     q = parse_posture(text)
     if q is None:
         raise UsageError(
-            f"--joints {text}: there is no such file; expected a file of joint angles, {N_JOINTS} angles in radians "
+            f"$joints {text}: there is no such file; expected a file of joint angles, {N_JOINTS} angles in radians "
             f"separated by commas, or one of {', '.join(POSTURES)}"
         )
     if not 0 <= frame < frames:
-        raise UsageError(f"--joints-frame is {frame}, expected 0 to {frames - 1}: the video has {frames} frames")
+        raise UsageError(f"$joints_frame is {frame}, expected 0 to {frames - 1}: the video has {frames} frames")
     angles = spread(q[None], np.array([frame]), frames)
     return _of_joints(angles, np.full(frames, np.nan), f"posture {text} in frame {frame}", model)
 
@@ -98,7 +98,7 @@ def parse_posture(text: str) -> Array | None:
         return None
     if len(q) != N_JOINTS or not np.isfinite(q).all() or np.abs(q).max() > _MAX_RAD:
         raise UsageError(
-            f"--joints {text}: expected {N_JOINTS} joint angles in radians, each within {_MAX_RAD:g}, found {len(q)} "
+            f"$joints {text}: expected {N_JOINTS} joint angles in radians, each within {_MAX_RAD:g}, found {len(q)} "
             f"numbers, the largest {np.abs(q).max():g}"
         )
     return q
@@ -127,8 +127,8 @@ def read_states(path: Path, episode: str | None, column: str | None, t_s: Array,
     if len(by_rows.t_s) != len(t_s):
         if np.isnan(t_s).any():
             raise UsageError(
-                f"--joints {path.name}: {len(by_rows.t_s)} rows, but {len(t_s)} frames of a video without a clock; "
-                "give --frame-period SECONDS, or a row a frame"
+                f"$joints {path.name}: {len(by_rows.t_s)} rows, but {len(t_s)} frames of a video without a clock; "
+                "give $frame_period_s SECONDS, or a row a frame"
             )
         by_rows = _at(_read(sample, TrajectoryOptions(joints=column)), t_s, path.name)
     fingers = by_rows.finger_width_m / 2
@@ -158,7 +158,7 @@ def _read(sample: TrajectorySample, choice: TrajectoryOptions) -> Trajectory:
     try:
         return read_trajectory(sample, choice)
     except InputError as error:
-        raise InputError(f"--joints {sample.video}: {error}") from None
+        raise InputError(f"$joints {sample.video}: {error}") from None
 
 
 def _episode(samples: tuple[TrajectorySample, ...], path: Path, episode: str | None) -> TrajectorySample:
@@ -170,7 +170,7 @@ def _episode(samples: tuple[TrajectorySample, ...], path: Path, episode: str | N
     if len(chosen) != 1:
         content = f"no episode {episode}" if not chosen else f"{len(chosen)} episodes"
         few = ", ".join(names[:8]) + (", ..." if len(names) > 8 else "")
-        raise UsageError(f"--joints {path}: contains {content}; name that of the video with --episode, one of {few}")
+        raise UsageError(f"$joints {path}: contains {content}; name that of the video with $episode, one of {few}")
     return chosen[0]
 
 
@@ -183,8 +183,8 @@ def _at(trajectory: Trajectory, t_s: Array, name: str) -> Trajectory:
     own = trajectory.t_s - trajectory.t_s[0]
     if t_s[-1] > own[-1] + _LATE_S:
         raise InputError(
-            f"--joints {name}: {len(own)} rows over {own[-1]:.2f} s, but the video has {len(t_s)} frames over "
-            f"{t_s[-1]:.2f} s; expected one row per frame, or times t_s that cover the video (--frame-period SECONDS "
+            f"$joints {name}: {len(own)} rows over {own[-1]:.2f} s, but the video has {len(t_s)} frames over "
+            f"{t_s[-1]:.2f} s; expected one row per frame, or times t_s that cover the video ($frame_period_s SECONDS "
             "sets those of the video)"
         )
     after = np.clip(np.searchsorted(own, t_s), 1, len(own) - 1)

@@ -18,7 +18,7 @@ _MAX_SHARE = 0.9  # of all pixels; a gripper that fills the image cannot be trac
 
 @contextmanager
 def errors_naming(source: Path | str) -> Iterator[None]:
-    """Prefix the messages of input errors with a source: an option, or the name of a file or folder."""
+    """Prefix the messages of input errors with a source: an argument, or the name of a file or folder."""
     if isinstance(source, Path):
         source = f"{source.name}/" if source.is_dir() else source.name
     try:

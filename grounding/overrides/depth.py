@@ -148,12 +148,12 @@ class DepthPlugIn:
             self._load_class()
         elif not self.checkpoint.is_file():
             raise UsageError(
-                f"--depth {self.spec}: there is no file {self.checkpoint}; expected a MoGe-2 checkpoint, such as "
+                f"$depth {self.spec}: there is no file {self.checkpoint}; expected a MoGe-2 checkpoint, such as "
                 "model.pt of Ruicheng/moge-2-vits-normal on Hugging Face"
             )
         elif not _is_importable("moge.model.v2"):
             raise UsageError(
-                f"--depth {self.spec}: MoGe-2 is not installed; pip install git+https://github.com/microsoft/MoGe.git"
+                f"$depth {self.spec}: MoGe-2 is not installed; pip install git+https://github.com/microsoft/MoGe.git"
             )
 
     @lru_cache(maxsize=4)  # noqa: B019 - once per process, for few specs
@@ -168,7 +168,7 @@ class DepthPlugIn:
         try:
             return cast(DepthSource, self._load_class()()) if self.checkpoint is None else MogeDepth(self.checkpoint)
         except Exception as error:  # another program's code, which may raise anything
-            raise SetupError(f"--depth {self.spec}: cannot be created ({type(error).__name__}: {error})") from error
+            raise SetupError(f"$depth {self.spec}: cannot be created ({type(error).__name__}: {error})") from error
 
     def estimate(self, frames: NDArray[np.uint8], camera: Camera, *, exact: bool = False) -> ExternalDepth:
         """Estimate the depth of a video.
@@ -184,13 +184,13 @@ class DepthPlugIn:
             SetupError: it cannot be created.
         """
         depth_m: Array = np.asarray(self.load().depth(frames, camera), dtype=np.float64)
-        with errors_naming(f"--depth {self.name}"):
+        with errors_naming(f"$depth {self.name}"):
             return ExternalDepth(depth_m=_checked_depth(depth_m), exact=exact)
 
     def _load_class(self) -> type:
         if not is_class_name(self.spec):
-            raise UsageError(f"--depth {self.spec}: expected a folder, moge:CHECKPOINT or module:Class")
-        return load_class(self.spec, option="--depth", method="depth", arguments="frames, camera")
+            raise UsageError(f"$depth {self.spec}: expected a folder, moge:CHECKPOINT or module:Class")
+        return load_class(self.spec, argument="depth", method="depth", arguments="frames, camera")
 
 
 def _is_importable(module: str) -> bool:

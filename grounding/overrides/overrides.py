@@ -65,10 +65,10 @@ class Overrides:
             UsageError: one does not exist, or `depth_exact` is set without `depth`.
         """
         if self.depth_exact and self.depth is None:
-            raise UsageError("--depth-exact says how good the depth of --depth is; give that as well")
-        for option, folder in (("--masks", self.masks), ("--poses", self.poses)):
+            raise UsageError("$depth_exact says how good the depth of $depth is; give that as well")
+        for name, folder in (("masks", self.masks), ("poses", self.poses)):
             if folder is not None and not folder.is_dir():
-                raise UsageError(f"{option} {folder}: there is no such folder")
+                raise UsageError(f"${name} {folder}: there is no such folder")
         if self._plug_in is not None:
             self._plug_in.check()
 
@@ -111,18 +111,18 @@ class Overrides:
             first: state of the robot in the first frame.
 
         Raises:
-            InputError: a source has nothing for the video, does not fit it or is broken; the message names the option.
+            InputError: a source has nothing for the video, does not fit it or is broken; the message names the stage.
             SetupError: the plug-in cannot be created.
         """
         priors, mask, depth = NO_PRIORS, None, None
         if self.masks is not None:
-            with errors_naming("--masks"):
+            with errors_naming("$masks"):
                 mask = read_masks(find_entry(self.masks, video))
         if "depth" in self.folders:
-            with errors_naming("--depth"):
+            with errors_naming("$depth"):
                 depth = read_depth(find_entry(self.folders["depth"], video), exact=self.depth_exact)
         if self.poses is not None:
-            with errors_naming("--poses"):
+            with errors_naming("$poses"):
                 priors = read_poses(self.poses, find_entry(self.poses, video, _POSE_PLACES), len(frames))
         if self._plug_in is not None:
             depth = self._plug_in.estimate(frames, camera, exact=self.depth_exact)

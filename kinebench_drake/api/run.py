@@ -1,6 +1,5 @@
 """Runs over many samples into an output folder: `score_videos` and `run_suite`."""
 
-import re
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -8,7 +7,7 @@ from os import PathLike
 from pathlib import Path
 from typing import Any, TypeAlias, TypedDict, Unpack
 
-from kinebench_drake.errors import KinebenchError, member_of
+from kinebench_drake.errors import KinebenchError, member_of, name_arguments
 from kinebench_drake.executors.base import ExecutorKind
 from kinebench_drake.results.metadata import Shard
 from kinebench_drake.runs import score
@@ -119,27 +118,9 @@ class SuiteOptions(RunOptions, total=False):
     """Write videos of generated and executed frames."""
 
 
-_ARGUMENTS = {
-    "frame-period": "frame_period_s",
-    "mirrored": "mirrored=True",
-    "overwrite": "overwrite=True",
-    "pixels-only": "pixels_only=True",
-    "rate": "rate_hz",
-    "robot": "urdf",
-    "table-height": "table_height_m",
-    "tag": "tags",
-}
-"""Arguments whose names are not those of their options."""
-
-
-def name_arguments(message: str) -> str:
-    """Return a message with arguments of the interface in place of command line options."""
-    return re.sub(r"--([a-z][a-z-]*)", lambda match: _ARGUMENTS.get(match[1], match[1].replace("-", "_")), message)
-
-
 @contextmanager
 def own_arguments() -> Iterator[None]:
-    """Name arguments in place of command line options in the messages of errors."""
+    """Word the messages of errors for callers of the interface."""
     try:
         yield
     except KinebenchError as error:
@@ -233,7 +214,7 @@ def _parsed(options: Mapping[str, Any]) -> dict[str, Any]:
         "camera": str,
         "prompts": lambda prompts: dict(prompts) if isinstance(prompts, Mapping) else Path(prompts),
         "shard": Shard.parse,
-        "engine": lambda engine: member_of(ExecutorKind, engine, "--engine"),
+        "engine": lambda engine: member_of(ExecutorKind, engine, "engine"),
         "tags": dict,
     }
     stated = {name: value for name, value in options.items() if value is not None}

@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from kinebench_drake.api.run import PathName, name_arguments, own_arguments
+from kinebench_drake.api.run import PathName, own_arguments
 from kinebench_drake.camera import Camera, CameraSetting, CameraSource
-from kinebench_drake.errors import InputError, UnmeasurableError, UsageError, member_of
+from kinebench_drake.errors import InputError, UnmeasurableError, UsageError, member_of, name_arguments
 from kinebench_drake.executors.local import one_thread
 from kinebench_drake.formats.trajectories.check import check
 from kinebench_drake.formats.trajectories.source import find_trajectories, read_trajectory
@@ -164,7 +164,7 @@ def ground_video(
         sample = replace(sample, initial_state=first)
     sample = replace(sample, mirrored=sample.mirrored or mirrored)
     with one_thread():
-        kind = member_of(GripperKind, gripper, "--gripper")
+        kind = member_of(GripperKind, gripper, "gripper")
         timed, result = ground_sample(
             decoded, sample, overrides, _tools_for(RobotOptions()).grounder, frame_period_s, kind
         )

@@ -9,7 +9,7 @@ from typing import NoReturn, cast
 import click
 
 import kinebench_drake
-from kinebench_drake.errors import KinebenchError, UsageError, suggestion
+from kinebench_drake.errors import KinebenchError, UsageError, name_options, suggestion
 
 PROGRAM = "kinebench-drake"
 
@@ -88,5 +88,5 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
 
 
 def _fail(message: str, code: int) -> int:
-    click.echo(f"{PROGRAM}: {' '.join(message.split())}", err=True)
+    click.echo(f"{PROGRAM}: {' '.join(name_options(message).split())}", err=True)
     return code

@@ -15,7 +15,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.text import Text
 
-from kinebench_drake.errors import count_noun, one_line
+from kinebench_drake.errors import count_noun, name_options, one_line
 from kinebench_drake.io.jsonl import Json, as_object
 from kinebench_drake.metrics.trust import TRUST, trust_lines
 from kinebench_drake.report.timeline import anomalies_of
@@ -94,7 +94,7 @@ class ProgressView:
             self._bar.update(self._task, completed=self.completed)
 
     def _print(self, line: str, style: str = "") -> None:
-        text = Text(one_line(line), style=style)
+        text = Text(one_line(name_options(line)), style=style)
         if self._bar:
             self._bar.console.print(text, soft_wrap=True)
         else:

@@ -91,12 +91,12 @@ class LoopOptions:
         Raises:
             UsageError: one of them is out of range.
         """
-        for option, count in (("--rounds", self.rounds), ("--action-repeat", self.action_repeat)):
+        for name, count in (("rounds", self.rounds), ("action_repeat", self.action_repeat)):
             if count is not None and count < 1:
-                raise UsageError(f"{option} is {count}, expected 1 or more")
+                raise UsageError(f"${name} is {count}, expected 1 or more")
         if not MIN_FRAME_PERIOD_S <= self.frame_period_s <= MAX_FRAME_PERIOD_S:
             raise UsageError(
-                f"--frame-period is {self.frame_period_s}, expected seconds from {MIN_FRAME_PERIOD_S:g} to "
+                f"$frame_period_s is {self.frame_period_s}, expected seconds from {MIN_FRAME_PERIOD_S:g} to "
                 f"{MAX_FRAME_PERIOD_S:g}, such as {FRAME_PERIOD_S:g}"
             )
 

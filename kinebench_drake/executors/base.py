@@ -102,15 +102,15 @@ def create_executor(kind: ExecutorKind, jobs: int, address: str | None = None) -
         SetupError: the package of the executor is not installed.
     """
     if jobs < 1:
-        raise UsageError(f"--jobs is {jobs}, expected 1 or more")
+        raise UsageError(f"$jobs is {jobs}, expected 1 or more")
     if kind is ExecutorKind.RAY:
         if find_spec("ray") is None:
-            raise SetupError("--engine ray needs the package ray: pip install 'kinebench-drake[ray]'")
+            raise SetupError("$engine ray needs the package ray: pip install 'kinebench-drake[ray]'")
         from kinebench_drake.executors.ray import RayExecutor
 
         return RayExecutor(jobs=jobs, address=address)
     if address is not None:
-        raise UsageError(f"--address {address} goes with --engine ray")
+        raise UsageError(f"$address {address} goes with $engine ray")
     from kinebench_drake.executors.local import LocalExecutor
 
     return LocalExecutor(jobs=jobs)

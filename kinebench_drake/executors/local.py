@@ -175,7 +175,7 @@ def _describe_exit(code: int | None) -> str:
     code = -signal.SIGTERM if code == _TERMINATED else code
     if code is not None and code < 0:
         name = signal.Signals(-code).name if -code in set(signal.Signals) else f"signal {-code}"
-        hint = " (often the system is out of memory: use fewer --jobs)" if -code == signal.SIGKILL else ""
+        hint = " (often the system is out of memory: use fewer jobs)" if -code == signal.SIGKILL else ""
         return f"the worker process was ended by {name}{hint}"
     return f"the worker process ended with status {code}"
 

@@ -222,7 +222,7 @@ class ActorPool(Generic[Item, Result]):
             self._queue.appendleft(queued)
             return None
         memory = "memory" in str(error).lower()
-        hint = "its node ran out of memory: use fewer --jobs" if memory else "often its node is out of memory"
+        hint = "its node ran out of memory: use fewer jobs" if memory else "often its node is out of memory"
         return WorkerCrash(
             item=queued.item, reason=f"the worker was lost {queued.tries} times over this sample ({hint})"
         )

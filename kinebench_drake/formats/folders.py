@@ -35,12 +35,12 @@ def require_apart(out: Path, *inputs: Path) -> None:
     for path in inputs:
         real = path.resolve()
         if real == home:
-            raise UsageError(f"--out is the input folder itself ({path}); name another folder")
+            raise UsageError(f"$out is the input folder itself ({path}); name another folder")
         if real.parent == home and real.is_file():
-            raise UsageError(f"--out is the folder of {path}, whose input would lie among results; name another folder")
+            raise UsageError(f"$out is the folder of {path}, whose input would lie among results; name another folder")
         folder = next((kind for kind in ARTIFACTS if real.is_relative_to(home / kind)), None)
         if folder is not None:
-            raise UsageError(f"--out {out}: {path} is read, but the run fills {out / folder}; name another folder")
+            raise UsageError(f"$out {out}: {path} is read, but the run fills {out / folder}; name another folder")
 
 
 def walk(top: Path, skipped: Sequence[Path] = ()) -> Iterator[tuple[Path, list[str], list[str]]]:

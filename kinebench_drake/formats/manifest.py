@@ -132,7 +132,7 @@ def describe_loss(path: Path) -> str:
     keys = {key for entry in entries for key, value in entry if value is not None}
     nouns = [noun for key, noun in _NOUNS.items() if key in keys]
     lost = f"its {', '.join(nouns[:-1])}{' and ' if nouns[1:] else ''}{nouns[-1]} are unused" if nouns else "unused"
-    clock = " (1 / fps is used unless --frame-period is given)" if "frame_period_s" in keys else ""
+    clock = " (1 / fps is used unless $frame_period_s is given)" if "frame_period_s" in keys else ""
     return f"{lost}{clock}; score the manifest itself to use them"
 
 

@@ -25,7 +25,7 @@ def disk_errors(name: str) -> Iterator[None]:
         fix = "free some space" if full else "make the folder writable"
         raise SetupError(
             f"cannot write {name} ({error.strerror or error}): {fix} and run the same command again, "
-            "finished files are kept (unless by --overwrite)"
+            "finished files are kept (unless by $overwrite=True)"
         ) from None
 
 
@@ -55,7 +55,7 @@ def make_folder(out: Path) -> None:
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise UsageError(f"--out {out}: cannot be made a folder ({cause(error)}); name another one") from None
+        raise UsageError(f"$out {out}: cannot be made a folder ({cause(error)}); name another one") from None
 
 
 @contextmanager

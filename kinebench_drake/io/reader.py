@@ -60,13 +60,13 @@ def is_video_array(path: Path) -> bool:
 def _choose_array(names: list[str], key: str | None) -> str:
     if key is not None:
         if key not in names:
-            raise InputError(f"has no array {key!r} (--camera-key), but {', '.join(names)}")
+            raise InputError(f"has no array {key!r} ($camera_key), but {', '.join(names)}")
         return key
     if len(names) == 1:
         return names[0]
     default = next((name for name in _KEYS if name in names), None)
     if default is None:
-        raise InputError(f"holds {names}, expected one array or one named 'frames'; --camera-key NAME chooses one")
+        raise InputError(f"holds {names}, expected one array or one named 'frames'; $camera_key NAME chooses one")
     return default
 
 

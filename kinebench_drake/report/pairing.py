@@ -117,7 +117,7 @@ def pair_models(samples: Sequence[ModelSample]) -> list[ModelPair]:
     if len(models) < 2:
         raise UsageError(
             f"all samples are of one model, {next(iter(models))}: there is nothing to compare; name folders of two "
-            "models, or name the models with `model` in the manifest or --model"
+            "models, or name the models with `model` in the manifest or $model"
         )
     pairs = [pair for one, two in combinations(models, 2) if (pair := _pair(one, two, models[one], models[two]))]
     if not pairs:

@@ -107,5 +107,5 @@ def check_page_folder(out: Path) -> None:
     """
     if (out / SAMPLES).exists():
         raise UsageError(
-            f"--out {out}: is the output folder of a run, whose own report it would overwrite; name another"
+            f"$out {out}: is the output folder of a run, whose own report it would overwrite; name another"
         )

@@ -29,7 +29,7 @@ class Shard:
             UsageError: there is no such part.
         """
         if not 1 <= self.index <= self.count:
-            raise UsageError(f"--shard is '{self}', expected I/N with I from 1 to N, such as 1/4")
+            raise UsageError(f"$shard is '{self}', expected I/N with I from 1 to N, such as 1/4")
 
     def __str__(self) -> str:
         return f"{self.index}/{self.count}"
@@ -43,7 +43,7 @@ class Shard:
         """
         match = re.fullmatch(r"(\d{1,9})/(\d{1,9})", text.strip())
         if not match:
-            raise UsageError(f"--shard is {text!r:.60}, expected I/N with I from 1 to N, such as 1/4")
+            raise UsageError(f"$shard is {text!r:.60}, expected I/N with I from 1 to N, such as 1/4")
         return cls(index=int(match[1]), count=int(match[2]))
 
     def take(self, items: Sequence[Item]) -> list[Item]:

@@ -35,27 +35,27 @@ class PowerDesign:
         """
         p, q = self.success, self.success + self.difference
         if not 0.0 <= p <= 1.0:
-            raise UsageError(f"--success is {100 * p:g}, expected 0 to 100 [%]")
+            raise UsageError(f"$success is {100 * p:g}, expected 0 to 100 [%]")
         if self.difference == 0.0 or not -1e-9 <= q <= 1.0 + 1e-9:
             raise UsageError(
-                f"--difference is {100 * self.difference:g}, which takes --success {100 * p:g} to {100 * q:g}; "
+                f"$difference is {100 * self.difference:g}, which takes $success {100 * p:g} to {100 * q:g}; "
                 f"expected {-100 * p:g} to {100 * (1 - p):g} points and not 0"
             )
         if not 0.0 <= self.icc <= 1.0:
-            raise UsageError(f"--icc is {self.icc:g}, expected 0 to 1")
+            raise UsageError(f"$icc is {self.icc:g}, expected 0 to 1")
         if not 0.5 <= self.power < 1.0:
-            raise UsageError(f"--power is {100 * self.power:g}, expected at least 50 and less than 100 [%]")
+            raise UsageError(f"$power is {100 * self.power:g}, expected at least 50 and less than 100 [%]")
         both = p * q + self.correlation * self._spread
         if not max(0.0, p + q - 1.0) - 1e-9 <= both <= min(p, q) + 1e-9:
             low, high = ((end - p * q) / self._spread for end in (max(0.0, p + q - 1.0), min(p, q)))
             raise UsageError(
-                f"--correlation is {self.correlation:g}; success of {100 * p:g} and {100 * q:g} % allows "
+                f"$correlation is {self.correlation:g}; success of {100 * p:g} and {100 * q:g} % allows "
                 f"{low:.2g} to {high:.2g}"
             )
         if self.samples > 1 and abs(self.correlation) > self.icc:
             raise UsageError(
-                f"--correlation is {self.correlation:g}: two models agree no more than two samples of one model, "
-                f"--icc {self.icc:g}"
+                f"$correlation is {self.correlation:g}: two models agree no more than two samples of one model, "
+                f"$icc {self.icc:g}"
             )
 
     @property

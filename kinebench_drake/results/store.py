@@ -56,7 +56,7 @@ def read_stored_rows(out: Path) -> tuple[dict[str, SampleRow], dict[str, RowLine
         for row, line in parse_lines(path, parse):
             rows[row.id], lines[row.id] = row, line
     except InputError as error:
-        raise InputError(f"{error}; --overwrite removes the earlier results") from None
+        raise InputError(f"{error}; $overwrite=True removes the earlier results") from None
     return rows, lines
 
 
@@ -83,7 +83,9 @@ class ResultStore:
             self._sweep(everything=overwrite)
             for name in (SAMPLES, TIMINGS):
                 if (out / name).exists() and not (out / name).is_file():
-                    raise InputError(f"--out {out}: {name} is no file; --overwrite removes it, or name another folder")
+                    raise InputError(
+                        f"$out {out}: {name} is no file; $overwrite=True removes it, or name another folder"
+                    )
             with (out / SAMPLES).open("ab"):
                 pass
             self.rows, self._lines = read_stored_rows(out)
@@ -91,7 +93,7 @@ class ResultStore:
             self._file = line.file if line else RowFile(out / SAMPLES)
         except OSError as error:
             self.close()
-            raise UsageError(f"--out {out}: cannot be written ({error.strerror or error})") from None
+            raise UsageError(f"$out {out}: cannot be written ({error.strerror or error})") from None
         except InputError as error:
             self.close()
             raise UsageError(str(error)) from None
@@ -213,7 +215,7 @@ class ResultStore:
         except BlockingIOError:
             self.close()
             raise UsageError(
-                f"--out {self.out}: another run writes to it; wait for it, or give each its own folder"
+                f"$out {self.out}: another run writes to it; wait for it, or give each its own folder"
             ) from None
 
     def _sweep(self, *, everything: bool) -> None:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from kinebench_drake.errors import name_options
 from kinebench_drake.formats.trajectories.source import find_trajectories, read_trajectory
 from kinebench_drake.formats.trajectories.trajectory import Trajectory, TrajectoryOptions, TrajectorySample
 from kinebench_drake.io.jsonl import Json
@@ -139,7 +140,7 @@ class TrajectoryEvaluator(Evaluator[TrajectorySample, Tools]):
                 "frame_period_source": source.value,
                 "judged": "poses" if trajectory.q is None else "joints",
                 "columns": trajectory.columns,
-                "warnings": list(trajectory.warnings),
+                "warnings": list(map(name_options, trajectory.warnings)),
             },
         )
 

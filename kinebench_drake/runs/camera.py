@@ -5,7 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from kinebench_drake.camera import CONFIRMED, CameraSource, CameraState
-from kinebench_drake.errors import count_noun
+from kinebench_drake.errors import count_noun, name_options
 from kinebench_drake.formats.videos.sample import VideoSample
 from kinebench_drake.geometry import Array
 from kinebench_drake.io.camerafile import load_camera
@@ -79,6 +79,7 @@ def camera_frame_metrics(track: GripperTrack, reason: str) -> tuple[Mapping[str,
     from kinebench_drake.metrics.smoothness import measure_smoothness
     from kinebench_drake.models.panda.robot import hand_from_tcp
 
+    reason = name_options(reason)
     X_CG: Array = track.X_CH @ hand_from_tcp()
     smoothness = measure_smoothness(replace(track, X_BG=X_CG))
     reasons = {name: smoothness.reasons.get(name, reason) for name in smoothness.metrics}

@@ -75,9 +75,9 @@ class RunConfig:
         """
         for name, value, least in (("limit", self.limit, 1), ("seed", self.seed, 0), ("replays", self.replays, 0)):
             if value is not None and value < least:
-                raise UsageError(f"--{name} is {value}, expected {least} or more")
+                raise UsageError(f"${name} is {value}, expected {least} or more")
         if self.seed > MAX_SEED:
-            raise UsageError(f"--seed is {self.seed}, expected {MAX_SEED} or less")
+            raise UsageError(f"$seed is {self.seed}, expected {MAX_SEED} or less")
         self.robot_options()
 
     @property

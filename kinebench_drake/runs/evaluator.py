@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Generic, Protocol, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from kinebench_drake.errors import KinebenchError, SetupError, UnmeasurableError, one_line
+from kinebench_drake.errors import KinebenchError, SetupError, UnmeasurableError, name_options, one_line
 from kinebench_drake.executors.base import SupportsClose
 from kinebench_drake.io.files import open_file
 from kinebench_drake.io.jsonl import Json, as_object, dump, finite
@@ -178,7 +178,7 @@ class Evaluator(ABC, Generic[SampleT, ResourcesT]):
     def failed_row(self, sample: SampleT, status: Status, reason: str, content_hash: str | None = None) -> SampleRow:
         """Return the row of a sample without results: every metric is null."""
         row = self._ok_row(sample, Evaluation(kinematics=None), content_hash or self.content_hash(sample))
-        return replace(row, status=status, reason=one_line(reason), null_reasons={})
+        return replace(row, status=status, reason=one_line(name_options(reason)), null_reasons={})
 
     def row(self, sample: SampleT, resources: ResourcesT) -> SampleRow:
         """Evaluate a sample; any failure but a SetupError ends here and becomes its row."""
@@ -188,7 +188,8 @@ class Evaluator(ABC, Generic[SampleT, ResourcesT]):
             row = self._ok_row(sample, evaluation, content_hash)
             if evaluation.unmeasurable is None:
                 return row
-            return replace(row, status=Status.UNMEASURABLE, reason=one_line(evaluation.unmeasurable), null_reasons={})
+            reason = one_line(name_options(evaluation.unmeasurable))
+            return replace(row, status=Status.UNMEASURABLE, reason=reason, null_reasons={})
         except SetupError:
             raise
         except UnmeasurableError as error:

@@ -80,7 +80,7 @@ def merge_folders(folders: Sequence[Path], out: Path, observer: RunObserver | No
         for warning in _shard_warnings(shard):
             observer.warn(warning)
     if (earlier := _read_earlier_merge(out)) is not None:
-        _check_same_run(earlier, shards[0], "name another --out")
+        _check_same_run(earlier, shards[0], "name another $out")
         shards.insert(0, earlier)
     samples = _select_samples(shards)
     run = _merge_metadata([shard.run for shard in shards])
@@ -150,7 +150,7 @@ def _check_paths(folders: Sequence[Path], out: Path) -> None:
         raise UsageError("no folder named, expected the output folders of shards")
     for k, folder in enumerate(folders):
         if out.resolve().is_relative_to(folder.resolve()):
-            raise UsageError(f"--out {out}: is or lies in {folder}, which is to be merged and only read; name another")
+            raise UsageError(f"$out {out}: is or lies in {folder}, which is to be merged and only read; name another")
         if folder.resolve() in {other.resolve() for other in folders[:k]}:
             raise UsageError(f"{folder}: named twice")
 
@@ -170,7 +170,7 @@ def _read_earlier_merge(out: Path) -> ShardFolder | None:
         return _read_shard(out)
     except UsageError:
         raise UsageError(
-            f"--out {out}: holds something else (such as {stranger.relative_to(out)}); name a new or empty folder"
+            f"$out {out}: holds something else (such as {stranger.relative_to(out)}); name a new or empty folder"
         ) from None
 
 

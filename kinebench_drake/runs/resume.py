@@ -47,7 +47,7 @@ def resume(
     try:
         stored = read_metadata(store.out) if store.rows else None
     except InputError as error:
-        raise UsageError(f"--out {error}; --overwrite removes the earlier results") from None
+        raise UsageError(f"$out {error}; $overwrite=True removes the earlier results") from None
     if stored is not None and lost and (difference := _subject_difference(stored.run, metadata)):
         raise _loss(store, lost, difference)
     # A file may have been removed from a folder; a suite always has all its episodes, so these were deselected.
@@ -79,6 +79,6 @@ def _subject_difference(before: RunMetadata, now: RunMetadata) -> str:
 
 def _loss(store: ResultStore, ids: Sequence[str], why: str) -> UsageError:
     return UsageError(
-        f"--out {store.out}: {len(ids)} of its {len(store.rows)} results would be lost (such as {ids[0]!r}): they are "
-        f"{why}; name another folder, or give --overwrite to drop them"
+        f"$out {store.out}: {len(ids)} of its {len(store.rows)} results would be lost (such as {ids[0]!r}): they are "
+        f"{why}; name another folder, or give $overwrite=True to drop them"
     )

@@ -134,7 +134,7 @@ def _start_worker(evaluator: Evaluator[SampleT, ResourcesT]) -> Callable[[Sample
     """
     out = evaluator.config.out
     if not out.is_dir() or not {RUN, RESULTS} & set(os.listdir(out)):  # a listing is fresh also over a network
-        raise SetupError(f"{platform.node()} does not see the run in {out}: put --out in a folder that all nodes share")
+        raise SetupError(f"{platform.node()} does not see the run in {out}: put $out in a folder that all nodes share")
     return SampleWorker(evaluator, evaluator.setup())
 
 

@@ -77,7 +77,7 @@ def score_videos(config: ScoreConfig, observer: RunObserver | None = None) -> Ru
     if without_clock:
         observer.warn(
             f"no frame rate in {count_noun(without_clock, 'sample')}: {BENCHMARK_PERIOD_S} s between frames was "
-            "assumed, as in the benchmark; set --frame-period SECONDS if it differs"
+            "assumed, as in the benchmark; set $frame_period_s SECONDS if it differs"
         )
     unfamiliar = sum(row.extra.get("domain") == Domain.UNFAMILIAR.value for row in summary.rows)
     if unfamiliar:

@@ -70,15 +70,15 @@ class ScoreConfig(RunConfig):
             UsageError: an option is invalid, or the two contradict each other.
         """
         duration_s = self.task_duration_s
-        timing = None if self.clip_timing is None else member_of(ClipTiming, self.clip_timing, "--clip-timing")
+        timing = None if self.clip_timing is None else member_of(ClipTiming, self.clip_timing, "clip_timing")
         if duration_s is not None and timing is ClipTiming.NATIVE:
-            raise UsageError("--task-duration needs --clip-timing uniform, found native; leave one of them out")
+            raise UsageError("$task_duration_s needs $clip_timing uniform, found native; leave one of them out")
         if timing is ClipTiming.UNIFORM and duration_s is None:
             return CLIP_S
         if duration_s is not None and not MIN_PERIOD_S <= duration_s <= MAX_PERIOD_S:
             raise UsageError(
-                f"--task-duration is {duration_s}, expected seconds from {MIN_PERIOD_S:g} to {MAX_PERIOD_S:g}, such as "
-                f"{CLIP_S:g}"
+                f"$task_duration_s is {duration_s}, expected seconds from {MIN_PERIOD_S:g} to {MAX_PERIOD_S:g}, such "
+                f"as {CLIP_S:g}"
             )
         return duration_s
 
@@ -89,7 +89,7 @@ class ScoreConfig(RunConfig):
         Raises:
             UsageError: there is no such gripper.
         """
-        return member_of(GripperKind, self.gripper, "--gripper")
+        return member_of(GripperKind, self.gripper, "gripper")
 
     def overrides(self) -> Overrides:
         """Return the stages of the grounding that are replaced.
@@ -127,7 +127,7 @@ def check_period(period_s: float | None) -> None:
     """
     if period_s is not None and not MIN_PERIOD_S <= period_s <= MAX_PERIOD_S:
         raise UsageError(
-            f"--frame-period is {period_s}, expected seconds from {MIN_PERIOD_S:g} to {MAX_PERIOD_S:g}, such as 0.2"
+            f"$frame_period_s is {period_s}, expected seconds from {MIN_PERIOD_S:g} to {MAX_PERIOD_S:g}, such as 0.2"
         )
 
 

@@ -57,9 +57,9 @@ class SuiteConfig(RunConfig):
         """
         RunConfig.__post_init__(self)
         if self.episodes < 1:
-            raise UsageError(f"--episodes is {self.episodes}, expected 1 or more")
+            raise UsageError(f"$episodes is {self.episodes}, expected 1 or more")
         if self.samples < 1:
-            raise UsageError(f"--samples is {self.samples}, expected 1 or more")
+            raise UsageError(f"$samples is {self.samples}, expected 1 or more")
 
     @property
     def suite_version(self) -> str:
@@ -114,8 +114,8 @@ def suite_config(
         UsageError: a value is invalid.
     """
     suite = load_suite(number)
-    task_variant = member_of(TaskVariant, variant, "--variant")
-    timing = None if clip_timing is None else member_of(ClipTiming, clip_timing, "--clip-timing")
+    task_variant = member_of(TaskVariant, variant, "variant")
+    timing = None if clip_timing is None else member_of(ClipTiming, clip_timing, "clip_timing")
     prompts = prompt_template(**{name: options.pop(name) for name in PROMPT_OPTIONS if name in options})
     loop = {f.name: options.pop(f.name) for f in fields(LoopOptions) if f.name in options and f.name != "seed"}
     return SuiteConfig(
@@ -125,9 +125,9 @@ def suite_config(
         episodes=episodes,
         variant=task_variant,
         loop=LoopOptions(
-            control=member_of(Control, control, "--control"),
+            control=member_of(Control, control, "control"),
             clip_timing=timing,
-            condition=member_of(Condition, condition, "--condition"),
+            condition=member_of(Condition, condition, "condition"),
             prompts=prompts,
             **loop,
         ),
@@ -175,8 +175,8 @@ def _warn_of_lengths(rows: Sequence[SampleRow], loop: LoopOptions, observer: Run
     period_s, expected = loop.frame_period_s, loop.num_frames
     clip_s = period_s * (expected - 1)
     uses = {
-        ClipTiming.UNIFORM: f"each was sampled evenly over {clip_s:g} s (--clip-timing native: {period_s:g} s a frame)",
-        ClipTiming.NATIVE: f"{period_s:g} s a frame were taken (--clip-timing uniform: {clip_s:g} s a clip)",
+        ClipTiming.UNIFORM: f"each was sampled evenly over {clip_s:g} s ($clip_timing native: {period_s:g} s a frame)",
+        ClipTiming.NATIVE: f"{period_s:g} s a frame were taken ($clip_timing uniform: {clip_s:g} s a clip)",
     }
     for timing, use in uses.items():
         lengths = [row.extra.get("clip_frames") for row in rows if row.extra.get("clip_timing") == timing.value]

@@ -42,13 +42,13 @@ class RobotOptions:
         """
         if not abs(self.table_height_m) <= MAX_TABLE_HEIGHT_M:
             raise UsageError(
-                f"--table-height is {self.table_height_m}, expected metres from {-MAX_TABLE_HEIGHT_M} to "
+                f"$table_height_m is {self.table_height_m}, expected metres from {-MAX_TABLE_HEIGHT_M} to "
                 f"{MAX_TABLE_HEIGHT_M} in the robot's base frame"
             )
         if (self.urdf is None) is not (self.tcp_frame is None):
-            raise UsageError("--robot and --tcp-frame go together: the URDF and the name of its TCP frame")
+            raise UsageError("$urdf and $tcp_frame go together: the URDF and the name of its TCP frame")
         if self.urdf is not None and not self.urdf.is_file():
-            raise UsageError(f"--robot {self.urdf}: {absence(self.urdf)}, expected a URDF")
+            raise UsageError(f"$urdf {self.urdf}: {absence(self.urdf)}, expected a URDF")
 
     def load(self) -> Robot:
         """Load the robot.
@@ -60,7 +60,7 @@ class RobotOptions:
         try:
             return choose_robot(self.urdf, self.tcp_frame)
         except InputError as error:
-            raise UsageError(f"--robot and --tcp-frame: {error}") from None
+            raise UsageError(f"$urdf and $tcp_frame: {error}") from None
 
 
 class Tools:
@@ -148,4 +148,4 @@ def load_tools(make: ToolsFactory, options: RobotOptions) -> Tools:
             f"cannot load the robot ({error}); `kinebench-drake doctor --fix` repairs what is missing, or says how"
         ) from error
     except InputError as error:
-        raise UsageError(f"--robot and --tcp-frame: {error}") from None
+        raise UsageError(f"$urdf and $tcp_frame: {error}") from None

@@ -68,10 +68,10 @@ class RenderOptions:
             UsageError: the number of frames does not divide a clip's control steps, or the rate is invalid.
         """
         if not (math.isfinite(self.fps) and self.fps > 0):
-            raise UsageError(f"--fps is {self.fps}, expected a positive number")
+            raise UsageError(f"$fps is {self.fps}, expected a positive number")
         if self.frames not in FRAME_CHOICES:
             raise UsageError(
-                f"--frames is {self.frames}: a clip's {CLIP_STEPS} control steps can be rendered as "
+                f"$frames is {self.frames}: a clip's {CLIP_STEPS} control steps can be rendered as "
                 f"{', '.join(map(str, FRAME_CHOICES))} frames (49: every fourth step)"
             )
 

@@ -14,7 +14,7 @@ from kinebench_drake.suites.worldmodels.command import CommandModel
 from kinebench_drake.suites.worldmodels.diffusers import DiffusersModel
 from kinebench_drake.suites.worldmodels.folder import FolderModel
 from kinebench_drake.suites.worldmodels.http import HttpModel
-from kinebench_drake.suites.worldmodels.spec import OPTION, SERVERS, Options, Spec, parse
+from kinebench_drake.suites.worldmodels.spec import ARGUMENT, SERVERS, Options, Spec, parse
 from kinebench_drake.suites.worldmodels.worldmodel import WorldModel
 
 _FAULTY = "oracle+"
@@ -153,7 +153,7 @@ def create(text: str) -> WorldModel:
 
 
 def _make_plugin(spec: Spec) -> WorldModel:
-    plugin = load_class(spec.plain, option=OPTION, method="generate", arguments="request, out")
+    plugin = load_class(spec.plain, argument=ARGUMENT, method="generate", arguments="request, out")
     try:
         model: Any = plugin(**spec.options)
     except TypeError as error:

@@ -10,8 +10,8 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from kinebench_drake.errors import UsageError, suggestion
 
-OPTION = "--world-model"
-"""Command line option of specs."""
+ARGUMENT = "world_model"
+"""Argument that holds a spec."""
 SERVERS = ("http", "https")
 """Kinds that name a server by its address."""
 _PAIR = r"[A-Za-z_]\w*=[^&?]*"
@@ -94,7 +94,7 @@ class Spec:
 
     def unusable(self, why: str) -> UsageError:
         """Return the error for an invalid spec."""
-        return UsageError(f"{OPTION} {self.text}: {why}")
+        return UsageError(f"${ARGUMENT} {self.text}: {why}")
 
 
 def parse(text: str) -> Spec:

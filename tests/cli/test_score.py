@@ -92,10 +92,10 @@ def test_a_video_of_known_duration_is_sampled_at_the_frame_period(film, config, 
     [
         (
             {"task_duration_s": 3.0, "clip_timing": "native"},
-            "--task-duration needs --clip-timing uniform, found native",
+            r"\$task_duration_s needs \$clip_timing uniform, found native",
         ),
-        ({"task_duration_s": float("nan")}, "--task-duration is nan, expected seconds from 0.0001 to 1000"),
-        ({"clip_timing": "even"}, "--clip-timing is 'even', expected 'uniform', 'native'"),
+        ({"task_duration_s": float("nan")}, r"\$task_duration_s is nan, expected seconds from 0.0001 to 1000"),
+        ({"clip_timing": "even"}, r"\$clip_timing is 'even', expected 'uniform', 'native'"),
     ],
 )
 def test_durations_that_cannot_be_used(config, options, told):
@@ -240,7 +240,7 @@ def test_results_of_another_kind_stay_unless_they_are_to_go(film, config, tmp_pa
     film("videos/a.mp4")
     score_videos(config(kind=RunKind.GROUND))
     before = content(tmp_path / "out")
-    with pytest.raises(UsageError, match=r"of kind ground, this one is of kind score; name another.*--overwrite"):
+    with pytest.raises(UsageError, match=r"of kind ground, this one is of kind score; name another.*overwrite=True"):
         score_videos(config())
     assert content(tmp_path / "out") == before
     score_videos(config(overwrite=True))
@@ -394,7 +394,7 @@ def test_an_analyzer_that_cannot_be_loaded_stops_the_run_at_once(film, config, t
 
 def test_impossible_configurations(film, config, monkeypatch):
     film("videos/a.mp4")
-    with pytest.raises(UsageError, match="--address a:1 goes with --engine ray"):
+    with pytest.raises(UsageError, match=r"address a:1 goes with \$engine ray"):
         score_videos(config(address="a:1"))
     monkeypatch.setitem(sys.modules, "ray", None)
     with pytest.raises(SetupError, match=r"pip install 'kinebench-drake\[ray\]'"):
@@ -402,7 +402,7 @@ def test_impossible_configurations(film, config, monkeypatch):
     for changes in ({"limit": 0}, {"seed": -1}, {"frame_period_s": float("nan")}, {"frame_period_s": 0.0}):
         with pytest.raises(UsageError, match="expected"):
             config(**changes)
-    with pytest.raises(UsageError, match="--jobs is 0"):
+    with pytest.raises(UsageError, match="jobs is 0"):
         score_videos(config(jobs=0))
 
 
@@ -428,7 +428,7 @@ def test_the_task_time_between_frames_and_where_it_comes_from(film, config, tmp_
     assert json.loads((tmp_path / "out" / "results.json").read_text())["inputs"] == list_inputs(summary.rows)
     assert frame_period(rows["a"]) == (pytest.approx(0.1), "fps")
     assert frame_period(rows["still"]) == (0.2, "benchmark")
-    assert any("--frame-period" in w for w in ear.warnings)
+    assert any("$frame_period_s" in w for w in ear.warnings)
     score_videos(config(frame_period_s=0.5))
     assert frame_period(read_rows(tmp_path / "out")["a"]) == (0.5, "option")
     lines = [{"video": "a.mp4", "frame_period_s": 0.25, "fps": 4, "id": "a1"}, {"video": "a.mp4", "fps": 4, "id": "a2"}]
@@ -539,8 +539,8 @@ def test_a_manifest_in_a_folder_says_what_is_unused(film, config, tmp_path):
     ignored, assumed = ear.warnings
     assert "the arm confirms the benchmark's" in assumed
     assert [ignored] == [
-        f"{manifest} ignored: its tasks, models and frame periods are unused (1 / fps is used unless --frame-period is "
-        "given); score the manifest itself to use them"
+        f"{manifest} ignored: its tasks, models and frame periods are unused (1 / fps is used unless $frame_period_s "
+        "is given); score the manifest itself to use them"
     ]
 
 
@@ -634,5 +634,5 @@ def test_a_flange_is_reported_with_the_gripper_that_was_looked_for(film, config,
     score_videos(config(make_tools=ArmTools))
     (row,) = read_rows(tmp_path / "out").values()
     assert (row.extra["domain"], row.extra["gripper"]) == ("arm_alone", "robotiq-2f85")
-    with pytest.raises(UsageError, match="--gripper is 'claw', expected 'franka'"):
+    with pytest.raises(UsageError, match="gripper is 'claw', expected 'franka'"):
         config(gripper="claw")

@@ -195,7 +195,7 @@ def test_further_samples_extend_a_run_and_shards_join(config: Callable[..., Suit
 
 
 def test_the_number_of_samples_is_checked(config: Callable[..., SuiteConfig]) -> None:
-    with pytest.raises(UsageError, match="--samples is 0, expected 1 or more"):
+    with pytest.raises(UsageError, match="samples is 0, expected 1 or more"):
         config("my_models:Model", samples=0)
 
 

@@ -131,7 +131,7 @@ def test_a_lost_worker_costs_a_second_try(ray):
     assert ray.started == 3
 
 
-@pytest.mark.parametrize(("item", "told"), [(2, "lost 2 times"), (13, "ran out of memory: use fewer --jobs")])
+@pytest.mark.parametrize(("item", "told"), [(2, "lost 2 times"), (13, "ran out of memory: use fewer jobs")])
 def test_the_second_loss_costs_the_item(ray, item, told):
     outcomes = run(doubling(losses=[item] * 2), [1, item, 3])
     (crashed,) = [o for o in outcomes if isinstance(o, WorkerCrash)]

@@ -116,7 +116,7 @@ def test_runs_that_cannot_be_compared(tmp_path, first, second, changes, message)
 
 
 def test_one_model_alone_is_no_comparison(tmp_path):
-    with pytest.raises(UsageError, match=r"all samples are of one model, wan: .* --model"):
+    with pytest.raises(UsageError, match=r"all samples are of one model, wan: .* \$model"):
         compared(write(tmp_path / "a", labelled("wan")))
 
 

@@ -80,7 +80,7 @@ def test_a_folder_that_cannot_be_written_is_told(tmp_path, monkeypatch):
     filled(tmp_path / "out")
     with monkeypatch.context() as patch:
         patch.setattr(Path, "open", refuse)
-        with pytest.raises(UsageError, match=r"--out .* cannot be written \(Read-only file system\)"):
+        with pytest.raises(UsageError, match=r"out .* cannot be written \(Read-only file system\)"):
             ResultStore(tmp_path / "out")
     with monkeypatch.context() as patch:
         patch.setattr(Path, "write_bytes", refuse)

@@ -97,7 +97,7 @@ def test_few_episodes_show_no_difference() -> None:
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"difference": 0.6}, r"takes --success 50 to 110; expected -50 to 50 points and not 0"),
+        ({"difference": 0.6}, r"takes .success 50 to 110; expected -50 to 50 points and not 0"),
         ({"difference": 0.0}, "not 0"),
         ({"success": 1.2}, "expected 0 to 100"),
         ({"icc": 2.0}, "expected 0 to 1"),

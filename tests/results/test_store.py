@@ -125,7 +125,7 @@ def test_a_broken_line_in_the_middle_is_told(tmp_path):
     (tmp_path / results.SAMPLES).write_text("garbage\n" + dump(row().to_json()))
     with pytest.raises(InputError, match="line 1 is broken"):
         read_rows(tmp_path)
-    with pytest.raises(UsageError, match="--overwrite"):
+    with pytest.raises(UsageError, match="overwrite=True"):
         ResultStore(tmp_path)
     with ResultStore(tmp_path, overwrite=True) as store:
         assert not store.rows

@@ -213,7 +213,7 @@ def test_other_runs_are_refused(tmp_path, changes, told):
     assert not (tmp_path / "out").exists()
     if "schema_version" not in changes:  # nor are they added to what is there
         merge_folders([one], tmp_path / "out")
-        with pytest.raises(UsageError, match=f"{told}.*name another --out"):
+        with pytest.raises(UsageError, match=f"{told}.*name another \\$out"):
             merge_folders([two], tmp_path / "out")
 
 

@@ -67,5 +67,5 @@ def test_files_that_cannot_be_used(tmp_path: Path, text: str | None, message: st
 
 
 def test_an_unknown_preset_is_refused() -> None:
-    with pytest.raises(UsageError, match="--prompt-preset is 'lock', expected 'visual-lock'"):
+    with pytest.raises(UsageError, match="prompt_preset is 'lock', expected 'visual-lock'"):
         prompt_template(prompt_preset="lock")

@@ -80,7 +80,7 @@ def find_columns(features: Mapping[str, object], choice: TrajectoryOptions) -> C
                 return match
     raise InputError(
         f"no column is known to hold seven joint angles or a pose; found {_list_columns(features, columns)}; name one "
-        "by --joints COLUMN (7 to 9 numbers, radians) or --poses COLUMN (x y z qw qx qy qz, or a 4x4 matrix by rows)"
+        "by $joints COLUMN (7 to 9 numbers, radians) or $poses COLUMN (x y z qw qx qy qz, or a 4x4 matrix by rows)"
     )
 
 

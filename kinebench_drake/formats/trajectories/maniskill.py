@@ -94,7 +94,7 @@ def read_maniskill(path: Path, group: str, rate_hz: float | None, choice: Trajec
     if choice.poses is not None:
         raise InputError(
             "poses of a ManiSkill file are in its world frame, not in the robot's: only its joint angles are read "
-            "(--joints names their data set)"
+            "($joints names their data set)"
         )
     try:
         with open_hdf5(path) as file:
@@ -122,7 +122,9 @@ def read_maniskill(path: Path, group: str, rate_hz: float | None, choice: Trajec
     fingers = values[:, N_JOINTS:].sum(axis=1) if values.shape[1] == N_JOINTS + 2 else None
     values = values if fingers is None else values[:, :N_JOINTS]
     assumed = rate_hz is None and choice.rate_hz is None
-    warning = f"control_freq is missing: ManiSkill's default of {DEFAULT_RATE_HZ:g} Hz is used; --rate HZ overrides it"
+    warning = (
+        f"control_freq is missing: ManiSkill's default of {DEFAULT_RATE_HZ:g} Hz is used; $rate_hz HZ overrides it"
+    )
     return RawTrajectory(
         t_s=np.arange(len(values)) / (rate_hz or DEFAULT_RATE_HZ),
         q=values,
@@ -146,10 +148,10 @@ def _find_joints(trajectory: h5py.Group) -> str:
     if len(robots) == 1:
         return f"{_ARTICULATIONS}/{robots[0]}"
     if robots:
-        raise InputError(f"holds {len(robots)} robots: --joints {_ARTICULATIONS}/{robots[0]} names one of them")
+        raise InputError(f"holds {len(robots)} robots: $joints {_ARTICULATIONS}/{robots[0]} names one of them")
     raise InputError(
         f"holds {_list_data_sets(trajectory)}, expected {_QPOS} or {_ARTICULATIONS}/panda...; record it with "
-        "observations or states, or name the data set by --joints"
+        "observations or states, or name the data set by $joints"
     )
 
 

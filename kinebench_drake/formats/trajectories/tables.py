@@ -41,7 +41,7 @@ def read_archive(path: Path, choice: TrajectoryOptions) -> RawTrajectory:
                 raise InputError(f"holds {_list_arrays(names)}, expected t_s and {_POSES} (T,4,4) or {_JOINTS} (T,7)")
             name, is_joints = candidates[0], candidates[0] == _JOINTS
             if len(candidates) > 1 and "ik_ok" not in names:
-                warnings.append(f"holds {_JOINTS} and {_POSES}: {_JOINTS} was read (--poses {_POSES} reads the poses)")
+                warnings.append(f"holds {_JOINTS} and {_POSES}: {_JOINTS} was read ($poses {_POSES} reads the poses)")
         return RawTrajectory(
             **{"q" if is_joints else "X_BG": archive[name]},
             **{key: archive[key] if key in names else None for key in ("t_s", "tracked", "finger_width_m")},

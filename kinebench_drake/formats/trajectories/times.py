@@ -31,7 +31,7 @@ def check_times(array: NDArray[np.generic] | None, n: int, rate_hz: float | None
     if rate_hz is not None:
         return np.arange(n, dtype=np.float64) / rate_hz
     if array is None:
-        raise InputError("holds no times t_s; add them, or give --rate HZ")
+        raise InputError("holds no times t_s; add them, or give $rate_hz HZ")
     t_s = require_numbers("t_s", array)
     if t_s.shape != (n,):
         raise InputError(f"t_s has shape {t_s.shape}, but there are {n} frames")
@@ -45,19 +45,19 @@ def check_times(array: NDArray[np.generic] | None, n: int, rate_hz: float | None
             k = int(np.argmax(bad))
             raise InputError(
                 f"the time of frame {k + 1} ({t_s[k + 1]:.6g} s) {relation} that of frame {k} ({t_s[k]:.6g} s)"
-                f"{others_text(bad)}: times must increase; sort the frames, or give --rate HZ"
+                f"{others_text(bad)}: times must increase; sort the frames, or give $rate_hz HZ"
             )
     bad = (steps < MIN_STEP_S * (1.0 - 1e-6)) | (steps > MAX_STEP_S)
     if bad.any():
         k = int(np.argmax(bad))
         raise InputError(
             f"frames {k} and {k + 1} are {steps[k]:.3g} s apart, expected {MIN_STEP_S:g} to {MAX_STEP_S:g} s"
-            f"{others_text(bad)}: are the times in seconds? --rate HZ overrides them"
+            f"{others_text(bad)}: are the times in seconds? $rate_hz HZ overrides them"
         )
     if len(steps) and np.median(steps) > SLOW_STEP_S:
         warnings.append(
             f"frames are {np.median(steps):.4g} s apart (median): are the times in milliseconds? They are interpreted "
-            "as seconds; --rate HZ overrides them"
+            "as seconds; $rate_hz HZ overrides them"
         )
     if abs(t_s[0]) > _LATE_S:
         warnings.append(f"times begin at {t_s[0]:.0f} s; they were shifted to begin at 0")

@@ -37,11 +37,11 @@ class TrajectoryOptions:
         """
         if self.rate_hz is not None and not 1.0 / MAX_STEP_S <= self.rate_hz <= 1.0 / MIN_STEP_S:
             raise UsageError(
-                f"--rate is {self.rate_hz}, expected frames per second from {1.0 / MAX_STEP_S:g} to "
+                f"$rate_hz is {self.rate_hz}, expected frames per second from {1.0 / MAX_STEP_S:g} to "
                 f"{1.0 / MIN_STEP_S:g}, such as 20"
             )
         if self.joints is not None and self.poses is not None:
-            raise UsageError("--joints and --poses exclude each other: a trajectory is judged by one of them")
+            raise UsageError("$joints and $poses exclude each other: a trajectory is judged by one of them")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

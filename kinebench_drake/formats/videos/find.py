@@ -84,7 +84,7 @@ def find_samples(
         raise UsageError(f"{source}: {error}") from None
     if camera_key is not None and not any(sample.camera_key or sample.problem for sample in samples):
         raise UsageError(
-            f"--camera-key {camera_key}: {source} has nothing to choose from; it is for LeRobot datasets, HDF5 and npz "
+            f"$camera_key {camera_key}: {source} has nothing to choose from; it is for LeRobot datasets, HDF5 and npz "
             "files with several cameras"
         )
     ids = unique_ids([(s.id, _folders(s)) for s in samples])

@@ -87,12 +87,12 @@ class Search:
         if wanted is None:
             if len(keys) == 1:
                 return keys[0]
-            raise InputError(f"{where} has {len(keys)} cameras ({', '.join(keys)}): choose one with --camera-key NAME")
+            raise InputError(f"{where} has {len(keys)} cameras ({', '.join(keys)}): choose one with $camera_key NAME")
         parts = {key: key.replace(".", "/").split("/") for key in keys}
         matches = [key for key in keys if key == wanted] or [key for key in keys if wanted in parts[key]]
         if len(matches) != 1:
             fit = f"fits {', '.join(matches)}" if matches else "is none of its cameras"
-            raise InputError(f"--camera-key {wanted} {fit}; {where} has {', '.join(keys)}")
+            raise InputError(f"$camera_key {wanted} {fit}; {where} has {', '.join(keys)}")
         return matches[0]
 
     def part_sample(self, path: Path) -> VideoSample:

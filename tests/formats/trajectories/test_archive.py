@@ -37,7 +37,7 @@ def test_joint_angles_survive_the_file(archive, t_s, q):
 def test_joint_angles_go_before_poses_unless_told(archive, t_s, q, X_BG):
     path = archive(t_s=t_s, q=q, base_from_tcp=X_BG, other=X_BG + 0.0)
     assert read(path).columns == "q"
-    assert "--poses base_from_tcp" in read(path).warnings[0]
+    assert "$poses base_from_tcp" in read(path).warnings[0]
     assert read(path, poses="other").X_BG is not None
     assert read(path, joints="q").warnings == ()
     with pytest.raises(InputError, match="no array 'nope', but the arrays t_s, q"):
@@ -66,7 +66,7 @@ def test_a_track_of_an_output_folder_is_judged_by_its_poses(tmp_path, t_s, X_BG)
 
 def test_a_rate_replaces_the_times(archive, q):
     np.testing.assert_array_equal(read(archive(q=q), rate_hz=10.0).t_s, np.arange(len(q)) / 10.0)
-    with pytest.raises(InputError, match="no times t_s; add them, or give --rate HZ"):
+    with pytest.raises(InputError, match=r"no times t_s; add them, or give .rate_hz HZ"):
         read(archive(q=q))
 
 

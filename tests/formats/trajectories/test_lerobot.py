@@ -163,7 +163,7 @@ def test_fingers_and_widths_whose_unit_is_clear(dataset, q):
 def test_doubtful_columns_are_not_guessed(columns):
     with pytest.raises(InputError, match="no column is known") as caught:
         find_columns(features(**columns), TrajectoryOptions())
-    assert "--joints COLUMN" in str(caught.value)
+    assert "$joints COLUMN" in str(caught.value)
     for name in columns:
         assert name.replace("__", ".") in str(caught.value)
 

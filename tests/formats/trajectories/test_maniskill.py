@@ -78,7 +78,7 @@ def test_an_unknown_frequency_is_told_unless_a_rate_is_given(maniskill, q):
     path = maniskill({"traj_0": {"obs/agent/qpos": q}}, about())
     _, (found,) = read_all(path)
     np.testing.assert_allclose(found.t_s, np.arange(12) / 20.0)
-    assert any("default of 20 Hz is used; --rate HZ" in w for w in found.warnings)
+    assert any("default of 20 Hz is used; $rate_hz HZ" in w for w in found.warnings)
     _, (found,) = read_all(path, rate_hz=10.0)
     np.testing.assert_allclose(found.t_s, np.arange(12) / 10.0)
     assert found.warnings == ()
@@ -97,7 +97,7 @@ def test_without_a_description_the_labels_are_unknown(maniskill, q, text, told):
 def test_the_data_set_can_be_named(maniskill, q):
     robots = {f"env_states/articulations/panda-{k}": state(q + k) for k in (0, 1)}
     path = maniskill({"traj_0": {**robots, "mine": q + 2}}, about())
-    with pytest.raises(InputError, match="2 robots: --joints env_states/articulations/panda-0"):
+    with pytest.raises(InputError, match=r"2 robots: .joints env_states/articulations/panda-0"):
         read_all(path)
     np.testing.assert_array_equal(read_all(path, joints="env_states/articulations/panda-1")[1][0].q, q + 1)
     np.testing.assert_array_equal(read_all(path, joints="mine")[1][0].q, q + 2)

@@ -86,7 +86,7 @@ def test_the_output_folder_is_no_input(tmp_path):
 
 @pytest.mark.parametrize("rate", [0.0, -5.0, np.nan, np.inf, 1e-300, 1e300])
 def test_impossible_rates(rate):
-    with pytest.raises(UsageError, match="--rate is"):
+    with pytest.raises(UsageError, match="rate_hz is"):
         TrajectoryOptions(rate_hz=rate)
 
 

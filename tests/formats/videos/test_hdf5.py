@@ -81,7 +81,7 @@ def test_arrays_of_an_npz_file_are_chosen_likewise(tmp_path):
     np.savez(tmp_path / "a.npz", left=frames_of(0, 3), right=frames_of(1, 3))
     (sample,) = find_samples(tmp_path / "a.npz", camera_key="right").samples
     assert np.array_equal(read_video(sample.path, sample.part).frames, frames_of(1, 3))
-    with pytest.raises(InputError, match="--camera-key NAME"):
+    with pytest.raises(InputError, match="camera_key NAME"):
         read_video(tmp_path / "a.npz")
 
 

@@ -36,7 +36,7 @@ def test_every_episode_is_a_video_with_its_task(lerobot, version, codec):
 
 def test_several_cameras_ask_for_one(lerobot):
     root = lerobot("v3.0", keys=TWO)
-    with pytest.raises(UsageError, match=r"2 cameras \(.*front, observation.images.wrist\).*--camera-key"):
+    with pytest.raises(UsageError, match=r"2 cameras \(.*front, observation.images.wrist\).*camera_key"):
         find_samples(root)
     for wanted in ("wrist", TWO[1]):
         samples = find_samples(root, camera_key=wanted).samples
@@ -55,7 +55,7 @@ def test_among_other_folders_a_dataset_that_cannot_be_used_is_one_row(lerobot, t
     (tmp_path / "a.mp4").touch()
     one, bad = find_samples(tmp_path).samples
     assert (one.id, bad.id) == ("a", "ds")
-    assert "--camera-key" in bad.problem
+    assert "camera_key" in bad.problem
     assert len(find_samples(tmp_path, camera_key="front").samples) == 4
 
 

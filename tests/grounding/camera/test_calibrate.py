@@ -121,7 +121,7 @@ def test_without_joint_angles_the_camera_is_estimated_from_the_arm(video, estima
             assert focal_free is (camera is None) is (focal_px is None)
             return SimpleNamespace(doubt="two turns of the base explain its contours")
 
-    with pytest.raises(UnmeasurableError, match=r"two turns of the base .*; give --joints FILE"):
+    with pytest.raises(UnmeasurableError, match=r"two turns of the base .*; give \$joints FILE"):
         calibrate(CalibrationConfig(video=video, focal_px=focal_px), Calibrator(estimator, estimator, Cameras()))
 
 

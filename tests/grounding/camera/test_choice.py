@@ -190,7 +190,7 @@ def test_a_reading_that_agrees_better_is_named_and_costs_the_base_frame(source, 
     grounded = ground(evidence, source=source)
     assert "the picture mirrored left-right agrees better" in grounded.choice.reason
     assert "72%" in grounded.choice.reason
-    assert "--mirrored" in grounded.choice.reason
+    assert "$mirrored=True" in grounded.choice.reason
     assert grounded.choice.to_json()["camera_reading"]["reading"] == "mirrored"
     assert "estimate" not in evidence.asked
     assert np.isnan(grounded.track.X_BG).all()

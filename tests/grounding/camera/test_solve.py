@@ -84,7 +84,7 @@ def test_a_robot_far_away_leaves_the_focal_length_open_and_says_why(camera, mode
     back = make_pose(np.eye(3), [0.0, 0.0, -12.0])
     tele = with_focal(replace(camera, X_BC=camera.X_BC @ back), 12 * camera.fx)
     found = calibrated(tele, model, guess=tele)
-    with pytest.raises(UnmeasurableError, match=r"focal length is not determined.*nearly the same depth.*--focal"):
+    with pytest.raises(UnmeasurableError, match=r"focal length is not determined.*nearly the same depth.*focal_px"):
         require_determined(found)
     require_determined(calibrated(camera, model))
 

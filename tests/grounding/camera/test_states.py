@@ -52,7 +52,7 @@ def test_poses_of_the_tcp_are_poses_of_the_hand(tmp_path, model):
 
 def test_joint_angles_shorter_than_the_video_are_refused(tmp_path, model):
     np.savez(tmp_path / "a.npz", t_s=np.arange(5) * 0.1, q=postures(5))
-    with pytest.raises(InputError, match=r"5 rows over 0.40 s.*20 frames over 1.90 s.*--frame-period"):
+    with pytest.raises(InputError, match=r"5 rows over 0.40 s.*20 frames over 1.90 s.*frame_period_s"):
         read_states(tmp_path / "a.npz", None, None, np.arange(20) * 0.1, model)
 
 
@@ -61,7 +61,7 @@ def test_a_video_without_a_clock_wants_a_row_a_frame_or_a_period(tmp_path, model
     np.savez(tmp_path / "a.npz", t_s=np.arange(8) * 0.1, q=postures(8))
     clockless = Video(frames=np.zeros((5, 2, 2, 3), np.uint8), fps=None, stamps_s=None)
     assert np.array_equal(read_states(tmp_path / "a.npz", None, None, np.full(8, np.nan), model).q, postures(8))
-    with pytest.raises(UsageError, match=r"8 rows, but 5 frames of a video without a clock.*--frame-period"):
+    with pytest.raises(UsageError, match=r"8 rows, but 5 frames of a video without a clock.*frame_period_s"):
         read_states(tmp_path / "a.npz", None, None, _times(clockless, None), model)
 
 
@@ -69,7 +69,7 @@ def test_files_of_several_episodes_want_one_named(tmp_path, model):
     (tmp_path / "many").mkdir()
     for name in ("a", "b"):
         np.savez(tmp_path / "many" / f"{name}.npz", t_s=np.arange(3.0), q=postures(3))
-    with pytest.raises(UsageError, match=r"contains 2 episodes.*--episode, one of a, b"):
+    with pytest.raises(UsageError, match=r"contains 2 episodes.*episode, one of a, b"):
         read_states(tmp_path / "many", None, None, np.arange(3.0), model)
     assert len(read_states(tmp_path / "many", "b", None, np.arange(3.0), model).q) == 3
 
@@ -78,7 +78,7 @@ def test_one_posture_is_known_in_its_frame_alone(model):
     states = make_posture_states("0,-0.5,0,-2,0,1.6,0.8", 2, 4, model)
     assert states.has_hand.tolist() == [False, False, True, False]
     assert np.allclose(states.q[2], [0, -0.5, 0, -2, 0, 1.6, 0.8])
-    with pytest.raises(UsageError, match=r"--joints-frame is 4, expected 0 to 3"):
+    with pytest.raises(UsageError, match=r"joints_frame is 4, expected 0 to 3"):
         make_posture_states("home", 4, 4, model)
 
 

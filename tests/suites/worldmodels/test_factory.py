@@ -94,7 +94,7 @@ def test_every_adapter_is_named_and_told_apart(tmp_path: Path, keys: str) -> Non
     ],
 )
 def test_specs_that_cannot_be_used(text: str, message: str, keys: str) -> None:
-    with pytest.raises(UsageError, match=f"--world-model .*{message}"):
+    with pytest.raises(UsageError, match=f"world_model .*{message}"):
         create(text)
 
 
