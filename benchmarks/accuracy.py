@@ -9,7 +9,10 @@ from typing import Any
 from benchmarks import footage_report
 from benchmarks.footage import ReferenceKind
 from benchmarks.markdown import table
-from benchmarks.process import run_program
+from benchmarks.perception.study import StudyPlan, evaluation, run_study
+from benchmarks.perception.tables import evaluation_json
+from kinebench_drake.executors.local import LocalExecutor
+from kinebench_drake.executors.progress import Observer
 from kinebench_drake.io.jsonl import read_json
 from kinebench_drake.models.panda.robot import GripperKind
 from kinebench_drake.results.provenance import host
@@ -45,7 +48,7 @@ _HEAD = (
 
 
 def measure(
-    heldout: Path, others: Sequence[Path], work: Path, log: Callable[[str], None]
+    heldout: Path, others: Sequence[Path], work: Path, observer: Observer, log: Callable[[str], None]
 ) -> tuple[dict[str, Any], list[dict[str, Any]]]:
     """Ground held-out renderings and videos of others.
 
@@ -53,7 +56,8 @@ def measure(
         heldout: output folder of `suite demos`.
         others: folders as `python -m benchmarks footage` takes them.
         work: results; an earlier run is resumed.
-        log: receives a line per video.
+        observer: receives progress of the renderings.
+        log: receives a line per video of others.
 
     Returns:
         Result of `python -m benchmarks evaluate`, and one of `footage` for each folder.
@@ -61,13 +65,13 @@ def measure(
     Raises:
         UsageError: a folder cannot be used.
     """
-    result = work / "heldout.json"
-    run_program(["perception", "evaluate", str(heldout), "--json", str(result)])
+    plan = StudyPlan(folder=heldout, keep=work / "heldout.clips.jsonl")
+    (results,) = run_study(evaluation("pixels"), plan, LocalExecutor(jobs=1), observer).results.values()
     for folder in others:
         out = work / folder.name
         kind = GripperKind.FRANKA
         footage_report.measure(folder, out, None, weights=None, calibration=None, gripper=kind, window=False, log=log)
-    return _read(result), [_read(work / folder.name / "footage.json") for folder in others]
+    return evaluation_json(results, plan.seed), [_read(work / folder.name / "footage.json") for folder in others]
 
 
 def _read(path: Path) -> dict[str, Any]:

@@ -1,12 +1,13 @@
 """The gate: short clips of several programs, presented rightly and wrongly, of which none may be silently wrong."""
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 from benchmarks.perception.clip import find_clips
 from benchmarks.presentations import Outcome, Presentation, Trial, Verdict, measure
 from kinebench_drake.executors.base import Executor
+from kinebench_drake.executors.progress import Observer
 
 CLIPS = Path("tests/gate")
 """Folder of the clips, each with its truth, and of their bounds."""
@@ -49,7 +50,7 @@ def check_outcomes(outcomes: Sequence[Outcome], expected: dict[tuple[str, str], 
     return faults
 
 
-def run_gate(folder: Path, extra: Path | None, executor: Executor, *, log: Callable[[str], None]) -> list[str]:
+def run_gate(folder: Path, extra: Path | None, executor: Executor, observer: Observer) -> list[str]:
     """Ground the clips of the gate and return what does not hold; see `find_trials` and `check_outcomes`."""
     trials, expected = find_trials(folder, extra)
-    return check_outcomes(measure(trials, executor, log=log), expected)
+    return check_outcomes(measure(trials, executor, observer), expected)

@@ -143,13 +143,14 @@ def cameras(folder: Path, out: Path, presented: str, limit: int | None, jobs: in
     one_thread()
     from benchmarks.perception.clip import choose, find_clips
     from benchmarks.presentations import Presentation, Trial, measure, outcome_table, summary_table
+    from kinebench_drake.cli.run import ProgressView
     from kinebench_drake.executors.local import LocalExecutor
 
-    with errors():
+    with errors(), ProgressView("videos") as view:
         kinds = [member_of(Presentation, name, "presented") for name in presented.split(",")]
         trials = [Trial(clip=clip, presentation=kind) for kind in kinds for clip in choose(find_clips(folder), limit)]
         out.mkdir(parents=True, exist_ok=True)
-        outcomes = measure(trials, LocalExecutor(jobs=jobs), out / "cameras.jsonl", log=log)
+        outcomes = measure(trials, LocalExecutor(jobs=jobs), view, out / "cameras.jsonl")
         text = "\n".join([*summary_table(outcomes), "", *outcome_table(outcomes)]) + "\n"
         write_atomically(out / "cameras.md", text.encode())
     click.echo("\n".join(summary_table(outcomes)))
@@ -165,11 +166,12 @@ def gate(jobs: int) -> None:
     """
     one_thread()
     from benchmarks.gate import CLIPS, CLIPS_VARIABLE, run_gate
+    from kinebench_drake.cli.run import ProgressView
     from kinebench_drake.executors.local import LocalExecutor
 
     extra = os.environ.get(CLIPS_VARIABLE)
-    with errors():
-        faults = run_gate(CLIPS, Path(extra) if extra else None, LocalExecutor(jobs=jobs), log=log)
+    with errors(), ProgressView("videos") as view:
+        faults = run_gate(CLIPS, Path(extra) if extra else None, LocalExecutor(jobs=jobs), view)
     for fault in faults:
         click.echo(fault)
     if faults:

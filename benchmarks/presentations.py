@@ -1,7 +1,7 @@
 """Videos with known poses, presented rightly and wrongly: which get a base frame, and how far off it is."""
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from enum import Enum
 from pathlib import Path
@@ -15,7 +15,8 @@ from benchmarks.perception.clip import TruthClipFile
 from benchmarks.perception.store import MeasurementStore, fingerprint
 from kinebench_drake.camera import Camera, CameraSetting
 from kinebench_drake.errors import UnmeasurableError
-from kinebench_drake.executors.base import Executor, WorkerCrash
+from kinebench_drake.executors.base import Executor
+from kinebench_drake.executors.progress import Observer
 from kinebench_drake.geometry import pose_difference
 from kinebench_drake.grounding.camera.fit import with_focal
 from kinebench_drake.grounding.camera.reading import Reading
@@ -194,38 +195,22 @@ class TrialWorker:
         )
 
 
-def measure(
-    trials: Sequence[Trial], executor: Executor, keep: Path | None = None, *, log: Callable[[str], None]
-) -> list[Outcome]:
+def measure(trials: Sequence[Trial], executor: Executor, observer: Observer, keep: Path | None = None) -> list[Outcome]:
     """Ground trials, in the order of `trials`.
 
     Args:
         trials: videos and presentations.
         executor: runs them.
+        observer: receives progress.
         keep: file of finished outcomes, from which the same call goes on; None: none.
-        log: receives a line per trial.
     """
     base = fingerprint(modules=["kinebench_drake.grounding.video"])
-    store = None if keep is None else MeasurementStore(keep, Outcome)
-    keys = {id(trial): f"{base}-{trial.clip.digest()}-{trial.clip.id}-{trial.presentation.value}" for trial in trials}
-    outcomes: dict[tuple[str, str], Outcome] = {}
-    waiting = []
-    for trial in trials:
-        key = keys[id(trial)]
-        if store is not None and key in store:
-            outcomes[trial.clip.id, trial.presentation.value] = store[key]
-        else:
-            waiting.append(trial)
-    for done in executor.run(TrialWorker, waiting):
-        if isinstance(done, WorkerCrash):
-            raise RuntimeError(f"{done.item.clip.id}: {done.reason}")
-        trial, outcome = done.item, done.result
-        log(f"{outcome.id} {outcome.presentation}: {outcome.verdict.value} ({outcome.cpu_s:.0f} s)")
-        outcomes[outcome.id, outcome.presentation] = outcome
-        if store is not None:
-            key = f"{base}-{trial.clip.digest()}-{trial.clip.id}-{trial.presentation.value}"
-            store.put(key, outcome)
-    return [outcomes[trial.clip.id, trial.presentation.value] for trial in trials]
+
+    def key(trial: Trial) -> str:
+        return f"{base}-{trial.clip.digest()}-{trial.clip.id}-{trial.presentation.value}"
+
+    store = MeasurementStore(keep, Outcome)
+    return store.complete(trials, key, executor, TrialWorker, observer, lambda t: f"{t.clip.id} {t.presentation.value}")
 
 
 def summary_table(outcomes: Sequence[Outcome]) -> list[str]:

@@ -228,9 +228,10 @@ def accuracy(results: Path, heldout: Path | None, others: tuple[Path, ...], work
     """Measure the errors of poses on held-out renderings and on videos of other programs and cameras."""
     one_thread()
     from benchmarks.accuracy import figures, measure, section
+    from kinebench_drake.cli.run import ProgressView
 
-    with errors():
-        measured = measure(_heldout(heldout, work), others, work, log)
+    with errors(), ProgressView("videos") as view:
+        measured = measure(_heldout(heldout, work), others, work, view, log)
     _record("accuracy", results, figures(*measured), section(*measured))
 
 
