@@ -29,7 +29,8 @@ from kinebench_drake.grounding.video import Grounder, GroundingResult
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.metrics.executable import FailureVerdict
 from kinebench_drake.runs.tools import RobotOptions, Tools
-from kinebench_drake.suites.episode import Episode
+from kinebench_drake.suites.catalog import EpisodeSpec
+from kinebench_drake.suites.composition import Episode
 from kinebench_drake.suites.expert.motion import Waypoint
 from kinebench_drake.suites.expert.registry import Expert, find_expert
 from kinebench_drake.suites.families.task import Scene
@@ -37,7 +38,6 @@ from kinebench_drake.suites.faults.fault import FaultGrade
 from kinebench_drake.suites.seeding import generator
 from kinebench_drake.suites.simulator import Simulator
 from kinebench_drake.suites.simulator_cache import SimulatorCache
-from kinebench_drake.suites.suite import EpisodeSpec
 from kinebench_drake.suites.worldmodels.reference import OracleModel, OracleRenderer
 from kinebench_drake.suites.worldmodels.worldmodel import Request, SimulatorState
 from kinebench_drake.track import GripperTrack

@@ -17,7 +17,7 @@ from kinebench_drake.geometry import Array, make_pose, rotation_angle, rotation_
 from kinebench_drake.kinematics.continuation import minimum_jerk
 from kinebench_drake.kinematics.newton import REACHED_M, solve_newton
 from kinebench_drake.suites.clock import CONTROL_PERIOD_S
-from kinebench_drake.suites.episode import compose
+from kinebench_drake.suites.composition import compose
 from kinebench_drake.suites.expert.grasp import DOWN, grasp_rotation
 from kinebench_drake.suites.expert.motion import plan
 from kinebench_drake.suites.expert.registry import EXPERTS

@@ -25,7 +25,9 @@ from kinebench_drake.anomaly import AnomalyKind
 from kinebench_drake.errors import InputError, UsageError
 from kinebench_drake.io.camerafile import save_camera
 from kinebench_drake.io.container import write_video
+from kinebench_drake.suites.catalog import EpisodeSpec, load_suite
 from kinebench_drake.suites.clock import CLIP_FRAMES, FRAME_PERIOD_S
+from kinebench_drake.suites.composition import Pool
 from kinebench_drake.suites.expert.registry import find_expert
 from kinebench_drake.suites.families.registry import TASKS, find_task
 from kinebench_drake.suites.families.task import TaskVariant
@@ -34,8 +36,6 @@ from kinebench_drake.suites.faults.fault_simulator import FaultSimulator
 from kinebench_drake.suites.faults.plant import plant
 from kinebench_drake.suites.faults.recording import Recording
 from kinebench_drake.suites.rollout import Rollout, RolloutVideo, render_video, run_expert
-from kinebench_drake.suites.split import Pool
-from kinebench_drake.suites.suite import EpisodeSpec, load_suite
 
 FPS = 17
 """Frame rate of the mp4; the task time between frames is `FRAME_PERIOD_S`."""

@@ -192,7 +192,7 @@ def views(out: Path, changes: str, episodes: int, seed: int, limit: int | None) 
     """
     one_thread()
     from benchmarks.views import CHANGES, measure
-    from kinebench_drake.suites.suite import load_suite
+    from kinebench_drake.suites.catalog import load_suite
 
     names = changes.split(",")
     if unknown := sorted(set(names) - set(CHANGES)):

@@ -38,11 +38,11 @@ from kinebench_drake.runs.runner import RunObserver
 from kinebench_drake.runs.score import score_videos
 from kinebench_drake.runs.score_config import ScoreConfig
 from kinebench_drake.segments import finite_rows
+from kinebench_drake.suites.catalog import EpisodeSpec, load_suite
 from kinebench_drake.suites.families.registry import TASKS
 from kinebench_drake.suites.faults.fault import GRADES, FaultGrade
 from kinebench_drake.suites.simulator import Control, Simulator
 from kinebench_drake.suites.simulator_cache import SimulatorCache
-from kinebench_drake.suites.suite import EpisodeSpec, load_suite
 from kinebench_drake.track import GripperTrack
 
 SUITE, SPLIT = 2, "unseen"

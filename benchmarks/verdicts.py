@@ -27,7 +27,7 @@ def causes(episodes: int, seed: int, limit: int | None, jobs: int) -> None:
     """Run episodes in closed loop with one planted cause of failure each, and compare with the verdicts."""
     from benchmarks.causes import cause_cases, cause_table, run_cases
     from kinebench_drake.executors.base import ExecutorKind, create_executor
-    from kinebench_drake.suites.suite import load_suite
+    from kinebench_drake.suites.catalog import load_suite
 
     suite = load_suite(0)
     split = suite.split_name("test")

@@ -5,9 +5,9 @@ from typing import Any
 
 import kinebench_drake
 from kinebench_drake.results.metadata import Shard
+from kinebench_drake.suites.catalog import EpisodeSpec
 from kinebench_drake.suites.export import DatasetConfig
 from kinebench_drake.suites.formats.demo import Content, FormatKind, RenderOptions, find_format
-from kinebench_drake.suites.suite import EpisodeSpec
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -25,8 +25,9 @@ from kinebench_drake.executors.base import Executor, WorkerCrash
 from kinebench_drake.executors.progress import Observer
 from kinebench_drake.io.atomic import disk_errors, make_folder
 from kinebench_drake.io.jsonl import append_line, read_lines, write_json, write_lines
+from kinebench_drake.suites.catalog import EpisodeSpec
+from kinebench_drake.suites.composition import Episode
 from kinebench_drake.suites.demo_config import DemoConfig
-from kinebench_drake.suites.episode import Episode
 from kinebench_drake.suites.expert.registry import find_expert
 from kinebench_drake.suites.export import episode_facts
 from kinebench_drake.suites.formats.demo import (
@@ -45,7 +46,6 @@ from kinebench_drake.suites.rollout import Rollout, render_video, run_expert
 from kinebench_drake.suites.seeding import generator
 from kinebench_drake.suites.simulator import Simulator
 from kinebench_drake.suites.simulator_cache import SimulatorCache, SimulatorWorker, failure_reason
-from kinebench_drake.suites.suite import EpisodeSpec
 
 RECORDS, SUMMARY = "demos.jsonl", "demos.json"
 EXTRA_TRIES = 10

@@ -19,15 +19,15 @@ from kinebench_drake.io.files import read_text
 from kinebench_drake.io.jsonl import as_object, parse_json, read_object, write_json, write_lines
 from kinebench_drake.models.panda.robot import TCP_LINK
 from kinebench_drake.results.store import SAMPLES
+from kinebench_drake.suites.catalog import VERSION, EpisodeSpec, Suite
 from kinebench_drake.suites.clock import CLIP_FRAMES, FRAME_PERIOD_S
-from kinebench_drake.suites.episode import Episode
+from kinebench_drake.suites.composition import Episode
 from kinebench_drake.suites.families.registry import TASKS
 from kinebench_drake.suites.families.task import TaskCard, TaskVariant
 from kinebench_drake.suites.prompts import PromptTemplate
 from kinebench_drake.suites.simulator import Simulator
 from kinebench_drake.suites.simulator_cache import SimulatorCache, SimulatorWorker
 from kinebench_drake.suites.start import first_facts
-from kinebench_drake.suites.suite import VERSION, EpisodeSpec, Suite
 
 MANIFEST, EPISODES, CAMERA, SUMMARY = "manifest.jsonl", "episodes.jsonl", "camera.json", "suite.json"
 FPS = 17

@@ -7,7 +7,7 @@ from pathlib import Path
 from kinebench_drake.errors import UsageError, cause
 from kinebench_drake.io.files import read_text
 from kinebench_drake.io.jsonl import Json, parse_json
-from kinebench_drake.suites.episode import Episode
+from kinebench_drake.suites.composition import Episode
 from kinebench_drake.suites.families.registry import TASKS
 
 INSTRUCTION = "{prompt}"

@@ -11,7 +11,7 @@ from kinebench_drake.geometry import Array, invert
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.models.panda.robot import HAND_LINK, TCP_LINK
 from kinebench_drake.suites.clock import CLIP_FRAMES, FRAME_PERIOD_S, STEPS_PER_FRAME
-from kinebench_drake.suites.episode import Episode
+from kinebench_drake.suites.composition import Episode
 from kinebench_drake.suites.expert.motion import plan
 from kinebench_drake.suites.expert.registry import Expert
 from kinebench_drake.suites.simulator import Simulator, Snapshot, TaskOutcome

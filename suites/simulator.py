@@ -23,7 +23,7 @@ from kinebench_drake.geometry import Array, from_quaternion, invert
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.models.panda.robot import FINGER_LINKS, HAND_LINK, LINK_OF, RobotPart
 from kinebench_drake.models.perception.frame import RENDERED_DEPTH_BIAS_M, RenderedFrame, label_parts
-from kinebench_drake.suites.episode import Episode
+from kinebench_drake.suites.composition import Episode
 from kinebench_drake.suites.families.registry import find_task
 from kinebench_drake.suites.families.task import Scene, TaskVariant
 

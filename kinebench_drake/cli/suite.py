@@ -23,10 +23,9 @@ from kinebench_drake.cli.suite_results import ceiling, report, tolerance
 from kinebench_drake.cli.suite_run import plan, run
 from kinebench_drake.errors import UsageError
 from kinebench_drake.io.atomic import atomic_path, write_atomically
-from kinebench_drake.suites.selection import chosen_tasks, task_names, with_variant
 
 if TYPE_CHECKING:  # slow to import
-    from kinebench_drake.suites.episode import Episode
+    from kinebench_drake.suites.composition import Episode
 
 _SEED = click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Seed of the first episode.")
 
@@ -46,11 +45,10 @@ def _episodes(
     Raises:
         UsageError: an option needs --suite, or contradicts it, or there is no such task, split or seed.
     """
-    from kinebench_drake.suites.episode import compose
+    from kinebench_drake.suites.catalog import chosen_tasks, load_suite, task_names, with_variant
+    from kinebench_drake.suites.composition import Pool, compose
     from kinebench_drake.suites.families.registry import TASKS, find_task
     from kinebench_drake.suites.families.task import TaskVariant
-    from kinebench_drake.suites.split import Pool
-    from kinebench_drake.suites.suite import load_suite
 
     own = TaskVariant(variant)
     if number is None:
@@ -110,7 +108,7 @@ def list_tasks(as_json: bool, suites: bool, markdown: bool) -> None:
 
 
 def _list_suites(as_json: bool) -> None:
-    from kinebench_drake.suites.suite import NUMBERS, load_suite
+    from kinebench_drake.suites.catalog import NUMBERS, load_suite
 
     loaded = [load_suite(number) for number in NUMBERS]
     if as_json:

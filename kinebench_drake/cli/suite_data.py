@@ -17,7 +17,6 @@ from kinebench_drake.cli.options import (
 from kinebench_drake.cli.run import ProgressView, terminate_as_interrupt
 from kinebench_drake.errors import UsageError
 from kinebench_drake.results.metadata import Shard
-from kinebench_drake.suites.selection import chosen_tasks
 
 if TYPE_CHECKING:
     from kinebench_drake.suites.formats.demo import FormatKind, RenderOptions
@@ -60,8 +59,8 @@ def export(size: int, jobs: int, **options: Any) -> None:
 
 def _dataset(number: int, split: str, tasks: str | None, variant: str, **others: Any) -> dict[str, Any]:
     """Return the fields of `DatasetConfig` from the options of the command line."""
+    from kinebench_drake.suites.catalog import chosen_tasks, load_suite
     from kinebench_drake.suites.families.task import TaskVariant
-    from kinebench_drake.suites.suite import load_suite
 
     suite, task_variant = load_suite(number), TaskVariant(variant)
     chosen = chosen_tasks(suite, split, tasks, task_variant)

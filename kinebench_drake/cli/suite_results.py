@@ -15,7 +15,6 @@ from kinebench_drake.cli.options import (
     suite_options,
 )
 from kinebench_drake.io.atomic import write_atomically
-from kinebench_drake.suites.selection import chosen_tasks
 
 
 @click.command(
@@ -119,8 +118,8 @@ def tolerance(
     from kinebench_drake.closed_loop.tolerance import PoseError, run_attempts, table_json, table_lines
     from kinebench_drake.errors import UsageError
     from kinebench_drake.executors.base import ExecutorKind, create_executor
+    from kinebench_drake.suites.catalog import chosen_tasks, load_suite
     from kinebench_drake.suites.families.task import TaskVariant
-    from kinebench_drake.suites.suite import load_suite
 
     names = errors.split(",")
     if unknown := [name for name in names if name not in _ERRORS]:

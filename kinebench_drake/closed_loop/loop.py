@@ -33,7 +33,7 @@ from kinebench_drake.suites.clock import (
     ClipTiming,
     sample_uniformly,
 )
-from kinebench_drake.suites.episode import Episode
+from kinebench_drake.suites.composition import Episode
 from kinebench_drake.suites.export import FPS
 from kinebench_drake.suites.prompts import PromptTemplate
 from kinebench_drake.suites.seeding import generator

@@ -37,14 +37,14 @@ from kinebench_drake.runs.requests import SIZE_PX, request_path
 from kinebench_drake.runs.score import VISUAL_METRICS, mean_confidence
 from kinebench_drake.runs.thumbnail import encode_strip
 from kinebench_drake.runs.tools import Tools, load_tools
+from kinebench_drake.suites.catalog import EpisodeSpec
 from kinebench_drake.suites.clock import FRAME_PERIOD_S
-from kinebench_drake.suites.episode import Episode
+from kinebench_drake.suites.composition import Episode
 from kinebench_drake.suites.export import FPS, manifest_row
 from kinebench_drake.suites.rollout import RolloutVideo, render_video
 from kinebench_drake.suites.simulator import Simulator
 from kinebench_drake.suites.simulator_cache import SimulatorCache
 from kinebench_drake.suites.start import first_facts
-from kinebench_drake.suites.suite import EpisodeSpec
 from kinebench_drake.suites.worldmodels.factory import LazyWorldModel
 from kinebench_drake.suites.worldmodels.remote import png
 from kinebench_drake.suites.worldmodels.worldmodel import OfflineModel

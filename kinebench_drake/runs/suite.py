@@ -15,12 +15,11 @@ from kinebench_drake.runs.config import RunConfig, RunKind
 from kinebench_drake.runs.episode import EpisodeEvaluator, EpisodeSample
 from kinebench_drake.runs.requests import write_requests
 from kinebench_drake.runs.runner import NullRunObserver, RunObserver, RunSummary, run_samples
+from kinebench_drake.suites.catalog import VERSION, Suite, chosen_tasks, load_suite
 from kinebench_drake.suites.clock import ClipTiming
 from kinebench_drake.suites.families.task import TaskVariant
 from kinebench_drake.suites.prompts import PROMPT_OPTIONS, prompt_template
-from kinebench_drake.suites.selection import chosen_tasks
 from kinebench_drake.suites.simulator import Control
-from kinebench_drake.suites.suite import VERSION, Suite, load_suite
 from kinebench_drake.suites.worldmodels.factory import LazyWorldModel
 from kinebench_drake.suites.worldmodels.spec import parse
 from kinebench_drake.suites.worldmodels.worldmodel import OfflineModel

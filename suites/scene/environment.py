@@ -24,14 +24,13 @@ from kinebench_drake.camera import Camera, benchmark_camera
 from kinebench_drake.errors import InputError
 from kinebench_drake.geometry import Array, make_pose, to_quaternion
 from kinebench_drake.models.robot import N_JOINTS
-from kinebench_drake.suites.episode import Episode, compose
+from kinebench_drake.suites.composition import Episode, Pool, compose
 from kinebench_drake.suites.families.registry import TASKS, find_task
 from kinebench_drake.suites.families.task import Placement, Scene, SceneLayout, TaskVariant
 from kinebench_drake.suites.scene.builder import build_actor, build_articulation, to_pose
 from kinebench_drake.suites.scene.look import background, light, surroundings, table
 from kinebench_drake.suites.scene.rendering import simplify_arm, software_shaders
 from kinebench_drake.suites.scene.state import ARM, State
-from kinebench_drake.suites.split import Pool
 from kinebench_drake.suites.start import start_q
 
 NAMESPACE = "KineBench"

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from kinebench_drake.errors import InputError
 from kinebench_drake.geometry import rotation_exp
-from kinebench_drake.suites.episode import Episode
+from kinebench_drake.suites.composition import Episode
 from kinebench_drake.suites.expert.motion import Waypoint
 from kinebench_drake.suites.expert.registry import Expert, find_expert
 from kinebench_drake.suites.families.task import Scene

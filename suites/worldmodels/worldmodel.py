@@ -13,7 +13,7 @@ from kinebench_drake.geometry import Array
 from kinebench_drake.io.jsonl import Json
 
 if TYPE_CHECKING:  # naming a world model should not load the assets
-    from kinebench_drake.suites.episode import Episode
+    from kinebench_drake.suites.composition import Episode
 
 SimulatorState: TypeAlias = Mapping[str, Mapping[str, NDArray[np.float32]]]
 """ManiSkill's state: kind (actors, articulations) and name to values."""

@@ -12,7 +12,7 @@ from benchmarks.extractors import Extraction, ExtractionItem, Extractor, changed
 from benchmarks.validity import ExecutionWorker, TrackExecution
 from kinebench_drake.anomaly import AnomalyKind
 from kinebench_drake.geometry import Array
-from kinebench_drake.suites.suite import EpisodeSpec, load_suite
+from kinebench_drake.suites.catalog import EpisodeSpec, load_suite
 from kinebench_drake.track import GripperTrack
 
 

@@ -12,7 +12,7 @@ from benchmarks.planted_videos import choose_episodes, parse_seeds
 from kinebench_drake.errors import UsageError
 from kinebench_drake.io.camerafile import load_camera
 from kinebench_drake.io.container import write_video
-from kinebench_drake.suites.split import Pool
+from kinebench_drake.suites.composition import Pool
 
 
 def test_parse_seeds() -> None:

@@ -16,9 +16,9 @@ from benchmarks.validity import ExecutionWorker, TrackExecution, ValidityTrial, 
 from benchmarks.validity_report import FIGURES, write_report
 from benchmarks.validity_response import NUMBERS, Grade, Study, Verdict, correlate
 from kinebench_drake.anomaly import AnomalyKind
+from kinebench_drake.suites.composition import Pool
 from kinebench_drake.suites.families.registry import TASKS
 from kinebench_drake.suites.faults.fault import GRADES, FaultGrade, PlantedFault
-from kinebench_drake.suites.split import Pool
 from kinebench_drake.track import GripperTrack
 
 EPISODES = 24

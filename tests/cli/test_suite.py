@@ -8,10 +8,10 @@ from kinebench_drake import cli
 from kinebench_drake.results.power import PowerDesign
 from kinebench_drake.suites import demos as making
 from kinebench_drake.suites import export as exporting
+from kinebench_drake.suites.catalog import load_suite
 from kinebench_drake.suites.demos import DemoSummary
 from kinebench_drake.suites.families.registry import TASKS
 from kinebench_drake.suites.formats.demo import FormatKind, RenderOptions
-from kinebench_drake.suites.suite import load_suite
 
 
 @pytest.fixture
@@ -153,7 +153,7 @@ def test_what_cannot_be_tried_or_drawn_is_told_before_the_work(suite, arguments,
 
 
 def test_episodes_of_a_suite_are_checked(suite, monkeypatch):
-    from kinebench_drake.suites.suite import load_suite
+    from kinebench_drake.suites.catalog import load_suite
 
     checked = []
     monkeypatch.setattr(
@@ -166,15 +166,15 @@ def test_episodes_of_a_suite_are_checked(suite, monkeypatch):
 
 
 def test_a_task_named_twice_is_one():
-    from kinebench_drake.suites.selection import task_names
+    from kinebench_drake.suites.catalog import task_names
 
     assert task_names("PullCube-v1, KineBench/PullCube-v1") == ["PullCube-v1"]
 
 
 @pytest.mark.sapien
 def test_the_namespace_is_that_of_the_environments():
+    from kinebench_drake.suites.catalog import task_names
     from kinebench_drake.suites.scene.environment import environment_id
-    from kinebench_drake.suites.selection import task_names
 
     assert task_names(",".join(environment_id(task) for task in TASKS)) == list(TASKS)
 

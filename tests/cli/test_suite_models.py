@@ -25,9 +25,9 @@ from kinebench_drake.runs.episode import EpisodeEvaluator, EpisodeSample
 from kinebench_drake.runs.evaluator import Evaluation
 from kinebench_drake.runs.merge import merge_folders
 from kinebench_drake.runs.suite import SuiteConfig, run_suite
+from kinebench_drake.suites.catalog import load_suite
 from kinebench_drake.suites.prompts import PromptTemplate
 from kinebench_drake.suites.simulator import Snapshot, TaskOutcome
-from kinebench_drake.suites.suite import load_suite
 from kinebench_drake.suites.worldmodels.worldmodel import ActionTrack
 from kinebench_drake.track import GripperTrack
 from tests.cli.fake_tools import FakeTools

@@ -17,12 +17,11 @@ from kinebench_drake.closed_loop.loop import LoopOptions
 from kinebench_drake.formats.videos.find import find_samples
 from kinebench_drake.io.container import write_video
 from kinebench_drake.io.reader import read_video
-from kinebench_drake.suites.episode import compose
+from kinebench_drake.suites.catalog import VERSION
+from kinebench_drake.suites.composition import Pool, compose
 from kinebench_drake.suites.expert.registry import find_expert
 from kinebench_drake.suites.rollout import render_video, run_expert
 from kinebench_drake.suites.simulator import Simulator, Snapshot
-from kinebench_drake.suites.split import Pool
-from kinebench_drake.suites.suite import VERSION
 
 pytestmark = [pytest.mark.sapien, pytest.mark.slow]
 

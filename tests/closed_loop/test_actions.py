@@ -13,7 +13,7 @@ from kinebench_drake.closed_loop.actions import ActionSource, action_curves, mea
 from kinebench_drake.geometry import make_pose, pose_difference, rotation_z
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.models.panda.robot import HAND_LINK, TCP_LINK
-from kinebench_drake.suites.episode import compose
+from kinebench_drake.suites.composition import compose
 from kinebench_drake.suites.simulator import Simulator
 from kinebench_drake.suites.worldmodels.reference import OracleModel
 from kinebench_drake.suites.worldmodels.worldmodel import ActionTrack, Request

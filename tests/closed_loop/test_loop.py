@@ -10,7 +10,7 @@ from kinebench_drake.closed_loop import loop as module
 from kinebench_drake.closed_loop.loop import ClosedLoop, LoopOptions, Round, _place_beside
 from kinebench_drake.errors import InputError
 from kinebench_drake.suites.clock import ClipTiming
-from kinebench_drake.suites.episode import compose
+from kinebench_drake.suites.composition import compose
 from kinebench_drake.suites.seeding import generator
 from kinebench_drake.suites.worldmodels.worldmodel import WorldModelError
 

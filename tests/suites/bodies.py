@@ -6,7 +6,7 @@ import numpy as np
 import torch
 
 from kinebench_drake.geometry import Array, transform_points
-from kinebench_drake.suites.episode import Episode
+from kinebench_drake.suites.composition import Episode
 from kinebench_drake.suites.scene.model import Collider, ColliderKind, RigidBody
 from kinebench_drake.suites.scene.state import ARM, State
 

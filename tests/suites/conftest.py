@@ -3,7 +3,7 @@ from collections.abc import Iterator
 import pytest
 
 from kinebench_drake.camera import benchmark_camera
-from kinebench_drake.suites.episode import compose
+from kinebench_drake.suites.composition import compose
 from kinebench_drake.suites.expert.registry import find_expert
 from kinebench_drake.suites.rollout import Rollout, RolloutVideo, render_video, run_expert
 from kinebench_drake.suites.simulator import Simulator

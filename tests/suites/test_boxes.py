@@ -8,7 +8,7 @@ import torch
 
 from kinebench_drake.geometry import make_pose, rotation_exp, transform_points
 from kinebench_drake.kinematics.plant import ArmPlant
-from kinebench_drake.suites.episode import asset_ids, compose, model
+from kinebench_drake.suites.composition import asset_ids, compose, model
 from kinebench_drake.suites.expert.registry import find_expert
 from kinebench_drake.suites.families.boxes.assets import FLUSH, OPEN_RAD, OVERHANG_M, RIMMED, with_tight_hinge
 from kinebench_drake.suites.families.registry import find_task

@@ -12,11 +12,11 @@ from kinebench_drake.errors import SetupError, UsageError
 from kinebench_drake.executors.base import ItemResult, WorkerCrash
 from kinebench_drake.results.metadata import Shard
 from kinebench_drake.suites import demos
+from kinebench_drake.suites.catalog import EpisodeSpec
 from kinebench_drake.suites.demo_config import DemoConfig
 from kinebench_drake.suites.demos import DemoSummary, make_demos
 from kinebench_drake.suites.formats.demo import Content, FormatKind, Record, RenderOptions
 from kinebench_drake.suites.simulator_cache import SimulatorCache
-from kinebench_drake.suites.suite import EpisodeSpec
 from tests.suites.orders import FIRST, TASK, Recorder, an_order
 
 

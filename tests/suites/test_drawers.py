@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from kinebench_drake.geometry import Array, to_quaternion
-from kinebench_drake.suites.episode import asset_ids, compose, model
+from kinebench_drake.suites.composition import asset_ids, compose, model
 from kinebench_drake.suites.expert.registry import find_expert
 from kinebench_drake.suites.families.blocks.assets import EDGE_M
 from kinebench_drake.suites.families.drawers import assets as cabinets

@@ -10,13 +10,12 @@ import pytest
 
 from kinebench_drake.errors import InputError, UsageError
 from kinebench_drake.geometry import pose_difference
-from kinebench_drake.suites.episode import compose, model
+from kinebench_drake.suites.composition import Pool, compose, model
 from kinebench_drake.suites.expert.registry import find_expert
 from kinebench_drake.suites.families.registry import TASKS
 from kinebench_drake.suites.families.task import TaskVariant
 from kinebench_drake.suites.rollout import run_expert
 from kinebench_drake.suites.simulator import Simulator
-from kinebench_drake.suites.split import Pool
 from tests.suites.scenes import EACH_TASK
 
 TASK = "StackCube-v1"
@@ -59,7 +58,7 @@ def test_a_seed_gives_the_same_first_frame_whatever_came_before(simulator: Simul
     assert picture_hash(simulator) == first
     code = (
         "import hashlib\n"
-        "from kinebench_drake.suites.episode import compose\n"
+        "from kinebench_drake.suites.composition import compose\n"
         "from kinebench_drake.suites.simulator import Simulator\n"
         f"with Simulator({TASK!r}) as simulator:\n"
         f"    simulator.reset(compose({TASK!r}, 5))\n"

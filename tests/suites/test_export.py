@@ -13,12 +13,12 @@ from kinebench_drake.executors.base import ExecutorKind, create_executor
 from kinebench_drake.formats.videos.find import find_samples
 from kinebench_drake.io.atomic import write_atomically
 from kinebench_drake.io.camerafile import load_camera, save_camera
-from kinebench_drake.suites.episode import compose
+from kinebench_drake.suites.catalog import load_suite
+from kinebench_drake.suites.composition import compose
 from kinebench_drake.suites.export import ExportConfig, export_suite
 from kinebench_drake.suites.families.task import TaskVariant
 from kinebench_drake.suites.prompts import PromptTemplate
 from kinebench_drake.suites.simulator import Simulator
-from kinebench_drake.suites.suite import load_suite
 from tests.suites.orders import Recorder
 
 TASKS = ("PullCube-v1", "StackCube-v1")

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from kinebench_drake.kinematics.plant import ArmPlant
-from kinebench_drake.suites.episode import asset_ids, compose, model
+from kinebench_drake.suites.composition import asset_ids, compose, model
 from kinebench_drake.suites.expert.clearance import SceneGeometry
 from kinebench_drake.suites.expert.registry import find_expert
 from kinebench_drake.suites.families.faucets import assets as faucets

@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from kinebench_drake.geometry import Array, make_pose
-from kinebench_drake.suites.episode import Episode, asset_ids, compose, model
+from kinebench_drake.suites.composition import Episode, asset_ids, compose, model
 from kinebench_drake.suites.expert.registry import find_expert
 from kinebench_drake.suites.families.fruits.assets import FRUITS
 from kinebench_drake.suites.families.fruits.containers import COMPARTMENTS, compartment_center

@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from kinebench_drake.geometry import Array, make_pose
-from kinebench_drake.suites.episode import asset_ids, compose, model
+from kinebench_drake.suites.composition import asset_ids, compose, model
 from kinebench_drake.suites.expert.registry import find_expert
 from kinebench_drake.suites.families.laptops import assets
 from kinebench_drake.suites.families.laptops.assets import GREATEST_RAD

@@ -7,7 +7,7 @@ import pytest
 
 from kinebench_drake.cli.suite_run import run
 from kinebench_drake.errors import UsageError
-from kinebench_drake.suites.episode import compose
+from kinebench_drake.suites.composition import compose
 from kinebench_drake.suites.families.registry import TASKS
 from kinebench_drake.suites.prompts import PRESETS, PromptTemplate, prompt_template
 

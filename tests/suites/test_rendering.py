@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from kinebench_drake.environment.native import RENDER_VARIABLE, has_nvidia_vulkan
-from kinebench_drake.suites.episode import compose
+from kinebench_drake.suites.composition import compose
 from kinebench_drake.suites.expert.registry import find_expert
 from kinebench_drake.suites.rollout import run_expert
 from kinebench_drake.suites.simulator import CameraImage, Simulator, Snapshot
@@ -78,7 +78,7 @@ _RENDER = f"""
 import sys
 import numpy as np
 from kinebench_drake.environment.native import prepare_vulkan
-from kinebench_drake.suites.episode import compose
+from kinebench_drake.suites.composition import compose
 from kinebench_drake.suites.simulator import Simulator
 with Simulator("{TASK}") as simulator:
     simulator.reset(compose("{TASK}", 0))

@@ -8,7 +8,7 @@ from kinebench_drake.errors import UsageError
 from kinebench_drake.geometry import invert, pose_difference, transform_points
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.suites.clock import FRAME_PERIOD_S
-from kinebench_drake.suites.episode import compose
+from kinebench_drake.suites.composition import compose
 from kinebench_drake.suites.expert.registry import find_expert
 from kinebench_drake.suites.families.registry import TASKS
 from kinebench_drake.suites.rollout import Rollout, RolloutVideo, render_video, run_expert

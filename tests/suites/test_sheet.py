@@ -10,8 +10,8 @@ from PIL import Image
 
 from kinebench_drake.cli import cli
 from kinebench_drake.executors.base import ExecutorKind, ItemResult, WorkerCrash, create_executor
+from kinebench_drake.suites.composition import Episode, compose
 from kinebench_drake.suites.contact_sheet import GAP_PX, IMAGE_PX, MARGIN_PX, Panel, contact_sheet, task_panels
-from kinebench_drake.suites.episode import Episode, compose
 
 
 def _shot(level: int) -> Panel:

@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 
 from kinebench_drake.errors import UsageError
-from kinebench_drake.suites.episode import compose
+from kinebench_drake.suites.composition import Pool, compose
 from kinebench_drake.suites.families.registry import TASKS
 from kinebench_drake.suites.simulator import Simulator
-from kinebench_drake.suites.split import Pool
 from kinebench_drake.suites.start import START_WIDTH_M, start_q
 
 

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
-from kinebench_drake.suites.episode import KINDS, asset_ids, compose, model
+from kinebench_drake.suites.composition import KINDS, asset_ids, compose, model
 from kinebench_drake.suites.expert.registry import EXPERTS
 from kinebench_drake.suites.families.registry import TASKS
 from kinebench_drake.suites.families.task import TaskVariant

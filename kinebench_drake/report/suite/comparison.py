@@ -24,7 +24,7 @@ from kinebench_drake.stats import PairedShares, adjust_p_values
 
 if TYPE_CHECKING:
     from kinebench_drake.closed_loop.tolerance import ToleranceAttempt
-    from kinebench_drake.suites.episode import Episode
+    from kinebench_drake.suites.composition import Episode
 
 DIRECT = "expert's true track"
 """Label of direct execution in place of a model's name."""
@@ -118,9 +118,9 @@ def read_ceiling(
 
 def _compose(result: EpisodeResult) -> "Episode":
     """Compose the episode that a row names."""
+    from kinebench_drake.suites.catalog import EpisodeSpec
+    from kinebench_drake.suites.composition import Pool
     from kinebench_drake.suites.families.task import TaskVariant
-    from kinebench_drake.suites.split import Pool
-    from kinebench_drake.suites.suite import EpisodeSpec
 
     extra = result.row.extra
     try:

@@ -34,9 +34,8 @@ def split_models(folders: Sequence[RunFolder], episodes: Sequence[EpisodeResult]
 
 def tasks_of(part: SuitePart) -> tuple[str, ...]:
     """Return the tasks of a split of a suite, of the variant if it is not the plain one."""
+    from kinebench_drake.suites.catalog import chosen_tasks, load_suite
     from kinebench_drake.suites.families.task import TaskVariant
-    from kinebench_drake.suites.selection import chosen_tasks
-    from kinebench_drake.suites.suite import load_suite
 
     return tuple(chosen_tasks(load_suite(part.suite), part.split, None, TaskVariant(part.variant)))
 

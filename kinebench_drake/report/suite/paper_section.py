@@ -179,7 +179,7 @@ def _drop_parts(data: PaperData) -> list[Part]:
 
 def _transfers() -> Mapping[str, Sequence[str]]:
     """Return the trained tasks that each unseen task of suite 1 derives from."""
-    from kinebench_drake.suites.suite import load_suite
+    from kinebench_drake.suites.catalog import load_suite
 
     return {t.task: t.of for t in load_suite(1).transfers}
 

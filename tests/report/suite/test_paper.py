@@ -19,7 +19,7 @@ from kinebench_drake.report.suite.transfer import study_drops, tabulate_drops
 from kinebench_drake.report.table import table_latex
 from kinebench_drake.results.row import Status
 from kinebench_drake.stats import PairedOutcomes
-from kinebench_drake.suites.suite import load_suite
+from kinebench_drake.suites.catalog import load_suite
 from tests.report.pages import BROWSER, WIDTH, Page, probe
 from tests.report.suite.synthetic import change, failed, outcome, write_run
 from training.__main__ import main as training

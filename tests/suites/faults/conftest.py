@@ -4,7 +4,7 @@ from dataclasses import replace
 import pytest
 
 from kinebench_drake.camera import benchmark_camera
-from kinebench_drake.suites.episode import compose
+from kinebench_drake.suites.composition import compose
 from kinebench_drake.suites.expert.registry import find_expert
 from kinebench_drake.suites.faults.fault_simulator import FaultSimulator
 from kinebench_drake.suites.faults.recording import Recording

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from enum import Enum
 from functools import lru_cache
 
 from kinebench_drake.errors import UsageError
@@ -17,8 +18,7 @@ from kinebench_drake.suites.families.task import SceneLayout, TaskVariant
 from kinebench_drake.suites.scene import marks
 from kinebench_drake.suites.scene.look import SORTS, look_ids
 from kinebench_drake.suites.scene.model import AssetMaker, AssetModel
-from kinebench_drake.suites.seeding import generator
-from kinebench_drake.suites.split import Pool, pool_ids
+from kinebench_drake.suites.seeding import generator, share
 
 INSTANCES = 24
 """Number of instances of each kind."""
@@ -26,6 +26,23 @@ INSTANCES = 24
 _FAMILIES = (blocks, boxes, cabinets, containers, faucets, fruits, laptops, marks)
 KINDS: dict[str, AssetMaker] = {kind: make for family in _FAMILIES for kind, make in family.KINDS.items()}
 """Maker of each kind; kinds between which tasks distinguish have their own names, such as "fruit/apple"."""
+
+
+class Pool(Enum):
+    """Assets and looks that episodes draw from."""
+
+    ALL = "all"
+    SEEN = "seen"
+    UNSEEN = "unseen"
+
+
+def pool_ids(ids: tuple[str, ...], pool: Pool) -> tuple[str, ...]:
+    """Return the ids of a pool: the half with the lower hashes is seen, so that both halves are equally large."""
+    if pool is Pool.ALL:
+        return ids
+    ranked = sorted(ids, key=lambda name: share("split", name))
+    training = set(ranked[: len(ranked) // 2])
+    return tuple(name for name in ids if (name in training) == (pool is Pool.SEEN))
 
 
 def asset_ids(kind: str) -> tuple[str, ...]:

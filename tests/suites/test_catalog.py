@@ -6,11 +6,10 @@ from itertools import pairwise
 import pytest
 
 from kinebench_drake.errors import UsageError
-from kinebench_drake.suites.episode import KINDS, Episode, asset_ids
+from kinebench_drake.suites.catalog import NUMBERS, Relation, Suite, load_suite
+from kinebench_drake.suites.composition import KINDS, Episode, Pool, asset_ids, pool_ids
 from kinebench_drake.suites.families.registry import TASKS
 from kinebench_drake.suites.scene.look import SORTS, look_ids
-from kinebench_drake.suites.split import Pool, pool_ids
-from kinebench_drake.suites.suite import NUMBERS, Relation, Suite, load_suite
 
 
 def suites() -> list[Suite]:

@@ -10,16 +10,21 @@ from typing import ClassVar
 from pydantic import ConfigDict, TypeAdapter
 
 from kinebench_drake.errors import UsageError, suggestion
-from kinebench_drake.suites.episode import Episode, compose, episode_id
+from kinebench_drake.suites.composition import Episode, Pool, compose, episode_id
 from kinebench_drake.suites.families.registry import TASKS
 from kinebench_drake.suites.families.task import TaskVariant
-from kinebench_drake.suites.split import Pool
 
-_STRICT = ConfigDict(extra="forbid")
 NUMBERS = (0, 1, 2, 3)
 """Numbers of the suites."""
 VERSION = "1"
 """Version of all suites, changed whenever an episode of the same id changes."""
+
+
+class _Strict:
+    """Base of the records of a suite's file, which have no other keys."""
+
+    __slots__ = ()
+    __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(extra="forbid")
 
 
 class Relation(Enum):
@@ -55,10 +60,9 @@ class EpisodeSpec:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Split:
+class Split(_Strict):
     """Subset of a suite's episodes."""
 
-    __pydantic_config__: ClassVar[ConfigDict] = _STRICT
     tasks: str
     """Name of the suite's list of tasks."""
     pool: Pool
@@ -70,10 +74,9 @@ class Split:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Transfer:
+class Transfer(_Strict):
     """Reason why an unseen task measures transfer."""
 
-    __pydantic_config__: ClassVar[ConfigDict] = _STRICT
     task: str
     """The unseen task."""
     relation: Relation
@@ -85,10 +88,9 @@ class Transfer:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ExcludedTask:
+class ExcludedTask(_Strict):
     """Reason why a task is not part of a suite."""
 
-    __pydantic_config__: ClassVar[ConfigDict] = _STRICT
     task: str
     """Plain task id."""
     reason: str
@@ -96,10 +98,9 @@ class ExcludedTask:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class SuiteStudy:
+class SuiteStudy(_Strict):
     """A grid of training runs."""
 
-    __pydantic_config__: ClassVar[ConfigDict] = _STRICT
     demonstrations: tuple[int, ...]
     """Demonstrations of each task; smaller sets are prefixes of larger ones."""
     steps: tuple[int, ...]
@@ -107,10 +108,9 @@ class SuiteStudy:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Suite:
+class Suite(_Strict):
     """Suite of tasks and splits."""
 
-    __pydantic_config__: ClassVar[ConfigDict] = _STRICT
     number: int
     """Number of the suite."""
     title: str
@@ -207,3 +207,39 @@ def load_suite(number: int) -> Suite:
         raise UsageError(f"no suite {number}; there are {', '.join(map(str, NUMBERS))}")
     text = (files("kinebench_drake.suites") / "data" / f"suite{number}.json").read_text(encoding="utf-8")
     return TypeAdapter(Suite).validate_json(text)
+
+
+def task_names(names: str | Sequence[str] | None) -> list[str] | None:
+    """Parse task names, with or without ManiSkill's namespace, into plain ids without duplicates; None: all.
+
+    Args:
+        names: list, or comma-separated.
+    """
+    if names is None:
+        return None
+    listed = names.split(",") if isinstance(names, str) else names
+    return list(dict.fromkeys(name.strip().removeprefix("KineBench/") for name in listed))
+
+
+def with_variant(tasks: Sequence[str], variant: TaskVariant, *, named: bool) -> list[str]:
+    """Return the tasks that have a variant; tasks that the user named must have it.
+
+    Raises:
+        UsageError: a named task does not have it, or no task has.
+    """
+    having = [task for task in tasks if variant in TASKS[task].card.variants]
+    if not having or (named and len(having) < len(tasks)):
+        which = ", ".join(task for task in tasks if task not in having) if named else "no task of this split"
+        verb = "has no" if named else "has the"
+        all_having = ", ".join(name for name, task in TASKS.items() if variant in task.card.variants)
+        raise UsageError(f"{which} {verb} variant {variant.value!r}; tasks that have it: {all_having}")
+    return having
+
+
+def chosen_tasks(suite: Suite, split: str, names: str | Sequence[str] | None, variant: TaskVariant) -> tuple[str, ...]:
+    """Return the named tasks of a split, or all that have the variant.
+
+    Raises:
+        UsageError: the split does not have the tasks, or they do not have the variant.
+    """
+    return tuple(with_variant(suite.tasks_of(split, task_names(names)), variant, named=names is not None))
