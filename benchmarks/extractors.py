@@ -29,10 +29,9 @@ from kinebench_drake.io.reader import read_video
 from kinebench_drake.runs.runner import RunObserver
 from kinebench_drake.stats import IntervalEstimate, percentile_interval, resampled_indices, wilson
 from kinebench_drake.suites.catalog import EpisodeSpec, load_suite
-from kinebench_drake.suites.demo_config import DemoConfig
+from kinebench_drake.suites.demo_config import DemoConfig, FormatKind, RenderOptions
 from kinebench_drake.suites.demos import make_demos
 from kinebench_drake.suites.families.task import TaskVariant
-from kinebench_drake.suites.formats.demo import FormatKind, RenderOptions
 from kinebench_drake.track import GripperTrack
 from training.baseline.fitting import SCHEDULE, BaselineConfig, train
 from training.baseline.network import Baseline

@@ -17,33 +17,17 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from numpy.typing import ArrayLike
-from typing_extensions import override
-
 from kinebench_drake.errors import InputError, SetupError, UsageError
 from kinebench_drake.executors.base import Executor, WorkerCrash
 from kinebench_drake.executors.progress import Observer
 from kinebench_drake.io.atomic import disk_errors, make_folder
 from kinebench_drake.io.jsonl import append_line, read_lines, write_json, write_lines
 from kinebench_drake.suites.catalog import EpisodeSpec
-from kinebench_drake.suites.composition import Episode
-from kinebench_drake.suites.demo_config import DemoConfig
+from kinebench_drake.suites.demo_config import CLIP_STEPS, DemoConfig, FormatKind, RenderOptions
+from kinebench_drake.suites.demo_formats import FORMATS, PARTS, DemoFormat, Record
 from kinebench_drake.suites.expert.registry import find_expert
 from kinebench_drake.suites.export import episode_facts
-from kinebench_drake.suites.formats.demo import (
-    CLIP_STEPS,
-    PARTS,
-    Content,
-    Demo,
-    DemoFormat,
-    FormatKind,
-    Record,
-    RenderOptions,
-    find_format,
-)
-from kinebench_drake.suites.formats.stills import render_stills
-from kinebench_drake.suites.rollout import Rollout, render_video, run_expert
-from kinebench_drake.suites.seeding import generator
+from kinebench_drake.suites.rollout import run_expert
 from kinebench_drake.suites.simulator import Simulator
 from kinebench_drake.suites.simulator_cache import SimulatorCache, SimulatorWorker, failure_reason
 
@@ -67,30 +51,12 @@ class DemoSummary:
     """Number of missing demonstrations of each task that was given up."""
 
 
-class _RecordingSimulator(Simulator):
-    """Simulator that records ManiSkill's state and the success after each step."""
-
-    @override
-    def reset(self, episode: Episode) -> None:
-        super().reset(episode)
-        self.states = [self.simulation_state()]
-        self.successes: list[bool] = []
-
-    @override
-    def step(self, q: ArrayLike, finger_width_m: float) -> None:
-        super().step(q, finger_width_m)
-        self.states.append(self.simulation_state())
-        self.successes.append(self.outcome().success)
-
-
 class _DemoWorker(SimulatorWorker[Simulator]):
     """Makes demonstrations."""
 
     def __init__(self, kind: FormatKind, options: RenderOptions, out: Path) -> None:
-        self._form, self._options, self._out = find_format(kind), options, out
-        make = _RecordingSimulator if Content.STATES in self._form.content else Simulator
-        renders = bool(self._form.content & (Content.VIDEO | Content.STILLS))
-        super().__init__(SimulatorCache(make, options.size, renders=renders))
+        self._form, self._options, self._out = FORMATS[kind], options, out
+        super().__init__(SimulatorCache(self._form.simulator, options.size, renders=self._form.renders))
 
     def __call__(self, spec: EpisodeSpec) -> Record:
         episode, simulator = spec.episode(), self._simulators.get(spec.task, spec.variant)
@@ -103,7 +69,7 @@ class _DemoWorker(SimulatorWorker[Simulator]):
         except Exception as error:
             reason = failure_reason(error)
         if success:
-            self._form.write_part(self._out, _demo(simulator, rollout, self._options, self._form.content))
+            self._form.write_part(self._out, simulator, rollout, self._options)
         return Record(
             id=episode.id,
             task=episode.task,
@@ -115,22 +81,6 @@ class _DemoWorker(SimulatorWorker[Simulator]):
             clips=clips,
             facts={name: fact for name, fact in episode_facts(episode).items() if name not in Record.__slots__},
         )
-
-
-def _demo(simulator: Simulator, rollout: Rollout, options: RenderOptions, content: Content) -> Demo:
-    from kinebench_drake.suites.scene.environment import X_WB
-
-    recorder = simulator if isinstance(simulator, _RecordingSimulator) else None
-    rng = generator("stills", rollout.episode.id)
-    return Demo(
-        rollout=rollout,
-        options=options,
-        video=render_video(simulator, rollout.snapshots) if Content.VIDEO in content else None,
-        stills=render_stills(simulator, rollout, rng) if Content.STILLS in content else (),
-        X_WB=X_WB,
-        states=recorder.states if recorder else (),
-        successes=tuple(recorder.successes) if recorder else (),
-    )
 
 
 def make_demos(config: DemoConfig, executor: Executor, observer: Observer, *, overwrite: bool = False) -> DemoSummary:
@@ -146,7 +96,7 @@ def make_demos(config: DemoConfig, executor: Executor, observer: Observer, *, ov
         records = _read_records(config)
         before = _read_summary(config, records)
         if not _is_complete(config, before):
-            form = find_format(config.kind)
+            form = FORMATS[config.kind]
             records = {key: r for key, r in records.items() if _has_files(form, config.out, r)}
             replaced = before.get("files", before.get("replaces", []))
             write_json(config.out / SUMMARY, {**config.request(), "replaces": replaced})
@@ -192,7 +142,7 @@ def _delete_earlier_run(out: Path) -> None:
     paths = [out / SUMMARY, out / RECORDS]
     with suppress(OSError, ValueError, KeyError, TypeError, AttributeError, InputError):
         before = json.loads((out / SUMMARY).read_text())
-        form = find_format(FormatKind(before["format"]))
+        form = FORMATS[FormatKind(before["format"])]
         paths += [out / name for name in before.get("files", before.get("replaces", []))]
         paths += form.index_files(out, before["tasks"])
         records = read_lines(out / RECORDS, Record.from_json)
@@ -308,7 +258,7 @@ def _finish(config: DemoConfig, form: DemoFormat, records: Records) -> None:
     counted = _counted(config, records)
     made = [record for record in counted if record.success]
     if made:
-        files = form.finish(config.out, made, config.options, config.settings())
+        files = form.finish(config, made)
         write_lines(config.out / RECORDS, [asdict(record) for record in counted])
         keys = {(record.task, record.seed) for record in counted}
         surplus = [record for key, record in records.items() if record.success and key not in keys]

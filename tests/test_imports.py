@@ -25,7 +25,7 @@ MAY_IMPORT = {
     "kinematics": IO | {"models"},
     "metrics": IO | {"models", "kinematics"},
     "grounding": IO | {"models", "kinematics", "formats", "executors"},
-    "suites": IO | {"models", "kinematics", "results", "executors"},
+    "suites": IO | {"models", "kinematics", "formats", "results", "executors"},
     "closed_loop": IO | {"models", "kinematics", "metrics", "executors", "grounding", "suites"},
     "report": IO | {"models", "kinematics", "metrics", "formats", "results", "executors", "suites", "closed_loop"},
     "runs": IO

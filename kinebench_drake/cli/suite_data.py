@@ -19,7 +19,7 @@ from kinebench_drake.errors import UsageError
 from kinebench_drake.results.metadata import Shard
 
 if TYPE_CHECKING:
-    from kinebench_drake.suites.formats.demo import FormatKind, RenderOptions
+    from kinebench_drake.suites.demo_config import FormatKind, RenderOptions
 
 _OUT = click.option("--out", type=PathParameter(), required=True, help="Output folder; made if absent.")
 
@@ -122,9 +122,8 @@ def demos(
     command resumes a run that was stopped.
     """
     from kinebench_drake.executors.base import ExecutorKind, create_executor
-    from kinebench_drake.suites.demo_config import DemoConfig
+    from kinebench_drake.suites.demo_config import DemoConfig, FormatKind
     from kinebench_drake.suites.demos import make_demos
-    from kinebench_drake.suites.formats.demo import FormatKind
 
     form = FormatKind(kind)
     config = DemoConfig(
@@ -152,7 +151,7 @@ def _render_options(
     Raises:
         UsageError: an option does not apply to the format.
     """
-    from kinebench_drake.suites.formats.demo import FormatKind, RenderOptions
+    from kinebench_drake.suites.demo_config import FormatKind, RenderOptions
 
     choices = {"size": size, "fps": fps, "frames": frames, "crf": crf}
     values: dict[str, Any] = {name: x for name, x in choices.items() if x is not None}

@@ -15,6 +15,7 @@ from kinebench_drake.io.files import read_bytes
 Json: TypeAlias = bool | int | float | str | Sequence["Json"] | Mapping[str, "Json"] | None
 """A JSON value."""
 Row = TypeVar("Row")
+Kind = TypeVar("Kind")
 
 _DIGITS = 20
 """Longest integer that is parsed as an integer."""
@@ -68,6 +69,18 @@ def read_object(path: Path) -> Mapping[str, object]:
 def as_object(value: object) -> Mapping[str, object]:
     """Return the value if it is a JSON object, else an empty object."""
     return value if isinstance(value, Mapping) else {}
+
+
+def as_type(value: object, kind: type[Kind]) -> Kind | None:
+    """Return the value if it is of a type, else None; booleans are no integers."""
+    return value if isinstance(value, kind) and isinstance(value, bool) <= (kind is bool) else None
+
+
+def as_number(value: object) -> float | None:
+    """Return the value if it is a finite number, else None."""
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        return None
+    return float(value)
 
 
 def write_json(path: Path, value: Mapping[str, Any]) -> None:

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.formats.manifest import NAME
-from kinebench_drake.formats.videos.search import CAMERA_NAME
+from kinebench_drake.formats.videos.sample import CAMERA_NAME
 from kinebench_drake.io.atomic import disk_errors
 from kinebench_drake.io.camerafile import save_camera
 from kinebench_drake.io.jsonl import write_lines

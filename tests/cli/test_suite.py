@@ -9,9 +9,9 @@ from kinebench_drake.results.power import PowerDesign
 from kinebench_drake.suites import demos as making
 from kinebench_drake.suites import export as exporting
 from kinebench_drake.suites.catalog import load_suite
+from kinebench_drake.suites.demo_config import FormatKind, RenderOptions
 from kinebench_drake.suites.demos import DemoSummary
 from kinebench_drake.suites.families.registry import TASKS
-from kinebench_drake.suites.formats.demo import FormatKind, RenderOptions
 
 
 @pytest.fixture

@@ -4,9 +4,8 @@ from pathlib import Path
 
 from kinebench_drake.executors.progress import Observer
 from kinebench_drake.suites.catalog import load_suite
-from kinebench_drake.suites.demo_config import DemoConfig
+from kinebench_drake.suites.demo_config import DemoConfig, FormatKind, RenderOptions
 from kinebench_drake.suites.families.task import TaskVariant
-from kinebench_drake.suites.formats.demo import FormatKind, RenderOptions
 
 TASK = "StackCube-v1"
 FIRST = 1_000_000

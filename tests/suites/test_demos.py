@@ -13,25 +13,26 @@ from kinebench_drake.executors.base import ItemResult, WorkerCrash
 from kinebench_drake.results.metadata import Shard
 from kinebench_drake.suites import demos
 from kinebench_drake.suites.catalog import EpisodeSpec
-from kinebench_drake.suites.demo_config import DemoConfig
+from kinebench_drake.suites.demo_config import DemoConfig, FormatKind, RenderOptions
+from kinebench_drake.suites.demo_formats import FORMATS, DemoFormat, Record
 from kinebench_drake.suites.demos import DemoSummary, make_demos
-from kinebench_drake.suites.formats.demo import Content, FormatKind, Record, RenderOptions
+from kinebench_drake.suites.rollout import Rollout
+from kinebench_drake.suites.simulator import Simulator
 from kinebench_drake.suites.simulator_cache import SimulatorCache
 from tests.suites.orders import FIRST, TASK, Recorder, an_order
 
 
-class FakeFormat:
+class FakeFormat(DemoFormat):
     """A format whose parts are empty files."""
-
-    content = Content.VIDEO
 
     def part_files(self, folder: Path, record: Record) -> list[Path]:
         return [folder / f"{record.id}.mp4"]
 
-    def finish(
-        self, folder: Path, records: Sequence[Record], options: RenderOptions, about: dict[str, Any]
-    ) -> list[Path]:
-        (folder / "all.txt").write_text("".join(f"{record.seed - FIRST} " for record in records))
+    def write_part(self, folder: Path, simulator: Simulator, rollout: Rollout, options: RenderOptions) -> None:
+        raise NotImplementedError
+
+    def finish(self, config: DemoConfig, records: Sequence[Record]) -> list[Path]:
+        (config.out / "all.txt").write_text("".join(f"{record.seed - FIRST} " for record in records))
         return []
 
     def index_files(self, folder: Path, tasks: Sequence[str]) -> list[Path]:
@@ -69,7 +70,7 @@ def deliver(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> Callable[..., tuple[DemoSummary, FakeEngine, list[int]]]:
     """Carries out an order with the fakes; returns what came of it, the engine and the seeds delivered."""
-    monkeypatch.setattr(demos, "find_format", lambda kind: FakeFormat())
+    monkeypatch.setitem(FORMATS, FormatKind.MP4, FakeFormat())
 
     def call(
         episodes: int, failing: set[int] | None = None, until: int | None = None, **changes: Any

@@ -4,10 +4,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinebench_drake.errors import InputError, UnmeasurableError
-from kinebench_drake.formats.trajectories.numbers import others_text, require_numbers
 from kinebench_drake.formats.trajectories.pose import rigid_poses
 from kinebench_drake.formats.trajectories.times import check_times, undo_jitter
-from kinebench_drake.formats.trajectories.trajectory import N_JOINTS, RawTrajectory, Trajectory
+from kinebench_drake.formats.trajectories.trajectory import (
+    N_JOINTS,
+    RawTrajectory,
+    Trajectory,
+    others_text,
+    require_numbers,
+)
 from kinebench_drake.geometry import Array
 
 MAX_FRAMES = 100_000

@@ -2,40 +2,10 @@
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from enum import Enum
 
 from kinebench_drake.errors import InputError
+from kinebench_drake.formats.trajectories.reading import Layout, Reading
 from kinebench_drake.formats.trajectories.trajectory import N_JOINTS, TrajectoryOptions
-
-
-class ColumnLayout(Enum):
-    """Meaning of the elements of a column."""
-
-    JOINTS = "joint angles"
-    QUATERNION = "x y z, quaternion w x y z"
-    ROLL_PITCH_YAW = "x y z, roll pitch yaw"
-    ROTATION_VECTOR = "x y z, rotation vector"
-    MATRIX = "4x4 matrix by rows"
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Columns:
-    """Elements of a column to read."""
-
-    column: str
-    """Name of the column."""
-    layout: ColumnLayout
-    indices: tuple[int, ...]
-    """Indices of the elements, in the order of the layout."""
-    fingers: tuple[int, ...] = ()
-    """Indices of finger joints [m], each half of the gap."""
-    width: int | None = None
-    """Index of the gap between the finger pads [m]."""
-    description: str
-    """Text for results."""
-    warnings: tuple[str, ...] = ()
-
 
 _NUMBERED = re.compile(
     r"(?P<arm>|.*[^a-z0-9])(?:joint|j|q)[_. ]?(?:pos|position|angle)?[_. ]?(?P<number>\d{1,6})"
@@ -55,7 +25,7 @@ _NO_NUMBERS = ("video", "image", "string", "bool")
 _INDEX_COLUMNS = ("timestamp", "frame_index", "episode_index", "index", "task_index")
 
 
-def find_columns(features: Mapping[str, object], choice: TrajectoryOptions) -> Columns:
+def find_columns(features: Mapping[str, object], choice: TrajectoryOptions) -> Reading:
     """Return the column that `choice` names, else joint angles, else poses; observations, not commands.
 
     Args:
@@ -84,7 +54,7 @@ def find_columns(features: Mapping[str, object], choice: TrajectoryOptions) -> C
     )
 
 
-def _match_named(name: str, size: int, names: Sequence[str] | None, *, joints: bool) -> Columns:
+def _match_named(name: str, size: int, names: Sequence[str] | None, *, joints: bool) -> Reading:
     """Match the column that the user names, which may have any names of its elements."""
     match = _match_joints(name, size, names) if joints else _match_pose(name, size, names)
     if match is not None:
@@ -93,15 +63,15 @@ def _match_named(name: str, size: int, names: Sequence[str] | None, *, joints: b
         return _joint_columns(name, range(N_JOINTS), names)
     if not joints and size == 7:
         assumption = f"{name} does not name its elements: x y z qw qx qy qz is assumed"
-        return _columns(name, ColumnLayout.QUATERNION, range(7), "0:7", warnings=(assumption,))
+        return _columns(name, Layout.QUATERNION, range(7), "0:7", warnings=(assumption,))
     if not joints and size == 16:
-        return _columns(name, ColumnLayout.MATRIX, range(16), "0:16")
+        return _columns(name, Layout.MATRIX, range(16), "0:16")
     content = ", ".join(names) if names else f"{size} unnamed numbers"
     wanted = "7 to 9 joint angles" if joints else "x y z with a quaternion, roll pitch yaw or a rotation vector"
     raise InputError(f"column {name!r} holds {content}, expected {wanted}")
 
 
-def _match_joints(name: str, size: int, names: Sequence[str] | None) -> Columns | None:
+def _match_joints(name: str, size: int, names: Sequence[str] | None) -> Reading | None:
     """Match seven joint angles: consecutively numbered elements of one arm, or a column with such a name."""
     if names is None:
         words = set(_words(name.rsplit(".", 1)[-1]))
@@ -120,21 +90,21 @@ def _match_joints(name: str, size: int, names: Sequence[str] | None) -> Columns 
     return _joint_columns(name, [whole[0][number] for number in sorted(whole[0])], names)
 
 
-def _joint_columns(name: str, indices: Sequence[int], names: Sequence[str] | None) -> Columns:
+def _joint_columns(name: str, indices: Sequence[int], names: Sequence[str] | None) -> Reading:
     elements = f"{names[indices[0]]} .. {names[indices[-1]]}" if names else f"0:{N_JOINTS}"
-    return _columns(name, ColumnLayout.JOINTS, indices, elements, names)
+    return _columns(name, Layout.JOINTS, indices, elements, names)
 
 
 def _columns(
     name: str,
-    layout: ColumnLayout,
+    layout: Layout,
     indices: Sequence[int],
     elements: str,
     names: Sequence[str] | None = None,
     warnings: tuple[str, ...] = (),
-) -> Columns:
+) -> Reading:
     fingers, width = _gripper(names)
-    return Columns(
+    return Reading(
         column=name,
         layout=layout,
         indices=tuple(indices),
@@ -145,22 +115,22 @@ def _columns(
     )
 
 
-def _match_pose(name: str, size: int, names: Sequence[str] | None) -> Columns | None:
+def _match_pose(name: str, size: int, names: Sequence[str] | None) -> Reading | None:
     """Match a pose whose names determine the kind of rotation."""
     if names is None:
         certain = size == 16 and "pose" in _words(name)
-        return _columns(name, ColumnLayout.MATRIX, range(16), "0:16") if certain else None
+        return _columns(name, Layout.MATRIX, range(16), "0:16") if certain else None
     roles: dict[str, list[int]] = {}
     for k, element in enumerate(names):
         roles.setdefault(_role(element.lower()), []).append(k)
     for layout, rotation in (
-        (ColumnLayout.QUATERNION, ("qw", "qx", "qy", "qz")),
-        (ColumnLayout.QUATERNION, ("rw", "rx", "ry", "rz")),  # without rw it may be a rotation vector, or angles
-        (ColumnLayout.ROLL_PITCH_YAW, ("roll", "pitch", "yaw")),
-        (ColumnLayout.ROTATION_VECTOR, ("v0", "v1", "v2")),
-        (ColumnLayout.ROTATION_VECTOR, ("v1", "v2", "v3")),
+        (Layout.QUATERNION, ("qw", "qx", "qy", "qz")),
+        (Layout.QUATERNION, ("rw", "rx", "ry", "rz")),  # without rw it may be a rotation vector, or angles
+        (Layout.ROLL_PITCH_YAW, ("roll", "pitch", "yaw")),
+        (Layout.ROTATION_VECTOR, ("v0", "v1", "v2")),
+        (Layout.ROTATION_VECTOR, ("v1", "v2", "v3")),
     ):
-        if layout is ColumnLayout.ROTATION_VECTOR and {"v0", "v3"} <= roles.keys():
+        if layout is Layout.ROTATION_VECTOR and {"v0", "v3"} <= roles.keys():
             continue  # a rotation vector has three numbers
         wanted = ("x", "y", "z", *rotation)
         if all(len(roles.get(role, ())) == 1 for role in wanted):

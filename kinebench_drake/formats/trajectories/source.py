@@ -1,17 +1,18 @@
 """Search for trajectories in files, datasets, folders and output folders, and reading of one of them."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 
 from kinebench_drake.errors import InputError, UsageError
 from kinebench_drake.formats.folders import list_suffixes, require_apart, walk
 from kinebench_drake.formats.ids import unique_ids
-from kinebench_drake.formats.lerobot import is_lerobot, list_lerobot_trajectories, read_lerobot
+from kinebench_drake.formats.lerobot.reader import is_lerobot, list_lerobot_trajectories, read_lerobot
+from kinebench_drake.formats.maniskill import list_maniskill, read_maniskill
 from kinebench_drake.formats.trajectories.check import check
-from kinebench_drake.formats.trajectories.maniskill import list_maniskill, read_maniskill
-from kinebench_drake.formats.trajectories.tables import CSV_SUFFIXES, NPZ_SUFFIXES, read_archive, read_table
+from kinebench_drake.formats.trajectories.tables import CSV_SUFFIXES, NPZ_SUFFIXES, read_archive, read_csv
 from kinebench_drake.formats.trajectories.trajectory import (
+    RawTrajectory,
     Trajectory,
     TrajectoryFormat,
     TrajectoryOptions,
@@ -24,6 +25,12 @@ from kinebench_drake.results.store import SAMPLES, read_rows
 EXPECTED = (
     "a trajectory (npz, csv, ManiSkill h5), a LeRobot dataset, an output folder or its tracks, or a folder of these"
 )
+READERS: Mapping[TrajectoryFormat, Callable[[TrajectorySample, TrajectoryOptions], RawTrajectory]] = {
+    TrajectoryFormat.NPZ: read_archive,
+    TrajectoryFormat.CSV: read_csv,
+    TrajectoryFormat.MANISKILL: read_maniskill,
+    TrajectoryFormat.LEROBOT: read_lerobot,
+}
 _SUFFIXES = NPZ_SUFFIXES | CSV_SUFFIXES | HDF5_SUFFIXES
 
 
@@ -88,14 +95,7 @@ def read_trajectory(sample: TrajectorySample, choice: TrajectoryOptions) -> Traj
         raise InputError(sample.problem)
     if not sample.path.is_file():
         raise InputError(f"{sample.path.name}: {absence(sample.path)}")
-    if sample.format is TrajectoryFormat.NPZ:
-        raw = read_archive(sample.path, choice)
-    elif sample.format is TrajectoryFormat.CSV:
-        raw = read_table(sample.path, choice)
-    elif sample.format is TrajectoryFormat.MANISKILL:
-        raw = read_maniskill(sample.path, str(sample.part), sample.rate_hz, choice)
-    else:
-        raw = read_lerobot(sample.path, int(str(sample.part)), sample.about[0], choice)
+    raw = READERS[sample.format](sample, choice)
     return check(replace(raw, warnings=(*sample.warnings, *raw.warnings)), choice.rate_hz)
 
 

@@ -1,14 +1,15 @@
 """Trajectories in npz and csv files."""
 
 import csv
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
 from kinebench_drake.errors import InputError, cause
 from kinebench_drake.formats.trajectories.check import MAX_FRAMES
-from kinebench_drake.formats.trajectories.pose import from_quaternions
-from kinebench_drake.formats.trajectories.trajectory import RawTrajectory, TrajectoryOptions
+from kinebench_drake.formats.trajectories.reading import Layout, Reading
+from kinebench_drake.formats.trajectories.trajectory import RawTrajectory, TrajectoryOptions, TrajectorySample
 from kinebench_drake.geometry import Array
 from kinebench_drake.io.npz import at_most, open_npz
 
@@ -18,7 +19,7 @@ _MAX_BYTES = 2**28
 _POSES, _JOINTS = "base_from_tcp", "q"
 
 
-def read_archive(path: Path, choice: TrajectoryOptions) -> RawTrajectory:
+def read_archive(sample: TrajectorySample, choice: TrajectoryOptions) -> RawTrajectory:
     """Read `t_s` and `base_from_tcp` or `q`, and `tracked` and `finger_width_m` if present.
 
     Joint angles take precedence over poses, as they determine the posture; except in the tracks of an output folder
@@ -27,7 +28,7 @@ def read_archive(path: Path, choice: TrajectoryOptions) -> RawTrajectory:
     Raises:
         InputError: the file is damaged, lacks an array, or holds pickled objects.
     """
-    with open_npz(path, at_most(_MAX_BYTES)) as archive:
+    with open_npz(sample.path, at_most(_MAX_BYTES)) as archive:
         names, warnings = archive.files, list[str]()
         choices = [name for name in (choice.joints, choice.poses) if name is not None]
         if choices:
@@ -59,10 +60,11 @@ CSV_SUFFIXES = frozenset({".csv"})
 TIME, WIDTH = "t_s", "finger_width_m"
 POSE = ("x_m", "y_m", "z_m", "qw", "qx", "qy", "qz")
 JOINTS = tuple(f"q{j}_rad" for j in range(1, 8))
+_NUMERIC = (*JOINTS, *POSE, TIME, WIDTH)
 _EXPECTED = f"{TIME} and {','.join(POSE)} or {JOINTS[0]}..{JOINTS[-1]}"
 
 
-def read_table(path: Path, choice: TrajectoryOptions) -> RawTrajectory:
+def read_csv(sample: TrajectorySample, choice: TrajectoryOptions) -> RawTrajectory:
     """Read `t_s` with x_m, y_m, z_m, qw, qx, qy, qz or with q1_rad .. q7_rad; columns in any order.
 
     If both are present the joint angles are read, or the kind that `choice` names (by any name). Unknown columns give
@@ -71,9 +73,14 @@ def read_table(path: Path, choice: TrajectoryOptions) -> RawTrajectory:
     Raises:
         InputError: the file is not such a table; the message names the line.
     """
-    if not path.stat().st_size:
+    if not sample.path.stat().st_size:
         raise InputError("the file is empty (0 bytes)")
-    header, rows = _rows(path)
+    header, rows = _rows(sample.path)
+    reading = _find_columns(header, choice)
+    return reading.apply(rows, rows[:, header.index(TIME)] if TIME in header else None)
+
+
+def _find_columns(header: Sequence[str], choice: TrajectoryOptions) -> Reading:
     repeated = sorted({name for name in header if header.count(name) > 1})
     if repeated:
         raise InputError(f"the header names {', '.join(repeated)} more than once")
@@ -86,24 +93,14 @@ def read_table(path: Path, choice: TrajectoryOptions) -> RawTrajectory:
     warnings = []
     if len(complete) > 1:
         warnings.append(f"holds joint angles and poses: {wanted[0]}..{wanted[-1]} were read")
-    unread = [name for name in header if name not in (*JOINTS, *POSE, TIME, WIDTH)]
+    unread = [name for name in header if name not in _NUMERIC]
     if unread:
         warnings.append(f"columns {', '.join(unread[:12])} are not read")
-
-    def columns(*names: str) -> Array:
-        return rows[:, [header.index(name) for name in names]]
-
-    values = columns(*wanted)
-    X_BG: Array | None = None
-    if wanted is POSE:
-        X_BG, repairs = from_quaternions(values[:, :3], values[:, 3:])
-        warnings += repairs
-    return RawTrajectory(
-        t_s=columns(TIME)[:, 0] if TIME in header else None,
-        X_BG=X_BG,
-        q=values if wanted is JOINTS else None,
-        finger_width_m=columns(WIDTH)[:, 0] if WIDTH in header else None,
-        columns=",".join(wanted),
+    return Reading(
+        layout=Layout.JOINTS if wanted is JOINTS else Layout.QUATERNION,
+        indices=tuple(map(header.index, wanted)),
+        width=header.index(WIDTH) if WIDTH in header else None,
+        description=",".join(wanted),
         warnings=tuple(warnings),
     )
 
@@ -135,7 +132,7 @@ def _numbers(fields: list[str], header: list[str], line: int) -> list[float]:
         try:
             numbers.append(float(text))
         except ValueError:
-            if name in (TIME, WIDTH, *POSE, *JOINTS) and (text.strip() or name != WIDTH):
+            if name in _NUMERIC and (text.strip() or name != WIDTH):
                 raise InputError(f"line {line}: {name} is {text.strip()!r:.40}, expected a number") from None
             numbers.append(np.nan)  # an unknown column, or a missing width
     return numbers

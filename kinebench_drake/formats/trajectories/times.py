@@ -4,8 +4,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinebench_drake.errors import InputError
-from kinebench_drake.formats.trajectories.numbers import others_text, require_numbers
-from kinebench_drake.formats.trajectories.trajectory import MAX_STEP_S, MIN_STEP_S, SLOW_STEP_S
+from kinebench_drake.formats.trajectories.trajectory import (
+    MAX_STEP_S,
+    MIN_STEP_S,
+    SLOW_STEP_S,
+    others_text,
+    require_numbers,
+)
 from kinebench_drake.geometry import Array
 
 _LATE_S = 1e6  # later times, such as seconds since 1970, would lose precision

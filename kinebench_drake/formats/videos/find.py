@@ -5,12 +5,11 @@ from dataclasses import replace
 from pathlib import Path
 
 from kinebench_drake.errors import InputError, UsageError
-from kinebench_drake.formats import lerobot, manifest
+from kinebench_drake.formats import ewmbench, hdf5, manifest, videofolder, worldarena
 from kinebench_drake.formats.folders import is_output, list_suffixes, require_apart, run_of, walk
 from kinebench_drake.formats.ids import unique_ids
-from kinebench_drake.formats.videos import ewmbench, hdf5_videos, videofolder, worldarena
-from kinebench_drake.formats.videos.sample import VideoSample, VideoSamples
-from kinebench_drake.formats.videos.search import CameraLookup, Search
+from kinebench_drake.formats.lerobot import reader as lerobot
+from kinebench_drake.formats.videos.sample import CameraLookup, Search, VideoSample, VideoSamples
 from kinebench_drake.io.files import IMAGE_SUFFIXES, VIDEO_SUFFIXES, absence
 from kinebench_drake.io.hdf5 import HDF5_SUFFIXES
 from kinebench_drake.io.reader import ARRAY_SUFFIXES, is_video_array
@@ -30,7 +29,7 @@ Lister = Callable[[Path, Search], list[VideoSample]]
 
 FILES: Mapping[str, Lister] = {
     ".jsonl": manifest.list_manifest,
-    **dict.fromkeys(HDF5_SUFFIXES, hdf5_videos.list_hdf5),
+    **dict.fromkeys(HDF5_SUFFIXES, hdf5.list_hdf5),
     **dict.fromkeys(VIDEO_SUFFIXES | ARRAY_SUFFIXES, list_file),
 }
 """Functions that list the videos of a named file, by its suffix in lower case."""

@@ -1,11 +1,18 @@
-"""Video samples and the result of a search for them."""
+"""Video samples: their metadata, the cameras of their folders, and the options and warnings of a search for them."""
 
+import os
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from kinebench_drake.camera import Camera, CameraSetting, CameraSource, benchmark_camera
+from kinebench_drake.errors import InputError
+from kinebench_drake.io.camerafile import load_camera
+from kinebench_drake.io.files import IMAGE_SUFFIXES
 from kinebench_drake.io.video import WHOLE, VideoPart
 from kinebench_drake.track import InitialState
+
+CAMERA_NAME = "camera.json"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -65,3 +72,112 @@ class VideoSamples:
 
     samples: tuple[VideoSample, ...]
     warnings: tuple[str, ...] = ()
+
+
+class CameraLookup:
+    """Cameras of folders: the `camera.json` of a folder or of the nearest one above, up to the named folder."""
+
+    def __init__(self, top: Path) -> None:
+        """Start with the folder above which no file is used.
+
+        Raises:
+            UsageError: its file is unusable, which is reported even if no sample needs it.
+        """
+        self._top = top
+        self._cameras: dict[Path, CameraSetting | None] = {}
+        self._find(top)
+
+    def film(self, sample: VideoSample, folder: Path) -> VideoSample:
+        """Return a sample with the camera of the videos in a folder; unchanged if there is no file.
+
+        Raises:
+            UsageError: its file is unusable.
+        """
+        return sample.filmed_by(self._find(folder), CameraSource.FOLDER)
+
+    def assign(self, folder: Path, file: Path) -> None:
+        """Use a `file` elsewhere, if it exists, for `folder` and below, unless that has its own.
+
+        Raises:
+            UsageError: the file is unusable.
+        """
+        if file.is_file() and not (folder / CAMERA_NAME).exists():
+            self._cameras[folder] = load_camera(file, str(file))
+
+    def _find(self, folder: Path) -> CameraSetting | None:
+        if folder not in self._cameras:
+            file = folder / CAMERA_NAME
+            if file.exists():
+                self._cameras[folder] = load_camera(file, str(file))
+            else:
+                within = folder != self._top and folder.is_relative_to(self._top)
+                self._cameras[folder] = self._find(folder.parent) if within else None
+        return self._cameras[folder]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Search:
+    """Options and warnings of one search."""
+
+    top: Path
+    """Named folder, or folder of the named file."""
+    cameras: CameraLookup
+    camera_key: str | None
+    """Camera to use in datasets with several cameras: its name or a part of it."""
+    warnings: list[str] = field(default_factory=list)
+    """Warnings for the user, appended by the formats."""
+
+    def name(self, path: Path) -> str:
+        """Return a path as named in results."""
+        return self.top.resolve().name if path == self.top else path.relative_to(self.top).as_posix()
+
+    def choose_camera(self, keys: Sequence[str], where: str) -> str:
+        """Return the name of the camera to use in a dataset: the one asked for, else the only one.
+
+        Args:
+            keys: names of the cameras in the dataset.
+            where: the dataset, for messages.
+
+        Raises:
+            InputError: several cameras and none is asked for, or the name matches none or several.
+        """
+        if not keys:
+            raise InputError(f"{where} holds no video")
+        wanted = self.camera_key
+        if wanted is None:
+            if len(keys) == 1:
+                return keys[0]
+            raise InputError(f"{where} has {len(keys)} cameras ({', '.join(keys)}): choose one with $camera_key NAME")
+        parts = {key: key.replace(".", "/").split("/") for key in keys}
+        matches = [key for key in keys if key == wanted] or [key for key in keys if wanted in parts[key]]
+        if len(matches) != 1:
+            fit = f"fits {', '.join(matches)}" if matches else "is none of its cameras"
+            raise InputError(f"$camera_key {wanted} {fit}; {where} has {', '.join(keys)}")
+        return matches[0]
+
+    def part_sample(self, path: Path) -> VideoSample:
+        """Return a sample of a file or frame folder without metadata, with the camera of its folder.
+
+        Raises:
+            UsageError: the camera file is unusable.
+        """
+        is_folder = path.is_dir()
+        id = path.resolve().name if is_folder else path.stem
+        sample = VideoSample(id=id, path=path, video=self.name(path))
+        return self.cameras.film(sample, path if is_folder else path.parent)
+
+    def sample(self, path: Path) -> VideoSample:
+        """Return a sample of a video without metadata, with the camera of its folder and the image beside it.
+
+        Raises:
+            UsageError: the camera file is unusable.
+        """
+        return replace(self.part_sample(path), first_frame=image_beside(path))
+
+
+def image_beside(path: Path) -> Path | None:
+    """Return the image with the name of a video, the conditioning image by `suite export`; None if there is none."""
+    if path.is_dir():
+        return None
+    candidates = (path.with_suffix(suffix) for suffix in sorted(IMAGE_SUFFIXES, reverse=True))
+    return next((image for image in candidates if os.path.isfile(image)), None)  # false for a name that is too long

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from kinebench_drake.errors import InputError, UsageError
-from kinebench_drake.formats.trajectories.columns import ColumnLayout, find_columns
+from kinebench_drake.formats.trajectories.columns import find_columns
+from kinebench_drake.formats.trajectories.reading import Layout
 from kinebench_drake.formats.trajectories.source import find_trajectories, read_trajectory
 from kinebench_drake.formats.trajectories.trajectory import TrajectoryOptions
 from kinebench_drake.geometry import pose_difference, rotation_log
@@ -91,25 +92,25 @@ def features(**columns):
 @pytest.mark.parametrize(
     ("columns", "column", "layout"),
     [
-        ({"observation__state": [f"panda_joint{j}" for j in range(1, 8)]}, "observation.state", ColumnLayout.JOINTS),
-        ({"observation__state": [f"joint_{j}.pos" for j in range(1, 8)]}, "observation.state", ColumnLayout.JOINTS),
-        ({"observation__state": [f"q{j}_rad" for j in range(1, 8)]}, "observation.state", ColumnLayout.JOINTS),
-        ({"observation__joint_positions": 7, "action": NUMBERED}, "observation.joint_positions", ColumnLayout.JOINTS),
-        ({"observation__qpos": 9}, "observation.qpos", ColumnLayout.JOINTS),
+        ({"observation__state": [f"panda_joint{j}" for j in range(1, 8)]}, "observation.state", Layout.JOINTS),
+        ({"observation__state": [f"joint_{j}.pos" for j in range(1, 8)]}, "observation.state", Layout.JOINTS),
+        ({"observation__state": [f"q{j}_rad" for j in range(1, 8)]}, "observation.state", Layout.JOINTS),
+        ({"observation__joint_positions": 7, "action": NUMBERED}, "observation.joint_positions", Layout.JOINTS),
+        ({"observation__qpos": 9}, "observation.qpos", Layout.JOINTS),
         (
             {"observation__state": 8, "observation__states__joint_state": NUMBERED},
             "observation.states.joint_state",
-            ColumnLayout.JOINTS,
+            Layout.JOINTS,
         ),
         (
             {"observation__ee": ["x", "y", "z", "roll", "pitch", "yaw"], "observation__state": NUMBERED},
             "observation.state",
-            ColumnLayout.JOINTS,
+            Layout.JOINTS,
         ),
         (
             {"observation__joint_velocities": NUMBERED, "ee_pose": ["x", "y", "z", "qx", "qy", "qz", "qw"]},
             "ee_pose",
-            ColumnLayout.QUATERNION,
+            Layout.QUATERNION,
         ),
     ],
 )

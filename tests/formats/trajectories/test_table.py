@@ -5,13 +5,15 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from kinebench_drake.errors import InputError, UnmeasurableError
-from kinebench_drake.formats.trajectories.check import check
-from kinebench_drake.formats.trajectories.tables import JOINTS, POSE, read_table
+from kinebench_drake.formats.trajectories.source import find_trajectories, read_trajectory
+from kinebench_drake.formats.trajectories.tables import JOINTS, POSE
 from kinebench_drake.formats.trajectories.trajectory import TrajectoryOptions
 
 
 def read(path, **choice):
-    return check(read_table(path, TrajectoryOptions(**choice)))
+    options = TrajectoryOptions(**choice)
+    [sample] = find_trajectories(path, options)
+    return read_trajectory(sample, options)
 
 
 @pytest.fixture

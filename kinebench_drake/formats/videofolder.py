@@ -1,8 +1,8 @@
 """Labels of videos in Hugging Face's VideoFolder layout: `metadata.csv`, `metadata.jsonl` or `metadata.parquet`.
 
 A row belongs to the video that its column `file_name` (or `video_file_name`) names, relative to the file
-(https://huggingface.co/docs/datasets/video_dataset). The prompt is in a column text, prompt, caption or instruction.
-`suite demos` writes such a file; its further columns have the names of the keys in manifests.
+(https://huggingface.co/docs/datasets/video_dataset). The prompt is in a column text, prompt, caption or instruction;
+further columns have the names of the keys in manifests.
 """
 
 import csv
@@ -18,8 +18,7 @@ import pyarrow.parquet as parquet
 from kinebench_drake.errors import InputError, cause
 from kinebench_drake.formats.folders import join_relative
 from kinebench_drake.formats.manifest import MAX_PERIOD_S, MIN_PERIOD_S
-from kinebench_drake.formats.videos.sample import VideoSample
-from kinebench_drake.formats.videos.search import Search
+from kinebench_drake.formats.videos.sample import Search, VideoSample
 from kinebench_drake.io.files import VIDEO_SUFFIXES, absence, read_bytes
 from kinebench_drake.io.jsonl import as_object, parse_json
 
@@ -27,6 +26,13 @@ Row = Mapping[str, object]
 
 _FILES = ("file_name", "video_file_name")
 _PROMPTS = ("text", "prompt", "caption", "instruction")
+LABELS = "metadata.jsonl"
+"""Metadata file that is written."""
+
+
+def label_row(video: str, prompt: str, labels: Row) -> Row:
+    """Return a row to write, of a video's name relative to the file."""
+    return {_FILES[0]: video, _PROMPTS[0]: prompt, **labels}
 
 
 def list_metadata(path: Path, search: Search) -> list[VideoSample]:

@@ -7,10 +7,9 @@ import re
 from dataclasses import replace
 from pathlib import Path
 
-from kinebench_drake.formats.trajectories.maniskill import DEFAULT_RATE_HZ, list_maniskill
+from kinebench_drake.formats.maniskill import DEFAULT_RATE_HZ, list_maniskill
 from kinebench_drake.formats.trajectories.trajectory import TrajectorySample
-from kinebench_drake.formats.videos.sample import VideoSample
-from kinebench_drake.formats.videos.search import Search
+from kinebench_drake.formats.videos.sample import Search, VideoSample
 from kinebench_drake.io.hdf5 import list_hdf5_videos
 from kinebench_drake.io.video import VideoPart
 

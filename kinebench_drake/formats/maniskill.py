@@ -1,11 +1,12 @@
-"""Trajectories recorded by ManiSkill: an .h5 file of many, and a .json file beside it with their metadata.
+"""Trajectories of ManiSkill: an .h5 file of many, and a .json file beside it with their metadata.
 
-The layout is that of mani_skill 3's `RecordEpisode` wrapper: groups `traj_K` with `obs` and `env_states`;
-the state of an articulation is the pose (7) and velocity (6) of its root, joint positions, joint velocities.
+The layout is that of mani_skill 3's `RecordEpisode` wrapper: groups `traj_K` with `obs`, `env_states`, `actions`,
+`terminated`, `truncated` and `success`; the state of an articulation is the pose (7) and velocity (6) of its root,
+joint positions, joint velocities. Files are written without `obs`, as with `obs_mode="none"`.
 """
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -24,15 +25,25 @@ from kinebench_drake.formats.trajectories.trajectory import (
     TrajectoryOptions,
     TrajectorySample,
 )
+from kinebench_drake.geometry import Array
+from kinebench_drake.io.atomic import atomic_path
 from kinebench_drake.io.hdf5 import DAMAGED, open_hdf5, read_all
-from kinebench_drake.io.jsonl import as_object, read_object
+from kinebench_drake.io.jsonl import as_number, as_object, as_type, read_object, write_json
+from kinebench_drake.io.npz import write_arrays
+
+States = Mapping[str, Mapping[str, NDArray[np.float32]]]
+"""A state of ManiSkill: arrays by the name of the object, by the kind of object."""
 
 DEFAULT_RATE_HZ = 20.0
 """Default control frequency of ManiSkill [Hz]."""
 
+CONTROL_MODE = "pd_joint_pos"
+
 _QPOS = "obs/agent/qpos"
-_ARTICULATIONS = "env_states/articulations"
+_STATES = "env_states"
+_ARTICULATIONS = f"{_STATES}/articulations"
 _MAX_BYTES = 2**28
+_SOURCE = {"source_type": "motionplanning", "source_desc": "scripted expert, planned with Drake"}
 _ROOT = 13  # elements of an articulation's state before its joints
 _TRAJECTORY = re.compile(r"traj_\d{1,9}", re.ASCII)
 _ROBOT = re.compile(r"panda|franka|fr3", re.IGNORECASE)
@@ -59,9 +70,8 @@ def list_maniskill(path: Path, video: str) -> list[TrajectorySample]:
     entries = map(as_object, episodes if isinstance(episodes, list) else [])
     by_id = {entry["episode_id"]: entry for entry in entries if isinstance(entry.get("episode_id"), int)}
     samples = []
-    for name in sorted(names, key=lambda n: int(n.removeprefix("traj_"))):
-        episode = as_object(by_id.get(int(name.removeprefix("traj_"))))
-        task, seed, success = info.get("env_id"), episode.get("episode_seed"), episode.get("success")
+    for number, name in sorted((int(name.removeprefix("traj_")), name) for name in names):
+        episode = as_object(by_id.get(number))
         samples.append(
             TrajectorySample(
                 id=f"{path.stem}-{name}",
@@ -70,23 +80,21 @@ def list_maniskill(path: Path, video: str) -> list[TrajectorySample]:
                 format=TrajectoryFormat.MANISKILL,
                 part=name,
                 rate_hz=_rate(about),
-                task=task if isinstance(task, str) else None,
-                seed=seed if isinstance(seed, int) and not isinstance(seed, bool) else None,
-                success=success if isinstance(success, bool) else None,
+                task=as_type(info.get("env_id"), str),
+                seed=as_type(episode.get("episode_seed"), int),
+                success=as_type(episode.get("success"), bool),
                 warnings=(note,) if note else (),
             )
         )
     return samples
 
 
-def read_maniskill(path: Path, group: str, rate_hz: float | None, choice: TrajectoryOptions) -> RawTrajectory:
+def read_maniskill(sample: TrajectorySample, choice: TrajectoryOptions) -> RawTrajectory:
     """Read the robot's joints of one trajectory: obs/agent/qpos, else its articulation's state.
 
     Args:
-        path: the .h5 file.
-        group: the trajectory's group, such as "traj_3".
-        rate_hz: control frequency [Hz]; None if the metadata lack it.
-        choice: `joints` names the data set below the group.
+        sample: the trajectory.
+        choice: `joints` names the data set below the trajectory's group.
 
     Raises:
         InputError: the file is damaged, or holds no robot's joints.
@@ -96,8 +104,9 @@ def read_maniskill(path: Path, group: str, rate_hz: float | None, choice: Trajec
             "poses of a ManiSkill file are in its world frame, not in the robot's: only its joint angles are read "
             "($joints names their data set)"
         )
+    group = str(sample.part)
     try:
-        with open_hdf5(path) as file:
+        with open_hdf5(sample.path) as file:
             trajectory = file[group]
             if not isinstance(trajectory, h5py.Group):
                 raise InputError(f"{group} is a data set, expected a group of them")
@@ -121,12 +130,12 @@ def read_maniskill(path: Path, group: str, rate_hz: float | None, choice: Trajec
         raise InputError(f"{columns} has shape {values.shape}, expected (T, 7) to (T, 9)")
     fingers = values[:, N_JOINTS:].sum(axis=1) if values.shape[1] == N_JOINTS + 2 else None
     values = values if fingers is None else values[:, :N_JOINTS]
-    assumed = rate_hz is None and choice.rate_hz is None
+    assumed = sample.rate_hz is None and choice.rate_hz is None
     warning = (
         f"control_freq is missing: ManiSkill's default of {DEFAULT_RATE_HZ:g} Hz is used; $rate_hz HZ overrides it"
     )
     return RawTrajectory(
-        t_s=np.arange(len(values)) / (rate_hz or DEFAULT_RATE_HZ),
+        t_s=np.arange(len(values)) / (sample.rate_hz or DEFAULT_RATE_HZ),
         q=values,
         finger_width_m=fingers,
         columns=f"{columns}[:, {first}:{first + values.shape[1]}]",
@@ -183,11 +192,66 @@ def _rate(about: Mapping[str, object]) -> float | None:
     info = as_object(about.get("env_info"))
     arguments = as_object(info.get("env_kwargs"))
     for place in (info, arguments, as_object(arguments.get("sim_config")), as_object(arguments.get("sim_cfg"))):
-        value = place.get("control_freq")
-        if (
-            isinstance(value, int | float)
-            and not isinstance(value, bool)
-            and 1.0 / MAX_STEP_S <= value <= 1.0 / MIN_STEP_S
-        ):
-            return float(value)
+        rate_hz = as_number(place.get("control_freq"))
+        if rate_hz is not None and 1.0 / MAX_STEP_S <= rate_hz <= 1.0 / MIN_STEP_S:
+            return rate_hz
     return None
+
+
+def write_part(
+    path: Path, actions: Array, states: Sequence[States], successes: Sequence[bool], *, truncated: bool
+) -> None:
+    """Write the arrays of one trajectory, named as in its group, to an npz file for `join_parts`.
+
+    Args:
+        path: the npz file.
+        actions: (N, 8) actions of `CONTROL_MODE`.
+        states: N + 1 states of ManiSkill: arrays by name of the object, by kind.
+        successes: success after each action.
+        truncated: True if the last action is the last one allowed.
+    """
+    success = np.array(successes, dtype=bool)
+    ends = np.zeros(len(actions), dtype=bool)
+    ends[-1] = truncated
+    arrays = {"actions": actions, "terminated": success, "truncated": ends, "success": success}
+    for kind, objects in states[0].items():
+        for name in objects:
+            arrays[f"{_STATES}/{kind}/{name}"] = np.stack([state[kind][name] for state in states])
+    write_arrays(path, arrays)
+
+
+def join_parts(
+    path: Path, parts: Sequence[Path], episodes: Sequence[Mapping[str, object]], environment: Mapping[str, object]
+) -> None:
+    """Write an .h5 file of successful trajectories and the .json file beside it.
+
+    Args:
+        path: the .h5 file.
+        parts: files of `write_part`.
+        episodes: `seed` of each trajectory, and further keys.
+        environment: the .json file's `env_info`.
+
+    Raises:
+        SetupError: writing failed.
+    """
+    rows = []
+    with atomic_path(path) as unfinished, h5py.File(unfinished, "w", libver="earliest") as file:
+        for k, (part, episode) in enumerate(zip(parts, episodes, strict=True)):
+            with np.load(part) as arrays:
+                for name in arrays.files:
+                    file.create_dataset(f"traj_{k}/{name}", data=arrays[name])
+                steps = len(arrays["actions"])
+            seed, others = episode["seed"], {key: value for key, value in episode.items() if key != "seed"}
+            rows.append(
+                {
+                    "episode_id": k,
+                    "episode_seed": seed,
+                    "control_mode": CONTROL_MODE,
+                    "elapsed_steps": steps,
+                    "reset_kwargs": {"seed": seed, "options": {}},
+                    "success": True,
+                    **others,
+                }
+            )
+    about = {"env_info": environment, "episodes": rows, **_SOURCE}
+    write_json(path.with_suffix(".json"), about)

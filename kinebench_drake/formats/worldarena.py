@@ -15,8 +15,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from kinebench_drake.errors import InputError
-from kinebench_drake.formats.videos.sample import VideoSample
-from kinebench_drake.formats.videos.search import Search
+from kinebench_drake.formats.videos.sample import Search, VideoSample
 from kinebench_drake.io.files import VIDEO_SUFFIXES
 from kinebench_drake.io.jsonl import as_object, read_json, read_object
 

@@ -6,17 +6,13 @@ poses.
 
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.geometry import Array
-from kinebench_drake.io.atomic import disk_errors
 from kinebench_drake.kinematics.plant import ArmPlant
-from kinebench_drake.models.perception.frame import FILES, RenderedFrame, save_shard, varied_camera
-from kinebench_drake.suites.formats.demo import Content, Demo, Record, RenderOptions
+from kinebench_drake.models.perception.frame import RenderedFrame, varied_camera
 from kinebench_drake.suites.rollout import Rollout
 from kinebench_drake.suites.simulator import Simulator, Snapshot
 
@@ -27,31 +23,6 @@ _BENCHMARK_SHARE = 0.4  # share of frames from the benchmark camera itself
 _SPREAD_RAD = np.array([0.2, 0.2, 0.2, 0.25, 0.3, 0.3, 0.6])  # standard deviation of the joints of a moved arm
 _LEAST_Z_M = 0.012  # of a tool centre point above the table
 _TRIES = 200
-
-
-class StillFrames:
-    """Format of labelled frames, a shard per demonstration."""
-
-    content = Content.STILLS
-
-    def part_files(self, folder: Path, record: Record) -> list[Path]:
-        """Return the files of the shard."""
-        return [folder / record.id / name for name in FILES]
-
-    def write_part(self, folder: Path, demo: Demo) -> None:
-        """Write the shard."""
-        with disk_errors(demo.id):
-            save_shard(demo.stills, folder / demo.id)
-
-    def finish(
-        self, folder: Path, records: Sequence[Record], options: RenderOptions, about: dict[str, Any]
-    ) -> list[Path]:
-        """Return no files: shards are kept."""
-        return []
-
-    def index_files(self, folder: Path, tasks: Sequence[str]) -> list[Path]:
-        """Return no files."""
-        return []
 
 
 def render_stills(simulator: Simulator, rollout: Rollout, rng: np.random.Generator) -> list[RenderedFrame]:

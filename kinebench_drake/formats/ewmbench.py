@@ -16,8 +16,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from kinebench_drake.errors import InputError
-from kinebench_drake.formats.videos.sample import VideoSample
-from kinebench_drake.formats.videos.search import Search
+from kinebench_drake.formats.videos.sample import Search, VideoSample
 from kinebench_drake.io.files import IMAGE_SUFFIXES, read_text
 
 _SUFFIX, _TRUE = "_dataset", "gt"

@@ -1,0 +1,275 @@
+"""Writer of LeRobot datasets v3.0: many episodes in a few parquet and mp4 files, with statistics of every feature.
+
+The layout is that of LeRobot's own writer. Each episode is first written to files of its own, its parts, which are
+joined at the end. Frame k of an episode is at k / fps, also in the video.
+"""
+
+import json
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+from numpy.typing import NDArray
+
+from kinebench_drake.camera import Camera
+from kinebench_drake.formats.lerobot.dataset import (
+    DATA,
+    EPISODE,
+    EPISODES,
+    FRAME,
+    INFO,
+    PLACE,
+    SPAN,
+    TIME,
+    VIDEO,
+)
+from kinebench_drake.formats.lerobot.statistics import feature_statistics
+from kinebench_drake.formats.videos.sample import CAMERA_NAME
+from kinebench_drake.geometry import Array, to_quaternion
+from kinebench_drake.io.atomic import atomic_path, disk_errors
+from kinebench_drake.io.camerafile import save_camera
+from kinebench_drake.io.container import join_videos, write_video
+from kinebench_drake.io.jsonl import write_json
+from kinebench_drake.io.npz import write_arrays
+
+VERSION = "v3.0"
+CAMERA = "observation.images.benchmark"
+STATE, POSE, ACTION = "observation.state", "observation.tcp_pose", "action"
+_JOINTS = [f"joint_{i}" for i in range(1, 8)]
+VECTORS = {
+    STATE: [*_JOINTS, "gripper_width"],
+    POSE: ["x", "y", "z", "qw", "qx", "qy", "qz"],
+    ACTION: [*_JOINTS, "gripper_width"],
+}
+"""Numeric columns and their elements: radians and metres, poses in the robot base frame."""
+COUNTERS = {TIME: "float32", **dict.fromkeys((FRAME, EPISODE, "index", "task_index"), "int64")}
+"""Columns of every LeRobot dataset."""
+
+_CHUNK_FILES, _DATA_MB, _VIDEO_MB = 1000, 100, 200
+_KEYFRAME_EVERY = 10  # training reads single frames at random
+_STRIDE_PX = 4  # of the pixels in image statistics, along both axes
+
+Columns = dict[str, NDArray[Any]]
+
+
+def part_files(parts: Path, id: str) -> tuple[Path, Path]:
+    """Return the files of an episode's columns and of its video in a folder of parts."""
+    return parts / f"{id}.npz", parts / f"{id}.mp4"
+
+
+def write_part(
+    parts: Path,
+    id: str,
+    rgb: NDArray[np.uint8],
+    *,
+    q: Array,
+    finger_width_m: Array,
+    X_BG: Array,
+    actions: Array,
+    fps: float,
+    crf: int,
+) -> None:
+    """Write the parts of an episode of T frames.
+
+    Args:
+        parts: folder of the parts.
+        id: name of the episode's parts.
+        rgb: (T, H, W, 3) video.
+        q: (T, 7) joint angles [rad].
+        finger_width_m: (T,) gap between the finger pads [m].
+        X_BG: (T, 4, 4) poses of the TCP in the robot base frame [m].
+        actions: (T, 8) commanded joint angles [rad] and gap [m] until the next frame.
+        fps: frames per second [1/s].
+        crf: quality of x264.
+
+    Raises:
+        SetupError: writing failed.
+    """
+    columns_file, video_file = part_files(parts, id)
+    quaternions = _continuous(np.stack([to_quaternion(X[:3, :3]) for X in X_BG]))
+    pixels = rgb[:, ::_STRIDE_PX, ::_STRIDE_PX]
+    columns = {
+        STATE: np.column_stack([q, finger_width_m]).astype(np.float32),
+        POSE: np.column_stack([X_BG[:, :3, 3], quaternions]).astype(np.float32),
+        ACTION: actions.astype(np.float32),
+        CAMERA: np.stack([np.bincount(pixels[..., c].ravel(), minlength=256) for c in range(3)]),
+    }
+    write_arrays(columns_file, columns)
+    with disk_errors(video_file.name):
+        write_video(video_file, rgb, fps, crf=crf, keyframe_every=_KEYFRAME_EVERY)
+
+
+def _continuous(quaternions: Array) -> Array:
+    """Return quaternions wxyz (T, 4) whose signs do not jump: q and -q are the same rotation.
+
+    The first has the sign of a gripper that points down, (0, 1, 0, 0), every other one that of the frame before.
+    """
+    before = np.vstack([[0.0, 1.0, 0.0, 0.0], quaternions[:-1]])
+    turns = np.cumsum(np.sum(quaternions * before, axis=1) < 0.0) % 2
+    return np.asarray(quaternions * np.where(turns, -1.0, 1.0)[:, None])
+
+
+def join_parts(folder: Path, parts: Path, prompts: Mapping[str, str], fps: float, camera: Camera) -> list[Path]:
+    """Join the parts of all episodes in a dataset, and write its metadata.
+
+    Args:
+        folder: folder of the dataset.
+        parts: folder of the parts.
+        prompts: instruction of each episode by the name of its parts.
+        fps: frames per second, a whole number [1/s].
+        camera: camera of the videos.
+
+    Returns:
+        The files of data and videos.
+
+    Raises:
+        SetupError: writing failed.
+    """
+    tasks = list(dict.fromkeys(prompts.values()))
+    columns, histograms = _read_columns(parts, prompts, fps, tasks)
+    tables, videos = [_table(own) for own in columns], [part_files(parts, id)[1] for id in prompts]
+    data_places = _places([table.nbytes for table in tables], _DATA_MB)
+    video_places = _places([video.stat().st_size for video in videos], _VIDEO_MB)
+    data_files = [folder / DATA.format(**place) for place in data_places]
+    video_files = [folder / VIDEO.format(video_key=CAMERA, **place) for place in video_places]
+    for path in dict.fromkeys(data_files):
+        _write_tables(path, [table for table, file in zip(tables, data_files, strict=True) if file == path])
+    for path in dict.fromkeys(video_files):
+        with disk_errors(path.name):
+            join_videos(path, [video for video, file in zip(videos, video_files, strict=True) if file == path])
+    episodes, frames = [], Counter[Path]()
+    for k, (prompt, own) in enumerate(zip(prompts.values(), columns, strict=True)):
+        index, begin = own["index"], frames[video_files[k]]
+        end = frames[video_files[k]] = begin + len(index)
+        span = zip(SPAN, (begin / fps, end / fps), strict=True)
+        features = feature_statistics([own], {CAMERA: [histograms[k]]})
+        episodes.append(
+            {
+                EPISODE: k,
+                "tasks": [prompt],
+                "length": len(index),
+                "dataset_from_index": int(index[0]),
+                "dataset_to_index": int(index[0]) + len(index),
+                **_below("data", data_places[k]),
+                **_below(f"videos/{CAMERA}", {**video_places[k], **dict(span)}),
+                **_below(
+                    "stats", {f"{name}/{kind}": x for name, kinds in features.items() for kind, x in kinds.items()}
+                ),
+                **_below("meta/episodes", dict.fromkeys(PLACE, 0)),
+            }
+        )
+    episodes_file, tasks_file, statistics_file, info_file, camera_file = index_files(folder)
+    _write_tables(episodes_file, [pa.Table.from_pylist(episodes)])
+    _write_tasks(tasks_file, tasks)
+    write_json(statistics_file, feature_statistics(columns, {CAMERA: histograms}))
+    write_json(info_file, _info(camera, round(fps), columns, len(tasks)))
+    save_camera(camera, camera_file)
+    return sorted({*data_files, *video_files})
+
+
+def index_files(folder: Path) -> list[Path]:
+    """Return the files of the metadata: episodes, tasks, statistics, description, camera."""
+    names = ("tasks.parquet", "stats.json", INFO.name, CAMERA_NAME)
+    return [folder / EPISODES.format(**dict.fromkeys(PLACE, 0)), *(folder / "meta" / name for name in names)]
+
+
+def _read_columns(
+    parts: Path, prompts: Mapping[str, str], fps: float, tasks: Sequence[str]
+) -> tuple[list[Columns], list[NDArray[Any]]]:
+    """Return the columns of each episode and the histograms of its images."""
+    columns, histograms, frames_before = [], [], 0
+    for k, (id, prompt) in enumerate(prompts.items()):
+        with np.load(part_files(parts, id)[0]) as archive:
+            own = {name: archive[name] for name in VECTORS}
+            histograms.append(archive[CAMERA])
+        frames = np.arange(len(own[STATE]))
+        own |= {TIME: (frames / fps).astype(np.float32), FRAME: frames, EPISODE: np.full_like(frames, k)}
+        own |= {"index": frames + frames_before, "task_index": np.full_like(frames, tasks.index(prompt))}
+        frames_before += len(frames)
+        columns.append(own)
+    return columns, histograms
+
+
+def _table(columns: Columns) -> pa.Table:
+    vectors = {
+        name: pa.FixedSizeListArray.from_arrays(pa.array(columns[name].ravel()), len(elements))
+        for name, elements in VECTORS.items()
+    }
+    return pa.table(
+        {**vectors, **{name: pa.array(columns[name], pa.type_for_alias(t)) for name, t in COUNTERS.items()}}
+    )
+
+
+def _places(sizes: Sequence[int], most_mb: int) -> list[dict[str, int]]:
+    """Return chunk and file of each of some items of these sizes [bytes], with at most `most_mb` in a file."""
+    places, number, filled = [], 0, 0
+    for size in sizes:
+        if filled and filled + size > most_mb * 2**20:
+            number, filled = number + 1, 0
+        filled += size
+        places.append(dict(zip(PLACE, divmod(number, _CHUNK_FILES), strict=True)))
+    return places
+
+
+def _below(prefix: str, values: Mapping[str, Any]) -> dict[str, Any]:
+    return {f"{prefix}/{key}": value for key, value in values.items()}
+
+
+def _write_tables(path: Path, tables: Sequence[pa.Table]) -> None:
+    """Write tables to one file, each as a row group."""
+    with atomic_path(path) as part, pq.ParquetWriter(part, tables[0].schema) as writer:
+        for table in tables:
+            writer.write_table(table)
+
+
+def _write_tasks(path: Path, tasks: Sequence[str]) -> None:
+    """Write prompts and their numbers; the prompts are pandas' index, as LeRobot's loader expects."""
+    table = pa.table({"task_index": pa.array(range(len(tasks)), pa.int64()), "task": pa.array(tasks, pa.string())})
+    columns = [
+        {"name": name, "field_name": name, "pandas_type": kind, "numpy_type": own, "metadata": None}
+        for name, kind, own in (("task_index", "int64", "int64"), ("task", "unicode", "object"))
+    ]
+    pandas = {"index_columns": ["task"], "column_indexes": [], "columns": columns, "pandas_version": "2.0.0"}
+    _write_tables(path, [table.replace_schema_metadata({"pandas": json.dumps(pandas)})])
+
+
+def _info(camera: Camera, fps: int, columns: Sequence[Columns], tasks: int) -> dict[str, Any]:
+    """Return the description of the dataset."""
+    height, width = (side + side % 2 for side in (camera.height, camera.width))
+    encoding = {
+        "video.height": height,
+        "video.width": width,
+        "video.codec": "h264",
+        "video.pix_fmt": "yuv420p",
+        "video.is_depth_map": False,
+        "video.fps": fps,
+        "video.channels": 3,
+        "has_audio": False,
+    }
+    image = {"dtype": "video", "shape": [height, width, 3], "info": encoding}
+    return {
+        "codebase_version": VERSION,
+        "robot_type": "panda",
+        "total_episodes": len(columns),
+        "total_frames": sum(len(own["index"]) for own in columns),
+        "total_tasks": tasks,
+        "chunks_size": _CHUNK_FILES,
+        "data_files_size_in_mb": _DATA_MB,
+        "video_files_size_in_mb": _VIDEO_MB,
+        "fps": fps,
+        "splits": {"train": f"0:{len(columns)}"},
+        "data_path": DATA,
+        "video_path": VIDEO,
+        "features": {
+            CAMERA: {**image, "names": ["height", "width", "channels"]},
+            **{
+                name: {"dtype": "float32", "shape": [len(elements)], "names": elements}
+                for name, elements in VECTORS.items()
+            },
+            **{name: {"dtype": kind, "shape": [1], "names": None} for name, kind in COUNTERS.items()},
+        },
+    }
