@@ -11,10 +11,9 @@ from benchmarks.perception.clip import TruthClipFile, choose, find_clips
 from kinebench_drake.camera import Camera
 from kinebench_drake.errors import UnmeasurableError, UsageError, cause
 from kinebench_drake.geometry import pose_difference
-from kinebench_drake.grounding.camera.calibrate import Calibrator
-from kinebench_drake.grounding.camera.fit import with_focal
+from kinebench_drake.grounding.camera.calibrate import USUAL_FOV_DEG, Calibrator
+from kinebench_drake.grounding.camera.lens import focal_px, with_focal
 from kinebench_drake.grounding.camera.result import CalibrationMethod, CameraCalibration
-from kinebench_drake.grounding.camera.solve import default_focal_px
 from kinebench_drake.grounding.camera.states import RobotStates, unknown_states
 from kinebench_drake.grounding.registration.arm_model import ArmModel
 from kinebench_drake.grounding.tracking.view import Frames
@@ -103,7 +102,7 @@ def measure(
     for clip in choose(find_clips(folder), limit):
         truth = _states(clip, model)
         images, camera = _crop_middle(read_video(clip.video).frames, clip.camera, part)
-        usual = with_focal(camera, default_focal_px(camera.width))
+        usual = with_focal(camera, focal_px(camera.width, USUAL_FOV_DEG))
         for condition in conditions:
             try:
                 calibration = calibrator.calibrate(

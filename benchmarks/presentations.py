@@ -18,7 +18,7 @@ from kinebench_drake.errors import UnmeasurableError
 from kinebench_drake.executors.base import Executor
 from kinebench_drake.executors.progress import Observer
 from kinebench_drake.geometry import pose_difference
-from kinebench_drake.grounding.camera.fit import with_focal
+from kinebench_drake.grounding.camera.lens import with_focal
 from kinebench_drake.grounding.camera.reading import Reading
 from kinebench_drake.grounding.clip import Clip
 from kinebench_drake.grounding.video import Grounder

@@ -9,26 +9,24 @@ Contours of one part err together: surfaces darken or shine towards their outlin
 each part has one offset of its contours, common to all frames: sizes count less than places.
 """
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from kinebench_drake.geometry import Array
-from kinebench_drake.grounding.camera.fit import CAUCHY, Lens
-from kinebench_drake.grounding.camera.fit import UNKNOWNS as CENTRED_UNKNOWNS
+from kinebench_drake.grounding.camera.correspondences import CalibrationCorrespondences, RobotPoints
+from kinebench_drake.grounding.camera.lens import CAUCHY, UNKNOWNS, Lens
 from kinebench_drake.grounding.camera.surroundings import Surroundings
 from kinebench_drake.grounding.registration.arm_model import OVER_LIMIT_RAD, ArmModel
 from kinebench_drake.models.panda.cad import MAX_FINGER_M
 from kinebench_drake.models.panda.robot import RobotPart
 from kinebench_drake.models.robot import N_JOINTS
 
-UNKNOWNS = CENTRED_UNKNOWNS + 2
-"""Number of unknowns of the camera: those of a centred lens, then the principal point [px]."""
 _A_FRAME = N_JOINTS + 1
 _PARTS = len(RobotPart)
 _SHARED = UNKNOWNS + _PARTS  # unknowns that frames have in common: the camera's, and the offsets of contours
-POSTURE_SIGMA_RAD = np.array([10.0, *[1.5] * 6])
+_POSTURE_SIGMA_RAD = np.array([10.0, *[1.5] * 6])
 """Standard deviations of unknown joint angles about their start [rad]: they keep joints that nothing shows."""
 _OPENING_INFORMATION = 25.0  # of an opening that nothing shows [1/m^2]
 _LEAST_DEPTH_M = 0.05
@@ -38,37 +36,22 @@ _CONVERGED = 1e-5
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Observations:
+class Observations(RobotPoints):
     """N points of the robot observed in T frames."""
 
-    frame: NDArray[np.intp]
-    """(N,) row of the frame."""
-    part: NDArray[np.uint8]
-    """(N,) values of `RobotPart`."""
-    p_P: Array
-    """(N, 3) point in the frame of its part, fingers closed [m]."""
-    opening_sign: Array
-    """(N,) direction along the hand's y axis as the gripper opens: 1 or -1 for fingers, else 0."""
-    uv_px: Array
-    """(N, 2) where the image shows it [px]."""
     whitening: Array
     """(N, 2, 2) matrices that turn an error [px] into standard deviations; the second row of an edge is 0."""
-    weight: Array
-    """(N,) weight in independent measurements."""
 
-    def __len__(self) -> int:
-        """Return the number of points."""
-        return len(self.frame)
+    @classmethod
+    def of_cells(cls, cells: CalibrationCorrespondences, sigma_px: Array) -> "Observations":
+        """Return cells with the standard deviations (N,) of their places [px]."""
+        own = {f.name: getattr(cells, f.name) for f in fields(RobotPoints)}
+        return cls(**own, whitening=np.eye(2) / sigma_px[:, None, None])
 
-    def take(self, chosen: NDArray[np.generic]) -> "Observations":
-        """Select points by index or mask."""
-        return Observations(**{name: getattr(self, name)[chosen] for name in self.__slots__})
-
-    @staticmethod
-    def join(parts: "list[Observations]") -> "Observations":
-        """Concatenate observations of the same frames."""
-        names = Observations.__slots__
-        return Observations(**{name: np.concatenate([getattr(part, name) for part in parts]) for name in names})
+    def at_rest(self, p_B: Array) -> "Observations":
+        """Return them as points `p_B` (N, 3) of the base's frame [m] that no joint moves."""
+        part = np.full(len(self), RobotPart.BACKGROUND, np.uint8)
+        return replace(self, part=part, p_P=p_B, opening_sign=np.zeros(len(self)))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -90,20 +73,18 @@ class ArmScene:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Prior:
-    """Gaussian prior of the unknowns."""
+    """Gaussian prior of lens, postures and offsets of contours."""
 
-    q: Array
-    """(T, 7) mean of the joint angles [rad]."""
-    q_sigma: Array
-    """(T, 7) their standard deviations [rad]."""
     lens: Lens
     """Mean of focal length and principal point."""
     log_focal_sigma: float
-    """Standard deviation of the logarithm of the focal length; 0 for a fixed one."""
+    """Standard deviation of the logarithm of the focal length; 0 for a fixed one, infinite for an unknown one."""
     centre_sigma_px: float = 0.0
     """Standard deviation of the principal point [px]; 0 for a fixed one."""
     place_free: bool = True
     """False to keep the place of the camera."""
+    joint_sigma_rad: float | None = None
+    """Standard deviation of known joint angles [rad]; None if they are unknown."""
     offset_sigma: float = 0.0
     """Standard deviation of the offset of a part's contours, in those of one of their points; 0 for none."""
     surroundings: Surroundings | None = None
@@ -132,9 +113,28 @@ class Bundle:
     response: Array
     """(T, 7, 9) derivative of the fitted joint angles by the camera."""
 
+    @property
+    def covariance(self) -> Array:
+        """(9, 9) covariance of the camera; 0 for what is fixed."""
+        diagonal = np.diag(self.information)
+        free = np.flatnonzero(diagonal > 0)
+        root = np.sqrt(diagonal[free])
+        scale = np.outer(root, root)
+        covariance = np.zeros((UNKNOWNS, UNKNOWNS))
+        inverse = np.linalg.pinv(self.information[np.ix_(free, free)] / scale + 1e-9 * np.eye(len(free)))
+        covariance[np.ix_(free, free)] = inverse / scale
+        return covariance
+
 
 def adjust(
-    observations: Observations, start: ArmScene, prior: Prior, model: ArmModel, *, iterations: int = 20
+    observations: Observations,
+    start: ArmScene,
+    prior: Prior,
+    model: ArmModel,
+    *,
+    q: Array | None = None,
+    q_sigma: Array | float | None = None,
+    iterations: int = 20,
 ) -> Bundle:
     """Minimise Cauchy's loss of all errors by Levenberg-Marquardt.
 
@@ -143,14 +143,19 @@ def adjust(
         start: initial unknowns.
         prior: prior of the unknowns.
         model: link poses of the arm.
+        q: (T, 7) mean of the joint angles [rad]; None for the initial ones.
+        q_sigma: their standard deviations [rad], of all or each (T, 7); None for those of `prior`.
         iterations: greatest number of steps.
     """
+    if q_sigma is None:
+        q_sigma = _POSTURE_SIGMA_RAD if prior.joint_sigma_rad is None else prior.joint_sigma_rad
+    postures = start.q if q is None else q, np.broadcast_to(np.asarray(q_sigma, dtype=np.float64), start.q.shape)
     scene, damping = start, 1e-3
-    current = _Linearization(observations, scene, prior, model)
+    current = _Linearization(observations, scene, prior, postures, model)
     for _ in range(iterations):
         lens_step, frame_steps = current.step(damping)
         candidate = _update(scene, lens_step, frame_steps, model)
-        trial = _Linearization(observations, candidate, prior, model)
+        trial = _Linearization(observations, candidate, prior, postures, model)
         if trial.cost < current.cost:
             gain = current.cost - trial.cost
             scene, current, damping = candidate, trial, max(damping / 5, 1e-7)
@@ -168,11 +173,9 @@ def _update(scene: ArmScene, step: Array, frame_steps: Array, model: ArmModel) -
     unit = 0.1 * scene.lens.camera.width
     bound = np.array([*[_LARGEST_STEP_RAD] * 3, *[_LARGEST_STEP_M] * 3, _LARGEST_ZOOM, unit, unit])
     lens_step = lens_step / max(1.0, float((np.abs(lens_step) / bound).max()))
-    lens = scene.lens.displace(lens_step[:CENTRED_UNKNOWNS])
-    camera = replace(lens.camera, cx=lens.camera.cx + float(lens_step[-2]), cy=lens.camera.cy + float(lens_step[-1]))
     q = scene.q + np.clip(frame_steps[:, :N_JOINTS], -_LARGEST_STEP_RAD, _LARGEST_STEP_RAD)
     return ArmScene(
-        lens=replace(lens, camera=camera),
+        lens=scene.lens.displace(lens_step),
         q=np.clip(q, model.lower - OVER_LIMIT_RAD, model.upper + OVER_LIMIT_RAD),
         finger_m=np.clip(scene.finger_m + frame_steps[:, N_JOINTS], 0.0, MAX_FINGER_M),
         offset=scene.offset + offset_step,
@@ -182,22 +185,22 @@ def _update(scene: ArmScene, step: Array, frame_steps: Array, model: ArmModel) -
 class _Linearization:
     """Cost and normal equations at one scene."""
 
-    def __init__(self, observations: Observations, scene: ArmScene, prior: Prior, model: ArmModel) -> None:
-        o, lens = observations, scene.lens
+    def __init__(
+        self, observations: Observations, scene: ArmScene, prior: Prior, postures: tuple[Array, Array], model: ArmModel
+    ) -> None:
+        """Linearize the errors; `postures` are mean and standard deviations (T, 7) of the joint angles [rad]."""
+        o, lens, (q, q_sigma) = observations, scene.lens, postures
         self._scene, self._o = scene, o
         X_BP, axis, point = model.poses_and_axes_of(scene.q)
-        X = X_BP[o.frame, o.part]
-        opened_P = o.p_P.copy()
-        opened_P[:, 1] += o.opening_sign * scene.finger_m[o.frame]
-        p_B = np.einsum("nij,nj->ni", X[:, :3, :3], opened_P) + X[:, :3, 3]
+        p_B = o.locate(X_BP, scene.finger_m)
         uv, z = lens.project(p_B)
         of_contour = ~o.whitening[:, 1].any(axis=1)
         self._residual = np.einsum("nij,nj->ni", o.whitening, uv - o.uv_px)
         self._residual[of_contour, 0] += scene.offset[o.part[of_contour]]
         square = (self._residual**2).sum(axis=1)
         behind = z < _LEAST_DEPTH_M
-        dq = scene.q - prior.q
-        q_information = 1.0 / prior.q_sigma**2
+        dq = scene.q - q
+        q_information = 1.0 / q_sigma**2
         lens_information, deviation, free = prior.of_lens(lens)
         offset_information = 1.0 / prior.offset_sigma**2 if prior.offset_sigma else 0.0
         loss = CAUCHY**2 * np.log1p(square / CAUCHY**2) + _BEHIND * behind
@@ -211,12 +214,12 @@ class _Linearization:
         by_lens, by_C = lens.derivatives(p_B)
         by_B = by_C @ lens.X_CB[:3, :3]
         turning = np.cross(axis[o.frame], p_B[:, None] - point[o.frame]) * model.moves[o.part][..., None]
-        moving = np.concatenate([turning, (o.opening_sign[:, None] * X[:, :3, 1])[:, None]], axis=1)
-        by_centre = np.broadcast_to(np.eye(2), (len(o), 2, 2))
+        opening = o.opening_sign[:, None] * X_BP[o.frame, o.part, :3, 1]
+        moving = np.concatenate([turning, opening[:, None]], axis=1)
         by_offset = np.zeros((len(o), 2, _PARTS))
         by_offset[of_contour, 0, o.part[of_contour]] = 1.0
-        by_camera = o.whitening @ np.concatenate([by_lens, by_centre], axis=2)
-        J = np.concatenate([by_camera, by_offset, o.whitening @ by_B @ np.swapaxes(moving, 1, 2)], axis=2)
+        by_frame = o.whitening @ by_B @ np.swapaxes(moving, 1, 2)
+        J = np.concatenate([o.whitening @ by_lens, by_offset, by_frame], axis=2)
         W = o.weight / (1.0 + square / CAUCHY**2) * ~behind
         frames, n = len(scene.q), _SHARED + _A_FRAME
         self._H, self._g = np.zeros((frames, n, n)), np.zeros((frames, n))

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from kinebench_drake.camera import Camera, benchmark_camera
+from kinebench_drake.camera import Camera
 from kinebench_drake.errors import UnmeasurableError, UsageError
 from kinebench_drake.geometry import Array
 from kinebench_drake.grounding.anomaly.camera_motion import (
@@ -15,15 +15,21 @@ from kinebench_drake.grounding.anomaly.camera_motion import (
     FeatureTracks,
     measure_camera_motion,
 )
-from kinebench_drake.grounding.camera.bundle import ArmScene
 from kinebench_drake.grounding.camera.camera_estimate import CameraEstimate
 from kinebench_drake.grounding.camera.candidate import Candidate
 from kinebench_drake.grounding.camera.correspondences import LensView, NetworkViewEstimator, ViewEstimator
 from kinebench_drake.grounding.camera.detections import DetectedViewEstimator
 from kinebench_drake.grounding.camera.estimate import CameraEstimator
+from kinebench_drake.grounding.camera.lens import centred_camera, focal_px
 from kinebench_drake.grounding.camera.observability import require_determined, warnings_of
-from kinebench_drake.grounding.camera.result import CalibrationMethod, CameraCalibration, describe, describe_estimate
-from kinebench_drake.grounding.camera.solve import LensSolution, default_focal_px, solve_with_reestimate
+from kinebench_drake.grounding.camera.result import (
+    CalibrationBasis,
+    CalibrationMethod,
+    CameraCalibration,
+    describe,
+    describe_estimate,
+)
+from kinebench_drake.grounding.camera.solve import LensSolution, solve_with_reestimate
 from kinebench_drake.grounding.camera.states import (
     RobotStates,
     make_posture_states,
@@ -44,6 +50,8 @@ MAX_MOVING_FRAMES = 12
 """Greatest number of frames without joint angles: each adds eight unknowns."""
 DEFAULT_FRAMES = 24
 """Greatest number of frames used by default."""
+USUAL_FOV_DEG = 60.0
+"""Horizontal field of view of a camera of which nothing is known [degrees]."""
 _CENTRE_SIGMA = 0.06  # standard deviation of an unknown principal point over the image's width
 
 
@@ -156,38 +164,42 @@ class Calibrator:
         estimator = self._tracked if method is CalibrationMethod.POSTURE else self._detected
         view = estimator.estimate(images, guess)
         shift = _camera_shift(images, view, guess)
+        basis = CalibrationBasis(method=method, source=states.source, focal_free=focal_free)
         if method is CalibrationMethod.MOTION:
-            estimate = self._cameras.estimate(frames, None if focal_free else guess, focal_free=focal_free)
-            if estimate.doubt is not None:
-                raise UnmeasurableError(
-                    f"base_from_camera is not determined without joint angles: {estimate.doubt}; give $joints FILE, "
-                    "or the posture of one frame ($joints q1,...,q7)"
-                )
-            fitted = _of_estimate(estimate, self._model, method, states.source, focal_free=focal_free)
+            calibration = describe_estimate(self._estimate(frames, None if focal_free else guess), self._model, basis)
         else:
             solved = solve_with_reestimate(estimator, images, view, postures, guess, self._model, focal_free=focal_free)
             if method is CalibrationMethod.JOINTS:
                 centre_sigma_px = _CENTRE_SIGMA * guess.width if centre_free else 0.0
                 estimate = self._cameras.refine(
-                    images, guess, _start(solved, postures), focal_free=focal_free, centre_sigma_px=centre_sigma_px
+                    images, guess, _start(solved), focal_free=focal_free, centre_sigma_px=centre_sigma_px
                 )
-                estimate = replace(estimate, rows=chosen[estimate.rows])
-                fitted = _of_estimate(estimate, self._model, method, states.source, focal_free=focal_free)
+                calibration = describe_estimate(estimate, self._model, basis)
             else:
-                calibration = describe(
-                    solved, method=method, source=states.source, frames=chosen[solved.rows], focal_free=focal_free
-                )
-                fitted = calibration, solved.X_BP, solved.finger_m
-        calibration, X_BP, finger_m = fitted
-        if method is not CalibrationMethod.MOTION:
+                calibration = describe(solved, self._model, basis)
+            calibration = replace(calibration, frames=chosen[calibration.frames])
             require_determined(calibration)
         middle = len(calibration.frames) // 2
         return CalibrationOutcome(
             calibration=replace(calibration, warnings=(*shift, *warnings_of(calibration))),
             frame=frames[calibration.frames[middle]],
-            X_BP=X_BP[middle],
-            finger_m=float(finger_m[middle]),
+            X_BP=calibration.X_BP[middle],
+            finger_m=float(calibration.scene.finger_m[middle]),
         )
+
+    def _estimate(self, frames: Frames, camera: Camera | None) -> CameraEstimate:
+        """Estimate the camera of frames (T, H, W, 3) without joint angles; `camera` has a fixed focal length.
+
+        Raises:
+            UnmeasurableError: the camera is in doubt.
+        """
+        estimate = self._cameras.estimate(frames, camera, focal_free=camera is None)
+        if estimate.doubt is not None:
+            raise UnmeasurableError(
+                f"base_from_camera is not determined without joint angles: {estimate.doubt}; give $joints FILE, "
+                "or the posture of one frame ($joints q1,...,q7)"
+            )
+        return estimate
 
 
 def calibrate(config: CalibrationConfig, calibrator: Calibrator | None = None) -> CalibrationOutcome:
@@ -220,19 +232,10 @@ def calibrate(config: CalibrationConfig, calibrator: Calibrator | None = None) -
     )
 
 
-def _of_estimate(
-    estimate: CameraEstimate, model: ArmModel, method: CalibrationMethod, source: str, *, focal_free: bool
-) -> tuple[CameraCalibration, Array, Array]:
-    """Return the calibration of an estimate, with the poses of the parts and the openings in its frames."""
-    calibration = describe_estimate(estimate, model, method=method, source=source, focal_free=focal_free)
-    return calibration, model.poses(estimate.scene.q), estimate.scene.finger_m
-
-
-def _start(solved: LensSolution, states: RobotStates) -> Candidate:
+def _start(solved: LensSolution) -> Candidate:
     """Return the solution from the cells as the start of the fit to contours."""
-    scene = ArmScene(lens=solved.fit.lens, q=states.q[solved.rows], finger_m=solved.finger_m)
     costs = np.zeros(len(solved.rows))
-    return Candidate(scene=scene, rows=solved.rows, cells=solved.cells, costs=costs, cost=solved.fit.cost)
+    return Candidate(scene=solved.bundle.scene, rows=solved.rows, cells=solved.cells, costs=costs, cost=0.0)
 
 
 def _states(config: CalibrationConfig, video: Video, model: ArmModel) -> RobotStates:
@@ -256,8 +259,7 @@ def _guess(config: CalibrationConfig, intrinsics: Camera | None, width: int, hei
     """Return the initial camera: the pose of the benchmark camera unless a camera is provided."""
     if intrinsics is not None:
         return intrinsics.resized(width, height)
-    focal = config.focal_px or default_focal_px(width)
-    return replace(benchmark_camera(), width=width, height=height, fx=focal, fy=focal, cx=width / 2, cy=height / 2)
+    return centred_camera(width, height, config.focal_px or focal_px(width, USUAL_FOV_DEG))
 
 
 def _chosen(states: RobotStates, most: int) -> NDArray[np.intp]:

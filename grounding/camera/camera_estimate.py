@@ -1,4 +1,4 @@
-"""Camera estimated from the arm, with its uncertainty."""
+"""Cameras fitted to the robot, with their uncertainty: that of any fit, and that of a camera estimated from the arm."""
 
 from dataclasses import dataclass
 
@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array
-from kinebench_drake.grounding.camera.bundle import UNKNOWNS, ArmScene, Bundle
+from kinebench_drake.grounding.camera.bundle import ArmScene, Bundle
 from kinebench_drake.grounding.registration.arm_model import ArmModel
 from kinebench_drake.io.jsonl import Json
 from kinebench_drake.models.panda.robot import HAND_TO_TCP_M, RobotPart
@@ -29,13 +29,46 @@ _MOVE, _TURN = slice(0, 3), slice(3, 6)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class CameraEstimate:
-    """Camera estimated from the arm, with its uncertainty."""
+class FittedCamera:
+    """Camera fitted to cells or contours of the robot in T frames."""
 
-    camera: Camera
+    scene: ArmScene
+    """Lens, postures and openings in these frames; joint angles are NaN where unknown."""
+    frames: NDArray[np.intp]
+    """(T,) numbers of the frames used."""
     covariance: Array
     """(9, 9) of the base's rotation about the camera's axes [rad], its position in the camera frame [m], the logarithm
     of the focal length and the principal point [px]."""
+    part: NDArray[np.uint8]
+    """(N,) values of `RobotPart` of the cells or contour points used."""
+    error_px: Array
+    """(N,) their reprojection errors, or distances from image edges [px]."""
+
+    @property
+    def camera(self) -> Camera:
+        """Camera with its pose."""
+        return self.scene.lens.to_camera()
+
+    @property
+    def position_sigma_m(self) -> float:
+        """Standard deviation of the camera's position in the base frame: root of the sum over axes [m]."""
+        return self.scene.lens.position_sigma_m(self.covariance[:6, :6])
+
+    @property
+    def rotation_sigma_rad(self) -> float:
+        """Standard deviation of the camera's rotation [rad]."""
+        return float(np.trace(self.covariance[:3, :3]) ** 0.5)
+
+    @property
+    def focal_sigma(self) -> float:
+        """Relative standard deviation of the focal length; 0 if it was fixed."""
+        return float(self.covariance[6, 6] ** 0.5)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CameraEstimate(FittedCamera):
+    """Camera estimated from the arm, fitted to its contours."""
+
     gripper_sigma_m: float
     """Standard deviation of the TCP's position in the base frame due to the camera: root of the sum over axes [m]."""
     gripper_sigma_rad: float
@@ -44,24 +77,16 @@ class CameraEstimate:
     """Share of the contours of hand and arm on image edges, median over the frames; less where few frames fit.
 
     Without the base link, unless the joint angles are known."""
-    base_agreement: float
+    base_agreement: float = 0.0
     """Share of the contours of the base link on image edges, all frames together."""
-    base_runner_up: float
+    base_runner_up: float = 0.0
     """The same with the base turned elsewhere about joint 1; 0 if no other turn agrees."""
-    is_aligned: bool
+    is_aligned: bool = False
     """Whether lines of the surroundings along the axes of the base were used."""
-    runner_up: float
+    runner_up: float = 0.0
     """Mean of the two agreements with the next best camera under which the arm stands elsewhere; 0 if there is none."""
     residual_px: float
     """Median distance between contours and image edges [px]."""
-    rows: NDArray[np.intp]
-    """(T,) numbers of the frames used."""
-    scene: ArmScene
-    """Camera and postures in these frames."""
-    contour_part: NDArray[np.uint8]
-    """(N,) values of `RobotPart` of the contour points used."""
-    contour_error_px: Array
-    """(N,) their distances from the image edges [px]."""
 
     def to_json(self) -> dict[str, Json]:
         """Serialize into `camera_estimate` of samples.jsonl."""
@@ -78,7 +103,7 @@ class CameraEstimate:
             "focal_sigma": self.focal_sigma,
             "gripper_sigma_m": self.gripper_sigma_m,
             "gripper_sigma_rad": self.gripper_sigma_rad,
-            "frames": self.rows.tolist(),
+            "frames": self.frames.tolist(),
         }
 
     @property
@@ -122,30 +147,12 @@ class CameraEstimate:
         """Mean of the agreements of arm and base link."""
         return (self.agreement + self.base_agreement) / 2
 
-    @property
-    def position_sigma_m(self) -> float:
-        """Standard deviation of the camera's position in the base frame: root of the sum over axes [m]."""
-        return self.scene.lens.position_sigma_m(self.covariance[:6, :6])
 
-    @property
-    def rotation_sigma_rad(self) -> float:
-        """Standard deviation of the camera's rotation [rad]."""
-        return float(np.trace(self.covariance[:3, :3]) ** 0.5)
-
-    @property
-    def focal_sigma(self) -> float:
-        """Relative standard deviation of the focal length; 0 if it was fixed."""
-        return float(self.covariance[6, 6] ** 0.5)
-
-
-def describe(bundle: Bundle, part: NDArray[np.uint8], model: ArmModel, rows: NDArray[np.intp]) -> CameraEstimate:
-    """Return the estimate of a bundle adjustment."""
-    scene, H = bundle.scene, bundle.information
-    free = np.flatnonzero(np.diag(H) > 0)
-    scale = np.sqrt(np.diag(H)[free])
-    covariance = np.zeros((UNKNOWNS, UNKNOWNS))
-    inverse = np.linalg.pinv(H[np.ix_(free, free)] / np.outer(scale, scale) + 1e-9 * np.eye(len(free)))
-    covariance[np.ix_(free, free)] = inverse / np.outer(scale, scale)
+def describe(
+    bundle: Bundle, part: NDArray[np.uint8], model: ArmModel, frames: NDArray[np.intp], agreement: float
+) -> CameraEstimate:
+    """Return the estimate of a fit to contours of some parts (N,) in frames of these numbers (T,)."""
+    scene, covariance = bundle.scene, bundle.covariance
     spread = []
     for q, response in zip(scene.q, bundle.response, strict=True):
         X_BP, axis, point = model.poses_and_axes(q)
@@ -155,18 +162,13 @@ def describe(bundle: Bundle, part: NDArray[np.uint8], model: ArmModel, rows: NDA
         spread.append(J @ covariance @ J.T)
     position, rotation = (float(np.median([np.trace(V[k, k]) for V in spread])) ** 0.5 for k in (_MOVE, _TURN))
     return CameraEstimate(
-        camera=scene.lens.to_camera(),
+        scene=scene,
+        frames=frames,
         covariance=covariance,
+        part=part,
+        error_px=bundle.error_px,
         gripper_sigma_m=position,
         gripper_sigma_rad=rotation,
-        agreement=0.0,
-        is_aligned=False,
-        runner_up=0.0,
-        base_agreement=0.0,
-        base_runner_up=0.0,
+        agreement=agreement,
         residual_px=float(np.median(bundle.error_px)),
-        rows=rows,
-        scene=scene,
-        contour_part=part,
-        contour_error_px=bundle.error_px,
     )

@@ -7,14 +7,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinebench_drake.camera import Camera
+from kinebench_drake.errors import UnmeasurableError
 from kinebench_drake.geometry import Array
-from kinebench_drake.grounding.camera.bundle import POSTURE_SIGMA_RAD, ArmScene, Observations, Prior, adjust
+from kinebench_drake.grounding.camera.bundle import ArmScene, Observations, Prior, adjust
+from kinebench_drake.grounding.camera.camera_estimate import CameraEstimate, describe
 from kinebench_drake.grounding.camera.contours import ContourImages
-from kinebench_drake.grounding.camera.correspondences import LINK_SIGMAS, CalibrationCorrespondences, locate_points
+from kinebench_drake.grounding.camera.correspondences import LINK_SIGMAS, PIXEL_SIGMA, CalibrationCorrespondences
 from kinebench_drake.grounding.camera.detections import ArmDetections
-from kinebench_drake.grounding.camera.fit import PIXEL_SIGMA, Lens
 from kinebench_drake.grounding.camera.hypotheses import Hypothesis
-from kinebench_drake.grounding.camera.surroundings import Surroundings
 from kinebench_drake.grounding.registration.arm_model import ArmModel
 from kinebench_drake.grounding.registration.edges import EdgeMatcher
 from kinebench_drake.grounding.tracking.view import Frames
@@ -24,51 +24,21 @@ MIN_FRAMES = 3
 """Least number of frames that must show hand and arm."""
 LOG_FOCAL_SIGMA = 0.5
 """Standard deviation of the logarithm of an unknown focal length."""
-PASS_SIGMA_RAD = 0.5
-"""Standard deviation of joint angles about those of the pass before [rad]."""
-LEAST_EXPLAINED = 0.75
-"""Share of the frames with the robot below which a camera that explains no more is unlikely."""
-THIN = 3
-"""Of so many cells one is used."""
 COARSE = ((14.0, 1.0), (14.0, 1.0), (10.0, 0.6), (6.0, 0.3), (4.0, 0.1))
 MIDDLE = ((8.0, 0.3), (5.0, 0.2), (4.0, 0.1), (3.0, 0.0))
 """Successive reaches of the search for edges [px of an image of at most 640 px], and weights of the cells."""
-NEAREST_M = 0.05
-"""Least depth of a point [m]."""
+_PASS_SIGMA_RAD = 0.5  # of joint angles about those of the pass before
+_THIN = 3  # one of so many cells is used
 _LINK_FACTOR = 1.5  # of the networks' standard deviations for links
-_FLOOR = 1.5
+_FLOOR = 1.5  # of their least one
 _LEAST_COMPARED = 4  # frames
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class LensPrior:
-    """What is known about the lens, and about the postures."""
-
-    lens: Lens
-    """Expected focal length and principal point."""
-    log_focal_sigma: float
-    """Standard deviation of the logarithm of the focal length; 0 for a fixed one."""
-    centre_sigma_px: float = 0.0
-    """Standard deviation of the principal point [px]; 0 for a fixed one."""
-    place_free: bool = True
-    """False to keep the place of the camera."""
-    offset_sigma: float = 0.0
-    """Standard deviation of the offset of a part's contours, in those of one of their points; 0 for none."""
-    surroundings: Surroundings | None = None
-    """Lines along the axes of the base."""
-
-    def with_postures(self, q: Array, q_sigma: Array | float) -> Prior:
-        """Return the prior with joint angles (T, 7) [rad] and their standard deviations."""
-        return Prior(
-            q=q,
-            q_sigma=np.broadcast_to(np.asarray(q_sigma, dtype=np.float64), q.shape),
-            lens=self.lens,
-            log_focal_sigma=self.log_focal_sigma,
-            centre_sigma_px=self.centre_sigma_px,
-            place_free=self.place_free,
-            offset_sigma=self.offset_sigma,
-            surroundings=self.surroundings,
-        )
+_FINE = ((8.0, 0.3), (5.0, 0.1), (4.0, 0.0), (3.0, 0.0), (3.0, 0.0), (2.0, 0.0), (2.0, 0.0))  # as `COARSE`
+_PART_INDEPENDENT = 4.0  # independent measurements of the contours of a part in an image, whose errors correlate
+_JOINTS_INDEPENDENT = 2.0  # the same at known joint angles, whose errors the contours have in common
+_OFFSET_SIGMA = 0.4  # of a part's contours: 0.3 px, twice those of own renders
+_LEAST_SHARE = 0.75  # of the agreement of the better frames, below which a frame is left out
+_BETTER = 75  # percentile of these
+_LEAST_FRAMES = 0.5  # share of the frames with the robot below which a camera that explains no more is unlikely
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -117,17 +87,24 @@ class CandidateFitter:
         return Candidate(
             scene=ArmScene(lens=hypothesis.lens, q=hypothesis.q[rows], finger_m=detections.finger_m[rows]),
             rows=rows,
-            cells=detections.cells.flip(hypothesis.flipped).of_frames(rows).thin(THIN),
+            cells=detections.cells.flip(hypothesis.flipped).of_frames(rows).thin(_THIN),
             costs=hypothesis.costs[rows],
             cost=hypothesis.cost,
         )
 
-    def fit_cells(self, start: Candidate, prior: LensPrior) -> Candidate:
+    def extend(self, candidate: Candidate, detections: ArmDetections, hypothesis: Hypothesis) -> Candidate:
+        """Return a candidate with all frames that its camera explains by a hypothesis, itself included."""
+        q, finger_m = hypothesis.q.copy(), detections.finger_m.copy()
+        q[candidate.rows], finger_m[candidate.rows] = candidate.scene.q, candidate.scene.finger_m
+        extended = self.start(replace(detections, finger_m=finger_m), replace(hypothesis, q=q))
+        return candidate if extended is None else extended
+
+    def fit_cells(self, start: Candidate, prior: Prior) -> Candidate:
         """Return a candidate fitted to its cells."""
         scene, cost = start.scene, 0.0
         for _ in range(2):
             observations = cell_observations(start.cells, scene, self.model)
-            bundle = adjust(observations, scene, prior.with_postures(scene.q, POSTURE_SIGMA_RAD), self.model)
+            bundle = adjust(observations, scene, prior, self.model)
             scene, cost = bundle.scene, bundle.cost
         return replace(start, scene=scene, cost=cost)
 
@@ -135,7 +112,7 @@ class CandidateFitter:
         self,
         fit: Candidate,
         images: ContourImages,
-        prior: LensPrior,
+        prior: Prior,
         frames: int,
         passes: Sequence[tuple[float, float]],
     ) -> Candidate:
@@ -152,48 +129,93 @@ class CandidateFitter:
         likely = np.sort(np.argsort(fit.costs, kind="stable")[: max(_LEAST_COMPARED, len(fit.rows) // 2)])
         candidate = fit.take(likely[np.unique(np.linspace(0, len(likely) - 1, frames).round().astype(int))])
         images = images.take(candidate.rows)
-        scene, _ = self.fit_contours(candidate.scene, candidate.cells, images, prior, passes, PASS_SIGMA_RAD)
+        scene, _ = self.fit_contours(candidate, images, prior, passes)
         return replace(candidate, scene=scene, agreement=float(np.median(images.agreement(scene))))
 
     def fit_contours(
-        self,
-        scene: ArmScene,
-        cells: CalibrationCorrespondences,
-        images: ContourImages,
-        prior: LensPrior,
-        passes: Sequence[tuple[float, float]],
-        q_sigma: float,
-        q: Array | None = None,
+        self, fit: Candidate, images: ContourImages, prior: Prior, passes: Sequence[tuple[float, float]]
     ) -> tuple[ArmScene, Observations | None]:
-        """Fit camera and postures to the image edges in passes; `q` (T, 7) are known joint angles [rad]."""
-        edges = None
+        """Fit a candidate to the edges of images of its frames, in passes; return scene and contours.
+
+        Args:
+            fit: the candidate.
+            images: images of its frames.
+            prior: prior of the lens.
+            passes: reaches of the search for edges, and weights of the cells.
+        """
+        scene, edges = fit.scene, None
+        known = prior.joint_sigma_rad is not None
+        q, q_sigma = (fit.scene.q, None) if known else (None, _PASS_SIGMA_RAD)
         for reach_px, weight in passes:
             edges = images.observe(scene, reach_px)
             if edges is None:
                 break
             observations = edges
             if weight > 0:
-                observed = cell_observations(cells, scene, self.model)
+                observed = cell_observations(fit.cells, scene, self.model)
                 observations = Observations.join([replace(observed, weight=weight * observed.weight), edges])
-            own = prior.with_postures(scene.q if q is None else q, q_sigma)
-            scene = adjust(observations, scene, own, self.model, iterations=4).scene
+            scene = adjust(observations, scene, prior, self.model, q=q, q_sigma=q_sigma, iterations=4).scene
         return scene, edges
+
+    def settle(
+        self, candidate: Candidate, images: ContourImages, prior: Prior, total: int
+    ) -> tuple[Candidate, Observations | None]:
+        """Fit a candidate to the contours of its frames without those that disagree; return it and the contours.
+
+        Its agreement is less where it explains few of the `total` frames that show the robot. Other arguments as of
+        `finish`.
+        """
+        edges = None
+        rounds: tuple[Sequence[tuple[float, float]], ...] = (_FINE, _FINE[1:], _FINE[-3:])
+        for number, passes in enumerate(rounds):
+            own = images.take(candidate.rows)
+            scene, edges = self.fit_contours(candidate, own, prior, passes)
+            agreement = own.agreement(scene)
+            candidate = replace(candidate, scene=scene, agreement=explained(agreement, total))
+            good = np.flatnonzero(agreement >= _LEAST_SHARE * np.percentile(agreement, _BETTER))
+            if number + 1 == len(rounds) or len(good) == len(agreement) or len(good) < MIN_FRAMES:
+                break
+            candidate = candidate.take(good)
+        return candidate, edges
+
+    def finish(
+        self, candidate: Candidate, images: ContourImages, prior: Prior, *, rows: NDArray[np.intp], total: int
+    ) -> CameraEstimate:
+        """Fit a candidate to the contours of all its frames; leave out frames that disagree, and compute sigmas.
+
+        Args:
+            candidate: camera and postures that are right within some pixels.
+            images: images of the detections.
+            prior: prior of the lens.
+            rows: numbers of the frames of the detections.
+            total: number of frames that show the robot.
+
+        Raises:
+            UnmeasurableError: the images show no edges where the arm should be.
+        """
+        known = prior.joint_sigma_rad is not None
+        prior = replace(prior, offset_sigma=0.0 if known else _OFFSET_SIGMA)
+        candidate, edges = self.settle(candidate, images, prior, total)
+        if edges is None:
+            raise UnmeasurableError("no camera can be estimated: the images show no edges where the arm should be")
+        # Contours of one part in one image, and those of parts at rest, count once.
+        X_BP = self.model.poses(candidate.scene.q)
+        count = np.zeros(X_BP.shape[:2])
+        np.add.at(count, (edges.frame, edges.part), 1.0)
+        independent = _JOINTS_INDEPENDENT if known else _PART_INDEPENDENT
+        weight = np.minimum(1.0, independent / count[edges.frame, edges.part]) / edges.count_repeats(X_BP)
+        bundle = adjust(replace(edges, weight=weight), candidate.scene, prior, self.model)
+        return describe(bundle, edges.part, self.model, rows[candidate.rows], candidate.agreement)
+
+
+def explained(agreement: Array, total: int) -> float:
+    """Return the median of the agreements (T,) of frames, less if they are few of the `total` with the robot."""
+    return float(np.median(agreement)) * min(1.0, len(agreement) / (_LEAST_FRAMES * total))
 
 
 def cell_observations(cells: CalibrationCorrespondences, scene: ArmScene, model: ArmModel) -> Observations:
     """Return the cells of the networks' views as observations, with standard deviations at a scene."""
-    lens = scene.lens
-    p_B = locate_points(cells, model.poses(scene.q), scene.finger_m)
-    _, z = lens.project(p_B)
-    spread_m = cells.sigma_m * np.where(np.isin(cells.part, ARM), _LINK_FACTOR / LINK_SIGMAS, 1.0)
-    floor = _FLOOR * PIXEL_SIGMA * lens.camera.unit_px
-    sigma = np.hypot(floor, lens.camera.fx * spread_m / np.maximum(np.abs(z), NEAREST_M))
-    return Observations(
-        frame=cells.frame,
-        part=cells.part,
-        p_P=cells.p_P,
-        opening_sign=cells.opening_sign,
-        uv_px=cells.uv_px,
-        whitening=np.eye(2) / sigma[:, None, None],
-        weight=cells.weight,
-    )
+    p_B = cells.locate(model.poses(scene.q), scene.finger_m)
+    factor = np.where(np.isin(cells.part, ARM), _LINK_FACTOR / LINK_SIGMAS, 1.0)
+    own = replace(cells, sigma_m=cells.sigma_m * factor)
+    return Observations.of_cells(cells, own.sigma_px(scene.lens, p_B, _FLOOR * PIXEL_SIGMA))

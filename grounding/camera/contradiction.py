@@ -1,47 +1,47 @@
 """Checks of a camera against the arm: agreement with it, and other cameras that explain the arm better."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from kinebench_drake.camera import Camera
+from kinebench_drake.errors import UsageError
 from kinebench_drake.geometry import Array, invert, pose_difference
-from kinebench_drake.grounding.camera.bundle import ArmScene
+from kinebench_drake.grounding.camera.bundle import ArmScene, Prior
 from kinebench_drake.grounding.camera.candidate import (
     COARSE,
-    LEAST_EXPLAINED,
     LOG_FOCAL_SIGMA,
     MIDDLE,
     MIN_FRAMES,
-    PASS_SIGMA_RAD,
     Candidate,
     CandidateFitter,
-    LensPrior,
 )
 from kinebench_drake.grounding.camera.detections import ArmDetections, count_hands, find_robot
-from kinebench_drake.grounding.camera.fit import Lens, with_focal
 from kinebench_drake.grounding.camera.hypotheses import ChainSearch
-from kinebench_drake.grounding.camera.reading import BetterReading, Reading, list_readings
+from kinebench_drake.grounding.camera.lens import Lens, with_focal
+from kinebench_drake.grounding.camera.reading import BetterReading, Reading
 from kinebench_drake.grounding.tracking.view import DenseEstimator, Frames
 from kinebench_drake.io.jsonl import Json
 from kinebench_drake.models.panda.robot import RobotPart, hand_from_tcp
 
 _CHECKED, _CHECK_SEARCHED = 5, 8  # frames that check a camera, and those that they are chosen from
 _READ, _READ_SEARCHED = 4, 6  # the same of a reading of the picture
-_CROP_ZOOMS, _CROPS_FITTED = (1.1, 1.25, 1.45), 3  # focal lengths of cropped pictures over that of the camera
+_CROP_ZOOMS = (1.1, 1.25, 1.45)  # focal lengths of cropped pictures over that of the camera
 _CROP_PLACES = np.array([[0.0, 0.0], [-1.0, -1.0], [-1.0, 1.0], [1.0, -1.0], [1.0, 1.0]])
 """Places of a cropped picture in the whole one: its middle and its corners."""
 _CROP_LOG_SIGMA, _CROP_CENTRE_SIGMA = 0.15, 0.1
 """Standard deviations of the logarithm of the focal length of a cropped picture, and of its principal point over its
 width."""
 _SUFFICIENT = 0.6  # agreement, after a fit of the postures, of a camera that is not in doubt
-_ZOOMS, _ZOOMS_FITTED = (0.63, 0.72, 0.85, 1.0, 1.2, 1.4, 1.6), 3  # focal lengths over that of a camera in doubt
+_ZOOMS = (0.63, 0.72, 0.85, 1.0, 1.2, 1.4, 1.6)  # focal lengths over that of a camera in doubt
+_FITTED = 3  # other lenses that are fitted to contours
+_LEAST_EXPLAINED = 0.75  # share of the frames with the robot below which a camera that explains no more is unlikely
 CONTRADICTING, CLEARLY = 0.5, 0.1
 """Least agreement with another camera that contradicts the assumed one, and how much better it has to be."""
 LARGE_M, LARGE_RAD = 0.03, np.deg2rad(5.0)
 """Displacement of the gripper by the other camera from which on there is no verdict [m, rad]."""
 _PASSES = (*COARSE, *MIDDLE[1:])
-_CROP = Reading.CROPPED
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -84,9 +84,7 @@ class CameraChecker:
         """Check with the dense estimates of `estimator`."""
         self._estimator, self._fitter = estimator, fitter
 
-    def measure_agreement(
-        self, frames: Frames, camera: Camera, *, used: int = _CHECKED, searched: int = _CHECK_SEARCHED
-    ) -> float | None:
+    def measure_agreement(self, frames: Frames, camera: Camera) -> float | None:
         """Return the share of the arm's contours that lies on image edges if the camera is the right one.
 
         The postures are fitted, the camera is kept; median over the frames. None if hand and arm are seen in fewer than
@@ -95,14 +93,9 @@ class CameraChecker:
         Args:
             frames: (T, H, W, 3) RGB.
             camera: camera of the frames.
-            used: greatest number of frames.
-            searched: number of frames that these are chosen from.
         """
-        detections = find_robot(self._estimator, frames, camera, used, searched=searched)
-        if detections is None or len(detections.rows) < MIN_FRAMES:
-            return None
-        fixed = self._fit_postures(detections, frames[detections.rows], camera)
-        return 0.0 if fixed is None else fixed.agreement
+        detections = self._detect(frames, camera, _CHECKED, _CHECK_SEARCHED)
+        return None if detections is None else self._agreement(detections, frames, camera)
 
     def posture_agreement(
         self, frames: Frames, camera: Camera, q: Array, finger_m: Array, *, hand: bool = True
@@ -116,7 +109,7 @@ class CameraChecker:
             finger_m: (T,) opening of each finger [m].
             hand: False to leave out the hand, where the arm carries another gripper.
         """
-        scene = ArmScene(lens=Lens(camera=camera, X_CB=invert(camera.X_BC)), q=q, finger_m=finger_m)
+        scene = ArmScene(lens=Lens.of_camera(camera), q=q, finger_m=finger_m)
         images = self._fitter.images(frames, camera)
         return float(np.median((images if hand else images.without(RobotPart.HAND)).agreement(scene)))
 
@@ -132,49 +125,70 @@ class CameraChecker:
             readings: to be tried.
         """
         frames = frames[np.unique(np.linspace(0, len(frames) - 1, _READ_SEARCHED).round().astype(int))]
-        own = self.measure_agreement(frames, camera, used=_READ, searched=_READ_SEARCHED) or 0.0
-        shares = [
-            (self.measure_agreement(turned, lens, used=_READ, searched=_READ_SEARCHED) or 0.0, reading, lens)
-            for reading, turned, lens in list_readings(frames, camera, tuple(r for r in readings if r is not _CROP))
-        ]
-        if _CROP in readings and (crop := self._fit_crop(frames, camera)) is not None:
-            shares.append((crop.agreement, _CROP, crop.scene.lens.to_camera()))
+        unread = self._detect(frames, camera, _READ, _READ_SEARCHED)
+        own = self._agreement(unread, frames, camera)
+        shares: list[tuple[float, Reading, Camera]] = []
+        for reading in readings:
+            if reading is Reading.CROPPED:
+                crop = None if unread is None else self._fit_crop(unread, frames, camera)
+                shares += [] if crop is None else [(crop.agreement, reading, crop.scene.lens.to_camera())]
+                continue
+            picture = reading.frames(frames)
+            try:
+                lens = reading.camera(camera).resized(picture.shape[2], picture.shape[1])
+            except UsageError:  # a picture that is not square, on its side
+                continue
+            turned = unread if picture is frames else self._detect(picture, lens, _READ, _READ_SEARCHED)
+            shares.append((self._agreement(turned, picture, lens), reading, lens))
         better, reading, lens = max(shares, key=lambda share: share[0])
         if better < max(least, own + CLEARLY):
             return None
         return BetterReading(reading=reading, agreement=own, better=better, camera=lens)
 
-    def _fit_crop(self, frames: Frames, camera: Camera) -> Candidate | None:
+    def _detect(self, frames: Frames, camera: Camera, used: int, searched: int) -> ArmDetections | None:
+        """Return the robot in at most `used` of the frames `searched`; None if too few show hand and arm."""
+        detections = find_robot(self._estimator, frames, camera, used, searched=searched)
+        return None if detections is None or len(detections.rows) < MIN_FRAMES else detections
+
+    def _agreement(self, detections: ArmDetections | None, frames: Frames, camera: Camera) -> float:
+        """Return the agreement of the arm that is detected in frames (T, H, W, 3) with their camera; 0 without any."""
+        fixed = None if detections is None else self._fit_postures(detections, frames[detections.rows], camera)
+        return 0.0 if fixed is None else fixed.agreement
+
+    def _fit_crop(self, detections: ArmDetections, frames: Frames, camera: Camera) -> Candidate | None:
         """Return the camera at the same place whose picture is a part of that of `camera`; None if no arm is seen."""
-        detections = find_robot(self._estimator, frames, camera, _READ, searched=_READ_SEARCHED)
-        if detections is None or len(detections.rows) < MIN_FRAMES:
-            return None
-        images = self._fitter.images(frames[detections.rows], camera)
-        search = ChainSearch(detections.cells, detections.finger_m, self._fitter.model)
-        starts = []
+        trials = []
         for zoom in _CROP_ZOOMS:
             margin = 0.5 * (zoom - 1.0) * np.array([camera.width, camera.height])
             for place in _CROP_PLACES:
                 cx, cy = np.array([camera.cx, camera.cy]) + place * margin
                 part = replace(with_focal(camera, zoom * camera.fx), cx=float(cx), cy=float(cy))
-                lens = Lens(camera=part, X_CB=invert(camera.X_BC))
-                start = self._fitter.start(detections, search.explain(lens, search.hands(part)))
-                starts += [] if start is None else [start]
-        fits = [
-            self._fitter.compare(
-                start,
-                images,
-                LensPrior(
-                    lens=start.scene.lens,
+                prior = Prior(
+                    lens=Lens.of_camera(part),
                     log_focal_sigma=_CROP_LOG_SIGMA,
                     centre_sigma_px=_CROP_CENTRE_SIGMA * camera.width,
                     place_free=False,
-                ),
-                len(start.rows),
-                _PASSES,
-            )
-            for start in sorted(starts, key=lambda start: start.cost)[:_CROPS_FITTED]
-        ]
+                )
+                trials.append((prior.lens, prior))
+        return self._fit_best(detections, frames[detections.rows], trials)
+
+    def _fit_best(
+        self, detections: ArmDetections, frames: Frames, trials: Sequence[tuple[Lens, Prior]], least: float = 0.0
+    ) -> Candidate | None:
+        """Return the lens that agrees best with the contours, of those that explain the cells best; None without any.
+
+        Args:
+            detections: robot in T frames.
+            frames: (T, H, W, 3) these frames.
+            trials: initial lenses, and their priors.
+            least: least number of frames that a lens has to explain.
+        """
+        images = self._fitter.images(frames, trials[0][0].camera)
+        search = ChainSearch(detections.cells, detections.finger_m, self._fitter.model)
+        starts = [(self._fitter.start(detections, search.explain(lens)), prior) for lens, prior in trials]
+        likely = [(start, prior) for start, prior in starts if start is not None and len(start.rows) >= least]
+        likely = sorted(likely, key=lambda trial: trial[0].cost)[:_FITTED]
+        fits = [self._fitter.compare(start, images, prior, len(start.rows), _PASSES) for start, prior in likely]
         return max(fits, key=lambda fit: fit.agreement, default=None)
 
     def count_hands(self, frames: Frames, camera: Camera) -> tuple[int, int]:
@@ -194,26 +208,18 @@ class CameraChecker:
             frames: (T, H, W, 3) RGB.
             camera: camera of the frames.
         """
-        detections = find_robot(self._estimator, frames, camera, _CHECKED + 1, searched=2 * _CHECK_SEARCHED)
-        if detections is None or len(detections.rows) < MIN_FRAMES:
+        detections = self._detect(frames, camera, _CHECKED + 1, 2 * _CHECK_SEARCHED)
+        if detections is None:
             return None
         frames = frames[detections.rows]
         fixed = self._fit_postures(detections, frames, camera)
         # Where no posture explains the hand, its detection is wrong, which says nothing about the camera.
         if fixed is None or fixed.agreement >= _SUFFICIENT:
             return None
-        images = self._fitter.images(frames, camera)
-        prior = LensPrior(lens=Lens(camera=camera, X_CB=np.eye(4)), log_focal_sigma=LOG_FOCAL_SIGMA)
-        search = ChainSearch(detections.cells, detections.finger_m, self._fitter.model)
-        X_CB = invert(camera.X_BC)
-        lenses = [Lens(camera=with_focal(camera, zoom * camera.fx), X_CB=X_CB) for zoom in _ZOOMS]
-        starts = [self._fitter.start(detections, search.explain(lens, search.hands(lens.camera))) for lens in lenses]
-        enough = LEAST_EXPLAINED * len(detections.rows)
-        likely = sorted((s for s in starts if s is not None and len(s.rows) >= enough), key=lambda start: start.cost)
-        fitted = [
-            self._fitter.compare(start, images, prior, len(start.rows), _PASSES) for start in likely[:_ZOOMS_FITTED]
-        ]
-        best = max(fitted, key=lambda candidate: candidate.agreement, default=None)
+        own = Lens.of_camera(camera)
+        prior = Prior(lens=own, log_focal_sigma=LOG_FOCAL_SIGMA)
+        trials = [(replace(own, camera=with_focal(camera, zoom * camera.fx)), prior) for zoom in _ZOOMS]
+        best = self._fit_best(detections, frames, trials, _LEAST_EXPLAINED * len(detections.rows))
         if best is None or best.agreement < max(CONTRADICTING, fixed.agreement + CLEARLY):
             return None
         X_CB = best.scene.lens.X_CB
@@ -239,12 +245,12 @@ class CameraChecker:
             frames: (T, H, W, 3) these frames.
             camera: camera, which is kept.
         """
-        lens = Lens(camera=camera, X_CB=invert(camera.X_BC))
+        lens = Lens.of_camera(camera)
         search = ChainSearch(detections.cells, detections.finger_m, self._fitter.model)
-        start = self._fitter.start(detections, search.explain(lens, search.hands(camera)))
+        start = self._fitter.start(detections, search.explain(lens))
         if start is None:
             return None
         images = self._fitter.images(frames[start.rows], camera)
-        prior = LensPrior(lens=lens, log_focal_sigma=0.0, place_free=False)
-        scene, _ = self._fitter.fit_contours(start.scene, start.cells, images, prior, _PASSES, PASS_SIGMA_RAD)
+        prior = Prior(lens=lens, log_focal_sigma=0.0, place_free=False)
+        scene, _ = self._fitter.fit_contours(start, images, prior, _PASSES)
         return replace(start, scene=scene, agreement=float(np.median(images.agreement(scene))))

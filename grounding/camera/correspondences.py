@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
-from typing import Protocol
+from typing import Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +10,7 @@ from typing_extensions import override
 
 from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array
+from kinebench_drake.grounding.camera.lens import Lens
 from kinebench_drake.grounding.registration.fit import UNSEEN_FINGER_M
 from kinebench_drake.grounding.tracking.crop import CLOSE_SIZE
 from kinebench_drake.grounding.tracking.flips import X_HALF_TURN
@@ -26,65 +27,57 @@ INDEPENDENT = 8.0
 """Greatest total weight of the cells of one part in one view, in independent measurements: their errors correlate."""
 LINK_SIGMAS = 3.0
 """Factor of the network's standard deviations for cells of links, of which it is overconfident."""
+PIXEL_SIGMA = 0.5
+"""Least standard deviation of a cell in an image 384 px wide [px]: the raster of the views."""
+NEAREST_M = 0.05
+"""Least depth of a point [m]."""
 _ALIKE_M, _ALIKE_RAD = 0.01, np.deg2rad(2.0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class CalibrationCorrespondences:
-    """N cells of the network's output grid in several frames of one camera, with the robot points that they show."""
+class RobotPoints:
+    """N points of the robot, each seen in one of T frames of one camera."""
 
     frame: NDArray[np.intp]
     """(N,) row of the frame."""
-    uv_px: Array
-    """(N, 2) pixel coordinates of the cell in the frame [px]."""
     part: NDArray[np.uint8]
     """(N,) values of `RobotPart`."""
     p_P: Array
-    """(N, 3) visible point in the frame of its part [m], as `GripperView.coordinates_P`."""
-    sigma_m: Array
-    """(N,) standard deviation of each coordinate of the point [m]."""
+    """(N, 3) point in the frame of its part, fingers closed [m]."""
     opening_sign: Array
-    """(N,) direction of the cell along the hand's y axis as the gripper opens: 1 or -1 for fingers, else 0."""
-    depth_per_px: Array
-    """(N,) estimated depth over the focal length of the assumed camera [m/px]: it scales with the true one."""
+    """(N,) direction along the hand's y axis as the gripper opens: 1 or -1 for fingers, else 0."""
+    uv_px: Array
+    """(N, 2) where the image shows it [px]."""
     weight: Array
     """(N,) weight in independent measurements within its frame."""
-    repeats: Array
-    """(N,) number of frames in which its part has the same pose, so that errors correlate."""
 
     def __len__(self) -> int:
-        """Return the number of cells."""
+        """Return the number of points."""
         return len(self.frame)
 
-    def take(self, chosen: NDArray[np.generic]) -> "CalibrationCorrespondences":
-        """Select cells by index or mask."""
-        return CalibrationCorrespondences(**{f.name: getattr(self, f.name)[chosen] for f in fields(self)})
+    def take(self, chosen: NDArray[np.generic]) -> Self:
+        """Select points by index or mask."""
+        return type(self)(**{f.name: getattr(self, f.name)[chosen] for f in fields(self)})
 
-    def of_frames(self, rows: NDArray[np.intp]) -> "CalibrationCorrespondences":
-        """Select the cells of some frames, renumbered from 0."""
-        number = {int(row): i for i, row in enumerate(rows)}
-        chosen = self.take(np.isin(self.frame, rows))
-        return replace(chosen, frame=np.array([number[int(f)] for f in chosen.frame], dtype=np.intp))
+    @classmethod
+    def join(cls, parts: Sequence[Self]) -> Self:
+        """Concatenate points in the same frames."""
+        return cls(**{f.name: np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(cls)})
 
-    def thin(self, every: int) -> "CalibrationCorrespondences":
-        """Keep one of `every` cells, with the weight of the others."""
-        chosen = self.take(np.arange(0, len(self), every))
-        return replace(chosen, weight=np.minimum(1.0, chosen.weight * every))
+    def locate(self, X_BP: Array, finger_m: Array) -> Array:
+        """Return the points (N, 3) in B [m]; NaN where the pose of their part is unknown.
 
-    @property
-    def of_gripper(self) -> NDArray[np.bool_]:
-        """(N,) cells that show hand or fingers."""
-        return np.isin(self.part, GRIPPER)
+        Args:
+            X_BP: (T, PARTS, 4, 4) frames of the parts' CAD coordinates in B [m].
+            finger_m: (T,) opening of each finger [m].
+        """
+        X = X_BP[self.frame, self.part]
+        opened_P = self.p_P.copy()
+        opened_P[:, 1] += self.opening_sign * finger_m[self.frame]
+        return np.asarray(np.einsum("nij,nj->ni", X[:, :3, :3], opened_P) + X[:, :3, 3])
 
-    def flip(self, frames: NDArray[np.bool_]) -> "CalibrationCorrespondences":
-        """Return the cells with the gripper rotated by 180 degrees about its axis in some `frames` (T,)."""
-        changed = self.of_gripper & frames[self.frame]
-        p_P = np.where(changed[:, None], self.p_P @ X_HALF_TURN[:3, :3].T, self.p_P)
-        sign = np.where(changed, -self.opening_sign, self.opening_sign)
-        return replace(self, p_P=p_P, opening_sign=sign)
-
-    def count_repeats(self, X_BP: Array) -> "CalibrationCorrespondences":
-        """Count for each cell the frames in which its part has the same pose.
+    def count_repeats(self, X_BP: Array) -> NDArray[np.intp]:
+        """Count for each point (N,) the frames in which its part has the same pose, so that errors correlate.
 
         Args:
             X_BP: (T, PARTS, 4, 4) poses of the parts in B [m].
@@ -93,7 +86,52 @@ class CalibrationCorrespondences:
         near = np.linalg.norm(p[:, None] - p[None], axis=-1) <= _ALIKE_M
         cosine = (np.einsum("spij,tpij->stp", R, R) - 1.0) / 2.0
         alike = np.maximum(1, (near & (cosine >= np.cos(_ALIKE_RAD))).sum(axis=1))
-        return replace(self, repeats=alike[self.frame, self.part].astype(np.float64))
+        return np.asarray(alike[self.frame, self.part])
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CalibrationCorrespondences(RobotPoints):
+    """N cells of the network's output grid in several frames of one camera, with the robot points that they show."""
+
+    sigma_m: Array
+    """(N,) standard deviation of each coordinate of the point [m]."""
+    depth_per_px: Array
+    """(N,) estimated depth over the focal length of the assumed camera [m/px]: it scales with the true one."""
+
+    def of_frames(self, rows: NDArray[np.intp]) -> Self:
+        """Select the cells of some frames, renumbered from 0."""
+        number = {int(row): i for i, row in enumerate(rows)}
+        chosen = self.take(np.isin(self.frame, rows))
+        return replace(chosen, frame=np.array([number[int(f)] for f in chosen.frame], dtype=np.intp))
+
+    def thin(self, every: int) -> Self:
+        """Keep one of `every` cells, with the weight of the others."""
+        chosen = self.take(np.arange(0, len(self), every))
+        return replace(chosen, weight=np.minimum(1.0, chosen.weight * every))
+
+    def sigma_px(self, lens: Lens, p_B: Array, floor: float = PIXEL_SIGMA) -> Array:
+        """Return the standard deviation (N,) of the reprojection [px].
+
+        Args:
+            lens: lens that projects them.
+            p_B: (N, 3) the points in B [m].
+            floor: least standard deviation in an image 384 px wide [px].
+        """
+        _, z = lens.project(p_B)
+        spread = lens.camera.fx * self.sigma_m / np.maximum(np.abs(z), NEAREST_M)
+        return np.asarray(np.hypot(floor * lens.camera.unit_px, spread))
+
+    @property
+    def of_gripper(self) -> NDArray[np.bool_]:
+        """(N,) cells that show hand or fingers."""
+        return np.isin(self.part, GRIPPER)
+
+    def flip(self, frames: NDArray[np.bool_]) -> Self:
+        """Return the cells with the gripper rotated by 180 degrees about its axis in some `frames` (T,)."""
+        changed = self.of_gripper & frames[self.frame]
+        p_P = np.where(changed[:, None], self.p_P @ X_HALF_TURN[:3, :3].T, self.p_P)
+        sign = np.where(changed, -self.opening_sign, self.opening_sign)
+        return replace(self, p_P=p_P, opening_sign=sign)
 
 
 def find_correspondences(views: Sequence[tuple[int, GripperView]], camera: Camera) -> CalibrationCorrespondences:
@@ -108,22 +146,7 @@ def find_correspondences(views: Sequence[tuple[int, GripperView]], camera: Camer
     for row, view in views:
         parts = (*GRIPPER, *ARM) if _is_close(view) or row not in close else ARM
         cells += [_part_cells(row, view, part, camera) for part in parts]
-    columns = {f.name: np.concatenate([getattr(part, f.name) for part in cells]) for f in fields(cells[0])}
-    return CalibrationCorrespondences(**columns)
-
-
-def locate_points(cells: CalibrationCorrespondences, X_BP: Array, finger_m: Array) -> Array:
-    """Return the points (N, 3) of the cells in B [m]; NaN where the pose of their part is unknown.
-
-    Args:
-        cells: cells of T frames.
-        X_BP: (T, PARTS, 4, 4) frames of the parts' CAD coordinates in B [m].
-        finger_m: (T,) opening of each finger [m].
-    """
-    X = X_BP[cells.frame, cells.part]
-    opened_P = cells.p_P.copy()
-    opened_P[:, 1] += cells.opening_sign * finger_m[cells.frame]
-    return np.asarray(np.einsum("nij,nj->ni", X[:, :3, :3], opened_P) + X[:, :3, 3])
+    return CalibrationCorrespondences.join(cells)
 
 
 def _is_close(view: GripperView) -> bool:
@@ -146,7 +169,6 @@ def _part_cells(row: int, view: GripperView, part: RobotPart, camera: Camera) ->
         opening_sign=view.opening_sign[v, u],
         depth_per_px=rays[:, 2] * view.depth_m[v, u] / camera.fx,
         weight=np.full(n, min(1.0, INDEPENDENT / max(1, n))),
-        repeats=np.ones(n),
     )
 
 

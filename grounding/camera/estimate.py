@@ -2,38 +2,29 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from kinebench_drake.camera import Camera, benchmark_camera
+from kinebench_drake.camera import Camera
 from kinebench_drake.errors import UnmeasurableError
-from kinebench_drake.geometry import Array, pose_difference
-from kinebench_drake.grounding.camera.bundle import (
-    POSTURE_SIGMA_RAD,
-    ArmScene,
-    Bundle,
-    Observations,
-    adjust,
-)
-from kinebench_drake.grounding.camera.camera_estimate import BASE_AGREEMENT, BASE_LEAD, CameraEstimate, describe
+from kinebench_drake.geometry import pose_difference
+from kinebench_drake.grounding.camera.bundle import Prior
+from kinebench_drake.grounding.camera.camera_estimate import BASE_AGREEMENT, BASE_LEAD, CameraEstimate
 from kinebench_drake.grounding.camera.candidate import (
     COARSE,
     LOG_FOCAL_SIGMA,
     MIDDLE,
     MIN_FRAMES,
-    PASS_SIGMA_RAD,
-    THIN,
     Candidate,
     CandidateFitter,
-    LensPrior,
+    explained,
 )
 from kinebench_drake.grounding.camera.contours import ContourImages
 from kinebench_drake.grounding.camera.detections import ArmDetections, find_robot
-from kinebench_drake.grounding.camera.fit import Lens, focal_px
 from kinebench_drake.grounding.camera.hypotheses import ChainSearch, Hypothesis
+from kinebench_drake.grounding.camera.lens import Lens, centred_camera, focal_px
 from kinebench_drake.grounding.camera.surroundings import Surroundings, find_lines, find_surroundings
 from kinebench_drake.grounding.camera.turn import DIFFERENT_TURN_RAD, BaseTurn, find_turns, is_same_arm, turned
 from kinebench_drake.grounding.registration.arm_model import ArmModel
@@ -50,20 +41,11 @@ JOINT_SIGMA_RAD = 0.01
 _FRAMES = 12
 _CANDIDATES, _FITTED, _COMPARED = 16, 6, 16
 """Numbers of hypotheses, of those fitted to the cells, and of all compared."""
-_FINE = ((8.0, 0.3), (5.0, 0.1), (4.0, 0.0), (3.0, 0.0), (3.0, 0.0), (2.0, 0.0), (2.0, 0.0))
-"""Successive reaches of the search for edges [px of an image of at most 640 px], and weights of the cells."""
 _ROUNDS = ((4, COARSE, 8), (6, MIDDLE, 5))
 """Successive comparisons of candidates: frames, passes, candidates kept."""
 _CLEARLY = 3.0  # of the tolerances within which cameras are the same: beyond, they contradict each other
-_PART_INDEPENDENT = 4.0  # independent measurements of the contours of a part in an image, whose errors correlate
-_JOINTS_INDEPENDENT = 2.0  # the same at known joint angles, whose errors the contours have in common
-_OFFSET_SIGMA = 0.4  # of a part's contours: 0.3 px, twice those of own renders
 _BASE_LOSS = 0.2  # of the base's contours on edges, at which lines along its axes are those of something askew
-_LEAST_SHARE = 0.75  # of the agreement of the better frames, below which a frame is left out
-_BETTER = 75  # percentile of these
-_LEAST_EXPLAINED = 0.5  # share of the frames with the robot below which a camera that explains no more is unlikely
 _USUAL_FOV_DEG = 55.0
-_ALIKE_M, _ALIKE_RAD = 0.01, np.deg2rad(2.0)
 
 
 class CameraEstimator:
@@ -76,18 +58,6 @@ class CameraEstimator:
             SetupError: meshes, native libraries or the robot description are missing.
         """
         self.estimator, self.fitter = estimator, CandidateFitter(ArmModel(), EdgeMatcher())
-
-    @classmethod
-    def create(cls, weights: Path | None = None) -> "CameraEstimator":
-        """Create the estimator, with `weights` in place of those shipped.
-
-        Raises:
-            SetupError: weights, meshes or native libraries are missing.
-        """
-        from kinebench_drake.grounding.tracking.estimator import NetworkEstimator
-        from kinebench_drake.models.perception.network import WEIGHTS, load_network
-
-        return cls(NetworkEstimator(load_network(weights or WEIGHTS)))
 
     def estimate(self, frames: Frames, camera: Camera | None = None, *, focal_free: bool = True) -> CameraEstimate:
         """Estimate place and focal length of the static camera of a video.
@@ -123,9 +93,7 @@ class CameraEstimator:
             UnmeasurableError: too little of the arm is seen.
         """
         images = self.fitter.images(frames, camera)
-        prior = LensPrior(
-            lens=Lens(camera=camera, X_CB=np.eye(4)), log_focal_sigma=LOG_FOCAL_SIGMA if focal_free else 0.0
-        )
+        prior = Prior(lens=Lens(camera=camera, X_CB=np.eye(4)), log_focal_sigma=LOG_FOCAL_SIGMA if focal_free else 0.0)
         search = ChainSearch(detections.cells, detections.finger_m, self.fitter.model)
         side = max(camera.width, camera.height)
         focals = [focal_px(side, fov) for fov in FOV_DEG] if focal_free else [camera.fx]
@@ -145,7 +113,7 @@ class CameraEstimator:
             ]
         # A hand from which no chain leads to a base is none.
         total = int(np.any([np.isfinite(h.q).all(axis=1) for h in hypotheses], axis=0).sum())
-        arms = [self._settle(candidate, arm_images, prior, total)[0] for candidate in candidates]
+        arms = [self.fitter.settle(candidate, arm_images, prior, total)[0] for candidate in candidates]
         arms.sort(key=lambda arm: -arm.agreement)
         arms = _distinct([(arm.scene.lens, arm) for arm in arms], _CLEARLY)
         lower, upper = self.fitter.model.lower[0], self.fitter.model.upper[0]
@@ -158,7 +126,7 @@ class CameraEstimator:
         surroundings = self._find_surroundings(estimate, frames)
         if surroundings is not None:
             start = self._extend(_at(best, estimate, detections), detections, search)
-            aligned = self.finish(
+            aligned = self.fitter.finish(
                 start, images, replace(prior, surroundings=surroundings), rows=detections.rows, total=total
             )
             shares = [images.take(_at(start, e, detections).rows).base_share(e.scene) for e in (estimate, aligned)]
@@ -166,7 +134,7 @@ class CameraEstimator:
                 own = arm_images.take(_at(start, aligned, detections).rows).agreement(aligned.scene)
                 estimate = replace(
                     aligned,
-                    agreement=max(best.agreement, _explained(own, total)),
+                    agreement=max(best.agreement, explained(own, total)),
                     base_agreement=estimate.base_agreement,
                     # Other turns than by right angles would put these lines askew to the base.
                     base_runner_up=min(
@@ -183,7 +151,7 @@ class CameraEstimator:
         arm: Candidate,
         turns: Sequence[BaseTurn],
         images: ContourImages,
-        prior: LensPrior,
+        prior: Prior,
         *,
         rows: NDArray[np.intp],
         total: int,
@@ -199,8 +167,8 @@ class CameraEstimator:
         fits = []
         for turn in close:
             start = replace(arm, scene=turned(arm.scene, turn.angle_rad))
-            fit = self.finish(start, images, prior, rows=rows, total=total)
-            own = images.take(np.searchsorted(rows, fit.rows))
+            fit = self.fitter.finish(start, images, prior, rows=rows, total=total)
+            own = images.take(np.searchsorted(rows, fit.frames))
             share = own.base_share(fit.scene) if len(close) > 1 else turn.share
             fits.append(replace(fit, agreement=arm.agreement, base_agreement=share))
         best, turn = max(zip(fits, close, strict=True), key=lambda pair: pair[0].base_agreement)
@@ -218,9 +186,7 @@ class CameraEstimator:
         lines = find_lines(frames, lens.camera, X_CP, self.fitter.matcher)
         return find_surroundings(lines, lens, float(upwards @ estimate.covariance[:3, :3] @ upwards) ** 0.5)
 
-    def _candidates(
-        self, detections: ArmDetections, hypotheses: Sequence[Hypothesis], prior: LensPrior
-    ) -> list[Candidate]:
+    def _candidates(self, detections: ArmDetections, hypotheses: Sequence[Hypothesis], prior: Prior) -> list[Candidate]:
         """Return different cameras that explain the cells, as hypothesized and fitted to the cells."""
         starts = _distinct([(h.lens, h) for h in hypotheses])[:_CANDIDATES]
         raw = [_without_base(start) for h in starts if (start := self.fitter.start(detections, h)) is not None]
@@ -243,117 +209,31 @@ class CameraEstimator:
         Raises:
             UnmeasurableError: the images show no edges where the arm should be.
         """
-        prior = LensPrior(
+        prior = Prior(
             lens=Lens(camera=camera, X_CB=np.eye(4)),
             log_focal_sigma=LOG_FOCAL_SIGMA if focal_free else 0.0,
             centre_sigma_px=centre_sigma_px,
+            joint_sigma_rad=JOINT_SIGMA_RAD,
         )
         images = self.fitter.images(frames, camera)
-        own = images.take(start.rows)
-        scene, _ = self.fitter.fit_contours(
-            start.scene, start.cells, own, prior, COARSE, JOINT_SIGMA_RAD, start.scene.q
-        )
+        scene, _ = self.fitter.fit_contours(start, images.take(start.rows), prior, COARSE)
         candidate = replace(start, scene=replace(scene, q=start.scene.q))
-        return self.finish(
-            candidate, images, prior, rows=np.arange(len(frames)), total=len(frames), q_sigma=JOINT_SIGMA_RAD
-        )
+        return self.fitter.finish(candidate, images, prior, rows=np.arange(len(frames)), total=len(frames))
 
     def _extend(self, candidate: Candidate, detections: ArmDetections, search: ChainSearch) -> Candidate:
         """Return a candidate with all frames that its camera explains."""
-        scene = candidate.scene
-        hypothesis = search.explain(scene.lens, search.hands(scene.lens.camera))
-        q, finger_m = hypothesis.q.copy(), detections.finger_m.copy()
-        q[candidate.rows], finger_m[candidate.rows] = scene.q, scene.finger_m
-        rows = np.flatnonzero(np.isfinite(q).all(axis=1))
-        extended = Candidate(
-            scene=ArmScene(lens=scene.lens, q=q[rows], finger_m=finger_m[rows]),
-            rows=rows,
-            cells=detections.cells.flip(hypothesis.flipped).of_frames(rows).thin(THIN),
-            costs=hypothesis.costs[rows],
-            cost=candidate.cost,
-        )
-        return _without_base(extended)
-
-    def finish(
-        self,
-        candidate: Candidate,
-        images: ContourImages,
-        prior: LensPrior,
-        *,
-        rows: NDArray[np.intp],
-        total: int,
-        q_sigma: float | None = None,
-    ) -> CameraEstimate:
-        """Fit a candidate to the contours of all its frames; leave out frames that disagree, and compute sigmas.
-
-        Args:
-            candidate: camera and postures that are right within some pixels.
-            images: images of the detections.
-            prior: prior of the lens.
-            rows: numbers of the frames of the detections.
-            total: number of frames that show the robot.
-            q_sigma: standard deviation of known joint angles [rad]; None if they are unknown.
-        """
-        prior = replace(prior, offset_sigma=_OFFSET_SIGMA if q_sigma is None else 0.0)
-        candidate, edges = self._settle(candidate, images, prior, total, q_sigma)
-        if edges is None:
-            raise UnmeasurableError("no camera can be estimated: the images show no edges where the arm should be")
-        scene = candidate.scene
-        bundle = self._weigh(scene, edges, prior, q_sigma)
-        estimate = describe(bundle, edges.part, self.fitter.model, rows[candidate.rows])
-        return replace(estimate, agreement=candidate.agreement)
-
-    def _settle(
-        self, candidate: Candidate, images: ContourImages, prior: LensPrior, total: int, q_sigma: float | None = None
-    ) -> tuple[Candidate, Observations | None]:
-        """Fit a candidate to the contours of its frames without those that disagree; return it and the contours.
-
-        Its agreement is less where it explains few of the `total` frames.
-        """
-        sigma = PASS_SIGMA_RAD if q_sigma is None else q_sigma
-        edges = None
-        rounds: tuple[Sequence[tuple[float, float]], ...] = (_FINE, _FINE[1:], _FINE[-3:])
-        for number, passes in enumerate(rounds):
-            own = images.take(candidate.rows)
-            q = None if q_sigma is None else candidate.scene.q
-            scene, edges = self.fitter.fit_contours(candidate.scene, candidate.cells, own, prior, passes, sigma, q)
-            agreement = own.agreement(scene)
-            candidate = replace(candidate, scene=scene, agreement=_explained(agreement, total))
-            good = np.flatnonzero(agreement >= _LEAST_SHARE * np.percentile(agreement, _BETTER))
-            if number + 1 == len(rounds) or len(good) == len(agreement) or len(good) < MIN_FRAMES:
-                break
-            candidate = candidate.take(good)
-        return candidate, edges
-
-    def _weigh(self, scene: ArmScene, edges: Observations, prior: LensPrior, q_sigma: float | None) -> Bundle:
-        """Fit a scene to contours, those of one part in one image and of parts at rest counted once."""
-        X_BP = self.fitter.model.poses(scene.q)
-        near = np.linalg.norm(X_BP[:, None, :, :3, 3] - X_BP[None, ..., :3, 3], axis=-1) <= _ALIKE_M
-        cosine = (np.einsum("spij,tpij->stp", X_BP[..., :3, :3], X_BP[..., :3, :3]) - 1.0) / 2.0
-        alike = np.maximum(1, (near & (cosine >= np.cos(_ALIKE_RAD))).sum(axis=1))
-        count = np.zeros(X_BP.shape[:2])
-        np.add.at(count, (edges.frame, edges.part), 1.0)
-        independent = _PART_INDEPENDENT if q_sigma is None else _JOINTS_INDEPENDENT
-        weight = np.minimum(1.0, independent / count[edges.frame, edges.part]) / alike[edges.frame, edges.part]
-        posture_sigma = POSTURE_SIGMA_RAD if q_sigma is None else q_sigma
-        postures = prior.with_postures(scene.q, posture_sigma)
-        return adjust(replace(edges, weight=weight), scene, postures, self.fitter.model)
+        lens = candidate.scene.lens
+        return _without_base(self.fitter.extend(candidate, detections, search.explain(lens)))
 
 
 def _at(candidate: Candidate, estimate: CameraEstimate, detections: ArmDetections) -> Candidate:
     """Return a candidate with the camera, frames and postures of an estimate."""
-    return replace(candidate, scene=estimate.scene, rows=np.searchsorted(detections.rows, estimate.rows))
-
-
-def _explained(agreement: Array, total: int) -> float:
-    """Return the median of the agreements (T,) of frames, less if they are few of the `total` with the robot."""
-    return float(np.median(agreement)) * min(1.0, len(agreement) / (_LEAST_EXPLAINED * total))
+    return replace(candidate, scene=estimate.scene, rows=np.searchsorted(detections.rows, estimate.frames))
 
 
 def usual_camera(width: int, height: int) -> Camera:
     """Return a centred camera of unknown place with a usual field of view along the longer side."""
-    focal = focal_px(max(width, height), _USUAL_FOV_DEG)
-    return replace(benchmark_camera(), width=width, height=height, fx=focal, fy=focal, cx=width / 2, cy=height / 2)
+    return centred_camera(width, height, focal_px(max(width, height), _USUAL_FOV_DEG))
 
 
 def _distinct(ranked: Sequence[tuple[Lens, _Ranked]], factor: float = 1.0) -> list[_Ranked]:

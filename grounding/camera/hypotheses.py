@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array, invert, make_pose
 from kinebench_drake.grounding.camera.correspondences import CalibrationCorrespondences
-from kinebench_drake.grounding.camera.fit import Lens, solve_pnp, with_focal
+from kinebench_drake.grounding.camera.lens import Lens, solve_pnp, with_focal
 from kinebench_drake.grounding.registration.arm_model import OVER_LIMIT_RAD, ArmModel
 from kinebench_drake.kinematics.analytic import analytic_ik
-from kinebench_drake.models.panda.robot import ARM, GRIPPER, RobotPart
+from kinebench_drake.models.panda.robot import ARM, RobotPart
 from kinebench_drake.models.robot import N_JOINTS
 
 _ANGLES, _COARSE_ANGLES = 36, 9  # angles of a joint whose next link is visible, and of another
@@ -73,21 +73,28 @@ class ChainSearch:
             finger_m: (T,) opening of each finger [m].
             model: link poses of the arm.
         """
-        self._model, self._finger_m, self._frames = model, finger_m, len(finger_m)
-        self._cells = [cells.take(cells.frame == t) for t in range(self._frames)]
-        self._gripper = [self._hand_cells(t) for t in range(self._frames)]
+        self._model, self._frames = model, len(finger_m)
+        frames = [cells.take(cells.frame == t) for t in range(self._frames)]
+        self._gripper = [self._opened(own, finger) for own, finger in zip(frames, finger_m, strict=True)]
+        self._links = [self._link_cells(own) for own in frames]
         zero = model.poses(np.zeros((1, N_JOINTS)))[0]
         self._X_H7 = invert(zero[RobotPart.HAND]) @ zero[RobotPart.LINK7]
         self._grids = [self._relative(joint, _ANGLES) for joint in range(N_JOINTS)]
         self._coarse = [self._relative(joint, _COARSE_ANGLES) for joint in range(N_JOINTS)]
 
-    def _hand_cells(self, frame: int) -> CalibrationCorrespondences | None:
-        """Return some cells of the gripper in a frame, opened, in the hand's frame; None if there are too few."""
-        cells = self._cells[frame].take(np.isin(self._cells[frame].part, GRIPPER))
+    @staticmethod
+    def _opened(cells: CalibrationCorrespondences, finger_m: float) -> CalibrationCorrespondences | None:
+        """Return the cells of the gripper in the hand's frame, opened by `finger_m`; None if there are too few."""
+        cells = cells.take(cells.of_gripper)
         if len(cells) < _LEAST_CELLS:
             return None
-        cells = cells.take(np.linspace(0, len(cells) - 1, min(len(cells), 2 * _CELLS)).astype(int))
-        return replace(cells, p_P=cells.p_P + cells.opening_sign[:, None] * [0.0, self._finger_m[frame], 0.0])
+        return replace(cells, p_P=cells.p_P + cells.opening_sign[:, None] * [0.0, finger_m, 0.0])
+
+    @staticmethod
+    def _link_cells(cells: CalibrationCorrespondences) -> dict[int, CalibrationCorrespondences]:
+        """Return some cells of each link that shows enough of them."""
+        links = {int(part): cells.take(cells.part == part) for part in ARM}
+        return {part: _some(own, _CELLS) for part, own in links.items() if len(own) >= _LEAST_CELLS}
 
     def _relative(self, joint: int, count: int) -> tuple[Array, Array]:
         """Return angles (G,) of a joint [rad] and poses (G, 4, 4) of the link before it in the link after it."""
@@ -99,13 +106,11 @@ class ChainSearch:
 
     def hand(self, frame: int, camera: Camera) -> Array | None:
         """Return the pose X_CH (4, 4) of the hand by perspective-n-point; None if it fails."""
-        cells = self._cells[frame]
-        used = np.isin(cells.part, GRIPPER)
-        p_H = cells.p_P + cells.opening_sign[:, None] * [0.0, self._finger_m[frame], 0.0]
-        if used.sum() < _LEAST_CELLS:
+        cells = self._gripper[frame]
+        if cells is None:
             return None
         error_px = _CONSENSUS_PX * camera.unit_px
-        solution = solve_pnp(p_H[used], cells.uv_px[used], camera, rounds=_CONSENSUS_ROUNDS, error_px=error_px)
+        solution = solve_pnp(cells.p_P, cells.uv_px, camera, rounds=_CONSENSUS_ROUNDS, error_px=error_px)
         if solution is None or not _DEPTH_M[0] < solution[0][2, 3] < _DEPTH_M[1]:
             return None
         return solution[0]
@@ -133,18 +138,9 @@ class ChainSearch:
         posture = np.minimum(((q - _USUAL_Q) / _USUAL_SIGMA) ** 2, 9.0).sum(axis=1)
         return np.asarray(_PRIOR_WEIGHT * (tilt + posture))
 
-    def _links(self, frame: int) -> dict[int, CalibrationCorrespondences]:
-        own = {}
-        for part in ARM:
-            cells = self._cells[frame]
-            cells = cells.take(cells.part == part)
-            if len(cells) >= _LEAST_CELLS:
-                own[int(part)] = cells.take(np.linspace(0, len(cells) - 1, min(len(cells), _CELLS)).astype(int))
-        return own
-
     def follow(self, frame: int, X_CH: Array, camera: Camera) -> tuple[Array, float]:
         """Return base pose X_CB (4, 4) and mean cost of the best chain of one frame."""
-        links = self._links(frame)
+        links = self._links[frame]
         X, q, cost = (X_CH @ self._X_H7)[None], np.zeros((1, N_JOINTS)), np.zeros(1)
         count = 1e-9
         for joint in range(N_JOINTS - 1, -1, -1):
@@ -167,34 +163,31 @@ class ChainSearch:
         first = int(cost.argmin())
         return X[first], float(cost[first])
 
-    def explain(self, lens: Lens, hands: Sequence[Array | None]) -> Hypothesis:
-        """Return the postures of all frames that a camera explains, by inverse kinematics of their hands."""
+    def explain(self, lens: Lens, hands: Sequence[Array | None] | None = None) -> Hypothesis:
+        """Return the postures of all frames that a camera explains, by inverse kinematics of their `hands`."""
         q = np.full((self._frames, N_JOINTS), np.nan)
         flipped = np.zeros(self._frames, dtype=bool)
         costs = np.full(self._frames, np.nan)
-        for t, X_CH in enumerate(hands):
-            if X_CH is None:
+        for t, X_CH in enumerate(self.hands(lens.camera) if hands is None else hands):
+            if X_CH is None or not self._links[t]:
                 continue
-            links = self._links(t)
-            if not links:
-                continue
-            fit = self._posture(X_CH, t, links, lens)
+            fit = self._posture(X_CH, t, lens)
             costs[t] = _CAP
             if fit is not None and fit[2] <= _EXPLAINED:
                 q[t], flipped[t], costs[t] = fit
         return Hypothesis(lens=lens, q=q, flipped=flipped, costs=costs)
 
-    def _posture(
-        self, X_CH: Array, frame: int, links: dict[int, CalibrationCorrespondences], lens: Lens
-    ) -> tuple[Array, bool, float] | None:
+    def _posture(self, X_CH: Array, frame: int, lens: Lens) -> tuple[Array, bool, float] | None:
         """Return the posture (7,) that explains hand and links of a frame best, whether its hand is flipped, its cost.
 
         The distance of a small hand is the least certain part of its pose: others than that of `X_CH` are tried.
         """
         X = np.repeat(X_CH[None], len(_DISTANCES), axis=0)
         X[:, :3, 3] *= _DISTANCES[:, None]
-        hand = self._gripper[frame]
-        hand_cost = np.zeros(len(X)) if hand is None else self._errors(X, hand, lens.camera).mean(axis=1)
+        hand, links = self._gripper[frame], self._links[frame]
+        hand_cost = np.zeros(len(X))
+        if hand is not None:
+            hand_cost = self._errors(X, _some(hand, 2 * _CELLS), lens.camera).mean(axis=1)
         X_BH = invert(lens.X_CB) @ np.concatenate([X, X @ _HALF_TURN])
         q = analytic_ik((X_BH @ self._model.X_HF)[:, None], _LAST_ANGLES).reshape(-1, N_JOINTS)
         start = np.repeat(np.tile(hand_cost, 2) + _FLIP_COST * (np.arange(len(X_BH)) >= len(X)), len(q) // len(X_BH))
@@ -224,12 +217,17 @@ class ChainSearch:
             hands = self.hands(lens_camera)
             some = [X_CH if t in few else None for t, X_CH in enumerate(hands)]
             for t, X_CH in enumerate(hands):
-                if X_CH is not None and len(self._links(t)) >= 2:
+                if X_CH is not None and len(self._links[t]) >= 2:
                     X_CB, _ = self.follow(t, X_CH, lens_camera)
                     lens = Lens(camera=lens_camera, X_CB=X_CB)
                     compared.append((self.explain(lens, some).cost, lens, hands))
         best = sorted(compared, key=lambda entry: entry[0])[:_KEPT]
         return sorted((self.explain(lens, hands) for _, lens, hands in best), key=lambda h: h.cost)
+
+
+def _some(cells: CalibrationCorrespondences, most: int) -> CalibrationCorrespondences:
+    """Return so many cells at most, evenly spread."""
+    return cells.take(np.linspace(0, len(cells) - 1, min(len(cells), most)).astype(int))
 
 
 def _spread(total: Array, most: int) -> NDArray[np.intp]:

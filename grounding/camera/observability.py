@@ -33,13 +33,14 @@ def require_determined(calibration: CameraCalibration) -> None:
     misfit, agreement = calibration.part_px["gripper"], calibration.agreement
     if agreement is not None and agreement < MIN_AGREEMENT:
         raise UnmeasurableError(
-            f"{calibration.source}: with no camera does the robot lie on the edges of the images ({agreement:.0%} of "
-            f"its contours do, at least {MIN_AGREEMENT:.0%} are needed): is it a Panda with the Franka hand, is the "
-            "camera static and its lens free of distortion, and do joint angles belong to these frames, in radians?"
+            f"{calibration.basis.source}: with no camera does the robot lie on the edges of the images "
+            f"({agreement:.0%} of its contours do, at least {MIN_AGREEMENT:.0%} are needed): is it a Panda with the "
+            "Franka hand, is the camera static and its lens free of distortion, and do joint angles belong to these "
+            "frames, in radians?"
         )
     if agreement is None and (misfit > MISFIT_LIMIT_PX * unit or calibration.inlier_share < _MIN_INLIERS):
         raise UnmeasurableError(
-            f"{calibration.source} contradicts the images: the gripper is {misfit:.1f} px off (median, at most "
+            f"{calibration.basis.source} contradicts the images: the gripper is {misfit:.1f} px off (median, at most "
             f"{MISFIT_LIMIT_PX * unit:.1f}), {calibration.inlier_share:.0%} of the cells agree; do the angles belong "
             "to this video and the times of its frames, in radians? Is the lens free of distortion?"
         )
@@ -74,7 +75,7 @@ def warnings_of(calibration: CameraCalibration) -> tuple[str, ...]:
             f"base_from_camera is uncertain by {1e3 * calibration.position_sigma_m:.0f} mm and "
             f"{np.rad2deg(calibration.rotation_sigma_rad):.1f} degrees: {_why(calibration)}"
         )
-    if calibration.method is not CalibrationMethod.POSTURE and calibration.motion_m < MIN_MOTION_M:
+    if calibration.basis.method is not CalibrationMethod.POSTURE and calibration.motion_m < MIN_MOTION_M:
         warnings.append(
             f"the hand moves by {1e3 * calibration.motion_m:.0f} mm only, less than {1e3 * MIN_MOTION_M:.0f}: errors "
             "that all frames have in common are not averaged out"

@@ -4,73 +4,83 @@ A camera with which the arm agrees poorly is often the right one, read wrongly. 
 evidence: the share of the arm's contours on image edges.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from enum import Enum
 
 import numpy as np
 
 from kinebench_drake.camera import Camera
-from kinebench_drake.errors import UsageError
-from kinebench_drake.geometry import invert
+from kinebench_drake.geometry import Array, invert
 from kinebench_drake.grounding.tracking.view import Frames
 from kinebench_drake.io.jsonl import Json
 
 _OPENGL_FROM_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
+_TURN = "turn the frames before they are scored"
+_Turn = Callable[[Frames], Frames]
+_Matrix = Callable[[Array], Array]
 
 
 class Reading(Enum):
     """How a picture or a camera matrix may have to be read."""
 
-    MIRRORED = "mirrored"
-    UPSIDE_DOWN = "upside_down"
-    ROWS_REVERSED = "rows_reversed"
-    TURNED_LEFT = "turned_left"
-    TURNED_RIGHT = "turned_right"
-    OPENGL_AXES = "opengl_axes"
-    INVERTED = "inverted"
-    CROPPED = "cropped"
+    MIRRORED = (
+        "mirrored",
+        "the picture mirrored left-right",
+        'if it is mirrored, set "mirrored": true in camera.json, or take $mirrored=True',
+        lambda frames: frames[:, :, ::-1],
+    )
+    UPSIDE_DOWN = ("upside_down", "the picture turned upside down", _TURN, lambda frames: frames[:, ::-1, ::-1])
+    ROWS_REVERSED = ("rows_reversed", "the picture with its rows reversed", _TURN, lambda frames: frames[:, ::-1])
+    TURNED_LEFT = (
+        "turned_left",
+        "the picture turned by 90 degrees to the left",
+        _TURN,
+        lambda frames: np.rot90(frames, 1, (1, 2)),
+    )
+    TURNED_RIGHT = (
+        "turned_right",
+        "the picture turned by 90 degrees to the right",
+        _TURN,
+        lambda frames: np.rot90(frames, -1, (1, 2)),
+    )
+    OPENGL_AXES = (
+        "opengl_axes",
+        "base_from_camera read in OpenGL axes (y up, z backwards)",
+        "negate its second and third column",
+        None,
+        lambda X_BC: X_BC @ _OPENGL_FROM_OPENCV,
+    )
+    INVERTED = ("inverted", "the inverse of base_from_camera (camera_from_base)", "invert it", None, invert)
+    CROPPED = (
+        "cropped",
+        "a cropped picture",
+        "state the cropped picture's own fx, fy, cx and cy in a camera.json",
+    )
 
-    @property
-    def phrase(self) -> str:
-        """Subject of a sentence."""
-        return {
-            Reading.MIRRORED: "the picture mirrored left-right",
-            Reading.UPSIDE_DOWN: "the picture turned upside down",
-            Reading.ROWS_REVERSED: "the picture with its rows reversed",
-            Reading.TURNED_LEFT: "the picture turned by 90 degrees to the left",
-            Reading.TURNED_RIGHT: "the picture turned by 90 degrees to the right",
-            Reading.OPENGL_AXES: "base_from_camera read in OpenGL axes (y up, z backwards)",
-            Reading.INVERTED: "the inverse of base_from_camera (camera_from_base)",
-            Reading.CROPPED: "a cropped picture",
-        }[self]
+    _value_: str
+    phrase: str
+    """Subject of a sentence."""
+    remedy: str
+    """How to have the video read so."""
+    _turn: _Turn | None
+    _matrix: _Matrix | None
 
-    @property
-    def remedy(self) -> str:
-        """How to have the video read so."""
-        return {
-            Reading.MIRRORED: 'if it is mirrored, set "mirrored": true in camera.json, or take $mirrored=True',
-            Reading.OPENGL_AXES: "negate its second and third column",
-            Reading.INVERTED: "invert it",
-            Reading.CROPPED: "state the cropped picture's own fx, fy, cx and cy in a camera.json",
-        }.get(self, "turn the frames before they are scored")
+    def __new__(
+        cls, value: str, phrase: str, remedy: str, turn: _Turn | None = None, matrix: _Matrix | None = None
+    ) -> "Reading":
+        """Return the member of a row of the table."""
+        member = object.__new__(cls)
+        member._value_, member.phrase, member.remedy, member._turn, member._matrix = value, phrase, remedy, turn, matrix
+        return member
 
     def frames(self, frames: Frames) -> Frames:
-        """Return the frames (T, H, W, 3) as read."""
-        turns: dict[Reading, Callable[[Frames], Frames]] = {
-            Reading.MIRRORED: lambda f: f[:, :, ::-1],
-            Reading.UPSIDE_DOWN: lambda f: f[:, ::-1, ::-1],
-            Reading.ROWS_REVERSED: lambda f: f[:, ::-1],
-            Reading.TURNED_LEFT: lambda f: np.rot90(f, 1, (1, 2)),
-            Reading.TURNED_RIGHT: lambda f: np.rot90(f, -1, (1, 2)),
-        }
-        return np.ascontiguousarray(turns[self](frames)) if self in turns else frames
+        """Return the frames (T, H, W, 3) as read; the very same where the picture is not turned."""
+        return frames if self._turn is None else np.ascontiguousarray(self._turn(frames))
 
     def camera(self, camera: Camera) -> Camera:
         """Return the camera as read; that of a cropped picture is found by a search."""
-        if self is Reading.OPENGL_AXES:
-            return replace(camera, X_BC=camera.X_BC @ _OPENGL_FROM_OPENCV)
-        return replace(camera, X_BC=invert(camera.X_BC)) if self is Reading.INVERTED else camera
+        return camera if self._matrix is None else replace(camera, X_BC=self._matrix(camera.X_BC))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -99,21 +109,3 @@ class BetterReading:
             "agreement": round(self.agreement, 4),
             "better": round(self.better, 4),
         }
-
-
-def list_readings(
-    frames: Frames, camera: Camera, readings: tuple[Reading, ...]
-) -> Iterator[tuple[Reading, Frames, Camera]]:
-    """Yield those of `readings` whose picture has the shape of the camera's, with frames and camera as read.
-
-    Args:
-        frames: (T, H, W, 3) RGB.
-        camera: camera of the frames.
-        readings: to be tried.
-    """
-    for reading in readings:
-        turned, lens = reading.frames(frames), reading.camera(camera)
-        try:
-            yield reading, turned, lens.resized(turned.shape[2], turned.shape[1])
-        except UsageError:  # a picture that is not square, on its side
-            continue

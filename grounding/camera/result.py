@@ -1,22 +1,20 @@
 """The result of a camera calibration, its uncertainty and its description."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from enum import Enum
 
 import numpy as np
-from numpy.typing import NDArray
 
-from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array, pose_difference
-from kinebench_drake.grounding.camera.camera_estimate import CameraEstimate
-from kinebench_drake.grounding.camera.correspondences import MIN_CELLS, CalibrationCorrespondences
-from kinebench_drake.grounding.camera.fit import UNKNOWNS, LensFit, refine
-from kinebench_drake.grounding.camera.solve import LensSolution
+from kinebench_drake.grounding.camera.camera_estimate import CameraEstimate, FittedCamera
+from kinebench_drake.grounding.camera.correspondences import MIN_CELLS
+from kinebench_drake.grounding.camera.solve import LensSolution, fit_cells
 from kinebench_drake.grounding.registration.arm_model import ArmModel
 from kinebench_drake.io.jsonl import Json
 from kinebench_drake.models.panda.robot import ARM, GRIPPER, RobotPart
 
 _GROUPS = {"gripper": GRIPPER, "arm": ARM[1:], "base": ARM[:1]}
+_INLIER_SIGMAS = 4.0
 
 
 class CalibrationMethod(Enum):
@@ -29,30 +27,26 @@ class CalibrationMethod(Enum):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class CameraCalibration:
-    """Calibrated camera with its uncertainty."""
+class CalibrationBasis:
+    """Prior information of a calibration."""
 
-    camera: Camera
     method: CalibrationMethod
     source: str
     """Source of the postures."""
-    frames: NDArray[np.intp]
-    """(T,) numbers of the frames used."""
     focal_free: bool
     """True if the focal length was estimated."""
-    position_sigma_m: float
-    """Standard deviation of the camera position, from the Jacobian: root of the sum over three axes [m]."""
-    rotation_sigma_rad: float
-    """Standard deviation of the camera rotation [rad]."""
-    focal_sigma: float
-    """Relative standard deviation of the focal length; 0 if it was fixed."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CameraCalibration(FittedCamera):
+    """Calibrated camera with its uncertainty."""
+
+    basis: CalibrationBasis
+    X_BP: Array
+    """(T, PARTS, 4, 4) frames of the parts' CAD coordinates in B [m]; NaN where unknown."""
     residual_px: float
     """Of a fit to cells the root mean square of the reprojection error, weighted by the certainty of each cell; of one
     to contours the median distance from edges [px]."""
-    part_px: dict[str, float]
-    """Median error [px] of the cells or contour points of gripper, arm and base."""
-    part_cells: dict[str, int]
-    """Number of cells or contour points of gripper, arm and base."""
     inlier_share: float
     """Share of the cells within four standard deviations, or of the contour points on edges."""
     spread_m: Array
@@ -61,12 +55,27 @@ class CameraCalibration:
     """(K,) angles between the camera and those estimated from single frames [rad]."""
     depth_m: tuple[float, float]
     """Depths of the nearest and farthest visible parts of the robot, 5th and 95th percentile [m]."""
-    motion_m: float
-    """Greatest distance between hand positions in the frames [m]."""
     agreement: float | None = None
     """Share of the contours of hand and arm on image edges; None if the camera was fitted to cells alone."""
     warnings: tuple[str, ...] = ()
     """Warnings for the user."""
+
+    @property
+    def part_px(self) -> dict[str, float]:
+        """Median error [px] of the cells or contour points of gripper, arm and base; NaN without any."""
+        errors = {name: self.error_px[np.isin(self.part, parts)] for name, parts in _GROUPS.items()}
+        return {name: float(np.median(own)) if len(own) else float("nan") for name, own in errors.items()}
+
+    @property
+    def part_cells(self) -> dict[str, int]:
+        """Number of cells or contour points of gripper, arm and base."""
+        return {name: int(np.isin(self.part, parts).sum()) for name, parts in _GROUPS.items()}
+
+    @property
+    def motion_m(self) -> float:
+        """Greatest distance between hand positions in the frames [m]."""
+        hands_B = self.X_BP[:, RobotPart.HAND, :3, 3]
+        return float(np.nanmax(np.linalg.norm(hands_B[:, None] - hands_B[None], axis=-1), initial=0.0))
 
     @property
     def fitted_to(self) -> str:
@@ -83,10 +92,10 @@ class CameraCalibration:
 
         return {
             "camera": self.camera.to_json(),
-            "method": self.method.value,
-            "source": self.source,
+            "method": self.basis.method.value,
+            "source": self.basis.source,
             "frames": self.frames.tolist(),
-            "focal_length": "estimated" if self.focal_free else "fixed",
+            "focal_length": "estimated" if self.basis.focal_free else "fixed",
             "sigma": {
                 "position_mm": 1e3 * self.position_sigma_m,
                 "rotation_deg": float(np.rad2deg(self.rotation_sigma_rad)),
@@ -106,105 +115,60 @@ class CameraCalibration:
         }
 
 
-def describe(
-    solution: LensSolution, *, method: CalibrationMethod, source: str, frames: NDArray[np.intp], focal_free: bool
-) -> CameraCalibration:
-    """Compute the calibration of a solution.
-
-    Args:
-        solution: fitted lens with its data.
-        method: source of the postures.
-        source: description of the source.
-        frames: (T,) numbers of the frames used.
-        focal_free: True if the focal length was estimated.
-    """
-    fit, cells, p_B = solution.fit, solution.cells, solution.p_B
-    hands_B = solution.X_BP[:, RobotPart.HAND, :3, 3]
-    position, rotation, focal = _sigmas(fit, UNKNOWNS if focal_free else UNKNOWNS - 1)
-    error = np.linalg.norm(fit.residual_px, axis=1)
-    sure = cells.weight / fit.sigma_px**2
-    groups = {name: np.isin(cells.part, parts) for name, parts in _GROUPS.items()}
-    _, z = fit.lens.project(p_B)
-    spread_m, spread_rad = _spread(fit, cells, p_B)
-    near, far = np.quantile(z[fit.inlier], [0.05, 0.95]) if fit.inlier.any() else (np.nan, np.nan)
-    apart = np.linalg.norm(hands_B[:, None] - hands_B[None], axis=-1)
+def describe(solution: LensSolution, model: ArmModel, basis: CalibrationBasis) -> CameraCalibration:
+    """Return the calibration of a camera that was fitted to cells."""
+    bundle, cells, p_B = solution.bundle, solution.cells, solution.p_B
+    lens, error_px = bundle.scene.lens, bundle.error_px
+    sigma_px = cells.sigma_px(lens, p_B)
+    inlier = error_px <= _INLIER_SIGMAS * sigma_px
+    sure = np.where(inlier, cells.weight / sigma_px**2, 0.0)
+    z = lens.project(p_B)[1][inlier]
+    near, far = np.quantile(z, [0.05, 0.95]) if len(z) else (np.nan, np.nan)
+    spread_m, spread_rad = _spread(solution, model)
     return CameraCalibration(
-        camera=fit.lens.to_camera(),
-        method=method,
-        source=source,
-        frames=frames,
-        focal_free=focal_free,
-        position_sigma_m=position,
-        rotation_sigma_rad=rotation,
-        focal_sigma=focal,
-        residual_px=float(np.sqrt((sure * error**2)[fit.inlier].sum() / max(sure[fit.inlier].sum(), 1e-12))),
-        part_px={name: float(np.median(error[of])) if of.any() else float("nan") for name, of in groups.items()},
-        part_cells={name: int(of.sum()) for name, of in groups.items()},
-        inlier_share=float(fit.inlier.mean()),
+        scene=bundle.scene,
+        frames=solution.rows,
+        covariance=bundle.covariance,
+        part=cells.part,
+        error_px=error_px,
+        basis=basis,
+        X_BP=solution.X_BP,
+        residual_px=float(np.sqrt((sure * error_px**2).sum() / max(sure.sum(), 1e-12))),
+        inlier_share=float(inlier.mean()),
         spread_m=spread_m,
         spread_rad=spread_rad,
         depth_m=(float(near), float(far)),
-        motion_m=float(np.nanmax(apart)) if len(hands_B) else 0.0,
     )
 
 
-def describe_estimate(
-    estimate: CameraEstimate, model: ArmModel, *, method: CalibrationMethod, source: str, focal_free: bool
-) -> CameraCalibration:
-    """Return the calibration of a camera that was fitted to contours.
-
-    Args:
-        estimate: the camera, with postures.
-        model: link poses of the arm.
-        method: source of the postures.
-        source: description of the source.
-        focal_free: True if the focal length was estimated.
-    """
+def describe_estimate(estimate: CameraEstimate, model: ArmModel, basis: CalibrationBasis) -> CameraCalibration:
+    """Return the calibration of a camera that was fitted to contours."""
     X_BP = model.poses(estimate.scene.q)
-    hands_B = X_BP[:, RobotPart.HAND, :3, 3]
-    z = (estimate.scene.lens.X_CB @ X_BP)[:, np.unique(estimate.contour_part), 2, 3]
-    groups = {name: np.isin(estimate.contour_part, parts) for name, parts in _GROUPS.items()}
-    error = estimate.contour_error_px
+    z = (estimate.scene.lens.X_CB @ X_BP)[:, np.unique(estimate.part), 2, 3]
     near, far = np.quantile(z, [0.05, 0.95])
     return CameraCalibration(
-        camera=estimate.camera,
-        method=method,
-        source=source,
-        frames=estimate.rows,
-        focal_free=focal_free,
-        position_sigma_m=estimate.position_sigma_m,
-        rotation_sigma_rad=estimate.rotation_sigma_rad,
-        focal_sigma=estimate.focal_sigma,
+        **{f.name: getattr(estimate, f.name) for f in fields(FittedCamera)},
+        basis=basis,
+        X_BP=X_BP,
         residual_px=estimate.residual_px,
-        part_px={name: float(np.median(error[of])) if of.any() else float("nan") for name, of in groups.items()},
-        part_cells={name: int(of.sum()) for name, of in groups.items()},
         inlier_share=estimate.agreement,
         spread_m=np.zeros(0),
         spread_rad=np.zeros(0),
         depth_m=(float(near), float(far)),
-        motion_m=float(np.linalg.norm(hands_B[:, None] - hands_B[None], axis=-1).max()),
         agreement=estimate.agreement,
     )
 
 
-def _sigmas(fit: LensFit, free: int) -> tuple[float, float, float]:
-    """Return standard deviations of camera position [m] and rotation [rad], and of the focal length (relative)."""
-    H = fit.information[:free, :free]
-    scale = np.sqrt(np.maximum(np.diag(H), 1e-12))
-    covariance = np.linalg.pinv(H / np.outer(scale, scale) + 1e-9 * np.eye(free)) / np.outer(scale, scale)
-    focal = float(covariance[6, 6]) ** 0.5 if free == UNKNOWNS else 0.0
-    return fit.lens.position_sigma_m(covariance[:6, :6]), float(np.trace(covariance[:3, :3])) ** 0.5, focal
-
-
-def _spread(fit: LensFit, cells: CalibrationCorrespondences, p_B: Array) -> tuple[Array, Array]:
+def _spread(solution: LensSolution, model: ArmModel) -> tuple[Array, Array]:
     """Return distances [m] and angles [rad] between the camera and those of single frames, at fixed focal length."""
-    X_BC = fit.lens.to_camera().X_BC
+    scene, cells = solution.bundle.scene, solution.cells
+    X_BC = scene.lens.to_camera().X_BC
     deviations = []
     for frame in np.unique(cells.frame):
-        own = cells.frame == frame
-        if own.sum() >= MIN_CELLS and len(np.unique(cells.part[own])) > 1:
-            alone = refine(cells.take(own), p_B[own], fit.lens, focal_free=False, rounds=1)
-            deviations.append(pose_difference(alone.lens.to_camera().X_BC, X_BC))
+        own = cells.take(cells.frame == frame)
+        if len(own) >= MIN_CELLS and len(np.unique(own.part)) > 1:
+            alone = fit_cells(own, scene.lens, model, solution.X_BP, scene.finger_m, focal_free=False, rounds=1)
+            deviations.append(pose_difference(alone.scene.lens.to_camera().X_BC, X_BC))
     distance, angle = np.array(deviations, dtype=np.float64).reshape(-1, 2).T
     return distance, angle
 
@@ -214,9 +178,9 @@ def format_lines(calibration: CameraCalibration) -> list[str]:
     c, camera = calibration, calibration.camera
     place = ", ".join(f"{1e3 * x:.0f}" for x in camera.X_BC[:3, 3])
     fov = np.rad2deg(2 * np.arctan(camera.width / 2 / camera.fx))
-    sure = f" +- {100 * c.focal_sigma:.1f} %" if c.focal_free else ", fixed"
+    sure = f" +- {100 * c.focal_sigma:.1f} %" if c.basis.focal_free else ", fixed"
     report = [
-        f"from: {c.source}; {len(c.frames)} frames, {sum(c.part_cells.values())} points of the robot's {c.fitted_to} "
+        f"from: {c.basis.source}; {len(c.frames)} frames, {len(c.part)} points of the robot's {c.fitted_to} "
         f"(gripper {c.part_cells['gripper']}, arm {c.part_cells['arm']}, base {c.part_cells['base']})",
         f"camera in the base frame: {place} mm, +- {1e3 * c.position_sigma_m:.0f} mm, "
         f"{np.rad2deg(c.rotation_sigma_rad):.2f} degrees",

@@ -1,4 +1,4 @@
-"""Solution of the lens from views of the robot and its known postures."""
+"""Solution of the lens from cells of the robot and its known postures."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -9,43 +9,48 @@ from numpy.typing import NDArray
 from kinebench_drake.camera import Camera
 from kinebench_drake.errors import UnmeasurableError
 from kinebench_drake.geometry import Array, pose_difference
-from kinebench_drake.grounding.camera.articulated import refine_articulated
+from kinebench_drake.grounding.camera.bundle import ArmScene, Bundle, Observations, Prior, adjust
 from kinebench_drake.grounding.camera.correspondences import (
     MIN_CELLS,
     CalibrationCorrespondences,
     LensView,
     ViewEstimator,
-    locate_points,
 )
-from kinebench_drake.grounding.camera.fit import CAUCHY, Lens, LensFit, find_consensus, focal_px, refine, with_focal
+from kinebench_drake.grounding.camera.lens import CAUCHY, Lens, focal_px, solve_pnp, with_focal
 from kinebench_drake.grounding.camera.states import RobotStates
 from kinebench_drake.grounding.registration.arm_model import ArmModel
 from kinebench_drake.grounding.tracking.view import Frames
+from kinebench_drake.models.robot import N_JOINTS
 
 FOV_DEG = (35.0, 45.0, 55.0, 65.0, 75.0, 90.0)
 """Horizontal fields of view at which the search for the focal length starts [degrees]."""
 MIN_MOVING_FRAMES = 4
 """Least number of frames if postures are estimated too."""
 _STARTS = 2  # initial lenses that are refined
-_USUAL_FOV_DEG = 60.0  # of a camera of which nothing is known
 _AGAIN_ZOOM, _AGAIN_M, _AGAIN_RAD = 0.03, 0.03, np.deg2rad(3.0)
 _EVERY = 3  # one of so many cells is used if postures are estimated too
+_CONSENSUS_PX, _CONSENSUS_ROUNDS, _CONSENSUS_CELLS = 8.0, 200, 600
+_POSTURE_SIGMA_RAD = np.array([10.0, *[0.7] * 6])  # of an initial posture; that of joint 1 is uninformative
+_FIXED_SIGMA_RAD = 1e-3
+_STEPS = 60
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LensSolution:
-    """Fitted lens with its data."""
+    """Lens fitted to cells of T frames."""
 
-    fit: LensFit
+    bundle: Bundle
+    """Fit; its joint angles are NaN where unknown."""
     cells: CalibrationCorrespondences
-    p_B: Array
-    """(N, 3) points of the cells [m]."""
     X_BP: Array
     """(T, PARTS, 4, 4) frames of the parts' CAD coordinates in B [m]; NaN where unknown."""
-    finger_m: Array
-    """(T,) opening of each finger [m]."""
     rows: NDArray[np.intp]
     """(T,) rows of the view that were used."""
+
+    @property
+    def p_B(self) -> Array:
+        """(N, 3) points of the cells [m]."""
+        return self.cells.locate(self.X_BP, self.bundle.scene.finger_m)
 
 
 def solve_with_reestimate(
@@ -73,7 +78,7 @@ def solve_with_reestimate(
         UnmeasurableError: too little of the robot is visible, or it contradicts the postures.
     """
     solved = solve(view, states, guess, model, focal_free=focal_free)
-    camera = solved.fit.lens.to_camera()
+    camera = solved.bundle.scene.lens.to_camera()
     distance, angle = pose_difference(camera.X_BC, guess.X_BC)
     if abs(np.log(camera.fx / guess.fx)) > _AGAIN_ZOOM or distance > _AGAIN_M or angle > _AGAIN_RAD:
         return solve(estimator.estimate(frames, camera), states, camera, model, focal_free=focal_free)
@@ -83,108 +88,124 @@ def solve_with_reestimate(
 def solve(view: LensView, states: RobotStates, guess: Camera, model: ArmModel, *, focal_free: bool) -> LensSolution:
     """Solve the lens that projects the robot to where the frames show it, with all known postures.
 
-    Args:
-        view: views of the frames.
-        states: robot states in the same frames.
-        guess: initial camera.
-        model: link poses of the arm.
-        focal_free: True to estimate the focal length.
-
-    Raises:
-        UnmeasurableError: too little of the robot is visible, or it contradicts the postures.
+    Arguments and errors as of `solve_with_reestimate`.
     """
     rows = np.flatnonzero(states.has_hand)
     focal = [focal_px(guess.width, fov) for fov in FOV_DEG]
     cameras = [guess, *(with_focal(guess, fx) for fx in focal)] if focal_free else [guess]
     anchored = len(rows) == 1 and len(states.q) >= MIN_MOVING_FRAMES
-    solved = solve_lens(view.of_frames(rows), states.take(rows), cameras, model, focal_free=focal_free and not anchored)
+    known = states.take(rows)
+    solved = _solve_lens(view.of_frames(rows), known, cameras, model, focal_free=focal_free and not anchored)
     if not anchored or np.isfinite(view.q).all(axis=1).sum() < MIN_MOVING_FRAMES:
         return replace(solved, rows=rows)
-    return solve_lens_and_postures(view, states, solved.fit.lens, model, focal_free=focal_free)
+    return _solve_lens_and_postures(view, states, solved.bundle.scene.lens, model, focal_free=focal_free)
 
 
-def default_focal_px(width: int) -> float:
-    """Return an initial focal length [px] of an image of this width."""
-    return focal_px(width, _USUAL_FOV_DEG)
-
-
-def solve_lens(
+def _solve_lens(
     view: LensView, states: RobotStates, cameras: Sequence[Camera], model: ArmModel, *, focal_free: bool
 ) -> LensSolution:
-    """Solve the lens where the posture, or at least the hand pose, is known in every frame.
-
-    Args:
-        view: view of the frames.
-        states: robot states in the same frames.
-        cameras: initial intrinsics.
-        model: link poses of the arm.
-        focal_free: True to estimate the focal length.
-
-    Raises:
-        UnmeasurableError: too little of the robot is visible, or it contradicts the postures.
-    """
+    """Solve the lens where the posture, or at least the hand pose, is known in every frame, from initial `cameras`."""
     X_BP = states.part_poses(model)
     finger_m = np.where(np.isfinite(states.finger_m), states.finger_m, view.finger_m)
-    cells = view.cells.count_repeats(X_BP)
-    p_B = locate_points(cells, X_BP, finger_m)
-    finite = np.asarray(np.isfinite(p_B).all(axis=1))
-    cells, p_B = cells.take(finite), p_B[finite]
-    require_enough_cells(cells)
-    starts = find_consensus(cells, p_B, cameras)[:_STARTS]
+    cells = view.cells.take(np.flatnonzero(np.isfinite(view.cells.locate(X_BP, finger_m)).all(axis=1)))
+    _require_enough(cells)
+    starts = _find_consensus(cells, cells.locate(X_BP, finger_m), cameras)[:_STARTS]
     if not starts:
         raise UnmeasurableError(
             f"none of the {len(cells)} cells of the robot agree with {states.source}: do the angles belong to this "
             "video, in the order of its frames, in radians?"
         )
-    fit = min((refine(cells, p_B, lens, focal_free=focal_free) for lens in starts), key=lambda f: f.cost)
-    flip = _misread(cells, fit, X_BP, finger_m)
+    fits = [fit_cells(cells, lens, model, X_BP, finger_m, focal_free=focal_free) for lens in starts]
+    bundle = min(fits, key=lambda fit: fit.cost)
+    flip = _misread(cells, bundle, X_BP, finger_m)
     if flip.any():
         cells = cells.flip(flip)
-        p_B = locate_points(cells, X_BP, finger_m)
-        fit = refine(cells, p_B, fit.lens, focal_free=focal_free)
-    return LensSolution(fit=fit, cells=cells, p_B=p_B, X_BP=X_BP, finger_m=finger_m, rows=np.arange(len(X_BP)))
+        bundle = fit_cells(cells, bundle.scene.lens, model, X_BP, finger_m, focal_free=focal_free)
+    scene = ArmScene(lens=bundle.scene.lens, q=states.q, finger_m=finger_m)
+    return LensSolution(bundle=replace(bundle, scene=scene), cells=cells, X_BP=X_BP, rows=np.arange(len(X_BP)))
 
 
-def solve_lens_and_postures(
+def _solve_lens_and_postures(
     view: LensView, states: RobotStates, start: Lens, model: ArmModel, *, focal_free: bool
 ) -> LensSolution:
     """Solve lens and postures jointly, where postures are known in few frames.
 
-    Args:
-        view: view of the frames.
-        states: robot states in the same frames.
-        start: initial lens.
-        model: link poses of the arm.
-        focal_free: True to estimate the focal length.
-
-    Raises:
-        UnmeasurableError: the arm is visible in too few frames.
+    A rotation of the camera about the axis of joint 1 is equivalent to other postures: only the base link, and known
+    postures, determine it.
     """
     fixed = states.has_posture
     q = np.where(fixed[:, None], states.q, view.q)
     rows = np.flatnonzero(np.isfinite(q).all(axis=1))
-    if len(rows) < MIN_MOVING_FRAMES:
-        raise UnmeasurableError(
-            f"the arm behind the gripper is visible in {len(rows)} of {len(q)} frames, at least {MIN_MOVING_FRAMES} "
-            "are needed without joint angles; give $joints FILE"
-        )
     cells = view.cells.of_frames(rows).thin(_EVERY)
-    require_enough_cells(cells)
+    _require_enough(cells)
     finger_m = np.where(np.isfinite(states.finger_m), states.finger_m, view.finger_m)[rows]
-    cells = cells.count_repeats(model.poses(q[rows]))
-    fitted = refine_articulated(cells, start, q[rows], finger_m, model, fixed=fixed[rows], focal_free=focal_free)
-    X_BP = model.poses(fitted.q)
-    return LensSolution(
-        fit=fitted.fit,
-        cells=cells,
-        p_B=locate_points(cells, X_BP, fitted.finger_m),
-        X_BP=X_BP,
-        finger_m=fitted.finger_m,
-        rows=rows,
-    )
+    q_sigma = np.where(fixed[rows, None], _FIXED_SIGMA_RAD, _POSTURE_SIGMA_RAD)
+    q, X_BP = q[rows], model.poses(q[rows])
+    bundle = fit_cells(cells, start, model, X_BP, finger_m, focal_free=focal_free, q=q, q_sigma=q_sigma)
+    return LensSolution(bundle=bundle, cells=cells, X_BP=model.poses(bundle.scene.q), rows=rows)
 
 
-def require_enough_cells(cells: CalibrationCorrespondences) -> None:
+def fit_cells(
+    cells: CalibrationCorrespondences,
+    start: Lens,
+    model: ArmModel,
+    X_BP: Array,
+    finger_m: Array,
+    *,
+    focal_free: bool,
+    q: Array | None = None,
+    q_sigma: Array | None = None,
+    rounds: int = 2,
+) -> Bundle:
+    """Fit a lens to cells, with postures and openings or at known ones; parts at rest count once in its information.
+
+    Args:
+        cells: cells of T frames.
+        start: initial lens.
+        model: link poses of the arm.
+        X_BP: (T, PARTS, 4, 4) poses of the parts in B [m].
+        finger_m: (T,) opening of each finger [m].
+        focal_free: True to estimate the focal length.
+        q: (T, 7) initial joint angles to be estimated, too [rad]; None to keep all parts where they are.
+        q_sigma: (T, 7) their standard deviations [rad].
+        rounds: number of rounds, each with newly computed standard deviations of the cells.
+    """
+    prior = Prior(lens=start, log_focal_sigma=np.inf if focal_free else 0.0)
+    p_B, repeats = cells.locate(X_BP, finger_m), cells.count_repeats(X_BP)
+
+    def adjusted(scene: ArmScene, weight: Array, steps: int) -> Bundle:
+        points = p_B if q is None else cells.locate(model.poses(scene.q), scene.finger_m)
+        observed = replace(Observations.of_cells(cells, cells.sigma_px(scene.lens, points)), weight=weight)
+        if q is None:
+            observed = observed.at_rest(p_B)
+        return adjust(observed, scene, prior, model, q=q, q_sigma=q_sigma, iterations=steps)
+
+    scene = ArmScene(lens=start, q=np.zeros((len(X_BP), N_JOINTS)) if q is None else q, finger_m=finger_m)
+    for _ in range(rounds):
+        scene = adjusted(scene, cells.weight, _STEPS).scene
+    return adjusted(scene, cells.weight / repeats, 0)
+
+
+def _find_consensus(cells: CalibrationCorrespondences, p_B: Array, cameras: Sequence[Camera]) -> list[Lens]:
+    """Estimate initial lenses by RANSAC for several intrinsics, by decreasing number of inliers.
+
+    Args:
+        cells: observed cells.
+        p_B: (N, 3) points of the cells [m].
+        cameras: intrinsics.
+    """
+    some = np.linspace(0, len(cells) - 1, min(len(cells), _CONSENSUS_CELLS)).astype(int)
+    ranked = []
+    for camera in cameras:
+        error_px = _CONSENSUS_PX * camera.unit_px
+        solution = solve_pnp(p_B[some], cells.uv_px[some], camera, rounds=_CONSENSUS_ROUNDS, error_px=error_px)
+        if solution is not None:
+            X_CB, inliers = solution
+            ranked.append((inliers, Lens(camera=camera, X_CB=X_CB)))
+    return [lens for _, lens in sorted(ranked, key=lambda pair: -pair[0])]
+
+
+def _require_enough(cells: CalibrationCorrespondences) -> None:
     """Check that enough of the robot is visible.
 
     Raises:
@@ -197,11 +218,12 @@ def require_enough_cells(cells: CalibrationCorrespondences) -> None:
         )
 
 
-def _misread(cells: CalibrationCorrespondences, fit: LensFit, X_BP: Array, finger_m: Array) -> NDArray[np.bool_]:
+def _misread(cells: CalibrationCorrespondences, bundle: Bundle, X_BP: Array, finger_m: Array) -> NDArray[np.bool_]:
     """Return (T,) frames whose gripper cells fit better with the gripper rotated by 180 degrees about its axis."""
-    everywhere = cells.flip(np.ones(len(X_BP), dtype=bool))
-    uv, _ = fit.lens.project(locate_points(everywhere, X_BP, finger_m))
-    other = (uv - cells.uv_px) / fit.sigma_px[:, None]
-    gain = np.log1p((fit.residual / CAUCHY) ** 2).sum(axis=1) - np.log1p((other / CAUCHY) ** 2).sum(axis=1)
+    lens = bundle.scene.lens
+    turned = cells.flip(np.ones(len(X_BP), dtype=bool))
+    other_px = np.linalg.norm(lens.project(turned.locate(X_BP, finger_m))[0] - cells.uv_px, axis=1)
+    scale = CAUCHY * cells.sigma_px(lens, cells.locate(X_BP, finger_m))
+    gain = np.log1p((bundle.error_px / scale) ** 2) - np.log1p((other_px / scale) ** 2)
     better = np.bincount(cells.frame, weights=gain * cells.of_gripper, minlength=len(X_BP))
     return np.asarray(better > 0.0)

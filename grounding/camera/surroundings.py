@@ -6,7 +6,7 @@ calibration", 1990). The arm decides whether they are the axes of the base: it k
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array, rotation_exp, rotation_z
-from kinebench_drake.grounding.camera.fit import CAUCHY, UNKNOWNS, Lens
+from kinebench_drake.grounding.camera.lens import CAUCHY, UNKNOWNS, Lens
 from kinebench_drake.grounding.registration.edges import EdgeMatcher
 from kinebench_drake.grounding.tracking.view import Frames
 
@@ -92,12 +92,10 @@ class Surroundings:
         rows, askew, stiff = np.arange(len(self.axis)), np.zeros(3), np.eye(3) / _ASKEW_RAD**2
 
         def residual(step: Array, askew: Array) -> Array:
-            moved = lens.displace(step[:UNKNOWNS])
-            centre = replace(moved.camera, cx=moved.camera.cx + step[-2], cy=moved.camera.cy + step[-1])
-            offsets = self.lines.offsets(replace(moved, camera=centre), rotation_exp(askew).T)
+            offsets = self.lines.offsets(lens.displace(step), rotation_exp(askew).T)
             return np.asarray(offsets[rows, self.axis] / sigma)
 
-        still = np.zeros(UNKNOWNS + 2)
+        still = np.zeros(UNKNOWNS)
         for _ in range(_ASKEW_PASSES):
             here = residual(still, askew)
             W = weight / (1.0 + here**2 / CAUCHY**2)

@@ -11,7 +11,7 @@ import numpy as np
 from kinebench_drake.geometry import Array, make_pose, rotation_z
 from kinebench_drake.grounding.camera.bundle import ArmScene
 from kinebench_drake.grounding.camera.contours import ContourImages
-from kinebench_drake.grounding.camera.fit import Lens
+from kinebench_drake.grounding.camera.lens import Lens
 from kinebench_drake.models.robot import N_JOINTS
 
 DIFFERENT_TURN_RAD = np.deg2rad(20.0)

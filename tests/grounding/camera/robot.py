@@ -7,7 +7,7 @@ import numpy as np
 from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array, invert, transform_points
 from kinebench_drake.grounding.camera.camera_estimate import CameraEstimate
-from kinebench_drake.grounding.camera.correspondences import CalibrationCorrespondences, LensView, locate_points
+from kinebench_drake.grounding.camera.correspondences import CalibrationCorrespondences, LensView
 from kinebench_drake.grounding.registration.arm_model import ArmModel
 from kinebench_drake.models.panda.robot import OPENING_SIGN, RobotPart, rest_q
 
@@ -51,9 +51,8 @@ def project_robot(
         depth_per_px=np.full(n, np.nan),
         opening_sign=np.array([OPENING_SIGN.get(RobotPart(p), 0.0) for p in part]),
         weight=np.full(n, 8.0 / cells),
-        repeats=np.ones(n),
     )
-    p_B = locate_points(observed, model.poses(q), np.full(len(q), finger_m))
+    p_B = observed.locate(model.poses(q), np.full(len(q), finger_m))
     p_C = transform_points(invert(camera.X_BC), p_B)
     uv = camera.project(p_C)
     observed.depth_per_px[:] = p_C[:, 2] / camera.fx
@@ -86,18 +85,14 @@ class CellsAlone:
 
     def refine(self, frames, camera, start, *, focal_free, centre_sigma_px):
         return CameraEstimate(
-            camera=start.scene.lens.to_camera(),
+            scene=start.scene,
+            frames=start.rows,
             covariance=1e-8 * np.eye(9),
+            part=np.array(VISIBLE, np.uint8),
+            error_px=np.zeros(len(VISIBLE)),
             gripper_sigma_m=1e-4,
             gripper_sigma_rad=1e-4,
             agreement=1.0,
             base_agreement=1.0,
-            base_runner_up=0.0,
-            is_aligned=False,
-            runner_up=0.0,
             residual_px=0.0,
-            rows=start.rows,
-            scene=start.scene,
-            contour_part=np.array(VISIBLE, np.uint8),
-            contour_error_px=np.zeros(len(VISIBLE)),
         )

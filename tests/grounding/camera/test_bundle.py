@@ -6,8 +6,8 @@ import pytest
 from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.geometry import invert, pose_difference
 from kinebench_drake.grounding.camera.bundle import ArmScene, Observations, Prior, adjust
-from kinebench_drake.grounding.camera.fit import Lens
 from kinebench_drake.grounding.camera.hypotheses import ChainSearch
+from kinebench_drake.grounding.camera.lens import Lens
 from kinebench_drake.models.panda.robot import ARM, GRIPPER
 from tests.grounding.camera.robot import postures, project_robot
 
@@ -16,21 +16,15 @@ PARTS = (*GRIPPER, *ARM)
 FRAMES = 6
 
 
+LOOSE = 100.0  # standard deviation of joint angles about which nothing is known [rad]
+
+
 def observe(cells, sigma_px):
-    return Observations(
-        frame=cells.frame,
-        part=cells.part,
-        p_P=cells.p_P,
-        opening_sign=cells.opening_sign,
-        uv_px=cells.uv_px,
-        whitening=np.broadcast_to(np.eye(2) / sigma_px, (len(cells), 2, 2)),
-        weight=np.ones(len(cells)),
-    )
+    return replace(Observations.of_cells(cells, np.full(len(cells), sigma_px)), weight=np.ones(len(cells)))
 
 
-def prior(q, **changes):
-    lens = Lens(camera=CAMERA, X_CB=np.eye(4))
-    return Prior(**{"q": q, "q_sigma": np.full(q.shape, 1.5), "lens": lens, "log_focal_sigma": 0.5, **changes})
+def prior(**changes):
+    return Prior(**{"lens": Lens(camera=CAMERA, X_CB=np.eye(4)), "log_focal_sigma": 0.5, **changes})
 
 
 def truth(q):
@@ -43,11 +37,11 @@ def test_camera_focal_length_and_postures_are_recovered_together(model):
     scene = truth(q)
     start = replace(
         scene,
-        lens=scene.lens.displace(np.array([0.06, -0.05, 0.04, 0.04, 0.03, -0.06, 0.08])),
+        lens=scene.lens.displace(np.array([0.06, -0.05, 0.04, 0.04, 0.03, -0.06, 0.08, 0.0, 0.0])),
         q=q + rng.uniform(-0.1, 0.1, q.shape),
     )
     observations = observe(project_robot(CAMERA, q, model, parts=PARTS), 0.5)
-    fitted = adjust(observations, start, prior(start.q, q_sigma=np.full(q.shape, 100.0)), model, iterations=60).scene
+    fitted = adjust(observations, start, prior(), model, q_sigma=LOOSE, iterations=60).scene
     distance, angle = pose_difference(fitted.lens.to_camera().X_BC, CAMERA.X_BC)
     assert distance < 1e-3
     assert angle < 1e-3
@@ -62,7 +56,7 @@ def test_errors_are_of_the_size_of_the_stated_sigmas(model):
     squares = []
     for _ in range(12):
         noisy = replace(cells, uv_px=cells.uv_px + rng.normal(0.0, 0.3, cells.uv_px.shape))
-        bundle = adjust(observe(noisy, 0.3), truth(q), prior(q, q_sigma=np.full(q.shape, 100.0)), model)
+        bundle = adjust(observe(noisy, 0.3), truth(q), prior(), model, q_sigma=LOOSE)
         lens = bundle.scene.lens
         error = np.concatenate(
             [
@@ -85,10 +79,10 @@ def test_what_is_fixed_stays_and_has_no_information(model):
     q = postures(FRAMES)
     start = replace(truth(q), q=q + 0.05)
     observations = observe(project_robot(CAMERA, q, model, parts=PARTS), 0.5)
-    place = adjust(observations, start, prior(start.q, log_focal_sigma=0.0, place_free=False), model)
+    place = adjust(observations, start, prior(log_focal_sigma=0.0, place_free=False), model)
     assert np.array_equal(place.scene.lens.X_CB, start.lens.X_CB)
     assert not place.information.any()
-    focal = adjust(observations, start, prior(start.q, log_focal_sigma=0.0), model)
+    focal = adjust(observations, start, prior(log_focal_sigma=0.0), model)
     assert focal.scene.lens.camera.fx == CAMERA.fx
     assert not focal.information[6].any()
     assert (np.diag(focal.information)[:6] > 0).all()
@@ -102,10 +96,10 @@ def test_contours_of_a_part_that_err_together_move_the_camera_less_with_an_offse
     contours = replace(points, whitening=np.stack([normals / 0.5, np.zeros_like(normals)], axis=1))
     shift_px = np.where(points.part == ARM[3], 0.4, 0.0)[:, None] * normals
     moved = replace(contours, uv_px=contours.uv_px + shift_px)
-    wide = prior(q, q_sigma=np.full(q.shape, 100.0))
 
     def fit(offset_sigma, iterations=20):
-        return adjust(moved, truth(q), replace(wide, offset_sigma=offset_sigma), model, iterations=iterations)
+        offsets = prior(offset_sigma=offset_sigma)
+        return adjust(moved, truth(q), offsets, model, q_sigma=LOOSE, iterations=iterations)
 
     rigid, free = fit(0.0), fit(1.0)
     far, near = (pose_difference(b.scene.lens.to_camera().X_BC, CAMERA.X_BC)[0] for b in (rigid, free))
@@ -122,8 +116,7 @@ def test_without_the_base_the_turn_about_joint_1_is_not_determined(model):
 
     def sigma(parts):
         observations = observe(project_robot(CAMERA, q, model, parts=parts), 0.5)
-        wide = prior(q, q_sigma=np.full(q.shape, 100.0))
-        information = adjust(observations, truth(q), wide, model, iterations=0).information[:7, :7]
+        information = adjust(observations, truth(q), prior(), model, q_sigma=LOOSE, iterations=0).information[:7, :7]
         return np.linalg.inv(information + 1e-9 * np.eye(7))[:3, :3].trace() ** 0.5
 
     assert sigma(PARTS) < np.deg2rad(1.0)
@@ -140,8 +133,7 @@ def test_a_camera_is_found_without_any_start(model, zoom):
     assert best.lens.camera.fx == (330.0 if zoom == 1.0 else 430.0)
     start = ArmScene(lens=best.lens, q=best.q, finger_m=np.full(FRAMES, 0.01))
     observations = observe(cells.flip(best.flipped), 0.5)
-    loose = prior(start.q, q_sigma=np.full(q.shape, 100.0))
-    fitted = adjust(observations, start, loose, model, iterations=60).scene.lens
+    fitted = adjust(observations, start, prior(), model, q_sigma=LOOSE, iterations=60).scene.lens
     distance, angle = pose_difference(fitted.to_camera().X_BC, camera.X_BC)
     assert distance < 5e-3
     assert angle < np.deg2rad(0.3)

@@ -10,7 +10,7 @@ from kinebench_drake.errors import UnmeasurableError
 from kinebench_drake.geometry import invert, pose_difference, transform_points
 from kinebench_drake.grounding.camera import calibrate as calibration
 from kinebench_drake.grounding.camera.calibrate import CalibrationConfig, Calibrator, calibrate
-from kinebench_drake.grounding.camera.fit import with_focal
+from kinebench_drake.grounding.camera.lens import with_focal
 from kinebench_drake.grounding.camera.overlay import render_part_map
 from kinebench_drake.io.camerafile import load_camera
 from kinebench_drake.models.panda.robot import RobotPart

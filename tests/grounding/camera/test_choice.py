@@ -10,6 +10,7 @@ from kinebench_drake.camera import CONFIRMED, CameraSetting, CameraSource, Camer
 from kinebench_drake.errors import UnmeasurableError
 from kinebench_drake.geometry import make_pose
 from kinebench_drake.grounding.anomaly.detection import AnomalyDetections, Detection
+from kinebench_drake.grounding.camera.bundle import ArmScene
 from kinebench_drake.grounding.camera.camera_estimate import (
     ALIGNED_AGREEMENT,
     ALIGNED_BASE_AGREEMENT,
@@ -21,6 +22,7 @@ from kinebench_drake.grounding.camera.camera_estimate import (
 from kinebench_drake.grounding.camera.choice import AGREEMENT, SURE
 from kinebench_drake.grounding.camera.contradiction import LARGE_M, CameraContradiction
 from kinebench_drake.grounding.camera.estimate import usual_camera
+from kinebench_drake.grounding.camera.lens import Lens
 from kinebench_drake.grounding.camera.reading import BetterReading, Reading
 from kinebench_drake.grounding.clip import Clip
 from kinebench_drake.grounding.pipeline import PipelineResult
@@ -117,20 +119,16 @@ class Evidence:
 
 def estimate(**changes):
     fields = {
-        "camera": usual_camera(160, 96),
+        "scene": ArmScene(lens=Lens.of_camera(usual_camera(160, 96)), q=np.zeros((4, 7)), finger_m=np.zeros(4)),
+        "frames": np.arange(4),
         "covariance": 1e-6 * np.eye(9),
         "gripper_sigma_m": 0.01,
         "gripper_sigma_rad": 0.01,
         "agreement": ARM_AGREEMENT + 0.1,
-        "is_aligned": False,
-        "runner_up": 0.0,
         "base_agreement": BASE_AGREEMENT + 0.1,
-        "base_runner_up": 0.0,
         "residual_px": 0.4,
-        "rows": np.arange(4),
-        "scene": None,
-        "contour_part": np.zeros(0, np.uint8),
-        "contour_error_px": np.zeros(0),
+        "part": np.zeros(0, np.uint8),
+        "error_px": np.zeros(0),
     }
     return CameraEstimate(**{**fields, **changes})
 
@@ -246,8 +244,7 @@ def test_a_hand_that_is_seen_but_lost_under_the_benchmark_camera_leads_to_an_est
         (estimate(gripper_sigma_m=GRIPPER_SIGMA_M + 0.01), "uncertain by 30 mm"),
     ],
 )
-def test_an_estimated_camera_gives_a_base_frame_where_it_agrees_and_is_determined(monkeypatch, best, words):
-    monkeypatch.setattr(CameraEstimate, "to_json", lambda self: {"agreement": self.agreement})
+def test_an_estimated_camera_gives_a_base_frame_where_it_agrees_and_is_determined(best, words):
     choice = ground(Evidence(estimate=best), WIDE).choice
     assert (choice.camera.width, choice.camera.height) == (160, 96)
     if words is None:

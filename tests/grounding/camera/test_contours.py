@@ -7,13 +7,13 @@ from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.geometry import invert, pose_difference
 from kinebench_drake.grounding.camera import contradiction
 from kinebench_drake.grounding.camera import estimate as estimate_module
-from kinebench_drake.grounding.camera.bundle import ArmScene
-from kinebench_drake.grounding.camera.candidate import Candidate, LensPrior
+from kinebench_drake.grounding.camera.bundle import ArmScene, Prior
+from kinebench_drake.grounding.camera.candidate import Candidate
 from kinebench_drake.grounding.camera.contours import ContourImages
 from kinebench_drake.grounding.camera.contradiction import CLEARLY, CameraChecker
 from kinebench_drake.grounding.camera.detections import ArmDetections
 from kinebench_drake.grounding.camera.estimate import JOINT_SIGMA_RAD, CameraEstimator, usual_camera
-from kinebench_drake.grounding.camera.fit import Lens, solve_pnp, with_focal
+from kinebench_drake.grounding.camera.lens import Lens, solve_pnp, with_focal
 from kinebench_drake.grounding.camera.turn import DIFFERENT_TURN_RAD, BaseTurn, find_turns, is_same_arm, turned
 from kinebench_drake.models.panda.cad import PartCaster, link_meshes, open_fingers, part_meshes
 from kinebench_drake.models.panda.robot import RobotPart, hand_from_tcp
@@ -46,7 +46,7 @@ def film(model):
 
 
 def start(q, model, step):
-    lens = Lens(camera=CAMERA, X_CB=invert(CAMERA.X_BC)).displace(np.array(step))
+    lens = Lens.of_camera(CAMERA).displace(np.array([*step, 0.0, 0.0]))
     scene = ArmScene(lens=lens, q=q, finger_m=np.full(len(q), FINGER_M))
     cells = project_robot(CAMERA, q, model, finger_m=FINGER_M)
     return Candidate(scene=scene, rows=np.arange(len(q)), cells=cells, costs=np.zeros(len(q)), cost=0.0)
@@ -102,7 +102,7 @@ def test_turns_that_differ_too_little_are_decided_by_their_fits(estimator, model
     images = ContourImages(frames, CAMERA, model, estimator.fitter.matcher)
     right = start(q, model, np.zeros(7))
     wrong, better = BaseTurn(angle_rad=1.2, share=0.5), BaseTurn(angle_rad=0.0, share=0.45)
-    prior, rows = LensPrior(lens=right.scene.lens, log_focal_sigma=0.0), np.arange(len(frames))
+    prior, rows = Prior(lens=right.scene.lens, log_focal_sigma=0.0), np.arange(len(frames))
 
     def fit(*turns):
         return estimator._turn(right, turns, images, prior, rows=rows, total=len(frames))[0]

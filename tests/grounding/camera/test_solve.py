@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from kinebench_drake.errors import UnmeasurableError
-from kinebench_drake.geometry import invert, make_pose, pose_difference, rotation_exp
+from kinebench_drake.geometry import make_pose, pose_difference, rotation_exp
 from kinebench_drake.grounding.camera.correspondences import LensView
-from kinebench_drake.grounding.camera.fit import with_focal
+from kinebench_drake.grounding.camera.lens import Lens, with_focal
 from kinebench_drake.grounding.camera.observability import require_determined, warnings_of
-from kinebench_drake.grounding.camera.result import CalibrationMethod, CameraCalibration, describe
+from kinebench_drake.grounding.camera.result import CalibrationBasis, CalibrationMethod, CameraCalibration, describe
 from kinebench_drake.grounding.camera.solve import solve
 from kinebench_drake.grounding.camera.states import RobotStates
 from kinebench_drake.models.panda.robot import RobotPart
@@ -23,14 +23,9 @@ def view_of(cells, q):
     return LensView(cells=cells, finger_m=np.full(len(q), 0.01), q=q, robot=np.zeros((2, 2), dtype=bool))
 
 
-def described(solved, *, focal_free=True, method=CalibrationMethod.JOINTS):
-    return describe(
-        solved,
-        method=method,
-        source="joints.csv",
-        frames=solved.rows,
-        focal_free=focal_free,
-    )
+def described(solved, model, *, focal_free=True):
+    basis = CalibrationBasis(method=CalibrationMethod.JOINTS, source="joints.csv", focal_free=focal_free)
+    return describe(solved, model, basis)
 
 
 def calibrated(
@@ -39,9 +34,8 @@ def calibrated(
     q = postures(6) if q is None else q
     cells = project_robot(camera, q, model, noise_px=noise_px, parts=parts)
     states = states_of(q if stated is None else stated, model)
-    return described(
-        solve(view_of(cells, q), states, guess or camera, model, focal_free=focal_free), focal_free=focal_free
-    )
+    solved = solve(view_of(cells, q), states, guess or camera, model, focal_free=focal_free)
+    return described(solved, model, focal_free=focal_free)
 
 
 def off(camera, found):
@@ -92,7 +86,7 @@ def test_a_robot_far_away_leaves_the_focal_length_open_and_says_why(camera, mode
 def test_a_gripper_read_upside_down_in_a_frame_is_read_again(camera, model):
     q = postures(5)
     wrong = project_robot(camera, q, model).flip(np.arange(5) == 2)
-    found = described(solve(view_of(wrong, q), states_of(q, model), camera, model, focal_free=True))
+    found = described(solve(view_of(wrong, q), states_of(q, model), camera, model, focal_free=True), model)
     assert max(off(camera, found.camera)) < 1e-5
 
 
@@ -111,7 +105,7 @@ def test_poses_of_the_gripper_do_without_the_arm(camera, model):
         RobotPart.RIGHT_FINGER,
         RobotPart.LINK0,
     }
-    assert max(off(camera, solved.fit.lens.to_camera())) < 1e-5
+    assert max(off(camera, solved.bundle.scene.lens.to_camera())) < 1e-5
 
 
 def test_one_posture_in_a_motion_determines_the_turn_about_joint_1(camera, model):
@@ -123,28 +117,22 @@ def test_one_posture_in_a_motion_determines_the_turn_about_joint_1(camera, model
     parts = tuple(part for part in VISIBLE if part is not RobotPart.LINK0)
     estimate = view_of(project_robot(camera, q, model, parts=parts), q + 0.02)
     solved = solve(estimate, states, guess, model, focal_free=False)
-    assert off(camera, solved.fit.lens.to_camera())[0] < 2e-3
+    assert off(camera, solved.bundle.scene.lens.to_camera())[0] < 2e-3
 
 
-def test_derivatives_are_those_of_the_projection(camera, model):
-    from kinebench_drake.grounding.camera.articulated import _derivatives
-    from kinebench_drake.grounding.camera.correspondences import locate_points
-    from kinebench_drake.grounding.camera.fit import Lens
+def test_derivatives_are_those_of_the_projection(camera):
+    lens = Lens.of_camera(camera)
+    p_B = np.random.default_rng(0).uniform([0.1, -0.3, 0.0], [0.7, 0.3, 0.6], (20, 3))
 
-    q, finger_m = postures(2), np.array([0.01, 0.02])
-    cells = project_robot(camera, q, model, cells=2)
-    lens = Lens(camera=camera, X_CB=invert(camera.X_BC))
+    def pixels(step, move):
+        return lens.displace(step).project(p_B + move)[0]
 
-    def pixels(step, dq, dw):
-        return lens.displace(step).project(locate_points(cells, model.poses(q + dq), finger_m + dw))[0]
-
-    by_lens, by_state = _derivatives(cells, lens, q, finger_m, model)
+    by_lens, by_C = lens.derivatives(p_B)
+    by_B = by_C @ lens.X_CB[:3, :3]
     h = 1e-6
-    for k in range(7):
-        e = h * np.eye(7)[k]
-        slope = (pixels(e, 0, 0) - pixels(-e, 0, 0)) / (2 * h)
+    for k, e in enumerate(h * np.eye(9)):
+        slope = (pixels(e, 0) - pixels(-e, 0)) / (2 * h)
         assert np.allclose(by_lens[..., k], slope, rtol=1e-5, atol=1e-3)
-        slope = (pixels(0 * e, e, 0) - pixels(0 * e, -e, 0)) / (2 * h)
-        assert np.allclose(by_state[..., k], slope, rtol=1e-5, atol=1e-3)
-    slope = (pixels(np.zeros(7), 0, h) - pixels(np.zeros(7), 0, -h)) / (2 * h)
-    assert np.allclose(by_state[..., 7], slope, rtol=1e-5, atol=1e-3)
+    for k, e in enumerate(h * np.eye(3)):
+        slope = (pixels(np.zeros(9), e) - pixels(np.zeros(9), -e)) / (2 * h)
+        assert np.allclose(by_B[..., k], slope, rtol=1e-5, atol=1e-3)

@@ -1,0 +1,113 @@
+"""Lens of a camera as unknowns of a fit, and pose of known points by perspective-n-point."""
+
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+
+from kinebench_drake.camera import Camera, benchmark_camera
+from kinebench_drake.geometry import Array, invert, make_pose, rotation_exp, transform_points
+
+UNKNOWNS = 9
+"""Number of unknowns: rotation about the camera axes [rad], translation [m], logarithm of the focal length, principal
+point [px]."""
+CAUCHY = 2.0
+"""Residual, in standard deviations, at which Cauchy's weight is one half."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Lens:
+    """Camera parameterised by the pose of the robot base in its frame."""
+
+    camera: Camera
+    """Intrinsics; its pose is ignored."""
+    X_CB: Array
+    """(4, 4) pose of the base in the camera frame [m]."""
+
+    @classmethod
+    def of_camera(cls, camera: Camera) -> "Lens":
+        """Return the lens of a camera of known pose."""
+        return cls(camera=camera, X_CB=invert(camera.X_BC))
+
+    def displace(self, step: Array) -> "Lens":
+        """Return the lens after a step (9,) of the unknowns; the base turns about the axes of C."""
+        X_CB = make_pose(rotation_exp(step[:3]) @ self.X_CB[:3, :3], self.X_CB[:3, 3] + step[3:6])
+        zoom, own = float(np.exp(step[6])), self.camera
+        cx, cy = own.cx + float(step[7]), own.cy + float(step[8])
+        return Lens(camera=replace(own, fx=own.fx * zoom, fy=own.fy * zoom, cx=cx, cy=cy), X_CB=X_CB)
+
+    def to_camera(self) -> Camera:
+        """Return the camera with its pose."""
+        return replace(self.camera, X_BC=invert(self.X_CB))
+
+    def project(self, p_B: Array) -> tuple[Array, Array]:
+        """Project points (N, 3) in B to pixels (N, 2) and depths (N,) [m], points behind the camera included."""
+        p_C = transform_points(self.X_CB, p_B)
+        z = np.where(np.abs(p_C[:, 2]) < 1e-3, 1e-3, p_C[:, 2])
+        f, c = [self.camera.fx, self.camera.fy], [self.camera.cx, self.camera.cy]
+        return np.asarray(p_C[:, :2] / z[:, None] * f + c), z
+
+    def derivatives(self, p_B: Array) -> tuple[Array, Array]:
+        """Return the derivatives of the pixels of points (N, 3) by the unknowns (N, 2, 9) and by p_C (N, 2, 3)."""
+        offset = p_B @ self.X_CB[:3, :3].T
+        x, y, z = (offset + self.X_CB[:3, 3]).T
+        fx, fy = self.camera.fx, self.camera.fy
+        zero = np.zeros_like(z)
+        by_C = np.stack(
+            [np.stack([fx / z, zero, -fx * x / z**2], axis=-1), np.stack([zero, fy / z, -fy * y / z**2], axis=-1)],
+            axis=1,
+        )
+        J = np.empty((len(z), 2, UNKNOWNS))
+        J[:, :, :3] = np.cross(offset[:, None], by_C)  # d p_C / d w = -[offset]x
+        J[:, :, 3:6] = by_C
+        J[:, 0, 6], J[:, 1, 6] = fx * x / z, fy * y / z
+        J[:, :, 7:] = np.eye(2)
+        return J, by_C
+
+    def position_sigma_m(self, covariance: Array) -> float:
+        """Return the standard deviation of the camera's position in B: root of the sum over axes [m].
+
+        Args:
+            covariance: (6, 6) covariance of the base's rotation about the axes of C [rad] and its position in C [m].
+        """
+        x, y, z = self.X_CB[:3, 3]
+        by_turn = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])  # the camera's position is -R^T t
+        J = np.concatenate([by_turn, np.eye(3)], axis=1)
+        return float(np.trace(J @ covariance @ J.T) ** 0.5)
+
+
+def solve_pnp(p: Array, uv_px: Array, camera: Camera, *, rounds: int, error_px: float) -> tuple[Array, int] | None:
+    """Return the pose (4, 4) of points (N, 3) in the camera frame [m] and the number of inliers; None if there is none.
+
+    Args:
+        p: (N, 3) points [m].
+        uv_px: (N, 2) their pixels.
+        camera: intrinsics.
+        rounds: random samples.
+        error_px: largest error of an inlier [px].
+    """
+    try:
+        ok, rotation, translation, inliers = cv2.solvePnPRansac(
+            p, uv_px, camera.K, None,
+            iterationsCount=rounds, flags=cv2.SOLVEPNP_SQPNP, reprojectionError=error_px,
+        )  # fmt: skip
+    except cv2.error:  # raised where the best sample has too few inliers
+        return None
+    if not ok or inliers is None or not (np.isfinite(rotation).all() and np.isfinite(translation).all()):
+        return None
+    return make_pose(rotation_exp(rotation.ravel()), translation.ravel()), len(inliers)
+
+
+def focal_px(side_px: int, fov_deg: float) -> float:
+    """Return the focal length [px] with which a field of view [degrees] fills a side of an image."""
+    return side_px / 2 / float(np.tan(np.deg2rad(fov_deg) / 2))
+
+
+def with_focal(camera: Camera, fx: float) -> Camera:
+    """Return the camera with another focal length along x [px] and the same pixel aspect ratio."""
+    return replace(camera, fx=fx, fy=camera.fy * fx / camera.fx)
+
+
+def centred_camera(width: int, height: int, focal: float) -> Camera:
+    """Return a camera with its principal point in the middle, at the place of the benchmark camera."""
+    return replace(benchmark_camera(), width=width, height=height, fx=focal, fy=focal, cx=width / 2, cy=height / 2)
