@@ -1,25 +1,30 @@
-"""Overlay of the tracked CAD model on the video."""
+"""Overlay of the CAD model on frames: of the tracked gripper, and of the robot that calibrates a camera."""
 
 from collections.abc import Iterator
 from dataclasses import replace
+from pathlib import Path
 
 import cv2
 import numpy as np
+import PIL.Image
 from numpy.typing import NDArray
 
 from kinebench_drake.camera import Camera
-from kinebench_drake.geometry import Array, transform_points
+from kinebench_drake.geometry import Array, invert, transform_points
 from kinebench_drake.grounding.tracking.crop import GRIPPER_CENTRE_H, GRIPPER_RADIUS_M
-from kinebench_drake.models.panda.cad import GripperCad
-from kinebench_drake.models.panda.robot import RobotPart, hand_from_tcp
+from kinebench_drake.io.atomic import atomic_path
+from kinebench_drake.models.panda.cad import GripperCad, PartCaster, link_meshes, open_fingers, part_meshes
+from kinebench_drake.models.panda.robot import ARM, GRIPPER, RobotPart, hand_from_tcp
 from kinebench_drake.track import GripperTrack
 
 Image = NDArray[np.uint8]
 
 _COLOURS = {RobotPart.HAND: (0, 190, 200), RobotPart.LEFT_FINGER: (255, 140, 0), RobotPart.RIGHT_FINGER: (230, 60, 160)}
+_ROBOT_COLOURS = ((ARM[:1], (255, 140, 0)), (ARM[1:], (70, 110, 255)), (GRIPPER, (0, 190, 200)))
 _AXES = ((235, 60, 60), (60, 200, 60), (70, 110, 255))
 _AXIS_M = 0.05
-_OPACITY = 0.35
+_OPACITY, _ROBOT_OPACITY = 0.35, 0.3
+_LEAST_SIDE_PX = 640  # of a picture of the robot
 
 
 def _part_map(camera: Camera, X_CH: Array, finger_m: float, cad: GripperCad) -> NDArray[np.uint8]:
@@ -92,3 +97,47 @@ def draw_overlay(
             image = frame.copy()
             draw_caption(image, f"{i}  t {track.t_s[i]:.1f} s  not tracked", (255, 110, 110))
         yield image
+
+
+def render_parts(camera: Camera, X_BP: Array, finger_m: float) -> NDArray[np.uint8]:
+    """Render the CAD robot as values of `RobotPart` (H, W).
+
+    Args:
+        camera: camera with its pose.
+        X_BP: (PARTS, 4, 4) frames of the parts' CAD coordinates in B [m]; parts with NaN are left out.
+        finger_m: opening of each finger [m].
+
+    Raises:
+        SetupError: Open3D's native libraries or mani_skill's meshes are missing.
+    """
+    X_CP = open_fingers(invert(camera.X_BC) @ X_BP, finger_m)
+    _, part = PartCaster({**part_meshes(), **link_meshes()}).first_hits(X_CP, camera.rays().reshape(-1, 3))
+    return part.reshape(camera.height, camera.width)
+
+
+def draw_robot(frame: Image, camera: Camera, X_BP: Array, finger_m: float) -> Image:
+    """Return a copy of `frame` (H, W, 3), enlarged if small, with the CAD robot tinted and outlined.
+
+    Other arguments and errors as of `render_parts`.
+    """
+    times = max(1, -(-_LEAST_SIDE_PX // min(camera.width, camera.height)))
+    camera = camera.resized(times * camera.width, times * camera.height)
+    image = np.asarray(cv2.resize(frame, (camera.width, camera.height), interpolation=cv2.INTER_CUBIC), np.uint8)
+    labels = render_parts(camera, X_BP, finger_m)
+    for parts, colour in _ROBOT_COLOURS:
+        shown = np.isin(labels, parts)
+        image[shown] = ((1 - _ROBOT_OPACITY) * image[shown] + _ROBOT_OPACITY * np.array(colour)).astype(np.uint8)
+        for part in parts:
+            contours, _ = cv2.findContours((labels == part).astype(np.uint8), cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
+            cv2.drawContours(image, contours, -1, colour, 1, cv2.LINE_AA)
+    return image
+
+
+def save_image(image: Image, path: Path) -> None:
+    """Write an image as png, atomically.
+
+    Raises:
+        SetupError: writing failed.
+    """
+    with atomic_path(path) as part:
+        PIL.Image.fromarray(image).save(part, format="png")

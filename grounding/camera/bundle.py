@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, fields, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from kinebench_drake.geometry import Array
+from kinebench_drake.geometry import Array, make_pose, rotation_z
 from kinebench_drake.grounding.camera.correspondences import CalibrationCorrespondences, RobotPoints
 from kinebench_drake.grounding.camera.lens import CAUCHY, UNKNOWNS, Lens
 from kinebench_drake.grounding.camera.surroundings import Surroundings
@@ -69,6 +69,12 @@ class ArmScene:
     def take(self, rows: NDArray[np.intp]) -> "ArmScene":
         """Select frames."""
         return replace(self, q=self.q[rows], finger_m=self.finger_m[rows])
+
+    def turned(self, angle_rad: float) -> "ArmScene":
+        """Return the scene with the base turned by minus an angle about joint 1, and joint 1 by it: same links."""
+        X_CB = self.lens.X_CB @ make_pose(rotation_z(-angle_rad), np.zeros(3))
+        q = self.q + angle_rad * (np.arange(N_JOINTS) == 0)
+        return replace(self, lens=replace(self.lens, X_CB=X_CB), q=q)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -16,7 +16,7 @@ from kinebench_drake.grounding.camera.correspondences import LINK_SIGMAS, PIXEL_
 from kinebench_drake.grounding.camera.detections import ArmDetections
 from kinebench_drake.grounding.camera.hypotheses import Hypothesis
 from kinebench_drake.grounding.registration.arm_model import ArmModel
-from kinebench_drake.grounding.registration.edges import EdgeMatcher
+from kinebench_drake.grounding.registration.edges import EdgeMatcher, GradientImage
 from kinebench_drake.grounding.tracking.view import Frames
 from kinebench_drake.models.panda.robot import ARM
 
@@ -77,7 +77,8 @@ class CandidateFitter:
 
     def images(self, frames: Frames, camera: Camera) -> ContourImages:
         """Return the images of `frames` (T, H, W, 3); only the size of `camera` matters."""
-        return ContourImages(frames, camera, self.model, self.matcher)
+        images = tuple(GradientImage(frame, camera) for frame in frames)
+        return ContourImages(images=images, model=self.model, matcher=self.matcher)
 
     def start(self, detections: ArmDetections, hypothesis: Hypothesis) -> Candidate | None:
         """Return a hypothesis as a candidate; None if it explains too few frames."""

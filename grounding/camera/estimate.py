@@ -21,12 +21,11 @@ from kinebench_drake.grounding.camera.candidate import (
     CandidateFitter,
     explained,
 )
-from kinebench_drake.grounding.camera.contours import ContourImages
+from kinebench_drake.grounding.camera.contours import DIFFERENT_TURN_RAD, BaseTurn, ContourImages
 from kinebench_drake.grounding.camera.detections import ArmDetections, find_robot
 from kinebench_drake.grounding.camera.hypotheses import ChainSearch, Hypothesis
 from kinebench_drake.grounding.camera.lens import Lens, centred_camera, focal_px
 from kinebench_drake.grounding.camera.surroundings import Surroundings, find_lines, find_surroundings
-from kinebench_drake.grounding.camera.turn import DIFFERENT_TURN_RAD, BaseTurn, find_turns, is_same_arm, turned
 from kinebench_drake.grounding.registration.arm_model import ArmModel
 from kinebench_drake.grounding.registration.edges import EdgeMatcher
 from kinebench_drake.grounding.tracking.view import DenseEstimator, Frames
@@ -116,8 +115,7 @@ class CameraEstimator:
         arms = [self.fitter.settle(candidate, arm_images, prior, total)[0] for candidate in candidates]
         arms.sort(key=lambda arm: -arm.agreement)
         arms = _distinct([(arm.scene.lens, arm) for arm in arms], _CLEARLY)
-        lower, upper = self.fitter.model.lower[0], self.fitter.model.upper[0]
-        turns = [find_turns(arm.scene, images.take(arm.rows), lower, upper) for arm in arms]
+        turns = [images.take(arm.rows).find_turns(arm.scene) for arm in arms]
         ranked = sorted(zip(arms, turns, strict=True), key=lambda pair: -(pair[0].agreement + pair[1][0].share))
         best, best_turns = ranked[0]
         estimate, turn = self._turn(best, best_turns, images, prior, rows=detections.rows, total=total)
@@ -166,7 +164,7 @@ class CameraEstimator:
             close = [turn for turn in turns if turn.share > turns[0].share - BASE_LEAD]
         fits = []
         for turn in close:
-            start = replace(arm, scene=turned(arm.scene, turn.angle_rad))
+            start = replace(arm, scene=arm.scene.turned(turn.angle_rad))
             fit = self.fitter.finish(start, images, prior, rows=rows, total=total)
             own = images.take(np.searchsorted(rows, fit.frames))
             share = own.base_share(fit.scene) if len(close) > 1 else turn.share
@@ -237,10 +235,10 @@ def usual_camera(width: int, height: int) -> Camera:
 
 
 def _distinct(ranked: Sequence[tuple[Lens, _Ranked]], factor: float = 1.0) -> list[_Ranked]:
-    """Return what belongs to cameras that see another arm than all before them; see `is_same_arm`."""
+    """Return what belongs to cameras that see another arm than all before them; see `Lens.sees_same_arm`."""
     kept: list[tuple[Lens, _Ranked]] = []
     for lens, item in ranked:
-        if not any(is_same_arm(lens, other, factor) for other, _ in kept):
+        if not any(lens.sees_same_arm(other, factor) for other, _ in kept):
             kept.append((lens, item))
     return [item for _, item in kept]
 

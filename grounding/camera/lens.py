@@ -13,6 +13,8 @@ UNKNOWNS = 9
 point [px]."""
 CAUCHY = 2.0
 """Residual, in standard deviations, at which Cauchy's weight is one half."""
+_SHOULDER_M = 0.333  # height of the shoulder above the base
+_SAME_RAD, _SAME_SHARE, _SAME_ZOOM = np.deg2rad(3.0), 0.03, 0.05
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -74,6 +76,20 @@ class Lens:
         by_turn = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])  # the camera's position is -R^T t
         J = np.concatenate([by_turn, np.eye(3)], axis=1)
         return float(np.trace(J @ covariance @ J.T) ** 0.5)
+
+    def sees_same_arm(self, other: "Lens", factor: float) -> bool:
+        """Return whether another camera sees the same axis of joint 1, whatever the turn about it.
+
+        Args:
+            other: the other one.
+            factor: of the tolerances of 3 degrees, 3 % of the distance and 5 % of the focal length.
+        """
+        zoom = abs(float(np.log(self.camera.fx / other.camera.fx)))
+        axis, other_axis = self.X_CB[:3, 2], other.X_CB[:3, 2]
+        shoulder, other_shoulder = self.X_CB[:3, 3] + _SHOULDER_M * axis, other.X_CB[:3, 3] + _SHOULDER_M * other_axis
+        far = float(np.linalg.norm(shoulder - other_shoulder) / np.linalg.norm(shoulder))
+        along = float(axis @ other_axis) >= np.cos(factor * _SAME_RAD)
+        return along and zoom <= factor * _SAME_ZOOM and far <= factor * _SAME_SHARE
 
 
 def solve_pnp(p: Array, uv_px: Array, camera: Camera, *, rounds: int, error_px: float) -> tuple[Array, int] | None:

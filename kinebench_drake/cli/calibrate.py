@@ -78,7 +78,7 @@ def calibrate(out: Path, figure: Path | None, as_json: bool, **options: Any) -> 
     camera = outcome.calibration.camera
     save_camera(camera, out)
     if figure is not None:
-        from kinebench_drake.grounding.camera.overlay import draw_robot, save_image
+        from kinebench_drake.grounding.overlay import draw_robot, save_image
 
         save_image(draw_robot(outcome.frame, camera, outcome.X_BP, outcome.finger_m), figure)
     if as_json:

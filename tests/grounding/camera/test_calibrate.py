@@ -11,7 +11,7 @@ from kinebench_drake.geometry import invert, pose_difference, transform_points
 from kinebench_drake.grounding.camera import calibrate as calibration
 from kinebench_drake.grounding.camera.calibrate import CalibrationConfig, Calibrator, calibrate
 from kinebench_drake.grounding.camera.lens import with_focal
-from kinebench_drake.grounding.camera.overlay import render_part_map
+from kinebench_drake.grounding.overlay import render_parts
 from kinebench_drake.io.camerafile import load_camera
 from kinebench_drake.models.panda.robot import RobotPart
 from tests.grounding.camera.robot import CellsAlone, PerfectEstimator, postures
@@ -127,9 +127,9 @@ def test_without_joint_angles_the_camera_is_estimated_from_the_arm(video, estima
 
 def test_the_drawn_robot_is_where_the_camera_has_it(camera, model):
     X_BP = model.poses(postures(1))[0]
-    labels = render_part_map(camera, X_BP, 0.01)
+    labels = render_parts(camera, X_BP, 0.01)
     inside = transform_points(invert(camera.X_BC) @ X_BP[RobotPart.HAND], np.array([[0.0, 0.0, 0.03]]))
     u, v = camera.project(inside)[0].astype(int)
     assert labels[v, u] in (RobotPart.HAND, RobotPart.LINK7, RobotPart.LINK6)
     X_BP[RobotPart.HAND] = np.nan
-    assert RobotPart.HAND not in render_part_map(camera, X_BP, 0.01)
+    assert RobotPart.HAND not in render_parts(camera, X_BP, 0.01)

@@ -9,12 +9,11 @@ from kinebench_drake.grounding.camera import contradiction
 from kinebench_drake.grounding.camera import estimate as estimate_module
 from kinebench_drake.grounding.camera.bundle import ArmScene, Prior
 from kinebench_drake.grounding.camera.candidate import Candidate
-from kinebench_drake.grounding.camera.contours import ContourImages
+from kinebench_drake.grounding.camera.contours import DIFFERENT_TURN_RAD, BaseTurn
 from kinebench_drake.grounding.camera.contradiction import CLEARLY, CameraChecker
 from kinebench_drake.grounding.camera.detections import ArmDetections
 from kinebench_drake.grounding.camera.estimate import JOINT_SIGMA_RAD, CameraEstimator, usual_camera
 from kinebench_drake.grounding.camera.lens import Lens, solve_pnp, with_focal
-from kinebench_drake.grounding.camera.turn import DIFFERENT_TURN_RAD, BaseTurn, find_turns, is_same_arm, turned
 from kinebench_drake.models.panda.cad import PartCaster, link_meshes, open_fingers, part_meshes
 from kinebench_drake.models.panda.robot import RobotPart, hand_from_tcp
 from tests.grounding.camera.robot import postures, project_robot
@@ -72,7 +71,7 @@ def test_contours_give_the_camera_as_precisely_as_the_joint_angles_are_known(
 
 def test_agreement_tells_a_wrong_camera_from_the_right_one(estimator, model, film):
     q, frames = film
-    images = ContourImages(frames, CAMERA, model, estimator.fitter.matcher)
+    images = estimator.fitter.images(frames, CAMERA)
     right = images.agreement(start(q, model, np.zeros(7)).scene)
     wrong = images.agreement(start(q, model, [0.0, 0.1, 0.0, 0.05, 0.0, 0.0, 0.0]).scene)
     assert right.shape == (3,)
@@ -83,13 +82,13 @@ def test_agreement_tells_a_wrong_camera_from_the_right_one(estimator, model, fil
 @pytest.mark.parametrize("turn_deg", [-50.0, 30.0])
 def test_the_contours_of_the_base_show_how_it_is_turned(estimator, model, film, turn_deg):
     q, frames = film
-    images = ContourImages(frames, CAMERA, model, estimator.fitter.matcher)
+    images = estimator.fitter.images(frames, CAMERA)
     right = start(q, model, np.zeros(7)).scene
-    wrong = turned(right, np.deg2rad(turn_deg))
+    wrong = right.turned(np.deg2rad(turn_deg))
     X_CP, same = right.lens.X_CB @ model.poses(right.q), wrong.lens.X_CB @ model.poses(wrong.q)
     arm = [part for part in RobotPart if part > RobotPart.LINK0 or part == RobotPart.HAND]
     assert np.allclose(X_CP[:, arm], same[:, arm])
-    turns = find_turns(wrong, images, model.lower[0], model.upper[0])
+    turns = images.find_turns(wrong)
     assert np.rad2deg(turns[0].angle_rad) == pytest.approx(-turn_deg, abs=2.0)
     assert turns[0].share > turns[1].share + 0.2
     angles = np.sort([turn.angle_rad for turn in turns])
@@ -99,7 +98,7 @@ def test_the_contours_of_the_base_show_how_it_is_turned(estimator, model, film, 
 
 def test_turns_that_differ_too_little_are_decided_by_their_fits(estimator, model, film):
     q, frames = film
-    images = ContourImages(frames, CAMERA, model, estimator.fitter.matcher)
+    images = estimator.fitter.images(frames, CAMERA)
     right = start(q, model, np.zeros(7))
     wrong, better = BaseTurn(angle_rad=1.2, share=0.5), BaseTurn(angle_rad=0.0, share=0.45)
     prior, rows = Prior(lens=right.scene.lens, log_focal_sigma=0.0), np.arange(len(frames))
@@ -122,11 +121,11 @@ def test_turns_that_differ_too_little_are_decided_by_their_fits(estimator, model
 
 def test_cameras_are_the_same_arm_whatever_the_turn_but_not_from_elsewhere(model, film):
     scene = start(film[0], model, np.zeros(7)).scene
-    assert is_same_arm(scene.lens, turned(scene, 1.0).lens)
+    assert scene.lens.sees_same_arm(scene.turned(1.0).lens, 1.0)
     for step in ([0.0, 0.1, 0.0, 0.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 0.0, 0.1, 0.0, 0.0]):
         moved = start(film[0], model, step).scene.lens
-        assert not is_same_arm(scene.lens, moved)
-        assert is_same_arm(scene.lens, moved, 4.0)
+        assert not scene.lens.sees_same_arm(moved, 1.0)
+        assert scene.lens.sees_same_arm(moved, 4.0)
 
 
 def test_a_camera_is_found_from_cells_and_contours_alone(estimator, model, film):
