@@ -16,7 +16,6 @@ from kinebench_drake.grounding.camera.choice import (
     CameraChoice,
     check_named,
     find_reading,
-    track_agreement,
 )
 from kinebench_drake.grounding.camera.contradiction import CameraChecker
 from kinebench_drake.grounding.camera.estimate import CameraEstimator, usual_camera
@@ -290,7 +289,7 @@ class _VideoGrounding:
         choice = CameraChoice(camera=usual if estimate is None else estimate.camera, source=source, estimate=estimate)
         view = self._view(choice)
         measured = self._ground_hand(view)
-        agreement = track_agreement(view.frames, view.camera, measured, self._parts.checker)
+        agreement = self._parts.checker.track_agreement(view.frames, view.camera, measured)
         reading = None
         if doubt is None:
             reading = find_reading(view.frames, view.camera, agreement, self._parts.checker)
@@ -315,12 +314,12 @@ class _VideoGrounding:
         """
         checker, pictures = self._parts.checker, (view.frames, view.camera)
         measured = self._ground_hand(replace(view, priors=replace(view.priors, camera_is_assumed=True)))
-        agreement = track_agreement(*pictures, measured, checker)
+        agreement = checker.track_agreement(*pictures, measured)
         if measured.domain is not Domain.FAMILIAR:
             agreement = checker.measure_agreement(*pictures)
             if agreement is not None and agreement >= CONFIRMED:
                 measured = self._ground_hand(view)
-                agreement = track_agreement(*pictures, measured, checker)
+                agreement = checker.track_agreement(*pictures, measured)
         reading = find_reading(*pictures, agreement, checker)
         reason = None
         if reading is not None:
@@ -339,7 +338,7 @@ class _VideoGrounding:
         arm = None if self._gripper is GripperKind.FRANKA else self._ground_arm(view)
         if arm is None:
             return None
-        agreement = track_agreement(view.frames, view.camera, arm, self._parts.checker)
+        agreement = self._parts.checker.track_agreement(view.frames, view.camera, arm)
         if agreement is None or agreement < CONFIRMED:
             return None
         return view.result(arm, replace(view.choice, agreement=agreement))

@@ -21,13 +21,14 @@ from kinebench_drake.grounding.camera.correspondences import LensView, NetworkVi
 from kinebench_drake.grounding.camera.detections import DetectedViewEstimator
 from kinebench_drake.grounding.camera.estimate import CameraEstimator
 from kinebench_drake.grounding.camera.lens import centred_camera, focal_px
-from kinebench_drake.grounding.camera.observability import require_determined, warnings_of
 from kinebench_drake.grounding.camera.result import (
     CalibrationBasis,
     CalibrationMethod,
     CameraCalibration,
     describe,
     describe_estimate,
+    require_determined,
+    warnings_of,
 )
 from kinebench_drake.grounding.camera.solve import LensSolution, solve_with_reestimate
 from kinebench_drake.grounding.camera.states import (

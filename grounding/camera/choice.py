@@ -2,8 +2,6 @@
 
 from dataclasses import dataclass, replace
 
-import numpy as np
-
 from kinebench_drake.camera import CONFIRMED, Camera, CameraSource, CameraState
 from kinebench_drake.errors import name_options
 from kinebench_drake.grounding.camera.camera_estimate import CameraEstimate
@@ -19,8 +17,6 @@ AGREEMENT = 0.45
 or with an estimated one."""
 SURE = 0.68
 """Share from which on not even a mirrored or a slightly cropped picture is tried."""
-_USUAL_WIDTH_M = 0.04  # gap between the pads where none is measured
-_CHECKED = 5  # frames whose postures check a camera
 _LIKELY = (Reading.MIRRORED, Reading.CROPPED)
 
 
@@ -69,29 +65,6 @@ class CameraChoice:
         return data
 
 
-def track_agreement(frames: Frames, camera: Camera, result: PipelineResult, checker: CameraChecker) -> float | None:
-    """Return the share of the contours of hand and arm on image edges in the postures of a track; None without any.
-
-    Of a moving camera the frames before it moves count; of the arm alone its contours without a hand's.
-
-    Args:
-        frames: (T, H, W, 3) as grounded.
-        camera: the camera of these frames.
-        result: track with this camera.
-        checker: measures agreements.
-    """
-    q, track, path = result.arm_q, result.track, result.camera_path
-    if not len(q):
-        return None
-    fitted = np.flatnonzero(np.isfinite(q).all(axis=1) & track.tracked & (True if path is None else path.at_rest))
-    if not len(fitted):
-        return None
-    chosen = fitted[np.unique(np.linspace(0, len(fitted) - 1, _CHECKED).round().astype(int))]
-    finger_m = np.nan_to_num(track.finger_width_m[chosen], nan=_USUAL_WIDTH_M) / 2
-    hand = result.domain is not Domain.ARM
-    return checker.posture_agreement(frames[chosen], camera, q[chosen], finger_m, hand=hand)
-
-
 def find_reading(
     frames: Frames, camera: Camera, agreement: float | None, checker: CameraChecker
 ) -> BetterReading | None:
@@ -130,7 +103,7 @@ def check_named(
         result: track with this camera.
         checker: measures agreements.
     """
-    agreement = track_agreement(frames, camera, result, checker)
+    agreement = checker.track_agreement(frames, camera, result)
     choice = replace(choice, agreement=agreement)
     if result.camera_path is not None:  # other readings and cameras are sought in pictures of one camera alone
         return choice if agreement is None else replace(choice, reason=_explain_disagreement(agreement, result))

@@ -7,7 +7,7 @@ import numpy as np
 
 from kinebench_drake.camera import Camera
 from kinebench_drake.errors import UsageError
-from kinebench_drake.geometry import Array, invert, pose_difference
+from kinebench_drake.geometry import invert, pose_difference
 from kinebench_drake.grounding.camera.bundle import ArmScene, Prior
 from kinebench_drake.grounding.camera.candidate import (
     COARSE,
@@ -17,14 +17,18 @@ from kinebench_drake.grounding.camera.candidate import (
     Candidate,
     CandidateFitter,
 )
-from kinebench_drake.grounding.camera.detections import ArmDetections, count_hands, find_robot
+from kinebench_drake.grounding.camera.detections import PART_CELLS, ArmDetections, find_robot
 from kinebench_drake.grounding.camera.hypotheses import ChainSearch
 from kinebench_drake.grounding.camera.lens import Lens, with_focal
 from kinebench_drake.grounding.camera.reading import BetterReading, Reading
+from kinebench_drake.grounding.pipeline import PipelineResult
 from kinebench_drake.grounding.tracking.view import DenseEstimator, Frames
 from kinebench_drake.io.jsonl import Json
 from kinebench_drake.models.panda.robot import RobotPart, hand_from_tcp
+from kinebench_drake.segments import finite_rows
+from kinebench_drake.track import Domain
 
+_USUAL_WIDTH_M = 0.04  # gap between the pads where none is measured
 _CHECKED, _CHECK_SEARCHED = 5, 8  # frames that check a camera, and those that they are chosen from
 _READ, _READ_SEARCHED = 4, 6  # the same of a reading of the picture
 _CROP_ZOOMS = (1.1, 1.25, 1.45)  # focal lengths of cropped pictures over that of the camera
@@ -97,21 +101,29 @@ class CameraChecker:
         detections = self._detect(frames, camera, _CHECKED, _CHECK_SEARCHED)
         return None if detections is None else self._agreement(detections, frames, camera)
 
-    def posture_agreement(
-        self, frames: Frames, camera: Camera, q: Array, finger_m: Array, *, hand: bool = True
-    ) -> float:
-        """Return the share of the arm's contours on image edges at postures already fitted, median over frames.
+    def track_agreement(self, frames: Frames, camera: Camera, result: PipelineResult) -> float | None:
+        """Return the share of the contours of hand and arm on image edges in the postures of a track; None without any.
+
+        Median over frames; of a moving camera those before it moves count; of the arm alone the hand's contours do not.
 
         Args:
-            frames: (T, H, W, 3) RGB.
-            camera: camera of the frames.
-            q: (T, 7) joint angles [rad].
-            finger_m: (T,) opening of each finger [m].
-            hand: False to leave out the hand, where the arm carries another gripper.
+            frames: (T, H, W, 3) as grounded.
+            camera: the camera of these frames.
+            result: track with this camera.
         """
-        scene = ArmScene(lens=Lens.of_camera(camera), q=q, finger_m=finger_m)
-        images = self._fitter.images(frames, camera)
-        return float(np.median((images if hand else images.without(RobotPart.HAND)).agreement(scene)))
+        q, track, path = result.arm_q, result.track, result.camera_path
+        if not len(q):
+            return None
+        fitted = np.flatnonzero(finite_rows(q) & track.tracked & (True if path is None else path.at_rest))
+        if not len(fitted):
+            return None
+        chosen = fitted[np.unique(np.linspace(0, len(fitted) - 1, _CHECKED).round().astype(int))]
+        finger_m = np.nan_to_num(track.finger_width_m[chosen], nan=_USUAL_WIDTH_M) / 2
+        scene = ArmScene(lens=Lens.of_camera(camera), q=q[chosen], finger_m=finger_m)
+        images = self._fitter.images(frames[chosen], camera)
+        if result.domain is Domain.ARM:
+            images = images.without(RobotPart.HAND)
+        return float(np.median(images.agreement(scene)))
 
     def find_reading(
         self, frames: Frames, camera: Camera, least: float, readings: tuple[Reading, ...] = tuple(Reading)
@@ -196,7 +208,9 @@ class CameraChecker:
 
         Only the size of `camera` matters, and its focal length a little.
         """
-        return count_hands(self._estimator, frames, camera, _CHECK_SEARCHED)
+        detections = find_robot(self._estimator, frames, camera, _CHECK_SEARCHED, searched=_CHECK_SEARCHED)
+        seen = 0 if detections is None else int((detections.count_cells(RobotPart.HAND) >= PART_CELLS).sum())
+        return seen, min(_CHECK_SEARCHED, len(frames))
 
     def find_contradiction(self, frames: Frames, camera: Camera) -> CameraContradiction | None:
         """Return another camera under which the arm agrees clearly better with the images; None if there is none.

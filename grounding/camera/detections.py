@@ -28,9 +28,9 @@ from kinebench_drake.grounding.tracking.view import DenseEstimator, Frames, Grip
 from kinebench_drake.models.panda.robot import ARM, RobotPart
 from kinebench_drake.models.robot import N_JOINTS
 
-SEARCHED = 36
-"""Number of frames of which the best seen ones are used."""
-_PART_CELLS = 40  # cells from which a part counts as seen
+PART_CELLS = 40
+"""Cells from which a part counts as seen."""
+_SEARCHED = 36  # frames of which the best seen ones are used
 _TRIED = 2  # frames tried for each one used
 _OWN_ROUNDS, _NEARBY_ROUNDS = 2, 2  # close views of a hand: where its frame shows it, then where another one does
 _CLOSE_HAND_CELLS = 120  # cells of the hand in a close view from which it is surely a hand
@@ -50,9 +50,13 @@ class ArmDetections:
     robot: NDArray[np.bool_]
     """(H, W) pixels of the first of these frames that show the robot."""
 
+    def count_cells(self, part: RobotPart) -> NDArray[np.intp]:
+        """Return the number (T,) of cells that show a part."""
+        return np.bincount(self.cells.frame[self.cells.part == part], minlength=len(self.rows))
+
 
 def find_robot(
-    estimator: DenseEstimator, frames: Frames, camera: Camera, most: int, *, searched: int = SEARCHED
+    estimator: DenseEstimator, frames: Frames, camera: Camera, most: int, *, searched: int = _SEARCHED
 ) -> ArmDetections | None:
     """Return the cells of the frames that show hand and arm best; None if no frame shows a hand.
 
@@ -85,23 +89,6 @@ def find_robot(
         finger_m=np.array([finger_or_default(hands[row].finger_m) for row in chosen]),
         robot=wide[chosen[0]].to_frame(wide[chosen[0]].part > RobotPart.BACKGROUND, camera),
     )
-
-
-def count_hands(estimator: DenseEstimator, frames: Frames, camera: Camera, searched: int) -> tuple[int, int]:
-    """Return in how many of some frames a hand is seen, and how many were searched.
-
-    Args:
-        estimator: source of dense estimates.
-        frames: (T, H, W, 3) RGB.
-        camera: assumed camera; only its focal length matters, and little.
-        searched: greatest number of frames.
-    """
-    detections = find_robot(estimator, frames, camera, searched, searched=searched)
-    hand = np.zeros(len(frames), dtype=np.intp)
-    if detections is not None:
-        cells = detections.cells
-        np.add.at(hand, detections.rows[cells.frame[cells.part == RobotPart.HAND]], 1)
-    return int((hand >= _PART_CELLS).sum()), min(searched, len(frames))
 
 
 def _approach(
@@ -165,8 +152,8 @@ class DetectedViewEstimator(ViewEstimator):
 def _visibility(view: GripperView) -> float:
     """Return how much of the robot a view shows: its parts, the gripper twice."""
     cells = np.bincount(view.part.ravel(), minlength=len(RobotPart))
-    parts = (np.minimum(cells[list(ARM)], _PART_CELLS) / _PART_CELLS).sum()
-    return float(parts + 2 * min(int(view.gripper.sum()), _PART_CELLS) / _PART_CELLS)
+    parts = (np.minimum(cells[list(ARM)], PART_CELLS) / PART_CELLS).sum()
+    return float(parts + 2 * min(int(view.gripper.sum()), PART_CELLS) / PART_CELLS)
 
 
 def _hand_share(view: GripperView) -> float:

@@ -92,8 +92,9 @@ class Evidence:
     def arm(self, gripper):
         return Tracker(self, gripper.value, Domain.ARM, tracks=self.arm_tracks)
 
-    def posture_agreement(self, frames, camera, q, finger_m, *, hand):
-        assert len(frames) == len(q) == len(finger_m) <= 5
+    def track_agreement(self, frames, camera, result):
+        if not np.isfinite(result.arm_q).any() or not result.has_pose.any():
+            return None
         return self.agreements.pop(0) if len(self.agreements) > 1 else self.agreements[0]
 
     def measure_agreement(self, frames, camera):

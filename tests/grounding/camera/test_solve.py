@@ -7,8 +7,14 @@ from kinebench_drake.errors import UnmeasurableError
 from kinebench_drake.geometry import make_pose, pose_difference, rotation_exp
 from kinebench_drake.grounding.camera.correspondences import LensView
 from kinebench_drake.grounding.camera.lens import Lens, with_focal
-from kinebench_drake.grounding.camera.observability import require_determined, warnings_of
-from kinebench_drake.grounding.camera.result import CalibrationBasis, CalibrationMethod, CameraCalibration, describe
+from kinebench_drake.grounding.camera.result import (
+    CalibrationBasis,
+    CalibrationMethod,
+    CameraCalibration,
+    describe,
+    require_determined,
+    warnings_of,
+)
 from kinebench_drake.grounding.camera.solve import solve
 from kinebench_drake.grounding.camera.states import RobotStates
 from kinebench_drake.models.panda.robot import RobotPart
