@@ -1,6 +1,7 @@
 """Calibration of a static camera from a video of the robot."""
 
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -17,8 +18,8 @@ from kinebench_drake.grounding.anomaly.camera_motion import (
 )
 from kinebench_drake.grounding.camera.camera_estimate import CameraEstimate
 from kinebench_drake.grounding.camera.candidate import Candidate
-from kinebench_drake.grounding.camera.correspondences import LensView, NetworkViewEstimator, ViewEstimator
-from kinebench_drake.grounding.camera.detections import DetectedViewEstimator
+from kinebench_drake.grounding.camera.correspondences import LensView, ViewEstimator, track_views
+from kinebench_drake.grounding.camera.detections import detect_views
 from kinebench_drake.grounding.camera.estimate import CameraEstimator
 from kinebench_drake.grounding.camera.lens import centred_camera, focal_px
 from kinebench_drake.grounding.camera.result import (
@@ -133,8 +134,8 @@ class Calibrator:
             SetupError: weights, meshes or native libraries are missing.
         """
         dense = NetworkEstimator(load_network())
-        tracked = NetworkViewEstimator(CadTracker(dense))
-        return Calibrator(DetectedViewEstimator(dense), tracked, CameraEstimator(dense))
+        detected, tracked = partial(detect_views, dense), partial(track_views, CadTracker(dense))
+        return Calibrator(detected, tracked, CameraEstimator(dense))
 
     def calibrate(
         self,
@@ -163,7 +164,7 @@ class Calibrator:
         chosen = _chosen(states, most)
         images, postures = frames[chosen], states.take(chosen)
         estimator = self._tracked if method is CalibrationMethod.POSTURE else self._detected
-        view = estimator.estimate(images, guess)
+        view = estimator(images, guess)
         shift = _camera_shift(images, view, guess)
         basis = CalibrationBasis(method=method, source=states.source, focal_free=focal_free)
         if method is CalibrationMethod.MOTION:

@@ -104,7 +104,7 @@ class CandidateFitter:
         """Return a candidate fitted to its cells."""
         scene, cost = start.scene, 0.0
         for _ in range(2):
-            observations = cell_observations(start.cells, scene, self.model)
+            observations = _cell_observations(start.cells, scene, self.model)
             bundle = adjust(observations, scene, prior, self.model)
             scene, cost = bundle.scene, bundle.cost
         return replace(start, scene=scene, cost=cost)
@@ -145,15 +145,14 @@ class CandidateFitter:
             passes: reaches of the search for edges, and weights of the cells.
         """
         scene, edges = fit.scene, None
-        known = prior.joint_sigma_rad is not None
-        q, q_sigma = (fit.scene.q, None) if known else (None, _PASS_SIGMA_RAD)
+        q, q_sigma = (None, _PASS_SIGMA_RAD) if prior.joint_sigma_rad is None else (fit.scene.q, None)
         for reach_px, weight in passes:
             edges = images.observe(scene, reach_px)
             if edges is None:
                 break
             observations = edges
             if weight > 0:
-                observed = cell_observations(fit.cells, scene, self.model)
+                observed = _cell_observations(fit.cells, scene, self.model)
                 observations = Observations.join([replace(observed, weight=weight * observed.weight), edges])
             scene = adjust(observations, scene, prior, self.model, q=q, q_sigma=q_sigma, iterations=4).scene
         return scene, edges
@@ -194,8 +193,8 @@ class CandidateFitter:
         Raises:
             UnmeasurableError: the images show no edges where the arm should be.
         """
-        known = prior.joint_sigma_rad is not None
-        prior = replace(prior, offset_sigma=0.0 if known else _OFFSET_SIGMA)
+        has_joints = prior.joint_sigma_rad is not None
+        prior = replace(prior, offset_sigma=0.0 if has_joints else _OFFSET_SIGMA)
         candidate, edges = self.settle(candidate, images, prior, total)
         if edges is None:
             raise UnmeasurableError("no camera can be estimated: the images show no edges where the arm should be")
@@ -203,7 +202,7 @@ class CandidateFitter:
         X_BP = self.model.poses(candidate.scene.q)
         count = np.zeros(X_BP.shape[:2])
         np.add.at(count, (edges.frame, edges.part), 1.0)
-        independent = _JOINTS_INDEPENDENT if known else _PART_INDEPENDENT
+        independent = _JOINTS_INDEPENDENT if has_joints else _PART_INDEPENDENT
         weight = np.minimum(1.0, independent / count[edges.frame, edges.part]) / edges.count_repeats(X_BP)
         bundle = adjust(replace(edges, weight=weight), candidate.scene, prior, self.model)
         return describe(bundle, edges.part, self.model, rows[candidate.rows], candidate.agreement)
@@ -214,7 +213,7 @@ def explained(agreement: Array, total: int) -> float:
     return float(np.median(agreement)) * min(1.0, len(agreement) / (_LEAST_FRAMES * total))
 
 
-def cell_observations(cells: CalibrationCorrespondences, scene: ArmScene, model: ArmModel) -> Observations:
+def _cell_observations(cells: CalibrationCorrespondences, scene: ArmScene, model: ArmModel) -> Observations:
     """Return the cells of the networks' views as observations, with standard deviations at a scene."""
     p_B = cells.locate(model.poses(scene.q), scene.finger_m)
     factor = np.where(np.isin(cells.part, ARM), _LINK_FACTOR / LINK_SIGMAS, 1.0)

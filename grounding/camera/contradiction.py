@@ -209,8 +209,8 @@ class CameraChecker:
         Only the size of `camera` matters, and its focal length a little.
         """
         detections = find_robot(self._estimator, frames, camera, _CHECK_SEARCHED, searched=_CHECK_SEARCHED)
-        seen = 0 if detections is None else int((detections.count_cells(RobotPart.HAND) >= PART_CELLS).sum())
-        return seen, min(_CHECK_SEARCHED, len(frames))
+        count = 0 if detections is None else int((detections.count_cells(RobotPart.HAND) >= PART_CELLS).sum())
+        return count, min(_CHECK_SEARCHED, len(frames))
 
     def find_contradiction(self, frames: Frames, camera: Camera) -> CameraContradiction | None:
         """Return another camera under which the arm agrees clearly better with the images; None if there is none.

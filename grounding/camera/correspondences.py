@@ -1,12 +1,11 @@
 """Correspondences between image cells and points of the robot, the measurements of a calibration."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
-from typing import Protocol, Self
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
-from typing_extensions import override
 
 from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array
@@ -21,16 +20,13 @@ from kinebench_drake.models.robot import N_JOINTS
 
 MIN_CELLS = 60
 """Least number of cells of the robot over all frames of a calibration."""
-PART_CELLS = 60
-"""Greatest number of cells of one part in one view."""
-INDEPENDENT = 8.0
-"""Greatest total weight of the cells of one part in one view, in independent measurements: their errors correlate."""
 LINK_SIGMAS = 3.0
 """Factor of the network's standard deviations for cells of links, of which it is overconfident."""
 PIXEL_SIGMA = 0.5
 """Least standard deviation of a cell in an image 384 px wide [px]: the raster of the views."""
-NEAREST_M = 0.05
-"""Least depth of a point [m]."""
+_PART_CELLS = 60  # of one part in one view, at most
+_INDEPENDENT = 8.0  # their total weight, in independent measurements, at most: their errors correlate
+_NEAREST_M = 0.05  # least depth of a point
 _ALIKE_M, _ALIKE_RAD = 0.01, np.deg2rad(2.0)
 
 
@@ -118,7 +114,7 @@ class CalibrationCorrespondences(RobotPoints):
             floor: least standard deviation in an image 384 px wide [px].
         """
         _, z = lens.project(p_B)
-        spread = lens.camera.fx * self.sigma_m / np.maximum(np.abs(z), NEAREST_M)
+        spread = lens.camera.fx * self.sigma_m / np.maximum(np.abs(z), _NEAREST_M)
         return np.asarray(np.hypot(floor * lens.camera.unit_px, spread))
 
     @property
@@ -155,8 +151,8 @@ def _is_close(view: GripperView) -> bool:
 
 def _part_cells(row: int, view: GripperView, part: RobotPart, camera: Camera) -> CalibrationCorrespondences:
     v, u = np.nonzero(view.part == part)
-    if len(v) > PART_CELLS:
-        chosen = np.linspace(0, len(v) - 1, PART_CELLS).astype(int)
+    if len(v) > _PART_CELLS:
+        chosen = np.linspace(0, len(v) - 1, _PART_CELLS).astype(int)
         v, u = v[chosen], u[chosen]
     n = len(v)
     rays = view.rays()[v, u] @ view.crop.R_CV.T
@@ -168,7 +164,7 @@ def _part_cells(row: int, view: GripperView, part: RobotPart, camera: Camera) ->
         sigma_m=view.coordinates_sigma_m[v, u] * (LINK_SIGMAS if part in ARM else 1.0),
         opening_sign=view.opening_sign[v, u],
         depth_per_px=rays[:, 2] * view.depth_m[v, u] / camera.fx,
-        weight=np.full(n, min(1.0, INDEPENDENT / max(1, n))),
+        weight=np.full(n, min(1.0, _INDEPENDENT / max(1, n))),
     )
 
 
@@ -190,30 +186,19 @@ class LensView:
         return replace(self, cells=self.cells.of_frames(rows), finger_m=self.finger_m[rows], q=self.q[rows])
 
 
-class ViewEstimator(Protocol):
-    """Estimator of cells and postures: the tracker's networks, or the ground truth in tests."""
-
-    def estimate(self, frames: Frames, camera: Camera) -> LensView:
-        """Estimate the views of `frames` (T, H, W, 3), taken with approximately this camera."""
-        ...
+ViewEstimator = Callable[[Frames, Camera], LensView]
+"""Estimation of the views of frames (T, H, W, 3) that were taken with approximately this camera."""
 
 
-class NetworkViewEstimator(ViewEstimator):
-    """View estimator by the networks of the tracker."""
-
-    def __init__(self, tracker: PoseTracker) -> None:
-        """Set the tracker, of which the views are used rather than the poses."""
-        self._tracker = tracker
-
-    @override
-    def estimate(self, frames: Frames, camera: Camera) -> LensView:
-        tracked = self._tracker.track(frames, camera)
-        close = [(row, pose.view) for row, pose in enumerate(tracked.poses) if pose is not None]
-        finger_m = [np.nan if pose is None else pose.finger_m for pose in tracked.poses]
-        arms = [None if pose is None else pose.arm for pose in tracked.poses]
-        return LensView(
-            cells=find_correspondences([*close, *enumerate(tracked.wide)], camera),
-            finger_m=np.nan_to_num(np.array(finger_m), nan=UNSEEN_FINGER_M),
-            q=np.stack([np.full(N_JOINTS, np.nan) if arm is None else arm.q for arm in arms]),
-            robot=tracked.robot,
-        )
+def track_views(tracker: PoseTracker, frames: Frames, camera: Camera) -> LensView:
+    """Return the views of a tracker: those of its wide crops, and the close ones of the hands that it finds."""
+    tracked = tracker.track(frames, camera)
+    close = [(row, pose.view) for row, pose in enumerate(tracked.poses) if pose is not None]
+    finger_m = [np.nan if pose is None else pose.finger_m for pose in tracked.poses]
+    arms = [None if pose is None else pose.arm for pose in tracked.poses]
+    return LensView(
+        cells=find_correspondences([*close, *enumerate(tracked.wide)], camera),
+        finger_m=np.nan_to_num(np.array(finger_m), nan=UNSEEN_FINGER_M),
+        q=np.stack([np.full(N_JOINTS, np.nan) if arm is None else arm.q for arm in arms]),
+        robot=tracked.robot,
+    )

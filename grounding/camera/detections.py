@@ -10,7 +10,6 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
-from typing_extensions import override
 
 from kinebench_drake.camera import Camera
 from kinebench_drake.errors import UnmeasurableError
@@ -18,7 +17,6 @@ from kinebench_drake.geometry import Array
 from kinebench_drake.grounding.camera.correspondences import (
     CalibrationCorrespondences,
     LensView,
-    ViewEstimator,
     find_correspondences,
 )
 from kinebench_drake.grounding.registration.fit import UNSEEN_FINGER_M, HandFit, finger_or_default, fit
@@ -125,28 +123,25 @@ def _approach(
     return close
 
 
-class DetectedViewEstimator(ViewEstimator):
-    """View estimator for known postures: cells of all frames, none of which needs a camera."""
+def detect_views(estimator: DenseEstimator, frames: Frames, camera: Camera) -> LensView:
+    """Return the views of frames with hand and arm, none of which needs a camera; no postures.
 
-    def __init__(self, estimator: DenseEstimator) -> None:
-        """Set the source of dense estimates."""
-        self._estimator = estimator
-
-    @override
-    def estimate(self, frames: Frames, camera: Camera) -> LensView:
-        robot = find_robot(self._estimator, frames, camera, len(frames), searched=len(frames))
-        if robot is None:
-            raise UnmeasurableError(
-                f"no gripper is seen in the {len(frames)} frames used: is it a Panda with the Franka hand?"
-            )
-        finger_m = np.full(len(frames), UNSEEN_FINGER_M)
-        finger_m[robot.rows] = robot.finger_m
-        return LensView(
-            cells=replace(robot.cells, frame=robot.rows[robot.cells.frame]),
-            finger_m=finger_m,
-            q=np.full((len(frames), N_JOINTS), np.nan),
-            robot=robot.robot,
+    Raises:
+        UnmeasurableError: no frame shows a hand.
+    """
+    robot = find_robot(estimator, frames, camera, len(frames), searched=len(frames))
+    if robot is None:
+        raise UnmeasurableError(
+            f"no gripper is seen in the {len(frames)} frames used: is it a Panda with the Franka hand?"
         )
+    finger_m = np.full(len(frames), UNSEEN_FINGER_M)
+    finger_m[robot.rows] = robot.finger_m
+    return LensView(
+        cells=replace(robot.cells, frame=robot.rows[robot.cells.frame]),
+        finger_m=finger_m,
+        q=np.full((len(frames), N_JOINTS), np.nan),
+        robot=robot.robot,
+    )
 
 
 def _visibility(view: GripperView) -> float:

@@ -15,72 +15,56 @@ from kinebench_drake.geometry import Array, invert
 from kinebench_drake.grounding.tracking.view import Frames
 from kinebench_drake.io.jsonl import Json
 
-_OPENGL_FROM_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
-_TURN = "turn the frames before they are scored"
-_Turn = Callable[[Frames], Frames]
-_Matrix = Callable[[Array], Array]
-
 
 class Reading(Enum):
     """How a picture or a camera matrix may have to be read."""
 
-    MIRRORED = (
-        "mirrored",
-        "the picture mirrored left-right",
-        'if it is mirrored, set "mirrored": true in camera.json, or take $mirrored=True',
-        lambda frames: frames[:, :, ::-1],
-    )
-    UPSIDE_DOWN = ("upside_down", "the picture turned upside down", _TURN, lambda frames: frames[:, ::-1, ::-1])
-    ROWS_REVERSED = ("rows_reversed", "the picture with its rows reversed", _TURN, lambda frames: frames[:, ::-1])
-    TURNED_LEFT = (
-        "turned_left",
-        "the picture turned by 90 degrees to the left",
-        _TURN,
-        lambda frames: np.rot90(frames, 1, (1, 2)),
-    )
-    TURNED_RIGHT = (
-        "turned_right",
-        "the picture turned by 90 degrees to the right",
-        _TURN,
-        lambda frames: np.rot90(frames, -1, (1, 2)),
-    )
-    OPENGL_AXES = (
-        "opengl_axes",
-        "base_from_camera read in OpenGL axes (y up, z backwards)",
-        "negate its second and third column",
-        None,
-        lambda X_BC: X_BC @ _OPENGL_FROM_OPENCV,
-    )
-    INVERTED = ("inverted", "the inverse of base_from_camera (camera_from_base)", "invert it", None, invert)
-    CROPPED = (
-        "cropped",
-        "a cropped picture",
-        "state the cropped picture's own fx, fy, cx and cy in a camera.json",
-    )
-
-    _value_: str
-    phrase: str
-    """Subject of a sentence."""
-    remedy: str
-    """How to have the video read so."""
-    _turn: _Turn | None
-    _matrix: _Matrix | None
-
-    def __new__(
-        cls, value: str, phrase: str, remedy: str, turn: _Turn | None = None, matrix: _Matrix | None = None
-    ) -> "Reading":
-        """Return the member of a row of the table."""
-        member = object.__new__(cls)
-        member._value_, member.phrase, member.remedy, member._turn, member._matrix = value, phrase, remedy, turn, matrix
-        return member
+    MIRRORED = "mirrored"
+    UPSIDE_DOWN = "upside_down"
+    ROWS_REVERSED = "rows_reversed"
+    TURNED_LEFT = "turned_left"
+    TURNED_RIGHT = "turned_right"
+    OPENGL_AXES = "opengl_axes"
+    INVERTED = "inverted"
+    CROPPED = "cropped"
 
     def frames(self, frames: Frames) -> Frames:
         """Return the frames (T, H, W, 3) as read; the very same where the picture is not turned."""
-        return frames if self._turn is None else np.ascontiguousarray(self._turn(frames))
+        return np.ascontiguousarray(_TURNS[self](frames)) if self in _TURNS else frames
 
     def camera(self, camera: Camera) -> Camera:
         """Return the camera as read; that of a cropped picture is found by a search."""
-        return camera if self._matrix is None else replace(camera, X_BC=self._matrix(camera.X_BC))
+        return replace(camera, X_BC=_MATRICES[self](camera.X_BC)) if self in _MATRICES else camera
+
+
+_TURNS: dict[Reading, Callable[[Frames], Frames]] = {
+    Reading.MIRRORED: lambda frames: frames[:, :, ::-1],
+    Reading.UPSIDE_DOWN: lambda frames: frames[:, ::-1, ::-1],
+    Reading.ROWS_REVERSED: lambda frames: frames[:, ::-1],
+    Reading.TURNED_LEFT: lambda frames: np.rot90(frames, 1, (1, 2)),
+    Reading.TURNED_RIGHT: lambda frames: np.rot90(frames, -1, (1, 2)),
+}
+_MATRICES: dict[Reading, Callable[[Array], Array]] = {
+    Reading.OPENGL_AXES: lambda X_BC: X_BC @ np.diag([1.0, -1.0, -1.0, 1.0]),
+    Reading.INVERTED: invert,
+}
+_SUBJECTS = {
+    Reading.MIRRORED: "the picture mirrored left-right",
+    Reading.UPSIDE_DOWN: "the picture turned upside down",
+    Reading.ROWS_REVERSED: "the picture with its rows reversed",
+    Reading.TURNED_LEFT: "the picture turned by 90 degrees to the left",
+    Reading.TURNED_RIGHT: "the picture turned by 90 degrees to the right",
+    Reading.OPENGL_AXES: "base_from_camera read in OpenGL axes (y up, z backwards)",
+    Reading.INVERTED: "the inverse of base_from_camera (camera_from_base)",
+    Reading.CROPPED: "a cropped picture",
+}
+_REMEDIES = {
+    **dict.fromkeys(Reading, "turn the frames before they are scored"),
+    Reading.MIRRORED: 'if it is mirrored, set "mirrored": true in camera.json, or take $mirrored=True',
+    Reading.OPENGL_AXES: "negate its second and third column",
+    Reading.INVERTED: "invert it",
+    Reading.CROPPED: "state the cropped picture's own fx, fy, cx and cy in a camera.json",
+}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -98,8 +82,8 @@ class BetterReading:
     def describe(self) -> str:
         """Describe the reading, both agreements and the remedy."""
         return (
-            f"{self.reading.phrase} agrees better with the arm ({self.better:.0%} of its contours on image edges "
-            f"against {self.agreement:.0%}): {self.reading.remedy}"
+            f"{_SUBJECTS[self.reading]} agrees better with the arm ({self.better:.0%} of its contours on image edges "
+            f"against {self.agreement:.0%}): {_REMEDIES[self.reading]}"
         )
 
     def to_json(self) -> dict[str, Json]:

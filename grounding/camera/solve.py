@@ -81,7 +81,7 @@ def solve_with_reestimate(
     camera = solved.bundle.scene.lens.to_camera()
     distance, angle = pose_difference(camera.X_BC, guess.X_BC)
     if abs(np.log(camera.fx / guess.fx)) > _AGAIN_ZOOM or distance > _AGAIN_M or angle > _AGAIN_RAD:
-        return solve(estimator.estimate(frames, camera), states, camera, model, focal_free=focal_free)
+        return solve(estimator(frames, camera), states, camera, model, focal_free=focal_free)
     return solved
 
 
@@ -94,8 +94,8 @@ def solve(view: LensView, states: RobotStates, guess: Camera, model: ArmModel, *
     focal = [focal_px(guess.width, fov) for fov in FOV_DEG]
     cameras = [guess, *(with_focal(guess, fx) for fx in focal)] if focal_free else [guess]
     anchored = len(rows) == 1 and len(states.q) >= MIN_MOVING_FRAMES
-    known = states.take(rows)
-    solved = _solve_lens(view.of_frames(rows), known, cameras, model, focal_free=focal_free and not anchored)
+    free = focal_free and not anchored
+    solved = _solve_lens(view.of_frames(rows), states.take(rows), cameras, model, focal_free=free)
     if not anchored or np.isfinite(view.q).all(axis=1).sum() < MIN_MOVING_FRAMES:
         return replace(solved, rows=rows)
     return _solve_lens_and_postures(view, states, solved.bundle.scene.lens, model, focal_free=focal_free)

@@ -23,7 +23,7 @@ def estimator():
 
 
 def cells_alone(estimator):
-    return Calibrator(estimator, estimator, CellsAlone())
+    return Calibrator(estimator.estimate, estimator.estimate, CellsAlone())
 
 
 @pytest.fixture

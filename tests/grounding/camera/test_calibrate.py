@@ -39,7 +39,7 @@ def program(monkeypatch, capsys, estimator):
     monkeypatch.setattr(
         calibration,
         "calibrate",
-        functools.partial(calibrate, calibrator=Calibrator(estimator, estimator, CellsAlone())),
+        functools.partial(calibrate, calibrator=Calibrator(estimator.estimate, estimator.estimate, CellsAlone())),
     )
 
     def run(*arguments):
@@ -109,7 +109,7 @@ def test_a_moving_camera_is_refused(video, estimator, tmp_path):
     with pytest.raises(UnmeasurableError, match="the camera moves"):
         calibrate(
             CalibrationConfig(video=video, joints=str(tmp_path / "joints.npz")),
-            Calibrator(estimator, estimator, CellsAlone()),
+            Calibrator(estimator.estimate, estimator.estimate, CellsAlone()),
         )
 
 
@@ -122,7 +122,10 @@ def test_without_joint_angles_the_camera_is_estimated_from_the_arm(video, estima
             return SimpleNamespace(doubt="two turns of the base explain its contours")
 
     with pytest.raises(UnmeasurableError, match=r"two turns of the base .*; give \$joints FILE"):
-        calibrate(CalibrationConfig(video=video, focal_px=focal_px), Calibrator(estimator, estimator, Cameras()))
+        calibrate(
+            CalibrationConfig(video=video, focal_px=focal_px),
+            Calibrator(estimator.estimate, estimator.estimate, Cameras()),
+        )
 
 
 def test_the_drawn_robot_is_where_the_camera_has_it(camera, model):
