@@ -9,7 +9,8 @@ from numpy.typing import ArrayLike
 from kinebench_drake.errors import InputError, UsageError
 from kinebench_drake.geometry import Array, checked_pose, invert, make_pose, orthonormalize
 
-_KEYS = ("width", "height", "fx", "fy", "cx", "cy", "base_from_camera")
+_NUMBERS = {"width": int, "height": int, "fx": float, "fy": float, "cx": float, "cy": float}
+_KEYS = (*_NUMBERS, "base_from_camera")
 _OPTIONAL_KEYS = ("mirrored", "table_height_m")
 MAX_TABLE_HEIGHT_M = 2.0
 """Greatest distance of the table top from the robot's base, up or down [m]."""
@@ -96,15 +97,7 @@ class Camera:
 
     def to_json(self) -> dict[str, int | float | list[list[float]]]:
         """Serialize into the object of `camera.json`."""
-        return {
-            "width": self.width,
-            "height": self.height,
-            "fx": self.fx,
-            "fy": self.fy,
-            "cx": self.cx,
-            "cy": self.cy,
-            "base_from_camera": self.X_BC.tolist(),
-        }
+        return {**{key: getattr(self, key) for key in _NUMBERS}, "base_from_camera": self.X_BC.tolist()}
 
     @classmethod
     def from_json(cls, data: object, source: str) -> "Camera":
@@ -122,25 +115,17 @@ class Camera:
                 f"{source}: missing keys {missing}, unknown keys {unknown}; expected {', '.join(_KEYS)}, and "
                 f"optionally {', '.join(_OPTIONAL_KEYS)}"
             )
-        for key in _KEYS[:6]:
+        for key, kind in _NUMBERS.items():
             value = data[key]
             number = isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < _HUGE
-            if not number or (key in _KEYS[:2] and value != int(value)):
+            if not number or value != kind(value):
                 raise UsageError(f"{source}: {key} must be a number, found {value!r}")
         try:
             X_BC = np.array(data["base_from_camera"], dtype=np.float64)
         except (TypeError, ValueError, OverflowError):
             raise UsageError(f"{source}: base_from_camera must be a 4x4 list of numbers") from None
         try:
-            return cls(
-                width=int(data["width"]),
-                height=int(data["height"]),
-                fx=float(data["fx"]),
-                fy=float(data["fy"]),
-                cx=float(data["cx"]),
-                cy=float(data["cy"]),
-                X_BC=X_BC,
-            )
+            return cls(**{key: kind(data[key]) for key, kind in _NUMBERS.items()}, X_BC=X_BC)
         except UsageError as error:
             raise UsageError(f"{source}: {error}") from None
 

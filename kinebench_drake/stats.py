@@ -238,78 +238,21 @@ def sign_flip_test(differences: Array) -> float:
     return min(1.0, float(probability[: middle - observed + 1].sum() + probability[middle + observed :].sum()))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PairedOutcomes:
-    """Counts of episodes by the outcomes of two groups, such as two models on the same episodes."""
+def paired_share_interval(first: Array, second: Array) -> tuple[float, float]:
+    """Return the 95 % interval of the difference of the shares of outcomes 0 or 1 (N,) of the same units.
 
-    both: int
-    """Episodes in which both succeed."""
-    first_only: int
-    second_only: int
-    neither: int
-
-    def __post_init__(self) -> None:
-        """Check the counts.
-
-        Raises:
-            InputError: there is no pair, or a count is negative.
-        """
-        if min(self.both, self.first_only, self.second_only, self.neither) < 0 or self.n == 0:
-            raise InputError("no episodes in common: there is nothing to compare")
-
-    @classmethod
-    def of(cls, first: Sequence[bool], second: Sequence[bool]) -> "PairedOutcomes":
-        """Count the outcomes of the same episodes in the same order.
-
-        Raises:
-            InputError: the sequences differ in length, or are empty.
-        """
-        if len(first) != len(second):
-            raise InputError(f"{len(first)} outcomes cannot be paired with {len(second)}")
-        a, b = np.asarray(first, dtype=bool), np.asarray(second, dtype=bool)
-        return cls(
-            both=int((a & b).sum()),
-            first_only=int((a & ~b).sum()),
-            second_only=int((~a & b).sum()),
-            neither=int((~a & ~b).sum()),
-        )
-
-    @property
-    def n(self) -> int:
-        """Number of episodes."""
-        return self.both + self.first_only + self.second_only + self.neither
-
-    @property
-    def difference(self) -> float:
-        """Difference of the success rates, first minus second."""
-        return (self.first_only - self.second_only) / self.n
-
-    @property
-    def p_value(self) -> float:
-        """Two-sided p-value of the exact test of McNemar (Psychometrika 12, 1947) on the discordant pairs."""
-        return sign_test(self.first_only, self.second_only)
-
-    def interval(self) -> tuple[float, float]:
-        """Return the 95 % interval of the difference: method 10 of Newcombe (Stat. Med. 17, 1998, pp. 2635-2650).
-
-        The Wilson intervals of both rates are combined with the correlation of the outcomes.
-        """
-        first, second = (self.both + self.first_only, self.both + self.second_only)
-        (p_1, l_1, u_1), (p_2, l_2, u_2) = ((hits / self.n, *wilson(hits, self.n)) for hits in (first, second))
-        phi, d = self._correlation(), self.difference
-        low = (p_1 - l_1) ** 2 - 2.0 * phi * (p_1 - l_1) * (u_2 - p_2) + (u_2 - p_2) ** 2
-        high = (u_1 - p_1) ** 2 - 2.0 * phi * (u_1 - p_1) * (p_2 - l_2) + (p_2 - l_2) ** 2
-        return max(-1.0, d - float(np.sqrt(max(low, 0.0)))), min(1.0, d + float(np.sqrt(max(high, 0.0))))
-
-    def _correlation(self) -> float:
-        """Return the phi coefficient, with Newcombe's continuity correction where it is positive."""
-        a, b, c, d = self.both, self.first_only, self.second_only, self.neither
-        product = (a + b) * (c + d) * (a + c) * (b + d)
-        if product == 0:
-            return 0.0
-        determinant = a * d - b * c
-        corrected = max(determinant - self.n / 2.0, 0.0) if determinant > 0 else float(determinant)
-        return float(corrected / np.sqrt(product))
+    Method 10 of Newcombe (Stat. Med. 17, 1998, pp. 2635-2650): the Wilson intervals of both shares, combined with the
+    phi coefficient of the outcomes, with his continuity correction where it is positive.
+    """
+    n, hits_1, hits_2, both = len(first), int(first.sum()), int(second.sum()), int(first @ second)
+    (p_1, l_1, u_1), (p_2, l_2, u_2) = ((hits / n, *wilson(hits, n)) for hits in (hits_1, hits_2))
+    product = hits_1 * (n - hits_1) * hits_2 * (n - hits_2)
+    determinant = both * n - hits_1 * hits_2
+    corrected = max(determinant - n / 2.0, 0.0) if determinant > 0 else float(determinant)
+    phi, d = float(corrected / np.sqrt(product)) if product else 0.0, (hits_1 - hits_2) / n
+    low = (p_1 - l_1) ** 2 - 2.0 * phi * (p_1 - l_1) * (u_2 - p_2) + (u_2 - p_2) ** 2
+    high = (u_1 - p_1) ** 2 - 2.0 * phi * (u_1 - p_1) * (p_2 - l_2) + (p_2 - l_2) ** 2
+    return max(-1.0, d - float(np.sqrt(max(low, 0.0)))), min(1.0, d + float(np.sqrt(max(high, 0.0))))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -356,22 +299,23 @@ class PairedShares:
 
     @property
     def p_value(self) -> float:
-        """Two-sided p-value: McNemar's exact test of single outcomes, else `sign_flip_test`."""
-        return self._outcomes.p_value if self._outcomes else sign_flip_test(self.first - self.second)
+        """Two-sided p-value.
+
+        Of single outcomes the exact test of McNemar (Psychometrika 12, 1947), else `sign_flip_test`.
+        """
+        return sign_test(*self.better) if self._are_outcomes else sign_flip_test(self.first - self.second)
 
     def interval(self) -> tuple[float, float]:
         """Return the 95 % interval of the difference.
 
         Newcombe's of single outcomes, else the paired bootstrap over episodes; (-1, 1) if all differences are equal.
         """
-        if self._outcomes:
-            return self._outcomes.interval()
+        if self._are_outcomes:
+            return paired_share_interval(self.first, self.second)
         value = paired_mean_difference(self.first, self.second, np.random.default_rng(self.seed))
         return (-1.0, 1.0) if math.isnan(value.low) else (value.low, value.high)
 
     @property
-    def _outcomes(self) -> PairedOutcomes | None:
-        """The outcomes if each share is 0 or 1, as those of single samples are."""
-        if not np.isin((self.first, self.second), (0.0, 1.0)).all():
-            return None
-        return PairedOutcomes.of((self.first > 0.5).tolist(), (self.second > 0.5).tolist())
+    def _are_outcomes(self) -> bool:
+        """True if each share is 0 or 1, as those of single samples are."""
+        return bool(np.isin((self.first, self.second), (0.0, 1.0)).all())

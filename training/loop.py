@@ -20,7 +20,7 @@ from torch import Tensor, nn
 
 from kinebench_drake.errors import UsageError
 from kinebench_drake.io.atomic import atomic_path
-from kinebench_drake.models.perception.inference import supports_bfloat16
+from kinebench_drake.models.perception.network import supports_bfloat16
 
 Output = TypeVar("Output")
 Batch = dict[str, Tensor]

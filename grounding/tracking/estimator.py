@@ -13,18 +13,16 @@ from kinebench_drake.geometry import Array
 from kinebench_drake.grounding.tracking.crop import CLOSE_SIZE, Crop
 from kinebench_drake.grounding.tracking.view import Frames, GripperView
 from kinebench_drake.models.panda.robot import ARM
-from kinebench_drake.models.perception.inference import (
-    fold_batch_normalisation,
-    reduce_precision,
-    supports_bfloat16,
-    use_onednn,
-)
 from kinebench_drake.models.perception.network import (
     COORDINATE_SCALE_M,
     DEPTH_CENTRE,
     STRIDE,
     DenseOutput,
     GripperNetwork,
+    fold_batch_normalisation,
+    reduce_precision,
+    supports_bfloat16,
+    use_onednn,
 )
 
 _BATCH = 8  # crops of `CLOSE_SIZE` on the CPU; fewer larger ones, which need as much memory

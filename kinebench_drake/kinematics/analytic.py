@@ -1,9 +1,9 @@
 """Closed-form inverse kinematics of the Panda, with the angle of joint 7 as the free parameter.
 
-The arm has seven joints for six coordinates; for a chosen angle of joint 7 at most 2 x 2 x 2 postures remain: elbow
-bend (joint 4), wrist side (joint 6) and shoulder flip (joint 2). Derivation after Y. He and S. Liu,
-"Analytical Inverse Kinematics for Franka Emika Panda - a Geometrical Solver for 7-DOF Manipulators with Unconventional
-Design", ICCMA 2021; here for arrays of poses and joint-7 angles. Joint limits are ignored.
+Joint limits are ignored. For a chosen angle of joint 7 at most 2 x 2 x 2 postures remain: elbow bend (joint 4), wrist
+side (joint 6) and shoulder flip (joint 2). Derivation after Y. He and S. Liu, "Analytical Inverse Kinematics for Franka
+Emika Panda - a Geometrical Solver for 7-DOF Manipulators with Unconventional Design", ICCMA 2021; here for arrays of
+poses and angles.
 """
 
 from collections.abc import Sequence
@@ -55,8 +55,8 @@ def flange_pose(q: ArrayLike) -> Array:
 def reach_window(X_BF: ArrayLike) -> tuple[Array, Array, Array]:
     """Return the joint-7 angles at which flange poses (..., 4, 4) are within reach of the stretched arm.
 
-    As joint 7 turns, the wrist moves on a circle of radius 0.088 m; the window is the part of that circle within the
-    sphere about the shoulder that the stretched arm reaches.
+    As joint 7 turns, the wrist moves on a circle; the window is its part within the stretched arm's sphere about the
+    shoulder.
 
     Returns:
         Centre (...) of the window [rad]; its half width (...) [rad], pi if all angles are in it, 0 if none is; distance
@@ -85,14 +85,10 @@ def branch_of(q: ArrayLike) -> int:
 def analytic_ik(X_BF: ArrayLike, q7: ArrayLike, branch: int | None = None) -> Array:
     """Return the joint angles (..., 8, 7) [rad] that bring the flange to `X_BF` for joint-7 angles `q7`.
 
-    The branch index is 4 * elbow + 2 * wrist + shoulder; a branch is a continuous function of the pose and q7 away
-    from singularities. Rows are NaN where there is no solution. Angles lie in [-pi, pi), except joint 4 in
-    (-3 pi/2, pi/2] and joint 6 in [-pi/2, 3 pi/2), the ranges that contain their limits, and joint 7, which is `q7`.
-
-    Args:
-        X_BF: poses (..., 4, 4) of panda_link8 in panda_link0 [m].
-        q7: joint-7 angles (...) [rad]; broadcast with the poses.
-        branch: if not None, only this one (..., 1, 7).
+    Poses (..., 4, 4) of panda_link8 in panda_link0 [m] and angles (...) [rad] are broadcast. The branch index is 4 *
+    elbow + 2 * wrist + shoulder; a branch is continuous in the pose and q7 away from singularities. With `branch` only
+    this one is returned (..., 1, 7). Rows are NaN where there is no solution. Angles lie in [-pi, pi), except joint 4
+    in (-3 pi/2, pi/2] and joint 6 in [-pi/2, 3 pi/2), the ranges of their limits, and joint 7, as `q7`.
     """
     X_BF, q7 = np.asarray(X_BF, dtype=np.float64), np.asarray(q7, dtype=np.float64)
     shape = np.broadcast_shapes(X_BF.shape[:-2], q7.shape)

@@ -26,12 +26,9 @@ class LinkChain:
     """
 
     def __init__(self, drake: Any, robot: Robot, positions: Positions) -> None:
-        """Read the joint axes and link poses at the zero posture from a finalized Drake plant.
+        """Read the joint axes and link poses at the zero posture from a finalized MultibodyPlant.
 
-        Args:
-            drake: the MultibodyPlant.
-            robot: names of the arm's joints and of the TCP link.
-            positions: completes arm postures to positions of the whole plant.
+        `positions` completes arm postures to positions of the whole plant.
         """
         context = drake.CreateDefaultContext()
         drake.SetPositions(context, np.zeros(drake.num_positions()))
@@ -160,12 +157,8 @@ class LinkChain:
         """Return the joint torques (..., N, 7) [N m] of motions without payload: those of `ArmPlant.torque`, at once.
 
         Newton-Euler equations of all links about the origin of B (R. Featherstone, "Rigid Body Dynamics Algorithms",
-        2008, sections 2.13 and 5.3), without friction, fingers and other joints at rest.
-
-        Args:
-            q: (N, 7) joint angles [rad].
-            v: (..., N, 7) speeds [rad/s].
-            a: (..., N, 7) accelerations [rad/s^2].
+        2008, sections 2.13 and 5.3), without friction, fingers and other joints at rest: angles `q` (N, 7) [rad],
+        speeds `v` (..., N, 7) [rad/s], accelerations `a` (..., N, 7) [rad/s^2].
         """
         v, a = (np.asarray(rates, dtype=np.float64)[..., None] for rates in (v, a))
         motions = self.motions(q)

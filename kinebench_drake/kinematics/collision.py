@@ -60,11 +60,7 @@ class CollisionModel:
     """Distances of an arm from itself and from the table. Uses the context of the plant."""
 
     def __init__(self, plant: ArmPlant, *, table_height_m: float = 0.0) -> None:
-        """Read the solids of the plant.
-
-        Args:
-            plant: the robot.
-            table_height_m: z of the table in B [m].
+        """Read the solids of the plant; the table is at z = `table_height_m` in B [m].
 
         Raises:
             InputError: a collision geometry is of an unsupported kind.
@@ -89,13 +85,9 @@ class CollisionModel:
         self._radii = np.array([radius for _, radius in balls])
 
     def self_distance(self, q: ArrayLike, finger_width_m: ArrayLike | None = None) -> Clearance:
-        """Return the least distance between two links that must not touch, by Drake's SceneGraph.
+        """Return the least distance between two links that must not touch, exact to 1e-6 m for polytopes.
 
-        Exact to 1e-6 m for polytopes, at any distance.
-
-        Args:
-            q: (N, 7) postures [rad].
-            finger_width_m: (N,) finger gap [m]; the plant's default where None or NaN.
+        Postures `q` (N, 7) [rad]; finger gap `finger_width_m` (N,) [m], the plant's default where None or NaN.
 
         Raises:
             UsageError: `q` is not (N, 7), or `finger_width_m` not (N,).
@@ -115,8 +107,9 @@ class CollisionModel:
     def least_self_distances(self, q: Array, finger_width_m: Array | None, every: int, within_m: float) -> Array:
         """Return self distances (N,) [m] along a motion wherever they may be the least, or at most `within_m` [m].
 
-        NaN at other postures: there a plane between each two solids that are near each other at the nearest measured
-        posture, one in `every`, shows that they are farther apart; solids far from each other have not moved enough.
+        Else NaN. One posture in `every` is measured in any case. At others a plane between each two solids that are
+        near each other at the nearest measured posture shows that they are farther apart; solids far from each other
+        have not moved enough.
 
         Args:
             q: (N, 7) postures [rad], finite.
@@ -159,11 +152,10 @@ class CollisionModel:
     def _measure(
         self, q: Array, width: Array, M: Array, beyond_m: float
     ) -> tuple[Array, list[tuple[Solid, Solid] | None], dict[tuple[Any, Any], list[tuple[int, Any]]]]:
-        """Measure the least distances (N,) [m], NaN where nothing can collide, at postures with motions `M`.
+        """Return the least distances (N,) [m] of postures with motions `M`, NaN where nothing can collide.
 
-        Returns:
-            The distances; the solids they are between; rows and results of Drake for all pairs of solids that are up to
-            `beyond_m` farther apart than the nearest.
+        Also returned: the solids they are between; rows and results of Drake for all pairs of solids that are up to
+        `beyond_m` farther apart than the nearest.
         """
         near: dict[tuple[Any, Any], list[tuple[int, Any]]] = {}
         closest = np.full(len(q), np.inf)
@@ -227,9 +219,8 @@ class CollisionModel:
 
         A link made of several solids appears once per near solid. The gradient is n . (J_A(a) - J_B(b)) with a and b
         the nearest points, J their translational Jacobians and n the direction from b to a (from a to b in
-        penetration): the derivative wherever the nearest points are unique. Where they are not (parallel faces) it is
-        the derivative for one of the candidates; it is 0 where Drake returns no direction. Finger gap
-        `finger_width_m` [m]; the plant's default where None or NaN.
+        penetration); where the nearest points are not unique, that of one candidate; 0 where Drake returns no
+        direction. Finger gap `finger_width_m` [m]; the plant's default where None or NaN.
 
         Raises:
             UsageError: `q` is not (7,).

@@ -70,10 +70,9 @@ def blend_from_start(plant: ArmPlant, t_s: Array, X_BG: Array, q: Array, q_start
 def continue_path(plant: ArmPlant, t_s: Array, X_BG: Array, q_start: Array) -> Array:
     """Search a path (T, 7) [rad] that continues from a posture near the first pose: faster than `search_path`.
 
-    Dynamic programming chooses a posture for few frames (anchors), first among those of the start's branch, then among
-    all. The joint angles between are interpolated by a cubic spline, projected onto the poses and, if needed, relaxed.
-    All NaN if the result passes a limit or has a step that is too fast: then `search_path` may find a path.
-    Arguments as for `search_path`.
+    Dynamic programming chooses postures of few frames (anchors), first on the start's branch, then on all. A cubic
+    spline through them is projected onto the poses and, if needed, relaxed. All NaN if the result passes a limit or has
+    a step that is too fast: then `search_path` may find a path. Arguments as for `search_path`.
     """
     for path in _candidates(plant, t_s, X_BG, q_start):
         if is_sound(plant, t_s, path):

@@ -53,17 +53,11 @@ def find_least_excess(plant: ArmPlant, X_BG: Array) -> Array | None:
 
 
 def solve_pose(plant: ArmPlant, X_BG: ArrayLike, q_seed: ArrayLike) -> IkSolution:
-    """Solve joint angles that bring the TCP to a pose, near `q_seed` where several do.
+    """Solve joint angles that bring the TCP to `X_BG` (4, 4) [m], made orthonormal first, near `q_seed` (7,) [rad].
 
-    Newton steps from the seed converge in most cases (some 0.15 ms). If not, all postures that reach the pose are
-    computed (for the Panda in closed form, joint 7 swept over a turn) and the one within limits nearest to the seed is
-    used. If none is within limits, Newton steps start from those of least limit excess, then SNOPT; if these fail too,
-    the status is JOINT_LIMIT if the pose is reached without limits, else UNREACHABLE.
-
-    Args:
-        plant: the robot.
-        X_BG: wanted pose (4, 4) of the TCP in the base [m]; its rotation is made orthonormal first.
-        q_seed: (7,) posture [rad] to start from.
+    Newton steps from the seed converge in most cases (some 0.15 ms). If not, the posture within limits nearest to the
+    seed is used, of all that reach the pose. If there is none, Newton steps start from those of least limit excess,
+    then SNOPT; if these fail too, the status is JOINT_LIMIT if the pose is reached without limits, else UNREACHABLE.
 
     Raises:
         InputError: the pose is not a finite 4x4 matrix.

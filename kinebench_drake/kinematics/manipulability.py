@@ -27,11 +27,11 @@ def cost(w_translation: ArrayLike) -> Array:
 def limit_weight(q: ArrayLike, lower: ArrayLike, upper: ArrayLike) -> Array:
     """Return a factor (..., n) in 0..1 per joint at `q` (..., n) [rad]: 1 mid-range, 0 at either limit and past it.
 
-    p = 1 / sqrt(1 + |dH/dq|) with dH/dq = (upper - lower)^2 (2 q - upper - lower) / (4 (upper - q)^2 (q - lower)^2), q
-    in radians. Sources: H of T. F. Chan and R. V. Dubey, "A Weighted Least-Norm Solution Based Scheme for Avoiding
-    Joint Limits for Redundant Joint Manipulators", IEEE Trans. Robotics and Automation 11(2), 1995; p of N. Vahrenkamp
-    and T. Asfour, "Representing the robot's workspace through constrained manipulability analysis", Autonomous Robots
-    38, 2015. Written as sqrt(d / (d + n)) with dH/dq = n / d, so that nothing is divided by 0 at a limit.
+    p = 1 / sqrt(1 + |dH/dq|) with dH/dq = (upper - lower)^2 (2 q - upper - lower) / (4 (upper - q)^2 (q - lower)^2);
+    here sqrt(d / (d + n)) with dH/dq = n / d. Sources: H of T. F. Chan and R. V. Dubey, "A Weighted Least-Norm Solution
+    Based Scheme for Avoiding Joint Limits for Redundant Joint Manipulators", IEEE Trans. Robotics and Automation 11(2),
+    1995; p of N. Vahrenkamp and T. Asfour, "Representing the robot's workspace through constrained manipulability
+    analysis", Autonomous Robots 38, 2015.
     """
     q, lower, upper = (np.asarray(a, dtype=np.float64) for a in (q, lower, upper))
     n = (upper - lower) ** 2 * np.abs(2.0 * q - upper - lower)
@@ -43,10 +43,8 @@ def limit_weight(q: ArrayLike, lower: ArrayLike, upper: ArrayLike) -> Array:
 def characteristic_length(plant: ArmPlant) -> float:
     """Return the length [m] that scales metres to radians: root mean square distance of the TCP from the joint axes.
 
-    Taken at the rest posture of the robot (0.48 m for the Panda), so that it is the same for all postures. Dividing the
-    linear rows of J by it gives them the unit of the angular rows and, at that posture, the same mean size. Source:
-    J. Angeles' characteristic length as described in L. Stocco, S. E. Salcudean and F. Sassani, "Matrix Normalization
-    for Optimal Robot Design", ICRA 1998.
+    At the rest posture (0.48 m for the Panda). Source: J. Angeles' characteristic length as described in L. Stocco, S.
+    E. Salcudean and F. Sassani, "Matrix Normalization for Optimal Robot Design", ICRA 1998.
     """
     J = plant.jacobian(plant.robot.rest_q)
     return float(np.sqrt(np.mean(np.sum(J[3:] ** 2, axis=0))))
@@ -56,11 +54,10 @@ def characteristic_length(plant: ArmPlant) -> float:
 class Manipulability:
     """Manipulability of the TCP along a joint path, of Jacobians expressed in B; NaN where q is NaN.
 
-    w = sqrt(det(J J^T)), computed as the product of the singular values of J; of the choice of coordinates, only the
-    units of the rows of J matter. Source: T. Yoshikawa, "Manipulability of Robotic Mechanisms", Int. J. Robotics
-    Research 4(2), 1985, eq. (6). The condition number, greatest over least singular value, is 1 where every direction
-    of motion needs the same joint speed, and infinite at a singular posture. Source: J. K. Salisbury and J. J. Craig,
-    "Articulated Hands: Force Control and Kinematic Issues", Int. J. Robotics Research 1(1), 1982.
+    w = sqrt(det(J J^T)), the product of the singular values of J (T. Yoshikawa, "Manipulability of Robotic Mechanisms",
+    Int. J. Robotics Research 4(2), 1985, eq. (6)). The condition number, greatest over least singular value, is 1 where
+    every direction of motion needs the same joint speed, and infinite at a singular posture (J. K. Salisbury and J. J.
+    Craig, "Articulated Hands: Force Control and Kinematic Issues", Int. J. Robotics Research 1(1), 1982).
     """
 
     full: Array
@@ -78,15 +75,10 @@ class Manipulability:
 
 
 def compute_manipulability(plant: ArmPlant, q: ArrayLike, J: ArrayLike | None = None) -> Manipulability:
-    """Compute the manipulability at each row of `q` (T, 7) [rad].
+    """Compute the manipulability at each row of `q` (T, 7) [rad], NaN where unknown.
 
-    `limited`: scaling the columns of a square J by the limit weights multiplies w by their product. The product is
-    used here too, although a redundant arm with one joint at its limit may still move the TCP in every direction.
-
-    Args:
-        plant: the robot.
-        q: (T, 7) joint angles [rad]; NaN where unknown.
-        J: (T, 6, 7) Jacobians of `q` (`LinkChain.jacobians`), computed if None.
+    `J` (T, 6, 7) are its Jacobians (`LinkChain.jacobians`), computed if None. `limited`: scaling the columns of a
+    square J by the limit weights multiplies w by their product, which is used here too.
 
     Raises:
         UsageError: the shapes do not fit.

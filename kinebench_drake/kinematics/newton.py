@@ -62,13 +62,13 @@ def solve_newton(
 ) -> tuple[Array, float]:
     """Solve a pose by damped Newton (Levenberg-Marquardt) steps on Drake's Jacobian, with an active set of limits.
 
-    Minimises |dp|^2 + (ROTATION_ARM_M |dtheta|)^2. Each step is the joint change of least norm (damped pseudo-inverse:
-    Y. Nakamura and H. Hanafusa, "Inverse Kinematic Solutions With Singularity Robustness for Robot Manipulator
-    Control", J. Dyn. Syst. Meas. Control 108, 1986), so that the result stays near the start.
+    Minimises |dp|^2 + (ROTATION_ARM_M |dtheta|)^2. Each step is the joint change of least norm, so that the result
+    stays near the start (damped pseudo-inverse: Y. Nakamura and H. Hanafusa, "Inverse Kinematic Solutions With
+    Singularity Robustness for Robot Manipulator Control", J. Dyn. Syst. Meas. Control 108, 1986).
 
     Args:
         plant: the robot.
-        X_BG: wanted pose (4, 4) of panda_hand_tcp in panda_link0 [m].
+        X_BG: wanted pose (4, 4) of the TCP in the base [m].
         q: starting posture (7,) [rad]; clipped to the limits when `bounded`.
         bounded: True to keep joint limits.
         iterations: greatest number of Jacobians to compute.
@@ -105,10 +105,9 @@ def solve_newton(
 
 
 def solve_newton_path(plant: ArmPlant, X_BG: Array, q: Array) -> Array:
-    """Solve poses `X_BG` (n, 4, 4) from the postures of a path `q` (n, 7) [rad]; NaN rows stay NaN.
+    """Solve poses `X_BG` (n, 4, 4) from the postures of a path `q` (n, 7) [rad], limits ignored; NaN rows stay NaN.
 
-    Newton steps of least joint motion for all frames at once, joint limits ignored. Frames that do not converge keep
-    the posture of the last step.
+    Newton steps of least joint motion for all frames at once. Frames that do not converge keep the last step's posture.
     """
     q = q.copy()
     rows = np.flatnonzero(np.isfinite(q).all(axis=-1))
@@ -137,8 +136,7 @@ def pose_twists(X_from: Array, X_to: Array) -> Array:
 def solve_snopt(plant: ArmPlant, X_BG: Array, q: Array) -> Array:
     """Return a posture (7,) [rad] within limits from Drake's InverseKinematics with SNOPT, started at `q`.
 
-    The result is not verified. Ten times slower than `solve_newton`, but it takes another path through the joint space
-    and may converge where that does not.
+    The result is not verified. Ten times slower than `solve_newton`, but it may converge where that does not.
     """
     ik: Any = InverseKinematics(plant.drake, plant.context)
     tcp, base = plant.tcp_frame, plant.base_frame

@@ -165,10 +165,9 @@ def find_cheapest_path(
 ) -> Array:
     """Select one posture per layer (T, 7) [rad], of the path of least cost, by dynamic programming.
 
-    A step costs r^2 + 4 r^8, r being its greatest joint speed over the limit (the second term makes one fast step cost
-    more than many slow ones), and much more where it exceeds the limit by more than the spacing of the grid explains;
-    the distance of the first posture from `q_start` decides between equal paths. As the optimum is global, a branch
-    that ends within the track is avoided from its start. Layers without a posture give NaN and are skipped.
+    A step costs r^2 + 4 r^8, r being its greatest joint speed over the limit, and much more where it exceeds the limit
+    by more than the spacing of the grid explains; the distance of the first posture from `q_start` decides between
+    equal paths. Layers without a posture give NaN and are skipped.
 
     Args:
         plant: the robot.
@@ -208,8 +207,7 @@ def find_cheapest_path(
 def _step_costs(scaled: Array, counts: NDArray[np.intp], dt: Array, slack_s: float) -> Iterator[Array]:
     """Yield the cost of each step between consecutive layers, rows the later postures, columns the earlier ones.
 
-    Small layers are computed in one array, as calls would cost more than arithmetic, and are yielded with the rows and
-    columns beyond their counts.
+    Small layers are computed in one array, which is faster, and yielded with the rows and columns beyond their counts.
 
     Args:
         scaled: (T, N, 7) postures over the speed limits [s], of which each layer has the first `counts` (T,).

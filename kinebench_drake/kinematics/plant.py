@@ -29,11 +29,9 @@ class ArmPlant:
     """
 
     def __init__(self, robot: Robot | None = None, *, finger_width_m: float = 0.08) -> None:
-        """Load the robot: some 100 ms; some seconds on first use, which converts the meshes.
+        """Load the robot, the Panda by default: some 100 ms; some seconds on first use, which converts the meshes.
 
-        Args:
-            robot: the arm; the Panda by default.
-            finger_width_m: default gap between the finger pads, 0..0.08 [m].
+        The fingers' default gap is `finger_width_m`, 0..0.08 [m].
 
         Raises:
             SetupError: the Panda's files are missing or cannot be converted.

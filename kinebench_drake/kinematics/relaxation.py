@@ -39,9 +39,9 @@ def relax(
 
     Gauss-Newton (Levenberg-Marquardt) on one variable per frame, the step along its null direction, with a banded
     system (J. Nocedal and S. Wright, Numerical Optimization, 2006, ch. 10). It minimises the sum of squares of joint
-    speed and acceleration over their limits; where one of them still exceeds its limit, iteratively reweighted least
-    squares reduce the largest. A weak pull to the rest posture makes the solution unique. Joint limits are kept by a
-    stiff penalty; postures that start past a limit are brought within it if their null motion allows.
+    speed and acceleration over their limits, then, by iteratively reweighted least squares, those that still exceed
+    their limit. A weak pull to the rest posture makes the solution unique; a stiff penalty keeps joint limits where
+    null motion allows.
 
     Args:
         plant: the robot.

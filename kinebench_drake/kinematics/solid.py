@@ -58,9 +58,8 @@ def slab_width(A: Solid, B: Solid, M: Array, n: Array) -> Array:
 def nearest_points(A: Solid, B: Solid, M: Array) -> tuple[Array, Array]:
     """Return the nearest points (3,) of two separate polytopes, in B, by motions `M` (stages, 4, 4).
 
-    Both are convex combinations of vertices; the weights are the non-negative least-squares solution of a - b = 0, with
-    both sums of weights constrained to 1 by a heavy weight (C. L. Lawson and R. J. Hanson, "Solving Least Squares
-    Problems", 1974, ch. 22 and 23).
+    Both are convex combinations of vertices, by non-negative least squares of a - b = 0 with both sums of weights held
+    at 1 by a heavy weight (C. L. Lawson and R. J. Hanson, "Solving Least Squares Problems", 1974, ch. 22 and 23).
     """
     points_A, points_B = (transform_points(M[solid.stage], solid.points) for solid in (A, B))
     heavy, n = 1e3, len(points_A)

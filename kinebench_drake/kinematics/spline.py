@@ -1,10 +1,9 @@
 """Cubic B-splines in time, as sparse matrices on their control points.
 
-A B-spline lies within the hull of its control points, and so do its derivatives, which are B-splines themselves:
-bounds on the control points of a derivative hold at all times. For order 4 (cubic) they are hardly stricter than bounds
-on the curve: the control points of the jerk and of the acceleration are its values in the spans and at the knots; only
-those of velocity and position lie a little outside the curve, by the order of the knot spacing squared (C. de Boor, "A
-Practical Guide to Splines", Springer 1978, chapters IX and X).
+A B-spline and its derivatives lie within the hulls of their control points: bounds on these hold at all times. For
+cubic splines they are hardly stricter than bounds on the curve: control points of jerk and acceleration are its values
+in the spans and at the knots; those of velocity and position lie outside the curve by the order of the knot spacing
+squared (C. de Boor, "A Practical Guide to Splines", Springer 1978, chapters IX and X).
 """
 
 from functools import cached_property
@@ -38,7 +37,7 @@ class SplineBasis:
 
     @classmethod
     def through(cls, t_s: Array) -> "SplineBasis":
-        """Return a basis with a break at every frame `t_s` (T,) [s], their spacing bounded relative to the median.
+        """Return a basis with a break at every frame `t_s` (T,) [s].
 
         Breaks less than a quarter of the median spacing apart are merged; gaps of more than twice the median get
         additional breaks, so that the motion through them is free.

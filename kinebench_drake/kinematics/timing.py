@@ -62,14 +62,11 @@ class TimeScale:
 def time_scale(plant: ArmPlant, t_s: Array, q: Array) -> TimeScale:
     """Compute the fastest feasible duration of the path through `q` over its own duration.
 
-    The path is the cubic spline through the rows (second derivative continuous, ends not-a-knot); its parameter s is
-    its own time, so that ds/dt = 1 is its own timing. `toppra.fastest_rates` finds the fastest s(t) with ds/dt = 1 at
-    both ends: a clip is cut in mid-motion, so its boundary speeds are kept. Limits hold at the points of a grid and, to
-    first order, between them: at 49 frames the result is some tenths of a percent too large, with rests at either end
-    up to one percent.
-
-    A rest within a track takes nearly no time: it is passed `FASTEST` times faster, and the robot comes to rest there
-    as the path does. A path without motion has no value.
+    The path is the cubic spline through the rows (ends not-a-knot); its parameter s is its own time.
+    `toppra.fastest_rates` finds the fastest s(t) with ds/dt = 1 at both ends, as a clip is cut in mid-motion. Limits
+    hold at the points of a grid and, to first order, between them: at 49 frames the result is some tenths of a percent
+    too large, with rests at either end up to one percent. A rest within a track is passed `FASTEST` times faster. A
+    path without motion has no value.
 
     Args:
         plant: the robot; accelerations are unlimited where none are published.
@@ -122,12 +119,9 @@ class _Motion:
         )
 
     def ratios(self, points: int | slice | NDArray[np.intp], rate: Array, change: Array) -> Array:
-        """Return speed, acceleration and torque over their limits (..., 3, 7) at grid points.
+        """Return speed, acceleration and torque over their limits (..., 3, 7) at grid `points` (...).
 
-        Args:
-            points: the points (...).
-            rate: (...) ds/dt.
-            change: (...) d2s/dt2.
+        `rate` (...) is ds/dt there, `change` (...) d2s/dt2.
         """
         rate, change = np.asarray(rate)[..., None], np.asarray(change)[..., None]
         limits = self.limits

@@ -35,8 +35,7 @@ class PathLimits:
 def fastest_rates(limits: PathLimits, start: float, end: float) -> Array | None:
     """Return ds/dt (G,) of the fastest s(t) with rates `start` and `end` at its ends; None if there is none.
 
-    d2s/dt2 is constant between two points, and the limits hold at both; as in Drake's, those of the last cell hold at
-    its near point only.
+    d2s/dt2 is constant between two points, and the limits hold at both, but in the last cell at its near point only.
     """
     step = 2.0 * np.diff(limits.s)[:, None]
     # With x = (ds/dt)^2 at the near point of a cell and y at the far one, d2s/dt2 = (y - x) / step.

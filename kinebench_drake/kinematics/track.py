@@ -48,9 +48,8 @@ def solve_track(
         collision: collision model; None ignores collisions.
         contact_tolerance_m: penetration depth up to which a contact is no collision [m].
         noise_rad: standard deviation of the joint angles due to the noise of the poses [rad].
-        X_plan: (T, 4, 4) denoised poses of the track: the path is searched for these and moved to the poses of the
-            track by least joint motion, so that the redundancy does not follow the noise. None searches for the poses
-            of the track.
+        X_plan: (T, 4, 4) denoised poses, for which the path is searched before it is moved to those of the track by
+            least joint motion; None searches for the poses of the track.
 
     Raises:
         InputError: a tracked frame's pose is not finite, or the times do not increase.
@@ -190,14 +189,10 @@ def _free(collision: CollisionModel, q: Array, finger_width_m: float, tolerance_
 def find_free(
     plant: ArmPlant, collision: CollisionModel, track: GripperTrack, frames: NDArray[np.bool_], tolerance_m: float
 ) -> NDArray[np.bool_]:
-    """Return which frames (T,) have a posture within limits and free of collisions, on a grid fixed by their pose.
+    """Return which of the tracked `frames` (T,) have a posture within limits and free of collisions.
 
-    Args:
-        plant: the robot.
-        collision: collision model.
-        track: gripper track.
-        frames: (T,) tracked frames to look at; the others give False.
-        tolerance_m: penetration depth up to which a contact is no collision [m].
+    The postures are on a grid of the pose. `tolerance_m` is the penetration depth up to which a contact is no collision
+    [m].
     """
     free = np.zeros(len(frames), dtype=bool)
     for i in np.flatnonzero(frames):

@@ -13,6 +13,7 @@ from kinebench_drake.kinematics.path import limit_margin
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.kinematics.spline import SplineBasis
 from kinebench_drake.kinematics.tube import LimitSet, Obstacle, PoseLinearisation
+from kinebench_drake.kinematics.violation import Violation, ViolationKind
 
 SAMPLES = 8
 """Samples per span of the spline at which a trajectory is verified."""
@@ -23,53 +24,6 @@ KEPT = 1.0 + 1e-6
 
 _LINEARISED_PAIRS = 4  # nearest pairs per sample whose distances are linearised
 _MARGIN_M = 5e-4  # added to the least distance in linearised bounds
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class TrajectoryCheck:
-    """A trajectory and its verification in Drake, at `SAMPLES` samples per span of the spline."""
-
-    knots_s: Array
-    """(n + 4,) knots of the cubic B-spline, on the clock of the track [s]."""
-    control: Array
-    """(n, 7) control points [rad]."""
-    position_error_max_m: float
-    """Greatest position error of the TCP at a frame [m]."""
-    rotation_error_max_rad: float
-    """Greatest rotation error at a frame [rad]."""
-    joint_limit_margin_min: float
-    """Least distance from a joint limit / half the joint's range."""
-    velocity_ratio_max: float
-    """Greatest speed / limit."""
-    acceleration_ratio_max: float | None
-    """Greatest acceleration / limit; None if no limit is published."""
-    jerk_ratio_max: float | None
-    """Greatest jerk / limit; None if no limit is published."""
-    torque_ratio_max: float
-    """Greatest torque / limit, without payload."""
-    self_distance_min_m: float | None
-    """Least distance between two links [m]; None without a collision model."""
-    table_distance_min_m: float | None
-    """Least height above the table [m], negative below its surface; None without a collision model."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Contact:
-    """Least distance of a trajectory from itself or from the table."""
-
-    table: bool
-    """True for the table, False for two links."""
-    distance_m: float
-    """Signed distance [m]."""
-    least_m: float
-    """Least allowed distance [m]."""
-    t_s: float
-    """Time on the clock of the spline [s]."""
-
-    @property
-    def violated(self) -> bool:
-        """True if the distance is below the least allowed one."""
-        return self.distance_m < self.least_m
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -119,6 +73,10 @@ class TubeProblem:
     def nearest_frame(self, t_s: float) -> int:
         """Return the number of the frame nearest to a time on the clock of the spline [s]."""
         return int(self.frames[np.argmin(np.abs(self.t_s - t_s))])
+
+    def least_distance(self, kind: ViolationKind) -> float:
+        """Return the least allowed distance [m] for a kind of collision."""
+        return -self.table_tolerance_m if kind is ViolationKind.TABLE_COLLISION else 0.0
 
     def widths(self, t_s: Array) -> Array | None:
         """Return finger gaps (N,) [m] at times (N,) [s], interpolated linearly."""
@@ -188,8 +146,8 @@ class JointTrajectory:
     def _distances(self) -> tuple[Array, Array]:
         """Distances (N,) of the arm from itself, NaN where not computed, and from the table [m], at the samples.
 
-        The distance from the table is computed at every sample; that from itself, which costs more, twice per span and
-        elsewhere only where it may be the least or below `NEAR_M`: others are of no interest.
+        Those from itself, which cost more, are computed twice per span and where they may be the least or below
+        `NEAR_M`.
         """
         collision = self.problem.collision
         t, q = self.samples_s, self.motion[0]
@@ -200,21 +158,39 @@ class JointTrajectory:
         return own, collision.table_distance(q, widths).distance_m
 
     @cached_property
-    def contacts(self) -> tuple[Contact, ...]:
-        """Least distances of the arm from itself and from the table; empty without a collision model."""
-        both = zip(self._distances, (False, True), (0.0, -self.problem.table_tolerance_m), strict=True)
-        return tuple(
-            Contact(
-                table=table, distance_m=float(np.nanmin(d)), least_m=least, t_s=float(self.samples_s[np.nanargmin(d)])
-            )
-            for d, table, least in both
-            if np.isfinite(d).any()
-        )
+    def least_distances(self) -> dict[ViolationKind, tuple[float, int]]:
+        """Least distances from itself and from the table [m] and their samples, by the kind of collision.
+
+        Empty without a collision model.
+        """
+        kinds = (ViolationKind.SELF_COLLISION, ViolationKind.TABLE_COLLISION)
+        return {
+            kind: (float(np.nanmin(distance)), int(np.nanargmin(distance)))
+            for kind, distance in zip(kinds, self._distances, strict=True)
+            if np.isfinite(distance).any()
+        }
 
     @property
-    def worst_contact(self) -> Contact | None:
-        """Contact with the least margin to its allowed distance."""
-        return min(self.contacts, key=lambda contact: contact.distance_m - contact.least_m, default=None)
+    def contact(self) -> Violation | None:
+        """Distance farthest below the least allowed one; None if both are kept."""
+        worst, least_margin = None, 0.0
+        for kind, (distance, sample) in self.least_distances.items():
+            limit = self.problem.least_distance(kind)
+            if distance - limit < least_margin:
+                frame, least_margin = self.problem.nearest_frame(float(self.samples_s[sample])), distance - limit
+                worst = Violation.at(kind, frame, None, distance, limit)
+        return worst
+
+    @property
+    def overload(self) -> Violation | None:
+        """Torque farthest beyond its limit; None if all are within limits."""
+        plant = self.problem.plant
+        ratio = np.abs(self.torque / plant.effort_limits)
+        k, j = np.unravel_index(np.argmax(ratio), ratio.shape)
+        if ratio[k, j] <= 1.0:
+            return None
+        frame, value = self.problem.nearest_frame(float(self.samples_s[k])), float(self.torque[k, j])
+        return Violation.at(ViolationKind.TORQUE, frame, plant.robot.joints[j], value, float(plant.effort_limits[j]))
 
     def obstacles(self) -> list[Obstacle]:
         """Linearise distances below `NEAR_M`, twice per span and at local minima: the few least at each sample."""
@@ -231,34 +207,40 @@ class JointTrajectory:
             q = self.motion[0][k]
             near_pairs = collision.near_pairs(q, NEAR_M, None if widths is None else float(widths[k]))
             for near in near_pairs[:_LINEARISED_PAIRS]:
-                least = -self.problem.table_tolerance_m if near.link_b == TABLE else 0.0
+                kind = ViolationKind.TABLE_COLLISION if near.link_b == TABLE else ViolationKind.SELF_COLLISION
                 obstacles.append(
                     Obstacle(
                         t_s=float(self.samples_s[k]),
                         offset_m=near.distance_m - float(near.gradient @ q),
                         gradient=near.gradient,
-                        least_m=least + _MARGIN_M,
+                        least_m=self.problem.least_distance(kind) + _MARGIN_M,
                     )
                 )
         return obstacles
 
-    def check(self) -> TrajectoryCheck:
-        """Return the verification of the trajectory."""
+    @property
+    def knots_s(self) -> Array:
+        """(n + 4,) knots of the spline on the clock of the track [s]."""
+        return self.basis.knots + self.problem.origin_s
+
+    def figures(self) -> dict[str, float | None]:
+        """Return the greatest errors at the frames and, at the samples, the extremes of all that has a limit, by name.
+
+        Ratios are those of values to their limits; None where no limit is published, or without a collision model.
+        """
         plant, (q, v, a) = self.problem.plant, self.motion
-        distance = {contact.table: contact.distance_m for contact in self.contacts}
-        jerk = self.usage[2]  # constant in every span
-        return TrajectoryCheck(
-            knots_s=self.basis.knots + self.problem.origin_s,
-            control=self.control,
-            position_error_max_m=self.deviations[0],
-            rotation_error_max_rad=self.deviations[1],
-            joint_limit_margin_min=float(limit_margin(plant, q).min()),
-            velocity_ratio_max=float(np.abs(v / plant.velocity_limits).max()),
-            acceleration_ratio_max=(
-                None if plant.acceleration_limits is None else float(np.abs(a / plant.acceleration_limits).max())
-            ),
-            jerk_ratio_max=None if jerk is None else float(jerk.max()),
-            torque_ratio_max=float(np.abs(self.torque / plant.effort_limits).max()),
-            self_distance_min_m=distance.get(False),
-            table_distance_min_m=distance.get(True),
+        accelerations, jerk = plant.acceleration_limits, self.usage[2]  # the jerk is constant in every span
+        own, table = (
+            self.least_distances.get(kind) for kind in (ViolationKind.SELF_COLLISION, ViolationKind.TABLE_COLLISION)
         )
+        return {
+            "position_error_max_m": self.deviations[0],
+            "rotation_error_max_rad": self.deviations[1],
+            "joint_limit_margin_min": float(limit_margin(plant, q).min()),
+            "velocity_ratio_max": float(np.abs(v / plant.velocity_limits).max()),
+            "acceleration_ratio_max": None if accelerations is None else float(np.abs(a / accelerations).max()),
+            "jerk_ratio_max": None if jerk is None else float(jerk.max()),
+            "torque_ratio_max": float(np.abs(self.torque / plant.effort_limits).max()),
+            "self_distance_min_m": own and own[0],
+            "table_distance_min_m": table and table[0],
+        }

@@ -8,18 +8,17 @@ import numpy as np
 from kinebench_drake.geometry import Array, orthonormalize
 from kinebench_drake.kinematics.collision import CollisionModel
 from kinebench_drake.kinematics.infeasibility import (
-    TubeViolation,
-    find_contact_violation,
+    describe_violation,
     find_pose_violation,
     find_rate_violation,
     find_start_violation,
-    find_torque_violation,
 )
 from kinebench_drake.kinematics.newton import solve_newton
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.kinematics.spline import SplineBasis
-from kinebench_drake.kinematics.trajectory import JointTrajectory, TrajectoryCheck, TubeProblem
+from kinebench_drake.kinematics.trajectory import JointTrajectory, TubeProblem
 from kinebench_drake.kinematics.tube import Obstacle, proximity_cost_m, solve_tube
+from kinebench_drake.kinematics.violation import Violation
 
 SMALLEST_M = 1e-4
 """Radius below which the search does not continue [m]."""
@@ -56,9 +55,9 @@ class TubeResult:
     """Greatest radius found infeasible (to first order, near the trajectory) [m]; None if there was none."""
     feasible: bool | None = None
     """True if `radius_m` is at most the tube's limit; None if the track cannot be judged, with a reason."""
-    certificate: TrajectoryCheck | None = None
+    certificate: JointTrajectory | None = None
     """Trajectory that proves `radius_m`."""
-    violation: TubeViolation | None = None
+    violation: Violation | None = None
     """Requirement that makes a tube of the limit's radius infeasible; None if feasible, or without a single cause."""
     reason: str | None = None
     """Why there is no radius, or why it exceeds the limit; None if feasible."""
@@ -77,19 +76,16 @@ def optimize_in_tube(
 ) -> TubeResult:
     """Find the smallest radius r of a tube about a track that contains a smooth trajectory within every limit.
 
-    A trajectory is in the tube if, at every frame, its position error is at most r and its rotation error at most
-    r / `ROTATION_ARM_M`. It is a cubic B-spline in time with a break at every frame (`SplineBasis.through`), of the
-    duration of the track, with free boundary speeds. Limits of position, speed, acceleration and jerk hold at all
-    times, by bounds on control points; collisions and torques are checked at samples.
+    A trajectory is in the tube if, at every frame, its position error is at most r and its rotation error at most r /
+    `ROTATION_ARM_M`. It is a cubic B-spline with a break at every frame (`SplineBasis.through`), of the duration of the
+    track, with free boundary speeds. Limits of position, speed, acceleration and jerk hold at all times, by bounds on
+    control points; collisions and torques are checked at samples.
 
-    First the spline through `q` is checked; if it meets all requirements, no program is solved. Else the program of
-    `solve_tube` is linearised about `q`, then about its own result, until its least radius (to first order a lower
-    bound for nearby trajectories) and the radius that the trajectory needs are within `RATIO` of each other; where
-    they do not meet, or the tube's limit lies between them, the radius is bisected. A trajectory that collides is
-    moved by linearised distances; one of too much torque gets lower acceleration limits. Where the limit is exceeded,
-    the search takes more programs, and on tracks of up to 200 frames also a spline twice as fine. The search is local:
-    a distant path in joint space (another elbow angle) is not tried, so that a radius is an upper bound with a
-    certificate, and "infeasible" holds near `q`.
+    If the spline through `q` does not do, `solve_tube` is linearised about `q`, then about its own result, until its
+    least radius and the one that the trajectory needs are within `RATIO`; else the radius is bisected. A trajectory
+    that collides is moved by linearised distances; one of too much torque gets lower acceleration limits. Short tracks
+    beyond the limit are tried on a spline twice as fine. The search is local: a radius has a certificate, and
+    "infeasible" holds near `q`.
 
     Args:
         plant: the robot.
@@ -139,30 +135,30 @@ class _TubeSearch:
         cause = None if best.radius_m <= self.tube_limit_m else self._broken_limit(fit)
         if best.radius_m > LARGEST_M:
             return self._result(None, cause)
-        contact = find_contact_violation(self.problem, best.worst_contact)
+        contact = best.contact
         clear = self._avoid_collisions(best, _ROUNDS if cause is None else _FEWER_ROUNDS)
         if clear is None or clear.radius_m > self.tube_limit_m:
             cause = cause or contact
         if clear is None or clear.radius_m > LARGEST_M:
             return self._result(None, cause)
-        torque = find_torque_violation(clear)
+        torque = clear.overload
         reduced = self._reduce_torque(clear)
         if reduced is None or reduced.radius_m > self.tube_limit_m:
             cause = cause or torque
         return self._result(reduced, cause)
 
-    def _result(self, best: JointTrajectory | None, cause: TubeViolation | None) -> TubeResult:
+    def _result(self, best: JointTrajectory | None, cause: Violation | None) -> TubeResult:
         feasible = best is not None and best.radius_m <= self.tube_limit_m
         if best is None:
             size = f"no trajectory was found in a tube of up to {LARGEST_M:g} m"
         else:
             size = f"the tube needs {best.radius_m:.4g} m"
-        why = cause or "the limits together forbid a narrower one, none of them alone"
+        why = describe_violation(cause) if cause else "the limits together forbid a narrower one, none of them alone"
         return TubeResult(
             radius_m=None if best is None else max(best.radius_m, SMALLEST_M),
             infeasible_radius_m=self.infeasible_m,
             feasible=feasible,
-            certificate=None if best is None else best.check(),
+            certificate=best,
             violation=None if feasible else cause,
             reason=None if feasible else f"{size}; {why}",
         )
@@ -239,25 +235,23 @@ class _TubeSearch:
         """Return the trajectory moved out of collisions; None if that fails."""
         obstacles: list[Obstacle] = []
         for _ in range(rounds):
-            contact = trajectory.worst_contact
-            if contact is None or not contact.violated:
+            if trajectory.contact is None:
                 return trajectory
             obstacles += trajectory.obstacles()
             moved = self._shrink(trajectory.basis, trajectory.q, tuple(obstacles), _ROUND_EFFORT)
             if moved is None or moved.radius_m > LARGEST_M:
                 return None
             trajectory = moved
-        contact = trajectory.worst_contact
-        return None if contact is not None and contact.violated else trajectory
+        return trajectory if trajectory.contact is None else None
 
     def _reduce_torque(self, trajectory: JointTrajectory) -> JointTrajectory | None:
         """Return the trajectory with torques within limits, by lower accelerations if needed; None if that fails."""
         plant = self.problem.plant
         for _ in range(_TIGHTENINGS):
-            violation = find_torque_violation(trajectory)
-            velocity, acceleration, jerk = self.limits.rates
+            violation = trajectory.overload
             if violation is None:
                 return trajectory
+            velocity, acceleration, jerk = self.limits.rates
             q, _, a = trajectory.motion
             if acceleration is None:
                 acceleration = np.full_like(velocity, np.abs(a).max())
@@ -271,18 +265,16 @@ class _TubeSearch:
             self.limits = replace(self.limits, rates=(velocity, factor * acceleration, jerk))
             obstacles = tuple(trajectory.obstacles())
             slower = self._shrink(trajectory.basis, trajectory.q, obstacles, _ROUND_EFFORT)
-            if slower is None or slower.radius_m > LARGEST_M:
-                return None
-            if slower.worst_contact is not None and slower.worst_contact.violated:
+            if slower is None or slower.radius_m > LARGEST_M or slower.contact is not None:
                 return None
             trajectory = slower
-        return None if find_torque_violation(trajectory) else trajectory
+        return trajectory if trajectory.overload is None else None
 
-    def _broken_limit(self, fit: JointTrajectory) -> TubeViolation | None:
+    def _broken_limit(self, fit: JointTrajectory) -> Violation | None:
         """Find the limit that makes the tube infeasible.
 
-        A pose that is far out of reach; else the rate exceeded by the elastic program; else a joint or rate limit of
-        the initial path, or one of its poses.
+        A pose far out of reach; else the rate exceeded by the elastic program; else a limit or pose of the initial
+        path.
         """
         problem, limit = self.problem, self.tube_limit_m
         violation = find_pose_violation(problem, limit, _CERTAIN)

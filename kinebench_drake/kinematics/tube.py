@@ -1,9 +1,8 @@
 """Convex program for a joint trajectory within a tube of poses and within all limits; poses and distances linearised.
 
 Drake's KinematicTrajectoryOptimization provides the program, its B-spline and the variables. With fixed duration,
-bounds on all derivatives are linear in the control points; a tube of radius r about a pose, linearised in the joint
-angles, is a second-order cone. So the least radius is the optimum of a convex program, which Clarabel solves
-(P. Goulart and Y. Chen, "Clarabel: An interior-point solver for conic programs with quadratic objectives", 2024).
+bounds on derivatives are linear in the control points, and a tube of radius r about a pose is a second-order cone.
+Solver: P. Goulart and Y. Chen, "Clarabel: An interior-point solver for conic programs with quadratic objectives", 2024.
 """
 
 from collections.abc import Sequence

@@ -37,6 +37,11 @@ class Violation:
     """Greatest allowed value, or the least for a lower joint limit or a distance; in the unit of the value."""
 
     @classmethod
+    def at(cls, kind: ViolationKind, frame: int, joint: str | None, value: float, limit: float) -> "Violation":
+        """Return the violation at one frame."""
+        return cls.of_run(kind, slice(frame, frame + 1), joint, value, limit)
+
+    @classmethod
     def of_run(cls, kind: ViolationKind, run: slice, joint: str | None, value: float, limit: float) -> "Violation":
         """Return the violation over a run of frames (`segments.segments`)."""
         return cls(kind=kind, frame_start=run.start, frame_end=run.stop - 1, joint=joint, value=value, limit=limit)

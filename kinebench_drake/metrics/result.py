@@ -1,7 +1,7 @@
 """The result of judging one track: verdict, violations, metrics, and the measurements behind them as JSON."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +13,6 @@ from kinebench_drake.kinematics.manipulability import Manipulability, time_integ
 from kinebench_drake.kinematics.path import limit_margin
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.kinematics.timing import TimeScale
-from kinebench_drake.kinematics.trajectory import TrajectoryCheck
 from kinebench_drake.kinematics.trajopt import TubeResult
 from kinebench_drake.kinematics.violation import Violation, ViolationKind
 from kinebench_drake.metrics.limits import LimitCheck, LimitChecks
@@ -243,15 +242,20 @@ def _check(check: LimitCheck) -> dict[str, Json]:
 
 
 def _tube(tube: TubeResult, limit_m: float) -> dict[str, Json]:
-    violation, certificate = tube.violation, tube.certificate
-    against = None if violation is None else {**asdict(violation), "kind": violation.kind.value}
-    names = [f.name for f in fields(TrajectoryCheck) if f.name not in ("knots_s", "control")]
+    against = tube.violation
     return {
         "tube_limit_m": limit_m,
         "infeasible_radius_m": tube.infeasible_radius_m,
         "reason": tube.reason,
-        "against": against,
-        "certificate": None if certificate is None else {name: getattr(certificate, name) for name in names},
+        "against": against
+        and {
+            "kind": against.kind.value,
+            "frame": against.frame_start,
+            "joint": against.joint,
+            "value": against.value,
+            "limit": against.limit,
+        },
+        "certificate": tube.certificate and tube.certificate.figures(),
     }
 
 

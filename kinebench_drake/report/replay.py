@@ -17,7 +17,7 @@ from kinebench_drake.geometry import Array
 from kinebench_drake.io.atomic import write_atomically
 from kinebench_drake.io.jsonl import Json, as_object
 from kinebench_drake.kinematics.plant import ArmPlant
-from kinebench_drake.models.mesh import simplify
+from kinebench_drake.models.panda.cad import simplify
 from kinebench_drake.report.limits import to_number
 from kinebench_drake.report.page import read_results, template_environment
 from kinebench_drake.report.replay_scene import COLORS, LinkMesh, ReplayScene, posed_frames

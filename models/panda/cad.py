@@ -1,4 +1,4 @@
-"""CAD surface of the gripper: hand and fingers as the URDF's visual meshes, rendered by ray casting.
+"""CAD surface of the robot: the URDF's visual meshes, ray casting against them, and their simplification.
 
 All coordinates are in the frame of panda_hand, in metres. The left finger opens towards +y, the right one towards -y.
 """
@@ -171,3 +171,21 @@ def open_fingers(X_VP: Array, finger_m: ArrayLike) -> Array:
     for part in GRIPPER:
         opened[..., part, :3, 3] += OPENING_SIGN[part] * travel * X_VP[..., part, :3, 1]
     return opened
+
+
+def simplify(
+    vertices: Array, faces: NDArray[np.int32], most: int, *, border_weight: float = 1.0
+) -> tuple[Array, NDArray[np.int32]]:
+    """Return `vertices` (V, 3) [m] and `faces` (N, 3) of a mesh reduced to at most `most` triangles, by Open3D.
+
+    By quadric error metrics (M. Garland and P. S. Heckbert, "Surface simplification using quadric error metrics",
+    SIGGRAPH 1997). Equal vertices are merged; a large `border_weight` keeps open edges in place.
+
+    Raises:
+        SetupError: Open3D's native libraries are missing.
+    """
+    o3d = native.load_open3d()
+    mesh = o3d.geometry.TriangleMesh(o3d.utility.Vector3dVector(vertices), o3d.utility.Vector3iVector(faces))
+    mesh.remove_duplicated_vertices()
+    mesh = mesh.simplify_quadric_decimation(most, boundary_weight=border_weight)
+    return np.asarray(mesh.vertices), np.asarray(mesh.triangles, dtype=np.int32)

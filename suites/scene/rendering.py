@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from kinebench_drake.environment import native
 from kinebench_drake.io.atomic import atomic_folder, disk_errors, write_atomically
 from kinebench_drake.io.files import cache_folder
-from kinebench_drake.models.mesh import simplify
+from kinebench_drake.models.panda.cad import simplify
 from kinebench_drake.models.panda.robot import ARM, LINK_OF
 
 _VERSION = b"1"  # of shaders and meshes; increment it with every change to invalidate caches

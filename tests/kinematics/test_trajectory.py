@@ -5,6 +5,7 @@ from kinebench_drake.kinematics.collision import CollisionModel
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.kinematics.spline import SplineBasis
 from kinebench_drake.kinematics.trajectory import JointTrajectory, TubeProblem
+from kinebench_drake.kinematics.violation import ViolationKind
 from kinebench_drake.models.panda.robot import rest_q
 
 T_S = np.linspace(0.0, 3.0, 25)
@@ -52,30 +53,27 @@ def test_least_distances_are_those_of_every_sample(problem: TubeProblem) -> None
     trajectory = _through(problem)
     assert problem.collision is not None
     q = trajectory.motion[0]
-    expected = {
-        False: problem.collision.self_distance(q).distance_m.min(),
-        True: problem.collision.table_distance(q).distance_m.min(),
+    distances = {
+        ViolationKind.SELF_COLLISION: problem.collision.self_distance(q).distance_m,
+        ViolationKind.TABLE_COLLISION: problem.collision.table_distance(q).distance_m,
     }
-    found = {contact.table: contact for contact in trajectory.contacts}
-    assert {table: contact.distance_m for table, contact in found.items()} == pytest.approx(expected)
-    for contact in found.values():
-        k = int(np.argmin(np.abs(trajectory.samples_s - contact.t_s)))
-        distance = problem.collision.table_distance if contact.table else problem.collision.self_distance
-        assert distance(q[k : k + 1]).distance_m[0] == pytest.approx(contact.distance_m)
+    assert trajectory.least_distances.keys() == distances.keys()
+    for kind, (least, sample) in trajectory.least_distances.items():
+        assert least == pytest.approx(distances[kind].min())
+        assert distances[kind][sample] == pytest.approx(least)
 
 
 def test_obstacles_predict_the_distances_of_a_moved_trajectory(problem: TubeProblem) -> None:
     trajectory = _through(problem)
     lowering = np.array([0.0, 0.01, 0.0, 0.0, 0.0, 0.0, 0.0])
     lowered = trajectory
-    while min(contact.distance_m for contact in lowered.contacts) > 0.005:
+    while min(lowered.least_distances.values())[0] > 0.005:
         lowered = JointTrajectory(problem, lowered.basis, lowered.control + lowering)
     shift = 1e-4 * np.random.default_rng(1).normal(size=7)
     moved = JointTrajectory(problem, lowered.basis, lowered.control + shift)
     obstacles = lowered.obstacles()
     assert obstacles
-    assert moved.worst_contact is not None
-    assert moved.worst_contact.table
+    assert min(moved.least_distances, key=moved.least_distances.__getitem__) is ViolationKind.TABLE_COLLISION
     nearest = min(
         obstacles,
         key=lambda o: o.offset_m + o.gradient @ moved.basis.evaluate(moved.control, np.array([o.t_s]))[0] - o.least_m,
@@ -113,5 +111,5 @@ def test_finger_widths_between_frames_and_where_unknown(plant: ArmPlant) -> None
     np.testing.assert_allclose(_problem(plant, widths).widths(np.array([0.0, 0.5, 3.0])), [0.0, 0.08 / 6, 0.08])
     assert _problem(plant, np.full(25, np.nan)).widths(T_S) is None
     assert _problem(plant).widths(T_S) is None
-    closed, wide = (_through(_problem(plant, np.full(25, w))).contacts for w in (0.0, 0.08))
-    assert [c.distance_m for c in closed] != [c.distance_m for c in wide]
+    closed, wide = (_through(_problem(plant, np.full(25, w))).least_distances for w in (0.0, 0.08))
+    assert closed != wide

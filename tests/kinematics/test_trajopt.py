@@ -7,9 +7,10 @@ from scipy.interpolate import BSpline
 from kinebench_drake.geometry import pose_difference, rotation_exp
 from kinebench_drake.kinematics import trajopt
 from kinebench_drake.kinematics.collision import CollisionModel
+from kinebench_drake.kinematics.infeasibility import describe_violation
 from kinebench_drake.kinematics.newton import solve_newton
 from kinebench_drake.kinematics.plant import ArmPlant
-from kinebench_drake.kinematics.trajectory import TrajectoryCheck
+from kinebench_drake.kinematics.trajectory import JointTrajectory
 from kinebench_drake.kinematics.trajopt import LARGEST_M, RATIO, SMALLEST_M, TubeResult, optimize_in_tube
 from kinebench_drake.kinematics.violation import ViolationKind
 from kinebench_drake.models.panda.robot import rest_q
@@ -50,15 +51,15 @@ def _shaken(X_BG: np.ndarray, noise_m: float, seed: int) -> np.ndarray:
 
 def _verify(
     plant: ArmPlant, result: TubeResult, t_s: np.ndarray, X_BG: np.ndarray
-) -> tuple[TrajectoryCheck, np.ndarray]:
+) -> tuple[JointTrajectory, np.ndarray]:
     """The certificate, held against SciPy's B-spline and Drake: tube at the frames, limits all along."""
     certificate = result.certificate
     assert certificate is not None
     assert result.radius_m is not None
     curve = BSpline(certificate.knots_s, certificate.control, 3)
     position, rotation = pose_difference(_poses(plant, curve(t_s)), X_BG)
-    assert position.max() == pytest.approx(certificate.position_error_max_m, abs=1e-9)
-    assert rotation.max() == pytest.approx(certificate.rotation_error_max_rad, abs=1e-8)
+    assert position.max() == pytest.approx(certificate.figures()["position_error_max_m"], abs=1e-9)
+    assert rotation.max() == pytest.approx(certificate.figures()["rotation_error_max_rad"], abs=1e-8)
     assert max(position.max(), 0.1 * rotation.max()) <= result.radius_m + 1e-9
     t = np.linspace(t_s[0], t_s[-1], 20 * len(t_s))
     assert ((curve(t) >= plant.lower) & (curve(t) <= plant.upper)).all()
@@ -78,12 +79,18 @@ def test_clean_track_needs_no_program_and_the_smallest_tube(
     assert (result.radius_m, result.feasible, result.reason) == (SMALLEST_M, True, None)
     certificate, path = _verify(plant, result, t, X)
     # The certificate's own figures, from denser samples than it took.
-    assert certificate.self_distance_min_m == pytest.approx(collision.self_distance(path).distance_m.min(), abs=1e-4)
-    assert certificate.table_distance_min_m == pytest.approx(collision.table_distance(path).distance_m.min(), abs=1e-4)
+    assert certificate.figures()["self_distance_min_m"] == pytest.approx(
+        collision.self_distance(path).distance_m.min(), abs=1e-4
+    )
+    assert certificate.figures()["table_distance_min_m"] == pytest.approx(
+        collision.table_distance(path).distance_m.min(), abs=1e-4
+    )
     margin = np.minimum(path - plant.lower, plant.upper - path) / (0.5 * (plant.upper - plant.lower))
-    assert certificate.joint_limit_margin_min == pytest.approx(margin.min(), abs=1e-4)
+    assert certificate.figures()["joint_limit_margin_min"] == pytest.approx(margin.min(), abs=1e-4)
     torque = [plant.torque(row, np.zeros(7), np.zeros(7)) for row in path]
-    assert certificate.torque_ratio_max == pytest.approx(np.abs(torque / plant.effort_limits).max(), rel=0.05)
+    assert certificate.figures()["torque_ratio_max"] == pytest.approx(
+        np.abs(torque / plant.effort_limits).max(), rel=0.05
+    )
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -139,7 +146,7 @@ def test_teleport_is_placed_at_its_frame(plant: ArmPlant) -> None:
     assert result.feasible is False
     assert result.violation is not None
     assert result.violation.kind in (ViolationKind.VELOCITY, ViolationKind.ACCELERATION)
-    assert 28 <= result.violation.frame <= 31
+    assert 28 <= result.violation.frame_start <= 31
     assert result.violation.value > result.violation.limit
     assert result.violation.joint in plant.robot.joints
     assert result.violation.joint in (result.reason or "")
@@ -152,10 +159,12 @@ def test_pose_out_of_reach_is_unreachable(plant: ArmPlant) -> None:
     result = optimize_in_tube(plant, None, t, X, _follow(plant, X, q[0]))
     assert result.feasible is False
     assert result.violation is not None
-    assert (result.violation.kind, result.violation.frame) == (ViolationKind.UNREACHABLE, 20)
+    assert (result.violation.kind, result.violation.frame_start) == (ViolationKind.UNREACHABLE, 20)
     assert result.violation.joint is None
     assert result.violation.limit == 0.005  # the tube's, though only what is far beyond it counts for sure
-    assert str(result.violation).endswith(f"near frame 20: {result.violation.value:.4g} m, limit 0.005 m")
+    assert describe_violation(result.violation).endswith(
+        f"near frame 20: {result.violation.value:.4g} m, limit 0.005 m"
+    )
 
 
 def test_given_angles_past_a_limit_name_the_joint(plant: ArmPlant) -> None:
@@ -168,7 +177,7 @@ def test_given_angles_past_a_limit_name_the_joint(plant: ArmPlant) -> None:
     assert result.violation is not None
     assert (result.violation.kind, result.violation.joint) == (ViolationKind.JOINT_LIMIT, "panda_joint4")
     assert result.violation.value > result.violation.limit == pytest.approx(-0.0698)
-    assert str(result.violation).endswith(" rad, limit -0.0698 rad")
+    assert describe_violation(result.violation).endswith(" rad, limit -0.0698 rad")
 
 
 def test_track_into_the_table_needs_a_tube_of_the_depth(plant: ArmPlant, collision: CollisionModel) -> None:
@@ -185,8 +194,8 @@ def test_track_into_the_table_needs_a_tube_of_the_depth(plant: ArmPlant, collisi
     # Tilting the hand within the tube saves a little.
     assert 0.75 * (depth - 0.002) < result.radius_m < 1.05 * (depth - 0.002)
     certificate, q_safe = _verify(plant, result, t, X)
-    assert certificate.table_distance_min_m is not None
-    assert certificate.table_distance_min_m >= -0.002
+    assert certificate.figures()["table_distance_min_m"] is not None
+    assert certificate.figures()["table_distance_min_m"] >= -0.002
     assert collision.table_distance(q_safe).distance_m.min() >= -0.0021
     assert optimize_in_tube(plant, collision, t, X, path, table_tolerance_m=depth + 1e-3).feasible
     assert optimize_in_tube(plant, None, t, X, path).feasible
@@ -207,11 +216,11 @@ def test_path_through_the_arm_itself_is_pushed_out_or_refused(
     result = optimize_in_tube(plant, nowhere, t, X, q)
     assert result.feasible is escapes
     certificate, path = _verify(plant, result, t, X)
-    assert (certificate.self_distance_min_m or -1.0) >= 0.0
+    assert (certificate.figures()["self_distance_min_m"] or -1.0) >= 0.0
     assert nowhere.self_distance(path).distance_m.min() > -2e-4
     if result.violation is not None:
         assert result.violation.kind is ViolationKind.SELF_COLLISION
-        assert result.violation.frame in (14, 15)
+        assert result.violation.frame_start in (14, 15)
     assert result.feasible is (result.violation is None)
     assert optimize_in_tube(plant, None, t, X, q).radius_m == SMALLEST_M
 
@@ -236,12 +245,12 @@ def test_torque_is_saved_by_accelerating_less(plant: ArmPlant, monkeypatch: pyte
     assert strong.certificate is not None
     weight = max(abs(plant.torque(row, np.zeros(7), np.zeros(7))[0]) for row in q)
     weak = plant.effort_limits.copy()
-    weak[0] = max(0.7 * strong.certificate.torque_ratio_max * weak[0], 2.0 * weight)
+    weak[0] = max(0.7 * strong.certificate.figures()["torque_ratio_max"] * weak[0], 2.0 * weight)
     monkeypatch.setattr(plant, "effort_limits", weak)
     result = optimize_in_tube(plant, None, t, X, path, tube_limit_m=0.02)
     assert result.feasible
     assert result.certificate is not None
-    assert result.certificate.torque_ratio_max <= 1.0
+    assert result.certificate.figures()["torque_ratio_max"] <= 1.0
 
 
 def test_uneven_times_and_absent_frames(plant: ArmPlant, collision: CollisionModel) -> None:
@@ -285,7 +294,7 @@ def test_standing_still_is_feasible(plant: ArmPlant, collision: CollisionModel) 
     result = optimize_in_tube(plant, collision, t, np.tile(X[:1], (49, 1, 1)), np.tile(q[:1], (49, 1)))
     assert result.feasible
     assert result.certificate is not None
-    assert result.certificate.velocity_ratio_max < 1e-6
+    assert result.certificate.figures()["velocity_ratio_max"] < 1e-6
 
 
 def test_what_cannot_be_judged_says_why(plant: ArmPlant) -> None:
@@ -325,7 +334,10 @@ def test_arm_without_published_limits_is_held_to_the_others(plant: ArmPlant, mon
     monkeypatch.setattr(plant, "jerk_limits", None)
     result = optimize_in_tube(plant, None, t, X, q)
     assert result.certificate is not None
-    assert (result.certificate.acceleration_ratio_max, result.certificate.jerk_ratio_max) == (None, None)
+    assert (result.certificate.figures()["acceleration_ratio_max"], result.certificate.figures()["jerk_ratio_max"]) == (
+        None,
+        None,
+    )
     fast = optimize_in_tube(plant, None, t / 20.0, X, q)
     assert fast.feasible is False
     assert fast.violation is not None

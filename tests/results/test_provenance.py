@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from kinebench_drake.environment import sources
-from kinebench_drake.models.perception.inference import supports_bfloat16
+from kinebench_drake.models.perception.network import supports_bfloat16
 from kinebench_drake.results import provenance
 from kinebench_drake.results.provenance import RUNS, code_hash
 

@@ -11,7 +11,7 @@ from kinebench_drake.environment.sources import trace_sources
 
 MEASURING = "benchmarks.perception.trial"
 SHAPING = (
-    *("camera", "geometry", "types", "io.reader", "models.panda.cad", "models.perception.network"),
+    *("camera", "geometry", "track", "io.reader", "models.panda.cad", "models.perception.network"),
     *("grounding.pipeline", "grounding.tracking.tracker", "grounding.tracking.confidence"),
     *("grounding.registration.fit", "grounding.registration.solver", "grounding.framing.search"),
     *("grounding.overrides.depth", "grounding.anomaly.detect"),

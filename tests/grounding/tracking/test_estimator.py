@@ -14,8 +14,7 @@ from kinebench_drake.grounding.tracking.crop import Crop
 from kinebench_drake.grounding.tracking.estimator import NetworkEstimator
 from kinebench_drake.grounding.tracking.view import GripperView
 from kinebench_drake.io.reader import read_video
-from kinebench_drake.models.perception.inference import fold_batch_normalisation, use_onednn
-from kinebench_drake.models.perception.network import load_network
+from kinebench_drake.models.perception.network import fold_batch_normalisation, load_network, use_onednn
 from kinebench_drake.track import GripperTrack
 
 VIDEO = Path(__file__).parents[3] / "examples" / "videos" / "StackCube-v1_s0010_unseen.mp4"

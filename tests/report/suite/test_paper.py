@@ -4,6 +4,7 @@ import json
 import re
 import shlex
 
+import numpy as np
 import pytest
 
 from benchmarks.__main__ import main as benchmarks
@@ -18,7 +19,7 @@ from kinebench_drake.report.suite.paper_section import make_sections
 from kinebench_drake.report.suite.transfer import study_drops, tabulate_drops
 from kinebench_drake.report.table import table_latex
 from kinebench_drake.results.row import Status
-from kinebench_drake.stats import PairedOutcomes
+from kinebench_drake.stats import PairedShares
 from kinebench_drake.suites.catalog import load_suite
 from tests.report.pages import BROWSER, WIDTH, Page, probe
 from tests.report.suite.synthetic import change, failed, outcome, write_run
@@ -212,7 +213,8 @@ def test_drops_pair_episodes_of_one_task_and_seed(tmp_path):
     unseen = write_run(tmp_path / "unseen", {"T": [True] * 3 + [False] * 7}, suite=2, split="unseen", first_seed=2)
     every, task = study_drops(episodes_of(trained, unseen), {})
     assert (every.task, task.task, task.paired) == (ALL_TASKS, "T", True)
-    expected = PairedOutcomes(both=3, first_only=3, second_only=0, neither=2)  # seeds 2 to 9
+    hits = np.array([1.0, 1, 1, 1, 1, 1, 0, 0]), np.array([1.0, 1, 1, 0, 0, 0, 0, 0])  # seeds 2 to 9
+    expected = PairedShares(first=hits[0], second=hits[1])
     assert task.drop.mean == pytest.approx(expected.difference)
     assert (task.drop.low, task.drop.high) == pytest.approx(expected.interval())
     assert task.p == pytest.approx(expected.p_value)

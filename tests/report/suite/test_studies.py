@@ -20,7 +20,7 @@ from kinebench_drake.report.suite.scaling import (
 from kinebench_drake.report.suite.success import tabulate_suites, tabulate_summary, tabulate_tasks, tally
 from kinebench_drake.report.suite.suite_page import write_suite_report
 from kinebench_drake.results.row import Status
-from kinebench_drake.stats import PairedOutcomes
+from kinebench_drake.stats import PairedShares
 from tests.report.suite.synthetic import change, failed, outcome, write_run
 
 
@@ -214,7 +214,7 @@ def test_pairs_are_the_shared_episodes(tmp_path):
     assert (whole.shared, tasks[0].shared) == (10, 5)  # the sixth is the first model's alone
     assert (tasks[0].paired.first.tolist(), tasks[0].paired.second.tolist()) == ([1, 1, 1, 0], [1, 0, 0, 0])
     assert (tasks[0].counted.n, tasks[0].counted.better) == (5, (2, 1))
-    outcomes = PairedOutcomes(both=1, first_only=2, second_only=0, neither=1)
+    outcomes = PairedShares(first=np.array([1.0, 1, 1, 0]), second=np.array([1.0, 0, 0, 0]))
     assert (tasks[0].paired.p_value, tasks[0].paired.interval()) == (outcomes.p_value, outcomes.interval())
     assert whole.progress.mean == pytest.approx(0.5)
     assert [c.adjusted_p for c in (whole, *tasks)] == [None, 0.5, 0.5]
