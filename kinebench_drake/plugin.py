@@ -18,11 +18,7 @@ def is_class_name(text: str) -> bool:
 def load_class(spec: str, *, argument: str, method: str, arguments: str) -> type:
     """Import the class of a spec `module:Class`, from installed modules or else from the working directory.
 
-    Args:
-        spec: the spec.
-        argument: argument that holds the spec, for messages.
-        method: a method that the class must have.
-        arguments: arguments of the method, for messages.
+    It must have `method`. `argument`, which holds the spec, and the method's `arguments` are for messages.
 
     Raises:
         UsageError: there is no such module or class, or the class has no such method.

@@ -83,11 +83,7 @@ def _means_of_many(values: Array, rng: np.random.Generator) -> Array:
 def percentile_interval(draws: ArrayLike) -> tuple[float, float]:
     """Return the ends of the percentile interval of a bootstrap distribution (Efron, Ann. Statist. 7, 1979).
 
-    Args:
-        draws: (D,) the statistic of each resample; those not finite are left out.
-
-    Returns:
-        NaN twice if no draw is finite.
+    Values of the statistic `draws` (D,) that are not finite are left out; NaN twice if none is finite.
     """
     values = np.asarray(draws, dtype=np.float64)
     values = values[np.isfinite(values)]
@@ -121,16 +117,11 @@ def group_means(values: Sequence[float], groups: Sequence[Hashable]) -> Array:
 
 
 def share_interval(shares: Array, rng: np.random.Generator) -> tuple[float, float]:
-    """Return the ends of the interval of the mean success of episodes, with one or several samples each.
+    """Return the ends of the interval of the mean success of episodes, from the `shares` (N,) of their samples, 0..1.
 
     Episodes whose samples all agree are single outcomes: Wilson's interval. Otherwise episodes are resampled with all
     their samples (cluster bootstrap; Davison and Hinkley, Bootstrap Methods and their Application, 1997, section 3.8).
-    If all shares are equal it is Wilson's for as many samples as there are episodes: no correlation within episodes
-    leaves fewer.
-
-    Args:
-        shares: (N,) share of successes among the samples of each episode, 0..1.
-        rng: generator of the resampling.
+    If all shares are equal it is Wilson's for as many samples as there are episodes.
     """
     n, hits = len(shares), math.fsum(shares)
     if np.isin(shares, (0.0, 1.0)).all():

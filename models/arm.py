@@ -26,11 +26,7 @@ _KNOWN = (*_TURNING, "prismatic", "fixed")
 
 
 def choose_robot(urdf: Path | None, tcp_link: str | None) -> Robot:
-    """Load the arm of a URDF, or the Panda.
-
-    Args:
-        urdf: URDF of the arm; None for mani_skill's Panda.
-        tcp_link: link of the URDF whose frame is G; None for the Panda.
+    """Load the arm of a URDF with the link `tcp_link` as frame G, or mani_skill's Panda if there is no URDF.
 
     Raises:
         InputError: the URDF or its SRDF cannot be used.
@@ -41,20 +37,14 @@ def choose_robot(urdf: Path | None, tcp_link: str | None) -> Robot:
 
 
 def load_robot(urdf: Path, tcp_link: str) -> Robot:
-    """Load the arm between the root link of a URDF and `tcp_link`.
+    """Load the arm between the root link of a URDF and `tcp_link`, whose frame is G.
 
     There must be seven revolute or continuous joints between the two (continuous ones get the limits -pi and pi), each
     with limits of position and speed. Prismatic joints elsewhere are fingers, each opened by half the gap between the
     pads within its limits; other joints elsewhere are fixed at 0, or at their limit nearest to it. Pairs of links
     excluded from contact checks are read from an SRDF of the same name beside the URDF; without one they are those of
-    `Robot.allowed_pairs`. Effort limits are those of the URDF, which has none of acceleration and jerk.
-
-    The rest posture is the Panda's if the joints have its names and their limits contain it, else the middle of the
-    limits.
-
-    Args:
-        urdf: URDF file.
-        tcp_link: name of the link whose frame is G.
+    `Robot.allowed_pairs`. The rest posture is the Panda's if the joints have its names and their limits contain it,
+    else the middle of the limits.
 
     Raises:
         UsageError: there is no such file, or no such link in it.

@@ -40,12 +40,8 @@ def convert_urdf(source: Path, name: str) -> Path:
 
     Collision meshes become their convex hulls (.obj), visual meshes one-colour .obj files with the original triangles;
     unreadable visual meshes are left out. `mimic` and `safety_controller` elements and joint friction are dropped:
-    Drake does not use them in a continuous-time plant. `continuous` joints get the limits -pi and pi. The rest is
-    unchanged.
-
-    Args:
-        source: URDF file; its meshes are found by `find_mesh`.
-        name: prefix of the cache folder and name of the converted file.
+    Drake does not use them in a continuous-time plant. `continuous` joints get the limits -pi and pi. The cache folder
+    and the converted file begin with `name`; meshes are found by `find_mesh`.
 
     Raises:
         InputError: the URDF or one of its collision meshes cannot be read.

@@ -14,14 +14,12 @@ _CENTRES = 64  # intervals of the times about which spectra are turned
 def least_arc(speed: Array, sampling_hz: float, bins: int, cutoff_hz: float) -> float:
     """Return a lower bound of SPARC over all speeds in place of the unknown ones.
 
-    The spectrum of a profile is the mean of exp(-2 pi i f t) over its samples, weighted by speed: a mixture
-    (1 - s) K + s U of the known and the unknown samples. Its magnitude V changes from one frequency to the next, df
-    higher, by at most |exp(2 pi i df c) (V e)(f + df) - (V e)(f)| with e its phase, for any time c: turning a complex
-    number does not change its magnitude. That is at most (1 - s) A + s H, where A is this difference for K and
-    H = max |2 sin(pi df (t - c))| over the unknown times t; hence at most max(A, H), minimised over c. The arc is
-    longest with these changes and with the end, of all up to the cut-off, that makes it longest.
-
-    A known sample that becomes unknown moves its part of A into H, so that max(A, H) does not fall.
+    The spectrum of a profile is the mean of exp(-2 pi i f t) over its samples, weighted by speed: a mixture (1 - s) K +
+    s U of the known and the unknown samples. From one frequency to the next, df higher, its magnitude V changes by at
+    most |exp(2 pi i df c) (V e)(f + df) - (V e)(f)| with e its phase, for any time c. That is at most (1 - s) A + s H,
+    where A is this difference for K and H = max |2 sin(pi df (t - c))| over the unknown times t; hence at most max(A,
+    H), minimised over c. The arc is longest with these changes and with the end, of all up to the cut-off, that makes
+    it longest. A known sample that becomes unknown moves its part of A into H, so that max(A, H) does not fall.
 
     Args:
         speed: (N,) speeds at evenly spaced times; NaN where unknown.
@@ -49,13 +47,10 @@ def least_arc(speed: Array, sampling_hz: float, bins: int, cutoff_hz: float) -> 
 def least_ldlj(speed: Array, sampling_hz: float) -> float:
     """Return the least log dimensionless jerk over all speeds in place of the unknown ones; infinite without jerk.
 
-    It falls with the sum of squared second differences of the speed over its peak: a convex function of the unknown
-    samples and of the scale of the known ones, all in 0..1, so that its greatest value is taken with each of them 0 or
-    1. Dynamic programming over the last two samples finds it.
-
-    Args:
-        speed: (N,) speeds at evenly spaced times; NaN where unknown.
-        sampling_hz: sampling rate.
+    `speed` (N,) is that at evenly spaced times, NaN where unknown. The value falls with the sum of squared second
+    differences of the speed over its peak: a convex function of the unknown samples and of the scale of the known ones,
+    all in 0..1, so that its greatest value is taken with each of them 0 or 1. Dynamic programming over the last two
+    samples finds it.
     """
     finite = np.isfinite(speed)
     peak = float(speed[finite].max(initial=0.0)) or 1.0

@@ -1,13 +1,12 @@
 """Lower-bound derivatives of a noisy path with their standard errors, and smoothing of the path.
 
 The k-th derivative is k! times the leading coefficient of the polynomial of degree k fitted to a window of samples by
-least squares: k!/||r|| times the projection on r/||r||, r being t^k less its fit by lower powers (the discrete
-Legendre polynomials of Gram; A. Savitzky and M. J. E. Golay, Anal. Chem. 36, 1964, tabulate them for even times).
-This functional annihilates polynomials of lower degree and its weights change sign k times, so by Peano's theorem
-(P. J. Davis, Interpolation and Approximation, 1963, chapter 3) it is a mean of the k-th derivative over the window
-with weights that are nowhere negative and sum to 1. Hence its magnitude never exceeds the greatest magnitude of the
-k-th derivative within the window: it can prove that a path breaks a limit, not that it keeps it. White noise sigma of
-the samples gives it the standard error k! sigma/||r||, which determines the length of the window.
+least squares: k!/||r|| times the projection on r/||r||, r being t^k less its fit by lower powers (the discrete Legendre
+polynomials of Gram; A. Savitzky and M. J. E. Golay, Anal. Chem. 36, 1964, tabulate them for even times). By Peano's
+theorem (P. J. Davis, Interpolation and Approximation, 1963, chapter 3) it is a mean of the k-th derivative over the
+window with weights that are nowhere negative and sum to 1: it can prove that a path breaks a limit, not that it keeps
+it. White noise sigma of the samples gives it the standard error k! sigma/||r||, which determines the length of the
+window.
 """
 
 from dataclasses import dataclass
@@ -58,9 +57,9 @@ def differentiate(t_s: Array, q: Array, sigma: Array, order: int, limits: Array)
     """Differentiate a joint path over the shortest window that makes the noise small relative to the limits.
 
     The whole track has one window size in samples: the smallest at which the standard error, for the median noise of
-    every joint, is NOISE_SHARE of its limit, at most LONGEST_S long, at least order + 1 samples. The window of a frame
-    is centred on it (for an even size it extends one sample further back); at the ends of the track it is the nearest
-    complete one. Frames with NaN are left out and windows span them: the result remains a mean of the derivative.
+    every joint, is NOISE_SHARE of its limit, at most LONGEST_S long, at least order + 1 samples. Windows are centred on
+    their frame (for an even size one sample further back), at the ends of the track the nearest complete ones. Frames
+    with NaN are left out and windows span them: the result remains a mean of the derivative.
 
     Args:
         t_s: (T,) times [s], increasing; evenly spaced times are faster.
@@ -94,17 +93,15 @@ def differentiate(t_s: Array, q: Array, sigma: Array, order: int, limits: Array)
 def smooth_path(t_s: Array, q: Array, sigma: Array) -> Array:
     """Return the path (T, 7) [rad] smoothed as far as its noise explains; NaN where `q` is.
 
-    In each run of finite frames, of all paths whose residuals are no more than the noise explains, the one with the
-    least third differences: a smoothing spline in discrete time (E. T. Whittaker, Proc. Edinburgh Math. Soc. 41, 1923;
-    C. H. Reinsch, Numer. Math. 10, 1967, who also chooses the weight by the residuals; P. H. C. Eilers, Anal. Chem. 75,
-    2003). The degrees of freedom of the smooth path are subtracted from what the noise explains. All joints share one
-    weight. Paths whose noise is below NEGLIGIBLE_RAD, or unknown, are returned unchanged. `q` may have any number of
-    columns and any unit, if `sigma` has the same.
+    In each run of finite frames, of all paths whose residuals are no more than the noise explains, less the degrees of
+    freedom of the path, the one with the least third differences: a smoothing spline in discrete time (E. T. Whittaker,
+    Proc. Edinburgh Math. Soc. 41, 1923; C. H. Reinsch, Numer. Math. 10, 1967; P. H. C. Eilers, Anal. Chem. 75, 2003).
+    All joints share one weight. Paths whose noise is below NEGLIGIBLE_RAD, or unknown, are returned unchanged.
 
     Args:
         t_s: (T,) times [s], increasing.
-        q: (T, 7) samples, NaN where unknown.
-        sigma: (7,) or (T, 7) standard deviations of the noise.
+        q: (T, N) samples of any unit, NaN where unknown.
+        sigma: (N,) or (T, N) standard deviations of the noise.
     """
     variance = np.maximum(np.broadcast_to(np.asarray(sigma, dtype=np.float64), q.shape), 0.1 * NEGLIGIBLE_RAD) ** 2
     smoothed = q.copy()

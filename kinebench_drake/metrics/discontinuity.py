@@ -1,11 +1,10 @@
 """Detection of discontinuities: single steps of a track that its motion before and after does not explain.
 
-At video rates a jump can lie within every speed limit (at 0.2 s per frame the Panda may move 34 cm in one), so the
-criterion is statistical, not physical. Each step is predicted from the two steps before and the two after, for constant
-and for linearly changing velocity; a smooth motion lies between or near the two predictions. A step is a jump if its
-deviation from both exceeds a floor, the noise, a share of the neighbouring steps and a multiple of the usual deviation
-nearby. Near the ends of a run of tracked frames, with fewer than two steps on a side, a quick start or stop gives the
-same deviation, and the floor is higher.
+At video rates a jump can lie within every speed limit, so the criterion is statistical. Each step is predicted from the
+two steps before and the two after, for constant and for linearly changing velocity; a smooth motion lies between or
+near the two predictions. A step is a jump if its deviation from both exceeds a floor, the noise, a share of the
+neighbouring steps and a multiple of the usual deviation nearby. Near the ends of a run of tracked frames a quick start
+or stop gives the same deviation, and the floor is higher.
 """
 
 from dataclasses import dataclass
@@ -74,9 +73,8 @@ def find_discontinuities(
         t_s: (T,) times [s], increasing.
         X_BG: (T, 4, 4) poses of the TCP in B [m].
         tracked: (T,) frames with a usable pose.
-        noise: noise of the poses (`noise.estimate_track_noise`); where unknown (NaN), no step counts as a jump.
-        q: (T, 7) recorded joint angles [rad], NaN where unknown; not those of inverse kinematics, whose jumps between
-            branches are due to the solver.
+        noise: noise of the poses; where unknown (NaN), no step counts as a jump.
+        q: (T, 7) recorded joint angles [rad], NaN where unknown; not those of inverse kinematics.
         joints: names of the columns of `q`.
     """
     violations: list[Violation] = []
@@ -125,9 +123,9 @@ def _floor(t_s: Array, floor: float, acceleration: float) -> Array:
 def _noise_norm(sigma: float, axes: int, frames: int, freedom: float, groups: int = 1) -> float:
     """Return the deviation that noise `sigma` per axis exceeds at any step with probability FALSE_ALARM.
 
-    For evenly spaced times. The difference of two neighbouring steps has sqrt(6) sigma per axis (from the mean of both
-    sides: sqrt(5)); its squared norm over the measured variance, a mean over axes, follows Fisher's distribution, with
-    `freedom` degrees of freedom of the variance per frame.
+    The difference of two neighbouring, evenly spaced steps has sqrt(6) sigma per axis; its squared norm over the
+    measured variance, a mean over axes, follows Fisher's distribution, with `freedom` degrees of freedom of the
+    variance per frame.
     """
     chance = 1.0 - FALSE_ALARM / (frames * groups)
     return float(np.sqrt(6.0 * axes * fdtri(axes, max(freedom * frames, 1.0), chance)) * sigma)

@@ -22,14 +22,8 @@ _NOT_OF_THE_ROBOT = frozenset({AnomalyKind.CAMERA.value})
 def find_obstacles(feasible: bool | None, tracked: NDArray[np.bool_], anomalies: Collection[str] | None) -> list[str]:
     """List what is against executing a motion: INFEASIBLE or UNDECIDED, LOST, kinds of anomalies.
 
-    In a video a gap of fewer than LOST_FRAMES frames between tracked ones is bridged by interpolation, if no more than
-    LOST_SHARE of all frames is lost: the verdict compares the motion across it with the limits, too. In a trajectory
-    without a video every lost frame counts.
-
-    Args:
-        feasible: verdict on the motion.
-        tracked: (T,) frames with a pose.
-        anomalies: kinds of the anomalies of the video; None if there is no video.
+    In a video a gap of fewer than LOST_FRAMES frames between `tracked` ones (T,) is bridged by interpolation, if no
+    more than LOST_SHARE of all frames is lost. Without a video (`anomalies` None) every lost frame counts.
     """
     obstacles = [] if feasible else [INFEASIBLE if feasible is False else UNDECIDED]
     gaps, n = segments(~tracked), len(tracked)

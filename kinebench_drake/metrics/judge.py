@@ -69,11 +69,7 @@ class TrackJudge:
     """Judges tracks for one robot and its table. Uses the plant's context: one object a thread."""
 
     def __init__(self, plant: ArmPlant, *, table_height_m: float = 0.0) -> None:
-        """Build the collision model.
-
-        Args:
-            plant: the robot.
-            table_height_m: height z of the table top in B [m].
+        """Build the collision model; the table top is at z = `table_height_m` in B [m].
 
         Raises:
             InputError: a collision geometry of the robot cannot be used.

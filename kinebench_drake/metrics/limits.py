@@ -1,11 +1,10 @@
 """Check of velocity, acceleration, jerk and torque of a noisy joint path against the limits of the robot.
 
-A limit counts as broken where |value| - z * standard error > limit. The values are those of `derivatives`: means over
-a window, hence never above the true peak (torque is computed from such means, so approximately). At video rates they
-lie far below it for jerk (a track at 5 Hz resolves a fraction of a percent of the Panda's jerk limits): the jerk check
-can show a violation, not its absence, and each check reports its bandwidth. The factor z makes FALSE_ALARM the
-probability that noise alone gives a violation for a track at its limits throughout: Bonferroni correction over all
-tests (frames x joints x kinds, both signs), with Student's distribution because the noise is estimated.
+A limit counts as broken where |value| - z * standard error > limit. The values are those of `derivatives`: means over a
+window, never above the true peak (torque: approximately). At video rates they lie far below it for jerk: the check can
+show a violation, not its absence, and reports its bandwidth. The factor z makes FALSE_ALARM the probability that noise
+alone gives a violation for a track at its limits throughout: Bonferroni correction over all tests (frames x joints x
+kinds, both signs), with Student's distribution because the noise is estimated.
 """
 
 from collections.abc import Mapping
@@ -99,8 +98,7 @@ def check_limits(
     """Check a joint path against all limits of the robot.
 
     Torques are those of inverse dynamics without payload, at the smoothed path and its derivatives; their noise is that
-    of the accelerations through the mass matrix (the effect of noise in posture and speed on gravity and Coriolis
-    forces is small in comparison).
+    of the accelerations through the mass matrix.
 
     Args:
         plant: the robot.
@@ -156,14 +154,8 @@ def noise_allowance(tests: int, freedom: float) -> float:
 def torque_slowdown(gravity: Array, moving: Array, error: Array, limits: Array) -> Array:
     """Return the least k (..., 7) with |gravity + (moving -+ error) / k^2| within `limits`; inf if gravity is not.
 
-    Played k times slower, accelerations, products of speeds and the effect of their noise shrink by k^2; the torque
-    against gravity stays. Solved for 1/k^2 at either limit; the larger k counts.
-
-    Args:
-        gravity: (..., 7) torques of the arm at rest [N m].
-        moving: (..., 7) torques added by the motion in its own timing [N m].
-        error: (..., 7) allowance for its noise [N m].
-        limits: (7,) torque limits [N m].
+    Played k times slower, the torque (..., 7) added by the motion, `moving`, and the allowance for its noise, `error`,
+    shrink by k^2; that against `gravity` stays [N m]. Solved for 1/k^2 at either limit (7,); the larger k counts.
     """
     with np.errstate(divide="ignore", invalid="ignore"):
         up = np.maximum(moving - error, 0.0) / (limits - gravity)

@@ -1,9 +1,8 @@
 """Lost and unreachable frames of a track, and their part in its numbers: no number may improve because of them.
 
 A frame is *lost* without a pose, and *unreachable* if the nearest posture within limits misses its pose by MISS_M or
-more. In a track that has either, what the arm does there is open, and with it which of their postures the other frames
-have. Its manipulability is therefore the least that it can be: 0 in these frames, and elsewhere that of the worst
-posture within limits that reaches the pose, so that no detour of the joint path flatters them.
+more. In a track that has either, the manipulability is the least that it can be: 0 in these frames, and elsewhere that
+of the worst posture within limits that reaches the pose, as the postures of the other frames are open, too.
 """
 
 from dataclasses import dataclass, replace
@@ -64,15 +63,10 @@ class Coverage:
 
 
 def cover_poses(plant: ArmPlant, track: GripperTrack, joints: JointTrack, reached: NDArray[np.bool_]) -> Coverage:
-    """Return the coverage of a track of poses.
+    """Return the coverage of a track of poses, of which the path `joints` reaches the frames `reached` (T,).
 
-    The errors of missed poses are those of `solve_pose` from the rest posture: they depend on the pose alone.
-
-    Args:
-        plant: the robot.
-        track: the track; its common error (`offset_m`, `offset_rad`), if greater, replaces MISS_M.
-        joints: joint path.
-        reached: (T,) frames whose pose it reaches.
+    The errors of missed poses are those of `solve_pose` from the rest posture: they depend on the pose alone. A common
+    error of the track (`offset_m`, `offset_rad`) greater than MISS_M replaces it.
     """
     weight, q = reached.astype(np.float64), np.where(reached[:, None], joints.q, np.nan)
     position_error_m = joints.position_error_m.copy()
@@ -114,11 +108,8 @@ def weigh_manipulability(plant: ArmPlant, coverage: Coverage) -> Manipulability:
 def worst_manipulability(plant: ArmPlant, coverage: Coverage, w: Manipulability, X_BG: Array | None) -> Manipulability:
     """Return the least manipulability (T,) of the frames of an incomplete track: 0 where lost or unreachable.
 
-    Args:
-        plant: the robot.
-        coverage: coverage of the track.
-        w: manipulability along its joint path (`weigh_manipulability`).
-        X_BG: (T, 4, 4) poses of the TCP [m]; None if the joint angles are recorded, and hence known.
+    `w` is the manipulability along its joint path (`weigh_manipulability`), `X_BG` its poses (T, 4, 4) [m], None if the
+    joint angles are recorded, and hence known.
     """
     names = ("full", "translation", "rotation", "limited")
     least = {name: np.nan_to_num(getattr(w, name)) for name in names}

@@ -1,13 +1,11 @@
 """Estimation of the noise of a track from the track alone, assuming a smooth motion and white noise.
 
 A difference of order k over k + 1 frames reduces a smooth motion to nearly zero and maps white noise of standard
-deviation sigma to sqrt(C(2k, k)) sigma (difference-based variance estimation: J. von Neumann, Ann. Math. Stat. 12,
-1941, for k = 1; P. Hall, J. W. Kay, D. M. Titterington, Biometrika 77, 1990, for higher orders). The rest of the motion
-adds to the estimate, so each order bounds the noise from above, and the least over several orders is used. The scale of
-the differences is estimated by their median magnitude (F. R. Hampel, J. Am. Stat. Assoc. 69, 1974), which outliers and
-the fastest half of a motion do not affect.
-
-Noise that is correlated from frame to frame, such as that of a smoothing tracker, is detected only in part.
+deviation sigma to sqrt(C(2k, k)) sigma (J. von Neumann, Ann. Math. Stat. 12, 1941, for k = 1; P. Hall, J. W. Kay, D. M.
+Titterington, Biometrika 77, 1990, for higher orders). The rest of the motion adds to the estimate, so the least over
+several orders is used. The scale of the differences is their median magnitude (F. R. Hampel, J. Am. Stat. Assoc. 69,
+1974), which outliers and the fastest half of a motion do not affect. Noise that is correlated from frame to frame is
+detected only in part.
 """
 
 from dataclasses import dataclass
@@ -56,16 +54,11 @@ class TrackNoise:
 
 
 def estimate_track_noise(t_s: Array, X_BG: Array, tracked: NDArray[np.bool_]) -> TrackNoise:
-    """Estimate the noise of a track of poses, from runs of consecutive tracked frames.
+    """Estimate the noise of a track of poses `X_BG` (T, 4, 4) [m] at times `t_s` (T,) [s], from runs of tracked frames.
 
-    Positions are differenced directly; for rotations the first difference is the rotation vector in B from each frame
-    to the next. An order of difference is used if the runs contain MIN_DIFFERENCES of it; a track with none (in general
-    without 5 consecutive frames) gives NaN: unknown, not 0.
-
-    Args:
-        t_s: (T,) times [s], increasing.
-        X_BG: (T, 4, 4) poses of the TCP in B [m].
-        tracked: (T,) tracked frames.
+    Rotations are differenced as rotation vectors in B from each frame to the next. An order of difference is used if
+    the runs contain MIN_DIFFERENCES of it; a track with none (in general without 5 consecutive frames) gives NaN:
+    unknown.
     """
     pieces = [run for run in segments(tracked) if run.stop - run.start > ORDERS[0]]
     times = [t_s[run] for run in pieces]
@@ -88,12 +81,8 @@ def estimate_joint_noise(t_s: Array, q: Array) -> Array:
 def propagate_noise(jacobians: Array, noise: TrackNoise) -> Array:
     """Propagate the noise of a pose track to standard deviations (T, 7) [rad] of the joint angles that follow it.
 
-    To first order the joints follow the poses through the pseudo-inverse of the Jacobian, so that
-    sigma_j^2 = sum_i (J+)_ji^2 sigma_i^2, which grows without bound towards a singularity.
-
-    Args:
-        jacobians: (T, 6, 7) of `plant.jacobian`, angular rows first; rows of NaN give NaN.
-        noise: noise of the pose track.
+    To first order sigma_j^2 = sum_i (J+)_ji^2 sigma_i^2, of Jacobians (T, 6, 7) with angular rows first, which grows
+    without bound towards a singularity; rows of NaN give NaN.
     """
     finite = np.asarray(np.isfinite(jacobians).all(axis=(-2, -1)))
     variance = np.repeat([noise.rotation_rad**2, noise.position_m**2], 3)
@@ -137,10 +126,8 @@ def _rounding(values: Array) -> float:
 def _unit_differences(t_s: Array, steps: Array, order: int) -> Array:
     """Return differences (n - order, axes) of `order`, scaled so that white noise keeps its standard deviation.
 
-    Args:
-        t_s: (n,) times [s].
-        steps: (n - 1, axes) first differences.
-        order: k; the k-th difference at evenly spaced times, else the k-th divided difference.
+    Of first differences `steps` (n - 1, axes) at times `t_s` (n,) [s]: plain differences where these are even, else
+    divided differences.
     """
     dt = np.diff(t_s)
     if np.ptp(dt) <= 1e-6 * dt.mean():

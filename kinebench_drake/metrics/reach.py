@@ -92,15 +92,9 @@ def find_collisions(
 ) -> Iterator[Violation]:
     """Find runs of frames in which the arm penetrates itself or the table, both as recorded and smoothed.
 
-    `value` is the least distance [m], negative in penetration; `limit` the least allowed distance.
-
-    Args:
-        model: collision model.
-        track: track, for the gap between the fingers.
-        own: (T,) distances of the arm from itself along the joint path.
-        table: (T,) distances of the arm from the table.
-        q_smooth: (T, 7) smoothed joint path [rad].
-        noise: noise of the track.
+    `value` is the least distance [m], negative in penetration; `limit` the least allowed distance. `own` and `table`
+    are the distances (T,) along the joint path, `q_smooth` (T, 7) is the smoothed path [rad]; the track has the finger
+    gaps.
     """
     limit = -contact_tolerance(noise)
     for kind, clearance, distance in (

@@ -1,10 +1,9 @@
 """Smoothness of a motion by its speed profile: spectral arc length (SPARC) and log dimensionless jerk (LDLJ).
 
-Both are negative, independent of the size of the motion, and nearer to 0 for a smoother motion. A gripper at rest has
-no smoothness: None, never 0. Both follow the reference implementation of their authors (github.com/siva82kb/smoothness)
-to the digits it documents. Noise makes any motion rougher, more so at higher frame rates. To separate the two, the
-filtered SPARC uses only the low frequencies of a motion, equal at any frame rate, and each metric has a noise floor:
-its value for the smoothed motion plus the measured noise of the track.
+Both are negative, independent of the size of the motion, and nearer to 0 for a smoother motion; both follow the
+reference implementation of their authors (github.com/siva82kb/smoothness). A gripper at rest has no smoothness. Noise
+makes any motion rougher, more so at higher frame rates: the filtered SPARC uses only the low frequencies of a motion,
+equal at any frame rate, and each metric has a noise floor, its value for the smoothed motion plus the measured noise.
 """
 
 from collections.abc import Mapping
@@ -55,12 +54,11 @@ def sparc(
 ) -> Array:
     """Compute the spectral arc length (M,) of speed profiles (M, N), none all zero; NaN for one without an arc.
 
-    SPARC = - integral over 0..f_c of sqrt((1 / f_c)^2 + (dV/df)^2) df with V the magnitude of the speed's spectrum
-    over its maximum and f_c the last frequency, at most `cutoff_hz`, at which V reaches `threshold`. Source:
-    S. Balasubramanian, A. Melendez-Calderon, A. Roby-Brami, E. Burdet, "On the analysis of movement smoothness",
-    J. NeuroEngineering Rehabil. 12:112, 2015, eq. (8), and the reference implementation. Unlike there, frequencies
-    above sampling_hz / 2 are left out: they mirror those below, and the reference counts them if sampling_hz is less
-    than twice CUTOFF_HZ, which doubles the arc of a smooth motion at 10 Hz.
+    SPARC = - integral over 0..f_c of sqrt((1 / f_c)^2 + (dV/df)^2) df with V the magnitude of the speed's spectrum over
+    its maximum and f_c the last frequency, at most `cutoff_hz`, at which V reaches `threshold`. Source: S.
+    Balasubramanian, A. Melendez-Calderon, A. Roby-Brami, E. Burdet, "On the analysis of movement smoothness", J.
+    NeuroEngineering Rehabil. 12:112, 2015, eq. (8), and the reference implementation. Unlike there, frequencies above
+    sampling_hz / 2 are left out: they mirror those below, which would double the arc of a smooth motion at 10 Hz.
     """
     bins = _bins(speed.shape[-1])
     frequency = np.arange(bins // 2 + 1) * (sampling_hz / bins)
@@ -90,10 +88,9 @@ def ldlj(speed: Array, sampling_hz: float) -> Array:
     """Compute the log dimensionless jerk (M,) of speed profiles (M, N), none all zero; infinite for one without jerk.
 
     LDLJ = -ln((D^3 / v_peak^2) integral (d2v/dt2)^2 dt), D = N / sampling_hz the duration and v the speed, its second
-    derivative taken by differences. Sources: S. Balasubramanian, A. Melendez-Calderon, E. Burdet, "A robust and
-    sensitive metric for quantifying movement smoothness", IEEE Trans. Biomed. Eng. 59(8), 2012, and the 2015 paper
-    that `sparc` cites. The third derivative of the position amplifies tracking noise: values are comparable only
-    between tracks of equal frame rate.
+    derivative taken by differences; comparable only between tracks of equal frame rate. Sources: S. Balasubramanian, A.
+    Melendez-Calderon, E. Burdet, "A robust and sensitive metric for quantifying movement smoothness", IEEE Trans.
+    Biomed. Eng. 59(8), 2012, and the 2015 paper that `sparc` cites.
     """
     duration = speed.shape[-1] / sampling_hz
     jerk = np.diff(speed, 2, axis=-1) * sampling_hz**2
@@ -164,9 +161,8 @@ class Smoothness:
 def measure_smoothness(track: GripperTrack, noise: TrackNoise | None = None, seed: int = 0) -> Smoothness:
     """Measure the smoothness of a track.
 
-    With lost frames SPARC and LDLJ are the least values over all motions in these frames (`completion`), so that losing
-    frames improves neither; they are None if more than MAX_LOST_SHARE of the frames is lost. The filtered SPARC and the
-    noise floors of a track with lost frames are None.
+    With lost frames SPARC and LDLJ are the least values over all motions in these frames (`completion`), None if more
+    than MAX_LOST_SHARE of the frames is lost; the filtered SPARC and the noise floors are None.
 
     Args:
         track: gripper track; frames that are not tracked are lost.
@@ -231,12 +227,9 @@ def _measure_longest_run(track: GripperTrack, noise: TrackNoise | None, seed: in
     """Measure the smoothness of the longest run of consecutive tracked frames of `track`; gaps are not interpolated.
 
     Speeds are those between neighbouring frames, interpolated linearly to evenly spaced times if the frames are not. A
-    run of fewer than MIN_FRAMES frames gives None, and so does a gripper that stays within STILL_M (translation) or
-    STILL_RAD (rotation), whose speed profile is mainly noise.
-
-    Noise floors are based on the motion as smoothed by `smooth_path`, which is slightly smoother than the true one for
-    few frames per move: at six frames per move and 3 mm of noise, the floor of SPARC is 0.1 to 0.4 nearer to 0 than
-    that of the true motion (measured; at 24 frames per move equal to 0.1).
+    run of fewer than MIN_FRAMES frames has no smoothness, nor has a gripper that stays within STILL_M (translation) or
+    STILL_RAD (rotation). Noise floors are based on the motion as smoothed by `smooth_path`, which is slightly smoother
+    than the true one for few frames per move (at six frames per move and 3 mm of noise by 0.1 to 0.4 of SPARC).
     """
     run = max(segments(track.tracked), key=lambda run: run.stop - run.start, default=slice(0, 0))
     X, t_s = track.X_BG[run], track.t_s[run]

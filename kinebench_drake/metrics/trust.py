@@ -54,11 +54,9 @@ class Trust:
 def assess_trust(extra: Mapping[str, Json], metrics: Mapping[str, Json], period: str, *, is_measured: bool) -> Trust:
     """Assess a video by the keys and metrics of its row.
 
-    Args:
-        extra: `camera_state`, `camera_agreement`, `domain`, `frames`, `frame_period_source`.
-        metrics: `tracked_fraction`, `confidence_mean`.
-        period: frame period and its source, in words.
-        is_measured: whether the row has results.
+    `extra` has `camera_state`, `camera_agreement`, `domain`, `frames` and `frame_period_source`, `metrics` has
+    `tracked_fraction` and `confidence_mean`; `period` is the frame period and its source, in words, `is_measured`
+    whether the row has results.
     """
     state, agreement, domain = extra.get("camera_state"), extra.get("camera_agreement"), extra.get("domain")
     tracked, confidence, frames = metrics.get("tracked_fraction"), metrics.get("confidence_mean"), extra.get("frames")

@@ -240,12 +240,9 @@ class _Convolution(nn.Module):
 
 
 def use_onednn(network: GripperNetwork) -> GripperNetwork:
-    """Return a copy for inference on the CPU whose convolutions are oneDNN's, where it is available.
+    """Return a copy for the CPU whose convolutions are oneDNN's, with weights in its order, where it is available.
 
-    Weights are in its order, and outputs are clamped where they are computed.
-
-    Args:
-        network: network without batch normalisation (`fold_batch_normalisation`).
+    The network has no batch normalisation (`fold_batch_normalisation`).
     """
     network = deepcopy(network)
     if not torch.backends.mkldnn.is_available():  # type: ignore[no-untyped-call]
