@@ -123,9 +123,9 @@ class LinkChain:
         M[1:] = M[1:] @ self._to_zero
         return M
 
-    def poses(self, q: ArrayLike, link: str, finger_width_m: ArrayLike | None = None) -> Array:
+    def poses(self, q: ArrayLike, link: str) -> Array:
         """Return the poses (N, 4, 4) of `link` in B [m] at postures `q` (N, 7) [rad]."""
-        return np.asarray(self.motions(q, finger_width_m)[:, self.stage[link]] @ self.home[link])
+        return np.asarray(self.motions(q)[:, self.stage[link]] @ self.home[link])
 
     def axes(self, motions: Array) -> tuple[Array, Array]:
         """Return the unit axes (N, 7, 3) of the arm's joints in B and a point (N, 7, 3) [m] on each, from `motions`."""

@@ -7,8 +7,9 @@ alone gives a violation for a track at its limits throughout: Bonferroni correct
 kinds, both signs), with Student's distribution because the noise is estimated.
 """
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from functools import partial
 from types import MappingProxyType
 
 import numpy as np
@@ -127,12 +128,8 @@ def check_limits(
         elif limit is None:
             reasons[kind] = f"no {kind.value} limits are published for {plant.robot.name}"
         else:
-            error = derivative.standard_error
-            least, own = (
-                np.maximum((np.abs(derivative.value) - room) / limit, 0.0) ** (1.0 / order)
-                for room in (z * error, np.zeros_like(error))
-            )
-            checks[kind] = _check(plant, kind, t_s, derivative.value, error, limit, least, own, derivative, z)
+            slowdown = partial(rate_slowdown, derivative.value, limit, order)
+            checks[kind] = _check(plant, kind, t_s, derivative, limit, slowdown, z)
     acceleration = derivatives[ViolationKind.ACCELERATION]
     if np.isfinite(acceleration.value).any():
         smooth = smooth_path(t_s, q, sigma)
@@ -151,7 +148,12 @@ def noise_allowance(tests: int, freedom: float) -> float:
     return float(-stdtrit(max(freedom, 1.0), FALSE_ALARM / (2.0 * max(tests, 1))))
 
 
-def torque_slowdown(gravity: Array, moving: Array, error: Array, limits: Array) -> Array:
+def rate_slowdown(value: Array, limits: Array, order: int, error: Array) -> Array:
+    """Return the least k (..., 7) with (|value| - error) / k^order within `limits` (7,): played k times slower."""
+    return np.asarray(np.maximum((np.abs(value) - error) / limits, 0.0) ** (1.0 / order))
+
+
+def torque_slowdown(gravity: Array, moving: Array, limits: Array, error: Array) -> Array:
     """Return the least k (..., 7) with |gravity + (moving -+ error) / k^2| within `limits`; inf if gravity is not.
 
     Played k times slower, the torque (..., 7) added by the motion, `moving`, and the allowance for its noise, `error`,
@@ -174,25 +176,23 @@ def _check_torque(
     gravity[usable] = plant.chain.torques(q[usable], at_rest, at_rest)
     for i in np.flatnonzero(usable):
         error[i] = np.sqrt(plant.mass_matrix(q[i]) ** 2 @ acceleration.standard_error[i] ** 2)
-    moving = torque - gravity
-    limits, none = plant.effort_limits, np.zeros_like(error)
-    least, own = (torque_slowdown(gravity, moving, room, limits) for room in (z * error, none))
-    return _check(plant, ViolationKind.TORQUE, t_s, torque, error, limits, least, own, acceleration, z)
+    estimate = replace(acceleration, value=torque, standard_error=error)
+    slowdown = partial(torque_slowdown, gravity, torque - gravity, plant.effort_limits)
+    return _check(plant, ViolationKind.TORQUE, t_s, estimate, plant.effort_limits, slowdown, z)
 
 
 def _check(
     plant: ArmPlant,
     kind: ViolationKind,
     t_s: Array,
-    value: Array,
-    error: Array,
+    estimate: Derivative,
     limits: Array,
-    least: Array,
-    own: Array,
-    derivative: Derivative,
+    slowdown: Callable[[Array], Array],
     z: float,
 ) -> LimitCheck:
-    """Return one check; `least` and `own` are the slow-downs (T, 7) less the noise, and by the value itself."""
+    """Return one check; `slowdown` returns the slow-downs (T, 7) that values need less an allowance (T, 7)."""
+    value, error = estimate.value, estimate.standard_error
+    least, own = slowdown(z * error), slowdown(np.zeros_like(error))
     magnitude = np.abs(value)
     broken = np.asarray(least > 1.0)
     significant = np.isfinite(value) & (~(z * error > limits) | broken)  # other values may be noise alone
@@ -208,8 +208,8 @@ def _check(
         margins=limits * (1.0 - ratios),
         ratios=ratios,
         value=value,
-        window_s=derivative.window_s,
-        bandwidth_hz=derivative.bandwidth_hz,
+        window_s=estimate.window_s,
+        bandwidth_hz=estimate.bandwidth_hz,
         noise_ratio=float((np.median(error[finite_rows(value)], axis=0) / limits).max()),
         slowdown=np.where(significant, np.maximum(least, np.minimum(own, 1.0)), np.where(least > 0.0, least, np.nan)),
         violations=tuple(

@@ -27,6 +27,7 @@ COST_MAX = 1000.0
 leave nothing of a mean but the share of such frames."""
 
 _SAMPLES, _ROUNDS = 128, 5  # angles of the redundancy among which the worst posture is searched, and their halvings
+_PRODUCTS = ("full", "translation", "rotation", "limited")  # fields of Manipulability that shrink with the weight
 _BETWEEN = 0.99  # allowance for worse postures between them
 
 
@@ -98,11 +99,7 @@ def cover_joints(plant: ArmPlant, q: Array) -> Coverage:
 def weigh_manipulability(plant: ArmPlant, coverage: Coverage) -> Manipulability:
     """Return the manipulability of each frame times its weight; NaN where that is 0."""
     w = compute_manipulability(plant, coverage.q)
-    return _costed(
-        replace(
-            w, **{name: getattr(w, name) * coverage.weight for name in ("full", "translation", "rotation", "limited")}
-        )
-    )
+    return _costed(replace(w, **{name: getattr(w, name) * coverage.weight for name in _PRODUCTS}))
 
 
 def worst_manipulability(plant: ArmPlant, coverage: Coverage, w: Manipulability, X_BG: Array | None) -> Manipulability:
@@ -111,14 +108,13 @@ def worst_manipulability(plant: ArmPlant, coverage: Coverage, w: Manipulability,
     `w` is the manipulability along its joint path (`weigh_manipulability`), `X_BG` its poses (T, 4, 4) [m], None if the
     joint angles are recorded, and hence known.
     """
-    names = ("full", "translation", "rotation", "limited")
-    least = {name: np.nan_to_num(getattr(w, name)) for name in names}
+    least = {name: np.nan_to_num(getattr(w, name)) for name in _PRODUCTS}
     frames = np.flatnonzero(coverage.weight == 1.0)
     if X_BG is not None and len(frames):
         layers = grid_postures(plant, X_BG[frames], _SAMPLES, _ROUNDS)  # to just past the limits, to cover those at one
         postures = compute_manipulability(plant, np.concatenate(layers))
         own = np.repeat(frames, [len(layer) for layer in layers])
-        for name in names:  # of the poses alone, not of the joint path, which other lost frames may change
+        for name in _PRODUCTS:  # of the poses alone, not of the joint path, which other lost frames may change
             least[name][own] = np.inf
             np.minimum.at(least[name], own, _BETWEEN * getattr(postures, name))
     return _costed(replace(w, **least))

@@ -6,7 +6,7 @@ makes any motion rougher, more so at higher frame rates: the filtered SPARC uses
 equal at any frame rate, and each metric has a noise floor, its value for the smoothed motion plus the measured noise.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 
@@ -124,11 +124,6 @@ def _rate(t_s: Array) -> float:
     return (len(t_s) - 1) / float(t_s[-1] - t_s[0])
 
 
-def _speeds(t_s: Array, p: Array) -> Array:
-    """Return the speeds (M, N - 1) of paths `p` (N, M, 3) at evenly spaced times."""
-    return _even_speeds(t_s, np.linalg.norm(np.diff(p, axis=0), axis=-1).T)
-
-
 def _even_speeds(t_s: Array, lengths: Array) -> Array:
     """Return the speeds (M, N - 1) of steps of `lengths` (M, N - 1) between `t_s` (N,), at evenly spaced times."""
     dt = np.diff(t_s)
@@ -143,6 +138,7 @@ def _even_speeds(t_s: Array, lengths: Array) -> Array:
 METRICS = ("sparc", "sparc_rotation", "ldlj", "sparc_filtered", "sparc_rotation_filtered")
 """Names of the metrics."""
 _OF_POSITION, _OF_ROTATION = ("sparc", "ldlj", "sparc_filtered"), ("sparc_rotation", "sparc_rotation_filtered")
+_FLOORS = {"low": 5.0, "median": 50.0, "high": 95.0}  # percentiles
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -236,36 +232,33 @@ def _measure_longest_run(track: GripperTrack, noise: TrackNoise | None, seed: in
     n = len(t_s)
     if n < MIN_FRAMES:
         short = f"the longest run of tracked frames has {n}, {MIN_FRAMES} are needed"
-        return _smoothness(dict.fromkeys(METRICS, (None, _NO_FLOOR, short)))
+        return _smoothness({}, dict.fromkeys(METRICS, short))
     noise = noise or estimate_track_noise(track.t_s, track.X_BG, track.tracked)
     p, R = X[:, :3, 3], X[:, :3, :3]
     # The cumulative sum of the rotation vectors between frames is a path whose steps are those of the rotation.
     turned = np.concatenate([np.zeros((1, 3)), np.cumsum(rotation_steps(R), axis=0)])
     rng = np.random.default_rng(seed)
-    results = {
-        **_measure(_OF_POSITION, t_s, p, noise.position_m, rng, _rests(p)),
-        **_measure(_OF_ROTATION, t_s, turned, noise.rotation_rad, rng, _keeps_orientation(R)),
-    }
-    return _smoothness(results)
-
-
-_Floor = tuple[float | None, float | None, float | None]
-_NO_FLOOR: _Floor = (None, None, None)
-_Measurement = tuple[float | None, _Floor, str]
+    values: dict[str, float] = {}
+    reasons = _stillness(X)
+    for names, path, sigma in ((_OF_POSITION, p, noise.position_m), (_OF_ROTATION, turned, noise.rotation_rad)):
+        if names[0] not in reasons:
+            for name, measured in _measure(names, t_s, path, sigma, rng):
+                if isinstance(measured, str):
+                    reasons[name] = measured
+                else:
+                    values[name] = measured
+    return _smoothness(values, reasons)
 
 
 def _measure(
-    names: tuple[str, ...], t_s: Array, p: Array, sigma: float, rng: np.random.Generator, still: str | None
-) -> dict[str, _Measurement]:
-    """Measure value, floor and reason of each metric of a path `p` (N, 3) with noise `sigma` per axis."""
-    if still is not None:
-        return dict.fromkeys(names, (None, _NO_FLOOR, still))
+    names: tuple[str, ...], t_s: Array, p: Array, sigma: float, rng: np.random.Generator
+) -> Iterator[tuple[str, float | str]]:
+    """Yield metrics and floors of a path `p` (N, 3) with noise `sigma` per axis by name, or why one is missing."""
     paths = p[:, None]
     if np.isfinite(sigma):
         smooth = smooth_path(t_s, p, np.full(3, sigma))
         paths = np.concatenate([paths, smooth[:, None] + sigma * rng.standard_normal((len(p), DRAWS, 3))], axis=1)
-    rate, speeds = _rate(t_s), _speeds(t_s, paths)
-    results: dict[str, _Measurement] = {}
+    rate, speeds = _rate(t_s), _even_speeds(t_s, np.linalg.norm(np.diff(paths, axis=0), axis=-1).T)
     for name in names:
         if name == "ldlj":
             values = ldlj(speeds, rate)
@@ -275,27 +268,21 @@ def _measure(
             values = filtered_sparc(t_s, paths)
         else:
             needed = 2.0 * FILTERED_CUTOFF_HZ
-            results[name] = (None, _NO_FLOOR, f"{rate:.3g} frames a second are too few; the filter needs {needed:g}")
+            yield name, f"{rate:.3g} frames a second are too few; the filter needs {needed:g}"
             continue
-        value = float(values[0]) if np.isfinite(values[0]) else None
         drawn = values[1:][np.isfinite(values[1:])]
-        floor = _NO_FLOOR
         if len(drawn):
-            low, median, high = (float(v) for v in np.percentile(drawn, (5.0, 50.0, 95.0)))
-            floor = (low, median, high)
-        reason = "" if len(drawn) else "the noise is not known"
-        results[name] = (value, floor, reason if value is not None else "the speed has no spectrum to measure")
-    return results
+            for part, floor in zip(_FLOORS, np.percentile(drawn, list(_FLOORS.values())), strict=True):
+                yield f"{name}_floor_{part}", float(floor)
+        else:
+            yield name, "the noise is not known"
+        yield name, float(values[0]) if np.isfinite(values[0]) else "the speed has no spectrum to measure"
 
 
-def _smoothness(results: Mapping[str, _Measurement]) -> Smoothness:
-    floors = {
-        f"{name}_floor_{part}": value
-        for name in METRICS
-        for part, value in zip(("low", "median", "high"), results[name][1], strict=True)
-    }
+def _smoothness(values: Mapping[str, float], reasons: Mapping[str, str]) -> Smoothness:
+    names = (*METRICS, *(f"{name}_floor_{part}" for name in METRICS for part in _FLOORS))
     return Smoothness(
-        metrics=MappingProxyType({**{name: results[name][0] for name in METRICS}, **floors}),
-        reasons=MappingProxyType({name: reason for name in METRICS if (reason := results[name][2])}),
+        metrics=MappingProxyType({name: values.get(name) for name in names}),
+        reasons=MappingProxyType({name: reasons[name] for name in METRICS if name in reasons}),
         without_lost=MappingProxyType({}),
     )

@@ -46,7 +46,8 @@ def test_fingers_part_by_their_width_and_no_farther_than_they_can(plant: ArmPlan
     chain = plant.chain
     q = np.tile(postures[:1], (5, 1))
     widths = [0.0, 0.05, 0.3, -0.01, np.nan]
-    left, right = (chain.poses(q, link, widths)[:, :3, 3] for link in plant.robot.links[-2:])
+    M = chain.motions(q, widths)
+    left, right = ((M[:, chain.stage[link]] @ chain.home[link])[:, :3, 3] for link in plant.robot.links[-2:])
     expected = [0.0, 0.05, 0.08, 0.0, plant.finger_width_m]
     np.testing.assert_allclose(np.linalg.norm(left - right, axis=-1), expected, atol=1e-12)
 

@@ -173,7 +173,7 @@ def test_torque_slowdown_solves_for_the_least_k() -> None:
     limits = np.full(7, 10.0)
     gravity, rest = rng.uniform(-9.0, 9.0, (50, 7)), rng.normal(scale=20.0, size=(50, 7))
     error = rng.uniform(0.0, 5.0, (50, 7))
-    k = torque_slowdown(gravity, rest, error, limits)
+    k = torque_slowdown(gravity, rest, limits, error)
 
     def kept(k: Array) -> Array:
         value, room = gravity + rest / k**2, error / k**2
@@ -185,7 +185,7 @@ def test_torque_slowdown_solves_for_the_least_k() -> None:
     assert kept(np.maximum(1.0001 * k, 1e-6)).all()
     assert not kept(np.maximum(0.9999 * k, 1e-6))[moving].any()
     assert kept(np.full_like(k, 1e-3))[~moving].all()
-    assert np.isinf(torque_slowdown(np.full(7, 11.0), np.zeros(7), np.zeros(7), limits)).all()
+    assert np.isinf(torque_slowdown(np.full(7, 11.0), np.zeros(7), limits, np.zeros(7))).all()
 
 
 def test_noise_at_the_limit_is_rarely_called_a_break(plant: ArmPlant) -> None:
