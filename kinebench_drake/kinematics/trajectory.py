@@ -51,8 +51,7 @@ class TubeProblem:
     @cached_property
     def limits(self) -> LimitSet:
         """Limits of the plant."""
-        rates = (self.plant.velocity_limits, self.plant.acceleration_limits, self.plant.jerk_limits)
-        return LimitSet(lower=self.plant.lower, upper=self.plant.upper, rates=rates)
+        return LimitSet(lower=self.plant.lower, upper=self.plant.upper, rates=self.plant.rate_limits)
 
     def errors(self, q: Array) -> Array:
         """Return the pose errors (T, 6) [m] of `q` (T, 7) [rad]: rotation by its arm, position, expressed in B."""

@@ -20,6 +20,10 @@ class ViolationKind(Enum):
     DISCONTINUITY = "discontinuity"
 
 
+RATES = (ViolationKind.VELOCITY, ViolationKind.ACCELERATION, ViolationKind.JERK)
+"""Limits of the first, second and third derivative of the joint angles (`ArmPlant.rate_limits`)."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Violation:
     """One limit broken over a range of frames."""

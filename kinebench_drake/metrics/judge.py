@@ -16,7 +16,6 @@ from kinebench_drake.kinematics.timing import time_scale
 from kinebench_drake.kinematics.track import branch_jumps, find_free, solve_track
 from kinebench_drake.kinematics.trajopt import optimize_in_tube
 from kinebench_drake.kinematics.violation import Violation, ViolationKind
-from kinebench_drake.metrics.derivatives import smooth_path
 from kinebench_drake.metrics.discontinuity import find_discontinuities
 from kinebench_drake.metrics.limits import LimitChecks, check_limits
 from kinebench_drake.metrics.loss import cover_joints, cover_poses, weigh_manipulability, worst_manipulability
@@ -146,7 +145,6 @@ class TrackJudge:
         q = np.where(reached[:, None], joints.q, np.nan)
         J = spread(plant.chain.jacobians(joints.q[reached]), reached, len(q))
         sigma = propagate_noise(J, noise) if joint_sigma is None else joint_sigma
-        q_smooth = smooth_path(t_s, q, sigma)
         own = self._collision.self_distance(q, track.finger_width_m)
         table = self._collision.table_distance(q, track.finger_width_m)
         if joint_sigma is None:
@@ -161,14 +159,14 @@ class TrackJudge:
             (
                 *find_unreachable(joints, noise),
                 *limits,
-                *find_collisions(self._collision, track, own, table, q_smooth, noise),
+                *find_collisions(self._collision, track, own, table, checks.q_smooth, noise),
                 *checks.violations,
                 *jumps,
             ),
             key=lambda v: (v.frame_start, v.frame_end, v.kind.value, v.joint or ""),
         )
         joints = joints if joint_sigma is None else _with_collisions(joints, violations)
-        timing = time_scale(plant, t_s, q_smooth)
+        timing = time_scale(plant, t_s, checks.q_smooth)
         tube_limit = max(TUBE_M, TUBE_SIGMAS * max(noise.position_m, ROTATION_ARM_M * noise.rotation_rad))
         tube = optimize_in_tube(
             plant,
@@ -204,7 +202,6 @@ class TrackJudge:
             timing=timing,
             tube=tube,
             tube_limit_m=tube_limit,
-            q_smooth=q_smooth,
             branch_jumps=branches[branch_jumps(plant, track.X_BG[branches], joints.q[branches])],
             noise=noise,
             noise_assumed=assumed,

