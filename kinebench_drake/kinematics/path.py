@@ -102,8 +102,14 @@ def search_path(
         layers = grid_postures(plant, X_BG[chosen], samples, rounds)
         for i, may in allowed.items():
             layers[i] = layers[i][may(layers[i])]
-        path = _through(plant, t_s, X_BG, chosen, layers, q_start, 2 * np.pi / samples, noise_rad, fixed)
+        anchored = find_cheapest_path(plant, t_s[chosen], layers, q_start, 2 * np.pi / samples, noise_rad)
+        path = spread(anchored, chosen, len(t_s))
         kept = np.flatnonzero(np.isfinite(path[:, 0]))
+        if len(kept) and len(chosen) < len(t_s):
+            path[kept] = relax(plant, t_s[kept], X_BG[kept], path[kept], noise_rad)
+            path = _between(plant, t_s, X_BG, path, kept, noise_rad)
+            kept = np.flatnonzero(np.isfinite(path[:, 0]))
+        path[kept] = relax(plant, t_s[kept], X_BG[kept], path[kept], noise_rad, fixed[kept])
         outside = limit_excess(plant, path[kept]).max(axis=-1) > 0.0
         peak = peak_ratio(plant, t_s[kept], path[kept], noise_rad)
         worst = float(outside.sum()) + len(path) - len(kept), peak
@@ -121,30 +127,6 @@ def is_sound(plant: ArmPlant, t_s: Array, q: Array, past_rad: float = 0.0) -> bo
         and limit_excess(plant, q).max(initial=0.0) <= past_rad
         and speed_ratios(plant, t_s, q).max(initial=0.0) <= 1.0
     )
-
-
-def _through(
-    plant: ArmPlant,
-    t_s: Array,
-    X_BG: Array,
-    chosen: NDArray[np.intp],
-    layers: list[Array],
-    q_start: Array,
-    spacing: float,
-    noise_rad: float,
-    fixed: NDArray[np.bool_],
-) -> Array:
-    """Return the relaxed path (T, 7) through `layers` (N of (N_t, 7)), the postures of the frames `chosen` (N,)."""
-    path = spread(find_cheapest_path(plant, t_s[chosen], layers, q_start, spacing, noise_rad), chosen, len(t_s))
-    kept = np.flatnonzero(np.isfinite(path[:, 0]))
-    if len(kept) == 0:
-        return path
-    if len(chosen) < len(t_s):
-        path[kept] = relax(plant, t_s[kept], X_BG[kept], path[kept], noise_rad)
-        path = _between(plant, t_s, X_BG, path, kept, noise_rad)
-        kept = np.flatnonzero(np.isfinite(path[:, 0]))
-    path[kept] = relax(plant, t_s[kept], X_BG[kept], path[kept], noise_rad, fixed[kept])
-    return path
 
 
 def _between(plant: ArmPlant, t_s: Array, X_BG: Array, path: Array, kept: NDArray[np.intp], noise_rad: float) -> Array:

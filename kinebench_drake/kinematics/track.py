@@ -1,7 +1,7 @@
 """Inverse kinematics of a whole track: one joint path for all poses, verified in Drake, free of collisions."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -116,7 +116,7 @@ def _avoid_collisions(
     widths = np.where(np.isfinite(finger_width_m), finger_width_m, plant.finger_width_m)
     allowed: dict[int, Callable[[Array], NDArray[np.bool_]]] = {}
     stuck: set[int] = set()
-    contacts = _find_contacts(plant, collision, joints, widths, tolerance_m)
+    colliding, of_tool, of_itself = _find_contacts(plant, collision, joints, widths, tolerance_m)
 
     def free(frame: int, q: Array) -> NDArray[np.bool_]:
         return _free(collision, q, widths[frame], tolerance_m)
@@ -133,8 +133,8 @@ def _avoid_collisions(
 
     for _ in range(_DETOURS):
         # The pose fixes the tool: if the tool meets the table, no posture avoids it.
-        stuck |= {int(i) for i in np.flatnonzero(contacts.colliding & contacts.of_tool)}
-        fresh = sorted({int(i) for i in np.flatnonzero(contacts.colliding)} - stuck - set(allowed))
+        stuck |= {int(i) for i in np.flatnonzero(colliding & of_tool)}
+        fresh = sorted({int(i) for i in np.flatnonzero(colliding)} - stuck - set(allowed))
         # Of many frames a sample is tested first: if none of it has a free posture, the rest is taken to have none.
         probes = {fresh[k] for k in np.linspace(0, len(fresh) - 1, min(len(fresh), _PROBES)).astype(int)}
         hopeless = {i for i in probes if is_hopeless(i)}
@@ -144,38 +144,21 @@ def _avoid_collisions(
         allowed |= {i: partial(free_if_any, i) for i in fresh if i not in hopeless}
         path = search_path(plant, joints.t_s, X_BG, plant.robot.rest_q, noise_rad, allowed)
         joints = verify_path(plant, joints.t_s, X_BG, path)
-        contacts = _find_contacts(plant, collision, joints, widths, tolerance_m)
+        colliding, of_tool, of_itself = _find_contacts(plant, collision, joints, widths, tolerance_m)
     status = list(joints.status)
-    for i in np.flatnonzero(contacts.colliding):
-        status[i] = IkStatus.SELF_COLLISION if contacts.own_m[i] < contacts.table_m[i] else IkStatus.TABLE_COLLISION
+    for i in np.flatnonzero(colliding):
+        status[i] = IkStatus.SELF_COLLISION if of_itself[i] else IkStatus.TABLE_COLLISION
     return replace(joints, status=tuple(status))
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Contacts:
-    """Distances along a joint path; negative values are penetration depths."""
-
-    own_m: Array
-    """(n,) between links of the robot [m]."""
-    table_m: Array
-    """(n,) to the table [m]."""
-    colliding: NDArray[np.bool_]
-    """(n,) reached frames in which one of them is a collision."""
-    of_tool: NDArray[np.bool_]
-    """(n,) frames in which the tool collides with the table."""
 
 
 def _find_contacts(
     plant: ArmPlant, collision: CollisionModel, joints: JointTrack, widths_m: Array, tolerance_m: float
-) -> _Contacts:
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_], NDArray[np.bool_]]:
+    """Return the reached frames (n,) with a collision, those whose tool hits the table, those nearer to themselves."""
     own, table = collision.self_distance(joints.q, widths_m), collision.table_distance(joints.q, widths_m)
     tool = np.array([pair is not None and pair[0] in plant.tool for pair in table.pair], dtype=bool)
-    return _Contacts(
-        own_m=own.distance_m,
-        table_m=table.distance_m,
-        colliding=joints.ok & (np.minimum(own.distance_m, table.distance_m) < -tolerance_m),
-        of_tool=tool & (table.distance_m < -tolerance_m),
-    )
+    colliding = joints.ok & (np.minimum(own.distance_m, table.distance_m) < -tolerance_m)
+    return colliding, tool & (table.distance_m < -tolerance_m), own.distance_m < table.distance_m
 
 
 def _free(collision: CollisionModel, q: Array, finger_width_m: float, tolerance_m: float) -> NDArray[np.bool_]:

@@ -142,7 +142,7 @@ def _path_metrics(
     near = track.tracked & ~path.coverage.unreachable
     no_value = "no frame is tracked" if not track.tracked.any() else "no frame's pose is reached"
     margin = limit_margin(plant, np.where(path.reached[:, None], joints.q, np.nan))
-    metrics: dict[str, Value] = {
+    measured: dict[str, Value] = {
         **_manipulability_metrics(track.t_s, w),
         "condition_number_max": _over_finite(np.max, w.condition),
         "ik_success_rate": float((joints.ok | path.free)[near].mean()) if near.any() else None,
@@ -151,29 +151,25 @@ def _path_metrics(
         "self_distance_min_m": _over_finite(np.min, path.self_clearance.distance_m),
         "table_distance_min_m": _over_finite(np.min, path.table_clearance.distance_m),
     }
-    reasons = {name: no_value for name, value in metrics.items() if value is None}
+    rows: dict[str, tuple[Value, str]] = {name: (value, no_value) for name, value in measured.items()}
     for kind in KINDS:
-        name, check = f"{kind.value}_ratio_max", checks.checks.get(kind)
-        metrics[name] = None if check is None or not np.isfinite(check.ratio_max) else check.ratio_max
-        if metrics[name] is None:
-            reasons[name] = checks.reasons.get(kind, "noise hides it throughout")
-    metrics["time_scale"] = timing.value
-    if timing.value is None:
-        reasons["time_scale"] = timing.reason or "Toppra gave none"
+        check = checks.checks.get(kind)
+        ratio = None if check is None or not np.isfinite(check.ratio_max) else check.ratio_max
+        rows[f"{kind.value}_ratio_max"] = ratio, checks.reasons.get(kind, "noise hides it throughout")
+    rows["time_scale"] = timing.value, timing.reason or "Toppra gave none"
     slowdown = checks.slowdown
-    metrics["slowdown_min"] = None if slowdown is None or np.isinf(slowdown.factor) else slowdown.factor
     if slowdown is None:
-        reasons["slowdown_min"] = "too few frames are reached to take a derivative, or noise hides all of them"
-    elif np.isinf(slowdown.factor):
-        reasons["slowdown_min"] = f"however slow, the arm's own weight exceeds the torque limit of {slowdown.joint}"
-    metrics["trajopt_feasible"], metrics["trajopt_position_tube_m"] = tube.feasible, tube.radius_m
-    for name in ("trajopt_feasible", "trajopt_position_tube_m"):
-        if metrics[name] is None:
-            reasons[name] = tube.reason or "no tube was found"
-    metrics["branch_jumps"] = float(len(path.branch_jumps)) if path.reached.sum() > 1 else None
-    if metrics["branch_jumps"] is None:
-        reasons["branch_jumps"] = "fewer than two poses are reached"
-    return metrics, reasons
+        why = "too few frames are reached to take a derivative, or noise hides all of them"
+        rows["slowdown_min"] = None, why
+    else:
+        why = f"however slow, the arm's own weight exceeds the torque limit of {slowdown.joint}"
+        rows["slowdown_min"] = None if np.isinf(slowdown.factor) else slowdown.factor, why
+    for name, value in (("trajopt_feasible", tube.feasible), ("trajopt_position_tube_m", tube.radius_m)):
+        rows[name] = value, tube.reason or "no tube was found"
+    jumps = float(len(path.branch_jumps)) if path.reached.sum() > 1 else None
+    rows["branch_jumps"] = jumps, "fewer than two poses are reached"
+    metrics = {name: value for name, (value, _) in rows.items()}
+    return metrics, {name: why for name, (value, why) in rows.items() if value is None}
 
 
 def track_curves(plant: ArmPlant, joints: JointTrack, path: PathMeasurements) -> dict[str, Array]:
