@@ -63,16 +63,10 @@ class DenseOutput:
     """(B, h, w) log of the Laplace scale of log_depth."""
 
 
-class _SamePad(nn.Module):
-    """TensorFlow's padding before a strided convolution: the odd pixel is added right and below."""
-
-    def __init__(self, kernel: int, stride: int) -> None:
-        super().__init__()
-        total = kernel - stride if stride > 1 else kernel - 1
-        self._pad = (total // 2, total - total // 2) * 2
-
-    def forward(self, x: Tensor) -> Tensor:
-        return functional.pad(x, self._pad)
+def _same_pad(kernel: int, stride: int) -> nn.ZeroPad2d:
+    """Return TensorFlow's padding before a strided convolution: the odd pixel is added right and below."""
+    total = kernel - stride if stride > 1 else kernel - 1
+    return nn.ZeroPad2d((total // 2, total - total // 2) * 2)
 
 
 class _Block(nn.Module):
@@ -88,7 +82,7 @@ class _Block(nn.Module):
             self._bn0 = nn.BatchNorm2d(mid, eps=1e-3, momentum=0.01)
             self._relu0 = nn.ReLU6()
         padding = kernel // 2 if stride == 1 else 0
-        self._pad = nn.Identity() if stride == 1 else _SamePad(kernel, stride)
+        self._pad = nn.Identity() if stride == 1 else _same_pad(kernel, stride)
         self._depthwise_conv = nn.Conv2d(mid, mid, kernel, stride, padding, groups=mid, bias=False)
         self._bn1 = nn.BatchNorm2d(mid, eps=1e-3, momentum=0.01)
         self._relu1 = nn.ReLU6()
@@ -105,7 +99,7 @@ class _Block(nn.Module):
 class _Encoder(nn.Module):
     def __init__(self) -> None:
         super().__init__()
-        self._pad = _SamePad(3, 2)
+        self._pad = _same_pad(3, 2)
         self._conv_stem = nn.Conv2d(3, 32, 3, 2, bias=False)
         self._bn0 = nn.BatchNorm2d(32, eps=1e-3, momentum=0.01)
         self._relu0 = nn.ReLU6()
