@@ -13,7 +13,7 @@ from kinebench_drake.kinematics.path import limit_margin
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.kinematics.spline import SplineBasis
 from kinebench_drake.kinematics.tube import LimitSet, Obstacle, PoseLinearisation
-from kinebench_drake.kinematics.violation import Violation, ViolationKind
+from kinebench_drake.kinematics.violation import COLLISIONS, Violation, ViolationKind
 
 SAMPLES = 8
 """Samples per span of the spline at which a trajectory is verified."""
@@ -73,7 +73,7 @@ class TubeProblem:
         """Return the number of the frame nearest to a time on the clock of the spline [s]."""
         return int(self.frames[np.argmin(np.abs(self.t_s - t_s))])
 
-    def least_distance(self, kind: ViolationKind) -> float:
+    def allowed_distance(self, kind: ViolationKind) -> float:
         """Return the least allowed distance [m] for a kind of collision."""
         return -self.table_tolerance_m if kind is ViolationKind.TABLE_COLLISION else 0.0
 
@@ -162,10 +162,9 @@ class JointTrajectory:
 
         Empty without a collision model.
         """
-        kinds = (ViolationKind.SELF_COLLISION, ViolationKind.TABLE_COLLISION)
         return {
             kind: (float(np.nanmin(distance)), int(np.nanargmin(distance)))
-            for kind, distance in zip(kinds, self._distances, strict=True)
+            for kind, distance in zip(COLLISIONS, self._distances, strict=True)
             if np.isfinite(distance).any()
         }
 
@@ -174,7 +173,7 @@ class JointTrajectory:
         """Distance farthest below the least allowed one; None if both are kept."""
         worst, least_margin = None, 0.0
         for kind, (distance, sample) in self.least_distances.items():
-            limit = self.problem.least_distance(kind)
+            limit = self.problem.allowed_distance(kind)
             if distance - limit < least_margin:
                 frame, least_margin = self.problem.nearest_frame(float(self.samples_s[sample])), distance - limit
                 worst = Violation.at(kind, frame, None, distance, limit)
@@ -212,7 +211,7 @@ class JointTrajectory:
                         t_s=float(self.samples_s[k]),
                         offset_m=near.distance_m - float(near.gradient @ q),
                         gradient=near.gradient,
-                        least_m=self.problem.least_distance(kind) + _MARGIN_M,
+                        least_m=self.problem.allowed_distance(kind) + _MARGIN_M,
                     )
                 )
         return obstacles
@@ -229,9 +228,7 @@ class JointTrajectory:
         """
         plant, (q, v, a) = self.problem.plant, self.motion
         accelerations, jerk = plant.acceleration_limits, self.usage[2]  # the jerk is constant in every span
-        own, table = (
-            self.least_distances.get(kind) for kind in (ViolationKind.SELF_COLLISION, ViolationKind.TABLE_COLLISION)
-        )
+        own, table = (self.least_distances.get(kind) for kind in COLLISIONS)
         return {
             "position_error_max_m": self.deviations[0],
             "rotation_error_max_rad": self.deviations[1],

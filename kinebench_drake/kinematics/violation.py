@@ -20,6 +20,7 @@ class ViolationKind(Enum):
     DISCONTINUITY = "discontinuity"
 
 
+COLLISIONS = (ViolationKind.SELF_COLLISION, ViolationKind.TABLE_COLLISION)
 RATES = (ViolationKind.VELOCITY, ViolationKind.ACCELERATION, ViolationKind.JERK)
 """Limits of the first, second and third derivative of the joint angles (`ArmPlant.rate_limits`)."""
 
