@@ -237,20 +237,21 @@ def _check(check: LimitCheck) -> dict[str, Json]:
 
 
 def _tube(tube: TubeResult, limit_m: float) -> dict[str, Json]:
-    against = tube.violation
+    against, certificate = tube.violation, tube.certificate
     return {
         "tube_limit_m": limit_m,
         "infeasible_radius_m": tube.infeasible_radius_m,
         "reason": tube.reason,
-        "against": against
-        and {
+        "against": None
+        if against is None
+        else {
             "kind": against.kind.value,
             "frame": against.frame_start,
             "joint": against.joint,
             "value": against.value,
             "limit": against.limit,
         },
-        "certificate": tube.certificate and tube.certificate.figures(),
+        "certificate": None if certificate is None else certificate.figures(),
     }
 
 
