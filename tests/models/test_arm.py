@@ -110,7 +110,8 @@ def test_fingers_open_by_half_the_gap_each_and_may_close(write_arm: Write) -> No
     assert plant.robot.hand_link == "l7"
     q = plant.robot.rest_q[None]
     for width, apart in ((0.0, 0.0), (0.05, 0.05), (0.2, 0.06)):
-        left, right = (plant.chain.poses(q, link, [width])[0, :3, 3] for link in ("f1", "f2"))
+        M, chain = plant.chain.motions(q, [width])[0], plant.chain
+        left, right = ((M[chain.stage[link]] @ chain.home[link])[:3, 3] for link in ("f1", "f2"))
         assert np.linalg.norm(left - right) == pytest.approx(apart)
     model = CollisionModel(plant)
     closed = model.near_pairs(plant.robot.rest_q, 10.0, 0.0)
