@@ -117,8 +117,7 @@ class VideoFolder(DemoFormat):
         names = _clip_names(rollout.episode.task, rollout.episode.id, len(clips))
         for name, (clip, video) in zip(names, clips, strict=True):
             write_arrays(truth_file(folder, name), ground_truth(clip, video, options))
-            with disk_errors(f"{name}.mp4"):
-                write_video(folder / f"{name}.mp4", video.rgb, options.fps, crf=options.crf)
+            write_video(folder / f"{name}.mp4", video.rgb, options.fps, crf=options.crf)
 
     @override
     def finish(self, config: DemoConfig, records: Sequence[Record]) -> list[Path]:
@@ -173,17 +172,9 @@ class LeRobot(DemoFormat):
         video, id, every = render_video(simulator, rollout.snapshots), rollout.episode.id, options.every
         write_arrays(truth_file(folder, id), ground_truth(rollout, video, options))
         actions = rollout.controls[every - 1 :: every]  # command until the next frame; the last frame repeats it
-        lerobot.write_part(
-            folder / PARTS,
-            id,
-            video.rgb,
-            q=video.q,
-            finger_width_m=video.finger_width_m,
-            X_BG=video.X_BG,
-            actions=np.concatenate([actions, actions[-1:]]),
-            fps=options.fps,
-            crf=options.crf,
-        )
+        action = np.concatenate([actions, actions[-1:]])
+        state = np.column_stack([video.q, video.finger_width_m])
+        lerobot.write_part(folder / PARTS, id, video.rgb, state, video.X_BG, action, fps=options.fps, crf=options.crf)
 
     @override
     def finish(self, config: DemoConfig, records: Sequence[Record]) -> list[Path]:
@@ -240,18 +231,17 @@ class ManiSkill(DemoFormat):
         for record in records:
             tasks.setdefault(record.task, []).append(record)
         for task, own in tasks.items():
-            arguments = {
-                "obs_mode": "none",
-                "reward_mode": "none",
-                "control_mode": maniskill.CONTROL_MODE,
-                "robot_uids": "panda",
-                "sim_backend": "physx_cpu",
-                "pool": config.suite.splits[config.split].pool.value,
-                "variant": config.variant.value,
-            }
             environment = {
                 "env_id": environment_id(task),
-                "env_kwargs": arguments,
+                "env_kwargs": {
+                    "obs_mode": "none",
+                    "reward_mode": "none",
+                    "control_mode": maniskill.CONTROL_MODE,
+                    "robot_uids": "panda",
+                    "sim_backend": "physx_cpu",
+                    "pool": config.suite.splits[config.split].pool.value,
+                    "variant": config.variant.value,
+                },
                 "max_episode_steps": _max_steps(task),
                 "control_freq": round(1.0 / CONTROL_PERIOD_S),
             }

@@ -2,7 +2,8 @@
 
 import os
 from collections import Counter
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
 
@@ -17,7 +18,7 @@ from kinebench_drake.formats.videos.sample import Search, VideoSample, image_bes
 from kinebench_drake.geometry import checked_pose
 from kinebench_drake.io.camerafile import load_camera
 from kinebench_drake.io.files import read_text
-from kinebench_drake.io.jsonl import parse_json
+from kinebench_drake.io.jsonl import as_type, parse_json
 from kinebench_drake.track import InitialState
 
 NAME = "manifest.jsonl"
@@ -94,16 +95,12 @@ class ManifestLine:
 
     number: int
     """Line number from 1."""
+    data: Mapping[str, object] = field(default_factory=dict)
+    """Object on the line; empty if there is none."""
     entry: ManifestEntry | None = None
     """Content of the line; None if it cannot be used."""
     problem: str | None = None
     """Reason why it cannot be used; None if it can."""
-    video: str = ""
-    """Video as named on the line; empty if it names none."""
-    id: str | None = None
-    """Id as named on the line, if it is a string."""
-    unknown: tuple[str, ...] = ()
-    """Unknown keys."""
 
 
 def read_manifest(path: Path) -> list[ManifestLine]:
@@ -143,13 +140,10 @@ def _read_line(number: int, text: str) -> ManifestLine:
     if not isinstance(data, dict):
         message = f"line {number} is a {type(data).__name__}, expected an object with the key video"
         return ManifestLine(number=number, problem=message)
-    video, id = (data.get(key) if isinstance(data.get(key), str) else None for key in ("video", "id"))
-    unknown = tuple(sorted(set(data) - set(ManifestEntry.model_fields) - UNREAD))
     try:
-        entry, problem = ManifestEntry.model_validate(data), None
+        return ManifestLine(number=number, data=data, entry=ManifestEntry.model_validate(data))
     except ValidationError as error:
-        entry, problem = None, f"line {number}: {_explain(error)}"
-    return ManifestLine(number=number, entry=entry, problem=problem, video=video or "", id=id or None, unknown=unknown)
+        return ManifestLine(number=number, data=data, problem=f"line {number}: {_explain(error)}")
 
 
 def _explain(error: ValidationError) -> str:
@@ -184,22 +178,21 @@ def list_manifest(path: Path, search: Search) -> list[VideoSample]:
     Raises:
         UsageError: the file cannot be read, or a camera.json beside a video is unusable.
     """
-    samples, unknown = [], Counter[str]()
-    for line in read_manifest(path):
-        unknown.update(line.unknown)
-        samples.append(_sample(line, path.parent, search))
+    lines = read_manifest(path)
+    unknown = Counter(key for line in lines for key in {*line.data} - {*ManifestEntry.model_fields} - UNREAD)
     if unknown:
         keys = ", ".join(f"{key!r} ({n} x)" for key, n in sorted(unknown.items()))
         search.warnings.append(
             f"{path.name}: unknown keys {keys} are not read; known are {', '.join(ManifestEntry.model_fields)}"
         )
-    return samples
+    return [_sample(line, path.parent, search) for line in lines]
 
 
 def _sample(line: ManifestLine, folder: Path, search: Search) -> VideoSample:
-    name = line.video or f"line-{line.number}"
+    video, id = as_type(line.data.get("video"), str) or "", as_type(line.data.get("id"), str)
+    name = video or f"line-{line.number}"
     stem = Path(name).name if os.path.isdir(folder / name) else Path(name).stem
-    id = stem if line.id is None else shorten(line.id)
+    id = shorten(id) if id else stem
     id = id if stem in id else f"{id}-{stem}"
     entry, problem, camera, path, first_frame = line.entry, line.problem, None, folder, None
     if entry is not None:
@@ -212,7 +205,7 @@ def _sample(line: ManifestLine, folder: Path, search: Search) -> VideoSample:
     sample = VideoSample(
         id=id,
         path=path,
-        video=line.video,
+        video=video,
         initial_state=_initial_state(entry) if entry else None,
         first_frame=first_frame,
         problem=problem,

@@ -20,7 +20,7 @@ from kinebench_drake.formats.folders import join_relative
 from kinebench_drake.formats.manifest import MAX_PERIOD_S, MIN_PERIOD_S
 from kinebench_drake.formats.videos.sample import Search, VideoSample
 from kinebench_drake.io.files import VIDEO_SUFFIXES, absence, read_bytes
-from kinebench_drake.io.jsonl import as_object, parse_json
+from kinebench_drake.io.jsonl import as_object, as_type, parse_json
 
 Row = Mapping[str, object]
 
@@ -86,17 +86,13 @@ def _add_label(sample: VideoSample, row: Row, file: Path) -> VideoSample:
     seed = _number(row.get("seed"), -math.inf, math.inf)
     return replace(
         sample,
-        task=_text(row.get("task")),
-        model=_text(row.get("model")),
+        task=as_type(row.get("task"), str) or None,
+        model=as_type(row.get("model"), str) or None,
         seed=None if seed is None or seed != int(seed) else int(seed),
-        prompt=next((text for key in _PROMPTS if (text := _text(row.get(key)))), None),
+        prompt=next((text for key in _PROMPTS if (text := as_type(row.get(key), str))), None),
         dataset_period_s=_number(row.get("frame_period_s"), MIN_PERIOD_S, MAX_PERIOD_S),
         first_frame=_image(row.get("first_frame"), file.parent) or sample.first_frame,
     )
-
-
-def _text(value: object) -> str | None:
-    return value if isinstance(value, str) and value else None
 
 
 def _number(value: object, least: float, most: float) -> float | None:
@@ -111,13 +107,11 @@ def _number(value: object, least: float, most: float) -> float | None:
 
 
 def _image(name: object, folder: Path) -> Path | None:
-    if not isinstance(name, str):
-        return None
     try:
-        path = join_relative(folder, name, "first_frame")
+        path = join_relative(folder, name, "first_frame") if isinstance(name, str) else None
     except InputError:
         return None
-    return path if path.is_file() else None
+    return path if path is not None and path.is_file() else None
 
 
 def _read_rows(file: Path, search: Search) -> list[Row]:

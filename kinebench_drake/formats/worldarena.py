@@ -17,7 +17,7 @@ from pathlib import Path
 from kinebench_drake.errors import InputError
 from kinebench_drake.formats.videos.sample import Search, VideoSample
 from kinebench_drake.io.files import VIDEO_SUFFIXES
-from kinebench_drake.io.jsonl import as_object, read_json, read_object
+from kinebench_drake.io.jsonl import as_object, as_type, read_json, read_object
 
 _FOLDER = re.compile(r"(?P<model>.+?)(?P<variant>_[12])?_(?:sort|test|val|arena)(?P<changed>_[12])?")
 _VIDEO = re.compile(r"(?P<task>.+?)_?episode_?(?P<number>\d+)")
@@ -88,7 +88,7 @@ def _read_prompts(places: tuple[Path, ...], search: Search) -> dict[object, str]
 
 def _instruction(folder: Path, task: str, number: int | None) -> str | None:
     try:
-        text = read_object(folder / "instructions" / task / f"episode{number}.json").get("instruction")
+        about = read_object(folder / "instructions" / task / f"episode{number}.json")
     except (FileNotFoundError, InputError):
         return None
-    return text if isinstance(text, str) else None
+    return as_type(about.get("instruction"), str)

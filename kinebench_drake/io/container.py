@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from kinebench_drake.errors import InputError
 from kinebench_drake.geometry import Array
-from kinebench_drake.io.atomic import unfinished
+from kinebench_drake.io.atomic import atomic_path
 from kinebench_drake.io.video import Video, VideoPart, stack_frames
 
 _OPTIONS = {"format_whitelist": "mov,matroska,avi,gif", "protocol_whitelist": "file"}
@@ -164,20 +164,17 @@ def _irregular_stamps(stamps: list[float | None], fps: float | None) -> Array | 
 @contextmanager
 def _create_mp4(path: Path) -> Iterator[OutputContainer]:
     """Open an mp4 file that appears at `path` when the context ends without an error."""
-    part = unfinished(path)
-    try:
-        part.parent.mkdir(parents=True, exist_ok=True)
-        with av.open(part, "w", format="mp4", container_options={"fflags": "+bitexact"}) as container:
-            yield container
-        with part.open("rb") as file:
-            os.fsync(file.fileno())
-        os.replace(part, path)
-    finally:
-        part.unlink(missing_ok=True)
+    options = {"fflags": "+bitexact"}
+    with atomic_path(path) as part, av.open(part, "w", format="mp4", container_options=options) as container:
+        yield container
 
 
 def join_videos(path: Path, parts: Iterable[Path]) -> None:
-    """Concatenate videos of one size, rate and encoding without encoding them again."""
+    """Concatenate videos of one size, rate and encoding without encoding them again.
+
+    Raises:
+        SetupError: writing failed.
+    """
     with _create_mp4(path) as container:
         joined: VideoStream | None = None
         shift = 0
@@ -216,6 +213,9 @@ def write_video(
         crf: quality of x264, 0 (lossless) to 51; 18 is visually close to lossless.
         preset: effort of x264; "veryfast" takes 0.4 times the time of "medium", for videos that are only looked at.
         keyframe_every: greatest distance between keyframes [frames]; None leaves it to x264.
+
+    Raises:
+        SetupError: writing failed.
     """
     with _create_mp4(path) as container:
         stream: VideoStream | None = None

@@ -33,14 +33,14 @@ _EPOCH = (1980, 1, 1, 0, 0, 0)
 _HEADERS = {(1, 0): read_array_header_1_0, (2, 0): read_array_header_2_0}
 
 
-def at_most(limit: int) -> Callable[[int], None]:
-    """Return a check that refuses arrays of more than `limit` bytes."""
+def check_bytes(size: int, most: int = MOST_BYTES) -> None:
+    """Refuse an array that takes more than `most` bytes.
 
-    def check(size: int) -> None:
-        if size > limit:
-            raise InputError(f"unpacks to {size / 2**20:.0f} MiB; the limit is {limit / 2**20:.0f} MiB")
-
-    return check
+    Raises:
+        InputError: it does.
+    """
+    if size > most:
+        raise InputError(f"unpacks to {size / 2**20:.0f} MiB; the limit is {most / 2**20:.0f} MiB")
 
 
 class Archive:
@@ -72,12 +72,8 @@ class Archive:
 
 
 @contextmanager
-def open_npz(path: Path, check: Callable[[int], None] = at_most(MOST_BYTES)) -> Iterator[Archive]:  # noqa: B008
-    """Open an npz file.
-
-    Args:
-        path: the file.
-        check: raises InputError if an array of so many bytes may not be loaded.
+def open_npz(path: Path, check: Callable[[int], None] = check_bytes) -> Iterator[Archive]:
+    """Open an npz file; `check` raises InputError if an array of so many bytes may not be loaded.
 
     Raises:
         InputError: it is absent or damaged; messages do not name it.
@@ -94,12 +90,9 @@ def open_npz(path: Path, check: Callable[[int], None] = at_most(MOST_BYTES)) -> 
         raise InputError(f"is not a readable npz archive ({cause(error)})") from None
 
 
-def read_npy(path: Path, check: Callable[[int], None] = at_most(MOST_BYTES)) -> NDArray[np.generic]:  # noqa: B008
-    """Return the array of an npy file.
-
-    Args:
-        path: the file.
-        check: raises InputError if an array of so many bytes may not be loaded.
+@contextmanager
+def _open_npy(path: Path) -> Iterator[tuple[IO[bytes], tuple[int, ...], int]]:
+    """Open an npy file; yield it with the shape of its array and the bytes that this takes.
 
     Raises:
         InputError: it is absent or damaged; messages do not name it.
@@ -110,11 +103,32 @@ def read_npy(path: Path, check: Callable[[int], None] = at_most(MOST_BYTES)) -> 
                 raise InputError("holds several arrays: an npz file is called .npz")
             size = file.seek(0, 2)
             file.seek(0)
-            check(_read_header(file, size)[1])
+            shape, nbytes = _read_header(file, size)
             file.seek(0)
-            return read_array(file, allow_pickle=False)
+            yield file, shape, nbytes
     except _DAMAGED as error:
         raise InputError(f"is not a readable npy file ({cause(error)})") from None
+
+
+def read_npy(path: Path, check: Callable[[int], None] = check_bytes) -> NDArray[np.generic]:
+    """Return the array of an npy file; `check` raises InputError if one of so many bytes may not be loaded.
+
+    Raises:
+        InputError: it is absent or damaged; messages do not name it.
+    """
+    with _open_npy(path) as (file, _, nbytes):
+        check(nbytes)
+        return read_array(file, allow_pickle=False)
+
+
+def npy_shape(path: Path) -> tuple[int, ...]:
+    """Return the shape of the array of an npy file without loading it.
+
+    Raises:
+        InputError: it is absent or damaged.
+    """
+    with _open_npy(path) as (_, shape, _):
+        return shape
 
 
 def _read_header(file: IO[bytes], size: int) -> tuple[tuple[int, ...], int]:
@@ -135,21 +149,6 @@ def _read_header(file: IO[bytes], size: int) -> tuple[tuple[int, ...], int]:
             f"its header promises an array of shape {shape}, {nbytes} bytes, the file holds {size} bytes: it is damaged"
         )
     return shape, nbytes
-
-
-def npy_shape(path: Path) -> tuple[int, ...]:
-    """Return the shape of the array of an npy file without loading it.
-
-    Raises:
-        InputError: it is absent or damaged.
-    """
-    try:
-        with open_file(path) as file:
-            size = file.seek(0, 2)
-            file.seek(0)
-            return _read_header(file, size)[0]
-    except _DAMAGED as error:
-        raise InputError(f"is not a readable npy file ({cause(error)})") from None
 
 
 def write_arrays(path: Path, arrays: Mapping[str, Any]) -> None:

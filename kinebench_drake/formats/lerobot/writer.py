@@ -30,7 +30,7 @@ from kinebench_drake.formats.lerobot.dataset import (
 from kinebench_drake.formats.lerobot.statistics import feature_statistics
 from kinebench_drake.formats.videos.sample import CAMERA_NAME
 from kinebench_drake.geometry import Array, to_quaternion
-from kinebench_drake.io.atomic import atomic_path, disk_errors
+from kinebench_drake.io.atomic import atomic_path
 from kinebench_drake.io.camerafile import save_camera
 from kinebench_drake.io.container import join_videos, write_video
 from kinebench_drake.io.jsonl import write_json
@@ -62,16 +62,7 @@ def part_files(parts: Path, id: str) -> tuple[Path, Path]:
 
 
 def write_part(
-    parts: Path,
-    id: str,
-    rgb: NDArray[np.uint8],
-    *,
-    q: Array,
-    finger_width_m: Array,
-    X_BG: Array,
-    actions: Array,
-    fps: float,
-    crf: int,
+    parts: Path, id: str, rgb: NDArray[np.uint8], state: Array, X_BG: Array, action: Array, *, fps: float, crf: int
 ) -> None:
     """Write the parts of an episode of T frames.
 
@@ -79,10 +70,9 @@ def write_part(
         parts: folder of the parts.
         id: name of the episode's parts.
         rgb: (T, H, W, 3) video.
-        q: (T, 7) joint angles [rad].
-        finger_width_m: (T,) gap between the finger pads [m].
+        state: (T, 8) joint angles [rad] and gap between the finger pads [m].
         X_BG: (T, 4, 4) poses of the TCP in the robot base frame [m].
-        actions: (T, 8) commanded joint angles [rad] and gap [m] until the next frame.
+        action: (T, 8) command until the next frame, as `state`.
         fps: frames per second [1/s].
         crf: quality of x264.
 
@@ -93,14 +83,13 @@ def write_part(
     quaternions = _continuous(np.stack([to_quaternion(X[:3, :3]) for X in X_BG]))
     pixels = rgb[:, ::_STRIDE_PX, ::_STRIDE_PX]
     columns = {
-        STATE: np.column_stack([q, finger_width_m]).astype(np.float32),
+        STATE: state.astype(np.float32),
         POSE: np.column_stack([X_BG[:, :3, 3], quaternions]).astype(np.float32),
-        ACTION: actions.astype(np.float32),
+        ACTION: action.astype(np.float32),
         CAMERA: np.stack([np.bincount(pixels[..., c].ravel(), minlength=256) for c in range(3)]),
     }
     write_arrays(columns_file, columns)
-    with disk_errors(video_file.name):
-        write_video(video_file, rgb, fps, crf=crf, keyframe_every=_KEYFRAME_EVERY)
+    write_video(video_file, rgb, fps, crf=crf, keyframe_every=_KEYFRAME_EVERY)
 
 
 def _continuous(quaternions: Array) -> Array:
@@ -139,8 +128,7 @@ def join_parts(folder: Path, parts: Path, prompts: Mapping[str, str], fps: float
     for path in dict.fromkeys(data_files):
         _write_tables(path, [table for table, file in zip(tables, data_files, strict=True) if file == path])
     for path in dict.fromkeys(video_files):
-        with disk_errors(path.name):
-            join_videos(path, [video for video, file in zip(videos, video_files, strict=True) if file == path])
+        join_videos(path, [video for video, file in zip(videos, video_files, strict=True) if file == path])
     episodes, frames = [], Counter[Path]()
     for k, (prompt, own) in enumerate(zip(prompts.values(), columns, strict=True)):
         index, begin = own["index"], frames[video_files[k]]

@@ -20,6 +20,7 @@ from kinebench_drake.formats.trajectories.trajectory import (
 )
 from kinebench_drake.io.files import absence
 from kinebench_drake.io.hdf5 import HDF5_SUFFIXES
+from kinebench_drake.io.jsonl import as_type
 from kinebench_drake.results.store import SAMPLES, read_rows
 
 EXPECTED = (
@@ -116,7 +117,7 @@ def _list_output(folder: Path) -> list[TrajectorySample]:
     samples = []
     for path in sorted(p for p in (folder / "tracks").glob("*.npz") if not p.name.startswith(".")):
         row = rows.get(path.stem)
-        seed, prompt = (row.extra.get(key) if row else None for key in ("seed", "prompt"))
+        extra = row.extra if row else {}
         samples.append(
             TrajectorySample(
                 id=path.stem,
@@ -125,8 +126,8 @@ def _list_output(folder: Path) -> list[TrajectorySample]:
                 format=TrajectoryFormat.NPZ,
                 task=row.task if row else None,
                 model=row.model if row else None,
-                seed=seed if isinstance(seed, int) else None,
-                prompt=prompt if isinstance(prompt, str) else None,
+                seed=as_type(extra.get("seed"), int),
+                prompt=as_type(extra.get("prompt"), str),
             )
         )
     return samples

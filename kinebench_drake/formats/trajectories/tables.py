@@ -2,6 +2,7 @@
 
 import csv
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,7 @@ from kinebench_drake.formats.trajectories.check import MAX_FRAMES
 from kinebench_drake.formats.trajectories.reading import Layout, Reading
 from kinebench_drake.formats.trajectories.trajectory import RawTrajectory, TrajectoryOptions, TrajectorySample
 from kinebench_drake.geometry import Array
-from kinebench_drake.io.npz import at_most, open_npz
+from kinebench_drake.io.npz import check_bytes, open_npz
 
 NPZ_SUFFIXES = frozenset({".npz"})
 
@@ -28,7 +29,7 @@ def read_archive(sample: TrajectorySample, choice: TrajectoryOptions) -> RawTraj
     Raises:
         InputError: the file is damaged, lacks an array, or holds pickled objects.
     """
-    with open_npz(sample.path, at_most(_MAX_BYTES)) as archive:
+    with open_npz(sample.path, partial(check_bytes, most=_MAX_BYTES)) as archive:
         names, warnings = archive.files, list[str]()
         choices = [name for name in (choice.joints, choice.poses) if name is not None]
         if choices:
