@@ -13,7 +13,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationErr
 from kinebench_drake.camera import CameraSetting, CameraSource
 from kinebench_drake.errors import InputError, UsageError, cause
 from kinebench_drake.formats.folders import join_relative
-from kinebench_drake.formats.ids import shorten
+from kinebench_drake.formats.samples import shorten
 from kinebench_drake.formats.videos.sample import Search, VideoSample, image_beside
 from kinebench_drake.geometry import checked_pose
 from kinebench_drake.io.camerafile import load_camera

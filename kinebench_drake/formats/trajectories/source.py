@@ -6,9 +6,9 @@ from pathlib import Path
 
 from kinebench_drake.errors import InputError, UsageError
 from kinebench_drake.formats.folders import list_suffixes, require_apart, walk
-from kinebench_drake.formats.ids import unique_ids
 from kinebench_drake.formats.lerobot.reader import is_lerobot, list_lerobot_trajectories, read_lerobot
 from kinebench_drake.formats.maniskill import list_maniskill, read_maniskill
+from kinebench_drake.formats.samples import finish_samples
 from kinebench_drake.formats.trajectories.check import check
 from kinebench_drake.formats.trajectories.tables import CSV_SUFFIXES, NPZ_SUFFIXES, read_archive, read_csv
 from kinebench_drake.formats.trajectories.trajectory import (
@@ -79,10 +79,7 @@ def find_trajectories(
         samples = list(_list_folder(source, choice, out))
     if not samples:
         raise UsageError(f"{source}: holds no trajectory (found {list_suffixes(source)}), expected {EXPECTED}")
-    ids = unique_ids([(s.id, Path(s.video).parent.parts) for s in samples])
-    return tuple(
-        replace(s, id=id, model=s.model or model, task=s.task or task) for s, id in zip(samples, ids, strict=True)
-    )
+    return finish_samples(samples, lambda sample: Path(sample.video).parent.parts, model, task)
 
 
 def read_trajectory(sample: TrajectorySample, choice: TrajectoryOptions) -> Trajectory:

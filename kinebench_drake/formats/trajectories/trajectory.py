@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinebench_drake.errors import InputError, UsageError
+from kinebench_drake.formats.samples import Sample
 from kinebench_drake.geometry import Array
 
 N_JOINTS = 7
@@ -109,15 +110,9 @@ class TrajectoryFormat(Enum):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class TrajectorySample:
+class TrajectorySample(Sample):
     """One trajectory and its metadata."""
 
-    id: str
-    """Unique, safe as a file name; contains the stem of the file or the name of the dataset."""
-    path: Path
-    """File that holds it, possibly with other trajectories."""
-    video: str
-    """Name of the trajectory in results: its file relative to the named path, with `#` before its part."""
     format: TrajectoryFormat
     part: str | None = None
     """Part of the file: group of a ManiSkill file, number of the episode of a dataset."""
@@ -125,16 +120,10 @@ class TrajectorySample:
     """Further files on which its content depends."""
     rate_hz: float | None = None
     """Frames per second by the metadata of the file [Hz]; None if the file has times."""
-    task: str | None = None
-    model: str | None = None
-    seed: int | None = None
-    prompt: str | None = None
     success: bool | None = None
     """True if the task succeeded according to the file."""
     warnings: tuple[str, ...] = ()
     """Warnings for the user."""
-    problem: str | None = None
-    """Reason why it cannot be read; None if it can be tried."""
 
 
 def require_numbers(name: str, array: NDArray[np.generic]) -> Array:

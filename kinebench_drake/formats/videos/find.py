@@ -7,8 +7,8 @@ from pathlib import Path
 from kinebench_drake.errors import InputError, UsageError
 from kinebench_drake.formats import ewmbench, hdf5, manifest, videofolder, worldarena
 from kinebench_drake.formats.folders import is_output, list_suffixes, require_apart, run_of, walk
-from kinebench_drake.formats.ids import unique_ids
 from kinebench_drake.formats.lerobot import reader as lerobot
+from kinebench_drake.formats.samples import finish_samples
 from kinebench_drake.formats.videos.sample import CameraLookup, Search, VideoSample, VideoSamples
 from kinebench_drake.io.files import IMAGE_SUFFIXES, VIDEO_SUFFIXES, absence
 from kinebench_drake.io.hdf5 import HDF5_SUFFIXES
@@ -86,9 +86,7 @@ def find_samples(
             f"$camera_key {camera_key}: {source} has nothing to choose from; it is for LeRobot datasets, HDF5 and npz "
             "files with several cameras"
         )
-    ids = unique_ids([(s.id, _folders(s)) for s in samples])
-    named = (replace(s, id=id, model=s.model or model, task=s.task or task) for s, id in zip(samples, ids, strict=True))
-    return VideoSamples(samples=tuple(named), warnings=tuple(search.warnings))
+    return VideoSamples(samples=finish_samples(samples, _folders, model, task), warnings=tuple(search.warnings))
 
 
 def list_folder(folder: Path, search: Search, skipped: Sequence[Path]) -> list[VideoSample]:

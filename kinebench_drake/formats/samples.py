@@ -1,11 +1,53 @@
-"""Sample ids: unique, safe as file names, the same for the same samples in the same order."""
+"""Samples: fields common to videos and trajectories, and ids, the same for the same samples in the same order."""
 
 import re
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from hashlib import blake2b
+from pathlib import Path
+from typing import TypeVar
 
 _ID_BYTES = 120
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Sample:
+    """One input and its labels."""
+
+    id: str
+    """Unique, safe as a file name; contains the stem of the file, or the name of the dataset and of its part."""
+    path: Path
+    """File or frame folder that holds it, possibly with others."""
+    video: str
+    """Name in results: relative to the named folder or manifest, with `#` before a part of a file."""
+    task: str | None = None
+    model: str | None = None
+    seed: int | None = None
+    prompt: str | None = None
+    problem: str | None = None
+    """Reason why it cannot be read (a broken manifest line); None if it can be tried."""
+
+
+AnySample = TypeVar("AnySample", bound=Sample)
+
+
+def finish_samples(
+    samples: Sequence[AnySample], folders: Callable[[AnySample], tuple[str, ...]], model: str | None, task: str | None
+) -> tuple[AnySample, ...]:
+    """Return samples with unique ids, and with the model and task of the user where they have none.
+
+    Args:
+        samples: all samples of an input.
+        folders: returns the folders that may be prepended to an id.
+        model: name of the model.
+        task: name of the task.
+    """
+    ids = unique_ids([(sample.id, folders(sample)) for sample in samples])
+    return tuple(
+        replace(sample, id=id, model=sample.model or model, task=sample.task or task)
+        for sample, id in zip(samples, ids, strict=True)
+    )
 
 
 def unique_ids(wanted: Sequence[tuple[str, tuple[str, ...]]]) -> list[str]:
