@@ -32,7 +32,7 @@ from kinebench_drake.runs.tools import RobotOptions, Tools
 from kinebench_drake.suites.catalog import EpisodeSpec
 from kinebench_drake.suites.composition import Episode
 from kinebench_drake.suites.expert.motion import Waypoint
-from kinebench_drake.suites.expert.registry import Expert, find_expert
+from kinebench_drake.suites.families.registry import Expert, find_expert
 from kinebench_drake.suites.families.task import Scene
 from kinebench_drake.suites.faults.fault import FaultGrade
 from kinebench_drake.suites.seeding import generator

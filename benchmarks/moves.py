@@ -20,7 +20,7 @@ from kinebench_drake.suites.clock import CONTROL_PERIOD_S
 from kinebench_drake.suites.composition import compose
 from kinebench_drake.suites.expert.grasp import DOWN, grasp_rotation
 from kinebench_drake.suites.expert.motion import plan
-from kinebench_drake.suites.expert.registry import EXPERTS
+from kinebench_drake.suites.families.registry import EXPERTS
 
 KNOT_S = 0.04
 """Time between the knots of a spline [s]."""

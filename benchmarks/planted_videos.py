@@ -28,8 +28,7 @@ from kinebench_drake.io.container import write_video
 from kinebench_drake.suites.catalog import EpisodeSpec, load_suite
 from kinebench_drake.suites.clock import CLIP_FRAMES, FRAME_PERIOD_S
 from kinebench_drake.suites.composition import Pool
-from kinebench_drake.suites.expert.registry import find_expert
-from kinebench_drake.suites.families.registry import TASKS, find_task
+from kinebench_drake.suites.families.registry import TASKS, find_expert, find_task
 from kinebench_drake.suites.families.task import TaskVariant
 from kinebench_drake.suites.faults.fault import FaultGrade, PlantedFault
 from kinebench_drake.suites.faults.fault_simulator import FaultSimulator

@@ -21,7 +21,7 @@ from kinebench_drake.geometry import Array
 from kinebench_drake.io.container import write_video
 from kinebench_drake.suites.clock import CLIP_FRAMES
 from kinebench_drake.suites.composition import compose
-from kinebench_drake.suites.expert.registry import find_expert
+from kinebench_drake.suites.families.registry import find_expert
 from kinebench_drake.suites.rollout import render_video, run_expert
 from kinebench_drake.suites.simulator import Simulator, Snapshot
 

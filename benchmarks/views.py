@@ -18,9 +18,9 @@ from kinebench_drake.io.container import write_video
 from kinebench_drake.io.npz import open_npz, write_arrays
 from kinebench_drake.io.reader import read_video
 from kinebench_drake.suites.catalog import EpisodeSpec
-from kinebench_drake.suites.expert.registry import find_expert
+from kinebench_drake.suites.families.registry import find_expert
 from kinebench_drake.suites.faults.fault_simulator import FaultSimulator
-from kinebench_drake.suites.faults.view import ViewChange, ViewKind, render_view
+from kinebench_drake.suites.faults.recording import ViewChange, ViewKind, render_view
 from kinebench_drake.suites.rollout import render_video, run_expert
 from kinebench_drake.suites.seeding import generator
 

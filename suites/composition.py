@@ -15,7 +15,6 @@ from kinebench_drake.suites.families.fruits import containers
 from kinebench_drake.suites.families.laptops import assets as laptops
 from kinebench_drake.suites.families.registry import find_task
 from kinebench_drake.suites.families.task import SceneLayout, TaskVariant
-from kinebench_drake.suites.scene import marks
 from kinebench_drake.suites.scene.look import SORTS, look_ids
 from kinebench_drake.suites.scene.model import AssetMaker, AssetModel
 from kinebench_drake.suites.seeding import generator, share
@@ -23,7 +22,7 @@ from kinebench_drake.suites.seeding import generator, share
 INSTANCES = 24
 """Number of instances of each kind."""
 
-_FAMILIES = (blocks, boxes, cabinets, containers, faucets, fruits, laptops, marks)
+_FAMILIES = (blocks, boxes, cabinets, containers, faucets, fruits, laptops)
 KINDS: dict[str, AssetMaker] = {kind: make for family in _FAMILIES for kind, make in family.KINDS.items()}
 """Maker of each kind; kinds between which tasks distinguish have their own names, such as "fruit/apple"."""
 

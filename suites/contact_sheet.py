@@ -12,8 +12,7 @@ from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.errors import InputError
 from kinebench_drake.executors.base import Executor, WorkerCrash
 from kinebench_drake.suites.composition import Episode, compose
-from kinebench_drake.suites.expert.registry import find_expert
-from kinebench_drake.suites.families.registry import find_task
+from kinebench_drake.suites.families.registry import find_expert, find_task
 from kinebench_drake.suites.rollout import run_expert
 from kinebench_drake.suites.scene.look import look_ids
 from kinebench_drake.suites.simulator import Simulator

@@ -25,8 +25,8 @@ from kinebench_drake.io.jsonl import append_line, read_lines, write_json, write_
 from kinebench_drake.suites.catalog import EpisodeSpec
 from kinebench_drake.suites.demo_config import CLIP_STEPS, DemoConfig, FormatKind, RenderOptions
 from kinebench_drake.suites.demo_formats import FORMATS, PARTS, DemoFormat, Record
-from kinebench_drake.suites.expert.registry import find_expert
 from kinebench_drake.suites.export import episode_facts
+from kinebench_drake.suites.families.registry import find_expert
 from kinebench_drake.suites.rollout import run_expert
 from kinebench_drake.suites.simulator import Simulator
 from kinebench_drake.suites.simulator_cache import SimulatorCache, SimulatorWorker, failure_reason

@@ -12,7 +12,7 @@ from kinebench_drake.executors.base import Executor, WorkerCrash
 from kinebench_drake.stats import wilson
 from kinebench_drake.suites.clock import CLIP_FRAMES, STEPS_PER_FRAME
 from kinebench_drake.suites.composition import Episode
-from kinebench_drake.suites.expert.registry import find_expert
+from kinebench_drake.suites.families.registry import find_expert
 from kinebench_drake.suites.rollout import run_expert
 from kinebench_drake.suites.seeding import generator
 from kinebench_drake.suites.simulator import Simulator, TaskOutcome

@@ -13,7 +13,7 @@ from kinebench_drake.models.panda.robot import HAND_LINK, TCP_LINK
 from kinebench_drake.suites.clock import CLIP_FRAMES, FRAME_PERIOD_S, STEPS_PER_FRAME
 from kinebench_drake.suites.composition import Episode
 from kinebench_drake.suites.expert.motion import plan
-from kinebench_drake.suites.expert.registry import Expert
+from kinebench_drake.suites.families.registry import Expert
 from kinebench_drake.suites.simulator import Simulator, Snapshot, TaskOutcome
 from kinebench_drake.suites.worldmodels.worldmodel import SimulatorState
 

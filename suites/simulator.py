@@ -190,7 +190,7 @@ class Simulator:
 
     def scene(self) -> Scene:
         """Return the current placement of robot and objects."""
-        scene: Scene = self._env.scene_of()
+        scene: Scene = self._env.first_scene()
         return scene
 
     def link_pose(self, link: str) -> Array:

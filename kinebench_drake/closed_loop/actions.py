@@ -10,7 +10,7 @@ from kinebench_drake.geometry import Array, interpolate_pose, pose_difference
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.suites.clock import FRAME_PERIOD_S
 from kinebench_drake.suites.composition import Episode
-from kinebench_drake.suites.expert.registry import find_expert
+from kinebench_drake.suites.families.registry import find_expert
 from kinebench_drake.suites.rollout import continue_expert
 from kinebench_drake.suites.seeding import generator
 from kinebench_drake.suites.simulator import Control, Simulator

@@ -24,7 +24,7 @@ from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.stats import wilson
 from kinebench_drake.suites.clock import CLIP_FRAMES, FRAME_PERIOD_S
 from kinebench_drake.suites.composition import Episode
-from kinebench_drake.suites.expert.registry import find_expert
+from kinebench_drake.suites.families.registry import find_expert
 from kinebench_drake.suites.rollout import Rollout, run_expert
 from kinebench_drake.suites.seeding import generator
 from kinebench_drake.suites.simulator import Control, Simulator

@@ -1,6 +1,6 @@
 """Collisions of the arm with the static objects of a scene, computed with Drake's geometry engine.
 
-Checked at their initial poses: fixed objects, the fixed bodies of articulations, and objects that must not be touched.
+Checked at their initial poses: the fixed bodies of articulations, and objects that must not be touched.
 The gripper may touch all but the last group; the other links may touch nothing.
 """
 
@@ -116,7 +116,7 @@ class SceneGeometry:
         free: list[Any] = []
         avoided: list[Any] = []
         for name, model in scene.models.items():
-            if name in scene.fixed or name in scene.avoided or model.articulated:
+            if name in scene.avoided or model.articulated:
                 for collider in model.bodies[0].colliders:
                     shape, X_CS = _shape(collider)
                     own = self._register(None, shape, scene.poses[name] @ collider.X_BodyC @ X_CS, name)

@@ -63,16 +63,20 @@ def shift(X: ArrayLike, offset_m: ArrayLike) -> Array:
     return X
 
 
-def swing(X: ArrayLike, point: ArrayLike, axis: ArrayLike, angle_rad: float) -> Array:
-    """Return the pose (4, 4) rotated about the line through `point` (3,) along `axis` (3,)."""
-    X, p = np.asarray(X, dtype=np.float64), np.asarray(point, dtype=np.float64)
-    R = rotation_exp(angle_rad * np.asarray(axis, dtype=np.float64) / np.linalg.norm(axis))
-    return make_pose(R @ X[:3, :3], p + R @ (X[:3, 3] - p))
+def swing(X: Array, arc: Arc) -> Array:
+    """Return the pose (4, 4) rotated along an arc."""
+    R = rotation_exp(arc.angle_rad * arc.axis / np.linalg.norm(arc.axis))
+    return make_pose(R @ X[:3, :3], arc.point + R @ (X[:3, 3] - arc.point))
 
 
 def closed_waypoint(X_BG: Array, *, through: bool = False, arc: Arc | None = None, pace: float = 1.0) -> Waypoint:
     """Return a waypoint with closed fingers; arguments as of `Waypoint`."""
     return Waypoint(X_BG=X_BG, finger_width_m=CLOSED_M, through=through, arc=arc, pace=pace)
+
+
+def closed_passage(*poses: Array) -> list[Waypoint]:
+    """Return waypoints with closed fingers at poses (4, 4) that are passed without stopping."""
+    return [closed_waypoint(X_BG, through=True) for X_BG in poses]
 
 
 def pick_and_place(

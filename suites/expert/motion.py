@@ -68,8 +68,6 @@ class MotionPlan:
     """(N, 7) joint angles at the end of each control step [rad]."""
     finger_width_m: Array
     """(N,) gap between the finger pads [m]; negative squeezes."""
-    X_BG: Array
-    """(N, 4, 4) the planned poses of panda_hand_tcp in the base frame [m]."""
 
 
 def _path_lengths(p: Array, waypoints: Sequence[Waypoint]) -> Array:
@@ -169,7 +167,7 @@ def plan(
             raise error
         _check_rates(plant, q_start, q)
     _check_clearance(plant, q, widths, scene)
-    return MotionPlan(q=q, finger_width_m=widths, X_BG=X_BG)
+    return MotionPlan(q=q, finger_width_m=widths)
 
 
 def _stepwise(plant: ArmPlant, q_start: Array, X_BG: Array) -> Array:

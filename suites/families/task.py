@@ -5,7 +5,7 @@ All poses are in the robot base frame B: the table top is the plane z = 0, the r
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from enum import Enum
 from typing import TYPE_CHECKING, ClassVar
 
@@ -13,6 +13,7 @@ import numpy as np
 
 from kinebench_drake.geometry import Array, invert, make_pose, rotation_z
 from kinebench_drake.suites.scene.model import AssetModel
+from kinebench_drake.suites.start import START_WIDTH_M
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -73,8 +74,6 @@ class Placement:
     """Pose (4, 4) of the first body [m]."""
     joint: float = 0.0
     """Joint position of an articulated object [rad or m]."""
-    fixed: bool = False
-    """True if the object is immovable; the first body of an articulation always is."""
     decor: bool = False
     """True if the object is only visible and has no collision geometry, such as a mark on the table."""
     avoid: bool = False
@@ -93,11 +92,6 @@ class Placement:
     ) -> "Placement":
         """Place an upright object with its origin at a point of B, rotated about z by `yaw_rad`."""
         return cls(model=model, X_BM=make_pose(rotation_z(yaw_rad), p_BM), joint=joint, decor=decor, avoid=avoid)
-
-    @property
-    def movable(self) -> bool:
-        """True if physics moves the object or its joint."""
-        return not (self.fixed or self.decor)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -127,15 +121,8 @@ class SceneLayout:
             poses=poses,
             joints={name: p.joint for name, p in self.placements.items() if p.model.articulated},
             models={name: placement.model for name, placement in self.placements.items()},
-            starts=poses,
-            fixed=self.fixed,
             avoided=self.avoided,
         )
-
-    @property
-    def fixed(self) -> frozenset[str]:
-        """Names of immovable objects, not counting the first bodies of articulations."""
-        return frozenset(name for name, p in self.placements.items() if p.fixed and not p.decor)
 
     @property
     def avoided(self) -> frozenset[str]:
@@ -157,10 +144,6 @@ class Scene:
     """Joint position of each articulated object [rad or m]."""
     models: Mapping[str, AssetModel]
     """Asset of each object."""
-    starts: Mapping[str, Array] = field(default_factory=dict)
-    """`poses` at the beginning of the episode."""
-    fixed: frozenset[str] = frozenset()
-    """Names of immovable objects, not counting the first bodies of articulations."""
     avoided: frozenset[str] = frozenset()
     """Names of objects that must not be touched."""
 
@@ -203,3 +186,45 @@ class Task(ABC):
     @abstractmethod
     def progress(self, state: "State") -> "Tensor":
         """Return the progress (N,): 0 at the start, 1 at the goal. The environment clips it to 0..1."""
+
+
+class JointTask(Task):
+    """Task of moving the joint of one articulated object past a goal; it has a single slot."""
+
+    prompt: str
+    """Prompt with a placeholder for the object's name."""
+    reached: ClassVar[str]
+    """Name of the condition: "open" if the joint is to be at the goal or above, else "shut" or "closed"."""
+
+    @abstractmethod
+    def place(self, model: AssetModel, rng: np.random.Generator) -> Placement:
+        """Draw the initial pose and joint position of the object."""
+
+    @abstractmethod
+    def goal(self, state: "State") -> "Tensor | float":
+        """Return the joint position (N,) at which the task is done [rad or m]."""
+
+    @abstractmethod
+    def rest_conditions(self, state: "State") -> "dict[str, Tensor]":
+        """Return the conditions (N,) other than that of the joint's position."""
+
+    def layout(self, models: Mapping[str, AssetModel], rng: np.random.Generator, variant: TaskVariant) -> SceneLayout:
+        """Place the object alone."""
+        [(name, model)] = models.items()
+        return SceneLayout(
+            placements={name: self.place(model, rng)},
+            prompt=self.prompt.format(model.words),
+            finger_width_m=START_WIDTH_M[self.card.id],
+        )
+
+    def conditions(self, state: "State") -> "dict[str, Tensor]":
+        """Return the conditions of the joint's position and of rest."""
+        [name] = self.slots
+        position, goal = state.joints[name], self.goal(state)
+        reached = position >= goal if self.reached == "open" else position <= goal
+        return {self.reached: reached, **self.rest_conditions(state)}
+
+    def progress(self, state: "State") -> "Tensor":
+        """Return the fraction of the joint's way to the goal."""
+        [name] = self.slots
+        return state.joint_progress(name, self.goal(state))

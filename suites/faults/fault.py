@@ -5,8 +5,11 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Any
 
+import numpy as np
+
 from kinebench_drake.anomaly import AnomalyKind
 from kinebench_drake.errors import UsageError
+from kinebench_drake.geometry import Array
 from kinebench_drake.io.jsonl import Json
 
 
@@ -25,6 +28,10 @@ class FaultForm(Enum):
     """Alternating with each frame."""
     JUMP = "jump"
     """Step."""
+
+    def course(self, frames: int) -> Array:
+        """Return the share (T,) of the full size in each frame, of CONSTANT and GROWING."""
+        return np.ones(frames) if self is FaultForm.CONSTANT else np.linspace(0.0, 1.0, frames)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

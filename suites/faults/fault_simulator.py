@@ -41,20 +41,11 @@ class FaultSimulator(Simulator):
         """Render an additional gripper in all further images."""
         self._fault = fault
 
-    def set_camera_pose(self, camera: Camera) -> None:
-        """Move the camera; its intrinsics stay."""
-        from kinebench_drake.suites.scene.environment import X_WB, sapien_from_opencv
-
-        X_WS = sapien_from_opencv(X_WB @ camera.X_BC)
-        rendering = self._env._sensors[self._camera_name].camera._render_cameras[0]
-        rendering.set_local_pose(self._pose_class(X_WS[:3, 3], to_quaternion(X_WS[:3, :3])))
-        self.camera = camera
-
     def clear_faults(self, camera: Camera) -> None:
         """Render without faults, from `camera`."""
         self._fault = None
         self.set_visible(GRIPPER_LINKS, visible=True)
-        self.set_camera_pose(camera)
+        self.set_camera(camera)
 
     @override
     def render(self) -> CameraImage:

@@ -78,14 +78,13 @@ class _BodyBuilder:
     """Mixin for SAPIEN's builders that makes visuals and colliders directly from a body's arrays."""
 
     body: RigidBody
-    decor = False
     collision_groups: list[int]
 
     def attach_colliders(self, component: Any) -> Any:
         """Attach the body's colliders to a PhysX component and return it."""
         m = self.body.material
         material = sapien.physx.PhysxMaterial(m.static_friction, m.dynamic_friction, m.restitution)
-        for collider in () if self.decor else self.body.colliders:
+        for collider in self.body.colliders:
             shape = _collision_shape(collider, material)
             shape.local_pose = to_pose(collider.X_BodyC)
             shape.set_collision_groups(self.collision_groups)
@@ -127,12 +126,12 @@ class _LinkBuilder(_BodyBuilder, LinkBuilder):  # type: ignore[misc]
 
     def build_physx_component(self, link_parent: Any = None) -> Any:
         component = self.attach_colliders(super().build_physx_component(link_parent))
-        component.disable_gravity = self.body.joint is not None and self.body.joint.balanced
+        component.disable_gravity = self.body.joint is not None
         return component
 
 
 def build_actor(
-    scene: Any, name: str, body: RigidBody, X_WA: Array, scene_idxs: Sequence[int], *, physics: str, decor: bool = False
+    scene: Any, name: str, body: RigidBody, X_WA: Array, scene_idxs: Sequence[int], *, physics: str
 ) -> Actor:
     """Build a single rigid body.
 
@@ -143,10 +142,9 @@ def build_actor(
         X_WA: pose (4, 4) in the ManiSkill world [m].
         scene_idxs: parallel scenes that get one.
         physics: "dynamic", "kinematic" or "static".
-        decor: True for no colliders.
     """
     builder = _ActorBuilder()
-    builder.scene, builder.body, builder.decor = scene, body, decor
+    builder.scene, builder.body = scene, body
     builder.set_scene_idxs(list(scene_idxs))
     builder.set_physx_body_type(physics)
     builder.initial_pose = to_pose(X_WA)
@@ -176,7 +174,7 @@ def build_articulation(
         link.set_joint_name(f"{body.name}_joint")
         link.set_joint_properties(
             joint.kind.value,
-            limits=[[joint.lower, joint.upper]],
+            limits=[[0.0, joint.upper]],
             pose_in_parent=to_pose(joint.X_ParentJ),
             pose_in_child=to_pose(joint.X_BodyJ),
             damping=joint.damping,

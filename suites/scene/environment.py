@@ -4,7 +4,8 @@ They run on the CPU and, in batches, on ManiSkill's GPU simulation. ManiSkill's 
 affected. A single environment is rebuilt at every reset, because each seed has its own assets and looks.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -22,11 +23,11 @@ from torch import Tensor
 
 from kinebench_drake.camera import Camera, benchmark_camera
 from kinebench_drake.errors import InputError
-from kinebench_drake.geometry import Array, make_pose, to_quaternion
+from kinebench_drake.geometry import Array, make_pose
 from kinebench_drake.models.robot import N_JOINTS
 from kinebench_drake.suites.composition import Episode, Pool, compose
 from kinebench_drake.suites.families.registry import TASKS, find_task
-from kinebench_drake.suites.families.task import Placement, Scene, SceneLayout, TaskVariant
+from kinebench_drake.suites.families.task import Scene, SceneLayout, TaskVariant
 from kinebench_drake.suites.scene.builder import build_actor, build_articulation, to_pose
 from kinebench_drake.suites.scene.look import background, light, surroundings, table
 from kinebench_drake.suites.scene.rendering import simplify_arm, software_shaders
@@ -170,9 +171,11 @@ class KineBenchEnv(BaseEnv):  # type: ignore[misc]
             if placement.model.articulated:
                 built.append(build_articulation(self.scene, own_name, placement.model, X_WM, [i]))
             else:
-                physics = "dynamic" if placement.movable else "kinematic"
                 [body] = placement.model.bodies
-                built.append(build_actor(self.scene, own_name, body, X_WM, [i], physics=physics, decor=placement.decor))
+                if placement.decor:
+                    body = replace(body, colliders=())
+                physics = "kinematic" if placement.decor else "dynamic"
+                built.append(build_actor(self.scene, own_name, body, X_WM, [i], physics=physics))
         if self.num_envs == 1:
             return built[0]
         for part in built:  # replaced by one merged entry for all scenes
@@ -207,12 +210,12 @@ class KineBenchEnv(BaseEnv):  # type: ignore[misc]
             self.agent.robot.set_pose(sapien.Pose(X_WB[:3, 3]))
             for name, entity in self.objects.items():
                 placements = [self.layouts[i].placements[name] for i in rows]
-                entity.set_pose(self._poses(placements))
+                entity.set_pose(Pose.create([to_pose(X_WB @ p.X_BM) for p in placements], device=self.device))
                 if isinstance(entity, Articulation):
                     joint = torch.tensor([[p.joint] for p in placements], dtype=torch.float32)
                     entity.set_qpos(joint)
                     entity.set_qvel(torch.zeros_like(joint))
-                elif placements[0].movable:
+                elif not placements[0].decor:
                     entity.set_linear_velocity(torch.zeros(len(rows), 3))
                     entity.set_angular_velocity(torch.zeros(len(rows), 3))
         if self.gpu_sim_enabled:
@@ -234,14 +237,6 @@ class KineBenchEnv(BaseEnv):  # type: ignore[misc]
                 if placement.model.asset_id != self.layouts[i].placements[name].model.asset_id:
                     raise InputError(f"{name} has another asset: that needs options={{'reconfigure': True}}")
             self.episodes[i], self.layouts[i] = new, layout
-
-    def _poses(self, placements: Sequence[Placement]) -> Pose:
-        """Return the poses of placements in the ManiSkill world."""
-        X_WM = [X_WB @ p.X_BM for p in placements]
-        return Pose.create_from_pq(
-            torch.tensor(np.stack([X[:3, 3] for X in X_WM]), dtype=torch.float32),
-            torch.tensor(np.stack([to_quaternion(X[:3, :3]) for X in X_WM]), dtype=torch.float32),
-        )
 
     def _store_starts(self, env_idx: Tensor) -> None:
         """Store the current poses and joint positions of some scenes as those of the episode's start."""
@@ -271,13 +266,15 @@ class KineBenchEnv(BaseEnv):  # type: ignore[misc]
     def _joints(self) -> dict[str, Tensor]:
         return {name: x.qpos[:, 0].clone() for name, x in self.objects.items() if isinstance(x, Articulation)}
 
-    def _speed(self, entity: Actor | Articulation) -> Tensor:
-        """Return the joint speed (N,) of an articulation, else the linear speed (N,)."""
-        if isinstance(entity, Articulation):
-            rate: Tensor = entity.qvel[:, 0].abs()
-            return rate
-        speed: Tensor = torch.linalg.norm(entity.linear_velocity, dim=-1)
-        return speed
+    def _speeds(self) -> dict[str, Tensor]:
+        """Return the speeds (N,) of the joints of articulations, of free objects, and of the arm."""
+        speeds: dict[str, Tensor] = {ARM: self.agent.robot.qvel[:, :N_JOINTS].abs().amax(dim=-1)}
+        for name, entity in self.objects.items():
+            if isinstance(entity, Articulation):
+                speeds[name] = entity.qvel[:, 0].abs()
+            elif not self.layouts[0].placements[name].decor:
+                speeds[name] = torch.linalg.norm(entity.linear_velocity, dim=-1)
+        return speeds
 
     def state(self) -> State:
         """Return the current state of all scenes."""
@@ -288,32 +285,21 @@ class KineBenchEnv(BaseEnv):  # type: ignore[misc]
             starts=self._starts,
             joints=self._joints(),
             joint_starts=self._joint_starts,
-            speeds={
-                name: self._speed(entity)
-                for name, entity in self.objects.items()
-                if self.layouts[0].placements[name].movable
-            }
-            | {ARM: self.agent.robot.qvel[:, :N_JOINTS].abs().amax(dim=-1)},
+            speeds=self._speeds(),
             models={name: [layout.placements[name].model for layout in self.layouts] for name in self.objects},
             grasps=lambda name: self.agent.is_grasping(self.objects[name]),
         )
 
-    def scene_of(self, index: int = 0) -> Scene:
-        """Return one of the scenes as an expert receives it."""
+    def first_scene(self) -> Scene:
+        """Return the first scene as an expert receives it."""
         state = self.state()
-
-        def matrices(poses: Mapping[str, Tensor]) -> dict[str, Array]:
-            return {name: X[index].cpu().numpy().astype(np.float64) for name, X in poses.items()}
-
         return Scene(
-            X_BG=state.X_BG[index].cpu().numpy().astype(np.float64),
-            finger_width_m=float(state.finger_width_m[index]),
-            poses=matrices(state.poses),
-            joints={name: float(x[index]) for name, x in state.joints.items()},
-            models={name: models[index] for name, models in state.models.items()},
-            starts=matrices(state.starts),
-            fixed=self.layouts[index].fixed,
-            avoided=self.layouts[index].avoided,
+            X_BG=state.X_BG[0].cpu().numpy().astype(np.float64),
+            finger_width_m=float(state.finger_width_m[0]),
+            poses={name: X[0].cpu().numpy().astype(np.float64) for name, X in state.poses.items()},
+            joints={name: float(x[0]) for name, x in state.joints.items()},
+            models={name: models[0] for name, models in state.models.items()},
+            avoided=self.layouts[0].avoided,
         )
 
     def advance(self, action: NDArray[np.float32]) -> None:

@@ -39,10 +39,10 @@ def box_mesh(size: ArrayLike, *, bevel_m: float = 0.0, uv_per_m: float = 1.0) ->
     return flat_mesh(solid.vertices, solid.faces, uv_per_m=uv_per_m)
 
 
-def cylinder_mesh(radius_m: float, length_m: float, *, sections: int = 32, uv_per_m: float = 1.0) -> Mesh:
+def cylinder_mesh(radius_m: float, length_m: float, *, sections: int = 32) -> Mesh:
     """Return a cylinder along z centred at the origin, with a smooth side and flat ends."""
     h = length_m / 2.0
-    return lathe([[0.0, -h], [radius_m, -h], [radius_m, h], [0.0, h]], sections=sections, uv_per_m=uv_per_m)
+    return lathe([[0.0, -h], [radius_m, -h], [radius_m, h], [0.0, h]], sections=sections)
 
 
 def arc_length(points: Array) -> Array:

@@ -109,23 +109,22 @@ class JointKind(Enum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Joint:
-    """Joint with one degree of freedom between a body and its parent; its axis is the x axis of both joint frames."""
+    """Joint with one degree of freedom between a body and its parent; its axis is the x axis of both joint frames.
+
+    Gravity does not move it, as with a stiff hinge that holds a lid at any angle.
+    """
 
     kind: JointKind
-    X_ParentJ: Array
+    X_ParentJ: Array = field(default_factory=lambda: np.eye(4))
     """Pose (4, 4) of the joint in the parent body [m]."""
-    X_BodyJ: Array
+    X_BodyJ: Array = field(default_factory=lambda: np.eye(4))
     """Pose (4, 4) of the joint in the body [m]; at position 0 both frames coincide."""
-    lower: float
-    """Lower limit [rad or m]."""
     upper: float
-    """Upper limit [rad or m]."""
+    """Upper limit [rad or m]; the lower one is 0."""
     friction: float = 0.0
     """PhysX joint friction: coefficient (unitless) of the load on the joint; it grows with off-axis loads."""
     damping: float = 0.0
     """Viscous friction [N m s/rad or N s/m]."""
-    balanced: bool = True
-    """True if gravity does not move the joint, as with a stiff hinge that holds a lid at any angle."""
 
     def motion(self, position: float) -> Array:
         """Return the pose (4, 4) of the body's joint frame in the parent's at a position [rad or m]."""
@@ -143,7 +142,6 @@ def lid_hinge(p_Hinge: ArrayLike, upper: float, *, friction: float, damping: flo
         kind=JointKind.HINGE,
         X_ParentJ=make_pose(_R_LID, p_Hinge),
         X_BodyJ=make_pose(_R_LID, np.zeros(3)),
-        lower=0.0,
         upper=upper,
         friction=friction,
         damping=damping,
@@ -180,10 +178,8 @@ def site_at(body: str, p: ArrayLike) -> Site:
 class AssetModel:
     """One instance of an asset kind."""
 
-    kind: str
-    """Name of the kind, such as "box"."""
     asset_id: str
-    """Such as "box/07"."""
+    """Kind and number, such as "box/07"."""
     words: str
     """Noun phrase for prompts without article, such as "red apple"."""
     bodies: tuple[RigidBody, ...]

@@ -9,7 +9,7 @@ change the shade of some pixels along edges.
 import hashlib
 import io
 import re
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -77,16 +77,6 @@ def software_shaders() -> ShaderConfig:
     return replace(minimal, shader_pack=str(folder / color.parent))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Surface:
-    """N triangles of one material."""
-
-    corners: NDArray[np.float32]
-    """(3 N, 3) corners of one triangle after the other."""
-    normals: NDArray[np.float32]
-    """(3 N, 3) unit normals there."""
-
-
 def simplify_arm(robot: Any) -> None:
     """Replace the visual meshes of a ManiSkill Panda's arm; hand and fingers, which are measured, keep theirs.
 
@@ -104,11 +94,11 @@ def simplify_arm(robot: Any) -> None:
             body = sapien.render.RenderBodyComponent()
             body.name = full.name
             for shape in full.render_shapes:
-                for surface, source in zip(_surfaces(shape.filename), shape.parts, strict=True):
+                for (corners, normals), source in zip(_surfaces(shape.filename), shape.parts, strict=True):
                     mesh = sapien.render.RenderShapeTriangleMesh(
-                        surface.corners * np.float32(shape.scale),
-                        np.arange(len(surface.corners), dtype=np.uint32).reshape(-1, 3),
-                        surface.normals,
+                        corners * np.float32(shape.scale),
+                        np.arange(len(corners), dtype=np.uint32).reshape(-1, 3),
+                        normals,
                         np.zeros((0, 2), dtype=np.float32),
                         source.material,
                     )
@@ -119,21 +109,26 @@ def simplify_arm(robot: Any) -> None:
 
 
 @cache
-def _surfaces(file: str) -> tuple[_Surface, ...]:
-    """Return the simplified surfaces of a mesh file, one a material, from the cache folder if they are there."""
+def _surfaces(file: str) -> tuple[NDArray[np.float32], ...]:
+    """Return the simplified surfaces of a mesh file, one a material, from the cache folder if they are there.
+
+    Each is (2, 3 N, 3): corners of one triangle after the other, and the unit normals there.
+    """
     digest = hashlib.sha256(_VERSION + Path(file).read_bytes()).hexdigest()[:16]
     path = cache_folder() / f"visuals-{Path(file).stem}-{digest}.npz"
     if not path.is_file():
         parts = sapien.render.RenderShapeTriangleMesh(file).parts
         surfaces = [_simplify(part.vertices, part.triangles.reshape(-1, 3), part.get_vertex_normal()) for part in parts]
         buffer = io.BytesIO()
-        np.savez(buffer, *(np.stack([surface.corners, surface.normals]) for surface in surfaces))
+        np.savez(buffer, *surfaces)
         write_atomically(path, buffer.getvalue())
     with np.load(path, allow_pickle=False) as stored:
-        return tuple(_Surface(corners=stored[name][0], normals=stored[name][1]) for name in stored.files)
+        return tuple(stored[name] for name in stored.files)
 
 
-def _simplify(vertices: NDArray[np.float32], triangles: NDArray[np.uint32], normals: NDArray[np.float32]) -> _Surface:
+def _simplify(
+    vertices: NDArray[np.float32], triangles: NDArray[np.uint32], normals: NDArray[np.float32]
+) -> NDArray[np.float32]:
     """Simplify a mesh to a quarter of its triangles; normals are those of the original at the nearest point."""
     points, faces = simplify(
         vertices.astype(np.float64),
@@ -151,4 +146,4 @@ def _simplify(vertices: NDArray[np.float32], triangles: NDArray[np.uint32], norm
     weights = np.column_stack([1.0 - uv.sum(axis=1), uv])
     normal = (normals[triangles[nearest["primitive_ids"].numpy()]] * weights[:, :, None]).sum(axis=1)
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-    return _Surface(corners=corners.reshape(-1, 3).astype(np.float32), normals=normal.astype(np.float32))
+    return np.stack([corners.reshape(-1, 3), normal]).astype(np.float32)

@@ -86,7 +86,7 @@ def _make_view_oracle(spec: Spec) -> WorldModel:
         UsageError: the size is no number, or out of range.
     """
     from kinebench_drake.suites.faults.fault import FaultForm
-    from kinebench_drake.suites.faults.view import ViewChange, ViewKind
+    from kinebench_drake.suites.faults.recording import ViewChange, ViewKind
     from kinebench_drake.suites.worldmodels.reference import OracleModel
 
     limit, options = _VIEWS[spec.kind], spec.read(ViewOptions)

@@ -11,13 +11,12 @@ from kinebench_drake.errors import InputError
 from kinebench_drake.geometry import rotation_exp
 from kinebench_drake.suites.composition import Episode
 from kinebench_drake.suites.expert.motion import Waypoint
-from kinebench_drake.suites.expert.registry import Expert, find_expert
+from kinebench_drake.suites.families.registry import Expert, find_expert
 from kinebench_drake.suites.families.task import Scene
 from kinebench_drake.suites.faults.fault import FaultGrade
 from kinebench_drake.suites.faults.fault_simulator import FaultSimulator
 from kinebench_drake.suites.faults.plant import plant
-from kinebench_drake.suites.faults.recording import Recording
-from kinebench_drake.suites.faults.view import ViewChange, render_view
+from kinebench_drake.suites.faults.recording import Recording, ViewChange, render_view
 from kinebench_drake.suites.rollout import Rollout, continue_expert, render_video
 from kinebench_drake.suites.seeding import generator
 from kinebench_drake.suites.simulator_cache import SimulatorCache

@@ -6,7 +6,7 @@ import pytest
 from benchmarks.feasible import draw_feasible
 from benchmarks.motion import CLEARANCE_M, Motion, prove
 from benchmarks.moves import SHIPPED_TASKS, Family, trapezoid
-from kinebench_drake.suites.expert.registry import EXPERTS
+from kinebench_drake.suites.families.registry import EXPERTS
 
 
 def test_plans_of_all_experts_are_drawn():

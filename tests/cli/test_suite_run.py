@@ -19,7 +19,7 @@ from kinebench_drake.io.container import write_video
 from kinebench_drake.io.reader import read_video
 from kinebench_drake.suites.catalog import VERSION
 from kinebench_drake.suites.composition import Pool, compose
-from kinebench_drake.suites.expert.registry import find_expert
+from kinebench_drake.suites.families.registry import find_expert
 from kinebench_drake.suites.rollout import render_video, run_expert
 from kinebench_drake.suites.simulator import Simulator, Snapshot
 

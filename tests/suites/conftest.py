@@ -4,7 +4,7 @@ import pytest
 
 from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.suites.composition import compose
-from kinebench_drake.suites.expert.registry import find_expert
+from kinebench_drake.suites.families.registry import find_expert
 from kinebench_drake.suites.rollout import Rollout, RolloutVideo, render_video, run_expert
 from kinebench_drake.suites.simulator import Simulator
 

@@ -8,11 +8,10 @@ import pytest
 
 from kinebench_drake.geometry import Array, make_pose, rotation_exp, to_quaternion
 from kinebench_drake.suites.composition import asset_ids, compose, model
-from kinebench_drake.suites.expert.registry import find_expert
 from kinebench_drake.suites.families.blocks import assets as blocks
+from kinebench_drake.suites.families.registry import find_expert
 from kinebench_drake.suites.families.task import TaskVariant
 from kinebench_drake.suites.rollout import run_expert
-from kinebench_drake.suites.scene import marks
 from kinebench_drake.suites.scene.state import MOVED_M
 from kinebench_drake.suites.simulator import Simulator, TaskOutcome
 from tests.suites.bodies import visual_points
@@ -58,7 +57,7 @@ def test_targets_are_flat_and_obstacles_stand_on_their_foot() -> None:
         assert p[:, 2].min() == pytest.approx(0.0, abs=1e-6)
         assert p[:, 2].max() == pytest.approx(obstacle.size["height_m"], abs=0.001)
         assert np.hypot(p[:, 0], p[:, 1]).max() <= obstacle.size["radius_m"] + 0.001
-        assert marks.OBSTACLE_HEIGHT_M[0] <= obstacle.size["height_m"] <= marks.OBSTACLE_HEIGHT_M[1]
+        assert blocks.OBSTACLE_HEIGHT_M[0] <= obstacle.size["height_m"] <= blocks.OBSTACLE_HEIGHT_M[1]
 
 
 def test_the_obstacle_stands_between_the_cubes() -> None:

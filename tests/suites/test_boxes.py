@@ -9,9 +9,8 @@ import torch
 from kinebench_drake.geometry import make_pose, rotation_exp, transform_points
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.suites.composition import asset_ids, compose, model
-from kinebench_drake.suites.expert.registry import find_expert
 from kinebench_drake.suites.families.boxes.assets import FLUSH, OPEN_RAD, OVERHANG_M, RIMMED, with_tight_hinge
-from kinebench_drake.suites.families.registry import find_task
+from kinebench_drake.suites.families.registry import find_expert, find_task
 from kinebench_drake.suites.rollout import run_expert
 from kinebench_drake.suites.scene.model import AssetModel
 from kinebench_drake.suites.scene.state import ARM, State

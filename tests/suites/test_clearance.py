@@ -11,15 +11,24 @@ from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.suites.expert.clearance import SceneGeometry
 from kinebench_drake.suites.expert.motion import Waypoint, plan
 from kinebench_drake.suites.families.task import Scene
-from kinebench_drake.suites.scene.model import AssetModel, Collider, ColliderKind, RigidBody
+from kinebench_drake.suites.scene.model import AssetModel, Collider, ColliderKind, Joint, JointKind, RigidBody
 
 UPRIGHT = make_pose(np.array([[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]]), np.zeros(3))
 POST = np.array([0.5, 0.2, 0.15])
 
 
+DOOR = RigidBody(name="door", visuals=(), joint=Joint(kind=JointKind.HINGE, upper=1.0))
+
+
 def post(collider: Collider) -> AssetModel:
     body = RigidBody(name="post", visuals=(), colliders=(collider,))
-    return AssetModel(kind="post", asset_id="post/00", words="post", bodies=(body,), size={})
+    return AssetModel(asset_id="post/00", words="post", bodies=(body,), size={})
+
+
+def with_door(scene: Scene) -> Scene:
+    """Return the scene with the post as the fixed body of an articulation."""
+    model = scene.models["post"]
+    return replace(scene, models={"post": replace(model, bodies=(*model.bodies, DOOR))})
 
 
 def scene_with(collider: Collider, position: np.ndarray, **marks: frozenset[str]) -> Scene:
@@ -66,16 +75,15 @@ def test_the_gripper_may_touch_fixed_objects_and_nothing_may_touch_avoided_ones(
     plant = ArmPlant()
     q, width = plant.robot.rest_q[None], np.array([0.0])
     tip = plant.forward(q[0])[:3, 3]
-    for marks, touches in (
-        ({}, False),
-        ({"fixed": frozenset({"post"})}, False),
-        ({"avoided": frozenset({"post"})}, True),
+    free = scene_with(COLLIDERS[0], tip)
+    for scene, touches in (
+        (free, False),
+        (with_door(free), False),
+        (replace(free, avoided=frozenset({"post"})), True),
     ):
-        assert (
-            bool(list(SceneGeometry(plant, scene_with(COLLIDERS[0], tip, **marks)).penetrations(q, width))) == touches
-        )
+        assert bool(list(SceneGeometry(plant, scene).penetrations(q, width))) == touches
     elbow = plant.link_poses(q[0])["panda_link4"][:3, 3]
-    fixed = scene_with(COLLIDERS[0], elbow, fixed=frozenset({"post"}))
+    fixed = with_door(scene_with(COLLIDERS[0], elbow))
     assert {t.link for t in SceneGeometry(plant, fixed).penetrations(q, width)} & {
         "panda_link3",
         "panda_link4",

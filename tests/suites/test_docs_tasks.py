@@ -9,8 +9,7 @@ from typing import Any
 import pytest
 
 from kinebench_drake.suites.contact_sheet import task_table
-from kinebench_drake.suites.expert.registry import EXPERTS
-from kinebench_drake.suites.families.registry import TASKS
+from kinebench_drake.suites.families.registry import EXPERTS, TASKS
 
 PAGE = (Path(__file__).parents[2] / "docs/tasks.md").read_text()
 EXAMPLES = re.findall(r"^```python\n(.*?)^```$", PAGE, flags=re.DOTALL | re.MULTILINE)

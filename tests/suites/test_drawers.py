@@ -8,10 +8,10 @@ import pytest
 
 from kinebench_drake.geometry import Array, to_quaternion
 from kinebench_drake.suites.composition import asset_ids, compose, model
-from kinebench_drake.suites.expert.registry import find_expert
 from kinebench_drake.suites.families.blocks.assets import EDGE_M
 from kinebench_drake.suites.families.drawers import assets as cabinets
 from kinebench_drake.suites.families.drawers.task import SHUT_M, TASKS
+from kinebench_drake.suites.families.registry import find_expert
 from kinebench_drake.suites.rollout import run_expert
 from kinebench_drake.suites.scene.model import ColliderKind, RigidBody
 from kinebench_drake.suites.simulator import Simulator

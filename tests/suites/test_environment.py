@@ -11,8 +11,7 @@ import pytest
 from kinebench_drake.errors import InputError, UsageError
 from kinebench_drake.geometry import pose_difference
 from kinebench_drake.suites.composition import Pool, compose, model
-from kinebench_drake.suites.expert.registry import find_expert
-from kinebench_drake.suites.families.registry import TASKS
+from kinebench_drake.suites.families.registry import TASKS, find_expert
 from kinebench_drake.suites.families.task import TaskVariant
 from kinebench_drake.suites.rollout import run_expert
 from kinebench_drake.suites.simulator import Simulator
@@ -90,7 +89,7 @@ def test_the_environment_alone_composes_the_same_episodes(simulator: Simulator) 
         f"KineBench/{TASK}", obs_mode="state", sim_backend="cpu", render_backend="none", control_mode="pd_joint_pos"
     )
     env.reset(seed=9)
-    scene = env.unwrapped.scene_of()
+    scene = env.unwrapped.first_scene()
     assert env.unwrapped.episodes == [compose(TASK, 9)]
     for name, X in expected.poses.items():
         assert np.array_equal(scene.poses[name], X)
@@ -115,14 +114,14 @@ def test_a_scene_that_is_not_rebuilt_keeps_its_assets_and_moves_them() -> None:
 
     env = KineBenchEnv(task=TASK, sim_backend="cpu", render_backend="none", reconfiguration_freq=0)
     env.reset(seed=1, options={"reconfigure": True})
-    before = env.scene_of()
+    before = env.first_scene()
     env.reset(seed=2)
     [episode] = env.episodes
     assert episode == compose(TASK, 1).reseeded(2)
     assert episode.assets == compose(TASK, 1).assets
-    assert not np.allclose(env.scene_of().poses["green"], before.poses["green"])
+    assert not np.allclose(env.first_scene().poses["green"], before.poses["green"])
     for name, X in episode.layout().scene(before.X_BG).poses.items():
-        assert np.allclose(env.scene_of().poses[name], X, atol=1e-5)
+        assert np.allclose(env.first_scene().poses[name], X, atol=1e-5)
     with pytest.raises(InputError, match="reconfigure"):
         env.reset(seed=3, options={"episodes": [compose(TASK, 3)]})
     env.close()

@@ -9,9 +9,9 @@ import pytest
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.suites.composition import asset_ids, compose, model
 from kinebench_drake.suites.expert.clearance import SceneGeometry
-from kinebench_drake.suites.expert.registry import find_expert
 from kinebench_drake.suites.families.faucets import assets as faucets
 from kinebench_drake.suites.families.faucets.task import CLOSED_FRACTION, OPEN_FRACTION, TASKS
+from kinebench_drake.suites.families.registry import find_expert
 from kinebench_drake.suites.families.task import Scene
 from kinebench_drake.suites.rollout import run_expert
 from kinebench_drake.suites.scene.model import AssetModel, RigidBody
@@ -83,7 +83,7 @@ def test_the_waiting_gripper_touches_no_faucet(task: str) -> None:
 
 
 def alone(body: RigidBody) -> AssetModel:
-    return AssetModel(kind="part", asset_id="part/00", words="part", bodies=(replace(body, joint=None),), size={})
+    return AssetModel(asset_id="part/00", words="part", bodies=(replace(body, joint=None),), size={})
 
 
 @pytest.fixture(scope="module", params=NAMES)

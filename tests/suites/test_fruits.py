@@ -9,11 +9,10 @@ import torch
 
 from kinebench_drake.geometry import Array, make_pose
 from kinebench_drake.suites.composition import Episode, asset_ids, compose, model
-from kinebench_drake.suites.expert.registry import find_expert
 from kinebench_drake.suites.families.fruits.assets import FRUITS
 from kinebench_drake.suites.families.fruits.containers import COMPARTMENTS, compartment_center
 from kinebench_drake.suites.families.fruits.task import GAP_M, ORDER, OTHERS
-from kinebench_drake.suites.families.registry import find_task
+from kinebench_drake.suites.families.registry import find_expert, find_task
 from kinebench_drake.suites.families.task import TaskVariant
 from kinebench_drake.suites.rollout import run_expert
 from kinebench_drake.suites.scene.state import State
@@ -71,7 +70,7 @@ def test_every_scene_has_the_same_names_and_room_for_the_fingers(variant: TaskVa
         targets.add(layout.placements["target"].model.words)
         assert f"the {layout.placements['target'].model.words}," in layout.prompt
         fruits = [layout.placements[name] for name in ("target", *OTHERS)]
-        assert len({fruit.model.kind for fruit in fruits}) == 4
+        assert len({fruit.model.words for fruit in fruits}) == 4
         gaps = [
             np.linalg.norm(a.X_BM[:2, 3] - b.X_BM[:2, 3]) - a.model.size["reach_m"] - b.model.size["reach_m"]
             for i, a in enumerate(fruits)

@@ -9,11 +9,10 @@ import torch
 
 from kinebench_drake.geometry import Array, make_pose
 from kinebench_drake.suites.composition import asset_ids, compose, model
-from kinebench_drake.suites.expert.registry import find_expert
 from kinebench_drake.suites.families.laptops import assets
 from kinebench_drake.suites.families.laptops.assets import GREATEST_RAD
 from kinebench_drake.suites.families.laptops.task import OPEN_RAD, SHUT_RAD, TASKS
-from kinebench_drake.suites.families.registry import find_task
+from kinebench_drake.suites.families.registry import find_expert, find_task
 from kinebench_drake.suites.rollout import run_expert
 from kinebench_drake.suites.scene.model import AssetModel
 from kinebench_drake.suites.scene.state import ARM, State

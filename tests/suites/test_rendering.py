@@ -11,7 +11,7 @@ import pytest
 
 from kinebench_drake.environment.native import RENDER_VARIABLE, has_nvidia_vulkan
 from kinebench_drake.suites.composition import compose
-from kinebench_drake.suites.expert.registry import find_expert
+from kinebench_drake.suites.families.registry import find_expert
 from kinebench_drake.suites.rollout import run_expert
 from kinebench_drake.suites.simulator import CameraImage, Simulator, Snapshot
 

@@ -9,8 +9,7 @@ from kinebench_drake.geometry import invert, pose_difference, transform_points
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.suites.clock import FRAME_PERIOD_S
 from kinebench_drake.suites.composition import compose
-from kinebench_drake.suites.expert.registry import find_expert
-from kinebench_drake.suites.families.registry import TASKS
+from kinebench_drake.suites.families.registry import TASKS, find_expert
 from kinebench_drake.suites.rollout import Rollout, RolloutVideo, render_video, run_expert
 from kinebench_drake.suites.simulator import Simulator, TaskOutcome
 from tests.suites.scenes import EACH_TASK

@@ -121,15 +121,13 @@ def _design(index: int, rng: np.random.Generator) -> _BoxDesign:
 
 def _paper(rng: np.random.Generator, index: int, first: Array, second: Array) -> Texture:
     """Make gift paper in two colours."""
-    match index // len(MATERIALS) % 4:
-        case 0:
-            return stripes(rng, (first, second))
-        case 1:
-            return checks(rng, first, second)
-        case 2:
-            return wallpaper(rng, second, first, "dots")
-        case _:
-            return wallpaper(rng, first, second, "diamonds")
+    patterns = (
+        lambda: stripes(rng, (first, second)),
+        lambda: checks(rng, first, second),
+        lambda: wallpaper(rng, second, first, "dots"),
+        lambda: wallpaper(rng, first, second, "diamonds"),
+    )
+    return patterns[index // len(MATERIALS) % len(patterns)]()
 
 
 def _base(width: float, depth: float, height: float, wall: float, design: _BoxDesign) -> RigidBody:
@@ -177,7 +175,6 @@ def _box(kind: str, asset_id: str, index: int, rng: np.random.Generator) -> Asse
     friction, damping = float(rng.uniform(0.0, 0.05)), float(rng.uniform(0.03, 0.08))
     joint = lid_hinge(p_hinge, open_rad, friction=friction, damping=damping)
     return AssetModel(
-        kind=kind,
         asset_id=asset_id,
         words=f"{design.words} box",
         bodies=(

@@ -7,7 +7,15 @@ A lid opened by `angle` extends from the hinge along (cos, 0, sin).
 import numpy as np
 
 from kinebench_drake.geometry import Array, make_pose
-from kinebench_drake.suites.expert.grasp import HALF_TIP_M, closed_waypoint, grasp_rotation, lift, shift, swing
+from kinebench_drake.suites.expert.grasp import (
+    HALF_TIP_M,
+    closed_passage,
+    closed_waypoint,
+    grasp_rotation,
+    lift,
+    shift,
+    swing,
+)
 from kinebench_drake.suites.expert.motion import Arc, Waypoint
 from kinebench_drake.suites.families.task import Scene
 
@@ -54,11 +62,8 @@ def _rotation(scene: Scene, approach: Array, closing: Array) -> Array:
 def _under_front(scene: Scene, angle: float, depth_m: float, tilt: float) -> Array:
     """Return the TCP pose with the fingertips under the front edge of a lid opened by `angle` [rad].
 
-    Args:
-        scene: the scene with the box.
-        angle: opening of the lid.
-        depth_m: distance from the lid's edge to the fingertip.
-        tilt: angle [rad] between the fingers and the lid, positive if the hand is above it.
+    The fingertips are `depth_m` from the edge; `tilt` is the angle [rad] between the fingers and the lid, positive if
+    the hand is above it.
     """
     X_BH = _hinge(scene)
     out = np.array([np.cos(angle), 0.0, np.sin(angle)])
@@ -83,7 +88,7 @@ def _push_front(scene: Scene, angle: float) -> list[Waypoint]:
     start = _under_front(scene, angle, PUSH_DEPTH_M, PUSH_TILT_RAD)
     goal = GOAL_FRACTION * scene.size("box", "open_rad")
     arc = _opening_arc(scene, goal - angle)
-    end = swing(start, arc.point, arc.axis, arc.angle_rad)
+    end = swing(start, arc)
     away = _hinge(scene)[:3, :3] @ [np.sin(goal), 0.0, -np.cos(goal)]
     return [
         closed_waypoint(start, through=True),
@@ -98,11 +103,7 @@ def open_ajar_front(scene: Scene) -> list[Waypoint]:
     inside = _under_front(scene, angle, PUSH_DEPTH_M, PUSH_TILT_RAD)
     R_BH = _hinge(scene)[:3, :3]
     before = shift(inside, R_BH @ [0.06, 0.0, 0.0])
-    return [
-        closed_waypoint(shift(before, R_BH @ [0.05, 0.0, 0.04]), through=True),
-        closed_waypoint(before, through=True),
-        *_push_front(scene, angle),
-    ]
+    return [*closed_passage(shift(before, R_BH @ [0.05, 0.0, 0.04]), before), *_push_front(scene, angle)]
 
 
 def open_shut_front(scene: Scene) -> list[Waypoint]:
@@ -113,8 +114,7 @@ def open_shut_front(scene: Scene) -> list[Waypoint]:
     before = shift(under, R_BH @ [0.04, 0.0, 0.0])
     pried = _under_front(scene, PRIED_RAD, depth, PUSH_TILT_RAD)
     return [
-        closed_waypoint(shift(before, R_BH @ [0.05, 0.0, 0.05]), through=True),
-        closed_waypoint(before, through=True),
+        *closed_passage(shift(before, R_BH @ [0.05, 0.0, 0.05]), before),
         closed_waypoint(under),
         closed_waypoint(pried, arc=_opening_arc(scene, PRIED_RAD), pace=1.3),
         *_push_front(scene, PRIED_RAD),
@@ -124,11 +124,7 @@ def open_shut_front(scene: Scene) -> list[Waypoint]:
 def _under_side(scene: Scene, angle: float, depth_m: float, tilt: float) -> tuple[Array, Array]:
     """Return the TCP pose with the fingertips under the side of a lid opened by `angle`, and the contact point (3,).
 
-    Args:
-        scene: the scene with the box.
-        angle: opening of the lid [rad].
-        depth_m: distance from the lid's edge to the fingertip, along the fingers.
-        tilt: angle of the fingers from the vertical.
+    The fingertips are `depth_m` from the lid's edge, along the fingers; `tilt` is their angle [rad] from the vertical.
     """
     X_BH = _hinge(scene)
     side = -1.0 if X_BH[:3, 1] @ [0.0, X_BH[1, 3], 0.0] > 0.0 else 1.0  # towards y = 0, where there is more room
@@ -166,10 +162,7 @@ def _approach_side(X: Array) -> list[Waypoint]:
     outwards = -X[:3, 2] * [1.0, 1.0, 0.0]
     outwards /= np.linalg.norm(outwards)
     before = shift(X, 0.04 * outwards)
-    return [
-        closed_waypoint(lift(shift(before, 0.05 * outwards), 0.05), through=True),
-        closed_waypoint(before, through=True),
-    ]
+    return closed_passage(lift(shift(before, 0.05 * outwards), 0.05), before)
 
 
 def open_ajar_side(scene: Scene) -> list[Waypoint]:
@@ -208,10 +201,7 @@ def close_lying(scene: Scene) -> list[Waypoint]:
     start, last = outside(angle, 0.004), outside(0.0, -PRESS_M)
     before = outside(angle, 0.05)
     return [
-        closed_waypoint(lift(scene.X_BG, 0.04), through=True),
-        closed_waypoint(lift(before, 0.09), through=True),
-        closed_waypoint(before, through=True),
-        closed_waypoint(start, through=True),
+        *closed_passage(lift(scene.X_BG, 0.04), lift(before, 0.09), before, start),
         closed_waypoint(last, arc=_opening_arc(scene, -angle)),
         closed_waypoint(shift(last, 0.05 * R_BH[:, 2]), through=True),
         closed_waypoint(lift(shift(last, 0.06 * R_BH[:, 2]), 0.08)),

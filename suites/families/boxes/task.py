@@ -10,10 +10,9 @@ from typing_extensions import override
 
 from kinebench_drake.geometry import make_pose, rotation_z
 from kinebench_drake.suites.families.boxes.assets import FLUSH, RIMMED, with_tight_hinge
-from kinebench_drake.suites.families.task import Difficulty, Placement, SceneLayout, Task, TaskCard, TaskVariant
+from kinebench_drake.suites.families.task import Difficulty, JointTask, Placement, Task, TaskCard
 from kinebench_drake.suites.scene.model import AssetModel
 from kinebench_drake.suites.scene.state import State, to_frame
-from kinebench_drake.suites.start import START_WIDTH_M
 
 OPEN_FRACTION = 0.9
 """Least opening of an open lid, as a fraction of its range."""
@@ -39,7 +38,15 @@ def distance_to_lid(state: State) -> Tensor:
     return distance
 
 
-class OpenBox(Task):
+class _MoveLid(JointTask):
+    """Common part of the tasks with a box."""
+
+    @override
+    def rest_conditions(self, state: State) -> dict[str, Tensor]:
+        return state.rest_conditions("box", distance_to_lid(state))
+
+
+class OpenBox(_MoveLid):
     """Open the lid of an upright box.
 
     Description: a box stands on the table; lift its lid with the fingertips, push it fully open and retreat. In
@@ -52,6 +59,7 @@ class OpenBox(Task):
     """
 
     slots: ClassVar[Mapping[str, str]] = {"box": RIMMED}
+    reached = "open"
 
     def __init__(self, name: str, *, ajar: bool, to_the_right: bool) -> None:
         """Make one of the four tasks.
@@ -70,40 +78,32 @@ class OpenBox(Task):
             axes="x" if to_the_right else "y",
             contacts=1 if ajar else 2,
         )
+        edge = "front edge" if to_the_right else "side edge"
+        if ajar:
+            way = f"puts its fingertips under the {edge} of the slightly open lid of the {{}} and pushes it"
+        else:
+            way = f"goes to the {edge} of the closed {{}}, pries up the lid with its fingertips and pushes it"
+        self.prompt = f"The robot arm {way} fully open."
 
-    def layout(self, models: Mapping[str, AssetModel], rng: np.random.Generator, variant: TaskVariant) -> SceneLayout:
+    @override
+    def place(self, model: AssetModel, rng: np.random.Generator) -> Placement:
         """Place a box in front of the robot, close enough that its lid does not touch the gripper at the start."""
-        box = models["box"]
         yaw = rng.uniform(-YAW_RAD, YAW_RAD)
         if self._to_the_right:
             x, y, yaw = rng.uniform(0.42, 0.47), rng.uniform(0.03, 0.10), yaw - np.pi / 2.0
         else:
             x, y = rng.uniform(0.46, 0.50), rng.uniform(-0.10, 0.10)
-        if not self._ajar and self._to_the_right:
-            box = with_tight_hinge(box)
+        if self._to_the_right and not self._ajar:
+            model = with_tight_hinge(model)
         joint = float(rng.uniform(*AJAR_RAD)) if self._ajar else 0.0
-        edge = "front edge" if self._to_the_right else "side edge"
-        if self._ajar:
-            prompt = f"puts its fingertips under the {edge} of the slightly open lid of the {box.words} and pushes it"
-        else:
-            prompt = f"goes to the {edge} of the closed {box.words}, pries up the lid with its fingertips and pushes it"
-        return SceneLayout(
-            placements={"box": Placement.upright(box, (x, y, 0.0), yaw, joint=joint)},
-            prompt=f"The robot arm {prompt} fully open.",
-            finger_width_m=START_WIDTH_M[self.card.id],
-        )
+        return Placement.upright(model, (x, y, 0.0), yaw, joint=joint)
 
     @override
-    def conditions(self, state: State) -> dict[str, Tensor]:
-        wide = state.joints["box"] >= OPEN_FRACTION * state.size("box", "open_rad")
-        return {"open": wide, **state.rest_conditions("box", distance_to_lid(state))}
-
-    def progress(self, state: State) -> Tensor:
-        """Return the fraction of the lid's way to `OPEN_FRACTION` of its range."""
-        return state.joint_progress("box", OPEN_FRACTION * state.size("box", "open_rad"))
+    def goal(self, state: State) -> Tensor:
+        return OPEN_FRACTION * state.size("box", "open_rad")
 
 
-class CloseBox(Task):
+class CloseBox(_MoveLid):
     """Press the lid of a lying box shut.
 
     Description: a box lies on its side, its opening towards the camera, its lid wide open on a vertical hinge; fold the
@@ -115,33 +115,22 @@ class CloseBox(Task):
 
     card = TaskCard(id="CloseBox-v1", family="boxes", difficulty=Difficulty.EASY, articulated_dof=1, axes="z")
     slots: ClassVar[Mapping[str, str]] = {"box": FLUSH}
+    prompt = "The robot arm presses the open lid of the {} shut with its closed gripper."
+    reached = "shut"
 
-    def layout(self, models: Mapping[str, AssetModel], rng: np.random.Generator, variant: TaskVariant) -> SceneLayout:
+    @override
+    def place(self, model: AssetModel, rng: np.random.Generator) -> Placement:
         """Place a box on its side in front of the robot."""
-        box = models["box"]
         left = 1.0 if rng.random() < 0.5 else -1.0  # side of the hinge as seen from the robot
         R_lying = np.array([[0.0, 0.0, 1.0], [-left, 0.0, 0.0], [0.0, -left, 0.0]])
         R = rotation_z(rng.uniform(-YAW_RAD, YAW_RAD)) @ R_lying
-        opening = np.array([rng.uniform(0.50, 0.54), left * rng.uniform(-0.03, 0.05), box.size["width_m"] / 2.0])
-        return SceneLayout(
-            placements={
-                "box": Placement(
-                    model=box,
-                    X_BM=make_pose(R, opening - box.size["height_m"] * R[:, 2]),
-                    joint=float(rng.uniform(*WIDE_FRACTION)) * box.size["open_rad"],
-                )
-            },
-            prompt=f"The robot arm presses the open lid of the {box.words} shut with its closed gripper.",
-            finger_width_m=START_WIDTH_M[self.card.id],
-        )
+        opening = np.array([rng.uniform(0.50, 0.54), left * rng.uniform(-0.03, 0.05), model.size["width_m"] / 2.0])
+        joint = float(rng.uniform(*WIDE_FRACTION)) * model.size["open_rad"]
+        return Placement(model=model, X_BM=make_pose(R, opening - model.size["height_m"] * R[:, 2]), joint=joint)
 
     @override
-    def conditions(self, state: State) -> dict[str, Tensor]:
-        return {"shut": state.joints["box"] <= SHUT_RAD, **state.rest_conditions("box", distance_to_lid(state))}
-
-    def progress(self, state: State) -> Tensor:
-        """Return the fraction of the lid's way to `SHUT_RAD`."""
-        return state.joint_progress("box", SHUT_RAD)
+    def goal(self, state: State) -> float:
+        return SHUT_RAD
 
 
 TASKS: tuple[Task, ...] = (

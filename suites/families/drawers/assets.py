@@ -21,20 +21,13 @@ from kinebench_drake.suites.scene.model import (
 )
 from kinebench_drake.suites.scene.texture import brushed, mix, rgb, wood
 
-WIDTH_M = (0.172, 0.198)
-"""Least and greatest width, perpendicular to the drawer's travel."""
-DEPTH_M = (0.168, 0.188)
-"""Least and greatest depth, along the drawer's travel."""
-HEIGHT_M = (0.114, 0.126)
-"""Least and greatest height."""
+WIDTH_M, DEPTH_M, HEIGHT_M = (0.172, 0.198), (0.168, 0.188), (0.114, 0.126)
+"""Least and greatest extents: perpendicular to the drawer's travel, along it, and height."""
 TRAVEL_M = (0.108, 0.124)
 """Least and greatest travel of the drawer."""
-HANDLES = ("bar", "knob", "lip")
-"""Kinds of handles: a bow, a knob, or a ledge along the upper edge of the front."""
-FINISHES = ("wood", "paint", "metal", "front")
-"""Kinds of finishes: plain wood, paint, metal, or wood with a painted front."""
-FEET = ("legs", "plinth")
-"""Kinds of feet."""
+HANDLES, FINISHES, FEET = ("bar", "knob", "lip"), ("wood", "paint", "metal", "front"), ("legs", "plinth")
+"""Kinds of handles (bow, knob, or a ledge along the upper edge of the front), of finishes (wood, paint, metal, or wood
+with a painted front), and of feet."""
 _CLEARANCE_M = 0.003  # between the drawer and the cabinet
 _WALL_M = 0.007  # thickness of the tray's walls
 _FLOOR_M = 0.006  # thickness of the tray's floor
@@ -230,16 +223,12 @@ def _cabinet(asset_id: str, index: int, rng: np.random.Generator) -> AssetModel:
     material = Material(density=float(rng.uniform(450.0, 700.0)), static_friction=0.45, dynamic_friction=0.4)
     slide = Joint(
         kind=JointKind.SLIDER,
-        X_ParentJ=np.eye(4),
-        X_BodyJ=np.eye(4),
-        lower=0.0,
         upper=m.travel,
         friction=float(rng.uniform(0.02, 0.08)),
         damping=float(rng.uniform(20.0, 36.0)),
     )
     back, face = m.tray_x
     return AssetModel(
-        kind="cabinet",
         asset_id=asset_id,
         words=words,
         bodies=(carcass.body("cabinet", material), tray.body("drawer", material, slide)),

@@ -10,7 +10,15 @@ from torch import Tensor
 from typing_extensions import override
 
 from kinebench_drake.geometry import Array, make_pose, rotation_z
-from kinebench_drake.suites.families.task import Difficulty, Placement, SceneLayout, Task, TaskCard, TaskVariant
+from kinebench_drake.suites.families.task import (
+    Difficulty,
+    JointTask,
+    Placement,
+    SceneLayout,
+    Task,
+    TaskCard,
+    TaskVariant,
+)
 from kinebench_drake.suites.scene.model import AssetModel
 from kinebench_drake.suites.scene.state import STILL_M_S, State
 
@@ -26,12 +34,6 @@ START_FRACTION = 0.92
 """Least initial opening of a drawer that is to receive a cube, as a fraction of its travel."""
 CUBE_YAW_RAD = 0.3
 """Greatest yaw of a cube that is to be dragged, relative to the drawer's direction."""
-
-
-def _rest_conditions(state: State) -> dict[str, Tensor]:
-    """Return the conditions common to opening and closing."""
-    distance = torch.linalg.norm(state.X_BG[:, :3, 3] - state.site("cabinet", "pull")[:, :3, 3], dim=-1)
-    return state.rest_conditions("cabinet", distance, still=STILL_M_S)
 
 
 def _distance_from_tray(state: State, poses: Mapping[str, Tensor], name: str) -> Tensor:
@@ -61,7 +63,18 @@ def _forwards(model: AssetModel, rng: np.random.Generator) -> Array:
     return make_pose(rotation_z(yaw), [front - reach * np.cos(yaw), aside - reach * np.sin(yaw), 0.0])
 
 
-class OpenDrawer(Task):
+class _MoveDrawer(JointTask):
+    """Common part of opening and closing."""
+
+    slots: ClassVar[Mapping[str, str]] = {"cabinet": "cabinet"}
+
+    @override
+    def rest_conditions(self, state: State) -> dict[str, Tensor]:
+        distance = torch.linalg.norm(state.X_BG[:, :3, 3] - state.site("cabinet", "pull")[:, :3, 3], dim=-1)
+        return state.rest_conditions("cabinet", distance, still=STILL_M_S)
+
+
+class OpenDrawer(_MoveDrawer):
     """Pull the drawer open.
 
     Description: a cabinet stands sideways, its drawer ajar; turn the gripper, reach with the closed fingertips into the
@@ -74,31 +87,24 @@ class OpenDrawer(Task):
     """
 
     card = TaskCard(id="OpenDrawer-v1", family="drawers", difficulty=Difficulty.MEDIUM, articulated_dof=1, axes="y")
-    slots: ClassVar[Mapping[str, str]] = {"cabinet": "cabinet"}
-
-    def layout(self, models: Mapping[str, AssetModel], rng: np.random.Generator, variant: TaskVariant) -> SceneLayout:
-        """Place a cabinet that opens to the side."""
-        cabinet = models["cabinet"]
-        X_BM = _sideways((0.475, 0.54), rng)
-        return SceneLayout(
-            placements={"cabinet": Placement(model=cabinet, X_BM=X_BM, joint=rng.uniform(0.034, 0.048))},
-            prompt=(
-                f"The robot arm turns its gripper, reaches into the gap of the {cabinet.words}'s slightly open drawer, "
-                "pulls the drawer all the way out and moves up again."
-            ),
-        )
+    prompt = (
+        "The robot arm turns its gripper, reaches into the gap of the {}'s slightly open drawer, pulls the drawer all "
+        "the way out and moves up again."
+    )
+    reached = "open"
 
     @override
-    def conditions(self, state: State) -> dict[str, Tensor]:
-        wide = OPEN_FRACTION * state.size("cabinet", "travel_m")
-        return {"open": state.joints["cabinet"] >= wide, **_rest_conditions(state)}
+    def place(self, model: AssetModel, rng: np.random.Generator) -> Placement:
+        """Place a cabinet that opens to the side."""
+        X_BM = _sideways((0.475, 0.54), rng)
+        return Placement(model=model, X_BM=X_BM, joint=rng.uniform(0.034, 0.048))
 
-    def progress(self, state: State) -> Tensor:
-        """Return the fraction of the drawer's way to `OPEN_FRACTION` of its travel."""
-        return state.joint_progress("cabinet", OPEN_FRACTION * state.size("cabinet", "travel_m"))
+    @override
+    def goal(self, state: State) -> Tensor:
+        return OPEN_FRACTION * state.size("cabinet", "travel_m")
 
 
-class CloseDrawer(Task):
+class CloseDrawer(_MoveDrawer):
     """Push the drawer shut.
 
     Description: a cabinet's drawer is open towards the camera; reach in front of it with the closed gripper, push it
@@ -110,25 +116,18 @@ class CloseDrawer(Task):
     """
 
     card = TaskCard(id="CloseDrawer-v1", family="drawers", difficulty=Difficulty.EASY, articulated_dof=1, axes="x")
-    slots: ClassVar[Mapping[str, str]] = {"cabinet": "cabinet"}
-
-    def layout(self, models: Mapping[str, AssetModel], rng: np.random.Generator, variant: TaskVariant) -> SceneLayout:
-        """Place a cabinet that opens away from the robot."""
-        cabinet = models["cabinet"]
-        X_BM = _forwards(cabinet, rng)
-        joint = rng.uniform(0.65, 1.0) * cabinet.size["travel_m"]
-        return SceneLayout(
-            placements={"cabinet": Placement(model=cabinet, X_BM=X_BM, joint=joint)},
-            prompt=f"The robot arm pushes the open drawer of the {cabinet.words} completely shut and moves up again.",
-        )
+    prompt = "The robot arm pushes the open drawer of the {} completely shut and moves up again."
+    reached = "shut"
 
     @override
-    def conditions(self, state: State) -> dict[str, Tensor]:
-        return {"shut": state.joints["cabinet"] <= SHUT_M, **_rest_conditions(state)}
+    def place(self, model: AssetModel, rng: np.random.Generator) -> Placement:
+        """Place a cabinet that opens away from the robot."""
+        X_BM = _forwards(model, rng)
+        return Placement(model=model, X_BM=X_BM, joint=rng.uniform(0.65, 1.0) * model.size["travel_m"])
 
-    def progress(self, state: State) -> Tensor:
-        """Return the fraction of the drawer's way to `SHUT_M`."""
-        return state.joint_progress("cabinet", SHUT_M)
+    @override
+    def goal(self, state: State) -> float:
+        return SHUT_M
 
 
 class _StoreCube(Task):

@@ -76,10 +76,10 @@ def _rotation_to(x: Array) -> Array:
     return np.stack([x, y, np.cross(x, y)], axis=1)
 
 
-def _curve(points: ArrayLike, *, rounds: int = 4) -> Array:
+def _curve(points: ArrayLike) -> Array:
     """Return a smooth curve from the first to the last of the points (N, 3) by corner cutting (Chaikin 1974)."""
     p = np.asarray(points, dtype=np.float64)
-    for _ in range(rounds):
+    for _ in range(4):
         cut = np.stack([0.75 * p[:-1] + 0.25 * p[1:], 0.25 * p[:-1] + 0.75 * p[1:]], axis=1).reshape(-1, 3)
         p = np.concatenate([p[:1], cut, p[-1:]])
     return p
@@ -263,14 +263,12 @@ def _faucet(asset_id: str, index: int, rng: np.random.Generator) -> AssetModel:
         kind=JointKind.HINGE,
         X_ParentJ=make_pose(rotation_z(-travel / 2.0) @ _TURN, axis),
         X_BodyJ=make_pose(_TURN, np.zeros(3)),
-        lower=0.0,
         upper=travel,
         friction=float(rng.uniform(0.05, 0.2)),
         damping=float(rng.uniform(0.05, 0.2)),
     )
     brass = Material(density=2500.0, static_friction=0.4, dynamic_friction=0.3)
     return AssetModel(
-        kind="faucet",
         asset_id=asset_id,
         words=f"{finish} faucet",
         bodies=(base.body("body", Material()), handle.body("handle", brass, joint)),

@@ -244,7 +244,6 @@ def _fruit(name: str, asset_id: str, index: int, rng: np.random.Generator) -> As
     )
     extent = np.ptp(skin.vertices, axis=0)
     return AssetModel(
-        kind=f"fruit/{name}",
         asset_id=asset_id,
         words=name,
         bodies=(parts.body(name, material),),

@@ -46,13 +46,11 @@ def _add_shell(parts: BodyParts, inner: Array, thick_m: float) -> None:
             parts.collider(ColliderKind.BOX, size, make_pose(turn, R @ center))
 
 
-def _asset(
-    kind: str, asset_id: str, words: str, parts: BodyParts, size: dict[str, float], mass_kg: float
-) -> AssetModel:
+def _asset(asset_id: str, words: str, parts: BodyParts, size: dict[str, float], mass_kg: float) -> AssetModel:
     """Return a container of box colliders, with the density that gives it its mass."""
     volume = sum(8.0 * float(np.prod(collider.size)) for collider in parts.colliders)
     material = Material(density=mass_kg / volume, static_friction=0.9, dynamic_friction=0.8, restitution=0.02)
-    return AssetModel(kind=kind, asset_id=asset_id, words=words, bodies=(parts.body("container", material),), size=size)
+    return AssetModel(asset_id=asset_id, words=words, bodies=(parts.body("container", material),), size=size)
 
 
 def _round(
@@ -89,15 +87,16 @@ def _round(
         "floor_m": float(inner[0, 1]),
         "rim_m": float(rim[1] + 0.5 * thick_m),
     }
-    return _asset("container", asset_id, words, parts, size, mass_kg)
+    return _asset(asset_id, words, parts, size, mass_kg)
 
 
 def _glazed(rng: np.random.Generator) -> SurfaceFinish:
     """Draw a glazed ceramic surface, plain or speckled."""
     wheel = [(226, 222, 212), (96, 134, 168), (178, 84, 58), (120, 152, 120), (214, 180, 110), (70, 82, 110)]
     color = np.array(wheel[rng.integers(len(wheel))]) * rng.uniform(0.9, 1.08, 3)
-    image = speckle(rng, color, [0.75 * color, np.minimum(1.12 * color, 255)]) if rng.random() < 0.5 else None
-    if image is None:
+    if rng.random() < 0.5:
+        image = speckle(rng, color, [0.75 * color, np.minimum(1.12 * color, 255)])
+    else:
         image = shade(fill(color, 128), 1.0 + 0.08 * (grains(rng, 128, 6.0) - 0.5))
     return SurfaceFinish(texture=image, roughness=float(rng.uniform(0.2, 0.45)), specular=0.5)
 
@@ -156,7 +155,7 @@ def _tray(asset_id: str, index: int, rng: np.random.Generator) -> AssetModel:
         parts.box(extents, center, side, bevel_m=0.0016)
     reach = float(np.hypot(x / 2.0 + thick, y / 2.0 + thick))
     size = {"inner_x_m": x, "inner_y_m": y, "round": 0.0, "reach_m": reach, "floor_m": floor, "rim_m": height}
-    return _asset("container", asset_id, "tray", parts, size, 0.6)
+    return _asset(asset_id, "tray", parts, size, 0.6)
 
 
 def _walls(x: float, y: float, height: float, thick: float) -> list[tuple[list[float], list[float]]]:
@@ -205,7 +204,7 @@ def _crate(asset_id: str, index: int, rng: np.random.Generator) -> AssetModel:
         "floor_m": floor,
         "rim_m": height,
     }
-    return _asset("crate", asset_id, "crate", parts, size, 1.2)
+    return _asset(asset_id, "crate", parts, size, 1.2)
 
 
 def compartment_center(size: Callable[[str], float], number: int) -> Array:

@@ -1,7 +1,5 @@
 """Experts for the tasks with fruits."""
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from kinebench_drake.geometry import Array, make_pose
@@ -38,34 +36,37 @@ def _grasp(scene: Scene, name: str) -> tuple[Array, float]:
     return make_pose(grasp_rotation(DOWN, closing), p), min(OPEN_M, scene.size(name, "grip_m") + SPARE_M)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Goal:
-    """Where to release a fruit."""
+def _carry(
+    scene: Scene,
+    name: str,
+    target: Array,
+    across: Array,
+    *,
+    drop_m: float,
+    rim_m: float = 0.0,
+    over: Array | None = None,
+) -> list[Waypoint]:
+    """Grasp a fruit, carry it, release it and retreat upwards.
 
-    target: Array
-    """(3,) final position of the middle of its underside [m]."""
-    across: Array
-    """(3,) closing direction of the fingers there."""
-    drop_m: float
-    """Height from which to release."""
-    rim_m: float = 0.0
-    """Height that the fingertips must clear there."""
-    over: Array | None = None
-    """(3,) top of an obstacle on the way."""
-
-
-def _carry(scene: Scene, name: str, goal: _Goal) -> list[Waypoint]:
-    """Grasp a fruit, carry it to its goal, release it and retreat upwards."""
+    Args:
+        scene: the scene.
+        name: the fruit.
+        target: (3,) final position of the middle of its underside [m].
+        across: (3,) closing direction of the fingers there.
+        drop_m: height from which to release.
+        rim_m: height that the fingertips must clear there.
+        over: (3,) top of an obstacle on the way.
+    """
     grasp, open_m = _grasp(scene, name)
     below = grasp[2, 3] - scene.poses[name][2, 3] + scene.size(name, "rest_m")  # from the fruit's underside to the TCP
-    landing = grasp_rotation(DOWN, nearest_axis([goal.across, -goal.across], grasp[:3, 1]))
-    height = max(goal.target[2] + below + goal.drop_m, goal.rim_m + TIPS_M)
-    place = make_pose(landing, [goal.target[0], goal.target[1], height])
-    above, over = lift(grasp, ABOVE_M), []
-    if goal.over is not None:
-        over = [lift(make_pose(landing, goal.over), below + OVER_M)]
-        above[2, 3] = over[0][2, 3]
-    via = [above, *over, lift(place, 0.7 * ABOVE_M)]
+    landing = grasp_rotation(DOWN, nearest_axis([across, -across], grasp[:3, 1]))
+    height = max(target[2] + below + drop_m, rim_m + TIPS_M)
+    place = make_pose(landing, [target[0], target[1], height])
+    above, passage = lift(grasp, ABOVE_M), []
+    if over is not None:
+        passage = [lift(make_pose(landing, over), below + OVER_M)]
+        above[2, 3] = passage[0][2, 3]
+    via = [above, *passage, lift(place, 0.7 * ABOVE_M)]
     return pick_and_place(above, grasp, via, place, lift(place, 1.1 * ABOVE_M), open_m=open_m, release_m=open_m)
 
 
@@ -74,13 +75,8 @@ def pick_fruits(scene: Scene) -> list[Waypoint]:
     over = None
     if "obstacle" in scene.poses:
         over = scene.poses["obstacle"][:3, 3] + [0.0, 0.0, scene.size("obstacle", "height_m")]
-    goal = _Goal(
-        target=scene.poses["container"][:3, 3] + [0.0, 0.0, scene.size("container", "floor_m")],
-        across=np.array([0.0, 1.0, 0.0]),
-        drop_m=DROP_M,
-        over=over,
-    )
-    return _carry(scene, "target", goal)
+    target = scene.poses["container"][:3, 3] + [0.0, 0.0, scene.size("container", "floor_m")]
+    return _carry(scene, "target", target, np.array([0.0, 1.0, 0.0]), drop_m=DROP_M, over=over)
 
 
 def store_fruits(scene: Scene) -> list[Waypoint]:
@@ -93,13 +89,8 @@ def store_fruits(scene: Scene) -> list[Waypoint]:
         in_y = abs(p[1] - center[1]) < 0.5 * scene.size("crate", "pitch_m")
         if low and in_y and abs(p[0]) < 0.5 * scene.size("crate", "inner_x_m"):
             continue
-        goal = _Goal(
-            target=crate[:3, :3] @ center + crate[:3, 3],
-            across=crate[:3, 1],
-            drop_m=CRATE_DROP_M,
-            rim_m=scene.size("crate", "rim_m"),
-        )
-        return _carry(scene, name, goal)
+        target = crate[:3, :3] @ center + crate[:3, 3]
+        return _carry(scene, name, target, crate[:3, 1], drop_m=CRATE_DROP_M, rim_m=scene.size("crate", "rim_m"))
     return []
 
 

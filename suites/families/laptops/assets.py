@@ -43,10 +43,10 @@ _SKIN_M = 0.0003  # distance of decals from the surface below
 _PX_PER_M = 2000.0
 
 
-def _rounded(low: ArrayLike, high: ArrayLike, z_m: float, radius_m: float, sections: int = 8) -> Array:
+def _rounded(low: ArrayLike, high: ArrayLike, z_m: float, radius_m: float) -> Array:
     """Return the outline (N, 3) of a horizontal rectangle with round corners, counter-clockwise seen from above."""
     (x0, y0), (x1, y1) = np.asarray(low, dtype=np.float64) + radius_m, np.asarray(high, dtype=np.float64) - radius_m
-    quarter = np.linspace(0.0, np.pi / 2.0, sections)
+    quarter = np.linspace(0.0, np.pi / 2.0, 8)
     corners = [
         np.array([x, y]) + radius_m * np.column_stack([np.cos(turn + quarter), np.sin(turn + quarter)])
         for x, y, turn in ((x1, y1, 0.0), (x0, y1, np.pi / 2), (x0, y0, np.pi), (x1, y0, 1.5 * np.pi))
@@ -236,7 +236,6 @@ def _laptop(asset_id: str, index: int, rng: np.random.Generator) -> AssetModel:
         density=float(rng.uniform(900.0, 1300.0)), static_friction=0.45, dynamic_friction=0.4, restitution=0.0
     )
     return AssetModel(
-        kind="laptop",
         asset_id=asset_id,
         words=f"{name} laptop",
         bodies=(base.body("base", material), lid.body("lid", material, joint)),

@@ -11,7 +11,15 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kinebench_drake.geometry import Array, make_pose
-from kinebench_drake.suites.expert.grasp import CLOSED_M, OPEN_M, TIP_M, closed_waypoint, grasp_rotation, shift
+from kinebench_drake.suites.expert.grasp import (
+    CLOSED_M,
+    OPEN_M,
+    TIP_M,
+    closed_passage,
+    closed_waypoint,
+    grasp_rotation,
+    shift,
+)
 from kinebench_drake.suites.expert.motion import Arc, Waypoint
 from kinebench_drake.suites.families.task import Scene
 
@@ -67,10 +75,7 @@ class _HingePlane:
         return np.asarray(f * self.forward + [0.0, 0.0, u])
 
     def open_pose(self, corner: ArrayLike, tilt_rad: float) -> Array:
-        """Return the TCP pose (4, 4) of open fingers that puts the lifting edge of the rear fingertip at `corner` (2,).
-
-        The lifting edge is the one on which the lid lies.
-        """
+        """Return the TCP pose (4, 4) of open fingers whose rear tip has its lifting edge at `corner` (2,)."""
         return self._tcp(corner, tilt_rad, 0.5 * OPEN_M)
 
     def closed_pose(self, corner: ArrayLike) -> Array:
@@ -132,7 +137,7 @@ def close_laptop_easy(scene: Scene) -> list[Waypoint]:
     along, outside = scene.size("laptop", "reach_m") - 0.03, scene.size("laptop", "outside_m")
     corner = _on_lid(angle, along, outside)
     return [
-        *(closed_waypoint(plane.closed_pose(np.add(corner, [0.0, z])), through=True) for z in (0.07, 0.01)),
+        *closed_passage(*(plane.closed_pose(np.add(corner, [0.0, z])) for z in (0.07, 0.01))),
         *_press(plane, angle, along, outside),
     ]
 
@@ -151,7 +156,7 @@ def close_laptop_hard(scene: Scene) -> list[Waypoint]:
     straight = plane.closed_pose(_on_lid(upright, reach - BEHIND_M, outside))
     offset = plane.project(straight) - _on_lid(upright, reach, outside)
     return [
-        *(closed_waypoint(X_BG, through=True) for X_BG in (over, *approach)),
+        *closed_passage(over, *approach),
         closed_waypoint(straight, arc=plane.arc(upright - angle, offset), through=True),
         *_press(plane, upright, reach - BEHIND_M, outside),
     ]

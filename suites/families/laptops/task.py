@@ -8,10 +8,9 @@ import torch
 from torch import Tensor
 from typing_extensions import override
 
-from kinebench_drake.suites.families.task import Difficulty, Placement, SceneLayout, Task, TaskCard, TaskVariant
+from kinebench_drake.suites.families.task import Difficulty, JointTask, Placement, TaskCard
 from kinebench_drake.suites.scene.model import AssetModel
 from kinebench_drake.suites.scene.state import State, to_frame
-from kinebench_drake.suites.start import START_WIDTH_M
 
 OPEN_RAD = float(np.deg2rad(90.0))
 """Least opening of an open lid."""
@@ -32,14 +31,10 @@ def _distance_to_lid(state: State) -> Tensor:
     return distance
 
 
-class _MoveLid(Task):
+class _MoveLid(JointTask):
     """Common part of the tasks with a laptop."""
 
     slots: ClassVar[Mapping[str, str]] = {"laptop": "laptop"}
-    prompt: ClassVar[str]
-    """Prompt with a placeholder for the laptop's name."""
-    goal_rad: ClassVar[float]
-    """Opening of the lid at which the task is done."""
     side_m: ClassVar[tuple[float, float]] = (-0.02, 0.05)
     """Least and greatest y of the base's centre."""
     start_deg: ClassVar[tuple[float, float]]
@@ -47,27 +42,20 @@ class _MoveLid(Task):
     turn_deg: ClassVar[tuple[float, float]]
     """Least and greatest angle from the robot's right (-y) to the direction of the free edge, towards the camera."""
 
-    def layout(self, models: Mapping[str, AssetModel], rng: np.random.Generator, variant: TaskVariant) -> SceneLayout:
+    @override
+    def place(self, model: AssetModel, rng: np.random.Generator) -> Placement:
         """Place a laptop whose hinge is on the robot's left."""
-        model = models["laptop"]
         x, y = rng.uniform(*FORWARD_M), rng.uniform(*self.side_m)
         yaw = np.deg2rad(rng.uniform(*self.turn_deg) - 90.0)
-        joint = float(np.deg2rad(rng.uniform(*self.start_deg)))
-        return SceneLayout(
-            placements={"laptop": Placement.upright(model, (x, y, 0.0), yaw, joint=joint)},
-            prompt=self.prompt.format(model.words),
-            finger_width_m=START_WIDTH_M[self.card.id],
-        )
-
-    def progress(self, state: State) -> Tensor:
-        """Return the fraction of the lid's way to the goal."""
-        return state.joint_progress("laptop", self.goal_rad)
+        return Placement.upright(model, (x, y, 0.0), yaw, joint=float(np.deg2rad(rng.uniform(*self.start_deg))))
 
     @override
-    def conditions(self, state: State) -> dict[str, Tensor]:
-        angle = state.joints["laptop"]
-        goal = {"open": angle >= OPEN_RAD} if self.goal_rad == OPEN_RAD else {"shut": angle <= SHUT_RAD}
-        return {**goal, **state.rest_conditions("laptop", _distance_to_lid(state))}
+    def goal(self, state: State) -> float:
+        return OPEN_RAD if self.reached == "open" else SHUT_RAD
+
+    @override
+    def rest_conditions(self, state: State) -> dict[str, Tensor]:
+        return state.rest_conditions("laptop", _distance_to_lid(state))
 
 
 class OpenLaptopEasy(_MoveLid):
@@ -84,7 +72,7 @@ class OpenLaptopEasy(_MoveLid):
         "The robot arm puts a finger under the lid of the {} that stands ajar and pushes it up and back until the "
         "laptop is open."
     )
-    goal_rad = OPEN_RAD
+    reached = "open"
     start_deg, turn_deg = (18.0, 32.0), (15.0, 35.0)
 
 
@@ -104,7 +92,7 @@ class OpenLaptopHard(_MoveLid):
         "The robot arm pries up the edge of the shut {}'s lid with a fingertip, then pushes the lid up and back until "
         "the laptop is open."
     )
-    goal_rad = OPEN_RAD
+    reached = "open"
     start_deg, turn_deg = (0.0, 0.0), (15.0, 35.0)
 
 
@@ -119,7 +107,7 @@ class CloseLaptopEasy(_MoveLid):
 
     card = TaskCard(id="CloseLaptopEasy-v1", family="laptops", difficulty=Difficulty.EASY, articulated_dof=1, axes="x")
     prompt = "The robot arm presses the lid of the half-open {} down until the laptop is shut."
-    goal_rad = SHUT_RAD
+    reached = "shut"
     start_deg, turn_deg = (37.0, 47.0), (-15.0, 20.0)
 
 
@@ -140,7 +128,7 @@ class CloseLaptopHard(_MoveLid):
         "The robot arm reaches behind the lid of the wide open {}, pulls it up and forward, then presses it down until "
         "the laptop is shut."
     )
-    goal_rad = SHUT_RAD
+    reached = "shut"
     start_deg, turn_deg = (110.0, 125.0), (-25.0, 0.0)
     side_m = (-0.02, 0.02)
 

@@ -5,8 +5,8 @@ import pytest
 
 from kinebench_drake.anomaly import AnomalyKind
 from kinebench_drake.errors import UsageError
-from kinebench_drake.suites.faults.appearance import deformation
 from kinebench_drake.suites.faults.fault import GRADES, FaultForm, choose
+from kinebench_drake.suites.faults.plant import deformation
 
 
 def test_every_kind_can_be_planted_above_and_below_its_gate() -> None:

@@ -8,7 +8,7 @@ import pytest
 from kinebench_drake.anomaly import AnomalyKind
 from kinebench_drake.errors import UsageError
 from kinebench_drake.io.files import VIDEO_SUFFIXES
-from kinebench_drake.suites.faults.view import ViewKind
+from kinebench_drake.suites.faults.recording import ViewKind
 from kinebench_drake.suites.worldmodels.factory import FORMS, create
 from kinebench_drake.suites.worldmodels.spec import Spec, parse
 from kinebench_drake.suites.worldmodels.videofile import _DEMUXERS, suffix_of
