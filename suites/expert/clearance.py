@@ -85,13 +85,10 @@ class SceneGeometry:
         manager.Apply(CollisionFilterDeclaration().ExcludeBetween(GeometrySet(tool), GeometrySet(free)))
         self._context: Any = self._graph.CreateDefaultContext()
 
-    def _register(self, frame: Any | None, shape: Shape, X: Array, name: str) -> Any:
+    def _register(self, frame: Any, shape: Shape, X: Array, name: str) -> Any:
         instance = GeometryInstance(RigidTransform(X), shape, f"{name}_{len(self._names)}")
         instance.set_proximity_properties(ProximityProperties())
-        if frame is None:
-            key = self._graph.RegisterAnchoredGeometry(self._source, instance)
-        else:
-            key = self._graph.RegisterGeometry(self._source, frame, instance)
+        key = self._graph.RegisterGeometry(self._source, frame, instance)
         self._names[key] = name
         return key
 
@@ -119,7 +116,8 @@ class SceneGeometry:
             if name in scene.avoided or model.articulated:
                 for collider in model.bodies[0].colliders:
                     shape, X_CS = _shape(collider)
-                    own = self._register(None, shape, scene.poses[name] @ collider.X_BodyC @ X_CS, name)
+                    X = scene.poses[name] @ collider.X_BodyC @ X_CS
+                    own = self._register(self._graph.world_frame_id(), shape, X, name)
                     (avoided if name in scene.avoided else free).append(own)
         return free, avoided
 

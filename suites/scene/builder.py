@@ -7,7 +7,6 @@ import numpy as np
 import sapien
 from mani_skill.utils.building import ActorBuilder, ArticulationBuilder
 from mani_skill.utils.structs import Actor, Articulation
-from numpy.typing import NDArray
 from sapien.wrapper.articulation_builder import LinkBuilder
 
 from kinebench_drake.geometry import Array, to_quaternion
@@ -21,24 +20,13 @@ def to_pose(X: Array) -> sapien.Pose:
     return sapien.Pose(X[:3, 3], to_quaternion(X[:3, :3]))
 
 
-def _tint(image: NDArray[np.uint8], color: tuple[float, float, float]) -> NDArray[np.uint8]:
-    """Multiply an sRGB image (H, W, 3) by a linear colour, because SAPIEN ignores the colour if there is a texture."""
-    if color == (1.0, 1.0, 1.0):
-        return image
-    level = np.arange(256) / 255.0
-    linear = np.where(level <= 0.04045, level / 12.92, ((level + 0.055) / 1.055) ** 2.4)[:, None] * np.array(color)
-    tinted = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1.0 / 2.4) - 0.055)
-    table = np.clip(np.round(255.0 * tinted), 0, 255).astype(np.uint8)
-    return np.stack([table[image[..., channel], channel] for channel in range(3)], axis=-1)
-
-
 def _render_material(surface: SurfaceFinish) -> sapien.render.RenderMaterial:
     material = sapien.render.RenderMaterial()
     material.base_color = [*surface.color, 1.0]
     material.roughness, material.metallic, material.specular = surface.roughness, surface.metallic, surface.specular
     if surface.texture is not None:
-        image = _tint(surface.texture, surface.color)
-        image = np.concatenate([image, np.full((*image.shape[:2], 1), 255, np.uint8)], axis=-1)
+        opaque = np.full((*surface.texture.shape[:2], 1), 255, np.uint8)
+        image = np.concatenate([surface.texture, opaque], axis=-1)
         material.base_color_texture = sapien.render.RenderTexture2D(
             np.ascontiguousarray(image), "R8G8B8A8Unorm", mipmap_levels=_MIPMAPS, srgb=True
         )

@@ -19,7 +19,7 @@ class SurfaceFinish:
     """Render material of a part."""
 
     color: tuple[float, float, float] = (1.0, 1.0, 1.0)
-    """Linear RGB 0..1; multiplied with the texture, if there is one."""
+    """Linear RGB 0..1, without effect if there is a texture."""
     texture: NDArray[np.uint8] | None = None
     """(H, W, 3) sRGB image mapped by the mesh's `uv`, repeated outside 0..1; None: none."""
     roughness: float = 0.7

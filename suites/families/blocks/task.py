@@ -5,7 +5,6 @@ from typing import ClassVar
 
 import numpy as np
 import torch
-from numpy.typing import ArrayLike
 from torch import Tensor
 from typing_extensions import override
 
@@ -15,6 +14,8 @@ from kinebench_drake.suites.scene.model import AssetModel
 from kinebench_drake.suites.scene.state import STILL_M_S, State
 from kinebench_drake.suites.start import START_WIDTH_M
 
+APART_M = 0.09
+"""Least initial distance between the centres of two cubes."""
 STACK_RADIUS_M = 0.012
 """Greatest horizontal distance of the upper cube's centre from the lower one's."""
 STACK_HEIGHT_M = 0.006
@@ -32,21 +33,6 @@ PEG_YAW_RAD = 0.35
 def _on_table(model: AssetModel, xy_m: Array, yaw_rad: float) -> Placement:
     """Place a cube on the table."""
     return Placement.upright(model, (xy_m[0], xy_m[1], model.size["edge_m"] / 2.0), yaw_rad)
-
-
-def _scatter(rng: np.random.Generator, count: int, low: ArrayLike, high: ArrayLike, apart_m: float) -> Array:
-    """Draw points (count, 2) in a rectangle until all are at least `apart_m` apart.
-
-    After every 200 attempts the required distance shrinks by 5 %, so that the loop terminates.
-    """
-    low, high = np.asarray(low, dtype=np.float64), np.asarray(high, dtype=np.float64)
-    while True:
-        for _ in range(200):
-            points = rng.uniform(low, high, size=(count, 2))
-            gaps = np.linalg.norm(points[:, None] - points, axis=-1) + np.diag(np.full(count, np.inf))
-            if gaps.min() >= apart_m:
-                return points
-        apart_m *= 0.95
 
 
 class StackCube(Task):
@@ -69,10 +55,12 @@ class StackCube(Task):
     slots: ClassVar[Mapping[str, str]] = {"green": "cube/green", "red": "cube/red"}
 
     def layout(self, models: Mapping[str, AssetModel], rng: np.random.Generator, variant: TaskVariant) -> SceneLayout:
-        """Place two cubes at least 9 cm apart, or side by side with the obstacle between them."""
+        """Place two cubes at least `APART_M` apart, or side by side with the obstacle between them."""
         prompt = "The robot arm picks up the green cube, puts it on top of the red cube and lets go."
         if variant is TaskVariant.PLAIN:
-            points = _scatter(rng, 2, [0.48, -0.15], [0.66, 0.15], 0.09)
+            points = np.zeros((2, 2))
+            while np.linalg.norm(points[0] - points[1]) < APART_M:
+                points = rng.uniform([0.48, -0.15], [0.66, 0.15], size=(2, 2))
         else:
             middle, angle = rng.uniform([0.52, -0.04], [0.60, 0.04]), rng.uniform(-0.5, 0.5)
             side = rng.choice([-1.0, 1.0]) * np.array([np.sin(angle), np.cos(angle)])

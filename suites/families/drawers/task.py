@@ -36,11 +36,11 @@ CUBE_YAW_RAD = 0.3
 """Greatest yaw of a cube that is to be dragged, relative to the drawer's direction."""
 
 
-def _distance_from_tray(state: State, poses: Mapping[str, Tensor], name: str) -> Tensor:
-    """Return the distance (N,) of an object's centre from the interior of the tray [m]; 0 inside."""
+def _distance_from_tray(state: State, poses: Mapping[str, Tensor]) -> Tensor:
+    """Return the distance (N,) of the cube's centre from the interior of the tray [m]; 0 inside."""
     X_BD = poses["cabinet/drawer"]
     tray = torch.stack([torch.as_tensor(m.sites["tray"].X_BodyS[:3, 3]) for m in state.models["cabinet"]])
-    p = (X_BD[:, :3, :3].mT @ (poses[name][:, :3, 3] - X_BD[:, :3, 3])[..., None])[..., 0] - tray.to(X_BD)
+    p = (X_BD[:, :3, :3].mT @ (poses["cube"][:, :3, 3] - X_BD[:, :3, 3])[..., None])[..., 0] - tray.to(X_BD)
     half = 0.5 * torch.stack([state.size("cabinet", "tray_length_m"), state.size("cabinet", "tray_width_m")], dim=-1)
     beside = (p[:, :2].abs() - half).clamp(min=0.0)
     over = torch.maximum(p[:, 2] - HEAP_M, -p[:, 2]).clamp(min=0.0)
@@ -163,7 +163,7 @@ class _StoreCube(Task):
     @override
     def conditions(self, state: State) -> dict[str, Tensor]:
         return {
-            "inside": _distance_from_tray(state, state.poses, "cube") <= 0.0,
+            "inside": _distance_from_tray(state, state.poses) <= 0.0,
             "shut": state.joints["cabinet"] <= SHUT_M,
             "still": (state.speeds["cube"] <= STILL_M_S) & (state.speeds["cabinet"] <= STILL_M_S),
             "released": ~state.grasps("cube"),
@@ -171,8 +171,8 @@ class _StoreCube(Task):
 
     def progress(self, state: State) -> Tensor:
         """Return half the fraction of the cube's way into the tray, then half the fraction of the drawer's way in."""
-        before = _distance_from_tray(state, state.starts, "cube").clamp(min=1e-6)
-        entered = (1.0 - _distance_from_tray(state, state.poses, "cube") / before).clamp(0.0, 1.0)
+        before = _distance_from_tray(state, state.starts).clamp(min=1e-6)
+        entered = (1.0 - _distance_from_tray(state, state.poses) / before).clamp(0.0, 1.0)
         shut = state.joint_progress("cabinet", SHUT_M).clamp(0.0, 1.0)
         return 0.5 * entered + 0.5 * torch.where(entered >= 1.0, shut, torch.zeros_like(shut))
 

@@ -64,15 +64,14 @@ def _profile(knots: ArrayLike, count: int = 26) -> Array:
     return np.column_stack([PchipInterpolator(along, p[:, i])(s) for i in range(2)])
 
 
-def _stalk(foot: ArrayLike, head: ArrayLike, radius_m: float) -> Visual:
-    """Return a thin brown stalk, slightly thicker at its head."""
+def _stalk(foot: ArrayLike, head: ArrayLike, radius_m: float, color: tuple[float, float, float] = _BROWN) -> Visual:
+    """Return a thin stalk, slightly thicker at its head."""
     s = np.linspace(0.0, 1.0, 6)[:, None]
     a, b = np.asarray(foot, dtype=np.float64), np.asarray(head, dtype=np.float64)
     bow = 0.12 * np.linalg.norm(b - a) * np.sin(np.pi * s) * np.array([0.0, 1.0, 0.0])
     radii = radius_m * np.array([0.8, 0.75, 0.7, 0.8, 1.2, 1.2])
-    return Visual(
-        mesh=sweep(a + s * (b - a) + bow, radii, sections=8), surface=SurfaceFinish(color=_BROWN, roughness=0.9)
-    )
+    mesh = sweep(a + s * (b - a) + bow, radii, sections=8)
+    return Visual(mesh=mesh, surface=SurfaceFinish(color=color, roughness=0.9))
 
 
 def _leaf(length_m: float, width_m: float, bow_m: float) -> tuple[Array, Array]:
@@ -167,11 +166,10 @@ def _strawberry(rng: np.random.Generator, index: int) -> _FruitShape:
         leaves.append(
             ((vertices - [0, 0, 0.1 * r] * (vertices[:, :1] / r) ** 2) @ turn.T + [0.0, 0.0, 0.55 * r], faces)
         )
-    stalk = _stalk([0.0, 0.0, 0.5 * r], [0.0012, 0.0, 0.5 * r + rng.uniform(0.006, 0.010)], 0.0010)
-    green = replace(stalk.surface, color=_GREEN)
+    stalk = _stalk([0.0, 0.0, 0.5 * r], [0.0012, 0.0, 0.5 * r + rng.uniform(0.006, 0.010)], 0.0010, _GREEN)
     return _FruitShape(
         skin=skin,
-        parts=(replace(stalk, surface=green), _leaves(leaves, SurfaceFinish(color=_GREEN, roughness=0.7))),
+        parts=(stalk, _leaves(leaves, SurfaceFinish(color=_GREEN, roughness=0.7))),
         R_BodyShape=_lying(skin),
         roughness=0.4,
         density=700.0,
