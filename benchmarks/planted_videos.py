@@ -23,7 +23,7 @@ import numpy as np
 
 from kinebench_drake.anomaly import AnomalyKind
 from kinebench_drake.errors import InputError, UsageError
-from kinebench_drake.io.camerafile import save_camera
+from kinebench_drake.formats.camerafile import save_camera
 from kinebench_drake.io.container import write_video
 from kinebench_drake.suites.catalog import EpisodeSpec, load_suite
 from kinebench_drake.suites.clock import CLIP_FRAMES, FRAME_PERIOD_S

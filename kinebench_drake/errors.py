@@ -71,10 +71,10 @@ class SetupError(KinebenchError):
 
 
 def cause(error: Exception) -> str:
-    """Return the cause of an error in one line, without the paths that an OSError contains."""
+    """Return the cause of an error in one line, without the paths that an OSError contains, and memory addresses."""
     if isinstance(error, OSError):
         return error.strerror or "of an unknown kind, or damaged"
-    return str(error).split("\n")[0]
+    return re.sub(" at 0x[0-9a-f]+", "", str(error).split("\n")[0])
 
 
 def suggestion(word: str, choices: Iterable[str]) -> str:

@@ -12,11 +12,10 @@ from typing_extensions import override
 
 from kinebench_drake.errors import InputError
 from kinebench_drake.formats import manifest, maniskill, videofolder
+from kinebench_drake.formats.camerafile import CAMERA_NAME, save_camera
 from kinebench_drake.formats.lerobot import writer as lerobot
-from kinebench_drake.formats.videos.sample import CAMERA_NAME
 from kinebench_drake.geometry import from_quaternion, invert
 from kinebench_drake.io.atomic import disk_errors
-from kinebench_drake.io.camerafile import save_camera
 from kinebench_drake.io.container import write_video
 from kinebench_drake.io.jsonl import write_lines
 from kinebench_drake.io.npz import write_arrays

@@ -13,8 +13,8 @@ from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.errors import InputError, SetupError, UsageError
 from kinebench_drake.executors.base import Executor, WorkerCrash
 from kinebench_drake.executors.progress import Observer
+from kinebench_drake.formats.camerafile import save_camera
 from kinebench_drake.io.atomic import atomic_path, make_folder
-from kinebench_drake.io.camerafile import save_camera
 from kinebench_drake.io.files import read_text
 from kinebench_drake.io.jsonl import as_object, parse_json, read_object, write_json, write_lines
 from kinebench_drake.models.panda.robot import TCP_LINK

@@ -7,7 +7,7 @@ import pytest
 
 from kinebench_drake.camera import CameraSetting, benchmark_camera
 from kinebench_drake.errors import UsageError
-from kinebench_drake.io.camerafile import load_camera, save_camera
+from kinebench_drake.formats.camerafile import load_camera, save_camera
 
 
 def test_the_benchmark_camera_sees_the_table_in_front_of_the_robot() -> None:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from kinebench_drake.camera import benchmark_camera
-from kinebench_drake.io.camerafile import save_camera
+from kinebench_drake.formats.camerafile import save_camera
 from kinebench_drake.io.container import write_video
 from kinebench_drake.io.reader import read_video
 

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from kinebench_drake.errors import InputError, UsageError, one_line
+from kinebench_drake.formats.camerafile import load_camera
 from kinebench_drake.formats.folders import join_relative
 from kinebench_drake.formats.videos.find import find_samples
-from kinebench_drake.io.camerafile import load_camera
 from kinebench_drake.io.files import read_bytes
 from kinebench_drake.io.jsonl import parse_json
 from kinebench_drake.report.page import write_report

@@ -11,11 +11,11 @@ from hypothesis import strategies as st
 from kinebench_drake import geometry as g
 from kinebench_drake.camera import Camera
 from kinebench_drake.errors import InputError, KinebenchError, UsageError
+from kinebench_drake.formats.camerafile import load_camera, save_camera
 from kinebench_drake.formats.manifest import read_manifest
 from kinebench_drake.formats.samples import safe, unique_ids
 from kinebench_drake.formats.trajectories.check import check
 from kinebench_drake.formats.trajectories.trajectory import RawTrajectory
-from kinebench_drake.io.camerafile import load_camera, save_camera
 from kinebench_drake.io.jsonl import dump, finite, parse_json
 from kinebench_drake.results.metadata import RunMetadata
 from kinebench_drake.results.row import SampleRow, Status

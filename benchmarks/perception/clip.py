@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 from kinebench_drake.anomaly import Anomaly, AnomalyKind
 from kinebench_drake.camera import Camera
 from kinebench_drake.errors import InputError, UsageError, cause
+from kinebench_drake.formats.camerafile import load_camera
 from kinebench_drake.geometry import Array, invert
 from kinebench_drake.grounding.overrides.arrays import true_depth, true_mask
 from kinebench_drake.grounding.tracking.crop import Crop
-from kinebench_drake.io.camerafile import load_camera
 from kinebench_drake.io.npz import open_npz
 from kinebench_drake.models.panda.cad import GripperCad
 from kinebench_drake.models.panda.robot import hand_from_tcp

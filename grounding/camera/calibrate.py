@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from kinebench_drake.camera import Camera
 from kinebench_drake.errors import UnmeasurableError, UsageError
+from kinebench_drake.formats.camerafile import load_camera
 from kinebench_drake.geometry import Array
 from kinebench_drake.grounding.anomaly.camera_motion import (
     COMPENSABLE_PX,
@@ -43,7 +44,6 @@ from kinebench_drake.grounding.registration.arm_model import ArmModel
 from kinebench_drake.grounding.tracking.estimator import NetworkEstimator
 from kinebench_drake.grounding.tracking.tracker import CadTracker
 from kinebench_drake.grounding.tracking.view import Frames
-from kinebench_drake.io.camerafile import load_camera
 from kinebench_drake.io.reader import read_video
 from kinebench_drake.io.video import Video
 from kinebench_drake.models.perception.network import load_network

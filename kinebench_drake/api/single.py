@@ -16,13 +16,13 @@ from kinebench_drake.api.run import PathName, own_arguments
 from kinebench_drake.camera import Camera, CameraSetting, CameraSource
 from kinebench_drake.errors import InputError, UnmeasurableError, UsageError, member_of, name_arguments
 from kinebench_drake.executors.local import one_thread
+from kinebench_drake.formats.camerafile import load_camera
 from kinebench_drake.formats.trajectories.check import check
 from kinebench_drake.formats.trajectories.source import find_trajectories, read_trajectory
 from kinebench_drake.formats.trajectories.trajectory import RawTrajectory, TrajectoryOptions
 from kinebench_drake.formats.videos.find import find_samples
 from kinebench_drake.formats.videos.sample import VideoSample
 from kinebench_drake.grounding.overrides.overrides import Overrides
-from kinebench_drake.io.camerafile import load_camera
 from kinebench_drake.io.reader import read_video
 from kinebench_drake.io.video import Video
 from kinebench_drake.models.panda.robot import GripperKind

@@ -63,10 +63,10 @@ def calibrate(out: Path, figure: Path | None, as_json: bool, **options: Any) -> 
     Without joint angles the motion of the robot determines the camera, if the base is visible. If the video does not
     determine the camera, the command fails with the reason.
     """
+    from kinebench_drake.formats.camerafile import save_camera
     from kinebench_drake.grounding.camera.calibrate import CalibrationConfig
     from kinebench_drake.grounding.camera.calibrate import calibrate as run_calibration
     from kinebench_drake.grounding.camera.result import format_lines
-    from kinebench_drake.io.camerafile import save_camera
     from kinebench_drake.io.files import absence
     from kinebench_drake.io.jsonl import dump
 

@@ -12,11 +12,11 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationErr
 
 from kinebench_drake.camera import CameraSetting, CameraSource
 from kinebench_drake.errors import InputError, UsageError, cause
+from kinebench_drake.formats.camerafile import load_camera
 from kinebench_drake.formats.folders import join_relative
 from kinebench_drake.formats.samples import shorten
 from kinebench_drake.formats.videos.sample import Search, VideoSample, image_beside
 from kinebench_drake.geometry import checked_pose
-from kinebench_drake.io.camerafile import load_camera
 from kinebench_drake.io.files import read_text
 from kinebench_drake.io.jsonl import as_type, parse_json
 from kinebench_drake.track import InitialState
@@ -213,7 +213,9 @@ def _sample(line: ManifestLine, folder: Path, search: Search) -> VideoSample:
     )
     if camera is not None:
         return sample.filmed_by(camera, CameraSource.MANIFEST)
-    return sample if problem is not None else search.cameras.film(sample, path if path.is_dir() else path.parent)
+    if problem is not None:
+        return sample
+    return sample.filmed_by(search.cameras.find(path if path.is_dir() else path.parent), CameraSource.FOLDER)
 
 
 def _conditioning_image(entry: ManifestEntry, folder: Path) -> Path | None:

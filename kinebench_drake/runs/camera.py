@@ -6,9 +6,9 @@ from pathlib import Path
 
 from kinebench_drake.camera import CONFIRMED, CameraSource, CameraState
 from kinebench_drake.errors import count_noun, name_options
+from kinebench_drake.formats.camerafile import load_camera
 from kinebench_drake.formats.videos.sample import VideoSample
 from kinebench_drake.geometry import Array
-from kinebench_drake.io.camerafile import load_camera
 from kinebench_drake.io.jsonl import Json
 from kinebench_drake.results.row import SampleRow, Status
 from kinebench_drake.track import GripperTrack

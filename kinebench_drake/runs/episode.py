@@ -22,7 +22,7 @@ from kinebench_drake.closed_loop.commands import CommandPlanner
 from kinebench_drake.closed_loop.gap import GAP_METRICS, average_gaps, measure_gap
 from kinebench_drake.closed_loop.loop import ClosedLoop, Condition, EpisodeRun, LoopOptions, PendingRound
 from kinebench_drake.grounding.overlay import draw_caption
-from kinebench_drake.io.atomic import disk_errors, make_folder, write_atomically
+from kinebench_drake.io.atomic import make_folder, write_atomically
 from kinebench_drake.io.container import write_video
 from kinebench_drake.io.jsonl import Json, as_object, write_json
 from kinebench_drake.kinematics.plant import ArmPlant
@@ -138,8 +138,7 @@ class EpisodeEvaluator(Evaluator[EpisodeSample, EpisodeResources]):
         write_atomically(artifact_path(self.config.out, "thumbnails", sample.id), _thumbnail(run, executed))
         if self.rollouts:
             path = artifact_path(self.config.out, "rollouts", sample.id)
-            with disk_errors(f"rollouts/{path.name}"):
-                write_video(path, _rollout_frames(run, executed, resources.tools), FPS, crf=20, preset="veryfast")
+            write_video(path, _rollout_frames(run, executed, resources.tools), FPS, crf=20, preset="veryfast")
         cause = find_cause(run, results)
         gap_metrics, gap_reasons = average_gaps(
             [

@@ -4,10 +4,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from kinebench_drake.camera import benchmark_camera
+from kinebench_drake.formats.camerafile import CAMERA_NAME, save_camera
 from kinebench_drake.formats.manifest import NAME
-from kinebench_drake.formats.videos.sample import CAMERA_NAME
 from kinebench_drake.io.atomic import disk_errors
-from kinebench_drake.io.camerafile import save_camera
 from kinebench_drake.io.jsonl import write_lines
 from kinebench_drake.results.store import REQUESTS
 

@@ -13,7 +13,7 @@ from kinebench_drake.formats.videos.find import find_samples
 from kinebench_drake.formats.videos.sample import VideoSample, VideoSamples
 from kinebench_drake.grounding.overrides.overrides import Overrides
 from kinebench_drake.grounding.priors import InitialStateUse
-from kinebench_drake.io.atomic import disk_errors, write_atomically
+from kinebench_drake.io.atomic import write_atomically
 from kinebench_drake.io.container import write_video
 from kinebench_drake.io.images import frame_files
 from kinebench_drake.io.jsonl import Json
@@ -157,8 +157,7 @@ class VideoEvaluator(Evaluator[VideoSample, Tools]):
             file = artifact_path(self.config.out, "overlays", sample.id)
             native = len(grounding.frames) == len(video.frames)
             rate = float(np.clip((native and video.fps) or 1.0 / timed.period_s, 1.0, 60.0))
-            with disk_errors(f"overlays/{file.name}"):
-                write_video(file, tools.overlay(grounding.frames, grounding.camera, track, zoom, hand=draws_hand), rate)
+            write_video(file, tools.overlay(grounding.frames, grounding.camera, track, zoom, hand=draws_hand), rate)
         shown = np.unique([0, worst_frame(track, kinematics)])
         chosen = grounding.frames[shown], grounding.camera, track.at(shown), zoom[shown]
         images = list(tools.overlay(*chosen, hand=draws_hand))

@@ -96,8 +96,7 @@ def encode_answer(frames: Iterable[NDArray[np.uint8]], fps: float, out: Path) ->
         SetupError: the disk failed.
     """
     path = out.with_name(f"{out.name}.mp4")
-    with disk_errors(path.name):
-        write_video(path, frames, fps)
+    write_video(path, frames, fps)
     return path
 
 

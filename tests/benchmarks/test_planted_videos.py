@@ -10,7 +10,7 @@ from click.testing import CliRunner
 from benchmarks.__main__ import main
 from benchmarks.planted_videos import choose_episodes, parse_seeds
 from kinebench_drake.errors import UsageError
-from kinebench_drake.io.camerafile import load_camera
+from kinebench_drake.formats.camerafile import load_camera
 from kinebench_drake.io.container import write_video
 from kinebench_drake.suites.composition import Pool
 

@@ -16,8 +16,8 @@ from kinebench_drake.api import single
 from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.cli import cli
 from kinebench_drake.errors import InputError, KinebenchError, UnmeasurableError, UsageError
+from kinebench_drake.formats.camerafile import save_camera
 from kinebench_drake.geometry import make_pose
-from kinebench_drake.io.camerafile import save_camera
 from kinebench_drake.io.jsonl import finite
 from kinebench_drake.io.reader import read_video
 from kinebench_drake.results.row import Status

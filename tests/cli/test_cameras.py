@@ -4,8 +4,8 @@ import numpy as np
 from fake_tools import Act, FakeGrounder, FakeTools
 
 from kinebench_drake.camera import CameraSource, benchmark_camera
+from kinebench_drake.formats.camerafile import save_camera
 from kinebench_drake.formats.videos.sample import VideoSample
-from kinebench_drake.io.camerafile import save_camera
 from kinebench_drake.results.row import Status
 from kinebench_drake.results.store import read_rows
 from kinebench_drake.runs.camera import with_camera_option

@@ -21,8 +21,8 @@ from PIL import Image
 from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.errors import SetupError, UsageError
 from kinebench_drake.executors.base import ExecutorKind
+from kinebench_drake.formats.camerafile import save_camera
 from kinebench_drake.io.atomic import disk_errors
-from kinebench_drake.io.camerafile import save_camera
 from kinebench_drake.io.reader import read_video
 from kinebench_drake.models.panda.robot import GripperKind
 from kinebench_drake.results import store

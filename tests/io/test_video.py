@@ -281,3 +281,12 @@ def test_a_header_that_promises_too_much_is_named_with_the_size_of_the_file(tmp_
     message, check = "unpacks to 2 MiB; the limit is 1 MiB", partial(check_bytes, most=2**20)
     with pytest.raises(InputError, match=message), open_npz(tmp_path / "big.npz", check) as archive:
         archive["q"]
+
+
+def test_messages_about_a_damaged_header_hold_no_memory_address(tmp_path):
+    np.save(tmp_path / "a.npy", np.zeros((2, 64, 64, 3), np.uint8))
+    whole = (tmp_path / "a.npy").read_bytes()
+    (tmp_path / "a.npy").write_bytes(whole.replace(b"'|u1'", b"f('')"))
+    with pytest.raises(InputError, match="malformed") as caught:
+        read_video(tmp_path / "a.npy")
+    assert " at 0x" not in str(caught.value)

@@ -10,9 +10,9 @@ from PIL import Image
 from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.errors import SetupError, UsageError
 from kinebench_drake.executors.base import ExecutorKind, create_executor
+from kinebench_drake.formats.camerafile import load_camera, save_camera
 from kinebench_drake.formats.videos.find import find_samples
 from kinebench_drake.io.atomic import write_atomically
-from kinebench_drake.io.camerafile import load_camera, save_camera
 from kinebench_drake.suites.catalog import load_suite
 from kinebench_drake.suites.composition import compose
 from kinebench_drake.suites.export import ExportConfig, export_suite

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from pyarrow import compute
 
 from kinebench_drake.errors import InputError
+from kinebench_drake.formats.camerafile import CAMERA_NAME
 from kinebench_drake.formats.lerobot.dataset import FRAME, INFO, TIME, LeRobotDataset, read_table
 from kinebench_drake.formats.manifest import MAX_PERIOD_S, MIN_PERIOD_S
 from kinebench_drake.formats.trajectories.check import MAX_FRAMES
@@ -20,7 +21,7 @@ from kinebench_drake.formats.trajectories.trajectory import (
     TrajectorySample,
     require_numbers,
 )
-from kinebench_drake.formats.videos.sample import CAMERA_NAME, Search, VideoSample
+from kinebench_drake.formats.videos.sample import Search, VideoSample
 from kinebench_drake.geometry import Array
 from kinebench_drake.io.files import absence
 from kinebench_drake.io.jsonl import as_object

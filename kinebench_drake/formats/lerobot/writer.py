@@ -16,6 +16,7 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from kinebench_drake.camera import Camera
+from kinebench_drake.formats.camerafile import CAMERA_NAME, save_camera
 from kinebench_drake.formats.lerobot.dataset import (
     DATA,
     EPISODE,
@@ -28,10 +29,8 @@ from kinebench_drake.formats.lerobot.dataset import (
     VIDEO,
 )
 from kinebench_drake.formats.lerobot.statistics import feature_statistics
-from kinebench_drake.formats.videos.sample import CAMERA_NAME
 from kinebench_drake.geometry import Array, to_quaternion
 from kinebench_drake.io.atomic import atomic_path
-from kinebench_drake.io.camerafile import save_camera
 from kinebench_drake.io.container import join_videos, write_video
 from kinebench_drake.io.jsonl import write_json
 from kinebench_drake.io.npz import write_arrays

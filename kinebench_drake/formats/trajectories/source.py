@@ -10,7 +10,7 @@ from kinebench_drake.formats.lerobot.reader import is_lerobot, list_lerobot_traj
 from kinebench_drake.formats.maniskill import list_maniskill, read_maniskill
 from kinebench_drake.formats.samples import finish_samples
 from kinebench_drake.formats.trajectories.check import check
-from kinebench_drake.formats.trajectories.tables import CSV_SUFFIXES, NPZ_SUFFIXES, read_archive, read_csv
+from kinebench_drake.formats.trajectories.tables import CSV_SUFFIXES, NPZ_SUFFIXES, read_csv, read_npz
 from kinebench_drake.formats.trajectories.trajectory import (
     RawTrajectory,
     Trajectory,
@@ -26,8 +26,8 @@ from kinebench_drake.results.store import SAMPLES, read_rows
 EXPECTED = (
     "a trajectory (npz, csv, ManiSkill h5), a LeRobot dataset, an output folder or its tracks, or a folder of these"
 )
-READERS: Mapping[TrajectoryFormat, Callable[[TrajectorySample, TrajectoryOptions], RawTrajectory]] = {
-    TrajectoryFormat.NPZ: read_archive,
+_READERS: Mapping[TrajectoryFormat, Callable[[TrajectorySample, TrajectoryOptions], RawTrajectory]] = {
+    TrajectoryFormat.NPZ: read_npz,
     TrajectoryFormat.CSV: read_csv,
     TrajectoryFormat.MANISKILL: read_maniskill,
     TrajectoryFormat.LEROBOT: read_lerobot,
@@ -93,7 +93,7 @@ def read_trajectory(sample: TrajectorySample, choice: TrajectoryOptions) -> Traj
         raise InputError(sample.problem)
     if not sample.path.is_file():
         raise InputError(f"{sample.path.name}: {absence(sample.path)}")
-    raw = READERS[sample.format](sample, choice)
+    raw = _READERS[sample.format](sample, choice)
     return check(replace(raw, warnings=(*sample.warnings, *raw.warnings)), choice.rate_hz)
 
 

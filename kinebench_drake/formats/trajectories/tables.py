@@ -20,7 +20,7 @@ _MAX_BYTES = 2**28
 _POSES, _JOINTS = "base_from_tcp", "q"
 
 
-def read_archive(sample: TrajectorySample, choice: TrajectoryOptions) -> RawTrajectory:
+def read_npz(sample: TrajectorySample, choice: TrajectoryOptions) -> RawTrajectory:
     """Read `t_s` and `base_from_tcp` or `q`, and `tracked` and `finger_width_m` if present.
 
     Joint angles take precedence over poses, as they determine the posture; except in the tracks of an output folder

@@ -6,10 +6,11 @@ from pathlib import Path
 
 from kinebench_drake.errors import InputError, UsageError
 from kinebench_drake.formats import ewmbench, hdf5, manifest, videofolder, worldarena
+from kinebench_drake.formats.camerafile import CameraLookup
 from kinebench_drake.formats.folders import is_output, list_suffixes, require_apart, run_of, walk
 from kinebench_drake.formats.lerobot import reader as lerobot
 from kinebench_drake.formats.samples import finish_samples
-from kinebench_drake.formats.videos.sample import CameraLookup, Search, VideoSample, VideoSamples
+from kinebench_drake.formats.videos.sample import Search, VideoSample, VideoSamples
 from kinebench_drake.io.files import IMAGE_SUFFIXES, VIDEO_SUFFIXES, absence
 from kinebench_drake.io.hdf5 import HDF5_SUFFIXES
 from kinebench_drake.io.reader import ARRAY_SUFFIXES, is_video_array

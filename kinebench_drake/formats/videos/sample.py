@@ -7,13 +7,11 @@ from pathlib import Path
 
 from kinebench_drake.camera import Camera, CameraSetting, CameraSource, benchmark_camera
 from kinebench_drake.errors import InputError
+from kinebench_drake.formats.camerafile import CameraLookup
 from kinebench_drake.formats.samples import Sample
-from kinebench_drake.io.camerafile import load_camera
 from kinebench_drake.io.files import IMAGE_SUFFIXES
 from kinebench_drake.io.video import WHOLE, VideoPart
 from kinebench_drake.track import InitialState
-
-CAMERA_NAME = "camera.json"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -61,47 +59,6 @@ class VideoSamples:
 
     samples: tuple[VideoSample, ...]
     warnings: tuple[str, ...] = ()
-
-
-class CameraLookup:
-    """Cameras of folders: the `camera.json` of a folder or of the nearest one above, up to the named folder."""
-
-    def __init__(self, top: Path) -> None:
-        """Start with the folder above which no file is used.
-
-        Raises:
-            UsageError: its file is unusable, which is reported even if no sample needs it.
-        """
-        self._top = top
-        self._cameras: dict[Path, CameraSetting | None] = {}
-        self._find(top)
-
-    def film(self, sample: VideoSample, folder: Path) -> VideoSample:
-        """Return a sample with the camera of the videos in a folder; unchanged if there is no file.
-
-        Raises:
-            UsageError: its file is unusable.
-        """
-        return sample.filmed_by(self._find(folder), CameraSource.FOLDER)
-
-    def assign(self, folder: Path, file: Path) -> None:
-        """Use a `file` elsewhere, if it exists, for `folder` and below, unless that has its own.
-
-        Raises:
-            UsageError: the file is unusable.
-        """
-        if file.is_file() and not (folder / CAMERA_NAME).exists():
-            self._cameras[folder] = load_camera(file, str(file))
-
-    def _find(self, folder: Path) -> CameraSetting | None:
-        if folder not in self._cameras:
-            file = folder / CAMERA_NAME
-            if file.exists():
-                self._cameras[folder] = load_camera(file, str(file))
-            else:
-                within = folder != self._top and folder.is_relative_to(self._top)
-                self._cameras[folder] = self._find(folder.parent) if within else None
-        return self._cameras[folder]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -153,7 +110,7 @@ class Search:
         is_folder = path.is_dir()
         id = path.resolve().name if is_folder else path.stem
         sample = VideoSample(id=id, path=path, video=self.name(path))
-        return self.cameras.film(sample, path if is_folder else path.parent)
+        return sample.filmed_by(self.cameras.find(path if is_folder else path.parent), CameraSource.FOLDER)
 
     def sample(self, path: Path) -> VideoSample:
         """Return a sample of a video without metadata, with the camera of its folder and the image beside it.

@@ -20,7 +20,7 @@ from benchmarks.perception.clip import PlantedCase
 from kinebench_drake.anomaly import Anomaly, AnomalyKind
 from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.errors import UsageError
-from kinebench_drake.io.camerafile import save_camera
+from kinebench_drake.formats.camerafile import save_camera
 from kinebench_drake.suites.faults.fault import GRADES
 
 

@@ -8,9 +8,9 @@ import pytest
 
 from kinebench_drake.camera import CameraSource, benchmark_camera
 from kinebench_drake.errors import UsageError
+from kinebench_drake.formats.camerafile import save_camera
 from kinebench_drake.formats.videos.find import find_samples
 from kinebench_drake.geometry import make_pose, rotation_exp
-from kinebench_drake.io.camerafile import save_camera
 
 
 def touch(folder, *names):

@@ -11,8 +11,8 @@ from PIL import Image
 
 from kinebench_drake.camera import CameraSource, benchmark_camera
 from kinebench_drake.errors import InputError, UsageError
+from kinebench_drake.formats.camerafile import save_camera
 from kinebench_drake.formats.videos.find import find_samples
-from kinebench_drake.io.camerafile import save_camera
 from kinebench_drake.io.reader import read_video
 from tests.formats.videos.conftest import SIDE, frames_of, grey, levels, write_info, write_v3_episodes
 

@@ -7,12 +7,12 @@ import pytest
 
 from kinebench_drake import cli
 from kinebench_drake.errors import UnmeasurableError
+from kinebench_drake.formats.camerafile import load_camera
 from kinebench_drake.geometry import invert, pose_difference, transform_points
 from kinebench_drake.grounding.camera import calibrate as calibration
 from kinebench_drake.grounding.camera.calibrate import CalibrationConfig, Calibrator, calibrate
 from kinebench_drake.grounding.camera.lens import with_focal
 from kinebench_drake.grounding.overlay import render_parts
-from kinebench_drake.io.camerafile import load_camera
 from kinebench_drake.models.panda.robot import RobotPart
 from tests.grounding.camera.robot import CellsAlone, PerfectEstimator, postures
 

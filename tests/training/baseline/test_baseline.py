@@ -13,8 +13,8 @@ from torch import Tensor
 
 from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.errors import SetupError, UsageError
+from kinebench_drake.formats.camerafile import save_camera
 from kinebench_drake.geometry import make_pose, rotation_exp
-from kinebench_drake.io.camerafile import save_camera
 from training.baseline.comparison import (
     ClipComparison,
     Extractor,
