@@ -36,10 +36,10 @@ from kinebench_drake.suites.families.registry import Expert, find_expert
 from kinebench_drake.suites.families.task import Scene
 from kinebench_drake.suites.faults.fault import FaultGrade
 from kinebench_drake.suites.seeding import generator
-from kinebench_drake.suites.simulator import Simulator
+from kinebench_drake.suites.simulator import Simulator, SimulatorState
 from kinebench_drake.suites.simulator_cache import SimulatorCache
 from kinebench_drake.suites.worldmodels.reference import OracleModel, OracleRenderer
-from kinebench_drake.suites.worldmodels.worldmodel import Request, SimulatorState
+from kinebench_drake.suites.worldmodels.worldmodel import Request
 from kinebench_drake.track import GripperTrack
 
 FAULTS = (

@@ -14,8 +14,7 @@ from kinebench_drake.suites.clock import CLIP_FRAMES, FRAME_PERIOD_S, STEPS_PER_
 from kinebench_drake.suites.composition import Episode
 from kinebench_drake.suites.expert.motion import plan
 from kinebench_drake.suites.families.registry import Expert
-from kinebench_drake.suites.simulator import Simulator, Snapshot, TaskOutcome
-from kinebench_drake.suites.worldmodels.worldmodel import SimulatorState
+from kinebench_drake.suites.simulator import Simulator, SimulatorState, Snapshot, TaskOutcome
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from enum import Enum
 from functools import cache
-from typing import Any, Self
+from typing import Any, Self, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -27,6 +27,8 @@ from kinebench_drake.suites.composition import Episode
 from kinebench_drake.suites.families.registry import find_task
 from kinebench_drake.suites.families.task import Scene, TaskVariant
 
+SimulatorState: TypeAlias = Mapping[str, Mapping[str, NDArray[np.float32]]]
+"""ManiSkill's state: kind (actors, articulations) and name to values."""
 GRIPPER_LINKS = (HAND_LINK, *FINGER_LINKS, *(f"{finger}_pad" for finger in FINGER_LINKS))
 """Links of the gripper in masks; some of ManiSkill's Pandas have no pad links."""
 
@@ -218,7 +220,7 @@ class Simulator:
         angles = Rotation.from_matrix(X[:3, :3]).as_euler("XYZ")  # convention of ManiSkill's controller
         self._env.advance(np.concatenate([X[:3, 3], angles, [self._finger_action(finger_width_m)]]).astype(np.float32))
 
-    def simulation_state(self) -> dict[str, dict[str, NDArray[np.float32]]]:
+    def simulation_state(self) -> SimulatorState:
         """Return ManiSkill's state: pose and velocities (13,) of actors, with joint states for articulations."""
         kinds: dict[str, Any] = self._env.get_state_dict()
         return {
@@ -226,7 +228,7 @@ class Simulator:
             for kind in ("actors", "articulations")
         }
 
-    def restore(self, state: Mapping[str, Mapping[str, NDArray[np.float32]]]) -> None:
+    def restore(self, state: SimulatorState) -> None:
         """Set the `simulation_state` of another simulator of the same episode."""
         import torch
 

@@ -13,9 +13,9 @@ from kinebench_drake.suites.composition import Episode
 from kinebench_drake.suites.families.registry import find_expert
 from kinebench_drake.suites.rollout import continue_expert
 from kinebench_drake.suites.seeding import generator
-from kinebench_drake.suites.simulator import Control, Simulator
+from kinebench_drake.suites.simulator import Control, Simulator, SimulatorState
 from kinebench_drake.suites.simulator_cache import SimulatorCache
-from kinebench_drake.suites.worldmodels.worldmodel import ActionTrack, SimulatorState
+from kinebench_drake.suites.worldmodels.worldmodel import ActionTrack
 from kinebench_drake.track import GripperTrack
 
 _LAGS = 11

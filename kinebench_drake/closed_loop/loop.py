@@ -1,7 +1,6 @@
 """Closed loop of one episode: generate a clip, ground it, execute it, repeat from the last executed frame."""
 
 import glob
-import shutil
 from dataclasses import dataclass, field, replace
 from enum import Enum
 from pathlib import Path
@@ -20,7 +19,6 @@ from kinebench_drake.grounding.framing.framing import undo_framing
 from kinebench_drake.grounding.priors import Priors
 from kinebench_drake.grounding.video import Grounder, GroundingResult
 from kinebench_drake.io.atomic import disk_errors, remove
-from kinebench_drake.io.files import VIDEO_SUFFIXES
 from kinebench_drake.io.jsonl import Json
 from kinebench_drake.io.reader import read_video
 from kinebench_drake.models.panda.robot import TCP_LINK
@@ -38,6 +36,7 @@ from kinebench_drake.suites.export import FPS
 from kinebench_drake.suites.prompts import PromptTemplate
 from kinebench_drake.suites.seeding import generator
 from kinebench_drake.suites.simulator import Control, Simulator, TaskOutcome
+from kinebench_drake.suites.worldmodels.media import place_beside
 from kinebench_drake.suites.worldmodels.worldmodel import (
     ActionTrack,
     ChoosesLength,
@@ -251,7 +250,7 @@ class ClosedLoop:
         """Ask the model for a video and return its path beside `out`."""
         if isinstance(self._model, PrivilegedModel):
             self._model.set_state(episode, simulator.simulation_state())
-        return _place_beside(self._model.generate(request, out), out)
+        return place_beside(self._model.generate(request, out), out)
 
     def _times(self, frames: int) -> tuple[ClipTiming, NDArray[np.intp], Array]:
         """Return the timing of a clip of so many frames, the indices (T,) of those to use, and their times (T,) [s]."""
@@ -322,24 +321,3 @@ def _remove_earlier_clips(videos: Path) -> None:
     with disk_errors(videos.parent.name):
         for clip in videos.parent.glob(f"{glob.escape(videos.name)}_r[0-9]*"):
             remove(clip)
-
-
-def _place_beside(video: Path, out: Path) -> Path:
-    """Return the path of a video, or folder of frames, beside `out`; copy it from another folder, replacing others.
-
-    Raises:
-        SetupError: it cannot be copied.
-    """
-    here, source = out.parent.resolve(), video.resolve()
-    if video.parent.resolve() == here:
-        return video
-    copy = out.with_name(f"{out.name}{video.suffix}" if video.is_file() else out.name)
-    with disk_errors(copy.name):
-        for earlier in (here / f"{out.name}{suffix}" for suffix in ("", *VIDEO_SUFFIXES)):
-            if not source.is_relative_to(earlier):  # a model may work in a folder of the clip's name
-                remove(earlier)
-        if video.is_file():
-            shutil.copyfile(video, copy)
-        else:
-            shutil.copytree(video, copy, dirs_exist_ok=True)
-    return copy

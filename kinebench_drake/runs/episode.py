@@ -46,7 +46,7 @@ from kinebench_drake.suites.simulator import Simulator
 from kinebench_drake.suites.simulator_cache import SimulatorCache
 from kinebench_drake.suites.start import first_facts
 from kinebench_drake.suites.worldmodels.factory import LazyWorldModel
-from kinebench_drake.suites.worldmodels.remote import png
+from kinebench_drake.suites.worldmodels.media import png
 from kinebench_drake.suites.worldmodels.worldmodel import OfflineModel
 from kinebench_drake.track import Domain, GripperTrack
 

@@ -41,10 +41,10 @@ def load_pipeline(
     device: str | None,
     offload: Literal["none", "model", "sequential"],
 ) -> Any:
-    """Load a checkpoint as an image-to-video pipeline.
+    """Load a checkpoint, a folder or an id on Hugging Face's hub, as an image-to-video pipeline.
 
     Args:
-        source: a folder, or an id on Hugging Face's hub.
+        source: the checkpoint.
         dtype: precision of the weights; auto: bfloat16 on a GPU, else float32.
         device: device to run on; None: the GPU if there is one, else the CPU.
         offload: parts kept in main memory while unused.
@@ -103,12 +103,9 @@ def add_lora(pipeline: Any, lora: str, scale: float) -> None:
         if _ADAPTER not in {adapter for adapters in pipeline.get_list_adapters().values() for adapter in adapters}:
             raise ValueError("it has no weights for the pipeline")
         pipeline.set_adapters([_ADAPTER], [scale])
-    except LookupError:
-        raise SetupError(
-            f"the LoRA {checkpoint_name(lora)} cannot be loaded: its weights do not fit the pipeline"
-        ) from None
-    except (OSError, ValueError, ImportError, RuntimeError) as error:
-        raise SetupError(f"the LoRA {checkpoint_name(lora)} cannot be loaded: {clean(error)}") from None
+    except (LookupError, OSError, ValueError, ImportError, RuntimeError) as error:
+        reason = "its weights do not fit the pipeline" if isinstance(error, LookupError) else clean(error)
+        raise SetupError(f"the LoRA {name} cannot be loaded: {reason}") from None
 
 
 def checkpoint_name(source: str) -> str:
@@ -124,11 +121,7 @@ def arguments_of(kind: type) -> Mapping[str, inspect.Parameter]:
 
 
 def _find_class(index: dict[str, Any]) -> Any:
-    """Return the image-to-video class for a checkpoint.
-
-    Raises:
-        ValueError: there is none, or a part comes from another library.
-    """
+    """Return the image-to-video class for a checkpoint; a ValueError says why there is none."""
     import diffusers
 
     name = str(index.get("_class_name"))  # a list names code in the checkpoint

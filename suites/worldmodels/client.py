@@ -48,20 +48,16 @@ class Deadline:
         self._limit_s = limit_s
         self._end = time.monotonic() + limit_s
 
-    def left(self) -> float:
+    def left(self, need_s: float = 0.0) -> float:
         """Return the remaining seconds.
 
         Raises:
-            WorldModelError: the deadline has passed.
+            WorldModelError: they are no more than `need_s`.
         """
         left = self._end - time.monotonic()
-        if left <= 0:
-            raise self.error()
+        if left <= need_s:
+            raise WorldModelError(f"no video within {self._limit_s:g} s; the option timeout= allows more")
         return left
-
-    def error(self) -> WorldModelError:
-        """Return the error for a passed deadline."""
-        return WorldModelError(f"no video within {self._limit_s:g} s; the option timeout= allows more")
 
     def wait(self, seconds: float) -> None:
         """Sleep.
@@ -69,29 +65,13 @@ class Deadline:
         Raises:
             WorldModelError: the deadline would pass before.
         """
-        if seconds >= self.left():
-            raise self.error()
+        self.left(seconds)
         time.sleep(seconds)
-
-    def poll(self, ask: Callable[[], _T | None], every_s: float) -> _T:
-        """Call a function until it returns a value.
-
-        Args:
-            ask: returns None while there is no value yet.
-            every_s: period of the calls [s].
-
-        Raises:
-            WorldModelError: the deadline passed, or `ask` raised it.
-        """
-        while (answer := ask()) is None:
-            self.wait(every_s)
-        return answer
 
 
 _REDIRECTS = 5
 _HEAD, _QUOTED = 4096, 80
 """Bytes of an invalid answer that are read for a message, and characters that it quotes."""
-_PLAIN = {"Accept-Encoding": "identity"}
 _FINAL = (HTTPStatus.NOT_IMPLEMENTED, HTTPStatus.HTTP_VERSION_NOT_SUPPORTED)
 _UNSENT = (httpx.ConnectError, httpx.ConnectTimeout, httpx.PoolTimeout, httpx.ProxyError)
 """Failures before a request was sent."""
@@ -151,19 +131,14 @@ class HttpClient:
             SetupError: the service rejected the key.
         """
         url = httpx.URL(f"{str(self._base).rstrip('/')}{path}") if path else self._base
-        most = most_bytes or self.limits.json_bytes
-        content = json.dumps(body).encode() if body is not None else None
-        kind = {"Content-Type": "application/json"} if body is not None else {}
+        content = None if body is None else json.dumps(body).encode()
+        kind = {} if body is None else {"Content-Type": "application/json"}
+        sent = {"Accept": "application/json", **kind, **(headers or {})}
 
         def attempt() -> dict[str, Any]:
-            timeout = self._timeout(deadline, patient)
-            own = {"Accept": "application/json", **_PLAIN, **kind}
-            request_headers = {**own, **(headers or {}), **self._authorization(url)}
-            with self._stream(
-                method, url, deadline, repeatable, content=content, headers=request_headers, timeout=timeout
-            ) as response:
+            with self._stream(method, url, deadline, sent, content, patient, repeatable) as response:
                 self._accept(response, deadline, repeatable)
-                data = b"".join(self._read(response, most, deadline))
+                data = b"".join(self._read(response, most_bytes or self.limits.json_bytes, deadline))
             answer = self._object(data, response)
             deadline.left()
             check(answer)
@@ -182,9 +157,7 @@ class HttpClient:
         def attempt() -> None:
             url = self._download_address(address)
             for _ in range(_REDIRECTS + 1):
-                headers = {**_PLAIN, **self._authorization(url)}
-                timeout = self._timeout(deadline, False)
-                with self._stream("GET", url, deadline, True, headers=headers, timeout=timeout) as response:
+                with self._stream("GET", url, deadline) as response:
                     if not response.has_redirect_location:
                         self._accept(response, deadline, True)
                         with disk_errors(part.name), part.open("wb") as file:
@@ -222,15 +195,28 @@ class HttpClient:
 
     @contextmanager
     def _stream(
-        self, method: str, url: httpx.URL, deadline: Deadline, repeatable: bool, **request: Any
+        self,
+        method: str,
+        url: httpx.URL,
+        deadline: Deadline,
+        headers: Mapping[str, str] | None = None,
+        content: bytes | None = None,
+        patient: bool = False,
+        repeatable: bool = True,
     ) -> Iterator[httpx.Response]:
         """Send a request; network failures become `BusyError` where a retry may help."""
         local = is_loopback(url)
         if local not in self._clients:
             # Proxies of the environment do not apply to services on this machine.
             self._clients[local] = httpx.Client(trust_env=not local, follow_redirects=False)
+        sent = {"Accept-Encoding": "identity", **(headers or {})}
+        if self._key is not None and origin(url) == origin(self._base):
+            sent["Authorization"] = f"Bearer {self._key.get_secret_value()}"
+        left = deadline.left()
+        quiet = min(self.limits.silence_s, left)
+        timeout = httpx.Timeout(quiet, read=left if patient else quiet)
         try:
-            with self._clients[local].stream(method, url, **request) as response:
+            with self._clients[local].stream(method, url, headers=sent, content=content, timeout=timeout) as response:
                 yield response
         except (httpx.TransportError, httpx.DecodingError) as error:
             deadline.left()  # raises if the deadline has passed meanwhile
@@ -241,6 +227,7 @@ class HttpClient:
             raise (BusyError if retry else ServiceError)(message) from None
 
     def _accept(self, response: httpx.Response, deadline: Deadline, repeatable: bool) -> None:
+        """Raise the error of an answer that is no success."""
         status = response.status_code
         if response.is_success:
             return
@@ -251,9 +238,8 @@ class HttpClient:
         # A 5xx may come from a gateway behind which the request was accepted; 429 means that it was not.
         transient = status >= HTTPStatus.INTERNAL_SERVER_ERROR and status not in _FINAL
         if status == HTTPStatus.TOO_MANY_REQUESTS or (transient and repeatable):
-            busy = BusyError(message, status=status, code=code)
-            busy.after_s = retry_after(response.headers.get("Retry-After", ""))
-            raise busy
+            after_s = retry_after(response.headers.get("Retry-After", ""))
+            raise BusyError(message, status=status, code=code, after_s=after_s)
         if status in (HTTPStatus.UNAUTHORIZED, HTTPStatus.FORBIDDEN) and origin(response.url) == origin(self._base):
             missing = "no key was sent; name one with key_env=VARIABLE"
             raise SetupError(f"{message}; {'is the key right, and meant for this address?' if self._key else missing}")
@@ -262,8 +248,7 @@ class HttpClient:
     def _error_of(self, response: httpx.Response, deadline: Deadline) -> tuple[str, str]:
         """Return message and error code of an answer that reports an error."""
         try:
-            data = b"".join(self._read(response, self.limits.json_bytes, deadline))
-            answer = self._object(data, response)
+            answer = self._object(b"".join(self._read(response, self.limits.json_bytes, deadline)), response)
         except ServiceError:
             return clean(response.reason_phrase), ""
         error = answer.get("error")
@@ -274,10 +259,10 @@ class HttpClient:
         return (clean(f"{code}: {text}"), code) if isinstance(code, str) else (clean(text), "")
 
     def _read(self, response: httpx.Response, most_bytes: int, deadline: Deadline) -> Iterator[bytes]:
-        size = int(length) if (length := response.headers.get("Content-Length", "")).isdecimal() else 0
         if (coding := response.headers.get("Content-Encoding", "identity")) != "identity":
             # Unpacked, a small answer may be large: its size would be known too late to keep limits and deadline.
             raise ServiceError(f"{self.service} answered with Content-Encoding {clean(coding)}; send it uncompressed")
+        size = int(length) if (length := response.headers.get("Content-Length", "")).isdecimal() else 0
         if size <= most_bytes:
             size = 0
             for chunk in response.iter_bytes():
@@ -307,11 +292,6 @@ class HttpClient:
             )
         return answer
 
-    def _authorization(self, url: httpx.URL) -> dict[str, str]:
-        if self._key is None or origin(url) != origin(self._base):
-            return {}
-        return {"Authorization": f"Bearer {self._key.get_secret_value()}"}
-
     def _download_address(self, address: str) -> httpx.URL:
         url = web_address(address)
         if url is None:
@@ -319,8 +299,3 @@ class HttpClient:
         if is_loopback(url) and not self.is_local:
             raise ServiceError(f"{self.service} gave an address for the video that is on this machine")
         return url
-
-    def _timeout(self, deadline: Deadline, patient: bool) -> httpx.Timeout:
-        left = deadline.left()
-        quiet = min(self.limits.silence_s, left)
-        return httpx.Timeout(quiet, read=left if patient else quiet)

@@ -17,20 +17,10 @@ from typing_extensions import override
 
 from kinebench_drake.errors import SetupError
 from kinebench_drake.suites.worldmodels.client import Deadline, HttpClient
-from kinebench_drake.suites.worldmodels.remote import (
-    BusyError,
-    Limits,
-    ServiceError,
-    clean,
-    data_uri,
-    key_from,
-    web_address,
-)
+from kinebench_drake.suites.worldmodels.media import adopt, arriving, data_uri
+from kinebench_drake.suites.worldmodels.remote import BusyError, Limits, ServiceError, clean, key_from, web_address
 from kinebench_drake.suites.worldmodels.spec import Spec, TimeoutOptions
-from kinebench_drake.suites.worldmodels.videofile import adopt, arriving
 from kinebench_drake.suites.worldmodels.worldmodel import Request, WorldModelError
-
-DASHSCOPE_KEY, MINIMAX_KEY = "DASHSCOPE_API_KEY", "MINIMAX_API_KEY"
 
 
 class DashScopeOptions(TimeoutOptions):
@@ -61,22 +51,28 @@ class CloudModel(ABC, Generic[_Options]):
 
     service: str
     """Name in messages."""
+    key: str
+    """Environment variable with the service's key."""
+    default_model: str
+    options_class: type[_Options]
     chooses_length = True
     """Services take seconds of video, not frames."""
 
-    def __init__(self, spec: Spec, options: _Options, model: str, key: str, limits: Limits | None) -> None:
+    def __init__(self, spec: Spec, limits: Limits | None = None) -> None:
+        self._options: _Options = spec.read(self.options_class)
+        options = self._options
         if web_address(options.base) is None:
             raise spec.unusable("base= expected an http or https address without name and password")
-        self._options: _Options = options
-        self._model, self._limits = spec.rest or model, limits or Limits()
-        self._client = HttpClient(self.service, options.base, key=key_from(key), limits=self._limits)
+        self._model, self._limits = spec.rest or self.default_model, limits or Limits()
+        self._client = HttpClient(self.service, options.base, key=key_from(self.key), limits=self._limits)
         self.name = options.name or self._model
 
     def generate(self, request: Request, out: Path) -> Path:
         """Submit a task, wait until its video is ready, and download it."""
         deadline = Deadline(self._options.timeout)
         task = self._submit(request, deadline)
-        result = deadline.poll(lambda: self._result(task, deadline), self._limits.poll_s)
+        while (result := self._result(task, deadline)) is None:
+            deadline.wait(self._limits.poll_s)
         with arriving(out) as part:
             self._client.download(self._address(result, deadline), part, deadline)
             return adopt(part, out)
@@ -109,17 +105,15 @@ _MODERATED, _ARREARS = "DataInspectionFailed", "Arrearage"
 class DashScopeModel(CloudModel[DashScopeOptions]):
     """Wan image-to-video on DashScope."""
 
-    service = "DashScope"
-
-    def __init__(self, spec: Spec, limits: Limits | None = None) -> None:
-        super().__init__(spec, spec.read(DashScopeOptions), "wan2.6-i2v", DASHSCOPE_KEY, limits)
+    service, key, default_model = "DashScope", "DASHSCOPE_API_KEY", "wan2.6-i2v"
+    options_class = DashScopeOptions
 
     @override
     def _submit(self, request: Request, deadline: Deadline) -> str:
-        inputs: dict[str, Any] = {"prompt": request.prompt, "img_url": data_uri(request.first_frame)}
+        inputs = {"prompt": request.prompt, "img_url": data_uri(request.first_frame)}
         if request.negative_prompt:
             inputs["negative_prompt"] = request.negative_prompt
-        parameters: dict[str, Any] = {
+        parameters = {
             "resolution": self._options.resolution,
             "duration": self._options.duration,
             "prompt_extend": self._options.prompt_extend,
@@ -132,7 +126,7 @@ class DashScopeModel(CloudModel[DashScopeOptions]):
             answer = self._client.call("POST", _SUBMIT, deadline, body=body, headers=headers, repeatable=False)
         except ServiceError as error:
             if error.code == _ARREARS:
-                raise SetupError(f"{error}; look at the account that {DASHSCOPE_KEY} belongs to") from None
+                raise SetupError(f"{error}; look at the account that {self.key} belongs to") from None
             raise self._moderated(str(error)) if error.code == _MODERATED else error from None
         task = _object(answer, "output").get("task_id")
         if not isinstance(task, str) or not task:
@@ -163,10 +157,8 @@ _MODERATION = (1026, 1027)  # of the request, of the video
 class MiniMaxModel(CloudModel[MiniMaxOptions]):
     """Hailuo image-to-video on MiniMax. The service accepts neither a seed nor a negative prompt."""
 
-    service = "MiniMax"
-
-    def __init__(self, spec: Spec, limits: Limits | None = None) -> None:
-        super().__init__(spec, spec.read(MiniMaxOptions), "MiniMax-Hailuo-02", MINIMAX_KEY, limits)
+    service, key, default_model = "MiniMax", "MINIMAX_API_KEY", "MiniMax-Hailuo-02"
+    options_class = MiniMaxOptions
 
     @override
     def _submit(self, request: Request, deadline: Deadline) -> str:
@@ -208,20 +200,15 @@ class MiniMaxModel(CloudModel[MiniMaxOptions]):
         return address
 
     def _check(self, answer: dict[str, Any], transient: tuple[int, ...] = _TRANSIENT) -> None:
-        """Raise the error in an answer: MiniMax reports most of them with HTTP status 200.
-
-        Raises:
-            WorldModelError: the request failed.
-            SetupError: the account cannot be used.
-        """
-        code = _object(answer, "base_resp").get("status_code")
-        message = f"MiniMax answered {clean(code)}: {_status_message(answer)}"
+        """Raise the error in an answer: MiniMax reports most of them with HTTP status 200."""
+        code, reason = _object(answer, "base_resp").get("status_code"), _status_message(answer)
+        message = f"MiniMax answered {clean(code)}: {reason}"
         if code in transient:
             raise BusyError(message, code=str(code))
         if code in _ACCOUNT:
-            raise SetupError(f"{message}; look at {MINIMAX_KEY} and the account it belongs to")
+            raise SetupError(f"{message}; look at {self.key} and the account it belongs to")
         if code in _MODERATION:
-            raise self._moderated(_status_message(answer))
+            raise self._moderated(reason)
         if code:
             raise WorldModelError(message)
 

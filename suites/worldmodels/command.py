@@ -18,10 +18,10 @@ from typing import IO
 from kinebench_drake.errors import SetupError, cause
 from kinebench_drake.executors.interrupt import defer_interrupts
 from kinebench_drake.io.atomic import disk_errors, unfinished
-from kinebench_drake.suites.worldmodels.remote import clean, png
+from kinebench_drake.suites.worldmodels.media import adopt, png
+from kinebench_drake.suites.worldmodels.remote import clean
 from kinebench_drake.suites.worldmodels.spec import Spec, TimeoutOptions
-from kinebench_drake.suites.worldmodels.videofile import adopt
-from kinebench_drake.suites.worldmodels.worldmodel import Request, WorldModelError
+from kinebench_drake.suites.worldmodels.worldmodel import Request, WorldModel, WorldModelError
 
 _PLACEHOLDER = re.compile(r"\{([a-z_]+)\}")
 _FIELDS = ("episode", "task", "round", "prompt", "negative_prompt", "seed", "num_frames", "fps")
@@ -32,7 +32,7 @@ _GRACE_S = 2.0
 _PEEK = os.WEXITED | os.WNOHANG | os.WNOWAIT
 
 
-class CommandModel:
+class CommandModel(WorldModel):
     """World model that runs a program for each video, without a shell.
 
     The program receives the request as a JSON object on standard input and through `{placeholders}` in its arguments.
@@ -70,19 +70,14 @@ class CommandModel:
             with (folder / "request.json").open("rb") as request_file, log.open("wb") as log_file:
                 status = self._run(arguments, request_file, log_file)
             if status is None:
-                raise WorldModelError(
-                    f"{self.name} gave no video within {self._timeout_s:g} s; the option timeout= allows more"
-                    f"{_last_line(log)}"
-                )
-            if status:
-                code = f"status {status}" if status > 0 else f"signal {-status}"
-                raise WorldModelError(f"{self.name} failed with {code}{_last_line(log)}")
-            if not video.exists():
-                raise WorldModelError(f"{self.name} ended well but wrote no video to {{out}}{_last_line(log)}")
-            return adopt(video, out)
-
-    def close(self) -> None:
-        """Do nothing: there are no resources."""
+                problem = f"gave no video within {self._timeout_s:g} s; the option timeout= allows more"
+            elif status:
+                problem = f"failed with status {status}" if status > 0 else f"failed with signal {-status}"
+            elif not video.exists():
+                problem = "ended well but wrote no video to {out}"
+            else:
+                return adopt(video, out)
+            raise WorldModelError(f"{self.name} {problem}{_last_line(log)}")
 
     def _run(self, arguments: list[str], request: IO[bytes], log: IO[bytes]) -> int | None:
         """Run the program and return its exit status; None if it was terminated after the time limit."""

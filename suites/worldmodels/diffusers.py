@@ -22,8 +22,8 @@ from kinebench_drake.suites.worldmodels.checkpoint import (
     checkpoint_name,
     load_pipeline,
 )
+from kinebench_drake.suites.worldmodels.media import encode_answer
 from kinebench_drake.suites.worldmodels.spec import Options, Spec
-from kinebench_drake.suites.worldmodels.videofile import encode_answer
 from kinebench_drake.suites.worldmodels.worldmodel import Request, WorldModelError
 
 _SIZE = r"^[1-9]\d{1,3}x[1-9]\d{1,3}$"
@@ -113,19 +113,13 @@ class DiffusersModel:
             torch.cuda.empty_cache()
 
     def _arguments(self, request: Request) -> tuple[dict[str, Any], tuple[int, int]]:
-        """Return the arguments of the pipeline's call for a request, and the image's width and height [px].
-
-        Raises:
-            SetupError: an option of the spec has no argument in this pipeline.
-        """
+        """Return the arguments of the pipeline's call for a request, and the image's width and height [px]."""
         import torch
 
         options, pipeline = self._options, self._pipeline
         accepted = arguments_of(type(pipeline))
-        stated = {"size": ("width", options.size), "guidance": ("guidance_scale", options.guidance)}
-        stated["steps"] = ("num_inference_steps", options.steps)
-        for option, (argument, value) in stated.items():
-            if value is not None and argument not in accepted:
+        for option, argument in {"size": "width", "guidance": "guidance_scale", "steps": "num_inference_steps"}.items():
+            if getattr(options, option) is not None and argument not in accepted:
                 raise SetupError(f"{type(pipeline).__name__} takes no {argument}; leave out {option}=")
         image = Image.fromarray(request.first_frame)
         if "width" in accepted:
@@ -159,7 +153,7 @@ class DiffusersModel:
             height, width = frame.shape[:2]
         least = _SIDES_PX.get(type(pipeline).__name__, _SIDE_PX)
         multiple = math.lcm(least, *(scale * cells for cells in _patch(config)))
-        return _nearest(width, multiple), _nearest(height, multiple)
+        return multiple * max(round(width / multiple), 1), multiple * max(round(height / multiple), 1)
 
 
 def _network(pipeline: Any) -> Any:
@@ -196,10 +190,6 @@ def _supported_frames(pipeline: Any, wanted: int) -> int:
 def _attribute(pipeline: Any, names: tuple[str, ...], default: int) -> int:
     """Return the first of the attributes that the pipeline has."""
     return next((int(getattr(pipeline, name)) for name in names if hasattr(pipeline, name)), default)
-
-
-def _nearest(side_px: int, multiple: int) -> int:
-    return max(round(side_px / multiple), 1) * multiple
 
 
 def _to_bytes(frames: NDArray[np.floating], first: NDArray[np.uint8]) -> list[NDArray[np.uint8]]:

@@ -1,8 +1,7 @@
 """World models from the specs of the command line. Importing this module loads neither simulator nor network."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from typing import Any, Literal, cast
+from typing import Any, Literal, NamedTuple, TypeVar, cast
 
 from pydantic import Field
 
@@ -35,56 +34,46 @@ class ViewOptions(Options):
     form: Literal["growing", "constant"] = Field("growing", description="course of the change along each clip")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SpecForm:
-    """Form of a spec."""
-
-    usage: str
-    """Example, such as "folder:DIR"."""
-    make: Callable[[Spec], WorldModel]
-    """Creates the world model; raises UsageError or SetupError."""
+_Options = TypeVar("_Options", bound=Options)
 
 
-def _make_unscripted(spec: Spec) -> WorldModel:
+def _read_alone(spec: Spec, model: type[_Options]) -> _Options:
+    """Validate the options of a spec without an argument."""
+    if spec.rest:
+        raise spec.unusable(f"expected {spec.kind} by itself, found {spec.rest!r} after it")
+    return spec.read(model)
+
+
+def _make_lower_bound(spec: Spec) -> WorldModel:
     """Create the model of "still" or "random"."""
     from kinebench_drake.suites.worldmodels.reference import RandomPolicyModel, StillModel
 
-    spec.expect_no_argument()
-    name = spec.read(Options).name or spec.kind
+    name = _read_alone(spec, Options).name or spec.kind
     return StillModel(name) if spec.kind == "still" else RandomPolicyModel(name)
 
 
 def _make_oracle(spec: Spec) -> WorldModel:
     from kinebench_drake.suites.worldmodels.reference import OracleModel
 
-    spec.expect_no_argument()
-    options = spec.read(OracleOptions)
+    options = _read_alone(spec, OracleOptions)
     late = f", {count_noun(options.delay, 'frame')} late" if options.delay else ""
     name = options.name or ("oracle, true track" if options.true_track else "oracle") + late
     return OracleModel(name, discloses=options.true_track, delay=options.delay)
 
 
 def _make_faulty_oracle(spec: Spec) -> WorldModel:
-    """Create the oracle of a spec such as "oracle+teleport:0.15".
-
-    Raises:
-        UsageError: there is no size, or more than one.
-    """
+    """Create the oracle of a spec such as "oracle+teleport:0.15"."""
     from kinebench_drake.suites.faults.fault import choose
     from kinebench_drake.suites.worldmodels.reference import OracleModel
 
     grades = choose([AnomalyKind(spec.kind.removeprefix(_FAULTY))], spec.rest)
     if len(grades) > len({grade.form for grade in grades}):
         raise spec.unusable(f"expected one size, such as {spec.kind}:{grades[0].size:g}")
-    return OracleModel(spec.read(Options).name or f"{_FAULTY}{grades[0].label}", grades[0])
+    return OracleModel(spec.read(Options).name or f"{_FAULTY}{grades[0].label}", fault=grades[0])
 
 
 def _make_view_oracle(spec: Spec) -> WorldModel:
-    """Create the oracle of a spec such as "oracle+zoom:0.05".
-
-    Raises:
-        UsageError: the size is no number, or out of range.
-    """
+    """Create the oracle of a spec such as "oracle+zoom:0.05"."""
     from kinebench_drake.suites.faults.fault import FaultForm
     from kinebench_drake.suites.faults.recording import ViewChange, ViewKind
     from kinebench_drake.suites.worldmodels.reference import OracleModel
@@ -102,25 +91,33 @@ def _make_view_oracle(spec: Spec) -> WorldModel:
     return OracleModel(name, view=ViewChange(kind=kind, size=size, form=form))
 
 
+class SpecForm(NamedTuple):
+    """Form of a spec."""
+
+    usage: str
+    """Example, such as "folder:DIR"."""
+    make: Callable[[Spec], WorldModel]
+    """Creates the world model; raises UsageError or SetupError."""
+
+
 _VIEWS = {f"{_FAULTY}zoom": 0.5, f"{_FAULTY}turn": 50.0, f"{_FAULTY}move": 0.5}
 """Changes of the view, with their largest size: relative, in degrees and in metres."""
-_VIEW_FORM = SpecForm(usage=f"{_FAULTY}VIEW:SIZE (VIEW: zoom turn move)", make=_make_view_oracle)
-_HTTP = SpecForm(usage="http://HOST:PORT/PATH", make=HttpModel)
-_FAULTY_FORM = SpecForm(
-    usage=f"{_FAULTY}KIND:SIZE (KIND: {' '.join(kind.value for kind in AnomalyKind)})", make=_make_faulty_oracle
-)
+_FAULT_KINDS = " ".join(kind.value for kind in AnomalyKind)
 FORMS: Mapping[str, SpecForm] = {
-    "folder": SpecForm(usage="folder:DIR", make=FolderModel),
-    **dict.fromkeys(SERVERS, _HTTP),
-    "command": SpecForm(usage="command:PROGRAM ARGUMENTS", make=CommandModel),
-    "dashscope": SpecForm(usage="dashscope:[MODEL]", make=DashScopeModel),
-    "minimax": SpecForm(usage="minimax:[MODEL]", make=MiniMaxModel),
-    "diffusers": SpecForm(usage="diffusers:PATH_OR_ID", make=DiffusersModel),
-    "still": SpecForm(usage="still", make=_make_unscripted),
-    "oracle": SpecForm(usage="oracle", make=_make_oracle),
-    **{f"{_FAULTY}{kind.value}": _FAULTY_FORM for kind in AnomalyKind},
-    **dict.fromkeys(_VIEWS, _VIEW_FORM),
-    "random": SpecForm(usage="random", make=_make_unscripted),
+    "folder": SpecForm("folder:DIR", FolderModel),
+    **dict.fromkeys(SERVERS, SpecForm("http://HOST:PORT/PATH", HttpModel)),
+    "command": SpecForm("command:PROGRAM ARGUMENTS", CommandModel),
+    "dashscope": SpecForm("dashscope:[MODEL]", DashScopeModel),
+    "minimax": SpecForm("minimax:[MODEL]", MiniMaxModel),
+    "diffusers": SpecForm("diffusers:PATH_OR_ID", DiffusersModel),
+    "still": SpecForm("still", _make_lower_bound),
+    "oracle": SpecForm("oracle", _make_oracle),
+    **dict.fromkeys(
+        (f"{_FAULTY}{kind.value}" for kind in AnomalyKind),
+        SpecForm(f"{_FAULTY}KIND:SIZE (KIND: {_FAULT_KINDS})", _make_faulty_oracle),
+    ),
+    **dict.fromkeys(_VIEWS, SpecForm(f"{_FAULTY}VIEW:SIZE (VIEW: zoom turn move)", _make_view_oracle)),
+    "random": SpecForm("random", _make_lower_bound),
 }
 """World models by the kind of their spec."""
 _CLASS_USAGE = "module:Class"
@@ -168,9 +165,6 @@ class LazyWorldModel:
 
     def __init__(self, spec: str) -> None:
         """Parse the spec without creating the model.
-
-        Args:
-            spec: spec of the command line (docs/worldmodels.md).
 
         Raises:
             UsageError: an option is given twice.

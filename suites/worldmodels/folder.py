@@ -7,16 +7,16 @@ from typing import Any
 from kinebench_drake.errors import InputError, cause
 from kinebench_drake.io.files import IMAGE_SUFFIXES, VIDEO_SUFFIXES, read_text
 from kinebench_drake.io.jsonl import parse_json
+from kinebench_drake.suites.worldmodels.media import check_video
 from kinebench_drake.suites.worldmodels.spec import Options, Spec
-from kinebench_drake.suites.worldmodels.videofile import check_video
-from kinebench_drake.suites.worldmodels.worldmodel import Request, WorldModelError
+from kinebench_drake.suites.worldmodels.worldmodel import Request, WorldModel, WorldModelError
 
 _MANIFEST = "manifest.jsonl"
 _SAMPLE = re.compile(r"_k\d+")
 _SEED = re.compile(r"[-_](?:seed|s)?[-_]?(\d+)", re.IGNORECASE)
 
 
-class FolderModel:
+class FolderModel(WorldModel):
     """World model that looks up videos in a folder, by manifest row or else by file name.
 
     A row matches the first round of an episode by its `id`, else by its `task` and `seed`. A video or folder of frames
@@ -60,9 +60,6 @@ class FolderModel:
         matches = self._find(episode, task, round)
         return [inner for path in matches for inner in (sorted(path.iterdir()) if path.is_dir() else [path])]
 
-    def close(self) -> None:
-        """Do nothing: there are no resources."""
-
     def _find(self, episode: str, task: str, number: int) -> list[Path]:
         """Return the videos of a round; task and seed name that of the first one only."""
         seed = None if number else _seed_of(episode, task)
@@ -84,18 +81,18 @@ class FolderModel:
         return []
 
     def _by_name(self, name: str, task: str, seed: int | None) -> list[Path]:
+        """Return the videos whose stem is the name, else those whose stem is the task and the seed."""
+
+        def has_seed(stem: str) -> bool:
+            match = _SEED.fullmatch(stem.removeprefix(task)) if stem.startswith(task) else None
+            return match is not None and int(match[1]) == seed
+
         entries = self._entries()
-        if matches := [path for path in entries.get(name, ()) if _is_video(path) or _is_frames(path)]:
-            return matches
-        return [
-            path
-            for stem, paths in entries.items()
-            if stem.startswith(task)
-            and (number := _SEED.fullmatch(stem.removeprefix(task))) is not None
-            and int(number[1]) == seed
-            for path in paths
-            if _is_video(path) or _is_frames(path)
-        ]
+        by_seed = (path for stem, paths in entries.items() if has_seed(stem) for path in paths)
+        for paths in (entries.get(name, ()), by_seed):
+            if matches := [path for path in paths if _is_video(path) or _is_frames(path)]:
+                return matches
+        return []
 
     def _entries(self) -> dict[str, list[Path]]:
         """Return the videos and folders by their stems, listed again when the folder has changed."""
@@ -140,11 +137,7 @@ def _is_frames(path: Path) -> bool:
 
 
 def _rows(manifest: Path) -> list[dict[str, Any]]:
-    """Read the rows of a manifest; none if there is no manifest.
-
-    Raises:
-        InputError: a line is not a JSON object.
-    """
+    """Read the rows of a manifest, JSON objects; none if there is no manifest."""
     if not manifest.is_file():
         return []
     try:

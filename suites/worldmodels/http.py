@@ -17,18 +17,16 @@ from pydantic import BaseModel, Field, ValidationError
 from kinebench_drake.errors import SetupError
 from kinebench_drake.io.atomic import disk_errors
 from kinebench_drake.suites.worldmodels.client import Deadline, HttpClient
-from kinebench_drake.suites.worldmodels.remote import (
-    Limits,
-    ServiceError,
+from kinebench_drake.suites.worldmodels.media import (
+    adopt,
+    arriving,
     base64_png,
-    clean,
     data_uri,
+    encode_answer,
     from_base64,
-    key_from,
-    web_address,
 )
+from kinebench_drake.suites.worldmodels.remote import Limits, ServiceError, clean, key_from, web_address
 from kinebench_drake.suites.worldmodels.spec import Spec, TimeoutOptions
-from kinebench_drake.suites.worldmodels.videofile import adopt, arriving, encode_answer
 from kinebench_drake.suites.worldmodels.worldmodel import Request, WorldModelError
 
 _MOST_PIXELS = 4096 * 4096
@@ -70,7 +68,7 @@ class HttpModel:
 
     def __init__(self, spec: Spec, limits: Limits | None = None) -> None:
         options = spec.read(HttpOptions)
-        url = web_address(f"{spec.kind}:{spec.rest}" if spec.rest.startswith("//") else spec.rest)
+        url = web_address(spec.address)
         if url is None or url.query or url.fragment:
             # The spec itself is not repeated: it may hold a password.
             raise Spec(text="http://...", kind="http", rest="", options={}).unusable(
@@ -111,12 +109,7 @@ class HttpModel:
         return True
 
     def _read_capabilities(self, deadline: Deadline) -> Capabilities:
-        """Return the capabilities of a predict server.
-
-        Raises:
-            SetupError: it is not ready, or its capabilities are invalid.
-            WorldModelError: it does not answer.
-        """
+        """Return the capabilities of a predict server that is ready."""
         status = self._client.call("GET", "/v1/health", deadline).get("status")
         if status not in _READY:
             raise SetupError(f"the world model is not ready: its health is {clean(status)!r}, expected 'ok'")
@@ -124,9 +117,8 @@ class HttpModel:
             return Capabilities.model_validate(self._client.call("GET", "/v1/capabilities", deadline))
         except ValidationError as error:
             first = error.errors(include_url=False, include_context=False)[0]
-            raise SetupError(
-                f"the world model's capabilities: {'.'.join(map(str, first['loc']))}: {first['msg']}"
-            ) from None
+            key = ".".join(map(str, first["loc"]))
+            raise SetupError(f"the world model's capabilities: {key}: {first['msg']}") from None
 
     def _generate_frames(self, request: Request, out: Path, deadline: Deadline, capabilities: Capabilities) -> Path:
         """Request frames and write them as an mp4 beside `out`."""
@@ -166,11 +158,11 @@ class HttpModel:
         if kind == "video_url":
             self._client.download(value, part, deadline)
         elif kind == "video_path":
+            path = Path(value)
             if not self._client.is_local:
                 raise WorldModelError(
                     "video_path is accepted only from a server on this machine; answer with video_url"
                 )
-            path = Path(value)
             if not path.is_absolute() or not path.is_file():
                 raise WorldModelError("the world model's video_path is not the absolute path of a file that is there")
             with disk_errors(part.name):

@@ -19,9 +19,10 @@ from kinebench_drake.suites.faults.plant import plant
 from kinebench_drake.suites.faults.recording import Recording, ViewChange, render_view
 from kinebench_drake.suites.rollout import Rollout, continue_expert, render_video
 from kinebench_drake.suites.seeding import generator
+from kinebench_drake.suites.simulator import SimulatorState
 from kinebench_drake.suites.simulator_cache import SimulatorCache
-from kinebench_drake.suites.worldmodels.videofile import encode_answer
-from kinebench_drake.suites.worldmodels.worldmodel import Request, SimulatorState, TrueTrack, WorldModelError
+from kinebench_drake.suites.worldmodels.media import encode_answer
+from kinebench_drake.suites.worldmodels.worldmodel import Request, TrueTrack, WorldModel, WorldModelError
 
 MOVES = 4
 """Waypoints of the random policy in a clip."""
@@ -36,7 +37,7 @@ TURN_RAD = 0.5
 _TRIES = 20
 
 
-class StillModel:
+class StillModel(WorldModel):
     """World model that repeats the first frame."""
 
     def __init__(self, name: str = "still") -> None:
@@ -46,20 +47,16 @@ class StillModel:
         """Write the first frame `num_frames` times."""
         return encode_answer(repeat(request.first_frame, request.num_frames), request.fps, out)
 
-    def close(self) -> None:
-        """Do nothing: there are no resources."""
-
 
 class OracleRenderer:
-    """Simulator of its own in which an expert continues from a given state and is rendered."""
+    """Simulator of its own in which an expert continues from a given state and is rendered.
+
+    Args:
+        delay: further frames for which its clips show the first frame before the motion.
+        view: change of the view in each clip.
+    """
 
     def __init__(self, delay: int = 0, view: ViewChange | None = None) -> None:
-        """Create the renderer.
-
-        Args:
-            delay: further frames for which its clips show the first frame before the motion.
-            view: change of the view in each clip.
-        """
         self._delay, self._view = delay, view
         self._simulators: SimulatorCache[FaultSimulator] | None = None
         self._state: tuple[Episode, SimulatorState] | None = None
@@ -109,26 +106,25 @@ class OracleRenderer:
 
 
 class OracleModel(OracleRenderer):
-    """World model that renders what the task's expert does next: a perfect model, unless a fault is planted."""
+    """World model that renders what the task's expert does next: a perfect model, unless a fault is planted.
+
+    Args:
+        name: name in the results.
+        fault: fault to plant into the first clip of each episode.
+        discloses: whether it reports the true track of its clips, so that no pose is estimated from pixels.
+        delay: frames by which the motion comes late.
+        view: change of the view in every clip.
+    """
 
     def __init__(
         self,
         name: str = "oracle",
-        fault: FaultGrade | None = None,
         *,
+        fault: FaultGrade | None = None,
         discloses: bool = False,
         delay: int = 0,
         view: ViewChange | None = None,
     ) -> None:
-        """Create the model.
-
-        Args:
-            name: name in the results.
-            fault: fault to plant into the first clip of each episode.
-            discloses: whether it reports the true track of its clips, so that no pose is estimated from pixels.
-            delay: frames by which the motion comes late.
-            view: change of the view in every clip.
-        """
         super().__init__(delay, view)
         self.name = name
         self._fault, self._discloses = fault, discloses
@@ -138,8 +134,6 @@ class OracleModel(OracleRenderer):
         fault = self._fault if request.round == 0 else None
         try:
             return self.write_clip(find_expert(request.task), request, out, fault)
-        except WorldModelError:
-            raise
         except InputError as error:
             raise WorldModelError(str(error)) from None
 

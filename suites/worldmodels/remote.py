@@ -1,8 +1,5 @@
-"""Values exchanged with remote services: limits, errors, encoded images, keys, addresses."""
+"""Remote services: limits of calls, errors, messages without secrets, keys and addresses."""
 
-import base64
-import binascii
-import io
 import ipaddress
 import os
 import re
@@ -12,9 +9,6 @@ from datetime import UTC, datetime
 from email.utils import parsedate_to_datetime
 
 import httpx
-import numpy as np
-from numpy.typing import NDArray
-from PIL import Image
 from pydantic import SecretStr
 
 from kinebench_drake.errors import SetupError
@@ -47,13 +41,7 @@ class Limits:
 
 
 class ServiceError(WorldModelError):
-    """Failed call of a service.
-
-    Args:
-        message: description.
-        status: HTTP status of the answer; None without an answer.
-        code: error code of the service.
-    """
+    """Failed call of a service, with the HTTP status of the answer (None without one) and the service's error code."""
 
     def __init__(self, message: str, *, status: int | None = None, code: str = "") -> None:
         super().__init__(message)
@@ -64,34 +52,11 @@ class ServiceError(WorldModelError):
 class BusyError(ServiceError):
     """Failure after which the same request may succeed: after `after_s` seconds if the service gave them."""
 
-    after_s: float | None = None
-
-
-def png(frame: NDArray[np.uint8]) -> bytes:
-    """Encode a frame (H, W, 3) RGB as PNG."""
-    buffer = io.BytesIO()
-    Image.fromarray(frame).save(buffer, format="png")
-    return buffer.getvalue()
-
-
-def base64_png(frame: NDArray[np.uint8]) -> str:
-    """Encode a frame (H, W, 3) RGB as PNG in base64."""
-    return base64.b64encode(png(frame)).decode()
-
-
-def data_uri(frame: NDArray[np.uint8]) -> str:
-    """Encode a frame (H, W, 3) RGB as a data URI of type image/png."""
-    return f"data:image/png;base64,{base64_png(frame)}"
-
-
-def from_base64(text: str) -> bytes:
-    """Decode a file in base64, with or without the head of a data URI and line breaks.
-
-    Raises:
-        ValueError: it is not base64.
-    """
-    payload = text.partition(",")[2] if text.startswith("data:") else text
-    return binascii.a2b_base64("".join(payload.split()), strict_mode=True)
+    def __init__(
+        self, message: str, *, status: int | None = None, code: str = "", after_s: float | None = None
+    ) -> None:
+        super().__init__(message, status=status, code=code)
+        self.after_s = after_s
 
 
 _LONGEST = 200
@@ -103,9 +68,7 @@ _KEYS: set[str] = set()  # that were read in this process, whatever their variab
 def clean(message: object) -> str:
     """Return a remote message as one line of limited length, without control characters and secrets.
 
-    Args:
-        message: text of a service or program. Services like to repeat a rejected key, so values of environment
-            variables with names of secrets are masked.
+    Services like to repeat a rejected key: values of environment variables with names of secrets are masked.
     """
     text = str(message)
     values = (v.strip() for name, v in os.environ.items() if _SECRET.search(name.upper()))

@@ -53,11 +53,15 @@ class Spec:
     @property
     def identity(self) -> str:
         """Text that identifies the model: the spec, but for a server with a name without scheme, host and port."""
-        url = urlsplit(self.plain if self.rest.startswith("//") else self.rest)  # "http://..." or "http:http://..."
         if self.kind not in SERVERS or "name" not in self.options:
             return self.text
         options = "&".join(f"{key}={value}" for key, value in sorted(self.options.items()))
-        return f"{url.path}?{options}"
+        return f"{urlsplit(self.address).path}?{options}"
+
+    @property
+    def address(self) -> str:
+        """Address of a server: "http://...", or what follows the kind in "http:http://..."."""
+        return self.plain if self.rest.startswith("//") else self.rest
 
     @property
     def plain(self) -> str:
@@ -74,23 +78,15 @@ class Spec:
             return model.model_validate(self.options)
         except ValidationError as error:
             first = error.errors(include_url=False, include_context=False)[0]
-            key = str(first["loc"][0]) if first["loc"] else ""
-            extra = first["type"] == "extra_forbidden"
-            hint = suggestion(key, model.model_fields)
-            problem = f"{key} is not an option{hint}" if extra else f"{key}={first['input']}: {first['msg']}"
-            if first["type"] == "string_pattern_mismatch":
-                problem = f"{key}={first['input']} must be {model.model_fields[key].description}"
-            keys = ", ".join(field.alias or name for name, field in model.model_fields.items())
-            raise self.unusable(f"{problem}; options are {keys}") from None
-
-    def expect_no_argument(self) -> None:
-        """Check that nothing follows the kind.
-
-        Raises:
-            UsageError: something does.
-        """
-        if self.rest:
-            raise self.unusable(f"expected {self.kind} by itself, found {self.rest!r} after it")
+            key, valid = str(first["loc"][0]), model.model_fields
+            match first["type"]:
+                case "extra_forbidden":
+                    problem = f"{key} is not an option{suggestion(key, valid)}"
+                case "string_pattern_mismatch":
+                    problem = f"{key}={first['input']} must be {valid[key].description}"
+                case _:
+                    problem = f"{key}={first['input']}: {first['msg']}"
+            raise self.unusable(f"{problem}; options are {', '.join(valid)}") from None
 
     def unusable(self, why: str) -> UsageError:
         """Return the error for an invalid spec."""
@@ -103,9 +99,8 @@ def parse(text: str) -> Spec:
     Raises:
         UsageError: a key is given twice.
     """
-    plain, pairs = text, ""
-    if match := _OPTIONS.fullmatch(text):
-        plain, pairs = match.groups()
+    match = _OPTIONS.fullmatch(text)
+    plain, pairs = match.groups() if match else (text, "")
     kind, _, rest = plain.partition(":")
     spec = Spec(text=text, kind=kind, rest=rest, options={})
     options: dict[str, str] = {}

@@ -1,9 +1,9 @@
 """World model interface: request, answer, and the protocols that an adapter may implement."""
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol, TypeAlias, runtime_checkable
+from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,9 +14,8 @@ from kinebench_drake.io.jsonl import Json
 
 if TYPE_CHECKING:  # naming a world model should not load the assets
     from kinebench_drake.suites.composition import Episode
+    from kinebench_drake.suites.simulator import SimulatorState
 
-SimulatorState: TypeAlias = Mapping[str, Mapping[str, NDArray[np.float32]]]
-"""ManiSkill's state: kind (actors, articulations) and name to values."""
 _DECIMALS = 9
 """Digits of actions in requests."""
 
@@ -40,10 +39,7 @@ class ActionTrack:
 
     def first(self, frames: int) -> "ActionTrack":
         """Return the actions of the first frames."""
-        own = slice(frames)
-        return ActionTrack(
-            t_s=self.t_s[own], X_BG=self.X_BG[own], finger_width_m=self.finger_width_m[own], q=self.q[own]
-        )
+        return ActionTrack(**{field.name: getattr(self, field.name)[:frames] for field in fields(self)})
 
     def to_json(self) -> dict[str, Json]:
         """Serialize with the names of track files."""
@@ -93,9 +89,8 @@ class WorldModel(Protocol):
     Where workers generate the videos, the process that starts the run creates an instance for its name only.
     """
 
-    @property
-    def name(self) -> str:
-        """Name in the results, without secrets or absolute paths."""
+    name: str
+    """Name in the results, without secrets or absolute paths."""
 
     def generate(self, request: Request, out: Path) -> Path:
         """Generate the video of a request.
@@ -113,7 +108,8 @@ class WorldModel(Protocol):
         """
 
     def close(self) -> None:
-        """Release all resources."""
+        """Release all resources; by default there are none."""
+        return
 
 
 @runtime_checkable
@@ -137,7 +133,7 @@ class ChoosesLength(Protocol):
 class PrivilegedModel(Protocol):
     """World model that receives the simulator state before each request."""
 
-    def set_state(self, episode: "Episode", state: SimulatorState) -> None:
+    def set_state(self, episode: "Episode", state: "SimulatorState") -> None:
         """Set the state from which the next clip begins."""
 
 

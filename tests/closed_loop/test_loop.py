@@ -7,11 +7,12 @@ import numpy as np
 import pytest
 
 from kinebench_drake.closed_loop import loop as module
-from kinebench_drake.closed_loop.loop import ClosedLoop, LoopOptions, Round, _place_beside
+from kinebench_drake.closed_loop.loop import ClosedLoop, LoopOptions, Round
 from kinebench_drake.errors import InputError
 from kinebench_drake.suites.clock import ClipTiming
 from kinebench_drake.suites.composition import compose
 from kinebench_drake.suites.seeding import generator
+from kinebench_drake.suites.worldmodels.media import place_beside
 from kinebench_drake.suites.worldmodels.worldmodel import WorldModelError
 
 
@@ -34,24 +35,24 @@ def names(folder: Path) -> list[str]:
 
 
 def test_a_copy_holds_what_the_source_holds_now(tmp_path: Path, out: Path) -> None:
-    _place_beside(frames(tmp_path / "five", 5), out)
-    assert _place_beside(frames(tmp_path / "three", 3), out) == out
+    place_beside(frames(tmp_path / "five", 5), out)
+    assert place_beside(frames(tmp_path / "three", 3), out) == out
     assert names(out) == ["0.png", "1.png", "2.png"]
 
 
 def test_a_copy_is_the_only_film_of_its_round(tmp_path: Path, out: Path) -> None:
-    _place_beside(frames(tmp_path / "five", 5), out)
+    place_beside(frames(tmp_path / "five", 5), out)
     for suffix in (".mp4", ".gif"):
         (tmp_path / f"film{suffix}").write_bytes(suffix.encode())
-        copy = _place_beside(tmp_path / f"film{suffix}", out)
+        copy = place_beside(tmp_path / f"film{suffix}", out)
         assert names(out.parent) == [copy.name] == [f"{out.name}{suffix}"]
 
 
 def test_a_model_s_own_folder_is_left(out: Path) -> None:
     beside = frames(out.parent / "PullCube-v1_s0000", 2)
-    assert _place_beside(beside, out) == beside
+    assert place_beside(beside, out) == beside
     within = frames(out / "work", 3)
-    assert _place_beside(within, out) == out
+    assert place_beside(within, out) == out
     assert names(within) == ["0.png", "1.png", "2.png"]
     assert names(out) == [*names(within), "work"]
 

@@ -10,8 +10,8 @@ from kinebench_drake.errors import UsageError
 from kinebench_drake.io.files import VIDEO_SUFFIXES
 from kinebench_drake.suites.faults.recording import ViewKind
 from kinebench_drake.suites.worldmodels.factory import FORMS, create
+from kinebench_drake.suites.worldmodels.media import _DEMUXERS, suffix_of
 from kinebench_drake.suites.worldmodels.spec import Spec, parse
-from kinebench_drake.suites.worldmodels.videofile import _DEMUXERS, suffix_of
 from kinebench_drake.suites.worldmodels.worldmodel import Request
 from tests.films import decoded
 

@@ -15,7 +15,8 @@ from PIL import Image
 from kinebench_drake.errors import SetupError, UsageError
 from kinebench_drake.suites.worldmodels import http
 from kinebench_drake.suites.worldmodels.http import HttpModel
-from kinebench_drake.suites.worldmodels.remote import Limits, base64_png, from_base64, png
+from kinebench_drake.suites.worldmodels.media import base64_png, from_base64, png
+from kinebench_drake.suites.worldmodels.remote import Limits
 from kinebench_drake.suites.worldmodels.spec import parse
 from kinebench_drake.suites.worldmodels.worldmodel import ActionTrack, Request, WorldModelError
 from tests.films import decoded

@@ -1,6 +1,10 @@
-"""Validation of video files from outside: format by the first bytes, a test decode, atomic placement."""
+"""Images and videos exchanged with world models: encoded frames, checks of video files, placement beside others."""
 
+import base64
+import binascii
+import io
 import os
+import shutil
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -9,14 +13,43 @@ import av
 import numpy as np
 from av.container import InputContainer
 from numpy.typing import NDArray
+from PIL import Image
 
 from kinebench_drake.errors import cause
-from kinebench_drake.io.atomic import disk_errors, unfinished
+from kinebench_drake.io.atomic import disk_errors, remove, unfinished
 from kinebench_drake.io.container import write_video
+from kinebench_drake.io.files import VIDEO_SUFFIXES
 from kinebench_drake.suites.worldmodels.worldmodel import WorldModelError
 
 _HEAD = 64
 _DEMUXERS = {".mp4": "mov", ".mov": "mov", ".avi": "avi", ".gif": "gif", ".webm": "matroska", ".mkv": "matroska"}
+
+
+def png(frame: NDArray[np.uint8]) -> bytes:
+    """Encode a frame (H, W, 3) RGB as PNG."""
+    buffer = io.BytesIO()
+    Image.fromarray(frame).save(buffer, format="png")
+    return buffer.getvalue()
+
+
+def base64_png(frame: NDArray[np.uint8]) -> str:
+    """Encode a frame (H, W, 3) RGB as PNG in base64."""
+    return base64.b64encode(png(frame)).decode()
+
+
+def data_uri(frame: NDArray[np.uint8]) -> str:
+    """Encode a frame (H, W, 3) RGB as a data URI of type image/png."""
+    return f"data:image/png;base64,{base64_png(frame)}"
+
+
+def from_base64(text: str) -> bytes:
+    """Decode a file in base64, with or without the head of a data URI and line breaks.
+
+    Raises:
+        ValueError: it is not base64.
+    """
+    payload = text.partition(",")[2] if text.startswith("data:") else text
+    return binascii.a2b_base64("".join(payload.split()), strict_mode=True)
 
 
 def suffix_of(head: bytes) -> str | None:
@@ -58,6 +91,15 @@ def check_video(path: Path) -> str:
     return suffix
 
 
+def _describe(head: bytes) -> str:
+    if not head:
+        return "it is empty"
+    text = head.lstrip()
+    if text[:1] in (b"{", b"["):
+        return "it looks like JSON"
+    return "it looks like a web page" if text[:1] == b"<" else "its first bytes are those of no known video format"
+
+
 @contextmanager
 def arriving(out: Path) -> Iterator[Path]:
     """Provide a hidden path beside `out` for an incomplete file, deleted when the context ends."""
@@ -70,18 +112,13 @@ def arriving(out: Path) -> Iterator[Path]:
 
 
 def adopt(part: Path, out: Path) -> Path:
-    """Check a video and move it to its final path, which is returned.
-
-    Args:
-        part: the file, on the same disk as `out`.
-        out: final path without a suffix; that of the file's format is appended.
+    """Check a video and move it to `out` with the suffix of its format, on the same disk; return this path.
 
     Raises:
         WorldModelError: it is not a video.
         SetupError: the disk failed.
     """
-    suffix = check_video(part)
-    path = out.with_name(out.name + suffix)
+    path = out.with_name(out.name + check_video(part))
     with disk_errors(path.name):
         with part.open("rb") as file:
             os.fsync(file.fileno())
@@ -100,10 +137,22 @@ def encode_answer(frames: Iterable[NDArray[np.uint8]], fps: float, out: Path) ->
     return path
 
 
-def _describe(head: bytes) -> str:
-    if not head:
-        return "it is empty"
-    text = head.lstrip()
-    if text[:1] in (b"{", b"["):
-        return "it looks like JSON"
-    return "it looks like a web page" if text[:1] == b"<" else "its first bytes are those of no known video format"
+def place_beside(video: Path, out: Path) -> Path:
+    """Return the path of a video, or folder of frames, beside `out`; copy it from another folder, replacing others.
+
+    Raises:
+        SetupError: it cannot be copied.
+    """
+    here, source = out.parent.resolve(), video.resolve()
+    if video.parent.resolve() == here:
+        return video
+    copy = out.with_name(f"{out.name}{video.suffix}" if video.is_file() else out.name)
+    with disk_errors(copy.name):
+        for earlier in (here / f"{out.name}{suffix}" for suffix in ("", *VIDEO_SUFFIXES)):
+            if not source.is_relative_to(earlier):  # a model may work in a folder of the clip's name
+                remove(earlier)
+        if video.is_file():
+            shutil.copyfile(video, copy)
+        else:
+            shutil.copytree(video, copy, dirs_exist_ok=True)
+    return copy
