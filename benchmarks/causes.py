@@ -116,7 +116,7 @@ class _FaultyRobot(Simulator):
     @override
     def step(self, q: ArrayLike, finger_width_m: float) -> None:
         off = np.asarray(q, dtype=np.float64) + self.servo_offset_rad * (np.arange(7) == 0)
-        width = float(self.snapshot().fingers_m.sum()) if self.fingers_stuck else finger_width_m
+        width = self.snapshot().finger_width_m if self.fingers_stuck else finger_width_m
         super().step(np.clip(off, *self.joint_limits), width)
 
 

@@ -261,7 +261,4 @@ def choose_episodes(
             for task in ids
             for seed in parse_seeds(seeds)
         ]
-    source = load_suite(suite)
-    return [
-        spec for task in source.tasks_of(split, names) for spec in source.specs(split, task, episodes, offset=first)
-    ]
+    return load_suite(suite).specs(split, episodes, tasks=names, offset=first)

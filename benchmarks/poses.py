@@ -198,7 +198,7 @@ def views(out: Path, changes: str, episodes: int, seed: int, limit: int | None) 
     if unknown := sorted(set(names) - set(CHANGES)):
         raise click.UsageError(f"--changes {','.join(unknown)}: there are {', '.join(CHANGES)}")
     suite = load_suite(2)
-    specs = [s for task in suite.tasks_of("unseen") for s in suite.specs("unseen", task, episodes, offset=seed)]
+    specs = suite.specs("unseen", episodes, offset=seed)
     with errors():
         text = measure(specs[:limit], names, out, log=log)
     click.echo(text)

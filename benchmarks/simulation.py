@@ -59,7 +59,7 @@ def _median_ms(action: Callable[[], object], times: int) -> float:
 
 
 def _step(simulator: Simulator, rest: Snapshot) -> None:
-    simulator.step(rest.q, float(rest.fingers_m.sum()))
+    simulator.step(rest.q, rest.finger_width_m)
     simulator.outcome()
 
 

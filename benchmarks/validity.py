@@ -23,8 +23,7 @@ from benchmarks.planted_videos import PlantedVideo, PlantingOrder, PlantingResul
 from benchmarks.structure import current_revision
 from kinebench_drake.anomaly import AnomalyKind
 from kinebench_drake.camera import benchmark_camera
-from kinebench_drake.closed_loop.commands import CommandPlanner, RobotState
-from kinebench_drake.closed_loop.execution import execute
+from kinebench_drake.closed_loop.commands import CommandPlanner, RobotState, execute
 from kinebench_drake.errors import InputError, UnmeasurableError, UsageError
 from kinebench_drake.executors.base import Executor
 from kinebench_drake.executors.local import LocalExecutor
@@ -68,8 +67,7 @@ def study_specs() -> Iterator[EpisodeSpec]:
     suite = load_suite(SUITE)
     tasks = [task for task in suite.tasks_of(SPLIT) if TASKS[task].card.clips == 1]
     for seed in range(_TRIES):
-        for task in tasks:
-            yield from suite.specs(SPLIT, task, 1, offset=seed)
+        yield from suite.specs(SPLIT, 1, tasks=tasks, offset=seed)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -152,8 +150,7 @@ class ExecutionWorker:
         """Execute a track of an episode."""
         simulator = self._simulators.get(spec.task, spec.variant)
         simulator.reset(spec.episode())
-        now = simulator.snapshot()
-        start = RobotState(q=now.q, finger_width_m=float(now.fingers_m.sum()), gripping=False)
+        start = RobotState.of(simulator.snapshot())
         try:
             # Where the arm contradicts the camera, a tracked gripper has no pose in the base frame.
             tracked = track.tracked & finite_rows(track.X_BG.reshape(-1, 16))
@@ -185,7 +182,7 @@ def measure(work: Path, episodes: int, sizes: int, jobs: int, observer: RunObser
         for v in videos
     ]
     store = MeasurementStore(work / "executions.jsonl", TrackExecution)
-    code = fingerprint(modules=["kinebench_drake.closed_loop.execution", "kinebench_drake.closed_loop.commands"])
+    code = fingerprint(modules=["kinebench_drake.closed_loop.commands"])
 
     def key(item: ExecutionItem) -> str:
         return f"{code}-{item.id}-{rows[item.id].content_hash}"

@@ -31,7 +31,7 @@ def causes(episodes: int, seed: int, limit: int | None, jobs: int) -> None:
 
     suite = load_suite(0)
     split = suite.split_name("test")
-    specs = [spec for task in suite.tasks_of(split) for spec in suite.specs(split, task, episodes, offset=seed)]
+    specs = suite.specs(split, episodes, offset=seed)
     cases = cause_cases(specs)[:limit]
     with (
         errors(),

@@ -158,12 +158,20 @@ class Suite(_Strict):
         return own if chosen is None else tuple(task for task in own if task in chosen)
 
     def specs(
-        self, split: str, task: str, count: int, *, offset: int = 0, variant: TaskVariant = TaskVariant.PLAIN
+        self,
+        split: str,
+        count: int,
+        *,
+        tasks: Sequence[str] | None = None,
+        offset: int = 0,
+        variant: TaskVariant = TaskVariant.PLAIN,
     ) -> list[EpisodeSpec]:
-        """Return specs of `count` episodes of a task, from the split's seed number `offset` on.
+        """Return `count` episodes of each task of a split, from its seed number `offset` on.
+
+        A larger count begins with the episodes of a smaller one.
 
         Raises:
-            UsageError: the split has fewer seeds.
+            UsageError: split, tasks or seeds are not in the suite.
         """
         part = self.splits[self.split_name(split)]
         first, end = part.seeds
@@ -173,26 +181,10 @@ class Suite(_Strict):
                 "episodes leaves them"
             )
         seeds = range(first + offset, first + offset + count)
-        return [EpisodeSpec(task=task, seed=seed, pool=part.pool, variant=variant) for seed in seeds]
-
-    def episodes(
-        self,
-        split: str,
-        count: int,
-        *,
-        tasks: Sequence[str] | None = None,
-        offset: int = 0,
-        variant: TaskVariant = TaskVariant.PLAIN,
-    ) -> list[Episode]:
-        """Return `count` episodes of each task of a split; a larger count begins with the episodes of a smaller one.
-
-        Raises:
-            UsageError: split, tasks or seeds are not in the suite.
-        """
         return [
-            spec.episode()
+            EpisodeSpec(task=task, seed=seed, pool=part.pool, variant=variant)
             for task in self.tasks_of(split, tasks)
-            for spec in self.specs(split, task, count, offset=offset, variant=variant)
+            for seed in seeds
         ]
 
 

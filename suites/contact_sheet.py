@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
-from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.errors import InputError
 from kinebench_drake.executors.base import Executor, WorkerCrash
 from kinebench_drake.suites.composition import Episode, compose
@@ -116,8 +115,9 @@ def _wrap(text: str, font: ImageFont.ImageFont | ImageFont.FreeTypeFont, width: 
 
 
 def _render_panels(executor: Executor, episodes: Sequence[Episode], *, with_expert: bool) -> list[Panel]:
+    work = partial(_render_panel, with_expert=with_expert)
     panels = {}
-    for done in executor.run(partial(_PanelWorker, with_expert), episodes):
+    for done in executor.run(partial(SimulatorWorker, work, SimulatorCache(Simulator)), episodes):
         if isinstance(done, WorkerCrash):
             panels[done.item.id] = Panel(title=_title(done.item, with_expert), text=done.reason, failed=True)
         else:
@@ -129,23 +129,11 @@ def _title(episode: Episode, with_expert: bool) -> str:
     return episode.task if with_expert else episode.id
 
 
-class _PanelWorker(SimulatorWorker[Simulator]):
-    """Renders panels."""
-
-    def __init__(self, with_expert: bool) -> None:
-        super().__init__(SimulatorCache(Simulator, benchmark_camera().width))
-        self._with_expert = with_expert
-
-    def __call__(self, episode: Episode) -> Panel:
-        return _render_panel(self._simulators.get(episode.task, episode.variant), episode, self._with_expert)
-
-
 def _render_panel(simulator: Simulator, episode: Episode, with_expert: bool) -> Panel:
-    title = _title(episode, with_expert)
+    title, text, failed = _title(episode, with_expert), episode.prompt, False
     if not with_expert:
         simulator.reset(episode)
         return Panel(title=title, text="", images=(simulator.render().rgb,))
-    text, failed = episode.prompt, False
     try:
         rollout = run_expert(simulator, find_expert(episode.task), episode)
         snapshots = [rollout.snapshots[0], rollout.snapshots[-1]]

@@ -88,20 +88,19 @@ class DemoConfig(DatasetConfig):
         Raises:
             UsageError: the split has fewer seeds.
         """
-        for task in self.tasks[:1]:  # all tasks have the same seeds
-            self.suite.specs(self.split, task, self.episodes, offset=self.seed, variant=self.variant)
+        self.specs()
 
     @property
     def wanted(self) -> int:
         """Demonstrations of each task in this shard."""
         return self.episodes if self.shard is None else len(self.shard.take(range(self.episodes)))
 
-    def specs(self, task: str, tries: int) -> list[EpisodeSpec]:
+    def attempts(self, task: str, tries: int) -> list[EpisodeSpec]:
         """Return the first `tries` episodes of a task in this shard; fewer at the end of the split."""
         first, end = self.suite.splits[self.split].seeds
         shards = 1 if self.shard is None else self.shard.count
         count = min(tries * shards, end - first - self.seed)
-        specs = self.suite.specs(self.split, task, count, offset=self.seed, variant=self.variant)
+        specs = self.suite.specs(self.split, count, tasks=[task], offset=self.seed, variant=self.variant)
         return specs if self.shard is None else self.shard.take(specs)
 
     def settings(self) -> dict[str, Any]:

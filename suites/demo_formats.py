@@ -308,7 +308,7 @@ def ground_truth(rollout: Rollout, video: RolloutVideo, options: RenderOptions) 
     return {
         "t_s": options.frame_period_s * np.arange(len(snapshots)),
         "q": np.stack([s.q for s in snapshots]),
-        "finger_width_m": np.array([s.fingers_m.sum() for s in snapshots]),
+        "finger_width_m": np.array([s.finger_width_m for s in snapshots]),
         "control_t_s": CONTROL_PERIOD_S * np.arange(len(controls)),
         "control_q": controls[:, :7],
         "control_finger_width_m": controls[:, 7],

@@ -21,9 +21,9 @@ from kinebench_drake.errors import InputError, SetupError, UsageError
 from kinebench_drake.executors.base import Executor, WorkerCrash
 from kinebench_drake.executors.progress import Observer
 from kinebench_drake.io.atomic import disk_errors, make_folder
-from kinebench_drake.io.jsonl import append_line, read_lines, write_json, write_lines
+from kinebench_drake.io.jsonl import append_line, read_json, read_lines, write_json, write_lines
 from kinebench_drake.suites.catalog import EpisodeSpec
-from kinebench_drake.suites.demo_config import CLIP_STEPS, DemoConfig, FormatKind, RenderOptions
+from kinebench_drake.suites.demo_config import CLIP_STEPS, DemoConfig, FormatKind
 from kinebench_drake.suites.demo_formats import FORMATS, PARTS, DemoFormat, Record
 from kinebench_drake.suites.export import episode_facts
 from kinebench_drake.suites.families.registry import find_expert
@@ -51,36 +51,30 @@ class DemoSummary:
     """Number of missing demonstrations of each task that was given up."""
 
 
-class _DemoWorker(SimulatorWorker[Simulator]):
-    """Makes demonstrations."""
-
-    def __init__(self, kind: FormatKind, options: RenderOptions, out: Path) -> None:
-        self._form, self._options, self._out = FORMATS[kind], options, out
-        super().__init__(SimulatorCache(self._form.simulator, options.size, renders=self._form.renders))
-
-    def __call__(self, spec: EpisodeSpec) -> Record:
-        episode, simulator = spec.episode(), self._simulators.get(spec.task, spec.variant)
-        success, progress, reason, clips = False, 0.0, "", 0
-        try:
-            rollout = run_expert(simulator, find_expert(spec.task), episode, every=self._options.every)
-            outcome, clips = rollout.outcome, len(rollout.controls) // CLIP_STEPS
-            success, progress = outcome.success and clips > 0, outcome.progress
-            reason = "" if success else outcome.reason or "done before anything moved"
-        except Exception as error:
-            reason = failure_reason(error)
-        if success:
-            self._form.write_part(self._out, simulator, rollout, self._options)
-        return Record(
-            id=episode.id,
-            task=episode.task,
-            seed=episode.seed,
-            prompt=episode.prompt,
-            success=success,
-            reason=reason,
-            progress=progress,
-            clips=clips,
-            facts={name: fact for name, fact in episode_facts(episode).items() if name not in Record.__slots__},
-        )
+def _attempt(simulator: Simulator, spec: EpisodeSpec, config: DemoConfig) -> Record:
+    """Let the expert try an episode; write its part of the demonstrations if it succeeds."""
+    episode = spec.episode()
+    success, progress, reason, clips = False, 0.0, "", 0
+    try:
+        rollout = run_expert(simulator, find_expert(spec.task), episode, every=config.options.every)
+        outcome, clips = rollout.outcome, len(rollout.controls) // CLIP_STEPS
+        success, progress = outcome.success and clips > 0, outcome.progress
+        reason = "" if success else outcome.reason or "done before anything moved"
+    except Exception as error:
+        reason = failure_reason(error)
+    if success:
+        FORMATS[config.kind].write_part(config.out, simulator, rollout, config.options)
+    return Record(
+        id=episode.id,
+        task=episode.task,
+        seed=episode.seed,
+        prompt=episode.prompt,
+        success=success,
+        reason=reason,
+        progress=progress,
+        clips=clips,
+        facts={name: fact for name, fact in episode_facts(episode).items() if name not in Record.__slots__},
+    )
 
 
 def make_demos(config: DemoConfig, executor: Executor, observer: Observer, *, overwrite: bool = False) -> DemoSummary:
@@ -97,7 +91,11 @@ def make_demos(config: DemoConfig, executor: Executor, observer: Observer, *, ov
         before = _read_summary(config, records)
         if not _is_complete(config, before):
             form = FORMATS[config.kind]
-            records = {key: r for key, r in records.items() if _has_files(form, config.out, r)}
+            records = {
+                key: record
+                for key, record in records.items()
+                if not record.success or all(path.is_file() for path in form.part_files(config.out, record))
+            }
             replaced = before.get("files", before.get("replaces", []))
             write_json(config.out / SUMMARY, {**config.request(), "replaces": replaced})
             write_lines(config.out / RECORDS, [asdict(record) for record in records.values()])
@@ -173,9 +171,9 @@ def _read_summary(config: DemoConfig, records: Records) -> dict[str, Any]:
     if not path.is_file():
         return {}
     try:
-        before: dict[str, Any] = json.loads(path.read_text())
+        before = read_json(path)
     except (OSError, ValueError):
-        raise UsageError(f"{path}: is damaged; $overwrite=True starts anew") from None
+        before = None
     if not isinstance(before, dict):
         raise UsageError(f"{path}: is damaged; $overwrite=True starts anew")
     fix = "name another $out, or $overwrite=True to start anew"
@@ -208,16 +206,12 @@ def _is_complete(config: DemoConfig, before: dict[str, Any]) -> bool:
     return same and bool(files) and all((config.out / name).is_file() for name in files)
 
 
-def _has_files(form: DemoFormat, out: Path, record: Record) -> bool:
-    return not record.success or all(path.is_file() for path in form.part_files(out, record))
-
-
 def _plan_task(config: DemoConfig, records: Records, task: str) -> tuple[list[Record], list[EpisodeSpec]]:
     """Return the attempts that count, in order of seeds up to the last one needed, and those to be made next."""
     successes = 0
     counted: list[Record] = []
     todo: list[EpisodeSpec] = []
-    for spec in config.specs(task, 2 * config.wanted + EXTRA_TRIES if config.wanted else 0):
+    for spec in config.attempts(task, 2 * config.wanted + EXTRA_TRIES if config.wanted else 0):
         if successes + len(todo) == config.wanted:
             break
         record = records.get((task, spec.seed))
@@ -239,9 +233,12 @@ def _run_attempts(
     """Make attempts until each task has its demonstrations or is given up."""
     completed = sum(record.success for record in _counted(config, records))
     observer.start(config.wanted * len(config.tasks), completed)
+    form = FORMATS[config.kind]
+    simulators = SimulatorCache(form.simulator, config.options.size, renders=form.renders)
+    make_worker = partial(SimulatorWorker, partial(_attempt, config=config), simulators)
     while todo := [spec for task in config.tasks for spec in _plan_task(config, records, task)[1]]:
         crashes = []
-        for done in executor.run(partial(_DemoWorker, config.kind, config.options, config.out), todo):
+        for done in executor.run(make_worker, todo):
             if isinstance(done, WorkerCrash):
                 crashes.append(f"{done.item.task} seed {done.item.seed}: {done.reason}")
                 continue

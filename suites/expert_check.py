@@ -7,7 +7,6 @@ from functools import partial
 
 import numpy as np
 
-from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.executors.base import Executor, WorkerCrash
 from kinebench_drake.stats import wilson
 from kinebench_drake.suites.clock import CLIP_FRAMES, STEPS_PER_FRAME
@@ -45,32 +44,24 @@ class ExpertTrial:
     """Number of frames, including the first."""
 
 
-class _TrialWorker(SimulatorWorker[Simulator]):
-    """Runs trials of a policy."""
-
-    def __init__(self, policy: Policy) -> None:
-        super().__init__(SimulatorCache(Simulator, benchmark_camera().width, renders=False))
-        self._policy = policy
-
-    def __call__(self, episode: Episode) -> ExpertTrial:
-        simulator = self._simulators.get(episode.task, episode.variant)
-        trial = partial(ExpertTrial, episode=episode, policy=self._policy)
-        try:
-            if self._policy is Policy.EXPERT:
-                rollout = run_expert(simulator, find_expert(episode.task), episode)
-                outcome, frames = rollout.outcome, len(rollout.snapshots)
-            else:
-                outcome, frames = _run_open_loop(simulator, episode, self._policy)
-        except Exception as error:
-            return trial(reason=failure_reason(error), frames=1)
-        return trial(success=outcome.success, progress=outcome.progress, reason=outcome.reason, frames=frames)
+def _run_trial(simulator: Simulator, episode: Episode, policy: Policy) -> ExpertTrial:
+    trial = partial(ExpertTrial, episode=episode, policy=policy)
+    try:
+        if policy is Policy.EXPERT:
+            rollout = run_expert(simulator, find_expert(episode.task), episode)
+            outcome, frames = rollout.outcome, len(rollout.snapshots)
+        else:
+            outcome, frames = _run_open_loop(simulator, episode, policy)
+    except Exception as error:
+        return trial(reason=failure_reason(error), frames=1)
+    return trial(success=outcome.success, progress=outcome.progress, reason=outcome.reason, frames=frames)
 
 
 def _run_open_loop(simulator: Simulator, episode: Episode, policy: Policy) -> tuple[TaskOutcome, int]:
     """Run a policy without feedback for at most the steps of the expert; return outcome and number of frames."""
     simulator.reset(episode)
     start = simulator.snapshot()
-    q, width = start.q.copy(), float(start.fingers_m.sum())
+    q, width = start.q.copy(), start.finger_width_m
     rng = generator("random policy", episode.task, episode.seed)
     frames = 1
     for _ in range(simulator.task.card.clips * CLIP_FRAMES):
@@ -87,7 +78,8 @@ def _run_open_loop(simulator: Simulator, episode: Episode, policy: Policy) -> tu
 
 def run_trials(executor: Executor, episodes: Sequence[Episode], policy: Policy) -> Iterator[ExpertTrial]:
     """Run every episode once and yield the trials in any order; a worker crash is a failed trial."""
-    for done in executor.run(partial(_TrialWorker, policy), list(episodes)):
+    make_worker = partial(SimulatorWorker, partial(_run_trial, policy=policy), SimulatorCache(Simulator, renders=False))
+    for done in executor.run(make_worker, list(episodes)):
         if isinstance(done, WorkerCrash):
             yield ExpertTrial(episode=done.item, policy=policy, reason=done.reason, frames=0)
         else:

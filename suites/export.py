@@ -56,6 +56,14 @@ class DatasetConfig:
     out: Path
     """Output folder."""
 
+    def specs(self) -> list[EpisodeSpec]:
+        """Return the episodes, task by task.
+
+        Raises:
+            UsageError: the split has fewer seeds.
+        """
+        return self.suite.specs(self.split, self.episodes, tasks=self.tasks, offset=self.seed, variant=self.variant)
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ExportConfig(DatasetConfig):
@@ -66,34 +74,18 @@ class ExportConfig(DatasetConfig):
     prompts: PromptTemplate = field(default_factory=PromptTemplate)
     """Template of the prompts."""
 
-    def specs(self) -> list[EpisodeSpec]:
-        """Return the episodes, task by task."""
-        return [
-            spec
-            for task in self.tasks
-            for spec in self.suite.specs(self.split, task, self.episodes, offset=self.seed, variant=self.variant)
-        ]
-
 
 _FirstFrame = tuple[Episode, dict[str, Any]]
 """Episode and robot state of a first frame, as manifest keys."""
 
 
-class _FirstFrameWorker(SimulatorWorker[Simulator]):
-    """Renders first frames."""
-
-    def __init__(self, size: int, out: Path) -> None:
-        super().__init__(SimulatorCache(Simulator, size))
-        self._out = out
-
-    def __call__(self, spec: EpisodeSpec) -> _FirstFrame:
-        episode = spec.episode()
-        simulator = self._simulators.get(spec.task, spec.variant)
-        simulator.reset(episode)
-        rgb = simulator.render().rgb
-        with atomic_path(self._out / f"{episode.id}.png") as part:
-            Image.fromarray(rgb).save(part, format="png")
-        return episode, first_facts(simulator.link_pose(TCP_LINK), float(simulator.snapshot().fingers_m.sum()))
+def _write_first_frame(simulator: Simulator, spec: EpisodeSpec, out: Path) -> _FirstFrame:
+    episode = spec.episode()
+    simulator.reset(episode)
+    rgb = simulator.render().rgb
+    with atomic_path(out / f"{episode.id}.png") as part:
+        Image.fromarray(rgb).save(part, format="png")
+    return episode, first_facts(simulator.link_pose(TCP_LINK), simulator.snapshot().finger_width_m)
 
 
 def export_suite(config: ExportConfig, executor: Executor, observer: Observer) -> int:
@@ -112,7 +104,8 @@ def export_suite(config: ExportConfig, executor: Executor, observer: Observer) -
     write_json(config.out / SUMMARY, _summary(config, len(specs)))
     observer.start(len(specs), 0)
     frames: dict[EpisodeSpec, _FirstFrame] = {}
-    for done in executor.run(partial(_FirstFrameWorker, config.size, config.out), specs):
+    work, simulators = partial(_write_first_frame, out=config.out), SimulatorCache(Simulator, config.size)
+    for done in executor.run(partial(SimulatorWorker, work, simulators), specs):
         if isinstance(done, WorkerCrash):
             raise SetupError(f"{done.item.task} seed {done.item.seed}: {done.reason}; run the same command again")
         frames[done.item] = done.result

@@ -76,7 +76,7 @@ def run_expert_clip(
     waypoints = expert(scene)
     if not waypoints:
         return None
-    motion = plan(ArmPlant(), now.q, float(now.fingers_m.sum()), waypoints, STEPS_PER_FRAME * CLIP_FRAMES, scene)
+    motion = plan(ArmPlant(), now.q, now.finger_width_m, waypoints, STEPS_PER_FRAME * CLIP_FRAMES, scene)
     snapshots = []
     for i, (q, finger_width_m) in enumerate(zip(motion.q, motion.finger_width_m, strict=True), 1):
         simulator.step(q, finger_width_m)
@@ -149,7 +149,7 @@ def render_video(simulator: Simulator, snapshots: Sequence[Snapshot], *, first_f
         rgb=np.stack([image.rgb for image in images]),
         t_s=FRAME_PERIOD_S * np.arange(first_frame, first_frame + len(snapshots), dtype=np.float64),
         q=np.stack([s.q for s in snapshots]),
-        finger_width_m=np.array([s.fingers_m.sum() for s in snapshots]),
+        finger_width_m=np.array([s.finger_width_m for s in snapshots]),
         X_CH=invert(simulator.camera.X_BC) @ np.stack(X_BH),
         X_BG=np.stack(X_BG),
         depth_mm=np.stack([image.depth_mm for image in images]),

@@ -86,6 +86,11 @@ class Snapshot:
     joints: dict[str, float]
     """Joint position of each articulated object [rad or m]."""
 
+    @property
+    def finger_width_m(self) -> float:
+        """Gap between the finger pads [m]."""
+        return float(self.fingers_m.sum())
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CameraImage:

@@ -5,24 +5,29 @@ from typing import Generic, TypeVar
 
 from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.errors import KinebenchError, SetupError, UsageError, cause
+from kinebench_drake.suites.catalog import EpisodeSpec
+from kinebench_drake.suites.composition import Episode
 from kinebench_drake.suites.families.task import TaskVariant
 from kinebench_drake.suites.simulator import Simulator
 
 S = TypeVar("S", bound=Simulator)
+Item = TypeVar("Item", Episode, EpisodeSpec)
+Result = TypeVar("Result")
 
 
 class SimulatorCache(Generic[S]):
-    """One simulator at a time, rebuilt when task or variant change."""
+    """One simulator at a time, rebuilt when task or variant change.
 
-    def __init__(self, make: Callable[..., S], size: int, *, renders: bool = True) -> None:
-        """Create an empty cache.
+    Args:
+        make: simulator class; called with task, variant, camera and renders.
+        size: width and height of the benchmark camera's images [px]; None: the benchmark's.
+        renders: whether images can be rendered.
+    """
 
-        Args:
-            make: simulator class; called with task, variant, camera and renders.
-            size: width and height of the benchmark camera's images [px].
-            renders: whether images can be rendered.
-        """
-        self._make, self._size, self._renders = make, size, renders
+    def __init__(self, make: Callable[..., S], size: int | None = None, *, renders: bool = True) -> None:
+        self._make, self._renders = make, renders
+        camera = benchmark_camera()
+        self._camera = camera if size is None else camera.resized(size, size)
         self._simulator: S | None = None
         self._key: tuple[str, TaskVariant] | None = None
 
@@ -30,8 +35,7 @@ class SimulatorCache(Generic[S]):
         """Return the simulator of a task."""
         if self._simulator is None or self._key != (task, variant):
             self.close()
-            camera = benchmark_camera().resized(self._size, self._size)
-            self._simulator = self._make(task, variant=variant, camera=camera, renders=self._renders)
+            self._simulator = self._make(task, variant=variant, camera=self._camera, renders=self._renders)
             self._key = (task, variant)
         return self._simulator
 
@@ -42,12 +46,16 @@ class SimulatorCache(Generic[S]):
             self._simulator = None
 
 
-class SimulatorWorker(Generic[S]):
-    """Base of the workers that handle episodes one after the other, each on the simulator of its task."""
+class SimulatorWorker(Generic[S, Item, Result]):
+    """Worker of an executor that calls a function for each episode with the simulator of its task."""
 
-    def __init__(self, simulators: SimulatorCache[S]) -> None:
-        """Take over the cache."""
+    def __init__(self, work: Callable[[S, Item], Result], simulators: SimulatorCache[S]) -> None:
+        self._work: Callable[[S, Item], Result] = work
         self._simulators = simulators
+
+    def __call__(self, item: Item) -> Result:
+        """Return the result of an episode."""
+        return self._work(self._simulators.get(item.task, item.variant), item)
 
     def close(self) -> None:
         """Release the simulator."""

@@ -62,7 +62,8 @@ def _episodes(
     if pool is not None:
         raise UsageError(f"--pool {pool}: the assets are those of the split of --suite {number}; leave out one of them")
     suite, name = load_suite(number), split or "test"
-    return suite.episodes(name, count, tasks=chosen_tasks(suite, name, tasks, own), offset=seed, variant=own)
+    specs = suite.specs(name, count, tasks=chosen_tasks(suite, name, tasks, own), offset=seed, variant=own)
+    return [spec.episode() for spec in specs]
 
 
 @click.group(

@@ -130,9 +130,9 @@ def tolerance(
     check_suffix("--figure", figure, ".png", ".svg", ".pdf")
     suite = load_suite(number)
     chosen = chosen_tasks(suite, split, tasks, TaskVariant.PLAIN)
-    todo = suite.episodes(suite.split_name(split), episodes, tasks=chosen, offset=seed)
+    specs = suite.specs(suite.split_name(split), episodes, tasks=chosen, offset=seed)
     with ProgressView() as view, terminate_as_interrupt():
-        chosen_errors = [PoseError(name) for name in names]
+        chosen_errors, todo = [PoseError(name) for name in names], [spec.episode() for spec in specs]
         attempts = run_attempts(create_executor(ExecutorKind.LOCAL, jobs), todo, chosen_errors, view)
     write_atomically(out, (json.dumps(table_json(attempts), indent=1) + "\n").encode())
     for line in table_lines(attempts):

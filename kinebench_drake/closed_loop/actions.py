@@ -20,18 +20,25 @@ from kinebench_drake.track import GripperTrack
 
 _LAGS = 11
 """Delays that are tried, from 0 on [frames]."""
+_FIELDS = {"m": "distance_m", "rad": "angle_rad", "finger_m": "finger_m"}
+"""Fields of `ActionError` by the end of their metrics' names."""
+ACTION_METRICS = (
+    *(f"action_{kind}_{suffix}" for kind in ("error", "shuffled") for suffix in _FIELDS),
+    "action_following",
+    "action_lag_s",
+)
+"""Metrics of an episode whose clips were conditioned on actions."""
 
 
 class ActionSource:
-    """Expert that continues an episode in a simulator of its own, without rendering."""
+    """Expert that continues an episode in a simulator of its own, without rendering.
+
+    Args:
+        plant: the arm, for the poses of joint angles.
+        size_px: side of the camera's images, which are not rendered [px].
+    """
 
     def __init__(self, plant: ArmPlant, size_px: int) -> None:
-        """Prepare the source.
-
-        Args:
-            plant: the arm, for the poses of joint angles.
-            size_px: side of the camera's images, which are not rendered [px].
-        """
         self._plant = plant
         self._simulators = SimulatorCache(partial(Simulator, control=Control.JOINTS), size_px, renders=False)
 
@@ -49,17 +56,12 @@ class ActionSource:
         """
         simulator = self._simulators.get(episode.task, episode.variant)
         snapshots, _ = continue_expert(simulator, episode, state, find_expert(episode.task))
-        reached_s, t_s = (
-            dt * np.arange(n, dtype=np.float64) for dt, n in ((FRAME_PERIOD_S, len(snapshots)), (period_s, frames))
-        )
-        reached = np.array([[*s.q, s.fingers_m.sum()] for s in snapshots])
+        reached_s = FRAME_PERIOD_S * np.arange(len(snapshots), dtype=np.float64)
+        t_s = period_s * np.arange(frames, dtype=np.float64)
+        reached = np.array([[*s.q, s.finger_width_m] for s in snapshots])
         values = np.column_stack([np.interp(t_s, reached_s, column) for column in reached.T])
-        return ActionTrack(
-            t_s=t_s,
-            X_BG=self._plant.forward_path(values[:, :7]),
-            finger_width_m=values[:, 7],
-            q=values[:, :7],
-        )
+        q = values[:, :7]
+        return ActionTrack(t_s=t_s, X_BG=self._plant.forward_path(q), finger_width_m=values[:, 7], q=q)
 
     def close(self) -> None:
         """Release the simulator."""
@@ -76,12 +78,6 @@ class ActionError:
     """(N,) rotation between the two [rad]."""
     finger_m: Array
     """(N,) difference of the gaps between the finger pads [m]; infinite where the gap is unknown, too."""
-
-    @classmethod
-    def join(cls, errors: "Sequence[ActionError]") -> "ActionError":
-        """Join the errors of several clips."""
-        names = ("distance_m", "angle_rad", "finger_m")
-        return cls(**{name: np.concatenate([getattr(error, name) for error in errors]) for name in names})
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -149,18 +145,18 @@ def summarize_following(clips: Sequence[ActionFollowing], period_s: float) -> di
     does not depend on it. `action_lag_s` is the delay with the least error, if `action_following` exceeds 0.5.
     A median over frames of which half are lost is None.
     """
-    own, shuffled = (ActionError.join([getattr(clip, name) for clip in clips]) for name in ("commanded", "shuffled"))
-    lags = [_median(np.concatenate([clip.lagged[k].distance_m for clip in clips])) for k in range(_LAGS)]
-    error, chance = _median(own.distance_m), _median(shuffled.distance_m)
+    of = {"error": [clip.commanded for clip in clips], "shuffled": [clip.shuffled for clip in clips]}
+    medians = {
+        f"action_{kind}_{suffix}": _median([getattr(error, name) for error in errors])
+        for kind, errors in of.items()
+        for suffix, name in _FIELDS.items()
+    }
+    lags = [_median([clip.lagged[k].distance_m for clip in clips]) for k in range(_LAGS)]
+    error, chance = medians["action_error_m"], medians["action_shuffled_m"]
     best = min((lag for lag in lags if lag is not None), default=None)
     follows = best is not None and error is not None and chance is not None and error < 0.5 * chance
     return {
-        "action_error_m": error,
-        "action_error_rad": _median(own.angle_rad),
-        "action_error_finger_m": _median(own.finger_m),
-        "action_shuffled_m": chance,
-        "action_shuffled_rad": _median(shuffled.angle_rad),
-        "action_shuffled_finger_m": _median(shuffled.finger_m),
+        **medians,
         "action_following": None if error is None or not chance else 1.0 - error / chance,
         "action_lag_s": period_s * lags.index(best) if follows else None,
     }
@@ -179,14 +175,8 @@ def action_curves(tracks: Sequence[GripperTrack], actions: Sequence[ActionTrack 
     return {name: np.concatenate(parts) for name, parts in curves.items()}
 
 
-ACTION_METRICS = (
-    *("action_error_m", "action_error_rad", "action_error_finger_m", "action_shuffled_m", "action_shuffled_rad"),
-    *("action_shuffled_finger_m", "action_following", "action_lag_s"),
-)
-"""Metrics of an episode whose clips were conditioned on actions."""
-
-
-def _median(errors: Array) -> float | None:
-    """Return the median of errors, None where it is infinite."""
+def _median(clips: Sequence[Array]) -> float | None:
+    """Return the median of the errors of all clips, None where it is infinite."""
+    errors = np.concatenate(clips)
     value = float(np.median(errors)) if len(errors) else np.inf
     return value if np.isfinite(value) else None

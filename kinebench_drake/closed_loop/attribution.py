@@ -6,6 +6,7 @@ the video is not one of the robot, and a deviation of the robot is not one of th
 
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -113,23 +114,22 @@ def attribute(clips: Sequence[ClipEvidence], goal: str) -> Cause:
         clips: evidence of its rounds, in order.
         goal: description of the conditions of the task that were not met.
     """
-    for find in (_lost_poses, _video_faults, _deviations, _lost_fingers):
+    for verdict, find in _TESTS:
         for number, clip in enumerate(clips):
-            for cause in find(number, clip):
-                return cause
+            for run, text, value, limit in find(clip):
+                start, end = run.start, run.stop - 1
+                return Cause(
+                    verdict=verdict, round=number, frame_start=start, frame_end=end, value=value, limit=limit, text=text
+                )
     text = f"grounded, feasible and executed as generated, yet {goal or 'the goal is not met'}"
     return Cause(verdict=FailureVerdict.TASK, text=text)
 
 
-def _cause(
-    verdict: FailureVerdict, number: int, run: slice, text: str, value: float | None = None, limit: float | None = None
-) -> Cause:
-    """Return a cause with evidence in the frames `run` of a round."""
-    start, end = run.start, run.stop - 1
-    return Cause(verdict=verdict, round=number, frame_start=start, frame_end=end, value=value, limit=limit, text=text)
+_Evidence: TypeAlias = Iterator[tuple[slice, str, float | None, float | None]]
+"""Frames of a clip, description, measured value and its limit."""
 
 
-def _lost_poses(number: int, clip: ClipEvidence) -> Iterator[Cause]:
+def _lost_poses(clip: ClipEvidence) -> _Evidence:
     lost = ~clip.tracked & ~_faulty(clip)
     longest = max(segments(lost), key=_length, default=None)
     if longest is not None and (_length(longest) >= LOST_FRAMES or lost.mean() > LOST_SHARE):
@@ -137,20 +137,19 @@ def _lost_poses(number: int, clip: ClipEvidence) -> Iterator[Cause]:
         value, limit = float(_length(longest)), float(LOST_FRAMES - 1)
         if value <= limit:
             value, limit = float(lost.mean()), LOST_SHARE
-        yield _cause(FailureVerdict.GROUNDING, number, longest, text, value, limit)
+        yield longest, text, value, limit
 
 
-def _video_faults(number: int, clip: ClipEvidence) -> Iterator[Cause]:
+def _video_faults(clip: ClipEvidence) -> _Evidence:
     frames = len(clip.tracked)
     faults = [(a.frame_start, a.frame_end, f"an anomaly, {a.kind.value}") for a in clip.anomalies]
     faults += [(start, end, f"a motion that no Panda can execute, {kind}") for kind, start, end in clip.violations]
     for start, end, name in sorted(faults):
         if start < frames:
-            text = f"the video has {name.replace('_', ' ')}"
-            yield _cause(FailureVerdict.GENERATION, number, slice(start, min(end + 1, frames)), text)
+            yield slice(start, min(end + 1, frames)), f"the video has {name.replace('_', ' ')}", None, None
 
 
-def _deviations(number: int, clip: ClipEvidence) -> Iterator[Cause]:
+def _deviations(clip: ClipEvidence) -> _Evidence:
     distance, angle = pose_difference(clip.X_BG_generated, clip.X_BG_executed)
     gap = np.abs(clip.finger_width_generated_m - clip.finger_width_executed_m)
     for values, limit, factor, unit, what in (
@@ -161,17 +160,23 @@ def _deviations(number: int, clip: ClipEvidence) -> Iterator[Cause]:
         for run in segments(np.nan_to_num(values) > limit):
             if _length(run) >= ASTRAY_FRAMES:
                 worst = float(values[run].max())
-                text = f"the executed {what} is off by up to {worst * factor:.0f} {unit}"
-                yield _cause(FailureVerdict.EXECUTION, number, run, text, worst, limit)
+                yield run, f"the executed {what} is off by up to {worst * factor:.0f} {unit}", worst, limit
 
 
-def _lost_fingers(number: int, clip: ClipEvidence) -> Iterator[Cause]:
-    """Yield fingers that move unseen; tested last, as most unknown gaps do no harm."""
+def _lost_fingers(clip: ClipEvidence) -> _Evidence:
     longest = max(_hidden_moves(clip), key=_length, default=None)
     if longest is not None:
         frames = _length(longest)
         text = f"the gap between the fingers is unknown in {frames} frames in a row, and may change there"
-        yield _cause(FailureVerdict.GROUNDING, number, longest, text, float(frames), float(LOST_FRAMES - 1))
+        yield longest, text, float(frames), float(LOST_FRAMES - 1)
+
+
+_TESTS = (
+    (FailureVerdict.GROUNDING, _lost_poses),
+    (FailureVerdict.GENERATION, _video_faults),
+    (FailureVerdict.EXECUTION, _deviations),
+    (FailureVerdict.GROUNDING, _lost_fingers),  # last, as most unknown gaps do no harm
+)
 
 
 def _hidden_moves(clip: ClipEvidence) -> Iterator[slice]:

@@ -1,4 +1,4 @@
-"""Robot commands at each control step from a gripper track.
+"""Robot commands at each control step from a gripper track, and their execution in the simulator.
 
 A track gives poses, not servo targets. Two effects are compensated: servos lag by about `LEAD_S`, so poses are
 commanded earlier; and the gap of fingers that hold an object is its width, so closed fingers get a smaller target.
@@ -7,6 +7,7 @@ commanded earlier; and the gap of fingers that hold an object is its width, so c
 from dataclasses import dataclass
 from enum import Enum
 from itertools import pairwise
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,8 +19,10 @@ from kinebench_drake.kinematics.collision import CollisionModel
 from kinebench_drake.kinematics.continuation import blend_from_start, plan_continuation, solve_stepwise
 from kinebench_drake.kinematics.path import is_sound, search_path
 from kinebench_drake.kinematics.plant import ArmPlant
+from kinebench_drake.models.panda.robot import TCP_LINK
 from kinebench_drake.segments import segments
 from kinebench_drake.suites.clock import CONTROL_PERIOD_S
+from kinebench_drake.suites.simulator import Control, Simulator, Snapshot, TaskOutcome
 
 LEAD_S = 0.1
 """Lag of the servos of ManiSkill's Panda: damping over stiffness, 100 / 1000."""
@@ -73,6 +76,11 @@ class RobotState:
     """Gap between the finger pads [m]."""
     gripping: bool
     """True if the fingers have closed on an object and not opened since."""
+
+    @classmethod
+    def of(cls, snapshot: Snapshot, *, gripping: bool = False) -> Self:
+        """Return the state of the robot in a snapshot."""
+        return cls(q=snapshot.q, finger_width_m=snapshot.finger_width_m, gripping=gripping)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -157,9 +165,10 @@ class CommandPlanner:
         return _interpolate(t_s, q, np.isfinite(q[:, 0])), unreached
 
     def _avoid_collisions(self, q: Array, finger_width_m: Array) -> tuple[Array, NDArray[np.bool_], NDArray[np.bool_]]:
-        """Hold the path (T, 7) where it collides; return it with masks (T,) of self-collisions and table collisions.
+        """Hold the path (T, 7) where it collides, but for its first posture, that of the robot.
 
-        The first posture is that of the robot and never changed.
+        Returns:
+            The path, and masks (T,) of self-collisions and of collisions with the table.
         """
         gaps = np.clip(finger_width_m, 0.0, self.plant.finger_width_m)
         own = self._collisions.self_distance(q, gaps).distance_m < -SELF_DEPTH_M
@@ -181,9 +190,9 @@ class CommandPlanner:
 
 def _bridge(X_BG: Array, tracked: NDArray[np.bool_]) -> Array:
     """Interpolate untracked poses of (T, 4, 4); the first one counts as tracked."""
-    valid = np.flatnonzero(np.append(True, tracked[1:]))
-    bridged = X_BG.copy()
-    for i in np.flatnonzero(~np.append(True, tracked[1:])):
+    mask = np.append(True, tracked[1:])
+    valid, bridged = np.flatnonzero(mask), X_BG.copy()
+    for i in np.flatnonzero(~mask):
         k = int(np.searchsorted(valid, i))
         before, after = valid[k - 1], valid[min(k, len(valid) - 1)]
         share = (i - before) / (after - before) if after > before else 0.0
@@ -231,3 +240,42 @@ def _interpolate_width(width: Array, X_BG: Array) -> Array:
 def _rejections(reason: RejectionReason, frames: NDArray[np.bool_]) -> list[Rejection]:
     """Return the rejections of the stretches of a mask (T,)."""
     return [Rejection(reason=reason, frame_start=run.start, frame_end=run.stop - 1) for run in segments(frames)]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Execution:
+    """Executed part of a clip."""
+
+    snapshots: tuple[Snapshot, ...]
+    """States at the frames, beginning with the one before the first command and ending at success."""
+    outcome: TaskOutcome
+    """Outcome of the task in the last of them."""
+    X_BG: Array
+    """(T, 4, 4) panda_hand_tcp in the base frame at each snapshot [m]."""
+
+    @property
+    def finger_width_m(self) -> Array:
+        """(T,) gap between the finger pads at each snapshot [m]."""
+        return np.array([s.finger_width_m for s in self.snapshots])
+
+
+def execute(simulator: Simulator, commands: Commands, control: Control) -> Execution:
+    """Execute commands from the current state on, until the task succeeds or they end.
+
+    Args:
+        simulator: simulator with this control.
+        commands: the commands.
+        control: send joint angles or poses.
+    """
+    snapshots, X_BG = [simulator.snapshot()], [simulator.link_pose(TCP_LINK)]
+    for start, end in pairwise(commands.frame_steps):
+        for i in range(start, end):
+            if control is Control.JOINTS:
+                simulator.step(commands.q[i], float(commands.finger_width_m[i]))
+            else:
+                simulator.step_pose(commands.X_BG[i], float(commands.finger_width_m[i]))
+        snapshots.append(simulator.snapshot())
+        X_BG.append(simulator.link_pose(TCP_LINK))
+        if (outcome := simulator.outcome()).success:
+            break
+    return Execution(snapshots=tuple(snapshots), outcome=outcome, X_BG=np.stack(X_BG))

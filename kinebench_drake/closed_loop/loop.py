@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 
 from kinebench_drake.camera import Camera, CameraSetting
 from kinebench_drake.closed_loop.actions import ActionSource
-from kinebench_drake.closed_loop.commands import CommandPlanner, Commands, RobotState
-from kinebench_drake.closed_loop.execution import Execution, execute
+from kinebench_drake.closed_loop.commands import CommandPlanner, Commands, Execution, RobotState, execute
 from kinebench_drake.errors import InputError, UnmeasurableError, UsageError
 from kinebench_drake.geometry import Array
 from kinebench_drake.grounding.clip import Clip
@@ -161,7 +160,7 @@ class EpisodeRun:
 
 
 class ClosedLoop:
-    """Runs episodes with one world model."""
+    """Runs episodes with one world model; without a source of actions requests state none."""
 
     def __init__(
         self,
@@ -171,7 +170,6 @@ class ClosedLoop:
         options: LoopOptions,
         actions: ActionSource | None = None,
     ) -> None:
-        """Create the loop; without a source of actions requests state none."""
         self._grounder, self._planner, self._model, self._options = grounder, planner, model, options
         self._actions = actions
 
@@ -189,41 +187,43 @@ class ClosedLoop:
             InputError: its video cannot be read.
             SetupError: something is missing on this machine.
         """
-        model = self._model
+        model, options = self._model, self._options
         if not isinstance(model, OfflineModel):  # the folder of an offline model may be this one
             _remove_earlier_clips(videos)
         simulator.reset(episode)
-        rounds: list[Round] = []
-        gripping, pending = False, None
-        for number in range(self._options.rounds):
-            now, first_frame = simulator.snapshot(), simulator.render().rgb
-            state = RobotState(q=now.q, finger_width_m=float(now.fingers_m.sum()), gripping=gripping)
+        rounds, gripping, pending = list[Round](), False, None
+        for number in range(options.rounds):
+            state, first_frame = RobotState.of(simulator.snapshot(), gripping=gripping), simulator.render().rgb
             request = self._request(episode, videos.name, sample, number, first_frame)
             if self._actions is not None:
-                options, here = self._options, simulator.simulation_state()
+                here = simulator.simulation_state()
                 try:
-                    track = self._actions.track(episode, here, options.num_frames, options.frame_period_s)
+                    actions = self._actions.track(episode, here, options.num_frames, options.frame_period_s)
                 except InputError:
                     if not rounds:
                         raise
                     break  # the clips have led to where no expert continues: the episode has failed
-                request = replace(request, actions=track)
+                request = replace(request, actions=actions)
             asks = number > 0 or request.actions is not None  # `suite export` writes first frames without actions
             if asks and isinstance(model, OfflineModel) and not model.files(videos.name, episode.task, number):
                 X_BG = simulator.link_pose(TCP_LINK)
                 pending = PendingRound(request=request, X_BG=X_BG, finger_width_m=state.finger_width_m)
                 break
+            if isinstance(model, PrivilegedModel):
+                model.set_state(episode, simulator.simulation_state())
+            out = videos.with_name(f"{videos.name}_r{number}")
             try:
-                video = self._generate(request, simulator, episode, videos.with_name(f"{videos.name}_r{number}"))
+                video = place_beside(model.generate(request, out), out)
             except WorldModelError:
                 if not rounds or not isinstance(model, PrivilegedModel):
                     raise
                 break  # likewise of the expert that is rendered
             grounded = self._ground_video(video, first_frame, simulator.camera, state)
             commands, rejection = self._plan(grounded.grounding.track, state)
-            execution = None if commands is None else execute(simulator, commands, self._options.control)
-            done = replace(grounded, commands=commands, rejection=rejection, execution=execution)
-            rounds.append(replace(done, actions=request.actions))
+            execution = None if commands is None else execute(simulator, commands, options.control)
+            rounds.append(
+                replace(grounded, actions=request.actions, commands=commands, rejection=rejection, execution=execution)
+            )
             if commands is None or execution is None or execution.outcome.success:
                 break
             gripping = commands.gripping
@@ -246,12 +246,6 @@ class ClosedLoop:
             fps=FPS,
         )
 
-    def _generate(self, request: Request, simulator: Simulator, episode: Episode, out: Path) -> Path:
-        """Ask the model for a video and return its path beside `out`."""
-        if isinstance(self._model, PrivilegedModel):
-            self._model.set_state(episode, simulator.simulation_state())
-        return place_beside(self._model.generate(request, out), out)
-
     def _times(self, frames: int) -> tuple[ClipTiming, NDArray[np.intp], Array]:
         """Return the timing of a clip of so many frames, the indices (T,) of those to use, and their times (T,) [s]."""
         options, model = self._options, self._model
@@ -263,11 +257,7 @@ class ClosedLoop:
         return timing, np.arange(frames), period_s * np.arange(frames, dtype=np.float64)
 
     def _ground_video(self, video: Path, first_frame: NDArray[np.uint8], camera: Camera, state: RobotState) -> Round:
-        """Return the round of a video that was grounded, but not executed.
-
-        Raises:
-            InputError: the video is too short, or its framing cannot be determined.
-        """
+        """Return the round of a video that was grounded, but not executed."""
         decoded = read_video(video).frames
         if len(decoded) < 2:
             raise InputError(f"{video.name}: has {len(decoded)} frames, expected {self._options.num_frames}")
@@ -302,9 +292,8 @@ class ClosedLoop:
 
     def _plan(self, track: GripperTrack, state: RobotState) -> tuple[Commands | None, str | None]:
         """Return the commands of a track, or the reason why there are none."""
-        repeat = self._options.action_repeat
         t_s: Array = track.t_s
-        if repeat is not None:
+        if (repeat := self._options.action_repeat) is not None:
             t_s = CONTROL_PERIOD_S * repeat * np.arange(len(t_s), dtype=np.float64)
         try:
             return self._planner.plan(track.X_BG, track.finger_width_m, track.tracked, t_s, state), None
@@ -313,11 +302,7 @@ class ClosedLoop:
 
 
 def _remove_earlier_clips(videos: Path) -> None:
-    """Remove the clips of an earlier run of the episode, which may have had more rounds.
-
-    Raises:
-        SetupError: they cannot be removed.
-    """
+    """Remove the clips of an earlier run of the episode, which may have had more rounds."""
     with disk_errors(videos.parent.name):
         for clip in videos.parent.glob(f"{glob.escape(videos.name)}_r[0-9]*"):
             remove(clip)

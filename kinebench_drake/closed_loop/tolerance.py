@@ -12,9 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kinebench_drake.camera import benchmark_camera
-from kinebench_drake.closed_loop.commands import CommandPlanner, RobotState
-from kinebench_drake.closed_loop.execution import execute
+from kinebench_drake.closed_loop.commands import CommandPlanner, RobotState, execute
 from kinebench_drake.errors import KinebenchError, UnmeasurableError
 from kinebench_drake.executors.base import Executor, WorkerCrash
 from kinebench_drake.executors.progress import Observer
@@ -65,6 +63,9 @@ class ErrorGrade:
     size: float
 
 
+EXACT = ErrorGrade(error=None, size=0.0)
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ToleranceAttempt:
     """Execution of a track."""
@@ -80,7 +81,7 @@ class ToleranceAttempt:
 
 def grades(errors: Sequence[PoseError]) -> list[ErrorGrade]:
     """Return the exact track, then each error in each of its sizes."""
-    return [ErrorGrade(error=None, size=0.0), *(ErrorGrade(error=e, size=size) for e in errors for size in GRADES[e])]
+    return [EXACT, *(ErrorGrade(error=e, size=size) for e in errors for size in GRADES[e])]
 
 
 def plant_error(X_BG: Array, finger_width_m: Array, grade: ErrorGrade, rng: np.random.Generator) -> tuple[Array, Array]:
@@ -90,77 +91,54 @@ def plant_error(X_BG: Array, finger_width_m: Array, grade: ErrorGrade, rng: np.r
     """
     match grade.error:
         case PoseError.BIAS:
-            p, w = (grade.size * _draw_direction(rng) for _ in range(2))
-            return _displace(X_BG, p, RAD_PER_M * w), finger_width_m
+            directions = (rng.normal(size=3) for _ in range(2))
+            p, w = (grade.size * np.asarray(v / np.linalg.norm(v)) for v in directions)
         case PoseError.JITTER:
             p, w = rng.normal(0.0, grade.size / np.sqrt(3.0), (2, len(X_BG), 3))
-            return _displace(X_BG, p, RAD_PER_M * w), finger_width_m
         case PoseError.FINGERS:
             frames = np.clip(np.arange(len(X_BG)) - int(grade.size), 0, len(X_BG) - 1)
             return X_BG, finger_width_m[frames]
         case None:
             return X_BG, finger_width_m
+    return make_pose(X_BG[:, :3, :3] @ rotation_exp(RAD_PER_M * w), X_BG[:, :3, 3] + p), finger_width_m
 
 
-def _draw_direction(rng: np.random.Generator) -> Array:
-    v = rng.normal(size=3)
-    return np.asarray(v / np.linalg.norm(v))
+def _run_grades(simulator: Simulator, episode: Episode, errors: Sequence[PoseError]) -> list[ToleranceAttempt]:
+    """Run the expert once and execute its track, exact and with each error in each size."""
+    try:
+        rollout = run_expert(simulator, find_expert(episode.task), episode)
+    except Exception as error:
+        reason = failure_reason(error)
+        return [ToleranceAttempt(episode=episode, grade=grade, reason=reason) for grade in grades(errors)]
+    planner = CommandPlanner(ArmPlant())
+    return [_attempt(simulator, planner, rollout, grade) for grade in grades(errors)]
 
 
-def _displace(X_BG: Array, p: Array, w: Array) -> Array:
-    return make_pose(X_BG[:, :3, :3] @ rotation_exp(w), X_BG[:, :3, 3] + p)
-
-
-class _AttemptWorker(SimulatorWorker[Simulator]):
-    """Runs the expert once per episode and executes its track with each error."""
-
-    def __init__(self, errors: Sequence[PoseError]) -> None:
-        self._grades = grades(errors)
-        super().__init__(SimulatorCache(Simulator, benchmark_camera().width, renders=False))
-        self._planner = CommandPlanner(ArmPlant())
-
-    def __call__(self, episode: Episode) -> list[ToleranceAttempt]:
-        simulator = self._simulators.get(episode.task, episode.variant)
-        try:
-            rollout = run_expert(simulator, find_expert(episode.task), episode)
-        except Exception as error:
-            reason = failure_reason(error)
-            return [ToleranceAttempt(episode=episode, grade=grade, reason=reason) for grade in self._grades]
-        return [self._attempt(simulator, rollout, grade) for grade in self._grades]
-
-    def _attempt(self, simulator: Simulator, rollout: Rollout, grade: ErrorGrade) -> ToleranceAttempt:
-        episode, plant = rollout.episode, self._planner.plant
-        rng = generator("tolerance", episode.id, "" if grade.error is None else grade.error.value)
-        X_BG = plant.forward_path([s.q for s in rollout.snapshots])
-        width = np.array([s.fingers_m.sum() for s in rollout.snapshots])
-        X_BG, width = plant_error(X_BG, width, grade, rng)
-        simulator.reset(episode)
-        now = simulator.snapshot()
-        state = RobotState(q=now.q, finger_width_m=float(now.fingers_m.sum()), gripping=False)
-        try:
-            for start in range(0, len(X_BG) - 1, CLIP_FRAMES):
-                clip = slice(start, start + CLIP_FRAMES + 1)
-                state, done = self._clip(simulator, X_BG[clip], width[clip], state)
-                if done:
-                    break
-        except UnmeasurableError as error:
-            return ToleranceAttempt(episode=episode, grade=grade, reason=str(error))
-        outcome = simulator.outcome()
-        return ToleranceAttempt(
-            episode=episode, grade=grade, success=outcome.success, progress=outcome.progress, reason=outcome.reason
-        )
-
-    def _clip(
-        self, simulator: Simulator, X_BG: Array, finger_width_m: Array, start: RobotState
-    ) -> tuple[RobotState, bool]:
-        """Execute one clip; return the final state of the robot and whether the task succeeded."""
-        tracked = np.ones(len(X_BG), dtype=bool)
-        t_s = FRAME_PERIOD_S * np.arange(len(X_BG), dtype=np.float64)
-        commands = self._planner.plan(X_BG, finger_width_m, tracked, t_s, start)
-        execution = execute(simulator, commands, Control.JOINTS)
-        end = execution.snapshots[-1]
-        state = RobotState(q=end.q, finger_width_m=float(end.fingers_m.sum()), gripping=commands.gripping)
-        return state, execution.outcome.success
+def _attempt(simulator: Simulator, planner: CommandPlanner, rollout: Rollout, grade: ErrorGrade) -> ToleranceAttempt:
+    """Execute the track of a rollout with an error, clip by clip."""
+    episode = rollout.episode
+    rng = generator("tolerance", episode.id, "" if grade.error is None else grade.error.value)
+    X_BG = planner.plant.forward_path([s.q for s in rollout.snapshots])
+    width = np.array([s.finger_width_m for s in rollout.snapshots])
+    X_BG, width = plant_error(X_BG, width, grade, rng)
+    simulator.reset(episode)
+    state = RobotState.of(simulator.snapshot())
+    try:
+        for start in range(0, len(X_BG) - 1, CLIP_FRAMES):
+            clip = slice(start, start + CLIP_FRAMES + 1)
+            frames = len(X_BG[clip])
+            t_s = FRAME_PERIOD_S * np.arange(frames, dtype=np.float64)
+            commands = planner.plan(X_BG[clip], width[clip], np.ones(frames, dtype=bool), t_s, state)
+            execution = execute(simulator, commands, Control.JOINTS)
+            if execution.outcome.success:
+                break
+            state = RobotState.of(execution.snapshots[-1], gripping=commands.gripping)
+    except UnmeasurableError as error:
+        return ToleranceAttempt(episode=episode, grade=grade, reason=str(error))
+    outcome = simulator.outcome()
+    return ToleranceAttempt(
+        episode=episode, grade=grade, success=outcome.success, progress=outcome.progress, reason=outcome.reason
+    )
 
 
 def run_attempts(
@@ -173,16 +151,14 @@ def run_attempts(
     """
     observer.start(len(episodes), 0)
     attempts: list[ToleranceAttempt] = []
-    for done in executor.run(partial(_AttemptWorker, tuple(errors)), list(episodes)):
+    work = partial(_run_grades, errors=tuple(errors))
+    for done in executor.run(partial(SimulatorWorker, work, SimulatorCache(Simulator, renders=False)), list(episodes)):
         if isinstance(done, WorkerCrash):
             raise KinebenchError(f"{done.item.id}: {done.reason}")
         exact = done.result[0]
         observer.advance(f"{done.item.id}: {exact.reason}" if exact.reason else done.item.id)
         attempts += done.result
     return sorted(attempts, key=lambda a: a.episode.id)
-
-
-_UNITS = {PoseError.BIAS: (1000.0, "mm"), PoseError.JITTER: (1000.0, "mm"), PoseError.FINGERS: (1.0, "frames")}
 
 
 def tasks_of(attempts: Sequence[ToleranceAttempt]) -> list[str]:
@@ -192,10 +168,8 @@ def tasks_of(attempts: Sequence[ToleranceAttempt]) -> list[str]:
 
 def grades_of(attempts: Sequence[ToleranceAttempt], error: PoseError) -> list[ErrorGrade]:
     """Return the executed sizes of an error in increasing order, including 0; none if the error was not executed."""
-    exact = ErrorGrade(error=None, size=0.0)
-    tried = [ErrorGrade(error=error, size=size) for size in GRADES[error]]
-    tried = [grade for grade in tried if any(a.grade == grade for a in attempts)]
-    return sorted([exact, *tried], key=lambda grade: grade.size) if tried else []
+    executed = {a.grade for a in attempts if a.grade.error is error}
+    return sorted({EXACT, *executed}, key=lambda grade: grade.size) if executed else []
 
 
 def rate(attempts: Sequence[ToleranceAttempt], grade: ErrorGrade, task: str | None = None) -> tuple[int, int]:
@@ -204,20 +178,15 @@ def rate(attempts: Sequence[ToleranceAttempt], grade: ErrorGrade, task: str | No
     return sum(a.success for a in chosen), len(chosen)
 
 
-def label(error: PoseError, grade: ErrorGrade) -> str:
-    """Return a size with its unit, such as "15 mm"."""
-    factor, unit = _UNITS[error]
-    return f"{grade.size * factor:g} {unit}"
-
-
 def table_lines(attempts: Sequence[ToleranceAttempt]) -> Iterator[str]:
     """Yield the lines of tables to print, one table per error."""
     for error in PoseError:
         tried = grades_of(attempts, error)
         if not tried:
             continue
+        factor, unit = (1.0, "frames") if error is PoseError.FINGERS else (1000.0, "mm")
         yield f"success under {error.value.replace('_', ' ')}"
-        yield f"{'':20}" + "".join(f"{label(error, grade):>11}" for grade in tried)
+        yield f"{'':20}" + "".join(f"{f'{grade.size * factor:g} {unit}':>11}" for grade in tried)
         for task in (*tasks_of(attempts), None):
             cells = [rate(attempts, grade, task) for grade in tried]
             yield f"{task or 'all':20}" + "".join(f"{good:>7}/{n:<3}" for good, n in cells)

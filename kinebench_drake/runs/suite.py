@@ -157,9 +157,8 @@ def run_suite(config: SuiteConfig, observer: RunObserver | None = None) -> RunSu
         )
         samples = [
             EpisodeSample(spec=spec, index=index, model=config.model or name)
-            for task in config.tasks
             for spec in config.suite.specs(
-                config.split, task, config.episodes, offset=config.seed, variant=config.variant
+                config.split, config.episodes, tasks=config.tasks, offset=config.seed, variant=config.variant
             )
             for index in range(config.samples)
         ]

@@ -95,7 +95,7 @@ def test_the_worker_takes_the_track_of_its_extractor(tmp_path: Path, monkeypatch
     monkeypatch.setattr(extractors.Baseline, "load", lambda _: _FixedBaseline())
     monkeypatch.setattr(extractors, "read_video", lambda _: type("V", (), {"frames": np.zeros((5, 8, 8, 3), np.uint8)}))
     worker = extractors._Worker(tmp_path / "weights")
-    spec = load_suite(2).specs("unseen", "PullCube-v1", 1)[0]
+    spec = load_suite(2).specs("unseen", 1, tasks=["PullCube-v1"])[0]
 
     def run(extractor: Extractor, truth: str) -> TrackExecution:
         return worker(

@@ -79,7 +79,7 @@ def test_demonstrations_are_for_training_unless_asked_for_otherwise(suite, order
     assert suite("demos", "--task", "StackCube-v1", "--episodes", 3, "--out", tmp_path)[0] == 0
     assert (orders[-1].suite.number, orders[-1].split, orders[-1].kind) == (0, "train", FormatKind.MP4)
     assert orders[-1].options == RenderOptions(size=384, frames=49, fps=17.0)
-    assert orders[-1].specs("StackCube-v1", 1)[0].seed >= 1_000_000
+    assert orders[-1].attempts("StackCube-v1", 1)[0].seed >= 1_000_000
 
 
 def test_variants_are_those_of_the_tasks_that_have_them(suite, orders, tmp_path):
@@ -162,7 +162,7 @@ def test_episodes_of_a_suite_are_checked(suite, monkeypatch):
     )
     code, _, err = suite("check", "--suite", 2, "--split", "unseen", "--episodes", 2, "--seed", 3)
     assert code == 0, err
-    assert [episode.id for episode in checked] == [e.id for e in load_suite(2).episodes("unseen", 2, offset=3)]
+    assert [episode.id for episode in checked] == [e.id for e in load_suite(2).specs("unseen", 2, offset=3)]
 
 
 def test_a_task_named_twice_is_one():

@@ -91,7 +91,7 @@ class Stuck:
     def reset(self, episode: object) -> None: ...
 
     def snapshot(self) -> SimpleNamespace:
-        return SimpleNamespace(q=np.zeros(7), fingers_m=np.zeros(2))
+        return SimpleNamespace(q=np.zeros(7), finger_width_m=0.0)
 
     def render(self) -> SimpleNamespace:
         return SimpleNamespace(rgb=np.zeros((4, 4, 3), np.uint8))

@@ -74,7 +74,7 @@ def test_suite_2_halves_assets_and_looks() -> None:
 
 def test_episodes_of_suite_2_are_made_of_their_half() -> None:
     suite, tasks = load_suite(2), ("PullCube-v1", "StackCube-v1")
-    shown = {name: [drawn(e) for e in suite.episodes(name, 8, tasks=tasks)] for name in suite.splits}
+    shown = {name: [drawn(s.episode()) for s in suite.specs(name, 8, tasks=tasks)] for name in suite.splits}
     assert not set().union(*shown["train"], *shown["seen"]) & set().union(*shown["unseen"])
 
 
@@ -92,9 +92,9 @@ def test_suite_3_is_a_grid_over_the_episodes_of_suite_0() -> None:
 
 def test_more_episodes_begin_with_fewer() -> None:
     suite, tasks = load_suite(0), ("StackCube-v1",)
-    more = suite.episodes("test", 5, tasks=tasks)
-    assert suite.episodes("test", 2, tasks=tasks) == more[:2]
-    assert suite.episodes("test", 2, tasks=tasks, offset=3) == more[3:]
+    more = suite.specs("test", 5, tasks=tasks)
+    assert suite.specs("test", 2, tasks=tasks) == more[:2]
+    assert suite.specs("test", 2, tasks=tasks, offset=3) == more[3:]
     assert [episode.seed for episode in more] == list(range(5))
 
 
@@ -112,6 +112,6 @@ def test_what_a_suite_does_not_have_is_told() -> None:
     with pytest.raises(UsageError, match="no task 'Stack'"):
         suite.tasks_of("unseen", ["Stack"])
     with pytest.raises(UsageError, match="1000000 seeds"):
-        suite.specs("unseen", "OpenBoxEasy-v2", 2, offset=999_999)
+        suite.specs("unseen", 2, offset=999_999)
     with pytest.raises(UsageError, match="0, 1, 2, 3"):
         load_suite(4)

@@ -157,7 +157,7 @@ def test_maniskill_trajectories_hold_states_and_lead_to_success(tmp_path: Path) 
         assert group["env_states/actors/green"].shape == (193, 13)
         actions = np.asarray(group["actions"])
     with Simulator(TASK, renders=False) as stage:  # the commands alone lead to the same end
-        [draw] = order.specs(TASK, 1)
+        [draw] = order.attempts(TASK, 1)
         stage.reset(draw.episode())
         for action in actions:
             stage._env.step(action)

@@ -18,7 +18,6 @@ from kinebench_drake.suites.demo_formats import FORMATS, DemoFormat, Record
 from kinebench_drake.suites.demos import DemoSummary, make_demos
 from kinebench_drake.suites.rollout import Rollout
 from kinebench_drake.suites.simulator import Simulator
-from kinebench_drake.suites.simulator_cache import SimulatorCache
 from tests.suites.orders import FIRST, TASK, Recorder, an_order
 
 
@@ -127,30 +126,25 @@ def test_a_task_is_given_up_when_its_expert_hardly_succeeds(deliver: Any) -> Non
     assert delivery.failures == 2 * 5 + demos.EXTRA_TRIES - 3
 
 
-def broken_worker(
-    out: Path, monkeypatch: pytest.MonkeyPatch, error: Exception
-) -> tuple[DemoConfig, Callable[..., Any]]:
-    """What would make demonstrations, were it not for an error."""
+def attempt(out: Path, monkeypatch: pytest.MonkeyPatch, error: Exception) -> Record:
+    """An attempt at a demonstration that an error ends."""
 
     def fail(*args: object, **kwargs: object) -> None:
         raise error
 
     monkeypatch.setattr(demos, "run_expert", fail)
-    monkeypatch.setattr(SimulatorCache, "get", lambda self, task, variant: None)
     order = an_order(out, FormatKind.MANISKILL, 1)
-    return order, demos._DemoWorker(order.kind, order.options, order.out)
+    return demos._attempt(None, order.attempts(TASK, 1)[0], order)
 
 
 def test_an_error_of_a_seed_is_a_failed_attempt(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    order, work = broken_worker(tmp_path, monkeypatch, ZeroDivisionError("by zero"))
-    record = work(order.specs(TASK, 1)[0])
+    record = attempt(tmp_path, monkeypatch, ZeroDivisionError("by zero"))
     assert (record.success, record.reason) == (False, "unexpected ZeroDivisionError: by zero")
 
 
 def test_an_error_of_the_machine_stops_the_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    order, work = broken_worker(tmp_path, monkeypatch, SetupError("no driver"))
     with pytest.raises(SetupError, match="no driver"):
-        work(order.specs(TASK, 1)[0])
+        attempt(tmp_path, monkeypatch, SetupError("no driver"))
 
 
 def test_shards_share_the_work(deliver: Any, tmp_path: Path) -> None:
@@ -181,7 +175,7 @@ def test_what_is_held_counts_and_not_what_was_asked_for(deliver: Any, tmp_path: 
 
 def test_all_seeds_of_a_split_can_be_asked_for(tmp_path: Path) -> None:
     order = replace(an_order(tmp_path, FormatKind.MP4, 2), seed=999_998)
-    assert [draw.seed for draw in order.specs(TASK, 14)] == [1_999_998, 1_999_999]
+    assert [draw.seed for draw in order.attempts(TASK, 14)] == [1_999_998, 1_999_999]
 
 
 def test_starting_anew_deletes_what_was_made_and_nothing_else(deliver: Any, tmp_path: Path) -> None:

@@ -97,7 +97,7 @@ def test_nothing_moves_by_itself_and_nothing_is_done_at_first(simulator: tuple[S
         assert outcome.progress <= 0.05
         before, start = own.scene(), own.snapshot()
         for _ in range(HOLD_STEPS):
-            own.step(start.q, float(start.fingers_m.sum()))
+            own.step(start.q, start.finger_width_m)
         after = own.scene()
         for name, X in before.poses.items():
             if "/" not in name:
