@@ -43,11 +43,9 @@ class EpisodeSpec:
     task: str
     """Plain task id."""
     seed: int
-    """Seed of the scene."""
     pool: Pool
     """Assets and looks to draw from."""
     variant: TaskVariant
-    """Variant of the scene."""
 
     @property
     def id(self) -> str:
@@ -70,7 +68,6 @@ class Split(_Strict):
     seeds: tuple[int, int]
     """First seed of each task, and the end (exclusive)."""
     about: str
-    """Purpose."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -78,9 +75,7 @@ class Transfer(_Strict):
     """Reason why an unseen task measures transfer."""
 
     task: str
-    """The unseen task."""
     relation: Relation
-    """Relation to the trained tasks."""
     of: tuple[str, ...]
     """The trained tasks."""
     reason: str
@@ -89,12 +84,10 @@ class Transfer(_Strict):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ExcludedTask(_Strict):
-    """Reason why a task is not part of a suite."""
+    """Task that is neither trained nor evaluated, and why."""
 
     task: str
-    """Plain task id."""
     reason: str
-    """Reason why it is neither trained nor evaluated."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -112,9 +105,7 @@ class Suite(_Strict):
     """Suite of tasks and splits."""
 
     number: int
-    """Number of the suite."""
     title: str
-    """Name."""
     about: str
     """Question that the suite answers."""
     evaluated: str

@@ -44,7 +44,6 @@ class DatasetConfig:
 
     suite: Suite
     split: str
-    """Name of one of the suite's splits."""
     tasks: tuple[str, ...]
     """Plain task ids of the split."""
     episodes: int
@@ -52,7 +51,6 @@ class DatasetConfig:
     seed: int
     """Number of the first of the split's seeds."""
     variant: TaskVariant
-    """Variant of the scenes."""
     out: Path
     """Output folder."""
 
@@ -72,7 +70,6 @@ class ExportConfig(DatasetConfig):
     size: int
     """Width and height of the first frames [px]."""
     prompts: PromptTemplate = field(default_factory=PromptTemplate)
-    """Template of the prompts."""
 
 
 _FirstFrame = tuple[Episode, dict[str, Any]]
@@ -115,16 +112,16 @@ def export_suite(config: ExportConfig, executor: Executor, observer: Observer) -
     subject = {"suite": config.suite.number, "split": config.split}
     rows = [manifest_row(episode.id, episode, config.prompts, {**subject, **state}) for episode, state in ordered]
     write_lines(config.out / MANIFEST, rows)
-    write_lines(config.out / EPISODES, [_episode_row(episode, config) for episode, _ in ordered])
+    descriptions = [
+        {"id": episode.id, **subject, **episode_facts(episode), **_task_facts(TASKS[episode.task].card)}
+        for episode, _ in ordered
+    ]
+    write_lines(config.out / EPISODES, descriptions)
     return len(ordered)
 
 
 def _check_folder(config: ExportConfig, specs: Sequence[EpisodeSpec]) -> None:
-    """Check that the folder is new, or holds an export of the same settings whose episodes are among `specs`.
-
-    Raises:
-        UsageError: the folder is in other use, or episodes would be lost.
-    """
+    """Check that the folder is new, or holds an export of the same settings whose episodes are among `specs`."""
     out, summary = config.out, _summary(config, len(specs))
     used = [name for name in (SAMPLES, MANIFEST, EPISODES, SUMMARY) if (out / name).exists()]
     if not used:
@@ -150,10 +147,10 @@ def _check_folder(config: ExportConfig, specs: Sequence[EpisodeSpec]) -> None:
 
 
 def manifest_row(id: str, episode: Episode, prompts: PromptTemplate, facts: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the manifest's row of a video to generate.
+    """Return the manifest's row of a video to generate, whose first frame has the same name.
 
     Args:
-        id: name of the video and of its first frame.
+        id: name of the two.
         episode: the episode.
         prompts: template of the prompts.
         facts: further keys, such as the state of the robot in the first frame.
@@ -173,32 +170,13 @@ def manifest_row(id: str, episode: Episode, prompts: PromptTemplate, facts: Mapp
     }
 
 
-def _episode_row(episode: Episode, config: ExportConfig) -> dict[str, Any]:
-    return {
-        "id": episode.id,
-        "suite": config.suite.number,
-        "split": config.split,
-        **episode_facts(episode),
-        **card_facts(TASKS[episode.task].card),
-    }
-
-
 def episode_facts(episode: Episode) -> dict[str, Any]:
     """Return the description of an episode as JSON."""
-    return {
-        "task": episode.task,
-        "seed": episode.seed,
-        "prompt": episode.prompt,
-        "variant": episode.variant.value,
-        "assets": dict(episode.assets),
-        "table": episode.table,
-        "background": episode.background,
-        "light": episode.light,
-        "camera": episode.camera,
-    }
+    names = ("task", "seed", "prompt", "variant", "assets", "table", "background", "light", "camera")
+    return {name: getattr(episode, name) for name in names} | {"variant": episode.variant.value}
 
 
-def card_facts(card: TaskCard) -> dict[str, Any]:
+def _task_facts(card: TaskCard) -> dict[str, Any]:
     """Return the description of a task as JSON, without its id."""
     facts = {name: getattr(card, name) for name in TaskCard.__dataclass_fields__ if name not in ("id", "variants")}
     facts["horizon"] = card.horizon

@@ -14,7 +14,7 @@ from kinebench_drake.suites.clock import CLIP_FRAMES, FRAME_PERIOD_S, STEPS_PER_
 from kinebench_drake.suites.composition import Episode
 from kinebench_drake.suites.expert.motion import plan
 from kinebench_drake.suites.families.registry import Expert
-from kinebench_drake.suites.simulator import Simulator, SimulatorState, Snapshot, TaskOutcome
+from kinebench_drake.suites.simulator import CameraImage, Simulator, SimulatorState, Snapshot, TaskOutcome
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -61,16 +61,13 @@ class RolloutVideo:
         return replace(self, **{name: getattr(self, name)[frames] for name in arrays})
 
 
-def run_expert_clip(
-    simulator: Simulator, expert: Expert, *, every: int = STEPS_PER_FRAME
+def _run_clip(
+    simulator: Simulator, expert: Expert, every: int = STEPS_PER_FRAME
 ) -> tuple[tuple[Snapshot, ...], Array] | None:
-    """Let the expert continue its task from the current state for one clip; None if nothing is left to do.
+    """Let the expert continue its task for one clip; None if nothing is left to do.
 
     Returns:
         The states without the initial one, and the commands (N, 8) as in `Rollout`.
-
-    Raises:
-        InputError: the expert finds no path in this scene.
     """
     scene, now = simulator.scene(), simulator.snapshot()
     waypoints = expert(scene)
@@ -99,15 +96,15 @@ def continue_expert(
     simulator.reset(episode)
     simulator.restore(state)
     before = simulator.snapshot()
-    clip = run_expert_clip(simulator, expert)
+    clip = _run_clip(simulator, expert)
     return ((before,) * (CLIP_FRAMES + 1), None) if clip is None else ((before, *clip[0]), clip[1])
 
 
 def run_expert(simulator: Simulator, expert: Expert, episode: Episode, *, every: int = STEPS_PER_FRAME) -> Rollout:
-    """Let the expert do its task, clip by clip, until success or for the task's number of clips.
+    """Reset the simulator and let the expert do its task, clip by clip, until success or the task's number of clips.
 
     Args:
-        simulator: simulator of the task; it is reset.
+        simulator: simulator of the task.
         expert: expert of the task.
         episode: the episode.
         every: control steps between two snapshots.
@@ -118,7 +115,7 @@ def run_expert(simulator: Simulator, expert: Expert, episode: Episode, *, every:
     simulator.reset(episode)
     snapshots, controls = [simulator.snapshot()], [np.zeros((0, 8))]
     for _ in range(simulator.task.card.clips):
-        clip = run_expert_clip(simulator, expert, every=every)
+        clip = _run_clip(simulator, expert, every)
         if clip is None:
             break
         snapshots += clip[0]
@@ -144,25 +141,19 @@ def render_video(simulator: Simulator, snapshots: Sequence[Snapshot], *, first_f
         images.append(simulator.render())
         X_BH.append(simulator.link_pose(HAND_LINK))
         X_BG.append(simulator.link_pose(TCP_LINK))
+    pixels = {name: np.stack([getattr(image, name) for image in images]) for name in CameraImage.__slots__}
     return RolloutVideo(
         camera=simulator.camera,
-        rgb=np.stack([image.rgb for image in images]),
         t_s=FRAME_PERIOD_S * np.arange(first_frame, first_frame + len(snapshots), dtype=np.float64),
         q=np.stack([s.q for s in snapshots]),
         finger_width_m=np.array([s.finger_width_m for s in snapshots]),
         X_CH=invert(simulator.camera.X_BC) @ np.stack(X_BH),
         X_BG=np.stack(X_BG),
-        depth_mm=np.stack([image.depth_mm for image in images]),
-        mask=np.stack([image.mask for image in images]),
-        robot=np.stack([image.robot for image in images]),
+        **pixels,
     )
 
 
 def join_videos(parts: Sequence[RolloutVideo], camera: Camera) -> RolloutVideo:
     """Return the frames of several videos one after the other, as the video of one camera."""
-    joined = {
-        field.name: np.concatenate([getattr(part, field.name) for part in parts])
-        for field in fields(RolloutVideo)
-        if field.name != "camera"
-    }
-    return RolloutVideo(camera=camera, **joined)
+    arrays = [field.name for field in fields(RolloutVideo) if field.name != "camera"]
+    return RolloutVideo(camera=camera, **{name: np.concatenate([getattr(p, name) for p in parts]) for name in arrays})
