@@ -112,11 +112,7 @@ def make_demos(config: DemoConfig, executor: Executor, observer: Observer, *, ov
 
 @contextmanager
 def _lock(out: Path) -> Iterator[None]:
-    """Create the folder and lock it for this process.
-
-    Raises:
-        UsageError: it cannot be created, or another process has locked it.
-    """
+    """Create the folder and lock it for this process."""
     make_folder(out)
     try:
         lock = os.open(out, os.O_RDONLY)
@@ -132,11 +128,7 @@ def _lock(out: Path) -> Iterator[None]:
 
 
 def _delete_earlier_run(out: Path) -> None:
-    """Delete the files that an earlier run's summary and records name; damaged ones name none.
-
-    Raises:
-        SetupError: a file cannot be deleted.
-    """
+    """Delete the files that an earlier run's summary and records name; damaged ones name none."""
     paths = [out / SUMMARY, out / RECORDS]
     with suppress(OSError, ValueError, KeyError, TypeError, AttributeError, InputError):
         before = json.loads((out / SUMMARY).read_text())
@@ -162,11 +154,7 @@ def _delete(out: Path, paths: Sequence[Path]) -> None:
 
 
 def _read_summary(config: DemoConfig, records: Records) -> dict[str, Any]:
-    """Read the summary of an earlier run in the folder; empty if there is none.
-
-    Raises:
-        UsageError: it is damaged, or its demonstrations are not a subset of this configuration.
-    """
+    """Read the summary of an earlier run, whose demonstrations must be a subset of these; empty if there is none."""
     path = config.out / SUMMARY
     if not path.is_file():
         return {}

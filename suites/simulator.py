@@ -37,10 +37,7 @@ _FINGER_RANGE_M = (-0.01, 0.04)  # of one finger joint's target, for actions -1 
 
 @cache
 def _exempt_libraries() -> None:
-    """Exempt every object that is loaded by now from garbage collection, once a process.
-
-    ManiSkill collects garbage at each reset; going through the objects of the libraries takes most of the reset.
-    """
+    """Exempt the objects of the libraries from garbage collection: going through them takes most of each reset."""
     gc.collect()
     gc.freeze()
 
@@ -125,7 +122,22 @@ class TaskOutcome:
 
 
 class Simulator:
-    """Task with one Panda and one camera, simulated on the CPU."""
+    """Task with one Panda and one camera, simulated on the CPU.
+
+    It takes some seconds to build the first time in a process, whose objects are exempt from garbage collection then.
+
+    Args:
+        task: plain task id.
+        robot: one of `KineBenchEnv.SUPPORTED_ROBOTS`: "panda" or "panda_wristcam".
+        camera: camera; None: the benchmark camera.
+        variant: version of the task's scene.
+        renders: whether images can be rendered; physics alone needs no Vulkan.
+        control: type of the commands.
+
+    Raises:
+        UsageError: there is no such task or variant.
+        SetupError: sapien, mani_skill or a Vulkan driver is missing or cannot be loaded.
+    """
 
     def __init__(
         self,
@@ -137,22 +149,6 @@ class Simulator:
         renders: bool = True,
         control: Control = Control.JOINTS,
     ) -> None:
-        """Build the scene, which takes some seconds the first time in a process.
-
-        What the process holds then is exempt from garbage collection from there on.
-
-        Args:
-            task: plain task id.
-            robot: one of `KineBenchEnv.SUPPORTED_ROBOTS`: "panda" or "panda_wristcam".
-            camera: camera; None: the benchmark camera.
-            variant: version of the task's scene.
-            renders: whether images can be rendered; physics alone needs no Vulkan.
-            control: type of the commands.
-
-        Raises:
-            UsageError: there is no such task or variant.
-            SetupError: sapien, mani_skill or a Vulkan driver is missing or cannot be loaded.
-        """
         ignore_vulkan_warning()  # SAPIEN looks for Vulkan when it is imported
         backend = prepare_vulkan() if renders else "none"
         with _setup_errors():
@@ -206,14 +202,11 @@ class Simulator:
         return self._X_BW @ from_quaternion(raw[3:], raw[:3])
 
     @staticmethod
-    def _finger_action(finger_width_m: float) -> float:
+    def action(targets: ArrayLike, finger_width_m: float) -> NDArray[np.float32]:
+        """Return ManiSkill's action for targets, such as `q` (7,) [rad], and a gap between the finger pads [m]."""
         low, high = _FINGER_RANGE_M
-        return float(np.clip(2.0 * (finger_width_m / 2.0 - low) / (high - low) - 1.0, -1.0, 1.0))
-
-    @staticmethod
-    def action(q: ArrayLike, finger_width_m: float) -> NDArray[np.float32]:
-        """Return ManiSkill's action (8,) for joint targets `q` (7,) [rad] and a gap between the finger pads [m]."""
-        return np.append(np.asarray(q), Simulator._finger_action(finger_width_m)).astype(np.float32)
+        fingers = float(np.clip(2.0 * (finger_width_m / 2.0 - low) / (high - low) - 1.0, -1.0, 1.0))
+        return np.append(np.asarray(targets), fingers).astype(np.float32)
 
     def step(self, q: ArrayLike, finger_width_m: float) -> None:
         """Simulate one control step with joint targets `q` (7,) [rad] and a gap between the finger pads [m]."""
@@ -223,7 +216,7 @@ class Simulator:
         """Simulate one control step towards a pose (4, 4) of panda_hand_tcp in B [m], under `Control.POSE`."""
         X = np.asarray(X_BG, dtype=np.float64)
         angles = Rotation.from_matrix(X[:3, :3]).as_euler("XYZ")  # convention of ManiSkill's controller
-        self._env.advance(np.concatenate([X[:3, 3], angles, [self._finger_action(finger_width_m)]]).astype(np.float32))
+        self._env.advance(self.action(np.append(X[:3, 3], angles), finger_width_m))
 
     def simulation_state(self) -> SimulatorState:
         """Return ManiSkill's state: pose and velocities (13,) of actors, with joint states for articulations."""
@@ -294,23 +287,20 @@ class Simulator:
         place_camera(self._env._sensors[self._camera_name], camera)
         self.camera = camera
 
-    def _capture(self) -> tuple[NDArray[np.uint8], NDArray[np.uint16], NDArray[np.integer[Any]]]:
-        """Render colour (H, W, 3), depth (H, W) [mm] and segmentation ids (H, W)."""
+    def _capture(self) -> tuple[NDArray[np.uint8], NDArray[np.uint16], NDArray[np.integer[Any]], dict[str, int]]:
+        """Return colour (H, W, 3), depth (H, W) [mm], segmentation ids (H, W), and the ids of the links by name."""
         self._env.scene.update_render(update_sensors=True, update_human_render_cameras=False)
         sensor = self._env._sensors[self._camera_name]
         sensor.capture()
         [camera] = sensor.camera._render_cameras  # without ManiSkill's tensors, which take a sixth of the image's time
         place = camera.get_picture("PositionSegmentation")  # x, y, z in OpenGL's axes [mm], segmentation id
         depth = np.clip(-place[..., 2], 0, None).astype(np.uint16)
-        return np.array(camera.get_picture("Color")[..., :3]), depth, place[..., 3]
-
-    def _link_ids(self) -> dict[str, int]:
-        return {name: int(link.per_scene_id[0]) for name, link in self._env.agent.robot.links_map.items()}
+        ids = {name: int(link.per_scene_id[0]) for name, link in self._env.agent.robot.links_map.items()}
+        return np.array(camera.get_picture("Color")[..., :3]), depth, place[..., 3], ids
 
     def render(self) -> CameraImage:
         """Render the current state."""
-        rgb, depth_mm, labels = self._capture()
-        ids = self._link_ids()
+        rgb, depth_mm, labels, ids = self._capture()
         return CameraImage(
             rgb=rgb,
             depth_mm=depth_mm,
@@ -320,10 +310,10 @@ class Simulator:
 
     def training_frame(self) -> RenderedFrame:
         """Render the current state with part labels and coordinates of each pixel."""
-        rgb, depth_mm, labels = self._capture()
+        rgb, depth_mm, labels, ids = self._capture()
         part_of = {name: part for part, name in LINK_OF.items()}
-        ids = {i: part_of.get(name, RobotPart.BACKGROUND) for name, i in self._link_ids().items()}
+        parts = {i: part_of.get(name, RobotPart.BACKGROUND) for name, i in ids.items()}
         X_BL = {name: self.link_pose(name) for name in part_of}
         finger_m = float(self.snapshot().fingers_m.mean())
         depth_m = depth_mm / 1000.0 + RENDERED_DEPTH_BIAS_M
-        return RenderedFrame.from_image(rgb, depth_m, label_parts(labels, ids), self.camera, X_BL, finger_m)
+        return RenderedFrame.from_image(rgb, depth_m, label_parts(labels, parts), self.camera, X_BL, finger_m)
