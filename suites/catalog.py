@@ -193,11 +193,7 @@ def load_suite(number: int) -> Suite:
 
 
 def task_names(names: str | Sequence[str] | None) -> list[str] | None:
-    """Parse task names, with or without ManiSkill's namespace, into plain ids without duplicates; None: all.
-
-    Args:
-        names: list, or comma-separated.
-    """
+    """Parse task names, a list or comma-separated, with or without namespace, into plain ids without duplicates."""
     if names is None:
         return None
     listed = names.split(",") if isinstance(names, str) else names

@@ -147,14 +147,7 @@ def _check_folder(config: ExportConfig, specs: Sequence[EpisodeSpec]) -> None:
 
 
 def manifest_row(id: str, episode: Episode, prompts: PromptTemplate, facts: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the manifest's row of a video to generate, whose first frame has the same name.
-
-    Args:
-        id: name of the two.
-        episode: the episode.
-        prompts: template of the prompts.
-        facts: further keys, such as the state of the robot in the first frame.
-    """
+    """Return the manifest's row of a video to generate, named like its first frame, with `facts` as further keys."""
     return {
         "video": f"{id}.mp4",
         "id": id,

@@ -101,13 +101,9 @@ def continue_expert(
 
 
 def run_expert(simulator: Simulator, expert: Expert, episode: Episode, *, every: int = STEPS_PER_FRAME) -> Rollout:
-    """Reset the simulator and let the expert do its task, clip by clip, until success or the task's number of clips.
+    """Let the expert do its task from the start, clip by clip, until success or for the task's number of clips.
 
-    Args:
-        simulator: simulator of the task.
-        expert: expert of the task.
-        episode: the episode.
-        every: control steps between two snapshots.
+    There is a snapshot after each `every` control steps.
 
     Raises:
         InputError: the expert finds no path in this scene.

@@ -43,12 +43,12 @@ class ActionSource:
         self._simulators = SimulatorCache(partial(Simulator, control=Control.JOINTS), size_px, renders=False)
 
     def track(self, episode: Episode, state: SimulatorState, frames: int, period_s: float) -> ActionTrack:
-        """Return the states of the robot that the expert would reach, one per frame; it waits after its clip of 9.6 s.
+        """Return the states that the robot reaches if the expert continues from a state, which the first frame shows.
 
         Args:
             episode: the episode.
-            state: state of the simulation from which the expert continues.
-            frames: number of frames, including the first, which shows the state.
+            state: state of the simulation.
+            frames: number of frames; after the expert's clip of 9.6 s it waits.
             period_s: task time between two frames [s].
 
         Raises:

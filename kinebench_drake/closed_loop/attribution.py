@@ -71,12 +71,7 @@ class ClipEvidence:
 
 
 def find_cause(run: EpisodeRun, results: Sequence[KinematicResult]) -> Cause | None:
-    """Return the cause of failure of an episode; None if it succeeded.
-
-    Args:
-        run: the episode.
-        results: kinematic result of each clip.
-    """
+    """Return the cause of failure of an episode with the kinematic results of its clips; None if it succeeded."""
     if run.outcome.success:
         return None
     clips = [_evidence(done, result) for done, result in zip(run.rounds, results, strict=True)]
@@ -108,12 +103,7 @@ def _unexplained(grounding: GroundingResult) -> tuple[Anomaly, ...]:
 
 
 def attribute(clips: Sequence[ClipEvidence], goal: str) -> Cause:
-    """Return the first cause that applies to a failed episode.
-
-    Args:
-        clips: evidence of its rounds, in order.
-        goal: description of the conditions of the task that were not met.
-    """
+    """Return the first cause that applies to a failed episode; `goal` describes the conditions that are not met."""
     for verdict, find in _TESTS:
         for number, clip in enumerate(clips):
             for run, text, value, limit in find(clip):

@@ -105,9 +105,7 @@ class CommandPlanner:
     """Converts tracks into commands of one robot."""
 
     def __init__(self, plant: ArmPlant) -> None:
-        """Create a planner with the collision model of the robot."""
         self.plant = plant
-        """Kinematics of the robot."""
         self._collisions = CollisionModel(plant)
 
     def plan(
@@ -260,13 +258,7 @@ class Execution:
 
 
 def execute(simulator: Simulator, commands: Commands, control: Control) -> Execution:
-    """Execute commands from the current state on, until the task succeeds or they end.
-
-    Args:
-        simulator: simulator with this control.
-        commands: the commands.
-        control: send joint angles or poses.
-    """
+    """Execute commands from the current state on, until the task succeeds or they end, by the simulator's control."""
     snapshots, X_BG = [simulator.snapshot()], [simulator.link_pose(TCP_LINK)]
     for start, end in pairwise(commands.frame_steps):
         for i in range(start, end):

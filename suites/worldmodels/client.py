@@ -60,11 +60,7 @@ class Deadline:
         return left
 
     def wait(self, seconds: float) -> None:
-        """Sleep.
-
-        Raises:
-            WorldModelError: the deadline would pass before.
-        """
+        """Sleep; raise `WorldModelError` at once if the deadline would pass before."""
         self.left(seconds)
         time.sleep(seconds)
 

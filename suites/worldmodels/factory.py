@@ -177,12 +177,7 @@ class LazyWorldModel:
         return LazyWorldModel, (self.spec,)
 
     def get(self) -> WorldModel:
-        """Return the world model.
-
-        Raises:
-            UsageError: the spec is invalid.
-            SetupError: something it needs is missing, such as a key.
-        """
+        """Return the world model, made by `create` the first time."""
         if self._model is None:
             self._model = create(self.spec)
         return self._model
