@@ -10,11 +10,7 @@ CAMERA_NAME = "camera.json"
 
 
 def load_camera(path: Path, name: str | None = None) -> CameraSetting:
-    """Read `camera.json`.
-
-    Args:
-        path: the file.
-        name: name of the file in messages; None takes the last part of the path.
+    """Read `camera.json`; messages call it `name`, or by the last part of its path.
 
     Raises:
         UsageError: the file cannot be read, is not JSON, or holds no camera.

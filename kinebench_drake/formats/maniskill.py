@@ -50,12 +50,7 @@ _ROBOT = re.compile(r"panda|franka|fr3", re.IGNORECASE)
 
 
 def list_maniskill(path: Path, video: str) -> list[TrajectorySample]:
-    """List the trajectories of a file in the order of their numbers, without reading them.
-
-    Args:
-        path: the .h5 file.
-        video: name of the file in results.
-    """
+    """List the trajectories of an .h5 file, called `video` in results, by their numbers, without reading them."""
     unread = TrajectorySample(id=path.stem, path=path, video=video, format=TrajectoryFormat.MANISKILL)
     try:
         with open_hdf5(path) as file:
@@ -90,11 +85,7 @@ def list_maniskill(path: Path, video: str) -> list[TrajectorySample]:
 
 
 def read_maniskill(sample: TrajectorySample, choice: TrajectoryOptions) -> RawTrajectory:
-    """Read the robot's joints of one trajectory: obs/agent/qpos, else its articulation's state.
-
-    Args:
-        sample: the trajectory.
-        choice: `joints` names the data set below the trajectory's group.
+    """Read the robot's joints of one trajectory: the data set that `choice` names, else obs/agent/qpos, else its state.
 
     Raises:
         InputError: the file is damaged, or holds no robot's joints.
@@ -144,11 +135,7 @@ def read_maniskill(sample: TrajectorySample, choice: TrajectoryOptions) -> RawTr
 
 
 def _find_joints(trajectory: h5py.Group) -> str:
-    """Return the name of the data set that holds the robot's joints.
-
-    Raises:
-        InputError: there is none, or more than one.
-    """
+    """Return the name of the data set that holds the robot's joints."""
     if isinstance(trajectory.get(_QPOS), h5py.Dataset):
         return _QPOS
     articulations = trajectory.get(_ARTICULATIONS)
@@ -206,7 +193,7 @@ def write_part(
     Args:
         path: the npz file.
         actions: (N, 8) actions of `CONTROL_MODE`.
-        states: N + 1 states of ManiSkill: arrays by name of the object, by kind.
+        states: N + 1 states.
         successes: success after each action.
         truncated: True if the last action is the last one allowed.
     """

@@ -37,11 +37,7 @@ def finish_samples(
 ) -> tuple[AnySample, ...]:
     """Return samples with unique ids, and with the model and task of the user where they have none.
 
-    Args:
-        samples: all samples of an input.
-        folders: returns the folders that may be prepended to an id.
-        model: name of the model.
-        task: name of the task.
+    `folders` returns the folders that may be prepended to an id.
     """
     ids = unique_ids([(sample.id, folders(sample)) for sample in samples])
     return tuple(
@@ -51,14 +47,10 @@ def finish_samples(
 
 
 def unique_ids(wanted: Sequence[tuple[str, tuple[str, ...]]]) -> list[str]:
-    """Return a unique id for every sample.
+    """Return a unique id for every sample, from its preferred id and the folders that may be prepended to it.
 
-    Args:
-        wanted: preferred id of each sample, and the folders that may be prepended to it.
-
-    Returns:
-        Ids of samples with the same preferred id contain their folders; ids that are still equal, ignoring case, are
-        numbered.
+    Ids of samples with the same preferred id contain their folders; ids that are still equal, ignoring case, are
+    numbered.
     """
     counts = Counter(safe(id).casefold() for id, _ in wanted)
     candidates = [

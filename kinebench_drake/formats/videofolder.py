@@ -50,10 +50,7 @@ def list_metadata(path: Path, search: Search) -> list[VideoSample]:
 def add_labels(samples: Sequence[VideoSample], files: Sequence[Path], search: Search) -> list[VideoSample]:
     """Return the samples with the labels of metadata files, and a sample with a problem for every missing video.
 
-    Args:
-        samples: videos in the folders.
-        files: metadata files, from the top folder down: the file nearest to a video takes precedence.
-        search: the search.
+    The files are ordered from the top folder down: the one nearest to a video takes precedence.
     """
     labels: dict[Path, tuple[Row, Path]] = {}
     added: dict[Path, VideoSample] = {}

@@ -25,11 +25,7 @@ def cache_folder() -> Path:
 
 
 def require_accessible(path: Path, what: str) -> Path:
-    """Return `path`, which need not exist, if the file system can answer whether it does.
-
-    Args:
-        path: path named in a file of the user.
-        what: its name in messages.
+    """Return `path`, called `what` in messages, if the file system can answer whether it exists.
 
     Raises:
         InputError: the name is too long or not text, a folder above it is locked, or links form a circle.

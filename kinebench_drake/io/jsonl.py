@@ -106,9 +106,7 @@ def write_raw_lines(path: Path, lines: Iterable[bytes]) -> None:
 def read_lines(path: Path, parse: Callable[[object], Row]) -> list[Row]:
     """Read the JSON value of each line; a torn last line is ignored, a missing file has no lines.
 
-    Args:
-        path: the file.
-        parse: converts the JSON value of a line; raises ValueError or InputError if it is invalid.
+    `parse` converts a value, or raises ValueError or InputError.
 
     Raises:
         InputError: a line other than the last is invalid.
@@ -119,9 +117,7 @@ def read_lines(path: Path, parse: Callable[[object], Row]) -> list[Row]:
 def parse_lines(path: Path, parse: Callable[[object, int, int], Row]) -> Iterator[Row]:
     """Yield the converted JSON value of each line as `read_lines` does, one at a time.
 
-    Args:
-        path: the file.
-        parse: converts the JSON value of a line, given its offset and size in bytes.
+    `parse` is also given the offset and the size of the line [bytes].
 
     Raises:
         InputError: a line other than the last is invalid.

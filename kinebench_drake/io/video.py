@@ -100,11 +100,7 @@ def check_size(name: str, size: int) -> None:
 
 
 def stack_frames(name: str, images: Iterable[tuple[str, NDArray[np.uint8]]]) -> NDArray[np.uint8]:
-    """Stack images (H, W, 3) into frames (T, H, W, 3).
-
-    Args:
-        name: name of the video in messages.
-        images: at least one name of a frame and its image.
+    """Stack images (H, W, 3), each with its name, into the frames (T, H, W, 3) of a video, called `name` in messages.
 
     Raises:
         InputError: the images differ in size or take too much memory.

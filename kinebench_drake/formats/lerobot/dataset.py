@@ -182,13 +182,9 @@ class LeRobotDataset:
 def read_table(
     path: Path, columns: Sequence[str] = (), optional: Sequence[str] = (), episode: int | None = None
 ) -> pyarrow.Table:
-    """Read columns of a parquet file.
+    """Read columns of a parquet file: all of `columns`, and those of `optional` that it has.
 
-    Args:
-        path: the file.
-        columns: columns that it must have.
-        optional: columns that are left out where it lacks them.
-        episode: number of the episode whose rows are read, if the file numbers episodes; None: all rows.
+    If `episode` is a number and the file numbers episodes, only the rows of this one are read.
 
     Raises:
         InputError: the file is damaged, or lacks a column.

@@ -80,12 +80,7 @@ def list_lerobot_videos(folder: Path, search: Search) -> list[VideoSample]:
 
 
 def list_lerobot_trajectories(folder: Path, name: str, choice: TrajectoryOptions) -> list[TrajectorySample]:
-    """List the episodes of a dataset without reading them.
-
-    Args:
-        folder: the dataset.
-        name: name of the dataset in results.
-        choice: columns chosen by the user.
+    """List the episodes of a dataset, called `name` in results, without reading them.
 
     Raises:
         InputError: the dataset has no description, no suitable column, or no episode.

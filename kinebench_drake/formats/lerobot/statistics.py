@@ -19,12 +19,7 @@ def row_statistics(values: NDArray[Any]) -> dict[str, list[float] | list[int]]:
 
 
 def histogram_statistics(counts: NDArray[Any], frames: int) -> dict[str, Any]:
-    """Return statistics of images in 0..1, each (3, 1, 1), from the histograms of their channels.
-
-    Args:
-        counts: (3, 256) number of pixels of each value.
-        frames: number of images.
-    """
+    """Return statistics of `frames` images in 0..1, each (3, 1, 1), from the histograms (3, 256) of their channels."""
     level = np.arange(256) / 255.0
     total = counts.sum(axis=1, keepdims=True)
     mean = (counts * level).sum(axis=1) / total[:, 0]
@@ -44,12 +39,7 @@ def histogram_statistics(counts: NDArray[Any], frames: int) -> dict[str, Any]:
 def feature_statistics(
     rows: Sequence[Mapping[str, NDArray[Any]]], histograms: Mapping[str, Sequence[NDArray[Any]]]
 ) -> dict[str, dict[str, Any]]:
-    """Return statistics of every feature over episodes.
-
-    Args:
-        rows: columns by name, one mapping per episode.
-        histograms: histograms of each camera's images, one per episode.
-    """
+    """Return statistics of every feature over episodes: of the columns of each, and of the histograms of its images."""
     frames = sum(len(next(iter(columns.values()))) for columns in rows)
     return {
         **{name: row_statistics(np.concatenate([columns[name] for columns in rows])) for name in rows[0]},

@@ -63,10 +63,10 @@ def part_files(parts: Path, id: str) -> tuple[Path, Path]:
 def write_part(
     parts: Path, id: str, rgb: NDArray[np.uint8], state: Array, X_BG: Array, action: Array, *, fps: float, crf: int
 ) -> None:
-    """Write the parts of an episode of T frames.
+    """Write the parts of an episode of T frames to a folder.
 
     Args:
-        parts: folder of the parts.
+        parts: the folder.
         id: name of the episode's parts.
         rgb: (T, H, W, 3) video.
         state: (T, 8) joint angles [rad] and gap between the finger pads [m].
@@ -102,7 +102,7 @@ def _continuous(quaternions: Array) -> Array:
 
 
 def join_parts(folder: Path, parts: Path, prompts: Mapping[str, str], fps: float, camera: Camera) -> list[Path]:
-    """Join the parts of all episodes in a dataset, and write its metadata.
+    """Join the parts of all episodes in a dataset, and write its metadata; return the files of data and videos.
 
     Args:
         folder: folder of the dataset.
@@ -110,9 +110,6 @@ def join_parts(folder: Path, parts: Path, prompts: Mapping[str, str], fps: float
         prompts: instruction of each episode by the name of its parts.
         fps: frames per second, a whole number [1/s].
         camera: camera of the videos.
-
-    Returns:
-        The files of data and videos.
 
     Raises:
         SetupError: writing failed.

@@ -29,11 +29,7 @@ _WIDTH_SLACK_M = 0.01  # overshoot of sensors and simulators
 
 
 def check(raw: RawTrajectory, rate_hz: float | None = None) -> Trajectory:
-    """Check shapes, times, rotations, units and values of a trajectory, and convert it.
-
-    Args:
-        raw: content of the file.
-        rate_hz: frames per second, overriding the times of the file [Hz].
+    """Check shapes, times, rotations, units and values of a trajectory, and convert it; `rate_hz` overrides its times.
 
     Raises:
         InputError: shapes, times, rotations, units or values are wrong; the message names the frame and the fix.

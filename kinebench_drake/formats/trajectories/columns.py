@@ -85,9 +85,7 @@ class _Column:
 def find_columns(features: Mapping[str, object], choice: TrajectoryOptions) -> Reading:
     """Return the reading of the column that `choice` names, else of joint angles, else of poses; of no commands.
 
-    Args:
-        features: `features` of meta/info.json.
-        choice: options of the user.
+    `features` is that of meta/info.json.
 
     Raises:
         InputError: no column fits, or the named one does not; the message lists the columns.

@@ -21,11 +21,7 @@ _LAST_ROW = (0.0, 0.0, 0.0, 1.0)
 
 @np.errstate(over="ignore", invalid="ignore")  # values that overflow are refused below
 def rigid_poses(X: Array, valid: NDArray[np.bool_]) -> tuple[Array, tuple[str, ...]]:
-    """Return rigid poses (T, 4, 4), NaN for frames that are not valid, and messages about repairs.
-
-    Args:
-        X: (T, 4, 4) matrices that should be poses.
-        valid: (T,) True for valid frames.
+    """Return rigid poses (T, 4, 4) of matrices, NaN for frames that are not `valid` (T,), and messages about repairs.
 
     Raises:
         InputError: a frame holds no finite number, no homogeneous matrix, a left-handed or a distorted frame, or a
@@ -95,12 +91,9 @@ def _suspect_order(R: Array, quaternion: Array) -> tuple[str, ...]:
 
 
 def from_vectors(p: Array, rotation: Array, *, angles: bool) -> Array:
-    """Return poses (T, 4, 4) from positions (T, 3) [m] and three numbers per rotation (T, 3) [rad].
+    """Return poses (T, 4, 4) from positions (T, 3) [m] and rotation vectors (T, 3) [rad].
 
-    Args:
-        p: positions.
-        rotation: rotation vectors, or roll, pitch and yaw.
-        angles: True if `rotation` is roll, pitch and yaw about the fixed axes x, y and z, in this order.
+    With `angles` the latter are roll, pitch and yaw about the fixed axes x, y and z, in this order.
 
     Raises:
         InputError: a number is not finite, or the angles cannot be radians.

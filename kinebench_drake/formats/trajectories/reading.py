@@ -39,11 +39,7 @@ class Reading:
     warnings: tuple[str, ...] = ()
 
     def apply(self, rows: Array, t_s: NDArray[np.generic] | None) -> RawTrajectory:
-        """Return the trajectory of a table.
-
-        Args:
-            rows: (T, n) numbers.
-            t_s: (T,) times [s]; None if there are none.
+        """Return the trajectory of a table: rows (T, n) of numbers and their times (T,) [s], if there are any.
 
         Raises:
             InputError: the numbers are no rotations.

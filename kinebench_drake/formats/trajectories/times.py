@@ -22,13 +22,7 @@ _SMOOTHER = 0.8  # ratio of errors from which the motion counts as smoother; noi
 
 
 def check_times(array: NDArray[np.generic] | None, n: int, rate_hz: float | None, warnings: list[str]) -> Array:
-    """Check the times (T,) of `n` frames, and free even ones of rounding [s].
-
-    Args:
-        array: times of the file [s], if it holds any.
-        n: number of frames.
-        rate_hz: frames per second, overriding the times of the file [Hz].
-        warnings: is extended.
+    """Check the times (T,) of `n` frames [s], or make them from `rate_hz` [Hz]; free even ones of rounding.
 
     Raises:
         InputError: there are none, or they are not finite, do not increase or are too close or too far apart.

@@ -78,11 +78,7 @@ class Search:
         return self.top.resolve().name if path == self.top else path.relative_to(self.top).as_posix()
 
     def choose_camera(self, keys: Sequence[str], where: str) -> str:
-        """Return the name of the camera to use in a dataset: the one asked for, else the only one.
-
-        Args:
-            keys: names of the cameras in the dataset.
-            where: the dataset, for messages.
+        """Return the camera to use in a dataset, which messages call `where`: the one asked for, else the only one.
 
         Raises:
             InputError: several cameras and none is asked for, or the name matches none or several.
