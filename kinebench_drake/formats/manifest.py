@@ -14,7 +14,7 @@ from kinebench_drake.camera import CameraSetting, CameraSource
 from kinebench_drake.errors import InputError, UsageError, cause
 from kinebench_drake.formats.camerafile import load_camera
 from kinebench_drake.formats.folders import join_relative
-from kinebench_drake.formats.samples import shorten
+from kinebench_drake.formats.samples import MAX_PERIOD_S, MIN_PERIOD_S, shorten
 from kinebench_drake.formats.videos.sample import Search, VideoSample, image_beside
 from kinebench_drake.geometry import checked_pose
 from kinebench_drake.io.files import read_text
@@ -26,8 +26,6 @@ NAME = "manifest.jsonl"
 UNREAD = frozenset({"frames", "suite", "split", "negative_prompt", "actions"})
 """Keys that `suite export` and `suite demos` write for world models: ignored without a warning."""
 
-MIN_PERIOD_S, MAX_PERIOD_S = 1e-4, 1e3
-"""Shortest and longest task time between two frames [s]."""
 MAX_WIDTH_M, WIDTH_TOLERANCE_M = 0.08, 0.002
 """Greatest gap between the finger pads, and how far a measured gap may lie outside its range [m]."""
 

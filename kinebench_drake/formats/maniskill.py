@@ -15,10 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinebench_drake.errors import InputError, cause
+from kinebench_drake.formats.samples import MAX_PERIOD_S, MIN_PERIOD_S
 from kinebench_drake.formats.trajectories.check import MAX_FRAMES
 from kinebench_drake.formats.trajectories.trajectory import (
-    MAX_STEP_S,
-    MIN_STEP_S,
     N_JOINTS,
     RawTrajectory,
     TrajectoryFormat,
@@ -180,7 +179,7 @@ def _rate(about: Mapping[str, object]) -> float | None:
     arguments = as_object(info.get("env_kwargs"))
     for place in (info, arguments, as_object(arguments.get("sim_config")), as_object(arguments.get("sim_cfg"))):
         rate_hz = as_number(place.get("control_freq"))
-        if rate_hz is not None and 1.0 / MAX_STEP_S <= rate_hz <= 1.0 / MIN_STEP_S:
+        if rate_hz is not None and 1.0 / MAX_PERIOD_S <= rate_hz <= 1.0 / MIN_PERIOD_S:
             return rate_hz
     return None
 

@@ -8,6 +8,8 @@ from hashlib import blake2b
 from pathlib import Path
 from typing import TypeVar
 
+MIN_PERIOD_S, MAX_PERIOD_S = 1e-4, 1e3
+"""Shortest and longest task time between two frames [s]."""
 _ID_BYTES = 120
 
 

@@ -17,7 +17,7 @@ import pyarrow.parquet as parquet
 
 from kinebench_drake.errors import InputError, cause
 from kinebench_drake.formats.folders import join_relative
-from kinebench_drake.formats.manifest import MAX_PERIOD_S, MIN_PERIOD_S
+from kinebench_drake.formats.samples import MAX_PERIOD_S, MIN_PERIOD_S
 from kinebench_drake.formats.videos.sample import Search, VideoSample
 from kinebench_drake.io.files import VIDEO_SUFFIXES, absence, read_bytes
 from kinebench_drake.io.jsonl import as_object, as_type, parse_json

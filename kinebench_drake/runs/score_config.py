@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from kinebench_drake.errors import UsageError, member_of
-from kinebench_drake.formats.manifest import MAX_PERIOD_S, MIN_PERIOD_S
+from kinebench_drake.formats.samples import MAX_PERIOD_S, MIN_PERIOD_S
 from kinebench_drake.formats.trajectories.trajectory import SLOW_STEP_S
 from kinebench_drake.grounding.overrides.overrides import Overrides
 from kinebench_drake.io.jsonl import Json

@@ -4,9 +4,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinebench_drake.errors import InputError
+from kinebench_drake.formats.samples import MAX_PERIOD_S, MIN_PERIOD_S
 from kinebench_drake.formats.trajectories.trajectory import (
-    MAX_STEP_S,
-    MIN_STEP_S,
     SLOW_STEP_S,
     others_text,
     require_numbers,
@@ -46,11 +45,11 @@ def check_times(array: NDArray[np.generic] | None, n: int, rate_hz: float | None
                 f"the time of frame {k + 1} ({t_s[k + 1]:.6g} s) {relation} that of frame {k} ({t_s[k]:.6g} s)"
                 f"{others_text(bad)}: times must increase; sort the frames, or give $rate_hz HZ"
             )
-    bad = (steps < MIN_STEP_S * (1.0 - 1e-6)) | (steps > MAX_STEP_S)
+    bad = (steps < MIN_PERIOD_S * (1.0 - 1e-6)) | (steps > MAX_PERIOD_S)
     if bad.any():
         k = int(np.argmax(bad))
         raise InputError(
-            f"frames {k} and {k + 1} are {steps[k]:.3g} s apart, expected {MIN_STEP_S:g} to {MAX_STEP_S:g} s"
+            f"frames {k} and {k + 1} are {steps[k]:.3g} s apart, expected {MIN_PERIOD_S:g} to {MAX_PERIOD_S:g} s"
             f"{others_text(bad)}: are the times in seconds? $rate_hz HZ overrides them"
         )
     if len(steps) and np.median(steps) > SLOW_STEP_S:

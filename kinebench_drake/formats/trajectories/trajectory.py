@@ -8,15 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinebench_drake.errors import InputError, UsageError
-from kinebench_drake.formats.samples import Sample
+from kinebench_drake.formats.samples import MAX_PERIOD_S, MIN_PERIOD_S, Sample
 from kinebench_drake.geometry import Array
 
 N_JOINTS = 7
 """Joints of the arm."""
 SLOW_STEP_S = 5.0
 """Longer steps give a warning: robots are recorded faster [s]."""
-MIN_STEP_S, MAX_STEP_S = 1e-4, 1e3
-"""Shortest and longest time between two frames [s]."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -36,10 +34,10 @@ class TrajectoryOptions:
         Raises:
             UsageError: the rate is out of range, or joints and poses are both named.
         """
-        if self.rate_hz is not None and not 1.0 / MAX_STEP_S <= self.rate_hz <= 1.0 / MIN_STEP_S:
+        if self.rate_hz is not None and not 1.0 / MAX_PERIOD_S <= self.rate_hz <= 1.0 / MIN_PERIOD_S:
             raise UsageError(
-                f"$rate_hz is {self.rate_hz}, expected frames per second from {1.0 / MAX_STEP_S:g} to "
-                f"{1.0 / MIN_STEP_S:g}, such as 20"
+                f"$rate_hz is {self.rate_hz}, expected frames per second from {1.0 / MAX_PERIOD_S:g} to "
+                f"{1.0 / MIN_PERIOD_S:g}, such as 20"
             )
         if self.joints is not None and self.poses is not None:
             raise UsageError("$joints and $poses exclude each other: a trajectory is judged by one of them")
