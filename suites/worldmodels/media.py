@@ -4,6 +4,7 @@ import base64
 import binascii
 import io
 import os
+import re
 import shutil
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
@@ -22,7 +23,16 @@ from kinebench_drake.io.files import VIDEO_SUFFIXES
 from kinebench_drake.suites.worldmodels.worldmodel import WorldModelError
 
 _HEAD = 64
-_DEMUXERS = {".mp4": "mov", ".mov": "mov", ".avi": "avi", ".gif": "gif", ".webm": "matroska", ".mkv": "matroska"}
+_MATROSKA = rb"\x1a\x45\xdf\xa3"
+_FORMATS = {
+    ".mov": ("mov", rb".{4}ftypqt  "),
+    ".mp4": ("mov", rb".{4}ftyp"),
+    ".avi": ("avi", rb"RIFF.{4}AVI "),
+    ".gif": ("gif", rb"GIF8[79]a"),
+    ".webm": ("matroska", _MATROSKA + rb".*webm"),
+    ".mkv": ("matroska", _MATROSKA),
+}
+"""Demuxer and first bytes of each video format, by its suffix; the first match counts."""
 
 
 def png(frame: NDArray[np.uint8]) -> bytes:
@@ -54,15 +64,7 @@ def from_base64(text: str) -> bytes:
 
 def suffix_of(head: bytes) -> str | None:
     """Return the suffix of the video format that begins with `head`; None if there is none."""
-    if head[4:8] == b"ftyp":
-        return ".mov" if head[8:12] == b"qt  " else ".mp4"
-    if head[:4] == b"RIFF" and head[8:12] == b"AVI ":
-        return ".avi"
-    if head[:6] in (b"GIF87a", b"GIF89a"):
-        return ".gif"
-    if head[:4] == b"\x1a\x45\xdf\xa3":
-        return ".webm" if b"webm" in head else ".mkv"
-    return None
+    return next((suffix for suffix, (_, start) in _FORMATS.items() if re.match(start, head, re.DOTALL)), None)
 
 
 def check_video(path: Path) -> str:
@@ -81,7 +83,7 @@ def check_video(path: Path) -> str:
         raise WorldModelError(f"the file is not a video ({_describe(head)}); expected mp4, mov, avi, gif, webm or mkv")
     try:
         # The format is fixed: otherwise a playlist of other addresses would pass as a video.
-        with av.open(path, format=_DEMUXERS[suffix], metadata_errors="replace") as container:
+        with av.open(path, format=_FORMATS[suffix][0], metadata_errors="replace") as container:
             if not isinstance(container, InputContainer) or not container.streams.video:
                 raise WorldModelError("the file is a media file without a video stream")
             if next(container.decode(video=0), None) is None:

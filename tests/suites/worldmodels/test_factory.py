@@ -10,7 +10,7 @@ from kinebench_drake.errors import UsageError
 from kinebench_drake.io.files import VIDEO_SUFFIXES
 from kinebench_drake.suites.faults.recording import ViewKind
 from kinebench_drake.suites.worldmodels.factory import FORMS, create
-from kinebench_drake.suites.worldmodels.media import _DEMUXERS, suffix_of
+from kinebench_drake.suites.worldmodels.media import _FORMATS, suffix_of
 from kinebench_drake.suites.worldmodels.spec import Spec, parse
 from kinebench_drake.suites.worldmodels.worldmodel import Request
 from tests.films import decoded
@@ -142,11 +142,11 @@ def test_plugins() -> None:
             create(text)
 
 
-def test_every_film_can_be_opened() -> None:
-    assert set(_DEMUXERS) == VIDEO_SUFFIXES
+def test_every_video_suffix_has_a_demuxer() -> None:
+    assert set(_FORMATS) == VIDEO_SUFFIXES
 
 
-def test_videos_are_told_by_their_first_bytes(film: bytes, gif: bytes) -> None:
+def test_the_first_bytes_of_a_video_determine_its_format(film: bytes, gif: bytes) -> None:
     assert suffix_of(film) == ".mp4"
     assert suffix_of(gif) == ".gif"
     assert suffix_of(b"\0\0\0\x14ftypqt  ") == ".mov"
