@@ -11,8 +11,8 @@ from benchmarks.footage import ReferenceKind
 from benchmarks.markdown import table
 from benchmarks.perception.study import StudyPlan, evaluation, run_study
 from benchmarks.perception.tables import evaluation_json
+from kinebench_drake.executors.base import Observer
 from kinebench_drake.executors.local import LocalExecutor
-from kinebench_drake.executors.progress import Observer
 from kinebench_drake.io.jsonl import read_json
 from kinebench_drake.models.panda.robot import GripperKind
 from kinebench_drake.results.provenance import host

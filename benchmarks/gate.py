@@ -6,8 +6,7 @@ from pathlib import Path
 
 from benchmarks.perception.clip import find_clips
 from benchmarks.presentations import Outcome, Presentation, Trial, Verdict, measure
-from kinebench_drake.executors.base import Executor
-from kinebench_drake.executors.progress import Observer
+from kinebench_drake.executors.base import Executor, Observer
 
 CLIPS = Path("tests/gate")
 """Folder of the clips, each with its truth, and of their bounds."""

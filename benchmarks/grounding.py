@@ -54,7 +54,7 @@ class MeasureOptions:
     def run(self, study: "GroundingStudy") -> "StudyOutcome":
         """Run a study with a progress display."""
         from benchmarks.perception.study import StudyPlan, run_study
-        from kinebench_drake.cli.run import ProgressView
+        from kinebench_drake.cli.progress import ProgressView
         from kinebench_drake.executors.base import ExecutorKind, create_executor
 
         keep = _clips_file(self.json_out)
@@ -328,7 +328,7 @@ def anomalies(
     """
     from benchmarks.perception.anomalies import detect_all, find_cases
     from benchmarks.perception.anomaly_table import draw_anomalies, table_json, table_lines
-    from kinebench_drake.cli.run import ProgressView
+    from kinebench_drake.cli.progress import ProgressView
     from kinebench_drake.executors.base import ExecutorKind, create_executor
     from kinebench_drake.io.figure import save
 

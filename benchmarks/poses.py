@@ -73,7 +73,7 @@ def calibration(folder: Path, limit: int | None, frames: int, part: float, quick
 def icp(videos: Path, keep: Path, limit: int | None, seed: int, jobs: int, out: Path | None) -> None:
     """Measure the contribution of ICP to the poses of VIDEOS, a folder of `suite demos --with-depth`."""
     from benchmarks.registration import measure, section
-    from kinebench_drake.cli.run import ProgressView
+    from kinebench_drake.cli.progress import ProgressView
     from kinebench_drake.executors.local import LocalExecutor
 
     with errors(), ProgressView("steps") as view:
@@ -143,7 +143,7 @@ def cameras(folder: Path, out: Path, presented: str, limit: int | None, jobs: in
     one_thread()
     from benchmarks.perception.clip import choose, find_clips
     from benchmarks.presentations import Presentation, Trial, measure, outcome_table, summary_table
-    from kinebench_drake.cli.run import ProgressView
+    from kinebench_drake.cli.progress import ProgressView
     from kinebench_drake.executors.local import LocalExecutor
 
     with errors(), ProgressView("videos") as view:
@@ -166,7 +166,7 @@ def gate(jobs: int) -> None:
     """
     one_thread()
     from benchmarks.gate import CLIPS, CLIPS_VARIABLE, run_gate
-    from kinebench_drake.cli.run import ProgressView
+    from kinebench_drake.cli.progress import ProgressView
     from kinebench_drake.executors.local import LocalExecutor
 
     extra = os.environ.get(CLIPS_VARIABLE)

@@ -15,8 +15,7 @@ from benchmarks.perception.clip import TruthClipFile
 from benchmarks.perception.store import MeasurementStore, fingerprint
 from kinebench_drake.camera import Camera, CameraSetting
 from kinebench_drake.errors import UnmeasurableError
-from kinebench_drake.executors.base import Executor
-from kinebench_drake.executors.progress import Observer
+from kinebench_drake.executors.base import Executor, Observer
 from kinebench_drake.geometry import pose_difference
 from kinebench_drake.grounding.camera.lens import with_focal
 from kinebench_drake.grounding.camera.reading import Reading

@@ -18,8 +18,7 @@ from benchmarks.perception.store import MeasurementStore, fingerprint
 from benchmarks.perception.variants import Degradation, DegradedEstimator
 from kinebench_drake.camera import Camera
 from kinebench_drake.errors import UsageError
-from kinebench_drake.executors.base import Executor
-from kinebench_drake.executors.progress import Observer
+from kinebench_drake.executors.base import Executor, Observer
 from kinebench_drake.geometry import Array, pose_difference
 from kinebench_drake.grounding.overrides.estimates import replace_depth
 from kinebench_drake.grounding.priors import NO_PRIORS, ExternalDepth, Priors

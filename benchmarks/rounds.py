@@ -16,11 +16,11 @@ from kinebench_drake.closed_loop import loop
 from kinebench_drake.closed_loop.commands import CommandPlanner
 from kinebench_drake.errors import KinebenchError
 from kinebench_drake.grounding.video import Grounder
-from kinebench_drake.runs import episode
-from kinebench_drake.runs.episode import EpisodeEvaluator, EpisodeResources, EpisodeSample
+from kinebench_drake.runs import episodes
+from kinebench_drake.runs.episodes import EpisodeEvaluator, EpisodeResources, EpisodeSample, run_suite
 from kinebench_drake.runs.evaluator import Evaluation
 from kinebench_drake.runs.runner import RunObserver
-from kinebench_drake.runs.suite import run_suite, suite_config
+from kinebench_drake.runs.suite_config import SuiteConfig
 from kinebench_drake.runs.tools import Tools
 from kinebench_drake.suites.simulator import Simulator
 from kinebench_drake.suites.worldmodels.reference import OracleModel
@@ -49,10 +49,10 @@ _FUNCTIONS: tuple[tuple[Any, str, Stage], ...] = (
     (Grounder, "ground", Stage.GROUNDING),
     (CommandPlanner, "plan", Stage.COMMANDS),
     (loop, "execute", Stage.EXECUTION),
-    (episode, "render_video", Stage.EXECUTED_IMAGES),
+    (episodes, "render_video", Stage.EXECUTED_IMAGES),
     (Tools, "judge", Stage.KINEMATICS),
-    (episode, "measure_gap", Stage.GAP),
-    (episode, "write_video", Stage.FILM),
+    (episodes, "measure_gap", Stage.GAP),
+    (episodes, "write_video", Stage.FILM),
 )
 """Owner and name of the function of each stage; a stage that another one calls counts as part of that."""
 
@@ -126,7 +126,7 @@ def measure(tasks: Sequence[str] | None, episodes: int, out: Path, observer: Run
         KinebenchError: an episode failed, or there is one only.
     """
     clock = StageClock()
-    config = suite_config(0, tasks=tasks, episodes=episodes, world_model="oracle", out=out, jobs=1)
+    config = SuiteConfig(suite=0, tasks=tasks, episodes=episodes, world_model="oracle", out=out, jobs=1, replays=None)
     with clock.running():
         rows = {row.id: row for row in run_suite(config, observer).rows}
     ids = list(clock.episodes)[1:]  # the first episode loads networks and simulator

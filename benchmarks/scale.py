@@ -32,11 +32,10 @@ from kinebench_drake.report.page import write_report
 from kinebench_drake.results.metadata import Shard
 from kinebench_drake.results.row import SampleRow, Status
 from kinebench_drake.results.store import REPORT, RESULTS, SAMPLES, artifact_path, read_rows
-from kinebench_drake.runs.config import RunKind
+from kinebench_drake.runs.config import RunKind, ScoreConfig
 from kinebench_drake.runs.merge import merge_folders
 from kinebench_drake.runs.runner import NullRunObserver, run_samples
 from kinebench_drake.runs.score import VideoEvaluator
-from kinebench_drake.runs.score_config import ScoreConfig
 
 HEADING = "## A hundred thousand samples"
 """Heading of the section of the document."""
@@ -195,7 +194,9 @@ def _link_videos(videos: Path, out: Path, count: int) -> None:
 
 
 def _score(source: Path, template: Path, out: Path, jobs: int, shard: Shard | None) -> None:
-    config = ScoreConfig(kind=RunKind.SCORE, source=source, out=out, jobs=jobs, shard=shard, frame_period_s=0.2)
+    config = ScoreConfig(
+        kind=RunKind.SCORE, source=source, out=out, jobs=jobs, shard=shard, frame_period_s=0.2, replays=None
+    )
     evaluator = StubEvaluator(config=config, overrides=config.overrides(), template=template)
     run_samples(find_samples(source, out=out).samples, evaluator, NullRunObserver())
 

@@ -209,7 +209,7 @@ def rounds(results: Path, work: Path | None, tasks: str | None, episodes: int) -
     """Measure the time of a round of the closed loop, stage by stage."""
     one_thread()
     from benchmarks.rounds import figures, measure, section
-    from kinebench_drake.cli.run import ProgressView
+    from kinebench_drake.cli.progress import ProgressView
 
     with errors(), work_folder(work) as folder, ProgressView("episodes") as view:
         timing = measure(tasks, episodes, folder / "rounds", view)
@@ -228,7 +228,7 @@ def accuracy(results: Path, heldout: Path | None, others: tuple[Path, ...], work
     """Measure the errors of poses on held-out renderings and on videos of other programs and cameras."""
     one_thread()
     from benchmarks.accuracy import figures, measure, section
-    from kinebench_drake.cli.run import ProgressView
+    from kinebench_drake.cli.progress import ProgressView
 
     with errors(), ProgressView("videos") as view:
         measured = measure(_heldout(heldout, work), others, work, view, log)
@@ -249,7 +249,7 @@ def robustness(results: Path, heldout: Path | None, work: Path, weights: Path, l
     """
     one_thread()
     from benchmarks.robustness import FIGURE, draw, figures, measure, section
-    from kinebench_drake.cli.run import ProgressView
+    from kinebench_drake.cli.progress import ProgressView
     from kinebench_drake.io.figure import save
     from training.baseline.network import Baseline
 

@@ -33,14 +33,15 @@ from kinebench_drake.results.provenance import weights_hash
 from kinebench_drake.results.row import SampleRow
 from kinebench_drake.results.store import artifact_path
 from kinebench_drake.results.trackfile import read_track
+from kinebench_drake.runs.config import ScoreConfig
 from kinebench_drake.runs.runner import RunObserver
 from kinebench_drake.runs.score import score_videos
-from kinebench_drake.runs.score_config import ScoreConfig
 from kinebench_drake.segments import finite_rows
 from kinebench_drake.suites.catalog import EpisodeSpec, load_suite
+from kinebench_drake.suites.clock import Control
 from kinebench_drake.suites.families.registry import TASKS
 from kinebench_drake.suites.faults.fault import GRADES, FaultGrade
-from kinebench_drake.suites.simulator import Control, Simulator
+from kinebench_drake.suites.simulator import Simulator
 from kinebench_drake.suites.simulator_cache import SimulatorCache
 from kinebench_drake.track import GripperTrack
 
@@ -174,7 +175,7 @@ def measure(work: Path, episodes: int, sizes: int, jobs: int, observer: RunObser
     """
     executor = LocalExecutor(jobs=jobs)
     videos = _plant(work / "videos", episodes, study_grades(sizes), executor, observer)
-    config = ScoreConfig(source=work / "videos" / "manifest.jsonl", out=work / "score", jobs=jobs)
+    config = ScoreConfig(source=work / "videos" / "manifest.jsonl", out=work / "score", jobs=jobs, replays=None)
     rows = {row.id: row for row in score_videos(config, observer).rows}
     specs = {spec.id: spec for spec in study_specs()}
     items = [

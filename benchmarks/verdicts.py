@@ -76,7 +76,7 @@ def validity_measure(work: Path, episodes: int, sizes: int, jobs: int) -> None:
     An interrupted run continues where it was; more --episodes extend an earlier run.
     """
     from benchmarks.validity import measure
-    from kinebench_drake.cli.run import ProgressView
+    from kinebench_drake.cli.progress import ProgressView
 
     work.mkdir(parents=True, exist_ok=True)
     with errors(), ProgressView("steps") as view:
@@ -115,7 +115,7 @@ def extractors(work: Path, weights: Path, jobs: int, out: Path | None) -> None:
     WORK is the folder of `validity measure`. An interrupted run continues where it was.
     """
     from benchmarks.extractors import FIGURE, draw, measure, section
-    from kinebench_drake.cli.run import ProgressView
+    from kinebench_drake.cli.progress import ProgressView
     from kinebench_drake.io.figure import save
     from training.baseline.network import Baseline
 
@@ -138,7 +138,7 @@ def baseline(out: Path, episodes: int, steps: int, size: int, jobs: int) -> None
     Both the demonstrations and the training continue where an interrupted run stopped.
     """
     from benchmarks.extractors import train_baseline
-    from kinebench_drake.cli.run import ProgressView
+    from kinebench_drake.cli.progress import ProgressView
 
     with errors(), ProgressView("demonstrations") as view:
         weights = train_baseline(out, episodes, steps, size, jobs, view, click.echo)

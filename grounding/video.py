@@ -360,10 +360,7 @@ class _VideoGrounding:
             UnmeasurableError: the shape of the video differs from that of the camera's image, and nothing explains it.
         """
         clip, camera = self._clip, choice.camera
-        try:
-            framing = find_framing(clip.frames, camera, clip.conditioning)
-        except UnmeasurableError as error:
-            raise UnmeasurableError(f"{choice.source.value} {error}") from None
+        framing = find_framing(clip.frames, camera, clip.conditioning, choice.source)
         priors = self._priors
         if not isinstance(priors, Priors):
             priors = priors(framing.whole_camera(camera))

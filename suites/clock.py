@@ -1,4 +1,4 @@
-"""Time of the benchmark: control steps, frames, clips, and clips of other lengths brought to it."""
+"""Control and time of the benchmark: control steps, frames, clips, and clips of other lengths brought to it."""
 
 import math
 from enum import Enum
@@ -29,6 +29,15 @@ class ClipTiming(Enum):
     """Evenly over a known duration, whatever their number."""
     NATIVE = "native"
     """One frame period apart."""
+
+
+class Control(Enum):
+    """Command of the robot at each control step."""
+
+    JOINTS = "pd_joint_pos"
+    """Joint angles."""
+    POSE = "pd_ee_pose"
+    """Pose of the TCP; ManiSkill's inverse kinematics takes one step towards it from the current posture."""
 
 
 def sample_uniformly(frames: int, duration_s: float, period_s: float) -> tuple[NDArray[np.intp], Array]:

@@ -18,8 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from kinebench_drake.errors import InputError, SetupError, UsageError
-from kinebench_drake.executors.base import Executor, WorkerCrash
-from kinebench_drake.executors.progress import Observer
+from kinebench_drake.executors.base import Executor, Observer, WorkerCrash
 from kinebench_drake.io.atomic import disk_errors, make_folder
 from kinebench_drake.io.jsonl import append_line, read_json, read_lines, write_json, write_lines
 from kinebench_drake.suites.catalog import EpisodeSpec

@@ -11,8 +11,7 @@ from PIL import Image
 
 from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.errors import InputError, SetupError, UsageError
-from kinebench_drake.executors.base import Executor, WorkerCrash
-from kinebench_drake.executors.progress import Observer
+from kinebench_drake.executors.base import Executor, Observer, WorkerCrash
 from kinebench_drake.formats.camerafile import save_camera
 from kinebench_drake.io.atomic import atomic_path, make_folder
 from kinebench_drake.io.files import read_text

@@ -92,10 +92,6 @@ def prompt_template(
     )
 
 
-PROMPT_OPTIONS = ("prompt_preset", "prompt_prefix", "prompt_suffix", "prompts", "negative_prompt")
-"""Arguments of `prompt_template`."""
-
-
 def _read_tasks(file: Path) -> Mapping[str, str]:
     try:
         texts = parse_json(read_text(file))

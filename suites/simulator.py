@@ -8,7 +8,6 @@ import re
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
-from enum import Enum
 from functools import cache
 from typing import Any, Self, TypeAlias
 
@@ -23,6 +22,7 @@ from kinebench_drake.geometry import Array, from_quaternion, invert
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.models.panda.robot import FINGER_LINKS, HAND_LINK, LINK_OF, RobotPart
 from kinebench_drake.models.perception.frame import RENDERED_DEPTH_BIAS_M, RenderedFrame, label_parts
+from kinebench_drake.suites.clock import Control
 from kinebench_drake.suites.composition import Episode
 from kinebench_drake.suites.families.registry import find_task
 from kinebench_drake.suites.families.task import Scene, TaskVariant
@@ -59,15 +59,6 @@ def _setup_errors() -> Iterator[None]:
             f"Vulkan does not work ({reason}); `kinebench-drake doctor --fix` unpacks a driver that renders on the CPU "
             "where one is missing"
         ) from error
-
-
-class Control(Enum):
-    """Command of the robot at each control step."""
-
-    JOINTS = "pd_joint_pos"
-    """Joint angles."""
-    POSE = "pd_ee_pose"
-    """Pose of the TCP; ManiSkill's inverse kinematics takes one step towards it from the current posture."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

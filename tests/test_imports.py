@@ -165,7 +165,7 @@ def test_importing_the_package_loads_nothing_heavy():
             "results.store",
             "runs.evaluator",
         ),
-        *("report", "runs.merge", "cli.score", "cli.audit", "cli.run"),
+        *("report", "runs.merge", "cli.score", "cli.progress"),
         *("suites.start", "suites.worldmodels.factory"),
     ],
 )

@@ -118,7 +118,7 @@ def calibrate(folders: tuple[Path, ...], weights: Path | None, limit: int | None
     reliability is that of a fit to half of the videos, measured on the other half; videos with a wrong camera are only
     measured.
     """
-    from kinebench_drake.cli.run import ProgressView
+    from kinebench_drake.cli.progress import ProgressView
     from kinebench_drake.executors.base import ExecutorKind, create_executor
     from kinebench_drake.grounding.tracking.confidence import save_confidence
     from training.calibration import ConfidenceCalibration, calibrate_confidence

@@ -17,8 +17,7 @@ from benchmarks.perception.store import MeasurementStore, fingerprint
 from benchmarks.perception.summary import OFF_M
 from kinebench_drake.camera import Camera
 from kinebench_drake.errors import UsageError
-from kinebench_drake.executors.base import Executor
-from kinebench_drake.executors.progress import Observer
+from kinebench_drake.executors.base import Executor, Observer
 from kinebench_drake.geometry import Array, pose_difference
 from kinebench_drake.grounding.pipeline import TRACKED_CONFIDENCE, GroundingPipeline, Observation
 from kinebench_drake.grounding.tracking.confidence import (

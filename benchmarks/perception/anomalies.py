@@ -12,8 +12,7 @@ from benchmarks.perception.store import MeasurementStore, fingerprint
 from benchmarks.perception.variants import VariantTools
 from kinebench_drake.anomaly import Anomaly, AnomalyKind
 from kinebench_drake.errors import UsageError
-from kinebench_drake.executors.base import Executor
-from kinebench_drake.executors.progress import Observer
+from kinebench_drake.executors.base import Executor, Observer
 from kinebench_drake.io.reader import read_video
 
 _START_FRAMES = {

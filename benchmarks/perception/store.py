@@ -12,8 +12,7 @@ from typing import Any, Generic, Protocol, Self, TypeVar
 import kinebench_drake
 from kinebench_drake.environment.sources import trace_sources
 from kinebench_drake.errors import InputError, SetupError, UsageError
-from kinebench_drake.executors.base import Executor, MakeWorker, WorkerCrash
-from kinebench_drake.executors.progress import Observer
+from kinebench_drake.executors.base import Executor, MakeWorker, Observer, WorkerCrash
 from kinebench_drake.io.jsonl import append_line, drop_torn_line, read_lines
 
 

@@ -15,8 +15,7 @@ from benchmarks.perception.tables import compared, comparison_table, distributio
 from benchmarks.perception.trial import GroundingTrial, TrialCondition, TrialWorkerFactory
 from benchmarks.perception.variants import VARIANTS, Degradation
 from kinebench_drake.errors import UsageError
-from kinebench_drake.executors.base import Executor, MakeWorker
-from kinebench_drake.executors.progress import Observer
+from kinebench_drake.executors.base import Executor, MakeWorker, Observer
 from kinebench_drake.grounding.overrides.depth import DepthPlugIn
 from kinebench_drake.stats import IntervalEstimate
 

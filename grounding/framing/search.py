@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from kinebench_drake.camera import Camera
+from kinebench_drake.camera import Camera, CameraSource
 from kinebench_drake.errors import UnmeasurableError
 from kinebench_drake.geometry import Array
 from kinebench_drake.grounding.framing.framing import (
@@ -208,7 +208,9 @@ def _is_bar(bar: NDArray[np.float32], inside: NDArray[np.float32]) -> bool:
     return constant and float(np.abs(edge - colour).max(axis=-1).mean()) >= _MIN_EDGE
 
 
-def find_framing(frames: NDArray[np.uint8], camera: Camera, image: NDArray[np.uint8] | None) -> Framing:
+def find_framing(
+    frames: NDArray[np.uint8], camera: Camera, image: NDArray[np.uint8] | None, source: CameraSource | None = None
+) -> Framing:
     """Find where the camera's image is in the frames of a video.
 
     The first frame is aligned with the conditioning image, unless the camera has exactly the video's size and not the
@@ -219,6 +221,7 @@ def find_framing(frames: NDArray[np.uint8], camera: Camera, image: NDArray[np.ui
         frames: (T, H, W, 3) RGB.
         camera: camera of the conditioning image, at any size of the same shape, or of the video.
         image: (h, w, 3) RGB, conditioning image; None if unknown.
+        source: origin of the camera, for messages.
 
     Raises:
         UnmeasurableError: the shapes differ, and neither first frame nor bars determine the framing; or too little of
@@ -227,6 +230,7 @@ def find_framing(frames: NDArray[np.uint8], camera: Camera, image: NDArray[np.ui
     video, camera_size = (frames.shape[2], frames.shape[1]), (camera.width, camera.height)
     filled = Framing.filling(camera_size, video)
     framing: Framing | None = None
+    named = "" if source is None else f"{source.value} "
     own_camera = image is not None and camera_size == video and camera_size != image.shape[1::-1]
     if image is not None and not own_camera and _has_shape(camera, image):
         framing = align(image, frames[0])
@@ -240,14 +244,16 @@ def find_framing(frames: NDArray[np.uint8], camera: Camera, image: NDArray[np.ui
             else "neither the first frame's image nor bars were found in it"
         )
         raise UnmeasurableError(
-            f"camera is {camera.width} x {camera.height}, the video {video[0]} x {video[1]}: the aspect ratios differ, "
-            f"and {problem}; give the video's own camera.json, or its conditioning image: save it as ID.png beside "
-            "ID.mp4"
+            f"{named}camera is {camera.width} x {camera.height}, the video {video[0]} x {video[1]}: the aspect ratios "
+            f"differ, and {problem}; give the video's own camera.json, or its conditioning image: save it as ID.png "
+            "beside ID.mp4"
         )
     rows, columns = framing.window
     sides = columns.stop - columns.start, rows.stop - rows.start
     if min(sides) < MIN_SIDE_PX:
-        raise UnmeasurableError(f"shows {sides[0]} x {sides[1]} px between its bars, each side needs {MIN_SIDE_PX} px")
+        raise UnmeasurableError(
+            f"{named}shows {sides[0]} x {sides[1]} px between its bars, each side needs {MIN_SIDE_PX} px"
+        )
     return framing
 
 

@@ -4,7 +4,7 @@
 one sample and write nothing. Arguments have the names of the commands' options.
 """
 
-from kinebench_drake.api.run import run_suite, score_videos
+from kinebench_drake.api.runs import run_suite, score_videos
 from kinebench_drake.api.single import audit_trajectory, ground_video
 
 __all__ = ["audit_trajectory", "ground_video", "run_suite", "score_videos"]

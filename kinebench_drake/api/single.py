@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from kinebench_drake.api.run import PathName, own_arguments
+from kinebench_drake.api.runs import PathName, own_arguments
 from kinebench_drake.camera import Camera, CameraSetting, CameraSource
 from kinebench_drake.errors import InputError, UnmeasurableError, UsageError, member_of, name_arguments
 from kinebench_drake.executors.local import one_thread
@@ -28,9 +28,9 @@ from kinebench_drake.io.video import Video
 from kinebench_drake.models.panda.robot import GripperKind
 from kinebench_drake.results.inputs import PeriodSource
 from kinebench_drake.runs.audit import judge_trajectory
+from kinebench_drake.runs.config import check_period, period_warnings
 from kinebench_drake.runs.evaluator import SampleInfo
 from kinebench_drake.runs.preparation import BENCHMARK_PERIOD_S, ground_sample, with_initial_states
-from kinebench_drake.runs.score_config import check_period, period_warnings
 from kinebench_drake.runs.tools import RobotOptions, Tools, ToolsFactory, load_tools
 from kinebench_drake.track import GripperTrack, InitialState
 

@@ -17,13 +17,13 @@ _COMMANDS = {
     "doctor": ("doctor", "Check this machine and say how to fix what does not work."),
     "score": ("score", "Score videos: gripper tracks, kinematic metrics, report."),
     "ground": ("score", "Extract gripper tracks from videos, without kinematics."),
-    "audit": ("audit", "Check trajectories against the robot's kinematics, without video."),
+    "audit": ("score", "Check trajectories against the robot's kinematics, without video."),
     "calibrate": ("calibrate", "Estimate a static camera from a video of the robot."),
     "suite": ("suite", "Task suites: closed-loop runs, demonstrations, exports, reports."),
-    "report": ("folders", "Write the html report of output folders again."),
-    "compare": ("folders", "Compare output folders."),
-    "merge": ("folders", "Merge output folders of shards."),
-    "view": ("folders", "Show one sample in 3D."),
+    "report": ("outputs", "Write the html report of output folders again."),
+    "compare": ("outputs", "Compare output folders."),
+    "merge": ("outputs", "Merge output folders of shards."),
+    "view": ("outputs", "Show one sample in 3D."),
 }
 """Command name to (module in `kinebench_drake.cli`, short help); the command is the module's object of that name."""
 

@@ -1,13 +1,16 @@
-"""`kinebench-drake score` and `kinebench-drake ground`."""
+"""`kinebench-drake score`, `kinebench-drake ground` and `kinebench-drake audit`."""
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
-from kinebench_drake.cli.options import PathParameter, judging_options, sample_options, video_options
+from kinebench_drake.cli.options import PathParameter, config_options
+from kinebench_drake.runs.audit import AuditConfig
+from kinebench_drake.runs.config import RunKind, ScoreConfig
 
-if TYPE_CHECKING:
-    from kinebench_drake.runs.score_config import ScoreConfig
+_dry_run_option = click.option(
+    "--dry-run", is_flag=True, help="List samples, frame periods and cameras; measure and write nothing."
+)
 
 
 @click.command(
@@ -22,9 +25,8 @@ if TYPE_CHECKING:
     )
 )
 @click.argument("source", metavar="PATH", type=PathParameter())
-@sample_options
-@video_options
-@judging_options
+@config_options(ScoreConfig, omit=("source",))
+@_dry_run_option
 @click.pass_context
 def score(ctx: click.Context, /, dry_run: bool, **options: Any) -> None:
     """Score the videos of PATH: gripper tracks, kinematic metrics, report.
@@ -36,8 +38,6 @@ def score(ctx: click.Context, /, dry_run: bool, **options: Any) -> None:
     --masks, --depth and --poses replace stages of the grounding by results of other tools. Each DIR holds ID.npz,
     ID.npy or a folder ID/ for every video (docs/grounding.md), or is a demonstration folder with its truth.
     """
-    from kinebench_drake.runs.score_config import ScoreConfig
-
     ctx.exit(_score(ScoreConfig(**options), dry_run=dry_run))
 
 
@@ -50,8 +50,8 @@ def score(ctx: click.Context, /, dry_run: bool, **options: Any) -> None:
     )
 )
 @click.argument("source", metavar="PATH", type=PathParameter())
-@sample_options
-@video_options
+@config_options(ScoreConfig, omit=("source", "table_height_m", "replays"))
+@_dry_run_option
 @click.pass_context
 def ground(ctx: click.Context, /, dry_run: bool, **options: Any) -> None:
     """Extract the gripper track of each video of PATH, without judging it.
@@ -62,15 +62,40 @@ def ground(ctx: click.Context, /, dry_run: bool, **options: Any) -> None:
     --masks, --depth and --poses replace stages of the grounding by results of other tools. Each DIR holds ID.npz,
     ID.npy or a folder ID/ for every video (docs/grounding.md), or is a demonstration folder with its truth.
     """
-    from kinebench_drake.runs.config import RunKind
-    from kinebench_drake.runs.score_config import ScoreConfig
-
-    ctx.exit(_score(ScoreConfig(kind=RunKind.GROUND, **options), dry_run=dry_run))
+    ctx.exit(_score(ScoreConfig(kind=RunKind.GROUND, replays=None, **options), dry_run=dry_run))
 
 
-def _score(config: "ScoreConfig", *, dry_run: bool) -> int:
+@click.command(
+    epilog=(
+        "\b\nExamples:\n"
+        "  kinebench-drake audit track.npz --out results/\n"
+        "  kinebench-drake audit demos/trajectory.h5 --out results/ --jobs 4\n"
+        "  kinebench-drake audit dataset/ --out results/ --joints observation.state\n"
+        "  kinebench-drake audit score-results/ --out results/ --table-height -0.02\n"
+        "  kinebench-drake audit track.csv --out results/ --robot arm.urdf --tcp-frame tool0"
+    )
+)
+@click.argument("source", metavar="PATH", type=PathParameter())
+@config_options(AuditConfig, omit=("source",))
+@click.pass_context
+def audit(ctx: click.Context, /, **options: Any) -> None:
+    """Check the trajectories of PATH: whether and how well the robot executes each, and if not, why not.
+
+    PATH is an npz file (t_s with base_from_tcp or q), a csv file (t_s,x_m,y_m,z_m,qw,qx,qy,qz or t_s,q1_rad..q7_rad),
+    a ManiSkill trajectory (.h5, its .json beside it), a LeRobot dataset (v2 or v3), an output folder of score or ground
+    or its tracks/, or a folder of these. Joint angles are judged as recorded; poses are infeasible only if no joint
+    path follows them. Lengths are metres, angles radians, poses those of the TCP in the robot's base frame.
+    """
+    from kinebench_drake.cli.progress import run
+    from kinebench_drake.runs.audit import audit_trajectories
+
+    config = AuditConfig(**options)
+    ctx.exit(run(lambda observer: audit_trajectories(config, observer), config.out))
+
+
+def _score(config: ScoreConfig, *, dry_run: bool) -> int:
     """Carry out a run, or list what it would read; return the exit status."""
-    from kinebench_drake.cli.run import ProgressView, run
+    from kinebench_drake.cli.progress import ProgressView, run
     from kinebench_drake.results.inputs import input_lines
     from kinebench_drake.results.row import Status
     from kinebench_drake.runs.score import plan_videos, score_videos

@@ -8,21 +8,13 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from kinebench_drake.cli.options import (
-    SPLITS,
-    PathParameter,
-    check_parent,
-    check_suffix,
-    episodes_option,
-    jobs_option,
-    tasks_option,
-    variant_option,
-)
+from kinebench_drake.cli.options import PathParameter, check_parent, check_suffix, config_options
 from kinebench_drake.cli.suite_data import demos, export
 from kinebench_drake.cli.suite_results import ceiling, report, tolerance
 from kinebench_drake.cli.suite_run import plan, run
 from kinebench_drake.errors import UsageError
 from kinebench_drake.io.atomic import atomic_path, write_atomically
+from kinebench_drake.runs.suite_config import SuiteConfig
 
 if TYPE_CHECKING:  # slow to import
     from kinebench_drake.suites.composition import Episode
@@ -34,7 +26,9 @@ _SUITE = click.option(
     "--suite", "number", type=click.IntRange(0, 3), metavar="N",
     help="Take tasks, seeds and assets from a suite's split.  [default: all tasks, seeds as they are, all assets]",
 )  # fmt: skip
-_SPLIT = click.option("--split", type=SPLITS, help="Split, with --suite.  [default: test]")
+_SPLIT = click.option(
+    "--split", type=click.Choice(["train", "test", "seen", "unseen"]), help="Split, with --suite.  [default: test]"
+)
 
 
 def _episodes(
@@ -130,17 +124,16 @@ def _echo_json(facts: list[dict[str, Any]]) -> None:
 @suite.command(epilog="\b\nExample:\n  kinebench-drake suite check --tasks StackCube-v1 --episodes 100 --jobs 2")
 @_SUITE
 @_SPLIT
-@tasks_option
-@episodes_option
+@config_options(SuiteConfig, "tasks", "episodes")
 @_SEED
 @click.option(
     "--policy", type=click.Choice(["expert", "still", "random"]), default="expert", show_default=True,
     help="Policy that moves the robot.",
 )  # fmt: skip
-@variant_option
+@config_options(SuiteConfig, "variant")
 @click.option("--pool", type=click.Choice(["all", "seen", "unseen"]), help="Assets and looks.  [default: all]")
 @click.option("--json", "json_out", type=PathParameter(dir_okay=False), help="Write the trials as JSON.")
-@jobs_option
+@config_options(SuiteConfig, "jobs")
 def check(
     number: int | None,
     split: str | None,
@@ -181,10 +174,10 @@ def check(
 @click.option("--out", type=PathParameter(dir_okay=False), required=True, help="Image file, PNG or JPEG.")
 @_SUITE
 @_SPLIT
-@tasks_option
+@config_options(SuiteConfig, "tasks")
 @click.option("--looks", type=click.Choice(["table", "background", "light"]), help="Show all looks of a sort instead.")
 @_SEED
-@jobs_option
+@config_options(SuiteConfig, "jobs")
 def sheet(
     out: Path, number: int | None, split: str | None, tasks: str | None, looks: str | None, seed: int, jobs: int
 ) -> None:

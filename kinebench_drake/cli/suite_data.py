@@ -5,23 +5,17 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from kinebench_drake.cli.options import (
-    SIZES,
-    PathParameter,
-    first_seed_option,
-    jobs_option,
-    prompt_options,
-    suite_options,
-    variant_option,
-)
-from kinebench_drake.cli.run import ProgressView, terminate_as_interrupt
+from kinebench_drake.cli.options import SIZES, config_options
+from kinebench_drake.cli.progress import ProgressView, terminate_as_interrupt
 from kinebench_drake.errors import UsageError
 from kinebench_drake.results.metadata import Shard
+from kinebench_drake.runs.suite_config import PROMPT_OPTIONS, SuiteConfig
 
 if TYPE_CHECKING:
     from kinebench_drake.suites.demo_config import FormatKind, RenderOptions
 
-_OUT = click.option("--out", type=PathParameter(), required=True, help="Output folder; made if absent.")
+_EPISODES = ("suite", "split", "tasks", "episodes", "seed", "variant")
+"""Options that choose episodes of a suite."""
 
 
 @click.command(
@@ -30,13 +24,9 @@ _OUT = click.option("--out", type=PathParameter(), required=True, help="Output f
     "  kinebench-drake suite export --suite 0 --episodes 10 --out suite0/\n"
     "  kinebench-drake suite export --suite 2 --split unseen --tasks StackCube-v1 --episodes 50 --out looks/ --jobs 2",
 )
-@suite_options()
-@first_seed_option
-@variant_option
+@config_options(SuiteConfig, *_EPISODES)
 @click.option("--size", type=SIZES, default=384, show_default=True, help="Width and height of the images.")
-@prompt_options
-@_OUT
-@jobs_option
+@config_options(SuiteConfig, *PROMPT_OPTIONS, "out", "jobs")
 def export(size: int, jobs: int, **options: Any) -> None:
     """Write the inputs of world models: first frames, prompts, camera.
 
@@ -46,7 +36,7 @@ def export(size: int, jobs: int, **options: Any) -> None:
     """
     from kinebench_drake.executors.base import ExecutorKind, create_executor
     from kinebench_drake.suites.export import ExportConfig, export_suite
-    from kinebench_drake.suites.prompts import PROMPT_OPTIONS, prompt_template
+    from kinebench_drake.suites.prompts import prompt_template
 
     prompts = prompt_template(**{name: options.pop(name) for name in PROMPT_OPTIONS})
     config = ExportConfig(**_dataset(**options), size=size, prompts=prompts)
@@ -57,14 +47,14 @@ def export(size: int, jobs: int, **options: Any) -> None:
     click.echo(config.out / "manifest.jsonl")
 
 
-def _dataset(number: int, split: str, tasks: str | None, variant: str, **others: Any) -> dict[str, Any]:
+def _dataset(suite: int, split: str, tasks: str | None, variant: str, **others: Any) -> dict[str, Any]:
     """Return the fields of `DatasetConfig` from the options of the command line."""
     from kinebench_drake.suites.catalog import chosen_tasks, load_suite
     from kinebench_drake.suites.families.task import TaskVariant
 
-    suite, task_variant = load_suite(number), TaskVariant(variant)
-    chosen = chosen_tasks(suite, split, tasks, task_variant)
-    return {**others, "suite": suite, "split": suite.split_name(split), "tasks": chosen, "variant": task_variant}
+    loaded, task_variant = load_suite(suite), TaskVariant(variant)
+    chosen = chosen_tasks(loaded, split, tasks, task_variant)
+    return {**others, "suite": loaded, "split": loaded.split_name(split), "tasks": chosen, "variant": task_variant}
 
 
 def _counted(number: int, what: str) -> str:
@@ -78,9 +68,7 @@ def _counted(number: int, what: str) -> str:
     "  kinebench-drake suite demos --suite 2 --split train --episodes 50 --out train/ --format lerobot-v3 --jobs 2\n"
     "  kinebench-drake suite demos --suite 0 --episodes 100 --out part1/ --format maniskill-h5 --shard 1/4",
 )
-@suite_options(number=0, split="train")
-@first_seed_option
-@variant_option
+@config_options(SuiteConfig, *_EPISODES, defaults={"suite": 0, "split": "train"})
 @click.option(
     "--format", "kind", type=click.Choice(["mp4", "lerobot-v3", "maniskill-h5", "frames"]), default="mp4",
     show_default=True, help="mp4: a video per clip, with captions; frames: labelled frames to train perception with.",
@@ -96,10 +84,7 @@ def _counted(number: int, what: str) -> str:
 )  # fmt: skip
 @click.option("--crf", type=click.IntRange(0, 51), help="x264's quality, 0 is lossless.  [default: 16]")
 @click.option("--with-depth", is_flag=True, help="mp4: keep depth and gripper masks in truth/ (some MB a video).")
-@_OUT
-@jobs_option
-@click.option("--shard", metavar="I/N", help="Make part I (1 to N) of N, for several machines; an --out for each.")
-@click.option("--overwrite/--resume", default=False, help="Start anew, or keep what is finished.  [default: resume]")
+@config_options(SuiteConfig, "out", "jobs", "shard", "overwrite")
 @click.pass_context
 def demos(
     ctx: click.Context,

@@ -5,16 +5,10 @@ from pathlib import Path
 
 import click
 
-from kinebench_drake.cli.folders import bootstrap_seed_option, comparison_out_option, folders_argument
-from kinebench_drake.cli.options import (
-    PathParameter,
-    check_parent,
-    check_suffix,
-    first_seed_option,
-    jobs_option,
-    suite_options,
-)
+from kinebench_drake.cli.options import PathParameter, check_parent, check_suffix, config_options
+from kinebench_drake.cli.outputs import comparison_out_option, folders_argument
 from kinebench_drake.io.atomic import write_atomically
+from kinebench_drake.runs.suite_config import SuiteConfig
 
 
 @click.command(
@@ -25,15 +19,14 @@ from kinebench_drake.io.atomic import write_atomically
 )
 @folders_argument
 @comparison_out_option
-@bootstrap_seed_option
-@jobs_option
-def ceiling(folders: tuple[Path, ...], out: Path | None, seed: int, jobs: int) -> None:
+@config_options(SuiteConfig, "jobs")
+def ceiling(folders: tuple[Path, ...], out: Path | None, jobs: int) -> None:
     """Execute the expert's own true track in the episodes of suite runs DIR, and compare each model with it.
 
     No model succeeds more often, except by chance: the difference was lost between the generated and the executed
     motion. For a run of the oracle that is the cost of grounding; for other models their videos add to it.
     """
-    from kinebench_drake.cli.run import ProgressView, terminate_as_interrupt
+    from kinebench_drake.cli.progress import ProgressView, terminate_as_interrupt
     from kinebench_drake.closed_loop.tolerance import run_attempts
     from kinebench_drake.executors.base import ExecutorKind, create_executor
     from kinebench_drake.report.run import check_page_folder
@@ -44,7 +37,7 @@ def ceiling(folders: tuple[Path, ...], out: Path | None, seed: int, jobs: int) -
         check_page_folder(out)
     executor = create_executor(ExecutorKind.LOCAL, jobs)
     with ProgressView() as view, terminate_as_interrupt():
-        comparison = read_ceiling(folders, lambda episodes: run_attempts(executor, episodes, (), view), seed)
+        comparison = read_ceiling(folders, lambda episodes: run_attempts(executor, episodes, (), view))
     page = None if out is None else write_comparison(comparison, out)
     for line in (*comparison_lines(comparison.pairs), "", *ceiling_lines(comparison.pairs)):
         click.echo(line)
@@ -68,8 +61,7 @@ def ceiling(folders: tuple[Path, ...], out: Path | None, seed: int, jobs: int) -
     "`python -m training baseline evaluate`.",
 )
 @click.option("--out", type=PathParameter(file_okay=False), required=True, help="Folder to write to.")
-@bootstrap_seed_option
-def report(folders: tuple[Path, ...], out: Path, seed: int, paper: bool) -> None:
+def report(folders: tuple[Path, ...], out: Path, paper: bool) -> None:
     """Report on output folders DIR of `suite run`: report.html, figures (png, svg), tables (csv, LaTeX).
 
     Folders of one model on one suite are pooled, such as shards, unless their tags or settings differ.
@@ -78,7 +70,7 @@ def report(folders: tuple[Path, ...], out: Path, seed: int, paper: bool) -> None
     from kinebench_drake.report.suite.suite_page import write_suite_report
 
     write = write_paper_report if paper else write_suite_report
-    page = write(folders, out, seed, warn=lambda message: click.echo(f"warning: {message}", err=True))
+    page = write(folders, out, warn=lambda message: click.echo(f"warning: {message}", err=True))
     click.echo(page)
 
 
@@ -91,14 +83,13 @@ _ERRORS = ("bias", "jitter", "finger_delay")
     "  kinebench-drake suite tolerance --suite 0 --episodes 10 --out tolerance.json --figure tolerance.png --jobs 2\n"
     "  kinebench-drake suite tolerance --suite 0 --tasks StackCube-v1 --errors bias --out stack.json",
 )
-@suite_options()
-@first_seed_option
+@config_options(SuiteConfig, "suite", "split", "tasks", "episodes", "seed")
 @click.option("--errors", default=",".join(_ERRORS), show_default=True, help="Errors to plant, comma-separated.")
 @click.option("--out", type=PathParameter(dir_okay=False), required=True, help="Output file of all attempts, JSON.")
 @click.option("--figure", type=PathParameter(dir_okay=False), help="Draw the curves (png, svg, pdf).")
-@jobs_option
+@config_options(SuiteConfig, "jobs")
 def tolerance(
-    number: int,
+    suite: int,
     split: str,
     tasks: str | None,
     episodes: int,
@@ -114,7 +105,7 @@ def tolerance(
     or independent ones per frame (jitter), with proportional rotations (5 degrees with 15 mm), or the fingers are
     delayed by some frames (finger_delay).
     """
-    from kinebench_drake.cli.run import ProgressView, terminate_as_interrupt
+    from kinebench_drake.cli.progress import ProgressView, terminate_as_interrupt
     from kinebench_drake.closed_loop.tolerance import PoseError, run_attempts, table_json, table_lines
     from kinebench_drake.errors import UsageError
     from kinebench_drake.executors.base import ExecutorKind, create_executor
@@ -128,9 +119,9 @@ def tolerance(
         if path is not None:
             check_parent(option, path)
     check_suffix("--figure", figure, ".png", ".svg", ".pdf")
-    suite = load_suite(number)
-    chosen = chosen_tasks(suite, split, tasks, TaskVariant.PLAIN)
-    specs = suite.specs(suite.split_name(split), episodes, tasks=chosen, offset=seed)
+    loaded = load_suite(suite)
+    chosen = chosen_tasks(loaded, split, tasks, TaskVariant.PLAIN)
+    specs = loaded.specs(loaded.split_name(split), episodes, tasks=chosen, offset=seed)
     with ProgressView() as view, terminate_as_interrupt():
         chosen_errors, todo = [PoseError(name) for name in names], [spec.episode() for spec in specs]
         attempts = run_attempts(create_executor(ExecutorKind.LOCAL, jobs), todo, chosen_errors, view)

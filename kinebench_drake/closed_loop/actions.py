@@ -8,12 +8,12 @@ import numpy as np
 
 from kinebench_drake.geometry import Array, interpolate_pose, pose_difference
 from kinebench_drake.kinematics.plant import ArmPlant
-from kinebench_drake.suites.clock import FRAME_PERIOD_S
+from kinebench_drake.suites.clock import FRAME_PERIOD_S, Control
 from kinebench_drake.suites.composition import Episode
 from kinebench_drake.suites.families.registry import find_expert
 from kinebench_drake.suites.rollout import continue_expert
 from kinebench_drake.suites.seeding import generator
-from kinebench_drake.suites.simulator import Control, Simulator, SimulatorState
+from kinebench_drake.suites.simulator import Simulator, SimulatorState
 from kinebench_drake.suites.simulator_cache import SimulatorCache
 from kinebench_drake.suites.worldmodels.worldmodel import ActionTrack
 from kinebench_drake.track import GripperTrack

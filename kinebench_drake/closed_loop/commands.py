@@ -21,8 +21,8 @@ from kinebench_drake.kinematics.path import is_sound, search_path
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.models.panda.robot import TCP_LINK
 from kinebench_drake.segments import segments
-from kinebench_drake.suites.clock import CONTROL_PERIOD_S
-from kinebench_drake.suites.simulator import Control, Simulator, Snapshot, TaskOutcome
+from kinebench_drake.suites.clock import CONTROL_PERIOD_S, Control
+from kinebench_drake.suites.simulator import Simulator, Snapshot, TaskOutcome
 
 LEAD_S = 0.1
 """Lag of the servos of ManiSkill's Panda: damping over stiffness, 100 / 1000."""

@@ -2,7 +2,6 @@
 
 import glob
 from dataclasses import dataclass, field, replace
-from enum import Enum
 from pathlib import Path
 
 import numpy as np
@@ -28,17 +27,19 @@ from kinebench_drake.suites.clock import (
     MAX_FRAME_PERIOD_S,
     MIN_FRAME_PERIOD_S,
     ClipTiming,
+    Control,
     sample_uniformly,
 )
 from kinebench_drake.suites.composition import Episode
 from kinebench_drake.suites.export import FPS
 from kinebench_drake.suites.prompts import PromptTemplate
 from kinebench_drake.suites.seeding import generator
-from kinebench_drake.suites.simulator import Control, Simulator, TaskOutcome
+from kinebench_drake.suites.simulator import Simulator, TaskOutcome
 from kinebench_drake.suites.worldmodels.media import place_beside
 from kinebench_drake.suites.worldmodels.worldmodel import (
     ActionTrack,
     ChoosesLength,
+    Condition,
     OfflineModel,
     PrivilegedModel,
     Request,
@@ -47,15 +48,6 @@ from kinebench_drake.suites.worldmodels.worldmodel import (
     WorldModelError,
 )
 from kinebench_drake.track import GripperTrack, InitialState
-
-
-class Condition(Enum):
-    """What a request states of the motion that the clip should show."""
-
-    NONE = "none"
-    """The prompt alone."""
-    ACTIONS = "actions"
-    """The expert's track, too."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -14,18 +14,17 @@ import numpy as np
 
 from kinebench_drake.closed_loop.commands import CommandPlanner, RobotState, execute
 from kinebench_drake.errors import KinebenchError, UnmeasurableError
-from kinebench_drake.executors.base import Executor, WorkerCrash
-from kinebench_drake.executors.progress import Observer
+from kinebench_drake.executors.base import Executor, Observer, WorkerCrash
 from kinebench_drake.geometry import Array, make_pose, rotation_exp
 from kinebench_drake.io.figure import new_figure
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.stats import wilson
-from kinebench_drake.suites.clock import CLIP_FRAMES, FRAME_PERIOD_S
+from kinebench_drake.suites.clock import CLIP_FRAMES, FRAME_PERIOD_S, Control
 from kinebench_drake.suites.composition import Episode
 from kinebench_drake.suites.families.registry import find_expert
 from kinebench_drake.suites.rollout import Rollout, run_expert
 from kinebench_drake.suites.seeding import generator
-from kinebench_drake.suites.simulator import Control, Simulator
+from kinebench_drake.suites.simulator import Simulator
 from kinebench_drake.suites.simulator_cache import SimulatorCache, SimulatorWorker, failure_reason
 
 if TYPE_CHECKING:

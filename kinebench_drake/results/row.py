@@ -1,15 +1,138 @@
-"""One line of `samples.jsonl`: the result of one sample."""
+"""One line of `samples.jsonl`: the result of one sample.
 
-from collections.abc import Mapping
+In memory a stored row keeps its numbers and labels; what takes most bytes is read from the file on demand.
+"""
+
+import os
+from collections.abc import ItemsView, Iterator, Mapping
 from dataclasses import dataclass, field, fields
 from enum import Enum
+from functools import lru_cache
 from pathlib import Path
 from types import UnionType
 from typing import Any, cast
 
 from kinebench_drake.errors import InputError
-from kinebench_drake.io.jsonl import Json, finite, intern_text
-from kinebench_drake.results.rowfile import PackedObject, RowLine, StoredObject
+from kinebench_drake.io.jsonl import Json, dump, finite, intern_text, parse_json
+
+_SHORT = 200
+"""Characters of JSON up to which an object is kept; as many samples have the same camera or framing, it is shared."""
+
+
+class RowFile:
+    """A file of lines, open as long as a row refers to it: rows stay readable when the file is replaced."""
+
+    def __init__(self, path: Path) -> None:
+        """Open the file.
+
+        Raises:
+            OSError: it cannot be opened.
+        """
+        self._fd = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
+
+    def __del__(self) -> None:
+        if hasattr(self, "_fd"):
+            os.close(self._fd)
+
+    @property
+    def size(self) -> int:
+        """Size of the file [bytes]."""
+        return os.fstat(self._fd).st_size
+
+    def read(self, start: int, size: int) -> bytes:
+        """Read a part of the file."""
+        return os.pread(self._fd, size, start)
+
+
+class RowLine:
+    """Place of one row in a file: offset of its first byte and number of bytes."""
+
+    __slots__ = ("file", "size", "start")
+
+    def __init__(self, file: RowFile, start: int, size: int) -> None:
+        self.file, self.start, self.size = file, start, size
+
+    def read(self) -> bytes:
+        """Return the bytes of the line, with its line feed."""
+        return self.file.read(self.start, self.size)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(None), ()  # in another process the file is not open
+
+
+class StoredObject(Mapping[str, Json]):
+    """An object of a stored row, such as `details`: read and parsed at each access."""
+
+    __slots__ = ("_line", "_name")
+
+    def __init__(self, line: RowLine, name: str) -> None:
+        self._line, self._name = line, name
+
+    def __getitem__(self, key: str) -> Json:
+        return self._parse()[key]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._parse())
+
+    def __len__(self) -> int:
+        return len(self._parse())
+
+    def items(self) -> ItemsView[str, Json]:
+        """Return names and values; the row is read once."""
+        return self._parse().items()
+
+    def __repr__(self) -> str:
+        return repr(self._parse())
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return dict, (self._parse(),)
+
+    def _parse(self) -> dict[str, Json]:
+        row = cast(dict[str, Any], parse_json(self._line.read()))
+        return cast(dict[str, Json], intern_text(row[self._name]))
+
+
+class PackedObject(Mapping[str, Json]):
+    """An object with few bytes: its names are shared with all objects of the same names."""
+
+    __slots__ = ("_places", "_values")
+
+    def __init__(self, values: Mapping[str, Json]) -> None:
+        self._places, self._values = _places(tuple(values)), tuple(map(_pack_value, values.values()))
+
+    def __getitem__(self, key: str) -> Json:
+        return self._values[self._places[key]]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._places)
+
+    def __len__(self) -> int:
+        return len(self._values)
+
+    def __repr__(self) -> str:
+        return repr(dict(self))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return dict, (dict(self),)
+
+
+def _pack_value(value: Json) -> Json:
+    if value is None or isinstance(value, float | int):  # most values: what follows takes longer
+        return value
+    if isinstance(value, Mapping | list):
+        text = dump(value)
+        return _shared(text) if len(text) <= _SHORT else cast(Json, intern_text(value))
+    return cast(Json, intern_text(value))
+
+
+@lru_cache(maxsize=4096)
+def _places(names: tuple[str, ...]) -> dict[str, int]:
+    return {intern_text(name): k for k, name in enumerate(names)}
+
+
+@lru_cache(maxsize=4096)
+def _shared(text: str) -> Json:
+    return cast(Json, intern_text(parse_json(text)))
 
 
 class Status(Enum):
@@ -52,6 +175,8 @@ class SampleRow:
     """Further top-level keys. Videos: frames, width, height, fps, frame_period_s, frame_period_source,
     camera_source, seed, prompt. Trajectories: frames, frames_tracked, duration_s, frame_period_s, judged,
     columns, warnings, format, seed, prompt, success. Suite runs: success, progress, rounds, verdict."""
+    line: RowLine | None = field(default=None, compare=False, repr=False)
+    """Place in the file of a stored row."""
 
     @property
     def sample_index(self) -> int:
@@ -66,9 +191,15 @@ class SampleRow:
 
     def to_json(self) -> dict[str, Json]:
         """Return the JSON object, in a fixed order of keys, without NaN, infinity or invalid text."""
-        values = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "extra"}
+        values = {name: getattr(self, name) for name in _NAMES}
         values["status"] = self.status.value
         return cast(dict[str, Json], intern_text(finite({**values, **self.extra})))
+
+    def is_same(self, other: "SampleRow") -> bool:
+        """Return whether both rows have the same JSON."""
+        if self.line is not None and other.line is not None and self.line.read() == other.line.read():
+            return True
+        return dump(self.to_json()) == dump(other.to_json())
 
     @classmethod
     def from_json(cls, data: object, line: RowLine | None = None) -> "SampleRow":
@@ -95,7 +226,7 @@ class SampleRow:
                 is_object = isinstance(stored, dict)
                 values[name] = StoredObject(line, name) if line and stored and is_object else intern_text(stored)
             extra = PackedObject({k: v for k, v in data.items() if k not in _NAMES})
-            row = cls(**values, extra=extra)
+            row = cls(**values, extra=extra, line=line)
         except (AttributeError, KeyError, TypeError, ValueError) as error:
             raise InputError(f"not a row of samples.jsonl ({error})") from None
         for name, kind in _TYPES.items():
@@ -116,8 +247,9 @@ def sample_suffix(index: int) -> str:
 
 _STORED = ("null_reasons", "without_lost", "details")
 """Fields that are read from the file on demand."""
-_NAMES = frozenset(f.name for f in fields(SampleRow)) - {"extra"}
-_LABELS = _NAMES - {"violations", "metrics", *_STORED}
+_NAMES = tuple(f.name for f in fields(SampleRow) if f.name not in ("extra", "line"))
+"""Keys of every row, in their order."""
+_LABELS = {*_NAMES} - {"violations", "metrics", *_STORED}
 _TYPES: Mapping[str, type | UnionType] = {
     **dict.fromkeys(("id", "video", "content_hash"), str),
     **dict.fromkeys(("task", "model", "reason"), str | None),

@@ -9,8 +9,7 @@ from pathlib import Path
 from kinebench_drake.errors import InputError, UsageError
 from kinebench_drake.io.atomic import disk_errors, remove
 from kinebench_drake.io.jsonl import Json, append_line, dump, parse_lines, write_json, write_raw_lines
-from kinebench_drake.results.row import SampleRow
-from kinebench_drake.results.rowfile import RowFile, RowLine
+from kinebench_drake.results.row import RowFile, RowLine, SampleRow
 
 SAMPLES, TIMINGS, RESULTS, REPORT = "samples.jsonl", "timings.jsonl", "results.json", "report.html"
 RUN = "run.json"
@@ -32,32 +31,16 @@ def read_rows(out: Path) -> dict[str, SampleRow]:
     Raises:
         InputError: a line other than the last is not a row.
     """
-    return read_stored_rows(out)[0]
-
-
-def read_stored_rows(out: Path) -> tuple[dict[str, SampleRow], dict[str, RowLine]]:
-    """Read the rows as `read_rows` does, with the place of each in the file.
-
-    Raises:
-        InputError: a line other than the last is not a row.
-    """
     path = out / SAMPLES
-    rows: dict[str, SampleRow] = {}
-    lines: dict[str, RowLine] = {}
-    if not path.is_file():
-        return rows, lines
-    file = RowFile(path)
+    return _parse_rows(path, RowFile(path)) if path.is_file() else {}
 
-    def parse(data: object, start: int, size: int) -> tuple[SampleRow, RowLine]:
-        line = RowLine(file, start, size)
-        return SampleRow.from_json(data, line), line
 
+def _parse_rows(path: Path, file: RowFile) -> dict[str, SampleRow]:
     try:
-        for row, line in parse_lines(path, parse):
-            rows[row.id], lines[row.id] = row, line
+        rows = parse_lines(path, lambda data, start, size: SampleRow.from_json(data, RowLine(file, start, size)))
+        return {row.id: row for row in rows}
     except InputError as error:
         raise InputError(f"{error}; $overwrite=True removes the earlier results") from None
-    return rows, lines
 
 
 class ResultStore:
@@ -88,9 +71,8 @@ class ResultStore:
                     )
             with (out / SAMPLES).open("ab"):
                 pass
-            self.rows, self._lines = read_stored_rows(out)
-            line = next(iter(self._lines.values()), None)
-            self._file = line.file if line else RowFile(out / SAMPLES)
+            self._file = RowFile(out / SAMPLES)
+            self.rows = _parse_rows(out / SAMPLES, self._file)
         except OSError as error:
             self.close()
             raise UsageError(f"$out {out}: cannot be written ({error.strerror or error})") from None
@@ -121,7 +103,7 @@ class ResultStore:
             SetupError: writing failed.
         """
         for id in [id for id, row in self.rows.items() if not wanted(row)]:
-            del self.rows[id], self._lines[id]
+            del self.rows[id]
             for kind in ARTIFACTS:
                 with disk_errors(f"{kind}/"):
                     artifact_path(self.out, kind, id).unlink(missing_ok=True)
@@ -154,11 +136,6 @@ class ResultStore:
         with disk_errors(RESULTS):
             (self.out / RESULTS).unlink(missing_ok=True)
 
-    def holds(self, row: SampleRow) -> bool:
-        """Return whether the stored row of the sample is the same."""
-        stored = self.rows.get(row.id)
-        return stored is not None and dump(stored.to_json()) == dump(row.to_json())
-
     def append(self, row: SampleRow, wall_s: float) -> None:
         """Store the row of a finished sample: once this returns, no crash loses it.
 
@@ -166,8 +143,8 @@ class ResultStore:
             SetupError: writing failed; the file is unchanged.
         """
         data = row.to_json()
-        line = RowLine(self._file, *append_line(self.out / SAMPLES, data))
-        self.rows[row.id], self._lines[row.id] = SampleRow.from_json(data, line), line
+        place = append_line(self.out / SAMPLES, data)
+        self.rows[row.id] = SampleRow.from_json(data, RowLine(self._file, *place))
         with disk_errors(TIMINGS), (self.out / TIMINGS).open("a") as file:  # may be lost in a power cut
             file.write(dump({"id": row.id, "wall_s": round(wall_s, 4)}))
 
@@ -188,18 +165,9 @@ class ResultStore:
             if folder.is_dir() and not any(folder.iterdir()):
                 folder.rmdir()
 
-    def replace_rows(self, rows: Mapping[str, SampleRow], lines: Mapping[str, RowLine]) -> None:
-        """Replace all rows by rows of other files; `finish` writes them.
-
-        Args:
-            rows: rows by id.
-            lines: the place of each.
-        """
-        self.rows, self._lines = dict(rows), dict(lines)
-
     def _rewrite(self) -> None:
         """Write the lines of all rows, sorted by id, where the file holds anything else."""
-        lines = [self._lines[id] for id in sorted(self.rows)]
+        lines = [row.line for row in self.sorted_rows() if row.line is not None]
         ends = [0, *accumulate(line.size for line in lines)]
         current = all(line.file is self._file and line.start == end for line, end in zip(lines, ends, strict=False))
         if current and ends[-1] == self._file.size:

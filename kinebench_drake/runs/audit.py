@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 
@@ -15,8 +15,9 @@ from kinebench_drake.results.inputs import PeriodSource
 from kinebench_drake.results.row import SampleRow
 from kinebench_drake.results.store import artifact_path
 from kinebench_drake.results.trackfile import write_track
-from kinebench_drake.runs.config import RunConfig, RunKind
+from kinebench_drake.runs.config import RunConfig, RunKind, SourceConfig
 from kinebench_drake.runs.evaluator import KINEMATIC_METRICS, Evaluation, Evaluator
+from kinebench_drake.runs.option import Option
 from kinebench_drake.runs.runner import NullRunObserver, RunObserver, RunSummary, run_samples
 from kinebench_drake.runs.tools import RobotOptions, Tools, load_tools
 from kinebench_drake.track import GripperTrack
@@ -28,29 +29,31 @@ _MOST_WARNINGS = 5  # shown on the terminal
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class AuditConfig(RunConfig):
+class AuditConfig(SourceConfig):
     """Options of a run over trajectories."""
 
-    source: Path
-    """Trajectory file, LeRobot dataset, output folder, or folder of these."""
-    task: str | None = None
-    """Task of samples whose input names none."""
     kind: RunKind = RunKind.AUDIT
-    rate_hz: float | None = None
-    """Frames per second, in place of the files' times [Hz]."""
-    joints: str | None = None
-    """Name of the array, data set or column of joint angles."""
-    poses: str | None = None
-    """Name of the array or column of TCP poses."""
-    urdf: Path | None = None
-    """URDF of the robot; None for mani_skill's Panda."""
-    tcp_frame: str | None = None
-    """TCP frame of the URDF."""
+    rate_hz: Annotated[
+        float | None, Option("Frames per second, in place of the times of the files (t_s = k / rate).", metavar="HZ")
+    ] = None
+    joints: Annotated[
+        str | None, Option("Array (npz), data set (h5) or column (LeRobot) of the joint angles.", metavar="COLUMN")
+    ] = None
+    poses: Annotated[str | None, Option("Array (npz) or column (LeRobot) of the TCP poses.", metavar="COLUMN")] = None
+    urdf: Annotated[
+        Path | None,
+        Option(
+            "URDF of a seven-joint arm, with $tcp_frame.  [default: mani_skill's Franka Panda]",
+            metavar="URDF",
+            key="robot",
+        ),
+    ] = None
+    tcp_frame: Annotated[str | None, Option("TCP frame of the URDF.  [default: panda_hand_tcp]", metavar="NAME")] = None
     robot_remarks: tuple[str, ...] = ()
     """Assumptions made when the URDF was read; filled in by `audit_trajectories`."""
 
     def __post_init__(self) -> None:
-        """Check the options.
+        """Convert and check the options.
 
         Raises:
             UsageError: one of them is invalid.
@@ -78,13 +81,7 @@ class AuditConfig(RunConfig):
         """Serialize into `config` of results.json; paths by their last name only."""
         return {
             **RunConfig.to_json(self),
-            "source": self.source.resolve().name,
-            "task": self.task,
-            "rate_hz": self.rate_hz,
-            "joints": self.joints,
-            "poses": self.poses,
             "robot": self.urdf.name if self.urdf else None,
-            "tcp_frame": self.tcp_frame,
             "robot_remarks": list(self.robot_remarks),
         }
 

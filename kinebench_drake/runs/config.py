@@ -1,17 +1,25 @@
-"""Kinds of runs, and the options common to all runs."""
+"""Configuration of a run over videos, and the options common to all runs."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
 from pathlib import Path
-from typing import TypeVar
+from typing import Annotated, TypeVar
 
 from kinebench_drake.errors import UsageError
 from kinebench_drake.executors.base import ExecutorKind
+from kinebench_drake.formats.samples import MAX_PERIOD_S, MIN_PERIOD_S
+from kinebench_drake.formats.trajectories.trajectory import SLOW_STEP_S
+from kinebench_drake.grounding.overrides.overrides import Overrides
 from kinebench_drake.io.jsonl import Json
+from kinebench_drake.models.panda.robot import GripperKind
 from kinebench_drake.results.metadata import Shard
+from kinebench_drake.runs.option import Option, options_json, parse_options
 from kinebench_drake.runs.tools import RobotOptions, Tools, ToolsFactory
+from kinebench_drake.suites.clock import CLIP_S, ClipTiming
 
+AUTO, BENCHMARK = "auto", "benchmark"
+"""Values of `camera` besides the path of a camera.json."""
 MAX_SEED = 2**63 - 1
 """Largest seed: JSON readers take a larger integer for a float."""
 _Sample = TypeVar("_Sample")
@@ -40,42 +48,58 @@ class RunKind(Enum):
 class RunConfig:
     """Options common to all runs."""
 
-    out: Path
-    """Output folder, created if absent."""
+    out: Annotated[Path, Option("Output folder; created if absent.", key=None)]
     kind: RunKind
-    limit: int | None = None
-    """Evaluate only the first so many samples."""
-    shard: Shard | None = None
-    """Evaluate only this part of the samples."""
-    jobs: int = 1
-    """Worker processes."""
-    engine: ExecutorKind = ExecutorKind.LOCAL
-    address: str | None = None
-    """Address of the Ray cluster."""
-    overwrite: bool = False
-    """Discard the content of `out` instead of resuming."""
-    seed: int = 0
-    """Seed of the bootstrap."""
-    model: str | None = None
-    """Model of samples whose input names none."""
-    tags: Mapping[str, str] = field(default_factory=dict)
-    """Labels kept in the results."""
+    limit: Annotated[int | None, Option("Process only the first N samples.", least=1, metavar="N")] = None
+    shard: Annotated[Shard | None, Option("Process only part I of N, for several machines.", metavar="I/N")] = None
+    jobs: Annotated[int, Option("Worker processes; 1 works in the calling process.", least=1, metavar="N")] = 1
+    engine: Annotated[ExecutorKind, Option("Where workers run: processes of this machine, or a Ray cluster.")] = (
+        ExecutorKind.LOCAL
+    )
+    address: Annotated[
+        str | None,
+        Option("Ray cluster.  [default: RAY_ADDRESS, or that of this machine]", metavar="HOST:PORT", key=None),
+    ] = None
+    overwrite: Annotated[
+        bool,
+        Option(
+            "Start anew, or keep finished samples whose input and options are unchanged.  [default: resume]",
+            also="--resume",
+            key=None,
+        ),
+    ] = False
+    seed: Annotated[
+        int,
+        Option(
+            "Seed of the bootstrap; of `suite` commands also the number of the first of the split's seeds.", least=0
+        ),
+    ] = 0
+    model: Annotated[
+        str | None,
+        Option(
+            "World model behind the samples, where the input does not name it; of `suite run` its name in tables.",
+            metavar="NAME",
+        ),
+    ] = None
+    tags: Annotated[Mapping[str, str], Option("Label kept in results; repeatable.", metavar="KEY=VALUE", key=None)] = (
+        field(default_factory=dict)
+    )
+    table_height_m: Annotated[float, Option("Height of the table top in the robot base frame.", metavar="METRES")] = 0.0
+    replays: Annotated[
+        int | None,
+        Option("Write 3D replays of the N worst samples (3 MB each); `view` writes one of any.", least=0, metavar="N"),
+    ] = 3
+    """None keeps the replays that `view` wrote and writes none."""
     make_tools: ToolsFactory = Tools
     """Creates the tools of a worker process; picklable."""
-    table_height_m: float = 0.0
-    """Height of the table top in the robot base frame [m]."""
-    replays: int | None = None
-    """Number of 3D replays of the worst samples; None keeps those that `view` wrote and writes none."""
 
     def __post_init__(self) -> None:
-        """Check the options.
+        """Convert and check the options.
 
         Raises:
             UsageError: one of them is invalid.
         """
-        for name, value, least in (("limit", self.limit, 1), ("seed", self.seed, 0), ("replays", self.replays, 0)):
-            if value is not None and value < least:
-                raise UsageError(f"${name} is {value}, expected {least} or more")
+        parse_options(self)
         if self.seed > MAX_SEED:
             raise UsageError(f"$seed is {self.seed}, expected {MAX_SEED} or less")
         self.robot_options()
@@ -100,14 +124,152 @@ class RunConfig:
 
     def to_json(self) -> dict[str, Json]:
         """Serialize into `config` of results.json; paths by their last name only."""
+        return {"kind": self.kind.value, **options_json(self)}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SourceConfig(RunConfig):
+    """Options of runs over files."""
+
+    source: Annotated[Path, Option("Files to read.")]
+    task: Annotated[str | None, Option("Task of the samples, where the input does not name it.", metavar="NAME")] = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ScoreConfig(SourceConfig):
+    """Options of a run over videos."""
+
+    kind: RunKind = RunKind.SCORE
+    frame_period_s: Annotated[
+        float | None,
+        Option("Task time between two frames; benchmark videos: 0.2.  [default: 1 / fps]", metavar="SECONDS"),
+    ] = None
+    clip_timing: Annotated[
+        ClipTiming | None,
+        Option(
+            "Frames of a video: evenly over the task's duration, sampled every frame period, or one frame period "
+            "apart.  [default: native; uniform with $task_duration_s]",
+            key=None,
+        ),
+    ] = None
+    task_duration_s: Annotated[
+        float | None,
+        Option(
+            "Task time that each video shows, whatever its number of frames.  [default with uniform: 9.6]",
+            metavar="SECONDS",
+        ),
+    ] = None
+    camera_key: Annotated[
+        str | None,
+        Option(
+            "Camera to use of a LeRobot dataset, HDF5 or npz file that has several, by its name or part of it.",
+            metavar="NAME",
+        ),
+    ] = None
+    camera: Annotated[
+        str,
+        Option(
+            "Camera of videos that name none: auto takes the benchmark camera where the arm confirms it and estimates "
+            "it from the arm elsewhere, benchmark insists on the former; a camera.json is that of all videos.",
+            metavar="auto|benchmark|FILE",
+        ),
+    ] = AUTO
+    mirrored: Annotated[bool, Option("The pictures show the scene mirrored: turn them left-right first (LIBERO).")] = (
+        False
+    )
+    gripper: Annotated[
+        GripperKind,
+        Option(
+            "Gripper on the arm. With another one than Franka's the links give the flange, with robotiq-2f85 also its "
+            "contours; the opening is unknown. auto does so where the arm is seen without a Franka hand, links first."
+        ),
+    ] = GripperKind.AUTO
+    overlay: Annotated[bool, Option("Write videos with the tracked gripper drawn in.", also="--no-overlay")] = False
+    pixels_only: Annotated[
+        bool,
+        Option("Ignore the initial state in the manifest (pose of the first frame, or task and seed of an episode)."),
+    ] = False
+    masks: Annotated[Path | None, Option("Gripper masks that replace the network's.", metavar="DIR")] = None
+    depth: Annotated[
+        str | None,
+        Option(
+            "Metric depth that replaces the network's: files, MoGe-2 or a class of yours.",
+            metavar="DIR|moge:CHECKPOINT|module:Class",
+        ),
+    ] = None
+    poses: Annotated[
+        Path | None, Option("Poses of panda_hand in the camera frame that replace the tracker's.", metavar="DIR")
+    ] = None
+    depth_exact: Annotated[
+        bool, Option("Treat the depth of $depth as accurate to a few millimetres (sensor, simulator).")
+    ] = False
+
+    def __post_init__(self) -> None:
+        """Convert and check the options.
+
+        Raises:
+            UsageError: one of them is invalid.
+        """
+        RunConfig.__post_init__(self)
+        check_period(self.frame_period_s)
+        self.overrides()
+        _ = self.duration_s
+
+    @property
+    def duration_s(self) -> float | None:
+        """Task time over which the frames of a video lie evenly [s]; None: they are one frame period apart.
+
+        Raises:
+            UsageError: an option is invalid, or the two contradict each other.
+        """
+        duration_s = self.task_duration_s
+        if duration_s is not None and self.clip_timing is ClipTiming.NATIVE:
+            raise UsageError("$task_duration_s needs $clip_timing uniform, found native; leave one of them out")
+        if self.clip_timing is ClipTiming.UNIFORM and duration_s is None:
+            return CLIP_S
+        if duration_s is not None and not MIN_PERIOD_S <= duration_s <= MAX_PERIOD_S:
+            raise UsageError(
+                f"$task_duration_s is {duration_s}, expected seconds from {MIN_PERIOD_S:g} to {MAX_PERIOD_S:g}, such "
+                f"as {CLIP_S:g}"
+            )
+        return duration_s
+
+    def overrides(self) -> Overrides:
+        """Return the stages of the grounding that are replaced.
+
+        Raises:
+            UsageError: a folder or class does not exist.
+        """
+        return Overrides(masks=self.masks, depth=self.depth, poses=self.poses, depth_exact=self.depth_exact)
+
+    def to_json(self) -> dict[str, Json]:
+        """Serialize into `config` of results.json; paths by their last name only."""
         return {
-            "kind": self.kind.value,
-            "limit": self.limit,
-            "shard": str(self.shard) if self.shard else None,
-            "jobs": self.jobs,
-            "engine": self.engine.value,
-            "seed": self.seed,
-            "model": self.model,
-            "table_height_m": self.table_height_m,
-            "replays": self.replays,
+            **RunConfig.to_json(self),
+            "task_duration_s": self.duration_s,
+            "camera": self.camera if self.camera in (AUTO, BENCHMARK) else Path(self.camera).name,
+            "depth": self.overrides().names.get("depth"),
         }
+
+
+def check_period(period_s: float | None) -> None:
+    """Check a task time between two frames [s].
+
+    Raises:
+        UsageError: it is out of range.
+    """
+    if period_s is not None and not MIN_PERIOD_S <= period_s <= MAX_PERIOD_S:
+        raise UsageError(
+            f"$frame_period_s is {period_s}, expected seconds from {MIN_PERIOD_S:g} to {MAX_PERIOD_S:g}, such as 0.2"
+        )
+
+
+def period_warnings(periods_s: Iterable[float | None]) -> list[str]:
+    """Return a warning about task times between two frames [s] that are longer than any recording's."""
+    long = sorted({period_s for period_s in periods_s if period_s is not None and period_s > SLOW_STEP_S})
+    if not long:
+        return []
+    return [
+        f"a frame period of {long[-1]:g} s means {long[-1]:g} s between two frames: is it in milliseconds (then write "
+        f"{long[-1] / 1000:g}) or in frames per second (then write {1 / long[-1]:.4g})?"
+    ]

@@ -8,13 +8,12 @@ from pathlib import Path
 
 from kinebench_drake.errors import InputError, UsageError, count_noun
 from kinebench_drake.io.atomic import atomic_path, write_atomically
-from kinebench_drake.io.jsonl import Json, as_object, dump
+from kinebench_drake.io.jsonl import Json, as_object
 from kinebench_drake.report.sample import worst_samples
 from kinebench_drake.results.aggregate import RunStatistics
 from kinebench_drake.results.metadata import RunMetadata, read_metadata
 from kinebench_drake.results.row import SampleRow, Status
-from kinebench_drake.results.rowfile import RowLine
-from kinebench_drake.results.store import ARTIFACTS, SAMPLES, TIMINGS, ResultStore, artifact_path, read_stored_rows
+from kinebench_drake.results.store import ARTIFACTS, SAMPLES, TIMINGS, ResultStore, artifact_path, read_rows
 from kinebench_drake.runs.config import RunKind
 from kinebench_drake.runs.evaluator import PENDING, SCHEMA_VERSION
 from kinebench_drake.runs.requests import request_path, write_requests
@@ -36,27 +35,12 @@ class ShardFolder:
     finished: bool
     """True if the run has ended."""
     rows: Mapping[str, SampleRow]
-    lines: Mapping[str, RowLine]
-    """Place of each row in the file."""
     clips: Mapping[str, Sequence[Path]]
     """Video files and frame folders in `videos/` by the id of their episode."""
 
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class MergedSample:
-    """Row of a sample and the folder that it comes from."""
-
-    row: SampleRow
-    shard: ShardFolder
-
-    @property
-    def line(self) -> RowLine:
-        """Place of the row in the file of the shard."""
-        return self.shard.lines[self.row.id]
-
-    def artifact(self, kind: str) -> Path:
-        """Return the path of an artifact in the folder of the shard."""
-        return artifact_path(self.shard.path, kind, self.row.id)
+    def artifact(self, kind: str, id: str) -> Path:
+        """Return the path of an artifact of a sample."""
+        return artifact_path(self.path, kind, id)
 
 
 def merge_folders(folders: Sequence[Path], out: Path, observer: RunObserver | None = None) -> RunSummary:
@@ -82,23 +66,29 @@ def merge_folders(folders: Sequence[Path], out: Path, observer: RunObserver | No
     if (earlier := _read_earlier_merge(out)) is not None:
         _check_same_run(earlier, shards[0], "name another $out")
         shards.insert(0, earlier)
-    samples = _select_samples(shards)
+    sources = _select_samples(shards)
+    rows = {id: shard.rows[id] for id, shard in sources.items()}
     run = _merge_metadata([shard.run for shard in shards])
-    for warning in _merge_warnings([shard.run for shard in shards], run, len(samples)):
+    for warning in _merge_warnings([shard.run for shard in shards], run, len(rows)):
         observer.warn(warning)
-    new = {id: sample for id, sample in samples.items() if sample.shard is not earlier}
-    replays = _select_replays(samples, run)
-    observer.start(total=len(samples), completed=len(samples) - len(new))
+    new = [id for id, shard in sources.items() if shard is not earlier]
+    most = run.config.get(
+        "replays"
+    )  # of the worst samples, as a single run would have written: each shard wrote its own
+    replays = {*rows}
+    if isinstance(most, int):
+        replays = {*worst_samples(rows.values(), lambda id: sources[id].artifact("tracks", id), most)}
+    observer.start(total=len(rows), completed=len(rows) - len(new))
     with ResultStore(out) as store:
         store.begin(run.to_json())
-        for id, sample in new.items():
-            for source in _sample_files(sample, with_replay=id in replays):
-                _copy(source, out / source.relative_to(sample.shard.path))
-            observer.finish(sample.row, 0.0)
+        for id in new:
+            for file in _sample_files(rows[id], sources[id], with_replay=id in replays):
+                _copy(file, out / file.relative_to(sources[id].path))
+            observer.finish(rows[id], 0.0)
         store.keep_artifacts("replays", replays)
-        write_atomically(out / TIMINGS, _merge_timings(shards, samples).encode())
-        store.replace_rows({id: s.row for id, s in samples.items()}, {id: s.line for id, s in samples.items()})
-        statistics = RunStatistics.of(store.rows.values(), run.bootstrap_seed)
+        write_atomically(out / TIMINGS, _merge_timings(shards, sources).encode())
+        store.rows = rows
+        statistics = RunStatistics.of(rows.values(), run.bootstrap_seed)
         store.finish(summarize(store.sorted_rows(), run, statistics))
         summary = close_run(store, RunKind(run.kind), run.bootstrap_seed, statistics)
         write_requests(out, summary.pending)
@@ -114,7 +104,7 @@ def _read_shard(path: Path) -> ShardFolder:
     if not (path / SAMPLES).is_file():
         raise UsageError(f"{path}: holds no {SAMPLES}, expected the output folder of a run")
     try:
-        metadata, (rows, lines) = read_metadata(path), read_stored_rows(path)
+        metadata, rows = read_metadata(path), read_rows(path)
         clips = _find_clips(path, rows)
     except (InputError, OSError) as error:
         raise UsageError(str(error)) from None
@@ -132,7 +122,7 @@ def _read_shard(path: Path) -> ShardFolder:
     kinds = [kind.value for kind in RunKind]
     if run.kind not in kinds:
         raise UsageError(f"{path}: is of a run of kind {run.kind!r}, expected one of {', '.join(kinds)}")
-    return ShardFolder(path=path, run=run, finished=metadata.finished, rows=rows, lines=lines, clips=clips)
+    return ShardFolder(path=path, run=run, finished=metadata.finished, rows=rows, clips=clips)
 
 
 def _find_clips(path: Path, rows: Mapping[str, SampleRow]) -> dict[str, list[Path]]:
@@ -205,33 +195,29 @@ def _brief(value: Json) -> str:
     return text if len(text) <= 40 else f"{text[:37]}..."
 
 
-def _select_samples(shards: Sequence[ShardFolder]) -> dict[str, MergedSample]:
-    """Select one row for every id; ids are sorted.
+def _select_samples(shards: Sequence[ShardFolder]) -> dict[str, ShardFolder]:
+    """Select the folder whose row is taken of every id; ids are sorted.
 
     Raises:
         UsageError: two folders hold different results of one sample.
     """
-    samples: dict[str, MergedSample] = {}
+    sources: dict[str, ShardFolder] = {}
     for shard in shards:
         for id, row in shard.rows.items():
-            before, sample = samples.get(id), MergedSample(row=row, shard=shard)
-            if before is None or _supersedes(row, before.row):
-                samples[id] = sample
-            elif not _supersedes(before.row, row) and _differ(before, sample):
+            before = sources.get(id)
+            if before is None or _supersedes(row, before.rows[id]):
+                sources[id] = shard
+            elif not _supersedes(before.rows[id], row) and not row.is_same(before.rows[id]):
                 raise UsageError(
-                    f"{before.shard.path} and {shard.path} hold different results of {id!r}: leave out the folder that "
-                    "is out of date"
+                    f"{before.path} and {shard.path} hold different results of {id!r}: leave out the folder that is "
+                    "out of date"
                 )
-    return dict(sorted(samples.items()))
+    return dict(sorted(sources.items()))
 
 
 def _supersedes(row: SampleRow, other: SampleRow) -> bool:
     """Return whether `row` is a result of the same sample for which `other` is an error."""
     return row.content_hash == other.content_hash and row.status is not Status.ERROR and other.status is Status.ERROR
-
-
-def _differ(one: MergedSample, other: MergedSample) -> bool:
-    return one.line.read() != other.line.read() and dump(one.row.to_json()) != dump(other.row.to_json())
 
 
 def _merge_metadata(runs: Sequence[RunMetadata]) -> RunMetadata:
@@ -272,8 +258,8 @@ def _shard_warnings(shard: ShardFolder) -> Iterator[str]:
             f"{shard.path}: its run has not ended; {count_noun(len(shard.rows), 'sample')} finished so far merged "
             "(run the same command again, then merge again)"
         )
-    samples = (MergedSample(row=row, shard=shard) for row in shard.rows.values() if row.status is Status.OK)
-    lost = [sample.row.id for sample in samples if not sample.artifact("tracks").is_file()]
+    ok = [id for id, row in shard.rows.items() if row.status is Status.OK]
+    lost = [id for id in ok if not shard.artifact("tracks", id).is_file()]
     if lost:
         absent = f"tracks are absent of {count_noun(len(lost), 'sample')} (such as {lost[0]!r})"
         yield f"{shard.path}: {absent}: was all of it copied?"
@@ -299,27 +285,17 @@ def _absent_shards(runs: Sequence[RunMetadata]) -> str:
     return f": no folder is of shard {listing}" if absent else ""
 
 
-def _select_replays(samples: Mapping[str, MergedSample], run: RunMetadata) -> set[str]:
-    """Return the samples whose replays a single run would have written: each shard wrote its own worst ones."""
-    most = run.config.get("replays")
-    if not isinstance(most, int):
-        return set(samples)
-    rows = (sample.row for sample in samples.values())
-    return set(worst_samples(rows, lambda id: samples[id].artifact("tracks"), most))
-
-
-def _sample_files(sample: MergedSample, *, with_replay: bool) -> Iterator[Path]:
+def _sample_files(row: SampleRow, shard: ShardFolder, *, with_replay: bool) -> Iterator[Path]:
     """Yield every file of a sample."""
-    for kind in ARTIFACTS:
-        path = sample.artifact(kind)
-        if path.is_file() and (kind != "replays" or with_replay):
-            yield path
-    asked = as_object(sample.row.extra.get(PENDING)).get("id")
+    kinds = [kind for kind in ARTIFACTS if kind != "replays" or with_replay]
+    files = [shard.artifact(kind, row.id) for kind in kinds]
+    asked = as_object(row.extra.get(PENDING)).get("id")
     if isinstance(asked, str) and asked == Path(asked).name:
-        image = request_path(sample.shard.path, asked)
-        yield from (path for path in (image, image.with_suffix(".json")) if path.is_file())
-    for clip in sample.shard.clips.get(sample.row.id, ()):
-        yield from (file for file in sorted(clip.rglob("*")) if file.is_file()) if clip.is_dir() else (clip,)
+        image = request_path(shard.path, asked)
+        files += [image, image.with_suffix(".json")]
+    for clip in shard.clips.get(row.id, ()):
+        files += sorted(clip.rglob("*")) if clip.is_dir() else [clip]
+    return (file for file in files if file.is_file())
 
 
 def _copy(source: Path, target: Path) -> None:
@@ -347,7 +323,7 @@ def _read_blocks(source: Path) -> Iterator[bytes]:
         raise UsageError(f"{source}: cannot be read ({error.strerror or error})") from None
 
 
-def _merge_timings(shards: Sequence[ShardFolder], samples: Mapping[str, MergedSample]) -> str:
+def _merge_timings(shards: Sequence[ShardFolder], sources: Mapping[str, ShardFolder]) -> str:
     """Return the timings of the selected samples, each from its own folder."""
     lines = []
     for shard in shards:
@@ -357,6 +333,6 @@ def _merge_timings(shards: Sequence[ShardFolder], samples: Mapping[str, MergedSa
                 id = json.loads(line).get("id")
             except (ValueError, AttributeError, RecursionError):
                 continue  # torn by a crash
-            if isinstance(id, str) and id in samples and samples[id].shard is shard:
+            if isinstance(id, str) and sources.get(id) is shard:
                 lines.append(line + "\n")
     return "".join(lines)

@@ -1,26 +1,31 @@
-"""Preparation of a video for the grounding: its frames, their times, their camera and the priors."""
+"""Preparation of videos for the grounding: their frames, times, cameras and priors; what the run says of cameras."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from kinebench_drake.camera import Camera, CameraSetting
-from kinebench_drake.errors import InputError, UnmeasurableError
+from kinebench_drake.camera import CONFIRMED, Camera, CameraSetting, CameraSource, CameraState
+from kinebench_drake.errors import InputError, count_noun, name_options
+from kinebench_drake.formats.camerafile import load_camera
 from kinebench_drake.formats.videos.sample import VideoSample
 from kinebench_drake.geometry import Array
 from kinebench_drake.grounding.clip import Clip
 from kinebench_drake.grounding.overrides.overrides import Overrides
 from kinebench_drake.grounding.priors import Priors
 from kinebench_drake.io.images import read_image
+from kinebench_drake.io.jsonl import Json
 from kinebench_drake.io.video import WHOLE, Video
 from kinebench_drake.models.panda.robot import GripperKind
 from kinebench_drake.results.inputs import PeriodSource
+from kinebench_drake.results.row import SampleRow, Status
+from kinebench_drake.runs.config import AUTO, BENCHMARK
 from kinebench_drake.suites.clock import ClipTiming, sample_uniformly
 from kinebench_drake.suites.start import START_WIDTH_M, start_q
-from kinebench_drake.track import InitialState
+from kinebench_drake.track import GripperTrack, InitialState
 
 if TYPE_CHECKING:  # loads torch and Open3D
     from kinebench_drake.grounding.video import Grounder, GroundingResult
@@ -98,7 +103,7 @@ def ground_sample(
         """Read the overrides, which are of all frames of the video."""
         return overrides.priors(override_names(sample), video.frames, camera, sample.initial_state).at(timed.rows)
 
-    image = _conditioning_image(sample)
+    image = conditioning_image(sample)
     clip = Clip(frames=video.frames[timed.rows], t_s=timed.t_s, conditioning=image)
     named = sample.camera_source.is_named
     setting = CameraSetting(camera=sample.camera, table_height_m=sample.table_height_m)
@@ -161,7 +166,7 @@ def _times(sample: VideoSample, video: Video, option_s: float | None) -> tuple[A
     return np.arange(len(video.frames), dtype=np.float64) * period_s, period_s, source
 
 
-def _conditioning_image(sample: VideoSample) -> NDArray[np.uint8] | None:
+def conditioning_image(sample: VideoSample) -> NDArray[np.uint8] | None:
     """Return the image from which the video was generated; None without a usable one."""
     try:
         image = None if sample.first_frame is None else read_image(sample.first_frame)
@@ -170,15 +175,72 @@ def _conditioning_image(sample: VideoSample) -> NDArray[np.uint8] | None:
     return np.ascontiguousarray(image[:, ::-1]) if image is not None and sample.mirrored else image
 
 
-def check_framing(sample: VideoSample, video: Video) -> None:
-    """Check that the named camera's image lies in the video.
+def with_camera_option(samples: Sequence[VideoSample], option: str, *, mirrored: bool = False) -> Sequence[VideoSample]:
+    """Return the samples with the camera on which the option `camera` insists, and mirrored by `mirrored`.
 
     Raises:
-        UnmeasurableError: the shapes differ, and nothing explains it.
+        UsageError: the file that it names is no camera.json.
     """
-    from kinebench_drake.grounding.framing.search import find_framing  # loads OpenCV
+    setting = None if option in (AUTO, BENCHMARK) else load_camera(Path(option))
 
-    try:
-        find_framing(video.frames, sample.camera, _conditioning_image(sample))
-    except UnmeasurableError as error:
-        raise UnmeasurableError(f"{sample.camera_source.value} {error}") from None
+    def filmed(sample: VideoSample) -> VideoSample:
+        sample = replace(sample, mirrored=sample.mirrored or mirrored)
+        if setting is not None:
+            return sample.filmed_by(setting, CameraSource.OPTION)
+        insists = option == BENCHMARK and sample.camera_source is CameraSource.BENCHMARK
+        return replace(sample, camera_source=CameraSource.OPTION) if insists else sample
+
+    return [filmed(sample) for sample in samples]
+
+
+def camera_warnings(rows: Sequence[SampleRow]) -> list[str]:
+    """Return warnings about cameras that the input does not name, or that the arm does not confirm."""
+    rows = [row for row in rows if row.status is Status.OK]
+    states = [row.extra.get("camera_state") for row in rows]
+    confirmed, estimated = (states.count(state.value) for state in (CameraState.CONFIRMED, CameraState.ESTIMATED))
+    warnings = []
+    if confirmed:
+        warnings.append(f"no camera is named for {count_noun(confirmed, 'sample')}: the arm confirms the benchmark's")
+    if estimated:
+        warnings.append(
+            f"no camera is named for {count_noun(estimated, 'sample')}: it was estimated from the arm; a camera.json "
+            "beside the videos, or `calibrate` with joint angles, is more accurate"
+        )
+    contradicted = sum("camera_contradiction" in row.extra for row in rows)
+    if contradicted:
+        warnings.append(
+            f"the arm contradicts the camera of {count_noun(contradicted, 'sample')}: see camera_contradiction in the "
+            "rows; check width, height and focal length of camera.json, leave it out to have the camera estimated, or "
+            "fit it with `calibrate --joints`"
+        )
+    doubtful = sum(_is_unconfirmed(row) for row in rows)
+    if doubtful:
+        warnings.append(
+            f"the arm confirms the camera in all but {count_noun(doubtful, 'sample')}, where its contours are not on "
+            "image edges: look at the overlays"
+        )
+    lost = sum("base_frame_reason" in row.extra for row in rows)
+    if lost:
+        warnings.append(
+            f"no base frame in {count_noun(lost, 'sample')}: reach, limits and verdicts are null there, with the reason"
+        )
+    return warnings
+
+
+def _is_unconfirmed(row: SampleRow) -> bool:
+    """Return whether the arm neither confirms nor contradicts a named camera."""
+    agreement = row.extra.get("camera_agreement")
+    low = isinstance(agreement, float) and agreement < CONFIRMED
+    return low and row.extra.get("camera_state") == CameraState.NAMED.value and "camera_contradiction" not in row.extra
+
+
+def camera_frame_metrics(track: GripperTrack, reason: str) -> tuple[Mapping[str, Json], Mapping[str, str]]:
+    """Return the smoothness of a track in the camera frame, and the reasons of metrics and verdicts that it lacks."""
+    from kinebench_drake.metrics.smoothness import measure_smoothness
+    from kinebench_drake.models.panda.robot import hand_from_tcp
+
+    reason = name_options(reason)
+    X_CG: Array = track.X_CH @ hand_from_tcp()
+    smoothness = measure_smoothness(replace(track, X_BG=X_CG))
+    reasons = {name: smoothness.reasons.get(name, reason) for name in smoothness.metrics}
+    return dict(smoothness.metrics), {**reasons, "feasible": reason, "": reason}

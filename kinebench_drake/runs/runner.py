@@ -11,9 +11,8 @@ from pathlib import Path
 from typing import Protocol
 
 from kinebench_drake.errors import SetupError
-from kinebench_drake.executors.base import Executor, SupportsDrain, WorkerCrash, create_executor
+from kinebench_drake.executors.base import Executor, Observer, SupportsDrain, WorkerCrash, create_executor
 from kinebench_drake.executors.interrupt import graceful_interrupt
-from kinebench_drake.executors.progress import Observer
 from kinebench_drake.io.atomic import disk_errors
 from kinebench_drake.io.jsonl import Json, as_object
 from kinebench_drake.report.sample import worst_samples
@@ -91,7 +90,8 @@ def run_samples(
                         row, wall_s = evaluator.failed_row(outcome.item, Status.ERROR, outcome.reason), 0.0
                     else:
                         row, wall_s = outcome.result
-                    if not store.holds(row):  # an error may have remained
+                    stored = store.rows.get(row.id)
+                    if stored is None or not stored.is_same(row):  # an error may have remained
                         store.begin(metadata.to_json())
                         store.append(row, wall_s)
                     observer.finish(row, wall_s)

@@ -24,24 +24,21 @@ from kinebench_drake.results.provenance import weights_hash
 from kinebench_drake.results.row import SampleRow
 from kinebench_drake.results.store import artifact_path
 from kinebench_drake.results.trackfile import write_track
-from kinebench_drake.runs.camera import (
-    AUTO,
-    camera_frame_metrics,
-    camera_warnings,
-    with_camera_option,
-)
+from kinebench_drake.runs.config import AUTO, ScoreConfig, period_warnings
 from kinebench_drake.runs.evaluator import KINEMATIC_METRICS, Evaluation, Evaluator
+from kinebench_drake.runs.pictures import encode_strip, worst_frame
 from kinebench_drake.runs.preparation import (
     BENCHMARK_PERIOD_S,
-    check_framing,
+    camera_frame_metrics,
+    camera_warnings,
+    conditioning_image,
     ground_sample,
     override_names,
     time_frames,
+    with_camera_option,
     with_initial_states,
 )
 from kinebench_drake.runs.runner import NullRunObserver, RunObserver, RunSummary, run_samples
-from kinebench_drake.runs.score_config import ScoreConfig, period_warnings
-from kinebench_drake.runs.thumbnail import encode_strip, worst_frame
 from kinebench_drake.runs.tools import Tools, load_tools
 from kinebench_drake.track import Domain, GripperTrack
 
@@ -142,7 +139,7 @@ class VideoEvaluator(Evaluator[VideoSample, Tools]):
         video = read_video(sample.path, sample.part)
         config = self.config
         timed, grounding = ground_sample(
-            video, sample, self.overrides, tools.grounder, config.frame_period_s, config.gripper_kind,
+            video, sample, self.overrides, tools.grounder, config.frame_period_s, config.gripper,
             duration_s=config.duration_s,
         )  # fmt: skip
         draws_hand, judges = grounding.domain is not Domain.ARM, config.kind.judges and grounding.unmeasurable is None
@@ -219,7 +216,7 @@ class VideoEvaluator(Evaluator[VideoSample, Tools]):
             "replaced": self._replaced(sample),
             "first": None if initial is None else [*initial.X_BG.ravel().tolist(), str(initial.finger_width_m)],
             "depth_exact": self.overrides.depth_exact,
-            **({} if self.config.gripper_kind is GripperKind.AUTO else {"gripper": self.config.gripper}),
+            **({} if self.config.gripper is GripperKind.AUTO else {"gripper": self.config.gripper.value}),
             "scene": [sample.mirrored, sample.table_height_m],
             "labels": [sample.seed, sample.prompt, sample.fps, sample.frame_period_s, sample.problem],
             "part": [*dataclasses.astuple(sample.part), sample.camera_key, sample.dataset_period_s],
@@ -259,7 +256,9 @@ class _VideoReader(VideoEvaluator):
         video = read_video(sample.path, sample.part)
         video.require_measurable()
         if sample.camera_source.is_named:
-            check_framing(sample, video)
+            from kinebench_drake.grounding.framing.search import find_framing  # loads OpenCV
+
+            find_framing(video.frames, sample.camera, conditioning_image(sample), sample.camera_source)
         timed = time_frames(sample, video, self.config.frame_period_s, self.config.duration_s)
         return Evaluation(
             kinematics=None,

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
+from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
@@ -18,6 +19,15 @@ if TYPE_CHECKING:  # naming a world model should not load the assets
 
 _DECIMALS = 9
 """Digits of actions in requests."""
+
+
+class Condition(Enum):
+    """What a request states of the motion that the clip should show."""
+
+    NONE = "none"
+    """The prompt alone."""
+    ACTIONS = "actions"
+    """The expert's track, too."""
 
 
 class WorldModelError(InputError):

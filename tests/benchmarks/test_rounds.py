@@ -6,7 +6,7 @@ import pytest
 from benchmarks import rounds
 from benchmarks.rounds import RoundTiming, Stage, StageClock, figures, section
 from kinebench_drake.closed_loop.commands import CommandPlanner
-from kinebench_drake.runs.episode import EpisodeEvaluator
+from kinebench_drake.runs.episodes import EpisodeEvaluator
 from kinebench_drake.suites.simulator import Simulator
 
 

@@ -10,7 +10,7 @@ from kinebench_drake.io.container import write_video
 from kinebench_drake.results.provenance import code_hash
 from kinebench_drake.runs import audit, score
 from kinebench_drake.runs import runner as run
-from kinebench_drake.runs.score_config import ScoreConfig
+from kinebench_drake.runs.config import ScoreConfig
 from kinebench_drake.runs.tools import Tools
 
 HERE = Path(__file__).parent
@@ -53,7 +53,13 @@ def config(tmp_path):
 
     def make(**changes):
         return ScoreConfig(
-            **{"source": tmp_path / "videos", "out": tmp_path / "out", "make_tools": FakeTools, **changes}
+            **{
+                "source": tmp_path / "videos",
+                "out": tmp_path / "out",
+                "make_tools": FakeTools,
+                "replays": None,
+                **changes,
+            }
         )
 
     return make

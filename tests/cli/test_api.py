@@ -1,8 +1,6 @@
 """The Python interface beside the commands: the same arguments, the same numbers."""
 
-import dataclasses
 import inspect
-import typing
 from dataclasses import replace
 from pathlib import Path
 
@@ -23,8 +21,10 @@ from kinebench_drake.io.reader import read_video
 from kinebench_drake.results.row import Status
 from kinebench_drake.results.store import read_rows
 from kinebench_drake.results.trackfile import read_track
-from kinebench_drake.runs import score, suite
-from kinebench_drake.runs.score_config import ScoreConfig
+from kinebench_drake.runs import episodes, score
+from kinebench_drake.runs.config import ScoreConfig
+from kinebench_drake.runs.option import options_of
+from kinebench_drake.runs.suite_config import SuiteConfig
 from kinebench_drake.track import InitialState
 
 NOISE = np.random.default_rng(0).integers(0, 255, (4, 96, 200, 3), np.uint8)
@@ -55,40 +55,39 @@ def command(*names):
 
 
 @pytest.mark.parametrize(
-    ("names", "function", "renamed"),
-    [(("score",), score_videos, {}), (("suite", "run"), run_suite, {"number": "suite"})],
+    ("names", "function", "config"),
+    [(("score",), score_videos, ScoreConfig), (("suite", "run"), run_suite, SuiteConfig)],
 )
-def test_every_option_is_an_argument_with_the_same_default(names, function, renamed):
-    options = {renamed.get(name, name): option for name, option in command(*names).items()}
+def test_every_option_is_an_argument(names, function, config):
     arguments = dict(inspect.signature(function).parameters)
-    keywords = typing.get_args(arguments.pop("options").annotation)[0].__annotations__.keys()
+    assert arguments.pop("options").kind is inspect.Parameter.VAR_KEYWORD
     assert arguments.pop("observer").default is None
-    assert options.keys() - {"dry_run"} == arguments.keys() | keywords
+    assert arguments.keys() <= options_of(config).keys()
+    assert options_of(config).keys() - command(*names).keys() <= {"table_height_m"}
     first, *others = arguments.values()
     assert first.kind is inspect.Parameter.POSITIONAL_OR_KEYWORD
     assert all(argument.kind is inspect.Parameter.KEYWORD_ONLY for argument in others)
 
 
-def test_defaults_are_those_of_the_commands(film, monkeypatch, tmp_path):
+def test_defaults_are_those_of_the_commands(program, monkeypatch, tmp_path):
     """A run of the interface with no options has the configuration of the command with none."""
     configs = []
-    monkeypatch.setattr(score, "score_videos", lambda config, observer: configs.append(config))
-    monkeypatch.setattr(suite, "run_suite", lambda config, observer: configs.append(config))
-    score_videos(tmp_path, out=tmp_path / "out")
-    run_suite(0, world_model="still", out=tmp_path / "out")
-    by_command = {
-        (): {p.name: p.default for p in cli.get_command(None, "score").params},
-        ("run",): {p.name: p.default for p in cli.get_command(None, "suite").commands["run"].params},
-    }
-    for config, options in zip(configs, by_command.values(), strict=True):
-        values = {**vars_of(config), **(vars_of(config.loop) if hasattr(config, "loop") else {}), "seed": config.seed}
-        for name, default in options.items():
-            if name in values and isinstance(default, bool | int | float | str):
-                assert getattr(values[name], "value", values[name]) == default, name
 
+    def record(config, observer):
+        configs.append(config)
+        raise UsageError("seen")
 
-def vars_of(config):
-    return {f.name: getattr(config, f.name) for f in dataclasses.fields(config)}
+    monkeypatch.setattr(score, "score_videos", record)
+    monkeypatch.setattr(episodes, "run_suite", record)
+    for call in (
+        lambda: score_videos(tmp_path, out=tmp_path / "out"),
+        lambda: run_suite(0, world_model="still", out=tmp_path / "out"),
+    ):
+        with pytest.raises(UsageError, match="seen"):
+            call()
+    program("score", tmp_path, "--out", tmp_path / "out")
+    program("suite", "run", "--suite", "0", "--world-model", "still", "--out", tmp_path / "out")
+    assert configs[:2] == configs[2:]
 
 
 def test_options_of_single_samples_are_arguments():

@@ -8,7 +8,7 @@ from kinebench_drake.formats.camerafile import save_camera
 from kinebench_drake.formats.videos.sample import VideoSample
 from kinebench_drake.results.row import Status
 from kinebench_drake.results.store import read_rows
-from kinebench_drake.runs.camera import with_camera_option
+from kinebench_drake.runs.preparation import with_camera_option
 from kinebench_drake.runs.score import score_videos
 
 WIDE = np.zeros((12, 96, 160, 3), np.uint8)

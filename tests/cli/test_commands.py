@@ -149,7 +149,7 @@ import signal, sys
 signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background jobs are born deaf to it
 from fake_tools import FakeTools
 from kinebench_drake import cli
-from kinebench_drake.runs.score_config import ScoreConfig
+from kinebench_drake.runs.config import ScoreConfig
 ScoreConfig.__init__.__kwdefaults__["make_tools"] = FakeTools
 if __name__ == "__main__":
     cli.main(sys.argv[1:])

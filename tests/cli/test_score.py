@@ -482,7 +482,7 @@ import sys
 from pathlib import Path
 from fake_tools import FakeTools
 from kinebench_drake.runs.score import score_videos
-from kinebench_drake.runs.score_config import ScoreConfig
+from kinebench_drake.runs.config import ScoreConfig
 if __name__ == "__main__":
     source, out, jobs = sys.argv[1:]
     score_videos(ScoreConfig(source=Path(source), out=Path(out), jobs=int(jobs), make_tools=FakeTools))

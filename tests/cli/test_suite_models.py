@@ -13,20 +13,17 @@ import pytest
 
 from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.closed_loop.actions import ACTION_METRICS, ActionSource
-from kinebench_drake.closed_loop.loop import Condition, LoopOptions
 from kinebench_drake.errors import InputError, UsageError
 from kinebench_drake.executors.local import LocalExecutor
 from kinebench_drake.report.suite.folders import pool_episodes, read_folders
 from kinebench_drake.results.metadata import Shard
 from kinebench_drake.results.store import artifact_path, read_rows
 from kinebench_drake.results.trackfile import write_track
-from kinebench_drake.runs import episode
-from kinebench_drake.runs.episode import EpisodeEvaluator, EpisodeSample
+from kinebench_drake.runs import episodes
+from kinebench_drake.runs.episodes import EpisodeEvaluator, EpisodeSample, run_suite
 from kinebench_drake.runs.evaluator import Evaluation
 from kinebench_drake.runs.merge import merge_folders
-from kinebench_drake.runs.suite import SuiteConfig, run_suite
-from kinebench_drake.suites.catalog import load_suite
-from kinebench_drake.suites.prompts import PromptTemplate
+from kinebench_drake.runs.suite_config import SuiteConfig
 from kinebench_drake.suites.simulator import Snapshot, TaskOutcome
 from kinebench_drake.suites.worldmodels.worldmodel import ActionTrack
 from kinebench_drake.track import GripperTrack
@@ -76,10 +73,10 @@ def config(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Sui
     module = ModuleType("my_models")
     module.Model, module.Stored = Model, Stored
     monkeypatch.setitem(sys.modules, "my_models", module)
-    monkeypatch.setattr(episode, "Simulator", Stage)
+    monkeypatch.setattr(episodes, "Simulator", Stage)
 
     def make(world_model: str, **changes: object) -> SuiteConfig:
-        told = {"suite": load_suite(0), "split": "test", "tasks": ("PullCube-v1",), "episodes": 2}
+        told = {"suite": 0, "tasks": ("PullCube-v1",), "episodes": 2, "replays": None}
         told |= {"out": tmp_path / "out", "make_tools": FakeTools, "world_model": world_model}
         return SuiteConfig(**{**told, **changes})
 
@@ -99,7 +96,7 @@ def test_results_tell_what_differs_between_runs_and_no_address(config: Callable[
     one, other = (config(spec, model_name="wan").to_json() for spec in specs)
     assert [name for name in one if one[name] != other[name]] == ["world_model_sha256"]
     assert "10.0.0" not in f"{one} {other}"
-    named = config(specs[0], model_name="wan", loop=LoopOptions(prompts=PromptTemplate(negative="blur"))).to_json()
+    named = config(specs[0], model_name="wan", negative_prompt="blur").to_json()
     assert [name for name in one if one[name] != named[name]] == ["negative_prompt"]
     moved, here, changed = (
         config(f"http://{address}/a?name=wan&{options}", model_name="wan").to_json()
@@ -229,9 +226,9 @@ def test_an_offline_model_gets_the_actions_of_the_first_round(
     commanded = ActionTrack(
         t_s=np.arange(2.0), X_BG=np.tile(np.eye(4), (2, 1, 1)), finger_width_m=np.zeros(2), q=np.zeros((2, 7))
     )
-    monkeypatch.setattr(episode, "Simulator", Scene)
+    monkeypatch.setattr(episodes, "Simulator", Scene)
     monkeypatch.setattr(ActionSource, "track", lambda *_: commanded)
-    run = config("my_models:Stored", episodes=1, loop=LoopOptions(condition=Condition.ACTIONS, frame_period_s=0.1))
+    run = config("my_models:Stored", episodes=1, condition="actions", frame_period_s=0.1)
     summary = run_suite(run)
     [row] = summary.rows
     assert (

@@ -2,7 +2,7 @@
 
 import pytest
 
-from kinebench_drake.cli.run import summary_lines
+from kinebench_drake.cli.progress import summary_lines
 from kinebench_drake.errors import count_noun
 from kinebench_drake.results.row import Status
 from tests.report.pages import row

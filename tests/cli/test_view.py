@@ -13,7 +13,7 @@ from kinebench_drake.results.store import ResultStore
 from kinebench_drake.results.trackfile import write_track
 from kinebench_drake.track import GripperTrack
 
-view_module = importlib.import_module("kinebench_drake.cli.folders")
+view_module = importlib.import_module("kinebench_drake.cli.outputs")
 
 
 def make_track(n=4, *, tracked=True):

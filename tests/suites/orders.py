@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from kinebench_drake.executors.progress import Observer
+from kinebench_drake.executors.base import Observer
 from kinebench_drake.suites.catalog import load_suite
 from kinebench_drake.suites.demo_config import DemoConfig, FormatKind, RenderOptions
 from kinebench_drake.suites.families.task import TaskVariant

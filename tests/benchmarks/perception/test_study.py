@@ -19,8 +19,7 @@ from benchmarks.perception.store import MeasurementStore
 from benchmarks.perception.tables import evaluation_json, pooled_lines, table, task_table
 from benchmarks.perception.trial import GroundingTrial, evaluate_baseline
 from kinebench_drake.errors import UsageError
-from kinebench_drake.executors.base import ExecutorKind, create_executor
-from kinebench_drake.executors.progress import Observer
+from kinebench_drake.executors.base import ExecutorKind, Observer, create_executor
 from kinebench_drake.geometry import Array
 from kinebench_drake.grounding.tracking.view import Frames
 from kinebench_drake.io.figure import save

@@ -1,14 +1,16 @@
-"""Evaluation of one episode of a suite: closed loop, kinematics of the clips, gap to the execution, attribution."""
+"""`suite run`: a world model on the episodes of a suite in closed loop.
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+Of each episode the kinematics of the clips, the gap to the execution and the cause of a failure are stored.
+"""
+
+from collections.abc import Mapping, Sequence
+from contextlib import closing
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import takewhile
 from pathlib import Path
 
-import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from kinebench_drake.closed_loop.actions import (
     ACTION_METRICS,
@@ -20,8 +22,9 @@ from kinebench_drake.closed_loop.actions import (
 from kinebench_drake.closed_loop.attribution import find_cause
 from kinebench_drake.closed_loop.commands import CommandPlanner
 from kinebench_drake.closed_loop.gap import GAP_METRICS, average_gaps, measure_gap
-from kinebench_drake.closed_loop.loop import ClosedLoop, Condition, EpisodeRun, LoopOptions, PendingRound
-from kinebench_drake.grounding.overlay import draw_caption
+from kinebench_drake.closed_loop.loop import ClosedLoop, EpisodeRun, LoopOptions, PendingRound
+from kinebench_drake.errors import count_noun
+from kinebench_drake.executors.base import ExecutorKind
 from kinebench_drake.io.atomic import make_folder, write_atomically
 from kinebench_drake.io.container import write_video
 from kinebench_drake.io.jsonl import Json, as_object, write_json
@@ -33,22 +36,58 @@ from kinebench_drake.results.store import REQUESTS, artifact_path
 from kinebench_drake.results.trackfile import write_track
 from kinebench_drake.runs.clips import clip_starts, combine, join_curves, join_tracks
 from kinebench_drake.runs.evaluator import KINEMATIC_METRICS, PENDING, Evaluation, Evaluator
-from kinebench_drake.runs.requests import SIZE_PX, request_path
+from kinebench_drake.runs.pictures import episode_strip, rollout_frames
+from kinebench_drake.runs.requests import SIZE_PX, request_path, write_requests
+from kinebench_drake.runs.runner import NullRunObserver, RunObserver, RunSummary, run_samples
 from kinebench_drake.runs.score import VISUAL_METRICS, mean_confidence
-from kinebench_drake.runs.thumbnail import encode_strip
+from kinebench_drake.runs.suite_config import SuiteConfig
 from kinebench_drake.runs.tools import Tools, load_tools
 from kinebench_drake.suites.catalog import EpisodeSpec
-from kinebench_drake.suites.clock import FRAME_PERIOD_S
+from kinebench_drake.suites.clock import FRAME_PERIOD_S, ClipTiming
 from kinebench_drake.suites.composition import Episode
 from kinebench_drake.suites.export import FPS, manifest_row
-from kinebench_drake.suites.rollout import RolloutVideo, render_video
+from kinebench_drake.suites.rollout import render_video
 from kinebench_drake.suites.simulator import Simulator
 from kinebench_drake.suites.simulator_cache import SimulatorCache
 from kinebench_drake.suites.start import first_facts
 from kinebench_drake.suites.worldmodels.factory import LazyWorldModel
 from kinebench_drake.suites.worldmodels.media import png
-from kinebench_drake.suites.worldmodels.worldmodel import OfflineModel
+from kinebench_drake.suites.worldmodels.worldmodel import Condition, OfflineModel
 from kinebench_drake.track import Domain, GripperTrack
+
+
+def run_suite(config: SuiteConfig, observer: RunObserver | None = None) -> RunSummary:
+    """Run every episode of a suite's split with a world model and fill the output folder.
+
+    Raises:
+        UsageError: the configuration or the output folder cannot be used.
+        SetupError: something is missing on this machine, or the disk is full. Finished samples are kept.
+    """
+    observer = observer or NullRunObserver()
+    with closing(LazyWorldModel(config.world_model)) as world_model:
+        model = world_model.get()
+        name, offline = model.name, isinstance(model, OfflineModel)
+        if not offline and (config.jobs > 1 or config.engine is not ExecutorKind.LOCAL):
+            world_model.close()  # workers load their own, and may need the memory
+        evaluator = EpisodeEvaluator(
+            config=replace(config, model_name=name),
+            world_model=world_model,
+            offline=offline,
+            loop=config.loop,
+            rollouts=config.rollouts,
+            subject={"suite": config.suite, "split": config.split},
+        )
+        samples = [
+            EpisodeSample(spec=spec, index=index, model=config.model or name)
+            for spec in config.load_suite().specs(
+                config.split, config.episodes, tasks=config.tasks, offset=config.seed, variant=config.variant
+            )
+            for index in range(config.samples)
+        ]
+        summary = run_samples(samples, evaluator, observer)
+        write_requests(config.out, summary.pending)
+        _warn_of_lengths(summary.rows, config.loop, observer)
+        return summary
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -135,10 +174,10 @@ class EpisodeEvaluator(Evaluator[EpisodeSample, EpisodeResources]):
             **action_curves(tracks, [r.actions for r in run.rounds]),
         }
         write_track(artifact_path(self.config.out, "tracks", sample.id), track, kinematics.joints, curves)
-        write_atomically(artifact_path(self.config.out, "thumbnails", sample.id), _thumbnail(run, executed))
+        write_atomically(artifact_path(self.config.out, "thumbnails", sample.id), episode_strip(run, executed))
         if self.rollouts:
             path = artifact_path(self.config.out, "rollouts", sample.id)
-            write_video(path, _rollout_frames(run, executed, resources.tools), FPS, crf=20, preset="veryfast")
+            write_video(path, rollout_frames(run, executed, resources.tools), FPS, crf=20, preset="veryfast")
         cause = find_cause(run, results)
         gap_metrics, gap_reasons = average_gaps(
             [
@@ -250,36 +289,6 @@ class EpisodeEvaluator(Evaluator[EpisodeSample, EpisodeResources]):
         }
 
 
-def _rollout_frames(
-    run: EpisodeRun, executed: Sequence[RolloutVideo | None], tools: Tools
-) -> Iterator[NDArray[np.uint8]]:
-    """Yield generated frames, executed frames, and the generated gripper drawn on the executed frames, side by side."""
-    for number, (done, execution) in enumerate(zip(run.rounds, executed, strict=True), 1):
-        text = f"generated, round {number}"
-        if execution is None:
-            blank = _captioned(np.zeros((SIZE_PX, SIZE_PX, 3), dtype=np.uint8), "nothing executed")
-            for frame in done.frames:
-                yield np.concatenate([_captioned(frame, text), blank, blank], axis=1)
-            continue
-        track = done.grounding.track.at(np.arange(len(execution.rgb)))
-        overlays = tools.overlay(execution.rgb, execution.camera, track)
-        for frame, image, overlay in zip(done.frames, execution.rgb, overlays, strict=False):
-            yield np.concatenate([_captioned(frame, text), _captioned(image, "executed"), overlay], axis=1)
-
-
-def _thumbnail(run: EpisodeRun, executed: Sequence[RolloutVideo | None]) -> bytes:
-    """Encode the first frame, the last generated and the last executed one."""
-    last = next((video.rgb[-1] for video in reversed(executed) if video is not None), run.rounds[0].frames[0])
-    images = (run.rounds[0].frames[0], "start"), (run.rounds[-1].frames[-1], "generated"), (last, "executed")
-    return encode_strip([_captioned(frame, text) for frame, text in images])
-
-
-def _captioned(frame: NDArray[np.uint8], text: str) -> NDArray[np.uint8]:
-    image = np.asarray(cv2.resize(frame, (SIZE_PX, SIZE_PX), interpolation=cv2.INTER_AREA), dtype=np.uint8)
-    draw_caption(image, text)
-    return image
-
-
 def _visual_metrics(run: EpisodeRun, track: GripperTrack) -> dict[str, Json]:
     """Return the visual metrics over all clips, frames counted through all of them."""
     groundings = [r.grounding for r in run.rounds]
@@ -320,3 +329,26 @@ def _rejections(run: EpisodeRun) -> list[Json]:
             frames: dict[str, Json] = {"frame_start": rejected.frame_start, "frame_end": rejected.frame_end}
             rejections.append({"round": number, "reason": rejected.reason.value, **frames})
     return rejections
+
+
+def _warn_of_lengths(rows: Sequence[SampleRow], loop: LoopOptions, observer: RunObserver) -> None:
+    """Warn of clips that do not have the requested number of frames, and say how they were used."""
+    period_s, expected = loop.frame_period_s, loop.num_frames
+    clip_s = period_s * (expected - 1)
+    uses = {
+        ClipTiming.UNIFORM: f"each was sampled evenly over {clip_s:g} s ($clip_timing native: {period_s:g} s a frame)",
+        ClipTiming.NATIVE: f"{period_s:g} s a frame were taken ($clip_timing uniform: {clip_s:g} s a clip)",
+    }
+    for timing, use in uses.items():
+        lengths = [row.extra.get("clip_frames") for row in rows if row.extra.get("clip_timing") == timing.value]
+        others = [{*clips} - {expected} for clips in lengths if isinstance(clips, list)]
+        if frames := sorted({n for clips in others for n in clips}):
+            count = sum(bool(clips) for clips in others)
+            observer.warn(
+                f"{count_noun(count, 'episode')} with clips of {_range(frames)} frames in place of {expected}: {use}"
+            )
+
+
+def _range(numbers: Sequence[int]) -> str:
+    """Return the least and the greatest of sorted numbers as text."""
+    return f"{numbers[0]}" if len(numbers) == 1 else f"{numbers[0]} to {numbers[-1]}"

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 import click
 
 from kinebench_drake.cli.options import PathParameter
-from kinebench_drake.cli.run import ProgressView, run
+from kinebench_drake.cli.progress import ProgressView, run
 from kinebench_drake.errors import InputError, UsageError
 from kinebench_drake.io.jsonl import as_object
 from kinebench_drake.results.row import SampleRow
@@ -20,9 +20,6 @@ comparison_out_option = click.option(
     "--out", type=PathParameter(file_okay=False),
     help="Also write report.html, figure and table (csv, LaTeX) to this folder.",
 )  # fmt: skip
-bootstrap_seed_option = click.option(
-    "--seed", type=click.IntRange(0), default=0, show_default=True, help="Seed of the bootstrap intervals."
-)
 
 
 @click.command(epilog="\b\nExamples:\n  kinebench-drake report results/\n  kinebench-drake report results/ --figures")
@@ -52,8 +49,7 @@ def report(folders: tuple[Path, ...], figures: bool) -> None:
 )
 @folders_argument
 @comparison_out_option
-@bootstrap_seed_option
-def compare(folders: tuple[Path, ...], out: Path | None, seed: int) -> None:
+def compare(folders: tuple[Path, ...], out: Path | None) -> None:
     """Compare the models of runs DIR of one kind, two by two, on the samples or episodes that both have.
 
     Samples of `score` and `audit` are paired by task and seed, else by id or file name: every headline number with its
@@ -69,7 +65,7 @@ def compare(folders: tuple[Path, ...], out: Path | None, seed: int) -> None:
         from kinebench_drake.report.suite.folders import spec_warnings
         from kinebench_drake.report.suite.suite_page import write_comparison
 
-        episodes = read_comparison(folders, seed)
+        episodes = read_comparison(folders)
         for warning in spec_warnings(episodes.folders):
             click.echo(f"warning: {warning}", err=True)
         page = None if out is None else write_comparison(episodes, out)
@@ -81,7 +77,7 @@ def compare(folders: tuple[Path, ...], out: Path | None, seed: int) -> None:
             write_sample_comparison,
         )
 
-        comparison = compare_samples(runs, seed)
+        comparison = compare_samples(runs)
         for warning in comparison.warnings:
             click.echo(f"warning: {warning}", err=True)
         page = None if out is None else write_sample_comparison(comparison, out)
