@@ -61,10 +61,11 @@ def _click_option(option: Option, default: Any) -> Decorator:
     settings: dict[str, Any] = {"help": name_options(option.help), "metavar": option.metavar}
     if option.kind is Mapping:
         settings |= {"multiple": True, "callback": _pairs}
-    else:
+    elif default is not None:
         value = default.value if isinstance(default, Enum) else default
-        settings |= {"default": value, "show_default": value is not None and value is not False}
-        settings["required"] = option.required and value is None
+        settings |= {"default": value, "show_default": value is not False}
+    elif option.required:
+        settings["required"] = True
     if option.kind not in (bool, Mapping):
         settings["type"] = _click_type(option)
     return click.option(*option.flags, option.name, **settings)

@@ -1,7 +1,8 @@
-"""Preparation of videos for the grounding: their frames, times, cameras and priors; what the run says of cameras."""
+"""Preparation of videos for the grounding: their frames, times, cameras and priors; warnings about them."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -15,7 +16,7 @@ from kinebench_drake.formats.videos.sample import VideoSample
 from kinebench_drake.geometry import Array
 from kinebench_drake.grounding.clip import Clip
 from kinebench_drake.grounding.overrides.overrides import Overrides
-from kinebench_drake.grounding.priors import Priors
+from kinebench_drake.grounding.priors import InitialStateUse, Priors
 from kinebench_drake.io.images import read_image
 from kinebench_drake.io.jsonl import Json
 from kinebench_drake.io.video import WHOLE, Video
@@ -25,7 +26,7 @@ from kinebench_drake.results.row import SampleRow, Status
 from kinebench_drake.runs.config import AUTO, BENCHMARK
 from kinebench_drake.suites.clock import ClipTiming, sample_uniformly
 from kinebench_drake.suites.start import START_WIDTH_M, start_q
-from kinebench_drake.track import GripperTrack, InitialState
+from kinebench_drake.track import Domain, GripperTrack, InitialState
 
 if TYPE_CHECKING:  # loads torch and Open3D
     from kinebench_drake.grounding.video import Grounder, GroundingResult
@@ -193,38 +194,54 @@ def with_camera_option(samples: Sequence[VideoSample], option: str, *, mirrored:
     return [filmed(sample) for sample in samples]
 
 
-def camera_warnings(rows: Sequence[SampleRow]) -> list[str]:
-    """Return warnings about cameras that the input does not name, or that the arm does not confirm."""
-    rows = [row for row in rows if row.status is Status.OK]
-    states = [row.extra.get("camera_state") for row in rows]
-    confirmed, estimated = (states.count(state.value) for state in (CameraState.CONFIRMED, CameraState.ESTIMATED))
-    warnings = []
-    if confirmed:
-        warnings.append(f"no camera is named for {count_noun(confirmed, 'sample')}: the arm confirms the benchmark's")
-    if estimated:
-        warnings.append(
-            f"no camera is named for {count_noun(estimated, 'sample')}: it was estimated from the arm; a camera.json "
-            "beside the videos, or `calibrate` with joint angles, is more accurate"
-        )
-    contradicted = sum("camera_contradiction" in row.extra for row in rows)
-    if contradicted:
-        warnings.append(
-            f"the arm contradicts the camera of {count_noun(contradicted, 'sample')}: see camera_contradiction in the "
-            "rows; check width, height and focal length of camera.json, leave it out to have the camera estimated, or "
-            "fit it with `calibrate --joints`"
-        )
-    doubtful = sum(_is_unconfirmed(row) for row in rows)
-    if doubtful:
-        warnings.append(
-            f"the arm confirms the camera in all but {count_noun(doubtful, 'sample')}, where its contours are not on "
-            "image edges: look at the overlays"
-        )
-    lost = sum("base_frame_reason" in row.extra for row in rows)
-    if lost:
-        warnings.append(
-            f"no base frame in {count_noun(lost, 'sample')}: reach, limits and verdicts are null there, with the reason"
-        )
-    return warnings
+def row_warnings(rows: Sequence[SampleRow]) -> list[str]:
+    """Return warnings about first frames, cameras, clocks and looks, each with its number of samples."""
+    measured = [row for row in rows if row.status is Status.OK]
+
+    def count(key: str, value: Enum) -> int:
+        return sum(row.extra.get(key) == value.value for row in (measured if key == "camera_state" else rows))
+
+    warnings = (
+        (
+            count("first_frame", InitialStateUse.CONTRADICTED),
+            "the first frame contradicts the pose of the manifest, or of the episode of task and seed, in {}: the pose "
+            "was not used",
+        ),
+        (
+            count("camera_state", CameraState.CONFIRMED),
+            "no camera is named for {}: the arm confirms the benchmark's",
+        ),
+        (
+            count("camera_state", CameraState.ESTIMATED),
+            "no camera is named for {}: it was estimated from the arm; a camera.json beside the videos, or `calibrate` "
+            "with joint angles, is more accurate",
+        ),
+        (
+            sum("camera_contradiction" in row.extra for row in measured),
+            "the arm contradicts the camera of {}: see camera_contradiction in the rows; check width, height and focal "
+            "length of camera.json, leave it out to have the camera estimated, or fit it with `calibrate --joints`",
+        ),
+        (
+            sum(map(_is_unconfirmed, measured)),
+            "the arm confirms the camera in all but {}, where its contours are not on image edges: look at the "
+            "overlays",
+        ),
+        (
+            sum("base_frame_reason" in row.extra for row in measured),
+            "no base frame in {}: reach, limits and verdicts are null there, with the reason",
+        ),
+        (
+            count("frame_period_source", PeriodSource.BENCHMARK),
+            f"no frame rate in {{}}: {BENCHMARK_PERIOD_S} s between frames was assumed, as in the benchmark; set "
+            "$frame_period_s SECONDS if it differs",
+        ),
+        (
+            count("domain", Domain.UNFAMILIAR),
+            "{} of unfamiliar look or viewpoint, or with an estimated camera: poses are fitted to edges, with a "
+            "confidence of their own, and anomalies of the gripper's shape and number are not looked for",
+        ),
+    )
+    return [text.format(count_noun(n, "sample")) for n, text in warnings if n]
 
 
 def _is_unconfirmed(row: SampleRow) -> bool:

@@ -8,18 +8,16 @@ from pathlib import Path
 import numpy as np
 
 from kinebench_drake.camera import CameraSource
-from kinebench_drake.errors import InputError, count_noun
+from kinebench_drake.errors import InputError
 from kinebench_drake.formats.videos.find import find_samples
 from kinebench_drake.formats.videos.sample import VideoSample, VideoSamples
 from kinebench_drake.grounding.overrides.overrides import Overrides
-from kinebench_drake.grounding.priors import InitialStateUse
 from kinebench_drake.io.atomic import write_atomically
 from kinebench_drake.io.container import write_video
 from kinebench_drake.io.images import frame_files
 from kinebench_drake.io.jsonl import Json
 from kinebench_drake.io.reader import read_video
 from kinebench_drake.models.panda.robot import GripperKind
-from kinebench_drake.results.inputs import PeriodSource
 from kinebench_drake.results.provenance import weights_hash
 from kinebench_drake.results.row import SampleRow
 from kinebench_drake.results.store import artifact_path
@@ -28,12 +26,11 @@ from kinebench_drake.runs.config import AUTO, ScoreConfig, period_warnings
 from kinebench_drake.runs.evaluator import KINEMATIC_METRICS, Evaluation, Evaluator
 from kinebench_drake.runs.pictures import encode_strip, worst_frame
 from kinebench_drake.runs.preparation import (
-    BENCHMARK_PERIOD_S,
     camera_frame_metrics,
-    camera_warnings,
     conditioning_image,
     ground_sample,
     override_names,
+    row_warnings,
     time_frames,
     with_camera_option,
     with_initial_states,
@@ -62,27 +59,8 @@ def score_videos(config: ScoreConfig, observer: RunObserver | None = None) -> Ru
     else:
         samples = with_initial_states(inputs.samples)
     summary = run_samples(samples, VideoEvaluator(config=config, overrides=config.overrides()), observer)
-    contradicted = sum(row.extra.get("first_frame") == InitialStateUse.CONTRADICTED.value for row in summary.rows)
-    if contradicted:
-        observer.warn(
-            "the first frame contradicts the pose of the manifest, or of the episode of task and seed, in "
-            f"{count_noun(contradicted, 'sample')}: the pose was not used"
-        )
-    for warning in camera_warnings(summary.rows):
+    for warning in row_warnings(summary.rows):
         observer.warn(warning)
-    without_clock = sum(row.extra.get("frame_period_source") == PeriodSource.BENCHMARK.value for row in summary.rows)
-    if without_clock:
-        observer.warn(
-            f"no frame rate in {count_noun(without_clock, 'sample')}: {BENCHMARK_PERIOD_S} s between frames was "
-            "assumed, as in the benchmark; set $frame_period_s SECONDS if it differs"
-        )
-    unfamiliar = sum(row.extra.get("domain") == Domain.UNFAMILIAR.value for row in summary.rows)
-    if unfamiliar:
-        observer.warn(
-            f"{count_noun(unfamiliar, 'sample')} of unfamiliar look or viewpoint, or with an estimated camera: poses "
-            "are fitted to edges, with a confidence of their own, and anomalies of the gripper's shape and number are "
-            "not looked for"
-        )
     return summary
 
 
