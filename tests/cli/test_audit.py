@@ -44,7 +44,7 @@ def source(tmp_path):
 def run(source, tmp_path):
     def call(observer=None, **changes):
         config = {"source": source, "out": tmp_path / "out", "make_tools": FakeTools, **changes}
-        return audit_trajectories(AuditConfig(**config), observer)
+        return audit_trajectories(AuditConfig(**{"replays": None, **config}), observer)
 
     return call
 
