@@ -3,7 +3,7 @@
 The additional gripper consists of the robot's own meshes and materials, is lit, casts shadows and occludes.
 """
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -54,7 +54,7 @@ class FaultSimulator(Simulator):
         if fault is None:
             return super().render()
         scene = self._env.scene.sub_scenes[0]
-        gripper = self._warped_entity(fault.warp, GRIPPER_LINKS)
+        gripper = self._warped_gripper(fault.warp)
         X_WP = invert(self._X_BW) @ self.link_pose(HAND_LINK) @ fault.X_HP
         gripper.set_pose(self._pose_class(X_WP[:3, 3], to_quaternion(X_WP[:3, :3])))
         scene.add_entity(gripper)
@@ -72,15 +72,15 @@ class FaultSimulator(Simulator):
             self.set_visible(GRIPPER_LINKS, visible=True)
         return image
 
-    def _warped_entity(self, warp: Warp, links: Collection[str]) -> Any:
-        """Return an entity with the warped meshes of links in their current pose, in the frame of panda_hand."""
+    def _warped_gripper(self, warp: Warp) -> Any:
+        """Return an entity with the warped meshes of the gripper in its current pose, in the frame of panda_hand."""
         import sapien
 
         body = sapien.render.RenderBodyComponent()
         X_HB = invert(self.link_pose(HAND_LINK))
         for name, link in self._env.agent.robot.links_map.items():
             own = link._objs[0].entity.find_component_by_type(sapien.render.RenderBodyComponent)
-            if name not in links or own is None:
+            if name not in GRIPPER_LINKS or own is None:
                 continue
             for shape in own.render_shapes:
                 X_HS = X_HB @ self.link_pose(name) @ np.asarray(shape.local_pose.to_transformation_matrix(), float)

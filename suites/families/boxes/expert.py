@@ -49,11 +49,6 @@ PRESS_M = 0.003
 """Commanded distance past shut."""
 
 
-def _hinge(scene: Scene) -> Array:
-    """Return the pose (4, 4) of the hinge's frame H."""
-    return scene.site("box", "hinge")
-
-
 def _rotation(scene: Scene, approach: Array, closing: Array) -> Array:
     """Return the rotation (3, 3) of the gripper, choosing the sign of `closing` that is closer to the current pose."""
     return grasp_rotation(approach, closing if closing @ scene.X_BG[:3, 1] > 0.0 else -closing)
@@ -65,7 +60,7 @@ def _under_front(scene: Scene, angle: float, depth_m: float, tilt: float) -> Arr
     The fingertips are `depth_m` from the edge; `tilt` is the angle [rad] between the fingers and the lid, positive if
     the hand is above it.
     """
-    X_BH = _hinge(scene)
+    X_BH = scene.site("box", "hinge")
     out = np.array([np.cos(angle), 0.0, np.sin(angle)])
     below = np.array([np.sin(angle), 0.0, -np.cos(angle)])
     up_finger = np.cos(tilt) * out - np.sin(tilt) * below
@@ -79,7 +74,7 @@ def _under_front(scene: Scene, angle: float, depth_m: float, tilt: float) -> Arr
 
 def _opening_arc(scene: Scene, angle: float) -> Arc:
     """Return the rotation about the hinge that opens the lid by `angle` [rad]."""
-    X_BH = _hinge(scene)
+    X_BH = scene.site("box", "hinge")
     return Arc(point=X_BH[:3, 3], axis=-X_BH[:3, 1], angle_rad=angle)
 
 
@@ -89,7 +84,7 @@ def _push_front(scene: Scene, angle: float) -> list[Waypoint]:
     goal = GOAL_FRACTION * scene.size("box", "open_rad")
     arc = _opening_arc(scene, goal - angle)
     end = swing(start, arc)
-    away = _hinge(scene)[:3, :3] @ [np.sin(goal), 0.0, -np.cos(goal)]
+    away = scene.site("box", "hinge")[:3, :3] @ [np.sin(goal), 0.0, -np.cos(goal)]
     return [
         closed_waypoint(start, through=True),
         closed_waypoint(end, arc=arc),
@@ -101,7 +96,7 @@ def open_ajar_front(scene: Scene) -> list[Waypoint]:
     """Put the fingertips under the front edge of the lid and push it open."""
     angle = scene.joints["box"]
     inside = _under_front(scene, angle, PUSH_DEPTH_M, PUSH_TILT_RAD)
-    R_BH = _hinge(scene)[:3, :3]
+    R_BH = scene.site("box", "hinge")[:3, :3]
     before = shift(inside, R_BH @ [0.06, 0.0, 0.0])
     return [*closed_passage(shift(before, R_BH @ [0.05, 0.0, 0.04]), before), *_push_front(scene, angle)]
 
@@ -110,7 +105,7 @@ def open_shut_front(scene: Scene) -> list[Waypoint]:
     """Pry the lid up at the front edge by rotating the gripper upwards, then push it open."""
     depth = scene.size("box", "overhang_m") - BESIDE_WALL_M
     under = _under_front(scene, 0.0, depth, PRY_TILT_RAD)
-    R_BH = _hinge(scene)[:3, :3]
+    R_BH = scene.site("box", "hinge")[:3, :3]
     before = shift(under, R_BH @ [0.04, 0.0, 0.0])
     pried = _under_front(scene, PRIED_RAD, depth, PUSH_TILT_RAD)
     return [
@@ -126,7 +121,7 @@ def _under_side(scene: Scene, angle: float, depth_m: float, tilt: float) -> tupl
 
     The fingertips are `depth_m` from the lid's edge, along the fingers; `tilt` is their angle [rad] from the vertical.
     """
-    X_BH = _hinge(scene)
+    X_BH = scene.site("box", "hinge")
     side = -1.0 if X_BH[:3, 1] @ [0.0, X_BH[1, 3], 0.0] > 0.0 else 1.0  # towards y = 0, where there is more room
     out = np.array([np.cos(angle), 0.0, np.sin(angle)])
     edge = side * (0.5 * scene.size("box", "width_m") + scene.size("box", "overhang_m"))
@@ -143,7 +138,7 @@ def _carry_side(scene: Scene, start: float, end: float, depth_m: float, tilt: fl
     """Return the move that takes the side of the lid from one angle to another without rotating the gripper."""
     X_1, contact = _under_side(scene, start, depth_m, tilt)
     X_2, _ = _under_side(scene, end, depth_m, tilt)
-    X_BH = _hinge(scene)
+    X_BH = scene.site("box", "hinge")
     arc = Arc(point=X_BH[:3, 3] + X_1[:3, 3] - contact, axis=-X_BH[:3, 1], angle_rad=end - start)
     return closed_waypoint(X_2, arc=arc)
 
@@ -152,7 +147,7 @@ def _push_side(scene: Scene, angle: float) -> list[Waypoint]:
     """Push a lid opened by `angle` fully open from under its side, and retreat."""
     goal = GOAL_FRACTION * scene.size("box", "open_rad")
     push = _carry_side(scene, angle, goal, SIDE_DEPTH_M, SIDE_TILT_RAD)
-    away = shift(push.X_BG, _hinge(scene)[:3, :3] @ [RETREAT_M, 0.0, 0.02])
+    away = shift(push.X_BG, scene.site("box", "hinge")[:3, :3] @ [RETREAT_M, 0.0, 0.02])
     start, _ = _under_side(scene, angle, SIDE_DEPTH_M, SIDE_TILT_RAD)
     return [closed_waypoint(start, through=True), push, closed_waypoint(away)]
 
@@ -183,7 +178,7 @@ def open_shut_side(scene: Scene) -> list[Waypoint]:
 
 def close_lying(scene: Scene) -> list[Waypoint]:
     """Fold the lid of a lying box shut from outside, press, and retreat."""
-    X_BH, angle = _hinge(scene), scene.joints["box"]
+    X_BH, angle = scene.site("box", "hinge"), scene.joints["box"]
     R_BH = X_BH[:3, :3]
     height = X_BH[2, 3] + 0.5 * scene.size("box", "width_m") - REACH_DOWN_M
     R = _rotation(scene, np.array([0.0, 0.0, -1.0]), R_BH[:, 0])
