@@ -90,7 +90,7 @@ class _StockTask:
         import gymnasium
         import mani_skill.envs  # noqa: F401 (registers the tasks)
 
-        from kinebench_drake.suites.scene.environment import camera_config
+        from kinebench_drake.suites.scene.builder import camera_config
         from kinebench_drake.suites.start import START_Q
 
         self._env: Any = gymnasium.make(

@@ -296,7 +296,7 @@ def truth_file(folder: Path, name: str) -> Path:
 
 def ground_truth(rollout: Rollout, video: RolloutVideo, options: RenderOptions) -> dict[str, NDArray[Any]]:
     """Return the ground truth arrays of a video's frames, by name (docs/suites.md)."""
-    from kinebench_drake.suites.scene.environment import X_WB
+    from kinebench_drake.suites.scene.builder import X_WB
 
     snapshots, controls, X_BW = rollout.snapshots, rollout.controls, invert(X_WB)
     names, joints = list(snapshots[0].objects), list(snapshots[0].joints)

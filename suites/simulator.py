@@ -145,7 +145,8 @@ class Simulator:
         with _setup_errors():
             import sapien
 
-            from kinebench_drake.suites.scene.environment import CAMERA, X_WB, KineBenchEnv
+            from kinebench_drake.suites.scene.builder import CAMERA, X_WB
+            from kinebench_drake.suites.scene.environment import KineBenchEnv
 
         _exempt_libraries()
         plant = ArmPlant()
@@ -273,7 +274,7 @@ class Simulator:
                 f"the simulator renders images of {self.camera.width} x {self.camera.height}, not of {camera.width} x "
                 f"{camera.height}"
             )
-        from kinebench_drake.suites.scene.environment import place_camera
+        from kinebench_drake.suites.scene.builder import place_camera
 
         place_camera(self._env._sensors[self._camera_name], camera)
         self.camera = camera

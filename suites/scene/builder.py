@@ -1,23 +1,59 @@
-"""Builders of ManiSkill actors and articulations from asset models, directly from arrays without files."""
+"""Builders of ManiSkill cameras, actors and articulations, the latter from the arrays of asset models without files."""
 
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 import sapien
+from mani_skill.render import ShaderConfig
+from mani_skill.sensors.camera import CameraConfig
 from mani_skill.utils.building import ActorBuilder, ArticulationBuilder
 from mani_skill.utils.structs import Actor, Articulation
 from sapien.wrapper.articulation_builder import LinkBuilder
 
-from kinebench_drake.geometry import Array, to_quaternion
+from kinebench_drake.camera import Camera
+from kinebench_drake.geometry import Array, make_pose, to_quaternion
 from kinebench_drake.suites.scene.model import AssetModel, Collider, ColliderKind, RigidBody, SurfaceFinish, Visual
 
+X_WB = make_pose(np.eye(3), [-0.615, 0.0, 0.0])
+"""Pose (4, 4) of the robot base in the ManiSkill world [m]."""
+CAMERA = "base_camera"
+"""Name of the camera."""
+_NEAR_M, _FAR_M = 0.01, 20.0
 _MIPMAPS = 6
 
 
 def to_pose(X: Array) -> sapien.Pose:
     """Convert a pose (4, 4) to SAPIEN."""
     return sapien.Pose(X[:3, 3], to_quaternion(X[:3, :3]))
+
+
+def sapien_from_opencv(X_AC: Array) -> Array:
+    """Convert a camera pose (4, 4) from OpenCV's axes (z forward, x right) to SAPIEN's (x forward, y left, z up)."""
+    R_CS = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
+    return X_AC @ make_pose(R_CS, np.zeros(3))
+
+
+def camera_config(camera: Camera, shaders: ShaderConfig | None = None) -> CameraConfig:
+    """Convert a camera to ManiSkill's configuration; without shaders it has ManiSkill's own."""
+    return CameraConfig(
+        CAMERA,
+        pose=to_pose(sapien_from_opencv(X_WB @ camera.X_BC)),
+        width=camera.width,
+        height=camera.height,
+        near=_NEAR_M,
+        far=_FAR_M,
+        intrinsic=camera.K,
+        shader_config=shaders,
+    )
+
+
+def place_camera(sensor: Any, camera: Camera) -> None:
+    """Set pose and intrinsics of ManiSkill's camera without rebuilding the scene."""
+    pose = to_pose(sapien_from_opencv(X_WB @ camera.X_BC))
+    for component in sensor.camera._render_cameras:
+        component.set_perspective_parameters(_NEAR_M, _FAR_M, camera.fx, camera.fy, camera.cx, camera.cy, 0.0)
+        component.set_local_pose(pose)
 
 
 def _render_material(surface: SurfaceFinish) -> sapien.render.RenderMaterial:

@@ -13,7 +13,6 @@ import sapien
 import torch
 from mani_skill.agents.robots import Panda, PandaWristCam
 from mani_skill.envs.sapien_env import BaseEnv
-from mani_skill.render import ShaderConfig
 from mani_skill.sensors.camera import CameraConfig
 from mani_skill.utils.registration import REGISTERED_ENVS, register_env
 from mani_skill.utils.structs import Actor, Articulation
@@ -23,12 +22,11 @@ from torch import Tensor
 
 from kinebench_drake.camera import Camera, benchmark_camera
 from kinebench_drake.errors import InputError
-from kinebench_drake.geometry import Array, make_pose
 from kinebench_drake.models.robot import N_JOINTS
 from kinebench_drake.suites.composition import Episode, Pool, compose
 from kinebench_drake.suites.families.registry import TASKS, find_task
 from kinebench_drake.suites.families.task import Scene, SceneLayout, TaskVariant
-from kinebench_drake.suites.scene.builder import build_actor, build_articulation, to_pose
+from kinebench_drake.suites.scene.builder import X_WB, build_actor, build_articulation, camera_config, to_pose
 from kinebench_drake.suites.scene.look import background, light, surroundings, table
 from kinebench_drake.suites.scene.rendering import simplify_arm, software_shaders
 from kinebench_drake.suites.scene.state import ARM, State
@@ -36,39 +34,6 @@ from kinebench_drake.suites.start import start_q
 
 NAMESPACE = "KineBench"
 """Gymnasium namespace of the tasks."""
-X_WB = make_pose(np.eye(3), [-0.615, 0.0, 0.0])
-"""Pose (4, 4) of the robot base in the ManiSkill world [m]."""
-CAMERA = "base_camera"
-"""Name of the camera."""
-_NEAR_M, _FAR_M = 0.01, 20.0
-
-
-def sapien_from_opencv(X_AC: Array) -> Array:
-    """Convert a camera pose (4, 4) from OpenCV's axes (z forward, x right) to SAPIEN's (x forward, y left, z up)."""
-    R_CS = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
-    return X_AC @ make_pose(R_CS, np.zeros(3))
-
-
-def camera_config(camera: Camera, shaders: ShaderConfig | None = None) -> CameraConfig:
-    """Convert a camera to ManiSkill's configuration; without shaders it has ManiSkill's own."""
-    return CameraConfig(
-        CAMERA,
-        pose=to_pose(sapien_from_opencv(X_WB @ camera.X_BC)),
-        width=camera.width,
-        height=camera.height,
-        near=_NEAR_M,
-        far=_FAR_M,
-        intrinsic=camera.K,
-        shader_config=shaders,
-    )
-
-
-def place_camera(sensor: Any, camera: Camera) -> None:
-    """Set pose and intrinsics of ManiSkill's camera without rebuilding the scene."""
-    pose = to_pose(sapien_from_opencv(X_WB @ camera.X_BC))
-    for component in sensor.camera._render_cameras:
-        component.set_perspective_parameters(_NEAR_M, _FAR_M, camera.fx, camera.fy, camera.cx, camera.cy, 0.0)
-        component.set_local_pose(pose)
 
 
 class KineBenchEnv(BaseEnv):  # type: ignore[misc]

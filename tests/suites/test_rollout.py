@@ -30,7 +30,7 @@ def test_a_failure_names_the_conditions_that_fail() -> None:
 
 @pytest.mark.sapien
 def test_sapien_camera_looks_along_its_x_axis() -> None:
-    from kinebench_drake.suites.scene.environment import sapien_from_opencv
+    from kinebench_drake.suites.scene.builder import sapien_from_opencv
 
     X_WC = benchmark_camera().X_BC
     X_WS = sapien_from_opencv(X_WC)
