@@ -7,6 +7,7 @@ from kinebench_drake.errors import InputError, UnmeasurableError
 from kinebench_drake.formats.trajectories.pose import rigid_poses
 from kinebench_drake.formats.trajectories.times import check_times, undo_jitter
 from kinebench_drake.formats.trajectories.trajectory import (
+    JOINT_SIZES,
     N_JOINTS,
     RawTrajectory,
     Trajectory,
@@ -20,7 +21,6 @@ MAX_FRAMES = 100_000
 MIN_FRAMES = 2
 """A path needs two postures."""
 
-_JOINT_SHAPES = ((N_JOINTS,), (N_JOINTS + 1,), (N_JOINTS + 2,))  # the arm, followed by fingers
 _MANY_RAD = 10.0  # larger angles are taken for degrees
 _MOST_DEGREES = 720.0
 _TURN_RAD = 2.0 * np.pi  # larger angles give a warning
@@ -43,7 +43,7 @@ def check(raw: RawTrajectory, rate_hz: float | None = None) -> Trajectory:
     values = require_numbers(name, array)
     if values.shape[:1] == (0,):
         raise UnmeasurableError(f"holds no frame, a path needs at least {MIN_FRAMES}")
-    if values.shape[1:] not in (((4, 4),) if raw.q is None else _JOINT_SHAPES):
+    if values.shape[1:] not in ([(4, 4)] if raw.q is None else [(n,) for n in JOINT_SIZES]):
         expected = "(T, 4, 4)" if raw.q is None else f"(T, {N_JOINTS}) in radians"
         turned = ", transposed?" if raw.q is not None and values.shape[:1] == (N_JOINTS,) else ""
         raise InputError(f"{name} has shape {values.shape}, expected {expected}{turned}")

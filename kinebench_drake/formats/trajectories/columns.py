@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 from kinebench_drake.errors import InputError
 from kinebench_drake.formats.trajectories.reading import Layout, Reading
-from kinebench_drake.formats.trajectories.trajectory import N_JOINTS, TrajectoryOptions
+from kinebench_drake.formats.trajectories.trajectory import JOINT_SIZES, N_JOINTS, TrajectoryOptions
 from kinebench_drake.io.jsonl import as_object
 
 _NUMBERED = re.compile(
@@ -24,7 +24,6 @@ _OTHER_WORDS = {
 }
 _JOINT_WORDS, _POSITION_WORDS = {"joint", "joints"}, {"pos", "position", "positions", "state", "angle", "angles"}
 _NO_NUMBERS = ("video", "image", "string", "bool")
-_JOINT_SIZES = range(N_JOINTS, N_JOINTS + 3)
 _ROTATIONS = (
     (Layout.QUATERNION, ("qw", "qx", "qy", "qz")),
     (Layout.QUATERNION, ("rw", "rx", "ry", "rz")),  # without rw it may be a rotation vector, or angles
@@ -117,7 +116,7 @@ def _match_named(column: _Column, *, joints: bool) -> Reading:
     reading = _match_joints(column) if joints else _match_pose(column)
     if reading is not None:
         return reading
-    if joints and column.size in _JOINT_SIZES:
+    if joints and column.size in JOINT_SIZES:
         return column.reading(Layout.JOINTS, range(N_JOINTS))
     unnamed = replace(column, names=())
     if not joints and column.size == 7:
@@ -135,7 +134,7 @@ def _match_joints(column: _Column) -> Reading | None:
     if not column.names:
         words = set(_words(column.name.rsplit(".", 1)[-1]))
         certain = "qpos" in words or (words & _JOINT_WORDS and words & _POSITION_WORDS)
-        return column.reading(Layout.JOINTS, range(N_JOINTS)) if certain and column.size in _JOINT_SIZES else None
+        return column.reading(Layout.JOINTS, range(N_JOINTS)) if certain and column.size in JOINT_SIZES else None
     arms: dict[str, dict[int, int]] = {}
     for k, element in enumerate(column.names):
         match = _NUMBERED.fullmatch(element.lower())

@@ -10,7 +10,7 @@ from kinebench_drake.formats.lerobot.reader import is_lerobot, list_lerobot_traj
 from kinebench_drake.formats.maniskill import list_maniskill, read_maniskill
 from kinebench_drake.formats.samples import finish_samples
 from kinebench_drake.formats.trajectories.check import check
-from kinebench_drake.formats.trajectories.tables import CSV_SUFFIXES, NPZ_SUFFIXES, read_csv, read_npz
+from kinebench_drake.formats.trajectories.tables import read_csv, read_npz
 from kinebench_drake.formats.trajectories.trajectory import (
     RawTrajectory,
     Trajectory,
@@ -32,7 +32,12 @@ _READERS: Mapping[TrajectoryFormat, Callable[[TrajectorySample, TrajectoryOption
     TrajectoryFormat.MANISKILL: read_maniskill,
     TrajectoryFormat.LEROBOT: read_lerobot,
 }
-_SUFFIXES = NPZ_SUFFIXES | CSV_SUFFIXES | HDF5_SUFFIXES
+_FORMATS = {
+    ".npz": TrajectoryFormat.NPZ,
+    ".csv": TrajectoryFormat.CSV,
+    **dict.fromkeys(HDF5_SUFFIXES, TrajectoryFormat.MANISKILL),
+}
+"""Format of a file by its suffix in lower case."""
 
 
 def find_trajectories(
@@ -63,7 +68,7 @@ def find_trajectories(
     if out is not None:
         require_apart(out, source)
     if not source.is_dir():
-        if source.suffix.lower() not in _SUFFIXES:
+        if source.suffix.lower() not in _FORMATS:
             raise UsageError(f"{source}: found a {source.suffix or 'nameless'} file, expected {EXPECTED}")
         samples = _list_file(source, source.name)
     elif is_lerobot(source):
@@ -98,10 +103,9 @@ def read_trajectory(sample: TrajectorySample, choice: TrajectoryOptions) -> Traj
 
 
 def _list_file(path: Path, video: str) -> list[TrajectorySample]:
-    suffix = path.suffix.lower()
-    if suffix in HDF5_SUFFIXES:
+    format = _FORMATS[path.suffix.lower()]
+    if format is TrajectoryFormat.MANISKILL:
         return list_maniskill(path, video)
-    format = TrajectoryFormat.NPZ if suffix in NPZ_SUFFIXES else TrajectoryFormat.CSV
     return [TrajectorySample(id=path.stem, path=path, video=video, format=format)]
 
 
@@ -142,5 +146,5 @@ def _list_folder(folder: Path, choice: TrajectoryOptions, out: Path | None) -> I
                 format = TrajectoryFormat.LEROBOT
                 yield TrajectorySample(id=here.name, path=here, video=name, format=format, problem=str(error))
             continue
-        for name in (f for f in files if Path(f).suffix.lower() in _SUFFIXES):
+        for name in (f for f in files if Path(f).suffix.lower() in _FORMATS):
             yield from _list_file(here / name, (here / name).relative_to(folder).as_posix())

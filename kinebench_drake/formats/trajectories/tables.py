@@ -14,8 +14,6 @@ from kinebench_drake.formats.trajectories.trajectory import RawTrajectory, Traje
 from kinebench_drake.geometry import Array
 from kinebench_drake.io.npz import check_bytes, open_npz
 
-NPZ_SUFFIXES = frozenset({".npz"})
-
 _MAX_BYTES = 2**28
 _POSES, _JOINTS = "base_from_tcp", "q"
 
@@ -55,8 +53,6 @@ def read_npz(sample: TrajectorySample, choice: TrajectoryOptions) -> RawTrajecto
 def _list_arrays(names: list[str]) -> str:
     return f"the arrays {', '.join(names[:12])}" if names else "no array"
 
-
-CSV_SUFFIXES = frozenset({".csv"})
 
 TIME, WIDTH = "t_s", "finger_width_m"
 POSE = ("x_m", "y_m", "z_m", "qw", "qx", "qy", "qz")

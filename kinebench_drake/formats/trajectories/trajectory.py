@@ -13,6 +13,8 @@ from kinebench_drake.geometry import Array
 
 N_JOINTS = 7
 """Joints of the arm."""
+JOINT_SIZES = range(N_JOINTS, N_JOINTS + 3)
+"""Numbers of joint angles in a file: those of the arm, followed by up to two fingers."""
 SLOW_STEP_S = 5.0
 """Longer steps give a warning: robots are recorded faster [s]."""
 
