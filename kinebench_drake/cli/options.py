@@ -66,7 +66,9 @@ def _click_option(option: Option, default: Any) -> Decorator:
         settings |= {"default": value, "show_default": value is not False}
     elif option.required:
         settings["required"] = True
-    if option.kind not in (bool, Mapping):
+    if option.kind is bool:
+        settings["is_flag"] = True
+    elif option.kind is not Mapping:
         settings["type"] = _click_type(option)
     return click.option(*option.flags, option.name, **settings)
 

@@ -10,7 +10,7 @@ from kinebench_drake.cli.progress import ProgressView, run
 from kinebench_drake.errors import InputError, UsageError
 from kinebench_drake.io.jsonl import as_object
 from kinebench_drake.results.row import SampleRow
-from kinebench_drake.results.store import SAMPLES, artifact_path, read_rows
+from kinebench_drake.results.store import artifact_path, read_rows, require_output
 
 if TYPE_CHECKING:
     from kinebench_drake.kinematics.plant import ArmPlant
@@ -30,7 +30,7 @@ def report(folders: tuple[Path, ...], figures: bool) -> None:
     from kinebench_drake.report.page import write_report
 
     for folder in folders:
-        _check_output(folder)
+        require_output(folder)
         try:
             click.echo(write_report(folder))
             if figures:
@@ -138,7 +138,7 @@ def view(out: Path, id: str, urdf: Path | None, opened: bool) -> None:
     """
     from difflib import get_close_matches
 
-    _check_output(out)
+    require_output(out)
     try:
         rows = read_rows(out)
         if id not in rows:
@@ -160,16 +160,6 @@ def view(out: Path, id: str, urdf: Path | None, opened: bool) -> None:
     click.echo(paths[0])
     if opened and click.launch(paths[0].resolve().as_uri()) != 0:
         click.echo("no browser could be started; open the file yourself", err=True)
-
-
-def _check_output(folder: Path) -> None:
-    """Check that a folder is the output folder of a run.
-
-    Raises:
-        UsageError: it is not.
-    """
-    if not (folder / SAMPLES).is_file():
-        raise UsageError(f"{folder}: holds no {SAMPLES}, expected the output folder of a run")
 
 
 def _plant(out: Path, urdf: Path | None) -> "ArmPlant":

@@ -9,7 +9,7 @@ from kinebench_drake.errors import InputError, UsageError
 from kinebench_drake.io.jsonl import Json, as_object
 from kinebench_drake.report.page import read_results
 from kinebench_drake.results.row import SampleRow
-from kinebench_drake.results.store import RESULTS, SAMPLES, read_rows
+from kinebench_drake.results.store import RESULTS, SAMPLES, read_rows, require_output
 
 _VERSIONS = ("schema_version", "suite_version")
 
@@ -86,8 +86,7 @@ def read_run(path: Path) -> Run:
     Raises:
         UsageError: it is broken, unfinished or empty.
     """
-    if not (path / SAMPLES).is_file():
-        raise UsageError(f"{path}: holds no {SAMPLES}, expected the output folder of a run")
+    require_output(path)
     if not (path / RESULTS).is_file():
         raise UsageError(f"{path}: holds no {RESULTS}; run the same command again to finish it")
     try:

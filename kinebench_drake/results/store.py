@@ -25,6 +25,16 @@ def artifact_path(out: Path, kind: str, id: str) -> Path:
     return out / kind / f"{id}.{ARTIFACTS[kind]}"
 
 
+def require_output(folder: Path) -> None:
+    """Check that a folder is the output folder of a run.
+
+    Raises:
+        UsageError: it is not.
+    """
+    if not (folder / SAMPLES).is_file():
+        raise UsageError(f"{folder}: holds no {SAMPLES}, expected the output folder of a run")
+
+
 def read_rows(out: Path) -> dict[str, SampleRow]:
     """Read the rows of an output folder by id; a torn last line is ignored, of equal ids the last row is kept.
 

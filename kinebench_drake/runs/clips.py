@@ -1,4 +1,4 @@
-"""Kinematics of an episode of several clips: each clip is judged alone, and the results are combined.
+"""Results of an episode of several clips: each clip is judged alone, and the results are combined.
 
 A later clip begins where the robot was when the clip was requested, which need not be where the earlier clip ended.
 The step between the two is not a motion of any clip and is not judged.
@@ -6,7 +6,7 @@ The step between the two is not a motion of any clip and is not judged.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -14,7 +14,11 @@ from kinebench_drake.geometry import Array
 from kinebench_drake.io.jsonl import Json
 from kinebench_drake.metrics.loss import COST_MAX
 from kinebench_drake.metrics.result import KinematicResult, Value
-from kinebench_drake.track import GripperTrack, JointTrack
+from kinebench_drake.runs.score import mean_confidence
+from kinebench_drake.track import Domain, GripperTrack, JointTrack
+
+if TYPE_CHECKING:  # loads ManiSkill
+    from kinebench_drake.closed_loop.loop import EpisodeRun
 
 _GREATEST = frozenset(
     {
@@ -135,3 +139,45 @@ def _join_joints(t_s: Array, clips: Sequence[JointTrack]) -> JointTrack:
         status=tuple(s for k, clip in enumerate(clips) for s in clip.status[k > 0 :]),
         **{name: np.concatenate([getattr(c, name)[k > 0 :] for k, c in enumerate(clips)]) for name in arrays},
     )
+
+
+def visual_metrics(run: "EpisodeRun", track: GripperTrack) -> dict[str, Json]:
+    """Return the visual metrics over all clips, frames counted through all of them."""
+    groundings = [r.grounding for r in run.rounds]
+    motions = [np.nan if g.camera_motion_px is None else g.camera_motion_px for g in groundings]
+    distances = [g.arm_consistency_px for g in groundings if g.arm_consistency_px is not None]
+    return {
+        "tracked_fraction": float(track.tracked.mean()),
+        "confidence_mean": mean_confidence(track),
+        "camera_motion_px": None if np.isnan(motions).any() else max(motions),  # unknown in one clip: in all
+        "arm_consistency_px": float(np.median(distances)) if distances else None,
+        "anomalies": [
+            anomaly.to_json(start)
+            for start, g in zip(clip_starts([g.track for g in groundings]), groundings, strict=True)
+            for anomaly in g.anomalies
+        ],
+    }
+
+
+def camera_paths(run: "EpisodeRun") -> dict[str, Json]:
+    """Return how the view of each clip changes, null where it does not; no key if it never does."""
+    paths = [None if r.grounding.camera_path is None else r.grounding.camera_path.to_json() for r in run.rounds]
+    return {"camera_paths": paths} if any(paths) else {}
+
+
+def domain(run: "EpisodeRun") -> Domain:
+    """Return whether all clips are familiar."""
+    familiar = all(r.grounding.domain is Domain.FAMILIAR for r in run.rounds)
+    return Domain.FAMILIAR if familiar else Domain.UNFAMILIAR
+
+
+def rejections(run: "EpisodeRun") -> list[Json]:
+    """Return what was not commanded as generated, round by round."""
+    listed = list[Json]()
+    for number, done in enumerate(run.rounds):
+        if done.rejection is not None:
+            listed.append({"round": number, "reason": "nothing_to_execute", "text": done.rejection})
+        for rejected in done.commands.rejections if done.commands else ():
+            frames: dict[str, Json] = {"frame_start": rejected.frame_start, "frame_end": rejected.frame_end}
+            listed.append({"round": number, "reason": rejected.reason.value, **frames})
+    return listed

@@ -10,8 +10,6 @@ from functools import partial
 from itertools import takewhile
 from pathlib import Path
 
-import numpy as np
-
 from kinebench_drake.closed_loop.actions import (
     ACTION_METRICS,
     ActionSource,
@@ -34,12 +32,20 @@ from kinebench_drake.results.provenance import weights_hash
 from kinebench_drake.results.row import SampleRow, sample_suffix
 from kinebench_drake.results.store import REQUESTS, artifact_path
 from kinebench_drake.results.trackfile import write_track
-from kinebench_drake.runs.clips import clip_starts, combine, join_curves, join_tracks
+from kinebench_drake.runs.clips import (
+    camera_paths,
+    combine,
+    domain,
+    join_curves,
+    join_tracks,
+    rejections,
+    visual_metrics,
+)
 from kinebench_drake.runs.evaluator import KINEMATIC_METRICS, PENDING, Evaluation, Evaluator
 from kinebench_drake.runs.pictures import episode_strip, rollout_frames
 from kinebench_drake.runs.requests import SIZE_PX, request_path, write_requests
 from kinebench_drake.runs.runner import NullRunObserver, RunObserver, RunSummary, run_samples
-from kinebench_drake.runs.score import VISUAL_METRICS, mean_confidence
+from kinebench_drake.runs.score import VISUAL_METRICS
 from kinebench_drake.runs.suite_config import SuiteConfig
 from kinebench_drake.runs.tools import Tools, load_tools
 from kinebench_drake.suites.catalog import EpisodeSpec
@@ -53,7 +59,6 @@ from kinebench_drake.suites.start import first_facts
 from kinebench_drake.suites.worldmodels.factory import LazyWorldModel
 from kinebench_drake.suites.worldmodels.media import png
 from kinebench_drake.suites.worldmodels.worldmodel import Condition, OfflineModel
-from kinebench_drake.track import Domain, GripperTrack
 
 
 def run_suite(config: SuiteConfig, observer: RunObserver | None = None) -> RunSummary:
@@ -190,23 +195,23 @@ class EpisodeEvaluator(Evaluator[EpisodeSample, EpisodeResources]):
         return Evaluation(
             kinematics=kinematics,
             video=clips[0],
-            metrics={**_visual_metrics(run, track), **gap_metrics, **self._action_metrics(sample, run)},
+            metrics={**visual_metrics(run, track), **gap_metrics, **self._action_metrics(sample, run)},
             reasons=gap_reasons,
             extra={
                 "success": run.outcome.success,
                 "progress": run.outcome.progress,
-                "domain": _domain(run).value,
+                "domain": domain(run).value,
                 "rounds": len(run.rounds),
                 "verdict": None if cause is None else cause.verdict.value,
                 "cause": None if cause is None else cause.to_json(),
                 "missed": [name for name, satisfied in run.outcome.conditions.items() if not satisfied],
-                "refused": _rejections(run),
+                "refused": rejections(run),
                 "prompt": self.loop.prompts.prompt(episode),
                 "videos": clips,
                 "clip_timing": run.rounds[0].timing.value,
                 "clip_frames": [r.generated_frames for r in run.rounds],
                 "frames": len(track.t_s),
-                **_camera_paths(run),
+                **camera_paths(run),
             },
         )
 
@@ -287,48 +292,6 @@ class EpisodeEvaluator(Evaluator[EpisodeSample, EpisodeResources]):
             "camera_source": "benchmark",
             "camera_state": "named",
         }
-
-
-def _visual_metrics(run: EpisodeRun, track: GripperTrack) -> dict[str, Json]:
-    """Return the visual metrics over all clips, frames counted through all of them."""
-    groundings = [r.grounding for r in run.rounds]
-    motions = [np.nan if g.camera_motion_px is None else g.camera_motion_px for g in groundings]
-    distances = [g.arm_consistency_px for g in groundings if g.arm_consistency_px is not None]
-    return {
-        "tracked_fraction": float(track.tracked.mean()),
-        "confidence_mean": mean_confidence(track),
-        "camera_motion_px": None if np.isnan(motions).any() else max(motions),  # unknown in one clip: in all
-        "arm_consistency_px": float(np.median(distances)) if distances else None,
-        "anomalies": [
-            anomaly.to_json(start)
-            for start, g in zip(clip_starts([g.track for g in groundings]), groundings, strict=True)
-            for anomaly in g.anomalies
-        ],
-    }
-
-
-def _camera_paths(run: EpisodeRun) -> dict[str, Json]:
-    """Return how the view of each clip changes, null where it does not; no key if it never does."""
-    paths = [None if r.grounding.camera_path is None else r.grounding.camera_path.to_json() for r in run.rounds]
-    return {"camera_paths": paths} if any(paths) else {}
-
-
-def _domain(run: EpisodeRun) -> Domain:
-    """Return whether all clips are familiar."""
-    familiar = all(r.grounding.domain is Domain.FAMILIAR for r in run.rounds)
-    return Domain.FAMILIAR if familiar else Domain.UNFAMILIAR
-
-
-def _rejections(run: EpisodeRun) -> list[Json]:
-    """Return what was not commanded as generated, round by round."""
-    rejections = list[Json]()
-    for number, done in enumerate(run.rounds):
-        if done.rejection is not None:
-            rejections.append({"round": number, "reason": "nothing_to_execute", "text": done.rejection})
-        for rejected in done.commands.rejections if done.commands else ():
-            frames: dict[str, Json] = {"frame_start": rejected.frame_start, "frame_end": rejected.frame_end}
-            rejections.append({"round": number, "reason": rejected.reason.value, **frames})
-    return rejections
 
 
 def _warn_of_lengths(rows: Sequence[SampleRow], loop: LoopOptions, observer: RunObserver) -> None:

@@ -13,7 +13,15 @@ from kinebench_drake.report.sample import worst_samples
 from kinebench_drake.results.aggregate import RunStatistics
 from kinebench_drake.results.metadata import RunMetadata, read_metadata
 from kinebench_drake.results.row import SampleRow, Status
-from kinebench_drake.results.store import ARTIFACTS, SAMPLES, TIMINGS, ResultStore, artifact_path, read_rows
+from kinebench_drake.results.store import (
+    ARTIFACTS,
+    SAMPLES,
+    TIMINGS,
+    ResultStore,
+    artifact_path,
+    read_rows,
+    require_output,
+)
 from kinebench_drake.runs.config import RunKind
 from kinebench_drake.runs.evaluator import PENDING, SCHEMA_VERSION
 from kinebench_drake.runs.requests import request_path, write_requests
@@ -72,11 +80,8 @@ def merge_folders(folders: Sequence[Path], out: Path, observer: RunObserver | No
     for warning in _merge_warnings([shard.run for shard in shards], run, len(rows)):
         observer.warn(warning)
     new = [id for id, shard in sources.items() if shard is not earlier]
-    most = run.config.get(
-        "replays"
-    )  # of the worst samples, as a single run would have written: each shard wrote its own
-    replays = {*rows}
-    if isinstance(most, int):
+    most, replays = run.config.get("replays"), {*rows}
+    if isinstance(most, int):  # a single run would have written those of its worst samples alone
         replays = {*worst_samples(rows.values(), lambda id: sources[id].artifact("tracks", id), most)}
     observer.start(total=len(rows), completed=len(rows) - len(new))
     with ResultStore(out) as store:
@@ -101,8 +106,7 @@ def _read_shard(path: Path) -> ShardFolder:
     Raises:
         UsageError: it is no output folder, is damaged or lacks the metadata of its run.
     """
-    if not (path / SAMPLES).is_file():
-        raise UsageError(f"{path}: holds no {SAMPLES}, expected the output folder of a run")
+    require_output(path)
     try:
         metadata, rows = read_metadata(path), read_rows(path)
         clips = _find_clips(path, rows)

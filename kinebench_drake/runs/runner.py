@@ -167,21 +167,20 @@ def summarize_run(store: ResultStore, kind: RunKind, seed: int) -> RunSummary:
         seed: seed of the bootstrap intervals.
     """
     rows = store.sorted_rows()
-    measured = [r for r in rows if r.status is Status.OK]
-    runs = [r.episode for r in rows]
-    executable = estimate([r.executable is True for r in rows], total=len(rows), seed=seed, episodes=runs)
-    feasible = estimate(
-        [r.feasible for r in measured], total=len(rows), seed=seed, episodes=[r.episode for r in measured]
-    )
-    judged = measured if kind is RunKind.SUITE else []
-    goals, episodes = [r.extra.get("success") for r in judged], [r.episode for r in judged]
-    success = estimate(goals, total=len(rows), seed=seed, episodes=episodes)
+    measured = [row for row in rows if row.status is Status.OK]
+
+    def share(values: Sequence[Json], members: Sequence[SampleRow]) -> Estimate:
+        return estimate(values, total=len(rows), seed=seed, episodes=[row.episode for row in members])
+
+    executable = share([row.executable is True for row in rows], rows)
+    feasible = share([row.feasible for row in measured], measured)
+    success = share([row.extra.get("success") for row in measured], measured)
     return RunSummary(
         rows=tuple(rows),
         counts={status: sum(row.status is status for row in rows) for status in Status},
         executable=executable if kind.judges and rows else None,
         feasible=feasible if feasible.n else None,
-        success=success if success.n else None,
+        success=success if kind is RunKind.SUITE and success.n else None,
         report=store.out / REPORT if kind.judges else None,
     )
 
