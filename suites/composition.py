@@ -78,9 +78,7 @@ class Episode:
     task: str
     """Plain task id."""
     seed: int
-    """Seed of the scene."""
     variant: TaskVariant
-    """Variant of the scene."""
     assets: Mapping[str, str]
     """Asset id of each of the task's slots."""
     table: str
@@ -92,7 +90,6 @@ class Episode:
     camera: str
     """Name of the camera; there is one, "benchmark"."""
     prompt: str
-    """Task instruction."""
 
     def models(self) -> dict[str, AssetModel]:
         """Return the asset of each slot."""

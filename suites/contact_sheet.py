@@ -31,7 +31,6 @@ class Panel:
     """Images of one scene with their text."""
 
     title: str
-    """Heading."""
     text: str
     """Text below the heading."""
     images: tuple[NDArray[np.uint8], ...] = ()

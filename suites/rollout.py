@@ -35,7 +35,6 @@ class RolloutVideo:
     """Rendered rollout with ground truth."""
 
     camera: Camera
-    """Camera of the images."""
     rgb: NDArray[np.uint8]
     """(T, H, W, 3) frames."""
     t_s: Array

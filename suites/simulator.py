@@ -99,7 +99,6 @@ class TaskOutcome:
     """Outcome of a task in one state."""
 
     success: bool
-    """True if all conditions hold."""
     progress: float
     """Progress towards the goal, 0..1."""
     conditions: dict[str, bool]

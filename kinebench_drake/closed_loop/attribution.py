@@ -41,9 +41,7 @@ class Cause:
     value: float | None = None
     """Measured value, in the unit of `text`."""
     limit: float | None = None
-    """Limit of the value."""
     text: str
-    """Description."""
 
     def to_json(self) -> dict[str, str | int | float | None]:
         """Serialize into the `cause` field of samples.jsonl."""

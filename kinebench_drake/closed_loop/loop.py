@@ -57,7 +57,6 @@ class LoopOptions:
     rounds: int = 3
     """Largest number of clips of an episode."""
     control: Control = Control.JOINTS
-    """Type of the commands."""
     action_repeat: int | None = None
     """Control steps per frame; None: by the duration of frames."""
     frame_period_s: float = FRAME_PERIOD_S
@@ -69,7 +68,6 @@ class LoopOptions:
     num_frames: int = CLIP_FRAMES + 1
     """Requested number of frames, including the first one."""
     prompts: PromptTemplate = field(default_factory=PromptTemplate)
-    """Template of the prompts."""
     condition: Condition = Condition.NONE
     """Motion that requests state."""
     seed: int = 0
@@ -109,7 +107,6 @@ class Round:
     """One clip: generated, grounded, executed."""
 
     video: Path
-    """Generated video."""
     timing: ClipTiming
     """How its frames lie in task time."""
     generated_frames: int

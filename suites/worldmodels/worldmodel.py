@@ -64,11 +64,9 @@ class Request:
     episode: str
     """Id of the episode, safe as a file name, such as "StackCube-v1_s0003"; of further samples "..._k1", "..._k2"."""
     task: str
-    """Plain task id."""
     round: int
     """0 for the first clip of the episode, 1 for the one that continues from its last executed frame, ..."""
     prompt: str
-    """Task instruction."""
     negative_prompt: str
     """Content to avoid; may be empty."""
     seed: int
