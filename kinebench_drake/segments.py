@@ -27,6 +27,11 @@ def spread(values: Array, frames: NDArray[np.bool_] | NDArray[np.intp], count: i
     return out
 
 
+def evenly(count: int, most: int) -> NDArray[np.intp]:
+    """Return at most `most` of the indices 0 to `count` - 1, evenly spread, the first and the last one included."""
+    return np.unique(np.linspace(0, count - 1, most).round().astype(np.intp))
+
+
 def frame_periods(t_s: Array) -> Array:
     """Return times (T,) [s] in frame periods since the first: frame numbers, unless frames are unevenly spaced."""
     numbers = np.arange(len(t_s), dtype=np.float64)

@@ -47,11 +47,10 @@ from kinebench_drake.grounding.tracking.view import Frames
 from kinebench_drake.io.reader import read_video
 from kinebench_drake.io.video import Video
 from kinebench_drake.models.perception.network import load_network
+from kinebench_drake.segments import evenly
 
-MAX_MOVING_FRAMES = 12
-"""Greatest number of frames without joint angles: each adds eight unknowns."""
-DEFAULT_FRAMES = 24
-"""Greatest number of frames used by default."""
+_MAX_MOVING_FRAMES = 12  # without joint angles: each adds eight unknowns
+_DEFAULT_FRAMES = 24
 USUAL_FOV_DEG = 60.0
 """Horizontal field of view of a camera of which nothing is known [degrees]."""
 _CENTRE_SIGMA = 0.06  # standard deviation of an unknown principal point over the image's width
@@ -76,7 +75,7 @@ class CalibrationConfig:
     """camera.json with the intrinsics; without joint angles its pose is the initial guess."""
     focal_px: float | None = None
     """Focal length of the video [px]; None to estimate it."""
-    frames: int = DEFAULT_FRAMES
+    frames: int = _DEFAULT_FRAMES
     """Greatest number of frames used."""
 
     def __post_init__(self) -> None:
@@ -145,7 +144,7 @@ class Calibrator:
         *,
         focal_free: bool,
         centre_free: bool = False,
-        most: int = DEFAULT_FRAMES,
+        most: int = _DEFAULT_FRAMES,
     ) -> CalibrationOutcome:
         """Calibrate the camera of frames (T, H, W, 3).
 
@@ -266,16 +265,12 @@ def _guess(config: CalibrationConfig, intrinsics: Camera | None, width: int, hei
 
 def _chosen(states: RobotStates, most: int) -> NDArray[np.intp]:
     """Return the frames to use: spread over those of known hand pose if there are two or more, else over all."""
-    rows, everything = np.flatnonzero(states.has_hand), np.arange(len(states.q))
+    rows = np.flatnonzero(states.has_hand)
     if len(rows) > 1:
-        return _evenly(rows, most)
-    others = _evenly(np.setdiff1d(everything, rows), min(most, MAX_MOVING_FRAMES) - len(rows))
+        return np.asarray(rows[evenly(len(rows), most)])
+    others = np.setdiff1d(np.arange(len(states.q)), rows)
+    others = others[evenly(len(others), min(most, _MAX_MOVING_FRAMES) - len(rows))]
     return np.asarray(np.union1d(rows, others), dtype=np.intp)
-
-
-def _evenly(numbers: NDArray[np.intp], most: int) -> NDArray[np.intp]:
-    places = np.linspace(0, len(numbers) - 1, min(most, len(numbers)))
-    return np.asarray(numbers[np.unique(places.round().astype(int))], dtype=np.intp)
 
 
 def _camera_shift(frames: Frames, view: LensView, camera: Camera) -> tuple[str, ...]:

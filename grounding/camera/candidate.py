@@ -19,6 +19,7 @@ from kinebench_drake.grounding.registration.arm_model import ArmModel
 from kinebench_drake.grounding.registration.edges import EdgeMatcher, GradientImage
 from kinebench_drake.grounding.tracking.view import Frames
 from kinebench_drake.models.panda.robot import ARM
+from kinebench_drake.segments import evenly
 
 MIN_FRAMES = 3
 """Least number of frames that must show hand and arm."""
@@ -128,7 +129,7 @@ class CandidateFitter:
         """
         # Hands that the hypothesis explains badly are often none.
         likely = np.sort(np.argsort(fit.costs, kind="stable")[: max(_LEAST_COMPARED, len(fit.rows) // 2)])
-        candidate = fit.take(likely[np.unique(np.linspace(0, len(likely) - 1, frames).round().astype(int))])
+        candidate = fit.take(likely[evenly(len(likely), frames)])
         images = images.take(candidate.rows)
         scene, _ = self.fit_contours(candidate, images, prior, passes)
         return replace(candidate, scene=scene, agreement=float(np.median(images.agreement(scene))))
@@ -178,16 +179,13 @@ class CandidateFitter:
             candidate = candidate.take(good)
         return candidate, edges
 
-    def finish(
-        self, candidate: Candidate, images: ContourImages, prior: Prior, *, rows: NDArray[np.intp], total: int
-    ) -> CameraEstimate:
+    def finish(self, candidate: Candidate, images: ContourImages, prior: Prior, total: int) -> CameraEstimate:
         """Fit a candidate to the contours of all its frames; leave out frames that disagree, and compute sigmas.
 
         Args:
             candidate: camera and postures that are right within some pixels.
             images: images of the detections.
             prior: prior of the lens.
-            rows: numbers of the frames of the detections.
             total: number of frames that show the robot.
 
         Raises:
@@ -205,7 +203,7 @@ class CandidateFitter:
         independent = _JOINTS_INDEPENDENT if has_joints else _PART_INDEPENDENT
         weight = np.minimum(1.0, independent / count[edges.frame, edges.part]) / edges.count_repeats(X_BP)
         bundle = adjust(replace(edges, weight=weight), candidate.scene, prior, self.model)
-        return describe(bundle, edges.part, self.model, rows[candidate.rows], candidate.agreement)
+        return describe(bundle, edges.part, self.model, candidate.rows, candidate.agreement)
 
 
 def explained(agreement: Array, total: int) -> float:

@@ -24,6 +24,7 @@ from kinebench_drake.grounding.registration.edges import (
 )
 from kinebench_drake.models.panda.cad import open_fingers
 from kinebench_drake.models.panda.robot import OPENING_SIGN, RobotPart
+from kinebench_drake.segments import evenly
 
 DIFFERENT_TURN_RAD = np.deg2rad(20.0)
 """Least angle between turns that count as different."""
@@ -148,7 +149,7 @@ class ContourImages:
         Returns:
             At least one, the best first; only that of the scene itself where no other is within the limits of joint 1.
         """
-        rows = np.unique(np.linspace(0, len(scene.q) - 1, _FRAMES).round().astype(int))
+        rows = evenly(len(scene.q), _FRAMES)
         few, images = scene.take(rows), self.take(rows)
 
         def shares(angles: Array) -> Array:

@@ -25,7 +25,7 @@ from kinebench_drake.grounding.pipeline import PipelineResult
 from kinebench_drake.grounding.tracking.view import DenseEstimator, Frames
 from kinebench_drake.io.jsonl import Json
 from kinebench_drake.models.panda.robot import RobotPart, hand_from_tcp
-from kinebench_drake.segments import finite_rows
+from kinebench_drake.segments import evenly, finite_rows
 from kinebench_drake.track import Domain
 
 _USUAL_WIDTH_M = 0.04  # gap between the pads where none is measured
@@ -117,7 +117,7 @@ class CameraChecker:
         fitted = np.flatnonzero(finite_rows(q) & track.tracked & (True if path is None else path.at_rest))
         if not len(fitted):
             return None
-        chosen = fitted[np.unique(np.linspace(0, len(fitted) - 1, _CHECKED).round().astype(int))]
+        chosen = fitted[evenly(len(fitted), _CHECKED)]
         finger_m = np.nan_to_num(track.finger_width_m[chosen], nan=_USUAL_WIDTH_M) / 2
         scene = ArmScene(lens=Lens.of_camera(camera), q=q[chosen], finger_m=finger_m)
         images = self._fitter.images(frames[chosen], camera)
@@ -136,7 +136,7 @@ class CameraChecker:
             least: agreement that the reading has to reach, besides being better by `CLEARLY`.
             readings: to be tried.
         """
-        frames = frames[np.unique(np.linspace(0, len(frames) - 1, _READ_SEARCHED).round().astype(int))]
+        frames = frames[evenly(len(frames), _READ_SEARCHED)]
         unread = self._detect(frames, camera, _READ, _READ_SEARCHED)
         own = self._agreement(unread, frames, camera)
         shares: list[tuple[float, Reading, Camera]] = []

@@ -25,6 +25,7 @@ from kinebench_drake.grounding.tracking.localization import find_region, likelie
 from kinebench_drake.grounding.tracking.view import DenseEstimator, Frames, GripperView
 from kinebench_drake.models.panda.robot import ARM, RobotPart
 from kinebench_drake.models.robot import N_JOINTS
+from kinebench_drake.segments import evenly
 
 PART_CELLS = 40
 """Cells from which a part counts as seen."""
@@ -65,7 +66,7 @@ def find_robot(
         most: greatest number of frames.
         searched: number of frames that these are chosen from.
     """
-    numbers = np.unique(np.linspace(0, len(frames) - 1, min(len(frames), searched)).round().astype(int))
+    numbers = evenly(len(frames), searched)
     whole = dict.fromkeys(numbers.tolist(), Crop.of_frame(camera))
     wide = dict(estimator.estimate(frames, camera, whole))
     # The region is sought in the frames searched alone, numbered from 0.

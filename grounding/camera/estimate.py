@@ -5,7 +5,6 @@ from dataclasses import replace
 from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kinebench_drake.camera import Camera
 from kinebench_drake.errors import UnmeasurableError
@@ -33,8 +32,7 @@ from kinebench_drake.models.panda.robot import RobotPart
 
 _Ranked = TypeVar("_Ranked")
 
-FOV_DEG = (30.0, 42.0, 55.0, 72.0)
-"""Fields of view along the longer side at which the search starts [degrees]."""
+_FOV_DEG = (30.0, 42.0, 55.0, 72.0)  # along the longer side, at which the search starts
 JOINT_SIGMA_RAD = 0.01
 """Standard deviation of known joint angles [rad]: offsets of the joints, and clocks."""
 _FRAMES = 12
@@ -77,10 +75,11 @@ class CameraEstimator:
                 f"no camera can be estimated: a gripper is seen in {count} of the frames searched, at least "
                 f"{MIN_FRAMES} are needed"
             )
-        return self.solve(detections, frames[detections.rows], camera, focal_free=focal_free)
+        estimate = self.solve(detections, frames[detections.rows], camera, focal_free=focal_free)
+        return replace(estimate, frames=detections.rows[estimate.frames])
 
     def solve(self, detections: ArmDetections, frames: Frames, camera: Camera, *, focal_free: bool) -> CameraEstimate:
-        """Estimate the camera from detections of the robot.
+        """Estimate the camera from detections of the robot; its frames are rows of these.
 
         Args:
             detections: robot in T frames.
@@ -95,7 +94,7 @@ class CameraEstimator:
         prior = Prior(lens=Lens(camera=camera, X_CB=np.eye(4)), log_focal_sigma=LOG_FOCAL_SIGMA if focal_free else 0.0)
         search = ChainSearch(detections.cells, detections.finger_m, self.fitter.model)
         side = max(camera.width, camera.height)
-        focals = [focal_px(side, fov) for fov in FOV_DEG] if focal_free else [camera.fx]
+        focals = [focal_px(side, fov) for fov in _FOV_DEG] if focal_free else [camera.fx]
         hypotheses = search.run(camera, focals)
         candidates = self._candidates(detections, hypotheses, prior)
         if not candidates:
@@ -118,18 +117,16 @@ class CameraEstimator:
         turns = [images.take(arm.rows).find_turns(arm.scene) for arm in arms]
         ranked = sorted(zip(arms, turns, strict=True), key=lambda pair: -(pair[0].agreement + pair[1][0].share))
         best, best_turns = ranked[0]
-        estimate, turn = self._turn(best, best_turns, images, prior, rows=detections.rows, total=total)
+        estimate, turn = self._turn(best, best_turns, images, prior, total)
         # Other cameras and turns are not fitted to the contours of the base: they are granted what that gained here.
         gain = max(0.0, estimate.base_agreement - turn.share)
         surroundings = self._find_surroundings(estimate, frames)
         if surroundings is not None:
-            start = self._extend(_at(best, estimate, detections), detections, search)
-            aligned = self.fitter.finish(
-                start, images, replace(prior, surroundings=surroundings), rows=detections.rows, total=total
-            )
-            shares = [images.take(_at(start, e, detections).rows).base_share(e.scene) for e in (estimate, aligned)]
+            start = self._extend(replace(best, scene=estimate.scene, rows=estimate.frames), detections, search)
+            aligned = self.fitter.finish(start, images, replace(prior, surroundings=surroundings), total)
+            shares = [images.take(e.frames).base_share(e.scene) for e in (estimate, aligned)]
             if shares[1] >= shares[0] - _BASE_LOSS:
-                own = arm_images.take(_at(start, aligned, detections).rows).agreement(aligned.scene)
+                own = arm_images.take(aligned.frames).agreement(aligned.scene)
                 estimate = replace(
                     aligned,
                     agreement=max(best.agreement, explained(own, total)),
@@ -145,14 +142,7 @@ class CameraEstimator:
         return replace(estimate, runner_up=max(others, default=0.0))
 
     def _turn(
-        self,
-        arm: Candidate,
-        turns: Sequence[BaseTurn],
-        images: ContourImages,
-        prior: Prior,
-        *,
-        rows: NDArray[np.intp],
-        total: int,
+        self, arm: Candidate, turns: Sequence[BaseTurn], images: ContourImages, prior: Prior, total: int
     ) -> tuple[CameraEstimate, BaseTurn]:
         """Return the estimate with the base turned as its contours show it, and the turn.
 
@@ -165,9 +155,8 @@ class CameraEstimator:
         fits = []
         for turn in close:
             start = replace(arm, scene=arm.scene.turned(turn.angle_rad))
-            fit = self.fitter.finish(start, images, prior, rows=rows, total=total)
-            own = images.take(np.searchsorted(rows, fit.frames))
-            share = own.base_share(fit.scene) if len(close) > 1 else turn.share
+            fit = self.fitter.finish(start, images, prior, total)
+            share = images.take(fit.frames).base_share(fit.scene) if len(close) > 1 else turn.share
             fits.append(replace(fit, agreement=arm.agreement, base_agreement=share))
         best, turn = max(zip(fits, close, strict=True), key=lambda pair: pair[0].base_agreement)
         # Fits of different turns may lead to the same one.
@@ -216,17 +205,12 @@ class CameraEstimator:
         images = self.fitter.images(frames, camera)
         scene, _ = self.fitter.fit_contours(start, images.take(start.rows), prior, COARSE)
         candidate = replace(start, scene=replace(scene, q=start.scene.q))
-        return self.fitter.finish(candidate, images, prior, rows=np.arange(len(frames)), total=len(frames))
+        return self.fitter.finish(candidate, images, prior, len(frames))
 
     def _extend(self, candidate: Candidate, detections: ArmDetections, search: ChainSearch) -> Candidate:
         """Return a candidate with all frames that its camera explains."""
         lens = candidate.scene.lens
         return _without_base(self.fitter.extend(candidate, detections, search.explain(lens)))
-
-
-def _at(candidate: Candidate, estimate: CameraEstimate, detections: ArmDetections) -> Candidate:
-    """Return a candidate with the camera, frames and postures of an estimate."""
-    return replace(candidate, scene=estimate.scene, rows=np.searchsorted(detections.rows, estimate.frames))
 
 
 def usual_camera(width: int, height: int) -> Camera:

@@ -20,6 +20,7 @@ from kinebench_drake.grounding.registration.arm_model import OVER_LIMIT_RAD, Arm
 from kinebench_drake.kinematics.analytic import analytic_ik
 from kinebench_drake.models.panda.robot import ARM, RobotPart
 from kinebench_drake.models.robot import N_JOINTS
+from kinebench_drake.segments import evenly
 
 _ANGLES, _COARSE_ANGLES = 36, 9  # angles of a joint whose next link is visible, and of another
 _BEAM = 100
@@ -104,20 +105,17 @@ class ChainSearch:
         X = self._model.poses(q)
         return angle, invert(X[:, ARM[joint + 1]]) @ X[:, ARM[joint]]
 
-    def hand(self, frame: int, camera: Camera) -> Array | None:
-        """Return the pose X_CH (4, 4) of the hand by perspective-n-point; None if it fails."""
-        cells = self._gripper[frame]
-        if cells is None:
-            return None
-        error_px = _CONSENSUS_PX * camera.unit_px
-        solution = solve_pnp(cells.p_P, cells.uv_px, camera, rounds=_CONSENSUS_ROUNDS, error_px=error_px)
-        if solution is None or not _DEPTH_M[0] < solution[0][2, 3] < _DEPTH_M[1]:
-            return None
-        return solution[0]
-
     def hands(self, camera: Camera) -> list[Array | None]:
-        """Return the poses X_CH (4, 4) of the hand in all frames by perspective-n-point."""
-        return [self.hand(t, camera) for t in range(self._frames)]
+        """Return the poses X_CH (4, 4) of the hand in all frames by perspective-n-point; None where it fails."""
+        error_px = _CONSENSUS_PX * camera.unit_px
+        poses: list[Array | None] = []
+        for cells in self._gripper:
+            solution = None
+            if cells is not None:
+                solution = solve_pnp(cells.p_P, cells.uv_px, camera, rounds=_CONSENSUS_ROUNDS, error_px=error_px)
+            near = solution is not None and _DEPTH_M[0] < solution[0][2, 3] < _DEPTH_M[1]
+            poses.append(solution[0] if solution is not None and near else None)
+        return poses
 
     def _errors(self, X_CP: Array, cells: CalibrationCorrespondences, camera: Camera) -> Array:
         """Return the capped squared errors (M, n) of cells of one part at poses `X_CP` (M, 4, 4)."""
@@ -210,7 +208,7 @@ class ChainSearch:
 
         The chains of all frames are compared in some of them, and the best ones in all.
         """
-        few = np.unique(np.linspace(0, self._frames - 1, _COMPARED_FRAMES).round().astype(int))
+        few = evenly(self._frames, _COMPARED_FRAMES)
         compared = []
         for focal in focals:
             lens_camera = with_focal(camera, focal)

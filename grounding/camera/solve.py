@@ -22,10 +22,8 @@ from kinebench_drake.grounding.registration.arm_model import ArmModel
 from kinebench_drake.grounding.tracking.view import Frames
 from kinebench_drake.models.robot import N_JOINTS
 
-FOV_DEG = (35.0, 45.0, 55.0, 65.0, 75.0, 90.0)
-"""Horizontal fields of view at which the search for the focal length starts [degrees]."""
-MIN_MOVING_FRAMES = 4
-"""Least number of frames if postures are estimated too."""
+_FOV_DEG = (35.0, 45.0, 55.0, 65.0, 75.0, 90.0)  # horizontal, at which the search for the focal length starts
+_MIN_MOVING_FRAMES = 4  # if postures are estimated too
 _STARTS = 2  # initial lenses that are refined
 _AGAIN_ZOOM, _AGAIN_M, _AGAIN_RAD = 0.03, 0.03, np.deg2rad(3.0)
 _EVERY = 3  # one of so many cells is used if postures are estimated too
@@ -91,12 +89,12 @@ def solve(view: LensView, states: RobotStates, guess: Camera, model: ArmModel, *
     Arguments and errors as of `solve_with_reestimate`.
     """
     rows = np.flatnonzero(states.has_hand)
-    focal = [focal_px(guess.width, fov) for fov in FOV_DEG]
+    focal = [focal_px(guess.width, fov) for fov in _FOV_DEG]
     cameras = [guess, *(with_focal(guess, fx) for fx in focal)] if focal_free else [guess]
-    anchored = len(rows) == 1 and len(states.q) >= MIN_MOVING_FRAMES
+    anchored = len(rows) == 1 and len(states.q) >= _MIN_MOVING_FRAMES
     free = focal_free and not anchored
     solved = _solve_lens(view.of_frames(rows), states.take(rows), cameras, model, focal_free=free)
-    if not anchored or np.isfinite(view.q).all(axis=1).sum() < MIN_MOVING_FRAMES:
+    if not anchored or np.isfinite(view.q).all(axis=1).sum() < _MIN_MOVING_FRAMES:
         return replace(solved, rows=rows)
     return _solve_lens_and_postures(view, states, solved.bundle.scene.lens, model, focal_free=focal_free)
 

@@ -101,10 +101,10 @@ def test_turns_that_differ_too_little_are_decided_by_their_fits(estimator, model
     images = estimator.fitter.images(frames, CAMERA)
     right = start(q, model, np.zeros(7))
     wrong, better = BaseTurn(angle_rad=1.2, share=0.5), BaseTurn(angle_rad=0.0, share=0.45)
-    prior, rows = Prior(lens=right.scene.lens, log_focal_sigma=0.0), np.arange(len(frames))
+    prior = Prior(lens=right.scene.lens, log_focal_sigma=0.0)
 
     def fit(*turns):
-        return estimator._turn(right, turns, images, prior, rows=rows, total=len(frames))[0]
+        return estimator._turn(right, turns, images, prior, len(frames))[0]
 
     both = fit(wrong, better, BaseTurn(angle_rad=-1.0, share=0.2))
     assert np.allclose(both.scene.lens.X_CB, right.scene.lens.X_CB, atol=0.02)
