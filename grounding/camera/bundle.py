@@ -121,7 +121,7 @@ class Bundle:
 
     @property
     def covariance(self) -> Array:
-        """(9, 9) covariance of the camera; 0 for what is fixed."""
+        """(9, 9) covariance of the camera's unknowns (see `Lens.displace`); 0 for what is fixed."""
         diagonal = np.diag(self.information)
         free = np.flatnonzero(diagonal > 0)
         root = np.sqrt(diagonal[free])

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from kinebench_drake.camera import Camera
 from kinebench_drake.errors import UnmeasurableError, UsageError
 from kinebench_drake.formats.camerafile import load_camera
-from kinebench_drake.geometry import Array
+from kinebench_drake.geometry import Array, pose_difference
 from kinebench_drake.grounding.anomaly.camera_motion import (
     COMPENSABLE_PX,
     MOVING_PX,
@@ -32,7 +32,7 @@ from kinebench_drake.grounding.camera.result import (
     require_determined,
     warnings_of,
 )
-from kinebench_drake.grounding.camera.solve import LensSolution, solve_with_reestimate
+from kinebench_drake.grounding.camera.solve import LensSolution, solve
 from kinebench_drake.grounding.camera.states import (
     RobotStates,
     make_posture_states,
@@ -53,6 +53,7 @@ _MAX_MOVING_FRAMES = 12  # without joint angles: each adds eight unknowns
 _DEFAULT_FRAMES = 24
 USUAL_FOV_DEG = 60.0
 """Horizontal field of view of a camera of which nothing is known [degrees]."""
+_OTHER_ZOOM, _OTHER_M, _OTHER_RAD = 0.03, 0.03, np.deg2rad(3.0)
 _CENTRE_SIGMA = 0.06  # standard deviation of an unknown principal point over the image's width
 
 
@@ -169,7 +170,10 @@ class Calibrator:
         if method is CalibrationMethod.MOTION:
             calibration = describe_estimate(self._estimate(frames, None if focal_free else guess), self._model, basis)
         else:
-            solved = solve_with_reestimate(estimator, images, view, postures, guess, self._model, focal_free=focal_free)
+            solved = solve(view, postures, guess, self._model, focal_free=focal_free)
+            camera = solved.bundle.scene.lens.to_camera()
+            if _is_other(camera, guess):  # the views depend on the camera
+                solved = solve(estimator(images, camera), postures, camera, self._model, focal_free=focal_free)
             if method is CalibrationMethod.JOINTS:
                 centre_sigma_px = _CENTRE_SIGMA * guess.width if centre_free else 0.0
                 estimate = self._cameras.refine(
@@ -293,6 +297,12 @@ def _camera_shift(frames: Frames, view: LensView, camera: Camera) -> tuple[str, 
     if moved_px > MOVING_PX * unit:
         return (f"the background shifts by {moved_px:.1f} px: the camera is not quite static",)
     return ()
+
+
+def _is_other(camera: Camera, guess: Camera) -> bool:
+    """Return whether a camera differs much from another one."""
+    distance, angle = pose_difference(camera.X_BC, guess.X_BC)
+    return bool(abs(np.log(camera.fx / guess.fx)) > _OTHER_ZOOM or distance > _OTHER_M or angle > _OTHER_RAD)
 
 
 def _method(states: RobotStates) -> CalibrationMethod:

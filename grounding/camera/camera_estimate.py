@@ -6,7 +6,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinebench_drake.camera import Camera
-from kinebench_drake.geometry import Array
 from kinebench_drake.grounding.camera.bundle import ArmScene, Bundle
 from kinebench_drake.grounding.registration.arm_model import ArmModel
 from kinebench_drake.io.jsonl import Json
@@ -32,17 +31,17 @@ _MOVE, _TURN = slice(0, 3), slice(3, 6)
 class FittedCamera:
     """Camera fitted to cells or contours of the robot in T frames."""
 
-    scene: ArmScene
-    """Lens, postures and openings in these frames; joint angles are NaN where unknown."""
+    bundle: Bundle
+    """Fit; joint angles are NaN where unknown."""
     frames: NDArray[np.intp]
     """(T,) numbers of the frames used."""
-    covariance: Array
-    """(9, 9) of the base's rotation about the camera's axes [rad], its position in the camera frame [m], the logarithm
-    of the focal length and the principal point [px]."""
     part: NDArray[np.uint8]
     """(N,) values of `RobotPart` of the cells or contour points used."""
-    error_px: Array
-    """(N,) their reprojection errors, or distances from image edges [px]."""
+
+    @property
+    def scene(self) -> ArmScene:
+        """Lens, postures and openings in these frames."""
+        return self.bundle.scene
 
     @property
     def camera(self) -> Camera:
@@ -52,17 +51,17 @@ class FittedCamera:
     @property
     def position_sigma_m(self) -> float:
         """Standard deviation of the camera's position in the base frame: root of the sum over axes [m]."""
-        return self.scene.lens.position_sigma_m(self.covariance[:6, :6])
+        return self.scene.lens.position_sigma_m(self.bundle.covariance[:6, :6])
 
     @property
     def rotation_sigma_rad(self) -> float:
         """Standard deviation of the camera's rotation [rad]."""
-        return float(np.trace(self.covariance[:3, :3]) ** 0.5)
+        return float(np.trace(self.bundle.covariance[:3, :3]) ** 0.5)
 
     @property
     def focal_sigma(self) -> float:
         """Relative standard deviation of the focal length; 0 if it was fixed."""
-        return float(self.covariance[6, 6] ** 0.5)
+        return float(self.bundle.covariance[6, 6] ** 0.5)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -152,9 +151,8 @@ def describe(
     bundle: Bundle, part: NDArray[np.uint8], model: ArmModel, frames: NDArray[np.intp], agreement: float
 ) -> CameraEstimate:
     """Return the estimate of a fit to contours of some parts (N,) in frames of these numbers (T,)."""
-    scene, covariance = bundle.scene, bundle.covariance
-    spread = []
-    for q, response in zip(scene.q, bundle.response, strict=True):
+    covariance, spread = bundle.covariance, []
+    for q, response in zip(bundle.scene.q, bundle.response, strict=True):
         X_BP, axis, point = model.poses_and_axes(q)
         X_BH = X_BP[RobotPart.HAND]
         tcp = X_BH[:3, 3] + HAND_TO_TCP_M * X_BH[:3, 2]
@@ -162,11 +160,9 @@ def describe(
         spread.append(J @ covariance @ J.T)
     position, rotation = (float(np.median([np.trace(V[k, k]) for V in spread])) ** 0.5 for k in (_MOVE, _TURN))
     return CameraEstimate(
-        scene=scene,
+        bundle=bundle,
         frames=frames,
-        covariance=covariance,
         part=part,
-        error_px=bundle.error_px,
         gripper_sigma_m=position,
         gripper_sigma_rad=rotation,
         agreement=agreement,

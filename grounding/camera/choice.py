@@ -82,9 +82,8 @@ def find_reading(
     if agreement is not None and agreement >= SURE:
         return None
     confirmed = agreement is not None and agreement >= CONFIRMED
-    return checker.find_reading(
-        frames, camera, max(CONFIRMED, agreement or 0.0), _LIKELY if confirmed else tuple(Reading)
-    )
+    readings = _LIKELY if confirmed else tuple(Reading)
+    return checker.find_reading(frames, camera, max(CONFIRMED, agreement or 0.0), readings)
 
 
 def check_named(

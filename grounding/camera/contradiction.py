@@ -82,7 +82,7 @@ class CameraContradiction:
 
 
 class CameraChecker:
-    """Checks of cameras; one instance serves any number of videos."""
+    """Checks of cameras, each by frames (T, H, W, 3) RGB and their camera; one instance serves any number of videos."""
 
     def __init__(self, estimator: DenseEstimator, fitter: CandidateFitter) -> None:
         """Check with the dense estimates of `estimator`."""
@@ -93,10 +93,6 @@ class CameraChecker:
 
         The postures are fitted, the camera is kept; median over the frames. None if hand and arm are seen in fewer than
         `MIN_FRAMES` of the frames searched.
-
-        Args:
-            frames: (T, H, W, 3) RGB.
-            camera: camera of the frames.
         """
         detections = self._detect(frames, camera, _CHECKED, _CHECK_SEARCHED)
         return None if detections is None else self._agreement(detections, frames, camera)
@@ -105,11 +101,6 @@ class CameraChecker:
         """Return the share of the contours of hand and arm on image edges in the postures of a track; None without any.
 
         Median over frames; of a moving camera those before it moves count; of the arm alone the hand's contours do not.
-
-        Args:
-            frames: (T, H, W, 3) as grounded.
-            camera: the camera of these frames.
-            result: track with this camera.
         """
         q, track, path = result.arm_q, result.track, result.camera_path
         if not len(q):
@@ -126,13 +117,13 @@ class CameraChecker:
         return float(np.median(images.agreement(scene)))
 
     def find_reading(
-        self, frames: Frames, camera: Camera, least: float, readings: tuple[Reading, ...] = tuple(Reading)
+        self, frames: Frames, camera: Camera, least: float, readings: tuple[Reading, ...]
     ) -> BetterReading | None:
         """Return the reading of picture or camera with which the arm agrees clearly better; None if there is none.
 
         Args:
-            frames: (T, H, W, 3) RGB.
-            camera: camera of the frames as they are.
+            frames: frames as they are.
+            camera: their camera.
             least: agreement that the reading has to reach, besides being better by `CLEARLY`.
             readings: to be tried.
         """
@@ -204,9 +195,9 @@ class CameraChecker:
         return max(fits, key=lambda fit: fit.agreement, default=None)
 
     def count_hands(self, frames: Frames, camera: Camera) -> tuple[int, int]:
-        """Return in how many frames a hand is seen, and how many were searched: a few of `frames` (T, H, W, 3).
+        """Return in how many of a few frames a hand is seen, and how many were searched.
 
-        Only the size of `camera` matters, and its focal length a little.
+        Only the size of the camera matters, and its focal length a little.
         """
         detections = find_robot(self._estimator, frames, camera, _CHECK_SEARCHED, searched=_CHECK_SEARCHED)
         count = 0 if detections is None else int((detections.count_cells(RobotPart.HAND) >= PART_CELLS).sum())
@@ -217,10 +208,6 @@ class CameraChecker:
 
         Focal lengths within a factor of 1.6 are tried at the place of the camera, and both are then fitted. The arm has
         to agree with the result, in all frames that show it.
-
-        Args:
-            frames: (T, H, W, 3) RGB.
-            camera: camera of the frames.
         """
         detections = self._detect(frames, camera, _CHECKED + 1, 2 * _CHECK_SEARCHED)
         if detections is None:
@@ -252,13 +239,7 @@ class CameraChecker:
         )
 
     def _fit_postures(self, detections: ArmDetections, frames: Frames, camera: Camera) -> Candidate | None:
-        """Return the postures that explain the robot with a camera, and their agreement; None if they explain too few.
-
-        Args:
-            detections: robot in T frames.
-            frames: (T, H, W, 3) these frames.
-            camera: camera, which is kept.
-        """
+        """Return postures that explain the robot detected in `frames` with a camera; None if they explain too few."""
         lens = Lens.of_camera(camera)
         search = ChainSearch(detections.cells, detections.finger_m, self._fitter.model)
         start = self._fitter.start(detections, search.explain(lens))

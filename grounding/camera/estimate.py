@@ -171,7 +171,7 @@ class CameraEstimator:
         lens, upwards = estimate.scene.lens, estimate.scene.lens.X_CB[:3, 2]
         X_CP = lens.X_CB @ self.fitter.model.poses(estimate.scene.q)
         lines = find_lines(frames, lens.camera, X_CP, self.fitter.matcher)
-        return find_surroundings(lines, lens, float(upwards @ estimate.covariance[:3, :3] @ upwards) ** 0.5)
+        return find_surroundings(lines, lens, float(upwards @ estimate.bundle.covariance[:3, :3] @ upwards) ** 0.5)
 
     def _candidates(self, detections: ArmDetections, hypotheses: Sequence[Hypothesis], prior: Prior) -> list[Candidate]:
         """Return different cameras that explain the cells, as hypothesized and fitted to the cells."""

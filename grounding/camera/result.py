@@ -73,7 +73,7 @@ class CameraCalibration(FittedCamera):
     @property
     def part_px(self) -> dict[str, float]:
         """Median error [px] of the cells or contour points of gripper, arm and base; NaN without any."""
-        errors = {name: self.error_px[np.isin(self.part, parts)] for name, parts in _GROUPS.items()}
+        errors = {name: self.bundle.error_px[np.isin(self.part, parts)] for name, parts in _GROUPS.items()}
         return {name: float(np.median(own)) if len(own) else float("nan") for name, own in errors.items()}
 
     @property
@@ -136,11 +136,9 @@ def describe(solution: LensSolution, model: ArmModel, basis: CalibrationBasis) -
     near, far = np.quantile(z, [0.05, 0.95]) if len(z) else (np.nan, np.nan)
     spread_m, spread_rad = _spread(solution, model)
     return CameraCalibration(
-        scene=bundle.scene,
+        bundle=bundle,
         frames=solution.rows,
-        covariance=bundle.covariance,
         part=cells.part,
-        error_px=error_px,
         basis=basis,
         X_BP=solution.X_BP,
         residual_px=float(np.sqrt((sure * error_px**2).sum() / max(sure.sum(), 1e-12))),

@@ -8,24 +8,17 @@ from numpy.typing import NDArray
 
 from kinebench_drake.camera import Camera
 from kinebench_drake.errors import UnmeasurableError
-from kinebench_drake.geometry import Array, pose_difference
+from kinebench_drake.geometry import Array
 from kinebench_drake.grounding.camera.bundle import ArmScene, Bundle, Observations, Prior, adjust
-from kinebench_drake.grounding.camera.correspondences import (
-    MIN_CELLS,
-    CalibrationCorrespondences,
-    LensView,
-    ViewEstimator,
-)
+from kinebench_drake.grounding.camera.correspondences import MIN_CELLS, CalibrationCorrespondences, LensView
 from kinebench_drake.grounding.camera.lens import CAUCHY, Lens, focal_px, solve_pnp, with_focal
 from kinebench_drake.grounding.camera.states import RobotStates
 from kinebench_drake.grounding.registration.arm_model import ArmModel
-from kinebench_drake.grounding.tracking.view import Frames
 from kinebench_drake.models.robot import N_JOINTS
 
 _FOV_DEG = (35.0, 45.0, 55.0, 65.0, 75.0, 90.0)  # horizontal, at which the search for the focal length starts
 _MIN_MOVING_FRAMES = 4  # if postures are estimated too
 _STARTS = 2  # initial lenses that are refined
-_AGAIN_ZOOM, _AGAIN_M, _AGAIN_RAD = 0.03, 0.03, np.deg2rad(3.0)
 _EVERY = 3  # one of so many cells is used if postures are estimated too
 _CONSENSUS_PX, _CONSENSUS_ROUNDS, _CONSENSUS_CELLS = 8.0, 200, 600
 _POSTURE_SIGMA_RAD = np.array([10.0, *[0.7] * 6])  # of an initial posture; that of joint 1 is uninformative
@@ -51,42 +44,18 @@ class LensSolution:
         return self.cells.locate(self.X_BP, self.bundle.scene.finger_m)
 
 
-def solve_with_reestimate(
-    estimator: ViewEstimator,
-    frames: Frames,
-    view: LensView,
-    states: RobotStates,
-    guess: Camera,
-    model: ArmModel,
-    *,
-    focal_free: bool,
-) -> LensSolution:
-    """Solve the lens with the views of a guess; if the solution differs much, again with views of the solution.
+def solve(view: LensView, states: RobotStates, guess: Camera, model: ArmModel, *, focal_free: bool) -> LensSolution:
+    """Solve the lens that projects the robot to where the frames show it, with all known postures.
 
     Args:
-        estimator: view estimator.
-        frames: (T, H, W, 3) images.
-        view: views estimated with the guess.
-        states: robot states in the frames.
+        view: views of the frames.
+        states: robot states in the same frames.
         guess: initial camera.
         model: link poses of the arm.
         focal_free: True to estimate the focal length.
 
     Raises:
         UnmeasurableError: too little of the robot is visible, or it contradicts the postures.
-    """
-    solved = solve(view, states, guess, model, focal_free=focal_free)
-    camera = solved.bundle.scene.lens.to_camera()
-    distance, angle = pose_difference(camera.X_BC, guess.X_BC)
-    if abs(np.log(camera.fx / guess.fx)) > _AGAIN_ZOOM or distance > _AGAIN_M or angle > _AGAIN_RAD:
-        return solve(estimator(frames, camera), states, camera, model, focal_free=focal_free)
-    return solved
-
-
-def solve(view: LensView, states: RobotStates, guess: Camera, model: ArmModel, *, focal_free: bool) -> LensSolution:
-    """Solve the lens that projects the robot to where the frames show it, with all known postures.
-
-    Arguments and errors as of `solve_with_reestimate`.
     """
     rows = np.flatnonzero(states.has_hand)
     focal = [focal_px(guess.width, fov) for fov in _FOV_DEG]

@@ -6,6 +6,7 @@ import numpy as np
 
 from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array, invert, transform_points
+from kinebench_drake.grounding.camera.bundle import ArmScene, Bundle
 from kinebench_drake.grounding.camera.camera_estimate import CameraEstimate
 from kinebench_drake.grounding.camera.correspondences import CalibrationCorrespondences, LensView
 from kinebench_drake.grounding.registration.arm_model import ArmModel
@@ -80,16 +81,25 @@ class PerfectEstimator:
         )
 
 
+def certain_bundle(scene: ArmScene) -> Bundle:
+    """Result of a fit without errors."""
+    return Bundle(
+        scene=scene,
+        cost=0.0,
+        error_px=np.zeros(len(VISIBLE)),
+        information=1e8 * np.eye(9),
+        response=np.zeros((len(scene.q), 7, 9)),
+    )
+
+
 class CellsAlone:
     """Takes the camera that was fitted to cells as the one that fits the contours."""
 
     def refine(self, frames, camera, start, *, focal_free, centre_sigma_px):
         return CameraEstimate(
-            scene=start.scene,
+            bundle=certain_bundle(start.scene),
             frames=start.rows,
-            covariance=1e-8 * np.eye(9),
             part=np.array(VISIBLE, np.uint8),
-            error_px=np.zeros(len(VISIBLE)),
             gripper_sigma_m=1e-4,
             gripper_sigma_rad=1e-4,
             agreement=1.0,

@@ -30,6 +30,7 @@ from kinebench_drake.grounding.priors import InitialStateUse
 from kinebench_drake.grounding.video import Grounder
 from kinebench_drake.models.panda.robot import GripperKind
 from kinebench_drake.track import Domain, GripperTrack
+from tests.grounding.camera.robot import certain_bundle
 
 WIDE = np.zeros((12, 96, 160, 3), np.uint8)
 SQUARE = np.zeros((12, 96, 96, 3), np.uint8)
@@ -120,16 +121,16 @@ class Evidence:
 
 def estimate(**changes):
     fields = {
-        "scene": ArmScene(lens=Lens.of_camera(usual_camera(160, 96)), q=np.zeros((4, 7)), finger_m=np.zeros(4)),
+        "bundle": certain_bundle(
+            ArmScene(lens=Lens.of_camera(usual_camera(160, 96)), q=np.zeros((4, 7)), finger_m=np.zeros(4))
+        ),
         "frames": np.arange(4),
-        "covariance": 1e-6 * np.eye(9),
         "gripper_sigma_m": 0.01,
         "gripper_sigma_rad": 0.01,
         "agreement": ARM_AGREEMENT + 0.1,
         "base_agreement": BASE_AGREEMENT + 0.1,
         "residual_px": 0.4,
         "part": np.zeros(0, np.uint8),
-        "error_px": np.zeros(0),
     }
     return CameraEstimate(**{**fields, **changes})
 
