@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from benchmarks.perception.clip import TruthClip
 from kinebench_drake.geometry import Array
-from kinebench_drake.grounding.framing.framing import Framing, placements
-from kinebench_drake.grounding.framing.search import find_framing
+from kinebench_drake.grounding.camera.framing import Framing, placements
+from kinebench_drake.grounding.camera.framing_search import find_framing
 from kinebench_drake.grounding.tracking.view import Frames
 
 SIZES = ((832, 480), (720, 480), (512, 512))

@@ -12,8 +12,8 @@ from kinebench_drake.closed_loop.actions import ActionSource
 from kinebench_drake.closed_loop.commands import CommandPlanner, Commands, Execution, RobotState, execute
 from kinebench_drake.errors import InputError, UnmeasurableError, UsageError
 from kinebench_drake.geometry import Array
+from kinebench_drake.grounding.camera.framing import undo_framing
 from kinebench_drake.grounding.clip import Clip
-from kinebench_drake.grounding.framing.framing import undo_framing
 from kinebench_drake.grounding.priors import Priors
 from kinebench_drake.grounding.video import Grounder, GroundingResult
 from kinebench_drake.io.atomic import disk_errors, remove

@@ -234,7 +234,7 @@ class _VideoReader(VideoEvaluator):
         video = read_video(sample.path, sample.part)
         video.require_measurable()
         if sample.camera_source.is_named:
-            from kinebench_drake.grounding.framing.search import find_framing  # loads OpenCV
+            from kinebench_drake.grounding.camera.framing_search import find_framing  # loads OpenCV
 
             find_framing(video.frames, sample.camera, conditioning_image(sample), sample.camera_source)
         timed = time_frames(sample, video, self.config.frame_period_s, self.config.duration_s)

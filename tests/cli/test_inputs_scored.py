@@ -9,7 +9,7 @@ import pytest
 from PIL import Image
 
 from kinebench_drake.camera import benchmark_camera
-from kinebench_drake.grounding.framing.framing import letterboxes
+from kinebench_drake.grounding.camera.framing import letterboxes
 from kinebench_drake.io.container import join_videos, write_video
 from kinebench_drake.results.row import Status
 from kinebench_drake.results.store import read_rows

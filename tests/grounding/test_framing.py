@@ -8,7 +8,7 @@ import pytest
 
 from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.errors import UnmeasurableError
-from kinebench_drake.grounding.framing.framing import (
+from kinebench_drake.grounding.camera.framing import (
     Framing,
     FramingChange,
     FramingSource,
@@ -16,7 +16,7 @@ from kinebench_drake.grounding.framing.framing import (
     placements,
     undo_framing,
 )
-from kinebench_drake.grounding.framing.search import find_framing
+from kinebench_drake.grounding.camera.framing_search import find_framing
 from kinebench_drake.grounding.priors import ExternalDepth, Priors
 
 SIZES = [(832, 480), (720, 480), (512, 512), (480, 832)]

@@ -13,7 +13,7 @@ MEASURING = "benchmarks.perception.trial"
 SHAPING = (
     *("camera", "geometry", "track", "io.reader", "models.panda.cad", "models.perception.network"),
     *("grounding.pipeline", "grounding.tracking.tracker", "grounding.tracking.confidence"),
-    *("grounding.registration.fit", "grounding.registration.solver", "grounding.framing.search"),
+    *("grounding.registration.fit", "grounding.registration.solver", "grounding.camera.framing_search"),
     *("grounding.overrides.depth", "grounding.anomaly.detect"),
 )
 STUDIES = ("errors", "clip", "variants", "reframing", "perturbation.gripper", "perturbation.catalogue")

@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 from kinebench_drake.camera import Camera, CameraSource
 from kinebench_drake.errors import UnmeasurableError
 from kinebench_drake.geometry import Array
-from kinebench_drake.grounding.framing.framing import (
-    SQUARE,
+from kinebench_drake.grounding.camera.framing import (
     Framing,
     FramingSource,
     deeper_crops,
@@ -19,10 +18,8 @@ from kinebench_drake.grounding.framing.framing import (
 )
 from kinebench_drake.io.video import MIN_SIDE_PX
 
-MIN_CORRELATION = 0.75
-"""Least correlation at which the frame shows the image."""
-SNAP_PX = 0.75
-"""Largest deviation of the visible corners from those of a usual framing at which that one is taken."""
+_MIN_CORRELATION = 0.75  # at which the frame shows the image
+_SNAP_PX = 0.75  # deviation of the visible corners from those of a usual framing, up to which that one is taken
 _COARSE_PX, _FINE_PX = (48, 96), (192, 384)  # longer side of the frame at the levels of the image pyramid
 _MAX_STEPS = 12
 _CONVERGED_PX = 0.01
@@ -60,13 +57,13 @@ def align(image: NDArray[np.uint8], frame: NDArray[np.uint8]) -> Framing | None:
     usual = placements(size, video)
     greys = [cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY).astype(np.float32) for rgb in (image, frame)]
     best = _refine(usual[0], greys, (*_COARSE_PX, *_FINE_PX))
-    if (best.correlation or 0.0) < MIN_CORRELATION or _corner_distance_px(usual[0], best) > SNAP_PX:
+    if (best.correlation or 0.0) < _MIN_CORRELATION or _corner_distance_px(usual[0], best) > _SNAP_PX:
         candidates = [_refine(start, greys, _COARSE_PX) for start in (*usual, *deeper_crops(size, video))]
         candidates = sorted(candidates, key=lambda f: -(f.correlation or 0.0))[:3]
         best = max((_refine(start, greys, _FINE_PX) for start in candidates), key=lambda f: f.correlation or 0.0)
-    if (best.correlation or 0.0) < MIN_CORRELATION:
+    if (best.correlation or 0.0) < _MIN_CORRELATION:
         return None
-    near = [u for u in usual if _corner_distance_px(u, best) <= SNAP_PX]
+    near = [u for u in usual if _corner_distance_px(u, best) <= _SNAP_PX]
     if near:
         best = replace(min(near, key=lambda u: _corner_distance_px(u, best)), correlation=best.correlation)
     return replace(best, source=FramingSource.FIRST_FRAME)
@@ -231,9 +228,11 @@ def find_framing(
     filled = Framing.filling(camera_size, video)
     framing: Framing | None = None
     named = "" if source is None else f"{source.value} "
-    own_camera = image is not None and camera_size == video and camera_size != image.shape[1::-1]
-    if image is not None and not own_camera and _has_shape(camera, image):
-        framing = align(image, frames[0])
+    if image is not None:
+        size = image.shape[1], image.shape[0]
+        own_camera = camera_size == video and camera_size != size
+        if not own_camera and not Framing.filling(size, camera_size).changes:
+            framing = align(image, frames[0])
     if framing is None and not filled.changes:
         return filled
     framing = framing or find_bars(frames, camera_size)
@@ -255,9 +254,3 @@ def find_framing(
             f"{named}shows {sides[0]} x {sides[1]} px between its bars, each side needs {MIN_SIDE_PX} px"
         )
     return framing
-
-
-def _has_shape(camera: Camera, image: NDArray[np.uint8]) -> bool:
-    """Return whether the camera has the aspect ratio of the image."""
-    height, width = image.shape[:2]
-    return bool(abs(camera.width * height / (camera.height * width) - 1.0) <= SQUARE)

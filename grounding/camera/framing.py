@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array
 
-SQUARE = 0.01
-"""Largest relative difference of the scales along x and y that counts as none (`Camera.resized` allows as much)."""
+_SQUARE = 0.01  # relative difference of the scales that counts as none (`Camera.resized` allows as much)
 _PART_PX = 0.75  # least width of a bar or crop; less is rounding
 _PLACES = (0.5, 0.0, 1.0)  # centred, at the beginning, at the end
 _ZOOMS = (1.15, 1.35)  # crops tighter than needed to fill the video
@@ -104,6 +103,12 @@ class Framing:
         )
         return rows, columns
 
+    @property
+    def frame_map(self) -> Array:
+        """(2, 3) matrix from points of the image to points of the frames without their bars [px]."""
+        rows, columns = self.window
+        return self.map - [[0.0, 0.0, columns.start], [0.0, 0.0, rows.start]]
+
     def whole_camera(self, camera: Camera) -> Camera:
         """Return the camera of the frames with their bars, from that of the image (at any size)."""
         if self.source is FramingSource.SIZE and not self.changes:
@@ -140,16 +145,13 @@ class Framing:
 
     def to_json(self) -> dict[str, str | float | list[str] | None]:
         """Serialize the framing for results."""
-        numbers = {
-            "scale_x": self.scale_x,
-            "scale_y": self.scale_y,
-            "offset_x_px": self.offset_x,
-            "offset_y_px": self.offset_y,
-        }
         return {
             "changes": [change.value for change in self.changes],
             "source": self.source.value,
-            **{name: round(float(value), 4) + 0.0 for name, value in numbers.items()},
+            "scale_x": round(float(self.scale_x), 4) + 0.0,
+            "scale_y": round(float(self.scale_y), 4) + 0.0,
+            "offset_x_px": round(float(self.offset_x), 4) + 0.0,
+            "offset_y_px": round(float(self.offset_y), 4) + 0.0,
             "correlation": None if self.correlation is None else round(self.correlation, 3),
         }
 
@@ -180,7 +182,7 @@ def deeper_crops(image: tuple[float, float], video: tuple[int, int]) -> list[Fra
 
 
 def _is_square(framing: Framing) -> bool:
-    return abs(framing.scale_x / framing.scale_y - 1.0) <= SQUARE
+    return abs(framing.scale_x / framing.scale_y - 1.0) <= _SQUARE
 
 
 def _placed(filled: Framing, scale: float, place: float) -> Framing:
@@ -200,12 +202,11 @@ def undo_framing(framing: Framing, images: NDArray[ImageType]) -> NDArray[ImageT
     """
     import cv2  # slow to load, and not needed by the commands that import `Framing`
 
-    rows, columns = framing.window
     scale = max(framing.scale_x, framing.scale_y)
     size = round(framing.image_width * scale), round(framing.image_height * scale)
     if not framing.changes and size == (images.shape[2], images.shape[1]):
         return images
-    M = framing.map - [[0.0, 0.0, columns.start], [0.0, 0.0, rows.start]]
+    M = framing.frame_map
     M[:, :2] /= scale
     M[:, 2] += 0.5 * np.diag(M) - 0.5  # OpenCV's pixel centres are integers
     smooth = images.dtype != np.bool_
@@ -220,7 +221,7 @@ def apply_framing(framing: Framing, image: NDArray[np.uint8]) -> NDArray[np.uint
 
     rows, columns = framing.window
     scale = [framing.image_width / image.shape[1], framing.image_height / image.shape[0]]
-    M = framing.map - [[0.0, 0.0, columns.start], [0.0, 0.0, rows.start]]
+    M = framing.frame_map
     M[:, :2] *= scale
     M[:, 2] += 0.5 * np.diag(M) - 0.5  # OpenCV's pixel centres are integers
     size = columns.stop - columns.start, rows.stop - rows.start

@@ -1,1 +1,0 @@
-"""Framing of generated videos: where the conditioning image is in the frames."""
