@@ -117,12 +117,9 @@ class Calibrator:
     """Calibration of cameras from decoded videos; one instance serves any number of them."""
 
     def __init__(self, detected: ViewEstimator, tracked: ViewEstimator, cameras: CameraEstimator) -> None:
-        """Set the sources of measurements.
+        """Set the sources of views.
 
-        Args:
-            detected: views of frames whose postures are known.
-            tracked: views with postures, of frames of which one posture is known.
-            cameras: fit of cameras to contours.
+        Those `detected` are of frames whose postures are known, those `tracked` hold postures where one is known.
         """
         self._detected, self._tracked, self._cameras, self._model = detected, tracked, cameras, ArmModel()
 

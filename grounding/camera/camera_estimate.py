@@ -20,8 +20,7 @@ so with 18 right cameras, and with one whose focal length is wrong by a quarter 
 LEAD, BASE_LEAD = 0.08, 0.08
 """Least differences between the mean of both and that with another camera, and between the share of the base link and
 that with the base turned elsewhere about joint 1."""
-ALIGNED_LEAD = 0.03
-"""The first of them where lines run along the axes of the base and the arm agrees by `ARM_AGREEMENT`."""
+_ALIGNED_LEAD = 0.03  # the first of them where lines run along the base's axes and the arm agrees by `ARM_AGREEMENT`
 GRIPPER_SIGMA_M, GRIPPER_SIGMA_RAD = 0.02, float(np.deg2rad(3.0))
 """Greatest standard deviations of the gripper in the base frame, due to its camera, of a verdict [m, rad]."""
 _MOVE, _TURN = slice(0, 3), slice(3, 6)
@@ -111,7 +110,7 @@ class CameraEstimate(FittedCamera):
         least, least_base = ARM_AGREEMENT, BASE_AGREEMENT
         if self.is_aligned:
             least, least_base = ALIGNED_AGREEMENT, ALIGNED_BASE_AGREEMENT
-        lead = ALIGNED_LEAD if self.is_aligned and self.agreement >= ARM_AGREEMENT else LEAD
+        lead = _ALIGNED_LEAD if self.is_aligned and self.agreement >= ARM_AGREEMENT else LEAD
         if self.agreement < least:
             return (
                 f"no estimated camera agrees with the arm (best: {self.agreement:.0%} of its contours on image edges, "

@@ -21,6 +21,7 @@ from kinebench_drake.grounding.tracking.view import Frames
 from kinebench_drake.models.panda.robot import ARM
 from kinebench_drake.segments import evenly
 
+Passes = Sequence[tuple[float, float]]
 MIN_FRAMES = 3
 """Least number of frames that must show hand and arm."""
 LOG_FOCAL_SIGMA = 0.5
@@ -70,7 +71,10 @@ class Candidate:
 
 
 class CandidateFitter:
-    """Fits of candidates to the cells of the networks' views, and to the contours of the robot."""
+    """Fits of candidates to the cells of the networks' views, and to the contours of the robot.
+
+    Images are those of the detections; passes are reaches of the search for edges, and weights of the cells.
+    """
 
     def __init__(self, model: ArmModel, matcher: EdgeMatcher) -> None:
         """Set the arm and the search for edges."""
@@ -110,23 +114,8 @@ class CandidateFitter:
             scene, cost = bundle.scene, bundle.cost
         return replace(start, scene=scene, cost=cost)
 
-    def compare(
-        self,
-        fit: Candidate,
-        images: ContourImages,
-        prior: Prior,
-        frames: int,
-        passes: Sequence[tuple[float, float]],
-    ) -> Candidate:
-        """Return a candidate fitted to the contours of the frames that it explains best, with its agreement.
-
-        Args:
-            fit: the candidate.
-            images: images of the detections.
-            prior: prior of the lens.
-            frames: greatest number of frames.
-            passes: reaches of the search for edges, and weights of the cells.
-        """
+    def compare(self, fit: Candidate, images: ContourImages, prior: Prior, frames: int, passes: Passes) -> Candidate:
+        """Return a candidate fitted to contours of the frames that it explains best, `frames` at most."""
         # Hands that the hypothesis explains badly are often none.
         likely = np.sort(np.argsort(fit.costs, kind="stable")[: max(_LEAST_COMPARED, len(fit.rows) // 2)])
         candidate = fit.take(likely[evenly(len(likely), frames)])
@@ -135,16 +124,9 @@ class CandidateFitter:
         return replace(candidate, scene=scene, agreement=float(np.median(images.agreement(scene))))
 
     def fit_contours(
-        self, fit: Candidate, images: ContourImages, prior: Prior, passes: Sequence[tuple[float, float]]
+        self, fit: Candidate, images: ContourImages, prior: Prior, passes: Passes
     ) -> tuple[ArmScene, Observations | None]:
-        """Fit a candidate to the edges of images of its frames, in passes; return scene and contours.
-
-        Args:
-            fit: the candidate.
-            images: images of its frames.
-            prior: prior of the lens.
-            passes: reaches of the search for edges, and weights of the cells.
-        """
+        """Fit a candidate to the edges of images of its own frames, in passes; return scene and contours."""
         scene, edges = fit.scene, None
         q, q_sigma = (None, _PASS_SIGMA_RAD) if prior.joint_sigma_rad is None else (fit.scene.q, None)
         for reach_px, weight in passes:
@@ -163,11 +145,10 @@ class CandidateFitter:
     ) -> tuple[Candidate, Observations | None]:
         """Fit a candidate to the contours of its frames without those that disagree; return it and the contours.
 
-        Its agreement is less where it explains few of the `total` frames that show the robot. Other arguments as of
-        `finish`.
+        Its agreement is less where it explains few of the `total` frames that show the robot.
         """
         edges = None
-        rounds: tuple[Sequence[tuple[float, float]], ...] = (_FINE, _FINE[1:], _FINE[-3:])
+        rounds: tuple[Passes, ...] = (_FINE, _FINE[1:], _FINE[-3:])
         for number, passes in enumerate(rounds):
             own = images.take(candidate.rows)
             scene, edges = self.fit_contours(candidate, own, prior, passes)
@@ -180,13 +161,7 @@ class CandidateFitter:
         return candidate, edges
 
     def finish(self, candidate: Candidate, images: ContourImages, prior: Prior, total: int) -> CameraEstimate:
-        """Fit a candidate to the contours of all its frames; leave out frames that disagree, and compute sigmas.
-
-        Args:
-            candidate: camera and postures that are right within some pixels.
-            images: images of the detections.
-            prior: prior of the lens.
-            total: number of frames that show the robot.
+        """Settle a candidate that is right within some pixels, of `total` frames with the robot; compute its sigmas.
 
         Raises:
             UnmeasurableError: the images show no edges where the arm should be.

@@ -71,13 +71,7 @@ def find_reading(
     """Return a reading of picture or matrix that agrees clearly better than the track does; None if there is none.
 
     Where the arm confirms the camera only those are tried that a camera in the plane of symmetry, or a narrow margin,
-    hides.
-
-    Args:
-        frames: (T, H, W, 3) as grounded.
-        camera: the camera of these frames.
-        agreement: that of the track; None if it has no posture.
-        checker: measures agreements.
+    hides. `agreement` is that of the track with `camera` in frames (T, H, W, 3); None if it has no posture.
     """
     if agreement is not None and agreement >= SURE:
         return None
@@ -89,18 +83,11 @@ def find_reading(
 def check_named(
     choice: CameraChoice, frames: Frames, camera: Camera, result: PipelineResult, checker: CameraChecker
 ) -> CameraChoice:
-    """Check a named camera against the arm.
+    """Check a named camera, and the track with it in frames (T, H, W, 3), against the arm.
 
     If the contours of hand and arm, in the postures of the track, lie on edges of the image, the camera stays, unless
     the mirrored picture agrees clearly better. Otherwise other readings and other cameras are tried. One that explains
     the arm clearly better and puts the gripper elsewhere leaves the base frame unknown, and so does a low agreement.
-
-    Args:
-        choice: the camera.
-        frames: (T, H, W, 3) as grounded.
-        camera: the camera of these frames.
-        result: track with this camera.
-        checker: measures agreements.
     """
     agreement = checker.track_agreement(frames, camera, result)
     choice = replace(choice, agreement=agreement)

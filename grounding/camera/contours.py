@@ -84,9 +84,7 @@ class ContourImages:
     def observe(self, scene: ArmScene, reach_px: float) -> Observations | None:
         """Return the visible contour points of a scene with the image edges nearby; None if there are too few.
 
-        Args:
-            scene: camera and postures.
-            reach_px: farthest edge in an image of at most 640 px.
+        Edges are up to `reach_px` away in an image of at most 640 px.
         """
         observed = []
         parts = ROBOT if reach_px > _WITH_FINGERS_PX else RIGID
@@ -143,11 +141,7 @@ class ContourImages:
     def find_turns(self, scene: ArmScene) -> list[BaseTurn]:
         """Find the turns, each different from all better ones, at which contours of the base link lie on image edges.
 
-        Args:
-            scene: camera and postures, right but for the turn.
-
-        Returns:
-            At least one, the best first; only that of the scene itself where no other is within the limits of joint 1.
+        At least one, the best first; only that of the scene itself where no other is within the limits of joint 1.
         """
         rows = evenly(len(scene.q), _FRAMES)
         few, images = scene.take(rows), self.take(rows)

@@ -121,11 +121,7 @@ class CameraChecker:
     ) -> BetterReading | None:
         """Return the reading of picture or camera with which the arm agrees clearly better; None if there is none.
 
-        Args:
-            frames: frames as they are.
-            camera: their camera.
-            least: agreement that the reading has to reach, besides being better by `CLEARLY`.
-            readings: to be tried.
+        It has to reach the agreement `least`, besides being better than frames and camera as they are by `CLEARLY`.
         """
         frames = frames[evenly(len(frames), _READ_SEARCHED)]
         unread = self._detect(frames, camera, _READ, _READ_SEARCHED)
@@ -180,11 +176,7 @@ class CameraChecker:
     ) -> Candidate | None:
         """Return the lens that agrees best with the contours, of those that explain the cells best; None without any.
 
-        Args:
-            detections: robot in T frames.
-            frames: (T, H, W, 3) these frames.
-            trials: initial lenses, and their priors.
-            least: least number of frames that a lens has to explain.
+        `trials` are initial lenses with their priors; each has to explain `least` of the frames detected.
         """
         images = self._fitter.images(frames, trials[0][0].camera)
         search = ChainSearch(detections.cells, detections.finger_m, self._fitter.model)

@@ -61,22 +61,16 @@ class RobotPoints:
         return cls(**{f.name: np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(cls)})
 
     def locate(self, X_BP: Array, finger_m: Array) -> Array:
-        """Return the points (N, 3) in B [m]; NaN where the pose of their part is unknown.
-
-        Args:
-            X_BP: (T, PARTS, 4, 4) frames of the parts' CAD coordinates in B [m].
-            finger_m: (T,) opening of each finger [m].
-        """
+        """Return the points (N, 3) in B at poses (T, PARTS, 4, 4) and openings of each finger (T,) [m]; NaN without."""
         X = X_BP[self.frame, self.part]
         opened_P = self.p_P.copy()
         opened_P[:, 1] += self.opening_sign * finger_m[self.frame]
         return np.asarray(np.einsum("nij,nj->ni", X[:, :3, :3], opened_P) + X[:, :3, 3])
 
     def count_repeats(self, X_BP: Array) -> NDArray[np.intp]:
-        """Count for each point (N,) the frames in which its part has the same pose, so that errors correlate.
+        """Count for each point (N,) the frames in which its part has the same pose `X_BP` (T, PARTS, 4, 4) [m].
 
-        Args:
-            X_BP: (T, PARTS, 4, 4) poses of the parts in B [m].
+        The errors of such points correlate.
         """
         p, R = X_BP[..., :3, 3], X_BP[..., :3, :3]
         near = np.linalg.norm(p[:, None] - p[None], axis=-1) <= _ALIKE_M
@@ -106,12 +100,9 @@ class CalibrationCorrespondences(RobotPoints):
         return replace(chosen, weight=np.minimum(1.0, chosen.weight * every))
 
     def sigma_px(self, lens: Lens, p_B: Array, floor: float = PIXEL_SIGMA) -> Array:
-        """Return the standard deviation (N,) of the reprojection [px].
+        """Return the standard deviation (N,) of the reprojection of the points `p_B` (N, 3) in B [px].
 
-        Args:
-            lens: lens that projects them.
-            p_B: (N, 3) the points in B [m].
-            floor: least standard deviation in an image 384 px wide [px].
+        It is `floor` at least in an image 384 px wide.
         """
         _, z = lens.project(p_B)
         spread = lens.camera.fx * self.sigma_m / np.maximum(np.abs(z), _NEAREST_M)

@@ -14,11 +14,7 @@ from numpy.typing import NDArray
 from kinebench_drake.camera import Camera
 from kinebench_drake.errors import UnmeasurableError
 from kinebench_drake.geometry import Array
-from kinebench_drake.grounding.camera.correspondences import (
-    CalibrationCorrespondences,
-    LensView,
-    find_correspondences,
-)
+from kinebench_drake.grounding.camera.correspondences import CalibrationCorrespondences, LensView, find_correspondences
 from kinebench_drake.grounding.registration.fit import UNSEEN_FINGER_M, HandFit, finger_or_default, fit
 from kinebench_drake.grounding.tracking.crop import CLOSE_MARGIN, CLOSE_SIZE, Crop
 from kinebench_drake.grounding.tracking.localization import find_region, likeliest_gripper

@@ -79,13 +79,7 @@ class CameraEstimator:
         return replace(estimate, frames=detections.rows[estimate.frames])
 
     def solve(self, detections: ArmDetections, frames: Frames, camera: Camera, *, focal_free: bool) -> CameraEstimate:
-        """Estimate the camera from detections of the robot; its frames are rows of these.
-
-        Args:
-            detections: robot in T frames.
-            frames: (T, H, W, 3) these frames.
-            camera: initial intrinsics.
-            focal_free: True to estimate the focal length.
+        """Estimate the camera from detections of the robot in frames (T, H, W, 3); its frames are rows of these.
 
         Raises:
             UnmeasurableError: too little of the arm is seen.
@@ -144,10 +138,10 @@ class CameraEstimator:
     def _turn(
         self, arm: Candidate, turns: Sequence[BaseTurn], images: ContourImages, prior: Prior, total: int
     ) -> tuple[CameraEstimate, BaseTurn]:
-        """Return the estimate with the base turned as its contours show it, and the turn.
+        """Return the estimate with the base turned as its contours show it, and the turn; `turns` are best first.
 
         Turns that differ too little before the contours of the base are fitted are compared afterwards: a right one has
-        more of them on image edges then. Arguments as of `finish`, with `turns` best first.
+        more of them on image edges then.
         """
         close = list(turns[:1])
         if turns[0].share >= BASE_AGREEMENT:  # with less there is no base frame, however the base is turned
@@ -184,14 +178,9 @@ class CameraEstimator:
     def refine(
         self, frames: Frames, camera: Camera, start: Candidate, *, focal_free: bool, centre_sigma_px: float = 0.0
     ) -> CameraEstimate:
-        """Fit a camera to the contours of the robot at known joint angles.
+        """Fit a camera to the contours of the robot at known joint angles, those of `start`, in frames (T, H, W, 3).
 
-        Args:
-            frames: (T, H, W, 3) frames.
-            camera: expected intrinsics.
-            start: camera and joint angles in some of the frames.
-            focal_free: True to estimate the focal length.
-            centre_sigma_px: standard deviation of the principal point [px]; 0 for a fixed one.
+        Intrinsics are those of `camera`; the principal point has a standard deviation [px], 0 for a fixed one.
 
         Raises:
             UnmeasurableError: the images show no edges where the arm should be.

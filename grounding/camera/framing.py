@@ -159,9 +159,7 @@ class Framing:
 def placements(image: tuple[float, float], video: tuple[int, int]) -> list[Framing]:
     """Return the usual framings: scaled, stretched, letter-boxed and cropped, the last two centred or at an edge.
 
-    Args:
-        image: width and height of the conditioning image [px].
-        video: width and height of the video [px].
+    `image` and `video` are widths and heights [px].
     """
     filled = Framing.filling(image, video)
     if _is_square(filled):

@@ -44,14 +44,9 @@ class _PyramidLevel:
 
 
 def align(image: NDArray[np.uint8], frame: NDArray[np.uint8]) -> Framing | None:
-    """Find the conditioning image in the first frame.
+    """Find the conditioning image (h, w, 3) in the first frame (H, W, 3) of a video.
 
-    Args:
-        image: (h, w, 3) RGB, conditioning image.
-        frame: (H, W, 3) RGB, first frame of the video.
-
-    Returns:
-        The framing, exactly a usual one if it is near one; None if the frame does not show the image.
+    Returns the framing, exactly a usual one if it is near one; None if the frame does not show the image.
     """
     size, video = (image.shape[1], image.shape[0]), (frame.shape[1], frame.shape[0])
     usual = placements(size, video)

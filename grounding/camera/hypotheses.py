@@ -67,13 +67,7 @@ class ChainSearch:
     """Search for cameras that explain the cells of several frames."""
 
     def __init__(self, cells: CalibrationCorrespondences, finger_m: Array, model: ArmModel) -> None:
-        """Sort the cells by frame and part.
-
-        Args:
-            cells: cells of T frames.
-            finger_m: (T,) opening of each finger [m].
-            model: link poses of the arm.
-        """
+        """Sort the cells of T frames, whose fingers are each opened by `finger_m` (T,), by frame and part."""
         self._model, self._frames = model, len(finger_m)
         frames = [cells.take(cells.frame == t) for t in range(self._frames)]
         self._gripper = [self._opened(own, finger) for own, finger in zip(frames, finger_m, strict=True)]
@@ -108,13 +102,12 @@ class ChainSearch:
     def hands(self, camera: Camera) -> list[Array | None]:
         """Return the poses X_CH (4, 4) of the hand in all frames by perspective-n-point; None where it fails."""
         error_px = _CONSENSUS_PX * camera.unit_px
-        poses: list[Array | None] = []
-        for cells in self._gripper:
-            solution = None
+        poses: list[Array | None] = [None] * self._frames
+        for t, cells in enumerate(self._gripper):
             if cells is not None:
                 solution = solve_pnp(cells.p_P, cells.uv_px, camera, rounds=_CONSENSUS_ROUNDS, error_px=error_px)
-            near = solution is not None and _DEPTH_M[0] < solution[0][2, 3] < _DEPTH_M[1]
-            poses.append(solution[0] if solution is not None and near else None)
+                if solution is not None and _DEPTH_M[0] < solution[0][2, 3] < _DEPTH_M[1]:
+                    poses[t] = solution[0]
         return poses
 
     def _errors(self, X_CP: Array, cells: CalibrationCorrespondences, camera: Camera) -> Array:

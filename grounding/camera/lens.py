@@ -69,8 +69,7 @@ class Lens:
     def position_sigma_m(self, covariance: Array) -> float:
         """Return the standard deviation of the camera's position in B: root of the sum over axes [m].
 
-        Args:
-            covariance: (6, 6) covariance of the base's rotation about the axes of C [rad] and its position in C [m].
+        `covariance` (6, 6) is that of the base's rotation about the axes of C [rad] and its position in C [m].
         """
         x, y, z = self.X_CB[:3, 3]
         by_turn = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])  # the camera's position is -R^T t
@@ -80,9 +79,7 @@ class Lens:
     def sees_same_arm(self, other: "Lens", factor: float) -> bool:
         """Return whether another camera sees the same axis of joint 1, whatever the turn about it.
 
-        Args:
-            other: the other one.
-            factor: of the tolerances of 3 degrees, 3 % of the distance and 5 % of the focal length.
+        Tolerances are `factor` times 3 degrees, 3 % of the distance and 5 % of the focal length.
         """
         zoom = abs(float(np.log(self.camera.fx / other.camera.fx)))
         axis, other_axis = self.X_CB[:3, 2], other.X_CB[:3, 2]

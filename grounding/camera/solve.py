@@ -154,13 +154,7 @@ def fit_cells(
 
 
 def _find_consensus(cells: CalibrationCorrespondences, p_B: Array, cameras: Sequence[Camera]) -> list[Lens]:
-    """Estimate initial lenses by RANSAC for several intrinsics, by decreasing number of inliers.
-
-    Args:
-        cells: observed cells.
-        p_B: (N, 3) points of the cells [m].
-        cameras: intrinsics.
-    """
+    """Return initial lenses by RANSAC from the cells' points `p_B` (N, 3) [m], by decreasing number of inliers."""
     some = np.linspace(0, len(cells) - 1, min(len(cells), _CONSENSUS_CELLS)).astype(int)
     ranked = []
     for camera in cameras:

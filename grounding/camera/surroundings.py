@@ -51,11 +51,9 @@ class Lines:
         return np.asarray(np.linalg.norm(self.ends_px[:, 1] - self.ends_px[:, 0], axis=1))
 
     def offsets(self, lens: Lens, axes_B: Array) -> Array:
-        """Return how far ends lie off the lines from their middles to vanishing points (N, K) [px], signed.
+        """Return how far ends lie off the lines from their middles to the vanishing points of directions in B (K, 3).
 
-        Args:
-            lens: the camera.
-            axes_B: (K, 3) directions in the base frame.
+        Distances (N, K) are signed [px].
         """
         one = np.ones((len(self), 1))
         end = np.hstack([self.ends_px[:, 1], one])
@@ -118,13 +116,9 @@ def _slopes(function: Callable[[Array], Array], x: Array) -> Array:
 
 
 def find_lines(frames: Frames, camera: Camera, X_CP: Array, matcher: EdgeMatcher) -> Lines:
-    """Find straight lines off the robot in the median of the frames of a static camera.
+    """Find straight lines off the robot in the median of frames (T, H, W, 3) of a static camera.
 
-    Args:
-        frames: (T, H, W, 3) RGB.
-        camera: their camera.
-        X_CP: (N, PARTS, 4, 4) poses of the robot in some of them, in the camera frame [m].
-        matcher: casts rays at the robot.
+    `X_CP` (N, PARTS, 4, 4) are poses of the robot in some of them, in the camera frame [m].
     """
     gray = cv2.cvtColor(np.median(frames, axis=0).astype(np.uint8), cv2.COLOR_RGB2GRAY)
     detected = cv2.createLineSegmentDetector(cv2.LSD_REFINE_ADV).detect(gray)[0]
@@ -141,10 +135,7 @@ def find_lines(frames: Frames, camera: Camera, X_CP: Array, matcher: EdgeMatcher
 def find_surroundings(lines: Lines, lens: Lens, turn_sigma_rad: float) -> Surroundings | None:
     """Return the lines along the axes of the base; None if they are few, or run along other axes.
 
-    Args:
-        lines: lines of the image.
-        lens: camera that the arm shows.
-        turn_sigma_rad: its standard deviation about the vertical axis of the base [rad].
+    `turn_sigma_rad` is the standard deviation of the camera that the arm shows about the base's vertical axis [rad].
     """
     if len(lines) < _LEAST_LINES:
         return None
