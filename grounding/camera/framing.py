@@ -107,7 +107,7 @@ class Framing:
     def frame_map(self) -> Array:
         """(2, 3) matrix from points of the image to points of the frames without their bars [px]."""
         rows, columns = self.window
-        return self.map - [[0.0, 0.0, columns.start], [0.0, 0.0, rows.start]]
+        return np.asarray(self.map - [[0.0, 0.0, columns.start], [0.0, 0.0, rows.start]])
 
     def whole_camera(self, camera: Camera) -> Camera:
         """Return the camera of the frames with their bars, from that of the image (at any size)."""
