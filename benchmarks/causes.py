@@ -25,7 +25,8 @@ from kinebench_drake.closed_loop.loop import ClosedLoop, LoopOptions
 from kinebench_drake.errors import InputError, KinebenchError
 from kinebench_drake.executors.base import Executor, WorkerCrash
 from kinebench_drake.grounding.clip import Clip
-from kinebench_drake.grounding.video import Grounder, GroundingResult
+from kinebench_drake.grounding.result import GroundingResult
+from kinebench_drake.grounding.video import Grounder
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.metrics.executable import FailureVerdict
 from kinebench_drake.runs.tools import RobotOptions, Tools

@@ -20,13 +20,12 @@ from kinebench_drake.camera import Camera
 from kinebench_drake.errors import UsageError
 from kinebench_drake.executors.base import Executor, Observer
 from kinebench_drake.geometry import Array, pose_difference
-from kinebench_drake.grounding.overrides.estimates import replace_depth
 from kinebench_drake.grounding.priors import NO_PRIORS, ExternalDepth, Priors
 from kinebench_drake.grounding.tracking.crop import Crop
 from kinebench_drake.grounding.tracking.estimator import NetworkEstimator
 from kinebench_drake.grounding.tracking.pose import FramePose
 from kinebench_drake.grounding.tracking.tracker import CadTracker
-from kinebench_drake.grounding.tracking.view import DenseEstimator, Frames, GripperView
+from kinebench_drake.grounding.tracking.view import DenseEstimator, Frames, GripperView, replace_depth
 from kinebench_drake.io.reader import read_video
 from kinebench_drake.models.panda.cad import GripperCad
 from kinebench_drake.models.perception.network import WEIGHTS, load_network

@@ -1,21 +1,20 @@
-"""Grounding of one video: estimation of the gripper track and of anomalies from frames."""
+"""Grounding of one video with one camera: estimation of the gripper track and of anomalies from frames."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from kinebench_drake.anomaly import Anomaly
-from kinebench_drake.camera import Camera, benchmark_camera
+from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array, invert, pose_difference
 from kinebench_drake.grounding.anomaly.camera_motion import CameraMotion, FeatureTracks, measure_camera_motion
 from kinebench_drake.grounding.anomaly.detect import SURE_CONFIDENCE, AnomalyEvidence, find_anomalies, gather_evidence
-from kinebench_drake.grounding.anomaly.detection import AnomalyDetections
 from kinebench_drake.grounding.priors import NO_PRIORS, InitialStateUse, Priors
-from kinebench_drake.grounding.tracking.camera_path import CameraPath, follow_camera
+from kinebench_drake.grounding.result import PipelineResult
+from kinebench_drake.grounding.tracking.camera_path import follow_camera
 from kinebench_drake.grounding.tracking.confidence import (
     CALIBRATION,
     GOOD_M,
@@ -26,11 +25,10 @@ from kinebench_drake.grounding.tracking.confidence import (
 )
 from kinebench_drake.grounding.tracking.estimator import NetworkEstimator
 from kinebench_drake.grounding.tracking.flange_tracker import FlangeTracker
-from kinebench_drake.grounding.tracking.flips import X_HALF_TURN, resolve_flips
-from kinebench_drake.grounding.tracking.gripper_width import smooth_gripper_width
+from kinebench_drake.grounding.tracking.markov import X_HALF_TURN, resolve_flips, smooth_gripper_width
 from kinebench_drake.grounding.tracking.pose import FramePose
 from kinebench_drake.grounding.tracking.smoothing import RawTrack
-from kinebench_drake.grounding.tracking.tracker import CadTracker, PoseTracker, Tracking
+from kinebench_drake.grounding.tracking.tracker import CadTracker, PoseTracker
 from kinebench_drake.grounding.tracking.view import DenseEstimator, Frames, GripperView
 from kinebench_drake.models.panda.robot import GripperKind, RobotPart, hand_from_tcp
 from kinebench_drake.models.perception.network import ARM_WEIGHTS, WEIGHTS, load_network
@@ -48,49 +46,6 @@ FIRST_M, FIRST_RAD = 0.015, np.deg2rad(6.0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class PipelineResult:
-    """Result of `GroundingPipeline.ground`."""
-
-    track: GripperTrack
-    domain: Domain
-    gripper: GripperKind = GripperKind.FRANKA
-    """Gripper that was looked for."""
-    from_prior: NDArray[np.bool_]
-    """(T,) frames whose pose was taken from priors."""
-    first_frame: InitialStateUse
-    """Whether the initial state was used."""
-    detections: AnomalyDetections
-    """Scores and anomalies by kind."""
-    camera_path: CameraPath | None = None
-    """Camera of each frame, if it moves and was followed."""
-    camera_motion_px: float | None
-    """Largest displacement of the background [px]; None if it has too few features."""
-    arm_consistency_px: float | None
-    """Median over tracked frames of the distance between the links as estimated and as posed by the fitted arm [px of
-    the video]; None if too little of the arm is visible."""
-    robot: NDArray[np.bool_]
-    """(T, H, W) pixels that show the robot."""
-    arm_q: Array = field(default_factory=lambda: np.zeros((0, N_JOINTS)))
-    """(T, 7) fitted joint angles with the assumed camera [rad]; NaN where hand and arm do not agree; empty without a
-    fit."""
-    X_CH_raw: Array = field(default_factory=lambda: np.zeros((0, 4, 4)))
-    """(T, 4, 4) poses of panda_hand before confidence and smoothing, in the camera of each frame [m]; NaN where no
-    gripper is seen."""
-    curves: Mapping[str, Array] = field(default_factory=dict)
-    """Curves (T,) of the track file: share of matched points, their distance [m] and weight of ICP; NaN without it."""
-
-    @property
-    def has_pose(self) -> NDArray[np.bool_]:
-        """(T,) frames in which a gripper is seen, trusted or not."""
-        return np.asarray(np.isfinite(self.X_CH_raw).all(axis=(1, 2)))
-
-    @property
-    def anomalies(self) -> tuple[Anomaly, ...]:
-        """Anomalies in the order of their frames."""
-        return self.detections.anomalies
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class Observation:
     """Measurements of each frame, before confidence and smoothing along the video."""
 
@@ -100,7 +55,6 @@ class Observation:
     """Input of the anomaly detectors."""
     wide: tuple[GripperView, ...]
     """(T,) views of whole images."""
-    domain: Domain
 
 
 class GroundingPipeline:
@@ -110,61 +64,38 @@ class GroundingPipeline:
         self,
         tracker: PoseTracker,
         confidence: Mapping[Domain, Confidence],
-        table_height_m: float = 0.0,
         gripper: GripperKind = GripperKind.FRANKA,
         arm_tracker: PoseTracker | None = None,
     ) -> None:
-        """Compose the pipeline.
+        """Compose the pipeline of a tracker that looks for `gripper` and the calibrated `confidence` of its poses.
 
-        Args:
-            tracker: estimator of poses.
-            confidence: calibrated confidence of its poses in each domain.
-            table_height_m: height of the table top in the robot base frame, which tells how far a camera moves [m].
-            gripper: what `tracker` looks for.
-            arm_tracker: a faster one by which the motion of a camera is checked; None for the same.
+        The motion of a camera is checked by the faster `arm_tracker`; None for the same.
         """
         self._tracker, self._arm_tracker, self._confidence = tracker, arm_tracker or tracker, confidence
-        self._table_height_m, self._gripper = table_height_m, gripper
+        self._gripper = gripper
 
     @classmethod
     def create(
         cls,
-        device: str | None = None,
-        weights: Path | None = None,
-        table_height_m: float = 0.0,
+        estimator: DenseEstimator | None = None,
         gripper: GripperKind = GripperKind.FRANKA,
+        *,
+        weights: Path | None = None,
         calibration: Path | None = None,
     ) -> Self:
-        """Create the pipeline, with `weights` and `calibration` of the confidence in place of those shipped.
+        """Create the pipeline; of other grippers than Franka's it measures the arm alone.
 
-        Of other grippers than Franka's the arm alone is measured.
+        Without an estimator the network is taken; `weights` and `calibration` replace those shipped.
 
         Raises:
             SetupError: weights, calibration, meshes or native libraries are missing.
         """
-        shipped = WEIGHTS if gripper is GripperKind.FRANKA else ARM_WEIGHTS
-        return cls.of(NetworkEstimator(load_network(weights or shipped), device), table_height_m, gripper, calibration)
-
-    @classmethod
-    def of(
-        cls,
-        estimator: DenseEstimator,
-        table_height_m: float = 0.0,
-        gripper: GripperKind = GripperKind.FRANKA,
-        calibration: Path | None = None,
-    ) -> Self:
-        """Create the pipeline that measures with dense estimates of `estimator`; of other grippers the arm alone."""
-        confidence = load_confidence(calibration or CALIBRATION)
         franka = gripper is GripperKind.FRANKA
+        estimator = estimator or NetworkEstimator(load_network(weights or (WEIGHTS if franka else ARM_WEIGHTS)))
+        confidence = load_confidence(calibration or CALIBRATION)
         tracker = CadTracker(estimator, confidence=confidence) if franka else FlangeTracker(estimator, gripper)
         by_arm = FlangeTracker(estimator) if gripper is GripperKind.ROBOTIQ_2F85 else None
-        return cls(tracker, confidence, table_height_m, gripper, by_arm)
-
-    def warm_up(self) -> None:
-        """Ground a blank video, since the first use of the network and of the ray caster is slow."""
-        camera = benchmark_camera()
-        blank = np.zeros((2, camera.height, camera.width, 3), np.uint8)
-        self.ground(blank, camera, np.array([0.0, 1.0]))
+        return cls(tracker, confidence, gripper, by_arm)
 
     def ground(self, frames: Frames, camera: Camera, t_s: Array, priors: Priors = NO_PRIORS) -> PipelineResult:
         """Estimate the gripper track of a video.
@@ -185,19 +116,15 @@ class GroundingPipeline:
         if priors.initial_state is not None:
             priors = priors.with_first_pose(_initial_hand_pose(priors.initial_state, camera), len(frames))
         observation = self.observe(frames, camera, t_s, priors)
-        poses, motion = observation.poses, observation.evidence.motion
-        detections = find_anomalies(observation.evidence)
+        poses, evidence = observation.poses, observation.evidence
+        motion, detections = evidence.motion, find_anomalies(evidence)
         no_poses = np.full((len(frames), 4, 4), np.nan)
         X_prior = no_poses if priors.X_CH is None else motion.X_AC @ priors.X_CH
         if priors.initial_state is not None and priors.X_CH is not None:
             X_prior[0] = priors.X_CH[0]
-        raw = RawTrack.from_poses(
-            poses, observation.evidence.confidence, detections.anomalies, motion.lost, X_prior, t_s
-        )
-        confidence = np.where(
-            raw.from_prior, 1.0, self._confidence[observation.domain].track.probability(raw.features())
-        )
-        confidence = np.where(raw.has_pose, confidence, 0.0)
+        raw = RawTrack.from_poses(poses, evidence.confidence, detections.anomalies, motion.lost, X_prior, t_s)
+        probability = self._confidence[evidence.domain].track.probability(raw.features())
+        confidence = np.where(raw.has_pose, np.where(raw.from_prior, 1.0, probability), 0.0)
         tracked = confidence >= TRACKED_CONFIDENCE
         X_AH = raw.smooth(tracked, confidence)
         track = GripperTrack(
@@ -213,7 +140,7 @@ class GroundingPipeline:
         return PipelineResult(
             track=track,
             gripper=self._gripper,
-            domain=observation.domain,
+            domain=evidence.domain,
             from_prior=raw.from_prior,
             first_frame=InitialStateUse.of(initial_state, priors.initial_state),
             detections=detections,
@@ -241,22 +168,17 @@ class GroundingPipeline:
         """Measure each frame, without confidence and smoothing along the video.
 
         If the camera moves, it is followed, and frames warped into the orientation of the first camera are measured.
-
-        Args:
-            frames: (T, H, W, 3) RGB.
-            camera: camera of the first frame, at the size of the frames.
-            t_s: (T,) task times [s].
-            priors: quantities that replace their estimates.
+        Arguments are those of `ground`, with the camera at the size of the frames.
         """
         stabilized, tracks = not priors.replaces_stage, FeatureTracks(frames)
         motion = self._follow(frames, tracks, camera, priors) if stabilized else None
         if motion is not None:
-            tracking = self._track_steady(frames, camera, priors, motion)
+            tracking = self._tracker.track(*motion.stabilize(frames, camera), priors, motion.places)
         else:
             tracking = self._tracker.track(frames, camera, priors)
             motion = self._measure_motion(frames, tracks, tracking.robot, camera, priors)
             if stabilized and (motion.moves or motion.path is not None):
-                tracking = self._track_steady(frames, camera, priors, motion)
+                tracking = self._tracker.track(*motion.stabilize(frames, camera), priors, motion.places)
         resolved = tracking.poses if tracking.domain is Domain.ARM else resolve_flips(tracking.poses)
         X_AC = motion.X_AS if stabilized else motion.X_AC
         poses = [p and replace(p, X_CH=X @ p.X_CH) for p, X in zip(resolved, X_AC, strict=True)]
@@ -265,12 +187,7 @@ class GroundingPipeline:
             poses=tuple(poses),
             evidence=gather_evidence(frames, camera, t_s, tracking.wide, poses, confidence, motion, tracking.domain),
             wide=tracking.wide,
-            domain=tracking.domain,
         )
-
-    def _track_steady(self, frames: Frames, camera: Camera, priors: Priors, motion: CameraMotion) -> Tracking:
-        """Track in frames without the motion of the camera."""
-        return self._tracker.track(*motion.stabilize(frames, camera), priors, motion.places)
 
     def _follow(self, frames: Frames, tracks: FeatureTracks, camera: Camera, priors: Priors) -> CameraMotion | None:
         """Return the motion of a camera that clearly moves and can be followed; None otherwise.
@@ -287,10 +204,10 @@ class GroundingPipeline:
         steady, wide = motion.stabilize(frames, camera)
         chosen = np.unique(np.linspace(0, len(frames) - 1, CHECKED_FRAMES).round().astype(int))
         places = None if motion.places is None else motion.places[chosen]
-        fixed = _agreeing(self._arm_tracker.track(frames[chosen], camera))
+        fixed = self._arm_tracker.track(frames[chosen], camera).agreeing
         if fixed == 0:
             return motion
-        followed = _agreeing(self._arm_tracker.track(steady[chosen], wide, places=places))
+        followed = self._arm_tracker.track(steady[chosen], wide, places=places).agreeing
         return motion if followed >= LEAST_AGREEING * fixed else replace(motion, path=None)
 
     def _measure_motion(
@@ -311,8 +228,7 @@ class GroundingPipeline:
         if not follows:
             return motion if reference is None else replace(motion, px=np.full(len(frames), np.inf))
         start = frames[0] if reference is None else reference
-        height_m = self._table_height_m if priors.table_height_m is None else priors.table_height_m
-        return motion.with_path(follow_camera(frames, start, robot, camera, height_m))
+        return motion.with_path(follow_camera(frames, start, robot, camera, priors.table_height_m or 0.0))
 
     @staticmethod
     def _reference(
@@ -323,11 +239,6 @@ class GroundingPipeline:
             return None
         motion = measure_camera_motion(FeatureTracks(np.stack([priors.image, frames[0]])), robot, camera)
         return priors.image if motion.moves or np.isnan(motion.px[1]) else None
-
-
-def _agreeing(tracking: Tracking) -> int:
-    """Return the number of frames in which hand and arm agree."""
-    return sum(pose is not None and pose.arm_agrees for pose in tracking.poses)
 
 
 def _initial_hand_pose(state: InitialState, camera: Camera) -> Array:

@@ -11,30 +11,24 @@ import numpy as np
 from kinebench_drake.camera import CONFIRMED, Camera, CameraSetting, CameraSource, benchmark_camera
 from kinebench_drake.errors import UnmeasurableError
 from kinebench_drake.geometry import Array
-from kinebench_drake.grounding.camera.choice import (
-    AGREEMENT,
-    CameraChoice,
-    check_named,
-    find_reading,
-)
+from kinebench_drake.grounding.camera.choice import AGREEMENT, CameraChoice, check_named, find_reading
 from kinebench_drake.grounding.camera.contradiction import CameraChecker
 from kinebench_drake.grounding.camera.estimate import CameraEstimator, usual_camera
 from kinebench_drake.grounding.camera.framing import Framing, apply_framing
 from kinebench_drake.grounding.camera.framing_search import find_framing
 from kinebench_drake.grounding.clip import Clip
-from kinebench_drake.grounding.pipeline import GroundingPipeline, PipelineResult
+from kinebench_drake.grounding.pipeline import GroundingPipeline
 from kinebench_drake.grounding.priors import NO_PRIORS, Priors
+from kinebench_drake.grounding.result import MIN_TRACKED, GroundingResult, PipelineResult
 from kinebench_drake.grounding.tracking.estimator import NetworkEstimator
 from kinebench_drake.grounding.tracking.view import Frames
 from kinebench_drake.models.panda.robot import GripperKind
 from kinebench_drake.models.perception.network import ARM_WEIGHTS, load_network
-from kinebench_drake.track import Domain, GripperTrack
+from kinebench_drake.track import Domain
 
 if TYPE_CHECKING:
     from kinebench_drake.grounding.camera.camera_estimate import CameraEstimate
 
-MIN_TRACKED = 2
-"""Fewest frames with a pose: a path needs two."""
 HAND_SHARE, ARM_SHARE = 0.1, 0.5
 """Share of tracked frames below which a hand counts as not seen, and from which on an arm does."""
 _SIGMAS = 2.0  # standard deviations of an estimated camera that its poses may be off by
@@ -42,66 +36,10 @@ PriorSource = Callable[[Camera], Priors]
 """Function from the camera of the whole frames to quantities that replace estimates."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class GroundingResult(PipelineResult):
-    """Track of a video with the camera behind it; poses in the base frame are NaN where that is unknown."""
-
-    frames: Frames
-    """(T, h, w, 3) as grounded: without letter-box bars."""
-    camera: Camera
-    """Camera of these frames."""
-    framing: Framing
-    """How the camera's image lies in the video."""
-    choice: CameraChoice
-
-    @property
-    def unmeasurable(self) -> str | None:
-        """Why the track cannot be measured although a gripper is seen; None if it can."""
-        track, tracked = self.track, int(self.track.tracked.sum())
-        if tracked >= MIN_TRACKED:
-            return None
-        subject = "the flange" if self.domain is Domain.ARM else "a gripper"
-        reason = "" if self.choice.reason is None else f"; {self.choice.reason}"
-        return (
-            f"{subject} is seen in {int(self.has_pose.sum())} of {len(track.t_s)} frames, but trusted in {tracked}, a "
-            f"path needs {MIN_TRACKED}: its confidence is {track.confidence.max():.2f} at most{reason}"
-        )
-
-    @property
-    def visible_track(self) -> GripperTrack:
-        """The track; of an unmeasurable video with the poses that are seen, but not trusted."""
-        track = self.track
-        if self.unmeasurable is None:
-            return track
-        return replace(track, X_CH=np.where(track.tracked[:, None, None], track.X_CH, self.X_CH_raw))
-
-    def require_pose(self) -> None:
-        """Check that a gripper is seen.
-
-        Raises:
-            UnmeasurableError: it is found in no frame.
-        """
-        if self.has_pose.any():
-            return
-        frames = len(self.track.t_s)
-        reason = "" if self.choice.reason is None else f"; {self.choice.reason}"
-        if self.domain is Domain.ARM:
-            raise UnmeasurableError(
-                f"the flange is found in none of {frames} frames: are wrist and forearm in view, and is this the "
-                f"video's camera?{reason}"
-            )
-        raise UnmeasurableError(
-            f"no Franka hand is found in any of {frames} frames: is the robot in view, and is this the video's camera? "
-            f"With another gripper take $gripper none{reason}"
-        )
-
-
 class GroundingParts:
     """Networks and fits behind the grounding, each loaded when it is first used."""
 
-    def __init__(self, table_height_m: float = 0.0) -> None:
-        """Set the height of the table top in the robot base frame [m]."""
-        self._table_height_m = table_height_m
+    def __init__(self) -> None:
         self._arms: dict[GripperKind, GroundingPipeline] = {}
 
     @cached_property
@@ -119,12 +57,12 @@ class GroundingParts:
         Raises:
             SetupError: weights or libraries are missing; so do the others.
         """
-        return GroundingPipeline.of(self._estimator, self._table_height_m)
+        return GroundingPipeline.create(self._estimator)
 
     def arm(self, gripper: GripperKind) -> GroundingPipeline:
         """Return the tracking of the flange by the arm, and by another gripper than Franka's."""
         if gripper not in self._arms:
-            self._arms[gripper] = GroundingPipeline.of(self._arm_estimator, self._table_height_m, gripper)
+            self._arms[gripper] = GroundingPipeline.create(self._arm_estimator, gripper)
         return self._arms[gripper]
 
     @cached_property
@@ -161,9 +99,12 @@ class _View:
 class Grounder:
     """Grounding of videos; one instance serves any number of them."""
 
-    def __init__(self, parts: GroundingParts | None = None) -> None:
-        """Ground with `parts`; None: the shipped networks."""
-        self._parts = parts or GroundingParts()
+    def __init__(self, parts: GroundingParts | None = None, table_height_m: float = 0.0) -> None:
+        """Ground with `parts`; None: the shipped networks.
+
+        The height of the table top in the robot base frame [m] is `table_height_m` where the camera states none.
+        """
+        self._parts, self._table_height_m = parts or GroundingParts(), table_height_m
 
     def ground(
         self,
@@ -194,7 +135,9 @@ class Grounder:
         """
         if camera is not None and camera.mirrored:
             clip = clip.mirrored()
-        run = _VideoGrounding(self._parts, clip, priors, gripper, None if camera is None else camera.table_height_m)
+        height_m = None if camera is None else camera.table_height_m
+        height_m = self._table_height_m if height_m is None else height_m
+        run = _VideoGrounding(self._parts, clip, priors, gripper, height_m)
         if camera is None and not trusts_camera:
             result = run.ground_unnamed()
         else:
@@ -206,19 +149,15 @@ class Grounder:
         return result
 
 
+@dataclass(frozen=True, slots=True)
 class _VideoGrounding:
     """Grounding of one video with the cameras that come into question."""
 
-    def __init__(
-        self,
-        parts: GroundingParts,
-        clip: Clip,
-        priors: PriorSource | Priors,
-        gripper: GripperKind,
-        table_height_m: float | None,
-    ) -> None:
-        self._parts, self._clip, self._priors, self._gripper = parts, clip, priors, gripper
-        self._table_height_m = table_height_m
+    parts: GroundingParts
+    clip: Clip
+    priors: PriorSource | Priors
+    gripper: GripperKind
+    table_height_m: float
 
     def ground_trusted(self, choice: CameraChoice) -> GroundingResult:
         """Ground with a camera that is taken as exact."""
@@ -230,14 +169,13 @@ class _VideoGrounding:
         view = self._view(choice)
         hand: GroundingResult | None = None
         if not self._seeks_other:
-            measured = self._ground_hand(view)
-            hand = view.result(measured, self._check(view, measured))
+            hand = self._checked(view, self._ground_hand(view))
             # Where another reading explains the hand, the arm alone would agree with the wrong one, too.
             if hand.choice.reading is not None or not self._is_lost(hand):
                 return hand
         arm = self._ground_arm(view)
         if arm is not None:
-            return view.result(arm, self._check(view, arm))
+            return self._checked(view, arm)
         assert hand is not None  # without a hand to measure there is an arm
         return hand
 
@@ -261,8 +199,8 @@ class _VideoGrounding:
             if assumed.choice.reason is None or assumed.choice.reading is not None:
                 return assumed
             against = assumed.choice.reason
-        usual = usual_camera(self._clip.frames.shape[2], self._clip.frames.shape[1])
-        hands, searched = self._parts.checker.count_hands(self._clip.frames, usual)
+        usual = usual_camera(self.clip.frames.shape[2], self.clip.frames.shape[1])
+        hands, searched = self.parts.checker.count_hands(self.clip.frames, usual)
         if not hands and view is not None and (arm := self._confirmed_arm(view)) is not None:
             return arm
         if not hands:
@@ -275,13 +213,11 @@ class _VideoGrounding:
     def _ground_estimated(self, usual: Camera, against: str) -> GroundingResult:
         """Ground with a camera estimated from the arm; without a base frame unless it is determined and confirmed.
 
-        Args:
-            usual: lens of a camera about which nothing is known.
-            against: what is against the benchmark camera.
+        Without an estimate the camera is the `usual` one; `against` says what speaks against the benchmark camera.
         """
         estimate: CameraEstimate | None = None
         try:
-            estimate = self._parts.cameras.estimate(self._clip.frames)
+            estimate = self.parts.cameras.estimate(self.clip.frames)
             doubt = estimate.doubt
         except UnmeasurableError as error:
             doubt = str(error)
@@ -289,21 +225,19 @@ class _VideoGrounding:
         choice = CameraChoice(camera=usual if estimate is None else estimate.camera, source=source, estimate=estimate)
         view = self._view(choice)
         measured = self._ground_hand(view)
-        agreement = self._parts.checker.track_agreement(view.frames, view.camera, measured)
+        agreement = self.parts.checker.track_agreement(view.frames, view.camera, measured)
         reading = None
         if doubt is None:
-            reading = find_reading(view.frames, view.camera, agreement, self._parts.checker)
+            reading = find_reading(view.frames, view.camera, agreement, self.parts.checker)
             if reading is not None:
                 doubt = reading.describe()
             elif agreement is None or agreement < AGREEMENT:
                 doubt = f"the track does not confirm the estimated camera ({_share(agreement)})"
         if doubt is None and estimate is not None:  # all poses in the base frame share the camera's error
-            track = replace(
-                measured.track,
-                offset_m=measured.track.offset_m + _SIGMAS * estimate.gripper_sigma_m,
-                offset_rad=measured.track.offset_rad + _SIGMAS * estimate.gripper_sigma_rad,
-            )
-            measured = replace(measured, track=track)
+            track = measured.track
+            offset_m = track.offset_m + _SIGMAS * estimate.gripper_sigma_m
+            offset_rad = track.offset_rad + _SIGMAS * estimate.gripper_sigma_rad
+            measured = replace(measured, track=replace(track, offset_m=offset_m, offset_rad=offset_rad))
         reason = None if doubt is None else f"the base frame is unknown: no camera is named, {against}, and {doubt}"
         return view.result(measured, replace(choice, agreement=agreement, reading=reading, reason=reason))
 
@@ -312,7 +246,7 @@ class _VideoGrounding:
 
         Where edges contradict the camera poses are not refined, since another one is likely.
         """
-        checker, pictures = self._parts.checker, (view.frames, view.camera)
+        checker, pictures = self.parts.checker, (view.frames, view.camera)
         measured = self._ground_hand(replace(view, priors=replace(view.priors, camera_is_assumed=True)))
         agreement = checker.track_agreement(*pictures, measured)
         if measured.domain is not Domain.FAMILIAR:
@@ -323,9 +257,8 @@ class _VideoGrounding:
         reading = find_reading(*pictures, agreement, checker)
         reason = None
         if reading is not None:
-            reason = (
-                f"the base frame is unknown: no camera is named, and with the benchmark camera {reading.describe()}"
-            )
+            described = reading.describe()
+            reason = f"the base frame is unknown: no camera is named, and with the benchmark camera {described}"
         elif agreement is None or agreement < CONFIRMED:
             reason = (
                 f"the arm does not confirm the benchmark camera ({_share(agreement)}, at least {CONFIRMED:.0%} are "
@@ -335,23 +268,22 @@ class _VideoGrounding:
 
     def _confirmed_arm(self, view: _View) -> GroundingResult | None:
         """Track the flange with the benchmark camera; None if its arm does not confirm the camera."""
-        arm = None if self._gripper is GripperKind.FRANKA else self._ground_arm(view)
+        arm = None if self.gripper is GripperKind.FRANKA else self._ground_arm(view)
         if arm is None:
             return None
-        agreement = self._parts.checker.track_agreement(view.frames, view.camera, arm)
-        if agreement is None or agreement < CONFIRMED:
-            return None
-        return view.result(arm, replace(view.choice, agreement=agreement))
+        agreement = self.parts.checker.track_agreement(view.frames, view.camera, arm)
+        is_confirmed = agreement is not None and agreement >= CONFIRMED
+        return view.result(arm, replace(view.choice, agreement=agreement)) if is_confirmed else None
 
     @property
     def _seeks_other(self) -> bool:
         """Whether another gripper than Franka's is sought from the start."""
-        return self._gripper in (GripperKind.NONE, GripperKind.ROBOTIQ_2F85)
+        return self.gripper in (GripperKind.NONE, GripperKind.ROBOTIQ_2F85)
 
     def _is_lost(self, hand: PipelineResult) -> bool:
         """Return whether a hand is tracked in so few frames that it may be another gripper."""
         least = max(MIN_TRACKED, HAND_SHARE * len(hand.track.t_s))
-        return self._gripper is GripperKind.AUTO and int(hand.track.tracked.sum()) < least
+        return self.gripper is GripperKind.AUTO and int(hand.track.tracked.sum()) < least
 
     def _view(self, choice: CameraChoice) -> _View:
         """Return the clip as a camera shows it.
@@ -359,15 +291,15 @@ class _VideoGrounding:
         Raises:
             UnmeasurableError: the shape of the video differs from that of the camera's image, and nothing explains it.
         """
-        clip, camera = self._clip, choice.camera
+        clip, camera = self.clip, choice.camera
         framing = find_framing(clip.frames, camera, clip.conditioning, choice.source)
-        priors = self._priors
+        priors = self.priors
         if not isinstance(priors, Priors):
             priors = priors(framing.whole_camera(camera))
         priors = replace(
             priors.crop(*framing.window),
             camera_is_fitted=choice.source in (CameraSource.ESTIMATED, CameraSource.NONE),
-            table_height_m=self._table_height_m,
+            table_height_m=self.table_height_m,
         )
         if clip.is_view and clip.conditioning is not None:
             priors = replace(priors, image=apply_framing(framing, clip.conditioning))
@@ -380,11 +312,12 @@ class _VideoGrounding:
             priors=priors,
         )
 
-    def _check(self, view: _View, measured: PipelineResult) -> CameraChoice:
-        return check_named(view.choice, view.frames, view.camera, measured, self._parts.checker)
+    def _checked(self, view: _View, measured: PipelineResult) -> GroundingResult:
+        """Return the result of a track with the named camera, checked by it."""
+        return view.result(measured, check_named(view.choice, view.frames, view.camera, measured, self.parts.checker))
 
     def _ground_hand(self, view: _View) -> PipelineResult:
-        return self._parts.hand.ground(view.frames, view.camera, view.t_s, view.priors)
+        return self.parts.hand.ground(view.frames, view.camera, view.t_s, view.priors)
 
     def _ground_arm(self, view: _View) -> PipelineResult | None:
         """Track the flange: by the links alone, else with the contours of a Robotiq 2F-85; None if it is not seen.
@@ -393,9 +326,9 @@ class _VideoGrounding:
         """
         inputs = view.frames, view.camera, view.t_s, view.priors
         if self._seeks_other:
-            return self._parts.arm(self._gripper).ground(*inputs)
+            return self.parts.arm(self.gripper).ground(*inputs)
         for gripper in (GripperKind.NONE, GripperKind.ROBOTIQ_2F85):
-            arm = self._parts.arm(gripper).ground(*inputs)
+            arm = self.parts.arm(gripper).ground(*inputs)
             if arm.track.tracked.mean() >= ARM_SHARE:
                 return arm
             if not arm.track.confidence.any():  # contours of a gripper are sought where there is an arm

@@ -85,7 +85,7 @@ class MeasuredPoses:
     def from_observation(cls, observation: Observation, X_true: Array) -> "MeasuredPoses":
         """Collect what the confidence is fitted to."""
         poses, n = observation.poses, len(X_true)
-        domain = observation.domain
+        domain = observation.evidence.domain
         features, X_AH = np.full((n, len(FRAME_FEATURES[domain])), np.nan), np.full((n, 4, 4), np.nan)
         covariance = np.zeros((n, 6, 6))
         for i, pose in enumerate(poses):

@@ -18,7 +18,7 @@ from kinebench_drake.camera import Camera
 from kinebench_drake.errors import InputError, UsageError, cause
 from kinebench_drake.formats.camerafile import load_camera
 from kinebench_drake.geometry import Array, invert
-from kinebench_drake.grounding.overrides.arrays import true_depth, true_mask
+from kinebench_drake.grounding.overrides.files import true_depth, true_mask
 from kinebench_drake.grounding.tracking.crop import Crop
 from kinebench_drake.io.npz import open_npz
 from kinebench_drake.models.panda.cad import GripperCad

@@ -9,10 +9,9 @@ from numpy.typing import NDArray
 
 from benchmarks.perception.clip import TruthClipFile
 from kinebench_drake.geometry import Array, invert, transform_points
-from kinebench_drake.grounding.overrides.estimates import replace_depth, replace_mask
 from kinebench_drake.grounding.priors import ExternalDepth
 from kinebench_drake.grounding.tracking.crop import Crop
-from kinebench_drake.grounding.tracking.view import DenseEstimator, Frames, GripperView
+from kinebench_drake.grounding.tracking.view import DenseEstimator, Frames, GripperView, replace_depth, replace_mask
 from kinebench_drake.io.figure import new_figure
 from kinebench_drake.io.reader import read_video
 

@@ -8,11 +8,12 @@ import cv2
 import numpy as np
 
 from benchmarks.perception.clip import TruthClip
-from kinebench_drake.camera import Camera
+from kinebench_drake.camera import Camera, benchmark_camera
 from kinebench_drake.geometry import Array
 from kinebench_drake.grounding.overrides.depth import DepthPlugIn
-from kinebench_drake.grounding.pipeline import GroundingPipeline, PipelineResult
+from kinebench_drake.grounding.pipeline import GroundingPipeline
 from kinebench_drake.grounding.priors import ExternalDepth, Priors
+from kinebench_drake.grounding.result import PipelineResult
 from kinebench_drake.grounding.tracking.confidence import load_confidence
 from kinebench_drake.grounding.tracking.crop import Crop
 from kinebench_drake.grounding.tracking.estimator import NetworkEstimator
@@ -43,7 +44,8 @@ class VariantTools:
         """
         estimator, cad = NetworkEstimator(load_network(weights or WEIGHTS)), GripperCad()
         pipeline = GroundingPipeline(CadTracker(estimator, cad), load_confidence())
-        pipeline.warm_up()
+        camera = benchmark_camera()  # the first use of the network and of the ray caster is slow
+        pipeline.ground(np.zeros((2, camera.height, camera.width, 3), np.uint8), camera, np.array([0.0, 1.0]))
         return cls(estimator=estimator, cad=cad, shipped=pipeline)
 
 

@@ -10,6 +10,7 @@ from kinebench_drake.anomaly import AnomalyKind
 from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array, make_pose, orthonormalize
 from kinebench_drake.grounding.anomaly.detection import Detection, sustained
+from kinebench_drake.grounding.registration.image import follow_points
 from kinebench_drake.grounding.tracking.camera_path import CameraPath, CameraWay
 from kinebench_drake.grounding.tracking.view import Frames
 
@@ -119,22 +120,18 @@ class CameraMotion:
         Returns:
             The frames, and their camera: that of the first frame, at larger images where the camera turns far.
         """
-        path = self.path
-        if path is None:
-            if not self.moves:
-                return frames, camera
-            still, n = self.lost | (np.nan_to_num(self.px) <= 0), len(frames)
-            path = CameraPath(
-                way=CameraWay.ROTATION,
-                R_AC=np.where(still[:, None, None], np.eye(3), self.R_AC),
-                p_AC=np.zeros((n, 3)),
-                zoom=np.ones(n),
-                followed=~still,
-                px=self.px,
-            )
-            return path.stabilize(frames, camera)
-        R_AC = np.where((path.followed | self.lost)[:, None, None], path.R_AC, self.R_AC)
-        return replace(path, R_AC=R_AC).stabilize(frames, camera)
+        if self.path is not None:
+            own = self.path.followed | self.lost
+            R_AC = np.where(own[:, None, None], self.path.R_AC, self.R_AC)
+            return replace(self.path, R_AC=R_AC).stabilize(frames, camera)
+        if not self.moves:
+            return frames, camera
+        still, n = self.lost | (np.nan_to_num(self.px) <= 0), len(frames)
+        R_AC = np.where(still[:, None, None], np.eye(3), self.R_AC)
+        path = CameraPath(
+            way=CameraWay.ROTATION, R_AC=R_AC, p_AC=np.zeros((n, 3)), zoom=np.ones(n), followed=~still, px=self.px
+        )
+        return path.stabilize(frames, camera)
 
 
 class FeatureTracks:
@@ -161,34 +158,24 @@ class FeatureTracks:
         if len(places) < _ENOUGH_FEATURES:
             corners = cv2.goodFeaturesToTrack(self._grey[0], _MAX_FEATURES, 0.01, 6, mask=mask)
             places = [] if corners is None else [(float(u), float(v)) for u, v in corners[:, 0]]
-        start = np.array(places, np.float32).reshape(-1, 1, 2)
+        start = np.array(places, np.float32).reshape(-1, 2)
         new = [k for k, place in enumerate(places) if place not in self._column]
         if new and len(self) > 1:
             self._column.update({places[k]: len(self._column) + n for n, k in enumerate(new)})
-            tracked = [self._flow(image, start[new]) for image in self._grey[1:]]
+            grey, points = self._grey, start[new]
+            tracked = [follow_points(grey[0], im, points, _ROUND_TRIP_PX, criteria=_LK_CRITERIA) for im in grey[1:]]
             self._now = np.concatenate([self._now, np.stack([now for now, _ in tracked])], axis=1)
             self._good = np.concatenate([self._good, np.stack([good for _, good in tracked])], axis=1)
         columns = [self._column[place] for place in places] if len(self) > 1 else []
-        first = np.asarray(start[:, 0], dtype=np.float64) + 0.5
+        first = np.asarray(start, dtype=np.float64) + 0.5
         return first, np.asarray(self._now[:, columns], dtype=np.float64) + 0.5, self._good[:, columns]
-
-    def _flow(self, image: NDArray[np.uint8], start: NDArray[np.float32]) -> tuple[Array, NDArray[np.bool_]]:
-        forth, ok, _ = cv2.calcOpticalFlowPyrLK(self._grey[0], image, start, None, criteria=_LK_CRITERIA)
-        back, ok_back, _ = cv2.calcOpticalFlowPyrLK(image, self._grey[0], forth, None, criteria=_LK_CRITERIA)
-        returned = np.linalg.norm((back - start)[:, 0], axis=1) < _ROUND_TRIP_PX
-        return forth[:, 0], (ok[:, 0] > 0) & (ok_back[:, 0] > 0) & returned
 
 
 def measure_camera_motion(tracks: FeatureTracks, robot: NDArray[np.bool_], camera: Camera) -> CameraMotion:
     """Measure the motion of the camera by tracking the background.
 
     The displacement of features off the robot, at the quantile `SHARE`, is the motion of the camera if at least half of
-    them move according to one rotation of the camera.
-
-    Args:
-        tracks: features of the video.
-        robot: (H, W) pixels of the first frame that show the robot.
-        camera: camera of the first frame.
+    them move according to one rotation of the camera. The first frame shows the `robot` at some (H, W) pixels.
     """
     n = len(tracks)
     px, R_AC = np.full(n, np.nan), np.repeat(np.eye(3)[None], n, axis=0)

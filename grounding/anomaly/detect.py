@@ -9,19 +9,21 @@ from numpy.typing import NDArray
 from kinebench_drake.camera import Camera
 from kinebench_drake.errors import InputError
 from kinebench_drake.geometry import Array, invert, transform_points
+from kinebench_drake.grounding.anomaly.appearance import (
+    ABSENT_CELLS,
+    expect_gripper,
+    find_deformations,
+    find_duplicates,
+    find_scale_drift,
+    find_vanishing,
+    second_gripper,
+    shape_misfit,
+)
 from kinebench_drake.grounding.anomaly.camera_motion import CameraMotion, find_camera_motion
 from kinebench_drake.grounding.anomaly.detection import AnomalyDetections, Detection
 from kinebench_drake.grounding.anomaly.jumps import find_finger_faults, find_freezes, find_teleports, still_frames
-from kinebench_drake.grounding.anomaly.presence import (
-    ABSENT_CELLS,
-    expect_gripper,
-    find_duplicates,
-    find_vanishing,
-    second_gripper,
-)
-from kinebench_drake.grounding.anomaly.shape import find_deformations, find_scale_drift, shape_misfit
 from kinebench_drake.grounding.tracking.crop import GRIPPER_CENTRE_H
-from kinebench_drake.grounding.tracking.gripper_width import SHARP_M
+from kinebench_drake.grounding.tracking.markov import SHARP_M
 from kinebench_drake.grounding.tracking.pose import FramePose
 from kinebench_drake.grounding.tracking.view import Frames, GripperView
 from kinebench_drake.track import Domain
@@ -110,27 +112,19 @@ def gather_evidence(
     motion: CameraMotion,
     domain: Domain,
 ) -> AnomalyEvidence:
-    """Compute the input of the detectors.
+    """Compute the input of the detectors for the frames (T, H, W, 3) of a video.
 
-    Args:
-        frames: (T, H, W, 3) RGB.
-        camera: camera of the first frame.
-        t_s: (T,) task time [s].
-        wide: (T,) views of whole images.
-        poses: (T,) poses with flips resolved, in the camera frame of the first frame.
-        confidence: (T,) confidence of the poses, 0 where there is none.
-        motion: motion of the camera.
-        domain: whether the video is familiar.
+    Poses (T,), with flips resolved, are in the `camera` of the first frame; their confidence (T,) is 0 where there is
+    none, and `wide` (T,) are views of whole images.
     """
     n = len(frames)
-    p_C = np.full((n, 3), np.nan)
-    explained = np.zeros(n)
+    p_C, explained = np.full((n, 3), np.nan), np.zeros(n)
     width, misfit, residual, scale = (np.full(n, np.nan) for _ in range(4))
     for i, pose in enumerate(poses):
         if pose is None:
             continue
         explained[i] = pose.hand.points * pose.overlap
-        if pose.arm_agrees and pose.arm is not None and pose.arm.hand_agreement >= HAND_AGREEMENT:
+        if pose.arm is not None and pose.arm.agrees and pose.arm.hand_agreement >= HAND_AGREEMENT:
             explained[i] = np.inf
         p_C[i] = transform_points(pose.X_CH, GRIPPER_CENTRE_H[None])[0]
         if confidence[i] >= FAIR_CONFIDENCE:

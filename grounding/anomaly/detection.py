@@ -24,12 +24,9 @@ class Detection:
 
     @classmethod
     def from_score(cls, kind: AnomalyKind, score: Array, size: Array) -> "Detection":
-        """Return an anomaly for each run of frames whose score is at least 1.
+        """Return an anomaly for each run of frames whose `score` (T,) is at least 1.
 
-        Args:
-            kind: kind of anomaly.
-            score: (T,) evidence over its threshold.
-            size: (T,) severity of each frame; that of an anomaly is the largest.
+        Its severity is the largest `size` (T,) of its frames.
         """
         anomalies = tuple(
             Anomaly(kind=kind, frame_start=run.start, frame_end=run.stop - 1, severity=float(size[run].max()))

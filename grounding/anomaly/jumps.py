@@ -45,12 +45,7 @@ def jump_lengths(p: ArrayLike, fair: NDArray[np.bool_], t_s: Array) -> Array:
     three steps to each side explains: the least of the four lengths, so that no single outlier makes a jump; and no
     more than the displacement less that by the mean velocity of the steps just before and after, since a short burst of
     speed accelerates and decelerates. A displacement over a missing frame counts half. 0 where a side has less than two
-    frames.
-
-    Args:
-        p: (T, n) positions [m].
-        fair: (T,) frames whose position counts.
-        t_s: (T,) task time [s].
+    frames; positions `p` (T, n) [m] count in `fair` (T,) frames.
     """
     p = np.asarray(p, dtype=np.float64)
     index = np.flatnonzero(fair & finite_rows(p))
@@ -75,12 +70,7 @@ def find_teleports(p: ArrayLike, fair: NDArray[np.bool_], good: NDArray[np.bool_
     """Detect jumps of the gripper; start and end: the first frame after the jump; severity: its length [m].
 
     The score is the length over the larger of `TELEPORT_M` and `TELEPORT_CONTRAST` times the median length around it.
-
-    Args:
-        p: (T, 3) position of the gripper [m].
-        fair: (T,) frames whose position counts.
-        good: (T,) frames that a jump may start from or lead to: others are too likely wrong.
-        t_s: (T,) task time [s].
+    Positions `p` (T, 3) [m] count in `fair` (T,) frames; a jump starts from and leads to `good` (T,) ones.
     """
     lengths = jump_lengths(p, fair, t_s)
     index = np.flatnonzero(fair & finite_rows(np.asarray(p, dtype=np.float64)))
@@ -114,13 +104,8 @@ def find_freezes(p: ArrayLike, fair: NDArray[np.bool_], still: NDArray[np.bool_]
     """Detect runs of still frames that begin in motion and end with a jump; severity: their number of frames.
 
     A dwell slows down before and is no freeze. The score of a run is the least of its length over `FREEZE_FRAMES`, of
-    the speed before over `FREEZE_SPEED_M_S`, and of the last step over `FREEZE_JUMP` times its neighbours'.
-
-    Args:
-        p: (T, 3) position of the gripper [m].
-        fair: (T,) frames whose position counts.
-        still: (T,) frames that repeat the one before (`still_frames`).
-        t_s: (T,) task time [s].
+    the speed before over `FREEZE_SPEED_M_S`, and of the last step over `FREEZE_JUMP` times its neighbours'. Positions
+    `p` (T, 3) [m] count in `fair` (T,) frames; `still` (T,) ones repeat the one before.
     """
     p = np.asarray(p, dtype=np.float64)
     step = np.concatenate([[np.nan], np.linalg.norm(np.diff(p, axis=0), axis=1)])
@@ -163,12 +148,7 @@ def flutter(width_m: Array) -> Array:
 
 
 def find_finger_faults(width_m: ArrayLike, t_s: ArrayLike) -> Detection:
-    """Detect widths that jump, flutter or exceed the gripper's range; severity: the largest excess [m].
-
-    Args:
-        width_m: (T,) gripper width [m]; NaN where unknown.
-        t_s: (T,) task time [s].
-    """
+    """Detect widths (T,) [m] that jump, flutter or exceed the gripper's range; severity: the largest excess [m]."""
     width_m, t_s = np.asarray(width_m, dtype=np.float64), np.asarray(t_s, dtype=np.float64)
     index = np.flatnonzero(np.isfinite(width_m))
     width, times = width_m[index], t_s[index]

@@ -13,15 +13,8 @@ from numpy.typing import NDArray
 from kinebench_drake.geometry import Array
 from kinebench_drake.grounding.camera.bundle import ArmScene, Observations
 from kinebench_drake.grounding.registration.arm_model import ArmModel
-from kinebench_drake.grounding.registration.edges import (
-    LEAST_GRADIENT,
-    RIGID,
-    ROBOT,
-    SIGMA_PX,
-    EdgeMatcher,
-    EdgePoints,
-    GradientImage,
-)
+from kinebench_drake.grounding.registration.edges import LEAST_GRADIENT, RIGID, ROBOT, SIGMA_PX, EdgeMatcher
+from kinebench_drake.grounding.registration.image import EdgePoints, GradientImage
 from kinebench_drake.models.panda.cad import open_fingers
 from kinebench_drake.models.panda.robot import OPENING_SIGN, RobotPart
 from kinebench_drake.segments import evenly

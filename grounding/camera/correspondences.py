@@ -12,7 +12,7 @@ from kinebench_drake.geometry import Array
 from kinebench_drake.grounding.camera.lens import Lens
 from kinebench_drake.grounding.registration.fit import UNSEEN_FINGER_M
 from kinebench_drake.grounding.tracking.crop import CLOSE_SIZE
-from kinebench_drake.grounding.tracking.flips import X_HALF_TURN
+from kinebench_drake.grounding.tracking.markov import X_HALF_TURN
 from kinebench_drake.grounding.tracking.tracker import PoseTracker
 from kinebench_drake.grounding.tracking.view import Frames, GripperView
 from kinebench_drake.models.panda.robot import ARM, GRIPPER, RobotPart

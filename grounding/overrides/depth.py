@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from kinebench_drake.camera import Camera
 from kinebench_drake.errors import InputError, SetupError, UsageError
 from kinebench_drake.geometry import Array
-from kinebench_drake.grounding.overrides.arrays import (
+from kinebench_drake.grounding.overrides.files import (
     errors_naming,
     is_demo_truth,
     pick,
@@ -142,7 +142,7 @@ class DepthPlugIn:
         """Check that everything the spec names exists, without loading a network.
 
         Raises:
-            UsageError: checkpoint, package, module or class does not exist; the message says how to fix it.
+            UsageError: checkpoint, package, module or class does not exist.
         """
         if self.checkpoint is None:
             self._load_class()
@@ -171,12 +171,7 @@ class DepthPlugIn:
             raise SetupError(f"$depth {self.spec}: cannot be created ({type(error).__name__}: {error})") from error
 
     def estimate(self, frames: NDArray[np.uint8], camera: Camera, *, exact: bool = False) -> ExternalDepth:
-        """Estimate the depth of a video.
-
-        Args:
-            frames: (T, H, W, 3) RGB.
-            camera: camera of the frames, at their size.
-            exact: True if the depth is accurate to a few millimetres.
+        """Estimate the depth of a video, as `DepthSource.depth`; `exact` if it is accurate to a few millimetres.
 
         Raises:
             InputError: the output of the plug-in is no depth in metres.

@@ -9,9 +9,8 @@ from numpy.typing import NDArray
 
 from kinebench_drake.camera import Camera
 from kinebench_drake.errors import InputError, UsageError
-from kinebench_drake.grounding.overrides.arrays import array_files, errors_naming, read_masks
 from kinebench_drake.grounding.overrides.depth import DepthPlugIn, read_depth
-from kinebench_drake.grounding.overrides.poses import pose_files, read_poses
+from kinebench_drake.grounding.overrides.files import array_files, errors_naming, pose_files, read_masks, read_poses
 from kinebench_drake.grounding.priors import NO_PRIORS, Priors
 from kinebench_drake.track import InitialState
 
@@ -21,12 +20,9 @@ _POSE_PLACES = (TRUTH, TRACKS)
 
 
 def find_entry(folder: Path, names: Sequence[str], places: Sequence[str] = (TRUTH,)) -> Path:
-    """Find the file `NAME.npz` or `NAME.npy` or the folder `NAME/` that belongs to a video.
+    """Find the file `NAME.npz` or `NAME.npy` or the folder `NAME/` of a video by its names, the preferred one first.
 
-    Args:
-        folder: folder to search.
-        names: names of the video, the preferred one first.
-        places: subfolders to search before the folder itself, which may hold the videos under the same names.
+    Subfolders `places` precede the folder itself, which may hold the videos under the same names.
 
     Raises:
         InputError: there is none.
@@ -92,23 +88,21 @@ class Overrides:
         files: list[Path] = []
         try:
             for stage, folder in self.folders.items():
-                poses = stage == "poses"
-                entry = find_entry(folder, video, _POSE_PLACES if poses else (TRUTH,))
-                files += pose_files(folder, entry) if poses else array_files(entry)
+                if stage == "poses":
+                    files += pose_files(folder, find_entry(folder, video, _POSE_PLACES))
+                else:
+                    files += array_files(find_entry(folder, video))
         except InputError:
             return files  # the video becomes an error row, which is never reused
-        return [*files, *(self._plug_in.files if self._plug_in is not None else [])]
+        return files if self._plug_in is None else [*files, *self._plug_in.files]
 
     def priors(
         self, video: Sequence[str], frames: NDArray[np.uint8], camera: Camera, first: InitialState | None = None
     ) -> Priors:
-        """Read the priors of a video.
+        """Read the priors of a video by its names, the preferred one first.
 
-        Args:
-            video: names of the video, the preferred one first.
-            frames: (T, H, W, 3) RGB.
-            camera: camera of the frames, at their size.
-            first: state of the robot in the first frame.
+        Its frames (T, H, W, 3) and their camera, at their size, are the input of a plug-in; `first` is the state of the
+        robot in the first one.
 
         Raises:
             InputError: a source has nothing for the video, does not fit it or is broken; the message names the stage.

@@ -7,14 +7,20 @@ import numpy as np
 
 from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array, pose_difference
-from kinebench_drake.grounding.registration.arm_fit import MIN_CELLS, ArmFit, ArmFitter, log_depth_factors
-from kinebench_drake.grounding.registration.arm_model import POSTURE_SIGMA_RAD, ArmHandModel, ArmModel
-from kinebench_drake.grounding.registration.arm_posture import EVIDENCE_CAP, find_posture, half_turn
+from kinebench_drake.grounding.registration.arm_fit import ArmFit, ArmFitter, ArmView, depth_priors, solve_in_passes
+from kinebench_drake.grounding.registration.arm_model import (
+    EVIDENCE_CAP,
+    POSTURE_SIGMA_RAD,
+    ArmHandModel,
+    ArmModel,
+    find_posture,
+    half_turn,
+)
 from kinebench_drake.grounding.registration.correspondences import Correspondences
-from kinebench_drake.grounding.registration.edges import FLANGE, RIGID, ROBOT, EdgeMatcher, GradientImage
-from kinebench_drake.grounding.registration.fit import UNSEEN_FINGER_M, HandFit, gripper_cells
-from kinebench_drake.grounding.registration.flow import follow_surface
-from kinebench_drake.grounding.registration.solver import Solution, solve
+from kinebench_drake.grounding.registration.edges import FLANGE, RIGID, ROBOT, EdgeMatcher
+from kinebench_drake.grounding.registration.fit import UNSEEN_FINGER_M
+from kinebench_drake.grounding.registration.image import GradientImage, follow_surface
+from kinebench_drake.grounding.registration.solver import solve
 from kinebench_drake.grounding.tracking.view import GripperView
 from kinebench_drake.models.panda.robot import ARM, RobotPart
 from kinebench_drake.models.robot import N_JOINTS
@@ -27,7 +33,8 @@ LAST_LINKS = (RobotPart.LINK5, RobotPart.LINK6, RobotPart.LINK7)
 """Links whose contours say whether the flange is right; those before them may be wrong, or hidden."""
 _EDGE_REACHES_PX = (10.0, 6.0, 4.0, 3.0, 2.0)  # farthest image edges in successive passes
 _CELLS_REACH_PX = 6.0  # from which on the cells count in a pass, too
-_SHARPENING_PX, _SHARPENING_POINTS = 4.0, 300  # farthest image edges of a posture that is nearly right
+_POINTS = 300  # points of the contours, where the posture is nearly right
+_SHARPENING = (4.0, RIGID, _POINTS)  # farthest image edges [px] of such a posture, parts that count, and points
 _SHARPENING_M = 0.02  # largest change of such a pose
 _SHARPENING_GROWTH_PX = 1.0  # largest increase of the distance of the links, likewise: edges beside the right ones
 _RIM_SIGMA_CELLS, _RIM_SIGMA_PX = 0.7, 0.7  # of the segmented rim of the hand
@@ -58,56 +65,38 @@ class ArmEdgeFitter(ArmFitter):
         self._edges = edges
 
     def refine(
-        self,
-        q: Array,
-        hand: HandFit,
-        close: GripperView,
-        wide: GripperView,
-        image: GradientImage,
-        followed: Correspondences | None = None,
+        self, q: Array, view: ArmView, image: GradientImage, followed: Correspondences | None = None
     ) -> ArmFit | None:
         """Fit the arm to the edges of the image, from a posture; None if that diverges.
 
         The first pass also counts the cells. The fingers only count in it: grippers have fingers of many forms. Near
         the hand, whose bevels look like outlines, the edge nearest to its segmented rim is taken.
 
-        Args:
-            q: (7,) initial joint angles [rad], of this frame or of a neighbouring one.
-            hand: fit of the hand alone.
-            close: view of the gripper's crop.
-            wide: view that shows the arm.
-            image: gradients of the frame.
-            followed: points of the surface that led to `q`; they count in place of the cells, in all passes.
+        The posture `q` (7,) [rad] is of this frame or of a neighbouring one. Points of the surface that led to it,
+        `followed`, count in place of the cells, in all passes.
         """
-        cells = Correspondences.join([gripper_cells(close), self._link_cells(close, wide)])
-        image = self._with_rim(image, close)
+        image = self._with_rim(image, view.close)
 
-        def fit(arm: ArmHandModel, reaches_px: tuple[float, ...]) -> Solution[ArmHandModel] | None:
-            log_depth_factor, solution = log_depth_factors([hand]), None
-            for reach_px in reaches_px:
-                with_cells = followed is None and reach_px > _CELLS_REACH_PX
-                edges = self._edges.match(image, self._poses(arm)[0], reach_px, ROBOT if with_cells else RIGID)
-                if edges is None:
-                    return None
-                extra = cells if with_cells else followed
-                joined = Correspondences.stack([edges if extra is None else Correspondences.join([extra, edges])])
-                solution = solve(arm, joined, np.array([close.depth_factor_sigma]), log_depth_factor, iterations=4)
-                if not solution.valid[0]:
-                    return None
-                arm, log_depth_factor = solution.model, solution.log_depth_factor
-            return solution
+        def match(arm: ArmHandModel, reach_px: float) -> Correspondences | None:
+            with_cells = followed is None and reach_px > _CELLS_REACH_PX
+            edges = self._edges.match(image, self._poses(arm)[0], reach_px, ROBOT if with_cells else RIGID)
+            extra = view.cells if with_cells else followed
+            return edges if edges is None or extra is None else Correspondences.join([extra, edges])
 
         reaches_px = _EDGE_REACHES_PX if followed is None else FOLLOWED_REACHES_PX
-        solution = fit(self._start(q[None], [hand.finger_m], [hand], self._X_CB), reaches_px)
+        start = self._start(q[None], [view.hand.finger_m], [view], self._X_CB)
+        solution = solve_in_passes(start, match, reaches_px, view)
         if solution is None:
             return None
         evidence = self._edge_evidence(solution.model, image)
-        flipped = fit(half_turn(solution.model), _EDGE_REACHES_PX[-2:]) if evidence < 0 else None
+        flipped = None
+        if evidence < 0:
+            flipped = solve_in_passes(half_turn(solution.model), match, _EDGE_REACHES_PX[-2:], view)
         if flipped is not None and (other := self._edge_evidence(flipped.model, image)) > 0:
             solution, evidence = flipped, other
         X_CP = self._poses(solution.model)[0]
         agreement = self._edges.agreement(image, X_CP)
-        fitted = self._arm_fits(solution, *solution.model.hand(), [cells], [hand])[0]
+        fitted = self._arm_fits(solution, [view.cells], [view.hand])[0]
         if fitted is None:
             return None
         return replace(
@@ -119,48 +108,28 @@ class ArmEdgeFitter(ArmFitter):
         )
 
     def sharpen_all(
-        self,
-        arms: Sequence[ArmFit],
-        hands: Sequence[HandFit],
-        close: Sequence[GripperView],
-        wide: Sequence[GripperView],
-        images: Sequence[GradientImage],
+        self, arms: Sequence[ArmFit], views: Sequence[ArmView], images: Sequence[GradientImage]
     ) -> list[ArmFit]:
         """Fit postures of B frames that are right within a few pixels to cells and edges together.
 
-        The edges are more precise, above all in depth, and the cells keep to the right ones among them.
-
-        Args:
-            arms: fits to the cells, which are returned where too few edges are near or the fit moves far away.
-            hands: fits of the hands alone.
-            close: views of the gripper's crop.
-            wide: views that show the arm.
-            images: gradients of the frames.
+        The edges are more precise, above all in depth, and the cells keep to the right ones among them. Fits `arms` to
+        the cells are returned where too few edges are near or the fit moves far away.
         """
         sharpened = list(arms)
-        q, X_CB = np.stack([arm.q for arm in arms]), self._bases(len(arms))
-        start = self._start(q, [arm.finger_m for arm in arms], hands, X_CB)
-        edges = self._edges.match_all(
-            [self._with_rim(*pair) for pair in zip(images, close, strict=True)],
-            self._poses(start),
-            _SHARPENING_PX,
-            RIGID,
-            _SHARPENING_POINTS,
-        )
-        matched = {b: own for b, own in enumerate(edges) if own is not None}
+        X_CB = self._bases(len(arms))
+        start = self._start(np.stack([arm.q for arm in arms]), [arm.finger_m for arm in arms], views, X_CB)
+        matched = {
+            b: own
+            for b, X_CP in enumerate(self._poses(start))
+            if (own := self._edges.match(self._with_rim(images[b], views[b].close), X_CP, *_SHARPENING)) is not None
+        }
         if not matched:
             return sharpened
         frames = np.array(list(matched))
-        hands, links = [hands[b] for b in frames], [self._link_cells(close[b], wide[b]) for b in frames]
-        joined = [
-            Correspondences.join([gripper_cells(close[b]), own, matched[b]])
-            for b, own in zip(frames, links, strict=True)
-        ]
-        sigma = np.array([close[b].depth_factor_sigma for b in frames])
-        solution = solve(
-            start.take(frames), Correspondences.stack(joined), sigma, log_depth_factors(hands), iterations=3
-        )
-        fits = self._arm_fits(solution, *solution.model.hand(), links, hands)
+        views = [views[b] for b in frames]
+        joined = [Correspondences.join([v.gripper, v.links, matched[b]]) for b, v in zip(frames, views, strict=True)]
+        solution = solve(start.take(frames), Correspondences.stack(joined), *depth_priors(views), iterations=3)
+        fits = self._arm_fits(solution, [view.links for view in views], [view.hand for view in views])
         for b, fitted in zip(frames, fits, strict=True):
             if fitted is None or not fitted.agrees:
                 continue
@@ -172,39 +141,28 @@ class ArmEdgeFitter(ArmFitter):
                 sharpened[b] = replace(fitted, scale=arms[b].scale, evidence=arms[b].evidence)
         return sharpened
 
-    def search(self, hand: HandFit, close: GripperView, wide: GripperView, image: GradientImage) -> ArmFit | None:
+    def search(self, view: ArmView, image: GradientImage) -> ArmFit | None:
         """Fit the arm to edges from the distance of the hand at which links and edges agree best with its direction.
 
-        Args:
-            hand: fit of the hand alone, whose distance is wrong.
-            close: view of the gripper's crop.
-            wide: view that shows the arm.
-            image: gradients of the frame.
+        The distance of the hand in `view` is wrong.
         """
-        links = self._link_cells(close, wide)
-        if len(links) < MIN_CELLS:
-            return None
         candidates = []
         for factor in _DISTANCE_FACTORS:
-            X_CH = hand.X_CH.copy()
+            X_CH = view.hand.X_CH.copy()
             X_CH[:3, 3] *= factor
-            initial = find_posture(self._model, X_CH, links, self._X_CB[0])
+            initial = find_posture(self._model, X_CH, view.links, self._X_CB[0])
             if initial is not None:
                 candidates.append((initial[1], initial[0]))
         likeliest = sorted(candidates, key=lambda candidate: candidate[0])[:_SEARCHED]
         if not likeliest:
             return None
         q = max((q for _, q in likeliest), key=lambda q: self.edge_agreement(q, image))
-        return self.refine(q, hand, close, wide, image)
+        return self.refine(q, view, image)
 
     def follow(self, near: ArmFit, X_CP: Array, before: GradientImage, after: GradientImage) -> FollowedArm | None:
-        """Return where the surface of the arm went since a neighbouring frame; None if it cannot be followed.
+        """Return where the surface of the arm `near` went since a neighbouring frame; None if it cannot be followed.
 
-        Args:
-            near: arm of the neighbouring frame.
-            X_CP: (PARTS, 4, 4) poses of its parts in the camera frame of that frame [m].
-            before: gradients of the neighbouring frame.
-            after: gradients of this frame.
+        Its parts are at `X_CP` (PARTS, 4, 4) in the camera frame of that frame [m].
         """
         points = follow_surface(self._edges.caster, X_CP, before, after)
         if points is None:
@@ -219,28 +177,24 @@ class ArmEdgeFitter(ArmFitter):
     ) -> ArmFit | None:
         """Fit the arm to cells and edges of its links alone; None if the base is out of reach or no edges are near.
 
-        The hand still hides what is behind it: other grippers are as large.
-
-        Args:
-            X_CH: (4, 4) pose of panda_hand, right within some pixels [m].
-            turn_sigma_rad: standard deviation of its turn about the flange's axis [rad].
-            links: cells of the links, which also tell postures with this pose apart.
-            image: gradients of the frame.
+        The hand still hides what is behind it: other grippers are as large. Its pose `X_CH` (4, 4) [m] is right within
+        some pixels, its turn about the flange's axis has the standard deviation `turn_sigma_rad`, and the cells of the
+        links also tell postures with this pose apart.
         """
-        initial = find_posture(self._model, X_CH, links, self._X_CB[0]) if len(links) >= MIN_CELLS else None
+        initial = find_posture(self._model, X_CH, links, self._X_CB[0])
         if initial is None:
             return None
         q_sigma = np.array([*[POSTURE_SIGMA_RAD] * (N_JOINTS - 1), turn_sigma_rad])
         arm = replace(self._links_at(initial[0][None]), q_sigma=q_sigma)
         fit = None
         for reach_px in FOLLOWED_REACHES_PX:
-            edges = self._edges.match(image, self._poses(arm)[0], reach_px, ARM, _SHARPENING_POINTS)
+            edges = self._edges.match(image, self._poses(arm)[0], reach_px, ARM, _POINTS)
             if edges is None:
                 return None
             solution = solve(arm, Correspondences.stack([Correspondences.join([links, edges])]), [LINKS_DEPTH_SIGMA])
             if not solution.valid[0]:
                 return None
-            arm, fit = solution.model, self._arm_fits(solution, *solution.model.hand(), [links], [None])[0]
+            arm, fit = solution.model, self._arm_fits(solution, [links], [None])[0]
         if fit is None:
             return None
         X_CP = self._poses(arm)[0]

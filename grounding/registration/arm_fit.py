@@ -5,7 +5,7 @@ the hand alone determines poorly. The initial posture comes from closed-form inv
 over the angles of the last joint; then all joints are fitted to the cells of links and gripper together.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from typing import Self
@@ -14,9 +14,11 @@ import numpy as np
 
 from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array, invert, make_pose, pose_difference
-from kinebench_drake.grounding.registration.arm_model import ArmHandModel, ArmModel
-from kinebench_drake.grounding.registration.arm_posture import (
+from kinebench_drake.grounding.registration.arm_model import (
     INDEPENDENT,
+    MIN_CELLS,
+    ArmHandModel,
+    ArmModel,
     find_posture,
     flip_evidence,
     half_turn,
@@ -44,8 +46,6 @@ _NO_RANGE_SIGMA = 1e3  # relative standard deviation of an ignored range
 _LINKS_ONLY_WEIGHT = 0.03  # weight of the hand's cells where the links alone determine its distance
 _NEIGHBOUR_GATES = (8.0, 5.0, 3.0)  # farthest silhouette pairs in successive passes [cells]
 _MAX_GROWTH, _MAX_GROWTH_SIGMAS = 1.4, 0.3  # largest increase of the hand's residual by the arm
-MIN_CELLS = 60
-"""Least number of cells of the links."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -56,17 +56,17 @@ class ArmFit:
     """(7,) joint angles [rad]."""
     X_CH: Array
     """(4, 4) pose of panda_hand in the camera frame at this posture [m]."""
-    finger_m: float
+    finger_m: float = float("nan")
     """Travel of each finger [m]; NaN if no finger is visible."""
-    finger_sigma_m: float
+    finger_sigma_m: float = float("nan")
     """Standard deviation of the travel [m]."""
-    agrees: bool
+    agrees: bool = False
     """True if one posture explains both links and hand."""
-    consistency_px: float
-    """Median distance between the links as estimated and as posed [px of the frame]."""
-    scale: float
+    consistency_px: float = float("nan")
+    """Median distance between the links as estimated and as posed [px of the frame]; NaN if not measured."""
+    scale: float = float("nan")
     """Apparent size of the hand over its size at the distance given by the links; NaN if unknown."""
-    evidence: float
+    evidence: float = 0.0
     """Log-likelihood ratio of the hand's pose against the 180-degree flip, from the links."""
     covariance: Array
     """(6, 6) covariance of the hand's rotation about the camera's axes [rad] and position [m]."""
@@ -74,6 +74,32 @@ class ArmFit:
     """Share of the contour of hand and wrist that lies on edges of the image; NaN if not measured."""
     hand_agreement: float = float("nan")
     """The same of the contour of the hand alone, or of the last link where no hand is measured."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ArmView:
+    """What a frame shows of the arm, and the fit of its hand alone."""
+
+    hand: HandFit
+    close: GripperView
+    """View of the gripper's crop."""
+    gripper: Correspondences
+    """Cells of the gripper in that view."""
+    links: Correspondences
+    """Cells of the links in that view and in one that shows the arm."""
+
+    @classmethod
+    def of(cls, hand: HandFit, close: GripperView, wide: GripperView) -> Self:
+        """Collect the cells of the views of a gripper's crop and of the arm."""
+        links = Correspondences.join(
+            [Correspondences.of_view(v, v.arm, _MAX_CELLS, INDEPENDENT) for v in (close, wide)]
+        )
+        return cls(hand=hand, close=close, gripper=gripper_cells(close), links=links)
+
+    @property
+    def cells(self) -> Correspondences:
+        """Cells of gripper and links."""
+        return Correspondences.join([self.gripper, self.links])
 
 
 class ArmFitter:
@@ -94,91 +120,62 @@ class ArmFitter:
         fitter._X_CB = self._X_CB[list(numbers)]
         return fitter
 
-    def fit_all(
-        self,
-        hands: Sequence[HandFit],
-        close: Sequence[GripperView],
-        wide: Sequence[GripperView],
-        rims: Sequence[Correspondences | None],
-    ) -> list[ArmFit | None]:
-        """Fit the arms behind the hands of B frames; None where too little of the arm is visible.
+    def fit_all(self, views: Sequence[ArmView], rims: Sequence[Correspondences | None]) -> list[ArmFit | None]:
+        """Fit the arms of B frames; None where too little of the arm is visible.
 
         Args:
-            hands: fits of the hands alone to `close`.
-            close: views of the gripper's crop.
-            wide: views of the whole image.
+            views: the frames.
             rims: correspondences of the hands' silhouettes (`SilhouetteMatcher.match`).
         """
-        fits: list[ArmFit | None] = [None] * len(hands)
-        X_CB = self._bases(len(hands))
-        links = [self._link_cells(*views) for views in zip(close, wide, strict=True)]
+        fits: list[ArmFit | None] = [None] * len(views)
+        X_CB = self._bases(len(views))
         initial = {
             b: posture
-            for b, cells in enumerate(links)
-            if len(cells) >= MIN_CELLS
-            and (posture := find_posture(self._model, hands[b].X_CH, cells, X_CB[b])) is not None
+            for b, view in enumerate(views)
+            if (posture := find_posture(self._model, view.hand.X_CH, view.links, X_CB[b])) is not None
         }
         if not initial:
             return fits
-        shown = list(initial)
-        hands, links = [hands[b] for b in shown], [links[b] for b in shown]
-        gripper = [gripper_cells(close[b]) for b in shown]
-        cells = [Correspondences.join(pair) for pair in zip(gripper, links, strict=True)]
+        rows = list(initial)
+        views, rims = [views[b] for b in rows], [rims[b] for b in rows]
+        cells = [view.cells for view in views]
         joined = [
-            own if (rim := rims[b]) is None else Correspondences.join([own, rim])
-            for b, own in zip(shown, cells, strict=True)
+            own if rim is None else Correspondences.join([own, rim]) for own, rim in zip(cells, rims, strict=True)
         ]
-        sigma = np.array([close[b].depth_factor_sigma for b in shown])
         q = np.stack([q for q, _, _ in initial.values()])
-        start = self._start(q, [h.finger_m for h in hands], hands, X_CB[shown])
-        solution = solve(start, Correspondences.stack(joined), sigma, log_depth_factors(hands))
-        X_CH, J = solution.model.hand()
-        scale = self._scale(solution, cells, gripper, sigma, hands)
-        fitted = self._arm_fits(solution, X_CH, J, links, hands)
-        for row, (b, arm) in enumerate(zip(shown, fitted, strict=True)):
-            hand, (_, cost, flipped_cost) = hands[row], initial[b]
+        start = self._start(q, [view.hand.finger_m for view in views], views, X_CB[rows])
+        sigma, log_depth_factor = depth_priors(views)
+        solution = solve(start, Correspondences.stack(joined), sigma, log_depth_factor)
+        scale = self._scale(solution, cells, views)
+        fitted = self._arm_fits(solution, [view.links for view in views], [view.hand for view in views])
+        for row, (b, arm) in enumerate(zip(rows, fitted, strict=True)):
+            view, (_, cost, flipped_cost) = views[row], initial[b]
             if arm is not None:
-                agrees = arm.agrees and _is_consistent(arm.X_CH, hand, solution.growth(row, len(gripper[row])))
+                growth = solution.growth(row, len(view.gripper))
+                agrees = arm.agrees and _is_consistent(arm.X_CH, view.hand, growth)
                 evidence = flip_evidence(cost, flipped_cost)
                 fits[b] = replace(arm, agrees=agrees, scale=float(scale[row]), evidence=evidence)
         return fits
 
-    def fit_from_neighbour(
-        self, near: ArmFit, hand: HandFit, close: GripperView, wide: GripperView, silhouette: SilhouetteMatcher
-    ) -> ArmFit | None:
-        """Fit the arm from the posture in a neighbouring frame, where the hand's CAD coordinates are wrong.
+    def fit_from_neighbour(self, near: ArmFit, view: ArmView, silhouette: SilhouetteMatcher) -> ArmFit | None:
+        """Fit the arm from its posture `near` in a neighbouring frame, where the hand's CAD coordinates are wrong.
 
         The wrong coordinates are outliers of that fit, and the silhouette determines the pose of the hand.
-
-        Args:
-            near: arm of the neighbouring frame.
-            hand: fit of the hand alone.
-            close: view of the gripper's crop.
-            wide: view of the whole image.
-            silhouette: comparison of the rendered with the segmented gripper.
         """
-        links = self._link_cells(close, wide)
-        if len(links) < MIN_CELLS:
+        if len(view.links) < MIN_CELLS:
             return None
-        cells = Correspondences.join([gripper_cells(close), links])
-        arm = self._start(near.q[None], [near.finger_m], [hand], self._X_CB)
-        log_depth_factor = log_depth_factors([hand])
-        solution = None
-        for gate in _NEIGHBOUR_GATES:
-            rim = silhouette.match(close, arm.hand()[0][0], float(arm.finger_m[0]), gate)
-            if rim is None:
-                return None
-            joined = Correspondences.stack([Correspondences.join([cells, rim])])
-            solution = solve(arm, joined, np.array([close.depth_factor_sigma]), log_depth_factor, iterations=4)
-            if not solution.valid[0]:
-                return None
-            arm, log_depth_factor = solution.model, solution.log_depth_factor
+
+        def match(arm: ArmHandModel, gate: float) -> Correspondences | None:
+            rim = silhouette.match(view.close, arm.hand()[0][0], float(arm.finger_m[0]), gate)
+            return None if rim is None else Correspondences.join([view.cells, rim])
+
+        start = self._start(near.q[None], [near.finger_m], [view], self._X_CB)
+        solution = solve_in_passes(start, match, _NEIGHBOUR_GATES, view)
         if solution is None:
             return None
-        evidence = flip_evidence(
-            *posture_costs(self._model, np.concatenate([arm.q, half_turn(arm).q]), subsample(links), self._X_CB[0])
-        )
-        fitted = self._arm_fits(solution, *arm.hand(), [links], [hand])[0]
+        q = np.concatenate([solution.model.q, half_turn(solution.model).q])
+        evidence = flip_evidence(*posture_costs(self._model, q, subsample(view.links), self._X_CB[0]))
+        fitted = self._arm_fits(solution, [view.links], [view.hand])[0]
         return None if fitted is None else replace(fitted, evidence=evidence)
 
     def _bases(self, count: int) -> Array:
@@ -193,41 +190,31 @@ class ArmFitter:
         """Return the poses (B, PARTS, 4, 4) of the parts in the camera frame [m]."""
         return open_fingers(arm.X_CB[:, None] @ self._model.poses(arm.q), arm.finger_m)
 
-    @staticmethod
-    def _link_cells(close: GripperView, wide: GripperView) -> Correspondences:
-        return Correspondences.join([Correspondences.of_view(v, v.arm, _MAX_CELLS, INDEPENDENT) for v in (close, wide)])
-
-    def _start(self, q: Array, finger_m: Sequence[float], hands: Sequence[HandFit], X_CB: Array) -> ArmHandModel:
+    def _start(self, q: Array, finger_m: Sequence[float], views: Sequence[ArmView], X_CB: Array) -> ArmHandModel:
         return ArmHandModel(
             model=self._model,
             X_CB=X_CB,
             q=q,
             q_start=q,
             finger_m=np.array([finger_or_default(travel) for travel in finger_m]),
-            finger_free=np.array([hand.finger_free for hand in hands]),
+            finger_free=np.array([view.hand.finger_free for view in views]),
         )
 
     def _arm_fits(
         self,
         solution: Solution[ArmHandModel],
-        X_CH: Array,
-        J: Array,
-        links: Sequence[Correspondences],
+        cells: Sequence[Correspondences],
         hands: Sequence[HandFit | None],
     ) -> list[ArmFit | None]:
         """Return the fits of B frames, without scale and evidence; None where they diverged.
 
-        Args:
-            solution: solution of the frames.
-            X_CH: (B, 4, 4) poses of the hands.
-            J: (B, 6, 7) their derivatives.
-            links: correspondences whose distance is the consistency.
-            hands: fits of the hands alone; None where the fingers are unknown.
+        The distance of the `cells` of each frame is its consistency; the fingers are unknown without a fit of the hand.
         """
         arm, unknown = solution.model, float("nan")
         covariance = np.linalg.inv(solution.information + 1e-6 * np.eye(8))
+        X_CH, J = arm.hand()
         of_hand = J @ covariance[:, :7, :7] @ J.swapaxes(1, 2)
-        consistency = self._consistency_px(arm, links)
+        consistency = self._consistency_px(arm, cells)
         return [
             ArmFit(
                 q=arm.q[b],
@@ -236,8 +223,6 @@ class ArmFitter:
                 finger_sigma_m=unknown if hand is None else float(covariance[b, 7, 7] ** 0.5),
                 agrees=bool(consistency[b] <= self._tolerance_px),
                 consistency_px=float(consistency[b]),
-                scale=unknown,
-                evidence=0.0,
                 covariance=of_hand[b],
             )
             if solution.valid[b]
@@ -246,29 +231,22 @@ class ArmFitter:
         ]
 
     @staticmethod
-    def _scale(
-        solution: Solution[ArmHandModel],
-        cells: Sequence[Correspondences],
-        gripper: Sequence[Correspondences],
-        depth_factor_sigma: Array,
-        hands: Sequence[HandFit],
-    ) -> Array:
+    def _scale(solution: Solution[ArmHandModel], cells: Sequence[Correspondences], views: Sequence[ArmView]) -> Array:
         """Return the hands' distances (B,) according to the links over those according to their apparent sizes."""
-        arm = solution.model
+        arm, (sigma, _) = solution.model, depth_priors(views)
         stacked = Correspondences.stack(cells)
         by_links = np.where(stacked.part >= RobotPart.LINK0, 1.0, _LINKS_ONLY_WEIGHT) * stacked.weight
-        links_solution = solve(
-            arm, replace(stacked, weight=by_links), depth_factor_sigma, solution.log_depth_factor, iterations=4
-        )
+        by_links_only = replace(stacked, weight=by_links)
+        links_solution = solve(arm, by_links_only, sigma, solution.log_depth_factor, iterations=4)
         free = HandModel(
-            X_CH=np.stack([hand.X_CH for hand in hands]),
+            X_CH=np.stack([view.hand.X_CH for view in views]),
             finger_m=arm.finger_m,
             finger_free=arm.finger_free,
-            pose_free=np.ones(len(hands), dtype=bool),
+            pose_free=np.ones(len(views), dtype=bool),
         )
-        by_size = Correspondences.stack(gripper)
+        by_size = Correspondences.stack([view.gripper for view in views])
         by_size = replace(by_size, range_sigma=np.full_like(by_size.range_sigma, _NO_RANGE_SIGMA))
-        size_solution = solve(free, by_size, depth_factor_sigma, iterations=4)
+        size_solution = solve(free, by_size, sigma, iterations=4)
         distances = [
             np.linalg.norm(X_CH[:, :3, 3], axis=1)
             for X_CH in (links_solution.model.hand()[0], size_solution.model.X_CH)
@@ -279,14 +257,35 @@ class ArmFitter:
         """Return the median distances (B,) between links as estimated and as posed [px of the frame]."""
         cells = Correspondences.stack(links)
         rows = CellRows.of(cells)
-        p_L = rows.in_line_frames(rows.place_closed(arm.X_CB[:, None] @ self._model.poses(arm.q)))
+        p_L = rows.in_line_frames(rows.place(arm.X_CB[:, None] @ self._model.poses(arm.q))[0])
         distance = np.hypot(p_L[:, 0], p_L[:, 1]) / p_L[:, 2]
         return self._camera.fx * masked_median(distance, cells.weight > 0)
 
 
-def log_depth_factors(hands: Sequence[HandFit]) -> Array:
-    """Return the logarithms (B,) of true range over estimated range according to the hands."""
-    return np.log([hand.depth_factor for hand in hands])
+def depth_priors(views: Sequence[ArmView]) -> tuple[Array, Array]:
+    """Return the relative standard deviations (B,) of the depth factors, and their logarithms (B,) by the hands."""
+    sigma = np.array([view.close.depth_factor_sigma for view in views])
+    return sigma, np.log([view.hand.depth_factor for view in views])
+
+
+def solve_in_passes(
+    arm: ArmHandModel,
+    match: Callable[[ArmHandModel, float], Correspondences | None],
+    reaches: Sequence[float],
+    view: ArmView,
+) -> Solution[ArmHandModel] | None:
+    """Fit the arm of one frame to what `match` returns of it within each of `reaches`; None if that is None."""
+    solution = None
+    sigma, log_depth_factor = depth_priors([view])
+    for reach in reaches:
+        cells = match(arm, reach)
+        if cells is None:
+            return None
+        solution = solve(arm, Correspondences.stack([cells]), sigma, log_depth_factor, iterations=4)
+        if not solution.valid[0]:
+            return None
+        arm, log_depth_factor = solution.model, solution.log_depth_factor
+    return solution
 
 
 def _is_consistent(X_CH: Array, hand: HandFit, residual: float) -> bool:

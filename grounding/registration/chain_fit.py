@@ -102,21 +102,17 @@ class ChainFitter:
         solutions = []
         for root in _ROOTS:
             own = cells.take(cells.part == root)
-            if len(own) < MIN_ROOT_CELLS:
-                continue
-            solution = self.refit(self._follow(root, own, cells), cells, iterations=15)
+            enough = len(own) >= MIN_ROOT_CELLS
+            solution = self.refit(self._follow(root, own, cells), cells, iterations=15) if enough else None
             if solution is not None:
                 square = np.minimum((solution.residual[:, :2] ** 2).sum(axis=1), _CAP)
                 solutions.append((float(square.mean()), solution))
         return min(solutions, key=lambda pair: pair[0])[1] if solutions else None
 
     def turned(self, chain: ChainModel, angle_rad: Array, sigma_rad: float = POSTURE_SIGMA_RAD) -> ChainModel:
-        """Return a chain with its last joint at each of some angles (M,), the other links where they are.
+        """Return a single chain with its last joint at each of some angles (M,), the other links where they are.
 
-        Args:
-            chain: a single chain.
-            angle_rad: (M,) angles of the last joint [rad].
-            sigma_rad: standard deviation of their prior [rad].
+        The angles [rad] have a prior with the standard deviation `sigma_rad`.
         """
         q = np.repeat(chain.q, len(angle_rad), axis=0)
         q[:, -1] = angle_rad

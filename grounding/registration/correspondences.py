@@ -6,7 +6,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import NDArray
 
-from kinebench_drake.geometry import Array
+from kinebench_drake.geometry import Array, cross
 from kinebench_drake.grounding.tracking.view import OPENING_SIGNS, GripperView
 
 
@@ -66,6 +66,28 @@ class Correspondences:
         )
 
     @staticmethod
+    def without_range(
+        R_LC: Array,
+        p_P: Array,
+        sigma_m: Array,
+        part: NDArray[np.uint8],
+        independent: float,
+        opening_sign: Array | None = None,
+    ) -> "Correspondences":
+        """Return correspondences whose ranges are unknown; at most `independent` is their total weight."""
+        n = len(part)
+        return Correspondences(
+            R_LC=R_LC,
+            range_m=np.ones(n),
+            range_sigma=np.full(n, np.inf),
+            p_P=p_P,
+            sigma_m=sigma_m,
+            part=part,
+            opening_sign=np.zeros(n) if opening_sign is None else opening_sign,
+            weight=np.full(n, min(1.0, independent / n)),
+        )
+
+    @staticmethod
     def of_view(view: GripperView, mask: NDArray[np.bool_], limit: int, independent: float) -> "Correspondences":
         """Return the correspondences of the cells in `mask` (h, w).
 
@@ -102,3 +124,17 @@ def line_frames(z: Array) -> Array:
     R[:, 1, 0], R[:, 1, 1], R[:, 1, 2] = z[:, 1] * R[:, 0, 2], length, -z[:, 1] * R[:, 0, 0]
     R[:, 2] = z
     return R
+
+
+def edge_frames(ray: Array, normal: Array) -> Array:
+    """Return rotations (N, 3, 3) as `Correspondences.R_LC` whose first axes lie across edges of the image.
+
+    Args:
+        ray: (N, 3) lines of sight, of any length.
+        normal: (N, 2) directions across the edges in the image.
+    """
+    z = ray / np.linalg.norm(ray, axis=1, keepdims=True)
+    x = np.column_stack([normal, np.zeros(len(normal))])
+    x -= (x * z).sum(axis=1, keepdims=True) * z
+    x /= np.linalg.norm(x, axis=1, keepdims=True)
+    return np.stack([x, cross(z, x), z], axis=1)

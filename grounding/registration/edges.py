@@ -6,21 +6,22 @@ Stennett, "RAPID", BMVC 1990; Drummond and Cipolla, PAMI 2002). It needs no netw
 network was not trained on, from a posture that is right within a few pixels.
 """
 
-from collections.abc import Mapping, Sequence
-from copy import copy
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from functools import cache
 
-import cv2
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
 from kinebench_drake.camera import Camera
-from kinebench_drake.geometry import Array, cross, invert
-from kinebench_drake.grounding.registration.correspondences import Correspondences
+from kinebench_drake.geometry import Array, invert, make_pose, rotation_z
+from kinebench_drake.grounding.registration.correspondences import Correspondences, edge_frames
+from kinebench_drake.grounding.registration.image import EdgePoints, GradientImage
+from kinebench_drake.grounding.tracking.view import OPENING_SIGNS
 from kinebench_drake.models.panda.cad import PartCaster, link_meshes, part_meshes
 from kinebench_drake.models.panda.robot import OPENING_SIGN, RobotPart
+from kinebench_drake.models.robotiq.cad import CLOSED_RAD, robotiq_mesh
 
 _HIDDEN = 3  # points on edges per point that is seen
 _SPACING_PX = 2.0  # distance of the points along an edge
@@ -29,17 +30,11 @@ _BEHIND_M = 0.01  # a point farther than this behind the surface is hidden
 _BULGE_M = 0.03  # greatest difference of depth between a contour and the surface beside it
 _JUMP_M = 0.015  # least jump of the depth at a contour
 _BESIDE_PX = 1.5  # distance from the edge at which the jump is measured
-_LARGEST_PX = 640  # images larger than this are reduced
-_SMOOTHING_PX = 0.8
 SIGMA_PX = 0.7
 """Standard deviation of an image edge across itself [px]."""
 _INDEPENDENT = 120.0  # independent measurements that the edges of an image count as at most
 LEAST_GRADIENT = 6.0
 """Least gradient of an edge, of an image in 0..255 [1/px]."""
-_STEP_PX = 0.5
-_BAND_PX, _OUTER_SHARE = 4.0, 0.45  # how far outside and how strong an outline is next to a stronger edge
-_RIM_SIGMAS = 5.0  # standard deviations of a segmented rim beyond which nothing is near it
-_OFF_RIM = 0.1  # weight of edges of the hand far from its segmented rim
 _MIN_POINTS = 20
 _SEARCH_PX, _ON_CONTOUR_PX = 8.0, 1.0  # where the agreement looks for the strongest edge, and how near it must lie
 MAX_POINTS = 700
@@ -51,6 +46,11 @@ RIGID = tuple(part for part in ROBOT if not OPENING_SIGN.get(part))
 WRIST = (RobotPart.HAND, RobotPart.LINK5, RobotPart.LINK6, RobotPart.LINK7)
 FLANGE = (RobotPart.HAND, RobotPart.LINK7)
 """Parts that look different after half a turn of the last joint."""
+OPENINGS = 5
+"""Openings at which the contours of a gripper are known, from open to closed."""
+_TOLERANCE_PX = 2.0  # standard deviation of the gripper's contours: openings between two of them fit either
+_GRIPPER = (RobotPart.HAND,)
+_BODY_RADIUS_M, _BODY_LENGTH_M = 0.038, 0.09  # body that hides the flange where an unknown gripper would
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -89,107 +89,6 @@ def _edges_of(meshes: Mapping[RobotPart, trimesh.Trimesh]) -> dict[RobotPart, Ed
     }
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class EdgePoints:
-    """Visible points on the edges of the robot in an image."""
-
-    part: NDArray[np.uint8]
-    """(N,) values of `RobotPart`."""
-    p_P: Array
-    """(N, 3) points in the frame of the part, fingers closed [m]."""
-    p_C: Array
-    """(N, 3) points in the camera frame [m]."""
-    pixel: Array
-    """(N, 2) their places in the image [px]."""
-    normal: Array
-    """(N, 2) unit vectors across the edge in the image, away from the surface."""
-
-
-class GradientImage:
-    """Gradients of an image, reduced to at most `_LARGEST_PX` pixels."""
-
-    def __init__(self, image: NDArray[np.uint8], camera: Camera) -> None:
-        """Compute the gradients of `image` (H, W, 3), taken by `camera`."""
-        scale = min(1.0, _LARGEST_PX / max(camera.width, camera.height))
-        if scale < 1.0:
-            width, height = round(camera.width * scale), round(camera.height * scale)
-            image = np.asarray(cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA), dtype=np.uint8)
-            camera = camera.resized(width, height)
-        self.camera, self.gray = camera, cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
-        self._dx, self._dy = _gradient(image)
-        self._near_rim: NDArray[np.float32] | None = None
-
-    def with_hand(self, gripper: NDArray[np.bool_], sigma_px: float) -> "GradientImage":
-        """Return the image with the segmented gripper, whose rim decides between several edges near the hand.
-
-        Args:
-            gripper: (H, W) pixels of the frame that show the gripper.
-            sigma_px: standard deviation of the segmented rim [px of the frame].
-        """
-        image = copy(self)
-        size = (self.camera.width, self.camera.height)
-        mask = np.asarray(cv2.resize(gripper.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST))
-        sigma = sigma_px * size[0] / gripper.shape[1]
-        u, v, width, height = cv2.boundingRect(mask)
-        image._near_rim = None
-        if width:
-            margin = int(np.ceil(_RIM_SIGMAS * sigma))
-            near = slice(max(0, v - margin), v + height + margin), slice(max(0, u - margin), u + width + margin)
-            inside, outside = (cv2.distanceTransform(m, cv2.DIST_L2, 5) for m in (mask[near], 1 - mask[near]))
-            image._near_rim = np.zeros(mask.shape, np.float32)
-            image._near_rim[near] = np.exp(-0.5 * ((inside + outside) / sigma) ** 2)
-        return image
-
-    def find_edges(self, points: EdgePoints, reach_px: float) -> tuple[Array, Array]:
-        """Return offsets (N,) along the normals of `points` to the image's edges [px], and their gradients (N,).
-
-        The strongest edge within `reach_px` wins unless another is much nearer. Surfaces darken or shine towards their
-        outlines, so the strongest edge often lies a little inside: an outline is the outermost edge next to it.
-        """
-        offset = np.arange(-reach_px, reach_px + _STEP_PX / 2, _STEP_PX)
-        place = points.pixel[:, None] + offset[:, None] * points.normal[:, None] - 0.5
-        u, v = place[..., 0].astype(np.float32), place[..., 1].astype(np.float32)
-        dx, dy = (self._sample(d, u, v) for d in (self._dx, self._dy))
-        gradient = np.abs(dx * points.normal[:, None, 0] + dy * points.normal[:, None, 1]).astype(np.float64)
-        likely = gradient * np.exp(-0.5 * (offset / (0.6 * reach_px)) ** 2)
-        if self._near_rim is not None:
-            hand = points.part == RobotPart.HAND
-            likely[hand] *= _OFF_RIM + self._sample(self._near_rim, u, v)[hand]
-        rows = np.arange(len(gradient))
-        best = likely[:, 1:-1].argmax(axis=1) + 1
-        is_peak = np.zeros(gradient.shape, bool)
-        inner = gradient[:, 1:-1]
-        is_peak[:, 1:-1] = (inner >= gradient[:, :-2]) & (inner > gradient[:, 2:])
-        ahead = offset - offset[best][:, None]
-        outer = is_peak & (ahead > 0) & (ahead <= _BAND_PX) & (gradient >= _OUTER_SHARE * gradient[rows, best][:, None])
-        last = outer.shape[1] - 1 - outer[:, ::-1].argmax(axis=1)
-        best = np.where(outer.any(axis=1), last, best)
-        before, peak, after = gradient[rows, best - 1], gradient[rows, best], gradient[rows, best + 1]
-        curvature = before - 2 * peak + after
-        shift = np.where(curvature < 0, 0.5 * (before - after) / np.minimum(curvature, -1e-9), 0.0).clip(-1, 1)
-        return np.asarray(offset[best] + _STEP_PX * shift), np.asarray(peak)
-
-    @staticmethod
-    def _sample(values: NDArray[np.float32], u: NDArray[np.float32], v: NDArray[np.float32]) -> NDArray[np.float32]:
-        return np.asarray(cv2.remap(values, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT), np.float32)
-
-
-def _gradient(image: NDArray[np.uint8]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Return the derivatives (H, W) of an image (H, W, 3) along x and y [1/px], in the channel of the largest."""
-    strongest: list[NDArray[np.float32]] = []
-    for channel in cv2.split(image):
-        smooth = cv2.GaussianBlur(channel.astype(np.float32), (0, 0), _SMOOTHING_PX)
-        dx, dy = (cv2.Sobel(smooth, cv2.CV_32F, *order, ksize=3, scale=0.125) for order in ((1, 0), (0, 1)))
-        derivatives = [np.asarray(values, np.float32) for values in (dx, dy, dx * dx + dy * dy)]
-        if not strongest:
-            strongest = derivatives
-            continue
-        stronger = cv2.compare(derivatives[2], strongest[2], cv2.CMP_GT)
-        for kept, values in zip(strongest, derivatives, strict=True):
-            cv2.copyTo(values, stronger, kept)
-    return strongest[0], strongest[1]
-
-
 class EdgeMatcher:
     """Projection of the robot's edges and their search in images."""
 
@@ -206,13 +105,9 @@ class EdgeMatcher:
     def project(
         self, X_CP: Array, camera: Camera, parts: tuple[RobotPart, ...] = ROBOT, points: int = MAX_POINTS
     ) -> EdgePoints | None:
-        """Return the visible contour points of `parts`; None if there are none.
+        """Return at most `points` visible contour points of `parts`, which all parts hide; None if there are none.
 
-        Args:
-            X_CP: (PARTS, 4, 4) poses of the parts in the camera frame [m].
-            camera: camera of the image.
-            parts: parts whose contours count; all parts hide them.
-            points: greatest number of points.
+        Parts are at `X_CP` (PARTS, 4, 4) in the camera frame [m], here as below.
         """
         contours = [self._edges[p].contour(invert(X_CP[p])[:3, 3]) for p in parts]
         placed = [ends @ X_CP[p, :3, :3].T + X_CP[p, :3, 3] for p, ends in zip(parts, contours, strict=True)]
@@ -280,11 +175,7 @@ class EdgeMatcher:
     ) -> float:
         """Return the share of the contour of `parts` that lies on the strongest image edge nearby.
 
-        Args:
-            image: gradients of the image.
-            X_CP: (PARTS, 4, 4) poses of the parts in the camera frame [m].
-            parts: parts whose contours count.
-            tolerance_px: standard deviation of a point that lies on an edge [px].
+        A point on an edge is off it by the standard deviation `tolerance_px`.
         """
         points = self.project(X_CP, image.camera, parts)
         if points is None:
@@ -297,17 +188,6 @@ class EdgeMatcher:
         offset, strength = image.find_edges(points, _SEARCH_PX)
         return np.asarray(np.exp(-0.5 * (offset / tolerance_px) ** 2) * (strength > LEAST_GRADIENT))
 
-    def match_all(
-        self,
-        images: Sequence[GradientImage],
-        X_CP: Array,
-        reach_px: float,
-        parts: tuple[RobotPart, ...] = ROBOT,
-        max_points: int = MAX_POINTS,
-    ) -> list[Correspondences | None]:
-        """Return the correspondences of B images with parts at `X_CP` (B, PARTS, 4, 4); see `match`."""
-        return [self.match(image, X, reach_px, parts, max_points) for image, X in zip(images, X_CP, strict=True)]
-
     def match(
         self,
         image: GradientImage,
@@ -316,15 +196,7 @@ class EdgeMatcher:
         parts: tuple[RobotPart, ...] = ROBOT,
         max_points: int = MAX_POINTS,
     ) -> Correspondences | None:
-        """Return correspondences of the visible contours of `parts` with the image; None if there are too few.
-
-        Args:
-            image: gradients of the image.
-            X_CP: (PARTS, 4, 4) poses of the parts in the camera frame [m].
-            reach_px: farthest edge in the image [px].
-            parts: parts whose contours count.
-            max_points: greatest number of points of the contours.
-        """
+        """Return correspondences of visible contours of `parts` with edges of the image; None if too few are near."""
         points = self.project(X_CP, image.camera, parts, max_points)
         if points is None:
             return None
@@ -335,20 +207,69 @@ class EdgeMatcher:
         camera = image.camera
         place = (points.pixel + move[:, None] * points.normal)[strong]
         ray = np.column_stack([(place - [camera.cx, camera.cy]) / [camera.fx, camera.fy], np.ones(len(place))])
-        z = ray / np.linalg.norm(ray, axis=1, keepdims=True)
-        x = np.column_stack([points.normal[strong], np.zeros(len(place))])
-        x -= (x * z).sum(axis=1, keepdims=True) * z
-        x /= np.linalg.norm(x, axis=1, keepdims=True)
-        n = len(place)
-        unconstrained = np.full(n, np.inf)
-        part = points.part[strong]
-        return Correspondences(
-            R_LC=np.stack([x, cross(z, x), z], axis=1),
-            range_m=np.ones(n),
-            range_sigma=unconstrained,
-            p_P=points.p_P[strong],
-            sigma_m=np.column_stack([SIGMA_PX / camera.fx * points.p_C[strong, 2], unconstrained]),
-            part=part,
-            opening_sign=np.array([OPENING_SIGN.get(RobotPart(p), 0.0) for p in part]),
-            weight=np.full(n, min(1.0, _INDEPENDENT / n)),
+        sigma_m = SIGMA_PX / camera.fx * points.p_C[strong, 2]
+        return Correspondences.without_range(
+            edge_frames(ray, points.normal[strong]),
+            points.p_P[strong],
+            np.column_stack([sigma_m, np.full(len(place), np.inf)]),
+            points.part[strong],
+            _INDEPENDENT,
+            opening_sign=OPENING_SIGNS[points.part[strong]],
         )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FlangeShape:
+    """Contours that tell where the flange is: of the links alone, or with a gripper at one or several openings.
+
+    Parts are at `X_CP` (PARTS, 4, 4) in the camera frame [m].
+    """
+
+    edges: tuple[EdgeMatcher, ...]
+    """One for each opening."""
+    gripper: tuple[RobotPart, ...] = ()
+    """Parts whose contours count besides those of the links."""
+
+    def agreement(self, image: GradientImage, X_CP: Array, links: tuple[RobotPart, ...]) -> float:
+        """Return the share of the contours of `links` on edges of the image, or its mean with that of the gripper.
+
+        A hidden gripper has none on edges: a posture that hides one must not look better.
+        """
+        of_links = self.edges[0].agreement(image, X_CP, links)
+        return float(0.5 * (of_links + self.gripper_agreement(image, X_CP).max())) if self.gripper else of_links
+
+    def gripper_agreement(self, image: GradientImage, X_CP: Array) -> Array:
+        """Return the share (OPENINGS,) of the gripper's contours on edges of the image."""
+        return np.array([edges.agreement(image, X_CP, self.gripper, _TOLERANCE_PX) for edges in self.edges])
+
+    def at_likeliest(self, image: GradientImage, X_CP: Array) -> "FlangeShape":
+        """Return the shape at the opening alone whose contours lie best on edges of the image."""
+        if len(self.edges) == 1:
+            return self
+        return replace(self, edges=(self.edges[int(self.gripper_agreement(image, X_CP).argmax())],))
+
+
+def links_shape() -> FlangeShape:
+    """Return the shape of the links alone; a round body hides them where an unknown gripper would.
+
+    Raises:
+        SetupError: Open3D's native libraries or mani_skill's meshes are missing.
+    """
+    body = trimesh.creation.cylinder(_BODY_RADIUS_M, _BODY_LENGTH_M)
+    return FlangeShape(edges=(EdgeMatcher({_GRIPPER[0]: body.apply_translation([0.0, 0.0, _BODY_LENGTH_M / 2])}),))
+
+
+def robotiq_shape(turn_rad: float, offset_m: float, openings: int = OPENINGS) -> FlangeShape:
+    """Return the shape of a Robotiq 2F-85 on the flange, at some openings.
+
+    Args:
+        turn_rad: turn of its mounting face against panda_hand, about z [rad].
+        offset_m: its distance from panda_hand along z, the thickness of an adapter [m].
+        openings: number of openings, evenly spaced in the turn of its knuckles.
+
+    Raises:
+        SetupError: Open3D's native libraries or mani_skill's meshes are missing.
+    """
+    X_HR = make_pose(rotation_z(turn_rad), [0.0, 0.0, offset_m])
+    meshes = [robotiq_mesh(knuckle).apply_transform(X_HR) for knuckle in np.linspace(0.0, CLOSED_RAD, openings)]
+    return FlangeShape(edges=tuple(EdgeMatcher({_GRIPPER[0]: mesh}) for mesh in meshes), gripper=_GRIPPER)

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from kinebench_drake.geometry import Array, cross, make_pose, orthonormalize, rotation_exp
+from kinebench_drake.grounding.priors import ExternalDepth
 from kinebench_drake.grounding.registration.correspondences import Correspondences
 from kinebench_drake.grounding.registration.solver import Placement, Solution, solve
 from kinebench_drake.grounding.tracking.view import GripperView
@@ -73,13 +74,6 @@ def pose_twist(X_CH: Array) -> Array:
     return twist
 
 
-def place_hand(X_CH: Array, finger_m: float, cells: Correspondences) -> tuple[Array, Array]:
-    """Return the CAD points (N, 3) of a gripper at `X_CH` (4, 4) in C [m], and their offsets (N, 3) from its origin."""
-    opened_H = cells.p_P + cells.opening_sign[:, None] * np.array([0.0, finger_m, 0.0])
-    offset = opened_H @ X_CH[:3, :3].T
-    return offset + X_CH[:3, 3], offset
-
-
 def clip_finger(finger_m: ArrayLike) -> Array:
     """Clip finger travels (...) to the gripper's range [m]."""
     return np.clip(np.asarray(finger_m, dtype=np.float64), 0.0, MAX_FINGER_M)
@@ -101,11 +95,11 @@ class HandFit:
 
     X_CH: Array
     """(4, 4) pose of panda_hand in the camera frame [m]."""
-    finger_m: float
+    finger_m: float = float("nan")
     """Travel of each finger, 0..0.04 [m]; NaN if it is neither visible nor from priors."""
-    finger_free: bool
+    finger_free: bool = False
     """True if the travel was estimated."""
-    finger_sigma_m: float
+    finger_sigma_m: float = float("nan")
     """Standard deviation of the travel [m], from the cells' sigmas."""
     depth_factor: float
     """True depth over estimated depth."""
@@ -127,10 +121,7 @@ def gripper_cells(view: GripperView) -> Correspondences:
 def align(p_A: Array, p_B: Array, weight: Array) -> Array:
     """Return the poses X_AB (..., 4, 4) of least weighted squares |p_A - X_AB p_B| (Umeyama 1991, without scale).
 
-    Args:
-        p_A: (..., N, 3) points in frame A [m].
-        p_B: (..., N, 3) the same points in frame B [m].
-        weight: (..., N) their weights.
+    Points (..., N, 3) [m] have weights (..., N).
     """
     w = (weight / weight.sum(axis=-1, keepdims=True))[..., None]
     mean_A, mean_B = (w * p_A).sum(axis=-2), (w * p_B).sum(axis=-2)
@@ -140,11 +131,9 @@ def align(p_A: Array, p_B: Array, weight: Array) -> Array:
 
 
 def _closed_form(cells: Correspondences, finger_m: Array) -> HandModel:
-    """Estimate poses and finger travels of B frames by iteratively reweighted 3-D to 3-D alignment.
+    """Estimate poses and finger travels of B frames by iteratively reweighted 3-D to 3-D alignment of cells (B, N).
 
-    Args:
-        cells: cells (B, N) of the gripper.
-        finger_m: (B,) travel of each finger from priors [m]; NaN where there is none.
+    Travels from priors, `finger_m` (B,) [m], are kept; NaN where there is none.
     """
     cloud, sign, exists = cells.p_C, cells.opening_sign, cells.weight > 0
     weight = exists / (cells.sigma_m[..., 0] ** 2 + (cells.range_sigma * cells.range_m) ** 2)
@@ -233,13 +222,7 @@ def fit_all(
 
 
 def refit_all(hands: Sequence[HandFit], views: Sequence[GripperView], rims: Sequence[Correspondences]) -> list[HandFit]:
-    """Repeat the fits of B frames with the silhouette; those that diverge stay unchanged.
-
-    Args:
-        hands: fits to the views without the silhouette.
-        views: dense estimates.
-        rims: correspondences of the silhouettes.
-    """
+    """Repeat the fits `hands` of B frames with the rims of their silhouettes; those that diverge stay unchanged."""
     if not hands:
         return []
     cells = [gripper_cells(view) for view in views]
@@ -255,3 +238,17 @@ def refit_all(hands: Sequence[HandFit], views: Sequence[GripperView], rims: Sequ
     has_finger = [bool(np.isfinite(hand.finger_m)) for hand in hands]
     fits = _fits_of(solution, cells, [hand.points for hand in hands], has_finger)
     return [hand if refitted is None else refitted for hand, refitted in zip(hands, fits, strict=True)]
+
+
+def calibrate_depth(depth: ExternalDepth, view: GripperView, X_CH: Array, finger_m: float) -> ExternalDepth:
+    """Scale the estimated depth of a video by the factor that puts the gripper at its known pose.
+
+    That is the pose `X_CH` (4, 4) and the travel of each finger [m] in one frame, whose `view` has this depth.
+    """
+    cells = gripper_cells(view)
+    if len(cells) < MIN_CELLS:
+        return depth
+    opened_H = cells.p_P + cells.opening_sign[:, None] * np.array([0.0, finger_m, 0.0])
+    p_C = opened_H @ X_CH[:3, :3].T + X_CH[:3, 3]
+    factor = float(np.median(np.linalg.norm(p_C, axis=1) / cells.range_m))
+    return replace(depth, depth_m=depth.depth_m * factor, calibrated=True)

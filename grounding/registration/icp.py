@@ -4,17 +4,13 @@ The depth of the gripper's cells, freed of the factor that all of them have in c
 that is visible at the current pose, so that points never match the far side. Point-to-plane ICP after Chen and Medioni
 (1992), robust kernels after Babin et al. (ICRA 2019) as in Open3D.
 
-The covariance follows from the residuals. Errors of an estimated depth are smooth over the gripper: averaging over
-cells does not reduce them. So their variance is that of means over a dozen blocks of cells, corrected for what the
-registration absorbs, and all blocks together count as two measurements. The rounding of an exact depth averages out
-within the blocks.
-
-Errors as smooth as a tilt leave no residual, yet turn the pose. So the covariance is inflated until registration and
-fit are consistent (chi-square test).
+The covariance follows from the residuals. Errors of an estimated depth are smooth over the gripper, so their variance
+is that of means over a dozen blocks of cells, corrected for what the registration absorbs, and all blocks together
+count as two measurements. Errors as smooth as a tilt leave no residual, yet turn the pose: the covariance is inflated
+until registration and fit are consistent (chi-square test).
 
 The pose is combined with the fit by covariance intersection (Julier and Uhlmann, ACC 1997), which is consistent for any
-correlation of the two: both rest on the same depth, and CAD coordinates err where the depth errs. The less precise of
-two estimates then counts little or nothing.
+correlation of the two: both rest on the same depth.
 """
 
 from dataclasses import dataclass
@@ -92,9 +88,8 @@ def surface_cells(view: GripperView) -> NDArray[np.bool_]:
     jump = np.zeros(depth.shape, dtype=bool)
     for axis in (0, 1):
         step = np.abs(np.diff(np.log(depth), axis=axis)) > _EDGE_JUMP
-        before = [(0, 1) if a == axis else (0, 0) for a in (0, 1)]
-        after = [(1, 0) if a == axis else (0, 0) for a in (0, 1)]
-        jump |= np.pad(step, before) | np.pad(step, after)
+        for side in ((0, 1), (1, 0)):  # both cells beside it
+            jump |= np.pad(step, [side if a == axis else (0, 0) for a in (0, 1)])
     return np.asarray(view.gripper & ~jump & np.isfinite(depth))
 
 
@@ -123,10 +118,10 @@ class IcpRefiner:
         if registration is None:
             return None
         fused = fuse(X_CH, covariance, registration)
-        if fused.weight >= _PRECISE_WEIGHT:
-            finer = self.register(view, registration.X_CH, registration.covariance, finger_m, view.part.size)
-            fused = fused if finer is None else fuse(X_CH, covariance, finer)
-        return fused
+        if fused.weight < _PRECISE_WEIGHT:
+            return fused
+        finer = self.register(view, registration.X_CH, registration.covariance, finger_m, view.part.size)
+        return fused if finer is None else fuse(X_CH, covariance, finer)
 
     def register(
         self, view: GripperView, X_CH: Array, covariance: Array, finger_m: float, cells: int = _MAX_CELLS
@@ -200,11 +195,9 @@ def _change_m(X_1: Array, X_2: Array) -> float:
 def _log_depth_factor(ratio: Array, prior_sigma: float, position: Array, covariance: Array) -> float:
     """Return the logarithm of true over estimated depth that the fit implies, shrunk towards 0 by its prior.
 
-    Args:
-        ratio: (N,) depth of the surface at the fitted pose over the estimated one.
-        prior_sigma: relative standard deviation of the error that all depths have in common.
-        position: (3,) of the fitted hand in the camera frame [m].
-        covariance: (6, 6) covariance of the fit.
+    The surface at the fitted `position` (3,) in the camera frame [m] with its `covariance` (6, 6) has the depth `ratio`
+    (N,) over the estimated one; errors that all depths have in common have the relative standard deviation
+    `prior_sigma`.
     """
     variance = float(position @ covariance[3:, 3:] @ position) / float(position @ position) ** 2
     return float(np.log(_median(ratio))) * prior_sigma**2 / (prior_sigma**2 + variance)

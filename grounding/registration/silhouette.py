@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
-from kinebench_drake.geometry import Array, cross, invert, transform_points
-from kinebench_drake.grounding.registration.correspondences import Correspondences
+from kinebench_drake.geometry import Array, invert, transform_points
+from kinebench_drake.grounding.registration.correspondences import Correspondences, edge_frames
 from kinebench_drake.grounding.tracking.view import GripperView
 from kinebench_drake.models.panda.cad import GripperCad
 
@@ -47,11 +47,7 @@ class SilhouetteMatcher:
     ) -> Correspondences | None:
         """Return correspondences of the rim for a hand near `X_CH` (4, 4); None if too little of it is visible.
 
-        Args:
-            view: dense estimates.
-            X_CH: (4, 4) pose of panda_hand in the camera frame [m].
-            finger_m: travel of each finger [m].
-            gate: farthest pairs [cells].
+        Pairs of rendered and segmented rim are within `gate` [cells].
         """
         X_VH = invert(view.crop.X_CV) @ X_CH
         shape = view.part.shape
@@ -76,22 +72,12 @@ class SilhouetteMatcher:
         p_V = line * depth[v, u, None]
         p_P = transform_points(invert(X_VH), p_V)
         line[:, :2] -= normal * move[:, None] / focal
-        z = line / np.linalg.norm(line, axis=1, keepdims=True)
-        x = np.column_stack([normal, np.zeros(len(v))])
-        x -= (x * z).sum(axis=1, keepdims=True) * z
-        x /= np.linalg.norm(x, axis=1, keepdims=True)
-        R_LV = np.stack([x, cross(z, x), z], axis=1)
-        sigma = _SIGMA_CELLS / focal * p_V[:, 2]
-        unconstrained = np.full(len(v), np.inf)
-        return Correspondences(
-            R_LC=R_LV @ view.crop.R_CV.T,
-            range_m=np.ones(len(v)),
-            range_sigma=unconstrained,
-            p_P=p_P,
-            sigma_m=np.column_stack([sigma, unconstrained]),
-            part=part[v, u],
-            opening_sign=np.zeros(len(v)),
-            weight=np.full(len(v), min(1.0, _INDEPENDENT / len(v))),
+        return Correspondences.without_range(
+            edge_frames(line, normal) @ view.crop.R_CV.T,
+            p_P,
+            np.column_stack([_SIGMA_CELLS / focal * p_V[:, 2], np.full(len(v), np.inf)]),
+            part[v, u],
+            _INDEPENDENT,
         )
 
     def _render(self, view: GripperView, X_CH: Array, finger_m: float) -> tuple[Array, NDArray[np.uint8]]:

@@ -127,19 +127,17 @@ class CellRows:
         """Return the rows of some of the frames, by index or mask."""
         return CellRows(**{name: getattr(self, name)[index] for name in self.__slots__})
 
-    def place(self, placement: Placement) -> tuple[Array, Array]:
-        """Return the CAD points (B, 3, N) in the camera frame [m], and the direction (B, 3, N) of open fingers."""
-        X = self._part_poses(placement.X_CP)
-        p_P = self.p_P
-        if placement.finger_m is not None:
-            p_P = p_P.copy()
-            p_P[:, 1] += self.opening_sign * placement.finger_m[:, None]
-        return (X[:, :, :3] * p_P[:, None]).sum(axis=2) + X[:, :, 3], X[:, :, 1]
+    def place(self, X_CP: Array, finger_m: Array | None = None) -> tuple[Array, Array]:
+        """Return the CAD points (B, 3, N) in the camera frame [m], and the direction (B, 3, N) of open fingers.
 
-    def place_closed(self, X_CP: Array) -> Array:
-        """Return the CAD points (B, 3, N) in C of parts at `X_CP` (B, PARTS, 4, 4), fingers closed [m]."""
+        Parts are at `X_CP` (B, PARTS, 4, 4), fingers opened by `finger_m` (B,) or closed.
+        """
         X = self._part_poses(X_CP)
-        return np.asarray((X[:, :, :3] * self.p_P[:, None]).sum(axis=2) + X[:, :, 3])
+        p_P = self.p_P
+        if finger_m is not None:
+            p_P = p_P.copy()
+            p_P[:, 1] += self.opening_sign * finger_m[:, None]
+        return (X[:, :, :3] * p_P[:, None]).sum(axis=2) + X[:, :, 3], X[:, :, 1]
 
     def _part_poses(self, X_CP: Array) -> Array:
         """Return the first rows (B, 3, 4, N) of the pose of each cell's part."""
@@ -155,12 +153,9 @@ class CellRows:
 def residuals(placement: Placement, cells: CellRows, log_depth_factor: Array) -> tuple[Array, Array]:
     """Return the residuals (B, 3, N), as in `Solution`, and their derivatives (B, K + 1, 3, N).
 
-    Args:
-        placement: poses of the parts.
-        cells: N correspondences of each frame.
-        log_depth_factor: (B,) logarithm of true range over estimated range, by which the last derivatives are.
+    The last ones are by `log_depth_factor` (B,), the logarithm of true range over estimated range.
     """
-    p_C, opening = cells.place(placement)
+    p_C, opening = cells.place(placement.X_CP, placement.finger_m)
     p_L = cells.in_line_frames(p_C)
     z = p_L[:, 2]
     inverse = cells.inverse_sigma
@@ -222,7 +217,8 @@ def solve(
         if not further.all():
             active, moving = active[further], moving.take(further)
     r, robust, H, _ = _normal_equations(model, rows, sigma, log_factor)
-    p_C, _ = rows.place(model.place())
+    placement = model.place()
+    p_C, _ = rows.place(placement.X_CP, placement.finger_m)
     valid = np.isfinite(p_C).all(axis=(1, 2)) & (p_C[:, 2] >= _NEAREST_M).all(axis=1)
     last = H[:, :-1, -1]
     return Solution(

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array, make_pose, rotation_angle, rotation_exp
+from kinebench_drake.grounding.registration.image import follow_points
 from kinebench_drake.grounding.tracking.view import Frames
 from kinebench_drake.io.jsonl import Json
 
@@ -40,6 +41,9 @@ _STEPS, _SWEEPS = 8, 40
 _LEAST_MARGIN_PX, _MAX_MARGIN = 16.0, 0.25  # by which stabilized images are extended; the largest relative to the image
 _FAR_M = 4.0  # depth of features that do not look at the table; its inverse is a weak prior
 _TABLE_SIGMA = 0.02  # relative standard deviation of the inverse depth of a feature on the table
+
+
+Image = NDArray[np.uint8]
 
 
 class CameraWay(Enum):
@@ -95,8 +99,7 @@ class CameraPath:
     def stabilize(self, frames: Frames, camera: Camera, *, extends: bool = True) -> tuple[Frames, Camera]:
         """Warp the frames (T, H, W, 3) into cameras oriented like A, with its focal length.
 
-        Where cameras show more than A does the images are extended at all sides, if `extends`; the principal point of
-        the camera that is returned moves accordingly.
+        Where cameras show more than A does the images are extended at all sides, if `extends`, like their camera.
         """
         size, K, n = np.array([camera.width, camera.height]), camera.K, len(frames)
         K_C = np.repeat(K[None], n, axis=0)
@@ -108,43 +111,35 @@ class CameraPath:
         over = max(0.0, float(-shown.min(initial=0.0)), float((shown - size).max(initial=0.0)))
         extends = extends and over > _LEAST_MARGIN_PX * camera.unit_px
         margin = 0 if not extends else int(np.ceil(min(over, _MAX_MARGIN * size.max())))
-        wide = replace(
-            camera,
-            width=camera.width + 2 * margin,
-            height=camera.height + 2 * margin,
-            cx=camera.cx + margin,
-            cy=camera.cy + margin,
-        )
+        width, height = camera.width + 2 * margin, camera.height + 2 * margin
+        wide = replace(camera, width=width, height=height, cx=camera.cx + margin, cy=camera.cy + margin)
         half = np.array([[1.0, 0.0, 0.5], [0.0, 1.0, 0.5], [0.0, 0.0, 1.0]])  # OpenCV's pixel centres are integers
         shift = np.array([[1.0, 0.0, margin], [0.0, 1.0, margin], [0.0, 0.0, 1.0]])
-        size_px = wide.width, wide.height
-        warped = []
-        for frame, M in zip(frames, np.linalg.inv(half) @ shift @ M_AC @ half, strict=True):
-            warped.append(cv2.warpPerspective(frame, M, size_px, borderMode=cv2.BORDER_REPLICATE))
+        warped = [
+            cv2.warpPerspective(frame, M, (width, height), borderMode=cv2.BORDER_REPLICATE)
+            for frame, M in zip(frames, np.linalg.inv(half) @ shift @ M_AC @ half, strict=True)
+        ]
         return np.asarray(np.stack(warped), np.uint8), wide
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Fit:
-    """Cameras (T, 7): rotation vector, place, logarithm of the zoom; inverse depths (N,) [1/m]."""
+    """Cameras of all frames, and inverse depths of the features."""
 
     cameras: Array
+    """(T, 7) rotation vector, place, logarithm of the zoom."""
     inverse_depth: Array
+    """(N,) [1/m]."""
     residual: Array
     """(T, N) distance of the features from their prediction [px]; NaN where they are not tracked."""
 
 
 def follow_camera(
-    frames: Frames, reference: NDArray[np.uint8], robot: NDArray[np.bool_], camera: Camera, table_height_m: float = 0.0
+    frames: Frames, reference: Image, robot: NDArray[np.bool_], camera: Camera, table_height_m: float = 0.0
 ) -> CameraPath:
-    """Follow the camera from the reference image through the frames.
+    """Follow the camera from the reference image (H, W, 3) of `camera`, A, through the frames (T, H, W, 3).
 
-    Args:
-        frames: (T, H, W, 3) RGB.
-        reference: (H, W, 3) RGB, image of `camera`.
-        robot: (H, W) pixels of the reference image that show the robot.
-        camera: camera A.
-        table_height_m: height of the table top in the robot base frame [m].
+    The reference image shows the `robot` at some pixels (H, W); the height of the table top is in the robot base frame.
     """
     start, now = _track_features(frames, reference, robot, camera)
     n = len(frames)
@@ -157,9 +152,8 @@ def follow_camera(
         for other in (CameraWay.ZOOM, CameraWay.PLACE):
             rival = problem.fit(other, fit)
             more = problem.explained(rival)
-            if more[enough].mean() > share[enough].mean() + GAIN and (
-                other is not CameraWay.PLACE or problem.has_scale(rival)
-            ):
+            is_better = more[enough].mean() > share[enough].mean() + GAIN
+            if is_better and (other is not CameraWay.PLACE or problem.has_scale(rival)):
                 way, fit, share = other, rival, more
         turn, move = (np.linalg.norm(fit.cameras[:, part], axis=1) for part in (slice(3), slice(3, 6)))
         within = (turn <= MAX_TURN_RAD) & (move <= MAX_MOVE_M) & (np.abs(np.expm1(fit.cameras[:, 6])) <= MAX_ZOOM)
@@ -178,9 +172,7 @@ def follow_camera(
     )
 
 
-def _track_features(
-    frames: Frames, reference: NDArray[np.uint8], robot: NDArray[np.bool_], camera: Camera
-) -> tuple[Array, Array]:
+def _track_features(frames: Frames, reference: Image, robot: NDArray[np.bool_], camera: Camera) -> tuple[Array, Array]:
     """Return the features (N, 2) of the reference image and their tracks (T, N, 2) [px]; NaN where lost.
 
     Each feature is tracked from the frame before, and from the reference image, which leaves no drift, near there. Lost
@@ -198,29 +190,24 @@ def _track_features(
     before, last, alive = first, start.copy(), np.ones(len(start), dtype=bool)
     for i, frame in enumerate(frames):
         image = _even_contrast(frame, unit)
-        for jump in (False, True):
-            if not jump:
-                chained, steady = _flow(before, image, last, last, unit)
-                steady &= alive
-            else:
-                steady = np.zeros(len(start), dtype=bool)
-            H = _homography(start[steady], chained[steady], unit) if steady.sum() >= MIN_FEATURES else None
-            if jump:
-                H = _matched_homography(first, image, free, unit)
-            if H is None:
-                continue
-            near = np.asarray(cv2.perspectiveTransform(start[:, None], H)[:, 0], np.float32)
-            near[steady] = chained[steady]
-            now, good = _flow(first, image, start, near, unit)
-            good &= np.linalg.norm(now - near, axis=1) < np.where(steady, _DRIFT_PX, _RANSAC_PX) * unit
-            now = np.where(good[:, None], now, near)
-            before, last, alive = image, now, good | steady
-            tracks[i, alive] = now[alive] + 0.5
-            break
+        chained, steady = _flow(before, image, last, last, unit)
+        steady &= alive
+        H = _homography(start[steady], chained[steady], unit) if steady.sum() >= MIN_FEATURES else None
+        if H is None:  # a jump
+            steady, H = np.zeros(len(start), dtype=bool), _matched_homography(first, image, free, unit)
+        if H is None:
+            continue
+        near = np.asarray(cv2.perspectiveTransform(start[:, None], H)[:, 0], np.float32)
+        near[steady] = chained[steady]
+        now, good = _flow(first, image, start, near, unit)
+        good &= np.linalg.norm(now - near, axis=1) < np.where(steady, _DRIFT_PX, _RANSAC_PX) * unit
+        now = np.where(good[:, None], now, near)
+        before, last, alive = image, now, good | steady
+        tracks[i, alive] = now[alive] + 0.5
     return start.astype(np.float64) + 0.5, tracks
 
 
-def _even_contrast(frame: NDArray[np.uint8], unit: float) -> NDArray[np.uint8]:
+def _even_contrast(frame: Image, unit: float) -> Image:
     """Return the grey image (H, W) with the same contrast everywhere, so that faint textures count, too."""
     grey = cv2.cvtColor(frame, cv2.COLOR_RGB2GRAY).astype(np.float32)
     detail = cv2.GaussianBlur(grey, (0, 0), 0.7 * unit) - cv2.GaussianBlur(grey, (0, 0), _DETAIL_PX * unit)
@@ -229,23 +216,15 @@ def _even_contrast(frame: NDArray[np.uint8], unit: float) -> NDArray[np.uint8]:
 
 
 def _flow(
-    first: NDArray[np.uint8],
-    image: NDArray[np.uint8],
+    first: Image,
+    image: Image,
     start: NDArray[np.float32],
     near: NDArray[np.float32],
     unit: float,
 ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-    """Return the pixels (N, 2) of features `start` (N, 2) in another image, from `near` on, and which were tracked.
-
-    Pyramidal Lucas-Kanade, forth and back.
-    """
-    use = cv2.OPTFLOW_USE_INITIAL_FLOW
-    forth, ok, _ = cv2.calcOpticalFlowPyrLK(first, image, start[:, None], near[:, None].copy(), flags=use)
-    back, ok_back, _ = cv2.calcOpticalFlowPyrLK(image, first, forth, start[:, None] + forth - near[:, None], flags=use)
-    forth, back = forth[:, 0], back[:, 0]
-    inside = ((forth > 4) & (forth < np.array(image.shape[::-1]) - 5)).all(axis=1)
-    returned = np.linalg.norm(back - start, axis=1) < _ROUND_TRIP_PX * unit
-    return forth, (ok[:, 0] > 0) & (ok_back[:, 0] > 0) & returned & inside
+    """Return the pixels (N, 2) of features `start` (N, 2) in another image, from `near` on, and which were tracked."""
+    moved, good = follow_points(first, image, start, _ROUND_TRIP_PX * unit, near)
+    return moved, good & ((moved > 4) & (moved < np.array(image.shape[::-1]) - 5)).all(axis=1)
 
 
 def _homography(first: NDArray[np.float32], now: NDArray[np.float32], unit: float) -> Array | None:
@@ -255,9 +234,7 @@ def _homography(first: NDArray[np.float32], now: NDArray[np.float32], unit: floa
     return np.asarray(H) if enough else None
 
 
-def _matched_homography(
-    first: NDArray[np.uint8], image: NDArray[np.uint8], free: NDArray[np.bool_], unit: float
-) -> Array | None:
+def _matched_homography(first: Image, image: Image, free: NDArray[np.bool_], unit: float) -> Array | None:
     """Return the homography of most matches of SIFT features (Lowe 2004) off the robot; None without enough."""
     sift = cv2.SIFT_create(600)  # type: ignore[attr-defined]
     points, descriptors = sift.detectAndCompute(first, free.astype(np.uint8) * 255)
@@ -289,19 +266,16 @@ class _Problem:
     def fit(self, way: CameraWay, start: _Fit | None = None) -> _Fit:
         """Fit the cameras of all frames."""
         cameras = np.zeros((len(self._now), 7)) if start is None else start.cameras.copy()
-        if way is CameraWay.PLACE:
+        has_place = way is CameraWay.PLACE
+        if has_place:
             cameras[:, 6] = 0.0
-        rho = self._table.copy()
+        rho = self._table if has_place else np.zeros(len(self._table))  # without a place depths do not count
         free = {CameraWay.ROTATION: [0, 1, 2], CameraWay.ZOOM: [0, 1, 2, 6]}.get(way, [0, 1, 2, 3, 4, 5])
-        if way is CameraWay.ROTATION:
-            rho[:] = 0.0
-        for sweep in range(_STEPS if way is not CameraWay.PLACE else _SWEEPS):
+        for sweep in range(_SWEEPS if has_place else _STEPS):
             reach = _TUKEY_PX * self._unit * max(1.0, 64.0 * 0.4**sweep)
             cameras = self._step_cameras(cameras, rho, free, reach)
-            if way is CameraWay.PLACE and sweep >= _STEPS:
+            if has_place and sweep >= _STEPS:
                 rho = self._step_depths(cameras, rho, reach)
-        if way is not CameraWay.PLACE:
-            rho[:] = 0.0
         return _Fit(cameras=cameras, inverse_depth=rho, residual=np.linalg.norm(self._error(cameras, rho), axis=2))
 
     def explained(self, fit: _Fit) -> Array:

@@ -86,12 +86,9 @@ def _flange_features(pose: FramePose) -> Array:
 
 
 def track_features(confidence: ArrayLike, distance_m: ArrayLike, angle_rad: ArrayLike) -> Array:
-    """Return the features (T, 4) of the frames of a track.
+    """Return the features (T, 4) of the frames of a track from the `confidence` (T,) of each by itself.
 
-    Args:
-        confidence: (T,) confidence of each frame by itself.
-        distance_m: (T,) distance of its position from that predicted by its neighbours [m]; NaN without a prediction.
-        angle_rad: (T,) angle between its rotation and the predicted one [rad].
+    Distance (T,) [m] and angle (T,) [rad] are those from the pose predicted by its neighbours; NaN without one.
     """
     frame_logit = logit(np.clip(confidence, _CERTAIN, 1.0 - _CERTAIN))
     alone = ~np.isfinite(distance_m)

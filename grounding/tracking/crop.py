@@ -45,13 +45,9 @@ class Crop:
 
     @classmethod
     def towards(cls, direction_C: ArrayLike, half_tangent: float, size: int, roll: float = 0.0) -> "Crop":
-        """Return the crop along `direction_C` (3,) whose half width has the tangent `half_tangent`.
+        """Return the crop along `direction_C` (3,) in the camera frame, of half the field of view by its tangent.
 
-        Args:
-            direction_C: (3,) optical axis of V in the camera frame.
-            half_tangent: tangent of half the field of view.
-            size: width and height [px].
-            roll: rotation about the optical axis [rad]; at 0, V is the camera rotated by the smallest angle.
+        `roll` is the rotation about the optical axis [rad]; at 0, V is the camera rotated by the smallest angle.
         """
         z = np.asarray(direction_C, dtype=np.float64)
         z = z / np.linalg.norm(z)

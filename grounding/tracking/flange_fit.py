@@ -14,13 +14,12 @@ from kinebench_drake.grounding.registration.arm_edge_fit import FOLLOWED_REACHES
 from kinebench_drake.grounding.registration.arm_fit import ArmFit
 from kinebench_drake.grounding.registration.chain_fit import MIN_FLANGE_CELLS, UNKNOWNS, ChainFitter, ChainModel, misfit
 from kinebench_drake.grounding.registration.correspondences import Correspondences
-from kinebench_drake.grounding.registration.edges import GradientImage
+from kinebench_drake.grounding.registration.edges import OPENINGS, FlangeShape
 from kinebench_drake.grounding.registration.fit import HandFit
-from kinebench_drake.grounding.registration.flange_shape import OPENINGS, FlangeShape
-from kinebench_drake.grounding.registration.flow import follow_surface
+from kinebench_drake.grounding.registration.image import GradientImage, follow_surface
 from kinebench_drake.grounding.registration.solver import Solution
+from kinebench_drake.grounding.tracking.markov import TURNS_RAD
 from kinebench_drake.grounding.tracking.pose import FramePose
-from kinebench_drake.grounding.tracking.turn import TURNS_RAD
 from kinebench_drake.grounding.tracking.view import GripperView
 from kinebench_drake.models.panda.robot import ARM, RobotPart
 
@@ -57,14 +56,12 @@ class FlangeFitter:
         """Fit chains of `chain` with the contours of `shape`."""
         self._chain, self.shape = chain, shape
 
-    def detect(self, shown: FlangeView) -> FramePose | None:
-        """Return the pose in a frame by itself; None if it does not show the last links."""
-        chain = self._chain.fit(shown.cells)
-        return None if chain is None else self._fit(chain.model, shown)
+    def detect(self, shown: FlangeView, near: FramePose | None = None) -> FramePose | None:
+        """Return the pose in a frame by its cells, or from the posture `near` in a neighbouring one on.
 
-    def detect_near(self, near: FramePose, shown: FlangeView) -> FramePose | None:
-        """Return the pose in a frame by its cells, from the posture of a neighbouring one; None if that diverges."""
-        chain = self._chain.refit(self.chain_of(near), shown.cells)
+        None if it does not show the last links, or the fit diverges.
+        """
+        chain = self._chain.fit(shown.cells) if near is None else self._chain.refit(self.chain_of(near), shown.cells)
         return None if chain is None else self._fit(chain.model, shown)
 
     def follow(self, near: FramePose, before: GradientImage, after: GradientImage) -> FramePose | None:
@@ -84,13 +81,8 @@ class FlangeFitter:
     ) -> FramePose | None:
         """Return the pose in a frame from a chain with its last joint turned; None if the fit diverges.
 
-        Args:
-            chain: chain to start from.
-            turn_rad: angle of its last joint [rad].
-            sigma_rad: standard deviation of that angle [rad].
-            shown: the frame.
-            reaches_px: farthest edges in successive passes [px].
-            points: further points of the links in the image, followed from neighbouring frames.
+        The angle `turn_rad` of that joint has the standard deviation `sigma_rad`; further `points` of the links are
+        followed from neighbouring frames.
         """
         start = self._chain.turned(chain, np.array([turn_rad]), sigma_rad)
         return self._fit(start, replace(shown, cells=Correspondences.join([shown.cells, *points])), reaches_px)
@@ -114,14 +106,9 @@ class FlangeFitter:
     def log_likelihood(
         self, chain: ChainModel, turns_rad: Array, view: GripperView, image: GradientImage, agreement: float
     ) -> Array:
-        """Return the log-likelihoods (M,) of turns of the last joint by what turns with it.
+        """Return the log-likelihoods (M,) of turns (M,) of a chain's last joint [rad] by what turns with it.
 
-        Args:
-            chain: the other links.
-            turns_rad: (M,) angles of the last joint [rad].
-            view: dense estimates of the last links.
-            image: gradients of the image.
-            agreement: share of the contours of the links on edges of the image, which says how much edges tell there.
+        The `agreement` of the contours of the links with edges of the image says how much edges tell there.
         """
         X_CP = self._place(self._chain.turned(chain, turns_rad))
         on_edges = _ON_EDGES * np.array([self.shape.edges[0].agreement(image, X, _FLANGE) for X in X_CP])
@@ -144,10 +131,6 @@ class FlangeFitter:
     def at_likeliest(self, chain: ChainModel, image: GradientImage) -> "FlangeFitter":
         """Return a fitter with the opening of the gripper alone whose contours lie best on edges."""
         return FlangeFitter(self._chain, self.shape.at_likeliest(image, self._place(chain)[0]))
-
-    def turned(self, chain: ChainModel, turn_rad: float) -> ChainModel:
-        """Return a chain with its last joint at an angle [rad], the other links where they are."""
-        return self._chain.turned(chain, np.array([turn_rad]))
 
     def turn_change(
         self, chain: ChainModel, chain_after: ChainModel, before: GradientImage, after: GradientImage
@@ -196,19 +179,14 @@ class FlangeFitter:
         return None if chain is None else self._pose(chain, shown.image, shown.view)
 
     def _sharpen(
-        self,
-        start: ChainModel,
-        points: Correspondences,
-        image: GradientImage,
-        reaches_px: Sequence[float],
+        self, start: ChainModel, points: Correspondences, image: GradientImage, reaches_px: Sequence[float]
     ) -> Solution[ChainModel] | None:
         """Fit a chain to points of the links and to edges together; None if it diverges or no edges are near."""
         chain, (matcher,) = None, self.shape.at_likeliest(image, self._place(start, _LINKS)[0]).edges
+        parts = (*_LINKS, *self.shape.gripper)
         for reach_px in reaches_px:
             model = start if chain is None else chain.model
-            edges = matcher.match(
-                image, self._place(model, _LINKS)[0], reach_px, (*_LINKS, *self.shape.gripper), _POINTS
-            )
+            edges = matcher.match(image, self._place(model, _LINKS)[0], reach_px, parts, _POINTS)
             if edges is None:
                 break
             depth = None if chain is None else chain.log_depth_factor
@@ -218,26 +196,17 @@ class FlangeFitter:
     def _pose(self, chain: Solution[ChainModel], image: GradientImage, view: GripperView) -> FramePose:
         """Return the pose of a frame; in place of a hand it has the last link and the residual of the chain."""
         flange = view.part == RobotPart.LINK7
-        X_CP, unknown = _without_upper_arm(chain.model.place().X_CP[0]), float("nan")
+        X_CP = _without_upper_arm(chain.model.place().X_CP[0])
         shape = self.shape.at_likeliest(image, X_CP)
         arm = ArmFit(
             q=chain.model.q[0],
             X_CH=chain.model.X_CH[0],
-            finger_m=unknown,
-            finger_sigma_m=unknown,
-            agrees=False,
-            consistency_px=unknown,
-            scale=unknown,
-            evidence=0.0,
             covariance=np.asarray(np.linalg.inv(chain.information[0] + 1e-6 * np.eye(UNKNOWNS))[:6, :6]),
             edge_agreement=shape.agreement(image, X_CP, LAST_LINKS),
             hand_agreement=shape.agreement(image, X_CP, _FLANGE),
         )
         hand = HandFit(
             X_CH=arm.X_CH,
-            finger_m=unknown,
-            finger_free=False,
-            finger_sigma_m=unknown,
             depth_factor=float(np.exp(chain.log_depth_factor[0])),
             residual=chain.growth(0),
             points=int(flange.sum()),
@@ -246,8 +215,6 @@ class FlangeFitter:
         )
         return FramePose(
             X_CH=arm.X_CH,
-            finger_m=unknown,
-            finger_sigma_m=unknown,
             hand=hand,
             hand_without_silhouette=hand,
             arm=arm,

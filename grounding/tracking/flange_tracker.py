@@ -19,14 +19,14 @@ from kinebench_drake.grounding.registration.arm_edge_fit import LAST_LINKS, ArmE
 from kinebench_drake.grounding.registration.arm_model import ArmModel
 from kinebench_drake.grounding.registration.chain_fit import ChainFitter
 from kinebench_drake.grounding.registration.correspondences import Correspondences
-from kinebench_drake.grounding.registration.edges import GradientImage
-from kinebench_drake.grounding.registration.flange_shape import links_shape, robotiq_shape
+from kinebench_drake.grounding.registration.edges import links_shape, robotiq_shape
+from kinebench_drake.grounding.registration.image import GradientImage
 from kinebench_drake.grounding.tracking.crop import CLOSE_SIZE, WRIST_CENTRE_H, WRIST_RADIUS_M, Crop
 from kinebench_drake.grounding.tracking.flange_fit import INDEPENDENT, LINK_CELLS, REACHES_PX, FlangeFitter, FlangeView
 from kinebench_drake.grounding.tracking.localization import find_region
+from kinebench_drake.grounding.tracking.markov import OFFSETS_RAD, TURNS_RAD, likeliest_turns
 from kinebench_drake.grounding.tracking.pose import FramePose
 from kinebench_drake.grounding.tracking.tracker import Tracking
-from kinebench_drake.grounding.tracking.turn import OFFSETS_RAD, TURNS_RAD, likeliest_turns
 from kinebench_drake.grounding.tracking.view import DenseEstimator, Frames, GripperView
 from kinebench_drake.models.panda.robot import GripperKind, RobotPart
 from kinebench_drake.track import Domain
@@ -126,7 +126,7 @@ class FlangeTracker:
                 proposed = [poses.get(k), video.flange.follow(poses[i], video.images[i], video.images[k])]
                 if _agreement(proposed[1]) < _LOST * _agreement(poses[i]):
                     ((_, shown),) = self._look({k: _crop_at(poses[i].X_CH)}, video)
-                    proposed.append(video.flange.detect_near(poses[i], shown))
+                    proposed.append(video.flange.detect(shown, poses[i]))
                 best = max(proposed, key=_agreement)
                 if best is not None and _agreement(best) > _agreement(proposed[0]) + _GAIN:
                     poses[k] = best
@@ -180,7 +180,7 @@ class FlangeTracker:
                     changes[i] = flange.turn_change(chain, chains[i + 1], images[i], images[i + 1])
             offsets, own_sigma = likeliest_turns(grid, log_likelihood, changes - np.diff(turns))
             turns, sigma = turns + offsets, np.maximum(sigma, own_sigma)
-            chains = {i: flange.turned(chain, turns[i]) for i, chain in chains.items()}
+            chains = {i: self._chain.turned(chain, turns[i : i + 1]) for i, chain in chains.items()}
         reaches_px, before = REACHES_PX[0 if flange.shape.gripper else -2 :], dict(poses)
         for i, chain in chains.items():
             points = []

@@ -33,13 +33,9 @@ _WHOLE_SHARE = 0.8  # size from which the whole image is taken
 def find_region(
     estimator: DenseEstimator, frames: Frames, camera: Camera, whole: Mapping[int, GripperView]
 ) -> Crop | None:
-    """Return a crop for all frames that holds the visible robot; None if whole images show it large enough.
+    """Return a crop for all frames (T, H, W, 3) that holds the visible robot; None if it is large enough in `whole`.
 
-    Args:
-        estimator: source of dense estimates.
-        frames: (T, H, W, 3) RGB.
-        camera: camera of the frames.
-        whole: view of the whole image by frame number.
+    Those are the views of the whole images by frame number.
     """
     keys = np.unique(np.linspace(0, len(frames) - 1, _KEY_FRAMES).round().astype(int)).tolist()
     sizes = [_gripper_px(whole[key]) for key in keys]
@@ -82,10 +78,8 @@ def _gripper_px(view: GripperView) -> float:
 def _robot_box(view: GripperView, camera: Camera) -> Array | None:
     """Return the box (left, top, right, bottom) around the robot in the image [px]; None if the view shows none."""
     cells = view.part > 0
-    if cells.sum() < _MIN_CELLS:
-        return None
     v, u = np.nonzero(cells & view.in_image)
-    if not len(v):
+    if cells.sum() < _MIN_CELLS or not len(v):
         return None
     corners = np.column_stack([u + 0.5, v + 0.5, np.ones(len(v))]) @ view.crop.homography(camera, view.stride).T
     pixel = corners[:, :2] / corners[:, 2:]

@@ -15,9 +15,9 @@ class FramePose:
 
     X_CH: Array
     """(4, 4) pose of panda_hand in the camera frame [m]."""
-    finger_m: float
+    finger_m: float = float("nan")
     """Travel of each finger [m]; NaN if no finger was visible."""
-    finger_sigma_m: float
+    finger_sigma_m: float = float("nan")
     """Standard deviation of the travel [m]."""
     hand: HandFit
     """Fit of the hand alone, without the arm."""

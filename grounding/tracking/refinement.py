@@ -9,9 +9,9 @@ import numpy as np
 from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import pose_difference
 from kinebench_drake.grounding.registration.arm_edge_fit import ArmEdgeFitter
-from kinebench_drake.grounding.registration.arm_fit import ArmFit
-from kinebench_drake.grounding.registration.edges import GradientImage
+from kinebench_drake.grounding.registration.arm_fit import ArmFit, ArmView
 from kinebench_drake.grounding.registration.fit import finger_or_default
+from kinebench_drake.grounding.registration.image import GradientImage
 from kinebench_drake.grounding.registration.silhouette import SilhouetteMatcher
 from kinebench_drake.grounding.registration.solver import BATCH
 from kinebench_drake.grounding.tracking.crop import CLOSE_MARGIN, CLOSE_SIZE, Crop
@@ -41,13 +41,7 @@ def propagate(
 
     Seen edge-on, a gripper's CAD coordinates can all be wrong by the same 30 mm and 25 degrees and still be consistent
     with each other; only silhouette and arm contradict them. Started from the posture of a neighbouring frame, the fit
-    of silhouette and arm converges to the right pose.
-
-    Args:
-        poses: pose by frame number; doubtful ones are replaced.
-        wide: view of the whole image by frame number.
-        arm_fitter: fitter of the arm.
-        silhouette: comparison of the rendered with the segmented gripper.
+    of silhouette and arm converges to the right pose. Poses and views of whole images, `wide`, are by frame number.
     """
     for step in (1, -1):
         for i in sorted(poses)[::step]:
@@ -59,7 +53,7 @@ def propagate(
 def _refit_from(
     pose: FramePose, near: FramePose, wide: GripperView, arm_fitter: ArmEdgeFitter, silhouette: SilhouetteMatcher
 ) -> FramePose:
-    arm = None if near.arm is None else arm_fitter.fit_from_neighbour(near.arm, pose.hand, pose.view, wide, silhouette)
+    arm = near.arm and arm_fitter.fit_from_neighbour(near.arm, ArmView.of(pose.hand, pose.view, wide), silhouette)
     if arm is None or not arm.agrees:
         return pose
     overlap = silhouette.overlap(pose.view, arm.X_CH, finger_or_default(arm.finger_m))
@@ -99,13 +93,13 @@ class EdgeRefinement:
         *,
         may_be_familiar: bool,
     ) -> None:
-        """Refine `poses`.
+        """Refine `poses` of `frames` (T, H, W, 3), by frame number like the views `wide` that show the arm.
 
         Args:
-            poses: pose by frame number.
-            wide: view that shows the arm by frame number.
-            frames: (T, H, W, 3) RGB.
-            camera: camera of the frames.
+            poses: poses by the network.
+            wide: views that show the arm.
+            frames: frames of the video.
+            camera: their camera.
             arm_fitter: fitter of the arm.
             silhouette: comparison of the rendered with the segmented gripper.
             measure: measures frames in these crops, and returns the poses of those that show a gripper.
@@ -186,8 +180,7 @@ class EdgeRefinement:
         if pose is None:
             return
         self.poses[number] = pose
-        views = pose.hand, pose.view, self._wide[number], images[1]
-        self._keep_better(number, fitter.refine(arm.q, *views, followed=arm.points))
+        self._keep_better(number, fitter.refine(arm.q, self._view(number), images[1], followed=arm.points))
         if not self._is_sure(number) or (old is not None and _agreement(self.poses[number]) < _agreement(old)):
             del self.poses[number]
             if old is not None:
@@ -219,14 +212,8 @@ class EdgeRefinement:
         old = [i for i, arm in arms.items() if i not in self._sharp or self._sharp[i][0] is not arm]
         for start in range(0, len(old), BATCH):
             batch = old[start : start + BATCH]
-            poses = [self.poses[i] for i in batch]
-            fits = self._fitter.at(batch).sharpen_all(
-                [arms[i] for i in batch],
-                [pose.hand for pose in poses],
-                [pose.view for pose in poses],
-                [self._wide[i] for i in batch],
-                [self._image(i) for i in batch],
-            )
+            shown = [self._view(i) for i in batch], [self._image(i) for i in batch]
+            fits = self._fitter.at(batch).sharpen_all([arms[i] for i in batch], *shown)
             self._sharp.update({i: (arms[i], fit) for i, fit in zip(batch, fits, strict=True)})
         return {i: self._sharp[i][1] for i in arms}
 
@@ -258,8 +245,7 @@ class EdgeRefinement:
         """
         rest = {i: pose for i, pose in self.poses.items() if i not in self.confirmed and not pose.from_prior}
         for i in sorted(rest, key=lambda i: -rest[i].overlap)[:_SEARCHED_FRAMES]:
-            pose = rest[i]
-            self._keep_better(i, self._fitter.at([i]).search(pose.hand, pose.view, self._wide[i], self._image(i)))
+            self._keep_better(i, self._fitter.at([i]).search(self._view(i), self._image(i)))
         if any(i in self.confirmed for i in rest):
             self.fit(i for i in rest if i not in self.confirmed)
 
@@ -269,8 +255,10 @@ class EdgeRefinement:
         return {i: pose for i, pose in self.poses.items() if _agreement(pose) > 0.0}
 
     def _refine(self, number: int, start: ArmFit) -> ArmFit | None:
-        pose = self.poses[number]
-        return self._fitter.at([number]).refine(start.q, pose.hand, pose.view, self._wide[number], self._image(number))
+        return self._fitter.at([number]).refine(start.q, self._view(number), self._image(number))
+
+    def _view(self, number: int) -> ArmView:
+        return ArmView.of(self.poses[number].hand, self.poses[number].view, self._wide[number])
 
     def _keep_better(self, number: int, arm: ArmFit | None) -> None:
         """Replace the pose of a frame by a fit that the edges agree with better."""

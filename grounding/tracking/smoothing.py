@@ -136,7 +136,16 @@ class RawTrack:
             t_s: (T,) task time [s].
         """
         X_AH = np.stack([np.full((4, 4), np.nan) if p is None else p.X_CH for p in poses])
-        X_AH[(confidence < MIN_CONFIDENCE) | lost | _vanished(anomalies, len(poses))] = np.nan
+        X_AH[(confidence < MIN_CONFIDENCE) | lost] = np.nan
+        breaks: list[int] = []
+        for anomaly in anomalies:
+            after = anomaly.frame_end + 1
+            if anomaly.kind is AnomalyKind.VANISH:  # a detection there is false
+                X_AH[anomaly.frame_start : after] = np.nan
+            if anomaly.kind in (AnomalyKind.TELEPORT, AnomalyKind.VANISH, AnomalyKind.FREEZE):
+                breaks.append(anomaly.frame_start)
+            if anomaly.kind in (AnomalyKind.VANISH, AnomalyKind.FREEZE):
+                breaks.append(after)
         from_prior = np.asarray(np.isfinite(X_prior).all(axis=(1, 2)))
         X_AH[from_prior] = X_prior[from_prior]
         return cls(
@@ -144,7 +153,7 @@ class RawTrack:
             covariance=np.stack([np.zeros((6, 6)) if p is None else p.covariance for p in poses]),
             confidence=np.where(from_prior, 1.0, confidence),
             from_prior=from_prior,
-            breaks=_breaks(anomalies),
+            breaks=tuple(sorted(breaks)),
             place=frame_periods(t_s),
         )
 
@@ -165,22 +174,3 @@ class RawTrack:
         X_AH = np.where(tracked[:, None, None], self.X_AH, np.nan)
         smoothed = smooth_track(X_AH, self.covariance, weight, self.breaks, place=self.place)
         return np.where(self.from_prior[:, None, None], X_AH, smoothed)
-
-
-def _vanished(anomalies: Sequence[Anomaly], frames: int) -> NDArray[np.bool_]:
-    """Return the frames (T,) in which the gripper has vanished: a detection there is false."""
-    vanished = np.zeros(frames, dtype=bool)
-    for anomaly in anomalies:
-        if anomaly.kind is AnomalyKind.VANISH:
-            vanished[anomaly.frame_start : anomaly.frame_end + 1] = True
-    return vanished
-
-
-def _breaks(anomalies: Sequence[Anomaly]) -> tuple[int, ...]:
-    frames: list[int] = []
-    for anomaly in anomalies:
-        if anomaly.kind is AnomalyKind.TELEPORT:
-            frames.append(anomaly.frame_start)
-        elif anomaly.kind in (AnomalyKind.VANISH, AnomalyKind.FREEZE):
-            frames += [anomaly.frame_start, anomaly.frame_end + 1]
-    return tuple(sorted(frames))

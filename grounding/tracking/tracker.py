@@ -10,14 +10,20 @@ from numpy.typing import NDArray
 
 from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array, interpolate_pose, transform_points
-from kinebench_drake.grounding.overrides.estimates import OverrideEstimator, calibrate_depth
 from kinebench_drake.grounding.priors import NO_PRIORS, Priors
 from kinebench_drake.grounding.registration.arm_edge_fit import ArmEdgeFitter
-from kinebench_drake.grounding.registration.arm_fit import ArmFitter
+from kinebench_drake.grounding.registration.arm_fit import ArmFitter, ArmView
 from kinebench_drake.grounding.registration.arm_model import ArmModel
 from kinebench_drake.grounding.registration.correspondences import Correspondences
 from kinebench_drake.grounding.registration.edges import EdgeMatcher
-from kinebench_drake.grounding.registration.fit import UNSEEN_FINGER_M, HandFit, finger_or_default, fit_all, refit_all
+from kinebench_drake.grounding.registration.fit import (
+    UNSEEN_FINGER_M,
+    HandFit,
+    calibrate_depth,
+    finger_or_default,
+    fit_all,
+    refit_all,
+)
 from kinebench_drake.grounding.registration.icp import IcpRefiner
 from kinebench_drake.grounding.registration.silhouette import SilhouetteMatcher
 from kinebench_drake.grounding.registration.solver import BATCH
@@ -26,7 +32,7 @@ from kinebench_drake.grounding.tracking.crop import CLOSE_MARGIN, CLOSE_SIZE, GR
 from kinebench_drake.grounding.tracking.localization import find_region, likeliest_gripper
 from kinebench_drake.grounding.tracking.pose import FramePose
 from kinebench_drake.grounding.tracking.refinement import EdgeRefinement, propagate
-from kinebench_drake.grounding.tracking.view import DenseEstimator, Frames, GripperView
+from kinebench_drake.grounding.tracking.view import DenseEstimator, Frames, GripperView, OverrideEstimator
 from kinebench_drake.models.panda.cad import GripperCad
 from kinebench_drake.models.panda.robot import RobotPart
 from kinebench_drake.track import Domain
@@ -48,6 +54,11 @@ class Tracking:
     robot: NDArray[np.bool_]
     """(H, W) pixels of the first frame that show the robot."""
     domain: Domain = Domain.FAMILIAR
+
+    @property
+    def agreeing(self) -> int:
+        """Number of frames in which hand and arm agree."""
+        return sum(pose is not None and pose.arm_agrees for pose in self.poses)
 
 
 class PoseTracker(Protocol):
@@ -90,11 +101,7 @@ class CadTracker:
     def track(
         self, frames: Frames, camera: Camera, priors: Priors = NO_PRIORS, places: Array | None = None
     ) -> Tracking:
-        """Measure the gripper in each of `frames` (T, H, W, 3).
-
-        Raises:
-            InputError: the priors do not fit the video.
-        """
+        """Measure the gripper in each of `frames`, as `PoseTracker.track`."""
         priors.check_shapes(*frames.shape[:3])
         priors = self._calibrate(frames, camera, priors)
         estimator = OverrideEstimator(self._estimator, priors)
@@ -193,10 +200,9 @@ class CadTracker:
         rims = {i: self._rim(views[i], hand, priors, i) for i, hand in cells_only.items()}
         with_rim = {i: rim for i, rim in rims.items() if rim is not None}
         refitted = refit_all([cells_only[i] for i in with_rim], [views[i] for i in with_rim], list(with_rim.values()))
-        hands = {**cells_only, **dict(zip(with_rim, refitted, strict=True))}
-        arms = arm_fitter.at(list(hands)).fit_all(
-            list(hands.values()), [views[i] for i in hands], [wide[i] for i in hands], [rims[i] for i in hands]
-        )
+        hands = cells_only | dict(zip(with_rim, refitted, strict=True))
+        shown = [ArmView.of(hand, views[i], wide[i]) for i, hand in hands.items()]
+        arms = arm_fitter.at(list(hands)).fit_all(shown, [rims[i] for i in hands])
         poses = {}
         for (i, hand), arm in zip(hands.items(), arms, strict=True):
             from_prior = priors.pose(i) is not None
@@ -221,11 +227,10 @@ class CadTracker:
         return self._silhouette.match(view, hand.X_CH, finger_or_default(hand.finger_m))
 
     def _register_all(self, poses: Mapping[int, FramePose]) -> dict[int, FramePose]:
-        """Return `_register` of each pose."""
+        """Return the poses combined with their registration by ICP."""
         return {i: self._register(pose) for i, pose in poses.items()}
 
     def _register(self, pose: FramePose) -> FramePose:
-        """Return the pose combined with its registration by ICP."""
         finger_m = finger_or_default(pose.finger_m)
         icp = None if pose.from_prior else self._icp.refine(pose.view, pose.X_CH, pose.covariance, finger_m)
         if icp is None or icp.weight == 0.0:

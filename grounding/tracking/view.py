@@ -1,7 +1,7 @@
-"""Dense estimates of one crop: part labels, metric depth and CAD coordinates on a grid of cells."""
+"""Dense estimates of one crop (part labels, metric depth, CAD coordinates on a grid of cells), and their overrides."""
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
@@ -9,11 +9,15 @@ from numpy.typing import NDArray
 
 from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array
+from kinebench_drake.grounding.priors import ExternalDepth, Priors
 from kinebench_drake.grounding.tracking.crop import Crop
 from kinebench_drake.models.panda.robot import GRIPPER, OPENING_SIGN, RobotPart
 
 Frames = NDArray[np.uint8]
 """(T, H, W, 3) RGB."""
+_EXACT_SIGMA, _EXACT_FACTOR_SIGMA = 1e-3, 1e-4  # relative; depth is stored in whole millimetres
+_ESTIMATE_SIGMA, _ESTIMATE_FACTOR_SIGMA = 0.02, 0.1  # estimator of unknown accuracy
+_CALIBRATED_FACTOR_SIGMA = 0.03  # drift of the depth factor along a video
 OPENING_SIGNS = np.array([OPENING_SIGN.get(part, 0.0) for part in RobotPart])
 """(PARTS,) `OPENING_SIGN` by value of `RobotPart`; 0 where a part does not move along the hand."""
 
@@ -74,14 +78,46 @@ class DenseEstimator(Protocol):
     """Source of dense estimates: the trained network, ground truth, or another model."""
 
     def estimate(self, frames: Frames, camera: Camera, crops: Mapping[int, Crop]) -> Iterator[tuple[int, GripperView]]:
-        """Estimate one view per crop.
-
-        Args:
-            frames: (T, H, W, 3) all frames of the video.
-            camera: camera of the frames.
-            crops: crop by frame number.
-
-        Yields:
-            Frame number and view of each crop, in any order.
-        """
+        """Yield frame number and view of each of the `crops`, by frame number, of a video, in any order."""
         ...
+
+
+class OverrideEstimator:
+    """Estimator with its mask, its depth or both replaced by priors."""
+
+    def __init__(self, base: DenseEstimator, priors: Priors) -> None:
+        """Replace the estimates of `base` by those in `priors`."""
+        self._base, self._priors = base, priors
+
+    def estimate(self, frames: Frames, camera: Camera, crops: Mapping[int, Crop]) -> Iterator[tuple[int, GripperView]]:
+        """Estimate one view per crop, like `DenseEstimator.estimate`."""
+        for number, view in self._base.estimate(frames, camera, crops):
+            if self._priors.mask is not None:
+                view = replace_mask(view, self._priors.mask[number], camera)
+            if self._priors.depth is not None:
+                view = replace_depth(view, self._priors.depth, number, camera)
+            yield number, view
+
+
+def replace_mask(view: GripperView, mask: NDArray[np.bool_], camera: Camera) -> GripperView:
+    """Return the view with the gripper where `mask` (H, W) is true; which part a cell shows remains estimated."""
+    in_mask = np.asarray(view.crop.warp(mask.astype(np.uint8), camera, view.stride, nearest=True)) > 0
+    gripper = np.where(view.gripper, view.part, RobotPart.HAND)
+    other = np.where(view.gripper, RobotPart.BACKGROUND, view.part)
+    return replace(view, part=np.where(in_mask, gripper, other).astype(np.uint8))
+
+
+def replace_depth(view: GripperView, depth: ExternalDepth, number: int, camera: Camera) -> GripperView:
+    """Return the view with the depth of frame `number` in the cells that have one."""
+    crop = view.crop
+    depth_m = np.nan_to_num(depth.depth_m[number].astype(np.float32), nan=0.0, posinf=0.0)
+    depth_C = np.asarray(crop.warp(depth_m, camera, view.stride, nearest=True), dtype=np.float64)
+    z = depth_C / (view.rays() @ crop.R_CV.T)[..., 2]
+    has_depth = z > 0
+    estimate_sigma = _CALIBRATED_FACTOR_SIGMA if depth.calibrated else _ESTIMATE_FACTOR_SIGMA
+    return replace(
+        view,
+        depth_m=np.where(has_depth, z, view.depth_m),
+        depth_sigma=np.where(has_depth, _EXACT_SIGMA if depth.exact else _ESTIMATE_SIGMA, view.depth_sigma),
+        depth_factor_sigma=_EXACT_FACTOR_SIGMA if depth.exact else estimate_sigma,
+    )

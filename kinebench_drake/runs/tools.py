@@ -82,9 +82,9 @@ class Tools:
     @cached_property
     def grounder(self) -> "Grounder":
         """The grounding."""
-        from kinebench_drake.grounding.video import Grounder, GroundingParts
+        from kinebench_drake.grounding.video import Grounder
 
-        return Grounder(GroundingParts(self._table_height_m))
+        return Grounder(table_height_m=self._table_height_m)
 
     def judge(self, track: GripperTrack, table_height_m: float | None = None) -> "KinematicResult":
         """Judge a track of poses: infeasible only if no joint path follows it.

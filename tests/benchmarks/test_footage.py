@@ -27,7 +27,7 @@ from kinebench_drake.anomaly import Anomaly, AnomalyKind
 from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.errors import UsageError
 from kinebench_drake.geometry import make_pose, rotation_exp
-from kinebench_drake.grounding.tracking.flips import X_HALF_TURN
+from kinebench_drake.grounding.tracking.markov import X_HALF_TURN
 from kinebench_drake.models.panda.cad import FINGER_ORIGIN_H, part_meshes
 from kinebench_drake.models.panda.robot import GripperKind, RobotPart
 

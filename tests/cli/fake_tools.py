@@ -110,10 +110,10 @@ class FakeGrounder:
         lens = benchmark_camera() if camera is None else camera.camera
         choice = FakeChoice(source if named else CameraSource.BENCHMARK)
         try:
-            framing = find_framing(clip.frames, lens, clip.conditioning)
-        except UnmeasurableError as error:
+            framing = find_framing(clip.frames, lens, clip.conditioning, choice.source)
+        except UnmeasurableError:
             if named:
-                raise UnmeasurableError(f"{choice.source.value} {error}") from None
+                raise
             choice = replace(
                 choice,
                 reason="the base frame is unknown: no camera is named, the shape of the video differs, nothing fits",

@@ -19,12 +19,13 @@ from kinebench_drake.geometry import (
     transform_points,
 )
 from kinebench_drake.grounding.registration.arm_edge_fit import ArmEdgeFitter
-from kinebench_drake.grounding.registration.arm_fit import ArmFit
+from kinebench_drake.grounding.registration.arm_fit import ArmFit, ArmView
 from kinebench_drake.grounding.registration.arm_model import ArmModel
 from kinebench_drake.grounding.registration.chain_fit import ChainFitter
 from kinebench_drake.grounding.registration.correspondences import Correspondences
-from kinebench_drake.grounding.registration.edges import EdgeMatcher, GradientImage
+from kinebench_drake.grounding.registration.edges import EdgeMatcher
 from kinebench_drake.grounding.registration.fit import HandFit, fit
+from kinebench_drake.grounding.registration.image import GradientImage
 from kinebench_drake.grounding.registration.silhouette import SilhouetteMatcher
 from kinebench_drake.grounding.tracking.crop import CLOSE_SIZE, Crop
 from kinebench_drake.grounding.tracking.flange_tracker import FlangeTracker
@@ -98,7 +99,7 @@ def views(model: ArmModel, q: Array, seed: int) -> tuple[Array, GripperView, Gri
 
 def fit_arm(fitter: ArmEdgeFitter, hand: HandFit, close: GripperView, wide: GripperView) -> ArmFit | None:
     """Fit the arm behind one hand, without silhouette."""
-    return fitter.fit_all([hand], [close], [wide], [None])[0]
+    return fitter.fit_all([ArmView.of(hand, close, wide)], [None])[0]
 
 
 def test_the_arm_determines_the_distance_of_the_hand(
@@ -145,10 +146,11 @@ def test_edges_sharpen_a_fit_whose_coordinates_are_all_off_alike(model: ArmModel
     arm = fit_arm(fitter, hand, close, wide)
     assert arm is not None
     before = pose_difference(arm.X_CH, X_CH)[0]
-    sharp = fitter.sharpen_all([arm], [hand], [close], [wide], [GradientImage(drawn(model, q), CAMERA)])[0]
+    view = ArmView.of(hand, close, wide)
+    sharp = fitter.sharpen_all([arm], [view], [GradientImage(drawn(model, q), CAMERA)])[0]
     assert pose_difference(sharp.X_CH, X_CH)[0] < 0.75 * before
     blank = np.full((CAMERA.height, CAMERA.width, 3), 90, np.uint8)
-    assert fitter.sharpen_all([arm], [hand], [close], [wide], [GradientImage(blank, CAMERA)])[0] is arm
+    assert fitter.sharpen_all([arm], [view], [GradientImage(blank, CAMERA)])[0] is arm
 
 
 def test_a_hand_that_is_elsewhere_than_its_arm_disagrees(
@@ -211,7 +213,7 @@ def test_a_misread_hand_is_found_from_the_frame_before(model: ArmModel, seed: in
     assert wrong is not None
     assert np.rad2deg(pose_difference(wrong.X_CH, X_CH)[1]) > 15.0
     before = replace(right, q=right.q + np.deg2rad([1.0, -1.0, 1.0, 1.5, -1.0, 1.0, 4.0]))
-    arm = fitter.fit_from_neighbour(before, wrong, misread, wide, silhouette)
+    arm = fitter.fit_from_neighbour(before, ArmView.of(wrong, misread, wide), silhouette)
     assert arm is not None
     assert arm.agrees
     distance, angle = pose_difference(arm.X_CH, X_CH)
@@ -313,20 +315,21 @@ def test_frames_of_a_moving_camera_are_fitted_together_like_alone(model: ArmMode
     places = np.array([[0.05, -0.02, 0.03], [0.0, 0.0, 0.0], [0.01, 0.0, 0.01]])
     moving = ArmEdgeFitter(CAMERA, model, EdgeMatcher(), places)
     numbers, count = [1, 2], 2
-    arms = moving.at(numbers).fit_all([hand] * count, [close] * count, [wide] * count, [None] * count)
+    shown = [ArmView.of(hand, close, wide)] * count
+    arms = moving.at(numbers).fit_all(shown, [None] * count)
     fixed = fit_arm(ArmEdgeFitter(CAMERA, model, EdgeMatcher()), hand, close, wide)
     assert fixed is not None
     assert arms[0] is not None
     np.testing.assert_allclose(arms[0].X_CH, fixed.X_CH, atol=1e-8)
     both = [arm for arm in arms if arm is not None]
-    sharp = moving.at(numbers).sharpen_all(both, [hand] * count, [close] * count, [wide] * count, [image] * count)
+    sharp = moving.at(numbers).sharpen_all(both, shown, [image] * count)
     for number, arm, one in zip(numbers, arms, sharp, strict=True):
         alone = moving.at([number])
         same = fit_arm(alone, hand, close, wide)
         assert arm is not None
         assert same is not None
         np.testing.assert_allclose(arm.q, same.q, atol=1e-8)
-        sharp_alone = alone.sharpen_all([same], [hand], [close], [wide], [image])[0]
+        sharp_alone = alone.sharpen_all([same], shown[:1], [image])[0]
         np.testing.assert_allclose(one.q, sharp_alone.q, atol=1e-8)
     assert pose_difference(both[1].X_CH, both[0].X_CH)[0] > 1e-3
 

@@ -10,7 +10,8 @@ from kinebench_drake.camera import Camera, benchmark_camera
 from kinebench_drake.geometry import Array, invert, pose_difference
 from kinebench_drake.grounding.registration.arm_model import ArmHandModel, ArmModel
 from kinebench_drake.grounding.registration.correspondences import Correspondences
-from kinebench_drake.grounding.registration.edges import EdgeMatcher, EdgePoints, GradientImage
+from kinebench_drake.grounding.registration.edges import EdgeMatcher
+from kinebench_drake.grounding.registration.image import EdgePoints, GradientImage
 from kinebench_drake.grounding.registration.solver import solve
 from kinebench_drake.models.panda.cad import PartCaster, link_meshes, open_fingers, part_meshes
 from kinebench_drake.models.panda.robot import RobotPart

@@ -9,8 +9,8 @@ from kinebench_drake.geometry import Array, invert, pose_difference, transform_p
 from kinebench_drake.grounding.registration.arm_edge_fit import ArmEdgeFitter
 from kinebench_drake.grounding.registration.arm_fit import ArmFit
 from kinebench_drake.grounding.registration.arm_model import ArmModel
-from kinebench_drake.grounding.registration.edges import EdgeMatcher, GradientImage
-from kinebench_drake.grounding.registration.flow import follow_surface
+from kinebench_drake.grounding.registration.edges import EdgeMatcher
+from kinebench_drake.grounding.registration.image import GradientImage, follow_surface
 from kinebench_drake.models.panda.cad import open_fingers
 from kinebench_drake.models.panda.robot import RobotPart
 

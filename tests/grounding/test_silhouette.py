@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from kinebench_drake.geometry import Array, invert, make_pose, pose_difference, rotation_exp
+from kinebench_drake.geometry import Array, invert, make_pose, pose_difference, rotation_exp, transform_points
 from kinebench_drake.grounding.registration.correspondences import Correspondences
-from kinebench_drake.grounding.registration.fit import HandModel, gripper_cells, place_hand
+from kinebench_drake.grounding.registration.fit import HandModel, gripper_cells
 from kinebench_drake.grounding.registration.silhouette import SilhouetteMatcher
 from kinebench_drake.grounding.registration.solver import solve
 from kinebench_drake.grounding.tracking.crop import CLOSE_SIZE, Crop
@@ -80,7 +80,7 @@ def test_a_pose_that_fits_is_left_where_it_is(silhouette: SilhouetteMatcher) -> 
     view = mask_view(X_CH)
     rim = silhouette.match(view, X_CH, FINGER_M)
     assert rim is not None
-    p_C, _ = place_hand(X_CH, FINGER_M, rim)
+    p_C = transform_points(X_CH, rim.p_P)
     off = np.einsum("nij,nj->ni", rim.R_LC, p_C)[:, 0] / p_C[:, 2]
     assert np.abs(off).max() < 1e-9
 

@@ -72,7 +72,8 @@ def chains(rng: np.random.Generator) -> tuple[FitModel, Correspondences]:
 
 def depths(model: FitModel, rows: CellRows) -> Array:
     """Distances (B, N) of the posed points along the lines of sight [m]."""
-    return rows.in_line_frames(rows.place(model.place())[0])[:, 2]
+    placement = model.place()
+    return rows.in_line_frames(rows.place(placement.X_CP, placement.finger_m)[0])[:, 2]
 
 
 @pytest.mark.parametrize("make", [hands, arms, chains])

@@ -13,10 +13,9 @@ from benchmarks.perception.variants import Degradation, DegradedEstimator, exter
 from kinebench_drake.camera import Camera
 from kinebench_drake.errors import InputError, UsageError
 from kinebench_drake.grounding.overrides.depth import DepthPlugIn
-from kinebench_drake.grounding.overrides.estimates import OverrideEstimator
 from kinebench_drake.grounding.priors import ExternalDepth, Priors
 from kinebench_drake.grounding.tracking.crop import Crop
-from kinebench_drake.grounding.tracking.view import Frames, GripperView
+from kinebench_drake.grounding.tracking.view import Frames, GripperView, OverrideEstimator
 from kinebench_drake.models.panda.robot import RobotPart
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.geometry import make_pose
-from kinebench_drake.grounding.anomaly.presence import (
+from kinebench_drake.grounding.anomaly.appearance import (
     _inside,
     expect_gripper,
     find_duplicates,

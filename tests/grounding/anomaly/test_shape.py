@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from kinebench_drake.grounding.anomaly.shape import find_deformations, find_scale_drift, shape_misfit
+from kinebench_drake.grounding.anomaly.appearance import find_deformations, find_scale_drift, shape_misfit
 from kinebench_drake.grounding.registration.fit import fit
 from tests.grounding.conftest import hand_pose, perfect_view
 

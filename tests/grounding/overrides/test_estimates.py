@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from kinebench_drake.camera import Camera, benchmark_camera
-from kinebench_drake.grounding.overrides.estimates import calibrate_depth
 from kinebench_drake.grounding.priors import ExternalDepth, Priors
+from kinebench_drake.grounding.registration.fit import calibrate_depth
 from kinebench_drake.grounding.tracking.crop import Crop
 from kinebench_drake.grounding.tracking.tracker import CadTracker
 from kinebench_drake.grounding.tracking.view import Frames, GripperView

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from kinebench_drake.errors import InputError
-from kinebench_drake.grounding.overrides.arrays import array_files, read_masks
+from kinebench_drake.grounding.overrides.files import array_files, read_masks
 
 Masks = NDArray[np.bool_]
 MASKS: Masks = np.random.default_rng(0).random((11, 6, 10)) < 0.4

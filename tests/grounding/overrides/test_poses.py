@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from kinebench_drake.errors import InputError
 from kinebench_drake.geometry import Array, make_pose, rotation_exp
-from kinebench_drake.grounding.overrides.poses import MESH_NAME, pose_files, read_poses
+from kinebench_drake.grounding.overrides.files import MESH_NAME, pose_files, read_poses
 from kinebench_drake.results.trackfile import write_track
 from kinebench_drake.track import GripperTrack
 

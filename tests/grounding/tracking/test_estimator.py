@@ -107,7 +107,8 @@ def test_a_gpu_tracks_what_the_processor_does() -> None:
     frames, camera = read_video(VIDEO).frames, benchmark_camera()
 
     def track(device: str) -> GripperTrack:
-        return GroundingPipeline.create(device).ground(frames, camera, 0.2 * np.arange(len(frames))).track
+        pipeline = GroundingPipeline.create(NetworkEstimator(load_network(), device))
+        return pipeline.ground(frames, camera, 0.2 * np.arange(len(frames))).track
 
     on_gpu, exact = track("cuda"), track("cpu")
     assert exact.tracked.sum() > 40

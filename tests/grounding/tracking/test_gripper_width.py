@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from kinebench_drake.grounding.tracking.gripper_width import smooth_gripper_width
+from kinebench_drake.grounding.tracking.markov import smooth_gripper_width
 
 WIDTH = np.where(np.arange(30) < 15, 0.08, 0.0)
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from kinebench_drake.geometry import Array
-from kinebench_drake.grounding.tracking.turn import TURNS_RAD, likeliest_turns
+from kinebench_drake.grounding.tracking.markov import TURNS_RAD, likeliest_turns
 
 
 def peaks(truth_rad: Array, weight: float = 8.0) -> Array:

@@ -1,6 +1,7 @@
-"""Detectors of a vanished gripper and of a second one."""
+"""Detectors of what no Franka hand looks like: one that vanishes, a second one, one of another shape or size."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import cache
 
 import cv2
@@ -9,8 +10,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from kinebench_drake.anomaly import Anomaly, AnomalyKind
 from kinebench_drake.camera import Camera
-from kinebench_drake.geometry import Array, transform_points
-from kinebench_drake.grounding.anomaly.detection import Detection, sustained
+from kinebench_drake.geometry import Array, invert, transform_points
+from kinebench_drake.grounding.anomaly.detection import Detection, finite_median, sustained
 from kinebench_drake.grounding.tracking.crop import GRIPPER_RADIUS_M
 from kinebench_drake.grounding.tracking.view import GripperView
 from kinebench_drake.models.panda.cad import part_meshes
@@ -28,31 +29,39 @@ _HIDDEN_SHARE = 0.4  # of it behind links of the arm, from which on a gripper ma
 _NEAREST_M = 0.05
 _MARGIN_CELLS = 2  # cells of the whole-image view around the tracked gripper that belong to it
 _FINGER_M = 0.04
+MISFIT = 0.02
+"""Least relative misfit of the shape of a deformation; `EXCESS` must hold, too.
+
+The misfit alone is unreliable where the gripper is seen edge-on.
+"""
+EXCESS = 1.45
+"""Least residual of a deformation against any rigid gripper, over the usual one of the video."""
+USUAL = 0.6
+"""Greatest usual residual of a video: that of videos without a deformation [standard deviations]."""
+SHAPE_WINDOW = 5
+"""Frames of the running median of misfit and residual."""
+OFF = 0.035
+"""Least relative error of the size of an anomaly."""
+SCALE_WINDOW = 21
+"""Frames of the running median of the size: its errors last some ten frames, a gripper of the wrong size keeps it."""
+_MIN_CELLS = 100
+_PASSES = 4
 
 
 def find_vanishing(confidence: Array, explained: Array, expected: NDArray[np.bool_]) -> Detection:
     """Detect frames without a gripper that should be seen there; severity: their number.
 
     Absence is c0 / (c0 + confidence), one half at the threshold c0, or the same of the explained cells, whichever is
-    larger; the score is twice the absence that `VANISH_FRAMES` consecutive frames reach.
-
-    Args:
-        confidence: (T,) confidence 0..1, 0 without a detection.
-        explained: (T,) cells of the crop explained by the posed gripper, 0 without a detection.
-        expected: (T,) frames in which the gripper should be seen (`expect_gripper`).
+    larger; the score is twice the absence that `VANISH_FRAMES` consecutive frames reach. Series (T,) are those of
+    `AnomalyEvidence`.
     """
     absence = np.maximum(
         ABSENT_CONFIDENCE / (ABSENT_CONFIDENCE + confidence), ABSENT_CELLS / (ABSENT_CELLS + explained)
     )
     score = 2.0 * sustained(absence * expected, VANISH_FRAMES)
     anomalies = tuple(
-        Anomaly(
-            kind=AnomalyKind.VANISH,
-            frame_start=run.start,
-            frame_end=run.stop - 1,
-            severity=float(run.stop - run.start),
-        )
-        for run in segments(score > 1.0)
+        Anomaly(kind=AnomalyKind.VANISH, frame_start=r.start, frame_end=r.stop - 1, severity=float(r.stop - r.start))
+        for r in segments(score > 1.0)
     )
     return Detection(kind=AnomalyKind.VANISH, score=score, anomalies=anomalies)
 
@@ -105,13 +114,8 @@ def _hidden_share(p_S: Array, view: GripperView) -> float:
 def second_gripper(view: GripperView, X_CH: Array | None, camera: Camera) -> float:
     """Return the share of a second gripper: its cells over those that the tracked one should cover.
 
-    Cells within the convex outline of the tracked gripper and a margin around it belong to the tracked one.
-
-    Args:
-        view: view of the whole image.
-        X_CH: (4, 4) pose of the tracked gripper in the camera frame [m]; if None, the largest component of gripper
-            cells counts as the tracked one.
-        camera: camera of the frame.
+    Cells of the `view` of the whole image within the convex outline of the tracked gripper, at `X_CH` (4, 4) in the
+    camera frame [m], and a margin around it belong to the tracked one; without a pose the largest component is that.
     """
     cells = view.gripper.astype(np.uint8)
     count, labels, stats, _ = cv2.connectedComponentsWithStats(cells, connectivity=8)
@@ -155,10 +159,68 @@ def _outline(view: GripperView, X_CH: Array, camera: Camera) -> NDArray[np.uint8
 
 
 def find_duplicates(share: ArrayLike) -> Detection:
-    """Detect frames that show a second gripper; severity: its largest share.
-
-    Args:
-        share: (T,) share of a second gripper (`second_gripper`); NaN where unknown.
-    """
+    """Detect frames with a large `share` (T,) of a second gripper (`second_gripper`); severity: the largest."""
     size = sustained(share, DUPLICATE_FRAMES)
     return Detection.from_score(AnomalyKind.DUPLICATE, size / DUPLICATE_SHARE, size)
+
+
+def shape_misfit(view: GripperView, X_CH: Array, finger_m: float) -> float:
+    """Return the systematic deviation of the gripper's cells from the rigid model, relative to its size.
+
+    Lateral distances between the cells and their CAD points under the fitted model, e (N, 2), are fitted by
+    e = a + B p + c z^2 with p = (x, y, z) the CAD point: a stretch, a shear, a bend. The noise of single cells averages
+    out. The misfit is the root mean square of the fitted field over that of the points' distances from their centre,
+    with Tukey's weights; NaN if too few cells are visible. Without a travel of the fingers (NaN) they are left out.
+    """
+    with_fingers = np.isfinite(finger_m)
+    cells = view.gripper if with_fingers else view.gripper & (view.opening_sign == 0)
+    if cells.sum() < _MIN_CELLS:
+        return float("nan")
+    p_H = view.coordinates_P[cells].copy()
+    if with_fingers:
+        p_H[:, 1] += view.opening_sign[cells] * finger_m
+    p_V = transform_points(invert(view.crop.X_CV) @ X_CH, p_H)
+    if p_V[:, 2].min() <= _NEAREST_M:
+        return float("nan")
+    offset = (view.rays()[cells][:, :2] - p_V[:, :2] / p_V[:, 2:]) * p_V[:, 2:]
+    unit = (p_H - p_H.mean(axis=0)) / 0.1
+    design = np.column_stack([np.ones(len(unit)), unit, unit[:, 2] ** 2])
+    weight = 1.0 / view.coordinates_sigma_m[cells] ** 2
+    robust, field = np.ones(len(unit)), np.zeros_like(offset)
+    for _ in range(_PASSES):
+        root = np.sqrt(weight * robust)[:, None]
+        solution = np.linalg.lstsq(design * root, offset * root, rcond=None)[0]
+        field = design @ solution - solution[0]
+        residual = np.linalg.norm(offset - design @ solution, axis=1)
+        robust = np.clip(1.0 - (residual / max(6.0 * float(np.median(residual)), 1e-4)) ** 2, 0.0, 1.0) ** 2
+    total = weight * robust
+    spread = (total * ((p_H - (total @ p_H) / total.sum()) ** 2).sum(axis=1)).sum()
+    return float(np.sqrt((total * (field**2).sum(axis=1)).sum() / spread))
+
+
+def find_deformations(misfit: ArrayLike, residual: ArrayLike) -> Detection:
+    """Detect frames with a deformed gripper; severity: the largest median misfit.
+
+    The `misfit` (T,) of the shape (`shape_misfit`) counts with the `residual` (T,) of cells against the rigid gripper
+    [standard deviations].
+    """
+    misfit, residual = np.asarray(misfit, dtype=np.float64), np.asarray(residual, dtype=np.float64)
+    finite = residual[np.isfinite(residual)]
+    usual = min(float(np.median(finite)), USUAL) if finite.size else USUAL
+    excess = residual / (EXCESS * usual)
+    score = np.nan_to_num(finite_median(np.minimum(misfit / MISFIT, excess), SHAPE_WINDOW), nan=0.0)
+    size = np.nan_to_num(finite_median(misfit, SHAPE_WINDOW), nan=0.0)
+    return Detection.from_score(AnomalyKind.DEFORMATION, score, size)
+
+
+def find_scale_drift(scale: ArrayLike) -> Detection:
+    """Detect frames in which the gripper's `scale` (T,), relative to the right one, is wrong.
+
+    Severity: the largest relative error.
+    """
+    scale = np.asarray(scale, dtype=np.float64)
+    median = finite_median(np.log(scale, where=scale > 0, out=np.full(len(scale), np.nan)), SCALE_WINDOW)
+    size = np.abs(np.nan_to_num(median, nan=0.0))
+    detection = Detection.from_score(AnomalyKind.SCALE, size / OFF, size)
+    anomalies = tuple(replace(a, severity=float(np.expm1(a.severity))) for a in detection.anomalies)
+    return replace(detection, anomalies=anomalies)

@@ -1,0 +1,216 @@
+"""Hidden Markov models along a video: gripper width, half turns of the gripper, and turn of the last joint.
+
+States are likely in their frames and in their changes from frame to frame. The likeliest sequence is found by dynamic
+programming (Viterbi), uncertainties by the forward-backward algorithm; Rabiner, "A tutorial on hidden Markov models",
+Proc. IEEE 77(2), 1989.
+
+- Rotated half a turn about its approach axis the gripper looks almost the same. Each frame yields a log-likelihood
+  ratio of the fitted pose against the flipped one, and sudden rotations are avoided.
+- The turn of the last joint is on a grid. Where its change between two frames is measured, both vote for the same turn,
+  up to the error of that change.
+- Fingers rest or keep their speed, also where they are hidden: states are widths and speeds.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import lru_cache
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.special import logsumexp
+
+from kinebench_drake.geometry import Array, invert, make_pose, rotation_angle, rotation_exp, transform_points
+from kinebench_drake.grounding.tracking.pose import FramePose
+from kinebench_drake.models.panda.cad import MAX_FINGER_M
+
+X_HALF_TURN = make_pose(rotation_exp([0.0, 0.0, np.pi]), np.zeros(3))
+"""Pose (4, 4) of the flipped hand in the hand frame: 180 degrees about z."""
+_EVIDENCE_CAP = 6.0  # label errors of one view are correlated: no frame outweighs several others
+_CAP_WITH_EDGES = 2.0  # where poses had to be fitted to edges, the CAD coordinates are less sure
+_ROTATION_SIGMA_RAD = np.deg2rad(20.0)  # usual rotation between frames
+_ROTATION_CAP = 40.0  # cost of a jump: half a turn in one frame is no motion of an arm
+TURNS_RAD = np.deg2rad(np.arange(-170.0, 171.0, 10.0))
+"""Turns over the range of the joint [rad]."""
+OFFSETS_RAD = np.deg2rad(np.arange(-15.0, 15.1, 3.0))
+"""Offsets from turns that are known roughly [rad]."""
+_STATES = 5  # states from one turn of the grid to the next
+_STEP_RAD = np.deg2rad(8.0)  # standard deviation of a step from frame to frame, and of a change that is measured badly
+_CHANGE_RAD, _BADLY = np.deg2rad(1.5), 0.1  # standard deviation of a measured change, and share of the bad ones
+SHARP_M = 0.004
+"""Widths with a smaller standard deviation are trusted as measured; larger ones have correlated errors, since fingers
+that hide each other are mislabelled together."""
+_BLUNT_FACTOR = 2.5  # factor by which the error of a width that is not sharp exceeds its standard deviation
+_BLIND_M = 0.010  # standard deviation from which a measurement is ignored
+_FLOOR_M = 0.001  # least standard deviation of a measurement
+_OUTLIER_SHARE = 0.02
+_UNKNOWN_M = 0.015  # posterior standard deviation above which the width is unknown
+_STEP_M = 0.002
+_SPEEDS = np.array([0, *(s * k for k in (1, 2, 3, 4, 6, 10, 15, 25, 40) for s in (-1, 1))])
+"""Changes of the width per frame in grid steps; the first is rest."""
+_REST, _GO_ON = 0.96, 0.6  # probabilities that resting, or moving, fingers continue so in the next frame
+_BLUR = (0.1, 0.8, 0.1)  # probabilities of one step less, none, one more than the speed
+
+
+def _likeliest_states(own: Sequence[Array] | Array, steps: Sequence[Array]) -> list[int]:
+    """Return the likeliest sequence of T states (Viterbi 1967).
+
+    Args:
+        own: (T, S) log-likelihood of each state by its frame alone.
+        steps: (T - 1, S, S) log-probability of each state (rows) after each other (columns).
+    """
+    best, origins = own[0], []
+    for step, row in zip(steps, own[1:], strict=True):
+        reached = best + step
+        origins.append(reached.argmax(axis=1))
+        best = reached.max(axis=1) + row
+    path = [int(best.argmax())]
+    for origin in reversed(origins):
+        path.append(int(origin[path[-1]]))
+    return path[::-1]
+
+
+def flip_evidence(pose: FramePose) -> float:
+    """Return the log-likelihood ratio of the fitted pose against the flipped one, given the CAD coordinates."""
+    view = pose.view
+    cells = view.gripper
+    cloud_V = view.rays()[cells] * (view.depth_m[cells] * pose.hand.depth_factor)[:, None]
+    p_H = transform_points(invert(pose.X_CH) @ view.crop.X_CV, cloud_V)
+    finger = pose.finger_m if np.isfinite(pose.finger_m) else 0.0
+    p_H[:, 1] -= view.opening_sign[cells] * finger
+    scale = view.coordinates_sigma_m[cells] / np.sqrt(2.0)
+    estimated_H = view.coordinates_P[cells]
+    as_fitted = np.abs(p_H - estimated_H).sum(axis=1) / scale
+    flipped = np.abs(p_H * [-1.0, -1.0, 1.0] - estimated_H).sum(axis=1) / scale
+    of_hand = float((flipped - as_fitted).mean())
+    if pose.arm is None:
+        return float(np.clip(of_hand, -_EVIDENCE_CAP, _EVIDENCE_CAP))
+    cap = _EVIDENCE_CAP if np.isnan(pose.arm.edge_agreement) else _CAP_WITH_EDGES
+    return float(np.clip(of_hand, -cap, cap)) + pose.arm.evidence
+
+
+def _rotation_cost(X_1: Array, X_2: Array) -> float:
+    angle = float(rotation_angle(X_1[:3, :3].T @ X_2[:3, :3]))
+    return float(min((angle / _ROTATION_SIGMA_RAD) ** 2, _ROTATION_CAP))
+
+
+def resolve_flips(poses: Sequence[FramePose | None]) -> list[FramePose | None]:
+    """Return the poses, each as fitted or flipped, that fit the whole video best."""
+    measured = [(i, pose) for i, pose in enumerate(poses) if pose is not None]
+    resolved = list(poses)
+    if not measured:
+        return resolved
+    own = [np.array([0.0, -np.inf if pose.from_prior else -flip_evidence(pose)]) for _, pose in measured]
+    variants = [(pose.X_CH, pose.X_CH @ X_HALF_TURN) for _, pose in measured]
+    steps = [
+        -np.array([[_rotation_cost(before, after) for before in previous] for after in current])
+        for previous, current in pairwise(variants)
+    ]
+    for (i, pose), (_, flipped), state in zip(measured, variants, _likeliest_states(own, steps), strict=True):
+        if state:
+            resolved[i] = replace(pose, X_CH=flipped)
+    return resolved
+
+
+def likeliest_turns(grid_rad: Array, log_likelihood: Array, change_rad: Array) -> tuple[Array, Array]:
+    """Return the turns (T,) that are likeliest together, and their standard deviations (T,) [rad].
+
+    Args:
+        grid_rad: (M,) turns at equal steps [rad]; between them likelihoods are interpolated.
+        log_likelihood: (T, M) of each turn in each frame; 0 where nothing is known.
+        change_rad: (T - 1,) measured changes of the turn from each frame to the next [rad]; NaN where there is none.
+    """
+    state = np.linspace(grid_rad[0], grid_rad[-1], _STATES * (len(grid_rad) - 1) + 1)
+    own = np.array([np.interp(state, grid_rad, row) for row in log_likelihood])
+    steps = [_step(state, change) for change in change_rad]
+    turns = state[_likeliest_states(own, steps)]
+    posterior = _forward(own, steps) + _forward(own[::-1], [step.T for step in reversed(steps)])[::-1] - own
+    probability = np.exp(posterior - logsumexp(posterior, axis=1, keepdims=True))
+    return turns, np.sqrt((probability * (state - turns[:, None]) ** 2).sum(axis=1))
+
+
+def _step(state: Array, change_rad: float) -> Array:
+    """Return the log-probability of each state (rows) after each other (columns), up to a constant."""
+    moved = state[:, None] - state
+    if not np.isfinite(change_rad):
+        return np.asarray(_log_normal(moved, _STEP_RAD))
+    error = moved - change_rad
+    good, bad = np.log(1.0 - _BADLY) + _log_normal(error, _CHANGE_RAD), np.log(_BADLY) + _log_normal(error, _STEP_RAD)
+    return np.asarray(np.logaddexp(good, bad))
+
+
+def _log_normal(error: Array, sigma: float) -> Array:
+    return np.asarray(-0.5 * (error / sigma) ** 2 - np.log(sigma))
+
+
+def _forward(own: Array, steps: list[Array]) -> Array:
+    """Return the log-likelihoods (T, M) of the states given all frames up to each."""
+    forward = [own[0]]
+    for step, row in zip(steps, own[1:], strict=True):
+        forward.append(row + logsumexp(forward[-1] + step, axis=1))
+    return np.array(forward)
+
+
+def smooth_gripper_width(width_m: ArrayLike, sigma_m: ArrayLike) -> Array:
+    """Return the gripper width (T,) [m], NaN where neither the frame nor its neighbours determine it.
+
+    It is the median of the posterior by measured widths (T,) [m], NaN where there is none, with standard deviations
+    (T,) [m], 0 of widths taken from priors.
+    """
+    width_m, sigma_m = np.asarray(width_m, dtype=np.float64), np.asarray(sigma_m, dtype=np.float64)
+    if not np.isfinite(width_m).any():
+        return np.full(len(width_m), np.nan)
+    widths, initial, transition = _model()
+    likelihoods = _likelihoods(width_m, sigma_m, widths)
+    forward = [_normalized(initial * likelihoods[0])]
+    for likelihood in likelihoods[1:]:
+        forward.append(_normalized((forward[-1] @ transition) * likelihood))
+    backward = [np.ones(likelihoods.shape[1])]
+    for likelihood in likelihoods[:0:-1]:
+        backward.append(_normalized(transition @ (backward[-1] * likelihood)))
+    posterior = (np.array(forward) * np.array(backward[::-1])).reshape(len(width_m), -1, len(_SPEEDS)).sum(axis=2)
+    posterior /= posterior.sum(axis=1, keepdims=True)
+    grid = np.unique(widths)
+    spread = np.sqrt(np.maximum(posterior @ grid**2 - (posterior @ grid) ** 2, 0.0))
+    median = [_median(grid, probabilities) for probabilities in posterior]
+    return np.where(sigma_m == 0.0, width_m, np.where(spread <= _UNKNOWN_M, median, np.nan))
+
+
+def _median(grid: Array, probabilities: Array) -> float:
+    """Return the median of a density that is uniform within each grid step; a mean could lie between two modes."""
+    edges = np.append(grid - _STEP_M / 2, grid[-1] + _STEP_M / 2)
+    middle = np.interp(0.5, np.append(0.0, np.cumsum(probabilities)), edges)
+    return float(np.clip(middle, grid[0], grid[-1]))
+
+
+def _likelihoods(width_m: Array, sigma_m: Array, widths: Array) -> Array:
+    """Return the likelihoods (T, S) of the states, whose widths are `widths` (S,), given the measurements (T,)."""
+    sigma_m = np.where(sigma_m <= SHARP_M, np.maximum(sigma_m, _FLOOR_M), _BLUNT_FACTOR * sigma_m)
+    usable = np.isfinite(width_m) & (sigma_m <= _BLUNT_FACTOR * _BLIND_M)
+    width_m, sigma_m = np.where(usable, width_m, 0.0)[:, None], np.where(usable, sigma_m, 1.0)[:, None]
+    fits = np.exp(-0.5 * ((widths - width_m) / sigma_m) ** 2) / sigma_m
+    return np.where(usable[:, None], (1.0 - _OUTLIER_SHARE) * fits + _OUTLIER_SHARE / (2 * MAX_FINGER_M), 1.0)
+
+
+def _normalized(probabilities: Array) -> Array:
+    return np.asarray(probabilities / probabilities.sum())
+
+
+@lru_cache(maxsize=1)
+def _model() -> tuple[Array, Array, Array]:
+    """Return the width (S,) [m] and initial probability (S,) of each state, and the transition matrix (S, S)."""
+    n, k = round(2 * MAX_FINGER_M / _STEP_M) + 1, len(_SPEEDS)
+    change = np.full((k, k), (1.0 - _GO_ON) / (2 * (k - 1)))  # moving fingers stop as often as they change speed
+    change[:, 0] += (1.0 - _GO_ON) / 2
+    change[np.arange(k), np.arange(k)] = _GO_ON
+    change[0] = (1.0 - _REST) / (k - 1)
+    change[0, 0] = _REST
+    change /= change.sum(axis=1, keepdims=True)
+    transition = np.zeros((n, k, n, k))
+    for speed, steps in enumerate(_SPEEDS):
+        for width in range(n):
+            for blur, share in zip((-1, 0, 1), _BLUR, strict=True):
+                end = min(max(width + steps + blur, 0), n - 1)
+                transition[width, :, end, speed] += share * change[:, speed]
+    widths = np.repeat(_STEP_M * np.arange(n), k)
+    return widths, np.tile(change[0] / n, n), transition.reshape(n * k, n * k)
