@@ -24,7 +24,7 @@ from kinebench_drake.closed_loop.commands import CommandPlanner
 from kinebench_drake.closed_loop.loop import ClosedLoop, LoopOptions
 from kinebench_drake.errors import InputError, KinebenchError
 from kinebench_drake.executors.base import Executor, WorkerCrash
-from kinebench_drake.grounding.clip import Clip
+from kinebench_drake.grounding.priors import Clip
 from kinebench_drake.grounding.result import GroundingResult
 from kinebench_drake.grounding.video import Grounder
 from kinebench_drake.kinematics.plant import ArmPlant

@@ -19,7 +19,7 @@ from kinebench_drake.executors.base import Executor, Observer
 from kinebench_drake.geometry import pose_difference
 from kinebench_drake.grounding.camera.lens import with_focal
 from kinebench_drake.grounding.camera.reading import Reading
-from kinebench_drake.grounding.clip import Clip
+from kinebench_drake.grounding.priors import Clip
 from kinebench_drake.grounding.video import Grounder
 from kinebench_drake.io.reader import read_video
 from kinebench_drake.models.panda.robot import hand_from_tcp

@@ -16,9 +16,8 @@ from kinebench_drake.grounding.camera.contradiction import CameraChecker
 from kinebench_drake.grounding.camera.estimate import CameraEstimator, usual_camera
 from kinebench_drake.grounding.camera.framing import Framing, apply_framing
 from kinebench_drake.grounding.camera.framing_search import find_framing
-from kinebench_drake.grounding.clip import Clip
 from kinebench_drake.grounding.pipeline import GroundingPipeline
-from kinebench_drake.grounding.priors import NO_PRIORS, Priors
+from kinebench_drake.grounding.priors import NO_PRIORS, Clip, Priors
 from kinebench_drake.grounding.result import MIN_TRACKED, GroundingResult, PipelineResult
 from kinebench_drake.grounding.tracking.estimator import NetworkEstimator
 from kinebench_drake.grounding.tracking.view import Frames

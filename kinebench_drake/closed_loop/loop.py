@@ -13,8 +13,7 @@ from kinebench_drake.closed_loop.commands import CommandPlanner, Commands, Execu
 from kinebench_drake.errors import InputError, UnmeasurableError, UsageError
 from kinebench_drake.geometry import Array
 from kinebench_drake.grounding.camera.framing import undo_framing
-from kinebench_drake.grounding.clip import Clip
-from kinebench_drake.grounding.priors import Priors
+from kinebench_drake.grounding.priors import Clip, Priors
 from kinebench_drake.grounding.result import GroundingResult
 from kinebench_drake.grounding.video import Grounder
 from kinebench_drake.io.atomic import disk_errors, remove

@@ -14,9 +14,8 @@ from kinebench_drake.errors import InputError, count_noun, name_options
 from kinebench_drake.formats.camerafile import load_camera
 from kinebench_drake.formats.videos.sample import VideoSample
 from kinebench_drake.geometry import Array
-from kinebench_drake.grounding.clip import Clip
 from kinebench_drake.grounding.overrides.overrides import Overrides
-from kinebench_drake.grounding.priors import InitialStateUse, Priors
+from kinebench_drake.grounding.priors import Clip, InitialStateUse, Priors
 from kinebench_drake.io.images import read_image
 from kinebench_drake.io.jsonl import Json
 from kinebench_drake.io.video import WHOLE, Video

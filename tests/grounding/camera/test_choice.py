@@ -24,8 +24,7 @@ from kinebench_drake.grounding.camera.contradiction import LARGE_M, CameraContra
 from kinebench_drake.grounding.camera.estimate import usual_camera
 from kinebench_drake.grounding.camera.lens import Lens
 from kinebench_drake.grounding.camera.reading import BetterReading, Reading
-from kinebench_drake.grounding.clip import Clip
-from kinebench_drake.grounding.priors import InitialStateUse
+from kinebench_drake.grounding.priors import Clip, InitialStateUse
 from kinebench_drake.grounding.result import PipelineResult
 from kinebench_drake.grounding.video import Grounder
 from kinebench_drake.models.panda.robot import GripperKind
