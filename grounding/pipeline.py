@@ -1,20 +1,21 @@
 """Grounding of one video with one camera: estimation of the gripper track and of anomalies from frames."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
+from kinebench_drake.anomaly import Anomaly
 from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array, invert, pose_difference
 from kinebench_drake.grounding.anomaly.camera_motion import CameraMotion, FeatureTracks, measure_camera_motion
 from kinebench_drake.grounding.anomaly.detect import SURE_CONFIDENCE, AnomalyEvidence, find_anomalies, gather_evidence
+from kinebench_drake.grounding.anomaly.detection import AnomalyDetections
 from kinebench_drake.grounding.priors import NO_PRIORS, InitialStateUse, Priors
-from kinebench_drake.grounding.result import PipelineResult
-from kinebench_drake.grounding.tracking.camera_path import follow_camera
+from kinebench_drake.grounding.tracking.camera_path import CameraPath, follow_camera
 from kinebench_drake.grounding.tracking.confidence import (
     CALIBRATION,
     GOOD_M,
@@ -43,6 +44,49 @@ LEAST_AGREEING = 0.5
 """Least number of them in which hand and arm agree, relative to that without following the camera."""
 FIRST_M, FIRST_RAD = 0.015, np.deg2rad(6.0)
 """Largest deviation of the initial state from a confident estimate of the first frame, to be used."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PipelineResult:
+    """Result of `GroundingPipeline.ground`."""
+
+    track: GripperTrack
+    domain: Domain
+    gripper: GripperKind = GripperKind.FRANKA
+    """Gripper that was looked for."""
+    from_prior: NDArray[np.bool_]
+    """(T,) frames whose pose was taken from priors."""
+    first_frame: InitialStateUse
+    """Whether the initial state was used."""
+    detections: AnomalyDetections
+    """Scores and anomalies by kind."""
+    camera_path: CameraPath | None = None
+    """Camera of each frame, if it moves and was followed."""
+    camera_motion_px: float | None
+    """Largest displacement of the background [px]; None if it has too few features."""
+    arm_consistency_px: float | None
+    """Median over tracked frames of the distance between the links as estimated and as posed by the fitted arm [px of
+    the video]; None if too little of the arm is visible."""
+    robot: NDArray[np.bool_]
+    """(T, H, W) pixels that show the robot."""
+    arm_q: Array = field(default_factory=lambda: np.zeros((0, N_JOINTS)))
+    """(T, 7) fitted joint angles with the assumed camera [rad]; NaN where hand and arm do not agree; empty without a
+    fit."""
+    X_CH_raw: Array = field(default_factory=lambda: np.zeros((0, 4, 4)))
+    """(T, 4, 4) poses of panda_hand before confidence and smoothing, in the camera of each frame [m]; NaN where no
+    gripper is seen."""
+    curves: Mapping[str, Array] = field(default_factory=dict)
+    """Curves (T,) of the track file: share of matched points, their distance [m] and weight of ICP; NaN without it."""
+
+    @property
+    def has_pose(self) -> NDArray[np.bool_]:
+        """(T,) frames in which a gripper is seen, trusted or not."""
+        return np.asarray(np.isfinite(self.X_CH_raw).all(axis=(1, 2)))
+
+    @property
+    def anomalies(self) -> tuple[Anomaly, ...]:
+        """Anomalies in the order of their frames."""
+        return self.detections.anomalies
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

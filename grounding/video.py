@@ -7,6 +7,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
+from kinebench_drake.grounding.video_result import MIN_TRACKED, GroundingResult
 
 from kinebench_drake.camera import CONFIRMED, Camera, CameraSetting, CameraSource, benchmark_camera
 from kinebench_drake.errors import UnmeasurableError
@@ -16,9 +17,8 @@ from kinebench_drake.grounding.camera.contradiction import CameraChecker
 from kinebench_drake.grounding.camera.estimate import CameraEstimator, usual_camera
 from kinebench_drake.grounding.camera.framing import Framing, apply_framing
 from kinebench_drake.grounding.camera.framing_search import find_framing
-from kinebench_drake.grounding.pipeline import GroundingPipeline
+from kinebench_drake.grounding.pipeline import GroundingPipeline, PipelineResult
 from kinebench_drake.grounding.priors import NO_PRIORS, Clip, Priors
-from kinebench_drake.grounding.result import MIN_TRACKED, GroundingResult, PipelineResult
 from kinebench_drake.grounding.tracking.estimator import NetworkEstimator
 from kinebench_drake.grounding.tracking.view import Frames
 from kinebench_drake.models.panda.robot import GripperKind

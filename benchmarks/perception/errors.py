@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from benchmarks.perception.clip import TruthClip
 from kinebench_drake.anomaly import Anomaly, AnomalyKind
 from kinebench_drake.geometry import Array, pose_difference
-from kinebench_drake.grounding.result import PipelineResult
+from kinebench_drake.grounding.pipeline import PipelineResult
 from kinebench_drake.segments import segments
 from kinebench_drake.track import GripperTrack
 

@@ -11,9 +11,8 @@ from benchmarks.perception.clip import TruthClip
 from kinebench_drake.camera import Camera, benchmark_camera
 from kinebench_drake.geometry import Array
 from kinebench_drake.grounding.overrides.depth import DepthPlugIn
-from kinebench_drake.grounding.pipeline import GroundingPipeline
+from kinebench_drake.grounding.pipeline import GroundingPipeline, PipelineResult
 from kinebench_drake.grounding.priors import ExternalDepth, Priors
-from kinebench_drake.grounding.result import PipelineResult
 from kinebench_drake.grounding.tracking.confidence import load_confidence
 from kinebench_drake.grounding.tracking.crop import Crop
 from kinebench_drake.grounding.tracking.estimator import NetworkEstimator

@@ -7,7 +7,7 @@ from kinebench_drake.errors import name_options
 from kinebench_drake.grounding.camera.camera_estimate import CameraEstimate
 from kinebench_drake.grounding.camera.contradiction import CameraChecker, CameraContradiction
 from kinebench_drake.grounding.camera.reading import BetterReading, Reading
-from kinebench_drake.grounding.result import PipelineResult
+from kinebench_drake.grounding.pipeline import PipelineResult
 from kinebench_drake.grounding.tracking.view import Frames
 from kinebench_drake.io.jsonl import Json
 from kinebench_drake.track import Domain

@@ -21,7 +21,7 @@ from kinebench_drake.grounding.camera.detections import PART_CELLS, ArmDetection
 from kinebench_drake.grounding.camera.hypotheses import ChainSearch
 from kinebench_drake.grounding.camera.lens import Lens, with_focal
 from kinebench_drake.grounding.camera.reading import BetterReading, Reading
-from kinebench_drake.grounding.result import PipelineResult
+from kinebench_drake.grounding.pipeline import PipelineResult
 from kinebench_drake.grounding.tracking.view import DenseEstimator, Frames
 from kinebench_drake.io.jsonl import Json
 from kinebench_drake.models.panda.robot import RobotPart, hand_from_tcp

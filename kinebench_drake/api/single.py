@@ -35,7 +35,7 @@ from kinebench_drake.runs.tools import RobotOptions, Tools, ToolsFactory, load_t
 from kinebench_drake.track import GripperTrack, InitialState
 
 if TYPE_CHECKING:  # torch, Open3D and Drake take seconds to load
-    from kinebench_drake.grounding.result import GroundingResult
+    from kinebench_drake.grounding.video_result import GroundingResult
     from kinebench_drake.metrics.result import KinematicResult
 
 make_tools: ToolsFactory = Tools

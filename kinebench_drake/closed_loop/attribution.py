@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from kinebench_drake.anomaly import Anomaly, AnomalyKind
 from kinebench_drake.closed_loop.loop import EpisodeRun, Round
 from kinebench_drake.geometry import Array, pose_difference
-from kinebench_drake.grounding.result import GroundingResult
+from kinebench_drake.grounding.video_result import GroundingResult
 from kinebench_drake.metrics.executable import LOST_FRAMES, LOST_SHARE, FailureVerdict
 from kinebench_drake.metrics.result import KinematicResult
 from kinebench_drake.segments import segments

@@ -14,8 +14,8 @@ from kinebench_drake.errors import InputError, UnmeasurableError, UsageError
 from kinebench_drake.geometry import Array
 from kinebench_drake.grounding.camera.framing import undo_framing
 from kinebench_drake.grounding.priors import Clip, Priors
-from kinebench_drake.grounding.result import GroundingResult
 from kinebench_drake.grounding.video import Grounder
+from kinebench_drake.grounding.video_result import GroundingResult
 from kinebench_drake.io.atomic import disk_errors, remove
 from kinebench_drake.io.jsonl import Json
 from kinebench_drake.io.reader import read_video

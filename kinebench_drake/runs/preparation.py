@@ -28,8 +28,8 @@ from kinebench_drake.suites.start import START_WIDTH_M, start_q
 from kinebench_drake.track import Domain, GripperTrack, InitialState
 
 if TYPE_CHECKING:  # loads torch and Open3D
-    from kinebench_drake.grounding.result import GroundingResult
     from kinebench_drake.grounding.video import Grounder
+    from kinebench_drake.grounding.video_result import GroundingResult
 
 BENCHMARK_PERIOD_S = 0.2
 """Task time between two frames of a benchmark video (4 control steps at 20 Hz) [s]."""

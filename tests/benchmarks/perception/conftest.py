@@ -15,8 +15,8 @@ from kinebench_drake.camera import Camera, benchmark_camera
 from kinebench_drake.formats.camerafile import save_camera
 from kinebench_drake.geometry import Array, make_pose, rotation_exp
 from kinebench_drake.grounding.anomaly.detection import AnomalyDetections, Detection
+from kinebench_drake.grounding.pipeline import PipelineResult
 from kinebench_drake.grounding.priors import InitialStateUse
-from kinebench_drake.grounding.result import PipelineResult
 from kinebench_drake.io.container import write_video
 from kinebench_drake.track import Domain, GripperTrack
 

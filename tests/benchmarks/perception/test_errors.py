@@ -9,7 +9,7 @@ from benchmarks.perception.clip import TruthClip
 from benchmarks.perception.errors import ClipErrors, Expense, compare
 from kinebench_drake.anomaly import Anomaly, AnomalyKind
 from kinebench_drake.geometry import Array, make_pose, rotation_exp
-from kinebench_drake.grounding.result import PipelineResult
+from kinebench_drake.grounding.pipeline import PipelineResult
 
 HALF_TURN = make_pose(rotation_exp([0.0, 0.0, np.pi]), np.zeros(3))
 EXPENSE = Expense(wall_s=1.0, cpu_s=1.0, peak_mb=1.0)

@@ -24,8 +24,8 @@ from kinebench_drake.grounding.camera.contradiction import LARGE_M, CameraContra
 from kinebench_drake.grounding.camera.estimate import usual_camera
 from kinebench_drake.grounding.camera.lens import Lens
 from kinebench_drake.grounding.camera.reading import BetterReading, Reading
+from kinebench_drake.grounding.pipeline import PipelineResult
 from kinebench_drake.grounding.priors import Clip, InitialStateUse
-from kinebench_drake.grounding.result import PipelineResult
 from kinebench_drake.grounding.video import Grounder
 from kinebench_drake.models.panda.robot import GripperKind
 from kinebench_drake.track import Domain, GripperTrack
