@@ -15,7 +15,6 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
-from kinebench_drake.grounding.video_result import GroundingResult
 from numpy.typing import ArrayLike
 from typing_extensions import override
 
@@ -27,6 +26,7 @@ from kinebench_drake.errors import InputError, KinebenchError
 from kinebench_drake.executors.base import Executor, WorkerCrash
 from kinebench_drake.grounding.priors import Clip
 from kinebench_drake.grounding.video import Grounder
+from kinebench_drake.grounding.video_result import GroundingResult
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.metrics.executable import FailureVerdict
 from kinebench_drake.runs.tools import RobotOptions, Tools

@@ -7,7 +7,6 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
-from kinebench_drake.grounding.video_result import MIN_TRACKED, GroundingResult
 
 from kinebench_drake.camera import CONFIRMED, Camera, CameraSetting, CameraSource, benchmark_camera
 from kinebench_drake.errors import UnmeasurableError
@@ -21,6 +20,7 @@ from kinebench_drake.grounding.pipeline import GroundingPipeline, PipelineResult
 from kinebench_drake.grounding.priors import NO_PRIORS, Clip, Priors
 from kinebench_drake.grounding.tracking.estimator import NetworkEstimator
 from kinebench_drake.grounding.tracking.view import Frames
+from kinebench_drake.grounding.video_result import MIN_TRACKED, GroundingResult
 from kinebench_drake.models.panda.robot import GripperKind
 from kinebench_drake.models.perception.network import ARM_WEIGHTS, load_network
 from kinebench_drake.track import Domain
