@@ -10,7 +10,6 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -25,38 +24,10 @@ _ELSEWHERE = ("PIP_TARGET", "PIP_PREFIX", "PIP_ROOT", "PIP_USER", "PIP_PYTHON")
 """Environment variables that would make pip install outside this environment."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Repair:
-    """One repair."""
-
-    title: str
-    """Subject of the repair, one line."""
-    changes: Callable[[], list[str]]
-    """Returns the planned changes, one line each, without making them. Raises SetupError if repair is impossible."""
-    perform: Callable[[Say], None]
-    """Makes the changes; raises SetupError."""
-
-
-def find_repairs(checks: Sequence[doctor.Check]) -> list[Repair]:
-    """Return the repairs for failed checks, and the one that `pip check` would require."""
-    failed = {check.name for check in checks if not check.ok}
-    repairs = []
-    if failed.intersection(doctor.NATIVE_CHECKS):
-        repairs.append(Repair(title="Native libraries", changes=_native_changes, perform=_repair_native))
-    conflict = doctor.CV2_CHECK in failed
-    if conflict or _version(cv2_shim.NAME) is None:
-        repairs.append(
-            Repair(
-                title="cv2 from opencv-python-headless alone",
-                changes=lambda: _cv2_changes(conflict),
-                perform=lambda say: _repair_cv2(conflict, say),
-            )
-        )
-    return repairs
-
-
 def repair_environment(checks: Sequence[doctor.Check], say: Say, *, dry_run: bool = False) -> bool:
-    """Announce the needed repairs and make them; a repair that fails does not stop the others.
+    """Announce the repairs for failed checks, and the one that `pip check` would require, and make them.
+
+    A repair that fails does not stop the others.
 
     Args:
         checks: results of `doctor.run_checks()`.
@@ -69,18 +40,25 @@ def repair_environment(checks: Sequence[doctor.Check], say: Say, *, dry_run: boo
     Raises:
         SetupError: this Python belongs to no environment, or to one that is not writable; nothing was changed.
     """
-    repairs = find_repairs(checks)
+    failed = {check.name for check in checks if not check.ok}
+    conflict = doctor.CV2_CHECK in failed
+    repairs = list[tuple[str, Callable[[], list[str]], Callable[[Say], None]]]()  # title, planned changes, the repair
+    if failed.intersection(doctor.NATIVE_CHECKS):
+        repairs.append(("Native libraries", _native_changes, _repair_native))
+    if conflict or _version(cv2_shim.NAME) is None:
+        title = "cv2 from opencv-python-headless alone"
+        repairs.append((title, lambda: _cv2_changes(conflict), lambda say: _repair_cv2(conflict, say)))
     if repairs:
         _require_environment()
     changed = False
-    for repair in repairs:
-        say(f"==> {repair.title}, in {sys.prefix}")
+    for title, plan, perform in repairs:
+        say(f"==> {title}, in {sys.prefix}")
         try:
-            for change in repair.changes():
+            for change in plan():
                 say(f"    {change}")
             if not dry_run:
                 changed = True
-                repair.perform(lambda line: say(f"    {line}"))
+                perform(lambda line: say(f"    {line}"))
         except SetupError as error:
             say(f"    not repaired: {error}")
     return changed
