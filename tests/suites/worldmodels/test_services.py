@@ -247,7 +247,7 @@ def test_services_need_a_key_and_a_good_address(
             monkeypatch.setenv(variable, bad)
         with pytest.raises(SetupError, match=f"{variable} (is not set|holds signs)"):
             make(parse(f"{kind}:"))
-    monkeypatch.setenv(variable, "key")
+    monkeypatch.setenv(variable, "sk-of-another-account")
     assert make(parse(f"{kind}:some-model")).name == "some-model"
     with pytest.raises(SetupError, match="only over https"):
         make(parse(f"{kind}:?base=http://example.org"))
