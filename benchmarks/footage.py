@@ -14,13 +14,11 @@ from dataclasses import dataclass, replace
 from enum import Enum
 from hashlib import blake2b
 from pathlib import Path
-from typing import Any
+from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 
-from benchmarks.perception.errors import read_anomaly
-from benchmarks.perception.store import MeasurementStore, fingerprint
+from benchmarks.perception.store import Confidences, Flags, MeasurementStore, Milli, Stored, fingerprint
 from kinebench_drake.anomaly import Anomaly
 from kinebench_drake.camera import Camera
 from kinebench_drake.errors import InputError, UsageError
@@ -37,6 +35,7 @@ from kinebench_drake.io.reader import read_video
 from kinebench_drake.models.panda.robot import GripperKind
 from kinebench_drake.track import GripperTrack
 
+_Micro = Annotated[Array, Stored(".6f")]
 _OVERLAY_FPS = 5.0
 _WINDOW_MARGIN = 2.5  # distance of the window's border from the gripper's centre, over the gripper's radius
 
@@ -135,62 +134,20 @@ class TrackRecord:
     """Output of the grounding for one video."""
 
     id: str
-    X_CH: Array
+    X_CH: _Micro
     """(T, 4, 4) pose of panda_hand in the camera frame [m]; NaN where not tracked."""
-    X_CH_frame: Array
+    X_CH_frame: _Micro
     """(T, 4, 4) pose of each frame by itself, before confidence and smoothing; NaN where no gripper is detected."""
-    tracked: NDArray[np.bool_]
-    confidence: Array
+    tracked: Flags
+    confidence: Confidences
     """(T,) 0..1."""
-    finger_width_m: Array
+    finger_width_m: _Micro
     """(T,) gap between the finger pads [m]; NaN where unknown."""
-    arm_agrees: NDArray[np.bool_]
+    arm_agrees: Flags
     """(T,) frames in which one posture explains hand and links."""
     anomalies: tuple[Anomaly, ...]
-    cpu_s: float
+    cpu_s: Milli
     """Processor time [s]."""
-
-    def to_json(self) -> dict[str, Any]:
-        """Return the JSON object, poses rounded to 1e-6 m."""
-        return {
-            "id": self.id,
-            "camera_from_hand": _rows(self.X_CH),
-            "camera_from_hand_of_frame": _rows(self.X_CH_frame),
-            "tracked": self.tracked.astype(int).tolist(),
-            "confidence": self.confidence.round(4).tolist(),
-            "finger_width_m": [round(w, 6) if np.isfinite(w) else None for w in self.finger_width_m.tolist()],
-            "arm_agrees": self.arm_agrees.astype(int).tolist(),
-            "anomalies": [a.to_json() for a in self.anomalies],
-            "cpu_s": round(self.cpu_s, 2),
-        }
-
-    @classmethod
-    def from_json(cls, data: dict[str, Any]) -> "TrackRecord":
-        """Read the object that `to_json` returns."""
-        return cls(
-            id=data["id"],
-            X_CH=_poses(data["camera_from_hand"]),
-            X_CH_frame=_poses(data["camera_from_hand_of_frame"]),
-            tracked=np.array(data["tracked"], dtype=bool),
-            confidence=np.array(data["confidence"], dtype=np.float64),
-            finger_width_m=np.array(data["finger_width_m"], dtype=np.float64),
-            arm_agrees=np.array(data["arm_agrees"], dtype=bool),
-            anomalies=tuple(map(read_anomaly, data["anomalies"])),
-            cpu_s=data["cpu_s"],
-        )
-
-
-def _rows(X: Array) -> list[list[float] | None]:
-    """Return the first three rows of each pose, row-major; None for NaN."""
-    return [x[:3].round(6).ravel().tolist() if np.isfinite(x).all() else None for x in X]
-
-
-def _poses(rows: Sequence[Sequence[float] | None]) -> Array:
-    X = np.full((len(rows), 4, 4), np.nan)
-    for i, row in enumerate(rows):
-        if row is not None:
-            X[i] = np.vstack([np.reshape(row, (3, 4)), [0.0, 0.0, 0.0, 1.0]])
-    return X
 
 
 class ObservedPipeline(GroundingPipeline):

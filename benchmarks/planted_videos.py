@@ -94,16 +94,6 @@ class PlantedVideo:
         }
         return json.dumps(entry) + "\n"
 
-    def to_json(self) -> dict[str, Any]:
-        """Return the JSON object."""
-        names = ("id", "episode", "task", "seed", "prompt", "success")
-        return {**{name: getattr(self, name) for name in names}, "fault": self.fault and self.fault.to_json()}
-
-    @classmethod
-    def from_json(cls, data: dict[str, Any]) -> "PlantedVideo":
-        """Read the object that `to_json` returns."""
-        return cls(**{**data, "fault": data["fault"] and PlantedFault.from_json(data["fault"])})
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PlantingResult:
@@ -112,15 +102,6 @@ class PlantingResult:
     videos: tuple[PlantedVideo, ...]
     problems: tuple[str, ...]
     """Why other videos were not made."""
-
-    def to_json(self) -> dict[str, Any]:
-        """Return the JSON object."""
-        return {"videos": [video.to_json() for video in self.videos], "problems": list(self.problems)}
-
-    @classmethod
-    def from_json(cls, data: dict[str, Any]) -> "PlantingResult":
-        """Read the object that `to_json` returns."""
-        return cls(videos=tuple(map(PlantedVideo.from_json, data["videos"])), problems=tuple(data["problems"]))
 
 
 def plant_episode(order: PlantingOrder) -> PlantingResult:

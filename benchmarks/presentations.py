@@ -2,10 +2,9 @@
 
 import time
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from enum import Enum
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -145,15 +144,6 @@ class Outcome:
         if self.position_m > WRONG_M or self.rotation_rad > WRONG_RAD:
             return Verdict.WRONG
         return Verdict.RIGHT if self.position_m <= RIGHT_M and self.rotation_rad <= RIGHT_RAD else Verdict.NEAR
-
-    def to_json(self) -> dict[str, Any]:
-        """Return the JSON object."""
-        return asdict(self)
-
-    @classmethod
-    def from_json(cls, data: dict[str, Any]) -> "Outcome":
-        """Read the object that `to_json` returns."""
-        return cls(**data)
 
 
 class TrialWorker:

@@ -8,7 +8,6 @@ their combination are compared.
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -94,15 +93,6 @@ class RegistrationErrors:
     """Share of matched cells."""
     rmse_m: list[float]
     """Root mean square distance of matched cells from the surface [m]."""
-
-    def to_json(self) -> dict[str, Any]:
-        """Return the JSON object."""
-        return {name: getattr(self, name) for name in self.__slots__}
-
-    @classmethod
-    def from_json(cls, data: dict[str, Any]) -> "RegistrationErrors":
-        """Read the object that `to_json` returns."""
-        return cls(**data)
 
 
 class _Worker:

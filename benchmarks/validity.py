@@ -110,15 +110,6 @@ class TrackExecution:
     success: bool
     reason: str
 
-    def to_json(self) -> dict[str, Any]:
-        """Return the JSON object."""
-        return asdict(self)
-
-    @classmethod
-    def from_json(cls, data: dict[str, Any]) -> "TrackExecution":
-        """Read the object that `to_json` returns."""
-        return cls(**data)
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ExecutionItem:

@@ -1,9 +1,8 @@
 """Grounding of clips whose camera turns, moves or zooms slowly: unseen scenes of the suites with true poses."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -50,15 +49,6 @@ class ViewTrial:
     median_rad: float
     silent: float
     """Share of tracked frames that are off by more than 30 mm or 15 degrees."""
-
-    def to_json(self) -> dict[str, Any]:
-        """Return the JSON object."""
-        return asdict(self)
-
-    @classmethod
-    def from_json(cls, data: dict[str, Any]) -> "ViewTrial":
-        """Read the object that `to_json` returns."""
-        return cls(**data)
 
 
 def render(spec: EpisodeSpec, name: str, out: Path) -> None:

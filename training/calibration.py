@@ -1,10 +1,10 @@
 """Calibration of the confidence on held-out videos (`python -m training calibrate`)."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
 from pathlib import Path
-from typing import Any
+from typing import Annotated
 
 import cv2
 import numpy as np
@@ -13,7 +13,7 @@ from scipy.optimize import minimize
 from scipy.special import expit
 
 from benchmarks.perception.clip import TruthClip, TruthClipFile, find_clips
-from benchmarks.perception.store import MeasurementStore, fingerprint
+from benchmarks.perception.store import MeasurementStore, Stored, fingerprint
 from benchmarks.perception.summary import OFF_M
 from kinebench_drake.camera import Camera
 from kinebench_drake.errors import UsageError
@@ -36,6 +36,7 @@ from kinebench_drake.models.panda.cad import GripperCad
 from kinebench_drake.track import Domain
 from training.augment import degrade, occlude
 
+_Stored = Annotated[Array, Stored(".7g")]
 _PENALTY = 1.0  # ridge
 _NEAR_PX = 40.0  # distance of occluders to the path of the gripper
 _REMOVED_PX = 9  # width of the strip around a removed gripper that is painted over, too
@@ -72,13 +73,13 @@ class MeasuredPoses:
     """Poses of the T frames of a video before confidence and smoothing; NaN where no gripper was detected."""
 
     domain: Domain
-    features: Array
+    features: _Stored
     """(T, n) FRAME_FEATURES of the domain."""
-    X_AH: Array
+    X_AH: _Stored
     """(T, 4, 4) poses in the camera frame of the first frame [m]."""
-    covariance: Array
+    covariance: _Stored
     """(T, 6, 6) covariances: rotation about the axes of A [rad], then position [m]."""
-    X_true: Array
+    X_true: _Stored
     """(T, 4, 4) true poses; NaN without a gripper."""
 
     @classmethod
@@ -92,19 +93,6 @@ class MeasuredPoses:
             if pose is not None and not observation.evidence.motion.lost[i]:
                 features[i], X_AH[i], covariance[i] = frame_features(pose, domain), pose.X_CH, pose.covariance
         return cls(domain=domain, features=features, X_AH=X_AH, covariance=covariance, X_true=X_true)
-
-    def to_json(self) -> dict[str, Any]:
-        """Return the JSON object."""
-        arrays = {name: getattr(self, name) for name in ("features", *_ARRAYS)}
-        return {"domain": self.domain.value, **{name: _to_lists(array) for name, array in arrays.items()}}
-
-    @classmethod
-    def from_json(cls, data: dict[str, Any], /) -> "MeasuredPoses":
-        """Read the object that `to_json` returns."""
-        domain = Domain(data["domain"])
-        shapes = {**_ARRAYS, "features": (len(FRAME_FEATURES[domain]),)}
-        arrays = {name: np.array(data[name], dtype=np.float64).reshape(-1, *shape) for name, shape in shapes.items()}
-        return cls(domain=domain, **arrays)
 
     @property
     def detected(self) -> NDArray[np.bool_]:
@@ -127,17 +115,6 @@ class MeasuredPoses:
             breaks=(),
             place=np.arange(len(confidence), dtype=np.float64),
         )
-
-
-_ARRAYS: Mapping[str, tuple[int, ...]] = {
-    "X_AH": (4, 4),
-    "covariance": (6, 6),
-    "X_true": (4, 4),
-}
-
-
-def _to_lists(array: Array) -> list[float | None]:
-    return [float(f"{v:.7g}") if np.isfinite(v) else None for v in array.ravel()]
 
 
 def degrade_video(frames: Frames, clip: TruthClip, degradation: VideoDegradation, seed: Sequence[int]) -> Frames:

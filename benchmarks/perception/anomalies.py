@@ -1,13 +1,11 @@
 """Detection of planted anomalies, clip by clip."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 from benchmarks.perception.clip import PlantedCase, TruthClipFile, choose, find_clips
-from benchmarks.perception.errors import read_anomaly
 from benchmarks.perception.store import MeasurementStore, fingerprint
 from benchmarks.perception.variants import VariantTools
 from kinebench_drake.anomaly import Anomaly, AnomalyKind
@@ -49,28 +47,6 @@ class ClipAnomalies:
     def is_located(self) -> bool:
         """True if the planted anomaly is detected in the right frames."""
         return self.planted is not None and any(located(self.planted, a) for a in self.detected)
-
-    def to_json(self) -> dict[str, Any]:
-        """Return the JSON object."""
-        return {
-            "id": self.id,
-            "task": self.task,
-            "planted": None if self.planted is None else {**asdict(self.planted), "kind": self.planted.kind.value},
-            "scores": {kind.value: score for kind, score in self.scores.items()},
-            "found": [a.to_json() for a in self.detected],
-        }
-
-    @classmethod
-    def from_json(cls, data: dict[str, Any]) -> "ClipAnomalies":
-        """Read the object that `to_json` returns."""
-        planted = data["planted"]
-        return cls(
-            id=data["id"],
-            task=data["task"],
-            planted=None if planted is None else PlantedCase(**{**planted, "kind": AnomalyKind(planted["kind"])}),
-            scores={AnomalyKind(kind): float(score) for kind, score in data["scores"].items()},
-            detected=tuple(map(read_anomaly, data["found"])),
-        )
 
 
 def located(planted: PlantedCase, detected: Anomaly) -> bool:

@@ -1,13 +1,14 @@
 """Frame-by-frame errors of the grounding of one clip against its ground truth."""
 
-from dataclasses import asdict, dataclass
-from typing import Any
+from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.perception.clip import TruthClip
-from kinebench_drake.anomaly import Anomaly, AnomalyKind
+from benchmarks.perception.store import Confidences, Flags, Milli, Stored
+from kinebench_drake.anomaly import Anomaly
 from kinebench_drake.geometry import Array, pose_difference
 from kinebench_drake.grounding.pipeline import PipelineResult
 from kinebench_drake.segments import segments
@@ -18,18 +19,15 @@ from kinebench_drake.track import GripperTrack
 class Expense:
     """Time and memory that the grounding of one clip took."""
 
-    wall_s: float
+    wall_s: Milli
     """Wall time, decoding included [s]."""
-    cpu_s: float
+    cpu_s: Milli
     """Processor time of all threads [s]: more reliable than wall time on a busy machine."""
-    peak_mb: float
+    peak_mb: Milli
     """Peak resident memory of the process so far [MiB]."""
 
-    def to_json(self) -> dict[str, float]:
-        """Return the JSON object."""
-        return {name: round(value, 3) for name, value in asdict(self).items()}
 
-
+_Micro = Annotated[Array, Stored(".6f")]
 FLIP_RAD = np.pi / 2
 """Rotation error beyond which the pose is flipped: the gripper looks alike after a half turn."""
 LASTING_FRAMES = 3
@@ -43,21 +41,21 @@ class ClipErrors:
     id: str
     task: str
     """Plain task id; empty if unknown."""
-    position_m: Array
+    position_m: Annotated[Array, Stored(".7f")]
     """(T,) position error of panda_hand [m]; NaN where not tracked or absent."""
-    rotation_rad: Array
+    rotation_rad: _Micro
     """(T,) rotation error [rad]; NaN likewise."""
-    width_m: Array
+    width_m: _Micro
     """(T,) estimated gap between the finger pads [m]; NaN where unknown."""
-    true_width_m: Array
+    true_width_m: _Micro
     """(T,) true gap [m]; NaN where the gripper is absent."""
-    tracked: NDArray[np.bool_]
+    tracked: Flags
     """(T,)."""
-    confidence: Array
+    confidence: Confidences
     """(T,) 0..1."""
-    visible: NDArray[np.bool_]
+    visible: Flags
     """(T,) frames in which the gripper is present."""
-    share: Array
+    share: Annotated[Array, Stored(".3f")]
     """(T,) share of the gripper's silhouette that the image shows, 0..1; NaN where not measured."""
     detected: tuple[Anomaly, ...]
     """Anomalies that the grounding reports."""
@@ -85,43 +83,6 @@ class ClipErrors:
     def longest_flip(self) -> int:
         """Length of the longest run of flipped frames."""
         return max(self.flips, default=0)
-
-    def to_json(self) -> dict[str, Any]:
-        """Return the JSON object, numbers rounded to the resolution of the measurement."""
-        return {
-            "id": self.id,
-            "task": self.task,
-            "position_m": _numbers(self.position_m, 7),
-            "rotation_rad": _numbers(self.rotation_rad, 6),
-            "width_m": _numbers(self.width_m, 6),
-            "true_width_m": _numbers(self.true_width_m, 6),
-            "tracked": self.tracked.astype(int).tolist(),
-            "confidence": _numbers(self.confidence, 4),
-            "visible": self.visible.astype(int).tolist(),
-            "share": _numbers(self.share, 3),
-            "found": [a.to_json() for a in self.detected],
-            "planted": [a.to_json() for a in self.planted],
-            "expense": self.expense.to_json(),
-        }
-
-    @classmethod
-    def from_json(cls, data: dict[str, Any]) -> "ClipErrors":
-        """Read the object that `to_json` returns.
-
-        Raises:
-            KeyError: a key is missing.
-        """
-        names = ("position_m", "rotation_rad", "width_m", "true_width_m", "confidence", "share")
-        return cls(
-            id=data["id"],
-            task=data["task"],
-            **{name: np.array(data[name], dtype=np.float64) for name in names},
-            tracked=np.array(data["tracked"], dtype=bool),
-            visible=np.array(data["visible"], dtype=bool),
-            detected=tuple(map(read_anomaly, data["found"])),
-            planted=tuple(map(read_anomaly, data["planted"])),
-            expense=Expense(**data["expense"]),
-        )
 
 
 def compare(clip: TruthClip, grounding: PipelineResult, expense: Expense, share: Array | None = None) -> ClipErrors:
@@ -167,12 +128,3 @@ def compare_track(
         planted=clip.faults,
         expense=expense,
     )
-
-
-def _numbers(values: Array, digits: int) -> list[float | None]:
-    return [round(v, digits) if np.isfinite(v) else None for v in values.tolist()]
-
-
-def read_anomaly(data: dict[str, Any]) -> Anomaly:
-    """Read the object that `Anomaly.to_json` returns."""
-    return Anomaly(**{**data, "kind": AnomalyKind(data["kind"])})

@@ -5,32 +5,53 @@ ignored.
 """
 
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
 from hashlib import blake2b
 from pathlib import Path
-from typing import Any, Generic, Protocol, Self, TypeVar
+from typing import Annotated, Any, Generic, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import GetCoreSchemaHandler, PlainSerializer, TypeAdapter
+from pydantic_core import CoreSchema, core_schema
 
 import kinebench_drake
 from kinebench_drake.environment.sources import trace_sources
 from kinebench_drake.errors import InputError, SetupError, UsageError
 from kinebench_drake.executors.base import Executor, MakeWorker, Observer, WorkerCrash
+from kinebench_drake.geometry import Array
 from kinebench_drake.io.jsonl import append_line, drop_torn_line, read_lines
 
-
-class JsonRecord(Protocol):
-    """Measurement that converts to a JSON object and back."""
-
-    def to_json(self) -> dict[str, Any]:
-        """Return the JSON object."""
-        ...
-
-    @classmethod
-    def from_json(cls, data: dict[str, Any], /) -> Self:
-        """Read the object that `to_json` returns."""
-        ...
-
-
-Record = TypeVar("Record", bound=JsonRecord)
+Record = TypeVar("Record")
+"""Dataclass; its arrays are annotated as `Stored`."""
 Item = TypeVar("Item")
+
+
+@dataclass(frozen=True, slots=True)
+class Stored:
+    """Annotation of an array in a record: nested lists of numbers in the file, null for NaN."""
+
+    format: str
+    """Format that the numbers are rounded to, such as ".3f"."""
+    dtype: type[np.generic] = np.float64
+
+    def __get_pydantic_core_schema__(self, source: object, handler: GetCoreSchemaHandler) -> CoreSchema:
+        return core_schema.no_info_plain_validator_function(
+            lambda value: np.array(value, dtype=self.dtype),
+            serialization=core_schema.plain_serializer_function_ser_schema(lambda array: self._plain(array.tolist())),
+        )
+
+    def _plain(self, value: Any) -> Any:
+        if isinstance(value, list):
+            return [self._plain(item) for item in value]
+        return float(format(value, self.format)) if np.isfinite(value) else None
+
+
+Flags = Annotated[NDArray[np.bool_], Stored("d", np.bool_)]
+"""Array of booleans in a record, 0 and 1 in the file."""
+Confidences = Annotated[Array, Stored(".4f")]
+Milli = Annotated[float, PlainSerializer(lambda value: round(value, 3))]
+"""Number in a record, rounded to three decimals in the file."""
 
 
 def fingerprint(*settings: object, modules: Iterable[str] = (), files: Iterable[Path] = ()) -> str:
@@ -63,14 +84,14 @@ class MeasurementStore(Generic[Record]):
         Raises:
             UsageError: the file holds something else.
         """
-        self._path, self._type = path, record
+        self._path, self._adapter = path, TypeAdapter(record)
         self._records: dict[str, Record] = {}
         if path is None or not path.is_file():
             return
         try:
             for row in read_lines(path, _row):
                 key = row.pop("key")
-                self._records[key] = record.from_json(row)
+                self._records[key] = self._adapter.validate_python(row)
         except (InputError, KeyError, ValueError, TypeError, AttributeError):
             raise UsageError(f"{path.name}: holds no measurements of this version; remove it to start anew") from None
         drop_torn_line(path)
@@ -89,8 +110,9 @@ class MeasurementStore(Generic[Record]):
         Raises:
             SetupError: writing failed.
         """
-        row = record.to_json()
-        self._records[key] = self._type.from_json(row)  # the same rounding, whether read from the file or measured now
+        row = self._adapter.dump_python(record, mode="json")
+        # The same rounding, whether read from the file or measured now.
+        self._records[key] = self._adapter.validate_python(row)
         if self._path is not None:
             self._path.parent.mkdir(parents=True, exist_ok=True)
             append_line(self._path, {"key": key, **row})

@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
-from typing import Any
 
 import numpy as np
 
@@ -59,12 +58,6 @@ class PlantedFault:
             "size": self.size,
             "form": None if self.form is None else self.form.value,
         }
-
-    @classmethod
-    def from_json(cls, data: dict[str, Any]) -> "PlantedFault":
-        """Read the object that `to_json` returns."""
-        form = data["form"] and FaultForm(data["form"])
-        return cls(**{**data, "kind": AnomalyKind(data["kind"]), "form": form})
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

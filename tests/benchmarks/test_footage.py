@@ -23,6 +23,7 @@ from benchmarks.footage_labels import (
     read_labels,
     reprojection_px,
 )
+from benchmarks.perception.store import MeasurementStore
 from kinebench_drake.anomaly import Anomaly, AnomalyKind
 from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.errors import UsageError
@@ -123,11 +124,13 @@ def test_frames_that_are_not_tracked_are_no_errors_but_lower_the_share(folder):
     assert f["anomalies"] == {"vanish": 1}
 
 
-def test_records_survive_json():
+def test_records_survive_json(tmp_path):
     X_CH = np.stack([pose(), np.full((4, 4), np.nan)])
     before = record(X_CH, tracked=np.array([True, False]))
     before = replace(before, finger_width_m=np.array([0.04, np.nan]))
-    after = TrackRecord.from_json(json.loads(json.dumps(before.to_json())))
+    store = MeasurementStore(tmp_path / "tracks.jsonl", TrackRecord)
+    store.put("a", before)
+    after = MeasurementStore(tmp_path / "tracks.jsonl", TrackRecord)["a"]
     for name in ("X_CH", "X_CH_frame", "tracked", "confidence", "finger_width_m", "arm_agrees"):
         np.testing.assert_allclose(getattr(after, name), getattr(before, name), atol=1e-6)
 

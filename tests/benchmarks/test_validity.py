@@ -1,6 +1,7 @@
 """Validity study: responses to planted faults with known answers, its report, and a small measurement."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,8 +12,8 @@ from scipy.stats import spearmanr
 from benchmarks import validity
 from benchmarks.__main__ import main
 from benchmarks.perception.store import MeasurementStore
-from benchmarks.planted_videos import PlantingResult
-from benchmarks.validity import ExecutionWorker, TrackExecution, ValidityTrial, study_grades, study_specs
+from benchmarks.planted_videos import PlantedVideo, PlantingResult
+from benchmarks.validity import ExecutionWorker, ValidityTrial, study_grades, study_specs
 from benchmarks.validity_report import FIGURES, write_report
 from benchmarks.validity_response import NUMBERS, Grade, Study, Verdict, correlate
 from kinebench_drake.anomaly import AnomalyKind
@@ -178,14 +179,14 @@ def test_grades_and_episodes() -> None:
 def test_json_round_trip(trials: list[ValidityTrial]) -> None:
     for t in trials[:4]:
         assert ValidityTrial.from_json(json.loads(json.dumps(t.to_json()))) == t
+
+
+def test_planted_videos_are_read_back(tmp_path: Path) -> None:
     fault = PlantedFault(kind=AnomalyKind.FREEZE, frame_start=3, frame_end=7, size=5.0)
-    assert PlantedFault.from_json(json.loads(json.dumps(fault.to_json()))) == fault
-
-
-def test_executions_are_read_back(tmp_path: Path) -> None:
-    done = TrackExecution(success=True, reason="")
-    MeasurementStore(tmp_path / "executions.jsonl", TrackExecution).put("key", done)
-    assert MeasurementStore(tmp_path / "executions.jsonl", TrackExecution)["key"] == done
+    video = PlantedVideo(id="a_f", episode="a", task="t", seed=0, prompt="", success=True, fault=fault)
+    done = PlantingResult(videos=(video, replace(video, id="a", fault=None)), problems=("b",))
+    MeasurementStore(tmp_path / "planted.jsonl", PlantingResult).put("key", done)
+    assert MeasurementStore(tmp_path / "planted.jsonl", PlantingResult)["key"] == done
 
 
 @pytest.mark.sapien
@@ -224,7 +225,7 @@ def test_measure_resumes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Non
     assert frozen.kind is AnomalyKind.FREEZE
     assert set(NUMBERS) <= set(frozen.numbers)
     (line,) = (tmp_path / "videos" / "planted.jsonl").read_text().splitlines()
-    assert len(PlantingResult.from_json(json.loads(line)).videos) == 2
+    assert len(json.loads(line)["videos"]) == 2
     monkeypatch.setattr(validity, "plant_episode", None)  # what is finished is not made again
     monkeypatch.setattr(validity, "execute", None)
     again = CliRunner().invoke(main, arguments)

@@ -1,6 +1,5 @@
 """Degradation of held-out videos, and the confidence fitted to them."""
 
-import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,6 +8,7 @@ import numpy as np
 import pytest
 
 from benchmarks.perception.clip import find_clips
+from benchmarks.perception.store import MeasurementStore
 from kinebench_drake.geometry import make_pose
 from kinebench_drake.grounding.tracking.confidence import FRAME_FEATURES
 from kinebench_drake.io.reader import read_video
@@ -79,9 +79,11 @@ def test_a_fitted_confidence_tells_right_poses_from_wrong_ones() -> None:
         assert frame[-1] == 0.0
 
 
-def test_measured_poses_survive_json() -> None:
+def test_measured_poses_survive_json(tmp_path: Path) -> None:
     before = drawn_video(np.random.default_rng(1), 7)
-    after = MeasuredPoses.from_json(json.loads(json.dumps(before.to_json())))
+    store = MeasurementStore(tmp_path / "kept.jsonl", MeasuredPoses)
+    store.put("a", before)
+    after = MeasurementStore(tmp_path / "kept.jsonl", MeasuredPoses)["a"]
     assert after.domain is before.domain
     for name in ("features", "X_AH", "covariance", "X_true"):
         np.testing.assert_allclose(getattr(after, name), getattr(before, name), rtol=1e-6)

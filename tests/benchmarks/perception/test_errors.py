@@ -1,12 +1,14 @@
 """What a grounding's errors against the truth are."""
 
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from benchmarks.perception.clip import TruthClip
 from benchmarks.perception.errors import ClipErrors, Expense, compare
+from benchmarks.perception.store import MeasurementStore
 from kinebench_drake.anomaly import Anomaly, AnomalyKind
 from kinebench_drake.geometry import Array, make_pose, rotation_exp
 from kinebench_drake.grounding.pipeline import PipelineResult
@@ -46,11 +48,13 @@ def test_two_flips_are_two(clip: TruthClip, grounded: Callable[..., PipelineResu
     assert e.longest_flip == 3
 
 
-def test_json_gives_back_the_same(errors: Callable[..., ClipErrors]) -> None:
+def test_json_gives_back_the_same(errors: Callable[..., ClipErrors], tmp_path: Path) -> None:
     fault = Anomaly(kind=AnomalyKind.VANISH, frame_start=4, frame_end=6, severity=3.0)
     e = errors(0.0123, faults=(fault,), gone=slice(4, 7), tracked=np.arange(12) != 5)
-    again = ClipErrors.from_json(e.to_json())
-    assert again.to_json() == e.to_json()
+    store = MeasurementStore(tmp_path / "kept.jsonl", ClipErrors)
+    store.put("a", e)
+    again = MeasurementStore(tmp_path / "kept.jsonl", ClipErrors)["a"]
+    np.testing.assert_array_equal(again.position_m, store["a"].position_m)
     assert again.planted == e.planted
     np.testing.assert_allclose(again.position_m, e.position_m, atol=1e-7)
     np.testing.assert_array_equal(np.isnan(again.rotation_rad), np.isnan(e.rotation_rad))

@@ -3,6 +3,7 @@
 import subprocess
 import sys
 
+import numpy as np
 import pytest
 
 from benchmarks.perception.errors import ClipErrors
@@ -64,5 +65,5 @@ def test_stored_measurements_survive_a_torn_line(tmp_path, errors):
     assert "torn" not in path.read_text()
     both = MeasurementStore(path, ClipErrors)
     assert "a" in both
-    assert both["b"].to_json() == again["b"].to_json()
+    np.testing.assert_array_equal(both["b"].position_m, again["b"].position_m)
     assert "a" not in MeasurementStore(None, ClipErrors)
