@@ -5,11 +5,11 @@ from pathlib import Path
 import click
 
 from benchmarks import grounding, poses, speed, verdicts
-from benchmarks.options import EXISTING_FOLDER, errors
-from kinebench_drake.errors import KinebenchError, name_options
+from benchmarks.options import EXISTING_FOLDER, CommandGroup
 
 
 @click.group(
+    cls=CommandGroup,
     epilog="\b\nExample:\n"
     "  python -m benchmarks trajectories make --out tracks --kind infeasible --count 1000 --jobs 2\n"
     "  kinebench-drake audit tracks --out results\n"
@@ -34,10 +34,7 @@ def equivalence(before: Path, after: Path) -> None:
     """
     from benchmarks.equivalence import compare_folders
 
-    try:
-        result = compare_folders(before, after)
-    except KinebenchError as error:
-        raise click.ClickException(name_options(str(error))) from None
+    result = compare_folders(before, after)
     for line in result.differences:
         click.echo(line)
     click.echo(
@@ -57,8 +54,7 @@ def structure(revisions: tuple[str, ...]) -> None:
     from benchmarks.structure import count_revision, structure_table
 
     repository = Path(__file__).parent.parent
-    with errors():
-        counts = [(revision, count_revision(repository, revision)) for revision in revisions]
+    counts = [(revision, count_revision(repository, revision)) for revision in revisions]
     click.echo(structure_table(counts))
 
 

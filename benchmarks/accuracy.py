@@ -1,14 +1,12 @@
 """Accuracy of the grounding on renderings with exact poses and on videos of other programs and cameras."""
 
 from collections.abc import Callable, Mapping, Sequence
-from itertools import chain
 from pathlib import Path
 from textwrap import wrap
 from typing import Any
 
-from benchmarks import footage_report
+from benchmarks import footage_report, markdown
 from benchmarks.footage import ReferenceKind
-from benchmarks.markdown import table
 from benchmarks.perception.study import StudyPlan, evaluation, run_study
 from benchmarks.perception.tables import evaluation_json
 from kinebench_drake.executors.base import Observer
@@ -32,7 +30,6 @@ _INTRODUCTION = (
     "is what was claimed.",
 )
 _COMMANDS = (
-    "",
     f"    kinebench-drake {' '.join(HELDOUT)} --out heldout",
     "    python -m benchmarks accuracy --heldout heldout --others FOLDER --work accuracy",
 )
@@ -102,13 +99,11 @@ def section(heldout: Mapping[str, Any], others: Sequence[Mapping[str, Any]]) -> 
     introduction = (*_INTRODUCTION, f"Networks in {'bfloat16' if host()['bfloat16'] else 'single precision'}.")
     rows = [_footage_row(_TITLES[kind], f) for kind, f in _kinds(others).items()]
     rows.append(_heldout_row(heldout["summary"], heldout["intervals"]))
-    texts = [_other_text(others), _heldout_text(heldout["summary"])]
-    return "\n".join(
-        ["## Accuracy", "", *introduction, "", *table(_HEAD, rows), *chain.from_iterable(texts), *_COMMANDS]
-    )
+    texts = (wrap(text, width=WIDTH) for text in (_other_text(others), _heldout_text(heldout["summary"])))
+    return markdown.section("Accuracy", introduction, markdown.table(_HEAD, rows), *texts, _COMMANDS)
 
 
-def _other_text(others: Sequence[Mapping[str, Any]]) -> list[str]:
+def _other_text(others: Sequence[Mapping[str, Any]]) -> str:
     sentences = []
     for other in others:
         if "labels" in other:
@@ -123,11 +118,11 @@ def _other_text(others: Sequence[Mapping[str, Any]]) -> list[str]:
         if a["clean_videos"]:
             share = f"{a['clean_videos_with_anomalies']} of {a['clean_videos']}"
             sentences.append(f"Anomalies are reported in {share} clips of others that show none.")
-    return _paragraph(sentences)
+    return " ".join(sentences)
 
 
-def _heldout_text(s: Mapping[str, Any]) -> list[str]:
-    return _paragraph(
+def _heldout_text(s: Mapping[str, Any]) -> str:
+    return " ".join(
         [
             f"On renderings of this project {_percent(s['tracked_frames_off_by_3_cm'])} of the tracked frames are off",
             "by more than 3 cm, and `confidence` differs from the share of good poses by",
@@ -138,10 +133,6 @@ def _heldout_text(s: Mapping[str, Any]) -> list[str]:
             f"False anomalies: {s['anomalies_not_planted']:.0f} in {s['videos']:.0f} videos. The commands:",
         ]
     )
-
-
-def _paragraph(sentences: Sequence[str]) -> list[str]:
-    return ["", *wrap(" ".join(sentences), width=WIDTH)] if sentences else []
 
 
 def _kinds(others: Sequence[Mapping[str, Any]]) -> dict[str, Mapping[str, Any]]:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from benchmarks import markdown
 from benchmarks.feasible import BENCHMARK_FRAMES, BENCHMARK_PERIOD_S, TrackSet, smooth_motions
 from benchmarks.motion import Arm, Motion
 from benchmarks.peers import problem_of
@@ -20,9 +21,6 @@ from kinebench_drake.metrics.limits import check_limits
 from kinebench_drake.metrics.noise import estimate_track_noise, propagate_noise
 from kinebench_drake.metrics.smoothness import measure_smoothness
 from kinebench_drake.track import GripperTrack
-
-HEADING = "## The audit in one process"
-"""Heading of the section of the document."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -122,17 +120,11 @@ def figures(timing: AuditTiming) -> dict[str, float]:
 def section(timing: AuditTiming) -> str:
     """Return the section of the document."""
     parts = ", ".join(f"{part} {seconds:.1f} s" for part, seconds in timing.parts_s.items())
-    return "\n".join(
-        [
-            HEADING,
-            "",
-            f"Written by `python -m benchmarks audit`, one thread, on {machine_text()}; CPU times.",
-            "",
-            f"{timing.tracks} tracks of {BENCHMARK_FRAMES} frames: {sum(timing.parts_s.values()):.1f} s ({parts}).",
-            "",
-            f"{len(timing.audit_s)} whole audits, with collisions and both trajectory optimisations: median "
-            f"{np.median(timing.audit_s):.3f} s a track, 95th percentile {np.percentile(timing.audit_s, 95):.3f} s, "
-            f"maximum {timing.audit_s.max():.3f} s; {timing.feasible} feasible.",
-            "",
-        ]
+    return markdown.section(
+        "The audit in one process",
+        f"Written by `python -m benchmarks audit`, one thread, on {machine_text()}; CPU times.",
+        f"{timing.tracks} tracks of {BENCHMARK_FRAMES} frames: {sum(timing.parts_s.values()):.1f} s ({parts}).",
+        f"{len(timing.audit_s)} whole audits, with collisions and both trajectory optimisations: median "
+        f"{np.median(timing.audit_s):.3f} s a track, 95th percentile {np.percentile(timing.audit_s, 95):.3f} s, "
+        f"maximum {timing.audit_s.max():.3f} s; {timing.feasible} feasible.",
     )

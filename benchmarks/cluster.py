@@ -11,16 +11,14 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
+from benchmarks import markdown
 from benchmarks.equivalence import compare_values
-from benchmarks.markdown import table
 from benchmarks.process import children, command_line, run_program
 from kinebench_drake.errors import KinebenchError, SetupError
 from kinebench_drake.executors.ray import RayWorker
 from kinebench_drake.io.jsonl import read_json
 from kinebench_drake.results.store import REPORT, RESULTS, SAMPLES, TIMINGS
 
-HEADING = "## Tried on two nodes"
-"""Heading of the section of the document."""
 NODES = 2
 """Nodes of the cluster, each with one CPU and so with one worker."""
 SUITE = ("--suite", "0", "--world-model", "oracle", "--pixels-only", "--rounds", "1")
@@ -160,15 +158,10 @@ def section(trials: Sequence[ClusterTrial]) -> str:
         for trial in trials
     ]
     head = ("run", "samples", "workers a node", "killed (SIGKILL)", "equal files", "results.json differs in")
-    return "\n".join(
-        [
-            HEADING,
-            "",
-            "Written by `python -m benchmarks cluster`: each run with one local process and on a Ray "
-            f"cluster of {NODES} nodes on one machine, where a worker is killed at its sample half-way. Compared byte "
-            "for byte: samples.jsonl, tracks, thumbnails, videos; not timings.jsonl and report.html.",
-            "",
-            *table(head, rows),
-            "",
-        ]
+    return markdown.section(
+        "Tried on two nodes",
+        "Written by `python -m benchmarks cluster`: each run with one local process and on a Ray "
+        f"cluster of {NODES} nodes on one machine, where a worker is killed at its sample half-way. Compared byte "
+        "for byte: samples.jsonl, tracks, thumbnails, videos; not timings.jsonl and report.html.",
+        markdown.table(head, rows),
     )

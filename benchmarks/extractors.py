@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.markdown import table
+from benchmarks import markdown
 from benchmarks.perception.store import MeasurementStore, fingerprint
 from benchmarks.validity import ExecutionWorker, TrackExecution, ValidityTrial, read_study, study_specs
 from kinebench_drake.anomaly import AnomalyKind
@@ -229,26 +229,23 @@ def _over_episodes(extractions: Sequence[Extraction], values: Array, seed: int =
     return IntervalEstimate(value=mean, low=low, high=high)
 
 
-def section(extractions: Sequence[Extraction], about: str) -> list[str]:
-    """Return the lines of the section of docs/validity.md; `about` describes the baseline."""
+def section(extractions: Sequence[Extraction], about: str) -> str:
+    """Return the section of docs/validity.md; `about` describes the baseline."""
     head = ["videos", "number", *(f"success through the {e.value}" for e in Extractor)]
     head += [f"outcome changed by the {e.value}" for e in (Extractor.GROUNDING, Extractor.BASELINE)]
     head += ["lost / gained by the grounding", "lost / gained by the baseline", "difference"]
     rows = [[name, *_cells(members)] for name, members in _groups(extractions) if members]
     episodes = len({e.episode for e in extractions})
-    return [
-        "## Outcomes by extractor",
-        "",
+    return markdown.section(
+        "Outcomes by extractor",
         f"Written by `python -m benchmarks extractors`: {len(extractions)} videos of {episodes} episodes, each "
         "executed through its true track, through the grounding's and through that of the inverse-dynamics baseline "
         f"({about}). Changed: the track succeeds where the true one fails (gained), or fails where that one succeeds "
         "(lost). Difference: share changed by the baseline less share changed by the grounding, in the same videos. "
         "95 % bootstrap intervals over episodes.",
-        "",
         f"![Outcomes that an extractor changes]({FIGURE})",
-        "",
-        *table(head, rows),
-    ]
+        markdown.table(head, rows),
+    )
 
 
 def _cells(members: Sequence[Extraction]) -> Iterator[str]:

@@ -12,7 +12,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 import torch
 
-from benchmarks.markdown import table
+from benchmarks import markdown
 from benchmarks.process import run_program, spread
 from benchmarks.record import BenchmarkRecord, machine_text
 from benchmarks.throughput import NO_GPU, Job, Setting, link_copies, run_cost
@@ -30,8 +30,6 @@ from kinebench_drake.models.perception.network import STRIDE, load_network
 from training.loop import Batch, Schedule, optimise
 from training.train import forward, losses
 
-HEADING = "## GPU"
-"""Heading of the section of the document."""
 PROCESSES = (1, 8)
 """Numbers of worker processes of `score`."""
 TASKS = ("StackCube-v1", "PickFruits-v1", "OpenDrawer-v1", "OpenFaucet-v1")
@@ -188,18 +186,13 @@ def section(costs: Costs) -> str:
     pairs = {name: [np.array(by_device[device]) for device in Device] for name, by_device in costs.items()}
     rows = [(name, _three_digits(cpu), _three_digits(gpu), spread(cpu / gpu, 1)) for name, (cpu, gpu) in pairs.items()]
     turns = {len(cpu) for cpu, _ in pairs.values()}.pop()
-    return "\n".join(
-        [
-            HEADING,
-            "",
-            f"Written by `python -m benchmarks gpu` on {machine_text()} with {torch.cuda.get_device_name()}: the same "
-            f"on the CPU and with the GPU of one machine, in turn, median (minimum to maximum) of {turns} turns, wall "
-            "times. The network includes the transfer of images and estimates; torch's defaults on the GPU. "
-            "Images of the simulator are colour, depth and segmentation, on the CPU by the software driver. `score` "
-            "and `suite run`: time from one finished sample to the next, once every process has finished one; fits, "
-            "kinematics and physics run on the CPU in both. Episodes of suite 0 with the oracle, pixels only.",
-            "",
-            *table(("what", "CPU", "GPU", "times as fast"), rows),
-            "",
-        ]
+    return markdown.section(
+        "GPU",
+        f"Written by `python -m benchmarks gpu` on {machine_text()} with {torch.cuda.get_device_name()}: the same "
+        f"on the CPU and with the GPU of one machine, in turn, median (minimum to maximum) of {turns} turns, wall "
+        "times. The network includes the transfer of images and estimates; torch's defaults on the GPU. "
+        "Images of the simulator are colour, depth and segmentation, on the CPU by the software driver. `score` "
+        "and `suite run`: time from one finished sample to the next, once every process has finished one; fits, "
+        "kinematics and physics run on the CPU in both. Episodes of suite 0 with the oracle, pixels only.",
+        markdown.table(("what", "CPU", "GPU", "times as fast"), rows),
     )

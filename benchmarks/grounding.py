@@ -8,28 +8,22 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from kinebench_drake.cli.options import PathParameter, check_suffix
+from benchmarks.options import COUNT, EXISTING_FOLDER, FILE, jobs_option, weights_option
+from kinebench_drake.cli.options import check_suffix
 
 if TYPE_CHECKING:
     from benchmarks.perception.study import GroundingStudy, StudyOutcome
 
-_FOLDER = PathParameter(exists=True, file_okay=False)
-_FILE = PathParameter(dir_okay=False)
-_WEIGHTS = click.option(
-    "--weights", type=PathParameter(dir_okay=False, exists=True), default=None,
-    help="Network weights to evaluate (safetensors).  [default: those shipped]",
-)  # fmt: skip
-_JOBS = click.option("--jobs", type=click.IntRange(1), default=1, show_default=True, help="Worker processes.")
 _JSON = click.option(
-    "--json", "json_out", type=_FILE,
+    "--json", "json_out", type=FILE,
     help="Write the figures to this file; finished measurements are kept in NAME.clips.jsonl beside it.",
 )  # fmt: skip
-_FIGURE = click.option("--figure", type=_FILE, help="Plot the figures (png).")
+_FIGURE = click.option("--figure", type=FILE, help="Plot the figures (png).")
 _OPTIONS = (
-    click.argument("folder", type=_FOLDER),
-    _WEIGHTS,
-    click.option("--limit", type=click.IntRange(1), help="Number of videos, from all tasks in turn."),
-    _JOBS,
+    click.argument("folder", type=EXISTING_FOLDER),
+    weights_option,
+    click.option("--limit", type=COUNT, help="Number of videos, from all tasks in turn."),
+    jobs_option,
     click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Seed of all random draws."),
     _JSON,
     click.option("--overwrite", is_flag=True, help="Discard finished measurements and start over."),
@@ -219,10 +213,10 @@ Example:
 @_measure_options
 @click.option("--only", default=",".join(_KINDS), show_default=True, help="Kinds of perturbations, comma-separated.")
 @click.option(
-    "--sheet", type=_FILE, help="Draw a contact sheet: one frame of the first video under each perturbation (png)."
+    "--sheet", type=FILE, help="Draw a contact sheet: one frame of the first video under each perturbation (png)."
 )
 @click.option(
-    "--baseline", type=_FILE, help="Weights of the learned baseline, to be measured on the same frames.",
+    "--baseline", type=FILE, help="Weights of the learned baseline, to be measured on the same frames.",
 )  # fmt: skip
 def perturb(options: MeasureOptions, only: str, sheet: Path | None, baseline: Path | None) -> None:
     """Measure the errors of the same videos under perturbations of the frames."""
@@ -265,7 +259,7 @@ Example:
     "--depth", "plug_ins", multiple=True, metavar="moge:CHECKPOINT|module:Class",
     help="Another depth estimator: MoGe-2, or a class of yours; repeatable.",
 )  # fmt: skip
-@click.option("--heatmap", type=_FILE, help="Plot the depth errors over the gripper, and one example frame (png).")
+@click.option("--heatmap", type=FILE, help="Plot the depth errors over the gripper, and one example frame (png).")
 def depth_ablation(options: MeasureOptions, plug_ins: tuple[str, ...], heatmap: Path | None) -> None:
     """Measure the effect of depth quality: true depth, estimated depth, degraded depth, other depth estimators.
 
@@ -307,15 +301,15 @@ Example:
   python -m benchmarks planted-videos --suite 2 --split unseen --out faulty
   python -m benchmarks anomalies clean faulty --json anomalies.json --figure anomalies.png"""
 )
-@click.argument("clean", type=_FOLDER)
-@click.argument("faulty", type=_FOLDER)
-@_WEIGHTS
+@click.argument("clean", type=EXISTING_FOLDER)
+@click.argument("faulty", type=EXISTING_FOLDER)
+@weights_option
 @click.option(
     "--limit",
-    type=click.IntRange(1),
+    type=COUNT,
     help="Number of clean videos and of videos of each fault, from all tasks in turn.",
 )
-@_JOBS
+@jobs_option
 @_JSON
 @_FIGURE
 def anomalies(

@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks import markdown
 from benchmarks.feasible import BENCHMARK_FRAMES, BENCHMARK_PERIOD_S, TrackSet, smooth_motions
-from benchmarks.markdown import table
 from benchmarks.motion import Arm
 from benchmarks.peers import (
     FIXED_Q7,
@@ -36,8 +36,6 @@ from benchmarks.record import machine_text
 from kinebench_drake.geometry import Array
 from kinebench_drake.kinematics.plant import ArmPlant
 
-HEADING = "## Inverse kinematics along smooth tracks"
-"""Heading of the section of the document."""
 IK_SETS = (
     TrackSet(tracks=20, frames=BENCHMARK_FRAMES, period_s=BENCHMARK_PERIOD_S),
     TrackSet(tracks=4, frames=490, period_s=0.02),
@@ -148,25 +146,20 @@ def figures(comparisons: Sequence[IkComparison]) -> dict[str, float]:
 
 def section(comparisons: Sequence[IkComparison]) -> str:
     """Return the section of the document."""
-    lines = [
-        HEADING,
-        "",
+    parts: list[str | list[str]] = [
         f"Written by `python -m benchmarks ik`, one thread, on {machine_text()}; CPU times, "
         "so that other load hardly counts. Seconds are those of this machine, ratios carry over.",
-        "",
         "Expert-like tracks, each started from the posture of its first pose, reached to "
         f"{1e3 * POSITION_M:g} mm and {1e3 * ROTATION_RAD:g} mrad. "
         "The solvers take turns; ratios are of the same turn. Reached: share of poses at which Drake's forward "
         "kinematics puts the TCP at the pose, joints within limits. Within speed limits: share of tracks whose joint "
         "path keeps the speed limits, as the motions do that the poses were taken from; any other path jumps between "
         "postures, and no arm can follow it.",
-        "",
         "Ours and pytorch_kinematics solve whole tracks, as an audit has them; the others solve pose by pose and could "
         "also drive an arm whose next pose is not known yet. Ours chooses the redundancy (joint 7 of the Panda) along "
         "the track and verifies its own result in Drake within its time. The two with fixed joint 7 and no sweep omit "
         "that choice and have no solution where joint 7 has to move; they are to be compared with each other: the bare "
         "closed form, ours a track at a time, frankik's pose by pose.",
-        "",
     ]
     for comparison in comparisons:
         tracks = comparison.tracks
@@ -174,9 +167,9 @@ def section(comparisons: Sequence[IkComparison]) -> str:
             *("solver", "used as", "us a pose, median (minimum to maximum)"),
             *("times ours (minimum to maximum)", "reached", "within speed limits"),
         )
-        lines += [f"### {tracks.tracks} tracks of {tracks.frames} frames at {tracks.period_s:g} s", ""]
-        lines += [*table(head, [_row(comparison, t) for t in comparison.timings]), "", _summary(comparison), ""]
-    return "\n".join(lines)
+        parts.append(f"### {tracks.tracks} tracks of {tracks.frames} frames at {tracks.period_s:g} s")
+        parts += [markdown.table(head, [_row(comparison, t) for t in comparison.timings]), _summary(comparison)]
+    return markdown.section("Inverse kinematics along smooth tracks", *parts)
 
 
 def _row(comparison: IkComparison, timing: SolverTiming) -> list[str]:

@@ -10,6 +10,12 @@ def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
     return [f"| {' | '.join(cells)} |" for cells in (head, ["---"] * len(head), *rows)]
 
 
+def section(heading: str, *blocks: str | Iterable[str]) -> str:
+    """Return a section of paragraphs and of blocks of lines, such as tables; empty ones are left out."""
+    texts = (block if isinstance(block, str) else "\n".join(block) for block in blocks)
+    return "\n\n".join([f"## {heading}", *filter(None, texts)])
+
+
 def replace_section(document: str, section: str) -> str:
     """Replace the section with the same heading, or append the section.
 

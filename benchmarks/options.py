@@ -6,19 +6,21 @@ from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
 import click
 
 from benchmarks.markdown import replace_section
-from kinebench_drake.errors import KinebenchError, UsageError
+from kinebench_drake.cli.options import PathParameter
+from kinebench_drake.errors import KinebenchError, UsageError, name_options
 
 EXAMPLES = Path("examples/videos")
 BASELINE = Path("benchmarks/baseline.safetensors")
 """Weights that `python -m benchmarks baseline` made."""
-FOLDER = click.Path(path_type=Path, file_okay=False)
-FILE = click.Path(path_type=Path, dir_okay=False)
-EXISTING_FILE = click.Path(path_type=Path, dir_okay=False, exists=True)
-EXISTING_FOLDER = click.Path(path_type=Path, file_okay=False, exists=True)
+FOLDER = PathParameter(file_okay=False)
+FILE = PathParameter(dir_okay=False)
+EXISTING_FILE = PathParameter(dir_okay=False, exists=True)
+EXISTING_FOLDER = PathParameter(file_okay=False, exists=True)
 COUNT = click.IntRange(min=1)
 
 out_option = click.option("--out", type=EXISTING_FILE, help="Markdown page to write a section into.")
@@ -27,18 +29,23 @@ jobs_option = click.option("--jobs", type=COUNT, default=1, show_default=True, h
 baseline_option = click.option(
     "--baseline", "weights", type=EXISTING_FILE, default=BASELINE, show_default=True, help="Weights of the baseline."
 )
+weights_option = click.option(
+    "--weights", type=EXISTING_FILE, help="Network weights (safetensors).  [default: those shipped]"
+)
 log = partial(click.echo, err=True)
 
 
-@contextmanager
-def errors() -> Iterator[None]:
-    """Turn errors of the package into errors of the command line."""
-    try:
-        yield
-    except UsageError as error:
-        raise click.UsageError(str(error)) from None
-    except KinebenchError as error:
-        raise click.ClickException(str(error)) from None
+class CommandGroup(click.Group):
+    """Group whose commands turn errors of the package into errors of the command line."""
+
+    def invoke(self, ctx: click.Context) -> Any:
+        """Invoke a command."""
+        try:
+            return super().invoke(ctx)
+        except UsageError as error:
+            raise click.UsageError(name_options(str(error))) from None
+        except KinebenchError as error:
+            raise click.ClickException(name_options(str(error))) from None
 
 
 def write_section(out: Path | None, text: str) -> None:

@@ -11,7 +11,6 @@ from benchmarks.options import (
     EXISTING_FOLDER,
     FILE,
     FOLDER,
-    errors,
     jobs_option,
     log,
     one_thread,
@@ -52,13 +51,12 @@ def calibration(folder: Path, limit: int | None, frames: int, part: float, quick
 
     conditions = [c for c in CONDITIONS if c.method is CalibrationMethod.JOINTS] if quick else CONDITIONS
     trials = []
-    with errors():
-        for trial in measure(folder, limit=limit, frames=frames, part=part, conditions=conditions):
-            trials.append(trial)
-            if trial.condition == conditions[-1]:
-                log(trial.clip)
-        if json_out is not None:
-            write_atomically(json_out, dump(finite([trial.to_json() for trial in trials]), indent=1).encode())
+    for trial in measure(folder, limit=limit, frames=frames, part=part, conditions=conditions):
+        trials.append(trial)
+        if trial.condition == conditions[-1]:
+            log(trial.clip)
+    if json_out is not None:
+        write_atomically(json_out, dump(finite([trial.to_json() for trial in trials]), indent=1).encode())
     for line in trial_table(trials):
         click.echo(line)
 
@@ -76,9 +74,9 @@ def icp(videos: Path, keep: Path, limit: int | None, seed: int, jobs: int, out: 
     from kinebench_drake.cli.progress import ProgressView
     from kinebench_drake.executors.local import LocalExecutor
 
-    with errors(), ProgressView("steps") as view:
+    with ProgressView("steps") as view:
         results = measure(videos, keep, limit, seed, LocalExecutor(jobs=jobs), view)
-    write_section(out, "\n".join(section(results)))
+    write_section(out, section(results))
 
 
 @click.command(
@@ -116,11 +114,8 @@ def footage(
     from kinebench_drake.models.panda.robot import GripperKind
 
     names = None if videos is None else videos.split(",")
-    with errors():
-        kind = GripperKind(gripper)
-        text = measure(
-            folder, out, names, weights=weights, calibration=calibration, gripper=kind, window=window, log=log
-        )
+    kind = GripperKind(gripper)
+    text = measure(folder, out, names, weights=weights, calibration=calibration, gripper=kind, window=window, log=log)
     click.echo(text)
 
 
@@ -146,7 +141,7 @@ def cameras(folder: Path, out: Path, presented: str, limit: int | None, jobs: in
     from kinebench_drake.cli.progress import ProgressView
     from kinebench_drake.executors.local import LocalExecutor
 
-    with errors(), ProgressView("videos") as view:
+    with ProgressView("videos") as view:
         kinds = [member_of(Presentation, name, "presented") for name in presented.split(",")]
         trials = [Trial(clip=clip, presentation=kind) for kind in kinds for clip in choose(find_clips(folder), limit)]
         out.mkdir(parents=True, exist_ok=True)
@@ -170,7 +165,7 @@ def gate(jobs: int) -> None:
     from kinebench_drake.executors.local import LocalExecutor
 
     extra = os.environ.get(CLIPS_VARIABLE)
-    with errors(), ProgressView("videos") as view:
+    with ProgressView("videos") as view:
         faults = run_gate(CLIPS, Path(extra) if extra else None, LocalExecutor(jobs=jobs), view)
     for fault in faults:
         click.echo(fault)
@@ -199,8 +194,7 @@ def views(out: Path, changes: str, episodes: int, seed: int, limit: int | None) 
         raise click.UsageError(f"--changes {','.join(unknown)}: there are {', '.join(CHANGES)}")
     suite = load_suite(2)
     specs = suite.specs("unseen", episodes, offset=seed)
-    with errors():
-        text = measure(specs[:limit], names, out, log=log)
+    text = measure(specs[:limit], names, out, log=log)
     click.echo(text)
 
 
@@ -219,11 +213,10 @@ def flange(demos: Path, out: Path, count: int, calibrate: bool) -> None:
     one_thread()
     from benchmarks.flange import measure, summarize, write_confidence
 
-    with errors():
-        measured = measure(demos, out, count=count, log=log)
-        if calibrate:
-            write_confidence(measured)
-        click.echo(summarize(measured, out))
+    measured = measure(demos, out, count=count, log=log)
+    if calibrate:
+        write_confidence(measured)
+    click.echo(summarize(measured, out))
 
 
 @click.command(
@@ -276,9 +269,8 @@ def planted_videos(
     )
     from kinebench_drake.suites.faults.fault import choose
 
-    with errors():
-        grades = choose(parse_kinds(kinds), sizes)
-        specs = choose_episodes(tasks, seeds, suite, split, episodes, first)
+    grades = choose(parse_kinds(kinds), sizes)
+    specs = choose_episodes(tasks, seeds, suite, split, episodes, first)
     orders = [
         PlantingOrder(
             spec=spec,
@@ -292,13 +284,12 @@ def planted_videos(
     ]
     (out / "truth").mkdir(parents=True, exist_ok=True)
     videos: list[PlantedVideo] = []
-    with errors():
-        for result in make_videos([order for order in orders if order.grades], jobs):
-            videos += result.videos
-            for problem in result.problems:
-                log(problem)
-            for video in result.videos:
-                click.echo(video.id)
+    for result in make_videos([order for order in orders if order.grades], jobs):
+        videos += result.videos
+        for problem in result.problems:
+            log(problem)
+        for video in result.videos:
+            click.echo(video.id)
     if not videos:
         raise click.ClickException("no video was made; the reasons are printed above")
     write_index(out, videos)

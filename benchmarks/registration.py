@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.markdown import table
+from benchmarks import markdown
 from benchmarks.perception.clip import TruthClip, TruthClipFile, choose, find_clips
 from benchmarks.perception.store import MeasurementStore, fingerprint
 from benchmarks.perception.variants import Degradation, DegradedEstimator
@@ -159,24 +159,22 @@ def measure(
     return {kind.name: [e for t, e in zip(trials, done, strict=True) if t.kind == kind] for kind in KINDS}
 
 
-def section(results: Mapping[str, Sequence[RegistrationErrors]], seed: int = 0) -> list[str]:
-    """Return the lines of the section of docs/grounding.md: medians by kind of depth, with intervals over videos."""
+def section(results: Mapping[str, Sequence[RegistrationErrors]], seed: int = 0) -> str:
+    """Return the section of docs/grounding.md: medians by kind of depth, with intervals over videos."""
     videos = len(next(iter(results.values())))
     head = ["depth", "frames", "weight", "fitness", "distance, mm"]
     head += [f"{name}, mm / degrees" for name in _POSES] + ["combined less fit, mm / degrees"]
     rows = [[name, *_cells(errors, np.random.default_rng(seed))] for name, errors in results.items()]
-    return [
-        "## What ICP contributes",
-        "",
+    return markdown.section(
+        "What ICP contributes",
         f"Written by `python -m benchmarks icp heldout --keep icp.jsonl --limit {videos} --out docs/grounding.md`, "
         f"{videos} held-out videos: errors of single frames before smoothing. The depth is the network's, the true one "
         "with a share of the network's error or with a smooth error, or "
         "exact; the rule is the same. Weight, fitness, distance of the matched cells from the surface, and errors are "
         "medians; the last column is the mean difference in the same frames, with its 95 % bootstrap interval over "
         "videos.",
-        "",
-        *table(head, rows),
-    ]
+        markdown.table(head, rows),
+    )
 
 
 def _cells(errors: Sequence[RegistrationErrors], rng: np.random.Generator) -> Iterator[str]:

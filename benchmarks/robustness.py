@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from benchmarks import markdown
 from benchmarks.accuracy import HELDOUT, WIDTH
-from benchmarks.markdown import table
 from benchmarks.perception.clip import find_clips
 from benchmarks.perception.perturbation.catalogue import PerturbationKind
 from benchmarks.perception.study import (
@@ -101,19 +101,15 @@ def section(outcome: StudyOutcome, tasks: Sequence[str], training: str) -> str:
     head = ["frames", "videos"]
     for extractor, *_ in _STYLES:
         head += [f"{extractor}: tracked", "position", "rotation", "off by more than 3 cm"]
-    return "\n".join(
+    return markdown.section(
+        "Perturbed frames, and inverse dynamics",
+        wrap(_INTRODUCTION.format(training=training, figure=FIGURE), width=WIDTH),
+        markdown.table(head, _rows(outcome, tasks)),
+        "The commands:",
         [
-            "## Perturbed frames, and inverse dynamics",
-            "",
-            *wrap(_INTRODUCTION.format(training=training, figure=FIGURE), width=WIDTH),
-            "",
-            *table(head, _rows(outcome, tasks)),
-            "",
-            "The commands:",
-            "",
             f"    kinebench-drake {' '.join(HELDOUT)} --out heldout",
             f"    python -m benchmarks robustness --heldout heldout --work robustness --limit {len(videos)}",
-        ]
+        ],
     )
 
 

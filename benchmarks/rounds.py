@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 from unittest.mock import patch
 
-from benchmarks.markdown import table
+from benchmarks import markdown
 from benchmarks.record import machine_text
 from kinebench_drake.closed_loop import loop
 from kinebench_drake.closed_loop.commands import CommandPlanner
@@ -154,17 +154,12 @@ def section(timing: RoundTiming) -> str:
         for stage in Stage
     ]
     own_s = (total - timing.seconds[Stage.MODEL]) / timing.rounds
-    return "\n".join(
-        [
-            "## A round of the closed loop",
-            "",
-            f"Written by `python -m benchmarks rounds` on {machine_text()}: {timing.episodes} episodes of suite 0 with "
-            f"the oracle, {timing.successes} of them successful, {timing.rounds} rounds in one process, without the "
-            "first episode, which loads networks and simulator. Processor times of all threads: other load "
-            "hardly counts, and `--jobs 2` takes about half.",
-            "",
-            *table(("stage", "s a round", "share"), [*rows, ["all", f"{total / timing.rounds:.2f}", "100%"]]),
-            "",
-            f"Without the world model a round takes {own_s:.1f} s of processor time.",
-        ]
+    return markdown.section(
+        "A round of the closed loop",
+        f"Written by `python -m benchmarks rounds` on {machine_text()}: {timing.episodes} episodes of suite 0 with "
+        f"the oracle, {timing.successes} of them successful, {timing.rounds} rounds in one process, without the "
+        "first episode, which loads networks and simulator. Processor times of all threads: other load "
+        "hardly counts, and `--jobs 2` takes about half.",
+        markdown.table(("stage", "s a round", "share"), [*rows, ["all", f"{total / timing.rounds:.2f}", "100%"]]),
+        f"Without the world model a round takes {own_s:.1f} s of processor time.",
     )

@@ -22,7 +22,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.markdown import table
+from benchmarks import markdown
 from benchmarks.process import read_memory
 from benchmarks.record import machine_text
 from kinebench_drake.errors import KinebenchError, UsageError
@@ -37,8 +37,6 @@ from kinebench_drake.runs.merge import merge_folders
 from kinebench_drake.runs.runner import NullRunObserver, run_samples
 from kinebench_drake.runs.score import VideoEvaluator
 
-HEADING = "## A hundred thousand samples"
-"""Heading of the section of the document."""
 BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 _TASKS, _MODELS = 20, 4
 _LINKS = 60_000  # of a file; file systems allow about 65,000
@@ -296,21 +294,15 @@ def section(result: ScaleResult) -> str:
         if browser
         else ""
     )
-    return "\n".join(
-        [
-            HEADING,
-            "",
-            f"Written by `python -m benchmarks scale` on {machine_text()}: a run of "
-            f"{result.rows} samples in which only reading, grounding and judging the videos is replaced, by rows and "
-            "tracks of the example videos with scaled numbers. Each stage in a process of its own: wall time, "
-            "processor time and peak resident memory of the main process, libraries included.",
-            "",
-            *table(
-                ("stage", "wall time, s", "processor time, s", "memory, MB"),
-                [[s.stage, f"{s.wall_s:.0f}", f"{s.cpu_s:.0f}", f"{s.memory_mb:.0f}"] for s in result.stages],
-            ),
-            "",
-            f"`samples.jsonl`: {result.samples_mb:.0f} MB. `report.html`: {result.report_mb:.1f} MB.{opened}",
-            "",
-        ]
+    return markdown.section(
+        "A hundred thousand samples",
+        f"Written by `python -m benchmarks scale` on {machine_text()}: a run of "
+        f"{result.rows} samples in which only reading, grounding and judging the videos is replaced, by rows and "
+        "tracks of the example videos with scaled numbers. Each stage in a process of its own: wall time, "
+        "processor time and peak resident memory of the main process, libraries included.",
+        markdown.table(
+            ("stage", "wall time, s", "processor time, s", "memory, MB"),
+            [[s.stage, f"{s.wall_s:.0f}", f"{s.cpu_s:.0f}", f"{s.memory_mb:.0f}"] for s in result.stages],
+        ),
+        f"`samples.jsonl`: {result.samples_mb:.0f} MB. `report.html`: {result.report_mb:.1f} MB.{opened}",
     )

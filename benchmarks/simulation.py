@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.markdown import table
+from benchmarks import markdown
 from benchmarks.record import machine_text
 from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.environment.native import prepare_vulkan
@@ -25,8 +25,6 @@ from kinebench_drake.suites.families.registry import find_expert
 from kinebench_drake.suites.rollout import render_video, run_expert
 from kinebench_drake.suites.simulator import Simulator, Snapshot
 
-HEADING = "## Simulation"
-"""Heading of the section of the document."""
 STEPS, IMAGES, ROUNDS = 40, 8, 5
 """Control steps and images timed in a round, and rounds."""
 STOCK = "StackCube-v1"
@@ -140,23 +138,17 @@ def section(timings: Sequence[TaskTiming], steps: Array, images: Array) -> str:
     """Return the section of the document."""
     rows = [(t.task, f"{t.step_ms:.1f}", f"{t.image_ms:.0f}", f"{t.reset_ms:.0f}", f"{t.demo_s:.1f}") for t in timings]
     worst = [max(getattr(t, name) for t in timings) for name in ("step_ms", "image_ms", "demo_s")]
-    return "\n".join(
-        [
-            HEADING,
-            "",
-            f"Written by `python -m benchmarks simulation` on {machine_text()}, rendering on the "
-            f"{prepare_vulkan()}; wall times. Step: one control step of 0.05 s with the task's verdict, no image. "
-            "Image: 384x384, colour, depth and segmentation. Reset: with the scene rebuilt. Demonstration: a clip of "
-            "49 frames planned, executed, rendered and encoded as mp4.",
-            "",
-            *table(("task", "step, ms", "image, ms", "reset, ms", "demonstration, s"), rows),
-            "",
-            f"The slowest: {worst[0]:.1f} ms a step, {worst[1]:.0f} ms an image, {worst[2]:.1f} s a demonstration. "
-            f"Compared with ManiSkill's own {STOCK}, in turn in one process: a step takes "
-            f"{np.median(steps):.2f} times as long ({steps.min():.2f} to {steps.max():.2f}), an image "
-            f"{np.median(images):.2f} times ({images.min():.2f} to {images.max():.2f}).",
-            "",
-        ]
+    return markdown.section(
+        "Simulation",
+        f"Written by `python -m benchmarks simulation` on {machine_text()}, rendering on the "
+        f"{prepare_vulkan()}; wall times. Step: one control step of 0.05 s with the task's verdict, no image. "
+        "Image: 384x384, colour, depth and segmentation. Reset: with the scene rebuilt. Demonstration: a clip of "
+        "49 frames planned, executed, rendered and encoded as mp4.",
+        markdown.table(("task", "step, ms", "image, ms", "reset, ms", "demonstration, s"), rows),
+        f"The slowest: {worst[0]:.1f} ms a step, {worst[1]:.0f} ms an image, {worst[2]:.1f} s a demonstration. "
+        f"Compared with ManiSkill's own {STOCK}, in turn in one process: a step takes "
+        f"{np.median(steps):.2f} times as long ({steps.min():.2f} to {steps.max():.2f}), an image "
+        f"{np.median(images):.2f} times ({images.min():.2f} to {images.max():.2f}).",
     )
 
 

@@ -13,7 +13,6 @@ from benchmarks.options import (
     EXISTING_FOLDER,
     FOLDER,
     baseline_option,
-    errors,
     jobs_option,
     log,
     one_thread,
@@ -42,7 +41,7 @@ heldout_option = click.option(
 
 def _record(name: str, results: Path, figures: Mapping[str, float], *sections: str) -> None:
     """Print the sections, write the result, and print what became worse since the result before."""
-    click.echo("\n".join(sections))
+    click.echo("\n\n".join(sections))
     before, now = BenchmarkRecord.read(name, results), BenchmarkRecord.of(name, figures, *sections)
     log(now.write(results))
     for line in compare_records(before, now) if before else ():
@@ -80,8 +79,7 @@ def ik(results: Path, repeats: int) -> None:
     one_thread()
     from benchmarks.ik import compare_ik, figures, section
 
-    with errors():
-        result = compare_ik(repeats=repeats, log=log)
+    result = compare_ik(repeats=repeats, log=log)
     _record("ik", results, figures(result), section(result))
 
 
@@ -94,8 +92,7 @@ def audit(results: Path, tracks: int, audits: int) -> None:
     one_thread()
     from benchmarks.audit import figures, measure, section
 
-    with errors():
-        result = measure(tracks=tracks, audits=audits, log=log)
+    result = measure(tracks=tracks, audits=audits, log=log)
     _record("audit", results, figures(result), section(result))
 
 
@@ -110,7 +107,7 @@ def throughput(results: Path, work: Path | None, video: Path, count: int, tracks
     """Measure runs of score and audit with one and two processes, without a GPU."""
     from benchmarks.throughput import figures, measure, section, summary
 
-    with errors(), work_folder(work) as folder:
+    with work_folder(work) as folder:
         costs = measure(video, folder, videos=count, tracks=tracks, turns=turns, log=log)
     _record("throughput", results, figures(costs), section(costs, videos=count, tracks=tracks), summary(costs))
 
@@ -125,7 +122,7 @@ def gpu(results: Path, work: Path | None, video: Path, count: int, turns: int) -
     """Measure networks, training, images of the simulator and whole runs with and without the GPU."""
     from benchmarks.gpu import figures, measure, section
 
-    with errors(), work_folder(work) as folder:
+    with work_folder(work) as folder:
         costs = measure(video, folder, videos=count, turns=turns, log=log)
     _record("gpu", results, figures(costs), section(costs))
 
@@ -141,7 +138,7 @@ def streaming(results: Path, work: Path | None, videos: Path, samples: int, fram
     """Score very many short videos; measure memory, the report and a second run."""
     from benchmarks.streaming import figures, measure, section
 
-    with errors(), work_folder(work) as folder:
+    with work_folder(work) as folder:
         result = measure(videos, folder, samples=samples, frames=frames, jobs=jobs, log=log)
     _record("streaming", results, figures(result), section(result))
 
@@ -159,7 +156,7 @@ def scale(results: Path, work: Path | None, videos: Path, template: Path | None,
     """Measure time and memory of a run of very many samples whose measurements are replaced."""
     from benchmarks.scale import figures, measure, section
 
-    with errors(), work_folder(work) as folder:
+    with work_folder(work) as folder:
         model = template or _score(videos, folder / "template")
         result = measure(videos, model, folder, rows=rows, jobs=jobs, log=log)
     _record("scale", results, figures(result), section(result))
@@ -182,7 +179,7 @@ def cluster(results: Path, work: Path | None, videos: Path, tasks: str, episodes
 
     suite = ["suite", "run", *SUITE, "--tasks", tasks, "--episodes", str(episodes)]
     commands = [["score", str(videos), "--overlay"], suite]
-    with errors(), work_folder(work) as folder:
+    with work_folder(work) as folder:
         text = section(compare_runs(commands, folder, log))
     _record("cluster", results, {}, text)
 
@@ -195,8 +192,7 @@ def simulation(results: Path, tasks: str | None) -> None:
     from benchmarks.simulation import figures, measure, section
     from kinebench_drake.suites.families.registry import TASKS
 
-    with errors():
-        timings, steps, images = measure(list(TASKS) if tasks is None else tasks.split(","))
+    timings, steps, images = measure(list(TASKS) if tasks is None else tasks.split(","))
     _record("simulation", results, figures(timings), section(timings, steps, images))
 
 
@@ -211,7 +207,7 @@ def rounds(results: Path, work: Path | None, tasks: str | None, episodes: int) -
     from benchmarks.rounds import figures, measure, section
     from kinebench_drake.cli.progress import ProgressView
 
-    with errors(), work_folder(work) as folder, ProgressView("episodes") as view:
+    with work_folder(work) as folder, ProgressView("episodes") as view:
         timing = measure(tasks, episodes, folder / "rounds", view)
     _record("rounds", results, figures(timing), section(timing))
 
@@ -230,7 +226,7 @@ def accuracy(results: Path, heldout: Path | None, others: tuple[Path, ...], work
     from benchmarks.accuracy import figures, measure, section
     from kinebench_drake.cli.progress import ProgressView
 
-    with errors(), ProgressView("videos") as view:
+    with ProgressView("videos") as view:
         measured = measure(_heldout(heldout, work), others, work, view, log)
     _record("accuracy", results, figures(*measured), section(*measured))
 
@@ -253,7 +249,7 @@ def robustness(results: Path, heldout: Path | None, work: Path, weights: Path, l
     from kinebench_drake.io.figure import save
     from training.baseline.network import Baseline
 
-    with errors(), ProgressView("measurements") as view:
+    with ProgressView("measurements") as view:
         outcome = measure(_heldout(heldout, work), weights, work / "robustness.jsonl", limit, jobs, view)
         save(draw(outcome), FIGURE)
     baseline = Baseline.load(weights)
@@ -281,15 +277,14 @@ def figures(results: Path, measure: Path | None, others: tuple[Path, ...]) -> No
         "accuracy": ["--work", str(measure), *(part for path in others for part in ("--others", str(path)))],
         "robustness": ["--work", str(measure)],
     }
-    with errors():
-        for name in PAGES if measure else ():
-            record = BenchmarkRecord.read(name, results)
-            if record is None or record.sources_sha256 != sources_hash():
-                command = [sys.executable, "-m", "benchmarks", name, "--results", str(results)]
-                if subprocess.run([*command, *arguments.get(name, [])]).returncode:
-                    log(f"{name} failed")
-        for line in write_pages(results):
-            click.echo(line)
+    for name in PAGES if measure else ():
+        record = BenchmarkRecord.read(name, results)
+        if record is None or record.sources_sha256 != sources_hash():
+            command = [sys.executable, "-m", "benchmarks", name, "--results", str(results)]
+            if subprocess.run([*command, *arguments.get(name, [])]).returncode:
+                log(f"{name} failed")
+    for line in write_pages(results):
+        click.echo(line)
 
 
 COMMANDS = (

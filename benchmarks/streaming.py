@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.markdown import table
+from benchmarks import markdown
 from benchmarks.process import ProcessMemory, ProcessRun, run_program
 from benchmarks.record import machine_text
 from kinebench_drake.errors import UsageError
@@ -17,8 +17,6 @@ from kinebench_drake.io.container import write_video
 from kinebench_drake.io.reader import read_video
 from kinebench_drake.results.store import REPORT, SAMPLES
 
-HEADING = "## Memory over many samples"
-"""Heading of the section of the document."""
 STEP = 20
 """Memory is recorded each time that so many more samples are finished."""
 SETTLED = 0.25
@@ -150,23 +148,17 @@ def section(result: StreamingResult) -> str:
         row = [f"{count}", f"{memory.main_mb:.0f}", *(cells or ["ended"] * len(workers))]
         if row not in rows:
             rows.append(row)
-    return "\n".join(
-        [
-            HEADING,
-            "",
-            f"Written by `python -m benchmarks streaming` on {machine_text()}: `score` of {result.samples} videos of "
-            f"{result.frames} frames with `--jobs {result.jobs}`. "
-            "Resident memory by number of finished samples, libraries included [MB].",
-            "",
-            *table(("samples", "main process", *(f"worker {k + 1}" for k in range(len(workers)))), rows),
-            "",
-            f"Growth per 1,000 samples, of a straight line through the readings every {STEP} samples after the first "
-            f"{SETTLED * result.samples:.0f}: main process {main:z.1f} MB (it keeps the rows, "
-            f"{result.rows_mb:.1f} MB of JSON in the end)"
-            + (f", workers {' and '.join(f'{mb:z.1f} MB' for mb in workers)}" if len(workers) else "")
-            + f". Peak of the main process, report included: {result.run.peak.main_mb:.0f} MB. `report.html`: "
-            f"{result.report_mb:.1f} MB, written again in {result.report_s:.1f} s (start of the program included). The "
-            f"same run once more, with all samples finished: {result.again_s:.1f} s.",
-            "",
-        ]
+    return markdown.section(
+        "Memory over many samples",
+        f"Written by `python -m benchmarks streaming` on {machine_text()}: `score` of {result.samples} videos of "
+        f"{result.frames} frames with `--jobs {result.jobs}`. "
+        "Resident memory by number of finished samples, libraries included [MB].",
+        markdown.table(("samples", "main process", *(f"worker {k + 1}" for k in range(len(workers)))), rows),
+        f"Growth per 1,000 samples, of a straight line through the readings every {STEP} samples after the first "
+        f"{SETTLED * result.samples:.0f}: main process {main:z.1f} MB (it keeps the rows, "
+        f"{result.rows_mb:.1f} MB of JSON in the end)"
+        + (f", workers {' and '.join(f'{mb:z.1f} MB' for mb in workers)}" if len(workers) else "")
+        + f". Peak of the main process, report included: {result.run.peak.main_mb:.0f} MB. `report.html`: "
+        f"{result.report_mb:.1f} MB, written again in {result.report_s:.1f} s (start of the program included). The "
+        f"same run once more, with all samples finished: {result.again_s:.1f} s.",
     )

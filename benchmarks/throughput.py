@@ -14,18 +14,14 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks import markdown
 from benchmarks.feasible import BENCHMARK_FRAMES
-from benchmarks.markdown import table
 from benchmarks.process import ProcessMemory, run_program, spread
 from benchmarks.record import machine_text
 from benchmarks.trajectory_sets import Recipe, TrajectorySet, write_set
 from kinebench_drake.errors import UsageError
 from kinebench_drake.results.store import TIMINGS
 
-HEADING = "## Whole runs"
-"""Heading of the section of the document."""
-SUMMARY_HEADING = "## Speed"
-"""Heading of the section of the README."""
 PROCESSES = (1, 2)
 """Numbers of worker processes that are compared."""
 NO_GPU = {"CUDA_VISIBLE_DEVICES": ""}
@@ -156,22 +152,17 @@ def section(costs: RunCosts, *, videos: int, tracks: int) -> str:
         *("run", "start-up, s", "additional time of the first sample, s", "s a sample", "samples an hour"),
         *("times one process", "memory, MB"),
     )
-    return "\n".join(
-        [
-            HEADING,
-            "",
-            f"Written by `python -m benchmarks throughput` on {machine_text()}; wall times of the program, median "
-            f"(minimum to maximum) of {turns} turns. `score`: {videos} "
-            f"copies of a rendered video of 384x384; `audit`: {tracks} trajectories of about {BENCHMARK_FRAMES} "
-            "frames. Start-up and the additional time of the first sample are paid once a process: interpreter, "
-            "libraries and robot; then networks and meshes. A sample: time from one finished sample to the next, once "
-            "every process has finished one. Times one process: samples an hour relative to one process in the same "
-            "turn; one process of `score` uses more than one core, as the networks process frames while earlier ones "
-            "are fitted. Memory: peak resident memory, libraries included, of the main process and of each worker.",
-            "",
-            *table(head, _rows(costs)),
-            "",
-        ]
+    return markdown.section(
+        "Whole runs",
+        f"Written by `python -m benchmarks throughput` on {machine_text()}; wall times of the program, median "
+        f"(minimum to maximum) of {turns} turns. `score`: {videos} "
+        f"copies of a rendered video of 384x384; `audit`: {tracks} trajectories of about {BENCHMARK_FRAMES} "
+        "frames. Start-up and the additional time of the first sample are paid once a process: interpreter, "
+        "libraries and robot; then networks and meshes. A sample: time from one finished sample to the next, once "
+        "every process has finished one. Times one process: samples an hour relative to one process in the same "
+        "turn; one process of `score` uses more than one core, as the networks process frames while earlier ones "
+        "are fitted. Memory: peak resident memory, libraries included, of the main process and of each worker.",
+        markdown.table(head, _rows(costs)),
     )
 
 
@@ -184,16 +175,12 @@ def summary(costs: RunCosts) -> str:
 
     runs = [run for setting, of in costs.items() for run in of if setting.job is Job.SCORE]
     memory_gb = max(mb for run in runs for mb in (run.peak.main_mb, *run.peak.workers_mb)) / 1000.0
-    return "\n".join(
-        [
-            SUMMARY_HEADING,
-            "",
-            f"On {machine_text()}, without a GPU, after start-up: `score` takes {seconds(Job.SCORE)} "
-            f"for a video of 49 frames, and {memory_gb:.1f} GB a process; `audit` takes {seconds(Job.AUDIT)} for",
-            "a trajectory. Written by `python -m benchmarks throughput`; start-up and more: "
-            "[docs/benchmarks.md](docs/benchmarks.md#whole-runs).",
-            "",
-        ]
+    return markdown.section(
+        "Speed",
+        f"On {machine_text()}, without a GPU, after start-up: `score` takes {seconds(Job.SCORE)} "
+        f"for a video of 49 frames, and {memory_gb:.1f} GB a process; `audit` takes {seconds(Job.AUDIT)} for\n"
+        "a trajectory. Written by `python -m benchmarks throughput`; start-up and more: "
+        "[docs/benchmarks.md](docs/benchmarks.md#whole-runs).",
     )
 
 

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from benchmarks.markdown import table
+from benchmarks.markdown import section, table
 from benchmarks.validity import SPLIT, SUITE, ValidityTrial
 from benchmarks.validity_response import (
     FALSE_DISCOVERIES,
@@ -51,15 +51,11 @@ def write_report(trials: Sequence[ValidityTrial], source: Mapping[str, Json], fo
     for name, draw in zip(FIGURES, drawings, strict=True):
         save(draw(), folder / name)
     return [
-        _section("Episodes and faults", _fault_lines(study, source)),
-        _section("Which number responds to which fault", _verdict_lines(study)),
-        _section("Dose and response", _response_lines(study)),
-        _section("Success in closed loop", _success_lines(correlations)),
+        section("Episodes and faults", _fault_lines(study, source)),
+        section("Which number responds to which fault", _verdict_lines(study)),
+        section("Dose and response", _response_lines(study)),
+        section("Success in closed loop", _success_lines(correlations)),
     ]
-
-
-def _section(heading: str, lines: Iterator[str]) -> str:
-    return "\n".join([f"## {heading}", "", *lines])
 
 
 def _fault_lines(study: Study, source: Mapping[str, Json]) -> Iterator[str]:

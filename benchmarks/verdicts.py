@@ -10,7 +10,6 @@ from benchmarks.options import (
     EXISTING_FOLDER,
     FOLDER,
     baseline_option,
-    errors,
     jobs_option,
     out_option,
     write_section,
@@ -34,7 +33,6 @@ def causes(episodes: int, seed: int, limit: int | None, jobs: int) -> None:
     specs = suite.specs(split, episodes, offset=seed)
     cases = cause_cases(specs)[:limit]
     with (
-        errors(),
         click.progressbar(run_cases(create_executor(ExecutorKind.LOCAL, jobs), cases), length=len(cases)) as results,
     ):
         ordered = sorted(results, key=lambda r: (r.case.spec.id, r.case.planted.name))
@@ -50,7 +48,7 @@ def loss(count: int, seed: int, jobs: int) -> None:
     """Replace frames of random tracks by lost or unreachable ones; exit status 1 if a number improves."""
     from benchmarks.loss import loss_table, run_trials
 
-    with errors(), click.progressbar(run_trials(count, seed, jobs), length=count) as trials:
+    with click.progressbar(run_trials(count, seed, jobs), length=count) as trials:
         ordered = sorted(trials, key=lambda trial: trial.index)
     for line in loss_table(ordered):
         click.echo(line)
@@ -79,7 +77,7 @@ def validity_measure(work: Path, episodes: int, sizes: int, jobs: int) -> None:
     from kinebench_drake.cli.progress import ProgressView
 
     work.mkdir(parents=True, exist_ok=True)
-    with errors(), ProgressView("steps") as view:
+    with ProgressView("steps") as view:
         measure(work, episodes, sizes, jobs, view)
     click.echo(work)
 
@@ -94,8 +92,7 @@ def validity_report(work: Path, out: Path | None) -> None:
     from benchmarks.validity import read_study
     from benchmarks.validity_report import write_report
 
-    with errors():
-        sections = write_report(*read_study(work), work if out is None else out.parent)
+    sections = write_report(*read_study(work), work if out is None else out.parent)
     for text in sections:
         write_section(out, text)
 
@@ -119,10 +116,10 @@ def extractors(work: Path, weights: Path, jobs: int, out: Path | None) -> None:
     from kinebench_drake.io.figure import save
     from training.baseline.network import Baseline
 
-    with errors(), ProgressView("executions") as view:
+    with ProgressView("executions") as view:
         done = measure(work, weights, jobs, view)
         save(draw(done), (work if out is None else out.parent) / FIGURE)
-        text = "\n".join(section(done, Baseline.load(weights).training))
+        text = section(done, Baseline.load(weights).training)
     write_section(out, text)
 
 
@@ -140,7 +137,7 @@ def baseline(out: Path, episodes: int, steps: int, size: int, jobs: int) -> None
     from benchmarks.extractors import train_baseline
     from kinebench_drake.cli.progress import ProgressView
 
-    with errors(), ProgressView("demonstrations") as view:
+    with ProgressView("demonstrations") as view:
         weights = train_baseline(out, episodes, steps, size, jobs, view, click.echo)
     click.echo(weights)
 
@@ -177,7 +174,7 @@ def make(out: Path, kind: str, count: int, seed: int, noise_mm: float, jobs: int
         raise click.UsageError(f"--noise-mm goes with --kind noisy, found --kind {kind}")
     noise_rad = math.radians(0.5 * noise_mm)
     recipe = Recipe(set=TrajectorySet(kind), seed=seed, noise_m=1e-3 * noise_mm, noise_rad=noise_rad)
-    with errors(), click.progressbar(write_set(recipe, count, out, jobs=jobs), length=count, label=kind) as truths:
+    with click.progressbar(write_set(recipe, count, out, jobs=jobs), length=count, label=kind) as truths:
         for _ in truths:
             pass
     click.echo(out)
@@ -192,8 +189,7 @@ def check(results: Path, tracks: Path, as_json: bool) -> None:
     from benchmarks.check import compare, read_rows, summary_table
     from benchmarks.trajectory import TRUTH, read_truths
 
-    with errors():
-        summaries = compare(read_rows(results), read_truths(tracks / TRUTH))
+    summaries = compare(read_rows(results), read_truths(tracks / TRUTH))
     click.echo(dump([s.to_json() for s in summaries], indent=2) if as_json else summary_table(summaries))
 
 

@@ -7,39 +7,32 @@ from typing import Any
 
 import click
 
-from kinebench_drake.cli.options import PathParameter
-from kinebench_drake.errors import KinebenchError, name_options
+from benchmarks.options import (
+    COUNT,
+    EXISTING_FILE,
+    EXISTING_FOLDER,
+    FILE,
+    FOLDER,
+    CommandGroup,
+    jobs_option,
+    weights_option,
+)
 
-_FILE = PathParameter(dir_okay=False)
-_FOLDER = PathParameter(file_okay=False)
-_EXISTING_FOLDER = PathParameter(exists=True, file_okay=False)
 _DATA = click.option(
-    "--data", type=_FOLDER, default=Path("data/frames"), show_default=True,
+    "--data", type=FOLDER, default=Path("data/frames"), show_default=True,
     help="Folder of rendered frames; missing ones are rendered into it.",
 )  # fmt: skip
-_JOBS = click.option("--jobs", type=click.IntRange(1), default=2, show_default=True, help="Rendering processes.")
-_WEIGHTS = click.option("--weights", type=_FILE, help="Network weights (safetensors).  [default: those shipped]")
+_JOBS = click.option("--jobs", type=COUNT, default=2, show_default=True, help="Rendering processes.")
 
 
 def _demos(purpose: str) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
     return click.option(
-        "--demos", multiple=True, type=_EXISTING_FOLDER,
+        "--demos", multiple=True, type=EXISTING_FOLDER,
         help=f"Folder of `suite demos --format frames` {purpose} as well; repeatable.",
     )  # fmt: skip
 
 
-class TrainingGroup(click.Group):
-    """A group whose commands turn errors of the package into errors of the command line."""
-
-    def invoke(self, ctx: click.Context) -> Any:
-        """Invoke a command."""
-        try:
-            return super().invoke(ctx)
-        except KinebenchError as error:
-            raise click.ClickException(name_options(str(error))) from None
-
-
-@click.group(cls=TrainingGroup, epilog="\b\nExample:\n  python -m training render data/vtk --videos 40")
+@click.group(cls=CommandGroup, epilog="\b\nExample:\n  python -m training render data/vtk --videos 40")
 def main() -> None:
     """Train and calibrate the perception networks and the learned baseline."""
 
@@ -51,11 +44,11 @@ def main() -> None:
 )
 @_DATA
 @click.option(
-    "--out", type=_FOLDER, default=Path("data/training"), show_default=True,
+    "--out", type=FOLDER, default=Path("data/training"), show_default=True,
     help="Folder for checkpoints and weights; an interrupted run resumes from it.",
 )  # fmt: skip
-@click.option("--scenes", type=click.IntRange(1), default=600, show_default=True, help="Number of scenes of 20 frames.")
-@click.option("--steps", type=click.IntRange(1), default=4000, show_default=True, help="Training steps.")
+@click.option("--scenes", type=COUNT, default=600, show_default=True, help="Number of scenes of 20 frames.")
+@click.option("--steps", type=COUNT, default=4000, show_default=True, help="Training steps.")
 @click.option("--batch-size", type=click.IntRange(2), default=32, show_default=True, help="Crops per step.")
 @click.option(
     "--learning-rate", type=click.FloatRange(0.0, min_open=True), default=1.2e-3, show_default=True,
@@ -69,7 +62,7 @@ def main() -> None:
     help="Train the network of the arm alone: most scenes show a gripper that is not Franka's; name another --data.",
 )
 @click.option(
-    "--start", type=PathParameter(dir_okay=False, exists=True),
+    "--start", type=EXISTING_FILE,
     help="Initial weights (safetensors).  [default: an encoder trained on ImageNet]",
 )  # fmt: skip
 @_JOBS
@@ -104,13 +97,13 @@ def train(
     "  python -m training render data/vtk --videos 40\n"
     "  python -m training calibrate data/held-out data/vtk --out models/perception/confidence.json --jobs 2"
 )
-@click.argument("folders", nargs=-1, required=True, type=_EXISTING_FOLDER)
-@_WEIGHTS
+@click.argument("folders", nargs=-1, required=True, type=EXISTING_FOLDER)
+@weights_option
 @click.option("--limit", type=click.IntRange(2), help="Number of videos of each folder.  [default: all]")
 @click.option(
-    "--out", type=_FILE, help="File for the calibration; measurements are kept beside it, so that a run resumes."
+    "--out", type=FILE, help="File for the calibration; measurements are kept beside it, so that a run resumes."
 )
-@click.option("--jobs", type=click.IntRange(1), default=1, show_default=True, help="Worker processes.")
+@jobs_option
 def calibrate(folders: tuple[Path, ...], weights: Path | None, limit: int | None, out: Path | None, jobs: int) -> None:
     """Fit the confidence to the errors on held-out videos of FOLDERS, of `suite demos` or `python -m training render`.
 
@@ -135,8 +128,8 @@ def calibrate(folders: tuple[Path, ...], weights: Path | None, limit: int | None
 
 
 @main.command(epilog="\b\nExample:\n  python -m training render data/vtk --videos 40")
-@click.argument("out", type=_FOLDER)
-@click.option("--videos", type=click.IntRange(1), default=20, show_default=True, help="Number of videos.")
+@click.argument("out", type=FOLDER)
+@click.option("--videos", type=COUNT, default=20, show_default=True, help="Number of videos.")
 def render(out: Path, videos: int) -> None:
     """Render videos with ground truth with Drake's VTK renderer, on which the networks are not trained.
 
@@ -163,14 +156,14 @@ def baseline() -> None:
     "  python -m training baseline train --data demos/ --out baseline/",
 )
 @click.option(
-    "--data", type=_EXISTING_FOLDER, required=True,
+    "--data", type=EXISTING_FOLDER, required=True,
     help="Folder of demonstrations, as `suite demos --format mp4` writes them.",
 )  # fmt: skip
 @click.option(
-    "--out", type=_FOLDER, required=True,
+    "--out", type=FOLDER, required=True,
     help="Folder for decoded frames, checkpoints and weights; an interrupted run resumes from it.",
 )  # fmt: skip
-@click.option("--steps", type=click.IntRange(1), default=2400, show_default=True, help="Training steps.")
+@click.option("--steps", type=COUNT, default=2400, show_default=True, help="Training steps.")
 @click.option(
     "--batch-size", type=click.IntRange(2), default=8, show_default=True, help="Windows of 5 frames per step."
 )
@@ -192,12 +185,12 @@ def train_baseline(data: Path, out: Path, steps: int, batch_size: int, seed: int
     "  kinebench-drake suite demos --suite 1 --split unseen --episodes 5 --out unseen/\n"
     "  python -m training baseline evaluate seen/ unseen/ --weights baseline/baseline.safetensors\n",
 )
-@click.argument("folders", metavar="FOLDER...", nargs=-1, required=True, type=_EXISTING_FOLDER)
-@click.option("--weights", type=_FILE, required=True, help="Weights of the baseline.")
-@click.option("--grounding-weights", type=_FILE, help="Weights of the grounding.  [default: those shipped]")
-@click.option("--limit", type=click.IntRange(1), default=None, help="Number of videos of each task.")
+@click.argument("folders", metavar="FOLDER...", nargs=-1, required=True, type=EXISTING_FOLDER)
+@click.option("--weights", type=FILE, required=True, help="Weights of the baseline.")
+@click.option("--grounding-weights", type=FILE, help="Weights of the grounding.  [default: those shipped]")
+@click.option("--limit", type=COUNT, default=None, help="Number of videos of each task.")
 @click.option(
-    "--out", type=_FOLDER, default=Path("baseline-comparison"), show_default=True,
+    "--out", type=FOLDER, default=Path("baseline-comparison"), show_default=True,
     help="Folder for the table (txt, json) and the figure (png).",
 )  # fmt: skip
 def evaluate_baseline(

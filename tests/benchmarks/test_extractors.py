@@ -64,7 +64,7 @@ def test_a_single_episode_has_no_bootstrap_interval() -> None:
 
 
 def test_the_section_has_a_row_for_each_group(extractions: list[Extraction], tmp_path: Path) -> None:
-    text = "\n".join(section(extractions, "1,000 demonstrations"))
+    text = section(extractions, "1,000 demonstrations")
     assert "| all videos | 20 | 50% | 45% | 25% | 5% (" in text
     assert "| 1 / 0 | 10 / 5 | +70% (" in text
     assert "| `vanish` | 10 | 0% | 0% | 50% |" in text
