@@ -1,36 +1,31 @@
 """Grounding of videos that other programs and cameras made, each with its camera and a reference to compare with.
 
-A folder holds `manifest.jsonl` (a camera and a frame period for each video) and references named after the video:
-
-- `NAME.gt.npz`: exact poses of another simulator (`base_from_hand`, `visible`: pixels that show the gripper);
-- `gt/NAME.npz`: poses of a real arm from its measured joint angles (`camera_from_hand`);
-- `gt/NAME.edge.npz`: poses of an arm fitted to image edges at an exact camera (`camera_from_hand`);
-- else points labelled by eye (`benchmarks.footage_labels`), or nothing.
+The reference is a file of poses (`benchmarks.perception.clip.TRUTHS`), or points labelled by eye
+(`benchmarks.footage_labels`), or nothing.
 """
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
-from hashlib import blake2b
 from pathlib import Path
 from typing import Annotated
 
 import numpy as np
 
+from benchmarks.perception.clip import TruthClipFile, find_clips
 from benchmarks.perception.store import Confidences, Flags, MeasurementStore, Milli, Stored, fingerprint
 from kinebench_drake.anomaly import Anomaly
 from kinebench_drake.camera import Camera
-from kinebench_drake.errors import InputError, UsageError
-from kinebench_drake.formats.manifest import NAME, entry_camera, read_manifest
-from kinebench_drake.geometry import Array, invert, transform_points
+from kinebench_drake.errors import UsageError
+from kinebench_drake.formats.manifest import NAME
+from kinebench_drake.geometry import Array, transform_points
 from kinebench_drake.grounding.overlay import draw_overlay
 from kinebench_drake.grounding.pipeline import GroundingPipeline, Observation
 from kinebench_drake.grounding.priors import NO_PRIORS, Priors
 from kinebench_drake.grounding.tracking.crop import GRIPPER_CENTRE_H, GRIPPER_RADIUS_M
 from kinebench_drake.grounding.tracking.view import Frames
 from kinebench_drake.io.container import write_video
-from kinebench_drake.io.npz import open_npz
 from kinebench_drake.io.reader import read_video
 from kinebench_drake.models.panda.robot import GripperKind
 from kinebench_drake.track import GripperTrack
@@ -50,83 +45,25 @@ class ReferenceKind(Enum):
     NONE = "no reference"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ReferenceVideo:
-    """Video with its camera and the reference poses of its frames."""
-
-    id: str
-    video: Path
-    camera: Camera
-    frame_period_s: float
-    """Task time between two frames [s]."""
-    kind: ReferenceKind
-    X_CH: Array | None
-    """(T, 4, 4) reference poses of panda_hand in the camera frame [m]; None where there are none."""
-    finger_width_m: Array | None
-    """(T,) reference gap between the finger pads [m]."""
-    visible_px: Array | None
-    """(T,) pixels that show the gripper; None where not counted."""
-    digest: str
-    """Hash of the video, its camera and its reference."""
-
-
-def find_reference_videos(folder: Path, labelled: Sequence[str] = ()) -> list[ReferenceVideo]:
-    """Return the videos of the manifest in a folder, or of those in its subfolders.
-
-    Args:
-        folder: folder with a manifest.jsonl, or whose subfolders have one.
-        labelled: ids of the videos that are labelled by eye.
+def find_footage(folder: Path) -> list[TruthClipFile]:
+    """Return the videos of the manifest in a folder, or of those in its subfolders, with or without references.
 
     Raises:
-        UsageError: there is no manifest, or a line has no usable video, camera or reference.
+        UsageError: there is no manifest, or a line has no usable video or camera.
     """
-    manifests = [folder / NAME] if (folder / NAME).is_file() else sorted(folder.glob(f"*/{NAME}"))
-    if not manifests:
+    folders = [folder] if (folder / NAME).is_file() else sorted(path.parent for path in folder.glob(f"*/{NAME}"))
+    if not folders:
         raise UsageError(f"{folder.name}: neither it nor a subfolder has a {NAME}")
-    videos = []
-    for manifest in manifests:
-        for line in read_manifest(manifest):
-            entry = line.entry
-            setting = None if entry is None else entry_camera(entry, manifest.parent)
-            if entry is None or setting is None or entry.frame_period_s is None:
-                problem = line.problem or "expected the keys video, camera and frame_period_s"
-                raise UsageError(f"{manifest.parent.name}/{NAME} line {line.number}: {problem}")
-            video = manifest.parent / entry.video
-            videos.append(_read_reference(video, setting.camera, entry.frame_period_s, labelled))
-    return videos
+    return [clip for each in folders for clip in find_clips(each, required=False)]
 
 
-def _read_reference(video: Path, camera: Camera, frame_period_s: float, labelled: Sequence[str]) -> ReferenceVideo:
-    name = video.stem
-    candidates = {
-        ReferenceKind.SIMULATOR: video.with_name(f"{name}.gt.npz"),
-        ReferenceKind.JOINTS: video.parent / "gt" / f"{name}.npz",
-        ReferenceKind.EDGES: video.parent / "gt" / f"{name}.edge.npz",
-    }
-    kind = next((kind for kind, path in candidates.items() if path.is_file()), None)
-    digest = blake2b(video.read_bytes() + repr((camera.to_json(), frame_period_s)).encode(), digest_size=8)
-    X_CH = width = visible = None
-    if kind is not None:
-        digest.update(candidates[kind].read_bytes())
-        try:
-            with open_npz(candidates[kind]) as arrays:
-                exact = kind is ReferenceKind.SIMULATOR
-                X_CH = invert(camera.X_BC) @ arrays["base_from_hand"] if exact else arrays["camera_from_hand"]
-                width = arrays["finger_width_m"]
-                visible = arrays["visible"] if "visible" in arrays.files else None
-        except (InputError, KeyError) as error:
-            raise UsageError(f"{candidates[kind].name}: not a readable reference ({error})") from None
-    return ReferenceVideo(
-        id=name,
-        video=video,
-        camera=camera,
-        frame_period_s=frame_period_s,
-        kind=kind or (ReferenceKind.LABELS if name in labelled else ReferenceKind.NONE),
-        X_CH=X_CH,
-        finger_width_m=width,
-        visible_px=visible,
-        digest=digest.hexdigest(),
-    )
+def reference_of(video: TruthClipFile, labelled: Collection[str]) -> ReferenceKind:
+    """Return the source of a video's reference; `labelled`: ids of the videos that are labelled by eye."""
+    if not video.truth.is_file():
+        return ReferenceKind.LABELS if video.id in labelled else ReferenceKind.NONE
+    if video.truth.name.endswith(".edge.npz"):
+        return ReferenceKind.EDGES
+    return ReferenceKind.JOINTS if video.truth.parent.name == "gt" else ReferenceKind.SIMULATOR
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -162,7 +99,7 @@ class ObservedPipeline(GroundingPipeline):
 
 
 def ground_video(
-    pipeline: ObservedPipeline, video: ReferenceVideo, overlay: Path | None, *, window: bool
+    pipeline: ObservedPipeline, video: TruthClipFile, overlay: Path | None, *, window: bool
 ) -> TrackRecord:
     """Ground a video with its camera.
 
@@ -175,8 +112,8 @@ def ground_video(
     """
     frames, camera = read_video(video.video).frames, video.camera
     camera = camera.resized(frames.shape[2], frames.shape[1])
-    if window and video.X_CH is not None:
-        frames, camera = cut_window(frames, camera, video.X_CH)
+    if window:
+        frames, camera = cut_window(frames, camera, video.load().X_CH)
     start = time.process_time()
     result = pipeline.ground(frames, camera, np.arange(len(frames), dtype=np.float64) * video.frame_period_s)
     cpu_s = time.process_time() - start
@@ -218,7 +155,7 @@ def write_overlay(path: Path, frames: Frames, camera: Camera, track: GripperTrac
 
 
 def ground_videos(
-    videos: Sequence[ReferenceVideo],
+    videos: Sequence[TruthClipFile],
     out: Path,
     *,
     weights: Path | None,
@@ -237,7 +174,7 @@ def ground_videos(
     pipeline: ObservedPipeline | None = None
     records = []
     for video in videos:
-        key = f"{base}-{video.digest}-{video.id}"
+        key = f"{base}-{video.digest()}-{video.id}"
         if key not in store:
             pipeline = pipeline or ObservedPipeline.create(weights=weights, gripper=gripper, calibration=calibration)
             store.put(key, ground_video(pipeline, video, out / "overlays" / f"{video.id}.mp4", window=window))

@@ -8,8 +8,9 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.footage import ReferenceVideo, TrackRecord
+from benchmarks.footage import TrackRecord
 from benchmarks.markdown import table
+from benchmarks.perception.clip import TruthClip
 from benchmarks.perception.summary import percentile, reliability_curve
 from kinebench_drake.geometry import Array, pose_difference
 from kinebench_drake.grounding.tracking.confidence import GOOD_M, GOOD_RAD
@@ -62,10 +63,8 @@ class PoseErrors:
         return np.asarray((self.hand_m <= GOOD_M) & (self.rotation_rad <= GOOD_RAD))
 
 
-def compare(video: ReferenceVideo, track: TrackRecord) -> PoseErrors:
+def compare(video: TruthClip, track: TrackRecord) -> PoseErrors:
     """Return the errors of a track against reference poses."""
-    if video.X_CH is None or video.finger_width_m is None:
-        raise ValueError(f"{video.id} has no reference poses")
     X_HG = hand_from_tcp()
     hand_m, rotation_rad = pose_difference(video.X_CH, track.X_CH)
     tcp_m, _ = pose_difference(video.X_CH @ X_HG, track.X_CH @ X_HG)

@@ -23,8 +23,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.footage import ReferenceVideo, TrackRecord
+from benchmarks.footage import TrackRecord
 from benchmarks.markdown import table
+from benchmarks.perception.clip import TruthClipFile
 from benchmarks.perception.summary import percentile
 from kinebench_drake.camera import Camera
 from kinebench_drake.errors import UsageError, cause
@@ -194,7 +195,7 @@ class LabelErrors:
     """(n,) the same of each detected frame by itself, tracked or not."""
 
 
-def compare_labels(video: ReferenceVideo, track: TrackRecord, frames: Sequence[LabelledFrame]) -> LabelErrors:
+def compare_labels(video: TruthClipFile, track: TrackRecord, frames: Sequence[LabelledFrame]) -> LabelErrors:
     """Return the reprojection errors of a track.
 
     Raises:

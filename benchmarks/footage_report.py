@@ -3,10 +3,11 @@
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from benchmarks.footage import ReferenceKind, ReferenceVideo, TrackRecord, find_reference_videos, ground_videos
+from benchmarks.footage import ReferenceKind, TrackRecord, find_footage, ground_videos, reference_of
 from benchmarks.footage_errors import PoseErrors, by_video, compare, error_table, figures, reliability_table
 from benchmarks.footage_labels import FootageLabels, compare_labels, label_figures, label_table, read_labels
 from benchmarks.markdown import table
+from benchmarks.perception.clip import TruthClipFile
 from benchmarks.structure import current_revision
 from kinebench_drake.errors import UsageError
 from kinebench_drake.io.atomic import make_folder, write_atomically
@@ -30,7 +31,7 @@ def measure(
     """Ground the videos of a folder, write footage.json and footage.md, and return the Markdown.
 
     Args:
-        folder: see `find_reference_videos`.
+        folder: see `find_footage`.
         out: output folder.
         names: ids of videos to measure; all if None.
         weights: weights in place of those shipped.
@@ -43,11 +44,12 @@ def measure(
         UsageError: the folder has no such videos.
     """
     labels = read_labels()
-    videos = find_reference_videos(folder, tuple(labels.videos))
+    videos = find_footage(folder)
+    kinds = {video.id: reference_of(video, labels.videos) for video in videos}
     unknown = sorted(set(names or ()) - {video.id for video in videos})
     if unknown:
         raise UsageError(f"--videos: no video {', '.join(unknown)}; there are {', '.join(v.id for v in videos)}")
-    videos = [v for v in videos if (v.kind in _POSES or not window) and (names is None or v.id in names)]
+    videos = [v for v in videos if (kinds[v.id] in _POSES or not window) and (names is None or v.id in names)]
     make_folder(out)
     tracks = ground_videos(
         videos, out, weights=weights, calibration=calibration, gripper=gripper, window=window, log=log
@@ -60,8 +62,9 @@ def measure(
         "window": window,
     }
     lines = [f"Revision {result['revision']}, weights {result['weights']}, calibration {result['calibration']}."]
-    lines += _pose_lines(videos, tracks, result)
-    lines += _label_lines(videos, tracks, labels, result)
+    pairs = list(zip(videos, tracks, strict=True))
+    lines += _pose_lines([(kinds[v.id], v, t) for v, t in pairs if kinds[v.id] in _POSES], result)
+    lines += _label_lines([(v, t) for v, t in pairs if kinds[v.id] is ReferenceKind.LABELS], labels, result)
     lines += _anomaly_lines(tracks, labels, result)
     text = "\n".join(lines) + "\n"
     write_atomically(out / "footage.json", dump(finite(result), indent=1).encode())
@@ -69,12 +72,13 @@ def measure(
     return text
 
 
-def _pose_lines(videos: Sequence[ReferenceVideo], tracks: Sequence[TrackRecord], result: dict[str, Json]) -> list[str]:
+def _pose_lines(
+    pairs: Sequence[tuple[ReferenceKind, TruthClipFile, TrackRecord]], result: dict[str, Json]
+) -> list[str]:
     """Return the section on videos with reference poses, and put its figures into `result`."""
     errors: dict[ReferenceKind, list[PoseErrors]] = {}
-    for video, track in zip(videos, tracks, strict=True):
-        if video.kind in _POSES:
-            errors.setdefault(video.kind, []).append(compare(video, track))
+    for kind, video, track in pairs:
+        errors.setdefault(kind, []).append(compare(video.load(), track))
     kinds = {kind.value: figures(group) for kind, group in errors.items()}
     single = {name: f for group in errors.values() for name, f in by_video(group).items()}
     result["kinds"], result["videos"] = kinds, single
@@ -84,14 +88,10 @@ def _pose_lines(videos: Sequence[ReferenceVideo], tracks: Sequence[TrackRecord],
 
 
 def _label_lines(
-    videos: Sequence[ReferenceVideo], tracks: Sequence[TrackRecord], labels: FootageLabels, result: dict[str, Json]
+    pairs: Sequence[tuple[TruthClipFile, TrackRecord]], labels: FootageLabels, result: dict[str, Json]
 ) -> list[str]:
     """Return the section on labelled videos, and put its figures into `result`."""
-    errors = [
-        compare_labels(video, track, labels.videos[video.id])
-        for video, track in zip(videos, tracks, strict=True)
-        if video.kind is ReferenceKind.LABELS
-    ]
+    errors = [compare_labels(video, track, labels.videos[video.id]) for video, track in pairs]
     if not errors:
         return []
     groups = {"all": errors, "clean": [e for e in errors if e.id in labels.clean]}

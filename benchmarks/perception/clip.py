@@ -1,22 +1,23 @@
 """Videos with ground truth, as `kinebench-drake suite demos` and `python -m benchmarks planted-videos` write them.
 
-Videos of `python -m training render` have a camera each in the manifest, and NAME.gt.npz beside the video in
-place of truth/NAME.npz.
+Videos of other programs and cameras may have a camera each in the manifest, and other truth (`TRUTHS`).
 """
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from hashlib import blake2b
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import BeforeValidator, TypeAdapter
 
 from kinebench_drake.anomaly import Anomaly, AnomalyKind
 from kinebench_drake.camera import Camera
 from kinebench_drake.errors import InputError, UsageError, cause
 from kinebench_drake.formats.camerafile import load_camera
+from kinebench_drake.formats.manifest import NAME, entry_camera, read_manifest
 from kinebench_drake.geometry import Array, invert
 from kinebench_drake.grounding.overrides.files import true_depth, true_mask
 from kinebench_drake.grounding.tracking.crop import Crop
@@ -25,6 +26,9 @@ from kinebench_drake.models.panda.cad import GripperCad
 from kinebench_drake.models.panda.robot import hand_from_tcp
 from kinebench_drake.track import InitialState
 
+TRUTHS = ("truth/{}.npz", "{}.gt.npz", "gt/{}.npz", "gt/{}.edge.npz")
+"""Files of ground truth: of the suites; exact poses of another renderer; of a real arm from its joint angles; of an arm
+fitted to image edges. They hold `camera_from_hand` or `base_from_hand`, and `finger_width_m`."""
 _MARGIN = 1.1  # half width of a crop over the gripper's radius
 _MASK_PX = 160  # width of the crop in which silhouettes for masks are rendered
 _SHARE_PX = 64  # width of the crop in which silhouettes for visible shares are rendered
@@ -52,6 +56,8 @@ class TruthClip:
     """(T, H, W) gripper pixels; None if not stored."""
     faults: tuple[Anomaly, ...]
     """Planted anomalies."""
+    visible_px: NDArray[np.int64] | None = None
+    """(T,) pixels that show the gripper; None if not counted."""
 
     @property
     def initial_state(self) -> InitialState:
@@ -112,7 +118,7 @@ class PlantedCase:
     """Last affected frame, inclusive."""
     size: float
     """Size in the unit of the kind."""
-    form: str
+    form: Annotated[str, BeforeValidator(lambda form: form or "")] = ""
     """Course in time; empty if the kind has a single form."""
 
     @property
@@ -130,6 +136,7 @@ class TruthClipFile:
     """Plain task id; empty if the manifest has none."""
     video: Path
     truth: Path
+    """One of `TRUTHS`; it may be absent if none is required."""
     camera: Camera
     planted: PlantedCase | None
     """Planted anomaly; None for a clean clip."""
@@ -159,60 +166,58 @@ class TruthClipFile:
                     depth_m=true_depth(truth) if with_depth else None,
                     mask=true_mask(truth) if "mask" in truth.files else None,
                     faults=() if self.planted is None else (self.planted.anomaly,),
+                    visible_px=truth["visible"] if "visible" in truth.files else None,
                 )
-        except InputError as error:
+        except (InputError, KeyError) as error:
             raise UsageError(f"{self.truth.name}: not a readable truth file ({error})") from None
 
     def _times(self, frames: int) -> Array:
         return self.frame_period_s * np.arange(frames, dtype=np.float64)
 
     def digest(self) -> str:
-        """Return a hash of the video and its ground truth."""
-        digest = blake2b(digest_size=8)
+        """Return a hash of the video, its camera and its ground truth."""
+        digest = blake2b(repr((self.camera.to_json(), self.frame_period_s)).encode(), digest_size=8)
         for path in (self.video, self.truth):
-            digest.update(path.read_bytes())
+            if path.is_file():
+                digest.update(path.read_bytes())
         return digest.hexdigest()
 
 
-def find_clips(folder: Path) -> list[TruthClipFile]:
+def find_clips(folder: Path, *, required: bool = True) -> list[TruthClipFile]:
     """Return the clips listed in the manifest of a folder, in its order.
+
+    Args:
+        folder: folder of videos.
+        required: False if clips may lack ground truth.
 
     Raises:
         UsageError: manifest, camera or ground truth is missing or unusable, or no video is listed.
     """
-    manifest = folder / "manifest.jsonl"
+    manifest = folder / NAME
     if not manifest.is_file():
-        raise UsageError(f"{folder.name}: has no manifest.jsonl; make such a folder with `kinebench-drake suite demos`")
+        raise UsageError(f"{folder.name}: has no {NAME}; make such a folder with `kinebench-drake suite demos`")
     faults = _read_faults(folder / "truth" / "faults.json")
     clips = []
-    for number, line in enumerate(manifest.read_text().splitlines(), 1):
-        try:
-            entry = json.loads(line)
-            video = str(entry["video"])
-        except (ValueError, KeyError, TypeError):
-            raise UsageError(f"{manifest.name} line {number}: expected a JSON object with the key video") from None
-        name = Path(video).stem
-        truth = folder / "truth" / f"{name}.npz"
-        if isinstance(entry.get("camera"), dict):
-            camera = Camera.from_json(entry["camera"], f"{manifest.name} line {number}")
-            truth = truth if truth.is_file() else folder / f"{name}.gt.npz"
-        else:
-            camera = load_camera(folder / "camera.json").camera
-        if not truth.is_file():
-            raise UsageError(f"{folder.name}: {truth.relative_to(folder)} is missing, so errors cannot be measured")
+    for line in read_manifest(manifest):
+        if line.entry is None:
+            raise UsageError(f"{folder.name}/{NAME}: {line.problem}")
+        video = folder / line.entry.video
+        name, setting = video.stem, entry_camera(line.entry, folder)
+        candidates = [path.format(name) for path in TRUTHS]
+        truth = next((folder / path for path in candidates if (folder / path).is_file()), folder / candidates[0])
+        if required and not truth.is_file():
+            raise UsageError(f"{folder.name}: {candidates[0]} is missing, so errors cannot be measured")
         clips.append(
             TruthClipFile(
                 id=name,
-                task=str(entry.get("task") or ""),
-                video=folder / video,
+                task=line.entry.task or "",
+                video=video,
                 truth=truth,
-                camera=camera,
+                camera=(setting or load_camera(folder / "camera.json")).camera,
                 planted=faults.get(name),
-                frame_period_s=float(entry.get("frame_period_s") or 0.2),
+                frame_period_s=line.entry.frame_period_s or 0.2,
             )
         )
-    if not clips:
-        raise UsageError(f"{folder.name}: its manifest lists no video")
     return clips
 
 
@@ -232,15 +237,6 @@ def _read_faults(path: Path) -> dict[str, PlantedCase]:
     if not path.is_file():
         return {}
     try:
-        return {
-            name: PlantedCase(
-                kind=AnomalyKind(fault["kind"]),
-                frame_start=int(fault["frame_start"]),
-                frame_end=int(fault["frame_end"]),
-                size=float(fault["size"]),
-                form=str(fault.get("form") or ""),
-            )
-            for name, fault in json.loads(path.read_text()).items()
-        }
-    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+        return TypeAdapter(dict[str, PlantedCase]).validate_json(path.read_bytes())
+    except (OSError, ValueError) as error:
         raise UsageError(f"truth/{path.name}: not a readable file of planted anomalies ({cause(error)})") from None
