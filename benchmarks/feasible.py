@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from benchmarks.motion import Arm, Motion, Proof, acceleration_limits, prove
+from benchmarks.motion import Arm, Motion, Proof, prove
 from benchmarks.moves import Family, cartesian, joint_space, shipped
 from benchmarks.trajectory import Trajectory
 from kinebench_drake.geometry import Array
@@ -112,7 +112,7 @@ def smooth_motions(rng: np.random.Generator, arm: Arm, tracks: TrackSet) -> Iter
             fine = np.linspace(t_s[0], t_s[-1], 1000)
             q, v, a = (motion.q(fine, order) for order in range(3))
             within = (q >= arm.plant.lower).all() and (q <= arm.plant.upper).all()
-            slow = (np.abs(v) <= arm.plant.velocity_limits).all() and (np.abs(a) <= acceleration_limits(arm)).all()
+            slow = (np.abs(v) <= arm.plant.velocity_limits).all() and (np.abs(a) <= arm.acceleration_limits).all()
             if within and slow and count < tracks.tracks:
                 count += 1
                 yield motion, t_s

@@ -26,6 +26,8 @@ class Arm:
         """Load the Panda."""
         self.plant = ArmPlant()
         self.body = Body(self.plant)
+        self.acceleration_limits = np.asarray(self.plant.acceleration_limits, dtype=np.float64)
+        """(7,) greatest joint accelerations [rad/s^2]."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -63,11 +65,11 @@ class Proof:
 
     position_margin_rad: float
     """Least distance to a joint limit [rad]; negative outside."""
-    velocity: float
+    velocity_ratio: float
     """Greatest joint speed / its limit; the next three likewise."""
-    acceleration: float
-    jerk: float
-    torque: float
+    acceleration_ratio: float
+    jerk_ratio: float
+    torque_ratio: float
     self_distance_m: float
     """Least distance between links that may not touch [m], at most 0.05; negative inside. NaN where not needed."""
     table_distance_m: float
@@ -76,9 +78,10 @@ class Proof:
     @property
     def holds(self) -> bool:
         """True if the arm can execute the motion."""
+        ratios = (self.velocity_ratio, self.acceleration_ratio, self.jerk_ratio, self.torque_ratio)
         return (
             self.position_margin_rad >= 0.0
-            and all(ratio <= 1.0 for ratio in (self.velocity, self.acceleration, self.jerk, self.torque))
+            and all(ratio <= 1.0 for ratio in ratios)
             and self.self_distance_m >= CLEARANCE_M
             and self.table_distance_m >= 0.0
         )
@@ -96,7 +99,7 @@ def prove(arm: Arm, motion: Motion, start_s: float, end_s: float) -> Proof:
     margin = float(np.minimum(q - plant.lower, plant.upper - q).min())
     ratios = [
         float((np.abs(x) / limit).max())
-        for x, limit in ((v, plant.velocity_limits), (a, acceleration_limits(arm)), (j, jerk_limits(arm)))
+        for x, limit in ((v, plant.velocity_limits), (a, arm.acceleration_limits), (j, plant.jerk_limits))
     ]
     height = float(body.lowest(q, width).min())
     torque = distance = np.nan
@@ -106,23 +109,13 @@ def prove(arm: Arm, motion: Motion, start_s: float, end_s: float) -> Proof:
         distance = float(self_distance(arm, q, width).min())
     return Proof(
         position_margin_rad=margin,
-        velocity=ratios[0],
-        acceleration=ratios[1],
-        jerk=ratios[2],
-        torque=torque,
+        velocity_ratio=ratios[0],
+        acceleration_ratio=ratios[1],
+        jerk_ratio=ratios[2],
+        torque_ratio=torque,
         self_distance_m=distance,
         table_distance_m=height,
     )
-
-
-def acceleration_limits(arm: Arm) -> Array:
-    """Return the greatest joint accelerations (7,) [rad/s^2]."""
-    return np.asarray(arm.plant.acceleration_limits, dtype=np.float64)
-
-
-def jerk_limits(arm: Arm) -> Array:
-    """Return the greatest joint jerks (7,) [rad/s^3]."""
-    return np.asarray(arm.plant.jerk_limits, dtype=np.float64)
 
 
 def self_distance(arm: Arm, q: Array, finger_width_m: Array) -> Array:

@@ -11,7 +11,7 @@ from enum import Enum
 
 import numpy as np
 
-from benchmarks.motion import Arm, Motion, acceleration_limits
+from benchmarks.motion import Arm, Motion
 from kinebench_drake.errors import InputError
 from kinebench_drake.geometry import Array, make_pose, rotation_angle, rotation_exp, rotation_log
 from kinebench_drake.kinematics.continuation import minimum_jerk
@@ -269,7 +269,7 @@ def joint_space(rng: np.random.Generator, arm: Arm, at_least_s: float) -> Motion
     unit = Motion.through(np.arange(_JOINT_KNOTS, dtype=np.float64), knots, widths)
     fine = np.linspace(0.0, unit.duration_s, 50 * _JOINT_KNOTS)
     speed = np.abs(unit.q(fine, 1)) / plant.velocity_limits
-    bend = np.abs(unit.q(fine, 2)) / acceleration_limits(arm)
+    bend = np.abs(unit.q(fine, 2)) / arm.acceleration_limits
     spacing = max(
         float(speed.max()) / (JOINT_SPEED_SHARE * share),
         float(np.sqrt(bend.max() / (JOINT_ACCELERATION_SHARE * share))),

@@ -162,20 +162,12 @@ def _pink(plant: ArmPlant, *, limited: bool) -> Solve:
     model = pinocchio.buildModelFromXML(_bare_urdf(plant))
     configuration = pink.Configuration(model, model.createData(), plant.robot.rest_q)
     task = pink.tasks.FrameTask(plant.robot.tcp_link, position_cost=1.0, orientation_cost=1.0)
-    limits: list[Any] | None = None if limited else []
-
-    def step(X_BG: Array, q: Array) -> Array:
-        task.set_target(pinocchio.SE3(X_BG[:3, :3], X_BG[:3, 3]))
-        configuration.update(q)
-        for _ in range(_STEPS):
-            error = task.compute_error(configuration)
-            if np.linalg.norm(error[:3]) < POSITION_M and np.linalg.norm(error[3:]) < ROTATION_RAD:
-                break
-            rate = pink.solve_ik(configuration, [task], 1.0, solver="daqp", damping=1e-12, limits=limits)
-            configuration.integrate_inplace(rate, 1.0)
-        return np.array(configuration.q)
-
-    return frame_by_frame(step)
+    return _frame_task(
+        configuration,
+        task,
+        lambda X_BG: pinocchio.SE3(X_BG[:3, :3], X_BG[:3, 3]),
+        partial(pink.solve_ik, solver="daqp", damping=1e-12, limits=None if limited else []),
+    )
 
 
 def _mink(plant: ArmPlant, *, limited: bool) -> Solve:
@@ -188,38 +180,36 @@ def _mink(plant: ArmPlant, *, limited: bool) -> Solve:
     model = mujoco.MjModel.from_xml_string(ElementTree.tostring(urdf, encoding="unicode"))
     configuration = mink.Configuration(model)
     task = mink.FrameTask(plant.robot.tcp_link, "body", position_cost=1.0, orientation_cost=1.0)
-    limits: list[Any] | None = None if limited else []
+    solve_ik = partial(mink.solve_ik, solver="daqp", limits=None if limited else [])
+    return _frame_task(configuration, task, mink.SE3.from_matrix, solve_ik)
+
+
+def _frame_task(configuration: Any, task: Any, target: Callable[[Array], Any], solve_ik: Callable[..., Any]) -> Solve:
+    """Return a solver of pink or mink, whose interfaces are alike: steps of 1 s until the task's error is small."""
 
     def step(X_BG: Array, q: Array) -> Array:
-        task.set_target(mink.SE3.from_matrix(X_BG))
+        task.set_target(target(X_BG))
         configuration.update(q)
         for _ in range(_STEPS):
             error = task.compute_error(configuration)
             if np.linalg.norm(error[:3]) < POSITION_M and np.linalg.norm(error[3:]) < ROTATION_RAD:
                 break
-            rate = mink.solve_ik(configuration, [task], 1.0, "daqp", limits=limits)
-            configuration.integrate_inplace(rate, 1.0)
+            configuration.integrate_inplace(solve_ik(configuration, [task], 1.0), 1.0)
         return np.array(configuration.q)
 
     return frame_by_frame(step)
 
 
-def _pytorch_kinematics(plant: ArmPlant) -> Solve:
-    """Solve all poses in one batch, each from the posture at the start of its track: a batch has no previous frame."""
-    return _batched(plant, lambda p: np.repeat(p.q[:1], len(p.q), axis=0))
-
-
-def _pytorch_kinematics_warm_start(plant: ArmPlant) -> Solve:
-    """Solve the same batch, each pose from the true posture of the previous frame."""
-    return _batched(plant, lambda p: np.vstack([p.q[:1], p.q[:-1]]))
-
-
-def _batched(plant: ArmPlant, start: Callable[[IkProblem], Array]) -> Solve:
+def _pytorch_kinematics(plant: ArmPlant, *, warm: bool) -> Solve:
+    """`warm`: from the true postures of the previous frames; else from that at the start of the track."""
     import pytorch_kinematics
     import torch
 
     chain = pytorch_kinematics.build_serial_chain_from_urdf(_bare_urdf(plant), plant.robot.tcp_link)
     chain = chain.to(dtype=torch.float64)
+
+    def start(p: IkProblem) -> Array:
+        return np.vstack([p.q[:1], p.q[:-1]]) if warm else np.repeat(p.q[:1], len(p.q), axis=0)
 
     def solve(problems: Sequence[IkProblem]) -> list[Array]:
         X = torch.from_numpy(np.concatenate([p.X_BG for p in problems]))
@@ -314,13 +304,13 @@ PEERS = (
         name="pytorch_kinematics",
         how="PseudoInverseIK, all poses in one batch, each from the start of its track",
         package="pytorch-kinematics",
-        make=_pytorch_kinematics,
+        make=partial(_pytorch_kinematics, warm=False),
     ),
     Peer(
         name=WARM_START,
         how="the same, each pose from the true posture of the previous frame",
         package="pytorch-kinematics",
-        make=_pytorch_kinematics_warm_start,
+        make=partial(_pytorch_kinematics, warm=True),
     ),
     Peer(
         name="frankik",

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.feasible import FeasibleMotion
-from benchmarks.motion import Arm, acceleration_limits, self_distance
+from benchmarks.motion import Arm, self_distance
 from benchmarks.sweep import REACH_M, least_bend, least_excess, least_step, reachable, wrist_distance
 from benchmarks.trajectory import Trajectory, TrajectoryKind
 from kinebench_drake.geometry import Array, pose_difference, rotation_exp
@@ -283,7 +283,7 @@ def plant_self_q(rng: np.random.Generator, arm: Arm, base: FeasibleMotion) -> Pl
 def _swung(rng: np.random.Generator, arm: Arm, base: FeasibleMotion, q: Array, centre: int, change: Array) -> Array:
     """Return postures (T, 7) that go to `q[centre] + change` and back, slowly if there is time."""
     speed = np.abs(change) / (_ONE_JOINT_SHARE * arm.plant.velocity_limits)
-    bend = np.sqrt(6.0 * np.abs(change) / (_ONE_JOINT_SHARE * acceleration_limits(arm)))
+    bend = np.sqrt(6.0 * np.abs(change) / (_ONE_JOINT_SHARE * arm.acceleration_limits))
     weight = _excursion(rng, base.frames, centre, float(max(speed.max() * 1.9, bend.max())), base.period_s)
     target = q[centre] + change
     return np.asarray(q + weight[:, None] * (target - q))

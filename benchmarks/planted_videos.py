@@ -13,8 +13,7 @@ Output folder, the same bytes for the same arguments:
 """
 
 import json
-import multiprocessing
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -172,18 +171,9 @@ def _write(
     return planted
 
 
-def make_videos(orders: Sequence[PlantingOrder], jobs: int) -> Iterator[PlantingResult]:
-    """Plant the faults of all orders, in the given order.
-
-    Args:
-        orders: one an episode.
-        jobs: worker processes.
-    """
-    if jobs == 1:
-        yield from map(plant_episode, orders)
-        return
-    with multiprocessing.get_context("spawn").Pool(min(jobs, len(orders))) as pool:
-        yield from pool.imap(plant_episode, orders)
+def make_planter() -> Callable[[PlantingOrder], PlantingResult]:
+    """Return the worker that plants the faults of an order."""
+    return plant_episode
 
 
 def write_index(out: Path, videos: Sequence[PlantedVideo]) -> None:

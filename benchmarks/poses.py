@@ -263,10 +263,12 @@ def planted_videos(
         PlantedVideo,
         PlantingOrder,
         choose_episodes,
-        make_videos,
+        make_planter,
         parse_kinds,
         write_index,
     )
+    from kinebench_drake.executors.base import WorkerCrash
+    from kinebench_drake.executors.local import LocalExecutor
     from kinebench_drake.suites.faults.fault import choose
 
     grades = choose(parse_kinds(kinds), sizes)
@@ -284,11 +286,14 @@ def planted_videos(
     ]
     (out / "truth").mkdir(parents=True, exist_ok=True)
     videos: list[PlantedVideo] = []
-    for result in make_videos([order for order in orders if order.grades], jobs):
-        videos += result.videos
-        for problem in result.problems:
+    for done in LocalExecutor(jobs=jobs).run(make_planter, [order for order in orders if order.grades]):
+        if isinstance(done, WorkerCrash):
+            log(f"{done.item.spec.id}: {done.reason}")
+            continue
+        videos += done.result.videos
+        for problem in done.result.problems:
             log(problem)
-        for video in result.videos:
+        for video in done.result.videos:
             click.echo(video.id)
     if not videos:
         raise click.ClickException("no video was made; the reasons are printed above")

@@ -1,7 +1,6 @@
 """Results of benchmarks as files: figures, machine and revision; comparison with the results before; their pages."""
 
 import hashlib
-import subprocess
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import cache
@@ -9,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.markdown import replace_section, table
+from benchmarks.structure import current_revision
 from kinebench_drake.errors import InputError
 from kinebench_drake.io.atomic import write_atomically
 from kinebench_drake.io.jsonl import read_json, write_json
@@ -62,7 +62,7 @@ class BenchmarkRecord:
             figures=figures,
             sections=list(sections),
             machine=host(),
-            revision=revision(),
+            revision=current_revision(ROOT),
             sources_sha256=sources_hash(),
         )
 
@@ -113,12 +113,6 @@ def write_pages(folder: Path = RESULTS) -> Iterator[str]:
             write_atomically(page, replace_section(page.read_text(), section).encode())
         state = "these sources" if record.sources_sha256 == sources_hash() else "other sources"
         yield f"{name}: {', '.join(map(str, pages))}, measured at {record.revision} with {state}"
-
-
-def revision() -> str:
-    """Return the short hash of the commit that is checked out; "unknown" outside a repository."""
-    done = subprocess.run(["git", "rev-parse", "--short", "HEAD"], cwd=ROOT, capture_output=True, text=True)
-    return done.stdout.strip() or "unknown"
 
 
 @cache

@@ -12,10 +12,11 @@ import shutil
 import subprocess
 import time
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from itertools import cycle
-from multiprocessing.connection import Connection
 from pathlib import Path
 from threading import Timer
 from typing import Any
@@ -160,17 +161,17 @@ def measure(
     shards = [work / f"shard-{k}" for k in (1, 2)]
     stages: list[StageCost] = []
 
-    def run(name: str, action: Callable[..., None], *arguments: Any) -> None:
+    def run(name: str, action: Callable[..., object], *arguments: Any) -> None:
         stages.append(_run_stage(name, action, arguments))
         log(f"{name}: {stages[-1].wall_s:.1f} s, {stages[-1].cpu_s:.1f} s of processor, {stages[-1].memory_mb:.0f} MB")
 
     run("score", _score, source, template, out, jobs, None)
     run("the same command again", _score, source, template, out, jobs, None)
-    run("report", _report, out)
+    run("report", write_report, out)
     _split(out, shards)
     for k, shard in enumerate(shards, 1):
         run(f"shard {k} of 2, finished", _score, source, template, shard, 1, Shard(index=k, count=2))
-    run("merge of the shards", _merge, shards, work / "merged")
+    run("merge of the shards", merge_folders, shards, work / "merged")
     return ScaleResult(
         rows=rows,
         stages=stages,
@@ -215,39 +216,25 @@ def _split(out: Path, shards: Sequence[Path]) -> None:
                     _link(path, shard / kind / path.name)
 
 
-def _report(out: Path) -> None:
-    write_report(out)
-
-
-def _merge(shards: Sequence[Path], out: Path) -> None:
-    merge_folders(shards, out)
-
-
-def _run_stage(name: str, action: Callable[..., None], arguments: tuple[Any, ...]) -> StageCost:
+def _run_stage(name: str, action: Callable[..., object], arguments: tuple[Any, ...]) -> StageCost:
     """Run a stage in a new process.
 
     Raises:
-        KinebenchError: it failed.
+        KinebenchError: the process died.
     """
-    context = multiprocessing.get_context("spawn")
-    ours, theirs = context.Pipe()
     start = time.monotonic()
-    process = context.Process(target=_stage, args=(theirs, action, arguments))
-    process.start()
-    theirs.close()
-    try:
-        cpu_s, memory_mb = ours.recv()
-    except EOFError:
-        process.join()
-        raise KinebenchError(f"{name}: ended with status {process.exitcode}") from None
-    process.join()
+    with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
+        try:
+            cpu_s, memory_mb = pool.submit(_stage, action, arguments).result()
+        except BrokenProcessPool:
+            raise KinebenchError(f"{name}: its process died") from None
     return StageCost(stage=name, wall_s=time.monotonic() - start, cpu_s=cpu_s, memory_mb=memory_mb)
 
 
-def _stage(pipe: Connection, action: Callable[..., None], arguments: tuple[Any, ...]) -> None:
+def _stage(action: Callable[..., object], arguments: tuple[Any, ...]) -> tuple[float, float]:
     action(*arguments)
     memory = read_memory(os.getpid(), "VmHWM")
-    pipe.send((time.process_time(), memory.main_mb if memory else float("nan")))
+    return time.process_time(), memory.main_mb if memory else float("nan")
 
 
 def time_in_browser(page: Path, work: Path) -> dict[str, float]:

@@ -8,7 +8,7 @@ every joint, of any posture of the other.
 import numpy as np
 from scipy.spatial import cKDTree
 
-from benchmarks.motion import Arm, acceleration_limits
+from benchmarks.motion import Arm
 from kinebench_drake.geometry import Array
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.models.panda.robot import HAND_TO_TCP_M
@@ -93,7 +93,7 @@ def least_bend(arm: Arm, X_BG: Array, period_s: float) -> float:
     q_1, q_2, q_3 = (_allowed(arm, X, period_s, 512) for X in X_BG)
     if not len(q_1) or not len(q_2) or not len(q_3):
         return np.inf
-    speed, bend = arm.plant.velocity_limits * period_s, acceleration_limits(arm) * period_s**2
+    speed, bend = arm.plant.velocity_limits * period_s, arm.acceleration_limits * period_s**2
     near = cKDTree(q_1 / speed).query_ball_tree(cKDTree(q_2 / speed), 1.0, p=np.inf)
     onward = [2.0 * q_2[j] - q_1[i][None] for i, j in enumerate(near) if j]
     if not onward:

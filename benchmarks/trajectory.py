@@ -4,13 +4,15 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from enum import Enum
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import TypeAdapter
 
 from kinebench_drake.errors import InputError, cause
 from kinebench_drake.geometry import Array
-from kinebench_drake.io.jsonl import Json, parse_json, write_lines
+from kinebench_drake.io.jsonl import Json, write_lines
 from kinebench_drake.io.npz import pack_arrays
 from kinebench_drake.kinematics.violation import ViolationKind
 
@@ -90,7 +92,7 @@ class TrajectoryTruth:
     """How the motion was drawn."""
     reasons: tuple[ViolationKind, ...] = ()
     """Violations of which an audit must name one; empty for a feasible trajectory."""
-    parameters: Mapping[str, Json] = field(default_factory=dict)
+    parameters: Mapping[str, Any] = field(default_factory=dict)
     """Sizes and places of the fault, and figures of the proof."""
 
     @property
@@ -111,29 +113,6 @@ class TrajectoryTruth:
             "parameters": dict(self.parameters),
         }
 
-    @classmethod
-    def from_json(cls, data: object) -> "TrajectoryTruth":
-        """Read what `to_json` returns.
-
-        Raises:
-            InputError: a key is absent or its value unknown.
-        """
-        try:
-            if not isinstance(data, dict):
-                raise ValueError("it is no object")
-            reasons, parameters = data["reasons"], data["parameters"]
-            if not isinstance(reasons, list) or not isinstance(parameters, dict):
-                raise ValueError("reasons is a list, parameters an object")
-            return cls(
-                id=str(data["id"]),
-                kind=TrajectoryKind(data["kind"]),
-                family=str(data["family"]),
-                reasons=tuple(ViolationKind(reason) for reason in reasons),
-                parameters=parameters,
-            )
-        except (KeyError, ValueError) as error:
-            raise InputError(f"not a line of {TRUTH} ({error})") from None
-
 
 def write_truths(path: Path, truths: Iterable[TrajectoryTruth]) -> None:
     """Write one line a trajectory, sorted by id."""
@@ -147,7 +126,8 @@ def read_truths(path: Path) -> dict[str, TrajectoryTruth]:
         InputError: the file is absent or damaged.
     """
     try:
-        truths = [TrajectoryTruth.from_json(parse_json(line)) for line in path.read_bytes().splitlines()]
+        adapter = TypeAdapter(TrajectoryTruth)
+        truths = [adapter.validate_json(line) for line in path.read_bytes().splitlines()]
     except (OSError, ValueError) as error:
         raise InputError(f"{path.name}: cannot be read ({cause(error)})") from None
     return {truth.id: truth for truth in truths}

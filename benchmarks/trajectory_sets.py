@@ -5,7 +5,7 @@ give the same bytes, whatever the number of jobs, and a larger set begins with t
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from enum import Enum
 from functools import lru_cache, partial
 from pathlib import Path
@@ -83,15 +83,7 @@ def _generator(seed: int, set: TrajectorySet, index: int, attempt: int = 0) -> n
 def _proof(base: FeasibleMotion) -> dict[str, Json]:
     figures: dict[str, Json] = {"frames": base.frames, "period_s": base.period_s, "cut": base.cut}
     if base.proof is not None:
-        figures |= {
-            "position_margin_rad": base.proof.position_margin_rad,
-            "velocity_ratio": base.proof.velocity,
-            "acceleration_ratio": base.proof.acceleration,
-            "jerk_ratio": base.proof.jerk,
-            "torque_ratio": base.proof.torque,
-            "self_distance_m": base.proof.self_distance_m,
-            "table_distance_m": base.proof.table_distance_m,
-        }
+        figures |= asdict(base.proof)
     return figures
 
 

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.perception.store import MeasurementStore, fingerprint
-from benchmarks.planted_videos import PlantedVideo, PlantingOrder, PlantingResult, plant_episode, write_index
+from benchmarks.planted_videos import PlantedVideo, PlantingOrder, PlantingResult, make_planter, write_index
 from benchmarks.structure import current_revision
 from kinebench_drake.anomaly import AnomalyKind
 from kinebench_drake.camera import benchmark_camera
@@ -202,19 +202,12 @@ def _plant(
         if not orders:
             raise UsageError(f"only {len(solved)} episodes succeed without a fault, {episodes} are wanted")
         results = store.complete(
-            orders, lambda o: f"{labels}-{o.spec.id}", executor, _Planter, observer, lambda o: o.spec.id
+            orders, lambda o: f"{labels}-{o.spec.id}", executor, make_planter, observer, lambda o: o.spec.id
         )
         solved += [result for result in results if any(video.success for video in result.videos)]
     videos = [video for result in solved for video in result.videos]
     write_index(folder, videos)
     return sorted(videos, key=lambda video: video.id)
-
-
-class _Planter:
-    """Worker that plants the faults of an order."""
-
-    def __call__(self, order: PlantingOrder) -> PlantingResult:
-        return plant_episode(order)
 
 
 def _trial(video: PlantedVideo, row: SampleRow, execution: TrackExecution) -> ValidityTrial:

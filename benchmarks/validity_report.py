@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from benchmarks.markdown import section, table
+from benchmarks.perception.anomaly_table import unit_of
 from benchmarks.validity import SPLIT, SUITE, ValidityTrial
 from benchmarks.validity_response import (
     FALSE_DISCOVERIES,
@@ -18,7 +19,6 @@ from benchmarks.validity_response import (
     SuccessCorrelation,
     Verdict,
     correlate,
-    unit_of,
 )
 from kinebench_drake.anomaly import AnomalyKind
 from kinebench_drake.io.figure import POSITION, ROTATION, new_figure, save

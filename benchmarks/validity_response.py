@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import false_discovery_control, rankdata
 
+from benchmarks.perception.anomaly_table import unit_of
 from benchmarks.validity import ValidityTrial
 from kinebench_drake.anomaly import AnomalyKind
 from kinebench_drake.errors import InputError
@@ -65,12 +66,6 @@ class Grade:
         """Size with its unit."""
         unit = unit_of(self.kind)
         return f"{self.number} {unit.removesuffix('s') if self.number == '1' else unit}"
-
-
-def unit_of(kind: AnomalyKind) -> str:
-    """Return the unit in which sizes of a kind are shown."""
-    unit = GRADES[kind].unit
-    return {"f": "frames", "pc": "%"}.get(unit, unit)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

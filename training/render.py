@@ -1,14 +1,14 @@
 """Rendering of training frames in several processes."""
 
-import multiprocessing
-import queue
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from kinebench_drake.errors import SetupError
-from kinebench_drake.executors.local import one_thread
+from kinebench_drake.executors.base import WorkerCrash
+from kinebench_drake.executors.local import LocalExecutor
 from kinebench_drake.models.perception.frame import FILES, save_shard
 from training.layout import ShownGripper
 from training.scene import TrainingScene
@@ -30,28 +30,24 @@ def _gripper(seed: int, *, arm: bool) -> ShownGripper:
     return ShownGripper.NONE if seed % HANDLESS_EVERY == HANDLESS_EVERY - 1 else ShownGripper.FRANKA
 
 
-def render_shards(folder: Path, seeds: Iterable[int], *, arm: bool = False) -> Iterator[int]:
-    """Render the frames of one scene per seed into `folder`; yield each finished seed.
+class SceneRenderer:
+    """Worker that renders the frames of one scene after the other; the same seed gives the same scene."""
 
-    The same seed gives the same scene; with `arm` those for the network of the arm alone.
-    """
-    for seed in seeds:
-        # The variable keeps the last scene alive until the next is built: SAPIEN compiles its shaders again, for
-        # seconds, whenever no scene exists.
-        rng = np.random.default_rng([seed, _STREAM])
-        scene = TrainingScene(rng, _gripper(seed, arm=arm))
-        save_shard([scene.frame() for _ in range(FRAMES_PER_SCENE)], _shard(folder, seed))
-        yield seed
+    def __init__(self, folder: Path, *, arm: bool = False) -> None:
+        """Render into `folder`; with `arm` the scenes for the network of the arm alone."""
+        self._folder, self._arm = folder, arm
+        self._scene: TrainingScene | None = None
+
+    def __call__(self, seed: int) -> None:
+        """Render the scene of a seed."""
+        # The last scene lives until the next is built: SAPIEN compiles its shaders again, for seconds, whenever no
+        # scene exists.
+        self._scene = TrainingScene(np.random.default_rng([seed, _STREAM]), _gripper(seed, arm=self._arm))
+        save_shard([self._scene.frame() for _ in range(FRAMES_PER_SCENE)], _shard(self._folder, seed))
 
 
 def _shard(folder: Path, seed: int) -> Path:
     return folder / f"{seed:06d}"
-
-
-def _work(folder: Path, seeds: list[int], arm: bool, done: "multiprocessing.Queue[int | None]") -> None:
-    for seed in render_shards(folder, seeds, arm=arm):
-        done.put(seed)
-    done.put(None)
 
 
 def render(folder: Path, seeds: Iterable[int], jobs: int, report: Callable[[str], None], *, arm: bool = False) -> None:
@@ -65,29 +61,12 @@ def render(folder: Path, seeds: Iterable[int], jobs: int, report: Callable[[str]
         return
     report(f"rendering {len(missing)} scenes into {folder}")
     folder.mkdir(parents=True, exist_ok=True)
-    context = multiprocessing.get_context("spawn")
-    done: multiprocessing.Queue[int | None] = context.Queue()
-    workers = [
-        context.Process(target=_work, args=(folder, missing[k::jobs], arm, done), daemon=True)
-        for k in range(min(jobs, len(missing)))
-    ]
-    with one_thread():
-        for worker in workers:
-            worker.start()
-    finished, running = 0, len(workers)
-    while running:
-        try:
-            seed = done.get(timeout=5.0)
-        except queue.Empty as error:
-            if any(w.exitcode not in (None, 0) for w in workers):
-                raise SetupError(
-                    f"rendering stopped after {finished} of {len(missing)} scenes; `kinebench-drake doctor` shows why, "
-                    "and repairs the Vulkan driver with --fix"
-                ) from error
-            continue
-        if seed is None:
-            running -= 1
-            continue
-        finished += 1
+    executor = LocalExecutor(jobs=jobs)
+    for finished, done in enumerate(executor.run(partial(SceneRenderer, folder, arm=arm), missing), 1):
+        if isinstance(done, WorkerCrash):
+            raise SetupError(
+                f"rendering stopped after {finished - 1} of {len(missing)} scenes; `kinebench-drake doctor` shows why, "
+                "and repairs the Vulkan driver with --fix"
+            )
         if finished % _REPORT_EVERY == 0 or finished == len(missing):
             report(f"rendered {finished}/{len(missing)} scenes")

@@ -13,6 +13,7 @@ from benchmarks.perception.anomalies import ClipAnomalies
 from kinebench_drake.anomaly import AnomalyKind
 from kinebench_drake.io.figure import FAINT, POSITION, ROTATION, new_figure
 from kinebench_drake.stats import IntervalEstimate, wilson
+from kinebench_drake.suites.faults.fault import GRADES
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -22,18 +23,12 @@ GOALS = {kind: 0.95 for kind in AnomalyKind} | dict.fromkeys(
     (AnomalyKind.VANISH, AnomalyKind.DUPLICATE, AnomalyKind.TELEPORT), 0.99
 )
 """Area under the ROC curve required of each kind, for sizes from its gate on."""
-SIZES = {
-    AnomalyKind.VANISH: (3.0, 1.0, "frames"),
-    AnomalyKind.DUPLICATE: (0.15, 100.0, "cm apart"),
-    AnomalyKind.TELEPORT: (0.05, 100.0, "cm"),
-    AnomalyKind.FREEZE: (5.0, 1.0, "frames"),
-    AnomalyKind.DEFORMATION: (0.2, 100.0, "%"),
-    AnomalyKind.SCALE: (0.05, 100.0, "%"),
-    AnomalyKind.CAMERA: (2.0, 1.0, "px"),
-    AnomalyKind.FINGERS: (0.04, 1000.0, "mm"),
-}
-"""Gate of each kind (the smallest size that must be detected; smaller ones are only reported), and the factor to the
-unit of the sizes in tables."""
+
+
+def unit_of(kind: AnomalyKind) -> str:
+    """Return the unit in which sizes of a kind are shown."""
+    unit = GRADES[kind].unit
+    return {"f": "frames", "pc": "%"}.get(unit, unit)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -96,13 +91,12 @@ class AnomalyRow:
     @property
     def gated(self) -> bool:
         """True if it must be detected."""
-        return self.size is None or self.size >= SIZES[self.kind][0] - 1e-9
+        return self.size is None or self.size >= GRADES[self.kind].gate - 1e-9
 
     @property
     def label(self) -> str:
         """Size with its unit."""
-        _, factor, unit = SIZES[self.kind]
-        return "all gated" if self.size is None else f"{self.size * factor:g} {unit}"
+        return "all gated" if self.size is None else f"{self.size * GRADES[self.kind].factor:g} {unit_of(self.kind)}"
 
 
 def clean_clips(findings: Sequence[ClipAnomalies]) -> list[ClipAnomalies]:
@@ -120,7 +114,7 @@ def rows(findings: Sequence[ClipAnomalies]) -> list[AnomalyRow]:
         for form, size in grades:
             group = [f for f in members if f.planted and (f.planted.form, f.planted.size) == (form, size)]
             table.append(_row(kind, form, size, group, clean))
-        gated = [f for f in members if f.planted and f.planted.size >= SIZES[kind][0] - 1e-9]
+        gated = [f for f in members if f.planted and f.planted.size >= GRADES[kind].gate - 1e-9]
         if gated:
             table.append(_row(kind, "", None, gated, clean))
     return table
@@ -217,9 +211,9 @@ def draw_anomalies(findings: Sequence[ClipAnomalies]) -> "Figure":
 
 
 def _panel(ax: Any, kind: AnomalyKind, table: Sequence[AnomalyRow]) -> None:
-    gate, factor, unit = SIZES[kind]
+    gate, factor = GRADES[kind].gate, GRADES[kind].factor
     ax.set_title(kind.value.replace("_", " "))
-    ax.set_xlabel(f"size [{unit}]")
+    ax.set_xlabel(f"size [{unit_of(kind)}]")
     ax.axhline(GOALS[kind], color=FAINT, linewidth=1.0, linestyle=":", zorder=1)
     ax.axvspan(0, gate * factor * 0.93, color="#f1f2f4", zorder=0, label="below the gate")
     for form, style in zip(sorted({row.form for row in table}), _STYLES, strict=False):

@@ -25,9 +25,9 @@ def test_ratios_are_those_of_a_sine(arm):
     size, duration = 0.8, 2.0
     proof = prove(arm, swing(arm, 0, size, duration), 0.5, 1.5)  # away from the ends, which are at rest
     rate = np.pi / duration
-    assert proof.velocity == pytest.approx(0.5 * size * rate / 2.175, rel=1e-4)
-    assert proof.acceleration == pytest.approx(0.5 * size * rate**2 * np.cos(0.25 * np.pi) / 15.0, rel=1e-3)
-    assert proof.jerk == pytest.approx(0.5 * size * rate**3 / 7500.0, rel=1e-2)
+    assert proof.velocity_ratio == pytest.approx(0.5 * size * rate / 2.175, rel=1e-4)
+    assert proof.acceleration_ratio == pytest.approx(0.5 * size * rate**2 * np.cos(0.25 * np.pi) / 15.0, rel=1e-3)
+    assert proof.jerk_ratio == pytest.approx(0.5 * size * rate**3 / 7500.0, rel=1e-2)
     assert proof.holds
 
 
@@ -35,14 +35,14 @@ def test_a_resting_arm_bears_its_weight(arm):
     t_s = np.linspace(0.0, 1.0, 20)
     rest = Motion.through(t_s, np.tile(arm.plant.robot.rest_q, (20, 1)), np.full(20, 0.04))
     gravity = np.abs(arm.plant.torque(arm.plant.robot.rest_q, np.zeros(7), np.zeros(7))) / arm.plant.effort_limits
-    assert prove(arm, rest, 0.0, 1.0).torque == pytest.approx(gravity.max(), rel=1e-6)
+    assert prove(arm, rest, 0.0, 1.0).torque_ratio == pytest.approx(gravity.max(), rel=1e-6)
 
 
 @pytest.mark.parametrize(
     ("joint", "size", "duration", "fault"),
     [
-        (0, 2.0, 0.5, "velocity"),
-        (1, 0.1, 0.15, "acceleration"),
+        (0, 2.0, 0.5, "velocity_ratio"),
+        (1, 0.1, 0.15, "acceleration_ratio"),
         (6, 2.5, 20.0, "position_margin_rad"),
         (1, 0.9, 8.0, "table_distance_m"),
     ],
@@ -57,10 +57,10 @@ def test_the_proof_fails_where_it_must(arm, joint, size, duration, fault):
 def test_every_part_of_the_proof_counts(arm):
     proof = prove(arm, swing(arm, 0, 0.3, 3.0), 0.0, 3.0)
     assert proof.holds
-    for name in ("velocity", "acceleration", "jerk", "torque"):
+    for name in ("velocity_ratio", "acceleration_ratio", "jerk_ratio", "torque_ratio"):
         assert not replace(proof, **{name: 1.01}).holds
     assert not replace(proof, self_distance_m=0.5 * CLEARANCE_M).holds
-    assert not replace(proof, torque=np.nan).holds
+    assert not replace(proof, torque_ratio=np.nan).holds
 
 
 @pytest.mark.parametrize("family", list(Family))

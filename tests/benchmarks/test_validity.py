@@ -226,7 +226,7 @@ def test_measure_resumes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Non
     assert set(NUMBERS) <= set(frozen.numbers)
     (line,) = (tmp_path / "videos" / "planted.jsonl").read_text().splitlines()
     assert len(json.loads(line)["videos"]) == 2
-    monkeypatch.setattr(validity, "plant_episode", None)  # what is finished is not made again
+    monkeypatch.setattr(validity, "make_planter", None)  # what is finished is not made again
     monkeypatch.setattr(validity, "execute", None)
     again = CliRunner().invoke(main, arguments)
     assert again.exit_code == 0, again.output

@@ -17,7 +17,7 @@ from training.crops import (
     label,
 )
 from training.layout import ShownGripper, random_gripper
-from training.render import FRAMES_PER_SCENE, OTHERS, render_shards
+from training.render import FRAMES_PER_SCENE, OTHERS, SceneRenderer
 from training.scene import TrainingScene
 
 pytestmark = pytest.mark.sapien
@@ -67,7 +67,7 @@ def test_a_handless_scene_shows_an_arm_without_gripper(shards: Shards) -> None:
 def other_shards(tmp_path_factory: pytest.TempPathFactory) -> Shards:
     folder = tmp_path_factory.mktemp("other")
     assert OTHERS[0] is ShownGripper.OTHER
-    list(render_shards(folder, [0], arm=True))
+    SceneRenderer(folder, arm=True)(0)
     return Shards([folder])
 
 

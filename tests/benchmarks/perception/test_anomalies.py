@@ -8,7 +8,6 @@ import pytest
 
 from benchmarks.perception.anomalies import ClipAnomalies, find_cases, located
 from benchmarks.perception.anomaly_table import (
-    SIZES,
     alarms,
     area,
     draw_anomalies,
@@ -22,7 +21,6 @@ from kinebench_drake.anomaly import Anomaly, AnomalyKind
 from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.errors import UsageError
 from kinebench_drake.formats.camerafile import save_camera
-from kinebench_drake.suites.faults.fault import GRADES
 
 
 def clip(i, planted=None, score=0.1, found=()):
@@ -36,10 +34,6 @@ def jump(frame, kind=AnomalyKind.TELEPORT, end=None):
 
 
 PLANTED = PlantedCase(kind=AnomalyKind.TELEPORT, frame_start=20, frame_end=48, size=0.05, form="")
-
-
-def test_the_gates_are_those_of_what_is_planted():
-    assert {k: (grades.gate, grades.factor) for k, grades in GRADES.items()} == {k: s[:2] for k, s in SIZES.items()}
 
 
 def test_a_fault_is_located_by_kind_and_frames():
