@@ -7,11 +7,12 @@ from typing import Any
 
 from benchmarks import footage_report, markdown
 from benchmarks.footage import ReferenceKind
+from benchmarks.markdown import percent
 from benchmarks.perception.study import StudyPlan, evaluation, run_study
 from benchmarks.perception.tables import evaluation_json
 from kinebench_drake.executors.base import Observer
 from kinebench_drake.executors.local import LocalExecutor
-from kinebench_drake.io.jsonl import read_json
+from kinebench_drake.io.jsonl import read_object
 from kinebench_drake.models.panda.robot import GripperKind
 from kinebench_drake.results.provenance import host
 
@@ -47,14 +48,7 @@ _HEAD = (
 def measure(
     heldout: Path, others: Sequence[Path], work: Path, observer: Observer, log: Callable[[str], None]
 ) -> tuple[dict[str, Any], list[dict[str, Any]]]:
-    """Ground held-out renderings and videos of others.
-
-    Args:
-        heldout: output folder of `suite demos`.
-        others: folders as `python -m benchmarks footage` takes them.
-        work: results; an earlier run is resumed.
-        observer: receives progress of the renderings.
-        log: receives a line per video of others.
+    """Ground held-out renderings of `suite demos` and videos of others; resumes from the folder `work`.
 
     Returns:
         Result of `python -m benchmarks evaluate`, and one of `footage` for each folder.
@@ -68,12 +62,9 @@ def measure(
         out = work / folder.name
         kind = GripperKind.FRANKA
         footage_report.measure(folder, out, None, weights=None, calibration=None, gripper=kind, window=False, log=log)
-    return evaluation_json(results, plan.seed), [_read(work / folder.name / "footage.json") for folder in others]
-
-
-def _read(path: Path) -> dict[str, Any]:
-    data: Any = read_json(path)
-    return dict(data)
+    return evaluation_json(results, plan.seed), [
+        dict(read_object(work / folder.name / "footage.json")) for folder in others
+    ]
 
 
 def figures(heldout: Mapping[str, Any], others: Sequence[Mapping[str, Any]]) -> dict[str, float]:
@@ -110,9 +101,9 @@ def _other_text(others: Sequence[Mapping[str, Any]]) -> str:
             f = other["labels"]["all"]
             sentences += [
                 f"Labelled by eye ({f['frames']} frames of clips of others, most of their cameras guessed):",
-                f"{_percent(f['tracked'])} are tracked; the projected hand is off by",
-                f"{_percent(f['error_median'])} of its length (95 %: {_percent(f['error_p95'])}),",
-                f"by more than a fifth of it in {_percent(f['silent'])}.",
+                f"{percent(f['tracked'])} are tracked; the projected hand is off by",
+                f"{percent(f['error_median'])} of its length (95 %: {percent(f['error_p95'])}),",
+                f"by more than a fifth of it in {percent(f['silent'])}.",
             ]
         a = other["anomalies"]
         if a["clean_videos"]:
@@ -124,11 +115,11 @@ def _other_text(others: Sequence[Mapping[str, Any]]) -> str:
 def _heldout_text(s: Mapping[str, Any]) -> str:
     return " ".join(
         [
-            f"On renderings of this project {_percent(s['tracked_frames_off_by_3_cm'])} of the tracked frames are off",
+            f"On renderings of this project {percent(s['tracked_frames_off_by_3_cm'])} of the tracked frames are off",
             "by more than 3 cm, and `confidence` differs from the share of good poses by",
             f"{s['calibration_error']:.3f} (mean over bins of confidence). In brackets: 95 % bootstrap intervals over",
             "videos. The gap between the finger pads is known in",
-            f"{_percent(s['finger_width_known'])} of the frames, with a median error of",
+            f"{percent(s['finger_width_known'])} of the frames, with a median error of",
             f"{s['finger_width_median_mm']:.1f} mm (95 %: {s['finger_width_p95_mm']:.1f} mm).",
             f"False anomalies: {s['anomalies_not_planted']:.0f} in {s['videos']:.0f} videos. The commands:",
         ]
@@ -143,11 +134,11 @@ def _footage_row(title: str, f: Mapping[str, Any]) -> list[str]:
     return [
         title,
         str(f["videos"]),
-        _percent(f["tracked"]),
+        percent(f["tracked"]),
         f"{f['hand_mm_median']:.1f} / {f['hand_mm_p95']:.1f} mm",
         f"{f['rotation_deg_median']:.1f} / {f['rotation_deg_p95']:.1f} degrees",
-        _percent(f["silent"]),
-        f"{_percent(f['good'])} / {_percent(f['confidence_mean'])}",
+        percent(f["silent"]),
+        f"{percent(f['good'])} / {percent(f['confidence_mean'])}",
     ]
 
 
@@ -156,14 +147,10 @@ def _heldout_row(s: Mapping[str, Any], intervals: Mapping[str, Any]) -> list[str
     return [
         "this project's renderer and camera, assets and looks that no network has seen; exact poses",
         f"{s['videos']:.0f}",
-        _percent(s["tracked_fraction"]),
+        percent(s["tracked_fraction"]),
         f"{position['value']:.1f} [{position['low']:.1f}, {position['high']:.1f}] / {s['position_p95_mm']:.1f} mm",
         f"{rotation['value']:.1f} [{rotation['low']:.1f}, {rotation['high']:.1f}] / "
         f"{s['rotation_p95_deg']:.1f} degrees",
         "",
         "",
     ]
-
-
-def _percent(value: float) -> str:
-    return f"{100.0 * value:.1f} %"

@@ -90,14 +90,7 @@ def time_audits(tracks: Sequence[GripperTrack]) -> tuple[Array, int]:
 
 
 def measure(*, tracks: int, audits: int, seed: int = 0, log: Callable[[str], None] = lambda text: None) -> AuditTiming:
-    """Draw tracks like benchmark episodes and time their audits.
-
-    Args:
-        tracks: number of tracks through the quick parts.
-        audits: number of whole audits.
-        seed: of the tracks.
-        log: receives a line before each step.
-    """
+    """Draw tracks like benchmark episodes; time the quick parts of `tracks` audits, and `audits` whole ones."""
     arm, rng = Arm(), np.random.default_rng(seed)
     episodes = TrackSet(tracks=max(tracks, audits), frames=BENCHMARK_FRAMES, period_s=BENCHMARK_PERIOD_S)
     log(f"drawing {episodes.tracks} tracks")

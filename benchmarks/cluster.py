@@ -74,10 +74,7 @@ class WorkerKiller:
 def compare_runs(commands: Sequence[Sequence[str]], work: Path, log: Callable[[str], None]) -> list[ClusterTrial]:
     """Do every run with one local process and on a cluster, where a worker is killed half-way.
 
-    Args:
-        commands: arguments of the program, without `--out` and the options of executors.
-        work: folder for results.
-        log: receives a line before each run.
+    `commands` are arguments of the program, without `--out` and the options of executors.
 
     Raises:
         SetupError: Ray is not installed.

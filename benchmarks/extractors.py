@@ -132,12 +132,6 @@ def _track(t_s: Array, X_BG: Array, finger_width_m: Array) -> GripperTrack:
 def measure(work: Path, weights: Path, jobs: int, observer: RunObserver) -> list[Extraction]:
     """Execute the videos of a validity study through truth and baseline; an interrupted measurement resumes.
 
-    Args:
-        work: work folder of `validity measure`.
-        weights: weights of the baseline.
-        jobs: worker processes.
-        observer: progress.
-
     Raises:
         UsageError: the folder holds no finished study.
         SetupError: something is missing on this machine, or a worker died. What is finished is kept.
@@ -288,16 +282,7 @@ def train_baseline(
 ) -> Path:
     """Make demonstrations of the training tasks of suite 1 and train the baseline on them; return its weights.
 
-    Both resume from `out`.
-
-    Args:
-        out: folder of demonstrations, decoded frames, checkpoints and weights.
-        episodes: demonstrations of each task.
-        steps: training steps.
-        size: width and height of the frames [px].
-        jobs: processes that make demonstrations.
-        observer: progress of the demonstrations.
-        report: called with lines of text on the training.
+    Both resume from `out`. Frames are `size` px wide and high.
 
     Raises:
         UsageError: the folder holds something else, or the expert fails with too many seeds.

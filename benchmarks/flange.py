@@ -88,9 +88,6 @@ def measure(demos: Path, out: Path, *, count: int, log: Callable[[str], None]) -
         count: demonstrations, and videos with boxes; of the Robotiq 2F-85, which takes several times as long, a quarter
             as many, also by the links alone. Each video is measured as it is, and degraded.
         log: receives a line per video.
-
-    Returns:
-        The measurements by video.
     """
     make_folder(out)
     base = fingerprint(modules=["kinebench_drake.grounding.tracking.flange_tracker"], files=[ARM_WEIGHTS])

@@ -1,7 +1,7 @@
 """Errors of the grounding on videos with reference poses: per kind of reference, per video, by confidence."""
 
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.footage import TrackRecord
-from benchmarks.markdown import table
+from benchmarks.markdown import percent, table
 from benchmarks.perception.clip import TruthClip
 from benchmarks.perception.summary import percentile, reliability_curve
 from kinebench_drake.geometry import Array, pose_difference
@@ -146,19 +146,19 @@ def error_table(groups: Mapping[str, Mapping[str, Json]]) -> list[str]:
 
 
 def _row(name: str, f: Mapping[str, Json]) -> list[str]:
-    pair, percent = partial(_pair, f), partial(_percent, f)
+    pair = partial(_pair, f)
     anomalies = f["anomalies"]
     kinds = ", ".join(f"{n} {kind}" for kind, n in sorted(anomalies.items())) if isinstance(anomalies, dict) else ""
     return [
         name,
         f"{f['visible_frames']} of {f['frames']}",
-        *(percent(key) for key in ("tracked", "detected", "arm_agrees")),
+        *(percent(f[key]) for key in ("tracked", "detected", "arm_agrees")),
         pair("hand_mm"),
         f"{_number(f['across_mm_median'])} / {_number(f['along_mm_median'])} (mean {_number(f['along_mean_mm'])})",
         pair("tcp_mm"),
         pair("rotation_deg"),
-        percent("silent"),
-        f"{percent('good')} / {percent('confidence_mean')}",
+        percent(f["silent"]),
+        f"{percent(f['good'])} / {percent(f['confidence_mean'])}",
         kinds,
     ]
 
@@ -178,15 +178,5 @@ def _number(value: Json) -> str:
     return f"{value:.1f}" if isinstance(value, int | float) and np.isfinite(value) else "-"
 
 
-def _percent(f: Mapping[str, Json], key: str) -> str:
-    value = f[key]
-    return f"{100 * value:.1f} %" if isinstance(value, int | float) and np.isfinite(value) else "-"
-
-
 def _pair(f: Mapping[str, Json], key: str) -> str:
     return f"{_number(f[f'{key}_median'])} / {_number(f[f'{key}_p95'])}"
-
-
-def by_video(errors: Iterable[PoseErrors]) -> dict[str, dict[str, Json]]:
-    """Return the figures of each video by its id."""
-    return {e.id: figures([e]) for e in errors}

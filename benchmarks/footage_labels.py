@@ -16,7 +16,6 @@ in the order with the smaller error.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.footage import TrackRecord
-from benchmarks.markdown import table
+from benchmarks.markdown import percent, table
 from benchmarks.perception.clip import TruthClipFile
 from benchmarks.perception.summary import percentile
 from kinebench_drake.camera import Camera
@@ -240,12 +239,6 @@ def label_table(groups: Mapping[str, Mapping[str, Json]]) -> list[str]:
     )
     rows = []
     for name, f in groups.items():
-        percent = partial(_percent, f)
         keys = ("tracked", "error_median", "error_p95", "silent", "detected", "frame_error_median")
-        rows.append([name, str(f["frames"]), *map(percent, keys)])
+        rows.append([name, str(f["frames"]), *(percent(f[key]) for key in keys)])
     return table(head, rows)
-
-
-def _percent(figures: Mapping[str, Json], key: str) -> str:
-    value = figures[key]
-    return f"{100 * value:.1f} %" if isinstance(value, int | float) and np.isfinite(value) else "-"

@@ -4,7 +4,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from benchmarks.footage import ReferenceKind, TrackRecord, find_footage, ground_videos, reference_of
-from benchmarks.footage_errors import PoseErrors, by_video, compare, error_table, figures, reliability_table
+from benchmarks.footage_errors import PoseErrors, compare, error_table, figures, reliability_table
 from benchmarks.footage_labels import FootageLabels, compare_labels, label_figures, label_table, read_labels
 from benchmarks.markdown import table
 from benchmarks.perception.clip import TruthClipFile
@@ -80,7 +80,7 @@ def _pose_lines(
     for kind, video, track in pairs:
         errors.setdefault(kind, []).append(compare(video.load(), track))
     kinds = {kind.value: figures(group) for kind, group in errors.items()}
-    single = {name: f for group in errors.values() for name, f in by_video(group).items()}
+    single = {e.id: figures([e]) for group in errors.values() for e in group}
     result["kinds"], result["videos"] = kinds, single
     if not kinds:
         return []

@@ -61,14 +61,9 @@ Costs = Mapping[str, Mapping[Device, Sequence[float]]]
 
 
 def measure(video: Path, work: Path, *, videos: int, turns: int, log: Callable[[str], None]) -> Costs:
-    """Measure everything with and without the GPU, in turn.
+    """Measure everything with and without the GPU, in `turns` turns.
 
-    Args:
-        video: the video whose copies are scored, and whose frames the networks see.
-        work: empty folder for input and results.
-        videos: copies of the video in a run.
-        turns: measurements of each.
-        log: receives each result.
+    Runs are of `videos` copies of `video`, whose frames the networks see, in the empty folder `work`.
 
     Raises:
         UsageError: there is no GPU, or there are not more videos than processes.

@@ -10,6 +10,7 @@ import click
 
 from benchmarks.options import COUNT, EXISTING_FOLDER, FILE, jobs_option, weights_option
 from kinebench_drake.cli.options import check_suffix
+from kinebench_drake.errors import member_of
 
 if TYPE_CHECKING:
     from benchmarks.perception.study import GroundingStudy, StudyOutcome
@@ -227,10 +228,7 @@ def perturb(options: MeasureOptions, only: str, sheet: Path | None, baseline: Pa
     from kinebench_drake.io.figure import save
 
     check_suffix("--sheet", sheet, ".png")
-    try:
-        kinds = [PerturbationKind(name.strip()) for name in only.split(",")]
-    except ValueError:
-        raise click.BadParameter(f"{only!r}; there are {', '.join(_KINDS)}", param_hint="--only") from None
+    kinds = [member_of(PerturbationKind, name.strip(), "only") for name in only.split(",")]
     if baseline:
         from training.baseline.network import Baseline
 

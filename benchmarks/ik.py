@@ -112,15 +112,7 @@ def compare_ik(
     peers: Sequence[Peer] = PEERS,
     log: Callable[[str], None] = lambda text: None,
 ) -> list[IkComparison]:
-    """Draw the tracks of each set and time all solvers on them.
-
-    Args:
-        repeats: number of timed turns of each solver.
-        seed: of the tracks.
-        sets: sets of tracks.
-        peers: solvers.
-        log: receives a line before each set.
-    """
+    """Draw the tracks of each set and time all solvers on them, in `repeats` turns."""
     arm, rng = Arm(), np.random.default_rng(seed)
     comparisons = []
     for tracks in sets:

@@ -1,6 +1,7 @@
 """Markdown pages with generated sections."""
 
 from collections.abc import Iterable, Sequence
+from math import isfinite
 
 _MARK = "\n## "
 
@@ -8,6 +9,11 @@ _MARK = "\n## "
 def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
     """Return the lines of a table."""
     return [f"| {' | '.join(cells)} |" for cells in (head, ["---"] * len(head), *rows)]
+
+
+def percent(value: object) -> str:
+    """Return a share as a percentage; "-" if it is no finite number."""
+    return f"{100 * value:.1f} %" if isinstance(value, int | float) and isfinite(value) else "-"
 
 
 def section(heading: str, *blocks: str | Iterable[str]) -> str:

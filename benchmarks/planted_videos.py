@@ -20,7 +20,6 @@ from typing import Any
 
 import numpy as np
 
-from kinebench_drake.anomaly import AnomalyKind
 from kinebench_drake.errors import InputError, UsageError
 from kinebench_drake.formats.camerafile import save_camera
 from kinebench_drake.io.container import write_video
@@ -37,8 +36,6 @@ from kinebench_drake.suites.rollout import Rollout, RolloutVideo, render_video, 
 
 FPS = 17
 """Frame rate of the mp4; the task time between frames is `FRAME_PERIOD_S`."""
-KINDS = tuple(kind.value for kind in AnomalyKind)
-"""Kinds of faults."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -202,18 +199,6 @@ def parse_seeds(text: str) -> list[int]:
     if not seeds or min(seeds) < 0:
         raise UsageError(f"seeds {text!r}: expected at least one, none negative, such as 0:5")
     return seeds
-
-
-def parse_kinds(text: str) -> tuple[AnomalyKind, ...]:
-    """Parse comma-separated kinds of faults.
-
-    Raises:
-        UsageError: there is no such kind.
-    """
-    try:
-        return tuple(AnomalyKind(kind) for kind in text.split(","))
-    except ValueError:
-        raise UsageError(f"kinds {text!r}; there are {', '.join(KINDS)}") from None
 
 
 def choose_episodes(

@@ -264,14 +264,13 @@ def planted_videos(
         PlantingOrder,
         choose_episodes,
         make_planter,
-        parse_kinds,
         write_index,
     )
     from kinebench_drake.executors.base import WorkerCrash
     from kinebench_drake.executors.local import LocalExecutor
     from kinebench_drake.suites.faults.fault import choose
 
-    grades = choose(parse_kinds(kinds), sizes)
+    grades = choose([member_of(AnomalyKind, kind, "kinds") for kind in kinds.split(",")], sizes)
     specs = choose_episodes(tasks, seeds, suite, split, episodes, first)
     orders = [
         PlantingOrder(

@@ -185,14 +185,7 @@ class TrialWorker:
 
 
 def measure(trials: Sequence[Trial], executor: Executor, observer: Observer, keep: Path | None = None) -> list[Outcome]:
-    """Ground trials, in the order of `trials`.
-
-    Args:
-        trials: videos and presentations.
-        executor: runs them.
-        observer: receives progress.
-        keep: file of finished outcomes, from which the same call goes on; None: none.
-    """
+    """Ground trials, in their order; the same call goes on from the file of finished outcomes, `keep`."""
     base = fingerprint(modules=["kinebench_drake.grounding.video"])
 
     def key(trial: Trial) -> str:

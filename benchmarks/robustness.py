@@ -56,13 +56,7 @@ def measure(
 ) -> StudyOutcome:
     """Ground the videos, unchanged, with true depth and perturbed, and pass the same frames through the baseline.
 
-    Args:
-        heldout: output folder of `suite demos --with-depth`.
-        weights: weights of the baseline.
-        keep: file of finished measurements; an earlier run is resumed.
-        limit: number of videos, tasks in turn; all if None.
-        jobs: worker processes.
-        observer: progress.
+    The folder is one of `suite demos --with-depth`; an earlier run is resumed from the file `keep`.
 
     Raises:
         UsageError: the folder cannot be used, or the baseline was trained for another camera.

@@ -113,13 +113,7 @@ class StageClock:
 
 
 def measure(tasks: Sequence[str] | None, episodes: int, out: Path, observer: RunObserver) -> RoundTiming:
-    """Run episodes of suite 0 with the oracle in this process, one after the other.
-
-    Args:
-        tasks: plain task ids; None: all of the suite.
-        episodes: episodes of each task.
-        out: output folder of the run, which has to be new.
-        observer: progress.
+    """Run episodes of each task of suite 0 (None: all) with the oracle in this process, into the new folder `out`.
 
     Raises:
         UsageError: a task or the folder cannot be used.

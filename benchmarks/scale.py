@@ -45,26 +45,8 @@ _FAILURES = {997: (Status.ERROR, "the file holds no frame that can be decoded ({
 _FAILURES |= {17: (Status.UNMEASURABLE, "the gripper was found in {k} of 49 frames, a path needs 2")}
 """One sample of so many has the status and reason; `k` varies."""
 _BROWSER_LIMIT_S = 300
-_PROBE = """<script>
-addEventListener("load", () => setTimeout(async () => {
-  await window.loaded;
-  const filter = document.getElementById("filter"), state = {};
-  const timed = (name, action) => {
-    const start = performance.now();
-    action();
-    document.body.offsetHeight;
-    state[name] = performance.now() - start;
-  };
-  const type = text => { filter.value = text; filter.dispatchEvent(new Event("input")); };
-  document.body.offsetHeight;
-  state.open_ms = performance.now();
-  timed("filter_ms", () => type("task-07 discontinuity"));
-  timed("again_ms", () => type("model-2"));
-  timed("sort_ms", () => document.querySelectorAll("#samples thead button")[3].click());
-  timed("clear_ms", () => type(""));
-  console.log("STATE" + JSON.stringify(state) + "END");
-}, 0));
-</script></body>"""
+_PROBE = Path(__file__).with_name("browser_probe.html")
+"""End of a page that measures itself in the browser."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -142,15 +124,9 @@ def _link(source: Path, target: Path) -> None:
 def measure(
     videos: Path, template: Path, work: Path, *, rows: int, jobs: int, log: Callable[[str], None]
 ) -> ScaleResult:
-    """Measure every stage of a run.
+    """Measure every stage of a run in the folder `work`, which must hold none yet.
 
-    Args:
-        videos: folder of mp4 files that are linked under many names.
-        template: output folder of `score`.
-        work: folder for input and results; must hold neither yet.
-        rows: number of samples.
-        jobs: worker processes.
-        log: receives a line for each stage.
+    The mp4 files of `videos` are linked under `rows` names; `template` is an output folder of `score`.
 
     Raises:
         UsageError: there is no video, or no sample in the template.
@@ -244,7 +220,7 @@ def time_in_browser(page: Path, work: Path) -> dict[str, float]:
         KinebenchError: the page fails.
     """
     probe = work / "probe.html"
-    probe.write_text(page.read_text().replace("</body>", _PROBE))
+    probe.write_text(page.read_text().replace("</body>", _PROBE.read_text()))
     options = ["--headless", "--no-sandbox", "--disable-gpu", "--window-size=1300,900", "--enable-logging=stderr"]
     options += ["--remote-debugging-port=0", f"--user-data-dir={work / 'browser'}"]  # keeps it open
     process = subprocess.Popen([str(BROWSER), *options, probe.as_uri()], stderr=subprocess.PIPE, text=True)

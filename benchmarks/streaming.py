@@ -67,15 +67,7 @@ def cut_videos(videos: Path, out: Path, count: int, frames: int) -> None:
 def measure(
     videos: Path, work: Path, *, samples: int, frames: int, jobs: int, log: Callable[[str], None]
 ) -> StreamingResult:
-    """Score very many short videos.
-
-    Args:
-        videos: folder of mp4 files that they are cut from.
-        work: folder for input and results; must hold neither yet.
-        samples: number of short videos.
-        frames: frames of each.
-        jobs: worker processes.
-        log: receives progress lines.
+    """Score very many short videos, cut from a folder's, in the folder `work`, which must hold none yet.
 
     Raises:
         UsageError: nothing can be cut from the videos.

@@ -112,12 +112,11 @@ def _git(repository: Path, *arguments: str, stdin: bytes | None = None) -> bytes
 
 
 def current_revision(repository: Path) -> str:
-    """Return the name of the revision checked out, with -dirty if files differ from it.
-
-    Raises:
-        UsageError: it is no repository.
-    """
-    return _git(repository, "describe", "--always", "--abbrev=12", "--dirty").decode().strip()
+    """Return the name of the revision checked out, -dirty if files differ; "unknown" without a repository."""
+    try:
+        return _git(repository, "describe", "--always", "--abbrev=12", "--dirty").decode().strip()
+    except UsageError:
+        return "unknown"
 
 
 def _lines(texts: Iterable[str]) -> int:

@@ -84,15 +84,9 @@ RunCosts = Mapping[Setting, Sequence[RunCost]]
 
 
 def measure(video: Path, work: Path, *, videos: int, tracks: int, turns: int, log: Callable[[str], None]) -> RunCosts:
-    """Run every setting `turns` times, in turn, without a GPU.
+    """Run every setting `turns` times, in turn, without a GPU, in the empty folder `work`.
 
-    Args:
-        video: the video whose copies are scored.
-        work: empty folder for input and results.
-        videos: copies of the video in a run.
-        tracks: trajectories in an audit.
-        turns: number of runs of each setting.
-        log: receives a line before each run.
+    A run of `score` has `videos` copies of `video`, one of `audit` `tracks` trajectories.
 
     Raises:
         UsageError: there are not more samples than processes.

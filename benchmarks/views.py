@@ -94,13 +94,9 @@ def try_clip(id: str, name: str, path: Path, pipeline: GroundingPipeline) -> Vie
 
 
 def measure(specs: Sequence[EpisodeSpec], names: Sequence[str], out: Path, *, log: Callable[[str], None]) -> str:
-    """Render and ground clips, write views.md, and return it.
+    """Render and ground a clip of each episode, with changes of the view in turn; write views.md, and return it.
 
-    Args:
-        specs: episodes; each has one change, in turn.
-        names: names of changes (`CHANGES`).
-        out: output folder; finished clips and measurements are kept.
-        log: receives a line per clip.
+    Finished clips and measurements are kept in the folder `out`.
     """
     make_folder(out / "clips")
     base = fingerprint(modules=["kinebench_drake.grounding.pipeline"])

@@ -126,7 +126,6 @@ class Shards:
         self.folders = tuple(folders)
         self._arrays: list[dict[str, NDArray[np.generic]]] = []
         self._index: list[tuple[int, int]] = []
-        self._names: list[str] = []
         for folder in folders:
             paths = sorted(p.parent for p in folder.glob("*/truth.npz"))
             if not paths:
@@ -137,19 +136,10 @@ class Shards:
                     arrays |= {n: truth[n] for n in truth.files}
                 self._index += [(len(self._arrays), i) for i in range(len(arrays["finger_m"]))]
                 self._arrays.append(arrays)
-                self._names.append(folder.name)
 
     def __len__(self) -> int:
         """Return the number of frames."""
         return len(self._index)
-
-    def folder(self, index: int) -> str:
-        """Return the name of the folder that holds frame `index`."""
-        return self._names[self._index[index][0]]
-
-    def number(self, index: int) -> int:
-        """Return the number of the shard that holds frame `index`."""
-        return self._index[index][0]
 
     def __getitem__(self, index: int) -> RenderedFrame:
         """Return frame `index`."""

@@ -76,10 +76,6 @@ def forward(network: nn.Module, batch: Batch) -> DenseOutput:
 def train(config: TrainingConfig, report: Callable[[str], None]) -> Path:
     """Train, or resume from the last checkpoint in `config.out`; return the path of the weights.
 
-    Args:
-        config: inputs and settings.
-        report: called with lines of text on the progress.
-
     Raises:
         UsageError: `config.data` holds no frames, or `config.out` holds another training.
     """

@@ -76,9 +76,7 @@ def evaluation(variant: str) -> GroundingStudy:
 def robustness(kinds: Sequence[PerturbationKind], baseline: Path | None = None) -> GroundingStudy:
     """Return the study of unchanged frames and of each kind of perturbation at its strengths.
 
-    Args:
-        kinds: kinds of perturbations.
-        baseline: weights of the learned baseline, to be measured on the same frames; None for the grounding alone.
+    With the weights `baseline`, the learned baseline is measured on the same frames.
     """
     steps = [p for kind in kinds for p in ladder(kind)]
     conditions = [CLEAN, *(TrialCondition(name=p.label, perturbation=p, group=p.kind.value) for p in steps)]

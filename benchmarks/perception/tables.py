@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.markdown import table
 from benchmarks.perception.errors import ClipErrors
 from benchmarks.perception.summary import (
     ACCURACY,
@@ -32,16 +33,6 @@ COMPARED = {
 PERCENTILES = (5, 25, 50, 75, 95)
 """Percentiles of errors in files."""
 _SHARES = frozenset({"tracked_fraction", "tracked_when_seen", "tracked_frames_off_by_3_cm"})
-
-
-def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> Iterator[str]:
-    """Yield the lines of a table with columns of equal width; the first is left-aligned, the others right-aligned."""
-    widths = [max(len(row[i]) for row in (header, *rows)) for i in range(len(header))]
-    for row in (header, *rows):
-        first, *rest = (
-            cell.rjust(w) if i else cell.ljust(w) for i, (cell, w) in enumerate(zip(row, widths, strict=True))
-        )
-        yield "  ".join((first, *rest)).rstrip()
 
 
 def video_line(e: ClipErrors) -> str:

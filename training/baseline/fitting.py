@@ -228,10 +228,6 @@ def losses(output: PoseOutput, batch: dict[str, Tensor]) -> LossTerms:
 def train(config: BaselineConfig, report: Callable[[str], None]) -> Path:
     """Train, or resume from the last checkpoint in `config.out`; return the path of the weights.
 
-    Args:
-        config: inputs and settings.
-        report: called with lines of text on the progress.
-
     Raises:
         UsageError: the data cannot be used, or `config.out` holds a training with other settings.
     """
