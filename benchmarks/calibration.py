@@ -84,16 +84,8 @@ def measure(
 ) -> Iterator[CalibrationTrial]:
     """Calibrate the cameras of a demonstration folder's videos.
 
-    Args:
-        folder: output of `suite demos`: videos, camera.json, manifest.jsonl and truth/.
-        limit: maximum number of videos, tasks in turn.
-        frames: frames of each video to use.
-        part: share of each image's width and height to keep, in the middle: less is a longer focal length.
-        conditions: prior information.
-        calibrator: with the tracker's networks if None.
-
-    Yields:
-        Trials, video by video.
+    Of at most `limit` videos, tasks in turn, `frames` frames each are used; of each image's width and height the share
+    `part` in the middle, which is a longer focal length. Trials come video by video.
 
     Raises:
         UsageError: the folder holds no such videos, or their truth no joint angles.

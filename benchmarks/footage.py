@@ -101,14 +101,10 @@ class ObservedPipeline(GroundingPipeline):
 def ground_video(
     pipeline: ObservedPipeline, video: TruthClipFile, overlay: Path | None, *, window: bool
 ) -> TrackRecord:
-    """Ground a video with its camera.
+    """Ground a video with its camera, and draw the tracked gripper on it into the file `overlay`.
 
-    Args:
-        pipeline: pipeline.
-        video: the video; its reference does not enter, but for `window`.
-        overlay: file for the tracked gripper drawn on the video.
-        window: cut the frames to the square that the gripper moves in by the reference: the difference that a perfect
-            detection would make.
+    With `window` the frames are cut to the square that the gripper moves in by the reference, which does not enter
+    otherwise: the difference that a perfect detection would make.
     """
     frames, camera = read_video(video.video).frames, video.camera
     camera = camera.resized(frames.shape[2], frames.shape[1])

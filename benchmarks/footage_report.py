@@ -30,15 +30,8 @@ def measure(
 ) -> str:
     """Ground the videos of a folder, write footage.json and footage.md, and return the Markdown.
 
-    Args:
-        folder: see `find_footage`.
-        out: output folder.
-        names: ids of videos to measure; all if None.
-        weights: weights in place of those shipped.
-        calibration: calibration of the confidence in place of that shipped.
-        gripper: of others than Franka's the arm alone is measured.
-        window: cut frames to where the reference is; only with reference poses.
-        log: receives a line per video.
+    All videos of `find_footage` if `names` is None. Weights and calibration take the place of those shipped; with
+    `window` frames are cut to where the reference is, of videos with reference poses.
 
     Raises:
         UsageError: the folder has no such videos.

@@ -160,7 +160,7 @@ def gate(jobs: int) -> None:
     own, as `cameras` takes it.
     """
     one_thread()
-    from benchmarks.gate import CLIPS, CLIPS_VARIABLE, run_gate
+    from benchmarks.presentations import CLIPS, CLIPS_VARIABLE, run_gate
     from kinebench_drake.cli.progress import ProgressView
     from kinebench_drake.executors.local import LocalExecutor
 

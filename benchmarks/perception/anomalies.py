@@ -84,10 +84,7 @@ def make_detector(weights: Path | None) -> Callable[[TruthClipFile], ClipAnomali
 def find_cases(clean: Path, faulty: Path, limit: int | None) -> list[TruthClipFile]:
     """Return clean clips, then clips with planted anomalies.
 
-    Args:
-        clean: folder of clean videos.
-        faulty: folder of videos with planted anomalies.
-        limit: number of clean videos, and of videos of each kind, size and form, taken from all tasks in turn.
+    At most `limit` clean ones, and of each kind, size and form, taken from all tasks in turn.
 
     Raises:
         UsageError: a folder lacks its manifest or ground truth, or a faulty clip its planted anomaly.

@@ -7,8 +7,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.gate import CLIPS, check_outcomes, find_trials
-from benchmarks.presentations import RIGHT_M, WRONG_M, WRONG_RAD, Outcome, Presentation, Verdict, summary_table
+from benchmarks.presentations import (
+    CLIPS,
+    RIGHT_M,
+    WRONG_M,
+    WRONG_RAD,
+    Outcome,
+    Presentation,
+    Verdict,
+    check_outcomes,
+    find_trials,
+    summary_table,
+)
 from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.geometry import invert
 
