@@ -10,6 +10,7 @@ succeeds where the true one fails, or fails where that succeeds: the failure is 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -108,14 +109,6 @@ class _Worker:
         self._executor.close()
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _WorkerFactory:
-    weights: Path
-
-    def __call__(self) -> _Worker:
-        return _Worker(self.weights)
-
-
 def _track(t_s: Array, X_BG: Array, finger_width_m: Array) -> GripperTrack:
     """Return the track of poses (T, 4, 4) that are certain where they are finite."""
     tracked: NDArray[np.bool_] = np.asarray(np.isfinite(X_BG).all(axis=(1, 2)))
@@ -159,7 +152,7 @@ def measure(work: Path, weights: Path, jobs: int, observer: RunObserver) -> list
         items,
         lambda item: f"{code[item.extractor]}-{fingerprint(files=[item.video, item.truth])}-{item.id}",
         LocalExecutor(jobs=jobs),
-        _WorkerFactory(weights=weights),
+        partial(_Worker, weights),
         observer,
         lambda item: f"{item.id}  {item.extractor.value}",
     )

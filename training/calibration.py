@@ -1,8 +1,9 @@
 """Calibration of the confidence on held-out videos (`python -m training calibrate`)."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -145,32 +146,27 @@ def wrong_camera(camera: Camera, seed: Sequence[int]) -> Camera:
     return replace(camera, fx=camera.fx * factor, fy=camera.fy * factor)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class CalibrationWorkerFactory:
-    """Creates, in each process, the function that measures a video."""
+class CalibrationWorker:
+    """Measures videos."""
 
-    weights: Path | None
-    """Weights in place of those shipped."""
-
-    def __call__(self) -> Callable[[CalibrationItem], MeasuredPoses]:
-        """Return the function that measures one item.
+    def __init__(self, weights: Path | None) -> None:
+        """Load the pipeline; `weights` in place of those shipped.
 
         Raises:
             SetupError: weights, CAD model or native libraries are missing.
         """
-        pipeline = GroundingPipeline.create(weights=self.weights)
+        self._pipeline = GroundingPipeline.create(weights=weights)
 
-        def measure(item: CalibrationItem) -> MeasuredPoses:
-            clip, frames = item.clip.load(), read_video(item.clip.video).frames
-            video = degrade_video(frames, clip, item.degradation, [0, item.number])
-            camera = clip.camera.resized(frames.shape[2], frames.shape[1])
-            if item.degradation is VideoDegradation.CAMERA:
-                camera = wrong_camera(camera, [0, item.number])
-            absent = item.degradation is VideoDegradation.ABSENT
-            X_true = np.full_like(clip.X_CH, np.nan) if absent else clip.X_CH
-            return MeasuredPoses.from_observation(pipeline.observe(video, camera, clip.t_s), X_true)
-
-        return measure
+    def __call__(self, item: CalibrationItem) -> MeasuredPoses:
+        """Measure one item."""
+        clip, frames = item.clip.load(), read_video(item.clip.video).frames
+        video = degrade_video(frames, clip, item.degradation, [0, item.number])
+        camera = clip.camera.resized(frames.shape[2], frames.shape[1])
+        if item.degradation is VideoDegradation.CAMERA:
+            camera = wrong_camera(camera, [0, item.number])
+        absent = item.degradation is VideoDegradation.ABSENT
+        X_true = np.full_like(clip.X_CH, np.nan) if absent else clip.X_CH
+        return MeasuredPoses.from_observation(self._pipeline.observe(video, camera, clip.t_s), X_true)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -212,14 +208,14 @@ def calibrate_confidence(
     """
     items = config.items()
     weights = [config.weights] if config.weights else []
-    base = fingerprint(modules=[CalibrationWorkerFactory.__module__], files=weights)
+    base = fingerprint(modules=[CalibrationWorker.__module__], files=weights)
     digests = {item.clip.id: item.clip.digest() for item in items}
     store = MeasurementStore(config.keep, MeasuredPoses)
     measured = store.complete(
         items,
         lambda item: f"{base}-{digests[item.clip.id]}-{item.number}-{item.degradation.value}",
         executor,
-        CalibrationWorkerFactory(weights=config.weights),
+        partial(CalibrationWorker, config.weights),
         observer,
         lambda item: f"{item.clip.id}  {item.degradation.value}",
     )
