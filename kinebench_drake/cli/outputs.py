@@ -61,17 +61,17 @@ def compare(folders: tuple[Path, ...], out: Path | None) -> None:
     runs = read_runs(folders)
     if any(run.kind == "suite" for run in runs):
         from kinebench_drake.report.number import executable_lines
-        from kinebench_drake.report.suite.comparison import comparison_lines, read_comparison
-        from kinebench_drake.report.suite.folders import spec_warnings
+        from kinebench_drake.report.suite.comparison import pair_lines, read_comparison
+        from kinebench_drake.report.suite.pooling import spec_warnings
         from kinebench_drake.report.suite.suite_page import write_comparison
 
         episodes = read_comparison(folders)
-        for warning in spec_warnings(episodes.folders):
+        for warning in spec_warnings(episodes.runs):
             click.echo(f"warning: {warning}", err=True)
         page = None if out is None else write_comparison(episodes, out)
-        lines = [*executable_lines(episodes.numbers), *comparison_lines(episodes.pairs)]
+        lines = [*executable_lines(episodes.numbers), *pair_lines(episodes.pairs)]
     else:
-        from kinebench_drake.report.comparison_page import (
+        from kinebench_drake.report.sample_comparison import (
             compare_samples,
             sample_comparison_lines,
             write_sample_comparison,
@@ -164,7 +164,7 @@ def view(out: Path, id: str, urdf: Path | None, opened: bool) -> None:
 
 def _plant(out: Path, urdf: Path | None) -> "ArmPlant":
     """Load the robot that a run was judged with."""
-    from kinebench_drake.report.page import read_results
+    from kinebench_drake.report.run import read_results
 
     config = as_object(read_results(out).get("config"))
     robot, tcp_frame = config.get("robot"), config.get("tcp_frame")

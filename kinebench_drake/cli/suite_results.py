@@ -30,7 +30,7 @@ def ceiling(folders: tuple[Path, ...], out: Path | None, jobs: int) -> None:
     from kinebench_drake.closed_loop.tolerance import run_attempts
     from kinebench_drake.executors.base import ExecutorKind, create_executor
     from kinebench_drake.report.run import check_page_folder
-    from kinebench_drake.report.suite.comparison import ceiling_lines, comparison_lines, read_ceiling
+    from kinebench_drake.report.suite.comparison import ceiling_lines, pair_lines, read_ceiling
     from kinebench_drake.report.suite.suite_page import write_comparison
 
     if out is not None:
@@ -39,7 +39,7 @@ def ceiling(folders: tuple[Path, ...], out: Path | None, jobs: int) -> None:
     with ProgressView() as view, terminate_as_interrupt():
         comparison = read_ceiling(folders, lambda episodes: run_attempts(executor, episodes, (), view))
     page = None if out is None else write_comparison(comparison, out)
-    for line in (*comparison_lines(comparison.pairs), "", *ceiling_lines(comparison.pairs)):
+    for line in (*pair_lines(comparison.pairs), "", *ceiling_lines(comparison.pairs)):
         click.echo(line)
     if page is not None:
         click.echo(page)
@@ -66,8 +66,7 @@ def report(folders: tuple[Path, ...], out: Path, paper: bool) -> None:
 
     Folders of one model on one suite are pooled, such as shards, unless their tags or settings differ.
     """
-    from kinebench_drake.report.suite.paper import write_paper_report
-    from kinebench_drake.report.suite.suite_page import write_suite_report
+    from kinebench_drake.report.suite.suite_page import write_paper_report, write_suite_report
 
     write = write_paper_report if paper else write_suite_report
     page = write(folders, out, warn=lambda message: click.echo(f"warning: {message}", err=True))

@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
-from markupsafe import Markup, escape
+from markupsafe import Markup
 
 from kinebench_drake.geometry import Array
 from kinebench_drake.report import plot
@@ -15,7 +15,7 @@ from kinebench_drake.segments import segments
 
 NEAR = 0.1
 """Margin below which a joint is near its limit, as a share of half its range."""
-_LEFT, _RIGHT, _LANE, _TALL, _BOTTOM = 44.0, 44.0, 25.0, 21.0, 20.0
+_LEFT, _RIGHT, _LANE, _TALL, _BOTTOM = 44.0, plot.WIDTH - 44.0, 25.0, 21.0, 20.0
 _BEYOND = 1.15
 """Half ranges from the centre up to which a joint's line is drawn."""
 _TITLES = {
@@ -115,47 +115,39 @@ def draw_joint_ranges(t_s: Array, q: Array, limits: JointLimits, names: Sequence
         return None
     lower, upper = limits.position
     place = (q - 0.5 * (lower + upper)) / (0.5 * (upper - lower))
-    height = _LANE * len(names) + _BOTTOM
-    span = float(t_s[-1] - t_s[0]) or 1.0
-    x = _LEFT + (t_s - t_s[0]) / span * (plot.WIDTH - _LEFT - _RIGHT)
-    parts = [
-        plot.draw_tick(_LEFT + (time - float(t_s[0])) / span * (plot.WIDTH - _LEFT - _RIGHT), height, f"{time:.4g}")
-        for time in plot.round_ticks(float(t_s[0]), float(t_s[-1]))
+    x = plot.Axis(float(t_s[0]), float(t_s[-1]), _LEFT, _RIGHT)
+    degrees = np.stack(limits.position) * 180.0 / np.pi
+    lanes = [
+        {
+            "name": name,
+            "range": f"{limits.joints[j]}: {degrees[0, j]:.1f}° to {degrees[1, j]:.1f}°",
+            **_draw_lane(x, t_s, place[:, j], 1.0 + j * _LANE),
+        }
+        for j, name in enumerate(names)
     ]
-    for j, name in enumerate(names):
-        top = 1.0 + j * _LANE
-        low, high = (float(end[j]) * 180.0 / np.pi for end in limits.position)
-        tooltip = escape(f"{limits.joints[j]}: {low:.1f}° to {high:.1f}°")
-        parts.append(
-            f'<rect class="rail" x="{_LEFT:.0f}" y="{top:.1f}" width="{plot.WIDTH - _LEFT - _RIGHT:.0f}" '
-            f'height="{_TALL:.0f}"><title>{tooltip}</title></rect>'
-            f'<text class="tick" x="{_LEFT - 6:.0f}" y="{top + 14.5:.1f}">{escape(name)}</text>'
-        )
-        parts += _draw_lane(x, t_s, place[:, j], top)
-    key = '<span class="lamp near">near a limit</span><span class="lamp violation">beyond it</span>'
-    caption = f"Joint angles within their limits; right: minimum margin{key}"
-    return plot.wrap_svg(parts, height, "Joint angles within their limits", caption, css="ranges")
+    height = _LANE * len(names) + _BOTTOM
+    size = {"height": height, "left": _LEFT, "right": _RIGHT, "tall": _TALL}
+    return plot.render_plot("joint_ranges", **size, ticks=x.ticks(), lanes=lanes, near=NEAR)
 
 
-def _draw_lane(x: Array, t_s: Array, place: Array, top: float) -> Iterator[str]:
-    """Draw shades, line and minimum margin of one joint; `place` is -1 at its lower limit and 1 at its upper one."""
+def _draw_lane(x: plot.Axis, t_s: Array, place: Array, top: float) -> dict[str, object]:
+    """Return shades, line and minimum margin of one joint; `place` is -1 at its lower limit and 1 at its upper one."""
     finite = np.isfinite(place)
     if not finite.any():
-        return
+        return {"top": top, "shades": [], "pieces": [], "margin": None}
     margin = 1.0 - np.abs(np.where(finite, place, 0.0))
-    half = 0.5 * (x[-1] - x[0]) / max(len(x) - 1, 1)
+    at = np.array([x(t) for t in t_s])
+    half = 0.5 * (at[-1] - at[0]) / max(len(at) - 1, 1)
+    shades = []
     for css, mask in (("near", (margin < NEAR) & (margin >= 0.0)), ("past", margin < 0.0)):
         for run in segments(mask & finite):
-            reach, times = x[run], t_s[run]
-            left, right = max(reach[0] - half, x[0]), min(reach[-1] + half, x[-1])
+            reach, times = at[run], t_s[run]
+            left, right = max(reach[0] - half, at[0]), min(reach[-1] + half, at[-1])
             text = f"margin {margin[run].min():.3f}, {times[0]:.2f} to {times[-1]:.2f} s"
-            yield (
-                f'<rect class="shade-{css}" x="{left:.1f}" y="{top:.1f}" width="{max(right - left, 1.5):.1f}" '
-                f'height="{_TALL:.0f}"><title>{text}</title></rect>'
-            )
+            shades.append((css, left, max(right - left, 1.5), text))
     middle, scale = top + 0.5 * _TALL, 0.5 * _TALL
-    for piece in plot.finite_pieces(x, np.clip(place, -_BEYOND, _BEYOND)):
-        yield plot.draw_line([(at, middle - value * scale) for at, value in piece], "c0")
-    least = float(margin[finite].min())
-    css = " past" if least < 0.0 else " near" if least < NEAR else ""
-    yield f'<text class="tick margin{css}" x="{plot.WIDTH - _RIGHT + 6:.0f}" y="{top + 14.5:.1f}">{least:.2f}</text>'
+    pieces = [
+        [(across, middle - value * scale) for across, value in piece]
+        for piece in plot.finite_pieces(at, np.clip(place, -_BEYOND, _BEYOND))
+    ]
+    return {"top": top, "shades": shades, "pieces": pieces, "margin": float(margin[finite].min())}

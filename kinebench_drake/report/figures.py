@@ -1,7 +1,7 @@
 """Matplotlib figures of reports as files and as parts of pages; figures and tables of one run as files."""
 
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -9,13 +9,14 @@ from typing import TYPE_CHECKING, Any
 from markupsafe import Markup, escape
 
 from kinebench_drake.io.atomic import atomic_path, write_atomically
-from kinebench_drake.io.figure import new_figure, plain, save, shorten
+from kinebench_drake.io.figure import FAINT, new_figure, plain, save, shorten
 from kinebench_drake.metrics.executable import FailureVerdict
 from kinebench_drake.report.metric import layout_of
-from kinebench_drake.report.page import SampleGroup, bootstrap_seed, count_metrics, group_rows, read_results
+from kinebench_drake.report.page import SampleGroup, bootstrap_seed, count_metrics, group_rows
 from kinebench_drake.report.plot import Histogram
+from kinebench_drake.report.run import read_results
 from kinebench_drake.report.sample import VERDICT_LABELS, badness, verdict_of
-from kinebench_drake.report.table import format_csv
+from kinebench_drake.report.table import format_csv, read_caption
 from kinebench_drake.report.timeline import LEGEND, FaultLane, anomalies_of, fault_lanes, frame_count
 from kinebench_drake.results.aggregate import VERDICT_SHARES, Estimate, RunStatistics
 from kinebench_drake.results.row import SampleRow, Status
@@ -49,6 +50,11 @@ class ReportFigure:
     figure: "Figure"
 
 
+def make_figure(key: str, figure: "Figure", **values: object) -> ReportFigure:
+    """Give a figure its name and texts in captions.toml, with `values` in their placeholders."""
+    return ReportFigure(**read_caption("figures", key, **values), figure=figure)
+
+
 def style(index: int) -> tuple[str, str]:
     """Return colour and marker of a model by its number."""
     return COLOURS[index % len(COLOURS)], _MARKERS[index % len(_MARKERS)]
@@ -74,6 +80,48 @@ def draw_interval(ax: Any, value: Estimate, y: float, colour: str, marker: str) 
     if value.low is not None and value.high is not None:
         ax.plot([value.low, value.high], [y, y], color=colour, linewidth=1.2, solid_capstyle="round")
     ax.plot([value.mean], [y], color=colour, marker=marker, markersize=4)
+
+
+def draw_intervals(
+    rows: Sequence[str],
+    estimates: Mapping[str, Sequence[tuple[str, Estimate]]],
+    numbers: Mapping[str, int],
+    label: str,
+    low: float = 0.0,
+) -> "Figure":
+    """Draw shares as points with intervals: a line per row, the models beside each other.
+
+    Args:
+        rows: labels of the lines, from bottom to top.
+        estimates: rows and their shares by model.
+        numbers: number of each model, see `assign_numbers`.
+        label: label of the horizontal axis.
+        low: its lower end; 0 is marked if it lies within.
+    """
+    figure, axes = new_figure(7.2, 1.3 + len(rows) * max(0.3, 0.1 + 0.1 * len(estimates)))
+    ax = axes[0, 0]
+    for k, (model, own) in enumerate(estimates.items()):
+        colour, marker = style(numbers[model])
+        offset = 0.62 * (0.5 - (k + 0.5) / len(estimates))
+        for row, value in own:
+            draw_interval(ax, value, rows.index(row) + offset, colour, marker)
+        ax.plot([], [], color=colour, marker=marker, markersize=4, linewidth=1.2, label=plain(shorten(model)))
+    if low < 0.0:
+        ax.axvline(0.0, color=FAINT, linewidth=1.2, zorder=1)
+    label_shares(ax, rows, label, low)
+    add_legend(figure, list(estimates))
+    return figure
+
+
+def stack_bars(
+    ax: Any, places: Sequence[int], lengths: Mapping[str, Sequence[float]], colours: Mapping[str, str], **options: Any
+) -> None:
+    """Draw stacked horizontal bars at `places` in the order of `colours`; `lengths` are by name of the colour."""
+    left = [0.0] * len(places)
+    for name, colour in colours.items():
+        if any(lengths[name]):
+            ax.barh(places, lengths[name], left=left, color=colour, **{"label": name, **options})
+            left = [a + b for a, b in zip(left, lengths[name], strict=True)]
 
 
 def label_shares(ax: Any, rows: Sequence[str], label: str, low: float = 0.0) -> None:
@@ -258,12 +306,10 @@ def _draw_verdicts(groups: Sequence[SampleGroup]) -> "Figure":
 
     figure, axes = new_figure(7.0, 1.2 + 0.26 * len(groups))
     ax = axes[0, 0]
-    left = [0] * len(groups)
-    for verdict, colour in _VERDICT_COLOURS.items():
-        counts = [group.verdicts.get(verdict, 0) for group in groups]
-        if any(counts):
-            ax.barh(range(len(groups)), counts, left=left, color=colour, label=VERDICT_LABELS[verdict], height=0.7)
-            left = [a + b for a, b in zip(left, counts, strict=True)]
+    counts = {verdict: [group.verdicts.get(verdict, 0) for group in groups] for verdict in _VERDICT_COLOURS}
+    named = {VERDICT_LABELS[verdict]: own for verdict, own in counts.items()}
+    colours = {VERDICT_LABELS[verdict]: colour for verdict, colour in _VERDICT_COLOURS.items()}
+    stack_bars(ax, range(len(groups)), named, colours, height=0.7)
     ax.set_yticks(range(len(groups)), [plain(shorten(group.name)) for group in groups], fontsize=8)
     ax.invert_yaxis()
     ax.set_xlabel("samples")

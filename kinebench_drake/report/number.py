@@ -2,16 +2,16 @@
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import groupby
 
 import numpy as np
 
 from kinebench_drake.geometry import Array
 from kinebench_drake.io.figure import FAINT, new_figure, plain, shorten
-from kinebench_drake.report.figures import COLOURS, ReportFigure, draw_interval
+from kinebench_drake.report.figures import COLOURS, ReportFigure, draw_interval, make_figure
 from kinebench_drake.report.metric import BY_NAME, Metric
-from kinebench_drake.report.table import Column, Table, Value, format_interval, format_value, table_lines
+from kinebench_drake.report.table import Table, Value, format_interval, format_value, make_table, table_lines
 from kinebench_drake.results.aggregate import VERDICT_SHARES, Estimate, estimate
 from kinebench_drake.results.direction import LOWER_IS_BETTER
 from kinebench_drake.results.row import SampleRow, Status
@@ -120,12 +120,12 @@ def compare_numbers(
     for task, own, names in groups:
         for name in names:
             if any(value_of(row, name) is not None for pair in pairs for rows in pair for row in rows):
-                compared = _compare(NUMBERS[name], own, seed)
-                comparisons.append(replace(compared, part=part, task=task, first=first, second=second))
+                compared = _compare(NUMBERS[name], own, seed, part=part, task=task, first=first, second=second)
+                comparisons.append(compared)
     return comparisons
 
 
-def _compare(metric: Metric, pairs: Sequence[RowsPair], seed: int) -> NumberComparison:
+def _compare(metric: Metric, pairs: Sequence[RowsPair], seed: int, **labels: str) -> NumberComparison:
     """Compare one number; a missing truth value is false, any other missing value worse than all.
 
     An episode has the mean of its samples, and is complete if all of them have a value.
@@ -141,11 +141,8 @@ def _compare(metric: Metric, pairs: Sequence[RowsPair], seed: int) -> NumberComp
     ranked = filled if share else np.where(np.isnan(values), -np.inf, sign * values)
     means = [_mean(own, share, seed) for own in complete.T.tolist()]
     return NumberComparison(
-        part="",
-        task="",
+        **labels,
         metric=metric,
-        first="",
-        second="",
         shared=len(values),
         means=(means[0], means[1]),
         difference=_difference(complete, len(values), share, seed),
@@ -190,77 +187,40 @@ def share_difference(paired: PairedShares, total: int | None = None) -> Estimate
 
 def tabulate_numbers(comparisons: Sequence[NumberComparison]) -> Table:
     """Build the table of compared numbers, one per row."""
-    columns = (
-        Column(key="part", label="Suite"),
-        Column(key="first", label="First"),
-        Column(key="second", label="Second"),
-        Column(key="task", label="Task"),
-        Column(key="number", label="Number"),
-        Column(key="first_mean", label="Mean, first", estimated=True),
-        Column(key="second_mean", label="Mean, second", estimated=True),
-        Column(key="difference", label="Difference", estimated=True, signed=True),
-        Column(key="complete", label="Complete", meaning="samples that have the number for both"),
-        Column(key="shared", label="Shared", meaning="samples that both have a row of"),
-        Column(key="first_better", label="First better", meaning="shared samples; a missing value is worse than any"),
-        Column(key="second_better", label="Second better", meaning="shared samples; a missing value is worse than any"),
-        Column(key="p", label="p", pattern="{:.3g}", meaning="exact sign test of the two columns to the left"),
-        Column(
-            key="bound", label="Bound of the difference", estimated=True, signed=True,
-            meaning="over all shared samples, a missing value counted as the worst",
-        ),
-        Column(key="metric", label="Key", meaning="name in samples.jsonl"),
-    )  # fmt: skip
-    shown = [k for k, column in enumerate(columns) if column.key != "part" or any(c.part for c in comparisons)]
-    place = next(k for k, j in enumerate(shown) if columns[j].key == "difference")
-    rows = [_row(c) for c in comparisons]
-    return Table(
-        name="numbers",
-        title="Numbers on shared samples",
-        note="↑: higher is better, ↓: lower is better. Means and difference (first minus second) over the samples that "
-        "both have complete, with 95 % intervals: for shares Wilson and, for their difference, Newcombe's method 10; "
-        "for means bootstrap over samples, paired for their difference. Better: the shared samples in which a model "
-        "has the better value, where a missing value is worse than any and two missing ones are equal; p: exact sign "
-        "test of these counts, not adjusted for the number of rows. Bound: the difference over all shared samples, a "
-        "missing value counted as the worst that either model has, a missing truth value as false. Bold: the intervals "
-        "of difference and bound exclude 0 on the same side, and p < 0.05. Of an episode with several samples the "
-        "values are means over them, with bootstrap intervals over episodes.",
-        columns=tuple(columns[k] for k in shown),
-        rows=tuple(tuple(row[k] for k in shown) for row in rows),
-        bold=frozenset((i, place) for i, c in enumerate(comparisons) if c.is_clear),
-        patterns=tuple(c.metric.pattern for c in comparisons),
+    return make_table(
+        "numbers",
+        map(_row, comparisons),
+        bold=((i, "difference") for i, c in enumerate(comparisons) if c.is_clear),
+        patterns=(c.metric.pattern for c in comparisons),
     )
 
 
-def _row(c: NumberComparison) -> tuple[Value, ...]:
-    arrow = "↓" if c.metric.name in LOWER_IS_BETTER else "↑"
-    return (
-        *(c.part, c.first, c.second, c.task, f"{c.metric.label} {arrow}"),
-        *(None if e.n == 0 else e for e in (*c.means, c.difference)),
-        *(c.difference.n, c.shared, *c.better, c.p_value),
-        None if c.bound.n == 0 else c.bound,
-        c.metric.name,
-    )
+def _row(c: NumberComparison) -> dict[str, Value]:
+    estimates = {"first_mean": c.means[0], "second_mean": c.means[1], "difference": c.difference, "bound": c.bound}
+    return {
+        **({"part": c.part} if c.part else {}),
+        **{"first": c.first, "second": c.second, "task": c.task, "metric": c.metric.name},
+        "number": f"{c.metric.label} {'↓' if c.metric.name in LOWER_IS_BETTER else '↑'}",
+        **{key: value for key, value in estimates.items() if value.n},
+        **{"complete": c.difference.n, "shared": c.shared, "p": c.p_value},
+        **{"first_better": c.better[0], "second_better": c.better[1]},
+    }
 
 
 def number_lines(comparisons: Sequence[NumberComparison]) -> Iterator[str]:
     """Format the comparison of all tasks together for a terminal, one block per pair of models and part."""
-    table = tabulate_numbers([c for c in comparisons if c.task == ALL_TASKS])
+    return comparison_lines(tabulate_numbers([c for c in comparisons if c.task == ALL_TASKS]), _PRINTED)
+
+
+def comparison_lines(table: Table, printed: Sequence[str]) -> Iterator[str]:
+    """Format the `printed` columns of a comparison for a terminal, one block per pair of models and part."""
     keys = [column.key for column in table.columns]
     heads = [keys.index(key) for key in ("first", "second", "part") if key in keys]
-    printed = [keys.index(key) for key in _PRINTED]
-    lines = [(tuple(row[k] for k in heads), i, tuple(row[k] for k in printed)) for i, row in enumerate(table.rows)]
-    for (first, second, *part), block in groupby(lines, key=lambda line: line[0]):
-        own = list(block)
-        yield ", ".join([f"{first} - {second}", *map(str, part)])
-        yield from table_lines(
-            replace(
-                table,
-                columns=tuple(table.columns[k] for k in printed),
-                rows=tuple(cells for *_, cells in own),
-                patterns=tuple(table.patterns[i] for _, i, _ in own),
-                bold=frozenset(),
-            )
-        )
+    for (first, second, *part), rows in groupby(
+        range(len(table.rows)), key=lambda i: [str(table.rows[i][k]) for k in heads]
+    ):
+        yield ", ".join([f"{first} - {second}", *part])
+        yield from table_lines(table.select(printed, list(rows)))
         yield ""
     yield table.note
 
@@ -306,14 +266,7 @@ def draw_numbers(comparisons: Sequence[NumberComparison]) -> ReportFigure | None
         ax.set_yticks(range(len(lines)), [plain(_line_label(*line)) for line in lines[::-1]], fontsize=7)
     for ax in axes.flat[len(names) :]:
         ax.set_visible(False)
-    return ReportFigure(
-        name="number_differences",
-        title="Differences of the numbers",
-        caption="First minus second model over the samples that both have complete, all tasks together, with 95 % "
-        "intervals; the arrow points to the side on which the first is better. Diamonds: the intervals of the "
-        "difference and of its bound, with missing values as the worst, exclude 0 on the same side, and p < 0.05.",
-        figure=figure,
-    )
+    return make_figure("number_differences", figure)
 
 
 def _ends(value: Estimate) -> Iterator[float]:

@@ -1,40 +1,41 @@
 """`report.html`: the self-contained page of one output folder."""
 
+import base64
 import hashlib
+import json
+import zlib
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import cast
 
-from jinja2 import Environment, PackageLoader, StrictUndefined
-
-from kinebench_drake.errors import InputError, cause, count_noun
 from kinebench_drake.io.atomic import write_atomically
-from kinebench_drake.io.jsonl import Json, as_object, intern_text, read_json
-from kinebench_drake.metrics.trust import trust_lines
+from kinebench_drake.io.jsonl import Json, as_object
+from kinebench_drake.metrics.trust import TRUST, TrustLevel, trust_lines
 from kinebench_drake.report.limits import to_number
-from kinebench_drake.report.listing import fault_chips, pack_listing
 from kinebench_drake.report.metric import BY_NAME, Metric, MetricLayout, layout_of
 from kinebench_drake.report.plot import Histogram, count_values, draw_histogram
+from kinebench_drake.report.run import read_results
 from kinebench_drake.report.sample import (
     GOOD_VERDICTS,
     VERDICT_LABELS,
+    VIDEOS,
     badness,
     explain,
     goodness,
     has_thumbnail,
+    is_viewable,
     numeric_value,
     verdict_of,
     view_sample,
 )
-from kinebench_drake.report.table import format_bound, format_interval, format_value
+from kinebench_drake.report.table import format_value, template_environment
 from kinebench_drake.report.timeline import SEVERITY_UNITS, anomalies_of
 from kinebench_drake.results.aggregate import VERDICT_SHARES, Aggregate, RunStatistics, split_rows
 from kinebench_drake.results.inputs import input_lines
 from kinebench_drake.results.provenance import report_hash
 from kinebench_drake.results.row import SampleRow, Status
-from kinebench_drake.results.store import ARTIFACTS, REPORT, RESULTS, read_rows
+from kinebench_drake.results.store import ARTIFACTS, REPORT, RESULTS, artifact_path, read_rows
 
 DRAWN = 100
 """Samples, the worst first, whose curves and details are on the page: all would make it slow to open."""
@@ -125,7 +126,7 @@ def build_page(out: Path, rows: Iterable[SampleRow] | None = None, statistics: R
     verdicts = Counter(map(verdict_of, rows))
     templates = template_environment()
     templates.filters |= {
-        "chips": fault_chips,
+        "chips": _fault_chips,
         "label": VERDICT_LABELS.__getitem__,
         "verdict": verdict_of,
         "explanation": explain,
@@ -153,7 +154,7 @@ def build_page(out: Path, rows: Iterable[SampleRow] | None = None, statistics: R
         shares=[BY_NAME[n] for n in layout.shares if _is_measured(total, n)],
         samples=samples,
         pictured=any(sample.thumbnail for sample in samples),
-        listing=pack_listing(out, listed, columns) if listed else None,
+        listing=_pack_listing(out, listed, columns) if listed else None,
         large=large,
         first=_SHOWN,
         drawn=min(DRAWN, len(samples)),
@@ -163,34 +164,6 @@ def build_page(out: Path, rows: Iterable[SampleRow] | None = None, statistics: R
         numeric_value=numeric_value,
         Status=Status,
     )
-
-
-def template_environment() -> Environment:
-    """Return the templates of this package, with escaping and the number formats of all pages."""
-    templates = Environment(
-        loader=PackageLoader("kinebench_drake.report", "."),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    templates.filters.update(number=format_value, interval=format_interval, counted=count_noun, bound=format_bound)
-    return templates
-
-
-def read_results(out: Path) -> Mapping[str, Json]:
-    """Read `results.json`; empty for a run that was interrupted.
-
-    Raises:
-        InputError: the file is damaged.
-    """
-    try:
-        data = read_json(out / RESULTS)
-    except FileNotFoundError:
-        return {}
-    except (OSError, ValueError) as error:
-        raise InputError(f"{out / RESULTS}: not JSON ({cause(error)})") from None
-    return cast(Mapping[str, Json], intern_text(data)) if isinstance(data, dict) else {}
 
 
 def bootstrap_seed(results: Mapping[str, Json]) -> int:
@@ -258,3 +231,61 @@ def _read_normalization(results: Mapping[str, Json]) -> list[tuple[str, list[flo
         if None not in numbers[:-1]:
             lines.append((name, numbers))
     return lines
+
+
+def _fault_chips(row: SampleRow) -> list[tuple[str, str]]:
+    """List the kinds of faults of a sample once each, and trust that needs a look, with the class of their colour."""
+    chips = [(str(v["kind"]), "") for v in row.violations] + [(str(a["kind"]), "anomaly") for a in anomalies_of(row)]
+    lost = [("lost frames", "lost")] if "lost" in row.executable_reasons else []
+    level = as_object(row.extra.get(TRUST)).get("level")
+    trust = [(f"trust: {level}", "lost")] if level in (TrustLevel.CHECK.value, TrustLevel.UNKNOWN.value) else []
+    return list(dict.fromkeys((kind.replace("_", " "), css) for kind, css in [*chips, *lost, *trust]))
+
+
+def _pack_listing(out: Path, rows: Sequence[SampleRow], columns: Sequence[Metric]) -> str:
+    """Return the rows as base64 of deflated JSON (RFC 1950), which browsers unpack without a library.
+
+    The JSON is an object of `rows` and of the lists that their numbers refer to. A row: id, video, task, model,
+    verdict, whether it is executable, number of faults, chips, prompt, links (1: a track, 2: a replay, then 4, 8, ...
+    in the order of VIDEOS), explanation, and the texts of `columns`, joined by "|".
+
+    Args:
+        out: the output folder.
+        rows: the samples.
+        columns: metrics of the table.
+    """
+    lists: dict[str, dict[Hashable, int]] = {name: {} for name in ("tasks", "models", "chips", "prompts")}
+
+    def number(name: str, value: Hashable) -> int:
+        return lists[name].setdefault(value, len(lists[name]))
+
+    verdicts = list(VERDICT_LABELS)
+    lines = []
+    for row in rows:
+        links = [is_viewable(out, row), *(artifact_path(out, kind, row.id).is_file() for kind in ("replays", *VIDEOS))]
+        values = (numeric_value(row, metric.name) for metric in columns)
+        texts = ("" if x is None else format_value(x, m.pattern) for x, m in zip(values, columns, strict=True))
+        lines.append(
+            [
+                row.id,
+                row.video,
+                number("tasks", row.task),
+                number("models", row.model),
+                verdicts.index(verdict_of(row)),
+                int(bool(row.executable)),
+                len(row.violations) + len(anomalies_of(row)),
+                number("chips", tuple(_fault_chips(row))),
+                number("prompts", str(row.extra.get("prompt") or "")),
+                sum(2**k for k, link in enumerate(links) if link),
+                explain(row),
+                "|".join(texts),
+            ]
+        )
+    data = {
+        "rows": lines,
+        **{name: list(values) for name, values in lists.items()},
+        "verdicts": list(VERDICT_LABELS.items()),
+        "videos": list(VIDEOS.items()),
+    }
+    text = json.dumps(data, separators=(",", ":"), ensure_ascii=False)
+    return base64.b64encode(zlib.compress(text.encode(errors="replace"), 9)).decode()

@@ -8,9 +8,8 @@ from typing import Any, TypeVar
 
 from kinebench_drake.io.atomic import write_atomically
 from kinebench_drake.report.figures import ReportFigure, write_figure
-from kinebench_drake.report.page import template_environment
 from kinebench_drake.report.sample import VERDICT_LABELS, explain, relative_link, verdict_of
-from kinebench_drake.report.table import Table, sort_key, table_csv, table_latex
+from kinebench_drake.report.table import Table, read_caption, sort_key, table_csv, table_latex, template_environment
 from kinebench_drake.report.timeline import anomalies_of
 from kinebench_drake.results.row import SampleRow
 from kinebench_drake.results.store import REPORT, artifact_path
@@ -44,6 +43,12 @@ class Section:
     title: str
     text: str
     """Introduction of a sentence or two."""
+
+
+def make_missing(key: str, commands: Sequence[str] = (), **values: object) -> MissingPart:
+    """Name what a part of captions.toml needs, with `values` in its placeholders, and the commands that make it."""
+    texts = read_caption("missing", key, **values)
+    return MissingPart(title=texts["title"], needs=texts["needs"], commands=tuple(commands))
 
 
 Part = Table | ReportFigure | MissingPart

@@ -1,24 +1,61 @@
-"""Plots as inline SVG, coloured by the page's style sheet: curves over time and histograms of metrics."""
+"""Plots of plots.html.j2: curves over time and histograms of metrics."""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
-from markupsafe import Markup, escape
+from markupsafe import Markup
 from numpy.typing import NDArray
 
 from kinebench_drake.errors import count_noun
 from kinebench_drake.geometry import Array
 from kinebench_drake.report.metric import Metric
-from kinebench_drake.report.table import format_interval
+from kinebench_drake.report.table import format_interval, template_environment
 from kinebench_drake.results.aggregate import Estimate
 
 WIDTH = 430.0
 """Width of all plots."""
-_HEIGHT, _LEFT, _RIGHT, _TOP, _BOTTOM = 128.0, 44.0, 8.0, 8.0, 20.0
-"""Height and margins of plots over time."""
+_HEIGHT, _LEFT, _RIGHT, _TOP, _BOTTOM = 128.0, 44.0, WIDTH - 8.0, 8.0, 108.0
+"""Height of plots over time, and ends of their axes."""
 _MAX_POINTS = 240
+
+
+@cache
+def _load_macros() -> Any:
+    templates = template_environment()
+    templates.filters["px"] = lambda value, digits=1: f"{value:.{digits}f}"
+    templates.filters["points"] = lambda points: " ".join(f"{x:.1f},{y:.1f}" for x, y in points)
+    return templates.get_template("plots.html.j2", globals={"width": WIDTH}).module
+
+
+def render_plot(macro: str, **values: object) -> Markup:
+    """Render a macro of plots.html.j2."""
+    return Markup(getattr(_load_macros(), macro)(**values))
+
+
+@dataclass(frozen=True, slots=True)
+class Axis:
+    """Linear axis from values to places in a drawing; values beyond its ends are drawn at them."""
+
+    first: float
+    last: float
+    start: float
+    """Place of `first`."""
+    end: float
+    """Place of `last`."""
+
+    def __call__(self, value: float) -> float:
+        """Return the place of a value."""
+        inside = min(max(value, min(self.first, self.last)), max(self.first, self.last))
+        return self.start + (inside - self.first) / ((self.last - self.first) or 1.0) * (self.end - self.start)
+
+    def ticks(self, pattern: str = "{:.4g}") -> list[tuple[float, str]]:
+        """Return places and texts of three to six round values."""
+        values = round_ticks(min(self.first, self.last), max(self.first, self.last))
+        return [(self(value), pattern.format(value)) for value in values]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -65,7 +102,7 @@ def draw_plot(
     limits: tuple[float, float] | None = None,
     lines: Sequence[float] = (),
 ) -> Markup:
-    """Draw curves over time as one `<figure>`.
+    """Draw curves over time as a `<figure>`.
 
     Args:
         title: caption with the unit.
@@ -76,62 +113,29 @@ def draw_plot(
         lines: values to mark, such as limits.
     """
     low, high = limits or _value_range([c.values for c in curves], lines)
-    t_first, t_last = float(t_s[0]), float(t_s[-1])
-    span = (t_last - t_first) or 1.0
-    half_frame = span / max(len(t_s) - 1, 1) / 2.0
+    x, y = Axis(float(t_s[0]), float(t_s[-1]), _LEFT, _RIGHT), Axis(high, low, _TOP, _BOTTOM)
+    half_frame = ((x.last - x.first) or 1.0) / max(len(t_s) - 1, 1) / 2.0
 
-    def x(t: float) -> float:
-        return _LEFT + (min(max(t, t_first), t_last) - t_first) / span * (WIDTH - _LEFT - _RIGHT)
-
-    def y(value: float) -> float:
-        return _TOP + (high - min(max(value, low), high)) / (high - low) * (_HEIGHT - _TOP - _BOTTOM)
-
-    parts = []
-    for css, band in ((css, band) for css, some in (bands or {}).items() for band in some):
+    def shade(css: str, band: FrameSpan) -> tuple[str, float, float, str]:
         start, end = (min(max(frame, 0), len(t_s) - 1) for frame in (band.start, band.end))
         left, right = x(t_s[start] - half_frame), x(t_s[end] + half_frame)
-        parts.append(
-            f'<rect class="band {css}" x="{left:.1f}" y="{_TOP:.0f}" width="{max(right - left, 1.5):.1f}" '
-            f'height="{_HEIGHT - _TOP - _BOTTOM:.0f}"><title>{escape(band.text)}</title></rect>'
-        )
-    parts += [draw_grid_line(_LEFT, _RIGHT, y(value), f"{value:.4g}") for value in round_ticks(low, high)]
-    parts += [draw_tick(x(time), _HEIGHT, f"{time:.4g}") for time in round_ticks(t_first, t_last)]
-    parts += [f'<path class="limit" d="M{_LEFT:.0f} {y(line):.1f}H{WIDTH - _RIGHT:.0f}"/>' for line in lines]
-    for curve in curves:
-        tooltip = f"<title>{escape(curve.label)}</title>" if len(curves) > 1 else ""
-        for piece in finite_pieces(t_s, curve.values):
-            parts.append(draw_line([(x(t), y(v)) for t, v in piece], curve.css, tooltip))
-    key = "".join(f'<span class="key {c.css}">{escape(c.label)}</span>' for c in curves if len(curves) > 1)
-    return wrap_svg(parts, _HEIGHT, title, f"{escape(title)}{key}")
+        return css, left, max(right - left, 1.5), band.text
 
-
-def wrap_svg(parts: Iterable[str], height: float, label: str, caption: str, css: str = "") -> Markup:
-    """Wrap SVG elements into a `<figure>` with an accessible label (text) and a caption (markup)."""
-    svg = f'<svg viewBox="0 0 {WIDTH:.0f} {height:.0f}" role="img" aria-label="{escape(label)}">{"".join(parts)}</svg>'
-    opening = f'<figure class="{css}">' if css else "<figure>"
-    return Markup(f"{opening}<figcaption>{caption}</figcaption>{svg}</figure>")
-
-
-def draw_grid_line(left: float, right: float, y: float, text: str) -> str:
-    """Draw a horizontal grid line between two margins, with its value on the left."""
-    return (
-        f'<path class="grid" d="M{left:.0f} {y:.1f}H{WIDTH - right:.0f}"/>'
-        f'<text class="tick" x="{left - 5:.0f}" y="{y + 3.5:.1f}">{text}</text>'
+    return render_plot(
+        "plot",
+        title=title,
+        **{"height": _HEIGHT, "left": _LEFT, "right": _RIGHT, "top": _TOP, "bottom": _BOTTOM},
+        bands=[shade(css, band) for css, own in (bands or {}).items() for band in own],
+        lines=y.ticks(),
+        ticks=x.ticks(),
+        limits=[y(line) for line in lines],
+        curves=curves,
+        pieces=[
+            (curve, [(x(t), y(value)) for t, value in piece])
+            for curve in curves
+            for piece in finite_pieces(t_s, curve.values)
+        ],
     )
-
-
-def draw_tick(x: float, height: float, text: str) -> str:
-    """Draw a value of the horizontal axis at the bottom of a plot."""
-    return f'<text class="tick time" x="{x:.1f}" y="{height - 5:.0f}">{text}</text>'
-
-
-def draw_line(points: Sequence[tuple[float, float]], css: str, tooltip: str = "") -> str:
-    """Draw a line through points; a single point as a dot."""
-    if len(points) == 1:
-        ((x, y),) = points
-        return f'<circle class="dot {css}" cx="{x:.1f}" cy="{y:.1f}" r="1.8"/>'
-    text = " ".join(f"{x:.1f},{y:.1f}" for x, y in points)
-    return f'<polyline class="curve {css}" points="{text}">{tooltip}</polyline>'
 
 
 def _value_range(values: Sequence[Array], lines: Sequence[float]) -> tuple[float, float]:
@@ -183,8 +187,8 @@ _FENCES = 3.0
 """Interquartile ranges beyond the quartiles that make a value an outlier (Tukey 1977, Exploratory Data Analysis)."""
 _OUTLIER_SPREAD = 4.0
 """Ratio of the ranges with and without outliers above which these are counted in the outermost bins."""
-_H_HEIGHT, _H_LEFT, _H_RIGHT, _H_TOP, _H_BOTTOM = 150.0, 30.0, 10.0, 10.0, 20.0
-"""Height and margins of histograms."""
+_H_HEIGHT, _H_LEFT, _H_RIGHT, _H_TOP, _H_BOTTOM = 150.0, 30.0, WIDTH - 10.0, 10.0, 130.0
+"""Height of histograms, and ends of their axes."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -244,17 +248,11 @@ def draw_histogram(h: Histogram, names: Mapping[str, str]) -> Markup:
         h: the counts.
         names: labels of the verdicts.
     """
-    low, high = float(h.edges[0]), float(h.edges[-1])
     peak = int(np.sum(list(h.counts.values()), axis=0).max())
-    floor = _H_HEIGHT - _H_BOTTOM
+    x, y = Axis(float(h.edges[0]), float(h.edges[-1]), _H_LEFT, _H_RIGHT), Axis(0.0, peak, _H_BOTTOM, _H_TOP)
+    pattern = h.metric.pattern if "%" in h.metric.pattern else "{:.4g}"
 
-    def x(value: float) -> float:
-        return _H_LEFT + (min(max(value, low), high) - low) / (high - low) * (WIDTH - _H_LEFT - _H_RIGHT)
-
-    def y(count: float) -> float:
-        return floor - count / peak * (floor - _H_TOP)
-
-    def bars() -> Iterator[str]:
+    def bins() -> Iterator[tuple[str, float, float, float, float, str]]:
         below = np.zeros(len(h.edges) - 1, dtype=int)
         for verdict, counts in h.counts.items():
             for k, count in enumerate(counts):
@@ -262,32 +260,28 @@ def draw_histogram(h: Histogram, names: Mapping[str, str]) -> Markup:
                     left, right = x(float(h.edges[k])), x(float(h.edges[k + 1]))
                     base, top = y(float(below[k])), y(float(below[k] + count))
                     span = f"{pattern.format(h.edges[k])} to {pattern.format(h.edges[k + 1])}"
-                    yield (
-                        f'<rect class="bin v-{verdict}" x="{left + 0.5:.1f}" y="{top:.1f}" '
-                        f'width="{right - left - 1.0:.1f}" height="{base - top:.1f}">'
-                        f"<title>{escape(f'{span}: {count} {names.get(verdict, verdict)}')}</title></rect>"
-                    )
+                    text = f"{span}: {count} {names.get(verdict, verdict)}"
+                    yield verdict, left + 0.5, top, right - left - 1.0, base - top, text
             below += np.array(counts)
 
-    pattern = h.metric.pattern if "%" in h.metric.pattern else "{:.4g}"
-    steps = [count for count in round_ticks(0.0, peak) if count == int(count)]
-    parts = [draw_grid_line(_H_LEFT, _H_RIGHT, y(count), f"{count:.0f}") for count in steps]
-    parts += [draw_tick(x(value), _H_HEIGHT, pattern.format(value)) for value in round_ticks(low, high)]
-    parts += bars()
-    mean = h.estimate
-    if mean.mean is not None:
-        tooltip = f"mean {h.metric.pattern.format(mean.mean)}"
-        if mean.low is not None and mean.high is not None:
-            tooltip += f", 95% interval {format_interval(mean, h.metric.pattern)}"
-            left, right = x(mean.low), x(mean.high)
-            parts.append(
-                f'<rect class="interval" x="{left:.1f}" y="{_H_TOP - 6:.0f}" width="{max(right - left, 1.0):.1f}" '
-                f'height="{floor - _H_TOP + 6:.0f}"><title>{tooltip}</title></rect>'
-            )
-        line = f"M{x(mean.mean):.1f} {_H_TOP - 6:.0f}V{floor:.0f}"
-        parts.append(f'<path class="mean" d="{line}"><title>{tooltip}</title></path>')
-    text = f"median {h.metric.pattern.format(h.median)}; {mean.n} of {count_noun(mean.total, 'sample')}"
+    e, interval, tooltip = h.estimate, None, ""
+    if e.mean is not None:
+        tooltip = f"mean {h.metric.pattern.format(e.mean)}"
+        if e.low is not None and e.high is not None:
+            tooltip += f", 95% interval {format_interval(e, h.metric.pattern)}"
+            interval = x(e.low), max(x(e.high) - x(e.low), 1.0)
+    note = f"median {h.metric.pattern.format(h.median)}; {e.n} of {count_noun(e.total, 'sample')}"
     if h.outliers:
-        text += f", {count_noun(h.outliers, 'outlier')} counted in the outermost bins"
-    label = h.metric.label
-    return wrap_svg(parts, _H_HEIGHT, f"Distribution of {label}", f"<b>{escape(label)}</b> {text}")
+        note += f", {count_noun(h.outliers, 'outlier')} counted in the outermost bins"
+    return render_plot(
+        "histogram",
+        label=h.metric.label,
+        note=note,
+        **{"height": _H_HEIGHT, "left": _H_LEFT, "right": _H_RIGHT, "top": _H_TOP, "bottom": _H_BOTTOM},
+        lines=[(y(count), f"{count:.0f}") for count in round_ticks(0.0, peak) if count == int(count)],
+        ticks=x.ticks(pattern),
+        bins=bins(),
+        mean=None if e.mean is None else x(e.mean),
+        interval=interval,
+        tooltip=tooltip,
+    )

@@ -19,8 +19,9 @@ from kinebench_drake.io.jsonl import Json, as_object
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.models.panda.cad import simplify
 from kinebench_drake.report.limits import to_number
-from kinebench_drake.report.page import read_results, template_environment
 from kinebench_drake.report.replay_scene import COLORS, LinkMesh, ReplayScene, posed_frames
+from kinebench_drake.report.run import read_results
+from kinebench_drake.report.table import template_environment
 from kinebench_drake.report.timeline import anomalies_of, frame_states
 from kinebench_drake.results.row import SampleRow
 from kinebench_drake.results.store import artifact_path, read_rows

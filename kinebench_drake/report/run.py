@@ -1,13 +1,12 @@
-"""Finished output folders of runs, for pages about several of them."""
+"""Finished output folders of runs, for pages about one or several of them."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import cast
 
-from kinebench_drake.errors import InputError, UsageError
-from kinebench_drake.io.jsonl import Json, as_object
-from kinebench_drake.report.page import read_results
+from kinebench_drake.errors import InputError, UsageError, cause
+from kinebench_drake.io.jsonl import Json, as_object, intern_text, read_json
 from kinebench_drake.results.row import SampleRow
 from kinebench_drake.results.store import RESULTS, SAMPLES, read_rows, require_output
 
@@ -50,11 +49,6 @@ class Run:
         planned = self.results.get("samples_found")
         return planned if isinstance(planned, int) else None
 
-    @property
-    def versions(self) -> Mapping[str, Json]:
-        """Versions of file format and suites."""
-        return {name: self.results.get(name) for name in _VERSIONS}
-
 
 def read_runs(paths: Sequence[Path]) -> list[Run]:
     """Read finished output folders.
@@ -68,10 +62,10 @@ def read_runs(paths: Sequence[Path]) -> list[Run]:
     for k, path in enumerate(paths):
         if path.resolve() in {other.resolve() for other in paths[:k]}:
             raise UsageError(f"{path}: named twice; its samples would count twice")
-    runs = [read_run(path) for path in paths]
+    runs = [_read_run(path) for path in paths]
     for run in runs[1:]:
         for name in _VERSIONS:
-            one, other = runs[0].versions[name], run.versions[name]
+            one, other = runs[0].results.get(name), run.results.get(name)
             if one != other:
                 raise UsageError(
                     f"{runs[0].path} has {name} {one} and {run.path} {other}: their numbers cannot be compared; "
@@ -80,7 +74,7 @@ def read_runs(paths: Sequence[Path]) -> list[Run]:
     return runs
 
 
-def read_run(path: Path) -> Run:
+def _read_run(path: Path) -> Run:
     """Read one finished output folder.
 
     Raises:
@@ -96,6 +90,21 @@ def read_run(path: Path) -> Run:
     if not rows:
         raise UsageError(f"{path}: holds no sample")
     return Run(path=path, rows=tuple(rows[id] for id in sorted(rows)), results=results)
+
+
+def read_results(out: Path) -> Mapping[str, Json]:
+    """Read `results.json` of an output folder; empty for a run that was interrupted.
+
+    Raises:
+        InputError: the file is damaged.
+    """
+    try:
+        data = read_json(out / RESULTS)
+    except FileNotFoundError:
+        return {}
+    except (OSError, ValueError) as error:
+        raise InputError(f"{out / RESULTS}: not JSON ({cause(error)})") from None
+    return cast(Mapping[str, Json], intern_text(data)) if isinstance(data, dict) else {}
 
 
 def check_page_folder(out: Path) -> None:

@@ -1,12 +1,19 @@
-"""Tables of values with intervals: as CSV, as LaTeX, as text, and the number formatting that pages share."""
+"""Tables of values with intervals: from captions.toml; as CSV, as LaTeX, as text; and the number formats of pages."""
 
 import csv
 import io
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
+import tomllib
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from functools import cache
+from importlib.resources import files
 from itertools import accumulate, groupby
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
+from jinja2 import Environment, PackageLoader, StrictUndefined
+
+from kinebench_drake.errors import count_noun
+from kinebench_drake.report.metric import BY_NAME
 from kinebench_drake.results.aggregate import Estimate
 
 Value: TypeAlias = str | int | float | Estimate | None
@@ -81,6 +88,92 @@ class Table:
         pattern = self.patterns[row] if self.patterns and head.estimated else head.pattern
         return pattern.replace("{:", "{:+", 1) if head.signed else pattern
 
+    def select(self, keys: Sequence[str], rows: Sequence[int]) -> "Table":
+        """Return a table of some columns and some rows, nothing bold."""
+        shown = [k for k, column in enumerate(self.columns) if column.key in keys]
+        return replace(
+            self,
+            columns=tuple(self.columns[k] for k in shown),
+            rows=tuple(tuple(self.rows[i][k] for k in shown) for i in rows),
+            patterns=tuple(self.patterns[i] for i in rows) if self.patterns else (),
+            bold=frozenset(),
+        )
+
+
+@cache
+def _read_captions() -> Mapping[str, Any]:
+    return tomllib.loads(files("kinebench_drake.report").joinpath("captions.toml").read_text(encoding="utf-8"))
+
+
+def read_caption(kind: str, key: str, **values: object) -> dict[str, Any]:
+    """Return a part's texts in captions.toml, with `values` in their placeholders.
+
+    Args:
+        kind: tables, figures, missing or sections.
+        key: the part.
+        values: by name of the placeholder.
+    """
+    texts = {"name": key, **_read_captions()[kind][key]}
+    return {name: text.format(**values) if isinstance(text, str) else text for name, text in texts.items()}
+
+
+def make_table(
+    key: str,
+    rows: Iterable[Mapping[str, Value]],
+    *,
+    more: Sequence[tuple[Column, Sequence[Value]]] = (),
+    note: str = "",
+    bold: Iterable[tuple[int, str]] = (),
+    patterns: Iterable[str] = (),
+    **values: object,
+) -> Table:
+    """Make a table of captions.toml.
+
+    Args:
+        key: its name there.
+        rows: cells by key of their column; absent ones are None.
+        more: columns that follow those of the file, with a cell for each row.
+        note: sentences that follow its note.
+        bold: row and key of the cells set in bold.
+        patterns: format of each row's estimates, where rows are different quantities.
+        values: by name of the placeholder.
+    """
+    rows, caption = list(rows), read_caption("tables", key, **values)
+    own = list(_list_columns(caption.pop("columns"), rows, values))
+    columns = (*own, *(column for column, _ in more))
+    places = {column.key: k for k, column in enumerate(columns)}
+    return Table(
+        **{**caption, "note": caption["note"] + note},
+        columns=columns,
+        rows=tuple(
+            (*(row.get(column.key) for column in own), *(cells[i] for _, cells in more)) for i, row in enumerate(rows)
+        ),
+        bold=frozenset((i, places[name]) for i, name in bold),
+        patterns=tuple(patterns),
+    )
+
+
+def _list_columns(
+    definitions: Sequence[Any], rows: Sequence[Mapping[str, Value]], values: Mapping[str, object]
+) -> Iterator[Column]:
+    shared = _read_captions()["columns"]
+    for definition in definitions:
+        if isinstance(definition, str) and definition in shared["lists"]:
+            yield from _list_columns(shared["lists"][definition], rows, values)
+            continue
+        texts = {"key": definition, **shared[definition]} if isinstance(definition, str) else definition
+        if metric := BY_NAME.get(texts.get("metric", "")):
+            texts = {"key": metric.name, **asdict(metric), **texts}
+        if not texts.get("optional") or any(texts["key"].format(**values) in row for row in rows):
+            names = {name: texts.get(name, "").format(**values) for name in ("key", "label", "meaning")}
+            yield Column(**names, **{name: texts[name] for name in ("pattern", "estimated", "signed") if name in texts})
+
+
+def make_listing(name: str, keys: Sequence[str], rows: Iterable[Sequence[Value]]) -> Table:
+    """Make a table for a file only: columns are named by their keys."""
+    columns = tuple(Column(key=key, label=key) for key in keys)
+    return Table(name=name, title="", note="", columns=columns, rows=tuple(map(tuple, rows)), latex=False)
+
 
 def format_value(value: Value, pattern: str) -> str:
     """Format a number, or the mean of an estimate; a dash if it is missing."""
@@ -110,6 +203,19 @@ def sort_key(value: Value) -> str:
     if isinstance(value, Estimate):
         value = value.mean
     return "" if value is None else str(value)
+
+
+def template_environment() -> Environment:
+    """Return the templates of this package, with escaping and the number formats of all pages."""
+    templates = Environment(
+        loader=PackageLoader("kinebench_drake.report", "."),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    templates.filters.update(number=format_value, interval=format_interval, counted=count_noun, bound=format_bound)
+    return templates
 
 
 def format_csv(heads: Sequence[str], rows: Iterable[Sequence[object]]) -> str:

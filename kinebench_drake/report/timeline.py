@@ -5,14 +5,14 @@ from dataclasses import dataclass
 from enum import Enum
 
 import numpy as np
-from markupsafe import Markup, escape
+from markupsafe import Markup
 from numpy.typing import NDArray
 
 from kinebench_drake.anomaly import AnomalyKind
 from kinebench_drake.geometry import Array
 from kinebench_drake.io.jsonl import Json
 from kinebench_drake.report.limits import joint_limits, limit_ratios
-from kinebench_drake.report.plot import WIDTH, FrameSpan, merge_spans, round_ticks, wrap_svg
+from kinebench_drake.report.plot import WIDTH, FrameSpan, merge_spans, render_plot, round_ticks
 from kinebench_drake.results.row import SampleRow
 from kinebench_drake.results.trackfile import TrackFile
 from kinebench_drake.segments import segments
@@ -36,7 +36,7 @@ LEGEND = {
     "unsure": "pose doubtful",
 }
 """Classes of bars and their meaning, the most severe first."""
-_LEFT, _RIGHT, _LANE, _BAR, _BOTTOM = 118.0, 8.0, 19.0, 11.0, 20.0
+_LEFT, _RIGHT, _LANE = 118.0, WIDTH - 8.0, 19.0
 _STRIP_WIDTH, _STRIP_HEIGHT = 150.0, 9.0
 _MIN_WIDTH = 3.0
 """Width of the shortest bar, which would otherwise be invisible."""
@@ -141,61 +141,48 @@ def frame_count(row: SampleRow, file: TrackFile | None, lanes: Sequence[FaultLan
 
 
 def draw_timeline(lanes: Sequence[FaultLane], n: int, t_s: Array | None = None) -> Markup:
-    """Draw lanes over frames as one `<figure>`.
+    """Draw lanes over frames as a `<figure>`.
 
     Args:
         lanes: the faults.
         n: number of frames.
         t_s: (n,) time [s], shown beside the frames; None if unknown.
     """
-    height = _LANE * len(lanes) + _BOTTOM + 4.0
-    wide = WIDTH - _LEFT - _RIGHT
-    parts = []
-    for frame in round_ticks(0.0, max(n - 1, 1)):
-        if frame == int(frame):
-            x = _LEFT + (frame + 0.5) / n * wide
-            parts.append(f'<path class="grid" d="M{x:.1f} 2V{height - _BOTTOM:.1f}"/>')
-            parts.append(f'<text class="tick time" x="{x:.1f}" y="{height - 6:.1f}">{frame:.0f}</text>')
-    for k, lane in enumerate(lanes):
-        top = 2.0 + k * _LANE
-        parts.append(f'<text class="tick" x="{_LEFT - 6:.0f}" y="{top + 12:.1f}">{escape(lane.label)}</text>')
-        parts.append(f'<rect class="rail" x="{_LEFT:.0f}" y="{top + 3:.1f}" width="{wide:.0f}" height="{_BAR:.0f}"/>')
-        for span in merge_spans(lane.spans, int(n / wide)):
-            title = f"{span.text}, {_format_frames(span, t_s)}"
-            parts.append(_draw_bar(span, n, _LEFT, wide, top + 3.0, _BAR, lane.css, title))
-    key = "".join(
-        f'<span class="lamp {css}">{text}</span>' for css, text in LEGEND.items() if any(x.css == css for x in lanes)
+    height, wide = _LANE * len(lanes) + 24.0, _RIGHT - _LEFT
+    frames = [frame for frame in round_ticks(0.0, max(n - 1, 1)) if frame == int(frame)]
+    spans = [
+        [
+            (*_place_bar(span, n, _LEFT, wide), f"{span.text}, {_format_frames(span, t_s)}")
+            for span in merge_spans(lane.spans, int(n / wide))
+        ]
+        for lane in lanes
+    ]
+    return render_plot(
+        "timeline",
+        **{"height": height, "left": _LEFT, "right": _RIGHT, "bottom": height - 20.0},
+        ticks=[(_LEFT + (frame + 0.5) / n * wide, f"{frame:.0f}") for frame in frames],
+        lanes=[(lane.label, lane.css, 2.0 + k * _LANE, spans[k]) for k, lane in enumerate(lanes)],
+        legend=[(css, text) for css, text in LEGEND.items() if any(lane.css == css for lane in lanes)],
     )
-    return wrap_svg(parts, height, "Faults over frames", f"Faults over frames{key}", css="timeline")
 
 
 def draw_strip(lanes: Sequence[FaultLane], n: int) -> Markup:
     """Draw all lanes as one thin strip, the most severe on top."""
-    parts = [
-        f'<svg class="strip" viewBox="0 0 {_STRIP_WIDTH:.0f} {_STRIP_HEIGHT:.0f}" preserveAspectRatio="none" '
-        f'role="img" aria-label="faults over frames"><rect class="rail" width="{_STRIP_WIDTH:.0f}" '
-        f'height="{_STRIP_HEIGHT:.0f}"/>'
+    spans = [
+        (css, [(*_place_bar(span, n, 0.0, _STRIP_WIDTH), f"{lane.label}, {_format_frames(span)}") for span in merged])
+        for css in reversed(LEGEND)
+        for lane in lanes
+        if lane.css == css
+        for merged in [merge_spans(lane.spans, int(n / _STRIP_WIDTH))]
     ]
-    for css in reversed(LEGEND):
-        for lane in lanes:
-            if lane.css == css:
-                parts += [
-                    _draw_bar(
-                        span, n, 0.0, _STRIP_WIDTH, 0.0, _STRIP_HEIGHT, css, f"{lane.label}, {_format_frames(span)}"
-                    )
-                    for span in merge_spans(lane.spans, int(n / _STRIP_WIDTH))
-                ]
-    return Markup(f"{''.join(parts)}</svg>")
+    return render_plot("strip", wide=_STRIP_WIDTH, tall=_STRIP_HEIGHT, lanes=spans)
 
 
-def _draw_bar(span: FrameSpan, n: int, left: float, wide: float, top: float, tall: float, css: str, title: str) -> str:
+def _place_bar(span: FrameSpan, n: int, left: float, wide: float) -> tuple[float, float]:
+    """Return left end and width of a span of n frames."""
     start, end = (min(max(frame, 0), n - 1) for frame in (span.start, span.end))
     width = max((end + 1 - start) / n * wide, _MIN_WIDTH)
-    x = min(left + start / n * wide, left + wide - width)
-    return (
-        f'<rect class="bar-{css}" x="{x:.1f}" y="{top:.1f}" width="{width:.1f}" height="{tall:.0f}">'
-        f"<title>{escape(title)}</title></rect>"
-    )
+    return min(left + start / n * wide, left + wide - width), width
 
 
 def _format_frames(span: FrameSpan, t_s: Array | None = None) -> str:

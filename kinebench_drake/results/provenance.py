@@ -62,9 +62,10 @@ def code_hash(*modules: str) -> str:
 
 @cache
 def report_hash() -> str:
-    """Return the SHA-256 of the sources and templates that shape statistics and reports."""
+    """Return the SHA-256 of the sources, templates and captions that shape statistics and reports."""
     digest = hashlib.sha256()
-    for file in sorted(file for pattern in ("*.py", "*/*.py", "report/*.j2") for file in _TOP.glob(pattern)):
+    patterns = ("*.py", "*/*.py", "report/*.j2", "report/*.toml", "report/*.csv")
+    for file in sorted(file for pattern in patterns for file in _TOP.glob(pattern)):
         digest.update(file.relative_to(_TOP).as_posix().encode() + b"\0" + file.read_bytes() + b"\0")
     return digest.hexdigest()
 

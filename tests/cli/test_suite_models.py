@@ -15,7 +15,7 @@ from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.closed_loop.actions import ACTION_METRICS, ActionSource
 from kinebench_drake.errors import InputError, UsageError
 from kinebench_drake.executors.local import LocalExecutor
-from kinebench_drake.report.suite.folders import pool_episodes, read_folders
+from kinebench_drake.report.suite.pooling import pool_episodes, read_suite_runs
 from kinebench_drake.results.metadata import Shard
 from kinebench_drake.results.store import artifact_path, read_rows
 from kinebench_drake.results.trackfile import write_track
@@ -186,7 +186,7 @@ def test_further_samples_extend_a_run_and_shards_join(config: Callable[..., Suit
     metrics = json.loads((whole / "results.json").read_text())["aggregates"]["metrics"]
     assert metrics["pass_at_1"]["mean"] == pytest.approx(metrics["success"]["mean"])
     assert (metrics["pass_at_4"]["n"], metrics["pass_at_4"]["total"], metrics["success"]["n"]) == (3, 3, 12)
-    assert pool_episodes(read_folders(parts))[0].model == "mine"  # shards of an episode's samples are one run
+    assert pool_episodes(read_suite_runs(parts))[0].model == "mine"  # shards of an episode's samples are one run
     with pytest.raises(UsageError, match="9 of its 12 results would be lost"):
         run("whole", 1)
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from kinebench_drake.report.details import list_details, summarize_checks
+from kinebench_drake.report.sample import list_details, summarize_checks
 
 
 @pytest.mark.parametrize(

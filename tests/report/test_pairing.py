@@ -7,8 +7,8 @@ import pytest
 from kinebench_drake.cli import main
 from kinebench_drake.errors import UsageError
 from kinebench_drake.io.jsonl import dump
-from kinebench_drake.report.comparison_page import compare_samples, write_sample_comparison
 from kinebench_drake.report.run import read_runs
+from kinebench_drake.report.sample_comparison import compare_samples, write_sample_comparison
 from kinebench_drake.results.row import SampleRow, Status
 from kinebench_drake.results.store import RESULTS, SAMPLES
 from tests.report.pages import BROWSER, EVIL, WIDTH, Page, probe

@@ -6,8 +6,8 @@ import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
-from kinebench_drake.report.suite.episode import SuitePart
-from kinebench_drake.report.suite.folders import RunFolder
+from kinebench_drake.report.suite.episode_result import SuitePart
+from kinebench_drake.report.suite.pooling import SuiteRun
 
 _SPEC = "SPEC"
 """Placeholder of a world model's spec, of which results keep a hash only."""
@@ -28,8 +28,8 @@ _OPTIONS = {
 
 def run_command(
     part: SuitePart,
-    like: RunFolder | None,
-    folders: Sequence[RunFolder],
+    like: SuiteRun | None,
+    runs: Sequence[SuiteRun],
     *,
     tasks: Sequence[str] | None = None,
     tags: Mapping[str, object] | None = None,
@@ -39,14 +39,14 @@ def run_command(
     Args:
         part: suite, split and variant to run.
         like: another run of the model; None: the model is a placeholder.
-        folders: all runs: one on the same part, or on the other split of suite 2, determines tasks, episodes and seed,
+        runs: all runs: one on the same part, or on the other split of suite 2, determines tasks, episodes and seed,
             so that episodes are paired.
         tasks: tasks to run; None: those of that run, or all.
         tags: tags in place of those of `like`.
     """
     config = {} if like is None else like.config
     paired = {replace(part, split=split) for split in ("seen", "unseen")} if part.suite == 2 else {part}
-    reference = next((f.config for f in sorted(folders, key=lambda f: f.part != part) if f.part in paired), None)
+    reference = next((run.config for run in sorted(runs, key=lambda run: run.part != part) if run.part in paired), None)
     episodes = config if reference is None else reference
     chosen = episodes.get("tasks") if tasks is None and reference is not None else tasks
     words: list[object] = ["kinebench-drake", "suite", "run", "--suite", part.suite]

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations, groupby
+from itertools import combinations
 from math import fsum, nan
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -12,11 +12,18 @@ import numpy as np
 from kinebench_drake.errors import UsageError
 from kinebench_drake.geometry import Array
 from kinebench_drake.io.figure import FAINT, new_figure
-from kinebench_drake.report.figures import COLOURS, ReportFigure, draw_interval, label_shares
-from kinebench_drake.report.number import ALL_TASKS, NumberComparison, compare_numbers, pair_label, share_difference
-from kinebench_drake.report.suite.episode import EpisodeResult, SuitePart, balanced_mean, group_by, list_models
-from kinebench_drake.report.suite.folders import RunFolder, pool_episodes, read_folders
-from kinebench_drake.report.table import Column, Table, Value, plain_columns, table_lines
+from kinebench_drake.report.figures import COLOURS, ReportFigure, draw_interval, label_shares, make_figure
+from kinebench_drake.report.number import (
+    ALL_TASKS,
+    NumberComparison,
+    compare_numbers,
+    comparison_lines,
+    pair_label,
+    share_difference,
+)
+from kinebench_drake.report.suite.episode_result import EpisodeResult, SuitePart, balanced_mean, group_by, list_models
+from kinebench_drake.report.suite.pooling import SuiteRun, pool_episodes, read_suite_runs
+from kinebench_drake.report.table import Table, Value, make_table
 from kinebench_drake.results.aggregate import Estimate
 from kinebench_drake.results.power import POWER, least_difference
 from kinebench_drake.results.row import SampleRow, Status
@@ -64,7 +71,7 @@ class PairComparison:
 class ModelComparison:
     """Comparison of all pairs of models of some runs."""
 
-    folders: Sequence[RunFolder]
+    runs: Sequence[SuiteRun]
     episodes: Sequence[EpisodeResult]
     pairs: Sequence[PairComparison]
     numbers: Sequence[NumberComparison] = ()
@@ -77,8 +84,8 @@ def read_comparison(paths: Sequence[Path], seed: int = 0) -> ModelComparison:
     Raises:
         UsageError: the folders cannot be used or pooled, or no two models share an episode.
     """
-    folders = read_folders(paths)
-    episodes = pool_episodes(folders)
+    runs = read_suite_runs(paths)
+    episodes = pool_episodes(runs)
     numbers = [
         number
         for first, second, part, shared in _shared_episodes(episodes)
@@ -86,7 +93,7 @@ def read_comparison(paths: Sequence[Path], seed: int = 0) -> ModelComparison:
             [(tuple(e.row for e in a), tuple(e.row for e in b)) for a, b in shared], first, second, part.title, seed
         )
     ]
-    return ModelComparison(folders=folders, episodes=episodes, pairs=compare(episodes, seed), numbers=numbers)
+    return ModelComparison(runs=runs, episodes=episodes, pairs=compare(episodes, seed), numbers=numbers)
 
 
 def read_ceiling(
@@ -103,8 +110,8 @@ def read_ceiling(
         UsageError: the folders cannot be used or pooled, or a row lacks its seed, pool or variant.
         KinebenchError: a worker died.
     """
-    folders = read_folders(paths)
-    episodes = pool_episodes(folders)
+    runs = read_suite_runs(paths)
+    episodes = pool_episodes(runs)
     if DIRECT in list_models(episodes):
         raise UsageError(f"a model is named {DIRECT!r}, which is the label of direct execution; give it another name")
     compositions = {e.key: _compose(e) for e in episodes}
@@ -113,7 +120,7 @@ def read_ceiling(
     once = {key: own[0] for key, own in group_by(episodes, lambda e: e.key).items()}
     direct = [_direct_result(e, attempts[compositions[key].id]) for key, e in once.items()]
     pairs = [c for c in compare([*episodes, *direct], seed) if c.second == DIRECT]
-    return ModelComparison(folders=folders, episodes=[*episodes, *direct], pairs=pairs)
+    return ModelComparison(runs=runs, episodes=[*episodes, *direct], pairs=pairs)
 
 
 def _compose(result: EpisodeResult) -> "Episode":
@@ -225,67 +232,30 @@ def _adjust(tasks: Sequence[PairComparison]) -> list[PairComparison]:
 
 def tabulate_comparison(pairs: Sequence[PairComparison]) -> Table:
     """Build the table of comparisons, one per row."""
-    return Table(
-        name="comparison",
-        title="Paired comparison on shared episodes",
-        note="Differences are the first model's less the second's, over the episodes that both have measured. Success "
-        "with 95 % intervals by Newcombe's method 10; p: McNemar's exact test; adjusted p: by Benjamini and Hochberg "
-        "over the tasks of two models on one suite. Of several samples an episode: paired bootstrap over episodes, and "
-        "exact randomization of the signs of the episodes' differences. Progress, every task the same, with 95 % "
-        "bootstrap intervals over episodes within tasks. Least detectable: the true difference for which p < 0.05 has "
-        f"a probability of {POWER:.0%} in as many episodes with differences of this variance.",
-        columns=(
-            *plain_columns(part="Suite", first="First", second="Second", task="Task"),
-            Column(key="success_first", label="Success, first", pattern="{:.1%}"),
-            Column(key="success_second", label="Success, second", pattern="{:.1%}"),
-            Column(key="difference", label="Difference", pattern="{:+.1%}", estimated=True),
-            Column(key="p", label="p", pattern="{:.3g}"),
-            Column(key="p_adjusted", label="Adjusted p", pattern="{:.3g}"),
-            Column(
-                key="first_only",
-                label="First only",
-                meaning="episodes in which only the first model succeeds, or more often",
-            ),
-            Column(
-                key="second_only",
-                label="Second only",
-                meaning="episodes in which only the second model succeeds, or more often",
-            ),
-            Column(key="progress_difference", label="Progress", pattern="{:+.1%}", estimated=True),
-            *plain_columns(measured="Measured by both", shared="Shared"),
-            Column(key="difference_all", label="Difference, unmeasured as failures", pattern="{:+.1%}", estimated=True),
-            Column(
-                key="least_difference",
-                label="Least detectable",
-                pattern="{:.1%}",
-                meaning=f"true difference that these episodes show with a probability of {POWER:.0%}",
-            ),
-        ),
-        rows=tuple(_row(c) for c in pairs),
-        bold=frozenset((i, 6) for i, c in enumerate(pairs) if c.task == ALL_TASKS),
-    )
+    whole = ((i, "difference") for i, c in enumerate(pairs) if c.task == ALL_TASKS)
+    return make_table("comparison", map(_row, pairs), bold=whole, power=f"{POWER:.0%}")
 
 
-def _row(c: PairComparison) -> tuple[Value, ...]:
-    labels, progress = (c.part.title, c.first, c.second, c.task), c.progress if c.progress.n else None
-    p, end = c.paired, (c.shared, share_difference(c.counted))
-    if p is None:
-        return *labels, None, None, None, None, c.adjusted_p, None, None, progress, 0, *end, None
-    tests = (share_difference(p), p.p_value, c.adjusted_p)
-    return *labels, *p.rates, *tests, *p.better, progress, p.n, *end, least_difference(p)
+def _row(c: PairComparison) -> dict[str, Value]:
+    row: dict[str, Value] = {
+        **{"part": c.part.title, "first": c.first, "second": c.second, "task": c.task},
+        **{"p_adjusted": c.adjusted_p, "progress_difference": c.progress if c.progress.n else None},
+        **{"measured": 0, "shared": c.shared, "difference_all": share_difference(c.counted)},
+    }
+    if (paired := c.paired) is None:
+        return row
+    return {
+        **row,
+        **dict(zip(("success_first", "success_second"), paired.rates, strict=True)),
+        **dict(zip(("first_only", "second_only"), paired.better, strict=True)),
+        **{"difference": share_difference(paired), "p": paired.p_value, "measured": paired.n},
+        "least_difference": least_difference(paired),
+    }
 
 
-def comparison_lines(pairs: Sequence[PairComparison]) -> Iterator[str]:
+def pair_lines(pairs: Sequence[PairComparison]) -> Iterator[str]:
     """Format the main columns of a comparison for a terminal, one block per pair of models and part."""
-    table = tabulate_comparison(pairs)
-    printed = [k for k, column in enumerate(table.columns) if column.key in _PRINTED]
-    columns = tuple(table.columns[k] for k in printed)
-    for (part, first, second), rows in groupby(table.rows, key=lambda row: row[:3]):
-        yield f"{first} - {second}, {part}"
-        cells = tuple(tuple(row[k] for k in printed) for row in rows)
-        yield from table_lines(replace(table, columns=columns, rows=cells, bold=frozenset()))
-        yield ""
-    yield table.note
+    return comparison_lines(tabulate_comparison(pairs), _PRINTED)
 
 
 def ceiling_lines(pairs: Sequence[PairComparison]) -> Iterator[str]:
@@ -316,11 +286,4 @@ def draw_differences(pairs: Sequence[PairComparison]) -> ReportFigure | None:
     label_shares(ax, names, "difference of success on shared episodes", low=-1.0)
     for text, (c, _) in zip(ax.get_yticklabels(), lines, strict=True):
         text.set_fontweight("bold" if c.task == ALL_TASKS else "normal")
-    return ReportFigure(
-        name="differences",
-        title="Differences of success",
-        caption="Success of the first model minus that of the second on the episodes measured for both, all tasks "
-        "together (diamonds) and, unless there are too many, task by task, with 95 % intervals by Newcombe's method "
-        "10.",
-        figure=figure,
-    )
+    return make_figure("differences", figure)

@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 
 from kinebench_drake.geometry import Array
 from kinebench_drake.io.figure import FAINT, new_figure, plain, shorten
-from kinebench_drake.report.figures import COLOURS, ReportFigure, add_legend, style
-from kinebench_drake.report.suite.episode import EpisodeResult, SuitePart, group_by, worst_metric
-from kinebench_drake.report.suite.folders import model_of
-from kinebench_drake.report.table import Column, Table, plain_columns
+from kinebench_drake.report.figures import COLOURS, ReportFigure, add_legend, make_figure, style
+from kinebench_drake.report.suite.episode_result import EpisodeResult, SuitePart, group_by, worst_metric
+from kinebench_drake.report.suite.pooling import model_of
+from kinebench_drake.report.table import Table, Value, make_table
 from kinebench_drake.results.aggregate import Estimate
 from kinebench_drake.stats import percentile_interval, resampled_counts
 
@@ -36,6 +36,12 @@ class Predictor:
     value: Callable[[EpisodeResult], float | None]
     worst: Callable[[Sequence[EpisodeResult]], float | None]
     """Worst value among some episodes."""
+
+    @property
+    def captions(self) -> dict[str, Any]:
+        """Values of the placeholders in captions."""
+        heading = self.label[:1].upper() + self.label[1:]
+        return {"predictor": self.name, "heading": heading, "label": self.label, "sense": self.sense}
 
 
 SPARC = Predictor(
@@ -80,6 +86,11 @@ class CorrelationStudy:
     """(P, T) mean of the metric of each point and task; NaN where not measured."""
     success: Array
     """(P, T) standardised success; NaN where not measured."""
+
+    @property
+    def is_defined(self) -> bool:
+        """True if any part, or all together, have a correlation."""
+        return any(self.correlate(part)[0].mean is not None for part in (None, *(p.part for p in self.points)))
 
     def correlate(self, part: SuitePart | None = None, seed: int = 0) -> tuple[Estimate, int]:
         """Compute Spearman's rho (Am. J. Psychology 15, 1904) over the points of one part, or of all; and their tasks.
@@ -195,29 +206,14 @@ def _mean(values: Sequence[float | None]) -> float:
 
 def tabulate_correlation(study: CorrelationStudy, seed: int = 0) -> Table:
     """Build the table of Spearman's rho between a metric and success, of each part and of all."""
-    predictor = study.predictor
     parts = sorted({p.part for p in study.points})
     lines = [(p.title, *study.correlate(p, seed)) for p in parts]
     if len(parts) > 1:
         lines.append(("All", *study.correlate(None, seed)))
-    return Table(
-        name=f"{predictor.name}_correlation",
-        title=f"{capitalise(predictor.label)} and success",
-        note=f"Spearman's rank correlation between a model's task-balanced mean {predictor.label} and its success "
-        "standardised within tasks; 95 % bootstrap intervals over tasks. Episodes without the metric count with the "
-        "worst of all. Three models at least.",
-        columns=(
-            Column(key="part", label="Suite"),
-            Column(key="rho", label="Spearman's rho", pattern="{:.2f}", estimated=True, meaning=predictor.sense),
-            *plain_columns(points="Models", tasks="Tasks"),
-        ),
-        rows=tuple((title, rho, rho.n, tasks) for title, rho, tasks in lines),
-    )
-
-
-def capitalise(text: str) -> str:
-    """Return a text with its first letter in upper case and the others as they are."""
-    return text[:1].upper() + text[1:]
+    rows: list[dict[str, Value]] = [
+        {"part": title, "rho": rho, "points": rho.n, "tasks": tasks} for title, rho, tasks in lines
+    ]
+    return make_table("correlation", rows, **study.predictor.captions)
 
 
 def draw_correlation(episodes: Sequence[EpisodeResult], study: CorrelationStudy, seed: int = 0) -> ReportFigure | None:
@@ -263,11 +259,4 @@ def draw_correlation(episodes: Sequence[EpisodeResult], study: CorrelationStudy,
         for k, part in enumerate(parts):
             left.plot([], [], linestyle="", marker=style(k)[1], color=FAINT, markersize=5, label=plain(part.title))
     add_legend(figure, models)
-    return ReportFigure(
-        name=f"{predictor.name}_success",
-        title=f"{capitalise(predictor.label)} and success",
-        caption="Left: one point per model and task. Right: one point per model and suite; success is standardised "
-        "within tasks, which removes the difficulty of the tasks. Rho: Spearman's rank correlation of the right "
-        "points with its 95 % bootstrap interval over tasks.",
-        figure=figure,
-    )
+    return make_figure("correlation", figure, **predictor.captions)

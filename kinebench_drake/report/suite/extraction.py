@@ -1,25 +1,34 @@
-"""Figures and tables of motion extraction (section 4.2 of the paper) from files of `perception`."""
+"""Motion extraction (section 4.2 of the paper): records of the studies' files, and table and figures of them."""
 
+import json
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+from pydantic import BaseModel, ValidationError
 
+from kinebench_drake.errors import UsageError
 from kinebench_drake.io.figure import FAINT, new_figure, plain, shorten
-from kinebench_drake.report.figures import COLOURS, ReportFigure
-from kinebench_drake.report.suite.measurement import (
-    DEPTH,
-    LEARNED,
-    BaselineGroup,
-    DepthError,
-    Interval,
-    Measurements,
-    Study,
-)
-from kinebench_drake.report.table import Column, Table, Value, plain_columns
+from kinebench_drake.report.figures import COLOURS, ReportFigure, make_figure
+from kinebench_drake.report.table import Table, Value, make_table
 from kinebench_drake.results.aggregate import Estimate
 
-_FIGURES = ("position_median", "position_p95", "rotation_median", "rotation_p95")
+BASELINE = "baseline.json"
+"""File of `python -m training baseline evaluate` in its output folder."""
+ROBUSTNESS, DEPTH = "robustness", "depth-ablation"
+"""Studies that are drawn."""
+LEARNED = "learned"
+"""Group of the conditions in which the learned baseline was measured."""
+_EXPECTED = (
+    f"expected a file of `python -m training baseline evaluate` ({BASELINE}), or of `python -m benchmarks perturb`, "
+    "`depth-ablation` or `evaluate` with --json"
+)
+_ERRORS = {
+    **{"position_median": "position_median_mm", "position_p95": "position_p95_mm"},
+    **{"rotation_median": "rotation_median_deg", "rotation_p95": "rotation_p95_deg"},
+}
+"""Columns of the table by name of the errors in the baseline's file."""
 _FLOORS = {"position": 0.05, "rotation": 0.02}
 """Least values of logarithmic axes [mm, degrees]."""
 _METHODS = {"grounding": COLOURS[0], "baseline": COLOURS[1]}
@@ -27,48 +36,151 @@ _EXTRACTOR = {"grounding": "grounding", "baseline": "learned inverse dynamics"}
 _TRACKED = "tracked_when_seen"
 
 
+class Interval(BaseModel):
+    """Figure with the ends of its interval; None where there is none."""
+
+    value: float | None
+    low: float | None
+    high: float | None
+
+
+class Distribution(BaseModel):
+    """Percentiles of the errors of one condition."""
+
+    group: str = ""
+    frames: int
+    percentiles: tuple[float, ...]
+    position_mm: tuple[float, ...] | None
+    rotation_deg: tuple[float, ...] | None
+
+
+class DepthMap(BaseModel):
+    """Mean relative depth error over one plane of panda_hand."""
+
+    axes: str
+    bounds_mm: tuple[float, float, float, float]
+    mean: list[list[float | None]]
+
+
+class DepthError(BaseModel):
+    """Relative error of the estimated depth on the gripper."""
+
+    median: float | None = None
+    p95: float | None = None
+    maps: dict[str, DepthMap] = {}
+
+
+class Study(BaseModel):
+    """Errors of the grounding on the same videos under several conditions."""
+
+    study: str
+    title: str
+    videos: list[str]
+    conditions: dict[str, dict[str, Interval]]
+    distributions: dict[str, Distribution]
+    relative_depth_error: DepthError = DepthError()
+
+    @property
+    def has_baseline(self) -> bool:
+        """True if the learned baseline was measured, too."""
+        return any(d.group == LEARNED for d in self.distributions.values())
+
+
+class PipelineErrors(BaseModel):
+    """Errors of one pipeline."""
+
+    pipeline: str
+    intervals: dict[str, Interval]
+    videos: dict[str, Any]
+
+
+class BaselineGroup(BaseModel):
+    """Errors of the grounding and of the learned baseline on the same videos of one task, or of several."""
+
+    group: str
+    trained: bool
+    pooled: bool
+    videos: int
+    tracked_fraction: float
+    errors: dict[str, dict[str, tuple[float, float, float]]]
+    video_medians: dict[str, dict[str, list[float | None]]]
+
+
+class Measurements(BaseModel):
+    """All files of `perception` that a report was given."""
+
+    names: list[str] = []
+    """Names of the files."""
+    baseline: list[BaselineGroup] = []
+    studies: dict[str, Study] = {}
+    evaluations: list[PipelineErrors] = []
+
+
+def is_measurement(path: Path) -> bool:
+    """Return whether a path names a --json file of a study, or the output folder of the learned baseline's."""
+    return path.suffix == ".json" or (path / BASELINE).is_file()
+
+
+def read_measurements(paths: Sequence[Path]) -> Measurements:
+    """Read files of `perception`.
+
+    Raises:
+        UsageError: a file is no such file, or there are two of one kind.
+    """
+    files = Measurements()
+    for path in paths:
+        file = path / BASELINE if path.is_dir() else path
+        files.names.append(path.name)
+        try:
+            content = json.loads(file.read_text(encoding="utf-8"))
+            if isinstance(content, list):
+                _require_first(file, BASELINE, not files.baseline)
+                files.baseline = [BaselineGroup.model_validate(group) for group in content]
+            elif isinstance(content, dict) and "distributions" in content:
+                study = Study.model_validate(content)
+                _require_first(file, study.study, study.study not in files.studies)
+                files.studies[study.study] = study
+            else:
+                files.evaluations.append(PipelineErrors.model_validate(content))
+        except (OSError, ValueError, ValidationError):
+            raise UsageError(f"{path}: cannot be read; {_EXPECTED} of this version") from None
+    return files
+
+
+def _require_first(file: Path, kind: str, first: bool) -> None:
+    if not first:
+        raise UsageError(f"{file}: is a second file of {kind}, whose videos would be drawn twice; name one")
+
+
 def tabulate_extraction(files: Measurements) -> Table | None:
     """Build the table of errors by source of depth and method; None without a measurement."""
-    rows: list[tuple[Value, ...]] = []
-    for name in ("true depth", "our estimate"):
-        depth = files.studies.get(DEPTH)
-        if depth is not None and name in depth.conditions:
-            label = f"grounding, {'true' if name == 'true depth' else 'estimated'} depth"
-            rows.append(_row(label, DEPTH, depth.conditions[name], depth.videos))
+    rows: list[dict[str, Value]] = []
+    if (depth := files.studies.get(DEPTH)) is not None:
+        for name, label in (("true depth", "true"), ("our estimate", "estimated")):
+            if name in depth.conditions:
+                source = {"method": f"grounding, {label} depth", "source": DEPTH}
+                rows.append({**source, **_study_cells(depth.conditions[name], depth.videos)})
     for evaluation in files.evaluations:
-        label, source = f"grounding, {evaluation.pipeline}", "evaluate"
-        rows.append(_row(label, source, evaluation.intervals, [*evaluation.videos]))
+        source = {"method": f"grounding, {evaluation.pipeline}", "source": "evaluate"}
+        rows.append({**source, **_study_cells(evaluation.intervals, [*evaluation.videos])})
     for group in (g for g in files.baseline if g.pooled):
-        source = f"baseline evaluate, {group.group}"
         for method, label in _EXTRACTOR.items():
-            tracked = group.tracked_fraction if method == "grounding" else 1.0
-            cells = [_estimate(*group.errors[method][name], group.videos) for name in _FIGURES]
-            rows.append((label, source, group.videos, _estimate(tracked, None, None, group.videos), *cells))
-    if not rows:
-        return None
-    return Table(
-        name="extraction",
-        title="Errors of motion extraction by source of depth and method",
-        note="Median and 95th percentile over frames, of the grounding over tracked frames, with 95 % bootstrap "
-        "intervals over videos; a lost frame has no error. Of baseline evaluate: TCP in the base frame, tracked of all "
-        "frames; of the others: hand in the camera frame, tracked of the frames that show at least 30 % of the "
-        "gripper. Rows of different sources may be of different videos.",
-        columns=(
-            *plain_columns(method="Method", source="Measured by", videos="Videos"),
-            Column(key="tracked", label="Tracked", pattern="{:.1%}", estimated=True),
-            Column(key="position_median_mm", label="Position, median [mm]", pattern="{:.2f}", estimated=True),
-            Column(key="position_p95_mm", label="Position, 95 % [mm]", pattern="{:.2f}", estimated=True),
-            Column(key="rotation_median_deg", label="Rotation, median [degrees]", pattern="{:.2f}", estimated=True),
-            Column(key="rotation_p95_deg", label="Rotation, 95 % [degrees]", pattern="{:.2f}", estimated=True),
-        ),
-        rows=tuple(rows),
-    )
+            errors, tracked = group.errors[method], group.tracked_fraction if method == "grounding" else 1.0
+            rows.append(
+                {
+                    **{"method": label, "source": f"baseline evaluate, {group.group}", "videos": group.videos},
+                    "tracked": _estimate(tracked, None, None, group.videos),
+                    **{column: _estimate(*errors[name], group.videos) for name, column in _ERRORS.items()},
+                }
+            )
+    return make_table("extraction", rows) if rows else None
 
 
-def _row(label: str, source: str, figures: Mapping[str, Interval], videos: Sequence[str]) -> tuple[Value, ...]:
-    names = (_TRACKED, "position_median_mm", "position_p95_mm", "rotation_median_deg", "rotation_p95_deg")
-    cells = (_estimate(f.value, f.low, f.high, len(videos)) for f in (figures[name] for name in names))
-    return (label, source, len(videos), *cells)
+def _study_cells(figures: Mapping[str, Interval], videos: Sequence[str]) -> dict[str, Value]:
+    names = {"tracked": _TRACKED, **{column: column for column in _ERRORS.values()}}
+    intervals = {column: figures[name] for column, name in names.items()}
+    cells = {column: _estimate(f.value, f.low, f.high, len(videos)) for column, f in intervals.items()}
+    return {"videos": len(videos), **cells}
 
 
 def _estimate(value: float | None, low: float | None, high: float | None, n: int) -> Estimate:
@@ -101,17 +213,10 @@ def draw_trajectories(groups: Sequence[BaselineGroup]) -> ReportFigure | None:
     axes[0, 0].set_xlim(-0.5, len(tasks) - 0.5)
     handles, labels = axes[0, 0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside upper center", ncols=2, fontsize=8, frameon=False)
-    return ReportFigure(
-        name="figure4a_trajectories",
-        title="Figure 4a: errors on tasks that the learned baseline was not trained on",
-        caption="Dots: median error over the frames of one video; bars: median over all frames of the task. The "
-        "grounding's errors are those of its tracked frames, whose share stands below the task; the baseline has a "
-        "pose in every frame.",
-        figure=figure,
-    )
+    return make_figure("figure4a_trajectories", figure)
 
 
-def draw_conditions(study: Study, name: str, title: str, caption: str) -> ReportFigure:
+def draw_conditions(study: Study, name: str) -> ReportFigure:
     """Draw the distribution of both errors, and the share of tracked frames, for each condition of a study."""
     names = [n for n, d in study.distributions.items() if n in study.conditions]
     groups = list(dict.fromkeys(study.distributions[n].group for n in names))
@@ -152,14 +257,7 @@ def draw_conditions(study: Study, name: str, title: str, caption: str) -> Report
         figure.legend(loc="outside upper center", ncols=2, fontsize=8, frameon=False)
     labels = [plain(shorten(n, 30)) for n in names]
     ax.set_xticks(range(len(names)), labels, fontsize=8, rotation=60, ha="right", rotation_mode="anchor")
-    return ReportFigure(
-        name=name,
-        title=title,
-        caption=f"{caption} {len(study.videos)} videos. Boxes: quartiles, whiskers: 5 % and 95 % of tracked frames; "
-        "below: share of the frames that show at least 30 % of the gripper and are tracked, with 95 % intervals over "
-        "videos.",
-        figure=figure,
-    )
+    return make_figure(name, figure, videos=len(study.videos))
 
 
 def _logarithmic(ax: Any) -> None:
@@ -193,10 +291,4 @@ def draw_depth_maps(error: DepthError) -> ReportFigure | None:
         ax.tick_params(labelsize=8)
         ax.axhline(0.0, color=FAINT, linewidth=0.8)
     figure.colorbar(image, ax=list(axes[0]), label="mean |relative error| [%]", shrink=0.85)
-    return ReportFigure(
-        name="figure5b_depth_error",
-        title="Figure 5b: error of the estimated depth over the gripper",
-        caption=f"Mean absolute error of the network's depth, relative to the true depth. Over all cells: median "
-        f"{error.median:.2%}, 95th percentile {error.p95:.2%}.",
-        figure=figure,
-    )
+    return make_figure("figure5b_depth_error", figure, median=error.median, p95=error.p95)

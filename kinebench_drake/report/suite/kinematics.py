@@ -6,11 +6,9 @@ from dataclasses import replace
 import numpy as np
 
 from kinebench_drake.io.figure import new_figure, plain, shorten
-from kinebench_drake.report.figures import COLOURS, ReportFigure, add_legend, assign_numbers, style
-from kinebench_drake.report.metric import BY_NAME
-from kinebench_drake.report.suite.episode import (
+from kinebench_drake.report.figures import COLOURS, ReportFigure, add_legend, assign_numbers, make_figure, style
+from kinebench_drake.report.suite.episode_result import (
     COST,
-    EXECUTABLE_COLUMN,
     EpisodeResult,
     executable_share,
     group_by_run,
@@ -18,21 +16,23 @@ from kinebench_drake.report.suite.episode import (
     mean_over_tasks,
     worst_metric,
 )
-from kinebench_drake.report.suite.success import COST_COLUMN
-from kinebench_drake.report.table import Column, Table, plain_columns
+from kinebench_drake.report.table import Table, make_table
 from kinebench_drake.results.aggregate import Estimate, robust_normalize
 
 _METRICS = (
-    ("sparc", "SPARC", "{:.2f}"),
-    ("sparc_rotation", "SPARC, rotation", "{:.2f}"),
-    ("ldlj", "Log dimensionless jerk", "{:.2f}"),
-    ("manipulability_mean", "Manipulability", "{:.4f}"),
-    ("ik_success_rate", "IK success", "{:.1%}"),
-    ("slowdown_min", "Slow-down needed", "{:.2f}"),
-    ("tracked_fraction", "Frames tracked", "{:.1%}"),
-    ("gap_gripper_m", "Generated to executed [m]", "{:.4f}"),
-    ("gap_robot_iou", "Robot overlap", "{:.2f}"),
+    *("sparc", "sparc_rotation", "ldlj", "manipulability_mean", "ik_success_rate", "slowdown_min", "tracked_fraction"),
+    *("gap_gripper_m", "gap_robot_iou"),
 )
+"""Metrics of the table of the generated motion."""
+_FOLLOWING = {
+    **{"action_error_mm": ("action_error_m", 1e3), "action_shuffled_mm": ("action_shuffled_m", 1e3)},
+    "action_error_deg": ("action_error_rad", 180.0 / np.pi),
+    "action_shuffled_deg": ("action_shuffled_rad", 180.0 / np.pi),
+    "action_error_finger_mm": ("action_error_finger_m", 1e3),
+    "action_shuffled_finger_mm": ("action_shuffled_finger_m", 1e3),
+    **{"action_following": ("action_following", 1.0), "action_lag_s": ("action_lag_s", 1.0)},
+}
+"""Metric and factor to its unit, by column of the table of action following."""
 
 
 def scale_costs(episodes: Iterable[EpisodeResult]) -> list[EpisodeResult]:
@@ -50,49 +50,18 @@ def scale_costs(episodes: Iterable[EpisodeResult]) -> list[EpisodeResult]:
 
 def tabulate_kinematics(episodes: Sequence[EpisodeResult], seed: int = 0) -> Table:
     """Build the table of task-balanced kinematic metrics of every model on every part."""
-    metrics = [m for m in _METRICS if any(e.metric(m[0]) is not None for e in episodes)]
-    worst = {name: worst_metric(name, episodes) for name, *_ in metrics}
-    return Table(
-        name="kinematics",
-        title="Motion of the generated gripper",
-        note="Means over tasks of the episodes that have the metric, with 95 % bootstrap intervals over episodes "
-        "within tasks; successes and failures alike. Bound: the mean if the other episodes had the worst value of all.",
-        columns=(
-            *plain_columns(part="Suite", model="Model"),
-            EXECUTABLE_COLUMN,
-            COST_COLUMN,
-            *(
-                Column(key=name, label=label, pattern=pattern, meaning=BY_NAME[name].meaning, estimated=True)
-                for name, label, pattern in metrics
-            ),
-        ),
-        rows=tuple(
-            (
-                part.title,
-                model,
-                executable_share(own, seed, episodes),
-                mean_over_tasks(own, lambda e: e.cost_scaled, seed, 1.0),
-                *(
-                    mean_over_tasks(own, lambda e, name=name: e.metric(name), seed, worst[name])  # type: ignore[misc]
-                    for name, *_ in metrics
-                ),
-            )
+    names = [name for name in _METRICS if any(e.metric(name) is not None for e in episodes)]
+    return make_table(
+        "kinematics",
+        (
+            {
+                **{"part": part.title, "model": model, "executable": executable_share(own, seed, episodes)},
+                "manipulability_cost_scaled": mean_over_tasks(own, lambda e: e.cost_scaled, seed, 1.0),
+                **{name: _mean_metric(own, episodes, name, seed) for name in names},
+            }
             for part, model, own in group_by_run(episodes)
         ),
     )
-
-
-_FOLLOWING = (
-    ("action_error_m", "action_error_mm", "Error [mm]", 1e3, "{:.1f}"),
-    ("action_shuffled_m", "action_shuffled_mm", "Shuffled [mm]", 1e3, "{:.1f}"),
-    ("action_error_rad", "action_error_deg", "Error [degrees]", 180.0 / np.pi, "{:.1f}"),
-    ("action_shuffled_rad", "action_shuffled_deg", "Shuffled [degrees]", 180.0 / np.pi, "{:.1f}"),
-    ("action_error_finger_m", "action_error_finger_mm", "Error, fingers [mm]", 1e3, "{:.1f}"),
-    ("action_shuffled_finger_m", "action_shuffled_finger_mm", "Shuffled, fingers [mm]", 1e3, "{:.1f}"),
-    ("action_following", "action_following", "Following", 1.0, "{:.2f}"),
-    ("action_lag_s", "action_lag_s", "Delay [s]", 1.0, "{:.2f}"),
-)
-"""Metrics of action following: key and label in the table, factor to its unit, format."""
 
 
 def tabulate_following(episodes: Sequence[EpisodeResult], seed: int = 0) -> Table | None:
@@ -100,41 +69,30 @@ def tabulate_following(episodes: Sequence[EpisodeResult], seed: int = 0) -> Tabl
     conditioned = [e for e in episodes if "action_error_m" in e.row.metrics]
     if not conditioned:
         return None
-
-    def mean(own: Sequence[EpisodeResult], name: str, factor: float) -> Estimate:
-        worst = worst_metric(name, conditioned)
-        return mean_over_tasks(
-            own,
-            lambda e: None if (value := e.metric(name)) is None else factor * value,
-            seed,
-            None if worst is None else factor * worst,
-        )
-
-    return Table(
-        name="following",
-        title="Following of actions",
-        note="Differences between the generated and the commanded gripper: an episode's median over frames, a lost "
-        "frame worse than any other; means over tasks with 95 % bootstrap intervals over episodes within tasks. "
-        "Shuffled: against the commanded frames in random order. Following: 1 - error / shuffled error of the "
-        "position, 1 for a video that obeys, 0 for one that does not depend on the actions. Delay: that with the least "
-        "error, if following exceeds 0.5.",
-        columns=(
-            *plain_columns(part="Suite", model="Model", episodes="Episodes"),
-            *(
-                Column(key=key, label=label, pattern=pattern, meaning=BY_NAME[name].meaning, estimated=True)
-                for name, key, label, _, pattern in _FOLLOWING
-            ),
-        ),
-        rows=tuple(
-            (
-                part.title,
-                model,
-                len({e.row.episode for e in own}),
-                *(mean(own, name, factor) for name, _, _, factor, _ in _FOLLOWING),
-            )
+    return make_table(
+        "following",
+        (
+            {
+                **{"part": part.title, "model": model, "episodes": len({e.row.episode for e in own})},
+                **{
+                    key: _mean_metric(own, conditioned, name, seed, factor)
+                    for key, (name, factor) in _FOLLOWING.items()
+                },
+            }
             for part, model, own in group_by_run(conditioned)
         ),
     )
+
+
+def _mean_metric(
+    own: Sequence[EpisodeResult], among: Sequence[EpisodeResult], name: str, seed: int, factor: float = 1.0
+) -> Estimate:
+    """Return a metric's mean over tasks times a factor; its bound is of the worst value in `among`."""
+
+    def scale(value: float | None) -> float | None:
+        return None if value is None else factor * value
+
+    return mean_over_tasks(own, lambda e: scale(e.metric(name)), seed, scale(worst_metric(name, among)))
 
 
 def draw_manipulability(episodes: Sequence[EpisodeResult]) -> ReportFigure | None:
@@ -177,11 +135,4 @@ def draw_manipulability(episodes: Sequence[EpisodeResult]) -> ReportFigure | Non
                 [], [], color=style(models.index(model))[0], linewidth=5.0, alpha=0.6, label=plain(shorten(model))
             )
         add_legend(figure, models)
-    return ReportFigure(
-        name="manipulability",
-        title="Manipulability cost by suite and model",
-        caption="Distribution over episodes of the mean manipulability cost (lower is better), scaled so that 0 is the "
-        "10th and 1 the 90th percentile of all episodes in this report, where those without "
-        "a cost are, too; bars from the first to the third quartile, dots at the median.",
-        figure=figure,
-    )
+    return make_figure("manipulability", figure)

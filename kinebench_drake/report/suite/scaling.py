@@ -1,16 +1,16 @@
 """Success against demonstrations and optimisation steps, by difficulty of the tasks (suite 3)."""
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from kinebench_drake.io.figure import new_figure
-from kinebench_drake.report.figures import ReportFigure, style
-from kinebench_drake.report.suite.episode import EpisodeResult, group_by, mean_over_tasks
-from kinebench_drake.report.suite.folders import RunFolder, model_of
-from kinebench_drake.report.table import Column, Table, plain_columns
+from kinebench_drake.report.figures import ReportFigure, make_figure, style
+from kinebench_drake.report.suite.episode_result import EpisodeResult, group_by, mean_over_tasks
+from kinebench_drake.report.suite.pooling import SuiteRun, model_of
+from kinebench_drake.report.table import Column, Table, make_table
 from kinebench_drake.results.aggregate import Estimate
 
 SUITE = 3
@@ -48,18 +48,18 @@ class Scaling:
 
 
 def study_scaling(
-    folders: Sequence[RunFolder], episodes: Sequence[EpisodeResult], difficulties: Mapping[str, str], seed: int = 0
+    runs: Sequence[SuiteRun], episodes: Sequence[EpisodeResult], difficulties: Mapping[str, str], seed: int = 0
 ) -> list[Scaling]:
     """Compute each model's task-balanced success on suite 3 by training and difficulty, pooling runs of one training.
 
     Args:
-        folders: the runs; those without valid tags are skipped.
+        runs: those without valid tags are skipped.
         episodes: their episodes.
         difficulties: difficulty of each task, in rising order.
         seed: seed of the resampling.
     """
     budgets: dict[Path | None, TrainingBudget] = {
-        f.path: budget for f in folders if f.part.suite == SUITE and (budget := budget_of(f))
+        run.path: budget for run in runs if run.part.suite == SUITE and (budget := budget_of(run))
     }
     studies = []
     for model, own in group_by((e for e in episodes if e.folder in budgets), lambda e: model_of(e.row)).items():
@@ -67,18 +67,18 @@ def study_scaling(
         order = [*dict.fromkeys(difficulties.values()), _UNKNOWN]
         levels = (*(name for name in order if name in level.values()), ALL_LEVELS)
         success = {}
-        for budget, runs in group_by(own, lambda e: budgets[e.folder]).items():
+        for budget, trained in group_by(own, lambda e: budgets[e.folder]).items():
             for name in levels:
-                some = [e for e in runs if name in (ALL_LEVELS, level[e.task])]
+                some = [e for e in trained if name in (ALL_LEVELS, level[e.task])]
                 if some:
                     success[budget, name] = mean_over_tasks(some, lambda e: e.hit, seed)
         studies.append(Scaling(model=model, levels=levels, success=success))
     return studies
 
 
-def budget_of(folder: RunFolder) -> TrainingBudget | None:
+def budget_of(run: SuiteRun) -> TrainingBudget | None:
     """Parse the tags `data` and `steps` of a run; None unless both are counts."""
-    data, steps = (_parse_count(folder.tags.get(name, "")) for name in ("data", "steps"))
+    data, steps = (_parse_count(run.tags.get(name, "")) for name in ("data", "steps"))
     return None if data is None or steps is None else TrainingBudget(data=data, steps=steps)
 
 
@@ -91,9 +91,9 @@ def _parse_count(text: str) -> int | None:
     return int(value) if value == int(value) and value > 0 else None
 
 
-def untagged(folders: Sequence[RunFolder]) -> list[Path]:
+def untagged(runs: Sequence[SuiteRun]) -> list[SuiteRun]:
     """List the runs on suite 3 whose tags name no training budget."""
-    return [f.path for f in folders if f.part.suite == SUITE and budget_of(f) is None]
+    return [run for run in runs if run.part.suite == SUITE and budget_of(run) is None]
 
 
 def task_difficulties() -> dict[str, str]:
@@ -108,20 +108,24 @@ def task_difficulties() -> dict[str, str]:
 def tabulate_scaling(studies: Sequence[Scaling]) -> Table:
     """Build the table of success by model, training and difficulty."""
     levels = [*dict.fromkeys(level for s in studies for level in s.levels[:-1]), *(s.levels[-1] for s in studies[:1])]
-    return Table(
-        name="scaling",
-        title="Success by demonstrations, steps and difficulty of the tasks",
-        note="Suite 3: means over the tasks of a difficulty, with 95 % bootstrap intervals over episodes within tasks.",
-        columns=(
-            *plain_columns(model="Model", data="Demonstrations a task", steps="Steps"),
-            *(Column(key=f"success_{v}", label=v.capitalize(), pattern="{:.1%}", estimated=True) for v in levels),
-        ),
-        rows=tuple(
-            (s.model, budget.data, budget.steps, *(s.success.get((budget, level)) for level in levels))
-            for s in studies
-            for budget in s.budgets
-        ),
+    lines = [(s, budget) for s in studies for budget in s.budgets]
+    return make_table(
+        "scaling",
+        ({"model": s.model, "data": budget.data, "steps": budget.steps} for s, budget in lines),
+        more=[
+            (
+                Column(key=f"success_{level}", label=level.capitalize(), pattern="{:.1%}", estimated=True),
+                [s.success.get((budget, level)) for s, budget in lines],
+            )
+            for level in levels
+        ],
     )
+
+
+def draw_studies(studies: Sequence[Scaling]) -> Iterator[tuple[Scaling, ReportFigure | None]]:
+    """Draw each study as `draw_scaling` does; the figures are numbered if there are several."""
+    for number, study in enumerate(studies, 1):
+        yield study, draw_scaling(study, "scaling_curves" if len(studies) == 1 else f"scaling_{number}_curves")
 
 
 def draw_scaling(study: Scaling, name: str) -> ReportFigure | None:
@@ -160,13 +164,7 @@ def draw_scaling(study: Scaling, name: str) -> ReportFigure | None:
             ax.set_xlabel(label, fontsize=8)
         row[0].set_ylabel("success", fontsize=9)
         row[-1].legend(fontsize=7, frameon=False, loc="center left", bbox_to_anchor=(1.0, 0.5))
-    return ReportFigure(
-        name=name,
-        title=f"Scaling of {study.model} by difficulty of the tasks",
-        caption="Suite 3: mean success over the tasks of a difficulty, with 95 % bootstrap intervals over episodes "
-        "within tasks; top: against demonstrations, bottom: against optimisation steps, where both were varied.",
-        figure=figure,
-    )
+    return make_figure("scaling", figure, name=name, model=study.model)
 
 
 def _draw_line(ax: Any, x: Sequence[float], estimates: Sequence[Estimate], index: int, label: str) -> None:

@@ -6,11 +6,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from kinebench_drake.geometry import Array
-from kinebench_drake.io.figure import FAINT, new_figure, plain, shorten
-from kinebench_drake.report.figures import ReportFigure, add_legend, assign_numbers, draw_interval, label_shares, style
+from kinebench_drake.report.figures import ReportFigure, assign_numbers, draw_intervals, make_figure
 from kinebench_drake.report.number import ALL_TASKS, share_difference
-from kinebench_drake.report.suite.episode import EpisodeResult, SuitePart, group_by, list_models
-from kinebench_drake.report.table import Column, Table, Value, plain_columns
+from kinebench_drake.report.suite.episode_result import EpisodeResult, SuitePart, group_by, list_models
+from kinebench_drake.report.table import Table, Value, make_table
 from kinebench_drake.results.aggregate import Estimate
 from kinebench_drake.stats import PairedShares, adjust_p_values, independent_mean_difference
 
@@ -68,10 +67,9 @@ def study_drops(
             every = [pair for some in pairs.values() for pair in some]
             drops += [_paired(suite, model, ALL_TASKS, every, seed), *_adjust(by_task)]
         for task in sorted({*others} - {*trained}):
-            names = tuple(name for name in transfers.get(task, ()) if name in trained)
-            some = [samples for name in names for samples in trained[name].values()]
-            if some:
-                drops.append(_independent(suite, model, task, names, (some, [*others[task].values()]), seed))
+            origins = [own for name in transfers.get(task, ()) for own in trained.get(name, {}).values()]
+            if origins:
+                drops.append(_independent(suite, model, task, origins, [*others[task].values()], seed))
     return sorted(drops, key=lambda d: d.suite)
 
 
@@ -89,6 +87,7 @@ def _rate(samples: Samples, missing: float | None = None) -> float:
 
 
 def _paired(suite: int, model: str, task: str, pairs: Sequence[tuple[Samples, Samples]], seed: int) -> SeenUnseenDrop:
+    """Compare the seen with the unseen episode of each pair."""
     rates = np.array([[_rate(samples) for samples in pair] for pair in pairs], dtype=np.float64)
     complete = rates[np.isfinite(rates).all(axis=1)]
     bound = float(np.mean([_rate(one, 1.0) - _rate(other, 0.0) for one, other in pairs]))
@@ -110,37 +109,29 @@ def _paired(suite: int, model: str, task: str, pairs: Sequence[tuple[Samples, Sa
 
 
 def _independent(
-    suite: int,
-    model: str,
-    task: str,
-    seen_tasks: tuple[str, ...],
-    groups: tuple[Sequence[Samples], Sequence[Samples]],
-    seed: int,
+    suite: int, model: str, task: str, origins: Sequence[Samples], derived: Sequence[Samples], seed: int
 ) -> SeenUnseenDrop:
-    """Compare the seen with the unseen episodes of `groups`."""
-    rates = [np.array([_rate(samples) for samples in own], dtype=np.float64) for own in groups]
+    """Compare the episodes of trained tasks with those of the unseen task that derives from them."""
+    rates = [np.array([_rate(samples) for samples in own], dtype=np.float64) for own in (origins, derived)]
     first, second = (own[np.isfinite(own)] for own in rates)
-    n, total = len(first) + len(second), sum(map(len, groups))
-    drop = Estimate(mean=None, low=None, high=None, n=n, total=total)
+    drop = Estimate(mean=None, low=None, high=None, n=len(first) + len(second), total=len(origins) + len(derived))
     if len(first) and len(second):
         value = independent_mean_difference(first, second, np.random.default_rng(seed))
-        drop = _estimate(value.value, value.low, value.high, n, total)
-    best, worst = (np.mean([_rate(s, v) for s in own]) for own, v in zip(groups, (1.0, 0.0), strict=True))
+        low, high = (value.low, value.high) if np.isfinite([value.low, value.high]).all() else (None, None)
+        drop = replace(drop, mean=value.value, low=low, high=high)
+    bound = np.mean([_rate(samples, 1.0) for samples in origins]) - np.mean(
+        [_rate(samples, 0.0) for samples in derived]
+    )
     return SeenUnseenDrop(
         suite=suite,
         model=model,
         task=task,
-        seen_tasks=seen_tasks,
+        seen_tasks=tuple(dict.fromkeys(samples[0].task for samples in origins)),
         paired=False,
         rates=(_mean(first), _mean(second)),
-        drop=replace(drop, bound=float(best - worst)),
+        drop=replace(drop, bound=float(bound)),
         p=None,
     )
-
-
-def _estimate(value: float, low: float, high: float, n: int, total: int) -> Estimate:
-    ends = (low, high) if np.isfinite([low, high]).all() else (None, None)
-    return Estimate(mean=value, low=ends[0], high=ends[1], n=n, total=total)
 
 
 def _mean(values: Array) -> Estimate:
@@ -155,67 +146,30 @@ def _adjust(drops: Sequence[SeenUnseenDrop]) -> list[SeenUnseenDrop]:
 
 def tabulate_drops(drops: Sequence[SeenUnseenDrop]) -> Table:
     """Build the table of drops, one per row."""
-    return Table(
-        name="seen_unseen",
-        title="Drop of success from seen to unseen, task by task",
-        note="Seen minus unseen: positive is a loss. Suite 2 pairs the episodes of one task and seed, the same layout "
-        "with other assets and looks: over the pairs measured on both sides, 95 % intervals by Newcombe's method 10, p "
-        "of McNemar's exact test (of several samples an episode: paired bootstrap over episodes, randomization of the "
-        "signs of the differences), adjusted p by Benjamini and Hochberg over the tasks of a model. Suite 1 compares "
-        "an unseen task with the trained tasks it derives from; these episodes are not paired, with Newcombe's "
-        "interval of independent shares. All tasks: every pair counts the same. Below a drop over incomplete data: the "
-        "greatest drop that the other episodes allow.",
-        columns=(
-            *plain_columns(suite="Suite", model="Model", task="Unseen task", seen_tasks="Seen task"),
-            Column(key="success_seen", label="Success, seen", pattern="{:.1%}"),
-            Column(key="success_unseen", label="Success, unseen", pattern="{:.1%}"),
-            Column(key="drop", label="Drop", pattern="{:+.1%}", estimated=True),
-            Column(key="p", label="p", pattern="{:.3g}"),
-            Column(key="p_adjusted", label="Adjusted p", pattern="{:.3g}"),
-            *plain_columns(comparison="Comparison", measured="Measured", episodes="All"),
-        ),
-        rows=tuple(_row(d) for d in drops),
-        bold=frozenset((i, 6) for i, d in enumerate(drops) if d.task == ALL_TASKS),
-    )
+    whole = ((i, "drop") for i, d in enumerate(drops) if d.task == ALL_TASKS)
+    return make_table("seen_unseen", map(_row, drops), bold=whole)
 
 
-def _row(d: SeenUnseenDrop) -> tuple[Value, ...]:
+def _row(d: SeenUnseenDrop) -> dict[str, Value]:
     same = d.seen_tasks == (d.task,) or d.task == ALL_TASKS
-    return (
-        *(f"Suite {d.suite}", d.model, d.task, "the same" if same else ", ".join(d.seen_tasks)),
-        *(rate.mean for rate in d.rates),
-        d.drop,
-        *(d.p, d.adjusted_p, "pairs of one seed" if d.paired else "independent", d.drop.n, d.drop.total),
-    )
+    return {
+        **{"suite": f"Suite {d.suite}", "model": d.model, "task": d.task},
+        **{"seen_tasks": "the same" if same else ", ".join(d.seen_tasks)},
+        **{"success_seen": d.rates[0].mean, "success_unseen": d.rates[1].mean, "drop": d.drop},
+        **{"p": d.p, "p_adjusted": d.adjusted_p, "comparison": "pairs of one seed" if d.paired else "independent"},
+        **{"measured": d.drop.n, "episodes": d.drop.total},
+    }
 
 
 def draw_drops(drops: Sequence[SeenUnseenDrop]) -> list[ReportFigure]:
     """Draw the drops by task and model, a figure for each suite."""
-    models = list(dict.fromkeys(d.model for d in drops))
-    figures = []
+    models, figures = list(dict.fromkeys(d.model for d in drops)), []
     for suite, own in group_by(drops, lambda d: d.suite).items():
         tasks = sorted({d.task for d in own}, key=lambda task: (task != ALL_TASKS, task), reverse=True)
-        here = [m for m in models if any(d.model == m for d in own)]
-        figure, axes = new_figure(7.2, 1.3 + len(tasks) * max(0.3, 0.1 + 0.1 * len(here)))
-        ax, numbers = axes[0, 0], assign_numbers(models, here)
-        for k, model in enumerate(here):
-            colour, marker = style(numbers[model])
-            offset = 0.62 * (0.5 - (k + 0.5) / len(here))
-            for d in own:
-                if d.model == model:
-                    draw_interval(ax, d.drop, tasks.index(d.task) + offset, colour, marker)
-            ax.plot([], [], color=colour, marker=marker, markersize=4, linewidth=1.2, label=plain(shorten(model)))
-        ax.axvline(0.0, color=FAINT, linewidth=1.2, zorder=1)
-        label_shares(ax, tasks, "drop of success, seen minus unseen", low=-1.0)
-        add_legend(figure, here)
-        figures.append(
-            ReportFigure(
-                name=f"seen_unseen_suite{suite}",
-                title=f"Suite {suite}: drop of success from seen to unseen",
-                caption="Right of the line: less success on unseen episodes; 95 % intervals, see the table.",
-                figure=figure,
-            )
-        )
+        values = {m: [(d.task, d.drop) for d in own if d.model == m] for m in models if any(d.model == m for d in own)}
+        numbers, label = assign_numbers(models, [*values]), "drop of success, seen minus unseen"
+        figure = draw_intervals(tasks, values, numbers, label, low=-1.0)
+        figures.append(make_figure("seen_unseen", figure, suite=suite))
     return figures
 
 

@@ -11,11 +11,10 @@ from benchmarks.__main__ import main as benchmarks
 from kinebench_drake.cli import cli, main
 from kinebench_drake.errors import UsageError
 from kinebench_drake.report.number import ALL_TASKS
-from kinebench_drake.report.suite.folders import pool_episodes, read_folders
-from kinebench_drake.report.suite.main_table import ROWS, tabulate_main
-from kinebench_drake.report.suite.measurement import read_measurements
-from kinebench_drake.report.suite.paper import INDEX, MISSING, missing_text, read_paper_data, write_paper_report
-from kinebench_drake.report.suite.paper_section import make_sections
+from kinebench_drake.report.suite.extraction import read_measurements
+from kinebench_drake.report.suite.paper import ROWS, make_sections, read_paper_data, tabulate_table1
+from kinebench_drake.report.suite.pooling import pool_episodes, read_suite_runs
+from kinebench_drake.report.suite.suite_page import PAPER_INDEX, PAPER_MISSING, missing_text, write_paper_report
 from kinebench_drake.report.suite.transfer import study_drops, tabulate_drops
 from kinebench_drake.report.table import table_latex
 from kinebench_drake.results.row import Status
@@ -30,7 +29,7 @@ SPREAD = {"percentiles": [5, 25, 50, 75, 95]}
 
 
 def episodes_of(*paths):
-    return pool_episodes(read_folders(paths))
+    return pool_episodes(read_suite_runs(paths))
 
 
 def interval(value, width=0.2):
@@ -145,9 +144,9 @@ def complete(tmp_path):
 def test_with_all_data_only_other_tasks_are_missing(complete, measurements, tmp_path):
     page = write_paper_report([*complete, *measurements], tmp_path / "paper")
     text, names = page.read_text(), {path.name for path in page.parent.iterdir()}
-    assert page.name == INDEX
+    assert page.name == PAPER_INDEX
     others = "needs the tasks of the suite that a model did not run; SPEC is the model's own"
-    lines = [line for line in (page.parent / MISSING).read_text().splitlines() if "needs" in line]
+    lines = [line for line in (page.parent / PAPER_MISSING).read_text().splitlines() if "needs" in line]
     assert len(lines) == 4  # each row of Table 1 but suite 3
     assert all(others in line for line in lines)
     parsed = Page(text)
@@ -168,13 +167,13 @@ def test_with_all_data_only_other_tasks_are_missing(complete, measurements, tmp_
     assert names == {
         *(f"{name}.{kind}" for name in figures for kind in ("png", "svg")),
         *(f"{name}.{kind}" for name in tables for kind in ("csv", "tex")),
-        *("episodes.csv", INDEX, MISSING),
+        *("episodes.csv", PAPER_INDEX, PAPER_MISSING),
     }
 
 
 def test_table_1_has_suites_as_rows_and_scaling_runs_as_its_last_columns(complete):
-    folders = read_folders(complete)
-    table, executable = tabulate_main(folders, pool_episodes(folders))
+    folders = read_suite_runs(complete)
+    table, executable = tabulate_table1(folders, pool_episodes(folders))
     assert [row[0] for row in table.rows] == [*ROWS.values(), "Suite 1 (seen)"]
     assert [c.label for c in table.columns[3:6]] == ["wan", "cogvideo", "lora"]
     assert [c.group for c in table.columns[3:]] == ["Main model comparison"] * 3 + ["Scaling configurations"] * 7
@@ -203,8 +202,8 @@ def test_a_model_is_not_the_best_because_its_episodes_were_not_measured(tmp_path
     """All successes of the few measured episodes, and the rest unmeasurable: the bound decides."""
     lucky = write_run(tmp_path / "a", {"T": [True] * 2 + [failed(Status.UNMEASURABLE)] * 8}, model="lucky")
     steady = write_run(tmp_path / "b", {"T": [True] * 6 + [False] * 4}, model="steady")
-    folders = read_folders([lucky, steady])
-    table, _ = tabulate_main(folders, pool_episodes(folders))
+    folders = read_suite_runs([lucky, steady])
+    table, _ = tabulate_table1(folders, pool_episodes(folders))
     assert {table.columns[k].label for _, k in table.bold} == {"steady"}
 
 
@@ -256,8 +255,8 @@ def test_several_samples_of_an_episode_are_one_pair(tmp_path):
     assert task.drop.mean == pytest.approx(5 / 8 - 2 / 8)
     assert task.drop.low < task.drop.mean < task.drop.high
     assert every.drop == task.drop
-    folders = read_folders([runs["seen", 2]])
-    (row,) = (r for r in tabulate_main(folders, pool_episodes(folders))[0].rows if r[0] == "Suite 2 (seen)")
+    folders = read_suite_runs([runs["seen", 2]])
+    (row,) = (r for r in tabulate_table1(folders, pool_episodes(folders))[0].rows if r[0] == "Suite 2 (seen)")
     assert (row[2], row[3].mean, row[3].total) == ("8", 5 / 8, 16)
 
 

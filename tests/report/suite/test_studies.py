@@ -6,9 +6,9 @@ from scipy.stats import spearmanr
 
 from kinebench_drake.report.suite.comparison import ALL_TASKS, compare, tabulate_comparison
 from kinebench_drake.report.suite.correlation import standardise, study_correlation
-from kinebench_drake.report.suite.episode import balanced_mean, list_models
-from kinebench_drake.report.suite.folders import pool_episodes, read_folders
+from kinebench_drake.report.suite.episode_result import balanced_mean, list_models
 from kinebench_drake.report.suite.kinematics import scale_costs, tabulate_following
+from kinebench_drake.report.suite.pooling import pool_episodes, read_suite_runs
 from kinebench_drake.report.suite.scaling import (
     ALL_LEVELS,
     TrainingBudget,
@@ -25,7 +25,7 @@ from tests.report.suite.synthetic import change, failed, outcome, write_run
 
 
 def episodes_of(*paths):
-    return pool_episodes(read_folders(paths))
+    return pool_episodes(read_suite_runs(paths))
 
 
 def test_unmeasured_episodes_are_counted_and_are_no_failures(tmp_path):
@@ -186,7 +186,7 @@ def test_models_with_few_tasks_are_no_points(tmp_path):
 
 
 def test_scaling_is_by_training_and_difficulty(runs):
-    folders = read_folders(runs)
+    folders = read_suite_runs(runs)
     (study,) = study_scaling(folders, pool_episodes(folders), task_difficulties())
     assert study.levels == ("easy", "medium", "hard", ALL_LEVELS)
     assert study.budgets == [TrainingBudget(data=d, steps=s) for d in (10, 100) for s in (1500, 15000)]
@@ -201,9 +201,9 @@ def test_scaling_is_by_training_and_difficulty(runs):
 )
 def test_tags_are_read_as_numbers(tmp_path, data, steps, read):
     run = write_run(tmp_path / "a", {"T": [True]}, suite=3, tags={"data": data, "steps": steps})
-    folders = read_folders([run])
+    folders = read_suite_runs([run])
     assert budget_of(folders[0]) == read
-    assert untagged(folders) == ([] if read else [run])
+    assert [bare.path for bare in untagged(folders)] == ([] if read else [run])
 
 
 def test_pairs_are_the_shared_episodes(tmp_path):

@@ -10,7 +10,7 @@ from kinebench_drake.cli import main
 from kinebench_drake.errors import UsageError
 from kinebench_drake.report import parts
 from kinebench_drake.report.suite.comparison import read_comparison
-from kinebench_drake.report.suite.folders import pool_episodes, read_folders, spec_warnings
+from kinebench_drake.report.suite.pooling import pool_episodes, read_suite_runs, spec_warnings
 from kinebench_drake.report.suite.suite_page import write_comparison, write_page, write_suite_report
 from kinebench_drake.report.table import Column, Table, escape_latex, table_csv, table_latex, table_lines
 from kinebench_drake.results.aggregate import Estimate
@@ -129,7 +129,7 @@ def test_the_report_of_suite_runs(runs, tmp_path):
 
 def test_a_long_list_holds_all_models_failures_first(runs, tmp_path, monkeypatch):
     monkeypatch.setattr(parts, "LISTED", 100)
-    folders = read_folders(runs)
+    folders = read_suite_runs(runs)
     text = write_page("t", folders, pool_episodes(folders), tmp_path, parts=()).read_text()
     outcomes = re.findall(r'<td class="o-(\w+)"', text)
     assert len(outcomes) == 100
@@ -285,5 +285,5 @@ def test_specs_that_tags_tell_apart_need_no_label(tmp_path):
         write_run(tmp_path / steps, {"T": [True]}, first_seed=k, spec=steps * 16, tags={"steps": steps})
         for k, steps in enumerate(("1500", "3000"))
     ]
-    assert [e.model for e in pool_episodes(read_folders(folders))] == ["wan (steps=1500)", "wan (steps=3000)"]
-    assert spec_warnings(read_folders(folders)) == []
+    assert [e.model for e in pool_episodes(read_suite_runs(folders))] == ["wan (steps=1500)", "wan (steps=3000)"]
+    assert spec_warnings(read_suite_runs(folders)) == []

@@ -1,4 +1,4 @@
-"""Models of score, audit and ground runs, and their rows paired sample by sample."""
+"""Comparison of the models of score, audit and ground runs: numbers on paired samples, as text, page and files."""
 
 from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -6,8 +6,20 @@ from itertools import combinations
 from pathlib import Path
 
 from kinebench_drake.errors import UsageError, count_noun
-from kinebench_drake.report.number import RowPair
-from kinebench_drake.report.run import Run
+from kinebench_drake.report.number import (
+    NUMBERS,
+    NumberComparison,
+    RowPair,
+    compare_numbers,
+    draw_numbers,
+    number_lines,
+    tabulate_numbers,
+    value_of,
+)
+from kinebench_drake.report.parts import choose_listed, list_links, make_missing, write_parts
+from kinebench_drake.report.run import Run, check_page_folder
+from kinebench_drake.report.sample import GOOD_VERDICTS, verdict_of
+from kinebench_drake.report.table import Table, make_listing
 from kinebench_drake.results.row import SampleRow
 
 
@@ -38,6 +50,86 @@ class ModelPair:
         """The models, the shared samples and how they are paired, in one line."""
         shared, counts = count_noun(len(self.pairs), "shared sample"), " and ".join(map(str, self.samples))
         return f"{self.first} - {self.second}: {shared} (of {counts}), paired by {self.key}"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SampleComparison:
+    """Comparison of all pairs of models of some runs."""
+
+    runs: Sequence[Run]
+    samples: Sequence[ModelSample]
+    pairs: Sequence[ModelPair]
+    numbers: Sequence[NumberComparison]
+    warnings: Sequence[str]
+    """What else differs between paired samples, a line each."""
+
+
+def compare_samples(runs: Sequence[Run], seed: int = 0) -> SampleComparison:
+    """Compare the models of runs of one kind, two by two, on the samples that they share.
+
+    Raises:
+        UsageError: the runs are of different kinds, or no two models share a sample.
+    """
+    for run in runs[1:]:
+        if run.kind != runs[0].kind:
+            raise UsageError(
+                f"{runs[0].path} is of a run of kind {runs[0].kind!r} and {run.path} of {run.kind!r}: compare runs of "
+                "one kind"
+            )
+    samples = label_samples(runs)
+    pairs = pair_models(samples)
+    numbers = [
+        c
+        for pair in pairs
+        for c in compare_numbers([((a,), (b,)) for a, b in pair.pairs], pair.first, pair.second, seed=seed)
+    ]
+    return SampleComparison(
+        runs=runs, samples=samples, pairs=pairs, numbers=numbers, warnings=list(list_differences(pairs, runs))
+    )
+
+
+def sample_comparison_lines(comparison: SampleComparison) -> Iterator[str]:
+    """Format a comparison for a terminal: how the samples are paired, then the numbers of all tasks together."""
+    for pair in comparison.pairs:
+        yield pair.title
+    yield ""
+    yield from number_lines(comparison.numbers)
+
+
+def write_sample_comparison(comparison: SampleComparison, out: Path) -> Path:
+    """Write a comparison: page, figure and tables; returns the page.
+
+    Raises:
+        UsageError: `out` is the folder of a run.
+        SetupError: writing failed.
+    """
+    check_page_folder(out)
+    figure = draw_numbers(comparison.numbers) or make_missing("number_differences")
+    listed = choose_listed(comparison.samples, lambda s: s.model, lambda s: verdict_of(s.row) in GOOD_VERDICTS)
+    return write_parts(
+        "comparison_page.html.j2",
+        "Comparison of models",
+        out,
+        [tabulate_numbers(comparison.numbers), figure],
+        _tabulate_samples(comparison.samples),
+        comparison=comparison,
+        lines=[(s, list_links(s.run.path, s.row, out)) for s in listed],
+    )
+
+
+def _tabulate_samples(samples: Sequence[ModelSample]) -> Table:
+    """Build the table of all samples, one per row, for samples.csv."""
+    keys = ("model", "folder", "id", "video", "task", "seed", "status", "reason", "verdict", *NUMBERS)
+    rows = (
+        (
+            *(s.model, s.run.name, s.row.id, s.row.video, s.row.task),
+            seed if isinstance(seed := s.row.extra.get("seed"), int) else None,
+            *(s.row.status.value, s.row.reason, verdict_of(s.row)),
+            *(value_of(s.row, name) for name in NUMBERS),
+        )
+        for s in samples
+    )
+    return make_listing("samples", keys, rows)
 
 
 def _task_and_seed(row: SampleRow) -> Hashable | None:

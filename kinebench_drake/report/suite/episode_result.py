@@ -8,7 +8,7 @@ from typing import TypeVar
 import numpy as np
 
 from kinebench_drake.io.jsonl import Json, dump, finite
-from kinebench_drake.report.table import Column, Table, Value
+from kinebench_drake.report.table import Table, Value, make_listing
 from kinebench_drake.results.aggregate import Estimate
 from kinebench_drake.results.direction import worst_value
 from kinebench_drake.results.row import SampleRow, Status
@@ -157,12 +157,10 @@ def balanced_mean(
         The mean; without an interval if a task has a single value, or if resampling changes nothing: zero spread
         within the samples does not mean zero uncertainty.
     """
-    total = sum(len(values) for values in groups.values())
+    total = sum(map(len, groups.values()))
     filled = [[worst if v is None else v for v in own] for own in groups.values() if own]
-    complete = all(v is not None for own in filled for v in own)
-    bound = (
-        float(np.mean([np.mean(np.array(own, dtype=np.float64)) for own in filled])) if filled and complete else None
-    )
+    complete = filled and all(v is not None for own in filled for v in own)
+    bound = float(np.mean([np.mean(np.array(own, dtype=np.float64)) for own in filled])) if complete else None
     values = [np.array([v for v in own if v is not None], dtype=np.float64) for own in groups.values()]
     values = [own for own in values if len(own)]
     if not values:
@@ -221,12 +219,6 @@ def worst_metric(name: str, episodes: Iterable[EpisodeResult]) -> float | None:
     return worst_value(name, (v for e in episodes if (v := e.metric(name)) is not None))
 
 
-EXECUTABLE_COLUMN = Column(
-    key="executable", label="Executable", pattern="{:.1%}", estimated=True,
-    meaning="share of all episodes that a robot can execute as a whole; mean over tasks",
-)  # fmt: skip
-
-
 _METRICS = ("sparc", "sparc_rotation", "ldlj", "manipulability_mean", COST, "ik_success_rate", "tracked_fraction")
 _KEYS = (
     *("part", "suite", "split", "variant", "pool", "task", "seed", "model", "folder", "id", "status", "reason"),
@@ -237,17 +229,10 @@ _KEYS = (
 
 def tabulate_episodes(episodes: Sequence[EpisodeResult]) -> Table:
     """Build the table of all episodes, one per row, for episodes.csv."""
-    return Table(
-        name="episodes",
-        title="Episodes",
-        note="",
-        columns=tuple(Column(key=key, label=key) for key in _KEYS),
-        rows=tuple(_row(e) for e in episodes),
-        latex=False,
-    )
+    return make_listing("episodes", _KEYS, map(_row, episodes))
 
 
-def _row(e: EpisodeResult) -> tuple[Value, ...]:
+def _row(e: EpisodeResult) -> Sequence[Value]:
     variant, pool, seed = (
         v if isinstance(v := e.row.extra.get(name), str | int | float) else None for name in ("variant", "pool", "seed")
     )
