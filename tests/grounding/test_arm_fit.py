@@ -102,7 +102,7 @@ def fit_arm(fitter: ArmEdgeFitter, hand: HandFit, close: GripperView, wide: Grip
     return fitter.fit_all([ArmView.of(hand, close, wide)], [None])[0]
 
 
-def test_the_arm_determines_the_distance_of_the_hand(
+def test_the_arm_corrects_the_distance_of_the_hand(
     scene: tuple[Array, GripperView, GripperView], model: ArmModel
 ) -> None:
     X_CH, close, wide = scene
@@ -136,7 +136,7 @@ def drawn(model: ArmModel, q: Array, gripper: trimesh.Trimesh | None = None, sta
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_edges_sharpen_a_fit_whose_coordinates_are_all_off_alike(model: ArmModel, seed: int) -> None:
+def test_edges_correct_an_offset_common_to_all_coordinates(model: ArmModel, seed: int) -> None:
     q = posture(seed)
     X_CH, close, wide = views(model, q, seed)
     shift = 0.004 * np.array([1.0, 0.0, 1.0])  # of the coordinates, which noise would not average
@@ -153,7 +153,7 @@ def test_edges_sharpen_a_fit_whose_coordinates_are_all_off_alike(model: ArmModel
     assert fitter.sharpen_all([arm], [view], [GradientImage(blank, CAMERA)])[0] is arm
 
 
-def test_a_hand_that_is_elsewhere_than_its_arm_disagrees(
+def test_a_hand_displaced_from_the_arm_does_not_agree_with_it(
     scene: tuple[Array, GripperView, GripperView], model: ArmModel
 ) -> None:
     _, close, wide = scene
@@ -167,7 +167,7 @@ def test_a_hand_that_is_elsewhere_than_its_arm_disagrees(
     assert arm is None or not arm.agrees
 
 
-def test_a_hand_that_is_drawn_too_large_shows_in_the_scale(
+def test_the_scale_of_the_arm_fit_shows_an_oversized_hand(
     scene: tuple[Array, GripperView, GripperView], model: ArmModel
 ) -> None:
     """A hand 8 % too large appears 8 % nearer than the arm implies."""
@@ -187,7 +187,7 @@ def test_a_hand_that_is_drawn_too_large_shows_in_the_scale(
     assert large.scale / usual.scale == pytest.approx(1.08, abs=0.04)
 
 
-def test_too_little_of_an_arm_is_no_arm(scene: tuple[Array, GripperView, GripperView], model: ArmModel) -> None:
+def test_a_view_without_links_has_no_arm_fit(scene: tuple[Array, GripperView, GripperView], model: ArmModel) -> None:
     _, close, wide = scene
     hand = fit(close)
     assert hand is not None
@@ -198,7 +198,7 @@ def test_too_little_of_an_arm_is_no_arm(scene: tuple[Array, GripperView, Gripper
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_a_misread_hand_is_found_from_the_frame_before(model: ArmModel, seed: int) -> None:
+def test_a_wrongly_rotated_hand_is_recovered_from_the_neighbouring_frame(model: ArmModel, seed: int) -> None:
     """Seen from its narrow side, all CAD coordinates rotated by 30 degrees, unlike silhouette and arm."""
     X_CH, close, wide = views(model, posture(seed) + np.pi / 2 * np.eye(7)[6], seed)
     silhouette = SilhouetteMatcher(GripperCad())
@@ -228,7 +228,7 @@ def link_cells(*views: GripperView) -> Correspondences:
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_the_last_links_give_the_flange_without_gripper_and_base(model: ArmModel, seed: int) -> None:
+def test_the_links_determine_the_flange_only_if_link_7_is_visible(model: ArmModel, seed: int) -> None:
     X_CH, close, wide = views(model, posture(seed), seed)
     solution = ChainFitter(model).fit(link_cells(close, wide))
     assert solution is not None
@@ -239,7 +239,7 @@ def test_the_last_links_give_the_flange_without_gripper_and_base(model: ArmModel
     assert ChainFitter(model).fit(hidden.take(hidden.part != RobotPart.LINK7)) is None
 
 
-def test_a_turned_last_joint_leaves_the_other_links_where_they_are(model: ArmModel) -> None:
+def test_turning_joint_7_moves_no_link_before_it(model: ArmModel) -> None:
     q, fitter = posture(1), ChainFitter(model)
     X_BP = model.poses(q[None])[0]
     chain = fitter.at(X_BP[RobotPart.HAND], q)
@@ -250,7 +250,7 @@ def test_a_turned_last_joint_leaves_the_other_links_where_they_are(model: ArmMod
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_the_base_and_edges_of_the_links_sharpen_the_flange(model: ArmModel, seed: int) -> None:
+def test_base_and_link_edges_refine_the_flange_pose(model: ArmModel, seed: int) -> None:
     q = posture(seed)
     X_CH, close, wide = views(model, q, seed)
     start = X_CH @ make_pose(rotation_exp([0.03, 0.0, 0.05]), [0.01, 0.0, 0.01])
@@ -279,7 +279,7 @@ class PartialEstimator:
 
 # Of other seeds the wrist leaves the image.
 @pytest.mark.parametrize("seed", [0, 7, *(pytest.param(seed, marks=pytest.mark.exhaustive) for seed in (1, 2, 6))])
-def test_the_flange_is_followed_into_frames_in_which_the_network_finds_nothing(model: ArmModel, seed: int) -> None:
+def test_the_flange_is_tracked_through_frames_without_network_detections(model: ArmModel, seed: int) -> None:
     q = posture(seed) + 0.015 * np.arange(4)[:, None] * np.array([1.0, -1.0, 0.0, 1.0, 0.0, 1.0, 1.0])
     blind = {2, 3}
     gripper = trimesh.creation.box([0.07, 0.09, 0.10]).apply_translation([0.0, 0.0, 0.05])
@@ -299,7 +299,7 @@ def test_the_flange_is_followed_into_frames_in_which_the_network_finds_nothing(m
             assert np.rad2deg(angle) < 1.5
 
 
-def test_a_moving_camera_has_a_fitter_for_each_frame(model: ArmModel) -> None:
+def test_the_fitter_of_a_moving_camera_uses_the_place_of_each_frame(model: ArmModel) -> None:
     places = np.array([[0.0, 0.0, 0.0], [0.05, -0.02, 0.03]])
     fitter = ArmEdgeFitter(CAMERA, model, EdgeMatcher(), places)
     q = posture(0)
@@ -307,7 +307,7 @@ def test_a_moving_camera_has_a_fitter_for_each_frame(model: ArmModel) -> None:
     assert fitter.at([0]).edge_agreement(q, image) > 2 * fitter.at([1]).edge_agreement(q, image)
 
 
-def test_frames_of_a_moving_camera_are_fitted_together_like_alone(model: ArmModel) -> None:
+def test_batch_fits_of_a_moving_camera_equal_those_of_single_frames(model: ArmModel) -> None:
     """The camera of the second frame is at the place of the first one's, so that both see the same."""
     _, close, wide = views(model, posture(0), 0)
     hand, image = fit(close), GradientImage(drawn(model, posture(0)), CAMERA)
@@ -350,7 +350,9 @@ class TurnedEstimator(PartialEstimator):
         pytest.param(0.0, GripperKind.ROBOTIQ_2F85, marks=pytest.mark.exhaustive),
     ],
 )
-def test_contours_correct_the_turn_with_another_gripper(model: ArmModel, mount: float, kind: GripperKind) -> None:
+def test_contours_correct_the_flange_turn_of_a_robot_with_another_gripper(
+    model: ArmModel, mount: float, kind: GripperKind
+) -> None:
     q = posture(1) + 0.015 * np.arange(2)[:, None] * np.array([1.0, -1.0, 0.0, 1.0, 0.0, 1.0, 1.0])
     gripper = robotiq_mesh(0.35).apply_transform(make_pose(rotation_z(mount), [0.0, 0.0, 0.004]))
     frames = np.stack([drawn(model, each, gripper) for each in q])

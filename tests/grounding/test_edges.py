@@ -46,7 +46,7 @@ def draw(X_CP: Array, seed: int) -> NDArray[np.uint8]:
 
 
 @pytest.mark.parametrize("posture", POSTURES)
-def test_contours_pull_a_wrong_posture_to_the_true_one(
+def test_matching_contours_moves_a_wrong_posture_towards_the_true_one(
     matcher: EdgeMatcher, model: ArmModel, posture: list[float]
 ) -> None:
     q = np.array(posture)
@@ -124,7 +124,7 @@ def stripes(borders: list[int], greys: list[int]) -> NDArray[np.uint8]:
     return np.tile(row[None, :, None], (CAMERA.height, 1, 3))
 
 
-def test_an_outline_is_the_outermost_edge_of_a_surface_that_darkens_towards_it() -> None:
+def test_an_outline_matches_the_outermost_strong_edge() -> None:
     image = GradientImage(stripes([150, 153], [220, 60, 150]), CAMERA)
     for start in (149.0, 152.0, 154.0):
         offset, _ = image.find_edges(vertical_edge(start), 6.0)
@@ -134,7 +134,7 @@ def test_an_outline_is_the_outermost_edge_of_a_surface_that_darkens_towards_it()
     np.testing.assert_allclose(151.0 + offset, 150.0, atol=0.5)
 
 
-def test_the_segmented_rim_decides_between_edges_of_the_hand() -> None:
+def test_the_segmentation_rim_selects_the_edge_of_the_hand_alone() -> None:
     image = GradientImage(stripes([150, 158], [220, 100, 190]), CAMERA)
     gripper = np.zeros((CAMERA.height, CAMERA.width), bool)
     gripper[:, 80:157] = True

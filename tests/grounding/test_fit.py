@@ -15,7 +15,7 @@ def test_alignment_recovers_a_known_pose() -> None:
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_perfect_coordinates_give_the_pose(cad: GripperCad, seed: int) -> None:
+def test_exact_coordinates_determine_pose_and_finger_width(cad: GripperCad, seed: int) -> None:
     X_CH = hand_pose(seed)
     finger = 0.005 + 0.005 * seed
     view = perfect_view(cad, X_CH, finger)
@@ -28,7 +28,7 @@ def test_perfect_coordinates_give_the_pose(cad: GripperCad, seed: int) -> None:
         assert result.finger_m == pytest.approx(finger, abs=1e-3)
 
 
-def test_a_depth_that_is_off_as_a_whole_is_found_out(cad: GripperCad) -> None:
+def test_a_common_factor_of_the_depth_is_estimated_and_corrected(cad: GripperCad) -> None:
     errors = []
     for seed in range(6):
         view = perfect_view(cad, hand_pose(seed), noise_m=0.003, depth_factor=1.03, seed=seed)
@@ -40,7 +40,7 @@ def test_a_depth_that_is_off_as_a_whole_is_found_out(cad: GripperCad) -> None:
     assert np.median(errors) < 0.7 * uncorrected
 
 
-def test_outliers_do_not_pull_the_pose_away(cad: GripperCad) -> None:
+def test_outlier_coordinates_hardly_change_the_pose(cad: GripperCad) -> None:
     X_CH = hand_pose(1)
     view = perfect_view(cad, X_CH, noise_m=0.002)
     wrong = np.random.default_rng(0).random(view.part.shape) < 0.15

@@ -31,13 +31,15 @@ def turn_gripper(X_CP: Array, turn_rad: float) -> Array:
     return X_CP
 
 
-def test_the_opening_in_the_image_is_likeliest(scene: tuple[FlangeShape, GradientImage, Array]) -> None:
+def test_the_true_opening_of_the_gripper_agrees_best_with_the_image(
+    scene: tuple[FlangeShape, GradientImage, Array],
+) -> None:
     shape, image, X_CP = scene
     assert shape.gripper_agreement(image, X_CP).argmax() == 1
     assert shape.at_likeliest(image, X_CP).edges == (shape.edges[1],)
 
 
-def test_a_gripper_that_is_hidden_does_not_count_as_found(scene: tuple[FlangeShape, GradientImage, Array]) -> None:
+def test_a_hidden_gripper_contributes_no_agreement(scene: tuple[FlangeShape, GradientImage, Array]) -> None:
     shape, image, X_CP = scene
     behind = X_CP.copy()
     behind[RobotPart.HAND, 2, 3] = -10.0
@@ -46,7 +48,9 @@ def test_a_gripper_that_is_hidden_does_not_count_as_found(scene: tuple[FlangeSha
     assert shape.agreement(image, X_CP, LAST_LINKS) > 0.6
 
 
-def test_a_gripper_looks_alike_after_half_a_turn(scene: tuple[FlangeShape, GradientImage, Array]) -> None:
+def test_agreement_is_the_same_after_half_a_turn_of_the_gripper(
+    scene: tuple[FlangeShape, GradientImage, Array],
+) -> None:
     shape, image, X_CP = scene
     still, half, quarter = (
         shape.gripper_agreement(image, turn_gripper(X_CP, turn)) for turn in (0.0, np.pi, np.pi / 2)
@@ -55,7 +59,7 @@ def test_a_gripper_looks_alike_after_half_a_turn(scene: tuple[FlangeShape, Gradi
     assert quarter[1] < 0.8 * still[1]
 
 
-def test_an_unknown_gripper_hides_the_same_of_the_links_however_it_is_turned(
+def test_an_unknown_gripper_occludes_the_same_link_contours_at_any_turn(
     scene: tuple[FlangeShape, GradientImage, Array],
 ) -> None:
     *_, X_CP = scene

@@ -71,7 +71,7 @@ def test_a_posture_follows_the_surface_to_the_next_frame(matcher: EdgeMatcher, m
     assert (after < 0.2 * before).all()
 
 
-def test_points_are_matched_with_the_surface_that_the_first_frame_shows(matcher: EdgeMatcher, model: ArmModel) -> None:
+def test_flow_points_lie_on_the_surface_of_the_first_frame(matcher: EdgeMatcher, model: ArmModel) -> None:
     X_CP = part_poses(model, START)
     image = GradientImage(draw(matcher, X_CP), CAMERA)
     points = follow_surface(matcher.caster, X_CP, image, image)
@@ -82,7 +82,7 @@ def test_points_are_matched_with_the_surface_that_the_first_frame_shows(matcher:
     assert np.abs(across / points.sigma_m).max() < 0.5
 
 
-def test_a_robot_that_is_gone_is_not_followed(matcher: EdgeMatcher, model: ArmModel) -> None:
+def test_a_robot_absent_from_the_next_frame_gives_few_or_no_flow_points(matcher: EdgeMatcher, model: ArmModel) -> None:
     X_CP = part_poses(model, START)
     shown = GradientImage(draw(matcher, X_CP), CAMERA)
     gone = GradientImage(np.full((CAMERA.height, CAMERA.width, 3), 90, np.uint8), CAMERA)

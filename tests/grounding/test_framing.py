@@ -58,7 +58,7 @@ def all_framings():
 
 
 @pytest.mark.parametrize(("size", "framing"), all_framings())
-def test_a_framing_moves_the_points_that_its_camera_sees(size, framing):
+def test_the_framed_camera_projects_points_where_the_framing_moves_them(size, framing):
     camera = framing.camera(CAMERA)
     rows, columns = framing.window
     assert (camera.width, camera.height) == framing.crop(np.zeros((1, *size[::-1], 3), np.uint8)).shape[2:0:-1]
@@ -69,7 +69,7 @@ def test_a_framing_moves_the_points_that_its_camera_sees(size, framing):
 
 
 @pytest.mark.parametrize(("size", "framing"), [f for f in all_framings() if f[0] != (480, 832)])
-def test_the_framing_is_found_by_the_first_frame(size, framing):
+def test_a_usual_framing_is_identified_exactly_from_the_first_frames_image(size, framing):
     result = find_framing(shown(framing), CAMERA, IMAGE)
     np.testing.assert_allclose(result.map, framing.map)  # exactly: it is a usual one
     assert result.changes == framing.changes
@@ -77,7 +77,7 @@ def test_the_framing_is_found_by_the_first_frame(size, framing):
 
 
 @pytest.mark.parametrize("framing", [framing for _, framing in all_framings()])
-def test_undoing_the_framing_restores_the_image(framing):
+def test_undoing_a_framing_restores_the_image(framing):
     frames = framing.crop(shown(framing, frames=1))
     restored = undo_framing(framing, frames)[0]
     inside = undo_framing(framing, np.ones(frames.shape[:3], bool))[0]
@@ -90,7 +90,7 @@ def test_undoing_the_framing_restores_the_image(framing):
     assert np.abs(0.9 * picture[inside] + 8.0 - restored[inside]).mean() < 8.0
 
 
-def test_an_unusual_crop_is_found_to_a_fraction_of_a_pixel():
+def test_an_unusual_crop_is_estimated_within_a_pixel():
     framing = replace(
         Framing.filling((384, 384), (720, 480)), scale_x=2.3, scale_y=2.3, offset_x=-61.0, offset_y=-230.0
     )
@@ -115,13 +115,13 @@ def test_an_image_of_one_colour_does_not_determine_the_framing(size):
 
 
 @pytest.mark.parametrize("framing", letterboxes((384, 384), (832, 480)))
-def test_bars_are_found_without_an_image(framing):
+def test_letterbox_bars_are_identified_without_a_first_frames_image(framing):
     result = find_framing(shown(framing), CAMERA, None)
     assert (result.changes, result.source) == ((FramingChange.LETTERBOX,), FramingSource.BARS)
     np.testing.assert_allclose(result.map, framing.map)
 
 
-def test_dark_sides_that_are_no_bars_are_refused():
+def test_dark_image_sides_are_not_mistaken_for_letterbox_bars():
     video = shown(Framing.filling((384, 384), (832, 480)))
     with pytest.raises(UnmeasurableError, match="no bars of one colour"):
         find_framing(video, CAMERA, None)
@@ -130,13 +130,13 @@ def test_dark_sides_that_are_no_bars_are_refused():
         find_framing(video, CAMERA, None)
 
 
-def test_a_camera_of_the_videos_own_size_is_the_videos():
+def test_a_camera_of_the_videos_size_is_left_unchanged():
     framing = placements((384, 384), (832, 480))[-1]
     own = framing.camera(CAMERA)
     assert find_framing(shown(framing), own, IMAGE).camera(own).to_json() == own.to_json()
 
 
-def test_priors_are_cropped_like_their_video():
+def test_mask_and_depth_priors_are_cropped_with_the_framing():
     framing = letterboxes((384, 384), (832, 480))[0]
     rows, columns = framing.window
     mask = np.zeros((2, 480, 832), bool)

@@ -49,7 +49,7 @@ def test_exact_depth_determines_the_pose(cad: GripperCad, seed: int) -> None:
     assert fused.registration.rmse_m < 0.0005
 
 
-def test_depth_with_large_smooth_errors_has_no_weight(cad: GripperCad) -> None:
+def test_depth_with_large_smooth_errors_leaves_the_fit_unchanged(cad: GripperCad) -> None:
     X_CH = hand_pose(0)
     view = with_smooth_error(perfect_view(cad, X_CH), 0.03, 0)
     X = start(X_CH, 0)
@@ -61,7 +61,7 @@ def test_depth_with_large_smooth_errors_has_no_weight(cad: GripperCad) -> None:
 
 
 @pytest.mark.parametrize("size", [0.0, 0.003, 0.01, 0.03])
-def test_the_combination_is_no_worse_than_the_fit_at_any_error_of_the_depth(cad: GripperCad, size: float) -> None:
+def test_the_fused_pose_is_no_worse_than_the_fit_at_any_depth_error(cad: GripperCad, size: float) -> None:
     errors = []
     for seed in range(12):
         X_CH = hand_pose(seed)
@@ -77,14 +77,14 @@ def test_the_combination_is_no_worse_than_the_fit_at_any_error_of_the_depth(cad:
         assert fused_rad < 0.1 * fit_rad
 
 
-def test_a_registration_that_contradicts_the_fit_does_not_count() -> None:
+def test_a_registration_that_contradicts_the_fit_has_no_weight() -> None:
     X_CH = hand_pose(0)
     tilted = make_pose(rotation_exp([0.15, 0.0, 0.0]) @ X_CH[:3, :3], X_CH[:3, 3])
     fused = fuse(X_CH, STATED, registered(tilted, 1e-8 * np.eye(6)))
     assert fused.weight == 0.0
 
 
-def test_a_common_factor_of_the_depth_is_no_displacement(cad: GripperCad) -> None:
+def test_a_common_factor_of_the_depth_does_not_displace_the_registration(cad: GripperCad) -> None:
     X_CH = hand_pose(3)
     view = perfect_view(cad, X_CH, depth_factor=1.01)
     registration = IcpRefiner(cad).register(view, X_CH, STATED, 0.02)
@@ -92,7 +92,7 @@ def test_a_common_factor_of_the_depth_is_no_displacement(cad: GripperCad) -> Non
     assert pose_difference(registration.X_CH, X_CH)[0] < 0.002  # 1 % are 5 to 8 mm
 
 
-def test_the_error_common_to_all_depths_is_in_the_covariance_along_the_line_of_sight(cad: GripperCad) -> None:
+def test_the_depth_factor_sigma_enters_the_covariance_along_the_line_of_sight(cad: GripperCad) -> None:
     X_CH = hand_pose(0)
     along = X_CH[:3, 3] / np.linalg.norm(X_CH[:3, 3])
     for sigma in (1e-3, 0.02):
@@ -103,14 +103,14 @@ def test_the_error_common_to_all_depths_is_in_the_covariance_along_the_line_of_s
         assert depth_sigma_m == pytest.approx(sigma * np.linalg.norm(X_CH[:3, 3]), rel=0.15)
 
 
-def test_a_start_far_off_has_no_registration(cad: GripperCad) -> None:
+def test_a_start_far_from_the_depth_has_no_registration(cad: GripperCad) -> None:
     X_CH = hand_pose(0)
     far = make_pose(np.eye(3), [0.3, 0.3, 0.0]) @ X_CH
     assert IcpRefiner(cad).refine(perfect_view(cad, X_CH), far, STATED, 0.02) is None
 
 
 @pytest.mark.parametrize("seed", range(10))
-def test_the_combined_pose_is_no_less_sure_than_the_fit_and_in_no_direction_surer_than_both(seed: int) -> None:
+def test_fusion_lowers_the_uncertainty_of_the_fit_but_not_below_both_in_any_direction(seed: int) -> None:
     rng = np.random.default_rng(seed)
     of_fit, of_icp = (m @ m.T * 1e-2 + 1e-3 * np.eye(6) for m in rng.normal(size=(2, 6, 6)))
     X_CH = hand_pose(seed)
@@ -122,21 +122,21 @@ def test_the_combined_pose_is_no_less_sure_than_the_fit_and_in_no_direction_sure
         assert min(of_both) * (1 - 1e-4) <= combined <= max(of_both) * (1 + 1e-4)
 
 
-def test_a_much_surer_estimate_counts_alone() -> None:
+def test_a_far_more_certain_estimate_determines_the_fused_pose() -> None:
     X_CH, other = hand_pose(0), start(hand_pose(0), 1)
     sure, unsure = 1e-8 * np.eye(6), 1e-2 * np.eye(6)
     np.testing.assert_allclose(fuse(X_CH, unsure, registered(other, sure)).X_CH, other, atol=1e-6)
     np.testing.assert_array_equal(fuse(X_CH, sure, registered(other, unsure)).X_CH, X_CH)
 
 
-def test_a_fit_that_is_sure_of_a_direction_is_combined() -> None:
+def test_a_fit_with_singular_covariance_gives_a_finite_fused_pose() -> None:
     X_CH = hand_pose(0)
     singular = np.diag([1e-4, 1e-4, 1e-4, 1e-6, 1e-6, 0.0])
     fused = fuse(X_CH, singular, registered(start(X_CH, 0), STATED))
     assert np.isfinite(fused.X_CH).all()
 
 
-def test_cells_on_depth_edges_are_left_out(cad: GripperCad) -> None:
+def test_cells_at_depth_edges_are_excluded_from_the_surface(cad: GripperCad) -> None:
     view = perfect_view(cad, hand_pose(2))
     cells = surface_cells(view)
     assert 0.5 * view.gripper.sum() < cells.sum() <= view.gripper.sum()
@@ -145,7 +145,7 @@ def test_cells_on_depth_edges_are_left_out(cad: GripperCad) -> None:
     assert step[cells[:, 1:] & cells[:, :-1]].max() <= 0.03
 
 
-def test_rays_meet_the_fingers_where_the_opening_puts_them(cad: GripperCad) -> None:
+def test_rays_hit_the_fingers_at_their_opening(cad: GripperCad) -> None:
     tip = 0.1034
     down = make_pose(rotation_exp([np.pi, 0, 0]), [0.0, 0.0, 0.5])  # fingers towards the camera
     for opening in (0.01, 0.03):

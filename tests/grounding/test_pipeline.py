@@ -62,7 +62,7 @@ def clip() -> TruthClip:
     return next(c.load() for c in find_clips(EXAMPLES) if c.planted is None)
 
 
-def test_clean_videos_are_tracked_accurately(results: list[ClipErrors]) -> None:
+def test_clean_videos_are_tracked_with_the_documented_accuracy(results: list[ClipErrors]) -> None:
     clean = [e for e in results if not e.planted]
     assert len(clean) == 4
     figures = summarize(clean)
@@ -75,7 +75,7 @@ def test_clean_videos_are_tracked_accurately(results: list[ClipErrors]) -> None:
     assert figures["anomalies_not_planted"] == 0
 
 
-def test_planted_faults_are_named_with_their_frames(results: list[ClipErrors]) -> None:
+def test_planted_faults_are_reported_at_their_frames_without_false_alarms(results: list[ClipErrors]) -> None:
     faulty = [e for e in results if e.planted]
     assert {e.planted[0].kind.value for e in faulty} == {"vanish", "teleport", "freeze"}
     figures = summarize(faulty)
@@ -83,7 +83,7 @@ def test_planted_faults_are_named_with_their_frames(results: list[ClipErrors]) -
     assert figures["anomalies_not_planted"] == 0
 
 
-def test_a_vanished_gripper_is_not_tracked(results: list[ClipErrors]) -> None:
+def test_frames_without_the_gripper_are_not_tracked(results: list[ClipErrors]) -> None:
     (vanish,) = [e for e in results if e.planted and e.planted[0].kind.value == "vanish"]
     assert not vanish.tracked[~vanish.visible].any()
 
@@ -99,7 +99,7 @@ def test_images_without_a_robot_give_no_track(pipeline: GroundingPipeline) -> No
 
 
 @pytest.mark.parametrize(("agreeing", "comparisons"), [(0, 1), (CHECKED_FRAMES, 2)])
-def test_a_moving_background_is_compared_with_the_robot_only_where_there_is_one(
+def test_a_followed_camera_is_compared_with_a_fixed_one_only_if_frames_show_the_arm(
     pipeline: GroundingPipeline, clip: TruthClip, agreeing: int, comparisons: int
 ) -> None:
     class Fake:
@@ -146,7 +146,7 @@ def test_the_initial_state_is_used_unless_the_first_frame_contradicts_it(
     ("familiar", "unfamiliar", "domain"),
     [(0.9, 0.99, Domain.FAMILIAR), (0.7, 0.75, Domain.UNFAMILIAR), (0.7, 0.65, Domain.FAMILIAR)],
 )
-def test_a_doubtful_video_has_the_domain_in_which_more_poses_are_expected_to_be_right(
+def test_a_doubtful_video_gets_the_domain_with_more_expected_correct_poses(
     estimator: NetworkEstimator, cad: GripperCad, clip: TruthClip, familiar: float, unfamiliar: float, domain: Domain
 ) -> None:
     def always(probability: float, of: Domain) -> Confidence:
@@ -176,7 +176,7 @@ def test_poses_from_priors_are_used_unchanged(pipeline: GroundingPipeline, clip:
     assert np.linalg.norm(grounding.track.X_CH[3, :3, 3] - clip.X_CH[3, :3, 3]) < 0.01
 
 
-def test_a_smaller_video_of_the_same_camera_gives_the_same_path(pipeline: GroundingPipeline, clip: TruthClip) -> None:
+def test_the_path_does_not_depend_on_the_image_size(pipeline: GroundingPipeline, clip: TruthClip) -> None:
     import cv2
 
     frames = read_video(clip.path).frames[:12]
@@ -185,7 +185,7 @@ def test_a_smaller_video_of_the_same_camera_gives_the_same_path(pipeline: Ground
     assert np.median(np.linalg.norm(large - little, axis=1)) < 0.01
 
 
-def test_the_track_is_that_of_the_tcp_on_the_base(pipeline: GroundingPipeline, clip: TruthClip) -> None:
+def test_the_track_is_the_tcp_in_the_base_frame(pipeline: GroundingPipeline, clip: TruthClip) -> None:
     track = pipeline.ground(read_video(clip.path).frames[:4], clip.camera, clip.t_s[:4]).track
     with np.load(EXAMPLES / "truth" / f"{clip.id}.npz", allow_pickle=False) as truth:
         distance = np.linalg.norm(track.X_BG[:, :3, 3] - truth["base_from_tcp"][:4, :3, 3], axis=1)
@@ -202,7 +202,7 @@ def test_the_overlay_lies_on_the_gripper(pipeline: GroundingPipeline, clip: Trut
     assert np.hypot(u.mean() - centre[0], v.mean() + 30 - centre[1]) < 15.0
 
 
-def test_axes_are_drawn_where_the_tcp_is_projected() -> None:
+def test_the_overlay_draws_the_axes_at_the_projected_tcp() -> None:
     camera = benchmark_camera()
     for offset in np.linspace(0.0, 0.002, 9):
         X_CH = make_pose(np.eye(3), [0.0, 0.05 + offset, 0.8])
@@ -214,7 +214,9 @@ def test_axes_are_drawn_where_the_tcp_is_projected() -> None:
 
 
 @pytest.mark.sapien
-def test_true_depth_leaves_a_millimetre_and_half_a_degree(tmp_path: Path, tools: VariantTools) -> None:
+def test_true_mask_and_depth_give_errors_below_a_millimetre_and_half_a_degree(
+    tmp_path: Path, tools: VariantTools
+) -> None:
     from click.testing import CliRunner
 
     from kinebench_drake.cli import cli

@@ -54,7 +54,7 @@ def hand_model(X: Array) -> HandModel:
 @pytest.mark.parametrize(
     ("turn", "shift"), [([0.0, 0.0, 0.12], [0.006, 0.0, 0.0]), ([0.1, 0.0, 0.1], [0.0, 0.012, -0.012])]
 )
-def test_a_silhouette_alone_leads_back_to_the_pose(
+def test_the_silhouette_alone_recovers_the_pose_across_the_line_of_sight(
     silhouette: SilhouetteMatcher, turn: list[float], shift: list[float]
 ) -> None:
     """Across the line of sight: the distance is poorly determined."""
@@ -76,7 +76,7 @@ def test_a_silhouette_alone_leads_back_to_the_pose(
     assert np.rad2deg(angle) < 3.0
 
 
-def test_a_pose_that_fits_is_left_where_it_is(silhouette: SilhouetteMatcher) -> None:
+def test_the_true_pose_has_no_silhouette_residual(silhouette: SilhouetteMatcher) -> None:
     view = mask_view(X_CH)
     rim = silhouette.match(view, X_CH, FINGER_M)
     assert rim is not None
@@ -86,7 +86,7 @@ def test_a_pose_that_fits_is_left_where_it_is(silhouette: SilhouetteMatcher) -> 
 
 
 @pytest.mark.parametrize("side", [0, 1])
-def test_the_image_border_is_no_silhouette(silhouette: SilhouetteMatcher, side: int) -> None:
+def test_the_image_border_does_not_count_as_silhouette(silhouette: SilhouetteMatcher, side: int) -> None:
     """A gripper half outside the image: its pose stays, and its visible part is covered."""
     view = mask_view(X_CH)
     middle = int(np.mean(np.nonzero(view.part)[side]))
@@ -100,7 +100,7 @@ def test_the_image_border_is_no_silhouette(silhouette: SilhouetteMatcher, side: 
     assert silhouette.overlap(view, X_CH, FINGER_M) == 1.0
 
 
-def test_unconstrained_directions_have_no_weight(silhouette: SilhouetteMatcher) -> None:
+def test_silhouette_points_constrain_only_their_normal_direction(silhouette: SilhouetteMatcher) -> None:
     """Along itself and along the line of sight: points moved there cost nothing."""
     rim = silhouette.match(mask_view(X_CH), X_CH, FINGER_M)
     assert rim is not None
@@ -109,7 +109,7 @@ def test_unconstrained_directions_have_no_weight(silhouette: SilhouetteMatcher) 
     assert np.isfinite(rim.sigma_m[:, 0]).all()
 
 
-def test_the_border_to_the_arm_is_no_silhouette(silhouette: SilhouetteMatcher) -> None:
+def test_the_border_to_the_arm_does_not_count_as_silhouette(silhouette: SilhouetteMatcher) -> None:
     view = mask_view(X_CH)
     rim = silhouette.match(view, X_CH, FINGER_M)
     rows = np.flatnonzero((view.part > 0).any(axis=1))
@@ -127,7 +127,7 @@ def test_an_empty_mask_has_no_silhouette(silhouette: SilhouetteMatcher) -> None:
     assert silhouette.overlap(view, X_CH, FINGER_M) == 0.0
 
 
-def test_silhouette_and_cells_can_be_joined(silhouette: SilhouetteMatcher) -> None:
+def test_silhouette_points_and_cells_join_to_one_set_of_correspondences(silhouette: SilhouetteMatcher) -> None:
     view = mask_view(X_CH)
     rim = silhouette.match(view, X_CH, FINGER_M)
     assert rim is not None

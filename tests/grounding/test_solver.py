@@ -77,7 +77,7 @@ def depths(model: FitModel, rows: CellRows) -> Array:
 
 
 @pytest.mark.parametrize("make", [hands, arms, chains])
-def test_derivatives_are_those_of_differences(make: object) -> None:
+def test_jacobians_are_finite_differences_of_the_residuals(make: object) -> None:
     """Of angles at the first distance, and of log ranges with the first standard deviation."""
     model, cells = make(np.random.default_rng(0))  # type: ignore[operator]
     rows, step = CellRows.of(cells), 1e-6
@@ -100,7 +100,7 @@ def test_derivatives_are_those_of_differences(make: object) -> None:
 
 
 @pytest.mark.parametrize("make", [hands, arms, chains])
-def test_frames_that_are_solved_together_do_not_influence_each_other(make: object) -> None:
+def test_frames_of_a_batch_do_not_influence_each_other(make: object) -> None:
     model, cells = make(np.random.default_rng(1))  # type: ignore[operator]
     sigma = np.array([0.005, 0.02, 0.1])
     together = solve(model, cells, sigma)
@@ -112,7 +112,7 @@ def test_frames_that_are_solved_together_do_not_influence_each_other(make: objec
         np.testing.assert_allclose(alone.residual[0], together.residual[frame], atol=1e-6)
 
 
-def test_filling_up_a_frame_changes_nothing(cad: GripperCad) -> None:
+def test_padding_a_frame_to_the_batch_size_changes_no_solution(cad: GripperCad) -> None:
     cells = gripper_cells(perfect_view(cad, hand_pose(1), noise_m=0.002))
     fewer = cells.take(np.arange(0, len(cells), 3))
     filled = Correspondences.stack([fewer, cells]).take(np.array([0]))
@@ -122,7 +122,7 @@ def test_filling_up_a_frame_changes_nothing(cad: GripperCad) -> None:
     np.testing.assert_allclose(with_copies, solve(model, Correspondences.stack([fewer]), np.array([0.01])).model.X_CH)
 
 
-def test_a_video_is_fitted_like_its_frames(cad: GripperCad) -> None:
+def test_a_batch_fit_equals_the_fits_of_its_frames(cad: GripperCad) -> None:
     views = [perfect_view(cad, hand_pose(seed), noise_m=0.002, seed=seed) for seed in range(4)]
     views[2] = replace(views[2], part=np.zeros_like(views[2].part))
     for view, together in zip(views, fit_all(views, [None] * 4, [None] * 4), strict=True):
@@ -133,7 +133,7 @@ def test_a_video_is_fitted_like_its_frames(cad: GripperCad) -> None:
             assert alone.points == together.points
 
 
-def test_a_hand_behind_the_camera_is_no_solution(cad: GripperCad) -> None:
+def test_a_hand_behind_the_camera_is_an_invalid_solution(cad: GripperCad) -> None:
     cells = Correspondences.stack([gripper_cells(perfect_view(cad, hand_pose(0)))])
     behind = hand_pose(0)
     behind[2, 3] *= -1.0

@@ -5,7 +5,7 @@ from kinebench_drake.kinematics.analytic import analytic_ik, branch_of, flange_p
 from kinebench_drake.kinematics.plant import ArmPlant
 
 
-def test_every_branch_reaches_the_pose_and_one_is_the_posture_it_came_from(plant: ArmPlant) -> None:
+def test_every_branch_reaches_the_pose_and_one_is_the_original_posture(plant: ArmPlant) -> None:
     rng = np.random.default_rng(0)
     branches_seen = set()
     for q in rng.uniform(plant.lower, plant.upper, size=(100, 7)):
@@ -20,7 +20,7 @@ def test_every_branch_reaches_the_pose_and_one_is_the_posture_it_came_from(plant
     assert branches_seen == set(range(8))
 
 
-def test_the_branch_of_a_posture_alone_is_that_of_all_branches(plant: ArmPlant) -> None:
+def test_solving_one_branch_gives_its_row_of_all_branches(plant: ArmPlant) -> None:
     rng = np.random.default_rng(3)
     branches = set()
     for q in rng.uniform(plant.lower, plant.upper, size=(200, 7)):
@@ -33,14 +33,14 @@ def test_the_branch_of_a_posture_alone_is_that_of_all_branches(plant: ArmPlant) 
     assert branches == set(range(8))
 
 
-def test_the_flange_is_where_drake_has_it(plant: ArmPlant) -> None:
+def test_the_flange_pose_equals_drakes(plant: ArmPlant) -> None:
     rng = np.random.default_rng(1)
     q = rng.uniform(plant.lower, plant.upper, size=(50, 7))
     X_BF = np.array([plant.link_poses(row)["panda_link8"] for row in q])
     np.testing.assert_allclose(flange_pose(q), X_BF, atol=1e-12)
 
 
-def test_many_poses_and_angles_are_solved_as_each_alone(plant: ArmPlant) -> None:
+def test_a_batch_of_poses_and_angles_equals_single_solutions(plant: ArmPlant) -> None:
     rng = np.random.default_rng(2)
     X_BF = flange_pose(rng.uniform(plant.lower, plant.upper, size=(5, 7)))
     q7 = np.linspace(-2.5, 2.5, 4)
@@ -51,7 +51,7 @@ def test_many_poses_and_angles_are_solved_as_each_alone(plant: ArmPlant) -> None
             np.testing.assert_allclose(together[i, k], analytic_ik(X, angle), atol=1e-12)
 
 
-def test_solutions_end_where_the_window_of_reach_does(plant: ArmPlant) -> None:
+def test_solutions_exist_only_within_the_reach_window_of_joint_7(plant: ArmPlant) -> None:
     """An arm all but stretched: joint 7 reaches the pose in a window a few degrees wide, and only there."""
     q = np.array([-2.094, 0.3465, -2.358, -0.4744, 0.0167, 2.7625, 2.0332])
     centre, half_width, beyond = reach_window(flange_pose(q))
@@ -63,7 +63,7 @@ def test_solutions_end_where_the_window_of_reach_does(plant: ArmPlant) -> None:
         assert np.isfinite(found).any() == reached
 
 
-def test_a_pose_beyond_the_window_is_out_of_reach_by_as_much() -> None:
+def test_the_reach_window_states_by_how_much_a_pose_is_out_of_reach() -> None:
     X_BF = make_pose(np.diag([1.0, -1.0, -1.0]), [2.0, 0.0, 0.333])  # the flange points down, 0.107 m under the wrist
     _, half_width, beyond = reach_window(X_BF)
     assert half_width == 0.0

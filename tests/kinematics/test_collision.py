@@ -33,7 +33,7 @@ def _nearest_by_pair(
     return nearest
 
 
-def test_rest_posture_is_clear_and_a_folded_arm_is_not(model: CollisionModel) -> None:
+def test_the_rest_posture_is_free_of_self_collision_and_a_folded_arm_is_not(model: CollisionModel) -> None:
     clearance = model.self_distance(np.array([rest_q(), FOLDED]))
     assert clearance.distance_m[0] > 0.1
     assert clearance.distance_m[1] < -0.01
@@ -41,7 +41,7 @@ def test_rest_posture_is_clear_and_a_folded_arm_is_not(model: CollisionModel) ->
     assert clearance.pair[1][1].startswith("panda_")
 
 
-def test_allowed_pairs_are_never_named(plant: ArmPlant, model: CollisionModel) -> None:
+def test_near_pairs_contain_no_allowed_pair(plant: ArmPlant, model: CollisionModel) -> None:
     for q in _random(plant, 30):
         pairs = [frozenset((p.link_a, p.link_b)) for p in model.near_pairs(q, 10.0)]
 
@@ -62,7 +62,7 @@ def test_least_distance_is_that_of_the_nearest_pair(plant: ArmPlant, model: Coll
         assert tables[table.pair[i]] == pytest.approx(table.distance_m[i], abs=1e-12)
 
 
-def test_gradients_are_finite_differences(plant: ArmPlant, model: CollisionModel) -> None:
+def test_distance_gradients_are_finite_differences(plant: ArmPlant, model: CollisionModel) -> None:
     h = 1e-6
     errors, penetrating = [], 0
     for q in _random(plant, 25, seed=3):
@@ -94,7 +94,7 @@ def _by_optimisation(query: Any, pair: Any) -> float:
     return float(np.linalg.norm(result.GetSolution(a) - result.GetSolution(b)))
 
 
-def test_distances_hold_where_drakes_iteration_stops_early(plant: ArmPlant, model: CollisionModel) -> None:
+def test_self_distance_is_exact_if_drakes_iteration_stops_early(plant: ArmPlant, model: CollisionModel) -> None:
     q = _random(plant, 4000, seed=11)
     ours = model.self_distance(q).distance_m
     raw = np.empty(len(q))
@@ -111,7 +111,7 @@ def test_distances_hold_where_drakes_iteration_stops_early(plant: ArmPlant, mode
 
 @pytest.mark.parametrize("seed", range(6))
 @pytest.mark.parametrize("speed", [0.02, 0.2, 2.0])
-def test_least_distances_along_a_motion_are_those_of_all_postures(
+def test_least_self_distances_along_a_motion_equal_those_of_every_posture(
     plant: ArmPlant, model: CollisionModel, seed: int, speed: float
 ) -> None:
     start, end = _random(plant, 2, seed=seed)
@@ -127,7 +127,7 @@ def test_least_distances_along_a_motion_are_those_of_all_postures(
         assert np.isnan(found).mean() > 0.3
 
 
-def test_distance_is_continuous(plant: ArmPlant, model: CollisionModel) -> None:
+def test_distances_are_continuous_along_a_motion(plant: ArmPlant, model: CollisionModel) -> None:
     """No point of the arm moves faster than its reach (1.2 m) times the rate of the joints, nor do two approach."""
     start, end = _random(plant, 2, seed=5)
     q = start + np.linspace(0.0, 1.0, 400)[:, None] * (end - start)
@@ -136,14 +136,14 @@ def test_distance_is_continuous(plant: ArmPlant, model: CollisionModel) -> None:
         assert (np.abs(np.diff(clearance.distance_m)) <= 2 * 1.2 * step).all()
 
 
-def test_turning_the_base_changes_no_distance_from_the_table(plant: ArmPlant, model: CollisionModel) -> None:
+def test_table_distance_does_not_depend_on_joint_1(plant: ArmPlant, model: CollisionModel) -> None:
     q = _random(plant, 20)
     turned = q.copy()
     turned[:, 0] = 0.3
     np.testing.assert_allclose(model.table_distance(q).distance_m, model.table_distance(turned).distance_m, atol=1e-12)
 
 
-def test_raising_the_table_lowers_the_distance_by_as_much(plant: ArmPlant, model: CollisionModel) -> None:
+def test_raising_the_table_lowers_the_table_distance_by_the_same_amount(plant: ArmPlant, model: CollisionModel) -> None:
     q = _random(plant, 20)
     raised = CollisionModel(plant, table_height_m=0.123).table_distance(q)
     assert raised.pair == model.table_distance(q).pair
@@ -190,7 +190,7 @@ def test_links_fixed_to_the_base_may_stand_on_the_table(plant: ArmPlant) -> None
     assert all(p.link_a != "panda_link0" for p in model.near_pairs(rest_q(), 10.0) if p.link_b == TABLE)
 
 
-def test_opening_the_gripper_moves_each_finger_by_half_of_it(plant: ArmPlant, model: CollisionModel) -> None:
+def test_opening_the_gripper_moves_each_finger_by_half_the_width(plant: ArmPlant, model: CollisionModel) -> None:
     for q in _random(plant, 20):
         shut, open_ = (_nearest_by_pair(model, q, 10.0, width) for width in (0.0, 0.08))
         rise = 0.04 * plant.forward(q)[2, 1]  # the left finger opens along the hand's y
@@ -199,7 +199,9 @@ def test_opening_the_gripper_moves_each_finger_by_half_of_it(plant: ArmPlant, mo
         assert open_["panda_hand", TABLE] == shut["panda_hand", TABLE]
 
 
-def test_unknown_rows_stay_unknown_and_unknown_widths_take_the_plants(plant: ArmPlant, model: CollisionModel) -> None:
+def test_unknown_postures_have_no_distance_and_unknown_widths_default_to_the_plants(
+    plant: ArmPlant, model: CollisionModel
+) -> None:
     q = np.tile(rest_q(), (3, 1))
     q[1, 2] = np.nan
     for measure in (model.self_distance, model.table_distance):
@@ -212,12 +214,12 @@ def test_unknown_rows_stay_unknown_and_unknown_widths_take_the_plants(plant: Arm
         assert np.isnan(measure(np.full((2, 7), np.nan)).distance_m).all()
 
 
-def test_near_pairs_with_an_unknown_width_take_the_plants(model: CollisionModel) -> None:
+def test_near_pairs_default_to_the_plants_finger_width(model: CollisionModel) -> None:
     known, unknown = (_nearest_by_pair(model, rest_q(), 1.0, width) for width in (None, np.nan))
     assert known == unknown
 
 
-def test_wrong_shapes_are_refused(model: CollisionModel, plant: ArmPlant) -> None:
+def test_wrong_shapes_and_an_infinite_table_height_are_refused(model: CollisionModel, plant: ArmPlant) -> None:
     for measure in (model.self_distance, model.table_distance):
         with pytest.raises(UsageError, match="expected"):
             measure(rest_q())

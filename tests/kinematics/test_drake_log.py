@@ -6,7 +6,7 @@ import pytest
 from kinebench_drake.kinematics.plant import silent_drake
 
 
-def test_drake_is_silent_within_and_as_before_afterwards() -> None:
+def test_silent_drake_restores_the_log_level_even_after_an_exception() -> None:
     logger = logging.getLogger("drake")
     before = logger.level
     with silent_drake():

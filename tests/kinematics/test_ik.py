@@ -22,7 +22,7 @@ PAST_LIMIT = {
 """Postures with one joint past its limit whose poses no posture within limits reaches (a dense sweep says so)."""
 
 
-def test_forward_of_ik_is_the_pose_within_limits(plant: ArmPlant) -> None:
+def test_forward_kinematics_of_ik_is_the_pose_within_joint_limits(plant: ArmPlant) -> None:
     rng = np.random.default_rng(0)
     for q in rng.uniform(plant.lower, plant.upper, size=(100, 7)):
         X_BG = plant.forward(q)
@@ -46,13 +46,13 @@ def test_a_near_seed_leads_to_a_near_solution(plant: ArmPlant) -> None:
     assert np.abs(solve_pose(plant, X_BG, q + 0.02).q - q).max() < 0.1
 
 
-def test_rotations_that_are_slightly_off_are_made_orthonormal(plant: ArmPlant) -> None:
+def test_slightly_scaled_rotations_are_made_orthonormal(plant: ArmPlant) -> None:
     X_BG = plant.forward(rest_q())
     X_BG[:3, :3] *= 0.9997
     assert solve_pose(plant, X_BG, rest_q()).status is IkStatus.OK
 
 
-def test_a_pose_far_away_is_unreachable_and_approached(plant: ArmPlant) -> None:
+def test_a_distant_pose_is_unreachable_and_approached_within_limits(plant: ArmPlant) -> None:
     solution = solve_pose(plant, FAR_POSE, rest_q())
     assert solution.status is IkStatus.UNREACHABLE
     assert limit_excess(plant, solution.q).max() == 0.0
@@ -62,7 +62,7 @@ def test_a_pose_far_away_is_unreachable_and_approached(plant: ArmPlant) -> None:
 
 
 @pytest.mark.parametrize("name", PAST_LIMIT)
-def test_a_pose_only_reached_past_a_limit_is_told_from_one_out_of_reach(plant: ArmPlant, name: str) -> None:
+def test_a_pose_reached_only_past_a_limit_has_the_status_joint_limit(plant: ArmPlant, name: str) -> None:
     X_BG = plant.forward(PAST_LIMIT[name])
     dense = posture_solver(plant).all(X_BG[None], 5000)[0]
     assert limit_excess(plant, dense).max(axis=-1).min() > 0.1
@@ -76,20 +76,20 @@ def test_a_pose_only_reached_past_a_limit_is_told_from_one_out_of_reach(plant: A
     assert limit_excess(plant, posture).max() <= limit_excess(plant, np.array(PAST_LIMIT[name])).max()
 
 
-def test_a_window_between_the_samples_of_the_sweep_is_found(plant: ArmPlant) -> None:
+def test_ik_finds_solutions_between_the_samples_of_the_sweep(plant: ArmPlant) -> None:
     X_BG = plant.forward([0.6, -2.1, -0.8, -0.5, -0.2, 1.3, -0.9])
     assert limit_excess(plant, posture_solver(plant).all(X_BG[None], 128)[0]).max(axis=-1).min() > 0.02
     assert solve_pose(plant, X_BG, rest_q()).status is IkStatus.OK
 
 
 @pytest.mark.parametrize("joint", range(7))
-def test_a_joint_at_its_limit_is_no_obstacle(plant: ArmPlant, joint: int) -> None:
+def test_a_pose_of_a_joint_exactly_at_its_limit_is_solved(plant: ArmPlant, joint: int) -> None:
     q = np.array([0.3, 0.4, 0.2, -1.9, 0.2, 2.2, 0.6])
     q[joint] = plant.upper[joint]
     assert solve_pose(plant, plant.forward(q), rest_q()).status is IkStatus.OK
 
 
-def test_newton_without_limits_goes_past_them_and_with_limits_does_not(plant: ArmPlant) -> None:
+def test_newton_exceeds_joint_limits_only_if_unbounded(plant: ArmPlant) -> None:
     q = np.array(PAST_LIMIT["panda_joint2"])
     X_BG, start = plant.forward(q), np.clip(q, plant.lower, plant.upper)
     free, free_error = solve_newton(plant, X_BG, start, bounded=False, iterations=100)
@@ -100,7 +100,7 @@ def test_newton_without_limits_goes_past_them_and_with_limits_does_not(plant: Ar
     assert limit_excess(plant, held).max() == 0.0
 
 
-def test_newton_finishes_what_snopt_begins(plant: ArmPlant) -> None:
+def test_newton_refines_a_solution_of_snopt(plant: ArmPlant) -> None:
     X_BG = plant.forward(rest_q() + 0.2)
     q = solve_snopt(plant, X_BG, rest_q())
     assert max(pose_difference(plant.forward(q), X_BG)) < 2e-3
@@ -108,6 +108,6 @@ def test_newton_finishes_what_snopt_begins(plant: ArmPlant) -> None:
 
 
 @pytest.mark.parametrize("bad", [np.full((4, 4), np.nan), np.eye(3)])
-def test_a_pose_that_is_none_is_refused(plant: ArmPlant, bad: Array) -> None:
+def test_an_invalid_pose_is_refused(plant: ArmPlant, bad: Array) -> None:
     with pytest.raises(InputError, match="X_BG"):
         solve_pose(plant, bad, rest_q())

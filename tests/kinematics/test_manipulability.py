@@ -26,7 +26,7 @@ def test_w_is_the_product_of_the_singular_values(plant: ArmPlant) -> None:
     assert (result.full > 0).any()
 
 
-def test_w_is_the_root_of_the_grams_determinant(plant: ArmPlant) -> None:
+def test_w_is_the_root_of_the_gram_determinant(plant: ArmPlant) -> None:
     q = np.random.default_rng(4).uniform(plant.lower, plant.upper, size=(20, 7))
     J = plant.chain.jacobians(q)
     result = compute_manipulability(plant, q)
@@ -34,7 +34,7 @@ def test_w_is_the_root_of_the_grams_determinant(plant: ArmPlant) -> None:
         np.testing.assert_allclose(w**2, np.linalg.det(rows @ np.swapaxes(rows, -1, -2)), rtol=1e-7)
 
 
-def test_w_of_lengths_in_another_unit_scales_with_it(plant: ArmPlant) -> None:
+def test_w_scales_with_the_cube_of_the_length_unit(plant: ArmPlant) -> None:
     q = rest_q()[None]
     J = plant.chain.jacobians(q)
     metres, millimetres = (compute_manipulability(plant, q, J * np.repeat([1.0, k], 3)[:, None]) for k in (1.0, 1e3))
@@ -42,7 +42,7 @@ def test_w_of_lengths_in_another_unit_scales_with_it(plant: ArmPlant) -> None:
     assert millimetres.translation == pytest.approx(1e9 * metres.translation)
 
 
-def test_condition_number_is_that_of_the_ellipsoid(plant: ArmPlant) -> None:
+def test_condition_number_is_that_of_the_jacobian_over_characteristic_length(plant: ArmPlant) -> None:
     q = np.random.default_rng(5).uniform(plant.lower, plant.upper, size=(10, 7))
     result, J = compute_manipulability(plant, q), plant.chain.jacobians(q)
     J[:, 3:] /= characteristic_length(plant)
@@ -50,7 +50,7 @@ def test_condition_number_is_that_of_the_ellipsoid(plant: ArmPlant) -> None:
     assert np.isinf(compute_manipulability(plant, q[:1], np.zeros((1, 6, 7))).condition)
 
 
-def test_characteristic_length_evens_out_turning_and_moving(plant: ArmPlant) -> None:
+def test_characteristic_length_balances_rotation_and_translation(plant: ArmPlant) -> None:
     """Each angular column is a unit vector, each linear one as long as the TCP is far from the joint's axis."""
     J = plant.jacobian(rest_q())
     length = characteristic_length(plant)
@@ -58,7 +58,7 @@ def test_characteristic_length_evens_out_turning_and_moving(plant: ArmPlant) -> 
     assert 0.4 < length < 0.6
 
 
-def test_limit_weight_is_the_published_formula_inside() -> None:
+def test_limit_weight_within_the_limits_is_the_published_formula() -> None:
     """Against the derivative of H = (upper - lower)^2 / (4 (upper - q) (q - lower)) by differences."""
     lower, upper, h = -1.2, 2.9, 1e-6
     q = np.linspace(lower + 0.1, upper - 0.1, 25)
@@ -70,14 +70,14 @@ def test_limit_weight_is_the_published_formula_inside() -> None:
     np.testing.assert_allclose(limit_weight(q, lower, upper), 1 / np.sqrt(1 + np.abs(slope)), rtol=1e-6)
 
 
-def test_limit_weight_falls_from_one_mid_way_to_nothing_at_and_past_the_limits() -> None:
+def test_limit_weight_falls_from_one_at_the_middle_to_zero_at_the_limits() -> None:
     np.testing.assert_array_equal(limit_weight([-2.0, -1.0, 3.0, 4.0, 1.0], -1.0, 3.0), [0.0, 0.0, 0.0, 0.0, 1.0])
     outwards = limit_weight(np.linspace(1.0, 3.0, 50), -1.0, 3.0)
     assert (np.diff(outwards) < 0).all()
     np.testing.assert_array_equal(limit_weight(np.array([np.nan, 0.5]), -1.0, 3.0) > 0, [False, True])
 
 
-def test_w_falls_at_a_limit_only_with_the_weights(plant: ArmPlant) -> None:
+def test_w_falls_at_a_joint_limit_only_if_weighted(plant: ArmPlant) -> None:
     q = np.tile(rest_q(), (4, 1))
     q[:, 6] = [0.0, plant.upper[6] - 1e-3, plant.upper[6], plant.upper[6] + 0.1]
     result = compute_manipulability(plant, q)
@@ -88,7 +88,7 @@ def test_w_falls_at_a_limit_only_with_the_weights(plant: ArmPlant) -> None:
     assert result.limited[0] == pytest.approx(result.full[0] * np.prod(weights))
 
 
-def test_given_jacobians_give_the_same(plant: ArmPlant) -> None:
+def test_precomputed_jacobians_give_the_same_manipulability(plant: ArmPlant) -> None:
     q = np.random.default_rng(6).uniform(plant.lower, plant.upper, size=(5, 7))
     given = compute_manipulability(plant, q, [plant.jacobian(row) for row in q])
     computed = compute_manipulability(plant, q)
@@ -98,7 +98,7 @@ def test_given_jacobians_give_the_same(plant: ArmPlant) -> None:
         compute_manipulability(plant, q, np.zeros((4, 6, 7)))
 
 
-def test_integral_of_a_straight_line_bridges_gaps() -> None:
+def test_time_integral_interpolates_across_gaps() -> None:
     t_s = np.array([0.0, 0.1, 0.4, 1.0])
     assert time_integral(t_s, 2 * t_s) == pytest.approx(1.0)
     assert time_integral(t_s, [0.0, np.nan, 0.8, 2.0]) == pytest.approx(1.0)
@@ -116,7 +116,7 @@ def test_w_vanishes_where_the_arm_is_stretched_in_its_plane(plant: ArmPlant) -> 
     assert w_bent > 0.02
 
 
-def test_turning_the_base_changes_nothing(plant: ArmPlant) -> None:
+def test_manipulability_does_not_depend_on_joint_1(plant: ArmPlant) -> None:
     turned = np.tile(rest_q(), (3, 1))
     turned[:, 0] = [-1.0, 0.0, 2.0]
     result = compute_manipulability(plant, turned)
@@ -124,11 +124,11 @@ def test_turning_the_base_changes_nothing(plant: ArmPlant) -> None:
         np.testing.assert_allclose(values, values[0], rtol=1e-9)
 
 
-def test_cost_is_the_inverse_and_bounded() -> None:
+def test_manipulability_cost_is_its_bounded_inverse() -> None:
     np.testing.assert_allclose(cost([0.0, 1.0]), [1e6, 1.0 / 1.000001])
 
 
-def test_unknown_frames_stay_unknown(plant: ArmPlant) -> None:
+def test_manipulability_of_unknown_frames_is_unknown(plant: ArmPlant) -> None:
     q = np.tile(rest_q(), (3, 1))
     q[1, 4] = np.nan
     result = compute_manipulability(plant, q)
@@ -137,6 +137,6 @@ def test_unknown_frames_stay_unknown(plant: ArmPlant) -> None:
     assert len(compute_manipulability(plant, np.empty((0, 7))).full) == 0
 
 
-def test_wrong_shape_is_refused(plant: ArmPlant) -> None:
+def test_joint_angles_of_wrong_shape_are_refused(plant: ArmPlant) -> None:
     with pytest.raises(UsageError, match="expected"):
         compute_manipulability(plant, rest_q())

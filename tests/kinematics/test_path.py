@@ -21,7 +21,7 @@ def _poses(plant: ArmPlant, q: Array) -> Array:
     return np.array([plant.forward(row) for row in q])
 
 
-def test_small_layers_together_give_the_path_of_large_ones_step_by_step(
+def test_solving_layers_together_or_one_by_one_gives_the_same_path(
     plant: ArmPlant, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     rng = np.random.default_rng(0)
@@ -33,7 +33,7 @@ def test_small_layers_together_give_the_path_of_large_ones_step_by_step(
     assert list(np.flatnonzero(np.isnan(together[:, 0]))) == [3]
 
 
-def test_the_cheapest_path_is_that_of_all_paths(plant: ArmPlant) -> None:
+def test_the_cheapest_path_equals_exhaustive_search(plant: ArmPlant) -> None:
     """Against every combination of three layers."""
     rng = np.random.default_rng(0)
     t_s = np.array([0.0, 0.3, 0.5])
@@ -50,14 +50,14 @@ def test_the_cheapest_path_is_that_of_all_paths(plant: ArmPlant) -> None:
     np.testing.assert_array_equal(path, [layer[k] for layer, k in zip(layers, best, strict=True)])
 
 
-def test_layers_without_a_posture_are_bridged(plant: ArmPlant) -> None:
+def test_empty_layers_are_bridged(plant: ArmPlant) -> None:
     layers = [rest_q()[None], np.zeros((0, 7)), rest_q()[None] + 0.1]
     path = find_cheapest_path(plant, np.arange(3.0), layers, rest_q(), spacing=0.1)
     assert np.isnan(path[1]).all()
     np.testing.assert_array_equal(path[[0, 2]], [rest_q(), rest_q() + 0.1])
 
 
-def test_the_redundancy_is_used_to_stay_below_the_speed_limit(plant: ArmPlant) -> None:
+def test_redundancy_keeps_joint_speeds_below_their_limits(plant: ArmPlant) -> None:
     """Joint 7 alone turns the gripper too fast: with the whole arm's help the turn is possible."""
     q = np.tile([0.0, 0.3, 0.0, -2.0, 0.0, 2.3, 0.0], (15, 1))
     q[:, 6] = np.linspace(-1.4, 1.4, 15)
@@ -70,7 +70,7 @@ def test_the_redundancy_is_used_to_stay_below_the_speed_limit(plant: ArmPlant) -
 
 
 @pytest.mark.parametrize("period", [0.02, 0.2, 1.0])
-def test_anchors_keep_their_distance_and_both_ends(period: float) -> None:
+def test_anchors_keep_their_spacing_and_include_both_ends(period: float) -> None:
     t_s = period * np.arange(40)
     chosen = select_anchors(t_s, 0.15)
     assert chosen[0] == 0
@@ -79,7 +79,7 @@ def test_anchors_keep_their_distance_and_both_ends(period: float) -> None:
     assert list(select_anchors(t_s[:1], 0.15)) == [0]
 
 
-def test_the_numeric_way_agrees_with_the_closed_form(plant: ArmPlant, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_numeric_solver_agrees_with_the_analytic_one(plant: ArmPlant, monkeypatch: pytest.MonkeyPatch) -> None:
     """What serves arms without a closed form, tried on the Panda, whose postures are known."""
     q = _path(12, seed=2)
     X_BG, t_s = _poses(plant, q), 0.2 * np.arange(12)

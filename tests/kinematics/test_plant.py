@@ -27,7 +27,7 @@ def _dh_forward(q: np.ndarray) -> np.ndarray:
     return X @ [[c, c, 0, 0], [-c, c, 0, 0], [0, 0, 1, 0.107 + 0.1034], [0, 0, 0, 1]]
 
 
-def test_forward_is_the_makers_denavit_hartenberg_chain(plant: ArmPlant) -> None:
+def test_forward_kinematics_is_the_makers_denavit_hartenberg_chain(plant: ArmPlant) -> None:
     rng = np.random.default_rng(0)
     for q in rng.uniform(plant.lower, plant.upper, size=(20, 7)):
         np.testing.assert_allclose(plant.forward(q), _dh_forward(q), atol=1e-12)
@@ -45,7 +45,7 @@ def test_rest_posture_points_the_gripper_down_in_front_of_the_base(plant: ArmPla
     np.testing.assert_allclose(X_BG[:3, :3], np.diag([1.0, -1.0, -1.0]), atol=1e-12)
 
 
-def test_frames_of_hand_tcp_and_links_agree(plant: ArmPlant) -> None:
+def test_the_hand_pose_and_the_tcp_offset_give_the_tcp_pose(plant: ArmPlant) -> None:
     q = np.array([0.3, -0.4, 0.5, -1.9, 0.2, 1.8, -0.6])
     poses = plant.link_poses(q)
     assert set(poses) == set(LINKS)
@@ -65,14 +65,14 @@ def test_jacobian_is_the_finite_difference_of_forward(plant: ArmPlant) -> None:
             np.testing.assert_allclose(J[:, j], [*angular, *linear], atol=1e-8)
 
 
-def test_forward_and_jacobian_are_those_of_one_posture(plant: ArmPlant) -> None:
+def test_forward_and_jacobian_together_equal_both_alone(plant: ArmPlant) -> None:
     X_BG, J = plant.forward_and_jacobian(rest_q() + 0.1)
     plant.forward(np.zeros(7))
     np.testing.assert_array_equal(X_BG, plant.forward(rest_q() + 0.1))
     np.testing.assert_array_equal(J, plant.jacobian(rest_q() + 0.1))
 
 
-def test_limits_are_the_urdfs(plant: ArmPlant) -> None:
+def test_position_and_velocity_limits_are_those_of_the_urdf(plant: ArmPlant) -> None:
     np.testing.assert_array_equal(plant.upper, [2.8973, 1.7628, 2.8973, -0.0698, 2.8973, 3.7525, 2.8973])
     np.testing.assert_array_equal(plant.lower, [-2.8973, -1.7628, -2.8973, -3.0718, -2.8973, -0.0175, -2.8973])
     np.testing.assert_array_equal(plant.velocity_limits, [2.175] * 4 + [2.61] * 3)
@@ -86,11 +86,11 @@ def test_fingers_open_without_moving_the_tcp(plant: ArmPlant) -> None:
     np.testing.assert_array_equal(shut["panda_hand_tcp"], wide["panda_hand_tcp"])
 
 
-def test_wrong_shape_is_refused(plant: ArmPlant) -> None:
+def test_joint_angles_of_wrong_shape_are_refused(plant: ArmPlant) -> None:
     with pytest.raises(UsageError, match=r"\(9,\)"):
         plant.forward(np.zeros(9))
 
 
-def test_package_imports_without_drake() -> None:
+def test_the_package_is_imported_without_drake() -> None:
     code = "import sys, kinebench_drake; sys.exit('pydrake' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

@@ -19,7 +19,7 @@ def _poses(plant: ArmPlant, q: Array) -> Array:
     return np.array([plant.forward(row) for row in q])
 
 
-def test_relaxing_keeps_the_poses_and_asks_less(plant: ArmPlant) -> None:
+def test_relaxing_keeps_the_poses_and_lowers_joint_speeds(plant: ArmPlant) -> None:
     """A path that wags along the redundancy, straightened."""
     q = _path(30)
     X_BG, t_s = _poses(plant, q), 0.1 * np.arange(30)
@@ -33,7 +33,7 @@ def test_relaxing_keeps_the_poses_and_asks_less(plant: ArmPlant) -> None:
     assert after <= 1.01 * np.sum(speed_ratios(plant, t_s, q) ** 2)
 
 
-def test_relaxing_brings_a_path_back_within_limits(plant: ArmPlant) -> None:
+def test_relaxing_brings_a_path_back_within_joint_limits(plant: ArmPlant) -> None:
     q = _path(20, seed=1)
     q[:, 6] += plant.upper[6] - 0.02 - q[:, 6].max()
     X_BG, t_s = _poses(plant, q), 0.2 * np.arange(20)
@@ -42,7 +42,7 @@ def test_relaxing_brings_a_path_back_within_limits(plant: ArmPlant) -> None:
     assert limit_excess(plant, relax(plant, t_s, X_BG, past)).max() == 0.0
 
 
-def test_the_peak_is_the_greatest_speed_or_acceleration_over_its_limit(plant: ArmPlant) -> None:
+def test_the_peak_ratio_is_the_largest_speed_or_acceleration_over_its_limit(plant: ArmPlant) -> None:
     q = np.tile(rest_q(), (5, 1))
     q[:, 2] += 0.5 * 0.3 * plant.velocity_limits[2] * np.arange(5)
     assert abs(peak_ratio(plant, 0.3 * np.arange(5), q) - 0.5) < 1e-12

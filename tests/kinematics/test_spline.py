@@ -10,7 +10,7 @@ def basis() -> SplineBasis:
     return SplineBasis(np.array([0.0, 0.1, 0.15, 0.4, 0.5, 0.9]))
 
 
-def test_derivative_matrices_give_the_derivatives_control_points(basis: SplineBasis) -> None:
+def test_derivative_matrices_give_the_control_points_of_the_derivatives(basis: SplineBasis) -> None:
     control = np.random.default_rng(0).normal(size=(basis.size, 2))
     curve = BSpline(basis.knots, control, 3)
     t = np.linspace(0.0, 0.9, 200)[1:-1]
@@ -51,7 +51,7 @@ def test_fit_passes_through_every_frame_with_least_acceleration() -> None:
     np.testing.assert_allclose(basis.evaluate(control, dense), natural, atol=2e-4)
 
 
-def test_refined_basis_holds_the_same_curve(basis: SplineBasis) -> None:
+def test_a_refined_basis_represents_the_same_curve(basis: SplineBasis) -> None:
     control = np.random.default_rng(3).normal(size=(basis.size, 2))
     finer = basis.refine()
     assert len(finer.breaks_s) == 2 * len(basis.breaks_s) - 1
@@ -70,7 +70,7 @@ def test_refined_basis_holds_the_same_curve(basis: SplineBasis) -> None:
         np.array([0.0, 1e-6, 0.1, 0.2]),
     ],
 )
-def test_breaks_follow_the_frames_with_near_ones_merged_and_gaps_filled(t: np.ndarray) -> None:
+def test_breaks_follow_the_frames_with_close_ones_merged_and_gaps_filled(t: np.ndarray) -> None:
     basis = SplineBasis.through(t)
     spacing = np.median(np.diff(t))
     spans = np.diff(basis.breaks_s)

@@ -23,7 +23,9 @@ def _trapezoid_s(way: float, speed: float, acceleration: float) -> float:
 
 @pytest.mark.parametrize("way", [1.0, 0.2])
 @pytest.mark.parametrize("frames", [25, 49, 150])
-def test_move_from_rest_to_rest_takes_the_trapezoids_time(plant: ArmPlant, way: float, frames: int) -> None:
+def test_a_move_from_rest_to_rest_takes_the_time_of_a_trapezoidal_profile(
+    plant: ArmPlant, way: float, frames: int
+) -> None:
     t = np.linspace(0.0, 9.6, frames)
     scale = time_scale(plant, t, rest_q() + way * _rest_to_rest(t / 9.6)[:, None] * SWING)
     assert scale.value is not None
@@ -37,7 +39,7 @@ def test_move_from_rest_to_rest_takes_the_trapezoids_time(plant: ArmPlant, way: 
     assert scale.constraint is (ViolationKind.VELOCITY if way == 1.0 else ViolationKind.ACCELERATION)
 
 
-def test_boundary_speeds_are_kept(plant: ArmPlant) -> None:
+def test_time_scale_keeps_the_speeds_at_both_ends(plant: ArmPlant) -> None:
     """At half the speed limit throughout: accelerate from there, cruise at the limit, brake to there again."""
     v, a, way = plant.velocity_limits[0], 15.0, 1.0
     t = np.linspace(0.0, way / (0.5 * v), 49)
@@ -47,7 +49,7 @@ def test_boundary_speeds_are_kept(plant: ArmPlant) -> None:
     assert scale.value == pytest.approx(expected / t[-1], rel=2e-3)
 
 
-def test_scale_is_that_of_the_fastest_profile(plant: ArmPlant) -> None:
+def test_time_scale_of_an_irregularly_sampled_path_is_below_one(plant: ArmPlant) -> None:
     t = np.sort(np.random.default_rng(0).uniform(0.0, 5.0, 60))
     q = rest_q() + 0.2 * np.sin(t)[:, None] * np.array([1.0, 0.5, -1.0, 0.7, 1.0, -0.5, 2.0])
     scale = time_scale(plant, t, q)
@@ -57,7 +59,7 @@ def test_scale_is_that_of_the_fastest_profile(plant: ArmPlant) -> None:
     assert 0 <= scale.frame < 60
 
 
-def test_playing_a_move_slower_changes_the_scale_in_proportion(plant: ArmPlant) -> None:
+def test_playing_a_move_slower_lowers_the_time_scale_in_proportion(plant: ArmPlant) -> None:
     u = np.linspace(0.0, 1.0, 49)
     q = rest_q() + 0.8 * _rest_to_rest(u)[:, None] * np.array([1.0, 0.2, 0.3, -0.4, 0.2, 0.1, 0.5])
     fast, slow = time_scale(plant, 2.0 * u, q), time_scale(plant, 6.0 * u, q)
@@ -66,7 +68,7 @@ def test_playing_a_move_slower_changes_the_scale_in_proportion(plant: ArmPlant) 
     assert (fast.constraint, fast.joint) == (slow.constraint, slow.joint)
 
 
-def test_rest_in_the_middle_costs_nothing(plant: ArmPlant) -> None:
+def test_a_rest_within_the_path_takes_no_time(plant: ArmPlant) -> None:
     t = np.linspace(0.0, 6.0, 91)
     way = 0.5 * _rest_to_rest(np.clip(t / 2.0, 0.0, 1.0)) + 0.5 * _rest_to_rest(np.clip((t - 4.0) / 2.0, 0.0, 1.0))
     scale = time_scale(plant, t, rest_q() + way[:, None] * SWING)
@@ -74,7 +76,7 @@ def test_rest_in_the_middle_costs_nothing(plant: ArmPlant) -> None:
     assert scale.value * 6.0 == pytest.approx(2.0 * _trapezoid_s(0.5, plant.velocity_limits[0], 15.0), rel=0.04)
 
 
-def test_torque_limits_hold(plant: ArmPlant, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_time_scale_respects_torque_limits(plant: ArmPlant, monkeypatch: pytest.MonkeyPatch) -> None:
     t = np.linspace(0.0, 4.0, 49)
     q = rest_q() + 0.8 * _rest_to_rest(t / 4.0)[:, None] * SWING
     free = time_scale(plant, t, q)
@@ -91,7 +93,7 @@ def test_torque_limits_hold(plant: ArmPlant, monkeypatch: pytest.MonkeyPatch) ->
 
 
 @pytest.mark.parametrize("end", [0, 48])
-def test_speed_beyond_the_limit_at_an_end_is_named(plant: ArmPlant, end: int) -> None:
+def test_an_end_speed_beyond_its_limit_names_joint_frame_and_ratio(plant: ArmPlant, end: int) -> None:
     t = np.linspace(0.0, 1.0, 49)
     way = 1.5 * t**2 if end else 1.5 * (1.0 - t) ** 2  # 3 rad/s at one end
     scale = time_scale(plant, t, rest_q() + way[:, None] * SWING)
@@ -100,14 +102,16 @@ def test_speed_beyond_the_limit_at_an_end_is_named(plant: ArmPlant, end: int) ->
     assert "1.38 x" in (scale.reason or "")
 
 
-def test_speed_that_cannot_be_braked_in_time_is_explained(plant: ArmPlant) -> None:
+def test_a_speed_that_cannot_be_braked_within_the_path_names_acceleration_and_joint(plant: ArmPlant) -> None:
     t = np.linspace(0.0, 0.1, 20)  # from 2 rad/s to rest in 0.1 rad: 20 rad/s^2 at least
     scale = time_scale(plant, t, rest_q() + (2.0 * t - 10.0 * t**2)[:, None] * SWING)
     assert scale.value is None
     assert (scale.constraint, scale.joint) == (ViolationKind.ACCELERATION, "panda_joint1")
 
 
-def test_arm_too_weak_for_its_weight_is_named(plant: ArmPlant, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_arm_too_weak_for_its_weight_names_torque_and_joint(
+    plant: ArmPlant, monkeypatch: pytest.MonkeyPatch
+) -> None:
     t = np.linspace(0.0, 4.0, 20)
     weak = plant.effort_limits.copy()
     weak[1] = 0.5 * abs(plant.torque(rest_q(), np.zeros(7), np.zeros(7))[1])
@@ -119,14 +123,14 @@ def test_arm_too_weak_for_its_weight_is_named(plant: ArmPlant, monkeypatch: pyte
 
 
 @pytest.mark.parametrize("frames", [2, 3, 4])
-def test_few_frames_are_enough(plant: ArmPlant, frames: int) -> None:
+def test_two_frames_suffice_for_a_time_scale(plant: ArmPlant, frames: int) -> None:
     v, t = plant.velocity_limits[0], np.linspace(0.0, 1.0, frames)
     ramp = (v - 1.0) / 15.0  # from the track's 1 rad/s to the limit
     expected = 2.0 * ramp + (1.0 - ramp * (v + 1.0)) / v
     assert time_scale(plant, t, rest_q() + t[:, None] * SWING).value == pytest.approx(expected, rel=2e-3)
 
 
-def test_frames_without_angles_are_left_out(plant: ArmPlant) -> None:
+def test_frames_without_joint_angles_do_not_change_the_time_scale(plant: ArmPlant) -> None:
     t = np.linspace(0.0, 5.0, 50)
     q = rest_q() + 0.3 * t[:, None] * SWING
     q[[0, 20, 21]] = np.nan
@@ -134,7 +138,7 @@ def test_frames_without_angles_are_left_out(plant: ArmPlant) -> None:
     assert scale.value == pytest.approx(time_scale(plant, t[1:], rest_q() + 0.3 * t[1:, None] * SWING).value, rel=1e-3)
 
 
-def test_what_cannot_be_timed_says_why(plant: ArmPlant) -> None:
+def test_a_track_without_a_time_scale_has_a_reason(plant: ArmPlant) -> None:
     t = np.linspace(0.0, 1.0, 10)
     still = np.tile(rest_q(), (10, 1))
     for times, q, word in (
@@ -148,7 +152,7 @@ def test_what_cannot_be_timed_says_why(plant: ArmPlant) -> None:
         assert word in (scale.reason or "")
 
 
-def test_very_long_tracks_are_bounded(plant: ArmPlant) -> None:
+def test_the_grid_of_a_very_long_track_is_bounded(plant: ArmPlant) -> None:
     t = np.arange(4000) * 0.02
     q = rest_q() + 0.3 * np.sin(t)[:, None] * SWING
     assert time_scale(plant, t, q).value is not None
@@ -156,7 +160,7 @@ def test_very_long_tracks_are_bounded(plant: ArmPlant) -> None:
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_joints_that_turn_back_together_are_no_obstacle(plant: ArmPlant, seed: int) -> None:
+def test_a_path_whose_joints_reverse_together_is_timed(plant: ArmPlant, seed: int) -> None:
     """Where the whole path turns back, ds/dt drops out of every limit: hard on the linear programs."""
     rng = np.random.default_rng(seed)
     t = np.sort(rng.uniform(0.0, 5.0, 60))
@@ -164,7 +168,7 @@ def test_joints_that_turn_back_together_are_no_obstacle(plant: ArmPlant, seed: i
     assert 0.01 < (time_scale(plant, t, q).value or 0.0) < 0.5
 
 
-def test_path_that_rests_at_both_ends_and_midway_is_timed(plant: ArmPlant) -> None:
+def test_a_path_that_rests_at_both_ends_and_midway_takes_the_time_of_its_moves(plant: ArmPlant) -> None:
     t = np.linspace(0.0, 6.0, 91)
     u = np.stack([np.clip(t / 2.0, 0.0, 1.0), np.clip((t - 4.0) / 2.0, 0.0, 1.0)])
     way = 0.5 * (10.0 * u**3 - 15.0 * u**4 + 6.0 * u**5).sum(axis=0)

@@ -31,7 +31,7 @@ def _drakes_rates(plant: ArmPlant, t: np.ndarray, q: np.ndarray, grid: np.ndarra
 
 
 @pytest.mark.parametrize("seed", range(8))
-def test_rates_are_those_of_drakes_toppra(plant: ArmPlant, seed: int) -> None:
+def test_path_rates_equal_drakes_toppra(plant: ArmPlant, seed: int) -> None:
     rng = np.random.default_rng(seed)
     t = np.sort(rng.uniform(0.0, 6.0, 30))
     t -= t[0]
@@ -44,7 +44,7 @@ def test_rates_are_those_of_drakes_toppra(plant: ArmPlant, seed: int) -> None:
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_rates_are_the_optimum_of_one_program_over_all_cells(seed: int) -> None:
+def test_path_rates_are_the_optimum_of_one_linear_program(seed: int) -> None:
     """The fastest s(t) is fastest at every point, so that it maximises the sum of (ds/dt)^2."""
     rng = np.random.default_rng(seed)
     n, rows = 25, 5
@@ -70,7 +70,7 @@ def test_rates_are_the_optimum_of_one_program_over_all_cells(seed: int) -> None:
         np.testing.assert_allclose(rate**2, best.x, atol=1e-6)
 
 
-def test_an_end_that_cannot_be_reached_has_none() -> None:
+def test_an_end_rate_that_cannot_be_reached_gives_no_solution() -> None:
     """From rest with d2s/dt2 of at most 1 - s over 1 m: (ds/dt)^2 = 1 in the end."""
     s = np.linspace(0.0, 1.0, 101)[:, None]
     limits = PathLimits(s=s[:, 0], fastest=np.full(101, 9.0), slope=np.ones_like(s), bend=np.zeros_like(s), rest=s)

@@ -55,13 +55,13 @@ def test_a_track_is_followed_exactly_and_continuously(plant: ArmPlant) -> None:
         assert speed_ratios(plant, joints.t_s, joints.q).max() < 1.0
 
 
-def test_the_first_frame_takes_the_branch_of_the_rest_posture(plant: ArmPlant) -> None:
+def test_the_first_frame_is_solved_near_the_rest_posture(plant: ArmPlant) -> None:
     X_BG = np.array([plant.forward(rest_q() + 0.02 * k) for k in range(5)])
     joints = solve_track(plant, _track(X_BG, 0.2))
     assert np.abs(joints.q[0] - rest_q()).max() < 0.1
 
 
-def test_frames_that_are_not_tracked_are_left_out(plant: ArmPlant) -> None:
+def test_frames_that_are_not_tracked_have_no_joint_angles(plant: ArmPlant) -> None:
     track = _tabletop_track(20)
     seen = np.ones(20, dtype=bool)
     seen[[0, 7, 8, 19]] = False
@@ -72,12 +72,12 @@ def test_frames_that_are_not_tracked_are_left_out(plant: ArmPlant) -> None:
     np.testing.assert_array_equal(np.isnan(joints.position_error_m), ~seen)
 
 
-def test_a_track_of_nothing_is_solved_to_nothing(plant: ArmPlant) -> None:
+def test_a_track_without_tracked_frames_has_the_status_not_tracked(plant: ArmPlant) -> None:
     joints = solve_track(plant, _track(np.tile(np.eye(4), (3, 1, 1)), 0.2, np.zeros(3)))
     assert set(joints.status) == {IkStatus.NOT_TRACKED}
 
 
-def test_one_frame_out_of_reach_does_not_spoil_its_neighbours(plant: ArmPlant) -> None:
+def test_an_unreachable_frame_leaves_its_neighbours_solved(plant: ArmPlant) -> None:
     X_BG = _tabletop_track().X_BG.copy()
     X_BG[5] = FAR_POSE
     joints = solve_track(plant, _track(X_BG, 0.2))
@@ -107,7 +107,7 @@ class _MovingObstacle:
 
 
 @pytest.mark.parametrize("paths", [1, 2, 100])
-def test_the_status_of_a_frame_is_that_of_its_own_posture(plant: ArmPlant, paths: int) -> None:
+def test_a_frame_is_in_collision_only_if_its_own_posture_collides(plant: ArmPlant, paths: int) -> None:
     track = _tabletop_track(12)
     obstacle = _MovingObstacle(12, paths)
     joints = solve_track(plant, track, cast(CollisionModel, obstacle))
@@ -132,7 +132,7 @@ def _joint_paths(plant: ArmPlant, count: int, seed: int, share: float) -> list[t
 
 
 @pytest.mark.slow
-def test_a_way_within_limits_is_found_where_there_is_one(plant: ArmPlant) -> None:
+def test_a_path_within_limits_is_found_if_one_exists(plant: ArmPlant) -> None:
     """Joint paths at 90 % of the limits, all over the joint space, known by their poses only.
 
     Some pass singularities, limits and stretched arms, where greedy steps and coarse grids fail.
@@ -144,7 +144,7 @@ def test_a_way_within_limits_is_found_where_there_is_one(plant: ArmPlant) -> Non
         assert speed_ratios(plant, track.t_s, joints.q).max() <= 1.0
 
 
-def test_a_warm_start_goes_on_from_its_posture(plant: ArmPlant) -> None:
+def test_a_warm_started_path_is_solved_within_speed_limits(plant: ArmPlant) -> None:
     for q, period in _joint_paths(plant, 5, seed=3, share=0.3):
         X_BG = np.array([plant.forward(row) for row in q])
         t_s = period * np.arange(len(q))
@@ -156,7 +156,7 @@ def test_a_warm_start_goes_on_from_its_posture(plant: ArmPlant) -> None:
         assert speed_ratios(plant, joints.t_s, joints.q).max() <= 1.0
 
 
-def test_a_path_from_a_posture_is_sound_or_nan(plant: ArmPlant) -> None:
+def test_a_continued_path_is_sound_or_nan(plant: ArmPlant) -> None:
     for q, period in _joint_paths(plant, 10, seed=11, share=0.9):
         X_BG, t_s = plant.forward_path(q), period * np.arange(len(q))
         for step_s in (1.0, 0.05):  # at the second no joint is fast enough
@@ -166,7 +166,7 @@ def test_a_path_from_a_posture_is_sound_or_nan(plant: ArmPlant) -> None:
         assert np.isnan(continue_path(plant, t_s, X_BG, q[0])).all()
 
 
-def test_a_jump_between_branches_is_told_from_motion(plant: ArmPlant) -> None:
+def test_a_jump_between_ik_branches_is_detected_at_its_frame(plant: ArmPlant) -> None:
     q, _ = _joint_paths(plant, 1, seed=5, share=0.3)[0]
     X_BG = np.array([plant.forward(row) for row in q])
     assert len(branch_jumps(plant, X_BG, q)) == 0
@@ -176,7 +176,7 @@ def test_a_jump_between_branches_is_told_from_motion(plant: ArmPlant) -> None:
     assert list(branch_jumps(plant, X_BG, q)) == [20]
 
 
-def test_the_arm_is_bent_around_what_it_would_run_into(plant: ArmPlant) -> None:
+def test_redundancy_avoids_collision_with_the_table(plant: ArmPlant) -> None:
     """A table so high that the nearest posture's elbow lies in it: another posture of the same poses clears it."""
     q = np.array([-0.51, 1.66, -1.44, -1.85, 0.96, 2.64, 1.09]) + np.linspace(0.0, 0.1, 9)[:, None]
     X_BG = np.array([plant.forward(row) for row in q])
@@ -193,7 +193,7 @@ def test_the_arm_is_bent_around_what_it_would_run_into(plant: ArmPlant) -> None:
     assert model.table_distance(joints.q).distance_m.min() >= -0.002
 
 
-def test_a_gripper_in_the_table_collides_whatever_the_posture(plant: ArmPlant) -> None:
+def test_frames_with_the_gripper_in_the_table_have_the_status_table_collision(plant: ArmPlant) -> None:
     track = _tabletop_track()
     X_BG = track.X_BG.copy()
     X_BG[10:13, 2, 3] = -0.03
@@ -203,7 +203,7 @@ def test_a_gripper_in_the_table_collides_whatever_the_posture(plant: ArmPlant) -
     assert np.isfinite(joints.q).all()
 
 
-def test_times_must_increase(plant: ArmPlant) -> None:
+def test_times_that_do_not_increase_are_refused(plant: ArmPlant) -> None:
     with pytest.raises(InputError, match="increase"):
         solve_track(plant, _track(_tabletop_track(3).X_BG, 0.0))
 

@@ -36,7 +36,7 @@ def _through(problem: TubeProblem) -> JointTrajectory:
     return JointTrajectory(problem, basis, basis.fit(problem.t_s, problem.q))
 
 
-def test_linearised_errors_are_the_first_order_change(problem: TubeProblem) -> None:
+def test_linearised_pose_errors_are_exact_to_first_order(problem: TubeProblem) -> None:
     rng = np.random.default_rng(0)
     q = problem.q + rng.normal(0.0, 0.02, problem.q.shape)
     dq = rng.normal(0.0, 1e-5, q.shape)
@@ -49,7 +49,7 @@ def test_linearised_errors_are_the_first_order_change(problem: TubeProblem) -> N
     np.testing.assert_allclose(problem.errors(problem.q), 0.0, atol=1e-12)
 
 
-def test_least_distances_are_those_of_every_sample(problem: TubeProblem) -> None:
+def test_least_distances_are_the_minimum_over_all_samples(problem: TubeProblem) -> None:
     trajectory = _through(problem)
     assert problem.collision is not None
     q = trajectory.motion[0]
@@ -84,7 +84,7 @@ def test_obstacles_predict_the_distances_of_a_moved_trajectory(problem: TubeProb
     assert nearest.offset_m + nearest.gradient @ q == pytest.approx(actual, abs=1e-7)
 
 
-def test_usage_bounds_the_motion(problem: TubeProblem) -> None:
+def test_limit_usage_bounds_the_motion_from_above(problem: TubeProblem) -> None:
     trajectory = _through(problem)
     speed, acceleration, _ = trajectory.usage
     assert speed is not None
@@ -99,13 +99,13 @@ def test_usage_bounds_the_motion(problem: TubeProblem) -> None:
     assert not fast.keeps_limits
 
 
-def test_frames_are_named_as_they_were_given(problem: TubeProblem) -> None:
+def test_the_nearest_frame_has_its_number_in_the_track(problem: TubeProblem) -> None:
     assert problem.nearest_frame(0.0) == 10
     assert problem.nearest_frame(3.0) == 34
     assert problem.nearest_frame(0.13) == 11
 
 
-def test_finger_widths_between_frames_and_where_unknown(plant: ArmPlant) -> None:
+def test_finger_widths_are_interpolated_and_none_if_all_are_unknown(plant: ArmPlant) -> None:
     widths = np.linspace(0.0, 0.08, 25)
     widths[3:6] = np.nan
     np.testing.assert_allclose(_problem(plant, widths).widths(np.array([0.0, 0.5, 3.0])), [0.0, 0.08 / 6, 0.08])

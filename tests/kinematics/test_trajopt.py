@@ -70,7 +70,7 @@ def _verify(
     return certificate, curve(t)
 
 
-def test_clean_track_needs_no_program_and_the_smallest_tube(
+def test_a_clean_track_has_the_smallest_tube_without_optimization(
     plant: ArmPlant, collision: CollisionModel, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.delattr(trajopt, "solve_tube")
@@ -94,9 +94,7 @@ def test_clean_track_needs_no_program_and_the_smallest_tube(
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_noise_at_video_rate_is_smoothed_within_its_own_size(
-    plant: ArmPlant, collision: CollisionModel, seed: int
-) -> None:
+def test_noise_is_smoothed_within_a_tube_of_its_own_size(plant: ArmPlant, collision: CollisionModel, seed: int) -> None:
     t, X_true, q = _sway(plant, period_s=1 / 17)
     X = _shaken(X_true, 0.003, seed)
     result = optimize_in_tube(plant, collision, t, X, _follow(plant, X, q[0]), tube_limit_m=0.009)
@@ -108,7 +106,7 @@ def test_noise_at_video_rate_is_smoothed_within_its_own_size(
     _verify(plant, result, t, X)
 
 
-def test_zigzag_that_no_arm_follows_needs_half_its_width(plant: ArmPlant) -> None:
+def test_a_zigzag_too_fast_for_the_arm_needs_a_tube_of_half_its_width(plant: ArmPlant) -> None:
     """At 1 kHz the arm cannot move 3 mm to and fro: the best is to stay midway, on a tube of that radius."""
     t = np.arange(40) * 1e-3
     X = np.tile(plant.forward(rest_q()), (40, 1, 1))
@@ -120,7 +118,7 @@ def test_zigzag_that_no_arm_follows_needs_half_its_width(plant: ArmPlant) -> Non
     assert result.violation.kind in (ViolationKind.ACCELERATION, ViolationKind.JERK)
 
 
-def test_radius_grows_with_the_pace_and_is_the_smallest(plant: ArmPlant) -> None:
+def test_the_tube_radius_is_the_smallest_feasible_and_grows_with_the_pace(plant: ArmPlant) -> None:
     _, X, q = _sway(plant)
     radii = []
     for duration in (1.3, 1.0, 0.8):
@@ -138,7 +136,7 @@ def test_radius_grows_with_the_pace_and_is_the_smallest(plant: ArmPlant) -> None
     assert radii[-1] > 2.0 * radii[0]
 
 
-def test_teleport_is_placed_at_its_frame(plant: ArmPlant) -> None:
+def test_a_teleport_is_a_violation_at_its_frame(plant: ArmPlant) -> None:
     t, X, q = _sway(plant, period_s=1 / 17)
     X = X.copy()
     X[30:, 2, 3] += 0.15
@@ -152,7 +150,7 @@ def test_teleport_is_placed_at_its_frame(plant: ArmPlant) -> None:
     assert result.violation.joint in (result.reason or "")
 
 
-def test_pose_out_of_reach_is_unreachable(plant: ArmPlant) -> None:
+def test_a_pose_out_of_reach_is_an_unreachable_violation_at_its_frame(plant: ArmPlant) -> None:
     t, X, q = _sway(plant)
     X = X.copy()
     X[20, :2, 3] *= 1.1 / np.linalg.norm(X[20, :2, 3])
@@ -167,7 +165,7 @@ def test_pose_out_of_reach_is_unreachable(plant: ArmPlant) -> None:
     )
 
 
-def test_given_angles_past_a_limit_name_the_joint(plant: ArmPlant) -> None:
+def test_joint_angles_past_a_limit_are_a_violation_of_that_joint(plant: ArmPlant) -> None:
     """With the arm stretched up but for joint 4, nothing stands in for that joint."""
     t = np.arange(30) * 0.2
     q = np.tile([0.0, -0.5, 0.0, -0.3, 0.0, 1.6, 0.0], (30, 1))
@@ -180,7 +178,7 @@ def test_given_angles_past_a_limit_name_the_joint(plant: ArmPlant) -> None:
     assert describe_violation(result.violation).endswith(" rad, limit -0.0698 rad")
 
 
-def test_track_into_the_table_needs_a_tube_of_the_depth(plant: ArmPlant, collision: CollisionModel) -> None:
+def test_a_track_into_the_table_needs_a_tube_of_its_depth(plant: ArmPlant, collision: CollisionModel) -> None:
     t, X, q = _sway(plant)
     X = X.copy()
     X[:, 2, 3] -= collision.table_distance(q).distance_m.min() + 0.02
@@ -205,9 +203,7 @@ def test_track_into_the_table_needs_a_tube_of_the_depth(plant: ArmPlant, collisi
     ("folded", "escapes"),
     [([0.0, -1.1, -1.2, -1.3, -2.1, 0.0, -0.4], True), ([0.2, -0.2, 2.5, -3.0, 1.3, 2.3, -2.7], False)],
 )
-def test_path_through_the_arm_itself_is_pushed_out_or_refused(
-    plant: ArmPlant, folded: list[float], escapes: bool
-) -> None:
+def test_a_self_colliding_path_is_pushed_out_or_refused(plant: ArmPlant, folded: list[float], escapes: bool) -> None:
     t = np.arange(30) * 0.3
     q = rest_q() + np.sin(np.pi * np.arange(30) / 29)[:, None] * (np.array(folded) - rest_q())
     X = _poses(plant, q)
@@ -225,7 +221,9 @@ def test_path_through_the_arm_itself_is_pushed_out_or_refused(
     assert optimize_in_tube(plant, None, t, X, q).radius_m == SMALLEST_M
 
 
-def test_arm_too_weak_for_its_weight_is_refused_for_torque(plant: ArmPlant, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_arm_too_weak_for_its_weight_is_infeasible_for_torque(
+    plant: ArmPlant, monkeypatch: pytest.MonkeyPatch
+) -> None:
     t, X, q = _sway(plant)
     weak = plant.effort_limits.copy()
     weak[1] = 0.8 * abs(plant.torque(rest_q(), np.zeros(7), np.zeros(7))[1])
@@ -236,7 +234,7 @@ def test_arm_too_weak_for_its_weight_is_refused_for_torque(plant: ArmPlant, monk
     assert (result.violation.kind, result.violation.joint) == (ViolationKind.TORQUE, "panda_joint2")
 
 
-def test_torque_is_saved_by_accelerating_less(plant: ArmPlant, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_tube_lowers_torque_by_lower_accelerations(plant: ArmPlant, monkeypatch: pytest.MonkeyPatch) -> None:
     """Jitter asks for torque that the tube can do without."""
     t, X, q = _sway(plant, period_s=0.1)
     X = _shaken(X, 0.002, 0)
@@ -253,7 +251,7 @@ def test_torque_is_saved_by_accelerating_less(plant: ArmPlant, monkeypatch: pyte
     assert result.certificate.figures()["torque_ratio_max"] <= 1.0
 
 
-def test_uneven_times_and_absent_frames(plant: ArmPlant, collision: CollisionModel) -> None:
+def test_uneven_times_are_feasible_and_absent_frames_change_nothing(plant: ArmPlant, collision: CollisionModel) -> None:
     rng = np.random.default_rng(0)
     t, X, q = _sway(plant)
     kept = np.sort(rng.choice(49, 25, replace=False))
@@ -266,7 +264,9 @@ def test_uneven_times_and_absent_frames(plant: ArmPlant, collision: CollisionMod
     np.testing.assert_array_equal(same.certificate.control, result.certificate.control)  # type: ignore[union-attr]
 
 
-def test_clock_and_repetition_do_not_matter(plant: ArmPlant, collision: CollisionModel) -> None:
+def test_the_result_is_reproducible_and_independent_of_the_start_time(
+    plant: ArmPlant, collision: CollisionModel
+) -> None:
     t, X, q = _sway(plant, period_s=1 / 17)
     X = _shaken(X, 0.004, 1)
     path = _follow(plant, X, q[0])
@@ -282,14 +282,14 @@ def test_clock_and_repetition_do_not_matter(plant: ArmPlant, collision: Collisio
 
 
 @pytest.mark.parametrize("frames", [2, 3, 4])
-def test_few_frames_are_enough(plant: ArmPlant, collision: CollisionModel, frames: int) -> None:
+def test_two_frames_suffice_for_a_trajectory(plant: ArmPlant, collision: CollisionModel, frames: int) -> None:
     t, X, q = _sway(plant)
     result = optimize_in_tube(plant, collision, t[:frames], X[:frames], q[:frames])
     assert result.feasible
     _verify(plant, result, t[:frames], X[:frames])
 
 
-def test_standing_still_is_feasible(plant: ArmPlant, collision: CollisionModel) -> None:
+def test_a_gripper_at_rest_is_feasible(plant: ArmPlant, collision: CollisionModel) -> None:
     t, X, q = _sway(plant)
     result = optimize_in_tube(plant, collision, t, np.tile(X[:1], (49, 1, 1)), np.tile(q[:1], (49, 1)))
     assert result.feasible
@@ -297,7 +297,7 @@ def test_standing_still_is_feasible(plant: ArmPlant, collision: CollisionModel) 
     assert result.certificate.figures()["velocity_ratio_max"] < 1e-6
 
 
-def test_what_cannot_be_judged_says_why(plant: ArmPlant) -> None:
+def test_a_track_without_a_verdict_has_a_reason(plant: ArmPlant) -> None:
     t, X, q = _sway(plant)
     for result, word in (
         (optimize_in_tube(plant, None, t[:1], X[:1], q[:1]), "fewer than two"),
@@ -308,7 +308,7 @@ def test_what_cannot_be_judged_says_why(plant: ArmPlant) -> None:
         assert word in (result.reason or "")
 
 
-def test_far_too_fast_a_track_has_no_tube_but_a_cause(plant: ArmPlant) -> None:
+def test_a_track_far_too_fast_has_no_tube_and_names_a_violation(plant: ArmPlant) -> None:
     _, X, q = _sway(plant)
     for duration in (0.2, 1e-2):
         result = optimize_in_tube(plant, None, np.linspace(0.0, duration, 49), X, q)
@@ -317,7 +317,7 @@ def test_far_too_fast_a_track_has_no_tube_but_a_cause(plant: ArmPlant) -> None:
         assert f"{LARGEST_M:g} m" in (result.reason or "")
 
 
-def test_long_track_is_thinned(plant: ArmPlant) -> None:
+def test_the_control_points_of_a_long_track_are_bounded(plant: ArmPlant) -> None:
     t = np.arange(2500) * 0.01
     q = rest_q() + 0.3 * np.sin(0.5 * t)[:, None]
     X = _poses(plant, q)
@@ -328,7 +328,9 @@ def test_long_track_is_thinned(plant: ArmPlant) -> None:
     assert result.certificate.knots_s[-1] == pytest.approx(t[-1])
 
 
-def test_arm_without_published_limits_is_held_to_the_others(plant: ArmPlant, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_arm_without_acceleration_and_jerk_limits_keeps_the_velocity_limit(
+    plant: ArmPlant, monkeypatch: pytest.MonkeyPatch
+) -> None:
     t, X, q = _sway(plant)
     monkeypatch.setattr(plant, "acceleration_limits", None)
     monkeypatch.setattr(plant, "jerk_limits", None)
@@ -344,7 +346,7 @@ def test_arm_without_published_limits_is_held_to_the_others(plant: ArmPlant, mon
     assert fast.violation.kind is ViolationKind.VELOCITY
 
 
-def test_given_angles_past_a_limit_are_replaced_where_the_pose_allows(plant: ArmPlant) -> None:
+def test_joint_angles_past_a_limit_are_replaced_if_redundancy_allows(plant: ArmPlant) -> None:
     """With joint 4 free, the arm's redundancy takes joint 7 back within its limit."""
     t, X, q = _sway(plant)
     q = q.copy()

@@ -33,7 +33,7 @@ def _limits(speed: float | None = SPEED, acceleration: float | None = None) -> L
     )
 
 
-def test_ramp_at_twice_the_speed_needs_half_of_what_it_runs_ahead(basis: SplineBasis) -> None:
+def test_a_ramp_at_twice_the_speed_limit_needs_half_of_its_excess_as_radius(basis: SplineBasis) -> None:
     """The best is a ramp at the limit through the middle: the excess of the ends is shared between them."""
     poses = _rail(2.0 * SPEED * np.linspace(0.0, DURATION_S, FRAMES))
     solution = solve_tube(basis, poses, _limits(), radius_m=None, proximity=1e-6)
@@ -43,7 +43,7 @@ def test_ramp_at_twice_the_speed_needs_half_of_what_it_runs_ahead(basis: SplineB
     np.testing.assert_allclose(basis.evaluate(solution.control, np.array([1.0]))[0, 0], SPEED * DURATION_S, atol=1e-4)
 
 
-def test_parabola_is_followed_as_far_as_the_acceleration_allows(basis: SplineBasis) -> None:
+def test_a_parabola_at_twice_the_acceleration_limit_has_the_chebyshev_radius(basis: SplineBasis) -> None:
     """Wanted a t^2 / 2 at twice the limit: the rest, L t^2 / 2, is fitted best by a line: Chebyshev, L T^2 / 16."""
     t = np.linspace(0.0, DURATION_S, FRAMES)
     solution = solve_tube(basis, _rail(t**2), _limits(None, 1.0), radius_m=None, proximity=1e-6)
@@ -51,7 +51,7 @@ def test_parabola_is_followed_as_far_as_the_acceleration_allows(basis: SplineBas
     assert solution.radius_m == pytest.approx(DURATION_S**2 / 16.0, rel=1e-3)
 
 
-def test_given_radius_is_feasible_just_above_the_least(basis: SplineBasis) -> None:
+def test_a_fixed_radius_is_feasible_above_the_least_and_infeasible_below(basis: SplineBasis) -> None:
     poses = _rail(2.0 * SPEED * np.linspace(0.0, DURATION_S, FRAMES))
     least = 0.5 * SPEED * DURATION_S
     assert solve_tube(basis, poses, _limits(), radius_m=0.999 * least, proximity=1e-3) is None
@@ -61,7 +61,7 @@ def test_given_radius_is_feasible_just_above_the_least(basis: SplineBasis) -> No
     assert np.abs(deviation).max() <= 1.001 * least + 1e-6
 
 
-def test_elastic_program_exceeds_the_limit_by_what_the_ramp_asks(basis: SplineBasis) -> None:
+def test_the_elastic_program_exceeds_the_speed_limit_by_the_excess_of_the_ramp(basis: SplineBasis) -> None:
     poses = _rail(2.0 * SPEED * np.linspace(0.0, DURATION_S, FRAMES))
     solution = solve_tube(basis, poses, _limits(), radius_m=1e-4, proximity=1e-3, elastic=True)
     assert solution is not None
@@ -71,7 +71,7 @@ def test_elastic_program_exceeds_the_limit_by_what_the_ramp_asks(basis: SplineBa
     assert solution.excess[1].size == 0
 
 
-def test_rotation_and_position_have_a_tube_each(basis: SplineBasis) -> None:
+def test_the_radius_is_the_larger_of_rotation_and_position_errors(basis: SplineBasis) -> None:
     """Errors that no joint can remove: the greater of the two norms counts, not their sum."""
     poses = _rail(np.zeros(FRAMES))
     poses.J[:] = 0.0
@@ -81,7 +81,7 @@ def test_rotation_and_position_have_a_tube_each(basis: SplineBasis) -> None:
     assert solution.radius_m == pytest.approx(0.005, rel=1e-4)
 
 
-def test_obstacle_holds_the_trajectory_off(basis: SplineBasis) -> None:
+def test_an_obstacle_keeps_the_trajectory_at_its_least_distance(basis: SplineBasis) -> None:
     poses = _rail(np.full(FRAMES, -0.02))
     gradient = np.eye(7)[0]
     wall = [Obstacle(t_s=t, offset_m=0.0, gradient=gradient, least_m=-0.005) for t in np.linspace(0.0, DURATION_S, 41)]
@@ -91,7 +91,7 @@ def test_obstacle_holds_the_trajectory_off(basis: SplineBasis) -> None:
     assert basis.evaluate(solution.control, np.linspace(0.0, DURATION_S, 41))[:, 0].min() >= -0.005 - 1e-6
 
 
-def test_joint_limits_hold(basis: SplineBasis) -> None:
+def test_the_trajectory_keeps_joint_limits(basis: SplineBasis) -> None:
     limits = LimitSet(lower=np.full(7, -0.1), upper=np.full(7, 0.1), rates=(np.full(7, SPEED), None, None))
     solution = solve_tube(basis, _rail(np.full(FRAMES, 0.13)), limits, radius_m=None, proximity=1e-6)
     assert solution is not None

@@ -25,7 +25,7 @@ def _forced(t_s: Array, q: Array, order: int, window: int) -> Array:
 
 @pytest.mark.parametrize("order", [1, 2, 3])
 @pytest.mark.parametrize("even", [True, False])
-def test_a_polynomial_of_its_degree_is_exact_everywhere(order: int, even: bool) -> None:
+def test_derivatives_of_polynomials_of_their_order_are_exact_up_to_the_ends(order: int, even: bool) -> None:
     t_s = 0.1 * np.arange(60) if even else _uneven()
     rng = np.random.default_rng(1)
     coefficients = rng.normal(size=(order + 1, 7))
@@ -46,7 +46,7 @@ def test_even_times_give_the_weights_of_savitzky_and_golay(order: int, window: i
 
 
 @pytest.mark.parametrize("order", [1, 2, 3])
-def test_it_never_overstates(order: int) -> None:
+def test_derivatives_stay_within_the_range_of_the_true_ones(order: int) -> None:
     """Sums of sines, whose derivatives are known: the value lies within the range of the true one."""
     rng = np.random.default_rng(2)
     for t_s in (0.2 * np.arange(50), 0.03 * np.arange(80), _uneven()):
@@ -68,7 +68,7 @@ def test_it_never_overstates(order: int) -> None:
 
 @pytest.mark.parametrize("order", [1, 2, 3])
 @pytest.mark.parametrize("window", [4, 7, 12])
-def test_the_kernel_that_averages_the_derivative_is_nowhere_negative(order: int, window: int) -> None:
+def test_the_averaging_kernel_of_a_derivative_is_nowhere_negative(order: int, window: int) -> None:
     """Peano's kernel: the functional applied to the truncated power (t - x)_+^(k-1) / (k-1)!."""
     for times in (0.01 * np.arange(window), 0.1 * _uneven(window)):
         x = np.linspace(times[0], times[-1], 301)[1:-1]
@@ -88,7 +88,7 @@ def test_the_kernel_that_averages_the_derivative_is_nowhere_negative(order: int,
 
 @pytest.mark.parametrize("order", [1, 2, 3])
 @pytest.mark.parametrize("even", [True, False])
-def test_the_standard_error_is_the_scatter(order: int, even: bool) -> None:
+def test_the_standard_error_is_the_scatter_of_noisy_derivatives(order: int, even: bool) -> None:
     t_s = 0.05 * np.arange(30) if even else _uneven(30)
     sigma = np.random.default_rng(0).uniform(0.5, 2.0, (30, 7))
     rng = np.random.default_rng(1)
@@ -98,7 +98,7 @@ def test_the_standard_error_is_the_scatter(order: int, even: bool) -> None:
 
 
 @pytest.mark.parametrize("order", [1, 2, 3])
-def test_the_window_is_the_shortest_that_is_quiet_enough(order: int) -> None:
+def test_the_window_is_the_shortest_with_noise_below_its_share_of_the_limit(order: int) -> None:
     t_s, q, limits = 0.02 * np.arange(200), np.zeros((200, 7)), np.full(7, 10.0)
     sizes = []
     for sigma in (0.0, 1e-5, 1e-4, 1e-3, 1e-2, 100.0):
@@ -135,7 +135,7 @@ def test_the_bandwidth_is_where_a_sine_loses_three_decibels(order: int) -> None:
     assert 0.67 < np.abs(seen).max() / w**order < 0.72
 
 
-def test_windows_reach_over_gaps_and_short_tracks_make_do() -> None:
+def test_windows_span_gaps_and_shrink_to_short_tracks() -> None:
     t_s = 0.1 * np.arange(30)
     q = np.repeat(t_s[:, None] ** 2, 7, axis=1)
     q[[3, 6, 8]] = np.nan
@@ -149,7 +149,7 @@ def test_windows_reach_over_gaps_and_short_tracks_make_do() -> None:
     assert short.window_s == pytest.approx(0.2)
 
 
-def test_a_gap_hides_no_jump_and_alternate_gaps_hide_no_speed() -> None:
+def test_gaps_hide_neither_a_jump_nor_a_steady_speed() -> None:
     t_s = 0.1 * np.arange(20)
     q = np.zeros((20, 7))
     q[10:] = 1.0
@@ -161,7 +161,7 @@ def test_a_gap_hides_no_jump_and_alternate_gaps_hide_no_speed() -> None:
     np.testing.assert_allclose(d.value[::2], 3.0)
 
 
-def test_nothing_known_gives_nothing() -> None:
+def test_derivatives_of_unknown_values_are_unknown() -> None:
     for n in (0, 1, 5):
         d = differentiate(0.1 * np.arange(n), np.full((n, 7), np.nan), np.full(7, np.nan), 2, np.ones(7))
         assert d.value.shape == (n, 7)
@@ -174,7 +174,7 @@ def _wave(t_s: Array) -> Array:
 
 @pytest.mark.parametrize("even", [True, False])
 @pytest.mark.parametrize("sigma", [0.003, 0.03])
-def test_smoothing_comes_nearer_to_the_truth(sigma: float, even: bool) -> None:
+def test_smoothing_brings_a_noisy_path_closer_to_the_true_one(sigma: float, even: bool) -> None:
     t_s = 0.05 * np.arange(200) if even else np.cumsum(np.random.default_rng(0).uniform(0.02, 0.08, 200))
     noisy = _wave(t_s) + sigma * np.random.default_rng(1).normal(size=(200, 7))
     error = smooth_path(t_s, noisy, np.full(7, sigma)) - _wave(t_s)
@@ -182,7 +182,7 @@ def test_smoothing_comes_nearer_to_the_truth(sigma: float, even: bool) -> None:
     assert np.diff(error, 2, axis=0).std() < 0.05 * np.sqrt(6) * sigma
 
 
-def test_a_noisier_frame_pulls_less() -> None:
+def test_a_noisier_frame_has_less_weight_in_smoothing() -> None:
     t_s = 0.05 * np.arange(100)
     sigma = np.full((100, 7), 0.003)
     sigma[50] = 0.3
@@ -192,7 +192,7 @@ def test_a_noisier_frame_pulls_less() -> None:
     assert np.abs(smooth_path(t_s, q, np.full(7, 0.003))[50] - _wave(t_s)[50]).max() > 0.05
 
 
-def test_smoothing_leaves_alone_what_is_clean_or_unknown() -> None:
+def test_smoothing_changes_neither_clean_nor_unknown_values() -> None:
     t_s = 0.2 * np.arange(40)
     q = _wave(t_s)
     q[10:13] = np.nan
@@ -202,7 +202,7 @@ def test_smoothing_leaves_alone_what_is_clean_or_unknown() -> None:
     np.testing.assert_array_equal(np.isnan(smoothed), np.isnan(q))
 
 
-def test_smoothing_keeps_parabolas_and_what_a_joint_at_rest_is() -> None:
+def test_smoothing_keeps_parabolas_and_joints_without_noise() -> None:
     t_s = _uneven()
     q = 1.0 + t_s[:, None] * np.linspace(-1, 1, 7) + t_s[:, None] ** 2 * np.linspace(1, -2, 7)
     sigma = np.full(7, 0.5)
@@ -210,7 +210,7 @@ def test_smoothing_keeps_parabolas_and_what_a_joint_at_rest_is() -> None:
     np.testing.assert_allclose(smooth_path(t_s, q, sigma), q, atol=1e-6)
 
 
-def test_smoothing_stops_at_what_the_noise_explains() -> None:
+def test_residuals_of_smoothing_are_as_large_as_the_noise() -> None:
     """The residuals are about as large as the noise, not larger."""
     t_s = 0.05 * np.arange(400)
     noisy = _wave(6.0 * t_s) + 0.02 * np.random.default_rng(0).normal(size=(400, 7))

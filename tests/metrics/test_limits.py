@@ -45,7 +45,7 @@ def _wave(t_s: Array, plant: ArmPlant, size: float = 0.3) -> Array:
 
 @pytest.mark.parametrize("kind", MOTIONS)
 @pytest.mark.parametrize(("factor", "broken"), [(0.99, False), (1.01, True)])
-def test_a_motion_is_judged_against_the_limit(
+def test_a_motion_violates_its_limit_exactly_if_its_ratio_exceeds_one(
     plant: ArmPlant, kind: ViolationKind, factor: float, broken: bool
 ) -> None:
     order = MOTIONS.index(kind) + 1
@@ -68,7 +68,7 @@ def test_a_motion_is_judged_against_the_limit(
         assert violation.limit == limit
 
 
-def test_a_burst_is_named_with_its_frames_and_time(plant: ArmPlant) -> None:
+def test_a_burst_of_speed_is_reported_with_joint_frames_and_time(plant: ArmPlant) -> None:
     t_s = 0.1 * np.arange(40)
     q = np.tile(plant.robot.rest_q, (40, 1))
     q[20:, 0] += 0.3
@@ -82,7 +82,7 @@ def test_a_burst_is_named_with_its_frames_and_time(plant: ArmPlant) -> None:
     assert {ViolationKind.VELOCITY, ViolationKind.ACCELERATION} <= kinds
 
 
-def test_torque_is_that_of_inverse_dynamics(plant: ArmPlant) -> None:
+def test_torque_ratio_is_that_of_inverse_dynamics(plant: ArmPlant) -> None:
     t_s = 0.002 * np.arange(400)
     w, phase = np.linspace(1.0, 2.0, 7), np.arange(7)
     check = check_limits(plant, t_s, _wave(t_s, plant), EXACT).checks[ViolationKind.TORQUE]
@@ -100,7 +100,7 @@ def test_torque_is_that_of_inverse_dynamics(plant: ArmPlant) -> None:
     assert check.ratio_max == pytest.approx(ratio, rel=1e-3)
 
 
-def test_an_arm_at_rest_feels_its_weight_alone(plant: ArmPlant) -> None:
+def test_the_torque_of_an_arm_at_rest_is_its_weight_alone(plant: ArmPlant) -> None:
     q = np.tile(plant.robot.rest_q, (10, 1))
     checks = check_limits(plant, 0.2 * np.arange(10), q, EXACT)
     weight = np.abs(plant.torque(q[0], np.zeros(7), np.zeros(7))) / plant.effort_limits
@@ -110,7 +110,7 @@ def test_an_arm_at_rest_feels_its_weight_alone(plant: ArmPlant) -> None:
     assert checks.violations == ()
 
 
-def test_a_weight_that_cannot_be_held_helps_no_slowness(weak: ArmPlant) -> None:
+def test_the_slowdown_is_infinite_if_the_arm_cannot_carry_its_weight(weak: ArmPlant) -> None:
     q = np.tile([0.0, 1.5, 0.0, -0.2, 0.0, 1.8, 0.0], (10, 1))
     checks = check_limits(weak, 0.2 * np.arange(10), q, EXACT)
     assert checks.slowdown is not None
@@ -137,7 +137,7 @@ def _bound_by(kind: ViolationKind) -> ArmPlant:
 
 
 @pytest.mark.parametrize("kind", [*MOTIONS, ViolationKind.TORQUE])
-def test_played_slower_by_the_slowdown_it_just_keeps_the_limit(kind: ViolationKind) -> None:
+def test_a_motion_slowed_by_its_slowdown_just_keeps_the_limit(kind: ViolationKind) -> None:
     arm = _bound_by(kind)
     t_s = 0.01 * np.arange(60)
     q = _wave(10.0 * t_s, arm)
@@ -155,7 +155,7 @@ def test_played_slower_by_the_slowdown_it_just_keeps_the_limit(kind: ViolationKi
     assert {v.kind for v in judge(0.999 * first.factor)[0].violations} == {kind}
 
 
-def test_the_slowdown_is_above_one_exactly_if_a_limit_is_broken(plant: ArmPlant) -> None:
+def test_the_slowdown_exceeds_one_exactly_if_a_limit_is_violated(plant: ArmPlant) -> None:
     rng = np.random.default_rng(0)
     broken = 0
     for _ in range(60):
@@ -168,7 +168,7 @@ def test_the_slowdown_is_above_one_exactly_if_a_limit_is_broken(plant: ArmPlant)
     assert 10 < broken < 50
 
 
-def test_torque_slowdown_solves_for_the_least_k() -> None:
+def test_torque_slowdown_is_the_least_factor_that_keeps_the_torque_limits() -> None:
     rng = np.random.default_rng(0)
     limits = np.full(7, 10.0)
     gravity, rest = rng.uniform(-9.0, 9.0, (50, 7)), rng.normal(scale=20.0, size=(50, 7))
@@ -188,7 +188,7 @@ def test_torque_slowdown_solves_for_the_least_k() -> None:
     assert np.isinf(torque_slowdown(np.full(7, 11.0), np.zeros(7), limits, np.zeros(7))).all()
 
 
-def test_noise_at_the_limit_is_rarely_called_a_break(plant: ArmPlant) -> None:
+def test_noise_at_the_limit_rarely_counts_as_violation_and_hides_no_large_one(plant: ArmPlant) -> None:
     """All joints move at their limits of speed all the time: nothing is broken, and the noise must not break it."""
     rng = np.random.default_rng(0)
     t_s = 0.2 * np.arange(49)
@@ -201,7 +201,7 @@ def test_noise_at_the_limit_is_rarely_called_a_break(plant: ArmPlant) -> None:
     assert {v.joint for v in noisy.checks[ViolationKind.VELOCITY].violations} == set(plant.robot.joints)
 
 
-def test_the_allowance_is_a_quantile_over_all_looks() -> None:
+def test_the_noise_allowance_is_a_quantile_over_all_comparisons() -> None:
     assert noise_allowance(1, 1e9) == pytest.approx(norm.isf(FALSE_ALARM / 2), rel=1e-6)
     assert noise_allowance(1372, 1e9) == pytest.approx(norm.isf(FALSE_ALARM / 2 / 1372), rel=1e-6)
     assert noise_allowance(1372, 30.0) > noise_allowance(1372, 1e9)
@@ -209,7 +209,7 @@ def test_the_allowance_is_a_quantile_over_all_looks() -> None:
     assert np.mean(looks > noise_allowance(1372, 1e9)) < 1.5 * FALSE_ALARM
 
 
-def test_noise_that_hides_a_limit_says_so(plant: ArmPlant) -> None:
+def test_frames_with_large_noise_count_neither_as_violation_nor_in_the_peak_ratio(plant: ArmPlant) -> None:
     t_s = 0.05 * np.arange(60)
     rng = np.random.default_rng(0)
     sigma = np.full((60, 7), 1e-4)
@@ -221,7 +221,7 @@ def test_noise_that_hides_a_limit_says_so(plant: ArmPlant) -> None:
     assert check.noise_ratio < 0.1
 
 
-def test_noise_that_hides_every_value_leaves_no_greatest_one(plant: ArmPlant) -> None:
+def test_noise_above_the_limit_in_every_frame_leaves_no_peak_ratio(plant: ArmPlant) -> None:
     t_s = 0.05 * np.arange(60)
     check = check_limits(plant, t_s, _wave(t_s, plant), np.full((60, 7), 10.0)).checks[ViolationKind.VELOCITY]
     assert np.isnan(check.ratio_max)
@@ -229,7 +229,7 @@ def test_noise_that_hides_every_value_leaves_no_greatest_one(plant: ArmPlant) ->
     assert check.violations == ()
 
 
-def test_unknown_noise_convicts_nothing(plant: ArmPlant) -> None:
+def test_unknown_noise_gives_no_violation_and_no_slowdown(plant: ArmPlant) -> None:
     t_s = 0.1 * np.arange(4)
     q = np.tile(plant.robot.rest_q, (4, 1))
     q[2:, 0] += 1.0
@@ -240,7 +240,7 @@ def test_unknown_noise_convicts_nothing(plant: ArmPlant) -> None:
     assert np.isnan(checks.checks[ViolationKind.VELOCITY].noise_ratio)
 
 
-def test_limits_that_nobody_publishes_are_not_checked() -> None:
+def test_unpublished_limits_are_not_checked_and_have_a_reason() -> None:
     arm = ArmPlant(replace(panda(), acceleration_limits=None, jerk_limits=None))
     t_s = 0.1 * np.arange(30)
     checks = check_limits(arm, t_s, _wave(t_s, arm), EXACT)
@@ -250,7 +250,7 @@ def test_limits_that_nobody_publishes_are_not_checked() -> None:
 
 
 @pytest.mark.parametrize("frames", [0, 1, 2, 3])
-def test_too_few_frames_have_reasons(plant: ArmPlant, frames: int) -> None:
+def test_limits_unchecked_for_lack_of_frames_have_a_reason(plant: ArmPlant, frames: int) -> None:
     q = np.tile(plant.robot.rest_q, (frames, 1))
     checks = check_limits(plant, 0.1 * np.arange(frames), q, EXACT)
     expected = [ViolationKind.VELOCITY, ViolationKind.ACCELERATION, ViolationKind.JERK][max(frames - 1, 0) :]
@@ -260,7 +260,7 @@ def test_too_few_frames_have_reasons(plant: ArmPlant, frames: int) -> None:
     assert all(reason for reason in checks.reasons.values())
 
 
-def test_a_jump_across_a_gap_is_too_fast_and_a_slow_one_is_not(plant: ArmPlant) -> None:
+def test_a_jump_across_a_gap_violates_the_speed_limit_only_if_the_gap_is_short(plant: ArmPlant) -> None:
     t_s = 0.1 * np.arange(40)
     q = np.tile(plant.robot.rest_q, (40, 1))
     q[20:, 0] += 1.0
@@ -272,7 +272,7 @@ def test_a_jump_across_a_gap_is_too_fast_and_a_slow_one_is_not(plant: ArmPlant) 
     assert check_limits(plant, t_s, q, EXACT).violations == ()
 
 
-def test_video_sees_next_to_nothing_of_jerk(plant: ArmPlant) -> None:
+def test_jerk_at_video_rate_is_strongly_underestimated(plant: ArmPlant) -> None:
     t_s = 0.2 * np.arange(49)
     check = check_limits(plant, t_s, _wave(t_s, plant), EXACT).checks[ViolationKind.JERK]
     assert check.ratio_max < 0.001

@@ -20,7 +20,7 @@ def _measure(t_s: Array, X: Array) -> TrackNoise:
 
 
 @pytest.mark.parametrize(("position_m", "rotation_rad"), [(0.003, 0.02), (1e-5, 0.1)])
-def test_white_noise_is_found_at_its_size(position_m: float, rotation_rad: float) -> None:
+def test_white_noise_is_estimated_at_its_size(position_m: float, rotation_rad: float) -> None:
     X = with_noise(np.tile(np.eye(4), (4000, 1, 1)), position_m, rotation_rad, np.random.default_rng(0))
     noise = _measure(0.1 * np.arange(4000), X)
     assert noise.position_m == pytest.approx(position_m, rel=0.04)
@@ -29,7 +29,7 @@ def test_white_noise_is_found_at_its_size(position_m: float, rotation_rad: float
 
 @pytest.mark.parametrize("period_s", [0.2, 0.05, 1 / 60])
 @pytest.mark.parametrize("millimetres", [1.0, 3.0, 5.0])
-def test_motion_does_not_pass_for_noise(period_s: float, millimetres: float) -> None:
+def test_motion_hardly_changes_the_noise_estimate(period_s: float, millimetres: float) -> None:
     t_s, X = reach_and_place(period_s)
     rng = np.random.default_rng(0)
     found = [_measure(t_s, with_noise(X, 1e-3 * millimetres, 0.01 * millimetres, rng)) for _ in range(20)]
@@ -41,14 +41,14 @@ def test_motion_does_not_pass_for_noise(period_s: float, millimetres: float) -> 
 @pytest.mark.parametrize(
     ("period_s", "most_m", "most_rad"), [(0.2, 5e-4, 2e-3), (0.05, 1e-6, 1e-5), (0.0167, 1e-8, 1e-6)]
 )
-def test_a_clean_motion_has_next_to_none(period_s: float, most_m: float, most_rad: float) -> None:
+def test_the_noise_estimate_of_a_clean_motion_is_nearly_zero(period_s: float, most_m: float, most_rad: float) -> None:
     noise = _measure(*reach_and_place(period_s))
     assert 0.0 <= noise.position_m < most_m
     assert 0.0 <= noise.rotation_rad < most_rad
 
 
 @pytest.mark.parametrize("decimals", [3, 4])
-def test_rounding_is_noise_though_a_slow_motion_hides_it(decimals: int) -> None:
+def test_rounding_counts_as_noise_even_in_slow_motion(decimals: int) -> None:
     t_s, X = reach_and_place(0.01)
     unit = 10.0**-decimals
     q = np.outer(np.sin(0.3 * t_s), np.linspace(0.1, 0.4, 7)).round(decimals)
@@ -58,14 +58,14 @@ def test_rounding_is_noise_though_a_slow_motion_hides_it(decimals: int) -> None:
     assert _measure(t_s, reach_and_place(0.01)[1]).position_m < 1e-6
 
 
-def test_every_axis_counts() -> None:
+def test_the_noise_estimate_includes_every_axis() -> None:
     """The axis of depth is noisier than the others; its noise is not lost in the median over all."""
     rng = np.random.default_rng(0)
     X = with_noise(np.tile(np.eye(4), (4000, 1, 1)), [1e-3, 1e-3, 6e-3], 0.0, rng)
     assert _measure(0.1 * np.arange(4000), X).position_m == pytest.approx(np.sqrt(38 / 3) * 1e-3, rel=0.05)
 
 
-def test_a_few_jumps_and_wild_frames_hardly_matter() -> None:
+def test_jumps_and_outlier_frames_hardly_change_the_noise_estimate() -> None:
     rng = np.random.default_rng(0)
     X = with_noise(np.tile(np.eye(4), (200, 1, 1)), 0.002, 0.01, rng)
     calm = _measure(0.1 * np.arange(200), X).position_m
@@ -74,7 +74,7 @@ def test_a_few_jumps_and_wild_frames_hardly_matter() -> None:
     assert _measure(0.1 * np.arange(200), X).position_m == pytest.approx(calm, rel=0.25)
 
 
-def test_uneven_times_and_gaps_change_nothing_but_the_sample() -> None:
+def test_uneven_times_and_gaps_do_not_bias_the_noise_estimate() -> None:
     rng = np.random.default_rng(0)
     X = with_noise(np.tile(np.eye(4), (4000, 1, 1)), 0.002, 0.02, rng)
     t_s = np.cumsum(rng.uniform(0.05, 0.15, 4000))
@@ -85,7 +85,7 @@ def test_uneven_times_and_gaps_change_nothing_but_the_sample() -> None:
     assert noise.rotation_rad == pytest.approx(0.02, rel=0.06)
 
 
-def test_frames_that_are_not_tracked_do_not_count() -> None:
+def test_frames_that_are_not_tracked_do_not_change_the_noise_estimate() -> None:
     t_s, X = reach_and_place(0.05)
     X = with_noise(X, 1e-3, 1e-2, np.random.default_rng(0))
     tracked = np.ones(len(t_s), dtype=bool)
@@ -96,14 +96,14 @@ def test_frames_that_are_not_tracked_do_not_count() -> None:
 
 
 @pytest.mark.parametrize("frames", [0, 1, 4])
-def test_too_short_a_track_is_not_called_clean(frames: int) -> None:
+def test_the_noise_of_a_too_short_track_is_unknown(frames: int) -> None:
     noise = _measure(0.2 * np.arange(frames), np.tile(np.eye(4), (frames, 1, 1)))
     assert np.isnan(noise.position_m)
     assert np.isnan(noise.rotation_rad)
     assert np.isnan(estimate_joint_noise(0.2 * np.arange(frames), np.zeros((frames, 7)))).all()
 
 
-def test_joints_are_told_apart() -> None:
+def test_joint_noise_is_estimated_for_each_joint() -> None:
     sigma = 1e-3 * np.arange(1, 8)
     t_s = 0.05 * np.arange(3000)
     q = np.sin(0.3 * t_s)[:, None] + sigma * np.random.default_rng(0).normal(size=(3000, 7))
@@ -111,18 +111,18 @@ def test_joints_are_told_apart() -> None:
     np.testing.assert_allclose(estimate_joint_noise(t_s + 0.01 * np.sin(np.arange(3000)), q), sigma, rtol=0.08)
 
 
-def test_white_noise_has_the_variance_that_the_estimate_divides_by() -> None:
+def test_the_variance_of_differenced_white_noise_is_the_central_binomial_coefficient() -> None:
     x = np.random.default_rng(0).normal(size=200_000)
     for k in range(2, 7):
         assert np.diff(x, k).var() == pytest.approx(comb(2 * k, k), rel=0.02)
 
 
-def test_rotation_steps_lead_from_frame_to_frame() -> None:
+def test_rotation_steps_compose_to_the_next_rotation() -> None:
     R = rotation_exp(np.random.default_rng(0).normal(size=(20, 3)))
     np.testing.assert_allclose(rotation_exp(rotation_steps(R)) @ R[:-1], R[1:], atol=1e-12)
 
 
-def test_noise_is_carried_to_the_joints_as_measured(plant: ArmPlant) -> None:
+def test_joint_noise_propagated_from_pose_noise_is_the_scatter_of_joint_angles(plant: ArmPlant) -> None:
     """Joint angles moved by the pseudo-inverse for random small pose errors scatter as foretold."""
     q = plant.robot.rest_q
     J = plant.jacobian(q)
@@ -133,7 +133,7 @@ def test_noise_is_carried_to_the_joints_as_measured(plant: ArmPlant) -> None:
     assert np.isnan(propagate_noise(np.full((2, 6, 7), np.nan), noise)).all()
 
 
-def test_a_pose_in_another_frame_is_as_noisy() -> None:
+def test_the_rotation_noise_does_not_depend_on_the_reference_frame() -> None:
     t_s, X = reach_and_place(0.2)
     X = with_noise(X, 0.002, 0.01, np.random.default_rng(0))
     turned = make_pose(rotation_exp([0.3, -0.8, 1.1]), [1.0, 2.0, 3.0]) @ X

@@ -24,7 +24,7 @@ def _swing(n: int = 80) -> Array:
     return make_pose(turn, np.stack([0.5 + 0.1 * np.sin(3 * s), 0.2 * s, 0.3 - 0.1 * s], axis=-1))
 
 
-def test_smoothing_brings_a_noisy_track_nearer_to_the_true_one() -> None:
+def test_smoothing_brings_a_noisy_track_closer_to_the_true_one() -> None:
     X = _swing()
     rng = np.random.default_rng(0)
     noisy = X.copy()
@@ -36,7 +36,7 @@ def test_smoothing_brings_a_noisy_track_nearer_to_the_true_one() -> None:
         assert after.max() < before.max()
 
 
-def test_a_track_without_noise_is_left_alone_and_gaps_stay() -> None:
+def test_smoothing_changes_no_track_without_noise_and_leaves_gaps() -> None:
     X = _swing()
     X[20:25] = np.nan
     smooth = smooth_poses(_track(X), TrackNoise(position_m=0.0, rotation_rad=0.0))

@@ -13,7 +13,7 @@ PERIOD = "0.2 s, from the manifest"
 METRICS = {"tracked_fraction": 1.0, "confidence_mean": 0.97}
 
 
-def test_nothing_against_a_sample_is_solid_and_the_line_says_what_it_rests_on():
+def test_a_sample_without_doubts_is_solid_and_its_line_lists_the_evidence():
     trust = assess_trust(EXTRA, METRICS, PERIOD, is_measured=True)
     assert trust.level is TrustLevel.SOLID
     assert trust.line == (
@@ -36,13 +36,13 @@ def test_nothing_against_a_sample_is_solid_and_the_line_says_what_it_rests_on():
         ({"camera_state": "confirmed", "frame_period_source": "fps"}, {}, True, TrustLevel.CHECK, "0.2 s"),
     ],
 )
-def test_each_doubt_lowers_the_level_and_is_its_reason(extra, metrics, is_measured, level, reason):
+def test_each_doubt_lowers_the_trust_level_and_is_its_reason(extra, metrics, is_measured, level, reason):
     trust = assess_trust({**EXTRA, **extra}, {**METRICS, **metrics}, PERIOD, is_measured=is_measured)
     assert trust.level is level
     assert reason in trust.reason
 
 
-def test_an_unknown_base_frame_gives_its_numbers():
+def test_the_trust_line_of_an_unknown_base_frame_states_its_evidence():
     trust = assess_trust(
         {**EXTRA, "camera_state": "none", "base_frame_reason": "72% against 56%"}, METRICS, PERIOD, is_measured=True
     )
@@ -50,7 +50,7 @@ def test_an_unknown_base_frame_gives_its_numbers():
     assert trust.line.startswith("unknown: 72% against 56% (")
 
 
-def test_a_run_counts_its_levels_with_their_reasons():
+def test_the_trust_line_of_a_run_counts_levels_with_their_reasons():
     rows = [EXTRA, EXTRA, {**EXTRA, "camera_state": "none"}, {**EXTRA, "domain": "unfamiliar"}]
     assessed = [{TRUST: assess_trust(extra, METRICS, PERIOD, is_measured=True).to_json()} for extra in rows]
     assert trust_lines([*assessed, {}]) == [

@@ -39,7 +39,7 @@ def _chain(robot: Robot, q: np.ndarray) -> np.ndarray:
     return np.asarray(X @ tool)
 
 
-def test_the_pandas_own_urdf_gives_the_panda() -> None:
+def test_loading_the_pandas_urdf_gives_the_built_in_panda_without_published_limits() -> None:
     loaded, own = load_robot(source_urdf(), TCP_LINK), panda()
     for name in ("base_link", "tcp_link", "hand_link", "joints", "finger_joints", "allowed_pairs", "remarks"):
         assert getattr(loaded, name) == getattr(own, name)
@@ -51,7 +51,7 @@ def test_the_pandas_own_urdf_gives_the_panda() -> None:
     assert {field.name for field in fields(Robot)} >= {"rest_q", "remarks"}
 
 
-def test_a_made_up_arm_moves_as_written(write_arm: Write) -> None:
+def test_a_custom_arm_moves_as_its_urdf_describes(write_arm: Write) -> None:
     plant = ArmPlant(load_robot(write_arm(), "tool"))
     robot = plant.robot
     assert (robot.name, robot.base_link, robot.tcp_link) == ("small", "l0", "tool")
@@ -65,7 +65,7 @@ def test_a_made_up_arm_moves_as_written(write_arm: Write) -> None:
         np.testing.assert_allclose(plant.forward(q), _chain(robot, q), atol=1e-12)
 
 
-def test_joints_need_not_come_first_in_drakes_order(write_arm: Write) -> None:
+def test_arm_joints_need_not_come_first_in_drakes_order(write_arm: Write) -> None:
     """A slide and a wheel hang on the base, before the arm's joints: the arm must not notice."""
     more = (
         '<link name="wheel"/><joint name="a_wheel" type="revolute"><parent link="l0"/><child link="wheel"/>'
@@ -104,7 +104,7 @@ def test_joints_need_not_come_first_in_drakes_order(write_arm: Write) -> None:
     assert wheel[2, 1] == pytest.approx(np.sin(0.3))  # held at its limit nearest to 0
 
 
-def test_fingers_open_by_half_the_gap_each_and_may_close(write_arm: Write) -> None:
+def test_each_finger_opens_by_half_the_width_and_closed_fingers_may_touch(write_arm: Write) -> None:
     plant = ArmPlant(load_robot(write_arm(more=FINGERS), "tool"))
     assert plant.robot.finger_joints == ("slide1", "slide2")
     assert plant.robot.hand_link == "l7"
@@ -119,7 +119,7 @@ def test_fingers_open_by_half_the_gap_each_and_may_close(write_arm: Write) -> No
     assert any("f1" in (p.link_a, p.link_b) for p in closed)
 
 
-def test_links_that_touch_mid_way_may_touch_without_an_srdf_and_not_with_one(write_arm: Write) -> None:
+def test_links_in_contact_at_mid_range_are_allowed_pairs_only_without_an_srdf(write_arm: Write) -> None:
     big = {3: '<sphere radius="0.21"/>', 5: '<sphere radius="0.21"/>'}
     urdf = write_arm(shapes=big)
     robot = load_robot(urdf, "tool")
@@ -137,7 +137,7 @@ def test_links_that_touch_mid_way_may_touch_without_an_srdf_and_not_with_one(wri
     assert CollisionModel(given).self_distance(robot.rest_q[None]).distance_m[0] < 0.0
 
 
-def test_primitive_shapes_meet_the_table_where_geometry_says(write_arm: Write) -> None:
+def test_table_distances_of_primitive_shapes_are_exact(write_arm: Write) -> None:
     """Arm upright (q = 0), then its last part turned by 0.5 rad about y: each shape's lowest point in closed form."""
     shapes = {
         6: '<sphere radius="0.03"/>',
@@ -179,7 +179,7 @@ def test_round_shapes_have_exact_distances_and_gradients(write_arm: Write) -> No
     assert {("l2", "l7"), ("l2", "l5"), ("l5", "table"), ("l7", "table")} <= checked
 
 
-def test_joints_without_end_turn_half_a_turn_each_way_and_are_remarked(write_arm: Write) -> None:
+def test_continuous_joints_are_limited_to_half_a_turn_each_way_with_a_remark(write_arm: Write) -> None:
     plant = ArmPlant(load_robot(write_arm(types={1: "continuous", 7: "continuous"}), "tool"))
     assert plant.lower[[0, 6]].tolist() == [-np.pi, -np.pi]
     assert plant.upper[[0, 6]].tolist() == [np.pi, np.pi]
@@ -187,7 +187,7 @@ def test_joints_without_end_turn_half_a_turn_each_way_and_are_remarked(write_arm
     assert any("j1, j7" in remark for remark in plant.robot.remarks)
 
 
-def test_visuals_that_cannot_be_read_are_remarked(write_arm: Write) -> None:
+def test_unreadable_visuals_are_skipped_with_a_remark(write_arm: Write) -> None:
     robot = load_robot(write_arm(visuals={2: '<mesh filename="no.dae"/>'}), "tool")
     assert any("not drawn: those of l2" in remark for remark in robot.remarks)
     ArmPlant(robot)
@@ -236,7 +236,7 @@ def test_visuals_that_cannot_be_read_are_remarked(write_arm: Write) -> None:
         ),
     ],
 )
-def test_an_arm_that_cannot_be_judged_is_refused_in_one_line(
+def test_an_unsupported_arm_is_refused_in_one_line(
     write_arm: Write, arm: dict[str, object], tcp: str, error: type[Exception], message: str
 ) -> None:
     with pytest.raises(error, match=message) as caught:
@@ -245,12 +245,12 @@ def test_an_arm_that_cannot_be_judged_is_refused_in_one_line(
     assert str(caught.value).startswith("small.urdf")
 
 
-def test_missing_file_is_a_usage_error(tmp_path: Path) -> None:
+def test_a_missing_urdf_is_a_usage_error(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match=r"^no\.urdf: there is no such file"):
         load_robot(tmp_path / "no.urdf", "tool")
 
 
-def test_what_drake_refuses_is_one_line(write_arm: Write) -> None:
+def test_an_error_of_drake_is_reported_in_one_line(write_arm: Write) -> None:
     robot = load_robot(write_arm(shapes={2: '<box size="a b"/>'}), "tool")
     with pytest.raises(InputError, match="small: Drake cannot load this robot") as caught:
         ArmPlant(robot)
@@ -268,7 +268,7 @@ def test_what_drake_refuses_is_one_line(write_arm: Write) -> None:
         ("xarm7/xarm7_ability_right_hand.urdf", "link7", 0),
     ],
 )
-def test_maniskills_seven_joint_arms_load(file: str, tcp: str, fingers: int) -> None:
+def test_seven_joint_arms_of_maniskill_are_loaded(file: str, tcp: str, fingers: int) -> None:
     plant = ArmPlant(load_robot(ROBOTS / file, tcp))
     assert len(plant.robot.finger_joints) == fingers
     model = CollisionModel(plant)

@@ -12,7 +12,7 @@ from kinebench_drake.errors import SetupError
 from kinebench_drake.models.panda import robot
 
 
-def test_urdf_names_only_files_that_drake_reads_and_that_exist() -> None:
+def test_the_urdf_refers_only_to_existing_obj_files() -> None:
     urdf = robot.panda_urdf()
     names = [str(mesh.get("filename")) for mesh in ElementTree.parse(urdf).iter("mesh")]
     assert len(names) == 20  # 9 hulls of the arm's and the hand's links, and 11 visuals
@@ -30,7 +30,7 @@ def test_collision_meshes_are_the_convex_hulls_of_the_source() -> None:
     assert original.volume < hull.volume == pytest.approx(original.convex_hull.volume, rel=1e-5)
 
 
-def test_joints_links_and_limits_are_the_sources() -> None:
+def test_joints_links_and_limits_equal_those_of_the_source_urdf() -> None:
     trees = [ElementTree.parse(path).getroot() for path in (robot.source_urdf(), robot.panda_urdf())]
     for tag in ("joint/limit", "joint/origin", "link/inertial/mass", "link/inertial/inertia"):
         found = [[element.attrib for element in root.findall(tag)] for root in trees]
@@ -41,7 +41,7 @@ def test_joints_links_and_limits_are_the_sources() -> None:
     assert set(robot.ARM_JOINTS + robot.FINGER_JOINTS) <= {e.get("name") for e in trees[1].findall("joint")}
 
 
-def test_two_processes_may_convert_at_once(tmp_path: Path) -> None:
+def test_two_processes_may_convert_the_urdf_at_once(tmp_path: Path) -> None:
     code = "from kinebench_drake.models.panda.robot import panda_urdf; print(panda_urdf())"
     env = {**os.environ, "XDG_CACHE_HOME": str(tmp_path)}
     command = [sys.executable, "-c", code]
@@ -65,7 +65,7 @@ def test_unwritable_cache_is_a_setup_error(tmp_path: Path, monkeypatch: pytest.M
         robot.panda_urdf()
 
 
-def test_finding_the_robot_loads_no_simulator() -> None:
+def test_locating_the_robot_imports_no_simulator() -> None:
     code = (
         "import sys; from kinebench_drake.models.panda.robot import panda_urdf; panda_urdf();"
         "print([m for m in ('mani_skill', 'sapien', 'torch', 'pydrake') if m in sys.modules])"

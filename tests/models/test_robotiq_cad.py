@@ -17,14 +17,14 @@ def pad_gap_m(mesh: trimesh.Trimesh) -> float:
     return float(2 * np.abs(pad(mesh)[:, 1]).min())
 
 
-def test_the_stroke_is_that_of_the_data_sheet() -> None:
+def test_the_stroke_of_the_gripper_is_that_of_the_data_sheet() -> None:
     assert pad_gap_m(robotiq_mesh(0.0)) == pytest.approx(0.085, abs=0.002)
     assert pad_gap_m(robotiq_mesh(0.5 * CLOSED_RAD)) == pytest.approx(0.045, abs=0.006)
     assert pad_gap_m(robotiq_mesh(CLOSED_RAD)) < 0.003
 
 
 @pytest.mark.parametrize("knuckle_rad", [0.0, 0.3, CLOSED_RAD])
-def test_after_half_a_turn_the_fingers_look_alike(knuckle_rad: float) -> None:
+def test_the_fingers_are_symmetric_under_half_a_turn(knuckle_rad: float) -> None:
     mesh = robotiq_mesh(knuckle_rad)
     fingers = mesh.vertices[mesh.vertices[:, 2] > 0.1]
     turned = fingers * [-1.0, -1.0, 1.0]
@@ -39,6 +39,6 @@ def test_closing_moves_the_fingertips_forwards_and_keeps_their_direction() -> No
         np.testing.assert_allclose(np.ptp(pad(mesh), axis=0), [0.022, 0.00635, 0.0375], atol=1e-6)
 
 
-def test_meshes_are_not_shared() -> None:
+def test_changing_a_mesh_does_not_change_later_ones() -> None:
     robotiq_mesh(0.2).apply_translation([1.0, 0.0, 0.0])
     assert abs(robotiq_mesh(0.2).bounds).max() < 0.2

@@ -21,7 +21,7 @@ def _shape(uri: str) -> str:
     return f'<mesh filename="{uri}"/>'
 
 
-def test_meshes_are_found_by_relative_file_and_package_names(tmp_path: Path) -> None:
+def test_meshes_are_found_by_relative_file_and_package_uris(tmp_path: Path) -> None:
     urdf = tmp_path / "ws" / "arm_description" / "urdf" / "arm.urdf"
     urdf.parent.mkdir(parents=True)
     mesh = _mesh(tmp_path / "ws" / "arm_description" / "meshes" / "a part.stl")
@@ -43,7 +43,9 @@ def test_meshes_are_found_by_relative_file_and_package_names(tmp_path: Path) -> 
         assert find_mesh(urdf, uri) is None
 
 
-def test_converted_meshes_are_hulls_and_surfaces(write_arm: Write, tmp_path: Path) -> None:
+def test_collision_meshes_become_convex_hulls_and_visual_meshes_keep_their_surface(
+    write_arm: Write, tmp_path: Path
+) -> None:
     _mesh(tmp_path / "meshes" / "one" / "part.stl", 0.1)
     _mesh(tmp_path / "meshes" / "two" / "part.stl", 0.2)
     source = write_arm(
@@ -62,7 +64,7 @@ def test_converted_meshes_are_hulls_and_surfaces(write_arm: Write, tmp_path: Pat
     assert all(e.get("rgba") for e in read_urdf(urdf).findall("link/visual/material/color"))
 
 
-def test_conversion_is_kept_until_the_source_changes(write_arm: Write, tmp_path: Path) -> None:
+def test_the_converted_urdf_is_cached_until_its_source_changes(write_arm: Write, tmp_path: Path) -> None:
     mesh = _mesh(tmp_path / "arm" / "part.stl", 0.1)
     source = write_arm(shapes={1: _shape("part.stl")})
     first = convert_urdf(source, "small")
@@ -73,7 +75,7 @@ def test_conversion_is_kept_until_the_source_changes(write_arm: Write, tmp_path:
     assert convert_urdf(source, "small") != first
 
 
-def test_what_drake_has_no_use_for_is_dropped(write_arm: Write) -> None:
+def test_elements_that_drake_does_not_support_are_dropped(write_arm: Write) -> None:
     extra = (
         '<link name="finger"/><joint name="slide" type="prismatic"><parent link="l7"/><child link="finger"/>'
         '<dynamics damping="2" friction="3"/><limit lower="0" upper="0.04" velocity="1" effort="1"/>'
@@ -84,7 +86,7 @@ def test_what_drake_has_no_use_for_is_dropped(write_arm: Write) -> None:
     assert [d.attrib for d in root.iter("dynamics")] == [{"damping": "2"}]
 
 
-def test_joints_without_end_get_a_turn(write_arm: Write) -> None:
+def test_continuous_joints_become_revolute_with_half_a_turn_each_way(write_arm: Write) -> None:
     root = read_urdf(convert_urdf(write_arm(types={3: "continuous"}), "small"))
     joint = root.find("joint[@name='j3']")
     assert joint is not None
@@ -119,7 +121,7 @@ def test_flat_collision_mesh_is_refused(write_arm: Write, tmp_path: Path) -> Non
 
 
 @pytest.mark.parametrize("text", ["", "plain text", "<robot><link></robot>", "<mujoco/>"])
-def test_what_is_no_urdf_is_refused_in_one_line(tmp_path: Path, text: str) -> None:
+def test_a_file_that_is_no_urdf_is_refused_in_one_line(tmp_path: Path, text: str) -> None:
     path = tmp_path / "wrong.urdf"
     path.write_text(text)
     with pytest.raises(InputError, match=r"^wrong\.urdf: not a URDF") as caught:
@@ -129,7 +131,7 @@ def test_what_is_no_urdf_is_refused_in_one_line(tmp_path: Path, text: str) -> No
         read_urdf(tmp_path / "missing.urdf")
 
 
-def test_effort_limits_are_the_files_or_infinite(write_arm: Write) -> None:
+def test_effort_limits_are_infinite_if_the_urdf_states_none(write_arm: Write) -> None:
     urdf = write_arm(limits={2: '<limit velocity="1"/>', 3: ""})
     np.testing.assert_array_equal(read_effort_limits(urdf, ("j1", "j2", "j3")), [20.0, np.inf, np.inf])
     for wrong in ("0", "-3", "much"):
@@ -137,7 +139,7 @@ def test_effort_limits_are_the_files_or_infinite(write_arm: Write) -> None:
             read_effort_limits(write_arm(limits={2: f'<limit velocity="1" effort="{wrong}"/>'}), ("j1", "j2"))
 
 
-def test_allowed_pairs_are_those_that_an_srdf_disables(tmp_path: Path) -> None:
+def test_allowed_pairs_are_the_disabled_collisions_of_the_srdf(tmp_path: Path) -> None:
     srdf = tmp_path / "a.srdf"
     srdf.write_text('<robot><disable_collisions link1="a" link2="b" reason="Never"/><group name="g"/></robot>')
     assert read_allowed_pairs(srdf) == {frozenset("ab")}

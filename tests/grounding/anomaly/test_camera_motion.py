@@ -28,7 +28,7 @@ def recorded(turns, robot_px=0) -> NDArray[np.uint8]:
     return np.stack([scene(turn, robot_px * i) for i, turn in enumerate(turns)])
 
 
-def test_a_fixed_camera_does_not_move_whatever_the_robot_does():
+def test_a_fixed_camera_has_no_motion_while_the_robot_moves():
     motion = measure_camera_motion(FeatureTracks(recorded(np.zeros((8, 3)), robot_px=4)), ROBOT, CAMERA)
     assert motion.largest_px < 0.1
     assert not motion.moves
@@ -37,7 +37,7 @@ def test_a_fixed_camera_does_not_move_whatever_the_robot_does():
 
 
 @pytest.mark.parametrize("step_px", [0.3, 0.7])
-def test_a_turning_camera_is_measured_named_and_compensated(step_px):
+def test_a_turning_camera_is_measured_reported_and_stabilized(step_px):
     turns = np.arange(6)[:, None] * [0.0, step_px / CAMERA.fx, 0.0]
     frames = recorded(turns)
     motion = measure_camera_motion(FeatureTracks(frames), ROBOT, CAMERA)
@@ -50,19 +50,19 @@ def test_a_turning_camera_is_measured_named_and_compensated(step_px):
     assert np.abs(frames[5][inner].astype(int) - frames[0][inner]).mean() > 5.0
 
 
-def test_a_camera_that_moves_far_loses_the_base():
+def test_frames_after_a_large_camera_motion_lose_the_base_frame():
     turns = np.arange(6)[:, None] * [0.0, 1.6 / CAMERA.fx, 0.0]
     motion = measure_camera_motion(FeatureTracks(recorded(turns)), ROBOT, CAMERA)
     assert motion.lost.tolist() == [False] * 3 + [True] * 3  # 8 px of a picture twice as wide
 
 
-def test_motion_is_unknown_without_features():
+def test_camera_motion_is_unknown_without_image_features():
     motion = measure_camera_motion(FeatureTracks(np.full((4, 192, 192, 3), 90, np.uint8)), ROBOT, CAMERA)
     assert motion.largest_px is None
     assert find_camera_motion(motion).peak == 0.0
 
 
-def test_a_cut_to_another_scene_is_no_fixed_camera():
+def test_camera_motion_is_unknown_after_a_cut_to_another_scene():
     frames = recorded(np.zeros((6, 3)))
     noise = np.random.default_rng(1).integers(0, 255, (20, 20, 3), dtype=np.uint8)
     frames[1:] = cv2.resize(noise, (192, 192), interpolation=cv2.INTER_CUBIC)
@@ -71,7 +71,7 @@ def test_a_cut_to_another_scene_is_no_fixed_camera():
     assert motion.largest_px is None
 
 
-def test_tracks_do_not_depend_on_the_masks_before():
+def test_feature_tracks_do_not_depend_on_robot_masks_of_earlier_calls():
     frames = recorded(np.arange(5)[:, None] * [0.0, 0.5 / CAMERA.fx, 0.0], robot_px=2)
     again = FeatureTracks(frames)
     measure_camera_motion(again, np.zeros_like(ROBOT), CAMERA)
@@ -80,5 +80,5 @@ def test_tracks_do_not_depend_on_the_masks_before():
     np.testing.assert_array_equal(after.R_AC, alone.R_AC)
 
 
-def test_one_frame_does_not_move():
+def test_a_video_of_one_frame_has_no_camera_motion():
     assert measure_camera_motion(FeatureTracks(recorded(np.zeros((1, 3)))), ROBOT, CAMERA).largest_px == 0.0

@@ -31,7 +31,7 @@ def clean(reach, t_s):
     )
 
 
-def test_a_clean_video_has_none_and_a_score_of_every_kind(clean):
+def test_a_clean_video_has_no_anomaly_and_a_score_below_one_for_every_kind(clean):
     result = find_anomalies(clean)
     assert result.anomalies == ()
     assert set(result.scores) == set(AnomalyKind)
@@ -50,7 +50,7 @@ def test_anomalies_are_reported_exactly_where_scores_reach_one(clean):
     assert result.by_kind[AnomalyKind.TELEPORT].score[:26].max() < 1.0
 
 
-def test_where_the_look_is_unfamiliar_shapes_and_doubtful_poses_are_no_anomalies(clean):
+def test_low_confidence_in_an_unfamiliar_video_is_an_anomaly_only_if_the_gripper_vanishes(clean):
     confidence, explained = clean.confidence.copy(), clean.explained.copy()
     confidence[20:26] = 0.005
     unfamiliar = replace(clean, domain=Domain.UNFAMILIAR)
@@ -62,7 +62,7 @@ def test_where_the_look_is_unfamiliar_shapes_and_doubtful_poses_are_no_anomalies
     assert not find_anomalies(replace(gone, confidence=confidence)).anomalies
 
 
-def test_the_jump_at_the_end_of_a_freeze_is_part_of_it(clean):
+def test_the_jump_at_the_end_of_a_freeze_is_no_separate_teleport(clean):
     p, still = clean.p_C.copy(), clean.still.copy()
     p[20:28], still[20:28] = p[19], True
     result = find_anomalies(replace(clean, p_C=p, still=still))
@@ -70,7 +70,7 @@ def test_the_jump_at_the_end_of_a_freeze_is_part_of_it(clean):
     assert result.scores[AnomalyKind.TELEPORT] < 1.0
 
 
-def test_nothing_seen_is_nothing_found(clean):
+def test_a_video_without_any_measurement_has_no_anomaly(clean):
     n = len(clean.t_s)
     unknown = np.full(n, np.nan)
     blind = replace(
@@ -81,7 +81,7 @@ def test_nothing_seen_is_nothing_found(clean):
     assert max(find_anomalies(blind).scores.values()) == 0.0
 
 
-def test_missing_kinds_and_uneven_series_are_refused(clean):
+def test_missing_kinds_and_series_of_unequal_length_are_refused(clean):
     with pytest.raises(InputError, match="vanish"):
         AnomalyDetections(by_kind={})
     with pytest.raises(InputError, match="scale"):

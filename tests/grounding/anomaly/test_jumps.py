@@ -15,13 +15,13 @@ def teleports(p, fair, good):
     return find_teleports(p, fair, good, 0.2 * np.arange(len(p)))
 
 
-def test_a_smooth_noisy_path_has_no_jump(reach, visible):
+def test_a_smooth_noisy_path_has_no_teleport(reach, visible):
     for seed in range(60):
         assert teleports(reach(seed), visible, visible).peak < 1.0
 
 
 @pytest.mark.parametrize("size_m", [0.05, 0.15])
-def test_a_jump_is_named_at_its_frame_with_its_length(reach, visible, size_m):
+def test_a_teleport_is_reported_at_its_frame_with_its_length(reach, visible, size_m):
     lengths = []
     for seed in range(20):
         frame = (3, 20, 45)[seed % 3]
@@ -35,32 +35,32 @@ def test_a_jump_is_named_at_its_frame_with_its_length(reach, visible, size_m):
 
 
 @pytest.mark.parametrize("dropped", [1, 2, 3])
-def test_dropped_frames_of_a_video_with_time_stamps_are_no_jump(dropped):
+def test_dropped_frames_of_a_video_with_time_stamps_are_no_teleport(dropped):
     t_s = np.delete(np.arange(60) / 15.0, np.arange(28, 28 + dropped))
     p = np.outer(0.25 * (1.0 - np.cos(np.pi * t_s / 4.0)), [1.0, 0.5, 0.0])
     fair = np.ones(len(t_s), dtype=bool)
     assert find_teleports(p, fair, fair, t_s).peak < 0.01
 
 
-def test_a_jump_there_and_back_is_two(reach, visible):
+def test_a_jump_there_and_back_is_two_teleports(reach, visible):
     p = reach()
     p[20:30] += [0.0, 0.15, 0.0]
     assert [a.frame_start for a in teleports(p, visible, visible).anomalies] == [20, 30]
 
 
-def test_one_wild_frame_is_no_jump(reach, visible):
+def test_a_single_outlier_frame_is_no_teleport(reach, visible):
     for frame in (5, 24, 40):
         p = reach(noise_m=0.002)
         p[frame] += [0.0, 0.2, 0.0]
         assert teleports(p, visible, visible).anomalies == ()
 
 
-def test_even_motion_is_no_jump():
+def test_the_jump_length_of_uniform_motion_is_zero():
     p = np.arange(20.0)[:, None] * [0.03, 0.01, 0.0]
     assert jump_lengths(p, np.ones(20, dtype=bool), np.arange(20.0)).max() < 1e-12
 
 
-def test_the_score_grows_with_the_jump(reach, visible):
+def test_the_teleport_score_grows_with_the_length_of_the_jump(reach, visible):
     def peak(size_m):
         p = reach(3)
         p[25:] += [size_m, 0.0, 0.0]
@@ -70,12 +70,12 @@ def test_the_score_grows_with_the_jump(reach, visible):
     assert peaks == sorted(peaks)
 
 
-def test_unknown_positions_are_no_jump(visible):
+def test_unknown_positions_and_single_frames_are_no_teleport(visible):
     assert teleports(np.full((49, 3), np.nan), visible, visible).peak == 0.0
     assert teleports(np.zeros((1, 3)), visible[:1], visible[:1]).peak == 0.0
 
 
-def test_a_jump_to_a_doubtful_frame_is_none(reach, visible):
+def test_a_jump_to_a_doubtful_frame_is_no_teleport(reach, visible):
     p = reach(3)
     p[20] += [0.0, 0.12, 0.0]
     p[21:] += [0.0, 0.06, 0.0]
@@ -85,7 +85,7 @@ def test_a_jump_to_a_doubtful_frame_is_none(reach, visible):
 
 
 @pytest.mark.parametrize("length", [5, 8])
-def test_a_freeze_begins_in_motion_and_ends_with_a_jump(reach, visible, t_s, length):
+def test_a_freeze_begins_in_motion_ends_with_a_jump_and_has_its_length_as_severity(reach, visible, t_s, length):
     p = reach(noise_m=0.001)
     p[20 : 20 + length] = p[19]
     still = np.zeros(49, dtype=bool)
@@ -94,7 +94,7 @@ def test_a_freeze_begins_in_motion_and_ends_with_a_jump(reach, visible, t_s, len
     assert (result.frame_start, result.frame_end, result.severity) == (20, 19 + length, length)
 
 
-def test_a_dwell_is_no_freeze(visible, t_s):
+def test_a_gripper_at_rest_without_a_jump_is_no_freeze(visible, t_s):
     s = np.concatenate([np.sin(np.linspace(0, np.pi / 2, 20)), np.ones(10), np.cos(np.linspace(0, np.pi / 2, 19))])
     p = np.stack([0.3 * s, 0 * s, 0 * s + 0.6], axis=1)
     still = np.zeros(49, dtype=bool)
@@ -102,11 +102,11 @@ def test_a_dwell_is_no_freeze(visible, t_s):
     assert find_freezes(p, visible, still, t_s).peak < 1.0
 
 
-def test_motion_without_still_frames_is_no_freeze(reach, visible, t_s):
+def test_motion_without_repeated_images_is_no_freeze(reach, visible, t_s):
     assert find_freezes(reach(), visible, np.zeros(49, dtype=bool), t_s).peak == 0.0
 
 
-def test_repeated_images_are_still_and_moving_ones_are_not():
+def test_repeated_images_are_still_despite_noise_and_moving_images_are_not():
     rng = np.random.default_rng(0)
     frames = np.zeros((6, 96, 96, 3), np.uint8)
     for i, x in enumerate((10, 16, 22, 22, 22, 28)):
@@ -122,13 +122,13 @@ def grasp(seed, noise_m=0.003):
     return np.clip(width + np.random.default_rng(seed).normal(0, noise_m, 49), 0.0, MAX_WIDTH_M)
 
 
-def test_fingers_as_fast_as_the_makers_limit_are_plausible(t_s):
+def test_fingers_at_the_makers_speed_limit_are_no_anomaly(t_s):
     for seed in range(60):
         assert find_finger_faults(grasp(seed), t_s).peak < 1.0
 
 
 @pytest.mark.parametrize("size_m", [0.05, 0.06])
-def test_a_jump_of_the_fingers_is_named_where_it_is(t_s, size_m):
+def test_a_jump_of_the_finger_width_is_reported_at_its_frame(t_s, size_m):
     for seed in range(20):
         width = grasp(seed)
         width[26:30] += size_m
@@ -136,7 +136,7 @@ def test_a_jump_of_the_fingers_is_named_where_it_is(t_s, size_m):
         assert [abs(a.frame_start - f) <= 1 for a, f in zip(result, (26, 30), strict=True)] == [True, True]
 
 
-def test_a_flutter_is_named_and_one_wild_frame_is_not(t_s):
+def test_fluttering_fingers_are_an_anomaly_and_a_single_outlier_frame_is_none(t_s):
     width = grasp(1)
     width[22:30] += 0.02 + 0.02 * (-1.0) ** np.arange(8)
     (result,) = find_finger_faults(width, t_s).anomalies
@@ -147,12 +147,12 @@ def test_a_flutter_is_named_and_one_wild_frame_is_not(t_s):
     assert find_finger_faults(wild, t_s).anomalies == ()
 
 
-def test_a_gap_wider_than_the_gripper_is_impossible(t_s):
+def test_a_finger_width_above_the_grippers_maximum_is_an_anomaly(t_s):
     assert find_finger_faults(np.full(49, 0.12), t_s).anomalies
     assert not find_finger_faults(np.full(49, 0.08), t_s).anomalies
 
 
-def test_unknown_widths_are_no_anomaly(t_s):
+def test_unknown_finger_widths_are_no_anomaly(t_s):
     width = grasp(0)
     width[::2] = np.nan
     assert find_finger_faults(width, t_s).peak < 1.0

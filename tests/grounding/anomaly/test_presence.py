@@ -49,14 +49,14 @@ def gone(start, end):
     return confidence
 
 
-def test_a_gripper_that_is_gone_has_vanished(reach, spans):
+def test_a_gripper_missing_for_three_frames_or_more_has_vanished(reach, spans):
     for start, end in ((12, 22), (20, 23), (40, 49)):
         p = reach()
         p[start:end] = np.nan
         assert spans(p, gone(start, end)) == [(start, end - 1)]
 
 
-def test_a_passing_occlusion_is_none(reach, spans):
+def test_an_occlusion_of_two_frames_is_no_vanishing(reach, spans):
     assert spans(reach(), gone(12, 14)) == []
     assert spans(reach(), gone(0, 0)) == []
 
@@ -69,7 +69,7 @@ def test_a_gripper_that_leaves_the_image_or_never_appeared_has_not_vanished(reac
     assert spans(np.full((49, 3), np.nan), np.zeros(49)) == []
 
 
-def test_a_gripper_cut_by_the_border_may_have_left_the_image(spans):
+def test_a_gripper_lost_at_the_image_border_has_not_vanished(spans):
     p = np.tile([0.36, 0.0, 0.7], (49, 1))  # 21 px from the border
     assert spans(p, gone(12, 22)) == []
     inside = p - [0.05, 0.0, 0.0]
@@ -80,7 +80,7 @@ def test_a_gripper_cut_by_the_border_may_have_left_the_image(spans):
     assert spans(fast, gone(12, 22)) == []  # it would be at the border in the next frame
 
 
-def test_stretched_pixels_change_no_place():
+def test_the_image_border_is_the_same_for_square_and_stretched_pixels():
     square = replace(CAMERA, fx=CAMERA.fx / 2, fy=CAMERA.fy / 2)
     stretched = replace(square, fx=CAMERA.fx, width=2 * CAMERA.width, cx=2 * CAMERA.cx)
     for x in np.linspace(-0.9, 0.9, 19):
@@ -88,7 +88,7 @@ def test_stretched_pixels_change_no_place():
             assert _inside(np.array([x, y, 0.8]), square) is _inside(np.array([x, y, 0.8]), stretched)
 
 
-def test_a_gripper_behind_links_of_the_arm_has_not_vanished(background, spans):
+def test_a_gripper_hidden_behind_links_of_the_arm_has_not_vanished(background, spans):
     p = np.tile([0.1, 0.0, 0.7], (49, 1))
     part = background.part.copy()
     middle = part.shape[0] // 2
@@ -104,7 +104,7 @@ def test_a_gripper_behind_links_of_the_arm_has_not_vanished(background, spans):
     assert spans(p, gone(12, 22), [background] * 12 + [behind(0.6)] * 37) == [(12, 21)]  # it was in full view before
 
 
-def test_a_phantom_of_a_few_cells_is_no_gripper():
+def test_a_gripper_has_vanished_where_only_a_few_cells_remain():
     explained = np.full(49, 400.0)
     explained[20:24] = 15.0
     confidence = np.full(49, 0.8)
@@ -113,7 +113,7 @@ def test_a_phantom_of_a_few_cells_is_no_gripper():
     assert (result.frame_start, result.frame_end) == (20, 23)
 
 
-def test_a_second_gripper_counts_and_the_first_does_not(cad):
+def test_the_second_gripper_is_scored_beside_the_tracked_one(cad):
     for seed in range(3):
         X_CH = hand_pose(seed)
         first = perfect_view(cad, X_CH, 0.03, crop=Crop.of_frame(CAMERA))
@@ -126,7 +126,7 @@ def test_a_second_gripper_counts_and_the_first_does_not(cad):
         assert second_gripper(replace(first, part=np.zeros_like(first.part)), X_CH, CAMERA) == 0.0
 
 
-def test_a_second_gripper_must_stay_to_be_detected():
+def test_a_second_gripper_is_reported_only_if_it_stays_for_several_frames():
     other = np.zeros(49)
     other[5:7] = 0.9
     assert find_duplicates(other).anomalies == ()

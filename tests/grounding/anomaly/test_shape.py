@@ -18,7 +18,7 @@ def misfit_of(view):
     return shape_misfit(view, fitted.X_CH, fitted.finger_m)
 
 
-def test_noise_is_no_deformation_but_a_stretch_is(cad):
+def test_the_shape_misfit_of_a_stretched_gripper_exceeds_that_of_noise(cad):
     for seed in range(4):
         X_CH = hand_pose(seed)
         view = perfect_view(cad, X_CH, 0.03, noise_m=NOISE_M, seed=seed)
@@ -26,14 +26,14 @@ def test_noise_is_no_deformation_but_a_stretch_is(cad):
         assert misfit_of(view) < 0.03 < 0.06 < misfit_of(stretched)
 
 
-def test_the_shape_of_a_mostly_hidden_gripper_is_unknown(cad):
+def test_the_shape_misfit_of_a_mostly_hidden_gripper_is_unknown(cad):
     X_CH = hand_pose(0)
     view = perfect_view(cad, X_CH, 0.03, noise_m=NOISE_M)
     hidden = replace(view, part=np.where(np.arange(64) < 54, 0, view.part).astype(np.uint8))
     assert np.isnan(shape_misfit(hidden, X_CH, 0.03))
 
 
-def test_a_lasting_misfit_is_detected_and_a_short_one_is_not():
+def test_a_lasting_misfit_is_a_deformation_and_a_misfit_of_one_frame_is_none():
     misfit, residual = np.full(49, 0.01), np.full(49, 0.5)
     misfit[12], residual[12] = 0.3, 2.0
     misfit[30:42], residual[30:42] = 0.15, 1.0
@@ -41,20 +41,20 @@ def test_a_lasting_misfit_is_detected_and_a_short_one_is_not():
     assert (result.frame_start, result.frame_end, result.severity) == (30, 41, 0.15)
 
 
-def test_a_misfit_without_a_residual_is_no_deformation():
+def test_a_deformation_needs_both_a_misfit_and_a_residual():
     """As when the gripper is visible edge-on; and residuals without a common misfit are noise."""
     n = np.ones(49)
     assert find_deformations(0.2 * n, 0.55 * n).anomalies == ()
     assert find_deformations(0.01 * n, np.r_[0.5 * n[:30], 1.5 * n[30:]]).anomalies == ()
 
 
-def test_a_gripper_deformed_from_first_to_last_frame_is_found():
+def test_a_gripper_deformed_in_every_frame_is_reported():
     (result,) = find_deformations(np.full(49, 0.04), np.full(49, 1.0)).anomalies
     assert (result.frame_start, result.frame_end) == (0, 48)
 
 
 @pytest.mark.parametrize("size", [0.05, -0.05, 0.15])
-def test_a_wrong_size_is_detected_whether_constant_or_growing(size):
+def test_a_wrong_size_is_scale_drift_whether_constant_or_growing(size):
     noise = np.random.default_rng(0).normal(0, 0.02, 49)
     assert find_scale_drift(1.0 + noise).anomalies == ()
     for drift in (np.full(49, size), np.linspace(0.0, size, 49)):
@@ -64,7 +64,7 @@ def test_a_wrong_size_is_detected_whether_constant_or_growing(size):
     assert find_scale_drift(np.full(49, np.nan)).peak == 0.0
 
 
-def test_an_error_of_the_size_that_lasts_ten_frames_is_no_drift():
+def test_a_wrong_size_for_ten_frames_is_no_scale_drift_and_for_fifteen_is_one():
     scale = np.ones(49)
     scale[20:30] = 1.06
     assert find_scale_drift(scale).anomalies == ()

@@ -49,7 +49,7 @@ def test_camera_focal_length_and_postures_are_recovered_together(model):
     assert fitted.q == pytest.approx(q, abs=2e-3)
 
 
-def test_errors_are_of_the_size_of_the_stated_sigmas(model):
+def test_errors_of_the_camera_match_the_stated_sigmas(model):
     q = postures(FRAMES)
     cells = project_robot(CAMERA, q, model, parts=PARTS)
     rng = np.random.default_rng(1)
@@ -75,7 +75,7 @@ def _rotation(X_1, X_2):
     return rotation_log(X_1[:3, :3] @ X_2[:3, :3].T)
 
 
-def test_what_is_fixed_stays_and_has_no_information(model):
+def test_fixed_parameters_keep_their_value_and_have_no_information(model):
     q = postures(FRAMES)
     start = replace(truth(q), q=q + 0.05)
     observations = observe(project_robot(CAMERA, q, model, parts=PARTS), 0.5)
@@ -88,7 +88,7 @@ def test_what_is_fixed_stays_and_has_no_information(model):
     assert (np.diag(focal.information)[:6] > 0).all()
 
 
-def test_contours_of_a_part_that_err_together_move_the_camera_less_with_an_offset(model):
+def test_an_offset_for_each_part_absorbs_errors_common_to_its_contours(model):
     q = postures(FRAMES)
     points = observe(project_robot(CAMERA, q, model, parts=PARTS), 0.5)
     normals = np.random.default_rng(0).normal(size=(len(points), 2))
@@ -111,7 +111,7 @@ def test_contours_of_a_part_that_err_together_move_the_camera_less_with_an_offse
     assert np.linalg.eigvalsh(fit(0.0, 0).information[:7, :7] - fit(1.0, 0).information[:7, :7]).min() > -1e-3
 
 
-def test_without_the_base_the_turn_about_joint_1_is_not_determined(model):
+def test_the_turn_about_joint_1_is_undetermined_without_cells_of_the_base(model):
     q = postures(FRAMES)
 
     def sigma(parts):
@@ -124,7 +124,7 @@ def test_without_the_base_the_turn_about_joint_1_is_not_determined(model):
 
 
 @pytest.mark.parametrize("zoom", [1.0, 1.3])
-def test_a_camera_is_found_without_any_start(model, zoom):
+def test_the_chain_search_finds_the_camera_without_an_initial_estimate(model, zoom):
     q = postures(FRAMES, seed=2)
     camera = replace(CAMERA, fx=CAMERA.fx * zoom, fy=CAMERA.fy * zoom)
     cells = project_robot(camera, q, model, parts=PARTS, cells=20)

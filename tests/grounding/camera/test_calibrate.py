@@ -51,7 +51,7 @@ def program(monkeypatch, capsys, estimator):
     return run
 
 
-def test_the_command_writes_a_camera_that_score_takes(program, video, estimator, tmp_path):
+def test_calibrate_writes_a_camera_file_its_figures_and_a_check_image(program, video, estimator, tmp_path):
     out, figure = tmp_path / "camera.json", tmp_path / "check.png"
     joints = tmp_path / "joints.npz"
     code, stated, err = program("calibrate", video, "--joints", joints, "--out", out, "--figure", figure, "--json")
@@ -64,7 +64,7 @@ def test_the_command_writes_a_camera_that_score_takes(program, video, estimator,
     assert figure.read_bytes().startswith(b"\x89PNG")
 
 
-def test_a_given_focal_length_is_kept(program, video, tmp_path):
+def test_a_focal_length_set_by_option_stays_fixed(program, video, tmp_path):
     out = tmp_path / "camera.json"
     code, stated, _ = program(
         "calibrate", video, "--joints", tmp_path / "joints.npz", "--focal", 400, "--out", out, "--frames", 4
@@ -87,19 +87,19 @@ def test_a_given_focal_length_is_kept(program, video, tmp_path):
         (["--joints", "home", "--episode", "3", "--out", "c.json"], 2, "and --joints names none"),
     ],
 )
-def test_bad_input_is_one_line(program, video, arguments, code, said):
+def test_invalid_arguments_are_reported_in_one_line(program, video, arguments, code, said):
     ended, out, err = program("calibrate", video, *arguments)
     assert (ended, out, len(err.splitlines())) == (code, "", 1)
     assert said in err
 
 
-def test_a_video_that_is_not_there_is_one_line(program, tmp_path):
+def test_a_missing_video_is_reported_in_one_line(program, tmp_path):
     code, _, err = program("calibrate", tmp_path / "none.mp4", "--out", tmp_path / "c.json")
     assert (code, len(err.splitlines())) == (2, 1)
     assert "none.mp4: there is no such file" in err
 
 
-def test_a_moving_camera_is_refused(video, estimator, tmp_path):
+def test_calibration_refuses_a_moving_camera(video, estimator, tmp_path):
     frames = np.load(video)
     background = np.kron(np.random.default_rng(0).integers(0, 255, (24, 24)), np.ones((16, 16))).astype(np.uint8)
     for i, frame in enumerate(frames):
@@ -114,7 +114,7 @@ def test_a_moving_camera_is_refused(video, estimator, tmp_path):
 
 
 @pytest.mark.parametrize("focal_px", [None, 400.0])
-def test_without_joint_angles_the_camera_is_estimated_from_the_arm(video, estimator, focal_px):
+def test_the_camera_is_estimated_from_the_arm_without_joint_angles(video, estimator, focal_px):
     class Cameras:
         def estimate(self, frames, camera, *, focal_free):
             assert len(frames) == T
@@ -128,7 +128,7 @@ def test_without_joint_angles_the_camera_is_estimated_from_the_arm(video, estima
         )
 
 
-def test_the_drawn_robot_is_where_the_camera_has_it(camera, model):
+def test_the_drawn_robot_lies_where_the_camera_projects_it(camera, model):
     X_BP = model.poses(postures(1))[0]
     labels = render_parts(camera, X_BP, 0.01)
     inside = transform_points(invert(camera.X_BC) @ X_BP[RobotPart.HAND], np.array([[0.0, 0.0, 0.03]]))

@@ -153,7 +153,7 @@ def ground(evidence, frames=SQUARE, *, source=None, gripper=GripperKind.AUTO, **
     ("agreement", "asked"),
     [(SURE, ["assumed"]), (SURE - 0.01, ["assumed", "likely readings"]), (CONFIRMED, ["assumed", "likely readings"])],
 )
-def test_an_unnamed_camera_is_the_benchmarks_where_the_track_confirms_it(agreement, asked):
+def test_the_benchmark_camera_is_assumed_for_an_unnamed_one_if_the_track_confirms_it(agreement, asked):
     evidence = Evidence(agreements=[agreement])
     grounded = ground(evidence)
     assert evidence.asked == asked
@@ -162,7 +162,7 @@ def test_an_unnamed_camera_is_the_benchmarks_where_the_track_confirms_it(agreeme
     assert np.isfinite(grounded.track.X_BG).all()
 
 
-def test_without_confirmation_there_is_no_base_frame_however_close_the_agreement_is():
+def test_an_assumed_camera_just_below_the_agreement_bound_gives_no_base_frame():
     grounded = ground(Evidence(agreements=[CONFIRMED - 0.01]))
     assert grounded.choice.state is CameraState.NONE
     assert grounded.choice.to_json()["camera_source"] == "none"
@@ -173,7 +173,7 @@ def test_without_confirmation_there_is_no_base_frame_however_close_the_agreement
 
 
 @pytest.mark.parametrize("detected", [None, CONFIRMED - 0.01, CONFIRMED])
-def test_a_video_of_unfamiliar_look_needs_a_whole_grounding_that_confirms_the_camera(detected):
+def test_the_assumed_camera_of_an_unfamiliar_video_needs_confirmation_by_a_full_grounding(detected):
     evidence = Evidence(agreements=[0.2, CONFIRMED], detected=detected)
     evidence.domain = Domain.UNFAMILIAR
     grounded = ground(evidence)
@@ -184,7 +184,7 @@ def test_a_video_of_unfamiliar_look_needs_a_whole_grounding_that_confirms_the_ca
 
 @pytest.mark.parametrize("source", [None, CameraSource.FOLDER, CameraSource.OPTION])
 @pytest.mark.parametrize("agreement", [0.3, CONFIRMED + 0.02])
-def test_a_reading_that_agrees_better_is_named_and_costs_the_base_frame(source, agreement):
+def test_a_camera_reading_that_agrees_better_is_reported_and_leaves_no_base_frame(source, agreement):
     evidence = Evidence(agreements=[agreement], reading=reading())
     grounded = ground(evidence, source=source)
     assert "the picture mirrored left-right agrees better" in grounded.choice.reason
@@ -195,14 +195,14 @@ def test_a_reading_that_agrees_better_is_named_and_costs_the_base_frame(source, 
     assert np.isnan(grounded.track.X_BG).all()
 
 
-def test_mirrored_frames_are_turned_before_they_are_measured():
+def test_mirrored_frames_are_flipped_before_grounding():
     frames = SQUARE.copy()
     frames[:, :, 50:] = 200
     grounded = ground(Evidence(), frames, source=CameraSource.FOLDER, mirrored=True)
     assert (grounded.frames[0, 30, :40] == 200).all()
 
 
-def test_where_no_hand_is_seen_whatever_the_camera_none_is_estimated():
+def test_no_camera_is_estimated_for_a_video_without_any_hand():
     evidence = Evidence(hands=0)
     evidence.hand_tracks = False
     with pytest.raises(UnmeasurableError, match="no Franka hand is found in any of 8 frames searched"):
@@ -211,7 +211,7 @@ def test_where_no_hand_is_seen_whatever_the_camera_none_is_estimated():
 
 
 @pytest.mark.parametrize("agreement", [CONFIRMED, CONFIRMED - 0.01])
-def test_the_arm_alone_counts_where_it_confirms_the_assumed_camera(agreement):
+def test_a_video_without_a_hand_is_grounded_by_the_arm_if_it_confirms_the_assumed_camera(agreement):
     evidence = Evidence(hands=0, agreements=[agreement])
     evidence.arm_tracks, evidence.hand_tracks = True, False
     if agreement < CONFIRMED:
@@ -223,7 +223,7 @@ def test_the_arm_alone_counts_where_it_confirms_the_assumed_camera(agreement):
         assert grounded.choice.state is CameraState.CONFIRMED
 
 
-def test_a_hand_that_is_seen_but_lost_under_the_benchmark_camera_leads_to_an_estimate():
+def test_a_camera_is_estimated_if_a_detected_hand_has_no_track_with_the_benchmark_camera():
     evidence = Evidence(hands=8)
     evidence.hand_tracks = False
     with pytest.raises(UnmeasurableError, match="no Franka hand is found in any of 12 frames"):
@@ -245,7 +245,7 @@ def test_a_hand_that_is_seen_but_lost_under_the_benchmark_camera_leads_to_an_est
         (estimate(gripper_sigma_m=GRIPPER_SIGMA_M + 0.01), "uncertain by 30 mm"),
     ],
 )
-def test_an_estimated_camera_gives_a_base_frame_where_it_agrees_and_is_determined(best, words):
+def test_an_estimated_camera_gives_a_base_frame_only_if_it_agrees_and_is_determined(best, words):
     choice = ground(Evidence(estimate=best), WIDE).choice
     assert (choice.camera.width, choice.camera.height) == (160, 96)
     if words is None:
@@ -256,25 +256,25 @@ def test_an_estimated_camera_gives_a_base_frame_where_it_agrees_and_is_determine
         assert choice.to_json()["camera_source"] == choice.state.value == "none"
 
 
-def test_lines_along_the_base_confirm_a_camera_that_few_contours_do():
+def test_lines_along_the_base_axes_lower_the_agreement_required_of_an_estimated_camera():
     few = estimate(agreement=ALIGNED_AGREEMENT + 0.01, base_agreement=ALIGNED_BASE_AGREEMENT + 0.01)
     assert few.doubt is not None
     assert replace(few, is_aligned=True).doubt is None
 
 
-def test_poses_with_an_estimated_camera_may_be_off_by_two_of_its_sigmas():
+def test_the_offset_bound_of_a_track_is_two_sigmas_of_its_estimated_camera():
     track = ground(Evidence(estimate=estimate()), WIDE).track
     assert (track.offset_m, track.offset_rad) == (0.02, 0.02)
     assert ground(Evidence(), SQUARE).track.offset_m == 0.0
 
 
 @pytest.mark.parametrize("agreement", [AGREEMENT, AGREEMENT - 0.01])
-def test_the_reported_track_has_to_confirm_an_estimated_camera(agreement):
+def test_an_estimated_camera_needs_the_agreement_of_the_final_track(agreement):
     choice = ground(Evidence(agreements=[agreement], estimate=estimate()), WIDE).choice
     assert (choice.reason is None) == (agreement >= AGREEMENT)
 
 
-def test_a_named_camera_that_the_arm_confirms_costs_no_search():
+def test_a_named_camera_that_the_arm_confirms_is_not_compared_with_other_readings():
     for source in (CameraSource.FOLDER, CameraSource.ARGUMENT):
         sure, unsure = Evidence(agreements=[SURE]), Evidence(agreements=[CONFIRMED - 0.01])
         assert ground(sure, source=source).choice.state is CameraState.NAMED
@@ -284,7 +284,7 @@ def test_a_named_camera_that_the_arm_confirms_costs_no_search():
 
 
 @pytest.mark.parametrize("fitted", [True, False])
-def test_another_camera_that_explains_the_arm_better_costs_the_base_frame_where_it_is_far_off(fitted):
+def test_a_named_camera_far_from_one_that_explains_the_arm_better_gives_no_base_frame(fitted):
     def choose(gripper_m):
         evidence = Evidence(agreements=[0.3], contradiction=contradiction(gripper_m))
         evidence.fitted = fitted
@@ -299,14 +299,14 @@ def test_another_camera_that_explains_the_arm_better_costs_the_base_frame_where_
 
 
 @pytest.mark.parametrize("agreement", [AGREEMENT + 0.01, AGREEMENT - 0.01])
-def test_a_doubtful_camera_stays_where_no_other_explains_the_arm_better_and_the_arm_agrees(agreement):
+def test_a_doubtful_named_camera_without_a_better_one_is_kept_if_the_arm_agrees(agreement):
     choice = ground(Evidence(agreements=[agreement]), source=CameraSource.FOLDER).choice
     assert (choice.reason is None) == (agreement > AGREEMENT)
     assert choice.to_json()["camera_agreement"] == agreement
 
 
 @pytest.mark.parametrize("arm_seen", [True, False])
-def test_a_camera_with_which_a_visible_arm_never_agrees_gives_no_base_frame(arm_seen):
+def test_a_named_camera_gives_no_base_frame_if_a_visible_arm_agrees_in_no_frame(arm_seen):
     evidence = Evidence()
     evidence.fitted, evidence.arm_seen = False, arm_seen
     choice = ground(evidence, source=CameraSource.FOLDER).choice
@@ -315,7 +315,7 @@ def test_a_camera_with_which_a_visible_arm_never_agrees_gives_no_base_frame(arm_
 
 
 @pytest.mark.parametrize("agreement", [CONFIRMED, AGREEMENT - 0.01])
-def test_the_arm_alone_is_checked_like_a_hand(agreement):
+def test_the_track_of_an_arm_without_a_hand_needs_the_same_agreement(agreement):
     evidence = Evidence(agreements=[agreement])
     evidence.arm_tracks = True
     grounded = ground(evidence, source=CameraSource.FOLDER, gripper=GripperKind.NONE)
@@ -324,7 +324,7 @@ def test_the_arm_alone_is_checked_like_a_hand(agreement):
     assert (grounded.choice.reason is None) == (agreement >= AGREEMENT)
 
 
-def test_where_another_reading_explains_the_hand_the_arm_alone_is_not_tried():
+def test_the_arm_alone_is_not_tried_if_another_camera_reading_explains_the_hand():
     evidence = Evidence(reading=reading(Reading.OPENGL_AXES))
     evidence.hand_tracks = False
     with pytest.raises(UnmeasurableError, match="OpenGL axes"):

@@ -52,7 +52,7 @@ def start(q, model, step):
 
 
 @pytest.mark.parametrize("joint_sigma_rad", [JOINT_SIGMA_RAD, 0.1 * JOINT_SIGMA_RAD])
-def test_contours_give_the_camera_as_precisely_as_the_joint_angles_are_known(
+def test_the_camera_from_contours_is_as_precise_as_the_joint_angles(
     estimator, model, film, monkeypatch, joint_sigma_rad
 ):
     """If all joints may be off, so may the camera's turn about the robot: by their error times its distance."""
@@ -69,7 +69,7 @@ def test_contours_give_the_camera_as_precisely_as_the_joint_angles_are_known(
     assert estimate.camera.fx == CAMERA.fx
 
 
-def test_agreement_tells_a_wrong_camera_from_the_right_one(estimator, model, film):
+def test_a_wrong_camera_agrees_less_with_the_contours_than_the_true_one(estimator, model, film):
     q, frames = film
     images = estimator.fitter.images(frames, CAMERA)
     right = images.agreement(start(q, model, np.zeros(7)).scene)
@@ -80,7 +80,7 @@ def test_agreement_tells_a_wrong_camera_from_the_right_one(estimator, model, fil
 
 
 @pytest.mark.parametrize("turn_deg", [-50.0, 30.0])
-def test_the_contours_of_the_base_show_how_it_is_turned(estimator, model, film, turn_deg):
+def test_the_contours_of_the_base_determine_its_turn_about_joint_1(estimator, model, film, turn_deg):
     q, frames = film
     images = estimator.fitter.images(frames, CAMERA)
     right = start(q, model, np.zeros(7)).scene
@@ -96,7 +96,7 @@ def test_the_contours_of_the_base_show_how_it_is_turned(estimator, model, film, 
     assert [turn.share for turn in turns] == sorted((turn.share for turn in turns), reverse=True)
 
 
-def test_turns_that_differ_too_little_are_decided_by_their_fits(estimator, model, film):
+def test_the_choice_between_similar_base_turns_follows_the_agreement_of_their_fits(estimator, model, film):
     q, frames = film
     images = estimator.fitter.images(frames, CAMERA)
     right = start(q, model, np.zeros(7))
@@ -119,7 +119,7 @@ def test_turns_that_differ_too_little_are_decided_by_their_fits(estimator, model
     assert near.base_runner_up == 0.0
 
 
-def test_cameras_are_the_same_arm_whatever_the_turn_but_not_from_elsewhere(model, film):
+def test_cameras_that_differ_by_a_base_turn_see_the_same_arm_and_displaced_ones_do_not(model, film):
     scene = start(film[0], model, np.zeros(7)).scene
     assert scene.lens.sees_same_arm(scene.turned(1.0).lens, 1.0)
     for step in ([0.0, 0.1, 0.0, 0.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 0.0, 0.1, 0.0, 0.0]):
@@ -128,7 +128,7 @@ def test_cameras_are_the_same_arm_whatever_the_turn_but_not_from_elsewhere(model
         assert scene.lens.sees_same_arm(moved, 4.0)
 
 
-def test_a_camera_is_found_from_cells_and_contours_alone(estimator, model, film):
+def test_camera_and_focal_length_are_estimated_from_cells_and_contours_without_a_start(estimator, model, film):
     q, frames = film
     cells = project_robot(CAMERA, q, model, finger_m=FINGER_M, noise_px=1.0)
     robot = ArmDetections(
@@ -143,13 +143,13 @@ def test_a_camera_is_found_from_cells_and_contours_alone(estimator, model, film)
     assert estimate.base_agreement > estimate.base_runner_up + 0.1
 
 
-def test_points_without_a_pose_give_none():
+def test_pnp_of_random_points_gives_no_pose():
     rng = np.random.default_rng(0)
     p, uv = rng.normal(size=(12, 3)), rng.uniform(0, 320, (12, 2))
     assert solve_pnp(p, uv, CAMERA, rounds=20, error_px=1e-6) is None
 
 
-def test_another_focal_length_that_explains_the_arm_better_contradicts_a_camera(estimator, model, film, monkeypatch):
+def test_a_camera_with_a_wrong_focal_length_is_contradicted(estimator, model, film, monkeypatch):
     q, frames = film
     cells = project_robot(CAMERA, q, model, finger_m=FINGER_M)
     robot = ArmDetections(

@@ -50,20 +50,20 @@ def off(camera, found):
 
 
 @pytest.mark.parametrize("fov_deg", [40.0, 60.0, 80.0])
-def test_an_exact_picture_gives_the_camera_and_its_lens(camera, model, fov_deg):
+def test_exact_cells_determine_camera_pose_and_focal_length(camera, model, fov_deg):
     true = with_focal(camera, camera.width / 2 / np.tan(np.deg2rad(fov_deg) / 2))
     found = calibrated(true, model, noise_px=0.0, guess=camera)
     assert max(off(true, found.camera)) < 1e-5
     assert found.residual_px < 1e-3
 
 
-def test_a_known_lens_is_kept(camera, model):
+def test_a_fixed_focal_length_is_kept_and_has_no_uncertainty(camera, model):
     found = calibrated(camera, model, focal_free=False)
     assert (found.camera.fx, found.focal_sigma) == (camera.fx, 0.0)
     assert off(camera, found.camera)[0] < 0.01
 
 
-def test_errors_are_of_the_size_that_is_claimed(camera, model):
+def test_calibration_errors_lie_within_four_of_their_sigmas(camera, model):
     found = calibrated(camera, model, noise_px=1.0)
     distance, angle, zoom = off(camera, found.camera)
     assert distance < 4 * found.position_sigma_m < 0.1
@@ -71,7 +71,7 @@ def test_errors_are_of_the_size_that_is_claimed(camera, model):
     assert zoom < 4 * found.focal_sigma < 0.1
 
 
-def test_more_postures_tell_more_but_the_same_posture_again_does_not(camera, model):
+def test_different_postures_lower_the_uncertainty_and_repeated_ones_do_not(camera, model):
     few, many = (calibrated(camera, model, q=postures(n)) for n in (3, 12))
     assert many.position_sigma_m < 0.7 * few.position_sigma_m
     one = postures(1)
@@ -80,7 +80,7 @@ def test_more_postures_tell_more_but_the_same_posture_again_does_not(camera, mod
     assert "the hand moves by 0 mm only" in " ".join(warnings_of(again))
 
 
-def test_a_robot_far_away_leaves_the_focal_length_open_and_says_why(camera, model):
+def test_a_distant_robot_does_not_determine_the_focal_length_and_the_error_says_why(camera, model):
     back = make_pose(np.eye(3), [0.0, 0.0, -12.0])
     tele = with_focal(replace(camera, X_BC=camera.X_BC @ back), 12 * camera.fx)
     found = calibrated(tele, model, guess=tele)
@@ -89,7 +89,7 @@ def test_a_robot_far_away_leaves_the_focal_length_open_and_says_why(camera, mode
     require_determined(calibrated(camera, model))
 
 
-def test_a_gripper_read_upside_down_in_a_frame_is_read_again(camera, model):
+def test_a_frame_with_a_flipped_gripper_is_corrected(camera, model):
     q = postures(5)
     wrong = project_robot(camera, q, model).flip(np.arange(5) == 2)
     found = described(solve(view_of(wrong, q), states_of(q, model), camera, model, focal_free=True), model)
@@ -101,7 +101,7 @@ def test_joint_angles_of_another_motion_are_refused(camera, model):
         require_determined(calibrated(camera, model, stated=postures(6, seed=5, reach=0.6)))
 
 
-def test_poses_of_the_gripper_do_without_the_arm(camera, model):
+def test_gripper_poses_calibrate_the_camera_without_joint_angles(camera, model):
     q = postures(6)
     states = replace(states_of(q, model), q=np.full((6, 7), np.nan))
     solved = solve(view_of(project_robot(camera, q, model), q), states, camera, model, focal_free=True)
@@ -114,7 +114,7 @@ def test_poses_of_the_gripper_do_without_the_arm(camera, model):
     assert max(off(camera, solved.bundle.scene.lens.to_camera())) < 1e-5
 
 
-def test_one_posture_in_a_motion_determines_the_turn_about_joint_1(camera, model):
+def test_one_frame_with_joint_angles_determines_the_turn_about_joint_1(camera, model):
     q = postures(6)
     guess = replace(camera, X_BC=make_pose(rotation_exp([0.0, 0.0, 0.08]), [0.02, 0.0, -0.02]) @ camera.X_BC)
     states = states_of(q, model)
@@ -126,7 +126,7 @@ def test_one_posture_in_a_motion_determines_the_turn_about_joint_1(camera, model
     assert off(camera, solved.bundle.scene.lens.to_camera())[0] < 2e-3
 
 
-def test_derivatives_are_those_of_the_projection(camera):
+def test_lens_derivatives_are_finite_differences_of_the_projection(camera):
     lens = Lens.of_camera(camera)
     p_B = np.random.default_rng(0).uniform([0.1, -0.3, 0.0], [0.7, 0.3, 0.6], (20, 3))
 

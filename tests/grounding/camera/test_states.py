@@ -9,7 +9,7 @@ from kinebench_drake.models.panda.robot import RobotPart, hand_from_tcp
 from tests.grounding.camera.robot import postures
 
 
-def test_a_row_a_frame_is_taken_as_it_is_whatever_its_times_say(tmp_path, model):
+def test_joint_angles_with_one_row_for_each_frame_are_used_whatever_their_times(tmp_path, model):
     q = postures(5)
     np.savez(tmp_path / "a.npz", t_s=np.arange(5) * 7.0, q=q, finger_width_m=np.full(5, 0.04))
     states = read_states(tmp_path / "a.npz", None, None, np.arange(5) * 0.1, model)
@@ -18,7 +18,7 @@ def test_a_row_a_frame_is_taken_as_it_is_whatever_its_times_say(tmp_path, model)
     assert np.allclose(states.finger_m, 0.02)
 
 
-def test_a_frame_without_joint_angles_does_not_change_the_method(tmp_path, model):
+def test_frames_without_joint_angles_do_not_change_the_calibration_method(tmp_path, model):
     q = postures(5)
     states = []
     for lost in ([], [2], [0, 1, 2]):
@@ -31,7 +31,7 @@ def test_a_frame_without_joint_angles_does_not_change_the_method(tmp_path, model
     assert {_method(s) for s in states} == {CalibrationMethod.JOINTS}
 
 
-def test_faster_joint_angles_are_taken_at_the_frames_times(tmp_path, model):
+def test_joint_angles_at_a_higher_rate_are_interpolated_at_the_frames(tmp_path, model):
     t_s = np.linspace(0.0, 2.0, 201)
     q = np.outer(t_s, np.linspace(0.1, 0.4, 7)) + postures(1)
     np.savez(tmp_path / "a.npz", t_s=t_s + 5.0, q=q)
@@ -39,7 +39,7 @@ def test_faster_joint_angles_are_taken_at_the_frames_times(tmp_path, model):
     assert np.allclose(states.q, postures(1) + np.outer([0.0, 0.503, 1.999], np.linspace(0.1, 0.4, 7)))
 
 
-def test_poses_of_the_tcp_are_poses_of_the_hand(tmp_path, model):
+def test_tcp_poses_become_hand_poses_without_joint_angles(tmp_path, model):
     X_BH = model.poses(postures(4))[:, RobotPart.HAND]
     np.savez(tmp_path / "a.npz", t_s=np.arange(4.0), base_from_tcp=X_BH @ hand_from_tcp())
     states = read_states(tmp_path / "a.npz", None, None, np.arange(4.0), model)
@@ -56,7 +56,7 @@ def test_joint_angles_shorter_than_the_video_are_refused(tmp_path, model):
         read_states(tmp_path / "a.npz", None, None, np.arange(20) * 0.1, model)
 
 
-def test_a_video_without_a_clock_wants_a_row_a_frame_or_a_period(tmp_path, model):
+def test_a_video_without_a_clock_needs_one_row_for_each_frame_or_a_frame_period(tmp_path, model):
     """Else every frame would have the posture of the first row."""
     np.savez(tmp_path / "a.npz", t_s=np.arange(8) * 0.1, q=postures(8))
     clockless = Video(frames=np.zeros((5, 2, 2, 3), np.uint8), fps=None, stamps_s=None)
@@ -65,7 +65,7 @@ def test_a_video_without_a_clock_wants_a_row_a_frame_or_a_period(tmp_path, model
         read_states(tmp_path / "a.npz", None, None, _times(clockless, None), model)
 
 
-def test_files_of_several_episodes_want_one_named(tmp_path, model):
+def test_joint_files_of_several_episodes_need_an_episode_name(tmp_path, model):
     (tmp_path / "many").mkdir()
     for name in ("a", "b"):
         np.savez(tmp_path / "many" / f"{name}.npz", t_s=np.arange(3.0), q=postures(3))
@@ -74,7 +74,7 @@ def test_files_of_several_episodes_want_one_named(tmp_path, model):
     assert len(read_states(tmp_path / "many", "b", None, np.arange(3.0), model).q) == 3
 
 
-def test_one_posture_is_known_in_its_frame_alone(model):
+def test_a_single_posture_applies_to_its_frame_alone(model):
     states = make_posture_states("0,-0.5,0,-2,0,1.6,0.8", 2, 4, model)
     assert states.has_hand.tolist() == [False, False, True, False]
     assert np.allclose(states.q[2], [0, -0.5, 0, -2, 0, 1.6, 0.8])
@@ -83,7 +83,7 @@ def test_one_posture_is_known_in_its_frame_alone(model):
 
 
 @pytest.mark.parametrize("text", ["0,1,2", "0,0,0,-90,0,90,45", "0,0,0,nan,0,0,0"])
-def test_numbers_that_are_no_posture_are_refused(text):
+def test_a_posture_that_is_not_seven_angles_in_radians_is_refused(text):
     with pytest.raises(UsageError, match="expected 7 joint angles in radians"):
         parse_posture(text)
 

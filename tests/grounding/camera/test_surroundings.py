@@ -38,7 +38,7 @@ def displaced(degrees, axis, zoom=1.0):
     return Lens(camera=camera, X_CB=TRUE.X_CB @ X)
 
 
-def test_lines_along_the_base_pass_the_vanishing_points_of_its_axes():
+def test_lines_along_the_base_axes_meet_at_their_vanishing_points():
     lines = tiles()
     offsets = np.abs(lines.offsets(TRUE, np.eye(3)[:2])).min(axis=1)
     assert offsets.max() < 1e-6
@@ -46,7 +46,7 @@ def test_lines_along_the_base_pass_the_vanishing_points_of_its_axes():
 
 
 @pytest.mark.parametrize("turn_deg", [-3.0, 2.0])
-def test_the_turn_that_an_arm_without_base_leaves_open_is_that_of_the_lines(turn_deg):
+def test_lines_determine_the_base_turn_that_an_arm_without_its_base_leaves_open(turn_deg):
     model, q = ArmModel(), postures(6)
     lens = displaced(turn_deg, (0.0, 0.0, 1.0), zoom=1.03)
     surroundings = find_surroundings(tiles(), lens, SIGMA_RAD)
@@ -60,12 +60,12 @@ def test_the_turn_that_an_arm_without_base_leaves_open_is_that_of_the_lines(turn
     assert fitted.lens.camera.fx == pytest.approx(CAMERA.fx, rel=2e-3)
 
 
-def test_lines_along_other_axes_are_left_out():
+def test_lines_oblique_to_the_base_axes_give_no_surroundings():
     assert find_surroundings(tiles(np.deg2rad(20.0)), TRUE, SIGMA_RAD) is None
     assert find_surroundings(tiles(np.deg2rad(45.0)), TRUE, np.deg2rad(30.0)) is None
 
 
-def test_random_lines_say_nothing():
+def test_random_lines_give_no_surroundings():
     rng = np.random.default_rng(0)
     for seed in range(20):
         rng = np.random.default_rng(seed)
@@ -73,7 +73,7 @@ def test_random_lines_say_nothing():
         assert find_surroundings(Lines(ends_px=ends), TRUE, SIGMA_RAD) is None
 
 
-def test_slopes_are_those_of_the_cost():
+def test_the_gradient_is_the_finite_difference_of_the_cost():
     lens = displaced(1.0, (0.3, 0.2, 0.9), zoom=1.02)
     term = Surroundings(lines=tiles(), axis=np.arange(len(tiles())) % 2)
     _, H, g = term.linearize(lens)
@@ -84,7 +84,7 @@ def test_slopes_are_those_of_the_cost():
         assert (above - below) / 2e-4 == pytest.approx(2 * g[k], rel=0.02, abs=0.02 * np.abs(g).max())
 
 
-def test_surroundings_askew_to_the_base_leave_its_turn_uncertain():
+def test_many_lines_leave_the_base_turn_uncertain_by_at_least_a_fifth_of_a_degree():
     _, H, _ = Surroundings(lines=tiles(), axis=np.arange(len(tiles())) % 2).linearize(TRUE)
     axis_C = TRUE.X_CB[:3, 2]
     free = [0, 1, 2, 6]
@@ -92,7 +92,7 @@ def test_surroundings_askew_to_the_base_leave_its_turn_uncertain():
     assert float(axis_C @ covariance @ axis_C) ** 0.5 >= np.deg2rad(0.2)
 
 
-def test_lines_are_detected_off_the_robot():
+def test_lines_are_detected_outside_the_robot_only():
     frame = np.full((CAMERA.height, CAMERA.width, 3), 90, np.uint8)
     for a, b in tiles().ends_px:
         cv2.line(

@@ -14,7 +14,7 @@ DEPTH_M[1, :2] = 0.0
 MM = np.rint(DEPTH_M * 1000).astype(np.uint16)
 
 
-def test_depth_comes_back_in_metres(tmp_path: Path) -> None:
+def test_depth_of_every_format_is_read_in_metres(tmp_path: Path) -> None:
     np.savez(tmp_path / "metres.npz", depth_m=DEPTH_M.astype(np.float32))
     np.savez(tmp_path / "millimetres.npz", depth_mm=MM)
     np.savez(tmp_path / "type.npz", depth=MM)
@@ -33,7 +33,7 @@ def test_depth_comes_back_in_metres(tmp_path: Path) -> None:
             assert depth.exact is exact
 
 
-def test_the_truth_of_a_demonstration_is_exact_and_not_cut(tmp_path: Path) -> None:
+def test_true_depth_of_a_demonstration_is_exact_and_corrected_for_truncation_to_millimetres(tmp_path: Path) -> None:
     true_m = np.where(DEPTH_M > 0, DEPTH_M + 0.0005, 0.0)
     cut = np.floor(true_m * 1000 + 1e-9).astype(np.uint16)
     mask = np.packbits(DEPTH_M > 0.5, axis=-1)
@@ -43,7 +43,7 @@ def test_the_truth_of_a_demonstration_is_exact_and_not_cut(tmp_path: Path) -> No
     np.testing.assert_allclose(depth.depth_m, true_m, atol=1e-9)
 
 
-def test_what_is_no_depth_is_refused(tmp_path: Path) -> None:
+def test_files_that_contain_no_depth_are_refused(tmp_path: Path) -> None:
     np.save(tmp_path / "unit.npy", DEPTH_M * 1000)
     np.save(tmp_path / "nothing.npy", np.full((2, 4, 4), np.inf))
     np.save(tmp_path / "truth_values.npy", DEPTH_M > 0)

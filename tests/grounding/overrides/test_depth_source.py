@@ -61,7 +61,7 @@ def camera() -> Camera:
     return Camera(width=64, height=48, fx=64.0, fy=64.0, cx=32.0, cy=24.0, X_BC=benchmark_camera().X_BC)
 
 
-def test_a_class_of_the_working_directory_gives_depth(here: Path, camera: Camera) -> None:
+def test_a_depth_class_is_loaded_from_the_working_directory(here: Path, camera: Camera) -> None:
     depth = DepthPlugIn("a_depth_of_mine:Red").estimate(FRAMES, camera)
     np.testing.assert_allclose(depth.depth_m, 0.5 + FRAMES[..., 0] / 255, atol=1e-6)
     assert not depth.exact
@@ -80,13 +80,13 @@ def test_a_class_of_the_working_directory_gives_depth(here: Path, camera: Camera
         ("nowhere", "module:Class"),
     ],
 )
-def test_missing_plug_ins_are_refused_before_any_work(spec: str, message: str) -> None:
+def test_missing_and_invalid_depth_plug_ins_are_refused_on_check(spec: str, message: str) -> None:
     with pytest.raises(UsageError, match=message):
         DepthPlugIn(spec).check()
 
 
 @pytest.mark.usefixtures("here")
-def test_errors_of_a_class_are_reported(camera: Camera) -> None:
+def test_failing_constructors_and_depth_in_another_unit_are_reported(camera: Camera) -> None:
     with pytest.raises(SetupError, match=r"NeedsArguments.*device"):
         DepthPlugIn("a_depth_of_mine:NeedsArguments").estimate(FRAMES, camera)
     with pytest.raises(InputError, match="another unit"):
@@ -128,7 +128,9 @@ def moge(monkeypatch: pytest.MonkeyPatch) -> Callable[[], None]:
     return install
 
 
-def test_moge_is_given_the_field_of_view(moge: Callable[[], None], tmp_path: Path, camera: Camera) -> None:
+def test_moge_runs_with_the_cameras_field_of_view_and_reports_if_it_is_not_installed(
+    moge: Callable[[], None], tmp_path: Path, camera: Camera
+) -> None:
     checkpoint = tmp_path / "model.pt"
     checkpoint.touch()
     spec = f"moge:{checkpoint}"

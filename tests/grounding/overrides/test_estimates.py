@@ -25,7 +25,7 @@ def test_a_known_pose_determines_the_factor_of_estimated_depth(cad: GripperCad, 
     np.testing.assert_allclose(scaled.depth_m, 1.0, rtol=3e-3)
 
 
-def test_cells_without_given_depth_do_not_calibrate_it(cad: GripperCad) -> None:
+def test_cells_without_external_depth_do_not_calibrate_its_scale(cad: GripperCad) -> None:
     """They have the network's, which is right whatever the scale of the other."""
 
     class Network:

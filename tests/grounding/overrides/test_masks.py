@@ -49,13 +49,13 @@ def truth(path: Path) -> Path:
 
 
 @pytest.mark.parametrize("write", [grey, coloured, npy, npz, truth])
-def test_masks_come_back_as_written(tmp_path: Path, write: Callable[[Path], Path]) -> None:
+def test_masks_of_every_format_are_read_as_written(tmp_path: Path, write: Callable[[Path], Path]) -> None:
     entry = write(tmp_path)
     np.testing.assert_array_equal(read_masks(entry), MASKS)
     assert len(array_files(entry)) == (11 if entry.is_dir() else 1)
 
 
-def test_what_is_no_mask_is_refused(tmp_path: Path) -> None:
+def test_files_that_contain_no_mask_are_refused(tmp_path: Path) -> None:
     np.save(tmp_path / "soft.npy", np.full((2, 4, 4), 0.3))
     np.savez(tmp_path / "other.npz", frames=MASKS)
     np.save(tmp_path / "turned_round.npy", np.ones((2, 40, 40)) - np.eye(40))

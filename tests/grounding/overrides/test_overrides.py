@@ -1,4 +1,4 @@
-"""Entries of a video are result by its id before its stem, and truth before the video itself."""
+"""Entries of a video are found by its id before its stem, and in the folder truth before others."""
 
 from pathlib import Path
 
@@ -8,7 +8,7 @@ from kinebench_drake.errors import InputError
 from kinebench_drake.grounding.overrides.overrides import TRACKS, TRUTH, find_entry
 
 
-def test_the_better_name_and_the_safer_place_go_first(tmp_path: Path) -> None:
+def test_entries_are_searched_by_id_before_stem_and_in_truth_first(tmp_path: Path) -> None:
     order = ["truth/id.npz", "id.npz", "id.npy", "id/0.png", "truth/stem.npz", "stem.npz", "stem/0.png"]
     for name in order:
         (tmp_path / name).parent.mkdir(exist_ok=True)
@@ -24,7 +24,7 @@ def test_the_better_name_and_the_safer_place_go_first(tmp_path: Path) -> None:
         find_entry(tmp_path, ("id", "stem"))
 
 
-def test_tracks_of_another_run_are_found_where_they_are_asked_for(tmp_path: Path) -> None:
+def test_the_tracks_folder_of_a_run_is_searched_only_on_request(tmp_path: Path) -> None:
     (tmp_path / "tracks").mkdir()
     (tmp_path / "tracks" / "v.npz").touch()
     assert find_entry(tmp_path, ("v",), (TRUTH, TRACKS)) == tmp_path / "tracks" / "v.npz"

@@ -32,7 +32,7 @@ def without(*frames: int) -> Array:
     return X
 
 
-def test_arrays_come_back_as_written(tmp_path: Path) -> None:
+def test_poses_and_finger_widths_of_arrays_are_read_as_written(tmp_path: Path) -> None:
     np.save(tmp_path / "v.npy", without(3))
     np.savez(tmp_path / "v.npz", camera_from_hand=X_CH, finger_width_m=np.full(T, 0.03))
     poses = read_poses(tmp_path, tmp_path / "v.npy", T)
@@ -44,7 +44,7 @@ def test_arrays_come_back_as_written(tmp_path: Path) -> None:
     assert (poses.finger_width_m == 0.03).all()
 
 
-def test_of_a_track_the_tracked_frames_are_taken(tmp_path: Path) -> None:
+def test_only_tracked_frames_of_a_track_have_a_pose(tmp_path: Path) -> None:
     tracked = np.arange(T) != 5
     track = GripperTrack(
         t_s=np.linspace(0.0, 2.2, T),
@@ -59,7 +59,7 @@ def test_of_a_track_the_tracked_frames_are_taken(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("tracked", [np.ones(T - 1, dtype=bool), np.ones(T), np.array(["no"] * T)])
-def test_a_mask_of_tracked_frames_that_does_not_fit_is_refused(tmp_path: Path, tracked: NDArray[Any]) -> None:
+def test_a_tracked_array_of_wrong_shape_or_type_is_refused(tmp_path: Path, tracked: NDArray[Any]) -> None:
     np.savez(tmp_path / "v.npz", camera_from_hand=X_CH, tracked=tracked)
     with pytest.raises(InputError, match=rf"tracked has shape .* expected \({T},\)"):
         read_poses(tmp_path, tmp_path / "v.npz", T)
@@ -76,7 +76,7 @@ def test_a_mask_of_tracked_frames_that_does_not_fit_is_refused(tmp_path: Path, t
         ([n for n in range(1, T + 1) if n != 5], 1, (4,)),
     ],
 )
-def test_text_files_belong_to_the_frames_of_their_numbers(
+def test_text_files_are_assigned_to_frames_by_their_numbers(
     tmp_path: Path, numbers: Iterable[int], first: int, missing: tuple[int, ...]
 ) -> None:
     for entry, inner in ((tmp_path / "a", tmp_path / "a"), (tmp_path / "b", tmp_path / "b" / "ob_in_cam")):
@@ -86,7 +86,7 @@ def test_text_files_belong_to_the_frames_of_their_numbers(
 
 
 @pytest.mark.parametrize("numbers", [range(3, T + 3 + 1), [0, T], [], [10**17, 10**17 + 33]])
-def test_text_files_of_another_video_are_refused(tmp_path: Path, numbers: Iterable[int]) -> None:
+def test_text_files_whose_numbers_do_not_fit_the_video_are_refused(tmp_path: Path, numbers: Iterable[int]) -> None:
     folder = tmp_path / "v"
     folder.mkdir()
     for number in numbers:
@@ -95,7 +95,7 @@ def test_text_files_of_another_video_are_refused(tmp_path: Path, numbers: Iterab
         read_poses(tmp_path, folder, T)
 
 
-def test_poses_of_a_mesh_become_those_of_the_hand(tmp_path: Path) -> None:
+def test_poses_of_another_mesh_are_converted_to_hand_poses(tmp_path: Path) -> None:
     X_MH = make_pose(rotation_exp([0.0, 0.3, 1.0]), [0.0, 0.02, -0.05])
     texts(tmp_path / "v" / "ob_in_cam", range(T), X_CH @ np.linalg.inv(X_MH))
     np.savetxt(tmp_path / MESH_NAME, X_MH)
@@ -112,13 +112,13 @@ def test_poses_of_a_mesh_become_those_of_the_hand(tmp_path: Path) -> None:
         (make_pose(X_CH[:, :3, :3], -X_CH[:, :3, 3]), "behind the camera"),
     ],
 )
-def test_what_is_no_pose_is_refused(tmp_path: Path, X: Array, message: str) -> None:
+def test_arrays_that_contain_no_valid_poses_are_refused(tmp_path: Path, X: Array, message: str) -> None:
     np.save(tmp_path / "v.npy", X)
     with pytest.raises(InputError, match=message):
         read_poses(tmp_path, tmp_path / "v.npy", T)
 
 
-def test_finger_widths_are_metres(tmp_path: Path) -> None:
+def test_finger_widths_are_clipped_to_the_gripper_and_refused_in_millimetres(tmp_path: Path) -> None:
     width = np.linspace(-0.001, 0.081, T)
     np.savez(tmp_path / "v.npz", camera_from_hand=X_CH, finger_width_m=np.where(np.arange(T) == 3, np.nan, width))
     clipped = read_poses(tmp_path, tmp_path / "v.npz", T).finger_width_m

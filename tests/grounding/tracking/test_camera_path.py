@@ -48,7 +48,7 @@ def path(turn_rad=0.0, move_m=0.0, zoom=1.0, direction=(0.6, 0.8, 0.0)):
     return cameras, np.stack(images)
 
 
-def test_a_fixed_camera_stays_whatever_the_robot_does():
+def test_a_fixed_camera_has_no_path_while_the_robot_moves():
     images = np.repeat(view(CAMERA)[None], 4, axis=0)
     for i, image in enumerate(images):
         image[170:230, 160 + 6 * i : 220 + 6 * i] = texture(7, 60)
@@ -57,7 +57,7 @@ def test_a_fixed_camera_stays_whatever_the_robot_does():
     assert np.linalg.norm(followed.p_AC, axis=1).max() < 1e-6
 
 
-def test_a_turn_is_a_rotation():
+def test_a_turning_camera_is_followed_as_a_rotation():
     cameras, images = path(turn_rad=np.deg2rad(10.0))
     followed = follow_camera(images, images[0], ROBOT, CAMERA)
     assert followed.way is CameraWay.ROTATION
@@ -66,7 +66,7 @@ def test_a_turn_is_a_rotation():
     assert np.rad2deg(rotation_angle(followed.R_AC[-1].T @ R_true[:3, :3])) < 0.1
 
 
-def test_a_zoom_is_no_approach():
+def test_a_zoom_is_followed_as_a_change_of_focal_length():
     _, images = path(zoom=1.05)
     followed = follow_camera(images, images[0], ROBOT, CAMERA)
     assert followed.way is CameraWay.ZOOM
@@ -75,7 +75,7 @@ def test_a_zoom_is_no_approach():
 
 
 @pytest.mark.parametrize("direction", [(1.0, 0.0, 0.0), (0.0, 0.6, 0.8), (-0.5, -0.5, -0.7)])
-def test_a_move_has_the_scale_of_the_table(direction):
+def test_a_moving_camera_is_followed_in_metres_by_the_table(direction):
     cameras, images = path(move_m=0.1, direction=direction)
     followed = follow_camera(images, images[0], ROBOT, CAMERA)
     assert followed.way is CameraWay.PLACE
@@ -84,21 +84,21 @@ def test_a_move_has_the_scale_of_the_table(direction):
     np.testing.assert_allclose(followed.p_AC[-1], p_true, atol=0.005)
 
 
-def test_a_jump_before_the_first_frame_is_found():
+def test_a_turn_from_the_reference_image_to_the_first_frame_is_measured():
     cameras, images = path(turn_rad=np.deg2rad(5.0))
     followed = follow_camera(images[-1:], images[0], ROBOT, CAMERA)
     R_true = invert(CAMERA.X_BC) @ cameras[-1].X_BC
     assert np.rad2deg(rotation_angle(followed.R_AC[0].T @ R_true[:3, :3])) < 0.1
 
 
-def test_without_features_nothing_is_followed():
+def test_a_camera_without_image_features_is_not_followed():
     grey = np.full((3, 384, 384, 3), 90, np.uint8)
     followed = follow_camera(grey, grey[0], ROBOT, CAMERA)
     assert not followed.followed.any()
     assert (np.eye(4) == followed.X_AC).all()
 
 
-def test_stabilized_frames_look_like_the_first():
+def test_stabilized_frames_match_the_first_frame():
     _, images = path(turn_rad=np.deg2rad(6.0), zoom=1.03)
     followed = follow_camera(images, images[0], ROBOT, CAMERA)
     steady, wide = followed.stabilize(images, CAMERA)
@@ -114,7 +114,7 @@ def test_stabilized_frames_look_like_the_first():
     assert (camera.width, camera.cx) == (384, CAMERA.cx)
 
 
-def test_a_zoom_is_undone_in_both_directions():
+def test_stabilization_undoes_a_zoom_along_both_image_axes():
     rng = np.random.default_rng(0)
     camera = benchmark_camera().resized(128, 128)
     image = cv2.GaussianBlur(rng.uniform(0, 255, (128, 128, 3)).astype(np.float32), (0, 0), 4.0)

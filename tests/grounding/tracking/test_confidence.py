@@ -31,13 +31,13 @@ def drawn_frames(n: int, intercept: float) -> tuple[Array, NDArray[np.bool_]]:
     return x, rng.random(n) < expit(intercept + x @ np.array(LAW))
 
 
-def test_calibration_finds_the_law_that_made_the_frames() -> None:
+def test_logistic_regression_recovers_the_law_of_its_samples() -> None:
     result = fit_logistic(*drawn_frames(6000, 0.7))
     assert result.intercept == pytest.approx(0.7, abs=0.15)
     np.testing.assert_allclose(result.weights, LAW, atol=0.15)
 
 
-def test_a_calibrated_confidence_is_reliable_and_an_overconfident_one_is_not() -> None:
+def test_calibration_bins_show_an_overconfident_probability() -> None:
     features, good = drawn_frames(4000, 0.0)
     p = fit_logistic(features, good).probability(features)
     assert max(abs(mean - share) for mean, share, _ in calibration_bins(p, good)) < 0.05
@@ -45,7 +45,7 @@ def test_a_calibrated_confidence_is_reliable_and_an_overconfident_one_is_not() -
     assert sum(n for _, _, n in calibration_bins(p, good)) == len(good)
 
 
-def test_frames_without_neighbours_have_their_own_feature_and_no_distance() -> None:
+def test_frames_without_neighbours_have_an_indicator_feature_and_zero_distance() -> None:
     confidence, distance, angle = (
         np.array([0.5, 0.5, 1.0]),
         np.array([0.01, np.nan, 0.1]),
@@ -58,7 +58,7 @@ def test_frames_without_neighbours_have_their_own_feature_and_no_distance() -> N
     assert (features[2, :3] > 2.0).all()
 
 
-def test_save_and_load(tmp_path: Path) -> None:
+def test_saved_confidence_is_loaded_unchanged(tmp_path: Path) -> None:
     path = tmp_path / "confidence.json"
     frame, other, arm = (
         LogisticRegression(intercept=0.5 + i, weights=(i - 1) * np.arange(float(len(FRAME_FEATURES[domain]))))
@@ -81,7 +81,7 @@ def test_save_and_load(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "text", ["", "{}", '{"familiar": {"frame": {"features": ["a"], "intercept": 0, "weights": [1]}}}']
 )
-def test_what_is_no_calibration_is_refused(tmp_path: Path, text: str) -> None:
+def test_invalid_and_missing_calibration_files_are_refused(tmp_path: Path, text: str) -> None:
     path = tmp_path / "confidence.json"
     path.write_text(text)
     with pytest.raises(SetupError, match="no usable calibration"):

@@ -15,7 +15,7 @@ def test_a_point_of_the_crop_lies_on_the_same_ray_of_the_frame() -> None:
     np.testing.assert_allclose(mapped[:2] / mapped[2], camera.project(crop.R_CV @ p_V), atol=1e-9)
 
 
-def test_warping_agrees_with_the_homography() -> None:
+def test_a_warped_point_lies_where_the_homography_maps_it() -> None:
     camera = benchmark_camera()
     crop = Crop.towards([0.1, 0.1, 1.0], 0.25, 128)
     pixel = camera.project(crop.R_CV @ [0.02, 0.01, 0.5])
@@ -34,7 +34,7 @@ def test_a_crop_of_the_gripper_is_centred_on_it() -> None:
     np.testing.assert_allclose(centre[:2], 0.0, atol=1e-12)
 
 
-def test_a_view_without_roll_keeps_upright_upright() -> None:
+def test_a_crop_without_roll_keeps_the_vertical_direction() -> None:
     crop = Crop.towards([0.3, 0.0, 1.0], 0.2, 64)
     np.testing.assert_allclose(crop.R_CV[:, 1], [0, 1, 0], atol=1e-12)
     assert np.linalg.det(crop.R_CV) == pytest.approx(1.0)
@@ -52,7 +52,7 @@ def test_the_whole_image_fits_into_its_crop(width: int, height: int) -> None:
         assert ((p[:2] / p[2] > -4) & (p[:2] / p[2] < crop.size + 4)).all()
 
 
-def test_labels_return_to_their_pixels() -> None:
+def test_labels_of_a_crop_return_to_their_pixels() -> None:
     camera = benchmark_camera()
     crop = Crop.of_frame(camera)
     frame = np.zeros((384, 384), np.uint8)

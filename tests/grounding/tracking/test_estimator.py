@@ -51,7 +51,7 @@ def exact(monkeypatch: pytest.MonkeyPatch) -> GripperView:
 @pytest.mark.skipif(
     not torch.ops.mkldnn._is_mkldnn_bf16_supported(), reason="the processor does not compute in bfloat16"
 )
-def test_reduced_precision_changes_estimates_less_than_their_errors(
+def test_bfloat16_changes_estimates_by_less_than_their_sigmas(
     monkeypatch: pytest.MonkeyPatch, exact: GripperView
 ) -> None:
     monkeypatch.setattr(module, "supports_bfloat16", lambda device: True)
@@ -60,7 +60,7 @@ def test_reduced_precision_changes_estimates_less_than_their_errors(
     assert_alike(reduced, exact)
 
 
-def test_convolutions_that_clamp_their_outputs_compute_the_same() -> None:
+def test_onednn_convolutions_with_fused_clamping_give_the_same_outputs() -> None:
     network = fold_batch_normalisation(load_network()).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
     clamping = use_onednn(network)
     random = torch.Generator().manual_seed(0)
@@ -72,9 +72,7 @@ def test_convolutions_that_clamp_their_outputs_compute_the_same() -> None:
         torch.testing.assert_close(fused.coordinates, plain.coordinates, atol=1e-4, rtol=0.0)
 
 
-def test_batches_of_one_size_in_one_thread_as_a_gpu_needs_them(
-    exact: GripperView, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_whole_batches_have_one_size_and_run_in_one_thread(exact: GripperView, monkeypatch: pytest.MonkeyPatch) -> None:
     camera = benchmark_camera()
     frames = read_video(VIDEO).frames[:3]
     estimator = NetworkEstimator(load_network(), "cpu")
@@ -96,14 +94,14 @@ def test_batches_of_one_size_in_one_thread_as_a_gpu_needs_them(
 
 @pytest.mark.gpu
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="no GPU")
-def test_a_gpu_estimates_what_the_processor_does(exact: GripperView) -> None:
+def test_estimates_of_gpu_and_cpu_agree(exact: GripperView) -> None:
     assert_alike(estimate("cuda"), exact)
 
 
 @pytest.mark.gpu
 @pytest.mark.slow
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="no GPU")
-def test_a_gpu_tracks_what_the_processor_does() -> None:
+def test_tracks_of_gpu_and_cpu_agree() -> None:
     frames, camera = read_video(VIDEO).frames, benchmark_camera()
 
     def track(device: str) -> GripperTrack:

@@ -16,11 +16,11 @@ def frame_pose(cad: GripperCad, X_CH: Array, *, turned: bool, noise_m: float = 0
     return fitted_pose(view)
 
 
-def test_a_right_reading_has_evidence_for_it(cad: GripperCad) -> None:
+def test_unflipped_coordinates_have_positive_flip_evidence(cad: GripperCad) -> None:
     assert flip_evidence(frame_pose(cad, hand_pose(0), turned=False)) > 3.0
 
 
-def test_turned_frames_are_turned_back(cad: GripperCad) -> None:
+def test_flipped_frames_are_turned_back(cad: GripperCad) -> None:
     truth = hand_pose(0)
     wrong = {3, 4, 5, 9}
     poses = [frame_pose(cad, truth, turned=i in wrong) for i in range(12)]
@@ -30,7 +30,7 @@ def test_turned_frames_are_turned_back(cad: GripperCad) -> None:
         assert pose_difference(pose.X_CH, truth)[1] < 0.1
 
 
-def test_gaps_are_kept_and_a_steady_video_is_left_alone(cad: GripperCad) -> None:
+def test_resolving_flips_keeps_gaps_and_leaves_a_consistent_video_unchanged(cad: GripperCad) -> None:
     pose = frame_pose(cad, hand_pose(1), turned=False)
     assert resolve_flips([None, pose, None, pose]) == [None, pose, None, pose]
     assert resolve_flips([None, None]) == [None, None]

@@ -7,16 +7,16 @@ from kinebench_drake.grounding.tracking.markov import smooth_gripper_width
 WIDTH = np.where(np.arange(30) < 15, 0.08, 0.0)
 
 
-def test_precise_widths_stay() -> None:
+def test_smoothing_keeps_precise_widths() -> None:
     np.testing.assert_allclose(smooth_gripper_width(WIDTH, np.full(30, 1e-3)), WIDTH, atol=2e-3)
 
 
-def test_widths_from_priors_stay_exactly() -> None:
+def test_widths_from_priors_are_kept_exactly() -> None:
     width = np.linspace(0.0, 0.08, 30) ** 2 / 0.08
     assert smooth_gripper_width(width, np.zeros(30)).tolist() == width.tolist()
 
 
-def test_hidden_frames_take_the_width_before_and_after() -> None:
+def test_uncertain_and_missing_widths_follow_their_neighbours() -> None:
     wild, sigma = WIDTH.copy(), np.full(30, 1e-3)
     wild[20:24], sigma[20:24] = 0.06, 0.012  # fingers behind each other
     smoothed = smooth_gripper_width(wild, sigma)
@@ -25,7 +25,7 @@ def test_hidden_frames_take_the_width_before_and_after() -> None:
     assert smooth_gripper_width(wild, sigma)[20:24].max() < 0.005
 
 
-def test_fingers_open_at_once_and_not_little_by_little() -> None:
+def test_smoothing_keeps_a_sudden_opening_of_the_fingers() -> None:
     width, sigma = np.where(np.arange(30) < 18, 0.04, 0.08), np.full(30, 1e-3)
     sigma[10:18] = 0.006  # half hidden while they hold, and read too wide by and by
     width = width + np.where(sigma > 1e-3, np.linspace(0.0, 0.008, 30), 0.0)
@@ -34,7 +34,7 @@ def test_fingers_open_at_once_and_not_little_by_little() -> None:
     assert (np.abs(smoothed[19:] - 0.08) < 0.002).all()
 
 
-def test_moving_fingers_go_on_where_they_are_hidden() -> None:
+def test_the_width_of_moving_fingers_continues_through_hidden_frames() -> None:
     width, sigma = np.clip(0.08 - 0.006 * np.arange(30), 0.0, None), np.full(30, 1e-3)
     width[8:11] = np.nan
     assert np.abs(smooth_gripper_width(width, sigma)[8:11] - (0.08 - 0.006 * np.arange(8, 11))).max() < 0.004

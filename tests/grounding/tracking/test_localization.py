@@ -41,7 +41,7 @@ def located(cad: GripperCad, X_CH: Array, least_px: float) -> tuple[Crop | None,
 
 
 @pytest.mark.parametrize("place", [[-0.9, -0.3, 2.0], [0.8, 0.4, 2.2], [0.1, 0.0, 1.8]])
-def test_a_small_gripper_is_found_by_tiles_and_shown_larger(cad: GripperCad, place: list[float]) -> None:
+def test_tiles_locate_a_small_gripper_and_enlarge_its_region(cad: GripperCad, place: list[float]) -> None:
     X_CH = make_pose(R_DOWN, place)
     region, _ = located(cad, X_CH, least_px=22.0)
     assert region is not None
@@ -52,7 +52,7 @@ def test_a_small_gripper_is_found_by_tiles_and_shown_larger(cad: GripperCad, pla
 
 
 @pytest.mark.parametrize(("fx", "fy"), [(700.0, 700.0), (1400.0, 700.0), (700.0, 1400.0)])
-def test_tiles_cover_images_of_stretched_pixels(fx: float, fy: float) -> None:
+def test_tiles_cover_the_image_for_any_pixel_aspect_ratio(fx: float, fy: float) -> None:
     camera = replace(CAMERA, fx=fx, fy=fy)
     covered = sum(tile.unwarp(np.ones((WIDE_SIZE, WIDE_SIZE), np.uint8), camera) > 0 for tile in _tiles(camera, 2))
     assert (np.asarray(covered) > 0).mean() > 0.99
@@ -68,7 +68,7 @@ def test_an_image_without_a_gripper_has_no_region(cad: GripperCad) -> None:
     assert located(cad, make_pose(R_DOWN, [0.1, 0.0, 2.0]), least_px=1e6)[0] is None
 
 
-def test_of_two_grippers_the_one_at_the_wrist_is_taken(cad: GripperCad) -> None:
+def test_the_likeliest_gripper_is_the_one_at_the_wrist_or_else_the_largest(cad: GripperCad) -> None:
     view = perfect_view(cad, make_pose(R_DOWN, [-0.2, 0.0, 0.8]), crop=Crop.of_frame(CAMERA))
     part = view.part.copy()
     part[10:14, 70:80] = RobotPart.HAND

@@ -112,7 +112,7 @@ def poses(cad: GripperCad) -> dict[int, FramePose]:
     return {i: replace(sure, arm=arm_fit(0.1 if i == 5 else WRONG)) for i in range(FRAMES)}
 
 
-def test_a_right_pose_spreads_to_all_frames_of_an_unfamiliar_video(poses: dict[int, FramePose]) -> None:
+def test_a_correct_posture_spreads_to_all_frames_of_an_unfamiliar_video(poses: dict[int, FramePose]) -> None:
     unfamiliar = refinement(poses, Fitter())
     unfamiliar.run()
     assert not unfamiliar.is_familiar
@@ -120,7 +120,7 @@ def test_a_right_pose_spreads_to_all_frames_of_an_unfamiliar_video(poses: dict[i
     assert all(pose.arm is not None and pose.arm.q[0] == RIGHT for pose in unfamiliar.poses.values())
 
 
-def test_where_no_posture_leads_to_the_right_one_the_distance_is_searched(poses: dict[int, FramePose]) -> None:
+def test_the_distance_is_searched_if_no_posture_leads_to_a_confirmed_one(poses: dict[int, FramePose]) -> None:
     fitter = Fitter(reach=0.05)
     unfamiliar = refinement(poses, fitter)
     unfamiliar.run()
@@ -129,7 +129,7 @@ def test_where_no_posture_leads_to_the_right_one_the_distance_is_searched(poses:
 
 
 @pytest.mark.parametrize("hidden", [[8], [7, 8, 9, 10]])
-def test_the_arm_is_followed_from_a_sure_frame_past_a_few_without_gripper(
+def test_the_arm_is_followed_from_a_confirmed_frame_past_a_short_gap_only(
     poses: dict[int, FramePose], hidden: list[int]
 ) -> None:
     def measure(crops: dict[int, Crop]) -> dict[int, FramePose]:
@@ -145,7 +145,7 @@ def test_the_arm_is_followed_from_a_sure_frame_past_a_few_without_gripper(
 
 
 @pytest.mark.parametrize(("missed", "domain"), [(1, Domain.FAMILIAR), (3, Domain.UNFAMILIAR)])
-def test_a_video_whose_gripper_the_network_misses_in_many_frames_is_unfamiliar(
+def test_the_domain_is_unfamiliar_if_the_network_misses_the_gripper_in_many_frames(
     poses: dict[int, FramePose], missed: int, domain: Domain
 ) -> None:
     def measure(crops: dict[int, Crop]) -> dict[int, FramePose]:
@@ -174,20 +174,20 @@ def test_only_doubtful_frames_of_a_familiar_video_are_fitted_to_edges_alone(pose
         assert pose.arm.q[0] == expected
 
 
-def test_each_frame_is_sharpened_once(poses: dict[int, FramePose]) -> None:
+def test_each_frame_is_sharpened_exactly_once(poses: dict[int, FramePose]) -> None:
     fitter = Fitter(network_agreement=0.6)
     refinement(poses, fitter).run()
     assert len(fitter.sharpened) == FRAMES
 
 
-def test_poses_from_priors_are_kept(poses: dict[int, FramePose]) -> None:
+def test_poses_from_priors_are_not_refined(poses: dict[int, FramePose]) -> None:
     priors = {i: replace(pose, from_prior=True) for i, pose in poses.items()}
     unfamiliar = refinement(priors, Fitter(reach=2.0))
     unfamiliar.run()
     assert all(unfamiliar.poses[i] is priors[i] for i in priors)
 
 
-def test_a_fit_to_edges_where_the_image_shows_no_robot_is_dropped(poses: dict[int, FramePose]) -> None:
+def test_an_edge_fit_outside_the_segmented_robot_is_dropped(poses: dict[int, FramePose]) -> None:
     unfamiliar = refinement(poses, Fitter(reach=2.0), coverage=0.3)
     unfamiliar.run()
     assert all(unfamiliar.poses[i].X_CH is poses[i].X_CH and not unfamiliar.poses[i].arm_agrees for i in poses)
@@ -197,7 +197,7 @@ def test_a_fit_to_edges_where_the_image_shows_no_robot_is_dropped(poses: dict[in
     ("agreement", "moved_m", "familiar"),
     [(0.45, 0.002, True), (0.55, 0.01, True), (0.45, 0.01, False), (0.55, 0.03, False), (0.6, 0.03, True)],
 )
-def test_edges_that_agree_better_elsewhere_show_an_unfamiliar_video(
+def test_a_video_whose_edges_agree_better_at_displaced_poses_is_unfamiliar(
     poses: dict[int, FramePose], agreement: float, moved_m: float, *, familiar: bool
 ) -> None:
     near = {i: replace(pose, arm=arm_fit(0.1)) for i, pose in poses.items()}
@@ -214,7 +214,7 @@ def test_a_video_in_which_hand_and_arm_mostly_disagree_is_unfamiliar(poses: dict
     assert not refinement(poses, Fitter(network_agreement=0.7), may_be_familiar=False).is_familiar
 
 
-def test_poses_that_the_edges_do_not_confirm_are_rejected(poses: dict[int, FramePose]) -> None:
+def test_unfamiliar_poses_that_no_edges_confirm_are_rejected(poses: dict[int, FramePose]) -> None:
     unfamiliar = refinement(poses, Fitter(), coverage=0.3)
     unfamiliar.run()
     assert not any(pose.arm_agrees for pose in unfamiliar.poses.values())

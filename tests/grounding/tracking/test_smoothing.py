@@ -32,7 +32,7 @@ def noisy(X: Array, sigma_m: float, seed: int = 0) -> Array:
     return Y
 
 
-def test_noise_shrinks_and_the_motion_stays() -> None:
+def test_smoothing_reduces_noise_and_keeps_a_clean_motion() -> None:
     X = motion()
     Y = noisy(X, 0.004)
     Z = smooth_track(Y, EQUAL, np.ones(len(X)))
@@ -42,7 +42,7 @@ def test_noise_shrinks_and_the_motion_stays() -> None:
 
 
 @pytest.mark.parametrize("dropped", [1, 3, 5])
-def test_dropped_frames_of_a_video_with_time_stamps_bend_no_path(dropped: int) -> None:
+def test_dropped_frames_of_a_video_with_time_stamps_do_not_bend_the_path(dropped: int) -> None:
     kept = np.delete(np.arange(FRAMES), np.arange(20, 20 + dropped))
     X = motion()[kept]
     place = frame_periods(0.1 * kept)
@@ -52,14 +52,14 @@ def test_dropped_frames_of_a_video_with_time_stamps_bend_no_path(dropped: int) -
     np.testing.assert_array_equal(even, smooth_track(X, EQUAL[kept], np.ones(len(X))))
 
 
-def test_one_wild_frame_is_pulled_back() -> None:
+def test_a_single_outlier_frame_is_pulled_back_to_the_path() -> None:
     X = motion()
     Y = noisy(X, 0.001)
     Y[20, :3, 3] += 0.08
     assert pose_difference(X, smooth_track(Y, EQUAL, np.ones(len(X))))[0][20] < 0.01
 
 
-def test_jumps_are_kept_and_gaps_stay_open() -> None:
+def test_smoothing_keeps_jumps_and_leaves_gaps_open() -> None:
     X = motion()
     X[25:, :3, 3] += 0.15
     X[10] = np.nan
@@ -70,7 +70,7 @@ def test_jumps_are_kept_and_gaps_stay_open() -> None:
     assert np.nanmax(pose_difference(X, Z)[0]) < 2e-3
 
 
-def test_a_prediction_by_neighbours_separates_outliers() -> None:
+def test_predictions_from_neighbours_expose_outliers() -> None:
     X = motion()
     Y = noisy(X, 0.001)
     Y[20, :3, 3] += 0.08
@@ -81,7 +81,7 @@ def test_a_prediction_by_neighbours_separates_outliers() -> None:
     assert np.isnan(smooth_track(X[:4], EQUAL[:4], np.ones(4), leave_out=True)).all()
 
 
-def test_precise_directions_of_a_frame_have_more_weight() -> None:
+def test_directions_with_smaller_covariance_have_more_weight() -> None:
     X = motion()
     rng = np.random.default_rng(0)
     far = np.where(rng.random(FRAMES) < 0.5, 0.012, 0.0005)  # some frames see badly how far away the hand is
@@ -110,7 +110,7 @@ def made(pose: FramePose, confidence: np.ndarray, anomalies: tuple[Anomaly, ...]
     )
 
 
-def test_false_detections_are_left_out(pose: FramePose) -> None:
+def test_doubtful_vanished_and_lost_frames_have_no_pose(pose: FramePose) -> None:
     confidence = np.full(N_RAW, 0.9)
     confidence[[0, 1]] = 0.0, 0.01
     gone = Anomaly(kind=AnomalyKind.VANISH, frame_start=4, frame_end=6, severity=3.0)
@@ -127,7 +127,7 @@ def test_nothing_is_smoothed_across_a_jump(pose: FramePose) -> None:
     np.testing.assert_allclose(smooth, X_AH, atol=1e-9)
 
 
-def test_poses_from_priors_are_certain_and_stay(pose: FramePose) -> None:
+def test_poses_from_priors_are_certain_and_kept_exactly(pose: FramePose) -> None:
     X_prior = np.full((N_RAW, 4, 4), np.nan)
     X_prior[3] = pose.X_CH
     X_prior[3, :3, 3] += 0.05
@@ -139,7 +139,7 @@ def test_poses_from_priors_are_certain_and_stay(pose: FramePose) -> None:
     np.testing.assert_array_equal(raw.smooth(raw.has_pose, raw.confidence)[3], X_prior[3])
 
 
-def test_the_features_show_a_frame_that_deviates_from_its_neighbours(pose: FramePose) -> None:
+def test_the_distance_feature_is_largest_at_a_frame_that_deviates_from_its_neighbours(pose: FramePose) -> None:
     raw = made(pose, np.full(N_RAW, 0.9))
     X_AH = raw.X_AH.copy()
     X_AH[6, :3, 3] += 0.1
