@@ -12,8 +12,13 @@ from benchmarks.perception.clip import TruthClipFile, find_clips
 from benchmarks.perception.store import MeasurementStore, fingerprint
 from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array, invert, make_pose, pose_difference, rotation_z
-from kinebench_drake.grounding.pipeline import TRACKED_CONFIDENCE, GroundingPipeline
-from kinebench_drake.grounding.tracking.confidence import CALIBRATION, load_confidence, save_confidence
+from kinebench_drake.grounding.pipeline import GroundingPipeline
+from kinebench_drake.grounding.tracking.confidence import (
+    CALIBRATION,
+    TRACKED_CONFIDENCE,
+    load_confidence,
+    save_confidence,
+)
 from kinebench_drake.grounding.tracking.view import Frames
 from kinebench_drake.io.atomic import make_folder, write_atomically
 from kinebench_drake.io.reader import read_video

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from benchmarks.options import COUNT, EXISTING_FOLDER, FILE, jobs_option, weights_option
-from kinebench_drake.cli.options import check_suffix
+from kinebench_drake.cli.click_options import check_suffix
 from kinebench_drake.errors import member_of
 
 if TYPE_CHECKING:

@@ -11,7 +11,7 @@ from typing import Any
 import click
 
 from benchmarks.markdown import replace_section
-from kinebench_drake.cli.options import PathParameter
+from kinebench_drake.cli.click_options import PathParameter
 from kinebench_drake.errors import KinebenchError, UsageError, name_options
 
 EXAMPLES = Path("examples/videos")

@@ -20,6 +20,7 @@ from kinebench_drake.grounding.tracking.confidence import (
     CALIBRATION,
     GOOD_M,
     GOOD_RAD,
+    TRACKED_CONFIDENCE,
     Confidence,
     frame_confidence,
     load_confidence,
@@ -36,8 +37,6 @@ from kinebench_drake.models.perception.network import ARM_WEIGHTS, WEIGHTS, load
 from kinebench_drake.models.robot import N_JOINTS
 from kinebench_drake.track import Domain, GripperTrack, InitialState
 
-TRACKED_CONFIDENCE = 0.3
-"""Least confidence at which a frame counts as tracked."""
 CHECKED_FRAMES = 5
 """Number of frames that check by the arm whether the camera or the background moves."""
 LEAST_AGREEING = 0.5

@@ -6,7 +6,7 @@ import numpy as np
 
 from kinebench_drake.camera import Camera
 from kinebench_drake.errors import UnmeasurableError
-from kinebench_drake.grounding.camera.choice import CameraChoice
+from kinebench_drake.grounding.camera.evidence import CameraChoice
 from kinebench_drake.grounding.camera.framing import Framing
 from kinebench_drake.grounding.pipeline import PipelineResult
 from kinebench_drake.grounding.tracking.view import Frames

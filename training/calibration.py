@@ -20,11 +20,12 @@ from kinebench_drake.camera import Camera
 from kinebench_drake.errors import UsageError
 from kinebench_drake.executors.base import Executor, Observer
 from kinebench_drake.geometry import Array, pose_difference
-from kinebench_drake.grounding.pipeline import TRACKED_CONFIDENCE, GroundingPipeline, Observation
+from kinebench_drake.grounding.pipeline import GroundingPipeline, Observation
 from kinebench_drake.grounding.tracking.confidence import (
     FRAME_FEATURES,
     GOOD_M,
     GOOD_RAD,
+    TRACKED_CONFIDENCE,
     Confidence,
     LogisticRegression,
     frame_features,

@@ -1,124 +1,243 @@
-"""Evidence for a video's camera: how well the arm of the reported track agrees with it, and what agrees better."""
+"""Choice of the camera of one video: which are tried, in which order, and what is reported if none is confirmed."""
 
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass, fields, replace
+from typing import TYPE_CHECKING
 
-from kinebench_drake.camera import CONFIRMED, Camera, CameraSource, CameraState
-from kinebench_drake.errors import name_options
-from kinebench_drake.grounding.camera.camera_estimate import CameraEstimate
-from kinebench_drake.grounding.camera.contradiction import CameraChecker, CameraContradiction
-from kinebench_drake.grounding.camera.reading import BetterReading, Reading
+import numpy as np
+
+from kinebench_drake.camera import CONFIRMED, Camera, CameraSource, benchmark_camera
+from kinebench_drake.errors import UnmeasurableError
+from kinebench_drake.geometry import Array
+from kinebench_drake.grounding.camera.estimate import usual_camera
+from kinebench_drake.grounding.camera.evidence import AGREEMENT, CameraChoice, check_named, find_reading
+from kinebench_drake.grounding.camera.framing import Framing, apply_framing
+from kinebench_drake.grounding.camera.framing_search import find_framing
+from kinebench_drake.grounding.parts import GroundingParts
 from kinebench_drake.grounding.pipeline import PipelineResult
+from kinebench_drake.grounding.priors import Clip, Priors
 from kinebench_drake.grounding.tracking.view import Frames
-from kinebench_drake.io.jsonl import Json
+from kinebench_drake.grounding.video_result import MIN_TRACKED, GroundingResult
+from kinebench_drake.models.panda.robot import GripperKind
 from kinebench_drake.track import Domain
 
-AGREEMENT = 0.45
-"""Least share of the contours on image edges at which the arm agrees with a named camera that no other explains better,
-or with an estimated one."""
-SURE = 0.68
-"""Share from which on not even a mirrored or a slightly cropped picture is tried."""
-_LIKELY = (Reading.MIRRORED, Reading.CROPPED)
+if TYPE_CHECKING:
+    from kinebench_drake.grounding.camera.camera_estimate import CameraEstimate
+
+HAND_SHARE, ARM_SHARE = 0.1, 0.5
+"""Share of tracked frames below which a hand counts as not seen, and from which on an arm does."""
+_SIGMAS = 2.0  # standard deviations of an estimated camera that its poses may be off by
+PriorSource = Callable[[Camera], Priors]
+"""Function from the camera of the whole frames to quantities that replace estimates."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class CameraChoice:
-    """Camera of a video, and the evidence for it."""
+class _View:
+    """A clip with a camera that comes into question."""
 
+    choice: CameraChoice
+    frames: Frames
     camera: Camera
-    """Camera before it is fitted to the shape of the video; without a base frame only its lens counts."""
-    source: CameraSource
-    agreement: float | None = None
-    """Share of the contours of hand and arm on image edges in the postures of the track; None if none was fitted."""
-    estimate: CameraEstimate | None = None
-    """Estimated camera; None if none was estimated."""
-    contradiction: CameraContradiction | None = None
-    """Camera that explains the arm better than the named one; None if none was found."""
-    reading: BetterReading | None = None
-    """Reading of picture or matrix that explains the arm better; None if none was found."""
-    reason: str | None = None
-    """Why there is no base frame; None if there is one."""
+    framing: Framing
+    t_s: Array
+    priors: Priors
+
+    def result(self, measured: PipelineResult, choice: CameraChoice | None = None) -> GroundingResult:
+        """Return the result of a track, with this choice or another one."""
+        choice = choice or self.choice
+        own = {f.name: getattr(measured, f.name) for f in fields(PipelineResult)}
+        if choice.reason is not None:
+            own["track"] = replace(measured.track, X_BG=np.full_like(measured.track.X_BG, np.nan))
+        return GroundingResult(**own, frames=self.frames, camera=self.camera, framing=self.framing, choice=choice)
+
+
+@dataclass(frozen=True, slots=True)
+class CameraChooser:
+    """Grounding of one video with the cameras that come into question."""
+
+    parts: GroundingParts
+    clip: Clip
+    priors: PriorSource | Priors
+    gripper: GripperKind
+    table_height_m: float
+
+    def ground_trusted(self, choice: CameraChoice) -> GroundingResult:
+        """Ground with a camera that is taken as exact."""
+        view = self._view(choice)
+        return view.result(self._ground_hand(view))
+
+    def ground_named(self, choice: CameraChoice) -> GroundingResult:
+        """Ground with the named camera, and check it."""
+        view = self._view(choice)
+        hand: GroundingResult | None = None
+        if not self._seeks_other:
+            hand = self._checked(view, self._ground_hand(view))
+            # Where another reading explains the hand, the arm alone would agree with the wrong one, too.
+            if hand.choice.reading is not None or not self._is_lost(hand):
+                return hand
+        arm = self._ground_arm(view)
+        if arm is not None:
+            return self._checked(view, arm)
+        assert hand is not None  # without a hand to measure there is an arm
+        return hand
+
+    def ground_unnamed(self) -> GroundingResult:
+        """Ground with the benchmark camera if the arm confirms it, else with an estimated one, else without any."""
+        benchmark = CameraChoice(camera=benchmark_camera(), source=CameraSource.BENCHMARK)
+        if self._seeks_other:
+            flange = self._confirmed_arm(self._view(benchmark))
+            if flange is None:
+                raise UnmeasurableError(
+                    "no camera is named, and the arm does not confirm the benchmark camera; with another gripper than "
+                    "Franka's no camera is estimated: name it (camera.json)"
+                )
+            return flange
+        view: _View | None = None
+        with suppress(UnmeasurableError):  # the shape of the video is not that of the benchmark camera's image
+            view = self._view(benchmark)
+        against = "the shape of the video is not that of the benchmark camera"
+        if view is not None:
+            assumed = self._ground_as_assumed(view)
+            if assumed.choice.reason is None or assumed.choice.reading is not None:
+                return assumed
+            against = assumed.choice.reason
+        usual = usual_camera(self.clip.frames.shape[2], self.clip.frames.shape[1])
+        hands, searched = self.parts.checker.count_hands(self.clip.frames, usual)
+        if not hands and view is not None and (arm := self._confirmed_arm(view)) is not None:
+            return arm
+        if not hands:
+            raise UnmeasurableError(
+                f"no Franka hand is found in any of {searched} frames searched, whatever the camera; is the robot in "
+                "view? With another gripper name the camera (camera.json)"
+            )
+        return self._ground_estimated(usual, against)
+
+    def _ground_estimated(self, usual: Camera, against: str) -> GroundingResult:
+        """Ground with a camera estimated from the arm; without a base frame unless it is determined and confirmed.
+
+        Without an estimate the camera is the `usual` one; `against` says what speaks against the benchmark camera.
+        """
+        estimate: CameraEstimate | None = None
+        try:
+            estimate = self.parts.cameras.estimate(self.clip.frames)
+            doubt = estimate.doubt
+        except UnmeasurableError as error:
+            doubt = str(error)
+        source = CameraSource.ESTIMATED if doubt is None else CameraSource.NONE
+        choice = CameraChoice(camera=usual if estimate is None else estimate.camera, source=source, estimate=estimate)
+        view = self._view(choice)
+        measured = self._ground_hand(view)
+        agreement = self.parts.checker.track_agreement(view.frames, view.camera, measured)
+        reading = None
+        if doubt is None:
+            reading = find_reading(view.frames, view.camera, agreement, self.parts.checker)
+            if reading is not None:
+                doubt = reading.describe()
+            elif agreement is None or agreement < AGREEMENT:
+                doubt = f"the track does not confirm the estimated camera ({_share(agreement)})"
+        if doubt is None and estimate is not None:  # all poses in the base frame share the camera's error
+            track = measured.track
+            offset_m = track.offset_m + _SIGMAS * estimate.gripper_sigma_m
+            offset_rad = track.offset_rad + _SIGMAS * estimate.gripper_sigma_rad
+            measured = replace(measured, track=replace(track, offset_m=offset_m, offset_rad=offset_rad))
+        reason = None if doubt is None else f"the base frame is unknown: no camera is named, {against}, and {doubt}"
+        return view.result(measured, replace(choice, agreement=agreement, reading=reading, reason=reason))
+
+    def _ground_as_assumed(self, view: _View) -> GroundingResult:
+        """Track with the benchmark camera; without a base frame unless the arm confirms the camera.
+
+        Where edges contradict the camera poses are not refined, since another one is likely.
+        """
+        checker, pictures = self.parts.checker, (view.frames, view.camera)
+        measured = self._ground_hand(replace(view, priors=replace(view.priors, camera_is_assumed=True)))
+        agreement = checker.track_agreement(*pictures, measured)
+        if measured.domain is not Domain.FAMILIAR:
+            agreement = checker.measure_agreement(*pictures)
+            if agreement is not None and agreement >= CONFIRMED:
+                measured = self._ground_hand(view)
+                agreement = checker.track_agreement(*pictures, measured)
+        reading = find_reading(*pictures, agreement, checker)
+        reason = None
+        if reading is not None:
+            described = reading.describe()
+            reason = f"the base frame is unknown: no camera is named, and with the benchmark camera {described}"
+        elif agreement is None or agreement < CONFIRMED:
+            reason = (
+                f"the arm does not confirm the benchmark camera ({_share(agreement)}, at least {CONFIRMED:.0%} are "
+                "needed)"
+            )
+        return view.result(measured, replace(view.choice, agreement=agreement, reading=reading, reason=reason))
+
+    def _confirmed_arm(self, view: _View) -> GroundingResult | None:
+        """Track the flange with the benchmark camera; None if its arm does not confirm the camera."""
+        arm = None if self.gripper is GripperKind.FRANKA else self._ground_arm(view)
+        if arm is None:
+            return None
+        agreement = self.parts.checker.track_agreement(view.frames, view.camera, arm)
+        is_confirmed = agreement is not None and agreement >= CONFIRMED
+        return view.result(arm, replace(view.choice, agreement=agreement)) if is_confirmed else None
 
     @property
-    def state(self) -> CameraState:
-        """How the camera is known."""
-        if self.reason is not None:
-            return CameraState.NONE
-        if self.source.is_named:
-            return CameraState.NAMED
-        return CameraState.ESTIMATED if self.source is CameraSource.ESTIMATED else CameraState.CONFIRMED
+    def _seeks_other(self) -> bool:
+        """Whether another gripper than Franka's is sought from the start."""
+        return self.gripper in (GripperKind.NONE, GripperKind.ROBOTIQ_2F85)
 
-    def to_json(self) -> dict[str, Json]:
-        """Serialize into keys of the row."""
-        source = self.source if self.source.is_named or self.reason is None else CameraSource.NONE
-        data: dict[str, Json] = {"camera_source": source.value, "camera_state": self.state.value}
-        if self.agreement is not None:
-            data["camera_agreement"] = round(self.agreement, 4)
-        for key, part in (
-            ("camera_estimate", self.estimate),
-            ("camera_contradiction", self.contradiction),
-            ("camera_reading", self.reading),
-        ):
-            if part is not None:
-                data[key] = part.to_json()
-        if self.reason is not None:
-            data["base_frame_reason"] = name_options(self.reason)
-        return data
+    def _is_lost(self, hand: PipelineResult) -> bool:
+        """Return whether a hand is tracked in so few frames that it may be another gripper."""
+        least = max(MIN_TRACKED, HAND_SHARE * len(hand.track.t_s))
+        return self.gripper is GripperKind.AUTO and int(hand.track.tracked.sum()) < least
 
+    def _view(self, choice: CameraChoice) -> _View:
+        """Return the clip as a camera shows it.
 
-def find_reading(
-    frames: Frames, camera: Camera, agreement: float | None, checker: CameraChecker
-) -> BetterReading | None:
-    """Return a reading of picture or matrix that agrees clearly better than the track does; None if there is none.
-
-    Where the arm confirms the camera only those are tried that a camera in the plane of symmetry, or a narrow margin,
-    hides. `agreement` is that of the track with `camera` in frames (T, H, W, 3); None if it has no posture.
-    """
-    if agreement is not None and agreement >= SURE:
-        return None
-    confirmed = agreement is not None and agreement >= CONFIRMED
-    readings = _LIKELY if confirmed else tuple(Reading)
-    return checker.find_reading(frames, camera, max(CONFIRMED, agreement or 0.0), readings)
-
-
-def check_named(
-    choice: CameraChoice, frames: Frames, camera: Camera, result: PipelineResult, checker: CameraChecker
-) -> CameraChoice:
-    """Check a named camera, and the track with it in frames (T, H, W, 3), against the arm.
-
-    If the contours of hand and arm, in the postures of the track, lie on edges of the image, the camera stays, unless
-    the mirrored picture agrees clearly better. Otherwise other readings and other cameras are tried. One that explains
-    the arm clearly better and puts the gripper elsewhere leaves the base frame unknown, and so does a low agreement.
-    """
-    agreement = checker.track_agreement(frames, camera, result)
-    choice = replace(choice, agreement=agreement)
-    if result.camera_path is not None:  # other readings and cameras are sought in pictures of one camera alone
-        return choice if agreement is None else replace(choice, reason=_explain_disagreement(agreement, result))
-    reading = find_reading(frames, camera, agreement, checker)
-    if reading is not None:
-        return replace(choice, reading=reading, reason=f"the base frame is unknown: {reading.describe()}")
-    if agreement is not None and agreement >= CONFIRMED:
-        return choice
-    other = None if result.domain is Domain.ARM else checker.find_contradiction(frames, camera)
-    reason = None
-    if other is not None and other.is_large:
-        reason = f"the base frame is unknown: {other.describe()}"
-    elif other is None:
-        reason = _explain_disagreement(agreement, result)
-    return replace(choice, contradiction=other, reason=reason)
-
-
-def _explain_disagreement(agreement: float | None, result: PipelineResult) -> str | None:
-    """Return why a camera that no other explains better gives no base frame; None if it does."""
-    if agreement is None:
-        if result.arm_consistency_px is None or not result.has_pose.any():  # nothing could agree or disagree
-            return None
-        return (
-            "the base frame is unknown: the arm contradicts the camera of the input: it is seen, but agrees with the "
-            "hand in no tracked frame"
+        Raises:
+            UnmeasurableError: the shape of the video differs from that of the camera's image, and nothing explains it.
+        """
+        clip, camera = self.clip, choice.camera
+        framing = find_framing(clip.frames, camera, clip.conditioning, choice.source)
+        priors = self.priors
+        if not isinstance(priors, Priors):
+            priors = priors(framing.whole_camera(camera))
+        priors = replace(
+            priors.crop(*framing.window),
+            camera_is_fitted=choice.source in (CameraSource.ESTIMATED, CameraSource.NONE),
+            table_height_m=self.table_height_m,
         )
-    if agreement >= AGREEMENT:
+        if clip.is_view and clip.conditioning is not None:
+            priors = replace(priors, image=apply_framing(framing, clip.conditioning))
+        return _View(
+            choice=choice,
+            frames=framing.crop(clip.frames),
+            camera=framing.camera(camera),
+            framing=framing,
+            t_s=clip.t_s,
+            priors=priors,
+        )
+
+    def _checked(self, view: _View, measured: PipelineResult) -> GroundingResult:
+        """Return the result of a track with the named camera, checked by it."""
+        return view.result(measured, check_named(view.choice, view.frames, view.camera, measured, self.parts.checker))
+
+    def _ground_hand(self, view: _View) -> PipelineResult:
+        return self.parts.hand.ground(view.frames, view.camera, view.t_s, view.priors)
+
+    def _ground_arm(self, view: _View) -> PipelineResult | None:
+        """Track the flange: by the links alone, else with the contours of a Robotiq 2F-85; None if it is not seen.
+
+        A gripper that is named is measured in any case.
+        """
+        inputs = view.frames, view.camera, view.t_s, view.priors
+        if self._seeks_other:
+            return self.parts.arm(self.gripper).ground(*inputs)
+        for gripper in (GripperKind.NONE, GripperKind.ROBOTIQ_2F85):
+            arm = self.parts.arm(gripper).ground(*inputs)
+            if arm.track.tracked.mean() >= ARM_SHARE:
+                return arm
+            if not arm.track.confidence.any():  # contours of a gripper are sought where there is an arm
+                break
         return None
-    return (
-        f"the base frame is unknown: the arm contradicts the camera of the input: {agreement:.0%} of its contours lie "
-        f"on image edges, at least {AGREEMENT:.0%} are needed"
-    )
+
+
+def _share(agreement: float | None) -> str:
+    return "no posture fits" if agreement is None else f"{agreement:.0%} of the arm's contours on image edges"

@@ -5,7 +5,7 @@ from typing import Any
 
 import click
 
-from kinebench_drake.cli.options import PathParameter, check_suffix
+from kinebench_drake.cli.click_options import PathParameter, check_suffix
 
 
 @click.command(

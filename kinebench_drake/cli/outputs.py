@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from kinebench_drake.cli.options import PathParameter
+from kinebench_drake.cli.click_options import PathParameter
 from kinebench_drake.cli.progress import ProgressView, run
 from kinebench_drake.errors import InputError, UsageError
 from kinebench_drake.io.jsonl import as_object

@@ -4,7 +4,7 @@ from typing import Any
 
 import click
 
-from kinebench_drake.cli.options import PathParameter, config_options
+from kinebench_drake.cli.click_options import PathParameter, config_options
 from kinebench_drake.runs.audit import AuditConfig
 from kinebench_drake.runs.config import RunKind, ScoreConfig
 

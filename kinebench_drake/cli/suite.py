@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from kinebench_drake.cli.options import PathParameter, check_parent, check_suffix, config_options
+from kinebench_drake.cli.click_options import PathParameter, check_parent, check_suffix, config_options
 from kinebench_drake.cli.suite_data import demos, export
 from kinebench_drake.cli.suite_results import ceiling, report, tolerance
 from kinebench_drake.cli.suite_run import plan, run

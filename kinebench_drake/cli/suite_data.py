@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from kinebench_drake.cli.options import SIZES, config_options
+from kinebench_drake.cli.click_options import SIZES, config_options
 from kinebench_drake.cli.progress import ProgressView, terminate_as_interrupt
 from kinebench_drake.errors import UsageError
 from kinebench_drake.results.metadata import Shard

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import click
 
-from kinebench_drake.cli.options import PathParameter, check_parent, check_suffix, config_options
+from kinebench_drake.cli.click_options import PathParameter, check_parent, check_suffix, config_options
 from kinebench_drake.cli.outputs import comparison_out_option, folders_argument
 from kinebench_drake.io.atomic import write_atomically
 from kinebench_drake.runs.suite_config import SuiteConfig

@@ -4,7 +4,7 @@ from typing import Any
 
 import click
 
-from kinebench_drake.cli.options import config_options
+from kinebench_drake.cli.click_options import config_options
 from kinebench_drake.cli.progress import run as carry_out
 from kinebench_drake.runs.suite_config import SuiteConfig
 

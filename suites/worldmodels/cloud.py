@@ -16,7 +16,7 @@ from pydantic import Field
 from typing_extensions import override
 
 from kinebench_drake.errors import SetupError
-from kinebench_drake.suites.worldmodels.client import Deadline, HttpClient
+from kinebench_drake.suites.worldmodels.http_client import Deadline, HttpClient
 from kinebench_drake.suites.worldmodels.media import adopt, arriving, data_uri
 from kinebench_drake.suites.worldmodels.remote import BusyError, Limits, ServiceError, clean, key_from, web_address
 from kinebench_drake.suites.worldmodels.spec import Spec, TimeoutOptions

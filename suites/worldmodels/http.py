@@ -16,7 +16,7 @@ from pydantic import BaseModel, Field, ValidationError
 
 from kinebench_drake.errors import SetupError
 from kinebench_drake.io.atomic import disk_errors
-from kinebench_drake.suites.worldmodels.client import Deadline, HttpClient
+from kinebench_drake.suites.worldmodels.http_client import Deadline, HttpClient
 from kinebench_drake.suites.worldmodels.media import (
     adopt,
     arriving,

@@ -91,7 +91,7 @@ def test_a_folder_that_cannot_be_written_is_told(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("jump_s", [-1e9, 1e9, -3600.0])
 def test_a_clock_that_jumps_changes_no_time_and_no_result(tmp_path, monkeypatch, jump_s):
-    from kinebench_drake.suites.worldmodels.client import Deadline
+    from kinebench_drake.suites.worldmodels.http_client import Deadline
 
     true, calls = time.time, iter(range(10**9))
     monkeypatch.setattr(time, "time", lambda: true() + jump_s * (next(calls) % 2))

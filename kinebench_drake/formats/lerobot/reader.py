@@ -13,7 +13,7 @@ from kinebench_drake.formats.camerafile import CAMERA_NAME
 from kinebench_drake.formats.lerobot.dataset import FRAME, INFO, TIME, LeRobotDataset, read_table
 from kinebench_drake.formats.samples import MAX_PERIOD_S, MIN_PERIOD_S
 from kinebench_drake.formats.trajectories.check import MAX_FRAMES
-from kinebench_drake.formats.trajectories.columns import find_columns
+from kinebench_drake.formats.trajectories.lerobot_columns import find_columns
 from kinebench_drake.formats.trajectories.trajectory import (
     RawTrajectory,
     TrajectoryFormat,

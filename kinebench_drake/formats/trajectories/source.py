@@ -10,7 +10,7 @@ from kinebench_drake.formats.lerobot.reader import is_lerobot, list_lerobot_traj
 from kinebench_drake.formats.maniskill import list_maniskill, read_maniskill
 from kinebench_drake.formats.samples import finish_samples
 from kinebench_drake.formats.trajectories.check import check
-from kinebench_drake.formats.trajectories.tables import read_csv, read_npz
+from kinebench_drake.formats.trajectories.csv_npz import read_csv, read_npz
 from kinebench_drake.formats.trajectories.trajectory import (
     RawTrajectory,
     Trajectory,

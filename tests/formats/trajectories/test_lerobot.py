@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from kinebench_drake.errors import InputError, UsageError
-from kinebench_drake.formats.trajectories.columns import find_columns
+from kinebench_drake.formats.trajectories.lerobot_columns import find_columns
 from kinebench_drake.formats.trajectories.reading import Layout
 from kinebench_drake.formats.trajectories.source import find_trajectories, read_trajectory
 from kinebench_drake.formats.trajectories.trajectory import TrajectoryOptions

@@ -5,8 +5,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from kinebench_drake.errors import InputError, UnmeasurableError
+from kinebench_drake.formats.trajectories.csv_npz import JOINTS, POSE
 from kinebench_drake.formats.trajectories.source import find_trajectories, read_trajectory
-from kinebench_drake.formats.trajectories.tables import JOINTS, POSE
 from kinebench_drake.formats.trajectories.trajectory import TrajectoryOptions
 
 

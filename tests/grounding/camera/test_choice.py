@@ -19,9 +19,9 @@ from kinebench_drake.grounding.camera.camera_estimate import (
     GRIPPER_SIGMA_M,
     CameraEstimate,
 )
-from kinebench_drake.grounding.camera.choice import AGREEMENT, SURE
-from kinebench_drake.grounding.camera.contradiction import LARGE_M, CameraContradiction
+from kinebench_drake.grounding.camera.check import LARGE_M, CameraContradiction
 from kinebench_drake.grounding.camera.estimate import usual_camera
+from kinebench_drake.grounding.camera.evidence import AGREEMENT, SURE
 from kinebench_drake.grounding.camera.lens import Lens
 from kinebench_drake.grounding.camera.reading import BetterReading, Reading
 from kinebench_drake.grounding.pipeline import PipelineResult

@@ -5,12 +5,12 @@ import pytest
 
 from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.geometry import invert, pose_difference
-from kinebench_drake.grounding.camera import contradiction
+from kinebench_drake.grounding.camera import check as contradiction
 from kinebench_drake.grounding.camera import estimate as estimate_module
 from kinebench_drake.grounding.camera.bundle import ArmScene, Prior
 from kinebench_drake.grounding.camera.candidate import Candidate
+from kinebench_drake.grounding.camera.check import CLEARLY, CameraChecker
 from kinebench_drake.grounding.camera.contours import DIFFERENT_TURN_RAD, BaseTurn
-from kinebench_drake.grounding.camera.contradiction import CLEARLY, CameraChecker
 from kinebench_drake.grounding.camera.detections import ArmDetections
 from kinebench_drake.grounding.camera.estimate import JOINT_SIGMA_RAD, CameraEstimator, usual_camera
 from kinebench_drake.grounding.camera.lens import Lens, solve_pnp, with_focal

@@ -13,7 +13,7 @@ import pytest
 from pydantic import SecretStr
 
 from kinebench_drake.errors import SetupError
-from kinebench_drake.suites.worldmodels.client import Deadline, HttpClient
+from kinebench_drake.suites.worldmodels.http_client import Deadline, HttpClient
 from kinebench_drake.suites.worldmodels.remote import Limits, ServiceError, is_loopback, retry_after, web_address
 from kinebench_drake.suites.worldmodels.worldmodel import WorldModelError
 from tests.suites.worldmodels.servant import Reply, Servant
