@@ -31,7 +31,7 @@ HELDOUT = {
 }  # fmt: skip
 
 
-def test_videos_of_others_come_before_renderings_of_this_project():
+def test_external_videos_come_before_renderings_of_this_project():
     rows = [line for line in section(HELDOUT, OTHERS).splitlines() if line.startswith("| ")][2:]
     assert ["other simulator" in rows[0], "real arm" in rows[1], "this project" in rows[2]] == [True] * 3
     assert "4.2 / 14.0 mm" in rows[0]
@@ -40,18 +40,18 @@ def test_videos_of_others_come_before_renderings_of_this_project():
     assert "by 0.010 (mean over bins" in section(HELDOUT, OTHERS).replace("\n", " ")
 
 
-def test_a_section_without_videos_of_others_says_nothing_of_them():
+def test_a_section_without_external_videos_does_not_mention_them():
     text = section(HELDOUT, [])
     assert "others" not in text.partition("The commands")[0].replace("--others", "")
 
 
-def test_the_section_replaces_the_one_before_in_a_page():
+def test_the_section_replaces_its_predecessor_in_the_page():
     page = replace_section("# Title\n\n## Accuracy\n\nold\n\n## More\n\nkept\n", section(HELDOUT, OTHERS))
     assert "old" not in page
     assert page.endswith("## More\n\nkept\n")
 
 
-def test_less_is_better_of_all_figures():
+def test_lower_is_better_for_every_figure():
     better = [{**OTHERS[1], "kinds": {ReferenceKind.SIMULATOR.value: {**POSES, "tracked": 1.0, "silent": 0.0}}}]
     before, now = figures(HELDOUT, OTHERS[1:]), figures(HELDOUT, better)
     assert before.keys() == now.keys()

@@ -12,7 +12,7 @@ def postures(arm):
     return rng.uniform(arm.plant.lower, arm.plant.upper, (20, 7)), rng.uniform(0.0, 0.08, 20)
 
 
-def test_forward_kinematics_is_drakes(arm, postures):
+def test_batched_forward_kinematics_equals_drakes(arm, postures):
     q, _ = postures
     np.testing.assert_allclose(arm.body.forward(q), [arm.plant.forward(x) for x in q], atol=1e-13)
 
@@ -30,13 +30,13 @@ def lowest_by_drake(arm, q, width, leave_out):
     return min(heights)
 
 
-def test_the_lowest_point_is_that_of_drakes_geometry(arm, postures):
+def test_the_lowest_point_of_the_arm_equals_that_of_drakes_geometry(arm, postures):
     q, width = postures
     expected = [lowest_by_drake(arm, x, w, "panda_link0".__eq__) for x, w in zip(q, width, strict=True)]
     np.testing.assert_allclose(arm.body.lowest(q, width), expected, atol=1e-12)
 
 
-def test_the_grippers_lowest_point_follows_from_its_pose_alone(arm, postures):
+def test_the_lowest_point_of_the_gripper_follows_from_pose_and_finger_width(arm, postures):
     q, width = postures
     expected = [lowest_by_drake(arm, x, w, lambda name: "link" in name) for x, w in zip(q, width, strict=True)]
     np.testing.assert_allclose(arm.body.lowest_of_gripper(arm.body.forward(q), width), expected, atol=1e-12)

@@ -39,7 +39,7 @@ def folder(tmp_path, estimator):
     return tmp_path
 
 
-def test_a_perfect_picture_is_measured_without_an_error(folder, estimator):
+def test_calibration_from_perfect_estimates_is_within_5_mm(folder, estimator):
     conditions = [c for c in CONDITIONS if not c.focal_free and c.method is not CalibrationMethod.MOTION]
     trials = list(measure(folder, limit=None, frames=T, conditions=conditions, calibrator=cells_alone(estimator)))
     assert [t.condition for t in trials] == conditions

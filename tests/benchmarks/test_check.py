@@ -45,7 +45,7 @@ def verdicts():
     return {v.kind: v for v in compare(rows, {t.id: t for t in truths})}
 
 
-def test_false_alarms(verdicts):
+def test_feasible_trajectories_judged_infeasible_are_false_alarms(verdicts):
     v = verdicts[TrajectoryKind.FEASIBLE]
     assert v.judged_infeasible.hits == 1
     assert v.judged_infeasible.share.n == 3
@@ -56,7 +56,7 @@ def test_false_alarms(verdicts):
     assert v.unexplained == ("feasible-2",)
 
 
-def test_detections_and_reasons(verdicts):
+def test_detections_and_named_reasons_have_wilson_intervals(verdicts):
     v = verdicts[TrajectoryKind.FAST]
     assert v.judged_infeasible.hits == 3
     assert v.judged_infeasible.ids == ("fast-2",)
@@ -70,14 +70,14 @@ def test_detections_and_reasons(verdicts):
     assert v.judged_infeasible.share.high == pytest.approx((middle + half) / (1 + z**2 / n))
 
 
-def test_rows_that_explain_nothing(verdicts):
+def test_errors_and_verdicts_without_a_reason_are_unexplained(verdicts):
     v = verdicts[TrajectoryKind.PERTURBED]
     assert v.errors == ("perturbed-1",)
     assert v.unexplained == ("perturbed-1", "perturbed-2")
     assert v.judged_infeasible.ids == ()
 
 
-def test_the_table_names_what_to_look_at(verdicts):
+def test_the_table_names_misses_and_false_alarms(verdicts):
     text = summary_table(list(verdicts.values()))
     assert "| fast | 4 | 3/4 = 75.0 %" in text
     assert "fast, not detected: fast-2" in text
@@ -86,7 +86,7 @@ def test_the_table_names_what_to_look_at(verdicts):
     assert "all planted" not in text  # there is one kind of them
 
 
-def test_planted_kinds_are_also_told_together():
+def test_the_table_also_pools_all_planted_kinds():
     truths = [truth(TrajectoryKind.FAST, n) for n in range(2)] + [truth(TrajectoryKind.REACH, n) for n in range(3)]
     rows = [row("fast-0", False, ["velocity"]), row("fast-1", False, ["jerk"])]
     rows += [row(f"reach-{n}", n != 2, ["unreachable"] if n == 2 else []) for n in range(3)]

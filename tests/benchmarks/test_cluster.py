@@ -1,4 +1,4 @@
-"""What is said of runs on a cluster; the runs themselves are tests/cli/test_ray.py's, and the command's."""
+"""Report of runs on a cluster; tests/cli/test_ray.py tests the runs themselves."""
 
 import os
 import signal
@@ -18,7 +18,7 @@ sys.stdin.read()
 """
 
 
-def test_the_section_names_what_is_not_the_same():
+def test_the_section_names_files_that_differ_between_cluster_and_local_run():
     def told(unlike=()):
         trial = ClusterTrial(
             command=("score", "a b"),
@@ -36,7 +36,7 @@ def test_the_section_names_what_is_not_the_same():
     assert "| 14 of 15, not `samples.jsonl` |" in told(("samples.jsonl",))
 
 
-def test_a_busy_worker_is_killed_once_when_half_is_done():
+def test_one_busy_worker_is_killed_after_half_of_the_samples():
     nodes = [
         subprocess.Popen([sys.executable, "-c", STAND_IN, *names], stdin=subprocess.PIPE, stdout=subprocess.PIPE)
         for names in ([WORKER_TITLE, "ray::IDLE"], [f"{WORKER_TITLE}.work"])

@@ -31,12 +31,12 @@ def compare(before, after):
     return result.exit_code, result.output.splitlines()
 
 
-def test_a_copy_is_equivalent(before, tmp_path):
+def test_a_copy_of_an_output_folder_is_equivalent(before, tmp_path):
     status, lines = compare(before, shutil.copytree(before, tmp_path / "after"))
     assert (status, lines) == (0, ["3 files equal, 1 not compared, 0 differences"])
 
 
-def test_code_hashes_and_wording_may_differ(before, tmp_path):
+def test_differences_in_code_hashes_and_wording_are_ignored(before, tmp_path):
     row = {**ROW, "reason": "other words", "content_hash": "2", "null_reasons": {"ldlj": "y"}}
     after = write(tmp_path / "after", row, results={"code_sha256": "b", "n": 1})
     (after / "timings.jsonl").write_text('{"id": "a"}\n')
@@ -60,7 +60,7 @@ def test_a_different_row_is_named(before, tmp_path, changes, part):
     assert part in lines[0]
 
 
-def test_other_numbers_types_and_missing_files_are_named(before, tmp_path):
+def test_different_arrays_types_and_missing_files_are_named(before, tmp_path):
     after = write(tmp_path / "after", ROW, times=(0.0, 0.2 + 1e-16 * 4), results={"code_sha256": "a", "n": 1.0})
     (after / "extra.csv").write_text("")
     status, lines = compare(before, after)
@@ -72,7 +72,7 @@ def test_other_numbers_types_and_missing_files_are_named(before, tmp_path):
     ]
 
 
-def test_an_empty_folder_is_no_output(tmp_path):
+def test_an_empty_folder_is_reported_as_no_output(tmp_path):
     (tmp_path / "a").mkdir()
     status, lines = compare(tmp_path / "a", tmp_path / "a")
     assert status == 1

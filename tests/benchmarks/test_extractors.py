@@ -34,7 +34,7 @@ def extractions() -> list[Extraction]:
     ]
 
 
-def test_changed_verdicts_are_those_that_differ_from_the_truth(extractions: list[Extraction]) -> None:
+def test_changed_verdicts_are_those_that_differ_from_the_true_track(extractions: list[Extraction]) -> None:
     assert changed(extractions, Extractor.TRUTH).value == 0.0
     assert changed(extractions, Extractor.GROUNDING).value == pytest.approx(0.05)
     assert changed(extractions, Extractor.BASELINE).value == pytest.approx(0.75)
@@ -43,14 +43,14 @@ def test_changed_verdicts_are_those_that_differ_from_the_truth(extractions: list
         assert estimate.low <= estimate.value <= estimate.high
 
 
-def test_intervals_count_episodes_and_not_videos() -> None:
+def test_intervals_are_over_episodes_and_not_videos() -> None:
     twice = [extraction(i, True, i % 2 == 0, True, kind) for i in range(8) for kind in (None, AnomalyKind.FREEZE)]
     once = [e for e in twice if e.kind is None]
     two, one = changed(twice, Extractor.GROUNDING), changed(once, Extractor.GROUNDING)
     assert (two.value, two.low, two.high) == (one.value, one.low, one.high)
 
 
-def test_a_share_of_none_has_an_interval(extractions: list[Extraction]) -> None:
+def test_a_share_of_zero_has_an_interval_above_zero(extractions: list[Extraction]) -> None:
     estimate = changed(extractions, Extractor.TRUTH)
     assert estimate.low == 0.0
     assert 0.1 < estimate.high < 0.4

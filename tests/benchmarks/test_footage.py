@@ -1,4 +1,4 @@
-"""Videos of others: references, errors and labels against geometry that is known."""
+"""External videos: references, errors and labels against exact geometry."""
 
 import json
 from dataclasses import replace
@@ -70,7 +70,7 @@ def folder(tmp_path):
     return tmp_path
 
 
-def test_references_are_the_same_poses_whatever_their_kind(folder):
+def test_references_of_all_kinds_give_the_same_poses(folder):
     videos = find_footage(folder)
     assert [reference_of(v, ["none"]) for v in videos] == [
         *(ReferenceKind.SIMULATOR, ReferenceKind.JOINTS, ReferenceKind.EDGES, ReferenceKind.LABELS)
@@ -101,7 +101,7 @@ def test_a_track_equal_to_the_reference_has_no_error(folder):
 
 
 @pytest.mark.parametrize("share", [0.99, 1.01])
-def test_an_offset_along_the_line_of_sight_is_depth(folder, share):
+def test_an_offset_along_the_line_of_sight_is_a_depth_error(folder, share):
     video = find_footage(folder)[0].load()
     p = video.X_CH[:, :3, 3]
     X_CH = video.X_CH.copy()
@@ -113,7 +113,7 @@ def test_an_offset_along_the_line_of_sight_is_depth(folder, share):
     assert errors.silent.all() == (share > 1)
 
 
-def test_frames_that_are_not_tracked_are_no_errors_but_lower_the_share(folder):
+def test_untracked_frames_lower_the_tracked_share_and_not_the_pose_error(folder):
     video = find_footage(folder)[0].load()
     tracked = np.array([True, False, True, False])
     X_CH = np.where(tracked[:, None, None], video.X_CH, np.nan)
@@ -124,7 +124,7 @@ def test_frames_that_are_not_tracked_are_no_errors_but_lower_the_share(folder):
     assert f["anomalies"] == {"vanish": 1}
 
 
-def test_records_survive_json(tmp_path):
+def test_track_records_survive_storage_as_json(tmp_path):
     X_CH = np.stack([pose(), np.full((4, 4), np.nan)])
     before = record(X_CH, tracked=np.array([True, False]))
     before = replace(before, finger_width_m=np.array([0.04, np.nan]))
@@ -135,7 +135,7 @@ def test_records_survive_json(tmp_path):
         np.testing.assert_allclose(getattr(after, name), getattr(before, name), atol=1e-6)
 
 
-def test_the_window_holds_the_gripper_at_the_same_pixels():
+def test_cutting_a_window_keeps_the_pixels_at_the_projected_gripper():
     X_CH = np.stack([pose(z=0.8), pose(z=0.9)])
     frames = np.random.default_rng(0).integers(0, 255, (2, 384, 384, 3), np.uint8)
     cut, camera = cut_window(frames, CAMERA, X_CH)
@@ -185,7 +185,7 @@ angle = st.floats(-3.1, 3.1)
 
 @settings(deadline=None, max_examples=50)
 @given(yaw=angle, pitch=st.floats(-1.0, 1.0), width_m=st.floats(0.0, 0.08), shift=st.floats(0.0, 20.0))
-def test_points_of_a_pose_lie_at_their_labels_also_after_a_half_turn(yaw, pitch, width_m, shift):
+def test_reprojection_error_is_zero_at_the_true_pose_and_its_half_turn(yaw, pitch, width_m, shift):
     X_CH = pose(yaw, pitch)
     frame = labelled(X_CH, width_m)
     for X in (X_CH, X_CH @ X_HALF_TURN):
@@ -196,20 +196,20 @@ def test_points_of_a_pose_lie_at_their_labels_also_after_a_half_turn(yaw, pitch,
 
 @settings(deadline=None, max_examples=50)
 @given(yaw=st.floats(-1.0, 1.0), pitch=st.floats(-0.8, 0.8), width_m=st.floats(0.0, 0.08))
-def test_the_hands_length_is_that_of_its_distance(yaw, pitch, width_m):
+def test_the_hand_length_in_pixels_follows_from_its_distance(yaw, pitch, width_m):
     X_CH = pose(yaw, pitch, z=1.0)
     share = hand_lengths_px([labelled(X_CH, width_m)])[0] / (CAMERA.fx * HAND_LENGTH_M / 1.0)
     assert 0.85 < share < 1.25
 
 
-def test_frames_with_few_points_take_the_length_of_those_in_between():
+def test_frames_with_few_labels_interpolate_the_hand_length_of_their_neighbours():
     whole = [labelled(pose(z=z), 0.04, frame) for z, frame in ((0.8, 0), (1.0, 10))]
     bare = LabelledFrame(frame=5, points_px={"tip_left": np.zeros(2)})
     lengths = hand_lengths_px([whole[0], bare, whole[1]])
     assert lengths[1] == pytest.approx((lengths[0] + lengths[2]) / 2)
 
 
-def test_a_fifth_of_the_hand_is_a_silent_error(folder):
+def test_an_error_above_a_fifth_of_the_hand_length_is_silent(folder):
     video = find_footage(folder)[3]
     frames = [labelled(pose(), 0.04)]
     for share, silent in ((0.0, 0.0), (0.15, 0.0), (0.4, 1.0)):
@@ -222,7 +222,7 @@ def test_a_fifth_of_the_hand_is_a_silent_error(folder):
         compare_labels(video, record(X_CH), [replace(frames[0], frame=99)])
 
 
-def test_labelled_points_lie_on_the_cad():
+def test_labelled_points_lie_on_the_cad_meshes():
     """Within 4 mm of a vertex of the mesh."""
     meshes = part_meshes()
     points = pair_points(np.eye(4), 0.0)
@@ -232,7 +232,7 @@ def test_labelled_points_lie_on_the_cad():
     assert FINGER_ORIGIN_H[2] < points["tip"][0, 2] <= meshes[RobotPart.LEFT_FINGER].bounds[1, 2] + 1e-4
 
 
-def test_labels_cover_enough_frames():
+def test_the_labels_cover_80_frames_and_10_clean_videos():
     labels = read_labels()
     frames = [frame for video in labels.videos.values() for frame in video]
     assert len(frames) >= 80
@@ -241,7 +241,7 @@ def test_labels_cover_enough_frames():
 
 
 @pytest.mark.parametrize("points", [{}, {"nose": {"px": [1, 2]}}, {"tip_left": {"px": [1]}}])
-def test_unusable_labels_are_refused(tmp_path, points):
+def test_malformed_labels_are_refused(tmp_path, points):
     path = tmp_path / "labels.json"
     path.write_text(json.dumps({"clean": [], "videos": {"a": [{"frame": 0, "points": points}]}}))
     with pytest.raises(UsageError, match="not a file of labels"):

@@ -7,7 +7,7 @@ from kinebench_drake.errors import UsageError
 COSTS = {"an image, ms": {Device.CPU: [40.0, 60.0], Device.GPU: [4.0, 5.0]}}
 
 
-def test_the_table_compares_both_devices_of_the_same_turn(monkeypatch):
+def test_ratios_compare_both_devices_within_the_same_turn(monkeypatch):
     monkeypatch.setattr(torch.cuda, "get_device_name", lambda: "A GPU")
     text = section(COSTS)
     assert "with A GPU" in text
@@ -16,12 +16,12 @@ def test_the_table_compares_both_devices_of_the_same_turn(monkeypatch):
     assert figures(COSTS) == {"CPU: an image, ms": 50.0, "GPU: an image, ms": 4.5}
 
 
-def test_the_cpu_sees_no_gpu():
+def test_the_cpu_run_hides_all_gpus():
     assert Device.CPU.environment == {"CUDA_VISIBLE_DEVICES": "", "KINEBENCH_DRAKE_RENDER": "cpu"}
     assert not Device.GPU.environment
 
 
-def test_a_gpu_is_asked_for(tmp_path, monkeypatch):
+def test_without_a_gpu_the_measurement_is_refused(tmp_path, monkeypatch):
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
     with pytest.raises(UsageError, match="find no NVIDIA GPU"):
         measure(tmp_path / "a.mp4", tmp_path, videos=16, turns=1, log=print)

@@ -34,7 +34,7 @@ def missing(plant):
     raise ImportError("no such package")
 
 
-def test_our_and_drakes_solvers_reach_every_pose_and_missing_ones_are_said_to_be(arm, motion):
+def test_our_and_drakes_solvers_reach_every_pose_and_absent_peers_have_no_time(arm, motion):
     absent = Peer(name="absent", how="not at all", package="absent-package", make=missing)
     timings = {t.name: t for t in compare_solvers([problem_of(arm.plant, *motion)], [*ALWAYS, absent], repeats=2)}
     assert timings["absent"].us_per_pose is None
@@ -45,14 +45,14 @@ def test_our_and_drakes_solvers_reach_every_pose_and_missing_ones_are_said_to_be
 
 
 @pytest.mark.parametrize("peer", [p for p in PEERS if p not in ALWAYS], ids=lambda p: p.name)
-def test_other_packages_do_the_same_task(arm, motion, peer):
+def test_peer_packages_reach_most_poses(arm, motion, peer):
     if peer.package is not None:
         pytest.importorskip(peer.package.removeprefix("pin-").replace("-", "_"))
     (timing,) = compare_solvers([problem_of(arm.plant, *motion)], [peer], repeats=1)
     assert timing.reached > 0.8  # used rightly: a wrong frame or unit would reach none
 
 
-def test_verification_sees_a_wrong_posture_and_one_past_its_limits(arm, motion):
+def test_verification_rejects_wrong_postures_limit_violations_and_jumps(arm, motion):
     p = problem_of(arm.plant, *motion)
     assert reached_share(arm.plant, [p], [p.q]) == 1.0
     off = p.q.copy()
@@ -68,7 +68,7 @@ def test_verification_sees_a_wrong_posture_and_one_past_its_limits(arm, motion):
     assert within_speed_share(arm.plant, [p, p], [jump, p.q]) == 0.5
 
 
-def test_tracks_are_benchmark_episodes_the_arm_can_make(arm, motion):
+def test_tracks_are_feasible_episodes_of_49_frames(arm, motion):
     track = track_of(arm, *motion)
     assert len(track.t_s) == 49
     np.testing.assert_allclose(np.diff(track.t_s), 0.2)
@@ -78,7 +78,7 @@ def test_tracks_are_benchmark_episodes_the_arm_can_make(arm, motion):
     assert feasible == 1
 
 
-def test_held_is_the_closed_form_at_the_starts_joint_7_and_nothing_out_of_reach(arm, motion):
+def test_fixed_q7_is_the_closed_form_at_the_first_joint_7_and_nan_out_of_reach(arm, motion):
     p = problem_of(arm.plant, *motion)
     far = p.X_BG.copy()
     far[-3:, 0, 3] += 2.0
@@ -90,7 +90,7 @@ def test_held_is_the_closed_form_at_the_starts_joint_7_and_nothing_out_of_reach(
     assert np.isnan(path[-3:]).any(axis=-1).all()
 
 
-def test_long_tracks_take_as_long_and_one_run_compares_on_every_set(arm):
+def test_long_tracks_keep_the_duration_and_one_run_compares_all_track_sets(arm):
     ((_, t_s),) = smooth_motions(np.random.default_rng(0), arm, replace(LONG, tracks=1))
     assert len(t_s) == 490
     np.testing.assert_allclose(np.diff(t_s), 0.02)
@@ -107,7 +107,7 @@ def timing(name, us, kept=1.0):
     return SolverTiming(name=name, label=name, how="so", us_per_pose=us_per_pose, reached=1.0, within_speed=kept)
 
 
-def test_the_page_tells_ratios_turn_by_turn():
+def test_ratios_of_solvers_are_medians_over_turns():
     timings = (
         timing(OURS, [10.0, 20.0, 10.0]),
         timing(FIXED_Q7, [5.0, 5.0, 5.0], kept=0.9),

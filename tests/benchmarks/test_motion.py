@@ -9,7 +9,7 @@ from benchmarks.moves import SHIPPED_TASKS, Family, trapezoid
 from kinebench_drake.suites.families.registry import EXPERTS
 
 
-def test_plans_of_all_experts_are_drawn():
+def test_motions_are_drawn_from_the_plans_of_all_experts():
     assert sorted(SHIPPED_TASKS) == sorted(EXPERTS)
 
 
@@ -21,7 +21,7 @@ def swing(arm, joint, size, duration):
     return Motion.through(t_s, q, np.full(201, 0.04))
 
 
-def test_ratios_are_those_of_a_sine(arm):
+def test_limit_ratios_of_a_sine_match_its_derivatives(arm):
     size, duration = 0.8, 2.0
     proof = prove(arm, swing(arm, 0, size, duration), 0.5, 1.5)  # away from the ends, which are at rest
     rate = np.pi / duration
@@ -31,7 +31,7 @@ def test_ratios_are_those_of_a_sine(arm):
     assert proof.holds
 
 
-def test_a_resting_arm_bears_its_weight(arm):
+def test_torque_of_a_resting_arm_is_gravity(arm):
     t_s = np.linspace(0.0, 1.0, 20)
     rest = Motion.through(t_s, np.tile(arm.plant.robot.rest_q, (20, 1)), np.full(20, 0.04))
     gravity = np.abs(arm.plant.torque(arm.plant.robot.rest_q, np.zeros(7), np.zeros(7))) / arm.plant.effort_limits
@@ -47,14 +47,14 @@ def test_a_resting_arm_bears_its_weight(arm):
         (1, 0.9, 8.0, "table_distance_m"),
     ],
 )
-def test_the_proof_fails_where_it_must(arm, joint, size, duration, fault):
+def test_the_proof_fails_for_the_limit_that_is_violated(arm, joint, size, duration, fault):
     proof = prove(arm, swing(arm, joint, size, duration), 0.0, duration)
     value = getattr(proof, fault)
     assert value < 0.0 if fault.endswith(("_m", "_rad")) else value > 1.0
     assert not proof.holds
 
 
-def test_every_part_of_the_proof_counts(arm):
+def test_every_ratio_and_clearance_can_fail_the_proof(arm):
     proof = prove(arm, swing(arm, 0, 0.3, 3.0), 0.0, 3.0)
     assert proof.holds
     for name in ("velocity_ratio", "acceleration_ratio", "jerk_ratio", "torque_ratio"):
@@ -64,7 +64,7 @@ def test_every_part_of_the_proof_counts(arm):
 
 
 @pytest.mark.parametrize("family", list(Family))
-def test_drawn_motions_are_proven_and_follow_their_frames(arm, family):
+def test_drawn_motions_are_proven_feasible_and_poses_follow_from_joints(arm, family):
     base = draw_feasible(np.random.default_rng(3), arm, family=family)
     assert base.proof is not None
     assert base.proof.holds
@@ -75,7 +75,7 @@ def test_drawn_motions_are_proven_and_follow_their_frames(arm, family):
     assert (arm.body.lowest_of_gripper(trajectory.X_BG, trajectory.finger_width_m) >= 0.0).all()
 
 
-def test_a_trapezoid_of_speed_goes_all_the_way():
+def test_a_trapezoidal_speed_profile_covers_the_whole_path():
     s = np.linspace(-0.5, 1.5, 4001)
     way = trapezoid(s, 0.25)
     assert way[0] == 0.0

@@ -1,4 +1,4 @@
-"""Videos with planted faults: what is written, twice the same."""
+"""Videos with planted faults: contents and reproducibility of the files."""
 
 import json
 from pathlib import Path
@@ -15,7 +15,7 @@ from kinebench_drake.io.container import write_video
 from kinebench_drake.suites.composition import Pool
 
 
-def test_parse_seeds() -> None:
+def test_seeds_are_parsed_from_numbers_and_ranges() -> None:
     assert parse_seeds("7") == [7]
     assert parse_seeds("0:3,9") == [0, 1, 2, 9]
     for wrong in ("", "a", "3:1", "-2", "1:b"):
@@ -23,7 +23,7 @@ def test_parse_seeds() -> None:
             parse_seeds(wrong)
 
 
-def test_draws_of_a_split_are_the_suites_own() -> None:
+def test_episodes_of_a_split_are_those_of_the_suite() -> None:
     draws = choose_episodes("StackCube-v1,PullCube-v1", "0", 2, "unseen", 2, 3)
     assert {d.pool for d in draws} == {Pool.UNSEEN}
     assert sorted((d.task, d.seed) for d in draws) == [(t, s) for t in ("PullCube-v1", "StackCube-v1") for s in (3, 4)]
@@ -33,12 +33,12 @@ def test_draws_of_a_split_are_the_suites_own() -> None:
 @pytest.mark.parametrize(
     "arguments", [["--tasks", "Nothing-v1"], ["--seeds", "x"], ["--kinds", "melt"], ["--suite", "2", "--split", "x"]]
 )
-def test_usage_errors(tmp_path: Path, arguments: list[str]) -> None:
+def test_invalid_options_are_usage_errors_and_write_nothing(tmp_path: Path, arguments: list[str]) -> None:
     assert CliRunner().invoke(main, ["planted-videos", "--out", str(tmp_path / "out"), *arguments]).exit_code == 2
     assert not (tmp_path / "out").exists()
 
 
-def test_video_bytes_repeat(tmp_path: Path) -> None:
+def test_writing_the_same_frames_gives_the_same_bytes(tmp_path: Path) -> None:
     frames = np.random.default_rng(0).integers(0, 255, (5, 33, 65, 3), dtype=np.uint8)
     for name in ("a.mp4", "b.mp4"):
         write_video(tmp_path / name, frames, 17)
@@ -47,7 +47,7 @@ def test_video_bytes_repeat(tmp_path: Path) -> None:
 
 
 @pytest.mark.sapien
-def test_same_arguments_same_bytes(tmp_path: Path) -> None:
+def test_the_same_arguments_give_the_same_bytes(tmp_path: Path) -> None:
     def made(name: str) -> dict[str, bytes]:
         out = tmp_path / name
         arguments = ["planted-videos", "--out", str(out), "--tasks", "PullCube-v1", "--seeds", "3"]

@@ -34,7 +34,7 @@ def test_every_presentation_but_named_and_plain_changes_frames_or_camera():
         assert same == (presentation in (Presentation.NAMED, Presentation.PLAIN))
 
 
-def test_presentations_say_what_they_do():
+def test_presentations_transform_frames_and_camera_as_named():
     assert (Presentation.MIRRORED.apply(FRAMES, CAMERA)[0][:, :, ::-1] == FRAMES).all()
     assert Presentation.CORNER.apply(FRAMES, CAMERA)[0].shape == (2, 36, 36, 3)
     assert (Presentation.CORNER.apply(FRAMES, CAMERA)[0][:, 0, -1] == FRAMES[:, 0, -1]).all()
@@ -54,11 +54,11 @@ def test_presentations_say_what_they_do():
         ({"position_m": None, "rotation_rad": None}, Verdict.WITHHELD),
     ],
 )
-def test_errors_decide_on_the_verdict(changes, verdict):
+def test_verdict_follows_from_the_pose_error(changes, verdict):
     assert replace(OUTCOME, **changes).verdict is verdict
 
 
-def test_the_gate_lets_nothing_pass_that_is_silently_wrong_or_not_as_expected():
+def test_the_gate_fails_silently_wrong_and_unexpected_outcomes():
     wrong = replace(OUTCOME, position_m=0.4)
     withheld = replace(OUTCOME, position_m=None, rotation_rad=None, reading="mirrored", reason="it is mirrored")
     key = ("a", "plain")
@@ -69,7 +69,7 @@ def test_the_gate_lets_nothing_pass_that_is_silently_wrong_or_not_as_expected():
     assert "expected right: it is mirrored" in check_outcomes([withheld], {key: "right"})[0]
 
 
-def test_the_clips_of_the_gate_are_small_and_have_bounds():
+def test_the_clips_of_the_gate_are_below_1_mb_and_have_bounds():
     trials, expected = find_trials(CLIPS, None)
     assert {(trial.clip.id, trial.presentation.value) for trial in trials} == set(expected)
     assert sum(file.stat().st_size for file in CLIPS.iterdir()) < 1e6
@@ -78,7 +78,7 @@ def test_the_clips_of_the_gate_are_small_and_have_bounds():
     assert all(len(clip.X_CH) == 17 for clip in clips.values())
 
 
-def test_a_folder_of_ones_own_is_added(tmp_path):
+def test_clips_of_a_further_folder_are_added_to_the_gate(tmp_path):
     for name in ("g05.mp4", "g05.gt.npz"):
         (tmp_path / name).write_bytes((CLIPS / name).read_bytes())
     lines = [line for line in (CLIPS / "manifest.jsonl").read_text().splitlines() if "g05" in line]

@@ -1,4 +1,4 @@
-"""The program as seen from outside: when samples end, what its processes hold, and a failure told."""
+"""The program measured from outside: end of samples, memory of its processes, failures."""
 
 import os
 import subprocess
@@ -11,7 +11,7 @@ from benchmarks.process import ProcessMemory, children, read_memory, run_program
 from kinebench_drake.errors import KinebenchError
 
 
-def test_a_process_and_its_workers_are_weighed_and_helpers_are_not():
+def test_memory_counts_a_process_and_its_workers_without_helpers():
     hold = "import sys; filled = b'x' * {} * 2**20; print(len(filled), flush=True); sys.stdin.read()"
     start = "import subprocess, sys; [subprocess.Popen([sys.executable, '-c', c]) for c in sys.argv[1:]]; "
     nested = [hold.format(60) + " # spawn_main", hold.format(60)]
@@ -31,7 +31,7 @@ def test_a_process_and_its_workers_are_weighed_and_helpers_are_not():
     assert read_memory(parent.pid, "VmRSS") is None
 
 
-def test_the_larger_of_two_readings():
+def test_the_maximum_of_two_memory_readings_is_taken_per_process():
     one = ProcessMemory(main_mb=1.0, workers_mb=(5.0,))
     assert one.maximum(ProcessMemory(main_mb=2.0, workers_mb=(4.0, 3.0))) == ProcessMemory(
         main_mb=2.0, workers_mb=(5.0, 3.0)
@@ -39,7 +39,7 @@ def test_the_larger_of_two_readings():
 
 
 @pytest.mark.slow
-def test_samples_are_counted_as_they_end(tmp_path):
+def test_finished_samples_are_counted_and_timed_during_a_run(tmp_path):
     (tmp_path / "tracks").mkdir()
     for k in range(4):
         q = np.linspace(0.0, 0.1 * k, 9)[:, None] + [0.0, -0.4, 0.0, -2.0, 0.0, 1.6, 0.8]
@@ -56,7 +56,7 @@ def test_samples_are_counted_as_they_end(tmp_path):
     assert min(run.peak.workers_mb) > 50.0  # Drake's libraries alone are more
 
 
-def test_a_failure_is_told_in_the_programs_own_words(tmp_path):
+def test_a_failed_run_reports_exit_status_and_message_of_the_program(tmp_path):
     before = children(os.getpid())
     with pytest.raises(KinebenchError, match=r"status 2: .*nowhere"):
         run_program(["score", str(tmp_path / "nowhere"), "--out", str(tmp_path / "out")])

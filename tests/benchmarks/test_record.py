@@ -15,7 +15,7 @@ def result():
     return BenchmarkRecord.of("ik", {"a, ms": 2.0, "b, ms": 3.0, "c, ms": 1.0}, "## Speed\n\n2 ms\n")
 
 
-def test_results_survive_the_file(result, tmp_path):
+def test_results_survive_storage_and_damaged_files_are_refused(result, tmp_path):
     assert BenchmarkRecord.read("ik", tmp_path) is None
     path = result.write(tmp_path)
     assert BenchmarkRecord.read("ik", tmp_path) == result
@@ -24,7 +24,7 @@ def test_results_survive_the_file(result, tmp_path):
         BenchmarkRecord.read("ik", tmp_path)
 
 
-def test_only_what_became_worse_is_listed(result):
+def test_comparison_lists_only_figures_that_became_worse(result):
     now = replace(result, figures={"a, ms": 3.0, "b, ms": 1.0, "c, ms": 1.05, "d, ms": 9.0})
     first, *lines = compare_records(result, now)
     assert first.startswith("1 of 3 figures")
@@ -33,7 +33,7 @@ def test_only_what_became_worse_is_listed(result):
     assert [line.split(" ")[0] for line in compare_records(result, other)] == ["not"]
 
 
-def test_pages_have_the_sections_of_the_results(result, tmp_path, monkeypatch):
+def test_sections_of_the_results_are_written_into_the_pages(result, tmp_path, monkeypatch):
     page, other = tmp_path / "page.md", tmp_path / "other.md"
     page.write_text("# Page\n\n## Speed\n\nold\n\n## Other\n\nkept\n")
     other.write_text("# Other\n")
@@ -47,7 +47,7 @@ def test_pages_have_the_sections_of_the_results(result, tmp_path, monkeypatch):
     assert by_name == {name: f"{name}: no result" for name in by_name}
 
 
-def test_only_what_other_sources_measured_is_measured_again(result, tmp_path, monkeypatch):
+def test_only_results_of_other_sources_are_measured_again(result, tmp_path, monkeypatch):
     calls = []
     monkeypatch.setattr(record, "PAGES", {})
     monkeypatch.setattr(speed, "PAGES", ("ik", "accuracy"))

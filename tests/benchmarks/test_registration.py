@@ -26,7 +26,7 @@ def errors(gain_m: float) -> RegistrationErrors:
     )
 
 
-def test_the_section_states_medians_and_the_difference_in_the_same_frames() -> None:
+def test_the_section_states_medians_and_paired_differences() -> None:
     lines = section({"network": [errors(0.0), errors(0.0)], "exact": [errors(0.001), errors(0.002)]}).splitlines()
     network, exact = lines[-2:]
     assert network.startswith("| network | 6 | 0.50 | 0.90 | 1.00 | 3.00 / 1.15 | 10.00 / 1.15 | 3.00 / 1.15 | +0.00")
@@ -43,7 +43,7 @@ class _OneView:
 
 
 @pytest.mark.parametrize("share", [0.0, 0.5, 1.0])
-def test_a_share_of_the_networks_errors_remains(share: float) -> None:
+def test_blended_depth_keeps_the_given_share_of_the_network_error(share: float) -> None:
     camera = benchmark_camera()
     view = perfect_view(GripperCad(), hand_pose(0))
     true_C = np.full((1, camera.height, camera.width), 0.6)

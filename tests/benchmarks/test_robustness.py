@@ -55,7 +55,7 @@ def outcome(study: GroundingStudy, tracked: int = FRAMES) -> StudyOutcome:
     return StudyOutcome(study=study, results=results, figures=compared(results, 0))
 
 
-def test_rows_hold_both_extractors_and_tell_tasks_of_the_training_apart(study: GroundingStudy) -> None:
+def test_rows_hold_both_extractors_and_separate_tasks_of_the_training(study: GroundingStudy) -> None:
     text = section(outcome(study), ["Known-v1"], "few demonstrations")
     rows = {line.split(" | ")[0].removeprefix("| "): line.split(" | ") for line in text.splitlines() if "| " in line}
     assert "few demonstrations" in " ".join(text.split())
@@ -67,7 +67,7 @@ def test_rows_hold_both_extractors_and_tell_tasks_of_the_training_apart(study: G
     assert {name for name in rows if name.startswith("noise")} == set(study.required)
 
 
-def test_figures_become_worse_with_lost_frames(study: GroundingStudy) -> None:
+def test_lost_frames_worsen_the_share_of_tracked_frames(study: GroundingStudy) -> None:
     whole, half = figures(outcome(study)), figures(outcome(study, tracked=FRAMES // 2))
     assert whole.keys() == half.keys()
     assert {name for name in whole if whole[name] != half[name]} == {

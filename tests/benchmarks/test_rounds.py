@@ -23,7 +23,7 @@ class Processor:
         self.now_s += seconds
 
 
-def test_a_stage_within_another_counts_as_part_of_that(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_nested_stage_counts_towards_the_outer_one(monkeypatch: pytest.MonkeyPatch) -> None:
     processor = Processor()
 
     def reset(simulator: Any) -> None:
@@ -52,7 +52,7 @@ def test_a_stage_within_another_counts_as_part_of_that(monkeypatch: pytest.Monke
     }
 
 
-def test_shares_are_of_all_stages_and_times_of_a_round() -> None:
+def test_shares_are_of_the_total_and_times_per_round() -> None:
     seconds = {**dict.fromkeys(Stage, 0.0), Stage.MODEL: 6.0, Stage.GROUNDING: 2.0}
     timing = RoundTiming(rounds=4, episodes=3, successes=3, seconds=seconds)
     text = section(timing)

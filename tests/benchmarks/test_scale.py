@@ -8,7 +8,7 @@ from tests.results.test_store import make_track
 
 
 @pytest.mark.slow
-def test_stages_of_a_run_are_measured(tmp_path):
+def test_every_stage_of_a_small_run_is_measured(tmp_path):
     """Few rows: what is left of a run without its measurements ends, and its folders hold every sample."""
     template, videos = tmp_path / "template", tmp_path / "films"
     videos.mkdir()

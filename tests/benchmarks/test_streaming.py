@@ -25,19 +25,19 @@ def run_of(memory):
     return ProcessRun(wall_s=1000.0, finished_s=(), memory=memory, peak=memory[2000])
 
 
-def test_growth_is_what_memory_grows_by_once_it_has_settled():
+def test_memory_growth_is_measured_after_the_start_phase():
     main, workers = growth(run_of(grown(5.0, -3.0)), after=500)
     assert main == pytest.approx(5.0)
     np.testing.assert_allclose(workers, [0.0, -3.0], atol=1e-9)
 
 
-def test_a_worker_that_has_gone_home_does_not_count():
+def test_workers_that_ended_do_not_count_towards_memory_growth():
     memory = grown(5.0, -3.0)
     memory[2000] = ProcessMemory(main_mb=memory[2000].main_mb, workers_mb=(800.0,))
     np.testing.assert_allclose(growth(run_of(memory), after=500)[1], [0.0, -3.0], atol=1e-9)
 
 
-def test_the_section_tells_what_was_held():
+def test_the_section_lists_memory_of_main_process_and_workers():
     memory = grown(5.0, 0.0)
     memory[2000] = ProcessMemory(main_mb=memory[2000].main_mb, workers_mb=(800.0,))
     text = section(
@@ -59,7 +59,7 @@ def test_the_section_tells_what_was_held():
     assert "workers 0.0 MB and 0.0 MB" in text
 
 
-def test_videos_are_cut_into_pieces_and_those_named_again(tmp_path):
+def test_cut_videos_are_pieces_linked_under_several_names(tmp_path):
     (tmp_path / "in").mkdir()
     film = next(EXAMPLES.glob("*.mp4"))
     (tmp_path / "in" / film.name).symlink_to(film)

@@ -21,7 +21,7 @@ def repository(tmp_path):
     return commit
 
 
-def test_revisions_are_counted_without_a_checkout(repository):
+def test_files_and_lines_of_a_revision_are_counted_without_a_checkout(repository):
     files = {"kinebench_drake/a.py": "class A:\n    pass\n", "grounding/a.py": "class A:\n    found = 1\n"}
     root = repository({**files, "tests/test_a.py": "\n", "benchmarks/b.py": "\n\n", "README.md": "x"})
     (root / "kinebench_drake" / "grounding").symlink_to("../grounding")

@@ -17,14 +17,14 @@ def timed(processes, *, begins=3.0, first=2.0, each=5.0, samples=7):
 
 
 @pytest.mark.parametrize(("processes", "sample_s"), [(1, 5.0), (2, 2.5)])
-def test_start_up_is_told_apart_from_the_rest(processes, sample_s):
+def test_start_up_time_is_separated_from_time_per_sample(processes, sample_s):
     cost = RunCost.from_times(*timed(processes, samples=9 if processes == 1 else 8), processes, PEAK)
     assert cost.start_up_s == pytest.approx(3.0)
     assert cost.first_s == pytest.approx(2.0)
     assert cost.sample_s == pytest.approx(sample_s)
 
 
-def test_the_table_gives_ratios_of_the_same_turn_and_the_most_memory():
+def test_the_table_has_ratios_within_a_turn_and_peak_memory():
     def turn(sample_s, mb=900.0):
         return RunCost(
             start_up_s=3.0, first_s=2.0, sample_s=sample_s, peak=ProcessMemory(main_mb=100.0, workers_mb=(mb,))
@@ -37,7 +37,7 @@ def test_the_table_gives_ratios_of_the_same_turn_and_the_most_memory():
     assert "12 copies" in text
 
 
-def test_the_summary_has_the_medians():
+def test_the_summary_states_medians_over_turns():
     costs = {
         Setting(job=job, processes=n): [
             RunCost(start_up_s=3.0, first_s=2.0, sample_s=each / n, peak=PEAK) for each in (6.0, 3.0, 4.0)
@@ -50,7 +50,7 @@ def test_the_summary_has_the_medians():
     assert "0.9 GB a process" in text
 
 
-def test_copies_take_no_room(tmp_path):
+def test_copies_are_hard_links(tmp_path):
     film = tmp_path / "film.mp4"
     film.write_bytes(np.random.default_rng(0).bytes(1000))
     names = [tmp_path / "in" / f"{k}.mp4" for k in range(3)]

@@ -25,43 +25,43 @@ def planted(arm):
     return {truth.kind: (trajectory, truth) for trajectory, truth in pairs}
 
 
-def test_every_kind_is_planted_in_turn(planted):
+def test_infeasible_trajectories_plant_every_kind_with_its_reason(planted):
     assert list(planted) == list(REASONS)
     for kind, (_, truth) in planted.items():
         assert truth.feasible is False
         assert truth.reasons == REASONS[kind]
 
 
-def test_out_of_reach(planted):
+def test_reach_trajectories_leave_the_wrists_sphere(planted):
     trajectory, _ = planted[TrajectoryKind.REACH]
     assert wrist_distance(trajectory.X_BG).max() - REACH_M >= 0.99 * REACH_EXCESS_M[0]
 
 
-def test_too_fast(arm, planted):
+def test_fast_trajectories_exceed_the_least_step_at_velocity_limits(arm, planted):
     trajectory, truth = planted[TrajectoryKind.FAST]
     i, period = truth.parameters["step"], truth.parameters["period_s"]
     assert trajectory.t_s[i + 1] - trajectory.t_s[i] == pytest.approx(period)
     assert least_step(arm, *trajectory.X_BG[i : i + 2], period) >= SPEED_RATIO[0]
 
 
-def test_into_the_table(arm, planted):
+def test_table_trajectories_enter_the_table(arm, planted):
     trajectory, _ = planted[TrajectoryKind.TABLE]
     assert arm.body.lowest_of_gripper(trajectory.X_BG, trajectory.finger_width_m).min() <= -0.99 * DEPTH_M[0]
 
 
-def test_elsewhere_at_once(planted):
+def test_teleport_trajectories_exceed_the_step_or_bend_ratio(planted):
     _, truth = planted[TrajectoryKind.TELEPORT]
     p = truth.parameters
     assert p["step_ratio"] >= JUMP_STEP or p["bend_ratio"] >= JUMP_BEND
 
 
-def test_past_a_limit(arm, planted):
+def test_joint_limit_trajectories_exceed_a_position_limit(arm, planted):
     trajectory, _ = planted[TrajectoryKind.LIMIT_Q]
     past = np.maximum(arm.plant.lower - trajectory.q, trajectory.q - arm.plant.upper).max()
     assert past >= 0.99 * LIMIT_EXCESS_RAD[0]
 
 
-def test_into_itself(arm, planted):
+def test_self_collision_trajectories_overlap_within_joint_limits(arm, planted):
     trajectory, truth = planted[TrajectoryKind.SELF_Q]
     frames = range(truth.parameters["frame_start"], truth.parameters["frame_end"] + 1)
     depths = [
@@ -75,13 +75,13 @@ def test_into_itself(arm, planted):
     assert ((trajectory.q >= arm.plant.lower) & (trajectory.q <= arm.plant.upper)).all()
 
 
-def test_a_pose_only_limits_forbid(arm, planted):
+def test_limit_pose_trajectories_exceed_limits_in_every_posture(arm, planted):
     trajectory, truth = planted[TrajectoryKind.LIMIT_POSE]
     finer = least_excess(arm, trajectory.X_BG[truth.parameters["frame"]], 3 * 4096)
     assert 0.5 * POSE_EXCESS_RAD < finer <= truth.parameters["excess_rad"] + 1e-9
 
 
-def test_noise_has_the_size_asked_for_and_the_same_trajectory_under_it(arm):
+def test_noisy_trajectories_are_feasible_ones_with_noise_of_the_requested_size(arm):
     noisy, truth = draw(Recipe(set=TrajectorySet.NOISY, seed=4, noise_m=3e-3, noise_rad=0.02), 0, arm)
     clean, _ = draw(Recipe(set=TrajectorySet.FEASIBLE, seed=4), 0, arm)
     assert truth.feasible is True
@@ -90,7 +90,7 @@ def test_noise_has_the_size_asked_for_and_the_same_trajectory_under_it(arm):
     assert noisy.q is None
 
 
-def test_disturbed_trajectories_can_be_written(arm):
+def test_perturbed_trajectories_are_valid_files_without_a_label(arm):
     for i in range(40):
         trajectory, truth = draw(Recipe(set=TrajectorySet.PERTURBED, seed=4), i, arm)
         assert truth.feasible is None
@@ -100,7 +100,7 @@ def test_disturbed_trajectories_can_be_written(arm):
             assert len(arrays[name]) == len(arrays["t_s"]) == truth.parameters["frames"]
 
 
-def test_the_same_seed_gives_the_same_bytes(tmp_path):
+def test_trajectories_of_one_seed_have_the_same_bytes(tmp_path):
     recipe = Recipe(set=TrajectorySet.INFEASIBLE, seed=5)
     first = list(write_set(recipe, 3, tmp_path / "a"))
     list(write_set(recipe, 2, tmp_path / "b"))

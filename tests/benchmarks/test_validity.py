@@ -54,7 +54,7 @@ def trials() -> list[ValidityTrial]:
     return result
 
 
-def test_verdicts(trials: list[ValidityTrial]) -> None:
+def test_verdicts_separate_improve_or_are_silent_per_kind_of_fault(trials: list[ValidityTrial]) -> None:
     study = Study(trials)
     assert study.kinds == [AnomalyKind.VANISH, AnomalyKind.FREEZE]
     verdict = {name: study.verdict(name, AnomalyKind.VANISH) for name in NUMBERS}
@@ -65,7 +65,7 @@ def test_verdicts(trials: list[ValidityTrial]) -> None:
     assert all(study.verdict(name, AnomalyKind.FREEZE) is Verdict.SILENT for name in NUMBERS)
 
 
-def test_responses(trials: list[ValidityTrial]) -> None:
+def test_responses_count_worse_better_and_null_videos_per_grade(trials: list[ValidityTrial]) -> None:
     study = Study(trials)
     least, greatest = study.grades(AnomalyKind.VANISH)
     assert (least.label, greatest.label) == ("1 frame", "10 frames")
@@ -82,7 +82,7 @@ def test_responses(trials: list[ValidityTrial]) -> None:
     assert gone.nulls == gone.worse == EPISODES
 
 
-def test_area_under_roc_is_antisymmetric(trials: list[ValidityTrial]) -> None:
+def test_exchanging_clean_and_faulty_videos_reflects_the_area_under_roc(trials: list[ValidityTrial]) -> None:
     """Exchanging clean and faulty videos reflects the area at 0.5 and exchanges worse and better."""
     swapped = []
     for t in trials:
@@ -99,7 +99,7 @@ def test_area_under_roc_is_antisymmetric(trials: list[ValidityTrial]) -> None:
         assert (a.worse, a.better) == (b.better, b.worse)
 
 
-def test_correlation_with_success(trials: list[ValidityTrial]) -> None:
+def test_a_number_that_equals_success_has_correlation_1(trials: list[ValidityTrial]) -> None:
     """A number that is greater exactly where episodes succeed has correlation 1; a constant one has none."""
     study = Study([trial_with(t, sparc=float(t.success)) for t in trials])
     found = correlate(study, "sparc")
@@ -122,7 +122,9 @@ def trial_with(t: ValidityTrial, **numbers: float) -> ValidityTrial:
     return ValidityTrial.from_json({**t.to_json(), "numbers": {**t.numbers, **numbers}})
 
 
-def test_report(trials: list[ValidityTrial], tmp_path: Path) -> None:
+def test_the_report_has_tables_of_faults_verdicts_responses_and_success(
+    trials: list[ValidityTrial], tmp_path: Path
+) -> None:
     sections = write_report(trials, {"revision": "r", "weights": "w"}, tmp_path)
     assert all((tmp_path / name).stat().st_size > 10_000 for name in FIGURES)
     faults, verdicts, responses, success = sections
@@ -136,7 +138,7 @@ def test_report(trials: list[ValidityTrial], tmp_path: Path) -> None:
     assert success.count("\n| `") == len(NUMBERS)
 
 
-def test_few_episodes_have_no_verdicts(trials: list[ValidityTrial], tmp_path: Path) -> None:
+def test_three_episodes_give_no_verdicts(trials: list[ValidityTrial], tmp_path: Path) -> None:
     few = [t for t in trials if int(t.episode) < 3]
     verdicts = write_report(few, {"revision": "r", "weights": "w"}, tmp_path)[1]
     assert "3 episodes cannot show" in verdicts
@@ -144,7 +146,7 @@ def test_few_episodes_have_no_verdicts(trials: list[ValidityTrial], tmp_path: Pa
     assert "No number improves" not in verdicts
 
 
-def test_report_command_writes_the_page(trials: list[ValidityTrial], tmp_path: Path) -> None:
+def test_the_report_command_replaces_the_sections_of_the_page(trials: list[ValidityTrial], tmp_path: Path) -> None:
     work, page = tmp_path / "work", tmp_path / "page.md"
     work.mkdir()
     page.write_text("# Title\n\nIntroduction.\n\n## Success in closed loop\n\nold\n")
@@ -162,7 +164,7 @@ def test_report_command_writes_the_page(trials: list[ValidityTrial], tmp_path: P
     assert all(name in text for name in FIGURES)
 
 
-def test_grades_and_episodes() -> None:
+def test_the_study_covers_all_kinds_on_unseen_single_clip_episodes() -> None:
     grades = study_grades(3)
     assert {grade.kind for grade in grades} == set(AnomalyKind)
     for kind, possible in GRADES.items():
@@ -176,12 +178,12 @@ def test_grades_and_episodes() -> None:
     assert all(TASKS[spec.task].card.clips == 1 for spec in specs)
 
 
-def test_json_round_trip(trials: list[ValidityTrial]) -> None:
+def test_validity_trials_survive_json(trials: list[ValidityTrial]) -> None:
     for t in trials[:4]:
         assert ValidityTrial.from_json(json.loads(json.dumps(t.to_json()))) == t
 
 
-def test_planted_videos_are_read_back(tmp_path: Path) -> None:
+def test_planted_videos_survive_storage_as_json(tmp_path: Path) -> None:
     fault = PlantedFault(kind=AnomalyKind.FREEZE, frame_start=3, frame_end=7, size=5.0)
     video = PlantedVideo(id="a_f", episode="a", task="t", seed=0, prompt="", success=True, fault=fault)
     done = PlantingResult(videos=(video, replace(video, id="a", fault=None)), problems=("b",))
@@ -190,7 +192,7 @@ def test_planted_videos_are_read_back(tmp_path: Path) -> None:
 
 
 @pytest.mark.sapien
-def test_a_track_without_a_base_frame_fails() -> None:
+def test_executing_a_track_without_a_base_frame_fails() -> None:
     nowhere = np.full((5, 4, 4), np.nan)
     track = GripperTrack(
         t_s=0.2 * np.arange(5),
@@ -211,7 +213,9 @@ def test_a_track_without_a_base_frame_fails() -> None:
 
 @pytest.mark.sapien
 @pytest.mark.slow
-def test_measure_resumes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_second_measurement_of_validity_renders_and_executes_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     freeze = FaultGrade(kind=AnomalyKind.FREEZE, size=5, form=None)
     monkeypatch.setattr(validity, "study_grades", lambda sizes: (freeze,))
     arguments = ["validity", "measure", "--work", str(tmp_path), "--episodes", "1"]

@@ -52,7 +52,7 @@ def summary(clip: GripperTrack) -> dict[str, float | None]:
     return summarize_following([measure_following(clip, actions(), "id", 0)], PERIOD_S)
 
 
-def test_a_clip_that_obeys_has_no_error() -> None:
+def test_a_clip_that_follows_the_actions_has_no_error() -> None:
     found = summary(obeying())
     for name in ("action_error_m", "action_error_rad", "action_error_finger_m", "action_lag_s"):
         assert found[name] == pytest.approx(0.0, abs=1e-6)
@@ -61,7 +61,7 @@ def test_a_clip_that_obeys_has_no_error() -> None:
 
 
 @pytest.mark.parametrize("delay", [1, 2, 5])
-def test_a_late_clip_is_off_by_what_was_moved_meanwhile(delay: int) -> None:
+def test_the_error_of_a_late_clip_is_the_motion_during_its_lag(delay: int) -> None:
     found = summary(obeying(delay))
     assert found["action_error_m"] == pytest.approx(0.3 * delay / 30)
     assert found["action_error_rad"] == pytest.approx(0.5 * delay / 30)
@@ -69,7 +69,7 @@ def test_a_late_clip_is_off_by_what_was_moved_meanwhile(delay: int) -> None:
     assert found["action_lag_s"] == pytest.approx(PERIOD_S * delay)
 
 
-def test_a_still_clip_does_not_depend_on_the_actions() -> None:
+def test_a_still_clip_has_action_following_zero_and_no_lag() -> None:
     """Its error is that against the same commanded frames in another order."""
     found = summary(track(np.repeat(actions().X_BG[:1], 49, axis=0), np.full(49, 0.08)))
     assert found["action_error_m"] == pytest.approx(found["action_shuffled_m"])
@@ -78,7 +78,7 @@ def test_a_still_clip_does_not_depend_on_the_actions() -> None:
     assert (found["action_following"], found["action_lag_s"]) == (pytest.approx(0.0), None)
 
 
-def test_frames_at_other_times_are_compared_at_these() -> None:
+def test_actions_are_interpolated_at_the_times_of_the_frames() -> None:
     """A clip of 25 frames over the same time, and one that goes on after the last action, have no error."""
     half = np.arange(0, 49, 2)
     for clip in (
@@ -103,7 +103,7 @@ def test_a_clip_that_ends_early_lacks_frames() -> None:
 
 
 @given(lost=st.sets(st.integers(0, 48), max_size=40), delay=st.integers(0, 4))
-def test_lost_frames_improve_no_error(lost: set[int], delay: int) -> None:
+def test_lost_frames_never_improve_action_errors(lost: set[int], delay: int) -> None:
     whole = obeying(delay)
     tracked = ~np.isin(np.arange(49), list(lost))
     X_BG = np.where(tracked[:, None, None], whole.X_BG, np.nan)
@@ -116,7 +116,7 @@ def test_lost_frames_improve_no_error(lost: set[int], delay: int) -> None:
         assert after["action_error_m"] is None
 
 
-def test_clips_of_an_episode_are_joined() -> None:
+def test_clips_of_an_episode_are_summarized_together() -> None:
     clips = [measure_following(obeying(delay), actions(), "id", delay) for delay in (0, 2)]
     joined = summarize_following(clips, PERIOD_S)
     assert 0.0 <= joined["action_error_m"] <= 0.02
@@ -126,14 +126,14 @@ def test_clips_of_an_episode_are_joined() -> None:
     assert action_curves([obeying()], [None]) == {}
 
 
-def test_actions_are_json() -> None:
+def test_actions_are_serialized_as_json() -> None:
     told = actions().to_json()
     assert list(told) == ["t_s", "base_from_tcp", "finger_width_m", "q"]
     np.testing.assert_allclose(told["base_from_tcp"], actions().X_BG, atol=1e-8)
 
 
 @pytest.mark.sapien
-def test_the_oracle_does_what_is_commanded(tmp_path: Path) -> None:
+def test_the_oracle_executes_the_commanded_actions(tmp_path: Path) -> None:
     """The actions are what the oracle shows, and what the late oracle shows two frames later."""
     episode = compose("PullCube-v1", 0)
     with Simulator(episode.task, camera=benchmark_camera().resized(128, 128)) as simulator:

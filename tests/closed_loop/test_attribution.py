@@ -1,4 +1,4 @@
-"""Verdicts: each planted cause is named, the earlier one first."""
+"""Verdicts on failures: each planted cause is named, the earlier one first."""
 
 from dataclasses import replace
 
@@ -46,13 +46,13 @@ def astray(metres: float, turn_rad: float, gap_m: float) -> ClipEvidence:
     return replace(fine, X_BG_executed=X, finger_width_executed_m=gap)
 
 
-def test_what_is_fine_leaves_the_task() -> None:
+def test_a_failure_without_any_other_cause_is_attributed_to_the_task() -> None:
     cause = attribute([clip(), clip()], "not released")
     assert cause.verdict is FailureVerdict.TASK
     assert "not released" in cause.text
 
 
-def test_frames_that_were_not_read_come_first() -> None:
+def test_five_lost_frames_in_a_row_are_attributed_to_grounding() -> None:
     cause = attribute([clip(), lost(10, 14)], "")
     assert (cause.verdict, cause.round, cause.frame_start, cause.frame_end) == (FailureVerdict.GROUNDING, 1, 10, 14)
     assert attribute([lost(10, 10)], "").verdict is FailureVerdict.TASK
@@ -71,7 +71,7 @@ def test_the_value_of_lost_poses_exceeds_its_limit() -> None:
     ("after_m", "verdict"),
     [(0.041, FailureVerdict.TASK), (0.08, FailureVerdict.GROUNDING), (np.nan, FailureVerdict.GROUNDING)],
 )
-def test_fingers_that_move_unseen_were_not_read(after_m: float, verdict: FailureVerdict) -> None:
+def test_a_finger_motion_during_lost_frames_is_attributed_to_grounding(after_m: float, verdict: FailureVerdict) -> None:
     gap = np.full(FRAMES, 0.04)
     gap[12:20], gap[20:] = np.nan, after_m
     cause = attribute([replace(clip(), finger_width_generated_m=gap, finger_width_executed_m=gap)], "")
@@ -79,7 +79,7 @@ def test_fingers_that_move_unseen_were_not_read(after_m: float, verdict: Failure
     assert cause.frame_start == (None if verdict is FailureVerdict.TASK else 12)
 
 
-def test_hidden_fingers_explain_only_what_nothing_else_does() -> None:
+def test_hidden_fingers_yield_to_causes_in_execution_and_generation() -> None:
     gap = np.where(np.arange(FRAMES) < 12, 0.04, np.nan)
     assert (
         attribute([replace(astray(0.1, 0.0, 0.0), finger_width_generated_m=gap)], "").verdict
@@ -91,13 +91,13 @@ def test_hidden_fingers_explain_only_what_nothing_else_does() -> None:
     )
 
 
-def test_a_gripper_that_is_not_there_is_not_the_reader_s_fault() -> None:
+def test_a_vanished_gripper_is_attributed_to_generation_and_not_grounding() -> None:
     cause = attribute([vanished(lost(10, 14), 10, 14)], "")
     assert (cause.verdict, cause.frame_start, cause.frame_end) == (FailureVerdict.GENERATION, 10, 14)
     assert attribute([vanished(lost(10, 20), 10, 12)], "").verdict is FailureVerdict.GROUNDING
 
 
-def test_motion_that_no_robot_can_do_is_the_video_s_fault() -> None:
+def test_infeasible_motion_is_attributed_to_generation() -> None:
     cause = attribute([replace(astray(0.1, 0.0, 0.0), violations=(("velocity", 11, 12),))], "")
     assert (cause.verdict, cause.frame_start) == (FailureVerdict.GENERATION, 11)
     after = replace(clip(), violations=(("velocity", FRAMES, FRAMES + 2),))
@@ -113,7 +113,7 @@ def test_motion_that_no_robot_can_do_is_the_video_s_fault() -> None:
         (0.02, 0.1, 0.01, FailureVerdict.TASK),
     ],
 )
-def test_a_gripper_elsewhere_is_the_robot_s_fault(
+def test_a_deviation_of_the_executed_gripper_is_attributed_to_execution(
     metres: float, turn_rad: float, gap_m: float, verdict: FailureVerdict
 ) -> None:
     cause = attribute([astray(metres, turn_rad, gap_m)], "")

@@ -1,4 +1,4 @@
-"""Commands: they follow the track within what the robot can do, and tell where they do not."""
+"""Commands follow the track within the limits of the robot and report where they cannot."""
 
 import numpy as np
 import pytest
@@ -33,7 +33,7 @@ def along(plant: ArmPlant, way: Array, turn: float = 0.0) -> Array:
     return make_pose(X[:3, :3] @ rotation_exp(np.outer(s, [0.0, 0.0, turn])), X[:3, 3] + np.outer(s, way))
 
 
-def test_each_pose_is_commanded_as_early_as_the_servos_are_late(plant: ArmPlant, planner: CommandPlanner) -> None:
+def test_each_pose_is_commanded_ahead_by_the_lag_of_the_servos(plant: ArmPlant, planner: CommandPlanner) -> None:
     X = along(plant, np.array([0.1, 0.1, -0.1]), 0.5)
     commands = planner.plan(X, np.full(FRAMES, 0.08), SEEN, T_S, START)
     assert commands.rejections == ()
@@ -46,7 +46,7 @@ def test_each_pose_is_commanded_as_early_as_the_servos_are_late(plant: ArmPlant,
     np.testing.assert_allclose(commands.X_BG[-1], X[-1], atol=1e-5)
 
 
-def test_what_is_not_tracked_is_bridged_and_commands(plant: ArmPlant, planner: CommandPlanner) -> None:
+def test_untracked_frames_are_bridged_and_reported_as_rejections(plant: ArmPlant, planner: CommandPlanner) -> None:
     X = along(plant, np.array([0.0, 0.12, 0.0]))
     broken, tracked = X.copy(), SEEN.copy()
     broken[10:13], tracked[10:13] = np.nan, False
@@ -58,7 +58,7 @@ def test_what_is_not_tracked_is_bridged_and_commands(plant: ArmPlant, planner: C
     assert np.abs(commands.X_BG[:, :3, 3] - whole.X_BG[:, :3, 3]).max() < 2e-3
 
 
-def test_no_joint_is_commands_to_go_past_its_limits(plant: ArmPlant, planner: CommandPlanner) -> None:
+def test_commanded_joint_velocities_stay_within_limits(plant: ArmPlant, planner: CommandPlanner) -> None:
     X = along(plant, np.array([0.1, 0.0, 0.0]))
     X[12:, 1, 3] += 0.4  # a jump
     commands = planner.plan(X, np.full(FRAMES, 0.08), SEEN, T_S, START)
@@ -73,7 +73,7 @@ def test_no_joint_is_commands_to_go_past_its_limits(plant: ArmPlant, planner: Co
     ("way", "reason"),
     [((0.0, 0.0, -0.4), RejectionReason.TABLE_COLLISION), ((0.9, 0.0, 0.0), RejectionReason.UNREACHABLE)],
 )
-def test_what_the_arm_must_not_do_is_not_commanded(
+def test_unreachable_poses_and_table_collisions_are_rejected(
     plant: ArmPlant, planner: CommandPlanner, way: tuple[float, float, float], reason: RejectionReason
 ) -> None:
     commands = planner.plan(along(plant, np.array(way)), np.full(FRAMES, 0.08), SEEN, T_S, START)
@@ -85,7 +85,7 @@ def test_what_the_arm_must_not_do_is_not_commanded(
     assert (commands.q <= plant.upper).all()
 
 
-def test_fingers_that_have_closed_press_until_they_open(plant: ArmPlant, planner: CommandPlanner) -> None:
+def test_closed_fingers_squeeze_until_they_open(plant: ArmPlant, planner: CommandPlanner) -> None:
     X = along(plant, np.array([0.05, 0.0, 0.0]))
     gap = np.array([0.08] * 5 + [0.06, 0.042] + [0.04] * 10 + [0.06] + [0.08] * 7)
     noisy = gap + np.random.default_rng(0).normal(0.0, 5e-4, FRAMES)
@@ -98,13 +98,13 @@ def test_fingers_that_have_closed_press_until_they_open(plant: ArmPlant, planner
     assert planner.plan(X, np.full(FRAMES, 0.04), SEEN, T_S, START).gripping
 
 
-def test_a_track_of_nothing_is_refused(plant: ArmPlant, planner: CommandPlanner) -> None:
+def test_a_track_without_tracked_frames_is_refused(plant: ArmPlant, planner: CommandPlanner) -> None:
     X = along(plant, np.array([0.05, 0.0, 0.0]))
     with pytest.raises(UnmeasurableError, match="nothing to execute"):
         planner.plan(X, np.full(FRAMES, 0.08), np.zeros(FRAMES, dtype=bool), T_S, START)
 
 
-def test_frames_may_come_faster_than_commands(plant: ArmPlant, planner: CommandPlanner) -> None:
+def test_tracks_with_a_period_below_the_control_period_are_followed(plant: ArmPlant, planner: CommandPlanner) -> None:
     X, period = along(plant, np.array([0.05, 0.05, -0.05])), 1.0 / 30.0
     commands = planner.plan(X, np.full(FRAMES, 0.08), SEEN, period * np.arange(FRAMES), START)
     assert commands.rejections == ()
@@ -112,7 +112,7 @@ def test_frames_may_come_faster_than_commands(plant: ArmPlant, planner: CommandP
     np.testing.assert_allclose(commands.X_BG[-1], X[-1], atol=1e-5)
 
 
-def test_hidden_fingers_open_while_the_hand_waits(plant: ArmPlant, planner: CommandPlanner) -> None:
+def test_an_opening_of_hidden_fingers_is_placed_where_the_hand_rests(plant: ArmPlant, planner: CommandPlanner) -> None:
     X = along(plant, np.array([0.0, 0.12, 0.0]))
     X = X[np.concatenate([np.arange(0, 12), np.full(5, 12), np.arange(13, 21)])]  # it waits in frames 12 to 16
     width = np.full(FRAMES, 0.04)

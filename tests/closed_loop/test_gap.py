@@ -31,7 +31,7 @@ def poses_off_by(distance_m: Array) -> Array:
     return off
 
 
-def test_an_execution_like_the_video_has_no_gap(rgb: Any) -> None:
+def test_an_execution_equal_to_the_video_has_no_gap(rgb: Any) -> None:
     film = executed(rgb)
     metrics, reasons = average_gaps([measure_gap(rgb, film.robot, POSES, film)])
     assert metrics["gap_robot_iou"] == 1.0
@@ -41,7 +41,7 @@ def test_an_execution_like_the_video_has_no_gap(rgb: Any) -> None:
 
 
 @pytest.mark.parametrize("noise", [1.0, 10.0, 80.0])
-def test_similarity_of_images_is_that_of_scikit_image(rgb: Any, noise: float) -> None:
+def test_psnr_and_ssim_equal_those_of_scikit_image(rgb: Any, noise: float) -> None:
     smooth = np.stack([cv2.GaussianBlur(image, (9, 9), 3.0) for image in rgb])
     changed = np.clip(smooth + np.random.default_rng(1).normal(0.0, noise, smooth.shape), 0.0, 255.0).astype(np.uint8)
     film = executed(smooth)
@@ -52,7 +52,7 @@ def test_similarity_of_images_is_that_of_scikit_image(rgb: Any, noise: float) ->
         assert gap.ssim[i] == pytest.approx(structural_similarity(*grey, data_range=255), rel=1e-9)
 
 
-def test_losing_the_worst_frames_does_not_make_the_gap_smaller(rgb: Any) -> None:
+def test_the_gripper_gap_is_null_when_generated_frames_are_lost(rgb: Any) -> None:
     film, error = executed(rgb), np.array([0.0, 0.001, 0.001, 0.4, 0.4, 0.001])
     whole, _ = average_gaps([measure_gap(rgb, film.robot, poses_off_by(error), film)])
     assert whole["gap_gripper_m"] == pytest.approx(error[1:].mean())

@@ -34,13 +34,13 @@ def names(folder: Path) -> list[str]:
     return sorted(path.name for path in folder.iterdir())
 
 
-def test_a_copy_holds_what_the_source_holds_now(tmp_path: Path, out: Path) -> None:
+def test_a_copy_of_a_frame_folder_replaces_the_earlier_one(tmp_path: Path, out: Path) -> None:
     place_beside(frames(tmp_path / "five", 5), out)
     assert place_beside(frames(tmp_path / "three", 3), out) == out
     assert names(out) == ["0.png", "1.png", "2.png"]
 
 
-def test_a_copy_is_the_only_film_of_its_round(tmp_path: Path, out: Path) -> None:
+def test_a_copy_is_the_only_video_of_its_round(tmp_path: Path, out: Path) -> None:
     place_beside(frames(tmp_path / "five", 5), out)
     for suffix in (".mp4", ".gif"):
         (tmp_path / f"film{suffix}").write_bytes(suffix.encode())
@@ -48,7 +48,7 @@ def test_a_copy_is_the_only_film_of_its_round(tmp_path: Path, out: Path) -> None
         assert names(out.parent) == [copy.name] == [f"{out.name}{suffix}"]
 
 
-def test_a_model_s_own_folder_is_left(out: Path) -> None:
+def test_a_clip_already_beside_the_others_is_not_copied(out: Path) -> None:
     beside = frames(out.parent / "PullCube-v1_s0000", 2)
     assert place_beside(beside, out) == beside
     within = frames(out / "work", 3)
@@ -67,7 +67,7 @@ def test_a_model_s_own_folder_is_left(out: Path) -> None:
         (SimpleNamespace(), ClipTiming.UNIFORM, ClipTiming.UNIFORM),
     ],
 )
-def test_models_that_choose_the_length_fill_the_clip(
+def test_clips_of_models_that_choose_the_length_are_resampled_uniformly(
     model: SimpleNamespace, option: ClipTiming | None, timing: ClipTiming
 ) -> None:
     loop = ClosedLoop(None, None, model, LoopOptions(clip_timing=option))
@@ -122,7 +122,7 @@ class Stuck:
 
 
 @pytest.mark.parametrize("privileged", [True, False])
-def test_where_no_expert_continues_the_episode_has_failed(
+def test_an_episode_that_no_expert_can_continue_has_failed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, privileged: bool
 ) -> None:
     round_ = Round(
@@ -144,7 +144,7 @@ def test_where_no_expert_continues_the_episode_has_failed(
         assert (len(run.rounds), run.outcome.success, run.pending) == (1, False, None)
 
 
-def test_samples_have_seeds_of_their_own() -> None:
+def test_each_sample_and_round_has_its_own_seed() -> None:
     loop = ClosedLoop(None, None, SimpleNamespace(), LoopOptions())
     episode = compose("PullCube-v1", 0)
     frame = np.zeros((4, 4, 3), np.uint8)

@@ -105,7 +105,7 @@ def test_each_trajectory_shows_curves_against_limits(audit):
     assert fast.count('class="band violation"') == len(titles) - 2  # overlapping violations are one band a plot
 
 
-def test_worst_moments_and_findings_stand_beside_the_curves(audit):
+def test_worst_moments_and_violations_are_listed_beside_the_curves(audit):
     text = write_report(audit).read_text()
     fast = section(text, "fast")
     assert "0.40 to 0.90 s (frames 4 to 9)" in fast
@@ -126,13 +126,13 @@ def test_replays_are_linked_where_they_exist(audit):
     assert "kinebench-drake view OUT slow" in section(text, "slow")
 
 
-def test_the_run_s_own_scale_is_shown(audit):
+def test_the_scale_of_metrics_normalized_within_the_run_is_shown(audit):
     text = write_report(audit).read_text()
     scale = text[text.index("Normalized within the run") :]
     assert re.search(r"noise_floor</td><td[^>]*>0\.2</td><td[^>]*>0\.4</td><td[^>]*>0\.250</td>", scale)
 
 
-def test_only_the_worst_are_drawn(audit, monkeypatch):
+def test_curves_are_drawn_only_for_the_worst_samples(audit, monkeypatch):
     monkeypatch.setattr(page, "DRAWN", 1)
     text = write_report(audit).read_text()
     assert "<svg" in section(text, "fast")
@@ -140,7 +140,7 @@ def test_only_the_worst_are_drawn(audit, monkeypatch):
     assert "for the 1 worst only" in text
 
 
-def test_endless_violations_are_cut_short(tmp_path):
+def test_a_table_lists_20_violations_and_counts_the_rest(tmp_path):
     faults = tuple(
         {"kind": "velocity", "frame_start": k, "frame_end": k, "joint": "j1", "value": 2.0, "limit": 1.0}
         for k in range(500)

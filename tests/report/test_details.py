@@ -19,12 +19,12 @@ from kinebench_drake.report.sample import list_details, summarize_checks
         ("levels", list(range(20)), "levels", "0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11 … (20 in all)"),
     ],
 )
-def test_units_follow_the_key(key, value, name, text):
+def test_the_suffix_of_a_key_determines_the_unit_on_screen(key, value, name, text):
     (line,) = list_details({key: value})
     assert (line.depth, line.name, line.text) == (0, name, text)
 
 
-def test_objects_within_objects_lie_deeper():
+def test_nested_objects_are_indented():
     lines = list_details({"trajopt": {"certificate": {"samples": 3}, "note": None}, "empty": {}, "z": 1})
     assert [(f.depth, f.name, f.text) for f in lines] == [
         (0, "trajopt", ""),
@@ -56,7 +56,7 @@ def summary(row, t_s=T_S):
     return {line.name: line.text for line in summarize_checks(row, t_s)}
 
 
-def test_a_feasible_track(judged):
+def test_checks_of_a_feasible_track_are_summarized(judged):
     metrics = {"slowdown_min": 0.42, "time_scale": 0.3, "trajopt_feasible": True, "trajopt_position_tube_m": 0.0021}
     assert summary(judged(details=DETAILS, metrics=metrics)) == {
         "noise of the track": "3 mm, 0.573 °",

@@ -28,14 +28,14 @@ def page(tmp_path):
     return write_report(tmp_path).read_text()
 
 
-def test_success_comes_first(page):
+def test_success_is_the_headline_number(page):
     assert "<h1>wan, suite 2 (unseen)</h1>" in page
     tiles = re.findall(r'class="name">([^<]*)</span><b>([^<]*)', page)
     assert ("Success", "50%") in tiles
     assert ("Rounds", "2.00") in tiles
 
 
-def test_each_failure_has_its_cause(page):
+def test_each_failure_names_its_cause(page):
     badges = re.findall(r'<span class="badge v-(\w+)">([^<]*)', page)
     assert badges[1:3] == [("execution", "failed: execution"), ("task", "failed: task")]
     assert badges.count(("success", "success")) == 2
@@ -48,7 +48,7 @@ def test_videos_are_linked_where_they_exist(page):
     assert links == ["rollouts/CloseBox-v1_s1.mp4"]
 
 
-def test_tasks_have_a_column_of_success(page):
+def test_the_task_table_has_a_column_of_success(page):
     table = page[page.index("<h2>By task</h2>") :]
     heads = re.findall(r"<th(?: [^>]*)?>(?:<button[^>]*>)?([^<]*)", table[: table.index("</thead>")])
     assert heads[:6] == ["Task", "Measured", "Verdicts", "Executable", "Success", "Feasible"]

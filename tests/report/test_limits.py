@@ -19,7 +19,7 @@ def by_kind(peaks):
     return {peak.kind: peak for peak in peaks}
 
 
-def test_limits_broken_come_first_with_time_and_ratio(judged, file):
+def test_violations_come_first_with_time_and_ratio(judged, file):
     first, *rest = find_peaks(judged(violations=(VIOLATION,)), file())
     assert (first.kind, first.broken, first.joint, first.value, first.limit) == (
         "velocity",
@@ -34,13 +34,13 @@ def test_limits_broken_come_first_with_time_and_ratio(judged, file):
     assert not {"velocity"} & {peak.kind for peak in rest}
 
 
-def test_without_a_track_frames_are_given(judged):
+def test_without_a_track_violations_are_stated_by_frames(judged):
     (peak,) = find_peaks(judged(violations=(VIOLATION,)), None)
     assert peak.when == "frames 3 to 5"
     assert peak.offset_s is None
 
 
-def test_the_nearest_approach_to_each_limit_is_found_in_the_curves(judged, file):
+def test_the_nearest_approach_to_each_limit_is_taken_from_the_curves(judged, file):
     peaks = by_kind(find_peaks(judged(), file()))
     assert not any(peak.broken for peak in peaks.values())
     speed, angle, table = peaks["velocity"], peaks["joint_limit"], peaks["table_collision"]
@@ -55,19 +55,19 @@ def test_the_nearest_approach_to_each_limit_is_found_in_the_curves(judged, file)
     assert table.when == "1.90 s"
 
 
-def test_the_nearest_comes_first_and_distances_last(judged, file):
+def test_approaches_are_sorted_by_ratio_with_distances_last(judged, file):
     kinds = [peak.kind for peak in find_peaks(judged(), file())]
     assert kinds == ["velocity", "joint_limit", "table_collision"]
 
 
-def test_what_the_details_say_goes_before_the_curves(judged, file):
+def test_details_of_a_row_take_precedence_over_curves(judged, file):
     row = judged()
     details = {**row.details, "checks": {"velocity": {"ratio_max": 0.5, "joint": "arm_joint1", "t_worst_s": 1.8}}}
     peak = by_kind(find_peaks(judged(details=details), file()))["velocity"]
     assert (peak.joint, peak.value, peak.ratio, peak.when) == ("arm_joint1", 1.0, 0.5, "1.80 s")
 
 
-def test_limits_of_no_known_joint_are_not_believed(judged, file):
+def test_details_that_name_an_unknown_joint_are_ignored(judged, file):
     row = judged()
     details = {**row.details, "velocity": {"ratio_max": 0.5, "joint": "elbow", "t_worst_s": 1.8}}
     assert by_kind(find_peaks(judged(details=details), file()))["velocity"].joint == "arm_joint3"
@@ -80,7 +80,7 @@ def test_joints_without_a_limit_have_no_ratio(judged, file):
     assert (peak.joint, peak.ratio) == ("arm_joint2", 0.5)
 
 
-def test_rows_without_details_have_none(judged, file):
+def test_rows_without_details_have_only_distances(judged, file):
     assert [m.kind for m in find_peaks(judged(details={}), file())] == ["table_collision"]
 
 

@@ -12,7 +12,7 @@ def by_link(plant):
     return {mesh.link: mesh for mesh in link_meshes(plant)}
 
 
-def test_the_panda_s_meshes_are_light_and_of_its_size():
+def test_meshes_of_the_panda_have_few_triangles_and_true_size():
     meshes = by_link(ArmPlant())
     assert set(meshes) == {
         *(f"panda_link{k}" for k in range(8)),
@@ -60,7 +60,7 @@ def arm(tmp_path):
     return ArmPlant(load_robot(path, "link7"))
 
 
-def test_plain_shapes_have_meshes_too(arm):
+def test_primitive_shapes_of_a_urdf_have_meshes(arm):
     meshes = by_link(arm)
     assert set(meshes) == {f"link{k}" for k in SHAPES}
     for k, (_, extent) in SHAPES.items():

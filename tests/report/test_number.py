@@ -46,7 +46,7 @@ def compare(name, first, second):
 @pytest.mark.parametrize("name", ["executable", "feasible", "sparc", "slowdown_min"])
 @given(values=st.lists(st.tuples(VALUES, VALUES), min_size=1, max_size=12), place=st.integers(0, 11))
 @settings(max_examples=60, deadline=None)
-def test_a_missing_value_never_helps_its_model(name, values, place):
+def test_a_missing_value_never_improves_the_comparison_of_its_model(name, values, place):
     first, second = [a for a, _ in values], [b for _, b in values]
     place %= len(values)
     before = compare(name, first, second)
@@ -65,7 +65,7 @@ def test_a_missing_value_never_helps_its_model(name, values, place):
 @pytest.mark.parametrize("name", ["feasible", "manipulability_mean", "slowdown_min"])
 @given(values=st.lists(st.tuples(VALUES, VALUES), min_size=1, max_size=10))
 @settings(max_examples=40, deadline=None)
-def test_exchanged_models_have_opposite_differences(name, values):
+def test_exchanging_the_models_negates_the_difference(name, values):
     first, second = [a for a, _ in values], [b for _, b in values]
     one, other = compare(name, first, second), compare(name, second, first)
     assert (one is None) == (other is None)
@@ -78,7 +78,7 @@ def test_exchanged_models_have_opposite_differences(name, values):
         assert one.bound.mean == pytest.approx(-other.bound.mean, abs=1e-12)
 
 
-def test_pairs_decide_where_samples_differ_more_than_models():
+def test_paired_differences_are_clear_where_unpaired_intervals_overlap():
     """Samples of very different difficulty: every pair differs by 0.1, which unpaired intervals would hide."""
     base = np.arange(20.0)
     c = compare("manipulability_mean", list(base + 0.1 + 0.001 * (base % 3)), list(base))
@@ -115,7 +115,7 @@ def test_equal_models_do_not_differ():
     assert not c.is_clear
 
 
-def test_samples_that_failed_have_no_number():
+def test_failed_samples_have_no_number():
     ok = row("a", feasible=True, metrics={"sparc": -2.0})
     failed = row("a", Status.ERROR, feasible=True, metrics={"sparc": -1.0})
     feasible, sparc = (c for c in compare_numbers([((ok,), (failed,))], "a", "b") if c.task == ALL_TASKS)
@@ -125,7 +125,7 @@ def test_samples_that_failed_have_no_number():
     assert sparc.better == (1, 0)
 
 
-def test_tables_lead_with_executable_and_hold_every_number():
+def test_comparison_tables_lead_with_executable_and_have_every_number():
     values = {name: -2.0 if "sparc" in name else 0.5 for name in NUMBERS if name in BY_NAME}
     one = row("a", task="A", feasible=True, metrics=values | {"trajopt_feasible": True}, executable=True)
     two = row("a", task="B", feasible=False, metrics=values | {"trajopt_feasible": False}, executable=True)
@@ -144,7 +144,7 @@ def test_tables_lead_with_executable_and_hold_every_number():
     assert len(draw_numbers(comparisons).figure.axes) >= len(NUMBERS)
 
 
-def test_names_differ_where_figures_shorten_them():
+def test_shortened_model_names_stay_distinct():
     one, two = (f"command:python /srv/models/a-rather-long-name/serve.py step={k}" for k in (1000, 2000))
     assert len(shorten(one)) == len(shorten(two)) == 48
     assert shorten(one) != shorten(two)

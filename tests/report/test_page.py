@@ -54,7 +54,7 @@ def out(tmp_path):
     return tmp_path
 
 
-def test_texts_that_no_encoding_holds_are_shown_without_what_is_no_sign(out, tmp_path):
+def test_lone_surrogates_in_texts_are_shown_as_question_marks(out, tmp_path):
     """Another program may have written the folder: JSON can name halves of surrogate pairs."""
     rows = tmp_path / "samples.jsonl"
     rows.write_text(rows.read_text().replace('"unknown.mp4"', '"caf\\udce9.mp4"'))
@@ -65,7 +65,7 @@ def test_texts_that_no_encoding_holds_are_shown_without_what_is_no_sign(out, tmp
     assert "note = caf?" in text
 
 
-def test_the_page_stands_alone_and_its_tags_balance(out):
+def test_the_page_is_self_contained_and_its_tags_balance(out):
     text = write_report(out).read_text()
     page = Page(text)
     assert page.open == []
@@ -90,19 +90,19 @@ def test_checks_of_rate_limits_are_listed_with_the_ratio_of_each_joint(tmp_path)
     assert "<tr><td>jerk</td>" not in text
 
 
-def test_nothing_from_outside_is_taken_for_html(out):
+def test_texts_of_the_results_are_escaped_in_html(out):
     text = write_report(out).read_text()
     assert Page(text).scripts == 1
     assert EVIL not in text
     assert text.count("&lt;script&gt;") >= 5
 
 
-def test_the_worst_comes_first(out):
+def test_samples_are_sorted_worst_first(out):
     text = write_report(out).read_text()
     assert re.findall(r'aria-expanded="false">(\w+)<', text) == ["evil", "bad", "dark", "unknown", "shaky", "good"]
 
 
-def test_numbers_come_with_interval_and_coverage(out):
+def test_headline_numbers_have_interval_and_coverage(out):
     text = re.sub(r"\s+", " ", write_report(out).read_text())
     tile = text[text.index("Feasible for the robot") :]
     assert re.match(
@@ -117,7 +117,7 @@ def test_the_same_folder_gives_the_same_bytes(out):
     assert write_report(out).read_bytes() == first
 
 
-def test_both_colour_schemes_are_there(out):
+def test_light_and_dark_colour_schemes_define_the_same_variables(out):
     text = write_report(out).read_text()
     assert "prefers-color-scheme: dark" in text
     light, dark = (
@@ -139,7 +139,7 @@ def test_a_run_without_a_measured_sample_has_a_report(tmp_path):
     assert "0 / 1" in write_report(tmp_path).read_text()
 
 
-def test_damaged_files_are_reported(out):
+def test_a_damaged_track_file_is_refused_by_name(out):
     (out / "tracks" / "good.npz").write_bytes(b"PK broken")
     with pytest.raises(InputError, match=r"good\.npz"):
         write_report(out)
@@ -152,7 +152,7 @@ def points(svg):
     ]
 
 
-def test_curves_break_where_nothing_is_known_and_stay_inside():
+def test_curves_break_at_nan_and_stay_inside_the_plot():
     t = np.arange(10) * 0.2
     values = np.array([0.0, 1.0, 2.0, np.nan, 4.0, 5.0, np.nan, 7.0, np.nan, np.nan])
     svg = draw_plot(
@@ -167,7 +167,7 @@ def test_curves_break_where_nothing_is_known_and_stay_inside():
 
 
 @pytest.mark.parametrize("values", [np.full(5, np.nan), np.zeros(5), np.full(5, 1e9), np.array([0, 1e-12, 0, 0, 0])])
-def test_plots_of_nothing_much(values):
+def test_plots_of_constant_or_missing_values_contain_no_nan_or_inf(values):
     svg = draw_plot("p", np.arange(5) * 1.0, [Curve(label="a", values=values, css="c0")])
     assert "nan" not in svg
     assert "inf" not in svg
@@ -221,7 +221,7 @@ def test_source_and_uncertainty_of_the_camera_and_its_contradiction_are_shown(tm
     assert "70 % with 1.25 times the focal length, which moves the gripper by 210 mm and 1 degrees" in html
 
 
-def test_executable_samples_come_first_and_green_is_theirs(tmp_path):
+def test_executable_is_the_first_headline_and_the_only_green_verdict(tmp_path):
     good = {"sparc": -1.5, "anomalies": []}
     with ResultStore(tmp_path) as store:
         for r in (

@@ -87,7 +87,7 @@ def test_shards_are_pooled_and_other_runs_of_a_model_are_not(tmp_path):
     assert {(p.first, p.second) for p in compared(shards[0], tagged).pairs} == {("wan [s0]", "wan [tagged]")}
 
 
-def test_what_else_differs_is_a_warning(tmp_path):
+def test_other_differences_of_the_runs_are_warnings(tmp_path):
     one = write(tmp_path / "a", {"x": {"frame_period_s": 0.2, "camera_source": "folder"}}, weights_sha256="1")
     two = write(tmp_path / "b", {"x": {"frame_period_s": 0.1, "camera_source": "benchmark"}}, weights_sha256="2")
     first, second, third = compared(one, two).warnings
@@ -107,7 +107,7 @@ def test_what_else_differs_is_a_warning(tmp_path):
         ({"x": {}}, {"x": {}}, {"schema_version": 2}, "schema_version 1 and .* 2"),
     ],
 )
-def test_runs_that_cannot_be_compared(tmp_path, first, second, changes, message):
+def test_incomparable_runs_are_refused_with_the_reason(tmp_path, first, second, changes, message):
     one = write(tmp_path / "a", first)
     two = write(tmp_path / "b", second, **changes)
     with pytest.raises(UsageError, match=message) as error:
@@ -115,7 +115,7 @@ def test_runs_that_cannot_be_compared(tmp_path, first, second, changes, message)
     assert "\n" not in str(error.value)
 
 
-def test_one_model_alone_is_no_comparison(tmp_path):
+def test_a_comparison_of_one_model_is_refused(tmp_path):
     with pytest.raises(UsageError, match=r"all samples are of one model, wan: .* \$model"):
         compared(write(tmp_path / "a", labelled("wan")))
 

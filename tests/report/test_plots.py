@@ -21,7 +21,7 @@ def counted(values, metric="sparc"):
     return count_values(BY_NAME[metric], values, estimate(numbers, total=len(numbers)))
 
 
-def test_each_value_is_in_one_bin():
+def test_each_value_is_counted_in_one_bin():
     values = [("feasible" if v < 0.5 else "infeasible", float(v)) for v in np.random.default_rng(0).random(100)]
     h = counted([*values, ("error", None)])
     assert sum(map(sum, h.counts.values())) == 100
@@ -44,7 +44,7 @@ def test_outliers_are_counted_in_the_outermost_bins():
 
 
 @pytest.mark.parametrize("values", [[], [1.0], [2.0, 2.0, 2.0], [None, 3.0], [0.0, 0.0]])
-def test_what_does_not_spread_has_no_histogram(values):
+def test_values_without_spread_have_no_histogram(values):
     assert counted([("feasible", v) for v in values]) is None
 
 
@@ -53,7 +53,7 @@ def bars(svg, css):
     return [(float(x), float(x) + float(width)) for x, width in matches]
 
 
-def test_faults_stand_where_their_frames_are(judged, file):
+def test_faults_are_drawn_at_their_frames(judged, file):
     row = judged(
         violations=({"kind": "velocity", "frame_start": 2, "frame_end": 4, "joint": EVIL},),
         metrics={"anomalies": [{"kind": "freeze", "frame_start": 0, "frame_end": 9, "severity": 1.0}]},
@@ -75,7 +75,7 @@ def test_faults_stand_where_their_frames_are(judged, file):
     assert EVIL not in draw_strip(lanes, 10)
 
 
-def test_faults_beyond_the_frames_stay_inside(judged):
+def test_faults_beyond_the_frames_are_drawn_inside_the_strip(judged):
     row = judged(violations=({"kind": "jerk", "frame_start": -3, "frame_end": 400, "joint": None},))
     lanes = fault_lanes(row, None)
     assert frame_count(row, None, lanes) == 401
@@ -83,20 +83,20 @@ def test_faults_beyond_the_frames_stay_inside(judged):
     assert (first, last) == (0.0, 150.0)
 
 
-def test_a_thousand_faults_are_few_bars(judged):
+def test_adjacent_faults_are_merged_into_one_bar(judged):
     faults = tuple({"kind": "torque", "frame_start": k, "frame_end": k + 1, "joint": f"j{k % 7}"} for k in range(1000))
     lanes = fault_lanes(judged(violations=faults), None)
     assert [(span.start, span.end) for lane in lanes for span in lane.spans] == [(0, 1000)]
 
 
-def test_a_long_track_that_flickers_is_few_bars(judged):
+def test_faults_closer_than_a_pixel_are_drawn_as_one_bar(judged):
     faults = tuple({"kind": "vanish", "frame_start": k, "frame_end": k, "severity": 1.0} for k in range(0, 20000, 2))
     lanes = fault_lanes(judged(metrics={"anomalies": faults}), None)
     assert len(lanes[0].spans) == 10000
     assert len(bars(draw_timeline(lanes, 20000), "anomaly")) == len(bars(draw_strip(lanes, 20000), "anomaly")) == 1
 
 
-def test_joints_are_shown_against_their_own_limits(judged, file):
+def test_joints_are_drawn_within_their_own_limits(judged, file):
     limits = joint_limits(judged())  # -2 to 1 rad
     q = np.full((10, 7), -0.5)  # the middle
     q[3, 1], q[5, 2], q[6] = 0.9, 1.3, np.nan
@@ -110,7 +110,7 @@ def test_joints_are_shown_against_their_own_limits(judged, file):
     assert draw_joint_ranges(file().track.t_s, q * np.nan, limits, list("1234567")) is None
 
 
-def test_csv_of_the_figures_holds_every_sample(tmp_path):
+def test_csv_and_parquet_of_the_figures_have_every_sample(tmp_path):
     from kinebench_drake.report.figures import write_figures
     from kinebench_drake.results.store import ResultStore
     from tests.report.pages import row

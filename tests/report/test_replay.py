@@ -1,4 +1,4 @@
-"""Replays: self-contained, repeatable, coloured by feasibility, and the server is gone afterwards."""
+"""Replays: self-contained, repeatable, coloured by feasibility, without a server left running."""
 
 import base64
 import re
@@ -115,7 +115,7 @@ def test_the_page_may_fetch_nothing_but_its_own_data(build, file):
     assert not re.search(r"<(?:script|link|img)[^>]+(?:src|href)=", page)
 
 
-def test_arm_and_wanted_gripper_are_there_where_they_differ(build, plant, file, joints, track, tmp_path):
+def test_the_track_gripper_is_shown_where_the_arm_misses_it(build, plant, file, joints, track, tmp_path):
     shown = paths(build(row(), file))
     assert {f"/arm/{name}" for name in ("panda_link0", "panda_link7", "panda_hand", "panda_leftfinger")} <= shown
     assert {"/gripper/panda_hand", "/reached", "/broken", "/table"} <= shown
@@ -141,7 +141,7 @@ def test_the_gripper_alone_is_shown_without_joint_angles(build, track, tmp_path)
     assert "Not judged" in page
 
 
-def test_the_bar_shows_each_frame_by_its_state(build, file):
+def test_the_time_bar_shows_the_state_of_each_frame(build, file):
     page = build(row(), file)
     bar = re.findall(r'<i class="(\w+)" style="flex: (\d+)"', page)
     assert bar == [
@@ -156,14 +156,14 @@ def test_the_bar_shows_each_frame_by_its_state(build, file):
     assert "velocity, panda_joint4: 0.40 to 0.60 s" in page
 
 
-def test_names_are_not_taken_for_html(build, file):
+def test_names_are_escaped_in_html(build, file):
     evil = "<script>alert(1)</script>"
     page = build(row(id=evil, violations=({"kind": evil, "frame_start": 0, "frame_end": 0, "joint": evil},)), file)
     assert evil not in page
     assert page.count("&lt;script&gt;") >= 4
 
 
-def test_the_server_is_gone(build, file, monkeypatch):
+def test_the_meshcat_server_is_closed_after_the_replay_is_built(build, file, monkeypatch):
     ports = []
 
     def meshcat(parameters):
@@ -179,7 +179,7 @@ def test_the_server_is_gone(build, file, monkeypatch):
         socket.create_connection(("localhost", port), timeout=5.0)
 
 
-def test_a_machine_without_ports_is_reported(build, file, monkeypatch):
+def test_a_machine_without_a_free_port_is_reported(build, file, monkeypatch):
     def refuse(parameters):
         raise RuntimeError("Meshcat failed to open a websocket port.")
 
@@ -188,7 +188,7 @@ def test_a_machine_without_ports_is_reported(build, file, monkeypatch):
         build(row(), file)
 
 
-def test_a_track_of_one_frame_and_an_empty_one(build, file):
+def test_a_track_of_one_frame_has_a_replay_and_an_empty_one_is_refused(build, file):
     track = file.track
     one = np.zeros(N, dtype=bool)
     one[3] = True
@@ -210,7 +210,7 @@ def test_a_track_of_one_frame_and_an_empty_one(build, file):
         build(row(), TrackFile(track=none, q=q, ik_ok=ok, status=None, curves={}))
 
 
-def test_replays_of_a_folder(tmp_path, plant, track, joints):
+def test_replays_of_a_folder_are_written_for_named_samples_with_tracks(tmp_path, plant, track, joints):
     with ResultStore(tmp_path / "out") as store:
         for id in ("a", "b", "trackless"):
             faults = {"feasible": True, "violations": ()} if id == "a" else {}
@@ -229,7 +229,7 @@ def test_replays_of_a_folder(tmp_path, plant, track, joints):
         write_replays(tmp_path / "out", ["c"], plant)
 
 
-def test_tubes_are_closed_around_their_line():
+def test_tubes_surround_their_line_at_a_constant_radius():
     points = np.array([[0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [0.1, 0.0, 0.0], [0.1, 0.2, 0.1]])
     vertices, faces = _tube(points, 0.01)
     rings = vertices.reshape(len(points), -1, 3)
@@ -240,7 +240,7 @@ def test_tubes_are_closed_around_their_line():
     assert np.sum(count == 1) == 2 * rings.shape[1]  # only both ends are open
 
 
-def test_poses_between_frames_move_straight_and_turn_evenly():
+def test_poses_between_frames_are_interpolated_on_a_line_and_at_constant_turn_rate():
     X = make_pose(rotation_exp([[0.0, 0.0, 0.0], [0.0, 0.0, 1.0]]), [[0.0, 0.0, 0.0], [0.4, 0.0, 0.0]])
     (quarter,) = _interpolate(np.array([0.25]), np.array([0.0, 1.0]), X)
     np.testing.assert_allclose(
@@ -248,5 +248,5 @@ def test_poses_between_frames_move_straight_and_turn_evenly():
     )
 
 
-def test_colours_are_turned_linear():
+def test_srgb_colours_are_converted_to_linear():
     assert _linear((0.0, 0.5, 1.0)) == pytest.approx([0.0, 0.21404, 1.0], abs=1e-5)

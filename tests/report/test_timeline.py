@@ -12,16 +12,16 @@ from kinebench_drake.track import IkStatus
 OK, DOUBT, BROKEN, UNTRACKED = FrameState.OK, FrameState.DOUBT, FrameState.BROKEN, FrameState.UNTRACKED
 
 
-def test_a_good_track_is_ok_where_it_is_tracked(judged, file):
+def test_tracked_frames_without_a_fault_are_ok(judged, file):
     assert frame_states(judged(), file()) == (OK,) * 7 + (UNTRACKED,) + (OK,) * 2
 
 
-def test_a_limit_broken_outranks_all(judged, file):
+def test_a_violation_outranks_other_frame_states(judged, file):
     violation = {"kind": "discontinuity", "frame_start": 6, "frame_end": 7, "joint": None, "value": 1.0, "limit": 0.1}
     assert frame_states(judged(violations=(violation,)), file())[5:9] == (OK, BROKEN, BROKEN, OK)
 
 
-def test_poses_that_are_missed_without_a_violation_are_doubt(judged, file):
+def test_poses_not_reached_without_a_violation_are_in_doubt(judged, file):
     track = file()
     status = list(track.status)
     status[1], status[2] = IkStatus.UNREACHABLE, IkStatus.JOINT_LIMIT
@@ -31,13 +31,13 @@ def test_poses_that_are_missed_without_a_violation_are_doubt(judged, file):
 
 
 @pytest.mark.parametrize("name", ["joint_margin", "self_distance_m", "table_distance_m", "velocity"])
-def test_past_a_limit_without_a_verdict_is_doubt(judged, file, name):
+def test_frames_past_a_limit_without_a_violation_are_in_doubt(judged, file, name):
     values = np.full((10, 7), 2.1) if name == "velocity" else np.full(10, -0.001)
     values[1:] = 0.0
     assert frame_states(judged(), file(**{name: values}))[:2] == (DOUBT, OK)
 
 
-def test_anomalies_and_unsure_poses_are_doubt(judged, file):
+def test_anomalies_and_low_confidence_are_in_doubt(judged, file):
     track = file()
     confidence = track.track.confidence.copy()
     confidence[0] = 0.4
@@ -48,7 +48,7 @@ def test_anomalies_and_unsure_poses_are_doubt(judged, file):
     assert (states[0], states[1], states[6], states[7]) == (DOUBT, OK, DOUBT, UNTRACKED)
 
 
-def test_limits_are_read_as_far_as_a_row_has_them(judged, file):
+def test_missing_or_malformed_limits_of_a_row_are_skipped(judged, file):
     limits = joint_limits(judged())
     assert limits.joints[0] == "arm_joint1"
     assert set(limits.rates) == {"velocity", "jerk", "torque"}
@@ -62,6 +62,6 @@ def test_limits_are_read_as_far_as_a_row_has_them(judged, file):
         assert len(limits.joints) == 7
 
 
-def test_ranges_outside_the_track_are_cut():
+def test_frame_ranges_are_clipped_to_the_track():
     marks = [{"frame_start": -3, "frame_end": 1}, {"frame_start": 4, "frame_end": 99}, {"frame_start": None}]
     assert covered_frames(marks, 6).tolist() == [True, True, False, False, True, True]

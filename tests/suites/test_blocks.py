@@ -26,7 +26,7 @@ SCENES = [
 
 
 @pytest.mark.parametrize("color", blocks.COLORS)
-def test_cubes_have_the_colour_that_they_are_called_by(color: str) -> None:
+def test_cubes_have_the_colour_of_their_name(color: str) -> None:
     for asset_id in asset_ids(f"cube/{color}"):
         cube = model(asset_id)
         assert blocks.EDGE_M[0] <= cube.size["edge_m"] <= blocks.EDGE_M[1]
@@ -88,7 +88,7 @@ def outcome_with(simulator: Simulator, poses: dict[str, Array]) -> TaskOutcome:
 
 @pytest.mark.sapien
 @pytest.mark.parametrize("simulator", SCENES[1:3], indirect=True, ids=["plain", "obstacles"])
-def test_a_stack_is_green_on_red_and_nothing_else_moved(simulator: tuple[Simulator, TaskVariant]) -> None:
+def test_stack_succeeds_with_green_on_red_and_the_obstacle_in_place(simulator: tuple[Simulator, TaskVariant]) -> None:
     own, variant = simulator
     own.reset(compose("StackCube-v1", 4, variant=variant))
     scene = own.scene()
@@ -110,7 +110,7 @@ def test_a_stack_is_green_on_red_and_nothing_else_moved(simulator: tuple[Simulat
 
 @pytest.mark.sapien
 @pytest.mark.parametrize("simulator", SCENES[:1], indirect=True, ids=["plain"])
-def test_a_cube_is_pulled_when_it_lies_on_the_target(simulator: tuple[Simulator, TaskVariant]) -> None:
+def test_pull_succeeds_when_the_cube_lies_on_the_target(simulator: tuple[Simulator, TaskVariant]) -> None:
     own, _ = simulator
     own.reset(compose("PullCube-v1", 4))
     scene = own.scene()
@@ -127,7 +127,7 @@ def test_a_cube_is_pulled_when_it_lies_on_the_target(simulator: tuple[Simulator,
 
 @pytest.mark.sapien
 @pytest.mark.parametrize("simulator", SCENES[2:3], indirect=True, ids=["obstacles"])
-def test_obstacles_fall_when_they_lean_too_far(simulator: tuple[Simulator, TaskVariant]) -> None:
+def test_obstacles_fall_only_beyond_their_tipping_angle(simulator: tuple[Simulator, TaskVariant]) -> None:
     own, variant = simulator
     for lean, falls in ((0.1, False), (0.7, True)):
         own.reset(compose("StackCube-v1", 7, variant=variant))
@@ -147,7 +147,7 @@ def standing(lean_rad: float) -> Array:
 
 @pytest.mark.sapien
 @pytest.mark.parametrize("simulator", SCENES[3:], indirect=True, ids=["peg"])
-def test_conditions_ask_for_a_standing_peg(simulator: tuple[Simulator, TaskVariant]) -> None:
+def test_lift_succeeds_only_with_an_upright_peg_on_the_table(simulator: tuple[Simulator, TaskVariant]) -> None:
     own, _ = simulator
     own.reset(compose("LiftPegUpright-v1", 5))
     for R, lift_m, failed in (
@@ -182,7 +182,7 @@ def test_a_standing_peg_keeps_standing(simulator: tuple[Simulator, TaskVariant])
 
 @pytest.mark.sapien
 @pytest.mark.parametrize("seed", [31, pytest.param(32, marks=pytest.mark.exhaustive)])
-def test_experts_succeed(simulator: tuple[Simulator, TaskVariant], seed: int) -> None:
+def test_experts_of_block_tasks_succeed(simulator: tuple[Simulator, TaskVariant], seed: int) -> None:
     own, variant = simulator
     task = own.task.card.id
     assert run_expert(own, find_expert(task), compose(task, seed, variant=variant)).outcome.success

@@ -53,7 +53,7 @@ def test_flush_lid_clears_the_table_when_the_box_lies() -> None:
         assert np.abs(solid_points(lid)[:, 1]).max() < np.abs(solid_points(base)[:, 1]).max()
 
 
-def test_tight_hinge_differs_in_nothing_but_damping() -> None:
+def test_a_tight_hinge_differs_only_in_damping() -> None:
     box = model(f"{RIMMED}/03")
     hinge, tighter = box.bodies[1].joint, with_tight_hinge(box).bodies[1].joint
     assert hinge is not None
@@ -78,7 +78,7 @@ def _state(task: str, angles: list[float], p_HG: list[list[float]], speed: float
 
 
 @pytest.mark.parametrize("task", TASKS[1:])
-def test_open_means_far_open_at_rest_and_let_go(task: str) -> None:
+def test_open_requires_the_goal_angle_at_rest_and_released(task: str) -> None:
     stop = compose(task, 3).layout().placements["box"].model.size["open_rad"]
     clear, touching, behind = [0.07, 0.0, 0.1], [0.1 * np.cos(stop), 0.0, 0.1 * np.sin(stop) + 0.01], [-0.2, 0.0, 0.15]
     state = _state(task, [stop, 0.85 * stop, stop, stop], [clear, clear, touching, behind])
@@ -92,7 +92,7 @@ def test_open_means_far_open_at_rest_and_let_go(task: str) -> None:
     assert not find_task(task).conditions(_state(task, [stop], [clear], speed=0.2))["still"].any()
 
 
-def test_shut_means_shut_at_rest_and_let_go() -> None:
+def test_shut_requires_the_goal_angle_and_release() -> None:
     up = -1.0 if compose("CloseBox-v1", 3).layout().placements["box"].X_BM[2, 1] < 0.0 else 1.0
     clear, touching = [0.1, 0.12 * up, 0.06], [0.1, 0.04 * up, 0.015]
     state = _state("CloseBox-v1", [0.02, 0.2, 0.02], [clear, clear, touching])
@@ -103,7 +103,7 @@ def test_shut_means_shut_at_rest_and_let_go() -> None:
 
 
 @pytest.mark.parametrize("task", TASKS)
-def test_lids_have_far_to_go_and_boxes_stand_on_the_table(task: str) -> None:
+def test_lids_start_half_their_range_from_the_goal_and_boxes_stand_on_the_table(task: str) -> None:
     for seed in range(8):
         placement = compose(task, seed).layout().placements["box"]
         box = placement.model
@@ -115,7 +115,7 @@ def test_lids_have_far_to_go_and_boxes_stand_on_the_table(task: str) -> None:
 
 @pytest.mark.sapien
 @pytest.mark.parametrize("task", TASKS)
-def test_expert_succeeds_and_a_lid_left_alone_stays(task: str) -> None:
+def test_box_experts_succeed_and_an_untouched_lid_stays(task: str) -> None:
     with Simulator(task, renders=False) as simulator:
         simulator.reset(compose(task, 5))
         before, q = simulator.scene().joints["box"], simulator.snapshot().q
@@ -127,7 +127,7 @@ def test_expert_succeeds_and_a_lid_left_alone_stays(task: str) -> None:
 
 
 @pytest.mark.sapien
-def test_lid_that_is_let_go_stops_soon_without_bouncing_back() -> None:
+def test_a_released_lid_stops_soon_without_bouncing_back() -> None:
     with Simulator("OpenBoxEasy-v1", renders=False) as simulator:
         simulator.reset(compose("OpenBoxEasy-v1", 0))
         box, q = simulator._env.objects["box"], ArmPlant().robot.rest_q

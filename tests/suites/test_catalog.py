@@ -1,4 +1,4 @@
-"""The suites: what their data promise."""
+"""Suites: tasks, splits, seeds and pools of assets."""
 
 from collections import Counter
 from itertools import pairwise
@@ -21,7 +21,7 @@ def drawn(episode: Episode) -> set[str]:
 
 
 @pytest.mark.parametrize("suite", suites(), ids=lambda suite: f"suite {suite.number}")
-def test_suites_name_only_tasks_that_exist_each_once(suite: Suite) -> None:
+def test_suites_name_existing_tasks_without_repetition(suite: Suite) -> None:
     for name in suite.splits:
         tasks = suite.tasks_of(name)
         assert set(tasks) <= set(TASKS)
@@ -29,7 +29,7 @@ def test_suites_name_only_tasks_that_exist_each_once(suite: Suite) -> None:
 
 
 @pytest.mark.parametrize("suite", suites(), ids=lambda suite: f"suite {suite.number}")
-def test_training_and_judging_share_no_seed(suite: Suite) -> None:
+def test_training_and_evaluation_share_no_seed(suite: Suite) -> None:
     first, end = suite.splits["train"].seeds
     for name, split in suite.splits.items():
         if name != "train":
@@ -44,7 +44,7 @@ def test_suite_0_draws_all_tasks_alike_for_training_and_test() -> None:
     assert suite.splits["train"].pool is suite.splits["test"].pool is Pool.ALL
 
 
-def test_suite_1_judges_seven_tasks_with_a_reason_each_that_ten_trained_ones_do_not_hold() -> None:
+def test_suite_1_evaluates_seven_tasks_outside_the_ten_trained_ones_with_reasons() -> None:
     suite = load_suite(1)
     trained, unseen = suite.tasks_of("train"), suite.tasks_of("unseen")
     assert (len(trained), len(unseen)) == (10, 7)
@@ -62,7 +62,7 @@ def test_suite_1_judges_seven_tasks_with_a_reason_each_that_ten_trained_ones_do_
     assert {*trained, *unseen, *(task.task for task in suite.left_out)} == set(TASKS)
 
 
-def test_suite_2_halves_assets_and_looks() -> None:
+def test_suite_2_splits_assets_and_looks_into_disjoint_halves() -> None:
     for ids in (
         *({pool: pool_ids(asset_ids(kind), pool) for pool in Pool} for kind in KINDS),
         *({pool: pool_ids(look_ids(sort), pool) for pool in Pool} for sort in SORTS),
@@ -72,7 +72,7 @@ def test_suite_2_halves_assets_and_looks() -> None:
         assert len(ids[Pool.SEEN]) == len(ids[Pool.UNSEEN])
 
 
-def test_episodes_of_suite_2_are_made_of_their_half() -> None:
+def test_episodes_of_suite_2_use_only_assets_of_their_half() -> None:
     suite, tasks = load_suite(2), ("PullCube-v1", "StackCube-v1")
     shown = {name: [drawn(s.episode()) for s in suite.specs(name, 8, tasks=tasks)] for name in suite.splits}
     assert not set().union(*shown["train"], *shown["seen"]) & set().union(*shown["unseen"])
@@ -90,7 +90,7 @@ def test_suite_3_is_a_grid_over_the_episodes_of_suite_0() -> None:
     assert suite.tasks == zero.tasks
 
 
-def test_more_episodes_begin_with_fewer() -> None:
+def test_a_longer_list_of_episodes_begins_with_the_shorter_one() -> None:
     suite, tasks = load_suite(0), ("StackCube-v1",)
     more = suite.specs("test", 5, tasks=tasks)
     assert suite.specs("test", 2, tasks=tasks) == more[:2]
@@ -98,12 +98,12 @@ def test_more_episodes_begin_with_fewer() -> None:
     assert [episode.seed for episode in more] == list(range(5))
 
 
-def test_test_means_the_split_that_is_judged() -> None:
+def test_the_split_test_is_an_alias_of_the_evaluated_split() -> None:
     assert [load_suite(number).split_name("test") for number in NUMBERS] == ["test", "unseen", "unseen", "test"]
     assert load_suite(1).split_name(None) == "unseen"
 
 
-def test_what_a_suite_does_not_have_is_told() -> None:
+def test_unknown_splits_tasks_seeds_and_suites_are_usage_errors() -> None:
     suite = load_suite(1)
     with pytest.raises(UsageError, match="it has train, seen, unseen"):
         suite.split_name("validation")

@@ -48,7 +48,7 @@ COLLIDERS = (
 
 
 @pytest.mark.parametrize("collider", COLLIDERS, ids=lambda c: c.kind.value)
-def test_the_gripper_touches_what_is_at_its_tip_and_nothing_else(collider: Collider) -> None:
+def test_a_solid_at_the_fingertips_penetrates_the_gripper_alone(collider: Collider) -> None:
     plant = ArmPlant()
     q, width = plant.robot.rest_q[None], np.array([0.0])
     tip = plant.forward(q[0])[:3, 3]
@@ -60,7 +60,7 @@ def test_the_gripper_touches_what_is_at_its_tip_and_nothing_else(collider: Colli
     assert not list(SceneGeometry(plant, scene_with(collider, aside, **marks)).penetrations(q, width))
 
 
-def test_long_shapes_stand_as_they_do_in_sapien() -> None:
+def test_a_cylinder_has_the_axis_that_it_has_in_sapien() -> None:
     """A cylinder turned upright reaches its half length up, and is thin."""
     plant = ArmPlant()
     q, width = plant.robot.rest_q[None], np.array([0.0])
@@ -71,7 +71,7 @@ def test_long_shapes_stand_as_they_do_in_sapien() -> None:
         assert bool(list(geometry.penetrations(q, width))) == touches
 
 
-def test_the_gripper_may_touch_fixed_objects_and_nothing_may_touch_avoided_ones() -> None:
+def test_the_gripper_may_touch_fixed_objects_and_no_link_avoided_ones() -> None:
     plant = ArmPlant()
     q, width = plant.robot.rest_q[None], np.array([0.0])
     tip = plant.forward(q[0])[:3, 3]
@@ -91,7 +91,7 @@ def test_the_gripper_may_touch_fixed_objects_and_nothing_may_touch_avoided_ones(
     }
 
 
-def test_a_plan_through_a_post_is_refused_and_one_around_it_is_not() -> None:
+def test_a_plan_through_an_avoided_post_is_refused() -> None:
     plant = ArmPlant()
     q = plant.robot.rest_q
     X = plant.forward(q)

@@ -8,7 +8,9 @@ from kinebench_drake.suites.clock import CLIP_S, FRAME_PERIOD_S, sample_uniforml
 
 
 @given(st.integers(2, 400), st.floats(0.05, 60.0), st.floats(0.02, 2.0))
-def test_each_chosen_frame_keeps_its_own_time(frames: int, duration_s: float, period_s: float) -> None:
+def test_resampled_frames_keep_their_times_and_are_evenly_spaced(
+    frames: int, duration_s: float, period_s: float
+) -> None:
     chosen, t_s = sample_uniformly(frames, duration_s, period_s)
     assert chosen[0] == 0
     assert chosen[-1] == frames - 1
@@ -19,17 +21,17 @@ def test_each_chosen_frame_keeps_its_own_time(frames: int, duration_s: float, pe
     assert np.abs(t_s - even).max() <= 0.5 * duration_s / (frames - 1) + 1e-9
 
 
-def test_a_clip_of_the_benchmark_is_left_as_it_is() -> None:
+def test_a_benchmark_clip_keeps_all_frames() -> None:
     chosen, t_s = sample_uniformly(49, CLIP_S, FRAME_PERIOD_S)
     assert chosen.tolist() == list(range(49))
     np.testing.assert_array_equal(t_s, FRAME_PERIOD_S * np.arange(49))
 
 
-def test_a_duration_holds_even_with_as_many_frames_as_periods() -> None:
+def test_a_clip_with_as_many_frames_as_periods_keeps_its_duration() -> None:
     assert sample_uniformly(34, 10.0, 0.3)[1][-1] == 10.0
 
 
-def test_150_frames_become_49_at_5_hz_and_25_stay() -> None:
+def test_resampling_reduces_150_frames_to_49_and_keeps_25() -> None:
     chosen, t_s = sample_uniformly(150, CLIP_S, FRAME_PERIOD_S)
     assert len(chosen) == 49
     assert t_s[-1] == CLIP_S

@@ -30,7 +30,7 @@ Filmed = tuple[Simulator, Rollout, RolloutVideo]
 OPTIONS = RenderOptions(size=96)
 
 
-def test_clips_are_filmed_at_control_steps() -> None:
+def test_frame_choices_divide_the_192_control_steps_of_a_clip() -> None:
     assert {25, 49, 97, 193} <= set(FRAME_CHOICES)
     for frames in FRAME_CHOICES:
         shots = RenderOptions(frames=frames)
@@ -41,7 +41,7 @@ def test_clips_are_filmed_at_control_steps() -> None:
 
 
 @pytest.mark.sapien
-def test_ground_truth_has_the_objects_where_the_scene_has_them(filmed: Filmed) -> None:
+def test_ground_truth_object_poses_equal_those_of_the_scene(filmed: Filmed) -> None:
     _, rollout, video = filmed
     truth = ground_truth(rollout, video, OPTIONS)
     placements = rollout.episode.layout().placements
@@ -52,7 +52,7 @@ def test_ground_truth_has_the_objects_where_the_scene_has_them(filmed: Filmed) -
 
 
 @pytest.mark.sapien
-def test_each_clip_begins_with_the_last_frame_of_the_one_before(filmed: Filmed) -> None:
+def test_each_clip_begins_with_the_last_frame_of_its_predecessor(filmed: Filmed) -> None:
     simulator, rollout, _ = filmed
     long = doubled(rollout)
     clips = list(cut_clips(long, render_video(simulator, long.snapshots), OPTIONS))
@@ -65,7 +65,7 @@ def test_each_clip_begins_with_the_last_frame_of_the_one_before(filmed: Filmed) 
 
 
 @pytest.mark.sapien
-def test_a_lerobot_dataset_read_back_is_the_rollout(filmed: Filmed, tmp_path: Path) -> None:
+def test_a_lerobot_dataset_round_trips_the_rollout(filmed: Filmed, tmp_path: Path) -> None:
     simulator, rollout, _ = filmed
     order = an_order(tmp_path, FormatKind.LEROBOT, 1, replace(OPTIONS, fps=5.0))
     form, both = LeRobot(), [rollout, replace(rollout, episode=replace(rollout.episode, id="other"))]
@@ -141,7 +141,7 @@ def test_the_manifest_states_the_robot_in_the_first_frame_of_each_clip(filmed: F
 
 
 @pytest.mark.sapien
-def test_maniskill_trajectories_hold_states_and_lead_to_success(tmp_path: Path) -> None:
+def test_maniskill_trajectories_replay_to_success(tmp_path: Path) -> None:
     order = an_order(tmp_path, FormatKind.MANISKILL, 1)
     make_demos(order, create_executor(ExecutorKind.LOCAL, 1), Recorder())
     path = tmp_path / f"{TASK}.h5"

@@ -1,4 +1,4 @@
-"""Which attempts count as demonstrations, and what becomes of those that were begun."""
+"""Attempts that count as demonstrations, and resumption of interrupted runs."""
 
 import json
 from collections.abc import Callable, Generator, Sequence
@@ -83,7 +83,7 @@ def deliver(
     return call
 
 
-def test_failed_seeds_are_told_and_replaced_by_the_next(deliver: Any, tmp_path: Path) -> None:
+def test_failed_seeds_are_recorded_and_replaced_by_the_next(deliver: Any, tmp_path: Path) -> None:
     delivery, engine, seeds = deliver(4, failing={1, 4})
     assert seeds == [0, 2, 3, 5]
     assert delivery == DemoSummary(demonstrations=4, failures=2, short={})
@@ -103,7 +103,7 @@ def test_a_larger_set_begins_with_the_smaller_one(deliver: Any, tmp_path: Path) 
     assert deliver(6, failing, out=tmp_path / "anew")[2] == more
 
 
-def test_finished_demonstrations_survive_a_kill(deliver: Any, tmp_path: Path) -> None:
+def test_finished_demonstrations_survive_a_crash_and_a_torn_last_line(deliver: Any, tmp_path: Path) -> None:
     with pytest.raises(SetupError, match="what is finished is kept"):
         deliver(5, {2}, until=3)
     with (tmp_path / "demos.jsonl").open("a") as file:
@@ -113,13 +113,13 @@ def test_finished_demonstrations_survive_a_kill(deliver: Any, tmp_path: Path) ->
     assert len(engine.tried) == 6 - 3
 
 
-def test_a_demonstration_without_its_files_is_made_again(deliver: Any, tmp_path: Path) -> None:
+def test_a_demonstration_whose_files_are_missing_is_made_again(deliver: Any, tmp_path: Path) -> None:
     deliver(2)
     (tmp_path / f"{TASK}_s{FIRST + 1}.mp4").unlink()
     assert deliver(2)[1].tried == [1]
 
 
-def test_a_task_is_given_up_when_its_expert_hardly_succeeds(deliver: Any) -> None:
+def test_a_task_whose_expert_rarely_succeeds_is_abandoned(deliver: Any) -> None:
     delivery, _, seeds = deliver(5, failing=set(range(3, 100)))
     assert seeds == [0, 1, 2]
     assert delivery.short == {TASK: 2}
@@ -137,24 +137,24 @@ def attempt(out: Path, monkeypatch: pytest.MonkeyPatch, error: Exception) -> Rec
     return demos._attempt(None, order.attempts(TASK, 1)[0], order)
 
 
-def test_an_error_of_a_seed_is_a_failed_attempt(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_error_during_a_seed_is_a_failed_attempt(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     record = attempt(tmp_path, monkeypatch, ZeroDivisionError("by zero"))
     assert (record.success, record.reason) == (False, "unexpected ZeroDivisionError: by zero")
 
 
-def test_an_error_of_the_machine_stops_the_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_setup_error_stops_the_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(SetupError, match="no driver"):
         attempt(tmp_path, monkeypatch, SetupError("no driver"))
 
 
-def test_shards_share_the_work(deliver: Any, tmp_path: Path) -> None:
+def test_shards_partition_the_demonstrations(deliver: Any, tmp_path: Path) -> None:
     parts = [
         deliver(5, failing={1}, out=tmp_path / str(index), shard=Shard(index=index, count=2))[2] for index in (1, 2)
     ]
     assert parts == [[0, 2, 4], [3, 5]]
 
 
-def test_a_folder_takes_only_more_of_the_same(deliver: Any) -> None:
+def test_a_folder_is_extended_only_with_the_same_options_and_more_demonstrations(deliver: Any) -> None:
     deliver(3)
     with pytest.raises(UsageError, match="size 96, not 128"):
         deliver(3, options=RenderOptions(size=128))
@@ -163,7 +163,7 @@ def test_a_folder_takes_only_more_of_the_same(deliver: Any) -> None:
     assert deliver(2, overwrite=True)[2] == [0, 1]
 
 
-def test_what_is_held_counts_and_not_what_was_asked_for(deliver: Any, tmp_path: Path) -> None:
+def test_an_interrupted_larger_request_may_be_followed_by_a_smaller_one(deliver: Any, tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="has 1000000 seeds"):
         deliver(1_000_001)
     assert not list(tmp_path.iterdir())
@@ -173,12 +173,12 @@ def test_what_is_held_counts_and_not_what_was_asked_for(deliver: Any, tmp_path: 
     assert sorted(path.name[-5] for path in tmp_path.glob("*.mp4")) == ["0", "1", "2"]
 
 
-def test_all_seeds_of_a_split_can_be_asked_for(tmp_path: Path) -> None:
+def test_attempts_end_with_the_last_seed_of_the_split(tmp_path: Path) -> None:
     order = replace(an_order(tmp_path, FormatKind.MP4, 2), seed=999_998)
     assert [draw.seed for draw in order.attempts(TASK, 14)] == [1_999_998, 1_999_999]
 
 
-def test_starting_anew_deletes_what_was_made_and_nothing_else(deliver: Any, tmp_path: Path) -> None:
+def test_overwrite_deletes_demonstrations_and_no_other_file(deliver: Any, tmp_path: Path) -> None:
     deliver(3)
     (tmp_path / "mine.mp4").touch()
     rows = (tmp_path / "demos.jsonl").read_text()
@@ -193,7 +193,7 @@ def test_starting_anew_deletes_what_was_made_and_nothing_else(deliver: Any, tmp_
 
 
 @pytest.mark.parametrize("damage", [b"\xff\xfe\n", b"1\n"])
-def test_damaged_records_are_told(deliver: Any, tmp_path: Path, damage: bytes) -> None:
+def test_a_damaged_demos_file_is_a_usage_error(deliver: Any, tmp_path: Path, damage: bytes) -> None:
     deliver(1)
     (tmp_path / "demos.jsonl").write_bytes(damage + b"{}\n")  # an invalid last line counts as torn
     with pytest.raises(UsageError, match="is damaged"):

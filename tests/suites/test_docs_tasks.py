@@ -38,19 +38,19 @@ def _run(code: str, space: dict[str, Any]) -> dict[str, Any]:
     return space
 
 
-def test_table_is_that_of_the_cards() -> None:
+def test_the_task_table_of_the_docs_equals_the_task_cards() -> None:
     assert task_table(list(TASKS)) in PAGE, (
         "write the output of `kinebench-drake suite list --markdown` to docs/tasks.md"
     )
 
 
-def test_a_task_of_ones_own_takes_under_a_hundred_lines() -> None:
+def test_the_custom_task_of_the_docs_has_under_100_lines() -> None:
     [own] = [code for code in EXAMPLES if "(Task)" in code]
     assert len(own.splitlines()) < 100
 
 
 @pytest.mark.sapien
-def test_environment_example_runs() -> None:
+def test_the_environment_example_of_the_docs_runs() -> None:
     space = _run(EXAMPLES[0], {"__name__": "docs"})
     assert space["frame"].shape == (1, 384, 384, 3)
     assert not space["info"]["success"]
@@ -58,6 +58,6 @@ def test_environment_example_runs() -> None:
 
 @pytest.mark.sapien
 @pytest.mark.usefixtures("unregistered")
-def test_own_task_is_done_by_its_expert() -> None:
+def test_the_expert_of_the_custom_task_succeeds() -> None:
     space = _run(EXAMPLES[2], _run(EXAMPLES[1], {"__name__": "docs"}))
     assert space["result"].outcome.success

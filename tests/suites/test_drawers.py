@@ -28,7 +28,7 @@ def boxes(body: RigidBody, out_m: float = 0.0) -> list[tuple[Array, Array]]:
 
 
 @pytest.mark.parametrize("asset_id", IDS)
-def test_the_drawer_runs_free_and_stays_in_the_cabinet(asset_id: str) -> None:
+def test_the_drawer_slides_without_overlap_and_stays_in_the_cabinet(asset_id: str) -> None:
     cabinet = model(asset_id)
     carcass, drawer = cabinet.bodies
     for out in np.linspace(0.0, cabinet.size["travel_m"], 5):
@@ -41,7 +41,7 @@ def test_the_drawer_runs_free_and_stays_in_the_cabinet(asset_id: str) -> None:
 
 
 @pytest.mark.parametrize("asset_id", IDS)
-def test_sizes_are_such_that_a_cube_goes_in_whichever_way_it_lies(asset_id: str) -> None:
+def test_a_cube_fits_into_the_drawer_at_any_yaw(asset_id: str) -> None:
     cabinet = model(asset_id)
     size, diagonal = cabinet.size, 2.0**0.5 * EDGE_M[1]
     for name, (low, high) in {
@@ -56,7 +56,7 @@ def test_sizes_are_such_that_a_cube_goes_in_whichever_way_it_lies(asset_id: str)
     assert cabinet.sites["tray"].X_BodyS[2, 3] + diagonal < roof
 
 
-def test_every_handle_finish_and_foot_occurs_with_every_other() -> None:
+def test_every_combination_of_handle_finish_and_foot_exists() -> None:
     assert len(cabinets.HANDLES) * len(cabinets.FINISHES) * len(cabinets.FEET) == len(IDS)
     assert len({model(i).size["reach_m"] for i in IDS}) == len(IDS)
     assert len({model(i).words for i in IDS}) > 8
@@ -70,7 +70,7 @@ def simulator(request: pytest.FixtureRequest) -> Iterator[Simulator]:
 
 @pytest.mark.sapien
 @pytest.mark.parametrize("simulator", ["CloseDrawer-v1"], indirect=True)
-def test_a_drawer_stays_where_it_is_left_and_stops_when_let_go(simulator: Simulator) -> None:
+def test_an_untouched_drawer_stays_and_a_pushed_one_stops(simulator: Simulator) -> None:
     simulator.reset(compose(simulator.task.card.id, 3))
     start, cabinet = simulator.snapshot(), simulator._env.objects["cabinet"]
     travel = simulator.scene().size("cabinet", "travel_m")
@@ -86,7 +86,7 @@ def test_a_drawer_stays_where_it_is_left_and_stops_when_let_go(simulator: Simula
 
 
 @pytest.mark.sapien
-def test_the_conditions_hold_at_the_goal_only(simulator: Simulator) -> None:
+def test_drawer_conditions_hold_only_at_the_goal(simulator: Simulator) -> None:
     simulator.reset(compose(simulator.task.card.id, 4))
     start, scene = simulator.snapshot(), simulator.scene()
     assert not simulator.outcome().success
@@ -109,7 +109,7 @@ def test_the_conditions_hold_at_the_goal_only(simulator: Simulator) -> None:
 
 @pytest.mark.sapien
 @pytest.mark.parametrize("seed", [2, pytest.param(3, marks=pytest.mark.exhaustive)])
-def test_the_expert_does_it(simulator: Simulator, seed: int) -> None:
+def test_drawer_experts_succeed_and_retreat_above_the_cabinet(simulator: Simulator, seed: int) -> None:
     name = simulator.task.card.id
     performance = run_expert(simulator, find_expert(name), compose(name, seed))
     assert performance.outcome.success, performance.outcome

@@ -32,7 +32,7 @@ def picture_hash(simulator: Simulator) -> str:
 
 
 @pytest.mark.sapien
-def test_names_shadow_none_of_maniskill() -> None:
+def test_environment_names_do_not_shadow_those_of_maniskill() -> None:
     import gymnasium
     from mani_skill.envs.tasks import StackCubeEnv
     from mani_skill.utils.registration import REGISTERED_ENVS
@@ -48,7 +48,7 @@ def test_names_shadow_none_of_maniskill() -> None:
 
 
 @pytest.mark.sapien
-def test_a_seed_gives_the_same_first_frame_whatever_came_before(simulator: Simulator) -> None:
+def test_a_seed_gives_the_same_first_frame_regardless_of_earlier_episodes(simulator: Simulator) -> None:
     simulator.reset(compose(TASK, 5))
     first = picture_hash(simulator)
     simulator.reset(compose(TASK, 6))
@@ -69,7 +69,7 @@ def test_a_seed_gives_the_same_first_frame_whatever_came_before(simulator: Simul
 
 
 @pytest.mark.sapien
-def test_a_seed_gives_the_same_motion_whatever_came_before(simulator: Simulator) -> None:
+def test_a_seed_gives_the_same_motion_regardless_of_earlier_episodes(simulator: Simulator) -> None:
     def run() -> np.ndarray:
         performance = run_expert(simulator, find_expert(TASK), compose(TASK, 2))
         return np.stack([np.concatenate([s.q, *s.objects.values()]) for s in performance.snapshots])
@@ -80,7 +80,7 @@ def test_a_seed_gives_the_same_motion_whatever_came_before(simulator: Simulator)
 
 
 @pytest.mark.sapien
-def test_the_environment_alone_composes_the_same_episodes(simulator: Simulator) -> None:
+def test_gymnasium_make_composes_the_same_episodes_as_the_simulator(simulator: Simulator) -> None:
     import gymnasium
 
     simulator.reset(compose(TASK, 9))
@@ -100,7 +100,7 @@ def test_the_environment_alone_composes_the_same_episodes(simulator: Simulator) 
 
 
 @pytest.mark.parametrize("task", TASKS)
-def test_another_seed_on_the_same_assets_keeps_who_plays_what(task: str) -> None:
+def test_reseeding_an_episode_keeps_the_asset_of_each_role(task: str) -> None:
     episode = compose(task, 1)
     assets = {name: placement.model.asset_id for name, placement in episode.layout().placements.items()}
     for seed in range(2, 6):
@@ -109,7 +109,7 @@ def test_another_seed_on_the_same_assets_keeps_who_plays_what(task: str) -> None
 
 
 @pytest.mark.sapien
-def test_a_scene_that_is_not_rebuilt_keeps_its_assets_and_moves_them() -> None:
+def test_reset_without_reconfiguration_keeps_assets_and_moves_them() -> None:
     from kinebench_drake.suites.scene.environment import KineBenchEnv
 
     env = KineBenchEnv(task=TASK, sim_backend="cpu", render_backend="none", reconfiguration_freq=0)
@@ -143,7 +143,7 @@ def test_unknown_tasks_and_variants_are_usage_errors() -> None:
 
 
 @pytest.mark.parametrize("task", TASKS)
-def test_episodes_are_what_their_seed_says(task: str) -> None:
+def test_episodes_repeat_by_seed_and_pools_share_no_asset(task: str) -> None:
     ids = {compose(task, seed).id for seed in range(5)}
     assert len(ids) == 5
     episode = compose(task, 3)
@@ -161,7 +161,7 @@ def test_episodes_are_what_their_seed_says(task: str) -> None:
 
 @pytest.mark.sapien
 @pytest.mark.parametrize("task", EACH_TASK)
-def test_layouts_say_where_bodies_are_without_a_simulator(task: str) -> None:
+def test_poses_of_a_layout_equal_those_of_the_simulated_scene(task: str) -> None:
     episode = compose(task, 1)
     with Simulator(task, renders=False) as simulator:
         simulator.reset(episode)

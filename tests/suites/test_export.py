@@ -51,7 +51,7 @@ def exported(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.sapien
-def test_first_frames_are_what_a_reset_shows(exported: Path) -> None:
+def test_exported_first_frames_equal_the_rendered_reset(exported: Path) -> None:
     with Simulator("StackCube-v1", camera=benchmark_camera().resized(96, 96)) as stage:
         stage.reset(compose("StackCube-v1", 1))
         rgb = stage.render().rgb
@@ -65,14 +65,14 @@ def test_first_frames_are_what_a_reset_shows(exported: Path) -> None:
 
 
 @pytest.mark.sapien
-def test_files_do_not_depend_on_what_was_drawn_before(exported: Path, tmp_path: Path) -> None:
+def test_exported_files_do_not_depend_on_other_episodes(exported: Path, tmp_path: Path) -> None:
     alone = export(tmp_path / "alone", TASKS[1:], 2)
     for name in ("StackCube-v1_s0000.png", "StackCube-v1_s0001.png", "camera.json"):
         assert (alone / name).read_bytes() == (exported / name).read_bytes()
 
 
 @pytest.mark.sapien
-def test_the_manifest_is_one_for_score(exported: Path) -> None:
+def test_the_exported_manifest_is_readable_by_score(exported: Path) -> None:
     inputs = find_samples(exported / "manifest.jsonl")
     assert not inputs.warnings
     assert [sample.id for sample in inputs.samples] == [f"{task}_s000{k}" for task in TASKS for k in range(2)]
@@ -85,7 +85,7 @@ def test_the_manifest_is_one_for_score(exported: Path) -> None:
 
 
 @pytest.mark.sapien
-def test_prompts_are_those_of_a_run_with_the_same_options(exported: Path, tmp_path: Path) -> None:
+def test_exported_prompts_equal_those_of_a_run_with_the_same_options(exported: Path, tmp_path: Path) -> None:
     template = PromptTemplate(prefix="Still camera.", negative="blur")
     asked = export(tmp_path / "asked", TASKS[1:], 1, template)
     [sample] = find_samples(asked / "manifest.jsonl").samples
@@ -99,7 +99,7 @@ def test_prompts_are_those_of_a_run_with_the_same_options(exported: Path, tmp_pa
 
 
 @pytest.mark.sapien
-def test_every_episode_is_told_completely(exported: Path) -> None:
+def test_episodes_jsonl_has_assets_looks_and_task_properties(exported: Path) -> None:
     rows = [json.loads(line) for line in (exported / "episodes.jsonl").read_text().splitlines()]
     for row in rows:
         episode = compose(row["task"], row["seed"])
@@ -112,7 +112,7 @@ def test_every_episode_is_told_completely(exported: Path) -> None:
 
 
 @pytest.mark.sapien
-def test_a_used_folder_is_extended_or_refused(tmp_path: Path) -> None:
+def test_an_export_folder_is_extended_by_equal_settings_or_refused(tmp_path: Path) -> None:
     """More episodes of the same settings are added; nothing that the folder holds is lost or left without a row."""
     out = export(tmp_path / "out", TASKS[:1], 1)
     (out / "PullCube-v1_s0000.mp4").touch()
@@ -133,13 +133,13 @@ def test_a_used_folder_is_extended_or_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["manifest.jsonl", "samples.jsonl", "suite.json"])
-def test_a_folder_in_other_use_is_refused(tmp_path: Path, name: str) -> None:
+def test_a_folder_with_files_of_another_command_is_refused(tmp_path: Path, name: str) -> None:
     (tmp_path / name).write_text("{}\n")
     with pytest.raises(UsageError, match=f"holds {name}, which no export wrote; name another folder"):
         export(tmp_path, TASKS, 1)
 
 
-def test_a_file_in_the_way_is_told_in_one_line(tmp_path: Path) -> None:
+def test_a_file_in_place_of_the_folder_is_an_error(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     with pytest.raises(UsageError, match="cannot be made a folder"):
         export(tmp_path / "file", TASKS, 1)

@@ -26,7 +26,7 @@ HUB_M = 0.03
 
 
 @pytest.mark.parametrize("asset_id", IDS)
-def test_sizes_are_in_bounds_and_the_finger_has_room_to_sweep(asset_id: str) -> None:
+def test_faucet_sizes_are_in_bounds_and_leave_room_for_the_sweeping_finger(asset_id: str) -> None:
     faucet = model(asset_id)
     for name, (low, high) in {
         "height_m": faucets.LEVER_HEIGHT_M,
@@ -47,7 +47,7 @@ def test_sizes_are_in_bounds_and_the_finger_has_room_to_sweep(asset_id: str) -> 
 
 
 @pytest.mark.parametrize("asset_id", IDS)
-def test_the_handle_turns_free_of_the_body(asset_id: str) -> None:
+def test_the_faucet_handle_turns_clear_of_the_body(asset_id: str) -> None:
     """The arms of the handle pass above the body."""
     base, handle = model(asset_id).bodies
     assert handle.joint is not None
@@ -65,7 +65,7 @@ def test_every_shape_comes_in_several_finishes() -> None:
 
 @pytest.mark.sapien
 @pytest.mark.parametrize("task", NAMES)
-def test_the_waiting_gripper_touches_no_faucet(task: str) -> None:
+def test_the_gripper_in_its_start_posture_touches_no_faucet(task: str) -> None:
     plant, margin = ArmPlant(), np.linspace(-0.03, 0.03, 3)
     for seed in range(12):
         layout = compose(task, seed).layout()
@@ -94,7 +94,7 @@ def simulator(request: pytest.FixtureRequest) -> Iterator[Simulator]:
 
 @pytest.mark.sapien
 @pytest.mark.parametrize("simulator", NAMES[1:], indirect=True)
-def test_a_handle_that_is_let_go_stops_and_stays(simulator: Simulator) -> None:
+def test_a_released_handle_stops_and_stays(simulator: Simulator) -> None:
     """For all shapes: released at 1 rad/s, the handle comes to rest at once and stays."""
     task = simulator.task.card.id
     for shape in range(6):
@@ -114,7 +114,7 @@ def test_a_handle_that_is_let_go_stops_and_stays(simulator: Simulator) -> None:
 
 
 @pytest.mark.sapien
-def test_conditions_follow_the_handle(simulator: Simulator) -> None:
+def test_faucet_conditions_follow_the_angle_of_the_handle(simulator: Simulator) -> None:
     simulator.reset(compose(simulator.task.card.id, 3))
     travel = simulator.scene().size("faucet", "range_rad")
     opens = simulator.task.card.id == "OpenFaucet-v1"
@@ -129,6 +129,6 @@ def test_conditions_follow_the_handle(simulator: Simulator) -> None:
 
 @pytest.mark.sapien
 @pytest.mark.parametrize("seed", [31, pytest.param(32, marks=pytest.mark.exhaustive)])
-def test_experts_succeed(simulator: Simulator, seed: int) -> None:
+def test_faucet_experts_succeed(simulator: Simulator, seed: int) -> None:
     task = simulator.task.card.id
     assert run_expert(simulator, find_expert(task), compose(task, seed)).outcome.success

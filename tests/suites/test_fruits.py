@@ -62,7 +62,7 @@ def test_every_container_holds_a_fruit_and_stands_on_the_table() -> None:
 
 
 @pytest.mark.parametrize("variant", list(TaskVariant))
-def test_every_scene_has_the_same_names_and_room_for_the_fingers(variant: TaskVariant) -> None:
+def test_every_fruit_scene_has_the_same_names_and_gaps_for_the_fingers(variant: TaskVariant) -> None:
     names, targets = set(), set()
     for seed in range(60):
         layout = compose("PickFruits-v1", seed, variant=variant).layout()
@@ -81,7 +81,7 @@ def test_every_scene_has_the_same_names_and_room_for_the_fingers(variant: TaskVa
     assert targets == set(FRUITS)
 
 
-def test_a_fruit_counts_only_inside_and_let_go() -> None:
+def test_a_fruit_counts_only_inside_the_container_and_released() -> None:
     task, episodes = find_task("PickFruits-v1"), [compose("PickFruits-v1", seed) for seed in (3, 4)]
     layouts = [episode.layout() for episode in episodes]
 
@@ -104,7 +104,7 @@ def test_a_fruit_counts_only_inside_and_let_go() -> None:
     assert not task.conditions(state_of(episodes, {"other_1": into("other_1")}))["others_stay"].any()
 
 
-def test_order_is_the_order_of_the_compartments() -> None:
+def test_fruits_are_stored_in_the_order_of_the_compartments() -> None:
     task, episodes = find_task("StoreFruitsBox-v1"), [compose("StoreFruitsBox-v1", seed) for seed in (3, 5)]
     layouts = [episode.layout() for episode in episodes]
 
@@ -137,7 +137,7 @@ def test_order_is_the_order_of_the_compartments() -> None:
 
 @pytest.mark.sapien
 @pytest.mark.parametrize("task", ["PickFruits-v1", "StoreFruitsBox-v1"])
-def test_untouched_things_stay_where_they_are(task: str) -> None:
+def test_untouched_fruits_stay_where_they_are(task: str) -> None:
     with Simulator(task, renders=False) as simulator:
         simulator.reset(compose(task, 7))
         start = simulator.snapshot()
@@ -157,7 +157,7 @@ def test_untouched_things_stay_where_they_are(task: str) -> None:
         ("StoreFruitsBox-v1", 0, TaskVariant.PLAIN),
     ],
 )
-def test_experts_succeed(task: str, seed: int, variant: TaskVariant) -> None:
+def test_fruit_experts_succeed(task: str, seed: int, variant: TaskVariant) -> None:
     with Simulator(task, renders=False, variant=variant) as simulator:
         performance = run_expert(simulator, find_expert(task), compose(task, seed, variant=variant))
     assert performance.outcome.success, performance.outcome.conditions

@@ -33,7 +33,7 @@ def _lid_at(laptop: AssetModel, angle_rad: float) -> Array:
 
 
 @pytest.mark.parametrize("asset_id", asset_ids("laptop"))
-def test_sizes_are_within_bounds(asset_id: str) -> None:
+def test_laptop_sizes_are_within_bounds(asset_id: str) -> None:
     laptop = model(asset_id)
     base, lid = solid_points(laptop.bodies[0]), _lid_at(laptop, 0.0)
     for (low, high), extent in ((assets.DEPTH_M, np.ptp(base[:, 0])), (assets.WIDTH_M, np.ptp(base[:, 1]))):
@@ -53,7 +53,7 @@ def test_lid_stays_above_the_base_at_all_angles(asset_id: str) -> None:
         assert lid[:, 2].max() < 0.2
 
 
-def test_instances_differ() -> None:
+def test_laptops_differ_in_size_and_come_in_all_colours() -> None:
     laptops = [model(name) for name in asset_ids("laptop")]
     assert len({laptop.words for laptop in laptops}) == len(assets.COLORS)
     assert len({tuple(laptop.size.values()) for laptop in laptops}) == len(laptops)
@@ -74,7 +74,7 @@ def _states(task: str, angles: tuple[float, float], clear_m: float) -> State:
 
 
 @pytest.mark.parametrize("task_id", TASK_IDS)
-def test_conditions_flip_at_the_goal(task_id: str) -> None:
+def test_laptop_conditions_flip_at_the_goal_angle(task_id: str) -> None:
     task = find_task(task_id)
     name, goal, sign = ("open", OPEN_RAD, 1.0) if "Open" in task_id else ("shut", SHUT_RAD, -1.0)
     state = _states(task_id, (goal + 0.01 * sign, goal - 0.01 * sign), 0.1)
@@ -90,7 +90,7 @@ def test_conditions_flip_at_the_goal(task_id: str) -> None:
 
 
 @pytest.mark.parametrize("task_id", TASK_IDS)
-def test_goal_needs_a_quarter_of_the_range(task_id: str) -> None:
+def test_the_goal_is_over_a_quarter_of_the_range_from_the_start(task_id: str) -> None:
     for seed in range(20):
         start = compose(task_id, seed).layout().placements["laptop"].joint
         way = OPEN_RAD - start if "Open" in task_id else start - SHUT_RAD
@@ -104,7 +104,7 @@ def ajar() -> Iterator[Simulator]:
 
 
 @pytest.mark.sapien
-def test_lid_at_rest_stays(ajar: Simulator) -> None:
+def test_a_laptop_lid_at_rest_stays(ajar: Simulator) -> None:
     ajar.reset(compose("OpenLaptopEasy-v1", 3))
     before = ajar.snapshot()
     for _ in range(200):
@@ -113,7 +113,7 @@ def test_lid_at_rest_stays(ajar: Simulator) -> None:
 
 
 @pytest.mark.sapien
-def test_pushed_lid_stops_soon(ajar: Simulator) -> None:
+def test_a_pushed_laptop_lid_stops_soon(ajar: Simulator) -> None:
     ajar.reset(compose("OpenLaptopEasy-v1", 4))
     before = ajar.snapshot()
     lid = ajar._env.objects["laptop"]
@@ -130,7 +130,7 @@ def test_pushed_lid_stops_soon(ajar: Simulator) -> None:
 @pytest.mark.sapien
 @pytest.mark.parametrize("task_id", TASK_IDS)
 @pytest.mark.parametrize("seed", [11, pytest.param(12, marks=pytest.mark.exhaustive)])
-def test_expert_succeeds(task_id: str, seed: int) -> None:
+def test_laptop_experts_succeed_with_monotone_lid_motion(task_id: str, seed: int) -> None:
     with Simulator(task_id, renders=False) as simulator:
         performance = run_expert(simulator, find_expert(task_id), compose(task_id, seed))
     assert performance.outcome.success, performance.outcome

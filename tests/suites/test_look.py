@@ -39,7 +39,7 @@ MAKERS: dict[str, Callable[[np.random.Generator], Texture]] = {
 
 
 @pytest.mark.parametrize("name", MAKERS)
-def test_texture_repeats_without_a_seam_and_without_chance(name: str) -> None:
+def test_textures_tile_without_a_seam_and_repeat_by_seed(name: str) -> None:
     image = MAKERS[name](np.random.default_rng(3))
     assert image.dtype == np.uint8
     assert image.shape == (len(image), len(image), 3)
@@ -50,7 +50,7 @@ def test_texture_repeats_without_a_seam_and_without_chance(name: str) -> None:
         assert steps[0] <= 1.05 * steps[1:].max()
 
 
-def test_looks_are_the_same_every_time_and_differ() -> None:
+def test_looks_are_reproducible_and_pairwise_different() -> None:
     for make, sort in ((look.table, "table"), (look.background, "background"), (look.light, "light")):
         looks = [make(look_id) for look_id in look.look_ids(sort)]
         if sort == "light":
@@ -88,14 +88,14 @@ def test_lights_come_from_all_sides_above_the_wall_and_are_bright_enough() -> No
     assert warmth.max() > 1.3
 
 
-def test_the_table_top_is_the_plane_zero() -> None:
+def test_the_table_top_is_at_height_zero() -> None:
     table = surroundings(look.table("table/00"), look.background("background/00"))["table"]
     [top], [visual] = table.colliders, table.visuals
     assert top.X_BodyC[2, 3] + top.size[2] == pytest.approx(0.0, abs=1e-12)
     assert (visual.mesh.vertices[:, 2] + visual.X_BodyV[2, 3]).max() == pytest.approx(0.0, abs=1e-12)
 
 
-def test_unknown_look_is_a_usage_error() -> None:
+def test_an_unknown_look_is_a_usage_error() -> None:
     with pytest.raises(UsageError, match="table/23"):
         look.table("table/24")
     with pytest.raises(UsageError, match="background"):

@@ -24,7 +24,7 @@ def test_a_panel_fills_the_space_between_its_corners(bevel_m: float) -> None:
     assert len(body.visuals) == 2
 
 
-def test_a_turned_board_is_touched_where_it_is_seen() -> None:
+def test_visual_and_collider_of_a_rotated_box_coincide() -> None:
     R, size, center = rotation_exp([0.0, 0.0, 0.4]), [0.2, 0.1, 0.02], [0.5, 0.0, 0.1]
     assert np.array_equal(
         box_visual(size, center, SurfaceFinish(), R=R).X_BodyV, box_collider(size, center, R=R).X_BodyC

@@ -37,7 +37,7 @@ def test_minimum_jerk_is_at_rest_at_both_ends() -> None:
 
 
 @pytest.mark.parametrize("through", [True, False])
-def test_path_ends_at_the_last_waypoint_at_rest(through: bool) -> None:
+def test_a_path_ends_at_the_last_waypoint_at_rest(through: bool) -> None:
     X, widths = path_with(through)
     distance, angle = pose_difference(X[-1], lift(make_pose(grasp_rotation(DOWN, (1, -1, 0)), [0.6, 0.2, 0.2]), -0.15))
     assert distance < 1e-9
@@ -48,7 +48,7 @@ def test_path_ends_at_the_last_waypoint_at_rest(through: bool) -> None:
     assert speed[0] < 0.02
 
 
-def test_only_stops_are_stopped_at() -> None:
+def test_a_path_stops_at_stops_and_passes_through_other_waypoints() -> None:
     def slowest_inside(through: bool) -> float:
         X, _ = path_with(through)
         speed = np.linalg.norm(np.diff(X[:, :3, 3], axis=0), axis=1) / CONTROL_PERIOD_S
@@ -58,7 +58,7 @@ def test_only_stops_are_stopped_at() -> None:
     assert slowest_inside(through=True) > 0.03
 
 
-def test_plan_follows_the_path_within_speed_limits() -> None:
+def test_a_plan_follows_its_path_within_speed_limits() -> None:
     plant = ArmPlant()
     X_goal = lift(plant.forward(rest_q()), 0.1)
     waypoints = [Waypoint(X_BG=X_goal, finger_width_m=0.04)]
@@ -71,7 +71,7 @@ def test_plan_follows_the_path_within_speed_limits() -> None:
     assert (speed <= plant.velocity_limits).all()
 
 
-def test_plan_refuses_what_the_arm_cannot_do() -> None:
+def test_a_plan_outside_workspace_or_speed_limits_is_refused() -> None:
     plant = ArmPlant()
     start = plant.forward(rest_q())
     with pytest.raises(InputError, match="leaves the workspace"):
@@ -80,7 +80,7 @@ def test_plan_refuses_what_the_arm_cannot_do() -> None:
         plan(plant, rest_q(), 0.08, [Waypoint(X_BG=lift(start, 0.3), finger_width_m=0.08)], 10)
 
 
-def test_grasp_rotation_and_level_axes() -> None:
+def test_grasp_rotations_are_right_handed_and_level_axes_horizontal() -> None:
     assert np.allclose(R.T @ R, np.eye(3))
     assert np.linalg.det(R) == pytest.approx(1.0)
     assert np.allclose(R[:, 2], DOWN)

@@ -12,7 +12,7 @@ from kinebench_drake.suites.families.registry import TASKS
 from kinebench_drake.suites.prompts import PRESETS, PromptTemplate, prompt_template
 
 
-def test_a_template_of_nothing_leaves_the_instruction() -> None:
+def test_an_empty_template_leaves_the_instruction_unchanged() -> None:
     for task in TASKS:
         episode = compose(task, 3)
         assert PromptTemplate().prompt(episode) == episode.prompt
@@ -20,7 +20,7 @@ def test_a_template_of_nothing_leaves_the_instruction() -> None:
     assert not any(PromptTemplate().to_json().values())
 
 
-def test_parts_stand_around_the_text_of_the_task(tmp_path: Path) -> None:
+def test_prefix_and_suffix_surround_the_text_of_the_task(tmp_path: Path) -> None:
     fruit, cube = compose("PickFruits-v1", 3), compose("StackCube-v1", 3)
     (tmp_path / "p.json").write_text(json.dumps({"PickFruits-v1": "{prompt} Slowly.", "StackCube-v1": " Pile up. "}))
     template = prompt_template(
@@ -35,7 +35,7 @@ def test_parts_stand_around_the_text_of_the_task(tmp_path: Path) -> None:
     assert prompt_template(prompts={"StackCube-v1": "Pile up."}).prompt(cube) == "Pile up."
 
 
-def test_the_preset_gives_way_to_what_is_stated() -> None:
+def test_explicit_options_override_the_preset() -> None:
     locked, episode = PRESETS["visual-lock"], compose("StackCube-v1", 3)
     assert prompt_template(prompt_preset="visual-lock") == locked
     assert locked.prompt(episode) == f"{locked.prefix} {episode.prompt}"
@@ -59,7 +59,7 @@ def test_the_command_offers_every_preset() -> None:
         ('{"StackCube-v1": 3}', "p.json: the prompt of StackCube-v1 is 3, expected a text"),
     ],
 )
-def test_files_that_cannot_be_used(tmp_path: Path, text: str | None, message: str) -> None:
+def test_unusable_prompt_files_are_usage_errors(tmp_path: Path, text: str | None, message: str) -> None:
     if text is not None:
         (tmp_path / "p.json").write_text(text)
     with pytest.raises(UsageError, match=message):

@@ -43,7 +43,7 @@ def _images(states: Sequence[Snapshot]) -> tuple[int, list[CameraImage]]:
 
 
 @pytest.mark.sapien
-def test_shaders_give_the_images_of_maniskill_s_to_the_bit(
+def test_software_shaders_render_bit_equal_to_maniskills(
     states: Sequence[Snapshot], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     from kinebench_drake.suites.scene.rendering import software_shaders
@@ -61,7 +61,9 @@ def test_shaders_give_the_images_of_maniskill_s_to_the_bit(
 
 
 @pytest.mark.sapien
-def test_a_simplified_arm_looks_as_before(states: Sequence[Snapshot], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_simplified_arm_renders_nearly_equal_images(
+    states: Sequence[Snapshot], monkeypatch: pytest.MonkeyPatch
+) -> None:
     count, images = _images(states)
     monkeypatch.setattr(f"{_ENVIRONMENT}.simplify_arm", lambda robot: None)
     full_count, full_images = _images(states)
@@ -96,7 +98,7 @@ def _render_in(path: Path, environment: Mapping[str, str]) -> Mapping[str, np.nd
 @pytest.mark.gpu
 @pytest.mark.sapien
 @pytest.mark.skipif(not has_nvidia_vulkan(), reason="no GPU")
-def test_a_gpu_renders_what_the_processor_does(tmp_path: Path) -> None:
+def test_gpu_and_cpu_render_nearly_equal_images(tmp_path: Path) -> None:
     on_gpu, own = (
         _render_in(tmp_path / f"{k}.npz", environment) for k, environment in enumerate(({}, {RENDER_VARIABLE: "cpu"}))
     )

@@ -17,19 +17,19 @@ from tests.suites.scenes import EACH_TASK
 Filmed = tuple[Simulator, Rollout, RolloutVideo]
 
 
-def test_unknown_task_is_a_usage_error() -> None:
+def test_an_expert_of_an_unknown_task_is_a_usage_error() -> None:
     with pytest.raises(UsageError, match="StackCube-v1"):
         find_expert("StackCubes")
 
 
-def test_a_failure_names_the_conditions_that_fail() -> None:
+def test_the_reason_of_a_failure_names_the_false_conditions() -> None:
     conditions = {"above": True, "still": False, "released": False}
     assert TaskOutcome(success=False, progress=0.5, conditions=conditions).reason == "not still, released"
     assert TaskOutcome(success=True, progress=1.0, conditions=dict.fromkeys(conditions, True)).reason == ""
 
 
 @pytest.mark.sapien
-def test_sapien_camera_looks_along_its_x_axis() -> None:
+def test_the_sapien_camera_looks_along_its_x_axis() -> None:
     from kinebench_drake.suites.scene.builder import sapien_from_opencv
 
     X_WC = benchmark_camera().X_BC
@@ -41,12 +41,12 @@ def test_sapien_camera_looks_along_its_x_axis() -> None:
 
 @pytest.mark.sapien
 @pytest.mark.parametrize("task", EACH_TASK)
-def test_expert_succeeds_within_speed_limits(task: str) -> None:
+def test_experts_succeed_within_speed_limits(task: str) -> None:
     assert_expert_succeeds(task, "panda", seed=11)
 
 
 @pytest.mark.sapien
-def test_expert_succeeds_with_a_wrist_camera() -> None:
+def test_the_expert_succeeds_with_a_wrist_camera() -> None:
     assert_expert_succeeds("StackCube-v1", "panda_wristcam", seed=13)
 
 
@@ -63,7 +63,7 @@ def assert_expert_succeeds(task: str, robot: str, *, seed: int) -> None:
 
 
 @pytest.mark.sapien
-def test_pixels_of_the_gripper_lie_on_the_gripper(filmed: Filmed) -> None:
+def test_masked_pixels_lie_on_the_gripper_by_depth_and_pose(filmed: Filmed) -> None:
     """Camera, mask, depth and pose agree: masked pixels, carried through depth and pose, fall into the hand's box."""
     _, _, clip = filmed
     rays = clip.camera.rays()
@@ -78,7 +78,7 @@ def test_pixels_of_the_gripper_lie_on_the_gripper(filmed: Filmed) -> None:
 
 
 @pytest.mark.sapien
-def test_truth_agrees_with_drake(filmed: Filmed) -> None:
+def test_ground_truth_poses_agree_with_drakes_kinematics(filmed: Filmed) -> None:
     _, _, clip = filmed
     plant = ArmPlant()
     X_BG = plant.forward_path(clip.q)
@@ -92,7 +92,7 @@ def test_truth_agrees_with_drake(filmed: Filmed) -> None:
 
 
 @pytest.mark.sapien
-def test_filming_changes_nothing(filmed: Filmed) -> None:
+def test_rendering_afterwards_equals_rendering_during_the_rollout(filmed: Filmed) -> None:
     stage, performance, clip = filmed
     again = render_video(stage, performance.snapshots[30:33], first_frame=30)
     assert np.array_equal(again.rgb, clip.rgb[30:33])

@@ -1,4 +1,4 @@
-"""Contact sheets: what stands where on the page, and whether the panels are what they say."""
+"""Contact sheets: layout of the page and content of the panels."""
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -19,7 +19,7 @@ def _shot(level: int) -> Panel:
     return Panel(title="Task-v1", text="The robot arm does what it is told to do, word by word, " * 3, images=pictures)
 
 
-def test_every_picture_is_on_the_page_in_its_order() -> None:
+def test_every_image_is_on_the_sheet_in_order() -> None:
     page = np.asarray(contact_sheet([_shot(10 * i) for i in range(1, 6)], columns=2))
     pitch_x = 2 * IMAGE_PX + GAP_PX + MARGIN_PX
     assert page.shape[1] == 2 * pitch_x + MARGIN_PX
@@ -33,7 +33,7 @@ def test_every_picture_is_on_the_page_in_its_order() -> None:
     assert (page[:, -MARGIN_PX:] == 255).all()
 
 
-def test_a_failure_is_red() -> None:
+def test_a_failed_panel_is_marked_red() -> None:
     def redness(failed: bool) -> int:
         page = np.asarray(contact_sheet([Panel(title="Task-v1", text="not above", failed=failed)], columns=1)).astype(
             int
@@ -57,7 +57,7 @@ class _Backwards:
                 yield ItemResult(item=item, result=Panel(title=item.task, text=item.prompt))
 
 
-def test_panels_come_in_the_order_asked_for() -> None:
+def test_panels_keep_the_order_of_the_request() -> None:
     tasks = ["StackCube-v1", "PullCube-v1", "CloseBox-v1"]
     panels = task_panels(_Backwards(), [compose(task, 0) for task in tasks])
     assert [panel.title for panel in panels] == tasks
@@ -66,7 +66,7 @@ def test_panels_come_in_the_order_asked_for() -> None:
 
 
 @pytest.mark.sapien
-def test_a_shot_is_the_first_and_last_frame() -> None:
+def test_a_panel_shows_first_and_last_frame() -> None:
     [panel] = task_panels(create_executor(ExecutorKind.LOCAL, 1), [compose("StackCube-v1", 0)])
     assert not panel.failed
     first, last = panel.images
@@ -74,7 +74,7 @@ def test_a_shot_is_the_first_and_last_frame() -> None:
     assert (first != last).any(axis=-1).mean() > 0.05
 
 
-def test_command_writes_a_picture(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_sheet_command_writes_an_image(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(
         "kinebench_drake.suites.contact_sheet.task_panels", lambda executor, episodes: [_shot(9)] * len(episodes)
     )
@@ -85,6 +85,6 @@ def test_command_writes_a_picture(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     assert Image.open(out).width > 2 * IMAGE_PX
 
 
-def test_command_wants_a_picture_file() -> None:
+def test_the_sheet_command_refuses_other_file_types() -> None:
     done = CliRunner().invoke(cli, ["suite", "sheet", "--out", "sheet.gif"])
     assert done.exit_code != 0

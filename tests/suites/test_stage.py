@@ -1,4 +1,4 @@
-"""What a stage says where the machine cannot render."""
+"""Errors of the simulator where the machine cannot render."""
 
 import subprocess
 import sys
@@ -17,14 +17,14 @@ from kinebench_drake.suites.simulator import _setup_errors
         ImportError("libX11.so.6: cannot open shared object file"),
     ],
 )
-def test_a_missing_driver_or_library_names_its_cure(error: Exception) -> None:
+def test_a_missing_driver_or_library_is_reported_with_its_fix(error: Exception) -> None:
     with pytest.raises(SetupError, match="doctor --fix") as caught, _setup_errors():
         raise error
     assert str(error) in str(caught.value)
 
 
 @pytest.mark.parametrize("error", [RuntimeError("a joint is out of range"), ValueError("no vk:: at all")])
-def test_other_errors_pass(error: Exception) -> None:
+def test_errors_unrelated_to_setup_are_passed_on(error: Exception) -> None:
     with pytest.raises(type(error)) as caught, _setup_errors():
         raise error
     assert caught.value is error

@@ -41,14 +41,14 @@ DRIFT_M, DRIFT_SHARE = 0.004, 0.01
 """Tolerated motion at rest: of an object as it settles, and of a joint as a fraction of its range."""
 
 
-def test_the_benchmark_is_complete() -> None:
+def test_every_task_of_the_benchmark_has_an_expert() -> None:
     assert list(TASKS) == BENCHMARK
     assert sorted(EXPERTS) == BENCHMARK
     assert sum(TaskVariant.OBSTACLES in task.card.variants for task in TASKS.values()) >= 2
 
 
 @pytest.mark.parametrize("task", TASKS)
-def test_tasks_are_described(task: str) -> None:
+def test_every_task_has_a_description_and_an_instruction(task: str) -> None:
     doc = type(TASKS[task]).__doc__ or ""
     for part in ("Description:", "Randomizations:", "Success:"):
         assert part in doc
@@ -59,7 +59,7 @@ def test_tasks_are_described(task: str) -> None:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_every_kind_has_many_different_instances(kind: str) -> None:
+def test_every_kind_of_asset_has_20_different_instances(kind: str) -> None:
     assets = [model(asset_id) for asset_id in asset_ids(kind)]
     assert len(assets) >= 20
     assert len({tuple(sorted(m.size.items())) for m in assets}) == len(assets), "instances of the same measures"
@@ -68,7 +68,7 @@ def test_every_kind_has_many_different_instances(kind: str) -> None:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_solids_are_where_they_are_seen(kind: str) -> None:
+def test_colliders_coincide_with_visuals(kind: str) -> None:
     """Bounding boxes of visuals and colliders agree within 12 mm."""
     for asset_id in asset_ids(kind)[::6]:
         for body in model(asset_id).bodies:
@@ -87,7 +87,7 @@ def simulator(request: pytest.FixtureRequest) -> Iterator[tuple[Simulator, TaskV
 
 
 @pytest.mark.sapien
-def test_nothing_moves_by_itself_and_nothing_is_done_at_first(simulator: tuple[Simulator, TaskVariant]) -> None:
+def test_initial_scenes_are_at_rest_and_unsolved(simulator: tuple[Simulator, TaskVariant]) -> None:
     own, variant = simulator
     for seed in SEEDS:
         episode = compose(own.task.card.id, seed, variant=variant)
@@ -109,7 +109,7 @@ def test_nothing_moves_by_itself_and_nothing_is_done_at_first(simulator: tuple[S
 
 
 @pytest.mark.sapien
-def test_verdicts_of_a_batch_are_those_of_its_scenes(simulator: tuple[Simulator, TaskVariant]) -> None:
+def test_batched_conditions_and_progress_equal_those_of_single_scenes(simulator: tuple[Simulator, TaskVariant]) -> None:
     """Conditions and progress of a batch of two scenes, as in ManiSkill's GPU simulation."""
     import torch
 

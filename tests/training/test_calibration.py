@@ -28,7 +28,7 @@ FRAMES = read_video(CLIP.path).frames[:6]
 
 
 @pytest.mark.parametrize("degradation", list(VideoDegradation))
-def test_the_same_seed_makes_the_same_frames(degradation: VideoDegradation) -> None:
+def test_degraded_frames_repeat_by_seed_and_keep_their_shape(degradation: VideoDegradation) -> None:
     worse = degrade_video(FRAMES, CLIP, degradation, [0, 1])
     np.testing.assert_array_equal(worse, degrade_video(FRAMES, CLIP, degradation, [0, 1]))
     assert worse.shape == FRAMES.shape
@@ -37,7 +37,7 @@ def test_the_same_seed_makes_the_same_frames(degradation: VideoDegradation) -> N
         assert (worse != degrade_video(FRAMES, CLIP, degradation, [0, 2])).any()
 
 
-def test_an_absent_gripper_is_painted_over_and_nothing_else(cad: GripperCad) -> None:
+def test_removing_the_gripper_changes_only_pixels_of_its_mask(cad: GripperCad) -> None:
     changed = (degrade_video(FRAMES, CLIP, VideoDegradation.ABSENT, [0, 1]) != FRAMES).any(axis=-1)
     for frame, gripper in zip(changed, CLIP.masks(cad), strict=True):
         assert frame[gripper].mean() > 0.9
@@ -68,7 +68,7 @@ def drawn_video(rng: np.random.Generator, frames: int = 30) -> MeasuredPoses:
     return MeasuredPoses(domain=Domain.UNFAMILIAR, features=features, X_AH=X_AH, covariance=covariance, X_true=X_true)
 
 
-def test_a_fitted_confidence_tells_right_poses_from_wrong_ones() -> None:
+def test_a_fitted_confidence_separates_right_from_wrong_poses() -> None:
     rng = np.random.default_rng(0)
     confidence = fit_confidence([drawn_video(rng) for _ in range(30)])
     for other in (drawn_video(rng) for _ in range(5)):

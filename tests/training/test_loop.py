@@ -16,7 +16,7 @@ def noise(start: int) -> Iterable[Batch]:
 
 
 @pytest.mark.parametrize(("fixed_from", "met"), [(1.0, STEPS), (0.25, 2)])
-def test_batch_normalisation_keeps_its_statistics_from_a_part_of_the_steps_on(
+def test_batch_normalisation_statistics_are_frozen_after_a_share_of_the_steps(
     tmp_path: Path, fixed_from: float, met: int
 ) -> None:
     network = nn.Sequential(nn.Conv2d(3, 2, 1), nn.BatchNorm2d(2))
@@ -35,7 +35,7 @@ def test_batch_normalisation_keeps_its_statistics_from_a_part_of_the_steps_on(
     assert int(tracked) == met
 
 
-def test_a_training_goes_on_from_its_checkpoint_as_if_it_had_not_stopped(tmp_path: Path) -> None:
+def test_a_training_resumed_from_its_checkpoint_equals_an_uninterrupted_one(tmp_path: Path) -> None:
     def seeded(start: int) -> Iterable[Batch]:
         return [{"image": torch.randn(2, 3, generator=torch.Generator().manual_seed(k))} for k in range(start, STEPS)]
 

@@ -16,7 +16,7 @@ def postures() -> PostureSampler:
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_motions_stay_within_limits_and_above_the_table(postures: PostureSampler, seed: int) -> None:
+def test_training_motions_stay_within_limits_and_above_the_table(postures: PostureSampler, seed: int) -> None:
     motion = postures.draw_motion(np.random.default_rng(seed), PERIOD_S, PAYLOAD_M)
     assert (motion.q >= postures.lower).all()
     assert (motion.q <= postures.upper).all()
@@ -26,7 +26,7 @@ def test_motions_stay_within_limits_and_above_the_table(postures: PostureSampler
     assert (motion.finger_m <= 0.04).all()
 
 
-def test_fingers_hold_what_they_grasp(postures: PostureSampler) -> None:
+def test_fingers_stay_at_the_payload_width_while_grasping(postures: PostureSampler) -> None:
     motions = [postures.draw_motion(np.random.default_rng(seed), PERIOD_S, PAYLOAD_M) for seed in range(8)]
     held = [motion for motion in motions if motion.holds.any()]
     assert held

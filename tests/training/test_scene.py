@@ -42,7 +42,7 @@ def test_the_cad_model_lies_where_the_renderer_draws_the_gripper(shards: Shards,
         assert np.median(difference) < 2e-3
 
 
-def test_labels_are_points_of_the_cad_model(shards: Shards, cad: GripperCad) -> None:
+def test_coordinate_labels_are_points_of_the_cad_model(shards: Shards, cad: GripperCad) -> None:
     for i in clear_frames(shards)[:3]:
         frame = shards[i]
         crop = Crop.of_gripper(frame.X_CH, 1.3, CLOSE_SIZE)
@@ -71,14 +71,14 @@ def other_shards(tmp_path_factory: pytest.TempPathFactory) -> Shards:
     return Shards([folder])
 
 
-def test_another_gripper_is_background(other_shards: Shards) -> None:
+def test_other_grippers_are_labelled_background(other_shards: Shards) -> None:
     parts = {part for i in range(FRAMES_PER_SCENE) for part in np.unique(other_shards[i].part)}
     assert parts <= {RobotPart.BACKGROUND, *ARM}
     assert len(parts) > 4
 
 
 @pytest.mark.parametrize("seed", range(8))
-def test_another_gripper_stands_on_the_flange(seed: int) -> None:
+def test_other_grippers_stand_on_the_flange(seed: int) -> None:
     gripper = [a for a in random_gripper(np.random.default_rng(seed)) if a.link == "panda_hand"]
     corners = np.stack(np.meshgrid(*[[-1.0, 1.0]] * 3), axis=-1).reshape(-1, 3)
     solid = [transform_points(a.X_LA, corners * a.half) for a in gripper]
@@ -106,7 +106,7 @@ def test_crops_depend_on_seed_and_index_alone(shards: Shards) -> None:
     assert (first[7, 1]["image"] != other[7, 1]["image"]).any()
 
 
-def test_all_crops_of_a_step_are_of_one_size(shards: Shards) -> None:
+def test_all_crops_of_a_step_have_one_size(shards: Shards) -> None:
     crops, batches = Crops(shards, 0), list(Steps(range(2 * CLOSE_EVERY), 9))
     sizes = [{crops[item]["image"].shape for item in batch} for batch in batches]
     close, wide = {(3, CLOSE_SIZE, CLOSE_SIZE)}, {(3, WIDE_SIZE, WIDE_SIZE)}

@@ -23,7 +23,7 @@ def config(shards: Shards, out: Path) -> TrainingConfig:
 
 
 @pytest.mark.sapien
-def test_an_interrupted_training_goes_on_to_the_same_weights(
+def test_an_interrupted_training_resumes_to_the_same_weights(
     shards: Shards, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     whole = load_file(train(config(shards, tmp_path / "whole"), lambda _: None))
@@ -51,7 +51,7 @@ def test_an_interrupted_training_goes_on_to_the_same_weights(
 
 
 @pytest.mark.sapien
-def test_the_network_of_the_arm_alone_has_weights_of_its_own(shards: Shards, tmp_path: Path) -> None:
+def test_training_the_arm_alone_gives_its_own_weights(shards: Shards, tmp_path: Path) -> None:
     weights = [train(replace(config(shards, tmp_path / str(arm)), arm=arm), lambda _: None) for arm in (True, False)]
     assert [file.name for file in weights] == ["arm.safetensors", "gripper.safetensors"]
     of_arm, of_gripper = (load_file(file) for file in weights)
@@ -63,7 +63,7 @@ def test_training_without_frames_is_refused(tmp_path: Path) -> None:
         Shards([tmp_path])
 
 
-def test_weights_that_are_none_are_refused(tmp_path: Path) -> None:
+def test_missing_and_damaged_weights_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "w.safetensors"
     with pytest.raises(SetupError, match="no such weights"):
         load_network(path)
@@ -96,7 +96,7 @@ def coordinate_loss(output: DenseOutput, batch: dict[str, torch.Tensor]) -> floa
     return float(losses(output, batch).reported["coordinates"])
 
 
-def test_the_likelihood_is_best_at_the_true_scale() -> None:
+def test_the_coordinate_loss_is_least_at_the_true_scale() -> None:
     batch = batch_of(RobotPart.HAND)
     scales = np.linspace(-4, 0, 41)
     values = [coordinate_loss(output_for(batch, (0.1, 0.1), float(s)), batch) for s in scales]
@@ -104,20 +104,22 @@ def test_the_likelihood_is_best_at_the_true_scale() -> None:
 
 
 @pytest.mark.parametrize(("part", "others"), [(RobotPart.LEFT_FINGER, (0.1, 9.0)), (RobotPart.LINK6, (9.0, 0.1))])
-def test_gripper_and_arm_answer_for_their_own_coordinates(part: RobotPart, others: tuple[float, float]) -> None:
+def test_gripper_and_arm_heads_are_penalised_on_their_own_parts_alone(
+    part: RobotPart, others: tuple[float, float]
+) -> None:
     batch = batch_of(part)
     right = coordinate_loss(output_for(batch, (0.1, 0.1), 0.0), batch)
     assert coordinate_loss(output_for(batch, others, 0.0), batch) == pytest.approx(right)
     assert coordinate_loss(output_for(batch, others[::-1], 0.0), batch) > 2 * right
 
 
-def test_the_background_has_no_coordinates() -> None:
+def test_the_background_has_no_coordinate_loss() -> None:
     batch = batch_of(RobotPart.BACKGROUND)
     assert coordinate_loss(output_for(batch, (5.0, 5.0), 0.0), batch) == 0.0
 
 
 @pytest.mark.sapien
-def test_another_training_does_not_go_on_from_this_one(shards: Shards, tmp_path: Path) -> None:
+def test_resuming_with_another_configuration_is_refused(shards: Shards, tmp_path: Path) -> None:
     first = config(shards, tmp_path)
     train(first, lambda _: None)
     with pytest.raises(UsageError, match="holds a training with"):

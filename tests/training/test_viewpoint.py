@@ -12,7 +12,7 @@ BOUNDS = ViewBounds((-2.0, -2.0, 0.03), (2.5, 2.5, 2.5))
 
 
 @pytest.mark.parametrize("seed", range(40))
-def test_a_camera_sees_the_gripper_from_a_free_place(seed: int) -> None:
+def test_a_random_camera_sees_the_gripper_and_is_clear_of_the_links(seed: int) -> None:
     camera = random_camera(np.random.default_rng(seed), CENTRE_B, LINKS_B, BOUNDS, (384, 384))
     (target,) = transform_points(invert(camera.X_BC), CENTRE_B[None])
     pixel = camera.project(target)
@@ -37,6 +37,6 @@ def test_cameras_come_from_all_sides_and_most_stand_upright() -> None:
     assert (down_C[:, 1] > 0).mean() > 0.95
 
 
-def test_bounds_without_room_are_refused() -> None:
+def test_bounds_without_a_free_camera_position_are_refused() -> None:
     with pytest.raises(RuntimeError, match="no free camera position"):
         random_camera(np.random.default_rng(0), CENTRE_B, LINKS_B, ViewBounds((5, 5, 5), (6, 6, 6)), (384, 384))

@@ -36,7 +36,7 @@ def test_the_renderer_draws_the_gripper_where_the_cad_model_lies(folder: Path, c
     assert np.median(share) > 0.7
 
 
-def test_truth_of_a_video_is_that_of_its_joint_angles(folder: Path) -> None:
+def test_ground_truth_poses_follow_from_the_joint_angles(folder: Path) -> None:
     (file,) = find_clips(folder)
     clip, frames = file.load(), read_video(file.video).frames
     with open_npz(file.truth) as truth:
@@ -52,7 +52,7 @@ def test_truth_of_a_video_is_that_of_its_joint_angles(folder: Path) -> None:
         np.testing.assert_allclose(clip.camera.X_BC @ X_CH, X_BH, atol=1e-9)
 
 
-def test_motions_are_smooth_and_mostly_in_view(folder: Path) -> None:
+def test_rendered_motions_are_smooth_and_mostly_in_view(folder: Path) -> None:
     clip = find_clips(folder)[0].load()
     distance, angle = pose_difference(clip.X_CH[:-1], clip.X_CH[1:])
     assert 0 < distance.max() < 0.5

@@ -1,4 +1,4 @@
-"""How planted anomalies are held against found ones."""
+"""Matching of detected anomalies with planted ones."""
 
 import json
 from dataclasses import replace
@@ -36,7 +36,7 @@ def jump(frame, kind=AnomalyKind.TELEPORT, end=None):
 PLANTED = PlantedCase(kind=AnomalyKind.TELEPORT, frame_start=20, frame_end=48, size=0.05, form="")
 
 
-def test_a_fault_is_located_by_kind_and_frames():
+def test_a_planted_fault_is_located_by_an_anomaly_of_its_kind_at_its_frames():
     assert located(PLANTED, jump(21))
     assert not located(PLANTED, jump(23))
     assert not located(PLANTED, jump(20, AnomalyKind.FREEZE))
@@ -48,7 +48,7 @@ def test_a_fault_is_located_by_kind_and_frames():
     assert not located(drift, jump(0, AnomalyKind.SCALE, 19))
 
 
-def test_the_area_is_that_of_the_textbook_and_its_interval_never_empty():
+def test_area_under_the_roc_curve_counts_ordered_pairs_and_its_interval_has_width():
     rng = np.random.default_rng(0)
     x, y = rng.normal(1, 1, 40), rng.normal(0, 1, 60).round(1)
     pairs = (x[:, None] > y).mean() + 0.5 * (x[:, None] == y).mean()
@@ -63,14 +63,14 @@ def test_the_area_is_that_of_the_textbook_and_its_interval_never_empty():
     assert np.isnan(area([], [1.0]).value)
 
 
-def test_the_interval_covers_the_truth_as_often_as_it_says():
+def test_the_95_percent_interval_of_the_area_covers_the_true_area_in_95_percent():
     rng = np.random.default_rng(1)
     truth = 0.9213504  # of two normal distributions two standard deviations apart: Phi(2 / sqrt 2)
     told = [area(rng.normal(2, 1, 25), rng.normal(0, 1, 25)) for _ in range(300)]
     assert 0.91 <= np.mean([a.low <= truth <= a.high for a in told]) <= 0.99
 
 
-def test_shares_rows_and_alarms_count_what_they_say():
+def test_detections_and_false_alarms_are_counted_by_kind_and_size():
     small = replace(PLANTED, size=0.02)
     findings = [
         *(clip(i) for i in range(8)),
@@ -96,7 +96,7 @@ def test_shares_rows_and_alarms_count_what_they_say():
         assert store[finding.id] == finding
 
 
-def test_the_figure_has_a_panel_a_kind():
+def test_the_figure_has_one_panel_per_kind_of_anomaly():
     figure = draw_anomalies([clip(0), clip(1, PLANTED, 2.0, [jump(20)])])
     assert [ax.get_title() for ax in figure.axes] == [kind.value.replace("_", " ") for kind in AnomalyKind]
 
@@ -113,7 +113,7 @@ def folder(path, faults):
     return path
 
 
-def test_cases_are_so_many_of_each_fault(tmp_path):
+def test_cases_are_limited_per_task_and_per_size_of_fault(tmp_path):
     fault = {"kind": "freeze", "frame_start": 5, "frame_end": 9, "size": 5.0, "form": None}
     clean = folder(tmp_path / "clean", {"A1": None, "A2": None, "B1": None})
     faulty = folder(tmp_path / "faulty", {f"A{i}_{s}": {**fault, "size": s} for s in (3.0, 5.0) for i in range(3)})

@@ -28,7 +28,7 @@ def small(clip: TruthClip) -> TruthClip:
     return replace(clip, camera=camera, X_CH=X, t_s=clip.t_s[:3], finger_width_m=clip.finger_width_m[:3])
 
 
-def test_a_gripper_in_the_picture_shows_all_of_it(small: TruthClip, cad: GripperCad) -> None:
+def test_visible_share_is_the_part_of_the_outline_inside_the_image(small: TruthClip, cad: GripperCad) -> None:
     masks = small.masks(cad)
     share = small.visible_share(masks, cad)
     assert share[0] > 0.97
@@ -41,7 +41,7 @@ def test_a_gripper_in_the_picture_shows_all_of_it(small: TruthClip, cad: Gripper
     assert not masks[2].any()
 
 
-def test_a_stored_mask_goes_before_the_outline(small: TruthClip, cad: GripperCad) -> None:
+def test_a_stored_mask_takes_precedence_over_the_cad_outline(small: TruthClip, cad: GripperCad) -> None:
     outline = small.masks(cad)
     stored = outline.copy()
     stored[0, :, :192] = False
@@ -67,7 +67,7 @@ class TooFar:
             yield number, view
 
 
-def test_a_depth_error_is_mapped_as_it_is(folder: Path) -> None:
+def test_a_constant_depth_error_appears_unchanged_in_median_and_maps(folder: Path) -> None:
     errors = measure_depth(find_clips(folder), TooFar())
     assert errors is not None
     assert errors.median == pytest.approx(0.02, abs=1e-5)

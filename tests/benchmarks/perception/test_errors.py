@@ -1,4 +1,4 @@
-"""What a grounding's errors against the truth are."""
+"""Errors of a grounding against ground truth."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -17,7 +17,7 @@ HALF_TURN = make_pose(rotation_exp([0.0, 0.0, np.pi]), np.zeros(3))
 EXPENSE = Expense(wall_s=1.0, cpu_s=1.0, peak_mb=1.0)
 
 
-def test_the_truth_itself_has_no_error(errors: Callable[..., ClipErrors]) -> None:
+def test_ground_truth_poses_have_zero_error(errors: Callable[..., ClipErrors]) -> None:
     e = errors()
     assert e.position_m.max() == 0.0
     assert e.rotation_rad.max() < 1e-7
@@ -26,12 +26,12 @@ def test_the_truth_itself_has_no_error(errors: Callable[..., ClipErrors]) -> Non
     assert e.flips == []
 
 
-def test_an_offset_is_read_as_it_is(errors: Callable[..., ClipErrors]) -> None:
+def test_position_error_equals_the_offset_of_the_poses(errors: Callable[..., ClipErrors]) -> None:
     np.testing.assert_allclose(errors(0.010).position_m, 0.010, atol=1e-12)
 
 
 @pytest.mark.parametrize(("hidden", "runs"), [((), [5]), ((5,), [4]), ((2,), [5])])
-def test_a_flip_is_counted_in_tracked_frames(
+def test_the_length_of_a_flip_counts_only_tracked_frames(
     clip: TruthClip, grounded: Callable[..., PipelineResult], hidden: tuple[int, ...], runs: list[int]
 ) -> None:
     X: Array = clip.X_CH.copy()
@@ -40,7 +40,7 @@ def test_a_flip_is_counted_in_tracked_frames(
     assert compare(clip, grounded(clip, X, tracked), EXPENSE).flips == runs
 
 
-def test_two_flips_are_two(clip: TruthClip, grounded: Callable[..., PipelineResult]) -> None:
+def test_separate_flips_are_counted_separately(clip: TruthClip, grounded: Callable[..., PipelineResult]) -> None:
     X = clip.X_CH.copy()
     X[1:3], X[9:] = X[1:3] @ HALF_TURN, X[9:] @ HALF_TURN
     e = compare(clip, grounded(clip, X), EXPENSE)
@@ -48,7 +48,7 @@ def test_two_flips_are_two(clip: TruthClip, grounded: Callable[..., PipelineResu
     assert e.longest_flip == 3
 
 
-def test_json_gives_back_the_same(errors: Callable[..., ClipErrors], tmp_path: Path) -> None:
+def test_clip_errors_survive_storage_as_json(errors: Callable[..., ClipErrors], tmp_path: Path) -> None:
     fault = Anomaly(kind=AnomalyKind.VANISH, frame_start=4, frame_end=6, severity=3.0)
     e = errors(0.0123, faults=(fault,), gone=slice(4, 7), tracked=np.arange(12) != 5)
     store = MeasurementStore(tmp_path / "kept.jsonl", ClipErrors)

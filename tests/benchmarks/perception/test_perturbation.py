@@ -21,7 +21,9 @@ Square = tuple[np.ndarray, np.ndarray]
 
 
 @pytest.mark.parametrize("kind", PerturbationKind)
-def test_shape_and_seed_hold_and_strength_0_changes_nothing(kind: PerturbationKind, square: Square) -> None:
+def test_perturbation_keeps_shape_repeats_by_seed_and_is_the_identity_at_strength_0(
+    kind: PerturbationKind, square: Square
+) -> None:
     frames, masks = square
     before = frames.copy()
     step = ladder(kind)[1]
@@ -36,19 +38,19 @@ def test_shape_and_seed_hold_and_strength_0_changes_nothing(kind: PerturbationKi
 
 
 @pytest.mark.parametrize("kind", [PerturbationKind.DEFORMATION, PerturbationKind.OCCLUSION, PerturbationKind.NOISE])
-def test_clips_are_perturbed_differently(kind: PerturbationKind, square: Square) -> None:
+def test_two_clips_get_different_perturbations(kind: PerturbationKind, square: Square) -> None:
     step = ladder(kind)[1]
     assert (perturb(step, *square, 0, "a")[0] != perturb(step, *square, 0, "b")[0]).any()
 
 
 @pytest.mark.parametrize("kind", [k for k in PerturbationKind if k is not PerturbationKind.OCCLUSION])
-def test_a_greater_strength_changes_more(kind: PerturbationKind, square: Square) -> None:
+def test_greater_strength_changes_pixels_more(kind: PerturbationKind, square: Square) -> None:
     frames, masks = square
     changes = [np.abs(perturb(p, frames, masks, 0, "a")[0].astype(float) - frames)[masks].mean() for p in ladder(kind)]
     assert all(a < b for a, b in pairwise(changes))
 
 
-def test_occlusion_hides_the_share_it_says(square: Square) -> None:
+def test_occlusion_hides_its_nominal_share_of_the_mask(square: Square) -> None:
     frames, masks = square
     for step in ladder(PerturbationKind.OCCLUSION):
         seen, left = perturb(step, frames, masks, 0, "a")
@@ -61,7 +63,7 @@ def test_occlusion_hides_the_share_it_says(square: Square) -> None:
         assert not painted[left & ~beside].any()
 
 
-def test_occlusion_moves_smoothly(square: Square) -> None:
+def test_consecutive_occlusions_overlap_by_half(square: Square) -> None:
     frames, masks = square
     still = np.repeat(masks[:1], len(masks), axis=0)
     _, left = perturb(Perturbation(kind=PerturbationKind.OCCLUSION, strength=0.3), frames, still, 0, "a")
@@ -70,7 +72,7 @@ def test_occlusion_moves_smoothly(square: Square) -> None:
     assert min(overlap) > 0.5
 
 
-def test_a_deformation_is_as_strong_as_it_says_and_no_rigid_motion(square: Square) -> None:
+def test_deformation_has_its_nominal_rms_displacement_and_no_rigid_motion(square: Square) -> None:
     mask = square[1][3]
     nodes = smooth_noise(np.random.default_rng(1), 1, 8, (5, 5, 2))[0]
     v, u = np.nonzero(mask)
@@ -84,7 +86,7 @@ def test_a_deformation_is_as_strong_as_it_says_and_no_rigid_motion(square: Squar
     assert np.abs(shift[:, :2]).max() == 0.0  # far away
 
 
-def test_blur_lies_along_the_motion() -> None:
+def test_motion_blur_lies_along_the_direction_of_motion() -> None:
     kernel = line_kernel(9.0, np.pi / 2)
     assert kernel.sum() == pytest.approx(1.0)
     half = kernel.shape[0] // 2
@@ -95,7 +97,7 @@ def test_blur_lies_along_the_motion() -> None:
     np.testing.assert_allclose(directions(path, 0.3), [0.3] + [np.pi / 2] * 4 + [np.pi / 2])
 
 
-def test_noise_has_its_standard_deviation() -> None:
+def test_noise_has_its_nominal_standard_deviation() -> None:
     grey = np.full((3, 64, 64, 3), 128, np.uint8)
     noisy, _ = perturb(
         Perturbation(kind=PerturbationKind.NOISE, strength=20.0), grey, np.ones((3, 64, 64), bool), 0, "a"
@@ -103,14 +105,14 @@ def test_noise_has_its_standard_deviation() -> None:
     assert (noisy.astype(float) - 128).std() == pytest.approx(20.0, rel=0.03)
 
 
-def test_lost_contrast_keeps_the_mean(square: Square) -> None:
+def test_reduced_contrast_keeps_the_mean_image(square: Square) -> None:
     frames, masks = square
     faded, _ = perturb(Perturbation(kind=PerturbationKind.CONTRAST, strength=0.6), frames, masks, 0, "a")
     np.testing.assert_allclose(faded.mean(axis=(0, 1, 2)), frames.mean(axis=(0, 1, 2)), atol=0.3)
     assert faded.std() == pytest.approx(0.4 * frames.std(), rel=0.02)
 
 
-def test_ghosts_are_of_the_frames_before() -> None:
+def test_ghosting_blends_in_earlier_frames() -> None:
     frames = np.zeros((4, 8, 8, 3), np.uint8)
     frames[1] = 200
     ghosts, _ = perturb(
@@ -119,7 +121,7 @@ def test_ghosts_are_of_the_frames_before() -> None:
     np.testing.assert_array_equal(ghosts[:, 0, 0, 0], [0, 120, 40, 40])
 
 
-def test_a_latent_keeps_what_is_smooth_and_any_number_of_frames() -> None:
+def test_latent_coding_preserves_a_smooth_image_for_any_number_of_frames() -> None:
     x = np.linspace(60, 180, 40).astype(np.uint8)
     ramp = np.broadcast_to(x[None, None, :, None], (5, 36, 40, 3)).copy()
     coded, _ = code_latent(ramp, np.ones((5, 36, 40), bool), np.random.default_rng(0), 48.0)

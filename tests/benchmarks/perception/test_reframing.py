@@ -44,7 +44,7 @@ def frames():
 
 
 @pytest.mark.parametrize("reframing", reframings(), ids=lambda r: r.label)
-def test_the_estimated_camera_fits_the_frames(clip, frames, reframing):
+def test_the_reframed_camera_projects_onto_the_reframed_images(clip, frames, reframing):
     mask = np.zeros(frames.shape[:3], bool)
     mask[:, :, 150:250] = True
     other, images, share = reframe(reframing, clip, frames, mask)
@@ -56,7 +56,7 @@ def test_the_estimated_camera_fits_the_frames(clip, frames, reframing):
     assert share == pytest.approx(expected, abs=0.01)
 
 
-def test_what_is_cropped_off_is_not_shown(clip, frames):
+def test_a_gripper_outside_the_crop_has_visible_share_zero(clip, frames):
     mask = np.zeros(frames.shape[:3], bool)
     mask[:, :60] = True
     camera = replace(clip, camera=benchmark_camera().resized(192, 192))  # of any size

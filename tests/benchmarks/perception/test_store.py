@@ -25,7 +25,7 @@ def reached(module):
     return {source.name for source in trace_sources(module)}
 
 
-def test_measuring_modules_count_and_presenting_ones_do_not():
+def test_the_fingerprint_covers_measuring_modules_and_no_presenting_ones():
     names = reached(MEASURING)
     assert {f"kinebench_drake.{name}" for name in SHAPING} <= names
     assert {f"benchmarks.perception.{name}" for name in STUDIES} <= names
@@ -33,7 +33,7 @@ def test_measuring_modules_count_and_presenting_ones_do_not():
 
 
 @pytest.mark.parametrize("name", ["trial", "anomalies"])
-def test_every_loaded_module_counts(name):
+def test_the_fingerprint_covers_every_module_that_is_loaded(name):
     module = f"benchmarks.perception.{name}"
     code = f"import sys, {module}\nprint(*(m for m in sys.modules if m.startswith('kinebench_drake.')), sep='\\n')"
     loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
@@ -46,7 +46,7 @@ def test_a_fingerprint_changes_with_settings_and_modules():
     assert fingerprint(1, modules=[MEASURING]) == prints[0]
 
 
-def test_files_count_by_their_contents(tmp_path):
+def test_a_fingerprint_changes_with_the_contents_of_files(tmp_path):
     file = tmp_path / "weights.safetensors"
     file.write_bytes(b"1")
     one = fingerprint(files=[file])
@@ -54,7 +54,7 @@ def test_files_count_by_their_contents(tmp_path):
     assert fingerprint(files=[file]) != one != fingerprint()
 
 
-def test_stored_measurements_survive_a_torn_line(tmp_path, errors):
+def test_a_torn_last_line_is_dropped_from_stored_measurements(tmp_path, errors):
     path = tmp_path / "deep" / "kept.jsonl"
     store = MeasurementStore(path, ClipErrors)
     store.put("a", errors(0.001))

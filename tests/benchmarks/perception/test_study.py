@@ -65,7 +65,7 @@ class Recall:
 
 
 @pytest.mark.parametrize("offset_m", [0.0, 0.08])
-def test_the_baseline_is_measured_like_the_grounding(clip: TruthClip, offset_m: float) -> None:
+def test_errors_of_the_baseline_equal_its_offset_from_the_truth(clip: TruthClip, offset_m: float) -> None:
     n = len(clip.t_s)
     share = np.full(n, 0.5)
     e = evaluate_baseline(clip, cast(Baseline, Recall(clip, offset_m)), np.zeros((n, 8, 8, 3), np.uint8), share)
@@ -76,7 +76,7 @@ def test_the_baseline_is_measured_like_the_grounding(clip: TruthClip, offset_m: 
     np.testing.assert_array_equal(e.share, share)
 
 
-def test_each_perturbation_is_measured_with_the_baseline_too(tmp_path: Path) -> None:
+def test_with_a_baseline_every_perturbation_is_measured_on_both_extractors(tmp_path: Path) -> None:
     weights = tmp_path / "baseline.safetensors"
     weights.write_bytes(b"one")
     both = study.robustness([PerturbationKind.NOISE], weights)
@@ -92,7 +92,9 @@ def test_each_perturbation_is_measured_with_the_baseline_too(tmp_path: Path) -> 
     assert before & after == {c.identity() for c in own}
 
 
-def test_an_interrupted_study_goes_on(folder: Path, tmp_path: Path, errors: Callable[..., ClipErrors]) -> None:
+def test_an_interrupted_study_resumes_and_equals_an_uninterrupted_one(
+    folder: Path, tmp_path: Path, errors: Callable[..., ClipErrors]
+) -> None:
     plan = study.StudyPlan(folder=folder, keep=tmp_path / "kept.clips.jsonl")
     noise = study.robustness([PerturbationKind.NOISE])
     first = FakeWorkers(errors, patience=5)
@@ -112,7 +114,7 @@ def test_an_interrupted_study_goes_on(folder: Path, tmp_path: Path, errors: Call
     assert third.made == 3 * 4  # another seed's measurements are no measurements of this one
 
 
-def test_the_table_tells_conditions_apart(folder: Path, errors: Callable[..., ClipErrors]) -> None:
+def test_the_table_has_a_row_per_condition_with_its_interval(folder: Path, errors: Callable[..., ClipErrors]) -> None:
     outcome = study.run_study(
         study.robustness([PerturbationKind.NOISE]),
         study.StudyPlan(folder=folder),
@@ -127,7 +129,9 @@ def test_the_table_tells_conditions_apart(folder: Path, errors: Callable[..., Cl
     assert outcome.to_json()["conditions"]["as it is"]["position_median_mm"]["value"] == pytest.approx(1.0)
 
 
-def test_a_budget_puts_in_one_thing_at_a_time(folder: Path, errors: Callable[..., ClipErrors]) -> None:
+def test_the_error_budget_replaces_one_estimate_at_a_time_by_the_truth(
+    folder: Path, errors: Callable[..., ClipErrors]
+) -> None:
     order = study.budget()
     outcome = study.run_study(order, study.StudyPlan(folder=folder), EXECUTOR, SilentObserver(), FakeWorkers(errors))
     text = "\n".join(outcome.lines())
@@ -141,13 +145,13 @@ def test_unknown_depth_estimators_are_refused_before_any_work() -> None:
         study.depth_ablation(["moge:x"])
 
 
-def test_tasks_take_turns(folder: Path) -> None:
+def test_clips_are_chosen_from_tasks_in_turn(folder: Path) -> None:
     clips = find_clips(folder)
     assert [c.id for c in choose(clips, 2)] == ["A-v1_s0", "B-v1_s0"]
     assert [c.id for c in choose(clips, None)] == ["A-v1_s0", "A-v1_s1", "B-v1_s0"]
 
 
-def test_clips_are_read_as_written(folder: Path) -> None:
+def test_mask_and_depth_of_a_clip_are_read_as_written(folder: Path) -> None:
     clip = find_clips(folder)[0].load(with_depth=True)
     assert clip.task == "A-v1"
     assert clip.mask is not None
@@ -156,7 +160,7 @@ def test_clips_are_read_as_written(folder: Path) -> None:
     assert clip.mask.sum(axis=(1, 2)).tolist() == [900] * 12
 
 
-def test_folders_without_truth_are_refused(folder: Path, tmp_path: Path) -> None:
+def test_folders_without_manifest_or_ground_truth_are_refused(folder: Path, tmp_path: Path) -> None:
     (folder / "truth" / "B-v1_s0.npz").unlink()
     with pytest.raises(UsageError, match=r"B-v1_s0\.npz is missing"):
         find_clips(folder)
@@ -165,14 +169,14 @@ def test_folders_without_truth_are_refused(folder: Path, tmp_path: Path) -> None
         find_clips(folder)
 
 
-def test_a_file_of_something_else_is_no_store(tmp_path: Path) -> None:
+def test_a_jsonl_file_without_measurements_is_refused_as_store(tmp_path: Path) -> None:
     path = tmp_path / "other.jsonl"
     path.write_text('{"key": "a", "size": 3}\n')
     with pytest.raises(UsageError, match="no measurements"):
         MeasurementStore(path, ClipErrors)
 
 
-def test_figures_are_drawn(folder: Path, tmp_path: Path, errors: Callable[..., ClipErrors]) -> None:
+def test_figures_are_written_as_png(folder: Path, tmp_path: Path, errors: Callable[..., ClipErrors]) -> None:
     outcome = study.run_study(
         study.robustness([PerturbationKind.NOISE]),
         study.StudyPlan(folder=folder),
@@ -189,7 +193,7 @@ def test_figures_are_drawn(folder: Path, tmp_path: Path, errors: Callable[..., C
         assert (tmp_path / name).read_bytes().startswith(b"\x89PNG")
 
 
-def test_lines_and_json_hold_the_same(errors: Callable[..., ClipErrors]) -> None:
+def test_printed_lines_and_json_hold_the_same_figures(errors: Callable[..., ClipErrors]) -> None:
     results = [errors(0.004), replace(errors(0.006), id="other", task="Z-v1")]
     (line,) = [line for line in pooled_lines(results, 0) if line.startswith("position_median_mm")]
     assert line.split()[1] == "5"

@@ -20,7 +20,7 @@ from kinebench_drake.anomaly import Anomaly, AnomalyKind
 VANISH = Anomaly(kind=AnomalyKind.VANISH, frame_start=4, frame_end=7, severity=4.0)
 
 
-def test_frames_are_pooled(errors: Callable[..., ClipErrors]) -> None:
+def test_frames_of_all_clips_are_pooled(errors: Callable[..., ClipErrors]) -> None:
     half = np.arange(12) < 6
     figures = summarize([errors(0.010), errors(0.020, tracked=half), errors(0.010)])
     assert figures["position_median_mm"] == pytest.approx(10.0)
@@ -31,7 +31,7 @@ def test_frames_are_pooled(errors: Callable[..., ClipErrors]) -> None:
     assert np.isnan(figures["vanish_loss_max_frames"])
 
 
-def test_falsehoods_are_far_poses_and_grippers_that_are_none(errors: Callable[..., ClipErrors]) -> None:
+def test_tracked_frames_off_by_3_cm_or_without_a_gripper_are_false(errors: Callable[..., ClipErrors]) -> None:
     assert summarize([errors(0.029)])["tracked_frames_off_by_3_cm"] == 0.0
     assert summarize([errors(0.031), errors()])["tracked_frames_off_by_3_cm"] == pytest.approx(0.5)
     assert summarize([errors(gone=slice(4, 7))])["tracked_frames_off_by_3_cm"] == pytest.approx(3 / 12)
@@ -39,14 +39,14 @@ def test_falsehoods_are_far_poses_and_grippers_that_are_none(errors: Callable[..
     assert summarize([errors(gone=slice(4, 7), tracked=lost)])["tracked_frames_off_by_3_cm"] == 0.0
 
 
-def test_only_frames_that_show_enough_ought_to_be_tracked(errors: Callable[..., ClipErrors]) -> None:
+def test_tracked_when_seen_counts_frames_that_show_30_percent_of_the_gripper(errors: Callable[..., ClipErrors]) -> None:
     nothing = np.zeros(12)
     group = [errors(share=0.31), errors(share=0.29, tracked=nothing)]
     assert summarize(group)["tracked_when_seen"] == 1.0
     assert summarize([errors(share=0.31), errors(share=0.30, tracked=nothing)])["tracked_when_seen"] == 0.5
 
 
-def test_intervals_hold_the_figure_and_repeat(errors: Callable[..., ClipErrors]) -> None:
+def test_bootstrap_intervals_contain_the_figure_and_repeat_by_seed(errors: Callable[..., ClipErrors]) -> None:
     group = [errors(0.001 * i) for i in range(1, 12)]
     first, again = intervals(group, seed=3), intervals(group, seed=3)
     figure = first["position_median_mm"]
@@ -56,13 +56,13 @@ def test_intervals_hold_the_figure_and_repeat(errors: Callable[..., ClipErrors])
     assert np.isnan(intervals(group[:1])["position_median_mm"].low)
 
 
-def test_the_boundary_is_halfway_of_the_episode() -> None:
+def test_the_open_threshold_is_halfway_between_widest_and_narrowest_true_opening() -> None:
     assert open_threshold(np.array([0.08, 0.05, np.nan, 0.065])) == pytest.approx(0.065)
     assert open_threshold(np.zeros(5)) == 0.04
     assert open_threshold(np.array([0.080, 0.065])) == 0.04
 
 
-def test_open_and_closed_are_judged_away_from_the_boundary() -> None:
+def test_open_and_closed_are_not_judged_near_the_threshold() -> None:
     true = np.array([0.08, 0.00, 0.041, 0.00, 0.08])
     seen = np.array([0.07, 0.05, 0.000, 0.01, np.nan])
     assert open_is_correct(seen, true).tolist() == [True, False, True]
@@ -77,13 +77,15 @@ def test_open_and_closed_are_judged_away_from_the_boundary() -> None:
         ([1, 1, 0, 1, 0, 0, 0, 0], (0, 3, 1)),
     ],
 )
-def test_latency(tracked: list[int], expected: tuple[int, int, int]) -> None:
+def test_latency_counts_frames_until_loss_and_until_recovery(
+    tracked: list[int], expected: tuple[int, int, int]
+) -> None:
     told = latency(np.array(tracked, dtype=bool), 2, 4)
     assert (told.loss, told.recovery, told.false_frames) == expected
     assert latency(np.array(tracked, dtype=bool), 6, 7).recovery is None
 
 
-def test_the_latency_of_planted_vanishing_is_told(errors: Callable[..., ClipErrors]) -> None:
+def test_loss_and_recovery_latency_of_a_planted_vanishing_are_summarized(errors: Callable[..., ClipErrors]) -> None:
     tracked = ~np.isin(np.arange(12), [6, 7, 8])
     figures = summarize([errors(gone=slice(4, 8), faults=(VANISH,), tracked=tracked)])
     assert figures["vanish_loss_max_frames"] == 2
@@ -91,7 +93,7 @@ def test_the_latency_of_planted_vanishing_is_told(errors: Callable[..., ClipErro
     assert figures["vanish_phantom_frames"] == 2
 
 
-def test_a_confidence_that_means_what_it_says_has_no_error() -> None:
+def test_a_calibrated_confidence_has_no_calibration_error() -> None:
     rng = np.random.default_rng(0)
     confidence = rng.uniform(0, 1, 40_000)
     good = rng.random(40_000) < confidence
@@ -103,7 +105,7 @@ def test_a_confidence_that_means_what_it_says_has_no_error() -> None:
     assert boastful.error == pytest.approx(0.35)
 
 
-def test_a_gripper_that_is_none_is_never_good(errors: Callable[..., ClipErrors]) -> None:
+def test_a_pose_without_a_true_gripper_is_never_good(errors: Callable[..., ClipErrors]) -> None:
     confidence, good = confidence_samples([errors(0.009, gone=slice(0, 3)), errors(0.011)])
     assert len(confidence) == 24
     assert good.sum() == 9

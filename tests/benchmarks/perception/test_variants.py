@@ -46,7 +46,9 @@ def crop() -> Crop:
     return Crop.towards([0.0, 0.0, 1.0], 0.4, 64)
 
 
-def test_true_values_follow_their_frames(square: tuple[np.ndarray, np.ndarray], camera: Camera, crop: Crop) -> None:
+def test_true_mask_and_depth_replace_estimates_of_their_own_frame(
+    square: tuple[np.ndarray, np.ndarray], camera: Camera, crop: Crop
+) -> None:
     frames, masks = square
     depth = np.broadcast_to(0.5 + 0.01 * np.arange(len(frames))[:, None, None], masks.shape)
     estimator = OverrideEstimator(
@@ -61,7 +63,9 @@ def test_true_values_follow_their_frames(square: tuple[np.ndarray, np.ndarray], 
         assert (view.depth_sigma[view.gripper] == 1e-3).all()
 
 
-def test_what_is_not_given_stays_estimated(square: tuple[np.ndarray, np.ndarray], camera: Camera, crop: Crop) -> None:
+def test_without_a_prior_mask_or_depth_the_estimate_stays(
+    square: tuple[np.ndarray, np.ndarray], camera: Camera, crop: Crop
+) -> None:
     frames, masks = square
     view = dict(OverrideEstimator(Flat(), Priors(mask=masks)).estimate(frames, camera, {0: crop}))[0]
     assert (view.depth_m == 1.0).all()
@@ -84,7 +88,7 @@ def test_masks_of_another_video_are_refused(square: tuple[np.ndarray, np.ndarray
     ("degradation", "spread"),
     [(Degradation(scale=0.05), 0.0), (Degradation(field=0.05), 0.05), (Degradation(noise=0.05), 0.05)],
 )
-def test_depth_gets_worse_by_what_is_said(
+def test_degraded_depth_has_its_nominal_rms_error_and_repeats_by_seed(
     square: tuple[np.ndarray, np.ndarray], camera: Camera, degradation: Degradation, spread: float
 ) -> None:
     frames, _ = square
@@ -101,7 +105,9 @@ def test_depth_gets_worse_by_what_is_said(
     assert np.mean([e.std() for e in values]) == pytest.approx(spread, rel=0.3, abs=1e-9)
 
 
-def test_a_smooth_error_is_smooth_in_picture_and_time(square: tuple[np.ndarray, np.ndarray], camera: Camera) -> None:
+def test_a_smooth_depth_error_is_smooth_in_image_and_time(
+    square: tuple[np.ndarray, np.ndarray], camera: Camera
+) -> None:
     frames, _ = square
     wide = Crop.towards([0.0, 0.0, 1.0], 0.5, 96)
     worse = DegradedEstimator(Flat(), len(frames), Degradation(field=0.05), np.random.default_rng(0))
@@ -118,7 +124,7 @@ class Ramp:
 """
 
 
-def test_the_pipeline_gets_the_depth_of_a_class(
+def test_a_depth_plugin_reaches_the_pipeline_as_inexact_prior(
     clip: TruthClip, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / "a_ramp_of_mine.py").write_text(CLASS)
@@ -134,6 +140,6 @@ def test_the_pipeline_gets_the_depth_of_a_class(
     assert (priors.mask, priors.X_CH, priors.initial_state) == (None, None, None)
 
 
-def test_an_estimator_that_is_not_there_is_told_before_anything_is_measured() -> None:
+def test_a_missing_depth_estimator_is_refused_before_any_measurement() -> None:
     with pytest.raises(UsageError, match="no module"):
         depth_ablation(["no_such_module:Depth"])

@@ -27,7 +27,7 @@ def execute(episodes, failing=()):
         )
 
 
-def test_each_model_is_compared_with_direct_execution_alone(tmp_path):
+def test_each_model_is_compared_only_with_direct_execution(tmp_path):
     a = write_run(tmp_path / "a", TASKS, model="wan")
     b = write_run(tmp_path / "b", {**TASKS, "PullCube-v1": [True, True, True]}, model="cog")
     executed = []

@@ -141,7 +141,7 @@ def complete(tmp_path):
     return folders
 
 
-def test_with_all_data_only_other_tasks_are_missing(complete, measurements, tmp_path):
+def test_with_all_data_only_tasks_that_a_model_did_not_run_are_missing(complete, measurements, tmp_path):
     page = write_paper_report([*complete, *measurements], tmp_path / "paper")
     text, names = page.read_text(), {path.name for path in page.parent.iterdir()}
     assert page.name == PAPER_INDEX
@@ -198,7 +198,7 @@ def test_table_1_has_suites_as_rows_and_scaling_runs_as_its_last_columns(complet
     assert latex.count(r"\resizebox{\textwidth}{!}{%") == 1
 
 
-def test_a_model_is_not_the_best_because_its_episodes_were_not_measured(tmp_path):
+def test_unmeasurable_episodes_never_make_a_model_the_best(tmp_path):
     """All successes of the few measured episodes, and the rest unmeasurable: the bound decides."""
     lucky = write_run(tmp_path / "a", {"T": [True] * 2 + [failed(Status.UNMEASURABLE)] * 8}, model="lucky")
     steady = write_run(tmp_path / "b", {"T": [True] * 6 + [False] * 4}, model="steady")
@@ -220,7 +220,7 @@ def test_drops_pair_episodes_of_one_task_and_seed(tmp_path):
     assert (task.drop.n, task.drop.total) == (8, 8)
 
 
-def test_a_missing_outcome_never_lessens_the_bound_of_a_drop(tmp_path):
+def test_a_missing_outcome_never_lowers_the_bound_of_a_drop(tmp_path):
     outcomes = {"seen": [True, True, False, True], "unseen": [True, False, False, True]}
 
     def drop(split, index):
@@ -239,7 +239,7 @@ def test_a_missing_outcome_never_lessens_the_bound_of_a_drop(tmp_path):
             assert lost.bound >= whole.bound - 1e-12
 
 
-def test_several_samples_of_an_episode_are_one_pair(tmp_path):
+def test_samples_of_an_episode_count_as_one_pair(tmp_path):
     """In drops and in Table 1: as often as its samples succeed, and no more sure for having several equal ones."""
     mixed = [[True, False]] * 4 + [[False, False]] * 4
     runs = {
@@ -260,7 +260,7 @@ def test_several_samples_of_an_episode_are_one_pair(tmp_path):
     assert (row[2], row[3].mean, row[3].total) == ("8", 5 / 8, 16)
 
 
-def test_tasks_that_were_not_trained_are_compared_with_those_they_derive_from(tmp_path):
+def test_untrained_tasks_are_compared_with_the_trained_tasks_they_derive_from(tmp_path):
     derived = {t.task: t.of for t in load_suite(1).transfers}
     outcomes = {"CloseLaptopEasy-v1": [True] * 4, "PullCube-v1": [False] * 4}
     trained = write_run(tmp_path / "seen", outcomes, suite=1, split="seen")
@@ -290,7 +290,7 @@ def test_runs_of_different_settings_have_no_drop(tmp_path):
 PROGRAMS = {"kinebench-drake": cli, "python -m benchmarks": benchmarks, "python -m training": training}
 
 
-def test_what_is_missing_has_commands_that_exist(tmp_path, monkeypatch):
+def test_commands_for_missing_data_are_accepted_by_the_program(tmp_path, monkeypatch):
     """Every option is one of the program, and its values are accepted; paths need not exist."""
     import click
 
@@ -324,7 +324,7 @@ def test_what_is_missing_has_commands_that_exist(tmp_path, monkeypatch):
     assert """--negative-prompt 'a '"'"'b'"'"''""" in other
 
 
-def test_a_spec_is_named_if_its_hash_says_so(tmp_path):
+def test_a_world_model_spec_is_named_only_if_its_hash_matches(tmp_path):
     import hashlib
 
     digest = hashlib.sha256(b"oracle").hexdigest()
@@ -334,7 +334,7 @@ def test_a_spec_is_named_if_its_hash_says_so(tmp_path):
         assert any(spec in command for command in commands_of(make_sections(read_paper_data([run]))))
 
 
-def test_measurements_alone_make_their_figures(measurements):
+def test_measurement_files_without_runs_make_their_figures(measurements):
     sections = make_sections(read_paper_data(measurements))
     assert {"extraction", "figure4a_trajectories", "figure5b_depth_error"} <= {*names_of(sections)}
     assert "table1_success" not in names_of(sections)

@@ -28,7 +28,7 @@ def episodes_of(*paths):
     return pool_episodes(read_suite_runs(paths))
 
 
-def test_unmeasured_episodes_are_counted_and_are_no_failures(tmp_path):
+def test_unmeasured_episodes_are_counted_and_lower_the_bound_alone(tmp_path):
     run = write_run(tmp_path / "a", {"T": [True, True, False, failed(), failed(Status.UNMEASURABLE)]})
     t = tally(episodes_of(run))
     assert (t.episodes, t.measured, t.errors, t.unmeasurable) == (5, 3, 1, 1)
@@ -39,14 +39,14 @@ def test_unmeasured_episodes_are_counted_and_are_no_failures(tmp_path):
     assert t.verdicts == {"grounding": 0, "generation": 0, "execution": 0, "task": 1, "no verdict": 0}
 
 
-def test_a_row_without_a_word_on_success_is_not_measured(tmp_path):
+def test_a_row_without_success_is_unmeasurable(tmp_path):
     silent = outcome(False, extra={"progress": 0.5})
     unexplained = outcome(False, extra={"success": False, "progress": 0.0})
     t = tally(episodes_of(write_run(tmp_path / "a", {"T": [silent, unexplained]})))
     assert (t.measured, t.unmeasurable, t.verdicts["no verdict"]) == (1, 1, 1)
 
 
-def test_every_task_counts_the_same():
+def test_the_balanced_mean_weights_every_task_equally():
     result = balanced_mean({"A": [1.0] * 30, "B": [0.0, 1.0, None]})
     assert result.mean == pytest.approx(0.75)
     assert (result.n, result.total) == (32, 33)
@@ -56,7 +56,7 @@ def test_every_task_counts_the_same():
     assert balanced_mean({"A": [None]}).mean is None
 
 
-def test_intervals_hold_the_true_balance_as_often_as_they_say():
+def test_intervals_of_the_balanced_mean_cover_the_true_mean_in_95_percent():
     rng, covered = np.random.default_rng(0), 0
     for seed in range(200):
         groups = {f"{k}": rng.normal(k, 1.0, 15).tolist() for k in range(4)}
@@ -65,7 +65,7 @@ def test_intervals_hold_the_true_balance_as_often_as_they_say():
     assert 0.89 <= covered / 200 <= 0.98
 
 
-def test_shards_are_pooled_and_tags_or_settings_distinguish_runs(tmp_path):
+def test_shards_are_pooled_and_tags_or_settings_separate_runs(tmp_path):
     one = write_run(tmp_path / "s1", {"T": [True] * 2})
     two = write_run(tmp_path / "s2", {"T": [False] * 2}, first_seed=2)
     assert list_models(episodes_of(one, two)) == ["wan"]
@@ -85,22 +85,22 @@ def test_shards_are_pooled_and_tags_or_settings_distinguish_runs(tmp_path):
     assert list_models(episodes_of(one, other)) == ["wan"]  # two parts need no distinction
 
 
-def test_the_same_episodes_twice_are_distinguished_by_their_folders(tmp_path):
+def test_two_runs_of_the_same_episodes_are_labelled_by_their_folders(tmp_path):
     one, two = (write_run(tmp_path / name, {"T": [True]}) for name in ("first", "again"))
     assert list_models(episodes_of(one, two)) == ["wan [again]", "wan [first]"]
 
 
-def test_numbers_in_names_are_sorted_as_numbers(tmp_path):
+def test_numbers_in_model_names_are_sorted_by_value(tmp_path):
     runs = [write_run(tmp_path / n, {"T": [True]}, tags={"steps": n}) for n in ("15000", "7500")]
     assert list_models(episodes_of(*runs)) == ["wan (steps=7500)", "wan (steps=15000)"]
 
 
-def test_digits_that_are_no_numbers_are_letters_of_a_name(tmp_path):
+def test_superscript_digits_in_model_names_are_sorted_as_letters(tmp_path):
     runs = [write_run(tmp_path / n, {"T": [True]}, model="wan2²", tags={"steps": n}) for n in ("1²", "10", "9")]
     assert list_models(episodes_of(*runs)) == ["wan2² (steps=1²)", "wan2² (steps=9)", "wan2² (steps=10)"]
 
 
-def test_the_best_of_each_suite_stands_out(runs):
+def test_the_best_model_of_each_suite_is_bold(runs):
     table = tabulate_suites(episodes_of(*runs))
     assert [c.label for c in table.columns] == ["Model", "Executable", "Suite 0", "Suite 2 (unseen)", "Suite 3"]
     best = {(table.rows[i][0], table.columns[k].label) for i, k in table.bold}
@@ -111,7 +111,7 @@ def test_the_best_of_each_suite_stands_out(runs):
     }
 
 
-def test_models_that_did_fewer_tasks_are_named(tmp_path):
+def test_models_with_fewer_tasks_are_named_in_the_note_and_never_bold(tmp_path):
     one = write_run(tmp_path / "a", {"T": [True], "U": [False]}, model="all")
     two = write_run(tmp_path / "b", {"T": [True]}, model="half")
     third = write_run(tmp_path / "c", {"T": [False], "U": [False]}, model="none")
@@ -120,7 +120,7 @@ def test_models_that_did_fewer_tasks_are_named(tmp_path):
     assert [table.rows[i][0] for i, _ in table.bold] == ["all"]
 
 
-def test_costs_are_scaled_over_all_episodes(tmp_path):
+def test_costs_are_scaled_between_percentiles_of_all_episodes(tmp_path):
     costs = np.linspace(5.0, 15.0, 11)
     run = write_run(tmp_path / "a", {"T": [outcome(True, cost=float(c)) for c in costs]})
     scaled = [e.cost_scaled for e in scale_costs(episodes_of(run))]
@@ -144,7 +144,7 @@ def grid(tmp_path, sparc, hits):
     return episodes_of(*paths)
 
 
-def test_rank_correlation_is_spearman_s(tmp_path):
+def test_rank_correlation_equals_spearmans(tmp_path):
     rng = np.random.default_rng(3)
     sparc, hits = rng.uniform(-4, -1, (5, 6)), rng.integers(0, 11, (5, 6))
     study = study_correlation(grid(tmp_path, sparc.tolist(), hits.tolist()))
@@ -157,13 +157,13 @@ def test_rank_correlation_is_spearman_s(tmp_path):
     assert study.correlate() == (rho, tasks)
 
 
-def test_hard_tasks_do_not_count_as_bad_models(tmp_path):
+def test_task_difficulty_does_not_affect_the_correlation(tmp_path):
     sparc = [[-3.0, -1.0], [-2.5, -0.5], [-2.0, 0.0]]
     rho, _ = study_correlation(grid(tmp_path, sparc, [[8, 1], [9, 2], [10, 3]])).correlate()
     assert (rho.mean, rho.low, rho.high) == (pytest.approx(1.0), None, None)  # all draws are equal: no interval
 
 
-def test_a_task_without_the_metric_counts_with_the_worst(tmp_path):
+def test_a_task_without_the_metric_counts_with_the_worst_value(tmp_path):
     """A model does not leave the figure, nor get better, because a metric could not be measured in a whole task."""
     sparc = [[-3.0, -2.0], [-2.5, -1.5], [-2.0, -1.0]]
     whole = study_correlation(grid(tmp_path / "whole", sparc, [[1, 2], [3, 4], [5, 6]]))
@@ -179,13 +179,13 @@ def test_two_points_have_no_correlation(tmp_path):
     assert (rho.mean, rho.n) == (None, 2)
 
 
-def test_models_with_few_tasks_are_no_points(tmp_path):
+def test_models_with_few_tasks_are_left_out_of_the_correlation(tmp_path):
     episodes = grid(tmp_path, [[-3.0] * 3, [-2.0] * 3, [-1.0] * 3], [[1] * 3, [2] * 3, [3] * 3])
     fewer = [e for e in episodes if e.model != "m2" or e.task == "T0"]
     assert [p.model for p in study_correlation(fewer).points] == ["m0", "m1"]
 
 
-def test_scaling_is_by_training_and_difficulty(runs):
+def test_success_is_tabulated_by_training_budget_and_difficulty(runs):
     folders = read_suite_runs(runs)
     (study,) = study_scaling(folders, pool_episodes(folders), task_difficulties())
     assert study.levels == ("easy", "medium", "hard", ALL_LEVELS)
@@ -199,14 +199,14 @@ def test_scaling_is_by_training_and_difficulty(runs):
     ("data", "steps", "read"),
     [("25", "7.5k", TrainingBudget(data=25, steps=7500)), ("25", "many", None), ("0", "1", None)],
 )
-def test_tags_are_read_as_numbers(tmp_path, data, steps, read):
+def test_training_budgets_are_read_from_tags(tmp_path, data, steps, read):
     run = write_run(tmp_path / "a", {"T": [True]}, suite=3, tags={"data": data, "steps": steps})
     folders = read_suite_runs([run])
     assert budget_of(folders[0]) == read
     assert [bare.path for bare in untagged(folders)] == ([] if read else [run])
 
 
-def test_pairs_are_the_shared_episodes(tmp_path):
+def test_models_are_compared_on_shared_episodes(tmp_path):
     hits = {"one": [True, True, True, False, failed(), True], "two": [True, False, False, False, True]}
     paths = [write_run(tmp_path / m, {"T": h, "U": h}, model=m) for m, h in hits.items()]
     whole, *tasks = compare(episodes_of(*paths))
@@ -224,7 +224,7 @@ def test_pairs_are_the_shared_episodes(tmp_path):
     assert (row[6].mean, row[6].low, row[6].high) == (0.5, low, high)
 
 
-def test_seeds_of_other_parts_are_no_pairs(runs):
+def test_episodes_of_different_suites_are_not_paired(runs):
     whole = [c for c in compare(episodes_of(*runs[:4])) if c.task == ALL_TASKS]
     assert [(c.part.title, c.first, c.second) for c in whole] == [
         ("Suite 0", "good", "fair"),
@@ -232,7 +232,7 @@ def test_seeds_of_other_parts_are_no_pairs(runs):
     ]
 
 
-def test_samples_of_an_episode_are_compared_together(tmp_path):
+def test_an_episode_is_compared_by_the_mean_of_its_samples(tmp_path):
     """An episode counts once, with the mean of its samples; a model may have fewer of them."""
     a = write_run(tmp_path / "a", {"T": [[True, True], [True, False], [False, failed()]]}, model="one")
     b = write_run(tmp_path / "b", {"T": [[False], [False], [False]]}, model="two")

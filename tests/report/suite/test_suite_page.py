@@ -56,7 +56,7 @@ def table():
     )
 
 
-def test_csv_holds_the_numbers_in_full(table):
+def test_csv_has_numbers_at_full_precision(table):
     first, second = csv.DictReader(io.StringIO(table_csv(table)))
     assert first == {
         **{"who": EVIL, "n": "3", "rate": "0.1234567890123", "rate_low": "0.1", "rate_high": "0.2", "rate_n": "7"},
@@ -68,7 +68,7 @@ def test_csv_holds_the_numbers_in_full(table):
     }
 
 
-def test_latex_is_escaped_and_its_rows_fit(table):
+def test_latex_is_escaped_and_every_row_has_all_columns(table):
     text = table_latex(table)
     body = text[text.index(r"\midrule") : text.index(r"\bottomrule")].splitlines()[1:]
     rows = [line for line in body if line.strip()]
@@ -89,12 +89,12 @@ def test_printed_columns_are_aligned(table):
     assert printed[1].endswith("12.3% [10.0% to 20.0%]")
 
 
-def test_a_row_must_fit_its_columns(table):
+def test_a_row_with_too_few_cells_is_refused(table):
     with pytest.raises(ValueError, match="1 cells under 3 columns"):
         Table(name="t", title="", note="", columns=table.columns, rows=(("x",),))
 
 
-def test_the_report_of_suite_runs(runs, tmp_path):
+def test_a_suite_report_is_self_contained_with_all_tables_and_figures(runs, tmp_path):
     out = tmp_path / "runs" / "report"
     text = write_suite_report(runs, out).read_text()
     page = Page(text)
@@ -127,7 +127,7 @@ def test_the_report_of_suite_runs(runs, tmp_path):
         assert len(list(csv.DictReader(file))) == 300
 
 
-def test_a_long_list_holds_all_models_failures_first(runs, tmp_path, monkeypatch):
+def test_a_shortened_episode_list_has_all_models_with_failures_first(runs, tmp_path, monkeypatch):
     monkeypatch.setattr(parts, "LISTED", 100)
     folders = read_suite_runs(runs)
     text = write_page("t", folders, pool_episodes(folders), tmp_path, parts=()).read_text()
@@ -139,7 +139,7 @@ def test_a_long_list_holds_all_models_failures_first(runs, tmp_path, monkeypatch
     assert "100 of 300 are listed" in text
 
 
-def test_what_is_not_there_is_left_out_and_asked_for(tmp_path):
+def test_sections_without_data_are_listed_with_what_they_need(tmp_path):
     run = write_run(tmp_path / "a" / "b" / "one", {"T": [True, False]}, suite=3, tags={"data": "10"})
     (run / "report.html").write_text("page")
     file = write_suite_report([run], tmp_path / "report")
@@ -154,7 +154,7 @@ def test_what_is_not_there_is_left_out_and_asked_for(tmp_path):
 
 
 @pytest.mark.parametrize("crowd", [2, 12])
-def test_dollar_signs_in_names_are_no_mathematics(tmp_path, crowd):
+def test_dollar_signs_in_names_are_not_parsed_as_mathematics(tmp_path, crowd):
     names = [rf"lr$\a${n}" for n in range(crowd)]
     tasks = {rf"T$\b${k}": [outcome(True, cost=6.0 + k), outcome(False, sparc=-3.0)] for k in range(2)}
     runs = [write_run(tmp_path / f"{k}", tasks, model=name) for k, name in enumerate(names)]
@@ -172,7 +172,7 @@ def test_figures_have_room_for_long_names(tmp_path):
     assert write_comparison(read_comparison(runs), tmp_path / "comparison").is_file()
 
 
-def test_runs_elsewhere_are_not_linked(tmp_path):
+def test_runs_outside_the_parent_folder_are_not_linked(tmp_path):
     run = write_run(tmp_path / "far" / "one", {"T": [True]})
     (run / "report.html").write_text("page")
     text = write_comparison_page(tmp_path, run)
@@ -210,7 +210,7 @@ def test_a_comparison_is_printed_and_written(runs, tmp_path, capsys):
         ({"config": {"suite": 1, "split": "test"}}, "share an episode"),
     ],
 )
-def test_folders_that_cannot_be_compared(tmp_path, changes, message):
+def test_incomparable_folders_are_refused_with_the_difference(tmp_path, changes, message):
     one = write_run(tmp_path / "one", {"T": [True]}, model="one")
     two = write_run(tmp_path / "two", {"T": [True]}, model="two")
     change(two, **changes)
@@ -219,7 +219,7 @@ def test_folders_that_cannot_be_compared(tmp_path, changes, message):
     assert "\n" not in str(error.value)
 
 
-def test_folders_that_cannot_be_reported(tmp_path):
+def test_unfinished_repeated_or_foreign_folders_are_refused(tmp_path):
     run = write_run(tmp_path / "run", {"T": [True]})
     unfinished = write_run(tmp_path / "unfinished", {"T": [True]})
     (unfinished / "results.json").unlink()
@@ -239,7 +239,7 @@ def test_folders_that_cannot_be_reported(tmp_path):
         read_comparison([run])
 
 
-def test_a_refusal_is_one_line(tmp_path, capsys):
+def test_refusal_of_a_folder_is_one_line(tmp_path, capsys):
     with pytest.raises(SystemExit) as stop:
         main(["suite", "report", str(tmp_path), "--out", str(tmp_path / "x")])
     assert stop.value.code == 2
@@ -247,7 +247,7 @@ def test_a_refusal_is_one_line(tmp_path, capsys):
 
 
 @pytest.mark.skipif(BROWSER is None, reason="no chromium is installed")
-def test_what_is_wider_than_its_room_says_so_and_scrolls(runs, tmp_path):
+def test_wide_tables_scroll_and_show_a_hint(runs, tmp_path):
     page = write_suite_report(runs, tmp_path / "report")
     for width, least in ((WIDTH, 10), (1400, 2)):
         state = probe(page, SIDEWAYS, tmp_path / "profile", width)
@@ -257,7 +257,7 @@ def test_what_is_wider_than_its_room_says_so_and_scrolls(runs, tmp_path):
         assert (state["overflow"], state["captions"], state["drawings"]) == (0, 0, 0)
 
 
-def test_models_of_one_name_and_different_specs_are_kept_apart(tmp_path, capsys):
+def test_models_of_one_name_and_different_specs_are_separated_with_a_warning(tmp_path, capsys):
     """In the tables, on the page and on the terminal; equal specs are pooled, as shards."""
     folders = [
         write_run(tmp_path / name, {"T": [True] * 2}, model="python", first_seed=2 * k, spec=spec)
@@ -280,7 +280,7 @@ def test_models_of_one_name_and_different_specs_are_kept_apart(tmp_path, capsys)
     assert "python (spec=aaaaaa)" in out
 
 
-def test_specs_that_tags_tell_apart_need_no_label(tmp_path):
+def test_specs_with_different_tags_get_no_spec_label(tmp_path):
     folders = [
         write_run(tmp_path / steps, {"T": [True]}, first_seed=k, spec=steps * 16, tags={"steps": steps})
         for k, steps in enumerate(("1500", "3000"))

@@ -1,4 +1,4 @@
-"""Planted faults: only the frames named are touched, and the truth says what is drawn."""
+"""Planted faults: only the labelled frames change, and ground truth describes the rendered images."""
 
 from dataclasses import replace
 
@@ -43,7 +43,7 @@ def span(fault: PlantedFault) -> slice:
     return slice(fault.frame_start, fault.frame_end + 1)
 
 
-def test_vanish(recording: Recording) -> None:
+def test_vanish_removes_the_gripper_and_its_pose_in_the_labelled_frames(recording: Recording) -> None:
     faulty, fault = planted(recording, AnomalyKind.VANISH, 5)
     assert fault.frame_end - fault.frame_start + 1 == 5
     assert not faulty.mask[span(fault)].any()
@@ -54,7 +54,7 @@ def test_vanish(recording: Recording) -> None:
     )  # the links are drawn again
 
 
-def test_freeze(recording: Recording) -> None:
+def test_freeze_repeats_the_frame_before_while_the_gripper_would_move(recording: Recording) -> None:
     faulty, fault = planted(recording, AnomalyKind.FREEZE, 8)
     assert fault.frame_end - fault.frame_start + 1 == 8
     assert (faulty.rgb[span(fault)] == recording.video.rgb[fault.frame_start - 1]).all()
@@ -69,14 +69,14 @@ def test_freeze_of_a_resting_gripper_is_refused(recording: Recording) -> None:
         plant(replace(recording, video=still), FaultGrade(kind=AnomalyKind.FREEZE, size=5, form=None))
 
 
-def test_fault_out_of_view_is_refused(recording: Recording) -> None:
+def test_a_fault_of_a_gripper_out_of_view_is_refused(recording: Recording) -> None:
     unseen = replace(recording.video, mask=np.zeros_like(recording.video.mask))
     with pytest.raises(InputError, match="take another seed"):
         plant(replace(recording, video=unseen), FaultGrade(kind=AnomalyKind.VANISH, size=5, form=None))
 
 
 @pytest.mark.parametrize("distance_m", [0.05, 0.15])
-def test_teleport(recording: Recording, distance_m: float) -> None:
+def test_teleport_displaces_the_arm_by_its_distance_until_the_end(recording: Recording, distance_m: float) -> None:
     faulty, fault = planted(recording, AnomalyKind.TELEPORT, distance_m)
     assert fault.frame_end == len(recording) - 1
     moved = faulty.X_BG[fault.frame_start :, :3, 3] - recording.video.X_BG[fault.frame_start :, :3, 3]
@@ -93,7 +93,7 @@ def test_teleport(recording: Recording, distance_m: float) -> None:
     assert np.linalg.norm(middle - there) < min(6.0, np.linalg.norm(middle - here))
 
 
-def test_a_gripper_drawn_in_its_own_shape_is_the_robots_own(recording: Recording) -> None:
+def test_drawing_the_gripper_without_deformation_changes_no_pixel(recording: Recording) -> None:
     costume = RenderFault(warp=lambda p: p, X_HP=np.eye(4), replaces=True)
     part = recording.render_again([12], lambda _: recording.simulator.set_fault(costume))
     assert np.array_equal(part.rgb[0], recording.video.rgb[12])
@@ -113,7 +113,7 @@ def test_a_deformed_gripper_keeps_its_pose(recording: Recording) -> None:
     assert np.allclose(faulty.X_CH, recording.video.X_CH, atol=1e-6)
 
 
-def test_a_gripper_drawn_too_large_or_small_covers_as_much_more_or_less(recording: Recording) -> None:
+def test_scale_changes_the_area_of_the_mask_accordingly(recording: Recording) -> None:
     faulty, _ = planted(recording, AnomalyKind.SCALE, 0.15, FaultForm.CONSTANT)
     area = faulty.mask.sum() / recording.video.mask.sum()
     assert 0.15 < abs(np.log(area)) < 0.35  # twice the scale, less what leaves the picture
@@ -122,7 +122,7 @@ def test_a_gripper_drawn_too_large_or_small_covers_as_much_more_or_less(recordin
 
 
 @pytest.mark.parametrize("form", [FaultForm.SHAKE, FaultForm.DRIFT])
-def test_a_moving_camera_shows_the_gripper_elsewhere_though_it_stays(recording: Recording, form: FaultForm) -> None:
+def test_camera_motion_moves_the_image_and_not_the_gripper(recording: Recording, form: FaultForm) -> None:
     faulty, _ = planted(recording, AnomalyKind.CAMERA, 4, form)
     assert np.allclose(faulty.X_BG, recording.video.X_BG, atol=1e-6)
     here, there = (recording.video.camera.project(c.X_CH[:, :3, 3]) for c in (recording.video, faulty))
@@ -131,7 +131,7 @@ def test_a_moving_camera_shows_the_gripper_elsewhere_though_it_stays(recording: 
     assert recording.simulator.camera is recording.video.camera
 
 
-def test_fingers_flutter_and_jump(recording: Recording) -> None:
+def test_flutter_alternates_and_jump_steps_the_finger_width_alone(recording: Recording) -> None:
     flutter, fault = planted(recording, AnomalyKind.FINGERS, 0.04, FaultForm.FLUTTER)
     step = np.diff(flutter.finger_width_m[span(fault)])
     assert (step[1:] * step[:-1] < 0).all()

@@ -1,4 +1,4 @@
-"""What every service can do to us: laws of the client, against a server that misbehaves."""
+"""The HTTP client against a server that misbehaves."""
 
 import gzip
 import logging
@@ -29,14 +29,14 @@ def get(client: HttpClient, limit_s: float = 5.0) -> dict:
 
 
 @pytest.mark.parametrize("status", [429, 500, 502, 503, 504])
-def test_what_may_pass_is_tried_again(client: HttpClient, servant: Servant, status: int) -> None:
+def test_transient_http_errors_are_retried(client: HttpClient, servant: Servant, status: int) -> None:
     servant.routes["/x"] = [Reply(status=status), Reply({"a": 1})]
     assert get(client) == {"a": 1}
     assert len(servant.asked) == 2
 
 
 @pytest.mark.parametrize("status", [400, 404, 409, 422, 501])
-def test_what_will_not_pass_is_not(client: HttpClient, servant: Servant, status: int) -> None:
+def test_permanent_http_errors_are_not_retried(client: HttpClient, servant: Servant, status: int) -> None:
     servant.routes["/x"] = [Reply({"code": "Bad", "message": "no"}, status=status)]
     with pytest.raises(ServiceError, match=f"it answered HTTP {status}: Bad: no") as caught:
         get(client)
@@ -44,14 +44,14 @@ def test_what_will_not_pass_is_not(client: HttpClient, servant: Servant, status:
     assert len(servant.asked) == 1
 
 
-def test_errors_without_end_end(client: HttpClient, servant: Servant, hurried: Limits) -> None:
+def test_retries_end_after_the_maximum_of_attempts(client: HttpClient, servant: Servant, hurried: Limits) -> None:
     servant.routes["/x"] = [Reply({"error": {"message": "out of\nmemory"}}, status=500)]
     with pytest.raises(ServiceError, match="HTTP 500: out of memory"):
         get(client)
     assert len(servant.asked) == hurried.attempts
 
 
-def test_the_service_says_how_long_to_wait(client: HttpClient, servant: Servant) -> None:
+def test_a_retry_after_beyond_the_deadline_fails_at_once(client: HttpClient, servant: Servant) -> None:
     servant.routes["/x"] = [Reply(status=429, headers={"Retry-After": "3600"}), Reply({})]
     start = time.monotonic()
     with pytest.raises(WorldModelError, match="HTTP 429"):
@@ -60,7 +60,7 @@ def test_the_service_says_how_long_to_wait(client: HttpClient, servant: Servant)
     assert len(servant.asked) == 1
 
 
-def test_retry_after_is_a_number_or_a_date() -> None:
+def test_retry_after_is_parsed_from_a_number_or_a_date() -> None:
     assert retry_after(" 7 ") == 7
     later = retry_after(format_datetime(datetime.now(UTC) + timedelta(seconds=100), usegmt=True))
     assert later == pytest.approx(100, abs=5)
@@ -70,7 +70,7 @@ def test_retry_after_is_a_number_or_a_date() -> None:
 
 
 @pytest.mark.parametrize("status", [401, 403])
-def test_a_refused_key_ends_the_run_and_is_never_told(
+def test_a_refused_key_ends_the_run_and_is_masked_everywhere(
     client: HttpClient, servant: Servant, keys: str, status: int, caplog: pytest.LogCaptureFixture
 ) -> None:
     caplog.set_level(logging.DEBUG)
@@ -83,7 +83,7 @@ def test_a_refused_key_ends_the_run_and_is_never_told(
     assert keys not in told
 
 
-def test_a_key_travels_only_where_nobody_listens() -> None:
+def test_a_key_is_sent_only_over_https_or_to_this_machine() -> None:
     key = SecretStr("secret")
     for base in ("https://example.org", "http://127.0.0.1:9", "http://localhost:9", "http://[::1]:9"):
         HttpClient("it", base, key=key).close()
@@ -92,7 +92,7 @@ def test_a_key_travels_only_where_nobody_listens() -> None:
 
 
 @pytest.mark.parametrize("status", [301, 302, 307, 308])
-def test_calls_follow_no_redirect(client: HttpClient, servant: Servant, status: int) -> None:
+def test_calls_do_not_follow_redirects(client: HttpClient, servant: Servant, status: int) -> None:
     other = Servant()
     servant.routes["/x"] = [Reply(status=status, headers={"Location": f"{other.url}/y"})]
     with pytest.raises(ServiceError, match="redirects"):
@@ -115,12 +115,12 @@ def test_downloads_follow_redirects_without_the_key(
 
 
 @pytest.mark.parametrize("address", ["file:///etc/hosts", "ftp://x/y", "/v", "http://", "", "http://u:p@127.0.0.1/v"])
-def test_downloads_are_of_the_web(client: HttpClient, address: str, tmp_path: Path) -> None:
+def test_downloads_accept_only_http_and_https_addresses(client: HttpClient, address: str, tmp_path: Path) -> None:
     with pytest.raises(WorldModelError, match="not http or https"):
         client.download(address, tmp_path / "v", Deadline(5))
 
 
-def test_redirects_out_of_the_web_or_in_circles_are_not_followed(
+def test_redirects_to_other_schemes_or_in_circles_are_refused(
     client: HttpClient, servant: Servant, tmp_path: Path
 ) -> None:
     servant.routes["/a"] = [Reply(status=302, headers={"Location": "file:///etc/hosts"})]
@@ -131,18 +131,18 @@ def test_redirects_out_of_the_web_or_in_circles_are_not_followed(
 
 
 @pytest.mark.parametrize("host", ["localhost", "127.1", "0.0.0.0", "2130706433", "0x7f.1", "[::ffff:127.0.0.1]"])
-def test_a_far_service_does_not_send_us_to_our_own(tmp_path: Path, host: str) -> None:
+def test_a_remote_service_cannot_direct_downloads_to_this_machine(tmp_path: Path, host: str) -> None:
     with pytest.raises(WorldModelError, match="on this machine"):
         HttpClient("it", "https://example.org").download(f"http://{host}:80/v", tmp_path / "v", Deadline(5))
 
 
 @pytest.mark.parametrize("host", ["example.org", "8.8.8.8", "cafe", "10.1"])
-def test_other_machines_are_not_our_own(host: str) -> None:
+def test_addresses_of_other_machines_are_not_loopback(host: str) -> None:
     assert not is_loopback(httpx.URL(f"http://{host}/"))
 
 
 @pytest.mark.parametrize("headers", [{}, {"Content-Length": "99999999"}])
-def test_answers_have_a_largest_size(
+def test_answers_and_downloads_above_the_size_limit_are_refused(
     client: HttpClient, servant: Servant, headers: dict[str, str], tmp_path: Path
 ) -> None:
     servant.routes["/x"] = [Reply(b'{"a": "' + b"a" * 5000 + b'"}')]
@@ -153,7 +153,7 @@ def test_answers_have_a_largest_size(
         client.download(f"{servant.url}/v", tmp_path / "v", Deadline(5))
 
 
-def test_a_body_that_drips_runs_into_the_deadline(client: HttpClient, servant: Servant) -> None:
+def test_a_slowly_sent_body_runs_into_the_deadline(client: HttpClient, servant: Servant) -> None:
     servant.routes["/x"] = [Reply({"a": "a" * 1000}, drip_s=0.01)]
     start = time.monotonic()
     with pytest.raises(WorldModelError, match=r"no video within 0\.1 s"):
@@ -161,7 +161,7 @@ def test_a_body_that_drips_runs_into_the_deadline(client: HttpClient, servant: S
     assert time.monotonic() - start < 5  # the whole body would take 10 s
 
 
-def test_a_silent_service_is_given_up(servant: Servant, tmp_path: Path) -> None:
+def test_a_silent_service_times_out_after_its_retries(servant: Servant, tmp_path: Path) -> None:
     client = HttpClient("it", servant.url, limits=Limits(attempts=2, first_wait_s=0.001, silence_s=0.05))
     servant.routes["/x"] = [Reply({"a": 1}, drip_s=0.5)]
     with pytest.raises(ServiceError, match=re.escape("it broke off (ReadTimeout)")):
@@ -170,20 +170,22 @@ def test_a_silent_service_is_given_up(servant: Servant, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("body", [b"<html>", b"[1]", b"", b"\xff\xfe", b"[" * 3000])
-def test_only_objects_are_answers(client: HttpClient, servant: Servant, body: bytes) -> None:
+def test_an_answer_other_than_a_json_object_is_refused(client: HttpClient, servant: Servant, body: bytes) -> None:
     servant.routes["/x"] = [Reply(body, headers={"Content-Type": "text/html"})]
     with pytest.raises(WorldModelError, match="answered with text/html, expected a JSON object") as caught:
         get(client)
     assert len(str(caught.value)) < 200
 
 
-def test_what_an_answer_begins_with_is_quoted(client: HttpClient, servant: Servant, keys: str) -> None:
+def test_the_beginning_of_an_unusable_answer_is_quoted_with_masked_key(
+    client: HttpClient, servant: Servant, keys: str
+) -> None:
     servant.routes["/x"] = [Reply(f"<html> {keys} {'x' * 200}".encode())]
     with pytest.raises(WorldModelError, match=r"it begins: '<html> \*\*\* x+'$"):
         get(client)
 
 
-def test_a_compressed_answer_keeps_limits_and_deadline(client: HttpClient, servant: Servant) -> None:
+def test_a_compressed_answer_is_refused_before_unpacking(client: HttpClient, servant: Servant) -> None:
     """Unpacked, an answer of some kilobytes may be gigabytes."""
     body = gzip.compress(b'{"a": "' + b"a" * 50_000_000 + b'"}')
     servant.routes["/x"] = [Reply(body, headers={"Content-Encoding": "gzip"})]
@@ -194,13 +196,13 @@ def test_a_compressed_answer_keeps_limits_and_deadline(client: HttpClient, serva
     assert servant.asked[0].headers["Accept-Encoding"] == "identity"
 
 
-def test_a_refusal_without_a_key_names_the_option(servant: Servant, hurried: Limits) -> None:
+def test_a_401_without_a_key_names_the_key_option(servant: Servant, hurried: Limits) -> None:
     servant.routes["/x"] = [Reply({"message": "who are you"}, status=401)]
     with pytest.raises(SetupError, match=r"who are you; no key was sent; name one with key_env=VARIABLE"):
         get(HttpClient("it", servant.url, limits=hurried))
 
 
-def test_a_torn_answer_is_asked_for_again_unless_it_may_have_cost(client: HttpClient, servant: Servant) -> None:
+def test_a_torn_answer_is_retried_only_if_the_call_is_repeatable(client: HttpClient, servant: Servant) -> None:
     servant.routes["/x"] = [Reply(b'{"a', headers={"Content-Length": "10"}), Reply({"a": 1})]
     assert get(client) == {"a": 1}
     servant.routes["/y"] = servant.routes["/x"]
@@ -209,14 +211,14 @@ def test_a_torn_answer_is_asked_for_again_unless_it_may_have_cost(client: HttpCl
     assert len(servant.at("/y")) == 1
 
 
-def test_nobody_there(keys: str, hurried: Limits) -> None:
+def test_an_unreachable_server_is_reported(keys: str, hurried: Limits) -> None:
     servant = Servant()
     servant.stop()
     with pytest.raises(WorldModelError, match=re.escape("it cannot be reached (ConnectError)")):
         get(HttpClient("it", servant.url, limits=hurried))
 
 
-def test_addresses() -> None:
+def test_loopback_and_web_addresses_are_recognised() -> None:
     for own in ("http://localhost", "http://a.localhost:1", "http://127.3.2.1", "http://[::1]/", "http://LOCALHOST."):
         assert is_loopback(httpx.URL(own)), own
     for far in ("http://localhost.example.org", "http://10.0.0.1", "http://127.0.0.1.example.org"):

@@ -28,7 +28,9 @@ def run(program: str, request: Request, out: Path, *, arguments: str = "", optio
 COPY = 'import json, shutil, sys; shutil.copy(sys.argv[1], json.load(sys.stdin)["out"])'
 
 
-def test_a_program_is_asked_and_answers(request_: Request, out: Path, film: bytes, gif: bytes, tmp_path: Path) -> None:
+def test_a_program_generates_a_video_by_its_format(
+    request_: Request, out: Path, film: bytes, gif: bytes, tmp_path: Path
+) -> None:
     for data, suffix in ((film, ".mp4"), (gif, ".gif")):
         (tmp_path / "it").write_bytes(data)
         path = run(COPY, request_, out, arguments=f"{tmp_path}/it")
@@ -37,7 +39,9 @@ def test_a_program_is_asked_and_answers(request_: Request, out: Path, film: byte
     assert list(out.parent.iterdir()) == []
 
 
-def test_what_a_program_is_told(request_: Request, out: Path, film: bytes, tmp_path: Path) -> None:
+def test_a_program_gets_the_request_on_stdin_and_as_placeholders(
+    request_: Request, out: Path, film: bytes, tmp_path: Path
+) -> None:
     (tmp_path / "it").write_bytes(film)
     program = (
         "import json, shutil, sys; told = json.load(sys.stdin); keep, it, out, frame = sys.argv[1:5]; "
@@ -53,7 +57,7 @@ def test_what_a_program_is_told(request_: Request, out: Path, film: bytes, tmp_p
     assert np.array_equal(np.asarray(Image.open(tmp_path / "frame.png")), request_.first_frame)
 
 
-def test_a_program_gets_the_actions(
+def test_a_program_gets_the_requested_actions_as_json(
     request_: Request, actions: ActionTrack, out: Path, film: bytes, tmp_path: Path
 ) -> None:
     (tmp_path / "it").write_bytes(film)
@@ -76,13 +80,15 @@ def test_a_program_gets_the_actions(
         ('import json, sys; open(json.load(sys.stdin)["out"], "w").write("<a>")', "a web page"),
     ],
 )
-def test_programs_that_fail(request_: Request, out: Path, program: str, message: str) -> None:
+def test_a_failed_program_is_reported_by_status_and_last_line(
+    request_: Request, out: Path, program: str, message: str
+) -> None:
     with pytest.raises(WorldModelError, match=message):
         run(program, request_, out)
     assert list(out.parent.iterdir()) == []
 
 
-def test_a_program_and_its_children_end_with_the_time(request_: Request, out: Path, tmp_path: Path) -> None:
+def test_a_program_and_its_children_are_killed_at_the_timeout(request_: Request, out: Path, tmp_path: Path) -> None:
     """A child deaf to the first signal holds the other end of a pipe: that we can read to its end shows it dead."""
     os.mkfifo(tmp_path / "pipe")
     end = os.open(tmp_path / "pipe", os.O_RDONLY | os.O_NONBLOCK)
@@ -102,7 +108,7 @@ def test_a_program_and_its_children_end_with_the_time(request_: Request, out: Pa
 
 
 @pytest.mark.parametrize("moment", ["it is started", "it runs"])
-def test_a_program_ends_with_the_run(
+def test_a_program_is_terminated_with_the_run(
     request_: Request, out: Path, monkeypatch: pytest.MonkeyPatch, moment: str
 ) -> None:
     """SIGTERM as workers answer it, when the program has begun but nobody knows it yet, or while it is waited for."""
@@ -127,7 +133,7 @@ def test_a_program_ends_with_the_run(
     assert list(out.parent.iterdir()) == []
 
 
-def test_secrets_in_the_last_words(request_: Request, out: Path, keys: str) -> None:
+def test_secrets_in_the_error_of_a_program_are_masked(request_: Request, out: Path, keys: str) -> None:
     with pytest.raises(WorldModelError, match=r"status 1: bad key \*\*\*$"):
         run('import os, sys; sys.exit("bad key " + os.environ["MY_API_KEY"])', request_, out)
 
@@ -142,7 +148,7 @@ def test_secrets_in_the_last_words(request_: Request, out: Path, keys: str) -> N
         ("command:true?timeout=-1", "timeout=-1: Input should be greater than 0"),
     ],
 )
-def test_commands_that_cannot_be_used(spec: str, message: str) -> None:
+def test_unusable_commands_are_usage_errors(spec: str, message: str) -> None:
     with pytest.raises(UsageError, match=message):
         CommandModel(parse(spec))
 
@@ -159,7 +165,7 @@ def test_a_program_is_named_by_its_script(tmp_path: Path) -> None:
     assert {text: CommandModel(parse(f"command:{text}")).name for text in names} == names
 
 
-def test_question_marks_of_a_program_are_its_own() -> None:
+def test_question_marks_in_a_command_are_not_parsed_as_options() -> None:
     assert parse("command:a http://b/?c=d?").rest == "a http://b/?c=d"
     assert parse("command:a what? --b?timeout=3").options == {"timeout": "3"}
     assert parse("command:ls a?.png").rest == "ls a?.png"

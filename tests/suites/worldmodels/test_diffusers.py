@@ -1,4 +1,4 @@
-"""Local pipelines, tiny ones; what they make of numbers they were never trained for does not matter."""
+"""Local diffusers pipelines on tiny checkpoints with random weights."""
 
 import importlib.util
 import json
@@ -49,7 +49,9 @@ def difference(a: np.ndarray, b: np.ndarray) -> float:
     return float(np.abs(a.astype(int) - b).mean())
 
 
-def test_wan(checkpoint: Path, request_: Request, out: Path) -> None:
+def test_wan_generates_the_requested_frames_reproducibly_by_seed(
+    checkpoint: Path, request_: Request, out: Path
+) -> None:
     """As many frames as asked for, though it can make 5, 9, 13; one seed gives one video."""
     first = make(checkpoint, replace(request_, num_frames=7), out)
     assert first.shape == (7, 64, 96, 3)
@@ -57,7 +59,7 @@ def test_wan(checkpoint: Path, request_: Request, out: Path) -> None:
     assert difference(make(checkpoint, replace(request_, num_frames=7, seed=1), out), first) > 3
 
 
-def test_wan_of_two_networks(tmp_path: Path, request_: Request, out: Path) -> None:
+def test_wan_2_2_with_two_networks_generates_the_requested_frames(tmp_path: Path, request_: Request, out: Path) -> None:
     assert make(tiny.wan(tmp_path / "wan", version="2.2"), request_, out, "&size=40x24").shape == (5, 64, 96, 3)
 
 
@@ -76,7 +78,7 @@ def test_wan_of_two_networks(tmp_path: Path, request_: Request, out: Path) -> No
         ),
     ],
 )
-def test_published_layouts(
+def test_published_checkpoints_load_the_image_to_video_pipeline(
     save: Callable[[Path], Path], names: str, loaded: str, tmp_path: Path, request_: Request, out: Path
 ) -> None:
     """Whatever class the checkpoint names: it starts from the image, and has as many frames as asked for."""
@@ -105,7 +107,7 @@ def test_svd_has_no_prompt_and_chooses_the_number_of_frames(tmp_path: Path, requ
             make(folder, request_, out.with_name("b"), f"&{option}")
 
 
-def test_frames_of_the_option_are_all_kept(checkpoint: Path, request_: Request, out: Path) -> None:
+def test_frames_of_the_frames_option_are_all_kept(checkpoint: Path, request_: Request, out: Path) -> None:
     assert make(checkpoint, request_, out, "&frames=12").shape == (13, 64, 96, 3)
 
 
@@ -141,13 +143,15 @@ def guardrail(monkeypatch: pytest.MonkeyPatch) -> type:
     return Guardrail
 
 
-def test_cosmos(guardrail: type, tmp_path: Path, request_: Request, out: Path) -> None:
+def test_cosmos_generates_the_requested_frames_with_its_guardrail(
+    guardrail: type, tmp_path: Path, request_: Request, out: Path
+) -> None:
     """The guardrail is no part of the checkpoint: the pipeline brings its own."""
     folder = tiny.cosmos(tmp_path / "cosmos", guardrail())
     assert make(folder, replace(request_, num_frames=7), out).shape == (7, 64, 96, 3)
 
 
-def test_cosmos_without_its_packages(tmp_path: Path, request_: Request, out: Path) -> None:
+def test_cosmos_without_its_packages_is_a_setup_error(tmp_path: Path, request_: Request, out: Path) -> None:
     if any(importlib.util.find_spec(name) for name in ("torchvision", "cosmos_guardrail")):
         pytest.skip("they are installed")
     (tmp_path / "c").mkdir()
@@ -170,20 +174,24 @@ def test_every_pipeline_with_image_and_frames_is_accepted(monkeypatch: pytest.Mo
     assert not {"WanAnimatePipeline", "CogVideoXPipeline", "HunyuanVideoPipeline", "FluxPipeline"} & accepted
 
 
-def test_sizes_are_rounded_and_shapes_kept(checkpoint: Path, request_: Request, out: Path) -> None:
+def test_sizes_are_rounded_and_aspect_ratios_kept(checkpoint: Path, request_: Request, out: Path) -> None:
     """60x40 is done as 64x48, which is 4:3: stretched back to the first frame's 3:2. 48x32 is 3:2, and stays."""
     assert make(checkpoint, request_, out, "&size=60x40").shape == (5, 64, 96, 3)
     assert make(checkpoint, request_, out, "&size=48x32").shape == (5, 32, 48, 3)
 
 
-def test_half_precision_is_nearly_the_same(checkpoint: Path, tmp_path: Path, request_: Request, out: Path) -> None:
+def test_half_precision_gives_nearly_the_same_video(
+    checkpoint: Path, tmp_path: Path, request_: Request, out: Path
+) -> None:
     for folder in (checkpoint, tiny.cogvideox(tmp_path / "cog", learned=False)):
         exact, half = (make(folder, request_, out, f"&dtype={name}") for name in ("float32", "bfloat16"))
         assert difference(exact, half) < 10
 
 
 @pytest.mark.parametrize(("learned", "shape"), [(True, (9, 64, 96, 3)), (False, (13, 64, 96, 3))])
-def test_cogvideox(learned: bool, shape: tuple[int, ...], tmp_path: Path, request_: Request, out: Path) -> None:
+def test_cogvideox_with_learned_positions_has_a_greatest_length(
+    learned: bool, shape: tuple[int, ...], tmp_path: Path, request_: Request, out: Path
+) -> None:
     """Learned positions fix size and greatest length."""
     folder = tiny.cogvideox(tmp_path / "cog", learned=learned)
     assert make(folder, replace(request_, num_frames=13), out, "&guidance=1").shape == shape
@@ -210,7 +218,7 @@ def test_lora_changes_the_video(checkpoint: Path, tmp_path: Path, request_: Requ
             make(checkpoint, request_, out, options)
 
 
-def test_only_safetensors_and_known_code_are_loaded(
+def test_only_safetensors_and_code_of_diffusers_are_loaded(
     checkpoint: Path, tmp_path: Path, request_: Request, out: Path
 ) -> None:
     index = json.loads((checkpoint / "model_index.json").read_text())
@@ -237,7 +245,7 @@ def test_only_safetensors_and_known_code_are_loaded(
     assert list(out.parent.iterdir()) == []
 
 
-def test_names_hold_no_paths(checkpoint: Path) -> None:
+def test_model_names_contain_no_paths(checkpoint: Path) -> None:
     assert DiffusersModel(parse(f"diffusers:{checkpoint}")).name == "Wan-tiny"
     assert DiffusersModel(parse(f"diffusers:{checkpoint}?lora=/a/b/c.safetensors")).name == "Wan-tiny+c.safetensors"
     assert checkpoint_name("Wan-AI/Wan2.1") == "Wan-AI/Wan2.1"
@@ -254,6 +262,6 @@ def test_names_hold_no_paths(checkpoint: Path) -> None:
         ("diffusers:a/b?steps=0", "steps=0"),
     ],
 )
-def test_specs_that_cannot_be_used(spec: str, message: str) -> None:
+def test_unusable_diffusers_specs_are_usage_errors(spec: str, message: str) -> None:
     with pytest.raises(UsageError, match=message):
         DiffusersModel(parse(spec))

@@ -16,7 +16,7 @@ from kinebench_drake.suites.worldmodels.worldmodel import Request
 from tests.films import decoded
 
 
-def test_still_shows_the_first_frame_and_nothing_else(request_: Request, out: Path) -> None:
+def test_still_repeats_the_first_frame(request_: Request, out: Path) -> None:
     path = create("still").generate(request_, out)
     times, frames = decoded(path)
     assert len(times) == request_.num_frames
@@ -46,13 +46,13 @@ def test_still_shows_the_first_frame_and_nothing_else(request_: Request, out: Pa
         ("random?name=walk", "walk"),
     ],
 )
-def test_specs(text: str, name: str, keys: str) -> None:
+def test_a_spec_determines_the_name_of_the_model(text: str, name: str, keys: str) -> None:
     model = create(text)
     assert model.name == name
     model.close()
 
 
-def test_every_adapter_is_named_and_told_apart(tmp_path: Path, keys: str) -> None:
+def test_errors_of_specs_name_every_adapter_and_its_options(tmp_path: Path, keys: str) -> None:
     """Wrong forms list every right one; every kind says of a wrong option which ones there are."""
     for text in ("", "floder", "oracle+", "a b:c"):
         with pytest.raises(UsageError) as caught:
@@ -93,7 +93,7 @@ def test_every_adapter_is_named_and_told_apart(tmp_path: Path, keys: str) -> Non
         ("oracle+turn:5?form=late", "form=late: Input should be 'growing' or 'constant'"),
     ],
 )
-def test_specs_that_cannot_be_used(text: str, message: str, keys: str) -> None:
+def test_unusable_specs_are_usage_errors(text: str, message: str, keys: str) -> None:
     with pytest.raises(UsageError, match=f"world_model .*{message}"):
         create(text)
 
@@ -128,7 +128,7 @@ def module(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("module")
-def test_plugins() -> None:
+def test_a_plugin_class_is_created_with_its_options_or_refused() -> None:
     assert create("my_models:Model").name == "mine1"
     assert create("my_models:Model?level=9").name == "mine9"
     for text, message in {

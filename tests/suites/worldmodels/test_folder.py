@@ -28,7 +28,7 @@ def manifest(videos: Path, *rows: dict) -> None:
 @pytest.mark.parametrize(
     "name", ["StackCube-v1_s0003.mp4", "StackCube-v1_s0003.webm", "StackCube-v1_seed3.mp4", "StackCube-v1-3.mov"]
 )
-def test_videos_are_found_by_their_names(videos: Path, request_: Request, film: bytes, name: str) -> None:
+def test_videos_are_matched_by_id_or_by_task_and_seed(videos: Path, request_: Request, film: bytes, name: str) -> None:
     (videos / name).write_bytes(film)
     (videos / "StackCube-v1_s0030.mp4").write_bytes(film)
     (videos / "StackCube-v1_s0003.png").write_bytes(b"the first frame of the export")
@@ -36,7 +36,7 @@ def test_videos_are_found_by_their_names(videos: Path, request_: Request, film: 
     assert sorted(path.name for path in videos.parent.iterdir()) == ["videos"]  # nothing is copied
 
 
-def test_frames_are_found_by_their_folder(videos: Path, request_: Request) -> None:
+def test_frame_folders_are_matched_by_id(videos: Path, request_: Request) -> None:
     folder = videos / request_.episode
     folder.mkdir()
     with pytest.raises(WorldModelError, match=r"no video of StackCube-v1_s0003; expected StackCube-v1_s0003\.mp4"):
@@ -45,7 +45,7 @@ def test_frames_are_found_by_their_folder(videos: Path, request_: Request) -> No
     assert answer(videos, request_) == folder
 
 
-def test_the_manifest_comes_first(videos: Path, request_: Request, film: bytes) -> None:
+def test_the_manifest_takes_precedence_over_file_names(videos: Path, request_: Request, film: bytes) -> None:
     for name in ("StackCube-v1_s0003.mp4", "a.mp4", "b.mp4"):
         (videos / name).write_bytes(film)
     by_seed = {"video": "b.mp4", "task": "StackCube-v1", "seed": 3}
@@ -58,14 +58,14 @@ def test_the_manifest_comes_first(videos: Path, request_: Request, film: bytes) 
     assert answer(videos, request_) == videos / "StackCube-v1_s0003.mp4"
 
 
-def test_two_videos_are_one_too_many(videos: Path, request_: Request, film: bytes) -> None:
+def test_several_videos_of_one_episode_are_refused(videos: Path, request_: Request, film: bytes) -> None:
     for suffix in ("mp4", "gif"):
         (videos / f"{request_.episode}.{suffix}").write_bytes(film)
     with pytest.raises(WorldModelError, match=r"several videos .*\.gif, .*\.mp4\)"):
         answer(videos, request_)
 
 
-def test_nothing_outside_the_folder_is_an_answer(videos: Path, request_: Request, film: bytes) -> None:
+def test_videos_outside_the_folder_are_refused(videos: Path, request_: Request, film: bytes) -> None:
     outside = videos.parent / "outside.mp4"
     outside.write_bytes(film)
     for video in ("../outside.mp4", str(outside), "."):
@@ -78,7 +78,7 @@ def test_nothing_outside_the_folder_is_an_answer(videos: Path, request_: Request
         answer(videos, request_)
 
 
-def test_later_rounds_have_names_of_their_own(videos: Path, request_: Request, film: bytes) -> None:
+def test_later_rounds_are_matched_only_by_their_own_names(videos: Path, request_: Request, film: bytes) -> None:
     """Task and seed stand for the first round: a later one continues from what was executed."""
     model = FolderModel(parse(f"folder:{videos}"))
     for name in ("StackCube-v1_seed3.mp4", f"{request_.episode}_r2.gif"):
@@ -93,7 +93,7 @@ def test_later_rounds_have_names_of_their_own(videos: Path, request_: Request, f
     assert found == [["StackCube-v1_seed3.mp4"], [], [f"{request_.episode}_r2.gif"]]
 
 
-def test_further_samples_have_names_of_their_own(videos: Path, request_: Request, film: bytes) -> None:
+def test_further_samples_are_matched_only_by_their_own_names(videos: Path, request_: Request, film: bytes) -> None:
     """Task and seed stand for the first sample."""
     model = FolderModel(parse(f"folder:{videos}"))
     for name in ("StackCube-v1_seed3.mp4", f"{request_.episode}_k2.mp4", f"{request_.episode}_k2_r1.mp4"):
@@ -107,7 +107,7 @@ def test_further_samples_have_names_of_their_own(videos: Path, request_: Request
     assert model.files(f"{request_.episode}_k1", request_.task, 0) == []
 
 
-def test_clips_of_a_live_run_are_an_answer(videos: Path, request_: Request, film: bytes) -> None:
+def test_clips_of_an_earlier_run_can_be_replayed(videos: Path, request_: Request, film: bytes) -> None:
     for round in range(2):
         (videos / f"{request_.episode}_r{round}.mp4").write_bytes(film)
         assert answer(videos, replace(request_, round=round)).name == f"{request_.episode}_r{round}.mp4"
@@ -115,13 +115,13 @@ def test_clips_of_a_live_run_are_an_answer(videos: Path, request_: Request, film
     assert answer(videos, replace(request_, round=1)).name == f"{request_.episode}_r0.mp4"
 
 
-def test_a_damaged_video_is_told(videos: Path, request_: Request) -> None:
+def test_a_damaged_video_is_refused(videos: Path, request_: Request) -> None:
     (videos / f"{request_.episode}.mp4").write_bytes(b"<html>")
     with pytest.raises(WorldModelError, match="not a video"):
         answer(videos, request_)
 
 
-def test_folders_that_cannot_be_used(videos: Path) -> None:
+def test_unusable_folders_and_manifests_are_usage_errors(videos: Path) -> None:
     for spec in ("folder:", f"folder:{videos}/none"):
         with pytest.raises(UsageError, match="expected folder:DIR"):
             FolderModel(parse(spec))

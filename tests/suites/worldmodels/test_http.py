@@ -39,7 +39,9 @@ def base64_of(data: bytes) -> str:
     return base64.b64encode(data).decode()
 
 
-def test_simple(ask: Callable[..., Path], servant: Servant, film: bytes, request_: Request) -> None:
+def test_the_simple_protocol_posts_the_request_and_returns_the_video(
+    ask: Callable[..., Path], servant: Servant, film: bytes, request_: Request
+) -> None:
     path = ask({"video_base64": base64_of(film)})
     assert path.read_bytes() == film
     (asked,) = servant.at("/make")
@@ -57,7 +59,7 @@ def test_simple(ask: Callable[..., Path], servant: Servant, film: bytes, request
     }
 
 
-def test_a_server_gets_the_actions(
+def test_a_server_gets_the_requested_actions_as_json(
     servant: Servant, hurried: Limits, keys: str, request_: Request, actions: ActionTrack, out: Path, film: bytes
 ) -> None:
     servant.routes["/make"] = [Reply({"video_base64": base64_of(film)})]
@@ -66,7 +68,7 @@ def test_a_server_gets_the_actions(
     assert asked.body["actions"] == actions.to_json()
 
 
-def test_all_three_answers_are_the_same_video(
+def test_path_url_and_base64_answers_give_the_same_video(
     ask: Callable[..., Path], servant: Servant, film: bytes, tmp_path: Path
 ) -> None:
     (tmp_path / "made.bin").write_bytes(film)
@@ -99,20 +101,22 @@ def test_all_three_answers_are_the_same_video(
         ({"video_base64": "A" * 40_000}, r"more than 0\.019\S+ MiB of video \(base64\)"),
     ],
 )
-def test_answers_without_a_video(ask: Callable[..., Path], answer: Any, message: str, out: Path) -> None:
+def test_answers_without_exactly_one_video_are_refused(
+    ask: Callable[..., Path], answer: Any, message: str, out: Path
+) -> None:
     with pytest.raises(WorldModelError, match=message):
         ask(answer)
     assert list(out.parent.iterdir()) == []
 
 
-def test_a_path_is_believed_only_from_this_machine(hurried: Limits, tmp_path: Path, film: bytes) -> None:
+def test_a_video_path_is_accepted_only_from_this_machine(hurried: Limits, tmp_path: Path, film: bytes) -> None:
     (tmp_path / "v.mp4").write_bytes(film)
     model = HttpModel(parse("https://example.org/make"), hurried)
     with pytest.raises(WorldModelError, match="only from a server on this machine"):
         model._fetch({"video_path": str(tmp_path / "v.mp4")}, tmp_path / "part", None)  # no server there to ask
 
 
-def test_a_key_is_masked_whatever_its_variable_is_called(
+def test_a_key_is_masked_for_any_name_of_its_variable(
     ask: Callable[..., Path], servant: Servant, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("WORLD_MODEL_AUTH", "sk-12345678")
@@ -122,7 +126,9 @@ def test_a_key_is_masked_whatever_its_variable_is_called(
     assert "***" in str(raised.value)
 
 
-def test_a_key_on_request(ask: Callable[..., Path], servant: Servant, film: bytes, keys: str) -> None:
+def test_a_key_is_sent_only_with_key_env_and_over_https(
+    ask: Callable[..., Path], servant: Servant, film: bytes, keys: str
+) -> None:
     ask({"video_base64": base64_of(film)}, options="&key_env=MY_API_KEY")
     assert {asked.headers["Authorization"] for asked in servant.asked} == {f"Bearer {keys}"}
     with pytest.raises(SetupError, match="only over https"):
@@ -134,7 +140,7 @@ def test_a_key_on_request(ask: Callable[..., Path], servant: Servant, film: byte
 @pytest.mark.parametrize(
     "spec", ["http:", "http://", "http:file:///x", "http://u:pass@h/", "http://h/?a", "http://h/#a"]
 )
-def test_addresses_that_cannot_be_used(spec: str) -> None:
+def test_unusable_addresses_are_usage_errors(spec: str) -> None:
     with pytest.raises(UsageError, match="expected http://HOST:PORT/PATH") as caught:
         HttpModel(parse(spec))
     assert "pass@" not in str(caught.value)
@@ -159,7 +165,7 @@ def predictor(servant: Servant) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize("path", ["", "/", "/v1/predict", "?style=predict"])
-def test_predict(
+def test_the_predict_protocol_generates_a_video_and_checks_health_once(
     predictor: dict[str, Any], servant: Servant, hurried: Limits, request_: Request, out: Path, path: str
 ) -> None:
     model = HttpModel(parse(f"http:{servant.url}{path}"), hurried)
@@ -173,7 +179,7 @@ def test_predict(
     assert list(out.parent.iterdir()) == [video]
 
 
-def test_predict_keeps_within_what_the_server_can(
+def test_predict_stays_within_the_capabilities_of_the_server(
     predictor: dict[str, Any],
     servant: Servant,
     hurried: Limits,
@@ -192,7 +198,7 @@ def test_predict_keeps_within_what_the_server_can(
 
 
 @pytest.mark.parametrize("head", ["", "data:image/png;base64,"])
-def test_base64_may_be_broken_into_lines(
+def test_base64_with_line_breaks_is_accepted(
     predictor: dict[str, Any],
     servant: Servant,
     hurried: Limits,
@@ -223,7 +229,7 @@ def test_base64_may_be_broken_into_lines(
         ([base64_png(np.zeros((2, n, 3), np.uint8)) for n in (2, 3)], "different sizes"),
     ],
 )
-def test_predictions_that_cannot_be_used(
+def test_unusable_predictions_are_refused(
     predictor: dict[str, Any],
     servant: Servant,
     hurried: Limits,
@@ -238,7 +244,7 @@ def test_predictions_that_cannot_be_used(
     assert list(out.parent.iterdir()) == []
 
 
-def test_a_server_that_is_not_ready_or_talks_nonsense(
+def test_an_unready_server_and_malformed_capabilities_are_setup_errors(
     predictor: dict[str, Any], servant: Servant, hurried: Limits, request_: Request, out: Path
 ) -> None:
     predictor["max_num_frames"] = "many"

@@ -60,7 +60,7 @@ def shown(uri: str) -> np.ndarray:
     return np.asarray(Image.open(io.BytesIO(base64.b64decode(data))))
 
 
-def test_dashscope(
+def test_dashscope_submits_polls_and_downloads_the_video(
     dashscope: DashScopeModel, servant: Servant, request_: Request, out: Path, film: bytes, keys: str
 ) -> None:
     path = dashscope.generate(request_, out)
@@ -89,7 +89,7 @@ def test_dashscope(
         ({}, "None"),
     ],
 )
-def test_dashscope_tasks_that_fail(
+def test_failed_dashscope_tasks_are_reported_with_code_and_message(
     dashscope: DashScopeModel, servant: Servant, request_: Request, out: Path, output: dict[str, str], message: str
 ) -> None:
     servant.routes[TASK] = [Reply({"output": output})]
@@ -98,7 +98,9 @@ def test_dashscope_tasks_that_fail(
     assert list(out.parent.iterdir()) == []
 
 
-def test_dashscope_refuses(dashscope: DashScopeModel, servant: Servant, request_: Request, out: Path) -> None:
+def test_dashscope_moderation_is_a_model_error_and_accounts_are_setup_errors(
+    dashscope: DashScopeModel, servant: Servant, request_: Request, out: Path
+) -> None:
     servant.routes[SUBMIT] = [
         Reply({"code": "DataInspectionFailed", "message": "bad words"}, status=400),
         Reply({"code": "InvalidApiKey", "message": "no"}, status=401),
@@ -115,7 +117,7 @@ def test_dashscope_refuses(dashscope: DashScopeModel, servant: Servant, request_
         dashscope.generate(request_, out)
 
 
-def test_dashscope_is_patient_with_limits(
+def test_dashscope_retries_after_rate_limits(
     dashscope: DashScopeModel, servant: Servant, request_: Request, out: Path
 ) -> None:
     servant.routes[SUBMIT].insert(0, Reply(status=429, headers={"Retry-After": "0"}))
@@ -124,7 +126,7 @@ def test_dashscope_is_patient_with_limits(
 
 
 @pytest.mark.parametrize("status", [500, 502, 503, 504])
-def test_what_may_have_cost_is_not_submitted_again(
+def test_a_submission_that_may_have_cost_is_not_repeated(
     dashscope: DashScopeModel, minimax: MiniMaxModel, servant: Servant, request_: Request, out: Path, status: int
 ) -> None:
     for model, path in ((dashscope, SUBMIT), (minimax, "/v1/video_generation")):
@@ -134,7 +136,9 @@ def test_what_may_have_cost_is_not_submitted_again(
         assert len(servant.at(path)) == 1
 
 
-def test_a_task_without_end_ends(servant: Servant, hurried: Limits, keys: str, request_: Request, out: Path) -> None:
+def test_an_endless_task_runs_into_the_timeout(
+    servant: Servant, hurried: Limits, keys: str, request_: Request, out: Path
+) -> None:
     servant.routes[SUBMIT] = [Reply({"output": {"task_id": "t"}})]
     servant.routes["/api/v1/tasks/t"] = [Reply({"output": {"task_status": "RUNNING"}})]
     with pytest.raises(WorldModelError, match=r"no video within 0\.2 s"):
@@ -153,7 +157,7 @@ def test_a_task_without_end_ends(servant: Servant, hurried: Limits, keys: str, r
         (b"v" * 30_000, "more than"),
     ],
 )
-def test_only_videos_count(
+def test_a_download_other_than_a_video_is_refused(
     dashscope: DashScopeModel, servant: Servant, request_: Request, out: Path, data: bytes, message: str
 ) -> None:
     servant.routes["/v.mp4"] = [Reply(data)]
@@ -162,14 +166,16 @@ def test_only_videos_count(
     assert list(out.parent.iterdir()) == []
 
 
-def test_a_video_is_called_what_it_is(
+def test_the_suffix_of_a_download_follows_its_contents(
     dashscope: DashScopeModel, servant: Servant, request_: Request, out: Path, gif: bytes
 ) -> None:
     servant.routes["/v.mp4"] = [Reply(gif)]
     assert dashscope.generate(request_, out).suffix == ".gif"
 
 
-def test_minimax(minimax: MiniMaxModel, servant: Servant, request_: Request, out: Path, film: bytes, keys: str) -> None:
+def test_minimax_submits_polls_and_downloads_the_video(
+    minimax: MiniMaxModel, servant: Servant, request_: Request, out: Path, film: bytes, keys: str
+) -> None:
     assert minimax.generate(request_, out).read_bytes() == film
     (submit,) = servant.at("/v1/video_generation")
     assert submit.headers["Authorization"] == f"Bearer {keys}"
@@ -189,7 +195,7 @@ def test_minimax(minimax: MiniMaxModel, servant: Servant, request_: Request, out
 
 
 @pytest.mark.parametrize("code", [1004, 1008, 2049])
-def test_minimax_accounts(
+def test_minimax_account_errors_are_setup_errors_with_masked_key(
     minimax: MiniMaxModel, servant: Servant, request_: Request, out: Path, code: int, keys: str
 ) -> None:
     servant.routes["/v1/video_generation"] = [refusal(code, f"bad {keys}")]
@@ -197,7 +203,9 @@ def test_minimax_accounts(
         minimax.generate(request_, out)
 
 
-def test_minimax_refuses(minimax: MiniMaxModel, servant: Servant, request_: Request, out: Path) -> None:
+def test_minimax_refusals_are_reported_and_not_retried(
+    minimax: MiniMaxModel, servant: Servant, request_: Request, out: Path
+) -> None:
     servant.routes["/v1/video_generation"] = [refusal(1026), refusal(2013, "invalid params")]
     with pytest.raises(WorldModelError, match="moderation"):
         minimax.generate(request_, out)
@@ -206,7 +214,9 @@ def test_minimax_refuses(minimax: MiniMaxModel, servant: Servant, request_: Requ
     assert len(servant.asked) == 2
 
 
-def test_minimax_moderates_what_it_made(minimax: MiniMaxModel, servant: Servant, request_: Request, out: Path) -> None:
+def test_minimax_reports_moderation_and_failure_of_its_video(
+    minimax: MiniMaxModel, servant: Servant, request_: Request, out: Path
+) -> None:
     servant.routes["/v1/query/video_generation"] = [
         Reply({"status": "Fail", "base_resp": {"status_code": 1027, "status_msg": "x"}}),
         Reply({"status": "Fail", "base_resp": {"status_code": 0, "status_msg": "lost"}}),
@@ -217,7 +227,9 @@ def test_minimax_moderates_what_it_made(minimax: MiniMaxModel, servant: Servant,
         minimax.generate(request_, out)
 
 
-def test_minimax_limits_in_disguise(minimax: MiniMaxModel, servant: Servant, request_: Request, out: Path) -> None:
+def test_minimax_rate_limits_with_http_200_are_retried(
+    minimax: MiniMaxModel, servant: Servant, request_: Request, out: Path
+) -> None:
     """A rate limit comes with HTTP status 200. Other troubles are not tried again where it might cost."""
     submit = servant.routes["/v1/video_generation"]
     servant.routes["/v1/video_generation"] = [refusal(1002), *submit]
@@ -230,14 +242,16 @@ def test_minimax_limits_in_disguise(minimax: MiniMaxModel, servant: Servant, req
     assert len(servant.asked) == count + 1
 
 
-def test_minimax_without_an_address(minimax: MiniMaxModel, servant: Servant, request_: Request, out: Path) -> None:
+def test_minimax_without_a_download_url_is_an_error(
+    minimax: MiniMaxModel, servant: Servant, request_: Request, out: Path
+) -> None:
     servant.routes["/v1/files/retrieve"] = [Reply({"file": {}})]
     with pytest.raises(WorldModelError, match="no download_url"):
         minimax.generate(request_, out)
 
 
 @pytest.mark.parametrize(("kind", "make"), [("dashscope", DashScopeModel), ("minimax", MiniMaxModel)])
-def test_services_need_a_key_and_a_good_address(
+def test_services_refuse_missing_keys_and_unusable_addresses(
     kind: str, make: type[DashScopeModel] | type[MiniMaxModel], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     variable = f"{kind.upper()}_API_KEY"

@@ -85,7 +85,7 @@ def config(folder: Path, out: Path, steps: int = 4) -> BaselineConfig:
     return BaselineConfig(data=folder, out=out, size=SIZE, workers=0, schedule=schedule)
 
 
-def test_six_numbers_tell_a_rotation() -> None:
+def test_six_numbers_determine_a_rotation() -> None:
     R = torch.from_numpy(rotations(200))
     torch.testing.assert_close(from_six(R[..., :, :2].mT.flatten(-2)), R)
     six = torch.from_numpy(np.random.default_rng(1).normal(size=(200, 6)))
@@ -109,7 +109,7 @@ def truth_and(angle: float, shift_m: float, gap_m: float) -> dict[str, float]:
     return {"total": float(terms.total), **{name: float(value) for name, value in terms.reported.items()}}
 
 
-def test_the_loss_is_zero_at_the_truth_and_tells_errors_in_their_units() -> None:
+def test_the_loss_is_zero_at_the_truth_and_reports_errors_in_mm_and_degrees() -> None:
     assert truth_and(0.0, 0.0, 0.0) == pytest.approx(dict.fromkeys(truth_and(0, 0, 0), 0.0), abs=1e-4)
     told = truth_and(np.deg2rad(8.0), 0.05, 0.02)
     assert told["position_mm"] == pytest.approx(50, abs=1.1)
@@ -139,7 +139,7 @@ def shown(image: Tensor, frames: list[NDArray[np.uint8]]) -> tuple[int, list[int
     return None
 
 
-def test_the_labels_are_those_of_the_inner_frames(
+def test_labels_of_a_window_are_those_of_its_inner_frames(
     windows: Callable[[int], Windows], frames: list[NDArray[np.uint8]], demonstrations: Demonstrations
 ) -> None:
     seen = set()
@@ -155,14 +155,16 @@ def test_the_labels_are_those_of_the_inner_frames(
     assert seen == {(0, 0, 1, 2, 3), (0, 1, 2, 3, 4), (1, 2, 3, 4, 5), (2, 3, 4, 5, 5)}  # the ends of a video repeat
 
 
-def test_tasks_are_equally_frequent(windows: Callable[[int], Windows], frames: list[NDArray[np.uint8]]) -> None:
+def test_windows_draw_tasks_with_equal_frequency(
+    windows: Callable[[int], Windows], frames: list[NDArray[np.uint8]]
+) -> None:
     told = [shown(windows(1)[i]["image"], frames) for i in range(400)]
     rare = [t[0] == 3 for t in told if t is not None]  # one clip of four
     assert len(rare) > 50
     assert 0.35 < np.mean(rare) < 0.65
 
 
-def test_an_interrupted_training_goes_on_to_the_same_weights(folder: Path, tmp_path: Path) -> None:
+def test_an_interrupted_baseline_training_resumes_to_the_same_weights(folder: Path, tmp_path: Path) -> None:
     from training.baseline import fitting
 
     whole = load_file(train(config(folder, tmp_path / "whole"), lambda _: None))
@@ -188,7 +190,7 @@ def test_an_interrupted_training_goes_on_to_the_same_weights(folder: Path, tmp_p
         train(config(folder, tmp_path / "cut", steps=5), lambda _: None)
 
 
-def test_a_trained_baseline_says_a_rigid_pose_of_every_frame(folder: Path, tmp_path: Path) -> None:
+def test_the_baseline_predicts_a_rigid_pose_for_every_frame(folder: Path, tmp_path: Path) -> None:
     baseline = Baseline.load(train(config(folder, tmp_path, steps=1), lambda _: None))
     assert baseline.tasks == ("Often-v1", "Rare-v1")
     frames = np.random.default_rng(0).integers(0, 255, (5, 80, 80, 3), dtype=np.uint8)
@@ -201,7 +203,7 @@ def test_a_trained_baseline_says_a_rigid_pose_of_every_frame(folder: Path, tmp_p
     assert np.abs(alone[0] - X_BG[1]).max() > 1e-6
 
 
-def test_another_camera_and_other_weights_are_refused(folder: Path, tmp_path: Path) -> None:
+def test_the_baseline_refuses_another_camera_and_damaged_weights(folder: Path, tmp_path: Path) -> None:
     from dataclasses import replace
 
     baseline = Baseline.load(train(config(folder, tmp_path, steps=1), lambda _: None))
@@ -216,7 +218,7 @@ def test_another_camera_and_other_weights_are_refused(folder: Path, tmp_path: Pa
         Baseline.load(tmp_path / "bad.safetensors")
 
 
-def test_folders_without_truth_are_refused(tmp_path: Path) -> None:
+def test_demonstrations_without_manifest_or_truth_are_refused(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match=r"no manifest\.jsonl"):
         load_demonstrations(tmp_path)
     (tmp_path / "manifest.jsonl").write_text('{"video": "a.mp4", "task": "T"}\n')
@@ -225,14 +227,14 @@ def test_folders_without_truth_are_refused(tmp_path: Path) -> None:
         load_demonstrations(tmp_path)
 
 
-def test_resizing_keeps_what_a_picture_shows() -> None:
+def test_resizing_in_two_steps_equals_resizing_at_once() -> None:
     y, x = np.mgrid[:384, :384]
     picture = np.stack([x / 2, y / 2, 0 * x], axis=-1).astype(np.uint8)[None]
     direct, over = resize_frames(picture, 224), resize_frames(resize_frames(picture, 256), 224)
     assert np.abs(direct.astype(int) - over).max() <= 1
 
 
-def test_groups_pool_frames_and_tell_trained_from_unseen() -> None:
+def test_groups_pool_frames_by_task_and_separate_trained_from_unseen() -> None:
     clips = [
         ClipComparison(
             id=f"{task}{i}",
