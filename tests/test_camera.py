@@ -19,7 +19,7 @@ def test_the_benchmark_camera_sees_the_table_in_front_of_the_robot() -> None:
     assert camera.fx == pytest.approx(192.0 / np.tan(np.pi / 6))
 
 
-def test_rays_are_what_projection_undoes() -> None:
+def test_rays_invert_projection() -> None:
     camera = benchmark_camera().resized(96, 96)
     v, u = np.mgrid[0:96, 0:96] + 0.5
     pixels = camera.project(camera.rays() * 0.7)
@@ -35,7 +35,7 @@ def test_resizing_keeps_directions() -> None:
         camera.resized(832, 480)
 
 
-def test_save_and_load(tmp_path: Path) -> None:
+def test_camera_round_trips_through_its_file(tmp_path: Path) -> None:
     camera = benchmark_camera()
     save_camera(camera, tmp_path / "camera.json")
     loaded = load_camera(tmp_path / "camera.json").camera
@@ -65,7 +65,7 @@ def _broken(**changes: Any) -> dict[str, Any]:
         ([1, 2, 3], "expected an object"),
     ],
 )
-def test_unusable_cameras_are_refused_by_name(tmp_path: Path, data: object, says: str) -> None:
+def test_invalid_camera_files_are_refused_in_one_line(tmp_path: Path, data: object, says: str) -> None:
     path = tmp_path / "camera.json"
     path.write_text(json.dumps(data))
     with pytest.raises(UsageError, match=says) as caught:
@@ -74,14 +74,14 @@ def test_unusable_cameras_are_refused_by_name(tmp_path: Path, data: object, says
     assert "\n" not in str(caught.value)
 
 
-def test_a_file_that_is_no_json(tmp_path: Path) -> None:
+def test_a_camera_file_that_is_no_json_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "camera.json"
     path.write_text("{")
     with pytest.raises(UsageError, match="JSON"):
         load_camera(path)
 
 
-def test_the_file_may_state_a_mirrored_picture_and_the_table(tmp_path: Path) -> None:
+def test_the_camera_file_may_state_mirroring_and_table_height(tmp_path: Path) -> None:
     (tmp_path / "camera.json").write_text(
         json.dumps({**benchmark_camera().to_json(), "mirrored": True, "table_height_m": -0.1})
     )
@@ -94,6 +94,6 @@ def test_the_file_may_state_a_mirrored_picture_and_the_table(tmp_path: Path) -> 
 @pytest.mark.parametrize(
     ("key", "value"), [("mirrored", 1), ("mirrored", None), ("table_height_m", True), ("table_height_m", 80.0)]
 )
-def test_what_the_file_states_besides_is_checked(key: str, value: object) -> None:
+def test_mirroring_and_table_height_of_the_camera_file_are_checked(key: str, value: object) -> None:
     with pytest.raises(UsageError, match=f"mine: {key} must be"):
         CameraSetting.from_json({**benchmark_camera().to_json(), key: value}, "mine")

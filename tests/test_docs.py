@@ -96,7 +96,7 @@ def refused(line):
 
 
 @pytest.mark.parametrize("page", PAGES, ids=name)
-def test_links_lead_somewhere(page):
+def test_links_lead_to_existing_files_and_headings(page):
     for target in re.findall(r"\]\(([^)\s]+)\)", prose(page.read_text())):
         if re.match(r"[a-z]+:", target):
             continue
@@ -130,14 +130,14 @@ def test_commands_and_options_in_prose_exist(page):
 
 
 @pytest.mark.parametrize("page", PAGES, ids=name)
-def test_modules_that_are_run_exist(page):
+def test_modules_of_python_m_commands_exist(page):
     for module in re.findall(r"python -m (kinebench_drake[\w.]*)", page.read_text()):
         found = find_spec(module)
         assert found is not None, f"{name(page)}: no module {module}"
         assert not found.submodule_search_locations or find_spec(f"{module}.__main__"), f"{module} cannot be run"
 
 
-def test_the_index_names_every_page():
+def test_the_indexes_name_every_page_and_example():
     index = (ROOT / "docs" / "README.md").read_text()
     for page in (ROOT / "docs").glob("*.md"):
         assert page.name == "README.md" or f"({page.name})" in index, f"docs/README.md does not name {page.name}"
@@ -156,6 +156,6 @@ def test_the_index_names_every_page():
         ("suite", "group of commands"),
     ],
 )
-def test_the_test_sees_what_is_wrong(line, told):
+def test_wrong_command_lines_are_detected(line, told):
     assert told in str(refused(line))
     assert refused("score videos/ --out results --jobs 2 --tag a=b") is None

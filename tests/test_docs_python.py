@@ -33,7 +33,7 @@ def run(page, space, chosen=lambda heading: True):
     return space
 
 
-def test_pixels_of_points_are_those_that_the_text_tells(capsys):
+def test_projected_pixels_are_those_of_the_text(capsys):
     space = run("conventions.md", {})
     np.testing.assert_allclose(space["camera"].X_BC[:3, 3], [1.015, 0.0, 0.45])
     np.testing.assert_allclose(space["camera"].project(space["p_C"]), [[192.0, 204.7], [245.4, 204.7]], atol=0.06)
@@ -44,7 +44,7 @@ def test_pixels_of_points_are_those_that_the_text_tells(capsys):
 
 
 @pytest.mark.slow
-def test_the_interface_is_used_as_described(tmp_path, monkeypatch):
+def test_code_of_the_interface_page_runs_with_the_described_results(tmp_path, monkeypatch):
     (tmp_path / "videos").mkdir()
     write_video(tmp_path / "videos" / "clip.mp4", read_video(CLIP).frames[20:29], 17)
     save_camera(benchmark_camera(), tmp_path / "videos" / "camera.json")
@@ -57,7 +57,7 @@ def test_the_interface_is_used_as_described(tmp_path, monkeypatch):
 
 @pytest.mark.sapien
 @pytest.mark.slow
-def test_a_suite_is_run_as_described(tmp_path, monkeypatch):
+def test_code_of_the_suite_section_runs(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     space = run("api.md", {"__name__": "docs"}, lambda heading: heading in ("Python interface", "A suite"))
     assert space["summary"].success.mean == 0.0

@@ -1,4 +1,4 @@
-"""The scripts of examples/ run and tell what they promise."""
+"""The scripts of examples/ run and print what they promise."""
 
 import runpy
 import subprocess
@@ -44,13 +44,13 @@ def run(monkeypatch, tmp_path, capsys):
 
 
 @pytest.mark.parametrize("script", SCRIPTS, ids=lambda path: path.name)
-def test_examples_are_short_and_say_what_they_show(script):
+def test_examples_are_short_and_have_a_docstring(script):
     text = script.read_text()
     assert len(text.splitlines()) < 60
     assert text.startswith(('"""', 'r"""'))
 
 
-def test_a_trajectory_of_arrays_is_judged(run):
+def test_the_example_of_arrays_judges_poses_and_joint_angles(run):
     told = run("audit_arrays.py")
     assert "poses, 2 s: feasible" in told
     assert "poses, 0.5 s: infeasible\n  acceleration of panda_joint" in told
@@ -58,7 +58,7 @@ def test_a_trajectory_of_arrays_is_judged(run):
 
 
 @pytest.mark.slow
-def test_a_folder_is_scored_and_a_path_is_plotted(run, clip, tmp_path):
+def test_the_examples_of_a_folder_and_of_a_plotted_path_run(run, clip, tmp_path):
     told = run("score_folder.py", clip.parent, tmp_path / "out")
     assert "clip: feasible" in told
     assert "tracked 100%" in told
@@ -71,7 +71,7 @@ def test_a_folder_is_scored_and_a_path_is_plotted(run, clip, tmp_path):
 
 @pytest.mark.sapien
 @pytest.mark.slow
-def test_a_world_model_of_ones_own_runs_in_closed_loop(run, tmp_path):
+def test_the_example_of_a_custom_world_model_runs_in_closed_loop(run, tmp_path):
     told = run("closed_loop.py", tmp_path / "out")
     assert "PullCube-v1_s0000: failure" in told
     [row] = read_rows(tmp_path / "out").values()
@@ -79,7 +79,7 @@ def test_a_world_model_of_ones_own_runs_in_closed_loop(run, tmp_path):
     assert row.extra["verdict"] == "task"
 
 
-def test_the_server_answers_as_a_world_model(tmp_path):
+def test_the_example_server_answers_as_a_world_model(tmp_path):
     server = subprocess.Popen(
         [sys.executable, EXAMPLES / "world_model_server.py", "0"], stdout=subprocess.PIPE, text=True, cwd=tmp_path
     )

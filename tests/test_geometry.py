@@ -11,7 +11,7 @@ def random_poses(seed: int, n: int = 20) -> g.Array:
     return g.make_pose(g.rotation_exp(rng.normal(0, 1.5, (n, 3))), rng.normal(0, 1, (n, 3)))
 
 
-def test_cross_products_are_those_of_numpy() -> None:
+def test_cross_products_equal_those_of_numpy() -> None:
     a, b = np.random.default_rng(5).normal(size=(2, 4, 1, 3))
     np.testing.assert_allclose(g.cross(a, b[:, 0]), np.cross(a, b[:, 0]), atol=1e-15)
 
@@ -21,7 +21,7 @@ def test_inverse_undoes_a_pose() -> None:
     np.testing.assert_allclose(g.invert(X) @ X, np.broadcast_to(np.eye(4), X.shape), atol=1e-12)
 
 
-def test_points_follow_the_matrix() -> None:
+def test_transform_points_equals_the_homogeneous_product() -> None:
     X = random_poses(1, 3)
     points = np.random.default_rng(2).normal(size=(3, 5, 3))
     homogeneous = np.concatenate([points, np.ones((3, 5, 1))], axis=2)
@@ -29,7 +29,7 @@ def test_points_follow_the_matrix() -> None:
 
 
 @given(st.floats(1e-9, np.pi - 1e-9), st.integers(0, 1000))
-def test_rotation_angle_is_that_of_the_rotation_vector(angle: float, seed: int) -> None:
+def test_rotation_angle_is_the_norm_of_the_rotation_vector(angle: float, seed: int) -> None:
     axis = np.random.default_rng(seed).normal(size=3)
     R = g.rotation_exp(angle * axis / np.linalg.norm(axis))
     assert g.rotation_angle(R) == pytest.approx(angle, rel=1e-6, abs=1e-12)
@@ -40,7 +40,7 @@ def test_log_undoes_exp() -> None:
     np.testing.assert_allclose(g.rotation_log(g.rotation_exp(w)), w, atol=1e-12)
 
 
-def test_pose_difference_of_a_known_step() -> None:
+def test_pose_difference_is_distance_and_angle() -> None:
     X = random_poses(4, 1)[0]
     step = g.make_pose(g.rotation_exp([0, 0, 0.3]), [0.03, 0.0, 0.04])
     distance, angle = g.pose_difference(X, X @ step)
@@ -64,7 +64,7 @@ def test_quaternions_are_wxyz_and_round_trip() -> None:
     np.testing.assert_allclose(g.from_quaternion(g.to_quaternion(X[:, :3, :3]), X[:, :3, 3]), X, atol=1e-12)
 
 
-def test_interpolation_meets_both_ends_and_halves_the_turn() -> None:
+def test_interpolation_meets_both_ends_and_halves_the_rotation_angle() -> None:
     X_1, X_2 = random_poses(8, 2)
     np.testing.assert_allclose(g.interpolate_pose(X_1, X_2, 0.0), X_1, atol=1e-12)
     np.testing.assert_allclose(g.interpolate_pose(X_1, X_2, 1.0), X_2, atol=1e-12)

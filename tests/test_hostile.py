@@ -26,7 +26,7 @@ from tests.report.suite.synthetic import write_run
 @pytest.mark.parametrize(
     "name", ["../../etc/passwd", "/etc/passwd", "a/../../b.mp4", "out.mp4", "a\0b.mp4", "up/b.mp4"]
 )
-def test_a_manifest_leads_nowhere_else(tmp_path, name):
+def test_a_manifest_cannot_name_files_outside_of_its_folder(tmp_path, name):
     folder = tmp_path / "in"
     folder.mkdir()
     (tmp_path / "b.mp4").write_bytes(b"x")
@@ -43,7 +43,7 @@ def test_a_manifest_leads_nowhere_else(tmp_path, name):
 @pytest.mark.parametrize(
     "name", ["camera.json", "manifest.jsonl", "metadata.csv", "clip.mp4", "clip.npz", "frames/0.png"]
 )
-def test_a_pipe_is_not_waited_for(tmp_path, name):
+def test_a_named_pipe_does_not_block_reading(tmp_path, name):
     (tmp_path / name).parent.mkdir(exist_ok=True)
     os.mkfifo(tmp_path / name)
     done = threading.Event()
@@ -63,7 +63,7 @@ def test_a_pipe_is_not_waited_for(tmp_path, name):
     assert done.wait(30)
 
 
-def test_an_endless_file_is_not_read(tmp_path):
+def test_endless_and_too_large_files_are_refused(tmp_path):
     (tmp_path / "camera.json").symlink_to("/dev/zero")
     with pytest.raises(UsageError, match="regular file"):
         load_camera(tmp_path / "camera.json")
@@ -72,7 +72,7 @@ def test_an_endless_file_is_not_read(tmp_path):
         read_bytes(tmp_path / "big", most=10)
 
 
-def test_deep_json_and_long_numbers_are_values_or_refused():
+def test_deep_json_is_refused_and_overlong_numbers_are_infinity():
     with pytest.raises(ValueError, match="deep"):
         parse_json("[" * 100_000)
     assert parse_json("[1, " + "9" * 400 + "]") == [1, float("inf")]
@@ -80,7 +80,7 @@ def test_deep_json_and_long_numbers_are_values_or_refused():
         parse_json(b"")
 
 
-def test_a_playlist_is_no_film(tmp_path):
+def test_a_playlist_is_not_read_as_a_video(tmp_path):
     from kinebench_drake.io.container import read_container, write_video
     from kinebench_drake.io.video import WHOLE
 
@@ -91,7 +91,7 @@ def test_a_playlist_is_no_film(tmp_path):
         read_container(tmp_path / "list.mp4", WHOLE)
 
 
-def test_errors_are_one_plain_line_whatever_names_they_repeat():
+def test_error_messages_are_one_printable_line_of_bounded_length():
     text = str(InputError("a\nb\x1b[2Jc\u202ed\udcff" + "x" * 5000))
     assert text.isprintable()
     assert text.startswith("a b\\x1b[2Jc\\u202ed\\udcff")
@@ -113,7 +113,7 @@ HOSTILE = [
 
 
 @pytest.mark.parametrize("name", HOSTILE)
-def test_a_report_shows_names_and_runs_none(tmp_path, name):
+def test_a_report_escapes_names(tmp_path, name):
     fault = {"kind": name, "frame_start": 0, "frame_end": 1, "joint": 2, "value": 2.0, "limit": 1.0}
     texts = {"prompt": name, "warnings": [name], "given": {name: name}}
     with ResultStore(tmp_path / "out") as store:
@@ -128,7 +128,7 @@ def test_a_report_shows_names_and_runs_none(tmp_path, name):
     clean(page)
 
 
-def test_a_suite_report_shows_names_and_runs_none(tmp_path):
+def test_a_suite_report_escapes_names(tmp_path):
     for k, name in enumerate(HOSTILE):
         write_run(tmp_path / str(k), {name: [True, False], "T": [True, True]}, model=name, tags={"k": name})
     page = Page(write_suite_report([tmp_path / str(k) for k in range(len(HOSTILE))], tmp_path / "page").read_text())
@@ -136,7 +136,7 @@ def test_a_suite_report_shows_names_and_runs_none(tmp_path):
 
 
 @pytest.mark.parametrize("split", ['x"><script>alert(1)<!--', "/../../../elsewhere", "", "a b"])
-def test_a_suite_report_takes_no_split_that_is_no_name(tmp_path, split):
+def test_a_suite_report_refuses_a_split_that_is_no_name(tmp_path, split):
     write_run(tmp_path / "run", {"T": [True, False]}, split=split)
     with pytest.raises(UsageError, match="names no suite, split and variant"):
         write_suite_report([tmp_path / "run"], tmp_path / "deep" / "page")

@@ -1,4 +1,4 @@
-"""The architecture, held: imports go one way, importing the package is cheap, every package is shipped."""
+"""The architecture: imports follow the layers, importing the package is cheap, every package is shipped."""
 
 import ast
 import subprocess
@@ -73,7 +73,7 @@ def imported_parts(path):
 
 
 @pytest.mark.parametrize("path", modules(), ids=lambda p: p.relative_to(ROOT).as_posix())
-def test_imports_go_one_way(path):
+def test_imports_follow_the_layers(path):
     part = part_of(path)
     for target in set(imported_parts(path)) - {part}:
         if part in ABOVE_ALL:
@@ -83,7 +83,7 @@ def test_imports_go_one_way(path):
             assert target in MAY_IMPORT[part], f"{part} may not import {target}"
 
 
-def test_the_test_sees_forbidden_imports(tmp_path):
+def test_imports_inside_functions_are_detected(tmp_path):
     path = tmp_path / "a.py"
     path.write_text("def f():\n    from kinebench_drake.suites.x import y\n    import kinebench_drake.cli\n")
     assert set(imported_parts(path)) == {"suites", "cli"}
@@ -128,11 +128,11 @@ def import_cycles(sources):
     return cycles
 
 
-def test_no_modules_import_each_other():
+def test_modules_have_no_import_cycle():
     assert import_cycles({module_name(path): path.read_text() for path in modules()}) == []
 
 
-def test_the_test_sees_import_cycles():
+def test_import_cycles_are_detected():
     sources = {
         "a": "if TYPE_CHECKING:\n    from b import f",
         "b": "class B:\n    import c",
@@ -169,11 +169,11 @@ def test_importing_the_package_loads_nothing_heavy():
         *("suites.start", "suites.worldmodels.factory"),
     ],
 )
-def test_the_frame_of_a_run_loads_nothing_heavy(module):
+def test_importing_modules_of_a_run_loads_nothing_heavy(module):
     assert not loaded_by(f"import kinebench_drake.{module}") & HEAVY
 
 
-def test_help_loads_no_command():
+def test_help_loads_no_numerical_library():
     code = "from kinebench_drake.cli import main\ntry: main(['--help'])\nexcept SystemExit: pass"
     assert not loaded_by(code) & (HEAVY | {"numpy", "scipy", "av", "rich", "pydantic"})
 
@@ -189,7 +189,7 @@ def test_every_package_and_data_file_is_shipped():
         assert any(template.match(pattern) for pattern in settings["package-data"][f"{PACKAGE}.report"])
 
 
-def test_the_folders_at_the_top_are_the_packages_within():
+def test_top_level_packages_are_relative_links_within_the_package():
     for name in ("grounding", "models", "suites"):
         link = ROOT / PACKAGE / name
         assert link.is_symlink()

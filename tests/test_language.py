@@ -68,11 +68,11 @@ def test_identifiers_and_docstrings_are_plain(path):
 
 
 @pytest.mark.parametrize("page", sorted([*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md")]), ids=lambda p: p.name)
-def test_pages_are_plain(page):
+def test_pages_of_the_documentation_are_plain(page):
     assert not TURNS.search(page.read_text())
 
 
-def test_the_test_sees_what_it_bans(tmp_path):
+def test_banned_identifiers_and_turns_of_phrase_are_detected(tmp_path):
     path = tmp_path / "a.py"
     path.write_text('class Theatre:\n    """See `X`."""\n\n\ndef f(given):\n    """What is told to f."""\n')
     assert len(list(problems(path))) == 4

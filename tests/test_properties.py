@@ -1,4 +1,4 @@
-"""Laws of geometry and of file formats, held for whatever values are drawn."""
+"""Laws of geometry and of file formats, for randomly drawn values."""
 
 import json
 from dataclasses import asdict
@@ -48,7 +48,7 @@ def plain(error: KinebenchError) -> None:
 
 @usual
 @given(poses, poses)
-def test_inverses_and_products_of_poses(X, Y):
+def test_inverse_of_a_product_is_the_product_of_inverses_in_reverse_order(X, Y):
     np.testing.assert_allclose(g.invert(X) @ X, np.eye(4), atol=1e-12)
     np.testing.assert_allclose(g.invert(X @ Y), g.invert(Y) @ g.invert(X), atol=1e-12)
     np.testing.assert_allclose(g.checked_pose(X), X, atol=1e-12)
@@ -56,13 +56,13 @@ def test_inverses_and_products_of_poses(X, Y):
 
 @usual
 @given(poses, st.lists(vectors, min_size=1, max_size=5).map(np.array))
-def test_points_there_and_back(X, points):
+def test_transforming_points_by_a_pose_and_its_inverse_is_the_identity(X, points):
     np.testing.assert_allclose(g.transform_points(g.invert(X), g.transform_points(X, points)), points, atol=1e-11)
 
 
 @usual
 @given(rotations, vectors)
-def test_quaternions_there_and_back(R, p):
+def test_quaternions_of_either_sign_round_trip(R, p):
     quaternion = g.to_quaternion(R)
     assert np.linalg.norm(quaternion) == pytest.approx(1.0, abs=1e-12)
     np.testing.assert_allclose(g.from_quaternion(quaternion, p), g.make_pose(R, p), atol=1e-12)
@@ -71,7 +71,7 @@ def test_quaternions_there_and_back(R, p):
 
 @usual
 @given(vectors)
-def test_rotation_vectors_there_and_back(w):
+def test_rotation_vectors_below_pi_round_trip(w):
     angle = np.linalg.norm(w)
     w = w if angle < 3.0 else w * (3.0 / angle)
     np.testing.assert_allclose(g.rotation_log(g.rotation_exp(w)), w, atol=1e-9)
@@ -79,7 +79,7 @@ def test_rotation_vectors_there_and_back(w):
 
 @usual
 @given(poses, poses, st.floats(0.0, 1.0))
-def test_a_pose_between_two_lies_between_them(X, Y, s):
+def test_interpolation_divides_distance_and_angle_in_proportion(X, Y, s):
     Z = g.interpolate_pose(X, Y, s)
     whole, part = g.pose_difference(X, Y), g.pose_difference(X, Z)
     assert part[0] == pytest.approx(s * whole[0], abs=1e-9)
@@ -101,7 +101,7 @@ cameras = st.builds(
 
 @usual
 @given(cameras, st.floats(0.1, 5.0), st.floats(-1.0, 1.0), st.floats(-1.0, 1.0))
-def test_projection_there_and_back(camera, depth, x, y):
+def test_projected_points_are_recovered_from_their_depth(camera, depth, x, y):
     u, v = camera.project([x * depth, y * depth, depth])
     back = np.linalg.inv(camera.K) @ [u, v, 1.0] * depth
     np.testing.assert_allclose(back, [x * depth, y * depth, depth], atol=1e-8)
@@ -109,7 +109,7 @@ def test_projection_there_and_back(camera, depth, x, y):
 
 @usual
 @given(cameras, st.integers(1, 4))
-def test_a_scaled_camera_sees_the_same(camera, factor):
+def test_a_resized_camera_scales_pixel_coordinates(camera, factor):
     larger = camera.resized(factor * camera.width, factor * camera.height)
     np.testing.assert_allclose(larger.project([0.1, 0.2, 0.7]), factor * camera.project([0.1, 0.2, 0.7]), rtol=1e-9)
 
@@ -119,7 +119,7 @@ def test_a_scaled_camera_sees_the_same(camera, factor):
 
 @usual
 @given(cameras)
-def test_cameras_are_read_as_they_were_written(tmp_path, camera):
+def test_cameras_round_trip_through_their_file(tmp_path, camera):
     save_camera(camera, tmp_path / "camera.json")
     read = load_camera(tmp_path / "camera.json").camera
     np.testing.assert_allclose(read.X_BC, camera.X_BC, atol=1e-12)
@@ -130,7 +130,7 @@ def test_cameras_are_read_as_they_were_written(tmp_path, camera):
 
 @usual
 @given(st.integers(1, 9), st.integers(0, 2**32 - 1))
-def test_tracks_are_read_as_they_were_written(tmp_path, n, seed):
+def test_tracks_round_trip_through_their_file(tmp_path, n, seed):
     rng = np.random.default_rng(seed)
     X = g.make_pose(g.rotation_exp(rng.normal(size=(n, 3))), rng.normal(size=(n, 3)))
     tracked = rng.random(n) < 0.7
@@ -184,7 +184,7 @@ rows = st.builds(
 
 @usual
 @given(st.lists(rows, max_size=4))
-def test_rows_are_read_as_they_were_written(tmp_path, given_rows):
+def test_rows_round_trip_through_samples_jsonl(tmp_path, given_rows):
     (tmp_path / SAMPLES).write_text("".join(dump(row.to_json()) for row in given_rows))
     kept = read_rows(tmp_path)
     for id, row in {row.id: row for row in given_rows}.items():
@@ -211,7 +211,7 @@ entries = st.fixed_dictionaries(
 
 @usual
 @given(st.lists(entries, min_size=1, max_size=4))
-def test_manifests_are_read_as_they_were_written(tmp_path, lines):
+def test_manifests_round_trip_through_their_file(tmp_path, lines):
     path = tmp_path / "manifest.jsonl"
     path.write_text("".join(json.dumps(line) + "\n" for line in lines))
     read = read_manifest(path)
@@ -226,7 +226,7 @@ def test_manifests_are_read_as_they_were_written(tmp_path, lines):
 
 @usual
 @given(json_values)
-def test_any_json_is_a_camera_or_refused(value):
+def test_any_json_is_read_as_a_camera_or_refused(value):
     try:
         Camera.from_json(value, "camera.json")
     except UsageError as error:
@@ -235,7 +235,7 @@ def test_any_json_is_a_camera_or_refused(value):
 
 @usual
 @given(json_values, st.sampled_from(["width", "fx", "cy", "base_from_camera"]), cameras)
-def test_a_camera_with_any_value_is_read_or_refused(value, key, camera):
+def test_a_camera_with_any_value_of_a_key_is_read_or_refused(value, key, camera):
     try:
         found = Camera.from_json({**camera.to_json(), key: value}, "camera.json")
     except UsageError as error:
@@ -246,7 +246,7 @@ def test_a_camera_with_any_value_is_read_or_refused(value, key, camera):
 
 @usual
 @given(json_values, st.sampled_from([*SampleRow.__dataclass_fields__]))
-def test_any_json_is_a_row_or_refused(value, key):
+def test_any_json_is_read_as_a_row_or_refused(value, key):
     sound = SampleRow(id="a", video="a", task=None, model=None, status=Status.OK, reason=None, content_hash="0")
     for data in (value, {**sound.to_json(), key: value}):
         try:
@@ -257,14 +257,14 @@ def test_any_json_is_a_row_or_refused(value, key):
 
 @usual
 @given(json_values)
-def test_any_json_is_a_header_or_refused(value):
+def test_arbitrary_json_is_refused_as_run_metadata(value):
     with pytest.raises(InputError):
         RunMetadata.from_json(value)
 
 
 @usual
 @given(json_values, st.sampled_from(["video", "id", "seed", "fps", "camera", "first_base_from_tcp", "first_frame"]))
-def test_a_manifest_line_with_any_value_is_read_or_told(tmp_path, value, key):
+def test_a_manifest_line_with_any_value_is_an_entry_or_a_problem(tmp_path, value, key):
     path = tmp_path / "manifest.jsonl"
     path.write_text(json.dumps({"video": "a.mp4", key: value}) + "\n" + json.dumps(value) + "\n")
     for line in read_manifest(path):
@@ -281,7 +281,7 @@ arrays = st.builds(
 
 @usual
 @given(arrays | st.none(), arrays, st.booleans(), arrays | st.none(), arrays | st.none())
-def test_any_arrays_are_a_trajectory_or_refused(t_s, values, joints, tracked, width):
+def test_any_arrays_are_accepted_as_a_trajectory_or_refused(t_s, values, joints, tracked, width):
     recording = RawTrajectory(
         t_s=t_s,
         q=values if joints else None,

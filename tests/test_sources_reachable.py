@@ -58,7 +58,7 @@ def test_a_missing_module_is_refused(package, name):
 
 
 @pytest.mark.parametrize("module", ["kinebench_drake.grounding.pipeline", "kinebench_drake.report.page"])
-def test_everything_that_an_import_loads_is_reached(module):
+def test_every_module_that_an_import_loads_is_reached(module):
     code = f"import sys, {module}\nprint(*(m for m in sys.modules if m.split('.')[0] == 'kinebench_drake'), sep='\\n')"
     loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
     assert len(loaded) > 10

@@ -36,11 +36,11 @@ def paired(both, first_only, second_only, neither):
     ("counts", "low", "high"),  # Newcombe 1998, table II, method 10
     [((36, 12, 2, 0), 0.0569, 0.3404), ((36, 14, 0, 0), 0.1528, 0.4167)],
 )
-def test_intervals_are_newcombe_s(counts, low, high):
+def test_paired_intervals_equal_those_published_by_newcombe(counts, low, high):
     assert paired(*counts).interval() == pytest.approx((low, high), abs=5e-5)
 
 
-def test_the_other_way_round_only_the_sign_changes():
+def test_swapping_the_pair_changes_only_the_sign():
     rng = np.random.default_rng(0)
     for a, b, c, d in rng.integers(0, 12, (50, 4)):
         if a + b + c + d:
@@ -52,7 +52,7 @@ def test_the_other_way_round_only_the_sign_changes():
             assert one.interval()[0] <= one.difference <= one.interval()[1]
 
 
-def test_intervals_hold_the_true_difference_as_often_as_they_say():
+def test_paired_intervals_cover_the_true_difference_at_their_level():
     rng = np.random.default_rng(1)
     held = 0
     for _ in range(600):
@@ -69,14 +69,14 @@ def test_mcnemar_counts_discordant_pairs_only():
     assert paired(5, 0, 0, 5).p_value == 1.0
 
 
-def test_nothing_in_common_is_told():
+def test_pairs_without_common_episodes_are_refused():
     with pytest.raises(InputError, match="nothing to compare"):
         PairedShares(first=np.zeros(0), second=np.zeros(0))
     with pytest.raises(InputError, match="1 and 0 episodes"):
         PairedShares(first=np.ones(1), second=np.zeros(0))
 
 
-def test_wilson_agrees_with_its_formula_and_its_limits():
+def test_wilson_interval_agrees_with_its_formula_and_widens_with_its_level():
     z = 1.959963984540054
     for hits, n in ((0, 5), (5, 5), (7, 10), (193, 200)):
         centre = (hits + z * z / 2) / (n + z * z)
@@ -87,7 +87,7 @@ def test_wilson_agrees_with_its_formula_and_its_limits():
     assert wide[0] < narrow[0] < 0.3 < narrow[1] < wide[1]
 
 
-def test_resamples_in_parts_are_the_same_draws(monkeypatch):
+def test_resampling_in_chunks_draws_the_same_indices(monkeypatch):
     values = np.random.default_rng(2).normal(size=31)
     whole = np.concatenate(list(resampled_indices(31, np.random.default_rng(3))))
     for at_once in (2_000_000, 31, 100, 1):
@@ -100,13 +100,13 @@ def test_resamples_in_parts_are_the_same_draws(monkeypatch):
     assert list(resampled_indices(0, np.random.default_rng(3), 0)) == []
 
 
-def test_counts_are_of_as_many_units_as_there_are():
+def test_resampled_counts_sum_to_the_number_of_units():
     counts = resampled_counts(7, np.random.default_rng(0))
     assert counts.shape == (RESAMPLES, 7)
     assert (counts.sum(axis=1) == 7).all()
 
 
-def test_percentile_intervals_leave_out_what_is_not_finite():
+def test_percentile_intervals_ignore_non_finite_draws():
     draws = np.arange(101.0)
     assert percentile_interval(draws) == pytest.approx((2.5, 97.5))
     assert percentile_interval([*draws, np.nan, np.inf]) == percentile_interval(draws)
@@ -131,21 +131,21 @@ def test_pass_at_k_is_unbiased():
 
 
 @given(st.lists(st.integers(-4, 4), min_size=1, max_size=9))
-def test_the_randomization_test_counts_all_signs(steps):
+def test_the_sign_flip_test_counts_all_sign_patterns(steps):
     sums = np.abs(np.array(list(product((1, -1), repeat=len(steps)))) @ steps)
     expected = np.mean(sums >= abs(sum(steps)))
     assert sign_flip_test(np.array(steps) / 4) == pytest.approx(expected)
 
 
 @given(st.lists(st.tuples(st.booleans(), st.booleans()), min_size=1, max_size=30))
-def test_single_samples_are_compared_by_their_discordant_pairs(pairs):
+def test_p_value_of_single_samples_is_that_of_the_sign_test(pairs):
     a, b = np.array(pairs, dtype=float).T
     shares = PairedShares(first=a, second=b)
     assert shares.better == (int((a > b).sum()), int((a < b).sum()))
     assert shares.p_value == sign_test(*shares.better) == pytest.approx(sign_flip_test(a - b))
 
 
-def test_samples_that_agree_are_one_outcome():
+def test_identical_samples_of_an_episode_narrow_no_interval():
     """Copies of samples narrow no interval; Wilson's of single samples is kept."""
     rng = np.random.default_rng(0)
     assert share_interval(np.array([1.0, 0.0, 1.0, 1.0]), rng) == wilson(3, 4)
@@ -154,7 +154,7 @@ def test_samples_that_agree_are_one_outcome():
     assert share_interval(np.empty(0), rng) == (0.0, 1.0)
 
 
-def test_intervals_over_episodes_hold_the_mean_success_as_often_as_they_say():
+def test_share_intervals_over_episodes_cover_the_mean_success_at_their_level():
     """40 episodes of 4 samples whose rates differ: an interval of 160 independent samples would hold it too rarely."""
     rng = np.random.default_rng(3)
     held, naive = 0, 0
@@ -169,11 +169,11 @@ def test_intervals_over_episodes_hold_the_mean_success_as_often_as_they_say():
     assert naive / 400 < 0.85
 
 
-def test_means_of_groups_keep_their_order():
+def test_group_means_keep_the_order_of_the_groups():
     assert group_means([1.0, 2.0, 3.0, 5.0], ["b", "a", "b", "c"]).tolist() == [2.0, 2.0, 5.0]
 
 
-def test_independent_shares_have_newcombe_s_interval():
+def test_interval_of_independent_shares_equals_that_published_by_newcombe():
     """Published example: 56 of 70 and 48 of 80 (Newcombe, Stat. Med. 17, 1998, pp. 873-890, table II, method 10)."""
     first, second = np.repeat([1.0, 0.0], (56, 14)), np.repeat([1.0, 0.0], (48, 32))
     value = independent_mean_difference(first, second, np.random.default_rng(0))
@@ -183,7 +183,7 @@ def test_independent_shares_have_newcombe_s_interval():
     assert (swapped.low, swapped.high) == pytest.approx((-value.high, -value.low))
 
 
-def test_independent_means_are_resampled_apart():
+def test_interval_of_independent_means_covers_their_difference_at_its_level():
     rng, covered = np.random.default_rng(0), 0
     for _ in range(200):
         value = independent_mean_difference(rng.normal(1.0, 1.0, 20), rng.normal(0.0, 2.0, 30), rng)
@@ -197,7 +197,7 @@ def test_independent_means_are_resampled_apart():
 
 
 @pytest.mark.parametrize("name", ["normal", "lognormal", "one outlier", "heavy tails", "two values"])
-def test_the_bootstrap_of_many_values_agrees_with_that_of_all_values_one_by_one(name):
+def test_the_bootstrap_of_many_values_agrees_with_plain_resampling(name):
     rng = np.random.default_rng(3)
     values = {
         "normal": rng.normal(2.0, 1.0, 4000),

@@ -45,7 +45,7 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> zipfile.ZipFile:
     return zipfile.ZipFile(folder / done.stdout.splitlines()[-1])
 
 
-def test_every_file_of_the_package_is_inside(wheel: zipfile.ZipFile) -> None:
+def test_the_wheel_holds_every_file_of_the_package(wheel: zipfile.ZipFile) -> None:
     """Modules, weights, calibrations, the suites' data, templates, native.sh and py.typed."""
     inside = {name for name in wheel.namelist() if not name.split("/")[0].endswith(".dist-info")}
     assert sorted(inside) == sorted(sources())
@@ -53,12 +53,12 @@ def test_every_file_of_the_package_is_inside(wheel: zipfile.ZipFile) -> None:
         assert f"{PACKAGE}/{name}" in inside
 
 
-def test_it_is_small(wheel: zipfile.ZipFile) -> None:
+def test_the_wheel_is_within_its_size_limit(wheel: zipfile.ZipFile) -> None:
     assert wheel.filename
     assert 1_000_000 < Path(wheel.filename).stat().st_size < MAX_BYTES
 
 
-def test_its_description_is_complete(wheel: zipfile.ZipFile) -> None:
+def test_the_wheel_metadata_are_complete(wheel: zipfile.ZipFile) -> None:
     (name,) = (name for name in wheel.namelist() if name.endswith("/METADATA"))
     (licence,) = (name for name in wheel.namelist() if name.endswith("/licenses/LICENSE"))
     assert wheel.read(licence) == (REPOSITORY / "LICENSE").read_bytes()

@@ -58,7 +58,7 @@ def command(*names):
     ("names", "function", "config"),
     [(("score",), score_videos, ScoreConfig), (("suite", "run"), run_suite, SuiteConfig)],
 )
-def test_every_option_is_an_argument(names, function, config):
+def test_every_command_line_option_is_a_keyword_argument_of_the_function(names, function, config):
     arguments = dict(inspect.signature(function).parameters)
     assert arguments.pop("options").kind is inspect.Parameter.VAR_KEYWORD
     assert arguments.pop("observer").default is None
@@ -69,7 +69,7 @@ def test_every_option_is_an_argument(names, function, config):
     assert all(argument.kind is inspect.Parameter.KEYWORD_ONLY for argument in others)
 
 
-def test_defaults_are_those_of_the_commands(program, monkeypatch, tmp_path):
+def test_function_defaults_equal_command_defaults(program, monkeypatch, tmp_path):
     """A run of the interface with no options has the configuration of the command with none."""
     configs = []
 
@@ -90,7 +90,7 @@ def test_defaults_are_those_of_the_commands(program, monkeypatch, tmp_path):
     assert configs[:2] == configs[2:]
 
 
-def test_options_of_single_samples_are_arguments():
+def test_ground_video_and_audit_trajectory_take_the_options_of_single_samples():
     video = {"frame_period_s", "camera_key", "pixels_only", "masks", "depth", "depth_exact", "poses"}
     judged = {"rate_hz", "joints", "poses", "table_height_m", "urdf", "tcp_frame"}
     for name, function, options in (("ground", ground_video, video), ("audit", audit_trajectory, judged)):
@@ -98,13 +98,13 @@ def test_options_of_single_samples_are_arguments():
         assert options <= inspect.signature(function).parameters.keys()
 
 
-def test_functions_are_found_on_the_package():
+def test_package_exports_every_function_and_rejects_unknown_attributes():
     assert all(callable(getattr(kinebench_drake, name)) for name in kinebench_drake.__all__ if name != "__version__")
     with pytest.raises(AttributeError, match="conjure"):
         _ = kinebench_drake.conjure
 
 
-def test_scoring_writes_what_the_command_writes(program, film, tmp_path):
+def test_score_videos_writes_the_same_files_as_the_score_command(program, film, tmp_path):
     film("videos/a.mp4")
     film("videos/b.mp4", Act.INFEASIBLE)
     film("videos/c.mp4", Act.NO_ROBOT)
@@ -118,7 +118,7 @@ def test_scoring_writes_what_the_command_writes(program, film, tmp_path):
     assert {row.id: row.feasible for row in summary.rows} == {"a": True, "b": False, "c": None}
 
 
-def test_what_the_command_tells_on_the_screen_is_a_warning(program, tmp_path):
+def test_warnings_of_a_run_are_python_warnings_at_the_call_site(program, tmp_path):
     np.save(tmp_path / "clip.npy", np.zeros((4, 96, 96, 3), np.uint8))
     with pytest.warns(UserWarning, match="no frame rate") as told:
         score_videos(tmp_path / "clip.npy", out=tmp_path / "out")
@@ -126,7 +126,7 @@ def test_what_the_command_tells_on_the_screen_is_a_warning(program, tmp_path):
 
 
 @pytest.mark.usefixtures("quick")
-def test_a_video_by_itself_has_the_track_of_the_command(program, film, tmp_path):
+def test_ground_video_returns_the_track_that_the_ground_command_writes(program, film, tmp_path):
     path = film("videos/clip.mp4", side=128)
     film("videos/other.mp4", side=128)
     save_camera(benchmark_camera().resized(256, 256), tmp_path / "videos" / "camera.json")
@@ -151,21 +151,21 @@ class Contradicted(FakeGrounder):
 
 
 @pytest.mark.usefixtures("quick")
-def test_a_camera_that_the_arm_contradicts_is_said(film, monkeypatch):
+def test_a_camera_contradicted_by_the_arm_raises_a_warning(film, monkeypatch):
     monkeypatch.setattr(FakeTools, "make_grounder", Contradicted)
     with pytest.warns(UserWarning, match="1.43 times as long"):
         ground_video(film("clip.mp4"), camera=benchmark_camera())
 
 
 @pytest.mark.usefixtures("quick")
-def test_a_first_frame_that_is_given_is_used(film, tmp_path):
+def test_ground_video_starts_from_the_first_pose_passed_to_it(film, tmp_path):
     X_BG = make_pose(np.eye(3), [0.5, 0.1, 0.2])
     track = ground_video(film("clip.mp4"), first=InitialState(X_BG=X_BG)).track
     np.testing.assert_array_equal(track.X_BG[0], X_BG)
 
 
 @pytest.mark.usefixtures("quick")
-def test_a_trajectory_by_itself_has_the_numbers_of_the_command(program, tmp_path):
+def test_audit_trajectory_returns_the_metrics_that_the_audit_command_writes(program, tmp_path):
     t_s = 0.1 * np.arange(8)
     q = np.linspace(0.0, 0.4, 8)[:, None] * np.ones(7)
     np.savez(tmp_path / "move.npz", t_s=t_s, q=q)
@@ -205,7 +205,7 @@ def test_a_trajectory_by_itself_has_the_numbers_of_the_command(program, tmp_path
         (lambda at: score_videos(at / "videos", out=at / "out", shard="3"), UsageError, "I/N"),
     ],
 )
-def test_what_cannot_be_used_is_told_in_one_line(film, tmp_path, call, error, told):
+def test_unusable_arguments_raise_one_line_errors(film, tmp_path, call, error, told):
     film("videos/a.mp4")
     film("videos/b.mp4")
     with pytest.raises(KinebenchError, match=told) as raised:
@@ -215,7 +215,7 @@ def test_what_cannot_be_used_is_told_in_one_line(film, tmp_path, call, error, to
 
 
 @pytest.mark.slow
-def test_found_and_judged_one_by_one_the_numbers_are_those_of_a_run(tmp_path):
+def test_ground_video_then_audit_trajectory_equal_score_videos(tmp_path):
     np.save(tmp_path / "clip.npy", read_video(EXAMPLES / "PickFruits-v1_s0010_unseen.mp4").frames[20:29])
     [row] = score_videos(tmp_path / "clip.npy", out=tmp_path / "out", frame_period_s=0.2).rows
     grounded = ground_video(tmp_path / "clip.npy", frame_period_s=0.2)
@@ -227,7 +227,7 @@ def test_found_and_judged_one_by_one_the_numbers_are_those_of_a_run(tmp_path):
     assert {name: row.metrics[name] for name in judged.metrics} == dict(judged.metrics)
 
 
-def test_errors_and_warnings_name_arguments(tmp_path, film):
+def test_error_messages_name_python_arguments_and_not_command_line_options(tmp_path, film):
     with pytest.raises(UsageError, match=r"^frame_period_s is -1"):
         score_videos(film("a.mp4"), out=tmp_path / "out", frame_period_s=-1.0)
     with pytest.raises(UsageError, match=r"^urdf and tcp_frame go together"):

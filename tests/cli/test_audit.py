@@ -1,4 +1,4 @@
-"""Whole audits of tiny files with fake analyzer: rows, files, resume, and the program as a user meets it."""
+"""Rows, files, resume and the command line of audits of tiny files."""
 
 import json
 
@@ -55,7 +55,7 @@ def content(out):
     }
 
 
-def test_a_file_that_changes_while_it_is_judged_is_judged_again(run, source, tmp_path, monkeypatch):
+def test_a_file_changed_during_its_audit_is_audited_again_by_the_next_run(run, source, tmp_path, monkeypatch):
     for path in source.iterdir():
         if path.stem != "good":
             path.unlink()
@@ -72,7 +72,7 @@ def test_a_file_that_changes_while_it_is_judged_is_judged_again(run, source, tmp
     assert [row.feasible for row in run().rows] == [False]
 
 
-def test_an_outdated_error_leaves_the_statistics_with_its_row(run, source, tmp_path):
+def test_the_row_of_a_changed_file_is_dropped_from_rows_and_aggregates(run, source, tmp_path):
     run()
     (source / "empty.npz").write_bytes(b"other")
     run(limit=3)  # which it is not among
@@ -114,7 +114,7 @@ def test_every_kind_of_trajectory_becomes_a_row(run, tmp_path):
     assert results["aggregates"]["metrics"]["success"]["mean"] == 0.5
 
 
-def test_the_judged_track_is_written_with_all_arrays(run, tmp_path):
+def test_audit_writes_one_track_file_with_joints_poses_and_curves_per_measured_trajectory(run, tmp_path):
     run()
     assert {p.stem for p in (tmp_path / "out" / "tracks").iterdir()} == {
         *("good", "far", "poses", "demo-traj_0", "demo-traj_1"),
@@ -132,7 +132,7 @@ def test_the_judged_track_is_written_with_all_arrays(run, tmp_path):
     ]
 
 
-def test_same_arguments_same_bytes_however_many_jobs(run, tmp_path):
+def test_outputs_are_byte_equal_between_runs_and_for_any_number_of_jobs(run, tmp_path):
     run(out=tmp_path / "a")
     run(out=tmp_path / "b")
     first, second = content(tmp_path / "a"), content(tmp_path / "b")
@@ -154,7 +154,7 @@ class Count(NullRunObserver):
         self.warnings.append(message)
 
 
-def test_finished_trajectories_are_kept_and_only_as_long_as_nothing_changes(run, source, tmp_path):
+def test_resume_skips_finished_trajectories_unless_their_inputs_changed(run, source, tmp_path):
     def done(**changes):
         count = Count()
         run(count, **changes)
@@ -178,7 +178,7 @@ def test_finished_trajectories_are_kept_and_only_as_long_as_nothing_changes(run,
     assert done() == {"good", *tried_again}
 
 
-def test_results_of_files_that_are_gone_are_dropped_and_told(run, source, tmp_path):
+def test_results_of_deleted_files_are_dropped_with_a_warning(run, source, tmp_path):
     run()
     before = read_rows(tmp_path / "out").keys()
     (source / "good.npz").unlink()
@@ -189,7 +189,7 @@ def test_results_of_files_that_are_gone_are_dropped_and_told(run, source, tmp_pa
     assert told in count.warnings[0]
 
 
-def test_results_of_another_source_are_not_lost(run, source, tmp_path):
+def test_an_output_folder_of_another_source_is_refused_without_overwrite(run, source, tmp_path):
     run()
     before = read_rows(tmp_path / "out")
     with pytest.raises(UsageError, match=r"would be lost \(such as '.*'\): they are of source .* name another folder"):
@@ -199,7 +199,7 @@ def test_results_of_another_source_are_not_lost(run, source, tmp_path):
     assert read_rows(tmp_path / "out").keys() == {"demo-traj_0", "demo-traj_1"}
 
 
-def test_another_robot_computes_anew(run, tmp_path, write_arm):
+def test_changed_urdf_srdf_meshes_or_tcp_frame_invalidate_stored_rows(run, tmp_path, write_arm):
     """The URDF, the SRDF beside it and the meshes, wherever the URDF finds them, are part of the robot."""
     meshes = ("mesh.obj", "package://parts/above.obj", "package://no/such.obj")
     urdf = write_arm(visuals={k: f'<mesh filename="{mesh}"/>' for k, mesh in enumerate(meshes)})
@@ -214,7 +214,7 @@ def test_another_robot_computes_anew(run, tmp_path, write_arm):
     assert len(run_counted(run, urdf=urdf, tcp_frame="l7")) == sums[0]
 
 
-def test_what_was_assumed_of_the_robot_is_told_once_and_kept(run, tmp_path, write_arm):
+def test_assumptions_about_a_urdf_are_warnings_and_stand_in_results_json(run, tmp_path, write_arm):
     count = Count()
     run(count, urdf=write_arm(types={3: "continuous"}), tcp_frame="tool")
     told = [text.removeprefix("small.urdf: ") for text in count.warnings if text.startswith("small.urdf: ")]
@@ -231,7 +231,7 @@ def run_counted(run, **changes):
     return count.done
 
 
-def test_replays_are_those_of_the_worst_of_all_whatever_came_before(run, tmp_path, monkeypatch):
+def test_replays_show_the_worst_samples_of_all_resumed_runs_together(run, tmp_path, monkeypatch):
     def write(config, ids, observer):
         for id in ids:
             path = artifact_path(config.out, "replays", id)
@@ -250,7 +250,7 @@ def test_replays_are_those_of_the_worst_of_all_whatever_came_before(run, tmp_pat
     assert not (tmp_path / "out" / "replays").exists()
 
 
-def test_a_machine_that_draws_no_replays_has_a_report(run, tmp_path, monkeypatch):
+def test_report_is_written_with_a_warning_when_replays_cannot_be_drawn(run, tmp_path, monkeypatch):
     def refuse(*_):
         raise SetupError("Meshcat cannot open a port of this machine")
 
@@ -261,13 +261,13 @@ def test_a_machine_that_draws_no_replays_has_a_report(run, tmp_path, monkeypatch
     assert (tmp_path / "out" / "report.html").is_file()
 
 
-def test_shards_share_the_trajectories_of_one_file(run, source, tmp_path):
+def test_shards_split_the_trajectories_within_one_file(run, source, tmp_path):
     for index in (1, 2):
         run(source=source / "demo.h5", out=tmp_path / f"part{index}", shard=Shard(index=index, count=2))
         assert set(read_rows(tmp_path / f"part{index}")) == {f"demo-traj_{index - 1}"}
 
 
-def test_an_output_folder_can_be_audited_again(run, source, tmp_path):
+def test_audit_of_an_audit_output_folder_reads_its_tracks_with_their_ids_and_tasks(run, source, tmp_path):
     run(source=source / "demo.h5")
     run(source=tmp_path / "out", out=tmp_path / "again")
     first, again = read_rows(tmp_path / "out"), read_rows(tmp_path / "again")
@@ -276,14 +276,14 @@ def test_an_output_folder_can_be_audited_again(run, source, tmp_path):
     assert {row.task for row in again.values()} == {"StackCube-v1"}
 
 
-def test_nothing_is_grounded(run, tmp_path, monkeypatch):
+def test_audit_runs_no_grounding(run, tmp_path, monkeypatch):
     log = tmp_path / "log"
     monkeypatch.setenv(LOG, str(log))
     run()
     assert not log.exists()
 
 
-def test_audit_tells_what_it_did(program, source, tmp_path):
+def test_audit_prints_summary_warnings_and_report_path(program, source, tmp_path):
     code, out, err = program("audit", source, "--out", tmp_path / "out", "--tag", "run=7", "--rate", "20")
     assert code == 0
     assert "; error: 2 of 8 samples, most often (1): " in out
@@ -298,7 +298,7 @@ def test_audit_tells_what_it_did(program, source, tmp_path):
 
 
 @pytest.mark.parametrize("jobs", [1, 2])
-def test_a_robot_that_cannot_be_used_stops_the_run_at_once(program, source, tmp_path, write_arm, jobs):
+def test_an_unusable_urdf_or_tcp_frame_ends_the_audit_with_status_2(program, source, tmp_path, write_arm, jobs):
     """By its files, before anything is begun; by Drake, in the workers."""
     (tmp_path / "arm.urdf").write_text("<robot/>")
     robot = ["--robot", tmp_path / "arm.urdf", "--tcp-frame", "tool"]
@@ -334,7 +334,7 @@ def test_a_robot_that_cannot_be_used_stops_the_run_at_once(program, source, tmp_
         (["in", "--out", "out", "--shard", "0/2"], "I from 1 to N"),
     ],
 )
-def test_status_2_and_one_line_for_usage_errors(program, source, tmp_path, monkeypatch, arguments, told):
+def test_usage_errors_end_with_status_2_and_one_line(program, source, tmp_path, monkeypatch, arguments, told):
     monkeypatch.chdir(tmp_path)
     code, out, err = program("audit", *arguments)
     assert (code, out) == (2, "")

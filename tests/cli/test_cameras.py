@@ -14,7 +14,7 @@ from kinebench_drake.runs.score import score_videos
 WIDE = np.zeros((12, 96, 160, 3), np.uint8)
 
 
-def test_a_camera_file_of_the_command_line_is_that_of_all_videos(tmp_path):
+def test_the_camera_option_replaces_the_camera_of_every_video(tmp_path):
     save_camera(replace(benchmark_camera(), fx=400.0), tmp_path / "mine.json")
     sample = VideoSample(id="a", path=tmp_path / "a.mp4", video="a.mp4")
     (changed,) = with_camera_option([sample], str(tmp_path / "mine.json"))
@@ -25,7 +25,7 @@ def test_a_camera_file_of_the_command_line_is_that_of_all_videos(tmp_path):
     assert insisted.mirrored
 
 
-def test_without_a_base_frame_motion_and_anomalies_are_measured_alone(film, config, tmp_path):
+def test_without_a_base_frame_only_smoothness_and_anomalies_are_measured(film, config, tmp_path):
     (tmp_path / "videos").mkdir()
     np.save(tmp_path / "videos" / "wide.npy", WIDE)
     score_videos(config(source=tmp_path / "videos" / "wide.npy"))
@@ -44,7 +44,7 @@ def test_without_a_base_frame_motion_and_anomalies_are_measured_alone(film, conf
         assert np.isfinite(track["camera_from_hand"]).all()
 
 
-def test_lost_frames_and_anomalies_are_against_execution_without_a_base_frame_too(config, program, tmp_path):
+def test_without_a_base_frame_lost_frames_and_anomalies_still_preclude_execution(config, program, tmp_path):
     frames = WIDE.copy()
     frames[:, :20, :20] = [40 * Act.INFEASIBLE, 0, 0]
     np.save(tmp_path / "wide.npy", frames)
@@ -59,7 +59,7 @@ def test_lost_frames_and_anomalies_are_against_execution_without_a_base_frame_to
     assert "kinebench-drake view OUT" not in (tmp_path / "out" / "report.html").read_text()
 
 
-def test_the_benchmark_camera_can_be_insisted_on(film, config, tmp_path):
+def test_camera_benchmark_makes_videos_of_another_aspect_ratio_unmeasurable(film, config, tmp_path):
     (tmp_path / "videos").mkdir()
     np.save(tmp_path / "videos" / "wide.npy", WIDE)
     score_videos(config(source=tmp_path / "videos" / "wide.npy", camera="benchmark"))
@@ -84,7 +84,7 @@ class UnsureTools(FakeTools):
     make_grounder = Unsure
 
 
-def test_what_is_seen_but_not_trusted_has_a_track_an_overlay_and_its_confidence(film, config, tmp_path):
+def test_an_untrusted_sample_still_has_a_track_with_poses_and_an_overlay(film, config, tmp_path):
     film("videos/a.mp4")
     score_videos(config(make_tools=UnsureTools, camera="benchmark", overlay=True))
     row = read_rows(tmp_path / "out")["a"]

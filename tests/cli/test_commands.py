@@ -23,7 +23,7 @@ def one_line(err):
     return err
 
 
-def test_score_tells_what_it_did(program, film, tmp_path):
+def test_score_prints_progress_summary_warnings_and_report_path(program, film, tmp_path):
     film("videos/a.mp4")
     film("videos/b.mp4", Act.INFEASIBLE)
     film("videos/c.mp4", Act.RAISE)
@@ -43,7 +43,7 @@ def test_score_tells_what_it_did(program, film, tmp_path):
     assert (code, list(read_rows(tmp_path / "out"))) == (0, ["a"])
 
 
-def test_ground_and_report(program, film, tmp_path):
+def test_ground_writes_results_and_overlay_and_report_renders_only_run_folders(program, film, tmp_path):
     film("a.mp4")
     code, out, _ = program(
         "ground", tmp_path / "a.mp4", "--out", tmp_path / "out", "--overlay", "--frame-period", "0.2"
@@ -59,7 +59,7 @@ def test_ground_and_report(program, film, tmp_path):
     assert "samples.jsonl" in one_line(err)
 
 
-def test_status_1_when_nothing_could_be_scored(program, film, tmp_path):
+def test_score_exits_with_status_1_when_nothing_could_be_measured(program, film, tmp_path):
     film("videos/a.mp4", Act.NO_ROBOT)
     (tmp_path / "videos" / "b.mp4").write_text("text")
     code, _, err = program("score", tmp_path / "videos", "--out", tmp_path / "out")
@@ -95,7 +95,7 @@ def test_status_1_when_nothing_could_be_scored(program, film, tmp_path):
         (["empty.jsonl", "--out", "out"], "is empty"),
     ],
 )
-def test_status_2_and_one_line_for_usage_errors(program, film, tmp_path, monkeypatch, arguments, told):
+def test_usage_errors_end_with_status_2_and_one_line(program, film, tmp_path, monkeypatch, arguments, told):
     film("videos/a.mp4")
     film("bad_camera/a.mp4")
     (tmp_path / "bad_camera" / "camera.json").write_text('{"width": "wide"}')
@@ -109,7 +109,7 @@ def test_status_2_and_one_line_for_usage_errors(program, film, tmp_path, monkeyp
     assert not (tmp_path / "out").exists()
 
 
-def test_missing_parts_of_the_machine_are_one_line_and_status_1(program, film, tmp_path, monkeypatch):
+def test_missing_dependencies_end_with_status_1_and_one_line_that_names_doctor(program, film, tmp_path, monkeypatch):
     film("videos/a.mp4")
     monkeypatch.setattr(score, "load_tools", lambda make, options: load_tools(broken, options))
     code, _, err = program("score", tmp_path / "videos", "--out", tmp_path / "out")
@@ -118,13 +118,13 @@ def test_missing_parts_of_the_machine_are_one_line_and_status_1(program, film, t
 
 
 @pytest.mark.parametrize("command", COMMANDS)
-def test_every_help_has_an_example(program, command):
+def test_the_help_of_every_command_has_an_example(program, command):
     code, out, err = program(command, "--help")
     assert (code, err) == (0, "")
     assert re.search(rf"Examples?:\n +kinebench-drake {command}", out)
 
 
-def test_the_list_of_commands(program):
+def test_help_lists_every_command_and_version_prints_the_program_name(program):
     code, out, _ = program("--help")
     assert code == 0
     assert all(re.search(rf"^  {command} ", out, re.MULTILINE) for command in COMMANDS)
@@ -135,7 +135,7 @@ def test_the_list_of_commands(program):
     assert (code, out.startswith("kinebench-drake")) == (0, True)
 
 
-def test_help_answers_at_once():
+def test_help_takes_less_than_one_second():
     times = []
     for _ in range(3):
         start = time.perf_counter()
@@ -158,7 +158,7 @@ if __name__ == "__main__":
 
 @pytest.mark.parametrize("jobs", ["1", "2"])
 @pytest.mark.parametrize("signal_sent", [signal.SIGINT, signal.SIGTERM])
-def test_an_interrupt_says_how_to_go_on(program, film, tmp_path, jobs, signal_sent):
+def test_an_interrupted_run_prints_how_to_resume(program, film, tmp_path, jobs, signal_sent):
     for k in range(6):
         film(f"videos/v{k}.mp4", Act.SLOW)
     script = tmp_path / "score.py"
@@ -183,7 +183,7 @@ def test_an_interrupt_says_how_to_go_on(program, film, tmp_path, jobs, signal_se
     assert f"{kept} of 6 samples are finished already" in err
 
 
-def test_an_unknown_command_is_compared_with_those_that_exist(program):
+def test_an_unknown_command_is_answered_with_the_nearest_command_or_the_list(program):
     code, _, err = program("scor")
     assert (code, err.partition(";")[0]) == (2, "kinebench-drake: no command 'scor' (did you mean score?)")
     assert "no command 'frobnicate'; there are doctor, score" in program("frobnicate")[2]

@@ -1,4 +1,4 @@
-"""Runs over videos of other formats, sizes and clocks with fake analyzer: what their rows tell."""
+"""Rows of runs over videos of other formats, sizes and clocks."""
 
 import json
 from fractions import Fraction
@@ -32,7 +32,7 @@ def dataset(film, tmp_path):
     return root
 
 
-def test_episodes_of_a_dataset_are_rows(dataset, config, tmp_path):
+def test_each_episode_of_a_lerobot_dataset_is_a_row_with_its_prompt_camera_and_frame_period(dataset, config, tmp_path):
     summary = score_videos(config())
     assert summary.counts[Status.OK] == 2
     first, second = (read_rows(tmp_path / "out")[f"videos-episode_{k:06d}"].extra for k in (0, 1))
@@ -45,7 +45,7 @@ def test_episodes_of_a_dataset_are_rows(dataset, config, tmp_path):
     assert (row["frame_period_s"], row["frame_period_source"]) == (0.2, "option")
 
 
-def test_a_letter_boxed_video_is_measured_without_its_bars(film, config, tmp_path):
+def test_a_letterboxed_video_is_measured_without_its_bars(film, config, tmp_path):
     framing = letterboxes((384, 384), (208, 120))[0]
     rows, columns = framing.window
     images = np.zeros((4, 120, 208, 3), np.uint8)
@@ -66,7 +66,7 @@ def test_a_letter_boxed_video_is_measured_without_its_bars(film, config, tmp_pat
     assert "the shape of the video" in rows["wide"].extra["base_frame_reason"]
 
 
-def test_a_changed_first_frame_is_a_changed_sample(film, config, tmp_path):
+def test_another_first_frame_image_changes_the_content_hash(film, config, tmp_path):
     film("videos/a.mp4")
     (tmp_path / "videos" / "manifest.jsonl").write_text(
         json.dumps({"video": "a.mp4", "first_frame": "given.png"}) + "\n"
@@ -80,7 +80,7 @@ def test_a_changed_first_frame_is_a_changed_sample(film, config, tmp_path):
     assert len(hashes) == 3
 
 
-def test_the_clock_of_an_uneven_film_is_its_time_stamps(config, tmp_path):
+def test_a_video_with_variable_frame_rate_is_timed_by_its_time_stamps(config, tmp_path):
     stamps = [0, 50, 100, 400, 450, 500, 900, 950]
     (tmp_path / "videos").mkdir()
     camera = benchmark_camera()

@@ -20,7 +20,7 @@ def content(out):
 
 
 @pytest.mark.parametrize("command", ["score", "ground"])
-def test_shards_merged_are_one_run(film, program, tmp_path, monkeypatch, command):
+def test_merged_shards_equal_one_run_byte_by_byte(film, program, tmp_path, monkeypatch, command):
     for k, act in enumerate([Act.FEASIBLE, Act.INFEASIBLE, Act.NO_ROBOT, Act.RAISE, Act.FEASIBLE]):
         film(f"videos/v{k}.mp4", act, side=160)
     shared = [command, tmp_path / "videos", "--overlay", "--tag", "run=7", "--model", "m"]
@@ -43,7 +43,7 @@ def test_shards_merged_are_one_run(film, program, tmp_path, monkeypatch, command
     assert len((tmp_path / "log").read_text().splitlines()) == 2  # the absent one, and the one that had failed
 
 
-def test_what_cannot_be_merged_is_one_line(film, program, tmp_path):
+def test_shards_of_different_configurations_are_refused_in_one_line(film, program, tmp_path):
     film("videos/a.mp4")
     program("score", tmp_path / "videos", "--out", tmp_path / "one")
     program("score", tmp_path / "videos", "--out", tmp_path / "two", "--frame-period", "0.1")
@@ -56,7 +56,7 @@ def test_what_cannot_be_merged_is_one_line(film, program, tmp_path):
         assert program("merge", *arguments)[0] == 2
 
 
-def test_the_slurm_example_calls_the_program_as_it_is(program, tmp_path):
+def test_the_slurm_example_uses_existing_commands_and_options(program, tmp_path):
     """Every array task does its shard, the last step merges them."""
     said = tmp_path / "said"
     said.write_text('#!/usr/bin/env bash\nprintf "%s\\n" "$@"\n')
@@ -77,7 +77,7 @@ def test_the_slurm_example_calls_the_program_as_it_is(program, tmp_path):
     assert "holds no samples.jsonl" in program(*calls[("merge",)])[2]
 
 
-def test_the_example_of_rounds_submits_jobs_one_after_the_other(program, tmp_path):
+def test_the_rounds_example_submits_each_job_after_the_one_before(program, tmp_path):
     """Export, then by turns a job of the model and one of the benchmark, which asks for the next videos."""
     (tmp_path / "bin").mkdir()
     fake = tmp_path / "bin" / "sbatch"

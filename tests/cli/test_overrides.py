@@ -55,7 +55,7 @@ def track(tmp_path):
     return run
 
 
-def test_true_values_take_the_place_of_each_stage(film, config, folder, track, tmp_path):
+def test_files_of_masks_depth_and_poses_replace_their_grounding_stages(film, config, folder, track, tmp_path):
     film("videos/a.mp4")
     row, plain = track(config())
     assert row.extra["replaced"] == {}
@@ -76,7 +76,7 @@ def test_true_values_take_the_place_of_each_stage(film, config, folder, track, t
     assert str(tmp_path) not in (tmp_path / "out" / "results.json").read_text()
 
 
-def test_a_class_takes_the_place_of_depth_in_workers_too(film, config, track, tmp_path, monkeypatch):
+def test_a_depth_class_from_the_current_folder_loads_in_workers_too(film, config, track, tmp_path, monkeypatch):
     (tmp_path / "wall_of_mine.py").write_text(CLASS)
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "path", [p for p in sys.path if p])  # as an installed program has it
@@ -87,7 +87,7 @@ def test_a_class_takes_the_place_of_depth_in_workers_too(film, config, track, tm
         assert deep["camera_from_hand"][:, 2, 3] == pytest.approx(0.77)
 
 
-def test_the_first_frame_of_a_manifest_is_known(film, config, track, tmp_path):
+def test_first_base_from_tcp_of_a_manifest_sets_the_first_pose(film, config, track, tmp_path):
     film("videos/a.mp4")
     manifest = tmp_path / "videos" / "manifest.jsonl"
     for X_BG in X_CH[:2]:  # another one is another input
@@ -97,7 +97,7 @@ def test_the_first_frame_of_a_manifest_is_known(film, config, track, tmp_path):
         assert found["base_from_tcp"][0] == pytest.approx(X_BG)
 
 
-def test_what_does_not_fit_the_video_is_an_error_of_its_sample(film, config, tmp_path):
+def test_a_mask_file_that_does_not_fit_its_video_is_an_error_of_that_sample(film, config, tmp_path):
     given = tmp_path / "given"
     given.mkdir()
     for name in ("fits", "short", "small", "none"):
@@ -116,7 +116,7 @@ def test_what_does_not_fit_the_video_is_an_error_of_its_sample(film, config, tmp
     assert "none.npz, none.npy, none/" in rows["none"].reason
 
 
-def test_finished_samples_are_kept_as_long_as_what_is_given_stays(film, config, folder, tmp_path, monkeypatch):
+def test_resume_skips_finished_samples_unless_override_files_changed(film, config, folder, tmp_path, monkeypatch):
     log = tmp_path / "log"
     monkeypatch.setenv(LOG, str(log))
 
@@ -136,7 +136,7 @@ def test_finished_samples_are_kept_as_long_as_what_is_given_stays(film, config, 
     assert [grounded(depth=str(folder), depth_exact=True), grounded()] == [1, 1]
 
 
-def test_pictures_that_are_given_are_no_videos(film, config, track, tmp_path):
+def test_mask_images_inside_the_source_folder_are_not_scored_as_videos(film, config, track, tmp_path):
     film("videos/a.mp4")
     masks = tmp_path / "videos" / "masks"
     (masks / "a").mkdir(parents=True)
@@ -157,7 +157,7 @@ def test_pictures_that_are_given_are_no_videos(film, config, track, tmp_path):
         (("--depth-exact",), "--depth-exact"),
     ],
 )
-def test_options_that_name_nothing_end_with_status_2(program, film, tmp_path, options, told):
+def test_override_options_naming_missing_files_or_modules_end_with_status_2(program, film, tmp_path, options, told):
     film("videos/a.mp4")
     for command in ("score", "ground"):
         code, _, err = program(command, tmp_path / "videos", "--out", tmp_path / "out", *options)

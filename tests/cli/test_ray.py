@@ -71,7 +71,9 @@ class AtFirst(NullRunObserver):
             act()
 
 
-def test_the_same_bytes_as_local_and_models_loaded_once(film, config, tmp_path, cluster, scored):
+def test_ray_runs_equal_local_runs_byte_by_byte_and_load_models_once_per_worker(
+    film, config, tmp_path, cluster, scored
+):
     for k, act in enumerate([Act.SLOW, Act.INFEASIBLE, Act.NO_ROBOT, Act.RAISE, Act.SLOW, Act.SLOW]):
         film(f"videos/v{k}.mp4", act)
     score_videos(config(out=tmp_path / "local", overlay=True))
@@ -81,7 +83,7 @@ def test_the_same_bytes_as_local_and_models_loaded_once(film, config, tmp_path, 
     assert not ray.is_initialized()
 
 
-def test_a_sample_that_kills_its_workers_is_a_row(film, tmp_path, cluster, scored):
+def test_a_sample_that_kills_its_worker_twice_becomes_an_error_row(film, tmp_path, cluster, scored):
     for k, act in enumerate([Act.FEASIBLE, Act.DIE, Act.FEASIBLE]):
         film(f"videos/v{k}.mp4", act)
     scored()
@@ -91,7 +93,7 @@ def test_a_sample_that_kills_its_workers_is_a_row(film, tmp_path, cluster, score
     assert [act for act, _ in calls(cluster)].count("DIE") == 2
 
 
-def test_a_worker_killed_half_way_costs_nothing(film, config, tmp_path, cluster, scored):
+def test_samples_of_a_killed_worker_are_computed_by_another(film, config, tmp_path, cluster, scored):
     for k in range(6):
         film(f"videos/v{k}.mp4", Act.SLOW)
     score_videos(config(out=tmp_path / "local"))
@@ -104,7 +106,7 @@ def test_a_worker_killed_half_way_costs_nothing(film, config, tmp_path, cluster,
     assert 2 <= len({process for _, process in calls(cluster)}) <= 3  # the replacement may come too late for a sample
 
 
-def test_a_node_lost_half_way_costs_nothing(film, config, tmp_path, cluster, scored):
+def test_samples_of_a_lost_node_are_computed_on_another(film, config, tmp_path, cluster, scored):
     for k in range(6):
         film(f"videos/v{k}.mp4", Act.SLOW)
     node = cluster.add_node(num_cpus=1, object_store_memory=80 * 2**20)
@@ -112,7 +114,7 @@ def test_a_node_lost_half_way_costs_nothing(film, config, tmp_path, cluster, sco
     assert summary.counts[Status.OK] == 6
 
 
-def test_an_interrupt_keeps_what_is_done(film, tmp_path, scored):
+def test_an_interrupted_run_keeps_finished_rows_and_resumes(film, tmp_path, scored):
     for k in range(4):
         film(f"videos/v{k}.mp4", Act.SLOW)
 
@@ -128,7 +130,7 @@ def test_an_interrupt_keeps_what_is_done(film, tmp_path, scored):
     assert scored().counts[Status.OK] == 4
 
 
-def test_what_is_missing_stops_the_run_at_once(film, scored):
+def test_missing_dependencies_of_workers_stop_the_run_with_a_setup_error(film, scored):
     film("videos/a.mp4")
     with pytest.raises(SetupError, match="doctor"):
         scored(make_tools=broken)

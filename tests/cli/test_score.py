@@ -1,4 +1,4 @@
-"""Whole runs over tiny films with fake analyzer: rows, resume, crashes, full disks."""
+"""Whole runs over tiny videos with fake analyzer: rows, resume, crashes, full disks."""
 
 import errno
 import html
@@ -61,7 +61,7 @@ def content(out):
     }
 
 
-def test_a_video_of_known_duration_is_sampled_at_the_frame_period(film, config, tmp_path):
+def test_with_a_task_duration_long_videos_are_resampled_to_the_frame_period(film, config, tmp_path):
     film("videos/long.mp4", frames=20)
     film("videos/short.mp4", frames=4)
     (tmp_path / "depth").mkdir()
@@ -98,7 +98,7 @@ def test_a_video_of_known_duration_is_sampled_at_the_frame_period(film, config, 
         ({"clip_timing": "even"}, r"\$clip_timing is 'even', expected 'uniform', 'native'"),
     ],
 )
-def test_durations_that_cannot_be_used(config, options, told):
+def test_task_durations_out_of_range_or_with_native_timing_are_refused(config, options, told):
     with pytest.raises(UsageError, match=told):
         config(**options)
 
@@ -152,7 +152,7 @@ def test_every_kind_of_sample_becomes_a_row(film, config, tmp_path):
     assert told["aggregates"]["samples"] == {"total": 9, "ok": 2, "unmeasurable": 3, "error": 4}
 
 
-def test_same_arguments_same_bytes_however_many_jobs(film, config, tmp_path):
+def test_outputs_are_byte_equal_between_runs_and_for_any_number_of_jobs(film, config, tmp_path):
     for k in range(4):
         film(f"videos/v{k}.mp4", Act.INFEASIBLE if k == 2 else Act.FEASIBLE)
     score_videos(config(out=tmp_path / "a", overlay=True))
@@ -167,7 +167,7 @@ def test_same_arguments_same_bytes_however_many_jobs(film, config, tmp_path):
     assert str(tmp_path) not in b"".join(first.values()).decode(errors="ignore")
 
 
-def test_ground_gives_tracks_and_no_judgement(film, config, tmp_path):
+def test_ground_writes_tracks_and_visual_metrics_without_verdict_or_report(film, config, tmp_path):
     film("videos/a.mp4")
     summary = score_videos(config(kind=RunKind.GROUND, overlay=True))
     assert (summary.report, summary.feasible) == (None, None)
@@ -181,7 +181,7 @@ def test_ground_gives_tracks_and_no_judgement(film, config, tmp_path):
     assert len(read_video(tmp_path / "out" / "overlays" / "a.mp4").frames) == 8
 
 
-def test_finished_samples_are_kept_and_only_as_long_as_nothing_changes(film, config, tmp_path, log):
+def test_resume_skips_finished_samples_unless_inputs_or_options_changed(film, config, tmp_path, log):
     def grounded(**changes):
         log.write_text("")
         score_videos(config(**changes))
@@ -215,7 +215,7 @@ def test_finished_samples_are_kept_and_only_as_long_as_nothing_changes(film, con
 
 
 @pytest.mark.parametrize("part", [{"limit": 1}, {"shard": Shard(index=1, count=3)}])
-def test_rows_outside_of_limit_and_shard_stay_only_as_long_as_they_hold(film, config, tmp_path, log, part):
+def test_a_partial_run_keeps_other_rows_and_refuses_to_run_if_they_are_outdated(film, config, tmp_path, log, part):
     """`results.json` tells one configuration, of all rows."""
     for name in ("a", "b"):
         film(f"videos/{name}.mp4")
@@ -236,7 +236,7 @@ def test_rows_outside_of_limit_and_shard_stay_only_as_long_as_they_hold(film, co
     assert {id: row.extra["frame_period_s"] for id, row in rows if row.status is Status.OK} == {"a": 0.1, "b": 0.1}
 
 
-def test_results_of_another_kind_stay_unless_they_are_to_go(film, config, tmp_path):
+def test_an_output_folder_of_another_run_kind_is_refused_without_overwrite(film, config, tmp_path):
     film("videos/a.mp4")
     score_videos(config(kind=RunKind.GROUND))
     before = content(tmp_path / "out")
@@ -247,7 +247,7 @@ def test_results_of_another_kind_stay_unless_they_are_to_go(film, config, tmp_pa
     assert json.loads((tmp_path / "out" / "results.json").read_text())["kind"] == "score"
 
 
-def test_names_that_are_no_text_are_told_as_well_as_can_be(film, config, tmp_path):
+def test_undecodable_file_names_are_written_with_replacement_characters(film, config, tmp_path):
     """A lone surrogate, as Python reads such names, cannot be written in any encoding."""
     os.rename(film("videos/a.mp4"), os.fsencode(tmp_path / "videos") + b"/caf\xe9.mp4")
     os.rename(tmp_path / "videos", os.fsencode(tmp_path) + b"/vid\xe9os")
@@ -261,7 +261,7 @@ def test_names_that_are_no_text_are_told_as_well_as_can_be(film, config, tmp_pat
     assert "caf?.mp4" in summary.report.read_text()
 
 
-def test_a_sample_told_of_in_nonsense_has_a_hash_and_a_row(film, config, tmp_path, monkeypatch):
+def test_a_sample_with_nan_in_its_video_part_still_has_a_hash_and_a_row(film, config, tmp_path, monkeypatch):
     """Whatever readers let through, the boundary of the sample holds."""
     film("videos/a.mp4", Act.RAISE)
     find = score.find_samples
@@ -279,7 +279,7 @@ def test_a_sample_told_of_in_nonsense_has_a_hash_and_a_row(film, config, tmp_pat
     assert len(row.content_hash) == 64
 
 
-def test_changed_code_computes_anew(film, config, log, monkeypatch):
+def test_another_code_version_invalidates_stored_rows(film, config, log, monkeypatch):
     film("videos/a.mp4")
     score_videos(config())
     score_videos(config())
@@ -289,7 +289,7 @@ def test_changed_code_computes_anew(film, config, log, monkeypatch):
     assert len(log.read_text().splitlines()) == 2
 
 
-def test_a_finished_run_is_left_alone_until_something_changes(film, config, tmp_path, monkeypatch):
+def test_results_and_report_are_rewritten_only_when_something_changed(film, config, tmp_path, monkeypatch):
     def written():
         return [(tmp_path / "out" / name).stat().st_mtime_ns for name in ("results.json", "report.html")]
 
@@ -320,7 +320,7 @@ def test_a_finished_run_is_left_alone_until_something_changes(film, config, tmp_
 
 
 @pytest.mark.parametrize("kind", [RunKind.GROUND, RunKind.SCORE])
-def test_the_same_command_again_writes_nothing(film, config, tmp_path, kind):
+def test_repeating_a_finished_run_writes_no_file(film, config, tmp_path, kind):
     film("videos/a.mp4")
     score_videos(config(kind=kind))
     before = {path: path.stat().st_mtime_ns for path in (tmp_path / "out").rglob("*")}
@@ -328,7 +328,7 @@ def test_the_same_command_again_writes_nothing(film, config, tmp_path, kind):
     assert {path: path.stat().st_mtime_ns for path in (tmp_path / "out").rglob("*")} == before
 
 
-def test_a_file_that_is_gone_is_made_again(film, config, tmp_path):
+def test_deleted_track_thumbnail_and_overlay_files_are_restored_byte_by_byte(film, config, tmp_path):
     film("videos/a.mp4")
     score_videos(config(overlay=True))
     files = [path for path in (tmp_path / "out").glob("*/a.*") if path.parent.name != "videos"]
@@ -340,7 +340,7 @@ def test_a_file_that_is_gone_is_made_again(film, config, tmp_path):
         assert path.read_bytes() == content
 
 
-def test_errors_are_tried_again(film, config, tmp_path):
+def test_error_rows_are_retried_by_the_next_run(film, config, tmp_path):
     path = film("videos/a.mp4")
     data = path.read_bytes()
     path.write_bytes(b"")
@@ -349,7 +349,7 @@ def test_errors_are_tried_again(film, config, tmp_path):
     assert score_videos(config()).counts[Status.OK] == 1
 
 
-def test_results_of_other_videos_are_not_mixed_in(film, config, tmp_path):
+def test_an_output_folder_of_another_source_is_refused_without_overwrite(film, config, tmp_path):
     film("videos/a.mp4")
     film("others/b.mp4")
     score_videos(config())
@@ -360,7 +360,7 @@ def test_results_of_other_videos_are_not_mixed_in(film, config, tmp_path):
     assert set(read_rows(tmp_path / "out")) == {"b"}
 
 
-def test_shards_and_limits_work_on_their_part_only(film, config, tmp_path):
+def test_limit_and_shard_score_only_their_part_of_the_samples(film, config, tmp_path):
     for k in range(5):
         film(f"videos/v{k}.mp4")
     score_videos(config(limit=2))
@@ -373,7 +373,7 @@ def test_shards_and_limits_work_on_their_part_only(film, config, tmp_path):
     assert set(read_rows(tmp_path / "out")) == {f"v{k}" for k in range(5)}
 
 
-def test_a_killed_worker_costs_its_sample_only(film, config, tmp_path):
+def test_a_killed_worker_makes_only_its_sample_an_error(film, config, tmp_path):
     for k, act in enumerate([Act.FEASIBLE, Act.DIE, Act.FEASIBLE, Act.DIE, Act.FEASIBLE]):
         film(f"videos/v{k}.mp4", act)
     score_videos(config(jobs=2))
@@ -383,7 +383,7 @@ def test_a_killed_worker_costs_its_sample_only(film, config, tmp_path):
     assert rows["v1"].status is rows["v3"].status is Status.ERROR
 
 
-def test_an_analyzer_that_cannot_be_loaded_stops_the_run_at_once(film, config, tmp_path):
+def test_an_analyzer_that_cannot_be_loaded_stops_the_run_before_any_row(film, config, tmp_path):
     for k in range(3):
         film(f"videos/v{k}.mp4")
     for jobs in (1, 2):
@@ -392,7 +392,7 @@ def test_an_analyzer_that_cannot_be_loaded_stops_the_run_at_once(film, config, t
     assert read_rows(tmp_path / "out") == {}
 
 
-def test_impossible_configurations(film, config, monkeypatch):
+def test_options_out_of_range_or_in_conflict_are_refused(film, config, monkeypatch):
     film("videos/a.mp4")
     with pytest.raises(UsageError, match=r"address a:1 goes with \$engine ray"):
         score_videos(config(address="a:1"))
@@ -410,7 +410,7 @@ def frame_period(row):
     return row.extra["frame_period_s"], row.extra["frame_period_source"]
 
 
-def test_the_task_time_between_frames_and_where_it_comes_from(film, config, tmp_path):
+def test_the_frame_period_is_that_of_option_manifest_file_or_benchmark_and_names_its_source(film, config, tmp_path):
     film("videos/a.mp4", fps=10)
     folder = tmp_path / "videos" / "still"
     folder.mkdir()
@@ -441,7 +441,7 @@ def test_the_task_time_between_frames_and_where_it_comes_from(film, config, tmp_
         assert track["t_s"] == pytest.approx(0.25 * np.arange(8))
 
 
-def test_a_camera_of_another_shape_makes_the_sample_unmeasurable(film, config, tmp_path):
+def test_a_camera_of_another_aspect_ratio_makes_the_sample_unmeasurable(film, config, tmp_path):
     images = np.zeros((4, 96, 160, 3), dtype=np.uint8)
     film("videos/a.mp4")
     np.save(tmp_path / "videos" / "wide.npy", images)
@@ -455,7 +455,7 @@ def test_a_camera_of_another_shape_makes_the_sample_unmeasurable(film, config, t
     assert reason.endswith("its conditioning image: save it as ID.png beside ID.mp4")
 
 
-def test_a_disk_that_fills_up_stops_the_run_and_keeps_what_is_done(film, config, tmp_path, monkeypatch):
+def test_a_full_disk_stops_the_run_and_keeps_finished_rows(film, config, tmp_path, monkeypatch):
     for k in range(3):
         film(f"videos/v{k}.mp4")
     append = store.append_line
@@ -490,7 +490,7 @@ if __name__ == "__main__":
 
 
 @pytest.mark.parametrize("jobs", ["1", "2"])
-def test_kill_9_in_mid_run_then_resume_gives_the_same_files(film, config, tmp_path, log, jobs):
+def test_a_run_killed_by_sigkill_and_resumed_has_the_files_of_an_uninterrupted_run(film, config, tmp_path, log, jobs):
     for k in range(5):
         film(f"videos/v{k}.mp4", Act.SLOW)
     score_videos(config(out=tmp_path / "whole", jobs=int(jobs)))
@@ -517,7 +517,7 @@ def test_kill_9_in_mid_run_then_resume_gives_the_same_files(film, config, tmp_pa
     assert content(out) == content(tmp_path / "whole")
 
 
-def test_a_period_in_other_units_is_not_taken_in_silence(film, config, tmp_path):
+def test_an_implausible_frame_period_warns_of_wrong_units(film, config, tmp_path):
     film("videos/a.mp4")
     ear = Ear()
     score_videos(config(frame_period_s=200.0), ear)
@@ -530,7 +530,7 @@ def test_a_period_in_other_units_is_not_taken_in_silence(film, config, tmp_path)
         assert any("17 s between two frames" in warning for warning in ear.warnings) is warned
 
 
-def test_a_manifest_in_a_folder_says_what_is_unused(film, config, tmp_path):
+def test_an_unread_manifest_in_a_source_folder_warns_which_fields_are_unused(film, config, tmp_path):
     film("videos/a.mp4")
     manifest = tmp_path / "videos" / "manifest.jsonl"
     manifest.write_text(json.dumps({"video": "a.mp4", "task": "t", "model": "m", "frame_period_s": 0.2}))
@@ -544,7 +544,7 @@ def test_a_manifest_in_a_folder_says_what_is_unused(film, config, tmp_path):
     ]
 
 
-def test_the_output_of_a_run_is_no_input_of_the_next(film, config, tmp_path):
+def test_files_written_by_an_earlier_run_are_not_scored(film, config, tmp_path):
     """Clips inside the output folder are scored, what the first run drew of them is not."""
     film("out/clips/a.mp4")
     first = score_videos(config(source=tmp_path / "out" / "clips", overlay=True))
@@ -553,7 +553,7 @@ def test_the_output_of_a_run_is_no_input_of_the_next(film, config, tmp_path):
     assert [row.id for row in second.rows] == [row.id for row in first.rows] == ["a"]
 
 
-def test_a_dry_run_lists_and_writes_nothing(film, program, tmp_path):
+def test_a_dry_run_lists_samples_and_writes_nothing(film, program, tmp_path):
     film("videos/a.mp4", fps=10)
     (tmp_path / "videos" / "b.mp4").write_text("text")
     film("videos/c.mp4")
@@ -568,7 +568,7 @@ def test_a_dry_run_lists_and_writes_nothing(film, program, tmp_path):
     assert not (tmp_path / "out").exists()
 
 
-def test_a_dry_run_counts_the_frames_that_are_used(film, program, tmp_path):
+def test_a_dry_run_counts_frames_after_resampling(film, program, tmp_path):
     film("videos/a.mp4", fps=10)
     code, out, _ = program("score", tmp_path / "videos", "--out", tmp_path / "out", "--dry-run", "--task-duration", 0.8)
     assert code == 0
@@ -576,13 +576,13 @@ def test_a_dry_run_counts_the_frames_that_are_used(film, program, tmp_path):
 
 
 @pytest.mark.parametrize("command", ["score", "audit"])
-def test_a_name_that_no_file_can_have_is_one_line(program, tmp_path, command):
+def test_a_source_path_too_long_for_the_disk_is_a_usage_error(program, tmp_path, command):
     code, _, err = program(command, tmp_path / ("x" * 300), "--out", tmp_path / "out")
     assert code == 2
     assert "File name too long" in err
 
 
-def test_first_frames_of_waiting_episodes_are_no_video(film, program, tmp_path):
+def test_first_frames_of_pending_rounds_are_not_scored_as_a_video(film, program, tmp_path):
     film("run/videos/a_r0.mp4", fps=10)
     for name in ("run/samples.jsonl", "run/results.json"):
         (tmp_path / name).write_text("")
@@ -592,7 +592,7 @@ def test_first_frames_of_waiting_episodes_are_no_video(film, program, tmp_path):
     assert "ask" not in out
 
 
-def test_an_empty_path_is_not_the_current_folder(film, program, tmp_path, monkeypatch):
+def test_an_empty_path_is_refused_and_not_taken_as_the_current_folder(film, program, tmp_path, monkeypatch):
     film("videos/a.mp4")
     monkeypatch.chdir(tmp_path / "videos")
     for arguments in (("score", "", "--out", "out"), ("score", ".", "--out", ""), ("audit", "", "--out", "out")):
@@ -602,7 +602,7 @@ def test_an_empty_path_is_not_the_current_folder(film, program, tmp_path, monkey
     assert [path.name for path in Path().iterdir()] == ["a.mp4"]
 
 
-def test_a_seed_that_json_cannot_hold_is_refused_at_once(film, program, tmp_path):
+def test_a_seed_beyond_64_bit_is_refused_before_the_run(film, program, tmp_path):
     film("videos/a.mp4")
     out = ("--out", tmp_path / "out", "--seed")
     assert program("score", tmp_path / "videos", *out, 2**63)[0] == 2
@@ -610,7 +610,7 @@ def test_a_seed_that_json_cannot_hold_is_refused_at_once(film, program, tmp_path
     assert [program("score", tmp_path / "videos", *out, 2**63 - 1)[0] for _ in range(2)] == [0, 0]
 
 
-def test_no_empty_folder_is_left_behind(film, config, tmp_path):
+def test_a_failed_run_leaves_no_empty_folder(film, config, tmp_path):
     film("videos/a.mp4", Act.RAISE)
     score_videos(config())
     with pytest.raises(UsageError):
@@ -629,7 +629,7 @@ class ArmTools(FakeTools):
     make_grounder = ArmGrounder
 
 
-def test_a_flange_is_reported_with_the_gripper_that_was_looked_for(film, config, tmp_path):
+def test_an_arm_without_gripper_is_reported_with_the_gripper_of_the_configuration(film, config, tmp_path):
     film("videos/a.mp4")
     score_videos(config(make_tools=ArmTools))
     (row,) = read_rows(tmp_path / "out").values()

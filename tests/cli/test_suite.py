@@ -46,7 +46,7 @@ def orders(monkeypatch):
     return taken
 
 
-def test_list_prints_one_plain_id_a_line(suite):
+def test_list_prints_one_task_id_per_line(suite):
     code, out, _ = suite("list")
     assert code == 0
     assert out.splitlines() == list(TASKS)
@@ -54,14 +54,14 @@ def test_list_prints_one_plain_id_a_line(suite):
     assert [card["id"] for card in cards] == list(TASKS)
 
 
-def test_list_tells_of_the_suites(suite):
+def test_list_suites_prints_number_title_and_study_of_each_suite(suite):
     told = json.loads(suite("list", "--suites", "--json")[1])
     assert [entry["number"] for entry in told] == [0, 1, 2, 3]
     assert told[3]["study"]["steps"] == [1500, 4500, 7500, 15000]
     assert "Task transfer" in suite("list", "--suites")[1]
 
 
-def test_tasks_may_be_named_with_their_namespace(suite, orders, tmp_path):
+def test_task_options_accept_ids_with_the_environment_namespace(suite, orders, tmp_path):
     for names in ("StackCube-v1,PullCube-v1", "KineBench/PullCube-v1, KineBench/StackCube-v1"):
         code, out, _ = suite("export", "--suite", 0, "--tasks", names, "--episodes", 2, "--out", tmp_path)
         assert code == 0
@@ -69,20 +69,20 @@ def test_tasks_may_be_named_with_their_namespace(suite, orders, tmp_path):
         assert orders[-1].tasks == ("PullCube-v1", "StackCube-v1")
 
 
-def test_a_suite_is_exported_as_it_is_judged(suite, orders, tmp_path):
+def test_export_defaults_to_the_evaluation_split_of_the_suite(suite, orders, tmp_path):
     suite("export", "--suite", 2, "--out", tmp_path)
     assert (orders[-1].split, orders[-1].size, orders[-1].episodes) == ("unseen", 384, 10)
     assert orders[-1].tasks == load_suite(2).tasks_of("unseen")
 
 
-def test_demonstrations_are_for_training_unless_asked_for_otherwise(suite, orders, tmp_path):
+def test_demos_defaults_to_the_training_split_in_mp4_with_training_seeds(suite, orders, tmp_path):
     assert suite("demos", "--task", "StackCube-v1", "--episodes", 3, "--out", tmp_path)[0] == 0
     assert (orders[-1].suite.number, orders[-1].split, orders[-1].kind) == (0, "train", FormatKind.MP4)
     assert orders[-1].options == RenderOptions(size=384, frames=49, fps=17.0)
     assert orders[-1].attempts("StackCube-v1", 1)[0].seed >= 1_000_000
 
 
-def test_variants_are_those_of_the_tasks_that_have_them(suite, orders, tmp_path):
+def test_demos_of_a_variant_cover_exactly_the_tasks_with_that_variant(suite, orders, tmp_path):
     suite("demos", "--variant", "obstacles", "--out", tmp_path)
     assert all("obstacles" in [v.value for v in TASKS[task].card.variants] for task in orders[-1].tasks)
     assert len(orders[-1].tasks) >= 2
@@ -91,14 +91,14 @@ def test_variants_are_those_of_the_tasks_that_have_them(suite, orders, tmp_path)
     assert "CloseBox-v1 has no variant 'obstacles'" in err
 
 
-def test_missing_demonstrations_end_with_status_1(suite, orders, tmp_path):
+def test_demos_exits_with_status_1_when_demonstrations_are_missing(suite, orders, tmp_path):
     code, out, err = suite("demos", "--task", "StackCube-v1", "--episodes", 5, "--out", tmp_path)
     assert code == 1
     assert "the expert failed with 1 other seed" in out
     assert "StackCube-v1: given up with 2 demonstrations missing" in err
 
 
-def test_a_lerobot_dataset_keeps_the_time_of_the_task(suite, orders, tmp_path):
+def test_fps_of_a_lerobot_dataset_follows_the_number_of_frames(suite, orders, tmp_path):
     for frames, fps in ((49, 5.0), (97, 10.0), (193, 20.0)):
         suite("demos", "--format", "lerobot-v3", "--frames", frames, "--out", tmp_path)
         assert orders[-1].options.fps == fps
@@ -121,7 +121,7 @@ def test_a_lerobot_dataset_keeps_the_time_of_the_task(suite, orders, tmp_path):
         (("export", "--suite", 1, "--variant", "obstacles"), "tasks that have it: "),
     ],
 )
-def test_what_cannot_be_made_is_a_usage_error(suite, orders, tmp_path, arguments, told):
+def test_unknown_suites_splits_tasks_and_frame_counts_are_usage_errors(suite, orders, tmp_path, arguments, told):
     code, _, err = suite(*arguments, "--out", tmp_path)
     assert code == 2
     assert told in err
@@ -145,14 +145,14 @@ def test_what_cannot_be_made_is_a_usage_error(suite, orders, tmp_path, arguments
         (("check", "--suite", 1, "--split", "train", "--tasks", "StoreCube-v2"), "not in suite 1's split train"),
     ],
 )
-def test_what_cannot_be_tried_or_drawn_is_told_before_the_work(suite, arguments, told):
+def test_unusable_check_options_are_refused_before_any_trial(suite, arguments, told):
     code, _, err = suite(*arguments)
     assert code == 2
     assert told in err
     assert len(err.splitlines()) == 1
 
 
-def test_episodes_of_a_suite_are_checked(suite, monkeypatch):
+def test_check_runs_the_expert_on_the_episodes_of_the_suite_split(suite, monkeypatch):
     from kinebench_drake.suites.catalog import load_suite
 
     checked = []
@@ -165,21 +165,21 @@ def test_episodes_of_a_suite_are_checked(suite, monkeypatch):
     assert [episode.id for episode in checked] == [e.id for e in load_suite(2).specs("unseen", 2, offset=3)]
 
 
-def test_a_task_named_twice_is_one():
+def test_repeated_task_names_select_one_task():
     from kinebench_drake.suites.catalog import task_names
 
     assert task_names("PullCube-v1, KineBench/PullCube-v1") == ["PullCube-v1"]
 
 
 @pytest.mark.sapien
-def test_the_namespace_is_that_of_the_environments():
+def test_task_names_accept_the_registered_environment_ids():
     from kinebench_drake.suites.catalog import task_names
     from kinebench_drake.suites.scene.environment import environment_id
 
     assert task_names(",".join(environment_id(task) for task in TASKS)) == list(TASKS)
 
 
-def test_a_plan_has_a_line_for_each_number_of_samples(suite):
+def test_plan_prints_one_line_of_episode_counts_per_number_of_samples(suite):
     code, out, _ = suite("plan", "--difference", "10", "--samples", "1,4", "--correlation", "0.3")
     assert code == 0
     episodes = [[int(cell) for cell in line.split()] for line in out.splitlines()[2:]]

@@ -1,4 +1,4 @@
-"""World models in runs of a suite: how many are made, what is freed, what the results tell of them."""
+"""World models in suite runs: how many are created, that they are closed, and how results identify them."""
 
 import hashlib
 import json
@@ -84,14 +84,18 @@ def config(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Sui
 
 
 @pytest.mark.parametrize("name", ["Model", "Stored"])
-def test_a_run_makes_one_model_and_frees_all_it_made(config: Callable[..., SuiteConfig], name: str) -> None:
+def test_a_run_creates_one_world_model_and_closes_model_and_simulators(
+    config: Callable[..., SuiteConfig], name: str
+) -> None:
     rows = run_suite(config(f"my_models:{name}")).rows
     assert [(row.model, row.reason) for row in rows] == [("mine", "the curtain stays down")] * 2
     assert (did["made"], did["alive"], did["simulators"]) == (1, 0, 0)
     assert bool(did["asked for files"]) is (name == "Stored")
 
 
-def test_results_tell_what_differs_between_runs_and_no_address(config: Callable[..., SuiteConfig]) -> None:
+def test_the_stored_configuration_identifies_the_world_model_without_server_addresses(
+    config: Callable[..., SuiteConfig],
+) -> None:
     specs = ("http://10.0.0.1/a?key_env=K", "http://10.0.0.2/a?key_env=K")
     one, other = (config(spec, model_name="wan").to_json() for spec in specs)
     assert [name for name in one if one[name] != other[name]] == ["world_model_sha256"]
@@ -133,7 +137,7 @@ class Hire:
 
 
 @pytest.mark.parametrize("jobs", [1, 2])
-def test_workers_are_closed(tmp_path: Path, jobs: int) -> None:
+def test_every_worker_is_closed_once(tmp_path: Path, jobs: int) -> None:
     outcomes = list(LocalExecutor(jobs=jobs).run(Hire(tmp_path / "ledger"), range(3)))
     assert sorted(outcome.result for outcome in outcomes) == [0, 1, 2]
     assert (tmp_path / "ledger").read_text() == "closed\n" * jobs
@@ -162,7 +166,9 @@ def made_track() -> tuple[GripperTrack, None, dict[str, object]]:
     return track, None, {}
 
 
-def test_further_samples_extend_a_run_and_shards_join(config: Callable[..., SuiteConfig], tmp_path: Path, luck) -> None:
+def test_more_samples_extend_a_run_and_merged_shards_equal_it_byte_by_byte(
+    config: Callable[..., SuiteConfig], tmp_path: Path, luck
+) -> None:
     """Four samples after one, or two shards merged, are the run of four samples, byte by byte."""
 
     def run(name: str, samples: int, **options: object) -> Path:
@@ -191,7 +197,7 @@ def test_further_samples_extend_a_run_and_shards_join(config: Callable[..., Suit
         run("whole", 1)
 
 
-def test_the_number_of_samples_is_checked(config: Callable[..., SuiteConfig]) -> None:
+def test_zero_samples_are_refused(config: Callable[..., SuiteConfig]) -> None:
     with pytest.raises(UsageError, match="samples is 0, expected 1 or more"):
         config("my_models:Model", samples=0)
 
@@ -220,7 +226,7 @@ class Scene(Stage):
         return TaskOutcome(success=False, progress=0.0, conditions={})
 
 
-def test_an_offline_model_gets_the_actions_of_the_first_round(
+def test_an_offline_model_receives_the_action_files_of_the_first_round(
     config: Callable[..., SuiteConfig], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     commanded = ActionTrack(

@@ -52,7 +52,7 @@ def oracle(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
-def test_the_oracle_succeeds_by_pixels_alone(oracle: Path) -> None:
+def test_the_oracle_succeeds_from_pixels_only(oracle: Path) -> None:
     [row] = rows(oracle)
     assert row["success"] is True
     assert row["progress"] == 1.0
@@ -71,7 +71,7 @@ def test_the_oracle_succeeds_by_pixels_alone(oracle: Path) -> None:
         assert track["base_from_tcp"].shape == (row["frames"], 4, 4)
 
 
-def test_what_is_finished_is_kept_and_made_again_it_is_the_same(oracle: Path, tmp_path: Path) -> None:
+def test_a_finished_suite_run_is_not_repeated_and_a_second_run_has_equal_rows(oracle: Path, tmp_path: Path) -> None:
     before = (oracle / "samples.jsonl").read_bytes()
     stamp = (oracle / "rollouts").stat().st_mtime_ns
     _, said = run(oracle, "--world-model", "oracle", "--pixels-only")
@@ -81,7 +81,9 @@ def test_what_is_finished_is_kept_and_made_again_it_is_the_same(oracle: Path, tm
     assert (tmp_path / "samples.jsonl").read_bytes() == before
 
 
-def test_two_rounds_without_a_server_equal_the_live_ones(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_two_rounds_from_a_video_folder_equal_two_rounds_of_a_live_model(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Each command ends with the first frames of the next round; the last row differs in the model's identity only."""
     monkeypatch.setitem(LoopOptions.__init__.__kwdefaults__, "num_frames", 13)  # pictures take long without a GPU
     live, offline, videos = tmp_path / "live", tmp_path / "offline", tmp_path / "videos"
@@ -135,11 +137,11 @@ def still(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
-def test_videos_of_an_earlier_run_of_an_episode_are_gone(still: Path) -> None:
+def test_rerunning_an_episode_removes_its_earlier_videos(still: Path) -> None:
     assert sorted(video.name for video in (still / "videos").iterdir()) == ["PullCube-v1_s0000_r0.mp4", "other_r1.mp4"]
 
 
-def test_a_letter_boxed_video_is_read_and_shown_without_its_bars(oracle: Path, tmp_path: Path) -> None:
+def test_a_letterboxed_video_is_grounded_and_shown_without_its_bars(oracle: Path, tmp_path: Path) -> None:
     """832x480, as Wan makes them, from a square picture: success, and a gap as small as that of the video itself."""
     [row] = rows(oracle)
     frames = read_video(oracle / row["video"]).frames
@@ -190,7 +192,9 @@ def between(steps: Sequence[Snapshot], at: float) -> Snapshot:
     )
 
 
-def test_a_clip_in_150_frames_is_the_same_motion(oracle: Path, long_film: Path, tmp_path: Path) -> None:
+def test_a_clip_of_150_frames_has_the_metrics_of_the_same_clip_of_49_frames(
+    oracle: Path, long_film: Path, tmp_path: Path
+) -> None:
     """Rendered, grounded and executed: metrics differ by the errors of grounding other frames, and not by the clock."""
     options = ("--pixels-only", "--no-rollouts")
     code, said = run(tmp_path / "even", "--world-model", f"folder:{long_film}", *options)
@@ -213,14 +217,14 @@ def test_a_clip_in_150_frames_is_the_same_motion(oracle: Path, long_film: Path, 
     assert slow["metrics"]["manipulability_integral"] > 1.5 * one["manipulability_integral"]
 
 
-def test_a_still_video_fails_for_the_task_s_reason(still: Path) -> None:
+def test_a_still_video_fails_with_the_task_as_cause(still: Path) -> None:
     [row] = rows(still)
     assert row["success"] is False
     assert row["verdict"] == row["cause"]["verdict"] == "task"
     assert row["missed"]
 
 
-def test_an_episode_without_a_video_is_a_row(tmp_path: Path) -> None:
+def test_an_episode_without_a_video_is_an_error_row(tmp_path: Path) -> None:
     (tmp_path / "videos").mkdir()
     code, _ = run(tmp_path / "out", "--world-model", f"folder:{tmp_path / 'videos'}", "--rounds", "1")
     [row] = rows(tmp_path / "out")
@@ -233,13 +237,15 @@ def test_an_episode_without_a_video_is_a_row(tmp_path: Path) -> None:
     ("spec", "told"),
     [("oracel", "one of"), ("oracle+teleport:all", "expected one size"), ("oracle+x:1", "one of")],
 )
-def test_a_world_model_that_is_none_is_told(tmp_path: Path, spec: str, told: str) -> None:
+def test_unknown_world_model_specifications_are_refused(tmp_path: Path, spec: str, told: str) -> None:
     code, said = run(tmp_path / "out", "--world-model", spec)
     assert code == 2
     assert told in said
 
 
-def test_direct_execution_is_the_ceiling(oracle: Path, tmp_path: Path) -> None:
+def test_ceiling_compares_success_with_direct_execution_and_refuses_the_run_folder_as_output(
+    oracle: Path, tmp_path: Path
+) -> None:
     code, said = invoke("suite", "ceiling", str(oracle), "--out", str(tmp_path))
     assert code == 0
     assert "success in 1 of 1, direct execution in 1, 100.0% of it" in said

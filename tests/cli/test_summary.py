@@ -26,7 +26,7 @@ def lost(id, reason, status=Status.UNMEASURABLE):
     return row(id, status, reason=reason, metrics={"anomalies": None}, extra={"camera_source": "folder"})
 
 
-def test_five_lines_say_what_came_out():
+def test_summary_has_lines_for_verdicts_anomalies_reasons_period_and_camera():
     run = (
         judged("a", True, True),
         judged("b", False, True, anomalies=("vanish", "vanish", "freeze")),
@@ -46,7 +46,7 @@ def test_five_lines_say_what_came_out():
     assert camera == "camera: from camera.json"
 
 
-def test_one_sample_is_singular_and_a_clean_run_says_so():
+def test_summary_of_one_clean_sample_is_singular_with_anomalies_none():
     assert lines(judged("a", True, True))[:3] == [
         "executable: 1 of 1 sample, 100% (95% interval 21% to 100%); feasible: 1 of 1 sample, 100% "
         "(95% interval 21% to 100%)",
@@ -55,19 +55,19 @@ def test_one_sample_is_singular_and_a_clean_run_says_so():
     ]
 
 
-def test_trajectories_have_limits_but_no_anomalies():
+def test_summary_of_trajectories_lists_violated_limits_in_place_of_anomalies():
     assert lines(row("a", feasible=True, metrics={"sparc": -2.0}))[1] == "violated limits: none"
 
 
-def test_errors_stand_beside_what_could_not_be_measured():
+def test_summary_lists_errors_beside_unmeasurable_samples_with_escaped_reasons():
     third = lines(judged("a", True, True), lost("b", "no video\nat all \x1b[31m", Status.ERROR))[2]
     assert third == r"unmeasurable: 0 of 2 samples; error: 1 of 2 samples: no video at all \x1b[31m"
 
 
-def test_an_episode_leads_with_success():
+def test_summary_of_episodes_begins_with_the_success_rate():
     assert lines(judged("a", True, True, success=True))[0].startswith("success: 1 of 1 sample, 100%")
 
 
 @pytest.mark.parametrize(("n", "text"), [(0, "0 samples"), (1, "1 sample"), (2, "2 samples")])
-def test_count_noun(n, text):
+def test_count_noun_is_plural_except_for_one(n, text):
     assert count_noun(n, "sample") == text

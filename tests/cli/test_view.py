@@ -1,4 +1,4 @@
-"""`view`: what it writes, and what it says when there is nothing to write."""
+"""The view command: its replay, its messages and its refusals."""
 
 import importlib
 
@@ -55,7 +55,7 @@ def program(capfd):
     return call
 
 
-def test_it_writes_the_replay_and_prints_its_path_alone(program, out):
+def test_view_writes_the_replay_and_prints_only_its_path(program, out):
     code, told, err = program(out, "reach_01")
     assert (code, err) == (0, "")
     assert told == f"{out / 'replays' / 'reach_01.html'}\n"
@@ -63,7 +63,7 @@ def test_it_writes_the_replay_and_prints_its_path_alone(program, out):
 
 
 @pytest.mark.parametrize(("status", "told"), [(0, ""), (1, "no browser")])
-def test_it_opens_the_browser_on_demand(program, out, monkeypatch, status, told):
+def test_view_with_open_launches_the_browser_and_warns_if_there_is_none(program, out, monkeypatch, status, told):
     opened = []
     path = out / "replays" / "reach_01.html"
     monkeypatch.setattr("kinebench_drake.report.replay.write_replays", lambda *_: [path])
@@ -84,7 +84,7 @@ def test_it_opens_the_browser_on_demand(program, out, monkeypatch, status, told)
         ("reach_02", "not a track file"),
     ],
 )
-def test_what_cannot_be_shown_is_one_line(program, out, id, told):
+def test_samples_without_a_replayable_track_are_refused_in_one_line(program, out, id, told):
     code, printed, err = program(out, id)
     assert (code, printed) == (2, "")
     assert len(err.splitlines()) == 1
@@ -92,20 +92,20 @@ def test_what_cannot_be_shown_is_one_line(program, out, id, told):
     assert not list(out.glob("replays/*"))
 
 
-def test_a_folder_of_no_run_is_told(program, tmp_path):
+def test_a_folder_that_is_no_run_output_is_refused(program, tmp_path):
     code, _, err = program(tmp_path / "nowhere", "a")
     assert code == 2
     assert "output folder of a run" in err
 
 
-def test_the_help_has_an_example(program):
+def test_view_help_has_an_example(program):
     code, told, err = program("--help")
     assert (code, err) == (0, "")
     assert "kinebench-drake view" in told
     assert "Example" in told
 
 
-def test_another_robot_must_be_named(program, out):
+def test_a_run_of_another_robot_requires_the_matching_robot_option(program, out):
     with ResultStore(out) as store:
         store.finish({"config": {"robot": "arm.urdf", "tcp_frame": "tool0"}})
     code, _, err = program(out, "reach_01")
@@ -119,7 +119,7 @@ def test_another_robot_must_be_named(program, out):
     assert "arm.urdf: there is no such file" in err
 
 
-def test_another_robot_is_shown_by_its_own_meshes(program, out):
+def test_a_run_of_another_robot_is_replayed_with_the_urdf_of_the_robot_option(program, out):
     with ResultStore(out) as store:
         store.finish({"config": {"robot": "panda.urdf", "tcp_frame": "panda_hand_tcp"}})
     code, told, err = program(out, "reach_01", "--robot", panda_urdf())
@@ -127,7 +127,7 @@ def test_another_robot_is_shown_by_its_own_meshes(program, out):
     assert told.endswith("reach_01.html\n")
 
 
-def test_the_panda_needs_no_name(program, out):
+def test_the_robot_option_is_refused_for_runs_of_the_panda(program, out):
     code, _, err = program(out, "reach_01", "--robot", out / "arm.urdf")
     assert code == 2
     assert "leave out --robot" in err

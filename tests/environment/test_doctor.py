@@ -23,11 +23,11 @@ def test_render_shows_every_check_and_the_fix_of_failures_only() -> None:
     ]
 
 
-def test_render_of_success() -> None:
+def test_render_of_passed_checks_ends_with_their_number() -> None:
     assert doctor.render([Check("Drake", True, "1.51.1", "")]).endswith("All 1 checks passed.")
 
 
-def test_a_raising_look_is_a_failed_check() -> None:
+def test_a_check_that_raises_fails_with_the_first_line_of_its_error() -> None:
     def look() -> str:
         raise ImportError("libEGL.so.1: cannot open\nmore")
 
@@ -42,12 +42,12 @@ def test_a_raising_look_is_a_failed_check() -> None:
         ("import sys; sys.exit(3)", "exit status 3"),
     ],
 )
-def test_probe_survives_what_its_process_does_not(code: str, reason: str) -> None:
+def test_a_crash_of_the_probed_process_is_a_failed_check_with_its_reason(code: str, reason: str) -> None:
     check = doctor._check("probe", lambda: doctor._probe(code), "")
     assert (check.ok, check.detail) == (False, reason)
 
 
-def test_probe_gives_up(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_probe_without_an_answer_fails_after_its_timeout(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(doctor, "PROBE_TIMEOUT_S", 0.2)
     check = doctor._check("probe", lambda: doctor._probe("import time; time.sleep(60)"), "")
     assert (check.ok, "no answer" in check.detail) == (False, True)
@@ -66,7 +66,9 @@ def test_probe_returns_the_last_line() -> None:
 @pytest.mark.parametrize(
     ("version", "ok"), [((3, 10, 9), False), ((3, 11, 0), True), ((3, 12, 9), True), ((3, 13, 0), False)]
 )
-def test_python_version(monkeypatch: pytest.MonkeyPatch, version: tuple[int, int, int], ok: bool) -> None:
+def test_only_python_3_11_and_3_12_pass(
+    monkeypatch: pytest.MonkeyPatch, version: tuple[int, int, int], ok: bool
+) -> None:
     monkeypatch.setattr(sys, "version_info", version)
     assert doctor._check("Python", doctor._python, "").ok is ok
 
@@ -80,33 +82,37 @@ def owned_by(monkeypatch: pytest.MonkeyPatch, owners: dict[str, list[str]]) -> N
     monkeypatch.setattr(importlib.metadata, "files", files)
 
 
-def test_two_owners_of_cv2_are_a_clash(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_cv2_installed_by_two_distributions_fails(monkeypatch: pytest.MonkeyPatch) -> None:
     owned_by(monkeypatch, {"opencv-python": ["cv2/cv2.so"], "opencv-python-headless": ["cv2/cv2.so"]})
     check = doctor._check("cv2", doctor._cv2, "")
     assert not check.ok
     assert "opencv-python and opencv-python-headless" in check.detail
 
 
-def test_the_shim_owns_no_cv2(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_opencv_python_shim_does_not_count_as_owner_of_cv2(monkeypatch: pytest.MonkeyPatch) -> None:
     owned_by(
         monkeypatch, {"opencv-python": ["opencv_python.dist-info/RECORD"], "opencv-python-headless": ["cv2/cv2.so"]}
     )
     assert doctor._check("cv2", doctor._cv2, "").ok
 
 
-def test_cv2_with_windows_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_cv2_of_the_full_opencv_python_fails(monkeypatch: pytest.MonkeyPatch) -> None:
     owned_by(monkeypatch, {"opencv-python": ["cv2/cv2.so"]})
     assert not doctor._check("cv2", doctor._cv2, "").ok
 
 
-def test_weights_are_counted(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_the_weights_check_counts_the_parameters_of_each_network(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     monkeypatch.setattr(doctor, "WEIGHTS", tmp_path)
     save_file({"a": np.zeros((1000, 1200), np.float32), "b": np.zeros(1, np.float32)}, tmp_path / "net.safetensors")
     assert doctor._weights() == "net (1.2 M parameters)"
 
 
 @pytest.mark.parametrize("content", [b"", b"version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 1\n"])
-def test_torn_weights_are_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, content: bytes) -> None:
+def test_a_weights_file_that_is_empty_or_a_git_lfs_pointer_is_named(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, content: bytes
+) -> None:
     monkeypatch.setattr(doctor, "WEIGHTS", tmp_path)
     (tmp_path / "net.safetensors").write_bytes(content)
     check = doctor._check("weights", doctor._weights, "")
@@ -119,7 +125,9 @@ def test_missing_weights_fail(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -
     assert not doctor._check("weights", doctor._weights, "").ok
 
 
-def test_unusable_cache_folder_fails(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_an_unwritable_cache_folder_fails_and_the_check_leaves_no_file(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     (tmp_path / "file").touch()
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file"))
     assert not doctor._check("cache", doctor._cache_folder, "").ok
@@ -128,7 +136,7 @@ def test_unusable_cache_folder_fails(monkeypatch: pytest.MonkeyPatch, tmp_path: 
     assert list((tmp_path / "kinebench_drake").iterdir()) == []
 
 
-def test_a_missing_panda_fails(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_missing_panda_urdf_fails(monkeypatch: pytest.MonkeyPatch) -> None:
     assert doctor._check("Panda URDF", doctor._panda, "").ok
     monkeypatch.setattr(importlib.util, "find_spec", lambda _: None)
     check = doctor._check("Panda URDF", doctor._panda, "")
@@ -138,7 +146,7 @@ def test_a_missing_panda_fails(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.slow
 @pytest.mark.sapien
-def test_everything_works_after_the_set_up() -> None:
+def test_all_checks_pass_after_the_set_up() -> None:
     checks = doctor.run_checks()
     assert len({check.name for check in checks}) == len(checks) == 11
     assert all(check.detail and check.fix for check in checks)

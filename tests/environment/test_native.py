@@ -36,27 +36,27 @@ def install_nvidia(root: Path) -> None:
     (root / "icd.d" / "nvidia_icd.x86_64.json").touch()
 
 
-def test_nothing_unpacked_is_nothing_to_do(root: Path) -> None:
+def test_without_unpacked_libraries_the_environment_stays_unchanged(root: Path) -> None:
     assert native.prepare_vulkan() == "cpu"
     assert "VK_DRIVER_FILES" not in os.environ
     assert native.allocator() is None
 
 
-def test_unpacked_driver_is_chosen(root: Path) -> None:
+def test_the_unpacked_vulkan_driver_is_selected(root: Path) -> None:
     driver = root / "lavapipe.json"
     driver.touch()
     assert native.prepare_vulkan() == "cpu"
     assert os.environ["VK_DRIVER_FILES"] == os.environ["VK_ICD_FILENAMES"] == str(driver)
 
 
-def test_nvidia_goes_before_the_software_driver(root: Path) -> None:
+def test_the_nvidia_driver_has_precedence_over_the_software_driver(root: Path) -> None:
     (root / "lavapipe.json").touch()
     install_nvidia(root)
     assert native.prepare_vulkan() == "gpu"
     assert "VK_DRIVER_FILES" not in os.environ
 
 
-def test_software_driver_on_demand(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_render_variable_selects_the_software_driver(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (root / "lavapipe.json").touch()
     install_nvidia(root)
     monkeypatch.setenv(native.RENDER_VARIABLE, "cpu")
@@ -68,7 +68,7 @@ def test_software_driver_on_demand(root: Path, monkeypatch: pytest.MonkeyPatch) 
     ("file", "backend"), [("/opt/mesa/lvp_icd.json", "cpu"), ("/etc/vulkan/nvidia_icd.json", "gpu")]
 )
 @pytest.mark.parametrize("variable", ["VK_DRIVER_FILES", "VK_ICD_FILENAMES"])
-def test_users_driver_is_kept(
+def test_a_vulkan_driver_set_by_the_user_is_kept(
     root: Path, monkeypatch: pytest.MonkeyPatch, variable: str, file: str, backend: str
 ) -> None:
     (root / "lavapipe.json").touch()
@@ -91,7 +91,7 @@ def test_unloadable_library_names_the_library_and_the_fix(root: Path) -> None:
 
 
 @NEEDS_COMPILER
-def test_preloaded_libraries_are_found_by_name_in_any_order(root: Path) -> None:
+def test_listed_libraries_are_preloaded_in_any_order_of_their_dependencies(root: Path) -> None:
     """libuser needs libbase, which lies in no folder that the linker searches, and stands first in the list."""
     (root / "base.c").write_text("int base(void) { return 41; }")
     (root / "user.c").write_text("int base(void); int user(void) { return base() + 1; }")
@@ -117,13 +117,13 @@ def unpacked(root: Path) -> Path:
     return root
 
 
-def test_nothing_unpacked_is_not_damaged(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_absent_library_folder_is_not_reported_as_damaged(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(native, "ROOT", root / "none")
     assert native.damage() is None
 
 
 @NEEDS_COMPILER
-def test_what_native_sh_leaves_is_whole(unpacked: Path) -> None:
+def test_an_undamaged_library_folder_is_not_reported_as_damaged(unpacked: Path) -> None:
     assert native.damage() is None
 
 
@@ -141,7 +141,7 @@ def test_what_native_sh_leaves_is_whole(unpacked: Path) -> None:
         ("lavapipe.json", json.dumps({"ICD": {"library_path": "/bin/sh"}}), "moved or copied"),
     ],
 )
-def test_damage_is_named(unpacked: Path, file: str, content: str | None, message: str) -> None:
+def test_damage_names_the_missing_or_broken_file(unpacked: Path, file: str, content: str | None, message: str) -> None:
     (unpacked / file).unlink(missing_ok=True)
     if content is not None:
         (unpacked / file).write_text(content)
@@ -167,7 +167,7 @@ def test_importing_native_loads_no_heavy_module() -> None:
     assert done.stdout.strip() == "set()"
 
 
-def test_wheels_find_their_libraries() -> None:
+def test_drake_open3d_and_sapien_load_in_one_process() -> None:
     """The modules load in a fresh process after their prepare function, in one process together."""
     code = (
         "from kinebench_drake.environment import native\n"
@@ -180,7 +180,7 @@ def test_wheels_find_their_libraries() -> None:
     assert "libvulkan" not in done.stderr
 
 
-def test_open3d_adds_in_one_thread() -> None:
+def test_open3d_registration_runs_in_one_thread() -> None:
     """Its thread pool has the size of the machine otherwise, and sums depend on who finishes first."""
     code = (
         "import os\n"

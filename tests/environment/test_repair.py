@@ -67,14 +67,14 @@ def mend(*failed: str, dry_run: bool = False) -> tuple[bool, list[str]]:
     return repair.repair_environment(checks(*failed), lines.append, dry_run=dry_run), lines
 
 
-def test_nothing_failed_is_nothing_to_do(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_a_repairable_failure_nothing_is_run(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
     owned(monkeypatch, opencv_python=cv2_shim.VERSION, opencv_python_headless="5.0")
     assert mend("torch") == (False, [])
     assert machine.ran == []
 
 
 @pytest.mark.parametrize("name", doctor.NATIVE_CHECKS)
-def test_failed_native_checks_have_the_libraries_made_anew(
+def test_each_failed_native_check_reinstalls_the_native_libraries(
     machine: Machine, monkeypatch: pytest.MonkeyPatch, name: str
 ) -> None:
     owned(monkeypatch, opencv_python=cv2_shim.VERSION, opencv_python_headless="5.0")
@@ -86,14 +86,14 @@ def test_failed_native_checks_have_the_libraries_made_anew(
     assert Path(script).is_file()
 
 
-def test_checks_that_native_sh_repairs_exist(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_repairable_checks_exist_and_their_fix_names_doctor_fix(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(doctor, "_check", lambda name, look, fix: Check(name, True, "", fix))
     names = {check.name: check.fix for check in doctor.run_checks()}
     assert {*doctor.NATIVE_CHECKS, doctor.CV2_CHECK} <= set(names)
     assert all("doctor --fix" in names[name] for name in (*doctor.NATIVE_CHECKS, doctor.CV2_CHECK))
 
 
-def test_the_clash_over_cv2_is_repaired_from_what_was_downloaded_first(machine: Machine) -> None:
+def test_the_cv2_clash_is_repaired_by_downloading_before_uninstalling(machine: Machine) -> None:
     changed, lines = mend("cv2")
     assert changed
     assert lines[1:] == [
@@ -110,14 +110,14 @@ def test_the_clash_over_cv2_is_repaired_from_what_was_downloaded_first(machine: 
     assert [Path(wheel).name.split("-")[0] for wheel in install[4:]] == ["opencv_python", "opencv_python_headless"]
 
 
-def test_a_version_that_cannot_be_had_gives_way_to_one_that_can(machine: Machine) -> None:
+def test_an_unavailable_version_of_opencv_is_replaced_by_the_newest_one(machine: Machine) -> None:
     machine.fails = {"==5.0": "No matching distribution found"}
     assert mend("cv2")[0]
     assert [c[-1] for c in machine.pip() if c[0] == "download"][1:] == ["opencv-python-headless>=4.10"]
     assert machine.pip()[-1][0] == "install"
 
 
-def test_without_network_nothing_is_removable(machine: Machine) -> None:
+def test_without_network_nothing_is_uninstalled(machine: Machine) -> None:
     machine.fails = {"download": "Could not find a version"}
     _, lines = mend("cv2")
     assert {c[0] for c in machine.pip()} == {"download"}
@@ -125,7 +125,7 @@ def test_without_network_nothing_is_removable(machine: Machine) -> None:
     assert "network" in lines[-1]
 
 
-def test_a_shim_that_pip_check_misses_is_put_in_without_network(
+def test_a_missing_opencv_python_shim_is_installed_without_network(
     machine: Machine, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     owned(monkeypatch, opencv_python_headless="5.0")
@@ -140,21 +140,21 @@ def test_a_shim_that_pip_check_misses_is_put_in_without_network(
     assert "--no-index" in install
 
 
-def test_an_environment_without_pip_is_told_how_to_get_it(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_environment_without_pip_is_referred_to_ensurepip(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(repair, "find_spec", lambda name: None)
     _, lines = mend("cv2")
     assert "-m ensurepip` installs it" in lines[-1]
     assert machine.ran == []
 
 
-def test_dry_run_changes_nothing(machine: Machine) -> None:
+def test_dry_run_prints_both_repairs_and_changes_nothing(machine: Machine) -> None:
     changed, lines = mend("cv2", "Open3D", dry_run=True)
     assert not changed
     assert [line[0] for line in lines].count("=") == 2
     assert [c[-1] for c in machine.ran] == ["--plan"]
 
 
-def test_one_repair_that_fails_leaves_the_other(machine: Machine) -> None:
+def test_a_failed_repair_does_not_prevent_the_other(machine: Machine) -> None:
     machine.fails = {"native.sh": "this system has no apt-get; install by other means: mesa"}
     changed, lines = mend("Vulkan device", "cv2")
     assert changed
@@ -165,7 +165,7 @@ def test_one_repair_that_fails_leaves_the_other(machine: Machine) -> None:
 @pytest.mark.parametrize(
     ("base", "writable", "message"), [("same", True, "no virtual environment"), ("/usr", False, "cannot be written to")]
 )
-def test_only_an_environment_of_ones_own_is_changed(
+def test_only_a_writable_virtual_environment_is_repaired(
     machine: Machine, monkeypatch: pytest.MonkeyPatch, base: str, writable: bool, message: str
 ) -> None:
     if base == "same":
@@ -176,7 +176,7 @@ def test_only_an_environment_of_ones_own_is_changed(
     assert machine.ran == []
 
 
-def test_a_conda_environment_is_one_and_its_base_is_not(
+def test_a_conda_environment_is_repaired_and_a_conda_base_is_not(
     machine: Machine, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.setattr(sys, "base_prefix", sys.prefix)
@@ -187,7 +187,7 @@ def test_a_conda_environment_is_one_and_its_base_is_not(
         mend("cv2")
 
 
-def test_run_passes_lines_on_and_gives_the_last_as_the_reason() -> None:
+def test_run_forwards_output_lines_and_raises_with_the_last_one() -> None:
     lines: list[str] = []
     repair._run(["bash", "-c", "echo '==> one'; echo two >&2"], lines.append)
     assert lines == ["one", "two"]
@@ -200,14 +200,16 @@ def test_run_passes_lines_on_and_gives_the_last_as_the_reason() -> None:
         repair._run(["/no/bash"], lines.append)
 
 
-def test_pip_is_kept_to_this_environment(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_pip_environment_variables_of_the_user_are_dropped(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PIP_TARGET", "/elsewhere")
     lines: list[str] = []
     repair._run(["bash", "-c", "echo ${PIP_TARGET:-here}"], lines.append)
     assert lines == ["here"]
 
 
-def test_distributions_of_other_places_are_left(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_distributions_outside_of_the_environment_are_not_uninstalled(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     """A full opencv-python that the environment borrows from its base Python is not this environment's."""
     for place in ("env", "usr"):
         info = tmp_path / place / f"opencv_{'python' if place == 'usr' else 'contrib_python'}-4.0.dist-info"
@@ -234,7 +236,7 @@ def test_the_shim_is_a_wheel_that_pip_accepts(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "after", "code"), [(["--fix"], True, 0), (["--fix"], False, 1), (["--fix", "--dry-run"], True, 1)]
 )
-def test_the_exit_status_is_that_of_the_checks_afterwards(
+def test_the_exit_status_is_that_of_the_checks_after_the_repair(
     machine: Machine, monkeypatch: pytest.MonkeyPatch, arguments: list[str], after: bool, code: int
 ) -> None:
     found = iter([checks("cv2"), checks() if after else checks("cv2")])
@@ -247,7 +249,7 @@ def test_the_exit_status_is_that_of_the_checks_afterwards(
     )
 
 
-def test_dry_run_alone_is_refused() -> None:
+def test_dry_run_without_fix_is_refused() -> None:
     done = CliRunner().invoke(command, ["--dry-run"])
     assert done.exit_code == 2
     assert "--dry-run goes with --fix" in done.output

@@ -56,20 +56,20 @@ def test_every_dependency_is_pinned() -> None:
     assert [name for name in names if name not in pinned()] == []
 
 
-def test_pins_are_plain_versions() -> None:
+def test_pins_are_release_versions_without_local_parts() -> None:
     versions = pinned()
     assert len(versions) > 50
     assert [name for name, version in versions.items() if not re.fullmatch(r"[0-9][0-9a-z.]*", version)] == []
 
 
-def test_the_pin_of_opencv_python_is_met_by_the_shim_alone() -> None:
+def test_the_pin_of_opencv_python_is_the_version_of_the_shim() -> None:
     """No index has the shim's version."""
     assert pinned()["opencv-python"] == cv2_shim.VERSION == "4.99.0"
     assert f"opencv-python=={cv2_shim.VERSION}" in (REPOSITORY / "setup" / "freeze.sh").read_text()
 
 
 @pytest.mark.parametrize("script", [SCRIPT, NATIVE, REPOSITORY / "setup" / "freeze.sh", REPOSITORY / ".ci" / "run"])
-def test_scripts_parse_and_run(script: Path) -> None:
+def test_scripts_are_executable_and_parse(script: Path) -> None:
     assert os.access(script, os.X_OK)
     subprocess.run(["bash", "-n", str(script)], check=True)
 
@@ -99,7 +99,7 @@ def test_python_is_chosen_by_version(tmp_path: Path, version: str, fit: bool) ->
     assert done.stdout.strip() == ("fit" if fit else "unfit")
 
 
-def test_no_python_is_one_clear_message(tmp_path: Path) -> None:
+def test_a_machine_without_a_supported_python_is_refused_in_one_line(tmp_path: Path) -> None:
     done = run_functions("PYTHON=/nonexistent; make_venv", folder=tmp_path)
     assert done.returncode == 1
     assert done.stderr.startswith("setup: no Python 3.11 or 3.12 found")
@@ -126,7 +126,7 @@ Signed-By: /k.gpg
         ("b.sources", DEB822.replace("bookworm bookworm-updates", "bookworm"), "Suites: bookworm bookworm-backports"),
     ],
 )
-def test_backports_come_from_the_machines_own_mirror(tmp_path: Path, name: str, text: str, added: str) -> None:
+def test_backports_are_added_on_the_configured_mirror(tmp_path: Path, name: str, text: str, added: str) -> None:
     (tmp_path / name).write_text(text)
     done = run_functions(
         f"cd {tmp_path}; with_suite bookworm bookworm-backports {name}", folder=tmp_path, script=NATIVE
@@ -136,7 +136,7 @@ def test_backports_come_from_the_machines_own_mirror(tmp_path: Path, name: str, 
     assert kept == [line for line in text.splitlines() if not (name.endswith("sources") and line.startswith("Suites"))]
 
 
-def test_sources_with_backports_stay_as_they_are(tmp_path: Path) -> None:
+def test_sources_with_backports_are_unchanged(tmp_path: Path) -> None:
     text = ONE_LINE + "deb http://mirror.example/debian bookworm-backports main\n"
     (tmp_path / "a.list").write_text(text)
     code = f"cd {tmp_path}; with_suite bookworm bookworm-backports a.list"
@@ -179,14 +179,16 @@ def test_packages_are_downloaded_and_never_installed(tmp_path: Path) -> None:
         ("25.0.7-2", "libnovel.so.7", "no package is known for libnovel.so.7"),
     ],
 )
-def test_what_cannot_be_had_is_said(tmp_path: Path, mesa: str, names: str, message: str) -> None:
+def test_unavailable_packages_are_named_and_nothing_is_downloaded(
+    tmp_path: Path, mesa: str, names: str, message: str
+) -> None:
     done = fetch(tmp_path, mesa, names)
     assert done.returncode == 1
     assert message in done.stderr
     assert "--download-only" not in (tmp_path / "asked").read_text()
 
 
-def test_nothing_shipped_names_a_machine() -> None:
+def test_set_up_files_name_no_host_and_no_home_folder() -> None:
     """Set-up files hold no mirror, no registry host and no absolute home path."""
     for file in (
         SCRIPT,
@@ -229,7 +231,7 @@ def unpacked(folder: Path, *names: str) -> Path:
     return native
 
 
-def test_what_is_missing_is_unpacked_once(tmp_path: Path) -> None:
+def test_missing_libraries_are_unpacked_once(tmp_path: Path) -> None:
     done = install_native(tmp_path, "libusb-1.0.so.0")
     assert done.returncode == 0, done.stderr
     assert "fetched libusb-1.0.so.0 tcmalloc" in done.stdout
@@ -240,7 +242,7 @@ def test_what_is_missing_is_unpacked_once(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("option", "torn"), [("", True), ("--anew", False)])
-def test_what_is_torn_is_made_anew(tmp_path: Path, option: str, torn: bool) -> None:
+def test_damaged_libraries_are_replaced(tmp_path: Path, option: str, torn: bool) -> None:
     native = unpacked(tmp_path, "libusb-1.0.so.0", "tcmalloc")
     if torn:
         (native / "torn").touch()
@@ -250,14 +252,14 @@ def test_what_is_torn_is_made_anew(tmp_path: Path, option: str, torn: bool) -> N
     assert not (native / "old").exists()
 
 
-def test_what_is_torn_stays_until_there_is_better(tmp_path: Path) -> None:
+def test_old_libraries_stay_when_their_replacement_fails(tmp_path: Path) -> None:
     native = unpacked(tmp_path, "libusb-1.0.so.0")
     done = install_native(tmp_path, "libusb-1.0.so.0", "--anew", "fetch_libraries() { stop 'no network'; }")
     assert (done.returncode, done.stderr) == (1, "setup: no network\n")
     assert (native / "old").exists()
 
 
-def test_a_torn_folder_that_nothing_needs_goes(tmp_path: Path) -> None:
+def test_a_damaged_library_folder_that_is_not_needed_is_deleted(tmp_path: Path) -> None:
     native = unpacked(tmp_path, "libusb-1.0.so.0")
     (native / "torn").touch()
     done = install_native(tmp_path, "")
@@ -274,7 +276,7 @@ def test_a_plan_changes_nothing(tmp_path: Path) -> None:
     assert (native / "old").exists()
 
 
-def test_a_system_without_apt_is_told_what_to_install(tmp_path: Path) -> None:
+def test_a_system_without_apt_fails_with_the_list_of_libraries_to_install(tmp_path: Path) -> None:
     before = 'command() { [ "$2" != apt-get ] && builtin command "$@"; }'
     done = install_native(tmp_path, "libusb-1.0.so.0", "--plan", before)
     assert done.returncode == 1
@@ -282,7 +284,7 @@ def test_a_system_without_apt_is_told_what_to_install(tmp_path: Path) -> None:
     assert done.stderr.endswith("libusb-1.0.so.0\n")
 
 
-def test_native_sh_names_packages_that_are_missing(tmp_path: Path) -> None:
+def test_native_sh_names_missing_python_packages_and_the_pip_command(tmp_path: Path) -> None:
     command(tmp_path / "bin", "python", f"echo {tmp_path}/env; echo {tmp_path}/site")
     done = subprocess.run([NATIVE, tmp_path / "bin" / "python"], capture_output=True, text=True, check=False)
     assert done.returncode == 1

@@ -20,7 +20,7 @@ def make_slow():
     return work
 
 
-def test_the_first_interrupt_finishes_what_is_at_hand_and_begins_no_more():
+def test_the_first_interrupt_finishes_running_items_and_the_second_stops():
     engine, told = LocalExecutor(jobs=1), []
     before = signal.getsignal(signal.SIGINT)
     signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -41,7 +41,7 @@ def test_the_first_interrupt_finishes_what_is_at_hand_and_begins_no_more():
         signal.signal(signal.SIGINT, before)
 
 
-def test_a_handler_of_the_programs_own_stays():
+def test_a_signal_handler_of_the_calling_program_is_kept():
     mine = lambda *_: None  # noqa: E731
     before = signal.signal(signal.SIGINT, mine)
     try:

@@ -57,7 +57,7 @@ def test_every_worker_computes_with_one_thread(jobs):
     assert [outcome.result for outcome in outcomes] == [1, 1]
 
 
-def test_a_worker_that_is_ended_ends_what_it_started(tmp_path):
+def test_a_terminated_worker_terminates_its_child_processes(tmp_path):
     note = tmp_path / "note"
     with closing(LocalExecutor(jobs=2).run(make_busy, [note, *["idle"] * 1000])) as outcomes:
         for _ in outcomes:
@@ -67,7 +67,7 @@ def test_a_worker_that_is_ended_ends_what_it_started(tmp_path):
         os.kill(int(note.read_text()), 0)
 
 
-def test_a_worker_that_does_not_end_is_killed(monkeypatch):
+def test_a_worker_that_ignores_sigterm_is_killed(monkeypatch):
     monkeypatch.setattr(local, "_GRACE_S", 0.5)
     with closing(LocalExecutor(jobs=2).run(make_stubborn, ["deaf", "well"])) as outcomes:
         assert next(outcomes).item == "well"
@@ -83,18 +83,18 @@ def make_stubborn():
     return work
 
 
-def test_who_ended_a_worker_is_told():
+def test_the_reason_of_a_worker_crash_names_the_signal():
     (outcome,) = LocalExecutor(jobs=2).run(make_busy, ["terminated"])
     assert outcome.reason == "the worker process was ended by SIGTERM"
 
 
-def test_every_item_is_worked_on():
+def test_every_item_has_a_result():
     outcomes = list(LocalExecutor(jobs=2).run(make_doubling, [1, 2, 3]))
     assert {o.item: o.result for o in outcomes if isinstance(o, ItemResult)} == {1: 2, 2: 4, 3: 6}
 
 
 @pytest.mark.parametrize("started", [1, 2])
-def test_an_interrupt_while_a_worker_starts_leaves_it_without_an_item(monkeypatch, started):
+def test_an_interrupt_during_the_start_of_a_worker_leaves_it_without_an_item(monkeypatch, started):
     """It is held back till the process is there, and delivered at once then."""
     engine, unblocked = LocalExecutor(jobs=2), []
 

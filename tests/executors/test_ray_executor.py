@@ -115,7 +115,7 @@ def run(make, items, jobs=2):
     return list(RayExecutor(jobs=jobs).run(make, items))
 
 
-def test_every_item_is_done_and_workers_are_kept(ray):
+def test_every_item_has_a_result_and_workers_are_reused(ray):
     handler = signal.getsignal(signal.SIGTERM)
     outcomes = run(doubling(), [1, 2, 3, 4, 5])
     assert sorted((o.item, o.result) for o in outcomes) == [(k, 2 * k) for k in (1, 2, 3, 4, 5)]
@@ -125,14 +125,14 @@ def test_every_item_is_done_and_workers_are_kept(ray):
     assert ray.asked == {"num_cpus": 1, "num_gpus": 0.5, "scheduling_strategy": "SPREAD"}
 
 
-def test_a_lost_worker_costs_a_second_try(ray):
+def test_the_item_of_a_lost_worker_is_tried_a_second_time(ray):
     outcomes = run(doubling(losses=[2]), [1, 2, 3])
     assert {(o.item, o.result) for o in outcomes if isinstance(o, ItemResult)} == {(1, 2), (2, 4), (3, 6)}
     assert ray.started == 3
 
 
 @pytest.mark.parametrize(("item", "told"), [(2, "lost 2 times"), (13, "ran out of memory: use fewer jobs")])
-def test_the_second_loss_costs_the_item(ray, item, told):
+def test_an_item_whose_worker_is_lost_twice_is_a_worker_crash(ray, item, told):
     outcomes = run(doubling(losses=[item] * 2), [1, item, 3])
     (crashed,) = [o for o in outcomes if isinstance(o, WorkerCrash)]
     assert crashed.item == item
@@ -140,7 +140,7 @@ def test_the_second_loss_costs_the_item(ray, item, told):
     assert {o.item for o in outcomes if isinstance(o, ItemResult)} == {1, 3}
 
 
-def test_workers_that_cannot_begin_end_the_run(ray):
+def test_workers_that_fail_to_start_end_the_run_with_a_setup_error(ray):
     assert len(run(doubling(equips=[Lost()] * (MOST_FAILED_STARTS - 1)), [1, 2])) == 2
     with pytest.raises(SetupError, match="die before they start"):
         run(doubling(equips=[Lost()] * MOST_FAILED_STARTS), [1, 2])
@@ -152,7 +152,7 @@ def test_workers_that_cannot_begin_end_the_run(ray):
     assert (ray.alive, ray.on) == ([], False)
 
 
-def test_an_unlike_node_is_told(ray, monkeypatch):
+def test_a_node_with_other_code_or_without_the_folder_is_a_setup_error(ray, monkeypatch):
     codes = iter("ab")
     with monkeypatch.context() as patch:
         patch.setattr("kinebench_drake.executors.ray.code_hash", lambda *_: next(codes))
@@ -163,14 +163,14 @@ def test_an_unlike_node_is_told(ray, monkeypatch):
         run(doubling(), [1], jobs=1)
 
 
-def test_a_run_that_is_left_leaves_nothing(ray):
+def test_a_closed_run_leaves_no_worker_and_no_ray_connection(ray):
     outcomes = RayExecutor(jobs=2).run(doubling(), [1, 2, 3])
     next(outcomes)
     outcomes.close()
     assert (ray.alive, ray.on) == ([], False)
 
 
-def test_a_cluster_that_is_none_is_told(ray, monkeypatch):
+def test_an_unreachable_cluster_or_one_without_cpus_is_a_setup_error(ray, monkeypatch):
     ray.cpus = 0.0
     with pytest.raises(SetupError, match="no CPU"):
         run(doubling(), [1])
@@ -183,13 +183,13 @@ def test_a_cluster_that_is_none_is_told(ray, monkeypatch):
         list(create_executor(ExecutorKind.RAY, 2, "host:1").run(doubling(), [1]))
 
 
-def test_a_cluster_that_is_joined_already_is_left_alone(ray):
+def test_a_ray_connection_of_the_caller_stays_open(ray):
     ray.on = True
     assert len(run(doubling(), [1, 2])) == 2
     assert ray.on
 
 
-def test_workers_share_gpus_so_that_all_find_room():
+def test_gpu_shares_let_all_workers_fit_on_the_gpus():
     assert gpu_share(0, 8) == 0.0
     for gpus, workers in ((1, 1), (4, 4), (8, 3), (2, 3), (4, 16), (3, 7)):
         share = gpu_share(gpus, workers)

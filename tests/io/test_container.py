@@ -6,7 +6,7 @@ from kinebench_drake.io.container import join_videos, write_video
 from tests.films import decoded
 
 
-def test_joined_films_play_one_after_the_other(tmp_path: Path) -> None:
+def test_joined_videos_keep_all_frames_in_order_at_the_frame_rate(tmp_path: Path) -> None:
     rng = np.random.default_rng(1)
     coarse = [rng.integers(0, 255, (n, 8, 8, 3), dtype=np.uint8) for n in (9, 5, 14)]
     films = [np.kron(film, np.ones((1, 16, 16, 1), np.uint8)) for film in coarse]

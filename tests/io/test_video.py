@@ -90,7 +90,7 @@ def squeezed(path, frames, aspect):
 
 
 @pytest.mark.parametrize(("aspect", "width"), [(Fraction(4, 3), 173), (Fraction(1, 2), 65), (Fraction(1216, 1215), W)])
-def test_pixels_that_are_not_square_are_shown_square(tmp_path, frames, aspect, width):
+def test_non_square_pixels_are_resampled_to_square_ones(tmp_path, frames, aspect, width):
     squeezed(tmp_path / "a.mp4", frames, aspect)
     assert read_video(tmp_path / "a.mp4").frames.shape == (T, H, width, 3)
 
@@ -123,7 +123,7 @@ def test_every_container_gives_back_its_frames(tmp_path, frames, name, codec, pi
         assert video.stamps_s == pytest.approx(np.arange(T) / 17.0, abs=0.03)
 
 
-def test_written_film_reads_back_and_has_the_same_bytes_each_time(tmp_path, frames):
+def test_a_written_video_reads_back_and_equal_frames_have_equal_bytes(tmp_path, frames):
     write_video(tmp_path / "a.mp4", frames, 12.5)
     write_video(tmp_path / "b.mp4", iter(frames), 12.5)
     assert (tmp_path / "a.mp4").read_bytes() == (tmp_path / "b.mp4").read_bytes()
@@ -138,7 +138,7 @@ def test_odd_sizes_are_padded_by_one_pixel(tmp_path, frames):
     assert read_video(tmp_path / "a.mp4").frames.shape[1:3] == (96, 130)
 
 
-def test_a_writer_that_fails_leaves_nothing_behind(tmp_path, frames):
+def test_a_failed_write_leaves_no_file(tmp_path, frames):
     def broken():
         yield frames[0]
         raise RuntimeError("no more")
@@ -148,7 +148,7 @@ def test_a_writer_that_fails_leaves_nothing_behind(tmp_path, frames):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_irregular_films_keep_their_time_stamps(tmp_path, frames):
+def test_videos_with_variable_frame_rate_keep_their_time_stamps(tmp_path, frames):
     stamps = [0, 50, 100, 400, 450, 500, 900, 950, 1000, 1050]
     encode(tmp_path / "a.mkv", frames[:10], "libx264", "yuv420p", stamps=stamps)
     video = read_video(tmp_path / "a.mkv")
@@ -165,7 +165,7 @@ def test_frame_folders_are_sorted_by_number(tmp_path, frames):
 
 
 @pytest.mark.parametrize("key", ["frames", "video", "anything"])
-def test_arrays_are_read_as_they_are(tmp_path, frames, key):
+def test_arrays_of_npy_and_npz_files_are_read_unchanged(tmp_path, frames, key):
     np.save(tmp_path / "a.npy", frames)
     np.savez(tmp_path / "b.npz", **{key: frames})
     assert (read_video(tmp_path / "a.npy").frames == frames).all()
@@ -183,7 +183,7 @@ def test_arrays_are_read_as_they_are(tmp_path, frames, key):
         ("a.gif", "gif", "rgb8", {}),
     ],
 )
-def test_cut_off_films_are_refused(tmp_path, frames, name, codec, pixel_format, options, part):
+def test_truncated_videos_are_refused(tmp_path, frames, name, codec, pixel_format, options, part):
     path = tmp_path / name
     encode(path, frames, codec, pixel_format, options=options)
     data = path.read_bytes()
@@ -194,7 +194,7 @@ def test_cut_off_films_are_refused(tmp_path, frames, name, codec, pixel_format, 
 
 
 @pytest.mark.parametrize(("written", "named"), [("a.mp4", "b.gif"), ("a.gif", "b.mp4")])
-def test_a_film_is_read_by_its_content_whatever_its_name(tmp_path, frames, written, named):
+def test_the_container_is_detected_by_content_and_not_by_file_name(tmp_path, frames, written, named):
     codec, pixel_format = ("gif", "rgb8") if written.endswith("gif") else ("libx264", "yuv420p")
     encode(tmp_path / written, frames, codec, pixel_format, options={})
     data = (tmp_path / written).read_bytes()
@@ -205,7 +205,7 @@ def test_a_film_is_read_by_its_content_whatever_its_name(tmp_path, frames, writt
         read_video(tmp_path / named)
 
 
-def test_files_that_are_no_video_are_told_by_name(tmp_path, frames):
+def test_files_that_are_no_video_are_refused_by_name(tmp_path, frames):
     (tmp_path / "empty.mp4").touch()
     (tmp_path / "text.mp4").write_text("this is no film\n" * 50)
     np.save(tmp_path / "float.npy", frames.astype(np.float32))
@@ -241,7 +241,7 @@ def test_frames_of_different_sizes_are_refused(tmp_path, frames):
         read_video(tmp_path)
 
 
-def test_what_would_not_fit_in_memory_is_refused(tmp_path, frames, monkeypatch):
+def test_videos_larger_than_the_memory_limit_are_refused(tmp_path, frames, monkeypatch):
     monkeypatch.setattr(module, "MAX_BYTES", 3 * frames[0].nbytes)
     write_video(tmp_path / "a.mp4", frames, 17)
     np.save(tmp_path / "a.npy", frames)
@@ -251,27 +251,27 @@ def test_what_would_not_fit_in_memory_is_refused(tmp_path, frames, monkeypatch):
 
 
 @pytest.mark.parametrize(("shape", "told"), [((1, 96, 96, 3), "at least 2"), ((8, 8, 8, 3), "at least 64 px")])
-def test_too_little_to_measure(shape, told):
+def test_too_few_frames_or_too_small_frames_are_unmeasurable(shape, told):
     video = Video(frames=np.zeros(shape, dtype=np.uint8), fps=17.0, stamps_s=None)
     with pytest.raises(UnmeasurableError, match=told):
         video.require_measurable()
 
 
-def test_frames_of_16_bit_grey_are_no_white(tmp_path):
+def test_sixteen_bit_grey_images_are_scaled_to_8_bit(tmp_path):
     ramp = np.linspace(0, 65535, 96 * 96).reshape(96, 96).astype(np.uint16)
     Image.fromarray(ramp).save(tmp_path / "0.png")
     image = read_image(tmp_path / "0.png")
     np.testing.assert_array_equal(image, np.repeat((ramp >> 8)[..., None], 3, axis=-1))
 
 
-def test_frames_with_channels_first_are_named():
+def test_channel_first_arrays_are_refused_with_the_transpose_to_use():
     with pytest.raises(InputError, match=r"looks channel-first: transpose\(0, 2, 3, 1\)"):
         Video(frames=np.zeros((2, 3, 64, 64), np.uint8), fps=None, stamps_s=None)
     with pytest.raises(InputError, match=r"\(T, H, W, 3\) in RGB$"):
         Video(frames=np.zeros((2, 64, 64, 4), np.uint8), fps=None, stamps_s=None)
 
 
-def test_a_header_that_promises_too_much_is_named_with_the_size_of_the_file(tmp_path):
+def test_array_headers_that_exceed_the_file_or_the_size_limit_are_refused(tmp_path):
     np.save(tmp_path / "a.npy", np.zeros((2, 64, 64, 3), np.uint8))
     whole = (tmp_path / "a.npy").read_bytes()
     (tmp_path / "a.npy").write_bytes(whole[:1000])

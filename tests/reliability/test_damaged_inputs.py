@@ -117,7 +117,7 @@ def write(tree: Tree, folder: Path) -> Path:
 
 
 @pytest.mark.parametrize("kind", INPUTS)
-def test_the_inputs_are_valid(tmp_path, kind):
+def test_undamaged_inputs_are_read(tmp_path, kind):
     for k, tree in enumerate(trees(kind)):
         for read in READERS[kind](write(tree, tmp_path / str(k))):
             read()
@@ -126,7 +126,7 @@ def test_the_inputs_are_valid(tmp_path, kind):
 @pytest.mark.parametrize("kind", INPUTS)
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
 @given(data=st.data())
-def test_damaged_inputs_are_read_or_refused(tmp_path, kind, data):
+def test_damaged_inputs_are_read_or_refused_within_bounded_memory(tmp_path, kind, data):
     tree = data.draw(st.sampled_from(range(len(trees(kind)))).map(lambda k: trees(kind)[k]))
     random = data.draw(st.randoms(use_true_random=False))
     folder = write(damage(random, tree), tmp_path / "input")

@@ -26,7 +26,7 @@ def _rows(name: str, values: list[float | None]) -> list[SampleRow]:
 
 @pytest.mark.parametrize(("name", "worst"), [("sparc", min), ("manipulability_cost_mean", max)])
 @given(values=VALUES)
-def test_the_bound_puts_the_worst_value_of_the_run_in_place_of_nulls(name, worst, values) -> None:
+def test_the_bound_replaces_nulls_by_the_worst_value_of_the_run(name, worst, values) -> None:
     estimate = aggregate(_rows(name, values)).estimates[name]
     numbers = [v for v in values if v is not None]
     assert (estimate.n, estimate.total) == (len(numbers), len(values))
@@ -40,7 +40,7 @@ def test_the_bound_puts_the_worst_value_of_the_run_in_place_of_nulls(name, worst
 
 
 @given(values=st.lists(st.floats(-100.0, 100.0), min_size=2, max_size=12), data=st.data())
-def test_a_null_in_place_of_a_value_never_improves_the_bound(values: list[float], data: st.DataObject) -> None:
+def test_replacing_a_value_by_null_never_improves_the_bound(values: list[float], data: st.DataObject) -> None:
     """Unless it was the only worst one: the run then has no such value any more."""
     lost = data.draw(st.integers(0, len(values) - 1))
     rest = values[:lost] + values[lost + 1 :]
@@ -55,13 +55,13 @@ def test_a_null_in_place_of_a_value_never_improves_the_bound(values: list[float]
     assert after <= before + 1e-9
 
 
-def test_a_group_is_bounded_by_the_worst_of_its_run() -> None:
+def test_the_bound_of_a_group_uses_the_worst_value_of_the_whole_run() -> None:
     run = [*_rows("sparc", [-2.0, None]), _row("other", metrics={"sparc": -5.0})]
     assert aggregate(run[:2], worst=worst_values(run)).estimates["sparc"].bound == pytest.approx(-3.5)
     assert aggregate(run[1:2], worst=worst_values(run)).estimates["sparc"].bound == -5.0
 
 
-def test_samples_without_a_verdict_are_not_executable() -> None:
+def test_samples_without_a_verdict_count_as_not_executable() -> None:
     rows = [
         _row("a", executable=True),
         _row("b", executable=False, reasons=("lost", "vanish")),
@@ -76,7 +76,7 @@ def test_samples_without_a_verdict_are_not_executable() -> None:
     assert "executable" not in total.to_json()["metrics"]
 
 
-def test_a_group_without_a_verdict_is_not_executable_where_others_have_one() -> None:
+def test_a_group_without_verdicts_has_share_0_where_other_groups_have_verdicts() -> None:
     good = [_row(k, executable=True, feasible=True, metrics={"trajopt_feasible": True}) for k in "ab"]
     broken = [_row(k, status=Status.ERROR, reason="broken") for k in "cd"]
     null = [_row("e", metrics={"trajopt_feasible": None})]
@@ -87,18 +87,18 @@ def test_a_group_without_a_verdict_is_not_executable_where_others_have_one() -> 
     assert aggregate(null, worst=worst).estimates["trajopt_feasible"].bound == 0.0
 
 
-def test_runs_without_verdicts_have_no_share() -> None:
+def test_a_run_without_verdicts_has_no_executable_share() -> None:
     assert aggregate([_row("a"), _row("b")]).estimates["executable"].n == 0
 
 
-def test_rows_keep_their_verdict_on_execution() -> None:
+def test_executable_verdicts_round_trip_through_json_and_are_null_in_earlier_rows() -> None:
     row = _row("a", executable=False, reasons=("lost",), without_lost={"sparc": -2.0})
     assert SampleRow.from_json(row.to_json()) == row
     earlier = {k: v for k, v in row.to_json().items() if k not in ("executable", "executable_reasons", "without_lost")}
     assert SampleRow.from_json(earlier).executable is None
 
 
-def test_no_metric_has_two_better_sides() -> None:
+def test_every_metric_has_at_most_one_better_direction() -> None:
     assert not HIGHER_IS_BETTER & LOWER_IS_BETTER
     assert worst_value("sparc", [-3.0, -2.0]) == -3.0
     assert worst_value("slowdown_min", [0.3, 0.2]) == 0.3
@@ -119,7 +119,7 @@ def _samples(*episodes: list[bool | None]) -> list[SampleRow]:
     ]
 
 
-def test_samples_of_an_episode_are_no_episodes() -> None:
+def test_intervals_over_several_samples_per_episode_resample_episodes() -> None:
     rows = _samples([True, True, True], [False, True, False], [False] * 3, [True] * 3)
     assert [row.episode for row in rows[:4]] == ["e0", "e0", "e0", "e1"]
     estimates = aggregate(rows).estimates
@@ -135,7 +135,7 @@ def test_samples_of_an_episode_are_no_episodes() -> None:
     assert passes == {"pass_at_1": pytest.approx(7 / 12), "pass_at_2": pytest.approx(2 / 3), "pass_at_3": 0.75}
 
 
-def test_single_samples_are_estimated_as_before() -> None:
+def test_one_sample_per_episode_has_a_wilson_interval_and_no_pass_at_k() -> None:
     estimates = aggregate(_samples([True], [False], [True])).estimates
     assert not any(name.startswith("pass") for name in estimates)
     assert (estimates["success"].low, estimates["success"].high) == wilson(2, 3)

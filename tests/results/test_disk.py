@@ -25,7 +25,7 @@ def filled(out, ids="ab"):
             store.append(row(id), 0.1)
 
 
-def test_a_full_disk_is_one_line_and_loses_nothing(tmp_path, monkeypatch):
+def test_a_full_disk_is_a_setup_error_and_keeps_finished_rows(tmp_path, monkeypatch):
     filled(tmp_path)
     with ResultStore(tmp_path) as store, monkeypatch.context() as patch:
         patch.setattr(os, "fsync", full)
@@ -41,7 +41,7 @@ def test_a_full_disk_is_one_line_and_loses_nothing(tmp_path, monkeypatch):
     assert sorted(read_rows(tmp_path)) == ["a", "b", "c"]
 
 
-def test_a_disk_that_fills_amid_a_line_keeps_whole_lines(tmp_path):
+def test_a_row_cut_off_by_a_full_disk_is_removed(tmp_path):
     """With a true limit of the system: a file may grow to so many bytes and no more."""
     import resource
 
@@ -62,7 +62,7 @@ def test_a_disk_that_fills_amid_a_line_keeps_whole_lines(tmp_path):
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may write anywhere")
-def test_a_read_only_folder_is_told(tmp_path):
+def test_a_read_only_output_folder_is_a_usage_error(tmp_path):
     out = tmp_path / "out"
     filled(out)
     out.chmod(0o500)
@@ -73,7 +73,7 @@ def test_a_read_only_folder_is_told(tmp_path):
         out.chmod(0o700)
 
 
-def test_a_folder_that_cannot_be_written_is_told(tmp_path, monkeypatch):
+def test_a_read_only_file_system_is_an_error_that_keeps_finished_rows(tmp_path, monkeypatch):
     def refuse(*_, **__):
         raise OSError(errno.EROFS, os.strerror(errno.EROFS))
 
@@ -90,7 +90,7 @@ def test_a_folder_that_cannot_be_written_is_told(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("jump_s", [-1e9, 1e9, -3600.0])
-def test_a_clock_that_jumps_changes_no_time_and_no_result(tmp_path, monkeypatch, jump_s):
+def test_a_jumping_system_clock_changes_no_deadline_and_no_row(tmp_path, monkeypatch, jump_s):
     from kinebench_drake.suites.worldmodels.http_client import Deadline
 
     true, calls = time.time, iter(range(10**9))

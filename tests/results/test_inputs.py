@@ -14,14 +14,14 @@ def rows(*periods, camera="benchmark"):
     ]
 
 
-def test_one_value_stands_with_its_source():
+def test_a_single_frame_period_and_camera_are_listed_with_their_sources():
     assert input_lines(rows((0.2, "manifest"), (0.2, "manifest"), camera="folder")) == [
         "frame period: 0.2 s, from the manifest",
         "camera: from camera.json",
     ]
 
 
-def test_several_values_stand_with_their_numbers_of_samples_the_most_frequent_first():
+def test_several_frame_periods_are_listed_with_sample_counts_most_frequent_first():
     many = rows((1 / 17, "fps"), (0.2, "manifest"), (0.2, "manifest"), (0.1, "fps"), (0.5, "fps"), (0.25, "fps"))
     assert input_lines(many)[0] == (
         "frame period: 0.2 s, from the manifest (2 x); 0.05882 s, 1 / fps of the file (1 x); "
@@ -31,16 +31,16 @@ def test_several_values_stand_with_their_numbers_of_samples_the_most_frequent_fi
     assert list_inputs(reversed(many)) == list_inputs(many)
 
 
-def test_rows_without_them_are_not_counted():
+def test_rows_without_frame_period_source_or_camera_are_not_listed():
     assert input_lines([row("a"), row("b", extra={"frame_period_s": 0.2})]) == []
 
 
 @pytest.mark.parametrize("source", PeriodSource)
-def test_every_source_of_a_period_is_in_words(source):
+def test_every_frame_period_source_has_a_description(source):
     assert input_lines(rows((0.2, source.value)))[0] != f"frame period: 0.2 s, {source.value}"
 
 
 @pytest.mark.parametrize("source", CameraSource)
-def test_every_source_of_a_camera_is_in_words(source):
+def test_every_camera_source_has_a_description(source):
     (line,) = input_lines([row("a", extra={"camera_source": source.value})])
     assert len(line.split()) > 2

@@ -18,7 +18,7 @@ def _row(id: str, cost: float | None, model: str | None = None, status: Status =
     )
 
 
-def test_robust_scale_runs_between_the_percentiles() -> None:
+def test_robust_scale_runs_from_the_10th_to_the_90th_percentile() -> None:
     values = np.arange(101.0)
     scaled = robust_normalize(values)
     np.testing.assert_allclose(scaled, np.clip((values - 10) / 80, 0, 1))
@@ -26,14 +26,14 @@ def test_robust_scale_runs_between_the_percentiles() -> None:
     np.testing.assert_array_equal(robust_normalize([1.0, np.nan, 3.0]), [0.0, np.nan, 1.0])
 
 
-def test_robust_scale_of_equal_values_is_the_middle() -> None:
+def test_robust_scale_maps_equal_values_to_one_half() -> None:
     np.testing.assert_array_equal(robust_normalize([2.0, 2.0]), [0.5, 0.5])
     np.testing.assert_array_equal(robust_normalize([1.0] + 40 * [2.0] + [7.0]), [0.0] + 40 * [0.5] + [1.0])
     assert len(robust_normalize([])) == 0
     assert np.isnan(robust_normalize([np.nan])).all()
 
 
-def test_a_run_is_put_on_the_scale_of_its_own_samples() -> None:
+def test_a_run_is_normalized_by_the_percentiles_of_its_measured_samples() -> None:
     rows = [_row(str(k), float(k), "a" if k < 51 else "b") for k in range(101)]
     rows += [_row("none", None), _row("broken", 1e9, status=Status.ERROR)]
     found = normalize_run(rows)["manipulability_cost_mean"]
@@ -54,5 +54,5 @@ def test_a_run_is_put_on_the_scale_of_its_own_samples() -> None:
     )
 
 
-def test_one_sample_spans_no_scale() -> None:
+def test_a_run_of_one_value_is_not_normalized() -> None:
     assert normalize_run([_row("a", 1.0), _row("b", None)]) == {}

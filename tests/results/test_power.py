@@ -55,7 +55,7 @@ def test_unpaired_episodes_detect_the_difference_as_often_as_planned() -> None:
     assert np.mean([fisher_exact(table).pvalue < 0.05 for table in tables]) == pytest.approx(0.8, abs=0.045)
 
 
-def test_published_numbers() -> None:
+def test_unpaired_episodes_equal_the_published_sample_sizes_of_fleiss() -> None:
     """Fleiss, Levin and Paik 2003, table A.4 (two-sided 0.05, power 0.8), with their continuity correction."""
     for success, difference, n in ((0.5, 0.1, 408), (0.1, 0.1, 219), (0.25, 0.25, 66)):
         assert PowerDesign(success=success, difference=difference).unpaired_episodes() == pytest.approx(n, abs=1)
@@ -73,7 +73,7 @@ def test_more_samples_and_more_correlation_need_fewer_episodes() -> None:
 
 
 @pytest.mark.parametrize(("samples", "seed"), [(1, 0), (1, 1), (4, 2)])
-def test_the_least_difference_is_that_which_as_many_episodes_detect(samples: int, seed: int) -> None:
+def test_the_least_difference_is_detected_with_the_planned_power(samples: int, seed: int) -> None:
     rng = np.random.default_rng(seed)
     design = PowerDesign(success=0.5, difference=1e-9, samples=samples, icc=0.6, correlation=0.3)
     x = least_difference(simulate(design, 120, rng))
@@ -83,7 +83,7 @@ def test_the_least_difference_is_that_which_as_many_episodes_detect(samples: int
     assert detected == pytest.approx(0.8, abs=0.1)  # the variance is an estimate from 120 episodes
 
 
-def test_few_episodes_show_no_difference() -> None:
+def test_fewer_than_six_discordant_episodes_have_no_least_difference() -> None:
     def equal(n: int) -> PairedShares:
         return PairedShares(first=np.ones(n), second=np.ones(n))
 
@@ -106,6 +106,6 @@ def test_few_episodes_show_no_difference() -> None:
         ({"samples": 2, "correlation": 0.6}, "agree no more than two samples of one model"),
     ],
 )
-def test_impossible_assumptions_are_usage_errors(changes: dict[str, float], message: str) -> None:
+def test_power_design_values_out_of_range_are_usage_errors(changes: dict[str, float], message: str) -> None:
     with pytest.raises(UsageError, match=message):
         PowerDesign(**{"success": 0.5, "difference": 0.1, **changes})

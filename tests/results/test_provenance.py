@@ -57,25 +57,25 @@ def package(tmp_path, monkeypatch):
         ("report/page.py", "", "WIDTH = 3", False),
     ],
 )
-def test_rows_are_measured_again_where_code_changed_that_they_depend_on(package, name, old, new, counts):
+def test_the_code_hash_changes_with_code_and_not_with_comments_or_docstrings(package, name, old, new, counts):
     before = package()
     assert package() == before
     text = SOURCES[name].replace(old, new) if old else new
     assert (package(name, text) != before) is counts
 
 
-def test_another_import_brings_other_code(package):
+def test_the_code_hash_changes_with_a_new_import(package):
     before = package()
     assert package("runs/score.py", SOURCES["runs/score.py"] + "import kinebench_drake.kinematics.unused\n") != before
 
 
-def test_a_damaged_cache_changes_nothing(package, tmp_path):
+def test_the_code_hash_is_the_same_with_a_damaged_cache(package, tmp_path):
     before = package()
     (tmp_path / "cache" / "kinebench_drake" / "sources.json").write_text('{"a": 3}')
     assert package() == before
 
 
-def test_each_kind_of_run_depends_on_its_own_code():
+def test_each_run_kind_has_its_own_code_hash():
     assert len({code_hash(run) for run in RUNS}) == len(RUNS)
     names = {source.name for source in provenance.trace_sources("kinebench_drake.runs.audit")}
     assert "kinebench_drake.kinematics.ik" in names
@@ -84,5 +84,5 @@ def test_each_kind_of_run_depends_on_its_own_code():
     }
 
 
-def test_the_host_tells_whether_the_networks_compute_in_bfloat16():
+def test_the_host_record_states_whether_networks_compute_in_bfloat16():
     assert provenance.host()["bfloat16"] is supports_bfloat16(torch.device("cpu"))

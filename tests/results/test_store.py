@@ -32,7 +32,7 @@ def row(id="a", status=Status.OK, **changes):
     )
 
 
-def test_rows_survive_the_file(tmp_path):
+def test_rows_round_trip_through_samples_jsonl_with_infinity_as_null(tmp_path):
     violation = {"kind": "jerk", "frame_start": 1, "frame_end": 2, "joint": 3, "value": float("inf"), "limit": 1.0}
     first = row(extra={"frames": 9, "camera_source": "folder"}, violations=(violation,))
     with ResultStore(tmp_path) as store:
@@ -44,7 +44,7 @@ def test_rows_survive_the_file(tmp_path):
     assert dump(read.to_json()) == dump(first.to_json())
 
 
-def test_rows_kept_share_their_texts(tmp_path):
+def test_rows_in_memory_share_equal_strings(tmp_path):
     """As they come from worker processes each has its own copy of every name: most of a row's memory."""
     told = row(
         metrics={"sparc": -1.5},
@@ -66,7 +66,7 @@ def test_rows_kept_share_their_texts(tmp_path):
 
 
 @pytest.mark.parametrize("folder", ["overlays", "videos"])
-def test_what_a_killed_writer_of_films_leaves_is_swept(tmp_path, monkeypatch, folder):
+def test_partial_videos_of_a_killed_worker_are_removed(tmp_path, monkeypatch, folder):
     """A worker that is lost half-way leaves part of a film; the run goes on with another and ends."""
     left = []
     (tmp_path / folder).mkdir()
@@ -84,7 +84,7 @@ def test_what_a_killed_writer_of_films_leaves_is_swept(tmp_path, monkeypatch, fo
 
 
 @pytest.mark.parametrize("overwrite", [False, True])
-def test_the_folder_of_a_killed_world_model_is_swept(tmp_path, overwrite):
+def test_the_work_folder_of_a_killed_world_model_is_removed(tmp_path, overwrite):
     """A program works in a folder of its own, named as unfinished files are."""
     left = tmp_path / "videos" / ".7.part.abc"
     left.mkdir(parents=True)
@@ -96,14 +96,14 @@ def test_the_folder_of_a_killed_world_model_is_swept(tmp_path, overwrite):
         assert (tmp_path / "mine").is_dir()
 
 
-def test_rows_hold_strict_json_only():
+def test_rows_are_strict_json_without_nan():
     assert "NaN" not in dump(row(metrics={"a": [float("nan"), {"b": float("inf")}]}).to_json())
     with pytest.raises(ValueError, match="not JSON compliant"):
         dump({"a": float("nan")})
 
 
 @pytest.mark.parametrize("torn", ["{", '{"id": "b", "status": "ok"', '{"id": "b", "vid\n', "\0\0\0\0"])
-def test_a_torn_last_line_is_dropped(tmp_path, torn):
+def test_a_torn_last_line_is_dropped_on_resume(tmp_path, torn):
     with ResultStore(tmp_path) as store:
         store.append(row("a"), 0.1)
     with (tmp_path / results.SAMPLES).open("a") as file:
@@ -116,12 +116,12 @@ def test_a_torn_last_line_is_dropped(tmp_path, torn):
 
 
 @pytest.mark.parametrize("id", ["", "../victim", "a/b", "/etc/passwd", "..", ".hidden", "a\0b"])
-def test_an_id_that_is_no_file_name_is_no_row(id):
+def test_a_row_whose_id_is_no_file_name_is_refused(id):
     with pytest.raises(InputError, match="is no file name"):
         SampleRow.from_json({**row("a").to_json(), "id": id})
 
 
-def test_a_broken_line_in_the_middle_is_told(tmp_path):
+def test_a_broken_line_in_the_middle_is_refused_without_overwrite(tmp_path):
     (tmp_path / results.SAMPLES).write_text("garbage\n" + dump(row().to_json()))
     with pytest.raises(InputError, match="line 1 is broken"):
         read_rows(tmp_path)
@@ -131,7 +131,7 @@ def test_a_broken_line_in_the_middle_is_told(tmp_path):
         assert not store.rows
 
 
-def test_rows_end_up_sorted_and_timings_apart(tmp_path):
+def test_finished_rows_are_sorted_by_id_and_hold_no_timings(tmp_path):
     with ResultStore(tmp_path) as store:
         for id in "cab":
             store.append(row(id), 0.123)
@@ -143,21 +143,21 @@ def test_rows_end_up_sorted_and_timings_apart(tmp_path):
     assert [t["id"] for t in timings] == ["c", "a", "b"]
 
 
-def test_only_one_run_at_a_time(tmp_path):
+def test_a_second_run_in_the_same_output_folder_is_refused(tmp_path):
     with ResultStore(tmp_path), pytest.raises(UsageError, match="another run"):
         ResultStore(tmp_path)
     with ResultStore(tmp_path):
         pass
 
 
-def test_a_folder_that_cannot_be_written_is_a_usage_error(tmp_path):
+def test_an_output_path_that_is_a_file_is_a_usage_error(tmp_path):
     (tmp_path / "file").touch()
     for out in (tmp_path / "file", tmp_path / "file" / "below"):
         with pytest.raises(UsageError, match="cannot be written"):
             ResultStore(out)
 
 
-def test_overwrite_removes_what_runs_wrote_and_nothing_else(tmp_path):
+def test_overwrite_removes_only_files_written_by_runs(tmp_path):
     for name in ("tracks/a.npz", "overlays/a.mp4", "thumbnails/a.jpg", "tracks/.7.part.b.npz", "report.html"):
         (tmp_path / name).parent.mkdir(exist_ok=True)
         (tmp_path / name).touch()
@@ -168,7 +168,7 @@ def test_overwrite_removes_what_runs_wrote_and_nothing_else(tmp_path):
     assert left == {"tracks/mine.txt", "notes.md", "samples.jsonl"}
 
 
-def test_a_full_disk_leaves_the_rows_as_they_were(tmp_path, monkeypatch):
+def test_a_full_disk_leaves_samples_jsonl_unchanged(tmp_path, monkeypatch):
     with ResultStore(tmp_path) as store:
         store.append(row("a"), 0.1)
         before = (tmp_path / results.SAMPLES).read_bytes()
@@ -186,7 +186,7 @@ def test_a_full_disk_leaves_the_rows_as_they_were(tmp_path, monkeypatch):
     assert not list(tmp_path.glob(".*.part"))
 
 
-def test_a_file_that_cannot_be_dropped_is_one_line(tmp_path, monkeypatch):
+def test_an_artifact_that_cannot_be_deleted_is_a_setup_error(tmp_path, monkeypatch):
     with ResultStore(tmp_path) as store:
         store.append(row("a"), 0.1)
         (tmp_path / "tracks").mkdir()
@@ -195,7 +195,7 @@ def test_a_file_that_cannot_be_dropped_is_one_line(tmp_path, monkeypatch):
             store.keep_rows(lambda _: False)
 
 
-def test_atomic_files_are_whole_or_absent(tmp_path, monkeypatch):
+def test_a_failed_atomic_write_keeps_the_old_file_and_leaves_no_other(tmp_path, monkeypatch):
     write_atomically(tmp_path / "a", b"old")
     monkeypatch.setattr(results.os, "replace", lambda *_: (_ for _ in ()).throw(OSError(errno.EIO, "I/O error")))
     with pytest.raises(SetupError, match="I/O error"):
@@ -213,7 +213,7 @@ def make_track(n=5):
     )
 
 
-def test_tracks_survive_the_file_with_the_same_bytes(tmp_path):
+def test_tracks_round_trip_and_equal_tracks_have_equal_bytes(tmp_path):
     track = make_track()
     write_track(tmp_path / "a.npz", track, None, {})
     write_track(tmp_path / "b.npz", track, None, {})
@@ -229,7 +229,7 @@ def test_tracks_survive_the_file_with_the_same_bytes(tmp_path):
         assert {"t_s", "camera_from_hand", "base_from_tcp", "tracked", "q", "ik_ok"} <= set(archive.files)
 
 
-def test_damaged_track_files_are_told(tmp_path):
+def test_damaged_or_absent_track_files_are_refused(tmp_path):
     write_track(tmp_path / "a.npz", make_track(), None, {})
     (tmp_path / "b.npz").write_bytes((tmp_path / "a.npz").read_bytes()[:200])
     for name in ("b.npz", "absent.npz"):
@@ -255,7 +255,7 @@ def test_bootstrap_interval_covers_the_mean_about_as_often_as_it_says():
     assert 0.88 <= hits / 200 <= 0.99
 
 
-def test_a_bootstrap_in_parts_gives_the_same_numbers_in_less_memory(monkeypatch):
+def test_a_chunked_bootstrap_gives_the_same_estimate_in_less_memory(monkeypatch):
     values = [float(v) for v in np.random.default_rng(1).normal(size=701)]
     whole = estimate(values, total=701, seed=4)
     monkeypatch.setattr("kinebench_drake.stats._AT_ONCE", 10_000)
@@ -266,7 +266,7 @@ def test_a_bootstrap_in_parts_gives_the_same_numbers_in_less_memory(monkeypatch)
     assert peak < 2000 * 701 * 8 / 4
 
 
-def test_estimates_of_little():
+def test_means_of_no_values_are_null_and_intervals_of_one_value_or_equal_values_are_null():
     assert estimate([], total=3).mean is None
     assert estimate([None, float("nan")], total=3).n == 0
     one = estimate([2.0], total=3)
@@ -275,7 +275,7 @@ def test_estimates_of_little():
     assert (same.mean, same.low, same.high) == (2.0, None, None)
 
 
-def test_aggregates_count_everything_and_average_only_what_was_measured():
+def test_aggregates_count_all_samples_and_average_only_measured_ones():
     vanish = [{"kind": "vanish", "frame_start": 1, "frame_end": 2, "severity": 1.0}] * 2
     rows = [
         row("a", metrics={"sparc": -1.0, "anomalies": vanish}, model="m"),
@@ -294,7 +294,7 @@ def test_aggregates_count_everything_and_average_only_what_was_measured():
     assert {name: len(group) for name, group in split_rows(rows, "model").items()} == {"m": 2, "n": 1}
 
 
-def test_no_empty_folders(tmp_path):
+def test_an_output_folder_has_no_empty_subfolders(tmp_path):
     with ResultStore(tmp_path) as store:
         assert [p.name for p in tmp_path.iterdir()] == ["samples.jsonl"]
         (tmp_path / "videos").mkdir()  # of a world model that gave none
@@ -308,7 +308,7 @@ def _long(id):
     return row(id, details=details, metrics=metrics, null_reasons={"sparc": f"none of {id}"}, extra={"seed": 7})
 
 
-def test_stored_rows_take_a_fraction_of_their_file(tmp_path):
+def test_rows_in_memory_are_a_fraction_of_the_size_of_samples_jsonl(tmp_path):
     """Details stay in the file until they are asked for."""
     ids = [f"{k:03d}" for k in range(300)]
     with ResultStore(tmp_path) as store:
@@ -341,7 +341,7 @@ def test_rows_stay_readable_while_their_file_is_sorted_and_replaced(tmp_path):
         assert pickle.loads(pickle.dumps(store.rows["c"])) == _long("c")
 
 
-def test_a_file_of_sorted_rows_is_not_written_again(tmp_path):
+def test_a_sorted_samples_jsonl_is_not_rewritten(tmp_path):
     with ResultStore(tmp_path) as store:
         for id in "ba":
             store.append(_long(id), 0.1)

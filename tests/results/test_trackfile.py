@@ -34,7 +34,7 @@ def joints(track):
     )
 
 
-def test_curves_and_statuses_survive_whatever_their_order(tmp_path, track, joints):
+def test_curves_and_ik_statuses_round_trip_and_bytes_ignore_the_order_of_curves(tmp_path, track, joints):
     curves = {"torque": np.arange(7.0 * N).reshape(N, 7), "manipulability": np.full(N, np.nan)}
     write_track(tmp_path / "a.npz", track, joints, curves)
     write_track(tmp_path / "b.npz", track, joints, dict(reversed(curves.items())))
@@ -49,14 +49,14 @@ def test_curves_and_statuses_survive_whatever_their_order(tmp_path, track, joint
     np.testing.assert_array_equal(file.ik_ok, joints.ok)
 
 
-def test_a_video_without_joints_has_neither_status_nor_curves(tmp_path, track):
+def test_a_track_file_without_joints_has_neither_ik_status_nor_curves(tmp_path, track):
     write_track(tmp_path / "a.npz", track, None, {})
     file = read_track(tmp_path / "a.npz")
     assert file.status is None
     assert file.curves == {}
 
 
-def test_curves_cannot_hide_the_track(tmp_path, track, joints):
+def test_curves_named_like_track_arrays_do_not_replace_them(tmp_path, track, joints):
     write_track(tmp_path / "a.npz", track, joints, {"q": np.zeros((N, 7)), "t_s": np.zeros(N)})
     file = read_track(tmp_path / "a.npz")
     np.testing.assert_array_equal(file.q, joints.q)
@@ -64,13 +64,13 @@ def test_curves_cannot_hide_the_track(tmp_path, track, joints):
 
 
 @pytest.mark.parametrize("shape", [(), (N + 1,), (N, 6), (7, N)])
-def test_curves_of_another_shape_are_told(tmp_path, track, shape):
+def test_curves_of_a_wrong_shape_are_refused_and_nothing_is_written(tmp_path, track, shape):
     with pytest.raises(InputError, match="torque"):
         write_track(tmp_path / "a.npz", track, None, {"torque": np.zeros(shape)})
     assert not (tmp_path / "a.npz").exists()
 
 
-def test_files_without_statuses_can_be_read(tmp_path, track):
+def test_track_files_without_ik_statuses_can_be_read(tmp_path, track):
     write_track(tmp_path / "new.npz", track, None, {"manipulability": np.ones(N)})
     with np.load(tmp_path / "new.npz") as new:
         np.savez(tmp_path / "old.npz", **{**new, "joint_margin": np.zeros(N)})

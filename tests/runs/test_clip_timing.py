@@ -67,14 +67,16 @@ def test_49_and_150_frames_have_the_same_metrics(analyzer: Tools, motion: PchipI
     assert long.metrics["slowdown_min"] == pytest.approx(short.metrics["slowdown_min"], rel=0.1)
 
 
-def test_without_noise_the_smoothness_is_that_of_the_motion(analyzer: Tools, motion: PchipInterpolator) -> None:
+def test_without_noise_smoothness_is_the_same_for_49_and_150_frames(analyzer: Tools, motion: PchipInterpolator) -> None:
     """Frames at their own times; at times rounded to the period LDLJ would be off by 0.4 to 1.4."""
     short, long = sampled(analyzer, motion, 49, noise=0.0), sampled(analyzer, motion, 150, noise=0.0)
     assert long.metrics["sparc"] == pytest.approx(short.metrics["sparc"], abs=0.05)
     assert long.metrics["ldlj"] == pytest.approx(short.metrics["ldlj"], abs=0.2)
 
 
-def test_150_frames_at_the_period_of_49_are_another_motion(analyzer: Tools, motion: PchipInterpolator) -> None:
+def test_150_frames_at_the_frame_period_of_49_have_different_metrics(
+    analyzer: Tools, motion: PchipInterpolator
+) -> None:
     """What uniform timing is for: the same frames, played at one frame period each, are a third as fast."""
     short = sampled(analyzer, motion, 49)
     slow = judge(analyzer, motion, 150, FRAME_PERIOD_S * np.arange(150), np.arange(150))

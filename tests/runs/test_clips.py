@@ -1,4 +1,4 @@
-"""Clips judged one by one and put together: the step between two of them is nobody's motion."""
+"""Clips judged one by one and combined: the jump between two of them is no motion."""
 
 from dataclasses import replace
 
@@ -37,19 +37,19 @@ def judged(analyzer, *clips):
     return combine(clips, [analyzer.judge(c) for c in clips])
 
 
-def test_one_clip_is_judged_as_it_is(analyzer):
+def test_combining_a_single_clip_leaves_its_judgement_unchanged(analyzer):
     alone, combined = analyzer.judge(clip()), judged(analyzer, clip())
     assert combined.metrics == alone.metrics
     assert combined.violations == alone.violations
 
 
-def test_a_step_between_clips_is_no_violation(analyzer):
+def test_a_jump_of_the_pose_between_clips_is_no_violation(analyzer):
     clips = clip(), clip(shift=(0.0, -0.1, 0.15))  # the second begins 25 cm from where the first ends
     assert judged(analyzer, *clips).feasible is True
     assert analyzer.judge(join_tracks(clips)).feasible is False
 
 
-def test_extremes_count_and_integrals_add_up(analyzer):
+def test_extremes_are_taken_integrals_summed_and_smoothness_averaged_over_clips(analyzer):
     slow, fast = clip(reach=0.05), clip(reach=0.25)
     a, b, both = analyzer.judge(slow).metrics, analyzer.judge(fast).metrics, judged(analyzer, slow, fast).metrics
     assert both.keys() == a.keys()
@@ -60,7 +60,7 @@ def test_extremes_count_and_integrals_add_up(analyzer):
     assert both["sparc"] == pytest.approx((a["sparc"] + b["sparc"]) / 2)
 
 
-def test_frames_are_counted_through(analyzer):
+def test_frame_numbers_of_violations_continue_across_clips(analyzer):
     down = clip(shift=(0.0, 0.0, -0.5))  # through the table
     alone, both = analyzer.judge(down), judged(analyzer, clip(), down)
     assert both.feasible is False
@@ -73,7 +73,7 @@ def test_frames_are_counted_through(analyzer):
     assert all(len(curve) == 2 * N - 1 for curve in both.curves.values())
 
 
-def test_a_clip_that_was_not_seen_leaves_the_verdict_open(analyzer):
+def test_a_clip_without_a_track_leaves_the_verdict_undecided(analyzer):
     both = judged(analyzer, clip(), clip(seen=1))
     assert both.feasible is None
     assert both.metrics["slowdown_min"] is None
@@ -82,7 +82,7 @@ def test_a_clip_that_was_not_seen_leaves_the_verdict_open(analyzer):
     assert both.metrics["manipulability_mean"] < analyzer.judge(clip()).metrics["manipulability_mean"]
 
 
-def test_join_trackss_leave_out_what_is_seen_twice():
+def test_join_tracks_drops_the_frame_shared_by_consecutive_clips():
     one, other = clip(), replace(clip(), finger_width_m=np.full(N, 0.01))
     joined = join_tracks([one, other])
     assert joined.finger_width_m.tolist() == [0.04] * N + [0.01] * (N - 1)

@@ -19,7 +19,7 @@ def sample(tmp_path) -> VideoSample:
     return find_samples(tmp_path).samples[0]
 
 
-def test_an_episode_tells_where_its_robot_begins(sample: VideoSample) -> None:
+def test_task_and_seed_of_an_episode_determine_its_initial_state(sample: VideoSample) -> None:
     (told,) = with_initial_states([replace(sample, task="PullCube-v1", seed=7)])
     assert told.initial_state is not None
     np.testing.assert_allclose(told.initial_state.X_BG, ArmPlant().forward(start_q("PullCube-v1", 7)[:7]), atol=1e-12)
@@ -27,12 +27,14 @@ def test_an_episode_tells_where_its_robot_begins(sample: VideoSample) -> None:
 
 
 @pytest.mark.parametrize(("task", "seed"), [("PullCube-v1", None), (None, 3), ("Juggle-v1", 3)])
-def test_nothing_is_told_of_what_is_no_episode(sample: VideoSample, task: str | None, seed: int | None) -> None:
+def test_a_sample_without_task_or_seed_has_no_initial_state(
+    sample: VideoSample, task: str | None, seed: int | None
+) -> None:
     (told,) = with_initial_states([replace(sample, task=task, seed=seed)])
     assert told.initial_state is None
 
 
-def test_what_the_manifest_says_goes_before(sample: VideoSample) -> None:
+def test_the_initial_state_of_a_manifest_has_precedence(sample: VideoSample) -> None:
     own = InitialState(X_BG=np.eye(4))
     (told,) = with_initial_states([replace(sample, task="PullCube-v1", seed=7, initial_state=own)])
     assert told.initial_state is own

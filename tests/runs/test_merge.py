@@ -1,4 +1,4 @@
-"""Merging: what the shards of a run left behind, put together, is what one run would have left behind."""
+"""Merging: merged shards equal the output of one run."""
 
 import json
 from dataclasses import replace
@@ -103,7 +103,7 @@ def shards(tmp_path):
     return [tmp_path / f"part{k}" for k in (1, 2, 3)]
 
 
-def test_merged_shards_are_what_one_run_leaves_behind(shards, tmp_path):
+def test_merged_shards_equal_one_run_except_for_jobs_and_host(shards, tmp_path):
     before = [content(path, but=()) for path in shards]
     ear = Ear()
     summary = merge_folders(shards, tmp_path / "out", ear)
@@ -121,7 +121,7 @@ def test_merged_shards_are_what_one_run_leaves_behind(shards, tmp_path):
     assert [content(path, but=()) for path in shards] == before
 
 
-def test_shards_of_like_machines_give_the_same_bytes(tmp_path):
+def test_merged_shards_of_equal_machines_equal_one_run_byte_by_byte(tmp_path):
     fill(tmp_path / "whole", header(), map(sample, IDS))
     parts = [fill(tmp_path / f"p{k}", header(shard=f"{k}/2"), map(sample, IDS[k - 1 :: 2])) for k in (1, 2)]
     merge_folders(parts, tmp_path / "out")
@@ -130,13 +130,13 @@ def test_shards_of_like_machines_give_the_same_bytes(tmp_path):
     assert sorted(timed) == IDS
 
 
-def test_a_copy_that_changes_does_not_change_the_shard(shards, tmp_path):
+def test_changing_a_merged_file_leaves_the_shard_unchanged(shards, tmp_path):
     merge_folders(shards, tmp_path / "out")
     artifact_path(tmp_path / "out", "rollouts", "a").write_text("changed in place")
     assert artifact_path(shards[0], "rollouts", "a").read_text() == "rollouts a"
 
 
-def test_absent_shards_are_told_and_come_later(shards, tmp_path):
+def test_absent_shards_are_warned_about_and_can_be_merged_later(shards, tmp_path):
     ear, out = Ear(), tmp_path / "out"
     merge_folders([shards[0], shards[2]], out, ear)
     assert ear.warnings == ["2 of 7 samples are absent: no folder is of shard 2/3"]
@@ -148,7 +148,7 @@ def test_absent_shards_are_told_and_come_later(shards, tmp_path):
     assert content(out) == content(tmp_path / "at_once")
 
 
-def test_of_a_stopped_run_what_is_finished_is_taken(tmp_path):
+def test_only_finished_rows_of_an_interrupted_run_are_merged(tmp_path):
     one = fill(tmp_path / "one", header(shard="1/2"), map(sample, IDS[::2]))
     two = fill(tmp_path / "two", header(shard="2/2"), [sample("b")], finished=False)
     with (two / "samples.jsonl").open("a") as file:
@@ -164,7 +164,7 @@ def test_of_a_stopped_run_what_is_finished_is_taken(tmp_path):
     assert not (tmp_path / "out" / "videos" / "c_r0.mp4").exists()
 
 
-def test_a_merge_that_was_killed_is_done_again(shards, tmp_path, monkeypatch):
+def test_an_interrupted_merge_can_be_repeated(shards, tmp_path, monkeypatch):
     out = tmp_path / "out"
     merge_folders(shards, tmp_path / "at_once")
     with monkeypatch.context() as patch:
@@ -177,7 +177,7 @@ def test_a_merge_that_was_killed_is_done_again(shards, tmp_path, monkeypatch):
     assert content(out) == content(tmp_path / "at_once")
 
 
-def test_the_same_sample_twice(tmp_path):
+def test_duplicate_samples_prefer_results_over_errors_and_contradictions_are_refused(tmp_path):
     one = fill(tmp_path / "one", header(), [sample("a"), failed("b", "killed"), failed("c")])
     two = fill(tmp_path / "two", header(), [sample("a"), sample("b"), failed("c")])
     for order in ([one, two], [two, one]):
@@ -204,7 +204,7 @@ def test_the_same_sample_twice(tmp_path):
         ({"schema_version": 0}, "schema_version 0, this program writes 2"),
     ],
 )
-def test_other_runs_are_refused(tmp_path, changes, told):
+def test_shards_of_different_runs_are_refused(tmp_path, changes, told):
     one = fill(tmp_path / "one", header(), [sample("a")])
     two = fill(tmp_path / "two", header(**changes), [sample("b")])
     with pytest.raises(UsageError, match=told) as error:
@@ -217,7 +217,7 @@ def test_other_runs_are_refused(tmp_path, changes, told):
             merge_folders([two], tmp_path / "out")
 
 
-def test_what_cannot_be_merged(tmp_path):
+def test_invalid_shard_and_output_folders_are_refused(tmp_path):
     one = fill(tmp_path / "one", header(), [sample("a")])
     mine = tmp_path / "mine"
     mine.mkdir()
@@ -242,7 +242,7 @@ def test_what_cannot_be_merged(tmp_path):
     assert not (tmp_path / "out").exists()
 
 
-def test_only_the_worst_have_replays_as_in_one_run(tmp_path):
+def test_merged_runs_keep_replays_of_the_worst_samples_only(tmp_path):
     facts = header("audit", replays=2)
     parts = [
         fill(
@@ -261,14 +261,14 @@ def test_only_the_worst_have_replays_as_in_one_run(tmp_path):
     assert sorted(path.stem for path in (tmp_path / "out" / "replays").iterdir()) == worst
 
 
-def test_a_file_that_cannot_be_read_is_not_told_as_a_full_disk(tmp_path):
+def test_an_unreadable_file_is_reported_as_a_read_error(tmp_path):
     sick = Path("/proc/self/mem")  # opens, but reading its beginning fails, as on a disk with a bad sector
     with pytest.raises(UsageError, match="mem: cannot be read"):
         _copy(sick, tmp_path / "copy")
     assert list(tmp_path.iterdir()) == []
 
 
-def test_lost_files_and_unlike_versions_are_told(tmp_path):
+def test_absent_track_files_and_different_versions_are_warned_about(tmp_path):
     one = fill(tmp_path / "one", header(), [sample("a"), sample("c")])
     two = fill(tmp_path / "two", header(versions={"drake": "1.52"}), [sample("b")])
     artifact_path(one, "tracks", "c").unlink()
@@ -288,14 +288,14 @@ def test_merging_again_changes_nothing(tmp_path):
     assert content(tmp_path / "out") == before
 
 
-def test_an_extended_merge_names_no_shard_that_it_may_hold(shards, tmp_path):
+def test_an_extended_merge_warns_of_absent_samples_without_naming_shards(shards, tmp_path):
     merge_folders([shards[0]], tmp_path / "out")
     ear = Ear()
     merge_folders([shards[2]], tmp_path / "out", ear)
     assert ear.warnings == ["2 of 7 samples are absent"]
 
 
-def test_first_frames_of_episodes_that_wait_are_merged(tmp_path):
+def test_first_frames_of_pending_episodes_are_merged(tmp_path):
     def waiting(id):
         asked = {"id": f"{id}_r1", "video": f"{id}_r1.mp4", "first_frame": f"{id}_r1.png"}
         return sample(
@@ -314,7 +314,7 @@ def test_first_frames_of_episodes_that_wait_are_merged(tmp_path):
     assert [json.loads(line)["id"] for line in lines] == ["a_r1", "c_r1"]
 
 
-def test_headers_survive_their_file(tmp_path):
+def test_run_metadata_round_trips_through_its_file(tmp_path):
     out = fill(tmp_path / "out", header(), [sample("a")], finished=False)
     found = read_metadata(out)
     assert (found.run, found.finished) == (header(), False)

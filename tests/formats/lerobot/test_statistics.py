@@ -3,7 +3,7 @@ import numpy as np
 from kinebench_drake.formats.lerobot.statistics import histogram_statistics, row_statistics
 
 
-def test_histograms_have_the_statistics_of_the_pixels() -> None:
+def test_histogram_statistics_equal_those_of_the_pixels() -> None:
     pixels = np.random.default_rng(0).integers(3, 250, (1000, 3))
     counts = np.stack([np.bincount(pixels[:, c], minlength=256) for c in range(3)])
     rows, levels = row_statistics(pixels / 255.0), histogram_statistics(counts, 7)

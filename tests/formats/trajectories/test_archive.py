@@ -18,7 +18,7 @@ def read(path, **choice):
     return read_trajectory(sample, chosen)
 
 
-def test_poses_survive_the_file(archive, t_s, X_BG):
+def test_poses_round_trip_through_an_npz_file(archive, t_s, X_BG):
     found = read(archive(t_s=t_s, base_from_tcp=X_BG, finger_width_m=np.full(len(t_s), 0.03)))
     np.testing.assert_array_equal(found.t_s, t_s)
     np.testing.assert_allclose(found.X_BG, X_BG, atol=1e-15)
@@ -27,14 +27,14 @@ def test_poses_survive_the_file(archive, t_s, X_BG):
     assert set(found.finger_width_m) == {0.03}
 
 
-def test_joint_angles_survive_the_file(archive, t_s, q):
+def test_joint_angles_round_trip_through_an_npz_file(archive, t_s, q):
     found = read(archive(t_s=t_s, q=q))
     np.testing.assert_array_equal(found.q, q)
     assert (found.X_BG, found.columns, found.warnings) == (None, "q", ())
     assert np.isnan(found.finger_width_m).all()
 
 
-def test_joint_angles_go_before_poses_unless_told(archive, t_s, q, X_BG):
+def test_joint_angles_have_precedence_over_poses_unless_an_option_names_the_array(archive, t_s, q, X_BG):
     path = archive(t_s=t_s, q=q, base_from_tcp=X_BG, other=X_BG + 0.0)
     assert read(path).columns == "q"
     assert "$poses base_from_tcp" in read(path).warnings[0]
@@ -64,14 +64,14 @@ def test_a_track_of_an_output_folder_is_judged_by_its_poses(tmp_path, t_s, X_BG)
     np.testing.assert_array_equal(found.finger_width_m, track.finger_width_m)
 
 
-def test_a_rate_replaces_the_times(archive, q):
+def test_the_rate_option_replaces_the_times_of_the_file(archive, q):
     np.testing.assert_array_equal(read(archive(q=q), rate_hz=10.0).t_s, np.arange(len(q)) / 10.0)
     with pytest.raises(InputError, match=r"no times t_s; add them, or give .rate_hz HZ"):
         read(archive(q=q))
 
 
 @pytest.mark.parametrize(("rate_hz", "decimals"), [(240, 3), (30, 3), (3000, 6)])
-def test_even_times_are_freed_of_rounding(archive, q, rate_hz, decimals):
+def test_rounded_even_times_are_made_even(archive, q, rate_hz, decimals):
     times = np.arange(len(q)) / rate_hz
     found = read(archive(t_s=times.round(decimals), q=q)).t_s
     assert np.ptp(np.diff(found)) < 1e-12
@@ -81,7 +81,7 @@ def test_even_times_are_freed_of_rounding(archive, q, rate_hz, decimals):
     assert rate_hz > 1000 or np.ptp(np.diff(read(archive(t_s=single, q=q)).t_s)) < 1e-12
 
 
-def test_even_times_are_freed_of_single_precision(archive, q):
+def test_even_times_in_single_precision_are_made_even(archive, q):
     times = np.arange(len(q)) / 30.0 + 200.0
     steps = np.diff(read(archive(t_s=times.astype(np.float32), q=q)).t_s)
     assert np.ptp(np.diff(times.astype(np.float32))) > 1e-6
@@ -89,7 +89,7 @@ def test_even_times_are_freed_of_single_precision(archive, q):
     np.testing.assert_allclose(steps, 1 / 30.0, rtol=1e-5)
 
 
-def test_clocks_that_count_from_1970_are_shifted(archive, t_s, q):
+def test_unix_times_are_shifted_to_start_at_0_with_a_warning(archive, t_s, q):
     found = read(archive(t_s=1.7e9 + t_s, q=q))
     assert found.t_s[0] == 0.0
     assert "shifted" in found.warnings[0]
@@ -131,18 +131,18 @@ def damaged(tmp_path, archive, t_s, q, kind):
         ("no header", "not a readable npz archive"),
     ],
 )
-def test_damaged_files_are_one_line(tmp_path, archive, t_s, q, kind, told):
+def test_damaged_files_are_refused_in_one_line(tmp_path, archive, t_s, q, kind, told):
     with pytest.raises(InputError, match=told) as caught:
         read(damaged(tmp_path, archive, t_s, q, kind))
     assert "\n" not in str(caught.value)
     assert str(tmp_path) not in str(caught.value)
 
 
-def test_an_archive_of_something_else_says_what_it_holds(archive):
+def test_an_archive_without_trajectory_is_refused_with_the_names_of_its_arrays(archive):
     with pytest.raises(InputError, match=r"the arrays frames, expected t_s and base_from_tcp \(T,4,4\) or q"):
         read(archive(frames=np.zeros((3, 8, 8, 3), dtype=np.uint8)))
 
 
-def test_a_single_frame_cannot_be_measured(archive):
+def test_a_trajectory_of_a_single_frame_is_unmeasurable(archive):
     with pytest.raises(UnmeasurableError, match="1 frame, a path needs at least 2"):
         read(archive(t_s=np.zeros(1), q=np.zeros((1, 7))))

@@ -1,4 +1,4 @@
-"""Each kind of bad number is one clear line that names the frame, or is mended and told."""
+"""Each kind of invalid number is refused in one line that names the frame, or repaired with a warning."""
 
 import re
 
@@ -30,18 +30,18 @@ def changed(array, index, value):
 
 
 @pytest.mark.parametrize("shape", [(12,), (12, 6), (12, 10), (7, 12), (12, 7, 1), ()])
-def test_joint_angles_of_a_wrong_shape(t_s, shape):
+def test_joint_angles_of_a_wrong_shape_are_refused(t_s, shape):
     message = told(InputError, t_s=t_s, q=np.zeros(shape))
     assert f"q has shape {shape}, expected (T, 7)" in message
     assert ("transposed?" in message) is (shape[:1] == (7,))
 
 
 @pytest.mark.parametrize("shape", [(12, 3, 4), (12, 16), (4, 4), (4, 4, 12)])
-def test_poses_of_a_wrong_shape(t_s, shape):
+def test_poses_of_a_wrong_shape_are_refused(t_s, shape):
     assert f"base_from_tcp has shape {shape}, expected (T, 4, 4)" in told(InputError, t_s=t_s, X_BG=np.zeros(shape))
 
 
-def test_lengths_that_differ(t_s, q, X_BG):
+def test_arrays_of_different_lengths_are_refused(t_s, q, X_BG):
     assert "t_s has shape (11,), but there are 12 frames" in told(InputError, t_s=t_s[1:], q=q)
     assert "t_s has shape (12, 1)" in told(InputError, t_s=t_s[:, None], X_BG=X_BG)
     assert "finger_width_m has shape (3,)" in told(InputError, t_s=t_s, q=q, finger_width_m=np.zeros(3))
@@ -49,11 +49,11 @@ def test_lengths_that_differ(t_s, q, X_BG):
 
 
 @pytest.mark.parametrize("dtype", [complex, "U3", bool])
-def test_what_are_no_numbers(t_s, dtype):
+def test_arrays_of_complex_text_or_boolean_values_are_refused(t_s, dtype):
     assert "expected real numbers" in told(InputError, t_s=t_s, q=np.zeros((12, 7)).astype(dtype))
 
 
-def test_little_and_much(t_s):
+def test_too_few_frames_are_unmeasurable_and_too_many_are_refused(t_s):
     for nothing in ({"q": np.zeros((0, 7))}, {"q": np.zeros(0)}, {"X_BG": np.zeros((0, 4, 4))}):
         assert "holds no frame" in told(UnmeasurableError, t_s=np.zeros(0), **nothing)
     assert "1 frame" in told(UnmeasurableError, t_s=t_s[:1], q=np.zeros((1, 7)))
@@ -66,7 +66,7 @@ def test_little_and_much(t_s):
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf])
-def test_numbers_that_are_not_finite(t_s, q, X_BG, value):
+def test_nan_and_infinity_are_refused_with_their_frame(t_s, q, X_BG, value):
     kind = "NaN" if np.isnan(value) else "infinity"
     assert re.search(f"joint angles of frame 4 hold {kind}", told(InputError, t_s=t_s, q=changed(q, (4, 2), value)))
     poses = changed(X_BG, (7, 0, 3), value)
@@ -74,7 +74,7 @@ def test_numbers_that_are_not_finite(t_s, q, X_BG, value):
     assert "the time of frame 3 is" in told(InputError, t_s=changed(t_s, 3, value), q=q)
 
 
-def test_unknown_frames_may_hold_anything(t_s, X_BG, q):
+def test_values_of_untracked_frames_are_ignored(t_s, X_BG, q):
     tracked = np.arange(12) != 7
     X = changed(X_BG, 7, np.nan)
     found = check(recording(t_s=t_s, X_BG=X, tracked=tracked))
@@ -85,7 +85,7 @@ def test_unknown_frames_may_hold_anything(t_s, X_BG, q):
     np.testing.assert_array_equal(found.q[tracked], q[tracked])
 
 
-def test_times_that_do_not_increase(t_s, q):
+def test_times_that_do_not_increase_are_refused_with_their_frame(t_s, q):
     assert "the time of frame 5 (0.1 s) is before that of frame 4 (0.2 s)" in told(
         InputError, t_s=changed(t_s, 5, 0.1), q=q
     )
@@ -96,11 +96,11 @@ def test_times_that_do_not_increase(t_s, q):
 
 
 @pytest.mark.parametrize("scale", [1e300, 1e-300, 1e6, 1e-6])
-def test_absurd_times(t_s, q, scale):
+def test_frame_periods_out_of_range_are_refused(t_s, q, scale):
     assert "expected 0.0001 to 1000 s" in told(InputError, t_s=t_s * scale, q=q)
 
 
-def test_slow_frames_are_judged_and_told(t_s, q):
+def test_frames_many_seconds_apart_warn_of_milliseconds(t_s, q):
     """What 20 Hz look like in milliseconds; unless the user says that it is so."""
     (warning,) = check(recording(t_s=1000.0 * t_s, q=q)).warnings
     assert "50 s apart" in warning
@@ -109,14 +109,14 @@ def test_slow_frames_are_judged_and_told(t_s, q):
     assert check(recording(t_s=1000.0 * t_s, q=q), rate_hz=0.1).warnings == ()
 
 
-def test_more_than_a_turn_is_judged_and_told(t_s, q):
+def test_joint_angles_beyond_one_turn_warn_of_degrees(t_s, q):
     (warning,) = check(recording(t_s=t_s, q=changed(q, (3, 4), -6.3))).warnings
     assert "joint 5 goes up to 6.3 rad" in warning
     assert "degrees?" in warning
     assert check(recording(t_s=t_s, q=changed(q, (3, 4), -6.28))).warnings == ()
 
 
-def test_degrees_are_suspected(t_s, q):
+def test_joint_angles_in_degrees_are_refused(t_s, q):
     message = told(InputError, t_s=t_s, q=np.rad2deg(q))
     assert "look like degrees" in message
     assert "pi / 180" in message
@@ -125,7 +125,7 @@ def test_degrees_are_suspected(t_s, q):
     np.testing.assert_array_equal(check(recording(t_s=t_s, q=past_a_limit)).q, past_a_limit)  # judged, not refused
 
 
-def test_millimetres_are_suspected(t_s, X_BG):
+def test_positions_in_millimetres_are_refused(t_s, X_BG):
     X = X_BG.copy()
     X[:, :3, 3] *= 1000.0
     message = told(InputError, t_s=t_s, X_BG=X)
@@ -134,14 +134,14 @@ def test_millimetres_are_suspected(t_s, X_BG):
 
 
 @pytest.mark.parametrize("columns", [8, 9])
-def test_fingers_behind_the_arm(t_s, q, columns):
+def test_finger_joints_after_the_arm_joints_become_the_finger_width(t_s, q, columns):
     found = check(recording(t_s=t_s, q=np.hstack([q, np.full((12, columns - 7), 0.02)])))
     np.testing.assert_array_equal(found.q, q)
     assert f"q has {columns} columns: the first 7" in found.warnings[0]
     np.testing.assert_allclose(found.finger_width_m, 0.04 if columns == 9 else np.nan)
 
 
-def test_nearly_rigid_poses_are_mended_and_told(t_s, X_BG):
+def test_nearly_orthonormal_rotations_are_orthonormalized_with_a_warning(t_s, X_BG):
     X = X_BG.copy()
     X[3, :3, :3] *= 1.0 + 2e-4
     found = check(recording(t_s=t_s, X_BG=X))
@@ -153,7 +153,7 @@ def test_nearly_rigid_poses_are_mended_and_told(t_s, X_BG):
     assert np.abs(np.swapaxes(R, 1, 2) @ R - np.eye(3)).max() < 1e-14
 
 
-def test_poses_that_are_not_rigid(t_s, X_BG):
+def test_poses_that_are_not_rigid_are_refused_with_their_frame(t_s, X_BG):
     X = X_BG.copy()
     X[3, :3, :3] *= 1.001
     assert "rotation of frame 3 is not orthonormal: R^T R is off the identity by 0.002" in told(
@@ -170,7 +170,7 @@ def test_poses_that_are_not_rigid(t_s, X_BG):
 
 
 @pytest.mark.parametrize("value", [1e300, -1e308])
-def test_numbers_that_overflow(t_s, X_BG, q, value, recwarn):
+def test_values_near_overflow_are_refused_without_numpy_warnings(t_s, X_BG, q, value, recwarn):
     assert "frame 3 is not orthonormal" in told(InputError, t_s=t_s, X_BG=changed(X_BG, (3, 0), value))
     assert "look like millimetres" in told(InputError, t_s=t_s, X_BG=changed(X_BG, (3, 0, 3), value))
     assert "no joint angles" in told(InputError, t_s=t_s, q=changed(q, (3, 0), value))
@@ -178,7 +178,7 @@ def test_numbers_that_overflow(t_s, X_BG, q, value, recwarn):
     assert not recwarn.list
 
 
-def test_the_repair_is_the_nearest_rotation(t_s, X_BG):
+def test_orthonormalization_yields_the_nearest_rotation(t_s, X_BG):
     """Of all rotations near the repaired one none is nearer to what was given."""
     rng = np.random.default_rng(3)
     X = X_BG.copy()
@@ -189,7 +189,7 @@ def test_the_repair_is_the_nearest_rotation(t_s, X_BG):
     assert (np.linalg.norm(others - X[0, :3, :3], axis=(1, 2)) >= least).all()
 
 
-def test_finger_widths(t_s, q):
+def test_finger_widths_are_clipped_near_their_range_and_ignored_beyond(t_s, q):
     def width(value):
         return check(recording(t_s=t_s, q=q, finger_width_m=np.full(12, value)))
 

@@ -27,7 +27,7 @@ def with_gripper(q):
 
 
 @pytest.mark.parametrize("version", ["v2.0", "v2.1", "v3.0"])
-def test_joint_angles_of_every_episode(dataset, q, version):
+def test_every_episode_yields_its_joint_angles_prompt_and_times(dataset, q, version):
     episodes = {k: {"observation.state": with_gripper(q + 0.01 * k)} for k in (0, 3, 12)}
     samples, found = read_all(dataset(episodes, STATE, version=version))
     assert [s.id for s in samples] == ["ds-episode_000000", "ds-episode_000003", "ds-episode_000012"]
@@ -40,13 +40,13 @@ def test_joint_angles_of_every_episode(dataset, q, version):
         assert np.isnan(trajectory.finger_width_m).all()  # what unit the gripper has is not said
 
 
-def test_a_v3_dataset_without_a_list_of_episodes(dataset, q):
+def test_a_v3_dataset_without_episode_metadata_is_read(dataset, q):
     root = dataset({k: {"observation.state": with_gripper(q)} for k in (0, 1)}, STATE, version="v3.0", describe=False)
     samples, _ = read_all(root)
     assert [s.part for s in samples] == ["0", "1"]
 
 
-def test_stamps_that_are_not_even_are_kept(dataset, q):
+def test_uneven_time_stamps_are_kept_unless_a_rate_is_set(dataset, q):
     stamps = np.cumsum(np.linspace(0.03, 0.07, len(q)))
     _, (found,) = read_all(dataset({0: {"observation.state": with_gripper(q)}}, STATE, stamps=stamps))
     np.testing.assert_allclose(found.t_s, stamps, atol=1e-6)
@@ -54,7 +54,7 @@ def test_stamps_that_are_not_even_are_kept(dataset, q):
     np.testing.assert_allclose(found.t_s, np.arange(len(q)) / 7.0)
 
 
-def test_poses_in_every_layout(dataset, X_BG, quaternion):
+def test_poses_are_read_in_every_rotation_layout(dataset, X_BG, quaternion):
     p, R = X_BG[:, :3, 3], X_BG[:, :3, :3]
     yaw, pitch = np.arctan2(R[:, 1, 0], R[:, 0, 0]), -np.arcsin(R[:, 2, 0])
     roll = np.arctan2(R[:, 2, 1], R[:, 2, 2])  # R = Rz(yaw) Ry(pitch) Rx(roll)
@@ -114,29 +114,29 @@ def features(**columns):
         ),
     ],
 )
-def test_columns_that_tell_what_they_are(columns, column, layout):
+def test_columns_are_recognized_by_their_names(columns, column, layout):
     found = find_columns(features(**columns), TrajectoryOptions())
     assert (found.column, found.layout) == (column, layout)
 
 
 @pytest.mark.parametrize("other", ["joint_vel.", "target_", "torque.", "error_"])
-def test_elements_that_are_no_angles_are_passed_over(other):
+def test_elements_that_are_velocities_targets_or_errors_are_not_taken_as_joint_angles(other):
     names = [f"{other}joint_{k}" for k in range(7)]
     found = find_columns(features(observation__state=names, observation__q=NUMBERED), TrajectoryOptions())
     assert found.column == "observation.q"
 
 
-def test_names_within_names(q):
+def test_nested_element_names_are_read(q):
     feature = {"dtype": "float32", "shape": [8], "names": {"motors": [*NUMBERED, "gripper"]}}
     assert find_columns({"observation.state": feature}, TrajectoryOptions()).indices == tuple(range(7))
 
 
-def test_the_joints_are_taken_in_the_order_of_their_numbers():
+def test_joints_are_ordered_by_their_numbers():
     found = find_columns(features(observation__state=["gripper", *reversed(NUMBERED)]), TrajectoryOptions())
     assert found.indices == (7, 6, 5, 4, 3, 2, 1)
 
 
-def test_fingers_and_widths_whose_unit_is_clear(dataset, q):
+def test_finger_joints_and_widths_in_metres_become_the_finger_width(dataset, q):
     width = np.linspace(0.0, 0.08, len(q))[:, None]
     names = {
         "fingers": ([*NUMBERED, "panda_finger_joint1", "panda_finger_joint2"], np.hstack([q, width / 2, width / 2])),
@@ -161,7 +161,7 @@ def test_fingers_and_widths_whose_unit_is_clear(dataset, q):
         {"observation__state": NUMBERED[:6]},
     ],
 )
-def test_doubtful_columns_are_not_guessed(columns):
+def test_ambiguous_columns_are_refused_with_the_options_that_name_them(columns):
     with pytest.raises(InputError, match="no column is known") as caught:
         find_columns(features(**columns), TrajectoryOptions())
     assert "$joints COLUMN" in str(caught.value)
@@ -169,7 +169,7 @@ def test_doubtful_columns_are_not_guessed(columns):
         assert name.replace("__", ".") in str(caught.value)
 
 
-def test_columns_named_by_hand(dataset, q, X_BG, quaternion):
+def test_options_select_columns_and_unknown_columns_are_refused(dataset, q, X_BG, quaternion):
     pose = np.hstack([X_BG[:, :3, 3], quaternion])
     root = dataset({0: {"observation.state": q, "action": pose}}, {"observation.state": 7, "action": 7})
     with pytest.raises(UsageError, match=r"ds: no column is known.*observation.state \(7\); action \(7\)"):
@@ -185,7 +185,7 @@ def test_columns_named_by_hand(dataset, q, X_BG, quaternion):
         find_trajectories(dataset({0: {"a": q[:, :6]}}, {"a": 6}, folder="six"), TrajectoryOptions(poses="a"))
 
 
-def test_degrees_are_suspected(dataset, q, X_BG):
+def test_joint_angles_and_euler_angles_in_degrees_are_refused(dataset, q, X_BG):
     with pytest.raises(InputError, match="look like degrees"):
         read_all(dataset({0: {"observation.state": with_gripper(np.rad2deg(q))}}, STATE))
     rows = np.hstack([X_BG[:, :3, 3], np.tile([180.0, 0.0, 45.0], (len(q), 1))])
@@ -194,7 +194,7 @@ def test_degrees_are_suspected(dataset, q, X_BG):
         read_all(dataset({0: {"observation.state": rows}}, names, folder="rpy"))
 
 
-def test_broken_datasets(dataset, q, tmp_path):
+def test_unreadable_files_are_errors_of_their_episodes(dataset, q, tmp_path):
     root = dataset({0: {"observation.state": with_gripper(q)}, 1: {"observation.state": with_gripper(q)}}, STATE)
     (root / "data" / "chunk-000" / "episode_000001.parquet").write_bytes(b"PAR1 no")
     good, bad = find_trajectories(root, TrajectoryOptions())
@@ -226,7 +226,7 @@ def test_broken_datasets(dataset, q, tmp_path):
         (json.dumps({"codebase_version": "v3.0", "features": features(observation__state=NUMBERED)}), "no episode"),
     ],
 )
-def test_unusable_descriptions(tmp_path, text, told):
+def test_an_unusable_info_json_is_a_usage_error_or_one_bad_sample_among_others(tmp_path, text, told):
     (tmp_path / "ds" / "meta").mkdir(parents=True)
     (tmp_path / "ds" / "meta" / "info.json").write_text(text)
     with pytest.raises(UsageError, match=told):

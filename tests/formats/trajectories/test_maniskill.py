@@ -38,7 +38,7 @@ def test_a_link_to_another_file_is_not_followed(maniskill, q, tmp_path):
         read_all(path)
 
 
-def test_many_trajectories_of_a_file_in_the_order_of_their_numbers(maniskill, q):
+def test_trajectories_of_a_file_are_samples_in_numeric_order_with_their_labels(maniskill, q):
     episodes = [{"episode_id": k, "episode_seed": 100 + k, "success": k == 2} for k in (2, 10)]
     path = maniskill(
         {f"traj_{k}": {"obs/agent/qpos": qpos(q + 0.01 * k), "actions": np.zeros((11, 8))} for k in (0, 10, 2)},
@@ -58,7 +58,7 @@ def test_many_trajectories_of_a_file_in_the_order_of_their_numbers(maniskill, q)
     assert found[0].columns == "traj_0/obs/agent/qpos[:, 0:7]"
 
 
-def test_joints_of_the_articulations_state_where_nothing_was_observed(maniskill, q):
+def test_without_observations_joints_come_from_the_articulation_state(maniskill, q):
     cabinet = {"env_states/articulations/cabinet": np.zeros((12, 13 + 2))}
     path = maniskill({"traj_0": {"env_states/articulations/panda_wristcam": state(q), **cabinet}}, about())
     _, (found,) = read_all(path)
@@ -68,13 +68,13 @@ def test_joints_of_the_articulations_state_where_nothing_was_observed(maniskill,
     assert all("control_freq" in w for w in found.warnings)
 
 
-def test_flat_observations_are_passed_over(maniskill, q):
+def test_flat_observations_are_ignored(maniskill, q):
     sets = {"obs": np.zeros((12, 40)), "env_states/articulations/panda": state(q)}
     _, (found,) = read_all(maniskill({"traj_0": sets}, about()))
     np.testing.assert_array_equal(found.q, q)
 
 
-def test_an_unknown_frequency_is_told_unless_a_rate_is_given(maniskill, q):
+def test_an_unknown_control_frequency_defaults_to_20_hz_with_a_warning(maniskill, q):
     path = maniskill({"traj_0": {"obs/agent/qpos": q}}, about())
     _, (found,) = read_all(path)
     np.testing.assert_allclose(found.t_s, np.arange(12) / 20.0)
@@ -85,7 +85,7 @@ def test_an_unknown_frequency_is_told_unless_a_rate_is_given(maniskill, q):
 
 
 @pytest.mark.parametrize(("text", "told"), [(None, "is not there"), ("{", "cannot be read as JSON")])
-def test_without_a_description_the_labels_are_unknown(maniskill, q, text, told):
+def test_without_a_readable_json_file_labels_are_null_with_a_warning(maniskill, q, text, told):
     path = maniskill({"traj_0": {"obs/agent/qpos": q}})
     if text is not None:
         path.with_suffix(".json").write_text(text)
@@ -94,7 +94,7 @@ def test_without_a_description_the_labels_are_unknown(maniskill, q, text, told):
     assert any(told in w for w in found.warnings)
 
 
-def test_the_data_set_can_be_named(maniskill, q):
+def test_the_joints_option_selects_a_data_set_and_poses_are_refused(maniskill, q):
     robots = {f"env_states/articulations/panda-{k}": state(q + k) for k in (0, 1)}
     path = maniskill({"traj_0": {**robots, "mine": q + 2}}, about())
     with pytest.raises(InputError, match=r"2 robots: .joints env_states/articulations/panda-0"):
@@ -126,7 +126,7 @@ def test_a_bad_trajectory_is_one_bad_sample(maniskill, q, sets, told):
 
 
 @pytest.mark.parametrize("data", [b"", b"no hdf5 at all" * 40])
-def test_files_that_are_no_hdf5(tmp_path, data):
+def test_files_that_are_no_hdf5_are_refused(tmp_path, data):
     (tmp_path / "a.h5").write_bytes(data)
     (sample,) = find_trajectories(tmp_path / "a.h5", TrajectoryOptions())
     with pytest.raises(InputError, match="empty" if not data else "not a readable HDF5 file") as caught:
@@ -134,6 +134,6 @@ def test_files_that_are_no_hdf5(tmp_path, data):
     assert str(tmp_path) not in str(caught.value)
 
 
-def test_a_file_without_trajectories(maniskill):
+def test_a_file_without_trajectories_is_one_bad_sample(maniskill):
     (sample,) = find_trajectories(maniskill({"other": {"a": np.zeros(3)}}), TrajectoryOptions())
     assert "holds no trajectory traj_0, traj_1, ... but other" in sample.problem

@@ -16,7 +16,9 @@ def touch(folder, *names):
         (folder / name).write_bytes(b"x")
 
 
-def test_a_folder_of_everything(tmp_path, archive, maniskill, dataset, t_s, q):
+def test_a_folder_yields_all_trajectory_files_except_hidden_ones_and_run_outputs(
+    tmp_path, archive, maniskill, dataset, t_s, q
+):
     archive("b.npz", t_s=t_s, q=q)
     maniskill({"traj_0": {"obs/agent/qpos": q}, "traj_1": {"obs/agent/qpos": q}}, {})
     dataset({0: {"observation.qpos": q}}, {"observation.qpos": 7})
@@ -36,7 +38,7 @@ def test_a_folder_of_everything(tmp_path, archive, maniskill, dataset, t_s, q):
     assert samples == find_trajectories(tmp_path, TrajectoryOptions(), out=tmp_path / "out", model="m", task="t")
 
 
-def test_an_output_folder_and_its_tracks_keep_their_labels(tmp_path):
+def test_tracks_of_an_output_folder_keep_the_labels_of_their_rows(tmp_path):
     row = SampleRow(
         **{"id": "a", "video": "a.mp4", "task": "T", "model": "M", "status": Status.OK, "reason": None},
         content_hash="0",
@@ -51,7 +53,7 @@ def test_an_output_folder_and_its_tracks_keep_their_labels(tmp_path):
         assert (b.id, b.task, b.model, b.seed) == ("b", "other", None, None)
 
 
-def test_ids_never_meet(tmp_path):
+def test_ids_are_unique_regardless_of_case(tmp_path):
     touch(tmp_path, "x/a.npz", "y/a.npz", "a.csv", "a.npz", "b.csv")
     ids = [s.id for s in find_trajectories(tmp_path, TrajectoryOptions())]
     assert len({i.casefold() for i in ids}) == 5
@@ -68,14 +70,14 @@ def test_ids_never_meet(tmp_path):
         ("films", r"holds no trajectory \(found 1 x \.mp4\)"),
     ],
 )
-def test_what_cannot_be_input(tmp_path, name, told):
+def test_paths_without_trajectories_are_refused(tmp_path, name, told):
     touch(tmp_path, "a.mp4", "plain", "films/a.mp4")
     (tmp_path / "empty").mkdir()
     with pytest.raises(UsageError, match=told):
         find_trajectories(tmp_path / name, TrajectoryOptions())
 
 
-def test_the_output_folder_is_no_input(tmp_path):
+def test_the_output_folder_of_the_run_is_refused_as_input(tmp_path):
     touch(tmp_path, "tracks/a.npz")
     with pytest.raises(UsageError, match="input folder itself"):
         find_trajectories(tmp_path, TrajectoryOptions(), out=tmp_path)
@@ -85,11 +87,11 @@ def test_the_output_folder_is_no_input(tmp_path):
 
 
 @pytest.mark.parametrize("rate", [0.0, -5.0, np.nan, np.inf, 1e-300, 1e300])
-def test_impossible_rates(rate):
+def test_rates_out_of_range_are_refused(rate):
     with pytest.raises(UsageError, match="rate_hz is"):
         TrajectoryOptions(rate_hz=rate)
 
 
-def test_joints_and_poses_exclude_each_other():
+def test_joints_and_poses_options_exclude_each_other():
     with pytest.raises(UsageError, match="exclude each other"):
         TrajectoryOptions(joints="a", poses="b")

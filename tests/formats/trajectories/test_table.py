@@ -21,7 +21,7 @@ def poses(t_s, X_BG, quaternion):
     return np.column_stack([t_s, X_BG[:, :3, 3], quaternion])
 
 
-def test_poses_survive_the_file_in_any_order_of_columns(csv_file, t_s, X_BG, poses):
+def test_poses_are_read_in_any_order_of_columns(csv_file, t_s, X_BG, poses):
     order = np.random.default_rng(0).permutation(8)
     header = np.array(["t_s", *POSE])
     found = read(csv_file(header[order], poses[:, order]))
@@ -30,7 +30,7 @@ def test_poses_survive_the_file_in_any_order_of_columns(csv_file, t_s, X_BG, pos
     assert (found.warnings, found.columns) == ((), "x_m,y_m,z_m,qw,qx,qy,qz")
 
 
-def test_joint_angles_survive_the_file_and_further_columns_are_told(csv_file, t_s, q):
+def test_joint_angles_are_read_and_unread_columns_are_warned_about(csv_file, t_s, q):
     rows = [[*row, f"note {k}", 0.02] for k, row in enumerate(np.column_stack([t_s, q]))]
     found = read(csv_file(["t_s", *JOINTS, "comment", "finger_width_m"], rows))
     np.testing.assert_array_equal(found.q, q)
@@ -38,14 +38,14 @@ def test_joint_angles_survive_the_file_and_further_columns_are_told(csv_file, t_
     assert found.warnings == ("columns comment are not read",)
 
 
-def test_both_kinds_of_columns(csv_file, poses, q):
+def test_joint_angles_have_precedence_over_poses_with_a_warning(csv_file, poses, q):
     path = csv_file(["t_s", *POSE, *JOINTS], np.hstack([poses, q]))
     assert read(path).q is not None
     assert "were read" in read(path).warnings[0]
     assert read(path, poses="any").X_BG is not None
 
 
-def test_quaternions_are_normalised_and_refused(csv_file, X_BG, poses):
+def test_quaternions_are_normalized_near_norm_1_and_refused_beyond(csv_file, X_BG, poses):
     near, far, flipped = poses.copy(), poses.copy(), poses.copy()
     near[4, 4:] *= 1.0005
     found = read(csv_file(["t_s", *POSE], near))
@@ -61,7 +61,7 @@ def test_quaternions_are_normalised_and_refused(csv_file, X_BG, poses):
     np.testing.assert_allclose(read(csv_file(["t_s", *POSE], flipped)).X_BG, X_BG, atol=1e-12)
 
 
-def test_millimetres_are_suspected(csv_file, poses):
+def test_positions_in_millimetres_are_refused(csv_file, poses):
     poses[:, 1:4] *= 1000.0
     with pytest.raises(InputError, match="look like millimetres"):
         read(csv_file(["t_s", *POSE], poses))
@@ -85,7 +85,7 @@ def test_millimetres_are_suspected(csv_file, poses):
         (",".join(["t_s", *JOINTS]) + "\n0,1,2,nan,4,5,6,7\n1,1,2,3,4,5,6,7\n", "joint angles of frame 0 hold NaN"),
     ],
 )
-def test_broken_tables(tmp_path, text, told):
+def test_malformed_tables_are_refused_in_one_line(tmp_path, text, told):
     (tmp_path / "a.csv").write_text(text)
     with pytest.raises(InputError, match=told) as caught:
         read(tmp_path / "a.csv")
@@ -93,27 +93,27 @@ def test_broken_tables(tmp_path, text, told):
 
 
 @pytest.mark.parametrize("names", [JOINTS, POSE])
-def test_a_header_alone_is_sound_but_cannot_be_measured(csv_file, names):
+def test_a_table_of_a_header_only_is_unmeasurable(csv_file, names):
     with pytest.raises(UnmeasurableError, match="holds no frame"):
         read(csv_file(["t_s", *names], []))
 
 
 @pytest.mark.parametrize(("choice", "absent"), [("joints", "q1_rad, q2_rad"), ("poses", "x_m, y_m")])
-def test_a_wanted_kind_that_is_not_there_is_named(csv_file, poses, t_s, q, choice, absent):
+def test_a_requested_kind_without_its_columns_is_refused_with_their_names(csv_file, poses, t_s, q, choice, absent):
     held = poses if choice == "joints" else np.column_stack([t_s, q])
     path = csv_file(["t_s", *(POSE if choice == "joints" else JOINTS)], held)
     with pytest.raises(InputError, match=f"lacks {absent}"):
         read(path, **{choice: "any"})
 
 
-def test_what_is_no_text(tmp_path):
+def test_a_binary_file_is_refused_as_a_table(tmp_path):
     (tmp_path / "a.csv").write_bytes(b"t_s,x_m\n\xff\xfe\x00\n")
     with pytest.raises(InputError, match="comma-separated"):
         read(tmp_path / "a.csv")
 
 
 @pytest.mark.parametrize(("order", "suspected"), [([0, 1, 2, 3], False), ([1, 2, 3, 0], True)])
-def test_quaternions_in_another_order_are_suspected(csv_file, t_s, order, suspected):
+def test_quaternions_in_xyzw_order_are_warned_about(csv_file, t_s, order, suspected):
     """A gripper that points down within 40 degrees, turned about the vertical at random."""
     rng = np.random.default_rng(1)
     down = Rotation.from_euler("x", 180, degrees=True)

@@ -46,12 +46,12 @@ def test_true_times_of_an_uneven_recording_are_kept(rate_hz, seed, poses):
     assert found.warnings == ()
 
 
-def test_a_missing_frame_is_not_closed():
+def test_time_stamps_around_a_missing_frame_are_kept():
     even, stamps = (np.delete(t_s, 90) for t_s in times(100, 0))
     np.testing.assert_array_equal(check(raw(even, stamps)).t_s, stamps)
 
 
-def test_a_jump_of_the_motion_decides_nothing():
+def test_time_stamps_of_a_motion_with_jumps_are_kept():
     """A motion that is broken by jumps is as rough over even times as over its stamps, and is judged as it is."""
     even, stamps = times(100, 0)
     broken = raw(np.zeros_like(even), stamps)
@@ -59,7 +59,7 @@ def test_a_jump_of_the_motion_decides_nothing():
     np.testing.assert_array_equal(check(broken).t_s, stamps)
 
 
-def test_frames_without_a_pose_do_not_prevent_the_comparison():
+def test_jittering_stamps_are_replaced_despite_untracked_frames():
     even, stamps = times(100, 0)
     lost = raw(even, stamps)
     tracked = np.ones(len(even), dtype=bool)
@@ -68,7 +68,7 @@ def test_frames_without_a_pose_do_not_prevent_the_comparison():
     assert np.ptp(np.diff(check(lost).t_s)) < 1e-9
 
 
-def test_times_without_any_five_poses_in_a_row_are_kept():
+def test_time_stamps_without_five_consecutive_poses_are_kept():
     even, stamps = times(100, 0)
     tracked = np.arange(len(even)) % 4 > 0
     sparse = RawTrajectory(
@@ -78,7 +78,7 @@ def test_times_without_any_five_poses_in_a_row_are_kept():
 
 
 @pytest.mark.parametrize(("rate_hz", "jitter_s"), [(10, 0.015), (250, 0.0018)])
-def test_greater_deviations_are_no_jitter(rate_hz, jitter_s):
+def test_time_stamps_with_deviations_beyond_jitter_are_kept(rate_hz, jitter_s):
     """Beyond 10 ms, or 0.4 of a step, the stamps are taken as they are, smooth as the motion would be without them."""
     even = np.arange(100) / rate_hz
     stamps = even + jitter_s * np.where(np.arange(100) % 3 == 0, 1.0, -1.0)

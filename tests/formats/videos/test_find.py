@@ -26,7 +26,7 @@ def write_manifest(folder, *lines):
     return path
 
 
-def test_a_folder_counts_films_and_frame_folders_only(tmp_path):
+def test_a_folder_yields_video_files_and_frame_folders_only(tmp_path):
     touch(tmp_path, "b.mp4", "a.MOV", "c.gif", "d.webm", "e.mkv", "f.avi", "g.npy", "h.npz", "i.txt", ".j.mp4")
     touch(tmp_path, "frames/0.png", "frames/1.png", "deep/er/k.mp4", "deep/er/preview.png")
     found = find_samples(tmp_path).samples
@@ -43,19 +43,19 @@ def test_single_inputs_are_named_by_their_stem(tmp_path):
         assert (sample.id, sample.problem) == (id, None)
 
 
-def test_the_runs_own_output_and_other_outputs_are_passed_over(tmp_path):
+def test_output_folders_of_this_and_other_runs_are_ignored(tmp_path):
     touch(tmp_path, "a.mp4", "out/overlays/a.mp4", "old/samples.jsonl", "old/results.json", "old/overlays/b.mp4")
     assert [s.video for s in find_samples(tmp_path, out=tmp_path / "out").samples] == ["a.mp4"]
 
 
 @pytest.mark.parametrize("left", ["results.json", "run.json"])
-def test_what_other_runs_wrote_is_no_input_whether_they_have_ended_or_not(tmp_path, left):
+def test_files_written_by_finished_and_unfinished_runs_are_ignored(tmp_path, left):
     touch(tmp_path, "a.mp4", "old/samples.jsonl", f"old/{left}", "old/overlays/b.mp4", "old/thumbnails/b.jpg")
     touch(tmp_path, "mine/samples.jsonl", "mine/c.mp4")  # a name that others use, too
     assert [s.video for s in find_samples(tmp_path).samples] == ["a.mp4", "mine/c.mp4"]
 
 
-def test_a_run_never_fills_folders_that_it_reads(tmp_path):
+def test_an_output_folder_that_contains_inputs_is_refused(tmp_path):
     touch(tmp_path, "out/overlays/b.mp4", "out/tracks/b.npz", "out/c.mp4", "in/a.mp4")
     out = tmp_path / "out"
     with pytest.raises(UsageError, match="input folder itself"):
@@ -76,14 +76,14 @@ def outputs(folder):
     touch(folder, "videos/a_r0.mp4")
 
 
-def test_an_output_folder_that_is_named_gives_what_no_run_wrote(tmp_path):
+def test_an_output_folder_as_source_yields_only_clips_and_not_drawings_of_a_run(tmp_path):
     outputs(tmp_path)
     touch(tmp_path, "clips/a.mp4")
     assert [s.video for s in find_samples(tmp_path).samples] == ["clips/a.mp4", "videos/a_r0.mp4"]
 
 
 @pytest.mark.parametrize("name", ["overlays", "overlays/a.mp4", "thumbnails", "figures"])
-def test_what_a_run_wrote_is_refused_as_input(tmp_path, name):
+def test_a_file_or_folder_written_by_a_run_is_refused_as_input(tmp_path, name):
     outputs(tmp_path / "run")
     with pytest.raises(UsageError, match=r"was written by a run \(output folder run\); name the videos"):
         find_samples(tmp_path / "run" / name)
@@ -91,7 +91,7 @@ def test_what_a_run_wrote_is_refused_as_input(tmp_path, name):
     assert find_samples(tmp_path / "run" / name).samples
 
 
-def test_an_output_folder_without_input_says_so(tmp_path):
+def test_an_output_folder_without_clips_is_refused(tmp_path):
     touch(tmp_path, "samples.jsonl", "run.json", "overlays/a.mp4")
     with pytest.raises(UsageError, match="output folder of a run and holds no input"):
         find_samples(tmp_path)
@@ -105,14 +105,14 @@ def test_an_output_folder_without_input_says_so(tmp_path):
         (("meta/info.json", "data/a.parquet"), "LeRobot"),
     ],
 )
-def test_folders_without_video_say_what_they_hold(tmp_path, names, told):
+def test_folders_without_video_are_refused_with_their_content(tmp_path, names, told):
     touch(tmp_path, *names)
     with pytest.raises(UsageError, match=told) as caught:
         find_samples(tmp_path)
     assert "expected" in str(caught.value)
 
 
-def test_videos_in_arrays_are_not_ignored_in_silence(tmp_path):
+def test_array_files_in_a_source_folder_are_ignored_with_a_warning(tmp_path):
     touch(tmp_path, "a.mp4", "broken.npy")
     np.save(tmp_path / "b.npy", np.zeros((2, 64, 64, 3), np.uint8))
     np.savez(tmp_path / "c.npz", frames=np.zeros((2, 64, 64, 3), np.uint8), t_s=np.zeros(2))
@@ -123,7 +123,7 @@ def test_videos_in_arrays_are_not_ignored_in_silence(tmp_path):
     assert "videos in npy or npz files ignored (2, such as b.npy)" in found.warnings[0]
 
 
-def test_paths_that_cannot_be_input(tmp_path):
+def test_broken_links_urls_missing_files_and_other_file_types_are_refused(tmp_path):
     touch(tmp_path, "a.txt")
     (tmp_path / "link.mp4").symlink_to("gone.mp4")
     with pytest.raises(UsageError, match=r"link\.mp4: is a symlink to gone\.mp4, which does not exist"):
@@ -136,7 +136,7 @@ def test_paths_that_cannot_be_input(tmp_path):
         find_samples(tmp_path / "a.txt")
 
 
-def test_equal_stems_get_ids_of_their_own_the_same_each_time(tmp_path):
+def test_equal_stems_have_unique_reproducible_ids(tmp_path):
     touch(tmp_path, "x/a.mp4", "y/a.mp4", "a.mp4", "a.gif", "b.mp4")
     first = find_samples(tmp_path).samples
     ids = {s.video: s.id for s in first}
@@ -161,7 +161,7 @@ def test_ids_are_safe_as_file_names(tmp_path):
 
 
 @pytest.mark.parametrize("key", ["video", "first_frame", "camera"])
-def test_names_too_long_for_any_disk_cost_their_own_line(tmp_path, key):
+def test_a_manifest_line_with_a_too_long_file_name_is_one_bad_sample(tmp_path, key):
     touch(tmp_path, "v.mp4", f"{251 * 'y'}.mp4")
     for name in (f"{300 * 'x'}.mp4", f"{300 * 'x'}/v.mp4"):
         line = {"video": "v.mp4", key: name}
@@ -171,19 +171,19 @@ def test_names_too_long_for_any_disk_cost_their_own_line(tmp_path, key):
         assert "File name too long" in bad.problem
 
 
-def test_explicit_ids_are_kept_and_bear_the_stem(tmp_path):
+def test_explicit_ids_are_made_unique_and_contain_the_stem(tmp_path):
     touch(tmp_path, "clips/v1.mp4")
     video = {"video": "clips/v1.mp4"}
     path = write_manifest(tmp_path, {**video, "id": "run-v1"}, {**video, "id": "run-v1"}, {**video, "id": "episode 7"})
     assert [s.id for s in find_samples(path).samples] == ["run-v1", "run-v1-2", "episode 7-v1"]
 
 
-def test_a_numbered_id_never_takes_the_place_of_another(tmp_path):
+def test_a_numbered_id_never_equals_the_stem_of_another_file(tmp_path):
     touch(tmp_path, "a.mp4", "a.gif", "a-2.mp4")
     assert len({s.id for s in find_samples(tmp_path).samples}) == 3
 
 
-def test_a_manifest_carries_labels_and_times(tmp_path):
+def test_a_manifest_sets_labels_and_times_of_its_videos(tmp_path):
     touch(tmp_path, "v.mp4")
     line = {"video": "v.mp4", "task": "StackCube-v1", "seed": 3, "model": "m", "prompt": "p", "fps": 17, "id": "v3"}
     path = write_manifest(tmp_path, {**line, "frame_period_s": 0.2}, {"video": "v.mp4"})
@@ -193,7 +193,7 @@ def test_a_manifest_carries_labels_and_times(tmp_path):
     assert (bare.task, bare.model, bare.frame_period_s) == ("T", "other", None)
 
 
-def test_a_manifest_carries_the_first_frame(tmp_path):
+def test_a_manifest_sets_the_initial_pose_and_finger_width(tmp_path):
     touch(tmp_path, "v.mp4")
     X_BG = make_pose(rotation_exp([3.0, 0.2, -0.1]), [0.43, 0.0, 0.27])
     line = {"video": "v.mp4", "first_base_from_tcp": X_BG.tolist()}
@@ -205,7 +205,7 @@ def test_a_manifest_carries_the_first_frame(tmp_path):
     assert bare.initial_state is None
 
 
-def test_unknown_keys_are_a_warning(tmp_path):
+def test_unknown_manifest_keys_are_warned_about(tmp_path):
     touch(tmp_path, "v.mp4")
     path = write_manifest(tmp_path, {"video": "v.mp4", "frame_periods": 0.2}, {"video": "v.mp4"})
     inputs = find_samples(path)
@@ -244,7 +244,7 @@ def test_unknown_keys_are_a_warning(tmp_path):
         ("[" * 100_000, "not JSON"),
     ],
 )
-def test_a_bad_line_is_one_bad_sample(tmp_path, line, told):
+def test_an_invalid_manifest_line_is_one_bad_sample(tmp_path, line, told):
     touch(tmp_path, "elsewhere/v.mp4", "in/v.mp4")
     (tmp_path / "in" / "link.mp4").symlink_to(tmp_path / "elsewhere" / "v.mp4")
     (tmp_path / "in" / "linked").symlink_to(tmp_path / "elsewhere")
@@ -256,7 +256,7 @@ def test_a_bad_line_is_one_bad_sample(tmp_path, line, told):
     assert bad.id
 
 
-def test_an_empty_manifest_is_a_usage_error(tmp_path):
+def test_an_empty_or_binary_manifest_is_a_usage_error(tmp_path):
     path = write_manifest(tmp_path, "  ")
     with pytest.raises(UsageError, match="is empty"):
         find_samples(path)
@@ -265,7 +265,7 @@ def test_an_empty_manifest_is_a_usage_error(tmp_path):
         find_samples(path)
 
 
-def test_camera_precedence(tmp_path):
+def test_the_nearest_camera_file_has_precedence_over_the_benchmark_camera(tmp_path):
     touch(tmp_path, "v.mp4", "sub/w.mp4", "own/x.mp4")
     benchmark = benchmark_camera()
     assert {s.camera_source for s in find_samples(tmp_path).samples} == {CameraSource.BENCHMARK}
@@ -286,7 +286,7 @@ def test_camera_precedence(tmp_path):
     assert np.allclose(samples[0].camera.X_BC, benchmark.X_BC)
 
 
-def test_a_frame_folder_has_the_camera_beside_it_unless_it_holds_one(tmp_path):
+def test_a_frame_folder_uses_its_own_camera_file_before_the_one_beside_it(tmp_path):
     touch(tmp_path, "still/0.png")
     save_camera(benchmark_camera().resized(192, 192), tmp_path / "camera.json")
     for source in (tmp_path, tmp_path / "still"):
@@ -297,13 +297,13 @@ def test_a_frame_folder_has_the_camera_beside_it_unless_it_holds_one(tmp_path):
 
 
 @pytest.mark.parametrize("films", [("videos/v.mp4", "videos/preview.png"), ("videos/more/v.mp4", "videos/preview.png")])
-def test_a_folder_of_videos_has_no_camera_from_beside_it(tmp_path, films):
+def test_a_folder_of_videos_ignores_the_camera_file_beside_it(tmp_path, films):
     touch(tmp_path, *films)
     save_camera(benchmark_camera().resized(192, 192), tmp_path / "camera.json")
     assert find_samples(tmp_path / "videos").samples[0].camera_source is CameraSource.BENCHMARK
 
 
-def test_a_folder_that_cannot_be_read_is_told(tmp_path, monkeypatch):
+def test_an_unreadable_folder_is_a_usage_error(tmp_path, monkeypatch):
     touch(tmp_path, "a/v.mp4", "b/w.mp4")
     look = os.scandir
 

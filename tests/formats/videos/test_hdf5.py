@@ -37,7 +37,7 @@ def jpegs(frames):
     return padded
 
 
-def test_one_episode_of_one_camera(file):
+def test_a_file_of_one_image_data_set_is_one_sample(file):
     path = file(**{"observations/images/top": frames_of(0, 4), "action": np.zeros((4, 7))})
     (sample,) = find_samples(path).samples
     assert (sample.id, sample.camera_key) == ("a", "observations/images/top")
@@ -45,13 +45,13 @@ def test_one_episode_of_one_camera(file):
     assert np.array_equal(read_video(path).frames, frames_of(0, 4))
 
 
-def test_coded_pictures_are_decoded(file):
+def test_jpeg_encoded_images_are_decoded(file):
     path = file(**{"observations/images/top": jpegs(frames_of(1, 4)), "lengths": np.arange(4, dtype=np.uint8)})
     (sample,) = find_samples(path).samples
     assert np.abs(read_video(path, sample.part).frames.astype(int) - frames_of(1, 4)).max() < 6
 
 
-def test_episodes_of_a_simulator_with_their_labels(file):
+def test_maniskill_episodes_have_their_task_seed_and_frame_period(file):
     rgb = {f"traj_{k}/obs/sensor_data/base_camera/rgb": frames_of(k // 5, 3) for k in (2, 10)}
     path = file("demo.h5", **rgb, **{"traj_2/actions": np.zeros((2, 8))})
     episodes = [{"episode_id": k, "episode_seed": 100 + k} for k in (2, 10)]
@@ -66,7 +66,7 @@ def test_episodes_of_a_simulator_with_their_labels(file):
     assert np.array_equal(read_video(path, samples[1].part).frames, frames_of(2, 3))
 
 
-def test_several_cameras_ask_for_one(file):
+def test_several_cameras_require_a_camera_key(file):
     sets = {f"data/demo_{k}/obs/{name}_image": frames_of(k, 3) for k in (0, 1) for name in ("agentview", "hand")}
     path = file(**sets)
     with pytest.raises(UsageError, match=r"2 cameras \(obs/agentview_image, obs/hand_image\)"):
@@ -77,7 +77,7 @@ def test_several_cameras_ask_for_one(file):
         read_video(path)
 
 
-def test_arrays_of_an_npz_file_are_chosen_likewise(tmp_path):
+def test_the_camera_key_selects_an_array_of_an_npz_file(tmp_path):
     np.savez(tmp_path / "a.npz", left=frames_of(0, 3), right=frames_of(1, 3))
     (sample,) = find_samples(tmp_path / "a.npz", camera_key="right").samples
     assert np.array_equal(read_video(sample.path, sample.part).frames, frames_of(1, 3))
@@ -85,7 +85,7 @@ def test_arrays_of_an_npz_file_are_chosen_likewise(tmp_path):
         read_video(tmp_path / "a.npz")
 
 
-def test_what_is_no_video_is_told(file, tmp_path):
+def test_hdf5_files_without_a_readable_video_are_refused(file, tmp_path):
     (tmp_path / "bad.h5").write_bytes(b"no file of that kind")
     (tmp_path / "empty.h5").touch()
     other = file("other.h5", secret=frames_of(0, 3))

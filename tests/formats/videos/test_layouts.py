@@ -53,7 +53,7 @@ def test_metadata_label_the_videos_of_a_folder(tmp_path, name):
 
 
 @pytest.mark.parametrize("name", [f"{300 * 'x'}.mp4", f"{300 * 'x'}/b.mp4", "\ud800.mp4"])
-def test_metadata_may_name_what_no_disk_can_hold(tmp_path, name):
+def test_metadata_with_an_impossible_file_name_is_one_bad_sample(tmp_path, name):
     touch(tmp_path, "a.mp4")
     write_metadata(tmp_path, "metadata.jsonl", [{"file_name": name, "text": "long"}])
     good, bad = find_samples(tmp_path).samples
@@ -61,14 +61,14 @@ def test_metadata_may_name_what_no_disk_can_hold(tmp_path, name):
     assert "cannot be followed" in bad.problem
 
 
-def test_the_metadata_nearest_to_a_video_hold(tmp_path):
+def test_the_metadata_file_nearest_to_a_video_has_precedence(tmp_path):
     touch(tmp_path, "train/a.mp4")
     write_metadata(tmp_path, "metadata.jsonl", [{"file_name": "train/a.mp4", "text": "above"}])
     write_metadata(tmp_path / "train", "metadata.csv", [{"file_name": "a.mp4", "text": "near"}])
     assert find_samples(tmp_path).samples[0].prompt == "near"
 
 
-def test_files_of_the_hubs_cache_are_links(tmp_path):
+def test_symbolic_links_of_the_hugging_face_cache_are_followed(tmp_path):
     touch(tmp_path, "blobs/1234")
     (tmp_path / "snapshot").mkdir()
     (tmp_path / "snapshot" / "a.mp4").symlink_to(tmp_path / "blobs" / "1234")
@@ -77,7 +77,7 @@ def test_files_of_the_hubs_cache_are_links(tmp_path):
     assert (sample.id, sample.prompt, sample.problem) == ("a", "go", None)
 
 
-def test_metadata_that_cannot_be_used_lose_no_video(tmp_path):
+def test_unusable_metadata_exclude_no_video(tmp_path):
     touch(tmp_path, "a.mp4", "metadata.parquet")
     write_metadata(
         tmp_path, "metadata.csv", [{"file_name": "gone.mp4"}, {"file_name": "../b.mp4"}, {"file_name": "x.png"}]
@@ -93,7 +93,7 @@ def test_metadata_that_cannot_be_used_lose_no_video(tmp_path):
     assert str(tmp_path) not in "".join(inputs.warnings)
 
 
-def test_columns_of_other_meanings_are_left_alone(tmp_path):
+def test_metadata_columns_of_unexpected_types_are_ignored(tmp_path):
     touch(tmp_path, "a.mp4")
     write_metadata(
         tmp_path,
@@ -111,7 +111,7 @@ def write_frames(folder):
 
 
 @pytest.mark.parametrize("text", ["introduction.txt", "prompt.txt"])
-def test_ewmbench_folders(tmp_path, text):
+def test_ewmbench_folders_have_model_task_and_prompt(tmp_path, text):
     write_frames(tmp_path / "gt_dataset" / "task_1" / "episode_1" / "video")
     for take in (1, 2):
         write_frames(tmp_path / "wan_dataset" / "task_1" / "episode_1" / str(take) / "video")
@@ -130,7 +130,7 @@ def test_ewmbench_folders(tmp_path, text):
     assert [s.id for s in find_samples(tmp_path / "wan_dataset").samples] == [s.id for s in samples[1:]]
 
 
-def test_worldarena_folders(tmp_path):
+def test_worldarena_folders_have_model_task_prompt_and_first_frame(tmp_path):
     touch(tmp_path, "wan_test/stack_episode_7.mp4", "wan_test/stack_episode_12.mp4", "wan_test_1/stack_episode_7.mp4")
     touch(tmp_path, "first_frame/stack/episode7.png")
     (tmp_path / "instructions" / "stack").mkdir(parents=True)
@@ -147,6 +147,6 @@ def test_worldarena_folders(tmp_path):
     assert (changed.prompt, changed.model) == (None, "wan")
 
 
-def test_a_folder_that_only_sounds_like_it_is_a_plain_one(tmp_path):
+def test_folder_names_alone_do_not_make_a_benchmark_layout(tmp_path):
     touch(tmp_path, "unit_test/a.mp4", "my_dataset/b.mp4")
     assert {(s.id, s.model, s.task) for s in find_samples(tmp_path).samples} == {("a", None, None), ("b", None, None)}

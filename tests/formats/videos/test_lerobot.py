@@ -21,7 +21,7 @@ TWO = ("observation.images.front", "observation.images.wrist")
 
 
 @pytest.mark.parametrize(("version", "codec"), [("v2.0", "h264"), ("v2.1", "h264"), ("v3.0", "h264"), ("v3.0", "av1")])
-def test_every_episode_is_a_video_with_its_task(lerobot, version, codec):
+def test_every_episode_is_a_video_with_its_prompt_and_frames(lerobot, version, codec):
     samples = find_samples(lerobot(version, LENGTHS, codec=codec)).samples
     assert [s.id for s in samples] == [f"ds-episode_{k:06d}" for k in range(3)]
     assert [s.prompt for s in samples] == ["task 0", "task 1", "task 2"]
@@ -34,7 +34,7 @@ def test_every_episode_is_a_video_with_its_task(lerobot, version, codec):
         assert levels(video.frames) == pytest.approx(expected, abs=2.4)  # the next frame is 5 away
 
 
-def test_several_cameras_ask_for_one(lerobot):
+def test_several_cameras_require_an_unambiguous_camera_key(lerobot):
     root = lerobot("v3.0", keys=TWO)
     with pytest.raises(UsageError, match=r"2 cameras \(.*front, observation.images.wrist\).*camera_key"):
         find_samples(root)
@@ -50,7 +50,7 @@ def test_several_cameras_ask_for_one(lerobot):
             find_samples(root, camera_key=wanted)
 
 
-def test_among_other_folders_a_dataset_that_cannot_be_used_is_one_row(lerobot, tmp_path):
+def test_an_unusable_dataset_among_other_folders_is_one_bad_sample(lerobot, tmp_path):
     lerobot("v3.0", keys=TWO)
     (tmp_path / "a.mp4").touch()
     one, bad = find_samples(tmp_path).samples
@@ -59,13 +59,13 @@ def test_among_other_folders_a_dataset_that_cannot_be_used_is_one_row(lerobot, t
     assert len(find_samples(tmp_path, camera_key="front").samples) == 4
 
 
-def test_a_camera_key_that_nothing_asks_for_is_told(tmp_path):
+def test_a_camera_key_without_a_file_of_several_cameras_is_refused(tmp_path):
     (tmp_path / "a.mp4").touch()
     with pytest.raises(UsageError, match="nothing to choose from"):
         find_samples(tmp_path, camera_key="front")
 
 
-def test_depth_films_are_no_cameras(lerobot):
+def test_depth_videos_are_not_taken_as_cameras(lerobot):
     root = lerobot("v3.0", keys=TWO)
     info = json.loads((root / "meta" / "info.json").read_text())
     info["features"][TWO[1]]["info"] = {"video.is_depth_map": True}
@@ -73,13 +73,13 @@ def test_depth_films_are_no_cameras(lerobot):
     assert {s.camera_key for s in find_samples(root).samples} == {TWO[0]}
 
 
-def test_a_dataset_without_films_is_sent_to_audit(tmp_path):
+def test_a_dataset_without_videos_is_refused_with_a_hint_at_audit(tmp_path):
     write_info(tmp_path / "ds", "v3.0", 10, {"action": {"dtype": "float32", "shape": [7]}})
     with pytest.raises(UsageError, match=r"LeRobot dataset has no video.*`audit`"):
         find_samples(tmp_path / "ds")
 
 
-def test_the_datasets_camera_file_holds(lerobot):
+def test_the_camera_file_of_a_dataset_has_precedence(lerobot):
     root = lerobot("v3.0")
     assert find_samples(root).samples[0].camera_source is CameraSource.BENCHMARK
     save_camera(benchmark_camera().resized(192, 192), root / "meta" / "camera.json")
@@ -89,7 +89,7 @@ def test_the_datasets_camera_file_holds(lerobot):
         assert (sample.camera.width, sample.camera_source) == (192, CameraSource.FOLDER)
 
 
-def test_missing_frames_and_films_are_errors_of_their_episodes(lerobot):
+def test_missing_frames_and_videos_are_errors_of_their_episodes(lerobot):
     root = lerobot("v3.0")
     write_v3_episodes(root, ("observation.images.front",), (5, 4, 9), 10)
     *_, last = find_samples(root).samples
@@ -103,14 +103,14 @@ def test_missing_frames_and_films_are_errors_of_their_episodes(lerobot):
     "pattern",
     ["../{video_key}.mp4", "/etc/{video_key}", "{video_key.__class__}.mp4", "{nobody}", f"{300 * 'x'}.mp4", "a\0.mp4"],
 )
-def test_paths_of_films_stay_in_the_dataset_and_run_no_format(lerobot, pattern):
+def test_video_path_patterns_that_leave_the_dataset_or_format_attributes_are_refused(lerobot, pattern):
     root = lerobot("v3.0")
     info = json.loads((root / "meta" / "info.json").read_text())
     (root / "meta" / "info.json").write_text(json.dumps({**info, "video_path": pattern}))
     assert all(s.problem for s in find_samples(root).samples)
 
 
-def test_time_stamps_that_are_no_numbers_are_errors_of_their_episodes(lerobot):
+def test_nan_time_stamps_are_errors_of_their_episodes(lerobot):
     root = lerobot("v3.0")
     file = root / "meta" / "episodes" / "chunk-000" / "file-000.parquet"
     name = "videos/observation.images.front/from_timestamp"
@@ -122,7 +122,7 @@ def test_time_stamps_that_are_no_numbers_are_errors_of_their_episodes(lerobot):
     assert "has no chunk, file and time stamps" in second.problem
 
 
-def test_pictures_in_parquet_are_videos_too(tmp_path):
+def test_images_in_parquet_files_are_read_as_videos(tmp_path):
     def coded(image):
         buffer = io.BytesIO()
         Image.fromarray(image).save(buffer, format="png")
