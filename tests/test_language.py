@@ -20,6 +20,11 @@ TURNS = re.compile(
     re.IGNORECASE | re.MULTILINE,
 )
 
+RIDDLES = re.compile(
+    r"_(told|asked|borne)(_|$)|_what_(is|are|was|were|can|cannot|would|has|does)_|_(is|are)_(said|given_up)(_|$)"
+)
+"""Parts of a name of a test that leave its law open."""
+
 
 def modules():
     return sorted(p for top in SHIPPED for p in (ROOT / top).rglob("*.py") if p.resolve() == p)
@@ -76,3 +81,22 @@ def test_banned_identifiers_and_turns_of_phrase_are_detected(tmp_path):
     path = tmp_path / "a.py"
     path.write_text('class Theatre:\n    """See `X`."""\n\n\ndef f(given):\n    """What is told to f."""\n')
     assert len(list(problems(path))) == 4
+
+
+def riddles(tree):
+    """Names of tests, and their lines, that state no law."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.FunctionDef) and node.name.startswith("test_") and RIDDLES.search(node.name):
+            yield node.name, node.lineno
+
+
+@pytest.mark.parametrize(
+    "path", sorted((ROOT / "tests").rglob("test_*.py")), ids=lambda p: p.relative_to(ROOT).as_posix()
+)
+def test_names_of_tests_are_plain(path):
+    assert list(riddles(ast.parse(path.read_text()))) == []
+
+
+def test_riddles_in_names_of_tests_are_detected():
+    source = "def test_a_name_is_told(): ...\ndef test_what_is_left_over(): ...\ndef test_pages_are_plain(): ...\n"
+    assert [line for _, line in riddles(ast.parse(source))] == [1, 2]

@@ -185,7 +185,7 @@ def test_given_angles_past_a_limit_are_judged_as_given(plant: ArmPlant, judge: T
     assert [i for i, s in enumerate(result.joints.status) if s is IkStatus.JOINT_LIMIT] == list(past)
 
 
-def test_a_lower_limit_is_told_from_an_upper_one(plant: ArmPlant, judge: TrackJudge) -> None:
+def test_a_lower_joint_limit_is_distinguished_from_an_upper_one(plant: ArmPlant, judge: TrackJudge) -> None:
     q = _gentle()
     q[:, 3] -= 1.8 * np.sin(np.pi * np.arange(40) / 39.0) ** 2
     limits = [v for v in _given(judge, q, period_s=10.0).violations if v.kind is ViolationKind.JOINT_LIMIT]
@@ -316,7 +316,7 @@ def test_jittering_stamps_make_no_feasible_motion_infeasible(judge: TrackJudge, 
     assert judge.judge_joints(t_s, q, width).feasible is True
 
 
-def test_nothing_is_said_of_postures_that_do_not_reach(plant: ArmPlant, judge: TrackJudge) -> None:
+def test_metrics_of_unreachable_postures_are_null(plant: ArmPlant, judge: TrackJudge) -> None:
     far = np.tile(make_pose(np.eye(3), [3.0, 0.0, 0.0]), (12, 1, 1))
     metrics = judge.judge_poses(_gripper(0.2 * np.arange(12), far)).metrics
     names = ("branch_jumps", "slowdown_min", "self_distance_min_m", "table_distance_min_m", "joint_limit_margin_min")

@@ -197,7 +197,7 @@ def _tracked(n: int, lost: list[int]) -> NDArray[np.bool_]:
         (None, list(range(30)), [], [UNDECIDED, LOST]),
     ],
 )
-def test_what_is_against_executing(
+def test_obstacles_to_execution_are_listed_and_determine_executable(
     feasible: bool | None, lost: list[int], anomalies: list[str] | None, obstacles: list[str]
 ) -> None:
     found = find_obstacles(feasible, _tracked(49, lost), anomalies)

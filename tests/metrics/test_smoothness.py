@@ -79,7 +79,7 @@ def _published_ldlj(speed: Array, fs: float) -> float:
 
 @pytest.mark.parametrize("fs", [20.0, 30.0, 100.0])
 @pytest.mark.parametrize("n", [17, 64, 101])
-def test_both_are_what_is_published(fs: float, n: int) -> None:
+def test_sparc_and_ldlj_equal_the_published_code(fs: float, n: int) -> None:
     rng = np.random.default_rng(n)
     for speed in (_bell(n), _bell(n) + 0.3 * rng.random(n), rng.random(n)):
         assert sparc(speed, fs) == pytest.approx(_published_sparc(speed, fs), abs=1e-12)
@@ -136,7 +136,7 @@ def test_a_track_is_judged_by_its_two_speeds() -> None:
     assert fine.metrics["ldlj"] == pytest.approx(-np.log(720.0 / 1.875**2), abs=0.02)
 
 
-def test_translation_and_rotation_are_told_apart() -> None:
+def test_translation_and_rotation_are_measured_separately() -> None:
     slides, turns = measure_smoothness(_track(size_rad=0.0)), measure_smoothness(_track(size_m=0.0))
     assert slides.metrics["sparc"] is not None
     assert slides.metrics["sparc_rotation"] is None
@@ -281,7 +281,7 @@ def test_the_same_track_gives_the_same_floor() -> None:
     assert first.metrics != measure_smoothness(track, seed=1).metrics
 
 
-def test_numbers_have_flat_names_and_what_is_missing_a_reason() -> None:
+def test_metrics_have_flat_names_and_nulls_have_a_reason() -> None:
     result = measure_smoothness(_track(size_rad=0.0))
     names = {f"{name}{part}" for name in METRICS for part in ("", "_floor_low", "_floor_median", "_floor_high")}
     assert set(result.metrics) == names
