@@ -18,7 +18,7 @@ from kinebench_drake.executors.base import WorkerCrash
 from kinebench_drake.executors.local import LocalExecutor
 from kinebench_drake.geometry import Array, rotation_exp
 from kinebench_drake.metrics.judge import TrackJudge
-from kinebench_drake.metrics.result import KinematicResult, Value
+from kinebench_drake.metrics.result import BOUND, KinematicResult, Value
 from kinebench_drake.results.direction import HIGHER_IS_BETTER, LOWER_IS_BETTER, improves
 from kinebench_drake.segments import finite_rows
 from kinebench_drake.track import GripperTrack
@@ -67,7 +67,7 @@ class LossTrial:
         better = {}
         for before, after in zip(self.metrics, self.metrics[1:], strict=False):
             for name in sorted(HIGHER_IS_BETTER | LOWER_IS_BETTER):
-                old, new = before.get(name), after.get(name)
+                old, new = (m.get(name + BOUND, m.get(name)) for m in (before, after))
                 if old is not None and new is not None and improves(name, float(old), float(new)):
                     better[name] = float(old), float(new)
         return better
@@ -89,7 +89,7 @@ class LossWorker:
         tracked = finite_rows(track.X_BG.reshape(-1, 16))
         tracked &= True if track.tracked is None else track.tracked
         results, losses = [self._measure(track, tracked)], list[LossKind]()
-        usable = results[0].curves["manipulability"] > 0.0  # neither lost nor unreachable so far
+        usable = tracked & (results[0].curves["manipulability"] > 0.0)  # neither lost nor unreachable so far
         for _ in range(STAGES):
             loss = list(LossKind)[rng.integers(len(LossKind))]
             frames = _choose(rng, usable)

@@ -1,42 +1,50 @@
-"""Whether a robot can execute a whole video, and what is against it."""
+"""Whether a robot can execute a whole video: what speaks against it, and what could not be measured."""
 
-from collections.abc import Collection
+from collections.abc import Sequence
 from enum import Enum
 
-import numpy as np
-from numpy.typing import NDArray
+from kinebench_drake.anomaly import Anomaly, AnomalyKind
+from kinebench_drake.errors import count_noun
 
-from kinebench_drake.anomaly import AnomalyKind
-from kinebench_drake.segments import segments
+INFEASIBLE = "infeasible"
+"""The motion breaks a limit of the arm."""
+UNDECIDED = "undecided"
+"""Too few frames are measured for a verdict on the motion, or there is no base frame."""
+LOST = "lost"
+"""Frames without a pose that are not bridged soundly."""
 
-LOST_FRAMES = 3
-"""Number of consecutive frames without a pose that no interpolation bridges soundly."""
-LOST_SHARE = 0.1
-"""Share of all frames without a pose above which no gap counts as bridged."""
-INFEASIBLE, UNDECIDED, LOST = "infeasible", "undecided", "lost"
-"""Reasons other than the kinds of anomalies."""
-
-_NOT_OF_THE_ROBOT = frozenset({AnomalyKind.CAMERA.value})
+_NOT_OF_THE_ROBOT = frozenset({AnomalyKind.CAMERA})
 
 
-def find_obstacles(feasible: bool | None, tracked: NDArray[np.bool_], anomalies: Collection[str] | None) -> list[str]:
-    """List what is against executing a motion: INFEASIBLE or UNDECIDED, LOST, kinds of anomalies.
+def judge_evidence(
+    feasible: bool | None, lost: int, anomalies: Sequence[Anomaly] = ()
+) -> tuple[bool | None, tuple[str, ...]]:
+    """Return whether the robot can execute a video, and the reasons why not, or why it is open.
 
-    In a video a gap of fewer than LOST_FRAMES frames between `tracked` ones (T,) is bridged by interpolation, if no
-    more than LOST_SHARE of all frames is lost. Without a video (`anomalies` None) every lost frame counts.
+    False if something speaks against the video: its motion is infeasible, or it has an anomaly that no robot can show.
+    None if nothing does, but frames could not be measured, or the verdict on the motion is open.
+
+    Args:
+        feasible: verdict on the motion.
+        lost: number of frames that are neither measured nor bridged.
+        anomalies: anomalies of the video.
     """
-    obstacles = [] if feasible else [INFEASIBLE if feasible is False else UNDECIDED]
-    gaps, n = segments(~tracked), len(tracked)
-    bridged = anomalies is not None and (~tracked).sum() <= LOST_SHARE * n
-    bridged = bridged and all(gap.start > 0 and gap.stop < n and gap.stop - gap.start < LOST_FRAMES for gap in gaps)
-    if gaps and not bridged:
-        obstacles.append(LOST)
-    return obstacles + sorted(set(anomalies or ()) - _NOT_OF_THE_ROBOT)
+    frames: dict[AnomalyKind, int] = {}
+    for a in anomalies:
+        if a.kind not in _NOT_OF_THE_ROBOT:
+            frames[a.kind] = frames.get(a.kind, 0) + a.frame_end - a.frame_start + 1
+    against = [INFEASIBLE] if feasible is False else []
+    against += [
+        f"{kind.value}: {count_noun(n, 'frame')}" for kind, n in sorted(frames.items(), key=lambda k: k[0].value)
+    ]
+    missing = [UNDECIDED] if feasible is None else []
+    missing += [f"{LOST}: {count_noun(lost, 'frame')}"] if lost else []
+    return False if against else None if missing else True, (*against, *missing)
 
 
-def is_executable(obstacles: Collection[str]) -> bool | None:
-    """Return whether nothing is against it; None if only the open verdict on the motion is."""
-    return True if not obstacles else None if list(obstacles) == [UNDECIDED] else False
+def reason_kind(reason: str) -> str:
+    """Return the kind of a reason: INFEASIBLE, UNDECIDED, LOST or a kind of anomaly, without its number of frames."""
+    return reason.partition(":")[0]
 
 
 class FailureVerdict(Enum):

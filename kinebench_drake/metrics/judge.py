@@ -16,6 +16,7 @@ from kinebench_drake.kinematics.timing import time_scale
 from kinebench_drake.kinematics.track import branch_jumps, find_free, solve_track
 from kinebench_drake.kinematics.trajopt import optimize_in_tube
 from kinebench_drake.kinematics.violation import Violation, ViolationKind
+from kinebench_drake.metrics.bridge import bridge_gaps, bridge_joints
 from kinebench_drake.metrics.discontinuity import find_discontinuities
 from kinebench_drake.metrics.limits import LimitChecks, check_limits
 from kinebench_drake.metrics.loss import cover_joints, cover_poses, weigh_manipulability, worst_manipulability
@@ -180,15 +181,15 @@ class TrackJudge:
         )
         branches = np.flatnonzero(reached)
         coverage = cover_poses(plant, track, joints, reached) if joint_sigma is None else cover_joints(plant, q)
-        w = weigh_manipulability(plant, coverage)
         poses = track.X_BG if joint_sigma is None else None
         if joint_sigma is None:
             # Where the track is incomplete, the path, which other lost frames may change, must not decide.
             asked = track.tracked & ~(joints.ok & coverage.complete)
             free = find_free(plant, self._collision, track, asked, contact_tolerance(noise))
+            filled, bridged = bridge_gaps(track)
         else:
-            free = joints.ok
-        reachable = replace(track, tracked=track.tracked & ~coverage.unreachable)
+            free, filled, bridged = joints.ok, track, np.zeros(len(t_s), dtype=bool)
+        w = weigh_manipulability(plant, coverage, bridge_joints(t_s, coverage.q, bridged))
         path = PathMeasurements(
             reached=reached,
             coverage=coverage,
@@ -197,7 +198,11 @@ class TrackJudge:
             self_clearance=own,
             table_clearance=table,
             free=free,
-            smoothness=measure_smoothness(reachable, None if assumed else noise),
+            smoothness=measure_smoothness(
+                replace(filled, tracked=filled.tracked & ~coverage.unreachable),
+                None if assumed else noise,
+                measured=track.tracked & ~coverage.unreachable,
+            ),
             checks=checks,
             timing=timing,
             tube=tube,
@@ -206,7 +211,7 @@ class TrackJudge:
             noise=noise,
             noise_assumed=assumed,
         )
-        metrics, reasons, without_lost = kinematic_metrics(plant, track, joints, path)
+        metrics, reasons = kinematic_metrics(plant, track, joints, path)
         undecided = _undecided(track, checks)
         if not violations and undecided is not None:
             reasons["feasible"] = undecided
@@ -217,7 +222,7 @@ class TrackJudge:
             violations=tuple(violations),
             metrics=MappingProxyType(metrics),
             reasons=MappingProxyType(reasons),
-            without_lost=MappingProxyType(without_lost),
+            bridged=bridged if bridged.any() else None,
             details=MappingProxyType(path_details(plant, q, path)),
             curves=MappingProxyType(track_curves(plant, joints, path)),
         )

@@ -96,10 +96,17 @@ def cover_joints(plant: ArmPlant, q: Array) -> Coverage:
     return Coverage(lost=~valid, weight=weight, q=q_near, position_error_m=position_error_m)
 
 
-def weigh_manipulability(plant: ArmPlant, coverage: Coverage) -> Manipulability:
-    """Return the manipulability of each frame times its weight; NaN where that is 0."""
-    w = compute_manipulability(plant, coverage.q)
-    return _costed(replace(w, **{name: getattr(w, name) * coverage.weight for name in _PRODUCTS}))
+def weigh_manipulability(plant: ArmPlant, coverage: Coverage, q_bridged: Array) -> Manipulability:
+    """Return the manipulability of each frame times its weight: 0 where unreachable, NaN where lost and not bridged.
+
+    `q_bridged` (T, 7) are the postures of the bridged frames [rad], NaN elsewhere.
+    """
+    bridged = finite_rows(q_bridged)
+    w = compute_manipulability(plant, np.where(bridged[:, None], q_bridged, coverage.q))
+    weight = np.where(bridged, 1.0, coverage.weight)
+    none = coverage.unreachable & (weight > 0.0).any()  # of a track that is out of reach throughout nothing is known
+    products = {name: np.where(none, 0.0, getattr(w, name) * weight) for name in _PRODUCTS}
+    return _costed(replace(w, **products))
 
 
 def worst_manipulability(plant: ArmPlant, coverage: Coverage, w: Manipulability, X_BG: Array | None) -> Manipulability:
@@ -108,7 +115,7 @@ def worst_manipulability(plant: ArmPlant, coverage: Coverage, w: Manipulability,
     `w` is the manipulability along its joint path (`weigh_manipulability`), `X_BG` its poses (T, 4, 4) [m], None if the
     joint angles are recorded, and hence known.
     """
-    least = {name: np.nan_to_num(getattr(w, name)) for name in _PRODUCTS}
+    least = {name: np.where(coverage.lost, 0.0, getattr(w, name)) for name in _PRODUCTS}
     frames = np.flatnonzero(coverage.weight == 1.0)
     if X_BG is not None and len(frames):
         layers = grid_postures(plant, X_BG[frames], _SAMPLES, _ROUNDS)  # to just past the limits, to cover those at one

@@ -38,11 +38,12 @@ class KinematicResult:
     violations: tuple[Violation, ...]
     """Limits broken, by first frame."""
     metrics: Mapping[str, Value]
-    """Metric names of the output format; None where not measurable."""
+    """Metric names of the output format; None where not measurable. Of a track with lost or unreachable frames also
+    NAME_bound, the worst that NAME can be whatever happens there; None if there is no worst."""
     reasons: Mapping[str, str] = field(default_factory=dict)
     """Why a metric is None, by its name; why the verdict is open, by "feasible"."""
-    without_lost: Mapping[str, Value] = field(default_factory=dict)
-    """Of a track with lost or unreachable frames: metrics of the other frames alone, by name, where these differ."""
+    bridged: NDArray[np.bool_] | None = None
+    """(T,) lost frames that are bridged (`bridge.bridge_gaps`); None if none is."""
     details: Mapping[str, Json] = field(default_factory=dict)
     """The field `details` of samples.jsonl: noise, limits and checks joint by joint, timing, tube."""
     curves: Mapping[str, Array] = field(default_factory=dict)
@@ -58,7 +59,7 @@ class PathMeasurements:
     coverage: Coverage
     """Lost and unreachable frames."""
     manipulability: Manipulability
-    """Manipulability along the path; NaN in lost and unreachable frames."""
+    """Manipulability along the path (`loss.weigh_manipulability`): 0 where unreachable, NaN where lost, not bridged."""
     manipulability_worst: Manipulability
     """The least that the manipulability of each frame can be (`loss.worst_manipulability`)."""
     self_clearance: Clearance
@@ -86,39 +87,36 @@ class PathMeasurements:
     """True if the track is too short to measure its noise."""
 
 
+BOUND = "_bound"
+"""End of the name of a metric's worst case."""
+
+
 def kinematic_metrics(
     plant: ArmPlant, track: GripperTrack, joints: JointTrack, path: PathMeasurements
-) -> tuple[dict[str, Value], dict[str, str], dict[str, Value]]:
-    """Return the metrics by name, the reasons of those that are None, and those without lost and unreachable frames.
+) -> tuple[dict[str, Value], dict[str, str]]:
+    """Return the metrics by name, with their bounds if frames are lost or out of reach, and why some are None.
 
-    A number of an incomplete track is the worst that it can be whatever happens in its lost and unreachable frames, and
-    None if there is no worst.
+    Values are those of measured and bridged frames, unreachable ones at their worst.
     """
     metrics, reasons = _path_metrics(plant, track, joints, path)
-    smooth = path.smoothness
-    missing = {
-        name: smooth.reasons.get(name.partition("_floor_")[0], "") or "the track's noise is unknown"
-        for name, value in smooth.metrics.items()
-        if value is None
-    }
-    if path.coverage.complete:
-        return {**smooth.metrics, **metrics}, {**missing, **reasons}, {}
-    worst: dict[str, Value] = dict.fromkeys(metrics)
+    smooth, coverage = path.smoothness, path.coverage
+    for name, value in smooth.metrics.items():
+        if value is None:
+            reasons[name] = smooth.reasons.get(name.partition("_floor_")[0], "") or "the track's noise is unknown"
+    if coverage.complete:
+        return {**smooth.metrics, **metrics}, reasons
+    worst: dict[str, Value] = {**dict.fromkeys(metrics), **smooth.bounds}
     if metrics["manipulability_mean"] is not None:
         worst |= _manipulability_metrics(track.t_s, path.manipulability_worst)
     if track.tracked.any():
         worst["ik_success_rate"] = float(path.free.mean())
-    if not path.coverage.lost.any():
-        worst["ik_position_error_max_m"] = _over_finite(np.max, path.coverage.position_error_m)
-        margin = metrics["joint_limit_margin_min"]  # no posture within limits reaches the others: theirs is 0 at most
-        worst["joint_limit_margin_min"] = None if margin is None else min(0.0, margin)
+    if not coverage.lost.any():
+        worst |= {name: metrics[name] for name in ("ik_position_error_max_m", "joint_limit_margin_min")}
     if metrics["trajopt_feasible"] is False:  # nor is there a trajectory through more frames
         worst["trajopt_feasible"] = False
-    reasons = {name: path.coverage.reason for name, value in worst.items() if value is None}
-    alone = {**smooth.without_lost, **metrics}
-    headline = {**smooth.metrics, **worst}
-    without_lost: dict[str, Value] = {name: v for name, v in alone.items() if v is not None and v != headline[name]}
-    return headline, {**missing, **reasons}, without_lost
+    bounds: dict[str, Value] = {name + BOUND: value for name, value in worst.items()}
+    reasons |= {name: coverage.reason for name, value in bounds.items() if value is None}
+    return {**smooth.metrics, **metrics, **bounds}, reasons
 
 
 def _manipulability_metrics(t_s: Array, w: Manipulability) -> dict[str, Value]:
@@ -139,15 +137,15 @@ def _path_metrics(
 ) -> tuple[dict[str, Value], dict[str, str]]:
     """Return the metrics of the frames that are neither lost nor unreachable, and why some are None."""
     w, checks, timing, tube = path.manipulability, path.checks, path.timing, path.tube
-    near = track.tracked & ~path.coverage.unreachable
     no_value = "no frame is tracked" if not track.tracked.any() else "no frame's pose is reached"
     margin = limit_margin(plant, np.where(path.reached[:, None], joints.q, np.nan))
+    lowest = _over_finite(np.min, margin)  # no posture within limits reaches unreachable frames: theirs is 0 at most
     measured: dict[str, Value] = {
         **_manipulability_metrics(track.t_s, w),
         "condition_number_max": _over_finite(np.max, w.condition),
-        "ik_success_rate": float((joints.ok | path.free)[near].mean()) if near.any() else None,
-        "ik_position_error_max_m": _over_finite(np.max, path.coverage.position_error_m[near]),
-        "joint_limit_margin_min": _over_finite(np.min, margin),
+        "ik_success_rate": float((joints.ok | path.free)[track.tracked].mean()) if track.tracked.any() else None,
+        "ik_position_error_max_m": _over_finite(np.max, path.coverage.position_error_m),
+        "joint_limit_margin_min": lowest if lowest is None or not path.coverage.unreachable.any() else min(0.0, lowest),
         "self_distance_min_m": _over_finite(np.min, path.self_clearance.distance_m),
         "table_distance_min_m": _over_finite(np.min, path.table_clearance.distance_m),
     }
@@ -176,7 +174,7 @@ def track_curves(plant: ArmPlant, joints: JointTrack, path: PathMeasurements) ->
     """Return arrays (T,) or (T, 7) by name, for the track's file."""
     w = path.manipulability
     return {
-        "manipulability": np.where(path.coverage.unreachable, 0.0, w.full),
+        "manipulability": w.full,
         "manipulability_translation": w.translation,
         "manipulability_rotation": w.rotation,
         "manipulability_weighted": w.limited,

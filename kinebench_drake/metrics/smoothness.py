@@ -7,10 +7,11 @@ equal at any frame rate, and each metric has a noise floor, its value for the sm
 """
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.fft import rfft
 from scipy.interpolate import CubicSpline
 from scipy.ndimage import convolve1d
@@ -150,42 +151,42 @@ class Smoothness:
     `_high`, and so on: percentiles 5, 50 and 95 over DRAWS copies of the smoothed motion with the track's noise."""
     reasons: Mapping[str, str]
     """Why a metric, or its noise floor, is missing, by metric."""
-    without_lost: Mapping[str, float | None]
-    """Values of the longest run of consecutive tracked frames, by name; empty if all frames are tracked."""
+    bounds: Mapping[str, float | None]
+    """Least value of each metric whatever happens in unknown frames, by name; empty if all frames are measured."""
 
 
-def measure_smoothness(track: GripperTrack, noise: TrackNoise | None = None, seed: int = 0) -> Smoothness:
+def measure_smoothness(
+    track: GripperTrack, noise: TrackNoise | None = None, seed: int = 0, *, measured: NDArray[np.bool_] | None = None
+) -> Smoothness:
     """Measure the smoothness of a track.
 
-    With lost frames SPARC and LDLJ are the least values over all motions in these frames (`completion`), None if more
-    than MAX_LOST_SHARE of the frames is lost; the filtered SPARC and the noise floors are None.
+    The value is that of the longest run of consecutive tracked frames, None if that leaves out more than MAX_LOST_SHARE
+    of the frames. The bounds of SPARC and LDLJ are the least values over all motions in the frames that are not
+    measured (`completion`), None if more than MAX_LOST_SHARE are not; those of the filtered SPARC are None.
 
     Args:
-        track: gripper track; frames that are not tracked are lost.
+        track: gripper track, whose tracked frames include bridged ones.
         noise: noise of the track; estimated if None (`noise.estimate_track_noise`).
         seed: seed of the draws for the noise floor.
+        measured: (T,) frames that are neither lost, bridged nor out of reach; None: the tracked ones.
     """
-    alone = _measure_longest_run(track, noise, seed)
-    lost, n = int((~track.tracked).sum()), len(track.t_s)
+    measured = track.tracked if measured is None else measured
+    n, lost = len(track.t_s), int((~measured).sum())
+    run = max(segments(track.tracked), key=lambda run: run.stop - run.start, default=slice(0, 0))
+    left_out = n - (run.stop - run.start)
+    whole = _measure_run(track, run, noise, seed)
+    if left_out > MAX_LOST_SHARE * n:
+        why = f"{left_out} of {n} frames are lost or apart, more than {MAX_LOST_SHARE:.0%}"
+        whole = _smoothness({}, dict.fromkeys(METRICS, why))
     if lost == 0:
-        return alone
-    whole = dict[str, float]()
-    reasons = dict.fromkeys(METRICS, f"{lost} of {n} frames are lost")
-    if lost > MAX_LOST_SHARE * n:
-        reasons = {name: f"{why}, more than {MAX_LOST_SHARE:.0%}" for name, why in reasons.items()}
-    else:
-        whole = _least_values(track)
-        reasons |= _stillness(track.X_BG[track.tracked])
-    return Smoothness(
-        metrics=MappingProxyType({name: whole.get(name) for name in alone.metrics}),
-        reasons=MappingProxyType(reasons),
-        without_lost=MappingProxyType({name: alone.metrics[name] for name in METRICS}),
-    )
+        return whole
+    bounds = _least_values(track, measured) if lost <= MAX_LOST_SHARE * n else {}
+    return replace(whole, bounds=MappingProxyType({name: bounds.get(name) for name in METRICS}))
 
 
-def _least_values(track: GripperTrack) -> dict[str, float]:
-    """Return the least SPARC and LDLJ over all motions in the lost frames; none of a gripper at rest."""
-    tracked, t_s = track.tracked, track.t_s
+def _least_values(track: GripperTrack, tracked: NDArray[np.bool_]) -> dict[str, float]:
+    """Return the least SPARC and LDLJ over all motions in frames other than `tracked`; none of a gripper at rest."""
+    t_s = track.t_s
     rate, stepped = _rate(t_s), tracked[1:] & tracked[:-1]
     p, R = track.X_BG[:, :3, 3], np.where(tracked[:, None, None], track.X_BG[:, :3, :3], np.eye(3))
     lengths = np.linalg.norm([np.diff(p, axis=0), rotation_steps(R)], axis=-1)
@@ -219,15 +220,14 @@ def _keeps_orientation(R: Array) -> str | None:
     return None if rotation_angle(R[0].T @ R).max() > STILL_RAD else f"the gripper stays within {STILL_RAD} rad"
 
 
-def _measure_longest_run(track: GripperTrack, noise: TrackNoise | None, seed: int) -> Smoothness:
-    """Measure the smoothness of the longest run of consecutive tracked frames of `track`; gaps are not interpolated.
+def _measure_run(track: GripperTrack, run: slice, noise: TrackNoise | None, seed: int) -> Smoothness:
+    """Measure the smoothness of a run of consecutive tracked frames of `track`.
 
     Speeds are those between neighbouring frames, interpolated linearly to evenly spaced times if the frames are not. A
     run of fewer than MIN_FRAMES frames has no smoothness, nor has a gripper that stays within STILL_M (translation) or
     STILL_RAD (rotation). Noise floors are based on the motion as smoothed by `smooth_path`, which is slightly smoother
     than the true one for few frames per move (at six frames per move and 3 mm of noise by 0.1 to 0.4 of SPARC).
     """
-    run = max(segments(track.tracked), key=lambda run: run.stop - run.start, default=slice(0, 0))
     X, t_s = track.X_BG[run], track.t_s[run]
     n = len(t_s)
     if n < MIN_FRAMES:
@@ -284,5 +284,5 @@ def _smoothness(values: Mapping[str, float], reasons: Mapping[str, str]) -> Smoo
     return Smoothness(
         metrics=MappingProxyType({name: values.get(name) for name in names}),
         reasons=MappingProxyType({name: reasons[name] for name in METRICS if name in reasons}),
-        without_lost=MappingProxyType({}),
+        bounds=MappingProxyType({}),
     )

@@ -10,13 +10,14 @@ from hypothesis.extra.numpy import arrays
 from numpy.typing import NDArray
 
 from benchmarks.loss import LossWorker
+from kinebench_drake.anomaly import Anomaly, AnomalyKind
 from kinebench_drake.geometry import Array, rotation_exp
 from kinebench_drake.kinematics.ik import solve_pose
 from kinebench_drake.kinematics.manipulability import compute_manipulability
 from kinebench_drake.kinematics.newton import ROTATION_ARM_M
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.metrics.completion import least_arc, least_ldlj
-from kinebench_drake.metrics.executable import INFEASIBLE, LOST, UNDECIDED, find_obstacles, is_executable
+from kinebench_drake.metrics.executable import judge_evidence, reason_kind
 from kinebench_drake.metrics.judge import TrackJudge
 from kinebench_drake.metrics.loss import COST_MAX, MISS_M
 from kinebench_drake.metrics.result import KinematicResult
@@ -75,13 +76,12 @@ def test_losing_frames_never_improves_smoothness(steps: Array, order: list[int])
     for lost in order[:3]:
         tracked = tracked & (np.arange(N) != lost)
         result = measure_smoothness(_gripper(X_BG, tracked))
-        for name, value in result.metrics.items():
+        for name, value in result.bounds.items():
             old = before[name]
             assert value is None or old is None or value <= old + 1e-9
         if (~tracked).sum() > MAX_LOST_SHARE * N:
-            assert set(result.metrics.values()) == {None}
-            assert "frames are lost" in result.reasons["sparc"]
-        before = result.metrics
+            assert set(result.bounds.values()) == {None}
+        before = result.bounds
 
 
 def _gripper(X_BG: Array, tracked: NDArray[np.bool_]) -> GripperTrack:
@@ -121,16 +121,36 @@ def _lose(judge: TrackJudge, track: GripperTrack, frames: list[int]) -> Kinemati
 
 
 def test_a_lost_frame_has_no_manipulability(judge: TrackJudge, reach: GripperTrack) -> None:
-    whole, result = judge.judge_poses(reach), _lose(judge, reach, [12])
-    assert whole.without_lost == {}
-    assert result.metrics["manipulability_min"] == 0.0
-    assert result.metrics["ik_success_rate"] == 24 / 25
-    assert result.metrics["manipulability_cost_mean"] > COST_MAX / 25
-    assert result.metrics["manipulability_mean"] < 24 / 25 * result.without_lost["manipulability_mean"]
-    assert result.metrics["sparc"] < result.without_lost["sparc"]
-    assert result.metrics["slowdown_min"] is None
-    assert result.reasons["slowdown_min"] == "1 of 25 frames are lost"
-    assert 0.0 < result.without_lost["slowdown_min"] < 1.0
+    whole, result = judge.judge_poses(reach).metrics, _lose(judge, reach, [12])
+    metrics = result.metrics
+    assert not any(name.endswith("_bound") for name in whole)
+    assert metrics["manipulability_min_bound"] == 0.0
+    assert metrics["ik_success_rate_bound"] == 24 / 25
+    assert metrics["manipulability_cost_mean_bound"] > COST_MAX / 25
+    assert metrics["manipulability_mean_bound"] < 24 / 25 * metrics["manipulability_mean"]
+    assert metrics["sparc_bound"] < metrics["sparc"]
+    assert metrics["slowdown_min_bound"] is None
+    assert result.reasons["slowdown_min_bound"] == "1 of 25 frames are lost"
+    assert 0.0 < metrics["slowdown_min"] < 1.0
+
+
+@pytest.mark.parametrize("lost", [[12], [3, 17], [9, 10], [4, 12, 20]])
+def test_bridged_frames_leave_the_values_where_they_are(
+    judge: TrackJudge, reach: GripperTrack, lost: list[int]
+) -> None:
+    whole, result = judge.judge_poses(reach).metrics, _lose(judge, reach, lost)
+    assert result.bridged is not None
+    assert np.flatnonzero(result.bridged).tolist() == lost
+    for name in ("sparc", "ldlj", "sparc_rotation", "manipulability_mean", "manipulability_min"):
+        assert result.metrics[name] == pytest.approx(whole[name], rel=0.05)
+
+
+def test_gaps_at_the_ends_and_long_ones_stay_open(judge: TrackJudge, reach: GripperTrack) -> None:
+    assert _lose(judge, reach, [0, 24]).bridged is None
+    result = _lose(judge, reach, list(range(6, 15)))
+    assert result.bridged is None
+    assert result.metrics["sparc"] is None
+    assert "lost or apart" in result.reasons["sparc"]
 
 
 def test_a_missed_pose_loses_its_manipulability_with_the_distance(plant: ArmPlant, judge: TrackJudge) -> None:
@@ -151,7 +171,7 @@ def test_a_missed_pose_loses_its_manipulability_with_the_distance(plant: ArmPlan
         error_m = np.hypot(nearest.position_error_m, ROTATION_ARM_M * nearest.rotation_error_rad)
         [w] = compute_manipulability(plant, nearest.q[None]).full * max(0.0, 1.0 - error_m / MISS_M)
         assert result.curves["manipulability"][6] == pytest.approx(w, abs=1e-9)
-        assert (result.without_lost == {}) is bool(error_m < MISS_M)
+        assert ("manipulability_min_bound" in result.metrics) is bool(error_m >= MISS_M)
         assert (result.metrics["manipulability_min"] == 0.0) is bool(error_m >= MISS_M)
 
 
@@ -176,30 +196,35 @@ def test_a_track_without_a_reached_frame_has_no_manipulability(judge: TrackJudge
     assert result.metrics["trajopt_feasible"] in (None, False)
 
 
-def _tracked(n: int, lost: list[int]) -> NDArray[np.bool_]:
-    return ~np.isin(np.arange(n), lost)
+def _anomaly(kind: AnomalyKind, first: int, last: int) -> Anomaly:
+    return Anomaly(kind=kind, frame_start=first, frame_end=last, severity=1.0)
 
 
 @pytest.mark.parametrize(
-    ("feasible", "lost", "anomalies", "obstacles"),
+    ("feasible", "lost", "anomalies", "executable", "reasons"),
     [
-        (True, [], [], []),
-        (True, [], ["camera_motion"], []),
-        (True, [4, 5], [], []),  # bridged
-        (True, [4, 5, 6], [], [LOST]),
-        (True, [0], [], [LOST]),
-        (True, [48], [], [LOST]),
-        (True, [2, 8, 14, 20, 26], [], [LOST]),  # more than a tenth
-        (True, [4], None, [LOST]),  # a trajectory
-        (True, [], None, []),
-        (False, [], ["teleport", "teleport", "freeze"], [INFEASIBLE, "freeze", "teleport"]),
-        (None, [], [], [UNDECIDED]),
-        (None, list(range(30)), [], [UNDECIDED, LOST]),
+        (True, 0, [], True, []),
+        (True, 0, [_anomaly(AnomalyKind.CAMERA, 0, 9)], True, []),
+        (True, 3, [], None, ["lost: 3 frames"]),
+        (None, 0, [], None, ["undecided"]),
+        (None, 30, [], None, ["undecided", "lost: 30 frames"]),
+        (False, 1, [], False, ["infeasible", "lost: 1 frame"]),
+        (True, 2, [_anomaly(AnomalyKind.VANISH, 4, 8)], False, ["vanish: 5 frames", "lost: 2 frames"]),
+        (
+            False,
+            0,
+            [
+                _anomaly(AnomalyKind.TELEPORT, 3, 3),
+                _anomaly(AnomalyKind.TELEPORT, 9, 9),
+                _anomaly(AnomalyKind.FREEZE, 1, 6),
+            ],
+            False,
+            ["infeasible", "freeze: 6 frames", "teleport: 2 frames"],
+        ),
     ],
 )
-def test_obstacles_to_execution_are_listed_and_determine_executable(
-    feasible: bool | None, lost: list[int], anomalies: list[str] | None, obstacles: list[str]
+def test_only_evidence_against_a_video_makes_it_not_executable(
+    feasible: bool | None, lost: int, anomalies: list[Anomaly], executable: bool | None, reasons: list[str]
 ) -> None:
-    found = find_obstacles(feasible, _tracked(49, lost), anomalies)
-    assert found == obstacles
-    assert is_executable(found) is (True if not obstacles else None if obstacles == [UNDECIDED] else False)
+    assert judge_evidence(feasible, lost, anomalies) == (executable, tuple(reasons))
+    assert all(reason_kind(reason).isidentifier() for reason in reasons)
