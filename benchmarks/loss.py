@@ -18,8 +18,8 @@ from kinebench_drake.executors.base import WorkerCrash
 from kinebench_drake.executors.local import LocalExecutor
 from kinebench_drake.geometry import Array, rotation_exp
 from kinebench_drake.metrics.judge import TrackJudge
-from kinebench_drake.metrics.result import BOUND, KinematicResult, Value
-from kinebench_drake.results.direction import HIGHER_IS_BETTER, LOWER_IS_BETTER, improves
+from kinebench_drake.metrics.result import KinematicResult, Value
+from kinebench_drake.results.direction import BOUND, HIGHER_IS_BETTER, LOWER_IS_BETTER, improves
 from kinebench_drake.segments import finite_rows
 from kinebench_drake.track import GripperTrack
 

@@ -23,7 +23,7 @@ MAY_IMPORT = {
     "executors": IO | {"results"},
     "models": IO,
     "kinematics": IO | {"models"},
-    "metrics": IO | {"models", "kinematics"},
+    "metrics": IO | {"models", "kinematics", "results"},
     "grounding": IO | {"models", "kinematics", "formats", "executors"},
     "suites": IO | {"models", "kinematics", "formats", "results", "executors"},
     "closed_loop": IO | {"models", "kinematics", "metrics", "executors", "grounding", "suites"},

@@ -19,7 +19,7 @@ from kinebench_drake.errors import count_noun, name_options, one_line
 from kinebench_drake.io.jsonl import Json, as_object
 from kinebench_drake.metrics.trust import TRUST, trust_lines
 from kinebench_drake.report.timeline import anomalies_of
-from kinebench_drake.results.aggregate import VERDICT_SHARES, estimate, estimate_passes
+from kinebench_drake.results.aggregate import VERDICT_SHARES, estimate, estimate_executable, estimate_passes
 from kinebench_drake.results.inputs import input_lines
 from kinebench_drake.results.row import SampleRow, Status
 from kinebench_drake.results.store import REQUESTS
@@ -165,7 +165,15 @@ def _has_anomalies(rows: Sequence[SampleRow]) -> bool:
 
 
 def _share(name: str, rows: Sequence[SampleRow]) -> str:
-    """Describe the share of a truth value; empty if no row has it."""
+    """Describe the share of a truth value; empty if no row has it. Open verdicts on execution count as no."""
+    if name == "executable":
+        share, n = estimate_executable(rows), len(rows)
+        if share.low is None or all(row.executable is None for row in rows):
+            return ""
+        hits, open_ = (sum(row.executable is verdict for row in rows) for verdict in (True, None))
+        upper = f"; at most {share.upper:.0%}, as {open_} are undecided" if open_ else ""
+        interval = f"95% interval {share.low:.0%} to {share.high:.0%}"
+        return f"executable: {hits} of {count_noun(n, 'sample')}, {share.mean:.0%} ({interval}{upper})"
     verdicts = (getattr(row, name) if name in VERDICT_SHARES else row.extra.get(name) for row in rows)
     values = [verdict if row.status is Status.OK else None for row, verdict in zip(rows, verdicts, strict=True)]
     judged = [(value, row.episode) for value, row in zip(values, rows, strict=True) if isinstance(value, bool)]

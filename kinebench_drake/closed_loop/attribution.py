@@ -15,7 +15,7 @@ from kinebench_drake.anomaly import Anomaly, AnomalyKind
 from kinebench_drake.closed_loop.loop import EpisodeRun, Round
 from kinebench_drake.geometry import Array, pose_difference
 from kinebench_drake.grounding.video_result import GroundingResult
-from kinebench_drake.metrics.executable import LOST_FRAMES, LOST_SHARE, FailureVerdict
+from kinebench_drake.metrics.executable import FailureVerdict
 from kinebench_drake.metrics.result import KinematicResult
 from kinebench_drake.segments import segments
 
@@ -23,6 +23,10 @@ ASTRAY_M, ASTRAY_RAD = 0.03, float(np.deg2rad(15.0))
 """Deviation of the executed from the generated gripper that counts as failed execution; servos err by 5 mm at most."""
 FINGERS_M = 0.02
 """Deviation of the gap between the fingers that counts as failed execution."""
+LOST_FRAMES = 3
+"""Number of consecutive frames without a pose, or without a gap between the fingers, that may hide the cause."""
+LOST_SHARE = 0.1
+"""Share of all frames without a pose from which on they may hide it."""
 ASTRAY_FRAMES = 2
 """Number of consecutive frames with a deviation that counts."""
 

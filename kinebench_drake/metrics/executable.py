@@ -1,9 +1,11 @@
 """Whether a robot can execute a whole video: what speaks against it, and what could not be measured."""
 
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Iterable, Mapping
 from enum import Enum
+from typing import Any
 
-from kinebench_drake.anomaly import Anomaly, AnomalyKind
+from kinebench_drake.anomaly import AnomalyKind
 from kinebench_drake.errors import count_noun
 
 INFEASIBLE = "infeasible"
@@ -13,11 +15,11 @@ UNDECIDED = "undecided"
 LOST = "lost"
 """Frames without a pose that are not bridged soundly."""
 
-_NOT_OF_THE_ROBOT = frozenset({AnomalyKind.CAMERA})
+_NOT_OF_THE_ROBOT = frozenset({AnomalyKind.CAMERA.value})
 
 
 def judge_evidence(
-    feasible: bool | None, lost: int, anomalies: Sequence[Anomaly] = ()
+    feasible: bool | None, lost: int, anomalies: Iterable[Mapping[str, Any]] = ()
 ) -> tuple[bool | None, tuple[str, ...]]:
     """Return whether the robot can execute a video, and the reasons why not, or why it is open.
 
@@ -27,15 +29,14 @@ def judge_evidence(
     Args:
         feasible: verdict on the motion.
         lost: number of frames that are neither measured nor bridged.
-        anomalies: anomalies of the video.
+        anomalies: anomalies of the video, as in its row.
     """
-    frames: dict[AnomalyKind, int] = {}
+    frames = Counter[str]()
     for a in anomalies:
-        if a.kind not in _NOT_OF_THE_ROBOT:
-            frames[a.kind] = frames.get(a.kind, 0) + a.frame_end - a.frame_start + 1
+        frames[str(a["kind"])] += int(a["frame_end"]) - int(a["frame_start"]) + 1
     against = [INFEASIBLE] if feasible is False else []
     against += [
-        f"{kind.value}: {count_noun(n, 'frame')}" for kind, n in sorted(frames.items(), key=lambda k: k[0].value)
+        f"{kind}: {count_noun(frames[kind], 'frame')}" for kind in sorted(frames) if kind not in _NOT_OF_THE_ROBOT
     ]
     missing = [UNDECIDED] if feasible is None else []
     missing += [f"{LOST}: {count_noun(lost, 'frame')}"] if lost else []

@@ -39,11 +39,12 @@ from kinebench_drake.metrics.reach import (
 from kinebench_drake.metrics.result import (
     KinematicResult,
     PathMeasurements,
+    feasible_period,
     kinematic_metrics,
     path_details,
     track_curves,
 )
-from kinebench_drake.metrics.smoothness import measure_smoothness
+from kinebench_drake.metrics.smoothness import measure_smoothness, stands_still
 from kinebench_drake.segments import spread
 from kinebench_drake.track import GripperTrack, IkStatus, JointTrack
 
@@ -198,6 +199,9 @@ class TrackJudge:
             self_clearance=own,
             table_clearance=table,
             free=free,
+            bridged=bridged,
+            p_BG=smooth_poses(filled, noise)[:, :3, 3],
+            motionless=stands_still(track.X_BG[track.tracked]) if track.tracked.any() else None,
             smoothness=measure_smoothness(
                 replace(filled, tracked=filled.tracked & ~coverage.unreachable),
                 None if assumed else noise,
@@ -215,6 +219,10 @@ class TrackJudge:
         undecided = _undecided(track, checks)
         if not violations and undecided is not None:
             reasons["feasible"] = undecided
+        period, why = feasible_period(t_s, metrics["slowdown_min"], violations, undecided)
+        metrics["feasible_from_period_s"] = period
+        if period is None:
+            reasons["feasible_from_period_s"] = why
         return KinematicResult(
             track=track,
             joints=joints,
@@ -222,7 +230,6 @@ class TrackJudge:
             violations=tuple(violations),
             metrics=MappingProxyType(metrics),
             reasons=MappingProxyType(reasons),
-            bridged=bridged if bridged.any() else None,
             details=MappingProxyType(path_details(plant, q, path)),
             curves=MappingProxyType(track_curves(plant, joints, path)),
         )

@@ -1,6 +1,6 @@
 """The result of judging one track: verdict, violations, metrics, and the measurements behind them as JSON."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -19,6 +19,7 @@ from kinebench_drake.metrics.limits import KINDS, LimitCheck, LimitChecks
 from kinebench_drake.metrics.loss import Coverage
 from kinebench_drake.metrics.noise import TrackNoise
 from kinebench_drake.metrics.smoothness import Smoothness
+from kinebench_drake.results.direction import BOUND
 from kinebench_drake.segments import finite_rows
 from kinebench_drake.track import GripperTrack, JointTrack
 
@@ -42,12 +43,10 @@ class KinematicResult:
     NAME_bound, the worst that NAME can be whatever happens there; None if there is no worst."""
     reasons: Mapping[str, str] = field(default_factory=dict)
     """Why a metric is None, by its name; why the verdict is open, by "feasible"."""
-    bridged: NDArray[np.bool_] | None = None
-    """(T,) lost frames that are bridged (`bridge.bridge_gaps`); None if none is."""
     details: Mapping[str, Json] = field(default_factory=dict)
     """The field `details` of samples.jsonl: noise, limits and checks joint by joint, timing, tube."""
     curves: Mapping[str, Array] = field(default_factory=dict)
-    """Arrays (T,) or (T, 7) along the track for its npz file; NaN where not measured."""
+    """Arrays (T,) or (T, 7) along the track for its npz file; NaN where not measured. `bridged` is 1 where bridged."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -81,14 +80,16 @@ class PathMeasurements:
     """Largest tube radius of a feasible track [m]."""
     branch_jumps: NDArray[np.intp]
     """(N,) frames before which the joint path changes its branch."""
+    bridged: NDArray[np.bool_]
+    """(T,) lost frames that are bridged (`bridge.bridge_gaps`)."""
+    p_BG: Array
+    """(T, 3) denoised positions of the TCP [m]; NaN where lost, not bridged."""
+    motionless: bool | None
+    """True if the gripper neither moves nor turns; None if no frame is tracked."""
     noise: TrackNoise
     """Noise of the track, measured or assumed."""
     noise_assumed: bool
     """True if the track is too short to measure its noise."""
-
-
-BOUND = "_bound"
-"""End of the name of a metric's worst case."""
 
 
 def kinematic_metrics(
@@ -117,6 +118,28 @@ def kinematic_metrics(
     bounds: dict[str, Value] = {name + BOUND: value for name, value in worst.items()}
     reasons |= {name: coverage.reason for name, value in bounds.items() if value is None}
     return {**smooth.metrics, **metrics, **bounds}, reasons
+
+
+def path_length(p: Array) -> float | None:
+    """Return the length [m] of a path `p` (T, 3) through its finite positions; None without two."""
+    known = p[finite_rows(p)]
+    return float(np.linalg.norm(np.diff(known, axis=0), axis=-1).sum()) if len(known) > 1 else None
+
+
+def feasible_period(
+    t_s: Array, slowdown: Value, violations: Iterable[Violation], undecided: str | None
+) -> tuple[float | None, str]:
+    """Return the shortest frame period at which a track is feasible [s], or None and why there is none.
+
+    Slower by k = `slowdown_min` the track keeps every limit of speed, acceleration, jerk and torque; nothing else
+    depends on time.
+    """
+    others = sorted({v.kind.value for v in violations if v.kind not in KINDS})
+    if others:
+        return None, f"no frame period changes {', '.join(others)}"
+    if undecided is not None or slowdown is None:
+        return None, undecided or "the least slow-down is unknown"
+    return float(slowdown * np.median(np.diff(t_s))), ""
 
 
 def _manipulability_metrics(t_s: Array, w: Manipulability) -> dict[str, Value]:
@@ -164,6 +187,8 @@ def _path_metrics(
         rows["slowdown_min"] = None if np.isinf(slowdown.factor) else slowdown.factor, why
     for name, value in (("trajopt_feasible", tube.feasible), ("trajopt_position_tube_m", tube.radius_m)):
         rows[name] = value, tube.reason or "no tube was found"
+    rows["path_length_m"] = path_length(path.p_BG), no_value
+    rows["motionless"] = path.motionless, no_value
     jumps = float(len(path.branch_jumps)) if path.reached.sum() > 1 else None
     rows["branch_jumps"] = jumps, "fewer than two poses are reached"
     metrics = {name: value for name, (value, _) in rows.items()}
@@ -174,6 +199,7 @@ def track_curves(plant: ArmPlant, joints: JointTrack, path: PathMeasurements) ->
     """Return arrays (T,) or (T, 7) by name, for the track's file."""
     w = path.manipulability
     return {
+        "bridged": path.bridged.astype(np.float64),
         "manipulability": w.full,
         "manipulability_translation": w.translation,
         "manipulability_rotation": w.rotation,

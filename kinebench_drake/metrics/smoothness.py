@@ -201,6 +201,11 @@ def _least_values(track: GripperTrack, tracked: NDArray[np.bool_]) -> dict[str, 
     return values
 
 
+def stands_still(X_BG: Array) -> bool:
+    """Return whether poses (N, 4, 4) neither move by more than STILL_M nor turn by more than STILL_RAD."""
+    return _rests(X_BG[:, :3, 3]) is not None and _keeps_orientation(X_BG[:, :3, :3]) is not None
+
+
 def _stillness(X_BG: Array) -> dict[str, str]:
     """Return why poses (N, 4, 4) have no smoothness, by metric; empty if they move and turn."""
     reasons = {

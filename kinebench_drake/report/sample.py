@@ -205,7 +205,6 @@ def _other_details(row: SampleRow) -> Iterator[DetailLine]:
         if value is not None and median is not None and low is not None and high is not None:
             text = f"{value:.2f}; smoothed track with its noise {median:.2f} ({low:.2f} to {high:.2f})"
             yield DetailLine(depth=0, name=name.replace("_", " "), text=text)
-    yield from list_details({f"{name} without lost frames": value for name, value in row.without_lost.items()})
     yield from list_details(
         {f"no {name}": reason for name, reason in row.null_reasons.items() if "_floor_" not in name}
     )

@@ -3,14 +3,14 @@
 import math
 from collections import Counter
 from collections.abc import Hashable, Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from kinebench_drake.geometry import Array
 from kinebench_drake.io.jsonl import Json
-from kinebench_drake.results.direction import worst_value
+from kinebench_drake.results.direction import BOUND, worst_value
 from kinebench_drake.results.row import SampleRow, Status
 from kinebench_drake.stats import bootstrap_mean, group_means, pass_at_k, share_interval
 
@@ -40,7 +40,10 @@ class Estimate:
     total: int
     """Number of samples in the group, measurable or not."""
     bound: float | None = None
-    """The mean if every sample without a value had the worst value of the run; None if no value is the worst."""
+    """The mean if every lost frame were at its worst and every sample without a value had the worst value of the run;
+    None if no value is the worst."""
+    upper: float | None = None
+    """The share if every open verdict on execution were yes; None of other numbers."""
 
     def to_json(self) -> dict[str, Json]:
         """Return the object in `results.json`."""
@@ -86,10 +89,10 @@ def worst_values(rows: Sequence[SampleRow]) -> dict[str, float | None]:
     Of values that are true or false it is false, 0.
     """
     worst: dict[str, float | None] = {}
-    for name, (values, _) in _columns(rows).items():
-        column = _to_array(values)
-        numbers = column[np.isfinite(column)].tolist()
-        worst[name] = 0.0 if numbers and _is_share(values) else worst_value(name, numbers)
+    for name, column in _columns(rows).items():
+        both = _to_array([*column.values, *column.bounds])
+        numbers = both[np.isfinite(both)].tolist()
+        worst[name] = 0.0 if numbers and _is_share(column.values) else worst_value(name, numbers)
     return worst
 
 
@@ -103,18 +106,29 @@ def aggregate(rows: Sequence[SampleRow], seed: int = 0, worst: Mapping[str, floa
     """
     worst = worst_values(rows) if worst is None else worst
     counts = Counter(r.status for r in rows)
+    judged = worst.get("executable") is not None
+    estimates = {
+        name: estimate(
+            column.values,
+            total=len(rows),
+            seed=seed,
+            worst=worst.get(name),
+            episodes=column.episodes,
+            bounds=column.bounds,
+        )
+        for name, column in _columns(rows).items()
+    }
+    if judged:
+        estimates["executable"] = estimate_executable(rows, seed)
+    passes = {f"pass_at_{k}": share for k, share in estimate_passes(rows, seed).items()}
     return Aggregate(
         status={status: counts[status] for status in Status},
-        estimates={
-            **{
-                name: estimate(values, total=len(rows), seed=seed, worst=worst.get(name), episodes=episodes)
-                for name, (values, episodes) in _columns(rows, judged=worst.get("executable") is not None).items()
-            },
-            **{f"pass_at_{k}": share for k, share in estimate_passes(rows, seed).items()},
-        },
+        estimates={**estimates, **passes},
         violations=_count_kinds({str(v.get("kind")) for v in row.violations} for row in rows),
         anomalies=_count_kinds(_anomaly_kinds(row) for row in rows),
-        executable_reasons=_count_kinds({*row.executable_reasons} for row in rows),
+        executable_reasons=_count_kinds(
+            {reason.partition(":")[0] for reason in row.executable_reasons} for row in rows
+        ),
     )
 
 
@@ -141,28 +155,42 @@ class RunStatistics:
         )
 
 
-def _columns(rows: Sequence[SampleRow], *, judged: bool = False) -> dict[str, tuple[list[Json], list[Hashable]]]:
-    """Return the values of verdicts and metrics by name, and their episodes.
+@dataclass(frozen=True, slots=True)
+class _Column:
+    """Values of a verdict or metric over the rows of a group."""
 
-    A null verdict on execution is no, if the run is `judged`, that is if any of its rows has one.
-    """
-    columns: dict[str, tuple[list[Json], list[Hashable]]] = {"executable": ([], []), "feasible": ([], [])}
+    values: list[Json] = field(default_factory=list)
+    bounds: list[Json] = field(default_factory=list)
+    """The worst that each can be."""
+    episodes: list[Hashable] = field(default_factory=list)
 
-    def add(name: str, value: Json, episode: str) -> None:
-        values, episodes = columns.setdefault(name, ([], []))
-        values.append(value)
-        episodes.append(episode)
+    def add(self, value: Json, bound: Json, episode: str) -> None:
+        self.values.append(value)
+        self.bounds.append(bound)
+        self.episodes.append(episode)
 
-    for row in rows if judged or any(row.executable is not None for row in rows) else ():
-        add("executable", row.executable is True, row.episode)
+
+def _columns(rows: Sequence[SampleRow]) -> dict[str, _Column]:
+    """Return the values of verdicts and metrics by name; a null verdict on execution is no if any row has one."""
+    columns: dict[str, _Column] = {name: _Column() for name in VERDICT_SHARES}
+    for row in rows if any(row.executable is not None for row in rows) else ():
+        columns["executable"].add(row.executable is True, row.executable is True, row.episode)
     for row in (r for r in rows if r.status is Status.OK):
-        episode = row.episode
-        add("feasible", row.feasible, episode)
+        columns["feasible"].add(row.feasible, row.feasible, row.episode)
         extra = {name: row.extra[name] for name in _EXTRA if name in row.extra}
         for name, value in {**row.metrics, **extra}.items():
-            if value is None or isinstance(value, bool | int | float):
-                add(name, value, episode)
+            if (value is None or isinstance(value, bool | int | float)) and not name.endswith(BOUND):
+                bound = value if name in extra else row.bound(name)
+                columns.setdefault(name, _Column()).add(value, bound, row.episode)
     return columns
+
+
+def estimate_executable(rows: Sequence[SampleRow], seed: int = 0) -> Estimate:
+    """Estimate the share of executable samples among all: open verdicts are no, and yes in `upper`."""
+    episodes, total = [row.episode for row in rows], len(rows)
+    lower = estimate([row.executable is True for row in rows], total=total, seed=seed, episodes=episodes)
+    upper = estimate([row.executable is not False for row in rows], total=total, episodes=episodes)
+    return replace(lower, upper=upper.mean)
 
 
 def estimate_passes(rows: Sequence[SampleRow], seed: int = 0) -> dict[int, Estimate]:
@@ -213,6 +241,7 @@ def estimate(
     seed: int = 0,
     worst: float | None = None,
     episodes: Sequence[Hashable] | None = None,
+    bounds: Sequence[Json] | None = None,
 ) -> Estimate:
     """Compute mean, interval and bound of `values`, ignoring None.
 
@@ -227,6 +256,7 @@ def estimate(
         seed: seed of the bootstrap intervals.
         worst: value of missing ones in the bound.
         episodes: episode of each sample; None: each its own.
+        bounds: the worst that each value can be; None: the values.
     """
     column = _to_array(values)
     finite = np.isfinite(column)
@@ -246,8 +276,11 @@ def estimate(
         low, high = share_interval(np.array(units), np.random.default_rng(seed))
     elif len(units) > 1 and min(units) < max(units):  # equal values do not mean a certain mean
         low, high = bootstrap_mean(np.array(units), np.random.default_rng(seed))
-    missing = total - n
-    bound = mean if missing == 0 else None if worst is None else (math.fsum(numbers) + missing * worst) / total
+    least = column if bounds is None else _to_array(bounds)
+    least = least[np.isfinite(least)].tolist()
+    missing = total - len(least)
+    bound = None if missing and worst is None else (math.fsum(least) + missing * (worst or 0.0)) / total
+    bound = mean if least == numbers and not missing else bound
     return Estimate(mean=mean, low=low, high=high, n=n, total=total, bound=bound)
 
 

@@ -1,7 +1,9 @@
-"""Which of two values of a metric is the better one."""
+"""Which of two values of a metric is the better one, and the name of its worst case."""
 
 from collections.abc import Iterable
 
+BOUND = "_bound"
+"""End of the name of a metric's worst case: the least favourable value whatever happens in lost frames."""
 HIGHER_IS_BETTER = frozenset(
     {
         *("feasible", "executable", "success", "progress", "tracked_fraction", "ik_success_rate", "trajopt_feasible"),

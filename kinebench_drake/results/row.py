@@ -14,6 +14,7 @@ from typing import Any, cast
 
 from kinebench_drake.errors import InputError
 from kinebench_drake.io.jsonl import Json, dump, finite, intern_text, parse_json
+from kinebench_drake.results.direction import BOUND
 
 _SHORT = 200
 """Characters of JSON up to which an object is kept; as many samples have the same camera or framing, it is shared."""
@@ -160,15 +161,14 @@ class SampleRow:
     feasible: bool | None = None
     executable: bool | None = None
     executable_reasons: tuple[str, ...] = ()
-    """What is against executing the sample as a whole (`metrics.executable`); empty if it is executable."""
+    """What speaks against executing the sample, and what could not be measured (`metrics.executable`)."""
     violations: tuple[Mapping[str, Json], ...] = ()
     """Objects of kind, frame_start, frame_end, joint, value, limit."""
     metrics: Mapping[str, Json] = field(default_factory=dict)
-    """Metrics by name: numbers, booleans, lists, or null if not measurable."""
+    """Metrics by name: numbers, booleans, lists, or null if not measurable. Where frames are lost or out of reach,
+    NAME_bound is the worst that NAME can be."""
     null_reasons: Mapping[str, str] = field(default_factory=dict)
     """Reason for each null metric, by name; for a sample that is not ok see `reason`."""
-    without_lost: Mapping[str, Json] = field(default_factory=dict)
-    """Of a sample with lost or unreachable frames: metrics of the other frames alone, where these differ."""
     details: Mapping[str, Json] = field(default_factory=dict)
     """Data behind the verdict: noise, limits per joint and others."""
     extra: Mapping[str, Json] = field(default_factory=dict)
@@ -188,6 +188,10 @@ class SampleRow:
     def episode(self) -> str:
         """Id of the episode, which is that of its first sample."""
         return self.id.removesuffix(sample_suffix(self.sample_index))
+
+    def bound(self, name: str) -> Json:
+        """Return the worst that a metric can be, by which samples are compared: its value unless frames are lost."""
+        return self.metrics.get(name + BOUND, self.metrics.get(name))
 
     def to_json(self) -> dict[str, Json]:
         """Return the JSON object, in a fixed order of keys, without NaN, infinity or invalid text."""
@@ -245,7 +249,7 @@ def sample_suffix(index: int) -> str:
     return f"_k{index}" if index else ""
 
 
-_STORED = ("null_reasons", "without_lost", "details")
+_STORED = ("null_reasons", "details")
 """Fields that are read from the file on demand."""
 _NAMES = tuple(f.name for f in fields(SampleRow) if f.name not in ("extra", "line"))
 """Keys of every row, in their order."""
@@ -253,6 +257,6 @@ _LABELS = {*_NAMES} - {"violations", "metrics", *_STORED}
 _TYPES: Mapping[str, type | UnionType] = {
     **dict.fromkeys(("id", "video", "content_hash"), str),
     **dict.fromkeys(("task", "model", "reason"), str | None),
-    **dict.fromkeys(("metrics", "null_reasons", "without_lost", "details"), Mapping),
+    **dict.fromkeys(("metrics", "null_reasons", "details"), Mapping),
     **dict.fromkeys(("feasible", "executable"), bool | None),
 }

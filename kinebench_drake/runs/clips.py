@@ -14,6 +14,7 @@ from kinebench_drake.geometry import Array
 from kinebench_drake.io.jsonl import Json
 from kinebench_drake.metrics.loss import COST_MAX
 from kinebench_drake.metrics.result import KinematicResult, Value
+from kinebench_drake.results.direction import BOUND
 from kinebench_drake.runs.score import mean_confidence
 from kinebench_drake.track import Domain, GripperTrack, JointTrack
 
@@ -23,16 +24,17 @@ if TYPE_CHECKING:  # loads ManiSkill
 _GREATEST = frozenset(
     {
         *("velocity_ratio_max", "acceleration_ratio_max", "jerk_ratio_max", "torque_ratio_max", "slowdown_min"),
+        "feasible_from_period_s",
         *("ik_position_error_max_m", "trajopt_position_tube_m", "condition_number_max"),
     }
 )
 _LEAST = frozenset(
     {
         *("joint_limit_margin_min", "manipulability_min", "manipulability_limited_min"),
-        *("self_distance_min_m", "table_distance_min_m", "trajopt_feasible"),
+        *("self_distance_min_m", "table_distance_min_m", "trajopt_feasible", "motionless"),
     }
 )
-_TOTAL = frozenset({"manipulability_integral", "branch_jumps"})
+_TOTAL = frozenset({"manipulability_integral", "branch_jumps", "path_length_m"})
 _UNREACHED: Mapping[str, float] = {
     "ik_success_rate": 0.0,
     "manipulability_cost_mean": COST_MAX,
@@ -89,6 +91,15 @@ def combine(tracks: Sequence[GripperTrack], results: Sequence[KinematicResult]) 
     details: dict[str, Json] = {name: value for name, value in first.details.items() if name == "limits"}
     details |= {f"clip {k}": {n: v for n, v in r.details.items() if n != "limits"} for k, r in enumerate(results, 1)}
     verdicts = [r.feasible for r in results]
+    names = [name for name in first.metrics if not name.endswith(BOUND)]
+    values = {name: _combine_metric(name, [r.metrics.get(name) for r in results], durations) for name in names}
+    bounds = {
+        name + BOUND: _combine_metric(
+            name, [r.metrics.get(name + BOUND, r.metrics.get(name)) for r in results], durations
+        )
+        for name in names
+        if any(name + BOUND in r.metrics for r in results)
+    }
     return KinematicResult(
         track=track,
         joints=_join_joints(track.t_s, [r.joints for r in results]),
@@ -98,20 +109,9 @@ def combine(tracks: Sequence[GripperTrack], results: Sequence[KinematicResult]) 
             for result, start in zip(results, starts, strict=True)
             for v in result.violations
         ),
-        metrics={
-            name: _combine_metric(name, [r.metrics.get(name) for r in results], durations) for name in first.metrics
-        },
+        metrics={**values, **bounds},
         reasons={
             name: f"clip {k}: {why}" for k, r in reversed([*enumerate(results, 1)]) for name, why in r.reasons.items()
-        },
-        without_lost={
-            name: value
-            for name in first.metrics
-            if any(name in r.without_lost for r in results)
-            for value in [
-                _combine_metric(name, [r.without_lost.get(name, r.metrics.get(name)) for r in results], durations)
-            ]
-            if value is not None
         },
         details=details,
         curves=join_curves([r.curves for r in results]),

@@ -36,7 +36,16 @@ KINEMATIC_METRICS = (
     *("sparc", "sparc_rotation", "ldlj", "manipulability_mean", "manipulability_min", "manipulability_integral"),
     *("manipulability_cost_mean", "ik_success_rate", "ik_position_error_max_m", "joint_limit_margin_min"),
     *("velocity_ratio_max", "acceleration_ratio_max", "jerk_ratio_max", "torque_ratio_max", "time_scale"),
-    *("slowdown_min", "trajopt_feasible", "trajopt_position_tube_m", "self_distance_min_m", "table_distance_min_m"),
+    *(
+        "slowdown_min",
+        "feasible_from_period_s",
+        "path_length_m",
+        "motionless",
+        "trajopt_feasible",
+        "trajopt_position_tube_m",
+        "self_distance_min_m",
+        "table_distance_min_m",
+    ),
 )
 """Metrics of every judged row; null where not measurable."""
 
@@ -226,7 +235,6 @@ class Evaluator(ABC, Generic[SampleT, ResourcesT]):
             violations=tuple(v.to_json() for v in kinematics.violations) if kinematics else (),
             metrics=metrics,
             null_reasons=_null_reasons(metrics, kinematics, evaluation.reasons),
-            without_lost=dict(kinematics.without_lost) if kinematics else {},
             details=dict(kinematics.details) if kinematics else {},
             extra=extra,
         )
@@ -251,17 +259,22 @@ class SampleWorker(Generic[SampleT, ResourcesT]):
 
 
 def _executability(evaluation: Evaluation) -> tuple[bool | None, tuple[str, ...]]:
-    """Return whether the sample can be executed, and what is against it; None and nothing if the run does not judge."""
-    kinematics = evaluation.kinematics
+    """Return whether the sample can be executed, and why not or why it is open; None and () if the run does not judge.
+
+    Bridges count in videos alone: of a trajectory every frame is expected.
+    """
+    kinematics, anomalies = evaluation.kinematics, evaluation.metrics.get("anomalies")
     tracked = kinematics.track.tracked if kinematics else evaluation.tracked
     if tracked is None:
         return None, ()
-    from kinebench_drake.metrics.executable import find_obstacles, is_executable
+    from kinebench_drake.metrics.executable import judge_evidence
 
-    anomalies = evaluation.metrics.get("anomalies")  # none in an audit, which has no video
-    kinds = [str(as_object(a).get("kind")) for a in anomalies] if isinstance(anomalies, list) else None
-    obstacles = find_obstacles(kinematics.feasible if kinematics else None, tracked, kinds)
-    return is_executable(obstacles), tuple(obstacles)
+    lost, faults = ~tracked, []
+    if isinstance(anomalies, list):
+        faults = list(map(as_object, anomalies))
+        if kinematics:
+            lost &= kinematics.curves["bridged"] == 0.0
+    return judge_evidence(kinematics.feasible if kinematics else None, int(lost.sum()), faults)
 
 
 def _null_reasons(

@@ -16,7 +16,7 @@ from kinebench_drake.executors.interrupt import graceful_interrupt
 from kinebench_drake.io.atomic import disk_errors
 from kinebench_drake.io.jsonl import Json, as_object
 from kinebench_drake.report.sample import worst_samples
-from kinebench_drake.results.aggregate import Estimate, RunStatistics, estimate, normalize_run
+from kinebench_drake.results.aggregate import Estimate, RunStatistics, estimate, estimate_executable, normalize_run
 from kinebench_drake.results.inputs import list_inputs
 from kinebench_drake.results.metadata import RunMetadata, read_metadata
 from kinebench_drake.results.provenance import host, versions, weights_hash
@@ -48,7 +48,7 @@ class RunSummary:
     counts: Mapping[Status, int]
     """Samples of each status in the output folder."""
     executable: Estimate | None
-    """Share of all samples that are executable; None where none was judged."""
+    """Share of all samples that are executable, with its upper bound; None where none was judged."""
     feasible: Estimate | None
     """Share of the measured samples that are feasible; None where none was judged."""
     success: Estimate | None
@@ -172,13 +172,12 @@ def summarize_run(store: ResultStore, kind: RunKind, seed: int) -> RunSummary:
     def share(values: Sequence[Json], members: Sequence[SampleRow]) -> Estimate:
         return estimate(values, total=len(rows), seed=seed, episodes=[row.episode for row in members])
 
-    executable = share([row.executable is True for row in rows], rows)
     feasible = share([row.feasible for row in measured], measured)
     success = share([row.extra.get("success") for row in measured], measured)
     return RunSummary(
         rows=tuple(rows),
         counts={status: sum(row.status is status for row in rows) for status in Status},
-        executable=executable if kind.judges and rows else None,
+        executable=estimate_executable(rows, seed) if kind.judges and rows else None,
         feasible=feasible if feasible.n else None,
         success=success if kind is RunKind.SUITE and success.n else None,
         report=store.out / REPORT if kind.judges else None,

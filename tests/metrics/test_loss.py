@@ -1,6 +1,7 @@
 """No number of a track improves because frames are lost or cannot be reached."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -139,16 +140,15 @@ def test_bridged_frames_leave_the_values_where_they_are(
     judge: TrackJudge, reach: GripperTrack, lost: list[int]
 ) -> None:
     whole, result = judge.judge_poses(reach).metrics, _lose(judge, reach, lost)
-    assert result.bridged is not None
-    assert np.flatnonzero(result.bridged).tolist() == lost
+    assert np.flatnonzero(result.curves["bridged"]).tolist() == lost
     for name in ("sparc", "ldlj", "sparc_rotation", "manipulability_mean", "manipulability_min"):
         assert result.metrics[name] == pytest.approx(whole[name], rel=0.05)
 
 
 def test_gaps_at_the_ends_and_long_ones_stay_open(judge: TrackJudge, reach: GripperTrack) -> None:
-    assert _lose(judge, reach, [0, 24]).bridged is None
+    assert not _lose(judge, reach, [0, 24]).curves["bridged"].any()
     result = _lose(judge, reach, list(range(6, 15)))
-    assert result.bridged is None
+    assert not result.curves["bridged"].any()
     assert result.metrics["sparc"] is None
     assert "lost or apart" in result.reasons["sparc"]
 
@@ -196,8 +196,8 @@ def test_a_track_without_a_reached_frame_has_no_manipulability(judge: TrackJudge
     assert result.metrics["trajopt_feasible"] in (None, False)
 
 
-def _anomaly(kind: AnomalyKind, first: int, last: int) -> Anomaly:
-    return Anomaly(kind=kind, frame_start=first, frame_end=last, severity=1.0)
+def _anomaly(kind: AnomalyKind, first: int, last: int) -> dict[str, Any]:
+    return Anomaly(kind=kind, frame_start=first, frame_end=last, severity=1.0).to_json()
 
 
 @pytest.mark.parametrize(
@@ -224,7 +224,7 @@ def _anomaly(kind: AnomalyKind, first: int, last: int) -> Anomaly:
     ],
 )
 def test_only_evidence_against_a_video_makes_it_not_executable(
-    feasible: bool | None, lost: int, anomalies: list[Anomaly], executable: bool | None, reasons: list[str]
+    feasible: bool | None, lost: int, anomalies: list[dict[str, Any]], executable: bool | None, reasons: list[str]
 ) -> None:
     assert judge_evidence(feasible, lost, anomalies) == (executable, tuple(reasons))
     assert all(reason_kind(reason).isidentifier() for reason in reasons)

@@ -226,7 +226,7 @@ def test_executable_is_the_first_headline_and_the_only_green_verdict(tmp_path):
     with ResultStore(tmp_path) as store:
         for r in (
             row("whole", feasible=True, executable=True, metrics=good),
-            row("gap", feasible=True, executable=False, executable_reasons=("lost",), metrics={"sparc": None}),
+            row("gap", feasible=True, executable=None, executable_reasons=("lost: 3 frames",), metrics={"sparc": None}),
             row("dark", Status.UNMEASURABLE, reason="no robot", metrics={"sparc": None}),
         ):
             store.append(r, 0.1)

@@ -64,7 +64,7 @@ def test_the_bound_of_a_group_uses_the_worst_value_of_the_whole_run() -> None:
 def test_samples_without_a_verdict_count_as_not_executable() -> None:
     rows = [
         _row("a", executable=True),
-        _row("b", executable=False, reasons=("lost", "vanish")),
+        _row("b", executable=False, reasons=("lost: 4 frames", "vanish: 3 frames")),
         _row("c", executable=None, reasons=("undecided",)),
         _row("d", status=Status.ERROR, reason="broken"),
     ]
@@ -91,10 +91,10 @@ def test_a_run_without_verdicts_has_no_executable_share() -> None:
     assert aggregate([_row("a"), _row("b")]).estimates["executable"].n == 0
 
 
-def test_executable_verdicts_round_trip_through_json_and_are_null_in_earlier_rows() -> None:
-    row = _row("a", executable=False, reasons=("lost",), without_lost={"sparc": -2.0})
+def test_rows_keep_their_verdict_on_execution() -> None:
+    row = _row("a", executable=False, reasons=("lost: 3 frames",))
     assert SampleRow.from_json(row.to_json()) == row
-    earlier = {k: v for k, v in row.to_json().items() if k not in ("executable", "executable_reasons", "without_lost")}
+    earlier = {k: v for k, v in row.to_json().items() if k not in ("executable", "executable_reasons")}
     assert SampleRow.from_json(earlier).executable is None
 
 
