@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from kinebench_drake.anomaly import Anomaly, AnomalyKind
-from kinebench_drake.closed_loop.attribution import ClipEvidence, attribute
+from kinebench_drake.closed_loop.attribution import LOST_FRAMES, LOST_SHARE, ClipEvidence, attribute
 from kinebench_drake.geometry import make_pose, rotation_exp
-from kinebench_drake.metrics.executable import LOST_FRAMES, LOST_SHARE, FailureVerdict
+from kinebench_drake.metrics.executable import FailureVerdict
 
 FRAMES = 30
 
