@@ -122,8 +122,8 @@ def kinematic_metrics(
 
 def path_length(p: Array) -> float | None:
     """Return the length [m] of a path `p` (T, 3) through its finite positions; None without two."""
-    known = p[finite_rows(p)]
-    return float(np.linalg.norm(np.diff(known, axis=0), axis=-1).sum()) if len(known) > 1 else None
+    finite = p[finite_rows(p)]
+    return float(np.linalg.norm(np.diff(finite, axis=0), axis=-1).sum()) if len(finite) > 1 else None
 
 
 def feasible_period(

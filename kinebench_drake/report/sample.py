@@ -24,7 +24,7 @@ from kinebench_drake.results.trackfile import read_track
 _FAILURES = {cause.value: f"failed: {cause.value}" for cause in FailureVerdict}
 VERDICT_LABELS = {
     **{"error": "error", "infeasible": "infeasible", **_FAILURES},
-    **{"unmeasurable": "unmeasurable", "unjudged": "unjudged", "feasible": "feasible, not executable"},
+    **{"unmeasurable": "unmeasurable", "feasible": "not executable", "unjudged": "undecided"},
     **{"executable": "executable", "success": "success"},
 }
 """Labels of the verdicts, the worst first."""
@@ -98,9 +98,9 @@ def verdict_of(row: SampleRow) -> str:
     if "verdict" in row.extra:
         cause = row.extra["verdict"]
         return "success" if row.extra.get("success") is True else cause if cause in _FAILURES else "unjudged"
-    if row.executable:
-        return "executable"
-    return "unjudged" if row.feasible is None else "feasible" if row.feasible else "infeasible"
+    if row.executable or row.feasible is False:
+        return "executable" if row.executable else "infeasible"
+    return "unjudged" if row.executable is None else "feasible"
 
 
 def explain(row: SampleRow) -> str:

@@ -215,7 +215,11 @@ class FakeTools:
             violations=(violation,) if infeasible else (),
             reasons={"ldlj": "the fake has none"},
             details={"table_height_m": self._options.table_height_m if table_height_m is None else table_height_m},
-            curves={"manipulability": 0.05 + 0.02 * np.cos(q[:, 0] * 5), "joint_margin": 0.4 - q[:, 0] ** 2},
+            curves={
+                "bridged": np.zeros(n),
+                "manipulability": 0.05 + 0.02 * np.cos(q[:, 0] * 5),
+                "joint_margin": 0.4 - q[:, 0] ** 2,
+            },
         )
 
     def judge_joints(self, t_s, q, finger_width_m):

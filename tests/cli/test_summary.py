@@ -37,7 +37,7 @@ def test_summary_has_lines_for_verdicts_anomalies_reasons_period_and_camera():
     )
     verdicts, faults, reasons, period, camera = lines(*run)
     assert verdicts == (
-        "executable: 1 of 3 judged samples, 33% (95% interval 6% to 79%; at least 17% of all 6); "
+        "executable: 1 of 6 samples, 17% (95% interval 3% to 56%; at most 67%, as 3 are undecided); "
         "feasible: 2 of 3 judged samples, 67% (95% interval 21% to 94%; at least 33% of all 6)"
     )
     assert faults == "anomalies: vanish in 2 samples, freeze in 1 sample; violated limits: velocity in 1 sample"
