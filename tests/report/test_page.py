@@ -39,8 +39,13 @@ def out(tmp_path):
     good = {"tracked_fraction": 8 / 9, "sparc": -1.5, "ik_success_rate": 1.0, "anomalies": []}
     with ResultStore(tmp_path) as store:
         for r in (
-            row("good", feasible=True, metrics=good),
-            row("shaky", feasible=True, metrics={**good, "anomalies": [vanish], "tracked_fraction": 0.5}),
+            row("good", feasible=True, executable=True, metrics=good),
+            row(
+                "shaky",
+                feasible=True,
+                executable=False,
+                metrics={**good, "anomalies": [vanish], "tracked_fraction": 0.5},
+            ),
             row("bad", feasible=False, metrics={**good, "sparc": None}, violations=(violation,)),
             row("unknown", feasible=None, metrics=good),
             row("dark", Status.UNMEASURABLE, reason="no robot", metrics={"sparc": None}),
@@ -99,7 +104,7 @@ def test_texts_of_the_results_are_escaped_in_html(out):
 
 def test_samples_are_sorted_worst_first(out):
     text = write_report(out).read_text()
-    assert re.findall(r'aria-expanded="false">(\w+)<', text) == ["evil", "bad", "dark", "unknown", "shaky", "good"]
+    assert re.findall(r'aria-expanded="false">(\w+)<', text) == ["evil", "bad", "dark", "shaky", "unknown", "good"]
 
 
 def test_headline_numbers_have_interval_and_coverage(out):
