@@ -89,7 +89,9 @@ def expect_gripper(
             hidden = _hidden_share(transform_points(X_SC[last], p_C[last, None])[0], wide[last]) >= _HIDDEN_SHARE
         if not hidden:
             step = p_C[last] - p_C[last - 1] if last and present[last - 1] else np.zeros(3)
-            expected[i] = _inside(transform_points(X_SC[i], (p_C[last] + step)[None])[0], camera)
+            p_S = transform_points(X_SC[i], (p_C[last] + step)[None])[0]
+            hidden = _hidden_share(p_S, wide[i]) >= _HIDDEN_SHARE
+            expected[i] = not hidden and _inside(p_S, camera)
     return expected
 
 
