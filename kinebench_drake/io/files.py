@@ -18,6 +18,24 @@ IMAGE_SUFFIXES = frozenset({".png", ".jpg", ".jpeg"})
 """Images of a frame folder."""
 
 
+class Budget:
+    """Bytes that one input may still take while it is received, read or decoded."""
+
+    def __init__(self, most: int, exceeded: InputError) -> None:
+        """Allow `most` bytes; `exceeded` is raised beyond them."""
+        self._left, self.exceeded = most, exceeded
+
+    def require(self, size: int) -> None:
+        """Raise `exceeded` unless `size` more bytes are left."""
+        if size > self._left:
+            raise self.exceeded
+
+    def take(self, size: int) -> None:
+        """Take `size` bytes, like `require`."""
+        self.require(size)
+        self._left -= size
+
+
 def cache_folder() -> Path:
     """Return the folder of converted models: $XDG_CACHE_HOME/kinebench_drake, else ~/.cache/kinebench_drake."""
     base = os.environ.get("XDG_CACHE_HOME")

@@ -3,7 +3,7 @@
 Of each episode the kinematics of the clips, the gap to the execution and the cause of a failure are stored.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
 from functools import partial
@@ -58,7 +58,7 @@ from kinebench_drake.suites.simulator_cache import SimulatorCache
 from kinebench_drake.suites.start import first_facts
 from kinebench_drake.suites.worldmodels.factory import LazyWorldModel
 from kinebench_drake.suites.worldmodels.media import png
-from kinebench_drake.suites.worldmodels.worldmodel import Condition, OfflineModel
+from kinebench_drake.suites.worldmodels.worldmodel import Condition, OfflineModel, SupportsCheck
 
 
 def run_suite(config: SuiteConfig, observer: RunObserver | None = None) -> RunSummary:
@@ -151,6 +151,19 @@ class EpisodeEvaluator(Evaluator[EpisodeSample, EpisodeResources]):
     """Write rollouts/ID.mp4."""
     subject: Mapping[str, Json]
     """Suite and split, as keys of a manifest."""
+
+    def prepare(self, samples: Sequence[EpisodeSample], warn: Callable[[str], None]) -> None:
+        """Warn of episodes without a first video in a folder; a server must listen."""
+        model = self.world_model.get()
+        if isinstance(model, SupportsCheck):
+            model.check()
+        elif isinstance(model, OfflineModel):
+            absent = [s.id for s in samples if not model.files(s.id, s.task, 0)]
+            if absent:
+                warn(
+                    f"{model.name} has no video of {len(absent)} of {count_noun(len(samples), 'episode')}, such as "
+                    f"{absent[0]}: they are listed in $out/{REQUESTS}"
+                )
 
     def setup(self) -> EpisodeResources:
         """Load robot, world model and simulator cache."""

@@ -4,7 +4,7 @@ import hashlib
 import math
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
@@ -136,6 +136,14 @@ class Evaluator(ABC, Generic[SampleT, ResourcesT]):
     @abstractmethod
     def labels(self, sample: SampleT) -> Mapping[str, Json]:
         """Return further keys of the row that are defined before the sample is read."""
+
+    def prepare(self, samples: Sequence[SampleT], warn: Callable[[str], None]) -> None:
+        """Check once, before the first of the `samples` is evaluated, what all of them need; by default nothing.
+
+        Raises:
+            SetupError: none of them can succeed.
+        """
+        return
 
     @abstractmethod
     def setup(self) -> ResourcesT:

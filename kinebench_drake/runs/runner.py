@@ -81,6 +81,8 @@ def run_samples(
     metadata = run_metadata(config, samples_found=len(samples), code=evaluator.code)
     with ResultStore(config.out, overwrite=config.overwrite) as store:
         waiting = resume(store, samples, chosen, evaluator, metadata, observer.warn)
+        if waiting:
+            evaluator.prepare(waiting, observer.warn)
         observer.start(total=len(chosen), completed=len(chosen) - len(waiting))
         with _graceful(executor, observer) as interrupted:
             done = 0

@@ -4,7 +4,8 @@ simple: one POST, answered with a video. predict: the stateless `/v1/predict`, a
 """
 
 import io
-import shutil
+from collections.abc import Iterable, Iterator
+from functools import partial
 from http import HTTPStatus
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -14,8 +15,9 @@ from numpy.typing import NDArray
 from PIL import Image
 from pydantic import BaseModel, Field, ValidationError
 
-from kinebench_drake.errors import SetupError
+from kinebench_drake.errors import SetupError, cause
 from kinebench_drake.io.atomic import disk_errors
+from kinebench_drake.io.files import open_file
 from kinebench_drake.suites.worldmodels.http_client import Deadline, HttpClient
 from kinebench_drake.suites.worldmodels.media import (
     adopt,
@@ -29,11 +31,15 @@ from kinebench_drake.suites.worldmodels.remote import Limits, ServiceError, clea
 from kinebench_drake.suites.worldmodels.spec import Spec, TimeoutOptions
 from kinebench_drake.suites.worldmodels.worldmodel import Request, WorldModelError
 
-_MOST_PIXELS = 4096 * 4096
+_MOST_PIXELS = 2048 * 2048
+_CHUNK_BYTES = 1 << 22
+_KNOCK_S = 5.0
+"""Time in which a server need not answer, but be connected."""
 _Side = Annotated[int, Field(ge=1, le=8192)]
 _PREDICT = "/v1/predict"
 _READY = ("ok", "ready", "healthy")
-_ANSWERS = ("video_path", "video_url", "video_base64")
+_ENCODED = "video_base64"
+_ANSWERS = ("video_path", "video_url", _ENCODED)
 _NO_SUCH_PAGE = (
     HTTPStatus.OK,  # a web page in place of JSON
     HTTPStatus.BAD_REQUEST,
@@ -80,7 +86,7 @@ class HttpModel:
             base, self._style = base.rstrip("/").removesuffix(_PREDICT), "predict"
         self._timeout_s = options.timeout
         key = key_from(options.key_env) if options.key_env else None
-        self._client = HttpClient("the world model", base, key=key, limits=limits)
+        self._client = HttpClient(f"the world model at {url.netloc.decode()}", base, key=key, limits=limits)
         self._capabilities: Capabilities | None = None
         self.name = options.name or f"{url.netloc.decode()}{url.path.rstrip('/').removesuffix(_PREDICT)}"
 
@@ -94,6 +100,10 @@ class HttpModel:
         if self._capabilities is None:
             self._capabilities = self._read_capabilities(deadline)
         return self._generate_frames(request, out, deadline, self._capabilities)
+
+    def check(self) -> None:
+        """Check that the server listens."""
+        self._client.require_connection(min(_KNOCK_S, self._timeout_s))
 
     def close(self) -> None:
         """Close the connections."""
@@ -127,21 +137,21 @@ class HttpModel:
             frame = np.asarray(Image.fromarray(frame).resize(capabilities.size, Image.Resampling.LANCZOS))
         frames = {"frames": [base64_png(frame)]}
         num_frames = min(request.num_frames, capabilities.max_num_frames or request.num_frames)
-        images = _decode_frames(self._post(_PREDICT, _body(request, frames, frame, num_frames), deadline))
-        return encode_answer(images, request.fps, out)
+        answer = self._post(_PREDICT, _body(request, frames, frame, num_frames), "frames", deadline)
+        return encode_answer(_decode_frames(answer, num_frames, deadline), request.fps, out)
 
     def _generate_video(self, request: Request, out: Path, deadline: Deadline) -> Path:
         """Request a video and store it beside `out`."""
         frame = request.first_frame
-        answer = self._post("", _body(request, {"first_frame": data_uri(frame)}, frame, request.num_frames), deadline)
+        body = _body(request, {"first_frame": data_uri(frame)}, frame, request.num_frames)
+        answer = self._post("", body, _ENCODED, deadline)
         with arriving(out) as part:
             self._fetch(answer, part, deadline)
             deadline.left()  # decoding a large answer takes seconds
             return adopt(part, out)
 
-    def _post(self, path: str, body: dict[str, Any], deadline: Deadline) -> dict[str, Any]:
-        most = self._client.limits.encoded_video_bytes
-        return self._client.call("POST", path, deadline, body=body, patient=True, most_bytes=most)
+    def _post(self, path: str, body: dict[str, Any], files: str, deadline: Deadline) -> dict[str, Any]:
+        return self._client.call("POST", path, deadline, body=body, patient=True, files=(files,))
 
     def _fetch(self, answer: dict[str, Any], part: Path, deadline: Deadline) -> None:
         """Store the video of an answer in a file."""
@@ -149,7 +159,7 @@ class HttpModel:
         if answer.get("error"):
             beside = f" (and {', '.join(kinds)} beside the error: answer with exactly one of them)" if kinds else ""
             raise WorldModelError(f"the world model gave no video: {clean(answer['error'])}{beside}")
-        if len(kinds) != 1 or not isinstance(answer[kinds[0]], str):
+        if len(kinds) != 1 or not isinstance(answer[kinds[0]], str | memoryview):
             raise WorldModelError(
                 f"the world model's answer has {' and '.join(kinds) or 'no video'}; expected exactly one of "
                 f"{', '.join(_ANSWERS)}, a string"
@@ -158,22 +168,36 @@ class HttpModel:
         if kind == "video_url":
             self._client.download(value, part, deadline)
         elif kind == "video_path":
-            path = Path(value)
             if not self._client.is_local:
                 raise WorldModelError(
                     "video_path is accepted only from a server on this machine; answer with video_url"
                 )
-            if not path.is_absolute() or not path.is_file():
-                raise WorldModelError("the world model's video_path is not the absolute path of a file that is there")
-            with disk_errors(part.name):
-                shutil.copyfile(path, part)
+            if not Path(value).is_absolute():
+                raise WorldModelError("the world model's video_path is not an absolute path")
+            self._store(_pieces(Path(value)), part, deadline)
         else:
             try:
                 data = from_base64(value)
             except ValueError:
                 raise WorldModelError("the world model's video_base64 is not base64") from None
-            with disk_errors(part.name):
-                part.write_bytes(data)
+            self._store([data], part, deadline)
+
+    def _store(self, chunks: Iterable[bytes], part: Path, deadline: Deadline) -> None:
+        """Write a video to a file, within size limit and deadline."""
+        budget = self._client.video_budget()
+        with disk_errors(part.name), part.open("wb") as file:
+            for chunk in chunks:
+                deadline.left()
+                budget.take(len(chunk))
+                file.write(chunk)
+
+
+def _pieces(path: Path) -> Iterator[bytes]:
+    try:
+        with open_file(path) as file:
+            yield from iter(partial(file.read, _CHUNK_BYTES), b"")
+    except (OSError, ValueError) as error:
+        raise WorldModelError(f"the world model's video_path cannot be read ({cause(error)})") from None
 
 
 def _body(request: Request, conditioning: dict[str, Any], frame: NDArray[np.uint8], num_frames: int) -> dict[str, Any]:
@@ -190,20 +214,26 @@ def _body(request: Request, conditioning: dict[str, Any], frame: NDArray[np.uint
     }
 
 
-def _decode_frames(answer: dict[str, Any]) -> list[NDArray[np.uint8]]:
-    """Decode the frames (H, W, 3) RGB of an answer."""
+def _decode_frames(answer: dict[str, Any], most: int, deadline: Deadline) -> Iterator[NDArray[np.uint8]]:
+    """Decode the frames (H, W, 3) RGB of an answer, of which there are at most `most`, one at a time."""
     texts = answer.get("frames")
     if answer.get("error"):
         raise WorldModelError(f"the world model gave no frames: {clean(answer['error'])}")
-    if not isinstance(texts, list) or not texts or not all(isinstance(text, str) for text in texts):
+    if not isinstance(texts, list) or not texts or not all(isinstance(text, str | memoryview) for text in texts):
         raise WorldModelError("the world model's answer has no frames; expected a list of PNG files in base64")
-    frames = [_decode_image(text, number) for number, text in enumerate(texts)]
-    if len({frame.shape for frame in frames}) > 1:
-        raise WorldModelError("the world model's frames are of different sizes")
-    return frames
+    if len(texts) > most:
+        raise WorldModelError(f"the world model answered with {len(texts)} frames, {most} were requested")
+    shape: tuple[int, ...] | None = None
+    for number, text in enumerate(texts):
+        frame = _decode_image(text, number)
+        shape = shape or frame.shape
+        if frame.shape != shape:
+            raise WorldModelError("the world model's frames are of different sizes")
+        deadline.left()
+        yield frame
 
 
-def _decode_image(text: str, number: int) -> NDArray[np.uint8]:
+def _decode_image(text: str | memoryview, number: int) -> NDArray[np.uint8]:
     try:
         image = Image.open(io.BytesIO(from_base64(text)), formats=["PNG"])
         if image.width * image.height > _MOST_PIXELS:

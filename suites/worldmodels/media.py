@@ -52,14 +52,17 @@ def data_uri(frame: NDArray[np.uint8]) -> str:
     return f"data:image/png;base64,{base64_png(frame)}"
 
 
-def from_base64(text: str) -> bytes:
-    """Decode a file in base64, with or without the head of a data URI and line breaks.
+def from_base64(text: str | memoryview) -> bytes:
+    """Decode a file in base64, with or without the head of a data URI, line breaks and escaped slashes.
 
     Raises:
         ValueError: it is not base64.
     """
-    payload = text.partition(",")[2] if text.startswith("data:") else text
-    return binascii.a2b_base64("".join(payload.split()), strict_mode=True)
+    data = text.encode() if isinstance(text, str) else bytes(text)
+    payload = data[data.find(b",", 0, _HEAD) + 1 :] if data.startswith(b"data:") else data
+    if b"\\" in payload:
+        payload = re.sub(rb"\\[nrt]", b"", payload).replace(b"\\/", b"/")
+    return binascii.a2b_base64(payload.translate(None, b" \n\r\t"), strict_mode=True)
 
 
 def suffix_of(head: bytes) -> str | None:

@@ -4,6 +4,7 @@ import ipaddress
 import os
 import re
 import socket
+from collections.abc import Collection
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from email.utils import parsedate_to_datetime
@@ -12,6 +13,8 @@ import httpx
 from pydantic import SecretStr
 
 from kinebench_drake.errors import SetupError
+from kinebench_drake.io.files import Budget
+from kinebench_drake.io.jsonl import parse_json
 from kinebench_drake.suites.worldmodels.worldmodel import WorldModelError
 
 
@@ -30,8 +33,8 @@ class Limits:
     poll_s: float = 10.0
     """Period of asking whether a video is ready."""
     json_bytes: int = 4 << 20
-    """Largest JSON answer without a video."""
-    video_bytes: int = 512 << 20
+    """Largest JSON answer apart from files in base64."""
+    video_bytes: int = 256 << 20
     """Largest video."""
 
     @property
@@ -57,6 +60,57 @@ class BusyError(ServiceError):
     ) -> None:
         super().__init__(message, status=status, code=code)
         self.after_s = after_s
+
+
+class UnreachableError(BusyError):
+    """The request was not sent."""
+
+
+_FILE_BYTES = 4096
+"""Length of strings in an answer above which they are set aside."""
+_LARGE, _ESCAPED = 1 << 24, 16
+"""Size of an answer from which on escapes are rare, and the least bytes for each: base64 with line breaks and escaped
+slashes has about 35."""
+_STRING = re.compile(rb'"[^"\\]*+(?:\\.[^"\\]*+)*+"', re.DOTALL)
+
+
+def parse_answer(data: bytearray, files: Collection[str], budget: Budget) -> object:
+    """Parse a JSON answer; long strings are cut out before, `budget` holds for the rest.
+
+    Below the keys `files` long strings become views of the data, with their escapes; elsewhere only the beginning of a
+    long string is kept.
+
+    Raises:
+        ValueError: it is not JSON, or nested too deeply.
+        InputError: it exceeds the budget, or consists of escapes.
+    """
+    if len(data) > _LARGE and data.count(b"\\") * _ESCAPED > len(data):
+        raise budget.exceeded
+    text, cut, start = bytearray(), dict[str, memoryview](), 0
+    while (begin := data.find(b'"', start)) >= 0:
+        string = _STRING.match(data, begin)
+        if string is None:
+            raise ValueError("it ends within a string")
+        is_long = string.end() - begin > _FILE_BYTES
+        end = begin if is_long else string.end()
+        budget.take(end - start + 2)
+        text += data[start:end]
+        if is_long:
+            text += f'"\\u0000{len(cut)}"'.encode()
+            cut[f"\0{len(cut)}"] = memoryview(data)[begin + 1 : string.end() - 1]
+        start = string.end()
+    budget.take(len(data) - start)
+    answer = parse_json(bytes(text + data[start:]))
+
+    def restore(value: object, whole: bool, depth: int = 0) -> object:
+        if depth <= 1 and isinstance(value, list):
+            return [restore(item, whole, depth + 1) for item in value]
+        if depth <= 1 and isinstance(value, dict):
+            return {key: restore(item, depth == 0 and key in files, depth + 1) for key, item in value.items()}
+        view = cut.get(value) if isinstance(value, str) else None
+        return value if view is None else view if whole else bytes(view[:_FILE_BYTES]).decode(errors="replace")
+
+    return restore(answer, False)
 
 
 _LONGEST = 200
@@ -132,7 +186,7 @@ def retry_after(header: str) -> float | None:
         return float(text)
     try:
         moment = parsedate_to_datetime(text)
-    except ValueError:
+        moment = moment if moment.tzinfo else moment.replace(tzinfo=UTC)
+        return max((moment - datetime.now(UTC)).total_seconds(), 0.0)
+    except (ValueError, OverflowError):
         return None
-    moment = moment if moment.tzinfo else moment.replace(tzinfo=UTC)
-    return max((moment - datetime.now(UTC)).total_seconds(), 0.0)

@@ -129,6 +129,18 @@ class OfflineModel(Protocol):
 
 
 @runtime_checkable
+class SupportsCheck(Protocol):
+    """World model whose service can be found missing before the first request."""
+
+    def check(self) -> None:
+        """Check that requests can be sent.
+
+        Raises:
+            SetupError: they cannot.
+        """
+
+
+@runtime_checkable
 class ChoosesLength(Protocol):
     """World model whose clips may have another number of frames than requested, by its own choice."""
 

@@ -13,7 +13,7 @@ import pytest
 
 from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.closed_loop.actions import ACTION_METRICS, ActionSource
-from kinebench_drake.errors import InputError, UsageError
+from kinebench_drake.errors import InputError, SetupError, UsageError
 from kinebench_drake.executors.local import LocalExecutor
 from kinebench_drake.report.suite.pooling import pool_episodes, read_suite_runs
 from kinebench_drake.results.metadata import Shard
@@ -23,6 +23,7 @@ from kinebench_drake.runs import episodes
 from kinebench_drake.runs.episodes import EpisodeEvaluator, EpisodeSample, run_suite
 from kinebench_drake.runs.evaluator import Evaluation
 from kinebench_drake.runs.merge import merge_folders
+from kinebench_drake.runs.runner import NullRunObserver
 from kinebench_drake.runs.suite_config import SuiteConfig
 from kinebench_drake.suites.simulator import Snapshot, TaskOutcome
 from kinebench_drake.suites.worldmodels.worldmodel import ActionTrack
@@ -91,6 +92,25 @@ def test_a_run_creates_one_world_model_and_closes_model_and_simulators(
     assert [(row.model, row.reason) for row in rows] == [("mine", "the curtain stays down")] * 2
     assert (did["made"], did["alive"], did["simulators"]) == (1, 0, 0)
     assert bool(did["asked for files"]) is (name == "Stored")
+
+
+def test_a_server_that_does_not_listen_ends_the_run_before_the_first_episode(
+    config: Callable[..., SuiteConfig],
+) -> None:
+    with pytest.raises(SetupError, match=r"the world model at 127\.0\.0\.1:1 cannot be reached"):
+        run_suite(config("http://127.0.0.1:1/make"))
+    assert not did["simulators"]
+
+
+def test_videos_that_a_folder_lacks_are_counted_before_the_first_episode(config: Callable[..., SuiteConfig]) -> None:
+    class Listener(NullRunObserver):
+        def warn(self, message: str) -> None:
+            assert not did["simulators"]
+            warnings.append(message)
+
+    warnings: list[str] = []
+    run_suite(config("my_models:Stored"), Listener())
+    assert warnings[0].startswith("mine has no video of 2 of 2 episodes, such as PullCube-v1_s0000")
 
 
 def test_the_stored_configuration_identifies_the_world_model_without_server_addresses(

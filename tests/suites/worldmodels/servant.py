@@ -20,12 +20,13 @@ class Asked:
 
 @dataclass
 class Reply:
-    """One answer: `body` as JSON if it is no bytes; `drip_s` between its bytes."""
+    """One answer: `body` as JSON if it is no bytes; `drip_s` between its bytes; `endless` is sent for ever instead."""
 
     body: Any = b""
     status: int = 200
     headers: dict[str, str] = field(default_factory=dict)
     drip_s: float = 0.0
+    endless: bytes = b""
 
     def data(self) -> bytes:
         return self.body if isinstance(self.body, bytes) else json.dumps(self.body).encode()
@@ -74,6 +75,8 @@ class Servant:
         self.asked.append(asked)
         body = reply.data()
         try:
+            while reply.endless and not self._stopping.wait(reply.drip_s):
+                handler.wfile.write(reply.endless)
             handler.send_response(reply.status)
             for name, value in {"Content-Length": str(len(body)), **reply.headers}.items():
                 handler.send_header(name, value)

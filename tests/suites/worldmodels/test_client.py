@@ -65,8 +65,9 @@ def test_retry_after_is_parsed_from_a_number_or_a_date() -> None:
     later = retry_after(format_datetime(datetime.now(UTC) + timedelta(seconds=100), usegmt=True))
     assert later == pytest.approx(100, abs=5)
     assert retry_after(format_datetime(datetime(2020, 1, 1, tzinfo=UTC), usegmt=True)) == 0
-    assert retry_after("") is None
-    assert retry_after("soon") is None
+    for unusable in ("", "soon", "1 Jan 2030 0:0:0 +9999999999", f"1 Jan {'9' * 20} 0:0:0 GMT"):
+        assert retry_after(unusable) is None
+    assert retry_after("9" * 5000) == float("inf")
 
 
 @pytest.mark.parametrize("status", [401, 403])
@@ -159,6 +160,44 @@ def test_a_slowly_sent_body_runs_into_the_deadline(client: HttpClient, servant: 
     with pytest.raises(WorldModelError, match=r"no video within 0\.1 s"):
         get(client, limit_s=0.1)
     assert time.monotonic() - start < 5  # the whole body would take 10 s
+
+
+@pytest.mark.parametrize(
+    "reply",
+    [
+        Reply(endless=b"HTTP/1.1 100 Continue\r\n\r\n", drip_s=0.01),
+        Reply(endless=b"HTTP/1.1 100 Continue\r\n\r\n" * 1000),
+        Reply(endless=b"H", drip_s=0.05),
+    ],
+)
+def test_headers_without_end_run_into_the_deadline(client: HttpClient, servant: Servant, reply: Reply) -> None:
+    servant.routes["/x"] = [reply]
+    start = time.monotonic()
+    with pytest.raises(WorldModelError, match=r"no video within 0\.3 s|broke off"):
+        get(client, limit_s=0.3)
+    assert time.monotonic() - start < 5  # no timeout between bytes would ever pass
+
+
+def test_the_structure_of_an_answer_is_bounded_apart_from_its_files(client: HttpClient, servant: Servant) -> None:
+    file = "A" * 9000
+    servant.routes["/x"] = [Reply({"files": [file], "error": {"message": "no " * 3000}, "text": 'a"\\'})]
+    answer = client.call("GET", "/x", Deadline(5.0), files=("files",))
+    assert [bytes(view).decode() for view in answer["files"]] == [file]
+    assert answer["text"] == 'a"\\'
+    assert answer["error"]["message"].startswith("no no ")
+    servant.routes["/x"] = [Reply(b'{"files": ["", ' + b"{}," * 3000 + b'""]}')]
+    with pytest.raises(WorldModelError, match=r"more than 0\.0039\S* MiB of JSON"):
+        client.call("GET", "/x", Deadline(5.0), files=("files",))
+    servant.routes["/x"] = [Reply(b'{"files": "' + b"A" * 9000)]
+    with pytest.raises(WorldModelError, match="expected a JSON object"):
+        client.call("GET", "/x", Deadline(5.0), files=("files",))
+
+
+def test_only_a_server_that_listens_passes_the_check(keys: str, servant: Servant, hurried: Limits) -> None:
+    HttpClient("it", servant.url, limits=hurried).require_connection(5.0)  # its 404 is an answer
+    servant.stop()
+    with pytest.raises(SetupError, match=r"it cannot be reached \(ConnectError\): is the server running"):
+        HttpClient("it", servant.url, limits=hurried).require_connection(5.0)
 
 
 def test_a_silent_service_times_out_after_its_retries(servant: Servant, tmp_path: Path) -> None:

@@ -27,9 +27,9 @@ from tests.suites.worldmodels.servant import Asked, Reply, Servant
 def ask(servant: Servant, hurried: Limits, keys: str, request_: Request, out: Path) -> Callable[..., Path]:
     """Answers of `/make`, a server that keeps the simple contract."""
 
-    def answered(answer: Any, *, status: int = 200, options: str = "") -> Path:
+    def answered(answer: Any, *, status: int = 200, options: str = "", timeout: int = 20) -> Path:
         servant.routes["/make"] = [Reply(answer, status=status)]
-        model = HttpModel(parse(f"{servant.url}/make?timeout=20{options}"), hurried)
+        model = HttpModel(parse(f"{servant.url}/make?timeout={timeout}{options}"), hurried)
         return model.generate(request_, out)
 
     return answered
@@ -93,12 +93,16 @@ def test_path_url_and_base64_answers_give_the_same_video(
         ({"video_base64": "%%%"}, "not base64"),
         ({"video_base64": "AAAA"}, "not a video"),
         ({"video_base64": ""}, "it is empty"),
-        ({"video_path": "made.mp4"}, "not the absolute path of a file"),
-        ({"video_path": "/nonexistent"}, "not the absolute path of a file"),
+        ({"video_path": "made.mp4"}, "not an absolute path"),
+        ({"video_path": "/nonexistent"}, "cannot be read"),
+        ({"video_path": f"/{'x' * 300}"}, "cannot be read"),
+        ({"video_path": "/a\0b"}, "cannot be read"),
+        ({"video_path": "/dev/zero"}, "cannot be read"),
+        ({"video_path": "/proc/self/mem"}, "cannot be read"),
         ({"video_path": "/etc/hostname"}, "not a video"),
         ({"video_url": "file:///etc/hostname"}, "not http or https"),
         ([], r"expected a JSON object; it begins: '\[\]'"),
-        ({"video_base64": "A" * 40_000}, r"more than 0\.019\S+ MiB of video \(base64\)"),
+        ({"video_base64": "A" * 40_000}, r"more than 0\.019\S+ MiB of video"),
     ],
 )
 def test_answers_without_exactly_one_video_are_refused(
@@ -106,6 +110,20 @@ def test_answers_without_exactly_one_video_are_refused(
 ) -> None:
     with pytest.raises(WorldModelError, match=message):
         ask(answer)
+    assert list(out.parent.iterdir()) == []
+
+
+def test_a_video_path_is_bounded_in_size_and_time(
+    ask: Callable[..., Path], tmp_path: Path, out: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    large = tmp_path / "sparse.mp4"
+    with large.open("wb") as file:
+        file.truncate(2**40)
+    with pytest.raises(WorldModelError, match=r"more than 0\.019\S* MiB of video"):
+        ask({"video_path": str(large)})
+    monkeypatch.setattr(http, "_pieces", lambda path: (time.sleep(0.05) or b"" for _ in range(1000)))
+    with pytest.raises(WorldModelError, match="no video within 1 s"):
+        ask({"video_path": str(large)}, timeout=1)
     assert list(out.parent.iterdir()) == []
 
 
@@ -227,6 +245,11 @@ def test_base64_with_line_breaks_is_accepted(
         ([base64_of(b"GIF89a")], "frame 0 is not a PNG"),
         ([base64_png(np.zeros((2, 2, 3), np.uint8))[:40]], "frame 0 is not a PNG"),
         ([base64_png(np.zeros((2, n, 3), np.uint8)) for n in (2, 3)], "different sizes"),
+        ([base64_png(np.zeros((2, 2, 3), np.uint8))] * 6, "answered with 6 frames, 5 were requested"),
+        (
+            [base64_of(b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR" + b"\0\0\x40\0" * 2 + b"\x08\2\0\0\0\0\0\0\0")],
+            "frame 0 .* PNG|too many",
+        ),
     ],
 )
 def test_unusable_predictions_are_refused(
