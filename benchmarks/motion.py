@@ -9,6 +9,7 @@ from scipy.interpolate import BSpline, make_interp_spline
 from benchmarks.body import Body
 from kinebench_drake.geometry import Array
 from kinebench_drake.kinematics.plant import ArmPlant
+from kinebench_drake.models.robot import Robot
 
 PROOF_HZ = 500.0
 """Rate at which a motion is compared with every limit [Hz]."""
@@ -22,9 +23,9 @@ _DEGREE = 5  # a continuous fourth derivative: acceleration and jerk are exact, 
 class Arm:
     """The robot as Drake's plant, and a vectorised copy of its geometry."""
 
-    def __init__(self) -> None:
-        """Load the Panda."""
-        self.plant = ArmPlant()
+    def __init__(self, robot: Robot | None = None) -> None:
+        """Load a robot, the Panda by default."""
+        self.plant = ArmPlant(robot)
         self.body = Body(self.plant)
         self.acceleration_limits = np.asarray(self.plant.acceleration_limits, dtype=np.float64)
         """(7,) greatest joint accelerations [rad/s^2]."""
@@ -99,7 +100,7 @@ def prove(arm: Arm, motion: Motion, start_s: float, end_s: float) -> Proof:
     margin = float(np.minimum(q - plant.lower, plant.upper - q).min())
     ratios = [
         float((np.abs(x) / limit).max())
-        for x, limit in ((v, plant.velocity_limits), (a, arm.acceleration_limits), (j, plant.jerk_limits))
+        for x, limit in ((v, plant.robot.limits.speeds(q, v)), (a, arm.acceleration_limits), (j, plant.jerk_limits))
     ]
     height = float(body.lowest(q, width).min())
     torque = distance = np.nan

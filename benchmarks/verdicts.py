@@ -193,4 +193,18 @@ def check(results: Path, tracks: Path, as_json: bool) -> None:
     click.echo(dump([s.to_json() for s in summaries], indent=2) if as_json else summary_table(summaries))
 
 
+@trajectories.command(epilog="\b\nExample:\n  python -m benchmarks trajectories robots --count 1000 --jobs 2")
+@click.option("--count", type=COUNT, default=1000, show_default=True, help="Random motions.", metavar="N")
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True)
+@jobs_option
+def robots(count: int, seed: int, jobs: int) -> None:
+    """Judge motions within the limits of the Panda or of the FR3 by those of both, and compare with their proofs."""
+    from benchmarks.robots import robot_table, run_trials
+
+    with click.progressbar(run_trials(count, seed, jobs), length=count) as trials:
+        ordered = sorted(trials, key=lambda trial: trial.index)
+    for line in robot_table(ordered):
+        click.echo(line)
+
+
 COMMANDS = (causes, loss, validity, extractors, baseline, trajectories)

@@ -14,8 +14,8 @@ Member = TypeVar("Member", bound=Enum)
 
 _MAX_CHARACTERS = 1000
 _ARGUMENT = re.compile(r"\$([a-z][a-z_]*)(=True)?")
-_UNIT = re.compile(r"_(s|m|hz|px)$")
-_OPTIONS = {"urdf": "--robot", "tags": "--tag"}
+_UNIT = re.compile(r"_(s|m|hz|px|kg)$")
+_OPTIONS = {"tags": "--tag"}
 """Options that are not called after their arguments."""
 
 

@@ -1,43 +1,59 @@
-"""Loading of any seven-joint arm from its URDF and the name of its tool link."""
+"""Loading of seven-joint arms: by name, or from a URDF; with limits, tool and payload of the user."""
 
-import math
+import re
 import xml.etree.ElementTree as ElementTree
-from collections.abc import Iterator
+from collections.abc import Mapping
+from dataclasses import replace
+from functools import cache
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 
-from kinebench_drake.errors import InputError, UsageError
-from kinebench_drake.geometry import Array
-from kinebench_drake.models.panda.robot import ARM_JOINTS, panda
+from kinebench_drake.errors import InputError, SetupError, UsageError, suggestion
+from kinebench_drake.geometry import Array, from_quaternion
+from kinebench_drake.io.files import absence, cache_folder
+from kinebench_drake.models.joint_limits import LimitTable, read_limit_table, read_limits, write_limits
+from kinebench_drake.models.link_tree import LinkTree, end_link
+from kinebench_drake.models.panda.fr3 import FR3_LIMITS, REMARK, add_inertial, make_fr3
+from kinebench_drake.models.panda.robot import ARM_JOINTS, FLANGE_LINK, PANDA_LIMITS, TCP_LINK, source_urdf
 from kinebench_drake.models.panda.robot import rest_q as panda_rest_q
-from kinebench_drake.models.robot import N_JOINTS, Robot
-from kinebench_drake.models.urdf import (
-    convert_urdf,
-    read_allowed_pairs,
-    read_effort_limits,
-    read_number,
-    read_urdf,
-    srdf_path,
-)
+from kinebench_drake.models.robot import Robot
+from kinebench_drake.models.urdf import convert_urdf, read_allowed_pairs, read_urdf, srdf_path
 
-_TURNING = ("revolute", "continuous")
-_KNOWN = (*_TURNING, "prismatic", "fixed")
+PANDA, FR3 = "panda", "fr3"
+ROBOTS: Mapping[str, LimitTable] = MappingProxyType({PANDA: PANDA_LIMITS, FR3: FR3_LIMITS})
+"""Robots by name, with their published limits; both on mani_skill's URDF of the Panda."""
+MAX_PAYLOAD_KG = 50.0
+"""Greatest payload [kg]; more is taken for another unit."""
+
+_TCP = "tcp"  # attribute of the root element of a converted URDF: name of the link whose frame is G
+_TOOL_LINK, _PAYLOAD_LINK = "added_tool", "added_payload"
+_QUATERNION_TOLERANCE = 1e-3
 
 
-def choose_robot(urdf: Path | None, tcp_link: str | None) -> Robot:
-    """Load the arm of a URDF with the link `tcp_link` as frame G, or mani_skill's Panda if there is no URDF.
+@cache
+def panda() -> Robot:
+    """Return the Panda with its gripper, as in ManiSkill.
 
     Raises:
-        InputError: the URDF or its SRDF cannot be used.
-        SetupError: the Panda's files are missing, or the cache folder cannot be written.
-        UsageError: the URDF has no such link.
+        SetupError: mani_skill is missing or damaged, or the cache folder cannot be written.
     """
-    return panda() if urdf is None else load_robot(urdf, tcp_link or "")
+    try:
+        return load_robot(PANDA)
+    except InputError as error:
+        raise SetupError(f"mani_skill's Panda is damaged, reinstall mani-skill 3.0.x ({error})") from None
 
 
-def load_robot(urdf: Path, tcp_link: str) -> Robot:
-    """Load the arm between the root link of a URDF and `tcp_link`, whose frame is G.
+def load_robot(
+    robot: str | Path = PANDA,
+    tool: str | None = None,
+    *,
+    limits: Path | None = None,
+    payload_kg: float = 0.0,
+    package_path: Path | None = None,
+) -> Robot:
+    """Load an arm: the links between the root of its URDF and the tool, whose frame is G.
 
     There must be seven revolute or continuous joints between the two (continuous ones get the limits -pi and pi), each
     with limits of position and speed. Prismatic joints elsewhere are fingers, each opened by half the gap between the
@@ -46,141 +62,146 @@ def load_robot(urdf: Path, tcp_link: str) -> Robot:
     `Robot.allowed_pairs`. The rest posture is the Panda's if the joints have its names and their limits contain it,
     else the middle of the limits.
 
+    Args:
+        robot: name in `ROBOTS`, or path of a URDF.
+        tool: link of the URDF, or pose "[LINK:]x,y,z,qw,qx,qy,qz" [m] of G in a link (of a named robot its flange);
+            None: panda_hand_tcp of a named robot.
+        limits: JSON file of limits that replace those of the robot (`LimitTable`).
+        payload_kg: mass of a point at the origin of G [kg].
+        package_path: folder in which packages of package:// URIs are looked up first.
+
     Raises:
-        UsageError: there is no such file, or no such link in it.
+        UsageError: there is no such robot, file or link, or an argument is not valid.
         InputError: the file is no URDF, its chain does not have seven revolute joints with limits, or one of its
             collision meshes cannot be read.
-        SetupError: the cache folder cannot be written.
+        SetupError: mani_skill is missing or damaged, or the cache folder cannot be written.
     """
-    if not urdf.is_file():
-        raise UsageError(f"{urdf.name}: there is no such file, expected a URDF")
-    root = read_urdf(urdf)
-    tree = _Tree(urdf.name, root)
-    if tcp_link not in tree.links:
-        raise UsageError(f"{urdf.name} has no link {tcp_link!r}; it has {', '.join(tree.links)}")
-    chain = tuple(tree.chain(tcp_link))
-    moving = [joint for joint in chain if joint.get("type") != "fixed"]
-    names = tuple(str(joint.get("name")) for joint in moving)
-    for joint in moving:
-        if joint.get("type") not in _TURNING:
-            raise InputError(
-                f"{urdf.name}: joint {joint.get('name')} between {tree.root} and {tcp_link} is {joint.get('type')}, "
-                "expected revolute or continuous joints"
-            )
-    if len(moving) != N_JOINTS:
-        raise InputError(
-            f"{urdf.name}: {len(moving)} revolute joints between {tree.root} and {tcp_link} "
-            f"({', '.join(names) or 'none'}), expected {N_JOINTS}"
+    source, table = _find(robot)
+    root = read_urdf(source)
+    tcp = _place_tool(LinkTree(source.name, root), root, tool, is_named=table is not None)
+    if robot == FR3:
+        make_fr3(root)
+    joints = LinkTree(source.name, root).arm(tcp)
+    for stated in (table, None if limits is None else read_limit_table(limits)):
+        if stated is not None:
+            write_limits(joints, stated)
+    read_limits(source.name, joints)  # before the conversion, which takes seconds
+    _add_payload(root, tcp, payload_kg)
+    root.set(_TCP, tcp)
+    remarks = [REMARK] if robot == FR3 else []
+    if continuous := [str(joint.get("name")) for joint in joints if joint.get("type") == "continuous"]:
+        remarks.append(f"continuous joints are limited to -pi..pi: {', '.join(continuous)}")
+    visuals = _count_visuals(root)
+    loaded = _read(convert_urdf(source, Path(robot).stem, root, package_path))
+    left = _count_visuals(read_urdf(loaded.urdf))
+    if lost := [link for link, n in visuals.items() if n > left[link]]:
+        remarks.append(f"visual meshes that cannot be read are not drawn: those of {', '.join(lost)}")
+    if loaded.allowed_pairs is None:
+        srdf = srdf_path(source).name
+        remarks.append(f"no {srdf} beside the URDF: links in contact at mid-range of all joints are not checked")
+    if unstated := loaded.limits.unstated:
+        remarks.append(
+            f"states no limits of {' and '.join(unstated)}, which are not checked: feasible means feasible as far as "
+            "checked; $limits states them"
         )
-    lower, upper = np.array([_limits(urdf.name, joint) for joint in moving]).T
-    converted = convert_urdf(urdf, urdf.stem)
-    srdf = srdf_path(urdf)
-    fingers = [j for j in tree.joints if j.get("type") == "prismatic"]
-    hand = _end(fingers[0], "parent") if fingers else tree.body(tcp_link)
-    along = [tree.root, *(_end(joint, "child") for joint in chain)]
+    return replace(loaded, remarks=tuple(remarks))
+
+
+def load_converted(id: str) -> Robot | None:
+    """Load a robot of the cache folder by its `Robot.id`; None if it is not there."""
+    urdf = cache_folder() / Path(id).name / f"{id.rpartition('-')[0]}.urdf"
+    return _read(urdf) if urdf.is_file() else None
+
+
+def _find(robot: str | Path) -> tuple[Path, LimitTable | None]:
+    """Return the URDF of a robot, and the limits published for one with a name."""
+    if str(robot) in ROBOTS:
+        return source_urdf(), ROBOTS[str(robot)]
+    path = Path(robot)
+    if not path.is_file():
+        raise UsageError(f"$robot {robot}: {absence(path)}, expected {', '.join(ROBOTS)} or the path of a URDF")
+    return path, None
+
+
+def _place_tool(tree: LinkTree, root: ElementTree.Element, tool: str | None, *, is_named: bool) -> str:
+    """Return the link whose frame is G; a pose becomes a new link."""
+    if tool is None and is_named:
+        return TCP_LINK
+    links = f"the links of {tree.file} are {', '.join(tree.links)}"
+    if tool is None:
+        raise UsageError(f"$tool names no TCP frame of $robot {tree.file}; {links}")
+    pose = re.fullmatch(r"(?:(.*):)?([^:]*,[^:]*)", tool)
+    if pose is None:
+        if tool not in tree.elements:
+            raise UsageError(f"$tool: {tree.file} has no link {tool!r}{suggestion(tool, tree.links)}; {links}")
+        return tool
+    parent = pose[1] or (FLANGE_LINK if is_named else "")
+    if parent not in tree.elements:
+        raise UsageError(f"$tool {tool}: expected LINK:x,y,z,qw,qx,qy,qz, the pose of the TCP in a link; {links}")
+    try:
+        x, y, z, *quaternion = map(float, pose[2].split(","))
+        unit = len(quaternion) == 4 and abs(float(np.linalg.norm(quaternion)) - 1.0) <= _QUATERNION_TOLERANCE
+    except ValueError:
+        unit = False
+    if not unit or not np.isfinite([x, y, z]).all():
+        raise UsageError(f"$tool {tool}: expected x,y,z,qw,qx,qy,qz, metres and a unit quaternion")
+    R = from_quaternion(np.array(quaternion) / np.linalg.norm(quaternion), [0.0, 0.0, 0.0])[:3, :3]
+    level = float(np.hypot(R[0, 0], R[1, 0]))
+    upright = level < 1e-9  # roll and yaw turn about one axis
+    roll = np.arctan2(-R[1, 2], R[1, 1]) if upright else np.arctan2(R[2, 1], R[2, 2])
+    yaw = 0.0 if upright else np.arctan2(R[1, 0], R[0, 0])
+    rpy = f"{float(roll)!r} {float(np.arctan2(-R[2, 0], level))!r} {float(yaw)!r}"
+    _add_link(root, _TOOL_LINK, parent, f"{x!r} {y!r} {z!r}", rpy)
+    return _TOOL_LINK
+
+
+def _add_payload(root: ElementTree.Element, tcp: str, payload_kg: float) -> None:
+    """Add the payload as a point mass at the TCP."""
+    if not 0.0 <= payload_kg <= MAX_PAYLOAD_KG:
+        raise UsageError(f"$payload_kg is {payload_kg}, expected kilograms from 0 to {MAX_PAYLOAD_KG:g}")
+    if payload_kg:
+        link = _add_link(root, _PAYLOAD_LINK, tcp, "0 0 0", "0 0 0")
+        add_inertial(link, repr(payload_kg), *["0"] * 9)
+
+
+def _add_link(root: ElementTree.Element, name: str, parent: str, xyz: str, rpy: str) -> ElementTree.Element:
+    link = ElementTree.SubElement(root, "link", name=name)
+    joint = ElementTree.SubElement(root, "joint", name=f"{name}_joint", type="fixed")
+    ElementTree.SubElement(joint, "origin", xyz=xyz, rpy=rpy)
+    ElementTree.SubElement(joint, "parent", link=parent)
+    ElementTree.SubElement(joint, "child", link=name)
+    return link
+
+
+def _count_visuals(root: ElementTree.Element) -> dict[str, int]:
+    return {str(link.get("name")): len(link.findall("visual")) for link in root.findall("link")}
+
+
+def _read(urdf: Path) -> Robot:
+    """Read a converted robot."""
+    root, srdf = read_urdf(urdf), srdf_path(urdf)
+    tree, tcp = LinkTree(urdf.name, root), str(root.get(_TCP))
+    joints = tree.arm(tcp)
+    names = tuple(str(joint.get("name")) for joint in joints)
+    limits = read_limits(urdf.name, joints)
+    fingers = [joint for joint in tree.joints if joint.get("type") == "prismatic"]
+    along = [tree.root, *(end_link(joint, "child") for joint in tree.chain(tcp))]
     return Robot(
         name=urdf.stem,
-        urdf=converted,
+        urdf=urdf,
         base_link=tree.root,
-        tcp_link=tcp_link,
-        hand_link=hand,
+        tcp_link=tcp,
+        hand_link=end_link(fingers[0], "parent") if fingers else tree.body(tcp),
         joints=names,
         finger_joints=tuple(str(joint.get("name")) for joint in fingers),
         links=(*along, *(link for link in tree.links if link not in along)),
-        rest_q=_rest(names, lower, upper),
-        effort_limits=read_effort_limits(urdf, names),
-        acceleration_limits=None,
-        jerk_limits=None,
+        rest_q=_rest(names, limits.lower, limits.upper),
+        limits=limits,
         allowed_pairs=read_allowed_pairs(srdf) if srdf.is_file() else None,
-        remarks=tuple(_remarks(root, read_urdf(converted), moving, srdf)),
     )
-
-
-class _Tree:
-    """Links and joints of a URDF, checked to be a tree."""
-
-    def __init__(self, file: str, root: ElementTree.Element) -> None:
-        self.elements = {str(link.get("name")): link for link in root.findall("link")}
-        self.links = tuple(self.elements)
-        self.joints = root.findall("joint")
-        self.inboard: dict[str, ElementTree.Element] = {}
-        for joint in self.joints:
-            name, child = joint.get("name"), _end(joint, "child")
-            if joint.get("type") not in _KNOWN:
-                raise InputError(f"{file}: joint {name} is {joint.get('type')}, expected {', '.join(_KNOWN)}")
-            for end in (_end(joint, "parent"), child):
-                if end not in self.elements:
-                    raise InputError(f"{file}: joint {name} names the link {end!r}, which the file lacks")
-            if child in self.inboard:
-                raise InputError(
-                    f"{file}: link {child} hangs on two joints, {self.inboard[child].get('name')} and {name}"
-                )
-            self.inboard[child] = joint
-        roots = [link for link in self.links if link not in self.inboard]
-        if len(roots) != 1:
-            raise InputError(f"{file}: {len(roots)} links hang on no joint ({', '.join(roots)}), expected one base")
-        self.root = roots[0]
-        reached = fresh = set(roots)
-        while fresh:
-            fresh = {link for link, joint in self.inboard.items() if _end(joint, "parent") in reached} - reached
-            reached = reached | fresh
-        if loop := [link for link in self.links if link not in reached]:
-            raise InputError(f"{file}: the joints of {', '.join(loop)} form a loop, expected a tree")
-
-    def chain(self, link: str) -> Iterator[ElementTree.Element]:
-        """Yield the joints from the root to `link`."""
-        if link != self.root:
-            joint = self.inboard[link]
-            yield from self.chain(_end(joint, "parent"))
-            yield joint
-
-    def body(self, link: str) -> str:
-        """Return the link itself or its nearest ancestor with a visual; the root if none has one."""
-        while link != self.root and self.elements[link].find("visual") is None:
-            link = _end(self.inboard[link], "parent")
-        return link
-
-
-def _end(joint: ElementTree.Element, tag: str) -> str:
-    element = joint.find(tag)
-    return "" if element is None else str(element.get("link"))
-
-
-def _limits(file: str, joint: ElementTree.Element) -> tuple[float, float]:
-    """Return lower and upper limit [rad] of a revolute or continuous joint."""
-    name = joint.get("name")
-    limit = joint.find("limit")
-    limit = ElementTree.Element("limit") if limit is None else limit
-    speed = read_number(limit, "velocity", math.nan)
-    if not (0.0 < speed < math.inf):
-        raise InputError(f"{file}: joint {name} has no positive velocity limit; state it in its <limit> element")
-    if joint.get("type") == "continuous":
-        return -math.pi, math.pi
-    lower, upper = (read_number(limit, side, math.nan) for side in ("lower", "upper"))
-    if not (-math.inf < lower < upper < math.inf):
-        raise InputError(
-            f"{file}: joint {name} has the limits {lower:g} and {upper:g} rad, expected lower < upper, both stated"
-        )
-    return lower, upper
 
 
 def _rest(names: tuple[str, ...], lower: Array, upper: Array) -> Array:
     rest = panda_rest_q()
     fits = names == ARM_JOINTS and bool(((rest >= lower) & (rest <= upper)).all())
     return rest if fits else np.asarray(0.5 * (lower + upper))
-
-
-def _remarks(
-    source: ElementTree.Element, converted: ElementTree.Element, moving: list[ElementTree.Element], srdf: Path
-) -> Iterator[str]:
-    continuous = [str(joint.get("name")) for joint in moving if joint.get("type") == "continuous"]
-    if continuous:
-        yield f"continuous joints are limited to -pi..pi: {', '.join(continuous)}"
-    left = {str(link.get("name")): len(link.findall("visual")) for link in converted.findall("link")}
-    lost = [
-        name for link in source.findall("link") if len(link.findall("visual")) > left[name := str(link.get("name"))]
-    ]
-    if lost:
-        yield f"visual meshes that cannot be read are not drawn: those of {', '.join(lost)}"
-    if not srdf.is_file():
-        yield f"no {srdf.name} beside the URDF: links in contact at mid-range of all joints are not checked"

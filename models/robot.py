@@ -5,6 +5,7 @@ from pathlib import Path
 
 from kinebench_drake.errors import InputError
 from kinebench_drake.geometry import Array
+from kinebench_drake.models.joint_limits import JointLimits
 
 N_JOINTS = 7
 """Number of moving joints between base and tool of every supported arm."""
@@ -12,7 +13,7 @@ N_JOINTS = 7
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Robot:
-    """Names, files and limits of an arm; Drake reads the limits of position and speed from the URDF."""
+    """Names, files and limits of an arm. Limits, tool and payload stand in its URDF, from which all of this is read."""
 
     name: str
     urdf: Path
@@ -31,12 +32,8 @@ class Robot:
     """Links whose poses are reported, base first."""
     rest_q: Array
     """(7,) rest posture [rad], the default start of searches."""
-    effort_limits: Array
-    """(7,) joint torque limits [N m]."""
-    acceleration_limits: Array | None
-    """(7,) joint acceleration limits [rad/s^2]; None if not published."""
-    jerk_limits: Array | None
-    """(7,) joint jerk limits [rad/s^3]; None if not published."""
+    limits: JointLimits
+    """Limits of the seven joints."""
     allowed_pairs: frozenset[frozenset[str]] | None
     """Pairs of links excluded from contact checks, as in the robot's SRDF.
 
@@ -44,6 +41,11 @@ class Robot:
     also those in contact with every joint in the middle of its range."""
     remarks: tuple[str, ...] = ()
     """Assumptions and omissions when the robot was read, one line each, for the user."""
+
+    @property
+    def id(self) -> str:
+        """Name and hash of all that defines the robot: URDF, meshes, SRDF, limits, tool, payload."""
+        return self.urdf.parent.name
 
     def __post_init__(self) -> None:
         """Check the number of joints."""

@@ -3,18 +3,15 @@
 import hashlib
 import math
 import xml.etree.ElementTree as ElementTree
-from collections.abc import Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from urllib.parse import unquote, urlsplit
 
-import numpy as np
-
 from kinebench_drake.errors import InputError, SetupError, cause
-from kinebench_drake.geometry import Array
 from kinebench_drake.io.atomic import atomic_folder
 from kinebench_drake.io.files import cache_folder
 
-_CONVERSION = "4"  # version of the conversion; increment it with every change to invalidate caches
+_CONVERSION = "5"  # version of the conversion; increment it with every change to invalidate caches
 _VISUAL_MATERIAL, _VISUAL_COLOR = "plain_white", "0.9 0.92 0.93 1"
 
 
@@ -35,38 +32,50 @@ def read_urdf(source: Path) -> ElementTree.Element:
     return root
 
 
-def convert_urdf(source: Path, name: str) -> Path:
+def convert_urdf(
+    source: Path, name: str, root: ElementTree.Element | None = None, package_path: Path | None = None
+) -> Path:
     """Return the path of a URDF that Drake can load, converted on first use (seconds) and cached.
 
     Collision meshes become their convex hulls (.obj), visual meshes one-colour .obj files with the original triangles;
     unreadable visual meshes are left out. `mimic` and `safety_controller` elements and joint friction are dropped:
-    Drake does not use them in a continuous-time plant. `continuous` joints get the limits -pi and pi. The cache folder
-    and the converted file begin with `name`; meshes are found by `find_mesh`.
+    Drake does not use them in a continuous-time plant. `continuous` joints get the limits -pi and pi. An SRDF beside
+    the source is copied. The name of the folder identifies the content: `name` and a hash of all files; meshes are
+    found by `find_mesh`.
+
+    Args:
+        source: the URDF.
+        name: name of the converted file, without its suffix.
+        root: its root element, if it was edited; left converted.
+        package_path: folder in which packages of package:// URIs are looked up first.
 
     Raises:
-        InputError: the URDF or one of its collision meshes cannot be read.
+        InputError: the URDF, its SRDF or one of its collision meshes cannot be read.
         SetupError: the cache folder cannot be written.
     """
-    root = read_urdf(source)
-    digest = hashlib.sha256(_CONVERSION.encode() + source.read_bytes())
+    root = read_urdf(source) if root is None else root
+    srdf = srdf_path(source)
+    digest = hashlib.sha256(_CONVERSION.encode() + ElementTree.tostring(root))
     meshes: dict[str, Path | None] = {}
+    files: dict[str, Path | None] = {"": srdf if srdf.is_file() else None}
     for element in (*root.iter("collision"), *root.iter("visual")):
         for mesh in element.iter("mesh"):
             uri = str(mesh.get("filename"))
-            if uri in meshes:
-                continue
-            meshes[uri] = path = find_mesh(source, uri)
-            if path is None and element.tag == "collision":
-                raise InputError(f"{source.name}: its collision mesh {uri} does not exist")
-            try:
-                digest.update(uri.encode() + (path.read_bytes() if path else b""))
-            except OSError as error:
-                raise InputError(f"{source.name}: {Path(uri).name} cannot be read ({cause(error)})") from None
+            if uri not in meshes:
+                files[uri] = meshes[uri] = find_mesh(source, uri, package_path)
+            if meshes[uri] is None and element.tag == "collision":
+                fix = "; name the folder of its packages with $package_path" if uri.startswith("package:") else ""
+                raise InputError(f"{source.name}: its collision mesh {uri} does not exist{fix}")
+    for uri, path in files.items():
+        try:
+            digest.update(uri.encode() + b"\0" + (path.read_bytes() if path else b""))
+        except OSError as error:
+            raise InputError(f"{source.name}: {path and path.name} cannot be read ({cause(error)})") from None
     folder = cache_folder() / f"{name}-{digest.hexdigest()[:16]}"
     urdf = folder / f"{name}.urdf"
     if not urdf.is_file():
         try:
-            _convert(source.name, root, meshes, folder, urdf.name)
+            _convert(source, root, meshes, urdf)
         except OSError as error:
             raise SetupError(
                 f"cannot write the converted robot to {folder} ({error}); set XDG_CACHE_HOME to a writable folder"
@@ -74,16 +83,16 @@ def convert_urdf(source: Path, name: str) -> Path:
     return urdf
 
 
-def find_mesh(urdf: Path, uri: str) -> Path | None:
+def find_mesh(urdf: Path, uri: str, package_path: Path | None = None) -> Path | None:
     """Return the mesh file of a `uri` in a URDF; None if there is none.
 
     Plain paths and file:// URIs are relative to the URDF's folder, or absolute. package://NAME/PATH is resolved as
-    NAME/PATH, then as PATH, in the URDF's folder and then in each folder above it.
+    NAME/PATH, then as PATH, in `package_path`, in the URDF's folder and then in each folder above it.
     """
     parts = urlsplit(uri)
     if parts.scheme == "package":
         inside = unquote(parts.path).lstrip("/")
-        folders = urdf.resolve().parents
+        folders = (*([package_path] if package_path else []), *urdf.resolve().parents)
         candidates = [folder / path for folder in folders for path in (f"{parts.netloc}/{inside}", inside)]
     else:
         candidates = [urdf.parent / (unquote(parts.netloc + parts.path) if parts.scheme == "file" else uri)]
@@ -93,44 +102,6 @@ def find_mesh(urdf: Path, uri: str) -> Path | None:
 def srdf_path(urdf: Path) -> Path:
     """Return the path of the SRDF of a URDF: beside it, with the same name."""
     return urdf.with_suffix(".srdf")
-
-
-def robot_files(urdf: Path) -> list[Path]:
-    """List the existing files of a robot: URDF, SRDF, meshes.
-
-    For an unreadable URDF no meshes are listed.
-    """
-    try:
-        uris = sorted({str(mesh.get("filename")) for mesh in read_urdf(urdf).iter("mesh")})
-    except InputError:
-        uris = []
-    files = (urdf, srdf_path(urdf), *(find_mesh(urdf, uri) for uri in uris))
-    return [file for file in files if file is not None and file.is_file()]
-
-
-def read_effort_limits(urdf: Path, joints: Sequence[str]) -> Array:
-    """Read the torque limits [N m] of joints from a URDF; infinite where it has none.
-
-    Drake's parser reads them only for joints with a transmission, which ManiSkill's robots lack.
-
-    Raises:
-        InputError: the file is no URDF, or a limit is not a positive number.
-    """
-    limits = {str(joint.get("name")): joint.find("limit") for joint in read_urdf(urdf).findall("joint")}
-    elements = [limits.get(name) for name in joints]
-    efforts = [math.inf if limit is None else read_number(limit, "effort", math.inf) for limit in elements]
-    for name, effort in zip(joints, efforts, strict=True):
-        if not effort > 0.0:
-            raise InputError(f"{urdf.name}: joint {name} has the effort limit {effort:g}, expected a positive torque")
-    return np.array(efforts)
-
-
-def read_number(element: ElementTree.Element, attribute: str, default: float) -> float:
-    """Read a numeric attribute of an element; `default` where it is absent, NaN where it is no number."""
-    try:
-        return float(element.get(attribute, default))
-    except ValueError:
-        return math.nan
 
 
 def read_allowed_pairs(srdf: Path) -> frozenset[frozenset[str]]:
@@ -148,9 +119,9 @@ def read_allowed_pairs(srdf: Path) -> frozenset[frozenset[str]]:
     )
 
 
-def _convert(source: str, root: ElementTree.Element, meshes: dict[str, Path | None], folder: Path, name: str) -> None:
-    """Write URDF and meshes to a folder."""
-    with atomic_folder(folder) as work:
+def _convert(source: Path, root: ElementTree.Element, meshes: Mapping[str, Path | None], urdf: Path) -> None:
+    """Write URDF, SRDF and meshes to the folder of `urdf`."""
+    with atomic_folder(urdf.parent) as work:
         for parent in list(root.iter()):
             for tag in ("mimic", "safety_controller"):
                 for child in parent.findall(tag):
@@ -166,12 +137,14 @@ def _convert(source: str, root: ElementTree.Element, meshes: dict[str, Path | No
         targets = _targets(meshes)
         for link in root.findall("link"):
             for element in (*link.findall("collision"), *link.findall("visual")):
-                if not _convert_element(source, element, meshes, targets, work):
+                if not _convert_element(source.name, element, meshes, targets, work):
                     link.remove(element)
-        ElementTree.ElementTree(root).write(work / name, encoding="utf-8", xml_declaration=True)
+        if (srdf := srdf_path(source)).is_file():
+            srdf_path(work / urdf.name).write_bytes(srdf.read_bytes())
+        ElementTree.ElementTree(root).write(work / urdf.name, encoding="utf-8", xml_declaration=True)
 
 
-def _targets(meshes: dict[str, Path | None]) -> dict[str, str]:
+def _targets(meshes: Mapping[str, Path | None]) -> dict[str, str]:
     """Return a file name for each existing mesh, by URI; equal names of different folders are numbered."""
     targets: dict[str, str] = {}
     for uri, path in meshes.items():
@@ -182,7 +155,7 @@ def _targets(meshes: dict[str, Path | None]) -> dict[str, str]:
 
 
 def _convert_element(
-    source: str, element: ElementTree.Element, meshes: dict[str, Path | None], targets: dict[str, str], work: Path
+    source: str, element: ElementTree.Element, meshes: Mapping[str, Path | None], targets: Mapping[str, str], work: Path
 ) -> bool:
     """Convert the meshes of one collision or visual element; return False for an unreadable visual."""
     hull = element.tag == "collision"

@@ -44,8 +44,9 @@ from kinebench_drake.geometry import Array, make_pose, rotation_exp, transform_p
 from kinebench_drake.grounding.tracking.crop import GRIPPER_CENTRE_H
 from kinebench_drake.grounding.tracking.view import Frames
 from kinebench_drake.kinematics.plant import ArmPlant
+from kinebench_drake.models.arm import panda
 from kinebench_drake.models.panda.cad import FINGER_ORIGIN_H, visual_file
-from kinebench_drake.models.panda.robot import GRIPPER, HAND_LINK, LINK_OF, OPENING_SIGN, RobotPart, panda
+from kinebench_drake.models.panda.robot import GRIPPER, HAND_LINK, LINK_OF, OPENING_SIGN, RobotPart
 from training.layout import (
     FAR_AWAY,
     Solid,

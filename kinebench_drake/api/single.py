@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from difflib import get_close_matches
 from functools import lru_cache
-from os import PathLike
+from os import PathLike, fspath
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
@@ -25,6 +25,7 @@ from kinebench_drake.formats.videos.sample import VideoSample
 from kinebench_drake.grounding.overrides.overrides import Overrides
 from kinebench_drake.io.reader import read_video
 from kinebench_drake.io.video import Video
+from kinebench_drake.models.arm import PANDA
 from kinebench_drake.models.panda.robot import GripperKind
 from kinebench_drake.results.inputs import PeriodSource
 from kinebench_drake.runs.audit import judge_trajectory
@@ -43,8 +44,9 @@ AnySample = TypeVar("AnySample", bound=SampleInfo)
 
 
 def _tools_for(options: RobotOptions) -> Tools:
-    """Return the tools for a robot, cached between calls unless the URDF is the user's own."""
-    return _cached_tools(options) if options.urdf is None else load_tools(make_tools, options)
+    """Return the tools for a robot, cached between calls unless a file of the user defines it."""
+    own = not options.is_named or options.limits is not None
+    return load_tools(make_tools, options) if own else _cached_tools(options)
 
 
 @lru_cache(maxsize=4)
@@ -192,8 +194,11 @@ def audit_trajectory(
     joints: str | None = None,
     poses: str | None = None,
     table_height_m: float = 0.0,
-    urdf: PathName | None = None,
-    tcp_frame: str | None = None,
+    robot: PathName = PANDA,
+    tool: str | None = None,
+    limits: PathName | None = None,
+    payload_kg: float = 0.0,
+    package_path: PathName | None = None,
 ) -> "KinematicResult":
     """Judge one trajectory, as `kinebench-drake audit` does: whether and how well the robot executes it, else why not.
 
@@ -211,8 +216,12 @@ def audit_trajectory(
         joints: array, data set or column of a file that holds the joint angles.
         poses: array or column of a file that holds the poses.
         table_height_m: height of the table's top in the robot base frame [m].
-        urdf: seven-joint arm to judge by, with `tcp_frame`; None: the Franka Panda.
-        tcp_frame: frame of the URDF whose poses are given.
+        robot: arm to judge by: "panda", "fr3" or the URDF of a seven-joint arm.
+        tool: TCP whose poses are judged: a link of the URDF, or "[LINK:]x,y,z,qw,qx,qy,qz", its pose in a link (by
+            default the flange); None: panda_hand_tcp.
+        limits: JSON file of joint limits that replace the robot's (docs/kinematics.md).
+        payload_kg: mass that the gripper carries, a point at the TCP [kg].
+        package_path: folder of the packages that package:// URIs of the URDF name.
 
     Returns:
         `feasible` (None if undecided), `violations`, `metrics` (None where not measurable, with `reasons`), `joints`
@@ -229,10 +238,14 @@ def audit_trajectory(
         print(result.feasible, result.violations, result.metrics["manipulability_min"])
     """
     options = RobotOptions(
-        table_height_m=table_height_m, urdf=None if urdf is None else Path(urdf), tcp_frame=tcp_frame
+        table_height_m=table_height_m,
+        robot=fspath(robot),
+        tool=tool,
+        limits=None if limits is None else Path(limits),
+        payload_kg=payload_kg,
+        package_path=None if package_path is None else Path(package_path),
     )
-    if options.urdf is not None:
-        _warn(*options.load().remarks)
+    _warn(*options.load().remarks)
     reading = TrajectoryOptions(rate_hz=rate_hz, joints=joints, poses=poses)
     if isinstance(trajectory, GripperTrack):
         _refuse_with(

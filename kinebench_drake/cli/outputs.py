@@ -122,15 +122,8 @@ def merge(ctx: click.Context, /, folders: tuple[Path, ...], out: Path) -> None:
 @click.command(epilog="\b\nExample:\n  kinebench-drake view results/ episode_0003 --open")
 @click.argument("out", metavar="OUT", type=PathParameter())
 @click.argument("id", metavar="ID")
-@click.option(
-    "--robot",
-    "urdf",
-    type=PathParameter(),
-    help="URDF of the robot, for a run judged with another robot than the Panda.",
-    metavar="URDF",
-)
 @click.option("--open/--no-open", "opened", default=False, help="Open it in the browser.")
-def view(out: Path, id: str, urdf: Path | None, opened: bool) -> None:
+def view(out: Path, id: str, opened: bool) -> None:
     """Write a 3D replay of sample ID of the output folder OUT and print its path.
 
     The replay, OUT/replays/ID.html, opens in any browser. It shows the motion of the arm, coloured by the limits that
@@ -152,7 +145,7 @@ def view(out: Path, id: str, urdf: Path | None, opened: bool) -> None:
             raise UsageError(f"{id}: has no track to show ({row.reason or f'tracks/{id}.npz is absent'})")
         from kinebench_drake.report.replay import write_replays
 
-        paths = write_replays(out, [id], _plant(out, urdf))
+        paths = write_replays(out, [id], _plant(out))
     except InputError as error:
         raise UsageError(str(error)) from None
     if not paths:
@@ -162,19 +155,18 @@ def view(out: Path, id: str, urdf: Path | None, opened: bool) -> None:
         click.echo("no browser could be started; open the file yourself", err=True)
 
 
-def _plant(out: Path, urdf: Path | None) -> "ArmPlant":
+def _plant(out: Path) -> "ArmPlant":
     """Load the robot that a run was judged with."""
+    from kinebench_drake.kinematics.plant import ArmPlant
+    from kinebench_drake.models.arm import PANDA, ROBOTS, load_converted, load_robot
     from kinebench_drake.report.run import read_results
 
     config = as_object(read_results(out).get("config"))
-    robot, tcp_frame = config.get("robot"), config.get("tcp_frame")
-    if robot is None and urdf is not None:
-        raise UsageError(f"{out}: was judged with the Panda, leave out --robot")
-    if robot is not None and urdf is None:
-        raise UsageError(f"{out}: was judged with {robot}, name that file with --robot")
-    if urdf is not None and urdf.name != robot:
-        raise UsageError(f"{out}: was judged with {robot}, but --robot names {urdf.name}")
-    from kinebench_drake.kinematics.plant import ArmPlant
-    from kinebench_drake.models.arm import choose_robot
-
-    return ArmPlant(choose_robot(urdf, None if tcp_frame is None else str(tcp_frame)))
+    id, name = config.get("robot_id"), str(config.get("robot") or PANDA)
+    robot = load_converted(str(id))
+    if robot is None and name in ROBOTS:
+        robot = load_robot(name)
+        robot = robot if id in (None, robot.id) else None
+    if robot is None:
+        raise UsageError(f"{out}: its robot {name} is not in the cache of this machine; repeat the run here")
+    return ArmPlant(robot)

@@ -17,6 +17,7 @@ from rich.text import Text
 
 from kinebench_drake.errors import count_noun, name_options, one_line
 from kinebench_drake.io.jsonl import Json, as_object
+from kinebench_drake.metrics.executable import UNCHECKED, reason_kind
 from kinebench_drake.metrics.trust import TRUST, trust_lines
 from kinebench_drake.report.timeline import anomalies_of
 from kinebench_drake.results.aggregate import VERDICT_SHARES, estimate, estimate_executable, estimate_passes
@@ -149,6 +150,10 @@ def summary_lines(rows: Sequence[SampleRow]) -> Iterator[str]:
     faults = [f"anomalies: {_count_samples(map(anomalies_of, rows))}"] if _has_anomalies(rows) else []
     if any(row.violations for row in rows) or not faults:
         faults.append(f"violated limits: {_count_samples(row.violations for row in rows)}")
+    open_ = Counter(r for row in rows for r in row.executable_reasons if reason_kind(r) == UNCHECKED)
+    faults += [
+        f"{reason} limits, in {count_noun(n, 'sample')}: feasible as far as checked" for reason, n in open_.items()
+    ]
     yield "; ".join(faults)
     yield "; ".join(
         f"{status.value}: {n} of {count_noun(len(rows), 'sample')}{_frequent_reason(rows, status)}"

@@ -154,7 +154,7 @@ class LinkChain:
         return X, np.ascontiguousarray(np.swapaxes(J, -1, -2))
 
     def torques(self, q: ArrayLike, v: ArrayLike, a: ArrayLike) -> Array:
-        """Return the joint torques (..., N, 7) [N m] of motions without payload: those of `ArmPlant.torque`, at once.
+        """Return the joint torques (..., N, 7) [N m] of motions: those of `ArmPlant.torque`, at once.
 
         Newton-Euler equations of all links about the origin of B (R. Featherstone, "Rigid Body Dynamics Algorithms",
         2008, sections 2.13 and 5.3), without friction, fingers and other joints at rest: angles `q` (N, 7) [rad],

@@ -17,7 +17,7 @@ from pydrake.systems.framework import DiagramBuilder
 from kinebench_drake.errors import InputError, UsageError, cause
 from kinebench_drake.geometry import Array
 from kinebench_drake.kinematics.chain import LinkChain
-from kinebench_drake.models.panda.robot import panda
+from kinebench_drake.models.arm import panda
 from kinebench_drake.models.robot import N_JOINTS, Robot
 
 
@@ -38,7 +38,7 @@ class ArmPlant:
             InputError: Drake cannot load the robot.
         """
         self.robot = robot or panda()
-        """Names, files and published limits."""
+        """Names, files and limits."""
         builder: Any = DiagramBuilder()
         plant: Any
         plant, scene_graph = AddMultibodyPlantSceneGraph(builder, 0.0)
@@ -62,18 +62,17 @@ class ArmPlant:
         """Indices of the seven arm joints in the plant's velocities."""
         self._fingers = np.array([joint.position_start() for joint in fingers], dtype=np.intp)
         self._opening = np.array([[j.position_lower_limit(), j.position_upper_limit()] for j in fingers]).reshape(-1, 2)
-        self.lower = np.array([joint.position_lower_limit() for joint in joints])
-        """(7,) lower joint limits [rad]."""
-        self.upper = np.array([joint.position_upper_limit() for joint in joints])
-        """(7,) upper joint limits [rad]."""
-        self.velocity_limits = np.array([float(joint.velocity_upper_limits()[0]) for joint in joints])
-        """(7,) joint speed limits [rad/s]."""
-        self.effort_limits = self.robot.effort_limits
+        limits = self.robot.limits
+        self.lower, self.upper = limits.lower, limits.upper
+        """(7,) lower and upper joint limits [rad]."""
+        self.velocity_limits = limits.velocity
+        """(7,) joint speed limits at any position [rad/s]; `limits.speeds` are those at one position."""
+        self.acceleration_limits = limits.acceleration
+        """(7,) joint acceleration limits [rad/s^2]; None if not stated."""
+        self.jerk_limits = limits.jerk
+        """(7,) joint jerk limits [rad/s^3]; None if not stated."""
+        self.effort_limits = limits.torque
         """(7,) joint torque limits [N m]."""
-        self.acceleration_limits = self.robot.acceleration_limits
-        """(7,) joint acceleration limits [rad/s^2]; None if not published."""
-        self.jerk_limits = self.robot.jerk_limits
-        """(7,) joint jerk limits [rad/s^3]; None if not published."""
         self.finger_width_m = finger_width_m
         """Default gap between the finger pads [m]."""
         low, high = plant.GetPositionLowerLimits(), plant.GetPositionUpperLimits()
@@ -103,7 +102,7 @@ class ArmPlant:
 
     @property
     def rate_limits(self) -> tuple[Array, Array | None, Array | None]:
-        """Limits (7,) of speed [rad/s], acceleration [rad/s^2] and jerk [rad/s^3]; None if not published."""
+        """Limits (7,) of speed [rad/s], acceleration [rad/s^2] and jerk [rad/s^3]; None if not stated."""
         return self.velocity_limits, self.acceleration_limits, self.jerk_limits
 
     def set_posture(self, q: ArrayLike, finger_width_m: float | None = None) -> None:
@@ -177,7 +176,7 @@ class ArmPlant:
         return X_BG, np.asarray(J[:, self.arm_rates])
 
     def torque(self, q: ArrayLike, v: ArrayLike, a: ArrayLike) -> Array:
-        """Return the joint torques (7,) [N m] of a motion without payload, by Drake's inverse dynamics.
+        """Return the joint torques (7,) [N m] of a motion with the robot's payload, by Drake's inverse dynamics.
 
         tau = M(q) a + C(q, v) v - tau_g(q), without friction: `q` (7,) [rad], `v` [rad/s], `a` [rad/s^2], fingers at
         rest.

@@ -69,7 +69,7 @@ def time_scale(plant: ArmPlant, t_s: Array, q: Array) -> TimeScale:
     path without motion has no value.
 
     Args:
-        plant: the robot; accelerations are unlimited where none are published.
+        plant: the robot; accelerations are unlimited where it states no limits.
         t_s: (T,) times [s], increasing, of any spacing.
         q: (T, 7) joint angles [rad], denoised; rows with NaN are left out.
     """
@@ -108,7 +108,7 @@ class _Motion:
         # Torques are linear in d2s/dt2 and (ds/dt)^2.
         torque = plant.chain.torques(q, np.stack([still, still, v]), np.stack([still, v, a])) / plant.effort_limits
         bounds = np.inf if plant.acceleration_limits is None else plant.acceleration_limits
-        self.speed = v / plant.velocity_limits
+        self.speed = v / plant.robot.limits.speeds(q, v)
         """(G, 7) speeds in own time over their limits."""
         self.limits = PathLimits(
             s=self.grid,

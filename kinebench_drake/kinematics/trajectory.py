@@ -190,6 +190,17 @@ class JointTrajectory:
         frame, value = self.problem.nearest_frame(float(self.samples_s[k])), float(self.torque[k, j])
         return Violation.at(ViolationKind.TORQUE, frame, plant.robot.joints[j], value, float(plant.effort_limits[j]))
 
+    @property
+    def speeding(self) -> Violation | None:
+        """Speed farthest beyond a limit that depends on the position, at the samples; None if all are within limits."""
+        limits, (q, v, _) = self.problem.plant.robot.limits, self.motion
+        bounds = limits.speeds(q, v)
+        k, j = np.unravel_index(np.argmax(np.abs(v) / bounds), v.shape)
+        if limits.deceleration is None or abs(v[k, j]) <= KEPT * bounds[k, j]:
+            return None
+        frame, joint = self.problem.nearest_frame(float(self.samples_s[k])), self.problem.plant.robot.joints[j]
+        return Violation.at(ViolationKind.VELOCITY, frame, joint, float(v[k, j]), float(bounds[k, j]))
+
     def obstacles(self) -> list[Obstacle]:
         """Linearise distances below `NEAR_M`, twice per span and at local minima: the few least at each sample."""
         collision = self.problem.collision
@@ -233,7 +244,7 @@ class JointTrajectory:
             "position_error_max_m": self.deviations[0],
             "rotation_error_max_rad": self.deviations[1],
             "joint_limit_margin_min": float(limit_margin(plant, q).min()),
-            "velocity_ratio_max": float(np.abs(v / plant.velocity_limits).max()),
+            "velocity_ratio_max": float(np.abs(v / plant.robot.limits.speeds(q, v)).max()),
             "acceleration_ratio_max": None if accelerations is None else float(np.abs(a / accelerations).max()),
             "jerk_ratio_max": None if jerk is None else float(jerk.max()),
             "torque_ratio_max": float(np.abs(self.torque / plant.effort_limits).max()),

@@ -79,7 +79,7 @@ def optimize_in_tube(
     A trajectory is in the tube if, at every frame, its position error is at most r and its rotation error at most r /
     `ROTATION_ARM_M`. It is a cubic B-spline with a break at every frame (`SplineBasis.through`), of the duration of the
     track, with free boundary speeds. Limits of position, speed, acceleration and jerk hold at all times, by bounds on
-    control points; collisions and torques are checked at samples.
+    control points; collisions, torques and speed limits that depend on the position are checked at samples.
 
     If the spline through `q` does not do, `solve_tube` is linearised about `q`, then about its own result, until its
     least radius and the one that the trajectory needs are within `RATIO`; else the radius is bisected. A trajectory
@@ -148,7 +148,9 @@ class _TubeSearch:
         return self._result(reduced, cause)
 
     def _result(self, best: JointTrajectory | None, cause: Violation | None) -> TubeResult:
-        feasible = best is not None and best.radius_m <= self.tube_limit_m
+        speeding = None if best is None else best.speeding
+        cause = cause or speeding
+        feasible = best is not None and best.radius_m <= self.tube_limit_m and speeding is None
         if best is None:
             size = f"no trajectory was found in a tube of up to {LARGEST_M:g} m"
         else:

@@ -1,7 +1,7 @@
 """Whether a robot can execute a whole video: what speaks against it, and what could not be measured."""
 
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from enum import Enum
 from typing import Any
 
@@ -14,22 +14,25 @@ UNDECIDED = "undecided"
 """Too few frames are measured for a verdict on the motion, or there is no base frame."""
 LOST = "lost"
 """Frames without a pose that are not bridged soundly."""
+UNCHECKED = "unchecked"
+"""Kinds of limits that the robot does not state."""
 
 _NOT_OF_THE_ROBOT = frozenset({AnomalyKind.CAMERA.value})
 
 
 def judge_evidence(
-    feasible: bool | None, lost: int, anomalies: Iterable[Mapping[str, Any]] = ()
+    feasible: bool | None, lost: int, anomalies: Iterable[Mapping[str, Any]] = (), unchecked: Sequence[str] = ()
 ) -> tuple[bool | None, tuple[str, ...]]:
     """Return whether the robot can execute a video, and the reasons why not, or why it is open.
 
     False if something speaks against the video: its motion is infeasible, or it has an anomaly that no robot can show.
-    None if nothing does, but frames could not be measured, or the verdict on the motion is open.
+    None if nothing does, but frames were not measured, limits not checked, or the verdict on the motion is open.
 
     Args:
         feasible: verdict on the motion.
         lost: number of frames that are neither measured nor bridged.
         anomalies: anomalies of the video, as in its row.
+        unchecked: kinds of limits that could not be checked.
     """
     frames = Counter[str]()
     for a in anomalies:
@@ -40,11 +43,12 @@ def judge_evidence(
     ]
     missing = [UNDECIDED] if feasible is None else []
     missing += [f"{LOST}: {count_noun(lost, 'frame')}"] if lost else []
+    missing += [f"{UNCHECKED}: {', '.join(unchecked)}"] if unchecked else []
     return False if against else None if missing else True, (*against, *missing)
 
 
 def reason_kind(reason: str) -> str:
-    """Return the kind of a reason: INFEASIBLE, UNDECIDED, LOST or a kind of anomaly, without its number of frames."""
+    """Return the kind of a reason: INFEASIBLE, UNDECIDED, LOST, UNCHECKED or a kind of anomaly, alone."""
     return reason.partition(":")[0]
 
 

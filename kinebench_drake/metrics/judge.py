@@ -229,6 +229,7 @@ class TrackJudge:
             feasible=False if violations else (True if undecided is None else None),
             violations=tuple(violations),
             metrics=MappingProxyType(metrics),
+            unchecked=plant.robot.limits.unstated,
             reasons=MappingProxyType(reasons),
             details=MappingProxyType(path_details(plant, q, path)),
             curves=MappingProxyType(track_curves(plant, joints, path)),

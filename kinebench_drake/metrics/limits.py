@@ -42,11 +42,13 @@ class LimitCheck:
     t_worst_s: float | None
     """Time of that frame [s]; None likewise."""
     margins: Array
-    """(7,) limit - greatest |value| of each joint; NaN where the noise hides all values."""
+    """(7,) limit - |value| of each joint where their ratio is greatest; NaN where the noise hides all values."""
     ratios: Array
     """(7,) greatest |value| / limit of each joint; NaN where the noise hides all values."""
     value: Array
     """(T, 7) point estimates; NaN where there is none."""
+    limits: Array
+    """(T, 7) limits of the point estimates."""
     window_s: float
     """Length of the windows of the derivatives [s]."""
     bandwidth_hz: float
@@ -57,7 +59,7 @@ class LimitCheck:
     """(T, 7) least k for which the track played k times slower keeps the limit, by the point estimate, but at most 1
     where the noise explains the excess; NaN if unknown."""
     violations: tuple[Violation, ...]
-    """Runs of frames in which a joint breaks the limit; `value` is the greatest |value|."""
+    """Runs of frames in which a joint breaks the limit; `value` and `limit` where their ratio is greatest."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -100,8 +102,8 @@ def check_limits(
 ) -> LimitChecks:
     """Check a joint path against all limits of the robot.
 
-    Torques are those of inverse dynamics without payload, at the smoothed path and its derivatives; their noise is that
-    of the accelerations through the mass matrix.
+    Torques are those of inverse dynamics with the robot's payload, at the smoothed path and its derivatives; their
+    noise is that of the accelerations through the mass matrix.
 
     Args:
         plant: the robot.
@@ -121,10 +123,11 @@ def check_limits(
         if not np.isfinite(derivative.value).any():
             reasons[kind] = f"fewer than {order + 1} frames have joint angles"
         elif limit is None:
-            reasons[kind] = f"no {kind.value} limits are published for {plant.robot.name}"
+            reasons[kind] = f"{plant.robot.name} states no {kind.value} limits: not checked"
         else:
-            slowdown = partial(rate_slowdown, derivative.value, limit, order)
-            checks[kind] = _check(plant, kind, t_s, derivative, limit, slowdown, z)
+            limits = _speed_limits(plant, q, sigma, derivative, z) if kind is ViolationKind.VELOCITY else limit
+            slowdown = partial(rate_slowdown, derivative.value, limits, order)
+            checks[kind] = _check(plant, kind, t_s, derivative, limits, slowdown, z)
     acceleration = derivatives[ViolationKind.ACCELERATION]
     if np.isfinite(acceleration.value).any():
         velocity = derivatives[ViolationKind.VELOCITY]
@@ -145,8 +148,27 @@ def noise_allowance(tests: int, freedom: float) -> float:
     return float(-stdtrit(max(freedom, 1.0), FALSE_ALARM / (2.0 * max(tests, 1))))
 
 
+def _speed_limits(plant: ArmPlant, q: Array, sigma: Array, velocity: Derivative, z: float) -> Array:
+    """Return the speed limits (T, 7) [rad/s] of each frame: the greatest in its window, at angles that noise explains.
+
+    A mean speed above them exceeds the limit of some position in the window, as it does for constant limits.
+    """
+    limits = plant.robot.limits
+    if limits.deceleration is None:
+        return np.broadcast_to(limits.velocity, q.shape)
+    frames = np.flatnonzero(finite_rows(velocity.value))
+    near, towards = z * np.nan_to_num(np.broadcast_to(sigma, q.shape)[frames]), np.ones((len(frames), 7))
+    up, down = (limits.speeds(q[frames] - sign * near, sign * towards) for sign in (1.0, -1.0))
+    size = min(velocity.window, len(frames))
+    first = np.clip(np.arange(len(frames)) - size // 2, 0, len(frames) - size)
+    most = [np.lib.stride_tricks.sliding_window_view(each, size, axis=0).max(axis=-1)[first] for each in (up, down)]
+    speeds = np.array(np.broadcast_to(limits.velocity, q.shape))
+    speeds[frames] = np.where(velocity.value[frames] >= 0.0, *most)
+    return speeds
+
+
 def rate_slowdown(value: Array, limits: Array, order: int, error: Array) -> Array:
-    """Return the least k (..., 7) with (|value| - error) / k^order within `limits` (7,): played k times slower."""
+    """Return the least k (..., 7) with (|value| - error) / k^order within `limits` (..., 7): played k times slower."""
     return np.asarray(np.maximum((np.abs(value) - error) / limits, 0.0) ** (1.0 / order))
 
 
@@ -187,8 +209,12 @@ def _check(
     slowdown: Callable[[Array], Array],
     z: float,
 ) -> LimitCheck:
-    """Return one check; `slowdown` returns the slow-downs (T, 7) that values need less an allowance (T, 7)."""
+    """Return the check against `limits` (..., 7).
+
+    `slowdown` returns the slow-downs (T, 7) that values need less an allowance (T, 7).
+    """
     value, error = estimate.value, estimate.standard_error
+    limits = np.broadcast_to(limits, value.shape)
     least, own = slowdown(z * error), slowdown(np.zeros_like(error))
     magnitude = np.abs(value)
     broken = np.asarray(least > 1.0)
@@ -202,17 +228,19 @@ def _check(
         joint=plant.robot.joints[joint] if some else None,
         frame=int(frame) if some else None,
         t_worst_s=float(t_s[frame]) if some else None,
-        margins=limits * (1.0 - ratios),
+        margins=limits[np.argmax(ratio, axis=0), np.arange(limits.shape[1])] * (1.0 - ratios),
         ratios=ratios,
         value=value,
+        limits=limits,
         window_s=estimate.window_s,
         bandwidth_hz=estimate.bandwidth_hz,
-        noise_ratio=float((np.median(error[finite_rows(value)], axis=0) / limits).max()),
+        noise_ratio=float((np.median(error[finite_rows(value)] / limits[finite_rows(value)], axis=0)).max()),
         slowdown=np.where(significant, np.maximum(least, np.minimum(own, 1.0)), np.where(least > 0.0, least, np.nan)),
         violations=tuple(
-            Violation.of_run(kind, run, name, float(magnitude[run, j].max()), float(limits[j]))
+            Violation.of_run(kind, run, name, float(magnitude[worst, j]), float(limits[worst, j]))
             for j, name in enumerate(plant.robot.joints)
             for run in segments(broken[:, j])
+            for worst in [run.start + int(np.argmax(ratio[run, j]))]
         ),
     )
 

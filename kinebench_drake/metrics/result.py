@@ -41,6 +41,8 @@ class KinematicResult:
     metrics: Mapping[str, Value]
     """Metric names of the output format; None where not measurable. Of a track with lost or unreachable frames also
     NAME_bound, the worst that NAME can be whatever happens there; None if there is no worst."""
+    unchecked: tuple[str, ...] = ()
+    """Kinds of limits that the robot does not state: `feasible` says nothing about them."""
     reasons: Mapping[str, str] = field(default_factory=dict)
     """Why a metric is None, by its name; why the verdict is open, by "feasible"."""
     details: Mapping[str, Json] = field(default_factory=dict)
@@ -210,6 +212,7 @@ def track_curves(plant: ArmPlant, joints: JointTrack, path: PathMeasurements) ->
         "table_distance_m": path.table_clearance.distance_m,
         "q_smooth": path.checks.q_smooth,
         **{kind.value: check.value for kind, check in path.checks.checks.items()},
+        **{f"{kind.value}_limit": c.limits for kind, c in path.checks.checks.items() if np.ptp(c.limits, axis=0).any()},
     }
 
 

@@ -189,6 +189,7 @@ _VERDICT_COLOURS = {
     FailureVerdict.TASK.value: "#c04a80",
     "unmeasurable": "#9a6700",
     "unjudged": "#66727f",
+    "checked": "#7fa8c9",
 }
 _FAULT_COLOURS = {"violation": "#c2361c", "anomaly": "#d99200", "lost": "#66727f", "unsure": "#c7a6e0"}
 _COLUMNS = 3

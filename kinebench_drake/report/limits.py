@@ -101,7 +101,7 @@ def _seven(value: object) -> Array | None:
 def limit_ratios(file: TrackFile, limits: JointLimits) -> dict[str, Array]:
     """Compute |value| / limit (T, 7) of the curves that have a limit; NaN where the curve has no value."""
     return {
-        name: np.abs(file.curves[name]) / limit
+        name: np.abs(file.curves[name]) / file.curves.get(f"{name}_limit", limit)
         for name, limit in limits.rates.items()
         if name in file.curves and file.curves[name].ndim == 2
     }
@@ -167,6 +167,12 @@ def _format_span(start: int, end: int, t_s: Array | None) -> str:
     return f"{span} ({frames})"
 
 
+def _limit_at(file: TrackFile, limits: JointLimits, kind: str, joint: int, frame: Json) -> float:
+    """Return the limit of a joint at a frame, of a kind whose limits may depend on the position."""
+    own = file.curves.get(f"{kind}_limit")
+    return float(limits.rates[kind][joint] if own is None or not isinstance(frame, int) else own[frame, joint])
+
+
 def _unbroken_peaks(row: SampleRow, file: TrackFile) -> Iterator[LimitPeak]:
     limits, t_s = joint_limits(row), file.track.t_s
     ratios, checks = limit_ratios(file, limits), find_checks(row.details)
@@ -192,11 +198,11 @@ def _unbroken_peaks(row: SampleRow, file: TrackFile) -> Iterator[LimitPeak]:
         check, ratio = checks.get(kind, {}), ratios.get(kind)
         ratio_max, joint = to_number(check.get("ratio_max")), check.get("joint")
         if ratio_max is not None and joint in limits.joints and kind in limits.rates:
-            limit = float(limits.rates[kind][limits.joints.index(str(joint))])
+            limit = _limit_at(file, limits, kind, limits.joints.index(str(joint)), check.get("frame"))
             yield peak(kind, str(joint), to_number(check.get("t_worst_s")), ratio_max * limit, limit, ratio_max)
         elif ratio is not None and np.isfinite(ratio).any():
             frame, j = np.unravel_index(np.nanargmax(ratio), ratio.shape)
-            value, limit = abs(float(file.curves[kind][frame, j])), float(limits.rates[kind][j])
+            value, limit = abs(float(file.curves[kind][frame, j])), _limit_at(file, limits, kind, int(j), int(frame))
             yield peak(kind, limits.joints[j], t_s[frame], value, limit, ratio[frame, j])
     if limits.position is not None and np.isfinite(file.q).any():
         lower, upper = limits.position

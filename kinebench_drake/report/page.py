@@ -11,7 +11,7 @@ from pathlib import Path
 
 from kinebench_drake.io.atomic import write_atomically
 from kinebench_drake.io.jsonl import Json, as_object
-from kinebench_drake.metrics.executable import LOST, reason_kind
+from kinebench_drake.metrics.executable import LOST, UNCHECKED, reason_kind
 from kinebench_drake.metrics.trust import TRUST, TrustLevel, trust_lines
 from kinebench_drake.report.limits import to_number
 from kinebench_drake.report.metric import BY_NAME, Metric, MetricLayout, layout_of
@@ -237,7 +237,7 @@ def _read_normalization(results: Mapping[str, Json]) -> list[tuple[str, list[flo
 def _fault_chips(row: SampleRow) -> list[tuple[str, str]]:
     """List the kinds of faults of a sample once each, and trust that needs a look, with the class of their colour."""
     chips = [(str(v["kind"]), "") for v in row.violations] + [(str(a["kind"]), "anomaly") for a in anomalies_of(row)]
-    lost = [(reason, "lost") for reason in row.executable_reasons if reason_kind(reason) == LOST]
+    lost = [(reason, "lost") for reason in row.executable_reasons if reason_kind(reason) in (LOST, UNCHECKED)]
     level = as_object(row.extra.get(TRUST)).get("level")
     trust = [(f"trust: {level}", "lost")] if level in (TrustLevel.CHECK.value, TrustLevel.UNKNOWN.value) else []
     return list(dict.fromkeys((kind.replace("_", " "), css) for kind, css in [*chips, *lost, *trust]))

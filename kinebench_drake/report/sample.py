@@ -13,7 +13,7 @@ from markupsafe import Markup
 
 from kinebench_drake.geometry import Array
 from kinebench_drake.io.jsonl import Json, as_object
-from kinebench_drake.metrics.executable import FailureVerdict
+from kinebench_drake.metrics.executable import UNCHECKED, FailureVerdict, reason_kind
 from kinebench_drake.report.curves import draw_curves
 from kinebench_drake.report.limits import LimitPeak, find_checks, find_peaks, in_unit, to_number
 from kinebench_drake.report.timeline import anomalies_of, draw_strip, fault_lanes, frame_count
@@ -25,6 +25,7 @@ _FAILURES = {cause.value: f"failed: {cause.value}" for cause in FailureVerdict}
 VERDICT_LABELS = {
     **{"error": "error", "infeasible": "infeasible", **_FAILURES},
     **{"unmeasurable": "unmeasurable", "feasible": "not executable", "unjudged": "undecided"},
+    **{"checked": "feasible as far as checked"},
     **{"executable": "executable", "success": "success"},
 }
 """Labels of the verdicts, the worst first."""
@@ -100,6 +101,8 @@ def verdict_of(row: SampleRow) -> str:
         return "success" if row.extra.get("success") is True else cause if cause in _FAILURES else "unjudged"
     if row.executable or row.feasible is False:
         return "executable" if row.executable else "infeasible"
+    if row.feasible and [reason_kind(reason) for reason in row.executable_reasons] == [UNCHECKED]:
+        return "checked"
     return "unjudged" if row.executable is None else "feasible"
 
 

@@ -262,6 +262,6 @@ def list_differences(pairs: Sequence[ModelPair], runs: Sequence[Run]) -> Iterato
     for name in ("code_sha256", "weights_sha256"):
         if len({str(run.results.get(name)) for run in runs}) > 1:
             yield f"the runs differ in {name}: small differences may be those of the versions; run all with one version"
-    for name in ("robot", "table_height_m", "tcp_frame"):
+    for name in ("robot", "robot_id", "table_height_m"):
         if len({str(run.config.get(name)) for run in runs}) > 1:
             yield f"the runs were judged with different {name}: {', '.join(str(run.config.get(name)) for run in runs)}"

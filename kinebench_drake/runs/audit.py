@@ -11,6 +11,7 @@ from kinebench_drake.errors import name_options
 from kinebench_drake.formats.trajectories.source import find_trajectories, read_trajectory
 from kinebench_drake.formats.trajectories.trajectory import Trajectory, TrajectoryOptions, TrajectorySample
 from kinebench_drake.io.jsonl import Json
+from kinebench_drake.models.arm import ROBOTS
 from kinebench_drake.results.inputs import PeriodSource
 from kinebench_drake.results.row import SampleRow
 from kinebench_drake.results.store import artifact_path
@@ -40,17 +41,16 @@ class AuditConfig(SourceConfig):
         str | None, Option("Array (npz), data set (h5) or column (LeRobot) of the joint angles.", metavar="COLUMN")
     ] = None
     poses: Annotated[str | None, Option("Array (npz) or column (LeRobot) of the TCP poses.", metavar="COLUMN")] = None
-    urdf: Annotated[
-        Path | None,
+    tool: Annotated[
+        str | None,
         Option(
-            "URDF of a seven-joint arm, with $tcp_frame.  [default: mani_skill's Franka Panda]",
-            metavar="URDF",
-            key="robot",
+            "TCP whose poses are judged: a link, or its pose in the flange, or in LINK.  [default: panda_hand_tcp]",
+            metavar="LINK|[LINK:]x,y,z,qw,qx,qy,qz",
         ),
     ] = None
-    tcp_frame: Annotated[str | None, Option("TCP frame of the URDF.  [default: panda_hand_tcp]", metavar="NAME")] = None
-    robot_remarks: tuple[str, ...] = ()
-    """Assumptions made when the URDF was read; filled in by `audit_trajectories`."""
+    package_path: Annotated[
+        Path | None, Option("Folder of the packages that package:// URIs of the URDF name.", metavar="DIR")
+    ] = None
 
     def __post_init__(self) -> None:
         """Convert and check the options.
@@ -75,15 +75,11 @@ class AuditConfig(SourceConfig):
         Raises:
             UsageError: they are invalid.
         """
-        return RobotOptions(table_height_m=self.table_height_m, urdf=self.urdf, tcp_frame=self.tcp_frame)
+        return replace(SourceConfig.robot_options(self), tool=self.tool, package_path=self.package_path)
 
     def to_json(self) -> dict[str, Json]:
         """Serialize into `config` of results.json; paths by their last name only."""
-        return {
-            **RunConfig.to_json(self),
-            "robot": self.urdf.name if self.urdf else None,
-            "robot_remarks": list(self.robot_remarks),
-        }
+        return {**RunConfig.to_json(self), "robot": self.robot if self.robot in ROBOTS else Path(self.robot).name}
 
 
 def audit_trajectories(config: AuditConfig, observer: RunObserver | None = None) -> RunSummary:
@@ -97,11 +93,8 @@ def audit_trajectories(config: AuditConfig, observer: RunObserver | None = None)
     samples = find_trajectories(
         config.source, config.trajectory_options(), out=config.out, model=config.model, task=config.task
     )
-    if config.urdf is not None:
-        remarks = config.robot_options().load().remarks
-        for remark in remarks:
-            observer.warn(f"{config.urdf.name}: {remark}")
-        config = replace(config, robot_remarks=remarks)
+    for remark in config.robot_options().load().remarks:
+        observer.warn(f"{Path(config.robot).name}: {remark}")
     summary = run_samples(samples, TrajectoryEvaluator(config=config), observer)
     warnings = _warnings(summary.rows)
     for text, ids in list(warnings.items())[:_MOST_WARNINGS]:

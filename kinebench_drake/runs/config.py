@@ -6,12 +6,13 @@ from enum import Enum
 from pathlib import Path
 from typing import Annotated, TypeVar
 
-from kinebench_drake.errors import UsageError
+from kinebench_drake.errors import UsageError, name_options
 from kinebench_drake.executors.base import ExecutorKind
 from kinebench_drake.formats.samples import MAX_PERIOD_S, MIN_PERIOD_S
 from kinebench_drake.formats.trajectories.trajectory import SLOW_STEP_S
 from kinebench_drake.grounding.overrides.overrides import Overrides
 from kinebench_drake.io.jsonl import Json
+from kinebench_drake.models.arm import PANDA, ROBOTS
 from kinebench_drake.models.panda.robot import GripperKind
 from kinebench_drake.results.metadata import Shard
 from kinebench_drake.runs.option import Option, options_json, parse_options
@@ -117,6 +118,11 @@ class RunConfig:
         """
         return RobotOptions(table_height_m=self.table_height_m)
 
+    def robot_json(self) -> dict[str, Json]:
+        """Serialize the robot into `config` of results.json: what defines it, and the assumptions about it."""
+        robot = self.robot_options().load()
+        return {"robot_id": robot.id, "robot_remarks": [name_options(remark) for remark in robot.remarks]}
+
     def select(self, samples: Sequence[_Sample]) -> list[_Sample]:
         """Return the samples of this run: those of its shard, up to the limit."""
         selected = list(samples[: self.limit])
@@ -124,7 +130,7 @@ class RunConfig:
 
     def to_json(self) -> dict[str, Json]:
         """Serialize into `config` of results.json; paths by their last name only."""
-        return {"kind": self.kind.value, **options_json(self)}
+        return {"kind": self.kind.value, **options_json(self), **self.robot_json()}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -133,6 +139,24 @@ class SourceConfig(RunConfig):
 
     source: Annotated[Path, Option("Files to read.")]
     task: Annotated[str | None, Option("Task of the samples, where the input does not name it.", metavar="NAME")] = None
+    robot: Annotated[
+        str,
+        Option("Robot to judge by; of `audit` also the URDF of a seven-joint arm.", metavar=f"{'|'.join(ROBOTS)}|URDF"),
+    ] = PANDA
+    limits: Annotated[
+        Path | None, Option("JSON file of joint limits that replace the robot's (docs/kinematics.md).", metavar="FILE")
+    ] = None
+    payload_kg: Annotated[float, Option("Mass that the gripper carries, a point at the TCP.", metavar="KG")] = 0.0
+
+    def robot_options(self) -> RobotOptions:
+        """Return robot and table.
+
+        Raises:
+            UsageError: they are invalid.
+        """
+        return RobotOptions(
+            table_height_m=self.table_height_m, robot=self.robot, limits=self.limits, payload_kg=self.payload_kg
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -211,6 +235,8 @@ class ScoreConfig(SourceConfig):
             UsageError: one of them is invalid.
         """
         RunConfig.__post_init__(self)
+        if self.robot not in ROBOTS:
+            raise UsageError(f"$robot is {self.robot!r}, expected {' or '.join(ROBOTS)}: videos show one of these arms")
         check_period(self.frame_period_s)
         self.overrides()
         _ = self.duration_s

@@ -18,7 +18,6 @@ from kinebench_drake.executors.base import SupportsClose
 from kinebench_drake.io.files import open_file
 from kinebench_drake.io.jsonl import Json, as_object, dump, finite
 from kinebench_drake.metrics.trust import TRUST, assess_trust
-from kinebench_drake.models.urdf import robot_files
 from kinebench_drake.results.inputs import describe_period
 from kinebench_drake.results.provenance import code_hash
 from kinebench_drake.results.row import SampleRow, Status
@@ -110,10 +109,13 @@ class Evaluator(ABC, Generic[SampleT, ResourcesT]):
     config: RunConfig
     code: str = ""
     """SHA-256 of the measuring sources when the run began, shared by all workers."""
+    robot_id: str = ""
+    """`Robot.id` of the robot when the run began, likewise."""
 
     def __post_init__(self) -> None:
-        """Hash the sources."""
+        """Hash the sources and the robot."""
         object.__setattr__(self, "code", self.code or code_hash(type(self).__module__))
+        object.__setattr__(self, "robot_id", self.robot_id or self.config.robot_options().load().id)
 
     @property
     @abstractmethod
@@ -166,14 +168,14 @@ class Evaluator(ABC, Generic[SampleT, ResourcesT]):
 
     def content_hash(self, sample: SampleT) -> str:
         """Return the SHA-256 of all that determines a sample's row: input bytes, labels, options, code and robot."""
-        make, robot = self.config.make_tools, self.config.robot_options()
+        make = self.config.make_tools
         key: dict[str, Json] = {
             "schema": SCHEMA_VERSION,
             "kind": self.config.kind.value,
             "tools": f"{make.__module__}:{make.__qualname__}",
             "code": self.code,
-            "table_height_m": robot.table_height_m,
-            "tcp_frame": robot.tcp_frame,
+            "table_height_m": self.config.robot_options().table_height_m,
+            "robot": self.robot_id,
             "sample": [sample.id, sample.video, sample.task, sample.model],
             **self.cache_key(sample),
         }
@@ -182,7 +184,7 @@ class Evaluator(ABC, Generic[SampleT, ResourcesT]):
         except ValueError:  # labels of a broken sample may be NaN
             text = dump(finite(key))
         digest = hashlib.sha256(text.encode())
-        for file in (*self.input_files(sample), *(robot_files(robot.urdf) if robot.urdf else ())):
+        for file in self.input_files(sample):
             digest.update(file.name.encode(errors="surrogateescape") + b"\0" + _digest(file))
         return digest.hexdigest()
 
@@ -282,7 +284,8 @@ def _executability(evaluation: Evaluation) -> tuple[bool | None, tuple[str, ...]
         faults = list(map(as_object, anomalies))
         if kinematics:
             lost &= kinematics.curves["bridged"] == 0.0
-    return judge_evidence(kinematics.feasible if kinematics else None, int(lost.sum()), faults)
+    unchecked = kinematics.unchecked if kinematics else ()
+    return judge_evidence(kinematics.feasible if kinematics else None, int(lost.sum()), faults, unchecked)
 
 
 def _null_reasons(

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from kinebench_drake.camera import MAX_TABLE_HEIGHT_M, Camera
 from kinebench_drake.errors import InputError, SetupError, UsageError
 from kinebench_drake.geometry import Array
-from kinebench_drake.io.files import absence
-from kinebench_drake.models.arm import choose_robot
+from kinebench_drake.models.arm import PANDA, ROBOTS, load_robot
 from kinebench_drake.models.robot import Robot
 from kinebench_drake.track import GripperTrack
 
@@ -29,26 +28,33 @@ class RobotOptions:
 
     table_height_m: float = 0.0
     """Height of the table top in the robot base frame B [m]."""
-    urdf: Path | None = None
-    """URDF of the robot; None for mani_skill's Panda."""
-    tcp_frame: str | None = None
-    """TCP frame of the URDF; None for the Panda's."""
+    robot: str = PANDA
+    """Name of the robot, or path of its URDF."""
+    tool: str | None = None
+    """Link, or pose in a link, whose frame is G; None for panda_hand_tcp."""
+    limits: Path | None = None
+    """JSON file of limits that replace those of the robot."""
+    payload_kg: float = 0.0
+    """Mass at the origin of G [kg]."""
+    package_path: Path | None = None
+    """Folder of the packages of package:// URIs."""
 
     def __post_init__(self) -> None:
-        """Check the options against each other.
+        """Check the height of the table.
 
         Raises:
-            UsageError: the table height is out of range, or only one of URDF and TCP frame is set.
+            UsageError: it is out of range.
         """
         if not abs(self.table_height_m) <= MAX_TABLE_HEIGHT_M:
             raise UsageError(
                 f"$table_height_m is {self.table_height_m}, expected metres from {-MAX_TABLE_HEIGHT_M} to "
                 f"{MAX_TABLE_HEIGHT_M} in the robot's base frame"
             )
-        if (self.urdf is None) is not (self.tcp_frame is None):
-            raise UsageError("$urdf and $tcp_frame go together: the URDF and the name of its TCP frame")
-        if self.urdf is not None and not self.urdf.is_file():
-            raise UsageError(f"$urdf {self.urdf}: {absence(self.urdf)}, expected a URDF")
+
+    @property
+    def is_named(self) -> bool:
+        """True if the robot is known by name."""
+        return self.robot in ROBOTS
 
     def load(self) -> Robot:
         """Load the robot.
@@ -58,9 +64,11 @@ class RobotOptions:
             SetupError: the Panda's files are missing.
         """
         try:
-            return choose_robot(self.urdf, self.tcp_frame)
+            return load_robot(
+                self.robot, self.tool, limits=self.limits, payload_kg=self.payload_kg, package_path=self.package_path
+            )
         except InputError as error:
-            raise UsageError(f"$urdf and $tcp_frame: {error}") from None
+            raise UsageError(f"$robot: {error}") from None
 
 
 class Tools:
@@ -148,4 +156,4 @@ def load_tools(make: ToolsFactory, options: RobotOptions) -> Tools:
             f"cannot load the robot ({error}); `kinebench-drake doctor --fix` repairs what is missing, or says how"
         ) from error
     except InputError as error:
-        raise UsageError(f"$urdf and $tcp_frame: {error}") from None
+        raise UsageError(f"$robot: {error}") from None

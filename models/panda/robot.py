@@ -1,44 +1,40 @@
-"""Franka Panda for Drake: the URDF of the installed mani_skill package and Franka's limits.
+"""Franka Panda: names of links and joints, and the URDF of the installed mani_skill package.
 
-ManiSkill executes the tasks with `panda_v2.urdf`; its collision meshes are .stl and its visual meshes .glb, which
-Drake's collision engine does not support: they are converted (`models.urdf`).
+ManiSkill executes the tasks with `panda_v2.urdf`; `models.arm` loads it for Drake.
 """
 
 import importlib.util
 from enum import Enum, IntEnum
-from functools import cache
 from pathlib import Path
 
 import numpy as np
 
-from kinebench_drake.errors import InputError, SetupError
+from kinebench_drake.errors import SetupError
 from kinebench_drake.geometry import Array, make_pose
-from kinebench_drake.models.robot import Robot
-from kinebench_drake.models.urdf import convert_urdf, read_allowed_pairs, read_effort_limits
+from kinebench_drake.models.joint_limits import LimitTable
 
 BASE_LINK = "panda_link0"
 """Frame B."""
+FLANGE_LINK = "panda_link8"
+"""Frame F, of the tool pose of `--tool`."""
 HAND_LINK = "panda_hand"
 """Frame H."""
 TCP_LINK = "panda_hand_tcp"
 """Frame G."""
 ARM_LINKS = tuple(f"panda_link{i}" for i in range(9))
 FINGER_LINKS = ("panda_leftfinger", "panda_rightfinger")
-LINKS = (*ARM_LINKS, HAND_LINK, TCP_LINK, *FINGER_LINKS)
-"""Links of arm and hand, base first."""
 
 ARM_JOINTS = tuple(f"panda_joint{i}" for i in range(1, 8))
-FINGER_JOINTS = ("panda_finger_joint1", "panda_finger_joint2")
-"""Prismatic joints, 0..0.04 m each; the gap between the pads is twice the position of one."""
 
 HAND_TO_TCP_M = 0.1034
 """Distance of panda_hand_tcp from panda_hand along z [m]."""
 
-ACCELERATION_LIMITS = (15.0, 7.5, 10.0, 12.5, 15.0, 20.0, 20.0)
-"""Joint acceleration limits [rad/s^2]: Franka Control Interface documentation, "Robot and interface specifications"
-(Panda), as in libfranka's rate_limiting.h."""
-JERK_LIMITS = (7500.0, 3750.0, 5000.0, 6250.0, 7500.0, 10000.0, 10000.0)
-"""Joint jerk limits [rad/s^3], from the same source."""
+PANDA_LIMITS = LimitTable(
+    source='https://frankarobotics.github.io/docs/robot_specifications.html, "Limits for Franka Emika Robot"',
+    acceleration_rad_s2=(15.0, 7.5, 10.0, 12.5, 15.0, 20.0, 20.0),
+    jerk_rad_s3=(7500.0, 3750.0, 5000.0, 6250.0, 7500.0, 10000.0, 10000.0),
+)
+"""Limits that the URDF of mani_skill lacks; those that it has are Franka's."""
 
 _URDF = Path("assets/robots/panda/panda_v2.urdf")
 
@@ -68,42 +64,6 @@ def source_urdf() -> Path:
     if not path.is_file():
         raise SetupError(f"mani_skill contains no {_URDF}; expected mani-skill 3.0.x, reinstall it")
     return path
-
-
-@cache
-def panda_urdf() -> Path:
-    """Return the path of the Panda's URDF with meshes that Drake can load, converted on first use.
-
-    Raises:
-        SetupError: mani_skill is missing or damaged, or the cache folder cannot be written.
-    """
-    try:
-        return convert_urdf(source_urdf(), "panda")
-    except InputError as error:
-        raise SetupError(f"mani_skill's Panda is damaged, reinstall mani-skill 3.0.x ({error})") from None
-
-
-def panda() -> Robot:
-    """Return the Panda with its gripper, as in ManiSkill.
-
-    Raises:
-        SetupError: mani_skill is missing or damaged, or the cache folder cannot be written.
-    """
-    return Robot(
-        name="panda",
-        urdf=panda_urdf(),
-        base_link=BASE_LINK,
-        tcp_link=TCP_LINK,
-        hand_link=HAND_LINK,
-        joints=ARM_JOINTS,
-        finger_joints=FINGER_JOINTS,
-        links=LINKS,
-        rest_q=rest_q(),
-        effort_limits=read_effort_limits(source_urdf(), ARM_JOINTS),
-        acceleration_limits=np.array(ACCELERATION_LIMITS),
-        jerk_limits=np.array(JERK_LIMITS),
-        allowed_pairs=read_allowed_pairs(source_urdf().with_suffix(".srdf")),
-    )
 
 
 class GripperKind(Enum):

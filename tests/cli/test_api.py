@@ -92,7 +92,8 @@ def test_function_defaults_equal_command_defaults(program, monkeypatch, tmp_path
 
 def test_ground_video_and_audit_trajectory_take_the_options_of_single_samples():
     video = {"frame_period_s", "camera_key", "pixels_only", "masks", "depth", "depth_exact", "poses"}
-    judged = {"rate_hz", "joints", "poses", "table_height_m", "urdf", "tcp_frame"}
+    robot = {"robot", "tool", "limits", "payload_kg", "package_path"}
+    judged = {"rate_hz", "joints", "poses", "table_height_m", *robot}
     for name, function, options in (("ground", ground_video, video), ("audit", audit_trajectory, judged)):
         assert options <= command(name).keys()
         assert options <= inspect.signature(function).parameters.keys()
@@ -200,7 +201,7 @@ def test_audit_trajectory_returns_the_metrics_that_the_audit_command_writes(prog
         (lambda at: audit_trajectory(np.full((4, 7), 90.0), rate_hz=10), InputError, "degrees"),
         (lambda at: audit_trajectory(at / "q.npz", t_s=[0, 1]), UsageError, "t_s: has no effect with a file"),
         (lambda at: audit_trajectory(np.zeros((4, 7)), rate_hz=10, joints="q"), UsageError, "joints"),
-        (lambda at: audit_trajectory(np.zeros((4, 7)), rate_hz=10, urdf="arm.urdf"), UsageError, "go together"),
+        (lambda at: audit_trajectory(np.zeros((4, 7)), rate_hz=10, robot="ur5"), UsageError, "expected panda, fr3 or"),
         (lambda at: score_videos(at / "videos", out=at / "out", engine="slurm"), UsageError, "'local', 'ray'"),
         (lambda at: score_videos(at / "videos", out=at / "out", shard="3"), UsageError, "I/N"),
     ],
@@ -230,8 +231,8 @@ def test_ground_video_then_audit_trajectory_equal_score_videos(tmp_path):
 def test_error_messages_name_python_arguments_and_not_command_line_options(tmp_path, film):
     with pytest.raises(UsageError, match=r"^frame_period_s is -1"):
         score_videos(film("a.mp4"), out=tmp_path / "out", frame_period_s=-1.0)
-    with pytest.raises(UsageError, match=r"^urdf and tcp_frame go together"):
-        audit_trajectory(np.zeros((4, 7)), t_s=range(4), tcp_frame="tool")
+    with pytest.raises(UsageError, match=r"^payload_kg is -1"):
+        audit_trajectory(np.zeros((4, 7)), t_s=range(4), payload_kg=-1)
     with pytest.raises(InputError, match="or give rate_hz HZ"):
         audit_trajectory(np.zeros((4, 7)))
     with pytest.raises(UsageError, match=r"^world_model oracel"):

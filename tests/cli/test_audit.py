@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from fake_tools import LOG, FakeTools
 
-from kinebench_drake.errors import SetupError, UsageError
+from kinebench_drake.errors import SetupError, UsageError, name_options
 from kinebench_drake.results.metadata import Shard
 from kinebench_drake.results.row import Status
 from kinebench_drake.results.store import artifact_path, read_rows
@@ -199,28 +199,46 @@ def test_an_output_folder_of_another_source_is_refused_without_overwrite(run, so
     assert read_rows(tmp_path / "out").keys() == {"demo-traj_0", "demo-traj_1"}
 
 
-def test_changed_urdf_srdf_meshes_or_tcp_frame_invalidate_stored_rows(run, tmp_path, write_arm):
+def test_changed_urdf_srdf_meshes_or_tool_invalidate_stored_rows(run, tmp_path, write_arm):
     """The URDF, the SRDF beside it and the meshes, wherever the URDF finds them, are part of the robot."""
     meshes = ("mesh.obj", "package://parts/above.obj", "package://no/such.obj")
     urdf = write_arm(visuals={k: f'<mesh filename="{mesh}"/>' for k, mesh in enumerate(meshes)})
     (tmp_path / "parts").mkdir()
-    sums = [len(run_counted(run, urdf=urdf, tcp_frame="tool")) for _ in range(2)]
+    arm = {"robot": urdf, "tool": "tool"}
+    sums = [len(run_counted(run, **arm)) for _ in range(2)]
     assert sums[0] > sums[1]
     for file in (urdf.parent / "mesh.obj", tmp_path / "parts" / "above.obj", urdf.with_suffix(".srdf")):
         for text in ("<robot/>", "<robot></robot>"):
             file.write_text(text)
-            assert len(run_counted(run, urdf=urdf, tcp_frame="tool")) == sums[0]
-            assert len(run_counted(run, urdf=urdf, tcp_frame="tool")) == sums[1]
-    assert len(run_counted(run, urdf=urdf, tcp_frame="l7")) == sums[0]
+            assert len(run_counted(run, **arm)) == sums[0]
+            assert len(run_counted(run, **arm)) == sums[1]
+    assert len(run_counted(run, robot=urdf, tool="l7")) == sums[0]
+
+
+def test_another_robot_limits_or_payload_invalidate_stored_rows(run, tmp_path):
+    limits = tmp_path / "limits.json"
+    every = len(run_counted(run))
+    kept = len(run_counted(run))
+    for torque in (40, 60):
+        limits.write_text(json.dumps({"torque_nm": [torque] * 7}))
+        assert len(run_counted(run, limits=limits)) == every
+    for changes in ({"robot": "fr3"}, {"payload_kg": 1.0}, {"tool": "0,0,0.2,1,0,0,0"}):
+        assert len(run_counted(run, **changes)) == every
+        assert len(run_counted(run, **changes)) == kept
+    config = json.loads((tmp_path / "out" / "results.json").read_text())["config"]
+    assert (config["robot"], config["tool"], config["limits"]) == ("panda", "0,0,0.2,1,0,0,0", None)
+    assert config["robot_id"].startswith("panda-")
 
 
 def test_assumptions_about_a_urdf_are_warnings_and_stand_in_results_json(run, tmp_path, write_arm):
     count = Count()
-    run(count, urdf=write_arm(types={3: "continuous"}), tcp_frame="tool")
-    told = [text.removeprefix("small.urdf: ") for text in count.warnings if text.startswith("small.urdf: ")]
-    assert any("limited to -pi..pi: j3" in text for text in told)
-    assert any("no small.srdf beside the URDF" in text for text in told)
-    assert json.loads((tmp_path / "out" / "results.json").read_text())["config"]["robot_remarks"] == told
+    run(count, robot=write_arm(types={3: "continuous"}), tool="tool")
+    warned = [text.removeprefix("small.urdf: ") for text in count.warnings if text.startswith("small.urdf: ")]
+    assert any("limited to -pi..pi: j3" in text for text in warned)
+    assert any("no small.srdf beside the URDF" in text for text in warned)
+    assert any("acceleration and jerk, which are not checked" in text for text in warned)
+    stored = json.loads((tmp_path / "out" / "results.json").read_text())["config"]["robot_remarks"]
+    assert stored == list(map(name_options, warned))
     run()
     assert json.loads((tmp_path / "out" / "results.json").read_text())["config"]["robot_remarks"] == []
 
@@ -297,21 +315,20 @@ def test_audit_prints_summary_warnings_and_report_path(program, source, tmp_path
     assert "nothing could be measured (1 error)" in err
 
 
-@pytest.mark.parametrize("jobs", [1, 2])
-def test_an_unusable_urdf_or_tcp_frame_ends_the_audit_with_status_2(program, source, tmp_path, write_arm, jobs):
-    """By its files, before anything is begun; by Drake, in the workers."""
+def test_an_unusable_urdf_or_limits_file_ends_the_audit_with_status_2_before_anything_is_begun(
+    program, source, tmp_path
+):
     (tmp_path / "arm.urdf").write_text("<robot/>")
-    robot = ["--robot", tmp_path / "arm.urdf", "--tcp-frame", "tool"]
-    code, _, err = program("audit", source, "--out", tmp_path / "out", "--jobs", jobs, *robot)
-    assert code == 2
-    assert err.startswith("kinebench-drake: --robot and --tcp-frame: arm.urdf: 0 links hang on no joint")
-    assert len(err.splitlines()) == 1
-    assert not (tmp_path / "out").exists()
-    end = '<joint name="end" type="fixed"><parent link="l7"/><child link="nowhere"/></joint>'
-    robot = ["--robot", write_arm(more=f'<link name="nowhere"/>{end}'), "--tcp-frame", "nowhere"]
-    code, _, err = program("audit", source, "--out", tmp_path / "out", "--jobs", jobs, *robot)
-    assert code == 2
-    assert err.splitlines()[-1] == "kinebench-drake: --robot and --tcp-frame: arm.urdf has no frame nowhere"
+    (tmp_path / "limits.json").write_text('{"jerk": [1, 2, 3, 4, 5, 6, 7]}')
+    for option, file, message in (
+        ("--robot", "arm.urdf", "--robot: arm.urdf: 0 links hang on no joint"),
+        ("--limits", "limits.json", "--limits limits.json: has no key 'jerk'; valid are source, lower_rad, "),
+    ):
+        code, _, err = program("audit", source, "--out", tmp_path / "out", option, tmp_path / file)
+        assert code == 2
+        assert err.startswith(f"kinebench-drake: {message}")
+        assert len(err.splitlines()) == 1
+        assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.parametrize(
@@ -323,12 +340,10 @@ def test_an_unusable_urdf_or_tcp_frame_ends_the_audit_with_status_2(program, sou
         (["in", "--out", "out", "--rate", "0"], "--rate is 0.0"),
         (["in", "--out", "out", "--rate", "x"], "--rate"),
         (["in", "--out", "out", "--joints", "a", "--poses", "b"], "exclude each other"),
-        (["in", "--out", "out", "--robot", "arm.urdf"], "--robot and --tcp-frame go together"),
-        (["in", "--out", "out", "--tcp-frame", "tool"], "--robot and --tcp-frame go together"),
-        (
-            ["in", "--out", "out", "--robot", "arm.urdf", "--tcp-frame", "tool"],
-            "folder, expected a URDF",
-        ),
+        (["in", "--out", "out", "--robot", "xarm7"], "folder, expected panda, fr3 or the path of a URDF"),
+        (["in", "--out", "out", "--tool", "tool0"], "has no link 'tool0'"),
+        (["in", "--out", "out", "--tool", "1,2,3"], "metres and a unit quaternion"),
+        (["in", "--out", "out", "--payload", "-1"], "--payload is -1.0, expected kilograms from 0 to 50"),
         (["in", "--out", "out", "--table-height", "inf"], "--table-height"),
         (["in", "--out", "out", "--overlay"], "--overlay"),
         (["in", "--out", "out", "--shard", "0/2"], "I from 1 to N"),

@@ -1,13 +1,14 @@
 """The view command: its replay, its messages and its refusals."""
 
 import importlib
+import shutil
 
 import numpy as np
 import pytest
 
 from kinebench_drake import cli
 from kinebench_drake.geometry import make_pose
-from kinebench_drake.models.panda.robot import panda_urdf
+from kinebench_drake.models.arm import load_robot
 from kinebench_drake.results.row import SampleRow, Status
 from kinebench_drake.results.store import ResultStore
 from kinebench_drake.results.trackfile import write_track
@@ -105,29 +106,18 @@ def test_view_help_has_an_example(program):
     assert "Example" in told
 
 
-def test_a_run_of_another_robot_requires_the_matching_robot_option(program, out):
+@pytest.mark.parametrize("robot", ["fr3", "arm.urdf"])
+def test_a_replay_shows_the_robot_that_the_run_was_judged_by(program, out, write_arm, monkeypatch, robot):
+    loaded = load_robot("fr3") if robot == "fr3" else load_robot(write_arm(), "tool")
     with ResultStore(out) as store:
-        store.finish({"config": {"robot": "arm.urdf", "tcp_frame": "tool0"}})
+        store.finish({"config": {"robot": robot, "robot_id": loaded.id}})
+    shown = []
+    monkeypatch.setattr(
+        "kinebench_drake.report.replay.write_replays", lambda *a: shown.append(a[2].robot) or [out / "a.html"]
+    )
+    assert program(out, "reach_01")[0] == 0
+    assert [(r.id, r.tcp_link, r.joints) for r in shown] == [(loaded.id, loaded.tcp_link, loaded.joints)]
+    shutil.rmtree(loaded.urdf.parent)
     code, _, err = program(out, "reach_01")
-    assert code == 2
-    assert "arm.urdf" in err
-    code, _, err = program(out, "reach_01", "--robot", panda_urdf())
-    assert code == 2
-    assert f"was judged with arm.urdf, but --robot names {panda_urdf().name}" in err
-    code, _, err = program(out, "reach_01", "--robot", out / "nowhere" / "arm.urdf")
-    assert code == 2
-    assert "arm.urdf: there is no such file" in err
-
-
-def test_a_run_of_another_robot_is_replayed_with_the_urdf_of_the_robot_option(program, out):
-    with ResultStore(out) as store:
-        store.finish({"config": {"robot": "panda.urdf", "tcp_frame": "panda_hand_tcp"}})
-    code, told, err = program(out, "reach_01", "--robot", panda_urdf())
-    assert (code, err) == (0, "")
-    assert told.endswith("reach_01.html\n")
-
-
-def test_the_robot_option_is_refused_for_runs_of_the_panda(program, out):
-    code, _, err = program(out, "reach_01", "--robot", out / "arm.urdf")
-    assert code == 2
-    assert "leave out --robot" in err
+    assert code == (0 if robot == "fr3" else 2)
+    assert robot == "fr3" or "its robot arm.urdf is not in the cache of this machine" in err

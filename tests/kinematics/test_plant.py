@@ -7,7 +7,7 @@ import pytest
 from kinebench_drake.errors import UsageError
 from kinebench_drake.geometry import rotation_log
 from kinebench_drake.kinematics.plant import ArmPlant
-from kinebench_drake.models.panda.robot import LINKS, hand_from_tcp, rest_q
+from kinebench_drake.models.panda.robot import hand_from_tcp, rest_q
 
 
 def _dh_forward(q: np.ndarray) -> np.ndarray:
@@ -48,7 +48,7 @@ def test_rest_posture_points_the_gripper_down_in_front_of_the_base(plant: ArmPla
 def test_the_hand_pose_and_the_tcp_offset_give_the_tcp_pose(plant: ArmPlant) -> None:
     q = np.array([0.3, -0.4, 0.5, -1.9, 0.2, 1.8, -0.6])
     poses = plant.link_poses(q)
-    assert set(poses) == set(LINKS)
+    assert set(poses) == set(plant.robot.links)
     np.testing.assert_allclose(poses["panda_link0"], np.eye(4), atol=0)
     np.testing.assert_allclose(poses["panda_hand"] @ hand_from_tcp(), plant.forward(q), atol=1e-12)
 

@@ -1,5 +1,4 @@
 from collections.abc import Callable
-from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
@@ -10,8 +9,8 @@ from kinebench_drake.kinematics.collision import CollisionModel
 from kinebench_drake.kinematics.newton import solve_snopt
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.kinematics.timing import time_scale
-from kinebench_drake.models.arm import load_robot
-from kinebench_drake.models.panda.robot import TCP_LINK, panda, source_urdf
+from kinebench_drake.models.arm import load_robot, panda
+from kinebench_drake.models.panda.robot import TCP_LINK, source_urdf
 from kinebench_drake.models.robot import Robot
 
 Write = Callable[..., Path]
@@ -39,16 +38,16 @@ def _chain(robot: Robot, q: np.ndarray) -> np.ndarray:
     return np.asarray(X @ tool)
 
 
-def test_loading_the_pandas_urdf_gives_the_built_in_panda_without_published_limits() -> None:
+def test_loading_the_pandas_urdf_gives_the_panda_without_its_published_limits() -> None:
     loaded, own = load_robot(source_urdf(), TCP_LINK), panda()
-    for name in ("base_link", "tcp_link", "hand_link", "joints", "finger_joints", "allowed_pairs", "remarks"):
+    for name in ("base_link", "tcp_link", "hand_link", "joints", "finger_joints", "links", "allowed_pairs"):
         assert getattr(loaded, name) == getattr(own, name)
     np.testing.assert_array_equal(loaded.rest_q, own.rest_q)
-    np.testing.assert_array_equal(loaded.effort_limits, own.effort_limits)
-    assert set(own.links) < set(loaded.links)
-    assert loaded.acceleration_limits is None
-    assert loaded.jerk_limits is None
-    assert {field.name for field in fields(Robot)} >= {"rest_q", "remarks"}
+    for name in ("lower", "upper", "velocity", "torque"):
+        np.testing.assert_array_equal(getattr(loaded.limits, name), getattr(own.limits, name))
+    assert loaded.limits.unstated == ("acceleration", "jerk")
+    assert any("acceleration and jerk, which are not checked" in remark for remark in loaded.remarks)
+    assert (own.limits.unstated, own.remarks) == ((), ())
 
 
 def test_a_custom_arm_moves_as_its_urdf_describes(write_arm: Write) -> None:
@@ -59,7 +58,7 @@ def test_a_custom_arm_moves_as_its_urdf_describes(write_arm: Write) -> None:
     assert robot.finger_joints == ()
     assert robot.links == (*(f"l{i}" for i in range(8)), "tool")
     np.testing.assert_array_equal(robot.rest_q, np.full(7, 0.5))  # the middle of -1 .. 2
-    np.testing.assert_array_equal(robot.effort_limits, np.full(7, 20.0))
+    np.testing.assert_array_equal(robot.limits.torque, np.full(7, 20.0))
     np.testing.assert_array_equal([plant.lower, plant.upper, plant.velocity_limits], [[-1.0] * 7, [2.0] * 7, [1.5] * 7])
     for q in np.random.default_rng(0).uniform(plant.lower, plant.upper, size=(5, 7)):
         np.testing.assert_allclose(plant.forward(q), _chain(robot, q), atol=1e-12)
@@ -196,7 +195,23 @@ def test_unreadable_visuals_are_skipped_with_a_remark(write_arm: Write) -> None:
 @pytest.mark.parametrize(
     ("arm", "tcp", "error", "message"),
     [
-        ({}, "hand", UsageError, "no link 'hand'; it has l0, l1, "),
+        ({}, "hand", UsageError, "no link 'hand'.*; the links of small.urdf are l0, l1, "),
+        ({}, None, UsageError, "names no TCP frame of .*; the links of small.urdf are l0, l1, "),
+        ({}, "0,0,0,1,0,0,0", UsageError, "expected LINK:x,y,z,qw,qx,qy,qz"),
+        ({}, "l7:0,0,0,1,1,0,0", UsageError, "a unit quaternion"),
+        ({}, "l7:0,0,0,1,0,0", UsageError, "a unit quaternion"),
+        (
+            {"limits": {2: '<limit lower="0" upper="1" velocity="1" effort="-3"/>'}},
+            "tool",
+            InputError,
+            "joint j2 has the effort limit -3",
+        ),
+        (
+            {"limits": {2: '<limit lower="0" upper="1" velocity="1" jerk="0"/>'}},
+            "tool",
+            InputError,
+            "joint j2 has the jerk limit 0",
+        ),
         ({"joints": 6}, "tool", InputError, "6 revolute joints between l0 and tool .*j6.*, expected 7"),
         ({"joints": 8}, "tool", InputError, "8 revolute joints"),
         ({}, "l0", InputError, "0 revolute joints between l0 and l0 .none."),
@@ -242,11 +257,11 @@ def test_an_unsupported_arm_is_refused_in_one_line(
     with pytest.raises(error, match=message) as caught:
         load_robot(write_arm(**arm), tcp)
     assert "\n" not in str(caught.value)
-    assert str(caught.value).startswith("small.urdf")
+    assert str(caught.value).startswith("small.urdf" if error is InputError else "$tool")
 
 
 def test_a_missing_urdf_is_a_usage_error(tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match=r"^no\.urdf: there is no such file"):
+    with pytest.raises(UsageError, match=r"no\.urdf: there is no such file.*expected panda, fr3 or the path of a URDF"):
         load_robot(tmp_path / "no.urdf", "tool")
 
 

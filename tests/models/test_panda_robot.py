@@ -9,11 +9,12 @@ import pytest
 import trimesh
 
 from kinebench_drake.errors import SetupError
+from kinebench_drake.models.arm import panda
 from kinebench_drake.models.panda import robot
 
 
 def test_the_urdf_refers_only_to_existing_obj_files() -> None:
-    urdf = robot.panda_urdf()
+    urdf = panda().urdf
     names = [str(mesh.get("filename")) for mesh in ElementTree.parse(urdf).iter("mesh")]
     assert len(names) == 20  # 9 hulls of the arm's and the hand's links, and 11 visuals
     for name in names:
@@ -24,25 +25,25 @@ def test_the_urdf_refers_only_to_existing_obj_files() -> None:
 def test_collision_meshes_are_the_convex_hulls_of_the_source() -> None:
     source = robot.source_urdf().parent / "franka_description" / "meshes" / "collision" / "link5.stl"
     original = trimesh.load(source, force="mesh")
-    hull = trimesh.load(robot.panda_urdf().parent / "collision_link5.obj", force="mesh")
+    hull = trimesh.load(panda().urdf.parent / "collision_link5.obj", force="mesh")
     assert hull.is_convex
     np.testing.assert_allclose(hull.bounds, original.bounds, atol=1e-6)
     assert original.volume < hull.volume == pytest.approx(original.convex_hull.volume, rel=1e-5)
 
 
 def test_joints_links_and_limits_equal_those_of_the_source_urdf() -> None:
-    trees = [ElementTree.parse(path).getroot() for path in (robot.source_urdf(), robot.panda_urdf())]
+    trees = [ElementTree.parse(path).getroot() for path in (robot.source_urdf(), panda().urdf)]
     for tag in ("joint/limit", "joint/origin", "link/inertial/mass", "link/inertial/inertia"):
         found = [[element.attrib for element in root.findall(tag)] for root in trees]
         assert len(found[0]) > 7
-        assert found[0] == found[1]
+        assert all(source.items() <= own.items() for source, own in zip(*found, strict=True))
     names = {element.get("name") for element in trees[1].findall("link")}
-    assert set(robot.LINKS) <= names
-    assert set(robot.ARM_JOINTS + robot.FINGER_JOINTS) <= {e.get("name") for e in trees[1].findall("joint")}
+    assert {*robot.ARM_LINKS, robot.HAND_LINK, robot.TCP_LINK, *robot.FINGER_LINKS} <= names
+    assert set(robot.ARM_JOINTS) <= {e.get("name") for e in trees[1].findall("joint")}
 
 
 def test_two_processes_may_convert_the_urdf_at_once(tmp_path: Path) -> None:
-    code = "from kinebench_drake.models.panda.robot import panda_urdf; print(panda_urdf())"
+    code = "from kinebench_drake.models.arm import panda; print(panda().urdf)"
     env = {**os.environ, "XDG_CACHE_HOME": str(tmp_path)}
     command = [sys.executable, "-c", code]
     running = [subprocess.Popen(command, env=env, stdout=subprocess.PIPE, text=True) for _ in range(2)]
@@ -51,7 +52,7 @@ def test_two_processes_may_convert_the_urdf_at_once(tmp_path: Path) -> None:
     assert paths[0] == paths[1]
     left = list((tmp_path / "kinebench_drake").iterdir())
     assert left == [Path(paths[0]).parent]  # nothing half-written stays behind
-    mine = robot.panda_urdf().parent
+    mine = panda().urdf.parent
     for file in mine.iterdir():
         assert file.read_bytes() == (left[0] / file.name).read_bytes()
 
@@ -60,14 +61,14 @@ def test_unwritable_cache_is_a_setup_error(tmp_path: Path, monkeypatch: pytest.M
     blocked = tmp_path / "file"
     blocked.write_text("")
     monkeypatch.setenv("XDG_CACHE_HOME", str(blocked))
-    robot.panda_urdf.cache_clear()
+    panda.cache_clear()
     with pytest.raises(SetupError, match="XDG_CACHE_HOME"):
-        robot.panda_urdf()
+        panda()
 
 
 def test_locating_the_robot_imports_no_simulator() -> None:
     code = (
-        "import sys; from kinebench_drake.models.panda.robot import panda_urdf; panda_urdf();"
+        "import sys; from kinebench_drake.models.arm import panda; panda();"
         "print([m for m in ('mani_skill', 'sapien', 'torch', 'pydrake') if m in sys.modules])"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

@@ -6,7 +6,7 @@ import pytest
 import trimesh
 
 from kinebench_drake.errors import InputError
-from kinebench_drake.models.urdf import convert_urdf, find_mesh, read_allowed_pairs, read_effort_limits, read_urdf
+from kinebench_drake.models.urdf import convert_urdf, find_mesh, read_allowed_pairs, read_urdf
 
 Write = Callable[..., Path]
 
@@ -129,14 +129,6 @@ def test_a_file_that_is_no_urdf_is_refused_in_one_line(tmp_path: Path, text: str
     assert "\n" not in str(caught.value)
     with pytest.raises(InputError, match="cannot be read"):
         read_urdf(tmp_path / "missing.urdf")
-
-
-def test_effort_limits_are_infinite_if_the_urdf_states_none(write_arm: Write) -> None:
-    urdf = write_arm(limits={2: '<limit velocity="1"/>', 3: ""})
-    np.testing.assert_array_equal(read_effort_limits(urdf, ("j1", "j2", "j3")), [20.0, np.inf, np.inf])
-    for wrong in ("0", "-3", "much"):
-        with pytest.raises(InputError, match="joint j2 has the effort limit"):
-            read_effort_limits(write_arm(limits={2: f'<limit velocity="1" effort="{wrong}"/>'}), ("j1", "j2"))
 
 
 def test_allowed_pairs_are_the_disabled_collisions_of_the_srdf(tmp_path: Path) -> None:

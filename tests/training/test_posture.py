@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from kinebench_drake.kinematics.plant import ArmPlant
-from kinebench_drake.models.panda.robot import panda
+from kinebench_drake.models.arm import panda
 from training.posture import PostureSampler
 
 PERIOD_S = 0.1

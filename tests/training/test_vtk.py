@@ -9,8 +9,9 @@ from kinebench_drake.grounding.tracking.crop import GRIPPER_CENTRE_H
 from kinebench_drake.io.npz import open_npz
 from kinebench_drake.io.reader import read_video
 from kinebench_drake.kinematics.plant import ArmPlant
+from kinebench_drake.models.arm import panda
 from kinebench_drake.models.panda.cad import GripperCad
-from kinebench_drake.models.panda.robot import HAND_LINK, panda
+from kinebench_drake.models.panda.robot import HAND_LINK
 from training.video import render_videos
 
 CLEAR_PX = 1500

@@ -1,0 +1,184 @@
+"""Limits of an arm's joints: in a URDF, in a table, in a JSON file of the user."""
+
+import json
+import math
+import xml.etree.ElementTree as ElementTree
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from kinebench_drake.errors import InputError, UsageError, cause, suggestion
+from kinebench_drake.geometry import Array
+
+LEAST_SPEED_RAD_S = 1e-6
+"""Lower bound of a position-dependent speed limit, so that ratios to it are finite [rad/s]."""
+
+_Seven = tuple[float, float, float, float, float, float, float]
+
+
+class LimitTable(BaseModel):
+    """Limits of seven joints, base first, that replace those of a URDF; the JSON of `--limits`."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+    source: str | None = None
+    """Where the numbers come from."""
+    lower_rad: _Seven | None = None
+    upper_rad: _Seven | None = None
+    velocity_rad_s: _Seven | None = None
+    acceleration_rad_s2: _Seven | None = None
+    jerk_rad_s3: _Seven | None = None
+    torque_nm: _Seven | None = None
+    velocity_offset_rad_s: _Seven | None = None
+    """With `deceleration_rad_s2`: speed limits that depend on the position (`JointLimits.speeds`)."""
+    deceleration_rad_s2: _Seven | None = None
+
+
+_ATTRIBUTES = {
+    "lower_rad": ("limit", "lower"),
+    "upper_rad": ("limit", "upper"),
+    "velocity_rad_s": ("limit", "velocity"),
+    "acceleration_rad_s2": ("limit", "acceleration"),
+    "jerk_rad_s3": ("limit", "jerk"),
+    "torque_nm": ("limit", "effort"),
+    "velocity_offset_rad_s": ("position_based_velocity_limits", "velocity_offset"),
+    "deceleration_rad_s2": ("position_based_velocity_limits", "deceleration_limit"),
+}
+"""Element of a joint and its attribute by field: URDF, its 2025 extension (acceleration, jerk) and Franka's own."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class JointLimits:
+    """Limits of an arm's joints, (7,) each; infinite where a joint states none."""
+
+    lower: Array
+    """Lower limits [rad]."""
+    upper: Array
+    """Upper limits [rad]."""
+    velocity: Array
+    """Greatest speeds at any position [rad/s]."""
+    torque: Array
+    """Greatest torques [N m]."""
+    acceleration: Array | None = None
+    """Greatest accelerations [rad/s^2]; None if no joint states one."""
+    jerk: Array | None = None
+    """Greatest jerks [rad/s^3]; None if no joint states one."""
+    velocity_offset: Array | None = None
+    """Offsets of the speed limits near a position limit [rad/s], with `deceleration`."""
+    deceleration: Array | None = None
+    """Decelerations that bound the speeds near a position limit [rad/s^2]; None: the speed limits are constant."""
+
+    def speeds(self, q: Array, v: Array) -> Array:
+        """Return the speed limits (..., 7) [rad/s] at joint angles `q` [rad] in the direction of the speeds `v`.
+
+        Near a position limit min(velocity, sqrt(2 deceleration room) - offset), `room` the angle up to the limit.
+        Source: Franka Robotics, "Control Interface Specification and Robot Limits", position-based velocity limits.
+        """
+        if self.deceleration is None or self.velocity_offset is None:
+            return np.broadcast_to(self.velocity, np.shape(v))
+        room = np.where(v >= 0.0, self.upper - q, q - self.lower)
+        stopping = np.sqrt(2.0 * self.deceleration * np.maximum(room, 0.0)) - self.velocity_offset
+        return np.asarray(np.clip(stopping, LEAST_SPEED_RAD_S, self.velocity))
+
+    @property
+    def unstated(self) -> tuple[str, ...]:
+        """Kinds of limits that at least one joint does not state, so that they cannot be checked."""
+        stated = {"acceleration": self.acceleration, "jerk": self.jerk, "torque": self.torque}
+        return tuple(kind for kind, limit in stated.items() if limit is None or not np.isfinite(limit).all())
+
+
+def read_limit_table(path: Path) -> LimitTable:
+    """Read the JSON file of `--limits`.
+
+    Raises:
+        UsageError: it cannot be read, or is no table of limits.
+    """
+    try:
+        table = LimitTable.model_validate(json.loads(path.read_bytes()))
+    except (OSError, ValueError) as error:
+        if not isinstance(error, ValidationError):
+            raise UsageError(f"$limits {path.name}: cannot be read as JSON ({cause(error)})") from None
+        first = error.errors()[0]
+        key = str(first["loc"][0]) if first["loc"] else ""
+        if first["type"] == "extra_forbidden":
+            what = f"has no key {key!r}{suggestion(key, _ATTRIBUTES)}; valid are {', '.join(LimitTable.model_fields)}"
+        else:
+            what = f"{key or 'its content'} is not valid ({first['msg']}), expected seven numbers, base first"
+        raise UsageError(f"$limits {path.name}: {what}") from None
+    if not table.model_dump(include=set(_ATTRIBUTES), exclude_none=True):
+        raise UsageError(f"$limits {path.name}: states no limit; valid keys are {', '.join(_ATTRIBUTES)}")
+    return table
+
+
+def write_limits(joints: Sequence[ElementTree.Element], table: LimitTable) -> None:
+    """Write the limits of a table into the seven joint elements of a URDF."""
+    for name, (tag, attribute) in _ATTRIBUTES.items():
+        values: _Seven | None = getattr(table, name)
+        for joint, value in zip(joints, values or (), strict=False):
+            element = joint.find(tag)
+            element = ElementTree.SubElement(joint, tag) if element is None else element
+            element.set(attribute, repr(value))
+
+
+def read_limits(file: str, joints: Sequence[ElementTree.Element]) -> JointLimits:
+    """Read the limits of the seven joint elements of a URDF called `file`; continuous joints turn from -pi to pi.
+
+    Raises:
+        InputError: a joint lacks its limits of position or speed, or a limit is no positive number.
+    """
+    values = {name: np.array([_read(joint, *place) for joint in joints]) for name, place in _ATTRIBUTES.items()}
+    lower, upper, velocity = (values[name] for name in ("lower_rad", "upper_rad", "velocity_rad_s"))
+    for k, joint in enumerate(joints):
+        name = f"{file}: joint {joint.get('name')}"
+        if not 0.0 < velocity[k] < math.inf:
+            raise InputError(f"{name} has no positive velocity limit; state it in its <limit> element")
+        if joint.get("type") == "continuous":
+            lower[k], upper[k] = -math.pi, math.pi
+        if not -math.inf < lower[k] < upper[k] < math.inf:
+            raise InputError(
+                f"{name} has the limits {lower[k]:g} and {upper[k]:g} rad, expected lower < upper, both stated"
+            )
+        for field, what, unit in (
+            ("torque_nm", "effort", "a positive torque"),
+            ("acceleration_rad_s2", "acceleration", "a positive number"),
+            ("jerk_rad_s3", "jerk", "a positive number"),
+        ):
+            stated = _read(joint, *_ATTRIBUTES[field], default=math.inf)
+            if not stated > 0.0:
+                raise InputError(f"{name} has the {what} limit {stated:g}, expected {unit}")
+            values[field][k] = stated
+    offset, deceleration = values["velocity_offset_rad_s"], values["deceleration_rad_s2"]
+    if np.isnan([offset, deceleration]).any() != np.isnan([offset, deceleration]).all():
+        raise InputError(f"{file}: position_based_velocity_limits need both attributes at each of the seven joints")
+    depends = bool(np.isfinite(offset).all())
+    return JointLimits(
+        lower=lower,
+        upper=upper,
+        velocity=velocity,
+        torque=values["torque_nm"],
+        acceleration=_stated(values["acceleration_rad_s2"]),
+        jerk=_stated(values["jerk_rad_s3"]),
+        velocity_offset=offset if depends else None,
+        deceleration=deceleration if depends else None,
+    )
+
+
+def read_number(element: ElementTree.Element, attribute: str, default: float) -> float:
+    """Read a numeric attribute, of any namespace, of an element; `default` if it is absent, NaN if it is no number."""
+    stated = (value for name, value in element.attrib.items() if name.rpartition("}")[2] == attribute)
+    try:
+        return float(next(stated, default))
+    except ValueError:
+        return math.nan
+
+
+def _read(joint: ElementTree.Element, tag: str, attribute: str, default: float = math.nan) -> float:
+    element = joint.find(tag)
+    return default if element is None else read_number(element, attribute, default)
+
+
+def _stated(limit: Array) -> Array | None:
+    return limit if np.isfinite(limit).any() else None
