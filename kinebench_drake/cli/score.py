@@ -50,7 +50,7 @@ def score(ctx: click.Context, /, dry_run: bool, **options: Any) -> None:
     )
 )
 @click.argument("source", metavar="PATH", type=PathParameter())
-@config_options(ScoreConfig, omit=("source", "table_height_m", "replays"))
+@config_options(ScoreConfig, omit=("source", "robot", "limits", "payload_kg", "table_height_m", "replays"))
 @_dry_run_option
 @click.pass_context
 def ground(ctx: click.Context, /, dry_run: bool, **options: Any) -> None:
@@ -72,7 +72,8 @@ def ground(ctx: click.Context, /, dry_run: bool, **options: Any) -> None:
         "  kinebench-drake audit demos/trajectory.h5 --out results/ --jobs 4\n"
         "  kinebench-drake audit dataset/ --out results/ --joints observation.state\n"
         "  kinebench-drake audit score-results/ --out results/ --table-height -0.02\n"
-        "  kinebench-drake audit track.csv --out results/ --robot arm.urdf --tcp-frame tool0"
+        "  kinebench-drake audit track.csv --out results/ --robot fr3 --payload 0.5\n"
+        "  kinebench-drake audit track.csv --out results/ --robot arm.urdf --tool tool0 --limits limits.json"
     )
 )
 @click.argument("source", metavar="PATH", type=PathParameter())
