@@ -193,7 +193,7 @@ class GroundingPipeline:
             robot=np.stack([view.to_frame(view.part > RobotPart.BACKGROUND, camera) for view in observation.wide]),
             arm_q=np.stack([_arm_posture(pose) for pose in poses]),
             X_CH_raw=invert(motion.X_AC) @ np.stack([no_poses[0] if p is None else p.X_CH for p in poses]),
-            curves=_icp_curves(poses),
+            curves={**_icp_curves(poses), "repeated": evidence.still.astype(np.float64)},
         )
 
     def _contradicts(self, state: InitialState, frames: Frames, camera: Camera) -> bool:

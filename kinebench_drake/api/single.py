@@ -27,11 +27,11 @@ from kinebench_drake.io.reader import read_video
 from kinebench_drake.io.video import Video
 from kinebench_drake.models.arm import PANDA
 from kinebench_drake.models.panda.robot import GripperKind
-from kinebench_drake.results.inputs import PeriodSource
+from kinebench_drake.results.inputs import BENCHMARK_PERIOD_S, PeriodSource
 from kinebench_drake.runs.audit import judge_trajectory
 from kinebench_drake.runs.config import check_period, period_warnings
 from kinebench_drake.runs.evaluator import SampleInfo
-from kinebench_drake.runs.preparation import BENCHMARK_PERIOD_S, ground_sample, with_initial_states
+from kinebench_drake.runs.preparation import ground_sample, with_initial_states
 from kinebench_drake.runs.tools import RobotOptions, Tools, ToolsFactory, load_tools
 from kinebench_drake.track import GripperTrack, InitialState
 

@@ -60,7 +60,6 @@ def compare(folders: tuple[Path, ...], out: Path | None) -> None:
 
     runs = read_runs(folders)
     if any(run.kind == "suite" for run in runs):
-        from kinebench_drake.report.number import executable_lines
         from kinebench_drake.report.suite.comparison import pair_lines, read_comparison
         from kinebench_drake.report.suite.pooling import spec_warnings
         from kinebench_drake.report.suite.suite_page import write_comparison
@@ -69,7 +68,7 @@ def compare(folders: tuple[Path, ...], out: Path | None) -> None:
         for warning in spec_warnings(episodes.runs):
             click.echo(f"warning: {warning}", err=True)
         page = None if out is None else write_comparison(episodes, out)
-        lines = [*executable_lines(episodes.numbers), *pair_lines(episodes.pairs)]
+        lines = [*episodes.leads, "", *pair_lines(episodes.pairs)]
     else:
         from kinebench_drake.report.sample_comparison import (
             compare_samples,

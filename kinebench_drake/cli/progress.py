@@ -17,8 +17,9 @@ from rich.text import Text
 
 from kinebench_drake.errors import count_noun, name_options, one_line
 from kinebench_drake.io.jsonl import Json, as_object
-from kinebench_drake.metrics.executable import UNCHECKED, reason_kind
+from kinebench_drake.metrics.executable import UNCHECKED, FailureVerdict, reason_kind
 from kinebench_drake.metrics.trust import TRUST, trust_lines
+from kinebench_drake.report.limits import describe_violation
 from kinebench_drake.report.timeline import anomalies_of
 from kinebench_drake.results.aggregate import VERDICT_SHARES, estimate, estimate_executable, estimate_passes
 from kinebench_drake.results.inputs import input_lines
@@ -84,6 +85,9 @@ class ProgressView:
         self._count()
         if self._bar is None or row.status is not Status.OK:
             reason = f": {row.reason}" if row.reason else ""
+            if row.violations:
+                more = f" and {count_noun(n, 'violation')} more" if (n := len(row.violations) - 1) else ""
+                reason += f"; infeasible: {describe_violation(row.violations[0])}{more}"
             if trust := as_object(row.extra.get(TRUST)):
                 reason += f"; {trust['line']}"
             line = f"[{self.completed}/{self.total}] {row.id} {row.status.value}{reason} ({wall_s:.1f} s)"
@@ -147,6 +151,11 @@ def summary_lines(rows: Sequence[SampleRow]) -> Iterator[str]:
             for k, share in passes.items()
             if share.mean is not None
         )
+    if causes := Counter(row.extra.get("verdict") for row in rows if row.extra.get("success") is False):
+        n = causes.total()
+        shares = (f"{cause.value} {causes[cause.value] / n:.0%} ({causes[cause.value]})" for cause in FailureVerdict)
+        unknown = f", no verdict {causes[None] / n:.0%} ({causes[None]})" if causes[None] else ""
+        yield f"attribution of {count_noun(n, 'failure')}: {', '.join(shares)}{unknown}"
     faults = [f"anomalies: {_count_samples(map(anomalies_of, rows))}"] if _has_anomalies(rows) else []
     if any(row.violations for row in rows) or not faults:
         faults.append(f"violated limits: {_count_samples(row.violations for row in rows)}")
@@ -176,7 +185,7 @@ def _share(name: str, rows: Sequence[SampleRow]) -> str:
         if share.low is None or all(row.executable is None for row in rows):
             return ""
         hits, open_ = (sum(row.executable is verdict for row in rows) for verdict in (True, None))
-        upper = f"; at most {share.upper:.0%}, as {open_} are undecided" if open_ else ""
+        upper = f"; at most {share.upper:.0%}, {open_} undecided" if open_ else ""
         interval = f"95% interval {share.low:.0%} to {share.high:.0%}"
         return f"executable: {hits} of {count_noun(n, 'sample')}, {share.mean:.0%} ({interval}{upper})"
     verdicts = (getattr(row, name) if name in VERDICT_SHARES else row.extra.get(name) for row in rows)

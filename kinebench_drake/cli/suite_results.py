@@ -39,7 +39,7 @@ def ceiling(folders: tuple[Path, ...], out: Path | None, jobs: int) -> None:
     with ProgressView() as view, terminate_as_interrupt():
         comparison = read_ceiling(folders, lambda episodes: run_attempts(executor, episodes, (), view))
     page = None if out is None else write_comparison(comparison, out)
-    for line in (*pair_lines(comparison.pairs), "", *ceiling_lines(comparison.pairs)):
+    for line in (*ceiling_lines(comparison.pairs), "", *pair_lines(comparison.pairs)):
         click.echo(line)
     if page is not None:
         click.echo(page)

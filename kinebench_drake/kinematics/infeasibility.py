@@ -15,21 +15,10 @@ from kinebench_drake.kinematics.violation import RATES, Violation, ViolationKind
 _WORST_FRAMES = 10  # frames of the greatest errors whose poses are solved one by one
 _LEAST_EXCESS = 1e-3  # of a limit, above which it counts as broken
 
-_UNITS = {
-    ViolationKind.UNREACHABLE: "m",
-    ViolationKind.JOINT_LIMIT: "rad",
-    ViolationKind.VELOCITY: "rad/s",
-    ViolationKind.ACCELERATION: "rad/s^2",
-    ViolationKind.JERK: "rad/s^3",
-    ViolationKind.SELF_COLLISION: "m",
-    ViolationKind.TABLE_COLLISION: "m",
-    ViolationKind.TORQUE: "N m",
-}
-
 
 def describe_violation(violation: Violation) -> str:
     """Describe a violation at one frame in a line."""
-    kind, unit = violation.kind.value.replace("_", " "), _UNITS[violation.kind]
+    kind, unit = violation.kind.value.replace("_", " "), violation.unit
     joint = f" of {violation.joint}" if violation.joint else ""
     return (
         f"{kind}{joint} near frame {violation.frame_start}: {violation.value:.4g} {unit}, "

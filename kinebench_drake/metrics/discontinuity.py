@@ -83,14 +83,14 @@ def find_discontinuities(
         if n <= 2:
             continue
         t, moved = t_s[run], set[int]()
-        for step, sigma, floor in (
-            (np.diff(X_BG[run, :3, 3], axis=0), noise.position_m, _floor(t, JUMP_M, ACCELERATION_M_S2)),
-            (rotation_steps(X_BG[run, :3, :3]), noise.rotation_rad, _floor(t, JUMP_RAD, ACCELERATION_RAD_S2)),
+        for unit, step, sigma, floor in (
+            ("m", np.diff(X_BG[run, :3, 3], axis=0), noise.position_m, _floor(t, JUMP_M, ACCELERATION_M_S2)),
+            ("rad", rotation_steps(X_BG[run, :3, :3]), noise.rotation_rad, _floor(t, JUMP_RAD, ACCELERATION_RAD_S2)),
         ):
             jumps = _jumps(t, step, floor, _noise_norm(sigma, 3, n, FREEDOM_PER_FRAME))
             alone = [jump for jump in jumps if moved.isdisjoint(range(jump.start, jump.end))]
             moved.update(frame for jump in alone for frame in range(jump.start, jump.end))
-            violations += [_violation(jump, run, None) for jump in alone]
+            violations += [_violation(jump, run, None, unit) for jump in alone]
     if q is not None:
         violations += _joint_jumps(t_s, q, joints)
     return tuple(sorted(violations, key=lambda v: (v.frame_start, v.frame_end, v.joint or "")))
@@ -105,13 +105,13 @@ def _joint_jumps(t_s: Array, q: Array, joints: tuple[str, ...]) -> list[Violatio
         for j, name in enumerate(joints):
             step = np.diff(q[run, j : j + 1], axis=0)
             noise_norm = _noise_norm(sigma[j], 1, n, JOINT_FREEDOM_PER_FRAME, groups=q.shape[1])
-            violations += [_violation(jump, run, name) for jump in _jumps(t, step, floor, noise_norm)]
+            violations += [_violation(jump, run, name, "rad") for jump in _jumps(t, step, floor, noise_norm)]
     return violations
 
 
-def _violation(jump: _Jump, run: slice, joint: str | None) -> Violation:
+def _violation(jump: _Jump, run: slice, joint: str | None, unit: str) -> Violation:
     frames = slice(run.start + jump.start, run.start + jump.end + 1)
-    return Violation.of_run(ViolationKind.DISCONTINUITY, frames, joint, jump.size, jump.threshold)
+    return Violation.of_run(ViolationKind.DISCONTINUITY, frames, joint, jump.size, jump.threshold, unit)
 
 
 def _floor(t_s: Array, floor: float, acceleration: float) -> Array:

@@ -165,7 +165,7 @@ class TrackJudge:
                 *checks.violations,
                 *jumps,
             ),
-            key=lambda v: (v.frame_start, v.frame_end, v.kind.value, v.joint or ""),
+            key=lambda v: v.rank,
         )
         joints = joints if joint_sigma is None else _with_collisions(joints, violations)
         timing = time_scale(plant, t_s, checks.q_smooth)

@@ -37,7 +37,7 @@ class KinematicResult:
     feasible: bool | None
     """False if there is a violation, None if too few frames are tracked to decide, else True."""
     violations: tuple[Violation, ...]
-    """Limits broken, by first frame."""
+    """Limits broken, by cause and frame (`Violation.rank`)."""
     metrics: Mapping[str, Value]
     """Metric names of the output format; None where not measurable. Of a track with lost or unreachable frames also
     NAME_bound, the worst that NAME can be whatever happens there; None if there is no worst."""

@@ -7,24 +7,23 @@ import numpy as np
 
 from kinebench_drake.geometry import Array
 from kinebench_drake.io.jsonl import Json, as_object
+from kinebench_drake.kinematics.violation import UNITS
 from kinebench_drake.models.robot import N_JOINTS
 from kinebench_drake.results.row import SampleRow
 from kinebench_drake.results.trackfile import TrackFile
 
 RATES = ("velocity", "acceleration", "jerk", "torque")
 """Limits on magnitudes per joint, also the names of their curves."""
-_DEGREES, _MILLIMETRES = (180.0 / np.pi, "°"), (1000.0, "mm")
-_UNITS = {
-    "unreachable": _MILLIMETRES,
-    "joint_limit": _DEGREES,
-    "self_collision": _MILLIMETRES,
-    "table_collision": _MILLIMETRES,
-    "velocity": (1.0, "rad/s"),
-    "acceleration": (1.0, "rad/s²"),
-    "jerk": (1.0, "rad/s³"),
-    "torque": (1.0, "N m"),
+_SHOWN = {
+    "m": (1000.0, "mm"),
+    "rad": (180.0 / np.pi, "°"),
+    "rad/s": (1.0, "rad/s"),
+    "rad/s^2": (1.0, "rad/s²"),
+    "rad/s^3": (1.0, "rad/s³"),
+    "N m": (1.0, "N m"),
 }
-"""Factor and unit on the page by kind of limit; other kinds are shown unscaled."""
+"""Factor and unit for readers by unit in files."""
+_KINDS = {kind.value: unit for kind, unit in UNITS.items()}
 _LABELS = {
     "joint_limit": "joint angle",
     "self_collision": "self-collision clearance",
@@ -108,7 +107,7 @@ def limit_ratios(file: TrackFile, limits: JointLimits) -> dict[str, Array]:
 
 
 def find_peaks(row: SampleRow, file: TrackFile | None) -> list[LimitPeak]:
-    """List all violations, then the peaks against the other limits, the greatest ratio first.
+    """List all violations in the row's order, by cause, then the peaks against the other limits by ratio.
 
     Args:
         row: violations and details; the checks in `details` take precedence over the curves of the file.
@@ -133,9 +132,17 @@ def find_checks(details: Mapping[str, Json]) -> dict[str, Mapping[str, Json]]:
     return checks
 
 
+def describe_violation(violation: Mapping[str, Json]) -> str:
+    """Describe a violation of a row in a clause: kind, joint, value and limit with their unit, frames."""
+    peak = _violation_peak(violation, None)
+    joint = "" if peak.joint is None else f" of {peak.joint}"
+    numbers = "" if None in (peak.value, peak.limit) else f", {peak.value:.4g} {peak.unit} (limit {peak.limit:.4g})"
+    return f"{peak.label}{joint}{numbers}, {peak.when}"
+
+
 def in_unit(kind: str, value: float) -> tuple[float, str]:
     """Return a value of a kind of limit as on the page, and its unit; empty for a kind without one."""
-    factor, unit = _UNITS.get(kind, (1.0, ""))
+    factor, unit = _SHOWN.get(_KINDS.get(kind, ""), (1.0, ""))
     return value * factor, unit
 
 
@@ -143,7 +150,7 @@ def _violation_peak(v: Mapping[str, Json], t_s: Array | None) -> LimitPeak:
     kind = str(v.get("kind"))
     start, end, joint = v.get("frame_start"), v.get("frame_end"), v.get("joint")
     value, limit = to_number(v.get("value")), to_number(v.get("limit"))
-    factor, unit = _UNITS.get(kind, (1.0, ""))
+    factor, unit = _SHOWN.get(str(v.get("unit", _KINDS.get(kind))), (1.0, ""))
     inside = t_s is not None and isinstance(start, int) and 0 <= start < len(t_s)
     return LimitPeak(
         kind=kind,
@@ -180,7 +187,7 @@ def _unbroken_peaks(row: SampleRow, file: TrackFile) -> Iterator[LimitPeak]:
     def peak(
         kind: str, joint: str | None, time: float | None, value: float, limit: float, ratio: float | None
     ) -> LimitPeak:
-        factor, unit = _UNITS[kind]
+        factor, unit = _SHOWN[_KINDS[kind]]
         return LimitPeak(
             kind=kind,
             label=_LABELS.get(kind, kind),

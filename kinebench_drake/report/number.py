@@ -1,19 +1,22 @@
 """Headline numbers of two models, compared on the samples that both have: table, figure and text."""
 
 import math
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from itertools import groupby
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from kinebench_drake.errors import count_noun
 from kinebench_drake.geometry import Array
 from kinebench_drake.io.figure import FAINT, new_figure, plain, shorten
+from kinebench_drake.io.jsonl import Json
 from kinebench_drake.report.figures import COLOURS, ReportFigure, draw_interval, make_figure
 from kinebench_drake.report.metric import BY_NAME, Metric
-from kinebench_drake.report.table import Table, Value, format_interval, format_value, make_table, table_lines
+from kinebench_drake.report.table import Table, Value, make_table, table_lines
 from kinebench_drake.results.aggregate import VERDICT_SHARES, Estimate, estimate
 from kinebench_drake.results.direction import LOWER_IS_BETTER
+from kinebench_drake.results.inputs import is_motionless
+from kinebench_drake.results.power import episodes_to_decide, least_difference
 from kinebench_drake.results.row import SampleRow, Status
 from kinebench_drake.stats import CONFIDENCE, PairedShares, paired_mean_difference, share_interval, sign_test
 
@@ -36,11 +39,10 @@ NUMBERS = {**SHARES, **{name: BY_NAME[name] for name in _MEANS}}
 """Numbers that are compared, in the order of the table."""
 _BY_TASK = ("executable", "feasible", "manipulability_mean", "sparc")
 """Numbers that are compared task by task, too."""
-_PRINTED = (
-    *("number", "first_mean", "second_mean", "difference", "complete", "shared", "first_better"),
-    *("second_better", "p"),
-)
+_PRINTED = ("number", "first_mean", "second_mean", "difference", "complete", "p")
 """Keys of the columns printed to a terminal."""
+_TERMINAL_LETTERS = 12
+"""Letters of a model's name in the headings of a terminal of 100 columns."""
 _PANELS = 3
 """Panels beside each other in the figure."""
 _MAX_LINES = 15
@@ -70,9 +72,13 @@ class NumberComparison:
     difference: Estimate
     """First minus second, over the samples complete in both."""
     better: tuple[int, int]
-    """Shared samples in which the first, and in which the second, is better; a missing value is worse than any."""
+    """Shared samples in which the first, and in which the second, is better at worst; none is worse than a missing
+    worst case."""
     bound: Estimate
-    """First minus second over all shared samples: a missing value counts as the worst of either model."""
+    """First minus second over all shared samples, each at its worst: a missing worst case counts as the worst value of
+    either model."""
+    paired: PairedShares | None
+    """Truth values of all shared samples, each at its worst; None of other numbers."""
 
     @property
     def is_clear(self) -> bool:
@@ -86,13 +92,21 @@ class NumberComparison:
 
     @property
     def p_value(self) -> float:
-        """Two-sided p-value of the exact sign test of `better`."""
-        return sign_test(*self.better)
+        """Two-sided p-value: of truth values that of `PairedShares`, else of the exact sign test of `better`."""
+        return self.paired.p_value if self.paired else sign_test(*self.better)
 
 
 def value_of(row: SampleRow, name: str) -> float | None:
     """Return a number of a row, truth values as 0 or 1; None if it was not measured."""
-    value = getattr(row, name) if name in VERDICT_SHARES else row.metrics.get(name)
+    return _to_number(row, getattr(row, name) if name in VERDICT_SHARES else row.metrics.get(name))
+
+
+def worst_of(row: SampleRow, name: str) -> float | None:
+    """Return the worst that a number of a row can be, whatever happens in lost frames; None if there is no worst."""
+    return _to_number(row, getattr(row, name) if name in VERDICT_SHARES else row.bound(name))
+
+
+def _to_number(row: SampleRow, value: Json) -> float | None:
     if row.status is not Status.OK or not isinstance(value, bool | int | float) or not math.isfinite(value):
         return None
     return float(value)
@@ -126,20 +140,26 @@ def compare_numbers(
 
 
 def _compare(metric: Metric, pairs: Sequence[RowsPair], seed: int, **labels: str) -> NumberComparison:
-    """Compare one number; a missing truth value is false, any other missing value worse than all.
+    """Compare one number; a missing truth value is false, any other missing worst case worse than all.
 
     An episode has the mean of its samples, and is complete if all of them have a value.
     """
     share, sign = metric.name in SHARES, -1.0 if metric.name in LOWER_IS_BETTER else 1.0
-    samples = [[[value_of(row, metric.name) for row in rows] for rows in pair] for pair in pairs]
-    measured = [v for pair in samples for rows in pair for v in rows if v is not None]
-    worst = 0.0 if share else sign * min(sign * v for v in measured) if measured else math.nan
-    filled = _average(samples, worst)
+    samples, bounds = (
+        [[[read(row, metric.name) for row in rows] for rows in pair] for pair in pairs] for read in (value_of, worst_of)
+    )
+    every = [v for pair in (*samples, *bounds) for rows in pair for v in rows if v is not None]
+    worst = 0.0 if share else sign * min(sign * v for v in every) if every else math.nan
+    filled = _average(bounds, worst)
     # `executable` is a share of all samples, as in aggregates.
-    values = filled if metric.name == "executable" and measured else _average(samples, math.nan)
+    values = filled if metric.name == "executable" and every else _average(samples, math.nan)
     complete = values[np.isfinite(values).all(axis=1)]
-    ranked = filled if share else np.where(np.isnan(values), -np.inf, sign * values)
+    least = filled if share else sign * _average(bounds, math.nan)
+    ranked = np.where(np.isnan(least), -np.inf, least)
     means = [_mean(own, share, seed) for own in complete.T.tolist()]
+    if metric.name == "executable":
+        most = [[[float(row.executable is not False) for row in rows] for rows in pair] for pair in pairs]
+        means = [replace(m, upper=float(u)) for m, u in zip(means, _average(most, 1.0).mean(axis=0), strict=True)]
     return NumberComparison(
         **labels,
         metric=metric,
@@ -148,6 +168,7 @@ def _compare(metric: Metric, pairs: Sequence[RowsPair], seed: int, **labels: str
         difference=_difference(complete, len(values), share, seed),
         better=(int((ranked[:, 0] > ranked[:, 1]).sum()), int((ranked[:, 0] < ranked[:, 1]).sum())),
         bound=_difference(filled[np.isfinite(filled).all(axis=1)], len(values), share, seed),
+        paired=_pair_shares(filled, seed) if share else None,
     )
 
 
@@ -173,10 +194,14 @@ def _difference(values: Array, total: int, share: bool, seed: int) -> Estimate:
     if n == 0:
         return Estimate(mean=None, low=None, high=None, n=0, total=total)
     if share:
-        return share_difference(PairedShares(first=values[:, 0], second=values[:, 1], seed=seed), total)
+        return share_difference(_pair_shares(values, seed), total)
     value = paired_mean_difference(values[:, 0], values[:, 1], np.random.default_rng(seed))
     low, high = (None if math.isnan(end) else end for end in (value.low, value.high))
     return Estimate(mean=value.value, low=low, high=high, n=n, total=total)
+
+
+def _pair_shares(values: Array, seed: int) -> PairedShares:
+    return PairedShares(first=values[:, 0], second=values[:, 1], seed=seed)
 
 
 def share_difference(paired: PairedShares, total: int | None = None) -> Estimate:
@@ -214,26 +239,70 @@ def number_lines(comparisons: Sequence[NumberComparison]) -> Iterator[str]:
 
 def comparison_lines(table: Table, printed: Sequence[str]) -> Iterator[str]:
     """Format the `printed` columns of a comparison for a terminal, one block per pair of models and part."""
-    keys = [column.key for column in table.columns]
-    heads = [keys.index(key) for key in ("first", "second", "part") if key in keys]
-    for (first, second, *part), rows in groupby(
-        range(len(table.rows)), key=lambda i: [str(table.rows[i][k]) for k in heads]
-    ):
-        yield ", ".join([f"{first} - {second}", *part])
-        yield from table_lines(table.select(printed, list(rows)))
+    for own in table.by_pair(_TERMINAL_LETTERS):
+        yield own.title
+        yield from table_lines(own.select(printed, range(len(own.rows))))
         yield ""
-    yield table.note
+    yield "* the intervals of the difference and of its worst case exclude 0, and p < 0.05; both: measured for both"
 
 
-def executable_lines(comparisons: Sequence[NumberComparison]) -> Iterator[str]:
-    """Format the shares of executable samples of every two models, all tasks together, a line each."""
+def verdict_lines(comparisons: Sequence[NumberComparison]) -> Iterator[str]:
+    """Say of every two models which has more executable samples, all tasks together, a line each."""
     for c in comparisons:
-        if c.metric.name == "executable" and c.task == ALL_TASKS:
-            first, second = (format_value(mean, c.metric.pattern) for mean in c.means)
-            signed = "{:+.0%}"
-            difference, interval = format_value(c.difference, signed), format_interval(c.difference, signed)
-            names = ", ".join(filter(None, (f"{c.first} - {c.second}", c.part)))
-            yield f"{names}: executable {first} and {second} of {c.shared}, difference {difference} [{interval}]"
+        if c.metric.name == "executable" and c.task == ALL_TASKS and c.paired is not None:
+            yield verdict_line(c.first, c.second, c.part, "executable", c.paired, (c.means[0].upper, c.means[1].upper))
+
+
+def motionless_lines(models: Mapping[str, Sequence[SampleRow]]) -> Iterator[str]:
+    """Count the motionless samples of each model, in one line; nothing if there is none."""
+    counts = {model: sum(map(is_motionless, rows)) for model, rows in models.items()}
+    if any(counts.values()):
+        shares = (f"{n} of {count_noun(len(models[model]), 'sample')} of {model}" for model, n in counts.items())
+        yield f"Motionless: {', '.join(shares)}"
+
+
+def verdict_line(
+    first: str,
+    second: str,
+    part: str,
+    share: str,
+    paired: PairedShares,
+    uppers: tuple[float | None, float | None] = (None, None),
+) -> str:
+    """Say which of two models has the greater share, or that it is undecided and how many samples would decide.
+
+    Args:
+        first: label of the first model.
+        second: label of the second model.
+        part: what the samples are of.
+        share: share of what.
+        paired: truth values of the shared samples, missing ones as false.
+        uppers: the shares if all missing truth values were true; None where they are the same.
+    """
+    difference, (low, high) = paired.difference, paired.interval()
+    sides = list(zip((first, second), paired.rates, uppers, strict=True))
+    if difference < 0.0:
+        sides, difference, low, high = sides[::-1], -difference, -high, -low
+    numbers = [
+        f"{rate:.0%}" + (f" (at most {upper:.0%})" if upper is not None and upper > rate else "")
+        for _, rate, upper in sides
+    ]
+    (one, *_), (other, *_) = sides
+    text = (
+        f"{share} {numbers[0]} against {numbers[1]} of {count_noun(paired.n, 'shared sample')}"
+        f"{f' of {part}' if part else ''}, "
+        f"difference {difference:+.0%} [{low:+.0%} to {high:+.0%}], p = {paired.p_value:.2g}"
+    )
+    if low > 0.0 and paired.p_value < 1.0 - CONFIDENCE:
+        return f"{one} is better than {other}: {text}"
+    needed, least = episodes_to_decide(paired), least_difference(paired)
+    if needed is not None:
+        text += f"; about {needed} such samples would decide"
+    elif least is not None:
+        text += f"; so many samples show differences of {least:.0%} and more"
+    else:
+        text += "; too few samples to show any difference"
+    return f"Undecided between {one} and {other}: {text}"
 
 
 def draw_numbers(comparisons: Sequence[NumberComparison]) -> ReportFigure | None:

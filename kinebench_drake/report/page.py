@@ -33,7 +33,7 @@ from kinebench_drake.report.sample import (
 from kinebench_drake.report.table import format_value, template_environment
 from kinebench_drake.report.timeline import SEVERITY_UNITS, anomalies_of
 from kinebench_drake.results.aggregate import VERDICT_SHARES, Aggregate, RunStatistics, split_rows
-from kinebench_drake.results.inputs import input_lines
+from kinebench_drake.results.inputs import input_lines, is_motionless
 from kinebench_drake.results.provenance import report_hash
 from kinebench_drake.results.row import SampleRow, Status
 from kinebench_drake.results.store import ARTIFACTS, REPORT, RESULTS, artifact_path, read_rows
@@ -148,9 +148,9 @@ def build_page(out: Path, rows: Iterable[SampleRow] | None = None, statistics: R
         ],
         groups=[(key, groups) for key in ("task", "model") if (groups := group_rows(rows, key, statistics))],
         histograms=[draw_histogram(h, VERDICT_LABELS) for h in count_metrics(rows, total, layout)],
-        gallery=[
-            (title, [views[row.id] for row in chosen]) for title, chosen in (("Worst", worst), ("Best", best)) if chosen
-        ],
+        gallery=[(title, [views[row.id] for row in chosen]) for title, chosen in (("Worst", worst), ("Best", best))]
+        if large
+        else [],
         columns=columns,
         shares=[BY_NAME[n] for n in layout.shares if _is_measured(total, n)],
         samples=samples,
@@ -198,12 +198,11 @@ def count_metrics(rows: Sequence[SampleRow], total: Aggregate, layout: MetricLay
 
 
 def _choose_gallery(out: Path, rows: Sequence[SampleRow]) -> tuple[list[SampleRow], list[SampleRow]]:
-    """Choose equally many worst and best samples with an image, none twice."""
+    """Choose the worst samples with an image, of those that are not good, and the best of the good ones."""
     pictured = [row for row in rows if has_thumbnail(out, row)]
-    n = min(_GALLERY, len(pictured) // 2)
-    best = sorted((r for r in pictured if verdict_of(r) in GOOD_VERDICTS), key=goodness)[:n]
-    chosen = {row.id for row in best}
-    return [row for row in pictured if row.id not in chosen][:n], best
+    good = [row for row in pictured if verdict_of(row) in GOOD_VERDICTS]
+    worst = [row for row in pictured if verdict_of(row) not in GOOD_VERDICTS]
+    return worst[:_GALLERY], sorted(good, key=goodness)[:_GALLERY]
 
 
 def _title(results: Mapping[str, Json]) -> str:
@@ -238,6 +237,7 @@ def _fault_chips(row: SampleRow) -> list[tuple[str, str]]:
     """List the kinds of faults of a sample once each, and trust that needs a look, with the class of their colour."""
     chips = [(str(v["kind"]), "") for v in row.violations] + [(str(a["kind"]), "anomaly") for a in anomalies_of(row)]
     lost = [(reason, "lost") for reason in row.executable_reasons if reason_kind(reason) in (LOST, UNCHECKED)]
+    lost += [("motionless", "lost")] if is_motionless(row) else []
     level = as_object(row.extra.get(TRUST)).get("level")
     trust = [(f"trust: {level}", "lost")] if level in (TrustLevel.CHECK.value, TrustLevel.UNKNOWN.value) else []
     return list(dict.fromkeys((kind.replace("_", " "), css) for kind, css in [*chips, *lost, *trust]))

@@ -19,7 +19,8 @@ from kinebench_drake.report.limits import LimitPeak, find_checks, find_peaks, in
 from kinebench_drake.report.timeline import anomalies_of, draw_strip, fault_lanes, frame_count
 from kinebench_drake.results.row import SampleRow, Status
 from kinebench_drake.results.store import artifact_path
-from kinebench_drake.results.trackfile import read_track
+from kinebench_drake.results.trackfile import TrackFile, read_track
+from kinebench_drake.segments import segments
 
 _FAILURES = {cause.value: f"failed: {cause.value}" for cause in FailureVerdict}
 VERDICT_LABELS = {
@@ -32,7 +33,7 @@ VERDICT_LABELS = {
 GOOD_VERDICTS = ("executable", "success")
 _RANK = {verdict: rank for rank, verdict in enumerate(VERDICT_LABELS)}
 _MAX_VIOLATIONS = 20
-"""Violations that a sample's table lists, the first ones."""
+"""Violations that a sample's table lists, the first ones by cause."""
 VIDEOS = {"rollouts": "Generated and executed, side by side", "overlays": "Video with the gripper's pose drawn on it"}
 
 
@@ -189,7 +190,7 @@ def view_sample(out: Path, row: SampleRow, *, drawn: bool, pictured: bool = True
         peaks=[*violations[:_MAX_VIOLATIONS], *(peak for peak in peaks if not peak.broken)],
         left_out=max(len(violations) - _MAX_VIOLATIONS, 0),
         plots=draw_curves(row, file) if file else [],
-        summary=summarize_checks(row, file.track.t_s) if file else [],
+        summary=[*summarize_checks(row, file.track.t_s), *_repeated_frames(file)] if file else [],
         checks=find_checks(row.details) if drawn else {},
         details=list(_other_details(row)) if drawn else [],
         replay=links.get("replays") if viewable else None,
@@ -259,6 +260,16 @@ def summarize_checks(row: SampleRow, t_s: Array | None) -> list[DetailLine]:
     return [DetailLine(depth=0, name=name, text=text) for name, text in lines if text is not None]
 
 
+def _repeated_frames(file: TrackFile) -> Iterator[DetailLine]:
+    """Name the frames of a video that repeat the one before."""
+    repeated = file.curves.get("repeated")
+    if repeated is not None and (runs := segments(repeated == 1.0)):
+        spans = [f"{run.start} to {run.stop - 1}" if run.stop - run.start > 1 else str(run.start) for run in runs]
+        more = f" and {len(spans) - _MAX_ENTRIES} more runs" if len(spans) > _MAX_ENTRIES else ""
+        text = f"{int(np.sum(repeated == 1.0))} of {len(repeated)}: {', '.join(spans[:_MAX_ENTRIES])}{more}"
+        yield DetailLine(depth=0, name="frames that repeat the one before", text=text)
+
+
 def _noise(row: SampleRow) -> str | None:
     noise = as_object(row.details.get("noise"))
     values = {k: v for k in ("position_m", "rotation_rad") if isinstance(v := noise.get(k), int | float)}
@@ -271,7 +282,11 @@ def _noise(row: SampleRow) -> str | None:
 
 def _slowdown(row: SampleRow, t_s: Array | None) -> str | None:
     factor, limit = to_number(row.metrics.get("slowdown_min")), _format_limit(row.details.get("slowdown"), t_s)
-    return None if factor is None else f"{'none, ' if factor <= 1.0 else ''}{factor:.3g}{limit and f', for {limit}'}"
+    if factor is None:
+        return None
+    least_s = to_number(row.metrics.get("feasible_from_period_s"))
+    period = "" if least_s is None else f"; feasible from a frame period of {least_s:.2g} s"
+    return f"{'none, ' if factor <= 1.0 else ''}{factor:.3g}{limit and f', for {limit}'}{period}"
 
 
 def _fastest(row: SampleRow, t_s: Array | None) -> str | None:

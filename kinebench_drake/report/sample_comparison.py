@@ -12,9 +12,11 @@ from kinebench_drake.report.number import (
     RowPair,
     compare_numbers,
     draw_numbers,
+    motionless_lines,
     number_lines,
     tabulate_numbers,
     value_of,
+    verdict_lines,
 )
 from kinebench_drake.report.parts import choose_listed, list_links, make_missing, write_parts
 from kinebench_drake.report.run import Run, check_page_folder
@@ -63,6 +65,15 @@ class SampleComparison:
     warnings: Sequence[str]
     """What else differs between paired samples, a line each."""
 
+    @property
+    def leads(self) -> list[str]:
+        """The better of every two models, a line each; motionless samples."""
+        models: dict[str, list[SampleRow]] = {}
+        for sample in self.samples:
+            models.setdefault(sample.model, []).append(sample.row)
+        verdicts = list(verdict_lines(self.numbers)) or ["No sample has a verdict that would rank the models"]
+        return [*verdicts, *motionless_lines(models)]
+
 
 def compare_samples(runs: Sequence[Run], seed: int = 0) -> SampleComparison:
     """Compare the models of runs of one kind, two by two, on the samples that they share.
@@ -89,7 +100,8 @@ def compare_samples(runs: Sequence[Run], seed: int = 0) -> SampleComparison:
 
 
 def sample_comparison_lines(comparison: SampleComparison) -> Iterator[str]:
-    """Format a comparison for a terminal: how the samples are paired, then the numbers of all tasks together."""
+    """Format a comparison for a terminal: the better models, how samples are paired, numbers of all tasks together."""
+    yield from comparison.leads
     for pair in comparison.pairs:
         yield pair.title
     yield ""

@@ -13,6 +13,7 @@ from typing import Any, TypeAlias
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from kinebench_drake.errors import count_noun
+from kinebench_drake.io.figure import shorten
 from kinebench_drake.report.metric import BY_NAME
 from kinebench_drake.results.aggregate import Estimate
 
@@ -20,6 +21,8 @@ Value: TypeAlias = str | int | float | Estimate | None
 _TAILS = ("", "_low", "_high", "_n", "_bound")  # of the columns of an estimate in a CSV file
 DASH = "–"
 """Text of a missing value."""
+FIRST, SECOND = "$first", "$second"
+"""Places of the names of two models in the headings of a table that compares models."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -89,15 +92,42 @@ class Table:
         return pattern.replace("{:", "{:+", 1) if head.signed else pattern
 
     def select(self, keys: Sequence[str], rows: Sequence[int]) -> "Table":
-        """Return a table of some columns and some rows, nothing bold."""
+        """Return a table of some columns and some rows."""
         shown = [k for k, column in enumerate(self.columns) if column.key in keys]
         return replace(
             self,
             columns=tuple(self.columns[k] for k in shown),
             rows=tuple(tuple(self.rows[i][k] for k in shown) for i in rows),
             patterns=tuple(self.patterns[i] for i in rows) if self.patterns else (),
-            bold=frozenset(),
+            bold=frozenset(
+                (i, k) for i, row in enumerate(rows) for k, column in enumerate(shown) if (row, column) in self.bold
+            ),
         )
+
+    def by_pair(self, letters: int = 28) -> list["Table"]:
+        """Return a table for each two models, named in headings and title; of a table of other things, the table.
+
+        Args:
+            letters: letters of a model's name in a heading; more where two names would be equal.
+        """
+        keys = [column.key for column in self.columns]
+        if "first" not in keys:
+            return [self]
+        heads = [keys.index(key) for key in ("first", "second", "part") if key in keys]
+        others = [key for key in keys if key not in ("first", "second", "part")]
+        groups: dict[tuple[str, ...], list[int]] = {}
+        for i, row in enumerate(self.rows):
+            groups.setdefault(tuple(str(row[k]) for k in heads), []).append(i)
+        tables = []
+        for number, ((first, second, *part), rows) in enumerate(groups.items()):
+            own, room = self.select(others, rows), letters
+            while (one := shorten(first, room)) == (other := shorten(second, room)) and first != second:
+                room += letters
+            columns = [replace(c, label=c.label.replace(FIRST, one).replace(SECOND, other)) for c in own.columns]
+            title = f"{self.title}: {first} and {second}" + "".join(f", {text}" for text in part)
+            name = f"{self.name}_{number + 1}" if number else self.name
+            tables.append(replace(own, name=name, title=title, columns=tuple(columns)))
+        return tables
 
 
 @cache
@@ -242,14 +272,17 @@ def table_csv(table: Table) -> str:
 
 
 def table_lines(table: Table) -> Iterator[str]:
-    """Format a table as text for a terminal, its columns aligned."""
+    """Format a table as text for a terminal, its columns aligned; means have no interval beside a signed difference."""
+    compared = any(column.signed for column in table.columns)
 
-    def cell(value: Value, pattern: str) -> str:
-        interval = format_interval(value, pattern)
-        return format_value(value, pattern) + (f" [{interval}]" if interval else "")
+    def cell(value: Value, i: int, k: int) -> str:
+        pattern = table.pattern(i, k)
+        interval = format_interval(value, pattern) if table.columns[k].signed or not compared else None
+        mark = "* " if (i, k) in table.bold else ""
+        return mark + format_value(value, pattern) + (f" [{interval}]" if interval else "")
 
     texts = [[column.label for column in table.columns]]
-    texts += [[cell(v, table.pattern(i, k)) for k, v in enumerate(row)] for i, row in enumerate(table.rows)]
+    texts += [[cell(v, i, k) for k, v in enumerate(row)] for i, row in enumerate(table.rows)]
     widths = [max(map(len, column)) for column in zip(*texts, strict=True)]
     for text in texts:
         aligned = zip(text, widths, table.numeric, strict=True)
@@ -278,12 +311,15 @@ def escape_latex(text: str) -> str:
 
 
 def table_latex(table: Table) -> str:
-    """Format a table as a LaTeX `table` environment (package booktabs).
+    """Format a table as a LaTeX `table` environment (package booktabs), one for each two models that it compares.
 
     Intervals, and where values are missing their number and the bound, follow the means in small type. A table with
     groups of columns is scaled to the width of the text (package graphicx).
     """
+    return "\n".join(map(_latex, table.by_pair()))
 
+
+def _latex(table: Table) -> str:
     def cell(value: Value, pattern: str, bold: bool) -> str:
         text = escape_latex(format_value(value, pattern))
         small = [part for part in (format_interval(value, pattern), format_bound(value, pattern)) if part]

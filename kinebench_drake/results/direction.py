@@ -18,6 +18,7 @@ LOWER_IS_BETTER = frozenset(
     {
         *("manipulability_cost_mean", "condition_number_max", "ik_position_error_max_m", "branch_jumps"),
         *("velocity_ratio_max", "acceleration_ratio_max", "jerk_ratio_max", "torque_ratio_max", "slowdown_min"),
+        "feasible_from_period_s",
         *("time_scale", "trajopt_position_tube_m", "camera_motion_px", "arm_consistency_px", "rounds"),
         *("gap_gripper_m", "gap_gripper_rad"),
         *("action_error_m", "action_error_rad", "action_error_finger_m", "action_lag_s"),

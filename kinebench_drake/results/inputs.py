@@ -1,9 +1,11 @@
-"""Frame period and camera of a run's samples, each with its source."""
+"""What the verdicts of a run rest on: frame period and camera, each with its source, and motion."""
 
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from enum import Enum
 
+from kinebench_drake.camera import CameraSource, CameraState
+from kinebench_drake.errors import count_noun
 from kinebench_drake.io.jsonl import Json
 from kinebench_drake.results.row import SampleRow, Status
 
@@ -47,6 +49,8 @@ _CAMERAS: Mapping[str, str] = {
 }
 _MOST = 3
 """Values that a line lists."""
+BENCHMARK_PERIOD_S = 0.2
+"""Task time between two frames of the benchmark's videos (4 control steps at 20 Hz) [s]."""
 
 
 def describe_period(extra: Mapping[str, Json]) -> str:
@@ -83,8 +87,12 @@ def list_inputs(rows: Iterable[SampleRow]) -> dict[str, list[dict[str, Json]]]:
     }
 
 
-def input_lines(rows: Iterable[SampleRow]) -> list[str]:
-    """Describe frame period and camera of the rows with their sources, a line each; none where no row has them."""
+def input_lines(rows: Sequence[SampleRow]) -> list[str]:
+    """Describe frame period and camera of the rows with their sources, and count the motionless ones, a line each.
+
+    There is no line of what no row has. Where the benchmark camera fits and the period is that of the file, the first
+    line has the number of verdicts that the benchmark's period would change.
+    """
     inputs = list_inputs(rows)
     periods = [
         (f"{entry['frame_period_s']:g} s, {_PERIODS.get(str(entry['source']), entry['source'])}", entry["samples"])
@@ -93,7 +101,34 @@ def input_lines(rows: Iterable[SampleRow]) -> list[str]:
     cameras = [
         (_CAMERAS.get(str(entry["source"]), str(entry["source"])), entry["samples"]) for entry in inputs["cameras"]
     ]
-    return [f"{name}: {_join(groups)}" for name, groups in (("frame period", periods), ("camera", cameras)) if groups]
+    lines = [f"{name}: {_join(groups)}" for name, groups in (("frame period", periods), ("camera", cameras)) if groups]
+    if doubtful := [row for row in rows if _has_doubtful_period(row)]:
+        changed = sum(_is_feasible_in_benchmark(row) is not row.feasible for row in doubtful)
+        changes = {0: "no verdict changes", 1: "1 verdict changes"}.get(changed, f"{changed} verdicts change")
+        lines[0] += f"; but the benchmark camera fits: {changes} at {BENCHMARK_PERIOD_S:g} s"
+    if motionless := sum(map(is_motionless, rows)):
+        lines.append(f"motionless: {motionless} of {count_noun(len(rows), 'sample')}")
+    return lines
+
+
+def is_motionless(row: SampleRow) -> bool:
+    """Return whether the gripper of a sample neither moves nor turns."""
+    return row.metrics.get("motionless") is True
+
+
+def _has_doubtful_period(row: SampleRow) -> bool:
+    """Return whether a judged row has the benchmark's camera, confirmed by the arm, and the period of its file."""
+    extra = row.extra
+    fits = (
+        extra.get("camera_source") == CameraSource.BENCHMARK.value
+        and extra.get("camera_state") == CameraState.CONFIRMED.value
+    )
+    return fits and extra.get("frame_period_source") == PeriodSource.FPS.value and row.feasible is not None
+
+
+def _is_feasible_in_benchmark(row: SampleRow) -> bool:
+    least_s = row.metrics.get("feasible_from_period_s")
+    return isinstance(least_s, int | float) and least_s <= BENCHMARK_PERIOD_S
 
 
 def _join(groups: Sequence[tuple[str, Json]]) -> str:

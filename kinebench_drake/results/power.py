@@ -121,6 +121,17 @@ def _episodes(difference: float, null: float, variance: float, samples: int, pow
     return math.ceil(0.25 * n * (1.0 + math.sqrt(1.0 + 4.0 / (n * difference * samples))) ** 2 - 1e-9)
 
 
+def episodes_to_decide(paired: PairedShares) -> int | None:
+    """Return how many episodes show the difference of `paired` with probability POWER, if it is the true one.
+
+    More than there are: these have not shown it. None if the difference is 0, or of a single episode.
+    """
+    if paired.difference == 0.0 or paired.n < 2:
+        return None
+    variance = float((paired.first - paired.second).var(ddof=1))
+    return max(_paired(abs(paired.difference), variance, paired.samples, POWER), paired.n + 1)
+
+
 def least_difference(paired: PairedShares) -> float | None:
     """Return the least true difference that as many episodes would have shown with probability POWER.
 

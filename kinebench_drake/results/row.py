@@ -163,7 +163,7 @@ class SampleRow:
     executable_reasons: tuple[str, ...] = ()
     """What speaks against executing the sample, and what could not be measured (`metrics.executable`)."""
     violations: tuple[Mapping[str, Json], ...] = ()
-    """Objects of kind, frame_start, frame_end, joint, value, limit."""
+    """Objects of kind, frame_start, frame_end, joint, value, limit, unit; by cause, within a kind by frame."""
     metrics: Mapping[str, Json] = field(default_factory=dict)
     """Metrics by name: numbers, booleans, lists, or null if not measurable. Where frames are lost or out of reach,
     NAME_bound is the worst that NAME can be."""

@@ -105,9 +105,14 @@ def combine(tracks: Sequence[GripperTrack], results: Sequence[KinematicResult]) 
         joints=_join_joints(track.t_s, [r.joints for r in results]),
         feasible=False if False in verdicts else None if None in verdicts else True,
         violations=tuple(
-            replace(v, frame_start=start + v.frame_start, frame_end=start + v.frame_end)
-            for result, start in zip(results, starts, strict=True)
-            for v in result.violations
+            sorted(
+                (
+                    replace(v, frame_start=start + v.frame_start, frame_end=start + v.frame_end)
+                    for result, start in zip(results, starts, strict=True)
+                    for v in result.violations
+                ),
+                key=lambda v: v.rank,
+            )
         ),
         metrics={**values, **bounds},
         reasons={

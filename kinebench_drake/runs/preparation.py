@@ -20,7 +20,7 @@ from kinebench_drake.io.images import read_image
 from kinebench_drake.io.jsonl import Json
 from kinebench_drake.io.video import WHOLE, Video
 from kinebench_drake.models.panda.robot import GripperKind
-from kinebench_drake.results.inputs import PeriodSource
+from kinebench_drake.results.inputs import BENCHMARK_PERIOD_S, PeriodSource
 from kinebench_drake.results.row import SampleRow, Status
 from kinebench_drake.runs.config import AUTO, BENCHMARK
 from kinebench_drake.suites.clock import ClipTiming, sample_uniformly
@@ -30,9 +30,6 @@ from kinebench_drake.track import Domain, GripperTrack, InitialState
 if TYPE_CHECKING:  # loads torch and Open3D
     from kinebench_drake.grounding.video import Grounder
     from kinebench_drake.grounding.video_result import GroundingResult
-
-BENCHMARK_PERIOD_S = 0.2
-"""Task time between two frames of a benchmark video (4 control steps at 20 Hz) [s]."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -203,7 +203,13 @@ class FakeTools:
         )
         speed = float(np.abs(np.diff(track.t_s)).mean())
         violation = Violation(
-            kind=ViolationKind.VELOCITY, frame_start=3, frame_end=5, joint="panda_joint2", value=1.7, limit=1.0
+            kind=ViolationKind.VELOCITY,
+            frame_start=3,
+            frame_end=5,
+            joint="panda_joint2",
+            value=1.7,
+            limit=1.0,
+            unit="rad/s",
         )
         return KinematicResult(
             track=track,

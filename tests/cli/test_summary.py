@@ -37,7 +37,7 @@ def test_summary_has_lines_for_verdicts_anomalies_reasons_period_and_camera():
     )
     verdicts, faults, reasons, period, camera = lines(*run)
     assert verdicts == (
-        "executable: 1 of 6 samples, 17% (95% interval 3% to 56%; at most 67%, as 3 are undecided); "
+        "executable: 1 of 6 samples, 17% (95% interval 3% to 56%; at most 67%, 3 undecided); "
         "feasible: 2 of 3 judged samples, 67% (95% interval 21% to 94%; at least 33% of all 6)"
     )
     assert faults == "anomalies: vanish in 2 samples, freeze in 1 sample; violated limits: velocity in 1 sample"
@@ -62,6 +62,21 @@ def test_summary_of_trajectories_lists_violated_limits_in_place_of_anomalies():
 def test_summary_lists_errors_beside_unmeasurable_samples_with_escaped_reasons():
     third = lines(judged("a", True, True), lost("b", "no video\nat all \x1b[31m", Status.ERROR))[2]
     assert third == r"unmeasurable: 0 of 2 samples; error: 1 of 2 samples: no video at all \x1b[31m"
+
+
+def test_summary_of_failed_episodes_has_the_share_of_each_cause():
+    causes = ("grounding", "generation", "generation", None)
+    failed = [judged(f"f{k}", True, True, success=False, verdict=cause) for k, cause in enumerate(causes)]
+    attribution = lines(*failed, judged("a", True, True, success=True, verdict=None))[1]
+    assert attribution == (
+        "attribution of 4 failures: grounding 25% (1), generation 50% (2), execution 0% (0), task 0% (0), "
+        "no verdict 25% (1)"
+    )
+
+
+def test_summary_counts_motionless_samples():
+    still = row("a", feasible=True, metrics={"motionless": True})
+    assert "motionless: 1 of 2 samples" in lines(still, row("b", feasible=True, metrics={"motionless": False}))
 
 
 def test_summary_of_episodes_begins_with_the_success_rate():

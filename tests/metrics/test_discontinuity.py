@@ -68,6 +68,7 @@ def test_a_teleport_at_rest_or_in_motion_is_a_discontinuity_at_its_frame(
     assert (jump.frame_start, jump.frame_end, jump.joint) == (start - 1, start, None)
     assert jump.value == pytest.approx(distance_m or angle_rad, rel=0.4)  # less what the motion may explain
     assert jump.value > jump.limit > 0.0
+    assert jump.unit == ("m" if distance_m else "rad")
 
 
 @pytest.mark.parametrize("period_s", [0.2, 0.05])

@@ -179,6 +179,7 @@ def test_given_angles_past_a_limit_are_judged_as_given(plant: ArmPlant, judge: T
         joint="panda_joint4",
         value=pytest.approx(q[:, 3].max()),
         limit=float(plant.upper[3]),
+        unit="rad",
     )
     margin = (plant.upper[3] - q[:, 3].max()) / (0.5 * (plant.upper[3] - plant.lower[3]))
     assert result.metrics["joint_limit_margin_min"] == pytest.approx(margin)
@@ -261,8 +262,24 @@ def test_noise_alone_condemns_no_good_track(plant: ArmPlant, judge: TrackJudge, 
         assert result.metrics["trajopt_feasible"] is True
 
 
+def test_violations_are_ordered_by_cause_and_within_a_kind_by_frame(plant: ArmPlant, judge: TrackJudge) -> None:
+    """The joint jumps past its limit: what follows from that stands after it, though it begins a frame earlier."""
+    q = _gentle()
+    q[10:13, 3] = q[25:28, 3] = plant.upper[3] + 0.3
+    violations = _given(judge, q, period_s=0.2).violations
+    kinds = [v.kind for v in violations]
+    assert kinds[:2] == [ViolationKind.JOINT_LIMIT] * 2
+    assert ViolationKind.DISCONTINUITY in kinds
+    assert violations[0].frame_start > min(v.frame_start for v in violations)
+    order = [list(ViolationKind).index(kind) for kind in kinds]
+    assert order == sorted(order)
+    for kind in {*kinds}:
+        starts = [v.frame_start for v in violations if v.kind is kind]
+        assert starts == sorted(starts)
+
+
 def test_kinds_are_those_of_the_output_format() -> None:
-    assert [kind.value for kind in ViolationKind] == KINDS
+    assert {kind.value for kind in ViolationKind} == set(KINDS)
 
 
 def test_times_must_increase(judge: TrackJudge) -> None:

@@ -56,6 +56,12 @@ def summary(row, t_s=T_S):
     return {line.name: line.text for line in summarize_checks(row, t_s)}
 
 
+def test_the_frame_period_from_which_a_motion_is_feasible_is_in_words(judged):
+    slow = judged(metrics={"slowdown_min": 3.1, "feasible_from_period_s": 0.3123}, details=DETAILS)
+    text = summary(slow)["slow-down needed"]
+    assert text == "3.1, for acceleration of j2 at 2.40 s; feasible from a frame period of 0.31 s"
+
+
 def test_checks_of_a_feasible_track_are_summarized(judged):
     metrics = {"slowdown_min": 0.42, "time_scale": 0.3, "trajopt_feasible": True, "trajopt_position_tube_m": 0.0021}
     assert summary(judged(details=DETAILS, metrics=metrics)) == {

@@ -51,6 +51,6 @@ def test_videos_are_linked_where_they_exist(page):
 def test_the_task_table_has_a_column_of_success(page):
     table = page[page.index("<h2>By task</h2>") :]
     heads = re.findall(r"<th(?: [^>]*)?>(?:<button[^>]*>)?([^<]*)", table[: table.index("</thead>")])
-    assert heads[:6] == ["Task", "Measured", "Verdicts", "Executable", "Success", "Feasible"]
+    assert heads[:6] == ["Task", "Measured", "Verdicts", "Success", "Executable", "Feasible"]
     cells = re.findall(r"<td[^>]*>(?:<button[^>]*>)?([^<]*)", table[table.index("<tbody>") :])
     assert cells[:5] == ["CloseBox-v1", "2 / 2", "", "–", "50%"]

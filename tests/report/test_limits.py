@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from kinebench_drake.report.limits import find_checks, find_peaks
+from kinebench_drake.report.limits import describe_violation, find_checks, find_peaks
 
 VIOLATION = {
     "kind": "velocity",
@@ -32,6 +32,22 @@ def test_violations_come_first_with_time_and_ratio(judged, file):
     assert first.when == "1.30 to 1.50 s (frames 3 to 5)"
     assert first.offset_s == pytest.approx(0.3)
     assert not {"velocity"} & {peak.kind for peak in rest}
+
+
+@pytest.mark.parametrize(
+    ("changes", "text"),
+    [
+        ({}, "velocity of arm_joint3, 3 rad/s (limit 2), frames 3 to 5"),
+        (
+            {"kind": "joint_limit", "value": 3.2, "limit": 3.1},
+            "joint limit of arm_joint3, 183.3 ° (limit 177.6), frames",
+        ),
+        ({"kind": "discontinuity", "joint": None, "value": 0.2, "limit": 0.1, "unit": "m"}, "200 mm (limit 100)"),
+        ({"kind": "discontinuity", "joint": None, "value": 0.2, "limit": 0.1, "unit": "rad"}, "11.46 ° (limit 5.73)"),
+    ],
+)
+def test_a_violation_is_described_in_the_unit_for_readers(changes, text):
+    assert text in describe_violation({**VIOLATION, **changes})
 
 
 def test_without_a_track_violations_are_stated_by_frames(judged):

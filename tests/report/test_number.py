@@ -12,13 +12,15 @@ from kinebench_drake.report.number import (
     NUMBERS,
     compare_numbers,
     draw_numbers,
-    executable_lines,
     number_lines,
+    verdict_line,
+    verdict_lines,
 )
 from kinebench_drake.report.number import tabulate_numbers as tabulate
 from kinebench_drake.report.table import table_csv, table_latex
 from kinebench_drake.results.direction import LOWER_IS_BETTER
 from kinebench_drake.results.row import Status
+from kinebench_drake.stats import PairedShares
 from tests.report.pages import row
 
 VALUES = st.none() | st.integers(-5, 5).map(float)
@@ -137,11 +139,95 @@ def test_comparison_tables_lead_with_executable_and_have_every_number():
     assert len(table_csv(table).splitlines()) == len(comparisons) + 1
     assert "+0.00" in table_latex(table)
     text = list(number_lines(comparisons))
-    assert text[0] == "a - b"
+    assert text[0] == "Numbers on shared samples: a and b"
+    assert text[1].split() == ["Number", "a", "b", "a", "−", "b", "Both", "p"]
     assert text[2].startswith("Executable")
-    [lead] = executable_lines(comparisons)
-    assert lead == "a - b: executable 100% and 100% of 2, difference +0% [-66% to +66%]"
     assert len(draw_numbers(comparisons).figure.axes) >= len(NUMBERS)
+
+
+@given(values=st.lists(st.tuples(VALUES, VALUES), min_size=1, max_size=10), loss=st.none() | st.integers(1, 9))
+@settings(max_examples=60, deadline=None)
+def test_a_loss_that_lowers_the_worst_case_never_improves_the_comparison_of_its_model(values, loss):
+    """The value of a sample with lost frames stays, or rises; only its worst case decides."""
+    first, second = (rows("sparc", own) for own in zip(*values, strict=True))
+    before = compare_numbers([((a,), (b,)) for a, b in zip(first, second, strict=True)], "a", "b")
+    value = values[0][0]
+    if value is None:
+        return
+    bound = None if loss is None else value - loss
+    first[0] = row("s0", metrics={"sparc": value + 1.0, "sparc_bound": bound}, task="T")
+    after = compare_numbers([((a,), (b,)) for a, b in zip(first, second, strict=True)], "a", "b")
+    one, other = (next(c for c in some if c.metric.name == "sparc") for some in (before, after))
+    assert other.better[0] <= one.better[0]
+    assert other.better[1] >= one.better[1]
+    if bound is not None:
+        assert other.bound.mean <= one.bound.mean + 1e-12
+
+
+def shares(*counts):
+    """Executable or not of both, of one and of neither of two models: counts of both, first, second, none."""
+    pairs = np.repeat([(1, 1), (1, 0), (0, 1), (0, 0)], counts, axis=0)
+    return PairedShares(first=pairs[:, 0].astype(float), second=pairs[:, 1].astype(float))
+
+
+def test_the_better_model_is_named_first_with_its_difference_interval_and_p():
+    line = verdict_line("wan", "cog", "", "executable", shares(10, 2, 20, 8), (0.3, 0.9))
+    assert line == (
+        "cog is better than wan: executable 75% (at most 90%) against 30% of 40 shared samples, difference +45% "
+        "[+24% to +61%], p = 0.00012"
+    )
+    assert verdict_line("cog", "wan", "", "executable", shares(10, 20, 2, 8), (0.9, 0.3)) == line
+
+
+def test_an_undecided_comparison_names_the_samples_that_would_decide():
+    line = verdict_line("wan", "cog", "Suite 0", "success", shares(10, 6, 3, 1))
+    assert line.startswith("Undecided between wan and cog: success 80% against 65% of 20 shared samples of Suite 0, ")
+    needed = int(line.split("about ")[1].split()[0])
+    assert line.endswith("such samples would decide")
+    enough = verdict_line("wan", "cog", "", "success", shares(*(n * needed // 20 for n in (10, 6, 3, 1))))
+    assert enough.startswith("wan is better than cog")
+
+
+def test_equal_models_are_undecided_with_the_difference_that_would_have_shown():
+    assert verdict_line("a", "b", "", "executable", shares(10, 5, 5, 10)).endswith(
+        "samples show differences of 37% and more"
+    )
+    assert verdict_line("a", "b", "", "executable", shares(2, 0, 0, 0)).endswith(
+        "too few samples to show any difference"
+    )
+
+
+def test_open_verdicts_count_as_no_with_the_share_that_is_possible_beside_it():
+    one, other = rows("executable", [True, None, None, False]), rows("executable", [True, True, False, False])
+    [line] = verdict_lines(compare_numbers([((a,), (b,)) for a, b in zip(one, other, strict=True)], "a", "b"))
+    assert "executable 50% against 25% (at most 75%) of 4 shared samples" in line
+
+
+def test_the_table_on_a_terminal_fits_100_columns_whatever_the_names():
+    names = "command:python serve.py step=1000", "command:python serve.py step=2000"
+    rng, values = np.random.default_rng(0), [name for name in NUMBERS if name in BY_NAME]
+    pairs = [
+        tuple(
+            (row(f"s{k}", executable=bool(rng.integers(2)), feasible=True, metrics=dict(zip(values, x, strict=True))),)
+            for x in 10.0 + 5.0 * rng.standard_normal((2, len(values)))
+        )
+        for k in range(9)
+    ]
+    lines = list(number_lines(compare_numbers(pairs, *names)))
+    table = lines[1 : lines.index("")]
+    assert len(table) == len(NUMBERS) + 1
+    assert max(map(len, table)) <= 100
+    assert len(set(table[0].split())) == 6, "two names are equal"
+
+
+def test_several_pairs_of_models_have_a_table_each_with_their_names():
+    pairs = [((a,), (b,)) for a, b in zip(rows("sparc", [1.0, 2.0]), rows("sparc", [0.0, 3.0]), strict=True)]
+    table = tabulate([*compare_numbers(pairs, "a", "b"), *compare_numbers(pairs, "a", "c")])
+    titles = {own.title: own.columns[2].label for own in table.by_pair()}
+    assert titles == {"Numbers on shared samples: a and b": "a", "Numbers on shared samples: a and c": "a"}
+    assert [own.columns[3].label for own in table.by_pair()] == ["b", "c"]
+    assert [own.name for own in table.by_pair()] == ["numbers", "numbers_2"]
+    assert table_csv(table).splitlines()[0].startswith("first,second,task")
 
 
 def test_shortened_model_names_stay_distinct():

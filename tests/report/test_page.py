@@ -8,6 +8,7 @@ import pytest
 
 from kinebench_drake.errors import InputError
 from kinebench_drake.geometry import make_pose
+from kinebench_drake.io.atomic import write_atomically
 from kinebench_drake.report.page import write_report
 from kinebench_drake.report.plot import Curve, FrameSpan, draw_plot
 from kinebench_drake.results.row import Status
@@ -105,6 +106,41 @@ def test_texts_of_the_results_are_escaped_in_html(out):
 def test_samples_are_sorted_worst_first(out):
     text = write_report(out).read_text()
     assert re.findall(r'aria-expanded="false">(\w+)<', text) == ["evil", "bad", "dark", "shaky", "unknown", "good"]
+
+
+@pytest.fixture
+def pictures(out):
+    """The folder with an image of every sample."""
+    for id in ("good", "shaky", "bad", "unknown", "dark", "evil"):
+        write_atomically(out / "thumbnails" / f"{id}.jpg", id.encode())
+    return out
+
+
+def test_the_worst_samples_hold_no_executable_one(pictures):
+    text = write_report(pictures).read_text()
+    shown = re.findall(r'data-open="(\w+)"', text)
+    assert shown == ["evil", "bad", "dark", "shaky", "unknown", "good"]
+    assert text.index("<h3>Worst</h3>") < text.index('data-open="unknown"') < text.index("<h3>Best</h3>")
+    assert text.index("<h3>Best</h3>") < text.index('data-open="good"')
+
+
+def test_a_run_of_executable_samples_says_that_there_is_no_worst(tmp_path):
+    with ResultStore(tmp_path) as store:
+        for id in "ab":
+            store.append(row(id, feasible=True, executable=True, metrics={"sparc": -1.5}), 0.1)
+            write_atomically(tmp_path / "thumbnails" / f"{id}.jpg", b"picture")
+    text = write_report(tmp_path).read_text()
+    assert "None: every sample with an image is executable." in text
+    assert re.findall(r'data-open="(\w+)"', text) == ["a", "b"]
+
+
+def test_motionless_samples_are_counted_and_marked(tmp_path):
+    with ResultStore(tmp_path) as store:
+        for id, motionless in (("a", True), ("b", False)):
+            store.append(row(id, feasible=True, metrics={"motionless": motionless}), 0.1)
+    text = write_report(tmp_path).read_text()
+    assert "Motionless: 1 of 2 samples" in text
+    assert text.count('<span class="chip lost">motionless</span>') == 1
 
 
 def test_headline_numbers_have_interval_and_coverage(out):

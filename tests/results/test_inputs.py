@@ -44,3 +44,21 @@ def test_every_frame_period_source_has_a_description(source):
 def test_every_camera_source_has_a_description(source):
     (line,) = input_lines([row("a", extra={"camera_source": source.value})])
     assert len(line.split()) > 2
+
+
+def timed(feasible, least_s, source="fps", camera="benchmark"):
+    clock = {"frame_period_s": 0.05, "frame_period_source": source}
+    fits = {"camera_source": camera, "camera_state": "confirmed"}
+    return row("a", feasible=feasible, metrics={"feasible_from_period_s": least_s}, extra={**clock, **fits})
+
+
+def test_verdicts_that_the_benchmarks_frame_period_changes_are_counted_where_its_camera_fits():
+    run = [timed(False, 0.19), timed(False, 0.21), timed(False, None), timed(True, 0.04), timed(True, 0.2)]
+    assert input_lines(run)[0].endswith("; but the benchmark camera fits: 1 verdict changes at 0.2 s")
+    assert input_lines([timed(True, 0.3), *run])[0].endswith("2 verdicts change at 0.2 s")
+    assert input_lines(run[1:])[0].endswith("no verdict changes at 0.2 s")
+
+
+@pytest.mark.parametrize("other", [{"source": "manifest"}, {"camera": "folder"}])
+def test_a_given_frame_period_or_camera_is_not_doubted(other):
+    assert "0.2 s" not in input_lines([timed(False, 0.1, **other)])[0]

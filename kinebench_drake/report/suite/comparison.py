@@ -18,8 +18,11 @@ from kinebench_drake.report.number import (
     NumberComparison,
     compare_numbers,
     comparison_lines,
+    motionless_lines,
     pair_label,
     share_difference,
+    verdict_line,
+    verdict_lines,
 )
 from kinebench_drake.report.suite.episode_result import EpisodeResult, SuitePart, balanced_mean, group_by, list_models
 from kinebench_drake.report.suite.pooling import SuiteRun, pool_episodes, read_suite_runs
@@ -27,7 +30,7 @@ from kinebench_drake.report.table import Table, Value, make_table
 from kinebench_drake.results.aggregate import Estimate
 from kinebench_drake.results.power import POWER, least_difference
 from kinebench_drake.results.row import SampleRow, Status
-from kinebench_drake.stats import PairedShares, adjust_p_values
+from kinebench_drake.stats import CONFIDENCE, PairedShares, adjust_p_values
 
 if TYPE_CHECKING:
     from kinebench_drake.closed_loop.tolerance import ToleranceAttempt
@@ -37,10 +40,7 @@ DIRECT = "expert's true track"
 """Label of direct execution in place of a model's name."""
 _MAX_DIFFERENCES = 170
 """Differences up to which single tasks are drawn."""
-_PRINTED = (
-    *("task", "success_first", "success_second", "difference", "p", "p_adjusted", "progress_difference"),
-    *("measured", "shared", "least_difference"),
-)
+_PRINTED = ("task", "success_first", "success_second", "difference", "p", "p_adjusted", "measured")
 """Keys of the columns printed to a terminal."""
 Pair = tuple[Sequence[EpisodeResult], Sequence[EpisodeResult]]
 """Samples of the same episode by two models."""
@@ -61,10 +61,24 @@ class PairComparison:
     """Success in those measured for both; None if there is none."""
     counted: PairedShares
     """Success in all shared episodes, unmeasured samples counted as failures."""
+    uppers: tuple[float, float]
+    """Success of both in all shared episodes, unmeasured samples counted as successes."""
     progress: Estimate
     """Mean over tasks of the differences of progress, first minus second."""
     adjusted_p: float | None = None
     """p-value of a task, adjusted for the number of tasks tested."""
+
+    @property
+    def is_clear(self) -> bool:
+        """True if the intervals of the difference and of that over all episodes exclude 0, and the p-value confirms it.
+
+        The p-value of a task is the adjusted one.
+        """
+        if self.paired is None:
+            return False
+        (low, high), (least, most) = self.paired.interval(), self.counted.interval()
+        p = self.paired.p_value if self.task == ALL_TASKS else self.adjusted_p
+        return (min(low, least) > 0.0 or max(high, most) < 0.0) and p is not None and p < 1.0 - CONFIDENCE
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -76,6 +90,13 @@ class ModelComparison:
     pairs: Sequence[PairComparison]
     numbers: Sequence[NumberComparison] = ()
     """Headline numbers on the shared episodes."""
+
+    @property
+    def leads(self) -> list[str]:
+        """The better of every two models on every part, in success, then in executable videos; motionless samples."""
+        models = group_by(self.episodes, lambda e: e.model).items()
+        motionless = motionless_lines({model: [e.row for e in own] for model, own in models})
+        return [*success_lines(self.pairs), *verdict_lines(self.numbers), *motionless]
 
 
 def read_comparison(paths: Sequence[Path], seed: int = 0) -> ModelComparison:
@@ -197,6 +218,7 @@ def _compare_pairs(task: str, pairs: Sequence[Pair], seed: int) -> PairCompariso
 
     shares = _means(pairs, lambda e: e.hit)
     measured = np.isfinite(shares).all(axis=1)
+    uppers = _means(pairs, lambda e: 1.0 if e.hit is None else e.hit).mean(axis=0).tolist()
     progress = np.subtract(*_means(pairs, lambda e: e.progress).T)
     differences = group_by(zip(pairs, progress.tolist(), strict=True), lambda item: item[0][0][0].task)
     (first, *_), (second, *_) = pairs[0]
@@ -208,6 +230,7 @@ def _compare_pairs(task: str, pairs: Sequence[Pair], seed: int) -> PairCompariso
         shared=len(pairs),
         paired=pair_shares(shares[measured]) if measured.any() else None,
         counted=pair_shares(_means(pairs, lambda e: e.hit or 0.0)),
+        uppers=(uppers[0], uppers[1]),
         progress=balanced_mean(
             {name: [value for _, value in own if np.isfinite(value)] for name, own in differences.items()}, seed=seed
         ),
@@ -232,8 +255,8 @@ def _adjust(tasks: Sequence[PairComparison]) -> list[PairComparison]:
 
 def tabulate_comparison(pairs: Sequence[PairComparison]) -> Table:
     """Build the table of comparisons, one per row."""
-    whole = ((i, "difference") for i, c in enumerate(pairs) if c.task == ALL_TASKS)
-    return make_table("comparison", map(_row, pairs), bold=whole, power=f"{POWER:.0%}")
+    clear = ((i, "difference") for i, c in enumerate(pairs) if c.is_clear)
+    return make_table("comparison", map(_row, pairs), bold=clear, power=f"{POWER:.0%}")
 
 
 def _row(c: PairComparison) -> dict[str, Value]:
@@ -251,6 +274,13 @@ def _row(c: PairComparison) -> dict[str, Value]:
         **{"difference": share_difference(paired), "p": paired.p_value, "measured": paired.n},
         "least_difference": least_difference(paired),
     }
+
+
+def success_lines(pairs: Sequence[PairComparison]) -> Iterator[str]:
+    """Say of every two models on every part which succeeds more often, unmeasured episodes as failures, a line each."""
+    for c in pairs:
+        if c.task == ALL_TASKS:
+            yield verdict_line(c.first, c.second, c.part.title, "success", c.counted, c.uppers)
 
 
 def pair_lines(pairs: Sequence[PairComparison]) -> Iterator[str]:

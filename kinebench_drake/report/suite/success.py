@@ -123,13 +123,19 @@ def tabulate_suites(episodes: Sequence[EpisodeResult], seed: int = 0) -> Table:
     executable = {m: executable_share(own, seed, episodes) for m, own in group_by(episodes, lambda e: e.model).items()}
     return make_table(
         "suites",
-        ({"model": m, "executable": executable[m]} for m in models),
+        ({"model": m} for m in models),
         more=[
+            *(
+                (
+                    Column(key=part.slug, label=part.title, pattern="{:.1%}", estimated=True),
+                    [t.success if (t := tallies.get((m, part))) else None for m in models],
+                )
+                for part in parts
+            ),
             (
-                Column(key=part.slug, label=part.title, pattern="{:.1%}", estimated=True),
-                [t.success if (t := tallies.get((m, part))) else None for m in models],
-            )
-            for part in parts
+                Column(key="executable", label="Executable", pattern="{:.1%}", estimated=True),
+                [executable[m] for m in models],
+            ),
         ],
         note=incomplete_note(tallies, episodes) + sample_note(episodes),
         bold=((models.index(m), part.slug) for part in parts for m in best_models(tallies, part)),

@@ -102,13 +102,18 @@ def write_comparison(comparison: ModelComparison, out: Path) -> Path:
     if comparison.numbers:
         parts.append(tabulate_numbers(comparison.numbers))
         parts += [figure] if (figure := draw_numbers(comparison.numbers)) else []
-    return write_page("Comparison of models", comparison.runs, comparison.episodes, out, parts)
+    return write_page("Comparison of models", comparison.runs, comparison.episodes, out, parts, comparison.leads)
 
 
 def write_page(
-    title: str, runs: Sequence[SuiteRun], episodes: Sequence[EpisodeResult], out: Path, parts: Sequence[Part]
+    title: str,
+    runs: Sequence[SuiteRun],
+    episodes: Sequence[EpisodeResult],
+    out: Path,
+    parts: Sequence[Part],
+    leads: Sequence[str] = (),
 ) -> Path:
-    """Write a page about some runs with a list of their episodes; returns the page."""
+    """Write a page about some runs with a list of their episodes, which begins with `leads`; returns the page."""
     listed = choose_listed(episodes, lambda e: (e.part, e.model), lambda e: e.success is True)
     return write_parts(
         "suite_page.html.j2",
@@ -117,6 +122,7 @@ def write_page(
         parts,
         tabulate_episodes(episodes),
         runs=runs,
+        leads=leads,
         warnings=spec_warnings(runs),
         episodes=len(episodes),
         noun="sample" if has_samples(episodes) else "episode",

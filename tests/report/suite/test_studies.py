@@ -102,7 +102,7 @@ def test_superscript_digits_in_model_names_are_sorted_as_letters(tmp_path):
 
 def test_the_best_model_of_each_suite_is_bold(runs):
     table = tabulate_suites(episodes_of(*runs))
-    assert [c.label for c in table.columns] == ["Model", "Executable", "Suite 0", "Suite 2 (unseen)", "Suite 3"]
+    assert [c.label for c in table.columns] == ["Model", "Suite 0", "Suite 2 (unseen)", "Suite 3", "Executable"]
     best = {(table.rows[i][0], table.columns[k].label) for i, k in table.bold}
     assert best == {
         ("good", "Suite 0"),

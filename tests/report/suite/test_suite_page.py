@@ -190,10 +190,12 @@ def test_a_comparison_is_printed_and_written(runs, tmp_path, capsys):
         main(["compare", str(runs[0]), str(runs[2]), "--out", str(out)])
     assert stop.value.code == 0
     printed = capsys.readouterr().out
-    assert printed.startswith("good - fair, Suite 0\n")
+    assert printed.startswith("good is better than fair: success 70% (at most 73%) against 40% (at most 43%) of 30 ")
     assert "all tasks" in printed
     assert {p.name for p in out.iterdir()} >= {"report.html", "comparison.csv", "comparison.tex", "differences.png"}
-    assert Page((out / "report.html").read_text()).open == []
+    page = (out / "report.html").read_text()
+    assert Page(page).open == []
+    assert printed.splitlines()[0] in page
     with (out / "comparison.csv").open() as file:
         whole, *tasks = csv.DictReader(file)
     assert (whole["task"], whole["shared"], whole["measured"], len(tasks)) == ("all tasks", "30", "28", 3)
