@@ -102,10 +102,9 @@ def input_lines(rows: Sequence[SampleRow]) -> list[str]:
         (_CAMERAS.get(str(entry["source"]), str(entry["source"])), entry["samples"]) for entry in inputs["cameras"]
     ]
     lines = [f"{name}: {_join(groups)}" for name, groups in (("frame period", periods), ("camera", cameras)) if groups]
-    if doubtful := [row for row in rows if _has_doubtful_period(row)]:
-        changed = sum(_is_feasible_in_benchmark(row) is not row.feasible for row in doubtful)
-        changes = {0: "no verdict changes", 1: "1 verdict changes"}.get(changed, f"{changed} verdicts change")
-        lines[0] += f"; but the benchmark camera fits: {changes} at {BENCHMARK_PERIOD_S:g} s"
+    if changes := [change for row in rows if (change := _changes_in_benchmark(row)) is not None]:
+        count = {0: "no verdict changes", 1: "1 verdict changes"}.get(sum(changes), f"{sum(changes)} verdicts change")
+        lines[0] += f"; but the benchmark camera fits: {count} at {BENCHMARK_PERIOD_S:g} s"
     if motionless := sum(map(is_motionless, rows)):
         lines.append(f"motionless: {motionless} of {count_noun(len(rows), 'sample')}")
     return lines
@@ -116,19 +115,19 @@ def is_motionless(row: SampleRow) -> bool:
     return row.metrics.get("motionless") is True
 
 
-def _has_doubtful_period(row: SampleRow) -> bool:
-    """Return whether a judged row has the benchmark's camera, confirmed by the arm, and the period of its file."""
-    extra = row.extra
-    fits = (
-        extra.get("camera_source") == CameraSource.BENCHMARK.value
-        and extra.get("camera_state") == CameraState.CONFIRMED.value
-    )
-    return fits and extra.get("frame_period_source") == PeriodSource.FPS.value and row.feasible is not None
+def _changes_in_benchmark(row: SampleRow) -> bool | None:
+    """Return whether the benchmark's frame period changes the verdict on a motion.
 
-
-def _is_feasible_in_benchmark(row: SampleRow) -> bool:
-    least_s = row.metrics.get("feasible_from_period_s")
-    return isinstance(least_s, int | float) and least_s <= BENCHMARK_PERIOD_S
+    None unless the arm confirms the benchmark's camera, the period is that of the file, and both verdicts are known.
+    """
+    extra, least_s = row.extra, row.metrics.get("feasible_from_period_s")
+    fits = extra.get("camera_source") == CameraSource.BENCHMARK.value
+    fits = fits and extra.get("camera_state") == CameraState.CONFIRMED.value
+    if not fits or extra.get("frame_period_source") != PeriodSource.FPS.value or row.feasible is None:
+        return None
+    if isinstance(least_s, int | float):
+        return (least_s <= BENCHMARK_PERIOD_S) is not row.feasible
+    return None if row.feasible else False
 
 
 def _join(groups: Sequence[tuple[str, Json]]) -> str:

@@ -190,7 +190,7 @@ def test_a_comparison_is_printed_and_written(runs, tmp_path, capsys):
         main(["compare", str(runs[0]), str(runs[2]), "--out", str(out)])
     assert stop.value.code == 0
     printed = capsys.readouterr().out
-    assert printed.startswith("good is better than fair: success 70% (at most 73%) against 40% (at most 43%) of 30 ")
+    assert printed.startswith("good is better than fair: success 70% (at most 77%) against 40% (at most 47%) of 30 ")
     assert "all tasks" in printed
     assert {p.name for p in out.iterdir()} >= {"report.html", "comparison.csv", "comparison.tex", "differences.png"}
     page = (out / "report.html").read_text()
