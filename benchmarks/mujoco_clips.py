@@ -11,7 +11,8 @@ software renderer needs Debian's libosmesa6.
 
 import argparse
 import json
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -189,12 +190,55 @@ class Film:
             for b in bodies
             if arm.model.body(b).name == "robot0_right_hand" or "gripper0_right" in arm.model.body(b).name
         ]
+        self.change: Callable[[Any, list[int]], None] | None = None
+        """Changes a scene before it is rendered; it gets the numbers of the gripper's geoms in the scene."""
 
     def image(self) -> NDArray[Any]:
         """Return the image (H, W, 3)."""
         mujoco.mj_forward(self._arm.model, self._arm.data)
         self._renderer.update_scene(self._arm.data, camera=self._camera, scene_option=self._option)
+        if self.change is not None:
+            self.change(self._renderer.scene, self._gripper_geoms())
         return np.asarray(self._renderer.render())
+
+    def _gripper_geoms(self) -> list[int]:
+        """Return the numbers of the geoms of hand and fingers in the scene."""
+        scene, model = self._renderer.scene, self._arm.model
+        geoms = ((i, scene.geoms[i]) for i in range(scene.ngeom))
+        return [
+            i for i, g in geoms if g.objtype == mujoco.mjtObj.mjOBJ_GEOM and model.geom_bodyid[g.objid] in self._gripper
+        ]
+
+    @contextmanager
+    def warped(self, A: NDArray[Any]) -> Iterator[None]:
+        """Prepare a change that maps points of the gripper by `A` (3, 3) in the frame of panda_hand."""
+        model, X_WH = self._arm.model, self._arm.data.body("robot0_right_hand")
+        geoms = [g for g in range(model.ngeom) if model.geom_bodyid[g] in self._gripper and model.geom_dataid[g] >= 0]
+        visual = {model.geom_dataid[g]: g for g in geoms if model.geom_group[g] == _VISUAL_GROUP}
+        shape = {}
+        for mesh, g in visual.items():
+            own = slice(model.mesh_vertadr[mesh], model.mesh_vertadr[mesh] + model.mesh_vertnum[mesh])
+            R_HG = X_WH.xmat.reshape(3, 3).T @ self._arm.data.geom_xmat[g].reshape(3, 3)
+            vertices = model.mesh_vert[own].copy()
+            shape[mesh] = own, vertices, vertices @ (R_HG.T @ A @ R_HG).T
+
+        def warp(scene: Any, gripper: list[int]) -> None:
+            R, p = X_WH.xmat.reshape(3, 3), X_WH.xpos
+            for i in gripper:
+                scene.geoms[i].pos[:] = p + R @ A @ R.T @ (scene.geoms[i].pos - p)
+            self._upload({mesh: (own, new) for mesh, (own, _, new) in shape.items()})
+
+        self.change = warp
+        try:
+            yield
+        finally:
+            self.change = None
+            self._upload({mesh: (own, old) for mesh, (own, old, _) in shape.items()})
+
+    def _upload(self, meshes: dict[int, tuple[slice, NDArray[Any]]]) -> None:
+        for mesh, (own, vertices) in meshes.items():
+            self._arm.model.mesh_vert[own] = vertices
+            mujoco.mjr_uploadMesh(self._arm.model, self._renderer._mjr_context, mesh)
 
     def gripper_px(self) -> int:
         """Return the number of pixels that show hand or fingers."""
@@ -228,6 +272,17 @@ def is_visible(arm: Arm, camera: dict[str, Any], q: NDArray[Any], gap: NDArray[A
     return bool(np.mean([n >= least for _, n in render(arm, camera, q[some], gap[some])]) >= _LEAST_SHARE)
 
 
+def write_video(path: Path, frames: Sequence[NDArray[Any]]) -> None:
+    """Write images (H, W, 3) as H.264."""
+    with av.open(str(path), "w") as file:
+        stream = file.add_stream("libx264", rate=17, options={"crf": "20"})
+        stream.height, stream.width, _ = frames[0].shape
+        stream.pix_fmt = "yuv420p"
+        for image in frames:
+            file.mux(stream.encode(av.VideoFrame.from_ndarray(image, format="rgb24")))
+        file.mux(stream.encode())
+
+
 def write_clip(folder: Path, name: str, arm: Arm, camera: dict[str, Any], q: NDArray[Any], gap: NDArray[Any]) -> None:
     """Render a clip and write it with its truth and its line of the manifest."""
     frames, visible, X_BH = [], [], []
@@ -235,12 +290,7 @@ def write_clip(folder: Path, name: str, arm: Arm, camera: dict[str, Any], q: NDA
         frames.append(image)
         visible.append(count)
         X_BH.append(arm.X_BH)
-    with av.open(str(folder / f"{name}.mp4"), "w") as file:
-        stream = file.add_stream("libx264", rate=17, options={"crf": "20"})
-        stream.width, stream.height, stream.pix_fmt = camera["width"], camera["height"], "yuv420p"
-        for image in frames:
-            file.mux(stream.encode(av.VideoFrame.from_ndarray(image, format="rgb24")))
-        file.mux(stream.encode())
+    write_video(folder / f"{name}.mp4", frames)
     tcp = np.eye(4)
     tcp[2, 3] = HAND_TO_TCP_M
     poses = np.array(X_BH)
