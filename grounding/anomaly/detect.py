@@ -179,7 +179,7 @@ def find_anomalies(evidence: AnomalyEvidence) -> AnomalyDetections:
         find_deformations(e.misfit, e.residual),
         find_scale_drift(e.scale),
         find_camera_motion(e.motion),
-        find_finger_faults(e.finger_width_m, e.t_s),
+        find_finger_faults(e.finger_width_m),
     )
     return AnomalyDetections(by_kind={detection.kind: detection for detection in detections})
 

@@ -23,10 +23,6 @@ class FaultForm(Enum):
     """Random rotation of the camera."""
     DRIFT = "drift"
     """Linear sideways motion of the camera."""
-    FLUTTER = "flutter"
-    """Alternating with each frame."""
-    JUMP = "jump"
-    """Step."""
 
     def course(self, frames: int) -> Array:
         """Return the share (T,) of the full size in each frame, of CONSTANT and GROWING."""
@@ -45,7 +41,7 @@ class PlantedFault:
     """Last affected frame, inclusive."""
     size: float
     """Frames without gripper (vanish) or frozen (freeze), metres apart (duplicate_gripper), jumped (teleport) or opened
-    (finger_opening), relative stretch (deformation) or size (scale_drift), pixels (camera_motion)."""
+    and closed (finger_opening), relative stretch (deformation) or size (scale_drift), pixels (camera_motion)."""
     form: FaultForm | None = None
     """Course in time, for kinds with several."""
 
@@ -92,12 +88,9 @@ GRADES: dict[AnomalyKind, FaultGrades] = {
     AnomalyKind.CAMERA: FaultGrades(
         sizes=(1, 2, 4, 8), gate=2, unit="px", factor=1, forms=(FaultForm.SHAKE, FaultForm.DRIFT)
     ),
-    AnomalyKind.FINGERS: FaultGrades(
-        sizes=(0.01, 0.02, 0.04, 0.06), gate=0.04, unit="mm", factor=1000, forms=(FaultForm.FLUTTER, FaultForm.JUMP)
-    ),
+    AnomalyKind.FINGERS: FaultGrades(sizes=(0.01, 0.02, 0.04, 0.06), gate=0.04, unit="mm", factor=1000),
 }
-"""Grades of each kind. The gripper is about 0.2 m wide; its fingers open by up to 0.08 m, and by up to 0.02 m
-between two frames of the benchmark."""
+"""Grades of each kind. The gripper is about 0.2 m wide; its fingers open by up to 0.08 m."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -26,7 +26,6 @@ FREEZE_SPEED_M_S = 0.05
 """Least mean speed of the gripper through frozen frames."""
 MAX_WIDTH_M = 0.08
 """Largest gap between the pads."""
-_MIN_AFTER = 4  # least number of frames after a jump of the fingers
 _MAX_STEP_RAD = 0.6  # largest step of a joint between two frames on a displaced path
 _SHAKE_FRAMES = 1.5  # standard deviation of the smoothing kernel of a shake
 _LEVER_M = 0.1  # half the gripper's length: a bend of strength s moves points so far from the hand by s/2 of it
@@ -123,36 +122,16 @@ def _solve_displaced(seed: Array, X_BG: Array, offset_m: ArrayLike) -> Sequence[
 
 
 def _fingers(recording: Recording, grade: FaultGrade, rng: np.random.Generator) -> Planted:
-    """Render fingers with a wrong gap: alternating with each frame, or with a step until the end of the clip."""
-    size_m, form = grade.size, grade.form or FaultForm.JUMP
-    if size_m > MAX_WIDTH_M:
-        raise InputError(f"fingers cannot open by {size_m} m, only by {MAX_WIDTH_M} m")
-    own = recording.video.finger_width_m
-    if form is FaultForm.FLUTTER:
-        start = recording.visible_starts(FLUTTER_FRAMES)[0]
-        width = np.clip(own, size_m / 2, MAX_WIDTH_M - size_m / 2)[start : start + FLUTTER_FRAMES]
-        width = width + size_m / 2 * (-1.0) ** np.arange(FLUTTER_FRAMES)
-    else:
-        start, change = _jump(recording, size_m)
-        width = np.clip(own[start:] + change, 0.0, MAX_WIDTH_M)
-    snapshots = recording.rollout.snapshots[start : start + len(width)]
+    """Render fingers whose gap alternates with each frame by the size of the fault."""
+    if grade.size > MAX_WIDTH_M:
+        raise InputError(f"fingers cannot open by {grade.size} m, only by {MAX_WIDTH_M} m")
+    start = recording.visible_starts(FLUTTER_FRAMES)[0]
+    middle = np.clip(recording.video.finger_width_m, grade.size / 2, MAX_WIDTH_M - grade.size / 2)
+    width = middle[start : start + FLUTTER_FRAMES] + grade.size / 2 * (-1.0) ** np.arange(FLUTTER_FRAMES)
+    snapshots = recording.rollout.snapshots[start : start + FLUTTER_FRAMES]
     altered = [replace(s, fingers_m=np.full(2, w / 2)) for s, w in zip(snapshots, width, strict=True)]
     part = render_video(recording.simulator, altered, first_frame=start)
-    return recording.plant(part, start, grade.kind, size_m, form)
-
-
-def _jump(recording: Recording, size_m: float) -> tuple[int, float]:
-    """Return the frame nearest to the clip's middle from which the gap can change by `size_m`, and the change [m]."""
-    n = len(recording)
-    for start in sorted(recording.visible_starts(_MIN_AFTER), key=lambda i: (abs(i - n // 2), i)):
-        here = recording.video.finger_width_m[start - 2 : start + _MIN_AFTER]
-        if np.ptp(here) > 0.002:
-            continue
-        if here.max() + size_m <= MAX_WIDTH_M + 1e-3:
-            return start, size_m
-        if here.min() - size_m >= -1e-3:
-            return start, -size_m
-    raise InputError(f"nowhere in this clip fingers can open or close by {size_m} m; take another seed")
+    return recording.plant(part, start, grade.kind, grade.size)
 
 
 def _camera_motion(recording: Recording, grade: FaultGrade, rng: np.random.Generator) -> Planted:

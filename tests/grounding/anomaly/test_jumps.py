@@ -116,44 +116,34 @@ def test_repeated_images_are_still_despite_noise_and_moving_images_are_not():
 
 
 def grasp(seed, noise_m=0.003):
-    """Fingers that close as fast as they can at frame 15 and open at frame 35."""
-    frames = np.arange(49.0)
-    width = np.interp(frames, [15, 18.5, 35, 38.5], [0.075, 0.01, 0.01, 0.075])
+    """Fingers that close from one frame to the next at frame 16 and open so at frame 36."""
+    width = np.where((np.arange(49) >= 16) & (np.arange(49) < 36), 0.01, 0.075)
     return np.clip(width + np.random.default_rng(seed).normal(0, noise_m, 49), 0.0, MAX_WIDTH_M)
 
 
-def test_fingers_at_the_makers_speed_limit_are_no_anomaly(t_s):
+def test_fingers_that_close_and_open_within_a_frame_are_no_anomaly():
     for seed in range(60):
-        assert find_finger_faults(grasp(seed), t_s).peak < 1.0
+        assert find_finger_faults(grasp(seed)).peak < 1.0
 
 
-@pytest.mark.parametrize("size_m", [0.05, 0.06])
-def test_a_jump_of_the_finger_width_is_reported_at_its_frame(t_s, size_m):
-    for seed in range(20):
-        width = grasp(seed)
-        width[26:30] += size_m
-        result = find_finger_faults(width, t_s).anomalies
-        assert [abs(a.frame_start - f) <= 1 for a, f in zip(result, (26, 30), strict=True)] == [True, True]
-
-
-def test_fluttering_fingers_are_an_anomaly_and_a_single_outlier_frame_is_none(t_s):
+def test_fluttering_fingers_are_an_anomaly_and_a_single_outlier_frame_is_none():
     width = grasp(1)
     width[22:30] += 0.02 + 0.02 * (-1.0) ** np.arange(8)
-    (result,) = find_finger_faults(width, t_s).anomalies
+    (result,) = find_finger_faults(width).anomalies
     assert abs(result.frame_start - 22) <= 1
     assert abs(result.frame_end - 29) <= 1
     wild = grasp(1)
     wild[25] += 0.05
-    assert find_finger_faults(wild, t_s).anomalies == ()
+    assert find_finger_faults(wild).anomalies == ()
 
 
-def test_a_finger_width_above_the_grippers_maximum_is_an_anomaly(t_s):
-    assert find_finger_faults(np.full(49, 0.12), t_s).anomalies
-    assert not find_finger_faults(np.full(49, 0.08), t_s).anomalies
+def test_a_finger_width_above_the_grippers_maximum_is_an_anomaly():
+    assert find_finger_faults(np.full(49, 0.12)).anomalies
+    assert not find_finger_faults(np.full(49, 0.08)).anomalies
 
 
-def test_unknown_finger_widths_are_no_anomaly(t_s):
+def test_unknown_finger_widths_are_no_anomaly():
     width = grasp(0)
     width[::2] = np.nan
-    assert find_finger_faults(width, t_s).peak < 1.0
-    assert find_finger_faults(np.full(49, np.nan), t_s).peak == 0.0
+    assert find_finger_faults(width).peak < 1.0
+    assert find_finger_faults(np.full(49, np.nan)).peak == 0.0
