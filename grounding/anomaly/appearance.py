@@ -12,6 +12,7 @@ from kinebench_drake.anomaly import Anomaly, AnomalyKind
 from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array, invert, transform_points
 from kinebench_drake.grounding.anomaly.detection import Detection, finite_median, sustained
+from kinebench_drake.grounding.registration.shape import HandShape
 from kinebench_drake.grounding.tracking.crop import GRIPPER_RADIUS_M
 from kinebench_drake.grounding.tracking.view import GripperView
 from kinebench_drake.models.panda.cad import part_meshes
@@ -44,6 +45,12 @@ OFF = 0.035
 """Least relative error of the size of an anomaly."""
 SCALE_WINDOW = 21
 """Frames of the running median of the size: its errors last some ten frames, a gripper of the wrong size keeps it."""
+EDGE_SIZE, EDGE_WINDOW = 0.12, 9
+"""Least relative change of the hand's contour of a deformation in an unfamiliar look, over a median of frames."""
+EDGE_SCALE = 0.06
+"""Least relative error of the contour's size of an anomaly, likewise; `SCALE_WINDOW` frames."""
+EDGE_GAIN = 0.18
+"""Least share of the contour that the change puts on image edges besides."""
 _MIN_CELLS = 100
 _PASSES = 4
 
@@ -226,3 +233,27 @@ def find_scale_drift(scale: ArrayLike) -> Detection:
     detection = Detection.from_score(AnomalyKind.SCALE, size / OFF, size)
     anomalies = tuple(replace(a, severity=float(np.expm1(a.severity))) for a in detection.anomalies)
     return replace(detection, anomalies=anomalies)
+
+
+def find_misshapen(shapes: Sequence[HandShape | None]) -> tuple[Detection, Detection]:
+    """Detect deformations and wrong sizes by the `shapes` (T,) of the hand's contour; severity: the largest change.
+
+    A contour that fits no better with another shape is right. A hand of the wrong size in most frames is not deformed.
+    """
+    log_scale, stretch, gain = np.array(
+        [(np.nan,) * 3 if s is None else (s.log_scale, s.stretch, s.gain) for s in shapes]
+    ).T
+
+    def median(values: Array, window: int) -> Array:
+        return np.nan_to_num(finite_median(values, window), nan=0.0)
+
+    drift = np.abs(median(log_scale, SCALE_WINDOW))
+    wrong_size = np.minimum(drift / EDGE_SCALE, median(gain, SCALE_WINDOW) / EDGE_GAIN)
+    change = median(np.hypot(log_scale, stretch), EDGE_WINDOW)
+    wrong_shape = np.minimum(change / EDGE_SIZE, median(gain, EDGE_WINDOW) / EDGE_GAIN)
+    if (wrong_size >= 1.0).mean() > 0.5:
+        wrong_shape = np.zeros(len(shapes))
+    return (
+        Detection.from_score(AnomalyKind.DEFORMATION, wrong_shape, change),
+        Detection.from_score(AnomalyKind.SCALE, wrong_size, np.expm1(drift)),
+    )

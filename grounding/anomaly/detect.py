@@ -1,11 +1,13 @@
 """All anomaly detectors applied to the measurements of a video."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
+from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
 
+from kinebench_drake.anomaly import AnomalyKind
 from kinebench_drake.camera import Camera
 from kinebench_drake.errors import InputError
 from kinebench_drake.geometry import Array, invert, transform_points
@@ -14,6 +16,7 @@ from kinebench_drake.grounding.anomaly.appearance import (
     expect_gripper,
     find_deformations,
     find_duplicates,
+    find_misshapen,
     find_scale_drift,
     find_vanishing,
     second_gripper,
@@ -22,6 +25,7 @@ from kinebench_drake.grounding.anomaly.appearance import (
 from kinebench_drake.grounding.anomaly.camera_motion import CameraMotion, find_camera_motion
 from kinebench_drake.grounding.anomaly.detection import AnomalyDetections, Detection
 from kinebench_drake.grounding.anomaly.jumps import find_finger_faults, find_freezes, find_teleports, still_frames
+from kinebench_drake.grounding.registration.shape import HandShape
 from kinebench_drake.grounding.tracking.crop import GRIPPER_CENTRE_H
 from kinebench_drake.grounding.tracking.markov import SHARP_M
 from kinebench_drake.grounding.tracking.pose import FramePose
@@ -45,14 +49,22 @@ show it."""
 MEASURABLE_SHARE = 0.9
 """Least share of the frames with a fair position, apart from those without a gripper, of an unfamiliar video in which a
 gripper that is not found has vanished."""
+NOT_LOOKED_FOR: Mapping[Domain, tuple[AnomalyKind, ...]] = MappingProxyType(
+    {
+        Domain.FAMILIAR: (),
+        Domain.UNFAMILIAR: (AnomalyKind.DUPLICATE,),
+        Domain.ARM: (AnomalyKind.DUPLICATE, AnomalyKind.DEFORMATION, AnomalyKind.SCALE, AnomalyKind.FINGERS),
+    }
+)
+"""Kinds of anomaly whose measurements mean nothing in a domain."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AnomalyEvidence:
     """Input of the detectors: series over the T frames of a video; NaN where unknown.
 
-    In an unfamiliar video the shape of the gripper and things like grippers are unknown: the network's measurements of
-    them mean nothing there.
+    In an unfamiliar video the network's measurements of the gripper's shape, and of things like grippers, mean nothing:
+    the shape is that of the hand's contour on image edges.
     """
 
     t_s: Array
@@ -75,6 +87,8 @@ class AnomalyEvidence:
     """(T,) residual of the cells against the rigid gripper [standard deviations]."""
     scale: Array
     """(T,) apparent size of the hand over its size at the distance given by the arm, unless seen edge-on."""
+    shapes: tuple[HandShape | None, ...]
+    """(T,) shape of the hand's contour; None where unknown, and in familiar videos."""
     still: NDArray[np.bool_]
     """(T,) frames that repeat the one before."""
     motion: CameraMotion
@@ -88,7 +102,7 @@ class AnomalyEvidence:
         """
         for field in fields(self):
             value = getattr(self, field.name)
-            if isinstance(value, np.ndarray) and len(value) != len(self.t_s):
+            if isinstance(value, np.ndarray | tuple) and len(value) != len(self.t_s):
                 raise InputError(f"{field.name} is of {len(value)} frames, t_s of {len(self.t_s)}; they must be equal")
 
     @property
@@ -148,8 +162,9 @@ def gather_evidence(
     )
     present = (confidence >= FAIR_CONFIDENCE) & (explained >= ABSENT_CELLS)
     if domain is not Domain.FAMILIAR:
-        for series in (width, misfit, residual, scale, other):
+        for series in (misfit, residual, scale, other):
             series[:] = np.nan
+    shapes = [p.shape if p and c >= GOOD_CONFIDENCE else None for p, c in zip(poses, confidence, strict=True)]
     return AnomalyEvidence(
         t_s=t_s,
         p_C=p_C,
@@ -161,6 +176,7 @@ def gather_evidence(
         misfit=misfit,
         residual=residual,
         scale=scale,
+        shapes=tuple(shapes),
         still=still_frames(frames),
         motion=motion,
         domain=domain,
@@ -171,13 +187,13 @@ def find_anomalies(evidence: AnomalyEvidence) -> AnomalyDetections:
     """Apply every detector; the jump that ends a freeze is part of the freeze, no teleport."""
     e = evidence
     freezes = find_freezes(e.p_C, e.fair, e.still, e.t_s)
+    by_cells = find_deformations(e.misfit, e.residual), find_scale_drift(e.scale)
     detections = (
         _find_vanishing(e),
         find_duplicates(e.other),
         _without(find_teleports(e.p_C, e.fair, e.good, e.t_s), {a.frame_end + 1 for a in freezes.anomalies}),
         freezes,
-        find_deformations(e.misfit, e.residual),
-        find_scale_drift(e.scale),
+        *(by_cells if e.domain is Domain.FAMILIAR else find_misshapen(e.shapes)),
         find_camera_motion(e.motion),
         find_finger_faults(e.finger_width_m),
     )

@@ -6,6 +6,7 @@ from kinebench_drake.geometry import Array
 from kinebench_drake.grounding.registration.arm_fit import ArmFit
 from kinebench_drake.grounding.registration.fit import HandFit
 from kinebench_drake.grounding.registration.icp import FusedPose
+from kinebench_drake.grounding.registration.shape import HandShape
 from kinebench_drake.grounding.tracking.view import GripperView
 
 
@@ -31,6 +32,8 @@ class FramePose:
     """Intersection over union of the segmented and the rendered gripper; of the arm alone `ArmFit.edge_agreement`."""
     from_prior: bool = False
     """True if the pose was taken from priors."""
+    shape: HandShape | None = None
+    """Shape of the hand's contour, in unfamiliar videos; None where its arm does not agree or it is not measured."""
     icp: FusedPose | None = None
     """Combination of the fit with the registration of the depth; None before it, or if too few points match."""
 

@@ -25,6 +25,8 @@ from kinebench_drake.grounding.registration.fit import (
     refit_all,
 )
 from kinebench_drake.grounding.registration.icp import IcpRefiner
+from kinebench_drake.grounding.registration.image import GradientImage
+from kinebench_drake.grounding.registration.shape import fit_shape
 from kinebench_drake.grounding.registration.silhouette import SilhouetteMatcher
 from kinebench_drake.grounding.registration.solver import BATCH
 from kinebench_drake.grounding.tracking.confidence import Confidence, frame_confidence, load_confidence
@@ -153,12 +155,20 @@ class CadTracker:
                 other = self._register_all(refine(may_be_familiar=False).poses)
                 if self._expected(other, Domain.UNFAMILIAR) > expected:
                     poses, domain = other, Domain.UNFAMILIAR
+        if domain is Domain.UNFAMILIAR:
+            poses = {i: self._with_shape(pose, arm.at([i]), frames[i], camera) for i, pose in poses.items()}
         return Tracking(
             poses=tuple(poses.get(i) for i in range(len(frames))),
             wide=tuple(wide[i] for i in range(len(frames))),
             robot=wide[0].to_frame(wide[0].part > 0, camera),
             domain=domain,
         )
+
+    def _with_shape(self, pose: FramePose, arm: ArmFitter, frame: NDArray[np.uint8], camera: Camera) -> FramePose:
+        """Return the pose with the shape of the hand's contour, where its arm agrees."""
+        if pose.arm is None or not pose.arm.agrees:
+            return pose
+        return replace(pose, shape=fit_shape(self._edges, GradientImage(frame, camera), arm.poses(pose.arm)))
 
     def _expected(self, poses: Mapping[int, FramePose], domain: Domain) -> float:
         """Return how many of the poses are right, as their confidence states."""

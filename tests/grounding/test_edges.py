@@ -1,9 +1,11 @@
 """Contours of the robot matched to images, on images drawn by ray casting."""
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
 import pytest
+import trimesh
 from numpy.typing import NDArray
 
 from kinebench_drake.camera import Camera, benchmark_camera
@@ -12,6 +14,7 @@ from kinebench_drake.grounding.registration.arm_model import ArmHandModel, ArmMo
 from kinebench_drake.grounding.registration.correspondences import Correspondences
 from kinebench_drake.grounding.registration.edges import EdgeMatcher
 from kinebench_drake.grounding.registration.image import EdgePoints, GradientImage
+from kinebench_drake.grounding.registration.shape import HandShape, fit_shape
 from kinebench_drake.grounding.registration.solver import solve
 from kinebench_drake.models.panda.cad import PartCaster, link_meshes, open_fingers, part_meshes
 from kinebench_drake.models.panda.robot import RobotPart
@@ -35,11 +38,11 @@ def part_poses(model: ArmModel, q: Array, camera: Camera = CAMERA) -> Array:
     return open_fingers(invert(camera.X_BC) @ model.poses(np.asarray(q)[None])[0], FINGER_M)
 
 
-def draw(X_CP: Array, seed: int) -> NDArray[np.uint8]:
-    """A shaded robot before a plain background, with noise."""
+def draw(X_CP: Array, seed: int, gripper: Mapping[RobotPart, trimesh.Trimesh] | None = None) -> NDArray[np.uint8]:
+    """A shaded robot before a plain background, with noise; with `gripper` in place of its hand and fingers."""
     rng = np.random.default_rng(seed)
     rays = CAMERA.rays().reshape(-1, 3)
-    hit = PartCaster({**part_meshes(), **link_meshes()}).cast(X_CP, rays)
+    hit = PartCaster({**(gripper or part_meshes()), **link_meshes()}).cast(X_CP, rays)
     shade = 120.0 + 120.0 * np.abs(hit.normal @ [0.3, -0.8, -0.5])
     grey = np.where(hit.part > 0, shade, 50.0) + rng.normal(0, 4.0, len(rays))
     return np.repeat(np.clip(grey, 0, 255).astype(np.uint8).reshape(CAMERA.height, CAMERA.width, 1), 3, axis=2)
@@ -148,3 +151,33 @@ def test_the_segmentation_rim_selects_the_edge_of_the_hand_alone() -> None:
 def test_an_image_without_edges_gives_no_correspondences(matcher: EdgeMatcher, model: ArmModel) -> None:
     blank = np.full((CAMERA.height, CAMERA.width, 3), 90, np.uint8)
     assert matcher.match(GradientImage(blank, CAMERA), part_poses(model, np.array(POSTURES[0])), 6.0) is None
+
+
+def draw_hand_of_size(model: ArmModel, posture: list[float], size: float) -> tuple[GradientImage, Array]:
+    """A drawn robot whose hand and fingers are `size` times as large, about the flange; and the poses of its parts."""
+    X_CP = part_poses(model, np.array(posture))
+    meshes = part_meshes()
+    scaled = {part: mesh.copy().apply_scale(size) for part, mesh in meshes.items()}
+    hand = X_CP[RobotPart.HAND, :3, 3]
+    moved = X_CP.copy()
+    for part in meshes:
+        moved[part, :3, 3] = hand + size * (X_CP[part, :3, 3] - hand)
+    return GradientImage(draw(moved, 0, scaled), CAMERA), X_CP
+
+
+@pytest.mark.parametrize("posture", POSTURES)
+@pytest.mark.parametrize("size", [0.85, 1.15])
+def test_the_contour_of_a_hand_of_another_size_gains_agreement_at_its_size(
+    matcher: EdgeMatcher, model: ArmModel, posture: list[float], size: float
+) -> None:
+    shape = fit_shape(matcher, *draw_hand_of_size(model, posture, size))
+    assert shape is not None
+    assert shape.log_scale == pytest.approx(np.log(size), abs=0.05)
+    assert shape.gain > 0.15
+
+
+@pytest.mark.parametrize("posture", POSTURES)
+def test_the_contour_of_a_hand_of_the_right_size_gains_nothing(
+    matcher: EdgeMatcher, model: ArmModel, posture: list[float]
+) -> None:
+    assert fit_shape(matcher, *draw_hand_of_size(model, posture, 1.0)) == HandShape()

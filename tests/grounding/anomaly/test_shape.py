@@ -5,8 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from kinebench_drake.grounding.anomaly.appearance import find_deformations, find_scale_drift, shape_misfit
+from kinebench_drake.grounding.anomaly.appearance import (
+    find_deformations,
+    find_misshapen,
+    find_scale_drift,
+    shape_misfit,
+)
 from kinebench_drake.grounding.registration.fit import fit
+from kinebench_drake.grounding.registration.shape import HandShape
 from tests.grounding.conftest import hand_pose, perfect_view
 
 NOISE_M = 0.004
@@ -70,3 +76,27 @@ def test_a_wrong_size_for_ten_frames_is_no_scale_drift_and_for_fifteen_is_one():
     assert find_scale_drift(scale).anomalies == ()
     scale[20:35] = 1.06
     assert find_scale_drift(scale).peak >= 1.0
+
+
+LARGE, BENT = HandShape(log_scale=0.14, stretch=0.03, gain=0.3), HandShape(log_scale=0.05, stretch=0.2, gain=0.3)
+
+
+def test_a_contour_of_another_size_throughout_is_scale_drift_and_no_deformation():
+    deformation, scale = find_misshapen([LARGE] * 49)
+    assert deformation.anomalies == ()
+    (result,) = scale.anomalies
+    assert (result.frame_start, result.frame_end) == (0, 48)
+    assert result.severity == pytest.approx(np.expm1(0.14))
+
+
+def test_a_contour_of_another_shape_for_twelve_frames_is_a_deformation_there():
+    deformation, scale = find_misshapen([HandShape()] * 20 + [BENT] * 12 + [HandShape()] * 17)
+    (result,) = deformation.anomalies
+    assert (result.frame_start, result.frame_end) == (20, 31)
+    assert scale.anomalies == ()
+
+
+def test_a_contour_that_agrees_no_better_with_another_shape_is_no_anomaly():
+    unsure = replace(BENT, gain=0.1)
+    for shapes in ([unsure] * 49, [None] * 49, [HandShape()] * 22 + [BENT] * 3 + [HandShape()] * 24):
+        assert all(not detection.anomalies for detection in find_misshapen(shapes))

@@ -1,0 +1,92 @@
+"""Shape of the hand by the edges of an image: whether its contour lies on edges as it is, or only resized or stretched.
+
+It needs no network, so it holds for looks that the network was not trained on.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from kinebench_drake.geometry import Array
+from kinebench_drake.grounding.registration.edges import LEAST_GRADIENT, EdgeMatcher
+from kinebench_drake.grounding.registration.image import EdgePoints, GradientImage
+from kinebench_drake.models.panda.robot import RobotPart
+
+_RIGHT_SHARE = 0.6  # of the contour on edges, from which on the shape is right without a fit
+_STARTS = (1.0, 0.88, 1.12)  # sizes from which the fit starts
+_REACHES_PX = (8.0, 6.0, 4.0, 3.0)  # farthest image edges in successive passes
+_LEAST_POINTS = 30
+_MOVED_PX, _STRETCHED = 1.0, 0.2  # standard deviations of the flange in the image, and of the relative stretch
+_INDEPENDENT = 60.0  # measurements that the contour counts as
+_TUKEY, _LEAST_SCATTER_PX, _PASSES = 4.0, 0.5, 4
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class HandShape:
+    """Shape of the hand in an image, relative to that of the CAD model at its pose."""
+
+    log_scale: float = 0.0
+    """Logarithm of its size."""
+    stretch: float = 0.0
+    """Change of its shape at the same size: norm of the traceless part of the stretch in the image."""
+    gain: float = 0.0
+    """How much more of its contour lies on image edges than that of the CAD model."""
+
+
+def fit_shape(edges: EdgeMatcher, image: GradientImage, X_CP: Array) -> HandShape | None:
+    """Fit an affine map in the image, about the flange, of the hand's contour to image edges; None if it is too short.
+
+    Parts are at `X_CP` (PARTS, 4, 4) in the camera frame [m]. Each pass is a linear fit of the distances to the nearest
+    edges across the contour, with Tukey's weights.
+    """
+    points = edges.project(X_CP, image.camera, (RobotPart.HAND,))
+    if points is None or len(points.pixel) < _LEAST_POINTS:
+        return None
+    share = float(edges.edge_shares(image, points).mean())
+    if share >= _RIGHT_SHARE:
+        return HandShape()
+    flange = image.camera.project(X_CP[RobotPart.HAND, :3, 3])
+    best, A = share, np.eye(2)
+    for start in _STARTS:
+        other, shift = _fit(image, points, flange, start * np.eye(2))
+        found = float(edges.edge_shares(image, _mapped(points, flange, other, shift)).mean())
+        if found > best:
+            best, A = found, other
+    symmetric = 0.5 * (A + A.T)
+    scale = 0.5 * float(np.trace(symmetric))
+    return HandShape(
+        log_scale=float(np.log(max(scale, 0.1))),
+        stretch=float(np.linalg.norm(symmetric - scale * np.eye(2))),
+        gain=best - share,
+    )
+
+
+def _mapped(points: EdgePoints, flange: Array, A: Array, shift: Array) -> EdgePoints:
+    """Return contour points mapped by `A` (2, 2) about the flange (2,) and moved by `shift` (2,) [px]."""
+    normal = points.normal @ np.linalg.inv(A)
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    return replace(points, pixel=flange + shift + (points.pixel - flange) @ A.T, normal=normal)
+
+
+def _fit(image: GradientImage, points: EdgePoints, flange: Array, A: Array) -> tuple[Array, Array]:
+    """Return the map (2, 2) and shift (2,) [px] that put the contour on edges nearby, from the map `A` on."""
+    arm_px = points.pixel - flange
+    length = float(np.abs(arm_px).max())
+    prior = np.diag([_MOVED_PX**-2.0] * 2 + [(_STRETCHED * length) ** -2.0] * 4)
+    x = np.concatenate([np.zeros(2), (length * (A - np.eye(2))).ravel()])
+    for reach_px in _REACHES_PX:
+        mapped = _mapped(points, flange, np.eye(2) + x[2:].reshape(2, 2) / length, x[:2])
+        offset, strength = image.find_edges(mapped, reach_px)
+        on_edge = strength > LEAST_GRADIENT
+        if on_edge.sum() < _LEAST_POINTS:
+            break
+        across = mapped.normal[:, :, None] * arm_px[:, None, :] / length
+        design = np.column_stack([mapped.normal, across.reshape(len(offset), 4)])
+        target, weight = offset + design @ x, on_edge.astype(np.float64)
+        for _ in range(_PASSES):
+            weighted = design * (_INDEPENDENT * weight / max(1.0, weight.sum()))[:, None]
+            x = np.linalg.solve(weighted.T @ design + prior, weighted.T @ target)
+            error = np.abs(target - design @ x)
+            scatter = max(1.4826 * float(np.median(error[on_edge])), _LEAST_SCATTER_PX)
+            weight = on_edge * np.clip(1.0 - (error / (_TUKEY * scatter)) ** 2, 0.0, 1.0) ** 2
+    return np.eye(2) + x[2:].reshape(2, 2) / length, x[:2]
