@@ -40,13 +40,26 @@ def causes(episodes: int, seed: int, limit: int | None, jobs: int) -> None:
         click.echo(line)
 
 
-@click.command(epilog="\b\nExample:\n  python -m benchmarks loss --count 1000 --jobs 2")
+@click.command(
+    epilog="\b\nExamples:\n  python -m benchmarks loss --count 1000 --jobs 2\n  python -m benchmarks loss --run results"
+)
+@click.option(
+    "--run",
+    type=EXISTING_FOLDER,
+    metavar="DIR",
+    help="Take single frames out of the tracks of this run instead.",
+)
 @click.option("--count", type=COUNT, default=1000, show_default=True, help="Random tracks.", metavar="N")
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True)
 @jobs_option
-def loss(count: int, seed: int, jobs: int) -> None:
+def loss(run: Path | None, count: int, seed: int, jobs: int) -> None:
     """Replace frames of random tracks by lost or unreachable ones; exit status 1 if a number improves."""
-    from benchmarks.loss import loss_table, run_trials
+    from benchmarks.loss import loss_table, remove_frames, removed_table, run_trials
+
+    if run is not None:
+        for line in removed_table(list(remove_frames(run, seed))):
+            click.echo(line)
+        return
 
     with click.progressbar(run_trials(count, seed, jobs), length=count) as trials:
         ordered = sorted(trials, key=lambda trial: trial.index)
