@@ -51,6 +51,8 @@ EDGE_SCALE = 0.06
 """Least relative error of the contour's size of an anomaly, likewise; `SCALE_WINDOW` frames."""
 EDGE_GAIN = 0.18
 """Least share of the contour that the change puts on image edges besides."""
+EDGE_FRAMES = 5
+"""Least number of frames of either: a wrong pose lasts for fewer."""
 _MIN_CELLS = 100
 _PASSES = 4
 
@@ -248,9 +250,9 @@ def find_misshapen(shapes: Sequence[HandShape | None]) -> tuple[Detection, Detec
         return np.nan_to_num(finite_median(values, window), nan=0.0)
 
     drift = np.abs(median(log_scale, SCALE_WINDOW))
-    wrong_size = np.minimum(drift / EDGE_SCALE, median(gain, SCALE_WINDOW) / EDGE_GAIN)
+    wrong_size = sustained(np.minimum(drift / EDGE_SCALE, median(gain, SCALE_WINDOW) / EDGE_GAIN), EDGE_FRAMES)
     change = median(np.hypot(log_scale, stretch), EDGE_WINDOW)
-    wrong_shape = np.minimum(change / EDGE_SIZE, median(gain, EDGE_WINDOW) / EDGE_GAIN)
+    wrong_shape = sustained(np.minimum(change / EDGE_SIZE, median(gain, EDGE_WINDOW) / EDGE_GAIN), EDGE_FRAMES)
     if (wrong_size >= 1.0).mean() > 0.5:
         wrong_shape = np.zeros(len(shapes))
     return (

@@ -43,6 +43,8 @@ WIDTH_SIGMA_M = 0.006
 MAX_SIDE_COSINE = 0.5
 """Largest cosine between fingers' axis and line of sight at which the size counts: seen edge-on the gripper is narrow
 and its fingers hide each other."""
+MAX_CONTOUR_COSINE = 0.85
+"""The same for the hand's contour, of which little is seen edge-on."""
 HAND_AGREEMENT = 0.4
 """Share of the hand's contour on edges of the image from which on a hand fitted to them is present, however few cells
 show it."""
@@ -150,8 +152,7 @@ def gather_evidence(
         if confidence[i] >= SURE_CONFIDENCE:
             sigma_m = 2 * pose.hand.finger_sigma_m
             width[i] = 2 * pose.finger_m if sigma_m <= WIDTH_SIGMA_M else np.nan
-            cosine = abs(float(pose.X_CH[:3, 1] @ p_C[i])) / float(np.linalg.norm(p_C[i]))
-            if cosine <= MAX_SIDE_COSINE and pose.arm is not None and confidence[i] >= GOOD_CONFIDENCE:
+            if _side_cosine(pose) <= MAX_SIDE_COSINE and pose.arm is not None and confidence[i] >= GOOD_CONFIDENCE:
                 scale[i] = pose.arm.scale
     X_SA = invert(motion.X_AS)
     other = np.array(
@@ -164,7 +165,10 @@ def gather_evidence(
     if domain is not Domain.FAMILIAR:
         for series in (misfit, residual, scale, other):
             series[:] = np.nan
-    shapes = [p.shape if p and c >= GOOD_CONFIDENCE else None for p, c in zip(poses, confidence, strict=True)]
+    shapes = [
+        pose.shape if pose is not None and c >= GOOD_CONFIDENCE and _side_cosine(pose) <= MAX_CONTOUR_COSINE else None
+        for pose, c in zip(poses, confidence, strict=True)
+    ]
     return AnomalyEvidence(
         t_s=t_s,
         p_C=p_C,
@@ -181,6 +185,12 @@ def gather_evidence(
         motion=motion,
         domain=domain,
     )
+
+
+def _side_cosine(pose: FramePose) -> float:
+    """Return the cosine between the fingers' axis and the line of sight."""
+    p_C = transform_points(pose.X_CH, GRIPPER_CENTRE_H[None])[0]
+    return abs(float(pose.X_CH[:3, 1] @ p_C)) / float(np.linalg.norm(p_C))
 
 
 def find_anomalies(evidence: AnomalyEvidence) -> AnomalyDetections:
