@@ -54,7 +54,7 @@ gripper that is not found has vanished."""
 NOT_LOOKED_FOR: Mapping[Domain, tuple[AnomalyKind, ...]] = MappingProxyType(
     {
         Domain.FAMILIAR: (),
-        Domain.UNFAMILIAR: (AnomalyKind.DUPLICATE,),
+        Domain.UNFAMILIAR: (AnomalyKind.DUPLICATE, AnomalyKind.FINGERS),
         Domain.ARM: (AnomalyKind.DUPLICATE, AnomalyKind.DEFORMATION, AnomalyKind.SCALE, AnomalyKind.FINGERS),
     }
 )
@@ -163,7 +163,7 @@ def gather_evidence(
     )
     present = (confidence >= FAIR_CONFIDENCE) & (explained >= ABSENT_CELLS)
     if domain is not Domain.FAMILIAR:
-        for series in (misfit, residual, scale, other):
+        for series in (width, misfit, residual, scale, other):
             series[:] = np.nan
     shapes = [
         pose.shape if pose is not None and c >= GOOD_CONFIDENCE and _side_cosine(pose) <= MAX_CONTOUR_COSINE else None
