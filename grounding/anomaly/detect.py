@@ -8,11 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinebench_drake.anomaly import AnomalyKind
-from kinebench_drake.camera import Camera
+from kinebench_drake.camera import Camera, is_benchmark
 from kinebench_drake.errors import InputError
 from kinebench_drake.geometry import Array, invert, transform_points
 from kinebench_drake.grounding.anomaly.appearance import (
     ABSENT_CELLS,
+    OFF,
+    OFF_ELSEWHERE,
     expect_gripper,
     find_deformations,
     find_duplicates,
@@ -95,6 +97,8 @@ class AnomalyEvidence:
     """(T,) frames that repeat the one before."""
     motion: CameraMotion
     domain: Domain = Domain.FAMILIAR
+    is_benchmark: bool = True
+    """True if the camera is the benchmark's."""
 
     def __post_init__(self) -> None:
         """Check that all series have the same length.
@@ -184,6 +188,7 @@ def gather_evidence(
         still=still_frames(frames),
         motion=motion,
         domain=domain,
+        is_benchmark=is_benchmark(camera),
     )
 
 
@@ -197,7 +202,10 @@ def find_anomalies(evidence: AnomalyEvidence) -> AnomalyDetections:
     """Apply every detector; the jump that ends a freeze is part of the freeze, no teleport."""
     e = evidence
     freezes = find_freezes(e.p_C, e.fair, e.still, e.t_s)
-    by_cells = find_deformations(e.misfit, e.residual), find_scale_drift(e.scale)
+    by_cells = (
+        find_deformations(e.misfit, e.residual),
+        find_scale_drift(e.scale, OFF if e.is_benchmark else OFF_ELSEWHERE),
+    )
     detections = (
         _find_vanishing(e),
         find_duplicates(e.other),

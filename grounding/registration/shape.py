@@ -16,6 +16,7 @@ _RIGHT_SHARE = 0.6  # of the contour on edges, from which on the shape is right 
 _STARTS = (1.0, 0.88, 1.12)  # sizes from which the fit starts
 _REACHES_PX = (8.0, 6.0, 4.0, 3.0)  # farthest image edges in successive passes
 _LEAST_POINTS = 30
+_LARGEST = 0.35  # change of size or shape beyond which the fit has failed
 _MOVED_PX, _STRETCHED = 1.0, 0.2  # standard deviations of the flange in the image, and of the relative stretch
 _INDEPENDENT = 60.0  # measurements that the contour counts as
 _TUKEY, _LEAST_SCATTER_PX, _PASSES = 4.0, 0.5, 4
@@ -34,7 +35,9 @@ class HandShape:
 
 
 def fit_shape(edges: EdgeMatcher, image: GradientImage, X_CP: Array) -> HandShape | None:
-    """Fit an affine map in the image, about the flange, of the hand's contour to image edges; None if it is too short.
+    """Fit an affine map in the image, about the flange, of the hand's contour to image edges.
+
+    None if the contour is too short or nothing fits.
 
     Parts are at `X_CP` (PARTS, 4, 4) in the camera frame [m]. Each pass is a linear fit of the distances to the nearest
     edges across the contour, with Tukey's weights.
@@ -54,11 +57,10 @@ def fit_shape(edges: EdgeMatcher, image: GradientImage, X_CP: Array) -> HandShap
             best, A = found, other
     symmetric = 0.5 * (A + A.T)
     scale = 0.5 * float(np.trace(symmetric))
-    return HandShape(
-        log_scale=float(np.log(max(scale, 0.1))),
-        stretch=float(np.linalg.norm(symmetric - scale * np.eye(2))),
-        gain=best - share,
-    )
+    stretch = float(np.linalg.norm(symmetric - scale * np.eye(2)))
+    if np.hypot(scale - 1.0, stretch) > _LARGEST:
+        return None
+    return HandShape(log_scale=float(np.log(scale)), stretch=stretch, gain=best - share)
 
 
 def _mapped(points: EdgePoints, flange: Array, A: Array, shift: Array) -> EdgePoints:
