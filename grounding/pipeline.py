@@ -8,11 +8,17 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from kinebench_drake.anomaly import Anomaly
+from kinebench_drake.anomaly import Anomaly, AnomalyKind
 from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array, invert, pose_difference
 from kinebench_drake.grounding.anomaly.camera_motion import CameraMotion, FeatureTracks, measure_camera_motion
-from kinebench_drake.grounding.anomaly.detect import SURE_CONFIDENCE, AnomalyEvidence, find_anomalies, gather_evidence
+from kinebench_drake.grounding.anomaly.detect import (
+    NOT_LOOKED_FOR,
+    SURE_CONFIDENCE,
+    AnomalyEvidence,
+    find_anomalies,
+    gather_evidence,
+)
 from kinebench_drake.grounding.anomaly.detection import AnomalyDetections
 from kinebench_drake.grounding.priors import NO_PRIORS, InitialStateUse, Priors
 from kinebench_drake.grounding.tracking.camera_path import CameraPath, follow_camera
@@ -86,6 +92,11 @@ class PipelineResult:
     def anomalies(self) -> tuple[Anomaly, ...]:
         """Anomalies in the order of their frames."""
         return self.detections.anomalies
+
+    @property
+    def anomalies_not_looked_for(self) -> tuple[AnomalyKind, ...]:
+        """Kinds of anomaly that the look of the video excludes."""
+        return NOT_LOOKED_FOR[self.domain]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -11,7 +11,6 @@ from kinebench_drake.camera import CameraSource
 from kinebench_drake.errors import InputError
 from kinebench_drake.formats.videos.find import find_samples
 from kinebench_drake.formats.videos.sample import VideoSample, VideoSamples
-from kinebench_drake.grounding.anomaly.detect import NOT_LOOKED_FOR
 from kinebench_drake.grounding.overrides.overrides import Overrides
 from kinebench_drake.io.atomic import write_atomically
 from kinebench_drake.io.container import write_video
@@ -156,7 +155,7 @@ class VideoEvaluator(Evaluator[VideoSample, Tools]):
             extra={
                 "first_frame": grounding.first_frame.value,
                 "domain": grounding.domain.value,
-                "anomalies_not_looked_for": [kind.value for kind in NOT_LOOKED_FOR[grounding.domain]],
+                "anomalies_not_looked_for": [kind.value for kind in grounding.anomalies_not_looked_for],
                 **({} if draws_hand else {"gripper": grounding.gripper.value}),
                 "frames": len(track.t_s),
                 "width": video.width,
