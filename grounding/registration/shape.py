@@ -52,9 +52,9 @@ def fit_shape(edges: EdgeMatcher, image: GradientImage, X_CP: Array) -> HandShap
     best, A = share, np.eye(2)
     for start in _STARTS:
         other, shift = _fit(image, points, flange, start * np.eye(2))
-        found = float(edges.edge_shares(image, _mapped(points, flange, other, shift)).mean())
-        if found > best:
-            best, A = found, other
+        resized = float(edges.edge_shares(image, _mapped(points, flange, other, shift)).mean())
+        if resized > best:
+            best, A = resized, other
     symmetric = 0.5 * (A + A.T)
     scale = 0.5 * float(np.trace(symmetric))
     stretch = float(np.linalg.norm(symmetric - scale * np.eye(2)))
