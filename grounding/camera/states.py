@@ -7,8 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinebench_drake.errors import InputError, UsageError
+from kinebench_drake.formats.trajectories.reading import JOINTS, Reading, TrajectoryOptions
 from kinebench_drake.formats.trajectories.source import find_trajectories, read_trajectory
-from kinebench_drake.formats.trajectories.trajectory import Trajectory, TrajectoryOptions, TrajectorySample
+from kinebench_drake.formats.trajectories.trajectory import Trajectory, TrajectorySample
 from kinebench_drake.geometry import Array, interpolate_pose, invert
 from kinebench_drake.grounding.registration.arm_model import ArmModel
 from kinebench_drake.models.panda.robot import GRIPPER, RobotPart, hand_from_tcp, rest_q
@@ -122,15 +123,16 @@ def read_states(path: Path, episode: str | None, column: str | None, t_s: Array,
             needed.
         InputError: the file is invalid, or inconsistent with the video.
     """
-    sample = _episode(find_trajectories(path, TrajectoryOptions(joints=column)), path, episode)
-    by_rows = _read(sample, TrajectoryOptions(joints=column, rate_hz=1.0))
+    reading = None if column is None else Reading(columns=(column,), layout=JOINTS)
+    sample = _episode(find_trajectories(path, TrajectoryOptions(reading=reading)), path, episode)
+    by_rows = _read(sample, TrajectoryOptions(reading=reading, rate_hz=1.0))
     if len(by_rows.t_s) != len(t_s):
         if np.isnan(t_s).any():
             raise UsageError(
                 f"$joints {path.name}: {len(by_rows.t_s)} rows, but {len(t_s)} frames of a video without a clock; "
                 "give $frame_period_s SECONDS, or a row a frame"
             )
-        by_rows = _at(_read(sample, TrajectoryOptions(joints=column)), t_s, path.name)
+        by_rows = _at(_read(sample, TrajectoryOptions(reading=reading)), t_s, path.name)
     fingers = by_rows.finger_width_m / 2
     source = f"{path.name}, {by_rows.columns}"
     if by_rows.q is not None:

@@ -1,7 +1,7 @@
 """Single samples without an output folder: `ground_video` and `audit_trajectory`."""
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from difflib import get_close_matches
 from functools import lru_cache
@@ -18,8 +18,9 @@ from kinebench_drake.errors import InputError, UnmeasurableError, UsageError, me
 from kinebench_drake.executors.local import one_thread
 from kinebench_drake.formats.camerafile import load_camera
 from kinebench_drake.formats.trajectories.check import check
+from kinebench_drake.formats.trajectories.reading import Reading, TrajectoryOptions
 from kinebench_drake.formats.trajectories.source import find_trajectories, read_trajectory
-from kinebench_drake.formats.trajectories.trajectory import RawTrajectory, TrajectoryOptions
+from kinebench_drake.formats.trajectories.trajectory import RawTrajectory
 from kinebench_drake.formats.videos.find import find_samples
 from kinebench_drake.formats.videos.sample import VideoSample
 from kinebench_drake.grounding.overrides.overrides import Overrides
@@ -75,6 +76,10 @@ def _refuse_with(what: str, **arguments: object) -> None:
     present = [name for name, value in arguments.items() if value is not None]
     if present:
         raise UsageError(f"{', '.join(present)}: has no effect with {what}, leave it out")
+
+
+def _parse_reading(reading: PathName | Mapping[str, object]) -> Reading:
+    return Reading.parse(Path(reading) if isinstance(reading, str | PathLike) else reading)
 
 
 def _warn(*messages: str) -> None:
@@ -191,8 +196,7 @@ def audit_trajectory(
     tracked: ArrayLike | None = None,
     finger_width_m: ArrayLike | None = None,
     id: str | None = None,
-    joints: str | None = None,
-    poses: str | None = None,
+    reading: PathName | Mapping[str, object] | None = None,
     table_height_m: float = 0.0,
     robot: PathName = PANDA,
     tool: str | None = None,
@@ -213,8 +217,7 @@ def audit_trajectory(
         tracked: (T,) frames with a pose or joint angles; None: all. Of arrays only.
         finger_width_m: (T,) gap between the pads, 0 to 0.08 [m]; NaN or None: unknown. Of arrays only.
         id: id of the sample, where the path holds several.
-        joints: array, data set or column of a file that holds the joint angles.
-        poses: array or column of a file that holds the poses.
+        reading: how to read a file: path of a reading file, or its keys (docs/formats.md); None: by the names in it.
         table_height_m: height of the table's top in the robot base frame [m].
         robot: arm to judge by: "panda", "fr3" or the URDF of a seven-joint arm.
         tool: TCP whose poses are judged: a link of the URDF, or "[LINK:]x,y,z,qw,qx,qy,qz", its pose in a link (by
@@ -246,20 +249,20 @@ def audit_trajectory(
         package_path=None if package_path is None else Path(package_path),
     )
     _warn(*options.load().remarks)
-    reading = TrajectoryOptions(rate_hz=rate_hz, joints=joints, poses=poses)
+    choice = TrajectoryOptions(rate_hz=rate_hz, reading=None if reading is None else _parse_reading(reading))
     if isinstance(trajectory, GripperTrack):
         _refuse_with(
             "a track", t_s=t_s, rate_hz=rate_hz, tracked=tracked, finger_width_m=finger_width_m,
-            id=id, joints=joints, poses=poses,
+            id=id, reading=reading,
         )  # fmt: skip
         with one_thread():
             return _tools_for(options).judge(trajectory)
     if isinstance(trajectory, str | PathLike):
         _refuse_with("a file", t_s=t_s, tracked=tracked, finger_width_m=finger_width_m)
         path = Path(trajectory)
-        checked = read_trajectory(_one(find_trajectories(path, reading), path, id), reading)
+        checked = read_trajectory(_one(find_trajectories(path, choice), path, id), choice)
     else:
-        _refuse_with("an array", id=id, joints=joints, poses=poses)
+        _refuse_with("an array", id=id, reading=reading)
         values = np.asarray(trajectory)
         if values.ndim not in (2, 3):
             raise InputError(

@@ -18,6 +18,7 @@ _COMMANDS = {
     "score": ("score", "Score videos: gripper tracks, kinematic metrics, report."),
     "ground": ("score", "Extract gripper tracks from videos, without kinematics."),
     "audit": ("score", "Check trajectories against the robot's kinematics, without video."),
+    "reading": ("score", "Print how a trajectory file would be read."),
     "calibrate": ("calibrate", "Estimate a static camera from a video of the robot."),
     "suite": ("suite", "Task suites: closed-loop runs, demonstrations, exports, reports."),
     "report": ("outputs", "Write the html report of output folders again."),

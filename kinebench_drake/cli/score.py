@@ -1,5 +1,6 @@
 """`kinebench-drake score`, `kinebench-drake ground` and `kinebench-drake audit`."""
 
+from pathlib import Path
 from typing import Any
 
 import click
@@ -70,7 +71,7 @@ def ground(ctx: click.Context, /, dry_run: bool, **options: Any) -> None:
         "\b\nExamples:\n"
         "  kinebench-drake audit track.npz --out results/\n"
         "  kinebench-drake audit demos/trajectory.h5 --out results/ --jobs 4\n"
-        "  kinebench-drake audit dataset/ --out results/ --joints observation.state\n"
+        "  kinebench-drake audit dataset/ --out results/ --reading reading.json\n"
         "  kinebench-drake audit score-results/ --out results/ --table-height -0.02\n"
         "  kinebench-drake audit track.csv --out results/ --robot fr3 --payload 0.5\n"
         "  kinebench-drake audit track.csv --out results/ --robot arm.urdf --tool tool0 --limits limits.json"
@@ -82,16 +83,35 @@ def ground(ctx: click.Context, /, dry_run: bool, **options: Any) -> None:
 def audit(ctx: click.Context, /, **options: Any) -> None:
     """Check the trajectories of PATH: whether and how well the robot executes each, and if not, why not.
 
-    PATH is an npz file (t_s with base_from_tcp or q), a csv file (t_s,x_m,y_m,z_m,qw,qx,qy,qz or t_s,q1_rad..q7_rad),
-    a ManiSkill trajectory (.h5, its .json beside it), a LeRobot dataset (v2 or v3), an output folder of score or ground
-    or its tracks/, or a folder of these. Joint angles are judged as recorded; poses are infeasible only if no joint
-    path follows them. Lengths are metres, angles radians, poses those of the TCP in the robot's base frame.
+    PATH is an npz, csv, h5 (ManiSkill, robomimic, LIBERO), npy, txt, json or parquet file, a LeRobot dataset (v2, v3),
+    an output folder of score or ground or its tracks/, or a folder of these. Joint angles are judged as recorded; poses
+    are infeasible only if no joint path follows them. Columns, units and rotations follow from their names
+    (docs/formats.md); where others fit the robot far better, the row says so and there is no verdict. --reading says
+    how to read; `kinebench-drake reading PATH` prints such a file.
     """
     from kinebench_drake.cli.progress import run
     from kinebench_drake.runs.audit import audit_trajectories
 
     config = AuditConfig(**options)
     ctx.exit(run(lambda observer: audit_trajectories(config, observer), config.out))
+
+
+@click.command(epilog="\b\nExample:\n  kinebench-drake reading dataset/ > reading.json")
+@click.argument("source", metavar="PATH", type=PathParameter())
+@config_options(AuditConfig, "table_height_m", "robot", "tool")
+def reading(source: Path, table_height_m: float, robot: str, tool: str | None) -> None:
+    """Print how the trajectories of PATH would be read, as the JSON of a reading file, with other readings.
+
+    The cost says how badly the numbers fit the robot: 0 is best. Edit the keys of "reading" (docs/formats.md) and name
+    the file by `audit --reading`.
+    """
+    import json
+
+    from kinebench_drake.runs.doubt import assess_path
+    from kinebench_drake.runs.tools import RobotOptions
+
+    options = RobotOptions(table_height_m=table_height_m, robot=robot, tool=tool)
+    click.echo(json.dumps(assess_path(source, options).to_json(), indent=2))
 
 
 def _score(config: ScoreConfig, *, dry_run: bool) -> int:

@@ -7,7 +7,7 @@ import re
 from dataclasses import replace
 from pathlib import Path
 
-from kinebench_drake.formats.maniskill import DEFAULT_RATE_HZ, list_maniskill
+from kinebench_drake.formats.maniskill import list_maniskill
 from kinebench_drake.formats.trajectories.trajectory import TrajectorySample
 from kinebench_drake.formats.videos.sample import Search, VideoSample
 from kinebench_drake.io.hdf5 import list_hdf5_videos
@@ -42,7 +42,7 @@ def list_hdf5(path: Path, search: Search) -> list[VideoSample]:
                 camera_key=key,
                 task=about.task if about else None,
                 seed=about.seed if about else None,
-                dataset_period_s=1.0 / (about.rate_hz or DEFAULT_RATE_HZ) if about else None,
+                dataset_period_s=1.0 / about.rate_hz if about and about.rate_hz else None,
                 problem=None if key in videos else f"{episode} has no video {key}, but {', '.join(videos)}",
             )
         )

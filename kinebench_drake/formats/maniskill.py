@@ -16,17 +16,10 @@ from numpy.typing import NDArray
 
 from kinebench_drake.errors import InputError, cause
 from kinebench_drake.formats.samples import MAX_PERIOD_S, MIN_PERIOD_S
-from kinebench_drake.formats.trajectories.check import MAX_FRAMES
-from kinebench_drake.formats.trajectories.trajectory import (
-    N_JOINTS,
-    RawTrajectory,
-    TrajectoryFormat,
-    TrajectoryOptions,
-    TrajectorySample,
-)
+from kinebench_drake.formats.trajectories.trajectory import TrajectoryFormat, TrajectorySample
 from kinebench_drake.geometry import Array
 from kinebench_drake.io.atomic import atomic_path
-from kinebench_drake.io.hdf5 import DAMAGED, open_hdf5, read_all
+from kinebench_drake.io.hdf5 import DAMAGED, open_hdf5
 from kinebench_drake.io.jsonl import as_number, as_object, as_type, read_object, write_json
 from kinebench_drake.io.npz import write_arrays
 
@@ -38,14 +31,10 @@ DEFAULT_RATE_HZ = 20.0
 
 CONTROL_MODE = "pd_joint_pos"
 
-_QPOS = "obs/agent/qpos"
 _STATES = "env_states"
-_ARTICULATIONS = f"{_STATES}/articulations"
-_MAX_BYTES = 2**28
+_UNKNOWN = f"task, seed and success are unknown, and {DEFAULT_RATE_HZ:g} Hz is assumed; $rate_hz HZ overrides it"
 _SOURCE = {"source_type": "motionplanning", "source_desc": "scripted expert, planned with Drake"}
-_ROOT = 13  # elements of an articulation's state before its joints
 _TRAJECTORY = re.compile(r"traj_\d{1,9}", re.ASCII)
-_ROBOT = re.compile(r"panda|franka|fr3", re.IGNORECASE)
 
 
 def list_maniskill(path: Path, video: str) -> list[TrajectorySample]:
@@ -73,94 +62,15 @@ def list_maniskill(path: Path, video: str) -> list[TrajectorySample]:
                 video=f"{video}#{name}",
                 format=TrajectoryFormat.MANISKILL,
                 part=name,
-                rate_hz=_rate(about),
+                rate_hz=_rate(about) or DEFAULT_RATE_HZ,
                 task=as_type(info.get("env_id"), str),
                 seed=as_type(episode.get("episode_seed"), int),
                 success=as_type(episode.get("success"), bool),
+                robot=as_type(as_object(info.get("env_kwargs")).get("robot_uids"), str),
                 warnings=(note,) if note else (),
             )
         )
     return samples
-
-
-def read_maniskill(sample: TrajectorySample, choice: TrajectoryOptions) -> RawTrajectory:
-    """Read the robot's joints of one trajectory: the data set that `choice` names, else obs/agent/qpos, else its state.
-
-    Raises:
-        InputError: the file is damaged, or holds no robot's joints.
-    """
-    if choice.poses is not None:
-        raise InputError(
-            "poses of a ManiSkill file are in its world frame, not in the robot's: only its joint angles are read "
-            "($joints names their data set)"
-        )
-    group = str(sample.part)
-    try:
-        with open_hdf5(sample.path) as file:
-            trajectory = file[group]
-            if not isinstance(trajectory, h5py.Group):
-                raise InputError(f"{group} is a data set, expected a group of them")
-            name = choice.joints or _find_joints(trajectory)
-            data = trajectory.get(name)
-            if not isinstance(data, h5py.Dataset):
-                raise InputError(f"{group} holds no data set {name!r}, but {_list_data_sets(trajectory)}")
-            if data.file.filename != file.filename:
-                raise InputError(f"{group}/{name} is a link to another file, which is not read")
-            if data.dtype.kind not in "iuf":
-                raise InputError(f"{group}/{name} holds {data.dtype}, expected real numbers")
-            if data.shape and data.shape[0] > MAX_FRAMES:
-                raise InputError(f"has {data.shape[0]} frames, at most {MAX_FRAMES} are accepted: cut it into parts")
-            values = read_all(data, _MAX_BYTES)
-    except DAMAGED as error:
-        raise InputError(f"{group} cannot be read ({cause(error)})") from None
-    columns, first = f"{group}/{name}", 0
-    if name.startswith(_ARTICULATIONS):
-        values, first = _joints_of_state(values, columns), _ROOT
-    if values.ndim != 2:
-        raise InputError(f"{columns} has shape {values.shape}, expected (T, 7) to (T, 9)")
-    fingers = values[:, N_JOINTS:].sum(axis=1) if values.shape[1] == N_JOINTS + 2 else None
-    values = values if fingers is None else values[:, :N_JOINTS]
-    assumed = sample.rate_hz is None and choice.rate_hz is None
-    warning = (
-        f"control_freq is missing: ManiSkill's default of {DEFAULT_RATE_HZ:g} Hz is used; $rate_hz HZ overrides it"
-    )
-    return RawTrajectory(
-        t_s=np.arange(len(values)) / (sample.rate_hz or DEFAULT_RATE_HZ),
-        q=values,
-        finger_width_m=fingers,
-        columns=f"{columns}[:, {first}:{first + values.shape[1]}]",
-        warnings=(warning,) if assumed else (),
-    )
-
-
-def _find_joints(trajectory: h5py.Group) -> str:
-    """Return the name of the data set that holds the robot's joints."""
-    if isinstance(trajectory.get(_QPOS), h5py.Dataset):
-        return _QPOS
-    articulations = trajectory.get(_ARTICULATIONS)
-    names = list(articulations) if isinstance(articulations, h5py.Group) else []
-    robots = [name for name in map(str, names) if _ROBOT.search(name)]
-    if len(robots) == 1:
-        return f"{_ARTICULATIONS}/{robots[0]}"
-    if robots:
-        raise InputError(f"holds {len(robots)} robots: $joints {_ARTICULATIONS}/{robots[0]} names one of them")
-    raise InputError(
-        f"holds {_list_data_sets(trajectory)}, expected {_QPOS} or {_ARTICULATIONS}/panda...; record it with "
-        "observations or states, or name the data set by $joints"
-    )
-
-
-def _joints_of_state(state: NDArray[np.generic], name: str) -> NDArray[np.generic]:
-    """Return the joint positions (T, n) from the states of an articulation (T, 13 + 2 n)."""
-    if state.ndim != 2 or state.shape[1] <= _ROOT or (state.shape[1] - _ROOT) % 2:
-        raise InputError(f"{name} has shape {state.shape}, expected (T, {_ROOT} + 2 x joints)")
-    return state[:, _ROOT : _ROOT + (state.shape[1] - _ROOT) // 2]
-
-
-def _list_data_sets(trajectory: h5py.Group) -> str:
-    names: list[str] = []
-    trajectory.visititems(lambda name, item: names.append(str(name)) if isinstance(item, h5py.Dataset) else None)
-    return ", ".join(names[:10]) + (", ..." if len(names) > 10 else "") if names else "nothing"
 
 
 def _read_metadata(path: Path) -> tuple[Mapping[str, object], str | None]:
@@ -168,9 +78,9 @@ def _read_metadata(path: Path) -> tuple[Mapping[str, object], str | None]:
     try:
         return read_object(path), None
     except FileNotFoundError:
-        return {}, f"{path.name} is not there: task, seed and success are unknown"
+        return {}, f"{path.name} is not there: {_UNKNOWN}"
     except InputError as error:
-        return {}, f"{error}: task, seed and success are unknown"
+        return {}, f"{error}: {_UNKNOWN}"
 
 
 def _rate(about: Mapping[str, object]) -> float | None:

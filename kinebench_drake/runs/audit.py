@@ -7,16 +7,18 @@ from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 
-from kinebench_drake.errors import name_options
+from kinebench_drake.errors import InputError, name_options
+from kinebench_drake.formats.trajectories.reading import Reading, TrajectoryOptions
 from kinebench_drake.formats.trajectories.source import find_trajectories, read_trajectory
-from kinebench_drake.formats.trajectories.trajectory import Trajectory, TrajectoryOptions, TrajectorySample
+from kinebench_drake.formats.trajectories.trajectory import Trajectory, TrajectorySample
 from kinebench_drake.io.jsonl import Json
-from kinebench_drake.models.arm import ROBOTS
+from kinebench_drake.models.arm import PANDA, ROBOTS
 from kinebench_drake.results.inputs import PeriodSource
 from kinebench_drake.results.row import SampleRow
 from kinebench_drake.results.store import artifact_path
 from kinebench_drake.results.trackfile import write_track
 from kinebench_drake.runs.config import RunConfig, RunKind, SourceConfig
+from kinebench_drake.runs.doubt import assess_readings, doubt_robot
 from kinebench_drake.runs.evaluator import KINEMATIC_METRICS, Evaluation, Evaluator
 from kinebench_drake.runs.option import Option
 from kinebench_drake.runs.runner import NullRunObserver, RunObserver, RunSummary, run_samples
@@ -37,10 +39,13 @@ class AuditConfig(SourceConfig):
     rate_hz: Annotated[
         float | None, Option("Frames per second, in place of the times of the files (t_s = k / rate).", metavar="HZ")
     ] = None
-    joints: Annotated[
-        str | None, Option("Array (npz), data set (h5) or column (LeRobot) of the joint angles.", metavar="COLUMN")
+    reading: Annotated[
+        Path | None,
+        Option(
+            "How to read the files: columns, units, rotations, frames (docs/formats.md).  [default: by their names]",
+            metavar="FILE",
+        ),
     ] = None
-    poses: Annotated[str | None, Option("Array (npz) or column (LeRobot) of the TCP poses.", metavar="COLUMN")] = None
     tool: Annotated[
         str | None,
         Option(
@@ -67,7 +72,9 @@ class AuditConfig(SourceConfig):
         Raises:
             UsageError: they are invalid.
         """
-        return TrajectoryOptions(rate_hz=self.rate_hz, joints=self.joints, poses=self.poses)
+        return TrajectoryOptions(
+            rate_hz=self.rate_hz, reading=None if self.reading is None else Reading.parse(self.reading)
+        )
 
     def robot_options(self) -> RobotOptions:
         """Return robot and table.
@@ -115,14 +122,27 @@ class TrajectoryEvaluator(Evaluator[TrajectorySample, Tools]):
         return load_tools(self.config.make_tools, self.config.robot_options())
 
     def evaluate(self, sample: TrajectorySample, tools: Tools) -> Evaluation:
-        """Read, judge, write."""
-        trajectory = read_trajectory(sample, self.config.trajectory_options())
-        result = judge_trajectory(tools, trajectory)
-        write_track(artifact_path(self.config.out, "tracks", sample.id), result.track, result.joints, result.curves)
+        """Read, judge, write; without a verdict where it is doubtful how the numbers are to be read."""
+        choice = self.config.trajectory_options()
+        doubt = self._doubt(sample, choice, tools)
+        try:
+            trajectory = read_trajectory(sample, choice)
+        except InputError as error:
+            raise InputError(f"{error}; {doubt}" if doubt else str(error)) from None
+        track, path = _pose_track(trajectory), artifact_path(self.config.out, "tracks", sample.id)
+        result = None if doubt else judge_trajectory(tools, trajectory)
+        if result is None:
+            write_track(path, track, None, {})
+        else:
+            write_track(path, result.track, result.joints, result.curves)
         source = PeriodSource.TIME_STAMPS if self.config.rate_hz is None else PeriodSource.RATE
+        doubts: dict[str, Json] = {"base_frame_reason": name_options(doubt)} if doubt else {}
         return Evaluation(
             kinematics=result,
+            reasons={"": name_options(doubt), "feasible": name_options(doubt)} if doubt else {},
+            tracked=track.tracked,
             extra={
+                **doubts,
                 "frames": len(trajectory.t_s),
                 "frames_tracked": int(trajectory.tracked.sum()),
                 "duration_s": float(trajectory.t_s[-1] - trajectory.t_s[0]),
@@ -130,9 +150,17 @@ class TrajectoryEvaluator(Evaluator[TrajectorySample, Tools]):
                 "frame_period_source": source.value,
                 "judged": "poses" if trajectory.q is None else "joints",
                 "columns": trajectory.columns,
-                "warnings": list(map(name_options, trajectory.warnings)),
+                "dropped_samples": list(trajectory.dropped),
+                "warnings": list(map(name_options, (*([doubt] if doubt else ()), *trajectory.warnings))),
             },
         )
+
+    def _doubt(self, sample: TrajectorySample, choice: TrajectoryOptions, tools: Tools) -> str | None:
+        """Return why the numbers have no verdict; None if there is no doubt how to read them."""
+        if self.config.robot == PANDA and (other := doubt_robot(sample, choice)):
+            return other
+        assessment = assess_readings(tools, sample.alike or (sample,), choice)
+        return assessment.doubt if assessment else None
 
     @property
     def metric_names(self) -> tuple[str, ...]:
@@ -146,15 +174,17 @@ class TrajectoryEvaluator(Evaluator[TrajectorySample, Tools]):
 
     def cache_key(self, sample: TrajectorySample) -> Mapping[str, Json]:
         """Return reading options and labels."""
+        reading = self.config.trajectory_options().reading
         return {
-            "choice": [self.config.rate_hz, self.config.joints, self.config.poses],
+            "choice": [self.config.rate_hz, reading.to_json() if reading else None],
             "labels": [sample.seed, sample.prompt, sample.success, sample.rate_hz, sample.warnings, sample.problem],
             "part": [sample.format.value, sample.part],
         }
 
     def input_files(self, sample: TrajectorySample) -> Sequence[Path]:
         """Return the trajectory's file and those that describe it."""
-        return () if sample.problem is not None else (sample.path, *sample.about)
+        alike = (other.path for other in sample.alike)
+        return () if sample.problem is not None else (*dict.fromkeys((sample.path, *sample.about, *alike)),)
 
     def labels(self, sample: TrajectorySample) -> Mapping[str, Json]:
         """Return format, seed, prompt and success."""

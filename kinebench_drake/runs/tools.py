@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from kinebench_drake.camera import MAX_TABLE_HEIGHT_M, Camera
 from kinebench_drake.errors import InputError, SetupError, UsageError
+from kinebench_drake.formats.trajectories.trajectory import Trajectory
 from kinebench_drake.geometry import Array
 from kinebench_drake.models.arm import PANDA, ROBOTS, load_robot
 from kinebench_drake.models.robot import Robot
@@ -119,6 +120,12 @@ class Tools:
             finger_width_m: (T,) gap between the finger pads [m].
         """
         return self._judge(self._table_height_m).judge_joints(t_s, q, finger_width_m)
+
+    def misfit(self, trajectory: Trajectory) -> float:
+        """Return how badly a trajectory fits the robot (`metrics.misfit`)."""
+        from kinebench_drake.metrics.misfit import misfit
+
+        return misfit(self._plant, trajectory.t_s, trajectory.X_BG, trajectory.q, table_height_m=self._table_height_m)
 
     def overlay(
         self,

@@ -243,6 +243,9 @@ class FakeTools:
         self._infeasible = False
         return replace(judgement, joints=replace(judgement.joints, q=q), details={"given": "q"})
 
+    def misfit(self, trajectory):
+        return 0.0
+
     def overlay(self, frames, camera, track, zoom=None, *, hand=True):
         for frame, X in zip(frames, track.X_BG, strict=True):
             image = frame.copy()

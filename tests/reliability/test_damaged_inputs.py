@@ -12,8 +12,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from kinebench_drake.errors import KinebenchError
+from kinebench_drake.formats.trajectories.reading import TrajectoryOptions
 from kinebench_drake.formats.trajectories.source import find_trajectories, read_trajectory
-from kinebench_drake.formats.trajectories.trajectory import TrajectoryOptions
 from kinebench_drake.formats.videos.find import find_samples
 from kinebench_drake.io.reader import read_video
 from kinebench_drake.report.suite.comparison import read_comparison

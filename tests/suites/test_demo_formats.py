@@ -13,8 +13,8 @@ from kinebench_drake.errors import UsageError
 from kinebench_drake.executors.base import ExecutorKind, create_executor
 from kinebench_drake.formats.camerafile import load_camera
 from kinebench_drake.formats.lerobot.writer import CAMERA, STATE
+from kinebench_drake.formats.trajectories.reading import TrajectoryOptions
 from kinebench_drake.formats.trajectories.source import find_trajectories, read_trajectory
-from kinebench_drake.formats.trajectories.trajectory import TrajectoryOptions
 from kinebench_drake.formats.videos.find import find_samples
 from kinebench_drake.io.reader import read_video
 from kinebench_drake.suites.demo_config import FRAME_CHOICES, FormatKind, RenderOptions

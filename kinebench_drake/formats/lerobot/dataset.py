@@ -180,9 +180,14 @@ class LeRobotDataset:
 
 
 def read_table(
-    path: Path, columns: Sequence[str] = (), optional: Sequence[str] = (), episode: int | None = None
+    path: Path,
+    columns: Sequence[str] = (),
+    optional: Sequence[str] = (),
+    episode: int | None = None,
+    *,
+    every: bool = False,
 ) -> pyarrow.Table:
-    """Read columns of a parquet file: all of `columns`, and those of `optional` that it has.
+    """Read columns of a parquet file: all of `columns`, and those of `optional` that it has; or `every` one.
 
     If `episode` is a number and the file numbers episodes, only the rows of this one are read.
 
@@ -193,7 +198,7 @@ def read_table(
         with open_file(path) as file:
             available = parquet.read_schema(file).names
             filters = [(EPISODE, "==", episode)] if episode is not None and EPISODE in available else None
-            names = [*columns, *(name for name in optional if name in available)]
+            names = available if every else [*columns, *(name for name in optional if name in available)]
             return parquet.read_table(file, columns=names, filters=filters)
     except _DAMAGED as error:
         reason = cause(error).replace(str(path), path.name)  # Arrow's messages contain paths of this machine

@@ -1,6 +1,9 @@
 """LeRobot datasets v2.x and v3: their episodes as videos and as trajectories."""
 
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -12,23 +15,25 @@ from kinebench_drake.errors import InputError
 from kinebench_drake.formats.camerafile import CAMERA_NAME
 from kinebench_drake.formats.lerobot.dataset import FRAME, INFO, TIME, LeRobotDataset, read_table
 from kinebench_drake.formats.samples import MAX_PERIOD_S, MIN_PERIOD_S
-from kinebench_drake.formats.trajectories.check import MAX_FRAMES
-from kinebench_drake.formats.trajectories.lerobot_columns import find_columns
+from kinebench_drake.formats.trajectories.columns import complete
+from kinebench_drake.formats.trajectories.reading import Reading, TrajectoryOptions
+from kinebench_drake.formats.trajectories.table import Column, Table
 from kinebench_drake.formats.trajectories.trajectory import (
-    RawTrajectory,
+    MAX_FRAMES,
     TrajectoryFormat,
-    TrajectoryOptions,
     TrajectorySample,
     require_numbers,
 )
 from kinebench_drake.formats.videos.sample import Search, VideoSample
 from kinebench_drake.geometry import Array
 from kinebench_drake.io.files import absence
-from kinebench_drake.io.jsonl import as_object
+from kinebench_drake.io.jsonl import as_object, as_type
 from kinebench_drake.io.video import VideoPart
 
 _TIMES_AGREE_S = 1e-4
 """Greatest difference between a time stamp and frame / fps to which it is rounded (LeRobot's own tolerance)."""
+_NO_NUMBERS = ("video", "image", "string", "bool")
+_INDEX_COLUMNS = ("timestamp", "frame_index", "episode_index", "index", "task_index")
 
 
 def is_lerobot(folder: Path) -> bool:
@@ -86,7 +91,8 @@ def list_lerobot_trajectories(folder: Path, name: str, choice: TrajectoryOptions
         InputError: the dataset has no description, no suitable column, or no episode.
     """
     dataset = LeRobotDataset.open(folder)
-    find_columns(dataset.features, choice)  # reported once, not per episode
+    # Reported once, not per episode.
+    complete(Table(columns=_columns(dataset), load=_no_values, t_s=np.empty(0)), choice.reading or Reading())
     samples = [
         TrajectorySample(
             id=f"{folder.resolve().name}-{episode.name}",
@@ -95,6 +101,7 @@ def list_lerobot_trajectories(folder: Path, name: str, choice: TrajectoryOptions
             format=TrajectoryFormat.LEROBOT,
             part=str(episode.number),
             about=(folder / INFO,),
+            robot=as_type(dataset.info.get("robot_type"), str),
             prompt=episode.tasks,
             problem=_absence(episode.data, folder),
         )
@@ -105,25 +112,74 @@ def list_lerobot_trajectories(folder: Path, name: str, choice: TrajectoryOptions
     return samples
 
 
-def read_lerobot(sample: TrajectorySample, choice: TrajectoryOptions) -> RawTrajectory:
-    """Read the joint angles or poses of one episode.
+@contextmanager
+def open_lerobot_table(sample: TrajectorySample) -> Iterator[Table]:
+    """Open one episode.
 
     Raises:
         InputError: the file is damaged, or lacks a column or the episode.
     """
     dataset = LeRobotDataset.open(sample.about[0].parent.parent)
-    reading = find_columns(dataset.features, choice)
-    table = read_table(sample.path, optional=(reading.column, TIME, FRAME), episode=int(str(sample.part)))
-    if reading.column not in table.column_names:
-        raise InputError(f"lacks the column {reading.column} that the dataset's description names")
-    if not table.num_rows:
-        raise InputError(f"holds no frame of episode {sample.part}")
-    if table.num_rows > MAX_FRAMES:
-        raise InputError(f"has {table.num_rows} frames, at most {MAX_FRAMES} are accepted: cut it into parts")
-    rows = _matrix(table, reading.column)
-    if max(reading.indices) >= rows.shape[1]:
-        raise InputError(f"{reading.column} holds {rows.shape[1]} numbers, less than {INFO.as_posix()} says")
-    return reading.apply(rows, _times(table, dataset.fps))
+    number = int(str(sample.part))
+
+    def load(name: str) -> NDArray[np.generic]:
+        table = read_table(sample.path, optional=(name,), episode=number)
+        if name not in table.column_names:
+            raise InputError(f"lacks the column {name} that the dataset's description names")
+        if not table.num_rows:
+            raise InputError(f"holds no frame of episode {number}")
+        if table.num_rows > MAX_FRAMES:
+            raise InputError(f"has {table.num_rows} frames, at most {MAX_FRAMES} are accepted: cut it into parts")
+        return _matrix(table, name)
+
+    columns = _columns(dataset)
+    times = _times(read_table(sample.path, optional=(TIME, FRAME), episode=number), dataset.fps)
+    yield Table(columns=columns, load=cache(load), t_s=times)
+
+
+def _columns(dataset: LeRobotDataset) -> tuple[Column, ...]:
+    """Return the columns of number lists, the state first."""
+    columns = []
+    for name, feature in dataset.features.items():
+        about = as_object(feature)
+        shape, dtype = about.get("shape"), about.get("dtype")
+        if dtype in _NO_NUMBERS or not isinstance(shape, list) or len(shape) != 1 or name in _INDEX_COLUMNS:
+            continue
+        names = tuple(_flat(about.get("names")))
+        whole = len(names) == shape[0] and all(isinstance(element, str) for element in names)
+        if isinstance(shape[0], int):
+            columns.append(Column(name=name, size=shape[0], names=names if whole else ()))
+    return tuple(sorted(columns, key=lambda column: column.name != "observation.state"))
+
+
+def _flat(names: object) -> Iterator[str]:
+    if isinstance(names, Mapping):
+        for value in names.values():
+            yield from _flat(value)
+    elif isinstance(names, list):
+        yield from names
+
+
+@contextmanager
+def open_parquet_table(sample: TrajectorySample) -> Iterator[Table]:
+    """Open a parquet file of one trajectory that is no part of a LeRobot dataset: columns of numbers or of lists.
+
+    Raises:
+        InputError: the file is damaged.
+    """
+    table = read_table(sample.path, every=True)
+    first = table.slice(0, 1).to_pylist()
+    row = first[0] if first else {}
+    columns = tuple(Column(name=k, size=len(v) if isinstance(v, list) else 1) for k, v in row.items())
+    vectors = {column.name for column in columns if isinstance(row[column.name], list)}
+    yield Table(
+        columns=columns,
+        load=lambda name: _matrix(table, name) if name in vectors else np.asarray(_vector(table, name)),
+    )
+
+
+def _no_values(name: str) -> NDArray[np.generic]:
+    raise InputError(f"{name} was not read")
 
 
 def _absence(path: Path, folder: Path) -> str | None:

@@ -3,11 +3,13 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from kinebench_drake.errors import InputError, UnmeasurableError
+from kinebench_drake.errors import InputError, UnmeasurableError, count_noun
+from kinebench_drake.formats.trajectories.gaps import fill_gaps
 from kinebench_drake.formats.trajectories.pose import rigid_poses
 from kinebench_drake.formats.trajectories.times import check_times, undo_jitter
 from kinebench_drake.formats.trajectories.trajectory import (
     JOINT_SIZES,
+    MAX_FRAMES,
     N_JOINTS,
     RawTrajectory,
     Trajectory,
@@ -16,8 +18,6 @@ from kinebench_drake.formats.trajectories.trajectory import (
 )
 from kinebench_drake.geometry import Array
 
-MAX_FRAMES = 100_000
-"""Greatest number of frames; over an hour at 25 Hz."""
 MIN_FRAMES = 2
 """A path needs two postures."""
 
@@ -67,12 +67,19 @@ def check(raw: RawTrajectory, rate_hz: float | None = None) -> Trajectory:
         warnings += repairs
     if tracked.sum() < MIN_FRAMES:
         raise UnmeasurableError(f"{int(tracked.sum())} of {n} frames are tracked, a path needs {MIN_FRAMES}")
+    t_s, dropped = fill_gaps(undo_jitter(t_s, path, warnings), X_BG, q)
+    if dropped:
+        first = ", ".join(map(str, dropped[:8])) + (", ..." if len(dropped) > 8 else "")
+        warnings.append(
+            f"{count_noun(len(dropped), 'sample')} missing before frames {first}: these steps last two periods"
+        )
     return Trajectory(
-        t_s=undo_jitter(t_s, path, warnings),
+        t_s=t_s,
         X_BG=X_BG,
         q=q,
         tracked=tracked,
         finger_width_m=_widths(width, n, warnings),
+        dropped=dropped,
         columns=raw.columns,
         warnings=tuple(warnings),
     )

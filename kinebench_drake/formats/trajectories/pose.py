@@ -13,8 +13,6 @@ REPAIRABLE = 1e-3
 FAR_M = 10.0
 """Greatest coordinate of the gripper in the robot base frame [m]: larger values are not in metres."""
 
-_UPRIGHT = 0.5
-"""Cosine of the angle to the vertical below which an approach axis counts as pointing up or down (60 degrees)."""
 _ROUNDING = 1e-5  # deviations within single precision are repaired without a warning
 _LAST_ROW = (0.0, 0.0, 0.0, 1.0)
 
@@ -55,60 +53,63 @@ def rigid_poses(X: Array, valid: NDArray[np.bool_]) -> tuple[Array, tuple[str, .
 
 
 @np.errstate(over="ignore", invalid="ignore")
-def from_quaternions(p: Array, quaternion: Array) -> tuple[Array, tuple[str, ...]]:
-    """Return poses (T, 4, 4) from positions (T, 3) [m] and quaternions wxyz (T, 4), and messages about repairs.
+def rotations_of(layout: str, numbers: Array, angle_rad: float) -> tuple[Array, tuple[str, ...]]:
+    """Return rotation matrices (T, 3, 3), NaN where a number is not finite, and messages about repairs.
+
+    Args:
+        layout: one of `reading.LAYOUTS` with a rotation.
+        numbers: (T, n) numbers of the rotations.
+        angle_rad: unit of angles [rad].
 
     Raises:
-        InputError: a quaternion holds no finite number, or its norm is not 1.
+        InputError: the norm of a quaternion is not 1, or angles cannot be in their unit.
     """
-    _require_finite(np.concatenate([p, quaternion], axis=1), np.arange(len(p)))
-    deviation = np.abs(np.linalg.norm(quaternion, axis=-1) - 1.0)
+    R, finite = np.full((len(numbers), 3, 3), np.nan), np.isfinite(numbers).all(axis=-1)
+    frames, own, repairs = np.flatnonzero(finite), numbers[finite], tuple[str, ...]()
+    if layout.startswith("quaternion"):
+        repairs = _check_norms(own, frames)
+        R[finite] = Rotation.from_quat(own, scalar_first=layout == "quaternion_wxyz").as_matrix()
+    elif layout.startswith("matrix"):
+        rows = own.reshape(-1, 3, 3)
+        R[finite] = rows if layout == "matrix_rows" else np.swapaxes(rows, -1, -2)
+    elif layout.startswith("rotation_6d"):
+        # Two axes, made orthonormal; Y. Zhou et al., CVPR 2019.
+        x = own[:, :3] / np.linalg.norm(own[:, :3], axis=-1, keepdims=True)
+        y = own[:, 3:] - np.sum(x * own[:, 3:], axis=-1, keepdims=True) * x
+        y /= np.linalg.norm(y, axis=-1, keepdims=True)
+        axes = np.stack([x, y, np.cross(x, y)], axis=-2)
+        R[finite] = axes if layout == "rotation_6d_rows" else np.swapaxes(axes, -1, -2)
+    else:
+        own = own * angle_rad
+        _check_angles(own, frames)
+        is_vector = layout == "rotation_vector"
+        turns = Rotation.from_rotvec(own) if is_vector else Rotation.from_euler(layout.removeprefix("euler_"), own)
+        R[finite] = turns.as_matrix()
+    return R, repairs
+
+
+def _check_norms(quaternions: Array, frames: NDArray[np.intp]) -> tuple[str, ...]:
+    deviation = np.abs(np.linalg.norm(quaternions, axis=-1) - 1.0)
     wrong = ~(deviation <= REPAIRABLE)
     if wrong.any():
         k = int(np.argmax(wrong))
         raise InputError(
-            f"the quaternion of frame {k} has norm {np.linalg.norm(quaternion[k]):.4g}, expected 1; at most "
+            f"the quaternion of frame {frames[k]} has norm {np.linalg.norm(quaternions[k]):.4g}, expected 1; at most "
             f"{REPAIRABLE:g} is repaired"
         )
     repaired = int((deviation > _ROUNDING).sum())
     message = f"{repaired} quaternions, off by up to {deviation.max(initial=0.0):.1e}, were normalized"
-    R = Rotation.from_quat(quaternion, scalar_first=True).as_matrix()
-    return make_pose(R, p), (*((message,) if repaired else ()), *_suspect_order(R, quaternion))
+    return (message,) if repaired else ()
 
 
-def _suspect_order(R: Array, quaternion: Array) -> tuple[str, ...]:
-    """Return a message if the gripper points up by the rotations (T, 3, 3), and down by the numbers read as x y z w.
-
-    Grippers over a table point down (z of the TCP against z of the base) nearly always.
-    """
-    swapped = Rotation.from_quat(quaternion).as_matrix()
-    if not (np.median(R[:, 2, 2]) > _UPRIGHT and np.median(swapped[:, 2, 2]) < -_UPRIGHT):
-        return ()
-    return (
-        "the gripper points up, but down if the quaternions are x y z w: they are read as w x y z; reorder them if "
-        "they are not",
-    )
-
-
-def from_vectors(p: Array, rotation: Array, *, angles: bool) -> Array:
-    """Return poses (T, 4, 4) from positions (T, 3) [m] and rotation vectors (T, 3) [rad].
-
-    With `angles` the latter are roll, pitch and yaw about the fixed axes x, y and z, in this order.
-
-    Raises:
-        InputError: a number is not finite, or the angles cannot be radians.
-    """
-    _require_finite(np.concatenate([p, rotation], axis=1), np.arange(len(p)))
-    largest = np.abs(rotation).max(axis=-1, initial=0.0)
-    limit = 2.0 * np.pi + 1e-3
-    if (largest > limit).any():
+def _check_angles(angles: Array, frames: NDArray[np.intp]) -> None:
+    largest = np.abs(angles).max(axis=-1, initial=0.0)
+    if (largest > 2.0 * np.pi + 1e-3).any():
         k = int(np.argmax(largest))
         raise InputError(
-            f"rotations go up to {largest[k]:.4g} (frame {k}), more than a full turn in radians: they look like "
-            "degrees, convert them to radians"
+            f"rotations go up to {largest[k]:.4g} (frame {frames[k]}), more than a full turn in radians: they look "
+            "like degrees, convert them to radians"
         )
-    turn = Rotation.from_euler("xyz", rotation) if angles else Rotation.from_rotvec(rotation)
-    return make_pose(turn.as_matrix(), p)
 
 
 def _require_finite(rows: Array, frames: NDArray[np.intp]) -> None:

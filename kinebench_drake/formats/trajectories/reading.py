@@ -1,67 +1,261 @@
-"""Reading of a table: which of its numbers are joint angles, a pose or the gripper, and the trajectory they give."""
+"""Reading of a trajectory: which numbers of its file mean what, in which units and frames."""
 
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from enum import Enum
+from itertools import permutations
+from pathlib import Path
+from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, field_validator
 
-from kinebench_drake.formats.trajectories.pose import from_quaternions, from_vectors
-from kinebench_drake.formats.trajectories.trajectory import RawTrajectory
-from kinebench_drake.geometry import Array
+from kinebench_drake.errors import InputError, UsageError, suggestion
+from kinebench_drake.formats.samples import MAX_PERIOD_S, MIN_PERIOD_S
+from kinebench_drake.formats.trajectories.pose import rotations_of
+from kinebench_drake.formats.trajectories.table import Table
+from kinebench_drake.formats.trajectories.trajectory import N_JOINTS, RawTrajectory
+from kinebench_drake.geometry import Array, from_quaternion, make_pose, rotation_z
+from kinebench_drake.io.jsonl import Json, read_object
+
+JOINTS = "joints"
+EULER = tuple(f"euler_{''.join(order)}" for axes in ("xyz", "XYZ") for order in permutations(axes))
+"""Angles about fixed axes (small letters) or moving ones (capitals), in the order of the numbers."""
+LAYOUTS: Mapping[str, tuple[int, ...]] = {
+    JOINTS: (7, 8, 9),
+    **dict.fromkeys(("quaternion_wxyz", "quaternion_xyzw"), (7,)),
+    **dict.fromkeys(("rotation_vector", *EULER), (6,)),
+    **dict.fromkeys(("matrix_rows", "matrix_columns"), (16, 12)),
+    **dict.fromkeys(("rotation_6d_rows", "rotation_6d_columns"), (9,)),
+}
+"""Possible counts of numbers per frame by layout: joint angles, or x y z and a rotation, or a 4x4 matrix."""
+LENGTHS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
+ANGLES = {"rad": 1.0, "deg": float(np.pi / 180.0)}
+TIMES = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+
+_HAND_FROM_TCP = make_pose(np.eye(3), [0.0, 0.0, 0.1034])
+TOOLS = {
+    "tcp": np.eye(4),
+    "hand": _HAND_FROM_TCP,
+    "flange": make_pose(rotation_z(-np.pi / 4), np.zeros(3)) @ _HAND_FROM_TCP,
+}
+"""Pose (4, 4) of the TCP in the frames of the Panda whose poses are recorded [m].
+
+Source: F_T_EE of the Franka Hand, in Franka's documentation of the robot's end effector.
+"""
+DEFAULTS: Mapping[str, Json] = {
+    **{"length": "m", "angle": "rad", "time_unit": "s", "tool": "tcp", "deltas": False},
+    "base_from_world": [0.0, 0.0, 0.0],
+}
+"""Values of keys that are not set and do not follow from names."""
+START_Q = np.pi * np.array([0.0, 1 / 8, 0.0, -5 / 8, 0.0, 3 / 4, 1 / 4])
+START_POSE = (0.5, 0.0, 0.3, 0.0, 1.0, 0.0, 0.0)
+"""Assumed start of deltas: joint angles [rad], and x y z [m] with a quaternion wxyz."""
+_EPOCH_S = 1e11  # absolute times are larger in any unit smaller than seconds, and smaller in seconds
 
 
-class Layout(Enum):
-    """Meaning of the numbers of a frame."""
+def _as_tuple(value: object) -> object:
+    return (value,) if isinstance(value, str) else tuple(value) if isinstance(value, list) else value
 
-    JOINTS = "joint angles"
-    QUATERNION = "x y z, quaternion w x y z"
-    ROLL_PITCH_YAW = "x y z, roll pitch yaw"
-    ROTATION_VECTOR = "x y z, rotation vector"
-    MATRIX = "4x4 matrix by rows"
+
+_Number = Annotated[float, Field(allow_inf_nan=False)]
+_Numbers = Annotated[tuple[_Number, ...], BeforeValidator(_as_tuple)]
+
+
+class Reading(BaseModel):
+    """Keys of a reading file, all optional: what is absent follows from the names in the trajectory's file."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    columns: Annotated[tuple[str, ...], BeforeValidator(_as_tuple)] | None = None
+    """Numbers of a frame: columns, parts of them (`observation.state[0:7]`) or names of numbers, in order."""
+    layout: str | None = None
+    """Meaning of these numbers, one of LAYOUTS."""
+    arm: str | None = None
+    """Text in the names of one arm's numbers, where there are several arms."""
+    length: Literal["m", "cm", "mm"] | None = None
+    angle: Literal["rad", "deg"] | None = None
+    time: str | None = None
+    """Column of the times."""
+    time_unit: Literal["s", "ms", "us", "ns"] | None = None
+    width: str | None = None
+    """Number with the gap between the finger pads, in the unit of `length`."""
+    fingers: Annotated[tuple[str, ...], BeforeValidator(_as_tuple)] | None = None
+    """Finger joints, each half of that gap."""
+    base_from_world: _Numbers | None = None
+    """Pose of the frame of the numbers in the robot's base: x y z [m], and a quaternion wxyz if it is turned."""
+    tool: Literal["tcp", "hand", "flange"] | _Numbers | None = None
+    """Frame whose poses are recorded, or the pose of the TCP in it: x y z [m] and a quaternion wxyz."""
+    deltas: bool | None = None
+    """True for changes from frame to frame, added up from `start`."""
+    start: _Numbers | None = None
+    """Start of deltas: 7 joint angles [rad], or x y z [m] with a quaternion wxyz."""
+    robot: str | None = None
+    """Robot that the numbers are of, where the file names another one."""
+
+    @field_validator("layout")
+    @classmethod
+    def _check_layout(cls, layout: str | None) -> str | None:
+        if layout is not None and layout not in LAYOUTS:
+            raise ValueError(f"is {layout!r}{suggestion(layout, LAYOUTS)}, expected {', '.join(LAYOUTS)}")
+        return layout
+
+    @field_validator("base_from_world", "tool", "start")
+    @classmethod
+    def _check_pose(cls, value: object) -> object:
+        if isinstance(value, tuple) and len(value) not in (3, 7):
+            raise ValueError(f"has {len(value)} numbers, expected 7 (or x y z)")
+        return value
+
+    @classmethod
+    def parse(cls, source: Path | Mapping[str, object]) -> "Reading":
+        """Read the keys of a reading file, or of the output of the command `reading`.
+
+        Raises:
+            UsageError: there is no such file, or a key is invalid.
+        """
+        name = f"{source} " if isinstance(source, Path) else ""
+        try:
+            data = read_object(source) if isinstance(source, Path) else source
+            return cls.model_validate(data.get("reading", data))
+        except FileNotFoundError:
+            raise UsageError(f"$reading {name}: there is no such file") from None
+        except InputError as error:
+            raise UsageError(f"$reading {error}") from None
+        except ValidationError as error:
+            first = error.errors(include_url=False, include_context=False)[0]
+            key, text = str(first["loc"][0]), first["msg"].removeprefix("Value error, ")
+            if first["type"] == "extra_forbidden":
+                text = f"is no key{suggestion(key, cls.model_fields)}; there are {', '.join(cls.model_fields)}"
+            raise UsageError(f"$reading {name}: {key} {text}") from None
+
+    def to_json(self) -> dict[str, Json]:
+        """Return the keys that are set."""
+        return self.model_dump(mode="json", exclude_none=True)
+
+    def keys(self, names: Iterable[str]) -> dict[str, Json]:
+        """Return some keys with their values, or the defaults of those that are not set."""
+        values = self.to_json()
+        return {name: values.get(name, DEFAULTS.get(name)) for name in names}
+
+    def change(self, **values: object) -> "Reading":
+        """Return a reading with other values."""
+        return self.model_copy(update=values)
+
+    def describe(self) -> str:
+        """Return columns and layout for results."""
+        return f"{', '.join(self.columns or ())}: {self.layout}"
+
+    def apply(self, table: Table) -> RawTrajectory:
+        """Return the trajectory that a table holds; `columns` and `layout` are set.
+
+        Raises:
+            InputError: the columns do not fit the layout, or hold no rotations.
+        """
+        names, layout = self.columns or (), self.layout or JOINTS
+        values = table.numbers(names)
+        if values.shape[1] not in LAYOUTS[layout]:
+            expected = " or ".join(map(str, LAYOUTS[layout]))
+            raise InputError(f"{', '.join(names)}: {values.shape[1]} numbers per frame, {layout} has {expected}")
+        repairs: tuple[str, ...] = ()
+        fingers, width, length = self.fingers, self.width, LENGTHS[self.length or "m"]
+        gap = None if width is None else length * table.numbers([width])[:, 0]
+        if gap is None and fingers:
+            gap = np.asarray(2.0 * length * table.numbers(fingers).mean(axis=1))
+        q: Array | None = None
+        X_BG: Array | None = None
+        if layout == JOINTS:
+            if gap is None and values.shape[1] == N_JOINTS + 2:
+                gap = values[:, N_JOINTS:].sum(axis=1)
+            q = values[:, :N_JOINTS] * ANGLES[self.angle or "rad"]
+            q = _add_up(q, self.start or tuple(START_Q)) if self.deltas else q
+        else:
+            X_WT, repairs = self._poses(values, layout)
+            tool = TOOLS[self.tool] if isinstance(self.tool, str) else _pose(self.tool)
+            X_BG = np.asarray(_pose(self.base_from_world) @ X_WT @ tool)
+        return RawTrajectory(
+            t_s=self._times(table),
+            X_BG=X_BG,
+            q=q,
+            tracked=table.array("tracked"),
+            finger_width_m=gap,
+            columns=self.describe(),
+            warnings=repairs,
+        )
+
+    def _poses(self, values: Array, layout: str) -> tuple[Array, tuple[str, ...]]:
+        """Return the recorded poses (T, 4, 4) [m], and messages about repairs."""
+        length, repairs = LENGTHS[self.length or "m"], tuple[str, ...]()
+        if values.shape[1] == 16:
+            X = values.reshape(-1, 4, 4)
+            X = np.array(np.swapaxes(X, -1, -2) if layout == "matrix_columns" else X)
+            X[:, :3, 3] *= length
+        else:
+            R, repairs = rotations_of(layout, values[:, 3:], ANGLES[self.angle or "rad"])
+            X = make_pose(R, length * values[:, :3])
+        if not self.deltas:
+            return X, repairs
+        total = [_pose(self.start or START_POSE)]
+        for step in X[:-1]:  # rotations about the axes of the base, as positions
+            total.append(make_pose(step[:3, :3] @ total[-1][:3, :3], step[:3, 3] + total[-1][:3, 3]))
+        return np.stack(total[: len(X)]), repairs
+
+    def _times(self, table: Table) -> NDArray[np.generic] | None:
+        if self.time is None:
+            rows = len(table.numbers(self.columns or ()))
+            return table.t_s if table.t_s is not None or not table.rate_hz else np.arange(rows) / table.rate_hz
+        stamps = table.numbers([self.time])[:, 0]
+        unit = self.time_unit
+        if unit is None:  # times since 1970 show their unit
+            first = abs(float(stamps[0])) if len(stamps) else 0.0
+            unit = (
+                "ns"
+                if first > 1e6 * _EPOCH_S
+                else "us"
+                if first > 1e3 * _EPOCH_S
+                else "ms"
+                if first > _EPOCH_S
+                else "s"
+            )
+        since = stamps - stamps[0] if unit != "s" and len(stamps) else stamps
+        return since * TIMES[unit]
+
+
+def _pose(numbers: tuple[float, ...] | None) -> Array:
+    """Return the pose (4, 4) of x y z [m], and a quaternion wxyz if there is one."""
+    if numbers is None:
+        return np.eye(4)
+    return from_quaternion(numbers[3:], numbers[:3]) if len(numbers) == 7 else make_pose(np.eye(3), numbers)
+
+
+def _add_up(deltas: Array, start: tuple[float, ...]) -> Array:
+    return np.cumsum(np.vstack([start, deltas[:-1]]), axis=0)[: len(deltas)]
+
+
+def frame_of(X_BG: Array, position_m: tuple[float, float, float]) -> tuple[float, ...]:
+    """Return `base_from_world` that brings the middle of the poses (T, 4, 4) to a position in the base [m]."""
+    p = X_BG[:, :3, 3]
+    middle = 0.5 * (np.nanmin(p, axis=0) + np.nanmax(p, axis=0))
+    return tuple(np.round(position_m - middle, 3).tolist())
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Reading:
-    """Numbers to read of each row of a table."""
+class TrajectoryOptions:
+    """Options of the user that override the content of a file."""
 
-    column: str = ""
-    """Column of number lists that is the table; empty if each number has its own column."""
-    layout: Layout
-    indices: tuple[int, ...]
-    """Indices of the numbers in a row, in the order of the layout."""
-    fingers: tuple[int, ...] = ()
-    """Indices of finger joints [m], each half of the gap."""
-    width: int | None = None
-    """Index of the gap between the finger pads [m]."""
-    description: str
-    """Text for results."""
-    warnings: tuple[str, ...] = ()
+    rate_hz: float | None = None
+    """Frames per second, overriding the times of the file [Hz]."""
+    reading: Reading | None = None
+    """How to read the file; None: by its names, and no verdict where these are doubtful."""
 
-    def apply(self, rows: Array, t_s: NDArray[np.generic] | None) -> RawTrajectory:
-        """Return the trajectory of a table: rows (T, n) of numbers and their times (T,) [s], if there are any.
+    def __post_init__(self) -> None:
+        """Check the rate.
 
         Raises:
-            InputError: the numbers are no rotations.
+            UsageError: it is out of range.
         """
-        values, repairs = rows[:, self.indices], tuple[str, ...]()
-        X_BG: Array | None = None
-        if self.layout is Layout.MATRIX:
-            X_BG = values.reshape(-1, 4, 4)
-        elif self.layout is Layout.QUATERNION:
-            X_BG, repairs = from_quaternions(values[:, :3], values[:, 3:])
-        elif self.layout is not Layout.JOINTS:
-            X_BG = from_vectors(values[:, :3], values[:, 3:], angles=self.layout is Layout.ROLL_PITCH_YAW)
-        return RawTrajectory(
-            t_s=t_s,
-            X_BG=X_BG,
-            q=values if self.layout is Layout.JOINTS else None,
-            finger_width_m=self._finger_width(rows),
-            columns=self.description,
-            warnings=(*self.warnings, *repairs),
-        )
-
-    def _finger_width(self, rows: Array) -> Array | None:
-        if self.width is not None:
-            return rows[:, self.width]
-        return np.asarray(2.0 * rows[:, self.fingers].mean(axis=1)) if self.fingers else None
+        if self.rate_hz is not None and not 1.0 / MAX_PERIOD_S <= self.rate_hz <= 1.0 / MIN_PERIOD_S:
+            raise UsageError(
+                f"$rate_hz is {self.rate_hz}, expected frames per second from {1.0 / MAX_PERIOD_S:g} to "
+                f"{1.0 / MIN_PERIOD_S:g}, such as 20"
+            )

@@ -1,43 +1,62 @@
 """Search for trajectories in files, datasets, folders and output folders, and reading of one of them."""
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import replace
 from pathlib import Path
 
 from kinebench_drake.errors import InputError, UsageError
 from kinebench_drake.formats.folders import list_suffixes, require_apart, walk
-from kinebench_drake.formats.lerobot.reader import is_lerobot, list_lerobot_trajectories, read_lerobot
-from kinebench_drake.formats.maniskill import list_maniskill, read_maniskill
+from kinebench_drake.formats.lerobot.reader import (
+    is_lerobot,
+    list_lerobot_trajectories,
+    open_lerobot_table,
+    open_parquet_table,
+)
 from kinebench_drake.formats.samples import finish_samples
 from kinebench_drake.formats.trajectories.check import check
-from kinebench_drake.formats.trajectories.csv_npz import read_csv, read_npz
-from kinebench_drake.formats.trajectories.trajectory import (
-    RawTrajectory,
-    Trajectory,
-    TrajectoryFormat,
-    TrajectoryOptions,
-    TrajectorySample,
-)
+from kinebench_drake.formats.trajectories.columns import complete
+from kinebench_drake.formats.trajectories.files import open_json_table, open_npy_table, open_npz_table, open_text_table
+from kinebench_drake.formats.trajectories.hdf5_groups import list_hdf5_trajectories, open_hdf5_table
+from kinebench_drake.formats.trajectories.reading import Reading, TrajectoryOptions
+from kinebench_drake.formats.trajectories.table import Table
+from kinebench_drake.formats.trajectories.trajectory import Trajectory, TrajectoryFormat, TrajectorySample
 from kinebench_drake.io.files import absence
 from kinebench_drake.io.hdf5 import HDF5_SUFFIXES
 from kinebench_drake.io.jsonl import as_type
 from kinebench_drake.results.store import SAMPLES, read_rows
+from kinebench_drake.segments import evenly
 
 EXPECTED = (
-    "a trajectory (npz, csv, ManiSkill h5), a LeRobot dataset, an output folder or its tracks, or a folder of these"
+    "a trajectory (npz, npy, csv, txt, h5, json, parquet), a LeRobot dataset, an output folder or its tracks/, "
+    "or a folder of these"
 )
-_READERS: Mapping[TrajectoryFormat, Callable[[TrajectorySample, TrajectoryOptions], RawTrajectory]] = {
-    TrajectoryFormat.NPZ: read_npz,
-    TrajectoryFormat.CSV: read_csv,
-    TrajectoryFormat.MANISKILL: read_maniskill,
-    TrajectoryFormat.LEROBOT: read_lerobot,
+_TABLES: Mapping[TrajectoryFormat, Callable[[TrajectorySample], AbstractContextManager[Table]]] = {
+    TrajectoryFormat.NPZ: open_npz_table,
+    TrajectoryFormat.NPY: open_npy_table,
+    TrajectoryFormat.CSV: open_text_table,
+    TrajectoryFormat.JSON: open_json_table,
+    TrajectoryFormat.PARQUET: open_parquet_table,
+    TrajectoryFormat.HDF5: open_hdf5_table,
+    TrajectoryFormat.MANISKILL: open_hdf5_table,
+    TrajectoryFormat.LEROBOT: open_lerobot_table,
 }
 _FORMATS = {
     ".npz": TrajectoryFormat.NPZ,
     ".csv": TrajectoryFormat.CSV,
-    **dict.fromkeys(HDF5_SUFFIXES, TrajectoryFormat.MANISKILL),
+    **dict.fromkeys(HDF5_SUFFIXES, TrajectoryFormat.HDF5),
 }
 """Format of a file by its suffix in lower case."""
+_NAMED = {
+    ".npy": TrajectoryFormat.NPY,
+    ".json": TrajectoryFormat.JSON,
+    ".parquet": TrajectoryFormat.PARQUET,
+    **dict.fromkeys((".txt", ".tsv"), TrajectoryFormat.CSV),
+}
+"""The same of files that count only if they are named: in a folder they may be anything."""
+
+
+_ALIKE = 8  # trajectories of a file that show how all are to be read
 
 
 def find_trajectories(
@@ -68,7 +87,7 @@ def find_trajectories(
     if out is not None:
         require_apart(out, source)
     if not source.is_dir():
-        if source.suffix.lower() not in _FORMATS:
+        if source.suffix.lower() not in _FORMATS | _NAMED:
             raise UsageError(f"{source}: found a {source.suffix or 'nameless'} file, expected {EXPECTED}")
         samples = _list_file(source, source.name)
     elif is_lerobot(source):
@@ -84,7 +103,7 @@ def find_trajectories(
         samples = list(_list_folder(source, choice, out))
     if not samples:
         raise UsageError(f"{source}: holds no trajectory (found {list_suffixes(source)}), expected {EXPECTED}")
-    return finish_samples(samples, lambda sample: Path(sample.video).parent.parts, model, task)
+    return finish_samples(_with_alike(samples), lambda sample: Path(sample.video).parent.parts, model, task)
 
 
 def read_trajectory(sample: TrajectorySample, choice: TrajectoryOptions) -> Trajectory:
@@ -94,18 +113,50 @@ def read_trajectory(sample: TrajectorySample, choice: TrajectoryOptions) -> Traj
         InputError: it cannot be read, or is invalid.
         UnmeasurableError: it is too short.
     """
+    with open_table(sample) as table:
+        return apply_reading(sample, table, complete(table, choice.reading or Reading()), choice.rate_hz)
+
+
+@contextmanager
+def open_table(sample: TrajectorySample) -> Iterator[Table]:
+    """Open the numbers of a trajectory.
+
+    Raises:
+        InputError: it cannot be read.
+    """
     if sample.problem is not None:
         raise InputError(sample.problem)
     if not sample.path.is_file():
         raise InputError(f"{sample.path.name}: {absence(sample.path)}")
-    raw = _READERS[sample.format](sample, choice)
-    return check(replace(raw, warnings=(*sample.warnings, *raw.warnings)), choice.rate_hz)
+    with _TABLES[sample.format](sample) as table:
+        yield table
+
+
+def apply_reading(sample: TrajectorySample, table: Table, reading: Reading, rate_hz: float | None) -> Trajectory:
+    """Return the checked trajectory of a table by a complete reading.
+
+    Raises:
+        InputError: it is invalid.
+        UnmeasurableError: it is too short.
+    """
+    raw = reading.apply(table)
+    return check(replace(raw, warnings=(*sample.warnings, *raw.warnings)), rate_hz)
+
+
+def _with_alike(samples: Sequence[TrajectorySample]) -> list[TrajectorySample]:
+    """Return samples with some of the others of their file or dataset, which are described together."""
+    groups: dict[Path, list[TrajectorySample]] = {}
+    for sample in samples:
+        if sample.part is not None and sample.problem is None:
+            groups.setdefault((*sample.about, sample.path)[0], []).append(sample)
+    chosen = {key: tuple(group[k] for k in evenly(len(group), _ALIKE)) for key, group in groups.items()}
+    return [replace(sample, alike=chosen.get((*sample.about, sample.path)[0], ())) for sample in samples]
 
 
 def _list_file(path: Path, video: str) -> list[TrajectorySample]:
-    format = _FORMATS[path.suffix.lower()]
-    if format is TrajectoryFormat.MANISKILL:
-        return list_maniskill(path, video)
+    format = (_FORMATS | _NAMED)[path.suffix.lower()]
+    if format is TrajectoryFormat.HDF5:
+        return list_hdf5_trajectories(path, video)
     return [TrajectorySample(id=path.stem, path=path, video=video, format=format)]
 
 

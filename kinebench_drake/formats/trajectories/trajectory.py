@@ -7,42 +7,18 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from kinebench_drake.errors import InputError, UsageError
-from kinebench_drake.formats.samples import MAX_PERIOD_S, MIN_PERIOD_S, Sample
+from kinebench_drake.errors import InputError
+from kinebench_drake.formats.samples import Sample
 from kinebench_drake.geometry import Array
 
 N_JOINTS = 7
 """Joints of the arm."""
 JOINT_SIZES = range(N_JOINTS, N_JOINTS + 3)
 """Numbers of joint angles in a file: those of the arm, followed by up to two fingers."""
+MAX_FRAMES = 100_000
+"""Greatest number of frames; over an hour at 25 Hz."""
 SLOW_STEP_S = 5.0
 """Longer steps give a warning: robots are recorded faster [s]."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class TrajectoryOptions:
-    """Options of the user that override the content of a file."""
-
-    rate_hz: float | None = None
-    """Frames per second, overriding the times of the file [Hz]."""
-    joints: str | None = None
-    """Name of the array, data set or column that holds the joint angles."""
-    poses: str | None = None
-    """Name of the array or column that holds the poses of the TCP."""
-
-    def __post_init__(self) -> None:
-        """Check the options.
-
-        Raises:
-            UsageError: the rate is out of range, or joints and poses are both named.
-        """
-        if self.rate_hz is not None and not 1.0 / MAX_PERIOD_S <= self.rate_hz <= 1.0 / MIN_PERIOD_S:
-            raise UsageError(
-                f"$rate_hz is {self.rate_hz}, expected frames per second from {1.0 / MAX_PERIOD_S:g} to "
-                f"{1.0 / MIN_PERIOD_S:g}, such as 20"
-            )
-        if self.joints is not None and self.poses is not None:
-            raise UsageError("$joints and $poses exclude each other: a trajectory is judged by one of them")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -81,6 +57,8 @@ class Trajectory:
     """(T,) gap between the finger pads, 0..0.08 [m]; NaN where unknown."""
     columns: str
     """Names of the arrays or columns that were read."""
+    dropped: tuple[int, ...] = ()
+    """Frames before which the recording lacks a sample."""
     warnings: tuple[str, ...]
     """Repairs and omissions."""
 
@@ -104,7 +82,11 @@ class TrajectoryFormat(Enum):
     """File format of a trajectory."""
 
     NPZ = "npz"
+    NPY = "npy"
     CSV = "csv"
+    JSON = "json"
+    PARQUET = "parquet"
+    HDF5 = "hdf5"
     MANISKILL = "maniskill"
     LEROBOT = "lerobot"
 
@@ -120,8 +102,12 @@ class TrajectorySample(Sample):
     """Further files on which its content depends."""
     rate_hz: float | None = None
     """Frames per second by the metadata of the file [Hz]; None if the file has times."""
+    robot: str | None = None
+    """Name of the robot by the metadata of the file."""
     success: bool | None = None
     """True if the task succeeded according to the file."""
+    alike: tuple["TrajectorySample", ...] = ()
+    """Some trajectories of its file or dataset, which share one reading; empty if it is alone."""
     warnings: tuple[str, ...] = ()
     """Warnings for the user."""
 

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from kinebench_drake.errors import InputError, UnmeasurableError
+from kinebench_drake.formats.trajectories.reading import Reading, TrajectoryOptions
 from kinebench_drake.formats.trajectories.source import find_trajectories, read_trajectory
-from kinebench_drake.formats.trajectories.trajectory import TrajectoryOptions
 from kinebench_drake.results.trackfile import write_track
 from kinebench_drake.track import GripperTrack
 
 
-def read(path, **choice):
-    chosen = TrajectoryOptions(**choice)
+def read(path, rate_hz=None, **keys):
+    chosen = TrajectoryOptions(rate_hz=rate_hz, reading=Reading(**keys) if keys else None)
     (sample,) = find_trajectories(path, chosen)
     return read_trajectory(sample, chosen)
 
@@ -22,7 +22,7 @@ def test_poses_round_trip_through_an_npz_file(archive, t_s, X_BG):
     found = read(archive(t_s=t_s, base_from_tcp=X_BG, finger_width_m=np.full(len(t_s), 0.03)))
     np.testing.assert_array_equal(found.t_s, t_s)
     np.testing.assert_allclose(found.X_BG, X_BG, atol=1e-15)
-    assert (found.q, found.columns, found.warnings) == (None, "base_from_tcp", ())
+    assert (found.q, found.columns, found.warnings) == (None, "base_from_tcp: matrix_rows", ())
     assert found.tracked.all()
     assert set(found.finger_width_m) == {0.03}
 
@@ -30,18 +30,16 @@ def test_poses_round_trip_through_an_npz_file(archive, t_s, X_BG):
 def test_joint_angles_round_trip_through_an_npz_file(archive, t_s, q):
     found = read(archive(t_s=t_s, q=q))
     np.testing.assert_array_equal(found.q, q)
-    assert (found.X_BG, found.columns, found.warnings) == (None, "q", ())
+    assert (found.X_BG, found.columns, found.warnings) == (None, "q: joints", ())
     assert np.isnan(found.finger_width_m).all()
 
 
-def test_joint_angles_have_precedence_over_poses_unless_an_option_names_the_array(archive, t_s, q, X_BG):
+def test_joint_angles_have_precedence_over_poses_unless_a_reading_names_the_array(archive, t_s, q, X_BG):
     path = archive(t_s=t_s, q=q, base_from_tcp=X_BG, other=X_BG + 0.0)
-    assert read(path).columns == "q"
-    assert "$poses base_from_tcp" in read(path).warnings[0]
-    assert read(path, poses="other").X_BG is not None
-    assert read(path, joints="q").warnings == ()
-    with pytest.raises(InputError, match="no array 'nope', but the arrays t_s, q"):
-        read(path, joints="nope")
+    assert read(path).columns == "q: joints"
+    assert read(path, columns="other").X_BG is not None
+    with pytest.raises(InputError, match=r"'nope' is no column and no number; found t_s; q \(7\)"):
+        read(path, columns="nope", layout="joints")
 
 
 def test_a_track_of_an_output_folder_is_judged_by_its_poses(tmp_path, t_s, X_BG):
@@ -138,8 +136,8 @@ def test_damaged_files_are_refused_in_one_line(tmp_path, archive, t_s, q, kind, 
     assert str(tmp_path) not in str(caught.value)
 
 
-def test_an_archive_without_trajectory_is_refused_with_the_names_of_its_arrays(archive):
-    with pytest.raises(InputError, match=r"the arrays frames, expected t_s and base_from_tcp \(T,4,4\) or q"):
+def test_an_archive_of_images_is_refused(archive):
+    with pytest.raises(InputError, match="no column is known to hold seven joint angles or a pose; found no column"):
         read(archive(frames=np.zeros((3, 8, 8, 3), dtype=np.uint8)))
 
 

@@ -6,18 +6,18 @@ import numpy as np
 import pytest
 
 from kinebench_drake.errors import InputError, UsageError
-from kinebench_drake.formats.trajectories.lerobot_columns import find_columns
-from kinebench_drake.formats.trajectories.reading import Layout
+from kinebench_drake.formats.trajectories.columns import complete
+from kinebench_drake.formats.trajectories.reading import Reading, TrajectoryOptions
 from kinebench_drake.formats.trajectories.source import find_trajectories, read_trajectory
-from kinebench_drake.formats.trajectories.trajectory import TrajectoryOptions
+from kinebench_drake.formats.trajectories.table import Column, Table
 from kinebench_drake.geometry import pose_difference, rotation_log
 
 NUMBERED = [f"joint_{j}" for j in range(7)]
 STATE = {"observation.state": [*NUMBERED, "gripper"]}
 
 
-def read_all(path, **choice):
-    chosen = TrajectoryOptions(**choice)
+def read_all(path, rate_hz=None, **keys):
+    chosen = TrajectoryOptions(rate_hz=rate_hz, reading=Reading(**keys) if keys else None)
     samples = find_trajectories(path, chosen)
     return samples, [read_trajectory(s, chosen) for s in samples]
 
@@ -35,7 +35,7 @@ def test_every_episode_yields_its_joint_angles_prompt_and_times(dataset, q, vers
     for k, trajectory in zip(episodes, found, strict=True):
         np.testing.assert_allclose(trajectory.q, q + 0.01 * k, atol=1e-6)
         np.testing.assert_array_equal(trajectory.t_s, np.arange(len(q)) / 20.0)
-        assert trajectory.columns == "observation.state[joint_0 .. joint_6]: joint angles"
+        assert trajectory.columns == "observation.state[0:7]: joints"
         assert trajectory.warnings == ()
         assert np.isnan(trajectory.finger_width_m).all()  # what unit the gripper has is not said
 
@@ -77,63 +77,65 @@ def test_poses_are_read_in_every_rotation_layout(dataset, X_BG, quaternion):
         assert max(d.max() for d in pose_difference(found.X_BG, X_BG)) < 1e-5, name
     _, (found,) = read_all(dataset({0: {"tcp_pose": X_BG.reshape(-1, 16)}}, {"tcp_pose": 16}, folder="matrix"))
     assert max(d.max() for d in pose_difference(found.X_BG, X_BG)) < 1e-5
-    assert found.columns == "tcp_pose[0:16]: 4x4 matrix by rows"
+    assert found.columns == "tcp_pose: matrix_rows"
 
 
-def features(**columns):
-    told = {}
+def table(**columns):
+    described = []
     for name, names in columns.items():
-        size = names if isinstance(names, int) else len(names)
-        given = None if isinstance(names, int) else names
-        told[name.replace("__", ".")] = {"dtype": "float32", "shape": [size], "names": given}
-    return told
+        size, names = (names, ()) if isinstance(names, int) else (len(names), tuple(names))
+        described.append(Column(name=name.replace("__", "."), size=size, names=names))
+    return Table(columns=tuple(described), load={}.__getitem__, t_s=np.zeros(1))
 
 
 @pytest.mark.parametrize(
     ("columns", "column", "layout"),
     [
-        ({"observation__state": [f"panda_joint{j}" for j in range(1, 8)]}, "observation.state", Layout.JOINTS),
-        ({"observation__state": [f"joint_{j}.pos" for j in range(1, 8)]}, "observation.state", Layout.JOINTS),
-        ({"observation__state": [f"q{j}_rad" for j in range(1, 8)]}, "observation.state", Layout.JOINTS),
-        ({"observation__joint_positions": 7, "action": NUMBERED}, "observation.joint_positions", Layout.JOINTS),
-        ({"observation__qpos": 9}, "observation.qpos", Layout.JOINTS),
+        ({"observation__state": [f"panda_joint{j}" for j in range(1, 8)]}, "observation.state", "joints"),
+        ({"observation__state": [f"joint_{j}.pos" for j in range(1, 8)]}, "observation.state", "joints"),
+        ({"observation__state": [f"q{j}_rad" for j in range(1, 8)]}, "observation.state", "joints"),
+        ({"observation__joint_positions": 7, "action": NUMBERED}, "observation.joint_positions", "joints"),
+        ({"observation__qpos": 9}, "observation.qpos", "joints"),
         (
             {"observation__state": 8, "observation__states__joint_state": NUMBERED},
             "observation.states.joint_state",
-            Layout.JOINTS,
+            "joints",
         ),
         (
             {"observation__ee": ["x", "y", "z", "roll", "pitch", "yaw"], "observation__state": NUMBERED},
             "observation.state",
-            Layout.JOINTS,
+            "joints",
         ),
         (
             {"observation__joint_velocities": NUMBERED, "ee_pose": ["x", "y", "z", "qx", "qy", "qz", "qw"]},
             "ee_pose",
-            Layout.QUATERNION,
+            "quaternion_wxyz",
         ),
     ],
 )
 def test_columns_are_recognized_by_their_names(columns, column, layout):
-    found = find_columns(features(**columns), TrajectoryOptions())
-    assert (found.column, found.layout) == (column, layout)
+    found = complete(table(**columns), Reading())
+    assert (found.columns[0].partition("[")[0], found.layout) == (column, layout)
 
 
 @pytest.mark.parametrize("other", ["joint_vel.", "target_", "torque.", "error_"])
 def test_elements_that_are_velocities_targets_or_errors_are_not_taken_as_joint_angles(other):
     names = [f"{other}joint_{k}" for k in range(7)]
-    found = find_columns(features(observation__state=names, observation__q=NUMBERED), TrajectoryOptions())
-    assert found.column == "observation.q"
+    found = complete(table(observation__state=names, observation__q=NUMBERED), Reading())
+    assert found.columns == ("observation.q",)
 
 
-def test_nested_element_names_are_read(q):
-    feature = {"dtype": "float32", "shape": [8], "names": {"motors": [*NUMBERED, "gripper"]}}
-    assert find_columns({"observation.state": feature}, TrajectoryOptions()).indices == tuple(range(7))
+def test_nested_element_names_are_read(dataset, q):
+    root = dataset({0: {"observation.state": with_gripper(q)}}, {"observation.state": 8})
+    info = json.loads((root / "meta" / "info.json").read_text())
+    info["features"]["observation.state"]["names"] = {"motors": [*NUMBERED, "gripper"]}
+    (root / "meta" / "info.json").write_text(json.dumps(info))
+    assert read_all(root)[1][0].columns == "observation.state[0:7]: joints"
 
 
 def test_joints_are_ordered_by_their_numbers():
-    found = find_columns(features(observation__state=["gripper", *reversed(NUMBERED)]), TrajectoryOptions())
-    assert found.indices == (7, 6, 5, 4, 3, 2, 1)
+    found = complete(table(observation__state=["gripper", *reversed(NUMBERED)]), Reading())
+    assert found.columns == tuple(f"observation.state[{k}]" for k in (7, 6, 5, 4, 3, 2, 1))
 
 
 def test_finger_joints_and_widths_in_metres_become_the_finger_width(dataset, q):
@@ -156,33 +158,41 @@ def test_finger_joints_and_widths_in_metres_become_the_finger_width(dataset, q):
         {"observation__state": ["x", "y", "z", "rx", "ry", "rz"]},  # a rotation vector, or angles?
         {"observation__state": ["x", "y", "z", "rot_vec_0", "rot_vec_1", "rot_vec_2", "rot_vec_3"]},
         {"observation__state": ["shoulder_pan.pos", "shoulder_lift.pos", "elbow_flex.pos"]},
-        {"observation__state": [f"{side}_joint_{j}" for side in ("left", "right") for j in range(7)]},
         {"observation__state": [f"joint_{j}.vel" for j in range(7)]},
         {"observation__state": NUMBERED[:6]},
     ],
 )
-def test_ambiguous_columns_are_refused_with_the_options_that_name_them(columns):
+def test_ambiguous_columns_are_refused_with_the_key_that_names_them(columns):
     with pytest.raises(InputError, match="no column is known") as caught:
-        find_columns(features(**columns), TrajectoryOptions())
-    assert "$joints COLUMN" in str(caught.value)
+        complete(table(**columns), Reading())
+    assert '$reading FILE, such as {"columns": "COLUMN[0:7]"' in str(caught.value)
     for name in columns:
         assert name.replace("__", ".") in str(caught.value)
 
 
-def test_options_select_columns_and_unknown_columns_are_refused(dataset, q, X_BG, quaternion):
+def test_one_of_two_arms_is_read_only_if_a_reading_names_it(dataset, q):
+    names = [f"{side}_joint_{j}" for side in ("left", "right") for j in range(7)]
+    root = dataset({0: {"observation.state": np.hstack([q, q + 0.1])}}, {"observation.state": names})
+    with pytest.raises(UsageError, match=r'2 arms \(left, right\): .reading FILE with {"arm": "left"}'):
+        find_trajectories(root, TrajectoryOptions())
+    np.testing.assert_allclose(read_all(root, arm="right")[1][0].q, q + 0.1, atol=1e-6)
+
+
+def test_readings_select_columns_and_unknown_columns_are_refused(dataset, q, X_BG, quaternion):
     pose = np.hstack([X_BG[:, :3, 3], quaternion])
     root = dataset({0: {"observation.state": q, "action": pose}}, {"observation.state": 7, "action": 7})
     with pytest.raises(UsageError, match=r"ds: no column is known.*observation.state \(7\); action \(7\)"):
         find_trajectories(root, TrajectoryOptions())
-    _, (found,) = read_all(root, joints="observation.state")
+    _, (found,) = read_all(root, columns="observation.state", layout="joints")
     np.testing.assert_allclose(found.q, q, atol=1e-6)
-    _, (found,) = read_all(root, poses="action")
+    _, (found,) = read_all(root, columns="action", layout="quaternion_wxyz")
     assert max(d.max() for d in pose_difference(found.X_BG, X_BG)) < 1e-5
-    assert "x y z qw qx qy qz is assumed" in found.warnings[0]
-    with pytest.raises(UsageError, match=r"no column 'nope' of numbers; found observation\.state"):
-        find_trajectories(root, TrajectoryOptions(joints="nope"))
-    with pytest.raises(UsageError, match="expected x y z with"):
-        find_trajectories(dataset({0: {"a": q[:, :6]}}, {"a": 6}, folder="six"), TrajectoryOptions(poses="a"))
+    with pytest.raises(UsageError, match=r"'nope' is no column and no number; found observation\.state"):
+        read_all(root, columns="nope")
+    with pytest.raises(UsageError, match='7 numbers per frame, expected "layout": one of joints, quaternion_wxyz'):
+        read_all(root, columns="action")
+    with pytest.raises(InputError, match="6 numbers per frame, quaternion_wxyz has 7"):
+        read_all(dataset({0: {"a": q[:, :6]}}, {"a": 6}, folder="six"), columns="a", layout="quaternion_wxyz")
 
 
 def test_joint_angles_and_euler_angles_in_degrees_are_refused(dataset, q, X_BG):
@@ -209,11 +219,14 @@ def test_unreadable_files_are_errors_of_their_episodes(dataset, q, tmp_path):
     for lengths in ((6, 8), (0,)):
         rows = [row[: lengths[k % len(lengths)]] for k, row in enumerate(with_gripper(q))]
         ragged = dataset({0: {"observation.qpos": rows}}, {"observation.qpos": 7}, folder=f"ragged{len(lengths)}")
-        with pytest.raises(InputError, match=r"rows of different lengths|holds 0 numbers"):
+        with pytest.raises(InputError, match=r"rows of different lengths|holds 0 numbers|reshape"):
             read_all(ragged)
     less = dataset({0: {"observation.state": q[:, :5]}}, STATE, folder="less")
-    with pytest.raises(InputError, match=r"holds 5 numbers, less than meta/info\.json says"):
+    with pytest.raises(InputError, match="holds 5 numbers per frame, 8 are described"):
         read_all(less)
+
+
+STATE_FEATURE = {"observation.state": {"dtype": "float32", "shape": [7], "names": NUMBERED}}
 
 
 @pytest.mark.parametrize(
@@ -223,7 +236,7 @@ def test_unreadable_files_are_errors_of_their_episodes(dataset, q, tmp_path):
         ("[]", "names no features"),
         (json.dumps({"codebase_version": "v1.6", "features": {}}), "version v1.6, expected v2.x or v3.x"),
         (json.dumps({"codebase_version": "v3.0", "features": {}}), "found no column of numbers"),
-        (json.dumps({"codebase_version": "v3.0", "features": features(observation__state=NUMBERED)}), "no episode"),
+        (json.dumps({"codebase_version": "v3.0", "features": STATE_FEATURE}), "no episode"),
     ],
 )
 def test_an_unusable_info_json_is_a_usage_error_or_one_bad_sample_among_others(tmp_path, text, told):

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from kinebench_drake.errors import UsageError
+from kinebench_drake.formats.trajectories.reading import TrajectoryOptions
 from kinebench_drake.formats.trajectories.source import find_trajectories
-from kinebench_drake.formats.trajectories.trajectory import TrajectoryOptions
 from kinebench_drake.results.row import SampleRow, Status
 from kinebench_drake.results.store import ResultStore
 
@@ -90,8 +90,3 @@ def test_the_output_folder_of_the_run_is_refused_as_input(tmp_path):
 def test_rates_out_of_range_are_refused(rate):
     with pytest.raises(UsageError, match="rate_hz is"):
         TrajectoryOptions(rate_hz=rate)
-
-
-def test_joints_and_poses_options_exclude_each_other():
-    with pytest.raises(UsageError, match="exclude each other"):
-        TrajectoryOptions(joints="a", poses="b")

@@ -1,0 +1,266 @@
+"""Choice of a table's columns by their names: joint angles, else poses; units, times and the gripper."""
+
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+from kinebench_drake.errors import InputError
+from kinebench_drake.formats.trajectories.reading import JOINTS, LAYOUTS, Reading
+from kinebench_drake.formats.trajectories.table import Column, Table, reference
+from kinebench_drake.formats.trajectories.trajectory import JOINT_SIZES, N_JOINTS
+
+_NUMBERED = re.compile(
+    r"(?P<arm>|.*[^a-z0-9])(?:joint|j|q|(?:joint[_. ]?)?(?:positions?|pos|angles?))[_. ]?(?:pos|position|angle)?"
+    r"[_. \[]?(?P<number>\d{1,6})\]?(?:[_. /](?:pos|position|angle|rad|deg))*"
+)
+_MATRIX = re.compile(r".*(?:pose|matrix|transform|o_t_ee)[_. \[]?(?P<number>\d{1,2})\]?")
+_BY_COLUMNS = re.compile(r".*\bo_t_ee(_c|_d)?\b.*|o_t_ee.*|.*[./]o_t_ee.*")
+"""Poses of libfranka, stored column by column."""
+_FINGER = re.compile(r".*finger.*joint.*|.*joint.*finger.*")
+_WIDTH = re.compile(r"(?:.*[^a-z])?(?:gripper|finger)s?[_. ]?width(?:_m)?")
+_ROTATION_VECTOR = re.compile(r".*(?:axis_?angle|rot_?vec)[_. ]?(?P<axis>[xyz]|\d)")
+_QUATERNION_WORDS = {"quat", "quaternion", "q", "orientation", "ori", "orn", "rot", "rotation"}
+_OTHER_WORDS = {
+    *("vel", "velocity", "velocities", "acc", "acceleration", "accelerations", "force", "forces", "torque", "torques"),
+    *("effort", "efforts", "delta", "deltas", "target", "targets", "goal", "desired", "commanded", "command"),
+    *("error", "errors", "action", "actions"),
+}
+_JOINT_WORDS, _ANGLE_WORDS = {"joint", "joints"}, {"pos", "position", "positions", "state", "states", "angle", "angles"}
+_TOOL_WORDS = {"ee", "eef", "tcp", "pose", "poses", "hand", "gripper", "cartesian", "base"}
+_TIME = re.compile(
+    r"(?:.*[^a-z])?(?:t|times?|timestamps?|time_stamps?|stamps?|clock)(?:[_. ](?P<unit>s|secs?|seconds|ms|us|ns))?"
+)
+_UNITS = {"m": "m", "cm": "cm", "mm": "mm", "rad": "rad", "deg": "deg", "degrees": "deg"}
+_ROTATIONS = (
+    ("quaternion_wxyz", ("qw", "qx", "qy", "qz")),
+    ("quaternion_wxyz", ("rw", "rx", "ry", "rz")),
+    ("euler_xyz", ("roll", "pitch", "yaw")),
+    ("rotation_vector", ("v0", "v1", "v2")),
+    ("rotation_vector", ("v1", "v2", "v3")),
+    ("rotation_vector", ("wx", "wy", "wz")),
+    (None, ("rx", "ry", "rz")),  # a rotation vector, or angles
+)
+"""Roles of the numbers of a rotation, by layout; the first that are all there."""
+_ROTATION_ARRAYS = (
+    (re.compile(r".*(quat|orn|orientation).*"), 4, "quaternion_wxyz"),
+    (re.compile(r".*(axis_?angle|rot_?vec|_ori).*"), 3, "rotation_vector"),
+    (re.compile(r".*(rpy|euler).*"), 3, "euler_xyz"),
+    (re.compile(r".*(mat|rot|ori).*"), 9, "matrix_rows"),
+)
+"""Arrays of rotations: names, numbers and layout."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Group:
+    """Numbers of one column with names, or all single columns of a table."""
+
+    places: tuple[tuple[Column, int], ...]
+    names: tuple[str, ...]
+
+    def references(self, indices: Sequence[int]) -> tuple[str, ...]:
+        """Return references to some numbers."""
+        columns = {self.places[k][0].name for k in indices}
+        if len(columns) == 1:
+            column = self.places[indices[0]][0]
+            return tuple(reference(column, [self.places[k][1] for k in indices]))
+        return tuple(self.places[k][0].name for k in indices)
+
+
+def complete(table: Table, wanted: Reading) -> Reading:
+    """Return a reading with columns, layout, units, times and gripper: those of `wanted`, else by their names.
+
+    Raises:
+        InputError: no column fits, or several arms do; the message lists the columns and the key that decides.
+    """
+    reading = _named(table, wanted) if wanted.columns is not None else _by_names(table, wanted)
+    groups = [*_groups(table, reading)]
+    names = [name.lower() for group in groups for name in group.names]
+    places = [group.references([k])[0] for group in groups for k in range(len(group.names))]
+    if reading.width is None and reading.fingers is None:
+        fingers = tuple(place for place, name in zip(places, names, strict=True) if _FINGER.fullmatch(name))
+        widths = [place for place, name in zip(places, names, strict=True) if _WIDTH.fullmatch(name)]
+        reading = reading.change(fingers=fingers if 0 < len(fingers) <= 2 else None)
+        reading = reading.change(width=widths[0]) if len(widths) == 1 else reading
+    if reading.time is None and table.t_s is None:
+        reading = _with_times(table, reading)
+    return _with_units(table, reading)
+
+
+def _named(table: Table, wanted: Reading) -> Reading:
+    """Return the reading of named columns, with their layout where names or count determine it."""
+    size = table.size(wanted.columns or ())
+    if wanted.layout is not None:
+        return wanted
+    [*rest] = [column for column in table.columns if column.name in (wanted.columns or ())]
+    for find in (_find_joints, _find_pose):
+        reading = find(Table(columns=tuple(rest), load=table.load), wanted.change(columns=None))
+        if reading is not None and table.size(reading.columns or ()) <= size <= 9:
+            return reading.change(columns=wanted.columns if len(rest) == 1 and size == 16 else reading.columns)
+    fitting = [layout for layout, sizes in LAYOUTS.items() if size in sizes and "euler" not in layout]
+    certain = {16: "matrix_rows", 8: JOINTS}.get(size)
+    if certain is None:
+        expected = f'"layout": one of {", ".join(fitting)}' if fitting else "7 joint angles, or x y z with a rotation"
+        raise InputError(f"{', '.join(wanted.columns or ())}: {size} numbers per frame, expected {expected}")
+    return wanted.change(layout=certain)
+
+
+def _by_names(table: Table, wanted: Reading) -> Reading:
+    for find in (_find_joints, _find_pose):
+        reading = find(table, wanted)
+        if reading is not None:
+            return reading
+    arms = sorted({arm.strip("_./ ") for group in _groups(table, wanted) for arm in _arms(group)})
+    if len(arms) > 1 and wanted.layout in (None, JOINTS):
+        several = f'{len(arms)} arms ({", ".join(arms)}): $reading FILE with {{"arm": "{arms[0]}"}} chooses one'
+        raise InputError(f"no column is certain to hold the seven joint angles of one arm; there are {several}")
+    raise InputError(
+        f"no column is known to hold seven joint angles or a pose; found {table.describe()}; name it in $reading FILE, "
+        'such as {"columns": "COLUMN[0:7]", "layout": "joints"}'
+    )
+
+
+def _groups(table: Table, wanted: Reading) -> Iterator[_Group]:
+    """Yield the numbers with names that may be read, of the arm that `wanted` names."""
+    arm = (wanted.arm or "").lower()
+    single: list[tuple[Column, str]] = []
+    for column in _allowed(table):
+        if column.names:
+            kept = [k for k, name in enumerate(column.names) if arm in name.lower() or arm in column.name.lower()]
+            yield _Group(places=tuple((column, k) for k in kept), names=tuple(column.names[k] for k in kept))
+        elif column.size == 1 and arm in column.name.lower():
+            single.append((column, column.name))
+    yield _Group(places=tuple((column, 0) for column, _ in single), names=tuple(name for _, name in single))
+
+
+def _allowed(table: Table) -> Iterator[Column]:
+    """Yield the columns that may be read without being named: no commands and no velocities."""
+    for column in table.columns:
+        if column.name not in table.optional and not _OTHER_WORDS & set(_words(column.name)):
+            yield column
+
+
+def _arms(group: _Group) -> dict[str, dict[int, int]]:
+    """Return the numbered joints of each arm of a group that has seven of them: index by number."""
+    arms: dict[str, dict[int, int]] = {}
+    for k, name in enumerate(group.names):
+        match = _NUMBERED.fullmatch(name.lower())
+        if match and not _FINGER.fullmatch(name.lower()) and not _OTHER_WORDS & set(_words(match["arm"])):
+            arms.setdefault(match["arm"], {})[int(match["number"])] = k
+    return {arm: n for arm, n in arms.items() if len(n) == N_JOINTS and max(n) - min(n) == N_JOINTS - 1}
+
+
+def _find_joints(table: Table, wanted: Reading) -> Reading | None:
+    """Find seven joint angles: consecutively numbered names of one arm, or an array with such a name."""
+    if wanted.layout not in (None, JOINTS):
+        return None
+    for group in _groups(table, wanted):
+        arms = list(_arms(group).values())
+        if len(arms) == 1:
+            chosen = group.references([k for _, k in sorted(arms[0].items())])
+            return wanted.change(columns=chosen, layout=JOINTS)
+    for column in _arrays(table, wanted):
+        words = set(_words(re.split(r"[./]", column.name)[-1]))
+        is_joints = words & {"qpos", "q"} or (words & _JOINT_WORDS and words & _ANGLE_WORDS)
+        if column.size in JOINT_SIZES and (is_joints or (wanted.layout and column.size == N_JOINTS)):
+            return wanted.change(columns=(column.name,), layout=JOINTS)
+    return None
+
+
+def _find_pose(table: Table, wanted: Reading) -> Reading | None:
+    """Find a pose whose names determine the kind of rotation, unless the layout is stated."""
+    if wanted.layout == JOINTS:
+        return None
+
+    def found_as(columns: tuple[str, ...], layout: str | None) -> Reading | None:
+        layout = wanted.layout or layout
+        fits = layout is not None and table.size(columns) in LAYOUTS[layout]
+        return wanted.change(columns=columns, layout=layout) if fits else None
+
+    for group in _groups(table, wanted):
+        roles: dict[str, list[int]] = {}
+        for k, name in enumerate(group.names):
+            roles.setdefault(_role(name.lower()), []).append(k)
+        for layout, rotation in _ROTATIONS:
+            if layout == "rotation_vector" and {"v0", "v3"} <= roles.keys():
+                continue  # a rotation vector has three numbers
+            names = ("x", "y", "z", *rotation)
+            if all(len(roles.get(role, ())) == 1 for role in names):
+                reading = found_as(group.references([roles[role][0] for role in names]), layout)
+                if reading is not None:
+                    return reading
+        matches = [(int(match["number"]), k, name.lower()) for k, name in enumerate(group.names)
+                   if (match := _MATRIX.fullmatch(name.lower()))]  # fmt: skip
+        if len(matches) == 16:
+            columns = group.references([k for _, k, _ in sorted(matches)])
+            return found_as(columns, "matrix_columns" if _BY_COLUMNS.fullmatch(matches[0][2]) else "matrix_rows")
+    arrays = list(_arrays(table, wanted))
+    for column in arrays:
+        words = set(_words(column.name))
+        if column.size == 16 and (words & _TOOL_WORDS or _BY_COLUMNS.fullmatch(column.name.lower())):
+            by_columns = _BY_COLUMNS.fullmatch(column.name.lower())
+            return found_as((column.name,), "matrix_columns" if by_columns else "matrix_rows")
+        if column.size == N_JOINTS and words & _TOOL_WORDS:
+            return found_as((column.name,), "quaternion_xyzw" if "xyzw" in words else "quaternion_wxyz")
+    for column in arrays:
+        if column.size == 3 and set(_words(column.name)) & {"pos", "position", "positions", "xyz"}:
+            stem = re.sub(r"(pos|positions?|xyz)$", "", column.name.lower())
+            for other in arrays:
+                for pattern, size, layout in _ROTATION_ARRAYS:
+                    name = other.name.lower()
+                    if other.size == size and name.startswith(stem) and pattern.fullmatch(name):
+                        swapped = layout == "quaternion_wxyz" and re.search(r"xyzw|eef", name)
+                        reading = found_as((column.name, other.name), "quaternion_xyzw" if swapped else layout)
+                        if reading is not None:
+                            return reading
+    return None
+
+
+def _arrays(table: Table, wanted: Reading) -> Iterator[Column]:
+    """Yield the columns without names of their numbers that may be read."""
+    for column in _allowed(table):
+        if column.size > 1 and not column.names and (wanted.arm or "").lower() in column.name.lower():
+            yield column
+
+
+def _with_times(table: Table, reading: Reading) -> Reading:
+    """Return the reading with the column of the times, and their unit if its name ends with it."""
+    stamps = [(c.name, match) for c in table.columns if c.size == 1 and (match := _TIME.fullmatch(c.name.lower()))]
+    if not stamps:
+        return reading
+    name, match = stamps[0]
+    unit = match["unit"] and match["unit"].removesuffix("econds").removesuffix("ecs").removesuffix("ec")
+    return reading.change(time=name, time_unit=reading.time_unit or unit)
+
+
+def _with_units(table: Table, reading: Reading) -> Reading:
+    """Return the reading with the units in which all names end, where they are not stated."""
+    names: list[str] = []
+    for name in reading.columns or ():
+        names += [name]
+    words = {_words(name)[-1] for name in names if _words(name)}
+    units = {_UNITS[word] for word in words if word in _UNITS}
+    lengths, angles = units & {"m", "cm", "mm"}, units & {"rad", "deg"}
+    length = reading.length or (min(lengths) if len(lengths) == 1 else None)
+    return reading.change(length=length, angle=reading.angle or (min(angles) if len(angles) == 1 else None))
+
+
+def _role(element: str) -> str:
+    """Return the role of an element of a pose by its name; "" if it is unclear."""
+    words = [word for word in _words(element) if word not in _UNITS]
+    if not words or _OTHER_WORDS & set(words):
+        return ""
+    vector = _ROTATION_VECTOR.fullmatch("_".join(words))
+    if vector:
+        axis = vector["axis"]
+        return f"v{'xyz'.index(axis)}" if axis in "xyz" else f"v{axis}"
+    last, before = words[-1], set(words[:-1])
+    if last in ("roll", "pitch", "yaw") or re.fullmatch(r"[qrw][wxyz]", last):
+        return last
+    if match := re.fullmatch(r"(?P<kind>[pt])?(?P<axis>[wxyz])", last):
+        is_rotation = match["axis"] == "w" or before & _QUATERNION_WORDS
+        return f"q{match['axis']}" if is_rotation and not match["kind"] else match["axis"]
+    return ""
+
+
+def _words(name: str) -> list[str]:
+    return [word for word in re.split(r"[^a-z0-9]+", name.lower()) if word]
