@@ -28,6 +28,13 @@ _COMMANDS = {
 }
 """Command name to (module in `kinebench_drake.cli`, short help); the command is the module's object of that name."""
 
+_HINTS = {
+    "--fps": "the time between two frames is --frame-period SECONDS (1 / fps), of `audit` --rate HZ",
+    "--joints": "`audit` reads the columns that --reading FILE names",
+    "--poses": "`audit` reads the columns that --reading FILE names",
+}
+"""Options that other programs, or earlier versions, have: what to use."""
+
 
 class LazyGroup(click.Group):
     """A group that imports the module of a command when the command is called."""
@@ -74,6 +81,9 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
     except click.exceptions.NoArgsIsHelpError as error:
         error.show()
         code = 2
+    except click.NoSuchOption as error:
+        hint = _HINTS.get(error.option_name)
+        code = _fail(f"no option {error.option_name}: {hint}" if hint else error.format_message(), error.exit_code)
     except click.ClickException as error:
         code = _fail(error.format_message(), error.exit_code)
     except UsageError as error:

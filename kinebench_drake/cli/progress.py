@@ -27,6 +27,7 @@ from kinebench_drake.results.row import SampleRow, Status
 from kinebench_drake.results.store import REQUESTS
 from kinebench_drake.runs.runner import RunObserver, RunSummary
 
+_MOST_REASONS = 5  # in a closing line
 _STYLES = {Status.OK: "green", Status.UNMEASURABLE: "yellow", Status.ERROR: "red"}
 
 
@@ -165,12 +166,25 @@ def summary_lines(rows: Sequence[SampleRow]) -> Iterator[str]:
     ]
     yield "; ".join(faults)
     yield "; ".join(
-        f"{status.value}: {n} of {count_noun(len(rows), 'sample')}{_frequent_reason(rows, status)}"
-        for status in (Status.UNMEASURABLE, Status.ERROR)
-        if (n := sum(row.status is status for row in rows)) or status is Status.UNMEASURABLE
+        f"{name}: {len(reasons)} of {count_noun(len(rows), 'sample')}{_list_reasons(reasons)}"
+        for name, reasons in _open_rows(rows).items()
+        if reasons or name == Status.UNMEASURABLE.value
     )
     yield from input_lines(rows)
     yield from trust_lines(row.extra for row in rows)
+
+
+def _open_rows(rows: Sequence[SampleRow]) -> dict[str, list[str]]:
+    """Return the reasons of the rows without a verdict or without a measurement, by what they lack."""
+    return {
+        "no verdict": [
+            reason for row in rows if row.status is Status.OK and (reason := row.null_reasons.get("feasible"))
+        ],
+        **{
+            status.value: [row.reason or "no reason stored" for row in rows if row.status is status]
+            for status in (Status.UNMEASURABLE, Status.ERROR)
+        },
+    }
 
 
 def _has_anomalies(rows: Sequence[SampleRow]) -> bool:
@@ -207,16 +221,15 @@ def _count_samples(faults: Iterable[Sequence[Mapping[str, Json]]]) -> str:
     return ", ".join(f"{kind} in {count_noun(n, 'sample')}" for kind, n in ranked) or "none"
 
 
-def _frequent_reason(rows: Sequence[SampleRow], status: Status) -> str:
-    """Return the most frequent reason of a status, reasons that differ in numbers alone counted together."""
-    reasons = [row.reason or "no reason stored" for row in rows if row.status is status]
-    if not reasons:
-        return ""
+def _list_reasons(reasons: Sequence[str]) -> str:
+    """Return the most frequent reasons with their counts; those that differ in numbers alone are counted together."""
     kinds = [re.sub(r"[0-9.]+", "#", reason) for reason in reasons]
-    counts = Counter(kinds)
-    [(kind, n)] = counts.most_common(1)
-    reason = one_line(reasons[kinds.index(kind)])
-    return f": {reason}" if len(counts) == 1 else f", most often ({n}): {reason}"
+    ranked = Counter(kinds).most_common()
+    if len(ranked) == 1:
+        return f": {one_line(reasons[0])}"
+    texts = [f"{n} x {one_line(reasons[kinds.index(kind)])}" for kind, n in ranked[:_MOST_REASONS]]
+    more = [f"{len(ranked) - _MOST_REASONS} more reasons"] if len(ranked) > _MOST_REASONS else []
+    return f" ({'; '.join(texts + more)})" if texts else ""
 
 
 @contextmanager

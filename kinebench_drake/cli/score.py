@@ -119,6 +119,7 @@ def _score(config: ScoreConfig, *, dry_run: bool) -> int:
     from kinebench_drake.cli.progress import ProgressView, run
     from kinebench_drake.results.inputs import input_lines
     from kinebench_drake.results.row import Status
+    from kinebench_drake.runs.preparation import row_warnings
     from kinebench_drake.runs.score import plan_videos, score_videos
 
     if not dry_run:
@@ -132,6 +133,8 @@ def _score(config: ScoreConfig, *, dry_run: bool) -> int:
         click.echo("; ".join([f"{row.id}: {size}", *input_lines([row]), *labels]))
     readable = [row for row in rows if row.status is Status.OK]
     click.echo(f"{len(readable)} of {len(rows)} samples can be read; nothing was measured or written")
+    for warning in row_warnings(rows):
+        click.echo(f"warning: {warning}", err=True)
     for line in input_lines(readable):
         click.echo(line)
     return 0 if readable else 1

@@ -5,7 +5,7 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from pathlib import Path, PurePosixPath
 
-from kinebench_drake.errors import InputError, UsageError
+from kinebench_drake.errors import InputError, UsageError, count_noun
 from kinebench_drake.io.files import require_accessible
 from kinebench_drake.results.store import ARTIFACTS, REQUESTS, RESULTS, RUN, SAMPLES
 
@@ -76,8 +76,19 @@ def _raise_unreadable(error: OSError) -> None:
 
 def list_suffixes(folder: Path) -> str:
     """Return the most frequent suffixes of the files in a folder as text for a message."""
-    counts = Counter(p.suffix.lower() or "no suffix" for p in folder.iterdir() if p.is_file())
+    return count_suffixes([p for p in folder.iterdir() if p.is_file()])
+
+
+def count_suffixes(files: Sequence[Path]) -> str:
+    """Return the most frequent suffixes of some files as text for a message."""
+    counts = Counter(p.suffix.lower() or "no suffix" for p in files)
     return ", ".join(f"{n} x {suffix}" for suffix, n in counts.most_common(4)) or "nothing"
+
+
+def describe_ignored(files: Sequence[Path]) -> list[str]:
+    """Return a warning about files of a folder that are no input; none if there are none."""
+    noun = count_noun(len(files), "file")
+    return [f"{noun} ignored: {count_suffixes(files)}, such as {files[0].name}"] if files else []
 
 
 def join_relative(folder: Path, relative: str, what: str, *, links_out: bool = True) -> Path:

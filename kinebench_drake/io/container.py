@@ -52,12 +52,14 @@ def read_container(path: Path, part: VideoPart) -> Video:
         raise InputError(f"{path.name}: not a readable video{progress} ({reason})") from None
     if missing is not None:
         raise InputError(f"{path.name}: cut off, the last {missing:.2f} s are missing after {len(frames)} frames")
-    if part.frames is not None and len(frames) != part.frames:
-        raise InputError(f"{path.name}: has {len(frames)} frames{_span(part)}, its metadata says {part.frames}")
+    kept = len(frames) if part.frames is None else part.frames
+    if kept > len(frames):
+        raise InputError(f"{path.name}: has {len(frames)} frames{_span(part)}, its metadata says {kept}")
     if is_gif and not _gif_ends(path):
         raise InputError(f"{path.name}: cut off after {len(frames)} frames (the gif lacks its trailer)")
     fps = float(rate) if rate else None
-    return Video(frames=frames, fps=fps, stamps_s=_irregular_stamps(stamps, fps))
+    stamps_s = _irregular_stamps(stamps[:kept], fps)
+    return Video(frames=frames[:kept], fps=fps, stamps_s=stamps_s, surplus=len(frames) - kept)
 
 
 def _decode(

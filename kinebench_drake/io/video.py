@@ -27,6 +27,8 @@ class Video:
     """Frames per second [1/s]; None if the source has no clock (frame folders, arrays)."""
     stamps_s: Array | None
     """(T,) time stamps of an irregular video, from 0, increasing [s]; None if they follow from `fps`."""
+    surplus: int = 0
+    """Frames that the file holds after those of its dataset, which are not used."""
 
     def __post_init__(self) -> None:
         """Check shape and type.
@@ -82,7 +84,7 @@ class VideoPart:
     to_s: float | None = None
     """Time stamp of the first frame after the part [s]; None for the end of the file."""
     frames: int | None = None
-    """Expected number of frames; None if unknown."""
+    """Number of frames, of more the first ones; None for all."""
 
 
 WHOLE = VideoPart()

@@ -97,17 +97,19 @@ def audit_trajectories(config: AuditConfig, observer: RunObserver | None = None)
         SetupError: something is missing on this machine, or the disk is full. Finished samples are kept.
     """
     observer = observer or NullRunObserver()
-    samples = find_trajectories(
-        config.source, config.trajectory_options(), out=config.out, model=config.model, task=config.task
-    )
+    warnings: list[str] = []
+    choice, labels = config.trajectory_options(), {"model": config.model, "task": config.task}
+    samples = find_trajectories(config.source, choice, out=config.out, warnings=warnings, **labels)
+    for warning in warnings:
+        observer.warn(warning)
     for remark in config.robot_options().load().remarks:
         observer.warn(f"{Path(config.robot).name}: {remark}")
     summary = run_samples(samples, TrajectoryEvaluator(config=config), observer)
-    warnings = _warnings(summary.rows)
-    for text, ids in list(warnings.items())[:_MOST_WARNINGS]:
+    by_text = _warnings(summary.rows)
+    for text, ids in list(by_text.items())[:_MOST_WARNINGS]:
         observer.warn(f"{ids[0]}: {text}" + (f" (and {len(ids) - 1} more)" if ids[1:] else ""))
-    if len(warnings) > _MOST_WARNINGS:
-        observer.warn(f"{len(warnings) - _MOST_WARNINGS} more kinds of warnings: see the rows")
+    if len(by_text) > _MOST_WARNINGS:
+        observer.warn(f"{len(by_text) - _MOST_WARNINGS} more kinds of warnings: see the rows")
     return summary
 
 

@@ -176,7 +176,7 @@ def doubt_robot(sample: TrajectorySample, choice: TrajectoryOptions) -> str | No
         return None
     return (
         f"the file names the robot {name}, not a Panda: name it by $robot, or insist by $reading FILE "
-        'with {{"robot": "panda"}}'
+        'with {"robot": "panda"}'
     )
 
 

@@ -205,6 +205,10 @@ def row_warnings(rows: Sequence[SampleRow]) -> list[str]:
             "was not used",
         ),
         (
+            sum("surplus_frames" in row.extra for row in rows),
+            "the video is longer than the table of its dataset in {}: of its frames the first were used, one a row",
+        ),
+        (
             count("camera_state", CameraState.CONFIRMED),
             "no camera is named for {}: the arm confirms the benchmark's",
         ),

@@ -166,6 +166,7 @@ class VideoEvaluator(Evaluator[VideoSample, Tools]):
                 "frame_period_source": timed.source.value,
                 "clip_timing": timed.timing.value,
                 "clip_frames": len(video.frames),
+                **({"surplus_frames": video.surplus} if video.surplus else {}),
                 **({} if path is None else {"camera_path": path.to_json()}),
                 **({} if sample.table_height_m is None else {"table_height_m": sample.table_height_m}),
                 **({"mirrored": True} if sample.mirrored else {}),
@@ -243,6 +244,7 @@ class _VideoReader(VideoEvaluator):
             kinematics=None,
             extra={
                 "frames": len(timed.t_s),
+                **({"surplus_frames": video.surplus} if video.surplus else {}),
                 "width": video.width,
                 "height": video.height,
                 "frame_period_s": timed.period_s,

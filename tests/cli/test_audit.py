@@ -306,7 +306,7 @@ def test_audit_runs_no_grounding(run, tmp_path, monkeypatch):
 def test_audit_prints_summary_warnings_and_report_path(program, source, tmp_path):
     code, out, err = program("audit", source, "--out", tmp_path / "out", "--tag", "run=7", "--rate", "20")
     assert code == 0
-    assert "; error: 2 of 8 samples, most often (1): " in out
+    assert "; error: 2 of 8 samples (1 x " in out
     assert str(tmp_path / "out" / "report.html") in out
     assert "warning: " not in err
     results = json.loads((tmp_path / "out" / "results.json").read_text())

@@ -41,7 +41,7 @@ def test_summary_has_lines_for_verdicts_anomalies_reasons_period_and_camera():
         "feasible: 2 of 3 judged samples, 67% (95% interval 21% to 94%; at least 33% of all 6)"
     )
     assert faults == "anomalies: vanish in 2 samples, freeze in 1 sample; violated limits: velocity in 1 sample"
-    assert reasons == "unmeasurable: 3 of 6 samples, most often (2): the gripper was found in 0 of 49 frames"
+    assert reasons == "unmeasurable: 3 of 6 samples (2 x the gripper was found in 0 of 49 frames; 1 x too short)"
     assert period == "frame period: 0.2 s, from the manifest"
     assert camera == "camera: from camera.json"
 

@@ -145,7 +145,7 @@ class LeRobotDataset:
     def video_part(self, episode: LeRobotEpisode, camera: str) -> tuple[Path, VideoPart]:
         """Return the video file of an episode, which may be absent, and the part of it.
 
-        A file of one episode (v2) may be longer than its table; of a shared one (v3) all frames must be there.
+        Of more frames than the table has rows, those of a discarded take, the first ones count.
 
         Raises:
             InputError: the metadata are incomplete, or lead out of the dataset.
@@ -153,7 +153,7 @@ class LeRobotDataset:
         if self.is_v2:
             size = _count(self.info.get("chunks_size")) or _CHUNK
             fields = {"episode_chunk": episode.number // size, EPISODE: episode.number}
-            return self._video_path(_VIDEO_V2, camera, fields), VideoPart()
+            return self._video_path(_VIDEO_V2, camera, fields), VideoPart(frames=episode.length)
         place = {key: _count(episode.row.get(f"videos/{camera}/{key}")) for key in PLACE}
         begin_s, end_s = (as_number(episode.row.get(f"videos/{camera}/{key}")) for key in SPAN)
         numbers = {key: number for key, number in place.items() if number is not None}

@@ -114,12 +114,12 @@ class Reading(BaseModel):
         Raises:
             UsageError: there is no such file, or a key is invalid.
         """
-        name = f"{source} " if isinstance(source, Path) else ""
+        name = f"$reading {source}" if isinstance(source, Path) else "$reading"
         try:
             data = read_object(source) if isinstance(source, Path) else source
             return cls.model_validate(data.get("reading", data))
         except FileNotFoundError:
-            raise UsageError(f"$reading {name}: there is no such file") from None
+            raise UsageError(f"{name}: there is no such file") from None
         except InputError as error:
             raise UsageError(f"$reading {error}") from None
         except ValidationError as error:
@@ -127,7 +127,7 @@ class Reading(BaseModel):
             key, text = str(first["loc"][0]), first["msg"].removeprefix("Value error, ")
             if first["type"] == "extra_forbidden":
                 text = f"is no key{suggestion(key, cls.model_fields)}; there are {', '.join(cls.model_fields)}"
-            raise UsageError(f"$reading {name}: {key} {text}") from None
+            raise UsageError(f"{name}: {key} {text}") from None
 
     def to_json(self) -> dict[str, Json]:
         """Return the keys that are set."""

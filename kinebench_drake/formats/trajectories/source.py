@@ -6,7 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from kinebench_drake.errors import InputError, UsageError
-from kinebench_drake.formats.folders import list_suffixes, require_apart, walk
+from kinebench_drake.formats.folders import describe_ignored, list_suffixes, require_apart, walk
 from kinebench_drake.formats.lerobot.reader import (
     is_lerobot,
     list_lerobot_trajectories,
@@ -66,6 +66,7 @@ def find_trajectories(
     out: Path | None = None,
     model: str | None = None,
     task: str | None = None,
+    warnings: list[str] | None = None,
 ) -> tuple[TrajectorySample, ...]:
     """List the trajectories of a file, a LeRobot dataset, an output folder or a folder of these, in a fixed order.
 
@@ -77,6 +78,7 @@ def find_trajectories(
         out: output folder of the run, whose content is never used as input.
         model: name of the model, for trajectories without one.
         task: name of the task, for trajectories without one.
+        warnings: is extended by files of a folder that are no trajectories.
 
     Raises:
         UsageError: there is nothing to read, a dataset has no suitable column, or a run into `out` would change its
@@ -100,7 +102,10 @@ def find_trajectories(
     elif source.resolve().name == "tracks" and (source.resolve().parent / SAMPLES).is_file():
         samples = _list_output(source.resolve().parent)
     else:
-        samples = list(_list_folder(source, choice, out))
+        ignored: list[Path] = []
+        samples = list(_list_folder(source, choice, out, ignored))
+        if warnings is not None:
+            warnings += describe_ignored(ignored)
     if not samples:
         raise UsageError(f"{source}: holds no trajectory (found {list_suffixes(source)}), expected {EXPECTED}")
     return finish_samples(_with_alike(samples), lambda sample: Path(sample.video).parent.parts, model, task)
@@ -185,8 +190,10 @@ def _list_output(folder: Path) -> list[TrajectorySample]:
     return samples
 
 
-def _list_folder(folder: Path, choice: TrajectoryOptions, out: Path | None) -> Iterator[TrajectorySample]:
-    """List trajectory files and datasets at any depth, sorted."""
+def _list_folder(
+    folder: Path, choice: TrajectoryOptions, out: Path | None, ignored: list[Path]
+) -> Iterator[TrajectorySample]:
+    """List trajectory files and datasets at any depth, sorted; append other files to `ignored`."""
     for here, folders, files in walk(folder, [] if out is None else [out]):
         if is_lerobot(here):
             folders.clear()
@@ -197,5 +204,8 @@ def _list_folder(folder: Path, choice: TrajectoryOptions, out: Path | None) -> I
                 format = TrajectoryFormat.LEROBOT
                 yield TrajectorySample(id=here.name, path=here, video=name, format=format, problem=str(error))
             continue
-        for name in (f for f in files if Path(f).suffix.lower() in _FORMATS):
+        read = [f for f in files if Path(f).suffix.lower() in _FORMATS]
+        about = {Path(f).with_suffix(".json").name for f in read}
+        ignored += [here / f for f in files if f not in about.union(read)]
+        for name in read:
             yield from _list_file(here / name, (here / name).relative_to(folder).as_posix())

@@ -6,8 +6,8 @@ from pathlib import Path
 
 from kinebench_drake.errors import InputError, UsageError
 from kinebench_drake.formats import ewmbench, hdf5, manifest, videofolder, worldarena
-from kinebench_drake.formats.camerafile import CameraLookup
-from kinebench_drake.formats.folders import is_output, list_suffixes, require_apart, run_of, walk
+from kinebench_drake.formats.camerafile import CAMERA_NAME, CameraLookup
+from kinebench_drake.formats.folders import describe_ignored, is_output, list_suffixes, require_apart, run_of, walk
 from kinebench_drake.formats.lerobot import reader as lerobot
 from kinebench_drake.formats.samples import finish_samples
 from kinebench_drake.formats.videos.sample import Search, VideoSample, VideoSamples
@@ -25,6 +25,8 @@ def list_file(path: Path, search: Search) -> list[VideoSample]:
     return [replace(sample, part=VideoPart(key=search.camera_key), camera_key=search.camera_key)]
 
 
+_SIDECARS = (CAMERA_NAME, manifest.NAME, *videofolder.NAMES)
+"""Files that describe the videos of a folder."""
 Lister = Callable[[Path, Search], list[VideoSample]]
 """Function that lists the videos of a file or folder; raises InputError if it cannot be used."""
 
@@ -102,6 +104,7 @@ def list_folder(folder: Path, search: Search, skipped: Sequence[Path]) -> list[V
     samples: list[VideoSample] = []
     metadata: list[Path] = []
     arrays: list[Path] = []
+    ignored: list[Path] = []
     for here, folders, files in walk(folder, skipped):
         lister = next((lister for matches, lister in LAYOUTS.items() if matches(here)), None)
         if lister is not None:
@@ -119,6 +122,11 @@ def list_folder(folder: Path, search: Search, skipped: Sequence[Path]) -> list[V
             samples += [search.sample(here / f) for f in videos]
         elif _is_frame_folder(files):
             samples.append(search.sample(here))
+        is_video = not videos and _is_frame_folder(files)
+        stems = {Path(f).stem for f in videos}
+        ignored += [
+            here / f for f in files if not is_video and f not in (*videos, *_SIDECARS) and Path(f).stem not in stems
+        ]
         metadata += [here / name for name in videofolder.NAMES if name in files]
         arrays += [here / f for f in files if Path(f).suffix.lower() in ARRAY_SUFFIXES and is_video_array(here / f)]
     if (folder / manifest.NAME).is_file():
@@ -128,6 +136,7 @@ def list_folder(folder: Path, search: Search, skipped: Sequence[Path]) -> list[V
             f"videos in npy or npz files ignored ({len(arrays)}, such as {search.name(arrays[0])}): in a folder only "
             f"video files and frame folders count; name the file, or list the files in a {manifest.NAME} and name that"
         )
+    search.warnings.extend(describe_ignored(sorted({*ignored} - {*arrays})))
     return videofolder.add_labels(samples, metadata, search)
 
 
