@@ -88,10 +88,11 @@ class Proof:
         )
 
 
-def prove(arm: Arm, motion: Motion, start_s: float, end_s: float) -> Proof:
+def prove(arm: Arm, motion: Motion, start_s: float, end_s: float, self_distance_m: float | None = None) -> Proof:
     """Compare a motion between two times with the limits of position, speed, acceleration, jerk, torque and distance.
 
-    The derivatives are the spline's own. The expensive checks are omitted (NaN) if a cheap one fails.
+    The derivatives are the spline's own. The expensive checks are omitted (NaN) if a cheap one fails. A least distance
+    between links that is already known, of an arm of the same shape, is not computed again.
     """
     t_s = np.linspace(start_s, end_s, max(2, round((end_s - start_s) * PROOF_HZ) + 1))
     plant, body = arm.plant, arm.body
@@ -107,7 +108,7 @@ def prove(arm: Arm, motion: Motion, start_s: float, end_s: float) -> Proof:
     if margin >= 0.0 and max(ratios) <= 1.0 and height >= 0.0:
         tau = np.array([plant.torque(*state) for state in zip(q, v, a, strict=True)])
         torque = float((np.abs(tau) / plant.effort_limits).max())
-        distance = float(self_distance(arm, q, width).min())
+        distance = float(self_distance(arm, q, width).min()) if self_distance_m is None else self_distance_m
     return Proof(
         position_margin_rad=margin,
         velocity_ratio=ratios[0],

@@ -1,9 +1,12 @@
-"""Plug-in classes named `module:Class` on the command line."""
+"""Plug-in classes named `module:Class` or `FILE.py:Class` on the command line."""
 
 import importlib
+import importlib.util
 import os
 import re
 import sys
+from pathlib import Path
+from types import ModuleType
 
 from kinebench_drake.errors import UsageError
 
@@ -16,18 +19,19 @@ def is_class_name(text: str) -> bool:
 
 
 def load_class(spec: str, *, argument: str, method: str, arguments: str) -> type:
-    """Import the class of a spec `module:Class`, from installed modules or else from the working directory.
+    """Import the class of a spec: `module:Class`, installed or in the working directory, or `FILE.py:Class`.
 
     It must have `method`. `argument`, which holds the spec, and the method's `arguments` are for messages.
 
     Raises:
         UsageError: there is no such module or class, or the class has no such method.
     """
-    module_name, _, name = spec.partition(":")
+    module_name, _, name = spec.rpartition(":")
     if os.getcwd() not in sys.path and "" not in sys.path:
         sys.path.append(os.getcwd())  # not removed: the class may import modules beside it later
     try:
-        loaded = getattr(importlib.import_module(module_name), name)
+        is_file = module_name.endswith(".py")
+        loaded = getattr(_load_file(Path(module_name)) if is_file else importlib.import_module(module_name), name)
     except ModuleNotFoundError as error:
         raise UsageError(
             f"${argument} {spec}: there is no module {error.name!r}; expected one that is installed, or a file "
@@ -40,3 +44,15 @@ def load_class(spec: str, *, argument: str, method: str, arguments: str) -> type
     if not isinstance(loaded, type) or not callable(getattr(loaded, method, None)):
         raise UsageError(f"${argument} {spec}: expected a class with a method {method}({arguments})")
     return loaded
+
+
+def _load_file(path: Path) -> ModuleType:
+    """Execute a Python file as a module of its own name, which replaces an earlier one of the same file."""
+    name = f"plugin_{path.stem}"
+    spec = importlib.util.spec_from_file_location(name, path)
+    if spec is None or spec.loader is None:
+        raise ImportError(f"{path} is no Python file")
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module  # dataclasses look their module up
+    spec.loader.exec_module(module)
+    return module

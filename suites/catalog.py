@@ -11,7 +11,7 @@ from pydantic import ConfigDict, TypeAdapter
 
 from kinebench_drake.errors import UsageError, suggestion
 from kinebench_drake.suites.composition import Episode, Pool, compose, episode_id
-from kinebench_drake.suites.families.registry import TASKS
+from kinebench_drake.suites.families.registry import TASKS, OwnTask, load_task
 from kinebench_drake.suites.families.task import TaskVariant
 
 NUMBERS = (0, 1, 2, 3)
@@ -134,7 +134,7 @@ class Suite(_Strict):
         return name
 
     def tasks_of(self, split: str, chosen: Sequence[str] | None = None) -> tuple[str, ...]:
-        """Return the tasks of a split, or the chosen ones, in the suite's order.
+        """Return the tasks of a split, or the chosen ones, in the suite's order, then those of the user's own.
 
         Raises:
             UsageError: there is no such split, or a chosen task is not in it.
@@ -144,9 +144,11 @@ class Suite(_Strict):
         for task in chosen or ():
             if task not in TASKS:
                 raise UsageError(f"no task {task!r}{suggestion(task, TASKS)}; there are {', '.join(TASKS)}")
-            if task not in own:
+            if task not in own and not isinstance(task, OwnTask):
                 raise UsageError(f"{task} is not in suite {self.number}'s split {name}, which has {', '.join(own)}")
-        return own if chosen is None else tuple(task for task in own if task in chosen)
+        if chosen is None:
+            return own
+        return (*(task for task in own if task in chosen), *(task for task in chosen if isinstance(task, OwnTask)))
 
     def specs(
         self,
@@ -193,11 +195,24 @@ def load_suite(number: int) -> Suite:
 
 
 def task_names(names: str | Sequence[str] | None) -> list[str] | None:
-    """Parse task names, a list or comma-separated, with or without namespace, into plain ids without duplicates."""
+    """Parse task names, a list or comma-separated, with or without namespace, into plain ids without duplicates.
+
+    A name `FILE.py:Class` loads a task of the user's own.
+
+    Raises:
+        UsageError: such a task cannot be loaded.
+    """
     if names is None:
         return None
     listed = names.split(",") if isinstance(names, str) else names
-    return list(dict.fromkeys(name.strip().removeprefix("KineBench/") for name in listed))
+    return list(dict.fromkeys(map(_task_id, listed)))
+
+
+def _task_id(name: str) -> str:
+    if isinstance(name, OwnTask):
+        return name
+    name = name.strip()
+    return load_task(name) if ".py:" in name else name.removeprefix("KineBench/")
 
 
 def with_variant(tasks: Sequence[str], variant: TaskVariant, *, named: bool) -> list[str]:

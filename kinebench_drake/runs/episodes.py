@@ -52,6 +52,7 @@ from kinebench_drake.suites.catalog import EpisodeSpec
 from kinebench_drake.suites.clock import FRAME_PERIOD_S, ClipTiming
 from kinebench_drake.suites.composition import Episode
 from kinebench_drake.suites.export import FPS, manifest_row
+from kinebench_drake.suites.families.registry import OwnTask
 from kinebench_drake.suites.rollout import render_video
 from kinebench_drake.suites.simulator import Simulator
 from kinebench_drake.suites.simulator_cache import SimulatorCache
@@ -284,12 +285,14 @@ class EpisodeEvaluator(Evaluator[EpisodeSample, EpisodeResources]):
         }
 
     def input_files(self, sample: EpisodeSample) -> Sequence[Path]:
-        """Return the clips of an offline world model, up to the first that is missing."""
+        """Return the file of a task of the user's own, the clips of an offline world model up to the first missing."""
+        task = sample.spec.task
+        own = (task.file,) if isinstance(task, OwnTask) else ()
         model = self.world_model.get() if self.offline else None
         if not isinstance(model, OfflineModel):
-            return ()
+            return own
         clips = (model.files(sample.id, sample.task, number) for number in range(self.loop.rounds))
-        return [file for files in takewhile(bool, clips) for file in files]
+        return [*own, *(file for files in takewhile(bool, clips) for file in files)]
 
     def labels(self, sample: EpisodeSample) -> Mapping[str, Json]:
         """Return seed, number of the sample, pool, variant, frame period and camera."""

@@ -36,7 +36,12 @@ class SuiteConfig(RunConfig):
         ),
     ] = "test"
     tasks: Annotated[
-        str | Sequence[str] | None, Option("Tasks, comma-separated.  [default: all]", metavar="A,B", also="--task")
+        str | Sequence[str] | None,
+        Option(
+            "Tasks, comma-separated; FILE.py:CLASS is one of your own (docs/tasks.md).  [default: all]",
+            metavar="A,B",
+            also="--task",
+        ),
     ] = None
     episodes: Annotated[int, Option("Episodes of each task.", least=1, metavar="K", key="episodes_per_task")] = 10
     samples: Annotated[

@@ -1,8 +1,10 @@
 """Registry of all tasks and their experts."""
 
 from collections.abc import Callable, Sequence
+from pathlib import Path
 
 from kinebench_drake.errors import UsageError, suggestion
+from kinebench_drake.plugin import load_class
 from kinebench_drake.suites.expert.motion import Waypoint
 from kinebench_drake.suites.families.blocks import expert as blocks_expert
 from kinebench_drake.suites.families.blocks import task as blocks
@@ -53,3 +55,42 @@ def find_expert(task: str) -> Expert:
     if task not in EXPERTS:
         raise UsageError(f"no expert for task {task!r}; there are {', '.join(EXPERTS)}")
     return EXPERTS[task]
+
+
+class OwnTask(str):
+    """Plain id of a task of the user's own; where it is unpickled, in another process, it loads its file there."""
+
+    file: Path
+    """File that defines the task."""
+    class_name: str
+
+    def __reduce__(self) -> tuple[Callable[[str], "OwnTask"], tuple[str]]:
+        """Pickle the place of the class."""
+        return load_task, (f"{self.file}:{self.class_name}",)
+
+
+def load_task(spec: str) -> OwnTask:
+    """Load the task `FILE.py:Class` of the user's own and register it, its method `expert` as its expert.
+
+    Raises:
+        UsageError: there is no such class, it is no task, or a shipped task has its id.
+    """
+    file, _, name = spec.rpartition(":")
+    cls = load_class(spec, argument="tasks", method="layout", arguments="models, rng, variant")
+    try:
+        task = cls()
+    except TypeError as error:  # an abstract method is missing
+        raise UsageError(f"$tasks {spec}: {error}") from None
+    if not isinstance(task, Task):
+        raise UsageError(f"$tasks {spec}: expected a subclass of {Task.__module__}.{Task.__name__}")
+    id = OwnTask(task.card.id)
+    if id in TASKS and id not in _OWN:
+        raise UsageError(f"$tasks {spec}: a shipped task has the id {id}; choose another one")
+    id.file, id.class_name = Path(file).resolve(), name
+    TASKS[id], _OWN[id] = task, id
+    if (expert := getattr(task, "expert", None)) is not None:
+        EXPERTS[id] = expert
+    return id
+
+
+_OWN: dict[str, OwnTask] = {}
