@@ -6,9 +6,25 @@ from typing import Any
 import click
 
 from kinebench_drake.cli.click_options import PathParameter, config_options
+from kinebench_drake.errors import UsageError
 from kinebench_drake.runs.audit import AuditConfig
 from kinebench_drake.runs.config import RunKind, ScoreConfig
 
+
+def _one_path(ctx: click.Context, param: click.Parameter, paths: tuple[Path, ...]) -> Path:
+    """Return the only path; several, as of an expanded `*.mp4`, are refused with what to do."""
+    if len(paths) > 1:
+        names = ", ".join([path.name for path in paths[:2]] + ["..."] * (len(paths) > 2))
+        raise UsageError(
+            f"{ctx.info_name} reads one PATH, found {len(paths)} ({names}): name their folder, or a manifest.jsonl with a "
+            'line {"video": "FILE"} for each'
+        )
+    return paths[0]
+
+
+_source_argument = click.argument(
+    "source", metavar="PATH", nargs=-1, required=True, type=PathParameter(), callback=_one_path
+)
 _dry_run_option = click.option(
     "--dry-run", is_flag=True, help="List samples, frame periods and cameras; measure and write nothing."
 )
@@ -21,11 +37,12 @@ _dry_run_option = click.option(
         "  kinebench-drake score videos/manifest.jsonl --out results/ --jobs 4 --tag run=7\n"
         "  kinebench-drake score episode.mp4 --out results/ --frame-period 0.2 --overlay\n"
         "  kinebench-drake score videos/ --out results/ --dry-run\n"
+        "  kinebench-drake score models/ --out results/ --model-from folder   # models/wan/a.mp4, ...\n"
         "  kinebench-drake score lerobot-dataset/ --out results/ --camera-key observation.images.front\n"
         "  kinebench-drake score heldout/manifest.jsonl --out results/ --masks heldout --depth heldout"
     )
 )
-@click.argument("source", metavar="PATH", type=PathParameter())
+@_source_argument
 @config_options(ScoreConfig, omit=("source",))
 @_dry_run_option
 @click.pass_context
@@ -50,7 +67,7 @@ def score(ctx: click.Context, /, dry_run: bool, **options: Any) -> None:
         "  kinebench-drake ground videos/ --out tracks/ --poses foundationpose/"
     )
 )
-@click.argument("source", metavar="PATH", type=PathParameter())
+@_source_argument
 @config_options(ScoreConfig, omit=("source", "robot", "limits", "payload_kg", "table_height_m", "replays"))
 @_dry_run_option
 @click.pass_context
@@ -77,7 +94,7 @@ def ground(ctx: click.Context, /, dry_run: bool, **options: Any) -> None:
         "  kinebench-drake audit track.csv --out results/ --robot arm.urdf --tool tool0 --limits limits.json"
     )
 )
-@click.argument("source", metavar="PATH", type=PathParameter())
+@_source_argument
 @config_options(AuditConfig, omit=("source",))
 @click.pass_context
 def audit(ctx: click.Context, /, **options: Any) -> None:

@@ -102,6 +102,7 @@ def audit_trajectories(config: AuditConfig, observer: RunObserver | None = None)
     samples = find_trajectories(config.source, choice, out=config.out, warnings=warnings, **labels)
     for warning in warnings:
         observer.warn(warning)
+    samples = config.name_models(samples)
     for remark in config.robot_options().load().remarks:
         observer.warn(f"{Path(config.robot).name}: {remark}")
     summary = run_samples(samples, TrajectoryEvaluator(config=config), observer)

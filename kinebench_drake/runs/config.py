@@ -1,14 +1,14 @@
 """Configuration of a run over videos, and the options common to all runs."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import Enum
 from pathlib import Path
 from typing import Annotated, TypeVar
 
 from kinebench_drake.errors import UsageError, name_options
 from kinebench_drake.executors.base import ExecutorKind
-from kinebench_drake.formats.samples import MAX_PERIOD_S, MIN_PERIOD_S
+from kinebench_drake.formats.samples import MAX_PERIOD_S, MIN_PERIOD_S, Sample
 from kinebench_drake.formats.trajectories.trajectory import SLOW_STEP_S
 from kinebench_drake.grounding.overrides.overrides import Overrides
 from kinebench_drake.io.jsonl import Json
@@ -24,6 +24,14 @@ AUTO, BENCHMARK = "auto", "benchmark"
 MAX_SEED = 2**63 - 1
 """Largest seed: JSON readers take a larger integer for a float."""
 _Sample = TypeVar("_Sample")
+_Named = TypeVar("_Named", bound=Sample)
+
+
+class ModelSource(Enum):
+    """Where the names of models come from."""
+
+    FOLDER = "folder"
+    """The first folder below the source."""
 
 
 class RunKind(Enum):
@@ -49,7 +57,7 @@ class RunKind(Enum):
 class RunConfig:
     """Options common to all runs."""
 
-    out: Annotated[Path, Option("Output folder; created if absent.", key=None)]
+    out: Annotated[Path, Option("Output folder; created if absent.", key=None, also="-o")]
     kind: RunKind
     limit: Annotated[int | None, Option("Process only the first N samples.", least=1, metavar="N")] = None
     shard: Annotated[Shard | None, Option("Process only part I of N, for several machines.", metavar="I/N")] = None
@@ -139,6 +147,9 @@ class SourceConfig(RunConfig):
 
     source: Annotated[Path, Option("Files to read.")]
     task: Annotated[str | None, Option("Task of the samples, where the input does not name it.", metavar="NAME")] = None
+    model_from: Annotated[
+        ModelSource | None, Option("Name models by the subfolders of PATH, where the input does not name them.")
+    ] = None
     robot: Annotated[
         str,
         Option("Robot to judge by; of `audit` also the URDF of a seven-joint arm.", metavar=f"{'|'.join(ROBOTS)}|URDF"),
@@ -147,6 +158,24 @@ class SourceConfig(RunConfig):
         Path | None, Option("JSON file of joint limits that replace the robot's (docs/kinematics.md).", metavar="FILE")
     ] = None
     payload_kg: Annotated[float, Option("Mass that the gripper carries, a point at the TCP.", metavar="KG")] = 0.0
+
+    def name_models(self, samples: Sequence[_Named]) -> tuple[_Named, ...]:
+        """Return the samples with the name of their model, from `model_from`, where they have none.
+
+        Raises:
+            UsageError: no sample is in a subfolder, or the model is named twice.
+        """
+        if self.model_from is None:
+            return tuple(samples)
+        if self.model is not None:
+            raise UsageError(f"$model {self.model} and $model_from {self.model_from.value} exclude each other")
+        folders = [Path(sample.video).parts[:-1] for sample in samples]
+        if not any(folders):
+            raise UsageError(f"$model_from {self.model_from.value}: {self.source} has no subfolder with samples")
+        return tuple(
+            replace(sample, model=sample.model or (parts[0] if parts else None))
+            for sample, parts in zip(samples, folders, strict=True)
+        )
 
     def robot_options(self) -> RobotOptions:
         """Return robot and table.

@@ -94,7 +94,8 @@ def _find(config: ScoreConfig) -> VideoSamples:
         camera_key=config.camera_key,
     )
     periods = [config.frame_period_s, *(s.frame_period_s or s.dataset_period_s for s in inputs.samples)]
-    samples = tuple(with_camera_option(inputs.samples, config.camera, mirrored=config.mirrored))
+    named = config.name_models(inputs.samples)
+    samples = tuple(with_camera_option(named, config.camera, mirrored=config.mirrored))
     return replace(inputs, samples=samples, warnings=(*inputs.warnings, *period_warnings(periods)))
 
 

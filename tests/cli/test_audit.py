@@ -296,6 +296,19 @@ def test_audit_of_an_audit_output_folder_reads_its_tracks_with_their_ids_and_tas
     assert {row.task for row in again.values()} == {"StackCube-v1"}
 
 
+def test_models_are_named_by_the_subfolders_of_the_source(run, source, tmp_path):
+    for model in ("wan", "cogvideox"):
+        (source / model / "first").mkdir(parents=True)
+        np.savez(source / model / "first" / "a.npz", t_s=T_S, q=Q)
+    run(model_from="folder")
+    models = {row.video: row.model for row in read_rows(tmp_path / "out").values()}
+    assert (models["wan/first/a.npz"], models["cogvideox/first/a.npz"], models["good.npz"]) == (
+        "wan",
+        "cogvideox",
+        None,
+    )
+
+
 def test_audit_runs_no_grounding(run, tmp_path, monkeypatch):
     log = tmp_path / "log"
     monkeypatch.setenv(LOG, str(log))
@@ -343,6 +356,12 @@ def test_an_unusable_urdf_or_limits_file_ends_the_audit_with_status_2_before_any
         (["in", "--out", "out", "--rate", "x"], "--rate"),
         (["in", "--out", "out", "--reading", "no.json"], "--reading no.json: there is no such file"),
         (["in", "--out", "out", "--robot", "xarm7"], "folder, expected panda, fr3 or the path of a URDF"),
+        (
+            ["in/good.npz", "in/far.npz", "-o", "out"],
+            "audit reads one PATH, found 2 (good.npz, far.npz): name their folder",
+        ),
+        (["in", "-o", "out", "--model-from", "folder"], "in has no subfolder with samples"),
+        (["in", "-o", "out", "--model-from", "folder", "--model", "wan"], "exclude each other"),
         (["in", "--out", "out", "--tool", "tool0"], "has no link 'tool0'"),
         (["in", "--out", "out", "--tool", "1,2,3"], "metres and a unit quaternion"),
         (["in", "--out", "out", "--payload", "-1"], "--payload is -1.0, expected kilograms from 0 to 50"),
