@@ -16,8 +16,8 @@ def _one_path(ctx: click.Context, param: click.Parameter, paths: tuple[Path, ...
     if len(paths) > 1:
         names = ", ".join([path.name for path in paths[:2]] + ["..."] * (len(paths) > 2))
         raise UsageError(
-            f"{ctx.info_name} reads one PATH, found {len(paths)} ({names}): name their folder, or a manifest.jsonl with a "
-            'line {"video": "FILE"} for each'
+            f"{ctx.info_name} reads one PATH, found {len(paths)} ({names}): name their folder, or a "
+            'manifest.jsonl with a line {"video": "FILE"} for each'
         )
     return paths[0]
 
