@@ -67,8 +67,8 @@ class RobotWorker:
         q = np.asarray(track.q)
         truths, results = {}, {}
         for name, own in self._arms.items():
-            known = None if base.proof is None else base.proof.self_distance_m  # the arms have one shape
-            proof = prove(own, base.motion, base.start_s, base.start_s + base.t_s[-1], known)
+            distance_m = None if base.proof is None else base.proof.self_distance_m  # the arms have one shape
+            proof = prove(own, base.motion, base.start_s, base.start_s + base.t_s[-1], distance_m)
             shown = shows_excess(own.plant.robot.limits, track.t_s, q)
             truths[name] = Truth.FEASIBLE if proof.holds else Truth.SHOWN if shown else Truth.BETWEEN
             results[name] = self._judges[name].judge_joints(track.t_s, q, track.finger_width_m)
