@@ -81,7 +81,8 @@ def expect_gripper(
 ) -> NDArray[np.bool_]:
     """Return (T,) frames in which the gripper should be seen: where it is, and where it would be at constant velocity.
 
-    It should not where it would leave the image, nor after links of the arm hid it, nor before it first appears.
+    It should not where it would leave the image, nor after links of the arm hid it where it was last or a frame later,
+    nor before it first appears.
 
     Args:
         p_C: (T, 3) centre of the gripper in the camera frame [m]; NaN where unknown.
@@ -93,15 +94,18 @@ def expect_gripper(
     present = present & finite_rows(p_C)
     expected, last, hidden = present.copy(), -1, True
     for i in np.flatnonzero(~present).tolist():
-        if i and present[i - 1]:
-            # A gripper that its own arm hides more and more may be gone in the next frame; one in full view may not.
-            last = i - 1
-            hidden = _hidden_share(transform_points(X_SC[last], p_C[last, None])[0], wide[last]) >= _HIDDEN_SHARE
-        if not hidden:
-            step = p_C[last] - p_C[last - 1] if last and present[last - 1] else np.zeros(3)
-            p_S = transform_points(X_SC[i], (p_C[last] + step)[None])[0]
-            hidden = _hidden_share(p_S, wide[i]) >= _HIDDEN_SHARE
-            expected[i] = not hidden and _inside(p_S, camera)
+        starts = i > 0 and present[i - 1]
+        if hidden and not starts:
+            continue
+        last = i - 1 if starts else last
+        step = p_C[last] - p_C[last - 1] if last and present[last - 1] else np.zeros(3)
+        p_S = transform_points(X_SC[i], (p_C[last] + step)[None])[0]
+        if starts:
+            # Later its arm may be where the gripper was: that hides nothing.
+            before = transform_points(X_SC[last], p_C[last, None])[0]
+            places = (before, wide[last]), (p_S, wide[i])
+            hidden = any(_hidden_share(place, view) >= _HIDDEN_SHARE for place, view in places)
+        expected[i] = not hidden and _inside(p_S, camera)
     return expected
 
 

@@ -102,6 +102,7 @@ def test_a_gripper_hidden_behind_links_of_the_arm_has_not_vanished(background, s
     assert spans(p * [-1.0, 1.0, 1.0], gone(12, 22), behind(0.6)) == [(12, 21)]
     assert spans(p, gone(12, 22), behind(0.6), shift_m=-0.2) == [(12, 21)]  # the camera moved
     assert spans(p, gone(12, 22), [background] * 12 + [behind(0.6)] * 37) == []  # the link came in front just then
+    assert spans(p, gone(12, 22), [background] * 13 + [behind(0.6)] * 36) == [(12, 21)]  # it came later
 
 
 def test_a_gripper_has_vanished_where_only_a_few_cells_remain():
