@@ -40,6 +40,17 @@ def causes(episodes: int, seed: int, limit: int | None, jobs: int) -> None:
         click.echo(line)
 
 
+@click.command(epilog="\b\nExample:\n  python -m benchmarks readings --count 5")
+@click.option("--count", type=COUNT, default=5, show_default=True, help="Motions, each written into all files.")
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True)
+def readings(count: int, seed: int) -> None:
+    """Read motions from files as people have them, and from files whose names mislead."""
+    from benchmarks.readings import outcome_lines
+
+    for line in outcome_lines(count, seed):
+        click.echo(line)
+
+
 @click.command(
     epilog="\b\nExamples:\n  python -m benchmarks loss --count 1000 --jobs 2\n  python -m benchmarks loss --run results"
 )
@@ -220,4 +231,4 @@ def robots(count: int, seed: int, jobs: int) -> None:
         click.echo(line)
 
 
-COMMANDS = (causes, loss, validity, extractors, baseline, trajectories)
+COMMANDS = (causes, readings, loss, validity, extractors, baseline, trajectories)

@@ -34,11 +34,11 @@ class Alternative:
 ALTERNATIVES = (
     Alternative(name="rotation vectors", cost=0.05, change={"layout": "rotation_vector"}),
     *(
-        Alternative(name=f"Euler angles {order}", cost=0.1, change={"layout": f"euler_{order}"})
+        Alternative(name=f"Euler angles {order}", cost=0.15, change={"layout": f"euler_{order}"})
         for order in ("xyz", "zyx", "XYZ", "ZYX")
     ),
-    Alternative(name="quaternions x y z w", cost=0.05, change={"layout": "quaternion_xyzw"}),
-    Alternative(name="quaternions w x y z", cost=0.05, change={"layout": "quaternion_wxyz"}),
+    Alternative(name="quaternions x y z w", cost=0.15, change={"layout": "quaternion_xyzw"}),
+    Alternative(name="quaternions w x y z", cost=0.15, change={"layout": "quaternion_wxyz"}),
     Alternative(name="matrices by columns", cost=0.05, change={"layout": "matrix_columns"}),
     Alternative(name="matrices by rows", cost=0.05, change={"layout": "matrix_rows"}),
     Alternative(name="poses of the flange", cost=0.05, change={"tool": "flange"}),
