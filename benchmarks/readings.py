@@ -62,7 +62,7 @@ class _Files:
 
     def __init__(self, folder: Path, q: Array, X_BG: Array) -> None:
         self._folder, self.q, self.X = folder, q, X_BG
-        self.t_s = _STEP_S * np.arange(len(q))
+        self.t_s: Array = _STEP_S * np.arange(len(q), dtype=np.float64)
         self.p, self.rotation = X_BG[:, :3, 3], Rotation.from_matrix(X_BG[:, :3, :3])
         self.quaternion = to_quaternion(X_BG[:, :3, :3])
         self.xyzw = self.quaternion[:, [1, 2, 3, 0]]
