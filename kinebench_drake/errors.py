@@ -34,12 +34,17 @@ def name_arguments(text: str) -> str:
     return _ARGUMENT.sub(lambda match: match[0][1:], text)
 
 
-def one_line(text: str) -> str:
+def printable(text: str) -> str:
     """Return text as one line that is safe on a terminal: control characters escaped, length limited."""
-    line = " ".join(text.split())
+    line = text[: _MAX_CHARACTERS + 1]
     if not line.isprintable():
         line = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in line)
     return line if len(line) <= _MAX_CHARACTERS else f"{line[: _MAX_CHARACTERS - 4]} ..."
+
+
+def one_line(text: str) -> str:
+    """Return text as one line with single spaces, like `printable`."""
+    return printable(" ".join(text.split()))
 
 
 def count_noun(n: int, noun: str) -> str:

@@ -1,5 +1,7 @@
 """Hostile input: it leads nowhere else, is not waited for, and is shown rather than run."""
 
+import csv
+import io
 import json
 import os
 import threading
@@ -15,6 +17,7 @@ from kinebench_drake.io.files import read_bytes
 from kinebench_drake.io.jsonl import parse_json
 from kinebench_drake.report.page import write_report
 from kinebench_drake.report.suite.suite_page import write_suite_report
+from kinebench_drake.report.table import format_csv
 from kinebench_drake.results.row import Status
 from kinebench_drake.results.store import ResultStore
 from tests.report.pages import Page, row
@@ -97,6 +100,15 @@ def test_error_messages_are_one_printable_line_of_bounded_length():
     assert text.startswith("a b\\x1b[2Jc\\u202ed\\udcff")
     assert len(text) <= 1000
     assert one_line("plain") == "plain"
+
+
+# Tables
+
+
+@pytest.mark.parametrize("name", ["=cmd|' /C calc'!A0", "+1", "-rf", "@SUM(1)", "\t=1"])
+def test_text_in_a_csv_table_is_no_formula(name):
+    [[head], [text, number]] = csv.reader(io.StringIO(format_csv([name], [(name, -0.5)]), newline=""))
+    assert (head, text, number) == (f"'{name}", f"'{name}", "-0.5")
 
 
 # Html

@@ -9,7 +9,8 @@ from typing import NoReturn, cast
 import click
 
 import kinebench_drake
-from kinebench_drake.errors import KinebenchError, UsageError, name_options, suggestion
+from kinebench_drake.errors import KinebenchError, UsageError, name_options, one_line, suggestion
+from kinebench_drake.executors.interrupt import ignore_interrupts
 
 PROGRAM = "kinebench-drake"
 
@@ -91,6 +92,7 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
     except KinebenchError as error:
         code = _fail(str(error), 1)
     except (click.Abort, KeyboardInterrupt):
+        ignore_interrupts()
         code = _fail("interrupted", 130)
     except BrokenPipeError:  # the reader of our output has gone
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -99,5 +101,5 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
 
 
 def _fail(message: str, code: int) -> int:
-    click.echo(f"{PROGRAM}: {' '.join(name_options(message).split())}", err=True)
+    click.echo(f"{PROGRAM}: {one_line(name_options(message))}", err=True)
     return code

@@ -10,10 +10,15 @@ from typing import Any
 
 import click
 
-from kinebench_drake.errors import UsageError, name_options
+from kinebench_drake.errors import UsageError, name_options, printable
 from kinebench_drake.runs.option import Option, options_of
 
 Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
+
+
+def echo(line: object, *, err: bool = False) -> None:
+    """Print a line that may hold labels and names of files, whatever these contain."""
+    click.echo(printable(str(line)), err=err)
 
 
 class PathParameter(click.Path):

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from kinebench_drake.cli.click_options import PathParameter
+from kinebench_drake.cli.click_options import PathParameter, echo
 from kinebench_drake.cli.progress import ProgressView, run
 from kinebench_drake.errors import InputError, UsageError
 from kinebench_drake.io.jsonl import as_object
@@ -32,11 +32,11 @@ def report(folders: tuple[Path, ...], figures: bool) -> None:
     for folder in folders:
         require_output(folder)
         try:
-            click.echo(write_report(folder))
+            echo(write_report(folder))
             if figures:
                 from kinebench_drake.report.figures import write_figures
 
-                click.echo(write_figures(folder))
+                echo(write_figures(folder))
         except InputError as error:
             raise UsageError(str(error)) from None
 
@@ -66,7 +66,7 @@ def compare(folders: tuple[Path, ...], out: Path | None) -> None:
 
         episodes = read_comparison(folders)
         for warning in spec_warnings(episodes.runs):
-            click.echo(f"warning: {warning}", err=True)
+            echo(f"warning: {warning}", err=True)
         page = None if out is None else write_comparison(episodes, out)
         lines = [*episodes.leads, "", *pair_lines(episodes.pairs)]
     else:
@@ -78,13 +78,13 @@ def compare(folders: tuple[Path, ...], out: Path | None) -> None:
 
         comparison = compare_samples(runs)
         for warning in comparison.warnings:
-            click.echo(f"warning: {warning}", err=True)
+            echo(f"warning: {warning}", err=True)
         page = None if out is None else write_sample_comparison(comparison, out)
         lines = list(sample_comparison_lines(comparison))
     for line in lines:
-        click.echo(line)
+        echo(line)
     if page is not None:
-        click.echo(page)
+        echo(page)
 
 
 class MergeView(ProgressView):
@@ -149,9 +149,9 @@ def view(out: Path, id: str, opened: bool) -> None:
         raise UsageError(str(error)) from None
     if not paths:
         raise UsageError(f"{id}: no frame is tracked, there is nothing to show")
-    click.echo(paths[0])
+    echo(paths[0])
     if opened and click.launch(paths[0].resolve().as_uri()) != 0:
-        click.echo("no browser could be started; open the file yourself", err=True)
+        echo("no browser could be started; open the file yourself", err=True)
 
 
 def _plant(out: Path) -> "ArmPlant":

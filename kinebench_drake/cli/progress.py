@@ -10,12 +10,13 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
-import click
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.text import Text
 
+from kinebench_drake.cli.click_options import echo
 from kinebench_drake.errors import count_noun, name_options, one_line
+from kinebench_drake.executors.interrupt import ignore_interrupts
 from kinebench_drake.io.jsonl import Json, as_object
 from kinebench_drake.metrics.executable import UNCHECKED, FailureVerdict, reason_kind
 from kinebench_drake.metrics.trust import TRUST, trust_lines
@@ -104,7 +105,7 @@ class ProgressView:
         if self._bar:
             self._bar.console.print(text, soft_wrap=True)
         else:
-            click.echo(text.plain, err=True)
+            echo(text.plain, err=True)
 
 
 def run(job: Callable[[RunObserver], RunSummary], out: Path, view: ProgressView | None = None) -> int:
@@ -114,10 +115,11 @@ def run(job: Callable[[RunObserver], RunSummary], out: Path, view: ProgressView 
         with view, terminate_as_interrupt():
             summary = job(view)
     except KeyboardInterrupt:
+        ignore_interrupts()
         progress = (
             f"with {view.completed} of {view.total} samples finished" if view.total else "before any sample was begun"
         )
-        click.echo(f"interrupted {progress}; run the same command again, without --overwrite, to go on", err=True)
+        echo(f"interrupted {progress}; run the same command again, without --overwrite, to go on", err=True)
         return 130
     _print_summary(out, summary)
     return 0 if summary.counts[Status.OK] or summary.pending else 1
@@ -126,18 +128,18 @@ def run(job: Callable[[RunObserver], RunSummary], out: Path, view: ProgressView 
 def _print_summary(out: Path, summary: RunSummary) -> None:
     counts = ", ".join(f"{n} {status.value}" for status, n in summary.counts.items() if n)
     if not any(summary.counts.values()):
-        click.echo("there was nothing to do: this shard holds no sample", err=True)
+        echo("there was nothing to do: this shard holds no sample", err=True)
     elif not summary.counts[Status.OK] and not summary.pending:
-        click.echo(f"nothing could be measured ({counts}); {out / 'samples.jsonl'} has the reasons", err=True)
+        echo(f"nothing could be measured ({counts}); {out / 'samples.jsonl'} has the reasons", err=True)
     for line in summary_lines(summary.rows) if summary.rows else ():
-        click.echo(line)
+        echo(line)
     if count := len(summary.pending):
-        click.echo(
+        echo(
             f"next round of {count_noun(count, 'episode')}: generate the videos of "
             f"{out / REQUESTS / 'manifest.jsonl'}, put them to the others and run the same command again (or with "
             "fewer --rounds)"
         )
-    click.echo(summary.report or out / "results.json")
+    echo(summary.report or out / "results.json")
 
 
 def summary_lines(rows: Sequence[SampleRow]) -> Iterator[str]:

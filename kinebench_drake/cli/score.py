@@ -5,7 +5,7 @@ from typing import Any
 
 import click
 
-from kinebench_drake.cli.click_options import PathParameter, config_options
+from kinebench_drake.cli.click_options import PathParameter, config_options, echo
 from kinebench_drake.errors import UsageError
 from kinebench_drake.runs.audit import AuditConfig
 from kinebench_drake.runs.config import RunKind, ScoreConfig
@@ -128,7 +128,7 @@ def reading(source: Path, table_height_m: float, robot: str, tool: str | None) -
     from kinebench_drake.runs.tools import RobotOptions
 
     options = RobotOptions(table_height_m=table_height_m, robot=robot, tool=tool)
-    click.echo(json.dumps(assess_path(source, options).to_json(), indent=2))
+    echo(json.dumps(assess_path(source, options).to_json(), indent=2))
 
 
 def _score(config: ScoreConfig, *, dry_run: bool) -> int:
@@ -147,11 +147,11 @@ def _score(config: ScoreConfig, *, dry_run: bool) -> int:
         frames, width, height = (row.extra.get(key) for key in ("frames", "width", "height"))
         size = f"{frames} frames of {width} x {height} px" if row.status is Status.OK else str(row.reason)
         labels = [f"{key} {value}" for key, value in (("task", row.task), ("model", row.model)) if value is not None]
-        click.echo("; ".join([f"{row.id}: {size}", *input_lines([row]), *labels]))
+        echo("; ".join([f"{row.id}: {size}", *input_lines([row]), *labels]))
     readable = [row for row in rows if row.status is Status.OK]
-    click.echo(f"{len(readable)} of {len(rows)} samples can be read; nothing was measured or written")
+    echo(f"{len(readable)} of {len(rows)} samples can be read; nothing was measured or written")
     for warning in row_warnings(rows):
-        click.echo(f"warning: {warning}", err=True)
+        echo(f"warning: {warning}", err=True)
     for line in input_lines(readable):
-        click.echo(line)
+        echo(line)
     return 0 if readable else 1

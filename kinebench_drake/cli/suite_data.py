@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from kinebench_drake.cli.click_options import SIZES, config_options
+from kinebench_drake.cli.click_options import SIZES, config_options, echo
 from kinebench_drake.cli.progress import ProgressView, terminate_as_interrupt
 from kinebench_drake.errors import UsageError
 from kinebench_drake.results.metadata import Shard
@@ -43,8 +43,8 @@ def export(size: int, jobs: int, **options: Any) -> None:
     with ProgressView() as view, terminate_as_interrupt():
         count = export_suite(config, create_executor(ExecutorKind.LOCAL, jobs), view)
     of = _counted(len(config.tasks), "task")
-    click.echo(f"{_counted(count, 'episode')} of {of} (suite {config.suite.number}, {config.split})")
-    click.echo(config.out / "manifest.jsonl")
+    echo(f"{_counted(count, 'episode')} of {of} (suite {config.suite.number}, {config.split})")
+    echo(config.out / "manifest.jsonl")
 
 
 def _dataset(suite: int, split: str, tasks: str | None, variant: str, **others: Any) -> dict[str, Any]:
@@ -121,10 +121,10 @@ def demos(
         result = make_demos(config, create_executor(ExecutorKind.LOCAL, jobs), view, overwrite=overwrite)
     failed = f"; the expert failed with {_counted(result.failures, 'other seed')}" if result.failures else ""
     made = _counted(result.demonstrations, "demonstration")
-    click.echo(f"{made} of {_counted(len(config.tasks), 'task')}{failed}")
-    click.echo(config.out)
+    echo(f"{made} of {_counted(len(config.tasks), 'task')}{failed}")
+    echo(config.out)
     for task, count in result.short.items():
-        click.echo(f"{task}: given up with {count} demonstrations missing; demos.jsonl has the reasons", err=True)
+        echo(f"{task}: given up with {count} demonstrations missing; demos.jsonl has the reasons", err=True)
     ctx.exit(1 if result.short else 0)
 
 

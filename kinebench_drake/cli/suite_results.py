@@ -5,7 +5,7 @@ from pathlib import Path
 
 import click
 
-from kinebench_drake.cli.click_options import PathParameter, check_parent, check_suffix, config_options
+from kinebench_drake.cli.click_options import PathParameter, check_parent, check_suffix, config_options, echo
 from kinebench_drake.cli.outputs import comparison_out_option, folders_argument
 from kinebench_drake.io.atomic import write_atomically
 from kinebench_drake.runs.suite_config import SuiteConfig
@@ -40,9 +40,9 @@ def ceiling(folders: tuple[Path, ...], out: Path | None, jobs: int) -> None:
         comparison = read_ceiling(folders, lambda episodes: run_attempts(executor, episodes, (), view))
     page = None if out is None else write_comparison(comparison, out)
     for line in (*ceiling_lines(comparison.pairs), "", *pair_lines(comparison.pairs)):
-        click.echo(line)
+        echo(line)
     if page is not None:
-        click.echo(page)
+        echo(page)
 
 
 @click.command(
@@ -69,8 +69,8 @@ def report(folders: tuple[Path, ...], out: Path, paper: bool) -> None:
     from kinebench_drake.report.suite.suite_page import write_paper_report, write_suite_report
 
     write = write_paper_report if paper else write_suite_report
-    page = write(folders, out, warn=lambda message: click.echo(f"warning: {message}", err=True))
-    click.echo(page)
+    page = write(folders, out, warn=lambda message: echo(f"warning: {message}", err=True))
+    echo(page)
 
 
 _ERRORS = ("bias", "jitter", "finger_delay")
@@ -126,7 +126,7 @@ def tolerance(
         attempts = run_attempts(create_executor(ExecutorKind.LOCAL, jobs), todo, chosen_errors, view)
     write_atomically(out, (json.dumps(table_json(attempts), indent=1) + "\n").encode())
     for line in table_lines(attempts):
-        click.echo(line)
+        echo(line)
     if figure is not None:
         from kinebench_drake.closed_loop.tolerance import draw_tolerance
         from kinebench_drake.io.figure import save

@@ -9,6 +9,12 @@ from types import FrameType
 _MESSAGE = "interrupted: running samples are being finished, no more are started; press Ctrl-C again to stop at once"
 
 
+def ignore_interrupts() -> None:
+    """Ignore Ctrl-C from now on: the program is ending anyway."""
+    if threading.current_thread() is threading.main_thread():
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
 @contextmanager
 def graceful_interrupt(stop: Callable[[], None], report: Callable[[str], None]) -> Iterator[threading.Event]:
     """Call `stop` on the first interrupt (Ctrl-C) within this context; a second one raises KeyboardInterrupt.
@@ -28,8 +34,12 @@ def graceful_interrupt(stop: Callable[[], None], report: Callable[[str], None]) 
         yield interrupted
         return
 
+    def stop_at_once(number: int, frame: FrameType | None) -> None:
+        ignore_interrupts()  # further ones would break off the cleaning up
+        raise KeyboardInterrupt
+
     def handle(number: int, frame: FrameType | None) -> None:
-        signal.signal(signal.SIGINT, signal.default_int_handler)
+        signal.signal(signal.SIGINT, stop_at_once)
         interrupted.set()
         stop()
         # In a separate thread: the main thread may have been interrupted while writing to the terminal.

@@ -18,6 +18,7 @@ from kinebench_drake.report.metric import BY_NAME
 from kinebench_drake.results.aggregate import Estimate
 
 Value: TypeAlias = str | int | float | Estimate | None
+_FORMULA = ("=", "+", "-", "@", "\t", "\r")
 _TAILS = ("", "_low", "_high", "_n", "_bound")  # of the columns of an estimate in a CSV file
 DASH = "–"
 """Text of a missing value."""
@@ -249,11 +250,18 @@ def template_environment() -> Environment:
 
 
 def format_csv(heads: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
-    """Format rows as CSV (RFC 4180 with line feeds), numbers with all digits."""
+    """Format rows as CSV (RFC 4180 with line feeds), numbers with all digits.
+
+    Text that a spreadsheet would run as a formula begins with an apostrophe.
+    """
+
+    def inert(cell: object) -> object:
+        return f"'{cell}" if isinstance(cell, str) and cell.startswith(_FORMULA) else cell
+
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(heads)
-    writer.writerows(rows)
+    writer.writerow(map(inert, heads))
+    writer.writerows([inert(cell) for cell in row] for row in rows)
     return text.getvalue()
 
 
@@ -306,8 +314,8 @@ _LATEX = {
 
 
 def escape_latex(text: str) -> str:
-    """Escape all characters that are commands in LaTeX."""
-    return "".join(_LATEX.get(char, char) for char in " ".join(text.split()))
+    """Escape all characters that are commands in LaTeX; those that cannot be printed become question marks."""
+    return "".join(_LATEX.get(char, char if char.isprintable() else "?") for char in " ".join(text.split()))
 
 
 def table_latex(table: Table) -> str:

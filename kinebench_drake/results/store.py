@@ -3,12 +3,13 @@
 import fcntl
 import os
 from collections.abc import Callable, Collection, Mapping
+from contextlib import suppress
 from itertools import accumulate
 from pathlib import Path
 
 from kinebench_drake.errors import InputError, UsageError
 from kinebench_drake.io.atomic import disk_errors, remove
-from kinebench_drake.io.jsonl import Json, append_line, dump, parse_lines, write_json, write_raw_lines
+from kinebench_drake.io.jsonl import Json, append_line, dump, parse_json, parse_lines, write_json, write_raw_lines
 from kinebench_drake.results.row import RowFile, RowLine, SampleRow
 
 SAMPLES, TIMINGS, RESULTS, REPORT = "samples.jsonl", "timings.jsonl", "results.json", "report.html"
@@ -53,6 +54,18 @@ def _parse_rows(path: Path, file: RowFile) -> dict[str, SampleRow]:
         raise InputError(f"{error}; $overwrite=True removes the earlier results") from None
 
 
+def _listed_ids(path: Path) -> list[str]:
+    """Return the ids of the lines that are rows; other lines are skipped."""
+    if not path.is_file():
+        return []
+    ids = []
+    with path.open("rb") as file:
+        for line in file:
+            with suppress(ValueError, InputError):
+                ids.append(SampleRow.from_json(parse_json(line)).id)
+    return ids
+
+
 class ResultStore:
     """Output folder opened for writing, locked against other processes."""
 
@@ -73,6 +86,9 @@ class ResultStore:
             out.mkdir(parents=True, exist_ok=True)
             self._lock = os.open(out, os.O_RDONLY)
             self._lock_folder()
+            for name in (*ARTIFACTS, REQUESTS, "videos"):
+                if (out / name).is_symlink():
+                    raise InputError(f"$out {out}: {name} is a link, and a run writes and removes files there")
             self._sweep(everything=overwrite)
             for name in (SAMPLES, TIMINGS):
                 if (out / name).exists() and not (out / name).is_file():
@@ -120,16 +136,14 @@ class ResultStore:
         self._rewrite()
 
     def keep_artifacts(self, kind: str, ids: Collection[str]) -> None:
-        """Remove the artifacts of a kind of all other samples.
+        """Remove the artifacts of a kind of all other samples of the run.
 
         Raises:
             SetupError: writing failed.
         """
-        wanted = {artifact_path(self.out, kind, id) for id in ids}
         with disk_errors(f"{kind}/"):
-            for path in (self.out / kind).glob(f"*.{ARTIFACTS[kind]}"):
-                if path not in wanted:
-                    path.unlink()
+            for id in self.rows.keys() - set(ids):
+                artifact_path(self.out, kind, id).unlink(missing_ok=True)
 
     def begin(self, metadata: Mapping[str, Json]) -> None:
         """Write the metadata of the run that fills the folder from now on, and remove the outdated `results.json`.
@@ -197,11 +211,12 @@ class ResultStore:
             ) from None
 
     def _sweep(self, *, everything: bool) -> None:
-        """Remove unfinished files of killed processes, and on demand everything that a run writes."""
+        """Remove unfinished files of killed processes, and on demand everything that the run wrote by its rows."""
         doomed = [*self.out.glob(".*.part.*"), *self.out.glob("videos/.*.part.*")]
-        for kind, suffix in ARTIFACTS.items():
+        ids = _listed_ids(self.out / SAMPLES) if everything else ()
+        for kind in ARTIFACTS:
             doomed += (self.out / kind).glob(".*.part.*")
-            doomed += (self.out / kind).glob(f"*.{suffix}") if everything else ()
+            doomed += (artifact_path(self.out, kind, id) for id in ids)
         if everything:
             doomed += [self.out / name for name in (SAMPLES, TIMINGS, RUN, RESULTS, REPORT)]
         for path in doomed:  # world models may have left unfinished folders, too

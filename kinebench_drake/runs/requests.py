@@ -7,7 +7,7 @@ from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.formats.camerafile import CAMERA_NAME, save_camera
 from kinebench_drake.formats.manifest import NAME
 from kinebench_drake.io.atomic import disk_errors
-from kinebench_drake.io.jsonl import write_lines
+from kinebench_drake.io.jsonl import as_object, read_lines, write_lines
 from kinebench_drake.results.store import REQUESTS
 
 SIZE_PX = 384
@@ -30,11 +30,11 @@ def write_requests(out: Path, requests: Sequence[Mapping[str, object]]) -> None:
         SetupError: writing failed.
     """
     folder = out / REQUESTS
-    wanted = {str(request.get(key)) for request in requests for key in ("first_frame", "actions")}
+    wanted = _files(requests)
     with disk_errors(folder.name):
-        for file in (*folder.glob("*_r[0-9]*.png"), *folder.glob("*_r[0-9]*.json")):
-            if file.name not in wanted:
-                file.unlink()
+        for name in _files(read_lines(folder / NAME, as_object)) - wanted:
+            if Path(name).name == name:
+                (folder / name).unlink(missing_ok=True)
         if requests:
             save_camera(benchmark_camera().resized(SIZE_PX, SIZE_PX), folder / CAMERA_NAME)
             write_lines(folder / NAME, requests)
@@ -43,3 +43,8 @@ def write_requests(out: Path, requests: Sequence[Mapping[str, object]]) -> None:
                 (folder / name).unlink(missing_ok=True)
             if not any(folder.iterdir()):  # else videos were put beside the first frames
                 folder.rmdir()
+
+
+def _files(requests: Sequence[Mapping[str, object]]) -> set[str]:
+    """Return the names of the files of some requests."""
+    return {name for row in requests for key in ("first_frame", "actions") if isinstance(name := row.get(key), str)}

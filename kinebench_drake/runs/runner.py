@@ -100,9 +100,10 @@ def run_samples(
                     done += 1
             if interrupted.is_set() and done < len(waiting):
                 raise KeyboardInterrupt
-            if _is_complete(config, metadata):
-                return summarize_run(store, config.kind, config.seed)
             worst = worst_samples(store.rows.values(), partial(artifact_path, store.out, "tracks"), config.replays or 0)
+            replayed = all(artifact_path(store.out, "replays", id).is_file() for id in worst)
+            if replayed and _is_complete(config, metadata):
+                return summarize_run(store, config.kind, config.seed)
             if config.replays is not None:
                 store.keep_artifacts("replays", worst)
             statistics = RunStatistics.of(store.rows.values(), config.seed)

@@ -25,6 +25,7 @@ from kinebench_drake.formats.camerafile import save_camera
 from kinebench_drake.io.atomic import disk_errors
 from kinebench_drake.io.reader import read_video
 from kinebench_drake.models.panda.robot import GripperKind
+from kinebench_drake.report import replay
 from kinebench_drake.results import store
 from kinebench_drake.results.inputs import input_lines, list_inputs
 from kinebench_drake.results.metadata import Shard
@@ -566,6 +567,32 @@ def test_a_dry_run_lists_samples_and_writes_nothing(film, program, tmp_path):
     assert totals == ["1 of 2 samples can be read; nothing was measured or written", period, camera]
     assert code == 0
     assert not (tmp_path / "out").exists()
+
+
+def test_labels_reach_the_terminal_as_one_printable_line_of_bounded_length(film, program, tmp_path):
+    film("videos/a.mp4")
+    film("videos/b.mp4")
+    labels = {"model": "\x1b[31mred\n\u202e\x07" + "x" * 100_000, "task": "\ud800"}
+    manifest = tmp_path / "videos" / "manifest.jsonl"
+    manifest.write_text("".join(json.dumps({"video": f"{name}.mp4", **labels}) + "\n" for name in "ab"))
+    for arguments in (("--dry-run",), ()):
+        code, out, err = program("score", manifest, "--out", tmp_path / "out", *arguments)
+        assert code == 0
+        assert all(line.isprintable() and len(line) <= 1000 for line in (out + err).splitlines())
+
+
+def test_replays_that_could_not_be_written_are_made_up_on_the_next_run(film, config, monkeypatch):
+    film("videos/a.mp4")
+    written = []
+
+    def full(out, ids, plant):
+        raise SetupError("cannot write a.html (No space left on device)")
+
+    monkeypatch.setattr(replay, "write_replays", full)
+    score_videos(config(replays=3))
+    monkeypatch.setattr(replay, "write_replays", lambda out, ids, plant: written.extend(ids))
+    score_videos(config(replays=3))
+    assert written == ["a"]
 
 
 def test_a_dry_run_counts_frames_after_resampling(film, program, tmp_path):

@@ -27,9 +27,9 @@ def test_the_first_interrupt_finishes_running_items_and_the_second_stops():
     try:
         with graceful_interrupt(engine.drain, told.append) as asked:
             found = [outcome.result for outcome in engine.run(make_slow, [0, 1, 2]) if isinstance(outcome, ItemResult)]
-            assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
             with pytest.raises(KeyboardInterrupt):
                 signal.raise_signal(signal.SIGINT)
+            signal.raise_signal(signal.SIGINT)  # a third one is ignored
         assert asked.is_set()
         assert found == [0]
         give_up = time.monotonic() + 10

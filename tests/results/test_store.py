@@ -157,15 +157,29 @@ def test_an_output_path_that_is_a_file_is_a_usage_error(tmp_path):
             ResultStore(out)
 
 
-def test_overwrite_removes_only_files_written_by_runs(tmp_path):
-    for name in ("tracks/a.npz", "overlays/a.mp4", "thumbnails/a.jpg", "tracks/.7.part.b.npz", "report.html"):
-        (tmp_path / name).parent.mkdir(exist_ok=True)
-        (tmp_path / name).touch()
-    (tmp_path / "tracks" / "mine.txt").touch()
-    (tmp_path / "notes.md").touch()
+@pytest.mark.parametrize("name", ["tracks", "replays", "videos", "ask"])
+def test_an_artifact_folder_that_is_a_link_is_refused(tmp_path, name):
+    (tmp_path / "elsewhere").mkdir()
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / name).symlink_to(tmp_path / "elsewhere")
+    with pytest.raises(UsageError, match=f"{name} is a link"):
+        ResultStore(tmp_path / "out", overwrite=True)
+
+
+def test_only_files_of_the_run_s_own_rows_are_removed(tmp_path):
+    def left():
+        return sorted(path.relative_to(tmp_path).as_posix() for path in tmp_path.rglob("*") if path.is_file())
+
+    with ResultStore(tmp_path) as store:
+        for id in ("a", "b"):
+            store.append(row(id), 1.0)
+        for name in ("replays/a.html", "replays/b.html", "replays/mine.html", "tracks/.7.part.b.npz", "notes.md"):
+            (tmp_path / name).parent.mkdir(exist_ok=True)
+            (tmp_path / name).touch()
+        store.keep_artifacts("replays", ["a"])
+    assert [name for name in left() if "/" in name] == ["replays/a.html", "replays/mine.html", "tracks/.7.part.b.npz"]
     with ResultStore(tmp_path, overwrite=True):
-        left = {p.relative_to(tmp_path).as_posix() for p in tmp_path.rglob("*") if p.is_file()}
-    assert left == {"tracks/mine.txt", "notes.md", "samples.jsonl"}
+        assert left() == ["notes.md", "replays/mine.html", "samples.jsonl"]
 
 
 def test_a_full_disk_leaves_samples_jsonl_unchanged(tmp_path, monkeypatch):
