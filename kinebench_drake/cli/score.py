@@ -128,7 +128,7 @@ def reading(source: Path, table_height_m: float, robot: str, tool: str | None) -
     from kinebench_drake.runs.tools import RobotOptions
 
     options = RobotOptions(table_height_m=table_height_m, robot=robot, tool=tool)
-    echo(json.dumps(assess_path(source, options).to_json(), indent=2))
+    click.echo(json.dumps(assess_path(source, options).to_json(), indent=2))
 
 
 def _score(config: ScoreConfig, *, dry_run: bool) -> int:

@@ -10,21 +10,23 @@ import io
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from itertools import islice
 from pathlib import Path
 
 import pyarrow
-import pyarrow.parquet as parquet
 
 from kinebench_drake.errors import InputError, cause
 from kinebench_drake.formats.folders import join_relative
 from kinebench_drake.formats.samples import MAX_PERIOD_S, MIN_PERIOD_S
 from kinebench_drake.formats.videos.sample import Search, VideoSample
-from kinebench_drake.io.files import VIDEO_SUFFIXES, absence, read_bytes
+from kinebench_drake.io import parquet
+from kinebench_drake.io.files import VIDEO_SUFFIXES, absence, read_text
 from kinebench_drake.io.jsonl import as_object, as_type, parse_json
 
 Row = Mapping[str, object]
 
 _FILES = ("file_name", "video_file_name")
+_MOST_ROWS = 200_000
 _PROMPTS = ("text", "prompt", "caption", "instruction")
 LABELS = "metadata.jsonl"
 """Metadata file that is written."""
@@ -114,22 +116,30 @@ def _image(name: object, folder: Path) -> Path | None:
 def _read_rows(file: Path, search: Search) -> list[Row]:
     """Return the rows of a metadata file; none, with a warning, if it cannot be read."""
     try:
-        return list(_READERS[file.suffix](read_bytes(file)))
+        if len(rows := list(islice(_READERS[file.suffix](file), _MOST_ROWS + 1))) > _MOST_ROWS:
+            raise ValueError(f"it has more than {_MOST_ROWS} rows")
+        return rows
     except (OSError, ValueError, TypeError, MemoryError, csv.Error, pyarrow.ArrowException) as error:
         search.warnings.append(f"{search.name(file)} is not read ({cause(error).replace(str(file), file.name)})")
         return []
 
 
-def _jsonl(data: bytes) -> Iterator[Row]:
-    for line in data.decode("utf-8-sig").split("\n"):
+def _jsonl(file: Path) -> Iterator[Row]:
+    for line in io.StringIO(read_text(file)):
         if line.strip():
             yield as_object(parse_json(line))
 
 
-_READERS: Mapping[str, Callable[[bytes], Iterable[Row]]] = {
-    ".csv": lambda data: csv.DictReader(io.StringIO(data.decode("utf-8-sig"), newline="")),
+def _parquet(file: Path) -> Iterator[Row]:
+    with parquet.open_batches(file, every=True) as (_, batches):
+        for batch in batches:
+            yield from batch.to_pylist()
+
+
+_READERS: Mapping[str, Callable[[Path], Iterable[Row]]] = {
+    ".csv": lambda file: csv.DictReader(io.StringIO(read_text(file), newline="")),
     ".jsonl": _jsonl,
-    ".parquet": lambda data: parquet.read_table(io.BytesIO(data)).to_pylist(),
+    ".parquet": _parquet,
 }
 NAMES = tuple(f"metadata{suffix}" for suffix in _READERS)
 """Names of metadata files."""

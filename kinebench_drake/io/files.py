@@ -10,7 +10,7 @@ from pathlib import Path
 
 from kinebench_drake.errors import InputError, cause
 
-MOST_BYTES = 2**28
+MOST_BYTES = 2**26
 """Largest text file that is read [bytes]."""
 VIDEO_SUFFIXES = frozenset({".mp4", ".mov", ".avi", ".gif", ".webm", ".mkv"})
 """Video containers."""

@@ -6,11 +6,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pyarrow
-import pyarrow.parquet as parquet
 
 from kinebench_drake.errors import InputError, cause
 from kinebench_drake.formats.folders import join_relative
-from kinebench_drake.io.files import open_file, read_text
+from kinebench_drake.io import parquet
+from kinebench_drake.io.files import read_text
 from kinebench_drake.io.jsonl import as_number, as_object, as_type, parse_json, read_object
 from kinebench_drake.io.video import VideoPart
 
@@ -195,11 +195,8 @@ def read_table(
         InputError: the file is damaged, or lacks a column.
     """
     try:
-        with open_file(path) as file:
-            available = parquet.read_schema(file).names
-            filters = [(EPISODE, "==", episode)] if episode is not None and EPISODE in available else None
-            names = available if every else [*columns, *(name for name in optional if name in available)]
-            return parquet.read_table(file, columns=names, filters=filters)
+        where = None if episode is None else (EPISODE, episode)
+        return parquet.read_table(path, columns, optional, where, every=every)
     except _DAMAGED as error:
         reason = cause(error).replace(str(path), path.name)  # Arrow's messages contain paths of this machine
         raise InputError(f"{path.name} is not a readable parquet file ({reason})") from None

@@ -1,7 +1,9 @@
 """Tables in files of one trajectory: npz, npy, csv and other delimited text, json, parquet."""
 
 import csv
+import io
 import re
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from functools import partial
@@ -12,11 +14,13 @@ from numpy.typing import NDArray
 
 from kinebench_drake.errors import InputError, cause
 from kinebench_drake.formats.trajectories.table import Column, Table
-from kinebench_drake.formats.trajectories.trajectory import MAX_FRAMES, TrajectorySample
+from kinebench_drake.formats.trajectories.trajectory import MAX_FRAMES, TrajectorySample, parse_number
+from kinebench_drake.io.files import read_text
 from kinebench_drake.io.jsonl import read_object
 from kinebench_drake.io.npz import check_bytes, open_npz, read_npy
 
 _MAX_BYTES = 2**28
+_MOST_COLUMNS = 1000
 _MOST_NUMBERS = 1024  # per frame: more are images
 _DELIMITERS = (",", ";", "\t")
 
@@ -81,7 +85,7 @@ def open_text_table(sample: TrajectorySample) -> Iterator[Table]:
     if not sample.path.stat().st_size:
         raise InputError("the file is empty (0 bytes)")
     header, rows = _read_text(sample.path)
-    repeated = sorted({name for name in header if header.count(name) > 1})
+    repeated = sorted(name for name, count in Counter(header).items() if count > 1)
     if repeated:
         raise InputError(f"the header names {', '.join(repeated)} more than once")
 
@@ -97,25 +101,26 @@ def _read_text(path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
     rows: list[tuple[int, list[str]]] = []
     header: list[str] = []
     try:
-        with path.open(newline="", encoding="utf-8-sig") as file:
-            lines = ((number, line.strip()) for number, line in enumerate(file, 1))
-            split: Callable[[str], list[str]] | None = None
-            for number, line in lines:
-                if not line or (line.startswith("#") and split):
+        lines = ((number, line.strip()) for number, line in enumerate(io.StringIO(read_text(path)), 1))
+        split: Callable[[str], list[str]] | None = None
+        for number, line in lines:
+            if not line or (line.startswith("#") and split):
+                continue
+            if split is None:
+                line = line.lstrip("# ")
+                split = _splitter(line)
+                header = split(line)
+                if len(header) > _MOST_COLUMNS:
+                    raise InputError(f"has {len(header)} columns, at most {_MOST_COLUMNS} are accepted")
+                if not all(map(_is_number, header)):
                     continue
-                if split is None:
-                    line = line.lstrip("# ")
-                    split = _splitter(line)
-                    header = split(line)
-                    if not all(map(_is_number, header)):
-                        continue
-                    header = [f"column_{k}" for k in range(len(header))]
-                fields = split(line)
-                if len(fields) != len(header):
-                    raise InputError(f"line {number} has {len(fields)} fields, the header {len(header)}")
-                rows.append((number, fields))
-                if len(rows) > MAX_FRAMES:
-                    raise InputError(f"has more than {MAX_FRAMES} frames: cut it into parts")
+                header = [f"column_{k}" for k in range(len(header))]
+            fields = split(line)
+            if len(fields) != len(header):
+                raise InputError(f"line {number} has {len(fields)} fields, the header {len(header)}")
+            rows.append((number, fields))
+            if len(rows) > MAX_FRAMES:
+                raise InputError(f"has more than {MAX_FRAMES} frames: cut it into parts")
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise InputError(f"cannot be read as a comma-separated text ({cause(error)})") from None
     return header, rows
@@ -131,7 +136,7 @@ def _splitter(line: str) -> Callable[[str], list[str]]:
 
 def _is_number(text: str) -> bool:
     try:
-        float(text)
+        parse_number(text)
     except ValueError:
         return False
     return True
@@ -141,6 +146,6 @@ def _number(text: str, name: str, line: int) -> float:
     if not text and "width" in name:
         return np.nan
     try:
-        return float(text)
+        return parse_number(text)
     except ValueError:
         raise InputError(f"line {line}: {name} is {text!r:.40}, expected a number") from None

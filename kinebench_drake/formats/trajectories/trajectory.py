@@ -17,6 +17,7 @@ JOINT_SIZES = range(N_JOINTS, N_JOINTS + 3)
 """Numbers of joint angles in a file: those of the arm, followed by up to two fingers."""
 MAX_FRAMES = 100_000
 """Greatest number of frames; over an hour at 25 Hz."""
+_MOST = 1e100  # squares of larger numbers are infinite
 SLOW_STEP_S = 5.0
 """Longer steps give a warning: robots are recorded faster [s]."""
 
@@ -120,7 +121,21 @@ def require_numbers(name: str, array: NDArray[np.generic]) -> Array:
     """
     if array.dtype.kind not in "iuf":
         raise InputError(f"{name} holds {array.dtype}, expected real numbers")
-    return np.asarray(array, dtype=np.float64)
+    numbers = np.asarray(array, dtype=np.float64)
+    if (np.abs(numbers, where=np.isfinite(numbers), out=np.zeros_like(numbers)) > _MOST).any():
+        raise InputError(f"{name} holds a number beyond {_MOST:g}, which is no length, angle or time")
+    return numbers
+
+
+def parse_number(text: str) -> float:
+    """Return the number that a table states; unlike Python's own, neither underscores nor other digits than 0 to 9.
+
+    Raises:
+        ValueError: the text is no number.
+    """
+    if not text.isascii() or "_" in text:
+        raise ValueError(f"{text!r} is no number")
+    return float(text)
 
 
 def others_text(bad: NDArray[np.bool_]) -> str:

@@ -1,0 +1,88 @@
+"""Parquet files from untrusted sources, read in batches: a small file may unpack to any number of rows."""
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+import pyarrow
+import pyarrow.compute as compute
+from pyarrow import parquet
+
+from kinebench_drake.errors import InputError
+from kinebench_drake.io.files import Budget, open_file
+
+MOST_BYTES = 2**26
+"""Most bytes of a table, and most numbers in one column of a row group."""
+_ROWS = 64  # read at once: 64 images of 4 MiB
+
+
+@contextmanager
+def open_batches(
+    path: Path,
+    columns: Sequence[str] = (),
+    optional: Sequence[str] = (),
+    where: tuple[str, int] | None = None,
+    *,
+    every: bool = False,
+) -> Iterator[tuple[pyarrow.Schema, Iterator[pyarrow.RecordBatch]]]:
+    """Open a parquet file: schema and rows of all of `columns`, and those of `optional` that it has; or `every` one.
+
+    Only rows are read `where` a column has a value, if the file has this column.
+
+    Raises:
+        OSError: the file cannot be read; pyarrow.ArrowException, ValueError: it is damaged.
+    """
+    with open_file(path) as raw, parquet.ParquetFile(raw) as file:
+        names = file.schema_arrow.names
+        chosen = names if every else [*columns, *(name for name in optional if name in names)]
+        if absent := [name for name in chosen if name not in names]:
+            raise ValueError(f"it has no column {absent[0]!r}")
+        where = where if where and where[0] in names else None
+        schema = pyarrow.schema([file.schema_arrow.field(name) for name in chosen])
+        yield schema, _batches(file, chosen, where)
+
+
+def _batches(
+    file: parquet.ParquetFile, columns: list[str], where: tuple[str, int] | None
+) -> Iterator[pyarrow.RecordBatch]:
+    for number in range(file.num_row_groups):
+        group = file.metadata.row_group(number)
+        chunks = [group.column(k) for k in range(group.num_columns)]
+        if where and any(c.path_in_schema == where[0] and not _may_hold(c.statistics, where[1]) for c in chunks):
+            continue
+        read = [c for c in chunks if any(c.path_in_schema.startswith(name) for name in columns)]
+        if any(c.num_values > MOST_BYTES for c in read):
+            raise ValueError(f"a column holds {max(c.num_values for c in read)} values in one row group")
+        for batch in file.iter_batches(_ROWS, [number], [*columns, *(where[:1] if where else ())]):
+            if where:
+                batch = batch.filter(compute.equal(batch[where[0]], where[1]))
+            if batch.num_rows:
+                yield batch.select(columns)
+
+
+def _may_hold(statistics: parquet.Statistics | None, value: int) -> bool:
+    if statistics is None or not statistics.has_min_max:
+        return True
+    return bool(statistics.min <= value <= statistics.max)
+
+
+def read_table(
+    path: Path,
+    columns: Sequence[str] = (),
+    optional: Sequence[str] = (),
+    where: tuple[str, int] | None = None,
+    *,
+    every: bool = False,
+) -> pyarrow.Table:
+    """Read columns of a parquet file as `open_batches` does.
+
+    Raises:
+        InputError: they take more than `MOST_BYTES`; others as `open_batches`.
+    """
+    budget = Budget(MOST_BYTES, InputError(f"{path.name}: its rows take more than {MOST_BYTES >> 20} MiB"))
+    with open_batches(path, columns, optional, where, every=every) as (schema, batches):
+        kept = []
+        for batch in batches:
+            budget.take(batch.nbytes)
+            kept.append(batch)
+        return pyarrow.Table.from_batches(kept, schema)
