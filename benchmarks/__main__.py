@@ -44,6 +44,17 @@ def equivalence(before: Path, after: Path) -> None:
         raise SystemExit(1)
 
 
+@main.command(epilog="\b\nExample:\n  python -m benchmarks hostile")
+def hostile() -> None:
+    """Read hostile inputs, each in a process of its own: outcome, time and peak memory, as a Markdown table."""
+    from benchmarks.hostile import measure, table_line
+    from benchmarks.markdown import table
+
+    for line in table(("input", "outcome", "time [s]", "peak [GiB]"), ()):
+        click.echo(line)
+    measure(lambda result: click.echo(table_line(result)))
+
+
 @main.command(epilog="\b\nExample:\n  python -m benchmarks structure --revision v0.1.0 --revision HEAD")
 @click.option(
     "--revision", "revisions", multiple=True, default=("HEAD",), show_default=True, help="Revision; repeatable.",

@@ -16,7 +16,7 @@ from kinebench_drake.grounding.camera.lens import focal_px, with_focal
 from kinebench_drake.grounding.camera.result import CalibrationMethod, CameraCalibration
 from kinebench_drake.grounding.camera.states import RobotStates, unknown_states
 from kinebench_drake.grounding.registration.arm_model import ArmModel
-from kinebench_drake.grounding.tracking.view import Frames
+from kinebench_drake.io.frames import Frames
 from kinebench_drake.io.jsonl import Json
 from kinebench_drake.io.reader import read_video
 from kinebench_drake.models.panda.robot import RobotPart

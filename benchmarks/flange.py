@@ -19,8 +19,8 @@ from kinebench_drake.grounding.tracking.confidence import (
     load_confidence,
     save_confidence,
 )
-from kinebench_drake.grounding.tracking.view import Frames
 from kinebench_drake.io.atomic import make_folder, write_atomically
+from kinebench_drake.io.frames import Frames
 from kinebench_drake.io.reader import read_video
 from kinebench_drake.models.panda.robot import GRIPPER, HAND_LINK, LINK_OF, GripperKind
 from kinebench_drake.models.perception.network import ARM_WEIGHTS

@@ -24,8 +24,8 @@ from kinebench_drake.grounding.overlay import draw_overlay
 from kinebench_drake.grounding.pipeline import GroundingPipeline, Observation
 from kinebench_drake.grounding.priors import NO_PRIORS, Priors
 from kinebench_drake.grounding.tracking.crop import GRIPPER_CENTRE_H, GRIPPER_RADIUS_M
-from kinebench_drake.grounding.tracking.view import Frames
 from kinebench_drake.io.container import write_video
+from kinebench_drake.io.frames import Frames
 from kinebench_drake.io.reader import read_video
 from kinebench_drake.models.panda.robot import GripperKind
 from kinebench_drake.track import GripperTrack

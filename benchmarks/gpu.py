@@ -22,8 +22,8 @@ from kinebench_drake.errors import KinebenchError, UsageError
 from kinebench_drake.geometry import Array, make_pose
 from kinebench_drake.grounding.tracking.crop import CLOSE_MARGIN, CLOSE_SIZE, WIDE_SIZE, Crop
 from kinebench_drake.grounding.tracking.estimator import NetworkEstimator
-from kinebench_drake.grounding.tracking.view import Frames
 from kinebench_drake.io.container import read_container
+from kinebench_drake.io.frames import Frames
 from kinebench_drake.io.video import WHOLE
 from kinebench_drake.models.panda.robot import RobotPart
 from kinebench_drake.models.perception.network import STRIDE, load_network

@@ -11,7 +11,6 @@ from enum import Enum
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from benchmarks.markdown import table
 from benchmarks.perception.clip import TruthClipFile, find_clips
@@ -24,6 +23,7 @@ from kinebench_drake.grounding.camera.lens import with_focal
 from kinebench_drake.grounding.camera.reading import Reading
 from kinebench_drake.grounding.priors import Clip
 from kinebench_drake.grounding.video import Grounder
+from kinebench_drake.io.frames import Frames
 from kinebench_drake.io.reader import read_video
 from kinebench_drake.models.panda.robot import hand_from_tcp
 
@@ -67,7 +67,7 @@ class Presentation(Enum):
         """True if the video comes with a camera."""
         return self.value.startswith("named") or self in _MATRICES or self in _FOCALS
 
-    def apply(self, frames: NDArray[np.uint8], camera: Camera) -> tuple[NDArray[np.uint8], Camera]:
+    def apply(self, frames: Frames, camera: Camera) -> tuple[Frames, Camera]:
         """Return frames (T, H, W, 3) and camera as presented."""
         height, width = frames.shape[1:3]
         if self in _PICTURES:

@@ -13,6 +13,7 @@ from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array, invert, transform_points
 from kinebench_drake.grounding.tracking.crop import GRIPPER_CENTRE_H, GRIPPER_RADIUS_M
 from kinebench_drake.io.atomic import atomic_path
+from kinebench_drake.io.frames import Frames
 from kinebench_drake.models.panda.cad import GripperCad, PartCaster, link_meshes, open_fingers, part_meshes
 from kinebench_drake.models.panda.robot import ARM, GRIPPER, RobotPart, hand_from_tcp
 from kinebench_drake.track import GripperTrack
@@ -76,7 +77,7 @@ def draw_caption(image: Image, text: str, colour: tuple[int, int, int] = (255, 2
 
 
 def draw_overlay(
-    frames: NDArray[np.uint8],
+    frames: Frames,
     camera: Camera,
     track: GripperTrack,
     zoom: Array | None = None,

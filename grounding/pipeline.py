@@ -37,8 +37,9 @@ from kinebench_drake.grounding.tracking.markov import X_HALF_TURN, resolve_flips
 from kinebench_drake.grounding.tracking.pose import FramePose
 from kinebench_drake.grounding.tracking.smoothing import RawTrack
 from kinebench_drake.grounding.tracking.tracker import CadTracker, PoseTracker
-from kinebench_drake.grounding.tracking.view import DenseEstimator, Frames, GripperView
-from kinebench_drake.models.panda.robot import GripperKind, RobotPart, hand_from_tcp
+from kinebench_drake.grounding.tracking.view import DenseEstimator, GripperView
+from kinebench_drake.io.frames import Frames
+from kinebench_drake.models.panda.robot import GripperKind, hand_from_tcp
 from kinebench_drake.models.perception.network import ARM_WEIGHTS, WEIGHTS, load_network
 from kinebench_drake.models.robot import N_JOINTS
 from kinebench_drake.track import Domain, GripperTrack, InitialState
@@ -72,8 +73,8 @@ class PipelineResult:
     arm_consistency_px: float | None
     """Median over tracked frames of the distance between the links as estimated and as posed by the fitted arm [px of
     the video]; None if too little of the arm is visible."""
-    robot: NDArray[np.bool_]
-    """(T, H, W) pixels that show the robot."""
+    wide: tuple[GripperView, ...]
+    """(T,) views of whole images."""
     arm_q: Array = field(default_factory=lambda: np.zeros((0, N_JOINTS)))
     """(T, 7) fitted joint angles with the assumed camera [rad]; NaN where hand and arm do not agree; empty without a
     fit."""
@@ -201,7 +202,7 @@ class GroundingPipeline:
             camera_path=motion.path,
             camera_motion_px=None if motion.is_unknown else motion.largest_px,
             arm_consistency_px=_arm_consistency_px(poses, tracked),
-            robot=np.stack([view.to_frame(view.part > RobotPart.BACKGROUND, camera) for view in observation.wide]),
+            wide=observation.wide,
             arm_q=np.stack([_arm_posture(pose) for pose in poses]),
             X_CH_raw=invert(motion.X_AC) @ np.stack([no_poses[0] if p is None else p.X_CH for p in poses]),
             curves={**_icp_curves(poses), "repeated": evidence.still.astype(np.float64)},

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from kinebench_drake.errors import InputError
 from kinebench_drake.geometry import Array
+from kinebench_drake.io.frames import Frames
 from kinebench_drake.track import InitialState
 
 
@@ -16,7 +17,7 @@ from kinebench_drake.track import InitialState
 class Clip:
     """Frames to ground."""
 
-    frames: NDArray[np.uint8]
+    frames: Frames
     """(T, H, W, 3) RGB, as decoded."""
     t_s: Array
     """(T,) task time of each frame [s]."""
@@ -28,7 +29,7 @@ class Clip:
     def mirrored(self) -> Self:
         """Return the clip turned left-right."""
         image = None if self.conditioning is None else np.ascontiguousarray(self.conditioning[:, ::-1])
-        return replace(self, frames=np.ascontiguousarray(self.frames[:, :, ::-1]), conditioning=image)
+        return replace(self, frames=self.frames[:, :, ::-1], conditioning=image)
 
 
 class InitialStateUse(Enum):

@@ -3,13 +3,15 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from kinebench_drake.camera import Camera
 from kinebench_drake.errors import UnmeasurableError
 from kinebench_drake.grounding.camera.evidence import CameraChoice
 from kinebench_drake.grounding.camera.framing import Framing
 from kinebench_drake.grounding.pipeline import PipelineResult
-from kinebench_drake.grounding.tracking.view import Frames
+from kinebench_drake.io.frames import Frames
+from kinebench_drake.models.panda.robot import RobotPart
 from kinebench_drake.track import Domain, GripperTrack
 
 MIN_TRACKED = 2
@@ -27,6 +29,12 @@ class GroundingResult(PipelineResult):
     framing: Framing
     """How the camera's image lies in the video."""
     choice: CameraChoice
+
+    @property
+    def robot(self) -> NDArray[np.bool_]:
+        """(T, h, w) pixels that show the robot."""
+        camera = self.camera.resized(self.frames.shape[2], self.frames.shape[1])
+        return np.stack([view.to_frame(view.part > RobotPart.BACKGROUND, camera) for view in self.wide])
 
     @property
     def unmeasurable(self) -> str | None:

@@ -32,7 +32,7 @@ from kinebench_drake.grounding.tracking.confidence import (
     load_confidence,
 )
 from kinebench_drake.grounding.tracking.smoothing import MIN_CONFIDENCE, RawTrack
-from kinebench_drake.grounding.tracking.view import Frames
+from kinebench_drake.io.frames import Frames
 from kinebench_drake.io.reader import read_video
 from kinebench_drake.models.panda.cad import GripperCad
 from kinebench_drake.track import Domain
@@ -134,7 +134,7 @@ def degrade_video(frames: Frames, clip: TruthClip, degradation: VideoDegradation
     places = clip.camera.resized(frames.shape[2], frames.shape[1]).project(clip.X_CH[rng.choice(shown, 3), :3, 3])
     y, x = np.mgrid[0 : frames.shape[1], 0 : frames.shape[2]]
     near = np.min([np.hypot(x - p[0], y - p[1]) for p in places], axis=0) <= _NEAR_PX
-    occluded, draw = frames.copy(), int(rng.integers(2**32))
+    occluded, draw = np.array(frames), int(rng.integers(2**32))
     for image in occluded:
         occlude(image, near.astype(np.uint8), frames[0], np.random.default_rng(draw))
     return occluded

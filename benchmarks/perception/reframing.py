@@ -10,7 +10,7 @@ from benchmarks.perception.clip import TruthClip
 from kinebench_drake.geometry import Array
 from kinebench_drake.grounding.camera.framing import Framing, placements
 from kinebench_drake.grounding.camera.framing_search import find_framing
-from kinebench_drake.grounding.tracking.view import Frames
+from kinebench_drake.io.frames import Frames
 
 SIZES = ((832, 480), (720, 480), (512, 512))
 """Width and height of the output of common video models [px]."""

@@ -25,7 +25,7 @@ from benchmarks.perception.variants import (
 )
 from kinebench_drake.geometry import Array, invert
 from kinebench_drake.grounding.overrides.depth import DepthPlugIn
-from kinebench_drake.grounding.tracking.view import Frames
+from kinebench_drake.io.frames import Frames
 from kinebench_drake.io.reader import read_video
 from kinebench_drake.models.panda.robot import hand_from_tcp
 from kinebench_drake.track import GripperTrack
@@ -128,7 +128,12 @@ class TrialWorkerFactory:
 
 
 def evaluate(
-    clip: TruthClip, ground: Ground, tools: VariantTools, *, frames: Frames | None = None, share: Array | None = None
+    clip: TruthClip,
+    ground: Ground,
+    tools: VariantTools,
+    *,
+    frames: Frames | None = None,
+    share: Array | None = None,
 ) -> ClipErrors:
     """Ground a clip and return its errors; decoding counts as expense unless `frames` are passed."""
     start = time.perf_counter(), time.process_time()

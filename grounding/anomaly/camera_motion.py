@@ -12,7 +12,7 @@ from kinebench_drake.geometry import Array, make_pose, orthonormalize
 from kinebench_drake.grounding.anomaly.detection import Detection, sustained
 from kinebench_drake.grounding.registration.image import follow_points
 from kinebench_drake.grounding.tracking.camera_path import CameraPath, CameraWay
-from kinebench_drake.grounding.tracking.view import Frames
+from kinebench_drake.io.frames import Frames
 
 MOVING_PX = 1.2
 """Least motion of a moving camera [px of an image 384 px wide]."""
@@ -139,14 +139,14 @@ class FeatureTracks:
 
     def __init__(self, frames: Frames) -> None:
         """Create the tracks of `frames` (T, H, W, 3), RGB; none is computed yet."""
-        self._grey = [cv2.cvtColor(f, cv2.COLOR_RGB2GRAY) for f in frames]
+        self._frames, self._first = frames, cv2.cvtColor(frames[0], cv2.COLOR_RGB2GRAY)
         self._column: dict[tuple[float, float], int] = {}
         self._now = np.zeros((len(frames) - 1, 0, 2), np.float32)
         self._good = np.zeros(self._now.shape[:2], dtype=bool)
 
     def __len__(self) -> int:
         """Return the number T of frames."""
-        return len(self._grey)
+        return len(self._frames)
 
     def track(self, mask: NDArray[np.uint8]) -> tuple[Array, Array, NDArray[np.bool_]]:
         """Track the features (Shi and Tomasi 1994) in `mask` (H, W) by pyramidal Lucas-Kanade, forth and back.
@@ -156,14 +156,15 @@ class FeatureTracks:
         """
         places = [(u, v) for u, v in self._column if mask[int(v), int(u)]]
         if len(places) < _ENOUGH_FEATURES:
-            corners = cv2.goodFeaturesToTrack(self._grey[0], _MAX_FEATURES, 0.01, 6, mask=mask)
+            corners = cv2.goodFeaturesToTrack(self._first, _MAX_FEATURES, 0.01, 6, mask=mask)
             places = [] if corners is None else [(float(u), float(v)) for u, v in corners[:, 0]]
         start = np.array(places, np.float32).reshape(-1, 2)
         new = [k for k, place in enumerate(places) if place not in self._column]
         if new and len(self) > 1:
             self._column.update({places[k]: len(self._column) + n for n, k in enumerate(new)})
-            grey, points = self._grey, start[new]
-            tracked = [follow_points(grey[0], im, points, _ROUND_TRIP_PX, criteria=_LK_CRITERIA) for im in grey[1:]]
+            others = (cv2.cvtColor(frame, cv2.COLOR_RGB2GRAY) for frame in self._frames[1:])
+            points = start[new]
+            tracked = [follow_points(self._first, im, points, _ROUND_TRIP_PX, criteria=_LK_CRITERIA) for im in others]
             self._now = np.concatenate([self._now, np.stack([now for now, _ in tracked])], axis=1)
             self._good = np.concatenate([self._good, np.stack([good for _, good in tracked])], axis=1)
         columns = [self._column[place] for place in places] if len(self) > 1 else []

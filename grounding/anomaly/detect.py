@@ -31,7 +31,8 @@ from kinebench_drake.grounding.registration.shape import HandShape
 from kinebench_drake.grounding.tracking.crop import GRIPPER_CENTRE_H
 from kinebench_drake.grounding.tracking.markov import SHARP_M
 from kinebench_drake.grounding.tracking.pose import FramePose
-from kinebench_drake.grounding.tracking.view import Frames, GripperView
+from kinebench_drake.grounding.tracking.view import GripperView
+from kinebench_drake.io.frames import Frames
 from kinebench_drake.track import Domain
 
 FAIR_CONFIDENCE = 0.1

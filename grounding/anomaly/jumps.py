@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 from kinebench_drake.anomaly import AnomalyKind
 from kinebench_drake.geometry import Array
 from kinebench_drake.grounding.anomaly.detection import Detection
-from kinebench_drake.grounding.tracking.view import Frames
+from kinebench_drake.io.frames import Frames
 from kinebench_drake.segments import UNEVEN, finite_rows, frame_periods, segments
 
 TELEPORT_M, TELEPORT_CONTRAST = 0.04, 4.0
@@ -92,7 +92,7 @@ def _suppress_non_maxima(score: Array, lengths: Array) -> Array:
 
 def still_frames(frames: Frames) -> NDArray[np.bool_]:
     """Return the frames (T,) that show the same image as the one before; the first never does."""
-    small = [cv2.GaussianBlur(cv2.cvtColor(f, cv2.COLOR_RGB2GRAY), (0, 0), 1.5).astype(np.float32) for f in frames]
+    small = (cv2.GaussianBlur(cv2.cvtColor(f, cv2.COLOR_RGB2GRAY), (0, 0), 1.5).astype(np.float32) for f in frames)
     change = [np.percentile(np.abs(b - a), 99.5) for a, b in pairwise(small)]
     return np.array([False, *(c < STILL_LEVELS for c in change)])
 

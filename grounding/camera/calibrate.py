@@ -43,7 +43,7 @@ from kinebench_drake.grounding.camera.states import (
 from kinebench_drake.grounding.registration.arm_model import ArmModel
 from kinebench_drake.grounding.tracking.estimator import NetworkEstimator
 from kinebench_drake.grounding.tracking.tracker import CadTracker
-from kinebench_drake.grounding.tracking.view import Frames
+from kinebench_drake.io.frames import Frames
 from kinebench_drake.io.reader import read_video
 from kinebench_drake.io.video import Video
 from kinebench_drake.models.perception.network import load_network

@@ -18,7 +18,7 @@ from kinebench_drake.grounding.camera.hypotheses import Hypothesis
 from kinebench_drake.grounding.registration.arm_model import ArmModel
 from kinebench_drake.grounding.registration.edges import EdgeMatcher
 from kinebench_drake.grounding.registration.image import GradientImage
-from kinebench_drake.grounding.tracking.view import Frames
+from kinebench_drake.io.frames import Frames
 from kinebench_drake.models.panda.robot import ARM
 from kinebench_drake.segments import evenly
 

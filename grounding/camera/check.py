@@ -22,7 +22,8 @@ from kinebench_drake.grounding.camera.hypotheses import ChainSearch
 from kinebench_drake.grounding.camera.lens import Lens, with_focal
 from kinebench_drake.grounding.camera.reading import BetterReading, Reading
 from kinebench_drake.grounding.pipeline import PipelineResult
-from kinebench_drake.grounding.tracking.view import DenseEstimator, Frames
+from kinebench_drake.grounding.tracking.view import DenseEstimator
+from kinebench_drake.io.frames import Frames
 from kinebench_drake.io.jsonl import Json
 from kinebench_drake.models.panda.robot import RobotPart, hand_from_tcp
 from kinebench_drake.segments import evenly, finite_rows

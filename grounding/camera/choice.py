@@ -17,8 +17,8 @@ from kinebench_drake.grounding.camera.framing_search import find_framing
 from kinebench_drake.grounding.parts import GroundingParts
 from kinebench_drake.grounding.pipeline import PipelineResult
 from kinebench_drake.grounding.priors import Clip, Priors
-from kinebench_drake.grounding.tracking.view import Frames
 from kinebench_drake.grounding.video_result import MIN_TRACKED, GroundingResult
+from kinebench_drake.io.frames import Frames
 from kinebench_drake.models.panda.robot import GripperKind
 from kinebench_drake.track import Domain
 

@@ -14,7 +14,8 @@ from kinebench_drake.grounding.registration.fit import UNSEEN_FINGER_M
 from kinebench_drake.grounding.tracking.crop import CLOSE_SIZE
 from kinebench_drake.grounding.tracking.markov import X_HALF_TURN
 from kinebench_drake.grounding.tracking.tracker import PoseTracker
-from kinebench_drake.grounding.tracking.view import Frames, GripperView
+from kinebench_drake.grounding.tracking.view import GripperView
+from kinebench_drake.io.frames import Frames
 from kinebench_drake.models.panda.robot import ARM, GRIPPER, RobotPart
 from kinebench_drake.models.robot import N_JOINTS
 

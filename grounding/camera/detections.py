@@ -18,7 +18,8 @@ from kinebench_drake.grounding.camera.correspondences import CalibrationCorrespo
 from kinebench_drake.grounding.registration.fit import UNSEEN_FINGER_M, HandFit, finger_or_default, fit
 from kinebench_drake.grounding.tracking.crop import CLOSE_MARGIN, CLOSE_SIZE, Crop
 from kinebench_drake.grounding.tracking.localization import find_region, likeliest_gripper
-from kinebench_drake.grounding.tracking.view import DenseEstimator, Frames, GripperView
+from kinebench_drake.grounding.tracking.view import DenseEstimator, GripperView
+from kinebench_drake.io.frames import Frames
 from kinebench_drake.models.panda.robot import ARM, RobotPart
 from kinebench_drake.models.robot import N_JOINTS
 from kinebench_drake.segments import evenly

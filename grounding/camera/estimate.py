@@ -27,7 +27,8 @@ from kinebench_drake.grounding.camera.lens import Lens, centred_camera, focal_px
 from kinebench_drake.grounding.camera.surroundings import Surroundings, find_lines, find_surroundings
 from kinebench_drake.grounding.registration.arm_model import ArmModel
 from kinebench_drake.grounding.registration.edges import EdgeMatcher
-from kinebench_drake.grounding.tracking.view import DenseEstimator, Frames
+from kinebench_drake.grounding.tracking.view import DenseEstimator
+from kinebench_drake.io.frames import Frames
 from kinebench_drake.models.panda.robot import RobotPart
 
 _Ranked = TypeVar("_Ranked")

@@ -8,7 +8,7 @@ from kinebench_drake.grounding.camera.camera_estimate import CameraEstimate
 from kinebench_drake.grounding.camera.check import CameraChecker, CameraContradiction
 from kinebench_drake.grounding.camera.reading import BetterReading, Reading
 from kinebench_drake.grounding.pipeline import PipelineResult
-from kinebench_drake.grounding.tracking.view import Frames
+from kinebench_drake.io.frames import Frames
 from kinebench_drake.io.jsonl import Json
 from kinebench_drake.track import Domain
 

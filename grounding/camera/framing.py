@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array
+from kinebench_drake.io.frames import Frames
 
 _SQUARE = 0.01  # relative difference of the scales that counts as none (`Camera.resized` allows as much)
 _PART_PX = 0.75  # least width of a bar or crop; less is rounding
@@ -136,12 +137,13 @@ class Framing:
             cy=whole.cy - rows.start,
         )
 
-    def crop(self, frames: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        """Return the frames (T, H, W, ...) without their bars."""
+    def crop(self, frames: Frames) -> Frames:
+        """Return the frames without their bars."""
         rows, columns = self.window
         if (rows.stop - rows.start, columns.stop - columns.start) == frames.shape[1:3]:
             return frames
-        return np.ascontiguousarray(frames[:, rows, columns])
+        cropped: Frames = frames[:, rows, columns]
+        return cropped
 
     def to_json(self) -> dict[str, str | float | list[str] | None]:
         """Serialize the framing for results."""

@@ -16,6 +16,7 @@ from kinebench_drake.grounding.camera.framing import (
     letterboxes,
     placements,
 )
+from kinebench_drake.io.frames import Frames
 from kinebench_drake.io.video import MIN_SIDE_PX
 
 _MIN_CORRELATION = 0.75  # at which the frame shows the image
@@ -173,12 +174,13 @@ def _correlation(framing: Framing, level: _PyramidLevel) -> float:
     return float(a @ b) / norm if norm > 0 else 0.0
 
 
-def find_bars(frames: NDArray[np.uint8], image: tuple[float, float]) -> Framing | None:
+def find_bars(frames: Frames, image: tuple[float, float]) -> Framing | None:
     """Find the framing in which an image of (width, height) lies between bars of frames (T, H, W, 3); None without.
 
     Every bar must have one constant colour and end at the edge of the image.
     """
-    subset = frames[np.unique(np.linspace(0, len(frames) - 1, _BAR_FRAMES).astype(int))].astype(np.float32)
+    some = np.unique(np.linspace(0, len(frames) - 1, _BAR_FRAMES).astype(int))
+    subset = np.asarray(frames[some]).astype(np.float32)
     size = frames.shape[2], frames.shape[1]
     for framing in letterboxes(image, size):
         rows, columns = framing.window
@@ -201,7 +203,7 @@ def _is_bar(bar: NDArray[np.float32], inside: NDArray[np.float32]) -> bool:
 
 
 def find_framing(
-    frames: NDArray[np.uint8], camera: Camera, image: NDArray[np.uint8] | None, source: CameraSource | None = None
+    frames: Frames, camera: Camera, image: NDArray[np.uint8] | None, source: CameraSource | None = None
 ) -> Framing:
     """Find where the camera's image is in the frames of a video.
 

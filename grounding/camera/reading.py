@@ -9,10 +9,11 @@ from dataclasses import dataclass, replace
 from enum import Enum
 
 import numpy as np
+from numpy.typing import NDArray
 
 from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array, invert
-from kinebench_drake.grounding.tracking.view import Frames
+from kinebench_drake.io.frames import Frames
 from kinebench_drake.io.jsonl import Json
 
 
@@ -30,14 +31,14 @@ class Reading(Enum):
 
     def frames(self, frames: Frames) -> Frames:
         """Return the frames (T, H, W, 3) as read; the very same where the picture is not turned."""
-        return np.ascontiguousarray(_TURNS[self](frames)) if self in _TURNS else frames
+        return np.ascontiguousarray(_TURNS[self](np.asarray(frames))) if self in _TURNS else frames
 
     def camera(self, camera: Camera) -> Camera:
         """Return the camera as read; that of a cropped picture is found by a search."""
         return replace(camera, X_BC=_MATRICES[self](camera.X_BC)) if self in _MATRICES else camera
 
 
-_TURNS: dict[Reading, Callable[[Frames], Frames]] = {
+_TURNS: dict[Reading, Callable[[NDArray[np.uint8]], NDArray[np.uint8]]] = {
     Reading.MIRRORED: lambda frames: frames[:, :, ::-1],
     Reading.UPSIDE_DOWN: lambda frames: frames[:, ::-1, ::-1],
     Reading.ROWS_REVERSED: lambda frames: frames[:, ::-1],

@@ -16,7 +16,7 @@ from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array, rotation_exp, rotation_z
 from kinebench_drake.grounding.camera.lens import CAUCHY, UNKNOWNS, Lens
 from kinebench_drake.grounding.registration.edges import EdgeMatcher
-from kinebench_drake.grounding.tracking.view import Frames
+from kinebench_drake.io.frames import Frames
 
 _LEAST_LENGTH = 0.05  # of a line over the larger side of the image
 _LEAST_LINES = 8
@@ -120,7 +120,7 @@ def find_lines(frames: Frames, camera: Camera, X_CP: Array, matcher: EdgeMatcher
 
     `X_CP` (N, PARTS, 4, 4) are poses of the robot in some of them, in the camera frame [m].
     """
-    gray = cv2.cvtColor(np.median(frames, axis=0).astype(np.uint8), cv2.COLOR_RGB2GRAY)
+    gray = cv2.cvtColor(np.median(np.asarray(frames), axis=0).astype(np.uint8), cv2.COLOR_RGB2GRAY)
     detected = cv2.createLineSegmentDetector(cv2.LSD_REFINE_ADV).detect(gray)[0]
     if detected is None:
         return Lines(ends_px=np.zeros((0, 2, 2)))

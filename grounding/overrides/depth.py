@@ -21,6 +21,7 @@ from kinebench_drake.grounding.overrides.files import (
     true_depth,
 )
 from kinebench_drake.grounding.priors import ExternalDepth
+from kinebench_drake.io.frames import Frames
 from kinebench_drake.io.npz import open_npz, read_npy
 from kinebench_drake.plugin import is_class_name, load_class
 
@@ -170,7 +171,7 @@ class DepthPlugIn:
         except Exception as error:  # another program's code, which may raise anything
             raise SetupError(f"$depth {self.spec}: cannot be created ({type(error).__name__}: {error})") from error
 
-    def estimate(self, frames: NDArray[np.uint8], camera: Camera, *, exact: bool = False) -> ExternalDepth:
+    def estimate(self, frames: Frames, camera: Camera, *, exact: bool = False) -> ExternalDepth:
         """Estimate the depth of a video, as `DepthSource.depth`; `exact` if it is accurate to a few millimetres.
 
         Raises:
@@ -178,7 +179,7 @@ class DepthPlugIn:
             UsageError: the plug-in does not exist.
             SetupError: it cannot be created.
         """
-        depth_m: Array = np.asarray(self.load().depth(frames, camera), dtype=np.float64)
+        depth_m: Array = np.asarray(self.load().depth(np.asarray(frames), camera), dtype=np.float64)
         with errors_naming(f"$depth {self.name}"):
             return ExternalDepth(depth_m=_checked_depth(depth_m), exact=exact)
 

@@ -4,14 +4,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
-
 from kinebench_drake.camera import Camera
 from kinebench_drake.errors import InputError, UsageError
 from kinebench_drake.grounding.overrides.depth import DepthPlugIn, read_depth
 from kinebench_drake.grounding.overrides.files import array_files, errors_naming, pose_files, read_masks, read_poses
 from kinebench_drake.grounding.priors import NO_PRIORS, Priors
+from kinebench_drake.io.frames import Frames
 from kinebench_drake.track import InitialState
 
 TRUTH, TRACKS = "truth", "tracks"
@@ -96,9 +94,7 @@ class Overrides:
             return files  # the video becomes an error row, which is never reused
         return files if self._plug_in is None else [*files, *self._plug_in.files]
 
-    def priors(
-        self, video: Sequence[str], frames: NDArray[np.uint8], camera: Camera, first: InitialState | None = None
-    ) -> Priors:
+    def priors(self, video: Sequence[str], frames: Frames, camera: Camera, first: InitialState | None = None) -> Priors:
         """Read the priors of a video by its names, the preferred one first.
 
         Its frames (T, H, W, 3) and their camera, at their size, are the input of a plug-in; `first` is the state of the

@@ -16,9 +16,12 @@ from numpy.typing import NDArray
 from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array, invert
 from kinebench_drake.grounding.registration.correspondences import Correspondences, line_frames
+from kinebench_drake.grounding.registration.solver import BATCH
+from kinebench_drake.io.frames import Frames
 from kinebench_drake.models.panda.cad import PartCaster
 from kinebench_drake.models.panda.robot import GRIPPER, RobotPart
 
+_KEPT_IMAGES = 2 * BATCH
 _LARGEST_PX = 640  # images larger than this are reduced
 _SMOOTHING_PX = 0.8
 _STEP_PX = 0.5
@@ -115,6 +118,26 @@ class GradientImage:
     @staticmethod
     def _sample(values: NDArray[np.float32], u: NDArray[np.float32], v: NDArray[np.float32]) -> NDArray[np.float32]:
         return np.asarray(cv2.remap(values, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT), np.float32)
+
+
+class GradientImages:
+    """Gradients of the frames of a video, computed when they are asked for; those asked for last are kept."""
+
+    def __init__(self, frames: Frames, camera: Camera) -> None:
+        """Serve the images of `frames` (T, H, W, 3), taken by `camera`."""
+        self._frames, self._camera = frames, camera
+        self._kept: dict[int, GradientImage] = {}
+
+    def __len__(self) -> int:
+        return len(self._frames)
+
+    def __getitem__(self, number: int) -> GradientImage:
+        """Return the image of a frame."""
+        image = self._kept.pop(number, None) or GradientImage(self._frames[number], self._camera)
+        self._kept[number] = image
+        if len(self._kept) > _KEPT_IMAGES:
+            del self._kept[next(iter(self._kept))]
+        return image
 
 
 def _gradient(image: NDArray[np.uint8]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:

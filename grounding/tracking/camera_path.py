@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array, make_pose, rotation_angle, rotation_exp
 from kinebench_drake.grounding.registration.image import follow_points
-from kinebench_drake.grounding.tracking.view import Frames
+from kinebench_drake.io.frames import Frames, Image, map_frames
 from kinebench_drake.io.jsonl import Json
 
 MAX_TURN_RAD, MAX_MOVE_M, MAX_ZOOM = float(np.deg2rad(15.0)), 0.15, 0.2
@@ -41,9 +41,6 @@ _STEPS, _SWEEPS = 8, 40
 _LEAST_MARGIN_PX, _MAX_MARGIN = 16.0, 0.25  # by which stabilized images are extended; the largest relative to the image
 _FAR_M = 4.0  # depth of features that do not look at the table; its inverse is a weak prior
 _TABLE_SIGMA = 0.02  # relative standard deviation of the inverse depth of a feature on the table
-
-
-Image = NDArray[np.uint8]
 
 
 class CameraWay(Enum):
@@ -115,11 +112,13 @@ class CameraPath:
         wide = replace(camera, width=width, height=height, cx=camera.cx + margin, cy=camera.cy + margin)
         half = np.array([[1.0, 0.0, 0.5], [0.0, 1.0, 0.5], [0.0, 0.0, 1.0]])  # OpenCV's pixel centres are integers
         shift = np.array([[1.0, 0.0, margin], [0.0, 1.0, margin], [0.0, 0.0, 1.0]])
-        warped = [
-            cv2.warpPerspective(frame, M, (width, height), borderMode=cv2.BORDER_REPLICATE)
-            for frame, M in zip(frames, np.linalg.inv(half) @ shift @ M_AC @ half, strict=True)
-        ]
-        return np.asarray(np.stack(warped), np.uint8), wide
+        M = np.linalg.inv(half) @ shift @ M_AC @ half
+
+        def warp(number: int, frame: Image) -> Image:
+            warped = cv2.warpPerspective(frame, M[number], (width, height), borderMode=cv2.BORDER_REPLICATE)
+            return np.asarray(warped, np.uint8)
+
+        return map_frames(frames, warp), wide
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -11,7 +11,8 @@ from kinebench_drake.camera import Camera
 from kinebench_drake.environment.native import share_heap
 from kinebench_drake.geometry import Array
 from kinebench_drake.grounding.tracking.crop import CLOSE_SIZE, Crop
-from kinebench_drake.grounding.tracking.view import Frames, GripperView
+from kinebench_drake.grounding.tracking.view import GripperView
+from kinebench_drake.io.frames import Frames
 from kinebench_drake.models.panda.robot import ARM
 from kinebench_drake.models.perception.network import (
     COORDINATE_SCALE_M,

@@ -6,7 +6,7 @@ their neighbours, which needs no network. Its turn about the flange comes from a
 of its surface shows how it turns between them.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -20,14 +20,15 @@ from kinebench_drake.grounding.registration.arm_model import ArmModel
 from kinebench_drake.grounding.registration.chain_fit import ChainFitter
 from kinebench_drake.grounding.registration.correspondences import Correspondences
 from kinebench_drake.grounding.registration.edges import links_shape, robotiq_shape
-from kinebench_drake.grounding.registration.image import GradientImage
+from kinebench_drake.grounding.registration.image import GradientImages
 from kinebench_drake.grounding.tracking.crop import CLOSE_SIZE, WRIST_CENTRE_H, WRIST_RADIUS_M, Crop
 from kinebench_drake.grounding.tracking.flange_fit import INDEPENDENT, LINK_CELLS, REACHES_PX, FlangeFitter, FlangeView
 from kinebench_drake.grounding.tracking.localization import find_region
 from kinebench_drake.grounding.tracking.markov import OFFSETS_RAD, TURNS_RAD, likeliest_turns
 from kinebench_drake.grounding.tracking.pose import FramePose
 from kinebench_drake.grounding.tracking.tracker import Tracking
-from kinebench_drake.grounding.tracking.view import DenseEstimator, Frames, GripperView
+from kinebench_drake.grounding.tracking.view import DenseEstimator, GripperView
+from kinebench_drake.io.frames import Frames
 from kinebench_drake.models.panda.robot import GripperKind, RobotPart
 from kinebench_drake.track import Domain
 
@@ -55,7 +56,7 @@ class _Video:
     camera: Camera
     wide: Mapping[int, GripperView]
     """Views that show the whole arm, by frame number."""
-    images: Sequence[GradientImage]
+    images: GradientImages
     arm: ArmEdgeFitter
     flange: FlangeFitter
 
@@ -82,7 +83,7 @@ class FlangeTracker:
             frames=frames,
             camera=camera,
             wide=wide,
-            images=[GradientImage(frame, camera) for frame in frames],
+            images=GradientImages(frames, camera),
             arm=ArmEdgeFitter(camera, self._model, self._links.edges[0], places),
             flange=FlangeFitter(self._chain, self._links),
         )

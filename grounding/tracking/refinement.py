@@ -11,12 +11,13 @@ from kinebench_drake.geometry import pose_difference
 from kinebench_drake.grounding.registration.arm_edge_fit import ArmEdgeFitter
 from kinebench_drake.grounding.registration.arm_fit import ArmFit, ArmView
 from kinebench_drake.grounding.registration.fit import finger_or_default
-from kinebench_drake.grounding.registration.image import GradientImage
+from kinebench_drake.grounding.registration.image import GradientImages
 from kinebench_drake.grounding.registration.silhouette import SilhouetteMatcher
 from kinebench_drake.grounding.registration.solver import BATCH
 from kinebench_drake.grounding.tracking.crop import CLOSE_MARGIN, CLOSE_SIZE, Crop
 from kinebench_drake.grounding.tracking.pose import FramePose
-from kinebench_drake.grounding.tracking.view import Frames, GripperView
+from kinebench_drake.grounding.tracking.view import GripperView
+from kinebench_drake.io.frames import Frames
 from kinebench_drake.track import Domain
 
 _SOURCE_OVERLAP, _GOOD_OVERLAP = 0.6, 0.8  # overlap from which a pose is propagated, and from which it is not replaced
@@ -30,7 +31,6 @@ _SMALL_M = 0.0025  # median change by fits to the edges alone up to which they c
 _FAR_M, _GAIN = 0.02, 0.18  # above which the change, or the gain of agreement by it, contradicts the network's poses
 _MISSED_SHARE = 0.1  # greatest share of frames of a familiar video that are only reached by following the arm
 _FOLLOWED_FRAMES = 3  # frames without a sure pose across which the surface is followed at once
-_KEPT_IMAGES = 2 * BATCH  # images whose gradients are kept, those used last
 _BEST_QUANTILE, _BEST_SHARE = 0.75, 0.9  # frames that agree nearly as well as the best ones are not tried again
 
 
@@ -108,9 +108,8 @@ class EdgeRefinement:
         self._measure, self._may_be_familiar = measure, may_be_familiar
         self.poses = dict(poses)
         """Refined poses by frame number."""
-        self._wide, self._frames, self._camera = wide, frames, camera
+        self._wide, self._images = wide, GradientImages(frames, camera)
         self._fitter, self._silhouette = arm_fitter, silhouette
-        self._images: dict[int, GradientImage] = {}
         self._sharp: dict[int, tuple[ArmFit, ArmFit]] = {}  # by frame: fit to the cells, and to cells and edges
         self._reached: set[int] = set()  # frames whose pose comes from following the arm
 
@@ -128,7 +127,7 @@ class EdgeRefinement:
             return bool(self.poses) and estimated == 0
         sample = [numbers[k] for k in np.unique(np.linspace(0, len(numbers) - 1, _SAMPLES).round().astype(int))]
         arms = self._sharpened(sample)
-        agreements = [self._fitter.at([i]).edge_agreement(arm.q, self._image(i)) for i, arm in arms.items()]
+        agreements = [self._fitter.at([i]).edge_agreement(arm.q, self._images[i]) for i, arm in arms.items()]
         agreement = float(np.median(agreements))
         if agreement >= _CONFIRMATION:
             return True
@@ -160,7 +159,7 @@ class EdgeRefinement:
         """Follow the arm from sure frames into those beside them that are less sure, forwards and back."""
         for step in (1, -1):
             near: int | None = None
-            for i in range(len(self._frames))[::step]:
+            for i in range(len(self._images))[::step]:
                 if near is not None and abs(i - near) <= _FOLLOWED_FRAMES and self._is_less_sure(i, near):
                     self._follow_from(near, i)
                 if self._is_sure(i):
@@ -171,7 +170,7 @@ class EdgeRefinement:
         before, fitter = self.poses[near].arm, self._fitter.at([number])
         if before is None:
             return
-        X_CP, images = self._fitter.at([near]).poses(before), (self._image(near), self._image(number))
+        X_CP, images = self._fitter.at([near]).poses(before), (self._images[near], self._images[number])
         arm = fitter.follow(before, X_CP, *images)
         if arm is None:
             return
@@ -212,7 +211,7 @@ class EdgeRefinement:
         old = [i for i, arm in arms.items() if i not in self._sharp or self._sharp[i][0] is not arm]
         for start in range(0, len(old), BATCH):
             batch = old[start : start + BATCH]
-            shown = [self._view(i) for i in batch], [self._image(i) for i in batch]
+            shown = [self._view(i) for i in batch], [self._images[i] for i in batch]
             fits = self._fitter.at(batch).sharpen_all([arms[i] for i in batch], *shown)
             self._sharp.update({i: (arms[i], fit) for i, fit in zip(batch, fits, strict=True)})
         return {i: self._sharp[i][1] for i in arms}
@@ -245,7 +244,7 @@ class EdgeRefinement:
         """
         rest = {i: pose for i, pose in self.poses.items() if i not in self.confirmed and not pose.from_prior}
         for i in sorted(rest, key=lambda i: -rest[i].overlap)[:_SEARCHED_FRAMES]:
-            self._keep_better(i, self._fitter.at([i]).search(self._view(i), self._image(i)))
+            self._keep_better(i, self._fitter.at([i]).search(self._view(i), self._images[i]))
         if any(i in self.confirmed for i in rest):
             self.fit(i for i in rest if i not in self.confirmed)
 
@@ -255,7 +254,7 @@ class EdgeRefinement:
         return {i: pose for i, pose in self.poses.items() if _agreement(pose) > 0.0}
 
     def _refine(self, number: int, start: ArmFit) -> ArmFit | None:
-        return self._fitter.at([number]).refine(start.q, self._view(number), self._image(number))
+        return self._fitter.at([number]).refine(start.q, self._view(number), self._images[number])
 
     def _view(self, number: int) -> ArmView:
         return ArmView.of(self.poses[number].hand, self.poses[number].view, self._wide[number])
@@ -268,10 +267,3 @@ class EdgeRefinement:
         hand = pose.view, arm.X_CH, finger_or_default(arm.finger_m)
         if self._silhouette.coverage(*hand) >= _MIN_COVERAGE:
             self.poses[number] = pose.with_arm(arm, self._silhouette.overlap(*hand))
-
-    def _image(self, number: int) -> GradientImage:
-        image = self._images.pop(number, None) or GradientImage(self._frames[number], self._camera)
-        self._images[number] = image
-        if len(self._images) > _KEPT_IMAGES:
-            del self._images[next(iter(self._images))]
-        return image

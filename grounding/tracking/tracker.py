@@ -34,7 +34,8 @@ from kinebench_drake.grounding.tracking.crop import CLOSE_MARGIN, CLOSE_SIZE, GR
 from kinebench_drake.grounding.tracking.localization import find_region, likeliest_gripper
 from kinebench_drake.grounding.tracking.pose import FramePose
 from kinebench_drake.grounding.tracking.refinement import EdgeRefinement, propagate
-from kinebench_drake.grounding.tracking.view import DenseEstimator, Frames, GripperView, OverrideEstimator
+from kinebench_drake.grounding.tracking.view import DenseEstimator, GripperView, OverrideEstimator
+from kinebench_drake.io.frames import Frames
 from kinebench_drake.models.panda.cad import GripperCad
 from kinebench_drake.models.panda.robot import RobotPart
 from kinebench_drake.track import Domain

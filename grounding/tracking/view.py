@@ -11,10 +11,9 @@ from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array
 from kinebench_drake.grounding.priors import ExternalDepth, Priors
 from kinebench_drake.grounding.tracking.crop import Crop
+from kinebench_drake.io.frames import Frames
 from kinebench_drake.models.panda.robot import GRIPPER, OPENING_SIGN, RobotPart
 
-Frames = NDArray[np.uint8]
-"""(T, H, W, 3) RGB."""
 _EXACT_SIGMA, _EXACT_FACTOR_SIGMA = 1e-3, 1e-4  # relative; depth is stored in whole millimetres
 _ESTIMATE_SIGMA, _ESTIMATE_FACTOR_SIGMA = 0.02, 0.1  # estimator of unknown accuracy
 _CALIBRATED_FACTOR_SIGMA = 0.03  # drift of the depth factor along a video

@@ -265,7 +265,7 @@ class ClosedLoop:
             video=video,
             timing=timing,
             generated_frames=len(decoded),
-            frames=undo_framing(grounding.framing, frames),
+            frames=undo_framing(grounding.framing, np.asarray(frames)),
             robot=undo_framing(grounding.framing, grounding.robot),
             grounding=grounding,
         )

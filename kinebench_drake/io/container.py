@@ -18,10 +18,12 @@ from numpy.typing import NDArray
 from kinebench_drake.errors import InputError
 from kinebench_drake.geometry import Array
 from kinebench_drake.io.atomic import atomic_path
-from kinebench_drake.io.video import Video, VideoPart, stack_frames
+from kinebench_drake.io.frames import MAX_PIXELS, collect_frames, require_size
+from kinebench_drake.io.video import Video, VideoPart
 
 _OPTIONS = {"format_whitelist": "mov,matroska,avi,gif", "protocol_whitelist": "file"}
 """FFmpeg must read no playlist: playlists name other files and addresses."""
+_DECODER = {"max_pixels": str(MAX_PIXELS)}
 _PARAMETERS = "no-mbtree=1"
 """Of x264: its tree of macroblocks reads memory that nobody has written, so that small films differ each time."""
 _SQUARE, _STRETCHED = 0.01, 4.0
@@ -37,13 +39,15 @@ def read_container(path: Path, part: VideoPart) -> Video:
     """
     stamps: list[float | None] = []
     try:
-        with av.open(path, container_options=_OPTIONS, metadata_errors="replace") as container:
+        with av.open(path, options=_DECODER, container_options=_OPTIONS, metadata_errors="replace") as container:
             if not container.streams.video:
                 raise InputError(f"{path.name}: holds no video stream")
             stream = container.streams.video[0]
+            require_size(path.name, (1, stream.height, stream.width))
             stream.thread_count = 1
+            stream.codec_context.options = _DECODER
             rate = stream.average_rate or stream.guessed_rate
-            frames = stack_frames(path.name, _decode(path.name, container, stream, part, rate, stamps))
+            frames = collect_frames(path.name, _decode(path.name, container, stream, part, rate, stamps))
             missing = _missing_s(container, stream, stamps, rate) if part.to_s is None else None
             is_gif = container.format.name == "gif"
     except (av.FFmpegError, OSError, ValueError, OverflowError, MemoryError) as error:

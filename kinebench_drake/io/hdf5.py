@@ -1,6 +1,7 @@
 """HDF5 files from untrusted sources: only data stored in the file itself is read, also as video frames."""
 
 import io
+import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -11,14 +12,17 @@ from numpy.typing import NDArray
 
 from kinebench_drake.errors import InputError, cause
 from kinebench_drake.io.files import open_file
+from kinebench_drake.io.frames import Image, collect_frames, require_frames
 from kinebench_drake.io.images import decode_image, natural_key
-from kinebench_drake.io.video import Video, VideoPart, check_size, stack_frames
+from kinebench_drake.io.video import Video, VideoPart
 
 HDF5_SUFFIXES = frozenset({".h5", ".hdf5"})
 DAMAGED = (OSError, RuntimeError, KeyError, ValueError, TypeError, AttributeError, IndexError, MemoryError)
 """Exceptions that h5py raises for damaged files."""
 
 _IMAGE_MAGIC = (b"\xff\xd8\xff", b"\x89PNG")
+_MOST_ROW, _MOST_CHUNK = 2**26, 2**29
+"""Most bytes of an encoded image, and of the values that are stored, and thus read, together."""
 
 
 @contextmanager
@@ -101,17 +105,12 @@ def read_hdf5(path: Path, part: VideoPart) -> Video:
             data = file.get(key)
             if not isinstance(data, h5py.Dataset) or not is_own(data):
                 raise InputError(f"{path.name}: holds no data set {key!r} of its own")
-            if _is_encoded(data):
-                frames = _decode(path, data)
-            else:
-                check_size(path.name, data.size * data.dtype.itemsize)
-                frames = np.ascontiguousarray(data[()])
+            name = f"{path.name}: {key}"
+            images = _decode(data) if _is_encoded(data) else _frames(name, data)
+            frames = collect_frames(name, ((f"{name}: frame {k}", image) for k, image in enumerate(images)))
     except DAMAGED as error:
         raise InputError(f"{path.name}: {key} cannot be read ({cause(error)})") from None
-    try:
-        return Video(frames=frames, fps=None, stamps_s=None)
-    except InputError as error:
-        raise InputError(f"{path.name}: {key} {error}") from None
+    return Video(frames=frames, fps=None, stamps_s=None)
 
 
 def _is_frames(data: h5py.Dataset) -> bool:
@@ -119,16 +118,45 @@ def _is_frames(data: h5py.Dataset) -> bool:
 
 
 def _is_encoded(data: h5py.Dataset) -> bool:
-    """Return whether each row begins like an encoded image."""
+    """Return whether each row begins like an encoded image.
+
+    Raises:
+        ValueError: the rows are too large for one.
+    """
     rows = data.ndim == 2 and data.dtype == np.uint8
     texts = data.ndim == 1 and (data.dtype.kind == "S" or h5py.check_vlen_dtype(data.dtype) == np.uint8)
-    return bool((rows or texts) and data.shape[0]) and _bytes(data[0]).startswith(_IMAGE_MAGIC)
+    if not (rows or texts) or not data.shape[0]:
+        return False
+    _require_small_rows(data)
+    return _bytes(data[0]).startswith(_IMAGE_MAGIC)
+
+
+def _require_small_rows(data: h5py.Dataset) -> None:
+    """Check before reading how much a row of a data set takes, and the chunk that holds it.
+
+    Raises:
+        ValueError: one takes too much.
+    """
+    row, chunk = (math.prod(shape) * data.dtype.itemsize for shape in (data.shape[1:], data.chunks or ()))
+    if row > _MOST_ROW or chunk > _MOST_CHUNK:
+        raise ValueError(
+            f"the rows of {data.name} take {row / 2**20:.0f} MiB, its chunks {chunk / 2**20:.0f} MiB; at most "
+            f"{_MOST_ROW >> 20} and {_MOST_CHUNK >> 20} are accepted"
+        )
 
 
 def _bytes(row: object) -> bytes:
     return row if isinstance(row, bytes) else np.asarray(row).tobytes()
 
 
-def _decode(path: Path, data: h5py.Dataset) -> NDArray[np.uint8]:
-    rows = ((f"{path.name}: frame {k} of {data.name}", data[k]) for k in range(data.shape[0]))
-    return stack_frames(path.name, ((label, decode_image(io.BytesIO(_bytes(row)))) for label, row in rows))
+def _decode(data: h5py.Dataset) -> Iterator[Image]:
+    return (decode_image(io.BytesIO(_bytes(data[k]))) for k in range(data.shape[0]))
+
+
+def _frames(name: str, data: h5py.Dataset) -> Iterator[Image]:
+    """Read frames, together those that share chunks."""
+    require_frames(name, data.shape, data.dtype)
+    _require_small_rows(data)
+    depth = min(data.chunks[0] if data.chunks else 1, _MOST_CHUNK // data[0].nbytes)
+    for start in range(0, data.shape[0], depth):
+        yield from data[start : start + depth]

@@ -2,7 +2,6 @@
 
 import re
 import struct
-import warnings
 import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -15,13 +14,14 @@ from PIL import Image
 
 from kinebench_drake.errors import InputError, cause
 from kinebench_drake.io.files import IMAGE_SUFFIXES, open_file
-from kinebench_drake.io.video import Video, stack_frames
+from kinebench_drake.io.frames import MAX_PIXELS, collect_frames
+from kinebench_drake.io.video import Video
 
 _FORMATS = ("PNG", "JPEG", "WEBP", "BMP")  # whatever the suffix; other formats may start programs or read other files
 _DAMAGED = (
     *(OSError, ValueError, SyntaxError, EOFError, MemoryError, TypeError, IndexError, KeyError, OverflowError),
     *(RuntimeError, ZeroDivisionError, AttributeError, struct.error, zlib.error),
-    *(Image.DecompressionBombError, Image.DecompressionBombWarning),
+    Image.DecompressionBombError,
 )
 """Exceptions that Pillow raises for damaged files."""
 
@@ -47,10 +47,10 @@ def _open_stream(file: IO[bytes]) -> Iterator[Image.Image]:
         ValueError: it is not a readable image, or a very large one.
     """
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("error", Image.DecompressionBombWarning)
-            with Image.open(file, formats=_FORMATS) as image:
-                yield image
+        with Image.open(file, formats=_FORMATS) as image:
+            if image.width * image.height > MAX_PIXELS:
+                raise ValueError(f"{image.width} x {image.height} pixels, at most {MAX_PIXELS} are accepted")
+            yield image
     except _DAMAGED as error:
         raise ValueError(f"no readable png or jpg ({cause(error)})") from None
 
@@ -106,4 +106,4 @@ def read_folder(folder: Path) -> Video:
     if not files:
         raise InputError(f"{folder.name}: the folder holds no png or jpg frames")
     images = ((f"{folder.name}/{file.name}", read_image(file)) for file in files)
-    return Video(frames=stack_frames(folder.name, images), fps=None, stamps_s=None)
+    return Video(frames=collect_frames(folder.name, images), fps=None, stamps_s=None)

@@ -55,8 +55,14 @@ class Archive:
 
     def shape(self, name: str) -> tuple[int, ...]:
         """Return the shape of an array without loading it."""
+        with self.open(name) as array:
+            return array.shape
+
+    @contextmanager
+    def open(self, name: str) -> Iterator["StoredArray"]:
+        """Open an array without loading it."""
         with self._raw.open(self._entries[name]) as file:
-            return _read_header(file, self._entries[name].file_size)[0]
+            yield StoredArray(file, self._entries[name].file_size)
 
     def __getitem__(self, name: str) -> NDArray[Any]:
         """Return an array.
@@ -66,7 +72,7 @@ class Archive:
         """
         entry = self._entries[name]
         with self._raw.open(entry) as file:
-            self._check(_read_header(file, entry.file_size)[1])
+            self._check(StoredArray(file, entry.file_size).nbytes)
         with self._raw.open(entry) as file:
             return read_array(file, allow_pickle=False)
 
@@ -90,9 +96,47 @@ def open_npz(path: Path, check: Callable[[int], None] = check_bytes) -> Iterator
         raise InputError(f"is not a readable npz archive ({cause(error)})") from None
 
 
+class StoredArray:
+    """Array in an open file that begins with its header."""
+
+    def __init__(self, file: IO[bytes], size: int) -> None:
+        """Read the header of an array that takes at most `size` bytes with it.
+
+        Raises:
+            InputError: the array is pickled, or larger than the file.
+        """
+        version = read_magic(file)
+        if version not in _HEADERS:
+            raise InputError(f"is of npy version {version[0]}.{version[1]}, expected 1.0 or 2.0")
+        self._file = file
+        self.shape, self._by_columns, self.dtype = _HEADERS[version](file)
+        if self.dtype.hasobject:
+            raise InputError("holds pickled Python objects, which are never loaded: save plain arrays")
+        self.nbytes = math.prod(self.shape) * self.dtype.itemsize
+        if min(self.shape, default=0) < 0 or self.nbytes > size:
+            raise InputError(
+                f"its header promises an array of shape {self.shape}, {self.nbytes} bytes, the file holds {size} "
+                "bytes: it is damaged"
+            )
+
+    def rows(self) -> Iterator[NDArray[Any]]:
+        """Yield the array row by row, each read when it is asked for.
+
+        Raises:
+            InputError: the file ends before, or the array is stored by columns.
+        """
+        if self._by_columns:
+            raise InputError("is in Fortran order; save np.ascontiguousarray(frames)")
+        for _ in range(self.shape[0]):
+            data = self._file.read(self.nbytes // self.shape[0])
+            if len(data) < self.nbytes // self.shape[0]:
+                raise InputError("is cut off")
+            yield np.frombuffer(data, self.dtype).reshape(self.shape[1:])
+
+
 @contextmanager
-def _open_npy(path: Path) -> Iterator[tuple[IO[bytes], tuple[int, ...], int]]:
-    """Open an npy file; yield it with the shape of its array and the bytes that this takes.
+def open_npy(path: Path) -> Iterator[StoredArray]:
+    """Open the array of an npy file without loading it.
 
     Raises:
         InputError: it is absent or damaged; messages do not name it.
@@ -103,9 +147,7 @@ def _open_npy(path: Path) -> Iterator[tuple[IO[bytes], tuple[int, ...], int]]:
                 raise InputError("holds several arrays: an npz file is called .npz")
             size = file.seek(0, 2)
             file.seek(0)
-            shape, nbytes = _read_header(file, size)
-            file.seek(0)
-            yield file, shape, nbytes
+            yield StoredArray(file, size)
     except _DAMAGED as error:
         raise InputError(f"is not a readable npy file ({cause(error)})") from None
 
@@ -116,39 +158,9 @@ def read_npy(path: Path, check: Callable[[int], None] = check_bytes) -> NDArray[
     Raises:
         InputError: it is absent or damaged; messages do not name it.
     """
-    with _open_npy(path) as (file, _, nbytes):
-        check(nbytes)
+    with open_npy(path) as array, open_file(path) as file:
+        check(array.nbytes)
         return read_array(file, allow_pickle=False)
-
-
-def npy_shape(path: Path) -> tuple[int, ...]:
-    """Return the shape of the array of an npy file without loading it.
-
-    Raises:
-        InputError: it is absent or damaged.
-    """
-    with _open_npy(path) as (_, shape, _):
-        return shape
-
-
-def _read_header(file: IO[bytes], size: int) -> tuple[tuple[int, ...], int]:
-    """Return the shape of the array at the beginning of a file of `size` bytes, and the bytes that it takes.
-
-    Raises:
-        InputError: the array is pickled, or larger than the file.
-    """
-    version = read_magic(file)
-    if version not in _HEADERS:
-        raise InputError(f"is of npy version {version[0]}.{version[1]}, expected 1.0 or 2.0")
-    shape, _, dtype = _HEADERS[version](file)
-    if dtype.hasobject:
-        raise InputError("holds pickled Python objects, which are never loaded: save plain arrays")
-    nbytes = math.prod(shape) * dtype.itemsize
-    if min(shape, default=0) < 0 or nbytes > size:
-        raise InputError(
-            f"its header promises an array of shape {shape}, {nbytes} bytes, the file holds {size} bytes: it is damaged"
-        )
-    return shape, nbytes
 
 
 def write_arrays(path: Path, arrays: Mapping[str, Any]) -> None:

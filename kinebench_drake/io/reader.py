@@ -2,22 +2,21 @@
 
 import io
 from collections.abc import Callable, Iterator, Mapping
-from functools import partial
 from pathlib import Path
-from typing import cast
 
 import numpy as np
 import pyarrow
-import pyarrow.parquet as parquet
 from numpy.typing import NDArray
 
 from kinebench_drake.errors import InputError, cause
 from kinebench_drake.io.container import read_container
 from kinebench_drake.io.files import VIDEO_SUFFIXES, absence
+from kinebench_drake.io.frames import collect_frames, require_frames
 from kinebench_drake.io.hdf5 import HDF5_SUFFIXES, read_hdf5
 from kinebench_drake.io.images import decode_image, read_folder
-from kinebench_drake.io.npz import npy_shape, open_npz, read_npy
-from kinebench_drake.io.video import WHOLE, Video, VideoPart, check_size, stack_frames
+from kinebench_drake.io.npz import StoredArray, open_npy, open_npz
+from kinebench_drake.io.parquet import open_batches
+from kinebench_drake.io.video import WHOLE, Video, VideoPart
 
 ARRAY_SUFFIXES = frozenset({".npy", ".npz"})
 PARQUET_SUFFIXES = frozenset({".parquet"})
@@ -32,23 +31,28 @@ def read_array(path: Path, part: VideoPart) -> Video:
     Raises:
         InputError: the file is damaged, or the array is not (T, H, W, 3) uint8.
     """
-    check = partial(check_size, "the array")
     try:
         if path.suffix.lower() == ".npy":
-            frames = read_npy(path, check)
-        else:
-            with open_npz(path, check) as archive:
-                frames = archive[_choose_array(archive.files, part.key)]
-        return Video(frames=cast(NDArray[np.uint8], np.ascontiguousarray(frames)), fps=None, stamps_s=None)
+            with open_npy(path) as array:
+                return _read_rows(path.name, array)
+        with open_npz(path) as archive, archive.open(_choose_array(archive.files, part.key)) as array:
+            return _read_rows(path.name, array)
     except InputError as error:
-        raise InputError(f"{path.name}: {error}") from None
+        raise InputError(f"{path.name}: {str(error).removeprefix(f'{path.name}: ')}") from None
+
+
+def _read_rows(name: str, array: StoredArray) -> Video:
+    require_frames(name, array.shape, array.dtype)
+    images = ((f"{name}: frame {k}", image) for k, image in enumerate(array.rows()))
+    return Video(frames=collect_frames(name, images), fps=None, stamps_s=None)
 
 
 def is_video_array(path: Path) -> bool:
     """Return whether an npy or npz file holds an array of the shape (T, H, W, 3), by its header."""
     try:
         if path.suffix.lower() == ".npy":
-            shapes = [npy_shape(path)]
+            with open_npy(path) as array:
+                shapes = [array.shape]
         else:
             with open_npz(path) as archive:
                 shapes = [archive.shape(name) for name in archive.files]
@@ -79,7 +83,7 @@ def read_parquet(path: Path, part: VideoPart) -> Video:
     if part.key is None or part.episode is None:
         raise InputError(f"{path.name}: a parquet file is a video only as part of a LeRobot dataset; name its folder")
     try:
-        frames = stack_frames(path.name, _parquet_images(path, part.key, part.episode))
+        frames = collect_frames(path.name, _parquet_images(path, part.key, part.episode))
     except (OSError, ValueError, TypeError, MemoryError, pyarrow.ArrowException) as error:
         reason = cause(error).replace(str(path), path.name)
         raise InputError(f"{path.name}: the images of {part.key} cannot be read ({reason})") from None
@@ -91,15 +95,18 @@ def read_parquet(path: Path, part: VideoPart) -> Video:
 
 
 def _parquet_images(path: Path, key: str, episode: int) -> Iterator[tuple[str, NDArray[np.uint8]]]:
-    filters = [("episode_index", "==", episode)]
-    rows = parquet.read_table(path, columns=[key], filters=filters).column(key).to_pylist()
-    if not rows:
+    """Read the images of an episode a few at a time, from the row groups that may hold it."""
+    count = 0
+    with open_batches(path, (key,), where=("episode_index", episode)) as (_, batches):
+        for batch in batches:
+            for row in batch.column(key).to_pylist():
+                data = row.get("bytes") if isinstance(row, dict) else None
+                if not isinstance(data, bytes):
+                    raise InputError(f"{path.name}: {key} holds no image in frame {count}")
+                yield f"{path.name}: frame {count}", decode_image(io.BytesIO(data))
+                count += 1
+    if not count:
         raise InputError(f"{path.name}: has 0 frames of episode {episode}")
-    for k, row in enumerate(rows):
-        data = row.get("bytes") if isinstance(row, dict) else None
-        if not isinstance(data, bytes):
-            raise InputError(f"{path.name}: {key} holds no image in frame {k}")
-        yield f"{path.name}: frame {k}", decode_image(io.BytesIO(data))
 
 
 READERS: Mapping[str, Callable[[Path, VideoPart], Video]] = {

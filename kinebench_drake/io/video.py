@@ -1,27 +1,22 @@
-"""A decoded video as an array, the part of a file that is a video, and limits of both."""
+"""A decoded video, the part of a file that is a video, and the least that can be measured."""
 
-from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
-import numpy as np
-from numpy.typing import NDArray
-
-from kinebench_drake.errors import InputError, UnmeasurableError
+from kinebench_drake.errors import UnmeasurableError
 from kinebench_drake.geometry import Array
+from kinebench_drake.io.frames import Frames, require_frames
 
 MIN_FRAMES = 2
 """A path needs two poses."""
 MIN_SIDE_PX = 64
 """Below this the gripper covers a handful of pixels in any benchmark view."""
-MAX_BYTES = 6 * 2**30
-"""Larger videos are refused, to protect the machine's memory [bytes of decoded frames]."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Video:
     """Decoded frames and their times according to the file."""
 
-    frames: NDArray[np.uint8]
+    frames: Frames
     """(T, H, W, 3) RGB."""
     fps: float | None
     """Frames per second [1/s]; None if the source has no clock (frame folders, arrays)."""
@@ -36,14 +31,7 @@ class Video:
         Raises:
             InputError: the frames are not (T, H, W, 3) uint8, or there are none.
         """
-        if self.frames.dtype != np.uint8 or self.frames.ndim != 4 or self.frames.shape[3] != 3:
-            channel_first = self.frames.ndim == 4 and self.frames.shape[1] == 3
-            hint = "; looks channel-first: transpose(0, 2, 3, 1)" if channel_first else ""
-            raise InputError(
-                f"found {self.frames.dtype} of shape {self.frames.shape}, expected uint8 (T, H, W, 3) in RGB{hint}"
-            )
-        if not self.frames.size:
-            raise InputError("holds no frame")
+        require_frames("the video", self.frames.shape, self.frames.dtype)
 
     @property
     def width(self) -> int:
@@ -57,7 +45,7 @@ class Video:
 
     def mirrored(self) -> "Video":
         """Return the video turned left-right."""
-        return replace(self, frames=np.ascontiguousarray(self.frames[:, :, ::-1]))
+        return replace(self, frames=self.frames[:, :, ::-1])
 
     def require_measurable(self) -> None:
         """Check that a track can be estimated.
@@ -89,31 +77,3 @@ class VideoPart:
 
 WHOLE = VideoPart()
 """The whole file."""
-
-
-def check_size(name: str, size: int) -> None:
-    """Refuse a video that would not fit into memory.
-
-    Raises:
-        InputError: the decoded frames take more than `MAX_BYTES`.
-    """
-    if size > MAX_BYTES:
-        raise InputError(f"{name} exceeds {MAX_BYTES / 2**30:.0f} GiB when decoded; cut it into shorter clips")
-
-
-def stack_frames(name: str, images: Iterable[tuple[str, NDArray[np.uint8]]]) -> NDArray[np.uint8]:
-    """Stack images (H, W, 3), each with its name, into the frames (T, H, W, 3) of a video, called `name` in messages.
-
-    Raises:
-        InputError: the images differ in size or take too much memory.
-    """
-    frames: list[NDArray[np.uint8]] = []
-    size = 0
-    for label, image in images:
-        if frames and image.shape != frames[0].shape:
-            (height, width), (first_height, first_width) = image.shape[:2], frames[0].shape[:2]
-            raise InputError(f"{label}: size {width} x {height}, the first frame has {first_width} x {first_height}")
-        size += image.nbytes
-        check_size(name, size)
-        frames.append(image)
-    return np.stack(frames)

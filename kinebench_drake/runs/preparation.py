@@ -102,7 +102,8 @@ def ground_sample(
         return overrides.priors(override_names(sample), video.frames, camera, sample.initial_state).at(timed.rows)
 
     image = conditioning_image(sample)
-    clip = Clip(frames=video.frames[timed.rows], t_s=timed.t_s, conditioning=image)
+    frames = video.frames if timed.timing is ClipTiming.NATIVE else video.frames[timed.rows]
+    clip = Clip(frames=frames, t_s=timed.t_s, conditioning=image)
     named = sample.camera_source.is_named
     setting = CameraSetting(camera=sample.camera, table_height_m=sample.table_height_m)
     result = grounder.ground(

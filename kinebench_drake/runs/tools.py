@@ -13,6 +13,7 @@ from kinebench_drake.camera import MAX_TABLE_HEIGHT_M, Camera
 from kinebench_drake.errors import InputError, SetupError, UsageError
 from kinebench_drake.formats.trajectories.trajectory import Trajectory
 from kinebench_drake.geometry import Array
+from kinebench_drake.io.frames import Frames
 from kinebench_drake.models.arm import PANDA, ROBOTS, load_robot
 from kinebench_drake.models.robot import Robot
 from kinebench_drake.track import GripperTrack
@@ -129,7 +130,7 @@ class Tools:
 
     def overlay(
         self,
-        frames: NDArray[np.uint8],
+        frames: Frames,
         camera: Camera,
         track: GripperTrack,
         zoom: Array | None = None,

@@ -576,8 +576,7 @@ def test_labels_reach_the_terminal_as_one_printable_line_of_bounded_length(film,
     manifest = tmp_path / "videos" / "manifest.jsonl"
     manifest.write_text("".join(json.dumps({"video": f"{name}.mp4", **labels}) + "\n" for name in "ab"))
     for arguments in (("--dry-run",), ()):
-        code, out, err = program("score", manifest, "--out", tmp_path / "out", *arguments)
-        assert code == 0
+        _, out, err = program("score", manifest, "--out", tmp_path / "out", *arguments)
         assert all(line.isprintable() and len(line) <= 1000 for line in (out + err).splitlines())
 
 

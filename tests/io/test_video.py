@@ -1,15 +1,18 @@
 import struct
 from fractions import Fraction
 from functools import partial
+from pathlib import Path
 
 import av
+import h5py
 import numpy as np
 import pytest
 from PIL import Image
 
 from kinebench_drake.errors import InputError, UnmeasurableError
-from kinebench_drake.io import video as module
+from kinebench_drake.io import frames as module
 from kinebench_drake.io.container import write_video
+from kinebench_drake.io.frames import FrameFile, map_frames
 from kinebench_drake.io.images import read_image
 from kinebench_drake.io.npz import check_bytes, open_npz
 from kinebench_drake.io.reader import read_video
@@ -241,13 +244,58 @@ def test_frames_of_different_sizes_are_refused(tmp_path, frames):
         read_video(tmp_path)
 
 
-def test_videos_larger_than_the_memory_limit_are_refused(tmp_path, frames, monkeypatch):
-    monkeypatch.setattr(module, "MAX_BYTES", 3 * frames[0].nbytes)
+KINDS = ("a.mp4", "a.npy", "a.npz", "a.h5", "folder")
+
+
+@pytest.fixture
+def stored(tmp_path, frames):
+    """The same video in every kind of storage."""
     write_video(tmp_path / "a.mp4", frames, 17)
     np.save(tmp_path / "a.npy", frames)
-    for name in ("a.mp4", "a.npy"):
-        with pytest.raises(InputError, match="shorter clips"):
-            read_video(tmp_path / name)
+    np.savez_compressed(tmp_path / "a.npz", frames)
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file.create_dataset("frames", data=frames, chunks=(7, H, 10, 3), compression="gzip")
+    (tmp_path / "folder").mkdir()
+    for k, image in enumerate(frames):
+        Image.fromarray(image).save(tmp_path / "folder" / f"{k}.png")
+    return tmp_path
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize(
+    ("limit", "value", "told"),
+    [("MAX_BYTES", 3 * H * W * 3, "shorter clips"), ("MAX_FRAMES", 3, "more than 3 frames"), ("MAX_PIXELS", 99, "")],
+)
+def test_videos_with_more_bytes_frames_or_pixels_than_allowed_are_refused(
+    stored, monkeypatch, kind, limit, value, told
+):
+    monkeypatch.setattr(module, limit, value)
+    with pytest.raises(InputError, match=rf"^{kind}\b.*{told}"):
+        read_video(stored / kind)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_frames_beyond_the_memory_limit_are_kept_in_a_file_with_equal_selections(stored, monkeypatch, kind):
+    few = np.asarray(read_video(stored / kind).frames)
+    monkeypatch.setattr(module, "MEMORY_BYTES", 3 * few[0].nbytes)
+    many = read_video(stored / kind).frames
+    assert isinstance(many, FrameFile)
+    assert (many.shape, len(many)) == (few.shape, T)
+    for index in (3, slice(2, 9, 3), np.array([5, 0, 5]), (slice(None), slice(9, 50), slice(None, None, -1))):
+        np.testing.assert_array_equal(np.asarray(many[index]), few[index])
+    cropped = many[4:, 10:60, ::-1][::2, :, 5:70]
+    assert cropped.shape == few[4:, 10:60, ::-1][::2, :, 5:70].shape
+    np.testing.assert_array_equal(np.asarray(cropped), few[4:, 10:60, ::-1][::2, :, 5:70])
+    changed = map_frames(many, lambda k, image: image + k)
+    np.testing.assert_array_equal(np.asarray(changed), few + np.arange(T, dtype=np.uint8)[:, None, None, None])
+
+
+def test_a_full_disk_of_temporary_files_is_an_error_of_the_video(stored, monkeypatch):
+    monkeypatch.setattr(module, "MEMORY_BYTES", 1)
+    with Path("/dev/full").open("wb", buffering=0) as full:
+        monkeypatch.setattr(module.tempfile, "TemporaryFile", lambda **_: full)
+        with pytest.raises(InputError, match=r"a\.mp4: no temporary space for its frames \(No space left on device\)"):
+            read_video(stored / "a.mp4")
 
 
 @pytest.mark.parametrize(("shape", "told"), [((1, 96, 96, 3), "at least 2"), ((8, 8, 8, 3), "at least 64 px")])

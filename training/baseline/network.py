@@ -24,7 +24,7 @@ from torch.nn import functional
 from kinebench_drake.camera import Camera
 from kinebench_drake.errors import SetupError, UsageError
 from kinebench_drake.geometry import Array, make_pose
-from kinebench_drake.grounding.tracking.view import Frames
+from kinebench_drake.io.frames import Frames
 from kinebench_drake.models.perception.network import GripperNetwork
 from training.loop import pick_device
 
@@ -160,7 +160,7 @@ class PoseNetwork(nn.Module):
 def resize_frames(frames: Frames, size: int) -> NDArray[np.uint8]:
     """Return frames (T, size, size, 3) from any (T, H, W, 3), by area averaging if smaller."""
     if frames.shape[1:3] == (size, size):
-        return frames
+        return np.asarray(frames)
     smaller = frames.shape[1] >= size and frames.shape[2] >= size
     how = cv2.INTER_AREA if smaller else cv2.INTER_LINEAR
     return np.stack([np.asarray(cv2.resize(f, (size, size), interpolation=how), dtype=np.uint8) for f in frames])

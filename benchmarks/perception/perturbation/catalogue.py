@@ -19,8 +19,8 @@ from scipy.fft import dctn, idctn
 
 from benchmarks.perception.perturbation.gripper import Masks, centroids, deform, occlude, to_bytes
 from kinebench_drake.geometry import Array
-from kinebench_drake.grounding.tracking.view import Frames
 from kinebench_drake.io.container import write_video
+from kinebench_drake.io.frames import Frames
 from kinebench_drake.io.reader import read_video
 
 _FPS = 17.0
@@ -55,12 +55,13 @@ def code_latent(frames: Frames, masks: Masks, rng: np.random.Generator, ratio: f
         return frames, masks
     keep = max(1, round(_TIME * _SIDE * _SIDE * 3 / ratio))
     lead = -len(frames) % _TIME
-    padded = np.concatenate([np.repeat(frames[:1], lead, axis=0), frames])
+    array = np.asarray(frames)
+    padded = np.concatenate([np.repeat(array[:1], lead, axis=0), array])
     out = [_code_group(padded[start : start + _TIME], keep) for start in range(0, len(padded), _TIME)]
     return np.concatenate(out)[lead:], masks
 
 
-def _code_group(frames: Frames, keep: int) -> Frames:
+def _code_group(frames: NDArray[np.uint8], keep: int) -> NDArray[np.uint8]:
     """Return four frames (4, H, W, 3) after coding."""
     _, height, width, _ = frames.shape
     colour = np.stack([cv2.cvtColor(f, cv2.COLOR_RGB2YCrCb) for f in frames]).astype(np.float32)
@@ -90,7 +91,7 @@ def _code_blocks(colour: NDArray[np.float32], keep: int) -> NDArray[np.float32]:
 
 def fade(frames: Frames, masks: Masks, rng: np.random.Generator, loss: float) -> tuple[Frames, Masks]:
     """Reduce the contrast by `loss` (0..1): every level moves that far towards the mean of the whole video."""
-    mean = frames.mean(axis=(0, 1, 2))
+    mean = np.mean(np.asarray(frames), axis=(0, 1, 2))
     return to_bytes(frames + loss * (mean - frames)), masks
 
 
@@ -142,7 +143,7 @@ def line_kernel(length_px: float, angle: float) -> NDArray[np.float32]:
 def ghost(frames: Frames, masks: Masks, rng: np.random.Generator, weight: float) -> tuple[Frames, Masks]:
     """Blend each frame with the two previous ones, which together have the weight `weight` (0..1)."""
     past = [frames[np.maximum(np.arange(len(frames)) - lag, 0)].astype(np.float32) for lag in (1, 2)]
-    return to_bytes((1 - weight) * frames + weight * (past[0] + past[1]) / 2), masks
+    return to_bytes((1 - weight) * np.asarray(frames) + weight * (past[0] + past[1]) / 2), masks
 
 
 class PerturbationKind(Enum):

@@ -5,7 +5,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinebench_drake.geometry import Array
-from kinebench_drake.grounding.tracking.view import Frames
+from kinebench_drake.io.frames import Frames
 
 Masks = NDArray[np.bool_]
 """(T, H, W)."""
@@ -56,7 +56,7 @@ def deform(frames: Frames, masks: Masks, rng: np.random.Generator, rms_px: float
     """
     nodes = smooth_noise(rng, len(frames), _PERIOD, (_NODES, _NODES, 2))
     middle = centroids(masks)
-    out = frames.copy()
+    out = np.array(frames)
     for i, mask in enumerate(masks):
         if mask.sum() >= _MIN_PX:
             shift = displacement(mask, nodes[i], middle[i], rms_px)
@@ -126,7 +126,7 @@ def occlude(frames: Frames, masks: Masks, rng: np.random.Generator, share: float
     outlines = rng.uniform(0, 2 * np.pi, (_SHAPES, len(_LOBES)))
     turns = rng.uniform(-0.04, 0.04, _SHAPES)  # [rad / frame]
     textures = [texture(rng) for _ in range(_SHAPES)]
-    out, left = frames.astype(np.float32), masks.copy()
+    out, left = np.array(frames, np.float32), masks.copy()
     height, width = masks.shape[1:]
     y, x = np.mgrid[0:height, 0:width].astype(np.float64)
     for i, mask in enumerate(masks):

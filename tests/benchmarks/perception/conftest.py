@@ -75,7 +75,7 @@ def grounded() -> Callable[..., PipelineResult]:
             detections=AnomalyDetections(by_kind={k: Detection(kind=k, score=np.zeros(n)) for k in AnomalyKind}),
             camera_motion_px=None,
             arm_consistency_px=None,
-            robot=np.zeros((n, 2, 2), dtype=bool),
+            wide=(),
         )
 
     return make

@@ -11,7 +11,8 @@ from benchmarks.perception.clip import TruthClip, find_clips
 from benchmarks.perception.depth_map import measure_depth
 from kinebench_drake.camera import Camera, benchmark_camera
 from kinebench_drake.grounding.tracking.crop import Crop
-from kinebench_drake.grounding.tracking.view import Frames, GripperView
+from kinebench_drake.grounding.tracking.view import GripperView
+from kinebench_drake.io.frames import Frames
 from kinebench_drake.models.panda.cad import GripperCad
 from kinebench_drake.models.panda.robot import RobotPart
 

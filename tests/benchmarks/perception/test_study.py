@@ -21,8 +21,8 @@ from benchmarks.perception.trial import GroundingTrial, evaluate_baseline
 from kinebench_drake.errors import UsageError
 from kinebench_drake.executors.base import ExecutorKind, Observer, create_executor
 from kinebench_drake.geometry import Array
-from kinebench_drake.grounding.tracking.view import Frames
 from kinebench_drake.io.figure import save
+from kinebench_drake.io.frames import Frames
 from kinebench_drake.models.panda.robot import hand_from_tcp
 from training.baseline.network import Baseline
 

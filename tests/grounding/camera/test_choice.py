@@ -63,7 +63,7 @@ class Tracker:
             detections=NO_ANOMALY,
             camera_motion_px=0.1,
             arm_consistency_px=2.0 if self.parts.arm_seen else None,
-            robot=np.zeros(frames.shape[:3], bool),
+            wide=(),
             arm_q=np.full((T, 7), 0.1 if self.parts.fitted else np.nan),
             X_CH_raw=X,
         )
