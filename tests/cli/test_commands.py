@@ -135,15 +135,6 @@ def test_help_lists_every_command_and_version_prints_the_program_name(program):
     assert (code, out.startswith("kinebench-drake")) == (0, True)
 
 
-def test_help_takes_less_than_one_second():
-    times = []
-    for _ in range(3):
-        start = time.perf_counter()
-        subprocess.run([sys.executable, "-m", "kinebench_drake", "--help"], check=True, capture_output=True)
-        times.append(time.perf_counter() - start)
-    assert min(times) < 1.0
-
-
 SCORE = """
 import signal, sys
 signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background jobs are born deaf to it
