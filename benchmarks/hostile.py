@@ -38,7 +38,7 @@ class HostileResult:
     wall_s: float
     """Time of the reading alone [s]; that of the process where it was ended."""
     peak_gib: float
-    """Largest resident memory of the process, libraries included [GiB]."""
+    """Largest resident memory of the process, libraries included [GiB]; where it was ended, or that of this."""
 
 
 def _hdf5(path: Path, shape: tuple[int, ...], chunks: tuple[int, ...]) -> None:
@@ -179,6 +179,7 @@ ANSWERS: dict[str, Callable[[], Iterator[bytes]]] = {
 @contextmanager
 def _serve(answer: Callable[[], Iterator[bytes]]) -> Iterator[str]:
     """Serve the contracts of world models on this machine; yields the address."""
+    prepared = [answer()]
 
     class Handler(BaseHTTPRequestHandler):
         def do_GET(self) -> None:
@@ -187,7 +188,7 @@ def _serve(answer: Callable[[], Iterator[bytes]]) -> Iterator[str]:
         def do_POST(self) -> None:
             self.rfile.read(int(self.headers["Content-Length"]))
             try:
-                for part in answer():
+                for part in prepared.pop() if prepared else answer():
                     self.wfile.write(part)
             except OSError:
                 return  # the client has gone
@@ -259,14 +260,9 @@ def _measure(name: str, source: str) -> HostileResult:
     output = child.stdout.read().decode(errors="replace") if child.stdout else ""
     _, status, usage = os.wait4(child.pid, 0)
     timer.cancel()
-    wall_s, _, outcome = output.partition(" ")
-    ended = f"ENDED by status {os.waitstatus_to_exitcode(status)}"
-    return HostileResult(
-        name=name,
-        outcome=outcome.strip() or ended,
-        wall_s=float(wall_s) if outcome else time.monotonic() - start,
-        peak_gib=usage.ru_maxrss / 2**20,
-    )
+    ended = f"{time.monotonic() - start} {usage.ru_maxrss} ENDED by status {os.waitstatus_to_exitcode(status)}"
+    wall_s, peak_kib, outcome = (output.strip() or ended).split(" ", 2)
+    return HostileResult(name=name, outcome=outcome, wall_s=float(wall_s), peak_gib=int(peak_kib) / 2**20)
 
 
 def measure(report: Callable[[HostileResult], None]) -> list[HostileResult]:
@@ -297,6 +293,8 @@ if __name__ == "__main__":
 
         begin = time.monotonic()
         text = _read(*sys.argv[1:])
-        print(f"{time.monotonic() - begin:.2f} {text}", flush=True)
+        wall_s = time.monotonic() - begin
+        status = Path("/proc/self/status").read_text()  # its own peak, not that of the process that started it
+        print(f"{wall_s:.2f} {status.split('VmHWM:')[1].split()[0]} {text}", flush=True)
         os._exit(0)
     measure(lambda result: print(table_line(result), flush=True))
