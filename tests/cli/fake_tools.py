@@ -73,6 +73,7 @@ class FakeResult:
     gripper: GripperKind = GripperKind.FRANKA
     curves: dict[str, np.ndarray] = field(default_factory=dict)
     camera_path: None = None
+    anomalies_not_looked_for: tuple[AnomalyKind, ...] = ()
 
     @property
     def robot(self):

@@ -93,7 +93,7 @@ def test_function_defaults_equal_command_defaults(program, monkeypatch, tmp_path
 def test_ground_video_and_audit_trajectory_take_the_options_of_single_samples():
     video = {"frame_period_s", "camera_key", "pixels_only", "masks", "depth", "depth_exact", "poses"}
     robot = {"robot", "tool", "limits", "payload_kg", "package_path"}
-    judged = {"rate_hz", "joints", "poses", "table_height_m", *robot}
+    judged = {"rate_hz", "reading", "table_height_m", *robot}
     for name, function, options in (("ground", ground_video, video), ("audit", audit_trajectory, judged)):
         assert options <= command(name).keys()
         assert options <= inspect.signature(function).parameters.keys()

@@ -119,8 +119,9 @@ def test_array_files_in_a_source_folder_are_ignored_with_a_warning(tmp_path):
     np.savez(tmp_path / "masks.npz", masks=np.zeros((2, 64, 64), bool))
     found = find_samples(tmp_path)
     assert [s.id for s in found.samples] == ["a"]
-    assert len(found.warnings) == 1
-    assert "videos in npy or npz files ignored (2, such as b.npy)" in found.warnings[0]
+    arrays, others = found.warnings
+    assert "videos in npy or npz files ignored (2, such as b.npy)" in arrays
+    assert "2 files ignored: 1 x .npy, 1 x .npz, such as broken.npy" in others
 
 
 def test_broken_links_urls_missing_files_and_other_file_types_are_refused(tmp_path):
