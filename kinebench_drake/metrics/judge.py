@@ -45,6 +45,7 @@ from kinebench_drake.metrics.result import (
     track_curves,
 )
 from kinebench_drake.metrics.smoothness import measure_smoothness, stands_still
+from kinebench_drake.results.direction import BOUND
 from kinebench_drake.segments import spread
 from kinebench_drake.track import GripperTrack, IkStatus, JointTrack
 
@@ -223,6 +224,9 @@ class TrackJudge:
         metrics["feasible_from_period_s"] = period
         if period is None:
             reasons["feasible_from_period_s"] = why
+        if "slowdown_min" + BOUND in metrics:  # the least slow-down of an incomplete track is not known
+            metrics["feasible_from_period_s" + BOUND] = None
+            reasons["feasible_from_period_s" + BOUND] = reasons["slowdown_min" + BOUND]
         return KinematicResult(
             track=track,
             joints=joints,
