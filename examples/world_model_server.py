@@ -18,28 +18,28 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from PIL import Image
 
 from kinebench_drake.io.container import write_video
 
 
-def imagine(ask: dict[str, Any]) -> bytes:
-    """The mp4 that answers a request: put your model here."""
-    png = base64.b64decode(ask["first_frame"].partition(",")[2])  # data:image/png;base64,...
-    first = np.asarray(Image.open(io.BytesIO(png)).convert("RGB"))
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "video.mp4"
-        write_video(path, np.repeat(first[None], ask["num_frames"], axis=0), ask["fps"])
-        return path.read_bytes()
-
-
 class Handler(BaseHTTPRequestHandler):
+    def imagine(self, first: NDArray[np.uint8], ask: dict[str, Any]) -> NDArray[np.uint8]:
+        """Return the frames (T, H, W, 3) that follow the first frame (H, W, 3): put your model here."""
+        return np.repeat(first[None], ask["num_frames"], axis=0)
+
     def do_GET(self) -> None:
         self.send_error(404)  # no /v1/capabilities: so the client knows that the contract is the simple one
 
     def do_POST(self) -> None:
         ask = json.loads(self.rfile.read(int(self.headers["Content-Length"])))
-        body = json.dumps({"video_base64": base64.b64encode(imagine(ask)).decode()}).encode()
+        png = base64.b64decode(ask["first_frame"].partition(",")[2])  # data:image/png;base64,...
+        frames = self.imagine(np.asarray(Image.open(io.BytesIO(png)).convert("RGB")), ask)
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / "video.mp4"
+            write_video(path, frames, ask["fps"])
+            body = json.dumps({"video_base64": base64.b64encode(path.read_bytes()).decode()}).encode()
         self.send_response(200)
         self.send_header("Content-Type", "application/json")
         self.send_header("Content-Length", str(len(body)))

@@ -1,0 +1,74 @@
+"""Generation: first frame, prompt and seed -> video at the size of the first frame; over HTTP as well."""
+
+from http.server import HTTPServer
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from safetensors.torch import load_file
+from torch import Tensor
+from torch.nn import functional
+
+from examples.world_model_server import Handler
+
+from .autoencoder import Autoencoder, to_images, to_uv
+from .dynamics import LATENT, Dynamics, encode_prompts
+from .pack import FRAMES
+from .robot import SIZE
+
+
+class Generator:
+    """The trained world model. Same first frame, prompt and seed: same video.
+
+    Args:
+        weights: folder of the weights of both stages.
+        dynamics: name of the dynamics' weights; `dynamics_01500` for those of an earlier step.
+    """
+
+    def __init__(self, weights: Path, dynamics: str = "dynamics") -> None:
+        self._autoencoder, self._dynamics = Autoencoder().eval(), Dynamics().eval()
+        for model, name in ((self._autoencoder, "autoencoder"), (self._dynamics, dynamics)):
+            path = weights / f"{name}.safetensors"
+            if not path.exists():
+                raise FileNotFoundError(f"{path} is missing; python -m examples.worldmodel train --help")
+            model.load_state_dict({key: value.float() for key, value in load_file(path).items()})
+
+    @torch.no_grad()
+    def generate(self, first: NDArray[np.uint8], prompt: str, seed: int, count: int = FRAMES) -> NDArray[np.uint8]:
+        """Return a video (count, H, W, 3) that begins with `first` (H, W, 3); beyond 49 frames the last is repeated."""
+        noise = torch.randn(1, FRAMES, LATENT, generator=torch.Generator().manual_seed(seed % 2**63))
+        start = self._autoencoder.encoder(_shrink(first))
+        poses = self._dynamics.sample(start, encode_prompts([prompt]), noise)[0]
+        return self.paint(first, poses[[min(k, FRAMES - 1) for k in range(count)]])
+
+    @torch.no_grad()
+    def paint(self, first: NDArray[np.uint8], poses: Tensor) -> NDArray[np.uint8]:
+        """Return a video of the pose numbers (T, POSE); frame 0 is `first` (H, W, 3) itself."""
+        small, background = _shrink(first), to_images(torch.from_numpy(first))
+        uv = to_uv(torch.cartesian_prod(*[torch.arange(SIZE)] * 2))[None, None]
+        frames = [first]
+        for pose in poses[1:]:
+            with torch.autocast("cpu", torch.bfloat16):
+                colours, share = self._autoencoder(small, poses[:1], pose[None, None], uv)
+            parts = torch.cat([colours, share], dim=-1)[0].mT.unflatten(2, (SIZE, SIZE))
+            parts = functional.interpolate(parts, first.shape[:2], mode="bicubic", align_corners=False)[0]
+            image = (parts[:3] + parts[3:] * background).clamp(0, 1)
+            frames.append((image * 255).round().byte().movedim(0, -1).numpy())
+        return np.stack(frames)
+
+
+def make_server(generator: Generator, port: int) -> HTTPServer:
+    """Return a server on this machine that answers one request at a time; port 0: any free one."""
+
+    class Answer(Handler):
+        def imagine(self, first: NDArray[np.uint8], ask: dict[str, Any]) -> NDArray[np.uint8]:
+            return generator.generate(first, ask["prompt"], ask["seed"], ask["num_frames"])
+
+    return HTTPServer(("127.0.0.1", port), Answer)
+
+
+def _shrink(frame: NDArray[np.uint8]) -> Tensor:
+    return to_images(torch.from_numpy(cv2.resize(frame, (SIZE, SIZE), interpolation=cv2.INTER_AREA))[None])
