@@ -47,7 +47,7 @@ class Generator:
     @torch.no_grad()
     def paint(self, first: NDArray[np.uint8], poses: Tensor) -> NDArray[np.uint8]:
         """Return a video of the pose numbers (T, POSE); frame 0 is `first` (H, W, 3) itself."""
-        small, background = _shrink(first), to_images(torch.from_numpy(first))
+        small, background = _shrink(first), to_images(torch.tensor(first))
         uv = to_uv(torch.cartesian_prod(*[torch.arange(SIZE)] * 2))[None, None]
         frames = [first]
         for pose in poses[1:]:
