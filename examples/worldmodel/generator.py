@@ -31,8 +31,7 @@ class Generator:
     def __init__(self, weights: Path, dynamics: str = "dynamics") -> None:
         self._autoencoder, self._dynamics = Autoencoder().eval(), Dynamics().eval()
         for model, name in ((self._autoencoder, "autoencoder"), (self._dynamics, dynamics)):
-            path = weights / f"{name}.safetensors"
-            if not path.exists():
+            if not (path := weights / f"{name}.safetensors").exists():
                 raise FileNotFoundError(f"{path} is missing; python -m examples.worldmodel train --help")
             model.load_state_dict({key: value.float() for key, value in load_file(path).items()})
 

@@ -3,13 +3,11 @@
 import logging
 import os
 import time
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import torch
-from safetensors.torch import save_file
+from safetensors.torch import load_file, save_file
 from torch import Tensor, nn
 from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
@@ -101,22 +99,26 @@ def train(config: TrainConfig) -> int:
     loss_of = autoencoder_loss if config.stage == "autoencoder" else dynamics_loss
     average = AveragedModel(model, multi_avg_fn=get_ema_multi_avg_fn(DECAY), use_buffers=True)
     optimizer = torch.optim.AdamW(model.parameters(), RATE, betas=(0.9, 0.99), weight_decay=0.01, fused=True)
-    parts = {"model": model, "average": average, "optimizer": optimizer}
     config.out.mkdir(parents=True, exist_ok=True)
-    state, step = config.out / f"{config.stage}.state.pt", 0
+    state, step = config.out / f"{config.stage}.state", 0
     if state.exists():
-        stored = torch.load(state, map_location=device, weights_only=True)
-        step = stored["step"]
-        for key, part in parts.items():
-            part.load_state_dict(stored[key])
+        stored = load_file(state)
+        step = int(stored.pop("step"))
+        parts: dict[str, dict[str, Tensor]] = {}
+        for (group, key), value in ((name.split("/"), value) for name, value in stored.items()):
+            parts.setdefault(group, {})[key] = value
+        model.load_state_dict(parts.pop("model"))
+        average.load_state_dict(parts.pop("average"))
+        optimizer.load_state_dict(optimizer.state_dict() | {"state": {int(n): part for n, part in parts.items()}})
     if device.type == "cuda" and config.stage == "dynamics":  # the autoencoder's shapes change from step to step
         model.compile()
 
     def save(name: str) -> None:
-        weights = {key: value.half().contiguous().cpu() for key, value in average.module.state_dict().items()}
-        _replace(config.out / f"{name}.safetensors", lambda path: save_file(weights, path))
-        stored = {"step": step} | {key: part.state_dict() for key, part in parts.items()}
-        _replace(state, lambda path: torch.save(stored, path))
+        weights = {key: value.half().contiguous() for key, value in average.module.state_dict().items()}
+        groups = {"model": model.state_dict(), "average": average.state_dict()} | optimizer.state_dict()["state"]
+        stored = {f"{group}/{key}": value for group, values in groups.items() for key, value in values.items()}
+        _replace(config.out / f"{name}.safetensors", weights)
+        _replace(state, stored | {"step": torch.tensor(step)})
 
     began = saved = logged = time.monotonic()
     total, count = torch.zeros((), device=device), 0
@@ -137,8 +139,7 @@ def train(config: TrainConfig) -> int:
             save(f"{config.stage}_{step:05d}")
         now = time.monotonic()
         if now - logged > LOG_S:
-            speed = count / (now - logged)
-            _log.info("%s step %d loss %.4f, %.2f steps/s", config.stage, step, float(total) / count, speed)
+            _log.info("step %d loss %.4f, %.2f steps/s", step, float(total) / count, count / (now - logged))
             total, count, logged = torch.zeros_like(total), 0, now
         if now - saved > SAVE_S:
             save(config.stage)
@@ -147,7 +148,7 @@ def train(config: TrainConfig) -> int:
     return step
 
 
-def _replace(path: Path, write: Callable[[Path], Any]) -> None:
+def _replace(path: Path, tensors: dict[str, Tensor]) -> None:
     part = path.with_suffix(".part")
-    write(part)
+    save_file(tensors, part)
     os.replace(part, path)
