@@ -8,7 +8,6 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -18,9 +17,6 @@ from benchmarks.feasible import draw_feasible
 from benchmarks.motion import Arm
 from benchmarks.perturbed import add_noise, perturb
 from benchmarks.trajectory import Trajectory
-from kinebench_drake.errors import KinebenchError
-from kinebench_drake.executors.base import WorkerCrash
-from kinebench_drake.executors.local import LocalExecutor
 from kinebench_drake.geometry import Array, rotation_exp
 from kinebench_drake.metrics.judge import TrackJudge
 from kinebench_drake.metrics.result import KinematicResult, Value
@@ -180,18 +176,6 @@ def _move_away(rng: np.random.Generator, arm: Arm, track: Trajectory, frames: ND
     X_BG[frames, :3, 3] = place + rng.normal(0.0, rng.choice([0.0, 0.05]), size=(int(frames.sum()), 3))
     X_BG[frames, :3, :3] = rotation_exp(rng.normal(0.0, 1.0, size=3))
     return replace(track, X_BG=X_BG)
-
-
-def run_trials(count: int, seed: int, jobs: int = 1) -> Iterator[LossTrial]:
-    """Run trials 0 to `count`, in any order.
-
-    Raises:
-        KinebenchError: a worker died.
-    """
-    for outcome in LocalExecutor(jobs=jobs).run(partial(LossWorker, seed), range(count)):
-        if isinstance(outcome, WorkerCrash):
-            raise KinebenchError(f"trial {outcome.item} of seed {seed} crashed: {outcome.reason}")
-        yield outcome.result
 
 
 def loss_table(trials: Sequence[LossTrial]) -> Iterator[str]:

@@ -8,7 +8,6 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
-from functools import partial
 
 import numpy as np
 
@@ -16,9 +15,6 @@ from benchmarks.feasible import draw_feasible
 from benchmarks.markdown import table
 from benchmarks.motion import Arm, prove
 from benchmarks.moves import Family
-from kinebench_drake.errors import KinebenchError
-from kinebench_drake.executors.base import WorkerCrash
-from kinebench_drake.executors.local import LocalExecutor
 from kinebench_drake.geometry import Array
 from kinebench_drake.metrics.judge import TrackJudge
 from kinebench_drake.models.arm import ROBOTS, load_robot
@@ -94,18 +90,6 @@ def shows_excess(limits: JointLimits, t_s: Array, q: Array) -> bool:
         limit is not None and bool((np.abs(np.diff(q, order, axis=0)) > limit * period**order).any())
         for order, limit in enumerate(bounds, 1)
     )
-
-
-def run_trials(count: int, seed: int, jobs: int = 1) -> Iterator[RobotTrial]:
-    """Run trials 0 to `count`, in any order.
-
-    Raises:
-        KinebenchError: a worker died.
-    """
-    for outcome in LocalExecutor(jobs=jobs).run(partial(RobotWorker, seed), range(count)):
-        if isinstance(outcome, WorkerCrash):
-            raise KinebenchError(f"trial {outcome.item} of seed {seed} crashed: {outcome.reason}")
-        yield outcome.result
 
 
 def robot_table(trials: Sequence[RobotTrial]) -> Iterator[str]:

@@ -65,14 +65,15 @@ def readings(count: int, seed: int) -> None:
 @jobs_option
 def loss(run: Path | None, count: int, seed: int, jobs: int) -> None:
     """Replace frames of random tracks by lost or unreachable ones; exit status 1 if a number improves."""
-    from benchmarks.loss import loss_table, remove_frames, removed_table, run_trials
+    from benchmarks.loss import LossWorker, loss_table, remove_frames, removed_table
+    from benchmarks.trials import run_trials
 
     if run is not None:
         for line in removed_table(list(remove_frames(run, seed))):
             click.echo(line)
         return
 
-    with click.progressbar(run_trials(count, seed, jobs), length=count) as trials:
+    with click.progressbar(run_trials(LossWorker, count, seed, jobs), length=count) as trials:
         ordered = sorted(trials, key=lambda trial: trial.index)
     for line in loss_table(ordered):
         click.echo(line)
@@ -223,9 +224,10 @@ def check(results: Path, tracks: Path, as_json: bool) -> None:
 @jobs_option
 def robots(count: int, seed: int, jobs: int) -> None:
     """Judge motions within the limits of the Panda or of the FR3 by those of both, and compare with their proofs."""
-    from benchmarks.robots import robot_table, run_trials
+    from benchmarks.robots import RobotWorker, robot_table
+    from benchmarks.trials import run_trials
 
-    with click.progressbar(run_trials(count, seed, jobs), length=count) as trials:
+    with click.progressbar(run_trials(RobotWorker, count, seed, jobs), length=count) as trials:
         ordered = sorted(trials, key=lambda trial: trial.index)
     for line in robot_table(ordered):
         click.echo(line)
