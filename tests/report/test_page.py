@@ -54,7 +54,8 @@ def out(tmp_path):
         ):
             store.append(r, 0.1)
             if r.status is Status.OK:
-                write_track(tmp_path / "tracks" / f"{r.id}.npz", track, None, {})
+                repeated = np.isin(np.arange(n), [2, 3, 7]) * (r.id == "good")
+                write_track(tmp_path / "tracks" / f"{r.id}.npz", track, None, {"repeated": repeated.astype(float)})
         tags = {"note": EVIL}
         store.finish({"kind": "score", "tags": tags, "config": {"source": EVIL}, "seeds": {"bootstrap": 0}})
     return tmp_path
@@ -141,6 +142,12 @@ def test_motionless_samples_are_counted_and_marked(tmp_path):
     text = write_report(tmp_path).read_text()
     assert "Motionless: 1 of 2 samples" in text
     assert text.count('<span class="chip lost">motionless</span>') == 1
+
+
+def test_frames_that_repeat_the_one_before_are_named(out):
+    page = write_report(out).read_text()
+    assert page.count("frames that repeat the one before") == 1
+    assert "3 of 9: 2 to 3, 7" in page
 
 
 def test_headline_numbers_have_interval_and_coverage(out):
