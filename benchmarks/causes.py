@@ -18,6 +18,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 from typing_extensions import override
 
+from benchmarks.faults.fault import FaultGrade
+from benchmarks.faults.oracle import FaultyOracle
 from kinebench_drake.anomaly import AnomalyKind
 from kinebench_drake.closed_loop.attribution import find_cause
 from kinebench_drake.closed_loop.commands import CommandPlanner
@@ -35,7 +37,6 @@ from kinebench_drake.suites.composition import Episode
 from kinebench_drake.suites.expert.motion import Waypoint
 from kinebench_drake.suites.families.registry import Expert, find_expert
 from kinebench_drake.suites.families.task import Scene
-from kinebench_drake.suites.faults.fault import FaultGrade
 from kinebench_drake.suites.seeding import generator
 from kinebench_drake.suites.simulator import Simulator, SimulatorState
 from kinebench_drake.suites.simulator_cache import SimulatorCache
@@ -154,7 +155,7 @@ class _Worker:
         options = LoopOptions(rounds=1, pixels_only=True)
         make: Any = partial(ClosedLoop, self._grounder, CommandPlanner(ArmPlant()))
         self._plain, self._half = make(OracleModel(), options), make(_HalfWayModel(), options)
-        self._faulty = [make(OracleModel(fault=fault), options) for fault in FAULTS]
+        self._faulty = [make(FaultyOracle(fault.kind.value, fault.size), options) for fault in FAULTS]
 
     def __call__(self, case: CauseCase) -> CauseResult:
         episode = case.spec.episode()

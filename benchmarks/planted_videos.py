@@ -20,6 +20,10 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.faults.fault import FaultGrade, PlantedFault
+from benchmarks.faults.fault_simulator import FaultSimulator
+from benchmarks.faults.plant import plant
+from benchmarks.faults.recording import Recording
 from kinebench_drake.errors import InputError, UsageError
 from kinebench_drake.formats.camerafile import save_camera
 from kinebench_drake.io.container import write_video
@@ -28,10 +32,6 @@ from kinebench_drake.suites.clock import CLIP_FRAMES, FRAME_PERIOD_S
 from kinebench_drake.suites.composition import Pool
 from kinebench_drake.suites.families.registry import TASKS, find_expert, find_task
 from kinebench_drake.suites.families.task import TaskVariant
-from kinebench_drake.suites.faults.fault import FaultGrade, PlantedFault
-from kinebench_drake.suites.faults.fault_simulator import FaultSimulator
-from kinebench_drake.suites.faults.plant import plant
-from kinebench_drake.suites.faults.recording import Recording
 from kinebench_drake.suites.rollout import Rollout, RolloutVideo, render_video, run_expert
 
 FPS = 17

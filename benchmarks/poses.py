@@ -259,6 +259,7 @@ def planted_videos(
     jobs: int,
 ) -> None:
     """Render videos of the Panda, each with one planted fault, and their ground truth."""
+    from benchmarks.faults.fault import choose
     from benchmarks.planted_videos import (
         PlantedVideo,
         PlantingOrder,
@@ -268,7 +269,6 @@ def planted_videos(
     )
     from kinebench_drake.executors.base import WorkerCrash
     from kinebench_drake.executors.local import LocalExecutor
-    from kinebench_drake.suites.faults.fault import choose
 
     grades = choose([member_of(AnomalyKind, kind, "kinds") for kind in kinds.split(",")], sizes)
     specs = choose_episodes(tasks, seeds, suite, split, episodes, first)

@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.faults.fault import GRADES, FaultGrade
 from benchmarks.perception.store import MeasurementStore, fingerprint
 from benchmarks.planted_videos import PlantedVideo, PlantingOrder, PlantingResult, make_planter, write_index
 from benchmarks.structure import current_revision
@@ -40,7 +41,6 @@ from kinebench_drake.segments import finite_rows
 from kinebench_drake.suites.catalog import EpisodeSpec, load_suite
 from kinebench_drake.suites.clock import Control
 from kinebench_drake.suites.families.registry import TASKS
-from kinebench_drake.suites.faults.fault import GRADES, FaultGrade
 from kinebench_drake.suites.simulator import Simulator
 from kinebench_drake.suites.simulator_cache import SimulatorCache
 from kinebench_drake.track import GripperTrack

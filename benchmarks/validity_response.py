@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import false_discovery_control, rankdata
 
+from benchmarks.faults.fault import GRADES
 from benchmarks.perception.anomaly_table import unit_of
 from benchmarks.validity import ValidityTrial
 from kinebench_drake.anomaly import AnomalyKind
@@ -24,7 +25,6 @@ from kinebench_drake.stats import (
     resampled_counts,
     sign_test,
 )
-from kinebench_drake.suites.faults.fault import GRADES
 
 NUMBERS = ("executable", "feasible", *(name for name in VISUAL_METRICS if name != "anomalies"), *KINEMATIC_METRICS)
 """Numbers that the study is about."""

@@ -6,6 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.faults.fault_simulator import FaultSimulator
+from benchmarks.faults.recording import ViewChange, ViewKind, render_view
 from benchmarks.markdown import table
 from benchmarks.perception.store import MeasurementStore, fingerprint
 from kinebench_drake.camera import benchmark_camera
@@ -18,8 +20,6 @@ from kinebench_drake.io.npz import open_npz, write_arrays
 from kinebench_drake.io.reader import read_video
 from kinebench_drake.suites.catalog import EpisodeSpec
 from kinebench_drake.suites.families.registry import find_expert
-from kinebench_drake.suites.faults.fault_simulator import FaultSimulator
-from kinebench_drake.suites.faults.recording import ViewChange, ViewKind, render_view
 from kinebench_drake.suites.rollout import render_video, run_expert
 from kinebench_drake.suites.seeding import generator
 

@@ -81,13 +81,8 @@ def _run_clip(
     return tuple(snapshots), np.column_stack([motion.q, motion.finger_width_m])
 
 
-def continue_expert(
-    simulator: Simulator, episode: Episode, state: SimulatorState, expert: Expert
-) -> tuple[tuple[Snapshot, ...], Array | None]:
-    """Let the expert continue an episode from a state for one clip; it waits if nothing is left to do.
-
-    Returns:
-        The states at every frame, with the initial one, and the commands as in `Rollout`; None if it waits.
+def continue_expert(simulator: Simulator, episode: Episode, state: SimulatorState, expert: Expert) -> Rollout:
+    """Let the expert continue an episode from a state for one clip; without commands if nothing is left to do.
 
     Raises:
         InputError: the expert finds no path in this scene.
@@ -95,8 +90,8 @@ def continue_expert(
     simulator.reset(episode)
     simulator.restore(state)
     before = simulator.snapshot()
-    clip = _run_clip(simulator, expert)
-    return ((before,) * (CLIP_FRAMES + 1), None) if clip is None else ((before, *clip[0]), clip[1])
+    after, controls = _run_clip(simulator, expert) or ((before,) * CLIP_FRAMES, np.zeros((0, 8)))
+    return Rollout(episode=episode, snapshots=(before, *after), controls=controls, outcome=simulator.outcome())
 
 
 def run_expert(simulator: Simulator, expert: Expert, episode: Episode, *, every: int = STEPS_PER_FRAME) -> Rollout:

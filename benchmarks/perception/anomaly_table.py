@@ -9,11 +9,11 @@ from numpy.typing import ArrayLike
 from scipy.optimize import brentq
 from scipy.stats import norm, rankdata
 
+from benchmarks.faults.fault import GRADES
 from benchmarks.perception.anomalies import ClipAnomalies
 from kinebench_drake.anomaly import AnomalyKind
 from kinebench_drake.io.figure import FAINT, POSITION, ROTATION, new_figure
 from kinebench_drake.stats import IntervalEstimate, wilson
-from kinebench_drake.suites.faults.fault import GRADES
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

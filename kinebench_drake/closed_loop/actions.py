@@ -55,7 +55,7 @@ class ActionSource:
             InputError: the expert finds no path.
         """
         simulator = self._simulators.get(episode.task, episode.variant)
-        snapshots, _ = continue_expert(simulator, episode, state, find_expert(episode.task))
+        snapshots = continue_expert(simulator, episode, state, find_expert(episode.task)).snapshots
         reached_s = FRAME_PERIOD_S * np.arange(len(snapshots), dtype=np.float64)
         t_s = period_s * np.arange(frames, dtype=np.float64)
         reached = np.array([[*s.q, s.finger_width_m] for s in snapshots])

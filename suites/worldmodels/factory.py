@@ -1,11 +1,10 @@
 """World models from the specs of the command line. Importing this module loads neither simulator nor network."""
 
 from collections.abc import Callable, Mapping
-from typing import Any, Literal, NamedTuple, TypeVar, cast
+from typing import Any, NamedTuple, TypeVar, cast
 
 from pydantic import Field
 
-from kinebench_drake.anomaly import AnomalyKind
 from kinebench_drake.errors import UsageError, count_noun, suggestion
 from kinebench_drake.plugin import is_class_name, load_class
 from kinebench_drake.suites.worldmodels.cloud import DashScopeModel, MiniMaxModel
@@ -16,8 +15,6 @@ from kinebench_drake.suites.worldmodels.http import HttpModel
 from kinebench_drake.suites.worldmodels.spec import ARGUMENT, SERVERS, Options, Spec, parse
 from kinebench_drake.suites.worldmodels.worldmodel import WorldModel
 
-_FAULTY = "oracle+"
-
 
 class OracleOptions(Options):
     """Options of the oracle."""
@@ -26,12 +23,6 @@ class OracleOptions(Options):
         False, description="report the true track of each clip, so that no pose is read from pixels"
     )
     delay: int = Field(0, ge=0, le=48, description="frames by which the motion comes late")
-
-
-class ViewOptions(Options):
-    """Options of the oracle with a changing view."""
-
-    form: Literal["growing", "constant"] = Field("growing", description="course of the change along each clip")
 
 
 _Options = TypeVar("_Options", bound=Options)
@@ -61,36 +52,6 @@ def _make_oracle(spec: Spec) -> WorldModel:
     return OracleModel(name, discloses=options.true_track, delay=options.delay)
 
 
-def _make_faulty_oracle(spec: Spec) -> WorldModel:
-    """Create the oracle of a spec such as "oracle+teleport:0.15"."""
-    from kinebench_drake.suites.faults.fault import choose
-    from kinebench_drake.suites.worldmodels.reference import OracleModel
-
-    grades = choose([AnomalyKind(spec.kind.removeprefix(_FAULTY))], spec.rest)
-    if len(grades) > len({grade.form for grade in grades}):
-        raise spec.unusable(f"expected one size, such as {spec.kind}:{grades[0].size:g}")
-    return OracleModel(spec.read(Options).name or f"{_FAULTY}{grades[0].label}", fault=grades[0])
-
-
-def _make_view_oracle(spec: Spec) -> WorldModel:
-    """Create the oracle of a spec such as "oracle+zoom:0.05"."""
-    from kinebench_drake.suites.faults.fault import FaultForm
-    from kinebench_drake.suites.faults.recording import ViewChange, ViewKind
-    from kinebench_drake.suites.worldmodels.reference import OracleModel
-
-    limit, options = _VIEWS[spec.kind], spec.read(ViewOptions)
-    try:
-        size = float(spec.rest)
-    except ValueError:
-        size = float("nan")
-    if not 0.0 < abs(size) <= limit:
-        raise spec.unusable(f"expected one size other than 0, up to {limit:g}, such as {spec.kind}:{limit / 10:g}")
-    kind, form = ViewKind(spec.kind.removeprefix(_FAULTY)), FaultForm(options.form)
-    constant = "" if form is FaultForm.GROWING else f", {form.value}"
-    name = options.name or f"{spec.kind}_{size:g}{constant}"
-    return OracleModel(name, view=ViewChange(kind=kind, size=size, form=form))
-
-
 class SpecForm(NamedTuple):
     """Form of a spec."""
 
@@ -100,9 +61,6 @@ class SpecForm(NamedTuple):
     """Creates the world model; raises UsageError or SetupError."""
 
 
-_VIEWS = {f"{_FAULTY}zoom": 0.5, f"{_FAULTY}turn": 50.0, f"{_FAULTY}move": 0.5}
-"""Changes of the view, with their largest size: relative, in degrees and in metres."""
-_FAULT_KINDS = " ".join(kind.value for kind in AnomalyKind)
 FORMS: Mapping[str, SpecForm] = {
     "folder": SpecForm("folder:DIR", FolderModel),
     **dict.fromkeys(SERVERS, SpecForm("http://HOST:PORT/PATH", HttpModel)),
@@ -112,11 +70,6 @@ FORMS: Mapping[str, SpecForm] = {
     "diffusers": SpecForm("diffusers:PATH_OR_ID", DiffusersModel),
     "still": SpecForm("still", _make_lower_bound),
     "oracle": SpecForm("oracle", _make_oracle),
-    **dict.fromkeys(
-        (f"{_FAULTY}{kind.value}" for kind in AnomalyKind),
-        SpecForm(f"{_FAULTY}KIND:SIZE (KIND: {_FAULT_KINDS})", _make_faulty_oracle),
-    ),
-    **dict.fromkeys(_VIEWS, SpecForm(f"{_FAULTY}VIEW:SIZE (VIEW: zoom turn move)", _make_view_oracle)),
     "random": SpecForm("random", _make_lower_bound),
 }
 """World models by the kind of their spec."""

@@ -1,5 +1,6 @@
 """Reference models without a network: the expert (upper bound), a random policy and a still image (lower bounds)."""
 
+from dataclasses import replace
 from functools import partial
 from itertools import repeat
 from pathlib import Path
@@ -13,13 +14,8 @@ from kinebench_drake.suites.composition import Episode
 from kinebench_drake.suites.expert.motion import Waypoint
 from kinebench_drake.suites.families.registry import Expert, find_expert
 from kinebench_drake.suites.families.task import Scene
-from kinebench_drake.suites.faults.fault import FaultGrade
-from kinebench_drake.suites.faults.fault_simulator import FaultSimulator
-from kinebench_drake.suites.faults.plant import plant
-from kinebench_drake.suites.faults.recording import Recording, ViewChange, render_view
-from kinebench_drake.suites.rollout import Rollout, continue_expert, render_video
-from kinebench_drake.suites.seeding import generator
-from kinebench_drake.suites.simulator import SimulatorState
+from kinebench_drake.suites.rollout import Rollout, RolloutVideo, continue_expert, render_video
+from kinebench_drake.suites.simulator import Simulator, SimulatorState
 from kinebench_drake.suites.simulator_cache import SimulatorCache
 from kinebench_drake.suites.worldmodels.media import encode_answer
 from kinebench_drake.suites.worldmodels.worldmodel import Request, TrueTrack, WorldModel, WorldModelError
@@ -53,12 +49,14 @@ class OracleRenderer:
 
     Args:
         delay: further frames for which its clips show the first frame before the motion.
-        view: change of the view in each clip.
     """
 
-    def __init__(self, delay: int = 0, view: ViewChange | None = None) -> None:
-        self._delay, self._view = delay, view
-        self._simulators: SimulatorCache[FaultSimulator] | None = None
+    simulator: type[Simulator] = Simulator
+    """Class of the simulator."""
+
+    def __init__(self, delay: int = 0) -> None:
+        self._delay = delay
+        self._simulators: SimulatorCache[Simulator] | None = None
         self._state: tuple[Episode, SimulatorState] | None = None
         self.truth: TrueTrack | None = None
         """Ground truth of the last clip; None before the first."""
@@ -67,17 +65,21 @@ class OracleRenderer:
         """Set the state from which the next clip begins."""
         self._state = episode, state
 
-    def write_clip(self, expert: Expert, request: Request, out: Path, fault: FaultGrade | None = None) -> Path:
-        """Write the clip in which an expert continues from the state, optionally with a planted fault.
+    def write_clip(self, expert: Expert, request: Request, out: Path) -> Path:
+        """Write the clip in which an expert continues from the state.
 
         Raises:
-            InputError: the expert finds no path, or the clip has no place for the fault.
+            InputError: the expert finds no path.
             WorldModelError: there is no state.
             SetupError: the video cannot be written.
         """
         if self._state is None:
             raise WorldModelError("no simulator state was set")
-        return encode_answer(self._frames(*self._state, expert, request, fault), request.fps, out)
+        return encode_answer(self._frames(*self._state, expert, request), request.fps, out)
+
+    def film(self, simulator: Simulator, rollout: Rollout, request: Request) -> RolloutVideo:
+        """Render a clip, of which the simulator is in the last state; other oracles render it in other ways."""
+        return render_video(simulator, rollout.snapshots)
 
     def close(self) -> None:
         """Release the simulator."""
@@ -85,55 +87,35 @@ class OracleRenderer:
             self._simulators.close()
             self._simulators = None
 
-    def _frames(
-        self, episode: Episode, state: SimulatorState, expert: Expert, request: Request, fault: FaultGrade | None
-    ) -> NDArray[np.uint8]:
-        self._simulators = self._simulators or SimulatorCache(FaultSimulator, request.first_frame.shape[0])
+    def _frames(self, episode: Episode, state: SimulatorState, expert: Expert, request: Request) -> NDArray[np.uint8]:
+        self._simulators = self._simulators or SimulatorCache(self.simulator, request.first_frame.shape[0])
         simulator = self._simulators.get(episode.task, episode.variant)
-        snapshots, controls = continue_expert(simulator, episode, state, expert)
-        snapshots = snapshots[: request.num_frames]
-        outcome = simulator.outcome()
-        if self._view is None:
-            video = render_video(simulator, snapshots)
-        else:
-            video = render_view(simulator, snapshots, self._view, generator("view", episode.id, request.round))
-        if fault is not None and controls is not None:
-            rollout = Rollout(episode=episode, snapshots=snapshots, controls=controls, outcome=outcome)
-            video, _ = plant(Recording(simulator=simulator, rollout=rollout, video=video), fault)
-        video = video.select([max(k - self._delay, 0) for k in range(len(snapshots))])
+        rollout = continue_expert(simulator, episode, state, expert)
+        rollout = replace(rollout, snapshots=rollout.snapshots[: request.num_frames])
+        video = self.film(simulator, rollout, request)
+        video = video.select([max(k - self._delay, 0) for k in range(len(video.t_s))])
         self.truth = TrueTrack(X_CH=video.X_CH, finger_width_m=video.finger_width_m)
         return video.rgb
 
 
 class OracleModel(OracleRenderer):
-    """World model that renders what the task's expert does next: a perfect model, unless a fault is planted.
+    """World model that renders what the task's expert does next: a perfect model.
 
     Args:
         name: name in the results.
-        fault: fault to plant into the first clip of each episode.
         discloses: whether it reports the true track of its clips, so that no pose is estimated from pixels.
         delay: frames by which the motion comes late.
-        view: change of the view in every clip.
     """
 
-    def __init__(
-        self,
-        name: str = "oracle",
-        *,
-        fault: FaultGrade | None = None,
-        discloses: bool = False,
-        delay: int = 0,
-        view: ViewChange | None = None,
-    ) -> None:
-        super().__init__(delay, view)
+    def __init__(self, name: str = "oracle", *, discloses: bool = False, delay: int = 0) -> None:
+        super().__init__(delay)
         self.name = name
-        self._fault, self._discloses = fault, discloses
+        self._discloses = discloses
 
     def generate(self, request: Request, out: Path) -> Path:
         """Render the expert from the current state."""
-        fault = self._fault if request.round == 0 else None
         try:
-            return self.write_clip(find_expert(request.task), request, out, fault)
+            return self.write_clip(find_expert(request.task), request, out)
         except InputError as error:
             raise WorldModelError(str(error)) from None
 

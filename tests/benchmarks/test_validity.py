@@ -11,6 +11,7 @@ from scipy.stats import spearmanr
 
 from benchmarks import validity
 from benchmarks.__main__ import main
+from benchmarks.faults.fault import GRADES, FaultGrade, PlantedFault
 from benchmarks.perception.store import MeasurementStore
 from benchmarks.planted_videos import PlantedVideo, PlantingResult
 from benchmarks.validity import ExecutionWorker, ValidityTrial, study_grades, study_specs
@@ -19,7 +20,6 @@ from benchmarks.validity_response import NUMBERS, Grade, Study, Verdict, correla
 from kinebench_drake.anomaly import AnomalyKind
 from kinebench_drake.suites.composition import Pool
 from kinebench_drake.suites.families.registry import TASKS
-from kinebench_drake.suites.faults.fault import GRADES, FaultGrade, PlantedFault
 from kinebench_drake.track import GripperTrack
 
 EPISODES = 24

@@ -233,14 +233,10 @@ def test_an_episode_without_a_video_is_an_error_row(tmp_path: Path) -> None:
     assert row["id"] in row["reason"]
 
 
-@pytest.mark.parametrize(
-    ("spec", "told"),
-    [("oracel", "one of"), ("oracle+teleport:all", "expected one size"), ("oracle+x:1", "one of")],
-)
-def test_unknown_world_model_specifications_are_refused(tmp_path: Path, spec: str, told: str) -> None:
-    code, said = run(tmp_path / "out", "--world-model", spec)
+def test_unknown_world_model_specifications_are_refused(tmp_path: Path) -> None:
+    code, said = run(tmp_path / "out", "--world-model", "oracel")
     assert code == 2
-    assert told in said
+    assert "one of" in said
 
 
 def test_ceiling_compares_success_with_direct_execution_and_refuses_the_run_folder_as_output(

@@ -3,11 +3,11 @@ from dataclasses import replace
 
 import pytest
 
+from benchmarks.faults.fault_simulator import FaultSimulator
+from benchmarks.faults.recording import Recording
 from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.suites.composition import compose
 from kinebench_drake.suites.families.registry import find_expert
-from kinebench_drake.suites.faults.fault_simulator import FaultSimulator
-from kinebench_drake.suites.faults.recording import Recording
 from kinebench_drake.suites.rollout import render_video, run_expert
 
 

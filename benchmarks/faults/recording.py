@@ -8,12 +8,12 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike
 
+from benchmarks.faults.fault import FaultForm, PlantedFault
+from benchmarks.faults.fault_simulator import FaultSimulator
 from kinebench_drake.anomaly import AnomalyKind
 from kinebench_drake.camera import Camera
 from kinebench_drake.errors import InputError
 from kinebench_drake.geometry import Array, make_pose, rotation_exp
-from kinebench_drake.suites.faults.fault import FaultForm, PlantedFault
-from kinebench_drake.suites.faults.fault_simulator import FaultSimulator
 from kinebench_drake.suites.rollout import Rollout, RolloutVideo, join_videos, render_video
 from kinebench_drake.suites.simulator import Snapshot
 

@@ -5,15 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from benchmarks.faults.fault import FaultForm, FaultGrade, PlantedFault
+from benchmarks.faults.fault_simulator import RenderFault
+from benchmarks.faults.plant import FREEZE_SPEED_M_S, plant
+from benchmarks.faults.recording import Recording
 from kinebench_drake.anomaly import AnomalyKind
 from kinebench_drake.errors import InputError
 from kinebench_drake.geometry import pose_difference, transform_points
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.suites.clock import FRAME_PERIOD_S
-from kinebench_drake.suites.faults.fault import FaultForm, FaultGrade, PlantedFault
-from kinebench_drake.suites.faults.fault_simulator import RenderFault
-from kinebench_drake.suites.faults.plant import FREEZE_SPEED_M_S, plant
-from kinebench_drake.suites.faults.recording import Recording
 from kinebench_drake.suites.rollout import RolloutVideo
 
 pytestmark = pytest.mark.sapien

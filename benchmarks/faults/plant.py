@@ -6,15 +6,15 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
+from benchmarks.faults.fault import FaultForm, FaultGrade, PlantedFault
+from benchmarks.faults.fault_simulator import RenderFault, Warp
+from benchmarks.faults.recording import LEAST_VISIBLE, Recording, move_camera
 from kinebench_drake.anomaly import AnomalyKind
 from kinebench_drake.errors import InputError
 from kinebench_drake.geometry import Array, invert, make_pose, rotation_exp, transform_points
 from kinebench_drake.kinematics.ik import solve_pose
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.suites.clock import FRAME_PERIOD_S
-from kinebench_drake.suites.faults.fault import FaultForm, FaultGrade, PlantedFault
-from kinebench_drake.suites.faults.fault_simulator import RenderFault, Warp
-from kinebench_drake.suites.faults.recording import LEAST_VISIBLE, Recording, move_camera
 from kinebench_drake.suites.rollout import RolloutVideo, render_video
 from kinebench_drake.suites.seeding import generator
 from kinebench_drake.suites.simulator import GRIPPER_LINKS

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
+from benchmarks.faults.fault import GRADES, FaultForm, choose
+from benchmarks.faults.plant import deformation
 from kinebench_drake.anomaly import AnomalyKind
 from kinebench_drake.errors import UsageError
-from kinebench_drake.suites.faults.fault import GRADES, FaultForm, choose
-from kinebench_drake.suites.faults.plant import deformation
 
 
 def test_every_kind_has_sizes_at_and_below_its_gate() -> None:

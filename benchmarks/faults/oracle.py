@@ -1,0 +1,63 @@
+"""Oracles that are wrong on purpose, as world models: `--world-model 'benchmarks.faults.oracle:FaultyOracle?...'`."""
+
+from typing import cast
+
+from typing_extensions import override
+
+from benchmarks.faults.fault import GRADES, FaultForm, FaultGrade
+from benchmarks.faults.fault_simulator import FaultSimulator
+from benchmarks.faults.plant import plant
+from benchmarks.faults.recording import Recording, ViewChange, ViewKind, render_view
+from kinebench_drake.anomaly import AnomalyKind
+from kinebench_drake.errors import member_of
+from kinebench_drake.suites.rollout import Rollout, RolloutVideo
+from kinebench_drake.suites.seeding import generator
+from kinebench_drake.suites.simulator import Simulator
+from kinebench_drake.suites.worldmodels.reference import OracleModel
+from kinebench_drake.suites.worldmodels.worldmodel import Request
+
+
+class FaultyOracle(OracleModel):
+    """Oracle with a fault planted into the first clip of each episode, in the first form of its kind.
+
+    Args:
+        kind: kind of the fault, such as "teleport".
+        size: its size in the unit of `PlantedFault.size`.
+    """
+
+    simulator = FaultSimulator
+
+    def __init__(self, kind: str, size: str | float) -> None:
+        own = member_of(AnomalyKind, kind, "kind")
+        self._fault = FaultGrade(kind=own, size=float(size), form=GRADES[own].forms[0])
+        super().__init__(f"oracle, {self._fault.label}")
+
+    @override
+    def film(self, simulator: Simulator, rollout: Rollout, request: Request) -> RolloutVideo:
+        video = super().film(simulator, rollout, request)
+        if request.round > 0 or not len(rollout.controls):
+            return video
+        recording = Recording(simulator=cast(FaultSimulator, simulator), rollout=rollout, video=video)
+        return plant(recording, self._fault)[0]
+
+
+class TurningOracle(OracleModel):
+    """Oracle whose view changes in the course of every clip.
+
+    Args:
+        kind: "zoom", "turn" or "move".
+        size: largest change, in the unit of `ViewKind`.
+        form: "growing" or "constant".
+    """
+
+    simulator = FaultSimulator
+
+    def __init__(self, kind: str, size: str | float, form: str = "growing") -> None:
+        own, course = member_of(ViewKind, kind, "kind"), member_of(FaultForm, form, "form")
+        self._view = ViewChange(kind=own, size=float(size), form=course)
+        super().__init__(f"oracle, {kind} {float(size):g}, {form}")
+
+    @override
+    def film(self, simulator: Simulator, rollout: Rollout, request: Request) -> RolloutVideo:
+        rng = generator("view", rollout.episode.id, request.round)
+        return render_view(cast(FaultSimulator, simulator), rollout.snapshots, self._view, rng)
