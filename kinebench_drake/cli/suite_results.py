@@ -49,28 +49,18 @@ def ceiling(folders: tuple[Path, ...], out: Path | None, jobs: int) -> None:
     short_help="Report on suite runs.",
     epilog="\b\nExamples:\n"
     "  kinebench-drake suite report runs/wan-suite0/ runs/wan-suite2/ --out report/\n"
-    "  kinebench-drake suite report scaling/*/ --out report/\n"
-    "  kinebench-drake suite report --paper runs/*/ comparison/ robustness.json depth.json --out paper/",
+    "  kinebench-drake suite report scaling/*/ --out report/",
 )
 @folders_argument
-@click.option(
-    "--paper",
-    is_flag=True,
-    help="Write the paper's tables and figures to index.html, and the missing ones with their commands to missing.md; "
-    "DIR may also be a --json file of the studies of `python -m benchmarks`, or the folder of "
-    "`python -m training baseline evaluate`.",
-)
 @click.option("--out", type=PathParameter(file_okay=False), required=True, help="Folder to write to.")
-def report(folders: tuple[Path, ...], out: Path, paper: bool) -> None:
+def report(folders: tuple[Path, ...], out: Path) -> None:
     """Report on output folders DIR of `suite run`: report.html, figures (png, svg), tables (csv, LaTeX).
 
     Folders of one model on one suite are pooled, such as shards, unless their tags or settings differ.
     """
-    from kinebench_drake.report.suite.suite_page import write_paper_report, write_suite_report
+    from kinebench_drake.report.suite.suite_page import write_suite_report
 
-    write = write_paper_report if paper else write_suite_report
-    page = write(folders, out, warn=lambda message: echo(f"warning: {message}", err=True))
-    echo(page)
+    echo(write_suite_report(folders, out, warn=lambda message: echo(f"warning: {message}", err=True)))
 
 
 _ERRORS = ("bias", "jitter", "finger_delay")

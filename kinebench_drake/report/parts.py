@@ -30,49 +30,26 @@ class MissingPart:
     title: str
     needs: str
     """Data that would be needed."""
-    commands: tuple[str, ...] = ()
-    """Commands that make these data."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Section:
-    """Heading of the parts that follow."""
-
-    name: str
-    """Anchor on the page."""
-    title: str
-    text: str
-    """Introduction of a sentence or two."""
-
-
-def make_missing(key: str, commands: Sequence[str] = (), **values: object) -> MissingPart:
-    """Name what a part of captions.toml needs, with `values` in its placeholders, and the commands that make it."""
+def make_missing(key: str, **values: object) -> MissingPart:
+    """Name what a part of captions.toml needs, with `values` in its placeholders."""
     texts = read_caption("missing", key, **values)
-    return MissingPart(title=texts["title"], needs=texts["needs"], commands=tuple(commands))
+    return MissingPart(title=texts["title"], needs=texts["needs"])
 
 
 Part = Table | ReportFigure | MissingPart
-SectionPart = Part | Section
 
 
-def write_parts(
-    template: str,
-    title: str,
-    out: Path,
-    parts: Sequence[SectionPart],
-    listing: Table,
-    page_name: str = REPORT,
-    **context: Any,
-) -> Path:
+def write_parts(template: str, title: str, out: Path, parts: Sequence[Part], listing: Table, **context: Any) -> Path:
     """Write a page, and its tables and figures as files; the same input gives the same bytes.
 
     Args:
         template: name of the page's template, an extension of `parts.html.j2`.
         title: heading.
         out: folder of the page and of the files.
-        parts: tables and figures in their order, with or without headings.
+        parts: tables and figures in their order.
         listing: table of all samples, as a file only.
-        page_name: name of the page's file.
         context: further variables of the template.
 
     Returns:
@@ -88,21 +65,19 @@ def write_parts(
     templates = template_environment()
     templates.filters |= {"key": sort_key, "explanation": explain, "verdict": verdict_of, "anomalies": anomalies_of}
     templates.filters["label"] = VERDICT_LABELS.__getitem__
-    sectioned = any(isinstance(part, Section) for part in parts)
     page = templates.get_template(template).render(
         title=title,
         parts=[
             (part, write_figure(part, out) if isinstance(part, ReportFigure) else None)
             for part in parts
-            if sectioned or not isinstance(part, MissingPart)
+            if not isinstance(part, MissingPart)
         ],
-        sectioned=sectioned,
         missing=[part for part in parts if isinstance(part, MissingPart)],
         first=_SHOWN,
         **context,
     )
-    write_atomically(out / page_name, page.encode())
-    return out / page_name
+    write_atomically(out / REPORT, page.encode())
+    return out / REPORT
 
 
 def list_links(folder: Path | None, row: SampleRow, out: Path) -> list[tuple[str, str]]:

@@ -7,7 +7,6 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import cache
 from importlib.resources import files
-from itertools import accumulate, groupby
 from typing import Any, TypeAlias
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
@@ -42,8 +41,6 @@ class Column:
     """True if the values are estimates: CSV files then have columns for the interval and the sample count."""
     signed: bool = False
     """True if numbers have a sign in any case, as differences do."""
-    group: str = ""
-    """Heading above neighbouring columns of the same group."""
 
 
 def plain_columns(**labels: str) -> tuple[Column, ...]:
@@ -140,7 +137,7 @@ def read_caption(kind: str, key: str, **values: object) -> dict[str, Any]:
     """Return a part's texts in captions.toml, with `values` in their placeholders.
 
     Args:
-        kind: tables, figures, missing or sections.
+        kind: tables, figures or missing.
         key: the part.
         values: by name of the placeholder.
     """
@@ -321,8 +318,7 @@ def escape_latex(text: str) -> str:
 def table_latex(table: Table) -> str:
     """Format a table as a LaTeX `table` environment (package booktabs), one for each two models that it compares.
 
-    Intervals, and where values are missing their number and the bound, follow the means in small type. A table with
-    groups of columns is scaled to the width of the text (package graphicx).
+    Intervals, and where values are missing their number and the bound, follow the means in small type.
     """
     return "\n".join(map(_latex, table.by_pair()))
 
@@ -338,35 +334,21 @@ def _latex(table: Table) -> str:
         [cell(v, table.pattern(i, k), (i, k) in table.bold) for k, v in enumerate(row)]
         for i, row in enumerate(table.rows)
     ]
-    groups = _latex_groups(table)
     return "\n".join(
         [
-            "% needs \\usepackage{booktabs}" + (r", \usepackage{graphicx}" if groups else ""),
+            r"% needs \usepackage{booktabs}",
             r"\begin{table}[t]",
             r"  \centering",
             f"  \\caption{{{escape_latex(table.title)}. {escape_latex(table.note)}}}",
             f"  \\label{{tab:{table.name.replace('_', '-')}}}",
-            *([r"  \resizebox{\textwidth}{!}{%"] if groups else []),
             f"  \\begin{{tabular}}{{{''.join('r' if numeric else 'l' for numeric in table.numeric)}}}",
             r"    \toprule",
-            *groups,
             f"    {' & '.join(escape_latex(column.label) for column in table.columns)} \\\\",
             r"    \midrule",
             *(f"    {' & '.join(cells)} \\\\" for cells in body),
             r"    \bottomrule",
-            r"  \end{tabular}" + ("}" if groups else ""),
+            r"  \end{tabular}",
             r"\end{table}",
             "",
         ]
     )
-
-
-def _latex_groups(table: Table) -> list[str]:
-    """Return the lines of the headings of groups of columns; empty without groups."""
-    spans = [(name, len(list(columns))) for name, columns in groupby(table.columns, key=lambda column: column.group)]
-    if not any(name for name, _ in spans):
-        return []
-    cells = [f"\\multicolumn{{{n}}}{{c}}{{{escape_latex(name)}}}" if name else "& " * (n - 1) for name, n in spans]
-    ends = list(accumulate(n for _, n in spans))
-    rules = [f"\\cmidrule(lr){{{end - n + 1}-{end}}}" for (name, n), end in zip(spans, ends, strict=True) if name]
-    return [f"    {' & '.join(cells)} \\\\", f"    {' '.join(rules)}"]

@@ -145,18 +145,6 @@ def spec_warnings(runs: Sequence[SuiteRun]) -> list[str]:
     ]
 
 
-def setting_warnings(runs: Sequence[SuiteRun], episodes: Sequence[EpisodeResult]) -> list[str]:
-    """Return a warning for each model whose runs on different parts have different settings."""
-    paths = {model: {e.folder for e in own} for model, own in group_by(episodes, lambda e: e.model).items()}
-    warnings = []
-    for model, folders in paths.items():
-        own = [run for run in runs if run.path in folders]
-        for name in differing_settings(own):
-            values = ", ".join(f"{run.settings.get(name, 'unset')} in {run.name}" for run in own)
-            warnings.append(f"runs of {model} differ in {name} ({values}): its numbers on them are not comparable")
-    return warnings
-
-
 def differing_settings(runs: Sequence[SuiteRun]) -> list[str]:
     """List the settings in which some runs differ."""
     settings = [run.settings for run in runs]

@@ -1,28 +1,21 @@
-"""Pages about suite runs, with their tables and figures as files: report, comparison, and the paper's."""
+"""Pages about suite runs, with their tables and figures as files: report and comparison."""
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from kinebench_drake.io.atomic import write_atomically
 from kinebench_drake.report.number import draw_numbers, tabulate_numbers
-from kinebench_drake.report.parts import (
-    MissingPart,
-    Part,
-    Section,
-    choose_listed,
-    list_links,
-    make_missing,
-    write_parts,
-)
+from kinebench_drake.report.parts import Part, choose_listed, list_links, make_missing, write_parts
 from kinebench_drake.report.run import check_page_folder
-from kinebench_drake.report.suite import correlation, kinematics, scaling, success
+from kinebench_drake.report.suite import correlation, kinematics, scaling, success, transfer
 from kinebench_drake.report.suite.comparison import ModelComparison, draw_differences, tabulate_comparison
-from kinebench_drake.report.suite.episode_result import EpisodeResult, has_samples, tabulate_episodes
-from kinebench_drake.report.suite.paper import make_sections, read_paper_data
-from kinebench_drake.report.suite.pooling import SuiteRun, pool_episodes, read_suite_runs, spec_warnings
-
-PAPER_INDEX, PAPER_MISSING = "index.html", "missing.md"
-_PAPER_COMMAND = "kinebench-drake suite report --paper runs/*/ comparison/ robustness.json depth.json --out paper/"
+from kinebench_drake.report.suite.episode_result import EpisodeResult, group_by, has_samples, tabulate_episodes
+from kinebench_drake.report.suite.pooling import (
+    SuiteRun,
+    differing_settings,
+    pool_episodes,
+    read_suite_runs,
+    spec_warnings,
+)
 
 
 def write_suite_report(
@@ -57,20 +50,36 @@ def write_suite_report(
         success.draw_verdicts(episodes),
         kinematics.tabulate_kinematics(episodes, seed),
         *([following] if following else []),
-        *_sparc_parts(episodes, seed),
+        *_drop_parts(runs, episodes, seed),
+        *_correlation_parts(episodes, correlation.SPARC, seed),
         kinematics.draw_manipulability(episodes) or make_missing("manipulability"),
+        *_correlation_parts(episodes, correlation.MANIPULABILITY, seed),
         *_scaling_parts(runs, episodes, seed),
     ]
     return write_page("Suite report", runs, episodes, out, parts)
 
 
-def _sparc_parts(episodes: Sequence[EpisodeResult], seed: int) -> list[Part]:
-    study = correlation.study_correlation(episodes)
+def _drop_parts(runs: Sequence[SuiteRun], episodes: Sequence[EpisodeResult], seed: int) -> list[Part]:
+    """Return table and figures of the loss from seen to unseen; none without runs on both splits."""
+    from kinebench_drake.suites.catalog import load_suite
+
+    parts: list[Part] = []
+    for (model, suite), own in group_by(episodes, lambda e: (e.model, e.part.suite)).items():
+        paths = {e.folder for e in own if e.part.split in (transfer.SEEN, transfer.UNSEEN)}
+        if names := differing_settings([run for run in runs if run.path in paths]):
+            parts.append(make_missing("seen_unseen", model=model, suite=suite, settings=" and ".join(names)))
+            episodes = [e for e in episodes if (e.model, e.part.suite) != (model, suite)]
+    drops = transfer.study_drops(episodes, {t.task: t.of for t in load_suite(1).transfers}, seed)
+    return [transfer.tabulate_drops(drops), *transfer.draw_drops(drops), *parts] if drops else parts
+
+
+def _correlation_parts(episodes: Sequence[EpisodeResult], predictor: correlation.Predictor, seed: int) -> list[Part]:
+    study, points = correlation.study_correlation(episodes, predictor), correlation.MIN_POINTS
     return [
-        correlation.draw_correlation(episodes, study, seed) or make_missing("sparc"),
+        correlation.draw_correlation(episodes, study, seed) or make_missing("correlation_points", **predictor.captions),
         correlation.tabulate_correlation(study, seed)
         if study.is_defined
-        else make_missing("sparc_correlation", points=correlation.MIN_POINTS),
+        else make_missing("correlation", points=points, **predictor.captions),
     ]
 
 
@@ -128,47 +137,3 @@ def write_page(
         noun="sample" if has_samples(episodes) else "episode",
         lines=[(e, list_links(e.folder, e.row, out)) for e in listed],
     )
-
-
-def write_paper_report(
-    paths: Sequence[Path], out: Path, seed: int = 0, warn: Callable[[str], None] = lambda message: None
-) -> Path:
-    """Write the paper's tables and figures for which the inputs suffice, and a list of the others with their commands.
-
-    Args and errors are those of `write_suite_report`; `paths` may also name files of studies, see `read_measurements`.
-    """
-    check_page_folder(out)
-    data = read_paper_data(paths, seed)
-    for message in data.warnings:
-        warn(message)
-    sections = make_sections(data)
-    write_atomically(out / PAPER_MISSING, missing_text(sections).encode())
-    return write_parts(
-        "paper_page.html.j2",
-        "Tables and figures of the paper",
-        out,
-        [part for section, own in sections for part in (section, *own)],
-        tabulate_episodes(data.episodes),
-        PAPER_INDEX,
-        sections=[(section, len(own), len(_missing(own))) for section, own in sections],
-        runs=data.runs,
-        measurements=data.measurements.names,
-        warnings=data.warnings,
-        episodes=len(data.episodes),
-    )
-
-
-def missing_text(sections: Sequence[tuple[Section, Sequence[Part]]]) -> str:
-    """Format all missing parts as Markdown, with the commands that make their data."""
-    lines = ["# Missing tables and figures", ""]
-    for section, parts in sections:
-        lines += [f"## {section.title}", ""] if _missing(parts) else []
-        for part in _missing(parts):
-            lines += [f"{part.title}: needs {part.needs}.", "", *(f"    {c}" for c in part.commands), ""]
-    if len(lines) == 2:
-        return "\n".join([*lines, "None.", ""])
-    return "\n".join([*lines, "Then, with all runs and files as arguments:", "", f"    {_PAPER_COMMAND}", ""])
-
-
-def _missing(parts: Sequence[Part]) -> list[MissingPart]:
-    return [part for part in parts if isinstance(part, MissingPart)]

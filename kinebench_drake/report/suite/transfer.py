@@ -8,7 +8,7 @@ import numpy as np
 from kinebench_drake.geometry import Array
 from kinebench_drake.report.figures import ReportFigure, assign_numbers, draw_intervals, make_figure
 from kinebench_drake.report.number import ALL_TASKS, share_difference
-from kinebench_drake.report.suite.episode_result import EpisodeResult, SuitePart, group_by, list_models
+from kinebench_drake.report.suite.episode_result import EpisodeResult, group_by
 from kinebench_drake.report.table import Table, Value, make_table
 from kinebench_drake.results.aggregate import Estimate
 from kinebench_drake.stats import PairedShares, adjust_p_values, independent_mean_difference
@@ -171,17 +171,3 @@ def draw_drops(drops: Sequence[SeenUnseenDrop]) -> list[ReportFigure]:
         figure = draw_intervals(tasks, values, numbers, label, low=-1.0)
         figures.append(make_figure("seen_unseen", figure, suite=suite))
     return figures
-
-
-def missing_splits(episodes: Sequence[EpisodeResult]) -> list[tuple[str, SuitePart]]:
-    """List the parts that lack for a drop: of suites 1 and 2, the other split of each run with one of both."""
-    parts = {model: {e.part for e in own} for model, own in group_by(episodes, lambda e: e.model).items()}
-    other = {SEEN: UNSEEN, UNSEEN: SEEN}
-    return [
-        (model, wanted)
-        for model in list_models(episodes)
-        for part in sorted(parts[model])
-        if part.suite in (1, 2) and part.split in other
-        for wanted in [replace(part, split=other[part.split])]
-        if wanted not in parts[model]
-    ]
