@@ -159,7 +159,6 @@ def clean(page: Page) -> None:
     """The page holds as many scripts as one of plain names, loads nothing, and no tag of a name became one."""
     assert page.scripts <= 2
     assert all(
-        link.startswith(("data:", "#", "replays/", "tracks/", "overlays/", "figures/")) or "/" not in link
-        for link in page.links
+        link.startswith(("data:", "#", "replays/", "tracks/", "overlays/")) or "/" not in link for link in page.links
     )
     assert "x" not in page.links

@@ -22,10 +22,10 @@ comparison_out_option = click.option(
 )  # fmt: skip
 
 
-@click.command(epilog="\b\nExamples:\n  kinebench-drake report results/\n  kinebench-drake report results/ --figures")
+@click.command(epilog="\b\nExamples:\n  kinebench-drake report results/\n  kinebench-drake report results/ --tables")
 @folders_argument
-@click.option("--figures", is_flag=True, help="Also write figures (png, svg) and tables (csv) to DIR/figures/.")
-def report(folders: tuple[Path, ...], figures: bool) -> None:
+@click.option("--tables", is_flag=True, help="Also write all samples as a table, samples.csv and samples.parquet.")
+def report(folders: tuple[Path, ...], tables: bool) -> None:
     """Write report.html in each output folder DIR again, from its rows and tracks."""
     from kinebench_drake.report.page import write_report
 
@@ -33,10 +33,11 @@ def report(folders: tuple[Path, ...], figures: bool) -> None:
         require_output(folder)
         try:
             echo(write_report(folder))
-            if figures:
-                from kinebench_drake.report.figures import write_figures
+            if tables:
+                from kinebench_drake.report.sample_table import write_samples
 
-                echo(write_figures(folder))
+                for path in write_samples(folder):
+                    echo(path)
         except InputError as error:
             raise UsageError(str(error)) from None
 

@@ -9,9 +9,6 @@ from kinebench_drake.errors import InputError, UsageError, count_noun
 from kinebench_drake.io.files import require_accessible
 from kinebench_drake.results.store import ARTIFACTS, REQUESTS, RESULTS, RUN, SAMPLES
 
-WRITTEN = (*ARTIFACTS, "figures")
-"""Folders of an output folder that hold no input, unlike the clips of a world model in videos/."""
-
 
 def is_output(folder: Path) -> bool:
     """Return whether a folder is the output folder of a run, finished or not."""
@@ -21,7 +18,7 @@ def is_output(folder: Path) -> bool:
 def run_of(path: Path) -> Path | None:
     """Return the output folder of the run that wrote `path`, a folder of its artifacts or a file in one; else None."""
     real = path.resolve()
-    written = (folder for folder in (real, real.parent) if folder.name in WRITTEN and is_output(folder.parent))
+    written = (folder for folder in (real, real.parent) if folder.name in ARTIFACTS and is_output(folder.parent))
     return next((folder.parent for folder in written), None)
 
 
@@ -65,7 +62,7 @@ def walk(top: Path, skipped: Sequence[Path] = ()) -> Iterator[tuple[Path, list[s
             folders.clear()
             continue
         visited.add(real)
-        filled = (*WRITTEN, REQUESTS) if output else ()
+        filled = (*ARTIFACTS, REQUESTS) if output else ()
         folders[:] = sorted(f for f in folders if not f.startswith(".") and f not in filled)
         yield here, folders, sorted(f for f in files if not f.startswith("."))
 

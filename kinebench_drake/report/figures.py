@@ -1,27 +1,17 @@
-"""Matplotlib figures of reports as files and as parts of pages; figures and tables of one run as files."""
+"""Matplotlib figures of reports as files and as parts of pages."""
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from markupsafe import Markup, escape
 
-from kinebench_drake.io.atomic import atomic_path, write_atomically
+from kinebench_drake.io.atomic import atomic_path
 from kinebench_drake.io.figure import FAINT, new_figure, plain, save, shorten
-from kinebench_drake.metrics.executable import FailureVerdict
-from kinebench_drake.report.metric import layout_of
-from kinebench_drake.report.page import SampleGroup, bootstrap_seed, count_metrics, group_rows
-from kinebench_drake.report.plot import Histogram
-from kinebench_drake.report.run import read_results
-from kinebench_drake.report.sample import VERDICT_LABELS, badness, verdict_of
-from kinebench_drake.report.table import format_csv, read_caption
-from kinebench_drake.report.timeline import LEGEND, FaultLane, anomalies_of, fault_lanes, frame_count
-from kinebench_drake.results.aggregate import VERDICT_SHARES, Estimate, RunStatistics
-from kinebench_drake.results.row import SampleRow, Status
-from kinebench_drake.results.store import artifact_path, read_rows
-from kinebench_drake.results.trackfile import read_track
+from kinebench_drake.report.table import read_caption
+from kinebench_drake.results.aggregate import Estimate
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -142,18 +132,13 @@ def write_figure(figure: ReportFigure, folder: Path) -> Markup:
     Raises:
         SetupError: writing failed.
     """
-    _save(figure.figure, folder / figure.name)
-    svg = (folder / f"{figure.name}.svg").read_text(encoding="utf-8")
-    return Markup(inline_svg(svg, figure.name, figure.title))
-
-
-def _save(figure: "Figure", path: Path) -> None:
-    """Write PATH.png and PATH.svg."""
     from matplotlib import rc_context
 
-    save(figure, path.with_suffix(".png"))
-    with rc_context({"svg.hashsalt": path.name}), atomic_path(path.with_suffix(".svg")) as part:
-        figure.savefig(part, format="svg", metadata={"Date": None})
+    path = folder / f"{figure.name}.svg"
+    save(figure.figure, path.with_suffix(".png"))
+    with rc_context({"svg.hashsalt": figure.name}), atomic_path(path) as part:
+        figure.figure.savefig(part, format="svg", metadata={"Date": None})
+    return Markup(inline_svg(path.read_text(encoding="utf-8"), figure.name, figure.title))
 
 
 def inline_svg(svg: str, name: str, title: str) -> str:
@@ -173,197 +158,3 @@ def inline_svg(svg: str, name: str, title: str) -> str:
     size = f'{box[0]} width="{width:.0f}" style="min-width: {_MIN_SCALE * width:.0f}px"' if box else ""
     head = f'<svg {size} role="img" aria-label="{escape(title)}">'
     return re.sub(r"<svg[^>]*>", lambda _: head, body, count=1)
-
-
-_MAX_TIMELINES = 40
-"""Samples with faults in the figure of timelines, the worst first."""
-_VERDICT_COLOURS = {
-    "executable": "#1b7f4b",
-    "success": "#2563ab",
-    "feasible": "#2563ab",
-    "infeasible": "#c2361c",
-    "error": "#7a1f10",
-    FailureVerdict.GROUNDING.value: "#a3842b",
-    FailureVerdict.GENERATION.value: "#c2361c",
-    FailureVerdict.EXECUTION.value: "#8a4fb5",
-    FailureVerdict.TASK.value: "#c04a80",
-    "unmeasurable": "#9a6700",
-    "unjudged": "#66727f",
-    "checked": "#7fa8c9",
-}
-_FAULT_COLOURS = {"violation": "#c2361c", "anomaly": "#d99200", "lost": "#66727f", "unsure": "#c7a6e0"}
-_COLUMNS = 3
-_ESTIMATE = ("mean", "low", "high", "n", "total", "bound")
-Faults = tuple[SampleRow, list[FaultLane], int]
-"""A row, its faults, and its number of frames."""
-
-
-def write_figures(out: Path) -> Path:
-    """Write figures (png, svg) and tables (csv) of an output folder to `figures/`; the same folder, the same bytes.
-
-    Returns:
-        The folder of the files.
-
-    Raises:
-        InputError: the folder's files are broken.
-        SetupError: writing failed.
-    """
-    rows, results = sorted(read_rows(out).values(), key=badness), read_results(out)
-    statistics = RunStatistics.of(rows, bootstrap_seed(results))
-    folder, total = out / "figures", statistics.total
-    histograms = count_metrics(rows, total, layout_of(results))
-    faults = [_find_faults(out, row) for row in rows]
-
-    def write_csv(name: str, heads: Sequence[str], lines: Iterable[Sequence[object]]) -> None:
-        write_atomically(folder / f"{name}.csv", format_csv(heads, lines).encode())
-
-    heads, lines = _sample_lines(rows, list(total.estimates))
-    write_csv("samples", heads, lines)
-    _write_parquet(folder / "samples.parquet", heads, lines)
-    write_csv("metrics", ("metric", *_ESTIMATE), ([n, *_estimate_cells(e)] for n, e in total.estimates.items()))
-    write_csv(
-        "faults",
-        ("id", "frames", "fault", "category", "frame_start", "frame_end", "description"),
-        (
-            (row.id, n, lane.label, LEGEND[lane.css], span.start, span.end, span.text)
-            for row, lanes, n in faults
-            for lane in lanes
-            for span in lane.spans
-        ),
-    )
-    write_csv(
-        "distributions",
-        ("metric", "verdict", "low", "high", "samples"),
-        (
-            (h.metric.name, verdict, float(h.edges[k]), float(h.edges[k + 1]), n)
-            for h in histograms
-            for verdict, counts in h.counts.items()
-            for k, n in enumerate(counts)
-        ),
-    )
-    for key in ("task", "model"):
-        groups = group_rows(rows, key, statistics)
-        if groups:
-            grouped = (
-                (g.name, g.total.total, g.total.status[Status.OK], name, *_estimate_cells(estimate))
-                for g in groups
-                for name, estimate in g.total.estimates.items()
-            )
-            write_csv(f"{key}s", (key, "samples", "measured", "metric", *_ESTIMATE), grouped)
-            _save(_draw_verdicts(groups), folder / f"verdicts_by_{key}")
-    if histograms:
-        _save(_draw_distributions(histograms), folder / "distributions")
-    if any(lanes for _, lanes, _ in faults):
-        _save(_draw_faults([f for f in faults if f[1]][:_MAX_TIMELINES]), folder / "faults")
-    return folder
-
-
-def _estimate_cells(estimate: Estimate) -> list[object]:
-    return [getattr(estimate, name) for name in _ESTIMATE]
-
-
-def _find_faults(out: Path, row: SampleRow) -> Faults:
-    track = artifact_path(out, "tracks", row.id)
-    file = read_track(track) if row.status is Status.OK and track.is_file() else None
-    lanes = fault_lanes(row, file)
-    return row, lanes, frame_count(row, file, lanes)
-
-
-def _sample_lines(rows: Sequence[SampleRow], names: Sequence[str]) -> tuple[list[str], list[list[object]]]:
-    metrics = [name for name in names if name not in VERDICT_SHARES]
-    labels = ("id", "video", "task", "model", "status", "verdict", "reason", "executable", "feasible")
-    heads = [*labels, "executable_reasons", "violations", "anomalies"]
-
-    def line(row: SampleRow) -> list[object]:
-        kinds = [sorted({str(mark.get("kind")) for mark in marks}) for marks in (row.violations, anomalies_of(row))]
-        values = {"status": row.status.value, "verdict": verdict_of(row)}
-        cells = [values.get(label) or getattr(row, label) for label in labels]
-        cells.append("; ".join(row.executable_reasons))
-        return [*cells, *("; ".join(k) for k in kinds), *(row.metrics.get(n, row.extra.get(n)) for n in metrics)]
-
-    return [*heads, *metrics], [line(row) for row in rows]
-
-
-def _write_parquet(path: Path, heads: Sequence[str], lines: Sequence[Sequence[object]]) -> None:
-    """Write a table as parquet: columns of texts, of truth values, or of numbers."""
-    import pyarrow
-    from pyarrow import parquet
-
-    def column(values: Sequence[object]) -> Any:
-        if any(isinstance(value, str) for value in values):
-            return pyarrow.array([None if value is None else str(value) for value in values], pyarrow.string())
-        if all(value is None or isinstance(value, bool) for value in values):
-            return pyarrow.array(values, pyarrow.bool_())
-        numbers = [float(value) if isinstance(value, bool | int | float) else None for value in values]
-        return pyarrow.array(numbers, pyarrow.float64())
-
-    table = pyarrow.table({head: column([line[k] for line in lines]) for k, head in enumerate(heads)})
-    with atomic_path(path) as part:
-        parquet.write_table(table, part)
-
-
-def _draw_verdicts(groups: Sequence[SampleGroup]) -> "Figure":
-    from matplotlib.ticker import MaxNLocator
-
-    figure, axes = new_figure(7.0, 1.2 + 0.26 * len(groups))
-    ax = axes[0, 0]
-    counts = {verdict: [group.verdicts.get(verdict, 0) for group in groups] for verdict in _VERDICT_COLOURS}
-    named = {VERDICT_LABELS[verdict]: own for verdict, own in counts.items()}
-    colours = {VERDICT_LABELS[verdict]: colour for verdict, colour in _VERDICT_COLOURS.items()}
-    stack_bars(ax, range(len(groups)), named, colours, height=0.7)
-    ax.set_yticks(range(len(groups)), [plain(shorten(group.name)) for group in groups], fontsize=8)
-    ax.invert_yaxis()
-    ax.set_xlabel("samples")
-    ax.xaxis.set_major_locator(MaxNLocator(integer=True))
-    figure.legend(loc="outside upper center", ncols=4, fontsize=8, frameon=False)
-    return figure
-
-
-def _draw_distributions(histograms: Sequence[Histogram]) -> "Figure":
-    from matplotlib.patches import Patch
-    from matplotlib.ticker import MaxNLocator
-
-    lines = -(-len(histograms) // _COLUMNS)
-    figure, axes = new_figure(10.0, 0.4 + 2.1 * lines, lines, _COLUMNS)
-    for ax, h in zip(axes.flat, histograms, strict=False):
-        below = [0] * (len(h.edges) - 1)
-        for verdict, counts in h.counts.items():
-            widths, colour = h.edges[1:] - h.edges[:-1], _VERDICT_COLOURS[verdict]
-            ax.bar(h.edges[:-1], counts, widths, below, align="edge", color=colour)
-            below = [a + b for a, b in zip(below, counts, strict=True)]
-        if h.estimate.mean is not None:
-            ax.axvline(h.estimate.mean, color="black", linewidth=1.2)
-        if h.estimate.low is not None and h.estimate.high is not None:
-            ax.axvspan(h.estimate.low, h.estimate.high, color="black", alpha=0.12, linewidth=0.0)
-        outliers = f", {h.outliers} outliers in the outermost bins" if h.outliers else ""
-        ax.set_title(f"{h.metric.label}: {h.estimate.n} of {h.estimate.total}{outliers}", fontsize=8, loc="left")
-        ax.set_xlim(h.edges[0], h.edges[-1])
-        ax.tick_params(labelsize=7)
-        ax.yaxis.set_major_locator(MaxNLocator(nbins=4, integer=True))
-    for ax in axes.flat[len(histograms) :]:
-        ax.set_visible(False)
-    handles = [
-        Patch(color=colour, label=VERDICT_LABELS[verdict])
-        for verdict, colour in _VERDICT_COLOURS.items()
-        if any(verdict in h.counts for h in histograms)
-    ]
-    figure.legend(handles=handles, loc="outside upper center", ncols=5, fontsize=8, frameon=False)
-    return figure
-
-
-def _draw_faults(faults: Sequence[Faults]) -> "Figure":
-    from matplotlib.patches import Patch
-
-    figure, axes = new_figure(8.0, 1.0 + 0.24 * len(faults))
-    ax = axes[0, 0]
-    for k, (_, lanes, n) in enumerate(faults):
-        ax.broken_barh([(0, n)], (k - 0.35, 0.7), color="#eef2f7", linewidth=0.0)
-        for css in reversed(_FAULT_COLOURS):
-            spans = [(s.start, s.end + 1 - s.start) for lane in lanes if lane.css == css for s in lane.spans]
-            ax.broken_barh(spans, (k - 0.35, 0.7), color=_FAULT_COLOURS[css], linewidth=0.0)
-    ax.set_yticks(range(len(faults)), [plain(shorten(row.id)) for row, _, _ in faults], fontsize=7)
-    ax.invert_yaxis()
-    ax.set_xlabel("frames")
-    handles = [Patch(color=colour, label=LEGEND[css]) for css, colour in _FAULT_COLOURS.items()]
-    figure.legend(handles=handles, loc="outside upper center", ncols=4, fontsize=8, frameon=False)
-    return figure

@@ -111,7 +111,7 @@ def build_page(out: Path, rows: Iterable[SampleRow] | None = None, statistics: R
     """
     rows = sorted(read_rows(out).values() if rows is None else rows, key=badness)
     results = read_results(out)
-    statistics = statistics or RunStatistics.of(rows, bootstrap_seed(results))
+    statistics = statistics or RunStatistics.of(rows, _bootstrap_seed(results))
     total = statistics.total
     layout = layout_of(results)
     worst, best = _choose_gallery(out, rows)
@@ -146,8 +146,8 @@ def build_page(out: Path, rows: Iterable[SampleRow] | None = None, statistics: R
             for m in (*BY_NAME.values(), *_other_metrics(total))
             if _is_measured(total, m.name)
         ],
-        groups=[(key, groups) for key in ("task", "model") if (groups := group_rows(rows, key, statistics))],
-        histograms=[draw_histogram(h, VERDICT_LABELS) for h in count_metrics(rows, total, layout)],
+        groups=[(key, groups) for key in ("task", "model") if (groups := _group_rows(rows, key, statistics))],
+        histograms=[draw_histogram(h, VERDICT_LABELS) for h in _count_metrics(rows, total, layout)],
         gallery=[(title, [views[row.id] for row in chosen]) for title, chosen in (("Worst", worst), ("Best", best))]
         if large
         else [],
@@ -167,13 +167,13 @@ def build_page(out: Path, rows: Iterable[SampleRow] | None = None, statistics: R
     )
 
 
-def bootstrap_seed(results: Mapping[str, Json]) -> int:
+def _bootstrap_seed(results: Mapping[str, Json]) -> int:
     """Return the seed of the resampling of a run's intervals."""
     seed = as_object(results.get("seeds")).get("bootstrap", 0)
     return seed if isinstance(seed, int) else 0
 
 
-def group_rows(rows: Sequence[SampleRow], key: str, statistics: RunStatistics) -> list[SampleGroup]:
+def _group_rows(rows: Sequence[SampleRow], key: str, statistics: RunStatistics) -> list[SampleGroup]:
     """Group rows by `task` or `model`, sorted by name; rows without one are left out."""
     groups = []
     for name, group in split_rows(rows, key).items():
@@ -183,7 +183,7 @@ def group_rows(rows: Sequence[SampleRow], key: str, statistics: RunStatistics) -
     return groups
 
 
-def count_metrics(rows: Sequence[SampleRow], total: Aggregate, layout: MetricLayout) -> list[Histogram]:
+def _count_metrics(rows: Sequence[SampleRow], total: Aggregate, layout: MetricLayout) -> list[Histogram]:
     """Count the values of the metrics that a page shows first, where they differ."""
     histograms, verdicts = [], [verdict_of(row) for row in rows]
     for name in dict.fromkeys((*layout.headlines, *layout.columns)):

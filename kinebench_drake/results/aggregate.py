@@ -22,7 +22,8 @@ PERCENTILES = (10.0, 90.0)
 VERDICT_SHARES = ("executable", "feasible")
 """Shares of a group that are no metrics."""
 
-_EXTRA = ("success", "progress", "rounds")
+OUTCOMES = ("success", "progress", "rounds")
+"""Numbers of closed-loop episodes, which stand beside the metrics."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -177,7 +178,7 @@ def _columns(rows: Sequence[SampleRow]) -> dict[str, _Column]:
         columns["executable"].add(row.executable is True, row.executable is True, row.episode)
     for row in (r for r in rows if r.status is Status.OK):
         columns["feasible"].add(row.feasible, row.feasible, row.episode)
-        extra = {name: row.extra[name] for name in _EXTRA if name in row.extra}
+        extra = {name: row.extra[name] for name in OUTCOMES if name in row.extra}
         for name, value in {**row.metrics, **extra}.items():
             if (value is None or isinstance(value, bool | int | float)) and not name.endswith(BOUND):
                 bound = value if name in extra else row.bound(name)

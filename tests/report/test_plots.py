@@ -110,8 +110,8 @@ def test_joints_are_drawn_within_their_own_limits(judged, file):
     assert draw_joint_ranges(file().track.t_s, q * np.nan, limits, list("1234567")) is None
 
 
-def test_csv_and_parquet_of_the_figures_have_every_sample(tmp_path):
-    from kinebench_drake.report.figures import write_figures
+def test_csv_and_parquet_have_every_sample(tmp_path):
+    from kinebench_drake.report.sample_table import write_samples
     from kinebench_drake.results.store import ResultStore
     from tests.report.pages import row
 
@@ -123,18 +123,12 @@ def test_csv_and_parquet_of_the_figures_have_every_sample(tmp_path):
                 row(f"s{k}", feasible=not broken, violations=broken, metrics={"sparc": -1.0 - k}, task="$x"), 0.1
             )
         store.finish({"kind": "score"})
-    folder = write_figures(tmp_path)
-    first = {path.name: path.read_bytes() for path in folder.iterdir()}
-    tables = {name: list(csv.DictReader(data.decode().splitlines())) for name, data in first.items() if ".csv" in name}
-    assert {line["id"]: float(line["sparc"]) for line in tables["samples.csv"]} == {f"s{k}": -1.0 - k for k in range(6)}
-    assert sum(int(line["samples"]) for line in tables["distributions.csv"]) == 6
-    assert [(line["id"], line["frame_start"], line["frame_end"]) for line in tables["faults.csv"]] == [("s0", "2", "4")]
-    assert all(line["category"] and line["description"] for line in tables["faults.csv"])
-    for name in ("distributions", "faults", "verdicts_by_task", "verdicts_by_model"):
-        assert first[f"{name}.png"].startswith(b"\x89PNG")
-        assert b"<svg" in first[f"{name}.svg"]
-    assert {path.name: path.read_bytes() for path in write_figures(tmp_path).iterdir()} == first
-    columns = parquet.read_table(folder / "samples.parquet").to_pydict()
-    assert columns["sparc"] == [float(line["sparc"]) for line in tables["samples.csv"]]
-    assert columns["id"] == [line["id"] for line in tables["samples.csv"]]
+    first, second = ([path.read_bytes() for path in write_samples(tmp_path)] for _ in range(2))
+    assert first == second
+    lines = list(csv.DictReader(first[0].decode().splitlines()))
+    assert {line["id"]: float(line["sparc"]) for line in lines} == {f"s{k}": -1.0 - k for k in range(6)}
+    assert [line["violations"] for line in lines] == ["velocity", *[""] * 5]
+    columns = parquet.read_table(tmp_path / "samples.parquet").to_pydict()
+    assert columns["sparc"] == [float(line["sparc"]) for line in lines]
+    assert columns["id"] == [line["id"] for line in lines]
     assert {type(value) for value in columns["feasible"]} <= {bool, type(None)}

@@ -72,7 +72,7 @@ def test_an_output_folder_that_contains_inputs_is_refused(tmp_path):
 
 def outputs(folder):
     """Make a folder the output folder of a run that wrote overlays, thumbnails, figures and the clips of a model."""
-    touch(folder, "samples.jsonl", "results.json", "overlays/a.mp4", "thumbnails/a.jpg", "figures/f.png")
+    touch(folder, "samples.jsonl", "results.json", "overlays/a.mp4", "thumbnails/a.jpg", "replays/a.html")
     touch(folder, "videos/a_r0.mp4")
 
 

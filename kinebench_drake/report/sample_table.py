@@ -1,0 +1,60 @@
+"""Samples of one output folder as a table, a row per sample: csv and parquet."""
+
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+from kinebench_drake.io.atomic import atomic_path, write_atomically
+from kinebench_drake.report.sample import badness, verdict_of
+from kinebench_drake.report.table import format_csv
+from kinebench_drake.report.timeline import anomalies_of
+from kinebench_drake.results.aggregate import OUTCOMES
+from kinebench_drake.results.row import SampleRow
+from kinebench_drake.results.store import read_rows
+
+_LABELS = ("id", "video", "task", "model", "status", "verdict", "reason", "executable", "feasible")
+_LISTS = ("executable_reasons", "violations", "anomalies")
+
+
+def write_samples(out: Path) -> list[Path]:
+    """Write `samples.csv` and `samples.parquet` of an output folder, the worst sample first; returns both.
+
+    Raises:
+        InputError: the folder's files are broken.
+        SetupError: writing failed.
+    """
+    import pyarrow
+    from pyarrow import parquet
+
+    rows = sorted(read_rows(out).values(), key=badness)
+    metrics = dict.fromkeys(name for row in rows for name, value in row.metrics.items() if not isinstance(value, list))
+    metrics |= dict.fromkeys(name for name in OUTCOMES if any(name in row.extra for row in rows))
+    heads, lines = [*_LABELS, *_LISTS, *metrics], [_cells(row, metrics) for row in rows]
+    paths = [out / "samples.csv", out / "samples.parquet"]
+    write_atomically(paths[0], format_csv(heads, lines).encode())
+    columns = {head: _column([line[k] for line in lines]) for k, head in enumerate(heads)}
+    with atomic_path(paths[1]) as part:
+        parquet.write_table(pyarrow.table(columns), part)
+    return paths
+
+
+def _cells(row: SampleRow, metrics: Iterable[str]) -> list[object]:
+    values = {"status": row.status.value, "verdict": verdict_of(row)}
+    kinds = [sorted({str(mark.get("kind")) for mark in marks}) for marks in (row.violations, anomalies_of(row))]
+    return [
+        *(values.get(label) or getattr(row, label) for label in _LABELS),
+        *("; ".join(texts) for texts in (row.executable_reasons, *kinds)),
+        *(row.metrics.get(name, row.extra.get(name)) for name in metrics),
+    ]
+
+
+def _column(values: Sequence[object]) -> Any:
+    """Return a column of texts, of truth values, or of numbers."""
+    import pyarrow
+
+    if any(isinstance(value, str) for value in values):
+        return pyarrow.array([None if value is None else str(value) for value in values], pyarrow.string())
+    if all(value is None or isinstance(value, bool) for value in values):
+        return pyarrow.array(values, pyarrow.bool_())
+    numbers = [float(value) if isinstance(value, bool | int | float) else None for value in values]
+    return pyarrow.array(numbers, pyarrow.float64())
