@@ -7,7 +7,7 @@ import click
 @click.option(
     "--fix", is_flag=True, help="Repair what can be repaired, in this environment only: no root, no system files."
 )
-@click.option("--dry-run", is_flag=True, help="With --fix: print what would change, change nothing.")
+@click.option("--dry-run", is_flag=True, help="With --fix: print the commands, run none.")
 @click.pass_context
 def doctor(ctx: click.Context, fix: bool, dry_run: bool) -> None:
     """Check what works on this machine, and print how to fix what does not.

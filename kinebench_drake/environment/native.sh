@@ -3,7 +3,6 @@
 #
 #   native.sh PYTHON           for the environment of PYTHON (its sys.prefix); intact libraries are kept
 #   native.sh PYTHON --anew    the same, but libraries unpacked before are replaced
-#   native.sh PYTHON --plan    prints what --anew would change
 #
 # Called by `setup/install.sh` and `kinebench-drake doctor --fix`. KINEBENCH_DRAKE_RENDER=cpu: also unpack the software
 # Vulkan driver although there is an NVIDIA driver.
@@ -162,16 +161,7 @@ lacks() { # $@: wanted names; true if one of them was not unpacked before
     [ -n "$(printf '%s\n' "$@" | grep -vxF -f <(cat "$native/wanted.txt" 2>/dev/null || true))" ]
 }
 
-describe() { # $@: names that package_of knows
-    local name packages
-    for name; do
-        packages=$(package_of "$name")
-        packages=${packages// / or }
-        echo "unpack $name below $native (package ${packages:-not known})"
-    done
-}
-
-install_native() { # $1: --plan, --anew or nothing
+install_native() { # $1: --anew or nothing
     local wanted=() purpose folders root driver= left wrong
     mapfile -t wanted < <(missing "" drake open3d vulkan)
     has_vulkan_driver || wanted+=(mesa)
@@ -185,11 +175,6 @@ install_native() { # $1: --plan, --anew or nothing
         command -v apt-get >/dev/null && command -v dpkg >/dev/null ||
             stop "this system has no apt-get; install by other means (mesa: Mesa's Vulkan drivers $mesa_minimum or newer): ${wanted[*]}"
         wanted+=(tcmalloc) # optional: makes training faster
-    fi
-    if [ "$1" = --plan ]; then
-        [ -z "$wrong" ] || echo "delete $native"
-        describe "${wanted[@]}"
-        return
     fi
     [ -z "$wrong" ] || say "Replacing $native ($wrong)"
     work=$(mktemp -d "$prefix/native.XXXXXX") || stop "$prefix cannot be written to; run this as its owner."
