@@ -130,11 +130,30 @@ def _json(value: object) -> bytes:
     return b"HTTP/1.1 200 OK\r\nContent-Type: application/json\r\nContent-Length: %d\r\n\r\n" % len(body) + body
 
 
-def _picture(side: int) -> str:
+_CAPABILITIES = {
+    "status": "ready",
+    "api_version": "1.0",
+    "model_version": "x",
+    "profiles": [
+        {
+            "profile_id": "x",
+            "image": {"height": 384, "width": 384},
+            **{key: {"min": 1, "max": 48} for key in ("context_frames", "prediction_frames")},
+            "action": {"dimension": 8},
+        }
+    ],
+}
+_REQUEST_ID = b"0" * 36
+"""Place of the request's id in an answer."""
+
+
+def _pictures(side: int, count: int) -> bytes:
     from PIL import Image
 
     Image.new("RGB", (side, side)).save(buffer := io.BytesIO(), "png")
-    return base64.b64encode(buffer.getvalue()).decode()
+    frames = [{"data": base64.b64encode(buffer.getvalue()).decode()}] * count
+    predictions = [{"sample_id": "sample-0", "frames": frames}]
+    return _json({"request_id": _REQUEST_ID.decode(), "model_version": "x", "predictions": predictions})
 
 
 def _drip(data: bytes, wait_s: float) -> Iterator[bytes]:
@@ -164,9 +183,9 @@ ANSWERS: dict[str, Callable[[], Iterator[bytes]]] = {
     ),
     "JSON of 60 million objects": lambda: iter([_json(b'{"video_base64":"x","p":[' + b"{}," * (60 << 20) + b"0]}")]),
     "JSON of 170 million escapes": lambda: iter([_json(b'{"video_base64":"' + b'\\"' * (170 << 20) + b'"}')]),
-    "400 pictures of 4096 x 4096 px": lambda: iter([_json({"frames": [_picture(4096)] * 400})]),
-    "20,000 pictures for 49": lambda: iter([_json({"frames": [_picture(64)] * 20_000})]),
-    "49 pictures of 4096 x 4096 px": lambda: iter([_json({"frames": [_picture(4096)] * 49})]),
+    "400 pictures of 4096 x 4096 px": lambda: iter([_pictures(4096, 400)]),
+    "20,000 pictures for 48": lambda: iter([_pictures(64, 20_000)]),
+    "48 pictures of 4096 x 4096 px": lambda: iter([_pictures(4096, 48)]),
     "video_path of 3 GiB": lambda: iter([_sparse_file()]),
     "video_path of 300 characters": lambda: iter([_json({"video_path": "/" + "a" * 300})]),
     "Retry-After beyond all dates": lambda: iter(
@@ -183,13 +202,13 @@ def _serve(answer: Callable[[], Iterator[bytes]]) -> Iterator[str]:
 
     class Handler(BaseHTTPRequestHandler):
         def do_GET(self) -> None:
-            self.wfile.write(_json({"status": "ok"}))
+            self.wfile.write(_json(_CAPABILITIES))
 
         def do_POST(self) -> None:
-            self.rfile.read(int(self.headers["Content-Length"]))
+            body = json.loads(self.rfile.read(int(self.headers["Content-Length"])))
             try:
                 for part in prepared.pop() if prepared else answer():
-                    self.wfile.write(part)
+                    self.wfile.write(part.replace(_REQUEST_ID, body.get("request_id", "").encode() or _REQUEST_ID))
             except OSError:
                 return  # the client has gone
 
@@ -234,10 +253,12 @@ def _request(address: str, style: str) -> str:
     import numpy as np
 
     from kinebench_drake.suites.worldmodels.factory import create
-    from kinebench_drake.suites.worldmodels.worldmodel import Request
+    from kinebench_drake.suites.worldmodels.worldmodel import ActionTrack, Request
 
     model = create(f"{address}?timeout={TIMEOUT_S:g}&style={style}")
+    still = {"t_s": (49,), "X_BG": (49, 4, 4), "finger_width_m": (49,), "q": (49, 7)}
     request: dict[str, Any] = {
+        "actions": ActionTrack(**{name: np.zeros(shape) for name, shape in still.items()}),
         **dict.fromkeys(("episode", "task", "prompt", "negative_prompt"), "x"),
         **{"round": 0, "seed": 1, "num_frames": 49, "fps": 17.0, "first_frame": np.zeros((384, 384, 3), np.uint8)},
     }

@@ -38,7 +38,7 @@ class Handler(BaseHTTPRequestHandler):
         frames = self.imagine(np.asarray(Image.open(io.BytesIO(png)).convert("RGB")), ask)
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder) / "video.mp4"
-            write_video(path, frames, ask["fps"])
+            write_video(path, frames, ask.get("fps", 17))
             body = json.dumps({"video_base64": base64.b64encode(path.read_bytes()).decode()}).encode()
         self.send_response(200)
         self.send_header("Content-Type", "application/json")

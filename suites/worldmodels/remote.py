@@ -78,7 +78,7 @@ def parse_answer(data: bytearray, files: Collection[str], budget: Budget) -> obj
     """Parse a JSON answer; long strings are cut out before, `budget` holds for the rest.
 
     Below the keys `files` long strings become views of the data, with their escapes; elsewhere only the beginning of a
-    long string is kept.
+    long string of the two outermost levels is kept.
 
     Raises:
         ValueError: it is not JSON, or nested too deeply.
@@ -103,10 +103,11 @@ def parse_answer(data: bytearray, files: Collection[str], budget: Budget) -> obj
     answer = parse_json(bytes(text + data[start:]))
 
     def restore(value: object, whole: bool, depth: int = 0) -> object:
-        if depth <= 1 and isinstance(value, list):
+        deeper = whole or depth <= 1
+        if deeper and isinstance(value, list):
             return [restore(item, whole, depth + 1) for item in value]
-        if depth <= 1 and isinstance(value, dict):
-            return {key: restore(item, depth == 0 and key in files, depth + 1) for key, item in value.items()}
+        if deeper and isinstance(value, dict):
+            return {key: restore(item, whole or key in files, depth + 1) for key, item in value.items()}
         view = cut.get(value) if isinstance(value, str) else None
         return value if view is None else view if whole else bytes(view[:_FILE_BYTES]).decode(errors="replace")
 

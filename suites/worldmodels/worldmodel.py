@@ -1,7 +1,7 @@
 """World model interface: request, answer, and the protocols that an adapter may implement."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol, runtime_checkable
@@ -46,10 +46,6 @@ class ActionTrack:
     """(T,) gap between the finger pads [m]."""
     q: Array
     """(T, 7) joint angles of the arm [rad]."""
-
-    def first(self, frames: int) -> "ActionTrack":
-        """Return the actions of the first frames."""
-        return ActionTrack(**{field.name: getattr(self, field.name)[:frames] for field in fields(self)})
 
     def to_json(self) -> dict[str, Json]:
         """Serialize with the names of track files."""

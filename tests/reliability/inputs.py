@@ -170,15 +170,23 @@ def results() -> list[Tree]:
         return [{p.relative_to(folder).as_posix(): p.read_bytes() for p in Path(folder).rglob("*") if p.is_file()}]
 
 
+REQUEST_ID = "0" * 36
+"""Place of the request's id in an answer."""
+
+
 def answers() -> list[Tree]:
-    """Answers of a world model behind HTTP: the video itself, and the stateless contract with frames."""
-    frames = [base64.b64encode(image_file()).decode()] * FRAMES
+    """Answers of a world model behind HTTP: the video itself, and one frame for each action."""
+    size, one_to_ten = {"height": SIDE_PX, "width": SIDE_PX}, {"min": 1, "max": 10}
+    ranges = {"context_frames": one_to_ten, "prediction_frames": one_to_ten}
+    profile = {"profile_id": "franka", "image": size, **ranges, "action": {"dimension": 8}}
+    frames = [{"data": base64.b64encode(image_file()).decode()}] * (FRAMES - 1)
+    predictions = [{"sample_id": "sample-0", "frames": frames}]
     return [
         {"make.json": text({"video_base64": base64.b64encode(gif()).decode()})},
         {
-            "health.json": text({"status": "ok"}),
-            "capabilities.json": text({"max_num_frames": FRAMES, "size": [SIDE_PX, SIDE_PX]}),
-            "predict.json": text({"frames": frames}),
+            "health.json": text({"status": "ready"}),
+            "capabilities.json": text({"api_version": "1.0", "model_version": "1", "profiles": [profile]}),
+            "predict.json": text({"request_id": REQUEST_ID, "model_version": "1", "predictions": predictions}),
         },
     ]
 

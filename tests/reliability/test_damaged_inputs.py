@@ -23,9 +23,9 @@ from kinebench_drake.results.trackfile import read_track
 from kinebench_drake.suites.worldmodels.http import HttpModel
 from kinebench_drake.suites.worldmodels.remote import Limits
 from kinebench_drake.suites.worldmodels.spec import parse
-from kinebench_drake.suites.worldmodels.worldmodel import Request
+from kinebench_drake.suites.worldmodels.worldmodel import ActionTrack, Request
 from tests.reliability.damage import PICKLE_MARK, Tree, damage
-from tests.reliability.inputs import FRAMES, INPUTS
+from tests.reliability.inputs import FRAMES, INPUTS, REQUEST_ID
 from tests.suites.worldmodels.servant import Asked, Reply, Servant
 
 MEMORY_MB = 1024.0
@@ -64,17 +64,25 @@ def read_results(folder: Path) -> Iterator[Callable[[], object]]:
         yield lambda path=path: read_track(path)
 
 
+STILL = ActionTrack(
+    t_s=np.arange(FRAMES), X_BG=np.zeros((FRAMES, 4, 4)), finger_width_m=np.zeros(FRAMES), q=np.zeros((FRAMES, 7))
+)
+
+
 def ask_for_video(folder: Path) -> Iterator[Callable[[], object]]:
     servant = Servant()
 
     def answer(asked: Asked) -> Reply:
         path = folder / f"{asked.path.partition('?')[0].rpartition('/')[2]}.json"
-        return Reply(path.read_bytes()) if path.is_file() else Reply({"message": "no such page"}, status=404)
+        if not path.is_file():
+            return Reply({"message": "no such page"}, status=404)
+        id = (asked.body or {}).get("request_id", REQUEST_ID)
+        return Reply(path.read_bytes().replace(REQUEST_ID.encode(), id.encode()))
 
     servant.routes = dict.fromkeys(("/make", "/v1/health", "/v1/capabilities", "/v1/predict"), answer)
     request = Request(
         episode="StackCube-v1_s0003", task="StackCube-v1", round=0, prompt="stack", negative_prompt="", seed=3,
-        first_frame=np.zeros((96, 96, 3), np.uint8), num_frames=FRAMES, fps=10.0,
+        first_frame=np.zeros((96, 96, 3), np.uint8), num_frames=FRAMES, fps=10.0, actions=STILL,
     )  # fmt: skip
     spec = f"{servant.url}/make?timeout=5" if (folder / "make.json").exists() else f"{servant.url}?timeout=5"
     try:

@@ -1,4 +1,4 @@
-"""Both contracts of a world model behind HTTP."""
+"""The contract "simple" of a world model behind HTTP."""
 
 import base64
 import io
@@ -15,12 +15,11 @@ from PIL import Image
 from kinebench_drake.errors import SetupError, UsageError
 from kinebench_drake.suites.worldmodels import http
 from kinebench_drake.suites.worldmodels.http import HttpModel
-from kinebench_drake.suites.worldmodels.media import base64_png, from_base64, png
+from kinebench_drake.suites.worldmodels.media import from_base64
 from kinebench_drake.suites.worldmodels.remote import Limits
 from kinebench_drake.suites.worldmodels.spec import parse
 from kinebench_drake.suites.worldmodels.worldmodel import ActionTrack, Request, WorldModelError
-from tests.films import decoded
-from tests.suites.worldmodels.servant import Asked, Reply, Servant
+from tests.suites.worldmodels.servant import Reply, Servant
 
 
 @pytest.fixture
@@ -54,7 +53,9 @@ def test_the_simple_protocol_posts_the_request_and_returns_the_video(
         "negative_prompt": "blur",
         "seed": 2**31 + 7,
         "num_frames": 5,
+        "target_frames": 5,
         "size": [96, 64],
+        "output_size": [96, 64],
         "fps": 17.0,
     }
 
@@ -77,6 +78,9 @@ def test_path_url_and_base64_answers_give_the_same_video(
         {"video_path": str(tmp_path / "made.bin")},
         {"video_url": f"{servant.url}/v", "video_path": None},
         {"video_base64": f"data:video/mp4;base64,{base64_of(film)}"},
+        *({key: str(tmp_path / "made.bin")} for key in ("path", "output_path")),
+        {"url": f"{servant.url}/v"},
+        {"video": base64_of(film)},
     ):
         assert ask(answer).read_bytes() == film
     assert (tmp_path / "made.bin").is_file()
@@ -164,130 +168,8 @@ def test_unusable_addresses_are_usage_errors(spec: str) -> None:
     assert "pass@" not in str(caught.value)
 
 
-@pytest.fixture
-def predictor(servant: Servant) -> dict[str, Any]:
-    """What a server of the other contract can do; its frames count 0, 10, 20, ..."""
-    can: dict[str, Any] = {"model": "tiny"}
-
-    def predict(asked: Asked) -> Reply:
-        width, height = asked.body["size"]
-        pictures = (np.full((height, width, 3), 10 * i, np.uint8) for i in range(asked.body["num_frames"]))
-        return Reply({"frames": [base64_png(picture) for picture in pictures]})
-
-    servant.routes |= {
-        "/v1/health": [Reply({"status": "ok"})],
-        "/v1/capabilities": lambda asked: Reply(can),
-        "/v1/predict": predict,
-    }
-    return can
-
-
-@pytest.mark.parametrize("path", ["", "/", "/v1/predict", "?style=predict"])
-def test_the_predict_protocol_generates_a_video_and_checks_health_once(
-    predictor: dict[str, Any], servant: Servant, hurried: Limits, request_: Request, out: Path, path: str
-) -> None:
-    model = HttpModel(parse(f"http:{servant.url}{path}"), hurried)
-    model.generate(request_, out)
-    video = model.generate(request_, out)
-    frames = decoded(video)[1]
-    assert frames.shape == (5, 64, 96, 3)
-    assert np.abs(frames.mean((1, 2, 3)) - 10 * np.arange(5)).max() < 3
-    assert len(servant.at("/v1/health")) == 1
-    assert len(servant.at("/v1/predict")) == 2
-    assert list(out.parent.iterdir()) == [video]
-
-
-def test_predict_stays_within_the_capabilities_of_the_server(
-    predictor: dict[str, Any],
-    servant: Servant,
-    hurried: Limits,
-    request_: Request,
-    actions: ActionTrack,
-    out: Path,
-) -> None:
-    predictor.update(max_num_frames=3, size=[32, 48])
-    model = HttpModel(parse(servant.url), hurried)
-    frames = decoded(model.generate(replace(request_, actions=actions), out))[1]
-    assert frames.shape == (3, 48, 32, 3)
-    (asked,) = servant.at("/v1/predict")
-    assert asked.body["actions"] == {name: values[:3] for name, values in actions.to_json().items()}
-    (picture,) = asked.body["frames"]
-    assert Image.open(io.BytesIO(base64.b64decode(picture))).size == (32, 48)
-
-
-@pytest.mark.parametrize("head", ["", "data:image/png;base64,"])
-def test_base64_with_line_breaks_is_accepted(
-    predictor: dict[str, Any],
-    servant: Servant,
-    hurried: Limits,
-    request_: Request,
-    out: Path,
-    head: str,
-    ask: Callable[..., Path],
-    film: bytes,
-) -> None:
-    picture = np.random.default_rng(0).integers(256, size=(8, 16, 3), dtype=np.uint8)
-    text = head + base64.encodebytes(png(picture)).decode()
-    assert "\n" in text.strip()
-    servant.routes["/v1/predict"] = [Reply({"frames": [text] * 3})]
-    frames = decoded(HttpModel(parse(servant.url), hurried).generate(request_, out))[1]
-    assert frames.shape == (3, 8, 16, 3)
-    assert ask({"video_base64": head + base64.encodebytes(film).decode()}).read_bytes() == film
-
-
-@pytest.mark.parametrize(
-    ("frames", "message"),
-    [
-        (None, "has no frames"),
-        ([], "has no frames"),
-        ([1], "has no frames"),
-        (["%%"], "frame 0 is not a PNG file in base64"),
-        ([base64_of(b"GIF89a")], "frame 0 is not a PNG"),
-        ([base64_png(np.zeros((2, 2, 3), np.uint8))[:40]], "frame 0 is not a PNG"),
-        ([base64_png(np.zeros((2, n, 3), np.uint8)) for n in (2, 3)], "different sizes"),
-        ([base64_png(np.zeros((2, 2, 3), np.uint8))] * 6, "answered with 6 frames, 5 were requested"),
-        (
-            [base64_of(b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR" + b"\0\0\x40\0" * 2 + b"\x08\2\0\0\0\0\0\0\0")],
-            "frame 0 .* PNG|too many",
-        ),
-    ],
-)
-def test_unusable_predictions_are_refused(
-    predictor: dict[str, Any],
-    servant: Servant,
-    hurried: Limits,
-    request_: Request,
-    out: Path,
-    frames: Any,
-    message: str,
-) -> None:
-    servant.routes["/v1/predict"] = [Reply({"frames": frames})]
-    with pytest.raises(WorldModelError, match=message):
-        HttpModel(parse(servant.url), hurried).generate(request_, out)
-    assert list(out.parent.iterdir()) == []
-
-
-def test_an_unready_server_and_malformed_capabilities_are_setup_errors(
-    predictor: dict[str, Any], servant: Servant, hurried: Limits, request_: Request, out: Path
-) -> None:
-    predictor["max_num_frames"] = "many"
-    with pytest.raises(SetupError, match="capabilities: max_num_frames"):
-        HttpModel(parse(servant.url), hurried).generate(request_, out)
-    servant.routes["/v1/health"] = [Reply({"status": "loading"})]
-    with pytest.raises(SetupError, match="its health is 'loading'"):
-        HttpModel(parse(servant.url), hurried).generate(request_, out)
-    servant.routes["/v1/capabilities"] = [Reply(status=500)]
-    with pytest.raises(WorldModelError, match="HTTP 500"):  # it is not taken for a server of the simple contract
-        HttpModel(parse(servant.url), hurried).generate(request_, out)
-
-
-def test_frames_beside_an_error_are_not_used(
-    predictor: dict[str, Any], servant: Servant, hurried: Limits, request_: Request, out: Path
-) -> None:
-    frames = [base64_png(np.zeros((64, 96, 3), np.uint8))] * 2
-    servant.routes["/v1/predict"] = [Reply({"frames": frames, "error": "out of memory"})]
-    with pytest.raises(WorldModelError, match="gave no frames: out of memory"):
-        HttpModel(parse(servant.url), hurried).generate(request_, out)
+def test_base64_with_line_breaks_is_accepted(ask: Callable[..., Path], film: bytes) -> None:
+    assert ask({"video_base64": "data:video/mp4;base64," + base64.encodebytes(film).decode()}).read_bytes() == film
 
 
 def test_decoding_counts_towards_the_timeout(
