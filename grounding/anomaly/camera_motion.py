@@ -13,6 +13,7 @@ from kinebench_drake.grounding.anomaly.detection import Detection, sustained
 from kinebench_drake.grounding.registration.image import follow_points
 from kinebench_drake.grounding.tracking.camera_path import CameraPath, CameraWay
 from kinebench_drake.io.frames import Frames
+from kinebench_drake.io.progress import count_steps
 
 MOVING_PX = 1.2
 """Least motion of a moving camera [px of an image 384 px wide]."""
@@ -162,7 +163,8 @@ class FeatureTracks:
         new = [k for k, place in enumerate(places) if place not in self._column]
         if new and len(self) > 1:
             self._column.update({places[k]: len(self._column) + n for n, k in enumerate(new)})
-            others = (cv2.cvtColor(frame, cv2.COLOR_RGB2GRAY) for frame in self._frames[1:])
+            frames = count_steps(self._frames[1:], "frames compared with the first", len(self) - 1)
+            others = (cv2.cvtColor(frame, cv2.COLOR_RGB2GRAY) for frame in frames)
             points = start[new]
             tracked = [follow_points(self._first, im, points, _ROUND_TRIP_PX, criteria=_LK_CRITERIA) for im in others]
             self._now = np.concatenate([self._now, np.stack([now for now, _ in tracked])], axis=1)

@@ -13,6 +13,7 @@ from kinebench_drake.geometry import Array
 from kinebench_drake.grounding.tracking.crop import CLOSE_SIZE, Crop
 from kinebench_drake.grounding.tracking.view import GripperView
 from kinebench_drake.io.frames import Frames
+from kinebench_drake.io.progress import count_steps
 from kinebench_drake.models.panda.robot import ARM
 from kinebench_drake.models.perception.network import (
     COORDINATE_SCALE_M,
@@ -66,13 +67,16 @@ class NetworkEstimator:
             output = self._run([crops[i].warp(frames[i], camera) for i in batch])
             return _views(output, [crops[i] for i in batch], camera)
 
-        ahead = None
-        for batch in self._batches(crops):
-            ready, ahead = ahead, (batch, self._worker.submit(run, batch))
-            if ready:
-                yield from zip(ready[0], ready[1].result(), strict=True)
-        if ahead:
-            yield from zip(ahead[0], ahead[1].result(), strict=True)
+        def views() -> Iterator[tuple[int, GripperView]]:
+            ahead = None
+            for batch in self._batches(crops):
+                ready, ahead = ahead, (batch, self._worker.submit(run, batch))
+                if ready:
+                    yield from zip(ready[0], ready[1].result(), strict=True)
+            if ahead:
+                yield from zip(ahead[0], ahead[1].result(), strict=True)
+
+        return count_steps(views(), "views measured", len(crops))
 
     def _batches(self, crops: Mapping[int, Crop]) -> Iterator[list[int]]:
         for size in sorted({crop.size for crop in crops.values()}):

@@ -48,7 +48,12 @@ class ProgressView:
         self._unit = unit
         self._bar: Progress | None = None
         if sys.stderr.isatty():
-            columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+            columns = (
+                TextColumn("{task.description}", markup=False),
+                BarColumn(),
+                MofNCompleteColumn(),
+                TimeRemainingColumn(),
+            )
             self._bar = Progress(*columns, console=Console(stderr=True))
             self._task = self._bar.add_task(unit, total=None)
 
@@ -82,6 +87,13 @@ class ProgressView:
         if self._bar is None or not ok:
             self._print(f"[{self.completed}/{self.total}] {line}", "" if ok else "yellow")
 
+    def detail(self, line: str) -> None:
+        """Show progress within a sample: on a terminal beside the bar, until the next line comes."""
+        if self._bar:
+            self._bar.update(self._task, description=f"{self._unit} ({one_line(line)})")
+        else:
+            self._print(f"[{self.completed}/{self.total}] {line}")
+
     def finish(self, row: SampleRow, wall_s: float) -> None:
         """Count and print a sample; on a terminal only print those that failed."""
         self._count()
@@ -98,7 +110,7 @@ class ProgressView:
     def _count(self) -> None:
         self.completed += 1
         if self._bar:
-            self._bar.update(self._task, completed=self.completed)
+            self._bar.update(self._task, completed=self.completed, description=self._unit)
 
     def _print(self, line: str, style: str = "") -> None:
         text = Text(one_line(name_options(line)), style=style)

@@ -39,6 +39,13 @@ class WorkerCrash(Generic[Item]):
     reason: str
 
 
+@dataclass(frozen=True, slots=True)
+class ItemProgress:
+    """Line of progress from a worker process."""
+
+    line: str
+
+
 Outcomes: TypeAlias = Generator[ItemResult[Item, Result] | WorkerCrash[Item], None, None]
 
 

@@ -23,7 +23,17 @@ from typing import Generic, cast
 from threadpoolctl import threadpool_limits
 
 from kinebench_drake.errors import KinebenchError
-from kinebench_drake.executors.base import Item, ItemResult, MakeWorker, Outcomes, Result, WorkerCrash, open_worker
+from kinebench_drake.executors.base import (
+    Item,
+    ItemProgress,
+    ItemResult,
+    MakeWorker,
+    Outcomes,
+    Result,
+    WorkerCrash,
+    open_worker,
+)
+from kinebench_drake.io.progress import listen, tell
 
 THREAD_VARIABLES = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS", "LP_NUM_THREADS")
 """Environment variables that set the number of threads of numeric libraries, and of the renderer on the CPU."""
@@ -166,6 +176,9 @@ class _ProcessPool(Generic[Item, Result]):
             return WorkerCrash(item=item, reason=_describe_exit(worker.process.exitcode))
         if isinstance(message, KinebenchError):
             raise message
+        if isinstance(message, ItemProgress):
+            tell(message.line)
+            return None
         self._feed(worker)
         return ItemResult(item=item, result=message)
 
@@ -191,7 +204,7 @@ def _serve(pipe: Connection, make_worker: MakeWorker[Item, Result]) -> None:
     signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
     signal.signal(signal.SIGTERM, _terminate)
     try:
-        with open_worker(make_worker) as work:
+        with open_worker(make_worker) as work, listen(lambda line: pipe.send(ItemProgress(line))):
             while (item := pipe.recv()) is not None:
                 pipe.send(work(item))
     except KinebenchError as error:

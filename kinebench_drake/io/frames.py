@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinebench_drake.errors import InputError, cause
+from kinebench_drake.io.progress import count_steps
 
 Image = NDArray[np.uint8]
 """(H, W, 3) RGB."""
@@ -131,7 +132,7 @@ def collect_frames(name: str, images: Iterable[tuple[str, Image]]) -> Frames:
         InputError: there are none, they differ in size, are too many or too large, or the disk is full.
     """
     array, file, count = np.empty((0, 0, 0, 3), np.uint8), None, 0
-    for label, image in images:
+    for label, image in count_steps(images, "frames read"):
         if count and image.shape != array.shape[1:]:
             (height, width), (first_height, first_width) = image.shape[:2], array.shape[1:3]
             raise InputError(f"{label}: size {width} x {height}, the first frame has {first_width} x {first_height}")

@@ -116,7 +116,10 @@ def _start_server() -> Any:
     try:
         return Meshcat(MeshcatParams(host="localhost", port=0))
     except RuntimeError as error:
-        raise SetupError(f"Meshcat, which draws replays, cannot open a port of this machine ({cause(error)})") from None
+        raise SetupError(
+            f"no 3D replay was drawn: Meshcat cannot open a port of this machine ({cause(error)}); $replays=0 leaves "
+            "replays out"
+        ) from None
     finally:
         log.setLevel(level)
 

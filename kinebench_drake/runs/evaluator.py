@@ -17,6 +17,7 @@ from kinebench_drake.errors import KinebenchError, SetupError, UnmeasurableError
 from kinebench_drake.executors.base import SupportsClose
 from kinebench_drake.io.files import open_file
 from kinebench_drake.io.jsonl import Json, as_object, dump, finite
+from kinebench_drake.io.progress import named
 from kinebench_drake.metrics.trust import TRUST, assess_trust
 from kinebench_drake.results.inputs import describe_period
 from kinebench_drake.results.provenance import code_hash
@@ -260,7 +261,8 @@ class SampleWorker(Generic[SampleT, ResourcesT]):
     def __call__(self, sample: SampleT) -> tuple[SampleRow, float]:
         """Return the sample's row and the wall time it took [s]."""
         start = time.perf_counter()
-        return self.evaluator.row(sample, self.resources), time.perf_counter() - start
+        with named(sample.id):
+            return self.evaluator.row(sample, self.resources), time.perf_counter() - start
 
     def close(self) -> None:
         """Release the resources."""

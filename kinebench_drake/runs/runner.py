@@ -15,6 +15,7 @@ from kinebench_drake.executors.base import Executor, Observer, SupportsDrain, Wo
 from kinebench_drake.executors.interrupt import graceful_interrupt
 from kinebench_drake.io.atomic import disk_errors
 from kinebench_drake.io.jsonl import Json, as_object
+from kinebench_drake.io.progress import listen
 from kinebench_drake.report.sample import worst_samples
 from kinebench_drake.results.aggregate import Estimate, RunStatistics, estimate, estimate_executable, normalize_run
 from kinebench_drake.results.inputs import list_inputs
@@ -29,6 +30,10 @@ from kinebench_drake.runs.resume import resume
 
 class RunObserver(Observer, Protocol):
     """Observer of a run: receives finished rows in place of `advance`."""
+
+    def detail(self, line: str) -> None:
+        """Report progress within a sample."""
+        return None
 
     def finish(self, row: SampleRow, wall_s: float) -> None:
         """Report a sample whose row is stored, and its processing time [s]."""
@@ -84,7 +89,7 @@ def run_samples(
         if waiting:
             evaluator.prepare(waiting, observer.warn)
         observer.start(total=len(chosen), completed=len(chosen) - len(waiting))
-        with _graceful(executor, observer) as interrupted:
+        with _graceful(executor, observer) as interrupted, listen(observer.detail):
             done = 0
             with closing(executor.run(partial(_start_worker, evaluator), waiting)) as outcomes:
                 for outcome in outcomes:
@@ -108,8 +113,11 @@ def run_samples(
                 store.keep_artifacts("replays", worst)
             statistics = RunStatistics.of(store.rows.values(), config.seed)
             store.finish(summarize(store.sorted_rows(), metadata, statistics))
-            if worst:
-                _replay(config, worst, observer)
+            try:
+                _replay(config, worst)
+            except SetupError:  # a full disk, or no program may open a port: the report stands, the next run makes up
+                close_run(store, config.kind, config.seed, statistics)
+                raise
             return close_run(store, config.kind, config.seed, statistics)
 
 
@@ -216,12 +224,14 @@ def summarize(rows: Sequence[SampleRow], metadata: RunMetadata, statistics: RunS
     )
 
 
-def _replay(config: RunConfig, ids: Sequence[str], observer: RunObserver) -> None:
-    """Write 3D replays; a machine that cannot (no program may open a port) costs the replays, not the report."""
-    from kinebench_drake.kinematics.plant import ArmPlant
-    from kinebench_drake.report.replay import write_replays
+def _replay(config: RunConfig, ids: Sequence[str]) -> None:
+    """Write 3D replays.
 
-    try:
+    Raises:
+        SetupError: writing failed, or this machine cannot draw them.
+    """
+    if ids:
+        from kinebench_drake.kinematics.plant import ArmPlant
+        from kinebench_drake.report.replay import write_replays
+
         write_replays(config.out, ids, ArmPlant(config.robot_options().load()))
-    except SetupError as error:
-        observer.warn(f"no 3D replays were written: {error}")

@@ -1,6 +1,8 @@
 """Rows, files, resume and the command line of audits of tiny files."""
 
+import errno
 import json
+import os
 
 import h5py
 import numpy as np
@@ -8,6 +10,7 @@ import pytest
 from fake_tools import LOG, FakeTools
 
 from kinebench_drake.errors import SetupError, UsageError, name_options
+from kinebench_drake.io.atomic import disk_errors, write_atomically
 from kinebench_drake.results.metadata import Shard
 from kinebench_drake.results.row import Status
 from kinebench_drake.results.store import artifact_path, read_rows
@@ -252,7 +255,7 @@ def run_counted(run, **changes):
 
 
 def test_replays_show_the_worst_samples_of_all_resumed_runs_together(run, tmp_path, monkeypatch):
-    def write(config, ids, observer):
+    def write(config, ids):
         for id in ids:
             path = artifact_path(config.out, "replays", id)
             path.parent.mkdir(exist_ok=True)
@@ -270,15 +273,24 @@ def test_replays_show_the_worst_samples_of_all_resumed_runs_together(run, tmp_pa
     assert not (tmp_path / "out" / "replays").exists()
 
 
-def test_report_is_written_with_a_warning_when_replays_cannot_be_drawn(run, tmp_path, monkeypatch):
-    def refuse(*_):
-        raise SetupError("Meshcat cannot open a port of this machine")
+def test_replays_that_a_full_disk_prevents_fail_the_run_and_the_next_run_writes_them(run, tmp_path, monkeypatch):
+    def write(out, ids, plant):
+        with disk_errors("far.html"):
+            if full:
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+            for id in ids:
+                write_atomically(artifact_path(out, "replays", id), b"3D")
 
-    monkeypatch.setattr("kinebench_drake.report.replay.write_replays", refuse)
-    count = Count()
-    run(count, replays=1)
-    assert "no 3D replays were written: Meshcat cannot open a port of this machine" in count.warnings
+    monkeypatch.setattr("kinebench_drake.report.replay.write_replays", write)
+    full = True
+    with pytest.raises(
+        SetupError, match=r"cannot write far\.html \(No space left on device\): free some space and run"
+    ):
+        run(replays=1)
     assert (tmp_path / "out" / "report.html").is_file()
+    full = False
+    assert set(run_counted(run, replays=1)) == {"degrees", "empty"}
+    assert [path.name for path in tmp_path.glob("out/replays/*")] == ["far.html"]
 
 
 def test_shards_split_the_trajectories_within_one_file(run, source, tmp_path):

@@ -10,6 +10,7 @@ import time
 import pytest
 from fake_tools import Act, broken
 
+from kinebench_drake.io import progress
 from kinebench_drake.results.store import read_rows
 from kinebench_drake.runs import score
 from kinebench_drake.runs.tools import load_tools
@@ -36,12 +37,19 @@ def test_score_prints_progress_summary_warnings_and_report_path(program, film, t
     assert str(tmp_path / "out" / "report.html") in out
     period = "frame period: 0.05882 s, 1 / fps of the file; but the benchmark camera fits: no verdict changes at 0.2 s"
     assert f"{period}\ncamera: the benchmark's\n" in out
-    *progress, warning = err.splitlines()
-    assert [line.split("]")[0] for line in progress] == ["[1/3", "[2/3", "[3/3"]
+    *finished, warning = err.splitlines()
+    assert [line.split("]")[0] for line in finished] == ["[1/3", "[2/3", "[3/3"]
     assert warning.startswith("warning: no camera is named for 2 samples: the arm confirms the benchmark's")
     assert '"x": "a=b"' in (tmp_path / "out" / "results.json").read_text()
     code, _, err = program("score", tmp_path / "videos", "--out", tmp_path / "out", "--overwrite", "--limit", 1)
     assert (code, list(read_rows(tmp_path / "out"))) == (0, ["a"])
+
+
+def test_progress_within_a_long_video_is_printed_with_its_name(program, film, tmp_path, monkeypatch):
+    monkeypatch.setattr(progress, "EVERY_S", 0.0)
+    film("a.mp4", frames=3)
+    _, _, err = program("score", tmp_path / "a.mp4", "--out", tmp_path / "out")
+    assert err.splitlines()[:3] == [f"[0/1] a: {k} frames read" for k in (1, 2, 3)]
 
 
 def test_ground_writes_results_and_overlay_and_report_renders_only_run_folders(program, film, tmp_path):

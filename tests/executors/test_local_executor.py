@@ -13,6 +13,7 @@ from threadpoolctl import threadpool_info, threadpool_limits
 from kinebench_drake.executors import local
 from kinebench_drake.executors.base import ItemResult
 from kinebench_drake.executors.local import LocalExecutor
+from kinebench_drake.io.progress import count_steps, listen, tell
 
 
 def make_doubling():
@@ -86,6 +87,24 @@ def make_stubborn():
 def test_the_reason_of_a_worker_crash_names_the_signal():
     (outcome,) = LocalExecutor(jobs=2).run(make_busy, ["terminated"])
     assert outcome.reason == "the worker process was ended by SIGTERM"
+
+
+def make_telling():
+    def work(item):
+        for _ in count_steps([item], "step done"):
+            tell(f"half of {item}")
+        return item
+
+    return work
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_progress_within_an_item_reaches_the_listener_and_is_no_result(jobs):
+    lines = []
+    with listen(lines.append):
+        outcomes = list(LocalExecutor(jobs=jobs).run(make_telling, ["a", "b"]))
+    assert sorted(outcome.result for outcome in outcomes) == ["a", "b"]
+    assert sorted(lines) == ["half of a", "half of b"]
 
 
 def test_every_item_has_a_result():

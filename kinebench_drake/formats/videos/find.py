@@ -124,9 +124,7 @@ def list_folder(folder: Path, search: Search, skipped: Sequence[Path]) -> list[V
             samples.append(search.sample(here))
         is_video = not videos and _is_frame_folder(files)
         stems = {Path(f).stem for f in videos}
-        ignored += [
-            here / f for f in files if not is_video and f not in (*videos, *_SIDECARS) and Path(f).stem not in stems
-        ]
+        ignored += [here / f for f in files if not is_video and f not in _SIDECARS and Path(f).stem not in stems]
         metadata += [here / name for name in videofolder.NAMES if name in files]
         arrays += [here / f for f in files if Path(f).suffix.lower() in ARRAY_SUFFIXES and is_video_array(here / f)]
     if (folder / manifest.NAME).is_file():
