@@ -29,6 +29,7 @@ PERIOD_S = 0.2
 FINGER_M = 0.04
 _VISUAL_GROUP = 1
 _WORKSPACE = np.array([[0.32, 0.62], [-0.3, 0.3], [0.06, 0.4]])  # of the TCP in the base frame [m]
+_TABLE_LIFT_M = -0.15  # of the workspace to the table tops of the scenes, at which their cameras look
 _LEAST_PX, _LEAST_SHARE = 300, 0.8  # pixels of the gripper in an image of 384 px, and share of the frames with as many
 
 
@@ -92,8 +93,13 @@ class Arm:
         return None
 
 
-def motion(arm: Arm, frames: int, rng: np.random.Generator) -> tuple[NDArray[Any], NDArray[Any]]:
-    """Return postures (T, 7) [rad] and finger gaps (T,) [m] of a smooth motion through random poses of the hand."""
+def motion(
+    arm: Arm, frames: int, rng: np.random.Generator, *, lift_m: float = 0.0
+) -> tuple[NDArray[Any], NDArray[Any]]:
+    """Return postures (T, 7) [rad] and finger gaps (T,) [m] of a smooth motion through random poses of the hand.
+
+    The workspace is lifted by `lift_m`.
+    """
     q = np.array([0.0, 0.3, 0.0, -2.0, 0.0, 2.3, 0.8])
     targets = list[NDArray[Any]]()
     stops = max(2, round(frames / 16) + 1)
@@ -102,6 +108,7 @@ def motion(arm: Arm, frames: int, rng: np.random.Generator) -> tuple[NDArray[Any
         X = np.eye(4)
         X[:3, :3] = _turn(2, turn) @ _turn(0, np.pi + tilt[0]) @ _turn(1, tilt[1])
         X[:3, 3] = rng.uniform(*_WORKSPACE.T) - HAND_TO_TCP_M * X[:3, 2]
+        X[2, 3] += lift_m
         reached = arm.solve(X, q)
         if reached is not None and (not targets or np.abs(reached - targets[-1]).max() < 0.5 * np.pi):
             targets.append(reached)
@@ -311,7 +318,7 @@ def main() -> None:
     parser.add_argument("--frames", type=int, default=49)
     parser.add_argument("--prefix", default="m")
     parser.add_argument("--size", help="WxH of all clips; default: five shapes in turn")
-    parser.add_argument("--stock", help="cameras of the scenes, comma-separated, such as agentview,frontview")
+    parser.add_argument("--stock", help="scenes with their own cameras, in turn, such as Lift:agentview,Door:frontview")
     options = parser.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)
     for number in range(options.count):
@@ -319,14 +326,17 @@ def main() -> None:
         if (options.out / f"{name}.gt.npz").exists():
             continue
         rng = np.random.default_rng([options.seed, number])
-        arm = Arm(SCENES[number % len(SCENES)], options.seed + number)
+        stock = options.stock.split(",") if options.stock else SCENES
+        scene, _, own_camera = stock[number % len(stock)].partition(":")
+        arm = Arm(scene, options.seed + number)
         width, height = (
             tuple(map(int, options.size.split("x"))) if options.size else SHAPES[(number // 2) % len(SHAPES)]
         )
         q, gap = motion(arm, options.frames, rng)
-        if options.stock:
-            names = options.stock.split(",")
-            camera = stock_camera(arm, names[number % len(names)], width, height)
+        if own_camera:
+            camera = stock_camera(arm, own_camera, width, height)
+            while not is_visible(arm, camera, q, gap):
+                q, gap = motion(arm, options.frames, rng, lift_m=_TABLE_LIFT_M)
         else:
             while not is_visible(arm, camera := random_camera(width, height, rng), q, gap):
                 pass

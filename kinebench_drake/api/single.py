@@ -16,7 +16,7 @@ from kinebench_drake.api.runs import PathName, own_arguments
 from kinebench_drake.camera import Camera, CameraSetting, CameraSource
 from kinebench_drake.errors import InputError, UnmeasurableError, UsageError, member_of, name_arguments
 from kinebench_drake.executors.local import one_thread
-from kinebench_drake.formats.camerafile import load_camera
+from kinebench_drake.formats.camerafile import read_camera
 from kinebench_drake.formats.trajectories.check import check
 from kinebench_drake.formats.trajectories.reading import Reading, TrajectoryOptions
 from kinebench_drake.formats.trajectories.source import find_trajectories, read_trajectory
@@ -112,8 +112,8 @@ def ground_video(
     Args:
         video: a path as `score_videos` takes it, or frames (T, H, W, 3) uint8 RGB.
         id: id of the sample, where the path holds several; of frames: name of their files in `masks`, `depth`, `poses`.
-        camera: the camera, what its camera.json states (`load_camera`), or the path of that file; None: that of the
-            input, else as `score_videos` chooses it.
+        camera: the camera, what its camera.json states (`load_camera`), or its name or the path of that file; None:
+            that of the input, else as `score_videos` chooses it.
         camera_key: camera to take of datasets that have several.
         frame_period_s: task time between two frames [s], where no manifest tells; None: 1 / fps, 0.2 without a clock.
         first: state of the robot in the first frame, in place of the input's (`X_BG`: TCP in the robot base frame [m]).
@@ -164,7 +164,7 @@ def ground_video(
         decoded = Video(frames=np.asarray(video), fps=None, stamps_s=None)
     if camera is not None:
         if isinstance(camera, str | PathLike):
-            camera = load_camera(Path(camera))
+            camera = read_camera(str(camera))
         setting = CameraSetting(camera=camera) if isinstance(camera, Camera) else camera
         sample = sample.filmed_by(setting, CameraSource.ARGUMENT)
     if first is not None:

@@ -21,6 +21,7 @@ _COMMANDS = {
     "audit": ("score", "Check trajectories against the robot's kinematics, without video."),
     "reading": ("score", "Print how a trajectory file would be read."),
     "calibrate": ("calibrate", "Estimate a static camera from a video of the robot."),
+    "cameras": ("calibrate", "List the cameras that are known by name."),
     "suite": ("suite", "Task suites: closed-loop runs, demonstrations, exports, reports."),
     "report": ("outputs", "Write the html report of output folders again."),
     "compare": ("outputs", "Compare output folders."),

@@ -1,4 +1,4 @@
-"""`kinebench-drake calibrate`."""
+"""`kinebench-drake calibrate` and `kinebench-drake cameras`."""
 
 from pathlib import Path
 from typing import Any
@@ -87,3 +87,21 @@ def calibrate(out: Path, figure: Path | None, as_json: bool, **options: Any) -> 
     for line in format_lines(outcome.calibration):
         click.echo(line)
     click.echo(f"camera: {out}")
+
+
+@click.command(epilog="\b\nExample:\n  kinebench-drake cameras --json")
+@click.option("--json", "as_json", is_flag=True, help="All fields of each camera, as in camera.json.")
+def cameras(as_json: bool) -> None:
+    """List the cameras that `--camera NAME`, a manifest and the Python functions take by name.
+
+    Each with its vertical field of view, the usual size of its pictures, the height of the table top in the base frame,
+    on what it was checked, how its pictures are also published, and the source of its numbers.
+    """
+    from kinebench_drake.formats.camerafile import named_cameras
+    from kinebench_drake.io.jsonl import dump
+
+    listed = named_cameras().values()
+    if as_json:
+        click.echo(dump([camera.to_json() for camera in listed], indent=1), nl=False)
+    else:
+        click.echo("\n".join(camera.describe() for camera in listed))

@@ -12,7 +12,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationErr
 
 from kinebench_drake.camera import CameraSetting, CameraSource
 from kinebench_drake.errors import InputError, UsageError, cause
-from kinebench_drake.formats.camerafile import load_camera
+from kinebench_drake.formats.camerafile import find_camera, load_camera
 from kinebench_drake.formats.folders import join_relative
 from kinebench_drake.formats.samples import MAX_PERIOD_S, MIN_PERIOD_S, shorten
 from kinebench_drake.formats.videos.sample import Search, VideoSample, image_beside
@@ -164,6 +164,9 @@ def entry_camera(entry: ManifestEntry, folder: Path) -> CameraSetting | None:
         return None
     try:
         if isinstance(entry.camera, str):
+            named = find_camera(entry.camera)
+            if named is not None:
+                return named.setting
             return load_camera(join_relative(folder, entry.camera, "camera", links_out=False))
         return CameraSetting.from_json(entry.camera, "camera")
     except UsageError as error:

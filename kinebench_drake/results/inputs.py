@@ -43,7 +43,7 @@ _CAMERAS: Mapping[str, str] = {
     "folder": "from camera.json",
     "benchmark": "the benchmark's",
     "option": "from --camera",
-    "auto": "the benchmark's where the arm confirms it, else estimated from the arm",
+    "auto": "one known by name where the arm confirms it, else estimated from the arm",
     "estimated": "estimated from the arm",
     "none": "unknown, there is no base frame",
 }

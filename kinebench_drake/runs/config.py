@@ -19,8 +19,8 @@ from kinebench_drake.runs.option import Option, options_json, parse_options
 from kinebench_drake.runs.tools import RobotOptions, Tools, ToolsFactory
 from kinebench_drake.suites.clock import CLIP_S, ClipTiming
 
-AUTO, BENCHMARK = "auto", "benchmark"
-"""Values of `camera` besides the path of a camera.json."""
+AUTO = "auto"
+"""Value of `camera` by which it is chosen for each video."""
 MAX_SEED = 2**63 - 1
 """Largest seed: JSON readers take a larger integer for a float."""
 _Sample = TypeVar("_Sample")
@@ -222,9 +222,10 @@ class ScoreConfig(SourceConfig):
     camera: Annotated[
         str,
         Option(
-            "Camera of videos that name none: auto takes the benchmark camera where the arm confirms it and estimates "
-            "it from the arm elsewhere, benchmark insists on the former; a camera.json is that of all videos.",
-            metavar="auto|benchmark|FILE",
+            "Camera of videos that name none: auto takes one that `kinebench-drake cameras` lists where the arm "
+            "confirms it, and estimates it from the arm elsewhere; a name insists on that one. A camera.json is "
+            "that of all.",
+            metavar="auto|NAME|FILE",
         ),
     ] = AUTO
     mirrored: Annotated[bool, Option("The pictures show the scene mirrored: turn them left-right first (LIBERO).")] = (
@@ -302,7 +303,7 @@ class ScoreConfig(SourceConfig):
         return {
             **RunConfig.to_json(self),
             "task_duration_s": self.duration_s,
-            "camera": self.camera if self.camera in (AUTO, BENCHMARK) else Path(self.camera).name,
+            "camera": Path(self.camera).name,
             "depth": self.overrides().names.get("depth"),
         }
 

@@ -3,7 +3,6 @@
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -11,7 +10,7 @@ from numpy.typing import NDArray
 
 from kinebench_drake.camera import CONFIRMED, Camera, CameraSetting, CameraSource, CameraState
 from kinebench_drake.errors import InputError, count_noun, name_options
-from kinebench_drake.formats.camerafile import load_camera
+from kinebench_drake.formats.camerafile import find_camera, read_camera
 from kinebench_drake.formats.videos.sample import VideoSample
 from kinebench_drake.geometry import Array
 from kinebench_drake.grounding.overrides.overrides import Overrides
@@ -22,7 +21,7 @@ from kinebench_drake.io.video import WHOLE, Video
 from kinebench_drake.models.panda.robot import GripperKind
 from kinebench_drake.results.inputs import BENCHMARK_PERIOD_S, PeriodSource
 from kinebench_drake.results.row import SampleRow, Status
-from kinebench_drake.runs.config import AUTO, BENCHMARK
+from kinebench_drake.runs.config import AUTO
 from kinebench_drake.suites.clock import ClipTiming, sample_uniformly
 from kinebench_drake.suites.start import START_WIDTH_M, start_q
 from kinebench_drake.track import Domain, GripperTrack, InitialState
@@ -177,17 +176,18 @@ def conditioning_image(sample: VideoSample) -> NDArray[np.uint8] | None:
 def with_camera_option(samples: Sequence[VideoSample], option: str, *, mirrored: bool = False) -> Sequence[VideoSample]:
     """Return the samples with the camera on which the option `camera` insists, and mirrored by `mirrored`.
 
+    A camera by name is that of the samples without one, a camera.json that of all.
+
     Raises:
-        UsageError: the file that it names is no camera.json.
+        UsageError: the option is no name, and the file that it names no camera.json.
     """
-    setting = None if option in (AUTO, BENCHMARK) else load_camera(Path(option))
+    setting = None if option == AUTO else read_camera(option)
+    replaces = find_camera(option) is None
 
     def filmed(sample: VideoSample) -> VideoSample:
         sample = replace(sample, mirrored=sample.mirrored or mirrored)
-        if setting is not None:
-            return sample.filmed_by(setting, CameraSource.OPTION)
-        insists = option == BENCHMARK and sample.camera_source is CameraSource.BENCHMARK
-        return replace(sample, camera_source=CameraSource.OPTION) if insists else sample
+        is_free = replaces or sample.camera_source is CameraSource.BENCHMARK
+        return sample.filmed_by(setting if is_free else None, CameraSource.OPTION)
 
     return [filmed(sample) for sample in samples]
 
