@@ -82,7 +82,7 @@ def test_an_output_folder_as_source_yields_only_clips_and_not_drawings_of_a_run(
     assert [s.video for s in find_samples(tmp_path).samples] == ["clips/a.mp4", "videos/a_r0.mp4"]
 
 
-@pytest.mark.parametrize("name", ["overlays", "overlays/a.mp4", "thumbnails", "replays"])
+@pytest.mark.parametrize("name", ["overlays", "overlays/a.mp4", "thumbnails"])
 def test_a_file_or_folder_written_by_a_run_is_refused_as_input(tmp_path, name):
     outputs(tmp_path / "run")
     with pytest.raises(UsageError, match=r"was written by a run \(output folder run\); name the videos"):
