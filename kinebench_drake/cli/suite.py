@@ -13,7 +13,7 @@ from kinebench_drake.cli.suite_data import demos, export
 from kinebench_drake.cli.suite_results import ceiling, report, tolerance
 from kinebench_drake.cli.suite_run import plan, run
 from kinebench_drake.errors import UsageError
-from kinebench_drake.io.atomic import atomic_path, write_atomically
+from kinebench_drake.io.atomic import write_atomically
 from kinebench_drake.runs.suite_config import SuiteConfig
 
 if TYPE_CHECKING:  # slow to import
@@ -175,25 +175,17 @@ def check(
 @_SUITE
 @_SPLIT
 @config_options(SuiteConfig, "tasks")
-@click.option("--looks", type=click.Choice(["table", "background", "light"]), help="Show all looks of a sort instead.")
 @_SEED
 @config_options(SuiteConfig, "jobs")
-def sheet(
-    out: Path, number: int | None, split: str | None, tasks: str | None, looks: str | None, seed: int, jobs: int
-) -> None:
-    """Draw a contact sheet: first and last frame of each task's expert, or all tables, backgrounds or lights."""
+def sheet(out: Path, number: int | None, split: str | None, tasks: str | None, seed: int, jobs: int) -> None:
+    """Draw a contact sheet: first and last frame of each task's expert."""
     from kinebench_drake.executors.base import ExecutorKind, create_executor
-    from kinebench_drake.suites.contact_sheet import contact_sheet, look_panels, task_panels
+    from kinebench_drake.io.figure import save
+    from kinebench_drake.suites.contact_sheet import draw_sheet, task_panels
 
     check_suffix("--out", out, ".png", ".jpg", ".jpeg")
     check_parent("--out", out)
-    if looks is not None and (number, split, tasks) != (None, None, None):
-        raise UsageError(f"--looks {looks}: shows one scene of one task; leave out --suite, --split and --tasks")
-    executor = create_executor(ExecutorKind.LOCAL, jobs)
-    if looks is None:
-        panels = task_panels(executor, _episodes(number, split, tasks, 1, seed, None, "plain"))
-    else:
-        panels = look_panels(executor, looks, seed)
-    with atomic_path(out) as part:
-        contact_sheet(panels, columns=4 if looks is None else 6).save(part)
+    episodes = _episodes(number, split, tasks, 1, seed, None, "plain")
+    panels = task_panels(create_executor(ExecutorKind.LOCAL, jobs), episodes)
+    save(draw_sheet(panels), out)
     click.echo(f"{out}: {len(panels)} panels, {sum(panel.failed for panel in panels)} failed")
