@@ -160,7 +160,6 @@ def build_page(out: Path, rows: Iterable[SampleRow] | None = None, statistics: R
         first=_SHOWN,
         drawn=min(DRAWN, len(samples)),
         left_out=max(len(rows) - DRAWN, 0),
-        normalization=_read_normalization(results),
         counts={v: verdicts[v] for v in VERDICT_LABELS if v in verdicts},
         numeric_value=numeric_value,
         Status=Status,
@@ -221,16 +220,6 @@ def _other_metrics(total: Aggregate) -> list[Metric]:
 
 def _is_measured(total: Aggregate, name: str) -> bool:
     return name in total.estimates and total.estimates[name].n > 0
-
-
-def _read_normalization(results: Mapping[str, Json]) -> list[tuple[str, list[float | None]]]:
-    """Read the metrics normalized within the run: name, 10th and 90th percentile, mean, samples, bound."""
-    lines = []
-    for name, entry in as_object(results.get("normalization")).items():
-        numbers = [to_number(as_object(entry).get(key)) for key in ("low", "high", "mean", "n", "bound")]
-        if None not in numbers[:-1]:
-            lines.append((name, numbers))
-    return lines
 
 
 def _fault_chips(row: SampleRow) -> list[tuple[str, str]]:

@@ -1,4 +1,4 @@
-"""Aggregates over samples: means with intervals and coverage, and normalization within a run."""
+"""Aggregates over samples: means with intervals and coverage."""
 
 import math
 from collections import Counter
@@ -6,18 +6,12 @@ from collections.abc import Hashable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from kinebench_drake.geometry import Array
 from kinebench_drake.io.jsonl import Json
 from kinebench_drake.results.direction import BOUND, worst_value
 from kinebench_drake.results.row import SampleRow, Status
 from kinebench_drake.stats import bootstrap_mean, group_means, pass_at_k, share_interval
-
-NORMALIZED = ("manipulability_cost_mean",)
-"""Metrics that results also report on a scale from 0 to 1."""
-PERCENTILES = (10.0, 90.0)
-"""Percentiles at the ends of the scale."""
 
 VERDICT_SHARES = ("executable", "feasible")
 """Shares of a group that are no metrics."""
@@ -306,61 +300,3 @@ def _anomaly_kinds(row: SampleRow) -> set[str]:
     if isinstance(anomalies, str) or not isinstance(anomalies, Sequence):
         return set()
     return {str(a.get("kind")) for a in anomalies if isinstance(a, Mapping)}
-
-
-def robust_normalize(values: ArrayLike) -> Array:
-    """Scale values (N,) to 0 at the lower of PERCENTILES or below and 1 at the upper one or above.
-
-    clip((v - p_low) / (p_high - p_low), 0, 1) over the finite values, percentiles by linear interpolation; NaN stays
-    NaN. If both percentiles are equal there is no scale: smaller values become 0, greater ones 1 and equal ones 0.5.
-    The result compares samples within one run, never across runs.
-    """
-    values = np.asarray(values, dtype=np.float64)
-    finite = values[np.isfinite(values)]
-    if len(finite) == 0:
-        return np.full(values.shape, np.nan)
-    bottom, top = np.percentile(finite, PERCENTILES)
-    if top > bottom:
-        scaled = np.clip((values - bottom) / (top - bottom), 0.0, 1.0)
-    else:
-        scaled = 0.5 + 0.5 * np.sign(values - bottom)
-    return np.asarray(np.where(np.isnan(values), np.nan, scaled))
-
-
-def normalize_run(rows: Sequence[SampleRow]) -> dict[str, Json]:
-    """Normalize the metrics of NORMALIZED: ends of the scale, means of all samples, of each task and of each model.
-
-    Metrics of fewer than two samples are left out, as they span no scale. In the bounds samples without a value count
-    as 1, the bad end of the scale.
-    """
-    result: dict[str, Json] = {}
-    for name in NORMALIZED:
-        measured = [row for row in rows if row.status is Status.OK and isinstance(row.metrics.get(name), int | float)]
-        values = np.array([row.metrics[name] for row in measured], dtype=np.float64)
-        if len(values) < 2:
-            continue
-        scaled = dict(zip((row.id for row in measured), robust_normalize(values).tolist(), strict=True))
-        low, high = np.percentile(values, PERCENTILES)
-        result[name] = {
-            "low": float(low),
-            "high": float(high),
-            "n": len(measured),
-            "mean": float(np.mean(list(scaled.values()))),
-            "bound": _bound(rows, scaled),
-            **{
-                f"per_{key}": {
-                    group: float(np.mean([scaled[row.id] for row in members]))
-                    for group, members in split_rows(measured, key).items()
-                }
-                for key in ("task", "model")
-            },
-            **{
-                f"bound_per_{key}": {group: _bound(members, scaled) for group, members in split_rows(rows, key).items()}
-                for key in ("task", "model")
-            },
-        }
-    return result
-
-
-def _bound(rows: Sequence[SampleRow], scaled: Mapping[str, float]) -> float:
-    return float(np.mean([scaled.get(row.id, 1.0) for row in rows]))

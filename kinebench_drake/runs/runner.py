@@ -17,7 +17,7 @@ from kinebench_drake.io.atomic import disk_errors
 from kinebench_drake.io.jsonl import Json, as_object
 from kinebench_drake.io.progress import listen
 from kinebench_drake.report.sample import worst_samples
-from kinebench_drake.results.aggregate import Estimate, RunStatistics, estimate, estimate_executable, normalize_run
+from kinebench_drake.results.aggregate import Estimate, RunStatistics, estimate, estimate_executable
 from kinebench_drake.results.inputs import list_inputs
 from kinebench_drake.results.metadata import RunMetadata, read_metadata
 from kinebench_drake.results.provenance import host, versions, weights_hash
@@ -218,7 +218,6 @@ def summarize(rows: Sequence[SampleRow], metadata: RunMetadata, statistics: RunS
         {
             "aggregates": statistics.total.to_json(),
             **{f"per_{key}": {n: a.to_json() for n, a in own.items()} for key, own in statistics.groups.items()},
-            "normalization": normalize_run(rows),
             "inputs": list_inputs(rows),
         }
     )

@@ -62,7 +62,6 @@ def audit(tmp_path):
             {
                 "kind": "audit",
                 "config": {"source": "tracks"},
-                "normalization": {"noise_floor": {"low": 0.2, "high": 0.4, "mean": 0.25, "n": 2}},
             }
         )
     (tmp_path / "replays").mkdir(exist_ok=True)
@@ -124,12 +123,6 @@ def test_replays_are_linked_where_they_exist(audit):
     assert links[1] == "replays/fast.html#t=0.400"
     assert all(link.startswith("replays/fast.html") for link in links)
     assert "kinebench-drake view OUT slow" in section(text, "slow")
-
-
-def test_the_scale_of_metrics_normalized_within_the_run_is_shown(audit):
-    text = write_report(audit).read_text()
-    scale = text[text.index("Normalized within the run") :]
-    assert re.search(r"noise_floor</td><td[^>]*>0\.2</td><td[^>]*>0\.4</td><td[^>]*>0\.250</td>", scale)
 
 
 def test_curves_are_drawn_only_for_the_worst_samples(audit, monkeypatch):

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from kinebench_drake.geometry import Array
 from kinebench_drake.io.figure import new_figure, plain, shorten
 from kinebench_drake.report.figures import COLOURS, ReportFigure, add_legend, assign_numbers, make_figure, style
 from kinebench_drake.report.suite.episode_result import (
@@ -17,13 +18,15 @@ from kinebench_drake.report.suite.episode_result import (
     worst_metric,
 )
 from kinebench_drake.report.table import Table, make_table
-from kinebench_drake.results.aggregate import Estimate, robust_normalize
+from kinebench_drake.results.aggregate import Estimate
 
 _METRICS = (
     *("sparc", "sparc_rotation", "ldlj", "manipulability_mean", "ik_success_rate", "slowdown_min", "tracked_fraction"),
     *("gap_gripper_m", "gap_robot_iou"),
 )
 """Metrics of the table of the generated motion."""
+_PERCENTILES = (10.0, 90.0)
+"""Percentiles at the ends of the scale of costs."""
 _FOLLOWING = {
     **{"action_error_mm": ("action_error_m", 1e3), "action_shuffled_mm": ("action_shuffled_m", 1e3)},
     "action_error_deg": ("action_error_rad", 180.0 / np.pi),
@@ -38,7 +41,7 @@ _FOLLOWING = {
 def scale_costs(episodes: Iterable[EpisodeResult]) -> list[EpisodeResult]:
     """Scale the manipulability costs of all episodes from their 10th percentile (0) to their 90th (1).
 
-    See `aggregate.robust_normalize`. Fewer than two costs define no scale: the episodes are returned unchanged.
+    See `robust_normalize`. Fewer than two costs define no scale: the episodes are returned unchanged.
     """
     episodes = list(episodes)
     costs = np.array([np.nan if (c := e.metric(COST)) is None else c for e in episodes], dtype=np.float64)
@@ -46,6 +49,22 @@ def scale_costs(episodes: Iterable[EpisodeResult]) -> list[EpisodeResult]:
         return episodes
     scaled = robust_normalize(costs)
     return [replace(e, cost_scaled=float(v) if np.isfinite(v) else None) for e, v in zip(episodes, scaled, strict=True)]
+
+
+def robust_normalize(values: Array) -> Array:
+    """Scale values (N,) to 0 at the lower of _PERCENTILES or below and 1 at the upper one or above.
+
+    clip((v - p_low) / (p_high - p_low), 0, 1) over the finite values, percentiles by linear interpolation; NaN stays
+    NaN. If both percentiles are equal there is no scale: smaller values become 0, greater ones 1 and equal ones 0.5.
+    The result compares episodes of one report, never of several.
+    """
+    finite = values[np.isfinite(values)]
+    bottom, top = np.percentile(finite, _PERCENTILES)
+    if top > bottom:
+        scaled = np.clip((values - bottom) / (top - bottom), 0.0, 1.0)
+    else:
+        scaled = 0.5 + 0.5 * np.sign(values - bottom)
+    return np.asarray(np.where(np.isnan(values), np.nan, scaled))
 
 
 def tabulate_kinematics(episodes: Sequence[EpisodeResult], seed: int = 0) -> Table:

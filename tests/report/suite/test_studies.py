@@ -7,7 +7,7 @@ from scipy.stats import spearmanr
 from kinebench_drake.report.suite.comparison import ALL_TASKS, compare, tabulate_comparison
 from kinebench_drake.report.suite.correlation import standardise, study_correlation
 from kinebench_drake.report.suite.episode_result import balanced_mean, list_models
-from kinebench_drake.report.suite.kinematics import scale_costs, tabulate_following
+from kinebench_drake.report.suite.kinematics import robust_normalize, scale_costs, tabulate_following
 from kinebench_drake.report.suite.pooling import pool_episodes, read_suite_runs
 from kinebench_drake.report.suite.scaling import (
     ALL_LEVELS,
@@ -126,6 +126,15 @@ def test_costs_are_scaled_between_percentiles_of_all_episodes(tmp_path):
     scaled = [e.cost_scaled for e in scale_costs(episodes_of(run))]
     np.testing.assert_allclose(scaled, np.clip((costs - 6.0) / 8.0, 0, 1))  # percentiles 10 and 90 are 6 and 14
     assert scale_costs(episodes_of(run)[:1])[0].cost_scaled is None
+
+
+def test_the_robust_scale_maps_equal_values_to_one_half_and_keeps_gaps():
+    values = np.arange(101.0)
+    scaled = robust_normalize(values)
+    np.testing.assert_allclose(scaled, np.clip((values - 10) / 80, 0, 1))
+    np.testing.assert_allclose(robust_normalize(1e3 - 5 * values), 1 - scaled, atol=1e-12)
+    np.testing.assert_array_equal(robust_normalize(np.array([1.0, np.nan, 3.0])), [0.0, np.nan, 1.0])
+    np.testing.assert_array_equal(robust_normalize(np.array([2.0, 2.0])), [0.5, 0.5])
 
 
 def test_success_is_standardised_within_tasks():
