@@ -40,9 +40,9 @@ def read_container(path: Path, part: VideoPart) -> Video:
     stamps: list[float | None] = []
     try:
         with av.open(path, options=_DECODER, container_options=_OPTIONS, metadata_errors="replace") as container:
-            if not container.streams.video:
-                raise InputError(f"{path.name}: holds no video stream")
-            stream = container.streams.video[0]
+            stream = next((s for s in container.streams.video if s.codec_context is not None), None)
+            if stream is None:
+                raise InputError(f"{path.name}: holds no video stream of a known codec")
             require_size(path.name, (1, stream.height, stream.width))
             stream.thread_count = 1
             stream.codec_context.options = _DECODER

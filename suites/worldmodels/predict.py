@@ -40,7 +40,7 @@ class ImageFormat(BaseModel):
 class Range(BaseModel):
     """Least and largest number of frames."""
 
-    min: _Count = 1
+    min: Annotated[int, Field(ge=1, le=64)] = 1
     max: _Count
 
 

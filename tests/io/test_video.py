@@ -208,6 +208,14 @@ def test_the_container_is_detected_by_content_and_not_by_file_name(tmp_path, fra
         read_video(tmp_path / named)
 
 
+def test_a_stream_of_an_unknown_codec_is_refused_by_name(tmp_path, frames):
+    path = tmp_path / "a.mp4"
+    write_video(path, frames, 10)
+    path.write_bytes(path.read_bytes().replace(b"avc1", b"zzzz"))
+    with pytest.raises(InputError, match=r"^a\.mp4: holds no video stream of a known codec$"):
+        read_video(path)
+
+
 def test_files_that_are_no_video_are_refused_by_name(tmp_path, frames):
     (tmp_path / "empty.mp4").touch()
     (tmp_path / "text.mp4").write_text("this is no film\n" * 50)

@@ -170,6 +170,9 @@ def test_servers_that_do_not_fit_are_setup_errors(
     profile["action"]["dimension"] = 7
     with pytest.raises(SetupError, match="profiles: two-arms with 14, franka with 7; expected one with 8 numbers"):
         generate()
+    profile["context_frames"]["min"] = 10_000  # a request holds that many pictures
+    with pytest.raises(SetupError, match=r"capabilities: profiles\.\d\.context_frames\.min"):
+        generate()
     profile["image"]["width"] = 8192
     with pytest.raises(SetupError, match=r"capabilities: profiles\.\d\.image\.width"):
         generate()
