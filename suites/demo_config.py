@@ -25,7 +25,6 @@ class FormatKind(Enum):
     MP4 = "mp4"
     LEROBOT = "lerobot-v3"
     MANISKILL = "maniskill-h5"
-    FRAMES = "frames"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -117,7 +116,6 @@ class DemoConfig(DatasetConfig):
             "first_seed": split.seeds[0] + self.seed,
             "shard": None if self.shard is None else str(self.shard),
             **(video if self.kind in (FormatKind.MP4, FormatKind.LEROBOT) else {}),
-            **({"size": self.options.size} if self.kind is FormatKind.FRAMES else {}),
         }
 
     def request(self) -> dict[str, Any]:

@@ -15,20 +15,16 @@ from kinebench_drake.formats import manifest, maniskill, videofolder
 from kinebench_drake.formats.camerafile import CAMERA_NAME, save_camera
 from kinebench_drake.formats.lerobot import writer as lerobot
 from kinebench_drake.geometry import from_quaternion, invert
-from kinebench_drake.io.atomic import disk_errors
 from kinebench_drake.io.container import write_video
 from kinebench_drake.io.jsonl import write_lines
 from kinebench_drake.io.npz import write_arrays
-from kinebench_drake.models.perception.frame import FILES, save_shard
 from kinebench_drake.suites.clock import CONTROL_PERIOD_S
 from kinebench_drake.suites.composition import Episode
 from kinebench_drake.suites.demo_config import CLIP_STEPS, DemoConfig, FormatKind, RenderOptions
 from kinebench_drake.suites.families.registry import TASKS
 from kinebench_drake.suites.rollout import Rollout, RolloutVideo, render_video
-from kinebench_drake.suites.seeding import generator
 from kinebench_drake.suites.simulator import Simulator
 from kinebench_drake.suites.start import first_facts
-from kinebench_drake.suites.stills import render_stills
 
 PARTS = ".parts"
 """Folder of the parts of formats that join them at the end."""
@@ -258,25 +254,10 @@ def _max_steps(task: str) -> int:
     return CLIP_STEPS * TASKS[task].card.clips
 
 
-class StillFrames(DemoFormat):
-    """Labelled frames for training perception, a shard per demonstration."""
-
-    @override
-    def part_files(self, folder: Path, record: Record) -> list[Path]:
-        return [folder / record.id / name for name in FILES]
-
-    @override
-    def write_part(self, folder: Path, simulator: Simulator, rollout: Rollout, options: RenderOptions) -> None:
-        id = rollout.episode.id
-        with disk_errors(id):
-            save_shard(render_stills(simulator, rollout, generator("stills", id)), folder / id)
-
-
 FORMATS: dict[FormatKind, DemoFormat] = {
     FormatKind.MP4: VideoFolder(),
     FormatKind.LEROBOT: LeRobot(),
     FormatKind.MANISKILL: ManiSkill(),
-    FormatKind.FRAMES: StillFrames(),
 }
 
 

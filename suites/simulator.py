@@ -20,8 +20,7 @@ from kinebench_drake.environment.native import ignore_vulkan_warning, prepare_vu
 from kinebench_drake.errors import SetupError, UsageError
 from kinebench_drake.geometry import Array, from_quaternion, invert
 from kinebench_drake.kinematics.plant import ArmPlant
-from kinebench_drake.models.panda.robot import FINGER_LINKS, HAND_LINK, LINK_OF, RobotPart
-from kinebench_drake.models.perception.frame import RENDERED_DEPTH_BIAS_M, RenderedFrame, label_parts
+from kinebench_drake.models.panda.robot import FINGER_LINKS, HAND_LINK
 from kinebench_drake.suites.clock import Control
 from kinebench_drake.suites.composition import Episode
 from kinebench_drake.suites.families.registry import find_task
@@ -298,13 +297,3 @@ class Simulator:
             mask=np.isin(labels, [i for name, i in ids.items() if name in GRIPPER_LINKS]),
             robot=np.isin(labels, list(ids.values())),
         )
-
-    def training_frame(self) -> RenderedFrame:
-        """Render the current state with part labels and coordinates of each pixel."""
-        rgb, depth_mm, labels, ids = self._capture()
-        part_of = {name: part for part, name in LINK_OF.items()}
-        parts = {i: part_of.get(name, RobotPart.BACKGROUND) for name, i in ids.items()}
-        X_BL = {name: self.link_pose(name) for name in part_of}
-        finger_m = float(self.snapshot().fingers_m.mean())
-        depth_m = depth_mm / 1000.0 + RENDERED_DEPTH_BIAS_M
-        return RenderedFrame.from_image(rgb, depth_m, label_parts(labels, parts), self.camera, X_BL, finger_m)

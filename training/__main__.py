@@ -28,7 +28,7 @@ _JOBS = click.option("--jobs", type=COUNT, default=2, show_default=True, help="R
 def _demos(purpose: str) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
     return click.option(
         "--demos", multiple=True, type=EXISTING_FOLDER,
-        help=f"Folder of `suite demos --format frames` {purpose} as well; repeatable.",
+        help=f"Folder of `python -m training stills` {purpose} as well; repeatable.",
     )  # fmt: skip
 
 
@@ -39,7 +39,7 @@ def main() -> None:
 
 @main.command(
     epilog="\b\nExample:\n"
-    "  kinebench-drake suite demos --suite 2 --split train --episodes 40 --format frames --out data/demos --jobs 2\n"
+    "  python -m training stills data/demos --episodes 40\n"
     "  python -m training train --demos data/demos --out data/training"
 )
 @_DATA
@@ -125,6 +125,18 @@ def calibrate(folders: tuple[Path, ...], weights: Path | None, limit: int | None
     if out is not None:
         save_confidence(confidence, out)
         click.echo(f"calibration fitted to all videos: {out}")
+
+
+@main.command(epilog="\b\nExample:\n  python -m training stills data/demos --episodes 40")
+@click.argument("out", type=FOLDER)
+@click.option("--episodes", type=COUNT, default=5, show_default=True, help="Episodes of each task of suite 2.")
+@_JOBS
+def stills(out: Path, episodes: int, jobs: int) -> None:
+    """Render labelled frames of the experts' rollouts in ManiSkill; those that OUT holds already are kept."""
+    from kinebench_drake.suites.catalog import load_suite
+    from training.stills import render_rollouts
+
+    render_rollouts(out, load_suite(2).specs("train", episodes), jobs, click.echo)
 
 
 @main.command(epilog="\b\nExample:\n  python -m training render data/vtk --videos 40")

@@ -23,9 +23,9 @@ from kinebench_drake.grounding.tracking.crop import (
     Crop,
 )
 from kinebench_drake.models.panda.robot import ARM, GRIPPER, OPENING_SIGN, RobotPart
-from kinebench_drake.models.perception.frame import DEPTH_UNIT_M, RenderedFrame
 from kinebench_drake.models.perception.network import COORDINATE_SCALE_M, DEPTH_CENTRE, STRIDE
 from training.augment import degrade, occlude, replace_background
+from training.frame import DEPTH_UNIT_M, RenderedFrame
 
 CLOSE_EVERY = 4
 """Interval of the steps on close crops of the gripper; the others use wide ones, which show frames or arms."""

@@ -9,7 +9,7 @@ import numpy as np
 from kinebench_drake.errors import SetupError
 from kinebench_drake.executors.base import WorkerCrash
 from kinebench_drake.executors.local import LocalExecutor
-from kinebench_drake.models.perception.frame import FILES, save_shard
+from training.frame import FILES, save_shard
 from training.layout import ShownGripper
 from training.scene import TrainingScene
 

@@ -70,8 +70,8 @@ def _counted(number: int, what: str) -> str:
 )
 @config_options(SuiteConfig, *_EPISODES, defaults={"suite": 0, "split": "train"})
 @click.option(
-    "--format", "kind", type=click.Choice(["mp4", "lerobot-v3", "maniskill-h5", "frames"]), default="mp4",
-    show_default=True, help="mp4: a video per clip, with captions; frames: labelled frames to train perception with.",
+    "--format", "kind", type=click.Choice(["mp4", "lerobot-v3", "maniskill-h5"]), default="mp4",
+    show_default=True, help="mp4: a video per clip, with captions.",
 )  # fmt: skip
 @click.option("--size", type=SIZES, help="Width and height of the videos.  [default: 384]", metavar="PX")
 @click.option(
@@ -143,9 +143,6 @@ def _render_options(
     if kind is FormatKind.MANISKILL and values:
         names = ", ".join(f"--{name}" for name in values)
         raise UsageError(f"{names}: --format {kind.value} holds no video, but every control step at 20 Hz")
-    if kind is FormatKind.FRAMES and set(values) - {"size"}:
-        names = ", ".join(f"--{name}" for name in values if name != "size")
-        raise UsageError(f"{names}: --format {kind.value} holds no video, but stills")
     if with_depth and kind is not FormatKind.MP4:
         raise UsageError(f"--with-depth: the truth of --format {kind.value} holds none; take mp4")
     if size is not None and size % 2:

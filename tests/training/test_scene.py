@@ -5,7 +5,6 @@ from kinebench_drake.geometry import invert, transform_points
 from kinebench_drake.grounding.tracking.crop import CLOSE_SIZE, WIDE_SIZE, Crop
 from kinebench_drake.models.panda.cad import GripperCad, link_meshes
 from kinebench_drake.models.panda.robot import ARM, RobotPart
-from kinebench_drake.models.perception.frame import DEPTH_UNIT_M
 from kinebench_drake.models.perception.network import COORDINATE_SCALE_M
 from training.crops import (
     CLOSE_EVERY,
@@ -16,6 +15,7 @@ from training.crops import (
     frame_camera,
     label,
 )
+from training.frame import DEPTH_UNIT_M
 from training.layout import ShownGripper, random_gripper
 from training.render import FRAMES_PER_SCENE, OTHERS, SceneRenderer
 from training.scene import TrainingScene
