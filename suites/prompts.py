@@ -5,11 +5,14 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from kinebench_drake.errors import UsageError, cause
+from kinebench_drake.formats.kinebench import read_prompts
 from kinebench_drake.io.files import read_text
 from kinebench_drake.io.jsonl import Json, parse_json
 from kinebench_drake.suites.composition import Episode
+from kinebench_drake.suites.families.fruits.assets import FRUITS
 from kinebench_drake.suites.families.registry import TASKS
 
+_CLONE = "kinebench:"
 INSTRUCTION = "{prompt}"
 """Placeholder for the episode's own instruction in the text of a task."""
 
@@ -29,7 +32,14 @@ class PromptTemplate:
 
     def prompt(self, episode: Episode) -> str:
         """Return the prompt of an episode."""
-        text = self.tasks.get(episode.task, INSTRUCTION).replace(INSTRUCTION, episode.prompt)
+        text = self.tasks.get(episode.task, INSTRUCTION)
+        fruits = sorted((name for name in FRUITS if name in episode.prompt), key=episode.prompt.index)
+        for placeholder, value in (
+            (INSTRUCTION, episode.prompt),
+            ("{fruit_name}", fruits[0] if fruits else ""),
+            ("{fruit_sequence_text}", ", ".join(fruits)),
+        ):
+            text = text.replace(placeholder, value)
         return " ".join(part for part in (self.prefix, text, self.suffix) if part)
 
     def to_json(self) -> dict[str, Json]:
@@ -75,7 +85,8 @@ def prompt_template(
         prompt_preset: name of one of `PRESETS`, of which the other arguments replace parts.
         prompt_prefix: text before each prompt.
         prompt_suffix: text after each prompt.
-        prompts: text by task, or the path of a JSON file with them.
+        prompts: text by task, the path of a JSON file with them, or "kinebench:" and the folder of a clone, whose
+            texts, prefix and negative prompt are used.
         negative_prompt: content to avoid.
 
     Raises:
@@ -84,6 +95,14 @@ def prompt_template(
     if prompt_preset is not None and prompt_preset not in PRESETS:
         raise UsageError(f"$prompt_preset is {prompt_preset!r}, expected {', '.join(map(repr, PRESETS))}")
     base = PromptTemplate() if prompt_preset is None else PRESETS[prompt_preset]
+    if isinstance(prompts, Path) and str(prompts).startswith(_CLONE):
+        if prompt_preset is not None:
+            raise UsageError(
+                f"$prompt_preset {prompt_preset}: {_CLONE} has a prefix and a negative prompt; leave it out"
+            )
+        read = read_prompts(Path(str(prompts).removeprefix(_CLONE)).expanduser())
+        tasks = {task: text for task, text in read.tasks.items() if task in TASKS}
+        base, prompts = PromptTemplate(prefix=read.prefix, negative=read.negative), tasks
     return PromptTemplate(
         prefix=(base.prefix if prompt_prefix is None else prompt_prefix).strip(),
         suffix=(base.suffix if prompt_suffix is None else prompt_suffix).strip(),

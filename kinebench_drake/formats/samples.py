@@ -27,6 +27,8 @@ class Sample:
     model: str | None = None
     seed: int | None = None
     prompt: str | None = None
+    success: bool | None = None
+    """True if the task succeeded according to the file."""
     problem: str | None = None
     """Reason why it cannot be read (a broken manifest line); None if it can be tried."""
 

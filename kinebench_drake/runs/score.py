@@ -11,6 +11,7 @@ from kinebench_drake.camera import CameraSource
 from kinebench_drake.errors import InputError
 from kinebench_drake.formats.videos.find import find_samples
 from kinebench_drake.formats.videos.sample import VideoSample, VideoSamples
+from kinebench_drake.geometry import Array, pose_difference
 from kinebench_drake.grounding.overrides.overrides import Overrides
 from kinebench_drake.io.atomic import write_atomically
 from kinebench_drake.io.container import write_video
@@ -67,6 +68,22 @@ def score_videos(config: ScoreConfig, observer: RunObserver | None = None) -> Ru
 def mean_confidence(track: GripperTrack) -> float | None:
     """Return the mean confidence of the tracked frames; None if there are none."""
     return round(float(track.confidence[track.tracked].mean()), 4) if track.tracked.any() else None
+
+
+def compare_extractors(track: GripperTrack, reference_X_BG: Array | None) -> dict[str, Json]:
+    """Return how far a track is from that of another extractor, over the frames that both have; empty without one."""
+    if reference_X_BG is None:
+        return {}
+    names = ("reference_position_m", "reference_position_p95_m", "reference_rotation_rad")
+    if len(reference_X_BG) != len(track.t_s):
+        return {"reference_share": None, **dict.fromkeys(names)}
+    both = track.tracked & np.isfinite(track.X_BG).all((1, 2)) & np.isfinite(reference_X_BG).all((1, 2))
+    position_m, rotation_rad = pose_difference(track.X_BG[both], reference_X_BG[both])
+    values = [np.median(position_m), np.percentile(position_m, 95), np.median(rotation_rad)] if both.any() else []
+    return {
+        "reference_share": float(both.mean()),
+        **dict(zip(names, map(float, values) if values else [None] * 3, strict=True)),
+    }
 
 
 def plan_videos(config: ScoreConfig, observer: RunObserver | None = None) -> Iterator[SampleRow]:
@@ -148,6 +165,7 @@ class VideoEvaluator(Evaluator[VideoSample, Tools]):
                 "camera_motion_px": grounding.camera_motion_px,
                 "arm_consistency_px": grounding.arm_consistency_px,
                 "anomalies": [anomaly.to_json() for anomaly in grounding.anomalies],
+                **compare_extractors(track, sample.reference_X_BG),
                 **smoothness,
             },
             reasons=reasons,
@@ -199,7 +217,8 @@ class VideoEvaluator(Evaluator[VideoSample, Tools]):
             "depth_exact": self.overrides.depth_exact,
             **({} if self.config.gripper is GripperKind.AUTO else {"gripper": self.config.gripper.value}),
             "scene": [sample.mirrored, sample.table_height_m],
-            "labels": [sample.seed, sample.prompt, sample.fps, sample.frame_period_s, sample.problem],
+            "reference": None if sample.reference_X_BG is None else sample.reference_X_BG.ravel().tolist(),
+            "labels": [sample.success, sample.seed, sample.prompt, sample.fps, sample.frame_period_s, sample.problem],
             "part": [*dataclasses.astuple(sample.part), sample.camera_key, sample.dataset_period_s],
         }
 
@@ -218,6 +237,7 @@ class VideoEvaluator(Evaluator[VideoSample, Tools]):
             "replaced": self._replaced(sample),
             "seed": sample.seed,
             "prompt": sample.prompt,
+            **({} if sample.success is None else {"success": sample.success}),
             **({} if sample.camera_key is None else {"camera_key": sample.camera_key}),
         }
 

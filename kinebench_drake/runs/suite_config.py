@@ -112,7 +112,8 @@ class SuiteConfig(RunConfig):
     prompts: Annotated[
         Path | Mapping[str, str] | None,
         Option(
-            'JSON object of texts by task in place of the instruction; "{prompt}" in a text stands for it.',
+            'JSON object of texts by task in place of the instruction; "{prompt}" in a text stands for it. '
+            "kinebench:FOLDER: the prompts of your clone of KineBench.",
             metavar="FILE",
             key=None,
         ),

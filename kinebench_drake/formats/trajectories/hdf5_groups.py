@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinebench_drake.errors import InputError, cause
+from kinebench_drake.formats.kinebench import H5_FORMAT, list_executed
 from kinebench_drake.formats.maniskill import list_maniskill
 from kinebench_drake.formats.trajectories.table import Column, Table
 from kinebench_drake.formats.trajectories.trajectory import N_JOINTS, TrajectoryFormat, TrajectorySample
@@ -29,6 +30,8 @@ def list_hdf5_trajectories(path: Path, video: str) -> list[TrajectorySample]:
     """List the episodes of a file, called `video` in results, by their numbers, without reading them."""
     try:
         with open_hdf5(path) as file:
+            if file.attrs.get("format") == H5_FORMAT:
+                return list_executed(file, path, video)
             if any(name.startswith("traj_") for name in map(str, file)):
                 return list_maniskill(path, video)
             data = file.get("data")

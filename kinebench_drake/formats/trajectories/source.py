@@ -7,6 +7,7 @@ from pathlib import Path
 
 from kinebench_drake.errors import InputError, UsageError
 from kinebench_drake.formats.folders import describe_ignored, list_suffixes, require_apart, walk
+from kinebench_drake.formats.kinebench import is_summary, open_executed_table
 from kinebench_drake.formats.lerobot.reader import (
     is_lerobot,
     list_lerobot_trajectories,
@@ -39,6 +40,7 @@ _TABLES: Mapping[TrajectoryFormat, Callable[[TrajectorySample], AbstractContextM
     TrajectoryFormat.PARQUET: open_parquet_table,
     TrajectoryFormat.HDF5: open_hdf5_table,
     TrajectoryFormat.MANISKILL: open_hdf5_table,
+    TrajectoryFormat.KINEBENCH: open_executed_table,
     TrajectoryFormat.LEROBOT: open_lerobot_table,
 }
 _FORMATS = {
@@ -204,7 +206,7 @@ def _list_folder(
                 format = TrajectoryFormat.LEROBOT
                 yield TrajectorySample(id=here.name, path=here, video=name, format=format, problem=str(error))
             continue
-        read = [f for f in files if Path(f).suffix.lower() in _FORMATS]
+        read = [f for f in files if Path(f).suffix.lower() in _FORMATS and not is_summary(here / f)]
         about = {Path(f).with_suffix(".json").name for f in read}
         ignored += [here / f for f in files if f not in about.union(read)]
         for name in read:

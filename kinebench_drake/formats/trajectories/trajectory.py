@@ -88,6 +88,7 @@ class TrajectoryFormat(Enum):
     PARQUET = "parquet"
     HDF5 = "hdf5"
     MANISKILL = "maniskill"
+    KINEBENCH = "kinebench"
     LEROBOT = "lerobot"
 
 
@@ -104,8 +105,6 @@ class TrajectorySample(Sample):
     """Frames per second by the metadata of the file [Hz]; None if the file has times."""
     robot: str | None = None
     """Name of the robot by the metadata of the file."""
-    success: bool | None = None
-    """True if the task succeeded according to the file."""
     alike: tuple["TrajectorySample", ...] = ()
     """Some trajectories of its file or dataset, which share one reading; empty if it is alone."""
     warnings: tuple[str, ...] = ()

@@ -9,6 +9,7 @@ from kinebench_drake.camera import Camera, CameraSetting, CameraSource, benchmar
 from kinebench_drake.errors import InputError
 from kinebench_drake.formats.camerafile import CameraLookup
 from kinebench_drake.formats.samples import Sample
+from kinebench_drake.geometry import Array
 from kinebench_drake.io.files import IMAGE_SUFFIXES
 from kinebench_drake.io.video import WHOLE, VideoPart
 from kinebench_drake.track import InitialState
@@ -39,6 +40,8 @@ class VideoSample(Sample):
     """State of the robot in the first frame by the manifest; None if unknown."""
     first_frame: Path | None = None
     """Conditioning image of the video model; None if there is none."""
+    reference_X_BG: Array | None = field(default=None, compare=False, repr=False)
+    """(T, 4, 4) TCP in the robot base frame by another extractor, NaN where it has none [m]; None: there is none."""
 
     def filmed_by(self, setting: CameraSetting | None, source: CameraSource) -> "VideoSample":
         """Return the sample with a named camera; unchanged if `setting` is None."""

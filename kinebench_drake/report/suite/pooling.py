@@ -8,7 +8,8 @@ from itertools import combinations
 from pathlib import Path
 
 from kinebench_drake.errors import UsageError
-from kinebench_drake.io.jsonl import dump
+from kinebench_drake.formats.kinebench import is_run, read_rows
+from kinebench_drake.io.jsonl import Json, dump
 from kinebench_drake.report.run import Run, read_runs
 from kinebench_drake.report.suite.episode_result import EpisodeResult, SuitePart, group_by
 from kinebench_drake.results.row import SampleRow
@@ -70,7 +71,17 @@ def read_suite_runs(paths: Sequence[Path]) -> list[SuiteRun]:
         UsageError: there is none, one is named twice, is broken, unfinished, empty or of another kind of run, or they
             have different schema or suite versions.
     """
-    return [_check_kind(run) for run in read_runs(paths)]
+    others = [path for path in paths if path.is_dir() and is_run(path)]
+    own = [path for path in paths if path not in others]
+    runs = [_check_kind(run) for run in read_runs(own)] if own or not others else []
+    return [*runs, *map(_read_kinebench, others)]
+
+
+def _read_kinebench(path: Path) -> SuiteRun:
+    """Read the outcomes of a run of KineBench; its scenes are its own, so they are a part of their own."""
+    rows = tuple(read_rows(path))
+    header: dict[str, Json] = {"kind": _KIND, "config": {"suite": 0, "split": "kinebench"}}
+    return SuiteRun(path=path, rows=rows, results=header, part=SuitePart(suite=0, split="kinebench"))
 
 
 def _check_kind(run: Run) -> SuiteRun:

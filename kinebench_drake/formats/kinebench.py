@@ -1,0 +1,223 @@
+"""What KineBench writes (https://github.com/minecraft-zzz/KineBench, revision b1f634a): runs, data set, prompts.
+
+    RUN_20260101_120000/TASK-v1/0000/info.json           task, prompt, success, rollouts with the poses of each video
+    RUN_20260101_120000/TASK-v1/0000/attempt_000/generated.mp4
+    RUN_20260101_120000/TASK-v1/0000/trajectory.h5       executed poses; attribute format: kinebench_rollout_v1
+    RUN_20260101_120000/TASK-v1/summary.csv              episode, done, success, error
+    suite0/videos/videos/close_box_61/observation.images.base_camera.mp4
+
+A video of `max_rollouts` attempts is one sample. Its poses are those of a CAD model of the hand in the robot's base
+frame, executed with the TCP `eef_z_offset` further along z. The Python files of a clone are parsed, never run.
+"""
+
+import ast
+import csv
+import io
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from kinebench_drake.errors import InputError, UsageError, cause
+from kinebench_drake.formats.trajectories.table import Column, Table
+from kinebench_drake.formats.trajectories.trajectory import TrajectoryFormat, TrajectorySample
+from kinebench_drake.formats.videos.sample import Search, VideoSample
+from kinebench_drake.geometry import Array, make_pose
+from kinebench_drake.io.files import read_text
+from kinebench_drake.io.hdf5 import DAMAGED, open_hdf5, read_all
+from kinebench_drake.io.jsonl import as_number, as_object, as_type, read_object
+from kinebench_drake.results.row import SampleRow, Status
+
+INFO, SUMMARY = "info.json", "summary.csv"
+PERIOD_S = 0.2
+"""Task time between two frames: `action_repeat` 4 at 20 Hz, the default of all its configurations [s]."""
+H5_FORMAT = "kinebench_rollout_v1"
+_VIDEO = "observation.images.base_camera.mp4"
+_STAMP = re.compile(r"_\d{8}_\d{6}")
+_EPISODE = re.compile(r"\d{4,}", re.ASCII)
+_CASE = re.compile(r"(?P<task>(?P<words>\w+?)(?:_(?P<version>v\d))?)_(?P<number>\d+)", re.ASCII)
+_OPEN_M = 0.08
+_MAX_BYTES = 2**28
+_TASKS = {"pickfruits": "PickFruits-v1", "storefruitbox": "StoreFruitsBox-v1", "lift_peg": "LiftPegUpright-v1"}
+"""Tasks whose names in the data set differ in more than spelling."""
+
+
+def is_kinebench(folder: Path) -> bool:
+    """Return whether a folder is an episode of a run or of the data set."""
+    is_episode = bool(_EPISODE.fullmatch(folder.resolve().name)) and (folder / INFO).is_file()
+    return is_episode or (bool(_CASE.fullmatch(folder.resolve().name)) and (folder / _VIDEO).is_file())
+
+
+def list_kinebench(folder: Path, search: Search) -> list[VideoSample]:
+    """List the generated videos of an episode, or the video of a case of the data set.
+
+    Raises:
+        InputError: info.json is damaged.
+        UsageError: a camera.json is unusable.
+    """
+    if case := _CASE.fullmatch(folder.resolve().name):
+        words = "".join(word.capitalize() for word in case["words"].split("_"))
+        task = _TASKS.get(case["task"], f"{words}-{case['version'] or 'v1'}")
+        sample = replace(search.part_sample(folder / _VIDEO), id=case[0], dataset_period_s=PERIOD_S, task=task)
+        return [replace(sample, seed=int(case["number"]))]
+    info, samples = read_object(folder / INFO), []
+    names = [folder.resolve().parents[1].name, folder.resolve().parent.name, folder.resolve().name]
+    for rollout in _rollouts(info):
+        attempt = as_type(rollout.get("attempt_dir"), str) or ""
+        video = folder / Path(attempt).name / "generated.mp4"
+        labels = replace(
+            search.part_sample(video),
+            id="-".join([*names[1:], attempt]),
+            task=as_type(info.get("env_id"), str),
+            model=_STAMP.sub("", names[0]),
+            prompt=as_type(info.get("prompt"), str),
+            dataset_period_s=PERIOD_S,
+            success=as_type(rollout.get("success"), bool),
+            reference_X_BG=_executed_poses(as_object(rollout.get("action_meta"))),
+        )
+        missing = None if video.is_file() else f"{attempt} holds no generated.mp4: run with output.save_generated: true"
+        samples.append(replace(labels, problem=missing))
+    return samples
+
+
+def _rollouts(info: Mapping[str, object]) -> list[Mapping[str, object]]:
+    rollouts = info.get("rollouts")
+    return [as_object(rollout) for rollout in rollouts] if isinstance(rollouts, list) else []
+
+
+def _executed_poses(meta: Mapping[str, object]) -> Array | None:
+    """Return the TCP poses (T, 4, 4) that were executed; None without valid poses."""
+    try:
+        pose7 = np.array(meta.get("pose7"), dtype=np.float64).reshape(-1, 7)
+        X = make_pose(Rotation.from_quat(pose7[:, 3:], scalar_first=True).as_matrix(), pose7[:, :3])
+    except (TypeError, ValueError):
+        return None
+    offset = np.array([0.0, 0.0, as_number(meta.get("eef_z_offset")) or 0.0])
+    X[:, :3, 3] += offset if meta.get("eef_offset_frame") == "world" else X[:, :3, :3] @ offset
+    return X
+
+
+def is_run(folder: Path) -> bool:
+    """Return whether a folder is a run: it holds tasks with episodes or summaries."""
+    return any(folder.glob(f"*/[0-9]*/{INFO}")) or any(folder.glob(f"*/{SUMMARY}"))
+
+
+def is_summary(path: Path) -> bool:
+    """Return whether a file is the summary of a task of a run."""
+    return path.name == SUMMARY and is_run(path.parent.parent)
+
+
+def read_rows(folder: Path) -> list[SampleRow]:
+    """Read the outcomes of a run: of each task from the info.json of its episodes, else from its summary.csv.
+
+    Raises:
+        UsageError: a file is damaged.
+    """
+    rows = []
+    try:
+        for task in sorted(path for path in folder.iterdir() if path.is_dir()):
+            infos = [read_object(path) for path in sorted(task.glob(f"[0-9]*/{INFO}"))]
+            if not infos and (task / SUMMARY).is_file():
+                lines = csv.DictReader(io.StringIO(read_text(task / SUMMARY)))
+                infos = [{**line, "success": (line.get("success") or "").lower() == "true"} for line in lines]
+            rows += [_row(task, number, info) for number, info in enumerate(infos)]
+    except (OSError, ValueError, csv.Error, InputError) as error:
+        raise UsageError(f"{folder}: {cause(error) if isinstance(error, OSError) else error}") from None
+    return rows
+
+
+def _row(task: Path, number: int, info: Mapping[str, object]) -> SampleRow:
+    seed = as_type(info.get("episode"), int)
+    name = f"{task.name}-{number if seed is None else seed:04d}"
+    error = as_type(info.get("error"), str) or None
+    rounds = as_type(info.get("num_rollouts"), int)
+    return SampleRow(
+        id=name,
+        video=name,
+        task=as_type(info.get("env_id"), str) or task.name,
+        model=_STAMP.sub("", task.resolve().parent.name),
+        status=Status.ERROR if error else Status.OK,
+        reason=error,
+        content_hash="",
+        extra={"success": info.get("success") is True, "rounds": rounds, "seed": number if seed is None else seed},
+    )
+
+
+def list_executed(file: h5py.File, path: Path, video: str) -> list[TrajectorySample]:
+    """List the attempts of an open trajectory.h5, called `video` in results."""
+    names = sorted((n for n in map(str, file) if n.startswith("traj_")), key=lambda n: (len(n), n))
+    task, prompt = (str(file.attrs.get(name) or "") or None for name in ("env_id", "prompt"))
+    about = TrajectorySample(
+        id=path.stem, path=path, video=video, format=TrajectoryFormat.KINEBENCH, rate_hz=1.0 / PERIOD_S, task=task
+    )
+    return [replace(about, id=f"{path.stem}-{n}", video=f"{video}#{n}", part=n, prompt=prompt) for n in names]
+
+
+@contextmanager
+def open_executed_table(sample: TrajectorySample) -> Iterator[Table]:
+    """Open the commands of an attempt: TCP poses from x, y, z and Euler angles XYZ, and the label of the gripper.
+
+    Raises:
+        InputError: the file is damaged.
+    """
+    try:
+        with open_hdf5(sample.path) as file:
+            data = file[f"{sample.part}/actions"]
+            if not isinstance(data, h5py.Dataset):
+                raise InputError(f"{sample.part}/actions is a group, expected a data set")
+            actions = np.asarray(read_all(data, _MAX_BYTES), dtype=np.float64).reshape(-1, 7)
+    except DAMAGED as error:
+        raise InputError(f"{sample.part} cannot be read ({cause(error)})") from None
+    arrays: dict[str, NDArray[np.generic]] = {
+        "base_from_tcp": make_pose(Rotation.from_euler("XYZ", actions[:, 3:6]).as_matrix(), actions[:, :3]),
+        "finger_width_m": np.where(actions[:, 6] > 0.0, _OPEN_M, 0.0),
+    }
+    columns = tuple(Column(name=name, size=array[0].size) for name, array in arrays.items())
+    yield Table(columns=columns, load=arrays.__getitem__, rate_hz=sample.rate_hz)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Prompts:
+    """Texts that a clone of KineBench sends to world models."""
+
+    prefix: str
+    """Its visual lock."""
+    tasks: Mapping[str, str]
+    """Text by task, with `{fruit_name}` and `{fruit_sequence_text}` in those with fruits."""
+    negative: str
+
+
+def read_prompts(folder: Path) -> Prompts:
+    """Read the prompts of a clone.
+
+    Raises:
+        UsageError: the folder is no clone.
+    """
+    texts: dict[str, object] = {}
+    for name in ("tasks.py", "eval/evaluator.py"):
+        try:
+            statements: Sequence[ast.stmt] = ast.parse(read_text(folder / "kinebench" / name)).body
+        except (OSError, ValueError, SyntaxError, RecursionError) as error:
+            raise UsageError(f"$prompts kinebench:{folder}: kinebench/{name}: {cause(error)}") from None
+        for statement in statements:
+            targets = statement.targets if isinstance(statement, ast.Assign) else [getattr(statement, "target", None)]
+            value = getattr(statement, "value", None)
+            if isinstance(targets[0], ast.Name) and isinstance(value, ast.expr):
+                try:
+                    texts[targets[0].id] = ast.literal_eval(value)
+                except (ValueError, TypeError, SyntaxError, RecursionError):
+                    continue
+    tasks = texts.get("TASK_PROMPTS")
+    prefix, negative = (as_type(texts.get(name), str) for name in ("VISUAL_LOCK_PREFIX", "NEGATIVE_PROMPT"))
+    if not isinstance(tasks, dict) or prefix is None or negative is None:
+        raise UsageError(
+            f"$prompts kinebench:{folder}: expected a clone of KineBench with TASK_PROMPTS, VISUAL_LOCK_PREFIX and "
+            "NEGATIVE_PROMPT"
+        )
+    return Prompts(prefix=prefix, tasks=tasks, negative=negative)
