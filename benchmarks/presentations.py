@@ -42,6 +42,8 @@ class Presentation(Enum):
     PLAIN = "plain"
     """Without a camera."""
     MIRRORED = "mirrored"
+    ROWS_REVERSED = "rows_reversed"
+    """As MuJoCo's raw images are."""
     UPSIDE_DOWN = "upside_down"
     TURNED = "turned"
     """By 90 degrees to the left."""
@@ -88,6 +90,7 @@ class Presentation(Enum):
 _PICTURES = {
     Presentation.MIRRORED: Reading.MIRRORED,
     Presentation.NAMED_MIRRORED: Reading.MIRRORED,
+    Presentation.ROWS_REVERSED: Reading.ROWS_REVERSED,
     Presentation.UPSIDE_DOWN: Reading.UPSIDE_DOWN,
     Presentation.TURNED: Reading.TURNED_LEFT,
 }
@@ -128,6 +131,8 @@ class Outcome:
     """Why there is no base frame, or no track."""
     agreement: float | None = None
     reading: str | None = None
+    name: str | None = None
+    """Name of the camera that was recognized."""
     tracked: float = 0.0
     """Share of the frames."""
     position_m: float | None = None
@@ -179,6 +184,7 @@ class TrialWorker:
             reason=choice.reason or result.unmeasurable,
             agreement=choice.agreement,
             reading=None if choice.reading is None else choice.reading.reading.value,
+            name=None if choice.named is None else choice.named.name,
             tracked=round(float(track.tracked.mean()), 4),
             position_m=float(np.median(position_m[compared])) if compared.any() else None,
             rotation_rad=float(np.median(rotation_rad[compared])) if compared.any() else None,
@@ -214,10 +220,22 @@ def summary_table(outcomes: Sequence[Outcome]) -> list[str]:
             else "-"
         )
         counts = [str(sum(o.verdict is verdict for o in own)) for verdict in Verdict]
-        named = str(sum(o.reading is not None for o in own))
+        named = [
+            str(sum(entry is not None for entry in entries))
+            for entries in ([o.name for o in own], [o.reading for o in own])
+        ]
         cpu = f"{np.median([o.cpu_s for o in own]):.0f}"
-        rows.append([presentation.value.replace("_", " "), str(len(own)), *counts, named, error, turn, cpu])
-    head = ("presented", "videos", *(v.value for v in Verdict), "reading named", "TCP [mm]", "[degrees]", "time [s]")
+        rows.append([presentation.value.replace("_", " "), str(len(own)), *counts, *named, error, turn, cpu])
+    head = (
+        "presented",
+        "videos",
+        *(v.value for v in Verdict),
+        "recognized",
+        "reading named",
+        "TCP [mm]",
+        "[degrees]",
+        "time [s]",
+    )
     return table(head, rows)
 
 
@@ -232,7 +250,7 @@ def outcome_table(outcomes: Sequence[Outcome]) -> list[str]:
             o.id,
             o.presentation.replace("_", " "),
             o.verdict.value,
-            o.state,
+            o.state if o.name is None else f"{o.state} {o.name}",
             number(o.agreement, digits=2),
             f"{o.tracked:.0%}",
             number(o.position_m, 1e3, 1),

@@ -4,8 +4,10 @@ from functools import cached_property
 
 from kinebench_drake.grounding.camera.check import CameraChecker
 from kinebench_drake.grounding.camera.estimate import CameraEstimator
+from kinebench_drake.grounding.camera.recognition import Recognition, recognize
 from kinebench_drake.grounding.pipeline import GroundingPipeline
 from kinebench_drake.grounding.tracking.estimator import NetworkEstimator
+from kinebench_drake.io.frames import Frames
 from kinebench_drake.models.panda.robot import GripperKind
 from kinebench_drake.models.perception.network import ARM_WEIGHTS, load_network
 
@@ -43,6 +45,10 @@ class GroundingParts:
     def cameras(self) -> CameraEstimator:
         """Estimation of cameras."""
         return CameraEstimator(self._estimator)
+
+    def recognize(self, frames: Frames) -> Recognition | None:
+        """Return the camera of frames (T, H, W, 3) among those known by name; None if the arm confirms none."""
+        return recognize(frames, self.checker)
 
     @cached_property
     def checker(self) -> CameraChecker:

@@ -26,10 +26,11 @@ class Clip:
     is_view: bool = False
     """True if the camera takes that image, from which the view of the first frame may differ."""
 
-    def mirrored(self) -> Self:
-        """Return the clip turned left-right."""
-        image = None if self.conditioning is None else np.ascontiguousarray(self.conditioning[:, ::-1])
-        return replace(self, frames=self.frames[:, :, ::-1], conditioning=image)
+    def flipped(self, *, rows: bool = False, columns: bool = False) -> Self:
+        """Return the clip with its rows or columns reversed; columns reversed is mirrored."""
+        order = slice(None, None, -1 if rows else 1), slice(None, None, -1 if columns else 1)
+        image = None if self.conditioning is None else np.ascontiguousarray(self.conditioning[order])
+        return replace(self, frames=self.frames[:, *order], conditioning=image)
 
 
 class InitialStateUse(Enum):

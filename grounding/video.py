@@ -35,7 +35,7 @@ class Grounder:
 
         Args:
             clip: frames and their times.
-            camera: the named camera; None: the benchmark's if the arm confirms it, else an estimated one, else none.
+            camera: the named camera; None: one known by name if the arm confirms it, else an estimated one, else none.
             priors: quantities that replace estimates, or their source.
             source: source of the named camera.
             gripper: gripper of the robot.
@@ -47,7 +47,7 @@ class Grounder:
             SetupError: weights or libraries are missing.
         """
         if camera is not None and camera.mirrored:
-            clip = clip.mirrored()
+            clip = clip.flipped(columns=True)
         height_m = None if camera is None else camera.table_height_m
         height_m = self._table_height_m if height_m is None else height_m
         run = CameraChooser(self._parts, clip, priors, gripper, height_m)

@@ -171,6 +171,8 @@ class CameraSource(Enum):
     BENCHMARK = "benchmark"
     OPTION = "option"
     """File of the command line, which precedes all."""
+    RECOGNIZED = "recognized"
+    """Another one that is known by name, recognized by the arm."""
     ESTIMATED = "estimated"
     """Estimated from the arm."""
     NONE = "none"

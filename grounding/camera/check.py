@@ -18,7 +18,7 @@ from kinebench_drake.grounding.camera.candidate import (
     CandidateFitter,
 )
 from kinebench_drake.grounding.camera.detections import PART_CELLS, ArmDetections, find_robot
-from kinebench_drake.grounding.camera.hypotheses import ChainSearch
+from kinebench_drake.grounding.camera.hypotheses import ChainSearch, Hypothesis
 from kinebench_drake.grounding.camera.lens import Lens, with_focal
 from kinebench_drake.grounding.camera.reading import BetterReading, Reading
 from kinebench_drake.grounding.pipeline import PipelineResult
@@ -89,15 +89,6 @@ class CameraChecker:
         """Check with the dense estimates of `estimator`."""
         self._estimator, self._fitter = estimator, fitter
 
-    def measure_agreement(self, frames: Frames, camera: Camera) -> float | None:
-        """Return the share of the arm's contours that lies on image edges if the camera is the right one.
-
-        The postures are fitted, the camera is kept; median over the frames. None if hand and arm are seen in fewer than
-        `MIN_FRAMES` of the frames searched.
-        """
-        detections = self._detect(frames, camera, _CHECKED, _CHECK_SEARCHED)
-        return None if detections is None else self._agreement(detections, frames, camera)
-
     def track_agreement(self, frames: Frames, camera: Camera, result: PipelineResult) -> float | None:
         """Return the share of the contours of hand and arm on image edges in the postures of a track; None without any.
 
@@ -125,7 +116,7 @@ class CameraChecker:
         It has to reach the agreement `least`, besides being better than frames and camera as they are by `CLEARLY`.
         """
         frames = frames[evenly(len(frames), _READ_SEARCHED)]
-        unread = self._detect(frames, camera, _READ, _READ_SEARCHED)
+        unread = self.detect(frames, camera, _READ, _READ_SEARCHED)
         own = self._agreement(unread, frames, camera)
         shares: list[tuple[float, Reading, Camera]] = []
         for reading in readings:
@@ -138,21 +129,28 @@ class CameraChecker:
                 lens = reading.camera(camera).resized(picture.shape[2], picture.shape[1])
             except UsageError:  # a picture that is not square, on its side
                 continue
-            turned = unread if picture is frames else self._detect(picture, lens, _READ, _READ_SEARCHED)
+            turned = unread if picture is frames else self.detect(picture, lens, _READ, _READ_SEARCHED)
             shares.append((self._agreement(turned, picture, lens), reading, lens))
-        better, reading, lens = max(shares, key=lambda share: share[0])
+        better, reading, lens = max(shares, key=lambda share: share[0], default=(0.0, Reading.CROPPED, camera))
         if better < max(least, own + CLEARLY):
             return None
         return BetterReading(reading=reading, agreement=own, better=better, camera=lens)
 
-    def _detect(self, frames: Frames, camera: Camera, used: int, searched: int) -> ArmDetections | None:
-        """Return the robot in at most `used` of the frames `searched`; None if too few show hand and arm."""
+    def detect(
+        self, frames: Frames, camera: Camera, used: int = _CHECKED, searched: int = _CHECK_SEARCHED
+    ) -> ArmDetections | None:
+        """Return the robot in at most `used` of the frames `searched`; None if too few show hand and arm.
+
+        Of the camera only the size matters, and the focal length a little.
+        """
         detections = find_robot(self._estimator, frames, camera, used, searched=searched)
         return None if detections is None or len(detections.rows) < MIN_FRAMES else detections
 
     def _agreement(self, detections: ArmDetections | None, frames: Frames, camera: Camera) -> float:
         """Return the agreement of the arm that is detected in frames (T, H, W, 3) with their camera; 0 without any."""
-        fixed = None if detections is None else self._fit_postures(detections, frames[detections.rows], camera)
+        if detections is None:
+            return 0.0
+        fixed = self.fit_postures(detections, frames, self.explain(detections, camera))
         return 0.0 if fixed is None else fixed.agreement
 
     def _fit_crop(self, detections: ArmDetections, frames: Frames, camera: Camera) -> Candidate | None:
@@ -202,18 +200,17 @@ class CameraChecker:
         Focal lengths within a factor of 1.6 are tried at the place of the camera, and both are then fitted. The arm has
         to agree with the result, in all frames that show it.
         """
-        detections = self._detect(frames, camera, _CHECKED + 1, 2 * _CHECK_SEARCHED)
+        detections = self.detect(frames, camera, _CHECKED + 1, 2 * _CHECK_SEARCHED)
         if detections is None:
             return None
-        frames = frames[detections.rows]
-        fixed = self._fit_postures(detections, frames, camera)
+        fixed = self.fit_postures(detections, frames, self.explain(detections, camera))
         # Where no posture explains the hand, its detection is wrong, which says nothing about the camera.
         if fixed is None or fixed.agreement >= _SUFFICIENT:
             return None
         own = Lens.of_camera(camera)
         prior = Prior(lens=own, log_focal_sigma=LOG_FOCAL_SIGMA)
         trials = [(replace(own, camera=with_focal(camera, zoom * camera.fx)), prior) for zoom in _ZOOMS]
-        best = self._fit_best(detections, frames, trials, _LEAST_EXPLAINED * len(detections.rows))
+        best = self._fit_best(detections, frames[detections.rows], trials, _LEAST_EXPLAINED * len(detections.rows))
         if best is None or best.agreement < max(CONTRADICTING, fixed.agreement + CLEARLY):
             return None
         X_CB = best.scene.lens.X_CB
@@ -231,14 +228,27 @@ class CameraChecker:
             gripper_rad=float(np.median(turned_rad)),
         )
 
-    def _fit_postures(self, detections: ArmDetections, frames: Frames, camera: Camera) -> Candidate | None:
-        """Return postures that explain the robot detected in `frames` with a camera; None if they explain too few."""
-        lens = Lens.of_camera(camera)
+    def explain(self, detections: ArmDetections, camera: Camera) -> Hypothesis:
+        """Return the postures by which a camera explains the cells of a robot that is detected."""
         search = ChainSearch(detections.cells, detections.finger_m, self._fitter.model)
-        start = self._fitter.start(detections, search.explain(lens))
+        return search.explain(Lens.of_camera(camera))
+
+    def fit_postures(self, detections: ArmDetections, frames: Frames, hypothesis: Hypothesis) -> Candidate | None:
+        """Return the postures of a hypothesis fitted to contours in frames (T, H, W, 3), its camera kept.
+
+        None if it explains too few of the frames in which the robot is detected.
+        """
+        start, lens = self._fitter.start(detections, hypothesis), hypothesis.lens
         if start is None:
             return None
-        images = self._fitter.images(frames[start.rows], camera)
+        images = self._fitter.images(frames[detections.rows[start.rows]], lens.camera)
         prior = Prior(lens=lens, log_focal_sigma=0.0, place_free=False)
         scene, _ = self._fitter.fit_contours(start, images, prior, _PASSES)
         return replace(start, scene=scene, agreement=float(np.median(images.agreement(scene))))
+
+    def freed_agreement(self, frames: Frames, fit: Candidate) -> float:
+        """Return the agreement after a fit of the place of the camera as well, in the frames (T, H, W, 3) of a fit."""
+        lens = fit.scene.lens
+        images = self._fitter.images(frames, lens.camera)
+        scene, _ = self._fitter.fit_contours(fit, images, Prior(lens=lens, log_focal_sigma=0.0), MIDDLE)
+        return float(np.median(images.agreement(scene)))

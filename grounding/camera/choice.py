@@ -9,11 +9,14 @@ import numpy as np
 
 from kinebench_drake.camera import CONFIRMED, Camera, CameraSource, benchmark_camera
 from kinebench_drake.errors import UnmeasurableError
+from kinebench_drake.formats.camerafile import BENCHMARK
 from kinebench_drake.geometry import Array
 from kinebench_drake.grounding.camera.estimate import usual_camera
 from kinebench_drake.grounding.camera.evidence import AGREEMENT, CameraChoice, check_named, find_reading
 from kinebench_drake.grounding.camera.framing import Framing, apply_framing
 from kinebench_drake.grounding.camera.framing_search import find_framing
+from kinebench_drake.grounding.camera.reading import BetterReading, Reading
+from kinebench_drake.grounding.camera.recognition import LEAST_AGREEMENT, Recognition
 from kinebench_drake.grounding.parts import GroundingParts
 from kinebench_drake.grounding.pipeline import PipelineResult
 from kinebench_drake.grounding.priors import Clip, Priors
@@ -83,7 +86,10 @@ class CameraChooser:
         return hand
 
     def ground_unnamed(self) -> GroundingResult:
-        """Ground with the benchmark camera if the arm confirms it, else with an estimated one, else without any."""
+        """Ground with a camera known by name if the arm confirms it, else with an estimated one, else without any.
+
+        The benchmark camera is tried by the track itself, before any other is looked for.
+        """
         benchmark = CameraChoice(camera=benchmark_camera(), source=CameraSource.BENCHMARK)
         if self._seeks_other:
             flange = self._confirmed_arm(self._view(benchmark))
@@ -94,14 +100,22 @@ class CameraChooser:
                 )
             return flange
         view: _View | None = None
+        assumed: GroundingResult | None = None
         with suppress(UnmeasurableError):  # the shape of the video is not that of the benchmark camera's image
             view = self._view(benchmark)
-        against = "the shape of the video is not that of the benchmark camera"
         if view is not None:
             assumed = self._ground_as_assumed(view)
             if assumed.choice.reason is None or assumed.choice.reading is not None:
                 return assumed
-            against = assumed.choice.reason
+        recognition = self.parts.recognize(self.clip.frames if view is None else view.frames)
+        if recognition is not None and recognition.is_usual:
+            return self._ground_recognized(recognition)
+        if assumed is not None and view is not None:
+            reading = None if recognition is None else recognition.as_better_reading(assumed.choice.agreement or 0.0)
+            least = max(CONFIRMED, assumed.choice.agreement or 0.0)
+            reading = reading or self.parts.checker.find_reading(view.frames, view.camera, least, (Reading.CROPPED,))
+            if reading is not None:
+                return view.result(assumed, _misread(assumed.choice, reading))
         usual = usual_camera(self.clip.frames.shape[2], self.clip.frames.shape[1])
         hands, searched = self.parts.checker.count_hands(self.clip.frames, usual)
         if not hands and view is not None and (arm := self._confirmed_arm(view)) is not None:
@@ -111,12 +125,29 @@ class CameraChooser:
                 f"no Franka hand is found in any of {searched} frames searched, whatever the camera; is the robot in "
                 "view? With another gripper name the camera (camera.json)"
             )
-        return self._ground_estimated(usual, against)
+        against = None if assumed is None else assumed.choice.reason
+        return self._ground_estimated(usual, against or "the arm confirms none that is known by name")
+
+    def _ground_recognized(self, recognition: Recognition) -> GroundingResult:
+        """Ground with a camera that is recognized; without a base frame unless the arm of the track confirms it."""
+        named = recognition.named
+        source = CameraSource.BENCHMARK if named.name == BENCHMARK else CameraSource.RECOGNIZED
+        view = self._view(
+            CameraChoice(camera=recognition.camera, source=source, named=named, shown=recognition.reading)
+        )
+        measured = self._ground_hand(view)
+        agreement = self.parts.checker.track_agreement(view.frames, view.camera, measured)
+        reason = None
+        if agreement is None or agreement < LEAST_AGREEMENT:
+            reason = (
+                f"the base frame is unknown: the track does not confirm the camera {named.name} ({_share(agreement)})"
+            )
+        return view.result(measured, replace(view.choice, agreement=agreement, reason=reason))
 
     def _ground_estimated(self, usual: Camera, against: str) -> GroundingResult:
         """Ground with a camera estimated from the arm; without a base frame unless it is determined and confirmed.
 
-        Without an estimate the camera is the `usual` one; `against` says what speaks against the benchmark camera.
+        Without an estimate the camera is the `usual` one; `against` says what speaks against those known by name.
         """
         estimate: CameraEstimate | None = None
         try:
@@ -145,29 +176,19 @@ class CameraChooser:
         return view.result(measured, replace(choice, agreement=agreement, reading=reading, reason=reason))
 
     def _ground_as_assumed(self, view: _View) -> GroundingResult:
-        """Track with the benchmark camera; without a base frame unless the arm confirms the camera.
+        """Track with the benchmark camera; without a base frame unless the arm of a familiar look confirms the camera.
 
         Where edges contradict the camera poses are not refined, since another one is likely.
         """
-        checker, pictures = self.parts.checker, (view.frames, view.camera)
         measured = self._ground_hand(replace(view, priors=replace(view.priors, camera_is_assumed=True)))
-        agreement = checker.track_agreement(*pictures, measured)
-        if measured.domain is not Domain.FAMILIAR:
-            agreement = checker.measure_agreement(*pictures)
-            if agreement is not None and agreement >= CONFIRMED:
-                measured = self._ground_hand(view)
-                agreement = checker.track_agreement(*pictures, measured)
-        reading = find_reading(*pictures, agreement, checker)
-        reason = None
-        if reading is not None:
-            described = reading.describe()
-            reason = f"the base frame is unknown: no camera is named, and with the benchmark camera {described}"
-        elif agreement is None or agreement < CONFIRMED:
-            reason = (
-                f"the arm does not confirm the benchmark camera ({_share(agreement)}, at least {CONFIRMED:.0%} are "
-                "needed)"
-            )
-        return view.result(measured, replace(view.choice, agreement=agreement, reading=reading, reason=reason))
+        agreement = self.parts.checker.track_agreement(view.frames, view.camera, measured)
+        choice = replace(view.choice, agreement=agreement)
+        if measured.domain is not Domain.FAMILIAR or agreement is None or agreement < CONFIRMED:
+            bound = f"at least {CONFIRMED:.0%} are needed"
+            reason = f"the arm does not confirm the benchmark camera ({_share(agreement)}, {bound})"
+            return view.result(measured, replace(choice, reason=reason))
+        reading = find_reading(view.frames, view.camera, agreement, self.parts.checker)
+        return view.result(measured, choice if reading is None else _misread(choice, reading))
 
     def _confirmed_arm(self, view: _View) -> GroundingResult | None:
         """Track the flange with the benchmark camera; None if its arm does not confirm the camera."""
@@ -194,7 +215,8 @@ class CameraChooser:
         Raises:
             UnmeasurableError: the shape of the video differs from that of the camera's image, and nothing explains it.
         """
-        clip, camera = self.clip, choice.camera
+        camera, shown = choice.camera, choice.shown
+        clip = self.clip.flipped(rows=shown is Reading.ROWS_REVERSED, columns=shown is Reading.MIRRORED)
         framing = find_framing(clip.frames, camera, clip.conditioning, choice.source)
         priors = self.priors
         if not isinstance(priors, Priors):
@@ -202,8 +224,13 @@ class CameraChooser:
         priors = replace(
             priors.crop(*framing.window),
             camera_is_fitted=choice.source in (CameraSource.ESTIMATED, CameraSource.NONE),
-            table_height_m=self.table_height_m,
+            table_height_m=self.table_height_m if choice.table_height_m is None else choice.table_height_m,
         )
+        if shown is not None and priors.replaces_stage:
+            raise UnmeasurableError(
+                f"the pictures are {shown.value.replace('_', ' ')}, as those of the camera are published, but masks, "
+                "depth or poses are of the frames as they are: turn all of them first"
+            )
         if clip.is_view and clip.conditioning is not None:
             priors = replace(priors, image=apply_framing(framing, clip.conditioning))
         return _View(
@@ -237,6 +264,13 @@ class CameraChooser:
             if not arm.track.confidence.any():  # contours of a gripper are sought where there is an arm
                 break
         return None
+
+
+def _misread(choice: CameraChoice, reading: BetterReading) -> CameraChoice:
+    """Return the choice of the benchmark camera for a picture that has to be read in another way."""
+    described = reading.describe()
+    reason = f"the base frame is unknown: no camera is named, and with the benchmark camera {described}"
+    return replace(choice, reading=reading, reason=reason)
 
 
 def _share(agreement: float | None) -> str:

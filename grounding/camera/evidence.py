@@ -4,6 +4,7 @@ from dataclasses import dataclass, replace
 
 from kinebench_drake.camera import CONFIRMED, Camera, CameraSource, CameraState
 from kinebench_drake.errors import name_options
+from kinebench_drake.formats.camerafile import NamedCamera
 from kinebench_drake.grounding.camera.camera_estimate import CameraEstimate
 from kinebench_drake.grounding.camera.check import CameraChecker, CameraContradiction
 from kinebench_drake.grounding.camera.reading import BetterReading, Reading
@@ -29,6 +30,10 @@ class CameraChoice:
     source: CameraSource
     agreement: float | None = None
     """Share of the contours of hand and arm on image edges in the postures of the track; None if none was fitted."""
+    named: NamedCamera | None = None
+    """Camera by name, where the arm is to confirm it."""
+    shown: Reading | None = None
+    """How its picture is turned before it is measured; None: not at all."""
     estimate: CameraEstimate | None = None
     """Estimated camera; None if none was estimated."""
     contradiction: CameraContradiction | None = None
@@ -47,10 +52,19 @@ class CameraChoice:
             return CameraState.NAMED
         return CameraState.ESTIMATED if self.source is CameraSource.ESTIMATED else CameraState.CONFIRMED
 
+    @property
+    def table_height_m(self) -> float | None:
+        """Height of the table top in the robot base frame by the camera's name [m]; None if it is unknown."""
+        return None if self.named is None else self.named.setting.table_height_m
+
     def to_json(self) -> dict[str, Json]:
         """Serialize into keys of the row."""
         source = self.source if self.source.is_named or self.reason is None else CameraSource.NONE
         data: dict[str, Json] = {"camera_source": source.value, "camera_state": self.state.value}
+        if self.named is not None:
+            data["camera_name"] = self.named.name
+        if self.shown is not None:
+            data["camera_shown"] = self.shown.value
         if self.agreement is not None:
             data["camera_agreement"] = round(self.agreement, 4)
         for key, part in (

@@ -5,7 +5,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from enum import Enum
 
-from kinebench_drake.camera import CONFIRMED, CameraState
+from kinebench_drake.camera import CONFIRMED, CameraSource, CameraState
 from kinebench_drake.errors import count_noun
 from kinebench_drake.io.jsonl import Json, as_object
 from kinebench_drake.track import Domain
@@ -54,9 +54,9 @@ class Trust:
 def assess_trust(extra: Mapping[str, Json], metrics: Mapping[str, Json], period: str, *, is_measured: bool) -> Trust:
     """Assess a video by the keys and metrics of its row.
 
-    `extra` has `camera_state`, `camera_agreement`, `domain`, `frames` and `frame_period_source`, `metrics` has
-    `tracked_fraction` and `confidence_mean`; `period` is the frame period and its source, in words, `is_measured`
-    whether the row has results.
+    `extra` has `camera_state`, `camera_source`, `camera_agreement`, `domain`, `frames` and `frame_period_source`,
+    `metrics` has `tracked_fraction` and `confidence_mean`; `period` is the frame period and its source, in words,
+    `is_measured` whether the row has results.
     """
     state, agreement, domain = extra.get("camera_state"), extra.get("camera_agreement"), extra.get("domain")
     tracked, confidence, frames = metrics.get("tracked_fraction"), metrics.get("confidence_mean"), extra.get("frames")
@@ -80,7 +80,8 @@ def assess_trust(extra: Mapping[str, Json], metrics: Mapping[str, Json], period:
         "the flange is measured without a hand": domain == Domain.ARM.value,
         "the benchmark camera fits, but the frame period is not the benchmark's 0.2 s": extra.get("frame_period_source")
         == _FILE_RATE
-        and state == CameraState.CONFIRMED.value,
+        and state == CameraState.CONFIRMED.value
+        and extra.get("camera_source") == CameraSource.BENCHMARK.value,
     }
     has_base = state != CameraState.NONE.value
     unknown = {"the base frame is unknown": not has_base, "the track is not trusted": not is_measured}

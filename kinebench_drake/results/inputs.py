@@ -44,6 +44,7 @@ _CAMERAS: Mapping[str, str] = {
     "benchmark": "the benchmark's",
     "option": "from --camera",
     "auto": "one known by name where the arm confirms it, else estimated from the arm",
+    "recognized": "known by name, recognized by the arm",
     "estimated": "estimated from the arm",
     "none": "unknown, there is no base frame",
 }

@@ -211,7 +211,7 @@ def row_warnings(rows: Sequence[SampleRow]) -> list[str]:
         ),
         (
             count("camera_state", CameraState.CONFIRMED),
-            "no camera is named for {}: the arm confirms the benchmark's",
+            "no camera is named for {}: the arm confirms one that is known by name",
         ),
         (
             count("camera_state", CameraState.ESTIMATED),

@@ -140,7 +140,8 @@ class VideoEvaluator(Evaluator[VideoSample, Tools]):
         )  # fmt: skip
         draws_hand, judges = grounding.domain is not Domain.ARM, config.kind.judges and grounding.unmeasurable is None
         track, path, reason = grounding.visible_track, grounding.camera_path, grounding.choice.reason
-        kinematics = tools.judge(track, sample.table_height_m) if judges and reason is None else None
+        height_m = sample.table_height_m if sample.camera_source.is_named else grounding.choice.table_height_m
+        kinematics = tools.judge(track, height_m) if judges and reason is None else None
         smoothness: Mapping[str, Json] = {}
         reasons: Mapping[str, str] = {}
         if judges and reason is not None:
@@ -187,7 +188,7 @@ class VideoEvaluator(Evaluator[VideoSample, Tools]):
                 "clip_frames": len(video.frames),
                 **({"surplus_frames": video.surplus} if video.surplus else {}),
                 **({} if path is None else {"camera_path": path.to_json()}),
-                **({} if sample.table_height_m is None else {"table_height_m": sample.table_height_m}),
+                **({} if height_m is None else {"table_height_m": height_m}),
                 **({"mirrored": True} if sample.mirrored else {}),
                 **grounding.choice.to_json(),
             },

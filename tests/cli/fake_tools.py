@@ -50,6 +50,7 @@ class FakeChoice:
     reason: str | None = None
     agreement: float = 0.7
     contradiction: object = None
+    table_height_m: float | None = None
 
     def to_json(self):
         state = "none" if self.reason else "named" if self.source.is_named else "confirmed"

@@ -39,7 +39,7 @@ def test_score_prints_progress_summary_warnings_and_report_path(program, film, t
     assert f"{period}\ncamera: the benchmark's\n" in out
     *finished, warning = err.splitlines()
     assert [line.split("]")[0] for line in finished] == ["[1/3", "[2/3", "[3/3"]
-    assert warning.startswith("warning: no camera is named for 2 samples: the arm confirms the benchmark's")
+    assert warning.startswith("warning: no camera is named for 2 samples: the arm confirms one that is known by name")
     assert '"x": "a=b"' in (tmp_path / "out" / "results.json").read_text()
     code, _, err = program("score", tmp_path / "videos", "--out", tmp_path / "out", "--overwrite", "--limit", 1)
     assert (code, list(read_rows(tmp_path / "out"))) == (0, ["a"])

@@ -538,7 +538,7 @@ def test_an_unread_manifest_in_a_source_folder_warns_which_fields_are_unused(fil
     ear = Ear()
     score_videos(config(), ear)
     ignored, assumed = ear.warnings
-    assert "the arm confirms the benchmark's" in assumed
+    assert "the arm confirms one that is known by name" in assumed
     assert [ignored] == [
         f"{manifest} ignored: its tasks, models and frame periods are unused (1 / fps is used unless $frame_period_s "
         "is given); score the manifest itself to use them"

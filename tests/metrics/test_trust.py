@@ -10,6 +10,7 @@ EXTRA = {
     "frame_period_source": "manifest",
 }
 PERIOD = "0.2 s, from the manifest"
+OWN_CLOCK = {"camera_state": "confirmed", "frame_period_source": "fps"}
 METRICS = {"tracked_fraction": 1.0, "confidence_mean": 0.97}
 
 
@@ -33,7 +34,8 @@ def test_a_sample_without_doubts_is_solid_and_its_line_lists_the_evidence():
         ({}, {"confidence_mean": 0.6}, True, TrustLevel.CHECK, "confidence is low"),
         ({"domain": "unfamiliar"}, {}, True, TrustLevel.CHECK, "unfamiliar"),
         ({"domain": "arm_alone"}, {}, True, TrustLevel.CHECK, "without a hand"),
-        ({"camera_state": "confirmed", "frame_period_source": "fps"}, {}, True, TrustLevel.CHECK, "0.2 s"),
+        ({**OWN_CLOCK, "camera_source": "benchmark"}, {}, True, TrustLevel.CHECK, "0.2 s"),
+        ({**OWN_CLOCK, "camera_source": "recognized"}, {}, True, TrustLevel.SOLID, "nothing"),
     ],
 )
 def test_each_doubt_lowers_the_trust_level_and_is_its_reason(extra, metrics, is_measured, level, reason):

@@ -8,6 +8,7 @@ import pytest
 from kinebench_drake.anomaly import AnomalyKind
 from kinebench_drake.camera import CONFIRMED, CameraSetting, CameraSource, CameraState, benchmark_camera
 from kinebench_drake.errors import UnmeasurableError
+from kinebench_drake.formats.camerafile import named_cameras
 from kinebench_drake.geometry import make_pose
 from kinebench_drake.grounding.anomaly.detection import AnomalyDetections, Detection
 from kinebench_drake.grounding.camera.bundle import ArmScene
@@ -24,8 +25,9 @@ from kinebench_drake.grounding.camera.estimate import usual_camera
 from kinebench_drake.grounding.camera.evidence import AGREEMENT, SURE
 from kinebench_drake.grounding.camera.lens import Lens
 from kinebench_drake.grounding.camera.reading import BetterReading, Reading
+from kinebench_drake.grounding.camera.recognition import LEAST_AGREEMENT, Recognition
 from kinebench_drake.grounding.pipeline import PipelineResult
-from kinebench_drake.grounding.priors import Clip, InitialStateUse
+from kinebench_drake.grounding.priors import Clip, InitialStateUse, Priors
 from kinebench_drake.grounding.video import Grounder
 from kinebench_drake.models.panda.robot import GripperKind
 from kinebench_drake.track import Domain, GripperTrack
@@ -72,8 +74,8 @@ class Tracker:
 class Evidence:
     """Parts of the grounding whose evidence for cameras is known in advance, and that note what is asked of them."""
 
-    def __init__(self, *, agreements=(0.7,), detected=None, estimate=None, contradiction=None, reading=None, hands=8):
-        self.agreements, self.detected, self.estimated = list(agreements), detected, estimate
+    def __init__(self, *, agreements=(0.7,), recognized=None, estimate=None, contradiction=None, reading=None, hands=8):
+        self.agreements, self.recognized, self.estimated = list(agreements), recognized, estimate
         self.contradiction, self.reading, self.hands = contradiction, reading, hands
         self.asked = []
         self.domain, self.fitted, self.arm_seen, self.arm_tracks, self.hand_tracks = (
@@ -97,11 +99,13 @@ class Evidence:
             return None
         return self.agreements.pop(0) if len(self.agreements) > 1 else self.agreements[0]
 
-    def measure_agreement(self, frames, camera):
-        return self.detected
+    def recognize(self, frames):
+        self.asked.append("recognize")
+        return self.recognized
 
     def find_reading(self, frames, camera, least, readings):
-        self.asked.append("readings" if len(readings) == len(Reading) else "likely readings")
+        names = {len(Reading): "readings", 1: "crop"}
+        self.asked.append(names.get(len(readings), "likely readings"))
         return self.reading
 
     def find_contradiction(self, frames, camera):
@@ -132,6 +136,12 @@ def estimate(**changes):
         "part": np.zeros(0, np.uint8),
     }
     return CameraEstimate(**{**fields, **changes})
+
+
+def recognition(name, shown=None):
+    named = named_cameras()[name]
+    camera = named.setting.camera.resized(96, 96)
+    return Recognition(named=named, camera=camera, reading=shown, agreement=0.6, runner_up=0.4, freed=0.6)
 
 
 def reading(kind=Reading.MIRRORED):
@@ -172,14 +182,47 @@ def test_an_assumed_camera_just_below_the_agreement_bound_gives_no_base_frame():
     assert "nothing is seen" in grounded.choice.reason
 
 
-@pytest.mark.parametrize("detected", [None, CONFIRMED - 0.01, CONFIRMED])
-def test_the_assumed_camera_of_an_unfamiliar_video_needs_confirmation_by_a_full_grounding(detected):
-    evidence = Evidence(agreements=[0.2, CONFIRMED], detected=detected)
+@pytest.mark.parametrize("name", ["benchmark", "libero-tabletop", "robosuite-agentview"])
+@pytest.mark.parametrize("agreement", [LEAST_AGREEMENT, LEAST_AGREEMENT - 0.01])
+def test_a_recognized_camera_gives_a_base_frame_if_the_track_with_it_confirms_it(name, agreement):
+    evidence = Evidence(agreements=[0.9, agreement], recognized=recognition(name))
     evidence.domain = Domain.UNFAMILIAR
+    choice = ground(evidence).choice
+    assert evidence.asked == ["assumed", "recognize", "ground"]
+    assert choice.table_height_m == named_cameras()[name].setting.table_height_m
+    assert choice.to_json()["camera_name"] == name
+    assert (choice.state is CameraState.CONFIRMED) == (agreement >= LEAST_AGREEMENT)
+    assert (choice.reason is None) == (agreement >= LEAST_AGREEMENT)
+    if choice.reason is None:
+        assert choice.to_json()["camera_source"] == ("benchmark" if name == "benchmark" else "recognized")
+
+
+@pytest.mark.parametrize(
+    ("shown", "axis"), [(Reading.ROWS_REVERSED, 1), (Reading.MIRRORED, 2)], ids=["rows reversed", "mirrored"]
+)
+def test_pictures_that_are_published_turned_are_turned_before_they_are_measured(shown, axis):
+    frames = SQUARE.copy()
+    frames[:, :40, :40] = 200
+    evidence = Evidence(agreements=[0.3, 0.6], recognized=recognition("libero-tabletop", shown))
+    grounded = ground(evidence, frames)
+    np.testing.assert_array_equal(grounded.frames, np.flip(frames, axis))
+    assert grounded.choice.to_json()["camera_shown"] == shown.value
+    assert np.isfinite(grounded.track.X_BG).all()
+
+
+def test_a_picture_turned_as_its_camera_does_not_publish_it_is_reported_without_a_base_frame():
+    evidence = Evidence(agreements=[0.3], recognized=recognition("benchmark", Reading.MIRRORED))
     grounded = ground(evidence)
-    confirmed = detected is not None and detected >= CONFIRMED
-    assert (grounded.choice.state is CameraState.CONFIRMED) == confirmed
-    assert evidence.asked[:2] == (["assumed", "ground"] if confirmed else ["assumed", "readings"])
+    assert grounded.choice.to_json()["camera_reading"]["reading"] == "mirrored"
+    assert np.isnan(grounded.track.X_BG).all()
+    assert evidence.asked == ["assumed", "recognize"]
+
+
+def test_a_turned_picture_is_not_recognized_for_masks_of_the_picture_as_it_is():
+    evidence = Evidence(agreements=[0.3], recognized=recognition("libero-tabletop", Reading.MIRRORED))
+    clip = Clip(frames=SQUARE, t_s=0.1 * np.arange(T))
+    with pytest.raises(UnmeasurableError, match="turn all of them first"):
+        Grounder(evidence).ground(clip, priors=Priors(mask=np.zeros((T, 96, 96), bool)))
 
 
 @pytest.mark.parametrize("source", [None, CameraSource.FOLDER, CameraSource.OPTION])

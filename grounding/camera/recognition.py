@@ -1,0 +1,161 @@
+"""Recognition of the camera of a video among those that are known by name: with which does the arm agree, and clearly?
+
+The robot is detected once for each way in which a picture may be turned; its cells say which cameras come into
+question, contours decide between them. No camera is estimated.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from kinebench_drake.camera import Camera
+from kinebench_drake.formats.camerafile import BENCHMARK, NamedCamera, named_cameras
+from kinebench_drake.grounding.camera.candidate import Candidate
+from kinebench_drake.grounding.camera.check import CameraChecker
+from kinebench_drake.grounding.camera.estimate import usual_camera
+from kinebench_drake.grounding.camera.framing import placements
+from kinebench_drake.grounding.camera.lens import Lens
+from kinebench_drake.grounding.camera.reading import BetterReading, Reading
+from kinebench_drake.io.frames import Frames
+from kinebench_drake.segments import evenly
+
+LEAST_AGREEMENT, LEAD, GAIN = 0.42, 0.03, 0.05
+"""Least share of the arm's contours on image edges of a camera that is recognized, its lead over the next one, and how
+much more a camera may have that is freed from its place: what can be reached follows the sharpness of the picture."""
+_COST, _COST_LEAD = 6.0, 0.8
+"""Mean error of the cells (`Hypothesis.cost`) up to which a camera comes into question, and that over the least one."""
+_SEARCHED = 8  # frames
+_SAME = 0.3  # of the tolerances of `Lens.sees_same_arm`, within which two pictures are the same
+_MARGIN = 0.05  # of the sides of a picture, by which the foot of the robot may lie outside
+_TURNS = (Reading.MIRRORED, Reading.ROWS_REVERSED, Reading.UPSIDE_DOWN, Reading.TURNED_LEFT, Reading.TURNED_RIGHT)
+"""Other ways to read a picture; those by which it is not published are tried with the benchmark camera alone."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Recognition:
+    """Named camera with which the arm agrees better than with any other."""
+
+    named: NamedCamera
+    camera: Camera
+    """Camera of the frames as read."""
+    reading: Reading | None
+    """How the frames have to be read; None: as they are."""
+    agreement: float
+    """Share of the contours of hand and arm on image edges."""
+    runner_up: float
+    """The same of the best camera with another picture; 0 if none came into question."""
+    freed: float
+    """The same of a camera freed from its place."""
+
+    @property
+    def is_clear(self) -> bool:
+        """True if the arm confirms it, and no other."""
+        leads = self.agreement >= max(LEAST_AGREEMENT, self.runner_up + LEAD)
+        return leads and self.freed <= self.agreement + GAIN
+
+    @property
+    def is_usual(self) -> bool:
+        """True if pictures of this camera are published so."""
+        return self.reading is None or self.reading.value in self.named.presented
+
+    def as_better_reading(self, agreement: float) -> BetterReading:
+        """Return the reading of a picture that is not published so, whose agreement as it is was `agreement`."""
+        assert self.reading is not None
+        return BetterReading(reading=self.reading, agreement=agreement, better=self.agreement, camera=self.camera)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Trial:
+    """Camera that comes into question, with the robot's postures fitted to it."""
+
+    named: NamedCamera
+    reading: Reading | None
+    frames: Frames
+    """(T, H, W, 3) those of the fit, as read."""
+    fit: Candidate
+
+    @property
+    def agreement(self) -> float:
+        return self.fit.agreement
+
+    def is_same(self, other: "_Trial") -> bool:
+        """Return whether another one has practically the same picture."""
+        same_arm = self.fit.scene.lens.sees_same_arm(other.fit.scene.lens, _SAME)
+        return self.reading is other.reading and same_arm
+
+
+def recognize(frames: Frames, checker: CameraChecker) -> Recognition | None:
+    """Return the named camera of frames (T, H, W, 3), as they are or read in another way; None if none is clear."""
+    trials: list[_Trial] = []
+    best: Recognition | None = None
+    frames = np.asarray(frames[evenly(len(frames), _SEARCHED)])
+    for reading in (None, *_TURNS):
+        names = [named for named in named_cameras().values() if _is_tried(named, reading)]
+        if best is not None and best.is_clear:  # seen from ahead an arm looks much the same in a mirror, no other way
+            names = [best.named] if reading is Reading.MIRRORED else []
+        own = _trials(reading, names, frames, checker) if names else []
+        if own:
+            trials += own
+            best = _best(trials, checker)
+    return best if best is not None and best.is_clear else None
+
+
+def _is_tried(named: NamedCamera, reading: Reading | None) -> bool:
+    return reading is None or reading.value in named.presented or named.name == BENCHMARK
+
+
+def _best(trials: Sequence[_Trial], checker: CameraChecker) -> Recognition:
+    """Return the camera of the best trial, compared with those that have another picture."""
+    best = max(trials, key=lambda trial: trial.agreement)
+    return Recognition(
+        named=best.named,
+        camera=best.fit.scene.lens.to_camera(),
+        reading=best.reading,
+        agreement=best.agreement,
+        runner_up=max((trial.agreement for trial in trials if not trial.is_same(best)), default=0.0),
+        freed=checker.freed_agreement(best.frames, best.fit),
+    )
+
+
+def _trials(
+    reading: Reading | None, names: Sequence[NamedCamera], frames: Frames, checker: CameraChecker
+) -> list[_Trial]:
+    """Return the cameras that come into question for frames (T, H, W, 3), read in one way."""
+    frames = frames if reading is None else reading.frames(frames)
+    height, width = frames.shape[1:3]
+    detections = checker.detect(frames, usual_camera(width, height))
+    if detections is None:
+        return []
+    tried = [(named, camera) for named in names for camera in cameras_of(named, width, height)]
+    explained = [(named, checker.explain(detections, camera)) for named, camera in tried]
+    least = min((hypothesis.cost for _, hypothesis in explained), default=_COST)
+    trials = []
+    for named, hypothesis in explained:
+        likely = hypothesis.cost <= min(_COST, least + _COST_LEAD)
+        fit = checker.fit_postures(detections, frames, hypothesis) if likely else None
+        if fit is not None:
+            own = frames[detections.rows[fit.rows]]
+            trials.append(_Trial(named=named, reading=reading, frames=own, fit=fit))
+    return trials
+
+
+def cameras_of(named: NamedCamera, width: int, height: int) -> Iterator[Camera]:
+    """Yield the cameras of pictures of `width` x `height` that a named camera takes, and that show the robot's foot.
+
+    Its picture scaled; of another shape: rendered at that shape with the same vertical field of view, or scaled and cut
+    to its middle or to its upper or left part.
+    """
+    camera = named.setting.camera
+    framings = placements((camera.width, camera.height), (width, height))
+    seen = [framings[0].whole_camera(camera)]
+    if len(framings) > 1:
+        focal = camera.fy * height / camera.height
+        rendered = replace(camera, width=width, height=height, fx=focal, fy=focal, cx=width / 2, cy=height / 2)
+        centred, first, _ = framings[-3:]
+        seen = [rendered, centred.whole_camera(camera), first.whole_camera(camera)]
+    for own in seen:
+        foot_C = Lens.of_camera(own).X_CB[:3, 3]
+        place = own.project(foot_C) / [width, height]
+        if foot_C[2] > 0 and bool((np.abs(place - 0.5) <= 0.5 + _MARGIN).all()):
+            yield own
