@@ -31,6 +31,7 @@ WRONG_M, WRONG_RAD = 0.03, np.deg2rad(15.0)
 """Median errors of the TCP in the base frame beyond which it is wrong."""
 RIGHT_M, RIGHT_RAD = 0.02, np.deg2rad(5.0)
 """Median errors up to which it is right."""
+_SAME_M = 0.005  # distance of a recognized camera from the true one beyond which it is another
 _MIDDLE, _CORNER = 0.875, 0.9  # sides of a cropped picture over those of the whole one
 
 
@@ -140,7 +141,7 @@ class Outcome:
     rotation_rad: float | None = None
     """Likewise of their rotations [rad]."""
     camera_m: float | None = None
-    """Distance of an estimated camera from the true one [m]; this and the next are None without an estimate."""
+    """Distance of an estimated or recognized camera from the true one [m]; None without one."""
     camera_sigma_m: float | None = None
     cpu_s: float
     """Processor time [s]."""
@@ -178,6 +179,7 @@ class TrialWorker:
         position_m, rotation_rad = pose_difference(track.X_BG, clip.camera.X_BC @ truth.X_CH @ hand_from_tcp())
         compared = track.tracked & np.isfinite(position_m)
         estimate = choice.estimate
+        distance_m, _ = pose_difference(choice.camera.X_BC, clip.camera.X_BC)
         return replace(
             base,
             state=choice.state.value,
@@ -188,7 +190,7 @@ class TrialWorker:
             tracked=round(float(track.tracked.mean()), 4),
             position_m=float(np.median(position_m[compared])) if compared.any() else None,
             rotation_rad=float(np.median(rotation_rad[compared])) if compared.any() else None,
-            camera_m=None if estimate is None else float(pose_difference(estimate.camera.X_BC, clip.camera.X_BC)[0]),
+            camera_m=None if estimate is None and choice.named is None else float(distance_m),
             camera_sigma_m=None if estimate is None else estimate.position_sigma_m,
             cpu_s=round(time.process_time() - start, 2),
         )
@@ -220,17 +222,16 @@ def summary_table(outcomes: Sequence[Outcome]) -> list[str]:
             else "-"
         )
         counts = [str(sum(o.verdict is verdict for o in own)) for verdict in Verdict]
-        named = [
-            str(sum(entry is not None for entry in entries))
-            for entries in ([o.name for o in own], [o.reading for o in own])
-        ]
+        recognized = [o for o in own if o.name is not None]
+        another = sum((o.camera_m or 0.0) > _SAME_M for o in recognized)
+        named = [f"{len(recognized)} ({another})", str(sum(o.reading is not None for o in own))]
         cpu = f"{np.median([o.cpu_s for o in own]):.0f}"
         rows.append([presentation.value.replace("_", " "), str(len(own)), *counts, *named, error, turn, cpu])
     head = (
         "presented",
         "videos",
         *(v.value for v in Verdict),
-        "recognized",
+        "recognized (another)",
         "reading named",
         "TCP [mm]",
         "[degrees]",

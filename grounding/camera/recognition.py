@@ -148,13 +148,13 @@ def cameras_of(named: NamedCamera, width: int, height: int) -> Iterator[Camera]:
     """
     camera = named.setting.camera
     framings = placements((camera.width, camera.height), (width, height))
-    seen = [framings[0].whole_camera(camera)]
+    pictures = [framings[0].whole_camera(camera)]
     if len(framings) > 1:
         focal = camera.fy * height / camera.height
         rendered = replace(camera, width=width, height=height, fx=focal, fy=focal, cx=width / 2, cy=height / 2)
         centred, first, _ = framings[-3:]
-        seen = [rendered, centred.whole_camera(camera), first.whole_camera(camera)]
-    for own in seen:
+        pictures = [rendered, centred.whole_camera(camera), first.whole_camera(camera)]
+    for own in pictures:
         foot_C = Lens.of_camera(own).X_CB[:3, 3]
         place = own.project(foot_C) / [width, height]
         if foot_C[2] > 0 and bool((np.abs(place - 0.5) <= 0.5 + _MARGIN).all()):
