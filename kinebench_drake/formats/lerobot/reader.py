@@ -219,5 +219,5 @@ def _times(table: pyarrow.Table, fps: float | None) -> NDArray[np.generic] | Non
     if stamps is None:
         return even
     times = require_numbers(TIME, stamps)
-    allowed = _TIMES_AGREE_S + np.spacing(np.float32(np.abs(even).max()))
-    return even if times.shape == even.shape and np.abs(times - even).max() <= allowed else stamps
+    allowed = _TIMES_AGREE_S + np.spacing(np.float32(np.abs(even).max(initial=0.0)))
+    return even if times.shape == even.shape and np.abs(times - even).max(initial=0.0) <= allowed else stamps

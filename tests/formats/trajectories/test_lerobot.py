@@ -4,6 +4,7 @@ import json
 
 import numpy as np
 import pytest
+from pyarrow import parquet
 
 from kinebench_drake.errors import InputError, UsageError
 from kinebench_drake.formats.trajectories.columns import complete
@@ -202,6 +203,14 @@ def test_joint_angles_and_euler_angles_in_degrees_are_refused(dataset, q, X_BG):
     names = {"observation.state": ["x", "y", "z", "roll", "pitch", "yaw"]}
     with pytest.raises(InputError, match=r"up to 180 \(frame 0\).*degrees"):
         read_all(dataset({0: {"observation.state": rows}}, names, folder="rpy"))
+
+
+def test_an_episode_without_rows_is_refused(dataset, q):
+    root = dataset({0: {"observation.state": with_gripper(q)}}, STATE)
+    path = root / "data" / "chunk-000" / "episode_000000.parquet"
+    parquet.write_table(parquet.read_table(path)[:0], path)
+    with pytest.raises(InputError, match=r"holds no frame of episode 0"):
+        read_all(root)
 
 
 def test_unreadable_files_are_errors_of_their_episodes(dataset, q, tmp_path):
