@@ -1,6 +1,7 @@
 """`kinebench-drake suite export` and `suite demos`."""
 
 from dataclasses import replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -9,7 +10,7 @@ from kinebench_drake.cli.click_options import SIZES, config_options, echo
 from kinebench_drake.cli.progress import ProgressView, terminate_as_interrupt
 from kinebench_drake.errors import UsageError
 from kinebench_drake.results.metadata import Shard
-from kinebench_drake.runs.suite_config import PROMPT_OPTIONS, SuiteConfig
+from kinebench_drake.runs.suite_config import SuiteConfig
 
 if TYPE_CHECKING:
     from kinebench_drake.suites.demo_config import FormatKind, RenderOptions
@@ -26,8 +27,8 @@ _EPISODES = ("suite", "split", "tasks", "episodes", "seed", "variant")
 )
 @config_options(SuiteConfig, *_EPISODES)
 @click.option("--size", type=SIZES, default=384, show_default=True, help="Width and height of the images.")
-@config_options(SuiteConfig, *PROMPT_OPTIONS, "out", "jobs")
-def export(size: int, jobs: int, **options: Any) -> None:
+@config_options(SuiteConfig, "prompts", "out", "jobs")
+def export(size: int, prompts: Path | None, jobs: int, **options: Any) -> None:
     """Write the inputs of world models: first frames, prompts, camera.
 
     ID.png is an episode's first frame. manifest.jsonl lists it with the prompt and the video expected beside it,
@@ -36,10 +37,9 @@ def export(size: int, jobs: int, **options: Any) -> None:
     """
     from kinebench_drake.executors.base import ExecutorKind, create_executor
     from kinebench_drake.suites.export import ExportConfig, export_suite
-    from kinebench_drake.suites.prompts import prompt_template
+    from kinebench_drake.suites.prompts import PromptTemplate
 
-    prompts = prompt_template(**{name: options.pop(name) for name in PROMPT_OPTIONS})
-    config = ExportConfig(**_dataset(**options), size=size, prompts=prompts)
+    config = ExportConfig(**_dataset(**options), size=size, prompts=PromptTemplate.parse(prompts))
     with ProgressView() as view, terminate_as_interrupt():
         count = export_suite(config, create_executor(ExecutorKind.LOCAL, jobs), view)
     of = _counted(len(config.tasks), "task")

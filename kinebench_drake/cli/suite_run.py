@@ -15,7 +15,7 @@ from kinebench_drake.runs.suite_config import SuiteConfig
     "  kinebench-drake suite run --suite 0 --world-model oracle --episodes 5 --out ceiling/ --jobs 2\n"
     "  kinebench-drake suite run --suite 2 --split unseen --world-model http://127.0.0.1:8000 --out looks/\n"
     "  kinebench-drake suite run --suite 1 --world-model folder:videos/ --rounds 1 --out offline/\n"
-    "  kinebench-drake suite run --suite 0 --world-model diffusers:wan/ --prompt-preset visual-lock --out locked/\n"
+    "  kinebench-drake suite run --suite 0 --world-model diffusers:wan/ --prompts visual-lock.json --out locked/\n"
     "  kinebench-drake suite run --suite 0 --world-model http://127.0.0.1:8000 --samples 4 --out four/\n"
     "  kinebench-drake suite run --suite 0 --world-model http://127.0.0.1:8000 --condition actions --out obeys/",
 )

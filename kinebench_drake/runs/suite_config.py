@@ -18,9 +18,6 @@ if TYPE_CHECKING:  # ManiSkill and Drake take seconds to load
     from kinebench_drake.closed_loop.loop import LoopOptions
     from kinebench_drake.suites.catalog import Suite
 
-PROMPT_OPTIONS = ("prompt_preset", "prompt_prefix", "prompt_suffix", "prompts", "negative_prompt")
-"""Arguments of `prompt_template`."""
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SuiteConfig(RunConfig):
@@ -97,29 +94,14 @@ class SuiteConfig(RunConfig):
     pixels_only: Annotated[bool, Option("Do not use the robot's own pose as a prior for first frames.", key=None)] = (
         False
     )
-    prompt_preset: Annotated[
-        str | None,
-        Option(
-            "Prefix and negative prompt that ask for a fixed camera and unchanged robot and objects.",
-            choices=("visual-lock",),
-            key=None,
-        ),
-    ] = None
-    prompt_prefix: Annotated[
-        str | None, Option("Text before each prompt; replaces that of the preset.", metavar="TEXT", key=None)
-    ] = None
-    prompt_suffix: Annotated[str | None, Option("Text after each prompt.", metavar="TEXT", key=None)] = None
     prompts: Annotated[
         Path | Mapping[str, str] | None,
         Option(
-            'JSON object of texts by task in place of the instruction; "{prompt}" in a text stands for it. '
-            "kinebench:FOLDER: the prompts of your clone of KineBench.",
+            "JSON object of texts in place of the instructions (docs/closedloop.md), or kinebench:FOLDER: the prompts "
+            "of your clone of KineBench.",
             metavar="FILE",
             key=None,
         ),
-    ] = None
-    negative_prompt: Annotated[
-        str | None, Option("Content to avoid; replaces that of the preset.", metavar="TEXT", key=None)
     ] = None
     rollouts: Annotated[
         bool, Option("Write videos of the generated and executed motion side by side.", also="--no-rollouts", key=None)
@@ -137,7 +119,7 @@ class SuiteConfig(RunConfig):
         """
         from kinebench_drake.closed_loop.loop import LoopOptions
         from kinebench_drake.suites.catalog import chosen_tasks
-        from kinebench_drake.suites.prompts import prompt_template
+        from kinebench_drake.suites.prompts import PromptTemplate
 
         RunConfig.__post_init__(self)
         suite = self.load_suite()
@@ -149,7 +131,7 @@ class SuiteConfig(RunConfig):
             clip_timing=self.clip_timing,
             condition=self.condition,
             pixels_only=self.pixels_only,
-            prompts=prompt_template(**{name: getattr(self, name) for name in PROMPT_OPTIONS}),
+            prompts=PromptTemplate.parse(self.prompts),
         )
         tasks = chosen_tasks(suite, self.split, self.tasks, self.variant)
         for name, value in (("loop", loop), ("tasks", tasks), ("split", suite.split_name(self.split))):

@@ -120,7 +120,7 @@ def test_the_stored_configuration_identifies_the_world_model_without_server_addr
     one, other = (config(spec, model_name="wan").to_json() for spec in specs)
     assert [name for name in one if one[name] != other[name]] == ["world_model_sha256"]
     assert "10.0.0" not in f"{one} {other}"
-    named = config(specs[0], model_name="wan", negative_prompt="blur").to_json()
+    named = config(specs[0], model_name="wan", prompts={"negative_prompt": "blur"}).to_json()
     assert [name for name in one if one[name] != named[name]] == ["negative_prompt"]
     moved, here, changed = (
         config(f"http://{address}/a?name=wan&{options}", model_name="wan").to_json()

@@ -88,7 +88,9 @@ def test_two_rounds_from_a_video_folder_equal_two_rounds_of_a_live_model(
     monkeypatch.setitem(LoopOptions.__init__.__kwdefaults__, "num_frames", 13)  # pictures take long without a GPU
     live, offline, videos = tmp_path / "live", tmp_path / "offline", tmp_path / "videos"
     videos.mkdir()
-    options = ("--rounds", "2", "--clip-timing", "native", "--prompt-suffix", "Slowly.", "--replays", "0")
+    (tmp_path / "prompts.json").write_text('{"*": "{prompt} Slowly."}')
+    prompts = ("--prompts", str(tmp_path / "prompts.json"))
+    options = ("--rounds", "2", "--clip-timing", "native", *prompts, "--replays", "0")
     assert run(live, "--world-model", "random", *options)[0] == 0
     [row] = rows(live)
     assert (row["success"], row["rounds"], row["clip_frames"]) == (False, 2, [13, 13])

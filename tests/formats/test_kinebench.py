@@ -16,7 +16,7 @@ from kinebench_drake.formats.videos.find import find_samples
 from kinebench_drake.report.suite.suite_page import write_suite_report
 from kinebench_drake.runs.score import compare_extractors
 from kinebench_drake.suites.composition import compose
-from kinebench_drake.suites.prompts import prompt_template
+from kinebench_drake.suites.prompts import PromptTemplate
 from kinebench_drake.track import GripperTrack
 
 FRAMES = 5
@@ -141,7 +141,7 @@ def test_prompts_come_from_a_clone_that_is_not_run(tmp_path: Path) -> None:
     (tmp_path / "kinebench/eval").mkdir(parents=True)
     (tmp_path / "kinebench/tasks.py").write_text(CLONE)
     (tmp_path / "kinebench/eval/evaluator.py").write_text('NEGATIVE_PROMPT = ("pan, " "zoom")')
-    template = prompt_template(prompts=Path(f"kinebench:{tmp_path}"))
+    template = PromptTemplate.parse(Path(f"kinebench:{tmp_path}"))
     assert template.prompt(compose("CloseBox-v1", 3)) == "Keep still. Shut the box."
     assert template.negative == "pan, zoom"
     fruit = compose("PickFruits-v1", 3)
@@ -149,8 +149,7 @@ def test_prompts_come_from_a_clone_that_is_not_run(tmp_path: Path) -> None:
     assert template.prompt(fruit) == f"Keep still. Take the {target}."
     order = template.prompt(compose("StoreFruitsBox-v1", 3)).removeprefix("Keep still. Store ").rstrip(".")
     assert sorted(order.split(", ")) == ["apple", "banana", "orange"]
-    assert prompt_template(prompts=Path(f"kinebench:{tmp_path}"), prompt_prefix="").prefix == ""
-    with pytest.raises(UsageError, match="has a prefix and a negative prompt"):
-        prompt_template(prompts=Path(f"kinebench:{tmp_path}"), prompt_preset="visual-lock")
+    other = compose("StackCube-v1", 3)
+    assert template.prompt(other) == f"Keep still. {other.prompt}"
     with pytest.raises(UsageError, match=r"kinebench/tasks\.py: No such file"):
-        prompt_template(prompts=Path(f"kinebench:{tmp_path}/nowhere"))
+        PromptTemplate.parse(Path(f"kinebench:{tmp_path}/nowhere"))

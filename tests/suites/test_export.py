@@ -86,15 +86,15 @@ def test_the_exported_manifest_is_readable_by_score(exported: Path) -> None:
 
 @pytest.mark.sapien
 def test_exported_prompts_equal_those_of_a_run_with_the_same_options(exported: Path, tmp_path: Path) -> None:
-    template = PromptTemplate(prefix="Still camera.", negative="blur")
+    template = PromptTemplate(texts={"*": "Still camera. {prompt}"}, negative="blur")
     asked = export(tmp_path / "asked", TASKS[1:], 1, template)
     [sample] = find_samples(asked / "manifest.jsonl").samples
     assert sample.prompt == template.prompt(compose("StackCube-v1", 0))
     assert not find_samples(asked / "manifest.jsonl").warnings
     assert json.loads((asked / "manifest.jsonl").read_text())["negative_prompt"] == "blur"
-    assert json.loads((asked / "suite.json").read_text())["prompt_prefix"] == "Still camera."
+    assert json.loads((asked / "suite.json").read_text())["prompts"] == dict(template.texts)
     assert "negative_prompt" not in (exported / "manifest.jsonl").read_text()
-    with pytest.raises(UsageError, match="holds an export of prompt_prefix Still camera"):
+    with pytest.raises(UsageError, match=r"holds an export of prompts .*Still camera"):
         export(asked, TASKS[1:], 1)
 
 
