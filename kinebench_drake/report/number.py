@@ -1,4 +1,4 @@
-"""Headline numbers of two models, compared on the samples that both have: table, figure and text."""
+"""Headline numbers of two models, compared on the samples that both have: table and text."""
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
@@ -8,9 +8,7 @@ import numpy as np
 
 from kinebench_drake.errors import count_noun
 from kinebench_drake.geometry import Array
-from kinebench_drake.io.figure import FAINT, new_figure, plain, shorten
 from kinebench_drake.io.jsonl import Json
-from kinebench_drake.report.figures import COLOURS, ReportFigure, draw_interval, make_figure
 from kinebench_drake.report.metric import BY_NAME, Metric
 from kinebench_drake.report.table import Table, Value, make_table, table_lines
 from kinebench_drake.results.aggregate import VERDICT_SHARES, Estimate, estimate
@@ -43,12 +41,6 @@ _PRINTED = ("number", "first_mean", "second_mean", "difference", "complete", "p"
 """Keys of the columns printed to a terminal."""
 _TERMINAL_LETTERS = 12
 """Letters of a model's name in the headings of a terminal of 100 columns."""
-_PANELS = 3
-"""Panels beside each other in the figure."""
-_MAX_LINES = 15
-"""Pairs of models up to which the figure is drawn."""
-_MAX_LETTERS = 28
-"""Letters of a model's name that the figure has room for."""
 RowPair = tuple[SampleRow, SampleRow]
 RowsPair = tuple[Sequence[SampleRow], Sequence[SampleRow]]
 """Rows of the same episode by two models, one or several samples each."""
@@ -303,49 +295,3 @@ def verdict_line(
     else:
         text += "; too few samples to show any difference"
     return f"Undecided between {one} and {other}: {text}"
-
-
-def draw_numbers(comparisons: Sequence[NumberComparison]) -> ReportFigure | None:
-    """Draw the differences of each number, all tasks together, in a panel of its own; None if there is none."""
-    drawn = [c for c in comparisons if c.task == ALL_TASKS and c.difference.mean is not None]
-    names = list(dict.fromkeys(c.metric.name for c in drawn))
-    lines = list(dict.fromkeys((c.first, c.second, c.part) for c in drawn))
-    if not names or len(lines) > _MAX_LINES:
-        return None
-    from matplotlib.ticker import MaxNLocator
-
-    rows = -(-len(names) // _PANELS)
-    width = _PANELS * 2.2 + 0.06 * max(len(_line_label(*line)) for line in lines)
-    figure, axes = new_figure(width, rows * (0.75 + 0.24 * len(lines)) + 0.3, rows, _PANELS, sharey=True)
-    for ax, name in zip(axes.flat, names, strict=False):
-        for c in drawn:
-            if c.metric.name == name:
-                y = float(lines[::-1].index((c.first, c.second, c.part)))
-                draw_interval(ax, c.difference, y, "#000000" if c.is_clear else COLOURS[0], "D" if c.is_clear else "o")
-        ax.axvline(0.0, color=FAINT, linewidth=1.2, zorder=1)
-        ends = [0.0, *(end for c in drawn if c.metric.name == name for end in _ends(c.difference))]
-        room = 0.15 * (max(ends) - min(ends)) or 1.0
-        ax.set_xlim(min(ends) - room, max(ends) + room)
-        ax.xaxis.set_major_locator(MaxNLocator(nbins=4))
-        side = "← better" if name in LOWER_IS_BETTER else "better →"
-        ax.set_title(f"{NUMBERS[name].label}   {side}", fontsize=8, loc="left")
-        ax.set_ylim(-0.6, len(lines) - 0.4)
-        ax.tick_params(labelsize=7)
-    for ax in axes[:, 0]:
-        ax.set_yticks(range(len(lines)), [plain(_line_label(*line)) for line in lines[::-1]], fontsize=7)
-    for ax in axes.flat[len(names) :]:
-        ax.set_visible(False)
-    return make_figure("number_differences", figure)
-
-
-def _ends(value: Estimate) -> Iterator[float]:
-    yield from (end for end in (value.low, value.mean, value.high) if end is not None)
-
-
-def _line_label(first: str, second: str, part: str) -> str:
-    return pair_label(first, second) + (f", {part}" if part else "")
-
-
-def pair_label(first: str, second: str) -> str:
-    """Return the label of two models in a figure."""
-    return f"{shorten(first, _MAX_LETTERS)} − {shorten(second, _MAX_LETTERS)}"

@@ -11,14 +11,13 @@ from kinebench_drake.report.number import (
     NumberComparison,
     RowPair,
     compare_numbers,
-    draw_numbers,
     motionless_lines,
     number_lines,
     tabulate_numbers,
     value_of,
     verdict_lines,
 )
-from kinebench_drake.report.parts import choose_listed, list_links, make_missing, write_parts
+from kinebench_drake.report.parts import choose_listed, list_links, write_parts
 from kinebench_drake.report.run import Run, check_page_folder
 from kinebench_drake.report.sample import GOOD_VERDICTS, verdict_of
 from kinebench_drake.report.table import Table, make_listing
@@ -109,20 +108,19 @@ def sample_comparison_lines(comparison: SampleComparison) -> Iterator[str]:
 
 
 def write_sample_comparison(comparison: SampleComparison, out: Path) -> Path:
-    """Write a comparison: page, figure and tables; returns the page.
+    """Write a comparison: page and tables; returns the page.
 
     Raises:
         UsageError: `out` is the folder of a run.
         SetupError: writing failed.
     """
     check_page_folder(out)
-    figure = draw_numbers(comparison.numbers) or make_missing("number_differences")
     listed = choose_listed(comparison.samples, lambda s: s.model, lambda s: verdict_of(s.row) in GOOD_VERDICTS)
     return write_parts(
         "comparison_page.html.j2",
         "Comparison of models",
         out,
-        [tabulate_numbers(comparison.numbers), figure],
+        [tabulate_numbers(comparison.numbers)],
         _tabulate_samples(comparison.samples),
         comparison=comparison,
         lines=[(s, list_links(s.run.path, s.row, out)) for s in listed],

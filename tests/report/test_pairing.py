@@ -148,7 +148,7 @@ def test_a_comparison_of_scores_is_printed_and_written(folders, tmp_path, capsys
     assert str(tmp_path) not in text
     assert "../wan/report.html#6" in page.links
     names = {path.name for path in out.iterdir()}
-    assert names >= {"numbers.csv", "numbers.tex", "number_differences.png", "number_differences.svg", "samples.csv"}
+    assert names >= {"numbers.csv", "numbers.tex", "samples.csv"}
     with (out / "numbers.csv").open() as file:
         sparc = next(row for row in csv.DictReader(file) if row["metric"] == "sparc" and row["task"] == "all tasks")
     assert float(sparc["difference"]) == pytest.approx(0.5)

@@ -11,7 +11,7 @@ import numpy as np
 
 from kinebench_drake.errors import UsageError
 from kinebench_drake.geometry import Array
-from kinebench_drake.io.figure import FAINT, new_figure
+from kinebench_drake.io.figure import FAINT, new_figure, shorten
 from kinebench_drake.report.figures import COLOURS, ReportFigure, draw_interval, label_shares, make_figure
 from kinebench_drake.report.number import (
     ALL_TASKS,
@@ -19,7 +19,6 @@ from kinebench_drake.report.number import (
     compare_numbers,
     comparison_lines,
     motionless_lines,
-    pair_label,
     share_difference,
     verdict_line,
     verdict_lines,
@@ -40,6 +39,8 @@ DIRECT = "expert's true track"
 """Label of direct execution in place of a model's name."""
 _MAX_DIFFERENCES = 170
 """Differences up to which single tasks are drawn."""
+_MAX_LETTERS = 28
+"""Letters of a model's name that the figure has room for."""
 _PRINTED = ("task", "success_first", "success_second", "difference", "p", "p_adjusted", "measured")
 """Keys of the columns printed to a terminal."""
 Pair = tuple[Sequence[EpisodeResult], Sequence[EpisodeResult]]
@@ -306,7 +307,12 @@ def draw_differences(pairs: Sequence[PairComparison]) -> ReportFigure | None:
     if not lines:
         return None
     lines.reverse()
-    names = [c.task if c.task != ALL_TASKS else f"{pair_label(c.first, c.second)}, {c.part.title}" for c, _ in lines]
+    names = [
+        c.task
+        if c.task != ALL_TASKS
+        else f"{shorten(c.first, _MAX_LETTERS)} − {shorten(c.second, _MAX_LETTERS)}, {c.part.title}"
+        for c, _ in lines
+    ]
     figure, axes = new_figure(4.4 + 0.075 * max(map(len, names)), 1.2 + 0.27 * len(lines))
     ax = axes[0, 0]
     for k, (c, d) in enumerate(lines):

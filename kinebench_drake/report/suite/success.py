@@ -3,11 +3,8 @@
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
-import numpy as np
-
-from kinebench_drake.io.figure import new_figure, plain, shorten
+from kinebench_drake.io.figure import new_figure, shorten
 from kinebench_drake.metrics.executable import FailureVerdict
 from kinebench_drake.report.figures import (
     COLOURS,
@@ -41,8 +38,6 @@ FAILURE_CAUSES = tuple(cause.value for cause in FailureVerdict)
 NO_VERDICT = "no verdict"
 """Failures without a recorded cause."""
 _NOT_MEASURED = "not measured"
-_MAX_MODELS = 8
-"""Models up to which success is drawn as points with intervals; more are drawn as a heat map."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -224,33 +219,11 @@ def draw_success(episodes: Sequence[EpisodeResult]) -> list[ReportFigure]:
     for part, own in sorted(group_by(episodes, lambda e: e.part).items()):
         tasks, here = sorted({e.task for e in own}, reverse=True), [m for m in models if any(e.model == m for e in own)]
         rates = {key: tally(some).pooled for key, some in group_by(own, lambda e: (e.model, e.task)).items()}
-        if len(here) > _MAX_MODELS:
-            figures.append(make_figure("success_map", _draw_map(rates, tasks, here), part=part))
-            continue
         by_model = {m: [(task, rate) for (model, task), rate in rates.items() if model == m] for m in here}
         figure = draw_intervals(tasks, by_model, assign_numbers(models, here), f"success, {interval}")
         intervals = interval.replace("interval", "intervals")
         figures.append(make_figure("success", figure, part=part, intervals=intervals))
     return figures
-
-
-def _draw_map(rates: Mapping[tuple[str, str], Estimate], tasks: Sequence[str], models: Sequence[str]) -> Any:
-    """Draw success by task (rows, bottom to top) and model (columns) as a heat map with numbers."""
-    means = {key: rate.mean for key, rate in rates.items()}
-    shades = np.array([[np.nan if (r := means.get((m, t))) is None else r for m in models] for t in tasks])
-    figure, axes = new_figure(2.2 + 0.42 * len(models), 2.6 + 0.26 * len(tasks))
-    ax = axes[0, 0]
-    ax.grid(False)
-    ax.pcolormesh(
-        np.arange(len(models) + 1) - 0.5, np.arange(len(tasks) + 1) - 0.5, shades, cmap="Blues", vmin=0, vmax=1.3
-    )
-    for (row, column), rate in np.ndenumerate(shades):
-        if np.isfinite(rate):
-            colour = "#fefefe" if rate > 0.7 else "#101010"
-            ax.text(column, row, f"{100.0 * rate:.0f}", ha="center", va="center", fontsize=7, color=colour)
-    ax.set_yticks(range(len(tasks)), [plain(n) for n in tasks], fontsize=8)
-    ax.set_xticks(range(len(models)), [plain(shorten(n)) for n in models], fontsize=8, rotation=90)
-    return figure
 
 
 def draw_verdicts(episodes: Sequence[EpisodeResult]) -> ReportFigure:

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from kinebench_drake.report.number import draw_numbers, tabulate_numbers
+from kinebench_drake.report.number import tabulate_numbers
 from kinebench_drake.report.parts import Part, choose_listed, list_links, make_missing, write_parts
 from kinebench_drake.report.run import check_page_folder
 from kinebench_drake.report.suite import correlation, kinematics, scaling, success, transfer
@@ -110,7 +110,6 @@ def write_comparison(comparison: ModelComparison, out: Path) -> Path:
     ]
     if comparison.numbers:
         parts.append(tabulate_numbers(comparison.numbers))
-        parts += [figure] if (figure := draw_numbers(comparison.numbers)) else []
     return write_page("Comparison of models", comparison.runs, comparison.episodes, out, parts, comparison.leads)
 
 
