@@ -169,12 +169,15 @@ class LeRobot(DemoFormat):
         actions = rollout.controls[every - 1 :: every]  # command until the next frame; the last frame repeats it
         action = np.concatenate([actions, actions[-1:]])
         state = np.column_stack([video.q, video.finger_width_m])
-        lerobot.write_part(folder / PARTS, id, video.rgb, state, video.X_BG, action, fps=options.fps, crf=options.crf)
+        columns = {lerobot.STATE: state, lerobot.POSE: lerobot.pose_columns(video.X_BG), lerobot.ACTION: action}
+        lerobot.write_part(folder / PARTS, id, video.rgb, columns, fps=options.fps, crf=options.crf)
 
     @override
     def finish(self, config: DemoConfig, records: Sequence[Record]) -> list[Path]:
         prompts = {record.id: record.prompt for record in records}
-        return lerobot.join_parts(config.out, config.out / PARTS, prompts, config.options.fps, config.options.camera)
+        camera, parts = config.options.camera, config.out / PARTS
+        size = (camera.width, camera.height)
+        return lerobot.join_parts(config.out, parts, prompts, config.options.fps, camera, size=size)
 
     @override
     def index_files(self, folder: Path, tasks: Sequence[str]) -> list[Path]:

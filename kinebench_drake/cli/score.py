@@ -43,7 +43,7 @@ _dry_run_option = click.option(
     )
 )
 @_source_argument
-@config_options(ScoreConfig, omit=("source",))
+@config_options(ScoreConfig, omit=("source", "format"))
 @_dry_run_option
 @click.pass_context
 def score(ctx: click.Context, /, dry_run: bool, **options: Any) -> None:
@@ -64,7 +64,8 @@ def score(ctx: click.Context, /, dry_run: bool, **options: Any) -> None:
         "\b\nExamples:\n"
         "  kinebench-drake ground videos/ --out tracks/ --overlay\n"
         "  kinebench-drake ground videos/ --out tracks/ --masks yolo/ --depth moge:model.pt\n"
-        "  kinebench-drake ground videos/ --out tracks/ --poses foundationpose/"
+        "  kinebench-drake ground videos/ --out tracks/ --poses foundationpose/\n"
+        "  kinebench-drake ground videos/ --out tracks/ --format lerobot-v3 --frame-period 0.2"
     )
 )
 @_source_argument

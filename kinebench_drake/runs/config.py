@@ -34,6 +34,18 @@ class ModelSource(Enum):
     """The first folder below the source."""
 
 
+class ActionFormat(Enum):
+    """Format of actions."""
+
+    LEROBOT = "lerobot-v3"
+    ROBOWM = "robowm"
+
+    @property
+    def folder(self) -> str:
+        """Name of its folder in the output folder."""
+        return self.value.partition("-")[0]
+
+
 class RunKind(Enum):
     """What a run does with its samples."""
 
@@ -253,6 +265,13 @@ class ScoreConfig(SourceConfig):
     ] = None
     poses: Annotated[
         Path | None, Option("Poses of panda_hand in the camera frame that replace the tracker's.", metavar="DIR")
+    ] = None
+    format: Annotated[
+        ActionFormat | None,
+        Option(
+            "Also write the actions of all videos: a LeRobot dataset, or the files that RoboWM-Bench executes.",
+            key=None,
+        ),
     ] = None
     depth_exact: Annotated[
         bool, Option("Treat the depth of $depth as accurate to a few millimetres (sensor, simulator).")

@@ -23,6 +23,7 @@ from kinebench_drake.results.provenance import weights_hash
 from kinebench_drake.results.row import SampleRow
 from kinebench_drake.results.store import artifact_path
 from kinebench_drake.results.trackfile import write_track
+from kinebench_drake.runs.actions import write_actions
 from kinebench_drake.runs.config import AUTO, ScoreConfig, period_warnings
 from kinebench_drake.runs.evaluator import KINEMATIC_METRICS, Evaluation, Evaluator
 from kinebench_drake.runs.pictures import encode_strip, worst_frame
@@ -62,6 +63,8 @@ def score_videos(config: ScoreConfig, observer: RunObserver | None = None) -> Ru
     summary = run_samples(samples, VideoEvaluator(config=config, overrides=config.overrides()), observer)
     for warning in row_warnings(summary.rows):
         observer.warn(warning)
+    if config.format is not None:
+        write_actions(config.format, config.out, samples, summary.rows, observer.warn)
     return summary
 
 
@@ -141,7 +144,8 @@ class VideoEvaluator(Evaluator[VideoSample, Tools]):
         draws_hand, judges = grounding.domain is not Domain.ARM, config.kind.judges and grounding.unmeasurable is None
         track, path, reason = grounding.visible_track, grounding.camera_path, grounding.choice.reason
         height_m = sample.table_height_m if sample.camera_source.is_named else grounding.choice.table_height_m
-        kinematics = tools.judge(track, height_m) if judges and reason is None else None
+        measures_base = grounding.unmeasurable is None and reason is None
+        kinematics = tools.judge(track, height_m) if judges and measures_base else None
         smoothness: Mapping[str, Json] = {}
         reasons: Mapping[str, str] = {}
         if judges and reason is not None:
@@ -157,6 +161,8 @@ class VideoEvaluator(Evaluator[VideoSample, Tools]):
         images = list(tools.overlay(*chosen, hand=draws_hand))
         write_atomically(artifact_path(self.config.out, "thumbnails", sample.id), encode_strip(images))
         joints, curves = (kinematics.joints, kinematics.curves) if kinematics else (None, {})
+        if config.format is not None and measures_base:
+            joints = tools.joints(track)
         write_track(artifact_path(self.config.out, "tracks", sample.id), track, joints, {**curves, **grounding.curves})
         return Evaluation(
             kinematics=kinematics,
@@ -217,6 +223,7 @@ class VideoEvaluator(Evaluator[VideoSample, Tools]):
             "first": None if initial is None else [*initial.X_BG.ravel().tolist(), str(initial.finger_width_m)],
             "depth_exact": self.overrides.depth_exact,
             **({} if self.config.gripper is GripperKind.AUTO else {"gripper": self.config.gripper.value}),
+            "joints": self.config.format is not None,
             "scene": [sample.mirrored, sample.table_height_m],
             "reference": None if sample.reference_X_BG is None else sample.reference_X_BG.ravel().tolist(),
             "labels": [sample.success, sample.seed, sample.prompt, sample.fps, sample.frame_period_s, sample.problem],

@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 from kinebench_drake.camera import MAX_TABLE_HEIGHT_M, Camera
 from kinebench_drake.errors import InputError, SetupError, UsageError
 from kinebench_drake.formats.trajectories.trajectory import Trajectory
-from kinebench_drake.geometry import Array
+from kinebench_drake.geometry import Array, pose_difference
 from kinebench_drake.io.frames import Frames
 from kinebench_drake.models.arm import PANDA, ROBOTS, load_robot
 from kinebench_drake.models.robot import Robot
-from kinebench_drake.track import GripperTrack
+from kinebench_drake.track import GripperTrack, IkStatus, JointTrack
 
 if TYPE_CHECKING:  # Drake, torch and Open3D take seconds to load
     from kinebench_drake.grounding.video import Grounder
@@ -111,6 +111,25 @@ class Tools:
         if table_height_m not in self._judges:
             self._judges[table_height_m] = TrackJudge(self._plant, table_height_m=table_height_m)
         return self._judges[table_height_m]
+
+    def joints(self, track: GripperTrack) -> JointTrack:
+        """Return joint angles for a robot that executes a track: near its rest posture, each near those before.
+
+        Where these come to a limit, they are those of `judge`, which may bend the arm in another way.
+        """
+        from kinebench_drake.kinematics.continuation import solve_stepwise
+
+        tracked = track.tracked & np.isfinite(track.X_BG).all(axis=(1, 2))
+        q = np.full((len(track.t_s), 7), np.nan)
+        q[tracked], failure = solve_stepwise(self._plant, track.X_BG[tracked], self._plant.robot.rest_q)
+        if failure is not None:
+            return self.judge(track).joints
+        position_m, rotation_rad = np.full((2, len(q)), np.nan)
+        reached = self._plant.forward_path(q[tracked])
+        position_m[tracked], rotation_rad[tracked] = pose_difference(reached, track.X_BG[tracked])
+        status = tuple(IkStatus.OK if ok else IkStatus.NOT_TRACKED for ok in tracked)
+        errors = {"position_error_m": position_m, "rotation_error_rad": rotation_rad}
+        return JointTrack(t_s=track.t_s, q=q, status=status, **errors)
 
     def judge_joints(self, t_s: Array, q: Array, finger_width_m: Array) -> "KinematicResult":
         """Judge joint angles (T, 7) [rad] as recorded; NaN where unknown.

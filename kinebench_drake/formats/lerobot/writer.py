@@ -39,12 +39,24 @@ VERSION = "v3.0"
 CAMERA = "observation.images.benchmark"
 STATE, POSE, ACTION = "observation.state", "observation.tcp_pose", "action"
 _JOINTS = [f"joint_{i}" for i in range(1, 8)]
-VECTORS = {
+_POSE = ["x", "y", "z", "qw", "qx", "qy", "qz"]
+STATES: Mapping[str, Sequence[str]] = {
     STATE: [*_JOINTS, "gripper_width"],
-    POSE: ["x", "y", "z", "qw", "qx", "qy", "qz"],
+    POSE: _POSE,
     ACTION: [*_JOINTS, "gripper_width"],
 }
-"""Numeric columns and their elements: radians and metres, poses in the robot base frame."""
+"""Columns of a recording and their elements: radians and metres, poses in the robot base frame."""
+POSE_ACTION, DELTA_ACTION = "pose_action", "delta_action"
+CONFIDENCE, USABLE, GRIPPER_KNOWN = "confidence", "usable", "gripper_known"
+ESTIMATES: Mapping[str, Sequence[str]] = {
+    **STATES,
+    POSE_ACTION: [*_POSE, "gripper_width"],
+    DELTA_ACTION: ["dx", "dy", "dz", "rx", "ry", "rz", "gripper_width"],
+    CONFIDENCE: [CONFIDENCE],
+    USABLE: [USABLE],
+    GRIPPER_KNOWN: [GRIPPER_KNOWN],
+}
+"""Columns of an episode whose motion was estimated from its video."""
 COUNTERS = {TIME: "float32", **dict.fromkeys((FRAME, EPISODE, "index", "task_index"), "int64")}
 """Columns of every LeRobot dataset."""
 
@@ -61,7 +73,7 @@ def part_files(parts: Path, id: str) -> tuple[Path, Path]:
 
 
 def write_part(
-    parts: Path, id: str, rgb: NDArray[np.uint8], state: Array, X_BG: Array, action: Array, *, fps: float, crf: int
+    parts: Path, id: str, rgb: NDArray[np.uint8], columns: Mapping[str, NDArray[Any]], *, fps: float, crf: int
 ) -> None:
     """Write the parts of an episode of T frames to a folder.
 
@@ -69,9 +81,7 @@ def write_part(
         parts: the folder.
         id: name of the episode's parts.
         rgb: (T, H, W, 3) video.
-        state: (T, 8) joint angles [rad] and gap between the finger pads [m].
-        X_BG: (T, 4, 4) poses of the TCP in the robot base frame [m].
-        action: (T, 8) command until the next frame, as `state`.
+        columns: (T, n) or (T,) numbers or booleans by the name of the column.
         fps: frames per second [1/s].
         crf: quality of x264.
 
@@ -79,16 +89,17 @@ def write_part(
         SetupError: writing failed.
     """
     columns_file, video_file = part_files(parts, id)
-    quaternions = _continuous(np.stack([to_quaternion(X[:3, :3]) for X in X_BG]))
     pixels = rgb[:, ::_STRIDE_PX, ::_STRIDE_PX]
-    columns = {
-        STATE: state.astype(np.float32),
-        POSE: np.column_stack([X_BG[:, :3, 3], quaternions]).astype(np.float32),
-        ACTION: action.astype(np.float32),
-        CAMERA: np.stack([np.bincount(pixels[..., c].ravel(), minlength=256) for c in range(3)]),
-    }
-    write_arrays(columns_file, columns)
+    histograms = np.stack([np.bincount(pixels[..., c].ravel(), minlength=256) for c in range(3)])
+    own = {name: values if values.dtype == bool else values.astype(np.float32) for name, values in columns.items()}
+    write_arrays(columns_file, {**own, CAMERA: histograms})
     write_video(video_file, rgb, fps, crf=crf, keyframe_every=_KEYFRAME_EVERY)
+
+
+def pose_columns(X_BG: Array) -> Array:
+    """Return x, y, z [m] and a quaternion of poses (T, 4, 4), as a column (T, 7)."""
+    quaternions = _continuous(np.stack([to_quaternion(X[:3, :3]) for X in X_BG]))
+    return np.column_stack([X_BG[:, :3, 3], quaternions])
 
 
 def _continuous(quaternions: Array) -> Array:
@@ -101,7 +112,16 @@ def _continuous(quaternions: Array) -> Array:
     return np.asarray(quaternions * np.where(turns, -1.0, 1.0)[:, None])
 
 
-def join_parts(folder: Path, parts: Path, prompts: Mapping[str, str], fps: float, camera: Camera) -> list[Path]:
+def join_parts(
+    folder: Path,
+    parts: Path,
+    prompts: Mapping[str, str],
+    fps: float,
+    camera: Camera | None,
+    *,
+    size: tuple[int, int],
+    features: Mapping[str, Sequence[str]] = STATES,
+) -> list[Path]:
     """Join the parts of all episodes in a dataset, and write its metadata; return the files of data and videos.
 
     Args:
@@ -109,14 +129,16 @@ def join_parts(folder: Path, parts: Path, prompts: Mapping[str, str], fps: float
         parts: folder of the parts.
         prompts: instruction of each episode by the name of its parts.
         fps: frames per second, a whole number [1/s].
-        camera: camera of the videos.
+        camera: camera of the videos; None: they have several, or it is unknown.
+        size: width and height of the videos [px].
+        features: names of the elements of each column.
 
     Raises:
         SetupError: writing failed.
     """
     tasks = list(dict.fromkeys(prompts.values()))
-    columns, histograms = _read_columns(parts, prompts, fps, tasks)
-    tables, videos = [_table(own) for own in columns], [part_files(parts, id)[1] for id in prompts]
+    columns, histograms = _read_columns(parts, prompts, fps, tasks, features)
+    tables, videos = [_table(own, features) for own in columns], [part_files(parts, id)[1] for id in prompts]
     data_places = _places([table.nbytes for table in tables], _DATA_MB)
     video_places = _places([video.stat().st_size for video in videos], _VIDEO_MB)
     data_files = [folder / DATA.format(**place) for place in data_places]
@@ -130,7 +152,7 @@ def join_parts(folder: Path, parts: Path, prompts: Mapping[str, str], fps: float
         index, begin = own["index"], frames[video_files[k]]
         end = frames[video_files[k]] = begin + len(index)
         span = zip(SPAN, (begin / fps, end / fps), strict=True)
-        features = feature_statistics([own], {CAMERA: [histograms[k]]})
+        statistics = feature_statistics([own], {CAMERA: [histograms[k]]})
         episodes.append(
             {
                 EPISODE: k,
@@ -141,7 +163,7 @@ def join_parts(folder: Path, parts: Path, prompts: Mapping[str, str], fps: float
                 **_below("data", data_places[k]),
                 **_below(f"videos/{CAMERA}", {**video_places[k], **dict(span)}),
                 **_below(
-                    "stats", {f"{name}/{kind}": x for name, kinds in features.items() for kind, x in kinds.items()}
+                    "stats", {f"{name}/{kind}": x for name, kinds in statistics.items() for kind, x in kinds.items()}
                 ),
                 **_below("meta/episodes", dict.fromkeys(PLACE, 0)),
             }
@@ -150,8 +172,9 @@ def join_parts(folder: Path, parts: Path, prompts: Mapping[str, str], fps: float
     _write_tables(episodes_file, [pa.Table.from_pylist(episodes)])
     _write_tasks(tasks_file, tasks)
     write_json(statistics_file, feature_statistics(columns, {CAMERA: histograms}))
-    write_json(info_file, _info(camera, round(fps), columns, len(tasks)))
-    save_camera(camera, camera_file)
+    write_json(info_file, _info(size, round(fps), columns, len(tasks), features))
+    if camera is not None:
+        save_camera(camera, camera_file)
     return sorted({*data_files, *video_files})
 
 
@@ -162,13 +185,13 @@ def index_files(folder: Path) -> list[Path]:
 
 
 def _read_columns(
-    parts: Path, prompts: Mapping[str, str], fps: float, tasks: Sequence[str]
+    parts: Path, prompts: Mapping[str, str], fps: float, tasks: Sequence[str], features: Mapping[str, Sequence[str]]
 ) -> tuple[list[Columns], list[NDArray[Any]]]:
     """Return the columns of each episode and the histograms of its images."""
     columns, histograms, frames_before = [], [], 0
     for k, (id, prompt) in enumerate(prompts.items()):
         with np.load(part_files(parts, id)[0]) as archive:
-            own = {name: archive[name] for name in VECTORS}
+            own = {name: archive[name] for name in features}
             histograms.append(archive[CAMERA])
         frames = np.arange(len(own[STATE]))
         own |= {TIME: (frames / fps).astype(np.float32), FRAME: frames, EPISODE: np.full_like(frames, k)}
@@ -178,10 +201,12 @@ def _read_columns(
     return columns, histograms
 
 
-def _table(columns: Columns) -> pa.Table:
+def _table(columns: Columns, features: Mapping[str, Sequence[str]]) -> pa.Table:
     vectors = {
-        name: pa.FixedSizeListArray.from_arrays(pa.array(columns[name].ravel()), len(elements))
-        for name, elements in VECTORS.items()
+        name: pa.array(columns[name].ravel())
+        if len(elements) == 1
+        else pa.FixedSizeListArray.from_arrays(pa.array(columns[name].ravel()), len(elements))
+        for name, elements in features.items()
     }
     return pa.table(
         {**vectors, **{name: pa.array(columns[name], pa.type_for_alias(t)) for name, t in COUNTERS.items()}}
@@ -221,9 +246,11 @@ def _write_tasks(path: Path, tasks: Sequence[str]) -> None:
     _write_tables(path, [table.replace_schema_metadata({"pandas": json.dumps(pandas)})])
 
 
-def _info(camera: Camera, fps: int, columns: Sequence[Columns], tasks: int) -> dict[str, Any]:
+def _info(
+    size: tuple[int, int], fps: int, columns: Sequence[Columns], tasks: int, features: Mapping[str, Sequence[str]]
+) -> dict[str, Any]:
     """Return the description of the dataset."""
-    height, width = (side + side % 2 for side in (camera.height, camera.width))
+    width, height = (side + side % 2 for side in size)
     encoding = {
         "video.height": height,
         "video.width": width,
@@ -251,8 +278,8 @@ def _info(camera: Camera, fps: int, columns: Sequence[Columns], tasks: int) -> d
         "features": {
             CAMERA: {**image, "names": ["height", "width", "channels"]},
             **{
-                name: {"dtype": "float32", "shape": [len(elements)], "names": elements}
-                for name, elements in VECTORS.items()
+                name: {"dtype": str(columns[0][name].dtype), "shape": [len(elements)], "names": list(elements)}
+                for name, elements in features.items()
             },
             **{name: {"dtype": kind, "shape": [1], "names": None} for name, kind in COUNTERS.items()},
         },
