@@ -145,7 +145,7 @@ def damage() -> str | None:
         return None
     if not (ROOT / "wanted.txt").is_file():
         return f"{ROOT} was never finished"
-    for purpose in ("drake", "open3d", "vulkan", "tcmalloc"):
+    for purpose in ("drake", "open3d", "vulkan"):
         for library in _listed(purpose):
             if not library.is_file():
                 return f"{library.relative_to(ROOT)} is missing in {ROOT}"
@@ -163,8 +163,3 @@ def damage() -> str | None:
     except SetupError as error:
         return str(error)
     return None
-
-
-def allocator() -> Path | None:
-    """Return the unpacked tcmalloc, for LD_PRELOAD of a training process; None if there is none."""
-    return next(iter(_listed("tcmalloc")), None)

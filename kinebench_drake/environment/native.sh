@@ -47,7 +47,6 @@ package_of() { # Debian's package names; a second one if Ubuntu 24.04 and Debian
     libusb-1.0.so.0) echo libusb-1.0-0 ;;
     libstdc++.so.6) echo libstdc++6 ;;
     libz.so.1) echo zlib1g ;;
-    tcmalloc) echo libtcmalloc-minimal4t64 libtcmalloc-minimal4 ;;
     mesa) echo mesa-vulkan-drivers ;;
     esac
 }
@@ -125,7 +124,7 @@ fetch_libraries() { # $@: names that package_of knows
             [ "$name" != mesa ] || dpkg --compare-versions "$version" ge "$mesa_minimum" ||
                 stop "SAPIEN needs Mesa $mesa_minimum or newer, this system's newest is $version; use Debian 12 or newer, Ubuntu 24.04 with its updates, or an NVIDIA driver."
             packages+=("$package")
-        elif [ "$name" != tcmalloc ]; then
+        else
             [ -n "$(package_of "$name")" ] || stop "no package is known for $name; install the library with your system's package manager and run this again."
             tail -n 3 "$work/update.log" >&2
             stop "the package for $name is not available ($(package_of "$name")); is the network up and the distribution's archive in apt's sources?"
@@ -174,7 +173,6 @@ install_native() { # $1: --anew or nothing
     if [ "${#wanted[@]}" != 0 ]; then
         command -v apt-get >/dev/null && command -v dpkg >/dev/null ||
             stop "this system has no apt-get; install by other means (mesa: Mesa's Vulkan drivers $mesa_minimum or newer): ${wanted[*]}"
-        wanted+=(tcmalloc) # optional: makes training faster
     fi
     [ -z "$wrong" ] || say "Replacing $native ($wrong)"
     work=$(mktemp -d "$prefix/native.XXXXXX") || stop "$prefix cannot be written to; run this as its owner."
@@ -194,7 +192,6 @@ install_native() { # $1: --anew or nothing
     for purpose in drake open3d vulkan; do
         preload_list "$root" "$folders" $(roots "$purpose") >"$root/$purpose.txt"
     done
-    (cd "$root" && find . -name 'libtcmalloc_minimal.so.4' -printf '%P\n') >"$root/tcmalloc.txt"
     if [ -n "$driver" ]; then
         sed "s#\"library_path\": *\"[^\"]*\"#\"library_path\": \"$native/${driver#"$root"/}\"#" \
             "$root"/usr/share/vulkan/icd.d/lvp_icd*.json >"$root/lavapipe.json"

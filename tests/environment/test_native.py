@@ -39,7 +39,6 @@ def install_nvidia(root: Path) -> None:
 def test_without_unpacked_libraries_the_environment_stays_unchanged(root: Path) -> None:
     assert native.prepare_vulkan() == "cpu"
     assert "VK_DRIVER_FILES" not in os.environ
-    assert native.allocator() is None
 
 
 def test_the_unpacked_vulkan_driver_is_selected(root: Path) -> None:
@@ -113,7 +112,7 @@ def unpacked(root: Path) -> Path:
     subprocess.run(["cc", "-shared", "-fPIC", "driver.c", "-o", "libdriver.so"], cwd=root, check=True)
     (root / "lavapipe.json").write_text(json.dumps({"ICD": {"library_path": str(root / "libdriver.so")}}))
     (root / "vulkan.txt").write_text("libdriver.so\n")
-    (root / "wanted.txt").write_text("mesa\ntcmalloc\n")
+    (root / "wanted.txt").write_text("mesa\n")
     return root
 
 
@@ -134,7 +133,7 @@ def test_an_undamaged_library_folder_is_not_reported_as_damaged(unpacked: Path) 
         ("wanted.txt", None, "never finished"),
         ("libdriver.so", None, "libdriver.so is missing"),
         ("libdriver.so", "torn", "cannot load libdriver.so"),
-        ("tcmalloc.txt", "usr/libtcmalloc.so", "usr/libtcmalloc.so is missing"),
+        ("vulkan.txt", "usr/libvulkan.so", "usr/libvulkan.so is missing"),
         ("lavapipe.json", None, "lavapipe.json cannot be read"),
         ("lavapipe.json", "{}", "lavapipe.json cannot be read"),
         ("lavapipe.json", json.dumps({"ICD": {"library_path": "/gone/x.so"}}), "moved or copied"),
@@ -146,11 +145,6 @@ def test_damage_names_the_missing_or_broken_file(unpacked: Path, file: str, cont
     if content is not None:
         (unpacked / file).write_text(content)
     assert message in (native.damage() or "whole")
-
-
-def test_allocator_is_the_listed_library(root: Path) -> None:
-    (root / "tcmalloc.txt").write_text("usr/lib/libtcmalloc_minimal.so.4\n")
-    assert native.allocator() == root / "usr/lib/libtcmalloc_minimal.so.4"
 
 
 def test_listed_libraries_exist() -> None:
