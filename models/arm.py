@@ -11,7 +11,7 @@ from types import MappingProxyType
 import numpy as np
 
 from kinebench_drake.errors import InputError, SetupError, UsageError, suggestion
-from kinebench_drake.geometry import Array, from_quaternion
+from kinebench_drake.geometry import Array
 from kinebench_drake.io.files import absence, cache_folder
 from kinebench_drake.models.joint_limits import LimitTable, read_limit_table, read_limits, write_limits
 from kinebench_drake.models.link_tree import LinkTree, end_link
@@ -145,13 +145,11 @@ def _place_tool(tree: LinkTree, root: ElementTree.Element, tool: str | None, *, 
         unit = False
     if not unit or not np.isfinite([x, y, z]).all():
         raise UsageError(f"$tool {tool}: expected x,y,z,qw,qx,qy,qz, metres and a unit quaternion")
-    R = from_quaternion(np.array(quaternion) / np.linalg.norm(quaternion), [0.0, 0.0, 0.0])[:3, :3]
-    level = float(np.hypot(R[0, 0], R[1, 0]))
-    upright = level < 1e-9  # roll and yaw turn about one axis
-    roll = np.arctan2(-R[1, 2], R[1, 1]) if upright else np.arctan2(R[2, 1], R[2, 2])
-    yaw = 0.0 if upright else np.arctan2(R[1, 0], R[0, 0])
-    rpy = f"{float(roll)!r} {float(np.arctan2(-R[2, 0], level))!r} {float(yaw)!r}"
-    _add_link(root, _TOOL_LINK, parent, f"{x!r} {y!r} {z!r}", rpy)
+    from pydrake.common.eigen_geometry import Quaternion
+    from pydrake.math import RollPitchYaw
+
+    rpy = RollPitchYaw(Quaternion(np.array(quaternion) / np.linalg.norm(quaternion))).vector()
+    _add_link(root, _TOOL_LINK, parent, f"{x!r} {y!r} {z!r}", " ".join(map(repr, rpy.tolist())))
     return _TOOL_LINK
 
 

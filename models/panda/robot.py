@@ -13,8 +13,6 @@ from kinebench_drake.errors import SetupError
 from kinebench_drake.geometry import Array, make_pose
 from kinebench_drake.models.joint_limits import LimitTable
 
-BASE_LINK = "panda_link0"
-"""Frame B."""
 FLANGE_LINK = "panda_link8"
 """Frame F, of the tool pose of `--tool`."""
 HAND_LINK = "panda_hand"
