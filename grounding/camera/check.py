@@ -246,6 +246,10 @@ class CameraChecker:
         scene, _ = self._fitter.fit_contours(start, images, prior, _PASSES)
         return replace(start, scene=scene, agreement=float(np.median(images.agreement(scene))))
 
+    def base_agreement(self, frames: Frames, fit: Candidate) -> float:
+        """Return the share of the base link's contours on image edges in the frames (T, H, W, 3) of a fit; 0 unseen."""
+        return self._fitter.images(frames, fit.scene.lens.camera).base_share(fit.scene)
+
     def freed_agreement(self, frames: Frames, fit: Candidate) -> float:
         """Return the agreement after a fit of the place of the camera as well, in the frames (T, H, W, 3) of a fit."""
         lens = fit.scene.lens

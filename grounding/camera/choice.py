@@ -16,7 +16,7 @@ from kinebench_drake.grounding.camera.evidence import AGREEMENT, CameraChoice, c
 from kinebench_drake.grounding.camera.framing import Framing, apply_framing
 from kinebench_drake.grounding.camera.framing_search import find_framing
 from kinebench_drake.grounding.camera.reading import BetterReading, Reading
-from kinebench_drake.grounding.camera.recognition import LEAST_AGREEMENT, Recognition
+from kinebench_drake.grounding.camera.recognition import Recognition
 from kinebench_drake.grounding.parts import GroundingParts
 from kinebench_drake.grounding.pipeline import PipelineResult
 from kinebench_drake.grounding.priors import Clip, Priors
@@ -138,7 +138,7 @@ class CameraChooser:
         measured = self._ground_hand(view)
         agreement = self.parts.checker.track_agreement(view.frames, view.camera, measured)
         reason = None
-        if agreement is None or agreement < LEAST_AGREEMENT:
+        if agreement is None or agreement < AGREEMENT:
             reason = (
                 f"the base frame is unknown: the track does not confirm the camera {named.name} ({_share(agreement)})"
             )

@@ -11,18 +11,20 @@ import numpy as np
 
 from kinebench_drake.camera import Camera
 from kinebench_drake.formats.camerafile import BENCHMARK, NamedCamera, named_cameras
+from kinebench_drake.grounding.camera.camera_estimate import BASE_AGREEMENT
 from kinebench_drake.grounding.camera.candidate import Candidate
 from kinebench_drake.grounding.camera.check import CameraChecker
 from kinebench_drake.grounding.camera.estimate import usual_camera
+from kinebench_drake.grounding.camera.evidence import AGREEMENT
 from kinebench_drake.grounding.camera.framing import placements
 from kinebench_drake.grounding.camera.lens import Lens
 from kinebench_drake.grounding.camera.reading import BetterReading, Reading
 from kinebench_drake.io.frames import Frames
 from kinebench_drake.segments import evenly
 
-LEAST_AGREEMENT, LEAD, GAIN = 0.42, 0.03, 0.05
-"""Least share of the arm's contours on image edges of a camera that is recognized, its lead over the next one, and how
-much more a camera may have that is freed from its place: what can be reached follows the sharpness of the picture."""
+LEAD, GAIN = 0.03, 0.05
+"""Lead of a recognized camera over the next one in its share of the arm's contours on image edges, and how much more a
+camera may have that is freed from its place: what can be reached follows the sharpness of the picture."""
 _COST, _COST_LEAD = 6.0, 0.8
 """Mean error of the cells (`Hypothesis.cost`) up to which a camera comes into question, and that over the least one."""
 _SEARCHED = 8  # frames
@@ -47,12 +49,14 @@ class Recognition:
     """The same of the best camera with another picture; 0 if none came into question."""
     freed: float
     """The same of a camera freed from its place."""
+    base_agreement: float
+    """Share of the contours of the base link on image edges; 0 if it is not seen."""
 
     @property
     def is_clear(self) -> bool:
         """True if the arm confirms it, and no other."""
-        leads = self.agreement >= max(LEAST_AGREEMENT, self.runner_up + LEAD)
-        return leads and self.freed <= self.agreement + GAIN
+        leads = self.agreement >= max(AGREEMENT, self.runner_up + LEAD)
+        return leads and self.base_agreement >= BASE_AGREEMENT and self.freed <= self.agreement + GAIN
 
     @property
     def is_usual(self) -> bool:
@@ -115,6 +119,7 @@ def _best(trials: Sequence[_Trial], checker: CameraChecker) -> Recognition:
         agreement=best.agreement,
         runner_up=max((trial.agreement for trial in trials if not trial.is_same(best)), default=0.0),
         freed=checker.freed_agreement(best.frames, best.fit),
+        base_agreement=checker.base_agreement(best.frames, best.fit),
     )
 
 

@@ -25,7 +25,7 @@ from kinebench_drake.grounding.camera.estimate import usual_camera
 from kinebench_drake.grounding.camera.evidence import AGREEMENT, SURE
 from kinebench_drake.grounding.camera.lens import Lens
 from kinebench_drake.grounding.camera.reading import BetterReading, Reading
-from kinebench_drake.grounding.camera.recognition import LEAST_AGREEMENT, Recognition
+from kinebench_drake.grounding.camera.recognition import Recognition
 from kinebench_drake.grounding.pipeline import PipelineResult
 from kinebench_drake.grounding.priors import Clip, InitialStateUse, Priors
 from kinebench_drake.grounding.video import Grounder
@@ -141,7 +141,9 @@ def estimate(**changes):
 def recognition(name, shown=None):
     named = named_cameras()[name]
     camera = named.setting.camera.resized(96, 96)
-    return Recognition(named=named, camera=camera, reading=shown, agreement=0.6, runner_up=0.4, freed=0.6)
+    return Recognition(
+        named=named, camera=camera, reading=shown, agreement=0.6, runner_up=0.4, freed=0.6, base_agreement=0.6
+    )
 
 
 def reading(kind=Reading.MIRRORED):
@@ -183,7 +185,7 @@ def test_an_assumed_camera_just_below_the_agreement_bound_gives_no_base_frame():
 
 
 @pytest.mark.parametrize("name", ["benchmark", "libero-tabletop", "robosuite-agentview"])
-@pytest.mark.parametrize("agreement", [LEAST_AGREEMENT, LEAST_AGREEMENT - 0.01])
+@pytest.mark.parametrize("agreement", [AGREEMENT, AGREEMENT - 0.01])
 def test_a_recognized_camera_gives_a_base_frame_if_the_track_with_it_confirms_it(name, agreement):
     evidence = Evidence(agreements=[0.9, agreement], recognized=recognition(name))
     evidence.domain = Domain.UNFAMILIAR
@@ -191,8 +193,8 @@ def test_a_recognized_camera_gives_a_base_frame_if_the_track_with_it_confirms_it
     assert evidence.asked == ["assumed", "recognize", "ground"]
     assert choice.table_height_m == named_cameras()[name].setting.table_height_m
     assert choice.to_json()["camera_name"] == name
-    assert (choice.state is CameraState.CONFIRMED) == (agreement >= LEAST_AGREEMENT)
-    assert (choice.reason is None) == (agreement >= LEAST_AGREEMENT)
+    assert (choice.state is CameraState.CONFIRMED) == (agreement >= AGREEMENT)
+    assert (choice.reason is None) == (agreement >= AGREEMENT)
     if choice.reason is None:
         assert choice.to_json()["camera_source"] == ("benchmark" if name == "benchmark" else "recognized")
 

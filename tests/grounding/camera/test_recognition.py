@@ -7,8 +7,10 @@ import numpy as np
 import pytest
 
 from kinebench_drake.formats.camerafile import find_camera, named_cameras
+from kinebench_drake.grounding.camera.camera_estimate import BASE_AGREEMENT
+from kinebench_drake.grounding.camera.evidence import AGREEMENT
 from kinebench_drake.grounding.camera.reading import Reading
-from kinebench_drake.grounding.camera.recognition import GAIN, LEAD, LEAST_AGREEMENT, Recognition, cameras_of
+from kinebench_drake.grounding.camera.recognition import GAIN, LEAD, Recognition, cameras_of
 from kinebench_drake.grounding.parts import GroundingParts
 from kinebench_drake.io.reader import read_video
 
@@ -46,15 +48,22 @@ def test_a_camera_that_does_not_show_the_robots_foot_is_not_tried(name):
     ("changes", "is_clear"),
     [
         ({}, True),
-        ({"agreement": LEAST_AGREEMENT - 0.01}, False),
+        ({"agreement": AGREEMENT - 0.01}, False),
         ({"runner_up": 0.6 - LEAD + 0.01}, False),
         ({"freed": 0.6 + GAIN + 0.01}, False),
+        ({"base_agreement": BASE_AGREEMENT - 0.01}, False),
     ],
 )
-def test_a_camera_is_clear_if_neither_another_nor_a_freed_one_agrees_nearly_as_well(changes, is_clear):
+def test_a_camera_is_clear_if_arm_and_base_agree_and_neither_another_nor_a_freed_one_nearly_as_well(changes, is_clear):
     named = find_camera("rlbench-front")
     clear = Recognition(
-        named=named, camera=named.setting.camera, reading=None, agreement=0.6, runner_up=0.3, freed=0.61
+        named=named,
+        camera=named.setting.camera,
+        reading=None,
+        agreement=0.6,
+        runner_up=0.3,
+        freed=0.61,
+        base_agreement=0.6,
     )
     assert replace(clear, **changes).is_clear is is_clear
 
