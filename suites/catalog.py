@@ -1,8 +1,7 @@
 """Suites: tasks, seeds and pools of their splits, and the episodes that result from them."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from enum import Enum
+from dataclasses import dataclass, field
 from functools import lru_cache
 from importlib.resources import files
 from typing import ClassVar
@@ -25,15 +24,6 @@ class _Strict:
 
     __slots__ = ()
     __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(extra="forbid")
-
-
-class Relation(Enum):
-    """Relation of an unseen task to trained ones."""
-
-    RECOMBINATION = "recombination"
-    """New combination, place or direction of trained parts."""
-    HARDER = "harder"
-    """More demanding version of a trained task."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -71,36 +61,6 @@ class Split(_Strict):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Transfer(_Strict):
-    """Reason why an unseen task measures transfer."""
-
-    task: str
-    relation: Relation
-    of: tuple[str, ...]
-    """The trained tasks."""
-    reason: str
-    """Knowledge that the task requires."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ExcludedTask(_Strict):
-    """Task that is neither trained nor evaluated, and why."""
-
-    task: str
-    reason: str
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SuiteStudy(_Strict):
-    """A grid of training runs."""
-
-    demonstrations: tuple[int, ...]
-    """Demonstrations of each task; smaller sets are prefixes of larger ones."""
-    steps: tuple[int, ...]
-    """Optimisation steps."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class Suite(_Strict):
     """Suite of tasks and splits."""
 
@@ -114,12 +74,8 @@ class Suite(_Strict):
     """Lists of plain task ids by name."""
     splits: Mapping[str, Split]
     """Splits by name."""
-    transfers: tuple[Transfer, ...] = ()
-    """Relations of its unseen tasks to trained ones."""
-    left_out: tuple[ExcludedTask, ...] = ()
-    """Tasks that are not part of it."""
-    study: SuiteStudy | None = None
-    """Training runs of its study."""
+    transfers: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    """Trained tasks that each unseen task derives from."""
 
     def split_name(self, name: str | None) -> str:
         """Return the name of a split; that for evaluation for None, or for "test" if no split has this name.

@@ -69,7 +69,7 @@ def _drop_parts(runs: Sequence[SuiteRun], episodes: Sequence[EpisodeResult], see
         if names := differing_settings([run for run in runs if run.path in paths]):
             parts.append(make_missing("seen_unseen", model=model, suite=suite, settings=" and ".join(names)))
             episodes = [e for e in episodes if (e.model, e.part.suite) != (model, suite)]
-    drops = transfer.study_drops(episodes, {t.task: t.of for t in load_suite(1).transfers}, seed)
+    drops = transfer.study_drops(episodes, load_suite(1).transfers, seed)
     return [transfer.tabulate_drops(drops), *transfer.draw_drops(drops), *parts] if drops else parts
 
 
