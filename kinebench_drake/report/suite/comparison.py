@@ -11,8 +11,6 @@ import numpy as np
 
 from kinebench_drake.errors import UsageError
 from kinebench_drake.geometry import Array
-from kinebench_drake.io.figure import FAINT, new_figure, shorten
-from kinebench_drake.report.figures import COLOURS, ReportFigure, draw_interval, label_shares, make_figure
 from kinebench_drake.report.number import (
     ALL_TASKS,
     NumberComparison,
@@ -37,10 +35,6 @@ if TYPE_CHECKING:
 
 DIRECT = "expert's true track"
 """Label of direct execution in place of a model's name."""
-_MAX_DIFFERENCES = 170
-"""Differences up to which single tasks are drawn."""
-_MAX_LETTERS = 28
-"""Letters of a model's name that the figure has room for."""
 _PRINTED = ("task", "success_first", "success_second", "difference", "p", "p_adjusted", "measured")
 """Keys of the columns printed to a terminal."""
 Pair = tuple[Sequence[EpisodeResult], Sequence[EpisodeResult]]
@@ -297,29 +291,3 @@ def ceiling_lines(pairs: Sequence[PairComparison]) -> Iterator[str]:
             share = f", {own / ceiling:.1%} of it" if ceiling else ""
             done = f"success in {own:g} of {c.paired.n}, direct execution in {ceiling:g}"
             yield f"{c.first}, {c.part.title}: {done}{share}"
-
-
-def draw_differences(pairs: Sequence[PairComparison]) -> ReportFigure | None:
-    """Draw differences of success on shared episodes with Newcombe's intervals; None if nothing is measured twice."""
-    lines = [(c, share_difference(c.paired)) for c in pairs if c.paired is not None]
-    if len(lines) > _MAX_DIFFERENCES:
-        lines = [(c, d) for c, d in lines if c.task == ALL_TASKS]
-    if not lines:
-        return None
-    lines.reverse()
-    names = [
-        c.task
-        if c.task != ALL_TASKS
-        else f"{shorten(c.first, _MAX_LETTERS)} − {shorten(c.second, _MAX_LETTERS)}, {c.part.title}"
-        for c, _ in lines
-    ]
-    figure, axes = new_figure(4.4 + 0.075 * max(map(len, names)), 1.2 + 0.27 * len(lines))
-    ax = axes[0, 0]
-    for k, (c, d) in enumerate(lines):
-        pooled = c.task == ALL_TASKS
-        draw_interval(ax, d, float(k), "#000000" if pooled else COLOURS[0], "D" if pooled else "o")
-    ax.axvline(0.0, color=FAINT, linewidth=1.2, zorder=1)
-    label_shares(ax, names, "difference of success on shared episodes", low=-1.0)
-    for text, (c, _) in zip(ax.get_yticklabels(), lines, strict=True):
-        text.set_fontweight("bold" if c.task == ALL_TASKS else "normal")
-    return make_figure("differences", figure)

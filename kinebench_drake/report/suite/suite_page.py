@@ -7,7 +7,7 @@ from kinebench_drake.report.number import tabulate_numbers
 from kinebench_drake.report.parts import Part, choose_listed, list_links, make_missing, write_parts
 from kinebench_drake.report.run import check_page_folder
 from kinebench_drake.report.suite import correlation, kinematics, scaling, success, transfer
-from kinebench_drake.report.suite.comparison import ModelComparison, draw_differences, tabulate_comparison
+from kinebench_drake.report.suite.comparison import ModelComparison, tabulate_comparison
 from kinebench_drake.report.suite.episode_result import EpisodeResult, group_by, has_samples, tabulate_episodes
 from kinebench_drake.report.suite.pooling import (
     SuiteRun,
@@ -97,17 +97,14 @@ def _scaling_parts(runs: Sequence[SuiteRun], episodes: Sequence[EpisodeResult], 
 
 
 def write_comparison(comparison: ModelComparison, out: Path) -> Path:
-    """Write a comparison: page, figure and table; returns the page.
+    """Write a comparison: page and tables; returns the page.
 
     Raises:
         UsageError: `out` is the folder of a run.
         SetupError: writing failed.
     """
     check_page_folder(out)
-    parts: list[Part] = [
-        tabulate_comparison(comparison.pairs),
-        draw_differences(comparison.pairs) or make_missing("differences"),
-    ]
+    parts: list[Part] = [tabulate_comparison(comparison.pairs)]
     if comparison.numbers:
         parts.append(tabulate_numbers(comparison.numbers))
     return write_page("Comparison of models", comparison.runs, comparison.episodes, out, parts, comparison.leads)

@@ -192,7 +192,7 @@ def test_a_comparison_is_printed_and_written(runs, tmp_path, capsys):
     printed = capsys.readouterr().out
     assert printed.startswith("good is better than fair: success 70% (at most 77%) against 40% (at most 47%) of 30 ")
     assert "all tasks" in printed
-    assert {p.name for p in out.iterdir()} >= {"report.html", "comparison.csv", "comparison.tex", "differences.png"}
+    assert {p.name for p in out.iterdir()} >= {"report.html", "comparison.csv", "comparison.tex"}
     page = (out / "report.html").read_text()
     assert Page(page).open == []
     assert printed.splitlines()[0] in page
