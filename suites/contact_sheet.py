@@ -1,4 +1,4 @@
-"""Contact sheets: an overview image of tasks, and their table."""
+"""Contact sheets: an overview image of tasks."""
 
 import textwrap
 from collections.abc import Sequence
@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from kinebench_drake.errors import InputError
 from kinebench_drake.executors.base import Executor, WorkerCrash
 from kinebench_drake.io.figure import new_figure, plain
-from kinebench_drake.suites.composition import Episode, compose
-from kinebench_drake.suites.families.registry import find_expert, find_task
+from kinebench_drake.suites.composition import Episode
+from kinebench_drake.suites.families.registry import find_expert
 from kinebench_drake.suites.rollout import run_expert
 from kinebench_drake.suites.simulator import Simulator
 from kinebench_drake.suites.simulator_cache import SimulatorCache, SimulatorWorker
@@ -88,15 +88,3 @@ def draw_sheet(panels: Sequence[Panel]) -> "Figure":
         below = pair[0].text(0.0, -0.04, text, fontsize=7, color=colour, va="top", transform=pair[0].transAxes)
         below.set_in_layout(False)  # it may be wider than its image
     return figure
-
-
-def task_table(tasks: Sequence[str]) -> str:
-    """Return the cards of tasks and the prompts of their episodes of seed 0 as a Markdown table."""
-    rows = [("task", "difficulty", "joints", "contacts", "clips", "variants", "prompt (seed 0)"), ("---",) * 7]
-    for task in tasks:
-        card = find_task(task).card
-        joints = f"{card.articulated_dof} ({card.axes})" if card.articulated_dof else "0"
-        variants = ", ".join(variant.value for variant in card.variants)
-        figures = (card.difficulty.value, joints, str(card.contacts), str(card.clips), variants)
-        rows.append((card.id, *figures, compose(task, 0).prompt))
-    return "\n".join(f"| {' | '.join(row)} |" for row in rows)

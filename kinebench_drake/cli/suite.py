@@ -85,8 +85,7 @@ suite.add_command(report)
 )
 @click.option("--json", "as_json", is_flag=True, help="Full descriptions as JSON.")
 @click.option("--suites", is_flag=True, help="List the suites and their splits instead.")
-@click.option("--markdown", is_flag=True, help="The tasks as a table.")
-def list_tasks(as_json: bool, suites: bool, markdown: bool) -> None:
+def list_tasks(as_json: bool, suites: bool) -> None:
     """List the tasks, one plain id a line."""
     from kinebench_drake.suites.families.registry import TASKS
 
@@ -94,10 +93,6 @@ def list_tasks(as_json: bool, suites: bool, markdown: bool) -> None:
         _list_suites(as_json)
     elif as_json:
         _echo_json([{**asdict(task.card), "horizon": task.card.horizon} for task in TASKS.values()])
-    elif markdown:
-        from kinebench_drake.suites.contact_sheet import task_table
-
-        click.echo(task_table(list(TASKS)))
     else:
         click.echo("\n".join(TASKS))
 

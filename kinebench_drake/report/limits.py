@@ -120,16 +120,12 @@ def find_peaks(row: SampleRow, file: TrackFile | None) -> list[LimitPeak]:
 
 
 def find_checks(details: Mapping[str, Json]) -> dict[str, Mapping[str, Json]]:
-    """Find the checks of rate limits in details by kind: objects that hold a `ratio_max`, at any depth."""
-    checks: dict[str, Mapping[str, Json]] = {}
-    for key, value in details.items():
-        if not isinstance(value, Mapping):
-            continue
-        if key in RATES and isinstance(value.get("ratio_max"), int | float):
-            checks[key] = value
-        else:
-            checks = {**find_checks(value), **checks}
-    return checks
+    """Return the checks of rate limits in details by kind, those that have a `ratio_max`."""
+    return {
+        kind: check
+        for kind, check in as_object(details.get("checks")).items()
+        if kind in RATES and isinstance(check, Mapping) and isinstance(check.get("ratio_max"), int | float)
+    }
 
 
 def describe_violation(violation: Mapping[str, Json]) -> str:

@@ -85,7 +85,7 @@ def test_details_of_a_row_take_precedence_over_curves(judged, file):
 
 def test_details_that_name_an_unknown_joint_are_ignored(judged, file):
     row = judged()
-    details = {**row.details, "velocity": {"ratio_max": 0.5, "joint": "elbow", "t_worst_s": 1.8}}
+    details = {**row.details, "checks": {"velocity": {"ratio_max": 0.5, "joint": "elbow", "t_worst_s": 1.8}}}
     assert by_kind(find_peaks(judged(details=details), file()))["velocity"].joint == "arm_joint3"
 
 
@@ -100,6 +100,6 @@ def test_rows_without_details_have_only_distances(judged, file):
     assert [m.kind for m in find_peaks(judged(details={}), file())] == ["table_collision"]
 
 
-def test_checks_are_found_at_any_depth():
+def test_checks_without_a_ratio_are_left_out():
     check = {"ratio_max": 0.3}
-    assert find_checks({"a": {"b": {"jerk": check}}, "velocity": {"bandwidth_hz": 2.0}}) == {"jerk": check}
+    assert find_checks({"checks": {"jerk": check, "velocity": {"ratio_max": None}, "torque": 1}}) == {"jerk": check}
