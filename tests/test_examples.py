@@ -1,14 +1,17 @@
 """The scripts of examples/ run and print what they promise."""
 
+import io
 import runpy
 import subprocess
 import sys
 from pathlib import Path
 
+import httpx
 import numpy as np
 import pytest
 from PIL import Image
 
+from kinebench_drake import Scorer
 from kinebench_drake.io.container import write_video
 from kinebench_drake.io.reader import read_video
 from kinebench_drake.results.store import read_rows
@@ -67,6 +70,35 @@ def test_the_examples_of_a_folder_and_of_a_plotted_path_run(run, clip, tmp_path)
     assert "100% of 9 frames tracked" in run("plot_path.py", clip, tmp_path / "path.png")
     with Image.open(tmp_path / "path.png") as picture:
         assert np.asarray(picture.convert("L")).std() > 10
+
+
+@pytest.mark.slow
+def test_the_example_of_samples_ranks_a_clip_that_shows_an_arm_first(run, clip):
+    write_video(
+        clip.with_name("noise.mp4"), np.random.default_rng(0).integers(256, size=(9, 96, 96, 3), dtype="u1"), 17
+    )
+    first, second, speed = run("best_of.py", clip.parent).splitlines()
+    assert "clip: executable" in first
+    assert second.startswith("0.000  noise: ")
+    assert "clips a minute in 1 process" in speed
+
+
+@pytest.mark.slow
+def test_the_example_of_a_reward_server_answers_what_the_scorer_says(clip):
+    frames = read_video(clip).frames
+    command = [sys.executable, str(EXAMPLES / "reward_server.py"), "0"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as server:
+        try:
+            url = server.stdout.readline().split()[-1]
+            np.savez(body := io.BytesIO(), frames=frames, period_s=0.2)
+            answer = httpx.post(url, content=body.getvalue(), timeout=300.0).json()
+            assert httpx.post(url, content=b"x", timeout=60.0).status_code == 400
+        finally:
+            server.kill()
+    score = Scorer()(frames, period_s=0.2)
+    assert answer["executable"] is True
+    assert answer["reward"] == score.reward
+    assert answer["numbers"] == score.numbers
 
 
 @pytest.mark.sapien

@@ -67,6 +67,17 @@ def _one(samples: Sequence[AnySample], source: Path, id: str | None) -> AnySampl
     raise UsageError(f"{source}: holds no sample {id!r} ({len(ids)} samples, such as {', '.join(near)})")
 
 
+def camera_setting(camera: Camera | CameraSetting | PathName | None) -> CameraSetting | None:
+    """Return the camera of an argument: as it is, by its name, or of a camera.json.
+
+    Raises:
+        UsageError: there is no such camera.
+    """
+    if isinstance(camera, str | PathLike):
+        camera = read_camera(str(camera))
+    return CameraSetting(camera=camera) if isinstance(camera, Camera) else camera
+
+
 def _refuse_with(what: str, **arguments: object) -> None:
     """Check that arguments which do not apply to a kind of input are absent.
 
@@ -162,11 +173,7 @@ def ground_video(
         name = id or "video"
         sample = VideoSample(id=name, path=Path(name), video=name)
         decoded = Video(frames=np.asarray(video), fps=None, stamps_s=None)
-    if camera is not None:
-        if isinstance(camera, str | PathLike):
-            camera = read_camera(str(camera))
-        setting = CameraSetting(camera=camera) if isinstance(camera, Camera) else camera
-        sample = sample.filmed_by(setting, CameraSource.ARGUMENT)
+    sample = sample.filmed_by(camera_setting(camera), CameraSource.ARGUMENT)
     if first is not None:
         sample = replace(sample, initial_state=first)
     sample = replace(sample, mirrored=sample.mirrored or mirrored)

@@ -286,6 +286,10 @@ class ScoreConfig(SourceConfig):
         RunConfig.__post_init__(self)
         if self.robot not in ROBOTS:
             raise UsageError(f"$robot is {self.robot!r}, expected {' or '.join(ROBOTS)}: videos show one of these arms")
+        if self.format is not None and self.kind.judges:
+            raise UsageError(
+                f"$format {self.format.value} goes with `ground`: `score` writes the joint angles it judged"
+            )
         check_period(self.frame_period_s)
         self.overrides()
         _ = self.duration_s

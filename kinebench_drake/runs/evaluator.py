@@ -203,8 +203,12 @@ class Evaluator(ABC, Generic[SampleT, ResourcesT]):
     def row(self, sample: SampleT, resources: ResourcesT) -> SampleRow:
         """Evaluate a sample; any failure but a SetupError ends here and becomes its row."""
         content_hash = self.content_hash(sample)  # of the bytes before: a file that changes meanwhile is measured again
+        return self.row_of(sample, lambda: self.evaluate(sample, resources), content_hash)
+
+    def row_of(self, sample: SampleT, evaluate: Callable[[], Evaluation], content_hash: str) -> SampleRow:
+        """Return the row of an evaluation; any failure of it but a SetupError becomes the row."""
         try:
-            evaluation = self.evaluate(sample, resources)
+            evaluation = evaluate()
             row = self._ok_row(sample, evaluation, content_hash)
             if evaluation.unmeasurable is None:
                 return row

@@ -4,6 +4,7 @@ import dataclasses
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -18,6 +19,7 @@ from kinebench_drake.io.container import write_video
 from kinebench_drake.io.images import frame_files
 from kinebench_drake.io.jsonl import Json
 from kinebench_drake.io.reader import read_video
+from kinebench_drake.io.video import Video
 from kinebench_drake.models.panda.robot import GripperKind
 from kinebench_drake.results.provenance import weights_hash
 from kinebench_drake.results.row import SampleRow
@@ -40,6 +42,9 @@ from kinebench_drake.runs.preparation import (
 from kinebench_drake.runs.runner import NullRunObserver, RunObserver, RunSummary, run_samples
 from kinebench_drake.runs.tools import Tools, load_tools
 from kinebench_drake.track import Domain, GripperTrack
+
+if TYPE_CHECKING:  # loads torch and Open3D
+    from kinebench_drake.grounding.video_result import GroundingResult
 
 VISUAL_METRICS = ("tracked_fraction", "confidence_mean", "camera_motion_px", "arm_consistency_px", "anomalies")
 """Metrics of every row of a video; null where not measurable."""
@@ -136,6 +141,16 @@ class VideoEvaluator(Evaluator[VideoSample, Tools]):
         if sample.problem is not None:
             raise InputError(sample.problem)
         video = read_video(sample.path, sample.part)
+        grounding, evaluation = self.measure(sample, video, tools)
+        self._write(sample, video, tools, grounding, evaluation)
+        return evaluation
+
+    def measure(self, sample: VideoSample, video: Video, tools: Tools) -> "tuple[GroundingResult, Evaluation]":
+        """Ground and judge a decoded video; nothing is written.
+
+        Raises:
+            InputError, UnmeasurableError, SetupError: as for `evaluate`.
+        """
         config = self.config
         timed, grounding = ground_sample(
             video, sample, self.overrides, tools.grounder, config.frame_period_s, config.gripper,
@@ -150,21 +165,7 @@ class VideoEvaluator(Evaluator[VideoSample, Tools]):
         reasons: Mapping[str, str] = {}
         if judges and reason is not None:
             smoothness, reasons = camera_frame_metrics(track, reason)
-        zoom = np.ones(len(track.t_s)) if path is None else path.zoom
-        if self.config.overlay:
-            file = artifact_path(self.config.out, "overlays", sample.id)
-            native = len(grounding.frames) == len(video.frames)
-            rate = float(np.clip((native and video.fps) or 1.0 / timed.period_s, 1.0, 60.0))
-            write_video(file, tools.overlay(grounding.frames, grounding.camera, track, zoom, hand=draws_hand), rate)
-        shown = np.unique([0, worst_frame(track, kinematics)])
-        chosen = grounding.frames[shown], grounding.camera, track.at(shown), zoom[shown]
-        images = list(tools.overlay(*chosen, hand=draws_hand))
-        write_atomically(artifact_path(self.config.out, "thumbnails", sample.id), encode_strip(images))
-        joints, curves = (kinematics.joints, kinematics.curves) if kinematics else (None, {})
-        if config.format is not None and measures_base:
-            joints = tools.joints(track)
-        write_track(artifact_path(self.config.out, "tracks", sample.id), track, joints, {**curves, **grounding.curves})
-        return Evaluation(
+        return grounding, Evaluation(
             kinematics=kinematics,
             metrics={
                 "tracked_fraction": int(track.tracked.sum()) / len(track.t_s),
@@ -199,6 +200,27 @@ class VideoEvaluator(Evaluator[VideoSample, Tools]):
                 **grounding.choice.to_json(),
             },
         )
+
+    def _write(
+        self, sample: VideoSample, video: Video, tools: Tools, grounding: "GroundingResult", evaluation: Evaluation
+    ) -> None:
+        """Write the artifacts of a video."""
+        out, track, kinematics = self.config.out, grounding.visible_track, evaluation.kinematics
+        draws_hand, path = grounding.domain is not Domain.ARM, grounding.camera_path
+        zoom = np.ones(len(track.t_s)) if path is None else path.zoom
+        if self.config.overlay:
+            native = len(grounding.frames) == len(video.frames)
+            rate = float(np.clip((native and video.fps) or 1.0 / np.median(np.diff(track.t_s)), 1.0, 60.0))
+            images = tools.overlay(grounding.frames, grounding.camera, track, zoom, hand=draws_hand)
+            write_video(artifact_path(out, "overlays", sample.id), images, rate)
+        shown = np.unique([0, worst_frame(track, kinematics)])
+        chosen = grounding.frames[shown], grounding.camera, track.at(shown), zoom[shown]
+        strip = encode_strip(list(tools.overlay(*chosen, hand=draws_hand)))
+        write_atomically(artifact_path(out, "thumbnails", sample.id), strip)
+        joints, curves = (kinematics.joints, kinematics.curves) if kinematics else (None, {})
+        if self.config.format is not None and grounding.unmeasurable is None and grounding.choice.reason is None:
+            joints = tools.joints(track)
+        write_track(artifact_path(out, "tracks", sample.id), track, joints, {**curves, **grounding.curves})
 
     @property
     def metric_names(self) -> tuple[str, ...]:

@@ -63,7 +63,7 @@ def test_every_command_line_option_is_a_keyword_argument_of_the_function(names, 
     assert arguments.pop("options").kind is inspect.Parameter.VAR_KEYWORD
     assert arguments.pop("observer").default is None
     assert arguments.keys() <= options_of(config).keys()
-    assert options_of(config).keys() - command(*names).keys() <= {"table_height_m"}
+    assert options_of(config).keys() - command(*names).keys() <= {"table_height_m", "format"}
     first, *others = arguments.values()
     assert first.kind is inspect.Parameter.POSITIONAL_OR_KEYWORD
     assert all(argument.kind is inspect.Parameter.KEYWORD_ONLY for argument in others)
