@@ -17,7 +17,7 @@ from kinebench_drake.models.panda.robot import GripperKind
 from kinebench_drake.results.metadata import Shard
 from kinebench_drake.runs.option import Option, options_json, parse_options
 from kinebench_drake.runs.tools import RobotOptions, Tools, ToolsFactory
-from kinebench_drake.suites.clock import CLIP_S, ClipTiming
+from kinebench_drake.suites.clock import CLIP_S
 
 AUTO = "auto"
 """Value of `camera` by which it is chosen for each video."""
@@ -209,18 +209,11 @@ class ScoreConfig(SourceConfig):
         float | None,
         Option("Task time between two frames; benchmark videos: 0.2.  [default: 1 / fps]", metavar="SECONDS"),
     ] = None
-    clip_timing: Annotated[
-        ClipTiming | None,
-        Option(
-            "Frames of a video: evenly over the task's duration, sampled every frame period, or one frame period "
-            "apart.  [default: native; uniform with $task_duration_s]",
-            key=None,
-        ),
-    ] = None
     task_duration_s: Annotated[
         float | None,
         Option(
-            "Task time that each video shows, whatever its number of frames.  [default with uniform: 9.6]",
+            "Task time that each video shows, whatever its number of frames: they lie evenly over it, and are sampled "
+            "every frame period.  [default: they are one frame period apart]",
             metavar="SECONDS",
         ),
     ] = None
@@ -292,26 +285,12 @@ class ScoreConfig(SourceConfig):
             )
         check_period(self.frame_period_s)
         self.overrides()
-        _ = self.duration_s
-
-    @property
-    def duration_s(self) -> float | None:
-        """Task time over which the frames of a video lie evenly [s]; None: they are one frame period apart.
-
-        Raises:
-            UsageError: an option is invalid, or the two contradict each other.
-        """
         duration_s = self.task_duration_s
-        if duration_s is not None and self.clip_timing is ClipTiming.NATIVE:
-            raise UsageError("$task_duration_s needs $clip_timing uniform, found native; leave one of them out")
-        if self.clip_timing is ClipTiming.UNIFORM and duration_s is None:
-            return CLIP_S
         if duration_s is not None and not MIN_PERIOD_S <= duration_s <= MAX_PERIOD_S:
             raise UsageError(
                 f"$task_duration_s is {duration_s}, expected seconds from {MIN_PERIOD_S:g} to {MAX_PERIOD_S:g}, such "
                 f"as {CLIP_S:g}"
             )
-        return duration_s
 
     def overrides(self) -> Overrides:
         """Return the stages of the grounding that are replaced.
@@ -325,7 +304,6 @@ class ScoreConfig(SourceConfig):
         """Serialize into `config` of results.json; paths by their last name only."""
         return {
             **RunConfig.to_json(self),
-            "task_duration_s": self.duration_s,
             "camera": Path(self.camera).name,
             "depth": self.overrides().names.get("depth"),
         }

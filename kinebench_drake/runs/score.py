@@ -154,7 +154,7 @@ class VideoEvaluator(Evaluator[VideoSample, Tools]):
         config = self.config
         timed, grounding = ground_sample(
             video, sample, self.overrides, tools.grounder, config.frame_period_s, config.gripper,
-            duration_s=config.duration_s,
+            duration_s=config.task_duration_s,
         )  # fmt: skip
         draws_hand, judges = grounding.domain is not Domain.ARM, config.kind.judges and grounding.unmeasurable is None
         track, path, reason = grounding.visible_track, grounding.camera_path, grounding.choice.reason
@@ -240,7 +240,7 @@ class VideoEvaluator(Evaluator[VideoSample, Tools]):
             "camera": sample.camera.to_json(),
             "camera_source": sample.camera_source.value,
             "option_period_s": self.config.frame_period_s,
-            "task_duration_s": self.config.duration_s,
+            "task_duration_s": self.config.task_duration_s,
             "replaced": self._replaced(sample),
             "first": None if initial is None else [*initial.X_BG.ravel().tolist(), str(initial.finger_width_m)],
             "depth_exact": self.overrides.depth_exact,
@@ -290,7 +290,7 @@ class _VideoReader(VideoEvaluator):
             from kinebench_drake.grounding.camera.framing_search import find_framing  # loads OpenCV
 
             find_framing(video.frames, sample.camera, conditioning_image(sample), sample.camera_source)
-        timed = time_frames(sample, video, self.config.frame_period_s, self.config.duration_s)
+        timed = time_frames(sample, video, self.config.frame_period_s, self.config.task_duration_s)
         return Evaluation(
             kinematics=None,
             extra={
