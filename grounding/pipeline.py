@@ -324,7 +324,8 @@ def _gripper_width(poses: Sequence[FramePose | None], tracked: NDArray[np.bool_]
         for p, ok in zip(poses, tracked, strict=True)
     ]
     width, sigma = np.array(measured).T
+    by_edges = [p.gap_log_likelihood if p and ok else None for p, ok in zip(poses, tracked, strict=True)]
     if priors.finger_width_m is not None:
         from_prior = np.isfinite(priors.finger_width_m)
         width, sigma = np.where(from_prior, priors.finger_width_m, width), np.where(from_prior, 0.0, sigma)
-    return np.where(tracked, smooth_gripper_width(width, sigma), np.nan)
+    return np.where(tracked, smooth_gripper_width(width, sigma, by_edges), np.nan)

@@ -17,7 +17,7 @@ from kinebench_drake.grounding.registration.arm_model import (
     half_turn,
 )
 from kinebench_drake.grounding.registration.correspondences import Correspondences
-from kinebench_drake.grounding.registration.edges import FLANGE, RIGID, ROBOT, EdgeMatcher
+from kinebench_drake.grounding.registration.edges import FLANGE, RIGID, ROBOT, WRIST, EdgeMatcher
 from kinebench_drake.grounding.registration.fit import UNSEEN_FINGER_M
 from kinebench_drake.grounding.registration.image import GradientImage, follow_surface
 from kinebench_drake.grounding.registration.solver import solve
@@ -88,14 +88,12 @@ class ArmEdgeFitter(ArmFitter):
         solution = solve_in_passes(start, match, reaches_px, view)
         if solution is None:
             return None
-        evidence = self._edge_evidence(solution.model, image)
+        evidence, agreement, hand_agreement = self._edge_evidence(solution.model, image)
         flipped = None
         if evidence < 0:
             flipped = solve_in_passes(half_turn(solution.model), match, _EDGE_REACHES_PX[-2:], view)
-        if flipped is not None and (other := self._edge_evidence(flipped.model, image)) > 0:
-            solution, evidence = flipped, other
-        X_CP = self._poses(solution.model)[0]
-        agreement = self._edges.agreement(image, X_CP)
+        if flipped is not None and (other := self._edge_evidence(flipped.model, image))[0] > 0:
+            solution, (evidence, agreement, hand_agreement) = flipped, other
         fitted = self._arm_fits(solution, [view.cells], [view.hand])[0]
         if fitted is None:
             return None
@@ -104,7 +102,7 @@ class ArmEdgeFitter(ArmFitter):
             agrees=agreement >= _MIN_AGREEMENT,
             evidence=evidence,
             edge_agreement=agreement,
-            hand_agreement=self._edges.agreement(image, X_CP, (RobotPart.HAND,)),
+            hand_agreement=hand_agreement,
         )
 
     def sharpen_all(
@@ -209,10 +207,15 @@ class ArmEdgeFitter(ArmFitter):
         """Return the share of the contour of hand and wrist at a posture (7,) that lies on edges of the image."""
         return self._edges.agreement(image, self._X_CB[0] @ self._model.poses(q[None])[0])
 
-    def _edge_evidence(self, arm: ArmHandModel, image: GradientImage) -> float:
-        """Return the log-likelihood ratio of a posture against half a turn of the last joint, from the edges."""
-        as_fitted, flipped = (self._edges.agreement(image, self._poses(a)[0], FLANGE) for a in (arm, half_turn(arm)))
-        return float(np.clip(_EDGE_NATS * (as_fitted - flipped), -EVIDENCE_CAP, EVIDENCE_CAP))
+    def _edge_evidence(self, arm: ArmHandModel, image: GradientImage) -> tuple[float, float, float]:
+        """Return the log-likelihood ratio of a posture against half a turn of the last joint, from the edges.
+
+        Also how well the edges agree with the contours of the wrist, and of the hand alone.
+        """
+        groups = (WRIST, FLANGE, (RobotPart.HAND,))
+        wrist, as_fitted, hand = self._edges.agreements(image, self._poses(arm)[0], groups)
+        flipped = self._edges.agreement(image, self._poses(half_turn(arm))[0], FLANGE)
+        return float(np.clip(_EDGE_NATS * (as_fitted - flipped), -EVIDENCE_CAP, EVIDENCE_CAP)), wrist, hand
 
     def _with_rim(self, image: GradientImage, close: GripperView) -> GradientImage:
         """Return the image with the rim of the segmented gripper."""

@@ -184,7 +184,11 @@ class ArmFitter:
 
     def poses(self, arm: ArmFit) -> Array:
         """Return the poses (PARTS, 4, 4) of the parts of an arm in the camera frame [m]."""
-        return open_fingers(self._X_CB[0] @ self._model.poses(arm.q[None])[0], finger_or_default(arm.finger_m))
+        return open_fingers(self.closed(arm), finger_or_default(arm.finger_m))
+
+    def closed(self, arm: ArmFit) -> Array:
+        """Return the same with closed fingers."""
+        return np.asarray(self._X_CB[0] @ self._model.poses(arm.q[None])[0])
 
     def _poses(self, arm: ArmHandModel) -> Array:
         """Return the poses (B, PARTS, 4, 4) of the parts in the camera frame [m]."""

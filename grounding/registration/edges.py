@@ -6,7 +6,7 @@ Stennett, "RAPID", BMVC 1990; Drummond and Cipolla, PAMI 2002). It needs no netw
 network was not trained on, from a posture that is right within a few pixels.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 
@@ -37,7 +37,7 @@ LEAST_GRADIENT = 6.0
 """Least gradient of an edge, of an image in 0..255 [1/px]."""
 _MIN_POINTS = 20
 _SEARCH_PX, _ON_CONTOUR_PX = 8.0, 1.0  # where the agreement looks for the strongest edge, and how near it must lie
-MAX_POINTS = 700
+MAX_POINTS = 350
 """Points on the contours of an image."""
 ROBOT = tuple(part for part in RobotPart if part is not RobotPart.BACKGROUND)
 """Hand, fingers and links."""
@@ -177,15 +177,29 @@ class EdgeMatcher:
 
         A point on an edge is off it by the standard deviation `tolerance_px`.
         """
-        points = self.project(X_CP, image.camera, parts)
+        return self.agreements(image, X_CP, [parts], tolerance_px)[0]
+
+    def agreements(
+        self,
+        image: GradientImage,
+        X_CP: Array,
+        groups: Sequence[tuple[RobotPart, ...]],
+        tolerance_px: float = _ON_CONTOUR_PX,
+    ) -> list[float]:
+        """Return the `agreement` of each group of parts; the first holds the parts of all others."""
+        points = self.project(X_CP, image.camera, groups[0])
         if points is None:
-            return 0.0
-        return float(self.edge_shares(image, points, tolerance_px).mean())
+            return [0.0] * len(groups)
+        shares = self.edge_shares(image, points, tolerance_px)
+        own = [np.isin(points.part, group) for group in groups]
+        return [float(shares[chosen].mean()) if chosen.any() else 0.0 for chosen in own]
 
     @staticmethod
-    def edge_shares(image: GradientImage, points: EdgePoints, tolerance_px: float = _ON_CONTOUR_PX) -> Array:
-        """Return how surely (N,) contour points lie on the strongest image edge nearby, 0..1."""
-        offset, strength = image.find_edges(points, _SEARCH_PX)
+    def edge_shares(
+        image: GradientImage, points: EdgePoints, tolerance_px: float = _ON_CONTOUR_PX, reach_px: float = _SEARCH_PX
+    ) -> Array:
+        """Return how surely (N,) contour points lie on the strongest image edge within `reach_px`, 0..1."""
+        offset, strength = image.find_edges(points, reach_px)
         return np.asarray(np.exp(-0.5 * (offset / tolerance_px) ** 2) * (strength > LEAST_GRADIENT))
 
     def match(

@@ -18,9 +18,10 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.special import logsumexp
+from scipy.special import logsumexp, softmax
 
 from kinebench_drake.geometry import Array, invert, make_pose, rotation_angle, rotation_exp, transform_points
+from kinebench_drake.grounding.registration.opening import GAP_STEP_M, GAPS_M
 from kinebench_drake.grounding.tracking.pose import FramePose
 from kinebench_drake.models.panda.cad import MAX_FINGER_M
 
@@ -45,7 +46,7 @@ _BLIND_M = 0.010  # standard deviation from which a measurement is ignored
 _FLOOR_M = 0.001  # least standard deviation of a measurement
 _OUTLIER_SHARE = 0.02
 _UNKNOWN_M = 0.015  # posterior standard deviation above which the width is unknown
-_STEP_M = 0.002
+_EDGE_OUTLIERS = 0.05
 _SPEEDS = np.array([0, *(s * k for k in (1, 2, 3, 4, 6, 10, 15, 25, 40) for s in (-1, 1))])
 """Changes of the width per frame in grid steps; the first is rest."""
 _REST, _GO_ON = 0.96, 0.6  # probabilities that resting, or moving, fingers continue so in the next frame
@@ -151,17 +152,28 @@ def _forward(own: Array, steps: list[Array]) -> Array:
     return np.array(forward)
 
 
-def smooth_gripper_width(width_m: ArrayLike, sigma_m: ArrayLike) -> Array:
+def smooth_gripper_width(
+    width_m: ArrayLike, sigma_m: ArrayLike, by_edges: Sequence[Array | None] | None = None
+) -> Array:
     """Return the gripper width (T,) [m], NaN where neither the frame nor its neighbours determine it.
 
-    It is the median of the posterior by measured widths (T,) [m], NaN where there is none, with standard deviations
-    (T,) [m], 0 of widths taken from priors.
+    It is the median of the posterior by two kinds of evidence.
+
+    Args:
+        width_m: (T,) measured widths [m]; NaN where there is none.
+        sigma_m: (T,) their standard deviations [m]; 0 of widths taken from priors.
+        by_edges: (T,) log-likelihoods (G,) of `GAPS_M` by the edges of the image; None where there are none.
     """
     width_m, sigma_m = np.asarray(width_m, dtype=np.float64), np.asarray(sigma_m, dtype=np.float64)
-    if not np.isfinite(width_m).any():
+    shown = {i: row for i, row in enumerate(by_edges or ()) if row is not None and sigma_m[i] != 0.0}
+    if not shown and not np.isfinite(width_m).any():
         return np.full(len(width_m), np.nan)
     widths, initial, transition = _model()
     likelihoods = _likelihoods(width_m, sigma_m, widths)
+    for i, row in shown.items():
+        probability = softmax(row)
+        mixed = (1.0 - _EDGE_OUTLIERS) * probability + _EDGE_OUTLIERS / len(row)
+        likelihoods[i] *= np.repeat(mixed, len(_SPEEDS))
     forward = [_normalized(initial * likelihoods[0])]
     for likelihood in likelihoods[1:]:
         forward.append(_normalized((forward[-1] @ transition) * likelihood))
@@ -170,17 +182,16 @@ def smooth_gripper_width(width_m: ArrayLike, sigma_m: ArrayLike) -> Array:
         backward.append(_normalized(transition @ (backward[-1] * likelihood)))
     posterior = (np.array(forward) * np.array(backward[::-1])).reshape(len(width_m), -1, len(_SPEEDS)).sum(axis=2)
     posterior /= posterior.sum(axis=1, keepdims=True)
-    grid = np.unique(widths)
-    spread = np.sqrt(np.maximum(posterior @ grid**2 - (posterior @ grid) ** 2, 0.0))
-    median = [_median(grid, probabilities) for probabilities in posterior]
+    spread = np.sqrt(np.maximum(posterior @ GAPS_M**2 - (posterior @ GAPS_M) ** 2, 0.0))
+    median = [_median(probabilities) for probabilities in posterior]
     return np.where(sigma_m == 0.0, width_m, np.where(spread <= _UNKNOWN_M, median, np.nan))
 
 
-def _median(grid: Array, probabilities: Array) -> float:
+def _median(probabilities: Array) -> float:
     """Return the median of a density that is uniform within each grid step; a mean could lie between two modes."""
-    edges = np.append(grid - _STEP_M / 2, grid[-1] + _STEP_M / 2)
+    edges = np.append(GAPS_M - GAP_STEP_M / 2, GAPS_M[-1] + GAP_STEP_M / 2)
     middle = np.interp(0.5, np.append(0.0, np.cumsum(probabilities)), edges)
-    return float(np.clip(middle, grid[0], grid[-1]))
+    return float(np.clip(middle, GAPS_M[0], GAPS_M[-1]))
 
 
 def _likelihoods(width_m: Array, sigma_m: Array, widths: Array) -> Array:
@@ -199,7 +210,7 @@ def _normalized(probabilities: Array) -> Array:
 @lru_cache(maxsize=1)
 def _model() -> tuple[Array, Array, Array]:
     """Return the width (S,) [m] and initial probability (S,) of each state, and the transition matrix (S, S)."""
-    n, k = round(2 * MAX_FINGER_M / _STEP_M) + 1, len(_SPEEDS)
+    n, k = len(GAPS_M), len(_SPEEDS)
     change = np.full((k, k), (1.0 - _GO_ON) / (2 * (k - 1)))  # moving fingers stop as often as they change speed
     change[:, 0] += (1.0 - _GO_ON) / 2
     change[np.arange(k), np.arange(k)] = _GO_ON
@@ -212,5 +223,5 @@ def _model() -> tuple[Array, Array, Array]:
             for blur, share in zip((-1, 0, 1), _BLUR, strict=True):
                 end = min(max(width + steps + blur, 0), n - 1)
                 transition[width, :, end, speed] += share * change[:, speed]
-    widths = np.repeat(_STEP_M * np.arange(n), k)
+    widths = np.repeat(GAPS_M, k)
     return widths, np.tile(change[0] / n, n), transition.reshape(n * k, n * k)

@@ -34,6 +34,8 @@ class FramePose:
     """True if the pose was taken from priors."""
     shape: HandShape | None = None
     """Shape of the hand's contour, in unfamiliar videos; None where its arm does not agree or it is not measured."""
+    gap_log_likelihood: Array | None = None
+    """(G,) log-likelihood of `GAPS_M` by the edges of the image, in unfamiliar videos where the arm agrees."""
     icp: FusedPose | None = None
     """Combination of the fit with the registration of the depth; None before it, or if too few points match."""
 

@@ -234,7 +234,8 @@ class EdgeRefinement:
             enough = _BEST_SHARE * float(np.quantile(agreements, _BEST_QUANTILE)) if agreements else 0.0
             for i in ordered[::step]:
                 near = self.poses.get(i - step)
-                if near is not None and near.arm is not None and _agreement(self.poses[i]) < enough:
+                own = _agreement(self.poses[i])
+                if near is not None and near.arm is not None and own < min(enough, _agreement(near)):
                     self._keep_better(i, self._refine(i, near.arm))
 
     def _search(self) -> None:

@@ -26,6 +26,7 @@ from kinebench_drake.grounding.registration.fit import (
 )
 from kinebench_drake.grounding.registration.icp import IcpRefiner
 from kinebench_drake.grounding.registration.image import GradientImage
+from kinebench_drake.grounding.registration.opening import HandImage, gap_log_likelihoods
 from kinebench_drake.grounding.registration.shape import fit_shape
 from kinebench_drake.grounding.registration.silhouette import SilhouetteMatcher
 from kinebench_drake.grounding.registration.solver import BATCH
@@ -36,7 +37,7 @@ from kinebench_drake.grounding.tracking.pose import FramePose
 from kinebench_drake.grounding.tracking.refinement import EdgeRefinement, propagate
 from kinebench_drake.grounding.tracking.view import DenseEstimator, GripperView, OverrideEstimator
 from kinebench_drake.io.frames import Frames
-from kinebench_drake.models.panda.cad import GripperCad
+from kinebench_drake.models.panda.cad import GripperCad, open_fingers
 from kinebench_drake.models.panda.robot import RobotPart
 from kinebench_drake.track import Domain
 
@@ -157,7 +158,7 @@ class CadTracker:
                 if self._expected(other, Domain.UNFAMILIAR) > expected:
                     poses, domain = other, Domain.UNFAMILIAR
         if domain is Domain.UNFAMILIAR:
-            poses = {i: self._with_shape(pose, arm.at([i]), frames[i], camera) for i, pose in poses.items()}
+            poses |= self._with_contours(poses, arm, frames, camera)
         return Tracking(
             poses=tuple(poses.get(i) for i in range(len(frames))),
             wide=tuple(wide[i] for i in range(len(frames))),
@@ -165,11 +166,29 @@ class CadTracker:
             domain=domain,
         )
 
-    def _with_shape(self, pose: FramePose, arm: ArmFitter, frame: NDArray[np.uint8], camera: Camera) -> FramePose:
-        """Return the pose with the shape of the hand's contour, where its arm agrees."""
-        if pose.arm is None or not pose.arm.agrees:
-            return pose
-        return replace(pose, shape=fit_shape(self._edges, GradientImage(frame, camera), arm.poses(pose.arm)))
+    def _with_contours(
+        self, poses: Mapping[int, FramePose], arm: ArmEdgeFitter, frames: Frames, camera: Camera
+    ) -> dict[int, FramePose]:
+        """Return the poses whose arm agrees with the shape of the hand and the gap of the fingers by their contours."""
+        hands = {
+            i: HandImage(image=GradientImage(frames[i], camera), X_CP=arm.at([i]).closed(pose.arm))
+            for i, pose in poses.items()
+            if pose.arm is not None and pose.arm.agrees
+        }
+        gaps = gap_log_likelihoods(self._edges, hands)
+        views, X_CH = [poses[i].view for i in hands], [poses[i].X_CH for i in hands]
+        fits = fit_all(views, X_CH, [None] * len(hands))
+        seen = {}
+        for (i, hand), fit in zip(hands.items(), fits, strict=True):
+            X_CP = open_fingers(hand.X_CP, finger_or_default(poses[i].finger_m))
+            seen[i] = replace(
+                poses[i],
+                finger_m=float("nan") if fit is None else fit.finger_m,
+                finger_sigma_m=float("nan") if fit is None else fit.finger_sigma_m,
+                shape=fit_shape(self._edges, hand.image, X_CP),
+                gap_log_likelihood=gaps[i],
+            )
+        return seen
 
     def _expected(self, poses: Mapping[int, FramePose], domain: Domain) -> float:
         """Return how many of the poses are right, as their confidence states."""

@@ -14,6 +14,7 @@ from kinebench_drake.grounding.registration.arm_model import ArmHandModel, ArmMo
 from kinebench_drake.grounding.registration.correspondences import Correspondences
 from kinebench_drake.grounding.registration.edges import EdgeMatcher
 from kinebench_drake.grounding.registration.image import EdgePoints, GradientImage
+from kinebench_drake.grounding.registration.opening import GAPS_M, MOUNTS_M, HandImage, gap_log_likelihoods
 from kinebench_drake.grounding.registration.shape import HandShape, fit_shape
 from kinebench_drake.grounding.registration.solver import solve
 from kinebench_drake.models.panda.cad import PartCaster, link_meshes, open_fingers, part_meshes
@@ -181,3 +182,20 @@ def test_the_contour_of_a_hand_of_the_right_size_gains_nothing(
     matcher: EdgeMatcher, model: ArmModel, posture: list[float]
 ) -> None:
     assert fit_shape(matcher, *draw_hand_of_size(model, posture, 1.0)) == HandShape()
+
+
+@pytest.mark.parametrize("mount_m", MOUNTS_M)
+def test_the_likeliest_gap_is_that_of_the_image_for_either_mount_of_the_fingers(
+    matcher: EdgeMatcher, model: ArmModel, mount_m: float
+) -> None:
+    closed = invert(CAMERA.X_BC) @ model.poses(np.array(POSTURES[:1]))[0]
+    hands, gaps = {}, (0.008, 0.04, 0.07)
+    for number, gap in enumerate(gaps):
+        shown = open_fingers(closed, gap / 2)
+        fingers = [RobotPart.LEFT_FINGER, RobotPart.RIGHT_FINGER]
+        shown[fingers, :3, 3] += mount_m * shown[fingers, :3, 2]
+        hands[number] = HandImage(image=GradientImage(draw(shown, number), CAMERA), X_CP=closed)
+    assert gap_log_likelihoods(matcher, {}) == {}
+    likelihoods = gap_log_likelihoods(matcher, hands)
+    for number, gap in enumerate(gaps):
+        assert abs(GAPS_M[likelihoods[number].argmax()] - gap) <= 0.004

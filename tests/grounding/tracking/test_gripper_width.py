@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from kinebench_drake.grounding.registration.opening import GAPS_M
 from kinebench_drake.grounding.tracking.markov import smooth_gripper_width
 
 WIDTH = np.where(np.arange(30) < 15, 0.08, 0.0)
@@ -47,3 +48,12 @@ def test_widths_far_from_a_measurement_are_unknown() -> None:
     smoothed = np.isfinite(smooth_gripper_width(width, sigma))
     assert smoothed[:4].all()
     assert not smoothed[15:].any()
+
+
+def test_edges_tell_the_width_where_nothing_is_measured_but_not_against_priors() -> None:
+    row = -0.5 * ((GAPS_M - 0.03) / 0.002) ** 2
+    known, sigma = np.full(6, np.nan), np.full(6, np.nan)
+    known[0], sigma[0] = 0.06, 0.0
+    smoothed = smooth_gripper_width(known, sigma, [row] * 6)
+    assert smoothed[0] == 0.06
+    np.testing.assert_allclose(smoothed[2:], 0.03, atol=2e-3)
