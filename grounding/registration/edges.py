@@ -37,8 +37,9 @@ LEAST_GRADIENT = 6.0
 """Least gradient of an edge, of an image in 0..255 [1/px]."""
 _MIN_POINTS = 20
 _SEARCH_PX, _ON_CONTOUR_PX = 8.0, 1.0  # where the agreement looks for the strongest edge, and how near it must lie
-MAX_POINTS = 350
-"""Points on the contours of an image."""
+MAX_POINTS = 700
+"""Points on the contours of an image, where they are compared with those of another camera."""
+_FIT_POINTS = 350  # points on the contours that a posture is fitted to
 ROBOT = tuple(part for part in RobotPart if part is not RobotPart.BACKGROUND)
 """Hand, fingers and links."""
 RIGID = tuple(part for part in ROBOT if not OPENING_SIGN.get(part))
@@ -187,7 +188,7 @@ class EdgeMatcher:
         tolerance_px: float = _ON_CONTOUR_PX,
     ) -> list[float]:
         """Return the `agreement` of each group of parts; the first holds the parts of all others."""
-        points = self.project(X_CP, image.camera, groups[0])
+        points = self.project(X_CP, image.camera, groups[0], _FIT_POINTS)
         if points is None:
             return [0.0] * len(groups)
         shares = self.edge_shares(image, points, tolerance_px)
@@ -208,7 +209,7 @@ class EdgeMatcher:
         X_CP: Array,
         reach_px: float,
         parts: tuple[RobotPart, ...] = ROBOT,
-        max_points: int = MAX_POINTS,
+        max_points: int = _FIT_POINTS,
     ) -> Correspondences | None:
         """Return correspondences of visible contours of `parts` with edges of the image; None if too few are near."""
         points = self.project(X_CP, image.camera, parts, max_points)
