@@ -178,17 +178,17 @@ class CadTracker:
         gaps = gap_log_likelihoods(self._edges, hands)
         views, X_CH = [poses[i].view for i in hands], [poses[i].X_CH for i in hands]
         fits = fit_all(views, X_CH, [None] * len(hands))
-        seen = {}
+        refined = {}
         for (i, hand), fit in zip(hands.items(), fits, strict=True):
             X_CP = open_fingers(hand.X_CP, finger_or_default(poses[i].finger_m))
-            seen[i] = replace(
+            refined[i] = replace(
                 poses[i],
                 finger_m=float("nan") if fit is None else fit.finger_m,
                 finger_sigma_m=float("nan") if fit is None else fit.finger_sigma_m,
                 shape=fit_shape(self._edges, hand.image, X_CP),
                 gap_log_likelihood=gaps[i],
             )
-        return seen
+        return refined
 
     def _expected(self, poses: Mapping[int, FramePose], domain: Domain) -> float:
         """Return how many of the poses are right, as their confidence states."""
