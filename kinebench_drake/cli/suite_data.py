@@ -8,7 +8,7 @@ import click
 
 from kinebench_drake.cli.click_options import SIZES, config_options, echo
 from kinebench_drake.cli.progress import ProgressView, terminate_as_interrupt
-from kinebench_drake.errors import UsageError
+from kinebench_drake.errors import UsageError, count_noun
 from kinebench_drake.results.metadata import Shard
 from kinebench_drake.runs.suite_config import SuiteConfig
 
@@ -42,8 +42,8 @@ def export(size: int, prompts: Path | None, jobs: int, **options: Any) -> None:
     config = ExportConfig(**_dataset(**options), size=size, prompts=PromptTemplate.parse(prompts))
     with ProgressView() as view, terminate_as_interrupt():
         count = export_suite(config, create_executor(ExecutorKind.LOCAL, jobs), view)
-    of = _counted(len(config.tasks), "task")
-    echo(f"{_counted(count, 'episode')} of {of} (suite {config.suite.number}, {config.split})")
+    of = count_noun(len(config.tasks), "task")
+    echo(f"{count_noun(count, 'episode')} of {of} (suite {config.suite.number}, {config.split})")
     echo(config.out / "manifest.jsonl")
 
 
@@ -55,10 +55,6 @@ def _dataset(suite: int, split: str, tasks: str | None, variant: str, **others: 
     loaded, task_variant = load_suite(suite), TaskVariant(variant)
     chosen = chosen_tasks(loaded, split, tasks, task_variant)
     return {**others, "suite": loaded, "split": loaded.split_name(split), "tasks": chosen, "variant": task_variant}
-
-
-def _counted(number: int, what: str) -> str:
-    return f"{number} {what}{'s' * (number != 1)}"
 
 
 @click.command(
@@ -119,9 +115,9 @@ def demos(
     )
     with ProgressView("demonstrations") as view, terminate_as_interrupt():
         result = make_demos(config, create_executor(ExecutorKind.LOCAL, jobs), view, overwrite=overwrite)
-    failed = f"; the expert failed with {_counted(result.failures, 'other seed')}" if result.failures else ""
-    made = _counted(result.demonstrations, "demonstration")
-    echo(f"{made} of {_counted(len(config.tasks), 'task')}{failed}")
+    failed = f"; the expert failed with {count_noun(result.failures, 'other seed')}" if result.failures else ""
+    made = count_noun(result.demonstrations, "demonstration")
+    echo(f"{made} of {count_noun(len(config.tasks), 'task')}{failed}")
     echo(config.out)
     for task, count in result.short.items():
         echo(f"{task}: given up with {count} demonstrations missing; demos.jsonl has the reasons", err=True)

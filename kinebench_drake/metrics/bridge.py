@@ -13,17 +13,19 @@ from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation, RotationSpline
 
 from kinebench_drake.geometry import Array, make_pose, pose_difference
-from kinebench_drake.metrics.bounds import (
-    BRIDGE_CONFIDENCE,
-    BRIDGE_FRAMES,
-    BRIDGE_M,
-    BRIDGE_RAD,
-    BRIDGE_SHARE,
-    BRIDGE_TRIALS,
-)
 from kinebench_drake.segments import finite_rows, segments
 from kinebench_drake.track import GripperTrack
 
+BRIDGE_M, BRIDGE_RAD = 0.010, float(np.deg2rad(5.0))
+"""Errors within which a bridged pose is sound: those of a good pose."""
+BRIDGE_SHARE = 0.95
+"""Share of the gaps cut into a track that must be bridged within these errors."""
+BRIDGE_FRAMES = 5
+"""Longest gap that is bridged [frames]."""
+BRIDGE_TRIALS = 10
+"""Fewest gaps cut into a track from which the share is known."""
+BRIDGE_CONFIDENCE = 0.5
+"""Least confidence of the poses on both sides of a gap."""
 _SIDE = 3  # poses on each side that determine a bridge
 
 
