@@ -22,9 +22,10 @@ from kinebench_drake.grounding.camera.reading import BetterReading, Reading
 from kinebench_drake.io.frames import Frames
 from kinebench_drake.segments import evenly
 
-LEAD, GAIN = 0.03, 0.05
-"""Lead of a recognized camera over the next one in its share of the arm's contours on image edges, and how much more a
-camera may have that is freed from its place: what can be reached follows the sharpness of the picture."""
+LEAD, GAIN = 0.05, 0.05
+"""Lead of a recognized camera over the next one in the shares of the arm's and of the base's contours on image edges
+together, and how much more of the arm's a camera may have that is freed from its place: what can be reached follows the
+sharpness of the picture."""
 _COST, _COST_LEAD = 6.0, 0.8
 """Mean error of the cells (`Hypothesis.cost`) up to which a camera comes into question, and that over the least one."""
 _SEARCHED = 8  # frames
@@ -45,18 +46,18 @@ class Recognition:
     """How the frames have to be read; None: as they are."""
     agreement: float
     """Share of the contours of hand and arm on image edges."""
-    runner_up: float
-    """The same of the best camera with another picture; 0 if none came into question."""
-    freed: float
-    """The same of a camera freed from its place."""
     base_agreement: float
-    """Share of the contours of the base link on image edges; 0 if it is not seen."""
+    """The same of the base link; 0 if it is not seen."""
+    lead: float
+    """Lead of their sum over that of the next camera with another picture."""
+    freed: float
+    """Agreement of a camera freed from its place."""
 
     @property
     def is_clear(self) -> bool:
         """True if the arm confirms it, and no other."""
-        leads = self.agreement >= max(AGREEMENT, self.runner_up + LEAD)
-        return leads and self.base_agreement >= BASE_AGREEMENT and self.freed <= self.agreement + GAIN
+        agrees = self.agreement >= AGREEMENT and self.base_agreement >= BASE_AGREEMENT
+        return agrees and self.lead >= LEAD and self.freed <= self.agreement + GAIN
 
     @property
     def is_usual(self) -> bool:
@@ -78,10 +79,11 @@ class _Trial:
     frames: Frames
     """(T, H, W, 3) those of the fit, as read."""
     fit: Candidate
+    base_agreement: float
 
     @property
-    def agreement(self) -> float:
-        return self.fit.agreement
+    def score(self) -> float:
+        return self.fit.agreement + self.base_agreement
 
     def is_same(self, other: "_Trial") -> bool:
         """Return whether another one has practically the same picture."""
@@ -111,15 +113,16 @@ def _is_tried(named: NamedCamera, reading: Reading | None) -> bool:
 
 def _best(trials: Sequence[_Trial], checker: CameraChecker) -> Recognition:
     """Return the camera of the best trial, compared with those that have another picture."""
-    best = max(trials, key=lambda trial: trial.agreement)
+    best = max(trials, key=lambda trial: trial.score)
+    others = [trial.score for trial in trials if not trial.is_same(best)]
     return Recognition(
         named=best.named,
         camera=best.fit.scene.lens.to_camera(),
         reading=best.reading,
-        agreement=best.agreement,
-        runner_up=max((trial.agreement for trial in trials if not trial.is_same(best)), default=0.0),
+        agreement=best.fit.agreement,
+        base_agreement=best.base_agreement,
+        lead=best.score - max(others, default=0.0),
         freed=checker.freed_agreement(best.frames, best.fit),
-        base_agreement=checker.base_agreement(best.frames, best.fit),
     )
 
 
@@ -141,7 +144,8 @@ def _trials(
         fit = checker.fit_postures(detections, frames, hypothesis) if likely else None
         if fit is not None:
             own = frames[detections.rows[fit.rows]]
-            trials.append(_Trial(named=named, reading=reading, frames=own, fit=fit))
+            base = checker.base_agreement(own, fit)
+            trials.append(_Trial(named=named, reading=reading, frames=own, fit=fit, base_agreement=base))
     return trials
 
 

@@ -49,7 +49,7 @@ def test_a_camera_that_does_not_show_the_robots_foot_is_not_tried(name):
     [
         ({}, True),
         ({"agreement": AGREEMENT - 0.01}, False),
-        ({"runner_up": 0.6 - LEAD + 0.01}, False),
+        ({"lead": LEAD - 0.01}, False),
         ({"freed": 0.6 + GAIN + 0.01}, False),
         ({"base_agreement": BASE_AGREEMENT - 0.01}, False),
     ],
@@ -61,9 +61,9 @@ def test_a_camera_is_clear_if_arm_and_base_agree_and_neither_another_nor_a_freed
         camera=named.setting.camera,
         reading=None,
         agreement=0.6,
-        runner_up=0.3,
-        freed=0.61,
         base_agreement=0.6,
+        lead=0.3,
+        freed=0.61,
     )
     assert replace(clear, **changes).is_clear is is_clear
 
