@@ -28,7 +28,7 @@ together, and how much more of the arm's a camera may have that is freed from it
 sharpness of the picture."""
 _COST, _COST_LEAD = 6.0, 0.8
 """Mean error of the cells (`Hypothesis.cost`) up to which a camera comes into question, and that over the least one."""
-_SEARCHED = 8  # frames
+_SEARCHED, _FITTED = 8, 5  # frames, and cameras that are fitted to contours
 _SAME = 0.3  # of the tolerances of `Lens.sees_same_arm`, within which two pictures are the same
 _MARGIN = 0.05  # of the sides of a picture, by which the foot of the robot may lie outside
 _TURNS = (Reading.MIRRORED, Reading.ROWS_REVERSED, Reading.UPSIDE_DOWN, Reading.TURNED_LEFT, Reading.TURNED_RIGHT)
@@ -136,11 +136,11 @@ def _trials(
     if detections is None:
         return []
     tried = [(named, camera) for named in names for camera in cameras_of(named, width, height)]
-    explained = [(named, checker.explain(detections, camera)) for named, camera in tried]
-    least = min((hypothesis.cost for _, hypothesis in explained), default=_COST)
+    explained = [(checker.explain(detections, camera), named) for named, camera in tried]
+    explained.sort(key=lambda one: one[0].cost)
     trials = []
-    for named, hypothesis in explained:
-        likely = hypothesis.cost <= min(_COST, least + _COST_LEAD)
+    for hypothesis, named in explained[:_FITTED]:
+        likely = hypothesis.cost <= min(_COST, explained[0][0].cost + _COST_LEAD)
         fit = checker.fit_postures(detections, frames, hypothesis) if likely else None
         if fit is not None:
             own = frames[detections.rows[fit.rows]]
