@@ -5,6 +5,8 @@
     first_frame/TASK/episode7.png         beside it: conditioning images, as in the dataset
     instructions/TASK/episode7.json       beside it: {"instruction": ...}
 
+    model_readme.md, videos/*.mp4         an unpacked submission to track 1 of WorldArena 2.0, with the model's name
+
 See the READMEs of WorldArena (https://github.com/tsinghua-fib-lab/WorldArena, video_quality/README.md and
 assets/README_submission.md). An entry of summary.json belongs to the video whose stem is that of its gt_path, or to
 episode 7 of the task that its folder names. The prompts are those of the unchanged run; those of _1 and _2 are unknown.
@@ -14,14 +16,35 @@ import re
 from dataclasses import replace
 from pathlib import Path
 
-from kinebench_drake.errors import InputError
+from kinebench_drake.errors import InputError, cause
 from kinebench_drake.formats.videos.sample import Search, VideoSample
-from kinebench_drake.io.files import VIDEO_SUFFIXES
+from kinebench_drake.io.files import VIDEO_SUFFIXES, read_text
 from kinebench_drake.io.jsonl import as_object, as_type, read_json, read_object
 
 _FOLDER = re.compile(r"(?P<model>.+?)(?P<variant>_[12])?_(?:sort|test|val|arena)(?P<changed>_[12])?")
 _VIDEO = re.compile(r"(?P<task>.+?)_?episode_?(?P<number>\d+)")
 _SUMMARY = "summary.json"
+_README, _FIELD = "model_readme.md", re.compile(r"^(model_name|version):[ \t]*(\S.*?)[ \t]*$", re.MULTILINE)
+
+
+def is_submission(folder: Path) -> bool:
+    """Return whether a folder is a submission to track 1 of WorldArena 2.0."""
+    return (folder / _README).is_file() and (folder / "videos").is_dir()
+
+
+def list_submission(folder: Path, search: Search) -> list[VideoSample]:
+    """List the videos of a submission, with the name and version of the model.
+
+    Raises:
+        InputError: model_readme.md cannot be read.
+        UsageError: a camera.json is unusable.
+    """
+    try:
+        fields = dict(_FIELD.findall(read_text(folder / _README)))
+    except (OSError, ValueError) as error:
+        raise InputError(f"{_README} cannot be read ({cause(error)})") from None
+    model = " ".join(fields[name] for name in ("model_name", "version") if name in fields)
+    return [replace(search.sample(video), model=model or None) for video in _videos(folder / "videos")]
 
 
 def is_worldarena(folder: Path) -> bool:

@@ -5,7 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from kinebench_drake.errors import InputError, UsageError
-from kinebench_drake.formats import ewmbench, hdf5, kinebench, manifest, videofolder, worldarena
+from kinebench_drake.formats import dream_exe, ewmbench, hdf5, kinebench, manifest, videofolder, worldarena
 from kinebench_drake.formats.camerafile import CAMERA_NAME, CameraLookup
 from kinebench_drake.formats.folders import describe_ignored, is_output, list_suffixes, require_apart, run_of, walk
 from kinebench_drake.formats.lerobot import reader as lerobot
@@ -43,8 +43,10 @@ NAMES = dict.fromkeys(videofolder.NAMES, videofolder.list_metadata)
 
 LAYOUTS: Mapping[Callable[[Path], bool], Lister] = {
     lerobot.is_lerobot: lerobot.list_lerobot_videos,
+    dream_exe.is_dream_exe: dream_exe.list_dream_exe,
     ewmbench.is_ewmbench: ewmbench.list_ewmbench,
     kinebench.is_kinebench: kinebench.list_kinebench,
+    worldarena.is_submission: worldarena.list_submission,
     worldarena.is_worldarena: worldarena.list_worldarena,
 }
 """Functions that list the videos of a dataset that is a folder, by the test of its format; the first that is true."""

@@ -150,3 +150,10 @@ def test_worldarena_folders_have_model_task_prompt_and_first_frame(tmp_path):
 def test_folder_names_alone_do_not_make_a_benchmark_layout(tmp_path):
     touch(tmp_path, "unit_test/a.mp4", "my_dataset/b.mp4")
     assert {(s.id, s.model, s.task) for s in find_samples(tmp_path).samples} == {("a", None, None), ("b", None, None)}
+
+
+def test_a_submission_to_track_1_of_worldarena_names_its_model(tmp_path):
+    touch(tmp_path, "videos/episode_000001.mp4", "videos/episode_000002.mp4")
+    (tmp_path / "model_readme.md").write_text("---\nmodel_name: mine \nversion: v1.2\n---\n# mine\n")
+    samples = find_samples(tmp_path).samples
+    assert [(s.id, s.model) for s in samples] == [("episode_000001", "mine v1.2"), ("episode_000002", "mine v1.2")]

@@ -1,0 +1,1 @@
+"""The grounding inside of other programs."""
