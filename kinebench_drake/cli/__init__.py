@@ -32,10 +32,8 @@ _COMMANDS = {
 
 _HINTS = {
     "--fps": "the time between two frames is --frame-period SECONDS (1 / fps), of `audit` --rate HZ",
-    "--joints": "`audit` reads the columns that --reading FILE names",
-    "--poses": "`audit` reads the columns that --reading FILE names",
 }
-"""Options that other programs, or earlier versions, have: what to use."""
+"""Options that other programs have: what to use."""
 
 
 class LazyGroup(click.Group):

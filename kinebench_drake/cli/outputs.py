@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 folders_argument = click.argument("folders", metavar="DIR...", nargs=-1, required=True, type=PathParameter())
 comparison_out_option = click.option(
     "--out", type=PathParameter(file_okay=False),
-    help="Also write report.html, figure and table (csv, LaTeX) to this folder.",
+    help="Also write report.html and tables (csv, LaTeX) to this folder.",
 )  # fmt: skip
 
 
