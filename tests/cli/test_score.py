@@ -577,7 +577,8 @@ def test_replays_that_could_not_be_written_are_made_up_on_the_next_run(film, con
         raise SetupError("cannot write a.html (No space left on device)")
 
     monkeypatch.setattr(replay, "write_replays", full)
-    score_videos(config(replays=3))
+    with pytest.raises(SetupError):
+        score_videos(config(replays=3))
     monkeypatch.setattr(replay, "write_replays", lambda out, ids, plant: written.extend(ids))
     score_videos(config(replays=3))
     assert written == ["a"]
