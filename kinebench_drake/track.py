@@ -9,6 +9,9 @@ from numpy.typing import NDArray
 from kinebench_drake.errors import InputError
 from kinebench_drake.geometry import Array
 
+MAX_WIDTH_M = 0.08
+"""Greatest gap between the finger pads [m]."""
+
 
 def _check(name: str, value: NDArray[np.generic], shape: tuple[int, ...]) -> None:
     if value.shape != shape:

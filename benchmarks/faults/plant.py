@@ -18,14 +18,12 @@ from kinebench_drake.suites.clock import FRAME_PERIOD_S
 from kinebench_drake.suites.rollout import RolloutVideo, render_video
 from kinebench_drake.suites.seeding import generator
 from kinebench_drake.suites.simulator import GRIPPER_LINKS
-from kinebench_drake.track import IkStatus
+from kinebench_drake.track import MAX_WIDTH_M, IkStatus
 
 DUPLICATE_FRAMES, DEFORMED_FRAMES, FLUTTER_FRAMES = 10, 12, 8
 """Frames with a second gripper, with a deformed one, and with fluttering fingers."""
 FREEZE_SPEED_M_S = 0.05
 """Least mean speed of the gripper through frozen frames."""
-MAX_WIDTH_M = 0.08
-"""Largest gap between the pads."""
 _MAX_STEP_RAD = 0.6  # largest step of a joint between two frames on a displaced path
 _SHAKE_FRAMES = 1.5  # standard deviation of the smoothing kernel of a shake
 _LEVER_M = 0.1  # half the gripper's length: a bend of strength s moves points so far from the hand by s/2 of it

@@ -11,6 +11,7 @@ from kinebench_drake.geometry import Array
 from kinebench_drake.grounding.anomaly.detection import Detection
 from kinebench_drake.io.frames import Frames
 from kinebench_drake.segments import UNEVEN, finite_rows, frame_periods, segments
+from kinebench_drake.track import MAX_WIDTH_M
 
 TELEPORT_M, TELEPORT_CONTRAST = 0.04, 4.0
 """Least length of a teleport [m], and least ratio to the median jump length of the path around it."""
@@ -22,8 +23,6 @@ FREEZE_JUMP = 2.0
 """Least length of the step that ends a freeze, over the longer of the steps before the freeze and after that step."""
 STILL_LEVELS = 4.0
 """A frame is still if all but 0.5 % of its pixels, slightly blurred, change by less than this, of 255."""
-MAX_WIDTH_M = 0.08
-"""Largest gripper width [m]."""
 EXCESS_M = 0.015
 """Least excess of the width over the largest of an anomaly [m]."""
 FLUTTER_M = 0.015

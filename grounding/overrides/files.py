@@ -16,12 +16,13 @@ from kinebench_drake.grounding.priors import Priors
 from kinebench_drake.io.files import read_text
 from kinebench_drake.io.images import frame_files, open_image
 from kinebench_drake.io.npz import Archive, open_npz, read_npy
+from kinebench_drake.track import MAX_WIDTH_M
 
 MESH_NAME = "mesh_from_hand.txt"
 """File with the pose (4, 4) of panda_hand in the frame of the tracked mesh."""
 _FOUNDATION_POSE = "ob_in_cam"
 _FAR_M = 10.0
-_MAX_WIDTH_M, _TOLERANCE_M = 0.08, 0.01  # of the gripper width
+_TOLERANCE_M = 0.01  # of the gripper width
 _HALF_MM = 0.5  # stored depth is truncated
 _MAX_SHARE = 0.9  # of all pixels; a gripper that fills the image cannot be tracked anyway
 
@@ -204,12 +205,12 @@ def _checked(X: Array) -> Array:
 
 def _checked_width(width_m: Array) -> Array:
     finite = width_m[np.isfinite(width_m)]
-    if len(finite) and not -_TOLERANCE_M <= finite.min() <= finite.max() <= _MAX_WIDTH_M + _TOLERANCE_M:
+    if len(finite) and not -_TOLERANCE_M <= finite.min() <= finite.max() <= MAX_WIDTH_M + _TOLERANCE_M:
         raise InputError(
             f"finger_width_m goes from {finite.min():.4g} to {finite.max():.4g}, expected metres from 0 to "
-            f"{_MAX_WIDTH_M:g} between the pads"
+            f"{MAX_WIDTH_M:g} between the pads"
         )
-    return np.clip(np.where(np.isfinite(width_m), width_m, np.nan), 0.0, _MAX_WIDTH_M)
+    return np.clip(np.where(np.isfinite(width_m), width_m, np.nan), 0.0, MAX_WIDTH_M)
 
 
 def _rigid(X: Array, name: str) -> Array:

@@ -52,15 +52,21 @@ def ceiling(folders: tuple[Path, ...], out: Path | None, jobs: int) -> None:
     "  kinebench-drake suite report scaling/*/ --out report/",
 )
 @folders_argument
+@click.option(
+    "--paper",
+    is_flag=True,
+    help="Only what the KineBench paper shows: success and kinematics by suite and model, their correlation, the loss "
+    "from seen to unseen, scaling.",
+)
 @click.option("--out", type=PathParameter(file_okay=False), required=True, help="Folder to write to.")
-def report(folders: tuple[Path, ...], out: Path) -> None:
+def report(folders: tuple[Path, ...], out: Path, paper: bool) -> None:
     """Report on output folders DIR of `suite run`: report.html, figures (png, svg), tables (csv, LaTeX).
 
     Folders of one model on one suite are pooled, such as shards, unless their tags or settings differ.
     """
     from kinebench_drake.report.suite.suite_page import write_suite_report
 
-    echo(write_suite_report(folders, out, warn=lambda message: echo(f"warning: {message}", err=True)))
+    echo(write_suite_report(folders, out, warn=lambda message: echo(f"warning: {message}", err=True), paper=paper))
 
 
 _ERRORS = ("bias", "jitter", "finger_delay")

@@ -16,6 +16,7 @@ import numpy as np
 
 from kinebench_drake.camera import CameraSetting, CameraSource
 from kinebench_drake.errors import InputError
+from kinebench_drake.formats.trajectories.reading import TOOLS
 from kinebench_drake.formats.videos.sample import Search, VideoSample
 from kinebench_drake.geometry import Array, from_quaternion, invert, make_pose, rotation_z
 from kinebench_drake.io.jsonl import as_object, as_type, read_object
@@ -23,7 +24,6 @@ from kinebench_drake.track import InitialState
 
 ENVIRONMENT = "environment.json"
 _VIDEO, _FORMAT = "video.json", "dream-exe.video-output"
-_TCP_M = 0.1034  # of panda_hand_tcp along z of panda_hand
 SITE_M = 0.097
 """Distance of robosuite's grip site from panda_hand along z [m]."""
 
@@ -58,8 +58,7 @@ def read_scene(path: Path) -> Scene:
     except (TypeError, ValueError) as error:
         raise InputError(f"{path.name}: no camera and pose of the gripper as Dream.exe writes them ({error})") from None
     camera = CameraSetting.from_json({**K, "base_from_camera": (X_BS @ invert(X_WS) @ X_WC).tolist()}, path.name)
-    X_SG = invert(hand_from_site()) @ make_pose(np.eye(3), [0.0, 0.0, _TCP_M])
-    return Scene(camera=camera, first=InitialState(X_BG=X_BS @ X_SG))
+    return Scene(camera=camera, first=InitialState(X_BG=X_BS @ invert(hand_from_site()) @ TOOLS["hand"]))
 
 
 def _pose(pose: Mapping[str, object]) -> Array:

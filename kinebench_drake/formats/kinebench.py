@@ -33,6 +33,7 @@ from kinebench_drake.io.files import read_text
 from kinebench_drake.io.hdf5 import DAMAGED, open_hdf5, read_all
 from kinebench_drake.io.jsonl import as_number, as_object, as_type, read_object
 from kinebench_drake.results.row import SampleRow, Status
+from kinebench_drake.track import MAX_WIDTH_M
 
 INFO, SUMMARY = "info.json", "summary.csv"
 PERIOD_S = 0.2
@@ -42,7 +43,6 @@ _VIDEO = "observation.images.base_camera.mp4"
 _STAMP = re.compile(r"_\d{8}_\d{6}")
 _EPISODE = re.compile(r"\d{4,}", re.ASCII)
 _CASE = re.compile(r"(?P<task>(?P<words>\w+?)(?:_(?P<version>v\d))?)_(?P<number>\d+)", re.ASCII)
-_OPEN_M = 0.08
 _MAX_BYTES = 2**28
 _TASKS = {"pickfruits": "PickFruits-v1", "storefruitbox": "StoreFruitsBox-v1", "lift_peg": "LiftPegUpright-v1"}
 """Tasks whose names in the data set differ in more than spelling."""
@@ -176,7 +176,7 @@ def open_executed_table(sample: TrajectorySample) -> Iterator[Table]:
         raise InputError(f"{sample.part} cannot be read ({cause(error)})") from None
     arrays: dict[str, NDArray[np.generic]] = {
         "base_from_tcp": make_pose(Rotation.from_euler("XYZ", actions[:, 3:6]).as_matrix(), actions[:, :3]),
-        "finger_width_m": np.where(actions[:, 6] > 0.0, _OPEN_M, 0.0),
+        "finger_width_m": np.where(actions[:, 6] > 0.0, MAX_WIDTH_M, 0.0),
     }
     columns = tuple(Column(name=name, size=array[0].size) for name, array in arrays.items())
     yield Table(columns=columns, load=arrays.__getitem__, rate_hz=sample.rate_hz)

@@ -19,15 +19,15 @@ from kinebench_drake.formats.videos.sample import Search, VideoSample, image_bes
 from kinebench_drake.geometry import checked_pose
 from kinebench_drake.io.files import read_text
 from kinebench_drake.io.jsonl import as_type, parse_json
-from kinebench_drake.track import InitialState
+from kinebench_drake.track import MAX_WIDTH_M, InitialState
 
 NAME = "manifest.jsonl"
 
 UNREAD = frozenset({"frames", "suite", "split", "negative_prompt", "actions"})
 """Keys that `suite export` and `suite demos` write for world models: ignored without a warning."""
 
-MAX_WIDTH_M, WIDTH_TOLERANCE_M = 0.08, 0.002
-"""Greatest gap between the finger pads, and how far a measured gap may lie outside its range [m]."""
+WIDTH_TOLERANCE_M = 0.002
+"""How far a measured gap between the pads may lie outside its range [m]."""
 
 
 def _rigid(rows: list[list[float]]) -> list[list[float]]:

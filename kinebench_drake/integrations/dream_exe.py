@@ -53,12 +53,11 @@ class PoseBackend:
         scene = self._scene(Path(request.mesh_path))
         frames = np.stack([np.asarray(frame, dtype=np.uint8) for frame in request.video_frames])
         try:
-            track = ground_video(
-                frames, camera=scene.camera, frame_period_s=self._period_s, first=scene.first
-            ).track  # fmt: skip
+            grounding = ground_video(frames, camera=scene.camera, frame_period_s=self._period_s, first=scene.first)
         except UnmeasurableError as error:
             candidates = [self._candidate(contract, None, 0.0, str(error))] * len(frames)
             return contract.PosePrediction(candidates=candidates, meta={"model": self.backend_id})
+        track = grounding.track
         X_CS = track.X_CH @ hand_from_site()
         candidates = [
             self._candidate(contract, X if ok else None, float(confidence), "not tracked")

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinebench_drake.errors import UsageError
+from kinebench_drake.formats.folders import is_output
 from kinebench_drake.formats.lerobot import writer as lerobot
 from kinebench_drake.formats.videos.sample import VideoSample
 from kinebench_drake.geometry import Array, rotation_log
@@ -25,11 +26,11 @@ from kinebench_drake.results.row import SampleRow, Status
 from kinebench_drake.results.store import artifact_path
 from kinebench_drake.results.trackfile import read_track
 from kinebench_drake.runs.config import ActionFormat
+from kinebench_drake.track import MAX_WIDTH_M
 
 ROBOWM_RATE_HZ = 20.0
 """Rate of RoboWM-Bench's commands (https://github.com/fffstrong/RoboWM-Bench, scripts/robot/eval_franka.py) [Hz]."""
 _CRF = 18
-_OPEN_M = 0.08
 _WHOLE = 0.01
 """Greatest relative distance of a frame rate from a whole number, and of one episode's from another's."""
 
@@ -58,6 +59,17 @@ class _Motion:
     def period_s(self) -> float:
         """Task time between two frames [s]."""
         return float(np.median(np.diff(self.t_s)))
+
+
+def require_own_folder(format: ActionFormat, out: Path) -> None:
+    """Check that the folder of the actions in an output folder is free, or of an earlier run: it is written anew.
+
+    Raises:
+        UsageError: it is a link, or holds what no run wrote.
+    """
+    folder = out / format.folder
+    if folder.is_symlink() or (folder.exists() and not is_output(out)):
+        raise UsageError(f"$out {out}: {format.folder} is there already, but no run wrote it; name another folder")
 
 
 def write_actions(
@@ -122,7 +134,7 @@ def _write_robowm(folder: Path, motions: Iterator[_Motion]) -> None:
         valid, measured = motion.valid, np.isfinite(motion.width_m)
         times = np.arange(0.0, motion.t_s[-1] + 1e-6, 1.0 / ROBOWM_RATE_HZ)
         angles = [np.interp(times, motion.t_s[valid], x) for x in motion.q[valid].T]
-        width_m = np.full(len(times), _OPEN_M)
+        width_m = np.full(len(times), MAX_WIDTH_M)
         if measured.any():
             width_m = np.interp(times, motion.t_s[measured], motion.width_m[measured])
         commands = np.column_stack([*angles, 0.5 * width_m, 0.5 * width_m]).round(6).tolist()
@@ -164,7 +176,7 @@ def _columns(motion: _Motion) -> dict[str, NDArray[np.generic]]:
     """Return the columns of an episode: the action of a frame is the state of the next one, of the last its own."""
     valid, measured, n = motion.valid, np.isfinite(motion.width_m), len(motion.t_s)
     source, after = _last_valid(valid), np.minimum(np.arange(n) + 1, n - 1)
-    width = motion.width_m[_last_valid(measured)] if measured.any() else np.full(n, _OPEN_M)
+    width = motion.width_m[_last_valid(measured)] if measured.any() else np.full(n, MAX_WIDTH_M)
     state, X_BG = np.column_stack([motion.q[source], width]), motion.X_BG[source]
     pose = lerobot.pose_columns(X_BG)
     turns = rotation_log(X_BG[after, :3, :3] @ np.swapaxes(X_BG[:, :3, :3], 1, 2))

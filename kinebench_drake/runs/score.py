@@ -25,7 +25,7 @@ from kinebench_drake.results.provenance import weights_hash
 from kinebench_drake.results.row import SampleRow
 from kinebench_drake.results.store import artifact_path
 from kinebench_drake.results.trackfile import write_track
-from kinebench_drake.runs.actions import write_actions
+from kinebench_drake.runs.actions import require_own_folder, write_actions
 from kinebench_drake.runs.config import AUTO, ScoreConfig, period_warnings
 from kinebench_drake.runs.evaluator import KINEMATIC_METRICS, Evaluation, Evaluator
 from kinebench_drake.runs.pictures import encode_strip, worst_frame
@@ -58,6 +58,8 @@ def score_videos(config: ScoreConfig, observer: RunObserver | None = None) -> Ru
         SetupError: something is missing on this machine, or the disk is full. Finished samples are kept.
     """
     observer = observer or NullRunObserver()
+    if config.format is not None:
+        require_own_folder(config.format, config.out)
     inputs = _find(config)
     for warning in inputs.warnings:
         observer.warn(warning)

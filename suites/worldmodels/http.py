@@ -124,7 +124,7 @@ class HttpModel:
                 raise WorldModelError(f"{kind} is accepted only from a server on this machine; answer with video_url")
             if not Path(value).is_absolute():
                 raise WorldModelError(f"the world model's {kind} is not an absolute path")
-            self._store(_pieces(Path(value)), part, deadline)
+            self._store(_pieces(kind, Path(value)), part, deadline)
         else:
             try:
                 data = from_base64(value)
@@ -142,12 +142,12 @@ class HttpModel:
                 file.write(chunk)
 
 
-def _pieces(path: Path) -> Iterator[bytes]:
+def _pieces(key: str, path: Path) -> Iterator[bytes]:
     try:
         with open_file(path) as file:
             yield from iter(partial(file.read, _CHUNK_BYTES), b"")
     except (OSError, ValueError) as error:
-        raise WorldModelError(f"the world model's video_path cannot be read ({cause(error)})") from None
+        raise WorldModelError(f"the world model's {key} cannot be read ({cause(error)})") from None
 
 
 def _body(request: Request) -> dict[str, Any]:

@@ -17,8 +17,9 @@ from kinebench_drake.io.reader import read_video
 from kinebench_drake.results.row import SampleRow, Status
 from kinebench_drake.results.store import artifact_path
 from kinebench_drake.results.trackfile import write_track
-from kinebench_drake.runs.actions import write_actions
-from kinebench_drake.runs.config import ActionFormat
+from kinebench_drake.runs.actions import require_own_folder, write_actions
+from kinebench_drake.runs.config import ActionFormat, RunKind, ScoreConfig
+from kinebench_drake.runs.score import score_videos
 from kinebench_drake.runs.tools import RobotOptions, Tools
 from kinebench_drake.track import GripperTrack, IkStatus, JointTrack
 
@@ -131,3 +132,16 @@ def test_joints_follow_the_track_from_the_posture_in_which_arms_are_filmed() -> 
     assert np.array_equal(joints.ok, tracked)
     assert np.nanmax(joints.position_error_m) < 1e-4
     assert np.abs(joints.q[tracked] - q[tracked]).max() < 0.3  # the elbow of another solution is over a radian away
+
+
+@pytest.mark.parametrize("format", ActionFormat)
+def test_a_folder_that_no_run_wrote_is_refused_and_kept(tmp_path, format):
+    kept = tmp_path / format.folder / "mine.json"
+    kept.parent.mkdir()
+    kept.write_text("{}")
+    with pytest.raises(UsageError, match="no run wrote it"):
+        score_videos(ScoreConfig(source=tmp_path, out=tmp_path, kind=RunKind.GROUND, format=format))
+    assert kept.is_file()
+    for name in ("samples.jsonl", "run.json"):
+        (tmp_path / name).write_text("")
+    require_own_folder(format, tmp_path)  # of an earlier run

@@ -17,6 +17,7 @@ from kinebench_drake.formats.trajectories.trajectory import (
     require_numbers,
 )
 from kinebench_drake.geometry import Array
+from kinebench_drake.track import MAX_WIDTH_M
 
 MIN_FRAMES = 2
 """A path needs two postures."""
@@ -24,7 +25,6 @@ MIN_FRAMES = 2
 _MANY_RAD = 10.0  # larger angles are taken for degrees
 _MOST_DEGREES = 720.0
 _TURN_RAD = 2.0 * np.pi  # larger angles give a warning
-_WIDTH_M = 0.08  # gap between the Panda's pads when open
 _WIDTH_SLACK_M = 0.01  # overshoot of sensors and simulators
 
 
@@ -133,10 +133,10 @@ def _widths(width: Array | None, n: int, warnings: list[str]) -> Array:
     if width.shape != (n,):
         raise InputError(f"finger_width_m has shape {width.shape}, but there are {n} frames")
     finite = width[np.isfinite(width)]
-    if len(finite) and (finite.min() < -_WIDTH_SLACK_M or finite.max() > _WIDTH_M + _WIDTH_SLACK_M):
+    if len(finite) and (finite.min() < -_WIDTH_SLACK_M or finite.max() > MAX_WIDTH_M + _WIDTH_SLACK_M):
         warnings.append(
-            f"finger widths from {finite.min():.4g} to {finite.max():.4g} are not metres from 0 to {_WIDTH_M}: they "
+            f"finger widths from {finite.min():.4g} to {finite.max():.4g} are not metres from 0 to {MAX_WIDTH_M}: they "
             "are ignored"
         )
         return np.full(n, np.nan)
-    return np.clip(np.where(np.isfinite(width), width, np.nan), 0.0, _WIDTH_M)
+    return np.clip(np.where(np.isfinite(width), width, np.nan), 0.0, MAX_WIDTH_M)

@@ -19,7 +19,12 @@ from kinebench_drake.report.suite.pooling import (
 
 
 def write_suite_report(
-    paths: Sequence[Path], out: Path, seed: int = 0, warn: Callable[[str], None] = lambda message: None
+    paths: Sequence[Path],
+    out: Path,
+    seed: int = 0,
+    warn: Callable[[str], None] = lambda message: None,
+    *,
+    paper: bool = False,
 ) -> Path:
     """Write the report of some suite runs; the same folders give the same bytes.
 
@@ -28,6 +33,8 @@ def write_suite_report(
         out: folder to write to, made if absent.
         seed: seed of the resampling.
         warn: receives warnings, which are on the page as well.
+        paper: only what the KineBench paper shows: success and kinematics by suite and model, their correlation, the
+            loss from seen to unseen, scaling.
 
     Returns:
         The html page.
@@ -41,13 +48,10 @@ def write_suite_report(
     for message in spec_warnings(runs):
         warn(message)
     episodes = kinematics.scale_costs(pool_episodes(runs))
-    following = kinematics.tabulate_following(episodes, seed)
+    following = None if paper else kinematics.tabulate_following(episodes, seed)
     parts: list[Part] = [
         success.tabulate_suites(episodes, seed),
-        success.tabulate_summary(episodes, seed),
-        *success.draw_success(episodes),
-        success.tabulate_tasks(episodes, seed),
-        success.draw_verdicts(episodes),
+        *([] if paper else _detail_parts(episodes, seed)),
         kinematics.tabulate_kinematics(episodes, seed),
         *([following] if following else []),
         *_drop_parts(runs, episodes, seed),
@@ -57,6 +61,16 @@ def write_suite_report(
         *_scaling_parts(runs, episodes, seed),
     ]
     return write_page("Suite report", runs, episodes, out, parts)
+
+
+def _detail_parts(episodes: Sequence[EpisodeResult], seed: int) -> list[Part]:
+    """Return success by task, and the causes of failure."""
+    return [
+        success.tabulate_summary(episodes, seed),
+        *success.draw_success(episodes),
+        success.tabulate_tasks(episodes, seed),
+        success.draw_verdicts(episodes),
+    ]
 
 
 def _drop_parts(runs: Sequence[SuiteRun], episodes: Sequence[EpisodeResult], seed: int) -> list[Part]:

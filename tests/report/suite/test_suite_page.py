@@ -127,6 +127,13 @@ def test_a_suite_report_is_self_contained_with_all_tables_and_figures(runs, tmp_
         assert len(list(csv.DictReader(file))) == 300
 
 
+def test_the_paper_has_the_tables_by_suite_and_model_alone(runs, tmp_path):
+    write_suite_report(runs, tmp_path / "runs" / "paper", paper=True)
+    names = {path.name for path in (tmp_path / "runs" / "paper").iterdir()}
+    assert {"suites.csv", "kinematics.csv", "sparc_success.png", "manipulability.png", "scaling.csv"} <= names
+    assert not {"tasks.csv", "summary.csv", "verdicts.png", "success_suite0.png"} & names
+
+
 def test_a_shortened_episode_list_has_all_models_with_failures_first(runs, tmp_path, monkeypatch):
     monkeypatch.setattr(parts, "LISTED", 100)
     folders = read_suite_runs(runs)

@@ -125,7 +125,7 @@ def test_a_video_path_is_bounded_in_size_and_time(
         file.truncate(2**40)
     with pytest.raises(WorldModelError, match=r"more than 0\.019\S* MiB of video"):
         ask({"video_path": str(large)})
-    monkeypatch.setattr(http, "_pieces", lambda path: (time.sleep(0.05) or b"" for _ in range(1000)))
+    monkeypatch.setattr(http, "_pieces", lambda key, path: (time.sleep(0.05) or b"" for _ in range(1000)))
     with pytest.raises(WorldModelError, match="no video within 1 s"):
         ask({"video_path": str(large)}, timeout=1)
     assert list(out.parent.iterdir()) == []
