@@ -29,6 +29,8 @@ class GroundingResult(PipelineResult):
     framing: Framing
     """How the camera's image lies in the video."""
     choice: CameraChoice
+    possible: tuple[GripperTrack, ...] = ()
+    """Tracks with each camera that may be right, where it cannot be seen which one is; else none."""
 
     @property
     def robot(self) -> NDArray[np.bool_]:

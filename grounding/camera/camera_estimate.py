@@ -64,6 +64,15 @@ class FittedCamera:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Rival:
+    """Another camera that explains the robot."""
+
+    camera: Camera
+    share: float
+    """Share of the contours on image edges that it is compared by."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class CameraEstimate(FittedCamera):
     """Camera estimated from the arm, fitted to its contours."""
 
@@ -77,12 +86,12 @@ class CameraEstimate(FittedCamera):
     Without the base link, unless the joint angles are known."""
     base_agreement: float = 0.0
     """Share of the contours of the base link on image edges, all frames together."""
-    base_runner_up: float = 0.0
-    """The same with the base turned elsewhere about joint 1; 0 if no other turn agrees."""
+    turns: tuple[Rival, ...] = ()
+    """Cameras under which the base is turned elsewhere about joint 1, by the same share."""
     is_aligned: bool = False
     """Whether lines of the surroundings along the axes of the base were used."""
-    runner_up: float = 0.0
-    """Mean of the two agreements with the next best camera under which the arm stands elsewhere; 0 if there is none."""
+    others: tuple[Rival, ...] = ()
+    """Cameras under which the arm stands elsewhere, by the mean of the two agreements."""
     residual_px: float
     """Median distance between contours and image edges [px]."""
 
@@ -105,12 +114,36 @@ class CameraEstimate(FittedCamera):
         }
 
     @property
+    def base_runner_up(self) -> float:
+        """Greatest share of the contours of the base link with the base turned elsewhere; 0 if no other turn agrees."""
+        return max((rival.share for rival in self.turns), default=0.0)
+
+    @property
+    def runner_up(self) -> float:
+        """Greatest mean of the agreements with a camera under which the arm stands elsewhere; 0 if there is none."""
+        return max((rival.share for rival in self.others), default=0.0)
+
+    @property
+    def rivals(self) -> tuple[Camera, ...]:
+        """Cameras that agree nearly as well, one of which may be right instead."""
+        turned = [rival.camera for rival in self.turns if self.base_agreement < rival.share + BASE_LEAD]
+        return (*turned, *(rival.camera for rival in self.others if self.support < rival.share + self._lead))
+
+    @property
+    def _lead(self) -> float:
+        return _ALIGNED_LEAD if self.is_aligned and self.agreement >= ARM_AGREEMENT else LEAD
+
+    @property
     def doubt(self) -> str | None:
         """Why the camera gives no base frame; None if it does."""
+        return self.misfit or self.ambiguity
+
+    @property
+    def misfit(self) -> str | None:
+        """Why neither the camera nor one of its `rivals` is right with certainty; None if one of them is."""
         least, least_base = ARM_AGREEMENT, BASE_AGREEMENT
         if self.is_aligned:
             least, least_base = ALIGNED_AGREEMENT, ALIGNED_BASE_AGREEMENT
-        lead = _ALIGNED_LEAD if self.is_aligned and self.agreement >= ARM_AGREEMENT else LEAD
         if self.agreement < least:
             return (
                 f"no estimated camera agrees with the arm (best: {self.agreement:.0%} of its contours on image edges, "
@@ -122,21 +155,26 @@ class CameraEstimate(FittedCamera):
                 f"{self.base_agreement:.0%} of the contours of the base link on image edges, at least "
                 f"{least_base:.0%} are needed)"
             )
-        if self.base_agreement < self.base_runner_up + BASE_LEAD:
-            return (
-                f"two turns of the base about joint 1 explain its contours ({self.base_agreement:.0%} and "
-                f"{self.base_runner_up:.0%} on image edges)"
-            )
-        if self.support < self.runner_up + lead:
-            return (
-                f"two different cameras explain arm and base ({self.support:.0%} and {self.runner_up:.0%} of their "
-                "contours on image edges)"
-            )
         if self.gripper_sigma_m > GRIPPER_SIGMA_M or self.gripper_sigma_rad > GRIPPER_SIGMA_RAD:
             return (
                 "with the estimated camera the gripper's place in it is uncertain by "
                 f"{1e3 * self.gripper_sigma_m:.0f} mm and {np.rad2deg(self.gripper_sigma_rad):.1f} degrees (one "
                 f"sigma, at most {1e3 * GRIPPER_SIGMA_M:.0f} and {np.rad2deg(GRIPPER_SIGMA_RAD):.0f})"
+            )
+        return None
+
+    @property
+    def ambiguity(self) -> str | None:
+        """Why one of the `rivals` may be right instead; None without any."""
+        if self.base_agreement < self.base_runner_up + BASE_LEAD:
+            return (
+                f"two turns of the base about joint 1 explain its contours ({self.base_agreement:.0%} and "
+                f"{self.base_runner_up:.0%} on image edges)"
+            )
+        if self.support < self.runner_up + self._lead:
+            return (
+                f"two different cameras explain arm and base ({self.support:.0%} and {self.runner_up:.0%} of their "
+                "contours on image edges)"
             )
         return None
 

@@ -3,7 +3,6 @@
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, fields, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -11,6 +10,7 @@ from kinebench_drake.camera import CONFIRMED, Camera, CameraSource, benchmark_ca
 from kinebench_drake.errors import UnmeasurableError
 from kinebench_drake.formats.camerafile import BENCHMARK
 from kinebench_drake.geometry import Array
+from kinebench_drake.grounding.camera.camera_estimate import CameraEstimate
 from kinebench_drake.grounding.camera.estimate import usual_camera
 from kinebench_drake.grounding.camera.evidence import AGREEMENT, CameraChoice, check_named, find_reading
 from kinebench_drake.grounding.camera.framing import Framing, apply_framing
@@ -23,14 +23,12 @@ from kinebench_drake.grounding.priors import Clip, Priors
 from kinebench_drake.grounding.video_result import MIN_TRACKED, GroundingResult
 from kinebench_drake.io.frames import Frames
 from kinebench_drake.models.panda.robot import GripperKind
-from kinebench_drake.track import Domain
-
-if TYPE_CHECKING:
-    from kinebench_drake.grounding.camera.camera_estimate import CameraEstimate
+from kinebench_drake.track import Domain, GripperTrack
 
 HAND_SHARE, ARM_SHARE = 0.1, 0.5
 """Share of tracked frames below which a hand counts as not seen, and from which on an arm does."""
 _SIGMAS = 2.0  # standard deviations of an estimated camera that its poses may be off by
+_MOST_RIVALS = 3  # cameras beside the estimated one under which a track is judged: each is another grounding
 PriorSource = Callable[[Camera], Priors]
 """Function from the camera of the whole frames to quantities that replace estimates."""
 
@@ -46,13 +44,20 @@ class _View:
     t_s: Array
     priors: Priors
 
-    def result(self, measured: PipelineResult, choice: CameraChoice | None = None) -> GroundingResult:
-        """Return the result of a track, with this choice or another one."""
+    def result(
+        self,
+        measured: PipelineResult,
+        choice: CameraChoice | None = None,
+        possible: tuple[GripperTrack, ...] = (),
+    ) -> GroundingResult:
+        """Return the result of a track, with this choice or another one, and the `possible` tracks of the clip."""
         choice = choice or self.choice
         own = {f.name: getattr(measured, f.name) for f in fields(PipelineResult)}
         if choice.reason is not None:
             own["track"] = replace(measured.track, X_BG=np.full_like(measured.track.X_BG, np.nan))
-        return GroundingResult(**own, frames=self.frames, camera=self.camera, framing=self.framing, choice=choice)
+        return GroundingResult(
+            **own, frames=self.frames, camera=self.camera, framing=self.framing, choice=choice, possible=possible
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -152,10 +157,10 @@ class CameraChooser:
         estimate: CameraEstimate | None = None
         try:
             estimate = self.parts.cameras.estimate(self.clip.frames)
-            doubt = estimate.doubt
+            doubt = estimate.misfit
         except UnmeasurableError as error:
             doubt = str(error)
-        source = CameraSource.ESTIMATED if doubt is None else CameraSource.NONE
+        source = CameraSource.NONE if estimate is None else CameraSource.ESTIMATED
         choice = CameraChoice(camera=usual if estimate is None else estimate.camera, source=source, estimate=estimate)
         view = self._view(choice)
         measured = self._ground_hand(view)
@@ -167,13 +172,24 @@ class CameraChooser:
                 doubt = reading.describe()
             elif agreement is None or agreement < AGREEMENT:
                 doubt = f"the track does not confirm the estimated camera ({_share(agreement)})"
-        if doubt is None and estimate is not None:  # all poses in the base frame share the camera's error
-            track = measured.track
-            offset_m = track.offset_m + _SIGMAS * estimate.gripper_sigma_m
-            offset_rad = track.offset_rad + _SIGMAS * estimate.gripper_sigma_rad
-            measured = replace(measured, track=replace(track, offset_m=offset_m, offset_rad=offset_rad))
+        possible: tuple[GripperTrack, ...] = ()
+        if doubt is None and estimate is not None:
+            measured = _with_offset(measured, estimate)
+            doubt = estimate.ambiguity
+            if doubt is not None and len(estimate.rivals) <= _MOST_RIVALS:
+                rivals = (self._ground_rival(choice, rival, estimate) for rival in estimate.rivals)
+                possible = (measured.track, *(track for track in rivals if track is not None))
+        source = CameraSource.ESTIMATED if doubt is None else CameraSource.NONE
         reason = None if doubt is None else f"the base frame is unknown: no camera is named, {against}, and {doubt}"
-        return view.result(measured, replace(choice, agreement=agreement, reading=reading, reason=reason))
+        choice = replace(choice, source=source, agreement=agreement, reading=reading, reason=reason)
+        return view.result(measured, choice, possible)
+
+    def _ground_rival(self, choice: CameraChoice, camera: Camera, estimate: CameraEstimate) -> GripperTrack | None:
+        """Return the track with a camera that may be right instead of the estimate; None if it is not confirmed."""
+        view = self._view(replace(choice, camera=camera))
+        measured = self._ground_hand(view)
+        agreement = self.parts.checker.track_agreement(view.frames, view.camera, measured)
+        return None if agreement is None or agreement < AGREEMENT else _with_offset(measured, estimate).track
 
     def _ground_as_assumed(self, view: _View) -> GroundingResult:
         """Track with the benchmark camera; without a base frame unless the arm of a familiar look confirms the camera.
@@ -264,6 +280,14 @@ class CameraChooser:
             if not arm.track.confidence.any():  # contours of a gripper are sought where there is an arm
                 break
         return None
+
+
+def _with_offset(measured: PipelineResult, estimate: CameraEstimate) -> PipelineResult:
+    """Return a result whose track allows for the error of its camera, which all poses in the base frame share."""
+    track = measured.track
+    offset_m = track.offset_m + _SIGMAS * estimate.gripper_sigma_m
+    offset_rad = track.offset_rad + _SIGMAS * estimate.gripper_sigma_rad
+    return replace(measured, track=replace(track, offset_m=offset_m, offset_rad=offset_rad))
 
 
 def _misread(choice: CameraChoice, reading: BetterReading) -> CameraChoice:

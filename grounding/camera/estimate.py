@@ -10,7 +10,7 @@ from kinebench_drake.camera import Camera
 from kinebench_drake.errors import UnmeasurableError
 from kinebench_drake.geometry import pose_difference
 from kinebench_drake.grounding.camera.bundle import Prior
-from kinebench_drake.grounding.camera.camera_estimate import BASE_AGREEMENT, BASE_LEAD, CameraEstimate
+from kinebench_drake.grounding.camera.camera_estimate import BASE_AGREEMENT, BASE_LEAD, CameraEstimate, Rival
 from kinebench_drake.grounding.camera.candidate import (
     COARSE,
     LOG_FOCAL_SIGMA,
@@ -127,14 +127,18 @@ class CameraEstimator:
                     agreement=max(best.agreement, explained(own, total)),
                     base_agreement=estimate.base_agreement,
                     # Other turns than by right angles would put these lines askew to the base.
-                    base_runner_up=min(
-                        estimate.base_runner_up,
-                        max((t.share + gain for t in best_turns if t.is_right_angle_from(turn)), default=0.0),
+                    turns=tuple(
+                        replace(rival, share=min(rival.share, estimate.base_runner_up))
+                        for rival in _rivals(best, [t for t in best_turns if t.is_right_angle_from(turn)], gain)
                     ),
                     is_aligned=True,
                 )
-        others = ((arm.agreement + own_turns[0].share + gain) / 2 for arm, own_turns in ranked[1:])
-        return replace(estimate, runner_up=max(others, default=0.0))
+        others = [
+            replace(rival, share=(arm.agreement + rival.share) / 2)
+            for arm, own_turns in ranked[1:]
+            for rival in _rivals(arm, own_turns[:1], gain)
+        ]
+        return replace(estimate, others=tuple(others))
 
     def _turn(
         self, arm: Candidate, turns: Sequence[BaseTurn], images: ContourImages, prior: Prior, total: int
@@ -158,8 +162,8 @@ class CameraEstimator:
         X_CB = best.scene.lens.X_CB
         apart = [fit for fit in fits if pose_difference(X_CB, fit.scene.lens.X_CB)[1] > DIFFERENT_TURN_RAD]
         gain = max(0.0, best.base_agreement - turn.share)  # granted to turns that are not fitted
-        others = [fit.base_agreement for fit in apart] + [other.share + gain for other in turns[len(close) :]]
-        return replace(best, base_runner_up=max(others, default=0.0)), turn
+        fitted = [Rival(camera=fit.camera, share=fit.base_agreement) for fit in apart]
+        return replace(best, turns=(*fitted, *_rivals(arm, turns[len(close) :], gain))), turn
 
     def _find_surroundings(self, estimate: CameraEstimate, frames: Frames) -> Surroundings | None:
         """Return the lines of frames (T, H, W, 3) along the axes of the base of an estimate; None without them."""
@@ -215,6 +219,13 @@ def _distinct(ranked: Sequence[tuple[Lens, _Ranked]], factor: float = 1.0) -> li
         if not any(lens.sees_same_arm(other, factor) for other, _ in kept):
             kept.append((lens, item))
     return [item for _, item in kept]
+
+
+def _rivals(arm: Candidate, turns: Sequence[BaseTurn], gain: float) -> tuple[Rival, ...]:
+    """Return the cameras of an arm with the base turned, granted the `gain` of a fit."""
+    return tuple(
+        Rival(camera=arm.scene.turned(turn.angle_rad).lens.to_camera(), share=turn.share + gain) for turn in turns
+    )
 
 
 def _without_base(candidate: Candidate) -> Candidate:

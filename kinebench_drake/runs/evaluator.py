@@ -88,6 +88,8 @@ class Evaluation:
 
     kinematics: "KinematicResult | None"
     """Verdict and metrics of the track; None where kinematics is not judged."""
+    agreed: "KinematicResult | None" = None
+    """Where it is not: the verdict that holds with every camera that may be right; None if it depends on the camera."""
     metrics: Mapping[str, Json] = field(default_factory=dict)
     """Metrics besides those of the kinematics."""
     extra: Mapping[str, Json] = field(default_factory=dict)
@@ -225,7 +227,7 @@ class Evaluator(ABC, Generic[SampleT, ResourcesT]):
             return self.failed_row(sample, Status.ERROR, reason, content_hash)
 
     def _ok_row(self, sample: SampleT, evaluation: Evaluation, content_hash: str) -> SampleRow:
-        kinematics = evaluation.kinematics
+        kinematics, verdict = evaluation.kinematics, evaluation.kinematics or evaluation.agreed
         metrics = {
             **dict.fromkeys(self.metric_names),
             **evaluation.metrics,
@@ -244,12 +246,12 @@ class Evaluator(ABC, Generic[SampleT, ResourcesT]):
             status=Status.OK,
             reason=None,
             content_hash=content_hash,
-            feasible=kinematics.feasible if kinematics else None,
+            feasible=verdict.feasible if verdict else None,
             executable=executable,
             executable_reasons=obstacles,
-            violations=tuple(v.to_json() for v in kinematics.violations) if kinematics else (),
+            violations=tuple(v.to_json() for v in verdict.violations) if verdict else (),
             metrics=metrics,
-            null_reasons=_null_reasons(metrics, kinematics, evaluation.reasons),
+            null_reasons=_null_reasons(metrics, evaluation),
             details=dict(kinematics.details) if kinematics else {},
             extra=extra,
         )
@@ -279,7 +281,7 @@ def _executability(evaluation: Evaluation) -> tuple[bool | None, tuple[str, ...]
 
     Bridges count in videos alone: of a trajectory every frame is expected.
     """
-    kinematics, anomalies = evaluation.kinematics, evaluation.metrics.get("anomalies")
+    kinematics, anomalies = evaluation.kinematics or evaluation.agreed, evaluation.metrics.get("anomalies")
     tracked = kinematics.track.tracked if kinematics else evaluation.tracked
     if tracked is None:
         return None, ()
@@ -294,10 +296,9 @@ def _executability(evaluation: Evaluation) -> tuple[bool | None, tuple[str, ...]
     return judge_evidence(kinematics.feasible if kinematics else None, int(lost.sum()), faults, unchecked)
 
 
-def _null_reasons(
-    metrics: Mapping[str, Json], kinematics: "KinematicResult | None", others: Mapping[str, str]
-) -> dict[str, str]:
+def _null_reasons(metrics: Mapping[str, Json], evaluation: Evaluation) -> dict[str, str]:
     """Return why each null metric is null, in the metrics' order."""
+    kinematics, others = evaluation.kinematics, evaluation.reasons
     stated = {**others, **(kinematics.reasons if kinematics else {})}
     reasons = {}
     for name, value in metrics.items():
@@ -305,7 +306,7 @@ def _null_reasons(
             reasons[name] = stated.get(name) or stated.get("") or "cannot be measured on this sample"
         elif isinstance(value, float) and not math.isfinite(value):
             reasons[name] = stated.get(name) or f"came out as {value}"
-    if "feasible" in others and kinematics is None:
+    if "feasible" in others and kinematics is None and evaluation.agreed is None:
         reasons["feasible"] = others["feasible"]
     if kinematics and kinematics.feasible is None:
         reasons["feasible"] = stated.get("feasible", "cannot be measured on this sample")

@@ -45,6 +45,7 @@ from kinebench_drake.track import Domain, GripperTrack
 
 if TYPE_CHECKING:  # loads torch and Open3D
     from kinebench_drake.grounding.video_result import GroundingResult
+    from kinebench_drake.metrics.result import KinematicResult
 
 VISUAL_METRICS = ("tracked_fraction", "confidence_mean", "camera_motion_px", "arm_consistency_px", "anomalies")
 """Metrics of every row of a video; null where not measurable."""
@@ -94,6 +95,20 @@ def compare_extractors(track: GripperTrack, reference_X_BG: Array | None) -> dic
         "reference_share": float(both.mean()),
         **dict(zip(names, map(float, values) if values else [None] * 3, strict=True)),
     }
+
+
+def _judge_possible(tracks: Sequence[GripperTrack], tools: Tools) -> "KinematicResult | None":
+    """Return the verdict that holds with each of the possible tracks of a video; None if there is none.
+
+    It is that of the first track. Of its violations it has those whose kind occurs in all tracks; without one it does
+    not hold.
+    """
+    results = [tools.judge(track) for track in tracks]
+    verdicts = {result.feasible for result in results}
+    kinds = set.intersection(*({v.kind for v in result.violations} for result in results))
+    if verdicts != {True} and (verdicts != {False} or not kinds):
+        return None
+    return replace(results[0], violations=tuple(v for v in results[0].violations if v.kind in kinds))
 
 
 def plan_videos(config: ScoreConfig, observer: RunObserver | None = None) -> Iterator[SampleRow]:
@@ -163,12 +178,14 @@ class VideoEvaluator(Evaluator[VideoSample, Tools]):
         height_m = sample.table_height_m if sample.camera_source.is_named else grounding.choice.table_height_m
         measures_base = grounding.unmeasurable is None and reason is None
         kinematics = tools.judge(track, height_m) if judges and measures_base else None
+        agreed = _judge_possible(grounding.possible, tools) if judges and grounding.possible else None
         smoothness: Mapping[str, Json] = {}
         reasons: Mapping[str, str] = {}
         if judges and reason is not None:
             smoothness, reasons = camera_frame_metrics(track, reason)
         return grounding, Evaluation(
             kinematics=kinematics,
+            agreed=agreed,
             metrics={
                 "tracked_fraction": int(track.tracked.sum()) / len(track.t_s),
                 "confidence_mean": mean_confidence(track),
@@ -200,6 +217,7 @@ class VideoEvaluator(Evaluator[VideoSample, Tools]):
                 **({} if height_m is None else {"table_height_m": height_m}),
                 **({"mirrored": True} if sample.mirrored else {}),
                 **grounding.choice.to_json(),
+                **({} if agreed is None else {"possible_cameras": len(grounding.possible)}),
             },
         )
 

@@ -19,6 +19,7 @@ from kinebench_drake.grounding.camera.camera_estimate import (
     BASE_AGREEMENT,
     GRIPPER_SIGMA_M,
     CameraEstimate,
+    Rival,
 )
 from kinebench_drake.grounding.camera.check import LARGE_M, CameraContradiction
 from kinebench_drake.grounding.camera.estimate import usual_camera
@@ -136,6 +137,10 @@ def estimate(**changes):
         "part": np.zeros(0, np.uint8),
     }
     return CameraEstimate(**{**fields, **changes})
+
+
+def rival(share):
+    return Rival(camera=usual_camera(160, 96), share=share)
 
 
 def recognition(name, shown=None):
@@ -283,10 +288,10 @@ def test_a_camera_is_estimated_if_a_detected_hand_has_no_track_with_the_benchmar
         (None, "nothing is seen"),
         (estimate(agreement=ARM_AGREEMENT - 0.01), "no estimated camera agrees"),
         (estimate(agreement=ALIGNED_AGREEMENT - 0.01, is_aligned=True), "no estimated camera agrees"),
-        (estimate(runner_up=0.9), "two different cameras"),
+        (estimate(others=(rival(0.9),)), "two different cameras"),
         (estimate(base_agreement=BASE_AGREEMENT - 0.01), "cannot be seen"),
         (estimate(base_agreement=ALIGNED_BASE_AGREEMENT - 0.01, is_aligned=True), "cannot be seen"),
-        (estimate(base_runner_up=BASE_AGREEMENT + 0.09), "two turns"),
+        (estimate(turns=(rival(BASE_AGREEMENT + 0.09),)), "two turns"),
         (estimate(gripper_sigma_m=GRIPPER_SIGMA_M + 0.01), "uncertain by 30 mm"),
     ],
 )
@@ -299,6 +304,18 @@ def test_an_estimated_camera_gives_a_base_frame_only_if_it_agrees_and_is_determi
     else:
         assert words in choice.reason
         assert choice.to_json()["camera_source"] == choice.state.value == "none"
+
+
+@pytest.mark.parametrize(("agreement", "tracks"), [(0.7, 3), (AGREEMENT - 0.01, 1)])
+def test_a_clip_with_several_possible_cameras_has_a_track_with_each_that_its_arm_confirms(agreement, tracks):
+    best = estimate(turns=(rival(0.49), rival(0.3)), others=(rival(0.6), rival(0.2)))
+    assert len(best.rivals) == 2
+    grounded = ground(Evidence(agreements=[0.7, agreement], estimate=best), WIDE)
+    assert np.isnan(grounded.track.X_BG).all()
+    assert [np.isfinite(track.X_BG).all() for track in grounded.possible] == [True] * tracks
+    assert {track.offset_m for track in grounded.possible} == {0.02}
+    many = estimate(turns=tuple(rival(0.49) for _ in range(4)))
+    assert len(ground(Evidence(estimate=many), WIDE).possible) == 0
 
 
 def test_lines_along_the_base_axes_lower_the_agreement_required_of_an_estimated_camera():
