@@ -18,7 +18,6 @@ _BENCHMARK_PX = 384
 CONFIRMED = 0.6
 """Share from which on the arm confirms a camera: of 30 demonstrations of unseen looks right cameras have 0.65 or more
 with the postures of the track, mirrored pictures 0.59 or less, cameras with 0.7 or 1.4 times the focal length 0.51."""
-_HUGE = 1e9  # bound of all numbers of a camera; NaN and infinity fail the comparison too
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -117,7 +116,8 @@ class Camera:
             )
         for key, kind in _NUMBERS.items():
             value = data[key]
-            number = isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < _HUGE
+            # 1e9: bound of all numbers of a camera; NaN and infinity fail the comparison too
+            number = isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < 1e9
             if not number or value != kind(value):
                 raise UsageError(f"{source}: {key} must be a number, found {value!r}")
         try:

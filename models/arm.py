@@ -29,7 +29,6 @@ MAX_PAYLOAD_KG = 50.0
 
 _TCP = "tcp"  # attribute of the root element of a converted URDF: name of the link whose frame is G
 _TOOL_LINK, _PAYLOAD_LINK = "added_tool", "added_payload"
-_QUATERNION_TOLERANCE = 1e-3
 
 
 @cache
@@ -140,7 +139,7 @@ def _place_tool(tree: LinkTree, root: ElementTree.Element, tool: str | None, *, 
         raise UsageError(f"$tool {tool}: expected LINK:x,y,z,qw,qx,qy,qz, the pose of the TCP in a link; {links}")
     try:
         x, y, z, *quaternion = map(float, pose[2].split(","))
-        unit = len(quaternion) == 4 and abs(float(np.linalg.norm(quaternion)) - 1.0) <= _QUATERNION_TOLERANCE
+        unit = len(quaternion) == 4 and abs(float(np.linalg.norm(quaternion)) - 1.0) <= 1e-3
     except ValueError:
         unit = False
     if not unit or not np.isfinite([x, y, z]).all():

@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _COLUMNS = 4
-_LETTERS = 64
-"""Letters in a line below two images."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -83,7 +81,7 @@ def draw_sheet(panels: Sequence[Panel]) -> "Figure":
         for ax, image in zip(pair, panel.images, strict=False):
             ax.imshow(image)
         pair[0].set_title(panel.title, fontsize=10, loc="left")
-        text = "\n".join(textwrap.wrap(plain(panel.text), _LETTERS))
+        text = "\n".join(textwrap.wrap(plain(panel.text), 64))  # letters in a line below two images
         colour = "#be1e1e" if panel.failed else "#5c6068"
         below = pair[0].text(0.0, -0.04, text, fontsize=7, color=colour, va="top", transform=pair[0].transAxes)
         below.set_in_layout(False)  # it may be wider than its image

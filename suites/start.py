@@ -13,8 +13,6 @@ from kinebench_drake.suites.seeding import generator
 START_Q = np.array([0.0, -0.272, 0.0, -2.542, 0.0, 2.27, np.pi / 4])
 """Initial joint angles [rad]: the gripper points down from (0.43, 0, 0.27) m in B, above and behind the objects, so
 that the first frame shows them. (In ManiSkill's own tabletop tasks it is in front of them.)"""
-START_NOISE_RAD = 0.02
-"""Standard deviation of the noise of each initial joint angle."""
 
 _OPEN = (
     "CloseDrawer-v1", "LiftPegUpright-v1", "OpenDrawer-v1", "OpenLaptopEasy-v1", "OpenLaptopHard-v1", "PickFruits-v1",
@@ -43,7 +41,8 @@ def start_q(task_id: str, seed: int, finger_width_m: float | None = None) -> NDA
         if task_id not in START_WIDTH_M:
             raise UsageError(f"no task {task_id!r}; there are {', '.join(START_WIDTH_M)}")
         finger_width_m = START_WIDTH_M[task_id]
-    noise = generator("start", task_id, seed).normal(0.0, START_NOISE_RAD, 7)
+    # 0.02: standard deviation of the noise of each initial joint angle
+    noise = generator("start", task_id, seed).normal(0.0, 0.02, 7)
     return np.concatenate([START_Q + noise, np.full(2, finger_width_m / 2.0)])
 
 

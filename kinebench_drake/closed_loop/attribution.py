@@ -27,8 +27,6 @@ LOST_FRAMES = 3
 """Number of consecutive frames without a pose, or without a gap between the fingers, that may hide the cause."""
 LOST_SHARE = 0.1
 """Share of all frames without a pose from which on they may hide it."""
-ASTRAY_FRAMES = 2
-"""Number of consecutive frames with a deviation that counts."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -150,7 +148,7 @@ def _deviations(clip: ClipEvidence) -> _Evidence:
         (gap, FINGERS_M, 1000.0, "mm", "gap between the fingers"),
     ):
         for run in segments(np.nan_to_num(values) > limit):
-            if _length(run) >= ASTRAY_FRAMES:
+            if _length(run) >= 2:  # number of consecutive frames with a deviation that counts
                 worst = float(values[run].max())
                 yield run, f"the executed {what} is off by up to {worst * factor:.0f} {unit}", worst, limit
 

@@ -10,7 +10,6 @@ from typing import TypeVar
 
 MIN_PERIOD_S, MAX_PERIOD_S = 1e-4, 1e3
 """Shortest and longest task time between two frames [s]."""
-_ID_BYTES = 120
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -85,6 +84,6 @@ def safe(text: str) -> str:
 def shorten(text: str) -> str:
     """Return `text`, or if it is long its beginning and a digest of all of it."""
     data = text.encode(errors="replace")
-    if len(data) <= _ID_BYTES:
+    if len(data) <= 120:
         return text
     return data[:40].decode(errors="ignore") + "-" + blake2b(data, digest_size=4).hexdigest()

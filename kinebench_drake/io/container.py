@@ -28,7 +28,6 @@ _PARAMETERS = "no-mbtree=1"
 """Of x264: its tree of macroblocks reads memory that nobody has written, so that small films differ each time."""
 _SQUARE, _STRETCHED = 0.01, 4.0
 """Deviation from 1 below which pixels count as square, and greatest ratio of their sides, either way."""
-_BEFORE_S = 1.0  # decoding starts this much earlier: seeking uses the decoding order, not the display order
 
 
 def read_container(path: Path, part: VideoPart) -> Video:
@@ -78,7 +77,8 @@ def _decode(
     half_s = 0.5 / float(rate) if rate else 0.0
     aspect = _pixel_aspect(name, stream)
     if part.from_s and stream.time_base:
-        begin_s = max(0.0, part.from_s - _BEFORE_S)
+        # 1.0: decoding starts this much earlier: seeking uses the decoding order, not the display order
+        begin_s = max(0.0, part.from_s - 1.0)
         container.seek(int(begin_s / stream.time_base), stream=stream)
     for frame in container.decode(stream):
         if part.to_s is not None and frame.time is not None and frame.time >= part.to_s - half_s:

@@ -28,8 +28,6 @@ _DAMAGED = (
     *(zipfile.BadZipFile, zlib.error, lzma.LZMAError, struct.error, tokenize.TokenError),
 )
 """Exceptions that NumPy and zipfile raise for damaged files."""
-_EPOCH = (1980, 1, 1, 0, 0, 0)
-"""Earliest date of a zip entry: a fixed one, as clock times would change the bytes."""
 _HEADERS = {(1, 0): read_array_header_1_0, (2, 0): read_array_header_2_0}
 
 
@@ -180,6 +178,7 @@ def pack_arrays(arrays: Mapping[str, NDArray[np.generic]]) -> bytes:
         for name, array in arrays.items():
             data = io.BytesIO()
             np.lib.format.write_array(data, np.ascontiguousarray(array), allow_pickle=False)
-            entry = zipfile.ZipInfo(f"{name}.npy", date_time=_EPOCH)
+            # Earliest date of a zip entry: a fixed one, as clock times would change the bytes.
+            entry = zipfile.ZipInfo(f"{name}.npy", date_time=(1980, 1, 1, 0, 0, 0))
             archive.writestr(entry, data.getvalue(), compress_type=zipfile.ZIP_DEFLATED)
     return buffer.getvalue()

@@ -22,10 +22,6 @@ ANCHORS_S = (0.8, 0.4)
 ELBOW_S = 2.0
 """Time over which the elbow moves from its start to where the path found by the search has it [s]."""
 
-_GRID_STEP_RAD = 0.3  # spacing of the redundancy's angles
-_GRID_SAMPLES = 24  # angles of the redundancy over a full turn
-_SMOOTHING_PASSES = 2  # of the kernel (1, 2, 1) / 4 over the postures of the anchors
-
 
 def minimum_jerk(s: Array) -> Array:
     """Return the fraction of the way (...) at fraction `s` (...) of the time, 0 before and 1 after.
@@ -89,7 +85,7 @@ def _candidates(plant: ArmPlant, t_s: Array, X_BG: Array, q_start: Array) -> Ite
         # Where the redundancy's angle leaves the branch, Newton steps may still follow the poses.
         yield solve_newton_path(plant, X_BG, guess)
     anchors = _spread_anchors(tuple(t_s), ANCHORS_S[1])
-    layers = solver.all(X_BG[anchors.frames], _GRID_SAMPLES)
+    layers = solver.all(X_BG[anchors.frames], 24)  # angles of the redundancy over a full turn
     layers[0] = solver.nearest(X_BG[:1], q_start[None])
     guess = _interpolate_layers(plant, t_s, anchors, layers, q_start)
     if guess is not None:
@@ -115,7 +111,7 @@ def _spread_anchors(times: tuple[float, ...], spacing_s: float) -> _Anchors:
     t_s = np.array(times)
     frames = select_anchors(t_s, spacing_s)
     weights = np.eye(len(frames))
-    for _ in range(_SMOOTHING_PASSES):  # removes the steps of the grid
+    for _ in range(2):  # the kernel (1, 2, 1) / 4 removes the steps of the grid
         weights[1:-1] = 0.25 * weights[:-2] + 0.5 * weights[1:-1] + 0.25 * weights[2:]
     if len(frames) > 1:
         weights = make_interp_spline(t_s[frames], weights, k=min(3, len(frames) - 1))(t_s)
@@ -126,5 +122,6 @@ def _interpolate_layers(
     plant: ArmPlant, t_s: Array, anchors: _Anchors, layers: list[Array], q_start: Array
 ) -> Array | None:
     """Return the path (T, 7) near the cheapest of `layers`, the postures of the anchors; None if an anchor has none."""
-    path = find_cheapest_path(plant, t_s[anchors.frames], within_limits(plant, layers), q_start, _GRID_STEP_RAD)
+    # 0.3: spacing of the redundancy's angles
+    path = find_cheapest_path(plant, t_s[anchors.frames], within_limits(plant, layers), q_start, 0.3)
     return anchors.weights @ path if len(path) > 1 and np.isfinite(path).all() else None

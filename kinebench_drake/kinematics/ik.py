@@ -20,7 +20,6 @@ ROTATION_TOLERANCE_RAD = 1e-6
 
 _SWEEP = 128  # angles of the redundancy (of the Panda: every 2.8 degrees)
 _ROUNDS = 5  # halvings of the sweep where postures are far apart
-_REFINED_RAD = np.linspace(-0.05, 0.05, 41)  # offsets of the finer sweep about the posture of least excess
 _STARTS = 8  # starts of the numeric search
 
 
@@ -48,7 +47,8 @@ def find_least_excess(plant: ArmPlant, X_BG: Array) -> Array | None:
     if len(q) == 0:
         return None
     coarse = q[np.argmin(limit_excess(plant, q).max(axis=-1))]
-    fine = np.vstack([coarse[None], solver.around(X_BG[None], coarse[None], _REFINED_RAD)[0]])
+    # Offsets of the finer sweep about the posture of least excess.
+    fine = np.vstack([coarse[None], solver.around(X_BG[None], coarse[None], np.linspace(-0.05, 0.05, 41))[0]])
     return np.asarray(fine[np.argmin(limit_excess(plant, fine).max(axis=-1))])
 
 

@@ -12,9 +12,6 @@ from kinebench_drake.kinematics.spline import SplineBasis
 from kinebench_drake.kinematics.trajectory import TubeProblem
 from kinebench_drake.kinematics.violation import RATES, Violation, ViolationKind
 
-_WORST_FRAMES = 10  # frames of the greatest errors whose poses are solved one by one
-_LEAST_EXCESS = 1e-3  # of a limit, above which it counts as broken
-
 
 def describe_violation(violation: Violation) -> str:
     """Describe a violation at one frame in a line."""
@@ -35,7 +32,7 @@ def find_pose_violation(problem: TubeProblem, tube_limit_m: float, margin: float
     least_m = margin * tube_limit_m
     plant = problem.plant
     error = np.linalg.norm(problem.errors(np.clip(problem.q, plant.lower, plant.upper)), axis=-1)
-    for i in np.argsort(-error, kind="stable")[:_WORST_FRAMES]:
+    for i in np.argsort(-error, kind="stable")[:10]:  # frames of the greatest errors whose poses are solved one by one
         if error[i] <= least_m:
             return None
         _, bounded = solve_newton(plant, problem.X_BG[i], problem.q[i])
@@ -73,7 +70,7 @@ def find_rate_violation(
     `ratios` are the control points (n - k, 7) of the k-th derivative of the spline / limit, less `offset`, for k =
     1..3; None without a limit. `offset` is 1 if they are excesses over the limit.
     """
-    worst, least = None, 1.0 - offset + _LEAST_EXCESS
+    worst, least = None, 1.0 - offset + 1e-3  # of a limit, above which it counts as broken
     for k, (kind, ratio, limit) in enumerate(zip(RATES, ratios, problem.limits.rates, strict=True)):
         if ratio is None or limit is None or ratio.max(initial=0.0) <= least:
             continue

@@ -18,7 +18,6 @@ REACHED_M = 1e-10
 """Weighted error [m] below which the pose counts as reached and the iteration ends."""
 
 _PATH_STEPS, _PATH_STEP_RAD, _PATH_DAMPING = 6, 0.5, 1e-6  # Newton steps for a whole path
-_STALLED = 1e-4  # relative gain below which a step counts as slow; three slow steps end the iteration
 
 
 def _error(X_BG: Array, X_now: Array) -> Array:
@@ -93,7 +92,8 @@ def solve_newton(
         e_new = weight * _error(X_BG, X_new)
         cost_new = float(e_new @ e_new)
         if cost_new < cost:
-            slow = slow + 1 if cost_new > (1.0 - _STALLED) * cost else 0
+            # 1e-4: relative gain below which a step counts as slow; three slow steps end the iteration
+            slow = slow + 1 if cost_new > (1.0 - 1e-4) * cost else 0
             q, J, e, cost = q_new, J_new, e_new, cost_new
             damping = max(damping * 0.1, 1e-12)
         else:

@@ -21,16 +21,9 @@ from kinebench_drake.segments import spread
 SAMPLES, ROUNDS = (36, 72, 240), (0, 5, 5)
 """Samples of the redundancy per pose (of the Panda: joint 7 every 10 degrees) and halvings of intervals whose postures
 are far apart; a finer grid is used only if the path of the coarser one is infeasible."""
-_RESTRICTED_GRIDS = 2  # grids used where postures are restricted by `allowed`, which is slow
-ANCHOR_S = 0.15
-"""Least time between poses of the grid search; postures between are interpolated [s]."""
 
 _BETWEEN_RAD = np.array([-0.05, 0.0, 0.05])  # joint-7 offsets about the interpolated path
 _PAST_LIMIT_RAD = 0.05  # allowed limit excess of grid postures: a path along a limit lies between grid points
-_FROM_START = 1e-2  # weight of the squared distance from the start [1/rad^2]
-_OUTSIDE = 30.0  # weight of a posture past a limit, per radian
-_PEAK = 4.0  # weight of the eighth power of a step's speed ratio beside its square
-_TOO_FAST = 1000.0  # weight of a step that no joint speed allows
 _PAIRS_AT_ONCE = 2**17  # most pairs of postures whose steps are computed in one array
 
 
@@ -95,10 +88,12 @@ def search_path(
     if len(t_s) == 0:
         return best
     allowed = allowed or {}
-    chosen = np.arange(len(t_s)) if allowed else select_anchors(t_s, ANCHOR_S)
+    # 0.15: least time between poses of the grid search; postures between are interpolated [s]
+    chosen = np.arange(len(t_s)) if allowed else select_anchors(t_s, 0.15)
     fixed = np.isin(np.arange(len(t_s)), list(allowed))
     grids = list(zip(SAMPLES, ROUNDS, strict=True))
-    for samples, rounds in grids[: _RESTRICTED_GRIDS if allowed else None]:
+    # 2: grids used where postures are restricted by `allowed`, which is slow
+    for samples, rounds in grids[: 2 if allowed else None]:
         layers = grid_postures(plant, X_BG[chosen], samples, rounds)
         for i, may in allowed.items():
             layers[i] = layers[i][may(layers[i])]
@@ -167,11 +162,13 @@ def find_cheapest_path(
     slots = np.arange(counts.max()) < counts[:, None]  # of each layer in an array for all
     q = np.zeros((*slots.shape, 7))
     q[slots] = np.concatenate([layers[i] for i in frames])
-    own = _OUTSIDE * limit_excess(plant, q).max(axis=-1) + FROM_REST * np.sum((q - plant.robot.rest_q) ** 2, axis=-1)
+    # 30.0: weight of a posture past a limit, per radian
+    own = 30.0 * limit_excess(plant, q).max(axis=-1) + FROM_REST * np.sum((q - plant.robot.rest_q) ** 2, axis=-1)
     own[~slots] = np.inf
     dt = np.diff(t_s[frames]) + ALLOWANCE * np.sqrt(2.0) * noise_rad / plant.velocity_limits.min()
     steps = _step_costs(q / plant.velocity_limits, counts, dt, spacing / plant.velocity_limits.min())
-    cost = _FROM_START * np.sum((q[0] - q_start) ** 2, axis=-1) + own[0]
+    # 1e-2: weight of the squared distance from the start [1/rad^2]
+    cost = 1e-2 * np.sum((q[0] - q_start) ** 2, axis=-1) + own[0]
     parents = []
     for k, step in enumerate(steps, start=1):
         total = cost[: step.shape[1]] + step
@@ -201,7 +198,9 @@ def _step_costs(scaled: Array, counts: NDArray[np.intp], dt: Array, slack_s: flo
     def costs(time_s: Array, step_s: Array | float) -> Array:
         square = (time_s / step_s) ** 2
         fast = np.square(square**2)  # several times as fast as a power of 8
-        return np.asarray(square + _PEAK * fast + _TOO_FAST * np.maximum((time_s - slack_s) / step_s - 1.0, 0.0) ** 2)
+        # 4.0: weight of the eighth power of a step's speed ratio beside its square
+        # 1000.0: weight of a step that no joint speed allows
+        return np.asarray(square + 4.0 * fast + 1000.0 * np.maximum((time_s - slack_s) / step_s - 1.0, 0.0) ** 2)
 
     if len(dt) * scaled.shape[1] ** 2 <= _PAIRS_AT_ONCE:
         joints = np.moveaxis(scaled, -1, 0)

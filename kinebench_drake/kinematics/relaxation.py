@@ -18,7 +18,6 @@ _LIMIT_WEIGHT = 1e4
 _STEPS, _PEAK_STEPS = 8, 40
 _PEAK_WEIGHT, _PEAK_AT_MOST = 10.0, 3.0  # weight of a ratio's eighth power beside its square, up to this ratio
 _LARGEST_STEP_RAD = 0.3
-_FALLBACK_ACCELERATION = 5.0  # acceleration limit / speed limit [1/s] of arms that publish none
 
 
 def peak_ratio(plant: ArmPlant, t_s: Array, q: Array, noise_rad: float = 0.0) -> float:
@@ -95,7 +94,8 @@ class _Smoothing:
         dt = np.diff(t_s)[:, None]
         accelerations = plant.acceleration_limits
         if accelerations is None:
-            accelerations = _FALLBACK_ACCELERATION * plant.velocity_limits
+            # 5.0: acceleration limit / speed limit [1/s] of arms that publish none
+            accelerations = 5.0 * plant.velocity_limits
         self._rest = plant.robot.rest_q
         self._lower, self._upper = plant.lower + _NEAR_LIMIT_RAD, plant.upper - _NEAR_LIMIT_RAD
         v = 1.0 / (dt * plant.velocity_limits + np.sqrt(2.0) * noise)  # (T-1, 7)

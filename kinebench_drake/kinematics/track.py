@@ -22,9 +22,6 @@ CONTACT_TOLERANCE_M = 0.002
 JUMP_RAD = 0.5
 """Joint step beyond the one that the gripper's motion explains, above which it is a jump between branches [rad]."""
 
-_PROBES = 24  # colliding frames that are tested for collision-free postures before the path is searched again
-_DETOURS = 3  # searches of a path that collides
-
 
 def solve_track(
     plant: ArmPlant,
@@ -131,12 +128,13 @@ def _avoid_collisions(
         [q] = grid_postures(plant, X_BG[[frame]], SAMPLES[1])
         return not free(frame, q).any()
 
-    for _ in range(_DETOURS):
+    for _ in range(3):  # searches of a path that collides
         # The pose fixes the tool: if the tool meets the table, no posture avoids it.
         stuck |= {int(i) for i in np.flatnonzero(colliding & of_tool)}
         fresh = sorted({int(i) for i in np.flatnonzero(colliding)} - stuck - set(allowed))
         # Of many frames a sample is tested first: if none of it has a free posture, the rest is taken to have none.
-        probes = {fresh[k] for k in np.linspace(0, len(fresh) - 1, min(len(fresh), _PROBES)).astype(int)}
+        # 24: colliding frames that are tested for collision-free postures before the path is searched again
+        probes = {fresh[k] for k in np.linspace(0, len(fresh) - 1, min(len(fresh), 24)).astype(int)}
         hopeless = {i for i in probes if is_hopeless(i)}
         if hopeless == probes:
             break

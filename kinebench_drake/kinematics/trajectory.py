@@ -22,9 +22,6 @@ NEAR_M = 0.02
 KEPT = 1.0 + 1e-6
 """Greatest ratio to a limit that counts as within it."""
 
-_LINEARISED_PAIRS = 4  # nearest pairs per sample whose distances are linearised
-_MARGIN_M = 5e-4  # added to the least distance in linearised bounds
-
 
 @dataclass(frozen=True, kw_only=True)
 class TubeProblem:
@@ -215,14 +212,15 @@ class JointTrajectory:
         for k in sorted(chosen):
             q = self.motion[0][k]
             near_pairs = collision.near_pairs(q, NEAR_M, None if widths is None else float(widths[k]))
-            for near in near_pairs[:_LINEARISED_PAIRS]:
+            for near in near_pairs[:4]:  # nearest pairs per sample whose distances are linearised
                 kind = ViolationKind.TABLE_COLLISION if near.link_b == TABLE else ViolationKind.SELF_COLLISION
+                # 5e-4: added to the least distance in linearised bounds
                 obstacles.append(
                     Obstacle(
                         t_s=float(self.samples_s[k]),
                         offset_m=near.distance_m - float(near.gradient @ q),
                         gradient=near.gradient,
-                        least_m=self.problem.allowed_distance(kind) + _MARGIN_M,
+                        least_m=self.problem.allowed_distance(kind) + 5e-4,
                     )
                 )
         return obstacles

@@ -26,23 +26,15 @@ LARGEST_M = 0.1
 """Greatest radius of a tube about the track [m]."""
 RATIO = 1.25
 """Ratio between upper and lower bound of the radius at which the search ends."""
-LONGEST = 1000
-"""Greatest number of frames; of a longer track only every second, third, ... frame and the last are used."""
 
-_PROXIMITY = 0.5  # initial weight of `solve_tube`; raised after a step that widened the tube
-_ELASTIC_PROXIMITY = 0.01
 _CONFINED, _CONFINED_BEYOND = 0.1, 0.02  # proximity cost / radius (within the tube's limit, beyond it) above which
 # another program, linearised about the new path, may find a smaller tube
 _TIGHTER, _LOOSER = 4.0, 0.25  # factors of the proximity weight after a step that failed and one that succeeded
 # Greatest numbers of programs with free radius, then with fixed radius:
 _FULL, _REFINED_EFFORT, _ROUND_EFFORT = (5, 3), (3, 1), (2, 1)  # first search, on the finer spline, per round
-_AIM = 0.99  # share of a fixed radius used by the program; the rest covers the curvature of the poses
 _ROUNDS, _FEWER_ROUNDS = 4, 2  # of collision avoidance; the latter if the tube is infeasible anyway
-_TIGHTENINGS = 2  # attempts to reduce torque by lower accelerations
 _CERTAIN = 1.5  # factor of the tube's limit above which the error of a posture is the cause, whatever else is
 _TORQUE_AIM = 0.95  # share of the torque limit aimed at by the reduction
-_REFINED = 200  # greatest number of frames of a track that is tried on a spline twice as fine
-_HOPELESS = 2.0  # factor of the tube's limit: if that radius is infeasible, the finer spline is not tried
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -103,7 +95,8 @@ def optimize_in_tube(
         return TubeResult(reason="fewer than two frames with a pose and joint angles: there is no motion")
     if not (np.diff(t_s[frames]) > 0.0).all():
         return TubeResult(reason="the times do not increase from frame to frame")
-    stride = -(-len(frames) // LONGEST)
+    # 1000: greatest number of frames; of a longer track only every second, third, ... frame and the last are used
+    stride = -(-len(frames) // 1000)
     frames = np.unique(np.append(frames[::stride], frames[-1]))
     X = X_BG[frames].copy()
     X[:, :3, :3] = orthonormalize(X[:, :3, :3])
@@ -176,8 +169,10 @@ class _TubeSearch:
         if best is None:  # the program exceeds the precision of the solver; a rest is always within limits
             middle = np.clip(problem.q[len(problem.q) // 2], problem.limits.lower, problem.limits.upper)
             return fit, JointTrajectory(problem, basis, np.tile(middle, (basis.size, 1)))
-        hopeless = self.infeasible_m is not None and self.infeasible_m > _HOPELESS * self.tube_limit_m
-        if best.radius_m <= self.tube_limit_m or len(problem.t_s) > _REFINED or hopeless:
+        # 2.0: factor of the tube's limit: if that radius is infeasible, the finer spline is not tried
+        hopeless = self.infeasible_m is not None and self.infeasible_m > 2.0 * self.tube_limit_m
+        # 200: greatest number of frames of a track that is tried on a spline twice as fine
+        if best.radius_m <= self.tube_limit_m or len(problem.t_s) > 200 or hopeless:
             return fit, best
         finer = self._shrink(basis.refine(), best.q, (), _REFINED_EFFORT)
         return fit, best if finer is None or finer.radius_m > best.radius_m else finer
@@ -199,7 +194,8 @@ class _TubeSearch:
     ) -> JointTrajectory | None:
         """Find the smallest tube near the joint path `q` (T, 7): programs with free radius, then bisection."""
         best: JointTrajectory | None = None
-        proximity, looser, low = _PROXIMITY, _LOOSER, SMALLEST_M
+        # 0.5: initial weight of `solve_tube`; raised after a step that widened the tube
+        proximity, looser, low = 0.5, _LOOSER, SMALLEST_M
         for _ in range(effort[0]):
             solution = solve_tube(basis, self.problem.linearise(q), self.limits, None, proximity, obstacles)
             if solution is None:
@@ -224,7 +220,8 @@ class _TubeSearch:
                 break
             middle = self.tube_limit_m if in_doubt else float(np.sqrt(low * best.radius_m))
             poses = self.problem.linearise(best.q)
-            solution = solve_tube(basis, poses, self.limits, _AIM * middle, proximity, obstacles)
+            # 0.99: share of a fixed radius used by the program; the rest covers the curvature of the poses
+            solution = solve_tube(basis, poses, self.limits, 0.99 * middle, proximity, obstacles)
             candidate = JointTrajectory(self.problem, basis, solution.control) if solution else best
             if candidate.radius_m <= middle:
                 best = candidate
@@ -249,7 +246,7 @@ class _TubeSearch:
     def _reduce_torque(self, trajectory: JointTrajectory) -> JointTrajectory | None:
         """Return the trajectory with torques within limits, by lower accelerations if needed; None if that fails."""
         plant = self.problem.plant
-        for _ in range(_TIGHTENINGS):
+        for _ in range(2):  # attempts to reduce torque by lower accelerations
             violation = trajectory.overload
             if violation is None:
                 return trajectory
@@ -283,7 +280,7 @@ class _TubeSearch:
         if violation is not None:
             return violation
         start = problem.linearise(self._start)
-        solution = solve_tube(fit.basis, start, self.limits, limit, _ELASTIC_PROXIMITY, elastic=True)
+        solution = solve_tube(fit.basis, start, self.limits, limit, 0.01, elastic=True)
         return (
             (solution and find_rate_violation(problem, fit.basis, solution.excess, offset=1.0))
             or find_start_violation(problem)

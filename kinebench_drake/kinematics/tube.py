@@ -27,11 +27,6 @@ INSIDE = 1.0 - 1e-6
 _MM = 1000.0  # radii and slacks are in millimetres within the program, so that costs are of the order of one
 _FRAMES = 49.0  # frames of a typical clip, to which costs summed over frames are normalised
 _STEP_RAD = 0.1  # change of all joints that costs as much as `proximity` millimetres of radius
-_SMOOTHNESS = 1e-3  # cost [mm] of accelerations at their limits throughout
-_ACCELERATION = 10.0  # acceleration limit in the cost where none is published [rad/s^2]
-_EXCESS = 10.0  # cost of one control point that exceeds a limit by the limit itself
-_STRETCH = 100.0  # cost of a millimetre by which the tube of an elastic program is widened
-_PENETRATION = 20.0  # cost of a millimetre of penetration, in millimetres of radius
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -125,7 +120,8 @@ def solve_tube(
         prog.AddLinearCost(np.ones(1), r)
     elif elastic:
         prog.AddBoundingBoxConstraint(_MM * radius_m, np.inf, r)
-        prog.AddLinearCost(np.full(1, _STRETCH), r)
+        # 100.0: cost of a millimetre by which the tube of an elastic program is widened
+        prog.AddLinearCost(np.full(1, 100.0), r)
     else:
         prog.AddBoundingBoxConstraint(0.0, _MM * radius_m, r)
 
@@ -140,7 +136,7 @@ def solve_tube(
     if elastic:
         slack = prog.NewContinuousVariables(A.shape[0], "excess")
         prog.AddBoundingBoxConstraint(0.0, np.inf, slack)
-        prog.AddLinearCost(_EXCESS * one, slack)
+        prog.AddLinearCost(10.0 * one, slack)  # cost of one control point that exceeds a limit by the limit itself
         both = vstack([hstack([A, -identity(len(one))]), hstack([-A, -identity(len(one))])]).tocsc()
         prog.AddLinearConstraint(
             both, np.full(2 * len(one), -np.inf), np.full(2 * len(one), INSIDE), np.concatenate([x, slack])
@@ -162,11 +158,13 @@ def solve_tube(
         weight = 2.0 * proximity / (_STEP_RAD**2 * _FRAMES)
         Q = weight * np.kron(np.outer(values, values), np.eye(N_JOINTS))
         prog.AddQuadraticCost(Q, -weight * np.kron(values, poses.q[i]), near, is_convex=True)
-    scale = _ACCELERATION if limits.rates[1] is None else limits.rates[1]
+    # 10.0: acceleration limit in the cost where none is published [rad/s^2]
+    scale = 10.0 if limits.rates[1] is None else limits.rates[1]
     D = basis.derivatives[2]
     for k in range(D.shape[0]):
         near, values = _row(D, k, x)
-        Q = 2.0 * _SMOOTHNESS / _FRAMES * np.kron(np.outer(values, values), np.diag(np.ones(N_JOINTS) / scale**2))
+        # 1e-3: cost [mm] of accelerations at their limits throughout
+        Q = 2.0 * 1e-3 / _FRAMES * np.kron(np.outer(values, values), np.diag(np.ones(N_JOINTS) / scale**2))
         prog.AddQuadraticCost(Q, np.zeros(len(near)), near, is_convex=True)
     if obstacles:
         _add_obstacles(prog, basis, x, obstacles)
@@ -208,7 +206,7 @@ def _add_obstacles(prog: Any, basis: SplineBasis, x: Any, obstacles: Sequence[Ob
     A = coo_matrix((data, (rows, columns)), shape=(count, len(x)))
     slack = prog.NewContinuousVariables(count, "penetration")
     prog.AddBoundingBoxConstraint(0.0, np.inf, slack)
-    prog.AddLinearCost(_PENETRATION * np.ones(count), slack)
+    prog.AddLinearCost(20.0 * np.ones(count), slack)  # cost of a millimetre of penetration, in millimetres of radius
     least = _MM * np.array([o.least_m - o.offset_m for o in obstacles])
     prog.AddLinearConstraint(
         hstack([A, identity(count)]).tocsc(), least, np.full(count, np.inf), np.concatenate([x, slack])

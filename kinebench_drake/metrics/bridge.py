@@ -24,8 +24,6 @@ BRIDGE_FRAMES = 5
 """Longest gap that is bridged [frames]."""
 BRIDGE_TRIALS = 10
 """Fewest gaps cut into a track from which the share is known."""
-BRIDGE_CONFIDENCE = 0.5
-"""Least confidence of the poses on both sides of a gap."""
 _SIDE = 3  # poses on each side that determine a bridge
 
 
@@ -44,7 +42,8 @@ def bridge_gaps(track: GripperTrack) -> tuple[GripperTrack, NDArray[np.bool_]]:
     longest = None
     for gap in segments(~track.tracked):
         inside = gap.start > 0 and gap.stop < len(track.t_s)
-        if not inside or track.confidence[[gap.start - 1, gap.stop]].min() < BRIDGE_CONFIDENCE:
+        # 0.5: least confidence of the poses on both sides of a gap
+        if not inside or track.confidence[[gap.start - 1, gap.stop]].min() < 0.5:
             continue
         longest = longest_bridge(track) if longest is None else longest
         if gap.stop - gap.start <= longest:

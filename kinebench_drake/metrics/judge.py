@@ -61,8 +61,6 @@ MOST_JOINT_NOISE_RAD = 0.02
 """The same for joint angles [rad]."""
 TUBE_M = 0.005
 """Least radius of the tube about a track in which a feasible trajectory is searched [m]; noise widens it."""
-TUBE_SIGMAS = 4.5
-"""Least radius of the tube in standard deviations of the noise: white noise leaves it in one track of 300."""
 
 _LEVER_M = 0.3  # position noise divided by this is about the joint noise that it causes
 
@@ -170,7 +168,8 @@ class TrackJudge:
         )
         joints = joints if joint_sigma is None else _with_collisions(joints, violations)
         timing = time_scale(plant, t_s, checks.q_smooth)
-        tube_limit = max(TUBE_M, TUBE_SIGMAS * max(noise.position_m, ROTATION_ARM_M * noise.rotation_rad))
+        # 4.5: least radius of the tube in standard deviations of the noise: white noise leaves it in one track of 300
+        tube_limit = max(TUBE_M, 4.5 * max(noise.position_m, ROTATION_ARM_M * noise.rotation_rad))
         tube = optimize_in_tube(
             plant,
             self._collision,

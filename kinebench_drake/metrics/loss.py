@@ -28,7 +28,6 @@ leave nothing of a mean but the share of such frames."""
 
 _SAMPLES, _ROUNDS = 128, 5  # angles of the redundancy among which the worst posture is searched, and their halvings
 _PRODUCTS = ("full", "translation", "rotation", "limited")  # fields of Manipulability that shrink with the weight
-_BETWEEN = 0.99  # allowance for worse postures between them
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -123,7 +122,7 @@ def worst_manipulability(plant: ArmPlant, coverage: Coverage, w: Manipulability,
         own = np.repeat(frames, [len(layer) for layer in layers])
         for name in _PRODUCTS:  # of the poses alone, not of the joint path, which other lost frames may change
             least[name][own] = np.inf
-            np.minimum.at(least[name], own, _BETWEEN * getattr(postures, name))
+            np.minimum.at(least[name], own, 0.99 * getattr(postures, name))  # allowance for worse postures between them
     return _costed(replace(w, **least))
 
 

@@ -32,9 +32,6 @@ frames on (its 99.99 % quantile to 9 % from 16 frames on; below 10 frames Studen
 JOINT_FREEDOM_PER_FRAME = 0.2
 """Degrees of freedom per frame of `estimate_joint_noise`, measured as 0.21 to 0.23: one axis, not the mean of three."""
 
-_DISTINCT = 10  # least number of different values that tell that all were rounded
-_MEDIAN_OF_NORMAL = 0.6744897501960817  # median of |x| for a standard normal x
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TrackNoise:
@@ -103,7 +100,8 @@ def _variance(times: list[Array], steps: list[Array], axes: int) -> Array:
         pooled = np.concatenate([np.empty((0, axes)), *differences])
         if len(pooled) < MIN_DIFFERENCES:
             break
-        variance = (np.median(np.abs(pooled), axis=0) / _MEDIAN_OF_NORMAL) ** 2
+        # 0.6744897501960817: median of |x| for a standard normal x
+        variance = (np.median(np.abs(pooled), axis=0) / 0.6744897501960817) ** 2
         # All axes share the order of the least total: a choice per axis would increase the bias of the minimum.
         if not variance.sum() >= least.sum():
             least = variance
@@ -118,7 +116,8 @@ def _rounding(values: Array) -> float:
     """
     for decimals in range(3, 7):
         unit, rounded = 10.0**-decimals, values.round(decimals)
-        if len(np.unique(rounded)) >= _DISTINCT and np.abs(values - rounded).max() < 0.05 * unit:
+        # 10: least number of different values that tell that all were rounded
+        if len(np.unique(rounded)) >= 10 and np.abs(values - rounded).max() < 0.05 * unit:
             return float(unit / np.sqrt(12.0))
     return 0.0
 

@@ -27,8 +27,6 @@ PAD_LEVEL = 4
 """Zero padding: the spectrum has 2^(ceil(log2 N) + PAD_LEVEL) bins."""
 CUTOFF_HZ = 10.0
 """Highest frequency of the spectral arc."""
-AMPLITUDE_THRESHOLD = 0.05
-"""Fraction of the spectrum's maximum that the last bin of the arc reaches."""
 
 MAX_LOST_SHARE = 0.05
 """Largest share of lost frames at which a motion as a whole has a smoothness."""
@@ -50,9 +48,8 @@ DRAWS = 64
 _GRID_HZ = 10.0  # least sampling rate of the filtered speed
 
 
-def sparc(
-    speed: Array, sampling_hz: float, cutoff_hz: float = CUTOFF_HZ, threshold: float = AMPLITUDE_THRESHOLD
-) -> Array:
+# 0.05: fraction of the spectrum's maximum that the last bin of the arc reaches
+def sparc(speed: Array, sampling_hz: float, cutoff_hz: float = CUTOFF_HZ, threshold: float = 0.05) -> Array:
     """Compute the spectral arc length (M,) of speed profiles (M, N), none all zero; NaN for one without an arc.
 
     SPARC = - integral over 0..f_c of sqrt((1 / f_c)^2 + (dV/df)^2) df with V the magnitude of the speed's spectrum over

@@ -10,10 +10,6 @@ from kinebench_drake.errors import count_noun
 from kinebench_drake.io.jsonl import Json, as_object
 from kinebench_drake.track import Domain
 
-LEAST_CONFIDENCE = 0.8
-"""Mean confidence of the tracked frames below which poses deserve a look."""
-LEAST_TRACKED = 0.95
-"""Share of frames with a pose below which the rest deserves a look."""
 TRUST = "trust"
 """Key of a row."""
 _FILE_RATE = "fps"  # source of a frame period that is 1 / fps of the file
@@ -69,13 +65,15 @@ def assess_trust(extra: Mapping[str, Json], metrics: Mapping[str, Json], period:
     facts.append(f"frame period {period}")
     if isinstance(tracked, float) and isinstance(frames, int):
         facts.append(f"{round((1.0 - tracked) * frames)} of {count_noun(frames, 'frame')} not measured")
+    # 0.8: mean confidence of the tracked frames below which poses deserve a look
+    # 0.95: share of frames with a pose below which the rest deserves a look
     doubts = {
         "the camera is estimated from the arm": state == CameraState.ESTIMATED.value,
         "the arm does not confirm the named camera": state == CameraState.NAMED.value
         and isinstance(agreement, float)
         and agreement < CONFIRMED,
-        "frames could not be measured": isinstance(tracked, float) and tracked < LEAST_TRACKED,
-        "the mean confidence is low": isinstance(confidence, float) and confidence < LEAST_CONFIDENCE,
+        "frames could not be measured": isinstance(tracked, float) and tracked < 0.95,
+        "the mean confidence is low": isinstance(confidence, float) and confidence < 0.8,
         "the look is unfamiliar": domain == Domain.UNFAMILIAR.value,
         "the flange is measured without a hand": domain == Domain.ARM.value,
         "the benchmark camera fits, but the frame period is not the benchmark's 0.2 s": extra.get("frame_period_source")

@@ -22,10 +22,6 @@ _MARKERS = "os^Dv<>PX*"
 SUCCESS, NEUTRAL = "#2563ab", "#9aa5b1"
 _THEME = {"#000000": "var(--ink)", "#ffffff": "var(--card)", "#e6e8ea": "var(--line)", "#b8bec4": "var(--faint)"}
 """Replacements of drawn colours on a page."""
-_PX_PER_POINT = 1.5
-"""Size of figures on a page [px of CSS / point]."""
-_MIN_SCALE = 0.7
-"""Share of that size below which a figure scrolls instead of getting smaller."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -154,7 +150,8 @@ def inline_svg(svg: str, name: str, title: str) -> str:
     for drawn, themed in _THEME.items():
         body = body.replace(drawn, themed)
     box = re.search(r'viewBox="0 0 ([\d.]+) [\d.]+"', body)
-    width = float(box[1]) * _PX_PER_POINT if box else 0.0
-    size = f'{box[0]} width="{width:.0f}" style="min-width: {_MIN_SCALE * width:.0f}px"' if box else ""
+    width = float(box[1]) * 1.5 if box else 0.0  # size of figures on a page [px of CSS / point]
+    # 0.7: share of that size below which a figure scrolls instead of getting smaller
+    size = f'{box[0]} width="{width:.0f}" style="min-width: {0.7 * width:.0f}px"' if box else ""
     head = f'<svg {size} role="img" aria-label="{escape(title)}">'
     return re.sub(r"<svg[^>]*>", lambda _: head, body, count=1)

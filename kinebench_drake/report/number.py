@@ -39,8 +39,6 @@ _BY_TASK = ("executable", "feasible", "manipulability_mean", "sparc")
 """Numbers that are compared task by task, too."""
 _PRINTED = ("number", "first_mean", "second_mean", "difference", "complete", "p")
 """Keys of the columns printed to a terminal."""
-_TERMINAL_LETTERS = 12
-"""Letters of a model's name in the headings of a terminal of 100 columns."""
 RowPair = tuple[SampleRow, SampleRow]
 RowsPair = tuple[Sequence[SampleRow], Sequence[SampleRow]]
 """Rows of the same episode by two models, one or several samples each."""
@@ -231,7 +229,7 @@ def number_lines(comparisons: Sequence[NumberComparison]) -> Iterator[str]:
 
 def comparison_lines(table: Table, printed: Sequence[str]) -> Iterator[str]:
     """Format the `printed` columns of a comparison for a terminal, one block per pair of models and part."""
-    for own in table.by_pair(_TERMINAL_LETTERS):
+    for own in table.by_pair(12):  # letters of a model's name in the headings of a terminal of 100 columns
         yield own.title
         yield from table_lines(own.select(printed, range(len(own.rows))))
         yield ""

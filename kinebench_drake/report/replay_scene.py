@@ -47,7 +47,6 @@ _TICKS_PER_S = 1000.0
 """Time resolution of the animation: keyframes lie on whole ticks."""
 _MIN_ERROR_M, _MIN_ERROR_RAD = 0.002, 0.02
 """Errors beyond which the wanted gripper is shown beside the arm's own."""
-_MAX_BEADS = 300
 _MAX_POINTS = 500
 _SIDES = 6
 
@@ -127,7 +126,7 @@ class ReplayScene:
             arrays = (np.asfortranarray(array.T) for array in (vertices, faces, colors))
             self._meshcat.SetTriangleColorMesh(f"/wanted/{run.start}", *arrays)
         broken = [k for k in frames if self._states[k] is FrameState.BROKEN]
-        broken = broken[:: -(-len(broken) // _MAX_BEADS) or 1]
+        broken = broken[:: -(-len(broken) // 300) or 1]
         if broken:
             bead = trimesh.creation.icosphere(1, 0.008)
             beads = trimesh.util.concatenate([bead.copy().apply_translation(self._X_BG[k, :3, 3]) for k in broken])

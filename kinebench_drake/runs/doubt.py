@@ -24,7 +24,6 @@ REFUSED = 3.0
 """Cost of a reading by which a file cannot be used: more than that of any motion."""
 
 _CHANGES = 3  # keys that are changed together
-_MOST_OTHERS = 5  # that are printed
 _MIDDLE_M = (0.5, 0.0, 0.3)  # of the workspace over a table
 _OTHERS = re.compile(
     r"fr3|xarm|\bur\d|so-?10\d|koch|aloha|viperx|widowx|wx250|kuka|iiwa|sawyer|jaco|kinova|gen3|yam\b|piper|open_?arm|"
@@ -71,7 +70,8 @@ class Assessment:
         """Return the JSON object, which is also a reading file: that of the best reading."""
         doubt = None if self.doubt is None else name_options(self.doubt)
         others = [self.by_names, *self.others] if self.doubt else [*self.others]
-        return {**self.best.to_json(), "doubt": doubt, "others": [other.to_json() for other in others[:_MOST_OTHERS]]}
+        # 5: that are printed
+        return {**self.best.to_json(), "doubt": doubt, "others": [other.to_json() for other in others[:5]]}
 
     @property
     def doubt(self) -> str | None:

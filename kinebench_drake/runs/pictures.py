@@ -17,8 +17,6 @@ if TYPE_CHECKING:  # loads Drake and ManiSkill
     from kinebench_drake.metrics.result import KinematicResult
     from kinebench_drake.suites.rollout import RolloutVideo
 
-HEIGHT_PX = 240
-
 
 def worst_frame(track: GripperTrack, kinematics: "KinematicResult | None") -> int:
     """Return the frame of the first violation, else the tracked frame of lowest confidence."""
@@ -30,7 +28,7 @@ def worst_frame(track: GripperTrack, kinematics: "KinematicResult | None") -> in
 def encode_strip(images: list[NDArray[np.uint8]]) -> bytes:
     """Encode images of equal height, side by side, as a small JPEG."""
     strip = Image.fromarray(np.concatenate(images, axis=1))
-    strip.thumbnail((10_000, HEIGHT_PX), Image.Resampling.LANCZOS)
+    strip.thumbnail((10_000, 240), Image.Resampling.LANCZOS)
     buffer = io.BytesIO()
     strip.save(buffer, "JPEG", quality=82, optimize=True)
     return buffer.getvalue()

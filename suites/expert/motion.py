@@ -20,16 +20,10 @@ from kinebench_drake.suites.clock import CONTROL_PERIOD_S
 from kinebench_drake.suites.expert.clearance import SceneGeometry
 from kinebench_drake.suites.families.task import Scene
 
-SETTLE_S = 0.3
-"""Rest at the end of every path, for the joint servos to catch up (their lag is 0.1 s)."""
 SPEED_M_S, TURN_RATE_RAD_S, FINGER_SPEED_M_S, SHORTEST_S = 0.2, 0.8, 0.3, 0.35
 """Mean speeds by which the clip's time is divided among the moves, and the least duration of a move."""
-PENETRATION_M = 0.001
-"""Tolerated penetration of objects in the scene."""
 CLEARANCE_STEPS = 4
 """Number of control steps between collision checks."""
-OVERLAP = 0.45
-"""Overlap of two moves as a fraction of the shorter one, if the waypoint between them is passed without stopping."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -91,7 +85,9 @@ def _schedule(X: Array, widths: Array, waypoints: Sequence[Waypoint], duration_s
             np.full(len(X) - 1, SHORTEST_S),
         ]
     )
-    overlaps_s = OVERLAP * np.minimum(lengths_s[:-1], lengths_s[1:]) * np.asarray(through[:-1], dtype=np.float64)
+    # 0.45: overlap of two moves as a fraction of the shorter one, if the waypoint between them is passed without
+    # stopping
+    overlaps_s = 0.45 * np.minimum(lengths_s[:-1], lengths_s[1:]) * np.asarray(through[:-1], dtype=np.float64)
     starts_s = np.concatenate([[0.0], np.cumsum(lengths_s[:-1] - overlaps_s)])
     scale = duration_s / (starts_s[-1] + lengths_s[-1])
     return scale * starts_s, scale * lengths_s
@@ -116,7 +112,8 @@ def cartesian_path(
     """
     X = np.stack([np.asarray(X_BG_start, dtype=np.float64), *(w.X_BG for w in waypoints)])
     widths = np.array([finger_width_start_m, *(w.finger_width_m for w in waypoints)])
-    duration_s = steps * CONTROL_PERIOD_S - SETTLE_S
+    # 0.3: rest at the end of every path, for the joint servos to catch up (their lag is 0.1 s)
+    duration_s = steps * CONTROL_PERIOD_S - 0.3
     starts_s, lengths_s = _schedule(X, widths, waypoints, duration_s)
     t_s = CONTROL_PERIOD_S * np.arange(1, steps + 1)
     done = minimum_jerk((t_s[:, None] - starts_s) / lengths_s)
@@ -203,7 +200,7 @@ def _check_clearance(plant: ArmPlant, q: Array, widths: Array, scene: Scene | No
     model, every = CollisionModel(plant), slice(None, None, CLEARANCE_STEPS)
     gaps = np.clip(widths[every], 0.0, plant.finger_width_m)
     for hit in () if scene is None else SceneGeometry(plant, scene).penetrations(q[every], gaps):
-        if hit.depth_m > PENETRATION_M:
+        if hit.depth_m > 0.001:  # tolerated penetration of objects in the scene
             raise InputError(
                 f"the expert's path has {hit.link} and {hit.object_name} collide by {1000.0 * hit.depth_m:.1f} mm at "
                 f"control step {CLEARANCE_STEPS * hit.step}"

@@ -20,7 +20,6 @@ X_WB = make_pose(np.eye(3), [-0.615, 0.0, 0.0])
 CAMERA = "base_camera"
 """Name of the camera."""
 _NEAR_M, _FAR_M = 0.01, 20.0
-_MIPMAPS = 6
 
 
 def to_pose(X: Array) -> sapien.Pose:
@@ -64,7 +63,7 @@ def _render_material(surface: SurfaceFinish) -> sapien.render.RenderMaterial:
         opaque = np.full((*surface.texture.shape[:2], 1), 255, np.uint8)
         image = np.concatenate([surface.texture, opaque], axis=-1)
         material.base_color_texture = sapien.render.RenderTexture2D(
-            np.ascontiguousarray(image), "R8G8B8A8Unorm", mipmap_levels=_MIPMAPS, srgb=True
+            np.ascontiguousarray(image), "R8G8B8A8Unorm", mipmap_levels=6, srgb=True
         )
     return material
 

@@ -43,9 +43,6 @@ _SHADOW = """float ShadowMapPCF(
 }"""  # weights of the gathered texels, (0, 1), (1, 1), (1, 0), (0, 0): sums of those of 25 bilinear squares
 _SHADOW_PATTERN = re.compile(r"float ShadowMapPCF\(.*?\n}", re.DOTALL)
 _ENVIRONMENT_PATTERN = re.compile(r"  color \+= (diffuse|specular)IBL\(.*?\);\n", re.DOTALL)
-_SHARE = 0.25  # of the triangles that are kept: surfaces move by 0.1 mm at most places
-_BORDER_WEIGHT = 10.0  # of the borders between two materials, against gaps
-_INWARD = 0.1  # share of the way from a corner to the middle of its triangle, where its normal is looked up
 
 
 @cache
@@ -133,11 +130,12 @@ def _simplify(
     points, faces = simplify(
         vertices.astype(np.float64),
         triangles.astype(np.int32),
-        int(_SHARE * len(triangles)),
-        border_weight=_BORDER_WEIGHT,
+        int(0.25 * len(triangles)),  # of the triangles that are kept: surfaces move by 0.1 mm at most places
+        border_weight=10.0,  # of the borders between two materials, against gaps
     )
     corners = points[faces]  # (N, 3, 3)
-    inside = corners + _INWARD * (corners.mean(axis=1, keepdims=True) - corners)
+    # 0.1: share of the way from a corner to the middle of its triangle, where its normal is looked up
+    inside = corners + 0.1 * (corners.mean(axis=1, keepdims=True) - corners)
     o3d = native.load_open3d()
     original = o3d.t.geometry.RaycastingScene()
     original.add_triangles(o3d.core.Tensor(vertices), o3d.core.Tensor(triangles))

@@ -15,8 +15,6 @@ CLEAR_M = 0.03
 """Least distance of the TCP from the part it moved for that part to count as released."""
 CALM_RAD_S = 0.2
 """Speed of the fastest joint up to which the arm counts as at rest, so that a flailing arm does not succeed."""
-UPRIGHT_RAD = np.deg2rad(10.0)
-"""Greatest tilt of an obstacle's z axis from the vertical."""
 MOVED_M = 0.02
 """Greatest horizontal displacement of an obstacle."""
 ARM = "arm"
@@ -108,7 +106,8 @@ class State:
         """Return conditions (N,) that the obstacle stands upright and in its place; none without an obstacle."""
         if "obstacle" not in self.poses:
             return {}
+        # Greatest tilt of an obstacle's z axis from the vertical.
         return {
-            "obstacle_upright": self.poses["obstacle"][:, 2, 2] >= float(np.cos(UPRIGHT_RAD)),
+            "obstacle_upright": self.poses["obstacle"][:, 2, 2] >= float(np.cos(np.deg2rad(10.0))),
             "obstacle_in_place": torch.linalg.norm(self.displacement("obstacle")[:, :2], dim=-1) <= MOVED_M,
         }

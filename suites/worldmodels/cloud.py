@@ -98,7 +98,6 @@ class CloudModel(ABC, Generic[_Options]):
 
 
 _SUBMIT = "/api/v1/services/aigc/video-generation/video-synthesis"
-_SEEDS = 2**31
 _MODERATED, _ARREARS = "DataInspectionFailed", "Arrearage"
 
 
@@ -118,7 +117,7 @@ class DashScopeModel(CloudModel[DashScopeOptions]):
             "duration": self._options.duration,
             "prompt_extend": self._options.prompt_extend,
             "watermark": False,
-            "seed": request.seed % _SEEDS,
+            "seed": request.seed % (2**31),
         }
         body = {"model": self._model, "input": inputs, "parameters": parameters}
         headers = {"X-DashScope-Async": "enable"}

@@ -26,7 +26,6 @@ from kinebench_drake.suites.worldmodels.worldmodel import Request, WorldModel, W
 _PLACEHOLDER = re.compile(r"\{([a-z_]+)\}")
 _FIELDS = ("episode", "task", "round", "prompt", "negative_prompt", "seed", "num_frames", "fps")
 _PLACEHOLDERS = (*_FIELDS, "width", "height", "first_frame", "out")
-_TAIL = 4096
 _GRACE_S = 2.0
 """Time between SIGTERM and SIGKILL."""
 _PEEK = os.WEXITED | os.WNOHANG | os.WNOWAIT
@@ -132,6 +131,6 @@ def _request_fields(request: Request, first_frame: Path, video: Path) -> Mapping
 def _last_line(log: Path) -> str:
     """Return the last line of standard error, for a message."""
     with log.open("rb") as file:
-        file.seek(max(file.seek(0, os.SEEK_END) - _TAIL, 0))
+        file.seek(max(file.seek(0, os.SEEK_END) - 4096, 0))
         lines = [line for line in file.read().decode(errors="replace").splitlines() if line.strip()]
     return f": {clean(lines[-1])}" if lines else ""

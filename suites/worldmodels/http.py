@@ -22,9 +22,6 @@ from kinebench_drake.suites.worldmodels.remote import Limits, ServiceError, clea
 from kinebench_drake.suites.worldmodels.spec import Spec, TimeoutOptions
 from kinebench_drake.suites.worldmodels.worldmodel import Request, WorldModelError
 
-_CHUNK_BYTES = 1 << 22
-_KNOCK_S = 5.0
-"""Time in which a server need not answer, but be connected."""
 _PATHS, _URLS, _ENCODED = ("video_path", "path", "output_path"), ("video_url", "url"), ("video_base64", "video")
 """Keys of an answer for a file of this machine, an address and a file in base64; the first is the documented one."""
 _ANSWERS = (*_PATHS, *_URLS, *_ENCODED)
@@ -82,7 +79,8 @@ class HttpModel:
 
     def check(self) -> None:
         """Check that the server listens."""
-        self._client.require_connection(min(_KNOCK_S, self._timeout_s))
+        # 5.0: time in which a server need not answer, but be connected
+        self._client.require_connection(min(5.0, self._timeout_s))
 
     def close(self) -> None:
         """Close the connections."""
@@ -145,7 +143,7 @@ class HttpModel:
 def _pieces(key: str, path: Path) -> Iterator[bytes]:
     try:
         with open_file(path) as file:
-            yield from iter(partial(file.read, _CHUNK_BYTES), b"")
+            yield from iter(partial(file.read, 1 << 22), b"")
     except (OSError, ValueError) as error:
         raise WorldModelError(f"the world model's {key} cannot be read ({cause(error)})") from None
 

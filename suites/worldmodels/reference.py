@@ -20,8 +20,6 @@ from kinebench_drake.suites.simulator_cache import SimulatorCache
 from kinebench_drake.suites.worldmodels.media import encode_answer
 from kinebench_drake.suites.worldmodels.worldmodel import Request, TrueTrack, WorldModel, WorldModelError
 
-MOVES = 4
-"""Waypoints of the random policy in a clip."""
 SPREAD_M = (0.12, 0.2, 0.08)
 """Standard deviation of its waypoints along x, y and z."""
 MIDDLE_M = (0.5, 0.0, 0.2)
@@ -144,7 +142,7 @@ class RandomPolicyModel(OracleRenderer):
 
 def _draw_waypoints(rng: np.random.Generator, scene: Scene) -> list[Waypoint]:
     waypoints = []
-    for _ in range(MOVES):
+    for _ in range(4):  # waypoints of the random policy in a clip
         X = scene.X_BG.copy()
         X[:3, 3] = rng.normal(MIDDLE_M, SPREAD_M)
         X[2, 3] = max(X[2, 3], LOWEST_M)

@@ -116,7 +116,6 @@ def parse_answer(data: bytearray, files: Collection[str], budget: Budget) -> obj
 
 _LONGEST = 200
 _SECRET = re.compile(r"KEY|TOKEN|SECRET|PASSWORD|CREDENTIAL")
-_LEAST_SECRET = 6  # shorter values are no secrets; masking them would garble words
 _KEYS: set[str] = set()  # that were read in this process, whatever their variables are called
 
 
@@ -127,7 +126,8 @@ def clean(message: object) -> str:
     """
     text = str(message)
     values = (v.strip() for name, v in os.environ.items() if _SECRET.search(name.upper()))
-    for value in sorted({*(v for v in values if len(v) >= _LEAST_SECRET), *_KEYS}, key=len, reverse=True):
+    # 6: shorter values are no secrets; masking them would garble words
+    for value in sorted({*(v for v in values if len(v) >= 6), *_KEYS}, key=len, reverse=True):
         text = text.replace(value, "***")
     line = " ".join("".join(sign if sign.isprintable() else " " for sign in text).split())
     return line if len(line) <= _LONGEST else line[: _LONGEST - 3] + "..."

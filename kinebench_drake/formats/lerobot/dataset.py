@@ -31,7 +31,6 @@ _VIDEO_V2 = "videos/chunk-{episode_chunk:03d}/{video_key}/episode_{episode_index
 _INDEX = (EPISODE, *(f"data/{key}" for key in PLACE))
 _FIELD = re.compile(r"\{(\w+)(?::0(\d)d)?\}")
 _DAMAGED = (OSError, ValueError, TypeError, MemoryError, pyarrow.ArrowException)
-_CHUNK = 1000  # episodes per chunk of v2, unless info.json says otherwise
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -151,7 +150,8 @@ class LeRobotDataset:
             InputError: the metadata are incomplete, or lead out of the dataset.
         """
         if self.is_v2:
-            size = _count(self.info.get("chunks_size")) or _CHUNK
+            # 1000: episodes per chunk of v2, unless info.json says otherwise
+            size = _count(self.info.get("chunks_size")) or 1000
             fields = {"episode_chunk": episode.number // size, EPISODE: episode.number}
             return self._video_path(_VIDEO_V2, camera, fields), VideoPart(frames=episode.length)
         place = {key: _count(episode.row.get(f"videos/{camera}/{key}")) for key in PLACE}

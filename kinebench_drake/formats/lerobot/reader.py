@@ -30,8 +30,6 @@ from kinebench_drake.io.files import absence
 from kinebench_drake.io.jsonl import as_object, as_type
 from kinebench_drake.io.video import VideoPart
 
-_TIMES_AGREE_S = 1e-4
-"""Greatest difference between a time stamp and frame / fps to which it is rounded (LeRobot's own tolerance)."""
 _NO_NUMBERS = ("video", "image", "string", "bool")
 _INDEX_COLUMNS = ("timestamp", "frame_index", "episode_index", "index", "task_index")
 
@@ -219,5 +217,6 @@ def _times(table: pyarrow.Table, fps: float | None) -> NDArray[np.generic] | Non
     if stamps is None:
         return even
     times = require_numbers(TIME, stamps)
-    allowed = _TIMES_AGREE_S + np.spacing(np.float32(np.abs(even).max(initial=0.0)))
+    # 1e-4: greatest difference between a time stamp and frame / fps to which it is rounded (LeRobot's own tolerance)
+    allowed = 1e-4 + np.spacing(np.float32(np.abs(even).max(initial=0.0)))
     return even if times.shape == even.shape and np.abs(times - even).max(initial=0.0) <= allowed else stamps

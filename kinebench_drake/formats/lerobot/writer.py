@@ -61,7 +61,6 @@ COUNTERS = {TIME: "float32", **dict.fromkeys((FRAME, EPISODE, "index", "task_ind
 """Columns of every LeRobot dataset."""
 
 _CHUNK_FILES, _DATA_MB, _VIDEO_MB = 1000, 100, 200
-_KEYFRAME_EVERY = 10  # training reads single frames at random
 _STRIDE_PX = 4  # of the pixels in image statistics, along both axes
 
 Columns = dict[str, NDArray[Any]]
@@ -93,7 +92,7 @@ def write_part(
     histograms = np.stack([np.bincount(pixels[..., c].ravel(), minlength=256) for c in range(3)])
     own = {name: values if values.dtype == bool else values.astype(np.float32) for name, values in columns.items()}
     write_arrays(columns_file, {**own, CAMERA: histograms})
-    write_video(video_file, rgb, fps, crf=crf, keyframe_every=_KEYFRAME_EVERY)
+    write_video(video_file, rgb, fps, crf=crf, keyframe_every=10)  # training reads single frames at random
 
 
 def pose_columns(X_BG: Array) -> Array:

@@ -23,7 +23,6 @@ MIN_FRAMES = 2
 """A path needs two postures."""
 
 _MANY_RAD = 10.0  # larger angles are taken for degrees
-_MOST_DEGREES = 720.0
 _TURN_RAD = 2.0 * np.pi  # larger angles give a warning
 _WIDTH_SLACK_M = 0.01  # overshoot of sensors and simulators
 
@@ -117,7 +116,7 @@ def _joints(values: Array, tracked: NDArray[np.bool_], warnings: list[str]) -> t
             k = int(np.nanargmax(np.abs(q[:, j])))
             message = f"joint {j + 1} is at {q[k, j]:.4g} rad in frame {k}, more than {_MANY_RAD:g}"
             degrees = "the angles look like degrees, convert them to radians (multiply by pi / 180)"
-            guess = degrees if largest[j] <= _MOST_DEGREES else "these are no joint angles in radians"
+            guess = degrees if largest[j] <= 720.0 else "these are no joint angles in radians"
             raise InputError(f"{message}: {guess}")
         if largest[j] > _TURN_RAD:
             warnings.append(

@@ -14,10 +14,6 @@ from kinebench_drake.geometry import Array
 
 _LATE_S = 1e6  # later times, such as seconds since 1970, would lose precision
 _EVEN = 1e-6  # deviation from even times that counts as none [steps]
-_JITTER = 0.4  # greatest deviation that is taken for jitter: where a frame is missing it is half a step [steps]
-_JITTER_S = 0.01  # the same in seconds: operating systems delay by milliseconds
-_JITTER_FRAMES = 20  # least number of frames for a comparison of errors
-_SMOOTHER = 0.8  # ratio of errors from which the motion counts as smoother; noise alone gives 1
 
 
 def check_times(array: NDArray[np.generic] | None, n: int, rate_hz: float | None, warnings: list[str]) -> Array:
@@ -90,15 +86,17 @@ def undo_jitter(t_s: Array, path: Array, warnings: list[str]) -> Array:
         warnings: is extended.
     """
     frames = np.arange(len(t_s), dtype=np.float64)
-    if len(t_s) < _JITTER_FRAMES:
+    if len(t_s) < 20:  # least number of frames for a comparison of errors
         return t_s
     step, start = np.polyfit(frames, t_s, 1)
     even = start + step * frames
     deviation = float(np.abs(t_s - even).max())
-    if not _EVEN * step < deviation <= min(_JITTER * step, _JITTER_S):
+    # 0.4: greatest deviation that is taken for jitter: where a frame is missing it is half a step [steps]
+    # 0.01: the same in seconds: operating systems delay by milliseconds
+    if not _EVEN * step < deviation <= min(0.4 * step, 0.01):
         return t_s
     rough, smooth = prediction_error(t_s, path), prediction_error(even, path)
-    if not smooth < _SMOOTHER * rough:
+    if not smooth < 0.8 * rough:  # ratio of errors from which the motion counts as smoother; noise alone gives 1
         return t_s
     warnings.append(
         f"times deviate from even ones by up to {1000.0 * deviation:.2g} ms, and the motion is smoother over even "

@@ -18,8 +18,6 @@ from kinebench_drake.stats import percentile_interval, resampled_counts
 
 MIN_POINTS = 3
 """Points needed: two are always in perfect order."""
-_MIN_TASKS = 2
-"""Tasks needed for an interval, which resamples them."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -108,7 +106,7 @@ class CorrelationStudy:
         rho = float(_rho(x, y, np.ones((1, tasks)))[0]) if points >= MIN_POINTS else np.nan
         defined = bool(np.isfinite(rho))
         low, high = None, None
-        if defined and tasks >= _MIN_TASKS:
+        if defined and tasks >= 2:  # tasks needed for an interval, which resamples them
             low, high = percentile_interval(_rho(x, y, resampled_counts(tasks, np.random.default_rng(seed))))
             low, high = (low, high) if high - low > 1e-12 else (None, None)
         mean = rho if defined else None

@@ -96,18 +96,14 @@ def _peg(asset_id: str, index: int, rng: np.random.Generator) -> AssetModel:
     return AssetModel(asset_id=asset_id, words="red and blue peg", bodies=(body,), size=size)
 
 
-TARGET_RADIUS_M = (0.060, 0.075)
-"""Least and greatest radius of a target."""
 TARGET_HEIGHT_M = 0.0008
 """Thickness of a target."""
 OBSTACLE_HEIGHT_M = (0.085, 0.13)
 """Least and greatest height of an obstacle."""
-OBSTACLE_RADIUS_M = (0.018, 0.026)
-"""Least and greatest radius of an obstacle's foot; of a block, half its diagonal."""
 
 
 def _target(asset_id: str, index: int, rng: np.random.Generator) -> AssetModel:
-    radius = float(rng.uniform(*TARGET_RADIUS_M))
+    radius = float(rng.uniform(0.060, 0.075))  # least and greatest radius of a target
     edges = np.linspace(radius, 0.0, (3, 5, 4)[index % 3] + 1)
     red = (float(rng.uniform(0.5, 0.75)), 0.02, float(rng.uniform(0.01, 0.04)))
     white = (float(rng.uniform(0.75, 0.9)),) * 3
@@ -207,7 +203,8 @@ _SHAPES: tuple[tuple[str, Callable[[float, float, np.random.Generator], BodyPart
 
 
 def _obstacle(asset_id: str, index: int, rng: np.random.Generator) -> AssetModel:
-    height, radius = float(rng.uniform(*OBSTACLE_HEIGHT_M)), float(rng.uniform(*OBSTACLE_RADIUS_M))
+    # Least and greatest radius of an obstacle's foot; of a block, half its diagonal.
+    height, radius = float(rng.uniform(*OBSTACLE_HEIGHT_M)), float(rng.uniform(0.018, 0.026))
     words, make, density = _SHAPES[index % len(_SHAPES)]
     material = Material(density=density, static_friction=0.6, dynamic_friction=0.5, angular_damping=0.1)
     return AssetModel(

@@ -22,14 +22,10 @@ NEIGHBOUR_M = 0.10
 """Distance between cube centres below which the open fingers could touch the other cube."""
 ABOVE_M = 0.10
 """Height above a cube from which the gripper approaches and to which it retreats."""
-PLACE_GAP_M = 0.002
-"""Height from which a cube is released."""
 OVER_M = 0.06
 """Height of the TCP above an obstacle's top when passing: half a cube and clearance."""
 HAND_M = 0.045
 """Half the hand's thickness and clearance."""
-UNWIND_RAD = 0.5
-"""Preferred yaw of the hand before a wide turn, away from rest towards the middle of the wrist's range."""
 SLANT_RAD = 0.3
 """Angle between the back of a finger and the approach direction."""
 LEAN_RAD = 0.55
@@ -51,13 +47,15 @@ def stack_cube(scene: Scene) -> list[Waypoint]:
         obstacle, room = scene.poses["obstacle"][:3, 3], scene.size("obstacle", "radius_m") + HAND_M
         axes = _clear_axes(axes, obstacle - X_BA[:3, 3], room)
         landings = _clear_axes(landings, obstacle - X_BT[:3, 3], room)
-        preferred = rotation_exp(np.array([0.0, 0.0, UNWIND_RAD])) @ preferred
+        # 0.5: preferred yaw of the hand before a wide turn, away from rest towards the middle of the wrist's range
+        preferred = rotation_exp(np.array([0.0, 0.0, 0.5])) @ preferred
     elif np.linalg.norm(X_BT[:3, 3] - X_BA[:3, 3]) < NEIGHBOUR_M:
         axes = _clear_axes(axes, X_BT[:3, 3] - X_BA[:3, 3], NEIGHBOUR_M)
     closing = nearest_axis(axes, preferred)
     landing = nearest_axis(landings, closing)
     grasp = make_pose(grasp_rotation(DOWN, closing), X_BA[:3, 3])
-    place = make_pose(grasp_rotation(DOWN, landing), X_BT[:3, 3] + [0.0, 0.0, height + PLACE_GAP_M])
+    # 0.002: height from which a cube is released
+    place = make_pose(grasp_rotation(DOWN, landing), X_BT[:3, 3] + [0.0, 0.0, height + 0.002])
     above = lift(grasp, over)
     via = [above, lift(place, max(0.8 * ABOVE_M, over - height))]
     return pick_and_place(above, grasp, via, place, lift(place, 1.2 * ABOVE_M))
@@ -96,13 +94,6 @@ def pull_cube(scene: Scene) -> list[Waypoint]:
     ]
 
 
-END_M = 0.020
-"""Distance of the grasp from the peg's red end, so short that this end turns under the palm without touching it."""
-PRESSURE_M = 0.008
-"""Commanded finger width below the peg's width: the pads press so lightly (about 4 N each) that the peg turns between
-them under its weight."""
-HANG_M = 0.006
-"""Gap under the hanging peg."""
 DOWN_M = 0.001
 """Distance by which the standing peg is pressed down, so that its end lies flat."""
 DRIFT_M = 0.06
@@ -123,14 +114,18 @@ def lift_peg_upright(scene: Scene) -> list[Waypoint]:
     X_BP, half = scene.poses["peg"], 0.5 * scene.size("peg", "length_m")
     along = X_BP[:3, 0] * [1.0, 1.0, 0.0]
     along /= np.linalg.norm(along)
-    R, grip = grasp_rotation(DOWN, (along[1], -along[0], 0.0)), half - END_M
-    width = scene.size("peg", "width_m") - PRESSURE_M
+    # 0.020: distance of the grasp from the peg's red end, so short that this end turns under the palm without touching
+    # it
+    R, grip = grasp_rotation(DOWN, (along[1], -along[0], 0.0)), half - 0.020
+    # 0.008: commanded finger width below the peg's width: the pads press so lightly (about 4 N each) that the peg turns
+    # between them under its weight
+    width = scene.size("peg", "width_m") - 0.008
     grasp = make_pose(R, X_BP[:3, 3] - grip * along)
     standing = grasp.copy()
     standing[:3, 3] += (DRIFT_M + DRAG_M) * along
     standing[2, 3] = half + grip - DOWN_M
     touching = shift(standing, -DRAG_M * along)
-    hanging = lift(touching, HANG_M + DOWN_M)
+    hanging = lift(touching, 0.006 + DOWN_M)  # gap under the hanging peg
     return [
         Waypoint(X_BG=lift(grasp, PEG_ABOVE_M), finger_width_m=OPEN_M, through=True),
         Waypoint(X_BG=grasp, finger_width_m=OPEN_M),

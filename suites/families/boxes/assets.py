@@ -41,8 +41,6 @@ FLUSH_WIDTH_M, FLUSH_HEIGHT_M = (0.11, 0.14), (0.075, 0.10)
 """The same of flush boxes, narrow enough for the fingers to reach down beside them when they lie."""
 OVERHANG_M = (0.010, 0.014)
 """Least and greatest overhang of a rimmed lid at the front and the sides."""
-INSET_M = 0.001
-"""Inset of a flush lid at its sides, which is its clearance from the table when the box lies."""
 OPEN_RAD = (np.radians(105.0), np.radians(120.0))
 """Least and greatest opening of a lid."""
 MATERIALS = ("cardboard", "wood", "plastic", "tin", "leather", "paper")
@@ -169,7 +167,8 @@ def _box(kind: str, asset_id: str, index: int, rng: np.random.Generator) -> Asse
     height = float(rng.uniform(*(FLUSH_HEIGHT_M if flush else HEIGHT_M)))
     wall, thick = float(rng.uniform(0.004, 0.006)), float(rng.uniform(0.005, 0.008))
     overhang = float(rng.uniform(*OVERHANG_M))
-    front, side = (0.0, -INSET_M) if flush else (overhang, overhang)
+    # 0.001: inset of a flush lid at its sides, which is its clearance from the table when the box lies
+    front, side = (0.0, -0.001) if flush else (overhang, overhang)
     open_rad = float(rng.uniform(*OPEN_RAD))
     p_hinge = [-depth / 2.0, 0.0, height]
     friction, damping = float(rng.uniform(0.0, 0.05)), float(rng.uniform(0.03, 0.08))

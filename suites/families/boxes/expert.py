@@ -33,18 +33,10 @@ GOAL_FRACTION = 0.97
 """Opening to which the lid is pushed, as a fraction of its range."""
 PUSH_DEPTH_M, PUSH_TILT_RAD = 0.022, np.radians(-12.0)
 """Depth and tilt of the fingers under the front edge while pushing."""
-PRY_TILT_RAD = np.radians(45.0)
-"""Tilt of the fingers under the front edge before prying."""
 SIDE_TILT_RAD, PRY_SIDE_TILT_RAD = np.radians(60.0), np.radians(48.0)
 """Angle of the fingers from the vertical at the side of a lid while pushing and while prying."""
 SIDE_DEPTH_M = 0.024
 """Depth of the fingers under the side of a lid while pushing, along the fingers."""
-SIDE_FROM_FRONT_M = 0.03
-"""Distance of the contact at the side of a lid from its front edge."""
-REACH_DOWN_M = 0.030
-"""Distance of the TCP below the upper edge of a lying box's lid: the greatest at which the palm stays clear of it."""
-CLOSE_FRACTION = 0.78
-"""Point of the lid where the fingers press, as a fraction of the way from hinge to edge."""
 PRESS_M = 0.003
 """Commanded distance past shut."""
 
@@ -104,7 +96,7 @@ def open_ajar_front(scene: Scene) -> list[Waypoint]:
 def open_shut_front(scene: Scene) -> list[Waypoint]:
     """Pry the lid up at the front edge by rotating the gripper upwards, then push it open."""
     depth = scene.size("box", "overhang_m") - BESIDE_WALL_M
-    under = _under_front(scene, 0.0, depth, PRY_TILT_RAD)
+    under = _under_front(scene, 0.0, depth, np.radians(45.0))  # tilt of the fingers under the front edge before prying
     R_BH = scene.site("box", "hinge")[:3, :3]
     before = shift(under, R_BH @ [0.04, 0.0, 0.0])
     pried = _under_front(scene, PRIED_RAD, depth, PUSH_TILT_RAD)
@@ -125,7 +117,8 @@ def _under_side(scene: Scene, angle: float, depth_m: float, tilt: float) -> tupl
     side = -1.0 if X_BH[:3, 1] @ [0.0, X_BH[1, 3], 0.0] > 0.0 else 1.0  # towards y = 0, where there is more room
     out = np.array([np.cos(angle), 0.0, np.sin(angle)])
     edge = side * (0.5 * scene.size("box", "width_m") + scene.size("box", "overhang_m"))
-    contact = (scene.size("box", "lid_m") - SIDE_FROM_FRONT_M) * out + [0.0, edge, 0.0]
+    # 0.03: distance of the contact at the side of a lid from its front edge
+    contact = (scene.size("box", "lid_m") - 0.03) * out + [0.0, edge, 0.0]
     up_finger = np.array([0.0, side * np.sin(tilt), np.cos(tilt)])
     to_lid = np.array([0.0, -side * np.cos(tilt), np.sin(tilt)])
     p_H = contact + (TIP_M - depth_m) * up_finger - (HALF_Y_M + CLEAR_M) * to_lid + [HALF_TIP_M, 0.0, 0.0]
@@ -180,7 +173,9 @@ def close_lying(scene: Scene) -> list[Waypoint]:
     """Fold the lid of a lying box shut from outside, press, and retreat."""
     X_BH, angle = scene.site("box", "hinge"), scene.joints["box"]
     R_BH = X_BH[:3, :3]
-    height = X_BH[2, 3] + 0.5 * scene.size("box", "width_m") - REACH_DOWN_M
+    # 0.030: distance of the TCP below the upper edge of a lying box's lid: the greatest at which the palm stays clear
+    # of it
+    height = X_BH[2, 3] + 0.5 * scene.size("box", "width_m") - 0.030
     R = _rotation(scene, np.array([0.0, 0.0, -1.0]), R_BH[:, 0])
 
     def outside(angle: float, gap_m: float) -> Array:
@@ -188,7 +183,8 @@ def close_lying(scene: Scene) -> list[Waypoint]:
         out = np.array([np.cos(angle), 0.0, np.sin(angle)])
         normal = np.array([-np.sin(angle), 0.0, np.cos(angle)])
         half = HALF_TIP_M * abs(normal[2]) + HALF_Y_M * abs(normal[0])
-        p_H = CLOSE_FRACTION * scene.size("box", "lid_m") * out
+        # 0.78: point of the lid where the fingers press, as a fraction of the way from hinge to edge
+        p_H = 0.78 * scene.size("box", "lid_m") * out
         p_H = p_H + (scene.size("box", "lid_thickness_m") + half + gap_m) * normal
         p = X_BH[:3, 3] + R_BH @ p_H
         return make_pose(R, [p[0], p[1], height])

@@ -32,8 +32,6 @@ _CLEARANCE_M = 0.003  # between the drawer and the cabinet
 _WALL_M = 0.007  # thickness of the tray's walls
 _FLOOR_M = 0.006  # thickness of the tray's floor
 _BACK_M = 0.006  # thickness of the cabinet's back
-_SEAM_M = 0.001  # between the shut drawer's front and the cabinet
-_ENGAGED_M = 0.044  # least length of the tray that stays in the cabinet
 _WOOD_PER_M = 3.3
 _R_OUTWARD = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])  # rotates z to x
 _R_SIDEWAYS = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])  # rotates x to y
@@ -96,7 +94,8 @@ class _Dimensions:
     @property
     def tray_x(self) -> tuple[float, float]:
         """X of the tray's inner back and front, the drawer shut."""
-        return -self.face + _BACK_M + 2.0 * _CLEARANCE_M + _WALL_M, self.face + _SEAM_M
+        # 0.001: between the shut drawer's front and the cabinet
+        return -self.face + _BACK_M + 2.0 * _CLEARANCE_M + _WALL_M, self.face + 0.001
 
     @property
     def tray_width(self) -> float:
@@ -106,11 +105,12 @@ class _Dimensions:
 
 def _draw_dimensions(rng: np.random.Generator) -> _Dimensions:
     depth = float(rng.uniform(*DEPTH_M))
+    # 0.044: at least so much of the tray stays in the cabinet
     return _Dimensions(
         width=float(rng.uniform(*WIDTH_M)),
         depth=depth,
         height=float(rng.uniform(*HEIGHT_M)),
-        travel=float(min(rng.uniform(*TRAVEL_M), depth - _BACK_M - 2.0 * _CLEARANCE_M - _ENGAGED_M)),
+        travel=float(min(rng.uniform(*TRAVEL_M), depth - _BACK_M - 2.0 * _CLEARANCE_M - 0.044)),
         panel=float(rng.uniform(0.0095, 0.012)),
         foot=float(rng.uniform(0.007, 0.011)),
         front=float(rng.uniform(0.012, 0.016)),

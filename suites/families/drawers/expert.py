@@ -34,10 +34,6 @@ RELEASE_M = 0.03
 """Finger width in excess of the cube's edge at the release in the tray."""
 BEHIND_M = 0.012
 """Gap between the fingers and the cube behind which they come down."""
-SKIM_M = 0.005
-"""Height of the fingertips above the cabinet's top while dragging."""
-BEYOND_M = 0.006
-"""Distance past the edge to which the fingers drag a cube."""
 PREFERRED_CLOSING = (1.0, -1.0, 0.0)
 """Of two opposite closing directions, the one closer to this keeps the wrist far from its limits."""
 
@@ -122,8 +118,10 @@ def store_cube_by_dragging(scene: Scene) -> list[Waypoint]:
     cube, edge = _local(scene, scene.poses["cube"]), _local(scene, scene.site("cabinet", "edge"))
     faces = level_axes((invert(scene.poses["cabinet"]) @ scene.poses["cube"])[:3, :3])
     half = 0.5 * scene.size("cube", "edge_m") * float(np.abs(faces[:2, 0]).sum())
-    behind, over = cube[0] - half - HALF_TIP_M - BEHIND_M, edge[0] - HALF_TIP_M + BEYOND_M
-    low, high = edge[2] + SKIM_M, edge[2] + scene.size("cube", "edge_m") + PASS_M
+    # 0.006: distance past the edge to which the fingers drag a cube
+    behind, over = cube[0] - half - HALF_TIP_M - BEHIND_M, edge[0] - HALF_TIP_M + 0.006
+    # 0.005: height of the fingertips above the cabinet's top while dragging
+    low, high = edge[2] + 0.005, edge[2] + scene.size("cube", "edge_m") + PASS_M
     return [
         closed_waypoint(_pose(scene, behind, cube[1], high), through=True),
         closed_waypoint(_pose(scene, behind, cube[1], low)),

@@ -9,8 +9,6 @@ from kinebench_drake.suites.expert.grasp import BACK_M, closed_waypoint, grasp_r
 from kinebench_drake.suites.expert.motion import Arc, Waypoint
 from kinebench_drake.suites.families.task import Scene
 
-PUSH_FRACTION = 0.75
-"""Point of the lever where the finger pushes, as a fraction of its reach."""
 HALF_FINGERS_M = (0.0105, BACK_M)
 """Half extents of the closed fingers along the TCP frame's x and y."""
 CLEARANCE_M = 0.018
@@ -19,8 +17,6 @@ BELOW_M = 0.002
 """Height of the lever's centre line above the TCP."""
 ABOVE_M = 0.075
 """Height above the lever from which the gripper approaches and to which it retreats."""
-BACK_OFF_M = 0.015
-"""Gap between finger and lever before the gripper moves up."""
 OPEN_GOAL, CLOSED_GOAL = 0.96, 0.01
 """Openings to which the lever is pushed, as fractions of its travel."""
 LEAN_RAD = 0.3
@@ -43,11 +39,12 @@ def sweep_lever(goal: float, scene: Scene) -> list[Waypoint]:
         """Return the TCP pose with the fingers' side `gap_m` behind the lever at an angle."""
         ahead = sense * np.array([-np.sin(angle), np.cos(angle), 0.0])
         behind = scene.size("faucet", "half_width_m") + np.abs(R[:, :2].T @ ahead) @ HALF_FINGERS_M + gap_m
-        along = PUSH_FRACTION * scene.size("faucet", "lever_m") * np.array([np.cos(angle), np.sin(angle), 0.0])
+        # 0.75: point of the lever where the finger pushes, as a fraction of its reach
+        along = 0.75 * scene.size("faucet", "lever_m") * np.array([np.cos(angle), np.sin(angle), 0.0])
         return make_pose(R, axis + along - behind * ahead - [0.0, 0.0, BELOW_M])
 
     first, last = touching(start, CLEARANCE_M), touching(start + turn, 0.0)
-    clear = touching(start + turn, BACK_OFF_M)
+    clear = touching(start + turn, 0.015)  # gap between finger and lever before the gripper moves up
     a, b = first[:2, 3] - axis[:2], last[:2, 3] - axis[:2]
     angle = float(np.arctan2(sense * (a[0] * b[1] - a[1] * b[0]), a @ b))
     arc = Arc(point=axis, axis=np.array([0.0, 0.0, 1.0]), angle_rad=sense * (angle % (2.0 * np.pi)))

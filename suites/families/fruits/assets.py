@@ -20,10 +20,6 @@ from kinebench_drake.suites.scene.model import AssetModel, Material, Mesh, Surfa
 
 FRUITS = ("apple", "banana", "orange", "peach", "pear", "strawberry")
 """Names of the fruits."""
-FLAT_M = 0.0009
-"""Depth by which a fruit's underside is flattened, as by its weight."""
-PRESSED_M = 0.0007
-"""Depth by which long fruits are flattened on each side, so that they do not turn between the fingers."""
 _SECTIONS = 36  # of surfaces of revolution
 _BROWN, _GREEN = (0.11, 0.06, 0.025), (0.07, 0.2, 0.03)
 
@@ -219,11 +215,13 @@ def _fruit(name: str, asset_id: str, index: int, rng: np.random.Generator) -> As
     shape = _SHAPES[name](rng, index)
     R = np.eye(3) if shape.R_BodyShape is None else shape.R_BodyShape
     resting = _rotate(shape.skin, R)
-    floor = float(resting.vertices[:, 2].min()) + FLAT_M
+    # 0.0009: depth by which a fruit's underside is flattened, as by its weight
+    floor = float(resting.vertices[:, 2].min()) + 0.0009
     vertices = np.array(resting.vertices)
     vertices[:, 2] = np.maximum(vertices[:, 2], floor)
     skin = smooth_mesh(vertices, resting.faces, resting.uv, crease_rad=1.0)
-    half = 0.5 * _thickness(skin) - (PRESSED_M if shape.R_BodyShape is not None else 0.0)
+    # 0.0007: depth by which long fruits are flattened on each side, so that they do not turn between the fingers
+    half = 0.5 * _thickness(skin) - (0.0007 if shape.R_BodyShape is not None else 0.0)
     solids = [np.maximum(points @ R.T, [-1.0, -1.0, floor]) for points in shape.solids]
     solids = solids or [np.clip(skin.vertices, [-1.0, -half, floor], [1.0, half, 1.0])]
     surface = SurfaceFinish(texture=SKINS[name](rng, index), roughness=shape.roughness)

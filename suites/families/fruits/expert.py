@@ -9,18 +9,12 @@ from kinebench_drake.suites.families.fruits.containers import compartment_center
 from kinebench_drake.suites.families.fruits.task import ORDER
 from kinebench_drake.suites.families.task import Scene
 
-SPARE_M = 0.022
-"""Finger width in excess of the fruit's thickness before the grasp."""
 LOWEST_M = 0.022
 """Least height of the TCP above the table, so that palm and fingertips are clear of it."""
 ABOVE_M = 0.10
 """Height above a fruit from which the gripper approaches and to which it retreats."""
 DROP_M = 0.014
 """Height above the floor of a container from which a fruit is released."""
-CRATE_DROP_M = 0.004
-"""The same in a crate, where the rim usually determines the height."""
-TIPS_M = 0.012
-"""Height of the TCP above a rim that the fingertips must clear."""
 OVER_M = 0.028
 """Gap below a fruit that is carried over an obstacle."""
 
@@ -33,7 +27,8 @@ def _grasp(scene: Scene, name: str) -> tuple[Array, float]:
         across = X[:3, 1] * [1.0, 1.0, 0.0]
         closing = nearest_axis([across, -across], axis_y)
     p = np.array([*X[:2, 3], max(X[2, 3], LOWEST_M)])
-    return make_pose(grasp_rotation(DOWN, closing), p), min(OPEN_M, scene.size(name, "grip_m") + SPARE_M)
+    # 0.022: finger width in excess of the fruit's thickness before the grasp
+    return make_pose(grasp_rotation(DOWN, closing), p), min(OPEN_M, scene.size(name, "grip_m") + 0.022)
 
 
 def _carry(
@@ -60,7 +55,8 @@ def _carry(
     grasp, open_m = _grasp(scene, name)
     below = grasp[2, 3] - scene.poses[name][2, 3] + scene.size(name, "rest_m")  # from the fruit's underside to the TCP
     landing = grasp_rotation(DOWN, nearest_axis([across, -across], grasp[:3, 1]))
-    height = max(target[2] + below + drop_m, rim_m + TIPS_M)
+    # 0.012: height of the TCP above a rim that the fingertips must clear
+    height = max(target[2] + below + drop_m, rim_m + 0.012)
     place = make_pose(landing, [target[0], target[1], height])
     above, passage = lift(grasp, ABOVE_M), []
     if over is not None:
@@ -90,7 +86,8 @@ def store_fruits(scene: Scene) -> list[Waypoint]:
         if low and in_y and abs(p[0]) < 0.5 * scene.size("crate", "inner_x_m"):
             continue
         target = crate[:3, :3] @ center + crate[:3, 3]
-        return _carry(scene, name, target, crate[:3, 1], drop_m=CRATE_DROP_M, rim_m=scene.size("crate", "rim_m"))
+        # 0.004: the same in a crate, where the rim usually determines the height
+        return _carry(scene, name, target, crate[:3, 1], drop_m=0.004, rim_m=scene.size("crate", "rim_m"))
     return []
 
 

@@ -19,8 +19,6 @@ WIDTH_M, DEPTH_M = (0.20, 0.25), (0.135, 0.16)
 """Least and greatest extents of the base along and across the hinge."""
 BASE_M, FEET_M, LID_M = (0.0145, 0.0165), (0.003, 0.004), (0.006, 0.0075)
 """Least and greatest thickness of base and lid, and height of the feet."""
-LIP_M = (0.0085, 0.011)
-"""Least and greatest overhang of the lid over the base, under which a fingertip fits."""
 GREATEST_RAD = np.deg2rad(130.0)
 """Upper limit of the hinge."""
 HINGE_FROM_BACK_M, HINGE_ABOVE_BASE_M, GAP_M = 0.006, 0.003, 0.0005
@@ -40,7 +38,6 @@ LOGOS = ("disc", "ring", "hexagon", "square", "triangle", "star")
 """Shapes on the lid's back, assigned in turn."""
 
 _SKIN_M = 0.0003  # distance of decals from the surface below
-_PX_PER_M = 2000.0
 
 
 def _rounded(low: ArrayLike, high: ArrayLike, z_m: float, radius_m: float) -> Array:
@@ -82,7 +79,7 @@ def _sheet(low: ArrayLike, high: ArrayLike, z_m: float, *, up: bool = True) -> M
 
 def _keyboard(size_m: tuple[float, float], keys: ArrayLike, well: ArrayLike, marks: ArrayLike) -> NDArray[np.uint8]:
     """Draw a keyboard of depth and width `size_m`: five rows of keys with marks; sRGB colours 0..255."""
-    height, width = (int(_PX_PER_M * s) for s in size_m)
+    height, width = (int(2000.0 * s) for s in size_m)
     image = np.empty((height, width, 3))
     image[:] = well
     rows: tuple[tuple[float, ...], ...] = (
@@ -214,11 +211,12 @@ def _laptop(asset_id: str, index: int, rng: np.random.Generator) -> AssetModel:
         metallic=0.35 if metal else 0.0,
         specular=0.4,
     )
+    # Least and greatest overhang of the lid over the base, under which a fingertip fits.
     size = {
         "width_m": float(rng.uniform(*WIDTH_M)),
         "depth_m": float(rng.uniform(*DEPTH_M)),
         "feet_m": float(rng.uniform(*FEET_M)),
-        "lip_m": float(rng.uniform(*LIP_M)),
+        "lip_m": float(rng.uniform(0.0085, 0.011)),
     }
     thickness = float(rng.uniform(*LID_M))
     size["top_m"] = size["feet_m"] + float(rng.uniform(*BASE_M))

@@ -27,14 +27,8 @@ FINGER_M = 0.0152
 """Thickness of one fingertip along the closing axis."""
 TILT_RAD = np.deg2rad(40.0)
 """Tilt of the hand while a fingertip lifts the lid's edge."""
-TABLE_M = 0.004
-"""Gap between fingertip and table."""
-UNDER_M = 0.006
-"""Greatest depth of the fingertip under the lid's edge."""
 BELOW_M = 0.006
 """Depth of the fingertip below the edge of a lid that is ajar."""
-WEDGE_M = 0.002
-"""Depth under the edge beyond the first contact of the slanted finger, which lifts the lid by wedging."""
 HOLD_M = 0.016
 """Distance from the lid's edge at which the fingertip pushes it."""
 TURN_RAD = np.deg2rad(46.0)
@@ -110,8 +104,11 @@ def open_laptop(scene: Scene) -> list[Waypoint]:
     plane, angle = _HingePlane.of(scene), scene.joints["laptop"]
     reach, inside = scene.size("laptop", "reach_m"), scene.size("laptop", "inside_m")
     edge = _on_lid(angle, reach, inside)
-    height = max(edge[1] - BELOW_M, TABLE_M + FINGER_M * np.sin(TILT_RAD) - plane.point[2])
-    under = np.array([edge[0] - min(UNDER_M, (edge[1] - height) * np.tan(TILT_RAD) + WEDGE_M), height])
+    # 0.004: gap between fingertip and table
+    height = max(edge[1] - BELOW_M, 0.004 + FINGER_M * np.sin(TILT_RAD) - plane.point[2])
+    # 0.006: greatest depth of the fingertip under the lid's edge
+    # 0.002: depth under the edge beyond the first contact of the slanted finger, which lifts the lid by wedging
+    under = np.array([edge[0] - min(0.006, (edge[1] - height) * np.tan(TILT_RAD) + 0.002), height])
     turn = max(TURN_RAD, angle + 0.2)
     corner = _on_lid(turn, reach - HOLD_M, inside - 0.001)
     above, before, start, lifted = (

@@ -17,9 +17,6 @@ OPEN_RAD = float(np.deg2rad(90.0))
 SHUT_RAD = float(np.deg2rad(4.0))
 """Greatest opening of a shut lid."""
 
-FORWARD_M = (0.45, 0.52)
-"""Least and greatest x of the base's centre."""
-
 
 def _distance_to_lid(state: State) -> Tensor:
     """Return the distance (N,) of the TCP from the lid's box [m]."""
@@ -45,7 +42,7 @@ class _MoveLid(JointTask):
     @override
     def place(self, model: AssetModel, rng: np.random.Generator) -> Placement:
         """Place a laptop whose hinge is on the robot's left."""
-        x, y = rng.uniform(*FORWARD_M), rng.uniform(*self.side_m)
+        x, y = rng.uniform(0.45, 0.52), rng.uniform(*self.side_m)  # least and greatest x of the base's centre
         yaw = np.deg2rad(rng.uniform(*self.turn_deg) - 90.0)
         return Placement.upright(model, (x, y, 0.0), yaw, joint=float(np.deg2rad(rng.uniform(*self.start_deg))))
 
