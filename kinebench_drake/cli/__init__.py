@@ -27,6 +27,8 @@ _COMMANDS = {
     "compare": ("outputs", "Compare output folders."),
     "merge": ("outputs", "Merge output folders of shards."),
     "view": ("outputs", "Show one sample in 3D."),
+    "bundle": ("publish", "Pack the results of a run into one file."),
+    "verify": ("publish", "Check whether the numbers of a bundle hold."),
 }
 """Command name to (module in `kinebench_drake.cli`, short help); the command is the module's object of that name."""
 

@@ -178,7 +178,6 @@ def pack_arrays(arrays: Mapping[str, NDArray[np.generic]]) -> bytes:
         for name, array in arrays.items():
             data = io.BytesIO()
             np.lib.format.write_array(data, np.ascontiguousarray(array), allow_pickle=False)
-            # Earliest date of a zip entry: a fixed one, as clock times would change the bytes.
-            entry = zipfile.ZipInfo(f"{name}.npy", date_time=(1980, 1, 1, 0, 0, 0))
+            entry = zipfile.ZipInfo(f"{name}.npy")  # of a fixed date: clock times would change the bytes
             archive.writestr(entry, data.getvalue(), compress_type=zipfile.ZIP_DEFLATED)
     return buffer.getvalue()

@@ -191,6 +191,14 @@ class Evaluator(ABC, Generic[SampleT, ResourcesT]):
             digest.update(file.name.encode(errors="surrogateescape") + b"\0" + _digest(file))
         return digest.hexdigest()
 
+    def input_hash(self, sample: SampleT) -> str | None:
+        """Return the SHA-256 of the only input file, of several that of `sha256sum FILES`; None without files."""
+        files = self.input_files(sample)
+        if len(files) == 1:
+            return _digest(files[0]).hex()
+        lines = [f"{_digest(file).hex()}  {file.name}\n".encode(errors="surrogateescape") for file in files]
+        return hashlib.sha256(b"".join(lines)).hexdigest() if lines else None
+
     def is_current(self, sample: SampleT, row: SampleRow) -> bool:
         """Return whether the stored row is still valid: same content hash, all artifacts present."""
         artifacts = self.artifacts if row.status is Status.OK else ()
@@ -233,8 +241,8 @@ class Evaluator(ABC, Generic[SampleT, ResourcesT]):
             **evaluation.metrics,
             **(kinematics.metrics if kinematics else {}),
         }
-        executable, obstacles = _executability(evaluation)
-        extra = {**self.labels(sample), **evaluation.extra}
+        executable, obstacles = judge_evaluation(evaluation)
+        extra = {**self.labels(sample), "input_sha256": self.input_hash(sample), **evaluation.extra}
         if "domain" in extra:  # a video was grounded
             trust = assess_trust(extra, metrics, describe_period(extra), is_measured=evaluation.unmeasurable is None)
             extra[TRUST] = trust.to_json()
@@ -276,7 +284,7 @@ class SampleWorker(Generic[SampleT, ResourcesT]):
             self.resources.close()
 
 
-def _executability(evaluation: Evaluation) -> tuple[bool | None, tuple[str, ...]]:
+def judge_evaluation(evaluation: Evaluation) -> tuple[bool | None, tuple[str, ...]]:
     """Return whether the sample can be executed, and why not or why it is open; None and () if the run does not judge.
 
     Bridges count in videos alone: of a trajectory every frame is expected.

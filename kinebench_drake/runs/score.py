@@ -61,7 +61,7 @@ def score_videos(config: ScoreConfig, observer: RunObserver | None = None) -> Ru
     observer = observer or NullRunObserver()
     if config.format is not None:
         require_own_folder(config.format, config.out)
-    inputs = _find(config)
+    inputs = find_videos(config)
     for warning in inputs.warnings:
         observer.warn(warning)
     if config.pixels_only:
@@ -117,7 +117,7 @@ def plan_videos(config: ScoreConfig, observer: RunObserver | None = None) -> Ite
     Raises:
         UsageError: the configuration or the input cannot be used.
     """
-    observer, inputs = observer or NullRunObserver(), _find(config)
+    observer, inputs = observer or NullRunObserver(), find_videos(config)
     for warning in inputs.warnings:
         observer.warn(warning)
     reader = _VideoReader(config=config, overrides=config.overrides())
@@ -125,7 +125,7 @@ def plan_videos(config: ScoreConfig, observer: RunObserver | None = None) -> Ite
     yield from (reader.row(sample, tools) for sample in config.select(inputs.samples))
 
 
-def _find(config: ScoreConfig) -> VideoSamples:
+def find_videos(config: ScoreConfig) -> VideoSamples:
     """List the videos of a run, with warnings about the input."""
     inputs = find_samples(
         config.source,

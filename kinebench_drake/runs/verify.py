@@ -1,0 +1,241 @@
+"""Verification of a bundle: hashes, aggregates from the rows, and a random part of the rows from tracks or videos."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from math import isclose
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from kinebench_drake.errors import InputError, KinebenchError, UsageError
+from kinebench_drake.geometry import pose_difference
+from kinebench_drake.io.jsonl import Json, as_number, finite
+from kinebench_drake.io.reader import read_video
+from kinebench_drake.models.arm import PANDA, ROBOTS
+from kinebench_drake.results.aggregate import RunStatistics
+from kinebench_drake.results.bundle import Bundle
+from kinebench_drake.results.metadata import RunMetadata
+from kinebench_drake.results.row import SampleRow, Status
+from kinebench_drake.results.store import RESULTS, artifact_path, read_rows
+from kinebench_drake.results.trackfile import TrackFile, read_track
+from kinebench_drake.runs.config import RunKind, ScoreConfig
+from kinebench_drake.runs.evaluator import SCHEMA_VERSION, Evaluation, judge_evaluation
+from kinebench_drake.runs.option import options_of
+from kinebench_drake.runs.runner import summarize
+from kinebench_drake.runs.score import VideoEvaluator, find_videos, mean_confidence
+from kinebench_drake.runs.tools import RobotOptions, Tools, load_tools
+from kinebench_drake.track import GripperTrack
+
+if TYPE_CHECKING:  # loads Drake
+    from kinebench_drake.metrics.result import KinematicResult
+
+RELATIVE, ABSOLUTE = 1e-3, 1e-6
+"""Tolerances of a number: it holds within either."""
+POSITION_M, ROTATION_RAD = 0.01, float(np.deg2rad(5.0))
+"""Tolerances of a pose that is measured from the video anew."""
+FRAMES = 0.05
+"""Share of the frames that may be beyond them, or be tracked in one measurement only."""
+_MOST = 5
+"""Differences of a row that are named."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Verification:
+    """Outcome of a verification."""
+
+    faults: Sequence[str]
+    """What does not hold, a line each."""
+    measured: Sequence[str]
+    """Ids of the samples that were measured anew."""
+    candidates: int
+    """Samples that can be: those with a track of one clip that was judged."""
+    samples: int
+    """All samples."""
+
+
+def verify_bundle(bundle: Bundle, samples: int, seed: int, videos: Path | None = None) -> Verification:
+    """Compare what a bundle states with what follows from its files.
+
+    Args:
+        bundle: the bundle.
+        samples: number of samples to measure anew.
+        seed: seed of their choice.
+        videos: folder of the videos, from which they are grounded anew, too.
+
+    Raises:
+        UsageError: it was written by another version or kind of run, the robot or a video setting is not available, or
+            `videos` holds none.
+        SetupError: something is missing on this machine.
+    """
+    rows, run, stated = _read(bundle)
+    faults = [f"{name}: SHA-256 differs from that stated" for name in _changed(bundle)]
+    expected = summarize(list(rows.values()), run, RunStatistics.of(rows.values(), run.bootstrap_seed))
+    faults += [f"{RESULTS}: {text}" for text in list_differences(stated, expected, "the rows give")]
+    judges = RunKind(run.kind).judges
+    candidates = [id for id, row in rows.items() if _is_measurable(row, judges=judges)]
+    chosen = np.random.default_rng(seed).permutation(len(candidates))[:samples]
+    ids = sorted(candidates[k] for k in chosen)
+    tools = load_tools(Tools, _robot_options(run)) if ids and judges else None
+    grounder = None if videos is None else _Regrounder(run, videos)
+    for id in ids:
+        row = rows[id]
+        try:
+            file = read_track(artifact_path(bundle.folder, "tracks", id))
+            texts = list(_compare_row(row, file, None if tools is None else _judge(row, file, tools)))
+            texts += grounder.compare(row, file.track, bundle) if grounder else []
+        except (InputError, KeyError) as error:
+            texts = [str(error)]
+        faults += [f"{id}: {text}" for text in texts[:_MOST]]
+        faults += [f"{id}: {len(texts) - _MOST} more differences"] if len(texts) > _MOST else []
+    return Verification(faults=faults, measured=ids, candidates=len(candidates), samples=len(rows))
+
+
+def _read(bundle: Bundle) -> tuple[dict[str, SampleRow], RunMetadata, Mapping[str, object]]:
+    """Read rows, sorted by id, and results.json."""
+    from kinebench_drake.report.run import read_results
+
+    try:
+        stated = read_results(bundle.folder)
+        run, rows = RunMetadata.from_json(stated), read_rows(bundle.folder)
+    except InputError as error:
+        raise UsageError(f"{bundle.path}: {error}") from None
+    if run.schema_version != SCHEMA_VERSION or run.kind not in [kind.value for kind in RunKind]:
+        raise UsageError(
+            f"{bundle.path}: is of kind {run.kind!r:.20} and schema_version {run.schema_version}, expected "
+            f"{SCHEMA_VERSION}"
+        )
+    return dict(sorted(rows.items())), run, stated
+
+
+def _changed(bundle: Bundle) -> list[str]:
+    """List the files whose content is not that stated, and those that are absent or not stated."""
+    own = {name: digest for name, digest in bundle.files.items() if name in bundle.stated}
+    unstated = bundle.files.keys() - own.keys() - {"bundle.json"}
+    return sorted({name for name, digest in bundle.stated.items() if own.get(name) != digest} | unstated)
+
+
+def list_differences(stated: object, expected: object, verb: str, name: str = "") -> Iterator[str]:
+    """Describe each value in which two JSON values differ, numbers beyond the tolerance."""
+    if isinstance(stated, Mapping) and isinstance(expected, Mapping):
+        for key in dict.fromkeys((*stated, *expected)):
+            inner = f"{name}.{key}" if name else str(key)
+            yield from list_differences(stated.get(key), expected.get(key), verb, inner)
+    elif isinstance(stated, list | tuple) and isinstance(expected, list | tuple) and len(stated) == len(expected):
+        for k, (one, other) in enumerate(zip(stated, expected, strict=True)):
+            yield from list_differences(one, other, verb, f"{name}[{k}]")
+    elif not _agree(stated, expected):
+        yield f"{name} is {_brief(stated)}, {verb} {_brief(expected)}"
+
+
+def _agree(one: object, other: object) -> bool:
+    a, b = as_number(one), as_number(other)
+    if a is None or b is None:
+        return one == other
+    return isclose(a, b, rel_tol=RELATIVE, abs_tol=ABSOLUTE)
+
+
+def _brief(value: object) -> str:
+    return f"{value:.6g}" if isinstance(value, float) else f"{value!r:.60}"
+
+
+def _is_measurable(row: SampleRow, *, judges: bool) -> bool:
+    """Return whether the numbers of a row follow from its track: it is judged, and not joined from several clips."""
+    whole = row.status is Status.OK and row.extra.get("rounds", 1) == 1
+    based = not judges or row.feasible is not None or "base_frame_reason" not in row.extra
+    return whole and based
+
+
+def _robot_options(run: RunMetadata) -> RobotOptions:
+    """Return the robot and the table of a run.
+
+    Raises:
+        UsageError: this machine has another robot of that name, or none.
+    """
+    config = run.config
+    name, payload = str(config.get("robot") or PANDA), as_number(config.get("payload_kg"))
+    options = RobotOptions(
+        robot=name, payload_kg=payload or 0.0, table_height_m=as_number(config.get("table_height_m")) or 0.0
+    )
+    if name not in ROBOTS or options.load().id != config.get("robot_id"):
+        raise UsageError(
+            f"judged with a robot that a bundle does not hold ({name}, limits {config.get('limits')}), expected "
+            f"{' or '.join(ROBOTS)} as this version has it"
+        )
+    return options
+
+
+def _judge(row: SampleRow, file: TrackFile, tools: Tools) -> "KinematicResult":
+    """Judge a stored track as the run did."""
+    track = file.track
+    if row.extra.get("judged") == "joints":
+        return tools.judge_joints(track.t_s, file.q, track.finger_width_m)
+    return tools.judge(track, as_number(row.extra.get("table_height_m")))
+
+
+def _compare_row(row: SampleRow, file: TrackFile, kinematics: "KinematicResult | None") -> Iterator[str]:
+    """Describe in what a row differs from the numbers of its track."""
+    stated = {name: value for name, value in row.to_json().items() if name in ("violations", "metrics")}
+    metrics: dict[str, Json] = {}
+    if "tracked_fraction" in row.metrics:
+        metrics["tracked_fraction"] = float(np.mean(file.track.tracked))
+        metrics["confidence_mean"] = mean_confidence(file.track)
+    if kinematics is not None:
+        visible = {"anomalies": row.metrics["anomalies"]} if "anomalies" in row.metrics else {}
+        executable, reasons = judge_evaluation(Evaluation(kinematics=kinematics, metrics=visible))
+        stated |= {name: getattr(row, name) for name in ("feasible", "executable", "executable_reasons")}
+        metrics |= kinematics.metrics
+        verdict = {"feasible": kinematics.feasible, "executable": executable, "executable_reasons": reasons}
+        violations = [violation.to_json() for violation in kinematics.violations]
+    else:
+        verdict, violations = {}, []
+    stated["metrics"] = {name: row.metrics.get(name) for name in metrics}
+    yield from list_differences(
+        stated, {**verdict, "violations": violations, "metrics": finite(metrics)}, "its track gives"
+    )
+
+
+class _Regrounder:
+    """Grounding of the videos of a run with its settings."""
+
+    def __init__(self, run: RunMetadata, videos: Path) -> None:
+        """Find the videos; networks are loaded with the first.
+
+        Raises:
+            UsageError: the run is of another kind, or its settings name files that a bundle does not hold.
+        """
+        if run.kind not in (RunKind.SCORE.value, RunKind.GROUND.value):
+            raise UsageError(f"$videos is for runs of score and ground, this one is of kind {run.kind}")
+        free = ("limit", "shard", "jobs", "engine", "source", "replays", "overlay")
+        recorded = {
+            name: run.config[option.key or name]
+            for name, option in options_of(ScoreConfig).items()
+            if name not in free and option.key is not None and run.config.get(option.key or name) is not None
+        }
+        with TemporaryDirectory() as out:
+            config = ScoreConfig(source=videos, out=Path(out), kind=RunKind(run.kind), **recorded)  # type: ignore[arg-type]
+        self._evaluator = VideoEvaluator(config=config, overrides=config.overrides())
+        self._samples = {sample.id: sample for sample in find_videos(config).samples}
+        self._tools = self._evaluator.setup()
+
+    def compare(self, row: SampleRow, track: GripperTrack, bundle: Bundle) -> list[str]:
+        """Describe in what a row and its track differ from its video."""
+        sample = self._samples.get(row.id)
+        if sample is None:
+            return [f"{row.video} is not in the folder of the videos"]
+        if bundle.videos.get(row.video) != self._evaluator.input_hash(sample):
+            return [f"{row.video} is not the file that was measured: its SHA-256 differs"]
+        try:
+            grounding, _ = self._evaluator.measure(sample, read_video(sample.path, sample.part), self._tools)
+        except KinebenchError as error:
+            return [f"{row.video}: {error}"]
+        again, n = grounding.visible_track, len(track.t_s)
+        if len(again.t_s) != n:
+            return [f"track has {n} frames, its video gives {len(again.t_s)}"]
+        both = track.tracked & again.tracked
+        position_m, rotation_rad = pose_difference(track.X_CH[both], again.X_CH[both])
+        apart = int(((position_m > POSITION_M) | (rotation_rad > ROTATION_RAD)).sum())
+        apart += int((track.tracked != again.tracked).sum())
+        text = f"{apart} of {n} frames differ from those of the video by more than {POSITION_M * 1e3:g} mm or 5 degrees"
+        return [text] if apart > FRAMES * n else []
