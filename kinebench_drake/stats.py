@@ -283,6 +283,18 @@ class PairedShares:
         """Difference of the rates, first minus second."""
         return math.fsum(self.first - self.second) / self.n
 
+    def ratio(self) -> IntervalEstimate:
+        """Return the ratio of the rates, first over second, with its paired bootstrap interval over episodes.
+
+        NaN where the second rate is 0; no interval where all resamples have the same ratio.
+        """
+        sums = resampled_counts(self.n, np.random.default_rng(self.seed)) @ np.stack([self.first, self.second], axis=1)
+        draws = sums[sums[:, 1] > 0.0]
+        low, high = percentile_interval(draws[:, 0] / draws[:, 1])
+        one, other = self.rates
+        ends = (low, high) if other and high - low > 1e-12 else (np.nan, np.nan)
+        return IntervalEstimate(value=one / other if other else np.nan, low=ends[0], high=ends[1])
+
     @property
     def better(self) -> tuple[int, int]:
         """Episodes in which the first, and in which the second, succeeds more often."""

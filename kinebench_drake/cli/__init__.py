@@ -29,6 +29,7 @@ _COMMANDS = {
     "view": ("outputs", "Show one sample in 3D."),
     "bundle": ("publish", "Pack the results of a run into one file."),
     "verify": ("publish", "Check whether the numbers of a bundle hold."),
+    "leaderboard": ("publish", "Rank the models of bundles on a static page."),
 }
 """Command name to (module in `kinebench_drake.cli`, short help); the command is the module's object of that name."""
 

@@ -35,8 +35,8 @@ _MEANS = (
 )
 NUMBERS = {**SHARES, **{name: BY_NAME[name] for name in _MEANS}}
 """Numbers that are compared, in the order of the table."""
-_BY_TASK = ("executable", "feasible", "manipulability_mean", "sparc")
-"""Numbers that are compared task by task, too."""
+HEADLINES = ("executable", "feasible", "manipulability_mean", "sparc")
+"""Numbers that are compared task by task, too, and on leaderboards."""
 _PRINTED = ("number", "first_mean", "second_mean", "difference", "complete", "p")
 """Keys of the columns printed to a terminal."""
 RowPair = tuple[SampleRow, SampleRow]
@@ -119,7 +119,7 @@ def compare_numbers(
         tasks.setdefault(pair[0][0].task or pair[1][0].task or "unnamed", []).append(pair)
     groups = [(ALL_TASKS, pairs, tuple(NUMBERS))]
     if len(tasks) > 1:
-        groups += [(task, tasks[task], _BY_TASK) for task in sorted(tasks)]
+        groups += [(task, tasks[task], HEADLINES) for task in sorted(tasks)]
     comparisons = []
     for task, own, names in groups:
         for name in names:

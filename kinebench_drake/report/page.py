@@ -114,7 +114,7 @@ def build_page(out: Path, rows: Iterable[SampleRow] | None = None, statistics: R
     statistics = statistics or RunStatistics.of(rows, _bootstrap_seed(results))
     total = statistics.total
     layout = layout_of(results)
-    worst, best = _choose_gallery(out, rows)
+    worst, best = choose_gallery(out, rows)
     large = {row.id for row in (*worst, *best)}
     samples = [
         view_sample(out, row, drawn=k < DRAWN or row.id in large, pictured=k < _PICTURED or row.id in large)
@@ -196,12 +196,20 @@ def _count_metrics(rows: Sequence[SampleRow], total: Aggregate, layout: MetricLa
     return [histogram for histogram in histograms if histogram is not None]
 
 
-def _choose_gallery(out: Path, rows: Sequence[SampleRow]) -> tuple[list[SampleRow], list[SampleRow]]:
-    """Choose the worst samples with an image, of those that are not good, and the best of the good ones."""
+def choose_gallery(
+    out: Path, rows: Sequence[SampleRow], most: int = _GALLERY
+) -> tuple[list[SampleRow], list[SampleRow]]:
+    """Choose the worst samples with an image, of those that are not good, and the best of the good ones.
+
+    Args:
+        out: the output folder.
+        rows: its rows, the worst first.
+        most: samples of each.
+    """
     pictured = [row for row in rows if has_thumbnail(out, row)]
     good = [row for row in pictured if verdict_of(row) in GOOD_VERDICTS]
     worst = [row for row in pictured if verdict_of(row) not in GOOD_VERDICTS]
-    return worst[:_GALLERY], sorted(good, key=goodness)[:_GALLERY]
+    return worst[:most], sorted(good, key=goodness)[:most]
 
 
 def _title(results: Mapping[str, Json]) -> str:

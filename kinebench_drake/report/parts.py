@@ -41,7 +41,9 @@ def make_missing(key: str, **values: object) -> MissingPart:
 Part = Table | ReportFigure | MissingPart
 
 
-def write_parts(template: str, title: str, out: Path, parts: Sequence[Part], listing: Table, **context: Any) -> Path:
+def write_parts(
+    template: str, title: str, out: Path, parts: Sequence[Part], listing: Table, *, page: str = REPORT, **context: Any
+) -> Path:
     """Write a page, and its tables and figures as files; the same input gives the same bytes.
 
     Args:
@@ -50,6 +52,7 @@ def write_parts(template: str, title: str, out: Path, parts: Sequence[Part], lis
         out: folder of the page and of the files.
         parts: tables and figures in their order.
         listing: table of all samples, as a file only.
+        page: name of the page's file.
         context: further variables of the template.
 
     Returns:
@@ -65,7 +68,7 @@ def write_parts(template: str, title: str, out: Path, parts: Sequence[Part], lis
     templates = template_environment()
     templates.filters |= {"key": sort_key, "explanation": explain, "verdict": verdict_of, "anomalies": anomalies_of}
     templates.filters["label"] = VERDICT_LABELS.__getitem__
-    page = templates.get_template(template).render(
+    text = templates.get_template(template).render(
         title=title,
         parts=[
             (part, write_figure(part, out) if isinstance(part, ReportFigure) else None)
@@ -76,8 +79,8 @@ def write_parts(template: str, title: str, out: Path, parts: Sequence[Part], lis
         first=_SHOWN,
         **context,
     )
-    write_atomically(out / REPORT, page.encode())
-    return out / REPORT
+    write_atomically(out / page, text.encode())
+    return out / page
 
 
 def list_links(folder: Path | None, row: SampleRow, out: Path) -> list[tuple[str, str]]:

@@ -143,6 +143,12 @@ def has_thumbnail(out: Path, row: SampleRow) -> bool:
     return artifact_path(out, "thumbnails", row.id).is_file()
 
 
+def embed_thumbnail(out: Path, row: SampleRow) -> str:
+    """Return the image of a sample as a data URI."""
+    data = artifact_path(out, "thumbnails", row.id).read_bytes()
+    return f"data:image/jpeg;base64,{base64.b64encode(data).decode()}"
+
+
 def is_viewable(out: Path, row: SampleRow) -> bool:
     """Return whether `view` can show the sample: it has a track, in the base frame."""
     return _has_track(out, row) and "base_frame_reason" not in row.extra
@@ -169,10 +175,6 @@ def view_sample(out: Path, row: SampleRow, *, drawn: bool, pictured: bool = True
     Raises:
         InputError: the track's file is damaged.
     """
-    uri = None
-    if pictured and has_thumbnail(out, row):
-        data = artifact_path(out, "thumbnails", row.id).read_bytes()
-        uri = f"data:image/jpeg;base64,{base64.b64encode(data).decode()}"
     viewable = is_viewable(out, row)
     file = read_track(artifact_path(out, "tracks", row.id)) if drawn and _has_track(out, row) else None
     links = {
@@ -185,7 +187,7 @@ def view_sample(out: Path, row: SampleRow, *, drawn: bool, pictured: bool = True
     lanes = fault_lanes(row, file)
     return SampleView(
         row=row,
-        thumbnail=uri,
+        thumbnail=embed_thumbnail(out, row) if pictured and has_thumbnail(out, row) else None,
         strip=draw_strip(lanes, frame_count(row, file, lanes)) if lanes else None,
         peaks=[*violations[:_MAX_VIOLATIONS], *(peak for peak in peaks if not peak.broken)],
         left_out=max(len(violations) - _MAX_VIOLATIONS, 0),

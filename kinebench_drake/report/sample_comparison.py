@@ -121,13 +121,13 @@ def write_sample_comparison(comparison: SampleComparison, out: Path) -> Path:
         "Comparison of models",
         out,
         [tabulate_numbers(comparison.numbers)],
-        _tabulate_samples(comparison.samples),
+        tabulate_samples(comparison.samples),
         comparison=comparison,
         lines=[(s, list_links(s.run.path, s.row, out)) for s in listed],
     )
 
 
-def _tabulate_samples(samples: Sequence[ModelSample]) -> Table:
+def tabulate_samples(samples: Sequence[ModelSample]) -> Table:
     """Build the table of all samples, one per row, for samples.csv."""
     keys = ("model", "folder", "id", "video", "task", "seed", "status", "reason", "verdict", *NUMBERS)
     rows = (

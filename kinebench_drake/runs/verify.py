@@ -50,7 +50,7 @@ class Verification:
     measured: Sequence[str]
     """Ids of the samples that were measured anew."""
     candidates: int
-    """Samples that can be: those with a track of one clip that was judged."""
+    """Samples that can be: those measured in one clip. Of several clips the track lacks the frames where they join."""
     samples: int
     """All samples."""
 
@@ -73,17 +73,16 @@ def verify_bundle(bundle: Bundle, samples: int, seed: int, videos: Path | None =
     faults = [f"{name}: SHA-256 differs from that stated" for name in _changed(bundle)]
     expected = summarize(list(rows.values()), run, RunStatistics.of(rows.values(), run.bootstrap_seed))
     faults += [f"{RESULTS}: {text}" for text in list_differences(stated, expected, "the rows give")]
-    judges = RunKind(run.kind).judges
-    candidates = [id for id, row in rows.items() if _is_measurable(row, judges=judges)]
+    candidates = [id for id, row in rows.items() if row.status is Status.OK and row.extra.get("rounds", 1) == 1]
     chosen = np.random.default_rng(seed).permutation(len(candidates))[:samples]
     ids = sorted(candidates[k] for k in chosen)
-    tools = load_tools(Tools, _robot_options(run)) if ids and judges else None
+    tools = load_tools(Tools, _robot_options(run)) if ids and RunKind(run.kind).judges else None
     grounder = None if videos is None else _Regrounder(run, videos)
     for id in ids:
         row = rows[id]
         try:
             file = read_track(artifact_path(bundle.folder, "tracks", id))
-            texts = list(_compare_row(row, file, None if tools is None else _judge(row, file, tools)))
+            texts = list(_compare_row(row, file, tools))
             texts += grounder.compare(row, file.track, bundle) if grounder else []
         except (InputError, KeyError) as error:
             texts = [str(error)]
@@ -140,13 +139,6 @@ def _brief(value: object) -> str:
     return f"{value:.6g}" if isinstance(value, float) else f"{value!r:.60}"
 
 
-def _is_measurable(row: SampleRow, *, judges: bool) -> bool:
-    """Return whether the numbers of a row follow from its track: it is judged, and not joined from several clips."""
-    whole = row.status is Status.OK and row.extra.get("rounds", 1) == 1
-    based = not judges or row.feasible is not None or "base_frame_reason" not in row.extra
-    return whole and based
-
-
 def _robot_options(run: RunMetadata) -> RobotOptions:
     """Return the robot and the table of a run.
 
@@ -174,26 +166,27 @@ def _judge(row: SampleRow, file: TrackFile, tools: Tools) -> "KinematicResult":
     return tools.judge(track, as_number(row.extra.get("table_height_m")))
 
 
-def _compare_row(row: SampleRow, file: TrackFile, kinematics: "KinematicResult | None") -> Iterator[str]:
-    """Describe in what a row differs from the numbers of its track."""
-    stated = {name: value for name, value in row.to_json().items() if name in ("violations", "metrics")}
+def _compare_row(row: SampleRow, file: TrackFile, tools: Tools | None) -> Iterator[str]:
+    """Describe in what a row differs from the numbers of its track, which without `tools` are not judged."""
+    stated: dict[str, object] = {}
+    expected: dict[str, object] = {}
     metrics: dict[str, Json] = {}
     if "tracked_fraction" in row.metrics:
         metrics["tracked_fraction"] = float(np.mean(file.track.tracked))
         metrics["confidence_mean"] = mean_confidence(file.track)
-    if kinematics is not None:
+    if tools is not None and "base_frame_reason" not in row.extra:
+        kinematics = _judge(row, file, tools)
         visible = {"anomalies": row.metrics["anomalies"]} if "anomalies" in row.metrics else {}
         executable, reasons = judge_evaluation(Evaluation(kinematics=kinematics, metrics=visible))
-        stated |= {name: getattr(row, name) for name in ("feasible", "executable", "executable_reasons")}
-        metrics |= kinematics.metrics
-        verdict = {"feasible": kinematics.feasible, "executable": executable, "executable_reasons": reasons}
+        names = ("feasible", "executable", "executable_reasons", "violations")
+        stated |= {name: getattr(row, name) for name in names}
         violations = [violation.to_json() for violation in kinematics.violations]
-    else:
-        verdict, violations = {}, []
+        expected |= dict(zip(names, (kinematics.feasible, executable, reasons, violations), strict=True))
+        metrics |= kinematics.metrics
+    elif row.feasible is not None and "possible_cameras" not in row.extra:
+        yield f"feasible is {row.feasible}, but the row has no base frame"
     stated["metrics"] = {name: row.metrics.get(name) for name in metrics}
-    yield from list_differences(
-        stated, {**verdict, "violations": violations, "metrics": finite(metrics)}, "its track gives"
-    )
+    yield from list_differences(stated, {**expected, "metrics": finite(metrics)}, "its track gives")
 
 
 class _Regrounder:
@@ -227,7 +220,7 @@ class _Regrounder:
         if bundle.videos.get(row.video) != self._evaluator.input_hash(sample):
             return [f"{row.video} is not the file that was measured: its SHA-256 differs"]
         try:
-            grounding, _ = self._evaluator.measure(sample, read_video(sample.path, sample.part), self._tools)
+            grounding, evaluation = self._evaluator.measure(sample, read_video(sample.path, sample.part), self._tools)
         except KinebenchError as error:
             return [f"{row.video}: {error}"]
         again, n = grounding.visible_track, len(track.t_s)
@@ -237,5 +230,8 @@ class _Regrounder:
         position_m, rotation_rad = pose_difference(track.X_CH[both], again.X_CH[both])
         apart = int(((position_m > POSITION_M) | (rotation_rad > ROTATION_RAD)).sum())
         apart += int((track.tracked != again.tracked).sum())
-        text = f"{apart} of {n} frames differ from those of the video by more than {POSITION_M * 1e3:g} mm or 5 degrees"
-        return [text] if apart > FRAMES * n else []
+        verdict = evaluation.kinematics or evaluation.agreed
+        texts = list(list_differences(row.feasible, verdict and verdict.feasible, "its video gives", "feasible"))
+        if apart > FRAMES * n:
+            texts.append(f"{apart} of {n} frames are not within {POSITION_M * 1e3:g} mm and 5 degrees of its video's")
+        return texts

@@ -83,7 +83,7 @@ def test_a_true_bundle_holds(bundle):
         (change_row, "t1: feasible is True, its track gives False"),
         (change_metric, "t2: metrics.manipulability_mean is "),
         (change_track, "t1: feasible is False, its track gives True"),
-        (change_aggregate, "results.json: aggregates.executable.mean is 1.0, the rows give 0."),
+        (change_aggregate, "results.json: aggregates.executable.mean is 1, the rows give 0."),
     ],
 )
 def test_a_change_is_named_though_its_hash_is_right(bundle, tmp_path, change, line):

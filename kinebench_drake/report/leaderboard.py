@@ -1,0 +1,196 @@
+"""Leaderboard of bundles: a page, its tables, and a result card of each model."""
+
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
+from math import isnan
+from pathlib import Path
+
+from kinebench_drake.errors import UsageError
+from kinebench_drake.io.archive import hash_file
+from kinebench_drake.report.cards import write_cards
+from kinebench_drake.report.number import ALL_TASKS, HEADLINES, tabulate_numbers
+from kinebench_drake.report.page import choose_gallery
+from kinebench_drake.report.parts import Part, make_missing, write_parts
+from kinebench_drake.report.run import Run, check_page_folder, read_runs
+from kinebench_drake.report.sample import badness, embed_thumbnail
+from kinebench_drake.report.sample_comparison import compare_samples, label_samples, tabulate_samples
+from kinebench_drake.report.suite.comparison import PairComparison, compare, tabulate_comparison
+from kinebench_drake.report.suite.episode_result import group_by, tabulate_episodes
+from kinebench_drake.report.suite.pooling import pool_episodes, read_suite_runs
+from kinebench_drake.report.table import Table, Value, make_table
+from kinebench_drake.results.aggregate import Estimate, estimate, estimate_executable
+from kinebench_drake.results.bundle import open_bundle
+from kinebench_drake.results.row import SampleRow, Status
+
+PAGE = "index.html"
+ORACLE = "oracle"
+"""World model whose success is the ceiling of all others."""
+_PICTURED = 3
+"""Worst and best samples of a run that are shown."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ModelEntry:
+    """One model on one part of the suites, or on the samples of a run without suites."""
+
+    part: str
+    """Name of the part; empty without suites."""
+    model: str
+    rows: Sequence[SampleRow]
+    run: Run
+    """First of the runs that they are of."""
+    planned: int | None
+    """Samples of the input; None if unknown."""
+    corrected: Estimate | None = None
+    """Success over that of the oracle in the shared episodes; None without an oracle."""
+    ceiling: float | None = None
+    """Success of the oracle in them."""
+
+    @property
+    def shares(self) -> Mapping[str, Estimate]:
+        """Shares that were judged: success (unmeasured episodes are failures), executable, feasible."""
+        episodes, total = [row.episode for row in self.rows], len(self.rows)
+        shares = {}
+        if any("success" in row.extra for row in self.rows):
+            hits = [row.status is Status.OK and row.extra.get("success") is True for row in self.rows]
+            shares["success"] = estimate(hits, total=total, episodes=episodes)
+        if any(row.executable is not None for row in self.rows):
+            shares["executable"] = estimate_executable(self.rows)
+        verdicts = [row.feasible if row.status is Status.OK else None for row in self.rows]
+        if (feasible := estimate(verdicts, total=total, episodes=episodes)).n:
+            shares["feasible"] = feasible
+        return shares
+
+    @property
+    def rank(self) -> tuple[float, ...]:
+        """Sort key, the best first."""
+        success, executable = (self.shares.get(name) for name in ("success", "executable"))
+        means = (self.corrected or success, success, executable)
+        return tuple(-1.0 if share is None or share.mean is None else share.mean for share in means)
+
+
+def write_leaderboard(bundles: Sequence[Path], out: Path) -> list[Path]:
+    """Write the leaderboard of bundles of one kind; the same bundles give the same bytes.
+
+    Returns:
+        The page and the result cards.
+
+    Raises:
+        UsageError: a bundle cannot be used, they are of different kinds or versions, or `out` is the folder of a run.
+        SetupError: writing failed.
+    """
+    check_page_folder(out)
+    if double := [path for k, path in enumerate(bundles) if path.stem in [other.stem for other in bundles[:k]]]:
+        raise UsageError(f"{double[0]}: two bundles have this name; give them names of their own")
+    with ExitStack() as stack:
+        folders = [stack.enter_context(open_bundle(path)).folder for path in bundles]
+        runs = read_runs(folders)
+        if kinds := {run.kind for run in runs} - {runs[0].kind}:
+            raise UsageError(f"bundles of kind {runs[0].kind} and {min(kinds)}: one leaderboard has one kind")
+        ranked, parts, listing = (_suite_parts if runs[0].kind == "suite" else _sample_parts)(folders, runs)
+        page = write_parts(
+            "leaderboard.html.j2",
+            "Leaderboard",
+            out,
+            [_tabulate(ranked), *parts],
+            listing,
+            page=PAGE,
+            bundles=[(path.name, hash_file(path), run) for path, run in zip(bundles, runs, strict=True)],
+            gallery=[(run, title, rows) for run in runs for title, rows in _gallery(run)],
+        )
+        times = {run.path: str(int(path.stat().st_mtime)) for path, run in zip(bundles, runs, strict=True)}
+        return [page, *write_cards([(e.model, e.part, e.shares, e.run, times[e.run.path]) for e in ranked], out)]
+
+
+def _suite_parts(folders: Sequence[Path], runs: Sequence[Run]) -> tuple[list[ModelEntry], list[Part], Table]:
+    """Return models, best first, tables of the comparison, and the listing of suite runs."""
+    own = {run.path: run for run in read_suite_runs(folders)}
+    episodes = pool_episodes(list(own.values()))
+    oracles = {e.model for e in episodes if e.folder and own[e.folder].config.get("world_model") == ORACLE}
+    try:
+        pairs = [pair for pair in compare(episodes) if pair.task == ALL_TASKS]
+    except UsageError:  # one model, or none that share an episode
+        pairs = []
+    entries = []
+    for (part, model), some in group_by(episodes, lambda e: (e.part, e.model)).items():
+        paths = list(dict.fromkeys(e.folder for e in some if e.folder))
+        corrected, ceiling = _correct([p for p in pairs if p.part == part], model, oracles)
+        entries.append(
+            ModelEntry(
+                part=part.title,
+                model=model,
+                rows=[e.row for e in some],
+                run=own[paths[0]],
+                planned=_planned([own[path] for path in paths]),
+                corrected=corrected,
+                ceiling=ceiling,
+            )
+        )
+    parts: list[Part] = [_compact(tabulate_comparison(pairs)) if pairs else make_missing("pairs")]
+    ranked = sorted(entries, key=lambda entry: (entry.part, *(-share for share in entry.rank)))
+    return ranked, parts if oracles else [*parts, make_missing("ceiling")], tabulate_episodes(episodes)
+
+
+def _correct(pairs: Sequence[PairComparison], model: str, oracles: set[str]) -> tuple[Estimate | None, float | None]:
+    """Return success over that of the oracle, and the oracle's success, in the episodes that both have."""
+    for pair in pairs:
+        if model not in oracles and model in (pair.first, pair.second) and {pair.first, pair.second} & oracles:
+            shares = pair.counted
+            if pair.second == model:
+                shares = replace(shares, first=shares.second, second=shares.first)
+            ratio, ceiling = shares.ratio(), shares.rates[1]
+            low, high = (None if isnan(end) else end for end in (ratio.low, ratio.high))
+            mean = None if isnan(ratio.value) else ratio.value
+            return Estimate(mean=mean, low=low, high=high, n=shares.n, total=shares.n), ceiling
+    return None, None
+
+
+def _sample_parts(folders: Sequence[Path], runs: Sequence[Run]) -> tuple[list[ModelEntry], list[Part], Table]:
+    """Return models, best first, tables of the comparison, and the listing of other runs."""
+    samples = label_samples(runs)
+    entries = []
+    for model, own in group_by(samples, lambda sample: sample.model).items():
+        of = list({sample.run.path: sample.run for sample in own}.values())
+        rows = [sample.row for sample in own]
+        entries.append(ModelEntry(part="", model=model, rows=rows, run=of[0], planned=_planned(of)))
+    try:
+        numbers = [n for n in compare_samples(runs).numbers if n.task == ALL_TASKS and n.metric.name in HEADLINES]
+        parts: list[Part] = [_compact(tabulate_numbers(numbers))]
+    except UsageError:  # one model, or none that share a sample
+        parts = [make_missing("pairs")]
+    return sorted(entries, key=lambda entry: entry.rank, reverse=True), parts, tabulate_samples(samples)
+
+
+def _planned(runs: Sequence[Run]) -> int | None:
+    """Return the samples of the inputs of runs, of which one may hold several models; None if one is unknown."""
+    counts = [run.planned for run in runs if len({row.model for row in run.rows}) == 1]
+    return (
+        sum(n for n in counts if n is not None) if counts and None not in counts and len(counts) == len(runs) else None
+    )
+
+
+def _compact(table: Table) -> Table:
+    """Return a comparison of all tasks together without the columns that are for single tasks."""
+    keys = [column.key for column in table.columns if column.key not in ("task", "p_adjusted", "metric")]
+    return table.select(keys, range(len(table.rows)))
+
+
+def _tabulate(entries: Sequence[ModelEntry]) -> Table:
+    def cells(entry: ModelEntry) -> dict[str, Value]:
+        shares, n = entry.shares, len(entry.rows)
+        optional = {"part": entry.part or None, "corrected": entry.corrected, "ceiling": entry.ceiling, **shares}
+        if "executable" in shares:
+            optional["executable_most"] = shares["executable"].upper
+        measured = sum(row.status is Status.OK for row in entry.rows)
+        present = {name: value for name, value in optional.items() if value is not None}
+        return {**present, "model": entry.model, "coverage": measured / n, "samples": n, "planned": entry.planned}
+
+    return make_table("leaderboard", map(cells, entries))
+
+
+def _gallery(run: Run) -> list[tuple[str, list[tuple[SampleRow, str]]]]:
+    """Return the worst and the best samples of a run with their images."""
+    worst, best = choose_gallery(run.path, sorted(run.rows, key=badness), _PICTURED)
+    groups = (("worst", worst), ("best", best))
+    return [(title, [(row, embed_thumbnail(run.path, row)) for row in rows]) for title, rows in groups if rows]
