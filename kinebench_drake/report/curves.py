@@ -7,17 +7,11 @@ from markupsafe import Markup
 
 from kinebench_drake.geometry import Array
 from kinebench_drake.report import plot
-from kinebench_drake.report.limits import JointLimits, joint_limits, limit_ratios
+from kinebench_drake.report.limits import joint_limits, limit_ratios
 from kinebench_drake.report.timeline import draw_timeline, fault_lanes
 from kinebench_drake.results.row import SampleRow
 from kinebench_drake.results.trackfile import TrackFile
-from kinebench_drake.segments import segments
 
-NEAR = 0.1
-"""Margin below which a joint is near its limit, as a share of half its range."""
-_LEFT, _RIGHT, _LANE, _TALL, _BOTTOM = 44.0, plot.WIDTH - 44.0, 25.0, 21.0, 20.0
-_BEYOND = 1.15
-"""Half ranges from the centre up to which a joint's line is drawn."""
 _TITLES = {
     "velocity": "Joint speed / limit:",
     "acceleration": "Joint acceleration / limit:",
@@ -44,14 +38,19 @@ def draw_curves(row: SampleRow, file: TrackFile) -> list[Markup]:
 def _joint_plots(row: SampleRow, file: TrackFile, bands: Bands) -> Iterator[Markup]:
     limits, t_s = joint_limits(row), file.track.t_s
     labels = _short_names(limits.joints)
-    ranges = draw_joint_ranges(t_s, file.q, limits, labels)
-    if ranges is not None:
-        yield ranges
+
+    def by_joint(values: Array) -> list[plot.Curve]:
+        return [plot.Curve(label=label, values=values[:, j], css=f"c{j}") for j, label in enumerate(labels)]
+
+    if limits.position is not None and np.isfinite(file.q).any():
+        lower, upper = limits.position
+        place = (2.0 * file.q - lower - upper) / (upper - lower)
+        title = "Joint angle, -1 and 1 at its limits:"
+        yield plot.draw_plot(title, t_s, by_joint(place), bands, limits=(-1.15, 1.15), lines=(-1.0, 1.0))
     for name, ratio in limit_ratios(file, limits).items():
         if np.isfinite(ratio).any():
-            curves = [plot.Curve(label=label, values=ratio[:, j], css=f"c{j}") for j, label in enumerate(labels)]
             high = max(1.1, 1.05 * float(np.nanmax(ratio)))
-            yield plot.draw_plot(_TITLES[name], t_s, curves, bands, limits=(0.0, high), lines=(1.0,))
+            yield plot.draw_plot(_TITLES[name], t_s, by_joint(ratio), bands, limits=(0.0, high), lines=(1.0,))
 
 
 def _short_names(joints: Sequence[str]) -> list[str]:
@@ -97,57 +96,3 @@ def _gripper_plots(file: TrackFile, bands: Bands) -> Iterator[Markup]:
     if np.isfinite(track.finger_width_m).any():
         gap = plot.Curve(label="gap", values=track.finger_width_m * 1000.0, css="c0")
         yield plot.draw_plot("Gap between the finger pads [mm]", track.t_s, [gap], bands, limits=(0.0, 85.0))
-
-
-def draw_joint_ranges(t_s: Array, q: Array, limits: JointLimits, names: Sequence[str]) -> Markup | None:
-    """Draw joint angles within their ranges as a `<figure>`; None if the limits or all angles are unknown.
-
-    A joint's line runs between the edges of its lane, its lower and upper limit; the number on the right is its minimum
-    margin: distance to the limit over half the range, negative outside.
-
-    Args:
-        t_s: (T,) time [s].
-        q: (T, 7) joint angles [rad]; NaN where unknown.
-        limits: the joints' ranges.
-        names: short names of the joints.
-    """
-    if limits.position is None or not np.isfinite(q).any():
-        return None
-    lower, upper = limits.position
-    place = (q - 0.5 * (lower + upper)) / (0.5 * (upper - lower))
-    x = plot.Axis(float(t_s[0]), float(t_s[-1]), _LEFT, _RIGHT)
-    degrees = np.stack(limits.position) * 180.0 / np.pi
-    lanes = [
-        {
-            "name": name,
-            "range": f"{limits.joints[j]}: {degrees[0, j]:.1f}° to {degrees[1, j]:.1f}°",
-            **_draw_lane(x, t_s, place[:, j], 1.0 + j * _LANE),
-        }
-        for j, name in enumerate(names)
-    ]
-    height = _LANE * len(names) + _BOTTOM
-    size = {"height": height, "left": _LEFT, "right": _RIGHT, "tall": _TALL}
-    return plot.render_plot("joint_ranges", **size, ticks=x.ticks(), lanes=lanes, near=NEAR)
-
-
-def _draw_lane(x: plot.Axis, t_s: Array, place: Array, top: float) -> dict[str, object]:
-    """Return shades, line and minimum margin of one joint; `place` is -1 at its lower limit and 1 at its upper one."""
-    finite = np.isfinite(place)
-    if not finite.any():
-        return {"top": top, "shades": [], "pieces": [], "margin": None}
-    margin = 1.0 - np.abs(np.where(finite, place, 0.0))
-    at = np.array([x(t) for t in t_s])
-    half = 0.5 * (at[-1] - at[0]) / max(len(at) - 1, 1)
-    shades = []
-    for css, mask in (("near", (margin < NEAR) & (margin >= 0.0)), ("past", margin < 0.0)):
-        for run in segments(mask & finite):
-            reach, times = at[run], t_s[run]
-            left, right = max(reach[0] - half, at[0]), min(reach[-1] + half, at[-1])
-            text = f"margin {margin[run].min():.3f}, {times[0]:.2f} to {times[-1]:.2f} s"
-            shades.append((css, left, max(right - left, 1.5), text))
-    middle, scale = top + 0.5 * _TALL, 0.5 * _TALL
-    pieces = [
-        [(across, middle - value * scale) for across, value in piece]
-        for piece in plot.finite_pieces(at, np.clip(place, -_BEYOND, _BEYOND))
-    ]
-    return {"top": top, "shades": shades, "pieces": pieces, "margin": float(margin[finite].min())}

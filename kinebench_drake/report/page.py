@@ -1,11 +1,8 @@
 """`report.html`: the self-contained page of one output folder."""
 
-import base64
 import hashlib
-import json
-import zlib
 from collections import Counter
-from collections.abc import Hashable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -20,28 +17,26 @@ from kinebench_drake.report.run import read_results
 from kinebench_drake.report.sample import (
     GOOD_VERDICTS,
     VERDICT_LABELS,
-    VIDEOS,
     badness,
     explain,
     goodness,
     has_thumbnail,
-    is_viewable,
     numeric_value,
     verdict_of,
     view_sample,
 )
-from kinebench_drake.report.table import format_value, template_environment
+from kinebench_drake.report.table import template_environment
 from kinebench_drake.report.timeline import SEVERITY_UNITS, anomalies_of
 from kinebench_drake.results.aggregate import VERDICT_SHARES, Aggregate, RunStatistics, split_rows
 from kinebench_drake.results.inputs import input_lines, is_motionless
 from kinebench_drake.results.provenance import report_hash
 from kinebench_drake.results.row import SampleRow, Status
-from kinebench_drake.results.store import ARTIFACTS, REPORT, RESULTS, artifact_path, read_rows
+from kinebench_drake.results.store import ARTIFACTS, REPORT, RESULTS, read_rows
 
 DRAWN = 100
 """Samples, the worst first, whose curves and details are on the page: all would make it slow to open."""
-_LISTED = 500
-"""Samples, the worst first, that the page holds in full; the others as compact data that its script unfolds."""
+_LISTED = 1000
+"""Samples, the worst first, in its table."""
 _PICTURED = 40
 """Samples, the worst first, whose images are on the page."""
 _SHOWN = 100
@@ -123,7 +118,6 @@ def build_page(out: Path, rows: Iterable[SampleRow] | None = None, statistics: R
     ]
     views = {sample.row.id: sample for sample in samples}
     columns = [BY_NAME[n] for n in layout.columns if _is_measured(total, n)]
-    listed = [row for row in rows if row.id not in views]
     verdicts = Counter(map(verdict_of, rows))
     templates = template_environment()
     templates.filters |= {
@@ -155,11 +149,11 @@ def build_page(out: Path, rows: Iterable[SampleRow] | None = None, statistics: R
         shares=[BY_NAME[n] for n in layout.shares if _is_measured(total, n)],
         samples=samples,
         pictured=any(sample.thumbnail for sample in samples),
-        listing=_pack_listing(out, listed, columns) if listed else None,
         large=large,
         first=_SHOWN,
         drawn=min(DRAWN, len(samples)),
         left_out=max(len(rows) - DRAWN, 0),
+        unlisted=len(rows) - len(samples),
         counts={v: verdicts[v] for v in VERDICT_LABELS if v in verdicts},
         numeric_value=numeric_value,
         Status=Status,
@@ -238,52 +232,3 @@ def _fault_chips(row: SampleRow) -> list[tuple[str, str]]:
     level = as_object(row.extra.get(TRUST)).get("level")
     trust = [(f"trust: {level}", "lost")] if level in (TrustLevel.CHECK.value, TrustLevel.UNKNOWN.value) else []
     return list(dict.fromkeys((kind.replace("_", " "), css) for kind, css in [*chips, *lost, *trust]))
-
-
-def _pack_listing(out: Path, rows: Sequence[SampleRow], columns: Sequence[Metric]) -> str:
-    """Return the rows as base64 of deflated JSON (RFC 1950), which browsers unpack without a library.
-
-    The JSON is an object of `rows` and of the lists that their numbers refer to. A row: id, video, task, model,
-    verdict, whether it is executable, number of faults, chips, prompt, links (1: a track, 2: a replay, then 4, 8, ...
-    in the order of VIDEOS), explanation, and the texts of `columns`, joined by "|".
-
-    Args:
-        out: the output folder.
-        rows: the samples.
-        columns: metrics of the table.
-    """
-    lists: dict[str, dict[Hashable, int]] = {name: {} for name in ("tasks", "models", "chips", "prompts")}
-
-    def number(name: str, value: Hashable) -> int:
-        return lists[name].setdefault(value, len(lists[name]))
-
-    verdicts = list(VERDICT_LABELS)
-    lines = []
-    for row in rows:
-        links = [is_viewable(out, row), *(artifact_path(out, kind, row.id).is_file() for kind in ("replays", *VIDEOS))]
-        values = (numeric_value(row, metric.name) for metric in columns)
-        texts = ("" if x is None else format_value(x, m.pattern) for x, m in zip(values, columns, strict=True))
-        lines.append(
-            [
-                row.id,
-                row.video,
-                number("tasks", row.task),
-                number("models", row.model),
-                verdicts.index(verdict_of(row)),
-                int(bool(row.executable)),
-                len(row.violations) + len(anomalies_of(row)),
-                number("chips", tuple(_fault_chips(row))),
-                number("prompts", str(row.extra.get("prompt") or "")),
-                sum(2**k for k, link in enumerate(links) if link),
-                explain(row),
-                "|".join(texts),
-            ]
-        )
-    data = {
-        "rows": lines,
-        **{name: list(values) for name, values in lists.items()},
-        "verdicts": list(VERDICT_LABELS.items()),
-        "videos": list(VIDEOS.items()),
-    }
-    text = json.dumps(data, separators=(",", ":"), ensure_ascii=False)
-    return base64.b64encode(zlib.compress(text.encode(errors="replace"), 9)).decode()

@@ -2,13 +2,13 @@
 
 import csv
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from pyarrow import parquet
 
-from kinebench_drake.report.curves import draw_joint_ranges
-from kinebench_drake.report.limits import joint_limits
+from kinebench_drake.report.curves import draw_curves
 from kinebench_drake.report.metric import BY_NAME
 from kinebench_drake.report.plot import count_values, draw_histogram
 from kinebench_drake.report.timeline import draw_strip, draw_timeline, fault_lanes, frame_count
@@ -97,17 +97,15 @@ def test_faults_closer_than_a_pixel_are_drawn_as_one_bar(judged):
 
 
 def test_joints_are_drawn_within_their_own_limits(judged, file):
-    limits = joint_limits(judged())  # -2 to 1 rad
-    q = np.full((10, 7), -0.5)  # the middle
-    q[3, 1], q[5, 2], q[6] = 0.9, 1.3, np.nan
-    svg = draw_joint_ranges(file().track.t_s, q, limits, list("1234567"))
-    assert re.findall(r'class="tick margin( \w+)?"[^>]*>(-?[\d.]+)<', svg) == [
-        *(("", "1.00"), (" near", "0.07"), (" past", "-0.20")),
-        *[("", "1.00")] * 4,
-    ]
-    assert svg.count("shade-near") == svg.count("shade-past") == 1
-    assert svg.count("<polyline") == 14  # the frame without angles interrupts each line
-    assert draw_joint_ranges(file().track.t_s, q * np.nan, limits, list("1234567")) is None
+    q = np.full((10, 7), -0.5)  # the middle of -2 to 1 rad
+    q[3, 1], q[5, 2], q[6] = 1.0, -2.0, np.nan
+    [svg] = [plot for plot in draw_curves(judged(), replace(file(), q=q)) if "Joint angle" in plot]
+    upper, lower = (float(y) for y in re.findall(r'class="limit" d="M\d+ ([\d.]+)H', svg)[::-1])
+    lines = re.findall(r'<polyline class="curve c\d" points="([^"]*)"', svg)
+    heights = [[float(point.split(",")[1]) for point in line.split()] for line in lines]
+    assert len(lines) == 14  # the frame without angles interrupts each line
+    assert (min(map(min, heights)), max(map(max, heights))) == (upper, lower)
+    assert heights[0] == [0.5 * (lower + upper)] * 6
 
 
 def test_csv_and_parquet_have_every_sample(tmp_path):
