@@ -79,11 +79,7 @@ def camera_setting(camera: Camera | CameraSetting | PathName | None) -> CameraSe
 
 
 def _refuse_with(what: str, **arguments: object) -> None:
-    """Check that arguments which do not apply to a kind of input are absent.
-
-    Raises:
-        UsageError: one is present.
-    """
+    """Check that arguments which do not apply to a kind of input are absent."""
     present = [name for name, value in arguments.items() if value is not None]
     if present:
         raise UsageError(f"{', '.join(present)}: has no effect with {what}, leave it out")

@@ -34,11 +34,7 @@ _SPLIT = click.option(
 def _episodes(
     number: int | None, split: str | None, tasks: str | None, count: int, seed: int, pool: str | None, variant: str
 ) -> "list[Episode]":
-    """Return `count` episodes of each task, of a suite's split or of all tasks, in order.
-
-    Raises:
-        UsageError: an option needs --suite, or contradicts it, or there is no such task, split or seed.
-    """
+    """Return `count` episodes of each task, of a suite's split or of all tasks, in order."""
     from kinebench_drake.suites.catalog import chosen_tasks, load_suite, task_names, with_variant
     from kinebench_drake.suites.composition import Pool, compose
     from kinebench_drake.suites.families.registry import TASKS, find_task

@@ -127,11 +127,7 @@ def demos(
 def _render_options(
     kind: "FormatKind", size: int | None, fps: float | None, frames: int | None, crf: int | None, with_depth: bool
 ) -> "RenderOptions":
-    """Build the options of rendering; None takes the default.
-
-    Raises:
-        UsageError: an option does not apply to the format.
-    """
+    """Build the options of rendering; None takes the default."""
     from kinebench_drake.suites.demo_config import FormatKind, RenderOptions
 
     choices = {"size": size, "fps": fps, "frames": frames, "crf": crf}

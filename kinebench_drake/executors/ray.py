@@ -203,11 +203,7 @@ class ActorPool(Generic[Item, Result]):
         return ItemResult(item=queued.item, result=answer)
 
     def _failed_start(self, error: Exception) -> None:
-        """Count a worker that was lost before it was ready.
-
-        Raises:
-            SetupError: too many were lost in a row, or creating the worker failed.
-        """
+        """Count a worker that was lost before it was ready."""
         self._failed_starts += 1
         if self._failed_starts >= MOST_FAILED_STARTS or isinstance(error, self._ray.exceptions.RayTaskError):
             message = " ".join(str(error).split())

@@ -114,11 +114,7 @@ def _displayed(frame: VideoFrame, pixel_aspect: Fraction) -> NDArray[np.uint8]:
 
 
 def _pixel_aspect(name: str, stream: VideoStream) -> Fraction:
-    """Return width over height of the stream's pixels; 1 where it is unknown or next to it.
-
-    Raises:
-        InputError: it is far from 1, so that the file is damaged rather than squeezed.
-    """
+    """Return width over height of the stream's pixels; 1 where it is unknown or next to it."""
     aspect = stream.sample_aspect_ratio
     if not aspect or abs(aspect - 1) < _SQUARE:
         return Fraction(1)

@@ -118,11 +118,7 @@ def _is_frames(data: h5py.Dataset) -> bool:
 
 
 def _is_encoded(data: h5py.Dataset) -> bool:
-    """Return whether each row begins like an encoded image.
-
-    Raises:
-        ValueError: the rows are too large for one.
-    """
+    """Return whether each row begins like an encoded image."""
     rows = data.ndim == 2 and data.dtype == np.uint8
     texts = data.ndim == 1 and (data.dtype.kind == "S" or h5py.check_vlen_dtype(data.dtype) == np.uint8)
     if not (rows or texts) or not data.shape[0]:
@@ -132,11 +128,7 @@ def _is_encoded(data: h5py.Dataset) -> bool:
 
 
 def _require_small_rows(data: h5py.Dataset) -> None:
-    """Check before reading how much a row of a data set takes, and the chunk that holds it.
-
-    Raises:
-        ValueError: one takes too much.
-    """
+    """Check before reading how much a row of a data set takes, and the chunk that holds it."""
     row, chunk = (math.prod(shape) * data.dtype.itemsize for shape in (data.shape[1:], data.chunks or ()))
     if row > _MOST_ROW or chunk > _MOST_CHUNK:
         raise ValueError(

@@ -41,11 +41,7 @@ def frame_files(folder: Path) -> list[Path]:
 
 @contextmanager
 def _open_stream(file: IO[bytes]) -> Iterator[Image.Image]:
-    """Open an encoded image with Pillow.
-
-    Raises:
-        ValueError: it is not a readable image, or a very large one.
-    """
+    """Open an encoded image with Pillow."""
     try:
         with Image.open(file, formats=_FORMATS) as image:
             if image.width * image.height > MAX_PIXELS:

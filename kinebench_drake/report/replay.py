@@ -105,11 +105,7 @@ def build_replay(
 
 
 def _start_server() -> Any:
-    """Start a Meshcat server on a free local port; it stops when it is garbage-collected.
-
-    Raises:
-        SetupError: no port can be opened.
-    """
+    """Start a Meshcat server on a free local port; it stops when it is garbage-collected."""
     log = logging.getLogger("drake")
     level = log.level
     log.setLevel(logging.WARNING)  # else it logs its port

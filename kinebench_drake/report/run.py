@@ -75,11 +75,7 @@ def read_runs(paths: Sequence[Path]) -> list[Run]:
 
 
 def _read_run(path: Path) -> Run:
-    """Read one finished output folder.
-
-    Raises:
-        UsageError: it is broken, unfinished or empty.
-    """
+    """Read one finished output folder."""
     require_output(path)
     if not (path / RESULTS).is_file():
         raise UsageError(f"{path}: holds no {RESULTS}; run the same command again to finish it")

@@ -101,11 +101,7 @@ def merge_folders(folders: Sequence[Path], out: Path, observer: RunObserver | No
 
 
 def _read_shard(path: Path) -> ShardFolder:
-    """Read one output folder.
-
-    Raises:
-        UsageError: it is no output folder, is damaged or lacks the metadata of its run.
-    """
+    """Read one output folder."""
     require_output(path)
     try:
         metadata, rows = read_metadata(path), read_rows(path)
@@ -150,11 +146,7 @@ def _check_paths(folders: Sequence[Path], out: Path) -> None:
 
 
 def _read_earlier_merge(out: Path) -> ShardFolder | None:
-    """Read the earlier merge in `out`; None if there is none.
-
-    Raises:
-        UsageError: `out` holds something else.
-    """
+    """Read the earlier merge in `out`; None if there is none."""
     if not out.is_dir():
         return None
     files = (file for file in out.rglob("*") if file.is_file() and ".part." not in file.name)
@@ -169,11 +161,7 @@ def _read_earlier_merge(out: Path) -> ShardFolder | None:
 
 
 def _check_same_run(one: ShardFolder, other: ShardFolder, fix: str) -> None:
-    """Check that two folders are of one run.
-
-    Raises:
-        UsageError: they are not.
-    """
+    """Check that two folders are of one run."""
     a, b = _identity(one.run), _identity(other.run)
     differences = [name for name in {**a, **b} if a.get(name) != b.get(name)]
     if differences:
@@ -200,11 +188,7 @@ def _brief(value: Json) -> str:
 
 
 def _select_samples(shards: Sequence[ShardFolder]) -> dict[str, ShardFolder]:
-    """Select the folder whose row is taken of every id; ids are sorted.
-
-    Raises:
-        UsageError: two folders hold different results of one sample.
-    """
+    """Select the folder whose row is taken of every id; ids are sorted."""
     sources: dict[str, ShardFolder] = {}
     for shard in shards:
         for id, row in shard.rows.items():
@@ -303,22 +287,13 @@ def _sample_files(row: SampleRow, shard: ShardFolder, *, with_replay: bool) -> I
 
 
 def _copy(source: Path, target: Path) -> None:
-    """Copy the bytes of a file. A hard link would let later changes of the copy change the shard.
-
-    Raises:
-        UsageError: the source cannot be read.
-        SetupError: writing failed.
-    """
+    """Copy the bytes of a file. A hard link would let later changes of the copy change the shard."""
     with atomic_path(target) as part, part.open("wb") as copy:
         copy.writelines(_read_blocks(source))
 
 
 def _read_blocks(source: Path) -> Iterator[bytes]:
-    """Yield the bytes of a file in blocks; errors here are not reported as errors of writing.
-
-    Raises:
-        UsageError: it cannot be read.
-    """
+    """Yield the bytes of a file in blocks; errors here are not reported as errors of writing."""
     try:
         with source.open("rb") as file:
             while block := file.read(_BLOCK):

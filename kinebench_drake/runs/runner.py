@@ -138,11 +138,7 @@ def _is_complete(config: RunConfig, metadata: RunMetadata) -> bool:
 
 
 def _start_worker(evaluator: Evaluator[SampleT, ResourcesT]) -> Callable[[SampleT], tuple[SampleRow, float]]:
-    """Load the resources of a worker process.
-
-    Raises:
-        SetupError: the process does not see the output folder, or something is missing.
-    """
+    """Load the resources of a worker process."""
     out = evaluator.config.out
     if not out.is_dir() or not {RUN, RESULTS} & set(os.listdir(out)):  # a listing is fresh also over a network
         raise SetupError(f"{platform.node()} does not see the run in {out}: put $out in a folder that all nodes share")
@@ -224,11 +220,7 @@ def summarize(rows: Sequence[SampleRow], metadata: RunMetadata, statistics: RunS
 
 
 def _replay(config: RunConfig, ids: Sequence[str]) -> None:
-    """Write 3D replays.
-
-    Raises:
-        SetupError: writing failed, or this machine cannot draw them.
-    """
+    """Write 3D replays."""
     if ids:
         from kinebench_drake.kinematics.plant import ArmPlant
         from kinebench_drake.report.replay import write_replays

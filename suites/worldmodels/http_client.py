@@ -226,11 +226,7 @@ class HttpClient:
             self._loop = None
 
     def _run(self, request: Coroutine[Any, Any, _T], deadline: Deadline) -> _T:
-        """Return the result of a request that runs in the client's thread.
-
-        Raises:
-            WorldModelError: the deadline passed; the request is cancelled.
-        """
+        """Return the result of a request that runs in the client's thread."""
         if self._loop is None:
             self._loop = asyncio.new_event_loop()
             threading.Thread(target=self._loop.run_forever, daemon=True).start()
