@@ -68,12 +68,6 @@ def load_robot(
         limits: JSON file of limits that replace those of the robot (`LimitTable`).
         payload_kg: mass of a point at the origin of G [kg].
         package_path: folder in which packages of package:// URIs are looked up first.
-
-    Raises:
-        UsageError: there is no such robot, file or link, or an argument is not valid.
-        InputError: the file is no URDF, its chain does not have seven revolute joints with limits, or one of its
-            collision meshes cannot be read.
-        SetupError: mani_skill is missing or damaged, or the cache folder cannot be written.
     """
     source, table = _find(robot)
     root = read_urdf(source)

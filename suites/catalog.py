@@ -154,9 +154,6 @@ def task_names(names: str | Sequence[str] | None) -> list[str] | None:
     """Parse task names, a list or comma-separated, with or without namespace, into plain ids without duplicates.
 
     A name `FILE.py:Class` loads a task of the user's own.
-
-    Raises:
-        UsageError: such a task cannot be loaded.
     """
     if names is None:
         return None
@@ -187,9 +184,5 @@ def with_variant(tasks: Sequence[str], variant: TaskVariant, *, named: bool) -> 
 
 
 def chosen_tasks(suite: Suite, split: str, names: str | Sequence[str] | None, variant: TaskVariant) -> tuple[str, ...]:
-    """Return the named tasks of a split, or all that have the variant.
-
-    Raises:
-        UsageError: the split does not have the tasks, or they do not have the variant.
-    """
+    """Return the named tasks of a split, or all that have the variant."""
     return tuple(with_variant(suite.tasks_of(split, task_names(names)), variant, named=names is not None))

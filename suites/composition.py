@@ -123,11 +123,7 @@ def episode_id(task: str, seed: int, pool: Pool, variant: TaskVariant) -> str:
 
 
 def compose(task: str, seed: int, *, pool: Pool = Pool.ALL, variant: TaskVariant = TaskVariant.PLAIN) -> Episode:
-    """Compose the episode of a task and seed with assets and looks from a pool.
-
-    Raises:
-        UsageError: there is no such task, or it does not have the variant.
-    """
+    """Compose the episode of a task and seed with assets and looks from a pool."""
     definition = find_task(task, variant)
     rng = generator("episode", task, seed, pool.value)
     looks = {sort: str(rng.choice(pool_ids(look_ids(sort), pool))) for sort in SORTS}

@@ -38,11 +38,7 @@ class Panel:
 
 
 def task_panels(executor: Executor, episodes: Sequence[Episode]) -> list[Panel]:
-    """Run the expert in each episode and return its first and last frames, in the order of the episodes.
-
-    Raises:
-        SetupError: rendering is not possible.
-    """
+    """Run the expert in each episode and return its first and last frames, in the order of the episodes."""
     panels = {}
     for done in executor.run(partial(SimulatorWorker, _render_panel, SimulatorCache(Simulator)), episodes):
         if isinstance(done, WorkerCrash):

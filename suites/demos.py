@@ -77,12 +77,7 @@ def _attempt(simulator: Simulator, spec: EpisodeSpec, config: DemoConfig) -> Rec
 
 
 def make_demos(config: DemoConfig, executor: Executor, observer: Observer, *, overwrite: bool = False) -> DemoSummary:
-    """Make demonstrations, continuing an earlier run in the same folder.
-
-    Raises:
-        UsageError: the folder holds demonstrations of another configuration.
-        SetupError: writing or rendering failed, or a worker died.
-    """
+    """Make demonstrations, continuing an earlier run in the same folder."""
     with _lock(config.out):
         if overwrite:
             _delete_earlier_run(config.out)

@@ -54,11 +54,7 @@ class DatasetConfig:
     """Output folder."""
 
     def specs(self) -> list[EpisodeSpec]:
-        """Return the episodes, task by task.
-
-        Raises:
-            UsageError: the split has fewer seeds.
-        """
+        """Return the episodes, task by task."""
         return self.suite.specs(self.split, self.episodes, tasks=self.tasks, offset=self.seed, variant=self.variant)
 
 

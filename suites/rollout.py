@@ -82,11 +82,7 @@ def _run_clip(
 
 
 def continue_expert(simulator: Simulator, episode: Episode, state: SimulatorState, expert: Expert) -> Rollout:
-    """Let the expert continue an episode from a state for one clip; without commands if nothing is left to do.
-
-    Raises:
-        InputError: the expert finds no path in this scene.
-    """
+    """Let the expert continue an episode from a state for one clip; without commands if nothing is left to do."""
     simulator.reset(episode)
     simulator.restore(state)
     before = simulator.snapshot()
@@ -98,9 +94,6 @@ def run_expert(simulator: Simulator, expert: Expert, episode: Episode, *, every:
     """Let the expert do its task from the start, clip by clip, until success or for the task's number of clips.
 
     There is a snapshot after each `every` control steps.
-
-    Raises:
-        InputError: the expert finds no path in this scene.
     """
     simulator.reset(episode)
     snapshots, controls = [simulator.snapshot()], [np.zeros((0, 8))]

@@ -50,9 +50,6 @@ class ActionSource:
             state: state of the simulation.
             frames: number of frames; after the expert's clip of 9.6 s it waits.
             period_s: task time between two frames [s].
-
-        Raises:
-            InputError: the expert finds no path.
         """
         simulator = self._simulators.get(episode.task, episode.variant)
         snapshots = continue_expert(simulator, episode, state, find_expert(episode.task)).snapshots

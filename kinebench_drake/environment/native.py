@@ -86,9 +86,6 @@ def load_open3d() -> Any:
 
     Its thread pool (TBB) adds in an order that depends on timing. It has as many threads as the process may use cores
     when it is loaded; with one, sums are reproducible to the bit.
-
-    Raises:
-        SetupError: an unpacked library cannot be loaded.
     """
     _preload("open3d")
     cores = os.sched_getaffinity(0)
@@ -118,9 +115,6 @@ def prepare_vulkan() -> str:
 
     Order of preference: a driver named by the user (VK_DRIVER_FILES or VK_ICD_FILENAMES), an NVIDIA driver, the
     unpacked software driver (Mesa lavapipe), any other driver of the system.
-
-    Raises:
-        SetupError: an unpacked library cannot be loaded.
     """
     _preload("vulkan")
     ignore_vulkan_warning()

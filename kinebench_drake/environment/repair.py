@@ -31,9 +31,6 @@ def repair_environment(checks: Sequence[doctor.Check], say: Callable[[str], None
 
     Returns:
         True if something was changed.
-
-    Raises:
-        SetupError: this Python belongs to no environment, or to one that is not writable; nothing was changed.
     """
     failed = {check.name for check in checks if not check.ok}
     environment = {name: value for name, value in os.environ.items() if name not in _ELSEWHERE}

@@ -39,12 +39,7 @@ class RayExecutor:
     """Address of the cluster; None: that of RAY_ADDRESS, else the cluster of this machine, else a new local one."""
 
     def run(self, make_worker: MakeWorker[Item, Result], items: Sequence[Item]) -> Outcomes[Item, Result]:
-        """Yield the outcome of each item as soon as it is available, in any order.
-
-        Raises:
-            SetupError: the cluster cannot be reached or has no CPU, a node has different code or no access to the
-                working directory, or workers repeatedly die before they start.
-        """
+        """Yield the outcome of each item as soon as it is available, in any order."""
         if items:
             with _connected(self.address):
                 yield from ActorPool(make_worker, items, min(self.jobs, len(items))).outcomes()

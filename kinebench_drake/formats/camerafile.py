@@ -152,11 +152,7 @@ class CameraLookup:
         self.find(top)
 
     def find(self, folder: Path) -> CameraSetting | None:
-        """Return the camera of the videos in a folder; None if there is no file.
-
-        Raises:
-            UsageError: its file is unusable.
-        """
+        """Return the camera of the videos in a folder; None if there is no file."""
         if folder not in self._cameras:
             file = folder / CAMERA_NAME
             if file.exists():
@@ -167,10 +163,6 @@ class CameraLookup:
         return self._cameras[folder]
 
     def assign(self, folder: Path, file: Path) -> None:
-        """Use a `file` elsewhere, if it exists, for `folder` and below, unless that has its own.
-
-        Raises:
-            UsageError: the file is unusable.
-        """
+        """Use a `file` elsewhere, if it exists, for `folder` and below, unless that has its own."""
         if file.is_file() and not (folder / CAMERA_NAME).exists():
             self._cameras[folder] = load_camera(file, str(file))

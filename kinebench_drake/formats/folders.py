@@ -48,9 +48,6 @@ def walk(top: Path, skipped: Sequence[Path] = ()) -> Iterator[tuple[Path, list[s
 
     Yields:
         A folder, the names of its subfolders, which may be cleared to go no deeper, and the names of its files.
-
-    Raises:
-        UsageError: a folder cannot be read; its content would silently be absent from the results.
     """
     ignored = {p.resolve() for p in skipped} - {top.resolve()}
     visited: set[Path] = set()

@@ -17,11 +17,7 @@ _EPISODE = re.compile(r"(?P<episode>(?:data/)?(?:demo|traj|episode)_\d+)/(?P<cam
 
 
 def list_hdf5(path: Path, search: Search) -> list[VideoSample]:
-    """List the episodes of a file, one camera of each.
-
-    Raises:
-        InputError: the file is damaged, holds no video, or the choice of the camera is ambiguous.
-    """
+    """List the episodes of a file, one camera of each."""
     episodes: dict[str, dict[str, str]] = {}
     for name in list_hdf5_videos(path):
         match = _EPISODE.fullmatch(name)

@@ -55,12 +55,7 @@ def is_kinebench(folder: Path) -> bool:
 
 
 def list_kinebench(folder: Path, search: Search) -> list[VideoSample]:
-    """List the generated videos of an episode, or the video of a case of the data set.
-
-    Raises:
-        InputError: info.json is damaged.
-        UsageError: a camera.json is unusable.
-    """
+    """List the generated videos of an episode, or the video of a case of the data set."""
     if case := _CASE.fullmatch(folder.resolve().name):
         words = "".join(word.capitalize() for word in case["words"].split("_"))
         task = _TASKS.get(case["task"], f"{words}-{case['version'] or 'v1'}")

@@ -174,11 +174,7 @@ def entry_camera(entry: ManifestEntry, folder: Path) -> CameraSetting | None:
 
 
 def list_manifest(path: Path, search: Search) -> list[VideoSample]:
-    """List one sample per line; a line that cannot be used becomes a sample with a problem.
-
-    Raises:
-        UsageError: the file cannot be read, or a camera.json beside a video is unusable.
-    """
+    """List one sample per line; a line that cannot be used becomes a sample with a problem."""
     lines = read_manifest(path)
     unknown = Counter(key for line in lines for key in {*line.data} - {*ManifestEntry.model_fields} - UNREAD)
     if unknown:

@@ -126,9 +126,6 @@ def join_parts(
         parts: files of `write_part`.
         episodes: `seed` of each trajectory, and further keys.
         environment: the .json file's `env_info`.
-
-    Raises:
-        SetupError: writing failed.
     """
     rows = []
     with atomic_path(path) as unfinished, h5py.File(unfinished, "w", libver="earliest") as file:

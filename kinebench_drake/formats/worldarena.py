@@ -54,11 +54,7 @@ def is_worldarena(folder: Path) -> bool:
 
 
 def list_worldarena(folder: Path, search: Search) -> list[VideoSample]:
-    """List the videos of one model.
-
-    Raises:
-        UsageError: a camera.json is unusable.
-    """
+    """List the videos of one model."""
     name = _FOLDER.fullmatch(folder.resolve().name)
     changed = name is None or bool(name["variant"] or name["changed"])
     dataset = folder.resolve().parent

@@ -35,11 +35,7 @@ def unfinished(path: Path) -> Path:
 
 
 def remove(path: Path) -> None:
-    """Remove a file, or a folder with its content, if it exists; of a link only the link.
-
-    Raises:
-        OSError: it cannot be removed.
-    """
+    """Remove a file, or a folder with its content, if it exists; of a link only the link."""
     if path.is_dir() and not path.is_symlink():
         shutil.rmtree(path)
     else:
@@ -60,11 +56,7 @@ def make_folder(out: Path) -> None:
 
 @contextmanager
 def atomic_path(path: Path) -> Iterator[Path]:
-    """Yield a path beside `path` to write to; it replaces `path` when the context ends without an error.
-
-    Raises:
-        SetupError: writing failed.
-    """
+    """Yield a path beside `path` to write to; it replaces `path` when the context ends without an error."""
     part = unfinished(path)
     try:
         with disk_errors(path.name):
@@ -101,10 +93,6 @@ def atomic_folder(folder: Path) -> Iterator[Path]:
 
 
 def write_atomically(path: Path, data: bytes) -> None:
-    """Write a file completely or not at all, even if the program is killed.
-
-    Raises:
-        SetupError: writing failed.
-    """
+    """Write a file completely or not at all, even if the program is killed."""
     with atomic_path(path) as part:
         part.write_bytes(data)

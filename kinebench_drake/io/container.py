@@ -172,11 +172,7 @@ def _create_mp4(path: Path) -> Iterator[OutputContainer]:
 
 
 def join_videos(path: Path, parts: Iterable[Path]) -> None:
-    """Concatenate videos of one size, rate and encoding without encoding them again.
-
-    Raises:
-        SetupError: writing failed.
-    """
+    """Concatenate videos of one size, rate and encoding without encoding them again."""
     with _create_mp4(path) as container:
         joined: VideoStream | None = None
         shift = 0
@@ -215,9 +211,6 @@ def write_video(
         crf: quality of x264, 0 (lossless) to 51; 18 is visually close to lossless.
         preset: effort of x264; "veryfast" takes 0.4 times the time of "medium", for videos that are only looked at.
         keyframe_every: greatest distance between keyframes [frames]; None leaves it to x264.
-
-    Raises:
-        SetupError: writing failed.
     """
     with _create_mp4(path) as container:
         stream: VideoStream | None = None

@@ -41,10 +41,6 @@ def plain(text: str) -> str:
 
 
 def save(figure: "Figure", path: Path) -> None:
-    """Write a figure atomically in the format of the path's suffix (png, svg, pdf).
-
-    Raises:
-        SetupError: writing failed.
-    """
+    """Write a figure atomically in the format of the path's suffix (png, svg, pdf)."""
     with atomic_path(path) as part:
         figure.savefig(part, format=path.suffix[1:].lower() or "png")

@@ -90,10 +90,5 @@ def read_bytes(path: Path, most: int = MOST_BYTES) -> bytes:
 
 
 def read_text(path: Path, encoding: str = "utf-8-sig") -> str:
-    """Return the content of a regular file as text.
-
-    Raises:
-        OSError: as `read_bytes`.
-        ValueError: it is not text in this encoding.
-    """
+    """Return the content of a regular file as text."""
     return read_bytes(path).decode(encoding)

@@ -151,11 +151,7 @@ def collect_frames(name: str, images: Iterable[tuple[str, Image]]) -> Frames:
 
 
 def map_frames(frames: Frames, change: Callable[[int, Image], Image]) -> Frames:
-    """Return the frames after a `change` of each, which also receives its number.
-
-    Raises:
-        InputError: the disk is full.
-    """
+    """Return the frames after a `change` of each, which also receives its number."""
     return collect_frames("the video", (("", change(k, frame)) for k, frame in enumerate(frames)))
 
 

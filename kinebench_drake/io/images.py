@@ -59,11 +59,7 @@ def _rgb(image: Image.Image) -> NDArray[np.uint8]:
 
 
 def decode_image(file: IO[bytes]) -> NDArray[np.uint8]:
-    """Decode an image to (H, W, 3) RGB.
-
-    Raises:
-        ValueError: it is not a readable image, or a very large one.
-    """
+    """Decode an image to (H, W, 3) RGB."""
     with _open_stream(file) as image:
         return _rgb(image)
 
@@ -83,11 +79,7 @@ def open_image(path: Path) -> Iterator[Image.Image]:
 
 
 def read_image(path: Path) -> NDArray[np.uint8]:
-    """Read an image file as (H, W, 3) RGB.
-
-    Raises:
-        InputError: it is not a readable image.
-    """
+    """Read an image file as (H, W, 3) RGB."""
     with open_image(path) as image:
         return _rgb(image)
 

@@ -42,12 +42,7 @@ def _parse_integer(text: str) -> int | float:
 
 
 def read_json(path: Path) -> object:
-    """Return the value in a JSON file.
-
-    Raises:
-        OSError: as `read_bytes`.
-        ValueError: it is not JSON.
-    """
+    """Return the value in a JSON file."""
     return parse_json(read_bytes(path))
 
 
@@ -94,11 +89,7 @@ def write_lines(path: Path, rows: Iterable[Mapping[str, Any]]) -> None:
 
 
 def write_raw_lines(path: Path, lines: Iterable[bytes]) -> None:
-    """Write lines that end with a line feed.
-
-    Raises:
-        SetupError: writing failed.
-    """
+    """Write lines that end with a line feed."""
     with atomic_path(path) as part, part.open("wb") as file:
         file.writelines(lines)
 
@@ -107,9 +98,6 @@ def read_lines(path: Path, parse: Callable[[object], Row]) -> list[Row]:
     """Read the JSON value of each line; a torn last line is ignored, a missing file has no lines.
 
     `parse` converts a value, or raises ValueError or InputError.
-
-    Raises:
-        InputError: a line other than the last is invalid.
     """
     return list(parse_lines(path, lambda value, start, size: parse(value)))
 
@@ -168,11 +156,7 @@ def append_line(path: Path, row: Mapping[str, Any]) -> tuple[int, int]:
 
 
 def drop_torn_line(path: Path) -> None:
-    """Remove an unfinished last line, so that lines can be appended.
-
-    Raises:
-        SetupError: writing failed.
-    """
+    """Remove an unfinished last line, so that lines can be appended."""
     if path.is_file():
         data = path.read_bytes()
         whole = data[: data.rfind(b"\n") + 1]

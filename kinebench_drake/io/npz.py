@@ -151,22 +151,14 @@ def open_npy(path: Path) -> Iterator[StoredArray]:
 
 
 def read_npy(path: Path, check: Callable[[int], None] = check_bytes) -> NDArray[np.generic]:
-    """Return the array of an npy file; `check` raises InputError if one of so many bytes may not be loaded.
-
-    Raises:
-        InputError: it is absent or damaged; messages do not name it.
-    """
+    """Return the array of an npy file; `check` raises InputError if one of so many bytes may not be loaded."""
     with open_npy(path) as array, open_file(path) as file:
         check(array.nbytes)
         return read_array(file, allow_pickle=False)
 
 
 def write_arrays(path: Path, arrays: Mapping[str, Any]) -> None:
-    """Write an npz file; equal arrays give equal bytes.
-
-    Raises:
-        SetupError: writing failed.
-    """
+    """Write an npz file; equal arrays give equal bytes."""
     with atomic_path(path) as part, part.open("wb") as file:
         np.savez_compressed(file, **arrays)
 

@@ -74,11 +74,7 @@ def read_table(
     *,
     every: bool = False,
 ) -> pyarrow.Table:
-    """Read columns of a parquet file as `open_batches` does.
-
-    Raises:
-        InputError: they take more than `MOST_BYTES`; others as `open_batches`.
-    """
+    """Read columns of a parquet file as `open_batches` does."""
     budget = Budget(MOST_BYTES, InputError(f"{path.name}: its rows take more than {MOST_BYTES >> 20} MiB"))
     with open_batches(path, columns, optional, where, every=every) as (schema, batches):
         kept = []

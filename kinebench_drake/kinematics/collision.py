@@ -88,9 +88,6 @@ class CollisionModel:
         """Return the least distance between two links that must not touch, exact to 1e-6 m for polytopes.
 
         Postures `q` (N, 7) [rad]; finger gap `finger_width_m` (N,) [m], the plant's default where None or NaN.
-
-        Raises:
-            UsageError: `q` is not (N, 7), or `finger_width_m` not (N,).
         """
         q, width = _arguments(q, finger_width_m)
         asked = q.tobytes() + width.tobytes()
@@ -198,9 +195,6 @@ class CollisionModel:
 
         The signed distance of a convex body from a half space is that of its lowest point. Finger gap
         `finger_width_m` (N,) [m]; the plant's default where None or NaN.
-
-        Raises:
-            UsageError: `q` is not (N, 7), or `finger_width_m` not (N,).
         """
         q, width = _arguments(q, finger_width_m)
         finite = np.isfinite(q).all(axis=-1)
@@ -221,9 +215,6 @@ class CollisionModel:
         the nearest points, J their translational Jacobians and n the direction from b to a (from a to b in
         penetration); where the nearest points are not unique, that of one candidate; 0 where Drake returns no
         direction. Finger gap `finger_width_m` [m]; the plant's default where None or NaN.
-
-        Raises:
-            UsageError: `q` is not (7,).
         """
         width = None if finger_width_m is None or np.isnan(finger_width_m) else finger_width_m
         query = self._plant.query(q, width)

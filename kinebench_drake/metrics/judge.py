@@ -79,11 +79,7 @@ class TrackJudge:
         self._collision = CollisionModel(plant, table_height_m=table_height_m)
 
     def judge_poses(self, track: GripperTrack) -> KinematicResult:
-        """Judge a track of poses: infeasible only if no joint path follows it.
-
-        Raises:
-            InputError: a tracked frame's pose is not finite, or the times do not increase.
-        """
+        """Judge a track of poses: infeasible only if no joint path follows it."""
         noise, assumed = _noise(track)
         joints = solve_track(
             self._plant,

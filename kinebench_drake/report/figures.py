@@ -123,11 +123,7 @@ def label_shares(ax: Any, rows: Sequence[str], label: str, low: float = 0.0) -> 
 
 
 def write_figure(figure: ReportFigure, folder: Path) -> Markup:
-    """Write a figure as png and svg, always the same bytes; returns it as markup for a page.
-
-    Raises:
-        SetupError: writing failed.
-    """
+    """Write a figure as png and svg, always the same bytes; returns it as markup for a page."""
     from matplotlib import rc_context
 
     path = folder / f"{figure.name}.svg"

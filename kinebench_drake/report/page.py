@@ -64,10 +64,6 @@ def write_report(out: Path, rows: Iterable[SampleRow] | None = None, statistics:
         out: the folder.
         rows: its rows; None: they are read.
         statistics: their statistics; None: they are computed.
-
-    Raises:
-        InputError: the folder's files are broken.
-        SetupError: writing failed.
     """
     path = out / REPORT
     write_atomically(path, build_page(out, rows, statistics).encode())
@@ -100,9 +96,6 @@ def build_page(out: Path, rows: Iterable[SampleRow] | None = None, statistics: R
         out: the folder.
         rows: its rows; None: they are read.
         statistics: their statistics; None: they are computed.
-
-    Raises:
-        InputError: the folder's files are broken.
     """
     rows = sorted(read_rows(out).values() if rows is None else rows, key=badness)
     results = read_results(out)

@@ -57,9 +57,6 @@ def write_parts(
 
     Returns:
         The page.
-
-    Raises:
-        SetupError: writing failed.
     """
     for table in (listing, *(part for part in parts if isinstance(part, Table))):
         write_atomically(out / f"{table.name}.csv", table_csv(table).encode())

@@ -159,9 +159,6 @@ def link_meshes(plant: ArmPlant) -> tuple[LinkMesh, ...]:
     """Compute simplified surfaces of all links that have one (about three seconds for the Panda).
 
     They are those of the URDF's visual elements, or of its collision elements for links without visual ones.
-
-    Raises:
-        SetupError: Open3D's native libraries are missing.
     """
     inspector = plant.diagram.GetSubsystemByName("scene_graph").model_inspector()
     meshes = []

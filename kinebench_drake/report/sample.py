@@ -171,9 +171,6 @@ def view_sample(out: Path, row: SampleRow, *, drawn: bool, pictured: bool = True
         row: the sample's row.
         drawn: whether to draw its curves and list its details; otherwise only the row is used.
         pictured: whether to include its image.
-
-    Raises:
-        InputError: the track's file is damaged.
     """
     viewable = is_viewable(out, row)
     file = read_track(artifact_path(out, "tracks", row.id)) if drawn and _has_track(out, row) else None

@@ -108,12 +108,7 @@ def sample_comparison_lines(comparison: SampleComparison) -> Iterator[str]:
 
 
 def write_sample_comparison(comparison: SampleComparison, out: Path) -> Path:
-    """Write a comparison: page and tables; returns the page.
-
-    Raises:
-        UsageError: `out` is the folder of a run.
-        SetupError: writing failed.
-    """
+    """Write a comparison: page and tables; returns the page."""
     check_page_folder(out)
     listed = choose_listed(comparison.samples, lambda s: s.model, lambda s: verdict_of(s.row) in GOOD_VERDICTS)
     return write_parts(

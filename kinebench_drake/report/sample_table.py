@@ -17,12 +17,7 @@ _LISTS = ("executable_reasons", "violations", "anomalies")
 
 
 def write_samples(out: Path) -> list[Path]:
-    """Write `samples.csv` and `samples.parquet` of an output folder, the worst sample first; returns both.
-
-    Raises:
-        InputError: the folder's files are broken.
-        SetupError: writing failed.
-    """
+    """Write `samples.csv` and `samples.parquet` of an output folder, the worst sample first; returns both."""
     import pyarrow
     from pyarrow import parquet
 

@@ -78,11 +78,7 @@ class RunMetadata:
 
     @property
     def shard(self) -> Shard | None:
-        """Shard of the run; None if it processed all samples.
-
-        Raises:
-            UsageError: its text is not of the form I/N.
-        """
+        """Shard of the run; None if it processed all samples."""
         text = self.config.get("shard")
         return None if text is None else Shard.parse(str(text))
 

@@ -37,11 +37,7 @@ def require_output(folder: Path) -> None:
 
 
 def read_rows(out: Path) -> dict[str, SampleRow]:
-    """Read the rows of an output folder by id; a torn last line is ignored, of equal ids the last row is kept.
-
-    Raises:
-        InputError: a line other than the last is not a row.
-    """
+    """Read the rows of an output folder by id; a torn last line is ignored, of equal ids the last row is kept."""
     path = out / SAMPLES
     return _parse_rows(path, RowFile(path)) if path.is_file() else {}
 
@@ -123,11 +119,7 @@ class ResultStore:
         return [self.rows[id] for id in sorted(self.rows)]
 
     def keep_rows(self, wanted: Callable[[SampleRow], bool]) -> None:
-        """Drop every row that is not `wanted`, with its artifacts, and rewrite the file of rows.
-
-        Raises:
-            SetupError: writing failed.
-        """
+        """Drop every row that is not `wanted`, with its artifacts, and rewrite the file of rows."""
         for id in [id for id, row in self.rows.items() if not wanted(row)]:
             del self.rows[id]
             for kind in ARTIFACTS:
@@ -136,11 +128,7 @@ class ResultStore:
         self._rewrite()
 
     def keep_artifacts(self, kind: str, ids: Collection[str]) -> None:
-        """Remove the artifacts of a kind of all other samples of the run.
-
-        Raises:
-            SetupError: writing failed.
-        """
+        """Remove the artifacts of a kind of all other samples of the run."""
         with disk_errors(f"{kind}/"):
             for id in self.rows.keys() - set(ids):
                 artifact_path(self.out, kind, id).unlink(missing_ok=True)
@@ -149,9 +137,6 @@ class ResultStore:
         """Write the metadata of the run that fills the folder from now on, and remove the outdated `results.json`.
 
         Nothing happens if this run has begun already.
-
-        Raises:
-            SetupError: writing failed.
         """
         if self._begun:
             return
@@ -161,11 +146,7 @@ class ResultStore:
             (self.out / RESULTS).unlink(missing_ok=True)
 
     def append(self, row: SampleRow, wall_s: float) -> None:
-        """Store the row of a finished sample: once this returns, no crash loses it.
-
-        Raises:
-            SetupError: writing failed; the file is unchanged.
-        """
+        """Store the row of a finished sample: once this returns, no crash loses it."""
         data = row.to_json()
         place = append_line(self.out / SAMPLES, data)
         self.rows[row.id] = SampleRow.from_json(data, RowLine(self._file, *place))
@@ -173,11 +154,7 @@ class ResultStore:
             file.write(dump({"id": row.id, "wall_s": round(wall_s, 4)}))
 
     def finish(self, results: Mapping[str, Json]) -> None:
-        """Sort the rows, remove unfinished files of lost workers, and write `results.json`.
-
-        Raises:
-            SetupError: writing failed.
-        """
+        """Sort the rows, remove unfinished files of lost workers, and write `results.json`."""
         self._rewrite()
         with disk_errors("the folder"):
             self._sweep(everything=False)

@@ -87,10 +87,6 @@ def write_actions(
         samples: the videos.
         rows: their rows.
         warn: receives why a video is left out.
-
-    Raises:
-        UsageError: a frame rate is no whole number, which LeRobot asks for.
-        SetupError: writing failed.
     """
     folder = out / format.folder
     remove(folder)

@@ -67,21 +67,13 @@ class AuditConfig(SourceConfig):
         self.trajectory_options()
 
     def trajectory_options(self) -> TrajectoryOptions:
-        """Return the options of reading trajectories.
-
-        Raises:
-            UsageError: they are invalid.
-        """
+        """Return the options of reading trajectories."""
         return TrajectoryOptions(
             rate_hz=self.rate_hz, reading=None if self.reading is None else Reading.parse(self.reading)
         )
 
     def robot_options(self) -> RobotOptions:
-        """Return robot and table.
-
-        Raises:
-            UsageError: they are invalid.
-        """
+        """Return robot and table."""
         return replace(SourceConfig.robot_options(self), tool=self.tool, package_path=self.package_path)
 
     def to_json(self) -> dict[str, Json]:
@@ -90,12 +82,7 @@ class AuditConfig(SourceConfig):
 
 
 def audit_trajectories(config: AuditConfig, observer: RunObserver | None = None) -> RunSummary:
-    """Judge every trajectory of `config.source` and fill the output folder.
-
-    Raises:
-        UsageError: the configuration, the input or the output folder cannot be used.
-        SetupError: something is missing on this machine, or the disk is full. Finished samples are kept.
-    """
+    """Judge every trajectory of `config.source` and fill the output folder."""
     observer = observer or NullRunObserver()
     warnings: list[str] = []
     choice, labels = config.trajectory_options(), {"model": config.model, "task": config.task}

@@ -131,11 +131,7 @@ class RunConfig:
         return None
 
     def robot_options(self) -> RobotOptions:
-        """Return robot and table.
-
-        Raises:
-            UsageError: they are invalid.
-        """
+        """Return robot and table."""
         return RobotOptions(table_height_m=self.table_height_m)
 
     def robot_json(self) -> dict[str, Json]:
@@ -190,11 +186,7 @@ class SourceConfig(RunConfig):
         )
 
     def robot_options(self) -> RobotOptions:
-        """Return robot and table.
-
-        Raises:
-            UsageError: they are invalid.
-        """
+        """Return robot and table."""
         return RobotOptions(
             table_height_m=self.table_height_m, robot=self.robot, limits=self.limits, payload_kg=self.payload_kg
         )
@@ -293,11 +285,7 @@ class ScoreConfig(SourceConfig):
             )
 
     def overrides(self) -> Overrides:
-        """Return the stages of the grounding that are replaced.
-
-        Raises:
-            UsageError: a folder or class does not exist.
-        """
+        """Return the stages of the grounding that are replaced."""
         return Overrides(masks=self.masks, depth=self.depth, poses=self.poses, depth_exact=self.depth_exact)
 
     def to_json(self) -> dict[str, Json]:

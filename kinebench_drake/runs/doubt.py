@@ -97,9 +97,6 @@ def assess_readings(
         samples: trajectories of one file or dataset, which share one reading.
         choice: options of the user; a key of their reading is never doubted.
         thorough: also compare readings if that by the names fits well.
-
-    Raises:
-        InputError: the names determine no reading, or a file cannot be opened.
     """
     with ExitStack() as stack:
         tables = [(sample, stack.enter_context(open_table(sample))) for sample in samples]

@@ -63,12 +63,7 @@ from kinebench_drake.suites.worldmodels.worldmodel import Condition, OfflineMode
 
 
 def run_suite(config: SuiteConfig, observer: RunObserver | None = None) -> RunSummary:
-    """Run every episode of a suite's split with a world model and fill the output folder.
-
-    Raises:
-        UsageError: the configuration or the output folder cannot be used.
-        SetupError: something is missing on this machine, or the disk is full. Finished samples are kept.
-    """
+    """Run every episode of a suite's split with a world model and fill the output folder."""
     observer = observer or NullRunObserver()
     with closing(LazyWorldModel(config.world_model)) as world_model:
         model = world_model.get()

@@ -57,11 +57,6 @@ def merge_folders(folders: Sequence[Path], out: Path, observer: RunObserver | No
     The folders are only read. `out` may hold an earlier merge of the same run, which is extended. If two folders hold
     the same sample, a result takes precedence over an error, as in a resumed run. Of a run that was stopped the
     finished samples are used, with a warning.
-
-    Raises:
-        UsageError: the folders are not of one run, hold different results of one sample or are damaged, or `out` holds
-            something else.
-        SetupError: writing failed.
     """
     observer = observer or NullRunObserver()
     _check_paths(folders, out)

@@ -93,11 +93,7 @@ def _first_type(annotation: Any) -> type:
 
 
 def parse_options(config: Any) -> None:
-    """Convert the options of a configuration from what callers give; for its `__post_init__`.
-
-    Raises:
-        UsageError: a value is invalid.
-    """
+    """Convert the options of a configuration from what callers give; for its `__post_init__`."""
     for name, declared in options_of(type(config)).items():
         object.__setattr__(config, name, declared.parse(getattr(config, name)))
 

@@ -85,11 +85,6 @@ def ground_sample(
         period_s: task time between two frames from the command line [s].
         gripper: gripper of the robot.
         duration_s: task time over which its frames lie evenly [s]; None: they are one period apart.
-
-    Raises:
-        InputError: an override is missing, broken or does not fit the video.
-        UnmeasurableError: the video is too small or too short, does not fit its camera, or shows no gripper.
-        SetupError: weights, libraries or a plug-in are missing.
     """
     video.require_measurable()
     timed = time_frames(sample, video, period_s, duration_s)
@@ -120,9 +115,6 @@ def with_initial_states(samples: Iterable[VideoSample]) -> list[VideoSample]:
     """Return the samples with the initial state of their task and seed, where the manifest names none.
 
     A video that begins elsewhere, such as the second clip of an episode, is detected by its first frame.
-
-    Raises:
-        SetupError: the Panda's files are missing.
     """
     from kinebench_drake.kinematics.plant import ArmPlant
 
@@ -177,9 +169,6 @@ def with_camera_option(samples: Sequence[VideoSample], option: str, *, mirrored:
     """Return the samples with the camera on which the option `camera` insists, and mirrored by `mirrored`.
 
     A camera by name is that of the samples without one, a camera.json that of all.
-
-    Raises:
-        UsageError: the option is no name, and the file that it names no camera.json.
     """
     setting = None if option == AUTO else read_camera(option)
     replaces = find_camera(option) is None

@@ -25,9 +25,6 @@ def write_requests(out: Path, requests: Sequence[Mapping[str, object]]) -> None:
     Args:
         out: output folder of the run.
         requests: rows of the manifest.
-
-    Raises:
-        SetupError: writing failed.
     """
     folder = out / REQUESTS
     wanted = _files(requests)

@@ -153,9 +153,6 @@ def close_run(store: ResultStore, kind: RunKind, seed: int, statistics: RunStati
         kind: kind of the run.
         seed: seed of the bootstrap intervals.
         statistics: statistics of its rows with this seed.
-
-    Raises:
-        SetupError: writing failed.
     """
     if kind.judges:
         from kinebench_drake.report.page import write_report

@@ -52,12 +52,7 @@ VISUAL_METRICS = ("tracked_fraction", "confidence_mean", "camera_motion_px", "ar
 
 
 def score_videos(config: ScoreConfig, observer: RunObserver | None = None) -> RunSummary:
-    """Evaluate every video of `config.source` and fill the output folder.
-
-    Raises:
-        UsageError: the configuration, the input or the output folder cannot be used.
-        SetupError: something is missing on this machine, or the disk is full. Finished samples are kept.
-    """
+    """Evaluate every video of `config.source` and fill the output folder."""
     observer = observer or NullRunObserver()
     if config.format is not None:
         require_own_folder(config.format, config.out)
@@ -112,11 +107,7 @@ def _judge_possible(tracks: Sequence[GripperTrack], tools: Tools) -> "KinematicR
 
 
 def plan_videos(config: ScoreConfig, observer: RunObserver | None = None) -> Iterator[SampleRow]:
-    """Read the videos of a run and yield a row of each with size, frame period and camera; nothing is written.
-
-    Raises:
-        UsageError: the configuration or the input cannot be used.
-    """
+    """Read the videos of a run and yield a row of each with size, frame period and camera; nothing is written."""
     observer, inputs = observer or NullRunObserver(), find_videos(config)
     for warning in inputs.warnings:
         observer.warn(warning)
@@ -163,11 +154,7 @@ class VideoEvaluator(Evaluator[VideoSample, Tools]):
         return evaluation
 
     def measure(self, sample: VideoSample, video: Video, tools: Tools) -> "tuple[GroundingResult, Evaluation]":
-        """Ground and judge a decoded video; nothing is written.
-
-        Raises:
-            InputError, UnmeasurableError, SetupError: as for `evaluate`.
-        """
+        """Ground and judge a decoded video; nothing is written."""
         config = self.config
         timed, grounding = ground_sample(
             video, sample, self.overrides, tools.grounder, config.frame_period_s, config.gripper,

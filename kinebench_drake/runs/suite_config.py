@@ -138,11 +138,7 @@ class SuiteConfig(RunConfig):
             object.__setattr__(self, name, value)
 
     def load_suite(self) -> "Suite":
-        """Return the suite.
-
-        Raises:
-            UsageError: there is none of this number.
-        """
+        """Return the suite."""
         from kinebench_drake.suites.catalog import load_suite
 
         return load_suite(self.suite)

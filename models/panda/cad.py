@@ -37,21 +37,13 @@ def _visual(part: RobotPart) -> trimesh.Trimesh:
 
 @cache
 def link_meshes() -> dict[RobotPart, trimesh.Trimesh]:
-    """Load the meshes of the arm's links, each in the frame of its link.
-
-    Raises:
-        SetupError: mani_skill, which contains the meshes, is not installed.
-    """
+    """Load the meshes of the arm's links, each in the frame of its link."""
     return {part: _visual(part) for part in ARM}
 
 
 @cache
 def part_meshes() -> dict[RobotPart, trimesh.Trimesh]:
-    """Load the meshes of hand, left and right finger (closed), in the frame of the hand.
-
-    Raises:
-        SetupError: mani_skill, which contains the meshes, is not installed.
-    """
+    """Load the meshes of hand, left and right finger (closed), in the frame of the hand."""
     hand, finger = _visual(RobotPart.HAND), _visual(RobotPart.LEFT_FINGER)
     left, right = finger.copy(), finger.copy()
     right.apply_transform(trimesh.transformations.rotation_matrix(np.pi, [0, 0, 1]))
@@ -180,9 +172,6 @@ def simplify(
 
     By quadric error metrics (M. Garland and P. S. Heckbert, "Surface simplification using quadric error metrics",
     SIGGRAPH 1997). Equal vertices are merged; a large `border_weight` keeps open edges in place.
-
-    Raises:
-        SetupError: Open3D's native libraries are missing.
     """
     o3d = native.load_open3d()
     mesh = o3d.geometry.TriangleMesh(o3d.utility.Vector3dVector(vertices), o3d.utility.Vector3iVector(faces))

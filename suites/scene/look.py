@@ -149,22 +149,14 @@ def _find(sort: str, look_id: str) -> tuple[int, np.random.Generator]:
 
 @lru_cache(maxsize=64)
 def table(look_id: str) -> TiledFinish:
-    """Make the table top with an id.
-
-    Raises:
-        UsageError: the id is unknown.
-    """
+    """Make the table top with an id."""
     index, rng = _find("table", look_id)
     return _recipes().tables[index].finish(rng)
 
 
 @lru_cache(maxsize=64)
 def background(look_id: str) -> Background:
-    """Make the background with an id.
-
-    Raises:
-        UsageError: the id is unknown.
-    """
+    """Make the background with an id."""
     index, rng = _find("background", look_id)
     recipes = _recipes()
     return Background(
@@ -181,11 +173,7 @@ def _tint(strength: float, warmth: float) -> tuple[float, float, float]:
 
 @lru_cache(maxsize=64)
 def light(look_id: str) -> Light:
-    """Make the light with an id.
-
-    Raises:
-        UsageError: the id is unknown.
-    """
+    """Make the light with an id."""
     index, rng = _find("light", look_id)
     recipe = _recipes().lights[index]
     azimuth = _SIDES_RAD[recipe.side] + float(rng.uniform(-0.25, 0.25))

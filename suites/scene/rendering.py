@@ -50,9 +50,6 @@ def software_shaders() -> ShaderConfig:
     """Return ManiSkill's "minimal" shaders without needless work, for scenes without an environment map.
 
     Where SAPIEN's files are not as expected they stay as they are.
-
-    Raises:
-        SetupError: the cache folder cannot be written.
     """
     minimal = PREBUILT_SHADER_CONFIGS["minimal"]
     set_shader_pack(minimal)  # it sets the formats of the images, for all that follow
@@ -81,9 +78,6 @@ def simplify_arm(robot: Any) -> None:
 
     Args:
         robot: articulation of the robot.
-
-    Raises:
-        SetupError: the cache folder cannot be written.
     """
     for part in ARM:
         for link in robot.links_map[LINK_OF[part]]._objs:

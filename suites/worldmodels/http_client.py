@@ -135,10 +135,6 @@ class HttpClient:
             patient: whether the service may be silent until the deadline.
             repeatable: whether a request that the service may have accepted can be sent again.
             check: validates the answer; may raise `BusyError` for another attempt.
-
-        Raises:
-            WorldModelError: there was no valid answer.
-            SetupError: the service rejected the key.
         """
         url = httpx.URL(f"{str(self._base).rstrip('/')}{path}") if path else self._base
         content = None if body is None else json.dumps(body).encode()

@@ -53,11 +53,7 @@ def data_uri(frame: NDArray[np.uint8]) -> str:
 
 
 def from_base64(text: str | memoryview) -> bytes:
-    """Decode a file in base64, with or without the head of a data URI, line breaks and escaped slashes.
-
-    Raises:
-        ValueError: it is not base64.
-    """
+    """Decode a file in base64, with or without the head of a data URI, line breaks and escaped slashes."""
     data = text.encode() if isinstance(text, str) else bytes(text)
     payload = data[data.find(b",", 0, _HEAD) + 1 :] if data.startswith(b"data:") else data
     if b"\\" in payload:
@@ -117,12 +113,7 @@ def arriving(out: Path) -> Iterator[Path]:
 
 
 def adopt(part: Path, out: Path) -> Path:
-    """Check a video and move it to `out` with the suffix of its format, on the same disk; return this path.
-
-    Raises:
-        WorldModelError: it is not a video.
-        SetupError: the disk failed.
-    """
+    """Check a video and move it to `out` with the suffix of its format, on the same disk; return this path."""
     path = out.with_name(out.name + check_video(part))
     with disk_errors(path.name):
         with part.open("rb") as file:
@@ -132,22 +123,14 @@ def adopt(part: Path, out: Path) -> Path:
 
 
 def encode_answer(frames: Iterable[NDArray[np.uint8]], fps: float, out: Path) -> Path:
-    """Write frames (H, W, 3) RGB as an mp4 beside `out` and return its path.
-
-    Raises:
-        SetupError: the disk failed.
-    """
+    """Write frames (H, W, 3) RGB as an mp4 beside `out` and return its path."""
     path = out.with_name(f"{out.name}.mp4")
     write_video(path, frames, fps)
     return path
 
 
 def place_beside(video: Path, out: Path) -> Path:
-    """Return the path of a video, or folder of frames, beside `out`; copy it from another folder, replacing others.
-
-    Raises:
-        SetupError: it cannot be copied.
-    """
+    """Return the path of a video, or folder of frames, beside `out`; copy it from another folder, replacing others."""
     here, source = out.parent.resolve(), video.resolve()
     if video.parent.resolve() == here:
         return video

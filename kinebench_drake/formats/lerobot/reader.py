@@ -160,11 +160,7 @@ def _flat(names: object) -> Iterator[str]:
 
 @contextmanager
 def open_parquet_table(sample: TrajectorySample) -> Iterator[Table]:
-    """Open a parquet file of one trajectory that is no part of a LeRobot dataset: columns of numbers or of lists.
-
-    Raises:
-        InputError: the file is damaged.
-    """
+    """Open a parquet file of one trajectory that is no part of a LeRobot dataset: columns of numbers or of lists."""
     table = read_table(sample.path, every=True)
     first = table.slice(0, 1).to_pylist()
     row = first[0] if first else {}

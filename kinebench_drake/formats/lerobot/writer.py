@@ -83,9 +83,6 @@ def write_part(
         columns: (T, n) or (T,) numbers or booleans by the name of the column.
         fps: frames per second [1/s].
         crf: quality of x264.
-
-    Raises:
-        SetupError: writing failed.
     """
     columns_file, video_file = part_files(parts, id)
     pixels = rgb[:, ::_STRIDE_PX, ::_STRIDE_PX]
@@ -131,9 +128,6 @@ def join_parts(
         camera: camera of the videos; None: they have several, or it is unknown.
         size: width and height of the videos [px].
         features: names of the elements of each column.
-
-    Raises:
-        SetupError: writing failed.
     """
     tasks = list(dict.fromkeys(prompts.values()))
     columns, histograms = _read_columns(parts, prompts, fps, tasks, features)

@@ -67,11 +67,7 @@ class _Group:
 
 
 def complete(table: Table, wanted: Reading) -> Reading:
-    """Return a reading with columns, layout, units, times and gripper: those of `wanted`, else by their names.
-
-    Raises:
-        InputError: no column fits, or several arms do; the message lists the columns and the key that decides.
-    """
+    """Return a reading with columns, layout, units, times and gripper: those of `wanted`, else by their names."""
     reading = _named(table, wanted) if wanted.columns is not None else _by_names(table, wanted)
     groups = [*_groups(table, reading)]
     names = [name.lower() for group in groups for name in group.names]

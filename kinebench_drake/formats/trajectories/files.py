@@ -27,11 +27,7 @@ _DELIMITERS = (",", ";", "\t")
 
 @contextmanager
 def open_npz_table(sample: TrajectorySample) -> Iterator[Table]:
-    """Open an npz file. The angles of a track file (it has `ik_ok`) were computed from its poses.
-
-    Raises:
-        InputError: the file is damaged, or holds pickled objects.
-    """
+    """Open an npz file. The angles of a track file (it has `ik_ok`) were computed from its poses."""
     with open_npz(sample.path, partial(check_bytes, most=_MAX_BYTES)) as archive:
         shapes = {name: archive.shape(name) for name in archive.files}
         optional = frozenset({"q", "camera_from_hand"} if "ik_ok" in shapes else ())
@@ -40,11 +36,7 @@ def open_npz_table(sample: TrajectorySample) -> Iterator[Table]:
 
 @contextmanager
 def open_npy_table(sample: TrajectorySample) -> Iterator[Table]:
-    """Open an npy file: joint angles (T, 7) to (T, 9), or poses (T, 4, 4).
-
-    Raises:
-        InputError: the file is damaged, or holds pickled objects.
-    """
+    """Open an npy file: joint angles (T, 7) to (T, 9), or poses (T, 4, 4)."""
     array = read_npy(sample.path, partial(check_bytes, most=_MAX_BYTES))
     name = "base_from_tcp" if array.ndim == 3 else "q"
     yield Table(columns=_columns({name: array.shape}), load={name: array}.__getitem__)
@@ -52,11 +44,7 @@ def open_npy_table(sample: TrajectorySample) -> Iterator[Table]:
 
 @contextmanager
 def open_json_table(sample: TrajectorySample) -> Iterator[Table]:
-    """Open a json file: an object of lists, one of numbers per frame.
-
-    Raises:
-        InputError: the file is no such object.
-    """
+    """Open a json file: an object of lists, one of numbers per frame."""
     arrays: dict[str, NDArray[np.generic]] = {}
     for name, value in read_object(sample.path).items():
         if isinstance(value, list):

@@ -60,9 +60,6 @@ def rotations_of(layout: str, numbers: Array, angle_rad: float) -> tuple[Array, 
         layout: one of `reading.LAYOUTS` with a rotation.
         numbers: (T, n) numbers of the rotations.
         angle_rad: unit of angles [rad].
-
-    Raises:
-        InputError: the norm of a quaternion is not 1, or angles cannot be in their unit.
     """
     R, finite = np.full((len(numbers), 3, 3), np.nan), np.isfinite(numbers).all(axis=-1)
     frames, own, repairs = np.flatnonzero(finite), numbers[finite], tuple[str, ...]()

@@ -111,12 +111,7 @@ def find_trajectories(
 
 
 def read_trajectory(sample: TrajectorySample, choice: TrajectoryOptions) -> Trajectory:
-    """Read and check one trajectory.
-
-    Raises:
-        InputError: it cannot be read, or is invalid.
-        UnmeasurableError: it is too short.
-    """
+    """Read and check one trajectory."""
     with open_table(sample) as table:
         return apply_reading(sample, table, complete(table, choice.reading or Reading()), choice.rate_hz)
 
@@ -137,12 +132,7 @@ def open_table(sample: TrajectorySample) -> Iterator[Table]:
 
 
 def apply_reading(sample: TrajectorySample, table: Table, reading: Reading, rate_hz: float | None) -> Trajectory:
-    """Return the checked trajectory of a table by a complete reading.
-
-    Raises:
-        InputError: it is invalid.
-        UnmeasurableError: it is too short.
-    """
+    """Return the checked trajectory of a table by a complete reading."""
     raw = reading.apply(table)
     return check(replace(raw, warnings=(*sample.warnings, *raw.warnings)), rate_hz)
 

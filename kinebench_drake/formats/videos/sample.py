@@ -101,22 +101,14 @@ class Search:
         return matches[0]
 
     def part_sample(self, path: Path) -> VideoSample:
-        """Return a sample of a file or frame folder without metadata, with the camera of its folder.
-
-        Raises:
-            UsageError: the camera file is unusable.
-        """
+        """Return a sample of a file or frame folder without metadata, with the camera of its folder."""
         is_folder = path.is_dir()
         id = path.resolve().name if is_folder else path.stem
         sample = VideoSample(id=id, path=path, video=self.name(path))
         return sample.filmed_by(self.cameras.find(path if is_folder else path.parent), CameraSource.FOLDER)
 
     def sample(self, path: Path) -> VideoSample:
-        """Return a sample of a video without metadata, with the camera of its folder and the image beside it.
-
-        Raises:
-            UsageError: the camera file is unusable.
-        """
+        """Return a sample of a video without metadata, with the camera of its folder and the image beside it."""
         return replace(self.part_sample(path), first_frame=image_beside(path))
 
 

@@ -95,11 +95,7 @@ class ModelComparison:
 
 
 def read_comparison(paths: Sequence[Path], seed: int = 0) -> ModelComparison:
-    """Compare the models of some suite runs on the episodes they share.
-
-    Raises:
-        UsageError: the folders cannot be used or pooled, or no two models share an episode.
-    """
+    """Compare the models of some suite runs on the episodes they share."""
     runs = read_suite_runs(paths)
     episodes = pool_episodes(runs)
     numbers = [

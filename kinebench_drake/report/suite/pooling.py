@@ -65,12 +65,7 @@ def model_of(row: SampleRow) -> str:
 
 
 def read_suite_runs(paths: Sequence[Path]) -> list[SuiteRun]:
-    """Read the output folders of suite runs.
-
-    Raises:
-        UsageError: there is none, one is named twice, is broken, unfinished, empty or of another kind of run, or they
-            have different schema or suite versions.
-    """
+    """Read the output folders of suite runs."""
     others = [path for path in paths if path.is_dir() and is_run(path)]
     own = [path for path in paths if path not in others]
     runs = [_check_kind(run) for run in read_runs(own)] if own or not others else []

@@ -38,10 +38,6 @@ def write_suite_report(
 
     Returns:
         The html page.
-
-    Raises:
-        UsageError: the folders cannot be used or pooled, or `out` is one of a run.
-        SetupError: writing failed.
     """
     check_page_folder(out)
     runs = read_suite_runs(paths)
@@ -111,12 +107,7 @@ def _scaling_parts(runs: Sequence[SuiteRun], episodes: Sequence[EpisodeResult], 
 
 
 def write_comparison(comparison: ModelComparison, out: Path) -> Path:
-    """Write a comparison: page and tables; returns the page.
-
-    Raises:
-        UsageError: `out` is the folder of a run.
-        SetupError: writing failed.
-    """
+    """Write a comparison: page and tables; returns the page."""
     check_page_folder(out)
     parts: list[Part] = [tabulate_comparison(comparison.pairs)]
     if comparison.numbers:
