@@ -44,7 +44,6 @@ def convert_urdf(
     found by `find_mesh`.
 
     Args:
-        source: the URDF.
         name: name of the converted file, without its suffix.
         root: its root element, if it was edited; left converted.
         package_path: folder in which packages of package:// URIs are looked up first.

@@ -115,7 +115,6 @@ def render_video(simulator: Simulator, snapshots: Sequence[Snapshot], *, first_f
 
     Args:
         simulator: simulator, reset to the scene of the snapshots.
-        snapshots: states, one per frame.
         first_frame: index of the first of them in the whole video, which determines `t_s`.
     """
     images, X_BH, X_BG = [], [], []

@@ -116,12 +116,9 @@ class Simulator:
     It takes some seconds to build the first time in a process, whose objects are exempt from garbage collection then.
 
     Args:
-        task: plain task id.
         robot: one of `KineBenchEnv.SUPPORTED_ROBOTS`: "panda" or "panda_wristcam".
         camera: camera; None: the benchmark camera.
-        variant: version of the task's scene.
         renders: whether images can be rendered; physics alone needs no Vulkan.
-        control: type of the commands.
 
     Raises:
         UsageError: there is no such task or variant.

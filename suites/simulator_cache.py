@@ -21,7 +21,6 @@ class SimulatorCache(Generic[S]):
     Args:
         make: simulator class; called with task, variant, camera and renders.
         size: width and height of the benchmark camera's images [px]; None: the benchmark's.
-        renders: whether images can be rendered.
     """
 
     def __init__(self, make: Callable[..., S], size: int | None = None, *, renders: bool = True) -> None:

@@ -30,8 +30,6 @@ def start_q(task_id: str, seed: int, finger_width_m: float | None = None) -> NDA
     """Return the joint positions (9,) in an episode's first frame: seven of the arm [rad], two of the fingers [m].
 
     Args:
-        task_id: plain id.
-        seed: seed of the scene, independent of pool and variant.
         finger_width_m: gap between the finger pads [m]; None: that of the benchmark task.
 
     Raises:

@@ -46,10 +46,7 @@ def config_options(
     """Return a decorator that adds the options of a configuration.
 
     Args:
-        config: class of the configuration.
         names: options to add, in this order; all if there are none.
-        omit: options that are left out.
-        defaults: defaults that differ from those of the configuration.
     """
     options = options_of(config)
     chosen = [options[name] for name in names or options if name not in omit]

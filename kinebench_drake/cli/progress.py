@@ -36,11 +36,7 @@ class ProgressView:
     """Observer that shows a progress bar on a terminal and log lines elsewhere, on standard error. Use as a context."""
 
     def __init__(self, unit: str = "episodes") -> None:
-        """Prepare the display.
-
-        Args:
-            unit: what is counted, in the plural.
-        """
+        """Prepare the display."""
         self.total = 0
         """Items in all."""
         self.completed = 0

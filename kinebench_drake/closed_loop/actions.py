@@ -34,7 +34,6 @@ class ActionSource:
     """Expert that continues an episode in a simulator of its own, without rendering.
 
     Args:
-        plant: the arm, for the poses of joint angles.
         size_px: side of the camera's images, which are not rendered [px].
     """
 
@@ -46,8 +45,6 @@ class ActionSource:
         """Return the states that the robot reaches if the expert continues from a state, which the first frame shows.
 
         Args:
-            episode: the episode.
-            state: state of the simulation.
             frames: number of frames; after the expert's clip of 9.6 s it waits.
             period_s: task time between two frames [s].
         """
@@ -96,8 +93,6 @@ def measure_following(track: GripperTrack, actions: ActionTrack, *seed: str | in
     lost; the part of a longer clip after the last action is not compared.
 
     Args:
-        track: grounded track of the clip.
-        actions: the requested actions.
         *seed: words that determine the order of the shuffled actions.
     """
     period_s = float(actions.t_s[1] - actions.t_s[0])

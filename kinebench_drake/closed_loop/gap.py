@@ -48,7 +48,6 @@ def measure_gap(
         generated: (T, H, W, 3) frames, scaled to the size of the executed ones.
         generated_robot: (T, H, W) pixels of the robot in them.
         generated_X_BG: (T, 4, 4) panda_hand_tcp as grounded [m]; NaN where unknown.
-        executed: video of the execution, of at most T frames.
 
     Raises:
         InputError: the execution has more frames than the clip.

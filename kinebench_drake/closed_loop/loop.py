@@ -167,7 +167,6 @@ class ClosedLoop:
 
         Args:
             simulator: simulator of the task; it is reset.
-            episode: the episode.
             videos: path of the generated videos, to which "_r0" and so on are appended; its name is that of the sample.
             sample: number of the sample of the episode; each has its own seeds.
 

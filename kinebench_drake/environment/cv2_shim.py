@@ -38,9 +38,6 @@ Tag: py3-none-any
 def write_wheel(folder: Path) -> Path:
     """Write the wheel, in PyPA's binary distribution format, with the same bytes every time.
 
-    Args:
-        folder: existing folder for the wheel.
-
     Returns:
         Path of the wheel.
     """

@@ -26,7 +26,6 @@ def repair_environment(checks: Sequence[doctor.Check], say: Callable[[str], None
 
     Args:
         checks: results of `doctor.run_checks()`.
-        say: prints a line.
         dry_run: print only.
 
     Returns:

@@ -116,8 +116,6 @@ def create_executor(kind: ExecutorKind, jobs: int, address: str | None = None) -
     """Return an executor with `jobs` workers.
 
     Args:
-        kind: type of executor.
-        jobs: number of workers.
         address: address of a Ray cluster; only for Ray.
 
     Raises:

@@ -23,7 +23,6 @@ def graceful_interrupt(stop: Callable[[], None], report: Callable[[str], None]) 
 
     Args:
         stop: requests an early end; called while the main thread does anything at all.
-        report: shows a message to the user.
 
     Yields:
         An event that is set once there was an interrupt.

@@ -90,8 +90,6 @@ def join_relative(folder: Path, relative: str, what: str, *, links_out: bool = T
 
     Args:
         folder: folder that the path must not leave.
-        relative: the relative path.
-        what: its name in messages.
         links_out: accept links that lead out of the folder; the cache of the Hugging Face Hub consists of them.
 
     Raises:

@@ -100,10 +100,8 @@ def write_part(
     """Write the arrays of one trajectory, named as in its group, to an npz file for `join_parts`.
 
     Args:
-        path: the npz file.
         actions: (N, 8) actions of `CONTROL_MODE`.
         states: N + 1 states.
-        successes: success after each action.
         truncated: True if the last action is the last one allowed.
     """
     success = np.array(successes, dtype=bool)

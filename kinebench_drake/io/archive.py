@@ -45,8 +45,6 @@ def unpack_zip(path: Path, folder: Path, kinds: Collection[str]) -> dict[str, st
     """Unpack an archive from an untrusted source into a folder; nothing is written unless every entry is sound.
 
     Args:
-        path: the archive.
-        folder: an empty folder.
         kinds: patterns of the names that are accepted, such as "tracks/*.npz".
 
     Returns:

@@ -205,9 +205,6 @@ def write_video(
     Of odd sizes the last row or column is repeated, as yuv420p needs even ones.
 
     Args:
-        path: file to write.
-        frames: images of one size.
-        fps: frames per second.
         crf: quality of x264, 0 (lossless) to 51; 18 is visually close to lossless.
         preset: effort of x264; "veryfast" takes 0.4 times the time of "medium", for videos that are only looked at.
         keyframe_every: greatest distance between keyframes [frames]; None leaves it to x264.

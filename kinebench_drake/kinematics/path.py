@@ -75,7 +75,6 @@ def search_path(
     """Search the path (T, 7) [rad]: grid of the anchors, frames between, relaxation; NaN where there is no posture.
 
     Args:
-        plant: the robot.
         t_s: (T,) times [s], increasing.
         X_BG: (T, 4, 4) poses of the TCP in the base [m].
         q_start: (7,) posture [rad] to start near.
@@ -147,7 +146,6 @@ def find_cheapest_path(
     equal paths. Layers without a posture give NaN and are skipped.
 
     Args:
-        plant: the robot.
         t_s: (T,) times of the layers [s], increasing.
         layers: T arrays (N_t, 7) of postures [rad], some empty.
         q_start: (7,) posture [rad] to start near.

@@ -43,7 +43,6 @@ def relax(
     null motion allows.
 
     Args:
-        plant: the robot.
         t_s: (T,) times [s], increasing.
         X_BG: (T, 4, 4) poses of the TCP in the base [m].
         q: (T, 7) postures that reach them [rad], all finite.

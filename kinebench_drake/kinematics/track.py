@@ -40,7 +40,6 @@ def solve_track(
     are left out; their time counts.
 
     Args:
-        plant: the robot.
         track: gripper track; `t_s`, `X_BG`, `tracked` and, for collisions, `finger_width_m` are used.
         collision: collision model; None ignores collisions.
         contact_tolerance_m: penetration depth up to which a contact is no collision [m].

@@ -80,7 +80,6 @@ def optimize_in_tube(
     "infeasible" holds near `q`.
 
     Args:
-        plant: the robot.
         collision: collision model; None ignores collisions.
         t_s: (T,) times [s], increasing; they may have gaps.
         X_BG: (T, 4, 4) poses of the TCP in the base [m].

@@ -94,8 +94,6 @@ def solve_tube(
     """Solve the trajectory that is in the tube at the frames and within limits at all times; None if there is none.
 
     Args:
-        basis: the spline.
-        poses: poses of the track, linearised about a joint path.
         limits: limits, applied to the control points (slightly stricter than on the curve, see `spline`).
         radius_m: radius of the tube [m]; None minimises it.
         proximity: weight of the distance from the path of the linearisation: millimetres of radius that outweigh a

@@ -106,7 +106,6 @@ def check_limits(
     noise is that of the accelerations through the mass matrix.
 
     Args:
-        plant: the robot.
         t_s: (T,) times [s], increasing.
         q: (T, 7) joint angles [rad], NaN where unknown.
         sigma: (7,) or (T, 7) standard deviations of the noise of `q` [rad]; NaN if unknown: then no limit is broken.

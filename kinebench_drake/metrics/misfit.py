@@ -39,7 +39,6 @@ def misfit(plant: ArmPlant, t_s: Array, X_BG: Array | None, q: Array | None, *, 
     """Return the cost of a motion.
 
     Args:
-        plant: the robot.
         t_s: (T,) times [s].
         X_BG: (T, 4, 4) poses of the TCP in B [m]; NaN where unknown.
         q: (T, 7) joint angles [rad] in place of poses; NaN where unknown.

@@ -162,9 +162,7 @@ def measure_smoothness(
     measured (`completion`), None if more than MAX_LOST_SHARE are not; those of the filtered SPARC are None.
 
     Args:
-        track: gripper track, whose tracked frames include bridged ones.
         noise: noise of the track; estimated if None (`noise.estimate_track_noise`).
-        seed: seed of the draws for the noise floor.
         measured: (T,) frames that are neither lost, bridged nor out of reach; None: the tracked ones.
     """
     measured = track.tracked if measured is None else measured

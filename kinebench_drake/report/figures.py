@@ -78,10 +78,7 @@ def draw_intervals(
     """Draw shares as points with intervals: a line per row, the models beside each other.
 
     Args:
-        rows: labels of the lines, from bottom to top.
-        estimates: rows and their shares by model.
         numbers: number of each model, see `assign_numbers`.
-        label: label of the horizontal axis.
         low: its lower end; 0 is marked if it lies within.
     """
     figure, axes = new_figure(7.2, 1.3 + len(rows) * max(0.3, 0.1 + 0.1 * len(estimates)))

@@ -109,10 +109,6 @@ def compare_numbers(
 
     Args:
         pairs: rows of the first and of the second model of the same samples; several rows of an episode are averaged.
-        first: label of the first model.
-        second: label of the second model.
-        part: what the samples are of.
-        seed: seed of the resampling.
     """
     tasks: dict[str, list[RowsPair]] = {}
     for pair in pairs:
@@ -262,10 +258,6 @@ def verdict_line(
     """Say which of two models has the greater share, or that it is undecided and how many samples would decide.
 
     Args:
-        first: label of the first model.
-        second: label of the second model.
-        part: what the samples are of.
-        share: share of what.
         paired: truth values of the shared samples, missing ones as false.
         uppers: the shares if all missing truth values were true; None where they are the same.
     """

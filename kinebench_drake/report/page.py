@@ -61,7 +61,6 @@ def write_report(out: Path, rows: Iterable[SampleRow] | None = None, statistics:
     """Write `report.html` from the rows and files of an output folder; the same folder gives the same bytes.
 
     Args:
-        out: the folder.
         rows: its rows; None: they are read.
         statistics: their statistics; None: they are computed.
     """
@@ -93,7 +92,6 @@ def build_page(out: Path, rows: Iterable[SampleRow] | None = None, statistics: R
     """Build the html of an output folder's report.
 
     Args:
-        out: the folder.
         rows: its rows; None: they are read.
         statistics: their statistics; None: they are computed.
     """
@@ -186,13 +184,7 @@ def _count_metrics(rows: Sequence[SampleRow], total: Aggregate, layout: MetricLa
 def choose_gallery(
     out: Path, rows: Sequence[SampleRow], most: int = _GALLERY
 ) -> tuple[list[SampleRow], list[SampleRow]]:
-    """Choose the worst samples with an image, of those that are not good, and the best of the good ones.
-
-    Args:
-        out: the output folder.
-        rows: its rows, the worst first.
-        most: samples of each.
-    """
+    """Choose the worst samples with an image, of those that are not good, and the best of the good ones."""
     pictured = [row for row in rows if has_thumbnail(out, row)]
     good = [row for row in pictured if verdict_of(row) in GOOD_VERDICTS]
     worst = [row for row in pictured if verdict_of(row) not in GOOD_VERDICTS]

@@ -48,12 +48,7 @@ def write_parts(
 
     Args:
         template: name of the page's template, an extension of `parts.html.j2`.
-        title: heading.
-        out: folder of the page and of the files.
-        parts: tables and figures in their order.
         listing: table of all samples, as a file only.
-        page: name of the page's file.
-        context: further variables of the template.
 
     Returns:
         The page.
@@ -88,8 +83,6 @@ def list_links(folder: Path | None, row: SampleRow, out: Path) -> list[tuple[str
 
     Args:
         folder: output folder of the run; None if there is none.
-        row: the sample.
-        out: folder of the page.
     """
     if folder is None:
         return []

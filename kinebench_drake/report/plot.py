@@ -105,12 +105,9 @@ def draw_plot(
     """Draw curves over time as a `<figure>`.
 
     Args:
-        title: caption with the unit.
         t_s: (T,) time [s].
-        curves: the lines.
         bands: frames to shade behind the curves, by class of the colour.
         limits: range of the vertical axis; None fits the values.
-        lines: values to mark, such as limits.
     """
     low, high = limits or _value_range([c.values for c in curves], lines)
     x, y = Axis(float(t_s[0]), float(t_s[-1]), _LEFT, _RIGHT), Axis(high, low, _TOP, _BOTTOM)
@@ -214,9 +211,7 @@ def count_values(metric: Metric, values: Sequence[tuple[str, float | None]], est
     videos do.
 
     Args:
-        metric: the metric.
         values: verdict and value of each sample; None is not counted.
-        estimate: mean with interval and coverage.
 
     Returns:
         The counts; None if fewer than two values differ.
@@ -242,12 +237,7 @@ def count_values(metric: Metric, values: Sequence[tuple[str, float | None]], est
 
 
 def draw_histogram(h: Histogram, names: Mapping[str, str]) -> Markup:
-    """Draw counts as a `<figure>`: bars stacked by verdict, the mean as a line with its interval shaded.
-
-    Args:
-        h: the counts.
-        names: labels of the verdicts.
-    """
+    """Draw counts as a `<figure>`: bars stacked by verdict, the mean as a line with its interval shaded."""
     peak = int(np.sum(list(h.counts.values()), axis=0).max())
     x, y = Axis(float(h.edges[0]), float(h.edges[-1]), _H_LEFT, _H_RIGHT), Axis(0.0, peak, _H_BOTTOM, _H_TOP)
     pattern = h.metric.pattern if "%" in h.metric.pattern else "{:.4g}"

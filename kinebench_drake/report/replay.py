@@ -40,8 +40,6 @@ def write_replays(out: Path, ids: Sequence[str], plant: ArmPlant | None = None) 
     """Write `replays/ID.html` of some samples of an output folder; samples without a tracked frame are skipped.
 
     Args:
-        out: output folder of a run.
-        ids: samples of it.
         plant: the robot that the run was judged with; None is the Panda.
 
     Returns:
@@ -83,10 +81,6 @@ def build_replay(
     Untracked frames are interpolated.
 
     Args:
-        plant: the robot.
-        meshes: surfaces of its links.
-        row: verdict, violations and anomalies.
-        file: the track.
         table_height_m: height of the table in B [m].
 
     Raises:

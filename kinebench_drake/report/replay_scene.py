@@ -76,10 +76,6 @@ class ReplayScene:
         """Prepare the scene.
 
         Args:
-            plant: the robot.
-            meshes: surfaces of its links.
-            meshcat: an empty Meshcat server.
-            row: violations and anomalies.
             file: the track, with a pose in at least one frame.
         """
         self._plant, self._meshes, self._meshcat = plant, meshes, meshcat

@@ -127,13 +127,7 @@ def goodness(row: SampleRow) -> tuple[float | str, ...]:
 
 
 def worst_samples(rows: Iterable[SampleRow], track: Callable[[str], Path], n: int) -> list[str]:
-    """List the ids of the `n` worst samples that have a track, in the order of the report.
-
-    Args:
-        rows: the samples.
-        track: returns the path of an id's track.
-        n: maximum number.
-    """
+    """List the ids of the `n` worst samples that have a track, in the order of the report."""
     worst = (row.id for row in sorted(rows, key=badness) if track(row.id).is_file())
     return list(islice(worst, n))
 
@@ -167,10 +161,7 @@ def view_sample(out: Path, row: SampleRow, *, drawn: bool, pictured: bool = True
     """Collect everything that the page shows of a sample.
 
     Args:
-        out: the output folder.
-        row: the sample's row.
         drawn: whether to draw its curves and list its details; otherwise only the row is used.
-        pictured: whether to include its image.
     """
     viewable = is_viewable(out, row)
     file = read_track(artifact_path(out, "tracks", row.id)) if drawn and _has_track(out, row) else None

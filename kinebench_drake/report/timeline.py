@@ -144,8 +144,6 @@ def draw_timeline(lanes: Sequence[FaultLane], n: int, t_s: Array | None = None) 
     """Draw lanes over frames as a `<figure>`.
 
     Args:
-        lanes: the faults.
-        n: number of frames.
         t_s: (n,) time [s], shown beside the frames; None if unknown.
     """
     height, wide = _LANE * len(lanes) + 24.0, _RIGHT - _LEFT

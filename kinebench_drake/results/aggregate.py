@@ -95,8 +95,6 @@ def aggregate(rows: Sequence[SampleRow], seed: int = 0, worst: Mapping[str, floa
     """Compute the statistics of a group of rows; the same rows and seed give the same numbers.
 
     Args:
-        rows: the group.
-        seed: seed of the bootstrap intervals.
         worst: worst values of the run, which bound the means; None if the group is the whole run.
     """
     worst = worst_values(rows) if worst is None else worst
@@ -246,10 +244,7 @@ def estimate(
     are those over episodes (`share_interval`).
 
     Args:
-        values: value of each sample.
         total: number of samples in the group, measurable or not.
-        seed: seed of the bootstrap intervals.
-        worst: value of missing ones in the bound.
         episodes: episode of each sample; None: each its own.
         bounds: the worst that each value can be; None: the values.
     """

@@ -108,9 +108,7 @@ def _episodes(difference: float, null: float, variance: float, samples: int, pow
     Args:
         difference: true difference, above 0.
         null: variance of an episode's difference if there is no true one.
-        variance: that if there is.
         samples: samples of each episode: their number sets the steps of the test statistic, 2 / samples.
-        power: probability of detecting the difference.
 
     n' = n / 4 (1 + sqrt(1 + 4 / (n x K)))^2 (Casagrande, Pike and Smith, Biometrics 34, 1978, for K = 1).
     """

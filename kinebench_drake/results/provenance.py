@@ -49,9 +49,6 @@ def code_hash(*modules: str) -> str:
     """Return the SHA-256 of the code that shapes a measurement: a row with another hash is computed again.
 
     It is that of the syntax trees, without docstrings and comments, of all modules that measuring modules reach.
-
-    Args:
-        modules: full names of measuring modules.
     """
     digest = hashlib.sha256()
     for source in trace_sources(*modules):

@@ -210,7 +210,6 @@ class SampleRow:
         """Convert a parsed line; unknown keys go to `extra`.
 
         Args:
-            data: JSON value.
             line: its place in a file, from which the row reads on demand what takes most memory; None: it keeps all.
 
         Raises:

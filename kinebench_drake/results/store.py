@@ -68,10 +68,6 @@ class ResultStore:
     def __init__(self, out: Path, *, overwrite: bool = False) -> None:
         """Open or create the folder.
 
-        Args:
-            out: the folder.
-            overwrite: remove earlier results instead of continuing from them.
-
         Raises:
             UsageError: the folder cannot be created, written or locked, or holds a broken file.
         """

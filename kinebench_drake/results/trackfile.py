@@ -51,7 +51,6 @@ def write_track(path: Path, track: GripperTrack, joints: JointTrack | None, curv
     Args:
         path: the file, `tracks/ID.npz`.
         track: poses in the camera frame and in the base frame.
-        joints: joint angles that reach them.
         curves: further arrays (T,) or (T, 7), NaN where unknown, by name.
 
     Raises:

@@ -79,15 +79,7 @@ def write_actions(
     rows: Sequence[SampleRow],
     warn: Callable[[str], None],
 ) -> Path:
-    """Write the actions of all measured videos of an output folder, and return the folder with them.
-
-    Args:
-        format: format of the actions.
-        out: output folder with tracks that have joint angles.
-        samples: the videos.
-        rows: their rows.
-        warn: receives why a video is left out.
-    """
+    """Write the actions of all measured videos of an output folder, and return the folder with them."""
     folder = out / format.folder
     remove(folder)
     motions = _read_motions(out, {sample.id: sample for sample in samples}, rows, warn)

@@ -93,7 +93,6 @@ def assess_readings(
     """Compare the readings of trajectories that are stored alike; None if none can be measured.
 
     Args:
-        tools: robot and table.
         samples: trajectories of one file or dataset, which share one reading.
         choice: options of the user; a key of their reading is never doubted.
         thorough: also compare readings if that by the names fits well.

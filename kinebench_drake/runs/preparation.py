@@ -50,7 +50,6 @@ def time_frames(sample: VideoSample, video: Video, option_s: float | None, durat
     """Choose the frames of a video and determine their times.
 
     Args:
-        sample: labels of the video.
         video: as decoded.
         option_s: task time between two frames from the command line [s].
         duration_s: task time over which its frames lie evenly [s]; None: they are one period apart.
@@ -79,11 +78,8 @@ def ground_sample(
 
     Args:
         video: as decoded.
-        sample: labels and camera of the video.
         overrides: stages of the grounding that are replaced; poses leave a camera unchecked.
-        grounder: the grounding.
         period_s: task time between two frames from the command line [s].
-        gripper: gripper of the robot.
         duration_s: task time over which its frames lie evenly [s]; None: they are one period apart.
     """
     video.require_measurable()

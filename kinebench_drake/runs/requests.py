@@ -20,12 +20,7 @@ def request_path(out: Path, id: str) -> Path:
 
 
 def write_requests(out: Path, requests: Sequence[Mapping[str, object]]) -> None:
-    """Write manifest and camera of the rounds that wait for their videos; remove the first frames of others.
-
-    Args:
-        out: output folder of the run.
-        requests: rows of the manifest.
-    """
+    """Write manifest and camera of the rounds that wait for their videos; remove the first frames of others."""
     folder = out / REQUESTS
     wanted = _files(requests)
     with disk_errors(folder.name):

@@ -25,12 +25,7 @@ def resume(
     Rows of samples that are not selected stay only if they are valid, too: the metadata describe every row.
 
     Args:
-        store: the opened output folder.
-        samples: all samples of the input.
         selected: samples of this run (limit, shard).
-        evaluator: decides which rows are valid.
-        metadata: metadata of this run.
-        warn: receives a message about dropped rows.
 
     Raises:
         UsageError: finished rows would be lost that this run does not evaluate again, or the metadata are damaged.

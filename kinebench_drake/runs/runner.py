@@ -146,14 +146,7 @@ def _start_worker(evaluator: Evaluator[SampleT, ResourcesT]) -> Callable[[Sample
 
 
 def close_run(store: ResultStore, kind: RunKind, seed: int, statistics: RunStatistics) -> RunSummary:
-    """Write the report of a finished output folder and return its summary.
-
-    Args:
-        store: the folder.
-        kind: kind of the run.
-        seed: seed of the bootstrap intervals.
-        statistics: statistics of its rows with this seed.
-    """
+    """Write the report of a finished output folder and return its summary."""
     if kind.judges:
         from kinebench_drake.report.page import write_report
 
@@ -163,13 +156,7 @@ def close_run(store: ResultStore, kind: RunKind, seed: int, statistics: RunStati
 
 
 def summarize_run(store: ResultStore, kind: RunKind, seed: int) -> RunSummary:
-    """Return the summary of a finished output folder with its report.
-
-    Args:
-        store: the folder.
-        kind: kind of the run.
-        seed: seed of the bootstrap intervals.
-    """
+    """Return the summary of a finished output folder with its report."""
     rows = store.sorted_rows()
     measured = [row for row in rows if row.status is Status.OK]
 

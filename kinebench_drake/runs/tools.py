@@ -100,7 +100,6 @@ class Tools:
         """Judge a track of poses: infeasible only if no joint path follows it.
 
         Args:
-            track: the track.
             table_height_m: height of the table in the robot base frame [m]; None: that of the options.
         """
         return self._judge(self._table_height_m if table_height_m is None else table_height_m).judge_poses(track)

@@ -59,9 +59,6 @@ def verify_bundle(bundle: Bundle, samples: int, seed: int, videos: Path | None =
     """Compare what a bundle states with what follows from its files.
 
     Args:
-        bundle: the bundle.
-        samples: number of samples to measure anew.
-        seed: seed of their choice.
         videos: folder of the videos, from which they are grounded anew, too.
 
     Raises:

@@ -141,11 +141,8 @@ def plan(
     the static objects of the scene.
 
     Args:
-        plant: the robot.
         q_start: (7,) joint angles [rad].
         finger_width_start_m: gap between the finger pads [m].
-        waypoints: targets of the moves.
-        steps: number of control steps.
         scene: scene for the collision check; None for none.
 
     Raises:

@@ -171,13 +171,7 @@ class Task(ABC):
 
     @abstractmethod
     def layout(self, models: Mapping[str, AssetModel], rng: np.random.Generator, variant: TaskVariant) -> SceneLayout:
-        """Draw the initial scene.
-
-        Args:
-            models: the asset drawn for each slot.
-            rng: the episode's generator for everything else.
-            variant: variant of the scene.
-        """
+        """Draw the initial scene."""
 
     @abstractmethod
     def conditions(self, state: "State") -> "dict[str, Tensor]":

@@ -159,11 +159,7 @@ def build_actor(
     """Build a single rigid body.
 
     Args:
-        scene: ManiSkill scene.
-        name: unique name in the scene.
-        body: the body.
         X_WA: pose (4, 4) in the ManiSkill world [m].
-        scene_idxs: parallel scenes that get one.
         physics: "dynamic", "kinematic" or "static".
     """
     builder = _ActorBuilder()

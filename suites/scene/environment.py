@@ -60,13 +60,10 @@ class KineBenchEnv(BaseEnv):  # type: ignore[misc]
         """Make the environment.
 
         Args:
-            args: passed to ManiSkill.
-            task: plain task id.
             robot_uids: "panda" or "panda_wristcam".
             pool: assets and looks to draw from: "all", "seen" or "unseen".
             variant: "plain" or "obstacles".
             camera: camera of the observations; None: the benchmark's.
-            kwargs: passed to ManiSkill.
 
         Raises:
             UsageError: the task is unknown or has no such variant.

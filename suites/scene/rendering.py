@@ -75,9 +75,6 @@ def simplify_arm(robot: Any) -> None:
     """Replace the visual meshes of a ManiSkill Panda's arm; hand and fingers, which are measured, keep theirs.
 
     Meshes are simplified once into the cache folder.
-
-    Args:
-        robot: articulation of the robot.
     """
     for part in ARM:
         for link in robot.links_map[LINK_OF[part]]._objs:

@@ -92,7 +92,6 @@ class State:
         """Return conditions (N,) that an articulated object and the arm are at rest and apart.
 
         Args:
-            name: the articulated object.
             distance: distance (N,) of the TCP from the part that it moved [m].
             still: greatest speed of the joint [rad/s or m/s].
         """

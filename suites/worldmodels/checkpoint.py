@@ -44,10 +44,8 @@ def load_pipeline(
     """Load a checkpoint, a folder or an id on Hugging Face's hub, as an image-to-video pipeline.
 
     Args:
-        source: the checkpoint.
         dtype: precision of the weights; auto: bfloat16 on a GPU, else float32.
         device: device to run on; None: the GPU if there is one, else the CPU.
-        offload: parts kept in main memory while unused.
 
     Raises:
         SetupError: diffusers is not installed, or the checkpoint is not supported or cannot be loaded.
@@ -85,7 +83,6 @@ def add_lora(pipeline: Any, lora: str, scale: float) -> None:
     Args:
         pipeline: pipeline of `load_pipeline`.
         lora: a .safetensors file, a folder with the file that diffusers' trainers write, or ORG/NAME[/FILE] on the hub.
-        scale: strength of the weights.
 
     Raises:
         SetupError: the weights cannot be loaded.

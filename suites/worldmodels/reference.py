@@ -100,9 +100,7 @@ class OracleModel(OracleRenderer):
     """World model that renders what the task's expert does next: a perfect model.
 
     Args:
-        name: name in the results.
         discloses: whether it reports the true track of its clips, so that no pose is estimated from pixels.
-        delay: frames by which the motion comes late.
     """
 
     def __init__(self, name: str = "oracle", *, discloses: bool = False, delay: int = 0) -> None:

@@ -100,7 +100,6 @@ class WorldModel(Protocol):
         """Generate the video of a request.
 
         Args:
-            request: the clip to generate.
             out: path of the video without a suffix; its folder exists. Adapters append ".mp4" or the actual suffix.
 
         Returns:

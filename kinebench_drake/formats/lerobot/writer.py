@@ -77,8 +77,6 @@ def write_part(
     """Write the parts of an episode of T frames to a folder.
 
     Args:
-        parts: the folder.
-        id: name of the episode's parts.
         rgb: (T, H, W, 3) video.
         columns: (T, n) or (T,) numbers or booleans by the name of the column.
         fps: frames per second [1/s].
@@ -121,13 +119,10 @@ def join_parts(
     """Join the parts of all episodes in a dataset, and write its metadata; return the files of data and videos.
 
     Args:
-        folder: folder of the dataset.
-        parts: folder of the parts.
         prompts: instruction of each episode by the name of its parts.
         fps: frames per second, a whole number [1/s].
         camera: camera of the videos; None: they have several, or it is unknown.
         size: width and height of the videos [px].
-        features: names of the elements of each column.
     """
     tasks = list(dict.fromkeys(prompts.values()))
     columns, histograms = _read_columns(parts, prompts, fps, tasks, features)

@@ -72,8 +72,6 @@ def find_trajectories(
     None of them is read.
 
     Args:
-        source: path named by the user.
-        choice: options of the user.
         out: output folder of the run, whose content is never used as input.
         model: name of the model, for trajectories without one.
         task: name of the task, for trajectories without one.

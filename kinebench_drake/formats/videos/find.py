@@ -64,12 +64,10 @@ def find_samples(
     """List the videos of a file, a frame folder, a dataset, a folder of these or a manifest.
 
     Args:
-        source: path named by the user.
         out: output folder of the run, whose content is never used as input.
         model: name of the world model, for samples without one.
         task: name of the task, for samples without one.
         others: folders of masks, depth or poses, whose images are no videos.
-        camera_key: camera to use in datasets with several cameras.
 
     Raises:
         UsageError: there is nothing to read, the choice of the camera is ambiguous, a `camera.json` is unusable, or a

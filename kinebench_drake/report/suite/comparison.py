@@ -116,7 +116,6 @@ def read_ceiling(
     Args:
         paths: output folders of `suite run`.
         execute: executes the expert's track in each of some episodes, in any order.
-        seed: seed of the resampling.
 
     Raises:
         UsageError: the folders cannot be used or pooled, or a row lacks its seed, pool or variant.

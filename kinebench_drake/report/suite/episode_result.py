@@ -150,7 +150,6 @@ def balanced_mean(
 
     Args:
         groups: values of each task's episodes; None if missing. For a single task it is the plain mean.
-        seed: seed of the resampling.
         worst: value that takes the place of missing ones in the bound of the mean; None for no bound.
 
     Returns:

@@ -54,9 +54,6 @@ def study_scaling(
 
     Args:
         runs: those without valid tags are skipped.
-        episodes: their episodes.
-        difficulties: difficulty of each task, in rising order.
-        seed: seed of the resampling.
     """
     budgets: dict[Path | None, TrainingBudget] = {
         run.path: budget for run in runs if run.part.suite == SUITE and (budget := budget_of(run))

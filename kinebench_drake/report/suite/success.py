@@ -74,8 +74,6 @@ def tally(episodes: Sequence[EpisodeResult], seed: int = 0, among: Sequence[Epis
     """Count a group of episodes; every task has the same weight in the means.
 
     Args:
-        episodes: the group.
-        seed: seed of the resampling.
         among: all episodes of the report, whose worst values bound the means; None if they are the group.
     """
     every = among or episodes

@@ -30,9 +30,6 @@ def write_suite_report(
 
     Args:
         paths: output folders of `suite run`.
-        out: folder to write to, made if absent.
-        seed: seed of the resampling.
-        warn: receives warnings, which are on the page as well.
         paper: only what the KineBench paper shows: success and kinematics by suite and model, their correlation, the
             loss from seen to unseen, scaling.
 

@@ -65,9 +65,7 @@ class OpenBox(_MoveLid):
         """Make one of the four tasks.
 
         Args:
-            name: plain id.
             ajar: True if the lid is slightly open at the start.
-            to_the_right: True if the box faces to its right.
         """
         self._ajar, self._to_the_right = ajar, to_the_right
         self.card = TaskCard(

@@ -67,8 +67,6 @@ def _scatter_apart(
     After every 60 attempts the required gap, `GAP_M` at first, shrinks by 5 %, so that the loop terminates.
 
     Args:
-        rng: draws the points.
-        radii_m: K radii.
         occupied: centre (2,) and radius of each disc that is occupied already.
         low: lower corner (2,) of the rectangle.
         high: upper corner (2,) of the rectangle.
