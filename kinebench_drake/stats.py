@@ -16,8 +16,6 @@ PERCENTILES = (50.0 * (1.0 - CONFIDENCE), 50.0 * (1.0 + CONFIDENCE))
 """Percentiles of a bootstrap distribution at the ends of its interval."""
 RESAMPLES = 2000
 """Resamples of a bootstrap distribution."""
-MANY = 1000
-"""Values up to which a mean is resampled value by value."""
 # Values drawn one by one of more than MANY: no other one differs from the mean by more than 0.18 sqrt(N) deviations.
 _EXTREME = 30
 # Numbers drawn at a time: all at once would take 1 GB for 20,000 samples.
@@ -50,7 +48,7 @@ def bootstrap_mean(values: Array, rng: np.random.Generator) -> tuple[float, floa
     """
     from scipy.stats import bootstrap
 
-    if len(values) > MANY:
+    if len(values) > 1000:  # values up to which a mean is resampled value by value
         return percentile_interval(_means_of_many(values, rng))
 
     result = bootstrap(

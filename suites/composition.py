@@ -19,9 +19,6 @@ from kinebench_drake.suites.scene.look import SORTS, look_ids
 from kinebench_drake.suites.scene.model import AssetMaker, AssetModel
 from kinebench_drake.suites.seeding import generator, share
 
-INSTANCES = 24
-"""Number of instances of each kind."""
-
 _FAMILIES = (blocks, boxes, cabinets, containers, faucets, fruits, laptops)
 KINDS: dict[str, AssetMaker] = {kind: make for family in _FAMILIES for kind, make in family.KINDS.items()}
 """Maker of each kind; kinds between which tasks distinguish have their own names, such as "fruit/apple"."""
@@ -52,7 +49,7 @@ def asset_ids(kind: str) -> tuple[str, ...]:
     """
     if kind not in KINDS:
         raise UsageError(f"no kind of asset {kind!r}; there are {', '.join(KINDS)}")
-    return tuple(f"{kind}/{i:02d}" for i in range(INSTANCES))
+    return tuple(f"{kind}/{i:02d}" for i in range(24))
 
 
 @lru_cache(maxsize=256)

@@ -31,10 +31,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-RAD_PER_M = np.deg2rad(5.0) / 0.015
-"""Ratio of rotation errors to position errors: 5 degrees with 15 mm."""
-
-
 class PoseError(Enum):
     """Errors of a track."""
 
@@ -99,7 +95,8 @@ def plant_error(X_BG: Array, finger_width_m: Array, grade: ErrorGrade, rng: np.r
             return X_BG, finger_width_m[frames]
         case None:
             return X_BG, finger_width_m
-    return make_pose(X_BG[:, :3, :3] @ rotation_exp(RAD_PER_M * w), X_BG[:, :3, 3] + p), finger_width_m
+    # Ratio of rotation errors to position errors: 5 degrees with 15 mm.
+    return make_pose(X_BG[:, :3, :3] @ rotation_exp(np.deg2rad(5.0) / 0.015 * w), X_BG[:, :3, 3] + p), finger_width_m
 
 
 def _run_grades(simulator: Simulator, episode: Episode, errors: Sequence[PoseError]) -> list[ToleranceAttempt]:

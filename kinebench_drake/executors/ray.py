@@ -21,12 +21,8 @@ from kinebench_drake.executors.base import Item, ItemResult, MakeWorker, Outcome
 from kinebench_drake.executors.local import THREAD_VARIABLES
 from kinebench_drake.results.provenance import RUNS, code_hash
 
-TRIES = 2
-"""Attempts at an item whose worker is lost: the first loss may be caused by the machine, not by the item."""
 MOST_FAILED_STARTS = 3
 """Number of consecutive workers lost while loading their models that ends the run."""
-_POLL_S = 1.0
-"""Time to wait for results before checking for an interrupt [s]."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -149,7 +145,8 @@ class ActorPool(Generic[Item, Result]):
             while busy := len(self._queue) + sum(worker.queued is not None for worker in self._workers):
                 while len(self._workers) < min(self._size, busy):
                     self._workers.append(self._start())
-                answers, _ = self._ray.wait([worker.answer for worker in self._workers], timeout=_POLL_S)
+                # An interrupt is noticed within a second.
+                answers, _ = self._ray.wait([worker.answer for worker in self._workers], timeout=1.0)
                 for worker in [worker for worker in self._workers if worker.answer in answers]:
                     outcome = self._receive(worker)
                     if outcome is not None:
@@ -209,7 +206,8 @@ class ActorPool(Generic[Item, Result]):
 
     def _lost(self, queued: _QueuedItem[Item], error: Exception) -> WorkerCrash[Item] | None:
         """Put the item of a lost worker back into the queue, or report a crash after the last attempt."""
-        if queued.tries < TRIES:
+        # The first loss of a worker may be caused by the machine, not by the item.
+        if queued.tries < 2:
             self._queue.appendleft(queued)
             return None
         memory = "memory" in str(error).lower()

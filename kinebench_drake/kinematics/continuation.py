@@ -19,8 +19,6 @@ from kinebench_drake.track import IkStatus
 
 ANCHORS_S = (0.8, 0.4)
 """Least time between poses of the search: on the branch of the start, then on all branches [s]."""
-ELBOW_S = 2.0
-"""Time over which the elbow moves from its start to where the path found by the search has it [s]."""
 
 
 def minimum_jerk(s: Array) -> Array:
@@ -58,8 +56,8 @@ def plan_continuation(plant: ArmPlant, t_s: Array, X_BG: Array, q_start: Array) 
 
 
 def blend_from_start(plant: ArmPlant, t_s: Array, X_BG: Array, q: Array, q_start: Array) -> Array:
-    """Return the path `q` (N, 7) [rad] changed to begin at `q_start` (7,), the elbow moving to the path in ELBOW_S."""
-    fade = 1.0 - minimum_jerk(t_s / ELBOW_S)
+    """Return the path `q` (N, 7) [rad] changed to begin at `q_start` (7,), the elbow moving to the path in 2 s."""
+    fade = 1.0 - minimum_jerk(t_s / 2.0)
     return posture_solver(plant).nearest(X_BG, q + fade[:, None] * (q_start - q[0]))
 
 

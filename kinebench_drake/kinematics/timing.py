@@ -15,10 +15,6 @@ from kinebench_drake.models.robot import N_JOINTS
 
 STILL_RAD = 1e-4
 """Range of every joint below which a path counts as a rest [rad]."""
-FASTEST = 1000.0
-"""Greatest speed-up of any part of the path: a rest takes a thousandth of its time."""
-ACTIVE = 0.98
-"""Share of a limit from which on it counts as active."""
 
 _GRID = 192  # cells of the grid along the path, rounded up to whole cells per frame
 _GRID_MAX = 1600  # greatest number of cells; a track of more frames is sampled evenly in time
@@ -65,7 +61,7 @@ def time_scale(plant: ArmPlant, t_s: Array, q: Array) -> TimeScale:
     The path is the cubic spline through the rows (ends not-a-knot); its parameter s is its own time.
     `toppra.fastest_rates` finds the fastest s(t) with ds/dt = 1 at both ends, as a clip is cut in mid-motion. Limits
     hold at the points of a grid and, to first order, between them: at 49 frames the result is some tenths of a percent
-    too large, with rests at either end up to one percent. A rest within a track is passed `FASTEST` times faster. A
+    too large, with rests at either end up to one percent. A rest within a track is passed 1,000 times faster. A
     path without motion has no value.
 
     Args:
@@ -110,9 +106,10 @@ class _Motion:
         bounds = np.inf if plant.acceleration_limits is None else plant.acceleration_limits
         self.speed = v / plant.robot.limits.speeds(q, v)
         """(G, 7) speeds in own time over their limits."""
+        # 1000.0: greatest speed-up of any part of the path: a rest takes a thousandth of its time
         self.limits = PathLimits(
             s=self.grid,
-            fastest=1.0 / np.maximum(np.abs(self.speed).max(axis=-1), 1.0 / FASTEST),
+            fastest=1.0 / np.maximum(np.abs(self.speed).max(axis=-1), 1.0 / 1000.0),
             slope=np.hstack([v / bounds, torque[1] - torque[0]]),
             bend=np.hstack([a / bounds, torque[2] - torque[0]]),
             rest=np.hstack([still, torque[0]]),
@@ -179,7 +176,7 @@ def _describe(motion: _Motion, rate: Array) -> TimeScale:
 def _usage(motion: _Motion, rate: Array, change: Array, spent: Array) -> tuple[Array, NDArray[np.bool_]]:
     """Return the share of time (3, 7) in which each limit is active, and whether it is in each cell (G - 1, 3, 7)."""
     near, far = motion.ratios(slice(None, -1), rate[:-1], change), motion.ratios(slice(1, None), rate[1:], change)
-    active = np.abs([near, far]) >= ACTIVE
+    active = np.abs([near, far]) >= 0.98  # share of a limit from which on it counts as active
     return np.einsum("k,ikcj->cj", 0.5 * spent / spent.sum(), active), np.asarray(active.any(axis=0))
 
 

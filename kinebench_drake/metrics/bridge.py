@@ -18,12 +18,8 @@ from kinebench_drake.track import GripperTrack
 
 BRIDGE_M, BRIDGE_RAD = 0.010, float(np.deg2rad(5.0))
 """Errors within which a bridged pose is sound: those of a good pose."""
-BRIDGE_SHARE = 0.95
-"""Share of the gaps cut into a track that must be bridged within these errors."""
 BRIDGE_FRAMES = 5
 """Longest gap that is bridged [frames]."""
-BRIDGE_TRIALS = 10
-"""Fewest gaps cut into a track from which the share is known."""
 _SIDE = 3  # poses on each side that determine a bridge
 
 
@@ -70,7 +66,7 @@ def bridge_joints(t_s: Array, q: Array, bridged: NDArray[np.bool_]) -> Array:
 def longest_bridge(track: GripperTrack) -> int:
     """Return the greatest number of lost frames in a row, up to BRIDGE_FRAMES, that are bridged soundly.
 
-    Sound are lengths at which BRIDGE_SHARE of the gaps cut into the track, BRIDGE_TRIALS at least, are bridged within
+    Sound are lengths at which 95 % of the gaps cut into the track, ten at least, are bridged within
     BRIDGE_M and BRIDGE_RAD in each frame.
     """
     for length in range(1, BRIDGE_FRAMES + 1):
@@ -82,7 +78,7 @@ def longest_bridge(track: GripperTrack) -> int:
             knots = _knots(track.tracked, gap)
             distance, angle = pose_difference(_bridge(track.t_s, track.X_BG, knots, gap), track.X_BG[gap])
             sound.append(bool(distance.max() <= BRIDGE_M and angle.max() <= BRIDGE_RAD))
-        if len(sound) < BRIDGE_TRIALS or np.mean(sound) < BRIDGE_SHARE:
+        if len(sound) < 10 or np.mean(sound) < 0.95:
             return length - 1
     return BRIDGE_FRAMES
 

@@ -25,11 +25,9 @@ from kinebench_drake.metrics.noise import (
 from kinebench_drake.segments import finite_rows, segments
 
 JUMP_M = 0.06
-"""Floor of a jump of the TCP's position for steps of JUMP_PERIOD_S [m]."""
+"""Floor of a jump of the TCP's position for steps of 0.2 s [m]."""
 JUMP_RAD = 0.35
-"""Floor of a jump of the TCP's orientation, or of a joint, for steps of JUMP_PERIOD_S [rad]."""
-JUMP_PERIOD_S = 0.2
-"""Step above which the floors grow with the square of the time, as the effect of an acceleration does [s]."""
+"""Floor of a jump of the TCP's orientation, or of a joint, for steps of 0.2 s [rad]."""
 ACCELERATION_M_S2, ACCELERATION_RAD_S2, JOINT_ACCELERATION_RAD_S2 = 13.0, 25.0, 20.0
 """Acceleration limits of the Panda that bound the floors over shorter steps: Cartesian, and of its fastest joint.
 
@@ -117,7 +115,8 @@ def _violation(jump: _Jump, run: slice, joint: str | None, unit: str) -> Violati
 def _floor(t_s: Array, floor: float, acceleration: float) -> Array:
     """Return the floor (n - 1,) of a jump for steps between the times `t_s` (n,) [s]."""
     dt2 = np.diff(t_s) ** 2
-    return np.minimum(floor * np.maximum(dt2 / JUMP_PERIOD_S**2, 1.0), acceleration * dt2)
+    # 0.2 s: the step above which the floors grow with the square of the time, as the effect of an acceleration does
+    return np.minimum(floor * np.maximum(dt2 / 0.2**2, 1.0), acceleration * dt2)
 
 
 def _noise_norm(sigma: float, axes: int, frames: int, freedom: float, groups: int = 1) -> float:

@@ -53,8 +53,6 @@ MIN_TRACKED_FRAMES = 5
 """Fewest tracked frames of a feasible track."""
 MIN_TRACKED_FRACTION = 0.5
 """Least share of tracked frames of a feasible track."""
-ASSUMED_NOISE = TrackNoise(position_m=0.005, rotation_rad=float(np.deg2rad(2.5)))
-"""Noise assumed for tracks too short to measure theirs: that of a fair tracker."""
 MOST_NOISE = TrackNoise(position_m=0.015, rotation_rad=float(np.deg2rad(7.5)))
 """Greatest noise that is allowed for: a track that jitters more is taken for motion and judged as exact."""
 MOST_JOINT_NOISE_RAD = 0.02
@@ -239,7 +237,8 @@ def _noise(track: GripperTrack) -> tuple[TrackNoise, bool]:
     """Return the track's noise, 0 where it exceeds MOST_NOISE, and whether it was assumed."""
     noise = estimate_track_noise(track.t_s, track.X_BG, track.tracked)
     assumed = not np.isfinite([noise.position_m, noise.rotation_rad]).all()
-    noise = ASSUMED_NOISE if assumed else noise
+    # Noise assumed for tracks too short to measure theirs: that of a fair tracker.
+    noise = TrackNoise(position_m=0.005, rotation_rad=float(np.deg2rad(2.5))) if assumed else noise
     position = noise.position_m if noise.position_m <= MOST_NOISE.position_m else 0.0
     rotation = noise.rotation_rad if noise.rotation_rad <= MOST_NOISE.rotation_rad else 0.0
     offsets = {"offset_m": track.offset_m, "offset_rad": track.offset_rad}

@@ -21,8 +21,6 @@ from kinebench_drake.track import GripperTrack
 
 ORDERS = (2, 3, 4, 5, 6)
 """Orders of the differences."""
-MIN_DIFFERENCES = 3
-"""Least number of differences of an order; with fewer, the order is not used."""
 FREEDOM_PER_FRAME = 0.6
 """Degrees of freedom of the estimate for a pose track, per frame.
 
@@ -98,7 +96,7 @@ def _variance(times: list[Array], steps: list[Array], axes: int) -> Array:
     for order in ORDERS:
         differences = [_unit_differences(t, d, order) for t, d in zip(times, steps, strict=True) if len(t) > order]
         pooled = np.concatenate([np.empty((0, axes)), *differences])
-        if len(pooled) < MIN_DIFFERENCES:
+        if len(pooled) < 3:  # least number of differences of an order; with fewer, the order is not used
             break
         # 0.6744897501960817: median of |x| for a standard normal x
         variance = (np.median(np.abs(pooled), axis=0) / 0.6744897501960817) ** 2

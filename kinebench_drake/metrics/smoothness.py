@@ -23,8 +23,6 @@ from kinebench_drake.metrics.noise import TrackNoise, estimate_track_noise, rota
 from kinebench_drake.segments import segments
 from kinebench_drake.track import GripperTrack
 
-PAD_LEVEL = 4
-"""Zero padding: the spectrum has 2^(ceil(log2 N) + PAD_LEVEL) bins."""
 CUTOFF_HZ = 10.0
 """Highest frequency of the spectral arc."""
 
@@ -37,13 +35,9 @@ STILL_M = 0.005
 STILL_RAD = 0.05
 """Angle from its first orientation within which a gripper counts as at rest [rad]."""
 
-FILTER_HZ = 1.0
-"""-3 dB frequency of the zero-phase Gaussian filter of the filtered SPARC [Hz]."""
 FILTERED_CUTOFF_HZ = 2.0
 """End of the arc of the filtered SPARC, without amplitude threshold [Hz]; the frame rate must be at least twice it."""
 
-DRAWS = 64
-"""Noisy copies of the smoothed motion that determine a noise floor."""
 
 _GRID_HZ = 10.0  # least sampling rate of the filtered speed
 
@@ -79,7 +73,7 @@ def sparc(speed: Array, sampling_hz: float, cutoff_hz: float = CUTOFF_HZ, thresh
 
 
 def _bins(n: int) -> int:
-    return int(2 ** (np.ceil(np.log2(n)) + PAD_LEVEL))
+    return int(2 ** (np.ceil(np.log2(n)) + 4))  # zero padding by 2^4
 
 
 def ldlj(speed: Array, sampling_hz: float) -> Array:
@@ -101,12 +95,12 @@ def filtered_sparc(t_s: Array, p: Array) -> Array:
     """Compute SPARC (M,) of paths (N, M, 3) at `t_s` (N,) [s] through a fixed filter, comparable between frame rates.
 
     The path is interpolated by a natural cubic spline; its velocity, zero before and after, is smoothed by the Gaussian
-    filter with gain 1/sqrt(2) at FILTER_HZ; the arc of the resulting speed extends to FILTERED_CUTOFF_HZ, without
+    filter with gain 1/sqrt(2) at 1 Hz; the arc of the resulting speed extends to FILTERED_CUTOFF_HZ, without
     amplitude threshold. It needs 2 FILTERED_CUTOFF_HZ frames per second and paths with motion.
     """
     rate = _rate(t_s)
     fine_hz = rate * max(1.0, np.ceil(_GRID_HZ / rate - 1e-9))
-    width = fine_hz * np.sqrt(np.log(2.0)) / (2.0 * np.pi * FILTER_HZ)
+    width = fine_hz * np.sqrt(np.log(2.0)) / (2.0 * np.pi)  # -3 dB at 1 Hz
     reach = int(np.ceil(4.0 * width))
     times = t_s[0] + (np.arange(round(float(t_s[-1] - t_s[0]) * fine_hz)) + 0.5) / fine_hz
     kernel = np.exp(-0.5 * (np.arange(-reach, reach + 1) / width) ** 2)
@@ -257,7 +251,8 @@ def _measure(
     paths = p[:, None]
     if np.isfinite(sigma):
         smooth = smooth_path(t_s, p, np.full(3, sigma))
-        paths = np.concatenate([paths, smooth[:, None] + sigma * rng.standard_normal((len(p), DRAWS, 3))], axis=1)
+        # 64: noisy copies of the smoothed motion that determine a noise floor
+        paths = np.concatenate([paths, smooth[:, None] + sigma * rng.standard_normal((len(p), 64, 3))], axis=1)
     rate, speeds = _rate(t_s), _even_speeds(t_s, np.linalg.norm(np.diff(paths, axis=0), axis=-1).T)
     for name in names:
         if name == "ldlj":

@@ -35,14 +35,10 @@ from kinebench_drake.results.store import ARTIFACTS, REPORT, RESULTS, read_rows
 
 DRAWN = 100
 """Samples, the worst first, whose curves and details are on the page: all would make it slow to open."""
-_LISTED = 1000
-"""Samples, the worst first, in its table."""
 _PICTURED = 40
 """Samples, the worst first, whose images are on the page."""
 _SHOWN = 100
 """Samples in the table until all are requested."""
-_GALLERY = 6
-"""Worst and best samples that are shown large."""
 _HEAD = 2048
 """Characters at the beginning of the page that hold its stamp."""
 
@@ -105,7 +101,7 @@ def build_page(out: Path, rows: Iterable[SampleRow] | None = None, statistics: R
     samples = [
         view_sample(out, row, drawn=k < DRAWN or row.id in large, pictured=k < _PICTURED or row.id in large)
         for k, row in enumerate(rows)
-        if k < _LISTED or row.id in large
+        if k < 1000 or row.id in large
     ]
     views = {sample.row.id: sample for sample in samples}
     columns = [BY_NAME[n] for n in layout.columns if _is_measured(total, n)]
@@ -181,9 +177,7 @@ def _count_metrics(rows: Sequence[SampleRow], total: Aggregate, layout: MetricLa
     return [histogram for histogram in histograms if histogram is not None]
 
 
-def choose_gallery(
-    out: Path, rows: Sequence[SampleRow], most: int = _GALLERY
-) -> tuple[list[SampleRow], list[SampleRow]]:
+def choose_gallery(out: Path, rows: Sequence[SampleRow], most: int = 6) -> tuple[list[SampleRow], list[SampleRow]]:
     """Choose the worst samples with an image, of those that are not good, and the best of the good ones."""
     pictured = [row for row in rows if has_thumbnail(out, row)]
     good = [row for row in pictured if verdict_of(row) in GOOD_VERDICTS]

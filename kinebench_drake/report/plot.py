@@ -180,10 +180,6 @@ def _thin(values: Array) -> NDArray[np.intp]:
 
 
 _MAX_BINS, _MIN_BINS = 24, 8
-_FENCES = 3.0
-"""Interquartile ranges beyond the quartiles that make a value an outlier (Tukey 1977, Exploratory Data Analysis)."""
-_OUTLIER_SPREAD = 4.0
-"""Ratio of the ranges with and without outliers above which these are counted in the outermost bins."""
 _H_HEIGHT, _H_LEFT, _H_RIGHT, _H_TOP, _H_BOTTOM = 150.0, 30.0, WIDTH - 10.0, 10.0, 130.0
 """Height of histograms, and ends of their axes."""
 
@@ -221,9 +217,12 @@ def count_values(metric: Metric, values: Sequence[tuple[str, float | None]], est
         return None
     first, median, third = (float(v) for v in np.quantile(finite, (0.25, 0.5, 0.75)))
     low, high = float(finite.min()), float(finite.max())
-    reach = _FENCES * (third - first)
+    # 3.0: interquartile ranges beyond the quartiles that make a value an outlier (Tukey 1977, Exploratory Data
+    # Analysis)
+    reach = 3.0 * (third - first)
     inside = finite[(finite >= first - reach) & (finite <= third + reach)]
-    if 0.0 < _OUTLIER_SPREAD * (inside.max() - inside.min()) < high - low:
+    # 4.0: ratio of the ranges with and without outliers above which these are counted in the outermost bins
+    if 0.0 < 4.0 * (inside.max() - inside.min()) < high - low:
         low, high = float(inside.min()), float(inside.max())
     bins = int(np.clip(np.ceil(2.0 * finite.size ** (1.0 / 3.0)), _MIN_BINS, _MAX_BINS))
     edges = np.linspace(low, high, bins + 1)

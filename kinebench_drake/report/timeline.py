@@ -38,8 +38,6 @@ LEGEND = {
 """Classes of bars and their meaning, the most severe first."""
 _LEFT, _RIGHT, _LANE = 118.0, WIDTH - 8.0, 19.0
 _STRIP_WIDTH, _STRIP_HEIGHT = 150.0, 9.0
-_MIN_WIDTH = 3.0
-"""Width of the shortest bar, which would otherwise be invisible."""
 
 
 class FrameState(Enum):
@@ -179,7 +177,7 @@ def draw_strip(lanes: Sequence[FaultLane], n: int) -> Markup:
 def _place_bar(span: FrameSpan, n: int, left: float, wide: float) -> tuple[float, float]:
     """Return left end and width of a span of n frames."""
     start, end = (min(max(frame, 0), n - 1) for frame in (span.start, span.end))
-    width = max((end + 1 - start) / n * wide, _MIN_WIDTH)
+    width = max((end + 1 - start) / n * wide, 3.0)  # width of the shortest bar, which would otherwise be invisible
     return min(left + start / n * wide, left + wide - width), width
 
 

@@ -16,9 +16,6 @@ from kinebench_drake.errors import InputError
 from kinebench_drake.io.jsonl import Json, dump, finite, intern_text, parse_json
 from kinebench_drake.results.direction import BOUND
 
-_SHORT = 200
-"""Characters of JSON up to which an object is kept; as many samples have the same camera or framing, it is shared."""
-
 
 class RowFile:
     """A file of lines, open as long as a row refers to it: rows stay readable when the file is replaced."""
@@ -122,7 +119,8 @@ def _pack_value(value: Json) -> Json:
         return value
     if isinstance(value, Mapping | list):
         text = dump(value)
-        return _shared(text) if len(text) <= _SHORT else cast(Json, intern_text(value))
+        # Many samples have the same camera or framing: short objects are kept and shared.
+        return _shared(text) if len(text) <= 200 else cast(Json, intern_text(value))
     return cast(Json, intern_text(value))
 
 

@@ -28,8 +28,6 @@ from kinebench_drake.results.trackfile import read_track
 from kinebench_drake.runs.config import ActionFormat
 from kinebench_drake.track import MAX_WIDTH_M
 
-ROBOWM_RATE_HZ = 20.0
-"""Rate of RoboWM-Bench's commands (https://github.com/fffstrong/RoboWM-Bench, scripts/robot/eval_franka.py) [Hz]."""
 _CRF = 18
 _WHOLE = 0.01
 """Greatest relative distance of a frame rate from a whole number, and of one episode's from another's."""
@@ -120,7 +118,9 @@ def _write_robowm(folder: Path, motions: Iterator[_Motion]) -> None:
     episodes = []
     for number, motion in enumerate(motions):
         valid, measured = motion.valid, np.isfinite(motion.width_m)
-        times = np.arange(0.0, motion.t_s[-1] + 1e-6, 1.0 / ROBOWM_RATE_HZ)
+        # 20 Hz: rate of RoboWM-Bench's commands (https://github.com/fffstrong/RoboWM-Bench,
+        # scripts/robot/eval_franka.py)
+        times = np.arange(0.0, motion.t_s[-1] + 1e-6, 1.0 / 20.0)
         angles = [np.interp(times, motion.t_s[valid], x) for x in motion.q[valid].T]
         width_m = np.full(len(times), MAX_WIDTH_M)
         if measured.any():

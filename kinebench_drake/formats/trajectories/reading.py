@@ -49,8 +49,6 @@ DEFAULTS: Mapping[str, Json] = {
 }
 """Values of keys that are not set and do not follow from names."""
 START_Q = np.pi * np.array([0.0, 1 / 8, 0.0, -5 / 8, 0.0, 3 / 4, 1 / 4])
-START_POSE = (0.5, 0.0, 0.3, 0.0, 1.0, 0.0, 0.0)
-"""Assumed start of deltas: joint angles [rad], and x y z [m] with a quaternion wxyz."""
 _EPOCH_S = 1e11  # absolute times are larger in any unit smaller than seconds, and smaller in seconds
 
 
@@ -195,7 +193,8 @@ class Reading(BaseModel):
             X = make_pose(R, length * values[:, :3])
         if not self.deltas:
             return X, repairs
-        total = [_pose(self.start or START_POSE)]
+        # Assumed start of deltas: joint angles [rad], and x y z [m] with a quaternion wxyz.
+        total = [_pose(self.start or (0.5, 0.0, 0.3, 0.0, 1.0, 0.0, 0.0))]
         for step in X[:-1]:  # rotations about the axes of the base, as positions
             total.append(make_pose(step[:3, :3] @ total[-1][:3, :3], step[:3, 3] + total[-1][:3, 3]))
         return np.stack(total[: len(X)]), repairs

@@ -45,8 +45,6 @@ OPEN_RAD = (np.radians(105.0), np.radians(120.0))
 """Least and greatest opening of a lid."""
 MATERIALS = ("cardboard", "wood", "plastic", "tin", "leather", "paper")
 """Materials of boxes, assigned in turn."""
-TIGHT = 5.0
-"""Damping of a tight hinge relative to a normal one."""
 
 _THIN_M = 0.0006  # thickness of linings and labels
 _PALETTE = np.array(
@@ -74,7 +72,7 @@ class _BoxDesign:
 def with_tight_hinge(model: AssetModel) -> AssetModel:
     """Return the same box with a hinge of `TIGHT` times the damping."""
     bodies = tuple(
-        body if body.joint is None else replace(body, joint=replace(body.joint, damping=TIGHT * body.joint.damping))
+        body if body.joint is None else replace(body, joint=replace(body.joint, damping=5.0 * body.joint.damping))
         for body in model.bodies
     )
     return replace(model, bodies=bodies)

@@ -34,14 +34,13 @@ RELEASE_M = 0.03
 """Finger width in excess of the cube's edge at the release in the tray."""
 BEHIND_M = 0.012
 """Gap between the fingers and the cube behind which they come down."""
-PREFERRED_CLOSING = (1.0, -1.0, 0.0)
-"""Of two opposite closing directions, the one closer to this keeps the wrist far from its limits."""
 
 
 def _rotation(scene: Scene) -> Array:
     """Return the rotation (3, 3) of a gripper that points down and closes along the drawer's front."""
     across = scene.poses["cabinet"][:3, 1]
-    return grasp_rotation(DOWN, nearest_axis([across, -across], PREFERRED_CLOSING))
+    # Of two opposite closing directions, the one closer to this keeps the wrist far from its limits.
+    return grasp_rotation(DOWN, nearest_axis([across, -across], (1.0, -1.0, 0.0)))
 
 
 def _pose(scene: Scene, x_m: float, y_m: float, tip_m: float) -> Array:
