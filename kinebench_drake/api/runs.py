@@ -1,16 +1,21 @@
-"""Runs over many samples into an output folder: `score_videos` and `run_suite`."""
+"""Runs over many samples into an output folder: `score_videos` and `run_suite`; its rows: `read_results`."""
 
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from os import PathLike
-from typing import Any, TypeAlias, TypeVar
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
 
 from kinebench_drake.errors import KinebenchError, name_arguments
+from kinebench_drake.results.store import require_output
 from kinebench_drake.runs import score
 from kinebench_drake.runs.config import RunConfig, ScoreConfig
 from kinebench_drake.runs.runner import NullRunObserver, RunObserver, RunSummary
 from kinebench_drake.runs.suite_config import SuiteConfig
+
+if TYPE_CHECKING:
+    import pyarrow
 
 PathName: TypeAlias = str | PathLike[str]
 _Config = TypeVar("_Config", bound=RunConfig)
@@ -86,6 +91,26 @@ def run_suite(
 
     config = _config(SuiteConfig, suite=suite, world_model=world_model, out=out, **options)
     return episodes.run_suite(config, observer or Warner())
+
+
+@own_arguments()
+def read_results(out: PathName) -> "pyarrow.Table":
+    """Read the samples of an output folder as a table, the worst first.
+
+    Columns: labels, verdicts, kinds of faults joined by "; ", and every metric, null where not measured.
+
+    Raises:
+        UsageError: it is no output folder.
+        InputError: its files are broken.
+
+    Example:
+        pyarrow.parquet.write_table(read_results("results"), "samples.parquet")
+    """
+    from kinebench_drake.report.sample_table import read_samples
+
+    require_output(Path(out))
+    table: pyarrow.Table = read_samples(Path(out))
+    return table
 
 
 class Warner(NullRunObserver):

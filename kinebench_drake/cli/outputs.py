@@ -22,10 +22,9 @@ comparison_out_option = click.option(
 )  # fmt: skip
 
 
-@click.command(epilog="\b\nExamples:\n  kinebench-drake report results/\n  kinebench-drake report results/ --tables")
+@click.command(epilog="\b\nExample:\n  kinebench-drake report results/")
 @folders_argument
-@click.option("--tables", is_flag=True, help="Also write all samples as a table, samples.csv and samples.parquet.")
-def report(folders: tuple[Path, ...], tables: bool) -> None:
+def report(folders: tuple[Path, ...]) -> None:
     """Write report.html in each output folder DIR again, from its rows and tracks."""
     from kinebench_drake.report.page import write_report
 
@@ -33,11 +32,6 @@ def report(folders: tuple[Path, ...], tables: bool) -> None:
         require_output(folder)
         try:
             echo(write_report(folder))
-            if tables:
-                from kinebench_drake.report.sample_table import write_samples
-
-                for path in write_samples(folder):
-                    echo(path)
         except InputError as error:
             raise UsageError(str(error)) from None
 
@@ -123,7 +117,8 @@ def merge(ctx: click.Context, /, folders: tuple[Path, ...], out: Path) -> None:
 @click.argument("out", metavar="OUT", type=PathParameter())
 @click.argument("id", metavar="ID")
 @click.option("--open/--no-open", "opened", default=False, help="Open it in the browser.")
-def view(out: Path, id: str, opened: bool) -> None:
+@click.option("--rerun", is_flag=True, help="Write OUT/replays/ID.rrd for the Rerun viewer instead (rerun-sdk).")
+def view(out: Path, id: str, opened: bool, rerun: bool) -> None:
     """Write a 3D replay of sample ID of the output folder OUT and print its path.
 
     The replay, OUT/replays/ID.html, opens in any browser. It shows the motion of the arm, coloured by the limits that
@@ -145,7 +140,7 @@ def view(out: Path, id: str, opened: bool) -> None:
             raise UsageError(f"{id}: has no track to show ({row.reason or f'tracks/{id}.npz is absent'})")
         from kinebench_drake.report.replay import write_replays
 
-        paths = write_replays(out, [id], _plant(out))
+        paths = write_replays(out, [id], _plant(out), rerun=rerun)
     except InputError as error:
         raise UsageError(str(error)) from None
     if not paths:

@@ -14,21 +14,13 @@ _BLOCK = 2**20
 
 
 def hash_file(path: Path) -> str:
-    """Return the SHA-256 of the bytes of a file.
-
-    Raises:
-        OSError: it cannot be read.
-    """
+    """Return the SHA-256 of the bytes of a file."""
     with open_file(path) as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def write_zip(path: Path, files: Mapping[str, Path | bytes]) -> None:
-    """Write an archive of files or bytes by the name of their entry, sorted; equal content gives equal bytes.
-
-    Raises:
-        SetupError: writing failed.
-    """
+    """Write an archive of files or bytes by the name of their entry, sorted; equal content gives equal bytes."""
     with atomic_path(path) as part, zipfile.ZipFile(part, "w") as archive:
         for name in sorted(files):
             entry, content = zipfile.ZipInfo(name), files[name]  # of a fixed date: clock times would change the bytes
@@ -53,7 +45,6 @@ def unpack_zip(path: Path, folder: Path, kinds: Collection[str]) -> dict[str, st
     Raises:
         InputError: it is no zip archive, is damaged, or has an entry that is compressed, encrypted or a link, occurs
             twice, overlaps another, or has another name.
-        OSError: it cannot be read, or writing failed.
     """
     try:
         with open_file(path) as file, zipfile.ZipFile(file) as archive:

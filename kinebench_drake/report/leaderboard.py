@@ -1,14 +1,16 @@
 """Leaderboard of bundles: a page, its tables, and a result card of each model."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
+from itertools import chain
 from math import isnan
 from pathlib import Path
+from typing import Any
 
 from kinebench_drake.errors import UsageError
 from kinebench_drake.io.archive import hash_file
-from kinebench_drake.report.cards import write_cards
+from kinebench_drake.report.cards import write_card
 from kinebench_drake.report.number import ALL_TASKS, HEADLINES, tabulate_numbers
 from kinebench_drake.report.page import choose_gallery
 from kinebench_drake.report.parts import Part, make_missing, write_parts
@@ -32,42 +34,44 @@ _PICTURED = 3
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ModelEntry:
-    """One model on one part of the suites, or on the samples of a run without suites."""
+    """One model on one part of the suites, or on the samples of runs without suites."""
 
     part: str
     """Name of the part; empty without suites."""
     model: str
+    runs: Sequence[Run]
+    """Runs that have its rows."""
     rows: Sequence[SampleRow]
-    run: Run
-    """First of the runs that they are of."""
-    planned: int | None
-    """Samples of the input; None if unknown."""
     corrected: Estimate | None = None
     """Success over that of the oracle in the shared episodes; None without an oracle."""
     ceiling: float | None = None
     """Success of the oracle in them."""
 
     @property
-    def shares(self) -> Mapping[str, Estimate]:
+    def shares(self) -> dict[str, Estimate]:
         """Shares that were judged: success (unmeasured episodes are failures), executable, feasible."""
-        episodes, total = [row.episode for row in self.rows], len(self.rows)
-        shares = {}
-        if any("success" in row.extra for row in self.rows):
-            hits = [row.status is Status.OK and row.extra.get("success") is True for row in self.rows]
-            shares["success"] = estimate(hits, total=total, episodes=episodes)
-        if any(row.executable is not None for row in self.rows):
-            shares["executable"] = estimate_executable(self.rows)
-        verdicts = [row.feasible if row.status is Status.OK else None for row in self.rows]
-        if (feasible := estimate(verdicts, total=total, episodes=episodes)).n:
-            shares["feasible"] = feasible
-        return shares
+        rows, shares = self.rows, dict[str, Estimate]()
+        options: dict[str, Any] = {"total": len(rows), "episodes": [row.episode for row in rows]}
+        if any("success" in row.extra for row in rows):
+            hits = [row.status is Status.OK and row.extra.get("success") is True for row in rows]
+            shares["success"] = estimate(hits, **options)
+        if any(row.executable is not None for row in rows):
+            shares["executable"] = estimate_executable(rows)
+        feasible = estimate([row.feasible if row.status is Status.OK else None for row in rows], **options)
+        return {**shares, "feasible": feasible} if feasible.n else shares
 
     @property
     def rank(self) -> tuple[float, ...]:
         """Sort key, the best first."""
         success, executable = (self.shares.get(name) for name in ("success", "executable"))
         means = (self.corrected or success, success, executable)
-        return tuple(-1.0 if share is None or share.mean is None else share.mean for share in means)
+        return tuple(1.0 if share is None or share.mean is None else -share.mean for share in means)
+
+    @property
+    def planned(self) -> int | None:
+        """Samples of the inputs; None if unknown, or of several models."""
+        counts = [run.planned if len({row.model for row in run.rows}) == 1 else None for run in self.runs]
+        return None if None in counts else sum(n or 0 for n in counts)
 
 
 def write_leaderboard(bundles: Sequence[Path], out: Path) -> list[Path]:
@@ -77,8 +81,7 @@ def write_leaderboard(bundles: Sequence[Path], out: Path) -> list[Path]:
         The page and the result cards.
 
     Raises:
-        UsageError: a bundle cannot be used, they are of different kinds or versions, or `out` is the folder of a run.
-        SetupError: writing failed.
+        UsageError: two bundles have one name or are of different kinds.
     """
     check_page_folder(out)
     if double := [path for k, path in enumerate(bundles) if path.stem in [other.stem for other in bundles[:k]]]:
@@ -88,7 +91,8 @@ def write_leaderboard(bundles: Sequence[Path], out: Path) -> list[Path]:
         runs = read_runs(folders)
         if kinds := {run.kind for run in runs} - {runs[0].kind}:
             raise UsageError(f"bundles of kind {runs[0].kind} and {min(kinds)}: one leaderboard has one kind")
-        ranked, parts, listing = (_suite_parts if runs[0].kind == "suite" else _sample_parts)(folders, runs)
+        entries, parts, listing = _suite_parts(folders) if runs[0].kind == "suite" else _sample_parts(runs)
+        ranked = sorted(entries, key=lambda entry: (entry.part, entry.rank))
         page = write_parts(
             "leaderboard.html.j2",
             "Leaderboard",
@@ -100,11 +104,12 @@ def write_leaderboard(bundles: Sequence[Path], out: Path) -> list[Path]:
             gallery=[(run, title, rows) for run in runs for title, rows in _gallery(run)],
         )
         times = {run.path: str(int(path.stat().st_mtime)) for path, run in zip(bundles, runs, strict=True)}
-        return [page, *write_cards([(e.model, e.part, e.shares, e.run, times[e.run.path]) for e in ranked], out)]
+        cards = (write_card(out / "cards", e.model, e.part, e.shares, e.runs[0], times[e.runs[0].path]) for e in ranked)
+        return [page, *chain.from_iterable(cards)]
 
 
-def _suite_parts(folders: Sequence[Path], runs: Sequence[Run]) -> tuple[list[ModelEntry], list[Part], Table]:
-    """Return models, best first, tables of the comparison, and the listing of suite runs."""
+def _suite_parts(folders: Sequence[Path]) -> tuple[list[ModelEntry], list[Part], Table]:
+    """Return models, tables of the comparison, and the listing of suite runs."""
     own = {run.path: run for run in read_suite_runs(folders)}
     episodes = pool_episodes(list(own.values()))
     oracles = {e.model for e in episodes if e.folder and own[e.folder].config.get("world_model") == ORACLE}
@@ -114,22 +119,12 @@ def _suite_parts(folders: Sequence[Path], runs: Sequence[Run]) -> tuple[list[Mod
         pairs = []
     entries = []
     for (part, model), some in group_by(episodes, lambda e: (e.part, e.model)).items():
-        paths = list(dict.fromkeys(e.folder for e in some if e.folder))
+        of = [own[path] for path in dict.fromkeys(e.folder for e in some if e.folder)]
         corrected, ceiling = _correct([p for p in pairs if p.part == part], model, oracles)
-        entries.append(
-            ModelEntry(
-                part=part.title,
-                model=model,
-                rows=[e.row for e in some],
-                run=own[paths[0]],
-                planned=_planned([own[path] for path in paths]),
-                corrected=corrected,
-                ceiling=ceiling,
-            )
-        )
+        entry = ModelEntry(part=part.title, model=model, runs=of, rows=[e.row for e in some])
+        entries.append(replace(entry, corrected=corrected, ceiling=ceiling))
     parts: list[Part] = [_compact(tabulate_comparison(pairs)) if pairs else make_missing("pairs")]
-    ranked = sorted(entries, key=lambda entry: (entry.part, *(-share for share in entry.rank)))
-    return ranked, parts if oracles else [*parts, make_missing("ceiling")], tabulate_episodes(episodes)
+    return entries, parts if oracles else [*parts, make_missing("ceiling")], tabulate_episodes(episodes)
 
 
 def _correct(pairs: Sequence[PairComparison], model: str, oracles: set[str]) -> tuple[Estimate | None, float | None]:
@@ -146,28 +141,19 @@ def _correct(pairs: Sequence[PairComparison], model: str, oracles: set[str]) -> 
     return None, None
 
 
-def _sample_parts(folders: Sequence[Path], runs: Sequence[Run]) -> tuple[list[ModelEntry], list[Part], Table]:
-    """Return models, best first, tables of the comparison, and the listing of other runs."""
+def _sample_parts(runs: Sequence[Run]) -> tuple[list[ModelEntry], list[Part], Table]:
+    """Return models, tables of the comparison, and the listing of other runs."""
     samples = label_samples(runs)
     entries = []
     for model, own in group_by(samples, lambda sample: sample.model).items():
         of = list({sample.run.path: sample.run for sample in own}.values())
-        rows = [sample.row for sample in own]
-        entries.append(ModelEntry(part="", model=model, rows=rows, run=of[0], planned=_planned(of)))
+        entries.append(ModelEntry(part="", model=model, runs=of, rows=[sample.row for sample in own]))
     try:
         numbers = [n for n in compare_samples(runs).numbers if n.task == ALL_TASKS and n.metric.name in HEADLINES]
         parts: list[Part] = [_compact(tabulate_numbers(numbers))]
     except UsageError:  # one model, or none that share a sample
         parts = [make_missing("pairs")]
-    return sorted(entries, key=lambda entry: entry.rank, reverse=True), parts, tabulate_samples(samples)
-
-
-def _planned(runs: Sequence[Run]) -> int | None:
-    """Return the samples of the inputs of runs, of which one may hold several models; None if one is unknown."""
-    counts = [run.planned for run in runs if len({row.model for row in run.rows}) == 1]
-    return (
-        sum(n for n in counts if n is not None) if counts and None not in counts and len(counts) == len(runs) else None
-    )
+    return entries, parts, tabulate_samples(samples)
 
 
 def _compact(table: Table) -> Table:

@@ -36,11 +36,12 @@ _POLICY = (
 )
 
 
-def write_replays(out: Path, ids: Sequence[str], plant: ArmPlant | None = None) -> list[Path]:
+def write_replays(out: Path, ids: Sequence[str], plant: ArmPlant | None = None, *, rerun: bool = False) -> list[Path]:
     """Write `replays/ID.html` of some samples of an output folder; samples without a tracked frame are skipped.
 
     Args:
         plant: the robot that the run was judged with; None is the Panda.
+        rerun: write `replays/ID.rrd` for the Rerun viewer instead.
 
     Returns:
         The files written.
@@ -64,8 +65,14 @@ def write_replays(out: Path, ids: Sequence[str], plant: ArmPlant | None = None) 
         plant = plant or ArmPlant()
         meshes = meshes or link_meshes(plant)
         own_m = to_number(rows[id].extra.get("table_height_m"))
-        page = build_replay(plant, meshes, rows[id], file, table_height_m=height or 0.0 if own_m is None else own_m)
-        write_atomically(path, page.encode())
+        height_m = height or 0.0 if own_m is None else own_m
+        if rerun:
+            from kinebench_drake.report.recording import record_track
+
+            path, data = path.with_suffix(".rrd"), record_track(plant, meshes, rows[id], file)
+        else:
+            data = build_replay(plant, meshes, rows[id], file, table_height_m=height_m).encode()
+        write_atomically(path, data)
         written.append(path)
     return written
 

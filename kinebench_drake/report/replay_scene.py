@@ -67,6 +67,20 @@ def posed_frames(file: TrackFile) -> NDArray[np.bool_]:
     return np.asarray(np.isfinite(file.track.X_BG).all(axis=(1, 2)), dtype=bool)
 
 
+def pose_links(plant: ArmPlant, meshes: Sequence[LinkMesh], q: Array, width: Array) -> list[Array]:
+    """Return the poses (N, 4, 4) in B of some links for joint angles (N, 7) and gaps between the pads (N,).
+
+    An unknown gap is the plant's.
+    """
+    bodies = [plant.drake.GetBodyByName(mesh.link) for mesh in meshes]
+    poses = np.empty((len(bodies), len(q), 4, 4))
+    for k in range(len(q)):
+        plant.set_posture(q[k], float(width[k]) if np.isfinite(width[k]) else None)
+        for body, X in zip(bodies, poses, strict=True):
+            X[k] = plant.drake.EvalBodyPoseInWorld(plant.context, body).GetAsMatrix4()
+    return list(poses)
+
+
 class ReplayScene:
     """Objects of one track and their motion, in a Meshcat server."""
 
@@ -153,7 +167,7 @@ class ReplayScene:
         if self.has_arm:
             t_solved, q_solved = self._t_s[self._solved], self._q[self._solved]
             q = np.stack([np.interp(times, t_solved, q_solved[:, j]) for j in range(q_solved.shape[1])], axis=-1)
-            for mesh, poses in zip(self._meshes, self._poses(q, width, self._meshes), strict=True):
+            for mesh, poses in zip(self._meshes, pose_links(self._plant, self._meshes, q, width), strict=True):
                 path = f"/arm/{mesh.link}"
                 self._mesh(path, mesh.vertices, mesh.faces, _ARM_COLORS[FrameState.OK])
                 self._move(animation, path, times, poses)
@@ -166,7 +180,7 @@ class ReplayScene:
         X_GB = invert(self._plant.forward(self._plant.robot.rest_q))
         self._move(animation, "/gripper", times, wanted)
         opacity, colors = (_OPACITY, COLORS) if self.has_arm else (1.0, _ARM_COLORS)
-        for mesh, poses in zip(gripper, self._poses(rest, width, gripper), strict=True):
+        for mesh, poses in zip(gripper, pose_links(self._plant, gripper, rest, width), strict=True):
             path = f"/gripper/{mesh.link}"
             self._mesh(path, mesh.vertices, mesh.faces, _ARM_COLORS[FrameState.OK], opacity)
             self._move(animation, path, times, X_GB @ poses)
@@ -182,16 +196,6 @@ class ReplayScene:
         frames = max(len(self._t_s) - 1, 1)
         steps = frames * max(round(duration / frames / _STEP_S), 1)
         return np.linspace(self._t_s[0], self._t_s[-1], min(steps, _MAX_STEPS) + 1)
-
-    def _poses(self, q: Array, width: Array, meshes: Sequence[LinkMesh]) -> list[Array]:
-        """Compute the poses (N, 4, 4) in B of some links for joint angles (N, 7) and finger widths (N,)."""
-        bodies = [self._plant.drake.GetBodyByName(mesh.link) for mesh in meshes]
-        poses = np.empty((len(bodies), len(q), 4, 4))
-        for k in range(len(q)):
-            self._plant.set_posture(q[k], float(width[k]))
-            for body, X in zip(bodies, poses, strict=True):
-                X[k] = self._plant.drake.EvalBodyPoseInWorld(self._plant.context, body).GetAsMatrix4()
-        return list(poses)
 
     def _gripper(self) -> list[LinkMesh]:
         """Return the meshes of hand and fingers."""

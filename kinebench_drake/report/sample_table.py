@@ -1,12 +1,10 @@
-"""Samples of one output folder as a table, a row per sample: csv and parquet."""
+"""Samples of one output folder as a table, a row per sample."""
 
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
-from kinebench_drake.io.atomic import atomic_path, write_atomically
 from kinebench_drake.report.sample import badness, verdict_of
-from kinebench_drake.report.table import format_csv
 from kinebench_drake.report.timeline import anomalies_of
 from kinebench_drake.results.aggregate import OUTCOMES
 from kinebench_drake.results.row import SampleRow
@@ -16,21 +14,15 @@ _LABELS = ("id", "video", "task", "model", "status", "verdict", "reason", "execu
 _LISTS = ("executable_reasons", "violations", "anomalies")
 
 
-def write_samples(out: Path) -> list[Path]:
-    """Write `samples.csv` and `samples.parquet` of an output folder, the worst sample first; returns both."""
+def read_samples(out: Path) -> Any:
+    """Read the samples of an output folder as a `pyarrow.Table`: labels, verdicts, faults, metrics, the worst first."""
     import pyarrow
-    from pyarrow import parquet
 
     rows = sorted(read_rows(out).values(), key=badness)
     metrics = dict.fromkeys(name for row in rows for name, value in row.metrics.items() if not isinstance(value, list))
     metrics |= dict.fromkeys(name for name in OUTCOMES if any(name in row.extra for row in rows))
     heads, lines = [*_LABELS, *_LISTS, *metrics], [_cells(row, metrics) for row in rows]
-    paths = [out / "samples.csv", out / "samples.parquet"]
-    write_atomically(paths[0], format_csv(heads, lines).encode())
-    columns = {head: _column([line[k] for line in lines]) for k, head in enumerate(heads)}
-    with atomic_path(paths[1]) as part:
-        parquet.write_table(pyarrow.table(columns), part)
-    return paths
+    return pyarrow.table({head: _column([line[k] for line in lines]) for k, head in enumerate(heads)})
 
 
 def _cells(row: SampleRow, metrics: Iterable[str]) -> list[object]:

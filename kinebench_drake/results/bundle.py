@@ -41,7 +41,6 @@ def write_bundle(run: Path, path: Path) -> None:
 
     Raises:
         UsageError: the folder is no finished output folder, or is damaged.
-        SetupError: writing failed.
     """
     require_output(run)
     try:

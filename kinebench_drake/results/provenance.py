@@ -8,6 +8,7 @@ from importlib import metadata
 from pathlib import Path
 
 from kinebench_drake.environment.sources import trace_sources
+from kinebench_drake.io.archive import hash_file
 from kinebench_drake.io.jsonl import Json
 
 _TOP = Path(__file__).parents[1]
@@ -39,8 +40,7 @@ def weights_hash() -> str:
     folder = _TOP / "models" / "perception"
     for file in sorted(p for p in folder.iterdir() if p.suffix in (".safetensors", ".json")):
         digest.update(file.name.encode() + b"\0")
-        with file.open("rb") as data:
-            digest.update(hashlib.file_digest(data, "sha256").digest())
+        digest.update(bytes.fromhex(hash_file(file)))
     return digest.hexdigest()
 
 

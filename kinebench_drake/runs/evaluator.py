@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from kinebench_drake.errors import KinebenchError, SetupError, UnmeasurableError, name_options, one_line
 from kinebench_drake.executors.base import SupportsClose
-from kinebench_drake.io.files import open_file
+from kinebench_drake.io.archive import hash_file
 from kinebench_drake.io.jsonl import Json, as_object, dump, finite
 from kinebench_drake.io.progress import named
 from kinebench_drake.metrics.trust import TRUST, assess_trust
@@ -332,5 +332,4 @@ def _digest(file: Path) -> bytes:
 
 @lru_cache(maxsize=256)
 def _digest_of(file: Path, *_state: int) -> bytes:
-    with open_file(file) as data:
-        return hashlib.file_digest(data, "sha256").digest()
+    return bytes.fromhex(hash_file(file))

@@ -4,8 +4,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from math import isclose
 from pathlib import Path
-from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
 
@@ -15,7 +14,7 @@ from kinebench_drake.io.jsonl import Json, as_number, finite
 from kinebench_drake.io.reader import read_video
 from kinebench_drake.models.arm import PANDA, ROBOTS
 from kinebench_drake.results.aggregate import RunStatistics
-from kinebench_drake.results.bundle import Bundle
+from kinebench_drake.results.bundle import MANIFEST, Bundle
 from kinebench_drake.results.metadata import RunMetadata
 from kinebench_drake.results.row import SampleRow, Status
 from kinebench_drake.results.store import RESULTS, artifact_path, read_rows
@@ -27,9 +26,6 @@ from kinebench_drake.runs.runner import summarize
 from kinebench_drake.runs.score import VideoEvaluator, find_videos, mean_confidence
 from kinebench_drake.runs.tools import RobotOptions, Tools, load_tools
 from kinebench_drake.track import GripperTrack
-
-if TYPE_CHECKING:  # loads Drake
-    from kinebench_drake.metrics.result import KinematicResult
 
 RELATIVE, ABSOLUTE = 1e-3, 1e-6
 """Tolerances of a number: it holds within either."""
@@ -59,15 +55,14 @@ def verify_bundle(bundle: Bundle, samples: int, seed: int, videos: Path | None =
     """Compare what a bundle states with what follows from its files.
 
     Args:
+        samples: number of samples to measure anew.
+        seed: seed of their choice.
         videos: folder of the videos, from which they are grounded anew, too.
-
-    Raises:
-        UsageError: it was written by another version or kind of run, the robot or a video setting is not available, or
-            `videos` holds none.
-        SetupError: something is missing on this machine.
     """
     rows, run, stated = _read(bundle)
-    faults = [f"{name}: SHA-256 differs from that stated" for name in _changed(bundle)]
+    own = {name: digest for name, digest in bundle.files.items() if name != MANIFEST}
+    changed = sorted(name for name in {**bundle.stated, **own} if bundle.stated.get(name) != own.get(name))
+    faults = [f"{name}: SHA-256 differs from that stated" for name in changed]
     expected = summarize(list(rows.values()), run, RunStatistics.of(rows.values(), run.bootstrap_seed))
     faults += [f"{RESULTS}: {text}" for text in list_differences(stated, expected, "the rows give")]
     candidates = [id for id, row in rows.items() if row.status is Status.OK and row.extra.get("rounds", 1) == 1]
@@ -80,7 +75,7 @@ def verify_bundle(bundle: Bundle, samples: int, seed: int, videos: Path | None =
         try:
             file = read_track(artifact_path(bundle.folder, "tracks", id))
             texts = list(_compare_row(row, file, tools))
-            texts += grounder.compare(row, file.track, bundle) if grounder else []
+            texts += grounder.compare(row, file.track, bundle.videos.get(row.video)) if grounder else []
         except (InputError, KeyError) as error:
             texts = [str(error)]
         faults += [f"{id}: {text}" for text in texts[:_MOST]]
@@ -105,13 +100,6 @@ def _read(bundle: Bundle) -> tuple[dict[str, SampleRow], RunMetadata, Mapping[st
     return dict(sorted(rows.items())), run, stated
 
 
-def _changed(bundle: Bundle) -> list[str]:
-    """List the files whose content is not that stated, and those that are absent or not stated."""
-    own = {name: digest for name, digest in bundle.files.items() if name in bundle.stated}
-    unstated = bundle.files.keys() - own.keys() - {"bundle.json"}
-    return sorted({name for name, digest in bundle.stated.items() if own.get(name) != digest} | unstated)
-
-
 def list_differences(stated: object, expected: object, verb: str, name: str = "") -> Iterator[str]:
     """Describe each value in which two JSON values differ, numbers beyond the tolerance."""
     if isinstance(stated, Mapping) and isinstance(expected, Mapping):
@@ -121,19 +109,12 @@ def list_differences(stated: object, expected: object, verb: str, name: str = ""
     elif isinstance(stated, list | tuple) and isinstance(expected, list | tuple) and len(stated) == len(expected):
         for k, (one, other) in enumerate(zip(stated, expected, strict=True)):
             yield from list_differences(one, other, verb, f"{name}[{k}]")
-    elif not _agree(stated, expected):
-        yield f"{name} is {_brief(stated)}, {verb} {_brief(expected)}"
-
-
-def _agree(one: object, other: object) -> bool:
-    a, b = as_number(one), as_number(other)
-    if a is None or b is None:
-        return one == other
-    return isclose(a, b, rel_tol=RELATIVE, abs_tol=ABSOLUTE)
-
-
-def _brief(value: object) -> str:
-    return f"{value:.6g}" if isinstance(value, float) else f"{value!r:.60}"
+    else:
+        a, b = as_number(stated), as_number(expected)
+        alike = stated == expected if a is None or b is None else isclose(a, b, rel_tol=RELATIVE, abs_tol=ABSOLUTE)
+        if not alike:
+            texts = (f"{value:.6g}" if isinstance(value, float) else f"{value!r:.60}" for value in (stated, expected))
+            yield f"{name} is {next(texts)}, {verb} {next(texts)}"
 
 
 def _robot_options(run: RunMetadata) -> RobotOptions:
@@ -155,35 +136,27 @@ def _robot_options(run: RunMetadata) -> RobotOptions:
     return options
 
 
-def _judge(row: SampleRow, file: TrackFile, tools: Tools) -> "KinematicResult":
-    """Judge a stored track as the run did."""
-    track = file.track
-    if row.extra.get("judged") == "joints":
-        return tools.judge_joints(track.t_s, file.q, track.finger_width_m)
-    return tools.judge(track, as_number(row.extra.get("table_height_m")))
-
-
 def _compare_row(row: SampleRow, file: TrackFile, tools: Tools | None) -> Iterator[str]:
     """Describe in what a row differs from the numbers of its track, which without `tools` are not judged."""
-    stated: dict[str, object] = {}
-    expected: dict[str, object] = {}
-    metrics: dict[str, Json] = {}
+    stated, expected, metrics = dict[str, Json](), dict[str, Json](), dict[str, Json]()
     if "tracked_fraction" in row.metrics:
         metrics["tracked_fraction"] = float(np.mean(file.track.tracked))
         metrics["confidence_mean"] = mean_confidence(file.track)
     if tools is not None and "base_frame_reason" not in row.extra:
-        kinematics = _judge(row, file, tools)
+        if row.extra.get("judged") == "joints":
+            kinematics = tools.judge_joints(file.track.t_s, file.q, file.track.finger_width_m)
+        else:
+            kinematics = tools.judge(file.track, as_number(row.extra.get("table_height_m")))
         visible = {"anomalies": row.metrics["anomalies"]} if "anomalies" in row.metrics else {}
         executable, reasons = judge_evaluation(Evaluation(kinematics=kinematics, metrics=visible))
-        names = ("feasible", "executable", "executable_reasons", "violations")
-        stated |= {name: getattr(row, name) for name in names}
-        violations = [violation.to_json() for violation in kinematics.violations]
-        expected |= dict(zip(names, (kinematics.feasible, executable, reasons, violations), strict=True))
+        expected |= {"feasible": kinematics.feasible, "executable": executable, "executable_reasons": reasons}
+        expected["violations"] = [violation.to_json() for violation in kinematics.violations]
+        stated |= {name: getattr(row, name) for name in expected}
         metrics |= kinematics.metrics
     elif row.feasible is not None and "possible_cameras" not in row.extra:
         yield f"feasible is {row.feasible}, but the row has no base frame"
     stated["metrics"] = {name: row.metrics.get(name) for name in metrics}
-    yield from list_differences(stated, {**expected, "metrics": finite(metrics)}, "its track gives")
+    yield from list_differences(stated, finite({**expected, "metrics": metrics}), "its track gives")
 
 
 class _Regrounder:
@@ -197,37 +170,33 @@ class _Regrounder:
         """
         if run.kind not in (RunKind.SCORE.value, RunKind.GROUND.value):
             raise UsageError(f"$videos is for runs of score and ground, this one is of kind {run.kind}")
-        free = ("limit", "shard", "jobs", "engine", "source", "replays", "overlay")
-        recorded = {
-            name: run.config[option.key or name]
+        options: dict[str, Any] = {
+            name: run.config.get(option.key or name)
             for name, option in options_of(ScoreConfig).items()
-            if name not in free and option.key is not None and run.config.get(option.key or name) is not None
+            if option.key is not None and name not in ("source", "limit", "shard", "jobs", "engine")
         }
-        with TemporaryDirectory() as out:
-            config = ScoreConfig(source=videos, out=Path(out), kind=RunKind(run.kind), **recorded)  # type: ignore[arg-type]
+        options = {name: value for name, value in options.items() if value is not None}
+        config = ScoreConfig(source=videos, out=Path(), kind=RunKind(run.kind), **options)
         self._evaluator = VideoEvaluator(config=config, overrides=config.overrides())
         self._samples = {sample.id: sample for sample in find_videos(config).samples}
         self._tools = self._evaluator.setup()
 
-    def compare(self, row: SampleRow, track: GripperTrack, bundle: Bundle) -> list[str]:
-        """Describe in what a row and its track differ from its video."""
+    def compare(self, row: SampleRow, track: GripperTrack, stated: object) -> list[str]:
+        """Describe in what a row and its track differ from its video, whose SHA-256 is `stated`."""
         sample = self._samples.get(row.id)
-        if sample is None:
-            return [f"{row.video} is not in the folder of the videos"]
-        if bundle.videos.get(row.video) != self._evaluator.input_hash(sample):
-            return [f"{row.video} is not the file that was measured: its SHA-256 differs"]
+        if sample is None or stated != self._evaluator.input_hash(sample):
+            return [f"{row.video} {'is absent' if sample is None else 'is another video: its SHA-256 differs'}"]
         try:
             grounding, evaluation = self._evaluator.measure(sample, read_video(sample.path, sample.part), self._tools)
         except KinebenchError as error:
             return [f"{row.video}: {error}"]
-        again, n = grounding.visible_track, len(track.t_s)
+        verdict, again, n = evaluation.kinematics or evaluation.agreed, grounding.visible_track, len(track.t_s)
         if len(again.t_s) != n:
             return [f"track has {n} frames, its video gives {len(again.t_s)}"]
         both = track.tracked & again.tracked
         position_m, rotation_rad = pose_difference(track.X_CH[both], again.X_CH[both])
-        apart = int(((position_m > POSITION_M) | (rotation_rad > ROTATION_RAD)).sum())
-        apart += int((track.tracked != again.tracked).sum())
-        verdict = evaluation.kinematics or evaluation.agreed
+        apart = int((track.tracked != again.tracked).sum())
+        apart += int(((position_m > POSITION_M) | (rotation_rad > ROTATION_RAD)).sum())
         texts = list(list_differences(row.feasible, verdict and verdict.feasible, "its video gives", "feasible"))
         if apart > FRAMES * n:
             texts.append(f"{apart} of {n} frames are not within {POSITION_M * 1e3:g} mm and 5 degrees of its video's")

@@ -67,7 +67,7 @@ def test_view_writes_the_replay_and_prints_only_its_path(program, out):
 def test_view_with_open_launches_the_browser_and_warns_if_there_is_none(program, out, monkeypatch, status, told):
     opened = []
     path = out / "replays" / "reach_01.html"
-    monkeypatch.setattr("kinebench_drake.report.replay.write_replays", lambda *_: [path])
+    monkeypatch.setattr("kinebench_drake.report.replay.write_replays", lambda *_, **__: [path])
     monkeypatch.setattr(view_module.click, "launch", lambda url: opened.append(url) or status)
     code, _, err = program(out, "reach_01", "--open")
     assert code == 0
@@ -113,7 +113,7 @@ def test_a_replay_shows_the_robot_that_the_run_was_judged_by(program, out, write
         store.finish({"config": {"robot": robot, "robot_id": loaded.id}})
     shown = []
     monkeypatch.setattr(
-        "kinebench_drake.report.replay.write_replays", lambda *a: shown.append(a[2].robot) or [out / "a.html"]
+        "kinebench_drake.report.replay.write_replays", lambda *a, **_: shown.append(a[2].robot) or [out / "a.html"]
     )
     assert program(out, "reach_01")[0] == 0
     assert [(r.id, r.tcp_link, r.joints) for r in shown] == [(loaded.id, loaded.tcp_link, loaded.joints)]

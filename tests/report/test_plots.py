@@ -1,12 +1,10 @@
 """Plots: each value is counted, each fault lies at its frames, joints are drawn within their limits."""
 
-import csv
 import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from pyarrow import parquet
 
 from kinebench_drake.report.curves import draw_curves
 from kinebench_drake.report.metric import BY_NAME
@@ -106,27 +104,3 @@ def test_joints_are_drawn_within_their_own_limits(judged, file):
     assert len(lines) == 14  # the frame without angles interrupts each line
     assert (min(map(min, heights)), max(map(max, heights))) == (upper, lower)
     assert heights[0] == [0.5 * (lower + upper)] * 6
-
-
-def test_csv_and_parquet_have_every_sample(tmp_path):
-    from kinebench_drake.report.sample_table import write_samples
-    from kinebench_drake.results.store import ResultStore
-    from tests.report.pages import row
-
-    speed = {"kind": "velocity", "frame_start": 2, "frame_end": 4, "joint": "j2", "value": 2.0, "limit": 1.0}
-    with ResultStore(tmp_path) as store:
-        for k in range(6):
-            broken = (speed,) if k == 0 else ()
-            store.append(
-                row(f"s{k}", feasible=not broken, violations=broken, metrics={"sparc": -1.0 - k}, task="$x"), 0.1
-            )
-        store.finish({"kind": "score"})
-    first, second = ([path.read_bytes() for path in write_samples(tmp_path)] for _ in range(2))
-    assert first == second
-    lines = list(csv.DictReader(first[0].decode().splitlines()))
-    assert {line["id"]: float(line["sparc"]) for line in lines} == {f"s{k}": -1.0 - k for k in range(6)}
-    assert [line["violations"] for line in lines] == ["velocity", *[""] * 5]
-    columns = parquet.read_table(tmp_path / "samples.parquet").to_pydict()
-    assert columns["sparc"] == [float(line["sparc"]) for line in lines]
-    assert columns["id"] == [line["id"] for line in lines]
-    assert {type(value) for value in columns["feasible"]} <= {bool, type(None)}

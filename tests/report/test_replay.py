@@ -3,6 +3,8 @@
 import base64
 import re
 import socket
+import subprocess
+import sys
 from functools import partial
 
 import numpy as np
@@ -13,6 +15,7 @@ from kinebench_drake.errors import SetupError, UnmeasurableError, UsageError
 from kinebench_drake.geometry import invert, make_pose, rotation_exp
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.report import replay
+from kinebench_drake.report.recording import record_track
 from kinebench_drake.report.replay import build_replay, link_meshes, write_replays
 from kinebench_drake.report.replay_scene import _interpolate, _linear, _tube
 from kinebench_drake.report.sample import worst_samples
@@ -250,3 +253,18 @@ def test_poses_between_frames_are_interpolated_on_a_line_and_at_constant_turn_ra
 
 def test_srgb_colours_are_converted_to_linear():
     assert _linear((0.0, 0.5, 1.0)) == pytest.approx([0.0, 0.21404, 1.0], abs=1e-5)
+
+
+def test_a_recording_for_rerun_is_sound_and_holds_arm_path_and_curves(plant, file, tmp_path):
+    pytest.importorskip("rerun")
+    meshes, path = link_meshes(plant), tmp_path / "a.rrd"
+    path.write_bytes(record_track(plant, meshes, row(), file))
+    verified, listed = (
+        subprocess.run(
+            [sys.executable, "-m", "rerun", "rrd", command, path], capture_output=True, text=True, check=True
+        )
+        for command in ("verify", "stats")
+    )
+    assert "1 file verified without error" in verified.stdout + verified.stderr
+    entities = {"/base", "/base/path", "/base/tcp", "/curves/confidence", "/curves/finger_width_m"}
+    assert entities | {f"/base/arm/{mesh.link}" for mesh in meshes} <= set(re.findall(r"^(/\S+):", listed.stdout, re.M))

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from kinebench_drake.errors import InputError, UsageError
 from kinebench_drake.formats.folders import describe_ignored, list_suffixes, require_apart, walk
+from kinebench_drake.formats.hub import find_source
 from kinebench_drake.formats.kinebench import is_summary, open_executed_table
 from kinebench_drake.formats.lerobot.reader import (
     is_lerobot,
@@ -81,8 +82,7 @@ def find_trajectories(
         UsageError: there is nothing to read, a dataset has no suitable column, or a run into `out` would change its
             inputs.
     """
-    if not source.exists():
-        raise UsageError(f"{source}: {absence(source)}")
+    source = find_source(source)
     if out is not None:
         require_apart(out, source)
     if not source.is_dir():

@@ -8,10 +8,11 @@ from kinebench_drake.errors import InputError, UsageError
 from kinebench_drake.formats import dream_exe, ewmbench, hdf5, kinebench, manifest, videofolder, worldarena
 from kinebench_drake.formats.camerafile import CAMERA_NAME, CameraLookup
 from kinebench_drake.formats.folders import describe_ignored, is_output, list_suffixes, require_apart, run_of, walk
+from kinebench_drake.formats.hub import find_source
 from kinebench_drake.formats.lerobot import reader as lerobot
 from kinebench_drake.formats.samples import finish_samples
 from kinebench_drake.formats.videos.sample import Search, VideoSample, VideoSamples
-from kinebench_drake.io.files import IMAGE_SUFFIXES, VIDEO_SUFFIXES, absence
+from kinebench_drake.io.files import IMAGE_SUFFIXES, VIDEO_SUFFIXES
 from kinebench_drake.io.hdf5 import HDF5_SUFFIXES
 from kinebench_drake.io.reader import ARRAY_SUFFIXES, is_video_array
 from kinebench_drake.io.video import VideoPart
@@ -73,8 +74,7 @@ def find_samples(
         UsageError: there is nothing to read, the choice of the camera is ambiguous, a `camera.json` is unusable, or a
             run into `out` would change its inputs.
     """
-    if not source.exists():
-        raise UsageError(f"{source}: {absence(source)}")
+    source = find_source(source)
     if (run := run_of(source)) is not None:
         raise UsageError(f"{source}: was written by a run (output folder {run.name}); name the videos that it scored")
     if out is not None:
