@@ -87,10 +87,6 @@ class DemoFormat(ABC):
         """
         return []
 
-    def index_files(self, folder: Path, tasks: Sequence[str]) -> list[Path]:
-        """Return the files that `finish` writes beside those it returns."""
-        return []
-
 
 class VideoFolder(DemoFormat):
     """Videos for Hugging Face's VideoFolder and for `kinebench-drake score`: one per clip, with its caption.
@@ -139,15 +135,10 @@ class VideoFolder(DemoFormat):
                 with np.load(truth) as arrays:
                     first = first_facts(arrays["base_from_tcp"][0], float(arrays["finger_width_m"][0]))
                 lines.append({**line, **first})
-        labels_file, manifest_file, camera_file = self.index_files(folder, ())
-        save_camera(options.camera, camera_file)
-        write_lines(labels_file, labels)
-        write_lines(manifest_file, lines)
+        save_camera(options.camera, folder / CAMERA_NAME)
+        write_lines(folder / videofolder.LABELS, labels)
+        write_lines(folder / manifest.NAME, lines)
         return []
-
-    @override
-    def index_files(self, folder: Path, tasks: Sequence[str]) -> list[Path]:
-        return [folder / name for name in (videofolder.LABELS, manifest.NAME, CAMERA_NAME)]
 
 
 def _clip_names(task: str, id: str, clips: int) -> list[str]:
@@ -178,10 +169,6 @@ class LeRobot(DemoFormat):
         camera, parts = config.options.camera, config.out / PARTS
         size = (camera.width, camera.height)
         return lerobot.join_parts(config.out, parts, prompts, config.options.fps, camera, size=size)
-
-    @override
-    def index_files(self, folder: Path, tasks: Sequence[str]) -> list[Path]:
-        return lerobot.index_files(folder)
 
 
 class RecordingSimulator(Simulator):
@@ -247,10 +234,6 @@ class ManiSkill(DemoFormat):
             episodes = [{"seed": record.seed, "id": record.id, "prompt": record.prompt} for record in own]
             maniskill.join_parts(config.out / f"{task}.h5", parts, episodes, environment)
         return [config.out / f"{task}.h5" for task in tasks]
-
-    @override
-    def index_files(self, folder: Path, tasks: Sequence[str]) -> list[Path]:
-        return [folder / f"{task}.json" for task in tasks]
 
 
 def _max_steps(task: str) -> int:

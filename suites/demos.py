@@ -6,7 +6,6 @@ first successful seeds, and a larger set begins with a smaller one.
 """
 
 import fcntl
-import json
 import os
 import shutil
 from collections import Counter
@@ -22,7 +21,7 @@ from kinebench_drake.executors.base import Executor, Observer, WorkerCrash
 from kinebench_drake.io.atomic import disk_errors, make_folder
 from kinebench_drake.io.jsonl import append_line, read_json, read_lines, write_json, write_lines
 from kinebench_drake.suites.catalog import EpisodeSpec
-from kinebench_drake.suites.demo_config import CLIP_STEPS, DemoConfig, FormatKind
+from kinebench_drake.suites.demo_config import CLIP_STEPS, DemoConfig
 from kinebench_drake.suites.demo_formats import FORMATS, PARTS, DemoFormat, Record
 from kinebench_drake.suites.export import episode_facts
 from kinebench_drake.suites.families.registry import find_expert
@@ -76,11 +75,9 @@ def _attempt(simulator: Simulator, spec: EpisodeSpec, config: DemoConfig) -> Rec
     )
 
 
-def make_demos(config: DemoConfig, executor: Executor, observer: Observer, *, overwrite: bool = False) -> DemoSummary:
+def make_demos(config: DemoConfig, executor: Executor, observer: Observer) -> DemoSummary:
     """Make demonstrations, continuing an earlier run in the same folder."""
     with _lock(config.out):
-        if overwrite:
-            _delete_earlier_run(config.out)
         records = _read_records(config)
         before = _read_summary(config, records)
         if not _is_complete(config, before):
@@ -90,8 +87,7 @@ def make_demos(config: DemoConfig, executor: Executor, observer: Observer, *, ov
                 for key, record in records.items()
                 if not record.success or all(path.is_file() for path in form.part_files(config.out, record))
             }
-            replaced = before.get("files", before.get("replaces", []))
-            write_json(config.out / SUMMARY, {**config.request(), "replaces": replaced})
+            write_json(config.out / SUMMARY, config.request())
             write_lines(config.out / RECORDS, [asdict(record) for record in records.values()])
             _run_attempts(config, records, executor, observer)
             _finish(config, form, records)
@@ -121,19 +117,6 @@ def _lock(out: Path) -> Iterator[None]:
         os.close(lock)
 
 
-def _delete_earlier_run(out: Path) -> None:
-    """Delete the files that an earlier run's summary and records name; damaged ones name none."""
-    paths = [out / SUMMARY, out / RECORDS]
-    with suppress(OSError, ValueError, KeyError, TypeError, AttributeError, InputError):
-        before = json.loads((out / SUMMARY).read_text())
-        form = FORMATS[FormatKind(before["format"])]
-        paths += [out / name for name in before.get("files", before.get("replaces", []))]
-        paths += form.index_files(out, before["tasks"])
-        records = read_lines(out / RECORDS, Record.from_json)
-        paths += [path for record in records if record.success for path in form.part_files(out, record)]
-    _delete(out, paths)
-
-
 def _delete(out: Path, paths: Sequence[Path]) -> None:
     """Delete files below a folder and the subfolders that become empty."""
     top = out.resolve()
@@ -157,8 +140,8 @@ def _read_summary(config: DemoConfig, records: Records) -> dict[str, Any]:
     except (OSError, ValueError):
         before = None
     if not isinstance(before, dict):
-        raise UsageError(f"{path}: is damaged; $overwrite=True starts anew")
-    fix = "name another $out, or $overwrite=True to start anew"
+        raise UsageError(f"{path}: is damaged; name another $out")
+    fix = "name another $out"
     for name, value in config.settings().items():
         if before.get(name) != value:
             raise UsageError(f"{config.out} holds demonstrations with {name} {before.get(name)}, not {value}: {fix}")
@@ -177,7 +160,7 @@ def _read_records(config: DemoConfig) -> dict[tuple[str, int], Record]:
     try:
         records = read_lines(config.out / RECORDS, Record.from_json)
     except (OSError, InputError):
-        raise UsageError(f"{config.out / RECORDS}: is damaged; $overwrite=True starts anew") from None
+        raise UsageError(f"{config.out / RECORDS}: is damaged; name another $out") from None
     return {(record.task, record.seed): record for record in records}
 
 

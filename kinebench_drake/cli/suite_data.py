@@ -80,7 +80,7 @@ def _dataset(suite: int, split: str, tasks: str | None, variant: str, **others: 
 )  # fmt: skip
 @click.option("--crf", type=click.IntRange(0, 51), help="x264's quality, 0 is lossless.  [default: 16]")
 @click.option("--with-depth", is_flag=True, help="mp4: keep depth and gripper masks in truth/ (some MB a video).")
-@config_options(SuiteConfig, "out", "jobs", "shard", "overwrite")
+@config_options(SuiteConfig, "out", "jobs", "shard")
 @click.pass_context
 def demos(
     ctx: click.Context,
@@ -93,7 +93,6 @@ def demos(
     with_depth: bool,
     jobs: int,
     shard: str | None,
-    overwrite: bool,
     **dataset: Any,
 ) -> None:
     """Write demonstrations of the scripted experts, with ground truth, to train world models and policies.
@@ -114,7 +113,7 @@ def demos(
         shard=None if shard is None else Shard.parse(shard),
     )
     with ProgressView("demonstrations") as view, terminate_as_interrupt():
-        result = make_demos(config, create_executor(ExecutorKind.LOCAL, jobs), view, overwrite=overwrite)
+        result = make_demos(config, create_executor(ExecutorKind.LOCAL, jobs), view)
     failed = f"; the expert failed with {count_noun(result.failures, 'other seed')}" if result.failures else ""
     made = count_noun(result.demonstrations, "demonstration")
     echo(f"{made} of {count_noun(len(config.tasks), 'task')}{failed}")

@@ -21,7 +21,6 @@ from kinebench_drake.io.jsonl import Json
 from kinebench_drake.io.reader import read_video
 from kinebench_drake.models.panda.robot import TCP_LINK
 from kinebench_drake.suites.clock import (
-    CLIP_FRAMES,
     CONTROL_PERIOD_S,
     FRAME_PERIOD_S,
     MAX_FRAME_PERIOD_S,
@@ -31,7 +30,7 @@ from kinebench_drake.suites.clock import (
     sample_uniformly,
 )
 from kinebench_drake.suites.composition import Episode
-from kinebench_drake.suites.export import FPS
+from kinebench_drake.suites.export import FPS, FRAMES
 from kinebench_drake.suites.prompts import PromptTemplate
 from kinebench_drake.suites.seeding import generator
 from kinebench_drake.suites.simulator import Simulator, TaskOutcome
@@ -65,13 +64,9 @@ class LoopOptions:
     """How frames lie in task time; None: uniform for models that choose the number of frames, else native."""
     pixels_only: bool = False
     """Do not use the robot's joint state as a prior for the first frame."""
-    num_frames: int = CLIP_FRAMES + 1
-    """Requested number of frames, including the first one."""
     prompts: PromptTemplate = field(default_factory=PromptTemplate)
     condition: Condition = Condition.NONE
     """Motion that requests state."""
-    seed: int = 0
-    """Seed of the model's randomness."""
 
     def __post_init__(self) -> None:
         """Check the options.
@@ -186,7 +181,7 @@ class ClosedLoop:
             if self._actions is not None:
                 here = simulator.simulation_state()
                 try:
-                    actions = self._actions.track(episode, here, options.num_frames, options.frame_period_s)
+                    actions = self._actions.track(episode, here, FRAMES, options.frame_period_s)
                 except InputError:
                     if not rounds:
                         raise
@@ -228,9 +223,9 @@ class ClosedLoop:
             round=number,
             prompt=options.prompts.prompt(episode),
             negative_prompt=options.prompts.negative,
-            seed=int(generator("world model", episode.id, number, options.seed, *further).integers(2**31)),
+            seed=int(generator("world model", episode.id, number, 0, *further).integers(2**31)),
             first_frame=first_frame,
-            num_frames=options.num_frames,
+            num_frames=FRAMES,
             fps=FPS,
         )
 
@@ -241,14 +236,14 @@ class ClosedLoop:
         timing = options.clip_timing or (ClipTiming.UNIFORM if own else ClipTiming.NATIVE)
         period_s = options.frame_period_s
         if timing is ClipTiming.UNIFORM:
-            return timing, *sample_uniformly(frames, period_s * (options.num_frames - 1), period_s)
+            return timing, *sample_uniformly(frames, period_s * (FRAMES - 1), period_s)
         return timing, np.arange(frames), period_s * np.arange(frames, dtype=np.float64)
 
     def _ground_video(self, video: Path, first_frame: NDArray[np.uint8], camera: Camera, state: RobotState) -> Round:
         """Return the round of a video that was grounded, but not executed."""
         decoded = read_video(video).frames
         if len(decoded) < 2:
-            raise InputError(f"{video.name}: has {len(decoded)} frames, expected {self._options.num_frames}")
+            raise InputError(f"{video.name}: has {len(decoded)} frames, expected {FRAMES}")
         timing, chosen, t_s = self._times(len(decoded))
         clip = Clip(frames=decoded[chosen], t_s=t_s, conditioning=first_frame, is_view=True)
         try:

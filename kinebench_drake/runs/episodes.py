@@ -51,7 +51,7 @@ from kinebench_drake.runs.tools import Tools, load_tools
 from kinebench_drake.suites.catalog import EpisodeSpec
 from kinebench_drake.suites.clock import FRAME_PERIOD_S, ClipTiming
 from kinebench_drake.suites.composition import Episode
-from kinebench_drake.suites.export import FPS, manifest_row
+from kinebench_drake.suites.export import FPS, FRAMES, manifest_row
 from kinebench_drake.suites.families.registry import OwnTask
 from kinebench_drake.suites.rollout import render_video
 from kinebench_drake.suites.simulator import Simulator
@@ -74,9 +74,6 @@ def run_suite(config: SuiteConfig, observer: RunObserver | None = None) -> RunSu
             config=replace(config, model_name=name),
             world_model=world_model,
             offline=offline,
-            loop=config.loop,
-            rollouts=config.rollouts,
-            subject={"suite": config.suite, "split": config.split},
         )
         samples = [
             EpisodeSample(spec=spec, index=index, model=config.model or name)
@@ -139,14 +136,15 @@ class EpisodeResources:
 class EpisodeEvaluator(Evaluator[EpisodeSample, EpisodeResources]):
     """Evaluation of the episodes of one run."""
 
+    config: SuiteConfig
     world_model: LazyWorldModel
     offline: bool
     """True if the world model is `OfflineModel`: its files count as input."""
-    loop: LoopOptions
-    rollouts: bool
-    """Write rollouts/ID.mp4."""
-    subject: Mapping[str, Json]
-    """Suite and split, as keys of a manifest."""
+
+    @property
+    def loop(self) -> LoopOptions:
+        """Options of the closed loop."""
+        return self.config.loop
 
     def prepare(self, samples: Sequence[EpisodeSample], warn: Callable[[str], None]) -> None:
         """Warn of episodes without a first video in a folder; a server must listen."""
@@ -189,7 +187,7 @@ class EpisodeEvaluator(Evaluator[EpisodeSample, EpisodeResources]):
         }
         write_track(artifact_path(self.config.out, "tracks", sample.id), track, kinematics.joints, curves)
         write_atomically(artifact_path(self.config.out, "thumbnails", sample.id), episode_strip(run, executed))
-        if self.rollouts:
+        if self.config.rollouts:
             path = artifact_path(self.config.out, "rollouts", sample.id)
             write_video(path, rollout_frames(run, executed, resources.tools), FPS, crf=20, preset="veryfast")
         cause = find_cause(run, results)
@@ -239,8 +237,11 @@ class EpisodeEvaluator(Evaluator[EpisodeSample, EpisodeResources]):
         id = f"{sample.id}_r{number}"
         path = request_path(self.config.out, id)
         make_folder(path.parent)
-        state = {**self.subject, **first_facts(pending.X_BG, pending.finger_width_m)}
-        state["frame_period_s"] = self.loop.frame_period_s
+        state: dict[str, Json] = {
+            **{"suite": self.config.suite, "split": self.config.split},
+            **first_facts(pending.X_BG, pending.finger_width_m),
+            "frame_period_s": self.loop.frame_period_s,
+        }
         if (actions := pending.request.actions) is not None:
             write_json(path.with_suffix(".json"), actions.to_json())
             state["actions"] = f"{id}.json"
@@ -267,7 +268,7 @@ class EpisodeEvaluator(Evaluator[EpisodeSample, EpisodeResources]):
     @property
     def artifacts(self) -> tuple[str, ...]:
         """Tracks, thumbnails, and rollouts where they are written."""
-        return ("tracks", "thumbnails", *(["rollouts"] if self.rollouts else []))
+        return ("tracks", "thumbnails", *(["rollouts"] if self.config.rollouts else []))
 
     def cache_key(self, sample: EpisodeSample) -> Mapping[str, Json]:
         """Return weights, world model, loop options and episode."""
@@ -275,7 +276,7 @@ class EpisodeEvaluator(Evaluator[EpisodeSample, EpisodeResources]):
         return {
             "weights": weights_hash(),
             "world_model": self.world_model.identity,
-            "loop": [self.loop.to_json(), self.loop.num_frames, self.loop.seed],
+            "loop": [self.loop.to_json(), FRAMES, 0],
             "episode": [spec.task, spec.seed, spec.pool.value, spec.variant.value],
         }
 
@@ -307,7 +308,7 @@ class EpisodeEvaluator(Evaluator[EpisodeSample, EpisodeResources]):
 
 def _warn_of_lengths(rows: Sequence[SampleRow], loop: LoopOptions, observer: RunObserver) -> None:
     """Warn of clips that do not have the requested number of frames, and say how they were used."""
-    period_s, expected = loop.frame_period_s, loop.num_frames
+    period_s, expected = loop.frame_period_s, FRAMES
     clip_s = period_s * (expected - 1)
     uses = {
         ClipTiming.UNIFORM: f"each was sampled evenly over {clip_s:g} s ($clip_timing native: {period_s:g} s a frame)",

@@ -2,7 +2,7 @@
 
 import hashlib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -123,16 +123,8 @@ class SuiteConfig(RunConfig):
 
         RunConfig.__post_init__(self)
         suite = self.load_suite()
-        loop = LoopOptions(
-            rounds=self.rounds,
-            control=self.control,
-            action_repeat=self.action_repeat,
-            frame_period_s=self.frame_period_s,
-            clip_timing=self.clip_timing,
-            condition=self.condition,
-            pixels_only=self.pixels_only,
-            prompts=PromptTemplate.parse(self.prompts),
-        )
+        shared = {option.name: getattr(self, option.name) for option in fields(LoopOptions)}
+        loop = LoopOptions(**{**shared, "prompts": PromptTemplate.parse(self.prompts)})
         tasks = chosen_tasks(suite, self.split, self.tasks, self.variant)
         for name, value in (("loop", loop), ("tasks", tasks), ("split", suite.split_name(self.split))):
             object.__setattr__(self, name, value)

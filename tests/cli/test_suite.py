@@ -33,7 +33,7 @@ def orders(monkeypatch):
     """What would have been made; nothing is."""
     taken = []
 
-    def make(order, engine, observer, *, overwrite=False):
+    def make(order, engine, observer):
         taken.append(order)
         return DemoSummary(demonstrations=3, failures=1, short={"StackCube-v1": 2} if order.episodes == 5 else {})
 

@@ -34,9 +34,6 @@ class FakeFormat(DemoFormat):
         (config.out / "all.txt").write_text("".join(f"{record.seed - FIRST} " for record in records))
         return []
 
-    def index_files(self, folder: Path, tasks: Sequence[str]) -> list[Path]:
-        return [folder / "all.txt"]
-
 
 class FakeEngine:
     """Makes attempts at once: those of some seeds fail, and after so many of them the program is killed."""
@@ -74,10 +71,9 @@ def deliver(
     def call(
         episodes: int, failing: set[int] | None = None, until: int | None = None, **changes: Any
     ) -> tuple[DemoSummary, FakeEngine, list[int]]:
-        overwrite = changes.pop("overwrite", False)
         order = replace(an_order(tmp_path, FormatKind.MP4, episodes), **changes)
         engine = FakeEngine(order.out, failing or set(), until=until)
-        delivery = make_demos(order, engine, Recorder(), overwrite=overwrite)
+        delivery = make_demos(order, engine, Recorder())
         return delivery, engine, [int(word) for word in (order.out / "all.txt").read_text().split()]
 
     return call
@@ -160,7 +156,6 @@ def test_a_folder_is_extended_only_with_the_same_options_and_more_demonstrations
         deliver(3, options=RenderOptions(size=128))
     with pytest.raises(UsageError, match="may only be more"):
         deliver(2)
-    assert deliver(2, overwrite=True)[2] == [0, 1]
 
 
 def test_an_interrupted_larger_request_may_be_followed_by_a_smaller_one(deliver: Any, tmp_path: Path) -> None:
@@ -178,24 +173,9 @@ def test_attempts_end_with_the_last_seed_of_the_split(tmp_path: Path) -> None:
     assert [draw.seed for draw in order.attempts(TASK, 14)] == [1_999_998, 1_999_999]
 
 
-def test_overwrite_deletes_demonstrations_and_no_other_file(deliver: Any, tmp_path: Path) -> None:
-    deliver(3)
-    (tmp_path / "mine.mp4").touch()
-    rows = (tmp_path / "demos.jsonl").read_text()
-    (tmp_path / "demos.jsonl").write_text(rows + rows.splitlines()[0].replace(TASK, f"../{TASK}") + "\n")
-    outside = tmp_path.parent / f"{TASK}_s{FIRST}.mp4"
-    outside.touch()
-    assert deliver(1, overwrite=True)[2] == [0]
-    assert outside.is_file()
-    assert {path.name for path in tmp_path.iterdir()} == {
-        "demos.json", "demos.jsonl", "all.txt", "mine.mp4", f"{TASK}_s{FIRST}.mp4",
-    }  # fmt: skip
-
-
 @pytest.mark.parametrize("damage", [b"\xff\xfe\n", b"1\n"])
 def test_a_damaged_demos_file_is_a_usage_error(deliver: Any, tmp_path: Path, damage: bytes) -> None:
     deliver(1)
     (tmp_path / "demos.jsonl").write_bytes(damage + b"{}\n")  # an invalid last line counts as torn
     with pytest.raises(UsageError, match="is damaged"):
         deliver(1)
-    assert deliver(1, overwrite=True)[2] == [0]

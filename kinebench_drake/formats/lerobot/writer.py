@@ -156,20 +156,14 @@ def join_parts(
                 **_below("meta/episodes", dict.fromkeys(PLACE, 0)),
             }
         )
-    episodes_file, tasks_file, statistics_file, info_file, camera_file = index_files(folder)
-    _write_tables(episodes_file, [pa.Table.from_pylist(episodes)])
-    _write_tasks(tasks_file, tasks)
-    write_json(statistics_file, feature_statistics(columns, {CAMERA: histograms}))
-    write_json(info_file, _info(size, round(fps), columns, len(tasks), features))
+    meta = folder / "meta"
+    _write_tables(folder / EPISODES.format(**dict.fromkeys(PLACE, 0)), [pa.Table.from_pylist(episodes)])
+    _write_tasks(meta / "tasks.parquet", tasks)
+    write_json(meta / "stats.json", feature_statistics(columns, {CAMERA: histograms}))
+    write_json(meta / INFO.name, _info(size, round(fps), columns, len(tasks), features))
     if camera is not None:
-        save_camera(camera, camera_file)
+        save_camera(camera, meta / CAMERA_NAME)
     return sorted({*data_files, *video_files})
-
-
-def index_files(folder: Path) -> list[Path]:
-    """Return the files of the metadata: episodes, tasks, statistics, description, camera."""
-    names = ("tasks.parquet", "stats.json", INFO.name, CAMERA_NAME)
-    return [folder / EPISODES.format(**dict.fromkeys(PLACE, 0)), *(folder / "meta" / name for name in names)]
 
 
 def _read_columns(
