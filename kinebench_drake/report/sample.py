@@ -37,28 +37,6 @@ _MAX_VIOLATIONS = 20
 VIDEOS = {"rollouts": "Generated and executed, side by side", "overlays": "Video with the gripper's pose drawn on it"}
 
 
-_SUFFIXES = {
-    "_m": (1000.0, "mm"),
-    "_rad": (180.0 / np.pi, "°"),
-    "_s": (1.0, "s"),
-    "_hz": (1.0, "Hz"),
-    "_px": (1.0, "px"),
-}
-"""Factor and unit on the page by suffix of the key."""
-_MAX_ENTRIES = 12
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class DetailLine:
-    """One entry."""
-
-    depth: int
-    """Level of nesting."""
-    name: str
-    text: str
-    """Value; empty for the heading of a nested object."""
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SampleView:
     """One sample as the page shows it."""
@@ -73,12 +51,12 @@ class SampleView:
     left_out: int
     """Violations that `peaks` leaves out."""
     plots: Sequence[Markup]
-    summary: Sequence[DetailLine]
-    """Results of the checks."""
+    summary: Sequence[tuple[str, str]]
+    """Names and results of the checks."""
     checks: Mapping[str, Mapping[str, Json]]
     """Check of each rate limit, see `find_checks`: its window, bandwidth, noise and the ratio of each joint."""
-    details: Sequence[DetailLine]
-    """All other details of the verdict."""
+    remarks: Sequence[tuple[str, str]]
+    """Smoothness beside its noise floor, and why metrics have no value."""
     replay: str | None
     """Link to the 3D replay, relative to the page; None if there is none."""
     videos: Sequence[tuple[str, str]]
@@ -182,64 +160,28 @@ def view_sample(out: Path, row: SampleRow, *, drawn: bool, pictured: bool = True
         plots=draw_curves(row, file) if file else [],
         summary=[*summarize_checks(row, file.track.t_s), *_repeated_frames(file)] if file else [],
         checks=find_checks(row.details) if drawn else {},
-        details=list(_other_details(row)) if drawn else [],
+        remarks=list(_list_remarks(row)) if drawn else [],
         replay=links.get("replays") if viewable else None,
         videos=[(label, links[part]) for part, label in VIDEOS.items() if part in links],
         viewable=viewable,
     )
 
 
-def _other_details(row: SampleRow) -> Iterator[DetailLine]:
-    """List details without limits and checks, smoothness beside its noise floor, and reasons of missing metrics."""
-    yield from list_details({name: value for name, value in row.details.items() if name not in ("limits", "checks")})
+def _list_remarks(row: SampleRow) -> Iterator[tuple[str, str]]:
+    """List smoothness beside its noise floor, and reasons of missing metrics."""
     for name in row.metrics:
         value, median, low, high = (
             numeric_value(row, name + suffix) for suffix in ("", "_floor_median", "_floor_low", "_floor_high")
         )
         if value is not None and median is not None and low is not None and high is not None:
             text = f"{value:.2f}; smoothed track with its noise {median:.2f} ({low:.2f} to {high:.2f})"
-            yield DetailLine(depth=0, name=name.replace("_", " "), text=text)
-    yield from list_details(
-        {f"no {name}": reason for name, reason in row.null_reasons.items() if "_floor_" not in name}
-    )
+            yield name.replace("_", " "), text
+    for name, reason in row.null_reasons.items():
+        if "_floor_" not in name:
+            yield f"no {name.replace('_', ' ')}", reason
 
 
-def list_details(details: Mapping[str, Json], depth: int = 0) -> Iterator[DetailLine]:
-    """List entries in their order, those of an object one level below its name; null entries are left out."""
-    for key, value in details.items():
-        suffix = next((suffix for suffix in _SUFFIXES if key.endswith(suffix)), "")
-        factor, unit = _SUFFIXES.get(suffix, (1.0, ""))
-        name = key.removesuffix(suffix).replace("_", " ")
-        if value is None:
-            continue
-        if isinstance(value, Mapping):
-            inner = list(list_details(value, depth + 1))
-            if inner:
-                yield DetailLine(depth=depth, name=name, text="")
-                yield from inner
-        elif isinstance(value, Sequence) and any(isinstance(v, Mapping) for v in value):
-            yield DetailLine(depth=depth, name=name, text="")
-            for number, item in enumerate(value[:_MAX_ENTRIES], 1):
-                if isinstance(item, Mapping):
-                    text = "; ".join(f"{line.name} {line.text}" for line in list_details(item))
-                    yield DetailLine(depth=depth + 1, name=str(number), text=text)
-        else:
-            yield DetailLine(depth=depth, name=name, text=_format(value, factor, unit))
-
-
-def _format(value: Json, factor: float, unit: str) -> str:
-    if isinstance(value, bool):
-        return "yes" if value else "no"
-    if isinstance(value, int | float):
-        return f"{value * factor:.4g} {unit}".strip()
-    if isinstance(value, Sequence) and not isinstance(value, str):
-        entries = [_format(v, factor, "") for v in value[:_MAX_ENTRIES]]
-        more = f" … ({len(value)} in all)" if len(value) > _MAX_ENTRIES else ""
-        return f"{', '.join(entries)}{more} {unit}".strip()
-    return "–" if value is None else str(value)
-
-
-def summarize_checks(row: SampleRow, t_s: Array | None) -> list[DetailLine]:
+def summarize_checks(row: SampleRow, t_s: Array | None) -> list[tuple[str, str]]:
     """Summarize noise, slow-down, fastest execution and optimised trajectory of a row, as far as it has them."""
     lines = [
         ("noise of the track", _noise(row)),
@@ -247,24 +189,25 @@ def summarize_checks(row: SampleRow, t_s: Array | None) -> list[DetailLine]:
         ("fastest execution", _fastest(row, t_s)),
         ("smooth trajectory within all limits", _trajectory(row, t_s)),
     ]
-    return [DetailLine(depth=0, name=name, text=text) for name, text in lines if text is not None]
+    return [(name, text) for name, text in lines if text is not None]
 
 
-def _repeated_frames(file: TrackFile) -> Iterator[DetailLine]:
+def _repeated_frames(file: TrackFile) -> Iterator[tuple[str, str]]:
     """Name the frames of a video that repeat the one before."""
     repeated = file.curves.get("repeated")
     if repeated is not None and (runs := segments(repeated == 1.0)):
         spans = [f"{run.start} to {run.stop - 1}" if run.stop - run.start > 1 else str(run.start) for run in runs]
-        more = f" and {len(spans) - _MAX_ENTRIES} more runs" if len(spans) > _MAX_ENTRIES else ""
-        text = f"{int(np.sum(repeated == 1.0))} of {len(repeated)}: {', '.join(spans[:_MAX_ENTRIES])}{more}"
-        yield DetailLine(depth=0, name="frames that repeat the one before", text=text)
+        more = f" and {len(spans) - 12} more runs" if len(spans) > 12 else ""
+        text = f"{int(np.sum(repeated == 1.0))} of {len(repeated)}: {', '.join(spans[:12])}{more}"
+        yield "frames that repeat the one before", text
 
 
 def _noise(row: SampleRow) -> str | None:
     noise = as_object(row.details.get("noise"))
-    values = {k: v for k in ("position_m", "rotation_rad") if isinstance(v := noise.get(k), int | float)}
+    units = {"position_m": (1000.0, "mm"), "rotation_rad": (180.0 / np.pi, "°")}
+    values = {name: value for name in units if (value := to_number(noise.get(name))) is not None}
     # Values below a micrometre or a microradian are rounding errors.
-    text = ", ".join(line.text for line in list_details({k: 0.0 if v < 1e-6 else v for k, v in values.items()}))
+    text = ", ".join(f"{units[name][0] * v if v >= 1e-6 else 0:.4g} {units[name][1]}" for name, v in values.items())
     if not text:
         return None
     return f"{text} (assumed: the track is too short for an estimate)" if noise.get("assumed") is True else text

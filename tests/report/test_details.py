@@ -1,47 +1,9 @@
-"""Details as lines of text: units from the keys, degrees and millimetres on screen; summaries of the checks."""
+"""Summaries of the checks of a sample."""
 
 import numpy as np
 import pytest
 
-from kinebench_drake.report.sample import list_details, summarize_checks
-
-
-@pytest.mark.parametrize(
-    ("key", "value", "name", "text"),
-    [
-        ("position_m", 0.0012, "position", "1.2 mm"),
-        ("rotation_rad", 3.141592653589793, "rotation", "180 °"),
-        ("bandwidth_hz", 1.25, "bandwidth", "1.25 Hz"),
-        ("t_worst_s", 2, "t worst", "2 s"),
-        ("feasible", False, "feasible", "no"),
-        ("joint", "panda_joint4", "joint", "panda_joint4"),
-        ("margins_rad", [0.0, 1.5707963267948966, None], "margins", "0, 90, – °"),
-        ("levels", list(range(20)), "levels", "0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11 … (20 in all)"),
-    ],
-)
-def test_the_suffix_of_a_key_determines_the_unit_on_screen(key, value, name, text):
-    (line,) = list_details({key: value})
-    assert (line.depth, line.name, line.text) == (0, name, text)
-
-
-def test_nested_objects_are_indented():
-    lines = list_details({"trajopt": {"certificate": {"samples": 3}, "note": None}, "empty": {}, "z": 1})
-    assert [(f.depth, f.name, f.text) for f in lines] == [
-        (0, "trajopt", ""),
-        (1, "certificate", ""),
-        (2, "samples", "3"),
-        (0, "z", "1"),
-    ]
-
-
-def test_lists_of_objects_have_a_line_each():
-    lines = list(list_details({"jumps": [{"frame": 3, "size_m": 0.1}, {"frame": 9, "size_m": 0.2}]}))
-    assert [(f.name, f.text) for f in lines] == [
-        ("jumps", ""),
-        ("1", "frame 3; size 100 mm"),
-        ("2", "frame 9; size 200 mm"),
-    ]
-
+from kinebench_drake.report.sample import summarize_checks
 
 T_S = 2.0 + 0.1 * np.arange(20)
 DETAILS = {
@@ -53,7 +15,7 @@ DETAILS = {
 
 
 def summary(row, t_s=T_S):
-    return {line.name: line.text for line in summarize_checks(row, t_s)}
+    return dict(summarize_checks(row, t_s))
 
 
 def test_the_frame_period_from_which_a_motion_is_feasible_is_in_words(judged):
