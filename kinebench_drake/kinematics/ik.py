@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike
 
 from kinebench_drake.errors import InputError
 from kinebench_drake.geometry import Array, make_pose, orthonormalize, pose_difference
-from kinebench_drake.kinematics.newton import solve_newton, solve_snopt
+from kinebench_drake.kinematics.newton import solve_newton
 from kinebench_drake.kinematics.path import limit_excess
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.kinematics.postures import posture_solver, spread_postures
@@ -56,8 +56,8 @@ def solve_pose(plant: ArmPlant, X_BG: ArrayLike, q_seed: ArrayLike) -> IkSolutio
     """Solve joint angles that bring the TCP to `X_BG` (4, 4) [m], made orthonormal first, near `q_seed` (7,) [rad].
 
     Newton steps from the seed converge in most cases (some 0.15 ms). If not, the posture within limits nearest to the
-    seed is used, of all that reach the pose. If there is none, Newton steps start from those of least limit excess,
-    then SNOPT; if these fail too, the status is JOINT_LIMIT if the pose is reached without limits, else UNREACHABLE.
+    seed is used, of all that reach the pose. If there is none, Newton steps start from those of least limit excess;
+    if these fail too, the status is JOINT_LIMIT if the pose is reached without limits, else UNREACHABLE.
 
     Raises:
         InputError: the pose is not a finite 4x4 matrix.
@@ -105,8 +105,4 @@ def _solve_anywhere(plant: ArmPlant, X_BG: Array, q_seed: Array, near: Array, ne
         q, e = solve_newton(plant, X_BG, start)
         if e < error:
             best, error = q, e
-    solution = _solution(plant, X_BG, best, failure)
-    if solution.status is IkStatus.OK or failure is IkStatus.UNREACHABLE:
-        return solution
-    q, e = solve_newton(plant, X_BG, solve_snopt(plant, X_BG, best))
-    return _solution(plant, X_BG, q, failure) if e < error else solution
+    return _solution(plant, X_BG, best, failure)

@@ -1,11 +1,6 @@
 """Local inverse kinematics: from a starting posture to a near one that reaches a pose, within joint limits."""
 
-from typing import Any
-
 import numpy as np
-from pydrake.math import RotationMatrix
-from pydrake.multibody.inverse_kinematics import InverseKinematics
-from pydrake.solvers import SnoptSolver, SolverOptions
 
 from kinebench_drake.geometry import Array, rotation_log
 from kinebench_drake.kinematics.plant import ArmPlant
@@ -131,26 +126,3 @@ def pose_twists(X_from: Array, X_to: Array) -> Array:
     """Return the twists (n, 6) [rad; m] from poses to poses (n, 4, 4), expressed in B, angular part first."""
     turn = rotation_log(X_to[:, :3, :3] @ np.swapaxes(X_from[:, :3, :3], -1, -2))
     return np.concatenate([turn, X_to[:, :3, 3] - X_from[:, :3, 3]], axis=-1)
-
-
-def solve_snopt(plant: ArmPlant, X_BG: Array, q: Array) -> Array:
-    """Return a posture (7,) [rad] within limits from Drake's InverseKinematics with SNOPT, started at `q`.
-
-    The result is not verified. Ten times slower than `solve_newton`, but it may converge where that does not.
-    """
-    ik: Any = InverseKinematics(plant.drake, plant.context)
-    tcp, base = plant.tcp_frame, plant.base_frame
-    tolerance = np.full(3, 1e-7)
-    ik.AddPositionConstraint(tcp, np.zeros(3), base, X_BG[:3, 3] - tolerance, X_BG[:3, 3] + tolerance)
-    rotation: Any = RotationMatrix
-    ik.AddOrientationConstraint(base, rotation(X_BG[:3, :3]), tcp, rotation(), 1e-7)
-    program, variables = ik.prog(), ik.q()
-    start = plant.positions(np.clip(q, plant.lower, plant.upper)[None])[0]
-    fixed = np.delete(np.arange(len(start)), plant.arm)
-    program.AddBoundingBoxConstraint(start[fixed], start[fixed], variables[fixed])
-    program.SetInitialGuess(variables, start)
-    options = SolverOptions()
-    options.SetOption(SnoptSolver.id(), "Major iterations limit", 100)
-    result = SnoptSolver().Solve(program, program.GetInitialGuess(variables), options)
-    q_solved: Array = np.asarray(result.GetSolution(variables), dtype=np.float64)[plant.arm]
-    return np.asarray(np.clip(q_solved, plant.lower, plant.upper))

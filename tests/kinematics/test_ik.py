@@ -4,7 +4,7 @@ import pytest
 from kinebench_drake.errors import InputError
 from kinebench_drake.geometry import Array, make_pose, pose_difference
 from kinebench_drake.kinematics.ik import find_least_excess, solve_pose
-from kinebench_drake.kinematics.newton import solve_newton, solve_snopt
+from kinebench_drake.kinematics.newton import solve_newton
 from kinebench_drake.kinematics.path import limit_excess
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.kinematics.postures import posture_solver
@@ -98,13 +98,6 @@ def test_newton_exceeds_joint_limits_only_if_unbounded(plant: ArmPlant) -> None:
     assert limit_excess(plant, free).max() > 0.1
     assert held_error > 1e-3
     assert limit_excess(plant, held).max() == 0.0
-
-
-def test_newton_refines_a_solution_of_snopt(plant: ArmPlant) -> None:
-    X_BG = plant.forward(rest_q() + 0.2)
-    q = solve_snopt(plant, X_BG, rest_q())
-    assert max(pose_difference(plant.forward(q), X_BG)) < 2e-3
-    assert solve_newton(plant, X_BG, q)[1] < 1e-9
 
 
 @pytest.mark.parametrize("bad", [np.full((4, 4), np.nan), np.eye(3)])

@@ -6,7 +6,7 @@ import pytest
 
 from kinebench_drake.errors import InputError, UsageError
 from kinebench_drake.kinematics.collision import CollisionModel
-from kinebench_drake.kinematics.newton import solve_snopt
+from kinebench_drake.kinematics.newton import solve_newton
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.kinematics.timing import time_scale
 from kinebench_drake.models.arm import load_robot, panda
@@ -90,9 +90,7 @@ def test_arm_joints_need_not_come_first_in_drakes_order(write_arm: Write) -> Non
     np.testing.assert_allclose(plant.torque(q, v, a), plain.torque(q, v, a), atol=1e-9)
     np.testing.assert_allclose(plant.chain.torques(q[None], v[None], a[None])[0], plain.torque(q, v, a), atol=1e-9)
     np.testing.assert_allclose(plant.mass_matrix(q), plain.mass_matrix(q), atol=1e-9)
-    assert (
-        np.abs(plant.forward(solve_snopt(plant, plant.forward(q), plant.robot.rest_q)) - plant.forward(q)).max() < 1e-5
-    )
+    assert np.abs(plant.forward(solve_newton(plant, plant.forward(q), q - 0.1)[0]) - plant.forward(q)).max() < 1e-5
     t = np.linspace(0.0, 4.0, 30)
     path = plant.robot.rest_q + 0.4 * np.sin(t)[:, None] * np.array([1.0, 0.2, -1.0, 0.3, 1.0, -0.2, 1.0])
     scale, expected = time_scale(plant, t, path), time_scale(plain, t, path)
