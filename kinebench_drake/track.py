@@ -62,6 +62,7 @@ class IkStatus(Enum):
     JOINT_LIMIT = "joint_limit"
     SELF_COLLISION = "self_collision"
     TABLE_COLLISION = "table_collision"
+    OBSTACLE_COLLISION = "obstacle_collision"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -1,8 +1,8 @@
-"""Loading of seven-joint arms: by name, or from a URDF; with limits, tool and payload of the user."""
+"""Loading of seven-joint arms: by name, or from a URDF; with limits, tool, payload and obstacles of the user."""
 
 import re
 import xml.etree.ElementTree as ElementTree
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -15,6 +15,7 @@ from kinebench_drake.geometry import Array
 from kinebench_drake.io.files import absence, cache_folder
 from kinebench_drake.models.joint_limits import LimitTable, read_limit_table, read_limits, write_limits
 from kinebench_drake.models.link_tree import LinkTree, end_link
+from kinebench_drake.models.obstacles import PREFIX, read_scene
 from kinebench_drake.models.panda.fr3 import FR3_LIMITS, REMARK, add_inertial, make_fr3
 from kinebench_drake.models.panda.robot import ARM_JOINTS, FLANGE_LINK, PANDA_LIMITS, TCP_LINK, source_urdf
 from kinebench_drake.models.panda.robot import rest_q as panda_rest_q
@@ -50,6 +51,7 @@ def load_robot(
     *,
     limits: Path | None = None,
     payload_kg: float = 0.0,
+    obstacles: Path | None = None,
     package_path: Path | None = None,
 ) -> Robot:
     """Load an arm: the links between the root of its URDF and the tool, whose frame is G.
@@ -67,6 +69,7 @@ def load_robot(
             None: panda_hand_tcp of a named robot.
         limits: JSON file of limits that replace those of the robot (`LimitTable`).
         payload_kg: mass of a point at the origin of G [kg].
+        obstacles: JSON file of bodies that the arm must not touch (`obstacles.Scene`).
         package_path: folder in which packages of package:// URIs are looked up first.
     """
     source, table = _find(robot)
@@ -80,12 +83,14 @@ def load_robot(
             write_limits(joints, stated)
     read_limits(source.name, joints)  # before the conversion, which takes seconds
     _add_payload(root, tcp, payload_kg)
+    if obstacles is not None:
+        _add_obstacles(root, obstacles)
     root.set(_TCP, tcp)
     remarks = [REMARK] if robot == FR3 else []
     if continuous := [str(joint.get("name")) for joint in joints if joint.get("type") == "continuous"]:
         remarks.append(f"continuous joints are limited to -pi..pi: {', '.join(continuous)}")
     visuals = _count_visuals(root)
-    loaded = _read(convert_urdf(source, Path(robot).stem, root, package_path))
+    loaded = _read(convert_urdf(source, Path(robot).stem, root, package_path, obstacles and obstacles.parent))
     left = _count_visuals(read_urdf(loaded.urdf))
     if lost := [link for link, n in visuals.items() if n > left[link]]:
         remarks.append(f"visual meshes that cannot be read are not drawn: those of {', '.join(lost)}")
@@ -138,12 +143,27 @@ def _place_tool(tree: LinkTree, root: ElementTree.Element, tool: str | None, *, 
         unit = False
     if not unit or not np.isfinite([x, y, z]).all():
         raise UsageError(f"$tool {tool}: expected x,y,z,qw,qx,qy,qz, metres and a unit quaternion")
+    _add_link(root, _TOOL_LINK, parent, f"{x!r} {y!r} {z!r}", _rpy(quaternion))
+    return _TOOL_LINK
+
+
+def _rpy(quaternion: Sequence[float]) -> str:
+    """Return the angles of a URDF for a quaternion wxyz."""
     from pydrake.common.eigen_geometry import Quaternion
     from pydrake.math import RollPitchYaw
 
-    rpy = RollPitchYaw(Quaternion(np.array(quaternion) / np.linalg.norm(quaternion))).vector()
-    _add_link(root, _TOOL_LINK, parent, f"{x!r} {y!r} {z!r}", " ".join(map(repr, rpy.tolist())))
-    return _TOOL_LINK
+    angles = RollPitchYaw(Quaternion(np.array(quaternion) / np.linalg.norm(quaternion))).vector()
+    return " ".join(map(repr, angles.tolist()))
+
+
+def _add_obstacles(root: ElementTree.Element, path: Path) -> None:
+    """Add the obstacles of a file as links fixed to the base, each shape for contact and for pictures."""
+    base = LinkTree(path.name, root).root
+    for obstacle in read_scene(path).obstacles:
+        xyz = " ".join(map(repr, obstacle.position_m))
+        link = _add_link(root, PREFIX + obstacle.name, base, xyz, _rpy(obstacle.quaternion_wxyz))
+        for role in ("collision", "visual"):
+            ElementTree.SubElement(link, role).append(obstacle.geometry())
 
 
 def _add_payload(root: ElementTree.Element, tcp: str, payload_kg: float) -> None:

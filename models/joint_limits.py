@@ -29,6 +29,7 @@ class LimitTable(BaseModel):
     acceleration_rad_s2: _Seven | None = None
     jerk_rad_s3: _Seven | None = None
     torque_nm: _Seven | None = None
+    torque_rate_nm_s: _Seven | None = None
     velocity_offset_rad_s: _Seven | None = None
     """With `deceleration_rad_s2`: speed limits that depend on the position (`JointLimits.speeds`)."""
     deceleration_rad_s2: _Seven | None = None
@@ -41,6 +42,7 @@ _ATTRIBUTES = {
     "acceleration_rad_s2": ("limit", "acceleration"),
     "jerk_rad_s3": ("limit", "jerk"),
     "torque_nm": ("limit", "effort"),
+    "torque_rate_nm_s": ("limit", "effort_rate"),
     "velocity_offset_rad_s": ("position_based_velocity_limits", "velocity_offset"),
     "deceleration_rad_s2": ("position_based_velocity_limits", "deceleration_limit"),
 }
@@ -63,6 +65,8 @@ class JointLimits:
     """Greatest accelerations [rad/s^2]; None if no joint states one."""
     jerk: Array | None = None
     """Greatest jerks [rad/s^3]; None if no joint states one."""
+    torque_rate: Array | None = None
+    """Greatest rates of commanded torques [N m/s], of `export-commands`; None if no joint states one."""
     velocity_offset: Array | None = None
     """Offsets of the speed limits near a position limit [rad/s], with `deceleration`."""
     deceleration: Array | None = None
@@ -143,6 +147,7 @@ def read_limits(file: str, joints: Sequence[ElementTree.Element]) -> JointLimits
             ("torque_nm", "effort", "a positive torque"),
             ("acceleration_rad_s2", "acceleration", "a positive number"),
             ("jerk_rad_s3", "jerk", "a positive number"),
+            ("torque_rate_nm_s", "torque rate", "a positive number"),
         ):
             stated = _read(joint, *_ATTRIBUTES[field], default=math.inf)
             if not stated > 0.0:
@@ -159,6 +164,7 @@ def read_limits(file: str, joints: Sequence[ElementTree.Element]) -> JointLimits
         torque=values["torque_nm"],
         acceleration=_stated(values["acceleration_rad_s2"]),
         jerk=_stated(values["jerk_rad_s3"]),
+        torque_rate=_stated(values["torque_rate_nm_s"]),
         velocity_offset=offset if depends else None,
         deceleration=deceleration if depends else None,
     )

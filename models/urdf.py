@@ -10,6 +10,7 @@ from urllib.parse import unquote, urlsplit
 from kinebench_drake.errors import InputError, SetupError, cause
 from kinebench_drake.io.atomic import atomic_folder
 from kinebench_drake.io.files import cache_folder
+from kinebench_drake.models.obstacles import SCHEME
 
 _CONVERSION = "5"  # version of the conversion; increment it with every change to invalidate caches
 _VISUAL_MATERIAL, _VISUAL_COLOR = "plain_white", "0.9 0.92 0.93 1"
@@ -33,7 +34,11 @@ def read_urdf(source: Path) -> ElementTree.Element:
 
 
 def convert_urdf(
-    source: Path, name: str, root: ElementTree.Element | None = None, package_path: Path | None = None
+    source: Path,
+    name: str,
+    root: ElementTree.Element | None = None,
+    package_path: Path | None = None,
+    scene: Path | None = None,
 ) -> Path:
     """Return the path of a URDF that Drake can load, converted on first use (seconds) and cached.
 
@@ -47,6 +52,7 @@ def convert_urdf(
         name: name of the converted file, without its suffix.
         root: its root element, if it was edited; left converted.
         package_path: folder in which packages of package:// URIs are looked up first.
+        scene: folder of the meshes of obstacles.
 
     Raises:
         InputError: the URDF, its SRDF or one of its collision meshes cannot be read.
@@ -61,7 +67,8 @@ def convert_urdf(
         for mesh in element.iter("mesh"):
             uri = str(mesh.get("filename"))
             if uri not in meshes:
-                files[uri] = meshes[uri] = find_mesh(source, uri, package_path)
+                of_scene = scene / uri.removeprefix(SCHEME) if scene and uri.startswith(SCHEME) else None
+                files[uri] = meshes[uri] = of_scene or find_mesh(source, uri, package_path)
             if meshes[uri] is None and element.tag == "collision":
                 fix = "; name the folder of its packages with $package_path" if uri.startswith("package:") else ""
                 raise InputError(f"{source.name}: its collision mesh {uri} does not exist{fix}")

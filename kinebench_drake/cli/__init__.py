@@ -20,6 +20,7 @@ _COMMANDS = {
     "ground": ("score", "Extract gripper tracks from videos, without kinematics."),
     "audit": ("score", "Check trajectories against the robot's kinematics, without video."),
     "reading": ("score", "Print how a trajectory file would be read."),
+    "export-commands": ("commands", "Write the commands with which a robot executes a trajectory."),
     "calibrate": ("calibrate", "Estimate a static camera from a video of the robot."),
     "cameras": ("calibrate", "List the cameras that are known by name."),
     "suite": ("suite", "Task suites: closed-loop runs, demonstrations, exports, reports."),
@@ -31,7 +32,8 @@ _COMMANDS = {
     "verify": ("publish", "Check whether the numbers of a bundle hold."),
     "leaderboard": ("publish", "Rank the models of bundles on a static page."),
 }
-"""Command name to (module in `kinebench_drake.cli`, short help); the command is the module's object of that name."""
+"""Command name to (module in `kinebench_drake.cli`, short help); the command is the module's object of that name,
+with underscores."""
 
 _HINTS = {
     "--fps": "the time between two frames is --frame-period SECONDS (1 / fps), of `audit` --rate HZ",
@@ -51,7 +53,7 @@ class LazyGroup(click.Group):
         if cmd_name not in _COMMANDS:
             return None
         module = importlib.import_module(f"{__name__}.{_COMMANDS[cmd_name][0]}")
-        return cast(click.Command, getattr(module, cmd_name))
+        return cast(click.Command, getattr(module, cmd_name.replace("-", "_")))
 
     def resolve_command(
         self, ctx: click.Context, args: list[str]

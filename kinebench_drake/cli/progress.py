@@ -23,6 +23,7 @@ from kinebench_drake.metrics.trust import TRUST, trust_lines
 from kinebench_drake.report.limits import describe_violation
 from kinebench_drake.report.timeline import anomalies_of
 from kinebench_drake.results.aggregate import VERDICT_SHARES, estimate, estimate_executable, estimate_passes
+from kinebench_drake.results.drops import DROPS
 from kinebench_drake.results.inputs import input_lines
 from kinebench_drake.results.row import SampleRow, Status
 from kinebench_drake.results.store import REQUESTS
@@ -130,7 +131,9 @@ def run(job: Callable[[RunObserver], RunSummary], out: Path, view: ProgressView 
         echo(f"interrupted {progress}; run the same command again, without --overwrite, to go on", err=True)
         return 130
     _print_summary(out, summary)
-    return 0 if summary.counts[Status.OK] or summary.pending else 1
+    for line in summary.missed:
+        echo(f"bound missed: {line}", err=True)
+    return 0 if (summary.counts[Status.OK] or summary.pending) and not summary.missed else 1
 
 
 def _print_summary(out: Path, summary: RunSummary) -> None:
@@ -141,6 +144,10 @@ def _print_summary(out: Path, summary: RunSummary) -> None:
         echo(f"nothing could be measured ({counts}); {out / 'samples.jsonl'} has the reasons", err=True)
     for line in summary_lines(summary.rows) if summary.rows else ():
         echo(line)
+    if summary.drops:
+        reasons = Counter(drop.reason.value for drop in summary.drops)
+        dropped = count_noun(len({drop.id for drop in summary.drops}), "sample")
+        echo(f"drop list: {dropped} ({', '.join(f'{n} {reason}' for reason, n in reasons.items())}): {out / DROPS}")
     if count := len(summary.pending):
         echo(
             f"next round of {count_noun(count, 'episode')}: generate the videos of "

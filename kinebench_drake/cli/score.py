@@ -25,6 +25,11 @@ def _one_path(ctx: click.Context, param: click.Parameter, paths: tuple[Path, ...
 _source_argument = click.argument(
     "source", metavar="PATH", nargs=-1, required=True, type=PathParameter(), callback=_one_path
 )
+_OF_VERDICT = (
+    *("robot", "limits", "payload_kg", "obstacles", "table_height_m", "replays"),
+    *("fail_on", "fail_under", "sarif", "write_kept"),
+)
+"""Options of `score` without a meaning where no motion is judged."""
 _dry_run_option = click.option(
     "--dry-run", is_flag=True, help="List samples, frame periods and cameras; measure and write nothing."
 )
@@ -70,7 +75,7 @@ def score(ctx: click.Context, /, dry_run: bool, **options: Any) -> None:
     )
 )
 @_source_argument
-@config_options(ScoreConfig, omit=("source", "robot", "limits", "payload_kg", "table_height_m", "replays"))
+@config_options(ScoreConfig, omit=("source", *_OF_VERDICT))
 @_dry_run_option
 @click.pass_context
 def ground(ctx: click.Context, /, dry_run: bool, **options: Any) -> None:
@@ -93,7 +98,8 @@ def ground(ctx: click.Context, /, dry_run: bool, **options: Any) -> None:
         "  kinebench-drake audit dataset/ --out results/ --reading reading.json\n"
         "  kinebench-drake audit score-results/ --out results/ --table-height -0.02\n"
         "  kinebench-drake audit track.csv --out results/ --robot fr3 --payload 0.5\n"
-        "  kinebench-drake audit track.csv --out results/ --robot arm.urdf --tool tool0 --limits limits.json"
+        "  kinebench-drake audit track.csv --out results/ --robot arm.urdf --tool tool0 --limits limits.json\n"
+        "  kinebench-drake audit dataset/ --out results/ --fail-on infeasible --fail-under feasible=0.95"
     )
 )
 @_source_argument

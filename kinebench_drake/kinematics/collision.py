@@ -1,4 +1,4 @@
-"""Distances of the arm from itself and from the table, and their gradients.
+"""Distances of the arm from itself, from obstacles and from the table, and their gradients.
 
 Every link is the convex hull of its collision mesh (or the primitive in its place), as in Drake's proximity engine;
 ManiSkill simulates the Panda with the same hulls. Hulls fill the concavities of the links: a penetration means contact
@@ -6,17 +6,19 @@ in simulation, while the real arm may have up to about 2 cm of clearance there. 
 excludes are ignored. The table is the plane z = const of B; links fixed to the base stand on it and are exempt.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from pydrake.geometry import Role
 
 from kinebench_drake.errors import UsageError
 from kinebench_drake.geometry import Array
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.kinematics.solid import Solid, nearest_points, read_solid, slab_width
+from kinebench_drake.models.obstacles import is_obstacle
 from kinebench_drake.models.robot import N_JOINTS
 from kinebench_drake.segments import spread
 
@@ -40,7 +42,7 @@ class Clearance:
     distance_m: Array
     """(N,) signed distance [m], negative: depth of penetration; NaN where q is NaN or nothing can collide."""
     pair: tuple[tuple[str, str] | None, ...]
-    """(N,) the two nearest links, base first, or a link and "table"; None where the distance is NaN."""
+    """(N,) the two nearest links, base first, or a link and "table" or an obstacle; None where the distance is NaN."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -49,7 +51,7 @@ class Proximity:
 
     link_a: str
     link_b: str
-    """The second link, or "table"."""
+    """The second link, "table", or the link of an obstacle."""
     distance_m: float
     """Signed distance [m], negative: depth of penetration."""
     gradient: Array
@@ -57,7 +59,7 @@ class Proximity:
 
 
 class CollisionModel:
-    """Distances of an arm from itself and from the table. Uses the context of the plant."""
+    """Distances of an arm from itself, from the robot's obstacles and from the table. Uses the plant's context."""
 
     def __init__(self, plant: ArmPlant, *, table_height_m: float = 0.0) -> None:
         """Read the solids of the plant; the table is at z = `table_height_m` in B [m].
@@ -77,32 +79,55 @@ class CollisionModel:
         for geometry in inspector.GetAllGeometryIds(Role.kProximity):
             link = plant.drake.GetBodyFromFrameId(inspector.GetFrameId(geometry)).name()
             self._solids[geometry] = read_solid(inspector, geometry, link, self._chain)
-        self._movable = [solid for solid in self._solids.values() if solid.stage > 0]
-        self._stages = np.array([solid.stage for solid in self._movable], dtype=np.intp)
-        balls = [solid.ball() for solid in self._movable]
-        self._last = b"", Clearance(distance_m=np.zeros(0), pair=())  # of the same path ask search and judgement
-        self._centers = np.reshape([center for center, _ in balls], (-1, 3))
-        self._radii = np.array([radius for _, radius in balls])
+        self.obstacles = tuple(solid for solid in self._solids.values() if is_obstacle(solid.link))
+        """Solids of the obstacles."""
+        self._blocks = {geometry for geometry, solid in self._solids.items() if is_obstacle(solid.link)}
+        self.movable = [solid for solid in self._solids.values() if solid.stage > 0]
+        """Solids of the moving links."""
+        self._stages = np.array([solid.stage for solid in self.movable], dtype=np.intp)
+        balls = [solid.ball() for solid in self.movable]
+        none = Clearance(distance_m=np.zeros(0), pair=())
+        self._last = b"", (none, none)  # of the same path ask search and judgement
+        self.centers = np.reshape([center for center, _ in balls], (-1, 3))
+        """(S, 3) centres of the balls around them, in B at the zero posture [m]."""
+        self.radii = np.array([radius for _, radius in balls])
+        """(S,) radii of these balls [m]."""
 
     def self_distance(self, q: ArrayLike, finger_width_m: ArrayLike | None = None) -> Clearance:
         """Return the least distance between two links that must not touch, exact to 1e-6 m for polytopes.
 
         Postures `q` (N, 7) [rad]; finger gap `finger_width_m` (N,) [m], the plant's default where None or NaN.
         """
+        return self._clearances(q, finger_width_m)[0]
+
+    def obstacle_distance(self, q: ArrayLike, finger_width_m: ArrayLike | None = None) -> Clearance:
+        """Return the least distance from an obstacle; NaN where none is touched and the arm is nearer to itself.
+
+        Arguments and errors as in `self_distance`.
+        """
+        return self._clearances(q, finger_width_m)[1]
+
+    def _clearances(self, q: ArrayLike, finger_width_m: ArrayLike | None) -> tuple[Clearance, Clearance]:
+        """Return the distances from the arm itself and from obstacles."""
         q, width = _arguments(q, finger_width_m)
         asked = q.tobytes() + width.tobytes()
         if asked != self._last[0]:
             rows = np.flatnonzero(np.isfinite(q).all(axis=-1))
             M = self._chain.motions(q[rows], width[rows])
             least, pairs, _ = self._measure(q[rows], width[rows], M, _DOUBT_M)
-            names: list[tuple[str, str] | None] = [None] * len(q)
-            for row, pair in zip(rows, pairs, strict=True):
-                names[row] = None if pair is None else _link_names(*pair)
-            self._last = asked, Clearance(distance_m=spread(least, rows, len(q)), pair=tuple(names))
+            names: list[list[tuple[str, str] | None]] = [[None] * len(q), [None] * len(q)]
+            for own, measured in zip(names, pairs, strict=True):
+                for row, pair in zip(rows, measured, strict=True):
+                    own[row] = None if pair is None else _link_names(*pair)
+            itself, obstacles = (
+                Clearance(distance_m=spread(distance, rows, len(q)), pair=tuple(own))
+                for distance, own in zip(least, names, strict=True)
+            )
+            self._last = asked, (itself, obstacles)
         return self._last[1]
 
-    def least_self_distances(self, q: Array, finger_width_m: Array | None, every: int, within_m: float) -> Array:
-        """Return self distances (N,) [m] along a motion wherever they may be the least, or at most `within_m` [m].
+    def least_distances(self, q: Array, finger_width_m: Array | None, every: int, within_m: float) -> Array:
+        """Return distances (N,) [m] from itself and obstacles wherever they may be the least, or at most `within_m`.
 
         Else NaN. One posture in `every` is measured in any case. At others a plane between each two solids that are
         near each other at the nearest measured posture shows that they are farther apart; solids far from each other
@@ -118,7 +143,8 @@ class CollisionModel:
         M = self._chain.motions(q, width)
         distance = np.full(len(q), np.nan)
         at = np.arange(0, len(q), every)
-        distance[at], _, near = self._measure(q[at], width[at], M[at], _FAR_M)
+        least, _, near = self._measure(q[at], width[at], M[at], _FAR_M)
+        distance[at] = np.fmin(*least)
         if np.isnan(distance[at]).all():  # nothing can collide
             return distance
         within_m = max(float(distance[at].min()), within_m)
@@ -135,24 +161,25 @@ class CollisionModel:
             width_m = slab_width(self._solids[id_A], self._solids[id_B], M[rest[close]], n[nearest[close]])
             bound[close] = np.minimum(bound[close], width_m)
         unsure = rest[~(bound > within_m)]
-        distance[unsure], _, _ = self._measure(q[unsure], width[unsure], M[unsure], _DOUBT_M)
+        distance[unsure] = np.fmin(*self._measure(q[unsure], width[unsure], M[unsure], _DOUBT_M)[0])
         return distance
 
     def _way(self, M_from: Array, M_to: Array) -> Array:
         """Return upper bounds (N,) [m] of the way of all points of the solids, by motions (N, stages, 4, 4)."""
         change = (M_to - M_from)[:, self._stages]
         # The points of a ball move at most as far as its centre and, by its rotation, its radius * |R' - R|.
-        center = (change[..., :3, :3] @ self._centers[..., None])[..., 0] + change[..., :3, 3]
+        center = (change[..., :3, :3] @ self.centers[..., None])[..., 0] + change[..., :3, 3]
         turn = np.linalg.norm(change[..., :3, :3], axis=(-2, -1)) / np.sqrt(2.0)
-        return np.asarray((np.linalg.norm(center, axis=-1) + self._radii * turn).max(axis=-1, initial=0.0))
+        return np.asarray((np.linalg.norm(center, axis=-1) + self.radii * turn).max(axis=-1, initial=0.0))
 
     def _measure(
         self, q: Array, width: Array, M: Array, beyond_m: float
-    ) -> tuple[Array, list[tuple[Solid, Solid] | None], dict[tuple[Any, Any], list[tuple[int, Any]]]]:
-        """Return the least distances (N,) [m] of postures with motions `M`, NaN where nothing can collide.
+    ) -> tuple[Array, list[list[tuple[Solid, Solid] | None]], dict[tuple[Any, Any], list[tuple[int, Any]]]]:
+        """Return the least distances (2, N) [m] of postures with motions `M` from the arm itself and from obstacles.
 
-        Also returned: the solids they are between; rows and results of Drake for all pairs of solids that are up to
-        `beyond_m` farther apart than the nearest.
+        They are NaN where nothing can collide, and where obstacles are neither touched nor up to `beyond_m` farther
+        than the arm from itself. Also returned: the solids they are between; rows and results of Drake for all pairs of
+        solids that are up to `beyond_m` farther apart than the nearest.
         """
         near: dict[tuple[Any, Any], list[tuple[int, Any]]] = {}
         closest = np.full(len(q), np.inf)
@@ -163,15 +190,18 @@ class CollisionModel:
             for reach_m in (reach, np.inf):
                 results = query.ComputeSignedDistancePairwiseClosestPoints(reach_m)
                 distances = [pair.distance for pair in results]
-                closest[i] = min(distances, default=np.inf)
+                own = (
+                    d for d, pair in zip(distances, results, strict=True) if not self._blocks & {pair.id_A, pair.id_B}
+                )
+                closest[i] = max(min(own if self._blocks else distances, default=np.inf), 0.0)
                 if closest[i] + beyond_m <= reach_m:
                     break
             reach = min(closest[i] + beyond_m + _DOUBT_M, _REACH_M)
             for distance, pair in zip(distances, results, strict=True):
                 if distance <= closest[i] + beyond_m:
                     near.setdefault((pair.id_A, pair.id_B), []).append((i, pair))
-        least = np.full(len(q), np.inf)
-        solids: list[tuple[Solid, Solid] | None] = [None] * len(q)
+        least = np.full((2, len(q)), np.inf)
+        solids: list[list[tuple[Solid, Solid] | None]] = [[None] * len(q), [None] * len(q)]
         for (id_A, id_B), entries in near.items():
             A, B = self._solids[id_A], self._solids[id_B]
             entries = [(i, pair) for i, pair in entries if pair.distance <= closest[i] + _DOUBT_M]
@@ -184,9 +214,10 @@ class CollisionModel:
                 if A.axes is None and B.axes is None:
                     a, b = nearest_points(A, B, M[frames[k]])
                     distance[k] = np.linalg.norm(a - b)
+            kind = int(bool(self._blocks & {id_A, id_B}))
             for frame, value in zip(frames, distance, strict=True):
-                if value < least[frame]:
-                    least[frame], solids[frame] = value, (A, B)
+                if value < least[kind, frame]:
+                    least[kind, frame], solids[kind][frame] = value, (A, B)
         least[np.isinf(least)] = np.nan
         return least, solids, near
 
@@ -200,12 +231,12 @@ class CollisionModel:
         finite = np.isfinite(q).all(axis=-1)
         distance = np.full(len(q), np.nan)
         pairs: list[tuple[str, str] | None] = [None] * len(q)
-        if finite.any() and self._movable:
+        if finite.any() and self.movable:
             z = self._chain.motions(q[finite], width[finite])[:, :, 2]  # (N, stages, 4): third rows of R and p
-            heights = np.stack([s.least(z[:, s.stage, :3]) + z[:, s.stage, 3] for s in self._movable])
+            heights = np.stack([s.least(z[:, s.stage, :3]) + z[:, s.stage, 3] for s in self.movable])
             distance[finite] = heights.min(axis=0) - self.table_height_m
             for i, lowest in zip(np.flatnonzero(finite), heights.argmin(axis=0), strict=True):
-                pairs[i] = (self._movable[lowest].link, TABLE)
+                pairs[i] = (self.movable[lowest].link, TABLE)
         return Clearance(distance_m=distance, pair=tuple(pairs))
 
     def near_pairs(self, q: ArrayLike, within_m: float, finger_width_m: float | None = None) -> list[Proximity]:
@@ -237,9 +268,9 @@ class CollisionModel:
             link_a, link_b = _link_names(A, B)
             near.append(Proximity(link_a=link_a, link_b=link_b, distance_m=distance, gradient=gradient))
         z = M[self._stages, 2]  # (solids, 4)
-        height = np.sum(z[:, :3] * self._centers, axis=-1) + z[:, 3] - self._radii - self.table_height_m
+        height = np.sum(z[:, :3] * self.centers, axis=-1) + z[:, 3] - self.radii - self.table_height_m
         for i in np.flatnonzero(height <= within_m):
-            solid = self._movable[i]
+            solid = self.movable[i]
             low = solid.lowest(z[i, :3])
             distance = float(z[i, :3] @ low + z[i, 3]) - self.table_height_m
             if distance <= within_m:
@@ -247,6 +278,25 @@ class CollisionModel:
                 gradient = self._rate(solid.link, low, _UP, axis, moment)
                 near.append(Proximity(link_a=solid.link, link_b=TABLE, distance_m=distance, gradient=gradient))
         return sorted(near, key=lambda proximity: proximity.distance_m)
+
+    def near_obstacles(
+        self, q: Array, finger_width_m: float, M: Array, within_m: float, wanted: NDArray[np.bool_]
+    ) -> Iterator[tuple[int, int, float, float]]:
+        """Yield those of the `wanted` pairs (S, O) of a moving solid and an obstacle that are nearer than `within_m`.
+
+        Numbers of both, their distance by Drake, and a lower bound of it that needs no iteration: the width of a slab
+        between them [m]. Posture `q` (7,) [rad] with its motions `M` (stages, 4, 4).
+        """
+        query = self._plant.query(q, finger_width_m)
+        for pair in query.ComputeSignedDistancePairwiseClosestPoints(within_m):
+            if self._blocks & {pair.id_A, pair.id_B}:
+                A, B = self._solids[pair.id_A], self._solids[pair.id_B]
+                a, b = (A, B) if pair.id_B in self._blocks else (B, A)
+                place = self.movable.index(a), self.obstacles.index(b)
+                if wanted[place]:
+                    n = np.asarray(pair.nhat_BA_W)
+                    bound = float(slab_width(A, B, M[None], n[None])[0]) if np.isfinite(n).all() else -np.inf
+                    yield *place, max(pair.distance, bound) if pair.distance < 0.0 else pair.distance, bound
 
     def _rate(self, link: str, p: Array, n: Array, axis: Array, moment: Array) -> Array:
         """Return the speed (7,) along `n` of the point `p` fixed to a link per joint rate [m/rad].
@@ -262,7 +312,7 @@ def _cross(a: Array, b: Array) -> Array:
 
 
 def _link_names(A: Solid, B: Solid) -> tuple[str, str]:
-    first, second = sorted((A, B), key=lambda solid: (solid.stage, solid.link))
+    first, second = sorted((A, B), key=lambda solid: (is_obstacle(solid.link), solid.stage, solid.link))
     return first.link, second.link
 
 

@@ -18,6 +18,7 @@ from kinebench_drake.errors import InputError, UsageError, cause
 from kinebench_drake.geometry import Array
 from kinebench_drake.kinematics.chain import LinkChain
 from kinebench_drake.models.arm import panda
+from kinebench_drake.models.obstacles import is_obstacle
 from kinebench_drake.models.robot import N_JOINTS, Robot
 
 
@@ -213,16 +214,17 @@ class ArmPlant:
             manager.Apply(CollisionFilterDeclaration().ExcludeWithin(GeometrySet(ids)))
 
     def _contacts(self, q: Array) -> frozenset[frozenset[str]]:
-        """Return the pairs of links in contact at `q` (7,) [rad], Drake's own exclusions left out."""
+        """Return the pairs of links in contact at `q` (7,) [rad], Drake's own exclusions and obstacles left out."""
         root = self.diagram.CreateDefaultContext()
         context = self.drake.GetMyMutableContextFromRoot(root)
         self.drake.SetPositions(context, self.positions(q[None])[0])
         query = self.drake.get_geometry_query_input_port().Eval(context)
         inspector = query.inspector()
-        return frozenset(
+        pairs = frozenset(
             frozenset(self.drake.GetBodyFromFrameId(inspector.GetFrameId(id)).name() for id in (pair.id_A, pair.id_B))
             for pair in query.ComputeSignedDistancePairwiseClosestPoints(0.0)
         )
+        return frozenset(pair for pair in pairs if not any(map(is_obstacle, pair)))
 
 
 def _index(starts: list[int]) -> slice | NDArray[np.intp]:

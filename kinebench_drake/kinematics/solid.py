@@ -13,7 +13,7 @@ from kinebench_drake.geometry import Array, transform_points
 from kinebench_drake.kinematics.chain import LinkChain
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Solid:
     """Convex body fixed to a link: convex hull of points, each enlarged by the same (possibly degenerate) ellipsoid."""
 
@@ -35,6 +35,11 @@ class Solid:
         center = 0.5 * (self.points.min(axis=0) + self.points.max(axis=0))
         radius = float(np.linalg.norm(self.points - center, axis=-1).max())
         return center, radius if self.axes is None else radius + float(np.linalg.norm(self.axes, ord=2))
+
+    def box(self) -> tuple[Array, Array]:
+        """Return the corners (3,) of the box along the axes of B around the solid at the zero posture [m]."""
+        margin = 0.0 if self.axes is None else np.linalg.norm(self.axes, axis=1)
+        return self.points.min(axis=0) - margin, self.points.max(axis=0) + margin
 
     def lowest(self, n: Array) -> Array:
         """Return the point x (3,) of the solid at the zero posture with the least n . x."""

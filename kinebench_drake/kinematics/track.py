@@ -22,6 +22,8 @@ CONTACT_TOLERANCE_M = 0.002
 JUMP_RAD = 0.5
 """Joint step beyond the one that the gripper's motion explains, above which it is a jump between branches [rad]."""
 
+_CONTACTS = (IkStatus.SELF_COLLISION, IkStatus.TABLE_COLLISION, IkStatus.OBSTACLE_COLLISION)
+
 
 def solve_track(
     plant: ArmPlant,
@@ -112,7 +114,7 @@ def _avoid_collisions(
     widths = np.where(np.isfinite(finger_width_m), finger_width_m, plant.finger_width_m)
     allowed: dict[int, Callable[[Array], NDArray[np.bool_]]] = {}
     stuck: set[int] = set()
-    colliding, of_tool, of_itself = _find_contacts(plant, collision, joints, widths, tolerance_m)
+    colliding, of_tool, kinds = _find_contacts(plant, collision, joints, widths, tolerance_m)
 
     def free(frame: int, q: Array) -> NDArray[np.bool_]:
         return _free(collision, q, widths[frame], tolerance_m)
@@ -141,29 +143,31 @@ def _avoid_collisions(
         allowed |= {i: partial(free_if_any, i) for i in fresh if i not in hopeless}
         path = search_path(plant, joints.t_s, X_BG, plant.robot.rest_q, noise_rad, allowed)
         joints = verify_path(plant, joints.t_s, X_BG, path)
-        colliding, of_tool, of_itself = _find_contacts(plant, collision, joints, widths, tolerance_m)
+        colliding, of_tool, kinds = _find_contacts(plant, collision, joints, widths, tolerance_m)
     status = list(joints.status)
     for i in np.flatnonzero(colliding):
-        status[i] = IkStatus.SELF_COLLISION if of_itself[i] else IkStatus.TABLE_COLLISION
+        status[i] = _CONTACTS[kinds[i]]
     return replace(joints, status=tuple(status))
 
 
 def _find_contacts(
     plant: ArmPlant, collision: CollisionModel, joints: JointTrack, widths_m: Array, tolerance_m: float
-) -> tuple[NDArray[np.bool_], NDArray[np.bool_], NDArray[np.bool_]]:
-    """Return the reached frames (n,) with a collision, those whose tool hits the table, those nearer to themselves."""
-    own, table = collision.self_distance(joints.q, widths_m), collision.table_distance(joints.q, widths_m)
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_], NDArray[np.intp]]:
+    """Return the reached frames (n,) with a collision, those whose tool hits the table, the kinds (`_CONTACTS`)."""
+    measures = collision.self_distance, collision.table_distance, collision.obstacle_distance
+    itself, table, obstacle = (measure(joints.q, widths_m) for measure in measures)
     tool = np.array([pair is not None and pair[0] in plant.tool for pair in table.pair], dtype=bool)
-    colliding = joints.ok & (np.minimum(own.distance_m, table.distance_m) < -tolerance_m)
-    return colliding, tool & (table.distance_m < -tolerance_m), own.distance_m < table.distance_m
+    distance = np.nan_to_num([each.distance_m for each in (itself, table, obstacle)], nan=np.inf)
+    colliding = joints.ok & (distance.min(axis=0) < -tolerance_m)
+    return colliding, tool & (table.distance_m < -tolerance_m), distance.argmin(axis=0)
 
 
 def _free(collision: CollisionModel, q: Array, finger_width_m: float, tolerance_m: float) -> NDArray[np.bool_]:
     """Return which postures (N,) of `q` (N, 7) [rad] are free of collisions."""
-    width = np.full(len(q), finger_width_m)
-    free = collision.table_distance(q, width).distance_m >= -tolerance_m
-    free[free] = collision.self_distance(q[free], width[free]).distance_m >= -tolerance_m
-    return np.asarray(free)
+    free = np.ones(len(q), dtype=bool)
+    for measure in (collision.table_distance, collision.self_distance, collision.obstacle_distance):  # cheap ones first
+        free[free] = ~(measure(q[free], np.full(int(free.sum()), finger_width_m)).distance_m < -tolerance_m)
+    return free
 
 
 def find_free(

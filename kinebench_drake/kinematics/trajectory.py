@@ -150,20 +150,28 @@ class JointTrajectory:
         if collision is None:
             return np.full(len(t), np.nan), np.full(len(t), np.nan)
         widths = self.problem.widths(t)
-        own = collision.least_self_distances(q, widths, SAMPLES // 2, NEAR_M)
+        own = collision.least_distances(q, widths, SAMPLES // 2, NEAR_M)
         return own, collision.table_distance(q, widths).distance_m
 
     @cached_property
     def least_distances(self) -> dict[ViolationKind, tuple[float, int]]:
-        """Least distances from itself and from the table [m] and their samples, by the kind of collision.
+        """Least distances from itself or an obstacle, and from the table [m], with their samples, by kind.
 
         Empty without a collision model.
         """
-        return {
+        least = {
             kind: (float(np.nanmin(distance)), int(np.nanargmin(distance)))
             for kind, distance in zip(COLLISIONS, self._distances, strict=True)
             if np.isfinite(distance).any()
         }
+        own, collision = least.get(ViolationKind.SELF_COLLISION), self.problem.collision
+        if own is not None and collision is not None and collision.obstacles:
+            widths = self.problem.widths(self.samples_s)
+            at = slice(own[1], own[1] + 1)
+            obstacle = collision.obstacle_distance(self.motion[0][at], None if widths is None else widths[at])
+            if obstacle.distance_m[0] <= own[0]:
+                least[ViolationKind.OBSTACLE_COLLISION] = least.pop(ViolationKind.SELF_COLLISION)
+        return least
 
     @property
     def contact(self) -> Violation | None:

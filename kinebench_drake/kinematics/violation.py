@@ -13,6 +13,7 @@ class ViolationKind(Enum):
     JOINT_LIMIT = "joint_limit"
     SELF_COLLISION = "self_collision"
     TABLE_COLLISION = "table_collision"
+    OBSTACLE_COLLISION = "obstacle_collision"
     DISCONTINUITY = "discontinuity"
     VELOCITY = "velocity"
     ACCELERATION = "acceleration"
@@ -28,6 +29,7 @@ UNITS = {
     ViolationKind.JOINT_LIMIT: "rad",
     ViolationKind.SELF_COLLISION: "m",
     ViolationKind.TABLE_COLLISION: "m",
+    ViolationKind.OBSTACLE_COLLISION: "m",
     ViolationKind.DISCONTINUITY: "m",
     ViolationKind.VELOCITY: "rad/s",
     ViolationKind.ACCELERATION: "rad/s^2",
@@ -54,11 +56,13 @@ class Violation:
     limit: float
     """Greatest allowed value, or the least for a lower joint limit or a distance; in `unit`."""
     unit: str
+    pair: tuple[str, str] | None = None
+    """Link, and the obstacle that it meets; None of other kinds."""
 
     @property
     def rank(self) -> tuple[int, int, int, str]:
         """Sort key: by cause, within a kind by frame."""
-        return _CAUSES.index(self.kind), self.frame_start, self.frame_end, self.joint or ""
+        return _CAUSES.index(self.kind), self.frame_start, self.frame_end, self.joint or " ".join(self.pair or ())
 
     @classmethod
     def at(cls, kind: ViolationKind, frame: int, joint: str | None, value: float, limit: float) -> "Violation":
@@ -67,7 +71,14 @@ class Violation:
 
     @classmethod
     def of_run(
-        cls, kind: ViolationKind, run: slice, joint: str | None, value: float, limit: float, unit: str | None = None
+        cls,
+        kind: ViolationKind,
+        run: slice,
+        joint: str | None,
+        value: float,
+        limit: float,
+        unit: str | None = None,
+        pair: tuple[str, str] | None = None,
     ) -> "Violation":
         """Return the violation over a run of frames (`segments.segments`); its unit is that of the kind if None."""
         return cls(
@@ -78,6 +89,7 @@ class Violation:
             value=value,
             limit=limit,
             unit=unit or UNITS[kind],
+            pair=pair,
         )
 
     def to_json(self) -> dict[str, Json]:
@@ -90,6 +102,7 @@ class Violation:
             "value": float(self.value),
             "limit": float(self.limit),
             "unit": self.unit,
+            **({} if self.pair is None else {"link": self.pair[0], "body": self.pair[1]}),
         }
 
     def __getitem__(self, key: str) -> Json:

@@ -33,6 +33,7 @@ from kinebench_drake.metrics.reach import (
     find_collisions,
     find_joint_limit_violations,
     find_limit_violations,
+    find_obstacles,
     find_unreachable,
     limit_tolerance,
 )
@@ -155,6 +156,7 @@ class TrackJudge:
                 *find_unreachable(joints, noise),
                 *limits,
                 *find_collisions(self._collision, track, own, table, checks.q_smooth, noise),
+                *find_obstacles(plant, self._collision, track, q, checks.q_smooth, noise),
                 *checks.violations,
                 *jumps,
             ),
@@ -269,6 +271,7 @@ def _with_collisions(joints: JointTrack, violations: list[Violation]) -> JointTr
     kinds = {
         ViolationKind.SELF_COLLISION: IkStatus.SELF_COLLISION,
         ViolationKind.TABLE_COLLISION: IkStatus.TABLE_COLLISION,
+        ViolationKind.OBSTACLE_COLLISION: IkStatus.OBSTACLE_COLLISION,
     }
     status = list(joints.status)
     for violation in violations:

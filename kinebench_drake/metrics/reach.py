@@ -11,9 +11,11 @@ from kinebench_drake.kinematics.ik import POSITION_TOLERANCE_M, find_least_exces
 from kinebench_drake.kinematics.newton import ROTATION_ARM_M
 from kinebench_drake.kinematics.path import limit_excess
 from kinebench_drake.kinematics.plant import ArmPlant
+from kinebench_drake.kinematics.sweep import sweep
 from kinebench_drake.kinematics.track import CONTACT_TOLERANCE_M
 from kinebench_drake.kinematics.violation import Violation, ViolationKind
 from kinebench_drake.metrics.noise import TrackNoise
+from kinebench_drake.models.obstacles import PREFIX
 from kinebench_drake.segments import segments
 from kinebench_drake.track import GripperTrack, IkStatus, JointTrack
 
@@ -107,6 +109,30 @@ def find_collisions(
             deep[deep] = smooth < -max(CONTACT_TOLERANCE_M, noise.offset_m)
         for run in segments(deep):
             yield Violation.of_run(kind, run, None, float(clearance.distance_m[run].min()), limit)
+
+
+def find_obstacles(
+    plant: ArmPlant, model: CollisionModel, track: GripperTrack, q: Array, q_smooth: Array, noise: TrackNoise
+) -> Iterator[Violation]:
+    """Find runs of frames in which a link penetrates an obstacle, or does so on the way to the next frame.
+
+    Both as recorded, `q` (T, 7), and smoothed, `q_smooth` (T, 7) [rad]. `value` and `limit` as in `find_collisions`.
+    """
+    limit, width = contact_tolerance(noise), track.finger_width_m
+    contacts = sweep(plant, model, q, width, limit)
+    depth = max(CONTACT_TOLERANCE_M, noise.offset_m)
+    smooth = (
+        {(c.link, c.obstacle): c.distance_m for c in sweep(plant, model, q_smooth, width, depth)} if contacts else {}
+    )
+    for contact in contacts:
+        own = smooth.get((contact.link, contact.obstacle))
+        for run in segments(np.isfinite(contact.distance_m)):
+            if own is not None and np.isfinite(own[run]).any():
+                frames = slice(run.start // 2, run.stop // 2 + 1)
+                yield Violation.of_run(
+                    ViolationKind.OBSTACLE_COLLISION, frames, None, float(contact.distance_m[run].min()), -limit,
+                    pair=(contact.link, contact.obstacle.removeprefix(PREFIX)),
+                )  # fmt: skip
 
 
 def _has(joints: JointTrack, status: IkStatus) -> NDArray[np.bool_]:

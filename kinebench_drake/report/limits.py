@@ -55,6 +55,7 @@ class LimitPeak:
     broken: bool
     """True for a violation."""
     joint: str | None
+    """Joint, or link and obstacle; None for limits of no single joint."""
     when: str
     """Time or frames, as text."""
     offset_s: float | None
@@ -144,7 +145,8 @@ def in_unit(kind: str, value: float) -> tuple[float, str]:
 
 def _violation_peak(v: Mapping[str, Json], t_s: Array | None) -> LimitPeak:
     kind = str(v.get("kind"))
-    start, end, joint = v.get("frame_start"), v.get("frame_end"), v.get("joint")
+    start, end = v.get("frame_start"), v.get("frame_end")
+    joint = f"{v['link']} with {v['body']}" if "body" in v else v.get("joint")
     value, limit = to_number(v.get("value")), to_number(v.get("limit"))
     factor, unit = _SHOWN.get(str(v.get("unit", _KINDS.get(kind))), (1.0, ""))
     inside = t_s is not None and isinstance(start, int) and 0 <= start < len(t_s)

@@ -28,6 +28,7 @@ from kinebench_drake.report.sample import (
 from kinebench_drake.report.table import template_environment
 from kinebench_drake.report.timeline import SEVERITY_UNITS, anomalies_of
 from kinebench_drake.results.aggregate import VERDICT_SHARES, Aggregate, RunStatistics, split_rows
+from kinebench_drake.results.drops import GATED, Drop, DropReason, list_drops
 from kinebench_drake.results.inputs import input_lines, is_motionless
 from kinebench_drake.results.provenance import report_hash
 from kinebench_drake.results.row import SampleRow, Status
@@ -121,6 +122,7 @@ def build_page(out: Path, rows: Iterable[SampleRow] | None = None, statistics: R
         results=results,
         inputs=[*input_lines(rows), *trust_lines(row.extra for row in rows)],
         total=total,
+        drops=_group_drops(list_drops(sorted(rows, key=lambda row: row.id))) if results.get("kind") in GATED else [],
         headlines=[(BY_NAME[n], total.estimates[n]) for n in layout.headlines if _is_measured(total, n)],
         metrics=[
             (m, total.estimates[m.name])
@@ -145,6 +147,12 @@ def build_page(out: Path, rows: Iterable[SampleRow] | None = None, statistics: R
         numeric_value=numeric_value,
         Status=Status,
     )
+
+
+def _group_drops(drops: Sequence[Drop]) -> list[tuple[DropReason, list[Drop]]]:
+    """Group a drop list by reason; the reasons that occur."""
+    groups = ((reason, [drop for drop in drops if drop.reason is reason]) for reason in DropReason)
+    return [(reason, group) for reason, group in groups if group]
 
 
 def _bootstrap_seed(results: Mapping[str, Json]) -> int:

@@ -12,6 +12,7 @@ from kinebench_drake.formats.trajectories.reading import Reading, TrajectoryOpti
 from kinebench_drake.formats.trajectories.source import find_trajectories, read_trajectory
 from kinebench_drake.formats.trajectories.trajectory import Trajectory, TrajectorySample
 from kinebench_drake.io.jsonl import Json
+from kinebench_drake.metrics.recording import find_action_lag, fingerprint, idle_ends
 from kinebench_drake.models.arm import PANDA, ROBOTS
 from kinebench_drake.results.inputs import PeriodSource
 from kinebench_drake.results.row import SampleRow
@@ -20,6 +21,7 @@ from kinebench_drake.results.trackfile import write_track
 from kinebench_drake.runs.config import RunConfig, RunKind, SourceConfig
 from kinebench_drake.runs.doubt import assess_readings, doubt_robot
 from kinebench_drake.runs.evaluator import KINEMATIC_METRICS, Evaluation, Evaluator
+from kinebench_drake.runs.gate import close_gate
 from kinebench_drake.runs.option import Option
 from kinebench_drake.runs.runner import NullRunObserver, RunObserver, RunSummary, run_samples
 from kinebench_drake.runs.tools import RobotOptions, Tools, load_tools
@@ -63,7 +65,7 @@ class AuditConfig(SourceConfig):
         Raises:
             UsageError: one of them is invalid.
         """
-        RunConfig.__post_init__(self)
+        SourceConfig.__post_init__(self)
         self.trajectory_options()
 
     def trajectory_options(self) -> TrajectoryOptions:
@@ -92,7 +94,7 @@ def audit_trajectories(config: AuditConfig, observer: RunObserver | None = None)
     samples = config.name_models(samples)
     for remark in config.robot_options().load().remarks:
         observer.warn(f"{Path(config.robot).name}: {remark}")
-    summary = run_samples(samples, TrajectoryEvaluator(config=config), observer)
+    summary = close_gate(config, run_samples(samples, TrajectoryEvaluator(config=config), observer))
     by_text = _warnings(summary.rows)
     for text, ids in list(by_text.items())[:_MOST_WARNINGS]:
         observer.warn(f"{ids[0]}: {text}" + (f" (and {len(ids) - 1} more)" if ids[1:] else ""))
@@ -141,6 +143,9 @@ class TrajectoryEvaluator(Evaluator[TrajectorySample, Tools]):
                 "judged": "poses" if trajectory.q is None else "joints",
                 "columns": trajectory.columns,
                 "dropped_samples": list(trajectory.dropped),
+                "idle_ends": idle_ends(track if result is None else result.track),
+                "fingerprint": fingerprint(trajectory.X_BG if trajectory.q is None else trajectory.q),
+                **_action_lag(trajectory),
                 "warnings": list(map(name_options, (*([doubt] if doubt else ()), *trajectory.warnings))),
             },
         )
@@ -200,6 +205,14 @@ def _pose_track(trajectory: Trajectory) -> GripperTrack:
         confidence=trajectory.tracked.astype(np.float64),
         finger_width_m=trajectory.finger_width_m,
     )
+
+
+def _action_lag(trajectory: Trajectory) -> dict[str, Json]:
+    """Return the lag between actions and states as a key of the row; empty where it is unknown."""
+    if trajectory.commands is None:
+        return {}
+    lag = find_action_lag(*trajectory.commands, float(np.median(np.diff(trajectory.t_s))))
+    return {} if lag is None else {"action_lag": lag.to_json()}
 
 
 def _warnings(rows: Sequence[SampleRow]) -> dict[str, list[str]]:

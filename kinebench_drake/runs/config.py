@@ -6,14 +6,18 @@ from enum import Enum
 from pathlib import Path
 from typing import Annotated, TypeVar
 
-from kinebench_drake.errors import UsageError, name_options
+from kinebench_drake.errors import UsageError, name_options, suggestion
 from kinebench_drake.executors.base import ExecutorKind
 from kinebench_drake.formats.samples import MAX_PERIOD_S, MIN_PERIOD_S, Sample
-from kinebench_drake.formats.trajectories.trajectory import SLOW_STEP_S
+from kinebench_drake.formats.trajectories.trajectory import SLOW_STEP_S, parse_number
 from kinebench_drake.grounding.overrides.overrides import Overrides
 from kinebench_drake.io.jsonl import Json
+from kinebench_drake.kinematics.violation import ViolationKind
 from kinebench_drake.models.arm import PANDA, ROBOTS
 from kinebench_drake.models.panda.robot import GripperKind
+from kinebench_drake.report.metric import BY_NAME
+from kinebench_drake.results.aggregate import VERDICT_SHARES
+from kinebench_drake.results.drops import DropReason
 from kinebench_drake.results.metadata import Shard
 from kinebench_drake.runs.option import Option, options_json, parse_options
 from kinebench_drake.runs.tools import RobotOptions, Tools, ToolsFactory
@@ -166,6 +170,81 @@ class SourceConfig(RunConfig):
         Path | None, Option("JSON file of joint limits that replace the robot's (docs/kinematics.md).", metavar="FILE")
     ] = None
     payload_kg: Annotated[float, Option("Mass that the gripper carries, a point at the TCP.", metavar="KG")] = 0.0
+    obstacles: Annotated[
+        Path | None,
+        Option(
+            "JSON file of boxes, spheres, cylinders and meshes that the arm must not touch (docs/kinematics.md).",
+            metavar="FILE",
+        ),
+    ] = None
+
+    fail_on: Annotated[
+        str | None,
+        Option(
+            "Exit 1 if a sample has a fault of KIND: a reason of the drop list, or the kind of a violation; several by "
+            "commas.",
+            metavar="KIND",
+            key=None,
+        ),
+    ] = None
+    fail_under: Annotated[
+        Mapping[str, str],
+        Option(
+            "Exit 1 if the mean of a metric, or a share, is below VALUE; repeatable.", metavar="NAME=VALUE", key=None
+        ),
+    ] = field(default_factory=dict)
+    sarif: Annotated[
+        Path | None, Option("Write the drop list as SARIF, for GitHub's code scanning.", metavar="FILE", key=None)
+    ] = None
+    write_kept: Annotated[
+        Path | None,
+        Option(
+            "Write the episodes of a LeRobot dataset that are not on the drop list to a new one; idle ends stay.",
+            metavar="DIR",
+            key=None,
+        ),
+    ] = None
+
+    def __post_init__(self) -> None:
+        """Convert and check the options.
+
+        Raises:
+            UsageError: one of them is invalid.
+        """
+        RunConfig.__post_init__(self)
+        kinds = [kind.value for kind in (*DropReason, *ViolationKind)]
+        for kind in self.faults:
+            if kind not in kinds:
+                raise UsageError(f"$fail_on {kind}{suggestion(kind, kinds)}: expected one of {', '.join(kinds)}")
+        names = (*VERDICT_SHARES, *BY_NAME)
+        for name in self.fail_under:
+            if name not in names:
+                raise UsageError(f"$fail_under {name}{suggestion(name, names)}: expected one of {', '.join(names)}")
+        self.bounds  # noqa: B018
+        if self.write_kept is not None:
+            from kinebench_drake.formats.lerobot.reader import is_lerobot  # loads Arrow
+
+            if not is_lerobot(self.source):
+                raise UsageError(f"$write_kept: {self.source} is no LeRobot dataset; drops.jsonl lists what to drop")
+            if self.write_kept.exists():
+                raise UsageError(f"$write_kept {self.write_kept}: exists already, expected the name of a new folder")
+
+    @property
+    def faults(self) -> tuple[str, ...]:
+        """Kinds of faults that no sample may have."""
+        return tuple(self.fail_on.split(",")) if self.fail_on else ()
+
+    @property
+    def bounds(self) -> dict[str, float]:
+        """Least means of metrics and shares by name.
+
+        Raises:
+            UsageError: one is no number.
+        """
+        try:
+            return {name: parse_number(value) for name, value in self.fail_under.items()}
+        except ValueError as error:
+            raise UsageError(f"$fail_under: {error}, expected such as feasible=0.95") from None
 
     def name_models(self, samples: Sequence[_Named]) -> tuple[_Named, ...]:
         """Return the samples with the name of their model, from `model_from`, where they have none.
@@ -188,7 +267,11 @@ class SourceConfig(RunConfig):
     def robot_options(self) -> RobotOptions:
         """Return robot and table."""
         return RobotOptions(
-            table_height_m=self.table_height_m, robot=self.robot, limits=self.limits, payload_kg=self.payload_kg
+            table_height_m=self.table_height_m,
+            robot=self.robot,
+            limits=self.limits,
+            payload_kg=self.payload_kg,
+            obstacles=self.obstacles,
         )
 
 
@@ -268,7 +351,7 @@ class ScoreConfig(SourceConfig):
         Raises:
             UsageError: one of them is invalid.
         """
-        RunConfig.__post_init__(self)
+        SourceConfig.__post_init__(self)
         if self.robot not in ROBOTS:
             raise UsageError(f"$robot is {self.robot!r}, expected {' or '.join(ROBOTS)}: videos show one of these arms")
         if self.format is not None and self.kind.judges:

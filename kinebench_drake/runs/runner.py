@@ -18,6 +18,7 @@ from kinebench_drake.io.jsonl import Json, as_object
 from kinebench_drake.io.progress import listen
 from kinebench_drake.report.sample import worst_samples
 from kinebench_drake.results.aggregate import Estimate, RunStatistics, estimate, estimate_executable
+from kinebench_drake.results.drops import GATED, Drop, list_drops, write_drops
 from kinebench_drake.results.inputs import list_inputs
 from kinebench_drake.results.metadata import RunMetadata, read_metadata
 from kinebench_drake.results.provenance import host, versions, weights_hash
@@ -60,6 +61,10 @@ class RunSummary:
     """Share of successful episodes; None for runs without episodes, or where none was measured."""
     report: Path | None
     """The html report; None for kinds that have none."""
+    drops: tuple[Drop, ...] = ()
+    """The drop list, of files that are judged."""
+    missed: tuple[str, ...] = ()
+    """Bounds of the gate that are missed, a clause each."""
 
     @property
     def pending(self) -> list[Mapping[str, object]]:
@@ -147,6 +152,8 @@ def _start_worker(evaluator: Evaluator[SampleT, ResourcesT]) -> Callable[[Sample
 
 def close_run(store: ResultStore, kind: RunKind, seed: int, statistics: RunStatistics) -> RunSummary:
     """Write the report of a finished output folder and return its summary."""
+    if kind.value in GATED:
+        write_drops(store.out, list_drops(store.sorted_rows()))
     if kind.judges:
         from kinebench_drake.report.page import write_report
 
@@ -172,6 +179,7 @@ def summarize_run(store: ResultStore, kind: RunKind, seed: int) -> RunSummary:
         feasible=feasible if feasible.n else None,
         success=success if kind is RunKind.SUITE and success.n else None,
         report=store.out / REPORT if kind.judges else None,
+        drops=tuple(list_drops(rows)) if kind.value in GATED else (),
     )
 
 

@@ -20,6 +20,7 @@ from kinebench_drake.io.images import frame_files
 from kinebench_drake.io.jsonl import Json
 from kinebench_drake.io.reader import read_video
 from kinebench_drake.io.video import Video
+from kinebench_drake.metrics.recording import fingerprint, idle_ends
 from kinebench_drake.models.panda.robot import GripperKind
 from kinebench_drake.results.provenance import weights_hash
 from kinebench_drake.results.row import SampleRow
@@ -28,6 +29,7 @@ from kinebench_drake.results.trackfile import write_track
 from kinebench_drake.runs.actions import require_own_folder, write_actions
 from kinebench_drake.runs.config import AUTO, ScoreConfig, period_warnings
 from kinebench_drake.runs.evaluator import KINEMATIC_METRICS, Evaluation, Evaluator
+from kinebench_drake.runs.gate import close_gate
 from kinebench_drake.runs.pictures import encode_strip, worst_frame
 from kinebench_drake.runs.preparation import (
     camera_frame_metrics,
@@ -68,7 +70,7 @@ def score_videos(config: ScoreConfig, observer: RunObserver | None = None) -> Ru
         observer.warn(warning)
     if config.format is not None:
         write_actions(config.format, config.out, samples, summary.rows, observer.warn)
-    return summary
+    return close_gate(config, summary)
 
 
 def mean_confidence(track: GripperTrack) -> float | None:
@@ -191,6 +193,8 @@ class VideoEvaluator(Evaluator[VideoSample, Tools]):
                 "anomalies_not_looked_for": [kind.value for kind in grounding.anomalies_not_looked_for],
                 **({} if draws_hand else {"gripper": grounding.gripper.value}),
                 "frames": len(track.t_s),
+                "idle_ends": idle_ends(track),
+                "fingerprint": fingerprint(track.X_CH),
                 "width": video.width,
                 "height": video.height,
                 "framing": grounding.framing.to_json(),

@@ -38,6 +38,8 @@ class RobotOptions:
     """JSON file of limits that replace those of the robot."""
     payload_kg: float = 0.0
     """Mass at the origin of G [kg]."""
+    obstacles: Path | None = None
+    """JSON file of bodies that the arm must not touch."""
     package_path: Path | None = None
     """Folder of the packages of package:// URIs."""
 
@@ -67,7 +69,12 @@ class RobotOptions:
         """
         try:
             return load_robot(
-                self.robot, self.tool, limits=self.limits, payload_kg=self.payload_kg, package_path=self.package_path
+                self.robot,
+                self.tool,
+                limits=self.limits,
+                payload_kg=self.payload_kg,
+                obstacles=self.obstacles,
+                package_path=self.package_path,
             )
         except InputError as error:
             raise UsageError(f"$robot: {error}") from None

@@ -18,6 +18,7 @@ FR3_LIMITS = LimitTable(
     acceleration_rad_s2=(10.0,) * 7,
     jerk_rad_s3=(5000.0,) * 7,
     torque_nm=(87.0, 87.0, 87.0, 87.0, 12.0, 12.0, 12.0),
+    torque_rate_nm_s=(1000.0,) * 7,
     velocity_offset_rad_s=(0.6599, 0.2517, 0.2000, 0.3533, 0.5757, 0.4878, 0.4628),
     deceleration_rad_s2=(6.0, 2.585, 3.5, 4.0, 17.0, 5.5, 17.0),
 )

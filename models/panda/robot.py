@@ -31,6 +31,7 @@ PANDA_LIMITS = LimitTable(
     source='https://frankarobotics.github.io/docs/robot_specifications.html, "Limits for Franka Emika Robot"',
     acceleration_rad_s2=(15.0, 7.5, 10.0, 12.5, 15.0, 20.0, 20.0),
     jerk_rad_s3=(7500.0, 3750.0, 5000.0, 6250.0, 7500.0, 10000.0, 10000.0),
+    torque_rate_nm_s=(1000.0,) * 7,
 )
 """Limits that the URDF of mani_skill lacks; those that it has are Franka's."""
 

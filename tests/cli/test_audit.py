@@ -131,7 +131,7 @@ def test_audit_writes_one_track_file_with_joints_poses_and_curves_per_measured_t
     assert set(file.track.confidence) == {1.0}
     assert {"manipulability", "joint_margin"} <= set(file.curves)
     assert sorted(p.name for p in (tmp_path / "out").iterdir()) == [
-        *("report.html", "results.json", "samples.jsonl", "timings.jsonl", "tracks"),
+        *("drops.jsonl", "report.html", "results.json", "samples.jsonl", "timings.jsonl", "tracks"),
     ]
 
 

@@ -111,14 +111,14 @@ def test_self_distance_is_exact_if_drakes_iteration_stops_early(plant: ArmPlant,
 
 @pytest.mark.parametrize("seed", range(6))
 @pytest.mark.parametrize("speed", [0.02, 0.2, 2.0])
-def test_least_self_distances_along_a_motion_equal_those_of_every_posture(
+def test_least_distances_along_a_motion_equal_those_of_every_posture(
     plant: ArmPlant, model: CollisionModel, seed: int, speed: float
 ) -> None:
     start, end = _random(plant, 2, seed=seed)
     q = start + speed * np.linspace(0.0, 1.0, 101)[:, None] * (end - start)
     width = np.linspace(0.0, 0.08, 101)
     every = model.self_distance(q, width).distance_m
-    found = model.least_self_distances(q, width, 4, 0.03)
+    found = model.least_distances(q, width, 4, 0.03)
     wanted = every <= max(every.min(), 0.03) + 1e-9
     np.testing.assert_allclose(found[wanted], every[wanted], atol=1e-9)
     np.testing.assert_allclose(found[np.isfinite(found)], every[np.isfinite(found)], atol=1e-9)

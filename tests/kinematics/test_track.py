@@ -105,6 +105,8 @@ class _MovingObstacle:
     def table_distance(self, q: Array, finger_width_m: Array) -> Clearance:
         return Clearance(distance_m=np.ones(len(q)), pair=(None,) * len(q))
 
+    obstacle_distance = table_distance
+
 
 @pytest.mark.parametrize("paths", [1, 2, 100])
 def test_a_frame_is_in_collision_only_if_its_own_posture_collides(plant: ArmPlant, paths: int) -> None:

@@ -102,6 +102,11 @@ class LeRobotDataset:
         """Frames per second [1/s]; None if missing or not a number."""
         return as_number(self.info.get("fps"))
 
+    @property
+    def chunk(self) -> int:
+        """Episodes in a folder of v2: 1000, unless info.json says otherwise."""
+        return _count(self.info.get("chunks_size")) or 1000
+
     def cameras(self) -> Iterator[str]:
         """Yield the names of the features that hold colour images."""
         for name, feature in self.features.items():
@@ -150,9 +155,7 @@ class LeRobotDataset:
             InputError: the metadata are incomplete, or lead out of the dataset.
         """
         if self.is_v2:
-            # 1000: episodes per chunk of v2, unless info.json says otherwise
-            size = _count(self.info.get("chunks_size")) or 1000
-            fields = {"episode_chunk": episode.number // size, EPISODE: episode.number}
+            fields = {"episode_chunk": episode.number // self.chunk, EPISODE: episode.number}
             return self._video_path(_VIDEO_V2, camera, fields), VideoPart(frames=episode.length)
         place = {key: _count(episode.row.get(f"videos/{camera}/{key}")) for key in PLACE}
         begin_s, end_s = (as_number(episode.row.get(f"videos/{camera}/{key}")) for key in SPAN)

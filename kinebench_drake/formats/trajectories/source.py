@@ -111,7 +111,12 @@ def find_trajectories(
 def read_trajectory(sample: TrajectorySample, choice: TrajectoryOptions) -> Trajectory:
     """Read and check one trajectory."""
     with open_table(sample) as table:
-        return apply_reading(sample, table, complete(table, choice.reading or Reading()), choice.rate_hz)
+        reading = complete(table, choice.reading or Reading())
+        trajectory = apply_reading(sample, table, reading, choice.rate_hz)
+        actions = table.actions(reading.columns or ())
+        if actions is None or len(actions) != len(trajectory.t_s):
+            return trajectory
+        return replace(trajectory, commands=(table.numbers(reading.columns or ()), actions))
 
 
 @contextmanager

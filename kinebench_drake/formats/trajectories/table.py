@@ -62,6 +62,18 @@ class Table:
         """Return how many numbers per frame `references` name."""
         return sum(len(self._indices(reference)[1]) for reference in references)
 
+    def actions(self, references: Sequence[str]) -> Array | None:
+        """Return the actions (T, n) for the numbers that `references` name; None without one column of actions alike.
+
+        Raises:
+            InputError: as for `numbers`.
+        """
+        places = [self._indices(reference) for reference in references]
+        columns = [c for c in self.columns if re.split(r"[./]", c.name)[-1] in ("action", "actions")]
+        if len(columns) != 1 or any(c.size != columns[0].size or c is columns[0] for c, _ in places):
+            return None
+        return self._part(columns[0].name)[:, [index for _, indices in places for index in indices]]
+
     def array(self, name: str) -> NDArray[np.generic] | None:
         """Return the values of a column as stored; None if there is no such column."""
         return self.load(name) if any(column.name == name for column in self.columns) else None

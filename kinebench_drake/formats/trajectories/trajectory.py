@@ -57,6 +57,8 @@ class Trajectory:
     """(T,) gap between the finger pads, 0..0.08 [m]; NaN where unknown."""
     columns: str
     """Names of the arrays or columns that were read."""
+    commands: tuple[Array, Array] | None = None
+    """The numbers (T, n) as stored, and the actions (T, n) for them; None without actions alike."""
     dropped: tuple[int, ...] = ()
     """Frames before which the recording lacks a sample."""
     warnings: tuple[str, ...]
