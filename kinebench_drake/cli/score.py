@@ -56,8 +56,8 @@ def score(ctx: click.Context, /, dry_run: bool, **options: Any) -> None:
 
     PATH is a video (mp4, mov, avi, gif, webm, mkv), a folder of videos or frame folders, a npy or npz file
     (T,H,W,3 uint8), an HDF5 file, a LeRobot dataset (v2 or v3), a VideoFolder with its metadata, a folder of KineBench,
-    WorldArena, EWMBench or Dream.exe, or a manifest.jsonl. A camera.json beside the videos gives their camera
-    (docs/formats.md).
+    WorldArena, EWMBench or Dream.exe, a manifest.jsonl, or hf://datasets/ORG/NAME@REVISION of the Hugging Face Hub. A
+    camera.json beside the videos gives their camera (docs/formats.md).
 
     --masks, --depth and --poses replace stages of the grounding by results of other tools. Each DIR holds ID.npz,
     ID.npy or a folder ID/ for every video (docs/grounding.md), or is a demonstration folder with its truth.
