@@ -1,12 +1,4 @@
-"""Pose engine of Dream.exe (https://github.com/showlab/Dream.exe) in place of FoundationPose.
-
-An entry of its models.json, in the category `exec`:
-
-    "kinebench": {
-        "kind": "pose", "backend": "factory", "factory": "kinebench_drake.integrations.dream_exe:PoseBackend",
-        "identity": {"provider_kind": "external", "backend_id": "kinebench", "contract_version": "pose_backend"}
-    }
-"""
+"""Pose engine of Dream.exe (https://github.com/showlab/Dream.exe); its files that select it: docs/integrations.md."""
 
 from importlib import import_module
 from pathlib import Path
@@ -35,7 +27,7 @@ class PoseBackend:
         """Create the engine; models are loaded with the first request.
 
         Args:
-            environment: environment.json of the case; None: the one above the mesh of each request.
+            environment: environment.json of the case; None: that of the case to which the mesh of a request belongs.
             period_s: task time between two frames [s].
         """
         self._environment = None if environment is None else Path(environment)
@@ -56,14 +48,18 @@ class PoseBackend:
             grounding = ground_video(frames, camera=scene.camera, frame_period_s=self._period_s, first=scene.first)
         except UnmeasurableError as error:
             candidates = [self._candidate(contract, None, 0.0, str(error))] * len(frames)
-            return contract.PosePrediction(candidates=candidates, meta={"model": self.backend_id})
+            return contract.PosePrediction(candidates=candidates, meta=self._identity())
         track = grounding.track
         X_CS = track.X_CH @ hand_from_site()
         candidates = [
             self._candidate(contract, X if ok else None, float(confidence), "not tracked")
             for X, ok, confidence in zip(X_CS, track.tracked, track.confidence, strict=True)
         ]
-        return contract.PosePrediction(candidates=candidates, meta={"model": self.backend_id})
+        return contract.PosePrediction(candidates=candidates, meta=self._identity())
+
+    def _identity(self) -> dict[str, str]:
+        names = ("provider_kind", "backend_id", "contract_version")
+        return {name: getattr(self, name) for name in names}  # a prediction without it is refused
 
     def _candidate(self, contract: Any, X_CS: Any, confidence: float, reason: str) -> Any:
         valid = X_CS is not None
@@ -73,8 +69,9 @@ class PoseBackend:
         )
 
     def _scene(self, mesh: Path) -> Scene:
-        places = (folder / ENVIRONMENT for folder in mesh.resolve().parents)
+        # case: env/geometry/eef/visual.obj; a run's copy of it: artifacts/init/cad/, beside artifacts/env/
+        places = (folder / part / ENVIRONMENT for folder in mesh.resolve().parents for part in (".", "env"))
         path = self._environment or next((place for place in places if place.is_file()), None)
         if path is None:
-            raise UsageError(f"{mesh}: no {ENVIRONMENT} in a folder above it; name that of the case by environment=")
+            raise UsageError(f"{mesh}: no {ENVIRONMENT} in the case's folder above it; name its path by environment=")
         return read_scene(path)

@@ -21,6 +21,7 @@ from kinebench_drake.kinematics.plant import ArmPlant
 
 VIDEOS = Path(__file__).parents[2] / "examples" / "videos"
 NAME = "CloseLaptopEasy-v1_s0010_unseen"
+DOCS = Path(__file__).parents[2] / "docs" / "integrations.md"
 FIRST = slice(0, 9)
 HAND_FROM_TCP = make_pose(np.eye(3), [0.0, 0.0, 0.1034])
 X_WB = make_pose(rotation_z(1.2), [5.0, -1.0, 0.7])
@@ -140,12 +141,27 @@ def test_the_engine_gives_the_pose_of_the_mesh_in_every_frame(case: Path) -> Non
 
 
 @pytest.mark.usefixtures("contract")
-def test_frames_that_cannot_be_measured_have_no_valid_candidate(case: Path, tmp_path: Path) -> None:
+def test_frames_that_cannot_be_measured_have_no_valid_candidate(case: Path) -> None:
     request = PoseBackendRequest(
         video_frames=np.zeros((5, 96, 96, 3), np.uint8), mesh_path=str(case / "env/geometry/eef/mesh.obj")
     )
-    candidates = PoseBackend().infer(request).candidates
-    assert [candidate.valid for candidate in candidates] == [False] * 5
-    assert candidates[0].meta["reason"]
-    with pytest.raises(UsageError, match=r"no environment\.json in a folder above it"):
+    prediction = PoseBackend().infer(request)
+    assert [candidate.valid for candidate in prediction.candidates] == [False] * 5
+    assert prediction.candidates[0].meta["reason"]
+    with pytest.raises(UsageError, match=r"no environment\.json in the case's folder above it"):
         PoseBackend().infer(PoseBackendRequest(video_frames=request.video_frames, mesh_path="/nowhere/mesh.obj"))
+
+
+@pytest.mark.usefixtures("contract")
+def test_a_run_of_dream_exe_gets_predictions_of_the_engine_that_its_catalog_names(case: Path, tmp_path: Path) -> None:
+    # A run works on a copy of the case, and refuses a prediction whose `meta` is not the identity of the catalog.
+    run = tmp_path / "work" / "rc_x" / "artifacts"
+    for part, name in (("env", "environment.json"), ("init/cad", "eef_mesh_visual_only.obj")):
+        (run / part).mkdir(parents=True)
+        (run / part / name).write_bytes((case / "env/environment.json").read_bytes() if part == "env" else b"")
+    mesh = run / "init/cad/eef_mesh_visual_only.obj"
+    request = PoseBackendRequest(video_frames=np.zeros((2, 96, 96, 3), np.uint8), mesh_path=str(mesh))
+    row = next(line for line in DOCS.read_text().splitlines() if line.startswith("| models.json"))
+    entry = json.loads(row.split("`")[1])["categories"]["exec"]["kinebench"]
+    assert entry["factory"] == f"{PoseBackend.__module__}:{PoseBackend.__name__}"
+    assert PoseBackend().infer(request).meta == entry["identity"]
