@@ -21,9 +21,6 @@ from kinebench_drake.executors.base import Item, ItemResult, MakeWorker, Outcome
 from kinebench_drake.executors.local import THREAD_VARIABLES
 from kinebench_drake.results.provenance import RUNS, code_hash
 
-MOST_FAILED_STARTS = 3
-"""Number of consecutive workers lost while loading their models that ends the run."""
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RayExecutor:
@@ -38,7 +35,7 @@ class RayExecutor:
         """Yield the outcome of each item as soon as it is available, in any order."""
         if items:
             with _connected(self.address):
-                yield from ActorPool(make_worker, items, min(self.jobs, len(items))).outcomes()
+                yield from _outcomes(make_worker, items, min(self.jobs, len(items)))
 
 
 def gpu_share(gpus: int, workers: int) -> float:
@@ -76,142 +73,102 @@ def _connected(address: str | None) -> Iterator[None]:
 
 
 class RayWorker(Generic[Item, Result]):
-    """Class of the actors: one worker process on some node."""
+    """Class of the actors: one worker process on some node, which Ray starts again where it is lost."""
 
-    def __init__(self) -> None:
-        os.environ.update(dict.fromkeys(THREAD_VARIABLES, "1"))  # before `equip`'s arguments load numeric libraries
-
-    def equip(self, folder: str, code: str, make_worker: MakeWorker[Item, Result]) -> KinebenchError | None:
-        """Create the worker; return an error if this node cannot run it."""
+    def __init__(self, folder: str, code: str, make_worker: MakeWorker[Item, Result]) -> None:
         node = platform.node()
+        self._error: KinebenchError | None = None
         if code_hash(*RUNS) != code:
-            return SetupError(f"node {node} has another version of kinebench-drake: install the same on all nodes")
+            self._error = SetupError(
+                f"node {node} has another version of kinebench-drake: install the same on all nodes"
+            )
+            return
         try:
             os.chdir(folder)
         except OSError as error:
-            return SetupError(
+            self._error = SetupError(
                 f"node {node} has no access to the folder {folder} ({error.strerror}): nodes must share the file system"
             )
+            return
         try:
             self._work = make_worker()
         except KinebenchError as error:
-            return error
-        return None
+            self._error = error
+
+    def check(self) -> KinebenchError | None:
+        """Return why this node cannot run the worker; None once it is ready."""
+        return self._error
 
     def work(self, item: Item) -> Result | KinebenchError:
         """Return the result of an item, or the error that ends the run."""
         try:
-            return self._work(item)
+            return self._error or self._work(item)
         except KinebenchError as error:
             return error
 
 
-@dataclass(slots=True)
-class _QueuedItem(Generic[Item]):
-    """Item and the number of attempts at it."""
+def _outcomes(make_worker: MakeWorker[Item, Result], items: Sequence[Item], size: int) -> Outcomes[Item, Result]:
+    """Yield the outcome of each item as soon as it is available, in any order, from `size` actors.
 
-    item: Item
-    tries: int = 0
+    An item whose worker is lost is tried once more: the machine may be the cause, not the item.
+    """
+    import ray
+
+    actor_class = ray.remote(
+        num_cpus=1,
+        num_gpus=gpu_share(int(ray.cluster_resources().get("GPU", 0.0)), size),
+        scheduling_strategy="SPREAD",
+        max_restarts=3,
+        max_task_retries=1,
+        runtime_env={"env_vars": dict.fromkeys(THREAD_VARIABLES, "1")},
+    )(RayWorker)
+    arguments, queue = (os.getcwd(), code_hash(*RUNS), make_worker), deque(items)
+    actors: list[Any] = []
+    running: dict[Any, tuple[Any, Item | None]] = {}  # by answer; no item while the actor loads its models
+
+    def start() -> None:
+        actors.append(actor_class.remote(*arguments))
+        running[actors[-1].check.remote()] = actors[-1], None
+
+    try:
+        for _ in range(size):
+            start()
+        while queue or any(item is not None for _, item in running.values()):
+            answers, _ = ray.wait(list(running), timeout=1.0)  # an interrupt is noticed within a second
+            for answer in answers:
+                actor, item = running.pop(answer)
+                try:
+                    result = ray.get(answer)
+                except ray.exceptions.RayError as error:
+                    if item is None:
+                        raise _failed_start(error) from None
+                    ray.kill(actor)
+                    start()
+                    yield _crash(item, error)
+                    continue
+                if isinstance(result, KinebenchError):
+                    raise result
+                if queue:
+                    following = queue.popleft()
+                    running[actor.work.remote(following)] = actor, following
+                else:
+                    ray.kill(actor)
+                if item is not None:
+                    yield ItemResult(item=item, result=result)
+    finally:
+        for actor in actors:
+            ray.kill(actor)
 
 
-@dataclass(slots=True)
-class WorkerActor(Generic[Item]):
-    """One actor, the item that it is processing and the reference to its answer."""
-
-    actor: Any
-    answer: Any
-    queued: _QueuedItem[Item] | None = None
-    """None while the actor loads its models."""
+def _failed_start(error: Exception) -> SetupError:
+    message = " ".join(str(error).split())
+    return SetupError(
+        "workers on the Ray cluster die before they start: is kinebench-drake installed on every node, is there enough "
+        f"memory? Ray says: ...{message[-300:]}"
+    )
 
 
-class ActorPool(Generic[Item, Result]):
-    """Actors that receive one item at a time: one that is lost loses only its item and is replaced."""
-
-    def __init__(self, make_worker: MakeWorker[Item, Result], items: Sequence[Item], size: int) -> None:
-        import ray
-
-        self._ray = ray
-        gpus = gpu_share(int(ray.cluster_resources().get("GPU", 0.0)), size)
-        self._actor_class = ray.remote(num_cpus=1, num_gpus=gpus, scheduling_strategy="SPREAD")(RayWorker)
-        self._make_worker = ray.put(make_worker)
-        self._queue = deque(_QueuedItem(item) for item in items)
-        self._size = size
-        self._workers: list[WorkerActor[Item]] = []
-        self._failed_starts = 0
-
-    def outcomes(self) -> Outcomes[Item, Result]:
-        """Yield the outcome of each item as soon as it is available, in any order."""
-        try:
-            while busy := len(self._queue) + sum(worker.queued is not None for worker in self._workers):
-                while len(self._workers) < min(self._size, busy):
-                    self._workers.append(self._start())
-                # An interrupt is noticed within a second.
-                answers, _ = self._ray.wait([worker.answer for worker in self._workers], timeout=1.0)
-                for worker in [worker for worker in self._workers if worker.answer in answers]:
-                    outcome = self._receive(worker)
-                    if outcome is not None:
-                        yield outcome
-        finally:
-            for worker in list(self._workers):
-                self._dismiss(worker)
-
-    def _start(self) -> WorkerActor[Item]:
-        actor = self._actor_class.remote()
-        return WorkerActor(actor=actor, answer=self._equip(actor))
-
-    def _equip(self, actor: Any) -> Any:
-        """Let an actor load its models; returns the reference to its answer."""
-        return actor.equip.remote(os.getcwd(), code_hash(*RUNS), self._make_worker)
-
-    def _dismiss(self, worker: WorkerActor[Item]) -> None:
-        self._workers.remove(worker)
-        self._ray.kill(worker.actor)
-
-    def _feed(self, worker: WorkerActor[Item]) -> None:
-        """Send the next item to a worker, or end the worker if there is none."""
-        if not self._queue:
-            self._dismiss(worker)
-            return
-        worker.queued = self._queue.popleft()
-        worker.queued.tries += 1
-        worker.answer = worker.actor.work.remote(worker.queued.item)
-
-    def _receive(self, worker: WorkerActor[Item]) -> ItemResult[Item, Result] | WorkerCrash[Item] | None:
-        queued = worker.queued
-        try:
-            answer = self._ray.get(worker.answer)
-        except self._ray.exceptions.RayError as error:
-            self._dismiss(worker)
-            if queued is not None:
-                return self._lost(queued, error)
-            self._failed_start(error)
-            return None
-        if isinstance(answer, KinebenchError):
-            raise answer
-        self._feed(worker)
-        if queued is None:
-            self._failed_starts = 0
-            return None
-        return ItemResult(item=queued.item, result=answer)
-
-    def _failed_start(self, error: Exception) -> None:
-        """Count a worker that was lost before it was ready."""
-        self._failed_starts += 1
-        if self._failed_starts >= MOST_FAILED_STARTS or isinstance(error, self._ray.exceptions.RayTaskError):
-            message = " ".join(str(error).split())
-            raise SetupError(
-                f"workers on the Ray cluster die before they start: is kinebench-drake installed on every node, is "
-                f"there enough memory? Ray says: ...{message[-300:]}"
-            )
-
-    def _lost(self, queued: _QueuedItem[Item], error: Exception) -> WorkerCrash[Item] | None:
-        """Put the item of a lost worker back into the queue, or report a crash after the last attempt."""
-        # The first loss of a worker may be caused by the machine, not by the item.
-        if queued.tries < 2:
-            self._queue.appendleft(queued)
-            return None
-        memory = "memory" in str(error).lower()
-        hint = "its node ran out of memory: use fewer jobs" if memory else "often its node is out of memory"
-        return WorkerCrash(
-            item=queued.item, reason=f"the worker was lost {queued.tries} times over this sample ({hint})"
-        )
+def _crash(item: Item, error: Exception) -> WorkerCrash[Item]:
+    memory = "memory" in str(error).lower()
+    hint = "its node ran out of memory: use fewer jobs" if memory else "often its node is out of memory"
+    return WorkerCrash(item=item, reason=f"the worker was lost twice over this sample ({hint})")
