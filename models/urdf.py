@@ -52,7 +52,6 @@ def convert_urdf(
         name: name of the converted file, without its suffix.
         root: its root element, if it was edited; left converted.
         package_path: folder in which packages of package:// URIs are looked up first.
-        scene: folder of the meshes of obstacles.
 
     Raises:
         InputError: the URDF, its SRDF or one of its collision meshes cannot be read.

@@ -61,8 +61,6 @@ def plan_commands(
     """Plan commands in the tube about a track.
 
     Args:
-        plant: the robot.
-        collision: its collision model.
         t_s: (T,) times [s], increasing.
         X_BG: (T, 4, 4) poses of the TCP in the base [m]; NaN where unknown.
         q: (T, 7) initial joint path [rad].

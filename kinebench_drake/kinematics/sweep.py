@@ -35,8 +35,6 @@ def sweep(plant: ArmPlant, model: CollisionModel, q: Array, finger_width_m: Arra
     """Find the contacts with obstacles that are deeper than `tolerance_m` [m].
 
     Args:
-        plant: the robot.
-        model: its collision model.
         q: (T, 7) joint angles [rad]; NaN where unknown: the ways from and to there are left out.
         finger_width_m: (T,) gap between the finger pads [m]; NaN for the plant's default.
         tolerance_m: depth up to which a contact is none [m].

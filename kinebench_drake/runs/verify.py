@@ -55,8 +55,6 @@ def verify_bundle(bundle: Bundle, samples: int, seed: int, videos: Path | None =
     """Compare what a bundle states with what follows from its files.
 
     Args:
-        samples: number of samples to measure anew.
-        seed: seed of their choice.
         videos: folder of the videos, from which they are grounded anew, too.
     """
     rows, run, stated = _read(bundle)
@@ -118,11 +116,7 @@ def list_differences(stated: object, expected: object, verb: str, name: str = ""
 
 
 def _robot_options(run: RunMetadata) -> RobotOptions:
-    """Return the robot and the table of a run.
-
-    Raises:
-        UsageError: this machine has another robot of that name, or none.
-    """
+    """Return the robot and the table of a run."""
     config = run.config
     name, payload = str(config.get("robot") or PANDA), as_number(config.get("payload_kg"))
     options = RobotOptions(
