@@ -32,11 +32,11 @@ _SPLIT = click.option(
 
 
 def _episodes(
-    number: int | None, split: str | None, tasks: str | None, count: int, seed: int, pool: str | None, variant: str
+    number: int | None, split: str | None, tasks: str | None, count: int, seed: int, variant: str = "plain"
 ) -> "list[Episode]":
     """Return `count` episodes of each task, of a suite's split or of all tasks, in order."""
     from kinebench_drake.suites.catalog import chosen_tasks, load_suite, task_names, with_variant
-    from kinebench_drake.suites.composition import Pool, compose
+    from kinebench_drake.suites.composition import compose
     from kinebench_drake.suites.families.registry import TASKS, find_task
     from kinebench_drake.suites.families.task import TaskVariant
 
@@ -48,9 +48,7 @@ def _episodes(
         chosen = list(TASKS) if names is None else [find_task(name).card.id for name in names]
         seeds = range(seed, seed + count)
         having = with_variant(chosen, own, named=names is not None)
-        return [compose(task, s, pool=Pool(pool or "all"), variant=own) for task in having for s in seeds]
-    if pool is not None:
-        raise UsageError(f"--pool {pool}: the assets are those of the split of --suite {number}; leave out one of them")
+        return [compose(task, s, variant=own) for task in having for s in seeds]
     suite, name = load_suite(number), split or "test"
     specs = suite.specs(name, count, tasks=chosen_tasks(suite, name, tasks, own), offset=seed, variant=own)
     return [spec.episode() for spec in specs]
@@ -122,7 +120,6 @@ def _echo_json(facts: list[dict[str, Any]]) -> None:
     help="Policy that moves the robot.",
 )  # fmt: skip
 @config_options(SuiteConfig, "variant")
-@click.option("--pool", type=click.Choice(["all", "seen", "unseen"]), help="Assets and looks.  [default: all]")
 @click.option("--json", "json_out", type=PathParameter(dir_okay=False), help="Write the trials as JSON.")
 @config_options(SuiteConfig, "jobs")
 def check(
@@ -133,7 +130,6 @@ def check(
     seed: int,
     policy: str,
     variant: str,
-    pool: str | None,
     json_out: Path | None,
     jobs: int,
 ) -> None:
@@ -143,7 +139,7 @@ def check(
 
     if json_out is not None:
         check_parent("--json", json_out)
-    todo = _episodes(number, split, tasks, episodes, seed, pool, variant)
+    todo = _episodes(number, split, tasks, episodes, seed, variant)
     trials: dict[str, list[ExpertTrial]] = {task: [] for task in sorted({episode.task for episode in todo})}
     for trial in run_trials(create_executor(ExecutorKind.LOCAL, jobs), todo, Policy(policy)):
         own = trials[trial.episode.task]
@@ -176,7 +172,7 @@ def sheet(out: Path, number: int | None, split: str | None, tasks: str | None, s
 
     check_suffix("--out", out, ".png", ".jpg", ".jpeg")
     check_parent("--out", out)
-    episodes = _episodes(number, split, tasks, 1, seed, None, "plain")
+    episodes = _episodes(number, split, tasks, 1, seed)
     panels = task_panels(create_executor(ExecutorKind.LOCAL, jobs), episodes)
     save(draw_sheet(panels), out)
     click.echo(f"{out}: {len(panels)} panels, {sum(panel.failed for panel in panels)} failed")

@@ -69,17 +69,13 @@ def report(folders: tuple[Path, ...], out: Path, paper: bool) -> None:
     echo(write_suite_report(folders, out, warn=lambda message: echo(f"warning: {message}", err=True), paper=paper))
 
 
-_ERRORS = ("bias", "jitter", "finger_delay")
-
-
 @click.command(
     short_help="Measure the success of tasks under track errors.",
     epilog="\b\nExamples:\n"
     "  kinebench-drake suite tolerance --suite 0 --episodes 10 --out tolerance.json --figure tolerance.png --jobs 2\n"
-    "  kinebench-drake suite tolerance --suite 0 --tasks StackCube-v1 --errors bias --out stack.json",
+    "  kinebench-drake suite tolerance --suite 0 --tasks StackCube-v1 --out stack.json",
 )
 @config_options(SuiteConfig, "suite", "split", "tasks", "episodes", "seed")
-@click.option("--errors", default=",".join(_ERRORS), show_default=True, help="Errors to plant, comma-separated.")
 @click.option("--out", type=PathParameter(dir_okay=False), required=True, help="Output file of all attempts, JSON.")
 @click.option("--figure", type=PathParameter(dir_okay=False), help="Draw the curves (png, svg, pdf).")
 @config_options(SuiteConfig, "jobs")
@@ -89,7 +85,6 @@ def tolerance(
     tasks: str | None,
     episodes: int,
     seed: int,
-    errors: str,
     out: Path,
     figure: Path | None,
     jobs: int,
@@ -102,14 +97,10 @@ def tolerance(
     """
     from kinebench_drake.cli.progress import ProgressView, terminate_as_interrupt
     from kinebench_drake.closed_loop.tolerance import PoseError, run_attempts, table_json, table_lines
-    from kinebench_drake.errors import UsageError
     from kinebench_drake.executors.base import ExecutorKind, create_executor
     from kinebench_drake.suites.catalog import chosen_tasks, load_suite
     from kinebench_drake.suites.families.task import TaskVariant
 
-    names = errors.split(",")
-    if unknown := [name for name in names if name not in _ERRORS]:
-        raise UsageError(f"--errors {errors}: no {unknown[0]!r}; there are {', '.join(_ERRORS)}")
     for option, path in (("--out", out), ("--figure", figure)):
         if path is not None:
             check_parent(option, path)
@@ -118,8 +109,8 @@ def tolerance(
     chosen = chosen_tasks(loaded, split, tasks, TaskVariant.PLAIN)
     specs = loaded.specs(loaded.split_name(split), episodes, tasks=chosen, offset=seed)
     with ProgressView() as view, terminate_as_interrupt():
-        chosen_errors, todo = [PoseError(name) for name in names], [spec.episode() for spec in specs]
-        attempts = run_attempts(create_executor(ExecutorKind.LOCAL, jobs), todo, chosen_errors, view)
+        todo = [spec.episode() for spec in specs]
+        attempts = run_attempts(create_executor(ExecutorKind.LOCAL, jobs), todo, [*PoseError], view)
     write_atomically(out, (json.dumps(table_json(attempts), indent=1) + "\n").encode())
     for line in table_lines(attempts):
         echo(line)
