@@ -35,11 +35,8 @@ from kinebench_drake.results.row import SampleRow, Status
 from kinebench_drake.results.store import ARTIFACTS, REPORT, RESULTS, read_rows
 
 DRAWN = 100
-"""Samples, the worst first, whose curves and details are on the page: all would make it slow to open."""
-_PICTURED = 40
-"""Samples, the worst first, whose images are on the page."""
-_SHOWN = 100
-"""Samples in the table until all are requested."""
+"""Samples, the worst first, whose curves and images are on the page, and that its table shows until all are asked for:
+all would make it slow to open."""
 _HEAD = 2048
 """Characters at the beginning of the page that hold its stamp."""
 
@@ -100,7 +97,7 @@ def build_page(out: Path, rows: Iterable[SampleRow] | None = None, statistics: R
     worst, best = choose_gallery(out, rows)
     large = {row.id for row in (*worst, *best)}
     samples = [
-        view_sample(out, row, drawn=k < DRAWN or row.id in large, pictured=k < _PICTURED or row.id in large)
+        view_sample(out, row, drawn=k < DRAWN or row.id in large)
         for k, row in enumerate(rows)
         if k < 1000 or row.id in large
     ]
@@ -139,7 +136,7 @@ def build_page(out: Path, rows: Iterable[SampleRow] | None = None, statistics: R
         samples=samples,
         pictured=any(sample.thumbnail for sample in samples),
         large=large,
-        first=_SHOWN,
+        first=DRAWN,
         drawn=min(DRAWN, len(samples)),
         left_out=max(len(rows) - DRAWN, 0),
         unlisted=len(rows) - len(samples),

@@ -135,11 +135,11 @@ def relative_link(file: Path, folder: Path, anchor: str = "") -> str:
     return quote(Path(os.path.relpath(file, folder)).as_posix()) + (f"#{quote(anchor)}" if anchor else "")
 
 
-def view_sample(out: Path, row: SampleRow, *, drawn: bool, pictured: bool = True) -> SampleView:
+def view_sample(out: Path, row: SampleRow, *, drawn: bool) -> SampleView:
     """Collect everything that the page shows of a sample.
 
     Args:
-        drawn: whether to draw its curves and list its details; otherwise only the row is used.
+        drawn: whether to draw its curves and include its image; otherwise only the row is used.
     """
     viewable = is_viewable(out, row)
     file = read_track(artifact_path(out, "tracks", row.id)) if drawn and _has_track(out, row) else None
@@ -153,7 +153,7 @@ def view_sample(out: Path, row: SampleRow, *, drawn: bool, pictured: bool = True
     lanes = fault_lanes(row, file)
     return SampleView(
         row=row,
-        thumbnail=embed_thumbnail(out, row) if pictured and has_thumbnail(out, row) else None,
+        thumbnail=embed_thumbnail(out, row) if drawn and has_thumbnail(out, row) else None,
         strip=draw_strip(lanes, frame_count(row, file, lanes)) if lanes else None,
         peaks=[*violations[:_MAX_VIOLATIONS], *(peak for peak in peaks if not peak.broken)],
         left_out=max(len(violations) - _MAX_VIOLATIONS, 0),
