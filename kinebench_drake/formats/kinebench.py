@@ -26,7 +26,7 @@ from scipy.spatial.transform import Rotation
 
 from kinebench_drake.errors import InputError, UsageError, cause
 from kinebench_drake.formats.trajectories.table import Column, Table
-from kinebench_drake.formats.trajectories.trajectory import TrajectoryFormat, TrajectorySample
+from kinebench_drake.formats.trajectories.trajectory import MAX_BYTES, TrajectoryFormat, TrajectorySample
 from kinebench_drake.formats.videos.sample import Search, VideoSample
 from kinebench_drake.geometry import Array, make_pose
 from kinebench_drake.io.files import read_text
@@ -43,7 +43,6 @@ _VIDEO = "observation.images.base_camera.mp4"
 _STAMP = re.compile(r"_\d{8}_\d{6}")
 _EPISODE = re.compile(r"\d{4,}", re.ASCII)
 _CASE = re.compile(r"(?P<task>(?P<words>\w+?)(?:_(?P<version>v\d))?)_(?P<number>\d+)", re.ASCII)
-_MAX_BYTES = 2**28
 _TASKS = {"pickfruits": "PickFruits-v1", "storefruitbox": "StoreFruitsBox-v1", "lift_peg": "LiftPegUpright-v1"}
 """Tasks whose names in the data set differ in more than spelling."""
 
@@ -166,7 +165,7 @@ def open_executed_table(sample: TrajectorySample) -> Iterator[Table]:
             data = file[f"{sample.part}/actions"]
             if not isinstance(data, h5py.Dataset):
                 raise InputError(f"{sample.part}/actions is a group, expected a data set")
-            actions = np.asarray(read_all(data, _MAX_BYTES), dtype=np.float64).reshape(-1, 7)
+            actions = np.asarray(read_all(data, MAX_BYTES), dtype=np.float64).reshape(-1, 7)
     except DAMAGED as error:
         raise InputError(f"{sample.part} cannot be read ({cause(error)})") from None
     arrays: dict[str, NDArray[np.generic]] = {

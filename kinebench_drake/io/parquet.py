@@ -9,10 +9,8 @@ import pyarrow.compute as compute
 from pyarrow import parquet
 
 from kinebench_drake.errors import InputError
-from kinebench_drake.io.files import Budget, open_file
+from kinebench_drake.io.files import MOST_BYTES, Budget, open_file
 
-MOST_BYTES = 2**26
-"""Most bytes of a table, and most numbers in one column of a row group."""
 _ROWS = 64  # read at once: 64 images of 4 MiB
 
 

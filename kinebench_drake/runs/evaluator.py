@@ -49,9 +49,6 @@ KINEMATIC_METRICS = (
 )
 """Metrics of every judged row; null where not measurable."""
 
-MIN_TRACKED = 2
-"""Fewest frames with a pose: a path needs two."""
-
 
 class SampleInfo(Protocol):
     """Fields common to all samples."""

@@ -27,7 +27,6 @@ from kinebench_drake.runs.evaluator import PENDING, SCHEMA_VERSION
 from kinebench_drake.runs.requests import request_path, write_requests
 from kinebench_drake.runs.runner import NullRunObserver, RunObserver, RunSummary, close_run, summarize
 
-_BLOCK = 2**20
 _SHARD_SETTINGS = ("limit", "shard", "jobs", "engine")
 """Settings in which shards of one run may differ: they distribute the work and do not affect results."""
 _CLIP = re.compile(r"(?P<id>.+)_r\d+(\.[^.]+)?")
@@ -291,7 +290,7 @@ def _read_blocks(source: Path) -> Iterator[bytes]:
     """Yield the bytes of a file in blocks; errors here are not reported as errors of writing."""
     try:
         with source.open("rb") as file:
-            while block := file.read(_BLOCK):
+            while block := file.read(2**20):
                 yield block
     except OSError as error:
         raise UsageError(f"{source}: cannot be read ({error.strerror or error})") from None

@@ -14,12 +14,11 @@ from numpy.typing import NDArray
 
 from kinebench_drake.errors import InputError, cause
 from kinebench_drake.formats.trajectories.table import Column, Table
-from kinebench_drake.formats.trajectories.trajectory import MAX_FRAMES, TrajectorySample, parse_number
+from kinebench_drake.formats.trajectories.trajectory import MAX_BYTES, MAX_FRAMES, TrajectorySample, parse_number
 from kinebench_drake.io.files import read_text
 from kinebench_drake.io.jsonl import read_object
 from kinebench_drake.io.npz import check_bytes, open_npz, read_npy
 
-_MAX_BYTES = 2**28
 _MOST_COLUMNS = 1000
 _MOST_NUMBERS = 1024  # per frame: more are images
 _DELIMITERS = (",", ";", "\t")
@@ -28,7 +27,7 @@ _DELIMITERS = (",", ";", "\t")
 @contextmanager
 def open_npz_table(sample: TrajectorySample) -> Iterator[Table]:
     """Open an npz file. The angles of a track file (it has `ik_ok`) were computed from its poses."""
-    with open_npz(sample.path, partial(check_bytes, most=_MAX_BYTES)) as archive:
+    with open_npz(sample.path, partial(check_bytes, most=MAX_BYTES)) as archive:
         shapes = {name: archive.shape(name) for name in archive.files}
         optional = frozenset({"q", "camera_from_hand"} if "ik_ok" in shapes else ())
         yield Table(columns=_columns(shapes), load=archive.__getitem__, optional=optional)
@@ -37,7 +36,7 @@ def open_npz_table(sample: TrajectorySample) -> Iterator[Table]:
 @contextmanager
 def open_npy_table(sample: TrajectorySample) -> Iterator[Table]:
     """Open an npy file: joint angles (T, 7) to (T, 9), or poses (T, 4, 4)."""
-    array = read_npy(sample.path, partial(check_bytes, most=_MAX_BYTES))
+    array = read_npy(sample.path, partial(check_bytes, most=MAX_BYTES))
     name = "base_from_tcp" if array.ndim == 3 else "q"
     yield Table(columns=_columns({name: array.shape}), load={name: array}.__getitem__)
 

@@ -14,7 +14,7 @@ from kinebench_drake.errors import InputError, cause
 from kinebench_drake.formats.kinebench import H5_FORMAT, list_executed
 from kinebench_drake.formats.maniskill import list_maniskill
 from kinebench_drake.formats.trajectories.table import Column, Table
-from kinebench_drake.formats.trajectories.trajectory import N_JOINTS, TrajectoryFormat, TrajectorySample
+from kinebench_drake.formats.trajectories.trajectory import MAX_BYTES, N_JOINTS, TrajectoryFormat, TrajectorySample
 from kinebench_drake.io.hdf5 import DAMAGED, open_hdf5, read_all
 from kinebench_drake.io.jsonl import as_number, as_object, parse_json
 
@@ -22,7 +22,6 @@ _EPISODE = re.compile(r"(?:data/)?(?:demo|episode)_(?P<number>\d{1,9})", re.ASCI
 _STATES = "env_states/articulations/"
 _ROBOT = re.compile(r"panda|franka|fr3", re.IGNORECASE)
 _ROOT = 13  # numbers of an articulation's state before its joints: pose (7) and velocity (6) of its root
-_MAX_BYTES = 2**28
 _MOST_NUMBERS = 256  # per frame: more are images
 
 
@@ -72,7 +71,7 @@ def open_hdf5_table(sample: TrajectorySample) -> Iterator[Table]:
             robots = [c.name for c in columns if c.name.startswith(_STATES) and c.names]
 
             def load(name: str) -> NDArray[np.generic]:
-                return read_all(episode[name], _MAX_BYTES)
+                return read_all(episode[name], MAX_BYTES)
 
             yield Table(
                 columns=tuple(columns),

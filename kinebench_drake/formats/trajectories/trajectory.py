@@ -17,6 +17,8 @@ JOINT_SIZES = range(N_JOINTS, N_JOINTS + 3)
 """Numbers of joint angles in a file: those of the arm, followed by up to two fingers."""
 MAX_FRAMES = 100_000
 """Greatest number of frames; over an hour at 25 Hz."""
+MAX_BYTES = 2**28
+"""Most bytes of the arrays of a trajectory's file."""
 SLOW_STEP_S = 5.0
 """Longer steps give a warning: robots are recorded faster [s]."""
 
