@@ -9,6 +9,7 @@ POST an npz file with `frames` (T, H, W, 3) uint8 RGB and `period_s`; where the 
 import io
 import json
 import sys
+import zipfile
 from dataclasses import asdict
 from http.server import BaseHTTPRequestHandler, HTTPServer
 
@@ -29,7 +30,11 @@ class Handler(BaseHTTPRequestHandler):
             size = int(self.headers.get("Content-Length", 0))
             if size > MOST_BYTES:
                 raise ValueError(f"{size} bytes, at most {MOST_BYTES} are read")
-            with np.load(io.BytesIO(self.rfile.read(size)), allow_pickle=False) as ask:
+            body = io.BytesIO(self.rfile.read(size))
+            if not zipfile.is_zipfile(body):
+                raise ValueError(f"{size} bytes that are no whole npz file")
+            body.seek(0)
+            with np.load(body, allow_pickle=False) as ask:
                 frames, camera = ask["frames"], None
                 if "K" in ask:
                     K, (height, width) = ask["K"], frames.shape[1:3]

@@ -92,7 +92,10 @@ def test_the_example_of_a_reward_server_answers_what_the_scorer_says(clip):
             url = server.stdout.readline().split()[-1]
             np.savez(body := io.BytesIO(), frames=frames, period_s=0.2)
             answer = httpx.post(url, content=body.getvalue(), timeout=300.0).json()
-            assert httpx.post(url, content=b"x", timeout=60.0).status_code == 400
+            for damaged in (b"x", body.getvalue()[:-100]):
+                refused = httpx.post(url, content=damaged, timeout=60.0)
+                assert refused.status_code == 400
+                assert "no whole npz file" in refused.json()["error"]
         finally:
             server.kill()
     score = Scorer()(frames, period_s=0.2)
