@@ -4,7 +4,7 @@ from pathlib import Path
 
 import click
 
-from benchmarks import grounding, poses, speed, verdicts
+from benchmarks import gate, grounding, poses, speed, verdicts
 from benchmarks.options import EXISTING_FOLDER, CommandGroup
 
 
@@ -19,7 +19,7 @@ def main() -> None:
     """Validation studies and benchmarks; each command has an example."""
 
 
-for command in (*speed.COMMANDS, *verdicts.COMMANDS, *poses.COMMANDS, *grounding.COMMANDS):
+for command in (*speed.COMMANDS, *verdicts.COMMANDS, *gate.COMMANDS, *poses.COMMANDS, *grounding.COMMANDS):
     main.add_command(command)
 
 

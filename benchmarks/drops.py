@@ -11,7 +11,7 @@ import pyarrow.parquet as pq
 
 from benchmarks import markdown
 from benchmarks.feasible import TrackSet, smooth_motions
-from benchmarks.motion import Arm
+from benchmarks.motion import Arm, prove
 from benchmarks.record import machine_text
 from kinebench_drake.geometry import Array
 from kinebench_drake.results.drops import Drop, DropReason
@@ -20,6 +20,7 @@ _FPS, _FRAMES = 20, 120
 _LIMIT_RAD = 0.1  # beyond the limit of a joint
 _IDLE = (25, 60)  # frames of a planted rest: 1.25 to 3 s
 _LATE, _EARLY = (2, 8), (14, 19)  # frames by which actions come after the motion, and too long before it
+_END, _STILL_RAD = 20, 0.05  # frames at either end of a drawn motion in which it does not rest
 _NOISE_RAD = 2e-4  # of states
 PLANTED = (
     None,
@@ -47,10 +48,17 @@ class PlantedEpisode:
 def draw_episodes(count: int, seed: int) -> Iterator[PlantedEpisode]:
     """Draw episodes, the faults of `PLANTED` in turn."""
     rng, arm = np.random.default_rng(seed), Arm()
-    tracks = TrackSet(tracks=count, frames=_FRAMES + 1, period_s=1.0 / _FPS)
+    tracks = TrackSet(tracks=8 * count, frames=_FRAMES + 1, period_s=1.0 / _FPS)
     drawn: list[PlantedEpisode] = []
-    for k, (motion, t_s) in enumerate(smooth_motions(rng, arm, tracks)):
-        fault = PLANTED[k % len(PLANTED)]
+    copied: list[PlantedEpisode] = []
+    for motion, t_s in smooth_motions(rng, arm, tracks):
+        ends = motion.q(t_s)[[0, _END, -_END - 1, -1]]
+        rests = min(np.abs(ends[1] - ends[0]).max(), np.abs(ends[3] - ends[2]).max()) < _STILL_RAD
+        if rests or not prove(arm, motion, float(t_s[0]), float(t_s[-1])).holds:
+            continue
+        if len(drawn) == count:
+            return
+        fault = PLANTED[len(drawn) % len(PLANTED)]
         q = motion.q(t_s) + _NOISE_RAD * rng.standard_normal((len(t_s), 7))
         states = np.column_stack([q, motion.width(t_s)])
         shift = 1
@@ -72,9 +80,9 @@ def draw_episodes(count: int, seed: int) -> Iterator[PlantedEpisode]:
         times = np.clip(np.arange(len(states) - 1) + shift, 0, len(states) - 1)
         episode = PlantedEpisode(state=states[:-1], action=states[times], fault=fault)
         if fault is DropReason.DUPLICATE:
-            other = next(e for e in drawn if e.fault is None)
+            other = next(e for e in drawn if e.fault is None and not any(e is c for c in copied))
             episode = PlantedEpisode(state=other.state, action=other.action, fault=fault)
-            drawn.remove(other)
+            copied.append(other)
         drawn.append(episode)
         yield episode
 
@@ -115,7 +123,7 @@ def score_list(episodes: Sequence[PlantedEpisode], drops: Sequence[Drop], count:
     for reason in dict.fromkeys(fault for fault in PLANTED if fault):
         planted = {k for k, episode in enumerate(episodes) if episode.fault is reason}
         hits = len(planted & listed[reason])
-        rows.append((reason.value, len(planted), len(listed[reason]), hits, len(listed[reason]) - hits))
+        rows.append((reason.key, len(planted), len(listed[reason]), hits, len(listed[reason]) - hits))
     clean = {k for k, episode in enumerate(episodes) if episode.fault is None}
     false = len(clean & set().union(*listed.values()))
     table = markdown.table(("reason", "planted", "listed", "right", "wrong"), (list(map(str, row)) for row in rows))

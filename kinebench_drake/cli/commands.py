@@ -40,5 +40,5 @@ def export_commands(source: Path, out: Path, rate_hz: float, reading: Path | Non
     check_suffix("--out", out, ".npz", ".csv")
     check_parent("--out", out)
     choice = TrajectoryOptions(reading=None if reading is None else Reading.parse(reading))
-    for line in export_commands(source, out, rate_hz, RobotOptions(**robot), choice).lines():
+    for line in export_commands(source, out, rate_hz, RobotOptions(**robot), choice):
         echo(line)

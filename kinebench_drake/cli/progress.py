@@ -145,7 +145,7 @@ def _print_summary(out: Path, summary: RunSummary) -> None:
     for line in summary_lines(summary.rows) if summary.rows else ():
         echo(line)
     if summary.drops:
-        reasons = Counter(drop.reason.value for drop in summary.drops)
+        reasons = Counter(drop.reason.key for drop in summary.drops)
         dropped = count_noun(len({drop.id for drop in summary.drops}), "sample")
         echo(f"drop list: {dropped} ({', '.join(f'{n} {reason}' for reason, n in reasons.items())}): {out / DROPS}")
     if count := len(summary.pending):

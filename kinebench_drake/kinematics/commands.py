@@ -15,8 +15,9 @@ from kinebench_drake.kinematics.collision import CollisionModel
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.kinematics.sweep import sweep
 from kinebench_drake.kinematics.trajectory import JointTrajectory
-from kinebench_drake.kinematics.trajopt import TubeResult, optimize_in_tube
+from kinebench_drake.kinematics.trajopt import optimize_in_tube
 from kinebench_drake.kinematics.violation import COLLISIONS, ViolationKind
+from kinebench_drake.track import GripperTrack
 
 STRETCHES = (1.0, 1.5, 2.0, 3.0, 5.0, 8.0)
 """Factors by which a track is slowed down until a trajectory in its tube keeps the limits."""
@@ -26,6 +27,8 @@ LONGEST_S = 600.0
 _RAMP_S = 0.5  # on the clock of the spline, at either end
 _INSIDE = 1.0 - 1e-4  # greatest ratio to a limit
 _ROUNDS = 60
+# Exponents of the ratio to a limit in the factor by which the motion is slowed down; torques have a part at rest.
+_ORDERS = {"velocity": 1.0, "acceleration": 0.5, "jerk": 1.0 / 3.0, "torque": 0.25, "torque rate": 0.4}
 _SWEPT_S = 0.02  # time between the postures between which obstacles are looked for
 _FIXED = (*COLLISIONS, ViolationKind.OBSTACLE_COLLISION, ViolationKind.UNREACHABLE, ViolationKind.JOINT_LIMIT)
 
@@ -34,7 +37,6 @@ _FIXED = (*COLLISIONS, ViolationKind.OBSTACLE_COLLISION, ViolationKind.UNREACHAB
 class RobotCommands:
     """Commands of a motion from rest to rest."""
 
-    rate_hz: float
     q: Array
     """(N, 7) joint angles at times k / rate [rad]."""
     finger_width_m: Array
@@ -43,36 +45,21 @@ class RobotCommands:
     """(T,) times at which the frames of the track are reached [s]."""
     slower: float
     """Factor by which the motion is slower than the track, apart from its ramps."""
-    tube: TubeResult
-    """The tube about the track in which the motion is."""
+    tube_radius_m: float
+    """Radius of the tube about the track in which the motion is [m]."""
 
 
 def plan_commands(
-    plant: ArmPlant,
-    collision: CollisionModel,
-    t_s: Array,
-    X_BG: Array,
-    q: Array,
-    finger_width_m: Array,
-    *,
-    rate_hz: float,
-    tube_limit_m: float,
+    plant: ArmPlant, collision: CollisionModel, track: GripperTrack, q: Array, *, rate_hz: float, tube_limit_m: float
 ) -> RobotCommands:
-    """Plan commands in the tube about a track.
-
-    Args:
-        t_s: (T,) times [s], increasing.
-        X_BG: (T, 4, 4) poses of the TCP in the base [m]; NaN where unknown.
-        q: (T, 7) initial joint path [rad].
-        finger_width_m: (T,) gap between the finger pads [m]; NaN where unknown.
-        rate_hz: commands per second [Hz].
-        tube_limit_m: greatest radius of the tube [m].
+    """Plan commands in the tube about a track, from its joint path `q` (T, 7) [rad].
 
     Raises:
         InputError: there are no such commands, with the reason.
     """
-    t_s = t_s - t_s[0]
-    widths = np.where(np.isfinite(finger_width_m), finger_width_m, plant.finger_width_m)
+    t_s, finite = track.t_s - track.t_s[0], np.isfinite(track.finger_width_m)
+    X_BG = np.where(track.tracked[:, None, None], track.X_BG, np.nan)
+    widths = np.where(finite, track.finger_width_m, plant.finger_width_m)
     for stretch in STRETCHES:
         tube = optimize_in_tube(
             plant, collision, stretch * t_s, X_BG, q, tube_limit_m=tube_limit_m, finger_width_m=widths
@@ -82,30 +69,26 @@ def plan_commands(
     trajectory = tube.certificate
     if not tube.feasible or trajectory is None:
         raise InputError(f"no commands keep within {1000.0 * tube_limit_m:.3g} mm of the track: {tube.reason}")
-    finite = np.isfinite(finger_width_m)
     factor = 1.0
     for _ in range(_ROUNDS):
         s = _clock(trajectory, factor, rate_hz)
         if len(s) > LONGEST_S * rate_hz:
             break
         commands = trajectory.basis.evaluate(trajectory.control, s)
-        needed = max(_needed(plant, commands, rate_hz), 1.0)
+        used = {name: float(ratio.max()) / _INSIDE for name, ratio in limit_ratios(plant, commands, rate_hz)}
+        needed = max(used[name] ** order for name, order in _ORDERS.items() if name in used)
         if needed <= 1.0:
             times = stretch * t_s - trajectory.problem.origin_s
-            gap = np.interp(s, times[finite], finger_width_m[finite]) if finite.any() else np.full(len(s), np.nan)
+            gap = np.interp(s, times, widths) if finite.any() else np.full(len(s), np.nan)
             every = max(int(_SWEPT_S * rate_hz), 1)
             if contacts := sweep(plant, collision, commands[::every], gap[::every], 0.0):
                 raise InputError(f"the motion between frames meets {contacts[0].obstacle} with {contacts[0].link}")
             reached = np.interp(times, s[: np.argmax(s) + 1], np.arange(np.argmax(s) + 1)) / rate_hz
+            radius_m = tube.radius_m or 0.0
             return RobotCommands(
-                rate_hz=rate_hz,
-                q=commands,
-                finger_width_m=gap,
-                frame_t_s=reached,
-                slower=stretch * factor,
-                tube=tube,
+                q=commands, finger_width_m=gap, frame_t_s=reached, slower=stretch * factor, tube_radius_m=radius_m
             )
-        factor *= needed
+        factor *= 1.001 * needed
     raise InputError(f"no commands shorter than {LONGEST_S:g} s keep the limits: the arm's weight nearly exceeds one")
 
 
@@ -125,14 +108,6 @@ def _risen(t: Array, ramp: float) -> Array:
     """Return the integral of a smooth step from 0 to 1 in `ramp` [s] (its fifth-order polynomial) up to times (N,)."""
     x = np.clip(t / ramp, 0.0, 1.0)
     return np.asarray(ramp * (x**6 - 3.0 * x**5 + 2.5 * x**4) + np.maximum(t - ramp, 0.0))
-
-
-def _needed(plant: ArmPlant, q: Array, rate_hz: float) -> float:
-    """Return the factor by which commands are too fast, more or less; at most 1 if they keep all limits."""
-    orders = {"velocity": 1.0, "acceleration": 0.5, "jerk": 1.0 / 3.0, "torque": 0.25, "torque rate": 0.4}
-    ratios = dict(limit_ratios(plant, q, rate_hz))
-    worst = {name: float(ratio.max()) / _INSIDE for name, ratio in ratios.items() if name in orders}
-    return max(1.001 * ratio ** orders[name] if ratio > 1.0 else 1.0 for name, ratio in worst.items())
 
 
 def limit_ratios(plant: ArmPlant, q: Array, rate_hz: float) -> Iterator[tuple[str, Array]]:

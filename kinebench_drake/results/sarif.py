@@ -14,37 +14,24 @@ _SCHEMA = "https://docs.oasis-open.org/sarif/sarif/v2.1.0/errata01/os/schemas/sa
 
 def to_sarif(drops: Sequence[Drop], version: str) -> dict[str, Json]:
     """Return the log of a drop list; `version` is that of this program. Frames are in the messages and properties."""
-    reasons = list(DropReason)
-    rules: list[Json] = [
-        {
-            "id": reason.value,
-            "shortDescription": {"text": reason.meaning},
-            "defaultConfiguration": {"level": _level(reason)},
-        }
-        for reason in reasons
-    ]
+    rules: list[Json] = [{"id": reason.key, "shortDescription": {"text": reason.meaning}} for reason in DropReason]
     driver: dict[str, Json] = {"name": "kinebench-drake", "semanticVersion": version, "rules": rules}
-    results: list[Json] = [_result(drop, reasons.index(drop.reason)) for drop in drops]
+    results = list(map(_result, drops))
     return {"$schema": _SCHEMA, "version": "2.1.0", "runs": [{"tool": {"driver": driver}, "results": results}]}
 
 
-def _result(drop: Drop, rule: int) -> Json:
-    frames = "" if drop.frames is None else f", frames {drop.frames[0]} to {drop.frames[1]}"
+def _result(drop: Drop) -> Json:
+    frames = "" if drop.frame_start is None else f", frames {drop.frame_start} to {drop.frame_end}"
     path, _, part = drop.video.partition("#")
-    return {
-        "ruleId": drop.reason.value,
-        "ruleIndex": rule,
-        "level": _level(drop.reason),
-        "message": {"text": f"{drop.id}{frames}: {drop.detail}"},
-        "locations": [
-            {
-                "physicalLocation": {"artifactLocation": {"uri": quote(path)}},
-                "logicalLocations": [{"name": part or drop.id, "kind": "resource"}],
-            }
-        ],
-        "properties": {} if drop.frames is None else {"frame_start": drop.frames[0], "frame_end": drop.frames[1]},
+    place: dict[str, Json] = {
+        "physicalLocation": {"artifactLocation": {"uri": quote(path)}},
+        "logicalLocations": [{"name": part or drop.id, "kind": "resource"}],
     }
-
-
-def _level(reason: DropReason) -> str:
-    return "error" if reason.drops_all else "warning"
+    return {
+        "ruleId": drop.reason.key,
+        "ruleIndex": list(DropReason).index(drop.reason),
+        "level": "error" if drop.reason.drops_all else "warning",
+        "message": {"text": f"{drop.id}{frames}: {drop.detail}"},
+        "locations": [place],
+        "properties": {"frame_start": drop.frame_start, "frame_end": drop.frame_end},
+    }

@@ -206,45 +206,25 @@ class SourceConfig(RunConfig):
     ] = None
 
     def __post_init__(self) -> None:
-        """Convert and check the options.
-
-        Raises:
-            UsageError: one of them is invalid.
-        """
+        """Convert and check the options."""
         RunConfig.__post_init__(self)
-        kinds = [kind.value for kind in (*DropReason, *ViolationKind)]
-        for kind in self.faults:
-            if kind not in kinds:
-                raise UsageError(f"$fail_on {kind}{suggestion(kind, kinds)}: expected one of {', '.join(kinds)}")
-        names = (*VERDICT_SHARES, *BY_NAME)
-        for name in self.fail_under:
-            if name not in names:
-                raise UsageError(f"$fail_under {name}{suggestion(name, names)}: expected one of {', '.join(names)}")
-        self.bounds  # noqa: B018
-        if self.write_kept is not None:
-            from kinebench_drake.formats.lerobot.reader import is_lerobot  # loads Arrow
-
-            if not is_lerobot(self.source):
-                raise UsageError(f"$write_kept: {self.source} is no LeRobot dataset; drops.jsonl lists what to drop")
-            if self.write_kept.exists():
-                raise UsageError(f"$write_kept {self.write_kept}: exists already, expected the name of a new folder")
+        kinds = [*(reason.key for reason in DropReason), *(kind.value for kind in ViolationKind)]
+        _check_names("fail_on", self.faults, kinds)
+        _check_names("fail_under", self.fail_under, (*VERDICT_SHARES, *BY_NAME))
+        for name, value in self.fail_under.items():
+            try:
+                parse_number(value)
+            except ValueError as error:
+                raise UsageError(f"$fail_under {name}: {error}, expected such as feasible=0.95") from None
+        target = self.write_kept
+        if target is not None and (target.exists() or not (self.source / "meta" / "info.json").is_file()):
+            fault = f"{target} exists already" if target.exists() else f"{self.source} is no LeRobot dataset"
+            raise UsageError(f"$write_kept: {fault}, expected a new folder for the episodes of a LeRobot dataset")
 
     @property
     def faults(self) -> tuple[str, ...]:
         """Kinds of faults that no sample may have."""
         return tuple(self.fail_on.split(",")) if self.fail_on else ()
-
-    @property
-    def bounds(self) -> dict[str, float]:
-        """Least means of metrics and shares by name.
-
-        Raises:
-            UsageError: one is no number.
-        """
-        try:
-            return {name: parse_number(value) for name, value in self.fail_under.items()}
-        except ValueError as error:
-            raise UsageError(f"$fail_under: {error}, expected such as feasible=0.95") from None
 
     def name_models(self, samples: Sequence[_Named]) -> tuple[_Named, ...]:
         """Return the samples with the name of their model, from `model_from`, where they have none.
@@ -378,6 +358,12 @@ class ScoreConfig(SourceConfig):
             "camera": Path(self.camera).name,
             "depth": self.overrides().names.get("depth"),
         }
+
+
+def _check_names(option: str, names: Iterable[str], valid: Sequence[str]) -> None:
+    for name in names:
+        if name not in valid:
+            raise UsageError(f"${option} {name}{suggestion(name, valid)}: expected one of {', '.join(valid)}")
 
 
 def check_period(period_s: float | None) -> None:

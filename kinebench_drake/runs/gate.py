@@ -1,6 +1,6 @@
 """The gate of a data set: what a finished run writes for those who build on it, and the bounds that it must keep."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -9,47 +9,35 @@ from kinebench_drake.errors import InputError, UsageError, count_noun
 from kinebench_drake.formats.lerobot.kept import write_kept
 from kinebench_drake.io.jsonl import write_json
 from kinebench_drake.results.aggregate import VERDICT_SHARES
-from kinebench_drake.results.drops import Drop
 from kinebench_drake.results.provenance import versions
-from kinebench_drake.results.row import SampleRow, Status
+from kinebench_drake.results.row import Status
 from kinebench_drake.results.sarif import to_sarif
 from kinebench_drake.runs.config import SourceConfig
 from kinebench_drake.runs.runner import RunSummary
 
 
 def close_gate(config: SourceConfig, summary: RunSummary) -> RunSummary:
-    """Write the SARIF file and the kept episodes, and return the summary with the bounds that are missed.
-
-    Raises:
-        UsageError: the kept episodes cannot be written.
-        SetupError: writing failed.
-    """
+    """Write the SARIF file and the kept episodes, and return the summary with the bounds that are missed."""
     if config.sarif is not None:
         write_json(config.sarif, to_sarif(summary.drops, str(versions()["kinebench_drake"])))
     if config.write_kept is not None:
         dropped = {drop.id for drop in summary.drops if drop.reason.drops_all}
-        kept = [row for row in summary.rows if row.id not in dropped]
-        numbers = [int(row.video.rpartition("#episode_")[2]) for row in kept]
+        videos = [row.video for row in summary.rows if row.id not in dropped]
         try:
-            write_kept(config.source, config.write_kept, numbers)
+            write_kept(config.source, config.write_kept, [int(video.rpartition("#episode_")[2]) for video in videos])
         except InputError as error:
             raise UsageError(f"$write_kept {config.write_kept}: {error}") from None
-    missed = [*_faults(config.faults, summary.drops, summary.rows), *_low(config, summary)]
-    return replace(summary, missed=tuple(missed))
+    return replace(summary, missed=tuple(_missed(config, summary)))
 
 
-def _faults(kinds: Sequence[str], drops: Sequence[Drop], rows: Sequence[SampleRow]) -> Iterator[str]:
-    """Describe the kinds of faults that a run must not have, but has."""
-    for kind in kinds:
-        ids = {drop.id for drop in drops if drop.reason.value == kind}
-        ids |= {row.id for row in rows if any(v["kind"] == kind for v in row.violations)}
+def _missed(config: SourceConfig, summary: RunSummary) -> Iterator[str]:
+    """Describe the faults that no sample may have, and the means below their bounds; what is not measurable is."""
+    for kind in config.faults:
+        ids = {drop.id for drop in summary.drops if drop.reason.key == kind}
+        ids |= {row.id for row in summary.rows if any(v["kind"] == kind for v in row.violations)}
         if ids:
             yield f"{kind}: {count_noun(len(ids), 'sample')}, such as {min(ids)}"
-
-
-def _low(config: SourceConfig, summary: RunSummary) -> Iterator[str]:
-    """Describe the means that are below their bounds; one that is not measurable is."""
-    for name, least in config.bounds.items():
+    for name, least in config.fail_under.items():
         if name in VERDICT_SHARES:
             share = getattr(summary, name)
             value = None if share is None else share.mean
@@ -57,5 +45,5 @@ def _low(config: SourceConfig, summary: RunSummary) -> Iterator[str]:
             values = [row.bound(name) for row in summary.rows if row.status is Status.OK]
             numbers = [float(v) for v in values if isinstance(v, int | float)]
             value = float(np.mean(numbers)) if numbers else None
-        if value is None or value < least:
-            yield f"{name} is {'not measurable' if value is None else f'{value:.4g}'}, expected {least:g} or more"
+        if value is None or value < float(least):
+            yield f"{name} is {'not measurable' if value is None else f'{value:.4g}'}, expected {least} or more"

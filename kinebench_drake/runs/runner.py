@@ -14,11 +14,11 @@ from kinebench_drake.errors import SetupError
 from kinebench_drake.executors.base import Executor, Observer, SupportsDrain, WorkerCrash, create_executor
 from kinebench_drake.executors.interrupt import graceful_interrupt
 from kinebench_drake.io.atomic import disk_errors
-from kinebench_drake.io.jsonl import Json, as_object
+from kinebench_drake.io.jsonl import Json, as_object, write_lines
 from kinebench_drake.io.progress import listen
 from kinebench_drake.report.sample import worst_samples
 from kinebench_drake.results.aggregate import Estimate, RunStatistics, estimate, estimate_executable
-from kinebench_drake.results.drops import GATED, Drop, list_drops, write_drops
+from kinebench_drake.results.drops import DROPS, GATED, Drop, list_drops
 from kinebench_drake.results.inputs import list_inputs
 from kinebench_drake.results.metadata import RunMetadata, read_metadata
 from kinebench_drake.results.provenance import host, versions, weights_hash
@@ -153,7 +153,7 @@ def _start_worker(evaluator: Evaluator[SampleT, ResourcesT]) -> Callable[[Sample
 def close_run(store: ResultStore, kind: RunKind, seed: int, statistics: RunStatistics) -> RunSummary:
     """Write the report of a finished output folder and return its summary."""
     if kind.value in GATED:
-        write_drops(store.out, list_drops(store.sorted_rows()))
+        write_lines(store.out / DROPS, (drop.to_json() for drop in list_drops(store.sorted_rows())))
     if kind.judges:
         from kinebench_drake.report.page import write_report
 

@@ -92,7 +92,8 @@ class Tools:
         """
         from kinebench_drake.kinematics.plant import ArmPlant
 
-        self._table_height_m, self._plant = options.table_height_m, ArmPlant(options.load())
+        self._table_height_m, self.plant = options.table_height_m, ArmPlant(options.load())
+        """Drake plant of the robot, which all methods share."""
         self._judges: dict[float, TrackJudge] = {}
         self._judge(self._table_height_m)
 
@@ -115,7 +116,7 @@ class Tools:
         from kinebench_drake.metrics.judge import TrackJudge
 
         if table_height_m not in self._judges:
-            self._judges[table_height_m] = TrackJudge(self._plant, table_height_m=table_height_m)
+            self._judges[table_height_m] = TrackJudge(self.plant, table_height_m=table_height_m)
         return self._judges[table_height_m]
 
     def joints(self, track: GripperTrack) -> JointTrack:
@@ -127,11 +128,11 @@ class Tools:
 
         tracked = track.tracked & np.isfinite(track.X_BG).all(axis=(1, 2))
         q = np.full((len(track.t_s), 7), np.nan)
-        q[tracked], failure = solve_stepwise(self._plant, track.X_BG[tracked], self._plant.robot.rest_q)
+        q[tracked], failure = solve_stepwise(self.plant, track.X_BG[tracked], self.plant.robot.rest_q)
         if failure is not None:
             return self.judge(track).joints
         position_m, rotation_rad = np.full((2, len(q)), np.nan)
-        reached = self._plant.forward_path(q[tracked])
+        reached = self.plant.forward_path(q[tracked])
         position_m[tracked], rotation_rad[tracked] = pose_difference(reached, track.X_BG[tracked])
         status = tuple(IkStatus.OK if ok else IkStatus.NOT_TRACKED for ok in tracked)
         errors = {"position_error_m": position_m, "rotation_error_rad": rotation_rad}
@@ -151,7 +152,7 @@ class Tools:
         """Return how badly a trajectory fits the robot (`metrics.misfit`)."""
         from kinebench_drake.metrics.misfit import misfit
 
-        return misfit(self._plant, trajectory.t_s, trajectory.X_BG, trajectory.q, table_height_m=self._table_height_m)
+        return misfit(self.plant, trajectory.t_s, trajectory.X_BG, trajectory.q, table_height_m=self._table_height_m)
 
     def overlay(
         self,

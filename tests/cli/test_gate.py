@@ -79,7 +79,7 @@ def test_kept_episodes_are_those_without_an_entry_but_for_idle_ends(audit, datas
     again = audit_trajectories(
         AuditConfig(source=tmp_path / "kept", out=tmp_path / "again", make_tools=FakeTools, replays=None)
     )
-    assert {drop.reason.value for drop in again.drops} == {"idle_ends"}
+    assert {drop.reason.key for drop in again.drops} == {"idle_ends"}
     assert len(json.loads((tmp_path / "log.sarif").read_text())["runs"][0]["results"]) == 4
 
 
@@ -106,7 +106,7 @@ def test_missed_bounds_are_named(audit, changes, missed):
     [
         ({"fail_on": "duplicates"}, r"--fail-on duplicates \(did you mean duplicate\?\)"),
         ({"fail_under": {"feasable": "0.8"}}, r"--fail-under feasable \(did you mean feasible\?\)"),
-        ({"fail_under": {"feasible": "most"}}, "--fail-under: could not convert"),
+        ({"fail_under": {"feasible": "most"}}, "--fail-under feasible: could not convert"),
     ],
 )
 def test_unknown_kinds_names_and_numbers_are_usage_errors(audit, changes, reason):

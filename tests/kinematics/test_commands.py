@@ -9,6 +9,7 @@ from kinebench_drake.kinematics.collision import CollisionModel
 from kinebench_drake.kinematics.commands import RobotCommands, limit_ratios, plan_commands
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.models.panda.robot import rest_q
+from kinebench_drake.track import GripperTrack
 
 RATE_HZ, TUBE_M = 500.0, 0.005
 
@@ -21,8 +22,12 @@ def swing(period_s: float, size_rad: float = 0.4, frames: int = 25) -> tuple[Arr
 
 def commands_of(plant: ArmPlant, t_s: Array, q: Array, X_BG: Array | None = None) -> RobotCommands:
     X = plant.forward_path(q) if X_BG is None else X_BG
-    width = np.linspace(0.0, 0.08, len(q))
-    return plan_commands(plant, CollisionModel(plant), t_s, X, q, width, rate_hz=RATE_HZ, tube_limit_m=TUBE_M)
+    n = len(q)
+    track = GripperTrack(
+        t_s=t_s, X_CH=np.full_like(X, np.nan), X_BG=X, tracked=np.ones(n, dtype=bool), confidence=np.ones(n),
+        finger_width_m=np.linspace(0.0, 0.08, n),
+    )  # fmt: skip
+    return plan_commands(plant, CollisionModel(plant), track, q, rate_hz=RATE_HZ, tube_limit_m=TUBE_M)
 
 
 @pytest.mark.parametrize("period_s", [0.2, 0.05, 0.01])

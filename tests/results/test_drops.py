@@ -20,7 +20,10 @@ def _row(id: str, *, lag: int | None = None, tolerance: int = 0, **changes: obje
 
 
 def _found(*rows: SampleRow) -> list[tuple[str, DropReason, tuple[int, int] | None]]:
-    return [(drop.id, drop.reason, drop.frames) for drop in list_drops(rows)]
+    return [
+        (drop.id, drop.reason, None if drop.frame_start is None else (drop.frame_start, drop.frame_end))
+        for drop in list_drops(rows)
+    ]
 
 
 def test_sound_samples_are_not_listed() -> None:

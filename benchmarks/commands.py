@@ -1,0 +1,64 @@
+"""Exported commands of many tracks against the robot's limits, by finite differences of the files."""
+
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks import markdown
+from benchmarks.feasible import TrackSet, smooth_motions
+from benchmarks.motion import Arm
+from benchmarks.record import machine_text
+from kinebench_drake.errors import KinebenchError
+from kinebench_drake.formats.trajectories.reading import TrajectoryOptions
+from kinebench_drake.runs.commands import export_commands
+from kinebench_drake.runs.tools import RobotOptions
+
+_PERIODS_S = {"own speed": 0.05, "3 times as fast": 0.05 / 3.0, "poses": 0.05}
+_FRAMES, _RATE_HZ = 120, 1000.0
+
+
+def export_all(folder: Path, count: int, seed: int) -> list[str]:
+    """Export `count` tracks, a third each as they are, faster and as poses, and return the shares used as a section."""
+    rng, arm = np.random.default_rng(seed), Arm()
+    limits = arm.plant.robot.limits
+    lines, reasons = [], Counter[str]()
+    written: dict[str, list[list[float]]] = {kind: [] for kind in _PERIODS_S}
+    slower: dict[str, list[float]] = {kind: [] for kind in _PERIODS_S}
+    tracks = TrackSet(tracks=count, frames=_FRAMES, period_s=0.05)
+    for k, (motion, t_s) in enumerate(smooth_motions(rng, arm, tracks)):
+        kind = list(_PERIODS_S)[k % len(_PERIODS_S)]
+        q, width, times = motion.q(t_s), motion.width(t_s), _PERIODS_S[kind] * np.arange(_FRAMES)
+        source, out = folder / f"{k}.npz", folder / f"{k}-commands.npz"
+        content = {"base_from_tcp": arm.plant.forward_path(q)} if kind == "poses" else {"q": q}
+        np.savez(source, t_s=times, finger_width_m=width, **content)
+        try:
+            export_commands(source, out, _RATE_HZ, RobotOptions(), TrajectoryOptions())
+        except KinebenchError as error:
+            reasons[str(error).split(";")[-1].split(" of ")[0].strip()] += 1
+            continue
+        with np.load(out) as archive:
+            commands = archive["q"]
+            slower[kind].append(float(archive["slower"]))
+        rest = np.concatenate([np.repeat(commands[:1], 3, axis=0), commands, np.repeat(commands[-1:], 3, axis=0)])
+        middle, half = 0.5 * (limits.upper + limits.lower), 0.5 * (limits.upper - limits.lower)
+        v, a = np.gradient(rest, 1.0 / _RATE_HZ, axis=0), np.diff(rest, 2, axis=0) * _RATE_HZ**2
+        torque = arm.plant.chain.torques(rest[1:-1], v[1:-1], a)
+        used = [
+            np.abs(rest - middle) / half,
+            np.abs(np.diff(rest, axis=0)) * _RATE_HZ / limits.velocity,
+            np.abs(a) / limits.acceleration,
+            np.abs(np.diff(rest, 3, axis=0)) * _RATE_HZ**3 / limits.jerk,
+            np.abs(torque) / limits.torque,
+            np.abs(np.diff(torque, axis=0)) * _RATE_HZ / limits.torque_rate,
+        ]
+        written[kind].append([float(ratio.max()) for ratio in used])
+    head = ("tracks", "exported", "slower", "position", "velocity", "acceleration", "jerk", "torque", "torque rate")
+    for kind, rows in written.items():
+        most = np.max(rows, axis=0) if rows else np.full(6, np.nan)
+        median = f"{np.median(slower[kind]):.2f}" if rows else "-"
+        lines.append([kind, str(len(rows)), median, *(f"{value:.3f}" for value in most)])
+    why = "; ".join(f"{n} x {reason}" for reason, n in reasons.most_common())
+    total = sum(len(rows) for rows in written.values())
+    note = f"{total} of {count} exported; the others: {why or 'none'}. {machine_text()}"
+    return [*markdown.table(head, lines), "", note]
