@@ -15,7 +15,7 @@ from kinebench_drake.geometry import Array
 from kinebench_drake.io.files import absence, cache_folder
 from kinebench_drake.models.joint_limits import LimitTable, read_limit_table, read_limits, write_limits
 from kinebench_drake.models.link_tree import LinkTree, end_link
-from kinebench_drake.models.obstacles import PREFIX, read_scene
+from kinebench_drake.models.obstacles import PREFIX, read_obstacles
 from kinebench_drake.models.panda.fr3 import FR3_LIMITS, REMARK, add_inertial, make_fr3
 from kinebench_drake.models.panda.robot import ARM_JOINTS, FLANGE_LINK, PANDA_LIMITS, TCP_LINK, source_urdf
 from kinebench_drake.models.panda.robot import rest_q as panda_rest_q
@@ -69,7 +69,7 @@ def load_robot(
             None: panda_hand_tcp of a named robot.
         limits: JSON file of limits that replace those of the robot (`LimitTable`).
         payload_kg: mass of a point at the origin of G [kg].
-        obstacles: JSON file of bodies that the arm must not touch (`obstacles.Scene`).
+        obstacles: JSON file of bodies that the arm must not touch (`obstacles.Obstacle`).
         package_path: folder in which packages of package:// URIs are looked up first.
     """
     source, table = _find(robot)
@@ -159,7 +159,7 @@ def _rpy(quaternion: Sequence[float]) -> str:
 def _add_obstacles(root: ElementTree.Element, path: Path) -> None:
     """Add the obstacles of a file as links fixed to the base, each shape for contact and for pictures."""
     base = LinkTree(path.name, root).root
-    for obstacle in read_scene(path).obstacles:
+    for obstacle in read_obstacles(path):
         xyz = " ".join(map(repr, obstacle.position_m))
         link = _add_link(root, PREFIX + obstacle.name, base, xyz, _rpy(obstacle.quaternion_wxyz))
         for role in ("collision", "visual"):

@@ -57,48 +57,46 @@ class Obstacle(BaseModel):
     def geometry(self) -> ElementTree.Element:
         """Return its geometry element."""
         element = ElementTree.Element("geometry")
-        if self.box_m is not None:
-            ElementTree.SubElement(element, "box", size=" ".join(map(repr, self.box_m)))
-        elif self.sphere_m is not None:
-            ElementTree.SubElement(element, "sphere", radius=repr(self.sphere_m))
-        elif self.cylinder_m is not None:
-            radius, length = map(repr, self.cylinder_m)
-            ElementTree.SubElement(element, "cylinder", radius=radius, length=length)
-        else:
+        radius, length = self.cylinder_m or (self.sphere_m, None)
+        if self.mesh is not None:
             ElementTree.SubElement(element, "mesh", filename=f"{SCHEME}{self.mesh}")
+        elif self.box_m is not None:
+            ElementTree.SubElement(element, "box", size=" ".join(map(repr, self.box_m)))
+        elif length is None:
+            ElementTree.SubElement(element, "sphere", radius=repr(radius))
+        else:
+            ElementTree.SubElement(element, "cylinder", radius=repr(radius), length=repr(length))
         return element
 
 
-class Scene(BaseModel):
-    """The JSON of `--obstacles`."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
+class _Scene(BaseModel):
+    model_config = ConfigDict(extra="forbid")
 
     obstacles: tuple[Obstacle, ...]
 
 
-def read_scene(path: Path) -> Scene:
+def read_obstacles(path: Path) -> tuple[Obstacle, ...]:
     """Read a file of obstacles.
 
     Raises:
         UsageError: it cannot be read, is no such file, or two obstacles have the same name.
     """
     try:
-        scene = Scene.model_validate(json.loads(path.read_bytes()))
+        obstacles = _Scene.model_validate(json.loads(path.read_bytes())).obstacles
     except ValidationError as error:
         first = error.errors()[0]
         where = " ".join(map(str, first["loc"])) or "its content"
-        expected = '{"obstacles": [{"name": "shelf", "box_m": [0.4, 0.1, 0.02], "position_m": [0.5, 0, 0.3]}]}'
-        raise UsageError(f"$obstacles {path.name}: {where}: {first['msg']}; expected such as {expected}") from None
+        example = '{"obstacles": [{"name": "shelf", "box_m": [0.4, 0.1, 0.02], "position_m": [0.5, 0, 0.3]}]}'
+        raise UsageError(f"$obstacles {path.name}: {where}: {first['msg']}; expected such as {example}") from None
     except (OSError, ValueError) as error:
         raise UsageError(f"$obstacles {path.name}: cannot be read as JSON ({cause(error)})") from None
-    names = [obstacle.name for obstacle in scene.obstacles]
-    for obstacle in scene.obstacles:
-        if names.count(obstacle.name) > 1:
-            raise UsageError(f"$obstacles {path.name}: two are called {obstacle.name!r}; give each its own name")
-        if obstacle.mesh is not None and not (path.parent / obstacle.mesh).is_file():
-            raise UsageError(f"$obstacles {path.name}: {obstacle.name} has no mesh file {obstacle.mesh} beside it")
-    return scene
+    names = [obstacle.name for obstacle in obstacles]
+    for name, mesh in ((obstacle.name, obstacle.mesh) for obstacle in obstacles):
+        if names.count(name) > 1:
+            raise UsageError(f"$obstacles {path.name}: two are called {name!r}; give each its own name")
+        if mesh is not None and not (path.parent / mesh).is_file():
+            raise UsageError(f"$obstacles {path.name}: {name} has no mesh file {mesh} beside it")
+    return obstacles
 
 
 def is_obstacle(link: str) -> bool:

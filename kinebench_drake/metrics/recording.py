@@ -1,7 +1,6 @@
 """Faults of a recording that have nothing to do with the robot: idle ends, a lag between action and state, copies."""
 
 import hashlib
-from dataclasses import asdict, dataclass
 
 import numpy as np
 
@@ -39,27 +38,12 @@ def idle_ends(track: GripperTrack) -> list[int] | None:
     return [counts[0], 0] if counts[0] == len(frames) else counts
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ActionLag:
-    """Frames by which the states follow the actions."""
-
-    frames: int
-    """Lag of the greatest correlation; negative: the actions come after the motion that they command."""
-    tolerance: int
-    """Lags up to this far from it correlate as well."""
-    correlation: float
-    """Correlation at this lag."""
-
-    def to_json(self) -> dict[str, Json]:
-        """Return the object of the row."""
-        return asdict(self)
-
-
-def find_action_lag(state: Array, action: Array, period_s: float) -> ActionLag | None:
-    """Find the lag between actions (T, n) and the states (T, n) that they command; None if they do not correlate.
+def find_action_lag(state: Array, action: Array, period_s: float) -> dict[str, Json] | None:
+    """Find by how many frames states (T, n) follow the actions (T, n) that command them; None if they do not correlate.
 
     Changes of the state are correlated with changes of the action (targets) and with the action itself (deltas); the
-    better of the two counts.
+    better of the two counts. `frames`: lag of the greatest correlation, negative if actions come after the motion;
+    `tolerance`: lags up to this far from it correlate as well; `correlation`.
     """
     change = np.diff(state, axis=0)
     most = min(max(round(LAG_S / period_s), 2), len(change) // 3)
@@ -71,7 +55,7 @@ def find_action_lag(state: Array, action: Array, period_s: float) -> ActionLag |
     tolerance = int(np.abs(np.flatnonzero(values >= values[best] - _SHARP) - best).max())
     if values[best] < _CORRELATED or tolerance >= most:
         return None
-    return ActionLag(frames=best - most, tolerance=tolerance, correlation=float(values[best]))
+    return {"frames": best - most, "tolerance": tolerance, "correlation": float(values[best])}
 
 
 def _correlations(signal: Array, change: Array, most: int) -> Array:

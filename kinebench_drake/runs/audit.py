@@ -127,6 +127,8 @@ class TrajectoryEvaluator(Evaluator[TrajectorySample, Tools]):
             write_track(path, track, None, {})
         else:
             write_track(path, result.track, result.joints, result.curves)
+        period_s = float(np.median(np.diff(trajectory.t_s)))
+        lag = trajectory.commands and find_action_lag(*trajectory.commands, period_s)
         source = PeriodSource.TIME_STAMPS if self.config.rate_hz is None else PeriodSource.RATE
         doubts: dict[str, Json] = {"base_frame_reason": name_options(doubt)} if doubt else {}
         return Evaluation(
@@ -138,14 +140,14 @@ class TrajectoryEvaluator(Evaluator[TrajectorySample, Tools]):
                 "frames": len(trajectory.t_s),
                 "frames_tracked": int(trajectory.tracked.sum()),
                 "duration_s": float(trajectory.t_s[-1] - trajectory.t_s[0]),
-                "frame_period_s": float(np.median(np.diff(trajectory.t_s))),
+                "frame_period_s": period_s,
                 "frame_period_source": source.value,
                 "judged": "poses" if trajectory.q is None else "joints",
                 "columns": trajectory.columns,
                 "dropped_samples": list(trajectory.dropped),
                 "idle_ends": idle_ends(track if result is None else result.track),
                 "fingerprint": fingerprint(trajectory.X_BG if trajectory.q is None else trajectory.q),
-                **_action_lag(trajectory),
+                **({} if lag is None else {"action_lag": lag}),
                 "warnings": list(map(name_options, (*([doubt] if doubt else ()), *trajectory.warnings))),
             },
         )
@@ -205,14 +207,6 @@ def _pose_track(trajectory: Trajectory) -> GripperTrack:
         confidence=trajectory.tracked.astype(np.float64),
         finger_width_m=trajectory.finger_width_m,
     )
-
-
-def _action_lag(trajectory: Trajectory) -> dict[str, Json]:
-    """Return the lag between actions and states as a key of the row; empty where it is unknown."""
-    if trajectory.commands is None:
-        return {}
-    lag = find_action_lag(*trajectory.commands, float(np.median(np.diff(trajectory.t_s))))
-    return {} if lag is None else {"action_lag": lag.to_json()}
 
 
 def _warnings(rows: Sequence[SampleRow]) -> dict[str, list[str]]:

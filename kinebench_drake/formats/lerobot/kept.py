@@ -90,14 +90,11 @@ def _write_v3(
     path = work / EPISODES.format(**dict.fromkeys(PLACE, 0))
     path.parent.mkdir(parents=True, exist_ok=True)
     pq.write_table(pa.Table.from_pylist(rows, table.schema), path)
-    statistics: list[Statistics] = []
-    for row in rows:
-        own: Statistics = {}
-        for key, value in row.items():
-            if key.startswith("stats/") and value is not None:
-                feature, _, kind = key.removeprefix("stats/").rpartition("/")
-                own.setdefault(feature, {})[kind] = value
-        statistics += [own] if own else []
+    keys = [key.removeprefix("stats/").rpartition("/") for key in table.column_names if key.startswith("stats/")]
+    statistics: list[Statistics] = [{feature: {} for feature, _, _ in keys} for _ in rows if keys]
+    for row, own in zip(rows, statistics, strict=False):
+        for feature, _, kind in keys:
+            own[feature][kind] = row[f"stats/{feature}/{kind}"]
     return lengths, statistics
 
 
