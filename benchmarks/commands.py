@@ -11,6 +11,7 @@ from benchmarks.motion import Arm
 from benchmarks.record import machine_text
 from kinebench_drake.errors import KinebenchError
 from kinebench_drake.formats.trajectories.reading import TrajectoryOptions
+from kinebench_drake.io.npz import write_arrays
 from kinebench_drake.runs.commands import export_commands
 from kinebench_drake.runs.tools import RobotOptions
 
@@ -22,6 +23,9 @@ def export_all(folder: Path, count: int, seed: int) -> list[str]:
     """Export `count` tracks, a third each as they are, faster and as poses, and return the shares used as a section."""
     rng, arm = np.random.default_rng(seed), Arm()
     limits = arm.plant.robot.limits
+    acceleration, jerk, torque_rate = (
+        np.asarray(limit, dtype=np.float64) for limit in (limits.acceleration, limits.jerk, limits.torque_rate)
+    )
     lines, reasons = [], Counter[str]()
     written: dict[str, list[list[float]]] = {kind: [] for kind in _PERIODS_S}
     slower: dict[str, list[float]] = {kind: [] for kind in _PERIODS_S}
@@ -31,7 +35,7 @@ def export_all(folder: Path, count: int, seed: int) -> list[str]:
         q, width, times = motion.q(t_s), motion.width(t_s), _PERIODS_S[kind] * np.arange(_FRAMES)
         source, out = folder / f"{k}.npz", folder / f"{k}-commands.npz"
         content = {"base_from_tcp": arm.plant.forward_path(q)} if kind == "poses" else {"q": q}
-        np.savez(source, t_s=times, finger_width_m=width, **content)
+        write_arrays(source, {"t_s": times, "finger_width_m": width, **content})
         try:
             export_commands(source, out, _RATE_HZ, RobotOptions(), TrajectoryOptions())
         except KinebenchError as error:
@@ -47,10 +51,10 @@ def export_all(folder: Path, count: int, seed: int) -> list[str]:
         used = [
             np.abs(rest - middle) / half,
             np.abs(np.diff(rest, axis=0)) * _RATE_HZ / limits.velocity,
-            np.abs(a) / limits.acceleration,
-            np.abs(np.diff(rest, 3, axis=0)) * _RATE_HZ**3 / limits.jerk,
+            np.abs(a) / acceleration,
+            np.abs(np.diff(rest, 3, axis=0)) * _RATE_HZ**3 / jerk,
             np.abs(torque) / limits.torque,
-            np.abs(np.diff(torque, axis=0)) * _RATE_HZ / limits.torque_rate,
+            np.abs(np.diff(torque, axis=0)) * _RATE_HZ / torque_rate,
         ]
         written[kind].append([float(ratio.max()) for ratio in used])
     head = ("tracks", "exported", "slower", "position", "velocity", "acceleration", "jerk", "torque", "torque rate")

@@ -9,12 +9,8 @@ from benchmarks.options import COUNT, EXISTING_FOLDER, jobs_option, out_option, 
 _seed_option = click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True)
 
 
-def _count_option(default: int) -> object:
-    return click.option("--count", type=COUNT, default=default, show_default=True, metavar="N")
-
-
 @click.command(epilog="\b\nExample:\n  python -m benchmarks drops --jobs 2 --out docs/gate.md")
-@_count_option(210)
+@click.option("--count", type=COUNT, default=210, show_default=True, metavar="N")
 @_seed_option
 @jobs_option
 @work_option
@@ -34,7 +30,7 @@ def drops(count: int, seed: int, jobs: int, work: Path | None, out: Path | None)
 
 
 @click.command(epilog="\b\nExample:\n  python -m benchmarks sweeps --out docs/validation.md")
-@_count_option(1000)
+@click.option("--count", type=COUNT, default=1000, show_default=True, metavar="N")
 @click.option("--samples", type=COUNT, default=50, show_default=True, help="Postures between two frames.", metavar="N")
 @_seed_option
 @out_option
@@ -47,7 +43,7 @@ def sweeps(count: int, samples: int, seed: int, out: Path | None) -> None:
 
 
 @click.command(epilog="\b\nExample:\n  python -m benchmarks commands --out docs/validation.md")
-@_count_option(200)
+@click.option("--count", type=COUNT, default=200, show_default=True, metavar="N")
 @_seed_option
 @work_option
 @out_option

@@ -22,9 +22,9 @@ def audit_recordings(source: Path, work: Path, count: int | None, jobs: int) -> 
     tracks.mkdir()
     files = sorted(source.glob("*.json"))[:count]
     for file in files:
-        rows = np.array([json.loads(line) for line in file.read_text().splitlines()])
-        frames += len(rows)
-        np.savez(tracks / f"{file.stem}.npz", t_s=np.arange(len(rows)) / _RATE_HZ, q=rows)
+        q = np.array([json.loads(line) for line in file.read_text().splitlines()])
+        frames += len(q)
+        np.savez(tracks / f"{file.stem}.npz", t_s=np.arange(len(q)) / _RATE_HZ, q=q)
     run = run_program(["audit", str(tracks), "--out", str(out), "--jobs", str(jobs), "--replays", "0"])
     memory_mb = run.peak.main_mb + sum(run.peak.workers_mb)
     rows = read_rows(out)
