@@ -117,15 +117,13 @@ def list_differences(stated: object, expected: object, verb: str, name: str = ""
 
 def _robot_options(run: RunMetadata) -> RobotOptions:
     """Return the robot and the table of a run."""
-    config = run.config
-    name, payload = str(config.get("robot") or PANDA), as_number(config.get("payload_kg"))
-    options = RobotOptions(
-        robot=name, payload_kg=payload or 0.0, table_height_m=as_number(config.get("table_height_m")) or 0.0
-    )
-    if name not in ROBOTS or options.load().id != config.get("robot_id"):
+    name = str(run.config.get("robot") or PANDA)
+    payload_kg, height_m = (as_number(run.config.get(key)) or 0.0 for key in ("payload_kg", "table_height_m"))
+    options = RobotOptions(robot=name, payload_kg=payload_kg, table_height_m=height_m)
+    if name not in ROBOTS or options.load().id != run.config.get("robot_id"):
         raise UsageError(
-            f"judged with a robot that a bundle does not hold ({name}, limits {config.get('limits')}), expected "
-            f"{' or '.join(ROBOTS)} as this version has it"
+            f"judged with {name} and a tool, limits or obstacles that a bundle does not hold, or by another version; "
+            f"expected {' or '.join(ROBOTS)} as it is here"
         )
     return options
 

@@ -75,6 +75,7 @@ class FakeResult:
     curves: dict[str, np.ndarray] = field(default_factory=dict)
     camera_path: None = None
     anomalies_not_looked_for: tuple[AnomalyKind, ...] = ()
+    possible: tuple[GripperTrack, ...] = ()
 
     @property
     def robot(self):

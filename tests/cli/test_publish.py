@@ -3,6 +3,7 @@
 import hashlib
 import json
 
+import numpy as np
 import pytest
 
 from tests.runs.test_verify import altered, bundle, change_row  # noqa: F401  a fixture
@@ -15,6 +16,7 @@ def test_a_run_is_bundled_and_ranked(film, program, tmp_path):
     assert (code, err) == (0, "")
     assert out == f"{hashlib.sha256((tmp_path / 'wan.zip').read_bytes()).hexdigest()}  {tmp_path / 'wan.zip'}\n"
     row = json.loads((tmp_path / "out" / "samples.jsonl").read_text())
+    assert row["status"] == "ok"
     assert row["input_sha256"] == hashlib.sha256((tmp_path / "videos" / "a.mp4").read_bytes()).hexdigest()
 
     code, out, err = program("leaderboard", tmp_path / "wan.zip", "--out", tmp_path / "board")
@@ -32,6 +34,37 @@ def test_verify_exits_with_1_and_names_the_numbers_that_do_not_hold(bundle, prog
     assert code == 1
     assert "results.json: aggregates.executable.mean is " in out
     assert "t1: feasible is True, its track gives False" in out
+
+
+def test_verify_compares_tracks_with_those_of_the_videos(film, program, tmp_path):
+    for name in ("a", "b", "c"):
+        film(f"videos/{name}.mp4")
+    program("ground", tmp_path / "videos", "--out", tmp_path / "out", "--frame-period", 0.2)
+    program("bundle", tmp_path / "out", "--out", tmp_path / "r.zip")
+    videos = ("--videos", tmp_path / "videos")
+    code, out, _ = program("verify", tmp_path / "r.zip", *videos)
+    assert (code, out.count("\n")) == (0, 1)
+    assert "3 of 3 measurable ones anew from tracks and videos" in out
+
+    film("videos/b.mp4", frames=9)
+    (tmp_path / "videos" / "c.mp4").unlink()
+    code, out, _ = program("verify", tmp_path / "r.zip", *videos)
+    assert code == 1
+    lines = ["b: b.mp4 is another video: its SHA-256 differs", "c: c.mp4 is absent"]
+    assert out.splitlines()[:-1] == lines
+
+    def move(files):
+        path = tmp_path / "moved.npz"
+        path.write_bytes(files["tracks/a.npz"])
+        with np.load(path) as arrays:
+            moved = dict(arrays)
+        moved["camera_from_hand"][:, 0, 3] += 0.011
+        np.savez(path, **moved)
+        files["tracks/a.npz"] = path.read_bytes()
+
+    code, out, _ = program("verify", altered(tmp_path / "r.zip", tmp_path / "moved.zip", move), *videos)
+    assert code == 1
+    assert "a: 8 of 8 frames are not within 10 mm and 5 degrees of its video's" in out
 
 
 @pytest.mark.parametrize(

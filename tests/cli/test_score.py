@@ -149,7 +149,7 @@ def test_outputs_are_byte_equal_between_runs_and_for_any_number_of_jobs(film, co
     score_videos(config(out=tmp_path / "b", overlay=True))
     first = content(tmp_path / "a")
     assert first == content(tmp_path / "b")
-    assert len(first) == 4 * 3 + 3
+    assert len(first) == 4 * 3 + 4
     score_videos(config(out=tmp_path / "c", overlay=True, jobs=2))
     third = content(tmp_path / "c")
     unlike = {name for name in first if first[name] != third[name]}
