@@ -61,7 +61,7 @@ def write_card(
         path, lines = path.with_suffix(".yaml"), []
         for share, value in shares.items():
             task = re.sub(r"\W+", "_", f"{part or run.kind} {share}".lower()).strip("_")
-            most = "" if value.upper is None else f", at most {value.upper:.2%}"
+            most = f", at most {value.upper:.2%}" if (value.upper or 0.0) > (value.mean or 0.0) else ""
             lines += [f"- dataset:\n    id: {json.dumps(dataset)}\n    task_id: {json.dumps(task)}"]  # JSON is YAML
             lines += [f"    revision: {json.dumps(revision)}"] if revision else []
             lines += [f"  value: {100.0 * (value.mean or 0.0):.4g}"]
