@@ -15,7 +15,7 @@ from kinebench_drake.results.trackfile import TrackFile
 _TITLES = {
     "velocity": "Joint speed / limit:",
     "acceleration": "Joint acceleration / limit:",
-    "jerk": "Joint jerk / limit (lower bound):",
+    "jerk": "Joint jerk / limit, at least:",
     "torque": "Joint torque / limit:",
 }
 _MIN_ERROR_M, _MIN_ERROR_RAD = 1e-5, 1e-4
@@ -45,7 +45,7 @@ def _joint_plots(row: SampleRow, file: TrackFile, bands: Bands) -> Iterator[Mark
     if limits.position is not None and np.isfinite(file.q).any():
         lower, upper = limits.position
         place = (2.0 * file.q - lower - upper) / (upper - lower)
-        title = "Joint angle, -1 and 1 at its limits:"
+        title = "Joint angle, limits ±1:"
         yield plot.draw_plot(title, t_s, by_joint(place), bands, limits=(-1.15, 1.15), lines=(-1.0, 1.0))
     for name, ratio in limit_ratios(file, limits).items():
         if np.isfinite(ratio).any():

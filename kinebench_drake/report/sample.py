@@ -2,6 +2,7 @@
 
 import base64
 import os
+import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import islice
@@ -178,7 +179,7 @@ def _list_remarks(row: SampleRow) -> Iterator[tuple[str, str]]:
             yield name.replace("_", " "), text
     for name, reason in row.null_reasons.items():
         if "_floor_" not in name:
-            yield f"no {name.replace('_', ' ')}", reason
+            yield f"no {re.sub('_(m|rad|s|px)$', '', name).replace('_', ' ')}", reason
 
 
 def summarize_checks(row: SampleRow, t_s: Array | None) -> list[tuple[str, str]]:

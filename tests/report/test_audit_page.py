@@ -91,7 +91,7 @@ def test_each_trajectory_shows_curves_against_limits(audit):
     titles = re.findall(r"<figcaption>([^<]*)", fast)
     assert titles == [
         "Faults over frames",
-        "Joint angle, -1 and 1 at its limits:",
+        "Joint angle, limits ±1:",
         "Joint speed / limit:",
         "Manipulability",
         "Clearance [mm]",
