@@ -17,10 +17,10 @@ from kinebench_drake.grounding.registration.arm_model import (
     half_turn,
 )
 from kinebench_drake.grounding.registration.correspondences import Correspondences
-from kinebench_drake.grounding.registration.edges import FLANGE, RIGID, ROBOT, WRIST, EdgeMatcher
+from kinebench_drake.grounding.registration.edges import FIT_POINTS, FLANGE, RIGID, ROBOT, WRIST, EdgeMatcher
 from kinebench_drake.grounding.registration.fit import UNSEEN_FINGER_M
-from kinebench_drake.grounding.registration.image import GradientImage, follow_surface
-from kinebench_drake.grounding.registration.solver import solve
+from kinebench_drake.grounding.registration.image import EdgePoints, GradientImage, follow_surface
+from kinebench_drake.grounding.registration.solver import Solution, solve
 from kinebench_drake.grounding.tracking.view import GripperView
 from kinebench_drake.models.panda.robot import ARM, RobotPart
 from kinebench_drake.models.robot import N_JOINTS
@@ -32,6 +32,7 @@ FOLLOWED_REACHES_PX = (6.0, 4.0, 3.0, 2.0)
 LAST_LINKS = (RobotPart.LINK5, RobotPart.LINK6, RobotPart.LINK7)
 """Links whose contours say whether the flange is right; those before them may be wrong, or hidden."""
 _EDGE_REACHES_PX = (10.0, 6.0, 4.0, 3.0, 2.0)  # farthest image edges in successive passes
+_SAME_CONTOUR_PX = 3.0  # up to which the contour of the pass before still is the visible one
 _CELLS_REACH_PX = 6.0  # from which on the cells count in a pass, too
 _POINTS = 300  # points of the contours, where the posture is nearly right
 _SHARPENING = (4.0, RIGID, _POINTS)  # farthest image edges [px] of such a posture, parts that count, and points
@@ -67,43 +68,83 @@ class ArmEdgeFitter(ArmFitter):
     def refine(
         self, q: Array, view: ArmView, image: GradientImage, followed: Correspondences | None = None
     ) -> ArmFit | None:
-        """Fit the arm to the edges of the image, from a posture; None if that diverges.
+        """Fit the arm of one frame as `refine_all`.
+
+        Points of the surface that led to the posture, `followed`, count in place of the cells, in all passes.
+        """
+        return self.refine_all(q[None], [view], [image], followed)[0]
+
+    def refine_all(
+        self,
+        q: Array,
+        views: Sequence[ArmView],
+        images: Sequence[GradientImage],
+        followed: Correspondences | None = None,
+    ) -> list[ArmFit | None]:
+        """Fit the arms of B frames to the edges of their images, from postures; None where that diverges.
 
         The first pass also counts the cells. The fingers only count in it: grippers have fingers of many forms. Near
         the hand, whose bevels look like outlines, the edge nearest to its segmented rim is taken.
 
-        The posture `q` (7,) [rad] is of this frame or of a neighbouring one. Points of the surface that led to it,
-        `followed`, count in place of the cells, in all passes.
+        The postures `q` (B, 7) [rad] are of these frames or of neighbouring ones.
         """
-        image = self._with_rim(image, view.close)
+        images = [self._with_rim(image, view.close) for image, view in zip(images, views, strict=True)]
+        contours: dict[int, EdgePoints | None] = {}
 
-        def match(arm: ArmHandModel, reach_px: float) -> Correspondences | None:
+        def match(arm: ArmHandModel, numbers: Sequence[int], reach_px: float) -> list[Correspondences | None]:
             with_cells = followed is None and reach_px > _CELLS_REACH_PX
-            edges = self._edges.match(image, self._poses(arm)[0], reach_px, ROBOT if with_cells else RIGID)
-            extra = view.cells if with_cells else followed
-            return edges if edges is None or extra is None else Correspondences.join([extra, edges])
+            matched = []
+            for i, X_CP in zip(numbers, self._poses(arm), strict=True):
+                points, camera = contours.get(i), images[i].camera
+                if points is None or reach_px > _SAME_CONTOUR_PX:
+                    points = self._edges.project(X_CP, camera, ROBOT if with_cells else RIGID, FIT_POINTS)
+                else:
+                    points = points.moved(X_CP, camera)
+                contours[i] = points
+                edges = None if points is None else self._edges.match_points(images[i], points, reach_px)
+                extra = views[i].cells if with_cells else followed
+                matched.append(edges if edges is None or extra is None else Correspondences.join([extra, edges]))
+            return matched
 
+        fits: list[ArmFit | None] = [None] * len(views)
         reaches_px = _EDGE_REACHES_PX if followed is None else FOLLOWED_REACHES_PX
-        start = self._start(q[None], [view.hand.finger_m], [view], self._X_CB)
-        solution = solve_in_passes(start, match, reaches_px, view)
+        start = self._start(q, [view.hand.finger_m for view in views], views, self._bases(len(views)))
+        numbers, solution = solve_in_passes(start, range(len(views)), match, reaches_px, views)
         if solution is None:
-            return None
-        evidence, agreement, hand_agreement = self._edge_evidence(solution.model, image)
-        flipped = None
-        if evidence < 0:
-            flipped = solve_in_passes(half_turn(solution.model), match, _EDGE_REACHES_PX[-2:], view)
-        if flipped is not None and (other := self._edge_evidence(flipped.model, image))[0] > 0:
-            solution, (evidence, agreement, hand_agreement) = flipped, other
-        fitted = self._arm_fits(solution, [view.cells], [view.hand])[0]
-        if fitted is None:
-            return None
-        return replace(
-            fitted,
-            agrees=agreement >= _MIN_AGREEMENT,
-            evidence=evidence,
-            edge_agreement=agreement,
-            hand_agreement=hand_agreement,
-        )
+            return fits
+        evidence = self._edge_evidence(solution.model, [images[i] for i in numbers])
+        for i, fit in zip(numbers, self._with_evidence(solution, evidence, [views[i] for i in numbers]), strict=True):
+            fits[i] = fit
+        contours.clear()
+        doubtful = np.flatnonzero([of_turn < 0 for of_turn, _, _ in evidence])
+        if len(doubtful):
+            turned = half_turn(solution.model.take(doubtful))
+            numbers = [numbers[k] for k in doubtful]
+            numbers, solution = solve_in_passes(turned, numbers, match, _EDGE_REACHES_PX[-2:], views)
+        if len(doubtful) and solution is not None:
+            evidence = self._edge_evidence(solution.model, [images[i] for i in numbers])
+            refits = self._with_evidence(solution, evidence, [views[i] for i in numbers])
+            for i, (of_turn, _, _), fit in zip(numbers, evidence, refits, strict=True):
+                if of_turn > 0:
+                    fits[i] = fit
+        return fits
+
+    def _with_evidence(
+        self, solution: Solution[ArmHandModel], evidence: Sequence[tuple[float, float, float]], views: Sequence[ArmView]
+    ) -> list[ArmFit | None]:
+        """Return the fits of B frames with what the edges say about them (`_edge_evidence`)."""
+        fits = self._arm_fits(solution, [view.cells for view in views], [view.hand for view in views])
+        return [
+            fit
+            and replace(
+                fit,
+                agrees=agreement >= _MIN_AGREEMENT,
+                evidence=of_turn,
+                edge_agreement=agreement,
+                hand_agreement=of_hand,
+            )
+            for fit, (of_turn, agreement, of_hand) in zip(fits, evidence, strict=True)
+        ]
 
     def sharpen_all(
         self, arms: Sequence[ArmFit], views: Sequence[ArmView], images: Sequence[GradientImage]
@@ -207,15 +248,17 @@ class ArmEdgeFitter(ArmFitter):
         """Return the share of the contour of hand and wrist at a posture (7,) that lies on edges of the image."""
         return self._edges.agreement(image, self._X_CB[0] @ self._model.poses(q[None])[0])
 
-    def _edge_evidence(self, arm: ArmHandModel, image: GradientImage) -> tuple[float, float, float]:
-        """Return the log-likelihood ratio of a posture against half a turn of the last joint, from the edges.
+    def _edge_evidence(self, arm: ArmHandModel, images: Sequence[GradientImage]) -> list[tuple[float, float, float]]:
+        """Return the log-likelihood ratio of each posture against half a turn of the last joint, from the edges.
 
         Also how well the edges agree with the contours of the wrist, and of the hand alone.
         """
-        groups = (WRIST, FLANGE, (RobotPart.HAND,))
-        wrist, as_fitted, hand = self._edges.agreements(image, self._poses(arm)[0], groups)
-        flipped = self._edges.agreement(image, self._poses(half_turn(arm))[0], FLANGE)
-        return float(np.clip(_EDGE_NATS * (as_fitted - flipped), -EVIDENCE_CAP, EVIDENCE_CAP)), wrist, hand
+        groups, evidence = (WRIST, FLANGE, (RobotPart.HAND,)), []
+        for image, X_CP, turned in zip(images, self._poses(arm), self._poses(half_turn(arm)), strict=True):
+            wrist, as_fitted, hand = self._edges.agreements(image, X_CP, groups)
+            difference = as_fitted - self._edges.agreement(image, turned, FLANGE)
+            evidence.append((float(np.clip(_EDGE_NATS * difference, -EVIDENCE_CAP, EVIDENCE_CAP)), wrist, hand))
+        return evidence
 
     def _with_rim(self, image: GradientImage, close: GripperView) -> GradientImage:
         """Return the image with the rim of the segmented gripper."""

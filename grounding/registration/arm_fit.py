@@ -165,12 +165,12 @@ class ArmFitter:
         if len(view.links) < MIN_CELLS:
             return None
 
-        def match(arm: ArmHandModel, gate: float) -> Correspondences | None:
+        def match(arm: ArmHandModel, _: Sequence[int], gate: float) -> list[Correspondences | None]:
             rim = silhouette.match(view.close, arm.hand()[0][0], float(arm.finger_m[0]), gate)
-            return None if rim is None else Correspondences.join([view.cells, rim])
+            return [None if rim is None else Correspondences.join([view.cells, rim])]
 
         start = self._start(near.q[None], [near.finger_m], [view], self._X_CB)
-        solution = solve_in_passes(start, match, _NEIGHBOUR_GATES, view)
+        _, solution = solve_in_passes(start, [0], match, _NEIGHBOUR_GATES, [view])
         if solution is None:
             return None
         q = np.concatenate([solution.model.q, half_turn(solution.model).q])
@@ -272,24 +272,33 @@ def depth_priors(views: Sequence[ArmView]) -> tuple[Array, Array]:
     return sigma, np.log([view.hand.depth_factor for view in views])
 
 
+Match = Callable[[ArmHandModel, Sequence[int], float], Sequence[Correspondences | None]]
+"""Correspondences of arms of some frames, by their numbers, within a reach; None for a frame that has too few."""
+
+
 def solve_in_passes(
-    arm: ArmHandModel,
-    match: Callable[[ArmHandModel, float], Correspondences | None],
-    reaches: Sequence[float],
-    view: ArmView,
-) -> Solution[ArmHandModel] | None:
-    """Fit the arm of one frame to what `match` returns of it within each of `reaches`; None if that is None."""
-    solution = None
-    sigma, log_depth_factor = depth_priors([view])
+    arm: ArmHandModel, numbers: Sequence[int], match: Match, reaches: Sequence[float], views: Sequence[ArmView]
+) -> tuple[list[int], Solution[ArmHandModel] | None]:
+    """Fit arms of the frames `numbers` of `views` to what `match` returns of them within each of `reaches`.
+
+    Returns the numbers of the frames that have a fit in every pass, and their fits; None without any.
+    """
+    numbers, solution = list(numbers), None
+    sigma, log_depth_factor = depth_priors([views[i] for i in numbers])
     for reach in reaches:
-        cells = match(arm, reach)
-        if cells is None:
-            return None
-        solution = solve(arm, Correspondences.stack([cells]), sigma, log_depth_factor, iterations=4)
-        if not solution.valid[0]:
-            return None
+        cells = {k: own for k, own in enumerate(match(arm, numbers, reach)) if own is not None}
+        if not cells:
+            return [], None
+        matched = np.array(list(cells))
+        stacked = Correspondences.stack(list(cells.values()))
+        solution = solve(arm.take(matched), stacked, sigma[matched], log_depth_factor[matched], iterations=4)
+        kept = matched[solution.valid]
+        if not len(kept):
+            return [], None
+        solution = solution.take(solution.valid)
+        numbers, sigma = [numbers[k] for k in kept], sigma[kept]
         arm, log_depth_factor = solution.model, solution.log_depth_factor
-    return solution
+    return numbers, solution
 
 
 def _is_consistent(X_CH: Array, hand: HandFit, residual: float) -> bool:

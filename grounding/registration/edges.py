@@ -39,7 +39,8 @@ _MIN_POINTS = 20
 _SEARCH_PX, _ON_CONTOUR_PX = 8.0, 1.0  # where the agreement looks for the strongest edge, and how near it must lie
 MAX_POINTS = 700
 """Points on the contours of an image, where they are compared with those of another camera."""
-_FIT_POINTS = 350  # points on the contours that a posture is fitted to
+FIT_POINTS = 350
+"""Points on the contours that a posture is fitted to."""
 ROBOT = tuple(part for part in RobotPart if part is not RobotPart.BACKGROUND)
 """Hand, fingers and links."""
 RIGID = tuple(part for part in ROBOT if not OPENING_SIGN.get(part))
@@ -188,7 +189,7 @@ class EdgeMatcher:
         tolerance_px: float = _ON_CONTOUR_PX,
     ) -> list[float]:
         """Return the `agreement` of each group of parts; the first holds the parts of all others."""
-        points = self.project(X_CP, image.camera, groups[0], _FIT_POINTS)
+        points = self.project(X_CP, image.camera, groups[0], FIT_POINTS)
         if points is None:
             return [0.0] * len(groups)
         shares = self.edge_shares(image, points, tolerance_px)
@@ -209,12 +210,15 @@ class EdgeMatcher:
         X_CP: Array,
         reach_px: float,
         parts: tuple[RobotPart, ...] = ROBOT,
-        max_points: int = _FIT_POINTS,
+        max_points: int = FIT_POINTS,
     ) -> Correspondences | None:
         """Return correspondences of visible contours of `parts` with edges of the image; None if too few are near."""
         points = self.project(X_CP, image.camera, parts, max_points)
-        if points is None:
-            return None
+        return None if points is None else self.match_points(image, points, reach_px)
+
+    @staticmethod
+    def match_points(image: GradientImage, points: EdgePoints, reach_px: float) -> Correspondences | None:
+        """Return correspondences of contour points with edges of the image; None if too few are near."""
         move, strength = image.find_edges(points, reach_px)
         strong = strength > LEAST_GRADIENT
         if strong.sum() < _MIN_POINTS:

@@ -6,7 +6,7 @@ the posture of the first frame places there are matched with where they have gon
 """
 
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import cv2
@@ -21,7 +21,7 @@ from kinebench_drake.io.frames import Frames
 from kinebench_drake.models.panda.cad import PartCaster
 from kinebench_drake.models.panda.robot import GRIPPER, RobotPart
 
-_KEPT_IMAGES = 2 * BATCH
+_KEPT_PIXELS = 12_000_000  # of images whose gradients are kept: 9 bytes each
 _LARGEST_PX = 640  # images larger than this are reduced
 _SMOOTHING_PX = 0.8
 _STEP_PX = 0.5
@@ -51,6 +51,12 @@ class EdgePoints:
     """(N, 2) their places in the image [px]."""
     normal: Array
     """(N, 2) unit vectors across the edge in the image, away from the surface."""
+
+    def moved(self, X_CP: Array, camera: Camera) -> "EdgePoints":
+        """Return the points after a small motion of the parts to `X_CP` (PARTS, 4, 4) [m], visible as before."""
+        X = X_CP[self.part]
+        p_C = (X[:, :3, :3] @ self.p_P[..., None])[..., 0] + X[:, :3, 3]
+        return replace(self, p_C=p_C, pixel=camera.project(p_C))
 
 
 class GradientImage:
@@ -135,7 +141,7 @@ class GradientImages:
         """Return the image of a frame."""
         image = self._kept.pop(number, None) or GradientImage(self._frames[number], self._camera)
         self._kept[number] = image
-        if len(self._kept) > _KEPT_IMAGES:
+        if len(self._kept) > max(BATCH, _KEPT_PIXELS // image.gray.size):
             del self._kept[next(iter(self._kept))]
         return image
 

@@ -1,6 +1,6 @@
 """Refinement of poses along a video: refits from neighbouring frames, and fits to the edges of the images."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
 
@@ -131,7 +131,7 @@ class EdgeRefinement:
         agreement = float(np.median(agreements))
         if agreement >= _CONFIRMATION:
             return True
-        fits = [(fit, arms[i]) for i in arms if (fit := self._refine(i, arms[i])) is not None]
+        fits = [(fit, arms[i]) for i, fit in self._refined(arms).items() if fit is not None]
         if 2 * len(fits) < len(arms):
             return False
         distance = float(np.median([pose_difference(fit.X_CH, arm.X_CH)[0] for fit, arm in fits]))
@@ -225,10 +225,8 @@ class EdgeRefinement:
     def fit(self, numbers: Iterable[int]) -> None:
         """Fit frames to the edges, from their own postures, then from those of the frames before and after."""
         ordered = sorted(i for i in numbers if i in self.poses and not self.poses[i].from_prior)
-        for i in ordered:
-            arm = self.poses[i].arm
-            if arm is not None:
-                self._keep_better(i, self._refine(i, arm))
+        for i, fit in self._refined({i: arm for i in ordered if (arm := self.poses[i].arm) is not None}).items():
+            self._keep_better(i, fit)
         for step in (1, -1):
             agreements = [_agreement(pose) for pose in self.poses.values()]
             enough = _BEST_SHARE * float(np.quantile(agreements, _BEST_QUANTILE)) if agreements else 0.0
@@ -236,7 +234,7 @@ class EdgeRefinement:
                 near = self.poses.get(i - step)
                 own = _agreement(self.poses[i])
                 if near is not None and near.arm is not None and own < min(enough, _agreement(near)):
-                    self._keep_better(i, self._refine(i, near.arm))
+                    self._keep_better(i, self._refined({i: near.arm})[i])
 
     def _search(self) -> None:
         """Search the distance of the gripper in some of the frames that the edges do not confirm, then fit all others.
@@ -254,8 +252,15 @@ class EdgeRefinement:
         """Poses that the edges confirm, by frame number."""
         return {i: pose for i, pose in self.poses.items() if _agreement(pose) > 0.0}
 
-    def _refine(self, number: int, start: ArmFit) -> ArmFit | None:
-        return self._fitter.at([number]).refine(start.q, self._view(number), self._images[number])
+    def _refined(self, starts: Mapping[int, ArmFit]) -> dict[int, ArmFit | None]:
+        """Return the fits of frames to their edges, from postures by frame number."""
+        numbers, fits = list(starts), dict[int, ArmFit | None]()
+        for first in range(0, len(numbers), BATCH):
+            batch = numbers[first : first + BATCH]
+            shown = [self._view(i) for i in batch], [self._images[i] for i in batch]
+            of_batch = self._fitter.at(batch).refine_all(np.stack([starts[i].q for i in batch]), *shown)
+            fits |= dict(zip(batch, of_batch, strict=True))
+        return fits
 
     def _view(self, number: int) -> ArmView:
         return ArmView.of(self.poses[number].hand, self.poses[number].view, self._wide[number])

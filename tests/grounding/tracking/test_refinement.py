@@ -66,6 +66,9 @@ class Fitter:
         arm = arm_fit(RIGHT, 0.7) if right else arm_fit(q[0], 0.2, agrees=False)
         return replace(arm, X_CH=make_pose(np.eye(3), [self.moved_m, 0.0, 0.0]))
 
+    def refine_all(self, q: Array, *views: object) -> list[ArmFit | None]:
+        return [self.refine(own) for own in q]
+
     def poses(self, arm: ArmFit) -> Array:
         return np.full((1, 4, 4), arm.q[0])
 
