@@ -31,7 +31,7 @@ FOLLOWED_REACHES_PX = (6.0, 4.0, 3.0, 2.0)
 """Farthest image edges in successive passes from a posture that followed the surface [px]."""
 LAST_LINKS = (RobotPart.LINK5, RobotPart.LINK6, RobotPart.LINK7)
 """Links whose contours say whether the flange is right; those before them may be wrong, or hidden."""
-_EDGE_REACHES_PX = (10.0, 6.0, 3.0, 2.0)  # farthest image edges in successive passes
+_EDGE_REACHES_PX = (10.0, 5.0, 2.0)  # farthest image edges in successive passes
 _SAME_CONTOUR_PX = 3.0  # up to which the contour of the pass before still is the visible one
 _CELLS_REACH_PX = 6.0  # from which on the cells count in a pass, too
 _POINTS = 300  # points of the contours, where the posture is nearly right
