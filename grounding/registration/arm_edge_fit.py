@@ -39,8 +39,6 @@ _SHARPENING = (4.0, RIGID, _POINTS)  # farthest image edges [px] of such a postu
 _SHARPENING_M = 0.02  # largest change of such a pose
 _SHARPENING_GROWTH_PX = 1.0  # largest increase of the distance of the links, likewise: edges beside the right ones
 _RIM_SIGMA_CELLS, _RIM_SIGMA_PX = 0.7, 0.7  # of the segmented rim of the hand
-_DISTANCE_FACTORS = np.exp(np.arange(-0.24, 0.25, 0.03))  # distances of a search over that of the hand
-_SEARCHED = 6  # distances at which a search looks at the edges
 _EDGE_NATS = 25.0  # log-likelihood ratio per difference of edge agreement of hand and flange
 _MIN_AGREEMENT = 0.4  # of a posture that the edges confirm
 
@@ -179,24 +177,6 @@ class ArmEdgeFitter(ArmFitter):
             ):
                 sharpened[b] = replace(fitted, scale=arms[b].scale, evidence=arms[b].evidence)
         return sharpened
-
-    def search(self, view: ArmView, image: GradientImage) -> ArmFit | None:
-        """Fit the arm to edges from the distance of the hand at which links and edges agree best with its direction.
-
-        The distance of the hand in `view` is wrong.
-        """
-        candidates = []
-        for factor in _DISTANCE_FACTORS:
-            X_CH = view.hand.X_CH.copy()
-            X_CH[:3, 3] *= factor
-            initial = find_posture(self._model, X_CH, view.links, self._X_CB[0])
-            if initial is not None:
-                candidates.append((initial[1], initial[0]))
-        likeliest = sorted(candidates, key=lambda candidate: candidate[0])[:_SEARCHED]
-        if not likeliest:
-            return None
-        q = max((q for _, q in likeliest), key=lambda q: self.edge_agreement(q, image))
-        return self.refine(q, view, image)
 
     def follow(self, near: ArmFit, X_CP: Array, before: GradientImage, after: GradientImage) -> FollowedArm | None:
         """Return where the surface of the arm `near` went since a neighbouring frame; None if it cannot be followed.

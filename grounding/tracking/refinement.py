@@ -23,7 +23,6 @@ from kinebench_drake.track import Domain
 _SOURCE_OVERLAP, _GOOD_OVERLAP = 0.6, 0.8  # overlap from which a pose is propagated, and from which it is not replaced
 _OVERLAP_GAIN = 0.03  # least improvement of the overlap by a propagated pose, where the arm agreed before
 _MIN_COVERAGE = 0.6  # least share of a refined gripper that shows the robot: edge-on, a hand may be taken for a link
-_SEARCHED_FRAMES = 8  # frames of a video in which the gripper's distance is searched
 _AGREEING_SHARE = 0.5  # least share of poses whose hand and arm agree, of a familiar video
 _SAMPLES = 7  # frames in which the edges are compared with the network's poses
 _CONFIRMATION = 0.6  # median agreement from which on the edges confirm the network's poses without a fit
@@ -147,8 +146,6 @@ class EdgeRefinement:
     def run(self) -> None:
         """Replace the poses: all of an unfamiliar video, else the doubtful ones."""
         self.fit([i for i, pose in self.poses.items() if _is_doubtful(pose) or not self.is_familiar])
-        if not self.is_familiar:
-            self._search()
         self._follow()
         if self.is_familiar:
             self._sharpen()
@@ -228,24 +225,13 @@ class EdgeRefinement:
         for i, fit in self._refined({i: arm for i in ordered if (arm := self.poses[i].arm) is not None}).items():
             self._keep_better(i, fit)
         for step in (1, -1):
-            agreements = [_agreement(pose) for pose in self.poses.values()]
+            agreements = [_agreement(pose) for pose in self.confirmed.values()]
             enough = _BEST_SHARE * float(np.quantile(agreements, _BEST_QUANTILE)) if agreements else 0.0
             for i in ordered[::step]:
                 near = self.poses.get(i - step)
                 own = _agreement(self.poses[i])
                 if near is not None and near.arm is not None and own < min(enough, _agreement(near)):
                     self._keep_better(i, self._refined({i: near.arm})[i])
-
-    def _search(self) -> None:
-        """Search the distance of the gripper in some of the frames that the edges do not confirm, then fit all others.
-
-        Frames whose silhouette matches come first: their direction is right.
-        """
-        rest = {i: pose for i, pose in self.poses.items() if i not in self.confirmed and not pose.from_prior}
-        for i in sorted(rest, key=lambda i: -rest[i].overlap)[:_SEARCHED_FRAMES]:
-            self._keep_better(i, self._fitter.at([i]).search(self._view(i), self._images[i]))
-        if any(i in self.confirmed for i in rest):
-            self.fit(i for i in rest if i not in self.confirmed)
 
     @property
     def confirmed(self) -> dict[int, FramePose]:

@@ -47,7 +47,7 @@ class Fitter:
         self, reach: float = 0.5, network_agreement: float = 0.2, *, moved_m: float = 0.03, follows: bool = False
     ) -> None:
         self.reach, self.network_agreement, self.moved_m, self.follows = reach, network_agreement, moved_m, follows
-        self.refined = self.searched = 0
+        self.refined = 0
         self.sharpened: list[float] = []
 
     def at(self, numbers: object) -> "Fitter":
@@ -75,10 +75,6 @@ class Fitter:
     def follow(self, near: ArmFit, X_CP: Array, *images: object) -> FollowedArm | None:
         assert X_CP[0, 0, 0] == near.q[0]
         return FollowedArm(q=near.q, X_CH=hand_pose(1), points=NO_POINTS) if self.follows else None
-
-    def search(self, *views: object) -> ArmFit | None:
-        self.searched += 1
-        return None if self.follows else arm_fit(RIGHT, 0.6)
 
 
 class Silhouette:
@@ -123,14 +119,6 @@ def test_a_correct_posture_spreads_to_all_frames_of_an_unfamiliar_video(poses: d
     assert all(pose.arm is not None and pose.arm.q[0] == RIGHT for pose in unfamiliar.poses.values())
 
 
-def test_the_distance_is_searched_if_no_posture_leads_to_a_confirmed_one(poses: dict[int, FramePose]) -> None:
-    fitter = Fitter(reach=0.05)
-    unfamiliar = refinement(poses, fitter)
-    unfamiliar.run()
-    assert fitter.searched > 0
-    assert set(unfamiliar.confirmed) == set(range(FRAMES))
-
-
 @pytest.mark.parametrize("hidden", [[8], [7, 8, 9, 10]])
 def test_the_arm_is_followed_from_a_confirmed_frame_past_a_short_gap_only(
     poses: dict[int, FramePose], hidden: list[int]
@@ -170,7 +158,6 @@ def test_only_doubtful_frames_of_a_familiar_video_are_fitted_to_edges_alone(pose
     familiar = refinement(poses, fitter)
     familiar.run()
     assert familiar.is_familiar
-    assert fitter.searched == 0
     for i, pose in familiar.poses.items():
         assert pose.arm is not None
         expected = RIGHT if i in (3, 7) else poses[i].arm.q[0] + SHARPENED  # type: ignore[union-attr]
