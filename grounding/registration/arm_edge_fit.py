@@ -1,13 +1,13 @@
 """Fit of the arm to the edges of images, from a posture that is nearly right or from one of a neighbouring frame."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array, pose_difference
-from kinebench_drake.grounding.registration.arm_fit import ArmFit, ArmFitter, ArmView, depth_priors, solve_in_passes
+from kinebench_drake.grounding.registration.arm_fit import ArmFit, ArmFitter, ArmView, depth_priors
 from kinebench_drake.grounding.registration.arm_model import (
     EVIDENCE_CAP,
     POSTURE_SIGMA_RAD,
@@ -107,7 +107,7 @@ class ArmEdgeFitter(ArmFitter):
         fits: list[ArmFit | None] = [None] * len(views)
         reaches_px = _EDGE_REACHES_PX if followed is None else FOLLOWED_REACHES_PX
         start = self._start(q, [view.hand.finger_m for view in views], views, self._bases(len(views)))
-        numbers, solution = solve_in_passes(start, range(len(views)), match, reaches_px, views)
+        numbers, solution = _solve_in_passes(start, range(len(views)), match, reaches_px, views)
         if solution is None:
             return fits
         evidence = self._edge_evidence(solution.model, [images[i] for i in numbers])
@@ -118,7 +118,7 @@ class ArmEdgeFitter(ArmFitter):
         if len(doubtful):
             turned = half_turn(solution.model.take(doubtful))
             numbers = [numbers[k] for k in doubtful]
-            numbers, solution = solve_in_passes(turned, numbers, match, _EDGE_REACHES_PX[-2:], views)
+            numbers, solution = _solve_in_passes(turned, numbers, match, _EDGE_REACHES_PX[-2:], views)
         if len(doubtful) and solution is not None:
             evidence = self._edge_evidence(solution.model, [images[i] for i in numbers])
             refits = self._with_evidence(solution, evidence, [views[i] for i in numbers])
@@ -255,3 +255,32 @@ class ArmEdgeFitter(ArmFitter):
             finger_m=np.full(len(q), UNSEEN_FINGER_M),
             finger_free=np.zeros(len(q), dtype=bool),
         )
+
+
+_Match = Callable[[ArmHandModel, Sequence[int], float], Sequence[Correspondences | None]]
+"""Correspondences of arms of some frames, by their numbers, within a reach; None for a frame that has too few."""
+
+
+def _solve_in_passes(
+    arm: ArmHandModel, numbers: Sequence[int], match: _Match, reaches: Sequence[float], views: Sequence[ArmView]
+) -> tuple[list[int], Solution[ArmHandModel] | None]:
+    """Fit arms of the frames `numbers` of `views` to what `match` returns of them within each of `reaches`.
+
+    Returns the numbers of the frames that have a fit in every pass, and their fits; None without any.
+    """
+    numbers, solution = list(numbers), None
+    sigma, log_depth_factor = depth_priors([views[i] for i in numbers])
+    for reach in reaches:
+        cells = {k: own for k, own in enumerate(match(arm, numbers, reach)) if own is not None}
+        if not cells:
+            return [], None
+        matched = np.array(list(cells))
+        stacked = Correspondences.stack(list(cells.values()))
+        solution = solve(arm.take(matched), stacked, sigma[matched], log_depth_factor[matched], iterations=4)
+        kept = matched[solution.valid]
+        if not len(kept):
+            return [], None
+        solution = solution.take(solution.valid)
+        numbers, sigma = [numbers[k] for k in kept], sigma[kept]
+        arm, log_depth_factor = solution.model, solution.log_depth_factor
+    return numbers, solution

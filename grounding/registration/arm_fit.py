@@ -5,7 +5,7 @@ the hand alone determines poorly. The initial posture comes from closed-form inv
 over the angles of the last joint; then all joints are fitted to the cells of links and gripper together.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from typing import Self
@@ -16,14 +16,10 @@ from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array, invert, make_pose, pose_difference
 from kinebench_drake.grounding.registration.arm_model import (
     INDEPENDENT,
-    MIN_CELLS,
     ArmHandModel,
     ArmModel,
     find_posture,
     flip_evidence,
-    half_turn,
-    posture_costs,
-    subsample,
 )
 from kinebench_drake.grounding.registration.correspondences import Correspondences
 from kinebench_drake.grounding.registration.fit import (
@@ -33,7 +29,6 @@ from kinebench_drake.grounding.registration.fit import (
     gripper_cells,
     masked_median,
 )
-from kinebench_drake.grounding.registration.silhouette import SilhouetteMatcher
 from kinebench_drake.grounding.registration.solver import CellRows, Solution, solve
 from kinebench_drake.grounding.tracking.view import GripperView
 from kinebench_drake.models.panda.cad import open_fingers
@@ -44,7 +39,6 @@ _MAX_CONSISTENCY_PX = 6.0  # of an image 384 px wide
 _MAX_ACROSS_M, _MAX_ALONG_M, _MAX_ANGLE_RAD = 0.025, 0.08, np.deg2rad(20.0)  # from the pose of the hand alone
 _NO_RANGE_SIGMA = 1e3  # relative standard deviation of an ignored range
 _LINKS_ONLY_WEIGHT = 0.03  # weight of the hand's cells where the links alone determine its distance
-_NEIGHBOUR_GATES = (8.0, 5.0, 3.0)  # farthest silhouette pairs in successive passes [cells]
 _MAX_GROWTH, _MAX_GROWTH_SIGMAS = 1.4, 0.3  # largest increase of the hand's residual by the arm
 
 
@@ -157,27 +151,6 @@ class ArmFitter:
                 fits[b] = replace(arm, agrees=agrees, scale=float(scale[row]), evidence=evidence)
         return fits
 
-    def fit_from_neighbour(self, near: ArmFit, view: ArmView, silhouette: SilhouetteMatcher) -> ArmFit | None:
-        """Fit the arm from its posture `near` in a neighbouring frame, where the hand's CAD coordinates are wrong.
-
-        The wrong coordinates are outliers of that fit, and the silhouette determines the pose of the hand.
-        """
-        if len(view.links) < MIN_CELLS:
-            return None
-
-        def match(arm: ArmHandModel, _: Sequence[int], gate: float) -> list[Correspondences | None]:
-            rim = silhouette.match(view.close, arm.hand()[0][0], float(arm.finger_m[0]), gate)
-            return [None if rim is None else Correspondences.join([view.cells, rim])]
-
-        start = self._start(near.q[None], [near.finger_m], [view], self._X_CB)
-        _, solution = solve_in_passes(start, [0], match, _NEIGHBOUR_GATES, [view])
-        if solution is None:
-            return None
-        q = np.concatenate([solution.model.q, half_turn(solution.model).q])
-        evidence = flip_evidence(*posture_costs(self._model, q, subsample(view.links), self._X_CB[0]))
-        fitted = self._arm_fits(solution, [view.links], [view.hand])[0]
-        return None if fitted is None else replace(fitted, evidence=evidence)
-
     def _bases(self, count: int) -> Array:
         """Return the poses (count, 4, 4) of the base in the camera frames of `count` frames [m]."""
         return np.broadcast_to(self._X_CB, (count, 4, 4))
@@ -270,35 +243,6 @@ def depth_priors(views: Sequence[ArmView]) -> tuple[Array, Array]:
     """Return the relative standard deviations (B,) of the depth factors, and their logarithms (B,) by the hands."""
     sigma = np.array([view.close.depth_factor_sigma for view in views])
     return sigma, np.log([view.hand.depth_factor for view in views])
-
-
-Match = Callable[[ArmHandModel, Sequence[int], float], Sequence[Correspondences | None]]
-"""Correspondences of arms of some frames, by their numbers, within a reach; None for a frame that has too few."""
-
-
-def solve_in_passes(
-    arm: ArmHandModel, numbers: Sequence[int], match: Match, reaches: Sequence[float], views: Sequence[ArmView]
-) -> tuple[list[int], Solution[ArmHandModel] | None]:
-    """Fit arms of the frames `numbers` of `views` to what `match` returns of them within each of `reaches`.
-
-    Returns the numbers of the frames that have a fit in every pass, and their fits; None without any.
-    """
-    numbers, solution = list(numbers), None
-    sigma, log_depth_factor = depth_priors([views[i] for i in numbers])
-    for reach in reaches:
-        cells = {k: own for k, own in enumerate(match(arm, numbers, reach)) if own is not None}
-        if not cells:
-            return [], None
-        matched = np.array(list(cells))
-        stacked = Correspondences.stack(list(cells.values()))
-        solution = solve(arm.take(matched), stacked, sigma[matched], log_depth_factor[matched], iterations=4)
-        kept = matched[solution.valid]
-        if not len(kept):
-            return [], None
-        solution = solution.take(solution.valid)
-        numbers, sigma = [numbers[k] for k in kept], sigma[kept]
-        arm, log_depth_factor = solution.model, solution.log_depth_factor
-    return numbers, solution
 
 
 def _is_consistent(X_CH: Array, hand: HandFit, residual: float) -> bool:

@@ -16,8 +16,7 @@ from kinebench_drake.grounding.registration.correspondences import Correspondenc
 from kinebench_drake.grounding.tracking.view import GripperView
 from kinebench_drake.models.panda.cad import GripperCad
 
-GATE_CELLS = 4.0
-"""Farthest pairs of rendered and segmented rim, for a pose near the true one [cells]."""
+_GATE_CELLS = 4.0  # distance of the farthest pairs of rendered and segmented rim
 _SIGMA_CELLS = 0.5  # standard deviation of the rim of a mask
 _INDEPENDENT = 80.0  # independent measurements that a silhouette counts as at most
 _MIN_COSINE = 0.3  # between the normals of rendered and segmented rim
@@ -37,18 +36,8 @@ class SilhouetteMatcher:
         union = (rendered & ~view.arm) | segmented
         return float((rendered & segmented).sum() / max(1, union.sum()))
 
-    def coverage(self, view: GripperView, X_CH: Array, finger_m: float) -> float:
-        """Return the share of the rendered gripper that is segmented as any part of the robot."""
-        rendered = (self._render(view, X_CH, finger_m)[1] > 0) & view.in_image
-        return float((rendered & (view.part > 0)).sum() / max(1, rendered.sum()))
-
-    def match(
-        self, view: GripperView, X_CH: Array, finger_m: float, gate: float = GATE_CELLS
-    ) -> Correspondences | None:
-        """Return correspondences of the rim for a hand near `X_CH` (4, 4); None if too little of it is visible.
-
-        Pairs of rendered and segmented rim are within `gate` [cells].
-        """
+    def match(self, view: GripperView, X_CH: Array, finger_m: float) -> Correspondences | None:
+        """Return correspondences of the rim for a hand near `X_CH` (4, 4); None if too little of it is visible."""
         X_VH = invert(view.crop.X_CV) @ X_CH
         shape = view.part.shape
         depth, part = self._render(view, X_CH, finger_m)
@@ -61,7 +50,7 @@ class SilhouetteMatcher:
         rim = rendered & (distance > -1.0) & ~_dilated(view.arm) & ~_dilated(~view.in_image) & inner
         step = target - distance
         agree = (normal_rendered * normal_segmented).sum(axis=-1) > _MIN_COSINE
-        rim &= agree & (np.abs(step) <= gate)
+        rim &= agree & (np.abs(step) <= _GATE_CELLS)
         v, u = np.nonzero(rim)
         if len(v) < _MIN_POINTS:
             return None

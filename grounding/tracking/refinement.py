@@ -20,9 +20,7 @@ from kinebench_drake.grounding.tracking.view import GripperView
 from kinebench_drake.io.frames import Frames
 from kinebench_drake.track import Domain
 
-_SOURCE_OVERLAP, _GOOD_OVERLAP = 0.6, 0.8  # overlap from which a pose is propagated, and from which it is not replaced
-_OVERLAP_GAIN = 0.03  # least improvement of the overlap by a propagated pose, where the arm agreed before
-_MIN_COVERAGE = 0.6  # least share of a refined gripper that shows the robot: edge-on, a hand may be taken for a link
+_GOOD_OVERLAP = 0.8  # from which on a pose whose arm agrees is not doubtful
 _AGREEING_SHARE = 0.5  # least share of poses whose hand and arm agree, of a familiar video
 _SAMPLES = 7  # frames in which the edges are compared with the network's poses
 _CONFIRMATION = 0.6  # median agreement from which on the edges confirm the network's poses without a fit
@@ -31,35 +29,6 @@ _FAR_M, _GAIN = 0.02, 0.18  # above which the change, or the gain of agreement b
 _MISSED_SHARE = 0.1  # greatest share of frames of a familiar video that are only reached by following the arm
 _FOLLOWED_FRAMES = 3  # frames without a sure pose across which the surface is followed at once
 _BEST_QUANTILE, _BEST_SHARE = 0.75, 0.9  # frames that agree nearly as well as the best ones are not tried again
-
-
-def propagate(
-    poses: dict[int, FramePose], wide: dict[int, GripperView], arm_fitter: ArmEdgeFitter, silhouette: SilhouetteMatcher
-) -> None:
-    """Refit doubtful poses from the frame before, then from the one after; keep a refit that matches better.
-
-    Seen edge-on, a gripper's CAD coordinates can all be wrong by the same 30 mm and 25 degrees and still be consistent
-    with each other; only silhouette and arm contradict them. Started from the posture of a neighbouring frame, the fit
-    of silhouette and arm converges to the right pose. Poses and views of whole images, `wide`, are by frame number.
-    """
-    for step in (1, -1):
-        for i in sorted(poses)[::step]:
-            near = poses.get(i - step)
-            if near is not None and _is_doubtful(poses[i]) and near.arm_agrees and near.overlap >= _SOURCE_OVERLAP:
-                poses[i] = _refit_from(poses[i], near, wide[i], arm_fitter.at([i]), silhouette)
-
-
-def _refit_from(
-    pose: FramePose, near: FramePose, wide: GripperView, arm_fitter: ArmEdgeFitter, silhouette: SilhouetteMatcher
-) -> FramePose:
-    arm = near.arm and arm_fitter.fit_from_neighbour(near.arm, ArmView.of(pose.hand, pose.view, wide), silhouette)
-    if arm is None or not arm.agrees:
-        return pose
-    overlap = silhouette.overlap(pose.view, arm.X_CH, finger_or_default(arm.finger_m))
-    gain = _OVERLAP_GAIN if pose.arm_agrees else -_OVERLAP_GAIN  # a hand that its arm confirms may match a little less
-    if overlap < max(_SOURCE_OVERLAP, pose.overlap + gain):
-        return pose
-    return pose.with_arm(arm, overlap)
 
 
 def _is_doubtful(pose: FramePose) -> bool:
@@ -256,6 +225,5 @@ class EdgeRefinement:
         pose = self.poses[number]
         if arm is None or not arm.agrees or arm.edge_agreement <= _agreement(pose):
             return
-        hand = pose.view, arm.X_CH, finger_or_default(arm.finger_m)
-        if self._silhouette.coverage(*hand) >= _MIN_COVERAGE:
-            self.poses[number] = pose.with_arm(arm, self._silhouette.overlap(*hand))
+        overlap = self._silhouette.overlap(pose.view, arm.X_CH, finger_or_default(arm.finger_m))
+        self.poses[number] = pose.with_arm(arm, overlap)

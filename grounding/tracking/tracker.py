@@ -34,7 +34,7 @@ from kinebench_drake.grounding.tracking.confidence import Confidence, frame_conf
 from kinebench_drake.grounding.tracking.crop import CLOSE_MARGIN, CLOSE_SIZE, GRIPPER_CENTRE_H, Crop
 from kinebench_drake.grounding.tracking.localization import find_region, likeliest_gripper
 from kinebench_drake.grounding.tracking.pose import FramePose
-from kinebench_drake.grounding.tracking.refinement import EdgeRefinement, propagate
+from kinebench_drake.grounding.tracking.refinement import EdgeRefinement
 from kinebench_drake.grounding.tracking.view import DenseEstimator, GripperView, OverrideEstimator
 from kinebench_drake.io.frames import Frames
 from kinebench_drake.models.panda.cad import GripperCad, open_fingers
@@ -148,7 +148,6 @@ class CadTracker:
         if priors.has_exact_depth:
             poses = self._register_all(start)
         else:
-            propagate(start, wide, arm, self._silhouette)
             refinement = refine(may_be_familiar=not priors.camera_is_fitted)
             poses, domain = self._register_all(refinement.poses), refinement.domain
             expected = self._expected(poses, domain)

@@ -26,11 +26,10 @@ from kinebench_drake.grounding.registration.correspondences import Correspondenc
 from kinebench_drake.grounding.registration.edges import EdgeMatcher
 from kinebench_drake.grounding.registration.fit import HandFit, fit
 from kinebench_drake.grounding.registration.image import GradientImage
-from kinebench_drake.grounding.registration.silhouette import SilhouetteMatcher
 from kinebench_drake.grounding.tracking.crop import CLOSE_SIZE, Crop
 from kinebench_drake.grounding.tracking.flange_tracker import FlangeTracker
 from kinebench_drake.grounding.tracking.view import GripperView
-from kinebench_drake.models.panda.cad import GripperCad, PartCaster, link_meshes, open_fingers, part_meshes
+from kinebench_drake.models.panda.cad import PartCaster, link_meshes, open_fingers, part_meshes
 from kinebench_drake.models.panda.robot import ARM, OPENING_SIGN, GripperKind, RobotPart
 from kinebench_drake.models.robotiq.cad import robotiq_mesh
 
@@ -195,31 +194,6 @@ def test_a_view_without_links_has_no_arm_fit(scene: tuple[Array, GripperView, Gr
         replace(v, part=np.where(v.part >= RobotPart.LINK0, 0, v.part).astype(np.uint8)) for v in (close, wide)
     )
     assert fit_arm(ArmEdgeFitter(CAMERA, model, EdgeMatcher()), hand, close, wide) is None
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_a_wrongly_rotated_hand_is_recovered_from_the_neighbouring_frame(model: ArmModel, seed: int) -> None:
-    """Seen from its narrow side, all CAD coordinates rotated by 30 degrees, unlike silhouette and arm."""
-    X_CH, close, wide = views(model, posture(seed) + np.pi / 2 * np.eye(7)[6], seed)
-    silhouette = SilhouetteMatcher(GripperCad())
-    hand = fit(close)
-    assert hand is not None
-    fitter = ArmEdgeFitter(CAMERA, model, EdgeMatcher())
-    right = fit_arm(fitter, hand, close, wide)
-    assert right is not None
-    turned = close.coordinates_P @ make_pose(rotation_exp([0.0, 0.0, np.deg2rad(30.0)]), np.zeros(3))[:3, :3].T
-    misread = replace(close, coordinates_P=np.where(close.gripper[..., None], turned, close.coordinates_P))
-    wrong = fit(misread)
-    assert wrong is not None
-    assert np.rad2deg(pose_difference(wrong.X_CH, X_CH)[1]) > 15.0
-    before = replace(right, q=right.q + np.deg2rad([1.0, -1.0, 1.0, 1.5, -1.0, 1.0, 4.0]))
-    arm = fitter.fit_from_neighbour(before, ArmView.of(wrong, misread, wide), silhouette)
-    assert arm is not None
-    assert arm.agrees
-    distance, angle = pose_difference(arm.X_CH, X_CH)
-    assert distance < 0.01
-    assert np.rad2deg(angle) < 8.0
-    assert np.isnan(arm.scale)
 
 
 def link_cells(*views: GripperView) -> Correspondences:

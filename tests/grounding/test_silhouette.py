@@ -52,7 +52,7 @@ def hand_model(X: Array) -> HandModel:
 
 
 @pytest.mark.parametrize(
-    ("turn", "shift"), [([0.0, 0.0, 0.12], [0.006, 0.0, 0.0]), ([0.1, 0.0, 0.1], [0.0, 0.012, -0.012])]
+    ("turn", "shift"), [([0.0, 0.0, 0.12], [0.006, 0.0, 0.0]), ([0.06, 0.0, 0.06], [0.0, 0.007, -0.007])]
 )
 def test_the_silhouette_alone_recovers_the_pose_across_the_line_of_sight(
     silhouette: SilhouetteMatcher, turn: list[float], shift: list[float]
@@ -62,7 +62,7 @@ def test_the_silhouette_alone_recovers_the_pose_across_the_line_of_sight(
     X = moved(turn, shift)
     before = silhouette.overlap(view, X, FINGER_M)
     for _ in range(4):
-        rim = silhouette.match(view, X, FINGER_M, 8.0)
+        rim = silhouette.match(view, X, FINGER_M)
         assert rim is not None
         solution = solve(hand_model(X), Correspondences.stack([rim]), np.array([view.depth_factor_sigma]))
         assert solution.valid.all()
