@@ -36,6 +36,11 @@ class SilhouetteMatcher:
         union = (rendered & ~view.arm) | segmented
         return float((rendered & segmented).sum() / max(1, union.sum()))
 
+    def coverage(self, view: GripperView, X_CH: Array, finger_m: float) -> float:
+        """Return the share of the rendered gripper that is segmented as any part of the robot."""
+        rendered = (self._render(view, X_CH, finger_m)[1] > 0) & view.in_image
+        return float((rendered & (view.part > 0)).sum() / max(1, rendered.sum()))
+
     def match(self, view: GripperView, X_CH: Array, finger_m: float) -> Correspondences | None:
         """Return correspondences of the rim for a hand near `X_CH` (4, 4); None if too little of it is visible."""
         X_VH = invert(view.crop.X_CV) @ X_CH

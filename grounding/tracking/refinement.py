@@ -21,6 +21,7 @@ from kinebench_drake.io.frames import Frames
 from kinebench_drake.track import Domain
 
 _GOOD_OVERLAP = 0.8  # from which on a pose whose arm agrees is not doubtful
+_MIN_COVERAGE = 0.6  # least share of a gripper fitted to edges that shows the robot, else absent ones are tracked
 _AGREEING_SHARE = 0.5  # least share of poses whose hand and arm agree, of a familiar video
 _SAMPLES = 7  # frames in which the edges are compared with the network's poses
 _CONFIRMATION = 0.6  # median agreement from which on the edges confirm the network's poses without a fit
@@ -225,5 +226,6 @@ class EdgeRefinement:
         pose = self.poses[number]
         if arm is None or not arm.agrees or arm.edge_agreement <= _agreement(pose):
             return
-        overlap = self._silhouette.overlap(pose.view, arm.X_CH, finger_or_default(arm.finger_m))
-        self.poses[number] = pose.with_arm(arm, overlap)
+        hand = pose.view, arm.X_CH, finger_or_default(arm.finger_m)
+        if self._silhouette.coverage(*hand) >= _MIN_COVERAGE:
+            self.poses[number] = pose.with_arm(arm, self._silhouette.overlap(*hand))

@@ -80,6 +80,12 @@ class Fitter:
 class Silhouette:
     """Stands for `SilhouetteMatcher`."""
 
+    def __init__(self, coverage: float = 1.0) -> None:
+        self.covered = coverage
+
+    def coverage(self, *hand: object) -> float:
+        return self.covered
+
     def overlap(self, *hand: object) -> float:
         return 0.9
 
@@ -87,13 +93,14 @@ class Silhouette:
 def refinement(
     poses: dict[int, FramePose],
     fitter: Fitter,
+    coverage: float = 1.0,
     measure: Callable[[dict[int, Crop]], dict[int, FramePose]] = lambda crops: {},
     *,
     may_be_familiar: bool = True,
 ) -> EdgeRefinement:
     frames = np.zeros((FRAMES, 64, 64, 3), np.uint8)
     wide = {i: pose.view for i, pose in poses.items()}
-    views = poses, wide, frames, CAMERA, fitter, Silhouette(), measure
+    views = poses, wide, frames, CAMERA, fitter, Silhouette(coverage), measure
     return EdgeRefinement(*views, may_be_familiar=may_be_familiar)  # type: ignore[arg-type]
 
 
@@ -168,6 +175,12 @@ def test_poses_from_priors_are_not_refined(poses: dict[int, FramePose]) -> None:
     unfamiliar = refinement(priors, Fitter(reach=2.0))
     unfamiliar.run()
     assert all(unfamiliar.poses[i] is priors[i] for i in priors)
+
+
+def test_an_edge_fit_outside_the_segmented_robot_is_dropped(poses: dict[int, FramePose]) -> None:
+    unfamiliar = refinement(poses, Fitter(reach=2.0), coverage=0.3)
+    unfamiliar.run()
+    assert all(unfamiliar.poses[i].X_CH is poses[i].X_CH and not unfamiliar.poses[i].arm_agrees for i in poses)
 
 
 @pytest.mark.parametrize(
