@@ -128,10 +128,10 @@ class CandidateFitter:
         self, fit: Candidate, images: ContourImages, prior: Prior, passes: Passes
     ) -> tuple[ArmScene, Observations | None]:
         """Fit a candidate to the edges of images of its own frames, in passes; return scene and contours."""
-        scene, edges, contours = fit.scene, None, None
+        scene, edges = fit.scene, None
         q, q_sigma = (None, _PASS_SIGMA_RAD) if prior.joint_sigma_rad is None else (fit.scene.q, None)
         for reach_px, weight in passes:
-            edges, contours = images.observe(scene, reach_px, contours)
+            edges = images.observe(scene, reach_px)
             if edges is None:
                 break
             observations = edges

@@ -13,16 +13,7 @@ from numpy.typing import NDArray
 from kinebench_drake.geometry import Array
 from kinebench_drake.grounding.camera.bundle import ArmScene, Observations
 from kinebench_drake.grounding.registration.arm_model import ArmModel
-from kinebench_drake.grounding.registration.edges import (
-    FIT_POINTS,
-    LEAST_GRADIENT,
-    MAX_POINTS,
-    RIGID,
-    ROBOT,
-    SAME_CONTOUR_PX,
-    SIGMA_PX,
-    EdgeMatcher,
-)
+from kinebench_drake.grounding.registration.edges import LEAST_GRADIENT, RIGID, ROBOT, SIGMA_PX, EdgeMatcher
 from kinebench_drake.grounding.registration.image import EdgePoints, GradientImage
 from kinebench_drake.models.panda.cad import open_fingers
 from kinebench_drake.models.panda.robot import OPENING_SIGN, RobotPart
@@ -74,39 +65,23 @@ class ContourImages:
         return replace(self, left_out=parts)
 
     def _project(
-        self,
-        scene: ArmScene,
-        parts: Sequence[RobotPart],
-        count: int = MAX_POINTS,
-        before: Sequence[EdgePoints | None] | None = None,
+        self, scene: ArmScene, parts: Sequence[RobotPart]
     ) -> Iterator[tuple[GradientImage, EdgePoints | None]]:
-        """Yield each image with the visible contour points of some parts, in its pixels; None without any.
-
-        They are `count` at most, or those of a scene `before` that differs little.
-        """
+        """Yield each image with the visible contour points of some parts, in its pixels; None without any."""
         used = tuple(part for part in parts if part not in self.left_out)
         X_CP = open_fingers(scene.lens.X_CB @ self.model.poses(scene.q), scene.finger_m)
-        for t, (image, own) in enumerate(zip(self.images, X_CP, strict=True)):
+        for image, own in zip(self.images, X_CP, strict=True):
             camera = scene.lens.camera.resized(image.camera.width, image.camera.height)
-            if before is None:
-                yield image, self.matcher.project(own, camera, used, count)
-            else:
-                points = before[t]
-                yield image, None if points is None else points.moved(own, camera)
+            yield image, self.matcher.project(own, camera, used)
 
-    def observe(
-        self, scene: ArmScene, reach_px: float, before: Sequence[EdgePoints | None] | None = None
-    ) -> tuple[Observations | None, list[EdgePoints | None]]:
-        """Return the visible contour points of a scene with the image edges nearby, and the points of each image.
+    def observe(self, scene: ArmScene, reach_px: float) -> Observations | None:
+        """Return the visible contour points of a scene with the image edges nearby; None if there are too few.
 
-        Edges are up to `reach_px` away in an image of at most 640 px; None if there are too few. The points are those
-        of a scene `before` if their reach is small.
+        Edges are up to `reach_px` away in an image of at most 640 px.
         """
-        observed, contours = [], []
+        observed = []
         parts = ROBOT if reach_px > _WITH_FINGERS_PX else RIGID
-        before = before if reach_px <= SAME_CONTOUR_PX else None
-        for t, (image, points) in enumerate(self._project(scene, parts, before=before)):
-            contours.append(points)
+        for t, (image, points) in enumerate(self._project(scene, parts)):
             if points is None:
                 continue
             move, strength = image.find_edges(points, reach_px)
@@ -129,7 +104,7 @@ class ContourImages:
                     weight=np.full(n, min(1.0, _INDEPENDENT / n)),
                 )
             )
-        return Observations.join(observed) if observed else None, contours
+        return Observations.join(observed) if observed else None
 
     def agreement(self, scene: ArmScene) -> Array:
         """Return the share (T,) of the contours of hand and arm that lies on image edges, frame by frame.
@@ -150,7 +125,7 @@ class ContourImages:
     def base_share(self, scene: ArmScene) -> float:
         """Return the share of the visible contours of the base link that lies on image edges; 0 if too few are seen."""
         on_edges, points_visible = 0.0, 0
-        for image, points in self._project(scene, (RobotPart.LINK0,), FIT_POINTS):
+        for image, points in self._project(scene, (RobotPart.LINK0,)):
             if points is not None and len(points.part) >= _MIN_POINTS:
                 on_edges += float(self.matcher.edge_shares(image, points).sum())
                 points_visible += len(points.part)

@@ -22,7 +22,6 @@ from kinebench_drake.grounding.registration.edges import (
     FLANGE,
     RIGID,
     ROBOT,
-    SAME_CONTOUR_PX,
     WRIST,
     EdgeMatcher,
 )
@@ -40,6 +39,7 @@ FOLLOWED_REACHES_PX = (6.0, 4.0, 3.0, 2.0)
 LAST_LINKS = (RobotPart.LINK5, RobotPart.LINK6, RobotPart.LINK7)
 """Links whose contours say whether the flange is right; those before them may be wrong, or hidden."""
 _EDGE_REACHES_PX = (10.0, 5.0, 2.0)  # farthest image edges in successive passes
+_SAME_CONTOUR_PX = 3.0  # up to which the contour of the pass before still is the visible one
 _CELLS_REACH_PX = 6.0  # from which on the cells count in a pass, too
 _POINTS = 300  # points of the contours, where the posture is nearly right
 _SHARPENING = (4.0, RIGID, _POINTS)  # farthest image edges [px] of such a posture, parts that count, and points
@@ -101,7 +101,7 @@ class ArmEdgeFitter(ArmFitter):
             matched = []
             for i, X_CP in zip(numbers, self._poses(arm), strict=True):
                 points, camera = contours.get(i), images[i].camera
-                if points is None or reach_px > SAME_CONTOUR_PX:
+                if points is None or reach_px > _SAME_CONTOUR_PX:
                     points = self._edges.project(X_CP, camera, ROBOT if with_cells else RIGID, FIT_POINTS)
                 else:
                     points = points.moved(X_CP, camera)

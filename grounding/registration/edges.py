@@ -41,8 +41,6 @@ MAX_POINTS = 700
 """Points on the contours of an image, where they are compared with those of another camera."""
 FIT_POINTS = 350
 """Points on the contours that a posture is fitted to."""
-SAME_CONTOUR_PX = 3.0
-"""Reach of the search for edges up to which the visible contour is that of the pass before."""
 ROBOT = tuple(part for part in RobotPart if part is not RobotPart.BACKGROUND)
 """Hand, fingers and links."""
 RIGID = tuple(part for part in ROBOT if not OPENING_SIGN.get(part))
