@@ -25,7 +25,7 @@ def tools() -> Tools:
 
 def follow(q: Array, tools: Tools) -> GripperTrack:
     """Track that a video of joint angles shows."""
-    X_BG = tools._plant.forward_path(q)
+    X_BG = tools.plant.forward_path(q)
     confidence = np.linspace(0.9, 1.0, FRAMES)
     return GripperTrack(
         t_s=0.2 * np.arange(FRAMES), X_CH=X_BG, X_BG=X_BG, tracked=np.ones(FRAMES, dtype=bool), confidence=confidence,

@@ -13,10 +13,11 @@ import pytest
 from PIL import Image
 
 from kinebench_drake import cli
-from kinebench_drake.closed_loop.loop import LoopOptions
+from kinebench_drake.closed_loop import loop
 from kinebench_drake.formats.videos.find import find_samples
 from kinebench_drake.io.container import write_video
 from kinebench_drake.io.reader import read_video
+from kinebench_drake.runs import episodes
 from kinebench_drake.suites.catalog import VERSION
 from kinebench_drake.suites.composition import Pool, compose
 from kinebench_drake.suites.families.registry import find_expert
@@ -24,6 +25,12 @@ from kinebench_drake.suites.rollout import render_video, run_expert
 from kinebench_drake.suites.simulator import Simulator, Snapshot
 
 pytestmark = [pytest.mark.sapien, pytest.mark.slow]
+
+
+def shorten_clips(patch: pytest.MonkeyPatch) -> None:
+    """Let clips have 13 frames: pictures take long without a GPU."""
+    for module in (loop, episodes):
+        patch.setattr(module, "FRAMES", 13)
 
 
 def run(out: Path, *options: str) -> tuple[int, str]:
@@ -85,7 +92,7 @@ def test_two_rounds_from_a_video_folder_equal_two_rounds_of_a_live_model(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Each command ends with the first frames of the next round; the last row differs in the model's identity only."""
-    monkeypatch.setitem(LoopOptions.__init__.__kwdefaults__, "num_frames", 13)  # pictures take long without a GPU
+    shorten_clips(monkeypatch)
     live, offline, videos = tmp_path / "live", tmp_path / "offline", tmp_path / "videos"
     videos.mkdir()
     (tmp_path / "prompts.json").write_text('{"*": "{prompt} Slowly."}')
@@ -115,7 +122,7 @@ def test_two_rounds_from_a_video_folder_equal_two_rounds_of_a_live_model(
             assert "next round of 1 episode: generate the videos of" in said
             assert run(offline, "--world-model", f"folder:{videos}?name=random", *options)[0] == 0
     assert not (offline / "ask").exists()
-    assert {key for key in row if row[key] != now[key]} == {"content_hash"}
+    assert {key for key in row if row[key] != now[key]} == {"content_hash", "input_sha256"}
     for folder in ("tracks", "thumbnails", "rollouts"):
         for path in (live / folder).iterdir():
             assert (offline / folder / path.name).read_bytes() == path.read_bytes(), path.name
@@ -134,7 +141,7 @@ def still(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (videos / "PullCube-v1_s0000_r1.mp4").touch()
     (videos / "other_r1.mp4").touch()
     with pytest.MonkeyPatch.context() as patch:
-        patch.setitem(LoopOptions.__init__.__kwdefaults__, "num_frames", 13)
+        shorten_clips(patch)
         assert run(out, "--world-model", "still", "--rounds", "1", "--no-rollouts", "--overwrite")[0] == 0
     return out
 

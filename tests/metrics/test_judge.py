@@ -18,7 +18,7 @@ from kinebench_drake.runs.evaluator import KINEMATIC_METRICS
 from kinebench_drake.track import GripperTrack, IkStatus
 
 KINDS = [
-    *("unreachable", "joint_limit", "self_collision", "table_collision"),
+    *("unreachable", "joint_limit", "self_collision", "table_collision", "obstacle_collision"),
     *("velocity", "acceleration", "jerk", "torque", "discontinuity"),
 ]
 

@@ -121,7 +121,7 @@ def test_a_frame_rate_that_is_no_whole_number_is_refused(out: Path) -> None:
 def test_joints_follow_the_track_from_the_posture_in_which_arms_are_filmed() -> None:
     tools = Tools(RobotOptions())
     q = np.linspace([0.0, 0.39, 0.0, -1.96, 0.0, 2.36, 0.79], [0.3, 0.5, 0.1, -1.8, 0.1, 2.3, 0.9], FRAMES)
-    X_BG = tools._plant.forward_path(q)
+    X_BG = tools.plant.forward_path(q)
     tracked = np.arange(FRAMES) != LOST
     X_BG[LOST] = np.nan
     track = GripperTrack(
