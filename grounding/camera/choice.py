@@ -177,8 +177,10 @@ class CameraChooser:
             measured = _with_offset(measured, estimate)
             doubt = estimate.ambiguity
             if doubt is not None and len(estimate.rivals) <= _MOST_RIVALS:
-                rivals = (self._ground_rival(choice, rival, estimate) for rival in estimate.rivals)
-                possible = (measured.track, *(track for track in rivals if track is not None))
+                rivals = [self._ground_rival(choice, rival, estimate) for rival in estimate.rivals]
+                # One that is not confirmed may still be the right one, not fitted well: then nothing is agreed on.
+                tracks = tuple(track for track in rivals if track is not None)
+                possible = (measured.track, *tracks) if len(tracks) == len(rivals) else ()
         source = CameraSource.ESTIMATED if doubt is None else CameraSource.NONE
         reason = None if doubt is None else f"the base frame is unknown: no camera is named, {against}, and {doubt}"
         choice = replace(choice, source=source, agreement=agreement, reading=reading, reason=reason)

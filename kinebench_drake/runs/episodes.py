@@ -276,7 +276,7 @@ class EpisodeEvaluator(Evaluator[EpisodeSample, EpisodeResources]):
         return {
             "weights": weights_hash(),
             "world_model": self.world_model.identity,
-            "loop": [self.loop.to_json(), FRAMES, 0],
+            "loop": [self.loop.to_json(), FRAMES],
             "episode": [spec.task, spec.seed, spec.pool.value, spec.variant.value],
         }
 

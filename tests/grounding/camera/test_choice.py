@@ -306,14 +306,14 @@ def test_an_estimated_camera_gives_a_base_frame_only_if_it_agrees_and_is_determi
         assert choice.to_json()["camera_source"] == choice.state.value == "none"
 
 
-@pytest.mark.parametrize(("agreement", "tracks"), [(0.7, 3), (AGREEMENT - 0.01, 1)])
-def test_a_clip_with_several_possible_cameras_has_a_track_with_each_that_its_arm_confirms(agreement, tracks):
+@pytest.mark.parametrize(("agreement", "tracks"), [(0.7, 3), (AGREEMENT - 0.01, 0)])
+def test_a_clip_with_several_possible_cameras_has_a_track_with_each_if_its_arm_confirms_all(agreement, tracks):
     best = estimate(turns=(rival(0.49), rival(0.3)), others=(rival(0.6), rival(0.2)))
     assert len(best.rivals) == 2
     grounded = ground(Evidence(agreements=[0.7, agreement], estimate=best), WIDE)
     assert np.isnan(grounded.track.X_BG).all()
     assert [np.isfinite(track.X_BG).all() for track in grounded.possible] == [True] * tracks
-    assert {track.offset_m for track in grounded.possible} == {0.02}
+    assert {track.offset_m for track in grounded.possible} <= {0.02}
     many = estimate(turns=tuple(rival(0.49) for _ in range(4)))
     assert len(ground(Evidence(estimate=many), WIDE).possible) == 0
 
