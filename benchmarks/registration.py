@@ -168,12 +168,10 @@ def section(results: Mapping[str, Sequence[RegistrationErrors]], seed: int = 0) 
     rows = [[name, *_cells(errors, np.random.default_rng(seed))] for name, errors in results.items()]
     return markdown.section(
         "What ICP contributes",
-        f"Written by `python -m benchmarks icp heldout --keep icp.jsonl --limit {videos} --out docs/grounding.md`, "
-        f"{videos} held-out videos: errors of single frames before smoothing. The depth is the network's, the true one "
-        "with a share of the network's error or with a smooth error, or "
-        "exact; the rule is the same. Weight, fitness, distance of the matched cells from the surface, and errors are "
-        "medians; the last column is the mean difference in the same frames, with its 95 % bootstrap interval over "
-        "videos.",
+        f"Written by `python -m benchmarks icp heldout --keep icp.jsonl --limit {videos} --out docs/grounding.md`: "
+        f"single frames of {videos} held-out videos, before smoothing. The depth is the network's, the true one with "
+        "errors, or exact. All columns but the last are medians. The last is the mean difference in the same frames, "
+        "with its 95 % bootstrap interval over videos.",
         markdown.table(head, rows),
     )
 
