@@ -27,8 +27,8 @@ WIDTH = 140
 """Length of the lines of the page."""
 _INTRODUCTION = (
     "Poses of panda_hand from pixels and a known camera, compared with references: median / 95th percentile of the",
-    "tracked frames. A pose is good within 10 mm and 5 degrees; `confidence` is the probability of that, and its mean",
-    "is what was claimed.",
+    "tracked frames. A pose is good within 10 mm and 5 degrees. `confidence` is the probability of that, and its mean",
+    "is the claim. In brackets: 95 % bootstrap intervals over videos.",
 )
 _COMMANDS = (
     f"    kinebench-drake {' '.join(HELDOUT)} --out heldout",
@@ -100,9 +100,9 @@ def _other_text(others: Sequence[Mapping[str, Any]]) -> str:
         if "labels" in other:
             f = other["labels"]["all"]
             sentences += [
-                f"Labelled by eye ({f['frames']} frames of clips of others, most of their cameras guessed):",
-                f"{percent(f['tracked'])} are tracked; the projected hand is off by",
-                f"{percent(f['error_median'])} of its length (95 %: {percent(f['error_p95'])}),",
+                f"{f['frames']} frames of clips of others were labelled by eye, most with guessed cameras:",
+                f"{percent(f['tracked'])} are tracked. The projected hand is off by",
+                f"{percent(f['error_median'])} of its length (95 %: {percent(f['error_p95'])}), and",
                 f"by more than a fifth of it in {percent(f['silent'])}.",
             ]
         a = other["anomalies"]
@@ -116,9 +116,8 @@ def _heldout_text(s: Mapping[str, Any]) -> str:
     return " ".join(
         [
             f"On renderings of this project {percent(s['tracked_frames_off_by_3_cm'])} of the tracked frames are off",
-            "by more than 3 cm, and `confidence` differs from the share of good poses by",
-            f"{s['calibration_error']:.3f} (mean over bins of confidence). In brackets: 95 % bootstrap intervals over",
-            "videos. The gap between the finger pads is known in",
+            "by more than 3 cm. `confidence` differs from the share of good poses by",
+            f"{s['calibration_error']:.3f} (mean over bins of confidence). The gap between the finger pads is known in",
             f"{percent(s['finger_width_known'])} of the frames, with a median error of",
             f"{s['finger_width_median_mm']:.1f} mm (95 %: {s['finger_width_p95_mm']:.1f} mm).",
             f"False anomalies: {s['anomalies_not_planted']:.0f} in {s['videos']:.0f} videos. The commands:",

@@ -1,7 +1,7 @@
 """Results of benchmarks as files: figures, machine and revision; comparison with the results before; their pages."""
 
 import hashlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
 from functools import cache
 from pathlib import Path
@@ -17,15 +17,14 @@ from kinebench_drake.results.provenance import host
 ROOT = Path(__file__).parents[1]
 RESULTS = Path("benchmarks/results")
 """Folder of the result files."""
-_README, _SPEED, _CLUSTER = (Path(name) for name in ("README.md", "docs/benchmarks.md", "docs/cluster.md"))
 PAGES = {
-    **dict.fromkeys(("accuracy", "robustness"), (_README,)),
-    **dict.fromkeys(("ik", "audit", "simulation", "rounds"), (_SPEED,)),
-    "throughput": (_SPEED, _README),
-    **dict.fromkeys(("gpu", "streaming", "scale"), (_SPEED,)),
-    "cluster": (_CLUSTER,),
+    **dict.fromkeys(("accuracy", "robustness"), Path("docs/results.md")),
+    **dict.fromkeys(
+        ("ik", "audit", "simulation", "rounds", "throughput", "gpu", "streaming", "scale"), Path("docs/benchmarks.md")
+    ),
+    "cluster": Path("docs/cluster.md"),
 }
-"""Page of each section of each benchmark, in the order in which they are measured."""
+"""Page of each benchmark, in the order in which they are measured."""
 SLOWER = 1.1
 """Ratio to the result before from which a figure is listed as worse."""
 _FOLDERS = ("kinebench_drake", "grounding", "models", "suites", "benchmarks")
@@ -46,8 +45,8 @@ class BenchmarkRecord:
     """Command: `python -m benchmarks NAME`."""
     figures: Mapping[str, float]
     """Costs by name with unit: of all of them less is better."""
-    sections: Sequence[str]
-    """Sections, one for each page of `PAGES`."""
+    section: str
+    """Section of its page (`PAGES`)."""
     machine: Mapping[str, Any]
     revision: str
     """Commit that was checked out."""
@@ -55,12 +54,12 @@ class BenchmarkRecord:
     """Hash of all sources, committed or not."""
 
     @classmethod
-    def of(cls, name: str, figures: Mapping[str, float], *sections: str) -> "BenchmarkRecord":
+    def of(cls, name: str, figures: Mapping[str, float], section: str) -> "BenchmarkRecord":
         """Return the record of a result just measured here."""
         return cls(
             name=name,
             figures=figures,
-            sections=list(sections),
+            section=section,
             machine=host(),
             revision=current_revision(ROOT),
             sources_sha256=sources_hash(),
@@ -103,16 +102,16 @@ def compare_records(before: BenchmarkRecord, now: BenchmarkRecord) -> Iterator[s
 
 
 def write_pages(folder: Path = RESULTS) -> Iterator[str]:
-    """Write the sections of each record into their pages; yields a line for each benchmark."""
-    for name, pages in PAGES.items():
+    """Write the section of each record, with its revision, into its page; yields a line for each benchmark."""
+    for name, page in PAGES.items():
         record = BenchmarkRecord.read(name, folder)
         if record is None:
             yield f"{name}: no result"
             continue
-        for page, section in zip(pages, record.sections, strict=True):
-            write_atomically(page, replace_section(page.read_text(), section).encode())
+        section = f"{record.section}\n\nRevision {record.revision}."
+        write_atomically(page, replace_section(page.read_text(), section).encode())
         state = "these sources" if record.sources_sha256 == sources_hash() else "other sources"
-        yield f"{name}: {', '.join(map(str, pages))}, measured at {record.revision} with {state}"
+        yield f"{name}: {page}, measured at {record.revision} with {state}"
 
 
 @cache

@@ -44,9 +44,8 @@ _INTRODUCTION = (
     "Errors of panda_hand in the camera frame on the same held-out videos, median / 95th percentile over frames: of "
     "the grounding those it tracks, of the network all. Medians have 95 % bootstrap intervals "
     "over videos. Tracked: of the frames in which at least 30 % of the gripper is visible. The programs that perturb "
-    "these frames are not used in training, but training images of both networks are degraded in similar ways: "
-    "contrast, blur, noise, ghosts, JPEG; those of the grounding by occluders, too. The network: "
-    "[docs/grounding.md](docs/grounding.md#learned-baseline), trained on {training}. "
+    "these frames are not used in training, but training images of both networks are degraded in similar ways. "
+    "The network is the [learned baseline](grounding.md#learned-baseline), trained on {training}. "
     "All strengths: [{figure}]({figure})."
 )
 
@@ -94,10 +93,10 @@ def section(outcome: StudyOutcome, tasks: Sequence[str], training: str) -> str:
     videos = outcome.results[CLEAN.name]
     head = ["frames", "videos"]
     for extractor, *_ in _STYLES:
-        head += [f"{extractor}: tracked", "position", "rotation", "off by more than 3 cm"]
+        head += [f"{extractor}: tracked", *(f"{quantity} [{unit}]" for quantity, unit, _ in _PANELS), "off by 3 cm"]
     return markdown.section(
         "Perturbed frames, and inverse dynamics",
-        wrap(_INTRODUCTION.format(training=training, figure=FIGURE), width=WIDTH),
+        wrap(_INTRODUCTION.format(training=training, figure=FIGURE.name), width=WIDTH),
         markdown.table(head, _rows(outcome, tasks)),
         "The commands:",
         [
@@ -131,7 +130,7 @@ def _row(name: str, videos: int, columns: Sequence[Mapping[str, IntervalEstimate
         cells.append(f"{figures['tracked_when_seen'].value:.1%}")
         for quantity, unit, _ in _PANELS:
             median, p95 = (figures[f"{quantity}_{which}_{unit}"] for which in ("median", "p95"))
-            cells.append(f"{median.value:.1f} [{median.low:.1f}, {median.high:.1f}] / {p95.value:.1f} {unit}")
+            cells.append(f"{median.value:.1f} [{median.low:.1f}, {median.high:.1f}] / {p95.value:.1f}")
         cells.append(f"{figures['tracked_frames_off_by_3_cm'].value:.1%}")
     return cells
 

@@ -39,10 +39,10 @@ heldout_option = click.option(
 )
 
 
-def _record(name: str, results: Path, figures: Mapping[str, float], *sections: str) -> None:
-    """Print the sections, write the result, and print what became worse since the result before."""
-    click.echo("\n\n".join(sections))
-    before, now = BenchmarkRecord.read(name, results), BenchmarkRecord.of(name, figures, *sections)
+def _record(name: str, results: Path, figures: Mapping[str, float], section: str) -> None:
+    """Print the section, write the result, and print what became worse since the result before."""
+    click.echo(section)
+    before, now = BenchmarkRecord.read(name, results), BenchmarkRecord.of(name, figures, section)
     log(now.write(results))
     for line in compare_records(before, now) if before else ():
         log(line)
@@ -105,11 +105,11 @@ def audit(results: Path, tracks: int, audits: int) -> None:
 @click.option("--turns", type=COUNT, default=3, show_default=True, help="Runs of each setting.")
 def throughput(results: Path, work: Path | None, video: Path, count: int, tracks: int, turns: int) -> None:
     """Measure runs of score and audit with one and two processes, without a GPU."""
-    from benchmarks.throughput import figures, measure, section, summary
+    from benchmarks.throughput import figures, measure, section
 
     with work_folder(work) as folder:
         costs = measure(video, folder, videos=count, tracks=tracks, turns=turns, log=log)
-    _record("throughput", results, figures(costs), section(costs, videos=count, tracks=tracks), summary(costs))
+    _record("throughput", results, figures(costs), section(costs, videos=count, tracks=tracks))
 
 
 @click.command(epilog="\b\nExample:\n  python -m benchmarks gpu")

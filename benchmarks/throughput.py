@@ -148,33 +148,13 @@ def section(costs: RunCosts, *, videos: int, tracks: int) -> str:
     )
     return markdown.section(
         "Whole runs",
-        f"Written by `python -m benchmarks throughput` on {machine_text()}; wall times of the program, median "
-        f"(minimum to maximum) of {turns} turns. `score`: {videos} "
-        f"copies of a rendered video of 384x384; `audit`: {tracks} trajectories of about {BENCHMARK_FRAMES} "
-        "frames. Start-up and the additional time of the first sample are paid once a process: interpreter, "
-        "libraries and robot; then networks and meshes. A sample: time from one finished sample to the next, once "
-        "every process has finished one. Times one process: samples an hour relative to one process in the same "
-        "turn; one process of `score` uses more than one core, as the networks process frames while earlier ones "
-        "are fitted. Memory: peak resident memory, libraries included, of the main process and of each worker.",
+        f"`python -m benchmarks throughput` on {machine_text()}: wall times, median (minimum to maximum) of {turns} "
+        f"turns. `score`: {videos} copies of a video of 384x384. `audit`: {tracks} trajectories of about "
+        f"{BENCHMARK_FRAMES} frames. Start-up and the additional time of the first sample are paid once a process. "
+        "Times one process: samples an hour relative to one process in the same turn. One process of `score` uses "
+        "more than one core: the networks process frames while earlier ones are fitted. Memory: peak resident memory "
+        "of the main process and of each worker.",
         markdown.table(head, _rows(costs)),
-    )
-
-
-def summary(costs: RunCosts) -> str:
-    """Return the section of the README."""
-
-    def seconds(job: Job) -> str:
-        one, two = (np.median([run.sample_s for run in costs[Setting(job=job, processes=n)]]) for n in PROCESSES)
-        return f"{two:.2f} s with two processes and {one:.2f} s with one"
-
-    runs = [run for setting, of in costs.items() for run in of if setting.job is Job.SCORE]
-    memory_gb = max(mb for run in runs for mb in (run.peak.main_mb, *run.peak.workers_mb)) / 1000.0
-    return markdown.section(
-        "Speed",
-        f"On {machine_text()}, without a GPU, after start-up: `score` takes {seconds(Job.SCORE)} "
-        f"for a video of 49 frames, and {memory_gb:.1f} GB a process; `audit` takes {seconds(Job.AUDIT)} for\n"
-        "a trajectory. Written by `python -m benchmarks throughput`; start-up and more: "
-        "[docs/benchmarks.md](docs/benchmarks.md#whole-runs).",
     )
 
 

@@ -12,7 +12,7 @@ from kinebench_drake.errors import InputError
 
 @pytest.fixture
 def result():
-    return BenchmarkRecord.of("ik", {"a, ms": 2.0, "b, ms": 3.0, "c, ms": 1.0}, "## Speed\n\n2 ms\n")
+    return BenchmarkRecord.of("ik", {"a, ms": 2.0, "b, ms": 3.0, "c, ms": 1.0}, "## Speed\n\n2 ms")
 
 
 def test_results_survive_storage_and_damaged_files_are_refused(result, tmp_path):
@@ -34,14 +34,12 @@ def test_comparison_lists_only_figures_that_became_worse(result):
 
 
 def test_sections_of_the_results_are_written_into_the_pages(result, tmp_path, monkeypatch):
-    page, other = tmp_path / "page.md", tmp_path / "other.md"
+    page = tmp_path / "page.md"
     page.write_text("# Page\n\n## Speed\n\nold\n\n## Other\n\nkept\n")
-    other.write_text("# Other\n")
-    monkeypatch.setattr(record, "PAGES", dict.fromkeys(PAGES, (page, other)))
-    replace(result, sections=[*result.sections, "## Summary\n\nfast\n"]).write(tmp_path)
+    monkeypatch.setattr(record, "PAGES", dict.fromkeys(PAGES, page))
+    result.write(tmp_path)
     lines = list(write_pages(tmp_path))
-    assert page.read_text() == "# Page\n\n## Speed\n\n2 ms\n\n## Other\n\nkept\n"
-    assert other.read_text() == "# Other\n\n## Summary\n\nfast\n"
+    assert page.read_text() == f"# Page\n\n## Speed\n\n2 ms\n\nRevision {result.revision}.\n\n## Other\n\nkept\n"
     by_name = dict(zip(PAGES, lines, strict=True))
     assert by_name.pop(result.name).endswith("with these sources")
     assert by_name == {name: f"{name}: no result" for name in by_name}

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from benchmarks.process import ProcessMemory
-from benchmarks.throughput import Job, RunCost, Setting, link_copies, measure, section, summary
+from benchmarks.throughput import Job, RunCost, Setting, link_copies, measure, section
 from kinebench_drake.errors import UsageError
 
 PEAK = ProcessMemory(main_mb=100.0, workers_mb=(900.0, 800.0))
@@ -35,19 +35,6 @@ def test_the_table_has_ratios_within_a_turn_and_peak_memory():
     assert "| score, 1 process | 3.0 (3.0 to 3.0) | 2.0 (2.0 to 2.0) | 12.00 (8.00 to 16.00) | 300 |" in text
     assert "| 554 | 1.80 (1.60 to 2.00) | 100 + 950 |" in text  # 3,600 / 6.5
     assert "12 copies" in text
-
-
-def test_the_summary_states_medians_over_turns():
-    costs = {
-        Setting(job=job, processes=n): [
-            RunCost(start_up_s=3.0, first_s=2.0, sample_s=each / n, peak=PEAK) for each in (6.0, 3.0, 4.0)
-        ]
-        for job in Job
-        for n in (1, 2)
-    }
-    text = summary(costs)
-    assert text.count("2.00 s with two processes and 4.00 s with one") == 2
-    assert "0.9 GB a process" in text
 
 
 def test_copies_are_hard_links(tmp_path):
