@@ -254,8 +254,6 @@ class PairedShares:
     """(N,) of the second group."""
     samples: int = 1
     """Most samples of an episode."""
-    seed: int = 0
-    """Seed of the resampling."""
 
     def __post_init__(self) -> None:
         """Check the shares.
@@ -286,7 +284,7 @@ class PairedShares:
 
         NaN where the second rate is 0; no interval where all resamples have the same ratio.
         """
-        sums = resampled_counts(self.n, np.random.default_rng(self.seed)) @ np.stack([self.first, self.second], axis=1)
+        sums = resampled_counts(self.n, np.random.default_rng(0)) @ np.stack([self.first, self.second], axis=1)
         draws = sums[sums[:, 1] > 0.0]
         low, high = percentile_interval(draws[:, 0] / draws[:, 1])
         one, other = self.rates
@@ -313,7 +311,7 @@ class PairedShares:
         """
         if self._are_outcomes:
             return paired_share_interval(self.first, self.second)
-        value = paired_mean_difference(self.first, self.second, np.random.default_rng(self.seed))
+        value = paired_mean_difference(self.first, self.second, np.random.default_rng(0))
         return (-1.0, 1.0) if math.isnan(value.low) else (value.low, value.high)
 
     @property

@@ -47,15 +47,16 @@ def report(folders: tuple[Path, ...]) -> None:
 def compare(folders: tuple[Path, ...], out: Path | None) -> None:
     """Compare the models of runs DIR of one kind, two by two, on the samples or episodes that both have.
 
-    Samples of `score` and `audit` are paired by task and seed, else by id or file name: every headline number with its
-    paired difference and 95 % intervals. Episodes of suite runs are paired by suite, task and seed: success with
-    Newcombe's interval and McNemar's exact test, progress with a bootstrap interval, for all tasks together and each.
+    Samples of `score` and `audit` are paired by task and seed, else by id or file name, episodes of suite runs by
+    suite, task and seed: success and every headline number with their paired difference, 95 % intervals and p-value,
+    for all tasks together, some for each.
     """
     from kinebench_drake.report.run import read_runs
 
     runs = read_runs(folders)
     if any(run.kind == "suite" for run in runs):
-        from kinebench_drake.report.suite.comparison import pair_lines, read_comparison
+        from kinebench_drake.report.number import number_lines
+        from kinebench_drake.report.suite.comparison import read_comparison
         from kinebench_drake.report.suite.pooling import spec_warnings
         from kinebench_drake.report.suite.suite_page import write_comparison
 
@@ -63,7 +64,7 @@ def compare(folders: tuple[Path, ...], out: Path | None) -> None:
         for warning in spec_warnings(episodes.runs):
             echo(f"warning: {warning}", err=True)
         page = None if out is None else write_comparison(episodes, out)
-        lines = [*episodes.leads, "", *pair_lines(episodes.pairs)]
+        lines = [*episodes.leads, "", *number_lines(episodes.numbers)]
     else:
         from kinebench_drake.report.sample_comparison import (
             compare_samples,

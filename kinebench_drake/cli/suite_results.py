@@ -29,8 +29,9 @@ def ceiling(folders: tuple[Path, ...], out: Path | None, jobs: int) -> None:
     from kinebench_drake.cli.progress import ProgressView, terminate_as_interrupt
     from kinebench_drake.closed_loop.tolerance import run_attempts
     from kinebench_drake.executors.base import ExecutorKind, create_executor
+    from kinebench_drake.report.number import number_lines
     from kinebench_drake.report.run import check_page_folder
-    from kinebench_drake.report.suite.comparison import ceiling_lines, pair_lines, read_ceiling
+    from kinebench_drake.report.suite.comparison import ceiling_lines, read_ceiling
     from kinebench_drake.report.suite.suite_page import write_comparison
 
     if out is not None:
@@ -39,7 +40,7 @@ def ceiling(folders: tuple[Path, ...], out: Path | None, jobs: int) -> None:
     with ProgressView() as view, terminate_as_interrupt():
         comparison = read_ceiling(folders, lambda episodes: run_attempts(executor, episodes, (), view))
     page = None if out is None else write_comparison(comparison, out)
-    for line in (*ceiling_lines(comparison.pairs), "", *pair_lines(comparison.pairs)):
+    for line in (*ceiling_lines(comparison.numbers), "", *number_lines(comparison.numbers)):
         echo(line)
     if page is not None:
         echo(page)

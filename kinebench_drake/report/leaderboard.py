@@ -1,6 +1,6 @@
 """Leaderboard of bundles: a page, its tables, and a result card of each model."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from itertools import chain
@@ -11,13 +11,13 @@ from typing import Any
 from kinebench_drake.errors import UsageError
 from kinebench_drake.io.archive import hash_file
 from kinebench_drake.report.cards import write_card
-from kinebench_drake.report.number import ALL_TASKS, HEADLINES, tabulate_numbers
+from kinebench_drake.report.number import ALL_TASKS, HEADLINES, NumberComparison, tabulate_numbers
 from kinebench_drake.report.page import choose_gallery
 from kinebench_drake.report.parts import Part, make_missing, write_parts
 from kinebench_drake.report.run import Run, check_page_folder, read_runs
 from kinebench_drake.report.sample import badness, embed_thumbnail
 from kinebench_drake.report.sample_comparison import compare_samples, label_samples, tabulate_samples
-from kinebench_drake.report.suite.comparison import PairComparison, compare, tabulate_comparison
+from kinebench_drake.report.suite.comparison import compare
 from kinebench_drake.report.suite.episode_result import group_by, tabulate_episodes
 from kinebench_drake.report.suite.pooling import pool_episodes, read_suite_runs
 from kinebench_drake.report.table import Table, Value, make_table
@@ -113,26 +113,28 @@ def _suite_parts(folders: Sequence[Path]) -> tuple[list[ModelEntry], list[Part],
     own = {run.path: run for run in read_suite_runs(folders)}
     episodes = pool_episodes(list(own.values()))
     oracles = {e.model for e in episodes if e.folder and own[e.folder].config.get("world_model") == ORACLE}
-    try:
-        pairs = [pair for pair in compare(episodes) if pair.task == ALL_TASKS]
-    except UsageError:  # one model, or none that share an episode
-        pairs = []
+    numbers, comparison = _compare(lambda: compare(episodes))
     entries = []
     for (part, model), some in group_by(episodes, lambda e: (e.part, e.model)).items():
         of = [own[path] for path in dict.fromkeys(e.folder for e in some if e.folder)]
-        corrected, ceiling = _correct([p for p in pairs if p.part == part], model, oracles)
+        corrected, ceiling = _correct([c for c in numbers if c.part == part.title], model, oracles)
         entry = ModelEntry(part=part.title, model=model, runs=of, rows=[e.row for e in some])
         entries.append(replace(entry, corrected=corrected, ceiling=ceiling))
-    parts: list[Part] = [_compact(tabulate_comparison(pairs)) if pairs else make_missing("pairs")]
-    return entries, parts if oracles else [*parts, make_missing("ceiling")], tabulate_episodes(episodes)
+    parts = [comparison, *([] if oracles else [make_missing("ceiling")])]
+    return entries, parts, tabulate_episodes(episodes)
 
 
-def _correct(pairs: Sequence[PairComparison], model: str, oracles: set[str]) -> tuple[Estimate | None, float | None]:
+def _correct(
+    numbers: Sequence[NumberComparison], model: str, oracles: set[str]
+) -> tuple[Estimate | None, float | None]:
     """Return success over that of the oracle, and the oracle's success, in the episodes that both have."""
-    for pair in pairs:
-        if model not in oracles and model in (pair.first, pair.second) and {pair.first, pair.second} & oracles:
-            shares = pair.counted
-            if pair.second == model:
+    if model in oracles:
+        return None, None
+    for c in numbers:
+        models = {c.first, c.second}
+        if c.paired and c.metric.name == "success" and model in models and models & oracles:
+            shares = c.paired
+            if c.second == model:
                 shares = replace(shares, first=shares.second, second=shares.first)
             ratio, ceiling = shares.ratio(), shares.rates[1]
             low, high = (None if isnan(end) else end for end in (ratio.low, ratio.high))
@@ -148,18 +150,19 @@ def _sample_parts(runs: Sequence[Run]) -> tuple[list[ModelEntry], list[Part], Ta
     for model, own in group_by(samples, lambda sample: sample.model).items():
         of = list({sample.run.path: sample.run for sample in own}.values())
         entries.append(ModelEntry(part="", model=model, runs=of, rows=[sample.row for sample in own]))
+    _, comparison = _compare(lambda: compare_samples(runs).numbers)
+    return entries, [comparison], tabulate_samples(samples)
+
+
+def _compare(numbers: Callable[[], Sequence[NumberComparison]]) -> tuple[list[NumberComparison], Part]:
+    """Return the headline numbers over all tasks, and their table without the columns that are for single tasks."""
     try:
-        numbers = [n for n in compare_samples(runs).numbers if n.task == ALL_TASKS and n.metric.name in HEADLINES]
-        parts: list[Part] = [_compact(tabulate_numbers(numbers))]
+        chosen = [n for n in numbers() if n.task == ALL_TASKS and n.metric.name in HEADLINES]
     except UsageError:  # one model, or none that share a sample
-        parts = [make_missing("pairs")]
-    return entries, parts, tabulate_samples(samples)
-
-
-def _compact(table: Table) -> Table:
-    """Return a comparison of all tasks together without the columns that are for single tasks."""
-    keys = [column.key for column in table.columns if column.key not in ("task", "p_adjusted", "metric")]
-    return table.select(keys, range(len(table.rows)))
+        return [], make_missing("pairs")
+    table = tabulate_numbers(chosen)
+    keys = [column.key for column in table.columns if column.key not in ("task", "metric")]
+    return chosen, table.select(keys, range(len(table.rows)))
 
 
 def _tabulate(entries: Sequence[ModelEntry]) -> Table:

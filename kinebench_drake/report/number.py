@@ -11,17 +11,25 @@ from kinebench_drake.geometry import Array
 from kinebench_drake.io.jsonl import Json
 from kinebench_drake.report.metric import BY_NAME, Metric
 from kinebench_drake.report.table import Table, Value, make_table, table_lines
-from kinebench_drake.results.aggregate import VERDICT_SHARES, Estimate, estimate
+from kinebench_drake.results.aggregate import OUTCOMES, VERDICT_SHARES, Estimate, estimate
 from kinebench_drake.results.direction import LOWER_IS_BETTER
 from kinebench_drake.results.inputs import is_motionless
 from kinebench_drake.results.power import episodes_to_decide, least_difference
 from kinebench_drake.results.row import SampleRow, Status
-from kinebench_drake.stats import CONFIDENCE, PairedShares, paired_mean_difference, share_interval, sign_test
+from kinebench_drake.stats import (
+    CONFIDENCE,
+    PairedShares,
+    adjust_p_values,
+    paired_mean_difference,
+    share_interval,
+    sign_test,
+)
 
 ALL_TASKS = "all tasks"
 SHARES = {
     name: Metric(name=name, label=label, pattern="{:.0%}", meaning=meaning)
     for name, label, meaning in (
+        ("success", "Success", BY_NAME["success"].meaning),
         ("executable", "Executable", "share of samples that a robot can execute as they are seen"),
         ("feasible", "Feasible", "share of samples whose motion exceeds no limit"),
         ("trajopt_feasible", "Trajectory optimised", BY_NAME["trajopt_feasible"].meaning),
@@ -33,12 +41,14 @@ _MEANS = (
     *("joint_limit_margin_min", "sparc", "sparc_rotation", "ldlj", "slowdown_min", "velocity_ratio_max"),
     *("acceleration_ratio_max", "jerk_ratio_max", "torque_ratio_max", "self_distance_min_m", "table_distance_min_m"),
 )
-NUMBERS = {**SHARES, **{name: BY_NAME[name] for name in _MEANS}}
+NUMBERS = {**SHARES, **{name: BY_NAME[name] for name in ("progress", *_MEANS)}}
 """Numbers that are compared, in the order of the table."""
-HEADLINES = ("executable", "feasible", "manipulability_mean", "sparc")
+HEADLINES = ("success", "executable", "feasible", "manipulability_mean", "sparc")
 """Numbers that are compared task by task, too, and on leaderboards."""
-_PRINTED = ("number", "first_mean", "second_mean", "difference", "complete", "p")
-"""Keys of the columns printed to a terminal."""
+RANKING = ("success", "executable")
+"""Shares by which models are ranked; open ones count as no, and as yes in `upper`."""
+_PRINTED = ("first_mean", "second_mean", "difference", "complete", "p", "p_adjusted")
+"""Keys of the columns printed to a terminal, after that of the row."""
 RowPair = tuple[SampleRow, SampleRow]
 RowsPair = tuple[Sequence[SampleRow], Sequence[SampleRow]]
 """Rows of the same episode by two models, one or several samples each."""
@@ -69,6 +79,8 @@ class NumberComparison:
     either model."""
     paired: PairedShares | None
     """Truth values of all shared samples, each at its worst; None of other numbers."""
+    adjusted_p: float | None
+    """p-value of a task, adjusted for the number of tasks (Benjamini and Hochberg 1995); None of other numbers."""
 
     @property
     def is_clear(self) -> bool:
@@ -78,7 +90,7 @@ class NumberComparison:
         """
         ends = [(e.low, e.high) for e in (self.difference, self.bound) if e.low is not None and e.high is not None]
         outside = len(ends) == 2 and (all(low > 0.0 for low, _ in ends) or all(high < 0.0 for _, high in ends))
-        return outside and self.p_value < 1.0 - CONFIDENCE
+        return outside and (self.p_value if self.adjusted_p is None else self.adjusted_p) < 1.0 - CONFIDENCE
 
     @property
     def p_value(self) -> float:
@@ -88,23 +100,22 @@ class NumberComparison:
 
 def value_of(row: SampleRow, name: str) -> float | None:
     """Return a number of a row, truth values as 0 or 1; None if it was not measured."""
-    return _to_number(row, getattr(row, name) if name in VERDICT_SHARES else row.metrics.get(name))
+    return _to_number(row, name, row.metrics.get(name))
 
 
 def worst_of(row: SampleRow, name: str) -> float | None:
     """Return the worst that a number of a row can be, whatever happens in lost frames; None if there is no worst."""
-    return _to_number(row, getattr(row, name) if name in VERDICT_SHARES else row.bound(name))
+    return _to_number(row, name, row.bound(name))
 
 
-def _to_number(row: SampleRow, value: Json) -> float | None:
+def _to_number(row: SampleRow, name: str, metric: Json) -> float | None:
+    value = getattr(row, name) if name in VERDICT_SHARES else row.extra.get(name) if name in OUTCOMES else metric
     if row.status is not Status.OK or not isinstance(value, bool | int | float) or not math.isfinite(value):
         return None
     return float(value)
 
 
-def compare_numbers(
-    pairs: Sequence[RowsPair], first: str, second: str, part: str = "", seed: int = 0
-) -> list[NumberComparison]:
+def compare_numbers(pairs: Sequence[RowsPair], first: str, second: str, part: str = "") -> list[NumberComparison]:
     """Compare every number that is measured in a shared sample: all tasks together, then a few task by task.
 
     Args:
@@ -120,12 +131,19 @@ def compare_numbers(
     for task, own, names in groups:
         for name in names:
             if any(value_of(row, name) is not None for pair in pairs for rows in pair for row in rows):
-                compared = _compare(NUMBERS[name], own, seed, part=part, task=task, first=first, second=second)
+                compared = _compare(NUMBERS[name], own, part=part, task=task, first=first, second=second)
                 comparisons.append(compared)
-    return comparisons
+    adjusted = {
+        (name, task): p
+        for name in HEADLINES
+        for task, p in adjust_p_values(
+            {c.task: c.p_value for c in comparisons if c.metric.name == name and c.task != ALL_TASKS}
+        ).items()
+    }
+    return [replace(c, adjusted_p=adjusted.get((c.metric.name, c.task))) for c in comparisons]
 
 
-def _compare(metric: Metric, pairs: Sequence[RowsPair], seed: int, **labels: str) -> NumberComparison:
+def _compare(metric: Metric, pairs: Sequence[RowsPair], **labels: str) -> NumberComparison:
     """Compare one number; a missing truth value is false, any other missing worst case worse than all.
 
     An episode has the mean of its samples, and is complete if all of them have a value.
@@ -142,19 +160,21 @@ def _compare(metric: Metric, pairs: Sequence[RowsPair], seed: int, **labels: str
     complete = values[np.isfinite(values).all(axis=1)]
     least = filled if share else sign * _average(bounds, math.nan)
     ranked = np.where(np.isnan(least), -np.inf, least)
-    means = [_mean(own, share, seed) for own in complete.T.tolist()]
-    if metric.name == "executable":
-        most = [[[float(row.executable is not False) for row in rows] for rows in pair] for pair in pairs]
+    means = [_mean(own, share) for own in complete.T.tolist()]
+    repeats = max(len(rows) for pair in pairs for rows in pair)
+    if metric.name in RANKING:
+        most = [[[float(value_of(row, metric.name) != 0.0) for row in rows] for rows in pair] for pair in pairs]
         means = [replace(m, upper=float(u)) for m, u in zip(means, _average(most, 1.0).mean(axis=0), strict=True)]
     return NumberComparison(
         **labels,
         metric=metric,
         shared=len(values),
         means=(means[0], means[1]),
-        difference=_difference(complete, len(values), share, seed),
+        difference=_difference(complete, len(values), share),
         better=(int((ranked[:, 0] > ranked[:, 1]).sum()), int((ranked[:, 0] < ranked[:, 1]).sum())),
-        bound=_difference(filled[np.isfinite(filled).all(axis=1)], len(values), share, seed),
-        paired=_pair_shares(filled, seed) if share else None,
+        bound=_difference(filled[np.isfinite(filled).all(axis=1)], len(values), share),
+        paired=PairedShares(first=filled[:, 0], second=filled[:, 1], samples=repeats) if share else None,
+        adjusted_p=None,
     )
 
 
@@ -164,30 +184,26 @@ def _average(samples: Sequence[Sequence[Sequence[float | None]]], missing: float
     return np.array(means, dtype=np.float64).reshape(-1, 2)
 
 
-def _mean(values: Sequence[float], share: bool, seed: int) -> Estimate:
+def _mean(values: Sequence[float], share: bool) -> Estimate:
     """Return the mean of values of episodes, or the share of truth values, with its interval."""
     n = len(values)
     if not share or not n:
-        return estimate(values, total=n, seed=seed)
-    low, high = share_interval(np.array(values), np.random.default_rng(seed))
+        return estimate(values, total=n)
+    low, high = share_interval(np.array(values), np.random.default_rng(0))
     mean = math.fsum(values) / n
     return Estimate(mean=mean, low=low, high=high, n=n, total=n, bound=mean)
 
 
-def _difference(values: Array, total: int, share: bool, seed: int) -> Estimate:
+def _difference(values: Array, total: int, share: bool) -> Estimate:
     """Return the mean of first minus second of `values` (N, 2) with its interval."""
     n = len(values)
     if n == 0:
         return Estimate(mean=None, low=None, high=None, n=0, total=total)
     if share:
-        return share_difference(_pair_shares(values, seed), total)
-    value = paired_mean_difference(values[:, 0], values[:, 1], np.random.default_rng(seed))
+        return share_difference(PairedShares(first=values[:, 0], second=values[:, 1]), total)
+    value = paired_mean_difference(values[:, 0], values[:, 1], np.random.default_rng(0))
     low, high = (None if math.isnan(end) else end for end in (value.low, value.high))
     return Estimate(mean=value.value, low=low, high=high, n=n, total=total)
-
-
-def _pair_shares(values: Array, seed: int) -> PairedShares:
-    return PairedShares(first=values[:, 0], second=values[:, 1], seed=seed)
 
 
 def share_difference(paired: PairedShares, total: int | None = None) -> Estimate:
@@ -214,29 +230,31 @@ def _row(c: NumberComparison) -> dict[str, Value]:
         "number": f"{c.metric.label} {'↓' if c.metric.name in LOWER_IS_BETTER else '↑'}",
         **{key: value for key, value in estimates.items() if value.n},
         **{"complete": c.difference.n, "shared": c.shared, "p": c.p_value},
+        **({} if c.adjusted_p is None else {"p_adjusted": c.adjusted_p}),
         **{"first_better": c.better[0], "second_better": c.better[1]},
     }
 
 
 def number_lines(comparisons: Sequence[NumberComparison]) -> Iterator[str]:
-    """Format the comparison of all tasks together for a terminal, one block per pair of models and part."""
-    return comparison_lines(tabulate_numbers([c for c in comparisons if c.task == ALL_TASKS]), _PRINTED)
-
-
-def comparison_lines(table: Table, printed: Sequence[str]) -> Iterator[str]:
-    """Format the `printed` columns of a comparison for a terminal, one block per pair of models and part."""
-    for own in table.by_pair(12):  # letters of a model's name in the headings of a terminal of 100 columns
-        yield own.title
-        yield from table_lines(own.select(printed, range(len(own.rows))))
-        yield ""
+    """Format a comparison for a terminal: all numbers over all tasks, then success task by task."""
+    whole = [c for c in comparisons if c.task == ALL_TASKS]
+    tasks = [c for c in comparisons if c.task != ALL_TASKS and c.metric.name == "success"]
+    for key, own in (("number", whole), ("task", tasks)):
+        for table in tabulate_numbers(own).by_pair(12):  # letters of a model's name: a terminal has 100 columns
+            if table.rows:
+                yield table.title
+                yield from table_lines(table.select((key, *_PRINTED), range(len(table.rows))))
+                yield ""
     yield "* the intervals of the difference and of its worst case exclude 0, and p < 0.05; both: measured for both"
 
 
 def verdict_lines(comparisons: Sequence[NumberComparison]) -> Iterator[str]:
-    """Say of every two models which has more executable samples, all tasks together, a line each."""
-    for c in comparisons:
-        if c.metric.name == "executable" and c.task == ALL_TASKS and c.paired is not None:
-            yield verdict_line(c.first, c.second, c.part, "executable", c.paired, (c.means[0].upper, c.means[1].upper))
+    """Say of every two models which succeeds more often and which has more executable samples, a line each."""
+    for name in RANKING:
+        for c in comparisons:
+            if c.metric.name == name and c.task == ALL_TASKS and c.paired is not None:
+                uppers = c.means[0].upper, c.means[1].upper
+                yield verdict_line(c.first, c.second, c.part, name, c.paired, uppers)
 
 
 def motionless_lines(models: Mapping[str, Sequence[SampleRow]]) -> Iterator[str]:

@@ -74,7 +74,7 @@ class SampleComparison:
         return [*verdicts, *motionless_lines(models)]
 
 
-def compare_samples(runs: Sequence[Run], seed: int = 0) -> SampleComparison:
+def compare_samples(runs: Sequence[Run]) -> SampleComparison:
     """Compare the models of runs of one kind, two by two, on the samples that they share.
 
     Raises:
@@ -89,9 +89,7 @@ def compare_samples(runs: Sequence[Run], seed: int = 0) -> SampleComparison:
     samples = label_samples(runs)
     pairs = pair_models(samples)
     numbers = [
-        c
-        for pair in pairs
-        for c in compare_numbers([((a,), (b,)) for a, b in pair.pairs], pair.first, pair.second, seed=seed)
+        c for pair in pairs for c in compare_numbers([((a,), (b,)) for a, b in pair.pairs], pair.first, pair.second)
     ]
     return SampleComparison(
         runs=runs, samples=samples, pairs=pairs, numbers=numbers, warnings=list(list_differences(pairs, runs))

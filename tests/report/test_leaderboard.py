@@ -83,7 +83,7 @@ def test_success_is_corrected_by_that_of_the_oracle_in_the_shared_episodes(suite
     assert (float(own["executable"]), float(own["executable_most"])) == (0.4, 0.8)
     assert (float(own["coverage"]), own["samples"], own["planned"]) == (0.8, "5", "10")
     assert cells(tmp_path / "board", "oracle")["corrected"] == ""
-    assert (tmp_path / "board" / "comparison.csv").read_text().count("\n") == 2
+    assert (tmp_path / "board" / "numbers.csv").read_text().count("Success ↑") == 1
     text = page.read_text()
     assert Page(text).open == []
     assert text.index('<td class="w" data-key="oracle"') < text.index('<td class="w" data-key="wan"')

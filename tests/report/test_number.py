@@ -10,6 +10,7 @@ from kinebench_drake.report.metric import BY_NAME
 from kinebench_drake.report.number import (
     ALL_TASKS,
     NUMBERS,
+    SHARES,
     compare_numbers,
     number_lines,
     verdict_line,
@@ -30,13 +31,14 @@ def rows(name, values, task="T"):
     """Rows of samples with one number each."""
     made = []
     for k, value in enumerate(values):
-        fields = {name: value} if name in ("executable", "feasible") else {"metrics": {name: value}}
+        fields = {"extra" if name == "success" else "metrics": {name: value}}
+        fields = {name: value} if name in ("executable", "feasible") else fields
         made.append(row(f"s{k}", task=task, **fields))
     return made
 
 
 def compare(name, first, second):
-    if name in ("executable", "feasible", "trajopt_feasible"):
+    if name in SHARES:
         first, second = ([None if v is None else v > 0 for v in own] for own in (first, second))
     comparisons = compare_numbers(
         [((a,), (b,)) for a, b in zip(rows(name, first), rows(name, second), strict=True)], "a", "b"
@@ -44,7 +46,7 @@ def compare(name, first, second):
     return next((c for c in comparisons if c.metric.name == name and c.task == ALL_TASKS), None)
 
 
-@pytest.mark.parametrize("name", ["executable", "feasible", "sparc", "slowdown_min"])
+@pytest.mark.parametrize("name", ["success", "executable", "feasible", "sparc", "slowdown_min"])
 @given(values=st.lists(st.tuples(VALUES, VALUES), min_size=1, max_size=12), place=st.integers(0, 11))
 @settings(max_examples=60, deadline=None)
 def test_a_missing_value_never_improves_the_comparison_of_its_model(name, values, place):
@@ -57,7 +59,7 @@ def test_a_missing_value_never_improves_the_comparison_of_its_model(name, values
         return
     assert after.better[0] <= before.better[0]
     assert after.better[1] >= before.better[1]
-    share, sign = name in ("executable", "feasible"), -1 if name in LOWER_IS_BETTER else 1
+    share, sign = name in SHARES, -1 if name in LOWER_IS_BETTER else 1
     others = [sign * v for v in (*removed, *second) if v is not None]
     if share or (first[place] is not None and min(others, default=np.inf) <= sign * first[place]):
         assert sign * after.bound.mean <= sign * before.bound.mean + 1e-12
@@ -131,7 +133,9 @@ def test_comparison_tables_lead_with_executable_and_have_every_number():
     one = row("a", task="A", feasible=True, metrics=values | {"trajopt_feasible": True}, executable=True)
     two = row("a", task="B", feasible=False, metrics=values | {"trajopt_feasible": False}, executable=True)
     comparisons = compare_numbers([((one,), (one,)), ((two,), (two,))], "a", "b")
-    assert [c.metric.name for c in comparisons if c.task == ALL_TASKS] == list(NUMBERS)
+    assert [c.metric.name for c in comparisons if c.task == ALL_TASKS] == [
+        name for name in NUMBERS if name not in ("success", "progress")
+    ]
     assert comparisons[0].metric.name == "executable"
     assert {c.task for c in comparisons} == {ALL_TASKS, "A", "B"}
     table = tabulate(comparisons)
@@ -206,7 +210,15 @@ def test_the_table_on_a_terminal_fits_100_columns_whatever_the_names():
     rng, values = np.random.default_rng(0), [name for name in NUMBERS if name in BY_NAME]
     pairs = [
         tuple(
-            (row(f"s{k}", executable=bool(rng.integers(2)), feasible=True, metrics=dict(zip(values, x, strict=True))),)
+            (
+                row(
+                    f"s{k}",
+                    executable=bool(rng.integers(2)),
+                    feasible=True,
+                    metrics=dict(zip(values, x, strict=True)),
+                    extra={"success": bool(rng.integers(2)), "progress": 0.5},
+                ),
+            )
             for x in 10.0 + 5.0 * rng.standard_normal((2, len(values)))
         )
         for k in range(9)

@@ -90,7 +90,7 @@ class CorrelationStudy:
         """True if any part, or all together, have a correlation."""
         return any(self.correlate(part)[0].mean is not None for part in (None, *(p.part for p in self.points)))
 
-    def correlate(self, part: SuitePart | None = None, seed: int = 0) -> tuple[Estimate, int]:
+    def correlate(self, part: SuitePart | None = None) -> tuple[Estimate, int]:
         """Compute Spearman's rho (Am. J. Psychology 15, 1904) over the points of one part, or of all; and their tasks.
 
         There is no mean with fewer than three points, or if one of the two variables is constant. The percentile
@@ -107,7 +107,7 @@ class CorrelationStudy:
         defined = bool(np.isfinite(rho))
         low, high = None, None
         if defined and tasks >= 2:  # tasks needed for an interval, which resamples them
-            low, high = percentile_interval(_rho(x, y, resampled_counts(tasks, np.random.default_rng(seed))))
+            low, high = percentile_interval(_rho(x, y, resampled_counts(tasks, np.random.default_rng(0))))
             low, high = (low, high) if high - low > 1e-12 else (None, None)
         mean = rho if defined else None
         return Estimate(mean=mean, low=low, high=high, n=points, total=points), tasks
@@ -202,19 +202,19 @@ def _mean(values: Sequence[float | None]) -> float:
     return float(np.mean(numbers)) if numbers else float("nan")
 
 
-def tabulate_correlation(study: CorrelationStudy, seed: int = 0) -> Table:
+def tabulate_correlation(study: CorrelationStudy) -> Table:
     """Build the table of Spearman's rho between a metric and success, of each part and of all."""
     parts = sorted({p.part for p in study.points})
-    lines = [(p.title, *study.correlate(p, seed)) for p in parts]
+    lines = [(p.title, *study.correlate(p)) for p in parts]
     if len(parts) > 1:
-        lines.append(("All", *study.correlate(None, seed)))
+        lines.append(("All", *study.correlate(None)))
     rows: list[dict[str, Value]] = [
         {"part": title, "rho": rho, "points": rho.n, "tasks": tasks} for title, rho, tasks in lines
     ]
     return make_table("correlation", rows, **study.predictor.captions)
 
 
-def draw_correlation(episodes: Sequence[EpisodeResult], study: CorrelationStudy, seed: int = 0) -> ReportFigure | None:
+def draw_correlation(episodes: Sequence[EpisodeResult], study: CorrelationStudy) -> ReportFigure | None:
     """Draw a metric against success, by model and task and, beside it, task-balanced; None without a point."""
     predictor = study.predictor
     parts = sorted({e.part for e in episodes})
@@ -243,7 +243,7 @@ def draw_correlation(episodes: Sequence[EpisodeResult], study: CorrelationStudy,
     right.axhline(0.0, color=FAINT, linewidth=1.0)
     for point in study.points:
         right.scatter(point.metric, point.success, **marks(labels[point.model], point.part), s=42)
-    rho, _ = study.correlate(None, seed)
+    rho, _ = study.correlate(None)
     title = "rho needs three models" if study.points else "needs two models on a task"
     if rho.mean is not None:
         title = f"Spearman's rho {rho.mean:.2f}" + ("" if rho.low is None else f" [{rho.low:.2f}, {rho.high:.2f}]")

@@ -176,18 +176,17 @@ def balanced_mean(
 def mean_over_tasks(
     episodes: Sequence[EpisodeResult],
     value: Callable[[EpisodeResult], float | None],
-    seed: int = 0,
     worst: float | None = None,
 ) -> Estimate:
     """Compute the `balanced_mean` of a value of some episodes, of which each counts the same."""
     tasks = group_by(episodes, lambda e: e.task)
     samples = {task: [value(e) for e in own] for task, own in tasks.items()}
     if not has_samples(episodes):
-        return balanced_mean(samples, seed=seed, worst=worst)
+        return balanced_mean(samples, worst=worst)
     # Each episode counts the same, with the mean of its samples; episodes are resampled, not samples.
     filled = {task: [worst if v is None else v for v in own] for task, own in samples.items()}
     bound = balanced_mean({task: _episode_means(own, filled[task]) for task, own in tasks.items()})
-    mean = balanced_mean({task: _episode_means(own, samples[task]) for task, own in tasks.items()}, seed=seed)
+    mean = balanced_mean({task: _episode_means(own, samples[task]) for task, own in tasks.items()})
     n = sum(v is not None for own in samples.values() for v in own)
     missing = any(v is None for own in filled.values() for v in own)
     return replace(mean, n=n, total=len(episodes), bound=None if missing else bound.mean)
@@ -206,11 +205,11 @@ def _episode_means(episodes: Sequence[EpisodeResult], values: Sequence[float | N
     return list(group_means([value for value, _ in present], [key for _, key in present]))
 
 
-def executable_share(episodes: Sequence[EpisodeResult], seed: int, among: Iterable[EpisodeResult]) -> Estimate | None:
+def executable_share(episodes: Sequence[EpisodeResult], among: Iterable[EpisodeResult]) -> Estimate | None:
     """Return the share of executable episodes, mean over tasks; None if no episode of a report, `among`, is judged."""
     if all(e.row.executable is None for e in among):
         return None
-    return mean_over_tasks(episodes, lambda e: e.executable, seed)
+    return mean_over_tasks(episodes, lambda e: e.executable)
 
 
 def worst_metric(name: str, episodes: Iterable[EpisodeResult]) -> float | None:

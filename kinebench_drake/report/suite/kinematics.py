@@ -67,23 +67,23 @@ def robust_normalize(values: Array) -> Array:
     return np.asarray(np.where(np.isnan(values), np.nan, scaled))
 
 
-def tabulate_kinematics(episodes: Sequence[EpisodeResult], seed: int = 0) -> Table:
+def tabulate_kinematics(episodes: Sequence[EpisodeResult]) -> Table:
     """Build the table of task-balanced kinematic metrics of every model on every part."""
     names = [name for name in _METRICS if any(e.metric(name) is not None for e in episodes)]
     return make_table(
         "kinematics",
         (
             {
-                **{"part": part.title, "model": model, "executable": executable_share(own, seed, episodes)},
-                "manipulability_cost_scaled": mean_over_tasks(own, lambda e: e.cost_scaled, seed, 1.0),
-                **{name: _mean_metric(own, episodes, name, seed) for name in names},
+                **{"part": part.title, "model": model, "executable": executable_share(own, episodes)},
+                "manipulability_cost_scaled": mean_over_tasks(own, lambda e: e.cost_scaled, 1.0),
+                **{name: _mean_metric(own, episodes, name) for name in names},
             }
             for part, model, own in group_by_run(episodes)
         ),
     )
 
 
-def tabulate_following(episodes: Sequence[EpisodeResult], seed: int = 0) -> Table | None:
+def tabulate_following(episodes: Sequence[EpisodeResult]) -> Table | None:
     """Build the table of how far videos follow the commanded actions; None if no run stated actions."""
     conditioned = [e for e in episodes if "action_error_m" in e.row.metrics]
     if not conditioned:
@@ -93,10 +93,7 @@ def tabulate_following(episodes: Sequence[EpisodeResult], seed: int = 0) -> Tabl
         (
             {
                 **{"part": part.title, "model": model, "episodes": len({e.row.episode for e in own})},
-                **{
-                    key: _mean_metric(own, conditioned, name, seed, factor)
-                    for key, (name, factor) in _FOLLOWING.items()
-                },
+                **{key: _mean_metric(own, conditioned, name, factor) for key, (name, factor) in _FOLLOWING.items()},
             }
             for part, model, own in group_by_run(conditioned)
         ),
@@ -104,14 +101,14 @@ def tabulate_following(episodes: Sequence[EpisodeResult], seed: int = 0) -> Tabl
 
 
 def _mean_metric(
-    own: Sequence[EpisodeResult], among: Sequence[EpisodeResult], name: str, seed: int, factor: float = 1.0
+    own: Sequence[EpisodeResult], among: Sequence[EpisodeResult], name: str, factor: float = 1.0
 ) -> Estimate:
     """Return a metric's mean over tasks times a factor; its bound is of the worst value in `among`."""
 
     def scale(value: float | None) -> float | None:
         return None if value is None else factor * value
 
-    return mean_over_tasks(own, lambda e: scale(e.metric(name)), seed, scale(worst_metric(name, among)))
+    return mean_over_tasks(own, lambda e: scale(e.metric(name)), scale(worst_metric(name, among)))
 
 
 def draw_manipulability(episodes: Sequence[EpisodeResult]) -> ReportFigure | None:

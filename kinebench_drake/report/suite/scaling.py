@@ -48,7 +48,7 @@ class Scaling:
 
 
 def study_scaling(
-    runs: Sequence[SuiteRun], episodes: Sequence[EpisodeResult], difficulties: Mapping[str, str], seed: int = 0
+    runs: Sequence[SuiteRun], episodes: Sequence[EpisodeResult], difficulties: Mapping[str, str]
 ) -> list[Scaling]:
     """Compute each model's task-balanced success on suite 3 by training and difficulty, pooling runs of one training.
 
@@ -68,7 +68,7 @@ def study_scaling(
             for name in levels:
                 some = [e for e in trained if name in (ALL_LEVELS, level[e.task])]
                 if some:
-                    success[budget, name] = mean_over_tasks(some, lambda e: e.hit, seed)
+                    success[budget, name] = mean_over_tasks(some, lambda e: e.hit)
         studies.append(Scaling(model=model, levels=levels, success=success))
     return studies
 

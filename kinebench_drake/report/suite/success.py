@@ -70,7 +70,7 @@ class Tally:
     """pass@k by k, pooled over tasks; empty with one sample an episode."""
 
 
-def tally(episodes: Sequence[EpisodeResult], seed: int = 0, among: Sequence[EpisodeResult] | None = None) -> Tally:
+def tally(episodes: Sequence[EpisodeResult], among: Sequence[EpisodeResult] | None = None) -> Tally:
     """Count a group of episodes; every task has the same weight in the means.
 
     Args:
@@ -89,31 +89,31 @@ def tally(episodes: Sequence[EpisodeResult], seed: int = 0, among: Sequence[Epis
         measured=len(measured),
         errors=errors,
         unmeasurable=len(episodes) - len(measured) - errors,
-        executable=executable_share(episodes, seed, every),
-        pooled=estimate(outcomes, total=len(episodes), seed=seed, episodes=runs),
-        counted=estimate([o is True for o in outcomes], total=len(episodes), seed=seed, episodes=runs),
-        success=mean_over_tasks(episodes, lambda e: e.hit, seed, 0.0),
+        executable=executable_share(episodes, every),
+        pooled=estimate(outcomes, total=len(episodes), episodes=runs),
+        counted=estimate([o is True for o in outcomes], total=len(episodes), episodes=runs),
+        success=mean_over_tasks(episodes, lambda e: e.hit, 0.0),
         means={
-            "progress": mean_over_tasks(episodes, lambda e: e.progress, seed, 0.0),
+            "progress": mean_over_tasks(episodes, lambda e: e.progress, 0.0),
             "rounds": mean_over_tasks(
-                episodes, lambda e: e.rounds, seed, max((e.rounds or 0.0 for e in every), default=None)
+                episodes, lambda e: e.rounds, max((e.rounds or 0.0 for e in every), default=None)
             ),
-            "sparc": mean_over_tasks(episodes, lambda e: e.metric("sparc"), seed, worst_metric("sparc", every)),
-            "manipulability_cost_scaled": mean_over_tasks(episodes, lambda e: e.cost_scaled, seed, 1.0),
+            "sparc": mean_over_tasks(episodes, lambda e: e.metric("sparc"), worst_metric("sparc", every)),
+            "manipulability_cost_scaled": mean_over_tasks(episodes, lambda e: e.cost_scaled, 1.0),
         },
         verdicts={**verdicts, NO_VERDICT: sum(failures.values())},
-        passes=estimate_passes([e.row for e in episodes], seed) if has_samples(episodes) else {},
+        passes=estimate_passes([e.row for e in episodes]) if has_samples(episodes) else {},
     )
 
 
-def tabulate_suites(episodes: Sequence[EpisodeResult], seed: int = 0) -> Table:
+def tabulate_suites(episodes: Sequence[EpisodeResult]) -> Table:
     """Build the table of task-balanced success of every model (rows) on every part (columns).
 
     The best models of each part are bold, see `best_models`.
     """
     parts, models = sorted({e.part for e in episodes}), list_models(episodes)
-    tallies = tally_runs(episodes, seed)
-    executable = {m: executable_share(own, seed, episodes) for m, own in group_by(episodes, lambda e: e.model).items()}
+    tallies = tally_runs(episodes)
+    executable = {m: executable_share(own, episodes) for m, own in group_by(episodes, lambda e: e.model).items()}
     return make_table(
         "suites",
         ({"model": m} for m in models),
@@ -135,10 +135,10 @@ def tabulate_suites(episodes: Sequence[EpisodeResult], seed: int = 0) -> Table:
     )
 
 
-def tally_runs(episodes: Sequence[EpisodeResult], seed: int) -> dict[tuple[str, SuitePart], Tally]:
+def tally_runs(episodes: Sequence[EpisodeResult]) -> dict[tuple[str, SuitePart], Tally]:
     """Count the episodes of every model on every part."""
     groups = group_by(episodes, lambda e: (e.model, e.part)).items()
-    return {key: tally(own, seed, episodes) for key, own in groups}
+    return {key: tally(own, episodes) for key, own in groups}
 
 
 def best_models(tallies: Mapping[tuple[str, SuitePart], Tally], part: SuitePart) -> set[str]:
@@ -176,18 +176,18 @@ def sample_note(episodes: Sequence[EpisodeResult]) -> str:
     )
 
 
-def tabulate_summary(episodes: Sequence[EpisodeResult], seed: int = 0) -> Table:
+def tabulate_summary(episodes: Sequence[EpisodeResult]) -> Table:
     """Build the table of all counts, a row per part and model."""
     samples = _most_samples(episodes)
-    lines = ((part, model, tally(own, seed, episodes)) for part, model, own in group_by_run(episodes))
+    lines = ((part, model, tally(own, episodes)) for part, model, own in group_by_run(episodes))
     rows = [{"part": part.title, "model": model, "tasks": t.tasks, **_cells(t, samples)} for part, model, t in lines]
     return make_table("summary", rows, note=sample_note(episodes), samples=samples)
 
 
-def tabulate_tasks(episodes: Sequence[EpisodeResult], seed: int = 0) -> Table:
+def tabulate_tasks(episodes: Sequence[EpisodeResult]) -> Table:
     """Build the table of all counts, a row per part, task and model."""
     samples, groups = _most_samples(episodes), group_by(episodes, lambda e: (e.part, e.task, e.model)).items()
-    lines = ((key, tally(own, seed, episodes)) for key, own in sorted(groups, key=lambda item: item[0][:2]))
+    lines = ((key, tally(own, episodes)) for key, own in sorted(groups, key=lambda item: item[0][:2]))
     rows = [
         {"part": part.title, "task": task, "model": model, **_cells(t, samples), "success": t.pooled}
         for (part, task, model), t in lines

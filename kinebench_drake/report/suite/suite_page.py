@@ -7,7 +7,7 @@ from kinebench_drake.report.number import tabulate_numbers
 from kinebench_drake.report.parts import Part, choose_listed, list_links, make_missing, write_parts
 from kinebench_drake.report.run import check_page_folder
 from kinebench_drake.report.suite import correlation, kinematics, scaling, success, transfer
-from kinebench_drake.report.suite.comparison import ModelComparison, tabulate_comparison
+from kinebench_drake.report.suite.comparison import ModelComparison
 from kinebench_drake.report.suite.episode_result import EpisodeResult, group_by, has_samples, tabulate_episodes
 from kinebench_drake.report.suite.pooling import (
     SuiteRun,
@@ -21,7 +21,6 @@ from kinebench_drake.report.suite.pooling import (
 def write_suite_report(
     paths: Sequence[Path],
     out: Path,
-    seed: int = 0,
     warn: Callable[[str], None] = lambda message: None,
     *,
     paper: bool = False,
@@ -41,32 +40,32 @@ def write_suite_report(
     for message in spec_warnings(runs):
         warn(message)
     episodes = kinematics.scale_costs(pool_episodes(runs))
-    following = None if paper else kinematics.tabulate_following(episodes, seed)
+    following = None if paper else kinematics.tabulate_following(episodes)
     parts: list[Part] = [
-        success.tabulate_suites(episodes, seed),
-        *([] if paper else _detail_parts(episodes, seed)),
-        kinematics.tabulate_kinematics(episodes, seed),
+        success.tabulate_suites(episodes),
+        *([] if paper else _detail_parts(episodes)),
+        kinematics.tabulate_kinematics(episodes),
         *([following] if following else []),
-        *_drop_parts(runs, episodes, seed),
-        *_correlation_parts(episodes, correlation.SPARC, seed),
+        *_drop_parts(runs, episodes),
+        *_correlation_parts(episodes, correlation.SPARC),
         kinematics.draw_manipulability(episodes) or make_missing("manipulability"),
-        *_correlation_parts(episodes, correlation.MANIPULABILITY, seed),
-        *_scaling_parts(runs, episodes, seed),
+        *_correlation_parts(episodes, correlation.MANIPULABILITY),
+        *_scaling_parts(runs, episodes),
     ]
     return write_page("Suite report", runs, episodes, out, parts)
 
 
-def _detail_parts(episodes: Sequence[EpisodeResult], seed: int) -> list[Part]:
+def _detail_parts(episodes: Sequence[EpisodeResult]) -> list[Part]:
     """Return success by task, and the causes of failure."""
     return [
-        success.tabulate_summary(episodes, seed),
+        success.tabulate_summary(episodes),
         *success.draw_success(episodes),
-        success.tabulate_tasks(episodes, seed),
+        success.tabulate_tasks(episodes),
         success.draw_verdicts(episodes),
     ]
 
 
-def _drop_parts(runs: Sequence[SuiteRun], episodes: Sequence[EpisodeResult], seed: int) -> list[Part]:
+def _drop_parts(runs: Sequence[SuiteRun], episodes: Sequence[EpisodeResult]) -> list[Part]:
     """Return table and figures of the loss from seen to unseen; none without runs on both splits."""
     from kinebench_drake.suites.catalog import load_suite
 
@@ -76,27 +75,27 @@ def _drop_parts(runs: Sequence[SuiteRun], episodes: Sequence[EpisodeResult], see
         if names := differing_settings([run for run in runs if run.path in paths]):
             parts.append(make_missing("seen_unseen", model=model, suite=suite, settings=" and ".join(names)))
             episodes = [e for e in episodes if (e.model, e.part.suite) != (model, suite)]
-    drops = transfer.study_drops(episodes, load_suite(1).transfers, seed)
+    drops = transfer.study_drops(episodes, load_suite(1).transfers)
     return [transfer.tabulate_drops(drops), *transfer.draw_drops(drops), *parts] if drops else parts
 
 
-def _correlation_parts(episodes: Sequence[EpisodeResult], predictor: correlation.Predictor, seed: int) -> list[Part]:
+def _correlation_parts(episodes: Sequence[EpisodeResult], predictor: correlation.Predictor) -> list[Part]:
     study, points = correlation.study_correlation(episodes, predictor), correlation.MIN_POINTS
     return [
-        correlation.draw_correlation(episodes, study, seed) or make_missing("correlation_points", **predictor.captions),
-        correlation.tabulate_correlation(study, seed)
+        correlation.draw_correlation(episodes, study) or make_missing("correlation_points", **predictor.captions),
+        correlation.tabulate_correlation(study)
         if study.is_defined
         else make_missing("correlation", points=points, **predictor.captions),
     ]
 
 
-def _scaling_parts(runs: Sequence[SuiteRun], episodes: Sequence[EpisodeResult], seed: int) -> list[Part]:
+def _scaling_parts(runs: Sequence[SuiteRun], episodes: Sequence[EpisodeResult]) -> list[Part]:
     untagged = scaling.untagged(runs)
     names = ", ".join(run.name for run in untagged)
     parts: list[Part] = [make_missing("scaling_tags", runs=names)] if untagged else []
     if len(untagged) == sum(run.part.suite == scaling.SUITE for run in runs):
         return [*parts, make_missing("scaling")]
-    studies = scaling.study_scaling(runs, episodes, scaling.task_difficulties(), seed)
+    studies = scaling.study_scaling(runs, episodes, scaling.task_difficulties())
     parts.append(scaling.tabulate_scaling(studies))
     for study, figure in scaling.draw_studies(studies):
         parts.append(figure or make_missing("scaling_curves", model=study.model))
@@ -106,9 +105,7 @@ def _scaling_parts(runs: Sequence[SuiteRun], episodes: Sequence[EpisodeResult], 
 def write_comparison(comparison: ModelComparison, out: Path) -> Path:
     """Write a comparison: page and tables; returns the page."""
     check_page_folder(out)
-    parts: list[Part] = [tabulate_comparison(comparison.pairs)]
-    if comparison.numbers:
-        parts.append(tabulate_numbers(comparison.numbers))
+    parts = [tabulate_numbers(comparison.numbers)]
     return write_page("Comparison of models", comparison.runs, comparison.episodes, out, parts, comparison.leads)
 
 

@@ -42,9 +42,7 @@ class SeenUnseenDrop:
     """p of a task, adjusted as Benjamini and Hochberg (1995) over the tasks of the model on the suite."""
 
 
-def study_drops(
-    episodes: Sequence[EpisodeResult], transfers: Mapping[str, Sequence[str]], seed: int = 0
-) -> list[SeenUnseenDrop]:
+def study_drops(episodes: Sequence[EpisodeResult], transfers: Mapping[str, Sequence[str]]) -> list[SeenUnseenDrop]:
     """Compare seen with unseen episodes of every model on every suite that has both splits.
 
     Episodes of a task in both splits are paired by seed: the same layout with other assets and looks. An unseen task
@@ -53,7 +51,6 @@ def study_drops(
     Args:
         episodes: episodes of all runs.
         transfers: trained tasks that each unseen task derives from.
-        seed: seed of the resampling.
     """
     drops: list[SeenUnseenDrop] = []
     for (model, suite, _), own in group_by(episodes, lambda e: (e.model, e.part.suite, e.part.variant)).items():
@@ -62,14 +59,14 @@ def study_drops(
             task: [(trained[task][k], others[task][k]) for k in trained[task] if k in others[task]]
             for task in sorted({*trained} & {*others})
         }
-        by_task = [_paired(suite, model, task, some, seed) for task, some in pairs.items() if some]
+        by_task = [_paired(suite, model, task, some) for task, some in pairs.items() if some]
         if by_task:
             every = [pair for some in pairs.values() for pair in some]
-            drops += [_paired(suite, model, ALL_TASKS, every, seed), *_adjust(by_task)]
+            drops += [_paired(suite, model, ALL_TASKS, every), *_adjust(by_task)]
         for task in sorted({*others} - {*trained}):
             origins = [own for name in transfers.get(task, ()) for own in trained.get(name, {}).values()]
             if origins:
-                drops.append(_independent(suite, model, task, origins, [*others[task].values()], seed))
+                drops.append(_independent(suite, model, task, origins, [*others[task].values()]))
     return sorted(drops, key=lambda d: d.suite)
 
 
@@ -86,7 +83,7 @@ def _rate(samples: Samples, missing: float | None = None) -> float:
     return float(np.mean(measured)) if measured else float("nan")
 
 
-def _paired(suite: int, model: str, task: str, pairs: Sequence[tuple[Samples, Samples]], seed: int) -> SeenUnseenDrop:
+def _paired(suite: int, model: str, task: str, pairs: Sequence[tuple[Samples, Samples]]) -> SeenUnseenDrop:
     """Compare the seen with the unseen episode of each pair."""
     rates = np.array([[_rate(samples) for samples in pair] for pair in pairs], dtype=np.float64)
     complete = rates[np.isfinite(rates).all(axis=1)]
@@ -94,7 +91,7 @@ def _paired(suite: int, model: str, task: str, pairs: Sequence[tuple[Samples, Sa
     drop, p = Estimate(mean=None, low=None, high=None, n=0, total=len(pairs)), None
     if len(complete):
         samples = max(len(own) for pair in pairs for own in pair)
-        shares = PairedShares(first=complete[:, 0], second=complete[:, 1], samples=samples, seed=seed)
+        shares = PairedShares(first=complete[:, 0], second=complete[:, 1], samples=samples)
         drop, p = share_difference(shares, len(pairs)), shares.p_value
     return SeenUnseenDrop(
         suite=suite,
@@ -109,14 +106,14 @@ def _paired(suite: int, model: str, task: str, pairs: Sequence[tuple[Samples, Sa
 
 
 def _independent(
-    suite: int, model: str, task: str, origins: Sequence[Samples], derived: Sequence[Samples], seed: int
+    suite: int, model: str, task: str, origins: Sequence[Samples], derived: Sequence[Samples]
 ) -> SeenUnseenDrop:
     """Compare the episodes of trained tasks with those of the unseen task that derives from them."""
     rates = [np.array([_rate(samples) for samples in own], dtype=np.float64) for own in (origins, derived)]
     first, second = (own[np.isfinite(own)] for own in rates)
     drop = Estimate(mean=None, low=None, high=None, n=len(first) + len(second), total=len(origins) + len(derived))
     if len(first) and len(second):
-        value = independent_mean_difference(first, second, np.random.default_rng(seed))
+        value = independent_mean_difference(first, second, np.random.default_rng(0))
         low, high = (value.low, value.high) if np.isfinite([value.low, value.high]).all() else (None, None)
         drop = replace(drop, mean=value.value, low=low, high=high)
     bound = np.mean([_rate(samples, 1.0) for samples in origins]) - np.mean(

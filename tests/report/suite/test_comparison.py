@@ -38,10 +38,10 @@ def test_each_model_is_compared_only_with_direct_execution(tmp_path):
 
     comparison = read_ceiling([a, b], once)
     assert sorted(executed) == sorted(f"{task}_s{seed:04d}" for task in TASKS for seed in range(3))
-    assert {(c.first, c.second) for c in comparison.pairs} == {("wan", DIRECT), ("cog", DIRECT)}
-    [wan] = [c for c in comparison.pairs if c.first == "wan" and c.task == ALL_TASKS]
+    assert {(c.first, c.second) for c in comparison.numbers} == {("wan", DIRECT), ("cog", DIRECT)}
+    [wan] = [c for c in comparison.numbers if (c.first, c.task, c.metric.name) == ("wan", ALL_TASKS, "success")]
     assert (wan.paired.n, wan.paired.rates, wan.paired.better) == (6, (0.5, 5 / 6), (0, 2))
-    lines = list(ceiling_lines(comparison.pairs))
+    lines = list(ceiling_lines(comparison.numbers))
     assert "wan, Suite 0: success in 3 of 6, direct execution in 5, 60.0% of it" in lines
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import spearmanr
 
-from kinebench_drake.report.suite.comparison import ALL_TASKS, compare, tabulate_comparison
+from kinebench_drake.report.suite.comparison import ALL_TASKS, compare
 from kinebench_drake.report.suite.correlation import standardise, study_correlation
 from kinebench_drake.report.suite.episode_result import balanced_mean, list_models
 from kinebench_drake.report.suite.kinematics import robust_normalize, scale_costs, tabulate_following
@@ -218,24 +218,22 @@ def test_training_budgets_are_read_from_tags(tmp_path, data, steps, read):
 def test_models_are_compared_on_shared_episodes(tmp_path):
     hits = {"one": [True, True, True, False, failed(), True], "two": [True, False, False, False, True]}
     paths = [write_run(tmp_path / m, {"T": h, "U": h}, model=m) for m, h in hits.items()]
-    whole, *tasks = compare(episodes_of(*paths))
+    numbers = compare(episodes_of(*paths))
+    whole, *tasks = (c for c in numbers if c.metric.name == "success")
     assert (whole.task, [c.task for c in tasks]) == (ALL_TASKS, ["T", "U"])
     assert (whole.shared, tasks[0].shared) == (10, 5)  # the sixth is the first model's alone
-    assert (tasks[0].paired.first.tolist(), tasks[0].paired.second.tolist()) == ([1, 1, 1, 0], [1, 0, 0, 0])
-    assert (tasks[0].counted.n, tasks[0].counted.better) == (5, (2, 1))
+    assert (tasks[0].paired.n, tasks[0].paired.better) == (5, (2, 1))
     outcomes = PairedShares(first=np.array([1.0, 1, 1, 0]), second=np.array([1.0, 0, 0, 0]))
-    assert (tasks[0].paired.p_value, tasks[0].paired.interval()) == (outcomes.p_value, outcomes.interval())
-    assert whole.progress.mean == pytest.approx(0.5)
-    assert [c.adjusted_p for c in (whole, *tasks)] == [None, 0.5, 0.5]
-    row = tabulate_comparison([tasks[0]]).rows[0]
-    assert row[:4] == ("Suite 0", "one", "two", "T")
-    low, high = tasks[0].paired.interval()
-    assert (row[6].mean, row[6].low, row[6].high) == (0.5, low, high)
+    difference = tasks[0].difference
+    assert (difference.mean, (difference.low, difference.high), difference.n) == (0.5, outcomes.interval(), 4)
+    assert [c.difference.mean for c in numbers if c.metric.name == "progress"] == [pytest.approx(0.5)]
+    assert [c.adjusted_p for c in (whole, *tasks)] == [None, 1.0, 1.0]
 
 
 def test_episodes_of_different_suites_are_not_paired(runs):
-    whole = [c for c in compare(episodes_of(*runs[:4])) if c.task == ALL_TASKS]
-    assert [(c.part.title, c.first, c.second) for c in whole] == [
+    numbers = compare(episodes_of(*runs[:4]))
+    whole = [c for c in numbers if c.task == ALL_TASKS and c.metric.name == "success"]
+    assert [(c.part, c.first, c.second) for c in whole] == [
         ("Suite 0", "good", "fair"),
         ("Suite 2 (unseen)", "good", "fair"),
     ]
@@ -245,13 +243,13 @@ def test_an_episode_is_compared_by_the_mean_of_its_samples(tmp_path):
     """An episode counts once, with the mean of its samples; a model may have fewer of them."""
     a = write_run(tmp_path / "a", {"T": [[True, True], [True, False], [False, failed()]]}, model="one")
     b = write_run(tmp_path / "b", {"T": [[False], [False], [False]]}, model="two")
-    [whole, task] = compare(episodes_of(a, b))
-    assert (whole.shared, task.paired.n, task.paired.samples) == (3, 3, 2)
-    assert task.paired.first.tolist() == [1.0, 0.5, 0.0]
-    assert task.counted.rates == (0.5, 0.0)
-    assert task.paired.p_value == 0.5
-    low, high = task.paired.interval()
-    assert low <= task.paired.difference == 0.5 <= high
+    [whole] = (c for c in compare(episodes_of(a, b)) if c.metric.name == "success")
+    assert (whole.shared, whole.paired.n, whole.paired.samples) == (3, 3, 2)
+    assert whole.paired.first.tolist() == [1.0, 0.5, 0.0]
+    assert whole.paired.rates == (0.5, 0.0)
+    assert whole.paired.p_value == 0.5
+    low, high = whole.paired.interval()
+    assert low <= whole.paired.difference == 0.5 <= high
 
 
 def test_tables_of_several_samples_show_pass_at_k(tmp_path):

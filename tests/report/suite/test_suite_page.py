@@ -201,14 +201,14 @@ def test_a_comparison_is_printed_and_written(runs, tmp_path, capsys):
     assert stop.value.code == 0
     printed = capsys.readouterr().out
     assert printed.startswith("good is better than fair: success 70% (at most 77%) against 40% (at most 47%) of 30 ")
-    assert "all tasks" in printed
-    assert {p.name for p in out.iterdir()} >= {"report.html", "comparison.csv", "comparison.tex"}
+    assert "\nTask " in printed
+    assert {p.name for p in out.iterdir()} >= {"report.html", "numbers.csv", "numbers.tex"}
     page = (out / "report.html").read_text()
     assert Page(page).open == []
     assert printed.splitlines()[0] in page
-    with (out / "comparison.csv").open() as file:
-        whole, *tasks = csv.DictReader(file)
-    assert (whole["task"], whole["shared"], whole["measured"], len(tasks)) == ("all tasks", "30", "28", 3)
+    with (out / "numbers.csv").open() as file:
+        whole, *tasks = (row for row in csv.DictReader(file) if row["metric"] == "success")
+    assert (whole["task"], whole["shared"], whole["complete"], len(tasks)) == ("all tasks", "30", "28", 3)
     assert float(whole["difference"]) == pytest.approx(9 / 28)
 
 
