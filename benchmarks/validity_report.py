@@ -1,5 +1,7 @@
 """Tables and figures of the validity study, as sections of docs/validity.md."""
 
+import csv
+import io
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,7 +15,6 @@ from benchmarks.validity_response import (
     FALSE_DISCOVERIES,
     NUMBERS,
     SEPARATION,
-    Grade,
     Response,
     Study,
     SuccessCorrelation,
@@ -21,6 +22,7 @@ from benchmarks.validity_response import (
     correlate,
 )
 from kinebench_drake.anomaly import AnomalyKind
+from kinebench_drake.io.atomic import write_atomically
 from kinebench_drake.io.figure import POSITION, ROTATION, new_figure, save
 from kinebench_drake.io.jsonl import Json
 from kinebench_drake.stats import IntervalEstimate, sign_test, wilson
@@ -37,10 +39,12 @@ CURVES = (
 _LEAST_RANGE = 1e-9  # of an axis
 FIGURES = ("validity_separation.png", "validity_response.png", "validity_success.png")
 """Figures beside the page."""
+RESPONSES = "validity_responses.csv"
+"""Changes of each number with each fault and size, beside the page."""
 
 
 def write_report(trials: Sequence[ValidityTrial], source: Mapping[str, Json], folder: Path) -> list[str]:
-    """Draw the figures into a folder and return the sections of the page."""
+    """Write the figures and the table of responses into a folder, and return the sections of the page."""
     study = Study(trials)
     correlations = {name: correlate(study, name) for name in NUMBERS}
     drawings: Sequence[Callable[[], Figure]] = (
@@ -50,10 +54,18 @@ def write_report(trials: Sequence[ValidityTrial], source: Mapping[str, Json], fo
     )
     for name, draw in zip(FIGURES, drawings, strict=True):
         save(draw(), folder / name)
+    write_atomically(folder / RESPONSES, _responses(study).encode())
     return [
         section("Episodes and faults", _fault_lines(study, source)),
         section("Which number responds to which fault", _verdict_lines(study)),
-        section("Dose and response", _response_lines(study)),
+        section(
+            "Dose and response",
+            f"![Change of the numbers with the size of each fault]({FIGURES[1]})",
+            f"[{RESPONSES}]({RESPONSES}) has each mean change against the clean video of the same episode, where both "
+            "have the number, with its bootstrap interval over episodes. It counts the episodes in which the number "
+            "gets worse, better and null (null is the worst value). `distinct`: distinct from chance (sign test, 5 % "
+            "false discoveries among all rows).",
+        ),
         section("Success in closed loop", _success_lines(correlations)),
     ]
 
@@ -62,9 +74,7 @@ def _fault_lines(study: Study, source: Mapping[str, Json]) -> Iterator[str]:
     tasks = {t.task for t in study.clean.values()}
     yield (
         f"{len(study.clean)} episodes of {len(tasks)} tasks (suite {SUITE}, {SPLIT}), {len(study.trials)} videos, at "
-        f"revision {source['revision']} with the weights {source['weights']}. 95 % intervals (Wilson). A number that "
-        f"gets worse in every episode has p = {sign_test(len(study.clean), 0):.2g} in the sign test, before the "
-        "correction for the number of tests: what needs more to be distinct from chance needs more episodes."
+        f"revision {source['revision']} with the weights {source['weights']}. In brackets: 95 % intervals (Wilson)."
     )
     yield ""
     yield from table(
@@ -94,7 +104,7 @@ def _executable(trials: Sequence[ValidityTrial]) -> str:
 
 def _share(hits: int, n: int) -> str:
     low, high = wilson(hits, n)
-    return f"{hits / n:.0%} ({low:.0%} to {high:.0%})"
+    return f"{hits / n:.0%} [{100 * low:.0f}, {100 * high:.0f}]"
 
 
 def _verdict_lines(study: Study) -> Iterator[str]:
@@ -110,8 +120,8 @@ def _verdict_lines(study: Study) -> Iterator[str]:
     yield from table(("number", *(f"`{kind.value}`" for kind in study.kinds)), rows)
     yield ""
     yield (
-        f"**separates** and responds, with the area under the ROC curve at the greatest size; **separates** from "
-        f"{SEPARATION:g} on. -: no response distinct from chance at the greatest size, and not better at any."
+        f"Area under the ROC curve at the greatest size. Bold: **separates**, from {SEPARATION:g} on; else responds. "
+        "-: no response distinct from chance at the greatest size, and not better at any."
     )
     yield ""
     wrong = [(name, kind) for name in NUMBERS for kind in study.kinds if study.verdict(name, kind) is Verdict.IMPROVES]
@@ -120,19 +130,18 @@ def _verdict_lines(study: Study) -> Iterator[str]:
         return
     yield "Numbers that improve under a fault, and are not for it:"
     yield ""
-    for name in dict.fromkeys(name for name, _ in wrong):
-        kinds = [kind for other, kind in wrong if other == name]
-        yield f"- `{name}`: not for {', '.join(_improvement(study, name, kind) for kind in kinds)}."
+    yield from table(
+        ("number", "fault", "size", "better in", "mean change of all"),
+        (row for name, kind in wrong for row in _improvements(study, name, kind)),
+    )
 
 
-def _improvement(study: Study, name: str, kind: AnomalyKind) -> str:
-    cells = [
-        f"{r.better} of {r.episodes} videos at {grade.label}"
-        f"{'' if r.change is None else f', mean change of all {r.change.value:+.2g}'}"
-        for grade in study.grades(kind)
-        if study.is_significant(name, grade) and (r := study.responses[name, grade]).better > r.worse
-    ]
-    return f"`{kind.value}` (better in {'; '.join(cells)})"
+def _improvements(study: Study, name: str, kind: AnomalyKind) -> Iterator[list[str]]:
+    for grade in study.grades(kind):
+        r = study.responses[name, grade]
+        if study.is_significant(name, grade) and r.better > r.worse:
+            change = "" if r.change is None else f"{r.change.value:+.2g}"
+            yield [f"`{name}`", f"`{kind.value}`", grade.label, f"{r.better} of {r.episodes} videos", change]
 
 
 def _verdict_cell(study: Study, name: str, kind: AnomalyKind) -> str:
@@ -140,49 +149,40 @@ def _verdict_cell(study: Study, name: str, kind: AnomalyKind) -> str:
     area = study.responses[name, study.grades(kind)[-1]].area.value
     match verdict:
         case Verdict.SEPARATES:
-            return f"**separates** {area:.2f}"
+            return f"**{area:.2f}**"
         case Verdict.RESPONDS:
-            return f"responds {area:.2f}"
+            return f"{area:.2f}"
         case Verdict.IMPROVES:
             return "**not for it**"
         case Verdict.SILENT:
             return "-"
 
 
-def _response_lines(study: Study) -> Iterator[str]:
-    yield f"![Change of the numbers with the size of each fault]({FIGURES[1]})"
-    yield ""
-    yield (
-        "Mean change against the clean video of the same episode where both have the number, with its bootstrap "
-        "interval over episodes (none where all changes are equal); then in how many episodes it gets worse and better "
-        "(null is the worst value), and in how many it becomes null. *: distinct from chance (sign test, 5 % false "
-        "discoveries among all cells)."
-    )
+def _responses(study: Study) -> str:
+    """Return the responses as csv; empty cells: no change where the number is null, no interval of equal changes."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(("fault", "size", "number", "change", "low", "high", "worse", "better", "null", "distinct"))
     for kind in study.kinds:
-        grades = study.grades(kind)
-        yield from ("", f"### {kind.value.replace('_', ' ')}", "")
-        head = ("number", *(grade.label for grade in grades), f"area under the ROC curve, {grades[-1].label}")
-        rows = [
-            [
-                f"`{n}`",
-                *(_change(study, n, g) for g in grades),
-                _estimate(study.responses[n, grades[-1]].area, "{:.2f}"),
-            ]
-            for n in NUMBERS
-        ]
-        yield from table(head, rows)
+        for grade in study.grades(kind):
+            for name in NUMBERS:
+                r = study.responses[name, grade]
+                change = (
+                    ["", "", ""]
+                    if r.change is None
+                    else [_short(x) for x in (r.change.value, r.change.low, r.change.high)]
+                )
+                counts = [r.worse, r.better, r.nulls, int(study.is_significant(name, grade))]
+                writer.writerow([kind.value, grade.label, name, *change, *counts])
+    return text.getvalue()
 
 
-def _change(study: Study, name: str, grade: Grade) -> str:
-    r = study.responses[name, grade]
-    change = "null" if r.change is None else _estimate(r.change, "{:+.2g}")
-    null = f", {r.nulls} null" if r.nulls else ""
-    return f"{change}; {r.worse} worse, {r.better} better{null}{' *' if study.is_significant(name, grade) else ''}"
+def _short(value: float) -> str:
+    return f"{value:.2g}" if np.isfinite(value) else ""
 
 
-def _estimate(x: IntervalEstimate, pattern: str) -> str:
-    value = pattern.format(x.value)
-    return f"{value} ({pattern.format(x.low)} to {pattern.format(x.high)})" if np.isfinite(x.low) else value
+def _estimate(x: IntervalEstimate) -> str:
+    return f"{x.value:.2f} [{x.low:.2f}, {x.high:.2f}]" if np.isfinite(x.low) else f"{x.value:.2f}"
 
 
 def _success_lines(correlations: Mapping[str, SuccessCorrelation]) -> Iterator[str]:
@@ -190,11 +190,16 @@ def _success_lines(correlations: Mapping[str, SuccessCorrelation]) -> Iterator[s
     yield ""
     yield (
         "Spearman's coefficient of each number with success over all videos, and of the ranks without the differences "
-        "between episodes; positive: better values go with success. Bootstrap intervals over episodes."
+        "between episodes. Positive: better values go with success. In brackets: bootstrap intervals over episodes. "
+        "Numbers whose second interval contains 0 are left out."
     )
     yield ""
     ordered = sorted(correlations.items(), key=lambda item: -np.nan_to_num(item[1].within.value, nan=-2.0))
-    rows = [[f"`{name}`", _estimate(c.pooled, "{:.2f}"), _estimate(c.within, "{:.2f}")] for name, c in ordered]
+    rows = [
+        [f"`{name}`", _estimate(c.pooled), _estimate(c.within)]
+        for name, c in ordered
+        if c.within.low * c.within.high > 0.0
+    ]
     yield from table(("number", "all videos", "within episodes"), rows)
 
 

@@ -19,7 +19,7 @@ LONG_WINDED = frozenset(
     for name in (
         *("kinematics", "metrics", "reliability", "setup", "suites", "tasks"),
         *("api", "benchmarks", "calibration", "cluster", "faq", "gate", "integrations", "publish"),
-        *("validation", "validity"),
+        "validation",
     )
 )
 """Pages whose sentences are not yet short."""

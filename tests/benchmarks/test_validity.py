@@ -15,7 +15,7 @@ from benchmarks.faults.fault import GRADES, FaultGrade, PlantedFault
 from benchmarks.perception.store import MeasurementStore
 from benchmarks.planted_videos import PlantedVideo, PlantingResult
 from benchmarks.validity import ExecutionWorker, ValidityTrial, study_grades, study_specs
-from benchmarks.validity_report import FIGURES, write_report
+from benchmarks.validity_report import FIGURES, RESPONSES, write_report
 from benchmarks.validity_response import NUMBERS, Grade, Study, Verdict, correlate
 from kinebench_drake.anomaly import AnomalyKind
 from kinebench_drake.suites.composition import Pool
@@ -129,13 +129,14 @@ def test_the_report_has_tables_of_faults_verdicts_responses_and_success(
     assert all((tmp_path / name).stat().st_size > 10_000 for name in FIGURES)
     faults, verdicts, responses, success = sections
     assert f"| none |  | {EPISODES} | 100%" in faults
-    assert (
-        f"- `ldlj`: not for `vanish` (better in {EPISODES} of {EPISODES} videos at 1 frame, mean change of all +1"
-        in verdicts
-    )
-    assert "| `sparc` | **separates** 1.00 | - |" in verdicts
-    assert f"`manipulability_mean` | null; {EPISODES} worse, 0 better, {EPISODES} null *" in responses
-    assert success.count("\n| `") == len(NUMBERS)
+    assert f"| `ldlj` | `vanish` | 1 frame | {EPISODES} of {EPISODES} videos | +1 |" in verdicts
+    assert "| `sparc` | **1.00** | - |" in verdicts
+    assert RESPONSES in responses
+    table = (tmp_path / RESPONSES).read_text().splitlines()
+    assert len(table) == 1 + 3 * len(NUMBERS)
+    assert f"vanish,1 frame,manipulability_mean,,,,{EPISODES},0,{EPISODES},1" in table
+    assert "| `sparc` | 0." in success
+    assert "| `feasible` |" not in success  # a constant has no correlation
 
 
 def test_three_episodes_give_no_verdicts(trials: list[ValidityTrial], tmp_path: Path) -> None:
@@ -149,7 +150,7 @@ def test_three_episodes_give_no_verdicts(trials: list[ValidityTrial], tmp_path: 
 def test_the_report_command_replaces_the_sections_of_the_page(trials: list[ValidityTrial], tmp_path: Path) -> None:
     work, page = tmp_path / "work", tmp_path / "page.md"
     work.mkdir()
-    page.write_text("# Title\n\nIntroduction.\n\n## Success in closed loop\n\nold\n")
+    page.write_text("# Title\n\nIntroduction.\n\n## Success in closed loop\n\nformer text\n")
     missing = CliRunner().invoke(main, ["validity", "report", str(work)])
     assert missing.exit_code == 2
     assert "no finished study" in missing.output
@@ -160,7 +161,7 @@ def test_the_report_command_replaces_the_sections_of_the_page(trials: list[Valid
         assert result.exit_code == 0, result.output
     text = page.read_text()
     assert text.count("## Success in closed loop") == text.count("## Episodes and faults") == 1
-    assert "old" not in text
+    assert "former text" not in text
     assert all(name in text for name in FIGURES)
 
 
