@@ -35,7 +35,15 @@ _FLANGE_M = (0.1, 0.21)  # heights of the flange above a table on which the fing
 _SQUARE_RAD = float(np.deg2rad(2.5))
 
 
-def misfit(plant: ArmPlant, t_s: Array, X_BG: Array | None, q: Array | None, *, table_height_m: float) -> float:
+def misfit(
+    plant: ArmPlant,
+    t_s: Array,
+    X_BG: Array | None,
+    q: Array | None,
+    *,
+    table_height_m: float,
+    enough: float = float("inf"),
+) -> float:
     """Return the cost of a motion.
 
     Args:
@@ -43,18 +51,13 @@ def misfit(plant: ArmPlant, t_s: Array, X_BG: Array | None, q: Array | None, *, 
         X_BG: (T, 4, 4) poses of the TCP in B [m]; NaN where unknown.
         q: (T, 7) joint angles [rad] in place of poses; NaN where unknown.
         table_height_m: height of the table top in B [m].
+        enough: cost from which a lower bound is returned: inverse kinematics are left out.
     """
     numbers = q if X_BG is None else X_BG
     valid = finite_rows(np.asarray(numbers, dtype=np.float64).reshape(len(t_s), -1))
     t_s, frames = t_s[valid], evenly(int(valid.sum()), _FRAMES)
-    if q is not None:
-        X = plant.forward_path(q[valid])
-        reached = limit_excess(plant, q[valid][frames]).max(axis=-1) <= _PAST_RAD
-    else:
-        X = np.asarray(X_BG)[valid]
-        reached = np.array([len(own) > 0 for own in within_limits(plant, grid_postures(plant, X[frames], 36))])
+    X = np.asarray(X_BG)[valid] if q is None else plant.forward_path(q[valid])
     distance = np.hypot(X[:, 0, 3], X[:, 1, 3])
-    reached &= ~((distance < _BASE_M) & (X[:, 2, 3] < _BASE_HEIGHT_M))[frames]
     upward, height = X[:, 2, 2], X[:, 2, 3] - table_height_m
     duration = max(float(t_s[-1] - t_s[0]), 1e-9)
     turned = float(np.linalg.norm(rotation_steps(X[:, :3, :3]), axis=-1).sum())
@@ -63,8 +66,7 @@ def misfit(plant: ArmPlant, t_s: Array, X_BG: Array | None, q: Array | None, *, 
     step = float(np.median(np.diff(t_s)))
     slow = step > _LONG_STEP_S or (step > _SLOW_STEP_S and 0.01 < moved < _SLOW_M_S * duration)
     cost = (
-        UNREACHED * (1.0 - reached.mean())
-        + UPWARD * (upward > _UP).mean()
+        UPWARD * (upward > _UP).mean()
         + BELOW * (height < -_BELOW_M).mean()
         + CLOSE * (distance < _CLOSE_M).mean()
         + TURNING * min(turned / duration / _TURN_RAD_S, 1.0)
@@ -74,4 +76,11 @@ def misfit(plant: ArmPlant, t_s: Array, X_BG: Array | None, q: Array | None, *, 
     if q is None and upward[0] < -_UPRIGHT and _FLANGE_M[0] < height.min() < _FLANGE_M[1]:
         yaw = np.arctan2(X[0, 1, 0], X[0, 0, 0]) % (np.pi / 2)
         cost += FLANGE * (abs(yaw - np.pi / 4) < _SQUARE_RAD)
-    return float(cost)
+    if cost >= enough:
+        return float(cost)
+    if q is not None:
+        reached = limit_excess(plant, q[valid][frames]).max(axis=-1) <= _PAST_RAD
+    else:
+        reached = np.array([len(own) > 0 for own in within_limits(plant, grid_postures(plant, X[frames], 36))])
+    reached &= ~((distance < _BASE_M) & (X[:, 2, 3] < _BASE_HEIGHT_M))[frames]
+    return float(cost + UNREACHED * (1.0 - reached.mean()))

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import lru_cache
+from math import inf
 from pathlib import Path
 
 from kinebench_drake.errors import InputError, UnmeasurableError, UsageError, name_options
@@ -108,7 +109,8 @@ def assess_readings(
         best = by_names = Candidate(name=str(named.layout), reading=named, misfit=misfit)
         others: list[Candidate] = []
         while len(best.changed) < _CHANGES and (best.cost >= MARGIN or thorough):
-            tried = list(_variations(tools, tables, best, wanted, choice.rate_hz))
+            enough = inf if thorough else best.cost - MARGIN  # a reading with that cost is no better one
+            tried = list(_variations(tools, tables, best, wanted, choice.rate_hz, enough))
             others += tried
             better = min(tried, key=lambda candidate: candidate.cost, default=best)
             if best.cost - better.cost < MARGIN:
@@ -119,13 +121,22 @@ def assess_readings(
 
 
 def _misfit(
-    tools: Tools, tables: Sequence[tuple[TrajectorySample, Table]], reading: Reading, rate_hz: float | None
+    tools: Tools,
+    tables: Sequence[tuple[TrajectorySample, Table]],
+    reading: Reading,
+    rate_hz: float | None,
+    enough: float = inf,
 ) -> float | None:
-    """Return the mean misfit of trajectories by a reading; None if all of them are too short."""
-    costs = []
+    """Return the mean misfit of trajectories by a reading; None if all of them are too short.
+
+    A mean of `enough` or more may be a lower bound.
+    """
+    costs: list[float] = []
     for sample, table in tables:
         try:
-            costs.append(tools.misfit(apply_reading(sample, table, reading, rate_hz)))
+            costs.append(
+                tools.misfit(apply_reading(sample, table, reading, rate_hz), enough * len(tables) - sum(costs))
+            )
         except InputError:
             costs.append(REFUSED)
         except UnmeasurableError:
@@ -139,11 +150,16 @@ def _variations(
     start: Candidate,
     wanted: Reading,
     rate_hz: float | None,
+    enough: float,
 ) -> Iterator[Candidate]:
-    """Yield the readings that differ from a candidate by one alternative, can be used and leave `wanted` as it is."""
+    """Yield the readings that differ from a candidate by one alternative, can be used and leave `wanted` as it is.
+
+    Costs of `enough` or more may be lower bounds.
+    """
     for alternative in alternatives(start.reading):
         change = dict(alternative.change)
-        if any(getattr(wanted, key) is not None for key in alternative.keys):
+        spent = start.spent + alternative.cost
+        if spent >= enough or any(getattr(wanted, key) is not None for key in alternative.keys):
             continue
         if alternative.fits_frame:
             try:
@@ -154,13 +170,13 @@ def _variations(
                 continue
             change = {"base_from_world": frame_of(poses, _MIDDLE_M)}
         reading = start.reading.change(**change)
-        misfit = _misfit(tools, tables, reading, rate_hz)
+        misfit = _misfit(tools, tables, reading, rate_hz, enough - spent)
         if misfit is not None and misfit < REFUSED:
             yield Candidate(
                 name=f"{start.name}, {alternative.name}" if start.changed else alternative.name,
                 reading=reading,
                 misfit=misfit,
-                spent=start.spent + alternative.cost,
+                spent=spent,
                 changed=(*start.changed, *change),
             )
 

@@ -148,11 +148,12 @@ class Tools:
         """
         return self._judge(self._table_height_m).judge_joints(t_s, q, finger_width_m)
 
-    def misfit(self, trajectory: Trajectory) -> float:
+    def misfit(self, trajectory: Trajectory, enough: float) -> float:
         """Return how badly a trajectory fits the robot (`metrics.misfit`)."""
         from kinebench_drake.metrics.misfit import misfit
 
-        return misfit(self.plant, trajectory.t_s, trajectory.X_BG, trajectory.q, table_height_m=self._table_height_m)
+        t_s, X_BG, q = trajectory.t_s, trajectory.X_BG, trajectory.q
+        return misfit(self.plant, t_s, X_BG, q, table_height_m=self._table_height_m, enough=enough)
 
     def overlay(
         self,

@@ -246,7 +246,7 @@ class FakeTools:
         self._infeasible = False
         return replace(judgement, joints=replace(judgement.joints, q=q), details={"given": "q"})
 
-    def misfit(self, trajectory):
+    def misfit(self, trajectory, enough):
         return 0.0
 
     def overlay(self, frames, camera, track, zoom=None, *, hand=True):

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 from kinebench_drake.errors import InputError, UsageError
@@ -131,7 +132,7 @@ def open_table(sample: TrajectorySample) -> Iterator[Table]:
     if not sample.path.is_file():
         raise InputError(f"{sample.path.name}: {absence(sample.path)}")
     with _TABLES[sample.format](sample) as table:
-        yield table
+        yield replace(table, load=cache(table.load))  # read several times by several readings
 
 
 def apply_reading(sample: TrajectorySample, table: Table, reading: Reading, rate_hz: float | None) -> Trajectory:
