@@ -17,7 +17,7 @@ SENTENCE_WORDS, MEAN_WORDS = 30, 16
 LONG_WINDED = frozenset(
     f"docs/{name}.md"
     for name in (
-        *("reliability", "setup", "suites", "tasks"),
+        *("reliability", "setup", "suites"),
         *("api", "benchmarks", "calibration", "cluster", "faq", "gate", "integrations", "publish"),
         "validation",
     )
