@@ -17,7 +17,6 @@ SENTENCE_WORDS, MEAN_WORDS = 30, 16
 LONG_WINDED = frozenset(
     f"docs/{name}.md"
     for name in (
-        *("reliability", "setup", "suites"),
         *("api", "benchmarks", "calibration", "cluster", "faq", "gate", "integrations", "publish"),
         "validation",
     )
