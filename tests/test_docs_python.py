@@ -1,6 +1,8 @@
-"""The Python code in docs/api.md and docs/conventions.md runs, block by block, and says what the text says."""
+"""The code of docs/api.md, docs/conventions.md and docs/tutorial.md runs, and says what the text says."""
 
 import re
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -61,3 +63,19 @@ def test_code_of_the_suite_section_runs(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     space = run("api.md", {"__name__": "docs"}, lambda heading: heading in ("Python interface", "A suite"))
     assert space["summary"].success.mean == 0.0
+
+
+@pytest.mark.sapien
+@pytest.mark.slow
+def test_commands_of_the_tutorial_print_the_quoted_lines(tmp_path):
+    page = (ROOT / "docs" / "tutorial.md").read_text()
+    (tmp_path / "examples").symlink_to(ROOT / "examples")
+    program = f'kinebench-drake() {{ "{sys.executable}" -m kinebench_drake "$@"; }}\n'
+    commands = re.findall(r"^ {4}(\S.*)$", page, re.MULTILINE)
+    done = subprocess.run(
+        ["bash", "-ec", program + "\n".join(commands)], cwd=tmp_path, capture_output=True, text=True, check=True
+    )
+    quoted = "".join(re.findall(r"^```\n(.*?)^```$", page, re.DOTALL | re.MULTILINE)).splitlines()
+    assert [line for line in quoted if line not in done.stdout.splitlines()] == []
+    named = re.findall(r"`(tutorial-[\w/.-]+)`", page)
+    assert [path for path in named if not (tmp_path / path).exists()] == []

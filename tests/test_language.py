@@ -15,11 +15,7 @@ INVENTED = re.compile(r"\b(Theatre|Stagehand|TrickStage|Wanderer|HeldModel|Priva
 SENTENCE_WORDS, MEAN_WORDS = 30, 16
 """Greatest length of a sentence of the documentation, and of the mean of a page."""
 LONG_WINDED = frozenset(
-    f"docs/{name}.md"
-    for name in (
-        *("api", "benchmarks", "calibration", "cluster", "faq", "gate", "integrations", "publish"),
-        "validation",
-    )
+    f"docs/{name}.md" for name in (*("api", "benchmarks", "cluster", "faq", "gate", "integrations", "publish"),)
 )
 """Pages whose sentences are not yet short."""
 TURNS = re.compile(
