@@ -1,4 +1,4 @@
-"""Size and naming of the sources at revisions of the repository, read from git without a checkout."""
+"""Size and naming of sources and docs at revisions of the repository, read from git without a checkout."""
 
 import ast
 import subprocess
@@ -32,6 +32,8 @@ class StructureCounts:
     repeated_classes: int
     repeated_modules: int
     banned_bindings: int
+    constants: int
+    docs_words: int
 
 
 LABELS = {
@@ -45,6 +47,8 @@ LABELS = {
     "repeated_classes": "class names used more than once in shipped files",
     "repeated_modules": "module names used more than once in shipped files",
     "banned_bindings": "bindings with banned names in shipped files",
+    "constants": "numeric constants of shipped modules",
+    "docs_words": "words of README and docs",
 }
 
 
@@ -58,7 +62,9 @@ def count_revision(repository: Path, revision: str) -> StructureCounts:
     Raises:
         UsageError: it is no repository or no revision of it.
     """
-    sources = dict(_sources(repository, revision))
+    files = dict(_files(repository, revision))
+    sources = {name: text for name, text in files.items() if name.endswith(".py")}
+    docs = [text for name, text in files.items() if name == "README.md" or PurePosixPath(name).match("docs/*.md")]
     shipped = {name: text for name, text in sources.items() if name.startswith(tuple(f"{top}/" for top in SHIPPED))}
     former = {name for name in shipped if name.startswith(NOT_SHIPPED)}
     benchmarks = [text for name, text in sources.items() if name.startswith("benchmarks/") or name in former]
@@ -78,17 +84,19 @@ def count_revision(repository: Path, revision: str) -> StructureCounts:
         repeated_classes=sum(count > 1 for count in classes.values()),
         repeated_modules=sum(count > 1 for count in modules.values()),
         banned_bindings=sum(name.lstrip("_") in BANNED_NAMES for tree in trees for name in _bindings(tree)),
+        constants=sum(map(_count_constants, trees)),
+        docs_words=sum(len(text.split()) for text in docs),
     )
 
 
-def _sources(repository: Path, revision: str) -> Iterator[tuple[str, str]]:
-    """Yield path and text of each Python file of a revision; symbolic links are left out."""
+def _files(repository: Path, revision: str) -> Iterator[tuple[str, str]]:
+    """Yield path and text of each Python or Markdown file of a revision; symbolic links are left out."""
     listing = _git(repository, "ls-tree", "-r", "-z", revision).decode(errors="replace")
     objects = []
     for entry in filter(None, listing.split("\0")):
         about, _, name = entry.partition("\t")
         mode, kind, digest = about.split()
-        if kind == "blob" and mode != "120000" and name.endswith(".py"):
+        if kind == "blob" and mode != "120000" and name.endswith((".py", ".md")):
             objects.append((name, digest))
     blobs = _git(repository, "cat-file", "--batch", stdin="".join(f"{digest}\n" for _, digest in objects).encode())
     at = 0
@@ -132,6 +140,20 @@ def _bindings(tree: ast.AST) -> Iterator[str]:
             yield node.arg
         elif isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef):
             yield node.name
+
+
+def _count_constants(tree: ast.Module) -> int:
+    """Count the names in capitals to which a module binds a value with a number in it."""
+    count = 0
+    for statement in tree.body:
+        targets = statement.targets if isinstance(statement, ast.Assign) else [getattr(statement, "target", None)]
+        numbers = [
+            node.value
+            for node in ast.walk(getattr(statement, "value", None) or ast.Pass())
+            if isinstance(node, ast.Constant) and type(node.value) in (int, float)
+        ]
+        count += sum(isinstance(t, ast.Name) and t.id.lstrip("_").isupper() and bool(numbers) for t in targets)
+    return count
 
 
 def structure_table(counts: Sequence[tuple[str, StructureCounts]]) -> str:

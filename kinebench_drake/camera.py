@@ -14,7 +14,8 @@ _KEYS = (*_NUMBERS, "base_from_camera")
 _OPTIONAL_KEYS = ("mirrored", "table_height_m")
 MAX_TABLE_HEIGHT_M = 2.0
 """Greatest distance of the table top from the robot's base, up or down [m]."""
-_BENCHMARK_PX = 384
+BENCHMARK_PX = 384
+"""Width and height of the images of the benchmark."""
 CONFIRMED = 0.6
 """Share from which on the arm confirms a camera: of 30 demonstrations of unseen looks right cameras have 0.65 or more
 with the postures of the track, mirrored pictures 0.59 or less, cameras with 0.7 or 1.4 times the focal length 0.51."""
@@ -63,7 +64,7 @@ class Camera:
     @property
     def unit_px(self) -> float:
         """Length of one pixel of a benchmark image in this image [px]; limits in pixels refer to benchmark images."""
-        return self.width / _BENCHMARK_PX
+        return self.width / BENCHMARK_PX
 
     def project(self, p_C: ArrayLike) -> Array:
         """Project points (..., 3) in the camera frame [m], z positive, to pixel coordinates (..., 2) [px]."""
@@ -204,7 +205,7 @@ def benchmark_camera() -> Camera:
     X_WB = make_pose(np.eye(3), [-0.615, 0.0, 0.0])
     focal = float(192.0 / np.tan(np.deg2rad(30.0)))
     return Camera(
-        width=_BENCHMARK_PX, height=_BENCHMARK_PX, fx=focal, fy=focal, cx=192.0, cy=192.0, X_BC=invert(X_WB) @ X_WC
+        width=BENCHMARK_PX, height=BENCHMARK_PX, fx=focal, fy=focal, cx=192.0, cy=192.0, X_BC=invert(X_WB) @ X_WC
     )
 
 

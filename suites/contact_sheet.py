@@ -21,8 +21,6 @@ from kinebench_drake.suites.simulator_cache import SimulatorCache, SimulatorWork
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-_COLUMNS = 4
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Panel:
@@ -67,7 +65,7 @@ def _render_panel(simulator: Simulator, episode: Episode) -> Panel:
 
 def draw_sheet(panels: Sequence[Panel]) -> "Figure":
     """Draw panels beside and below each other, each with its two images, title and text."""
-    columns = min(_COLUMNS, len(panels))
+    columns = min(4, len(panels))
     rows = -(-len(panels) // columns)
     figure, axes = new_figure(3.7 * columns, 2.5 * rows, rows, 2 * columns)
     for ax in axes.flat:

@@ -31,8 +31,6 @@ SimulatorState: TypeAlias = Mapping[str, Mapping[str, NDArray[np.float32]]]
 GRIPPER_LINKS = (HAND_LINK, *FINGER_LINKS, *(f"{finger}_pad" for finger in FINGER_LINKS))
 """Links of the gripper in masks; some of ManiSkill's Pandas have no pad links."""
 
-_FINGER_RANGE_M = (-0.01, 0.04)  # of one finger joint's target, for actions -1 and 1 (ManiSkill's Panda)
-
 
 @cache
 def _exempt_libraries() -> None:
@@ -191,7 +189,7 @@ class Simulator:
     @staticmethod
     def action(targets: ArrayLike, finger_width_m: float) -> NDArray[np.float32]:
         """Return ManiSkill's action for targets, such as `q` (7,) [rad], and a gap between the finger pads [m]."""
-        low, high = _FINGER_RANGE_M
+        low, high = -0.01, 0.04  # of one finger joint's target, for actions -1 and 1 (ManiSkill's Panda)
         fingers = float(np.clip(2.0 * (finger_width_m / 2.0 - low) / (high - low) - 1.0, -1.0, 1.0))
         return np.append(np.asarray(targets), fingers).astype(np.float32)
 

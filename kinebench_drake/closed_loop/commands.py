@@ -17,6 +17,7 @@ from kinebench_drake.errors import UnmeasurableError
 from kinebench_drake.geometry import Array, interpolate_pose, pose_difference
 from kinebench_drake.kinematics.collision import CollisionModel
 from kinebench_drake.kinematics.continuation import blend_from_start, plan_continuation, solve_stepwise
+from kinebench_drake.kinematics.newton import ROTATION_ARM_M
 from kinebench_drake.kinematics.path import is_sound, search_path
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.models.panda.robot import TCP_LINK
@@ -30,8 +31,6 @@ SQUEEZE_M = 0.008
 """Reduction of the gap commanded to fingers that hold an object: 4 N per finger at their stiffness."""
 GRIP_M, RELEASE_M = 0.006, 0.010
 """Decrease of the gap at which fingers grip, and increase at which they release: hysteresis against noise."""
-LEVER_M = 0.1
-"""Lever that converts angles into distances."""
 
 
 class RejectionReason(Enum):
@@ -224,7 +223,7 @@ def _interpolate_width(width: Array, X_BG: Array) -> Array:
     valid = np.flatnonzero(np.isfinite(width))
     whole = np.interp(np.arange(len(width)), valid, width[valid])
     distance, angle = pose_difference(X_BG[:-1], X_BG[1:])
-    pace = np.convolve(np.pad(distance + LEVER_M * angle, 1, mode="edge"), np.full(3, 1.0 / 3.0), mode="valid")
+    pace = np.convolve(np.pad(distance + ROTATION_ARM_M * angle, 1, mode="edge"), np.full(3, 1.0 / 3.0), mode="valid")
     for before, after in pairwise(valid):
         if after > before + 1 and abs(width[after] - width[before]) > GRIP_M:
             wait = before + int(np.argmin(pace[before:after]))

@@ -21,7 +21,6 @@ from kinebench_drake.io.files import IMAGE_SUFFIXES, read_text
 
 _SUFFIX, _TRUE = "_dataset", "gt"
 _PROMPTS = ("introduction.txt", "prompt.txt")
-_LONGEST = 10_000  # characters of a prompt
 
 
 def is_ewmbench(folder: Path) -> bool:
@@ -68,7 +67,7 @@ def _frame_folders(folder: Path) -> Iterator[Path]:
 def _read_prompt(folder: Path) -> str | None:
     for name in _PROMPTS:
         try:
-            return read_text(folder / name)[:_LONGEST].strip() or None
+            return read_text(folder / name)[:10_000].strip() or None  # characters of a prompt
         except (OSError, ValueError):
             continue
     return None

@@ -32,12 +32,11 @@ from kinebench_drake.geometry import Array, make_pose
 from kinebench_drake.io.files import read_text
 from kinebench_drake.io.hdf5 import DAMAGED, open_hdf5, read_all
 from kinebench_drake.io.jsonl import as_number, as_object, as_type, read_object
+from kinebench_drake.results.inputs import BENCHMARK_PERIOD_S
 from kinebench_drake.results.row import SampleRow, Status
 from kinebench_drake.track import MAX_WIDTH_M
 
 INFO, SUMMARY = "info.json", "summary.csv"
-PERIOD_S = 0.2
-"""Task time between two frames: `action_repeat` 4 at 20 Hz, the default of all its configurations [s]."""
 H5_FORMAT = "kinebench_rollout_v1"
 _VIDEO = "observation.images.base_camera.mp4"
 _STAMP = re.compile(r"_\d{8}_\d{6}")
@@ -58,7 +57,9 @@ def list_kinebench(folder: Path, search: Search) -> list[VideoSample]:
     if case := _CASE.fullmatch(folder.resolve().name):
         words = "".join(word.capitalize() for word in case["words"].split("_"))
         task = _TASKS.get(case["task"], f"{words}-{case['version'] or 'v1'}")
-        sample = replace(search.part_sample(folder / _VIDEO), id=case[0], dataset_period_s=PERIOD_S, task=task)
+        sample = replace(
+            search.part_sample(folder / _VIDEO), id=case[0], dataset_period_s=BENCHMARK_PERIOD_S, task=task
+        )
         return [replace(sample, seed=int(case["number"]))]
     info, samples = read_object(folder / INFO), []
     names = [folder.resolve().parents[1].name, folder.resolve().parent.name, folder.resolve().name]
@@ -71,7 +72,7 @@ def list_kinebench(folder: Path, search: Search) -> list[VideoSample]:
             task=as_type(info.get("env_id"), str),
             model=_STAMP.sub("", names[0]),
             prompt=as_type(info.get("prompt"), str),
-            dataset_period_s=PERIOD_S,
+            dataset_period_s=BENCHMARK_PERIOD_S,
             success=as_type(rollout.get("success"), bool),
             reference_X_BG=_executed_poses(as_object(rollout.get("action_meta"))),
         )
@@ -148,7 +149,12 @@ def list_executed(file: h5py.File, path: Path, video: str) -> list[TrajectorySam
     names = sorted((n for n in map(str, file) if n.startswith("traj_")), key=lambda n: (len(n), n))
     task, prompt = (str(file.attrs.get(name) or "") or None for name in ("env_id", "prompt"))
     about = TrajectorySample(
-        id=path.stem, path=path, video=video, format=TrajectoryFormat.KINEBENCH, rate_hz=1.0 / PERIOD_S, task=task
+        id=path.stem,
+        path=path,
+        video=video,
+        format=TrajectoryFormat.KINEBENCH,
+        rate_hz=1.0 / BENCHMARK_PERIOD_S,
+        task=task,
     )
     return [replace(about, id=f"{path.stem}-{n}", video=f"{video}#{n}", part=n, prompt=prompt) for n in names]
 

@@ -17,9 +17,6 @@ Json: TypeAlias = bool | int | float | str | Sequence["Json"] | Mapping[str, "Js
 Row = TypeVar("Row")
 Kind = TypeVar("Kind")
 
-_DIGITS = 20
-"""Longest integer that is parsed as an integer."""
-
 
 def parse_json(text: str | bytes) -> object:
     """Parse JSON text; integers that fit no 64-bit word become floats.
@@ -35,7 +32,7 @@ def parse_json(text: str | bytes) -> object:
 
 
 def _parse_integer(text: str) -> int | float:
-    if len(text) > _DIGITS:
+    if len(text) > 20:  # longest integer that is parsed as an integer
         return float(text)
     value = int(text)
     return value if abs(value) < 2**63 else float(value)

@@ -32,7 +32,6 @@ _FAR_M = 0.06  # distance beyond the least up to which pairs are followed along 
 # with the width of the slab that separates the two solids, and computed again where the two differ.
 _CERTAIN_M = 1e-6
 _DOUBT_M = 0.02
-_UP = np.array([0.0, 0.0, 1.0])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -275,7 +274,7 @@ class CollisionModel:
             distance = float(z[i, :3] @ low + z[i, 3]) - self.table_height_m
             if distance <= within_m:
                 low = M[solid.stage, :3, :3] @ low + M[solid.stage, :3, 3]
-                gradient = self._rate(solid.link, low, _UP, axis, moment)
+                gradient = self._rate(solid.link, low, np.array([0.0, 0.0, 1.0]), axis, moment)
                 near.append(Proximity(link_a=solid.link, link_b=TABLE, distance_m=distance, gradient=gradient))
         return sorted(near, key=lambda proximity: proximity.distance_m)
 

@@ -24,12 +24,8 @@ STRETCHES = (1.0, 1.5, 2.0, 3.0, 5.0, 8.0)
 LONGEST_S = 600.0
 """Longest motion that is exported [s]."""
 
-_RAMP_S = 0.5  # on the clock of the spline, at either end
-_INSIDE = 1.0 - 1e-4  # greatest ratio to a limit
-_ROUNDS = 60
 # Exponents of the ratio to a limit in the factor by which the motion is slowed down; torques have a part at rest.
 _ORDERS = {"velocity": 1.0, "acceleration": 0.5, "jerk": 1.0 / 3.0, "torque": 0.25, "torque rate": 0.4}
-_SWEPT_S = 0.02  # time between the postures between which obstacles are looked for
 _FIXED = (*COLLISIONS, ViolationKind.OBSTACLE_COLLISION, ViolationKind.UNREACHABLE, ViolationKind.JOINT_LIMIT)
 
 
@@ -70,17 +66,18 @@ def plan_commands(
     if not tube.feasible or trajectory is None:
         raise InputError(f"no commands keep within {1000.0 * tube_limit_m:.3g} mm of the track: {tube.reason}")
     factor = 1.0
-    for _ in range(_ROUNDS):
+    for _ in range(60):
         s = _clock(trajectory, factor, rate_hz)
         if len(s) > LONGEST_S * rate_hz:
             break
         commands = trajectory.basis.evaluate(trajectory.control, s)
-        used = {name: float(ratio.max()) / _INSIDE for name, ratio in limit_ratios(plant, commands, rate_hz)}
+        # 0.9999: greatest ratio to a limit
+        used = {name: float(ratio.max()) / 0.9999 for name, ratio in limit_ratios(plant, commands, rate_hz)}
         needed = max(used[name] ** order for name, order in _ORDERS.items() if name in used)
         if needed <= 1.0:
             times = stretch * t_s - trajectory.problem.origin_s
             gap = np.interp(s, times, widths) if finite.any() else np.full(len(s), np.nan)
-            every = max(int(_SWEPT_S * rate_hz), 1)
+            every = max(int(0.02 * rate_hz), 1)  # time between the postures between which obstacles are looked for
             if contacts := sweep(plant, collision, commands[::every], gap[::every], 0.0):
                 raise InputError(f"the motion between frames meets {contacts[0].obstacle} with {contacts[0].link}")
             reached = np.interp(times, s[: np.argmax(s) + 1], np.arange(np.argmax(s) + 1)) / rate_hz
@@ -99,7 +96,7 @@ def _clock(trajectory: JointTrajectory, factor: float, rate_hz: float) -> Array:
     ramp is all ramp.
     """
     last = float(trajectory.basis.breaks_s[-1])
-    ramp = min(_RAMP_S, last)
+    ramp = min(0.5, last)  # on the clock of the spline, at either end
     t = np.arange(np.ceil((last + ramp) * factor * rate_hz) + 1) / rate_hz / factor
     return np.clip(_risen(t, ramp) - _risen(t - last, ramp), 0.0, last)
 

@@ -14,11 +14,8 @@ from kinebench_drake.kinematics.analytic import N_BRANCHES, analytic_ik, branch_
 from kinebench_drake.kinematics.newton import REACHED_M, solve_newton
 from kinebench_drake.kinematics.plant import ArmPlant
 
-_PROBE_RAD = 1e-5  # step of joint 7 in the finite difference of the closed form
-_FAR_RAD = 0.15  # intervals of the grid whose ends are farther apart than this are halved
 _WINDOW = np.linspace(-0.98, 0.98, 9)  # joint-7 samples besides the grid, relative to the window of reach
 _BRANCH_RAD = 0.3 * np.arange(-9, 10)  # joint-7 offsets from the start along its branch
-_SAME_RAD = 0.05  # postures of the numeric search closer than this are duplicates
 _STARTS = 24  # starts of the numeric search
 
 
@@ -92,7 +89,8 @@ class ClosedFormSolver(PostureSolver):
         for _ in range(rounds):
             finite = np.isfinite(q_low[..., 0]), np.isfinite(q_high[..., 0])
             with np.errstate(invalid="ignore"):
-                far = np.abs(q_high - q_low)[..., :6].max(axis=-1) > _FAR_RAD
+                # 0.15: intervals of the grid whose ends are farther apart than this are halved
+                far = np.abs(q_high - q_low)[..., :6].max(axis=-1) > 0.15
             split = ((finite[0] & finite[1] & far) | (finite[0] ^ finite[1])).any(axis=-1)
             if not split.any():
                 break
@@ -118,7 +116,7 @@ class ClosedFormSolver(PostureSolver):
     @override
     def direction(self, X_BG: Array, q: Array) -> Array:
         probe = q.copy()
-        probe[:, 6] += _PROBE_RAD
+        probe[:, 6] += 1e-5  # step of joint 7 in the finite difference of the closed form
         step = self.nearest(X_BG, probe) - q
         size = np.linalg.norm(step, axis=-1, keepdims=True)
         usable = np.isfinite(size) & (size < 0.1) & (size > 0.0)
@@ -153,7 +151,8 @@ class NumericSolver(PostureSolver):
             postures: list[Array] = []
             for start in (*before, *self._starts[: max(4, min(samples // 4, _STARTS))]):
                 q, error = solve_newton(self._plant, X, start, iterations=25)
-                if error <= REACHED_M and all(np.abs(q - other).max() > _SAME_RAD for other in postures):
+                # 0.05: postures of the numeric search closer than this are duplicates
+                if error <= REACHED_M and all(np.abs(q - other).max() > 0.05 for other in postures):
                     postures.append(q)
             before = np.reshape(postures, (-1, 7))
             layers.append(before)

@@ -33,7 +33,6 @@ _TIGHTER, _LOOSER = 4.0, 0.25  # factors of the proximity weight after a step th
 # Greatest numbers of programs with free radius, then with fixed radius:
 _FULL, _REFINED_EFFORT, _ROUND_EFFORT = (5, 3), (3, 1), (2, 1)  # first search, on the finer spline, per round
 _ROUNDS, _FEWER_ROUNDS = 4, 2  # of collision avoidance; the latter if the tube is infeasible anyway
-_CERTAIN = 1.5  # factor of the tube's limit above which the error of a posture is the cause, whatever else is
 _TORQUE_AIM = 0.95  # share of the torque limit aimed at by the reduction
 
 
@@ -275,7 +274,8 @@ class _TubeSearch:
         path.
         """
         problem, limit = self.problem, self.tube_limit_m
-        violation = find_pose_violation(problem, limit, _CERTAIN)
+        # 1.5: factor of the tube's limit above which the error of a posture is the cause, whatever else is
+        violation = find_pose_violation(problem, limit, 1.5)
         if violation is not None:
             return violation
         start = problem.linearise(self._start)

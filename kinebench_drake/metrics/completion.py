@@ -8,8 +8,6 @@ import numpy as np
 
 from kinebench_drake.geometry import Array
 
-_CENTRES = 64  # intervals of the times about which spectra are turned
-
 
 def least_arc(speed: Array, sampling_hz: float, bins: int, cutoff_hz: float) -> float:
     """Return a lower bound of SPARC over all speeds in place of the unknown ones.
@@ -34,7 +32,7 @@ def least_arc(speed: Array, sampling_hz: float, bins: int, cutoff_hz: float) -> 
     total = float(speed[finite].sum())
     mass = np.where(finite, speed, 0.0) / (total or 1.0)
     spectrum = np.fft.rfft(mass, bins)[:kept]
-    centres = np.linspace(t[0], t[-1], _CENTRES + 1)[:, None]
+    centres = np.linspace(t[0], t[-1], 65)[:, None]  # times about which spectra are turned
     change = np.abs(np.exp(2j * np.pi * df * centres) * spectrum[1:] - spectrum[:-1])
     if not finite.all():
         apart = np.abs(np.sin(np.pi * df * (t[~finite] - centres))).max(axis=-1, keepdims=True)

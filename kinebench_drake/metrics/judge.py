@@ -61,8 +61,6 @@ MOST_JOINT_NOISE_RAD = 0.02
 TUBE_M = 0.005
 """Least radius of the tube about a track in which a feasible trajectory is searched [m]; noise widens it."""
 
-_LEVER_M = 0.3  # position noise divided by this is about the joint noise that it causes
-
 
 class TrackJudge:
     """Judges tracks for one robot and its table. Uses the plant's context: one object a thread."""
@@ -80,12 +78,13 @@ class TrackJudge:
     def judge_poses(self, track: GripperTrack) -> KinematicResult:
         """Judge a track of poses: infeasible only if no joint path follows it."""
         noise, assumed = _noise(track)
+        # 0.3: position noise divided by this is about the joint noise that it causes
         joints = solve_track(
             self._plant,
             track,
             self._collision,
             contact_tolerance_m=contact_tolerance(noise),
-            noise_rad=noise.rotation_rad + noise.position_m / _LEVER_M,
+            noise_rad=noise.rotation_rad + noise.position_m / 0.3,
             X_plan=None if assumed else smooth_poses(track, noise),
         )
         return self._judge(track, joints, noise, assumed, joint_sigma=None)

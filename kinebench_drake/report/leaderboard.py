@@ -28,8 +28,6 @@ from kinebench_drake.results.row import SampleRow, Status
 PAGE = "index.html"
 ORACLE = "oracle"
 """World model whose success is the ceiling of all others."""
-_PICTURED = 3
-"""Worst and best samples of a run that are shown."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -180,6 +178,7 @@ def _tabulate(entries: Sequence[ModelEntry]) -> Table:
 
 def _gallery(run: Run) -> list[tuple[str, list[tuple[SampleRow, str]]]]:
     """Return the worst and the best samples of a run with their images."""
-    worst, best = choose_gallery(run.path, sorted(run.rows, key=badness), _PICTURED)
+    # 3: worst and best samples of a run that are shown
+    worst, best = choose_gallery(run.path, sorted(run.rows, key=badness), 3)
     groups = (("worst", worst), ("best", best))
     return [(title, [(row, embed_thumbnail(run.path, row)) for row in rows]) for title, rows in groups if rows]

@@ -37,8 +37,6 @@ from kinebench_drake.results.store import ARTIFACTS, REPORT, RESULTS, read_rows
 DRAWN = 100
 """Samples, the worst first, whose curves and images are on the page, and that its table shows until all are asked for:
 all would make it slow to open."""
-_HEAD = 2048
-"""Characters at the beginning of the page that hold its stamp."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -69,7 +67,7 @@ def is_report_current(out: Path) -> bool:
     try:
         written = path.stat().st_mtime_ns
         with path.open(errors="replace") as page:
-            head = page.read(_HEAD)
+            head = page.read(2048)  # characters at the beginning of the page that hold its stamp
         folders = [folder for kind in ARTIFACTS if (folder := out / kind).is_dir()]
         return _stamp(out) in head and all(folder.stat().st_mtime_ns < written for folder in folders)
     except OSError:

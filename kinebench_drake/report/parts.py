@@ -17,8 +17,6 @@ from kinebench_drake.results.store import REPORT, artifact_path
 Item = TypeVar("Item")
 LISTED = 2000
 """Samples on a page: more would make it slow to open."""
-_SHOWN = 200
-"""Samples in its list until all are requested."""
 _FILES = {"rollout": "rollouts", "overlay": "overlays"}
 """Labels of links, and the artifacts that they lead to."""
 
@@ -68,7 +66,7 @@ def write_parts(
             if not isinstance(part, MissingPart)
         ],
         missing=[part for part in parts if isinstance(part, MissingPart)],
-        first=_SHOWN,
+        first=200,  # samples in its list until all are requested
         **context,
     )
     write_atomically(out / page, text.encode())

@@ -33,20 +33,10 @@ _ARM_COLORS = {
     FrameState.UNTRACKED: (0.66, 0.69, 0.73),
     FrameState.BROKEN: (0.95, 0.62, 0.57),
 }
-_REACHED_COLOR = (0.13, 0.38, 0.75)
 _AXES = {"x": (0.8, 0.0, 0.0), "y": (0.0, 0.6, 0.0), "z": (0.0, 0.0, 0.8)}
 """sRGB of the axes of the small frame at the TCP."""
-_TABLE_COLOR = Rgba(0.62, 0.53, 0.42, 0.35)
-_TABLE_SIZE_M = (1.2, 1.4, 0.01)
-_OPACITY = 0.45
-"""Opacity of the wanted gripper beside the arm."""
-_STEP_S = 0.04
-"""Greatest time between keyframes."""
-_MAX_STEPS = 400
 _TICKS_PER_S = 1000.0
 """Time resolution of the animation: keyframes lie on whole ticks."""
-_MIN_ERROR_M, _MIN_ERROR_RAD = 0.002, 0.02
-"""Errors beyond which the wanted gripper is shown beside the arm's own."""
 _MAX_POINTS = 500
 _SIDES = 6
 
@@ -111,7 +101,8 @@ class ReplayScene:
         self._apart = np.zeros(len(self._t_s), dtype=bool)
         both = self._solved & self._posed
         distance, angle = pose_difference(self._reached[both[self._solved]], self._X_BG[both])
-        self._apart[both] = (distance > _MIN_ERROR_M) | (angle > _MIN_ERROR_RAD)
+        # Errors beyond which the wanted gripper is shown beside the arm's own [m], [rad].
+        self._apart[both] = (distance > 0.002) | (angle > 0.02)
 
     def draw_table(self, height_m: float) -> None:
         """Draw the table's top as a thin slab, instead of Meshcat's grid."""
@@ -119,8 +110,8 @@ class ReplayScene:
             self._meshcat.SetProperty(path, "visible", False)
         self._meshcat.SetProperty("/Background/<object>", "top_color", [0.97, 0.98, 1.0])
         self._meshcat.SetProperty("/Background/<object>", "bottom_color", [0.80, 0.83, 0.87])
-        self._meshcat.SetObject("/table", Box(*_TABLE_SIZE_M), _TABLE_COLOR)
-        self._meshcat.SetTransform("/table", RigidTransform([0.4, 0.0, height_m - 0.5 * _TABLE_SIZE_M[2]]))
+        self._meshcat.SetObject("/table", Box(1.2, 1.4, 0.01), Rgba(0.62, 0.53, 0.42, 0.35))
+        self._meshcat.SetTransform("/table", RigidTransform([0.4, 0.0, height_m - 0.005]))
 
     def draw_paths(self) -> None:
         """Draw the wanted path, coloured by state, with beads at violations; and the path reached if it differs."""
@@ -143,7 +134,7 @@ class ReplayScene:
             self._mesh("/broken", beads.vertices, beads.faces, COLORS[FrameState.BROKEN])
         if self._apart.any():
             reached = self._reached[_thin(0, len(self._reached)), :3, 3]
-            self._mesh("/reached", *_tube(reached, 0.0025), _REACHED_COLOR)
+            self._mesh("/reached", *_tube(reached, 0.0025), (0.13, 0.38, 0.75))
 
     def place_camera(self) -> None:
         """Point the camera at base and path from the robot's front left."""
@@ -179,7 +170,8 @@ class ReplayScene:
         rest = np.broadcast_to(self._plant.robot.rest_q, (len(times), 7))
         X_GB = invert(self._plant.forward(self._plant.robot.rest_q))
         self._move(animation, "/gripper", times, wanted)
-        opacity, colors = (_OPACITY, COLORS) if self.has_arm else (1.0, _ARM_COLORS)
+        # 0.45: opacity of the wanted gripper beside the arm
+        opacity, colors = (0.45, COLORS) if self.has_arm else (1.0, _ARM_COLORS)
         for mesh, poses in zip(gripper, pose_links(self._plant, gripper, rest, width), strict=True):
             path = f"/gripper/{mesh.link}"
             self._mesh(path, mesh.vertices, mesh.faces, _ARM_COLORS[FrameState.OK], opacity)
@@ -194,8 +186,8 @@ class ReplayScene:
         """Return evenly spaced keyframes (N,) [s]; they include the frames if these are even and not too many."""
         duration = float(self._t_s[-1] - self._t_s[0])
         frames = max(len(self._t_s) - 1, 1)
-        steps = frames * max(round(duration / frames / _STEP_S), 1)
-        return np.linspace(self._t_s[0], self._t_s[-1], min(steps, _MAX_STEPS) + 1)
+        steps = frames * max(round(duration / frames / 0.04), 1)  # greatest time between keyframes
+        return np.linspace(self._t_s[0], self._t_s[-1], min(steps, 400) + 1)
 
     def _gripper(self) -> list[LinkMesh]:
         """Return the meshes of hand and fingers."""

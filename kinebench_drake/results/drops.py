@@ -13,8 +13,6 @@ DROPS = "drops.jsonl"
 """File of the drop list in an output folder."""
 GATED = ("score", "audit")
 """Kinds of runs that end with a drop list."""
-MOST_LAG_S = 0.5
-"""Longest time in which a controlled arm follows its commands [s]."""
 
 
 class DropReason(Enum):
@@ -98,7 +96,7 @@ def _faults(row: SampleRow, usual_lag: float) -> Iterable[tuple[DropReason, tupl
     lag, period_s = as_object(extra.get("action_lag")), extra.get("frame_period_s")
     if lag and isinstance(period_s, float):
         value, doubt = int(str(lag["frames"])), int(str(lag["tolerance"]))
-        late = value - doubt > MOST_LAG_S / period_s
+        late = value - doubt > 0.5 / period_s  # longest time in which a controlled arm follows its commands [s]
         if value + doubt < 0 or late or abs(value - usual_lag) > doubt + 1:
             detail = f"states follow actions by {count_noun(value, 'frame')}, in the data set by {usual_lag:g}"
             yield DropReason.ACTION_OFFSET, (None, None), detail

@@ -28,7 +28,6 @@ from kinebench_drake.results.trackfile import read_track
 from kinebench_drake.runs.config import ActionFormat
 from kinebench_drake.track import MAX_WIDTH_M
 
-_CRF = 18
 _WHOLE = 0.01
 """Greatest relative distance of a frame rate from a whole number, and of one episode's from another's."""
 
@@ -154,7 +153,7 @@ def _write_lerobot(folder: Path, parts: Path, motions: Iterator[_Motion], warn: 
             )
             continue
         chosen = np.linspace(0, len(video.frames) - 1, len(motion.t_s)).round().astype(int)
-        lerobot.write_part(parts, sample.id, video.frames[chosen], _columns(motion), fps=fps, crf=_CRF)
+        lerobot.write_part(parts, sample.id, video.frames[chosen], _columns(motion), fps=fps, crf=18)
         prompts[sample.id] = sample.prompt or sample.task or ""
     if prompts:
         lerobot.join_parts(folder, parts, prompts, fps, None, size=size, features=lerobot.ESTIMATES)

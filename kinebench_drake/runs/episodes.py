@@ -10,6 +10,7 @@ from functools import partial
 from itertools import takewhile
 from pathlib import Path
 
+from kinebench_drake.camera import BENCHMARK_PX
 from kinebench_drake.closed_loop.actions import (
     ACTION_METRICS,
     ActionSource,
@@ -43,7 +44,7 @@ from kinebench_drake.runs.clips import (
 )
 from kinebench_drake.runs.evaluator import KINEMATIC_METRICS, PENDING, Evaluation, Evaluator
 from kinebench_drake.runs.pictures import episode_strip, rollout_frames
-from kinebench_drake.runs.requests import SIZE_PX, request_path, write_requests
+from kinebench_drake.runs.requests import request_path, write_requests
 from kinebench_drake.runs.runner import NullRunObserver, RunObserver, RunSummary, run_samples
 from kinebench_drake.runs.score import VISUAL_METRICS
 from kinebench_drake.runs.suite_config import SuiteConfig
@@ -162,9 +163,9 @@ class EpisodeEvaluator(Evaluator[EpisodeSample, EpisodeResources]):
     def setup(self) -> EpisodeResources:
         """Load robot, world model and simulator cache."""
         tools = load_tools(self.config.make_tools, self.config.robot_options())
-        actions = ActionSource(ArmPlant(), SIZE_PX) if self.loop.condition is Condition.ACTIONS else None
+        actions = ActionSource(ArmPlant(), BENCHMARK_PX) if self.loop.condition is Condition.ACTIONS else None
         loop = ClosedLoop(tools.grounder, CommandPlanner(ArmPlant()), self.world_model.get(), self.loop, actions)
-        simulators = SimulatorCache(partial(Simulator, control=self.loop.control), SIZE_PX)
+        simulators = SimulatorCache(partial(Simulator, control=self.loop.control), BENCHMARK_PX)
         return EpisodeResources(tools, simulators, self.world_model, loop, actions)
 
     def evaluate(self, sample: EpisodeSample, resources: EpisodeResources) -> Evaluation:

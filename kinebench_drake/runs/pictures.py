@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from kinebench_drake.runs.requests import SIZE_PX
+from kinebench_drake.camera import BENCHMARK_PX
 from kinebench_drake.runs.tools import Tools
 from kinebench_drake.track import GripperTrack
 
@@ -41,7 +41,7 @@ def rollout_frames(
     for number, (done, execution) in enumerate(zip(run.rounds, executed, strict=True), 1):
         text = f"generated, round {number}"
         if execution is None:
-            blank = _captioned(np.zeros((SIZE_PX, SIZE_PX, 3), dtype=np.uint8), "nothing executed")
+            blank = _captioned(np.zeros((BENCHMARK_PX, BENCHMARK_PX, 3), dtype=np.uint8), "nothing executed")
             for frame in done.frames:
                 yield np.concatenate([_captioned(frame, text), blank, blank], axis=1)
             continue
@@ -63,6 +63,6 @@ def _captioned(frame: NDArray[np.uint8], text: str) -> NDArray[np.uint8]:
 
     from kinebench_drake.grounding.overlay import draw_caption
 
-    image = np.asarray(cv2.resize(frame, (SIZE_PX, SIZE_PX), interpolation=cv2.INTER_AREA), dtype=np.uint8)
+    image = np.asarray(cv2.resize(frame, (BENCHMARK_PX, BENCHMARK_PX), interpolation=cv2.INTER_AREA), dtype=np.uint8)
     draw_caption(image, text)
     return image

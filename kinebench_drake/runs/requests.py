@@ -3,15 +3,12 @@
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from kinebench_drake.camera import benchmark_camera
+from kinebench_drake.camera import BENCHMARK_PX, benchmark_camera
 from kinebench_drake.formats.camerafile import CAMERA_NAME, save_camera
 from kinebench_drake.formats.manifest import NAME
 from kinebench_drake.io.atomic import disk_errors
 from kinebench_drake.io.jsonl import as_object, read_lines, write_lines
 from kinebench_drake.results.store import REQUESTS
-
-SIZE_PX = 384
-"""Width and height of conditioning images."""
 
 
 def request_path(out: Path, id: str) -> Path:
@@ -28,7 +25,7 @@ def write_requests(out: Path, requests: Sequence[Mapping[str, object]]) -> None:
             if Path(name).name == name:
                 (folder / name).unlink(missing_ok=True)
         if requests:
-            save_camera(benchmark_camera().resized(SIZE_PX, SIZE_PX), folder / CAMERA_NAME)
+            save_camera(benchmark_camera().resized(BENCHMARK_PX, BENCHMARK_PX), folder / CAMERA_NAME)
             write_lines(folder / NAME, requests)
         elif folder.is_dir():
             for name in (CAMERA_NAME, NAME):

@@ -7,11 +7,10 @@ from numpy.typing import ArrayLike
 
 from kinebench_drake.geometry import Array, make_pose, rotation_exp
 from kinebench_drake.suites.expert.motion import Arc, Waypoint
+from kinebench_drake.track import MAX_WIDTH_M
 
-OPEN_M = 0.08
+OPEN_M = MAX_WIDTH_M
 """Finger width when fully open."""
-CLOSED_M = 0.0
-"""Finger width when closed on nothing."""
 SQUEEZE_M = -0.02
 """Commanded finger width past closed: the fingers press on what is between them with their full stiffness."""
 TIP_M = 0.0095
@@ -71,7 +70,7 @@ def swing(X: Array, arc: Arc) -> Array:
 
 def closed_waypoint(X_BG: Array, *, through: bool = False, arc: Arc | None = None, pace: float = 1.0) -> Waypoint:
     """Return a waypoint with closed fingers; arguments as of `Waypoint`."""
-    return Waypoint(X_BG=X_BG, finger_width_m=CLOSED_M, through=through, arc=arc, pace=pace)
+    return Waypoint(X_BG=X_BG, finger_width_m=0.0, through=through, arc=arc, pace=pace)
 
 
 def closed_passage(*poses: Array) -> list[Waypoint]:

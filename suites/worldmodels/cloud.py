@@ -149,8 +149,6 @@ class DashScopeModel(CloudModel[DashScopeOptions]):
 
 _RATE_LIMIT = 1002
 _TRANSIENT = (1000, 1001, _RATE_LIMIT)  # unknown error, time-out, too many requests: to be retried by the manual
-_ACCOUNT = (1004, 1008, 2049)  # not authorised, no balance, invalid key
-_MODERATION = (1026, 1027)  # of the request, of the video
 
 
 class MiniMaxModel(CloudModel[MiniMaxOptions]):
@@ -204,9 +202,9 @@ class MiniMaxModel(CloudModel[MiniMaxOptions]):
         message = f"MiniMax answered {clean(code)}: {reason}"
         if code in transient:
             raise BusyError(message, code=str(code))
-        if code in _ACCOUNT:
+        if code in (1004, 1008, 2049):  # not authorised, no balance, invalid key
             raise SetupError(f"{message}; look at {self.key} and the account it belongs to")
-        if code in _MODERATION:
+        if code in (1026, 1027):  # of the request, of the video
             raise self._moderated(reason)
         if code:
             raise WorldModelError(message)

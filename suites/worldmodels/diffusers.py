@@ -28,10 +28,6 @@ from kinebench_drake.suites.worldmodels.worldmodel import Request, WorldModelErr
 
 _SIZE = r"^[1-9]\d{1,3}x[1-9]\d{1,3}$"
 _HUB_ID = re.compile(r"\w[\w.-]*/[\w.-]+")
-_SIDE_PX = 16
-"""Most pipelines require sides that are multiples of this."""
-_SIDES_PX = {"SanaImageToVideoPipeline": 32}
-"""Pipelines that require multiples of another length."""
 _DROPPING = "HunyuanVideoImageToVideoPipeline"
 """Pipeline that drops the frames of the first latent where the image is concatenated to the latents."""
 _SPATIAL = ("vae_scale_factor_spatial", "vae_spatial_compression_ratio", "vae_scale_factor")
@@ -151,7 +147,8 @@ class DiffusersModel:
             width, height = (int(side) for side in self._options.size.split("x"))
         else:
             height, width = frame.shape[:2]
-        least = _SIDES_PX.get(type(pipeline).__name__, _SIDE_PX)
+        # Most pipelines require sides that are multiples of 16.
+        least = 32 if type(pipeline).__name__ == "SanaImageToVideoPipeline" else 16
         multiple = math.lcm(least, *(scale * cells for cells in _patch(config)))
         return multiple * max(round(width / multiple), 1), multiple * max(round(height / multiple), 1)
 

@@ -77,8 +77,6 @@ class Deadline:
 
 
 _REDIRECTS = 5
-_DIGITS = 18
-"""Of a length; longer ones are too large in any case."""
 _HEAD, _QUOTED = 4096, 80
 """Bytes of an invalid answer that are read for a message, and characters that it quotes."""
 _FINAL = (HTTPStatus.NOT_IMPLEMENTED, HTTPStatus.HTTP_VERSION_NOT_SUPPORTED)
@@ -323,7 +321,7 @@ class HttpClient:
             # Unpacked, a small answer may be large: its size would be known too late to keep limits and deadline.
             raise ServiceError(f"{self.service} answered with Content-Encoding {clean(coding)}; send it uncompressed")
         if (length := response.headers.get("Content-Length", "")).isdecimal():
-            budget.require(int(length[:_DIGITS]))
+            budget.require(int(length[:18]))  # of a length; longer ones are too large in any case
         async for chunk in response.aiter_bytes():
             budget.take(len(chunk))
             yield chunk

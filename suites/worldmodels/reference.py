@@ -20,10 +20,6 @@ from kinebench_drake.suites.simulator_cache import SimulatorCache
 from kinebench_drake.suites.worldmodels.media import encode_answer
 from kinebench_drake.suites.worldmodels.worldmodel import Request, TrueTrack, WorldModel, WorldModelError
 
-LOWEST_M = 0.03
-"""Least height of its waypoints above the table."""
-TURN_RAD = 0.5
-"""Standard deviation of its rotations about each axis."""
 _TRIES = 20
 
 
@@ -140,7 +136,8 @@ def _draw_waypoints(rng: np.random.Generator, scene: Scene) -> list[Waypoint]:
         X = scene.X_BG.copy()
         # Waypoints about the middle of the workspace, in B.
         X[:3, 3] = rng.normal((0.5, 0.0, 0.2), (0.12, 0.2, 0.08))
-        X[2, 3] = max(X[2, 3], LOWEST_M)
-        X[:3, :3] = X[:3, :3] @ rotation_exp(rng.normal(0.0, TURN_RAD, 3))
+        X[2, 3] = max(X[2, 3], 0.03)  # least height of its waypoints above the table
+        # 0.5: standard deviation of its rotations about each axis
+        X[:3, :3] = X[:3, :3] @ rotation_exp(rng.normal(0.0, 0.5, 3))
         waypoints.append(Waypoint(X_BG=X, finger_width_m=float(rng.choice([0.0, 0.08]))))
     return waypoints

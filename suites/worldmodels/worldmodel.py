@@ -17,9 +17,6 @@ if TYPE_CHECKING:  # naming a world model should not load the assets
     from kinebench_drake.suites.composition import Episode
     from kinebench_drake.suites.simulator import SimulatorState
 
-_DECIMALS = 9
-"""Digits of actions in requests."""
-
 
 class Condition(Enum):
     """What a request states of the motion that the clip should show."""
@@ -50,7 +47,8 @@ class ActionTrack:
     def to_json(self) -> dict[str, Json]:
         """Serialize with the names of track files."""
         arrays = {"t_s": self.t_s, "base_from_tcp": self.X_BG, "finger_width_m": self.finger_width_m, "q": self.q}
-        return {name: (array.round(_DECIMALS) + 0.0).tolist() for name, array in arrays.items()}  # no -0.0
+        # 9: digits of actions in requests
+        return {name: (array.round(9) + 0.0).tolist() for name, array in arrays.items()}  # no -0.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

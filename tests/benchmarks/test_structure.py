@@ -23,16 +23,16 @@ def repository(tmp_path):
 
 def test_files_and_lines_of_a_revision_are_counted_without_a_checkout(repository):
     files = {"kinebench_drake/a.py": "class A:\n    pass\n", "grounding/a.py": "class A:\n    found = 1\n"}
-    root = repository({**files, "tests/test_a.py": "\n", "benchmarks/b.py": "\n\n", "README.md": "x"})
+    root = repository({**files, "tests/test_a.py": "\n", "benchmarks/b.py": "\n\n", "README.md": "two words"})
     (root / "kinebench_drake" / "grounding").symlink_to("../grounding")
     (root / "kinebench_drake" / "link.py").symlink_to("a.py")
-    repository({"grounding/b.py": "def f(told): ...\n"})
+    repository({"grounding/b.py": "_A_M: Final = (0.1, 2)\nNAME, ON, size = 'x', True, 3\ndef f(told): ...\n"})
     first, second = (count_revision(root, revision) for revision in ("HEAD~1", "HEAD"))
     assert first == StructureCounts(
         shipped_files=2, shipped_lines=4, benchmark_files=1, benchmark_lines=2, test_files=1, test_lines=1,
-        package_top_files=1, repeated_classes=1, repeated_modules=1, banned_bindings=1,
+        package_top_files=1, repeated_classes=1, repeated_modules=1, banned_bindings=1, constants=0, docs_words=2,
     )  # fmt: skip
-    assert (second.shipped_files, second.banned_bindings) == (3, 2)
+    assert (second.shipped_files, second.banned_bindings, second.constants) == (3, 2, 1)
     assert "| shipped Python files | 2 | 3 |" in structure_table([("HEAD~1", first), ("HEAD", second)])
 
 

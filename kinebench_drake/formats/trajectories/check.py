@@ -23,7 +23,6 @@ MIN_FRAMES = 2
 """A path needs two postures."""
 
 _MANY_RAD = 10.0  # larger angles are taken for degrees
-_TURN_RAD = 2.0 * np.pi  # larger angles give a warning
 _WIDTH_SLACK_M = 0.01  # overshoot of sensors and simulators
 
 
@@ -118,7 +117,7 @@ def _joints(values: Array, tracked: NDArray[np.bool_], warnings: list[str]) -> t
             degrees = "the angles look like degrees, convert them to radians (multiply by pi / 180)"
             guess = degrees if largest[j] <= 720.0 else "these are no joint angles in radians"
             raise InputError(f"{message}: {guess}")
-        if largest[j] > _TURN_RAD:
+        if largest[j] > 2.0 * np.pi:  # larger angles give a warning
             warnings.append(
                 f"joint {j + 1} goes up to {largest[j]:.4g} rad, more than a full turn: are the angles in degrees? "
                 "They are interpreted as radians"

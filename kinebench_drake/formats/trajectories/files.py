@@ -20,7 +20,6 @@ from kinebench_drake.io.jsonl import read_object
 from kinebench_drake.io.npz import check_bytes, open_npz, read_npy
 
 _MOST_COLUMNS = 1000
-_MOST_NUMBERS = 1024  # per frame: more are images
 _DELIMITERS = (",", ";", "\t")
 
 
@@ -57,7 +56,8 @@ def open_json_table(sample: TrajectorySample) -> Iterator[Table]:
 def _columns(shapes: Mapping[str, tuple[int, ...]]) -> tuple[Column, ...]:
     """Return the arrays with a row per frame."""
     sizes = {name: int(np.prod(shape[1:])) for name, shape in shapes.items() if 1 <= len(shape) <= 3}
-    return tuple(Column(name=name, size=size) for name, size in sizes.items() if size <= _MOST_NUMBERS)
+    # 1024: numbers of a frame; more are images
+    return tuple(Column(name=name, size=size) for name, size in sizes.items() if size <= 1024)
 
 
 @contextmanager

@@ -14,10 +14,7 @@ DOUBLED = (1.4, 2.8)
 
 _LEVER_M = 0.2  # at which a rotation counts as a motion
 _SIZE, _DEGREE = 6, 3  # samples and degree of a fit
-_ROUNDING = 1e-5  # least residual [m or rad]
-_ROUNDS = 10  # lost samples that lie close together are found one after the other
 _NEAR = 0.25  # deviation of a stamped step from one or two periods [periods]
-_EVEN = 0.8  # least share of the steps that are one period
 
 
 def fill_gaps(t_s: Array, X_BG: Array | None, q: Array | None) -> tuple[Array, tuple[int, ...]]:
@@ -31,7 +28,7 @@ def fill_gaps(t_s: Array, X_BG: Array | None, q: Array | None) -> tuple[Array, t
     if len(t_s) < 2 * _SIZE:
         return t_s, ()
     steps, period = np.diff(t_s), float(np.median(np.diff(t_s)))
-    if (np.abs(steps / period - 1.0) < _NEAR).mean() < _EVEN:
+    if (np.abs(steps / period - 1.0) < _NEAR).mean() < 0.8:  # least share of the steps that are one period
         return t_s, ()
     stamped = np.flatnonzero(np.abs(steps / period - 2.0) < _NEAR)
     path = _path(X_BG) if q is None else q
@@ -39,7 +36,7 @@ def fill_gaps(t_s: Array, X_BG: Array | None, q: Array | None) -> tuple[Array, t
     if period > 0.1 or not np.isfinite(path).all():
         return t_s, tuple((stamped + 1).tolist())
     t_s, lost = t_s.copy(), set(stamped.tolist())
-    for _ in range(_ROUNDS):
+    for _ in range(10):  # lost samples that lie close together are found one after the other
         fresh = _find(t_s, path, period)
         if not fresh:
             break
@@ -66,7 +63,7 @@ def _find(t_s: Array, path: Array, period: float) -> list[int]:
     ratio = 2.0 * speed[step] / np.maximum(speed[step - 1] + speed[step + 1], 1e-12)
     # 0.4: greatest ratio of the residuals with and without the additional period
     # 5.0: least ratio of the residual as the times are to the median residual
-    lacks = (filled < 0.4 * as_is) & (as_is > 5.0 * max(float(np.median(as_is)), _ROUNDING))
+    lacks = (filled < 0.4 * as_is) & (as_is > 5.0 * max(float(np.median(as_is)), 1e-5))  # least residual [m or rad]
     lacks &= (ratio > DOUBLED[0]) & (ratio < DOUBLED[1]) & (np.diff(t_s)[step] < (1.0 + _NEAR) * period)
     clear = np.where(lacks, as_is, 0.0)
     nearby = np.lib.stride_tricks.sliding_window_view(np.pad(clear, 3), 7).max(axis=-1)

@@ -22,7 +22,6 @@ _EPISODE = re.compile(r"(?:data/)?(?:demo|episode)_(?P<number>\d{1,9})", re.ASCI
 _STATES = "env_states/articulations/"
 _ROBOT = re.compile(r"panda|franka|fr3", re.IGNORECASE)
 _ROOT = 13  # numbers of an articulation's state before its joints: pose (7) and velocity (6) of its root
-_MOST_NUMBERS = 256  # per frame: more are images
 
 
 def list_hdf5_trajectories(path: Path, video: str) -> list[TrajectorySample]:
@@ -94,7 +93,7 @@ def _column(name: str, data: h5py.Dataset) -> Column | None:
         fingers = [f"finger_joint_{k}" for k in range(1, joints - N_JOINTS + 1)]
         root, rates = [f"root_{k}" for k in range(_ROOT)], [f"rate_{k}" for k in range(joints)]
         return Column(name=name, size=size, names=(*root, *(f"joint_{k}" for k in range(1, 8)), *fingers, *rates))
-    return Column(name=name, size=size) if size <= _MOST_NUMBERS else None
+    return Column(name=name, size=size) if size <= 256 else None  # numbers of a frame; more are images
 
 
 def _rate(env_args: object) -> float | None:

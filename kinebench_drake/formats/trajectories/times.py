@@ -12,9 +12,6 @@ from kinebench_drake.formats.trajectories.trajectory import (
 )
 from kinebench_drake.geometry import Array
 
-_LATE_S = 1e6  # later times, such as seconds since 1970, would lose precision
-_EVEN = 1e-6  # deviation from even times that counts as none [steps]
-
 
 def check_times(array: NDArray[np.generic] | None, n: int, rate_hz: float | None, warnings: list[str]) -> Array:
     """Check the times (T,) of `n` frames [s], or make them from `rate_hz` [Hz]; free even ones of rounding.
@@ -53,7 +50,7 @@ def check_times(array: NDArray[np.generic] | None, n: int, rate_hz: float | None
             f"frames are {np.median(steps):.4g} s apart (median): are the times in milliseconds? They are interpreted "
             "as seconds; $rate_hz HZ overrides them"
         )
-    if abs(t_s[0]) > _LATE_S:
+    if abs(t_s[0]) > 1e6:  # later times, such as seconds since 1970, would lose precision
         warnings.append(f"times begin at {t_s[0]:.0f} s; they were shifted to begin at 0")
         t_s = t_s - t_s[0]
     return _undo_rounding(t_s)
@@ -93,7 +90,7 @@ def undo_jitter(t_s: Array, path: Array, warnings: list[str]) -> Array:
     deviation = float(np.abs(t_s - even).max())
     # 0.4: greatest deviation that is taken for jitter: where a frame is missing it is half a step [steps]
     # 0.01: the same in seconds: operating systems delay by milliseconds
-    if not _EVEN * step < deviation <= min(0.4 * step, 0.01):
+    if not 1e-6 * step < deviation <= min(0.4 * step, 0.01):  # deviation from even times that counts as none [steps]
         return t_s
     rough, smooth = prediction_error(t_s, path), prediction_error(even, path)
     if not smooth < 0.8 * rough:  # ratio of errors from which the motion counts as smoother; noise alone gives 1

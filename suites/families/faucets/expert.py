@@ -9,8 +9,6 @@ from kinebench_drake.suites.expert.grasp import BACK_M, closed_waypoint, grasp_r
 from kinebench_drake.suites.expert.motion import Arc, Waypoint
 from kinebench_drake.suites.families.task import Scene
 
-HALF_FINGERS_M = (0.0105, BACK_M)
-"""Half extents of the closed fingers along the TCP frame's x and y."""
 CLEARANCE_M = 0.018
 """Gap between finger and lever before the push."""
 BELOW_M = 0.002
@@ -38,7 +36,8 @@ def sweep_lever(goal: float, scene: Scene) -> list[Waypoint]:
     def touching(angle: float, gap_m: float) -> Array:
         """Return the TCP pose with the fingers' side `gap_m` behind the lever at an angle."""
         ahead = sense * np.array([-np.sin(angle), np.cos(angle), 0.0])
-        behind = scene.size("faucet", "half_width_m") + np.abs(R[:, :2].T @ ahead) @ HALF_FINGERS_M + gap_m
+        # (0.0105, BACK_M): half extents of the closed fingers along the TCP frame's x and y
+        behind = scene.size("faucet", "half_width_m") + np.abs(R[:, :2].T @ ahead) @ (0.0105, BACK_M) + gap_m
         # 0.75: point of the lever where the finger pushes, as a fraction of its reach
         along = 0.75 * scene.size("faucet", "lever_m") * np.array([np.cos(angle), np.sin(angle), 0.0])
         return make_pose(R, axis + along - behind * ahead - [0.0, 0.0, BELOW_M])

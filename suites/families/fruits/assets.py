@@ -20,7 +20,6 @@ from kinebench_drake.suites.scene.model import AssetModel, Material, Mesh, Surfa
 
 FRUITS = ("apple", "banana", "orange", "peach", "pear", "strawberry")
 """Names of the fruits."""
-_SECTIONS = 36  # of surfaces of revolution
 _BROWN, _GREEN = (0.11, 0.06, 0.025), (0.07, 0.2, 0.03)
 
 
@@ -44,7 +43,7 @@ def _globe(profile: Array, bend: Callable[[Array, Array], Array] | None = None) 
 
     `bend` returns factors (V,) on the radius from the angle (V,) [rad] and the height (V,) 0..1.
     """
-    mesh = lathe(profile, sections=_SECTIONS)
+    mesh = lathe(profile, sections=36)  # of surfaces of revolution
     uv = mesh.uv / mesh.uv.max(axis=0)
     vertices = np.array(mesh.vertices)
     if bend is not None:

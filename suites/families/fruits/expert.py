@@ -9,8 +9,6 @@ from kinebench_drake.suites.families.fruits.containers import compartment_center
 from kinebench_drake.suites.families.fruits.task import ORDER
 from kinebench_drake.suites.families.task import Scene
 
-LOWEST_M = 0.022
-"""Least height of the TCP above the table, so that palm and fingertips are clear of it."""
 ABOVE_M = 0.10
 """Height above a fruit from which the gripper approaches and to which it retreats."""
 DROP_M = 0.014
@@ -26,7 +24,7 @@ def _grasp(scene: Scene, name: str) -> tuple[Array, float]:
     if scene.size(name, "oblong") > 0.5:
         across = X[:3, 1] * [1.0, 1.0, 0.0]
         closing = nearest_axis([across, -across], axis_y)
-    p = np.array([*X[:2, 3], max(X[2, 3], LOWEST_M)])
+    p = np.array([*X[:2, 3], max(X[2, 3], 0.022)])  # palm and fingertips are clear of the table
     # 0.022: finger width in excess of the fruit's thickness before the grasp
     return make_pose(grasp_rotation(DOWN, closing), p), min(OPEN_M, scene.size(name, "grip_m") + 0.022)
 

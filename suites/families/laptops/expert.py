@@ -12,7 +12,6 @@ from numpy.typing import ArrayLike
 
 from kinebench_drake.geometry import Array, make_pose
 from kinebench_drake.suites.expert.grasp import (
-    CLOSED_M,
     OPEN_M,
     TIP_M,
     closed_passage,
@@ -31,8 +30,6 @@ BELOW_M = 0.006
 """Depth of the fingertip below the edge of a lid that is ajar."""
 HOLD_M = 0.016
 """Distance from the lid's edge at which the fingertip pushes it."""
-TURN_RAD = np.deg2rad(46.0)
-"""Opening of the lid from which on the hand rotates with the lid."""
 OPENED_RAD = np.deg2rad(108.0)
 """Opening to which the lid is pushed."""
 PRESS_M = 0.003
@@ -74,7 +71,7 @@ class _HingePlane:
 
     def closed_pose(self, corner: ArrayLike) -> Array:
         """Return the TCP pose (4, 4) of closed, vertical fingers with the front edge of the tips at `corner` (2,)."""
-        return self._tcp(corner, 0.0, 0.5 * CLOSED_M + FINGER_M)
+        return self._tcp(corner, 0.0, FINGER_M)
 
     def _tcp(self, corner: ArrayLike, tilt_rad: float, offset_m: float) -> Array:
         s, c = np.sin(tilt_rad), np.cos(tilt_rad)
@@ -109,7 +106,7 @@ def open_laptop(scene: Scene) -> list[Waypoint]:
     # 0.006: greatest depth of the fingertip under the lid's edge
     # 0.002: depth under the edge beyond the first contact of the slanted finger, which lifts the lid by wedging
     under = np.array([edge[0] - min(0.006, (edge[1] - height) * np.tan(TILT_RAD) + 0.002), height])
-    turn = max(TURN_RAD, angle + 0.2)
+    turn = max(np.deg2rad(46.0), angle + 0.2)  # opening from which on the hand rotates with the lid
     corner = _on_lid(turn, reach - HOLD_M, inside - 0.001)
     above, before, start, lifted = (
         plane.open_pose(p, TILT_RAD) for p in (np.add(under, [0.05, 0.07]), np.add(under, [0.02, 0.0]), under, corner)
