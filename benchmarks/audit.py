@@ -115,7 +115,7 @@ def section(timing: AuditTiming) -> str:
     parts = ", ".join(f"{part} {seconds:.1f} s" for part, seconds in timing.parts_s.items())
     return markdown.section(
         "The audit in one process",
-        f"Written by `python -m benchmarks audit`, one thread, on {machine_text()}; CPU times.",
+        f"`python -m benchmarks audit`, one thread, on {machine_text()}; CPU times.",
         f"{timing.tracks} tracks of {BENCHMARK_FRAMES} frames: {sum(timing.parts_s.values()):.1f} s ({parts}).",
         f"{len(timing.audit_s)} whole audits, with collisions and both trajectory optimisations: median "
         f"{np.median(timing.audit_s):.3f} s a track, 95th percentile {np.percentile(timing.audit_s, 95):.3f} s, "

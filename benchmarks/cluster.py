@@ -157,8 +157,8 @@ def section(trials: Sequence[ClusterTrial]) -> str:
     head = ("run", "samples", "workers a node", "killed (SIGKILL)", "equal files", "results.json differs in")
     return markdown.section(
         "Tried on two nodes",
-        "Written by `python -m benchmarks cluster`: each run with one local process and on a Ray "
-        f"cluster of {NODES} nodes on one machine, where a worker is killed at its sample half-way. Compared byte "
-        "for byte: samples.jsonl, tracks, thumbnails, videos; not timings.jsonl and report.html.",
+        "`python -m benchmarks cluster`: each run with one local process and on a Ray cluster of "
+        f"{NODES} nodes on one machine, where a worker is killed at its sample half-way. Compared byte for byte: "
+        "samples.jsonl, tracks, thumbnails, videos.",
         markdown.table(head, rows),
     )

@@ -183,11 +183,8 @@ def section(costs: Costs) -> str:
     turns = {len(cpu) for cpu, _ in pairs.values()}.pop()
     return markdown.section(
         "GPU",
-        f"Written by `python -m benchmarks gpu` on {machine_text()} with {torch.cuda.get_device_name()}: the same "
-        f"on the CPU and with the GPU of one machine, in turn, median (minimum to maximum) of {turns} turns, wall "
-        "times. The network includes the transfer of images and estimates; torch's defaults on the GPU. "
-        "Images of the simulator are colour, depth and segmentation, on the CPU by the software driver. `score` "
-        "and `suite run`: time from one finished sample to the next, once every process has finished one; fits, "
-        "kinematics and physics run on the CPU in both. Episodes of suite 0 with the oracle, pixels only.",
+        f"`python -m benchmarks gpu` on {machine_text()} with {torch.cuda.get_device_name()}: wall times, median "
+        f"(minimum to maximum) of {turns} turns. `score` and `suite run` (oracle, pixels only): time from one finished "
+        "sample to the next. Fits, kinematics and physics run on the CPU in both.",
         markdown.table(("what", "CPU", "GPU", "times as fast"), rows),
     )

@@ -16,15 +16,10 @@ from benchmarks import markdown
 from benchmarks.feasible import BENCHMARK_FRAMES, BENCHMARK_PERIOD_S, TrackSet, smooth_motions
 from benchmarks.motion import Arm
 from benchmarks.peers import (
-    FIXED_Q7,
-    FRANKIK_FIXED_Q7,
-    NEWTON,
     OURS,
     PEERS,
-    PLAIN_DRAKE,
     POSITION_M,
     ROTATION_RAD,
-    WARM_START,
     IkProblem,
     Peer,
     Solve,
@@ -41,7 +36,6 @@ IK_SETS = (
     TrackSet(tracks=4, frames=490, period_s=0.02),
 )
 """Benchmark episodes, and tracks of the same duration with ten times as many frames."""
-_NOT_OTHERS = (OURS, NEWTON, WARM_START, PLAIN_DRAKE, FRANKIK_FIXED_Q7)  # and their variants
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -51,7 +45,6 @@ class SolverTiming:
     name: str
     label: str
     """Name and version."""
-    how: str
     us_per_pose: Array | None
     """(R,) microseconds a pose of each repeat; None if the package is missing."""
     reached: float | None
@@ -95,7 +88,6 @@ def compare_solvers(problems: Sequence[IkProblem], peers: Sequence[Peer], repeat
         SolverTiming(
             name=peer.name,
             label=peer.label,
-            how=peer.how,
             us_per_pose=1e6 * np.array(seconds[peer.name]) / poses if peer.name in seconds else None,
             reached=reached_share(plant, problems, paths[peer.name]) if peer.name in paths else None,
             within_speed=within_speed_share(plant, problems, paths[peer.name]) if peer.name in paths else None,
@@ -114,6 +106,8 @@ def compare_ik(
 ) -> list[IkComparison]:
     """Draw the tracks of each set and time all solvers on them, in `repeats` turns."""
     arm, rng = Arm(), np.random.default_rng(seed)
+    for peer in peers:
+        log(f"{peer.label}: {peer.how}")
     comparisons = []
     for tracks in sets:
         log(f"inverse kinematics of {tracks.tracks} tracks of {tracks.frames} frames, {repeats} times each")
@@ -139,37 +133,29 @@ def figures(comparisons: Sequence[IkComparison]) -> dict[str, float]:
 def section(comparisons: Sequence[IkComparison]) -> str:
     """Return the section of the document."""
     parts: list[str | list[str]] = [
-        f"Written by `python -m benchmarks ik`, one thread, on {machine_text()}; CPU times, "
-        "so that other load hardly counts. Seconds are those of this machine, ratios carry over.",
-        "Expert-like tracks, each started from the posture of its first pose, reached to "
-        f"{1e3 * POSITION_M:g} mm and {1e3 * ROTATION_RAD:g} mrad. "
-        "The solvers take turns; ratios are of the same turn. Reached: share of poses at which Drake's forward "
-        "kinematics puts the TCP at the pose, joints within limits. Within speed limits: share of tracks whose joint "
-        "path keeps the speed limits, as the motions do that the poses were taken from; any other path jumps between "
-        "postures, and no arm can follow it.",
-        "Ours and pytorch_kinematics solve whole tracks, as an audit has them; the others solve pose by pose and could "
-        "also drive an arm whose next pose is not known yet. Ours chooses the redundancy (joint 7 of the Panda) along "
-        "the track and verifies its own result in Drake within its time. The two with fixed joint 7 and no sweep omit "
-        "that choice and have no solution where joint 7 has to move; they are to be compared with each other: the bare "
-        "closed form, ours a track at a time, frankik's pose by pose.",
+        f"`python -m benchmarks ik`, one thread, on {machine_text()}; CPU times. Expert-like tracks are reached to "
+        f"{1e3 * POSITION_M:g} mm and {1e3 * ROTATION_RAD:g} mrad from the posture of the first pose. The solvers take "
+        "turns, and ratios are of the same turn: median (minimum to maximum). Reached: share of poses, joints within "
+        "limits. Smooth: share of tracks whose joint path keeps the speed limits; any other path jumps between "
+        "postures.",
+        "Ours and pytorch_kinematics solve whole tracks, the others pose by pose. Ours chooses joint 7 along the track "
+        "and verifies its own result in Drake within its time. A warm start is given the true postures. "
+        "`benchmarks/peers.py` has how each solver is used.",
     ]
     for comparison in comparisons:
         tracks = comparison.tracks
-        head = (
-            *("solver", "used as", "us a pose, median (minimum to maximum)"),
-            *("times ours (minimum to maximum)", "reached", "within speed limits"),
-        )
+        head = ("solver", "us a pose", "times ours", "reached", "smooth")
         parts.append(f"### {tracks.tracks} tracks of {tracks.frames} frames at {tracks.period_s:g} s")
-        parts += [markdown.table(head, [_row(comparison, t) for t in comparison.timings]), _summary(comparison)]
+        parts.append(markdown.table(head, [_row(comparison, t) for t in comparison.timings]))
     return markdown.section("Inverse kinematics along smooth tracks", *parts)
 
 
 def _row(comparison: IkComparison, timing: SolverTiming) -> list[str]:
     ratio = comparison.ratio(timing.name)
     if timing.us_per_pose is None or ratio is None or timing.reached is None or timing.within_speed is None:
-        return [timing.label, timing.how, "not installed", "", "", ""]
-    shares = f"{100 * timing.reached:.1f} %", f"{100 * timing.within_speed:.0f} %"
-    return [timing.label, timing.how, _spread(timing.us_per_pose), _spread(ratio), *shares]
+        return [timing.label, "not installed", "", "", ""]
+    shares = f"{timing.reached:.1%}", f"{timing.within_speed:.0%}"
+    return [timing.label, _short(np.median(timing.us_per_pose)), _spread(ratio), *shares]
 
 
 def _spread(values: Array) -> str:
@@ -180,30 +166,3 @@ def _spread(values: Array) -> str:
 def _short(value: float | np.floating[Any]) -> str:
     """Format a number with two or three significant digits."""
     return f"{value:.{2 if value < 1.0 else 1 if value < 100.0 else 0}f}"
-
-
-def _summary(comparison: IkComparison) -> str:
-    """Compare ours with plain Drake and with the fastest of the others, those that solve everything apart."""
-    drake, fixed = comparison.ratio(PLAIN_DRAKE), comparison.ratio(FRANKIK_FIXED_Q7, FIXED_Q7)
-    others = [t for t in comparison.timings if t.us_per_pose is not None and not t.name.startswith(_NOT_OTHERS)]
-    parts = [] if drake is None else [f"{_short(np.median(drake))} times as fast as plain Drake InverseKinematics"]
-    complete = [t for t in others if t.reached == 1.0 and t.within_speed == 1.0]
-    for group, words in (
-        (
-            complete,
-            "the fastest of the other packages that reaches every pose within the speed limits (warm starts, which are "
-            "given the true postures, left out)",
-        ),
-        ([t for t in others if t not in complete], "the fastest of those that do not"),
-    ):
-        ratios = {t.label: r for t in group if (r := comparison.ratio(t.name)) is not None}
-        if ratios:
-            fastest = min(ratios, key=lambda label: float(np.median(ratios[label])))
-            parts.append(f"{_short(np.median(ratios[fastest]))} times as fast as {fastest}, {words}")
-    if fixed is not None:
-        shares = {t.name: f"{100 * t.reached:.1f} %" for t in comparison.timings if t.reached is not None}
-        parts.append(
-            f"as a bare closed form, joint 7 fixed and no sweep, {_short(np.median(fixed))} times as fast as frankik "
-            f"(poses reached: {shares[FIXED_Q7]} and {shares[FRANKIK_FIXED_Q7]})"
-        )
-    return f"Ours is {'; '.join(parts)}." if parts else ""

@@ -57,7 +57,7 @@ class Peer:
 
     name: str
     how: str
-    """How it is used, in a few words, for the table."""
+    """How it is used, in a few words."""
     package: str | None
     """Distribution that it needs; None for none but our own."""
     make: Callable[[ArmPlant], Solve]

@@ -150,10 +150,8 @@ def section(timing: RoundTiming) -> str:
     own_s = (total - timing.seconds[Stage.MODEL]) / timing.rounds
     return markdown.section(
         "A round of the closed loop",
-        f"Written by `python -m benchmarks rounds` on {machine_text()}: {timing.episodes} episodes of suite 0 with "
-        f"the oracle, {timing.successes} of them successful, {timing.rounds} rounds in one process, without the "
-        "first episode, which loads networks and simulator. Processor times of all threads: other load "
-        "hardly counts, and `--jobs 2` takes about half.",
+        f"`python -m benchmarks rounds` on {machine_text()}: {timing.rounds} rounds of {timing.episodes} episodes of "
+        f"suite 0 with the oracle. {timing.successes} episodes succeed. Processor times of all threads.",
         markdown.table(("stage", "s a round", "share"), [*rows, ["all", f"{total / timing.rounds:.2f}", "100%"]]),
         f"Without the world model a round takes {own_s:.1f} s of processor time.",
     )

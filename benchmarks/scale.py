@@ -259,10 +259,9 @@ def section(result: ScaleResult) -> str:
     )
     return markdown.section(
         "A hundred thousand samples",
-        f"Written by `python -m benchmarks scale` on {machine_text()}: a run of "
-        f"{result.rows} samples in which only reading, grounding and judging the videos is replaced, by rows and "
-        "tracks of the example videos with scaled numbers. Each stage in a process of its own: wall time, "
-        "processor time and peak resident memory of the main process, libraries included.",
+        f"`python -m benchmarks scale` on {machine_text()}: a run of {result.rows} samples. Their reading, grounding "
+        "and judging are replaced by rows and tracks of the example videos. Memory: peak of the main process, "
+        "libraries included.",
         markdown.table(
             ("stage", "wall time, s", "processor time, s", "memory, MB"),
             [[s.stage, f"{s.wall_s:.0f}", f"{s.cpu_s:.0f}", f"{s.memory_mb:.0f}"] for s in result.stages],

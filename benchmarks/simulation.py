@@ -47,6 +47,9 @@ class TaskTiming:
     """One clip of 49 frames: composed, planned, executed, rendered and encoded [s]."""
 
 
+_COLUMNS = {"step, ms": "step_ms", "image, ms": "image_ms", "reset, ms": "reset_ms", "demonstration, s": "demo_s"}
+
+
 def _median_ms(action: Callable[[], object], times: int) -> float:
     seconds = []
     for _ in range(times):
@@ -136,17 +139,18 @@ def compare_with_stock() -> tuple[Array, Array]:
 
 def section(timings: Sequence[TaskTiming], steps: Array, images: Array) -> str:
     """Return the section of the document."""
-    rows = [(t.task, f"{t.step_ms:.1f}", f"{t.image_ms:.0f}", f"{t.reset_ms:.0f}", f"{t.demo_s:.1f}") for t in timings]
-    worst = [max(getattr(t, name) for t in timings) for name in ("step_ms", "image_ms", "demo_s")]
+    rows = [
+        [name, f"{np.median(values):.2g}", f"{max(values):.2g}"]
+        for name, key in _COLUMNS.items()
+        for values in [[getattr(timing, key) for timing in timings]]
+    ]
     return markdown.section(
         "Simulation",
-        f"Written by `python -m benchmarks simulation` on {machine_text()}, rendering on the "
-        f"{prepare_vulkan()}; wall times. Step: one control step of 0.05 s with the task's verdict, no image. "
-        "Image: 384x384, colour, depth and segmentation. Reset: with the scene rebuilt. Demonstration: a clip of "
-        "49 frames planned, executed, rendered and encoded as mp4.",
-        markdown.table(("task", "step, ms", "image, ms", "reset, ms", "demonstration, s"), rows),
-        f"The slowest: {worst[0]:.1f} ms a step, {worst[1]:.0f} ms an image, {worst[2]:.1f} s a demonstration. "
-        f"Compared with ManiSkill's own {STOCK}, in turn in one process: a step takes "
+        f"`python -m benchmarks simulation` on {machine_text()}, rendering on the {prepare_vulkan()}; wall times of "
+        f"{len(timings)} tasks. Step: one control step of 0.05 s with the task's verdict, no image. Image: 384x384, "
+        "colour, depth and segmentation. Demonstration: a clip of 49 frames planned, executed, rendered and encoded.",
+        markdown.table(("what", "median", "slowest task"), rows),
+        f"Compared with ManiSkill's own {STOCK}, in turn in one process, a step takes "
         f"{np.median(steps):.2f} times as long ({steps.min():.2f} to {steps.max():.2f}), an image "
         f"{np.median(images):.2f} times ({images.min():.2f} to {images.max():.2f}).",
     )
@@ -161,5 +165,4 @@ def measure(tasks: Sequence[str]) -> tuple[list[TaskTiming], Array, Array]:
 
 def figures(timings: Sequence[TaskTiming]) -> dict[str, float]:
     """Return the medians over the tasks."""
-    units = {"step, ms": "step_ms", "image, ms": "image_ms", "reset, ms": "reset_ms", "demonstration, s": "demo_s"}
-    return {name: float(np.median([getattr(timing, key) for timing in timings])) for name, key in units.items()}
+    return {name: float(np.median([getattr(timing, key) for timing in timings])) for name, key in _COLUMNS.items()}

@@ -142,15 +142,12 @@ def section(result: StreamingResult) -> str:
             rows.append(row)
     return markdown.section(
         "Memory over many samples",
-        f"Written by `python -m benchmarks streaming` on {machine_text()}: `score` of {result.samples} videos of "
-        f"{result.frames} frames with `--jobs {result.jobs}`. "
-        "Resident memory by number of finished samples, libraries included [MB].",
+        f"`python -m benchmarks streaming` on {machine_text()}: `score` of {result.samples} videos of {result.frames} "
+        f"frames with `--jobs {result.jobs}`. Resident memory by number of finished samples [MB]:",
         markdown.table(("samples", "main process", *(f"worker {k + 1}" for k in range(len(workers)))), rows),
-        f"Growth per 1,000 samples, of a straight line through the readings every {STEP} samples after the first "
-        f"{SETTLED * result.samples:.0f}: main process {main:z.1f} MB (it keeps the rows, "
-        f"{result.rows_mb:.1f} MB of JSON in the end)"
+        f"Growth per 1,000 samples after the first {SETTLED * result.samples:.0f}: main process {main:z.1f} MB"
         + (f", workers {' and '.join(f'{mb:z.1f} MB' for mb in workers)}" if len(workers) else "")
-        + f". Peak of the main process, report included: {result.run.peak.main_mb:.0f} MB. `report.html`: "
-        f"{result.report_mb:.1f} MB, written again in {result.report_s:.1f} s (start of the program included). The "
-        f"same run once more, with all samples finished: {result.again_s:.1f} s.",
+        + f". Peak of the main process, report included: {result.run.peak.main_mb:.0f} MB. `report.html` has "
+        f"{result.report_mb:.1f} MB and is written again in {result.report_s:.1f} s. The same run once more takes "
+        f"{result.again_s:.1f} s.",
     )

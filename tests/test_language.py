@@ -14,10 +14,6 @@ PARTICIPLES = frozenset({"found", "told", "known", "given", "seen", "held", "sai
 INVENTED = re.compile(r"\b(Theatre|Stagehand|TrickStage|Wanderer|HeldModel|PrivateStage|Telling|Footage|Sightings)\b")
 SENTENCE_WORDS, MEAN_WORDS = 30, 16
 """Greatest length of a sentence of the documentation, and of the mean of a page."""
-LONG_WINDED = frozenset(
-    f"docs/{name}.md" for name in (*("api", "benchmarks", "cluster", "faq", "gate", "integrations", "publish"),)
-)
-"""Pages whose sentences are not yet short."""
 TURNS = re.compile(
     r"^See `[^`]+`\.?$"
     r"|\bwhat (comes|became|is made) of\b"
@@ -102,11 +98,8 @@ def test_sentences_of_the_documentation_are_short(page):
     lengths = [(len(words), " ".join(words)) for words in sentences(page.read_text())]
     too_long = [text for n, text in lengths if n > SENTENCE_WORDS]
     mean = sum(n for n, _ in lengths) / len(lengths)
-    if page.relative_to(ROOT).as_posix() in LONG_WINDED:
-        assert too_long or mean > MEAN_WORDS, f"{page.name} is short enough: remove it from LONG_WINDED"
-    else:
-        assert not too_long
-        assert mean <= MEAN_WORDS
+    assert not too_long
+    assert mean <= MEAN_WORDS
 
 
 def test_sentences_are_counted_without_code_tables_and_targets_of_links():
