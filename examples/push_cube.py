@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from kinebench_drake.geometry import make_pose
-from kinebench_drake.suites.expert.grasp import CLOSED_M, DOWN, closed_waypoint, grasp_rotation, lift
+from kinebench_drake.suites.expert.grasp import DOWN, closed_waypoint, grasp_rotation, lift
 from kinebench_drake.suites.expert.motion import Waypoint
 from kinebench_drake.suites.families.task import Difficulty, Placement, Scene, SceneLayout, Task, TaskCard, TaskVariant
 from kinebench_drake.suites.scene.model import AssetModel
@@ -42,7 +42,7 @@ class PushCube(Task):
                 "target": Placement.upright(models["target"], (x + rng.uniform(0.13, 0.16), y, 0.0), decor=True),
             },
             prompt="The robot arm pushes the blue cube forward onto the red and white target.",
-            finger_width_m=CLOSED_M,
+            finger_width_m=0.0,
         )
 
     def conditions(self, state: State) -> dict[str, Tensor]:
