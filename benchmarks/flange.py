@@ -12,13 +12,9 @@ from benchmarks.perception.clip import TruthClipFile, find_clips
 from benchmarks.perception.store import MeasurementStore, fingerprint
 from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array, invert, make_pose, pose_difference, rotation_z
+from kinebench_drake.grounding import bounds
 from kinebench_drake.grounding.pipeline import GroundingPipeline
-from kinebench_drake.grounding.tracking.confidence import (
-    CALIBRATION,
-    TRACKED_CONFIDENCE,
-    load_confidence,
-    save_confidence,
-)
+from kinebench_drake.grounding.tracking.confidence import CALIBRATION, load_confidence, save_confidence
 from kinebench_drake.io.atomic import make_folder, write_atomically
 from kinebench_drake.io.frames import Frames
 from kinebench_drake.io.reader import read_video
@@ -176,7 +172,7 @@ def _row(kind: str, measured: Sequence[MeasuredPoses]) -> list[str]:
     for m in measured:
         raw = m.track(confidence.frame)
         probability = np.where(raw.has_pose, confidence.track.probability(raw.features()), 0.0)
-        tracked = probability >= TRACKED_CONFIDENCE
+        tracked = probability >= bounds.TRACKED_CONFIDENCE
         distance, angle = pose_difference(m.X_true, raw.smooth(tracked, probability))
         distances += distance[tracked].tolist()
         angles += angle[tracked].tolist()

@@ -13,7 +13,7 @@ from benchmarks.markdown import percent, table
 from benchmarks.perception.clip import TruthClip
 from benchmarks.perception.summary import percentile, reliability_curve
 from kinebench_drake.geometry import Array, pose_difference
-from kinebench_drake.grounding.tracking.confidence import GOOD_M, GOOD_RAD
+from kinebench_drake.grounding import bounds
 from kinebench_drake.io.jsonl import Json
 from kinebench_drake.models.panda.robot import hand_from_tcp
 
@@ -60,7 +60,7 @@ class PoseErrors:
     @property
     def good(self) -> NDArray[np.bool_]:
         """(T,) frames within the bounds whose probability the confidence is."""
-        return np.asarray((self.hand_m <= GOOD_M) & (self.rotation_rad <= GOOD_RAD))
+        return np.asarray((self.hand_m <= bounds.GOOD_M) & (self.rotation_rad <= bounds.GOOD_RAD))
 
 
 def compare(video: TruthClip, track: TrackRecord) -> PoseErrors:

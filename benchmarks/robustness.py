@@ -23,7 +23,7 @@ from benchmarks.perception.study import (
 from benchmarks.perception.summary import intervals
 from benchmarks.perception.trial import TrialCondition
 from kinebench_drake.executors.local import LocalExecutor
-from kinebench_drake.grounding.tracking.confidence import GOOD_M, GOOD_RAD
+from kinebench_drake.grounding import bounds
 from kinebench_drake.io.figure import POSITION, ROTATION, new_figure
 from kinebench_drake.runs.runner import RunObserver
 from kinebench_drake.stats import IntervalEstimate
@@ -39,7 +39,7 @@ FIGURE = Path("docs/robustness.png")
 _GROUNDING, _BASELINE = "grounding", "inverse dynamics"
 _STYLES = ((_GROUNDING, "", -0.15, POSITION), (_BASELINE, f", {LEARNED}", 0.15, ROTATION))
 # Quantity, unit, and error within which a pose is good.
-_PANELS = (("position", "mm", 1e3 * GOOD_M), ("rotation", "deg", float(np.rad2deg(GOOD_RAD))))
+_PANELS = (("position", "mm", 1e3 * bounds.GOOD_M), ("rotation", "deg", float(np.rad2deg(bounds.GOOD_RAD))))
 _INTRODUCTION = (
     "Errors of panda_hand in the camera frame on the same held-out videos, median / 95th percentile over frames: of "
     "the grounding those it tracks, of the network all. Medians have 95 % bootstrap intervals "

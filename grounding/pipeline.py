@@ -11,26 +11,13 @@ from numpy.typing import NDArray
 from kinebench_drake.anomaly import Anomaly, AnomalyKind
 from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array, invert, pose_difference
+from kinebench_drake.grounding import bounds
 from kinebench_drake.grounding.anomaly.camera_motion import CameraMotion, FeatureTracks, measure_camera_motion
-from kinebench_drake.grounding.anomaly.detect import (
-    NOT_LOOKED_FOR,
-    SURE_CONFIDENCE,
-    AnomalyEvidence,
-    find_anomalies,
-    gather_evidence,
-)
+from kinebench_drake.grounding.anomaly.detect import NOT_LOOKED_FOR, AnomalyEvidence, find_anomalies, gather_evidence
 from kinebench_drake.grounding.anomaly.detection import AnomalyDetections
 from kinebench_drake.grounding.priors import NO_PRIORS, InitialStateUse, Priors
 from kinebench_drake.grounding.tracking.camera_path import CameraPath, follow_camera
-from kinebench_drake.grounding.tracking.confidence import (
-    CALIBRATION,
-    GOOD_M,
-    GOOD_RAD,
-    TRACKED_CONFIDENCE,
-    Confidence,
-    frame_confidence,
-    load_confidence,
-)
+from kinebench_drake.grounding.tracking.confidence import CALIBRATION, Confidence, frame_confidence, load_confidence
 from kinebench_drake.grounding.tracking.estimator import NetworkEstimator
 from kinebench_drake.grounding.tracking.flange_tracker import FlangeTracker
 from kinebench_drake.grounding.tracking.markov import X_HALF_TURN, resolve_flips, smooth_gripper_width
@@ -46,10 +33,6 @@ from kinebench_drake.track import Domain, GripperTrack, InitialState
 
 CHECKED_FRAMES = 5
 """Number of frames that check by the arm whether the camera or the background moves."""
-LEAST_AGREEING = 0.5
-"""Least number of them in which hand and arm agree, relative to that without following the camera."""
-FIRST_M, FIRST_RAD = 0.015, np.deg2rad(6.0)
-"""Largest deviation of the initial state from a confident estimate of the first frame, to be used."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -180,7 +163,7 @@ class GroundingPipeline:
         raw = RawTrack.from_poses(poses, evidence.confidence, detections.anomalies, motion.lost, X_prior, t_s)
         probability = self._confidence[evidence.domain].track.probability(raw.features())
         confidence = np.where(raw.has_pose, np.where(raw.from_prior, 1.0, probability), 0.0)
-        tracked = confidence >= TRACKED_CONFIDENCE
+        tracked = confidence >= bounds.TRACKED_CONFIDENCE
         X_AH = raw.smooth(tracked, confidence)
         track = GripperTrack(
             t_s=t_s,
@@ -189,8 +172,8 @@ class GroundingPipeline:
             tracked=tracked,
             confidence=confidence,
             finger_width_m=_gripper_width(poses, tracked, priors),
-            offset_m=GOOD_M * (not raw.from_prior.all()),
-            offset_rad=GOOD_RAD * (not raw.from_prior.all()),
+            offset_m=bounds.GOOD_M * (not raw.from_prior.all()),
+            offset_rad=bounds.GOOD_RAD * (not raw.from_prior.all()),
         )
         return PipelineResult(
             track=track,
@@ -212,12 +195,12 @@ class GroundingPipeline:
         """Return whether the first frame confidently shows the gripper elsewhere; a 180-degree flip is tolerated."""
         tracking = self._tracker.track(frames[:1], camera)
         pose = tracking.poses[0]
-        if pose is None or frame_confidence(pose, tracking.domain, self._confidence) < SURE_CONFIDENCE:
+        if pose is None or frame_confidence(pose, tracking.domain, self._confidence) < bounds.TRACKED_CONFIDENCE:
             return False
         distance, angle = pose_difference(
             _initial_hand_pose(state, camera), np.stack([pose.X_CH, pose.X_CH @ X_HALF_TURN])
         )
-        return not bool(((distance <= FIRST_M) & (angle <= FIRST_RAD)).any())
+        return not bool(((distance <= bounds.FIRST_M) & (angle <= bounds.FIRST_RAD)).any())
 
     def observe(self, frames: Frames, camera: Camera, t_s: Array, priors: Priors = NO_PRIORS) -> Observation:
         """Measure each frame, without confidence and smoothing along the video.
@@ -263,7 +246,7 @@ class GroundingPipeline:
         if fixed == 0:
             return motion
         followed = self._arm_tracker.track(steady[chosen], wide, places=places).agreeing
-        return motion if followed >= LEAST_AGREEING * fixed else replace(motion, path=None)
+        return motion if followed >= bounds.FOLLOWED_SHARE * fixed else replace(motion, path=None)
 
     def _measure_motion(
         self,

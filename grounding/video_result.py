@@ -7,15 +7,13 @@ from numpy.typing import NDArray
 
 from kinebench_drake.camera import Camera
 from kinebench_drake.errors import UnmeasurableError
+from kinebench_drake.grounding import bounds
 from kinebench_drake.grounding.camera.evidence import CameraChoice
 from kinebench_drake.grounding.camera.framing import Framing
 from kinebench_drake.grounding.pipeline import PipelineResult
 from kinebench_drake.io.frames import Frames
 from kinebench_drake.models.panda.robot import RobotPart
 from kinebench_drake.track import Domain, GripperTrack
-
-MIN_TRACKED = 2
-"""Fewest frames with a pose: a path needs two."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -42,12 +40,12 @@ class GroundingResult(PipelineResult):
     def unmeasurable(self) -> str | None:
         """Why the track cannot be measured although a gripper is seen; None if it can."""
         track, tracked = self.track, int(self.track.tracked.sum())
-        if tracked >= MIN_TRACKED:
+        if tracked >= bounds.MIN_TRACKED:
             return None
         subject = "the flange" if self.domain is Domain.ARM else "a gripper"
         return (
             f"{subject} is seen in {int(self.has_pose.sum())} of {len(track.t_s)} frames, but trusted in {tracked}, a "
-            f"path needs {MIN_TRACKED}: its confidence is {track.confidence.max():.2f} at most{self._doubt}"
+            f"path needs {bounds.MIN_TRACKED}: its confidence is {track.confidence.max():.2f} at most{self._doubt}"
         )
 
     @property

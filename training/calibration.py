@@ -20,18 +20,16 @@ from kinebench_drake.camera import Camera
 from kinebench_drake.errors import UsageError
 from kinebench_drake.executors.base import Executor, Observer
 from kinebench_drake.geometry import Array, pose_difference
+from kinebench_drake.grounding import bounds
 from kinebench_drake.grounding.pipeline import GroundingPipeline, Observation
 from kinebench_drake.grounding.tracking.confidence import (
     FRAME_FEATURES,
-    GOOD_M,
-    GOOD_RAD,
-    TRACKED_CONFIDENCE,
     Confidence,
     LogisticRegression,
     frame_features,
     load_confidence,
 )
-from kinebench_drake.grounding.tracking.smoothing import MIN_CONFIDENCE, RawTrack
+from kinebench_drake.grounding.tracking.smoothing import RawTrack
 from kinebench_drake.io.frames import Frames
 from kinebench_drake.io.reader import read_video
 from kinebench_drake.models.panda.cad import GripperCad
@@ -104,13 +102,13 @@ class MeasuredPoses:
     def good(self, X: Array) -> NDArray[np.bool_]:
         """Return which poses X (T, 4, 4) are as accurate as the confidence states."""
         distance, angle = pose_difference(self.X_true, X)
-        return np.asarray((distance <= GOOD_M) & (angle <= GOOD_RAD))
+        return np.asarray((distance <= bounds.GOOD_M) & (angle <= bounds.GOOD_RAD))
 
     def track(self, frame: LogisticRegression) -> RawTrack:
         """Return the raw track with the confidence `frame` of each frame by itself."""
         confidence = np.where(self.detected, frame.probability(np.nan_to_num(self.features)), 0.0)
         return RawTrack(
-            X_AH=np.where((confidence >= MIN_CONFIDENCE)[:, None, None], self.X_AH, np.nan),
+            X_AH=np.where((confidence >= bounds.MIN_CONFIDENCE)[:, None, None], self.X_AH, np.nan),
             covariance=self.covariance,
             confidence=confidence,
             from_prior=np.zeros(len(confidence), dtype=bool),
@@ -275,7 +273,7 @@ def _reliability(
     for item, m in tested:
         raw = m.track(confidence.frame)
         probability = np.where(raw.has_pose, confidence.track.probability(np.nan_to_num(raw.features())), 0.0)
-        X_AH = raw.smooth(probability >= TRACKED_CONFIDENCE, probability)
+        X_AH = raw.smooth(probability >= bounds.TRACKED_CONFIDENCE, probability)
         distance = pose_difference(m.X_true, X_AH)[0]
         row = probability, m.good(X_AH), np.where(np.isfinite(distance), distance, np.inf)
         wrong = item.degradation is VideoDegradation.CAMERA
@@ -283,7 +281,7 @@ def _reliability(
             kinds.setdefault(kind, []).append(row)
     for kind, rows in kinds.items():
         probability, good, distance = (np.concatenate(values) for values in zip(*rows, strict=True))
-        tracked = probability >= TRACKED_CONFIDENCE
+        tracked = probability >= bounds.TRACKED_CONFIDENCE
         off = float((distance[tracked] > OFF_M).mean()) if tracked.any() else 0.0
         yield (
             f"{domain.value}, {kind}: {tracked.mean():.1%} of {len(tracked)} frames are tracked, of these {off:.2%} "

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from benchmarks.perception.errors import LASTING_FRAMES, ClipErrors
 from kinebench_drake.anomaly import Anomaly, AnomalyKind
 from kinebench_drake.geometry import Array
-from kinebench_drake.grounding.tracking.confidence import GOOD_M, GOOD_RAD
+from kinebench_drake.grounding import bounds
 from kinebench_drake.stats import IntervalEstimate, percentile_interval, resampled_indices, wilson
 
 OFF_M = 0.03
@@ -114,7 +114,7 @@ def reliability(results: Results) -> Reliability:
 def confidence_samples(results: Results) -> tuple[Array, NDArray[np.bool_]]:
     """Return the confidence (n,) of all tracked frames and whether they are good; false tracks are not."""
     confidence = [e.confidence[e.tracked] for e in results]
-    good = [((e.position_m <= GOOD_M) & (e.rotation_rad <= GOOD_RAD))[e.tracked] for e in results]
+    good = [((e.position_m <= bounds.GOOD_M) & (e.rotation_rad <= bounds.GOOD_RAD))[e.tracked] for e in results]
     return np.concatenate(confidence), np.concatenate(good)
 
 

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from kinebench_drake.anomaly import Anomaly, AnomalyKind
 from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array, invert, transform_points
+from kinebench_drake.grounding import bounds
 from kinebench_drake.grounding.anomaly.detection import Detection, finite_median, sustained
 from kinebench_drake.grounding.registration.shape import HandShape
 from kinebench_drake.grounding.tracking.crop import GRIPPER_RADIUS_M
@@ -19,41 +20,10 @@ from kinebench_drake.models.panda.cad import part_meshes
 from kinebench_drake.models.panda.robot import OPENING_SIGN
 from kinebench_drake.segments import finite_rows, segments
 
-VANISH_FRAMES = 3
-"""Least number of frames without a gripper; fewer may be an occlusion."""
-ABSENT_CONFIDENCE, ABSENT_CELLS = 0.01, 50.0
-"""Confidence, or cells explained by the posed gripper, below which it is absent: a third of a gripper explains 100."""
-DUPLICATE_SHARE, DUPLICATE_FRAMES = 0.2, 3
-"""Least share of a second gripper's cells, and least number of consecutive frames that show it."""
 _CORE_M = GRIPPER_RADIUS_M / 2  # around the centre of a gripper that is hardly cut or hidden
-_HIDDEN_SHARE = 0.4  # of it behind links of the arm, from which on a gripper may be hidden altogether
 _NEAREST_M = 0.05
 _MARGIN_CELLS = 2  # cells of the whole-image view around the tracked gripper that belong to it
 _FINGER_M = 0.04
-MISFIT = 0.02
-"""Least relative misfit of the shape of a deformation; `EXCESS` must hold, too.
-
-The misfit alone is unreliable where the gripper is seen edge-on.
-"""
-EXCESS = 1.45
-"""Least residual of a deformation against any rigid gripper, over the usual one of the video."""
-USUAL = 0.6
-"""Greatest usual residual of a video: that of videos without a deformation [standard deviations]."""
-SHAPE_WINDOW = 5
-"""Frames of the running median of misfit and residual."""
-OFF, OFF_ELSEWHERE = 0.035, 0.07
-"""Least relative error of the size of an anomaly, from the benchmark's camera and from others: in clean videos of
-another simulator, from other places, it is up to 0.051."""
-SCALE_WINDOW = 21
-"""Frames of the running median of the size: its errors last some ten frames, a gripper of the wrong size keeps it."""
-EDGE_SIZE, EDGE_WINDOW = 0.12, 9
-"""Least relative change of the hand's contour of a deformation in an unfamiliar look, over a median of frames."""
-EDGE_SCALE = 0.06
-"""Least relative error of the contour's size of an anomaly, likewise; `SCALE_WINDOW` frames."""
-EDGE_GAIN = 0.18
-"""Least share of the contour that the change puts on image edges besides."""
-EDGE_FRAMES = 5
-"""Least number of frames of either: a wrong pose lasts for fewer."""
 _MIN_CELLS = 100
 _PASSES = 4
 
@@ -62,13 +32,14 @@ def find_vanishing(confidence: Array, explained: Array, expected: NDArray[np.boo
     """Detect frames without a gripper that should be seen there; severity: their number.
 
     Absence is c0 / (c0 + confidence), one half at the threshold c0, or the same of the explained cells, whichever is
-    larger; the score is twice the absence that `VANISH_FRAMES` consecutive frames reach. Series (T,) are those of
-    `AnomalyEvidence`.
+    larger; the score is twice the absence that as many consecutive frames reach as an anomaly needs. Series (T,) are
+    those of `AnomalyEvidence`.
     """
     absence = np.maximum(
-        ABSENT_CONFIDENCE / (ABSENT_CONFIDENCE + confidence), ABSENT_CELLS / (ABSENT_CELLS + explained)
+        bounds.ABSENT_CONFIDENCE / (bounds.ABSENT_CONFIDENCE + confidence),
+        bounds.ABSENT_CELLS / (bounds.ABSENT_CELLS + explained),
     )
-    score = 2.0 * sustained(absence * expected, VANISH_FRAMES)
+    score = 2.0 * sustained(absence * expected, bounds.PRESENCE_FRAMES)
     anomalies = tuple(
         Anomaly(kind=AnomalyKind.VANISH, frame_start=r.start, frame_end=r.stop - 1, severity=float(r.stop - r.start))
         for r in segments(score > 1.0)
@@ -104,7 +75,7 @@ def expect_gripper(
             # Later its arm may be where the gripper was: that hides nothing.
             before = transform_points(X_SC[last], p_C[last, None])[0]
             places = (before, wide[last]), (p_S, wide[i])
-            hidden = any(_hidden_share(place, view) >= _HIDDEN_SHARE for place, view in places)
+            hidden = any(_hidden_share(place, view) >= bounds.HIDDEN_SHARE for place, view in places)
         expected[i] = not hidden and _inside(p_S, camera)
     return expected
 
@@ -176,8 +147,8 @@ def _outline(view: GripperView, X_CH: Array, camera: Camera) -> NDArray[np.uint8
 
 def find_duplicates(share: ArrayLike) -> Detection:
     """Detect frames with a large `share` (T,) of a second gripper (`second_gripper`); severity: the largest."""
-    size = sustained(share, DUPLICATE_FRAMES)
-    return Detection.from_score(AnomalyKind.DUPLICATE, size / DUPLICATE_SHARE, size)
+    size = sustained(share, bounds.PRESENCE_FRAMES)
+    return Detection.from_score(AnomalyKind.DUPLICATE, size / bounds.DUPLICATE_SHARE, size)
 
 
 def shape_misfit(view: GripperView, X_CH: Array, finger_m: float) -> float:
@@ -222,20 +193,20 @@ def find_deformations(misfit: ArrayLike, residual: ArrayLike) -> Detection:
     """
     misfit, residual = np.asarray(misfit, dtype=np.float64), np.asarray(residual, dtype=np.float64)
     finite = residual[np.isfinite(residual)]
-    usual = min(float(np.median(finite)), USUAL) if finite.size else USUAL
-    excess = residual / (EXCESS * usual)
-    score = np.nan_to_num(finite_median(np.minimum(misfit / MISFIT, excess), SHAPE_WINDOW), nan=0.0)
-    size = np.nan_to_num(finite_median(misfit, SHAPE_WINDOW), nan=0.0)
+    usual = min(float(np.median(finite)), bounds.USUAL_RESIDUAL) if finite.size else bounds.USUAL_RESIDUAL
+    excess = residual / (bounds.EXCESS * usual)
+    score = np.nan_to_num(finite_median(np.minimum(misfit / bounds.MISFIT, excess), bounds.SHAPE_WINDOW), nan=0.0)
+    size = np.nan_to_num(finite_median(misfit, bounds.SHAPE_WINDOW), nan=0.0)
     return Detection.from_score(AnomalyKind.DEFORMATION, score, size)
 
 
-def find_scale_drift(scale: ArrayLike, off: float = OFF) -> Detection:
+def find_scale_drift(scale: ArrayLike, off: float = bounds.SIZE_ERROR) -> Detection:
     """Detect frames in which the gripper's `scale` (T,), relative to the right one, is wrong by `off` or more.
 
     Severity: the largest relative error.
     """
     scale = np.asarray(scale, dtype=np.float64)
-    median = finite_median(np.log(scale, where=scale > 0, out=np.full(len(scale), np.nan)), SCALE_WINDOW)
+    median = finite_median(np.log(scale, where=scale > 0, out=np.full(len(scale), np.nan)), bounds.SIZE_WINDOW)
     size = np.abs(np.nan_to_num(median, nan=0.0))
     detection = Detection.from_score(AnomalyKind.SCALE, size / off, size)
     anomalies = tuple(replace(a, severity=float(np.expm1(a.severity))) for a in detection.anomalies)
@@ -254,10 +225,15 @@ def find_misshapen(shapes: Sequence[HandShape | None]) -> tuple[Detection, Detec
     def median(values: Array, window: int) -> Array:
         return np.nan_to_num(finite_median(values, window), nan=0.0)
 
-    drift = np.abs(median(log_scale, SCALE_WINDOW))
-    wrong_size = sustained(np.minimum(drift / EDGE_SCALE, median(gain, SCALE_WINDOW) / EDGE_GAIN), EDGE_FRAMES)
-    change = median(np.hypot(log_scale, stretch), EDGE_WINDOW)
-    wrong_shape = sustained(np.minimum(change / EDGE_SIZE, median(gain, EDGE_WINDOW) / EDGE_GAIN), EDGE_FRAMES)
+    drift = np.abs(median(log_scale, bounds.SIZE_WINDOW))
+    change = median(np.hypot(log_scale, stretch), bounds.CONTOUR_WINDOW)
+    wrong_size, wrong_shape = (
+        sustained(np.minimum(off, median(gain, window) / bounds.CONTOUR_GAIN), bounds.CONTOUR_FRAMES)
+        for off, window in (
+            (drift / bounds.CONTOUR_SIZE_ERROR, bounds.SIZE_WINDOW),
+            (change / bounds.CONTOUR_CHANGE, bounds.CONTOUR_WINDOW),
+        )
+    )
     if (wrong_size >= 1.0).mean() > 0.5:
         wrong_shape = np.zeros(len(shapes))
     return (

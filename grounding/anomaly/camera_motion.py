@@ -9,37 +9,19 @@ from numpy.typing import NDArray
 from kinebench_drake.anomaly import AnomalyKind
 from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array, make_pose, orthonormalize
+from kinebench_drake.grounding import bounds
 from kinebench_drake.grounding.anomaly.detection import Detection, sustained
 from kinebench_drake.grounding.registration.image import follow_points
 from kinebench_drake.grounding.tracking.camera_path import CameraPath, CameraWay
 from kinebench_drake.io.frames import Frames
 from kinebench_drake.io.progress import count_steps
 
-MOVING_PX = 1.2
-"""Least motion of a moving camera [px of an image 384 px wide]."""
-LEAST_PX = 0.5
-"""Largest motion below which the camera counts as fixed and nothing is compensated [px, likewise]."""
-CLEAR_PX = 2.0
-"""Motion from which on a camera is followed before anything else is measured [px, likewise]."""
-COMPENSABLE_PX = 8.0
-"""Largest motion that is compensated where the camera cannot be followed; beyond it the base frame is lost [px,
-likewise]."""
-MAX_UNKNOWN = 0.5
-"""Largest share of frames with unknown motion of a camera that counts as fixed."""
-MIN_FEATURES = 12
-"""Least number of features for a measurement."""
-SHARE = 0.3
-"""Quantile of the features' displacements that counts as the motion: up to this share may be moved against it by the
-robot, and up to the rest may be moved by the robot while the camera is fixed."""
-MIN_FRAMES = 2
-"""Least number of consecutive frames of a motion: a single one may have lost its features to the robot."""
 _MAX_FEATURES, _ENOUGH_FEATURES = 100, 40  # tracked at once; of tracked ones, that more are not looked for
 _LK_CRITERIA = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 10, 0.03)  # iterations, least step [px]
 _MARGIN_PX = 15  # features this near the robot's outline may move with it
 _ROUND_TRIP_PX = 0.5  # largest error of a feature tracked forth and back
 _ROTATION_PASSES = 8
 _TUKEY_PX = 1.5  # residual beyond which a feature has no weight for the rotation
-_MIN_AGREEING = 0.5  # least share of features that move according to the rotation
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -60,17 +42,17 @@ class CameraMotion:
     @property
     def moves(self) -> bool:
         """True if the motion is large enough to be compensated."""
-        return (self.largest_px or 0.0) >= LEAST_PX * self.unit_px
+        return (self.largest_px or 0.0) >= bounds.FIXED_PX * self.unit_px
 
     @property
     def is_clear(self) -> bool:
         """True if the camera clearly moves, or its motion is unknown."""
-        return self.is_unknown or (self.largest_px or 0.0) >= CLEAR_PX * self.unit_px
+        return self.is_unknown or (self.largest_px or 0.0) >= bounds.CLEAR_PX * self.unit_px
 
     @property
     def is_unknown(self) -> bool:
         """True if the background is lost in most frames, though the first one has features."""
-        return bool(np.isfinite(self.px[0]) and np.isnan(self.px).mean() > MAX_UNKNOWN)
+        return bool(np.isfinite(self.px[0]) and np.isnan(self.px).mean() > bounds.MOTION_SHARE)
 
     @property
     def largest_px(self) -> float | None:
@@ -81,7 +63,7 @@ class CameraMotion:
     @property
     def lost(self) -> NDArray[np.bool_]:
         """(T,) frames whose camera is unknown, as it moved too far and was not followed."""
-        far = np.asarray(np.nan_to_num(self.px, nan=0.0) > COMPENSABLE_PX * self.unit_px)
+        far = np.asarray(np.nan_to_num(self.px, nan=0.0) > bounds.COMPENSABLE_PX * self.unit_px)
         if self.path is None:
             return far
         return (far | np.isnan(self.px)) & ~self.path.followed
@@ -112,7 +94,7 @@ class CameraMotion:
     def with_path(self, path: CameraPath) -> "CameraMotion":
         """Return the motion with the camera followed where that was possible, unless it hardly moves."""
         px = np.where(np.isnan(self.px) & path.followed, path.px, self.px)
-        far = np.nanmax(np.where(path.followed, path.px, 0.0), initial=0.0) >= LEAST_PX * self.unit_px
+        far = np.nanmax(np.where(path.followed, path.px, 0.0), initial=0.0) >= bounds.FIXED_PX * self.unit_px
         return replace(self, px=px, path=path) if far else self
 
     def stabilize(self, frames: Frames, camera: Camera) -> tuple[Frames, Camera]:
@@ -177,25 +159,25 @@ class FeatureTracks:
 def measure_camera_motion(tracks: FeatureTracks, robot: NDArray[np.bool_], camera: Camera) -> CameraMotion:
     """Measure the motion of the camera by tracking the background.
 
-    The displacement of features off the robot, at the quantile `SHARE`, is the motion of the camera if at least half of
-    them move according to one rotation of the camera. The first frame shows the `robot` at some (H, W) pixels.
+    A quantile of the displacements of features off the robot is the motion of the camera if at least half of them move
+    according to one rotation of the camera. The first frame shows the `robot` at some (H, W) pixels.
     """
     n = len(tracks)
     px, R_AC = np.full(n, np.nan), np.repeat(np.eye(3)[None], n, axis=0)
     margin = np.ones((_MARGIN_PX, _MARGIN_PX), np.uint8)
     mask = np.where(cv2.dilate(robot.astype(np.uint8), margin) > 0, 0, 255).astype(np.uint8)
     start, there, good = tracks.track(mask)
-    if len(start) >= MIN_FEATURES:
+    if len(start) >= bounds.MOTION_FEATURES:
         px[0] = 0.0
         places: dict[int, tuple[Array, Array]] = {}
-        for i in (1 + np.flatnonzero(good.sum(axis=1) >= MIN_FEATURES)).tolist():
+        for i in (1 + np.flatnonzero(good.sum(axis=1) >= bounds.MOTION_FEATURES)).tolist():
             first, now = start[good[i - 1]], there[i - 1, good[i - 1]]
-            px[i] = np.quantile(np.linalg.norm(now - first, axis=1), SHARE)
+            px[i] = np.quantile(np.linalg.norm(now - first, axis=1), bounds.MOTION_QUANTILE)
             places[i] = first, now
-        if np.nanmax(px) >= LEAST_PX * camera.unit_px:  # else it counts as fixed
+        if np.nanmax(px) >= bounds.FIXED_PX * camera.unit_px:  # else it counts as fixed
             for i, (first, now) in places.items():
                 R, share = _rotation(first, now, camera)
-                if share >= _MIN_AGREEING or px[i] < LEAST_PX * camera.unit_px:
+                if share >= bounds.MOTION_SHARE or px[i] < bounds.FIXED_PX * camera.unit_px:
                     R_AC[i] = R
                 else:
                     px[i] = np.nan
@@ -224,5 +206,5 @@ def _rotation(first: Array, now: Array, camera: Camera) -> tuple[Array, float]:
 
 def find_camera_motion(motion: CameraMotion) -> Detection:
     """Detect frames in which the camera is not in its first pose; severity: the largest motion [px of the video]."""
-    px = sustained(motion.px, MIN_FRAMES)
-    return Detection.from_score(AnomalyKind.CAMERA, px / (MOVING_PX * motion.unit_px), px)
+    px = sustained(motion.px, bounds.MOTION_FRAMES)
+    return Detection.from_score(AnomalyKind.CAMERA, px / (bounds.MOVING_PX * motion.unit_px), px)

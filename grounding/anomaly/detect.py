@@ -11,10 +11,8 @@ from kinebench_drake.anomaly import AnomalyKind
 from kinebench_drake.camera import Camera, is_benchmark
 from kinebench_drake.errors import InputError
 from kinebench_drake.geometry import Array, invert, transform_points
+from kinebench_drake.grounding import bounds
 from kinebench_drake.grounding.anomaly.appearance import (
-    ABSENT_CELLS,
-    OFF,
-    OFF_ELSEWHERE,
     expect_gripper,
     find_deformations,
     find_duplicates,
@@ -29,31 +27,11 @@ from kinebench_drake.grounding.anomaly.detection import AnomalyDetections, Detec
 from kinebench_drake.grounding.anomaly.jumps import find_finger_faults, find_freezes, find_teleports, still_frames
 from kinebench_drake.grounding.registration.shape import HandShape
 from kinebench_drake.grounding.tracking.crop import GRIPPER_CENTRE_H
-from kinebench_drake.grounding.tracking.markov import SHARP_M
 from kinebench_drake.grounding.tracking.pose import FramePose
 from kinebench_drake.grounding.tracking.view import GripperView
 from kinebench_drake.io.frames import Frames
 from kinebench_drake.track import Domain
 
-FAIR_CONFIDENCE = 0.1
-"""Least confidence at which a frame's position and shape count; low, because a deformed gripper has a low one."""
-SURE_CONFIDENCE = 0.3
-"""Least confidence at which a frame's finger travel counts."""
-GOOD_CONFIDENCE = 0.5
-"""Least confidence at which a frame's size of the gripper counts: an error of a few degrees falsifies it."""
-WIDTH_SIGMA_M = 0.006
-"""Largest standard deviation of a width that counts [m]."""
-MAX_SIDE_COSINE = 0.5
-"""Largest cosine between fingers' axis and line of sight at which the size counts: seen edge-on the gripper is narrow
-and its fingers hide each other."""
-MAX_CONTOUR_COSINE = 0.85
-"""The same for the hand's contour, of which little is seen edge-on."""
-HAND_AGREEMENT = 0.4
-"""Share of the hand's contour on edges of the image from which on a hand fitted to them is present, however few cells
-show it."""
-MEASURABLE_SHARE = 0.9
-"""Least share of the frames with a fair position, apart from those without a gripper, of an unfamiliar video in which a
-gripper that is not found has vanished."""
 NOT_LOOKED_FOR: Mapping[Domain, tuple[AnomalyKind, ...]] = MappingProxyType(
     {
         Domain.FAMILIAR: (),
@@ -115,12 +93,12 @@ class AnomalyEvidence:
     @property
     def fair(self) -> NDArray[np.bool_]:
         """(T,) frames whose position counts."""
-        return np.asarray(self.confidence >= FAIR_CONFIDENCE)
+        return np.asarray(self.confidence >= bounds.FAIR_CONFIDENCE)
 
     @property
     def good(self) -> NDArray[np.bool_]:
         """(T,) frames whose pose is more likely right than wrong."""
-        return np.asarray(self.confidence >= GOOD_CONFIDENCE)
+        return np.asarray(self.confidence >= bounds.GOOD_CONFIDENCE)
 
 
 def gather_evidence(
@@ -145,19 +123,23 @@ def gather_evidence(
         if pose is None:
             continue
         explained[i] = pose.hand.points * pose.overlap
-        if pose.arm is not None and pose.arm.agrees and pose.arm.hand_agreement >= HAND_AGREEMENT:
+        if pose.arm is not None and pose.arm.agrees and pose.arm.hand_agreement >= bounds.EDGE_AGREEMENT:
             explained[i] = np.inf
         p_C[i] = transform_points(pose.X_CH, GRIPPER_CENTRE_H[None])[0]
-        if confidence[i] >= FAIR_CONFIDENCE:
+        if confidence[i] >= bounds.FAIR_CONFIDENCE:
             hand = pose.hand_without_silhouette
-            sharp = 2 * hand.finger_sigma_m <= SHARP_M
+            sharp = 2 * hand.finger_sigma_m <= bounds.SHARP_M
             if domain is not Domain.ARM:
                 misfit[i] = shape_misfit(pose.view, hand.X_CH, hand.finger_m if sharp else np.nan)
             residual[i] = hand.residual
-        if confidence[i] >= SURE_CONFIDENCE:
+        if confidence[i] >= bounds.TRACKED_CONFIDENCE:
             sigma_m = 2 * pose.hand.finger_sigma_m
-            width[i] = 2 * pose.finger_m if sigma_m <= WIDTH_SIGMA_M else np.nan
-            if _side_cosine(pose) <= MAX_SIDE_COSINE and pose.arm is not None and confidence[i] >= GOOD_CONFIDENCE:
+            width[i] = 2 * pose.finger_m if sigma_m <= bounds.WIDTH_SIGMA_M else np.nan
+            if (
+                _side_cosine(pose) <= bounds.MAX_SIDE_COSINE
+                and pose.arm is not None
+                and confidence[i] >= bounds.GOOD_CONFIDENCE
+            ):
                 scale[i] = pose.arm.scale
     X_SA = invert(motion.X_AS)
     other = np.array(
@@ -166,12 +148,14 @@ def gather_evidence(
             for view, pose, X in zip(wide, poses, X_SA, strict=True)
         ]
     )
-    present = (confidence >= FAIR_CONFIDENCE) & (explained >= ABSENT_CELLS)
+    present = (confidence >= bounds.FAIR_CONFIDENCE) & (explained >= bounds.ABSENT_CELLS)
     if domain is not Domain.FAMILIAR:
         for series in (width, misfit, residual, scale, other):
             series[:] = np.nan
     shapes = [
-        pose.shape if pose is not None and c >= GOOD_CONFIDENCE and _side_cosine(pose) <= MAX_CONTOUR_COSINE else None
+        pose.shape
+        if pose is not None and c >= bounds.GOOD_CONFIDENCE and _side_cosine(pose) <= bounds.MAX_CONTOUR_COSINE
+        else None
         for pose, c in zip(poses, confidence, strict=True)
     ]
     return AnomalyEvidence(
@@ -205,7 +189,7 @@ def find_anomalies(evidence: AnomalyEvidence) -> AnomalyDetections:
     freezes = find_freezes(e.p_C, e.fair, e.still, e.t_s)
     by_cells = (
         find_deformations(e.misfit, e.residual),
-        find_scale_drift(e.scale, OFF if e.is_benchmark else OFF_ELSEWHERE),
+        find_scale_drift(e.scale, bounds.SIZE_ERROR if e.is_benchmark else bounds.SIZE_ERROR_ELSEWHERE),
     )
     detections = (
         _find_vanishing(e),
@@ -226,7 +210,7 @@ def _find_vanishing(e: AnomalyEvidence) -> Detection:
     detected = (e.confidence > 0.0).astype(np.float64)
     detection = find_vanishing(detected, e.explained, e.expected)
     others = e.fair[detection.score <= 1.0]
-    if len(others) and others.mean() >= MEASURABLE_SHARE:
+    if len(others) and others.mean() >= bounds.MEASURABLE_SHARE:
         return detection
     return Detection(kind=detection.kind, score=np.zeros(len(e.t_s)))
 

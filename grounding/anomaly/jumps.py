@@ -8,29 +8,15 @@ from numpy.typing import ArrayLike, NDArray
 
 from kinebench_drake.anomaly import AnomalyKind
 from kinebench_drake.geometry import Array
+from kinebench_drake.grounding import bounds
 from kinebench_drake.grounding.anomaly.detection import Detection
 from kinebench_drake.io.frames import Frames
 from kinebench_drake.segments import UNEVEN, finite_rows, frame_periods, segments
 from kinebench_drake.track import MAX_WIDTH_M
 
-TELEPORT_M, TELEPORT_CONTRAST = 0.04, 4.0
-"""Least length of a teleport [m], and least ratio to the median jump length of the path around it."""
-FREEZE_FRAMES = 5
-"""Least number of still frames of a freeze."""
-FREEZE_SPEED_M_S = 0.035
-"""Least speed of the gripper before a freeze [m/s]."""
-FREEZE_JUMP = 2.0
-"""Least length of the step that ends a freeze, over the longer of the steps before the freeze and after that step."""
-STILL_LEVELS = 4.0
-"""A frame is still if all but 0.5 % of its pixels, slightly blurred, change by less than this, of 255."""
-EXCESS_M = 0.015
-"""Least excess of the width over the largest of an anomaly [m]."""
-FLUTTER_M = 0.015
-"""Least amplitude of alternate opening and closing over four frames of an anomaly [m]."""
 _STEPS = 3  # steps to each side whose median is the velocity at a jump
 _AROUND = 8  # frames to each side whose median is the usual jump length
 _MAX_GAP = 2  # frames that may be missing at a jump
-_STILL_M = 0.004  # motion per frame of a track of still images: codec and network noise
 _FLUTTER_FRAMES = 4
 
 
@@ -65,8 +51,8 @@ def jump_lengths(p: ArrayLike, fair: NDArray[np.bool_], t_s: Array) -> Array:
 def find_teleports(p: ArrayLike, fair: NDArray[np.bool_], good: NDArray[np.bool_], t_s: Array) -> Detection:
     """Detect jumps of the gripper; start and end: the first frame after the jump; severity: its length [m].
 
-    The score is the length over the larger of `TELEPORT_M` and `TELEPORT_CONTRAST` times the median length around it.
-    Positions `p` (T, 3) [m] count in `fair` (T,) frames; a jump starts from and leads to `good` (T,) ones.
+    The score is the length over the larger of its least one and `bounds.TELEPORT_CONTRAST` times the median length
+    around it. Positions `p` (T, 3) [m] count in `fair` (T,) frames; a jump starts from and leads to `good` (T,) ones.
     """
     lengths = jump_lengths(p, fair, t_s)
     index = np.flatnonzero(fair & finite_rows(np.asarray(p, dtype=np.float64)))
@@ -76,7 +62,9 @@ def find_teleports(p: ArrayLike, fair: NDArray[np.bool_], good: NDArray[np.bool_
     for i in np.flatnonzero(lengths).tolist():
         around = [k for k in range(max(0, i - _AROUND), min(len(lengths), i + _AROUND + 1)) if abs(k - i) > 2]
         usual = [lengths[k] for k in around if lengths[k] > 0]
-        score[i] = lengths[i] / max(TELEPORT_M, TELEPORT_CONTRAST * float(np.median(usual)) if usual else 0.0)
+        score[i] = lengths[i] / max(
+            bounds.TELEPORT_M, bounds.TELEPORT_CONTRAST * float(np.median(usual)) if usual else 0.0
+        )
     return Detection.from_score(AnomalyKind.TELEPORT, _suppress_non_maxima(score, lengths), lengths)
 
 
@@ -93,20 +81,20 @@ def still_frames(frames: Frames) -> NDArray[np.bool_]:
     """Return the frames (T,) that show the same image as the one before; the first never does."""
     small = (cv2.GaussianBlur(cv2.cvtColor(f, cv2.COLOR_RGB2GRAY), (0, 0), 1.5).astype(np.float32) for f in frames)
     change = [np.percentile(np.abs(b - a), 99.5) for a, b in pairwise(small)]
-    return np.array([False, *(c < STILL_LEVELS for c in change)])
+    return np.array([False, *(c < bounds.STILL_LEVELS for c in change)])
 
 
 def find_freezes(p: ArrayLike, fair: NDArray[np.bool_], still: NDArray[np.bool_], t_s: Array) -> Detection:
     """Detect runs of still frames that begin in motion and end with a jump; severity: their number of frames.
 
-    A dwell slows down before and is no freeze. The score of a run is the least of its length over `FREEZE_FRAMES`, of
-    the speed before over `FREEZE_SPEED_M_S`, and of the last step over `FREEZE_JUMP` times its neighbours'. Positions
-    `p` (T, 3) [m] count in `fair` (T,) frames; `still` (T,) ones repeat the one before.
+    A dwell slows down before and is no freeze. The score of a run is the least of its length, of the speed before, and
+    of the last step over its neighbours', each over its bound. Positions `p` (T, 3) [m] count in `fair` (T,) frames;
+    `still` (T,) ones repeat the one before.
     """
     p = np.asarray(p, dtype=np.float64)
     step = np.concatenate([[np.nan], np.linalg.norm(np.diff(p, axis=0), axis=1)])
     score, size = np.zeros(len(p)), np.zeros(len(p))
-    for run in segments(still & ~(step > _STILL_M)):
+    for run in segments(still & ~(step > bounds.STILL_M)):
         start, end = run.start, run.stop - 1
         if start < 2 or end + 1 >= len(p) or not fair[[start - 2, start - 1, end, end + 1]].all():
             continue
@@ -115,7 +103,9 @@ def find_freezes(p: ArrayLike, fair: NDArray[np.bool_], still: NDArray[np.bool_]
         speed = before / (t_s[start - 1] - t_s[start - 2])
         size[run] = run.stop - start
         score[run] = min(
-            size[start] / FREEZE_FRAMES, speed / FREEZE_SPEED_M_S, jump / (FREEZE_JUMP * max(before, after, _STILL_M))
+            size[start] / bounds.FREEZE_FRAMES,
+            speed / bounds.FREEZE_SPEED_M_S,
+            jump / (bounds.FREEZE_JUMP * max(before, after, bounds.STILL_M)),
         )
     return Detection.from_score(AnomalyKind.FREEZE, score, size)
 
@@ -145,7 +135,6 @@ def find_finger_faults(width_m: ArrayLike) -> Detection:
     index = np.flatnonzero(np.isfinite(width_m))
     width = width_m[index]
     outside, amplitude = np.maximum(np.maximum(-width, width - MAX_WIDTH_M), 0.0), flutter(width)
-    size, score = np.zeros(len(width_m)), np.zeros(len(width_m))
+    size = np.zeros(len(width_m))
     size[index] = np.maximum(outside, amplitude)
-    score[index] = np.maximum(outside / EXCESS_M, amplitude / FLUTTER_M)
-    return Detection.from_score(AnomalyKind.FINGERS, score, size)
+    return Detection.from_score(AnomalyKind.FINGERS, size / bounds.WIDTH_FAULT_M, size)

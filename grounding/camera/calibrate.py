@@ -11,12 +11,8 @@ from kinebench_drake.camera import Camera
 from kinebench_drake.errors import UnmeasurableError, UsageError
 from kinebench_drake.formats.camerafile import load_camera
 from kinebench_drake.geometry import Array, pose_difference
-from kinebench_drake.grounding.anomaly.camera_motion import (
-    COMPENSABLE_PX,
-    MOVING_PX,
-    FeatureTracks,
-    measure_camera_motion,
-)
+from kinebench_drake.grounding import bounds
+from kinebench_drake.grounding.anomaly.camera_motion import FeatureTracks, measure_camera_motion
 from kinebench_drake.grounding.camera.camera_estimate import CameraEstimate
 from kinebench_drake.grounding.camera.candidate import Candidate
 from kinebench_drake.grounding.camera.correspondences import LensView, ViewEstimator, track_views
@@ -286,12 +282,12 @@ def _camera_shift(frames: Frames, view: LensView, camera: Camera) -> tuple[str, 
     unit = camera.unit_px
     if moved_px is None:
         return ("it is unknown whether the camera is static: the background has too few features",)
-    if moved_px > COMPENSABLE_PX * unit:
+    if moved_px > bounds.COMPENSABLE_PX * unit:
         raise UnmeasurableError(
-            f"the camera moves: the background shifts by {moved_px:.0f} px, at most {COMPENSABLE_PX * unit:.0f}; "
-            "calibrate with a part of the video in which it stands still"
+            f"the camera moves: the background shifts by {moved_px:.0f} px, at most {bounds.COMPENSABLE_PX * unit:.0f}"
+            "; calibrate with a part of the video in which it stands still"
         )
-    if moved_px > MOVING_PX * unit:
+    if moved_px > bounds.MOVING_PX * unit:
         return (f"the background shifts by {moved_px:.1f} px: the camera is not quite static",)
     return ()
 

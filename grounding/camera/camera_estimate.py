@@ -6,23 +6,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinebench_drake.camera import Camera
+from kinebench_drake.grounding import bounds
 from kinebench_drake.grounding.camera.bundle import ArmScene, Bundle
 from kinebench_drake.grounding.registration.arm_model import ArmModel
 from kinebench_drake.io.jsonl import Json
 from kinebench_drake.models.panda.robot import HAND_TO_TCP_M, RobotPart
 
-ARM_AGREEMENT, BASE_AGREEMENT = 0.64, 0.4
-"""Least shares of the contours of hand and arm, and of the base link, on image edges at which a camera counts as found:
-no wrong camera of our own renders reaches both."""
-ALIGNED_AGREEMENT, ALIGNED_BASE_AGREEMENT = 0.5, 0.3
-"""The same where lines of the surroundings run along the axes of the base: of 43 renders by two other programs they do
-so with 18 right cameras, and with one whose focal length is wrong by a quarter (0.48 of the arm's contours)."""
-LEAD, BASE_LEAD = 0.08, 0.08
-"""Least differences between the mean of both and that with another camera, and between the share of the base link and
-that with the base turned elsewhere about joint 1."""
-_ALIGNED_LEAD = 0.03  # the first of them where lines run along the base's axes and the arm agrees by `ARM_AGREEMENT`
-GRIPPER_SIGMA_M, GRIPPER_SIGMA_RAD = 0.02, float(np.deg2rad(3.0))
-"""Greatest standard deviations of the gripper in the base frame, due to its camera, of a verdict [m, rad]."""
 _MOVE, _TURN = slice(0, 3), slice(3, 6)
 
 
@@ -126,12 +115,12 @@ class CameraEstimate(FittedCamera):
     @property
     def rivals(self) -> tuple[Camera, ...]:
         """Cameras that agree nearly as well, one of which may be right instead."""
-        turned = [rival.camera for rival in self.turns if self.base_agreement < rival.share + BASE_LEAD]
+        turned = [rival.camera for rival in self.turns if self.base_agreement < rival.share + bounds.LEAD]
         return (*turned, *(rival.camera for rival in self.others if self.support < rival.share + self._lead))
 
     @property
     def _lead(self) -> float:
-        return _ALIGNED_LEAD if self.is_aligned and self.agreement >= ARM_AGREEMENT else LEAD
+        return bounds.ALIGNED_LEAD if self.is_aligned and self.agreement >= bounds.ARM_AGREEMENT else bounds.LEAD
 
     @property
     def doubt(self) -> str | None:
@@ -141,9 +130,9 @@ class CameraEstimate(FittedCamera):
     @property
     def misfit(self) -> str | None:
         """Why neither the camera nor one of its `rivals` is right with certainty; None if one of them is."""
-        least, least_base = ARM_AGREEMENT, BASE_AGREEMENT
+        least, least_base = bounds.ARM_AGREEMENT, bounds.BASE_AGREEMENT
         if self.is_aligned:
-            least, least_base = ALIGNED_AGREEMENT, ALIGNED_BASE_AGREEMENT
+            least, least_base = bounds.ALIGNED_AGREEMENT, bounds.ALIGNED_BASE_AGREEMENT
         if self.agreement < least:
             return (
                 f"no estimated camera agrees with the arm (best: {self.agreement:.0%} of its contours on image edges, "
@@ -155,18 +144,18 @@ class CameraEstimate(FittedCamera):
                 f"{self.base_agreement:.0%} of the contours of the base link on image edges, at least "
                 f"{least_base:.0%} are needed)"
             )
-        if self.gripper_sigma_m > GRIPPER_SIGMA_M or self.gripper_sigma_rad > GRIPPER_SIGMA_RAD:
+        if self.gripper_sigma_m > bounds.GRIPPER_SIGMA_M or self.gripper_sigma_rad > bounds.GRIPPER_SIGMA_RAD:
             return (
                 "with the estimated camera the gripper's place in it is uncertain by "
                 f"{1e3 * self.gripper_sigma_m:.0f} mm and {np.rad2deg(self.gripper_sigma_rad):.1f} degrees (one "
-                f"sigma, at most {1e3 * GRIPPER_SIGMA_M:.0f} and {np.rad2deg(GRIPPER_SIGMA_RAD):.0f})"
+                f"sigma, at most {1e3 * bounds.GRIPPER_SIGMA_M:.0f} and {np.rad2deg(bounds.GRIPPER_SIGMA_RAD):.0f})"
             )
         return None
 
     @property
     def ambiguity(self) -> str | None:
         """Why one of the `rivals` may be right instead; None without any."""
-        if self.base_agreement < self.base_runner_up + BASE_LEAD:
+        if self.base_agreement < self.base_runner_up + bounds.LEAD:
             return (
                 f"two turns of the base about joint 1 explain its contours ({self.base_agreement:.0%} and "
                 f"{self.base_runner_up:.0%} on image edges)"

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from kinebench_drake.camera import Camera
 from kinebench_drake.errors import UnmeasurableError
 from kinebench_drake.geometry import Array
+from kinebench_drake.grounding import bounds
 from kinebench_drake.grounding.camera.bundle import ArmScene, Observations, Prior, adjust
 from kinebench_drake.grounding.camera.camera_estimate import CameraEstimate, describe
 from kinebench_drake.grounding.camera.contours import ContourImages
@@ -39,9 +40,7 @@ _FINE = ((8.0, 0.3), (5.0, 0.1), (4.0, 0.0), (3.0, 0.0), (3.0, 0.0), (2.0, 0.0),
 _PART_INDEPENDENT = 4.0  # independent measurements of the contours of a part in an image, whose errors correlate
 _JOINTS_INDEPENDENT = 2.0  # the same at known joint angles, whose errors the contours have in common
 _OFFSET_SIGMA = 0.4  # of a part's contours: 0.3 px, twice those of own renders
-_LEAST_SHARE = 0.75  # of the agreement of the better frames, below which a frame is left out
 _BETTER = 75  # percentile of these
-_LEAST_FRAMES = 0.5  # share of the frames with the robot below which a camera that explains no more is unlikely
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -155,7 +154,7 @@ class CandidateFitter:
             scene, edges = self.fit_contours(candidate, own, prior, passes)
             agreement = own.agreement(scene)
             candidate = replace(candidate, scene=scene, agreement=explained(agreement, total))
-            good = np.flatnonzero(agreement >= _LEAST_SHARE * np.percentile(agreement, _BETTER))
+            good = np.flatnonzero(agreement >= bounds.FRAME_SHARE * np.percentile(agreement, _BETTER))
             if number + 1 == len(rounds) or len(good) == len(agreement) or len(good) < MIN_FRAMES:
                 break
             candidate = candidate.take(good)
@@ -184,7 +183,7 @@ class CandidateFitter:
 
 def explained(agreement: Array, total: int) -> float:
     """Return the median of the agreements (T,) of frames, less if they are few of the `total` with the robot."""
-    return float(np.median(agreement)) * min(1.0, len(agreement) / (_LEAST_FRAMES * total))
+    return float(np.median(agreement)) * min(1.0, len(agreement) / (bounds.LIKELY_EXPLAINED * total))
 
 
 def _cell_observations(cells: CalibrationCorrespondences, scene: ArmScene, model: ArmModel) -> Observations:

@@ -8,6 +8,7 @@ import numpy as np
 from kinebench_drake.camera import Camera
 from kinebench_drake.errors import UsageError
 from kinebench_drake.geometry import invert, pose_difference
+from kinebench_drake.grounding import bounds
 from kinebench_drake.grounding.camera.bundle import ArmScene, Prior
 from kinebench_drake.grounding.camera.candidate import (
     COARSE,
@@ -38,14 +39,8 @@ _CROP_PLACES = np.array([[0.0, 0.0], [-1.0, -1.0], [-1.0, 1.0], [1.0, -1.0], [1.
 _CROP_LOG_SIGMA, _CROP_CENTRE_SIGMA = 0.15, 0.1
 """Standard deviations of the logarithm of the focal length of a cropped picture, and of its principal point over its
 width."""
-_SUFFICIENT = 0.6  # agreement, after a fit of the postures, of a camera that is not in doubt
 _ZOOMS = (0.63, 0.72, 0.85, 1.0, 1.2, 1.4, 1.6)  # focal lengths over that of a camera in doubt
 _FITTED = 3  # other lenses that are fitted to contours
-_LEAST_EXPLAINED = 0.75  # share of the frames with the robot below which a camera that explains no more is unlikely
-CONTRADICTING, CLEARLY = 0.5, 0.1
-"""Least agreement with another camera that contradicts the assumed one, and how much better it has to be."""
-LARGE_M, LARGE_RAD = 0.03, np.deg2rad(5.0)
-"""Displacement of the gripper by the other camera from which on there is no verdict [m, rad]."""
 _PASSES = (*COARSE, *MIDDLE[1:])
 
 
@@ -67,7 +62,7 @@ class CameraContradiction:
     @property
     def is_large(self) -> bool:
         """True if no verdict bears it."""
-        return self.gripper_m > LARGE_M or self.gripper_rad > LARGE_RAD
+        return self.gripper_m > bounds.LARGE_M or self.gripper_rad > bounds.LARGE_RAD
 
     def describe(self) -> str:
         """Describe both agreements, the focal length and the displacement."""
@@ -113,7 +108,7 @@ class CameraChecker:
     ) -> BetterReading | None:
         """Return the reading of picture or camera with which the arm agrees clearly better; None if there is none.
 
-        It has to reach the agreement `least`, besides being better than frames and camera as they are by `CLEARLY`.
+        It has to reach the agreement `least`, besides being better than frames and camera as they are.
         """
         frames = frames[evenly(len(frames), _READ_SEARCHED)]
         unread = self.detect(frames, camera, _READ, _READ_SEARCHED)
@@ -132,7 +127,7 @@ class CameraChecker:
             turned = unread if picture is frames else self.detect(picture, lens, _READ, _READ_SEARCHED)
             shares.append((self._agreement(turned, picture, lens), reading, lens))
         better, reading, lens = max(shares, key=lambda share: share[0], default=(0.0, Reading.CROPPED, camera))
-        if better < max(least, own + CLEARLY):
+        if better < max(least, own + bounds.CLEARLY):
             return None
         return BetterReading(reading=reading, agreement=own, better=better, camera=lens)
 
@@ -205,13 +200,15 @@ class CameraChecker:
             return None
         fixed = self.fit_postures(detections, frames, self.explain(detections, camera))
         # Where no posture explains the hand, its detection is wrong, which says nothing about the camera.
-        if fixed is None or fixed.agreement >= _SUFFICIENT:
+        if fixed is None or fixed.agreement >= bounds.SUFFICIENT:
             return None
         own = Lens.of_camera(camera)
         prior = Prior(lens=own, log_focal_sigma=LOG_FOCAL_SIGMA)
         trials = [(replace(own, camera=with_focal(camera, zoom * camera.fx)), prior) for zoom in _ZOOMS]
-        best = self._fit_best(detections, frames[detections.rows], trials, _LEAST_EXPLAINED * len(detections.rows))
-        if best is None or best.agreement < max(CONTRADICTING, fixed.agreement + CLEARLY):
+        best = self._fit_best(
+            detections, frames[detections.rows], trials, bounds.LEAST_EXPLAINED * len(detections.rows)
+        )
+        if best is None or best.agreement < max(bounds.CONTRADICTING, fixed.agreement + bounds.CLEARLY):
             return None
         X_CB = best.scene.lens.X_CB
         X_CG = X_CB @ self._fitter.model.poses(best.scene.q)[:, RobotPart.HAND] @ hand_from_tcp()

@@ -10,9 +10,10 @@ from kinebench_drake.camera import CONFIRMED, Camera, CameraSource, benchmark_ca
 from kinebench_drake.errors import UnmeasurableError
 from kinebench_drake.formats.camerafile import BENCHMARK
 from kinebench_drake.geometry import Array
+from kinebench_drake.grounding import bounds
 from kinebench_drake.grounding.camera.camera_estimate import CameraEstimate
 from kinebench_drake.grounding.camera.estimate import usual_camera
-from kinebench_drake.grounding.camera.evidence import AGREEMENT, CameraChoice, check_named, find_reading
+from kinebench_drake.grounding.camera.evidence import CameraChoice, check_named, find_reading
 from kinebench_drake.grounding.camera.framing import Framing, apply_framing
 from kinebench_drake.grounding.camera.framing_search import find_framing
 from kinebench_drake.grounding.camera.reading import BetterReading, Reading
@@ -20,13 +21,11 @@ from kinebench_drake.grounding.camera.recognition import Recognition
 from kinebench_drake.grounding.parts import GroundingParts
 from kinebench_drake.grounding.pipeline import PipelineResult
 from kinebench_drake.grounding.priors import Clip, Priors
-from kinebench_drake.grounding.video_result import MIN_TRACKED, GroundingResult
+from kinebench_drake.grounding.video_result import GroundingResult
 from kinebench_drake.io.frames import Frames
 from kinebench_drake.models.panda.robot import GripperKind
 from kinebench_drake.track import Domain, GripperTrack
 
-HAND_SHARE, ARM_SHARE = 0.1, 0.5
-"""Share of tracked frames below which a hand counts as not seen, and from which on an arm does."""
 _SIGMAS = 2.0  # standard deviations of an estimated camera that its poses may be off by
 _MOST_RIVALS = 3  # cameras beside the estimated one under which a track is judged: each is another grounding
 PriorSource = Callable[[Camera], Priors]
@@ -143,7 +142,7 @@ class CameraChooser:
         measured = self._ground_hand(view)
         agreement = self.parts.checker.track_agreement(view.frames, view.camera, measured)
         reason = None
-        if agreement is None or agreement < AGREEMENT:
+        if agreement is None or agreement < bounds.AGREEMENT:
             reason = (
                 f"the base frame is unknown: the track does not confirm the camera {named.name} ({_share(agreement)})"
             )
@@ -170,7 +169,7 @@ class CameraChooser:
             reading = find_reading(view.frames, view.camera, agreement, self.parts.checker)
             if reading is not None:
                 doubt = reading.describe()
-            elif agreement is None or agreement < AGREEMENT:
+            elif agreement is None or agreement < bounds.AGREEMENT:
                 doubt = f"the track does not confirm the estimated camera ({_share(agreement)})"
         possible: tuple[GripperTrack, ...] = ()
         if doubt is None and estimate is not None:
@@ -191,7 +190,7 @@ class CameraChooser:
         view = self._view(replace(choice, camera=camera))
         measured = self._ground_hand(view)
         agreement = self.parts.checker.track_agreement(view.frames, view.camera, measured)
-        return None if agreement is None or agreement < AGREEMENT else _with_offset(measured, estimate).track
+        return None if agreement is None or agreement < bounds.AGREEMENT else _with_offset(measured, estimate).track
 
     def _ground_as_assumed(self, view: _View) -> GroundingResult:
         """Track with the benchmark camera; without a base frame unless the arm of a familiar look confirms the camera.
@@ -224,7 +223,7 @@ class CameraChooser:
 
     def _is_lost(self, hand: PipelineResult) -> bool:
         """Return whether a hand is tracked in so few frames that it may be another gripper."""
-        least = max(MIN_TRACKED, HAND_SHARE * len(hand.track.t_s))
+        least = max(bounds.MIN_TRACKED, bounds.HAND_SHARE * len(hand.track.t_s))
         return self.gripper is GripperKind.AUTO and int(hand.track.tracked.sum()) < least
 
     def _view(self, choice: CameraChoice) -> _View:
@@ -277,7 +276,7 @@ class CameraChooser:
             return self.parts.arm(self.gripper).ground(*inputs)
         for gripper in (GripperKind.NONE, GripperKind.ROBOTIQ_2F85):
             arm = self.parts.arm(gripper).ground(*inputs)
-            if arm.track.tracked.mean() >= ARM_SHARE:
+            if arm.track.tracked.mean() >= bounds.ARM_SHARE:
                 return arm
             if not arm.track.confidence.any():  # contours of a gripper are sought where there is an arm
                 break

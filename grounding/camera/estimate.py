@@ -9,8 +9,9 @@ import numpy as np
 from kinebench_drake.camera import Camera
 from kinebench_drake.errors import UnmeasurableError
 from kinebench_drake.geometry import pose_difference
+from kinebench_drake.grounding import bounds
 from kinebench_drake.grounding.camera.bundle import Prior
-from kinebench_drake.grounding.camera.camera_estimate import BASE_AGREEMENT, BASE_LEAD, CameraEstimate, Rival
+from kinebench_drake.grounding.camera.camera_estimate import CameraEstimate, Rival
 from kinebench_drake.grounding.camera.candidate import (
     COARSE,
     LOG_FOCAL_SIGMA,
@@ -42,7 +43,6 @@ _CANDIDATES, _FITTED, _COMPARED = 16, 6, 16
 _ROUNDS = ((4, COARSE, 8), (6, MIDDLE, 5))
 """Successive comparisons of candidates: frames, passes, candidates kept."""
 _CLEARLY = 3.0  # of the tolerances within which cameras are the same: beyond, they contradict each other
-_BASE_LOSS = 0.2  # of the base's contours on edges, at which lines along its axes are those of something askew
 _USUAL_FOV_DEG = 55.0
 
 
@@ -120,7 +120,7 @@ class CameraEstimator:
             start = self._extend(replace(best, scene=estimate.scene, rows=estimate.frames), detections, search)
             aligned = self.fitter.finish(start, images, replace(prior, surroundings=surroundings), total)
             shares = [images.take(e.frames).base_share(e.scene) for e in (estimate, aligned)]
-            if shares[1] >= shares[0] - _BASE_LOSS:
+            if shares[1] >= shares[0] - bounds.ASKEW_LOSS:
                 own = arm_images.take(aligned.frames).agreement(aligned.scene)
                 estimate = replace(
                     aligned,
@@ -149,8 +149,8 @@ class CameraEstimator:
         more of them on image edges then.
         """
         close = list(turns[:1])
-        if turns[0].share >= BASE_AGREEMENT:  # with less there is no base frame, however the base is turned
-            close = [turn for turn in turns if turn.share > turns[0].share - BASE_LEAD]
+        if turns[0].share >= bounds.BASE_AGREEMENT:  # with less there is no base frame, however the base is turned
+            close = [turn for turn in turns if turn.share > turns[0].share - bounds.LEAD]
         fits = []
         for turn in close:
             start = replace(arm, scene=arm.scene.turned(turn.angle_rad))

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 from kinebench_drake.camera import CONFIRMED, Camera, CameraSource, CameraState
 from kinebench_drake.errors import name_options
 from kinebench_drake.formats.camerafile import NamedCamera
+from kinebench_drake.grounding import bounds
 from kinebench_drake.grounding.camera.camera_estimate import CameraEstimate
 from kinebench_drake.grounding.camera.check import CameraChecker, CameraContradiction
 from kinebench_drake.grounding.camera.reading import BetterReading, Reading
@@ -13,11 +14,6 @@ from kinebench_drake.io.frames import Frames
 from kinebench_drake.io.jsonl import Json
 from kinebench_drake.track import Domain
 
-AGREEMENT = 0.45
-"""Least share of the contours on image edges at which the arm agrees with a named camera that no other explains better,
-or with an estimated one."""
-SURE = 0.68
-"""Share from which on not even a mirrored or a slightly cropped picture is tried."""
 _LIKELY = (Reading.MIRRORED, Reading.CROPPED)
 
 
@@ -87,7 +83,7 @@ def find_reading(
     Where the arm confirms the camera only those are tried that a camera in the plane of symmetry, or a narrow margin,
     hides. `agreement` is that of the track with `camera` in frames (T, H, W, 3); None if it has no posture.
     """
-    if agreement is not None and agreement >= SURE:
+    if agreement is not None and agreement >= bounds.SURE_AGREEMENT:
         return None
     confirmed = agreement is not None and agreement >= CONFIRMED
     readings = _LIKELY if confirmed else tuple(Reading)
@@ -130,9 +126,9 @@ def _explain_disagreement(agreement: float | None, result: PipelineResult) -> st
             "the base frame is unknown: the arm contradicts the camera of the input: it is seen, but agrees with the "
             "hand in no tracked frame"
         )
-    if agreement >= AGREEMENT:
+    if agreement >= bounds.AGREEMENT:
         return None
     return (
         f"the base frame is unknown: the arm contradicts the camera of the input: {agreement:.0%} of its contours lie "
-        f"on image edges, at least {AGREEMENT:.0%} are needed"
+        f"on image edges, at least {bounds.AGREEMENT:.0%} are needed"
     )

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from kinebench_drake.camera import Camera, CameraSource
 from kinebench_drake.errors import UnmeasurableError
 from kinebench_drake.geometry import Array
+from kinebench_drake.grounding import bounds
 from kinebench_drake.grounding.camera.framing import (
     Framing,
     FramingSource,
@@ -19,7 +20,6 @@ from kinebench_drake.grounding.camera.framing import (
 from kinebench_drake.io.frames import Frames
 from kinebench_drake.io.video import MIN_SIDE_PX
 
-_MIN_CORRELATION = 0.75  # at which the frame shows the image
 _SNAP_PX = 0.75  # deviation of the visible corners from those of a usual framing, up to which that one is taken
 _COARSE_PX, _FINE_PX = (48, 96), (192, 384)  # longer side of the frame at the levels of the image pyramid
 _MAX_STEPS = 12
@@ -30,8 +30,6 @@ _TUKEY = 4.685
 _DETAIL_PX = 10.0  # scale of the high-pass filter of the correlation
 _BAR_FRAMES = 8
 _MARGIN_PX = 4  # blur of the edge by a codec
-_MAX_DEVIATION = 6.0  # grey levels of 255 by which a bar may vary, over its area and in time
-_MIN_EDGE = 8.0  # least difference in grey levels of the image from the bar beside it
 
 Grey = NDArray[np.float32]
 
@@ -53,11 +51,11 @@ def align(image: NDArray[np.uint8], frame: NDArray[np.uint8]) -> Framing | None:
     usual = placements(size, video)
     greys = [cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY).astype(np.float32) for rgb in (image, frame)]
     best = _refine(usual[0], greys, (*_COARSE_PX, *_FINE_PX))
-    if (best.correlation or 0.0) < _MIN_CORRELATION or _corner_distance_px(usual[0], best) > _SNAP_PX:
+    if (best.correlation or 0.0) < bounds.FRAMING_CORRELATION or _corner_distance_px(usual[0], best) > _SNAP_PX:
         candidates = [_refine(start, greys, _COARSE_PX) for start in (*usual, *deeper_crops(size, video))]
         candidates = sorted(candidates, key=lambda f: -(f.correlation or 0.0))[:3]
         best = max((_refine(start, greys, _FINE_PX) for start in candidates), key=lambda f: f.correlation or 0.0)
-    if (best.correlation or 0.0) < _MIN_CORRELATION:
+    if (best.correlation or 0.0) < bounds.FRAMING_CORRELATION:
         return None
     near = [u for u in usual if _corner_distance_px(u, best) <= _SNAP_PX]
     if near:
@@ -198,8 +196,8 @@ def _is_bar(bar: NDArray[np.float32], inside: NDArray[np.float32]) -> bool:
     area = bar[:, : max(1, bar.shape[1] - _MARGIN_PX)]
     colour = np.median(area, axis=(0, 1, 2))
     edge = inside[:, _MARGIN_PX : 2 * _MARGIN_PX]
-    constant = float(np.percentile(np.abs(area - colour), 99)) <= _MAX_DEVIATION
-    return constant and float(np.abs(edge - colour).max(axis=-1).mean()) >= _MIN_EDGE
+    constant = float(np.percentile(np.abs(area - colour), 99)) <= bounds.BAR_LEVELS
+    return constant and float(np.abs(edge - colour).max(axis=-1).mean()) >= bounds.BAR_EDGE_LEVELS
 
 
 def find_framing(

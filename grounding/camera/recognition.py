@@ -11,23 +11,16 @@ import numpy as np
 
 from kinebench_drake.camera import Camera
 from kinebench_drake.formats.camerafile import BENCHMARK, NamedCamera, named_cameras
-from kinebench_drake.grounding.camera.camera_estimate import BASE_AGREEMENT
+from kinebench_drake.grounding import bounds
 from kinebench_drake.grounding.camera.candidate import Candidate
 from kinebench_drake.grounding.camera.check import CameraChecker
 from kinebench_drake.grounding.camera.estimate import usual_camera
-from kinebench_drake.grounding.camera.evidence import AGREEMENT
 from kinebench_drake.grounding.camera.framing import placements
 from kinebench_drake.grounding.camera.lens import Lens
 from kinebench_drake.grounding.camera.reading import BetterReading, Reading
 from kinebench_drake.io.frames import Frames
 from kinebench_drake.segments import evenly
 
-LEAD, GAIN = 0.05, 0.05
-"""Lead of a recognized camera over the next one in the shares of the arm's and of the base's contours on image edges
-together, and how much more of the arm's a camera may have that is freed from its place: what can be reached follows the
-sharpness of the picture."""
-_COST, _COST_LEAD = 6.0, 0.8
-"""Mean error of the cells (`Hypothesis.cost`) up to which a camera comes into question, and that over the least one."""
 _SEARCHED, _FITTED = 8, 5  # frames, and cameras that are fitted to contours
 _SAME = 0.3  # of the tolerances of `Lens.sees_same_arm`, within which two pictures are the same
 _MARGIN = 0.05  # of the sides of a picture, by which the foot of the robot may lie outside
@@ -56,8 +49,10 @@ class Recognition:
     @property
     def is_clear(self) -> bool:
         """True if the arm confirms it, and no other."""
-        agrees = self.agreement >= AGREEMENT and self.base_agreement >= BASE_AGREEMENT
-        return agrees and self.lead >= LEAD and self.freed <= self.agreement + GAIN
+        agrees = self.agreement >= bounds.AGREEMENT and self.base_agreement >= bounds.BASE_AGREEMENT
+        return (
+            agrees and self.lead >= bounds.RECOGNITION_LEAD and self.freed <= self.agreement + bounds.RECOGNITION_LEAD
+        )
 
     @property
     def is_usual(self) -> bool:
@@ -140,7 +135,7 @@ def _trials(
     explained.sort(key=lambda one: one[0].cost)
     trials = []
     for hypothesis, named in explained[:_FITTED]:
-        likely = hypothesis.cost <= min(_COST, explained[0][0].cost + _COST_LEAD)
+        likely = hypothesis.cost <= min(bounds.LIKELY_COST, explained[0][0].cost + bounds.LIKELY_COST_LEAD)
         fit = checker.fit_postures(detections, frames, hypothesis) if likely else None
         if fit is not None:
             own = frames[detections.rows[fit.rows]]

@@ -7,6 +7,7 @@ import numpy as np
 
 from kinebench_drake.errors import UnmeasurableError
 from kinebench_drake.geometry import Array, pose_difference
+from kinebench_drake.grounding import bounds
 from kinebench_drake.grounding.camera.camera_estimate import CameraEstimate, FittedCamera
 from kinebench_drake.grounding.camera.correspondences import MIN_CELLS
 from kinebench_drake.grounding.camera.solve import LensSolution, fit_cells
@@ -17,14 +18,6 @@ from kinebench_drake.models.panda.robot import ARM, GRIPPER, RobotPart
 _GROUPS = {"gripper": GRIPPER, "arm": ARM[1:], "base": ARM[:1]}
 _INLIER_SIGMAS = 4.0
 # Standard deviations that are errors, and that give warnings: of focal length, place and turn of the camera.
-_FOCAL_LIMIT, _FOCAL_WARNING = 0.05, 0.02
-_POSITION_LIMIT_M, _POSITION_WARNING_M = 0.05, 0.02
-_ROTATION_LIMIT_RAD, _ROTATION_WARNING_RAD = np.deg2rad(3.0), np.deg2rad(1.5)
-_MISFIT_LIMIT_PX, _MISFIT_WARNING_PX = 6.0, 2.5  # the same of the gripper's median error in an image 384 px wide
-_MIN_MOTION_M = 0.10  # distance between hand positions below which the video counts as showing one posture
-_MIN_DEPTH_RATIO = 1.25  # of farthest to nearest depth, below which perspective hardly determines the focal length
-_MIN_AGREEMENT = 0.45  # share of the contours on image edges
-_MIN_INLIERS = 0.5
 
 
 class CalibrationMethod(Enum):
@@ -219,29 +212,33 @@ def require_determined(calibration: CameraCalibration) -> None:
     """
     unit = calibration.camera.unit_px
     misfit, agreement = calibration.part_px["gripper"], calibration.agreement
-    if agreement is not None and agreement < _MIN_AGREEMENT:
+    if agreement is not None and agreement < bounds.AGREEMENT:
         raise UnmeasurableError(
             f"{calibration.basis.source}: with no camera does the robot lie on the edges of the images "
-            f"({agreement:.0%} of its contours do, at least {_MIN_AGREEMENT:.0%} are needed): is it a Panda with the "
+            f"({agreement:.0%} of its contours do, at least {bounds.AGREEMENT:.0%} are needed): is it a Panda with the "
             "Franka hand, is the camera static and its lens free of distortion, and do joint angles belong to these "
             "frames, in radians?"
         )
-    if agreement is None and (misfit > _MISFIT_LIMIT_PX * unit or calibration.inlier_share < _MIN_INLIERS):
+    if agreement is None and (misfit > bounds.MISFIT_LIMIT_PX * unit or calibration.inlier_share < bounds.INLIER_SHARE):
         raise UnmeasurableError(
             f"{calibration.basis.source} contradicts the images: the gripper is {misfit:.1f} px off (median, at most "
-            f"{_MISFIT_LIMIT_PX * unit:.1f}), {calibration.inlier_share:.0%} of the cells agree; do the angles belong "
-            "to this video and the times of its frames, in radians? Is the lens free of distortion?"
+            f"{bounds.MISFIT_LIMIT_PX * unit:.1f}), {calibration.inlier_share:.0%} of the cells agree; do the angles "
+            "belong to this video and the times of its frames, in radians? Is the lens free of distortion?"
         )
-    if calibration.focal_sigma > _FOCAL_LIMIT:
+    if calibration.focal_sigma > bounds.FOCAL_LIMIT:
         raise UnmeasurableError(
             f"the focal length is not determined ({calibration.focal_sigma:.1%} standard deviation, at most "
-            f"{_FOCAL_LIMIT:.0%}): {_why(calibration)}; give $focal_px PX or $camera FILE, or a video in which the arm "
-            "moves towards the camera"
+            f"{bounds.FOCAL_LIMIT:.0%}): {_why(calibration)}; give $focal_px PX or $camera FILE, or a video in which "
+            "the arm moves towards the camera"
         )
-    if calibration.position_sigma_m > _POSITION_LIMIT_M or calibration.rotation_sigma_rad > _ROTATION_LIMIT_RAD:
+    if (
+        calibration.position_sigma_m > bounds.POSITION_LIMIT_M
+        or calibration.rotation_sigma_rad > bounds.ROTATION_LIMIT_RAD
+    ):
         sigmas = (
             f"{1e3 * calibration.position_sigma_m:.0f} mm and {np.rad2deg(calibration.rotation_sigma_rad):.1f} degrees "
-            f"standard deviation, at most {1e3 * _POSITION_LIMIT_M:.0f} mm and {np.rad2deg(_ROTATION_LIMIT_RAD):.0f}"
+            f"standard deviation, at most {1e3 * bounds.POSITION_LIMIT_M:.0f} mm and "
+            f"{np.rad2deg(bounds.ROTATION_LIMIT_RAD):.0f}"
         )
         raise UnmeasurableError(f"base_from_camera is not determined ({sigmas}): {_why(calibration)}")
 
@@ -251,22 +248,25 @@ def warnings_of(calibration: CameraCalibration) -> tuple[str, ...]:
     warnings = []
     unit = calibration.camera.unit_px
     misfit = calibration.part_px["gripper"]
-    if misfit > _MISFIT_WARNING_PX * unit:
+    if misfit > bounds.MISFIT_WARNING_PX * unit:
         warnings.append(
             f"the gripper is {misfit:.1f} px off (median): the joint angles may be late or early, the joints badly "
             "calibrated, or the lens distorted"
         )
-    if calibration.focal_sigma > _FOCAL_WARNING:
+    if calibration.focal_sigma > bounds.FOCAL_WARNING:
         warnings.append(f"the focal length is uncertain by {calibration.focal_sigma:.1%}: {_why(calibration)}")
-    if calibration.position_sigma_m > _POSITION_WARNING_M or calibration.rotation_sigma_rad > _ROTATION_WARNING_RAD:
+    if (
+        calibration.position_sigma_m > bounds.POSITION_WARNING_M
+        or calibration.rotation_sigma_rad > bounds.ROTATION_WARNING_RAD
+    ):
         warnings.append(
             f"base_from_camera is uncertain by {1e3 * calibration.position_sigma_m:.0f} mm and "
             f"{np.rad2deg(calibration.rotation_sigma_rad):.1f} degrees: {_why(calibration)}"
         )
-    if calibration.basis.method is not CalibrationMethod.POSTURE and calibration.motion_m < _MIN_MOTION_M:
+    if calibration.basis.method is not CalibrationMethod.POSTURE and calibration.motion_m < bounds.MIN_MOTION_M:
         warnings.append(
-            f"the hand moves by {1e3 * calibration.motion_m:.0f} mm only, less than {1e3 * _MIN_MOTION_M:.0f}: errors "
-            "that all frames have in common are not averaged out"
+            f"the hand moves by {1e3 * calibration.motion_m:.0f} mm only, less than {1e3 * bounds.MIN_MOTION_M:.0f}: "
+            "errors that all frames have in common are not averaged out"
         )
     return tuple(warnings)
 
@@ -277,9 +277,9 @@ def _why(calibration: CameraCalibration) -> str:
     reasons = []
     if len(calibration.frames) == 1:
         reasons.append("one frame is used")
-    elif calibration.motion_m < _MIN_MOTION_M:
+    elif calibration.motion_m < bounds.MIN_MOTION_M:
         reasons.append(f"the hand moves by {1e3 * calibration.motion_m:.0f} mm only")
-    if far < _MIN_DEPTH_RATIO * near:
+    if far < bounds.MIN_DEPTH_RATIO * near:
         reasons.append(f"the visible parts of the robot are {near:.2f} to {far:.2f} m away, at nearly the same depth")
     if not reasons:
         reasons.append(f"{sum(calibration.part_cells.values())} cells show the robot, few of them with low uncertainty")

@@ -7,6 +7,7 @@ import numpy as np
 
 from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array, pose_difference
+from kinebench_drake.grounding import bounds
 from kinebench_drake.grounding.registration.arm_fit import ArmFit, ArmFitter, ArmView, depth_priors
 from kinebench_drake.grounding.registration.arm_model import (
     EVIDENCE_CAP,
@@ -43,11 +44,8 @@ _SAME_CONTOUR_PX = 3.0  # up to which the contour of the pass before still is th
 _CELLS_REACH_PX = 6.0  # from which on the cells count in a pass, too
 _POINTS = 300  # points of the contours, where the posture is nearly right
 _SHARPENING = (4.0, RIGID, _POINTS)  # farthest image edges [px] of such a posture, parts that count, and points
-_SHARPENING_M = 0.02  # largest change of such a pose
-_SHARPENING_GROWTH_PX = 1.0  # largest increase of the distance of the links, likewise: edges beside the right ones
 _RIM_SIGMA_CELLS, _RIM_SIGMA_PX = 0.7, 0.7  # of the segmented rim of the hand
 _EDGE_NATS = 25.0  # log-likelihood ratio per difference of edge agreement of hand and flange
-_MIN_AGREEMENT = 0.4  # of a posture that the edges confirm
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -143,7 +141,7 @@ class ArmEdgeFitter(ArmFitter):
             fit
             and replace(
                 fit,
-                agrees=agreement >= _MIN_AGREEMENT,
+                agrees=agreement >= bounds.EDGE_AGREEMENT,
                 evidence=of_turn,
                 edge_agreement=agreement,
                 hand_agreement=of_hand,
@@ -179,8 +177,8 @@ class ArmEdgeFitter(ArmFitter):
                 continue
             grown_px = fitted.consistency_px - arms[b].consistency_px
             if (
-                pose_difference(fitted.X_CH, arms[b].X_CH)[0] <= _SHARPENING_M
-                and grown_px <= _SHARPENING_GROWTH_PX * self._camera.unit_px
+                pose_difference(fitted.X_CH, arms[b].X_CH)[0] <= bounds.SHARPENING_M
+                and grown_px <= bounds.SHARPENING_GROWTH_PX * self._camera.unit_px
             ):
                 sharpened[b] = replace(fitted, scale=arms[b].scale, evidence=arms[b].evidence)
         return sharpened

@@ -14,6 +14,7 @@ import numpy as np
 
 from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array, invert, make_pose, pose_difference
+from kinebench_drake.grounding import bounds
 from kinebench_drake.grounding.registration.arm_model import (
     INDEPENDENT,
     ArmHandModel,
@@ -35,11 +36,8 @@ from kinebench_drake.models.panda.cad import open_fingers
 from kinebench_drake.models.panda.robot import RobotPart
 
 _MAX_CELLS = 300
-_MAX_CONSISTENCY_PX = 6.0  # of an image 384 px wide
-_MAX_ACROSS_M, _MAX_ALONG_M, _MAX_ANGLE_RAD = 0.025, 0.08, np.deg2rad(20.0)  # from the pose of the hand alone
 _NO_RANGE_SIGMA = 1e3  # relative standard deviation of an ignored range
 _LINKS_ONLY_WEIGHT = 0.03  # weight of the hand's cells where the links alone determine its distance
-_MAX_GROWTH, _MAX_GROWTH_SIGMAS = 1.4, 0.3  # largest increase of the hand's residual by the arm
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -104,7 +102,7 @@ class ArmFitter:
         X_BC = camera.X_BC if places is None else camera.X_BC @ make_pose(np.eye(3), places)
         self._model, self._camera = model, camera
         self._X_CB = invert(X_BC).reshape(-1, 4, 4)  # of each frame, or of all
-        self._tolerance_px = _MAX_CONSISTENCY_PX * camera.unit_px
+        self._tolerance_px = bounds.MAX_CONSISTENCY_PX * camera.unit_px
 
     def at(self, numbers: Sequence[int]) -> Self:
         """Return the fitter of some frames, in their order: this one, unless the camera moves."""
@@ -249,10 +247,10 @@ def _is_consistent(X_CH: Array, hand: HandFit, residual: float) -> bool:
     """Return whether a hand posed by its arm, with the `residual` of its cells there, is near the pose of its own."""
     along, across = _split(X_CH[:3, 3] - hand.X_CH[:3, 3], hand.X_CH[:3, 3])
     return bool(
-        along <= _MAX_ALONG_M
-        and across <= _MAX_ACROSS_M
-        and pose_difference(X_CH, hand.X_CH)[1] <= _MAX_ANGLE_RAD
-        and residual <= _MAX_GROWTH * hand.residual + _MAX_GROWTH_SIGMAS
+        along <= bounds.MAX_ALONG_M
+        and across <= bounds.MAX_ACROSS_M
+        and pose_difference(X_CH, hand.X_CH)[1] <= bounds.MAX_ANGLE_RAD
+        and residual <= bounds.MAX_GROWTH * hand.residual + bounds.MAX_GROWTH_SIGMAS
     )
 
 

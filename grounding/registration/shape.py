@@ -8,15 +8,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from kinebench_drake.geometry import Array
+from kinebench_drake.grounding import bounds
 from kinebench_drake.grounding.registration.edges import LEAST_GRADIENT, EdgeMatcher
 from kinebench_drake.grounding.registration.image import EdgePoints, GradientImage
 from kinebench_drake.models.panda.robot import RobotPart
 
-_RIGHT_SHARE = 0.6  # of the contour on edges, from which on the shape is right without a fit
 _STARTS = (1.0, 0.88, 1.12)  # sizes from which the fit starts
 _REACHES_PX = (8.0, 6.0, 4.0, 3.0)  # farthest image edges in successive passes
 _LEAST_POINTS = 30
-_LARGEST = 0.35  # change of size or shape beyond which the fit has failed
 _MOVED_PX, _STRETCHED = 1.0, 0.2  # standard deviations of the flange in the image, and of the relative stretch
 _INDEPENDENT = 60.0  # measurements that the contour counts as
 _TUKEY, _LEAST_SCATTER_PX, _PASSES = 4.0, 0.5, 4
@@ -46,7 +45,7 @@ def fit_shape(edges: EdgeMatcher, image: GradientImage, X_CP: Array) -> HandShap
     if points is None or len(points.pixel) < _LEAST_POINTS:
         return None
     share = float(edges.edge_shares(image, points).mean())
-    if share >= _RIGHT_SHARE:
+    if share >= bounds.RIGHT_SHAPE:
         return HandShape()
     flange = image.camera.project(X_CP[RobotPart.HAND, :3, 3])
     best, A = share, np.eye(2)
@@ -58,7 +57,7 @@ def fit_shape(edges: EdgeMatcher, image: GradientImage, X_CP: Array) -> HandShap
     symmetric = 0.5 * (A + A.T)
     scale = 0.5 * float(np.trace(symmetric))
     stretch = float(np.linalg.norm(symmetric - scale * np.eye(2)))
-    if np.hypot(scale - 1.0, stretch) > _LARGEST:
+    if np.hypot(scale - 1.0, stretch) > bounds.SHAPE_CHANGE:
         return None
     return HandShape(log_scale=float(np.log(scale)), stretch=stretch, gain=best - share)
 

@@ -14,20 +14,11 @@ from numpy.typing import NDArray
 
 from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array, make_pose, rotation_angle, rotation_exp
+from kinebench_drake.grounding import bounds
 from kinebench_drake.grounding.registration.image import follow_points
 from kinebench_drake.io.frames import Frames, Image, map_frames
 from kinebench_drake.io.jsonl import Json
 
-MAX_TURN_RAD, MAX_MOVE_M, MAX_ZOOM = float(np.deg2rad(15.0)), 0.15, 0.2
-"""Largest rotation, distance and relative zoom from the first camera that are followed."""
-MIN_FEATURES = 16
-"""Least number of features in a frame."""
-MIN_SHARE = 0.5
-"""Least share of them that the camera's motion explains."""
-GAIN = 0.05
-"""Least increase of the share that features must show for a less simple way of moving."""
-MIN_ON_TABLE = 0.3
-"""Least share of the features with depth on the table top that makes it the scale."""
 _AGREEING_PX = 1.0  # residual of an explained feature, as all lengths in pixels here of an image 384 px wide
 _MAX_FEATURES = 250
 _SPACING_PX = 6.0
@@ -50,9 +41,6 @@ class CameraWay(Enum):
     ROTATION = "rotation"
     ZOOM = "rotation and zoom"
     PLACE = "rotation and place"
-
-
-_REST_RAD, _REST_M, _REST_ZOOM = np.deg2rad(0.2), 0.003, 0.003  # of a camera that stands where the first one does
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -79,8 +67,8 @@ class CameraPath:
     @property
     def at_rest(self) -> NDArray[np.bool_]:
         """(T,) frames in which the camera is where A is."""
-        still = (rotation_angle(self.R_AC) <= _REST_RAD) & (np.linalg.norm(self.p_AC, axis=1) <= _REST_M)
-        return np.asarray(self.followed & still & (np.abs(self.zoom - 1.0) <= _REST_ZOOM))
+        still = (rotation_angle(self.R_AC) <= bounds.REST_RAD) & (np.linalg.norm(self.p_AC, axis=1) <= bounds.REST_M)
+        return np.asarray(self.followed & still & (np.abs(self.zoom - 1.0) <= bounds.REST_ZOOM))
 
     def to_json(self) -> dict[str, Json]:
         """Serialize the largest changes from the first camera into `camera_path` of a row."""
@@ -143,7 +131,7 @@ def follow_camera(
     start, now = _track_features(frames, reference, robot, camera)
     n = len(frames)
     cameras, followed, way = np.zeros((n, 7)), np.zeros(n, dtype=bool), CameraWay.FIXED
-    enough = np.isfinite(now[..., 0]).sum(axis=1) >= MIN_FEATURES
+    enough = np.isfinite(now[..., 0]).sum(axis=1) >= bounds.PATH_FEATURES
     if enough.any():
         problem = _Problem(start, now, camera, table_height_m)
         fit = problem.fit(CameraWay.ROTATION)
@@ -151,12 +139,16 @@ def follow_camera(
         for other in (CameraWay.ZOOM, CameraWay.PLACE):
             rival = problem.fit(other, fit)
             more = problem.explained(rival)
-            is_better = more[enough].mean() > share[enough].mean() + GAIN
+            is_better = more[enough].mean() > share[enough].mean() + bounds.PATH_GAIN
             if is_better and (other is not CameraWay.PLACE or problem.has_scale(rival)):
                 way, fit, share = other, rival, more
         turn, move = (np.linalg.norm(fit.cameras[:, part], axis=1) for part in (slice(3), slice(3, 6)))
-        within = (turn <= MAX_TURN_RAD) & (move <= MAX_MOVE_M) & (np.abs(np.expm1(fit.cameras[:, 6])) <= MAX_ZOOM)
-        followed = enough & (share >= MIN_SHARE) & within
+        within = (
+            (turn <= bounds.FOLLOWED_RAD)
+            & (move <= bounds.FOLLOWED_M)
+            & (np.abs(np.expm1(fit.cameras[:, 6])) <= bounds.FOLLOWED_ZOOM)
+        )
+        followed = enough & (share >= bounds.MOTION_SHARE) & within
         cameras[followed] = fit.cameras[followed]
     px = np.full(n, np.nan)
     moved = np.linalg.norm(now - start, axis=2)
@@ -184,14 +176,14 @@ def _track_features(frames: Frames, reference: Image, robot: NDArray[np.bool_], 
     corners = cv2.goodFeaturesToTrack(first, _MAX_FEATURES, 0.005, _SPACING_PX * unit, mask=free.astype(np.uint8) * 255)
     start = np.empty((0, 2), np.float32) if corners is None else corners[:, 0]
     tracks = np.full((len(frames), len(start), 2), np.nan)
-    if len(start) < MIN_FEATURES:
+    if len(start) < bounds.PATH_FEATURES:
         return np.asarray(start + 0.5, np.float64), tracks
     before, last, alive = first, start.copy(), np.ones(len(start), dtype=bool)
     for i, frame in enumerate(frames):
         image = _even_contrast(frame, unit)
         chained, steady = _flow(before, image, last, last, unit)
         steady &= alive
-        H = _homography(start[steady], chained[steady], unit) if steady.sum() >= MIN_FEATURES else None
+        H = _homography(start[steady], chained[steady], unit) if steady.sum() >= bounds.PATH_FEATURES else None
         if H is None:  # a jump
             steady, H = np.zeros(len(start), dtype=bool), _matched_homography(first, image, free, unit)
         if H is None:
@@ -229,7 +221,7 @@ def _flow(
 def _homography(first: NDArray[np.float32], now: NDArray[np.float32], unit: float) -> Array | None:
     """Return the homography that most features (N, 2) follow; None if too few do."""
     H, inlier = cv2.findHomography(first, now, cv2.RANSAC, _RANSAC_PX * unit)
-    enough = H is not None and inlier.sum() >= max(MIN_FEATURES, _MIN_INLIERS * len(first))
+    enough = H is not None and inlier.sum() >= max(bounds.PATH_FEATURES, _MIN_INLIERS * len(first))
     return np.asarray(H) if enough else None
 
 
@@ -238,11 +230,11 @@ def _matched_homography(first: Image, image: Image, free: NDArray[np.bool_], uni
     sift = cv2.SIFT_create(600)  # type: ignore[attr-defined]
     points, descriptors = sift.detectAndCompute(first, free.astype(np.uint8) * 255)
     others, other_descriptors = sift.detectAndCompute(image, None)
-    if descriptors is None or other_descriptors is None or min(len(points), len(others)) < MIN_FEATURES:
+    if descriptors is None or other_descriptors is None or min(len(points), len(others)) < bounds.PATH_FEATURES:
         return None
     pairs = cv2.BFMatcher().knnMatch(descriptors, other_descriptors, k=2)
     good = [m for m, n in (p for p in pairs if len(p) == 2) if m.distance < 0.75 * n.distance]
-    if len(good) < MIN_FEATURES:
+    if len(good) < bounds.PATH_FEATURES:
         return None
     a, b = np.array([points[m.queryIdx].pt for m in good]), np.array([others[m.trainIdx].pt for m in good])
     return _homography(a.astype(np.float32), b.astype(np.float32), unit)
@@ -286,7 +278,7 @@ class _Problem:
         """Return whether enough features that look at the table have its depth."""
         used = self._seen.any(axis=0) & self._on_table
         near = np.abs(fit.inverse_depth / self._table - 1.0) < 3 * _TABLE_SIGMA
-        return bool(used.sum() >= MIN_FEATURES and near[used].mean() >= MIN_ON_TABLE)
+        return bool(used.sum() >= bounds.PATH_FEATURES and near[used].mean() >= bounds.MIN_ON_TABLE)
 
     def _error(self, cameras: Array, rho: Array) -> Array:
         """Return predicted less tracked pixels (T, N, 2)."""

@@ -18,10 +18,6 @@ from kinebench_drake.geometry import Array
 from kinebench_drake.grounding.tracking.pose import FramePose
 from kinebench_drake.track import Domain
 
-TRACKED_CONFIDENCE = 0.3
-"""Least confidence at which a frame counts as tracked."""
-GOOD_M, GOOD_RAD = 0.010, float(np.deg2rad(5.0))
-"""Error bounds [m, rad] whose probability the confidence is."""
 CALIBRATION = Path(__file__).parents[2] / "models" / "perception" / "confidence.json"
 _HAND_FEATURES = (
     *("log_sigma", "log_residual", "log_cells", "overlap", "log_level"),

@@ -14,6 +14,7 @@ from scipy.special import logsumexp
 
 from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array, pose_difference
+from kinebench_drake.grounding import bounds
 from kinebench_drake.grounding.priors import NO_PRIORS, Priors
 from kinebench_drake.grounding.registration.arm_edge_fit import LAST_LINKS, ArmEdgeFitter
 from kinebench_drake.grounding.registration.arm_model import ArmModel
@@ -40,12 +41,8 @@ _SHOWN, _COARSE = 12, 3  # frames and openings that tell how a gripper is mounte
 _MOUNT_GRID_RAD = np.deg2rad(np.arange(0.0, 360.0, 9.0))
 _MOUNT_STEPS = (0, 5, 10, 15)  # of that grid, from panda_hand to a gripper: eighths of a turn
 _MOUNT_OFFSETS_M = (0.0, 0.012)  # with and without an adapter
-_MOUNTS, _CLEAR = 3, 10.0  # mounts that are fitted and compared, unless one leads by this log-likelihood
-_GAIN = 0.05  # least lead of a neighbour's agreement with edges that makes its posture the better one
-_LOST = 0.8  # of the agreement of a frame, below which the arm was not followed from it
+_MOUNTS = 3  # that are fitted and compared, unless one leads clearly
 _TURN_SIGMA_RAD = np.deg2rad(6.0)  # of the likeliest turns, before each frame is fitted once more
-_SAME_M, _SAME_RAD = 0.06, np.deg2rad(20.0)  # from the chain with a free base to the arm on the base
-_ON_BASE, _BASE_LOSS = 0.4, 0.1  # least agreement of an arm on the base, and its largest loss by the base
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -125,11 +122,11 @@ class FlangeTracker:
             waiting.remove(i)
             for k in {i - 1, i + 1} & waiting:
                 proposed = [poses.get(k), video.flange.follow(poses[i], video.images[i], video.images[k])]
-                if _agreement(proposed[1]) < _LOST * _agreement(poses[i]):
+                if _agreement(proposed[1]) < bounds.LOST_SHARE * _agreement(poses[i]):
                     ((_, shown),) = self._look({k: _crop_at(poses[i].X_CH)}, video)
                     proposed.append(video.flange.detect(shown, poses[i]))
                 best = max(proposed, key=_agreement)
-                if best is not None and _agreement(best) > _agreement(proposed[0]) + _GAIN:
+                if best is not None and _agreement(best) > _agreement(proposed[0]) + bounds.NEIGHBOUR_GAIN:
                     poses[k] = best
 
     def _mount(self, poses: Mapping[int, FramePose], video: _Video) -> FlangeFitter:
@@ -144,7 +141,7 @@ class FlangeTracker:
                 by_gripper = fitter.gripper_log_likelihood(chain, _MOUNT_GRID_RAD, image, pose.overlap)
                 total[:, k] += [logsumexp(by_link + np.roll(by_gripper, -step)) for step in _MOUNT_STEPS]
         likeliest = np.argsort(-total, axis=None)[:_MOUNTS]
-        likeliest = likeliest[total.flat[likeliest] > total.max() - _CLEAR]
+        likeliest = likeliest[total.flat[likeliest] > total.max() - bounds.MOUNT_LEAD]
         turn, offset = np.unravel_index(likeliest, total.shape)
         mounted = [
             FlangeFitter(self._chain, robotiq_shape(_MOUNT_GRID_RAD[_MOUNT_STEPS[t]], _MOUNT_OFFSETS_M[o]))
@@ -199,10 +196,10 @@ class FlangeTracker:
         links = _link_cells(pose.view, video.wide[number])
         image = video.images[number]
         arm = video.arm.at([number]).fit_links(pose.X_CH, _TURN_SIGMA_RAD, links, image)
-        if arm is None or arm.edge_agreement < max(_ON_BASE, pose.overlap - _BASE_LOSS):
+        if arm is None or arm.edge_agreement < max(bounds.EDGE_AGREEMENT, pose.overlap - bounds.BASE_LOSS):
             return None
         distance, angle = pose_difference(arm.X_CH, pose.X_CH)
-        if distance > _SAME_M or angle > _SAME_RAD:
+        if distance > bounds.ON_BASE_M or angle > bounds.MAX_ANGLE_RAD:
             return None
         return replace(pose, X_CH=arm.X_CH, arm=arm, overlap=arm.edge_agreement)
 

@@ -21,6 +21,7 @@ from numpy.typing import ArrayLike
 from scipy.special import logsumexp, softmax
 
 from kinebench_drake.geometry import Array, invert, make_pose, rotation_angle, rotation_exp, transform_points
+from kinebench_drake.grounding import bounds
 from kinebench_drake.grounding.registration.opening import GAP_STEP_M, GAPS_M
 from kinebench_drake.grounding.tracking.pose import FramePose
 from kinebench_drake.models.panda.cad import MAX_FINGER_M
@@ -38,14 +39,9 @@ OFFSETS_RAD = np.deg2rad(np.arange(-15.0, 15.1, 3.0))
 _STATES = 5  # states from one turn of the grid to the next
 _STEP_RAD = np.deg2rad(8.0)  # standard deviation of a step from frame to frame, and of a change that is measured badly
 _CHANGE_RAD, _BADLY = np.deg2rad(1.5), 0.1  # standard deviation of a measured change, and share of the bad ones
-SHARP_M = 0.004
-"""Widths with a smaller standard deviation are trusted as measured; larger ones have correlated errors, since fingers
-that hide each other are mislabelled together."""
 _BLUNT_FACTOR = 2.5  # factor by which the error of a width that is not sharp exceeds its standard deviation
-_BLIND_M = 0.010  # standard deviation from which a measurement is ignored
 _FLOOR_M = 0.001  # least standard deviation of a measurement
 _OUTLIER_SHARE = 0.02
-_UNKNOWN_M = 0.015  # posterior standard deviation above which the width is unknown
 _EDGE_OUTLIERS = 0.05
 _SPEEDS = np.array([0, *(s * k for k in (1, 2, 3, 4, 6, 10, 15, 25, 40) for s in (-1, 1))])
 """Changes of the width per frame in grid steps; the first is rest."""
@@ -184,7 +180,7 @@ def smooth_gripper_width(
     posterior /= posterior.sum(axis=1, keepdims=True)
     spread = np.sqrt(np.maximum(posterior @ GAPS_M**2 - (posterior @ GAPS_M) ** 2, 0.0))
     median = [_median(probabilities) for probabilities in posterior]
-    return np.where(sigma_m == 0.0, width_m, np.where(spread <= _UNKNOWN_M, median, np.nan))
+    return np.where(sigma_m == 0.0, width_m, np.where(spread <= bounds.UNKNOWN_M, median, np.nan))
 
 
 def _median(probabilities: Array) -> float:
@@ -196,8 +192,8 @@ def _median(probabilities: Array) -> float:
 
 def _likelihoods(width_m: Array, sigma_m: Array, widths: Array) -> Array:
     """Return the likelihoods (T, S) of the states, whose widths are `widths` (S,), given the measurements (T,)."""
-    sigma_m = np.where(sigma_m <= SHARP_M, np.maximum(sigma_m, _FLOOR_M), _BLUNT_FACTOR * sigma_m)
-    usable = np.isfinite(width_m) & (sigma_m <= _BLUNT_FACTOR * _BLIND_M)
+    sigma_m = np.where(sigma_m <= bounds.SHARP_M, np.maximum(sigma_m, _FLOOR_M), _BLUNT_FACTOR * sigma_m)
+    usable = np.isfinite(width_m) & (sigma_m <= _BLUNT_FACTOR * bounds.BLIND_M)
     width_m, sigma_m = np.where(usable, width_m, 0.0)[:, None], np.where(usable, sigma_m, 1.0)[:, None]
     fits = np.exp(-0.5 * ((widths - width_m) / sigma_m) ** 2) / sigma_m
     return np.where(usable[:, None], (1.0 - _OUTLIER_SHARE) * fits + _OUTLIER_SHARE / (2 * MAX_FINGER_M), 1.0)

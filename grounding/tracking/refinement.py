@@ -8,6 +8,7 @@ import numpy as np
 
 from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import pose_difference
+from kinebench_drake.grounding import bounds
 from kinebench_drake.grounding.registration.arm_edge_fit import ArmEdgeFitter
 from kinebench_drake.grounding.registration.arm_fit import ArmFit, ArmView
 from kinebench_drake.grounding.registration.fit import finger_or_default
@@ -20,20 +21,12 @@ from kinebench_drake.grounding.tracking.view import GripperView
 from kinebench_drake.io.frames import Frames
 from kinebench_drake.track import Domain
 
-_GOOD_OVERLAP = 0.8  # from which on a pose whose arm agrees is not doubtful
-_MIN_COVERAGE = 0.6  # least share of a gripper fitted to edges that shows the robot, else absent ones are tracked
-_AGREEING_SHARE = 0.5  # least share of poses whose hand and arm agree, of a familiar video
 _SAMPLES = 7  # frames in which the edges are compared with the network's poses
-_CONFIRMATION = 0.6  # median agreement from which on the edges confirm the network's poses without a fit
-_SMALL_M = 0.0025  # median change by fits to the edges alone up to which they confirm the network's poses, too
-_FAR_M, _GAIN = 0.02, 0.18  # above which the change, or the gain of agreement by it, contradicts the network's poses
-_MISSED_SHARE = 0.1  # greatest share of frames of a familiar video that are only reached by following the arm
 _FOLLOWED_FRAMES = 3  # frames without a sure pose across which the surface is followed at once
-_BEST_QUANTILE, _BEST_SHARE = 0.75, 0.9  # frames that agree nearly as well as the best ones are not tried again
 
 
 def _is_doubtful(pose: FramePose) -> bool:
-    return not pose.from_prior and not (pose.arm_agrees and pose.overlap >= _GOOD_OVERLAP)
+    return not pose.from_prior and not (pose.arm_agrees and pose.overlap >= bounds.GOOD_OVERLAP)
 
 
 def _agreement(pose: FramePose) -> float:
@@ -92,25 +85,25 @@ class EdgeRefinement:
             return False
         numbers = [i for i, pose in sorted(self.poses.items()) if pose.arm_agrees and not pose.from_prior]
         estimated = sum(not pose.from_prior for pose in self.poses.values())
-        if not numbers or len(numbers) < _AGREEING_SHARE * estimated:
+        if not numbers or len(numbers) < bounds.AGREEING_SHARE * estimated:
             return bool(self.poses) and estimated == 0
         sample = [numbers[k] for k in np.unique(np.linspace(0, len(numbers) - 1, _SAMPLES).round().astype(int))]
         arms = self._sharpened(sample)
         agreements = [self._fitter.at([i]).edge_agreement(arm.q, self._images[i]) for i, arm in arms.items()]
         agreement = float(np.median(agreements))
-        if agreement >= _CONFIRMATION:
+        if agreement >= bounds.CONFIRMATION:
             return True
         fits = [(fit, arms[i]) for i, fit in self._refined(arms).items() if fit is not None]
         if 2 * len(fits) < len(arms):
             return False
         distance = float(np.median([pose_difference(fit.X_CH, arm.X_CH)[0] for fit, arm in fits]))
         gain = float(np.median([fit.edge_agreement for fit, _ in fits])) - agreement
-        return distance <= _SMALL_M or (distance <= _FAR_M and gain <= _GAIN)
+        return distance <= bounds.SMALL_M or (distance <= bounds.FAR_M and gain <= bounds.EDGE_GAIN)
 
     @property
     def domain(self) -> Domain:
         """Domain of the video, after `run`: where the network missed the gripper in many frames, its views mislead."""
-        missed = len(self._reached) > _MISSED_SHARE * len(self.poses)
+        missed = len(self._reached) > bounds.MISSED_SHARE * len(self.poses)
         return Domain.FAMILIAR if self.is_familiar and not missed else Domain.UNFAMILIAR
 
     def run(self) -> None:
@@ -159,7 +152,7 @@ class EdgeRefinement:
         pose = self.poses.get(number)
         if not self._is_sure(number) or pose is None:
             return pose is None or not pose.from_prior
-        return not self.is_familiar and _agreement(pose) < _BEST_SHARE * _agreement(self.poses[near])
+        return not self.is_familiar and _agreement(pose) < bounds.BEST_SHARE * _agreement(self.poses[near])
 
     def _is_sure(self, number: int) -> bool:
         """Return whether the arm of a frame agrees with its hand and, in unfamiliar videos, with its edges."""
@@ -196,7 +189,7 @@ class EdgeRefinement:
             self._keep_better(i, fit)
         for step in (1, -1):
             agreements = [_agreement(pose) for pose in self.confirmed.values()]
-            enough = _BEST_SHARE * float(np.quantile(agreements, _BEST_QUANTILE)) if agreements else 0.0
+            enough = bounds.BEST_SHARE * float(np.quantile(agreements, bounds.BEST_QUANTILE)) if agreements else 0.0
             for i in ordered[::step]:
                 near = self.poses.get(i - step)
                 own = _agreement(self.poses[i])
@@ -227,5 +220,5 @@ class EdgeRefinement:
         if arm is None or not arm.agrees or arm.edge_agreement <= _agreement(pose):
             return
         hand = pose.view, arm.X_CH, finger_or_default(arm.finger_m)
-        if self._silhouette.coverage(*hand) >= _MIN_COVERAGE:
+        if self._silhouette.coverage(*hand) >= bounds.MIN_COVERAGE:
             self.poses[number] = pose.with_arm(arm, self._silhouette.overlap(*hand))

@@ -8,14 +8,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from kinebench_drake.anomaly import Anomaly, AnomalyKind
 from kinebench_drake.geometry import Array, make_pose, pose_difference, rotation_exp, rotation_log
+from kinebench_drake.grounding import bounds
 from kinebench_drake.grounding.tracking.confidence import track_features
 from kinebench_drake.grounding.tracking.pose import FramePose
 from kinebench_drake.segments import frame_periods
 
 HALF_WINDOW = 3
 """Number of frames before and after a frame that its pose is smoothed with."""
-MIN_CONFIDENCE = 0.02
-"""Least confidence at which a detection counts as a gripper."""
 _DEGREE = 2
 _MIN_NEIGHBOURS = 4
 _L1_PASSES, _TUKEY_PASSES = 4, 2
@@ -136,7 +135,7 @@ class RawTrack:
             t_s: (T,) task time [s].
         """
         X_AH = np.stack([np.full((4, 4), np.nan) if p is None else p.X_CH for p in poses])
-        X_AH[(confidence < MIN_CONFIDENCE) | lost] = np.nan
+        X_AH[(confidence < bounds.MIN_CONFIDENCE) | lost] = np.nan
         breaks: list[int] = []
         for anomaly in anomalies:
             after = anomaly.frame_end + 1

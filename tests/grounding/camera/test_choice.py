@@ -10,20 +10,12 @@ from kinebench_drake.camera import CONFIRMED, CameraSetting, CameraSource, Camer
 from kinebench_drake.errors import UnmeasurableError
 from kinebench_drake.formats.camerafile import named_cameras
 from kinebench_drake.geometry import make_pose
+from kinebench_drake.grounding import bounds
 from kinebench_drake.grounding.anomaly.detection import AnomalyDetections, Detection
 from kinebench_drake.grounding.camera.bundle import ArmScene
-from kinebench_drake.grounding.camera.camera_estimate import (
-    ALIGNED_AGREEMENT,
-    ALIGNED_BASE_AGREEMENT,
-    ARM_AGREEMENT,
-    BASE_AGREEMENT,
-    GRIPPER_SIGMA_M,
-    CameraEstimate,
-    Rival,
-)
-from kinebench_drake.grounding.camera.check import LARGE_M, CameraContradiction
+from kinebench_drake.grounding.camera.camera_estimate import CameraEstimate, Rival
+from kinebench_drake.grounding.camera.check import CameraContradiction
 from kinebench_drake.grounding.camera.estimate import usual_camera
-from kinebench_drake.grounding.camera.evidence import AGREEMENT, SURE
 from kinebench_drake.grounding.camera.lens import Lens
 from kinebench_drake.grounding.camera.reading import BetterReading, Reading
 from kinebench_drake.grounding.camera.recognition import Recognition
@@ -131,8 +123,8 @@ def estimate(**changes):
         "frames": np.arange(4),
         "gripper_sigma_m": 0.01,
         "gripper_sigma_rad": 0.01,
-        "agreement": ARM_AGREEMENT + 0.1,
-        "base_agreement": BASE_AGREEMENT + 0.1,
+        "agreement": bounds.ARM_AGREEMENT + 0.1,
+        "base_agreement": bounds.BASE_AGREEMENT + 0.1,
         "residual_px": 0.4,
         "part": np.zeros(0, np.uint8),
     }
@@ -168,7 +160,11 @@ def ground(evidence, frames=SQUARE, *, source=None, gripper=GripperKind.AUTO, **
 
 @pytest.mark.parametrize(
     ("agreement", "asked"),
-    [(SURE, ["assumed"]), (SURE - 0.01, ["assumed", "likely readings"]), (CONFIRMED, ["assumed", "likely readings"])],
+    [
+        (bounds.SURE_AGREEMENT, ["assumed"]),
+        (bounds.SURE_AGREEMENT - 0.01, ["assumed", "likely readings"]),
+        (CONFIRMED, ["assumed", "likely readings"]),
+    ],
 )
 def test_the_benchmark_camera_is_assumed_for_an_unnamed_one_if_the_track_confirms_it(agreement, asked):
     evidence = Evidence(agreements=[agreement])
@@ -190,7 +186,7 @@ def test_an_assumed_camera_just_below_the_agreement_bound_gives_no_base_frame():
 
 
 @pytest.mark.parametrize("name", ["benchmark", "libero-tabletop", "robosuite-agentview"])
-@pytest.mark.parametrize("agreement", [AGREEMENT, AGREEMENT - 0.01])
+@pytest.mark.parametrize("agreement", [bounds.AGREEMENT, bounds.AGREEMENT - 0.01])
 def test_a_recognized_camera_gives_a_base_frame_if_the_track_with_it_confirms_it(name, agreement):
     evidence = Evidence(agreements=[0.9, agreement], recognized=recognition(name))
     evidence.domain = Domain.UNFAMILIAR
@@ -198,8 +194,8 @@ def test_a_recognized_camera_gives_a_base_frame_if_the_track_with_it_confirms_it
     assert evidence.asked == ["assumed", "recognize", "ground"]
     assert choice.table_height_m == named_cameras()[name].setting.table_height_m
     assert choice.to_json()["camera_name"] == name
-    assert (choice.state is CameraState.CONFIRMED) == (agreement >= AGREEMENT)
-    assert (choice.reason is None) == (agreement >= AGREEMENT)
+    assert (choice.state is CameraState.CONFIRMED) == (agreement >= bounds.AGREEMENT)
+    assert (choice.reason is None) == (agreement >= bounds.AGREEMENT)
     if choice.reason is None:
         assert choice.to_json()["camera_source"] == ("benchmark" if name == "benchmark" else "recognized")
 
@@ -286,13 +282,13 @@ def test_a_camera_is_estimated_if_a_detected_hand_has_no_track_with_the_benchmar
     [
         (estimate(), None),
         (None, "nothing is seen"),
-        (estimate(agreement=ARM_AGREEMENT - 0.01), "no estimated camera agrees"),
-        (estimate(agreement=ALIGNED_AGREEMENT - 0.01, is_aligned=True), "no estimated camera agrees"),
+        (estimate(agreement=bounds.ARM_AGREEMENT - 0.01), "no estimated camera agrees"),
+        (estimate(agreement=bounds.ALIGNED_AGREEMENT - 0.01, is_aligned=True), "no estimated camera agrees"),
         (estimate(others=(rival(0.9),)), "two different cameras"),
-        (estimate(base_agreement=BASE_AGREEMENT - 0.01), "cannot be seen"),
-        (estimate(base_agreement=ALIGNED_BASE_AGREEMENT - 0.01, is_aligned=True), "cannot be seen"),
-        (estimate(turns=(rival(BASE_AGREEMENT + 0.09),)), "two turns"),
-        (estimate(gripper_sigma_m=GRIPPER_SIGMA_M + 0.01), "uncertain by 30 mm"),
+        (estimate(base_agreement=bounds.BASE_AGREEMENT - 0.01), "cannot be seen"),
+        (estimate(base_agreement=bounds.ALIGNED_BASE_AGREEMENT - 0.01, is_aligned=True), "cannot be seen"),
+        (estimate(turns=(rival(bounds.BASE_AGREEMENT + 0.09),)), "two turns"),
+        (estimate(gripper_sigma_m=bounds.GRIPPER_SIGMA_M + 0.01), "uncertain by 30 mm"),
     ],
 )
 def test_an_estimated_camera_gives_a_base_frame_only_if_it_agrees_and_is_determined(best, words):
@@ -306,7 +302,7 @@ def test_an_estimated_camera_gives_a_base_frame_only_if_it_agrees_and_is_determi
         assert choice.to_json()["camera_source"] == choice.state.value == "none"
 
 
-@pytest.mark.parametrize(("agreement", "tracks"), [(0.7, 3), (AGREEMENT - 0.01, 0)])
+@pytest.mark.parametrize(("agreement", "tracks"), [(0.7, 3), (bounds.AGREEMENT - 0.01, 0)])
 def test_a_clip_with_several_possible_cameras_has_a_track_with_each_if_its_arm_confirms_all(agreement, tracks):
     best = estimate(turns=(rival(0.49), rival(0.3)), others=(rival(0.6), rival(0.2)))
     assert len(best.rivals) == 2
@@ -319,7 +315,7 @@ def test_a_clip_with_several_possible_cameras_has_a_track_with_each_if_its_arm_c
 
 
 def test_lines_along_the_base_axes_lower_the_agreement_required_of_an_estimated_camera():
-    few = estimate(agreement=ALIGNED_AGREEMENT + 0.01, base_agreement=ALIGNED_BASE_AGREEMENT + 0.01)
+    few = estimate(agreement=bounds.ALIGNED_AGREEMENT + 0.01, base_agreement=bounds.ALIGNED_BASE_AGREEMENT + 0.01)
     assert few.doubt is not None
     assert replace(few, is_aligned=True).doubt is None
 
@@ -330,15 +326,15 @@ def test_the_offset_bound_of_a_track_is_two_sigmas_of_its_estimated_camera():
     assert ground(Evidence(), SQUARE).track.offset_m == 0.0
 
 
-@pytest.mark.parametrize("agreement", [AGREEMENT, AGREEMENT - 0.01])
+@pytest.mark.parametrize("agreement", [bounds.AGREEMENT, bounds.AGREEMENT - 0.01])
 def test_an_estimated_camera_needs_the_agreement_of_the_final_track(agreement):
     choice = ground(Evidence(agreements=[agreement], estimate=estimate()), WIDE).choice
-    assert (choice.reason is None) == (agreement >= AGREEMENT)
+    assert (choice.reason is None) == (agreement >= bounds.AGREEMENT)
 
 
 def test_a_named_camera_that_the_arm_confirms_is_not_compared_with_other_readings():
     for source in (CameraSource.FOLDER, CameraSource.ARGUMENT):
-        sure, unsure = Evidence(agreements=[SURE]), Evidence(agreements=[CONFIRMED - 0.01])
+        sure, unsure = Evidence(agreements=[bounds.SURE_AGREEMENT]), Evidence(agreements=[CONFIRMED - 0.01])
         assert ground(sure, source=source).choice.state is CameraState.NAMED
         assert sure.asked == ["ground"]
         ground(unsure, source=source)
@@ -352,7 +348,7 @@ def test_a_named_camera_far_from_one_that_explains_the_arm_better_gives_no_base_
         evidence.fitted = fitted
         return ground(evidence, source=CameraSource.FOLDER).choice
 
-    near, far = choose(0.5 * LARGE_M), choose(2 * LARGE_M)
+    near, far = choose(0.5 * bounds.LARGE_M), choose(2 * bounds.LARGE_M)
     assert near.reason is None
     assert near.to_json()["camera_contradiction"]["focal_ratio"] == 0.7
     assert "1.43 times as long" in far.reason
@@ -360,10 +356,10 @@ def test_a_named_camera_far_from_one_that_explains_the_arm_better_gives_no_base_
     assert far.source is CameraSource.FOLDER
 
 
-@pytest.mark.parametrize("agreement", [AGREEMENT + 0.01, AGREEMENT - 0.01])
+@pytest.mark.parametrize("agreement", [bounds.AGREEMENT + 0.01, bounds.AGREEMENT - 0.01])
 def test_a_doubtful_named_camera_without_a_better_one_is_kept_if_the_arm_agrees(agreement):
     choice = ground(Evidence(agreements=[agreement]), source=CameraSource.FOLDER).choice
-    assert (choice.reason is None) == (agreement > AGREEMENT)
+    assert (choice.reason is None) == (agreement > bounds.AGREEMENT)
     assert choice.to_json()["camera_agreement"] == agreement
 
 
@@ -376,14 +372,14 @@ def test_a_named_camera_gives_no_base_frame_if_a_visible_arm_agrees_in_no_frame(
     assert not arm_seen or "no tracked frame" in choice.reason
 
 
-@pytest.mark.parametrize("agreement", [CONFIRMED, AGREEMENT - 0.01])
+@pytest.mark.parametrize("agreement", [CONFIRMED, bounds.AGREEMENT - 0.01])
 def test_the_track_of_an_arm_without_a_hand_needs_the_same_agreement(agreement):
     evidence = Evidence(agreements=[agreement])
     evidence.arm_tracks = True
     grounded = ground(evidence, source=CameraSource.FOLDER, gripper=GripperKind.NONE)
     assert evidence.asked[0] == "none"
     assert "contradiction" not in evidence.asked  # it is sought by hands
-    assert (grounded.choice.reason is None) == (agreement >= AGREEMENT)
+    assert (grounded.choice.reason is None) == (agreement >= bounds.AGREEMENT)
 
 
 def test_the_arm_alone_is_not_tried_if_another_camera_reading_explains_the_hand():

@@ -7,10 +7,9 @@ import numpy as np
 import pytest
 
 from kinebench_drake.formats.camerafile import find_camera, named_cameras
-from kinebench_drake.grounding.camera.camera_estimate import BASE_AGREEMENT
-from kinebench_drake.grounding.camera.evidence import AGREEMENT
+from kinebench_drake.grounding import bounds
 from kinebench_drake.grounding.camera.reading import Reading
-from kinebench_drake.grounding.camera.recognition import GAIN, LEAD, Recognition, cameras_of
+from kinebench_drake.grounding.camera.recognition import Recognition, cameras_of
 from kinebench_drake.grounding.parts import GroundingParts
 from kinebench_drake.io.reader import read_video
 
@@ -48,10 +47,10 @@ def test_a_camera_that_does_not_show_the_robots_foot_is_not_tried(name):
     ("changes", "is_clear"),
     [
         ({}, True),
-        ({"agreement": AGREEMENT - 0.01}, False),
-        ({"lead": LEAD - 0.01}, False),
-        ({"freed": 0.6 + GAIN + 0.01}, False),
-        ({"base_agreement": BASE_AGREEMENT - 0.01}, False),
+        ({"agreement": bounds.AGREEMENT - 0.01}, False),
+        ({"lead": bounds.RECOGNITION_LEAD - 0.01}, False),
+        ({"freed": 0.6 + bounds.RECOGNITION_LEAD + 0.01}, False),
+        ({"base_agreement": bounds.BASE_AGREEMENT - 0.01}, False),
     ],
 )
 def test_a_camera_is_clear_if_arm_and_base_agree_and_neither_another_nor_a_freed_one_nearly_as_well(changes, is_clear):
