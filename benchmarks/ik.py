@@ -135,32 +135,39 @@ def section(comparisons: Sequence[IkComparison]) -> str:
     parts: list[str | list[str]] = [
         f"`python -m benchmarks ik`, one thread, on {machine_text()}; CPU times. Expert-like tracks are reached to "
         f"{1e3 * POSITION_M:g} mm and {1e3 * ROTATION_RAD:g} mrad from the posture of the first pose. The solvers take "
-        "turns, and ratios are of the same turn: median (minimum to maximum). Reached: share of poses, joints within "
+        "turns, and ratios are of the same turn: median [minimum, maximum]. Reached: share of poses, joints within "
         "limits. Smooth: share of tracks whose joint path keeps the speed limits; any other path jumps between "
         "postures.",
         "Ours and pytorch_kinematics solve whole tracks, the others pose by pose. Ours chooses joint 7 along the track "
         "and verifies its own result in Drake within its time. A warm start is given the true postures. "
         "`benchmarks/peers.py` has how each solver is used.",
     ]
-    for comparison in comparisons:
-        tracks = comparison.tracks
-        head = ("solver", "us a pose", "times ours", "reached", "smooth")
-        parts.append(f"### {tracks.tracks} tracks of {tracks.frames} frames at {tracks.period_s:g} s")
-        parts.append(markdown.table(head, [_row(comparison, t) for t in comparison.timings]))
+    sets = [c.tracks for c in comparisons]
+    parts.append(f"Tracks: {'; '.join(f'{s.tracks} of {s.frames} frames at {s.period_s:g} s' for s in sets)}.")
+    head = ("solver", *("us a pose", "times ours", "reached, smooth") * len(sets))
+    solvers = zip(*(c.timings for c in comparisons), strict=True)
+    rows = [
+        [
+            timings[0].label,
+            *(cell for c, timing in zip(comparisons, timings, strict=True) for cell in _cells(c, timing)),
+        ]
+        for timings in solvers
+    ]
+    parts.append(markdown.table(head, rows))
     return markdown.section("Inverse kinematics along smooth tracks", *parts)
 
 
-def _row(comparison: IkComparison, timing: SolverTiming) -> list[str]:
+def _cells(comparison: IkComparison, timing: SolverTiming) -> list[str]:
     ratio = comparison.ratio(timing.name)
     if timing.us_per_pose is None or ratio is None or timing.reached is None or timing.within_speed is None:
-        return [timing.label, "not installed", "", "", ""]
-    shares = f"{timing.reached:.1%}", f"{timing.within_speed:.0%}"
-    return [timing.label, _short(np.median(timing.us_per_pose)), _spread(ratio), *shares]
+        return ["not installed", "", ""]
+    shares = f"{timing.reached:.1%}, {timing.within_speed:.0%}"
+    return [_short(np.median(timing.us_per_pose)), _spread(ratio), shares]
 
 
 def _spread(values: Array) -> str:
-    """Format values as median (minimum to maximum)."""
-    return f"{_short(np.median(values))} ({_short(values.min())} to {_short(values.max())})"
+    """Format values as median [minimum, maximum]."""
+    return f"{_short(np.median(values))} [{_short(values.min())}, {_short(values.max())}]"
 
 
 def _short(value: float | np.floating[Any]) -> str:

@@ -143,17 +143,15 @@ def section(costs: RunCosts, *, videos: int, tracks: int) -> str:
     """Return the section of the document."""
     turns = len(next(iter(costs.values())))
     head = (
-        *("run", "start-up, s", "additional time of the first sample, s", "s a sample", "samples an hour"),
-        *("times one process", "memory, MB"),
+        *("run", "start-up, s", "first sample, additional s", "s a sample"),
+        *("samples an hour", "times one process", "memory, MB"),
     )
     return markdown.section(
         "Whole runs",
         f"`python -m benchmarks throughput` on {machine_text()}: wall times, median (minimum to maximum) of {turns} "
         f"turns. `score`: {videos} copies of a video of 384x384. `audit`: {tracks} trajectories of about "
-        f"{BENCHMARK_FRAMES} frames. Start-up and the additional time of the first sample are paid once a process. "
-        "Times one process: samples an hour relative to one process in the same turn. One process of `score` uses "
-        "more than one core: the networks process frames while earlier ones are fitted. Memory: peak resident memory "
-        "of the main process and of each worker.",
+        f"{BENCHMARK_FRAMES} frames. Start-up and the first sample's additional time are paid once a process. One "
+        "process of `score` uses more than one core. Memory: peak of the main process and of each worker.",
         markdown.table(head, _rows(costs)),
     )
 

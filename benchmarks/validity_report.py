@@ -74,7 +74,8 @@ def _fault_lines(study: Study, source: Mapping[str, Json]) -> Iterator[str]:
     tasks = {t.task for t in study.clean.values()}
     yield (
         f"{len(study.clean)} episodes of {len(tasks)} tasks (suite {SUITE}, {SPLIT}), {len(study.trials)} videos, at "
-        f"revision {source['revision']} with the weights {source['weights']}. In brackets: 95 % intervals (Wilson)."
+        f"revision {source['revision']} with the weights {source['weights']}. Wilson's 95 % intervals of these shares "
+        f"reach {_reach(min(map(len, study.faulty.values()))):.0%} at most to either side."
     )
     yield ""
     yield from table(
@@ -94,6 +95,11 @@ def _fault_rows(study: Study) -> Iterator[list[str]]:
             yield [f"`{kind.value}`", grade.label, str(len(trials)), *cells]
 
 
+def _reach(n: int) -> float:
+    """Return the longest side of the Wilson intervals of all shares of n."""
+    return max(abs(edge - hits / n) for hits in range(n + 1) for edge in wilson(hits, n))
+
+
 def _successes(trials: Sequence[ValidityTrial]) -> int:
     return sum(t.success for t in trials)
 
@@ -103,8 +109,7 @@ def _executable(trials: Sequence[ValidityTrial]) -> str:
 
 
 def _share(hits: int, n: int) -> str:
-    low, high = wilson(hits, n)
-    return f"{hits / n:.0%} [{100 * low:.0f}, {100 * high:.0f}]"
+    return f"{hits / n:.0%}"
 
 
 def _verdict_lines(study: Study) -> Iterator[str]:
@@ -116,19 +121,15 @@ def _verdict_lines(study: Study) -> Iterator[str]:
             f"chance (p = {p:.2g} at best)."
         )
         return
-    rows = [[f"`{name}`", *(_verdict_cell(study, name, kind) for kind in study.kinds)] for name in NUMBERS]
-    yield from table(("number", *(f"`{kind.value}`" for kind in study.kinds)), rows)
+    yield f"With the area under the ROC curve at the greatest size; numbers separate from {SEPARATION:g} on."
     yield ""
-    yield (
-        f"Area under the ROC curve at the greatest size. Bold: **separates**, from {SEPARATION:g} on; else responds. "
-        "-: no response distinct from chance at the greatest size, and not better at any."
-    )
+    yield from table(("fault", "**separates**", "responds"), [list(_verdict_row(study, kind)) for kind in study.kinds])
     yield ""
     wrong = [(name, kind) for name in NUMBERS for kind in study.kinds if study.verdict(name, kind) is Verdict.IMPROVES]
     if not wrong:
         yield "No number improves under any fault by more than chance explains."
         return
-    yield "Numbers that improve under a fault, and are not for it:"
+    yield "Numbers that improve under a fault, and are **not for it**:"
     yield ""
     yield from table(
         ("number", "fault", "size", "better in", "mean change of all"),
@@ -144,18 +145,12 @@ def _improvements(study: Study, name: str, kind: AnomalyKind) -> Iterator[list[s
             yield [f"`{name}`", f"`{kind.value}`", grade.label, f"{r.better} of {r.episodes} videos", change]
 
 
-def _verdict_cell(study: Study, name: str, kind: AnomalyKind) -> str:
-    verdict = study.verdict(name, kind)
-    area = study.responses[name, study.grades(kind)[-1]].area.value
-    match verdict:
-        case Verdict.SEPARATES:
-            return f"**{area:.2f}**"
-        case Verdict.RESPONDS:
-            return f"{area:.2f}"
-        case Verdict.IMPROVES:
-            return "**not for it**"
-        case Verdict.SILENT:
-            return "-"
+def _verdict_row(study: Study, kind: AnomalyKind) -> Iterator[str]:
+    """Yield a kind of fault, the numbers that separate and those that respond, with areas under the ROC curve."""
+    yield f"`{kind.value}`"
+    areas = {n: study.responses[n, study.grades(kind)[-1]].area.value for n in NUMBERS}
+    for verdict in (Verdict.SEPARATES, Verdict.RESPONDS):
+        yield ", ".join(f"`{n}` {area:.2f}" for n, area in areas.items() if study.verdict(n, kind) is verdict)
 
 
 def _responses(study: Study) -> str:

@@ -130,7 +130,8 @@ def test_the_report_has_tables_of_faults_verdicts_responses_and_success(
     faults, verdicts, responses, success = sections
     assert f"| none |  | {EPISODES} | 100%" in faults
     assert f"| `ldlj` | `vanish` | 1 frame | {EPISODES} of {EPISODES} videos | +1 |" in verdicts
-    assert "| `sparc` | **1.00** | - |" in verdicts
+    assert "`sparc` 1.00" in verdicts
+    assert "| `freeze` |  |  |" in verdicts
     assert RESPONSES in responses
     table = (tmp_path / RESPONSES).read_text().splitlines()
     assert len(table) == 1 + 3 * len(NUMBERS)
@@ -143,7 +144,7 @@ def test_three_episodes_give_no_verdicts(trials: list[ValidityTrial], tmp_path: 
     few = [t for t in trials if int(t.episode) < 3]
     verdicts = write_report(few, {"revision": "r", "weights": "w"}, tmp_path)[1]
     assert "3 episodes cannot show" in verdicts
-    assert "| `sparc`" not in verdicts
+    assert "`sparc`" not in verdicts
     assert "No number improves" not in verdicts
 
 
