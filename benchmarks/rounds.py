@@ -143,15 +143,12 @@ def figures(timing: RoundTiming) -> dict[str, float]:
 def section(timing: RoundTiming) -> str:
     """Return the section of the page, in Markdown."""
     total = sum(timing.seconds.values())
-    rows = [
-        [stage.value, f"{timing.seconds[stage] / timing.rounds:.2f}", f"{timing.seconds[stage] / total:.0%}"]
-        for stage in Stage
-    ]
+    rows = [[stage.value, f"{timing.seconds[stage] / timing.rounds:.2f}"] for stage in Stage]
     own_s = (total - timing.seconds[Stage.MODEL]) / timing.rounds
     return markdown.section(
         "A round of the closed loop",
         f"`python -m benchmarks rounds` on {machine_text()}: {timing.rounds} rounds of {timing.episodes} episodes of "
         f"suite 0 with the oracle. {timing.successes} episodes succeed. Processor times of all threads.",
-        markdown.table(("stage", "s a round", "share"), [*rows, ["all", f"{total / timing.rounds:.2f}", "100%"]]),
+        markdown.table(("stage", "s a round"), [*rows, ["all", f"{total / timing.rounds:.2f}"]]),
         f"Without the world model a round takes {own_s:.1f} s of processor time.",
     )

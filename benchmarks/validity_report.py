@@ -184,18 +184,14 @@ def _success_lines(correlations: Mapping[str, SuccessCorrelation]) -> Iterator[s
     yield f"![Success by fault, and rank correlation of each number with success]({FIGURES[2]})"
     yield ""
     yield (
-        "Spearman's coefficient of each number with success over all videos, and of the ranks without the differences "
-        "between episodes. Positive: better values go with success. In brackets: bootstrap intervals over episodes. "
-        "Numbers whose second interval contains 0 are left out."
+        "Spearman's coefficient of each number with success, of the ranks without the differences between episodes. "
+        "Positive: better values go with success. In brackets: bootstrap intervals over episodes. Numbers whose "
+        "interval contains 0 are left out."
     )
     yield ""
     ordered = sorted(correlations.items(), key=lambda item: -np.nan_to_num(item[1].within.value, nan=-2.0))
-    rows = [
-        [f"`{name}`", _estimate(c.pooled), _estimate(c.within)]
-        for name, c in ordered
-        if c.within.low * c.within.high > 0.0
-    ]
-    yield from table(("number", "all videos", "within episodes"), rows)
+    rows = [[f"`{name}`", _estimate(c.within)] for name, c in ordered if c.within.low * c.within.high > 0.0]
+    yield from table(("number", "coefficient"), rows)
 
 
 def draw_separation(study: Study) -> "Figure":
