@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks import markdown
-from benchmarks.process import ProcessMemory, ProcessRun, run_program
+from benchmarks.process import ProcessRun, run_program
 from benchmarks.record import machine_text
 from kinebench_drake.errors import UsageError
 from kinebench_drake.geometry import Array
@@ -21,7 +21,6 @@ STEP = 20
 """Memory is recorded each time that so many more samples are finished."""
 SETTLED = 0.25
 """Share of the samples after which growth is measured: before, caches fill."""
-_ROWS = (0.05, 0.25, 0.5, 0.75, 0.99, 1.0)  # parts of a run in the table; at its very end workers have left
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -130,21 +129,12 @@ def figures(result: StreamingResult) -> dict[str, float]:
 
 def section(result: StreamingResult) -> str:
     """Return the section of the document."""
-    readings = result.run.memory
     main, workers = growth(result.run, SETTLED * result.samples)
-    rows = []
-    for part in _ROWS:
-        count = min(readings, key=lambda n: abs(n - part * result.samples))
-        memory: ProcessMemory = readings[count]
-        cells = [f"{mb:.0f}" for mb in memory.workers_mb] if len(memory.workers_mb) == len(workers) else []
-        row = [f"{count}", f"{memory.main_mb:.0f}", *(cells or ["ended"] * len(workers))]
-        if row not in rows:
-            rows.append(row)
+    last = result.run.memory[max(result.run.memory)]
     return markdown.section(
         "Memory over many samples",
         f"`python -m benchmarks streaming` on {machine_text()}: `score` of {result.samples} videos of {result.frames} "
-        f"frames with `--jobs {result.jobs}`. Resident memory by number of finished samples [MB]:",
-        markdown.table(("samples", "main process", *(f"worker {k + 1}" for k in range(len(workers)))), rows),
+        f"frames with `--jobs {result.jobs}`. In the end the main process holds {last.main_mb:.0f} MB.",
         f"Growth per 1,000 samples after the first {SETTLED * result.samples:.0f}: main process {main:z.1f} MB"
         + (f", workers {' and '.join(f'{mb:z.1f} MB' for mb in workers)}" if len(workers) else "")
         + f". Peak of the main process, report included: {result.run.peak.main_mb:.0f} MB. `report.html` has "
