@@ -5,7 +5,7 @@ from pathlib import Path
 import click
 
 from benchmarks import gate, grounding, poses, speed, verdicts
-from benchmarks.options import EXISTING_FOLDER, CommandGroup
+from benchmarks.options import EXISTING_FOLDER, FILE, CommandGroup
 
 
 @click.group(
@@ -53,6 +53,16 @@ def hostile() -> None:
     for line in table(("input", "outcome", "time [s]", "peak [GiB]"), ()):
         click.echo(line)
     measure(lambda result: click.echo(table_line(result)))
+
+
+@main.command(epilog="\b\nExample:\n  python -m benchmarks tolerance tolerance.json --out docs/tolerance.png")
+@click.argument("source", type=FILE)
+@click.option("--out", type=FILE, required=True, help="Image to write.")
+def tolerance(source: Path, out: Path) -> None:
+    """Draw the JSON that `kinebench-drake suite tolerance` wrote."""
+    from benchmarks.tolerance import draw_tolerance
+
+    draw_tolerance(source, out)
 
 
 @main.command(epilog="\b\nExample:\n  python -m benchmarks structure --revision v0.1.0 --revision HEAD")

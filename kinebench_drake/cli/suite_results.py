@@ -5,7 +5,7 @@ from pathlib import Path
 
 import click
 
-from kinebench_drake.cli.click_options import PathParameter, check_parent, check_suffix, config_options, echo
+from kinebench_drake.cli.click_options import PathParameter, check_parent, config_options, echo
 from kinebench_drake.cli.outputs import comparison_out_option, folders_argument
 from kinebench_drake.io.atomic import write_atomically
 from kinebench_drake.runs.suite_config import SuiteConfig
@@ -73,12 +73,11 @@ def report(folders: tuple[Path, ...], out: Path, paper: bool) -> None:
 @click.command(
     short_help="Measure the success of tasks under track errors.",
     epilog="\b\nExamples:\n"
-    "  kinebench-drake suite tolerance --suite 0 --episodes 10 --out tolerance.json --figure tolerance.png --jobs 2\n"
+    "  kinebench-drake suite tolerance --suite 0 --episodes 10 --out tolerance.json --jobs 2\n"
     "  kinebench-drake suite tolerance --suite 0 --tasks StackCube-v1 --out stack.json",
 )
 @config_options(SuiteConfig, "suite", "split", "tasks", "episodes", "seed")
 @click.option("--out", type=PathParameter(dir_okay=False), required=True, help="Output file of all attempts, JSON.")
-@click.option("--figure", type=PathParameter(dir_okay=False), help="Draw the curves (png, svg, pdf).")
 @config_options(SuiteConfig, "jobs")
 def tolerance(
     suite: int,
@@ -87,7 +86,6 @@ def tolerance(
     episodes: int,
     seed: int,
     out: Path,
-    figure: Path | None,
     jobs: int,
 ) -> None:
     """Execute the expert's true track, exact and with errors of graded size: success against error, task by task.
@@ -102,10 +100,7 @@ def tolerance(
     from kinebench_drake.suites.catalog import chosen_tasks, load_suite
     from kinebench_drake.suites.families.task import TaskVariant
 
-    for option, path in (("--out", out), ("--figure", figure)):
-        if path is not None:
-            check_parent(option, path)
-    check_suffix("--figure", figure, ".png", ".svg", ".pdf")
+    check_parent("--out", out)
     loaded = load_suite(suite)
     chosen = chosen_tasks(loaded, split, tasks, TaskVariant.PLAIN)
     specs = loaded.specs(loaded.split_name(split), episodes, tasks=chosen, offset=seed)
@@ -115,8 +110,3 @@ def tolerance(
     write_atomically(out, (json.dumps(table_json(attempts), indent=1) + "\n").encode())
     for line in table_lines(attempts):
         echo(line)
-    if figure is not None:
-        from kinebench_drake.closed_loop.tolerance import draw_tolerance
-        from kinebench_drake.io.figure import save
-
-        save(draw_tolerance(attempts), figure)

@@ -7,8 +7,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from enum import Enum
 from functools import partial
-from math import ceil
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -16,7 +15,6 @@ from kinebench_drake.closed_loop.commands import CommandPlanner, RobotState, exe
 from kinebench_drake.errors import KinebenchError, UnmeasurableError
 from kinebench_drake.executors.base import Executor, Observer, WorkerCrash
 from kinebench_drake.geometry import Array, make_pose, rotation_exp
-from kinebench_drake.io.figure import new_figure
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.stats import wilson
 from kinebench_drake.suites.clock import CLIP_FRAMES, FRAME_PERIOD_S, Control
@@ -26,9 +24,6 @@ from kinebench_drake.suites.rollout import Rollout, run_expert
 from kinebench_drake.suites.seeding import generator
 from kinebench_drake.suites.simulator import Simulator
 from kinebench_drake.suites.simulator_cache import SimulatorCache, SimulatorWorker, failure_reason
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 
 class PoseError(Enum):
@@ -207,41 +202,3 @@ def table_json(attempts: Sequence[ToleranceAttempt]) -> dict[str, Any]:
             for a in attempts
         ]
     }
-
-
-_COLUMNS = 5
-_STYLES = {
-    PoseError.BIAS: {"color": "#1f6fb2", "marker": "o", "label": "bias [mm]"},
-    PoseError.JITTER: {"color": "#c4622d", "marker": "s", "label": "jitter [mm]"},
-    PoseError.FINGERS: {"color": "#8a5fb0", "marker": "^", "label": "finger delay [frames, above]"},
-}
-
-
-def draw_tolerance(attempts: Sequence[ToleranceAttempt]) -> "Figure":
-    """Draw success against error for all tasks and each task: bias and jitter [mm] below, delay [frames] above."""
-    panels: list[str | None] = [None, *tasks_of(attempts)]
-    rows = ceil(len(panels) / _COLUMNS)
-    figure, axes = new_figure(2.7 * _COLUMNS, 2.2 * rows, rows, _COLUMNS, sharey=True)
-    lines: dict[PoseError, Any] = {}
-    for ax, task in zip(axes.flat, panels, strict=False):
-        ax.set_title(task or "all tasks", fontsize=9, fontweight="bold" if task is None else "normal")
-        ax.set_ylim(-0.04, 1.04)
-        ax.tick_params(labelsize=7)
-        for error in PoseError:
-            grades = grades_of(attempts, error)
-            if not grades:
-                continue
-            delay = error is PoseError.FINGERS
-            where = ax.twiny() if delay else ax
-            if delay:
-                where.tick_params(labelsize=6, colors=_STYLES[error]["color"], pad=0)
-            sizes = [grade.size * (1.0 if delay else 1000.0) for grade in grades]
-            shares = [good / max(n, 1) for good, n in (rate(attempts, grade, task) for grade in grades)]
-            [lines[error]] = where.plot(sizes, shares, markersize=3, linewidth=1.2, **_STYLES[error])
-    for ax in axes.flat[len(panels) :]:
-        ax.axis("off")
-    for ax in axes[:, 0]:
-        ax.set_ylabel("success", fontsize=8)
-    figure.supxlabel("error of the position [mm], the rotation's with it", fontsize=9)
-    figure.legend(handles=list(lines.values()), loc="outside upper center", ncols=3, fontsize=8, frameon=False)
-    return figure
