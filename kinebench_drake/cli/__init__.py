@@ -20,7 +20,7 @@ _COMMANDS = {
     "ground": ("score", "Extract gripper tracks from videos, without kinematics."),
     "audit": ("score", "Check trajectories against the robot's kinematics, without video."),
     "reading": ("score", "Print how a trajectory file would be read."),
-    "export-commands": ("commands", "Write the commands with which a robot executes a trajectory."),
+    "export-commands": ("score", "Write the commands with which a robot executes a trajectory."),
     "calibrate": ("calibrate", "Estimate a static camera from a video of the robot."),
     "cameras": ("calibrate", "List the cameras that are known by name."),
     "suite": ("suite", "Task suites: closed-loop runs, demonstrations, exports, reports."),

@@ -1,9 +1,14 @@
-"""The drop list of a run: which samples of a data set not to train on, and why."""
+"""The drop list of a run: which samples of a data set not to train on, and why; also as SARIF.
 
-from collections.abc import Iterable
+GitHub and editors show the findings of checkers in that format. Source: OASIS, "Static Analysis Results Interchange
+Format (SARIF) Version 2.1.0", 2020.
+"""
+
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass
 from enum import Enum
 from statistics import median
+from urllib.parse import quote
 
 from kinebench_drake.errors import count_noun
 from kinebench_drake.io.jsonl import Json, as_object
@@ -13,6 +18,8 @@ DROPS = "drops.jsonl"
 """File of the drop list in an output folder."""
 GATED = ("score", "audit")
 """Kinds of runs that end with a drop list."""
+
+_SCHEMA = "https://docs.oasis-open.org/sarif/sarif/v2.1.0/errata01/os/schemas/sarif-schema-2.1.0.json"
 
 
 class DropReason(Enum):
@@ -100,3 +107,28 @@ def _faults(row: SampleRow, usual_lag: float) -> Iterable[tuple[DropReason, tupl
         if value + doubt < 0 or late or abs(value - usual_lag) > doubt + 1:
             detail = f"states follow actions by {count_noun(value, 'frame')}, in the data set by {usual_lag:g}"
             yield DropReason.ACTION_OFFSET, (None, None), detail
+
+
+def to_sarif(drops: Sequence[Drop], version: str) -> dict[str, Json]:
+    """Return the log of a drop list; `version` is that of this program. Frames are in the messages and properties."""
+    rules: list[Json] = [{"id": reason.key, "shortDescription": {"text": reason.meaning}} for reason in DropReason]
+    driver: dict[str, Json] = {"name": "kinebench-drake", "semanticVersion": version, "rules": rules}
+    results = list(map(_result, drops))
+    return {"$schema": _SCHEMA, "version": "2.1.0", "runs": [{"tool": {"driver": driver}, "results": results}]}
+
+
+def _result(drop: Drop) -> Json:
+    frames = "" if drop.frame_start is None else f", frames {drop.frame_start} to {drop.frame_end}"
+    path, _, part = drop.video.partition("#")
+    place: dict[str, Json] = {
+        "physicalLocation": {"artifactLocation": {"uri": quote(path)}},
+        "logicalLocations": [{"name": part or drop.id, "kind": "resource"}],
+    }
+    return {
+        "ruleId": drop.reason.key,
+        "ruleIndex": list(DropReason).index(drop.reason),
+        "level": "error" if drop.reason.drops_all else "warning",
+        "message": {"text": f"{drop.id}{frames}: {drop.detail}"},
+        "locations": [place],
+        "properties": {"frame_start": drop.frame_start, "frame_end": drop.frame_end},
+    }

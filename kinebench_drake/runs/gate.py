@@ -9,9 +9,9 @@ from kinebench_drake.errors import InputError, UsageError, count_noun
 from kinebench_drake.formats.lerobot.kept import write_kept
 from kinebench_drake.io.jsonl import write_json
 from kinebench_drake.results.aggregate import VERDICT_SHARES
+from kinebench_drake.results.drops import to_sarif
 from kinebench_drake.results.provenance import versions
 from kinebench_drake.results.row import Status
-from kinebench_drake.results.sarif import to_sarif
 from kinebench_drake.runs.config import SourceConfig
 from kinebench_drake.runs.runner import RunSummary
 

@@ -15,8 +15,7 @@ from kinebench_drake.errors import SetupError, UnmeasurableError, UsageError
 from kinebench_drake.geometry import invert, make_pose, rotation_exp
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.report import replay
-from kinebench_drake.report.recording import record_track
-from kinebench_drake.report.replay import build_replay, link_meshes, write_replays
+from kinebench_drake.report.replay import build_replay, link_meshes, record_track, write_replays
 from kinebench_drake.report.replay_scene import _interpolate, _linear, _tube
 from kinebench_drake.report.sample import worst_samples
 from kinebench_drake.results.row import SampleRow, Status

@@ -4,9 +4,8 @@ import json
 
 import pytest
 
-from kinebench_drake.results.drops import DropReason, list_drops
+from kinebench_drake.results.drops import DropReason, list_drops, to_sarif
 from kinebench_drake.results.row import SampleRow, Status
-from kinebench_drake.results.sarif import to_sarif
 
 
 def _row(id: str, *, lag: int | None = None, tolerance: int = 0, **changes: object) -> SampleRow:
