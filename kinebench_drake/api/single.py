@@ -2,19 +2,19 @@
 
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
 from difflib import get_close_matches
 from functools import lru_cache
-from os import PathLike, fspath
+from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from kinebench_drake.api.runs import PathName, own_arguments
 from kinebench_drake.camera import Camera, CameraSetting, CameraSource
-from kinebench_drake.errors import InputError, UnmeasurableError, UsageError, member_of, name_arguments
+from kinebench_drake.errors import InputError, UnmeasurableError, UsageError, name_arguments
 from kinebench_drake.executors.local import one_thread
 from kinebench_drake.formats.camerafile import read_camera
 from kinebench_drake.formats.trajectories.check import check
@@ -23,14 +23,11 @@ from kinebench_drake.formats.trajectories.source import find_trajectories, read_
 from kinebench_drake.formats.trajectories.trajectory import RawTrajectory
 from kinebench_drake.formats.videos.find import find_samples
 from kinebench_drake.formats.videos.sample import VideoSample
-from kinebench_drake.grounding.overrides.overrides import Overrides
 from kinebench_drake.io.reader import read_video
 from kinebench_drake.io.video import Video
-from kinebench_drake.models.arm import PANDA
-from kinebench_drake.models.panda.robot import GripperKind
 from kinebench_drake.results.inputs import BENCHMARK_PERIOD_S, PeriodSource
-from kinebench_drake.runs.audit import judge_trajectory
-from kinebench_drake.runs.config import check_period, period_warnings
+from kinebench_drake.runs.audit import AuditConfig, judge_trajectory
+from kinebench_drake.runs.config import RunConfig, ScoreConfig, period_warnings
 from kinebench_drake.runs.evaluator import SampleInfo
 from kinebench_drake.runs.preparation import ground_sample, with_initial_states
 from kinebench_drake.runs.tools import RobotOptions, Tools, ToolsFactory, load_tools
@@ -85,14 +82,20 @@ def _refuse_with(what: str, **arguments: object) -> None:
         raise UsageError(f"{', '.join(present)}: has no effect with {what}, leave it out")
 
 
-def _parse_reading(reading: PathName | Mapping[str, object]) -> Reading:
-    return Reading.parse(Path(reading) if isinstance(reading, str | PathLike) else reading)
-
-
 def _warn(*messages: str) -> None:
     """Warn the caller of the interface function that calls this."""
     for message in messages:
         warnings.warn(name_arguments(message), stacklevel=4)
+
+
+_Config = TypeVar("_Config", bound=RunConfig)
+
+
+def _config(kind: type[_Config], **options: Any) -> _Config:
+    """Build the configuration of one sample, of the options that are not None; those of runs have no effect."""
+    _refuse_with("one sample", **{f.name: options.get(f.name) for f in fields(RunConfig) if f.name != "table_height_m"})
+    nowhere: dict[str, Any] = {"source": Path("unread"), "out": Path("unwritten")}
+    return kind(**nowhere, **{name: value for name, value in options.items() if value is not None})
 
 
 @own_arguments()
@@ -101,16 +104,8 @@ def ground_video(
     *,
     id: str | None = None,
     camera: Camera | CameraSetting | PathName | None = None,
-    camera_key: str | None = None,
-    frame_period_s: float | None = None,
     first: InitialState | None = None,
-    gripper: str = "auto",
-    mirrored: bool = False,
-    pixels_only: bool = False,
-    masks: PathName | None = None,
-    depth: PathName | None = None,
-    depth_exact: bool = False,
-    poses: PathName | None = None,
+    **options: Any,
 ) -> "GroundingResult":
     """Track the gripper through one video, as `kinebench-drake ground` does; nothing is written.
 
@@ -121,16 +116,9 @@ def ground_video(
         id: id of the sample, where the path holds several; of frames: name of their files in `masks`, `depth`, `poses`.
         camera: the camera, what its camera.json states (`load_camera`), or its name or the path of that file; None:
             that of the input, else as `score_videos` chooses it.
-        camera_key: camera to take of datasets that have several.
-        frame_period_s: task time between two frames [s], where no manifest tells; None: 1 / fps, 0.2 without a clock.
         first: state of the robot in the first frame, in place of the input's (`X_BG`: TCP in the robot base frame [m]).
-        gripper: "franka", "robotiq-2f85", "none" or "auto"; with other grippers than Franka's the arm gives the flange.
-        mirrored: turn the frames left-right first.
-        pixels_only: ignore the initial state that the input states.
-        masks: folder of masks that replace the network's.
-        depth: folder of depth maps [m], `moge:CHECKPOINT` or `module:Class` that replaces the network's depth.
-        depth_exact: treat that depth as accurate to a few millimetres.
-        poses: folder of poses of panda_hand in the camera frame that replace the tracker's.
+        **options: fields of `ScoreConfig` that concern one video, which are options of the command: `frame_period_s`
+            [s], `camera_key`, `gripper`, `mirrored`, `pixels_only`, `masks`, `depth`, `depth_exact`, `poses`.
 
     Returns:
         `track`: (T,) times [s], poses (T, 4, 4) of panda_hand in the camera frame and of panda_hand_tcp in the base
@@ -148,36 +136,32 @@ def ground_video(
         track = ground_video("videos/episode.mp4", frame_period_s=0.2).track
         print(track.X_BG[track.tracked, :3, 3])
     """
-    check_period(frame_period_s)
-    _warn(*period_warnings([frame_period_s]))
-    overrides = Overrides(
-        masks=None if masks is None else Path(masks),
-        depth=None if depth is None else str(depth),
-        poses=None if poses is None else Path(poses),
-        depth_exact=depth_exact,
-    )
+    config = _config(ScoreConfig, **options)
+    overrides = config.overrides()
+    _warn(*period_warnings([config.frame_period_s]))
     if isinstance(video, str | PathLike):
-        inputs = find_samples(Path(video), others=tuple(overrides.folders.values()), camera_key=camera_key)
+        inputs = find_samples(Path(video), others=tuple(overrides.folders.values()), camera_key=config.camera_key)
         sample = _one(inputs.samples, Path(video), id)
         if sample.problem is not None:
             raise InputError(sample.problem)
-        sample = replace(sample, initial_state=None) if pixels_only else with_initial_states([sample])[0]
+        sample = replace(sample, initial_state=None) if config.pixels_only else with_initial_states([sample])[0]
         decoded = read_video(sample.path, sample.part)
         _warn(*inputs.warnings)
     else:
-        _refuse_with("frames", camera_key=camera_key)
+        _refuse_with("frames", camera_key=config.camera_key)
         name = id or "video"
         sample = VideoSample(id=name, path=Path(name), video=name)
         decoded = Video(frames=np.asarray(video), fps=None, stamps_s=None)
     sample = sample.filmed_by(camera_setting(camera), CameraSource.ARGUMENT)
     if first is not None:
         sample = replace(sample, initial_state=first)
-    sample = replace(sample, mirrored=sample.mirrored or mirrored)
+    sample = replace(sample, mirrored=sample.mirrored or config.mirrored)
     with one_thread():
-        kind = member_of(GripperKind, gripper, "gripper")
+        grounder = _tools_for(RobotOptions()).grounder
         timed, result = ground_sample(
-            decoded, sample, overrides, _tools_for(RobotOptions()).grounder, frame_period_s, kind
-        )
+            decoded, sample, overrides, grounder, config.frame_period_s, config.gripper,
+            duration_s=config.task_duration_s,
+        )  # fmt: skip
     if result.unmeasurable is not None:
         raise UnmeasurableError(result.unmeasurable)
     choice = result.choice
@@ -195,17 +179,11 @@ def audit_trajectory(
     trajectory: PathName | NDArray[np.generic] | GripperTrack,
     *,
     t_s: ArrayLike | None = None,
-    rate_hz: float | None = None,
     tracked: ArrayLike | None = None,
     finger_width_m: ArrayLike | None = None,
     id: str | None = None,
     reading: PathName | Mapping[str, object] | None = None,
-    table_height_m: float = 0.0,
-    robot: PathName = PANDA,
-    tool: str | None = None,
-    limits: PathName | None = None,
-    payload_kg: float = 0.0,
-    package_path: PathName | None = None,
+    **options: Any,
 ) -> "KinematicResult":
     """Judge one trajectory, as `kinebench-drake audit` does: whether and how well the robot executes it, else why not.
 
@@ -216,18 +194,13 @@ def audit_trajectory(
         trajectory: joint angles (T, 7) [rad], poses (T, 4, 4) of the TCP in the robot base frame [m], a track, or a
             path as `audit` takes it (docs/formats.md).
         t_s: (T,) times [s], increasing; of arrays only.
-        rate_hz: frames per second [Hz], over the times.
         tracked: (T,) frames with a pose or joint angles; None: all. Of arrays only.
         finger_width_m: (T,) gap between the pads, 0 to 0.08 [m]; NaN or None: unknown. Of arrays only.
         id: id of the sample, where the path holds several.
         reading: how to read a file: path of a reading file, or its keys (docs/formats.md); None: by the names in it.
-        table_height_m: height of the table's top in the robot base frame [m].
-        robot: arm to judge by: "panda", "fr3" or the URDF of a seven-joint arm.
-        tool: TCP whose poses are judged: a link of the URDF, or "[LINK:]x,y,z,qw,qx,qy,qz", its pose in a link (by
-            default the flange); None: panda_hand_tcp.
-        limits: JSON file of joint limits that replace the robot's (docs/kinematics.md).
-        payload_kg: mass that the gripper carries, a point at the TCP [kg].
-        package_path: folder of the packages that package:// URIs of the URDF name.
+        **options: fields of `AuditConfig` that concern one trajectory, which are options of the command: `rate_hz`,
+            over the times [Hz]; `table_height_m` [m], `robot`, `tool`, `limits`, `payload_kg` [kg], `obstacles`,
+            `package_path`.
 
     Returns:
         `feasible` (None if undecided), `violations`, `metrics` (None where not measurable, with `reasons`), `joints`
@@ -243,23 +216,19 @@ def audit_trajectory(
         result = audit_trajectory(q, t_s=t_s)
         print(result.feasible, result.violations, result.metrics["manipulability_min"])
     """
-    options = RobotOptions(
-        table_height_m=table_height_m,
-        robot=fspath(robot),
-        tool=tool,
-        limits=None if limits is None else Path(limits),
-        payload_kg=payload_kg,
-        package_path=None if package_path is None else Path(package_path),
-    )
-    _warn(*options.load().remarks)
-    choice = TrajectoryOptions(rate_hz=rate_hz, reading=None if reading is None else _parse_reading(reading))
+    config = _config(AuditConfig, **options)
+    robot, rate_hz = config.robot_options(), config.rate_hz
+    _warn(*robot.load().remarks)
+    if isinstance(reading, str | PathLike):
+        reading = Path(reading)
+    choice = TrajectoryOptions(rate_hz=rate_hz, reading=None if reading is None else Reading.parse(reading))
     if isinstance(trajectory, GripperTrack):
         _refuse_with(
             "a track", t_s=t_s, rate_hz=rate_hz, tracked=tracked, finger_width_m=finger_width_m,
             id=id, reading=reading,
         )  # fmt: skip
         with one_thread():
-            return _tools_for(options).judge(trajectory)
+            return _tools_for(robot).judge(trajectory)
     if isinstance(trajectory, str | PathLike):
         _refuse_with("a file", t_s=t_s, tracked=tracked, finger_width_m=finger_width_m)
         path = Path(trajectory)
@@ -282,4 +251,4 @@ def audit_trajectory(
         checked = check(recording, rate_hz)
     _warn(*checked.warnings)
     with one_thread():
-        return judge_trajectory(_tools_for(options), checked)
+        return judge_trajectory(_tools_for(robot), checked)

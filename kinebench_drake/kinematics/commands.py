@@ -19,8 +19,6 @@ from kinebench_drake.kinematics.trajopt import optimize_in_tube
 from kinebench_drake.kinematics.violation import COLLISIONS, ViolationKind
 from kinebench_drake.track import GripperTrack
 
-STRETCHES = (1.0, 1.5, 2.0, 3.0, 5.0, 8.0)
-"""Factors by which a track is slowed down until a trajectory in its tube keeps the limits."""
 LONGEST_S = 600.0
 """Longest motion that is exported [s]."""
 
@@ -56,7 +54,8 @@ def plan_commands(
     t_s, finite = track.t_s - track.t_s[0], np.isfinite(track.finger_width_m)
     X_BG = np.where(track.tracked[:, None, None], track.X_BG, np.nan)
     widths = np.where(finite, track.finger_width_m, plant.finger_width_m)
-    for stretch in STRETCHES:
+    # factors by which the track is slowed down until a trajectory in its tube keeps the limits
+    for stretch in (1.0, 1.5, 2.0, 3.0, 5.0, 8.0):
         tube = optimize_in_tube(
             plant, collision, stretch * t_s, X_BG, q, tube_limit_m=tube_limit_m, finger_width_m=widths
         )

@@ -14,8 +14,6 @@ from kinebench_drake.kinematics.analytic import N_BRANCHES, analytic_ik, branch_
 from kinebench_drake.kinematics.newton import REACHED_M, solve_newton
 from kinebench_drake.kinematics.plant import ArmPlant
 
-_WINDOW = np.linspace(-0.98, 0.98, 9)  # joint-7 samples besides the grid, relative to the window of reach
-_BRANCH_RAD = 0.3 * np.arange(-9, 10)  # joint-7 offsets from the start along its branch
 _STARTS = 24  # starts of the numeric search
 
 
@@ -80,7 +78,7 @@ class ClosedFormSolver(PostureSolver):
         layers = [_listed(row) for row in q]
         if rounds:  # a stretched arm reaches the pose at few angles, which the grid may miss
             centre, half_width, _ = reach_window(X_BF)
-            q7_near = centre[:, None] + half_width[:, None] * _WINDOW
+            q7_near = centre[:, None] + half_width[:, None] * np.linspace(-0.98, 0.98, 9)
             near = analytic_ik(X_BF[:, None], (q7_near + np.pi) % (2 * np.pi) - np.pi)
             layers = [np.vstack([layer, _listed(row)]) for layer, row in zip(layers, near, strict=True)]
         frame = np.repeat(np.arange(len(X_BG)), samples)
@@ -111,7 +109,8 @@ class ClosedFormSolver(PostureSolver):
 
     @override
     def along_branch(self, X_BG: Array, q_start: Array) -> list[Array]:
-        return list(analytic_ik((X_BG @ self._X_GF)[:, None], q_start[6] + _BRANCH_RAD, branch_of(q_start))[:, :, 0])
+        q7 = q_start[6] + 0.3 * np.arange(-9, 10)
+        return list(analytic_ik((X_BG @ self._X_GF)[:, None], q7, branch_of(q_start))[:, :, 0])
 
     @override
     def direction(self, X_BG: Array, q: Array) -> Array:

@@ -25,7 +25,6 @@ REFUSED = 3.0
 """Cost of a reading by which a file cannot be used: more than that of any motion."""
 
 _CHANGES = 3  # keys that are changed together
-_MIDDLE_M = (0.5, 0.0, 0.3)  # of the workspace over a table
 _OTHERS = re.compile(
     r"fr3|xarm|\bur\d|so-?10\d|koch|aloha|viperx|widowx|wx250|kuka|iiwa|sawyer|jaco|kinova|gen3|yam\b|piper|open_?arm|"
     r"unitree|\bg1\b|\bh1\b|lekiwi|stretch|fetch|baxter|yumi|google_robot|everyday|aubo|flexiv|rizon|agilex|trossen",
@@ -168,7 +167,8 @@ def _variations(
                 continue
             if poses is None:
                 continue
-            change = {"base_from_world": frame_of(poses, _MIDDLE_M)}
+            # the middle of the workspace over a table
+            change = {"base_from_world": frame_of(poses, (0.5, 0.0, 0.3))}
         reading = start.reading.change(**change)
         misfit = _misfit(tools, tables, reading, rate_hz, enough - spent)
         if misfit is not None and misfit < REFUSED:

@@ -148,7 +148,6 @@ class DashScopeModel(CloudModel[DashScopeOptions]):
 
 
 _RATE_LIMIT = 1002
-_TRANSIENT = (1000, 1001, _RATE_LIMIT)  # unknown error, time-out, too many requests: to be retried by the manual
 
 
 class MiniMaxModel(CloudModel[MiniMaxOptions]):
@@ -196,11 +195,11 @@ class MiniMaxModel(CloudModel[MiniMaxOptions]):
             raise WorldModelError("MiniMax made a video but gave no download_url for it")
         return address
 
-    def _check(self, answer: dict[str, Any], transient: tuple[int, ...] = _TRANSIENT) -> None:
+    def _check(self, answer: dict[str, Any], transient: tuple[int, ...] = (1000, 1001, _RATE_LIMIT)) -> None:
         """Raise the error in an answer: MiniMax reports most of them with HTTP status 200."""
         code, reason = _object(answer, "base_resp").get("status_code"), _status_message(answer)
         message = f"MiniMax answered {clean(code)}: {reason}"
-        if code in transient:
+        if code in transient:  # unknown error, time-out, too many requests: to be retried by the manual
             raise BusyError(message, code=str(code))
         if code in (1004, 1008, 2049):  # not authorised, no balance, invalid key
             raise SetupError(f"{message}; look at {self.key} and the account it belongs to")

@@ -61,7 +61,6 @@ COUNTERS = {TIME: "float32", **dict.fromkeys((FRAME, EPISODE, "index", "task_ind
 """Columns of every LeRobot dataset."""
 
 _CHUNK_FILES, _DATA_MB, _VIDEO_MB = 1000, 100, 200
-_STRIDE_PX = 4  # of the pixels in image statistics, along both axes
 
 Columns = dict[str, NDArray[Any]]
 
@@ -83,7 +82,7 @@ def write_part(
         crf: quality of x264.
     """
     columns_file, video_file = part_files(parts, id)
-    pixels = rgb[:, ::_STRIDE_PX, ::_STRIDE_PX]
+    pixels = rgb[:, ::4, ::4]  # for the statistics of images
     histograms = np.stack([np.bincount(pixels[..., c].ravel(), minlength=256) for c in range(3)])
     own = {name: values if values.dtype == bool else values.astype(np.float32) for name, values in columns.items()}
     write_arrays(columns_file, {**own, CAMERA: histograms})

@@ -14,7 +14,6 @@ FAR_M = 10.0
 """Greatest coordinate of the gripper in the robot base frame [m]: larger values are not in metres."""
 
 _ROUNDING = 1e-5  # deviations within single precision are repaired without a warning
-_LAST_ROW = (0.0, 0.0, 0.0, 1.0)
 
 
 @np.errstate(over="ignore", invalid="ignore")  # values that overflow are refused below
@@ -28,11 +27,11 @@ def rigid_poses(X: Array, valid: NDArray[np.bool_]) -> tuple[Array, tuple[str, .
     frames = np.flatnonzero(valid)
     matrices = X[valid]
     _require_finite(matrices.reshape(len(frames), 16), frames)
-    off = np.abs(matrices[:, 3] - _LAST_ROW).max(axis=-1, initial=0.0)
+    off = np.abs(matrices[:, 3] - np.eye(4)[3]).max(axis=-1, initial=0.0)
     if (off > REPAIRABLE).any():
         k = int(np.argmax(off > REPAIRABLE))
         row = ", ".join(f"{v:.4g}" for v in matrices[k, 3])
-        turned = np.abs(matrices[k, :, 3] - _LAST_ROW).max() <= REPAIRABLE
+        turned = np.abs(matrices[k, :, 3] - np.eye(4)[3]).max() <= REPAIRABLE
         fix = "the matrices are transposed, store them row by row" if turned else "expected 0, 0, 0, 1"
         raise InputError(f"the last row of the pose of frame {frames[k]} is {row}: {fix}")
     R = matrices[:, :3, :3]
