@@ -5,12 +5,11 @@ expert fails is recorded there as well and replaced by the next one; so the demo
 first successful seeds, and a larger set begins with a smaller one.
 """
 
-import fcntl
 import os
 import shutil
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
@@ -18,7 +17,7 @@ from typing import Any
 
 from kinebench_drake.errors import InputError, SetupError, UsageError
 from kinebench_drake.executors.base import Executor, Observer, WorkerCrash
-from kinebench_drake.io.atomic import disk_errors, make_folder
+from kinebench_drake.io.atomic import disk_errors, lock_folder
 from kinebench_drake.io.jsonl import append_line, read_json, read_lines, write_json, write_lines
 from kinebench_drake.suites.catalog import EpisodeSpec
 from kinebench_drake.suites.demo_config import CLIP_STEPS, DemoConfig
@@ -77,7 +76,8 @@ def _attempt(simulator: Simulator, spec: EpisodeSpec, config: DemoConfig) -> Rec
 
 def make_demos(config: DemoConfig, executor: Executor, observer: Observer) -> DemoSummary:
     """Make demonstrations, continuing an earlier run in the same folder."""
-    with _lock(config.out):
+    lock = lock_folder(config.out)
+    try:
         records = _read_records(config)
         before = _read_summary(config, records)
         if not _is_complete(config, before):
@@ -98,21 +98,6 @@ def make_demos(config: DemoConfig, executor: Executor, observer: Observer) -> De
             failures=len(counted) - made.total(),
             short={task: config.wanted - made[task] for task in config.tasks if made[task] < config.wanted},
         )
-
-
-@contextmanager
-def _lock(out: Path) -> Iterator[None]:
-    """Create the folder and lock it for this process."""
-    make_folder(out)
-    try:
-        lock = os.open(out, os.O_RDONLY)
-    except OSError as error:
-        raise UsageError(f"$out {out}: cannot be written ({error.strerror or error})") from None
-    try:
-        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        yield
-    except BlockingIOError:
-        raise UsageError(f"$out {out}: another run is writing there; wait for it, or name another folder") from None
     finally:
         os.close(lock)
 

@@ -1,6 +1,7 @@
 """Atomic writes of files and folders, output folders, and disk errors as one-line messages."""
 
 import errno
+import fcntl
 import os
 import shutil
 import tempfile
@@ -52,6 +53,24 @@ def make_folder(out: Path) -> None:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise UsageError(f"$out {out}: cannot be made a folder ({cause(error)}); name another one") from None
+
+
+def lock_folder(out: Path) -> int:
+    """Create an output folder and lock it for this process; return the descriptor that holds the lock until closed.
+
+    Raises:
+        UsageError: it cannot be created or opened, or another process holds the lock.
+    """
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        lock = os.open(out, os.O_RDONLY)
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        os.close(lock)
+        raise UsageError(f"$out {out}: another run writes to it; wait for it, or give each its own folder") from None
+    except OSError as error:
+        raise UsageError(f"$out {out}: cannot be written ({error.strerror or error})") from None
+    return lock
 
 
 @contextmanager

@@ -1,6 +1,5 @@
 """Output folder of a run: rows are stored as samples finish, survive any interruption and are summarized at the end."""
 
-import fcntl
 import os
 from collections.abc import Callable, Collection, Mapping
 from contextlib import suppress
@@ -8,7 +7,7 @@ from itertools import accumulate
 from pathlib import Path
 
 from kinebench_drake.errors import InputError, UsageError
-from kinebench_drake.io.atomic import disk_errors, remove
+from kinebench_drake.io.atomic import disk_errors, lock_folder, remove
 from kinebench_drake.io.jsonl import Json, append_line, dump, parse_json, parse_lines, write_json, write_raw_lines
 from kinebench_drake.results.row import RowFile, RowLine, SampleRow
 
@@ -75,9 +74,7 @@ class ResultStore:
         self._lock = -1
         self._begun = False
         try:
-            out.mkdir(parents=True, exist_ok=True)
-            self._lock = os.open(out, os.O_RDONLY)
-            self._lock_folder()
+            self._lock = lock_folder(out)
             for name in (*ARTIFACTS, REQUESTS, "videos"):
                 if (out / name).is_symlink():
                     raise InputError(f"$out {out}: {name} is a link, and a run writes and removes files there")
@@ -173,15 +170,6 @@ class ResultStore:
         self._file = RowFile(self.out / SAMPLES)
         for line, start in zip(lines, ends, strict=False):
             line.file, line.start = self._file, start
-
-    def _lock_folder(self) -> None:
-        try:
-            fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            self.close()
-            raise UsageError(
-                f"$out {self.out}: another run writes to it; wait for it, or give each its own folder"
-            ) from None
 
     def _sweep(self, *, everything: bool) -> None:
         """Remove unfinished files of killed processes, and on demand everything that the run wrote by its rows."""

@@ -1,7 +1,7 @@
 """`audit`: read a trajectory, judge it, write its file."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -24,7 +24,7 @@ from kinebench_drake.runs.evaluator import KINEMATIC_METRICS, Evaluation, Evalua
 from kinebench_drake.runs.gate import close_gate
 from kinebench_drake.runs.option import Option
 from kinebench_drake.runs.runner import NullRunObserver, RunObserver, RunSummary, run_samples
-from kinebench_drake.runs.tools import RobotOptions, Tools, load_tools
+from kinebench_drake.runs.tools import Tools, load_tools
 from kinebench_drake.track import GripperTrack
 
 if TYPE_CHECKING:  # loads Drake
@@ -73,10 +73,6 @@ class AuditConfig(SourceConfig):
         return TrajectoryOptions(
             rate_hz=self.rate_hz, reading=None if self.reading is None else Reading.parse(self.reading)
         )
-
-    def robot_options(self) -> RobotOptions:
-        """Return robot and table."""
-        return replace(SourceConfig.robot_options(self), tool=self.tool, package_path=self.package_path)
 
     def to_json(self) -> dict[str, Json]:
         """Serialize into `config` of results.json; paths by their last name only."""

@@ -1,7 +1,7 @@
 """Configuration of a run over videos, and the options common to all runs."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from enum import Enum
 from pathlib import Path
 from typing import Annotated, TypeVar
@@ -136,7 +136,8 @@ class RunConfig:
 
     def robot_options(self) -> RobotOptions:
         """Return robot and table."""
-        return RobotOptions(table_height_m=self.table_height_m)
+        names = {f.name for f in fields(self)} & {f.name for f in fields(RobotOptions)}
+        return RobotOptions(**{name: getattr(self, name) for name in names})
 
     def robot_json(self) -> dict[str, Json]:
         """Serialize the robot into `config` of results.json: what defines it, and the assumptions about it."""
@@ -242,16 +243,6 @@ class SourceConfig(RunConfig):
         return tuple(
             replace(sample, model=sample.model or (parts[0] if parts else None))
             for sample, parts in zip(samples, folders, strict=True)
-        )
-
-    def robot_options(self) -> RobotOptions:
-        """Return robot and table."""
-        return RobotOptions(
-            table_height_m=self.table_height_m,
-            robot=self.robot,
-            limits=self.limits,
-            payload_kg=self.payload_kg,
-            obstacles=self.obstacles,
         )
 
 
