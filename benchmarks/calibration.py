@@ -11,8 +11,8 @@ from benchmarks.perception.clip import TruthClipFile, choose, find_clips
 from kinebench_drake.camera import Camera
 from kinebench_drake.errors import UnmeasurableError, UsageError, cause
 from kinebench_drake.geometry import pose_difference
-from kinebench_drake.grounding.camera.calibrate import USUAL_FOV_DEG, Calibrator
-from kinebench_drake.grounding.camera.lens import focal_px, with_focal
+from kinebench_drake.grounding.camera.calibrate import Calibrator
+from kinebench_drake.grounding.camera.lens import USUAL_FOV_DEG, focal_px, with_focal
 from kinebench_drake.grounding.camera.result import CalibrationMethod, CameraCalibration
 from kinebench_drake.grounding.camera.states import RobotStates, unknown_states
 from kinebench_drake.grounding.registration.arm_model import ArmModel

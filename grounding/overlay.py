@@ -24,7 +24,7 @@ _COLOURS = {RobotPart.HAND: (0, 190, 200), RobotPart.LEFT_FINGER: (255, 140, 0),
 _ROBOT_COLOURS = ((ARM[:1], (255, 140, 0)), (ARM[1:], (70, 110, 255)), (GRIPPER, (0, 190, 200)))
 _AXES = ((235, 60, 60), (60, 200, 60), (70, 110, 255))
 _AXIS_M = 0.05
-_OPACITY, _ROBOT_OPACITY = 0.35, 0.3
+_OPACITY = 0.35
 _LEAST_SIDE_PX = 640  # of a picture of the robot
 
 
@@ -127,7 +127,7 @@ def draw_robot(frame: Image, camera: Camera, X_BP: Array, finger_m: float) -> Im
     labels = render_parts(camera, X_BP, finger_m)
     for parts, colour in _ROBOT_COLOURS:
         shown = np.isin(labels, parts)
-        image[shown] = ((1 - _ROBOT_OPACITY) * image[shown] + _ROBOT_OPACITY * np.array(colour)).astype(np.uint8)
+        image[shown] = ((1 - _OPACITY) * image[shown] + _OPACITY * np.array(colour)).astype(np.uint8)
         for part in parts:
             contours, _ = cv2.findContours((labels == part).astype(np.uint8), cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
             cv2.drawContours(image, contours, -1, colour, 1, cv2.LINE_AA)

@@ -29,10 +29,8 @@ from kinebench_drake.io.frames import Frames
 from kinebench_drake.models.panda.robot import GripperKind, hand_from_tcp
 from kinebench_drake.models.perception.network import ARM_WEIGHTS, WEIGHTS, load_network
 from kinebench_drake.models.robot import N_JOINTS
+from kinebench_drake.segments import evenly
 from kinebench_drake.track import Domain, GripperTrack, InitialState
-
-CHECKED_FRAMES = 5
-"""Number of frames that check by the arm whether the camera or the background moves."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -200,7 +198,7 @@ class GroundingPipeline:
         distance, angle = pose_difference(
             _initial_hand_pose(state, camera), np.stack([pose.X_CH, pose.X_CH @ X_HALF_TURN])
         )
-        return not bool(((distance <= bounds.FIRST_M) & (angle <= bounds.FIRST_RAD)).any())
+        return not bool(((distance <= bounds.LARGE_M) & (angle <= bounds.LARGE_RAD)).any())
 
     def observe(self, frames: Frames, camera: Camera, t_s: Array, priors: Priors = NO_PRIORS) -> Observation:
         """Measure each frame, without confidence and smoothing along the video.
@@ -240,13 +238,13 @@ class GroundingPipeline:
         if motion.path is None:
             return None
         steady, wide = motion.stabilize(frames, camera)
-        chosen = np.unique(np.linspace(0, len(frames) - 1, CHECKED_FRAMES).round().astype(int))
+        chosen = evenly(len(frames), bounds.SAMPLED_FRAMES)
         places = None if motion.places is None else motion.places[chosen]
         fixed = self._arm_tracker.track(frames[chosen], camera).agreeing
         if fixed == 0:
             return motion
         followed = self._arm_tracker.track(steady[chosen], wide, places=places).agreeing
-        return motion if followed >= bounds.FOLLOWED_SHARE * fixed else replace(motion, path=None)
+        return motion if followed >= bounds.MAJORITY * fixed else replace(motion, path=None)
 
     def _measure_motion(
         self,

@@ -14,16 +14,15 @@ from kinebench_drake.geometry import Array, invert, transform_points
 from kinebench_drake.grounding import bounds
 from kinebench_drake.grounding.anomaly.detection import Detection, finite_median, sustained
 from kinebench_drake.grounding.registration.shape import HandShape
+from kinebench_drake.grounding.registration.solver import NEAREST_M
 from kinebench_drake.grounding.tracking.crop import GRIPPER_RADIUS_M
 from kinebench_drake.grounding.tracking.view import GripperView
-from kinebench_drake.models.panda.cad import part_meshes
+from kinebench_drake.models.panda.cad import MAX_FINGER_M, part_meshes
 from kinebench_drake.models.panda.robot import OPENING_SIGN
 from kinebench_drake.segments import finite_rows, segments
 
 _CORE_M = GRIPPER_RADIUS_M / 2  # around the centre of a gripper that is hardly cut or hidden
-_NEAREST_M = 0.05
 _MARGIN_CELLS = 2  # cells of the whole-image view around the tracked gripper that belong to it
-_FINGER_M = 0.04
 _MIN_CELLS = 100
 _PASSES = 4
 
@@ -82,7 +81,7 @@ def expect_gripper(
 
 def _inside(p_S: Array, camera: Camera) -> bool:
     """Return whether the core of a gripper around `p_S` (3,) [m] is inside the image."""
-    if p_S[2] <= _NEAREST_M:
+    if p_S[2] <= NEAREST_M:
         return False
     pixel, radius_px = camera.project(p_S), np.array([camera.fx, camera.fy]) * _CORE_M / p_S[2]
     size = np.array([camera.width, camera.height])
@@ -127,7 +126,7 @@ def _hull_corners_H() -> Array:
     corners = []
     for part, mesh in part_meshes().items():
         hull = np.asarray(mesh.convex_hull.vertices, dtype=np.float64)
-        corners.append(hull + np.array([0.0, OPENING_SIGN[part] * _FINGER_M, 0.0]))
+        corners.append(hull + np.array([0.0, OPENING_SIGN[part] * MAX_FINGER_M, 0.0]))
     return np.concatenate(corners)
 
 
@@ -136,7 +135,7 @@ def _outline(view: GripperView, X_CH: Array, camera: Camera) -> NDArray[np.uint8
     n = view.part.shape[0]
     outline = np.zeros((n, n), np.uint8)
     p_C = transform_points(X_CH, _hull_corners_H())
-    if p_C[:, 2].min() <= _NEAREST_M:
+    if p_C[:, 2].min() <= NEAREST_M:
         return outline
     pixel = np.column_stack([camera.project(p_C), np.ones(len(p_C))])
     cell = pixel @ np.linalg.inv(view.crop.homography(camera, view.stride)).T
@@ -167,7 +166,7 @@ def shape_misfit(view: GripperView, X_CH: Array, finger_m: float) -> float:
     if with_fingers:
         p_H[:, 1] += view.opening_sign[cells] * finger_m
     p_V = transform_points(invert(view.crop.X_CV) @ X_CH, p_H)
-    if p_V[:, 2].min() <= _NEAREST_M:
+    if p_V[:, 2].min() <= NEAREST_M:
         return float("nan")
     offset = (view.rays()[cells][:, :2] - p_V[:, :2] / p_V[:, 2:]) * p_V[:, 2:]
     unit = (p_H - p_H.mean(axis=0)) / 0.1
@@ -195,8 +194,8 @@ def find_deformations(misfit: ArrayLike, residual: ArrayLike) -> Detection:
     finite = residual[np.isfinite(residual)]
     usual = min(float(np.median(finite)), bounds.USUAL_RESIDUAL) if finite.size else bounds.USUAL_RESIDUAL
     excess = residual / (bounds.EXCESS * usual)
-    score = np.nan_to_num(finite_median(np.minimum(misfit / bounds.MISFIT, excess), bounds.SHAPE_WINDOW), nan=0.0)
-    size = np.nan_to_num(finite_median(misfit, bounds.SHAPE_WINDOW), nan=0.0)
+    score = np.nan_to_num(finite_median(np.minimum(misfit / bounds.MISFIT, excess), bounds.SHAPE_FRAMES), nan=0.0)
+    size = np.nan_to_num(finite_median(misfit, bounds.SHAPE_FRAMES), nan=0.0)
     return Detection.from_score(AnomalyKind.DEFORMATION, score, size)
 
 
@@ -228,9 +227,9 @@ def find_misshapen(shapes: Sequence[HandShape | None]) -> tuple[Detection, Detec
     drift = np.abs(median(log_scale, bounds.SIZE_WINDOW))
     change = median(np.hypot(log_scale, stretch), bounds.CONTOUR_WINDOW)
     wrong_size, wrong_shape = (
-        sustained(np.minimum(off, median(gain, window) / bounds.CONTOUR_GAIN), bounds.CONTOUR_FRAMES)
+        sustained(np.minimum(off, median(gain, window) / bounds.CONTOUR_GAIN), bounds.SHAPE_FRAMES)
         for off, window in (
-            (drift / bounds.CONTOUR_SIZE_ERROR, bounds.SIZE_WINDOW),
+            (drift / bounds.SIZE_ERROR_ELSEWHERE, bounds.SIZE_WINDOW),
             (change / bounds.CONTOUR_CHANGE, bounds.CONTOUR_WINDOW),
         )
     )

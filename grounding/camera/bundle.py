@@ -16,9 +16,10 @@ from numpy.typing import NDArray
 
 from kinebench_drake.geometry import Array, make_pose, rotation_z
 from kinebench_drake.grounding.camera.correspondences import CalibrationCorrespondences, RobotPoints
-from kinebench_drake.grounding.camera.lens import CAUCHY, UNKNOWNS, Lens
+from kinebench_drake.grounding.camera.lens import UNKNOWNS, Lens
 from kinebench_drake.grounding.camera.surroundings import Surroundings
 from kinebench_drake.grounding.registration.arm_model import OVER_LIMIT_RAD, ArmModel
+from kinebench_drake.grounding.registration.solver import CAUCHY, NEAREST_M
 from kinebench_drake.models.panda.cad import MAX_FINGER_M
 from kinebench_drake.models.panda.robot import RobotPart
 from kinebench_drake.models.robot import N_JOINTS
@@ -29,7 +30,6 @@ _SHARED = UNKNOWNS + _PARTS  # unknowns that frames have in common: the camera's
 _POSTURE_SIGMA_RAD = np.array([10.0, *[1.5] * 6])
 """Standard deviations of unknown joint angles about their start [rad]: they keep joints that nothing shows."""
 _OPENING_INFORMATION = 25.0  # of an opening that nothing shows [1/m^2]
-_LEAST_DEPTH_M = 0.05
 _BEHIND = 1e3  # cost of a point behind the camera
 _LARGEST_STEP_RAD, _LARGEST_STEP_M, _LARGEST_ZOOM = 0.4, 0.4, 0.2
 _CONVERGED = 1e-5
@@ -204,7 +204,7 @@ class _Linearization:
         self._residual = np.einsum("nij,nj->ni", o.whitening, uv - o.uv_px)
         self._residual[of_contour, 0] += scene.offset[o.part[of_contour]]
         square = (self._residual**2).sum(axis=1)
-        behind = z < _LEAST_DEPTH_M
+        behind = z < NEAREST_M
         dq = scene.q - q
         q_information = 1.0 / q_sigma**2
         lens_information, deviation, free = prior.of_lens(lens)

@@ -17,8 +17,8 @@ from kinebench_drake.grounding.camera.camera_estimate import CameraEstimate
 from kinebench_drake.grounding.camera.candidate import Candidate
 from kinebench_drake.grounding.camera.correspondences import LensView, ViewEstimator, track_views
 from kinebench_drake.grounding.camera.detections import detect_views
-from kinebench_drake.grounding.camera.estimate import CameraEstimator
-from kinebench_drake.grounding.camera.lens import centred_camera, focal_px
+from kinebench_drake.grounding.camera.estimate import FRAMES, CameraEstimator
+from kinebench_drake.grounding.camera.lens import USUAL_FOV_DEG, centred_camera, focal_px
 from kinebench_drake.grounding.camera.result import (
     CalibrationBasis,
     CalibrationMethod,
@@ -45,11 +45,7 @@ from kinebench_drake.io.video import Video
 from kinebench_drake.models.perception.network import load_network
 from kinebench_drake.segments import evenly
 
-_MAX_MOVING_FRAMES = 12  # without joint angles: each adds eight unknowns
 _DEFAULT_FRAMES = 24
-USUAL_FOV_DEG = 60.0
-"""Horizontal field of view of a camera of which nothing is known [degrees]."""
-_OTHER_ZOOM, _OTHER_M, _OTHER_RAD = 0.03, 0.03, np.deg2rad(3.0)
 _CENTRE_SIGMA = 0.06  # standard deviation of an unknown principal point over the image's width
 
 
@@ -257,7 +253,7 @@ def _guess(config: CalibrationConfig, intrinsics: Camera | None, width: int, hei
     """Return the initial camera: the pose of the benchmark camera unless a camera is provided."""
     if intrinsics is not None:
         return intrinsics.resized(width, height)
-    return centred_camera(width, height, config.focal_px or focal_px(width, USUAL_FOV_DEG))
+    return centred_camera(width, height, config.focal_px or focal_px(max(width, height), USUAL_FOV_DEG))
 
 
 def _chosen(states: RobotStates, most: int) -> NDArray[np.intp]:
@@ -266,7 +262,7 @@ def _chosen(states: RobotStates, most: int) -> NDArray[np.intp]:
     if len(rows) > 1:
         return np.asarray(rows[evenly(len(rows), most)])
     others = np.setdiff1d(np.arange(len(states.q)), rows)
-    others = others[evenly(len(others), min(most, _MAX_MOVING_FRAMES) - len(rows))]
+    others = others[evenly(len(others), min(most, FRAMES) - len(rows))]
     return np.asarray(np.union1d(rows, others), dtype=np.intp)
 
 
@@ -295,7 +291,8 @@ def _camera_shift(frames: Frames, view: LensView, camera: Camera) -> tuple[str, 
 def _is_other(camera: Camera, guess: Camera) -> bool:
     """Return whether a camera differs much from another one."""
     distance, angle = pose_difference(camera.X_BC, guess.X_BC)
-    return bool(abs(np.log(camera.fx / guess.fx)) > _OTHER_ZOOM or distance > _OTHER_M or angle > _OTHER_RAD)
+    moved = distance > bounds.LARGE_M or angle > bounds.LARGE_RAD
+    return bool(abs(np.log(camera.fx / guess.fx)) > bounds.FOCAL_LIMIT or moved)
 
 
 def _method(states: RobotStates) -> CalibrationMethod:

@@ -12,8 +12,6 @@ from kinebench_drake.grounding.registration.arm_model import ArmModel
 from kinebench_drake.io.jsonl import Json
 from kinebench_drake.models.panda.robot import HAND_TO_TCP_M, RobotPart
 
-_MOVE, _TURN = slice(0, 3), slice(3, 6)
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FittedCamera:
@@ -184,7 +182,8 @@ def describe(
         tcp = X_BH[:3, 3] + HAND_TO_TCP_M * X_BH[:3, 2]
         J = np.concatenate([np.cross(axis, tcp - point).T, axis.T]) @ response
         spread.append(J @ covariance @ J.T)
-    position, rotation = (float(np.median([np.trace(V[k, k]) for V in spread])) ** 0.5 for k in (_MOVE, _TURN))
+    traces = [(np.trace(V[:3, :3]), np.trace(V[3:, 3:])) for V in spread]
+    position, rotation = (float(variance) ** 0.5 for variance in np.median(traces, axis=0))
     return CameraEstimate(
         bundle=bundle,
         frames=frames,

@@ -13,7 +13,12 @@ from kinebench_drake.grounding import bounds
 from kinebench_drake.grounding.camera.bundle import ArmScene, Observations, Prior, adjust
 from kinebench_drake.grounding.camera.camera_estimate import CameraEstimate, describe
 from kinebench_drake.grounding.camera.contours import ContourImages
-from kinebench_drake.grounding.camera.correspondences import LINK_SIGMAS, PIXEL_SIGMA, CalibrationCorrespondences
+from kinebench_drake.grounding.camera.correspondences import (
+    LINK_SIGMAS,
+    MIN_FRAMES,
+    PIXEL_SIGMA,
+    CalibrationCorrespondences,
+)
 from kinebench_drake.grounding.camera.detections import ArmDetections
 from kinebench_drake.grounding.camera.hypotheses import Hypothesis
 from kinebench_drake.grounding.registration.arm_model import ArmModel
@@ -24,23 +29,17 @@ from kinebench_drake.models.panda.robot import ARM
 from kinebench_drake.segments import evenly
 
 Passes = Sequence[tuple[float, float]]
-MIN_FRAMES = 3
-"""Least number of frames that must show hand and arm."""
 LOG_FOCAL_SIGMA = 0.5
 """Standard deviation of the logarithm of an unknown focal length."""
 COARSE = ((14.0, 1.0), (14.0, 1.0), (10.0, 0.6), (6.0, 0.3), (4.0, 0.1))
 MIDDLE = ((8.0, 0.3), (5.0, 0.2), (4.0, 0.1), (3.0, 0.0))
 """Successive reaches of the search for edges [px of an image of at most 640 px], and weights of the cells."""
 _PASS_SIGMA_RAD = 0.5  # of joint angles about those of the pass before
-_THIN = 3  # one of so many cells is used
-_LINK_FACTOR = 1.5  # of the networks' standard deviations for links
-_FLOOR = 1.5  # of their least one
-_LEAST_COMPARED = 4  # frames
+_FACTOR = 1.5  # of the networks' standard deviations for links, and of their least one
 _FINE = ((8.0, 0.3), (5.0, 0.1), (4.0, 0.0), (3.0, 0.0), (3.0, 0.0), (2.0, 0.0), (2.0, 0.0))  # as `COARSE`
 _PART_INDEPENDENT = 4.0  # independent measurements of the contours of a part in an image, whose errors correlate
 _JOINTS_INDEPENDENT = 2.0  # the same at known joint angles, whose errors the contours have in common
 _OFFSET_SIGMA = 0.4  # of a part's contours: 0.3 px, twice those of own renders
-_BETTER = 75  # percentile of these
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -93,7 +92,7 @@ class CandidateFitter:
         return Candidate(
             scene=ArmScene(lens=hypothesis.lens, q=hypothesis.q[rows], finger_m=detections.finger_m[rows]),
             rows=rows,
-            cells=detections.cells.flip(hypothesis.flipped).of_frames(rows).thin(_THIN),
+            cells=detections.cells.flip(hypothesis.flipped).of_frames(rows).thin(),
             costs=hypothesis.costs[rows],
             cost=hypothesis.cost,
         )
@@ -117,7 +116,7 @@ class CandidateFitter:
     def compare(self, fit: Candidate, images: ContourImages, prior: Prior, frames: int, passes: Passes) -> Candidate:
         """Return a candidate fitted to contours of the frames that it explains best, `frames` at most."""
         # Hands that the hypothesis explains badly are often none.
-        likely = np.sort(np.argsort(fit.costs, kind="stable")[: max(_LEAST_COMPARED, len(fit.rows) // 2)])
+        likely = np.sort(np.argsort(fit.costs, kind="stable")[: max(MIN_FRAMES, len(fit.rows) // 2)])
         candidate = fit.take(likely[evenly(len(likely), frames)])
         images = images.take(candidate.rows)
         scene, _ = self.fit_contours(candidate, images, prior, passes)
@@ -154,7 +153,7 @@ class CandidateFitter:
             scene, edges = self.fit_contours(candidate, own, prior, passes)
             agreement = own.agreement(scene)
             candidate = replace(candidate, scene=scene, agreement=explained(agreement, total))
-            good = np.flatnonzero(agreement >= bounds.FRAME_SHARE * np.percentile(agreement, _BETTER))
+            good = np.flatnonzero(agreement >= bounds.FRAME_SHARE * np.quantile(agreement, bounds.BEST_QUANTILE))
             if number + 1 == len(rounds) or len(good) == len(agreement) or len(good) < MIN_FRAMES:
                 break
             candidate = candidate.take(good)
@@ -183,12 +182,12 @@ class CandidateFitter:
 
 def explained(agreement: Array, total: int) -> float:
     """Return the median of the agreements (T,) of frames, less if they are few of the `total` with the robot."""
-    return float(np.median(agreement)) * min(1.0, len(agreement) / (bounds.LIKELY_EXPLAINED * total))
+    return float(np.median(agreement)) * min(1.0, len(agreement) / (bounds.MAJORITY * total))
 
 
 def _cell_observations(cells: CalibrationCorrespondences, scene: ArmScene, model: ArmModel) -> Observations:
     """Return the cells of the networks' views as observations, with standard deviations at a scene."""
     p_B = cells.locate(model.poses(scene.q), scene.finger_m)
-    factor = np.where(np.isin(cells.part, ARM), _LINK_FACTOR / LINK_SIGMAS, 1.0)
+    factor = np.where(np.isin(cells.part, ARM), _FACTOR / LINK_SIGMAS, 1.0)
     own = replace(cells, sigma_m=cells.sigma_m * factor)
-    return Observations.of_cells(cells, own.sigma_px(scene.lens, p_B, _FLOOR * PIXEL_SIGMA))
+    return Observations.of_cells(cells, own.sigma_px(scene.lens, p_B, _FACTOR * PIXEL_SIGMA))

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from kinebench_drake.camera import Camera
+from kinebench_drake.camera import CONFIRMED, Camera
 from kinebench_drake.errors import UsageError
 from kinebench_drake.geometry import invert, pose_difference
 from kinebench_drake.grounding import bounds
@@ -14,15 +14,17 @@ from kinebench_drake.grounding.camera.candidate import (
     COARSE,
     LOG_FOCAL_SIGMA,
     MIDDLE,
-    MIN_FRAMES,
     Candidate,
     CandidateFitter,
 )
-from kinebench_drake.grounding.camera.detections import PART_CELLS, ArmDetections, find_robot
+from kinebench_drake.grounding.camera.correspondences import MIN_FRAMES
+from kinebench_drake.grounding.camera.detections import ArmDetections, find_robot
 from kinebench_drake.grounding.camera.hypotheses import ChainSearch, Hypothesis
 from kinebench_drake.grounding.camera.lens import Lens, with_focal
 from kinebench_drake.grounding.camera.reading import BetterReading, Reading
 from kinebench_drake.grounding.pipeline import PipelineResult
+from kinebench_drake.grounding.registration.fit import UNSEEN_FINGER_M
+from kinebench_drake.grounding.tracking.localization import PART_CELLS
 from kinebench_drake.grounding.tracking.view import DenseEstimator
 from kinebench_drake.io.frames import Frames
 from kinebench_drake.io.jsonl import Json
@@ -30,9 +32,8 @@ from kinebench_drake.models.panda.robot import RobotPart, hand_from_tcp
 from kinebench_drake.segments import evenly, finite_rows
 from kinebench_drake.track import Domain
 
-_USUAL_WIDTH_M = 0.04  # gap between the pads where none is measured
-_CHECKED, _CHECK_SEARCHED = 5, 8  # frames that check a camera, and those that they are chosen from
-_READ, _READ_SEARCHED = 4, 6  # the same of a reading of the picture
+SEARCHED = 8
+"""Frames that those are chosen from that check a camera."""
 _CROP_ZOOMS = (1.1, 1.25, 1.45)  # focal lengths of cropped pictures over that of the camera
 _CROP_PLACES = np.array([[0.0, 0.0], [-1.0, -1.0], [-1.0, 1.0], [1.0, -1.0], [1.0, 1.0]])
 """Places of a cropped picture in the whole one: its middle and its corners."""
@@ -92,11 +93,13 @@ class CameraChecker:
         q, track, path = result.arm_q, result.track, result.camera_path
         if not len(q):
             return None
-        fitted = np.flatnonzero(finite_rows(q) & track.tracked & (True if path is None else path.at_rest))
+        fitted = np.flatnonzero(
+            finite_rows(q) & track.tracked & (True if path is None else path.px <= bounds.FIXED_PX * camera.unit_px)
+        )
         if not len(fitted):
             return None
-        chosen = fitted[evenly(len(fitted), _CHECKED)]
-        finger_m = np.nan_to_num(track.finger_width_m[chosen], nan=_USUAL_WIDTH_M) / 2
+        chosen = fitted[evenly(len(fitted), bounds.SAMPLED_FRAMES)]
+        finger_m = np.nan_to_num(track.finger_width_m[chosen] / 2, nan=UNSEEN_FINGER_M)
         scene = ArmScene(lens=Lens.of_camera(camera), q=q[chosen], finger_m=finger_m)
         images = self._fitter.images(frames[chosen], camera)
         if result.domain is Domain.ARM:
@@ -110,8 +113,8 @@ class CameraChecker:
 
         It has to reach the agreement `least`, besides being better than frames and camera as they are.
         """
-        frames = frames[evenly(len(frames), _READ_SEARCHED)]
-        unread = self.detect(frames, camera, _READ, _READ_SEARCHED)
+        frames = frames[evenly(len(frames), SEARCHED)]
+        unread = self.detect(frames, camera)
         own = self._agreement(unread, frames, camera)
         shares: list[tuple[float, Reading, Camera]] = []
         for reading in readings:
@@ -124,7 +127,7 @@ class CameraChecker:
                 lens = reading.camera(camera).resized(picture.shape[2], picture.shape[1])
             except UsageError:  # a picture that is not square, on its side
                 continue
-            turned = unread if picture is frames else self.detect(picture, lens, _READ, _READ_SEARCHED)
+            turned = unread if picture is frames else self.detect(picture, lens)
             shares.append((self._agreement(turned, picture, lens), reading, lens))
         better, reading, lens = max(shares, key=lambda share: share[0], default=(0.0, Reading.CROPPED, camera))
         if better < max(least, own + bounds.CLEARLY):
@@ -132,7 +135,7 @@ class CameraChecker:
         return BetterReading(reading=reading, agreement=own, better=better, camera=lens)
 
     def detect(
-        self, frames: Frames, camera: Camera, used: int = _CHECKED, searched: int = _CHECK_SEARCHED
+        self, frames: Frames, camera: Camera, used: int = bounds.SAMPLED_FRAMES, searched: int = SEARCHED
     ) -> ArmDetections | None:
         """Return the robot in at most `used` of the frames `searched`; None if too few show hand and arm.
 
@@ -185,9 +188,9 @@ class CameraChecker:
 
         Only the size of the camera matters, and its focal length a little.
         """
-        detections = find_robot(self._estimator, frames, camera, _CHECK_SEARCHED, searched=_CHECK_SEARCHED)
+        detections = find_robot(self._estimator, frames, camera, SEARCHED, searched=SEARCHED)
         count = 0 if detections is None else int((detections.count_cells(RobotPart.HAND) >= PART_CELLS).sum())
-        return count, min(_CHECK_SEARCHED, len(frames))
+        return count, min(SEARCHED, len(frames))
 
     def find_contradiction(self, frames: Frames, camera: Camera) -> CameraContradiction | None:
         """Return another camera under which the arm agrees clearly better with the images; None if there is none.
@@ -195,12 +198,12 @@ class CameraChecker:
         Focal lengths within a factor of 1.6 are tried at the place of the camera, and both are then fitted. The arm has
         to agree with the result, in all frames that show it.
         """
-        detections = self.detect(frames, camera, _CHECKED + 1, 2 * _CHECK_SEARCHED)
+        detections = self.detect(frames, camera, bounds.SAMPLED_FRAMES + 1, 2 * SEARCHED)
         if detections is None:
             return None
         fixed = self.fit_postures(detections, frames, self.explain(detections, camera))
         # Where no posture explains the hand, its detection is wrong, which says nothing about the camera.
-        if fixed is None or fixed.agreement >= bounds.SUFFICIENT:
+        if fixed is None or fixed.agreement >= CONFIRMED:
             return None
         own = Lens.of_camera(camera)
         prior = Prior(lens=own, log_focal_sigma=LOG_FOCAL_SIGMA)

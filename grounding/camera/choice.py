@@ -223,7 +223,7 @@ class CameraChooser:
 
     def _is_lost(self, hand: PipelineResult) -> bool:
         """Return whether a hand is tracked in so few frames that it may be another gripper."""
-        least = max(bounds.MIN_TRACKED, bounds.HAND_SHARE * len(hand.track.t_s))
+        least = max(bounds.MIN_TRACKED, bounds.FEW * len(hand.track.t_s))
         return self.gripper is GripperKind.AUTO and int(hand.track.tracked.sum()) < least
 
     def _view(self, choice: CameraChoice) -> _View:
@@ -276,7 +276,7 @@ class CameraChooser:
             return self.parts.arm(self.gripper).ground(*inputs)
         for gripper in (GripperKind.NONE, GripperKind.ROBOTIQ_2F85):
             arm = self.parts.arm(gripper).ground(*inputs)
-            if arm.track.tracked.mean() >= bounds.ARM_SHARE:
+            if arm.track.tracked.mean() >= bounds.MAJORITY:
                 return arm
             if not arm.track.confidence.any():  # contours of a gripper are sought where there is an arm
                 break

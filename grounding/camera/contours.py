@@ -13,22 +13,28 @@ from numpy.typing import NDArray
 from kinebench_drake.geometry import Array
 from kinebench_drake.grounding.camera.bundle import ArmScene, Observations
 from kinebench_drake.grounding.registration.arm_model import ArmModel
-from kinebench_drake.grounding.registration.edges import LEAST_GRADIENT, RIGID, ROBOT, SIGMA_PX, EdgeMatcher
+from kinebench_drake.grounding.registration.correspondences import MIN_POINTS
+from kinebench_drake.grounding.registration.edges import (
+    INDEPENDENT,
+    LEAST_GRADIENT,
+    RIGID,
+    ROBOT,
+    SIGMA_PX,
+    EdgeMatcher,
+)
 from kinebench_drake.grounding.registration.image import EdgePoints, GradientImage
+from kinebench_drake.grounding.tracking.view import OPENING_SIGNS
 from kinebench_drake.models.panda.cad import open_fingers
-from kinebench_drake.models.panda.robot import OPENING_SIGN, RobotPart
+from kinebench_drake.models.panda.robot import RobotPart
 from kinebench_drake.segments import evenly
 
 DIFFERENT_TURN_RAD = np.deg2rad(20.0)
 """Least angle between turns that count as different."""
-_INDEPENDENT = 120.0  # independent measurements that the contours of an image count as at most
 _WITH_FINGERS_PX = 6.0  # reach beyond which fingers count, too: grippers have fingers of many forms
-_MIN_POINTS = 20
-_SIGN = np.array([OPENING_SIGN.get(part, 0.0) for part in RobotPart])
 _RIGHT_RAD = np.deg2rad(15.0)  # from a right angle, of turns that are one
+_FRAMES = 6
 _STEP_RAD, _TOPS = np.deg2rad(5.0), 6
 _FINE_STEPS_RAD = np.deg2rad([-3.75, -2.5, -1.25, 1.25, 2.5, 3.75])
-_FRAMES = 6
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -87,7 +93,7 @@ class ContourImages:
             move, strength = image.find_edges(points, reach_px)
             strong = np.flatnonzero(strength > LEAST_GRADIENT)
             n = len(strong)
-            if n < _MIN_POINTS:
+            if n < MIN_POINTS:
                 continue
             zoom = scene.lens.camera.width / image.camera.width
             normal = points.normal[strong]
@@ -98,10 +104,10 @@ class ContourImages:
                     frame=np.full(n, t, dtype=np.intp),
                     part=points.part[strong],
                     p_P=points.p_P[strong],
-                    opening_sign=_SIGN[points.part[strong]],
+                    opening_sign=OPENING_SIGNS[points.part[strong]],
                     uv_px=(points.pixel[strong] + move[strong, None] * normal) * zoom,
                     whitening=whitening,
-                    weight=np.full(n, min(1.0, _INDEPENDENT / n)),
+                    weight=np.full(n, min(1.0, INDEPENDENT / n)),
                 )
             )
         return Observations.join(observed) if observed else None
@@ -119,14 +125,14 @@ class ContourImages:
         on_edge = self.matcher.edge_shares(image, points)
         count = np.bincount(points.part, minlength=len(RobotPart))
         shares = np.bincount(points.part, weights=on_edge, minlength=len(RobotPart)) / np.maximum(count, 1)
-        enough = count >= _MIN_POINTS
+        enough = count >= MIN_POINTS
         return float(on_edge.mean() + shares[enough].mean()) / 2 if enough.any() else float(on_edge.mean())
 
     def base_share(self, scene: ArmScene) -> float:
         """Return the share of the visible contours of the base link that lies on image edges; 0 if too few are seen."""
         on_edges, points_visible = 0.0, 0
         for image, points in self._project(scene, (RobotPart.LINK0,)):
-            if points is not None and len(points.part) >= _MIN_POINTS:
+            if points is not None and len(points.part) >= MIN_POINTS:
                 on_edges += float(self.matcher.edge_shares(image, points).sum())
                 points_visible += len(points.part)
         return on_edges / points_visible if points_visible else 0.0

@@ -9,8 +9,10 @@ from numpy.typing import NDArray
 
 from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array
+from kinebench_drake.grounding import bounds
 from kinebench_drake.grounding.camera.lens import Lens
 from kinebench_drake.grounding.registration.fit import UNSEEN_FINGER_M
+from kinebench_drake.grounding.registration.solver import NEAREST_M
 from kinebench_drake.grounding.tracking.crop import CLOSE_SIZE
 from kinebench_drake.grounding.tracking.markov import X_HALF_TURN
 from kinebench_drake.grounding.tracking.tracker import PoseTracker
@@ -19,16 +21,16 @@ from kinebench_drake.io.frames import Frames
 from kinebench_drake.models.panda.robot import ARM, GRIPPER, RobotPart
 from kinebench_drake.models.robot import N_JOINTS
 
-MIN_CELLS = 60
-"""Least number of cells of the robot over all frames of a calibration."""
+MIN_FRAMES = 3
+"""Least number of frames that must show hand and arm if postures are estimated."""
 LINK_SIGMAS = 3.0
 """Factor of the network's standard deviations for cells of links, of which it is overconfident."""
 PIXEL_SIGMA = 0.5
 """Least standard deviation of a cell in an image 384 px wide [px]: the raster of the views."""
+_THIN = 3  # one of so many cells is used where postures are estimated
 _PART_CELLS = 60  # of one part in one view, at most
+_ALIKE_RAD = np.deg2rad(2.0)  # between poses of a part that count as one
 _INDEPENDENT = 8.0  # their total weight, in independent measurements, at most: their errors correlate
-_NEAREST_M = 0.05  # least depth of a point
-_ALIKE_M, _ALIKE_RAD = 0.01, np.deg2rad(2.0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -74,7 +76,7 @@ class RobotPoints:
         The errors of such points correlate.
         """
         p, R = X_BP[..., :3, 3], X_BP[..., :3, :3]
-        near = np.linalg.norm(p[:, None] - p[None], axis=-1) <= _ALIKE_M
+        near = np.linalg.norm(p[:, None] - p[None], axis=-1) <= bounds.GOOD_M
         cosine = (np.einsum("spij,tpij->stp", R, R) - 1.0) / 2.0
         alike = np.maximum(1, (near & (cosine >= np.cos(_ALIKE_RAD))).sum(axis=1))
         return np.asarray(alike[self.frame, self.part])
@@ -95,10 +97,10 @@ class CalibrationCorrespondences(RobotPoints):
         chosen = self.take(np.isin(self.frame, rows))
         return replace(chosen, frame=np.array([number[int(f)] for f in chosen.frame], dtype=np.intp))
 
-    def thin(self, every: int) -> Self:
-        """Keep one of `every` cells, with the weight of the others."""
-        chosen = self.take(np.arange(0, len(self), every))
-        return replace(chosen, weight=np.minimum(1.0, chosen.weight * every))
+    def thin(self) -> Self:
+        """Keep one of `_THIN` cells, with the weight of the others."""
+        chosen = self.take(np.arange(0, len(self), _THIN))
+        return replace(chosen, weight=np.minimum(1.0, chosen.weight * _THIN))
 
     def sigma_px(self, lens: Lens, p_B: Array, floor: float = PIXEL_SIGMA) -> Array:
         """Return the standard deviation (N,) of the reprojection of the points `p_B` (N, 3) in B [px].
@@ -106,7 +108,7 @@ class CalibrationCorrespondences(RobotPoints):
         It is `floor` at least in an image 384 px wide.
         """
         _, z = lens.project(p_B)
-        spread = lens.camera.fx * self.sigma_m / np.maximum(np.abs(z), _NEAREST_M)
+        spread = lens.camera.fx * self.sigma_m / np.maximum(np.abs(z), NEAREST_M)
         return np.asarray(np.hypot(floor * lens.camera.unit_px, spread))
 
     @property

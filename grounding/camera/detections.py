@@ -17,18 +17,16 @@ from kinebench_drake.geometry import Array
 from kinebench_drake.grounding.camera.correspondences import CalibrationCorrespondences, LensView, find_correspondences
 from kinebench_drake.grounding.registration.fit import UNSEEN_FINGER_M, HandFit, finger_or_default, fit
 from kinebench_drake.grounding.tracking.crop import CLOSE_MARGIN, CLOSE_SIZE, Crop
-from kinebench_drake.grounding.tracking.localization import find_region, likeliest_gripper
+from kinebench_drake.grounding.tracking.localization import PART_CELLS, find_region, likeliest_gripper
 from kinebench_drake.grounding.tracking.view import DenseEstimator, GripperView
 from kinebench_drake.io.frames import Frames
 from kinebench_drake.models.panda.robot import ARM, RobotPart
 from kinebench_drake.models.robot import N_JOINTS
 from kinebench_drake.segments import evenly
 
-PART_CELLS = 40
-"""Cells from which a part counts as seen."""
 _SEARCHED = 36  # frames of which the best seen ones are used
 _TRIED = 2  # frames tried for each one used
-_OWN_ROUNDS, _NEARBY_ROUNDS = 2, 2  # close views of a hand: where its frame shows it, then where another one does
+_ROUNDS = 2  # close views of a hand: where its frame shows it, then where another one does
 _CLOSE_HAND_CELLS = 120  # cells of the hand in a close view from which it is surely a hand
 _CLOSE_WEIGHT = 6.0  # of a hand seen from close by, in parts of the arm
 
@@ -107,8 +105,8 @@ def _approach(
     """
     first = _best_seen({row: _visibility(wide[row]) for row in hands}, len(frames), most)
     close: dict[int, GripperView] = {}
-    for number in range(_OWN_ROUNDS + _NEARBY_ROUNDS):
-        own = number < _OWN_ROUNDS
+    for number in range(2 * _ROUNDS):
+        own = number < _ROUNDS
         sure = [row for row, view in close.items() if _hand_share(view) == 1.0]
         unsure = [row for row in wide if row not in sure] if sure else []
         starts = first if own else unsure

@@ -16,15 +16,15 @@ from kinebench_drake.grounding.camera.candidate import (
     COARSE,
     LOG_FOCAL_SIGMA,
     MIDDLE,
-    MIN_FRAMES,
     Candidate,
     CandidateFitter,
     explained,
 )
 from kinebench_drake.grounding.camera.contours import DIFFERENT_TURN_RAD, BaseTurn, ContourImages
+from kinebench_drake.grounding.camera.correspondences import MIN_FRAMES
 from kinebench_drake.grounding.camera.detections import ArmDetections, find_robot
 from kinebench_drake.grounding.camera.hypotheses import ChainSearch, Hypothesis
-from kinebench_drake.grounding.camera.lens import Lens, centred_camera, focal_px
+from kinebench_drake.grounding.camera.lens import USUAL_FOV_DEG, Lens, centred_camera, focal_px
 from kinebench_drake.grounding.camera.surroundings import Surroundings, find_lines, find_surroundings
 from kinebench_drake.grounding.registration.arm_model import ArmModel
 from kinebench_drake.grounding.registration.edges import EdgeMatcher
@@ -37,13 +37,13 @@ _Ranked = TypeVar("_Ranked")
 _FOV_DEG = (30.0, 42.0, 55.0, 72.0)  # along the longer side, at which the search starts
 JOINT_SIGMA_RAD = 0.01
 """Standard deviation of known joint angles [rad]: offsets of the joints, and clocks."""
-_FRAMES = 12
-_CANDIDATES, _FITTED, _COMPARED = 16, 6, 16
-"""Numbers of hypotheses, of those fitted to the cells, and of all compared."""
+FRAMES = 12
+"""Greatest number of frames that a camera is estimated from: each adds eight unknowns."""
+_CANDIDATES, _FITTED = 16, 6
+"""Numbers of hypotheses compared, and of those fitted to the cells besides."""
 _ROUNDS = ((4, COARSE, 8), (6, MIDDLE, 5))
 """Successive comparisons of candidates: frames, passes, candidates kept."""
 _CLEARLY = 3.0  # of the tolerances within which cameras are the same: beyond, they contradict each other
-_USUAL_FOV_DEG = 55.0
 
 
 class CameraEstimator:
@@ -69,7 +69,7 @@ class CameraEstimator:
             UnmeasurableError: hand and arm are seen in too few frames.
         """
         camera = camera or usual_camera(frames.shape[2], frames.shape[1])
-        detections = find_robot(self.estimator, frames, camera, _FRAMES)
+        detections = find_robot(self.estimator, frames, camera, FRAMES)
         if detections is None or len(detections.rows) < MIN_FRAMES:
             count = 0 if detections is None else len(detections.rows)
             raise UnmeasurableError(
@@ -178,7 +178,7 @@ class CameraEstimator:
         raw = [_without_base(start) for h in starts if (start := self.fitter.start(detections, h)) is not None]
         fits = [self.fitter.fit_cells(candidate, prior) for candidate in raw[:_FITTED]]
         fits.sort(key=lambda fit: fit.cost)
-        return _distinct([(c.scene.lens, c) for c in (*fits, *raw)])[:_COMPARED]
+        return _distinct([(c.scene.lens, c) for c in (*fits, *raw)])[:_CANDIDATES]
 
     def refine(
         self, frames: Frames, camera: Camera, start: Candidate, *, focal_free: bool, centre_sigma_px: float = 0.0
@@ -209,7 +209,7 @@ class CameraEstimator:
 
 def usual_camera(width: int, height: int) -> Camera:
     """Return a centred camera of unknown place with a usual field of view along the longer side."""
-    return centred_camera(width, height, focal_px(max(width, height), _USUAL_FOV_DEG))
+    return centred_camera(width, height, focal_px(max(width, height), USUAL_FOV_DEG))
 
 
 def _distinct(ranked: Sequence[tuple[Lens, _Ranked]], factor: float = 1.0) -> list[_Ranked]:

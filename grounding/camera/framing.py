@@ -12,7 +12,8 @@ from kinebench_drake.geometry import Array
 from kinebench_drake.io.frames import Frames
 
 _SQUARE = 0.01  # relative difference of the scales that counts as none (`Camera.resized` allows as much)
-_PART_PX = 0.75  # least width of a bar or crop; less is rounding
+PART_PX = 0.75
+"""Least width of a bar or crop, or displacement of a corner; less is rounding [px]."""
 _PLACES = (0.5, 0.0, 1.0)  # centred, at the beginning, at the end
 _ZOOMS = (1.15, 1.35)  # crops tighter than needed to fill the video
 
@@ -88,8 +89,8 @@ class Framing:
         (left, top), (right, bottom) = self.corners
         over = np.array([left, top, self.width - right, self.height - bottom])
         changed = {
-            FramingChange.LETTERBOX: (over > _PART_PX).any(),
-            FramingChange.CROP: (over < -_PART_PX).any(),
+            FramingChange.LETTERBOX: (over > PART_PX).any(),
+            FramingChange.CROP: (over < -PART_PX).any(),
             FramingChange.STRETCH: not _is_square(self),
         }
         return tuple(change for change, applies in changed.items() if applies)
@@ -99,7 +100,7 @@ class Framing:
         """Rows and columns of the video between the bars."""
         (left, top), (right, bottom) = self.corners
         rows, columns = (
-            slice(max(0, int(np.ceil(low - _PART_PX))), min(size, int(np.floor(high + _PART_PX))))
+            slice(max(0, int(np.ceil(low - PART_PX))), min(size, int(np.floor(high + PART_PX))))
             for low, high, size in ((top, bottom, self.height), (left, right, self.width))
         )
         return rows, columns

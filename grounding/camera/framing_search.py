@@ -11,6 +11,7 @@ from kinebench_drake.errors import UnmeasurableError
 from kinebench_drake.geometry import Array
 from kinebench_drake.grounding import bounds
 from kinebench_drake.grounding.camera.framing import (
+    PART_PX,
     Framing,
     FramingSource,
     deeper_crops,
@@ -19,8 +20,8 @@ from kinebench_drake.grounding.camera.framing import (
 )
 from kinebench_drake.io.frames import Frames
 from kinebench_drake.io.video import MIN_SIDE_PX
+from kinebench_drake.segments import evenly
 
-_SNAP_PX = 0.75  # deviation of the visible corners from those of a usual framing, up to which that one is taken
 _COARSE_PX, _FINE_PX = (48, 96), (192, 384)  # longer side of the frame at the levels of the image pyramid
 _MAX_STEPS = 12
 _CONVERGED_PX = 0.01
@@ -28,7 +29,6 @@ _MIN_VARIANCE = 1.0  # of an image's grey levels; one of a single grey cannot be
 _MIN_SHARE = 0.2  # of the frame's pixels that the image must cover
 _TUKEY = 4.685
 _DETAIL_PX = 10.0  # scale of the high-pass filter of the correlation
-_BAR_FRAMES = 8
 _MARGIN_PX = 4  # blur of the edge by a codec
 
 Grey = NDArray[np.float32]
@@ -51,13 +51,13 @@ def align(image: NDArray[np.uint8], frame: NDArray[np.uint8]) -> Framing | None:
     usual = placements(size, video)
     greys = [cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY).astype(np.float32) for rgb in (image, frame)]
     best = _refine(usual[0], greys, (*_COARSE_PX, *_FINE_PX))
-    if (best.correlation or 0.0) < bounds.FRAMING_CORRELATION or _corner_distance_px(usual[0], best) > _SNAP_PX:
+    if (best.correlation or 0.0) < bounds.FRAMING_CORRELATION or _corner_distance_px(usual[0], best) > PART_PX:
         candidates = [_refine(start, greys, _COARSE_PX) for start in (*usual, *deeper_crops(size, video))]
         candidates = sorted(candidates, key=lambda f: -(f.correlation or 0.0))[:3]
         best = max((_refine(start, greys, _FINE_PX) for start in candidates), key=lambda f: f.correlation or 0.0)
     if (best.correlation or 0.0) < bounds.FRAMING_CORRELATION:
         return None
-    near = [u for u in usual if _corner_distance_px(u, best) <= _SNAP_PX]
+    near = [u for u in usual if _corner_distance_px(u, best) <= PART_PX]
     if near:
         best = replace(min(near, key=lambda u: _corner_distance_px(u, best)), correlation=best.correlation)
     return replace(best, source=FramingSource.FIRST_FRAME)
@@ -177,7 +177,7 @@ def find_bars(frames: Frames, image: tuple[float, float]) -> Framing | None:
 
     Every bar must have one constant colour and end at the edge of the image.
     """
-    some = np.unique(np.linspace(0, len(frames) - 1, _BAR_FRAMES).astype(int))
+    some = evenly(len(frames), bounds.SAMPLED_FRAMES)
     subset = np.asarray(frames[some]).astype(np.float32)
     size = frames.shape[2], frames.shape[1]
     for framing in letterboxes(image, size):
@@ -197,7 +197,7 @@ def _is_bar(bar: NDArray[np.float32], inside: NDArray[np.float32]) -> bool:
     colour = np.median(area, axis=(0, 1, 2))
     edge = inside[:, _MARGIN_PX : 2 * _MARGIN_PX]
     constant = float(np.percentile(np.abs(area - colour), 99)) <= bounds.BAR_LEVELS
-    return constant and float(np.abs(edge - colour).max(axis=-1).mean()) >= bounds.BAR_EDGE_LEVELS
+    return constant and float(np.abs(edge - colour).max(axis=-1).mean()) >= bounds.BAR_LEVELS
 
 
 def find_framing(

@@ -13,10 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinebench_drake.camera import Camera
-from kinebench_drake.geometry import Array, invert, make_pose
+from kinebench_drake.geometry import Array, invert
 from kinebench_drake.grounding.camera.correspondences import CalibrationCorrespondences
 from kinebench_drake.grounding.camera.lens import Lens, solve_pnp, with_focal
-from kinebench_drake.grounding.registration.arm_model import OVER_LIMIT_RAD, ArmModel
+from kinebench_drake.grounding.registration.arm_model import LAST_ANGLES_RAD, OVER_LIMIT_RAD, USUAL_Q, ArmModel
+from kinebench_drake.grounding.registration.chain_fit import MIN_LINK_CELLS
+from kinebench_drake.grounding.registration.solver import NEAREST_M
+from kinebench_drake.grounding.tracking.markov import X_HALF_TURN
 from kinebench_drake.kinematics.analytic import analytic_ik
 from kinebench_drake.models.panda.robot import ARM, RobotPart
 from kinebench_drake.models.robot import N_JOINTS
@@ -25,24 +28,18 @@ from kinebench_drake.segments import evenly
 _ANGLES, _COARSE_ANGLES = 36, 9  # angles of a joint whose next link is visible, and of another
 _BEAM = 100
 _CELLS = 8  # cells of a link that are compared
-_LEAST_CELLS = 10
 _CAP = 16.0  # of a cell's squared error in standard deviations
 _EXPLAINED = 9.0  # mean capped error of a frame above which its hand is no hand, or the camera another
 _SLACK_M, _SLACK_PX = 0.02, 2.0  # standard deviation that the start of the chain adds, and of the cells
 _LINK_FACTOR = 0.4  # of the cells' standard deviations: a wrong chain is farther off than they are
 _DEPTH_SIGMA = 0.04
 _ROLL_SIGMA_RAD = np.deg2rad(12.0)
-_USUAL_Q = np.array([0.0, 0.3, 0.0, -2.0, 0.0, 2.3, 0.8])
 _USUAL_SIGMA = np.array([1.2, 0.7, 0.6, 0.7, 0.7, 0.7, 1.3])
 _PRIOR_WEIGHT = 0.05
-_CONSENSUS_PX, _CONSENSUS_ROUNDS = 6.0, 100
-_DEPTH_M = (0.05, 20.0)  # of a hand
 _TIE = 1e-3  # difference of costs that says nothing
 _DISTANCES = np.exp(np.array([0.0, -0.16, -0.08, 0.08, 0.16]))  # of the hand, over that of its pose
 _COMPARED_FRAMES, _KEPT = 6, 32  # frames in which all chains are compared, and chains compared in all frames
 _FLIP_COST = 0.5  # of a gripper turned against its cells
-_LAST_ANGLES = np.linspace(-np.pi, np.pi, 32, endpoint=False)
-_HALF_TURN = make_pose(np.diag([-1.0, -1.0, 1.0]), np.zeros(3))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -81,7 +78,7 @@ class ChainSearch:
     def _opened(cells: CalibrationCorrespondences, finger_m: float) -> CalibrationCorrespondences | None:
         """Return the cells of the gripper in the hand's frame, opened by `finger_m`; None if there are too few."""
         cells = cells.take(cells.of_gripper)
-        if len(cells) < _LEAST_CELLS:
+        if len(cells) < MIN_LINK_CELLS:
             return None
         return replace(cells, p_P=cells.p_P + cells.opening_sign[:, None] * [0.0, finger_m, 0.0])
 
@@ -89,7 +86,7 @@ class ChainSearch:
     def _link_cells(cells: CalibrationCorrespondences) -> dict[int, CalibrationCorrespondences]:
         """Return some cells of each link that shows enough of them."""
         links = {int(part): cells.take(cells.part == part) for part in ARM}
-        return {part: _some(own, _CELLS) for part, own in links.items() if len(own) >= _LEAST_CELLS}
+        return {part: _some(own, _CELLS) for part, own in links.items() if len(own) >= MIN_LINK_CELLS}
 
     def _relative(self, joint: int, count: int) -> tuple[Array, Array]:
         """Return angles (G,) of a joint [rad] and poses (G, 4, 4) of the link before it in the link after it."""
@@ -101,32 +98,31 @@ class ChainSearch:
 
     def hands(self, camera: Camera) -> list[Array | None]:
         """Return the poses X_CH (4, 4) of the hand in all frames by perspective-n-point; None where it fails."""
-        error_px = _CONSENSUS_PX * camera.unit_px
         poses: list[Array | None] = [None] * self._frames
         for t, cells in enumerate(self._gripper):
             if cells is not None:
-                solution = solve_pnp(cells.p_P, cells.uv_px, camera, rounds=_CONSENSUS_ROUNDS, error_px=error_px)
-                if solution is not None and _DEPTH_M[0] < solution[0][2, 3] < _DEPTH_M[1]:
+                solution = solve_pnp(cells.p_P, cells.uv_px, camera)
+                if solution is not None and solution[0][2, 3] > NEAREST_M:
                     poses[t] = solution[0]
         return poses
 
     def _errors(self, X_CP: Array, cells: CalibrationCorrespondences, camera: Camera) -> Array:
         """Return the capped squared errors (M, n) of cells of one part at poses `X_CP` (M, 4, 4)."""
         p = cells.p_P @ np.swapaxes(X_CP[:, :3, :3], -1, -2) + X_CP[:, None, :3, 3]
-        z = np.maximum(p[..., 2], 0.05)
+        z = np.maximum(p[..., 2], NEAREST_M)
         du = p[..., 0] / z * camera.fx + (camera.cx - cells.uv_px[:, 0])
         dv = p[..., 1] / z * camera.fy + (camera.cy - cells.uv_px[:, 1])
         spread_m = np.hypot(_SLACK_M, cells.sigma_m * _LINK_FACTOR)
         sigma = _SLACK_PX * camera.unit_px + camera.fx / z * spread_m
         log_sigma = _DEPTH_SIGMA + spread_m / z
         square = (du**2 + dv**2) / sigma**2 + (np.log(z / (cells.depth_per_px * camera.fx)) / log_sigma) ** 2
-        return np.asarray(np.where(p[..., 2] > 0.05, np.minimum(square, _CAP), _CAP))
+        return np.asarray(np.where(p[..., 2] > NEAREST_M, np.minimum(square, _CAP), _CAP))
 
     def _prior(self, X_CB: Array, q: Array) -> Array:
         """Return the cost (M,) of unusual postures and of cameras that are not upright."""
         roll = np.arctan2(X_CB[:, 0, 2], -X_CB[:, 1, 2])
         tilt = np.minimum((roll * np.hypot(X_CB[:, 0, 2], X_CB[:, 1, 2]) / _ROLL_SIGMA_RAD) ** 2, 9.0)
-        posture = np.minimum(((q - _USUAL_Q) / _USUAL_SIGMA) ** 2, 9.0).sum(axis=1)
+        posture = np.minimum(((q - USUAL_Q) / _USUAL_SIGMA) ** 2, 9.0).sum(axis=1)
         return np.asarray(_PRIOR_WEIGHT * (tilt + posture))
 
     def follow(self, frame: int, X_CH: Array, camera: Camera) -> tuple[Array, float]:
@@ -146,7 +142,7 @@ class ChainSearch:
                 total = total + self._errors(X_next, cells, camera).mean(axis=1)
                 count += 1.0
             total = total + 0.2 * _PRIOR_WEIGHT * np.minimum(
-                ((q_next[:, joint] - _USUAL_Q[joint]) / _USUAL_SIGMA[joint]) ** 2, 9.0
+                ((q_next[:, joint] - USUAL_Q[joint]) / _USUAL_SIGMA[joint]) ** 2, 9.0
             )
             best = np.argsort(total, kind="stable")[:_BEAM] if cells is not None else _spread(total, 4 * _BEAM)
             X, q, cost = X_next[best], q_next[best], total[best]
@@ -179,8 +175,8 @@ class ChainSearch:
         hand_cost = np.zeros(len(X))
         if hand is not None:
             hand_cost = self._errors(X, _some(hand, 2 * _CELLS), lens.camera).mean(axis=1)
-        X_BH = invert(lens.X_CB) @ np.concatenate([X, X @ _HALF_TURN])
-        q = analytic_ik((X_BH @ self._model.X_HF)[:, None], _LAST_ANGLES).reshape(-1, N_JOINTS)
+        X_BH = invert(lens.X_CB) @ np.concatenate([X, X @ X_HALF_TURN])
+        q = analytic_ik((X_BH @ self._model.X_HF)[:, None], LAST_ANGLES_RAD).reshape(-1, N_JOINTS)
         start = np.repeat(np.tile(hand_cost, 2) + _FLIP_COST * (np.arange(len(X_BH)) >= len(X)), len(q) // len(X_BH))
         flipped = np.repeat(np.arange(len(X_BH)) >= len(X), len(q) // len(X_BH))
         lower, upper = self._model.lower - OVER_LIMIT_RAD, self._model.upper + OVER_LIMIT_RAD

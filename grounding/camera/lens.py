@@ -11,9 +11,10 @@ from kinebench_drake.geometry import Array, invert, make_pose, rotation_exp, tra
 UNKNOWNS = 9
 """Number of unknowns: rotation about the camera axes [rad], translation [m], logarithm of the focal length, principal
 point [px]."""
-CAUCHY = 2.0
-"""Residual, in standard deviations, at which Cauchy's weight is one half."""
+USUAL_FOV_DEG = 55.0
+"""Field of view along the longer side of a camera of which nothing is known [degrees]."""
 _SHOULDER_M = 0.333  # height of the shoulder above the base
+_CONSENSUS_PX = 6.0  # largest error of an inlier, in an image 384 px wide
 _SAME_RAD, _SAME_SHARE, _SAME_ZOOM = np.deg2rad(3.0), 0.03, 0.05
 
 
@@ -89,21 +90,19 @@ class Lens:
         return along and zoom <= factor * _SAME_ZOOM and far <= factor * _SAME_SHARE
 
 
-def solve_pnp(p: Array, uv_px: Array, camera: Camera, *, rounds: int, error_px: float) -> tuple[Array, int] | None:
+def solve_pnp(p: Array, uv_px: Array, camera: Camera) -> tuple[Array, int] | None:
     """Return the pose (4, 4) of points (N, 3) in the camera frame [m] and the number of inliers; None if there is none.
 
     Args:
         p: (N, 3) points [m].
         uv_px: (N, 2) their pixels.
         camera: intrinsics.
-        rounds: random samples.
-        error_px: largest error of an inlier [px].
     """
+    error_px = _CONSENSUS_PX * camera.unit_px
     try:
         ok, rotation, translation, inliers = cv2.solvePnPRansac(
-            p, uv_px, camera.K, None,
-            iterationsCount=rounds, flags=cv2.SOLVEPNP_SQPNP, reprojectionError=error_px,
-        )  # fmt: skip
+            p, uv_px, camera.K, None, flags=cv2.SOLVEPNP_SQPNP, reprojectionError=error_px
+        )
     except cv2.error:  # raised where the best sample has too few inliers
         return None
     if not ok or inliers is None or not (np.isfinite(rotation).all() and np.isfinite(translation).all()):

@@ -13,7 +13,7 @@ from kinebench_drake.camera import Camera
 from kinebench_drake.formats.camerafile import BENCHMARK, NamedCamera, named_cameras
 from kinebench_drake.grounding import bounds
 from kinebench_drake.grounding.camera.candidate import Candidate
-from kinebench_drake.grounding.camera.check import CameraChecker
+from kinebench_drake.grounding.camera.check import SEARCHED, CameraChecker
 from kinebench_drake.grounding.camera.estimate import usual_camera
 from kinebench_drake.grounding.camera.framing import placements
 from kinebench_drake.grounding.camera.lens import Lens
@@ -21,7 +21,7 @@ from kinebench_drake.grounding.camera.reading import BetterReading, Reading
 from kinebench_drake.io.frames import Frames
 from kinebench_drake.segments import evenly
 
-_SEARCHED, _FITTED = 8, 5  # frames, and cameras that are fitted to contours
+_FITTED = 5  # cameras that are fitted to contours
 _SAME = 0.3  # of the tolerances of `Lens.sees_same_arm`, within which two pictures are the same
 _MARGIN = 0.05  # of the sides of a picture, by which the foot of the robot may lie outside
 _TURNS = (Reading.MIRRORED, Reading.ROWS_REVERSED, Reading.UPSIDE_DOWN, Reading.TURNED_LEFT, Reading.TURNED_RIGHT)
@@ -90,7 +90,7 @@ def recognize(frames: Frames, checker: CameraChecker) -> Recognition | None:
     """Return the named camera of frames (T, H, W, 3), as they are or read in another way; None if none is clear."""
     trials: list[_Trial] = []
     best: Recognition | None = None
-    frames = np.asarray(frames[evenly(len(frames), _SEARCHED)])
+    frames = np.asarray(frames[evenly(len(frames), SEARCHED)])
     for reading in (None, *_TURNS):
         names = [named for named in named_cameras().values() if _is_tried(named, reading)]
         if best is not None and best.is_clear:  # seen from ahead an arm looks much the same in a mirror, no other way

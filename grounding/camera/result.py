@@ -9,9 +9,8 @@ from kinebench_drake.errors import UnmeasurableError
 from kinebench_drake.geometry import Array, pose_difference
 from kinebench_drake.grounding import bounds
 from kinebench_drake.grounding.camera.camera_estimate import CameraEstimate, FittedCamera
-from kinebench_drake.grounding.camera.correspondences import MIN_CELLS
 from kinebench_drake.grounding.camera.solve import LensSolution, fit_cells
-from kinebench_drake.grounding.registration.arm_model import ArmModel
+from kinebench_drake.grounding.registration.arm_model import MIN_CELLS, ArmModel
 from kinebench_drake.io.jsonl import Json
 from kinebench_drake.models.panda.robot import ARM, GRIPPER, RobotPart
 
@@ -219,7 +218,7 @@ def require_determined(calibration: CameraCalibration) -> None:
             "Franka hand, is the camera static and its lens free of distortion, and do joint angles belong to these "
             "frames, in radians?"
         )
-    if agreement is None and (misfit > bounds.MISFIT_LIMIT_PX * unit or calibration.inlier_share < bounds.INLIER_SHARE):
+    if agreement is None and (misfit > bounds.MISFIT_LIMIT_PX * unit or calibration.inlier_share < bounds.MAJORITY):
         raise UnmeasurableError(
             f"{calibration.basis.source} contradicts the images: the gripper is {misfit:.1f} px off (median, at most "
             f"{bounds.MISFIT_LIMIT_PX * unit:.1f}), {calibration.inlier_share:.0%} of the cells agree; do the angles "
@@ -248,16 +247,16 @@ def warnings_of(calibration: CameraCalibration) -> tuple[str, ...]:
     warnings = []
     unit = calibration.camera.unit_px
     misfit = calibration.part_px["gripper"]
-    if misfit > bounds.MISFIT_WARNING_PX * unit:
+    if misfit > bounds.WARNING_SHARE * bounds.MISFIT_LIMIT_PX * unit:
         warnings.append(
             f"the gripper is {misfit:.1f} px off (median): the joint angles may be late or early, the joints badly "
             "calibrated, or the lens distorted"
         )
-    if calibration.focal_sigma > bounds.FOCAL_WARNING:
+    if calibration.focal_sigma > bounds.WARNING_SHARE * bounds.FOCAL_LIMIT:
         warnings.append(f"the focal length is uncertain by {calibration.focal_sigma:.1%}: {_why(calibration)}")
     if (
-        calibration.position_sigma_m > bounds.POSITION_WARNING_M
-        or calibration.rotation_sigma_rad > bounds.ROTATION_WARNING_RAD
+        calibration.position_sigma_m > bounds.WARNING_SHARE * bounds.POSITION_LIMIT_M
+        or calibration.rotation_sigma_rad > bounds.WARNING_SHARE * bounds.ROTATION_LIMIT_RAD
     ):
         warnings.append(
             f"base_from_camera is uncertain by {1e3 * calibration.position_sigma_m:.0f} mm and "

@@ -10,20 +10,17 @@ from kinebench_drake.camera import Camera
 from kinebench_drake.errors import UnmeasurableError
 from kinebench_drake.geometry import Array
 from kinebench_drake.grounding.camera.bundle import ArmScene, Bundle, Observations, Prior, adjust
-from kinebench_drake.grounding.camera.correspondences import MIN_CELLS, CalibrationCorrespondences, LensView
-from kinebench_drake.grounding.camera.lens import CAUCHY, Lens, focal_px, solve_pnp, with_focal
+from kinebench_drake.grounding.camera.correspondences import MIN_FRAMES, CalibrationCorrespondences, LensView
+from kinebench_drake.grounding.camera.lens import Lens, focal_px, solve_pnp, with_focal
 from kinebench_drake.grounding.camera.states import RobotStates
-from kinebench_drake.grounding.registration.arm_model import ArmModel
+from kinebench_drake.grounding.registration.arm_model import MIN_CELLS, ArmModel
+from kinebench_drake.grounding.registration.solver import CAUCHY
 from kinebench_drake.models.robot import N_JOINTS
 
 _FOV_DEG = (35.0, 45.0, 55.0, 65.0, 75.0, 90.0)  # horizontal, at which the search for the focal length starts
-_MIN_MOVING_FRAMES = 4  # if postures are estimated too
-_STARTS = 2  # initial lenses that are refined
-_EVERY = 3  # one of so many cells is used if postures are estimated too
-_CONSENSUS_PX, _CONSENSUS_ROUNDS, _CONSENSUS_CELLS = 8.0, 200, 600
 _POSTURE_SIGMA_RAD = np.array([10.0, *[0.7] * 6])  # of an initial posture; that of joint 1 is uninformative
+_STARTS = 2  # initial lenses that are refined
 _FIXED_SIGMA_RAD = 1e-3
-_STEPS = 60
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -60,10 +57,10 @@ def solve(view: LensView, states: RobotStates, guess: Camera, model: ArmModel, *
     rows = np.flatnonzero(states.has_hand)
     focal = [focal_px(guess.width, fov) for fov in _FOV_DEG]
     cameras = [guess, *(with_focal(guess, fx) for fx in focal)] if focal_free else [guess]
-    anchored = len(rows) == 1 and len(states.q) >= _MIN_MOVING_FRAMES
+    anchored = len(rows) == 1 and len(states.q) >= MIN_FRAMES
     free = focal_free and not anchored
     solved = _solve_lens(view.of_frames(rows), states.take(rows), cameras, model, focal_free=free)
-    if not anchored or np.isfinite(view.q).all(axis=1).sum() < _MIN_MOVING_FRAMES:
+    if not anchored or np.isfinite(view.q).all(axis=1).sum() < MIN_FRAMES:
         return replace(solved, rows=rows)
     return _solve_lens_and_postures(view, states, solved.bundle.scene.lens, model, focal_free=focal_free)
 
@@ -103,7 +100,7 @@ def _solve_lens_and_postures(
     fixed = states.has_posture
     q = np.where(fixed[:, None], states.q, view.q)
     rows = np.flatnonzero(np.isfinite(q).all(axis=1))
-    cells = view.cells.of_frames(rows).thin(_EVERY)
+    cells = view.cells.of_frames(rows).thin()
     _require_enough(cells)
     finger_m = np.where(np.isfinite(states.finger_m), states.finger_m, view.finger_m)[rows]
     q_sigma = np.where(fixed[rows, None], _FIXED_SIGMA_RAD, _POSTURE_SIGMA_RAD)
@@ -140,7 +137,7 @@ def fit_cells(
     prior = Prior(lens=start, log_focal_sigma=np.inf if focal_free else 0.0)
     p_B, repeats = cells.locate(X_BP, finger_m), cells.count_repeats(X_BP)
 
-    def adjusted(scene: ArmScene, weight: Array, steps: int) -> Bundle:
+    def adjusted(scene: ArmScene, weight: Array, steps: int = 20) -> Bundle:
         points = p_B if q is None else cells.locate(model.poses(scene.q), scene.finger_m)
         observed = replace(Observations.of_cells(cells, cells.sigma_px(scene.lens, points)), weight=weight)
         if q is None:
@@ -149,17 +146,15 @@ def fit_cells(
 
     scene = ArmScene(lens=start, q=np.zeros((len(X_BP), N_JOINTS)) if q is None else q, finger_m=finger_m)
     for _ in range(rounds):
-        scene = adjusted(scene, cells.weight, _STEPS).scene
+        scene = adjusted(scene, cells.weight).scene
     return adjusted(scene, cells.weight / repeats, 0)
 
 
 def _find_consensus(cells: CalibrationCorrespondences, p_B: Array, cameras: Sequence[Camera]) -> list[Lens]:
     """Return initial lenses by RANSAC from the cells' points `p_B` (N, 3) [m], by decreasing number of inliers."""
-    some = np.linspace(0, len(cells) - 1, min(len(cells), _CONSENSUS_CELLS)).astype(int)
     ranked = []
     for camera in cameras:
-        error_px = _CONSENSUS_PX * camera.unit_px
-        solution = solve_pnp(p_B[some], cells.uv_px[some], camera, rounds=_CONSENSUS_ROUNDS, error_px=error_px)
+        solution = solve_pnp(p_B, cells.uv_px, camera)
         if solution is not None:
             X_CB, inliers = solution
             ranked.append((inliers, Lens(camera=camera, X_CB=X_CB)))

@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 
 from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array, rotation_exp, rotation_z
-from kinebench_drake.grounding.camera.lens import CAUCHY, UNKNOWNS, Lens
+from kinebench_drake.grounding.camera.lens import UNKNOWNS, Lens
 from kinebench_drake.grounding.registration.edges import EdgeMatcher
+from kinebench_drake.grounding.registration.solver import CAUCHY
 from kinebench_drake.io.frames import Frames
 
 _LEAST_LENGTH = 0.05  # of a line over the larger side of the image

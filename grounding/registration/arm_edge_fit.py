@@ -23,6 +23,7 @@ from kinebench_drake.grounding.registration.edges import (
     FLANGE,
     RIGID,
     ROBOT,
+    SIGMA_PX,
     WRIST,
     EdgeMatcher,
 )
@@ -39,12 +40,10 @@ FOLLOWED_REACHES_PX = (6.0, 4.0, 3.0, 2.0)
 """Farthest image edges in successive passes from a posture that followed the surface [px]."""
 LAST_LINKS = (RobotPart.LINK5, RobotPart.LINK6, RobotPart.LINK7)
 """Links whose contours say whether the flange is right; those before them may be wrong, or hidden."""
+_POINTS = 300  # points of the contours, where the posture is nearly right
 _EDGE_REACHES_PX = (10.0, 5.0, 2.0)  # farthest image edges in successive passes
 _SAME_CONTOUR_PX = 3.0  # up to which the contour of the pass before still is the visible one
-_CELLS_REACH_PX = 6.0  # from which on the cells count in a pass, too
-_POINTS = 300  # points of the contours, where the posture is nearly right
-_SHARPENING = (4.0, RIGID, _POINTS)  # farthest image edges [px] of such a posture, parts that count, and points
-_RIM_SIGMA_CELLS, _RIM_SIGMA_PX = 0.7, 0.7  # of the segmented rim of the hand
+_RIM_SIGMA_CELLS = 0.7  # of the segmented rim of the hand
 _EDGE_NATS = 25.0  # log-likelihood ratio per difference of edge agreement of hand and flange
 
 
@@ -86,8 +85,8 @@ class ArmEdgeFitter(ArmFitter):
     ) -> list[ArmFit | None]:
         """Fit the arms of B frames to the edges of their images, from postures; None where that diverges.
 
-        The first pass also counts the cells. The fingers only count in it: grippers have fingers of many forms. Near
-        the hand, whose bevels look like outlines, the edge nearest to its segmented rim is taken.
+        The first pass also counts the cells, and it alone the fingers: grippers have fingers of many forms. Near the
+        hand, whose bevels look like outlines, the edge nearest to its segmented rim is taken.
 
         The postures `q` (B, 7) [rad] are of these frames or of neighbouring ones.
         """
@@ -95,7 +94,7 @@ class ArmEdgeFitter(ArmFitter):
         contours: dict[int, EdgePoints | None] = {}
 
         def match(arm: ArmHandModel, numbers: Sequence[int], reach_px: float) -> list[Correspondences | None]:
-            with_cells = followed is None and reach_px > _CELLS_REACH_PX
+            with_cells = followed is None and reach_px == _EDGE_REACHES_PX[0]
             matched = []
             for i, X_CP in zip(numbers, self._poses(arm), strict=True):
                 points, camera = contours.get(i), images[i].camera
@@ -160,10 +159,11 @@ class ArmEdgeFitter(ArmFitter):
         sharpened = list(arms)
         X_CB = self._bases(len(arms))
         start = self._start(np.stack([arm.q for arm in arms]), [arm.finger_m for arm in arms], views, X_CB)
+        rimmed = [self._with_rim(image, view.close) for image, view in zip(images, views, strict=True)]
         matched = {
             b: own
-            for b, X_CP in enumerate(self._poses(start))
-            if (own := self._edges.match(self._with_rim(images[b], views[b].close), X_CP, *_SHARPENING)) is not None
+            for b, (image, X_CP) in enumerate(zip(rimmed, self._poses(start), strict=True))
+            if (own := self._edges.match(image, X_CP, FOLLOWED_REACHES_PX[1], RIGID, _POINTS)) is not None
         }
         if not matched:
             return sharpened
@@ -177,7 +177,7 @@ class ArmEdgeFitter(ArmFitter):
                 continue
             grown_px = fitted.consistency_px - arms[b].consistency_px
             if (
-                pose_difference(fitted.X_CH, arms[b].X_CH)[0] <= bounds.SHARPENING_M
+                pose_difference(fitted.X_CH, arms[b].X_CH)[0] <= bounds.FAR_M
                 and grown_px <= bounds.SHARPENING_GROWTH_PX * self._camera.unit_px
             ):
                 sharpened[b] = replace(fitted, scale=arms[b].scale, evidence=arms[b].evidence)
@@ -248,7 +248,7 @@ class ArmEdgeFitter(ArmFitter):
     def _with_rim(self, image: GradientImage, close: GripperView) -> GradientImage:
         """Return the image with the rim of the segmented gripper."""
         cell_px = close.stride * self._camera.fx / close.crop.focal
-        return image.with_hand(close.to_frame(close.gripper, self._camera), _RIM_SIGMA_CELLS * cell_px + _RIM_SIGMA_PX)
+        return image.with_hand(close.to_frame(close.gripper, self._camera), _RIM_SIGMA_CELLS * cell_px + SIGMA_PX)
 
     def _links_at(self, q: Array) -> ArmHandModel:
         """Return postures (B, 7) of one frame with fixed fingers."""

@@ -16,7 +16,6 @@ from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array, invert, make_pose, pose_difference
 from kinebench_drake.grounding import bounds
 from kinebench_drake.grounding.registration.arm_model import (
-    INDEPENDENT,
     ArmHandModel,
     ArmModel,
     find_posture,
@@ -35,8 +34,6 @@ from kinebench_drake.grounding.tracking.view import GripperView
 from kinebench_drake.models.panda.cad import open_fingers
 from kinebench_drake.models.panda.robot import RobotPart
 
-_MAX_CELLS = 300
-_NO_RANGE_SIGMA = 1e3  # relative standard deviation of an ignored range
 _LINKS_ONLY_WEIGHT = 0.03  # weight of the hand's cells where the links alone determine its distance
 
 
@@ -83,9 +80,7 @@ class ArmView:
     @classmethod
     def of(cls, hand: HandFit, close: GripperView, wide: GripperView) -> Self:
         """Collect the cells of the views of a gripper's crop and of the arm."""
-        links = Correspondences.join(
-            [Correspondences.of_view(v, v.arm, _MAX_CELLS, INDEPENDENT) for v in (close, wide)]
-        )
+        links = Correspondences.join([Correspondences.of_view(v, v.arm) for v in (close, wide)])
         return cls(hand=hand, close=close, gripper=gripper_cells(close), links=links)
 
     @property
@@ -220,7 +215,7 @@ class ArmFitter:
             pose_free=np.ones(len(views), dtype=bool),
         )
         by_size = Correspondences.stack([view.gripper for view in views])
-        by_size = replace(by_size, range_sigma=np.full_like(by_size.range_sigma, _NO_RANGE_SIGMA))
+        by_size = replace(by_size, range_sigma=np.full_like(by_size.range_sigma, np.inf))
         size_solution = solve(free, by_size, sigma, iterations=4)
         distances = [
             np.linalg.norm(X_CH[:, :3, 3], axis=1)

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinebench_drake.geometry import Array, cross, invert
-from kinebench_drake.grounding.registration.correspondences import Correspondences
+from kinebench_drake.grounding.registration.correspondences import CELLS_INDEPENDENT, Correspondences
 from kinebench_drake.grounding.registration.fit import clip_finger, finger_information
 from kinebench_drake.grounding.registration.solver import CellRows, Placement
 from kinebench_drake.kinematics.analytic import analytic_ik
@@ -19,15 +19,17 @@ OVER_LIMIT_RAD = 0.1
 """Tolerance of the joint limits: the pose that a posture is computed from is not exact yet."""
 POSTURE_SIGMA_RAD = 0.7
 """Prior standard deviation of the joint angles about the initial posture [rad]."""
-INDEPENDENT = 30.0
-"""Independent measurements that the arm cells of a view count as."""
 EVIDENCE_CAP = 6.0
-"""Greatest log-likelihood ratio of a pose against its flip."""
+"""Greatest log-likelihood ratio of a pose against its flip: errors of one view correlate, none outweighs several."""
 MIN_CELLS = 60
-"""Least number of cells of the links."""
-_LAST_ANGLES = np.linspace(-np.pi, np.pi, 32, endpoint=False)
+"""Least number of cells of the links, or of the robot over all frames of a calibration."""
+LAST_ANGLES_RAD = np.linspace(-np.pi, np.pi, 32, endpoint=False)
+"""Angles of the last joint at which inverse kinematics is solved."""
+USUAL_Q = np.array([0.0, 0.3, 0.0, -2.0, 0.0, 2.3, 0.8])
+"""Usual posture of links that are not seen [rad]."""
 _SHOULDER_SIGMA_RAD = 1.0  # of joints 1 and 3 about zero: half a turn of both, joint 2 reversed, looks alike
-_COST_CAP = 25.0  # cap of a cell's squared residual
+COST_CAP = 25.0
+"""Greatest squared residual of a cell."""
 _SCORED_CELLS = 48
 
 
@@ -136,7 +138,7 @@ def find_posture(
     if len(links) < MIN_CELLS:
         return None
     X_BF = invert(X_CB) @ X_CH @ model.X_HF
-    q = analytic_ik(X_BF, _LAST_ANGLES).reshape(-1, 7)
+    q = analytic_ik(X_BF, LAST_ANGLES_RAD).reshape(-1, 7)
     q = q[np.isfinite(q).all(axis=1)]
     flipped = q.copy()
     flipped[:, 6] = (flipped[:, 6] + 2 * np.pi) % (2 * np.pi) - np.pi
@@ -146,7 +148,7 @@ def find_posture(
         lower, upper = model.lower - OVER_LIMIT_RAD, model.upper + OVER_LIMIT_RAD
         candidates = postures[((postures >= lower) & (postures <= upper)).all(axis=1)]
         if not len(candidates):
-            best.append((_COST_CAP, None))
+            best.append((COST_CAP, None))
             continue
         costs = posture_costs(model, candidates, scored, X_CB) + _shoulder_cost(candidates)
         best.append((float(costs.min()), candidates[costs.argmin()]))
@@ -159,7 +161,7 @@ def posture_costs(model: ArmModel, q: Array, cells: Correspondences, X_CB: Array
     rows = CellRows.of(Correspondences.stack([cells]))
     p_L = rows.in_line_frames(rows.place(X_CB @ model.poses(q))[0])
     square = (p_L[:, :2] ** 2).sum(axis=1) * rows.inverse_sigma[:, 0] ** 2
-    return np.asarray(np.where(p_L[:, 2] > 0, np.minimum(square, _COST_CAP), _COST_CAP).mean(axis=1))
+    return np.asarray(np.where(p_L[:, 2] > 0, np.minimum(square, COST_CAP), COST_CAP).mean(axis=1))
 
 
 def half_turn(arm: ArmHandModel) -> ArmHandModel:
@@ -170,7 +172,7 @@ def half_turn(arm: ArmHandModel) -> ArmHandModel:
 
 def _shoulder_cost(q: Array) -> Array:
     """Return the cost (M,) of how far the shoulder is turned at postures `q` (M, 7), in the unit of a cell's."""
-    return np.asarray(((q[:, [0, 2]] / _SHOULDER_SIGMA_RAD) ** 2).sum(axis=1) / INDEPENDENT)
+    return np.asarray(((q[:, [0, 2]] / _SHOULDER_SIGMA_RAD) ** 2).sum(axis=1) / CELLS_INDEPENDENT)
 
 
 def subsample(links: Correspondences) -> Correspondences:

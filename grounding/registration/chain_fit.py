@@ -13,20 +13,24 @@ from numpy.typing import NDArray
 
 from kinebench_drake.geometry import Array, cross, invert, make_pose, rotation_exp
 from kinebench_drake.grounding.registration.arm_edge_fit import LINKS_DEPTH_SIGMA
-from kinebench_drake.grounding.registration.arm_model import OVER_LIMIT_RAD, POSTURE_SIGMA_RAD, ArmModel
+from kinebench_drake.grounding.registration.arm_model import (
+    COST_CAP,
+    OVER_LIMIT_RAD,
+    POSTURE_SIGMA_RAD,
+    USUAL_Q,
+    ArmModel,
+)
 from kinebench_drake.grounding.registration.correspondences import Correspondences
 from kinebench_drake.grounding.registration.fit import align, pose_twist
 from kinebench_drake.grounding.registration.solver import Placement, Solution, solve
 from kinebench_drake.models.panda.robot import ARM, RobotPart
 from kinebench_drake.models.robot import N_JOINTS
 
-MIN_ROOT_CELLS, MIN_FLANGE_CELLS = 30, 10
-"""Least number of cells of the link that a fit begins with, and of the last link."""
+MIN_ROOT_CELLS, MIN_LINK_CELLS = 30, 10
+"""Least number of cells of the link that a fit begins with, and of the last link, or of one that a camera explains."""
 _ROOTS = (RobotPart.LINK6, RobotPart.LINK5)
 _ANGLES = 72
 _LEAST_CELLS, _COMPARED = 8, 60  # cells of a link that determine a joint, and greatest number of them compared
-_CAP = 25.0  # of a cell's squared residual
-_USUAL_Q = np.array([0.0, 0.3, 0.0, -2.0, 0.0, 2.3, 0.8])
 UNKNOWNS = 6 + N_JOINTS
 """Number of parameters of a `ChainModel`."""
 _ALIGN_PASSES = 6
@@ -83,7 +87,7 @@ class ChainFitter:
 
     def __init__(self, model: ArmModel) -> None:
         self._model = model
-        q = np.repeat(_USUAL_Q[None, None], N_JOINTS, axis=0).repeat(_ANGLES, axis=1)
+        q = np.repeat(USUAL_Q[None, None], N_JOINTS, axis=0).repeat(_ANGLES, axis=1)
         for joint in range(N_JOINTS):
             q[joint, :, joint] = np.linspace(model.lower[joint], model.upper[joint], _ANGLES)
         self._angle = q[np.arange(N_JOINTS), :, np.arange(N_JOINTS)]
@@ -97,7 +101,7 @@ class ChainFitter:
 
     def fit(self, cells: Correspondences) -> Solution[ChainModel] | None:
         """Fit the chain to cells of links; None if the last links are not seen."""
-        if (cells.part == RobotPart.LINK7).sum() < MIN_FLANGE_CELLS:
+        if (cells.part == RobotPart.LINK7).sum() < MIN_LINK_CELLS:
             return None
         solutions = []
         for root in _ROOTS:
@@ -105,7 +109,7 @@ class ChainFitter:
             enough = len(own) >= MIN_ROOT_CELLS
             solution = self.refit(self._follow(root, own, cells), cells, iterations=15) if enough else None
             if solution is not None:
-                square = np.minimum((solution.residual[:, :2] ** 2).sum(axis=1), _CAP)
+                square = np.minimum((solution.residual[:, :2] ** 2).sum(axis=1), COST_CAP)
                 solutions.append((float(square.mean()), solution))
         return min(solutions, key=lambda pair: pair[0])[1] if solutions else None
 
@@ -132,7 +136,7 @@ class ChainFitter:
 
     def _follow(self, root: RobotPart, own: Correspondences, cells: Correspondences) -> ChainModel:
         """Return the chain from the pose of one link, joint by joint to both sides."""
-        X_root, q = _align_robustly(own), _USUAL_Q.copy()
+        X_root, q = _align_robustly(own), USUAL_Q.copy()
         X = X_root
         for part in range(root + 1, RobotPart.LINK7 + 1):
             joint = part - ARM[1]
@@ -149,7 +153,7 @@ class ChainFitter:
         """Return the number of the angle at which a link at poses `X_CP` (M, 4, 4) matches its cells best."""
         own = cells.take(cells.part == part)
         if len(own) < _LEAST_CELLS:
-            return int(np.abs(self._angle[joint] - _USUAL_Q[joint]).argmin())
+            return int(np.abs(self._angle[joint] - USUAL_Q[joint]).argmin())
         return int(misfit(own, X_CP).argmin())
 
 
@@ -159,7 +163,7 @@ def misfit(cells: Correspondences, X_CP: Array) -> Array:
     p_C = np.einsum("mij,nj->mni", X_CP[:, :3, :3], cells.p_P) + X_CP[:, None, :3, 3]
     p_L = np.einsum("nij,mnj->mni", cells.R_LC, p_C)
     square = (p_L[..., :2] ** 2).sum(axis=-1) / cells.sigma_m[:, 0] ** 2
-    return np.asarray(np.where(p_L[..., 2] > 0, np.minimum(square, _CAP), _CAP).mean(axis=1))
+    return np.asarray(np.where(p_L[..., 2] > 0, np.minimum(square, COST_CAP), COST_CAP).mean(axis=1))
 
 
 def _align_robustly(cells: Correspondences) -> Array:

@@ -9,6 +9,13 @@ from numpy.typing import NDArray
 from kinebench_drake.geometry import Array, cross
 from kinebench_drake.grounding.tracking.view import OPENING_SIGNS, GripperView
 
+CELLS_INDEPENDENT = 30.0
+"""Greatest number of independent measurements that cells of links in a view count as: their errors correlate."""
+POINTS_INDEPENDENT = 60.0
+"""The same of points on the contour of the hand, or of a surface that is followed."""
+MIN_POINTS = 20
+"""Least number of points on a contour or surface that is matched."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Correspondences:
@@ -88,14 +95,12 @@ class Correspondences:
         )
 
     @staticmethod
-    def of_view(view: GripperView, mask: NDArray[np.bool_], limit: int, independent: float) -> "Correspondences":
-        """Return the correspondences of the cells in `mask` (h, w).
+    def of_view(
+        view: GripperView, mask: NDArray[np.bool_], limit: int = 300, independent: float = CELLS_INDEPENDENT
+    ) -> "Correspondences":
+        """Return the correspondences of the cells in `mask` (h, w) of a view.
 
-        Args:
-            view: dense estimates.
-            mask: (h, w) cells to use.
-            limit: greatest number of cells; more are subsampled evenly.
-            independent: greatest total weight.
+        More than `limit` are evenly subsampled; their total weight is `independent` at most.
         """
         v, u = np.nonzero(mask)
         if len(v) > limit:

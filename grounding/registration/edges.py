@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 
 from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array, invert, make_pose, rotation_z
-from kinebench_drake.grounding.registration.correspondences import Correspondences, edge_frames
+from kinebench_drake.grounding.registration.correspondences import MIN_POINTS, Correspondences, edge_frames
 from kinebench_drake.grounding.registration.image import EdgePoints, GradientImage
+from kinebench_drake.grounding.registration.solver import NEAREST_M
 from kinebench_drake.grounding.tracking.view import OPENING_SIGNS
 from kinebench_drake.models.panda.cad import PartCaster, link_meshes, part_meshes
 from kinebench_drake.models.panda.robot import OPENING_SIGN, RobotPart
@@ -25,17 +26,16 @@ from kinebench_drake.models.robotiq.cad import CLOSED_RAD, robotiq_mesh
 
 _HIDDEN = 3  # points on edges per point that is seen
 _SPACING_PX = 2.0  # distance of the points along an edge
-_NEAREST_M = 0.05  # least depth of a contour
 _BEHIND_M = 0.01  # a point farther than this behind the surface is hidden
 _BULGE_M = 0.03  # greatest difference of depth between a contour and the surface beside it
 _JUMP_M = 0.015  # least jump of the depth at a contour
 _BESIDE_PX = 1.5  # distance from the edge at which the jump is measured
 SIGMA_PX = 0.7
 """Standard deviation of an image edge across itself [px]."""
-_INDEPENDENT = 120.0  # independent measurements that the edges of an image count as at most
+INDEPENDENT = 120.0
+"""Greatest number of independent measurements that the edges of an image count as."""
 LEAST_GRADIENT = 6.0
 """Least gradient of an edge, of an image in 0..255 [1/px]."""
-_MIN_POINTS = 20
 _SEARCH_PX, _ON_CONTOUR_PX = 8.0, 1.0  # where the agreement looks for the strongest edge, and how near it must lie
 MAX_POINTS = 700
 """Points on the contours of an image, where they are compared with those of another camera."""
@@ -117,7 +117,7 @@ class EdgeMatcher:
         a, a_P = np.concatenate(placed), np.concatenate(contours)
         x, y, z = a[..., 0], a[..., 1], np.maximum(a[..., 2], 1e-9)
         u, v = camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy
-        inside = (z > _NEAREST_M) & (u > 0) & (u < camera.width) & (v > 0) & (v < camera.height)
+        inside = (z > NEAREST_M) & (u > 0) & (u < camera.width) & (v > 0) & (v < camera.height)
         shown = np.flatnonzero(inside[:, 0] & inside[:, 1])
         du, dv = (side[shown, 1] - side[shown, 0] for side in (u, v))
         length = np.sqrt(du**2 + dv**2)
@@ -221,7 +221,7 @@ class EdgeMatcher:
         """Return correspondences of contour points with edges of the image; None if too few are near."""
         move, strength = image.find_edges(points, reach_px)
         strong = strength > LEAST_GRADIENT
-        if strong.sum() < _MIN_POINTS:
+        if strong.sum() < MIN_POINTS:
             return None
         camera = image.camera
         place = (points.pixel + move[:, None] * points.normal)[strong]
@@ -232,7 +232,7 @@ class EdgeMatcher:
             points.p_P[strong],
             np.column_stack([sigma_m, np.full(len(place), np.inf)]),
             points.part[strong],
-            _INDEPENDENT,
+            INDEPENDENT,
             opening_sign=OPENING_SIGNS[points.part[strong]],
         )
 

@@ -19,8 +19,7 @@ MIN_CELLS = 12
 """Least number of gripper cells for a fit."""
 UNSEEN_FINGER_M = 0.02
 """Assumed finger travel where none is measured [m]."""
-_MAX_CELLS = 400
-_INDEPENDENT = 40.0  # independent measurements that the gripper cells of a view count as
+_MAX_CELLS, _INDEPENDENT = 400, 40.0  # of the gripper in a view, and measurements that they count as
 _MIN_FINGER_CELLS = 6
 _FINGER_SIGMA_M = 1.0  # prior of a visible finger's travel: next to none
 _FIXED = 1e12  # information of a fixed parameter

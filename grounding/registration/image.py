@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array, invert
-from kinebench_drake.grounding.registration.correspondences import Correspondences, line_frames
+from kinebench_drake.grounding.registration.correspondences import POINTS_INDEPENDENT, Correspondences, line_frames
 from kinebench_drake.grounding.registration.solver import BATCH
 from kinebench_drake.io.frames import Frames
 from kinebench_drake.models.panda.cad import PartCaster
@@ -30,11 +30,11 @@ _RIM_SIGMAS = 5.0  # standard deviations of a segmented rim beyond which nothing
 _OFF_RIM = 0.1  # weight of edges of the hand far from its segmented rim
 _CORNERS, _QUALITY, _SPACING_PX = 200, 0.005, 4.0
 _MASK_PX, _MARGIN_PX = 4, 5  # step of the rays that find the robot, and distance of the corners from its outline
-_WINDOW_PX, _LEVELS = 15, 4
-_RETURN_PX = 1.0  # largest distance of a point from its origin after it was followed forwards and back
+_WINDOW_PX, _LEVELS = 15, 4  # of the following of surfaces
+RETURN_PX = 1.0
+"""Largest distance of a point from its origin after it was followed forwards and back."""
 _LEAST_POINTS = 8
 _SIGMA_PX = 1.5
-_INDEPENDENT = 60.0  # independent measurements that the points of an image count as at most
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -162,6 +162,12 @@ def _gradient(image: NDArray[np.uint8]) -> tuple[NDArray[np.float32], NDArray[np
     return strongest[0], strongest[1]
 
 
+def find_corners(image: NDArray[np.uint8], mask: NDArray[np.uint8]) -> NDArray[np.float32]:
+    """Return the strongest corners (N, 2) of a grey image (Shi and Tomasi 1994) where `mask` (H, W) is not 0 [px]."""
+    corners = cv2.goodFeaturesToTrack(image, _CORNERS, _QUALITY, _SPACING_PX, mask=mask)
+    return np.empty((0, 2), np.float32) if corners is None else np.asarray(corners[:, 0], np.float32)
+
+
 def follow_points(
     before: NDArray[np.uint8],
     after: NDArray[np.uint8],
@@ -192,15 +198,13 @@ def follow_surface(
 
     In the image before, of the same camera, the parts of `caster` are at `X_CP` (PARTS, 4, 4) [m].
     """
-    corners = cv2.goodFeaturesToTrack(
-        before.gray, _CORNERS, _QUALITY, _SPACING_PX, mask=_inner_mask(caster, X_CP, before.camera)
-    )
-    if corners is None:
+    corners = find_corners(before.gray, _inner_mask(caster, X_CP, before.camera))
+    if not len(corners):
         return None
     moved, kept = follow_points(
-        before.gray, after.gray, corners[:, 0], _RETURN_PX, winSize=(_WINDOW_PX, _WINDOW_PX), maxLevel=_LEVELS
+        before.gray, after.gray, corners, RETURN_PX, winSize=(_WINDOW_PX, _WINDOW_PX), maxLevel=_LEVELS
     )
-    rays = _rays(corners[kept, 0] + 0.5, before.camera)
+    rays = _rays(corners[kept] + 0.5, before.camera)
     depth, part = caster.first_hits(X_CP, rays)
     hit = np.isfinite(depth) & ~np.isin(part, GRIPPER[1:])  # fingers move in the hand
     if hit.sum() < _LEAST_POINTS:
@@ -213,17 +217,17 @@ def follow_surface(
         np.einsum("nij,nj->ni", X_PC[:, :3, :3], rays * depth[:, None]) + X_PC[:, :3, 3],
         np.repeat((_SIGMA_PX / before.camera.fx * depth)[:, None], 2, axis=1),
         part,
-        _INDEPENDENT,
+        POINTS_INDEPENDENT,
     )
 
 
-def _inner_mask(caster: PartCaster, X_CP: Array, camera: Camera) -> Array:
+def _inner_mask(caster: PartCaster, X_CP: Array, camera: Camera) -> NDArray[np.uint8]:
     """Return the pixels (H, W) that show the robot, away from its outline."""
     u, v = np.meshgrid(*(np.arange(_MASK_PX / 2, side, _MASK_PX) for side in (camera.width, camera.height)))
     depth, _ = caster.first_hits(X_CP, _rays(np.column_stack([u.ravel(), v.ravel()]), camera))
     robot = np.isfinite(depth).reshape(u.shape).astype(np.uint8)
     mask = cv2.resize(robot, (camera.width, camera.height), interpolation=cv2.INTER_NEAREST)
-    return np.asarray(cv2.erode(mask, np.ones((_MARGIN_PX, _MARGIN_PX), np.uint8)))
+    return np.asarray(cv2.erode(mask, np.ones((_MARGIN_PX, _MARGIN_PX), np.uint8)), np.uint8)
 
 
 def _rays(pixel: NDArray[np.floating], camera: Camera) -> Array:

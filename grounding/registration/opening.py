@@ -15,6 +15,7 @@ from kinebench_drake.grounding.registration.image import EdgePoints, GradientIma
 from kinebench_drake.grounding.tracking.view import OPENING_SIGNS
 from kinebench_drake.models.panda.cad import MAX_FINGER_M, open_fingers
 from kinebench_drake.models.panda.robot import RobotPart
+from kinebench_drake.segments import evenly
 
 GAP_STEP_M = 0.002
 """Step of the grid of gaps [m]."""
@@ -27,8 +28,8 @@ _FINGERS = (RobotPart.LEFT_FINGER, RobotPart.RIGHT_FINGER)
 _OCCLUSIONS = 6  # gaps at which it is determined what hides the fingers
 _POINTS = 150
 _REACH_PX = 6.0
-_CHANCE = 0.2  # share of a contour that lies on edges anywhere
 _MOUNT_FRAMES = 8
+_CHANCE = 0.2  # share of a contour that lies on edges anywhere
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -47,7 +48,7 @@ def gap_log_likelihoods(edges: EdgeMatcher, hands: Mapping[int, HandImage]) -> d
     """
     if not hands:
         return {}
-    sample = [list(hands)[i] for i in np.unique(np.linspace(0, len(hands) - 1, _MOUNT_FRAMES).round().astype(int))]
+    sample = [list(hands)[i] for i in evenly(len(hands), _MOUNT_FRAMES)]
     best = [sum(_log_likelihood(edges, hands[i], mount).max() for i in sample) for mount in MOUNTS_M]
     mount = MOUNTS_M[int(np.argmax(best))]
     return {i: _log_likelihood(edges, hand, mount) for i, hand in hands.items()}

@@ -9,15 +9,15 @@ import numpy as np
 
 from kinebench_drake.geometry import Array
 from kinebench_drake.grounding import bounds
+from kinebench_drake.grounding.registration.correspondences import POINTS_INDEPENDENT
 from kinebench_drake.grounding.registration.edges import LEAST_GRADIENT, EdgeMatcher
 from kinebench_drake.grounding.registration.image import EdgePoints, GradientImage
 from kinebench_drake.models.panda.robot import RobotPart
 
-_STARTS = (1.0, 0.88, 1.12)  # sizes from which the fit starts
 _REACHES_PX = (8.0, 6.0, 4.0, 3.0)  # farthest image edges in successive passes
 _LEAST_POINTS = 30
+_STARTS = (1.0, 0.88, 1.12)  # sizes from which the fit starts
 _MOVED_PX, _STRETCHED = 1.0, 0.2  # standard deviations of the flange in the image, and of the relative stretch
-_INDEPENDENT = 60.0  # measurements that the contour counts as
 _TUKEY, _LEAST_SCATTER_PX, _PASSES = 4.0, 0.5, 4
 
 
@@ -45,7 +45,7 @@ def fit_shape(edges: EdgeMatcher, image: GradientImage, X_CP: Array) -> HandShap
     if points is None or len(points.pixel) < _LEAST_POINTS:
         return None
     share = float(edges.edge_shares(image, points).mean())
-    if share >= bounds.RIGHT_SHAPE:
+    if share >= bounds.CONFIRMATION:
         return HandShape()
     flange = image.camera.project(X_CP[RobotPart.HAND, :3, 3])
     best, A = share, np.eye(2)
@@ -85,7 +85,7 @@ def _fit(image: GradientImage, points: EdgePoints, flange: Array, A: Array) -> t
         design = np.column_stack([mapped.normal, across.reshape(len(offset), 4)])
         target, weight = offset + design @ x, on_edge.astype(np.float64)
         for _ in range(_PASSES):
-            weighted = design * (_INDEPENDENT * weight / max(1.0, weight.sum()))[:, None]
+            weighted = design * (POINTS_INDEPENDENT * weight / max(1.0, weight.sum()))[:, None]
             x = np.linalg.solve(weighted.T @ design + prior, weighted.T @ target)
             error = np.abs(target - design @ x)
             scatter = max(1.4826 * float(np.median(error[on_edge])), _LEAST_SCATTER_PX)

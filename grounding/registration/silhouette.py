@@ -12,15 +12,18 @@ from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
 from kinebench_drake.geometry import Array, invert, transform_points
-from kinebench_drake.grounding.registration.correspondences import Correspondences, edge_frames
+from kinebench_drake.grounding.registration.correspondences import (
+    Correspondences,
+    edge_frames,
+)
 from kinebench_drake.grounding.tracking.view import GripperView
 from kinebench_drake.models.panda.cad import GripperCad
 
+_INDEPENDENT = 80.0  # independent measurements that a silhouette counts as at most
+_MIN_POINTS = 12
 _GATE_CELLS = 4.0  # distance of the farthest pairs of rendered and segmented rim
 _SIGMA_CELLS = 0.5  # standard deviation of the rim of a mask
-_INDEPENDENT = 80.0  # independent measurements that a silhouette counts as at most
 _MIN_COSINE = 0.3  # between the normals of rendered and segmented rim
-_MIN_POINTS = 12
 
 
 class SilhouetteMatcher:

@@ -20,8 +20,10 @@ from kinebench_drake.models.panda.robot import RobotPart
 
 BATCH = 8
 """Frames that are best solved together: their cells still fit into a processor's cache."""
-_CAUCHY = 2.0  # residual, in standard deviations, whose weight is one half
-_NEAREST_M = 0.05
+CAUCHY = 2.0
+"""Residual, in standard deviations, at which Cauchy's weight is one half."""
+NEAREST_M = 0.05
+"""Least depth of a point that a camera sees [m]."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -219,7 +221,7 @@ def solve(
     r, robust, H, _ = _normal_equations(model, rows, sigma, log_factor)
     placement = model.place()
     p_C, _ = rows.place(placement.X_CP, placement.finger_m)
-    valid = np.isfinite(p_C).all(axis=(1, 2)) & (p_C[:, 2] >= _NEAREST_M).all(axis=1)
+    valid = np.isfinite(p_C).all(axis=(1, 2)) & (p_C[:, 2] >= NEAREST_M).all(axis=1)
     last = H[:, :-1, -1]
     return Solution(
         model=model,
@@ -238,7 +240,7 @@ def _normal_equations(
     r, J = residuals(model.place(), cells, log_depth_factor)
     square = r**2
     square[:, :2] = square[:, :1] + square[:, 1:2]
-    robust = 1.0 / (1.0 + square / _CAUCHY**2)
+    robust = 1.0 / (1.0 + square / CAUCHY**2)
     W = robust * cells.weight[:, None]
     flat = J.reshape(*J.shape[:2], -1)
     weighted = (J * W[:, None]).reshape(flat.shape)

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from kinebench_drake.camera import Camera
 from kinebench_drake.environment.native import share_heap
 from kinebench_drake.geometry import Array
+from kinebench_drake.grounding.registration.solver import BATCH
 from kinebench_drake.grounding.tracking.crop import CLOSE_SIZE, Crop
 from kinebench_drake.grounding.tracking.view import GripperView
 from kinebench_drake.io.frames import Frames
@@ -27,7 +28,6 @@ from kinebench_drake.models.perception.network import (
     use_onednn,
 )
 
-_BATCH = 8  # crops of `CLOSE_SIZE` on the CPU; fewer larger ones, which need as much memory
 _BATCH_ON_GPU = 64  # crops of any size; always as many, since cuDNN plans for seconds for each number of them
 DEPTH_FACTOR_SIGMA = 0.012
 """Relative standard deviation of the depth error that the network makes alike on all of the robot."""
@@ -80,7 +80,7 @@ class NetworkEstimator:
 
     def _batches(self, crops: Mapping[int, Crop]) -> Iterator[list[int]]:
         for size in sorted({crop.size for crop in crops.values()}):
-            count = self._whole_batch or max(1, _BATCH * CLOSE_SIZE**2 // size**2)
+            count = self._whole_batch or max(1, BATCH * CLOSE_SIZE**2 // size**2)
             members = [i for i, crop in crops.items() if crop.size == size]
             yield from (members[start : start + count] for start in range(0, len(members), count))
 

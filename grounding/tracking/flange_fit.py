@@ -12,7 +12,7 @@ import numpy as np
 from kinebench_drake.geometry import Array
 from kinebench_drake.grounding.registration.arm_edge_fit import FOLLOWED_REACHES_PX, LAST_LINKS
 from kinebench_drake.grounding.registration.arm_fit import ArmFit
-from kinebench_drake.grounding.registration.chain_fit import MIN_FLANGE_CELLS, UNKNOWNS, ChainFitter, ChainModel, misfit
+from kinebench_drake.grounding.registration.chain_fit import MIN_LINK_CELLS, UNKNOWNS, ChainFitter, ChainModel, misfit
 from kinebench_drake.grounding.registration.correspondences import Correspondences
 from kinebench_drake.grounding.registration.edges import OPENINGS, FlangeShape
 from kinebench_drake.grounding.registration.fit import HandFit
@@ -23,12 +23,10 @@ from kinebench_drake.grounding.tracking.pose import FramePose
 from kinebench_drake.grounding.tracking.view import GripperView
 from kinebench_drake.models.panda.robot import ARM, RobotPart
 
-LINK_CELLS, INDEPENDENT = 300, 30.0
-"""Greatest number of cells of the links in a view, and of independent measurements that they count as."""
 REACHES_PX = (8.0, 5.0, 3.0, 2.0)
 """Farthest edges of the last links in successive passes [px]."""
-_WIDE_REACHES_PX = (14.0, 10.0, 6.0, 4.0, 3.0, 2.0)  # likewise of a gripper, which the links place only roughly
-_LINKS = ARM[-4:]  # links whose edges are matched
+_WIDE_REACHES_PX = (14.0, 10.0, *FOLLOWED_REACHES_PX)  # of a gripper, which the links place only roughly
+_LINKS = (RobotPart.LINK4, *LAST_LINKS)  # links whose edges are matched
 _FLANGE = (RobotPart.LINK7,)
 _POINTS = 300
 _STARTS, _START_SIGMA_RAD = 4, np.deg2rad(15.0)  # turns from which a frame is fitted with a gripper, and their prior
@@ -235,8 +233,8 @@ def _without_upper_arm(X_CP: Array, links: Sequence[RobotPart] = LAST_LINKS) -> 
 
 def _off_cells(view: GripperView, X_CP: Array) -> Array:
     """Return the misfit (M,) of the cells of the last link, with parts at `X_CP` (M, PARTS, 4, 4); 0 without cells."""
-    cells = Correspondences.of_view(view, view.part == RobotPart.LINK7, LINK_CELLS, INDEPENDENT)
-    return misfit(cells, X_CP[:, RobotPart.LINK7]) if len(cells) >= MIN_FLANGE_CELLS else np.zeros(len(X_CP))
+    cells = Correspondences.of_view(view, view.part == RobotPart.LINK7)
+    return misfit(cells, X_CP[:, RobotPart.LINK7]) if len(cells) >= MIN_LINK_CELLS else np.zeros(len(X_CP))
 
 
 def _peaks(values: Array) -> list[int]:

@@ -21,9 +21,10 @@ from kinebench_drake.grounding.registration.arm_model import ArmModel
 from kinebench_drake.grounding.registration.chain_fit import ChainFitter
 from kinebench_drake.grounding.registration.correspondences import Correspondences
 from kinebench_drake.grounding.registration.edges import links_shape, robotiq_shape
+from kinebench_drake.grounding.registration.fit import MIN_CELLS
 from kinebench_drake.grounding.registration.image import GradientImages
 from kinebench_drake.grounding.tracking.crop import CLOSE_SIZE, WRIST_CENTRE_H, WRIST_RADIUS_M, Crop
-from kinebench_drake.grounding.tracking.flange_fit import INDEPENDENT, LINK_CELLS, REACHES_PX, FlangeFitter, FlangeView
+from kinebench_drake.grounding.tracking.flange_fit import REACHES_PX, FlangeFitter, FlangeView
 from kinebench_drake.grounding.tracking.localization import find_region
 from kinebench_drake.grounding.tracking.markov import OFFSETS_RAD, TURNS_RAD, likeliest_turns
 from kinebench_drake.grounding.tracking.pose import FramePose
@@ -35,7 +36,6 @@ from kinebench_drake.track import Domain
 
 # Cells of a gripper are taken for a hand, and lie where the wrist is.
 _SEEN = (*LAST_LINKS, RobotPart.HAND)
-_MIN_CELLS = 12
 _QUANTILES, _MARGIN = (5.0, 95.0), 0.8  # of the cells of the wrist; half size of its crop over their extent
 _SHOWN, _COARSE = 12, 3  # frames and openings that tell how a gripper is mounted
 _MOUNT_GRID_RAD = np.deg2rad(np.arange(0.0, 360.0, 9.0))
@@ -126,7 +126,7 @@ class FlangeTracker:
                     ((_, shown),) = self._look({k: _crop_at(poses[i].X_CH)}, video)
                     proposed.append(video.flange.detect(shown, poses[i]))
                 best = max(proposed, key=_agreement)
-                if best is not None and _agreement(best) > _agreement(proposed[0]) + bounds.NEIGHBOUR_GAIN:
+                if best is not None and _agreement(best) > _agreement(proposed[0]) + bounds.GAIN:
                     poses[k] = best
 
     def _mount(self, poses: Mapping[int, FramePose], video: _Video) -> FlangeFitter:
@@ -226,13 +226,13 @@ def _with_turn_sigma(pose: FramePose, sigma_rad: float) -> FramePose:
 
 
 def _link_cells(close: GripperView, wide: GripperView) -> Correspondences:
-    return Correspondences.join([Correspondences.of_view(v, v.arm, LINK_CELLS, INDEPENDENT) for v in (close, wide)])
+    return Correspondences.join([Correspondences.of_view(v, v.arm) for v in (close, wide)])
 
 
 def _wrist_crop(view: GripperView) -> Crop | None:
     """Return the crop around the last links in a view of the whole image; None if it shows too few of their cells."""
     cells = np.isin(view.part, _SEEN)
-    if cells.sum() < _MIN_CELLS:
+    if cells.sum() < MIN_CELLS:
         return None
     low, high = np.percentile(np.argwhere(cells), _QUANTILES, axis=0)
     v, u = ((low + high) / 2).round().astype(int)

@@ -14,19 +14,20 @@ from numpy.typing import NDArray
 
 from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array
+from kinebench_drake.grounding import bounds
 from kinebench_drake.grounding.registration.fit import fit
 from kinebench_drake.grounding.tracking.crop import GRIPPER_RADIUS_M, WIDE_SIZE, Crop
 from kinebench_drake.grounding.tracking.view import DenseEstimator, GripperView
 from kinebench_drake.io.frames import Frames
 from kinebench_drake.models.panda.robot import RobotPart
+from kinebench_drake.segments import evenly
 
-_KEY_FRAMES = 5
+PART_CELLS = 40
+"""Cells from which a part counts as seen, or the robot in a tile."""
 _SMALL_PX = 32.0  # diameter of a gripper in the crop of the whole image below which the region is enlarged
 _LEVELS = (2, 4)  # sizes of the image over that of a tile
 _LEAST_TILE_PX = 128.0  # in smaller ones a gripper that larger ones do not show is too small to be measured
-_MIN_CELLS = 40  # robot cells that a tile must show to count
 _MARGIN = 1.25  # size of the region over that of the box around the robot
-_LEAST_SHARE = 0.2  # least size of the region over that of the image
 _WRIST, _WRIST_BONUS = (RobotPart.LINK6, RobotPart.LINK7), 4.0
 _WHOLE_SHARE = 0.8  # size from which the whole image is taken
 
@@ -38,7 +39,7 @@ def find_region(
 
     Those are the views of the whole images by frame number.
     """
-    keys = np.unique(np.linspace(0, len(frames) - 1, _KEY_FRAMES).round().astype(int)).tolist()
+    keys = evenly(len(frames), bounds.SAMPLED_FRAMES).tolist()
     sizes = [_gripper_px(whole[key]) for key in keys]
     if 2 * sum(size >= _SMALL_PX for size in sizes) > len(keys):
         return None
@@ -80,7 +81,7 @@ def _robot_box(view: GripperView, camera: Camera) -> Array | None:
     """Return the box (left, top, right, bottom) around the robot in the image [px]; None if the view shows none."""
     cells = view.part > 0
     v, u = np.nonzero(cells & view.in_image)
-    if cells.sum() < _MIN_CELLS or not len(v):
+    if cells.sum() < PART_CELLS or not len(v):
         return None
     corners = np.column_stack([u + 0.5, v + 0.5, np.ones(len(v))]) @ view.crop.homography(camera, view.stride).T
     pixel = corners[:, :2] / corners[:, 2:]
@@ -104,7 +105,7 @@ def _centres(length: float, size: float) -> NDArray[np.float64]:
 def _region(boxes: Array, camera: Camera) -> Crop | None:
     low, high = boxes[:, :2].min(axis=0), boxes[:, 2:].max(axis=0)
     largest = max(camera.width, camera.height)
-    size = max(_MARGIN * float((high - low).max()), _LEAST_SHARE * largest)
+    size = _MARGIN * float((high - low).max())
     return None if size >= _WHOLE_SHARE * largest else _crop_around((low + high) / 2, size, camera)
 
 

@@ -22,13 +22,13 @@ from scipy.special import logsumexp, softmax
 
 from kinebench_drake.geometry import Array, invert, make_pose, rotation_angle, rotation_exp, transform_points
 from kinebench_drake.grounding import bounds
+from kinebench_drake.grounding.registration.arm_model import EVIDENCE_CAP
 from kinebench_drake.grounding.registration.opening import GAP_STEP_M, GAPS_M
 from kinebench_drake.grounding.tracking.pose import FramePose
 from kinebench_drake.models.panda.cad import MAX_FINGER_M
 
 X_HALF_TURN = make_pose(rotation_exp([0.0, 0.0, np.pi]), np.zeros(3))
 """Pose (4, 4) of the flipped hand in the hand frame: 180 degrees about z."""
-_EVIDENCE_CAP = 6.0  # label errors of one view are correlated: no frame outweighs several others
 _CAP_WITH_EDGES = 2.0  # where poses had to be fitted to edges, the CAD coordinates are less sure
 _ROTATION_SIGMA_RAD = np.deg2rad(20.0)  # usual rotation between frames
 _ROTATION_CAP = 40.0  # cost of a jump: half a turn in one frame is no motion of an arm
@@ -40,7 +40,6 @@ _STATES = 5  # states from one turn of the grid to the next
 _STEP_RAD = np.deg2rad(8.0)  # standard deviation of a step from frame to frame, and of a change that is measured badly
 _CHANGE_RAD, _BADLY = np.deg2rad(1.5), 0.1  # standard deviation of a measured change, and share of the bad ones
 _BLUNT_FACTOR = 2.5  # factor by which the error of a width that is not sharp exceeds its standard deviation
-_FLOOR_M = 0.001  # least standard deviation of a measurement
 _OUTLIER_SHARE = 0.02
 _EDGE_OUTLIERS = 0.05
 _SPEEDS = np.array([0, *(s * k for k in (1, 2, 3, 4, 6, 10, 15, 25, 40) for s in (-1, 1))])
@@ -81,8 +80,8 @@ def flip_evidence(pose: FramePose) -> float:
     flipped = np.abs(p_H * [-1.0, -1.0, 1.0] - estimated_H).sum(axis=1) / scale
     of_hand = float((flipped - as_fitted).mean())
     if pose.arm is None:
-        return float(np.clip(of_hand, -_EVIDENCE_CAP, _EVIDENCE_CAP))
-    cap = _EVIDENCE_CAP if np.isnan(pose.arm.edge_agreement) else _CAP_WITH_EDGES
+        return float(np.clip(of_hand, -EVIDENCE_CAP, EVIDENCE_CAP))
+    cap = EVIDENCE_CAP if np.isnan(pose.arm.edge_agreement) else _CAP_WITH_EDGES
     return float(np.clip(of_hand, -cap, cap)) + pose.arm.evidence
 
 
@@ -192,7 +191,7 @@ def _median(probabilities: Array) -> float:
 
 def _likelihoods(width_m: Array, sigma_m: Array, widths: Array) -> Array:
     """Return the likelihoods (T, S) of the states, whose widths are `widths` (S,), given the measurements (T,)."""
-    sigma_m = np.where(sigma_m <= bounds.SHARP_M, np.maximum(sigma_m, _FLOOR_M), _BLUNT_FACTOR * sigma_m)
+    sigma_m = np.where(sigma_m <= bounds.SHARP_M, np.maximum(sigma_m, GAP_STEP_M / 2), _BLUNT_FACTOR * sigma_m)
     usable = np.isfinite(width_m) & (sigma_m <= _BLUNT_FACTOR * bounds.BLIND_M)
     width_m, sigma_m = np.where(usable, width_m, 0.0)[:, None], np.where(usable, sigma_m, 1.0)[:, None]
     fits = np.exp(-0.5 * ((widths - width_m) / sigma_m) ** 2) / sigma_m

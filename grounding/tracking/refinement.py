@@ -19,9 +19,9 @@ from kinebench_drake.grounding.tracking.crop import CLOSE_MARGIN, CLOSE_SIZE, Cr
 from kinebench_drake.grounding.tracking.pose import FramePose
 from kinebench_drake.grounding.tracking.view import GripperView
 from kinebench_drake.io.frames import Frames
+from kinebench_drake.segments import evenly
 from kinebench_drake.track import Domain
 
-_SAMPLES = 7  # frames in which the edges are compared with the network's poses
 _FOLLOWED_FRAMES = 3  # frames without a sure pose across which the surface is followed at once
 
 
@@ -85,9 +85,9 @@ class EdgeRefinement:
             return False
         numbers = [i for i, pose in sorted(self.poses.items()) if pose.arm_agrees and not pose.from_prior]
         estimated = sum(not pose.from_prior for pose in self.poses.values())
-        if not numbers or len(numbers) < bounds.AGREEING_SHARE * estimated:
+        if not numbers or len(numbers) < bounds.MAJORITY * estimated:
             return bool(self.poses) and estimated == 0
-        sample = [numbers[k] for k in np.unique(np.linspace(0, len(numbers) - 1, _SAMPLES).round().astype(int))]
+        sample = [numbers[k] for k in evenly(len(numbers), bounds.SAMPLED_FRAMES)]
         arms = self._sharpened(sample)
         agreements = [self._fitter.at([i]).edge_agreement(arm.q, self._images[i]) for i, arm in arms.items()]
         agreement = float(np.median(agreements))
@@ -98,12 +98,12 @@ class EdgeRefinement:
             return False
         distance = float(np.median([pose_difference(fit.X_CH, arm.X_CH)[0] for fit, arm in fits]))
         gain = float(np.median([fit.edge_agreement for fit, _ in fits])) - agreement
-        return distance <= bounds.SMALL_M or (distance <= bounds.FAR_M and gain <= bounds.EDGE_GAIN)
+        return distance <= bounds.SMALL_M or (distance <= bounds.FAR_M and gain <= bounds.CONTOUR_GAIN)
 
     @property
     def domain(self) -> Domain:
         """Domain of the video, after `run`: where the network missed the gripper in many frames, its views mislead."""
-        missed = len(self._reached) > bounds.MISSED_SHARE * len(self.poses)
+        missed = len(self._reached) > bounds.FEW * len(self.poses)
         return Domain.FAMILIAR if self.is_familiar and not missed else Domain.UNFAMILIAR
 
     def run(self) -> None:

@@ -198,7 +198,7 @@ def test_a_view_without_links_has_no_arm_fit(scene: tuple[Array, GripperView, Gr
 
 def link_cells(*views: GripperView) -> Correspondences:
     """The cells of the links alone, as with a gripper that is not Franka's."""
-    return Correspondences.join([Correspondences.of_view(v, np.isin(v.part, ARM), 300, 30.0) for v in views])
+    return Correspondences.join([Correspondences.of_view(v, np.isin(v.part, ARM)) for v in views])
 
 
 @pytest.mark.parametrize("seed", range(3))

@@ -15,8 +15,9 @@ from benchmarks.perception.trial import evaluate
 from benchmarks.perception.variants import VARIANTS, VariantTools
 from kinebench_drake.camera import Camera, benchmark_camera
 from kinebench_drake.geometry import Array, make_pose
+from kinebench_drake.grounding import bounds
 from kinebench_drake.grounding.overlay import draw_overlay, draw_pose
-from kinebench_drake.grounding.pipeline import CHECKED_FRAMES, GroundingPipeline
+from kinebench_drake.grounding.pipeline import GroundingPipeline
 from kinebench_drake.grounding.priors import NO_PRIORS, InitialStateUse, Priors
 from kinebench_drake.grounding.tracking.confidence import (
     FRAME_FEATURES,
@@ -98,7 +99,7 @@ def test_images_without_a_robot_give_no_track(pipeline: GroundingPipeline) -> No
     assert grounding.anomalies == ()
 
 
-@pytest.mark.parametrize(("agreeing", "comparisons"), [(0, 1), (CHECKED_FRAMES, 2)])
+@pytest.mark.parametrize(("agreeing", "comparisons"), [(0, 1), (bounds.SAMPLED_FRAMES, 2)])
 def test_a_followed_camera_is_compared_with_a_fixed_one_only_if_frames_show_the_arm(
     pipeline: GroundingPipeline, clip: TruthClip, agreeing: int, comparisons: int
 ) -> None:
@@ -121,7 +122,7 @@ def test_a_followed_camera_is_compared_with_a_fixed_one_only_if_frames_show_the_
     frames = np.stack([wide[:, 8 * k : 8 * k + 384] for k in range(12)])
     tracker = Fake()
     GroundingPipeline(tracker, load_confidence()).observe(frames, clip.camera, 0.2 * np.arange(12))
-    assert tracker.counts == [1, *comparisons * [CHECKED_FRAMES], len(frames)]
+    assert tracker.counts == [1, *comparisons * [bounds.SAMPLED_FRAMES], len(frames)]
 
 
 def test_the_initial_state_is_used_unless_the_first_frame_contradicts_it(
