@@ -142,18 +142,11 @@ def section(comparisons: Sequence[IkComparison]) -> str:
         "and verifies its own result in Drake within its time. A warm start is given the true postures. "
         "`benchmarks/peers.py` has how each solver is used.",
     ]
-    sets = [c.tracks for c in comparisons]
-    parts.append(f"Tracks: {'; '.join(f'{s.tracks} of {s.frames} frames at {s.period_s:g} s' for s in sets)}.")
-    head = ("solver", *("us a pose", "times ours", "reached, smooth") * len(sets))
-    solvers = zip(*(c.timings for c in comparisons), strict=True)
-    rows = [
-        [
-            timings[0].label,
-            *(cell for c, timing in zip(comparisons, timings, strict=True) for cell in _cells(c, timing)),
-        ]
-        for timings in solvers
-    ]
-    parts.append(markdown.table(head, rows))
+    (first, tracks), *others = [(c, f"{c.tracks.frames} frames at {c.tracks.period_s:g} s") for c in comparisons]
+    rest = "".join(f" Ratios for tracks of {text} stand in `benchmarks/results/ik.json`." for _, text in others)
+    parts.append(f"{first.tracks.tracks} tracks of {tracks}.{rest}")
+    head = ("solver", "us a pose", "times ours", "reached, smooth")
+    parts.append(markdown.table(head, ([timing.label, *_cells(first, timing)] for timing in first.timings)))
     return markdown.section("Inverse kinematics along smooth tracks", *parts)
 
 

@@ -46,7 +46,7 @@ _INTRODUCTION = (
     "over videos. Tracked: of the frames in which at least 30 % of the gripper is visible. The programs that perturb "
     "these frames are not used in training, but training images of both networks are degraded in similar ways. "
     "The network is the [learned baseline](grounding.md#learned-baseline), trained on {training}. "
-    "All strengths: [{figure}]({figure})."
+    "Rotations and all strengths: [{figure}]({figure})."
 )
 
 
@@ -91,9 +91,9 @@ def section(outcome: StudyOutcome, tasks: Sequence[str], training: str) -> str:
         training: description of that training.
     """
     videos = outcome.results[CLEAN.name]
-    head = ["frames", "videos"]
+    head = ["frames"]
     for extractor, *_ in _STYLES:
-        head += [f"{extractor}: tracked", *(f"{quantity} [{unit}]" for quantity, unit, _ in _PANELS), "off by 3 cm"]
+        head += [f"{extractor}: tracked", "position [mm]", "off by 3 cm"]
     return markdown.section(
         "Perturbed frames, and inverse dynamics",
         wrap(_INTRODUCTION.format(training=training, figure=FIGURE.name), width=WIDTH),
@@ -107,30 +107,28 @@ def section(outcome: StudyOutcome, tasks: Sequence[str], training: str) -> str:
 
 
 def _rows(outcome: StudyOutcome, tasks: Sequence[str]) -> Iterator[list[str]]:
-    videos = outcome.results[CLEAN.name]
     for name in (CLEAN.name, TRUE_DEPTH.name):
-        yield _row(name, len(videos), [outcome.figures.get(name + suffix) for _, suffix, *_ in _STYLES])
+        yield _row(name, [outcome.figures.get(name + suffix) for _, suffix, *_ in _STYLES])
     for trained, label in ((True, "tasks of the network's training"), (False, "other tasks")):
         groups = [
             [e for e in outcome.results[CLEAN.name + suffix] if (e.task in tasks) is trained]
             for _, suffix, *_ in _STYLES
         ]
         if groups[0]:
-            yield _row(f"{CLEAN.name}, {label}", len(groups[0]), [intervals(group) for group in groups])
+            yield _row(f"{CLEAN.name}, {label}", [intervals(group) for group in groups])
     for name in outcome.study.required:
-        yield _row(name, len(videos), [outcome.figures[name + suffix] for _, suffix, *_ in _STYLES])
+        yield _row(name, [outcome.figures[name + suffix] for _, suffix, *_ in _STYLES])
 
 
-def _row(name: str, videos: int, columns: Sequence[Mapping[str, IntervalEstimate] | None]) -> list[str]:
-    cells = [name, str(videos)]
+def _row(name: str, columns: Sequence[Mapping[str, IntervalEstimate] | None]) -> list[str]:
+    cells = [name]
     for figures in columns:
         if figures is None:
-            cells += [""] * 4
+            cells += [""] * 3
             continue
         cells.append(f"{figures['tracked_when_seen'].value:.1%}")
-        for quantity, unit, _ in _PANELS:
-            median, p95 = (figures[f"{quantity}_{which}_{unit}"] for which in ("median", "p95"))
-            cells.append(f"{median.value:.1f} [{median.low:.1f}, {median.high:.1f}] / {p95.value:.1f}")
+        median, p95 = (figures[f"position_{which}_mm"] for which in ("median", "p95"))
+        cells.append(f"{median.value:.1f} [{median.low:.1f}, {median.high:.1f}] / {p95.value:.1f}")
         cells.append(f"{figures['tracked_frames_off_by_3_cm'].value:.1%}")
     return cells
 

@@ -42,6 +42,8 @@ class Stage(Enum):
     REST = "rest"
 
 
+_SHOWN_S = 0.3
+"""Least processor time of a stage in the table [s]."""
 _FUNCTIONS: tuple[tuple[Any, str, Stage], ...] = (
     (Simulator, "reset", Stage.RESET),
     (Simulator, "render", Stage.IMAGE),
@@ -143,12 +145,13 @@ def figures(timing: RoundTiming) -> dict[str, float]:
 def section(timing: RoundTiming) -> str:
     """Return the section of the page, in Markdown."""
     total = sum(timing.seconds.values())
-    rows = [[stage.value, f"{timing.seconds[stage] / timing.rounds:.2f}"] for stage in Stage]
+    rows = [[stage.value, f"{s:.1f}"] for stage in Stage if (s := timing.seconds[stage] / timing.rounds) >= _SHOWN_S]
     own_s = (total - timing.seconds[Stage.MODEL]) / timing.rounds
     return markdown.section(
         "A round of the closed loop",
         f"`python -m benchmarks rounds` on {machine_text()}: {timing.rounds} rounds of {timing.episodes} episodes of "
-        f"suite 0 with the oracle. {timing.successes} episodes succeed. Processor times of all threads.",
-        markdown.table(("stage", "s a round"), [*rows, ["all", f"{total / timing.rounds:.2f}"]]),
+        f"suite 0 with the oracle. {timing.successes} episodes succeed. Processor times of all threads; "
+        f"stages of {_SHOWN_S:g} s or more.",
+        markdown.table(("stage", "s a round"), [*rows, ["all", f"{total / timing.rounds:.1f}"]]),
         f"Without the world model a round takes {own_s:.1f} s of processor time.",
     )

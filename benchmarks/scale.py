@@ -263,8 +263,8 @@ def section(result: ScaleResult) -> str:
         "and judging are replaced by rows and tracks of the example videos. Memory: peak of the main process, "
         "libraries included.",
         markdown.table(
-            ("stage", "wall time, s", "processor time, s", "memory, MB"),
-            [[s.stage, f"{s.wall_s:.0f}", f"{s.cpu_s:.0f}", f"{s.memory_mb:.0f}"] for s in result.stages],
+            ("stage", "wall time, s", "memory, MB"),
+            [[s.stage, f"{s.wall_s:.0f}", f"{s.memory_mb:.0f}"] for s in result.stages],
         ),
         f"`samples.jsonl`: {result.samples_mb:.0f} MB. `report.html`: {result.report_mb:.1f} MB.{opened}",
     )

@@ -144,7 +144,7 @@ def section(costs: RunCosts, *, videos: int, tracks: int) -> str:
     turns = len(next(iter(costs.values())))
     head = (
         *("run", "start-up, s", "first sample, additional s", "s a sample"),
-        *("samples an hour", "times one process", "memory, MB"),
+        *("times one process", "memory, MB"),
     )
     return markdown.section(
         "Whole runs",
@@ -166,7 +166,6 @@ def _rows(costs: RunCosts) -> Iterator[list[str]]:
             spread(np.array([run.start_up_s for run in runs]), 1),
             spread(np.array([run.first_s for run in runs]), 1),
             spread(sample_s, 2),
-            f"{3600.0 / np.median(sample_s):.0f}",
             spread(np.array(single) / sample_s, 2),
             " + ".join(f"{mb:.0f}" for mb in (peak.main_mb, *peak.workers_mb)),
         ]
