@@ -5,7 +5,7 @@ errors, and with true depth that has smooth errors. In each frame the errors of 
 their combination are compared.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -163,27 +163,22 @@ def measure(
 def section(results: Mapping[str, Sequence[RegistrationErrors]], seed: int = 0) -> str:
     """Return the section of docs/grounding.md: medians by kind of depth, with intervals over videos."""
     videos = len(next(iter(results.values())))
-    head = ["depth", "frames", "weight", "fitness", "distance, mm"]
+    frames = sum(len(e.weight) for e in next(iter(results.values())))
+    head = ["depth", "weight"]
     head += [f"{name}, mm / degrees" for name in _POSES] + ["combined less fit, mm / degrees"]
     rows = [[name, *_cells(errors, np.random.default_rng(seed))] for name, errors in results.items()]
     return markdown.section(
         "What ICP contributes",
         f"Written by `python -m benchmarks icp heldout --keep icp.jsonl --limit {videos} --out docs/grounding.md`: "
-        f"single frames of {videos} held-out videos, before smoothing. The depth is the network's, the true one with "
-        "errors, or exact. All columns but the last are medians. The last is the mean difference in the same frames, "
-        "with its 95 % bootstrap interval over videos.",
+        f"{frames} single frames of {videos} held-out videos, before smoothing. The depth is the network's, the true "
+        "one with errors, or exact. All columns but the last are medians. The last is the mean difference in the same "
+        "frames, with its 95 % bootstrap interval over videos.",
         markdown.table(head, rows),
     )
 
 
 def _cells(errors: Sequence[RegistrationErrors], rng: np.random.Generator) -> Iterator[str]:
-    def median(get: Callable[[RegistrationErrors], Sequence[float]]) -> float:
-        return float(np.median(np.concatenate([get(e) for e in errors])))
-
-    yield str(sum(len(e.weight) for e in errors))
-    yield f"{median(lambda e: e.weight):.2f}"
-    yield f"{median(lambda e: e.fitness):.2f}"
-    yield f"{1e3 * median(lambda e: e.rmse_m):.2f}"
+    yield f"{np.median(np.concatenate([e.weight for e in errors])):.2f}"
     for name in _POSES:
         position = float(np.median(np.concatenate([e.position_m[name] for e in errors])))
         rotation = float(np.median(np.concatenate([e.rotation_rad[name] for e in errors])))

@@ -37,6 +37,8 @@ CURVES = (
 )
 """Numbers whose dose-response curves are drawn."""
 _LEAST_RANGE = 1e-9  # of an axis
+_GREATEST = 3
+"""Number of coefficients in the table; the figure has all."""
 FIGURES = ("validity_separation.png", "validity_response.png", "validity_success.png")
 """Figures beside the page."""
 RESPONSES = "validity_responses.csv"
@@ -73,26 +75,30 @@ def write_report(trials: Sequence[ValidityTrial], source: Mapping[str, Json], fo
 def _fault_lines(study: Study, source: Mapping[str, Json]) -> Iterator[str]:
     tasks = {t.task for t in study.clean.values()}
     yield (
-        f"{len(study.clean)} episodes of {len(tasks)} tasks (suite {SUITE}, {SPLIT}), {len(study.trials)} videos, at "
+        f"{len(study.clean)} episodes of {len(tasks)} tasks (suite {SUITE}, {SPLIT}), {len(study.trials)} videos, "
+        f"{min(map(len, study.faulty.values()))} to {max(map(len, study.faulty.values()))} a size, at "
         f"revision {source['revision']} with the weights {source['weights']}. Wilson's 95 % intervals of these shares "
         f"reach {_reach(min(map(len, study.faulty.values()))):.0%} at most to either side."
     )
     yield ""
     yield from table(
-        ("fault", "size", "videos", "success in closed loop", "executable", "fault named by the detectors"),
+        ("fault", "sizes", "success in closed loop", "executable", "fault named by the detectors"),
         _fault_rows(study),
     )
 
 
 def _fault_rows(study: Study) -> Iterator[list[str]]:
     clean = list(study.clean.values())
-    yield ["none", "", str(len(clean)), _share(_successes(clean), len(clean)), _executable(clean), ""]
+    yield ["none", "", _share(_successes(clean), len(clean)), _executable(clean), ""]
     for kind in study.kinds:
-        for grade in study.grades(kind):
-            trials = list(study.faulty[grade].values())
-            named = sum(kind.value in t.anomalies for t in trials)
-            cells = [_share(_successes(trials), len(trials)), _executable(trials), _share(named, len(trials))]
-            yield [f"`{kind.value}`", grade.label, str(len(trials)), *cells]
+        groups = [list(study.faulty[grade].values()) for grade in study.grades(kind)]
+        columns = [
+            [_share(_successes(trials), len(trials)) for trials in groups],
+            [_executable(trials) for trials in groups],
+            [_share(sum(kind.value in t.anomalies for t in trials), len(trials)) for trials in groups],
+        ]
+        sizes = ", ".join(grade.number for grade in study.grades(kind))
+        yield [f"`{kind.value}`", f"{sizes} {unit_of(kind)}", *(", ".join(cells) for cells in columns)]
 
 
 def _reach(n: int) -> float:
@@ -121,9 +127,11 @@ def _verdict_lines(study: Study) -> Iterator[str]:
             f"chance (p = {p:.2g} at best)."
         )
         return
-    yield f"With the area under the ROC curve at the greatest size; numbers separate from {SEPARATION:g} on."
+    yield (
+        f"Numbers **separate** from an area of {SEPARATION:g} on, at the greatest size. Bold in the figure: responds."
+    )
     yield ""
-    yield from table(("fault", "**separates**", "responds"), [list(_verdict_row(study, kind)) for kind in study.kinds])
+    yield from table(("fault", "**separates**"), [[f"`{k.value}`", _separating(study, k)] for k in study.kinds])
     yield ""
     wrong = [(name, kind) for name in NUMBERS for kind in study.kinds if study.verdict(name, kind) is Verdict.IMPROVES]
     if not wrong:
@@ -145,12 +153,9 @@ def _improvements(study: Study, name: str, kind: AnomalyKind) -> Iterator[list[s
             yield [f"`{name}`", f"`{kind.value}`", grade.label, f"{r.better} of {r.episodes} videos", change]
 
 
-def _verdict_row(study: Study, kind: AnomalyKind) -> Iterator[str]:
-    """Yield a kind of fault, the numbers that separate and those that respond, with areas under the ROC curve."""
-    yield f"`{kind.value}`"
-    areas = {n: study.responses[n, study.grades(kind)[-1]].area.value for n in NUMBERS}
-    for verdict in (Verdict.SEPARATES, Verdict.RESPONDS):
-        yield ", ".join(f"`{n}` {area:.2f}" for n, area in areas.items() if study.verdict(n, kind) is verdict)
+def _separating(study: Study, kind: AnomalyKind) -> str:
+    """Return the numbers that separate videos with a kind of fault from clean ones."""
+    return ", ".join(f"`{name}`" for name in NUMBERS if study.verdict(name, kind) is Verdict.SEPARATES)
 
 
 def _responses(study: Study) -> str:
@@ -185,12 +190,11 @@ def _success_lines(correlations: Mapping[str, SuccessCorrelation]) -> Iterator[s
     yield ""
     yield (
         "Spearman's coefficient of each number with success, of the ranks without the differences between episodes. "
-        "Positive: better values go with success. In brackets: bootstrap intervals over episodes. Numbers whose "
-        "interval contains 0 are left out."
+        "Positive: better values go with success. The greatest, with bootstrap intervals over episodes:"
     )
     yield ""
     ordered = sorted(correlations.items(), key=lambda item: -np.nan_to_num(item[1].within.value, nan=-2.0))
-    rows = [[f"`{name}`", _estimate(c.within)] for name, c in ordered if c.within.low * c.within.high > 0.0]
+    rows = [[f"`{name}`", _estimate(c.within)] for name, c in ordered[:_GREATEST]]
     yield from table(("number", "coefficient"), rows)
 
 

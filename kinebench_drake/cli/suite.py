@@ -77,7 +77,7 @@ suite.add_command(report)
     "list",
     epilog="\b\nExamples:\n  kinebench-drake suite list --json\n  kinebench-drake suite list --suites",
 )
-@click.option("--json", "as_json", is_flag=True, help="Full descriptions as JSON.")
+@click.option("--json", "as_json", is_flag=True, help="Full descriptions as JSON; prompt: that of seed 0.")
 @click.option("--suites", is_flag=True, help="List the suites and their splits instead.")
 def list_tasks(as_json: bool, suites: bool) -> None:
     """List the tasks, one plain id a line."""
@@ -86,7 +86,10 @@ def list_tasks(as_json: bool, suites: bool) -> None:
     if suites:
         _list_suites(as_json)
     elif as_json:
-        _echo_json([{**asdict(task.card), "horizon": task.card.horizon} for task in TASKS.values()])
+        from kinebench_drake.suites.composition import compose
+
+        texts = {name: compose(name, 0).prompt for name in TASKS}
+        _echo_json([{**asdict(t.card), "horizon": t.card.horizon, "prompt": texts[name]} for name, t in TASKS.items()])
     else:
         click.echo("\n".join(TASKS))
 

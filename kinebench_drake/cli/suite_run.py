@@ -70,7 +70,7 @@ def plan(difference: float, success: float, samples: list[int], correlation: flo
     """Compute how many episodes detect a difference of success rates between two models (two-sided, p < 0.05).
 
     Paired: both models do the same episodes, and `compare` tests them. Unpaired: each model does other ones. Of several
-    samples an episode the clips are samples times episodes. Formulas: docs/closedloop.md.
+    samples an episode the clips are samples times episodes. Formulas: results/power.py.
     """
     from kinebench_drake.report.table import Table, plain_columns, table_lines
     from kinebench_drake.results.power import PowerDesign

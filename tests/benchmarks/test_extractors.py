@@ -65,8 +65,9 @@ def test_a_single_episode_has_no_bootstrap_interval() -> None:
 def test_the_section_has_a_row_for_each_group(extractions: list[Extraction], tmp_path: Path) -> None:
     text = section(extractions, "1,000 demonstrations")
     assert "| all videos | 20 | 50% | 45% | 25% | 5% [" in text
-    assert "| `vanish` | 10 | 0% | 0% | 50% |" in text
-    assert "`freeze`" not in text
+    assert "`vanish`" not in text  # the grounding changes none of its outcomes
+    changing = [extraction(k, True, False, True, AnomalyKind.FREEZE) for k in range(10)]
+    assert "| `freeze` | 10 | 100% | 0% | 100% |" in section([*extractions, *changing], "1,000 demonstrations")
     extractors.draw(extractions).savefig(tmp_path / "figure.png")
 
 

@@ -128,10 +128,11 @@ def test_the_report_has_tables_of_faults_verdicts_responses_and_success(
     sections = write_report(trials, {"revision": "r", "weights": "w"}, tmp_path)
     assert all((tmp_path / name).stat().st_size > 10_000 for name in FIGURES)
     faults, verdicts, responses, success = sections
-    assert f"| none |  | {EPISODES} | 100%" in faults
+    assert "| none |  | 100%" in faults
+    assert f"{EPISODES} to {EPISODES} a size" in faults
     assert f"| `ldlj` | `vanish` | 1 frame | {EPISODES} of {EPISODES} videos | +1 |" in verdicts
-    assert "`sparc` 1.00" in verdicts
-    assert "| `freeze` |  |  |" in verdicts
+    assert "`sparc`" in verdicts
+    assert "| `freeze` |  |" in verdicts
     assert RESPONSES in responses
     table = (tmp_path / RESPONSES).read_text().splitlines()
     assert len(table) == 1 + 3 * len(NUMBERS)

@@ -9,6 +9,7 @@ from kinebench_drake.results.power import PowerDesign
 from kinebench_drake.suites import demos as making
 from kinebench_drake.suites import export as exporting
 from kinebench_drake.suites.catalog import load_suite
+from kinebench_drake.suites.composition import compose
 from kinebench_drake.suites.demo_config import FormatKind, RenderOptions
 from kinebench_drake.suites.demos import DemoSummary
 from kinebench_drake.suites.families.registry import TASKS
@@ -51,6 +52,7 @@ def test_list_prints_one_task_id_per_line(suite):
     assert code == 0
     assert out.splitlines() == list(TASKS)
     cards = json.loads(suite("list", "--json")[1])
+    assert [card["prompt"] for card in cards] == [compose(name, 0).prompt for name in TASKS]
     assert [card["id"] for card in cards] == list(TASKS)
 
 
