@@ -21,7 +21,6 @@ UNSEEN_FINGER_M = 0.02
 """Assumed finger travel where none is measured [m]."""
 _MAX_CELLS, _INDEPENDENT = 400, 40.0  # of the gripper in a view, and measurements that they count as
 _MIN_FINGER_CELLS = 6
-_FINGER_SIGMA_M = 1.0  # prior of a visible finger's travel: next to none
 _FIXED = 1e12  # information of a fixed parameter
 
 
@@ -84,8 +83,8 @@ def finger_or_default(finger_m: float) -> float:
 
 
 def finger_information(free: NDArray[np.bool_]) -> Array:
-    """Return the prior information (B,) about the finger travel [1/m^2]."""
-    return np.where(free, 1.0 / _FINGER_SIGMA_M**2, _FIXED)
+    """Return the prior information (B,) about the finger travel [1/m^2]: next to none if it is free."""
+    return np.where(free, 1.0, _FIXED)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
