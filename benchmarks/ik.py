@@ -135,9 +135,8 @@ def section(comparisons: Sequence[IkComparison]) -> str:
     parts: list[str | list[str]] = [
         f"`python -m benchmarks ik`, one thread, on {machine_text()}; CPU times. Expert-like tracks are reached to "
         f"{1e3 * POSITION_M:g} mm and {1e3 * ROTATION_RAD:g} mrad from the posture of the first pose. The solvers take "
-        "turns, and ratios are of the same turn: median [minimum, maximum]. Reached: share of poses, joints within "
-        "limits. Smooth: share of tracks whose joint path keeps the speed limits; any other path jumps between "
-        "postures.",
+        "turns; ratios are medians of those of a turn. Reached: share of poses, joints within limits. Smooth: share of "
+        "tracks whose joint path keeps the speed limits; any other path jumps between postures.",
         "Ours and pytorch_kinematics solve whole tracks, the others pose by pose. Ours chooses joint 7 along the track "
         "and verifies its own result in Drake within its time. A warm start is given the true postures. "
         "`benchmarks/peers.py` has how each solver is used.",
@@ -155,12 +154,7 @@ def _cells(comparison: IkComparison, timing: SolverTiming) -> list[str]:
     if timing.us_per_pose is None or ratio is None or timing.reached is None or timing.within_speed is None:
         return ["not installed", "", ""]
     shares = f"{timing.reached:.1%}, {timing.within_speed:.0%}"
-    return [_short(np.median(timing.us_per_pose)), _spread(ratio), shares]
-
-
-def _spread(values: Array) -> str:
-    """Format values as median [minimum, maximum]."""
-    return f"{_short(np.median(values))} [{_short(values.min())}, {_short(values.max())}]"
+    return [_short(np.median(timing.us_per_pose)), _short(np.median(ratio)), shares]
 
 
 def _short(value: float | np.floating[Any]) -> str:

@@ -143,7 +143,7 @@ def section(costs: RunCosts, *, videos: int, tracks: int) -> str:
     """Return the section of the document."""
     turns = len(next(iter(costs.values())))
     head = (
-        *("run", "start-up, s", "first sample, additional s", "s a sample"),
+        *("run", "start-up and first sample, s", "s a sample"),
         *("times one process", "memory, MB"),
     )
     return markdown.section(
@@ -163,8 +163,7 @@ def _rows(costs: RunCosts) -> Iterator[list[str]]:
         peak = reduce(ProcessMemory.maximum, (run.peak for run in runs))
         yield [
             str(setting),
-            spread(np.array([run.start_up_s for run in runs]), 1),
-            spread(np.array([run.first_s for run in runs]), 1),
+            f"{np.median([run.start_up_s for run in runs]):.1f} + {np.median([run.first_s for run in runs]):.1f}",
             spread(sample_s, 2),
             spread(np.array(single) / sample_s, 2),
             " + ".join(f"{mb:.0f}" for mb in (peak.main_mb, *peak.workers_mb)),

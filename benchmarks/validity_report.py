@@ -155,7 +155,9 @@ def _improvements(study: Study, name: str, kind: AnomalyKind) -> Iterator[list[s
 
 def _separating(study: Study, kind: AnomalyKind) -> str:
     """Return the numbers that separate videos with a kind of fault from clean ones."""
-    return ", ".join(f"`{name}`" for name in NUMBERS if study.verdict(name, kind) is Verdict.SEPARATES)
+    separating = [f"`{name}`" for name in NUMBERS if study.verdict(name, kind) is Verdict.SEPARATES]
+    others = [f"`{name}`" for name in NUMBERS if f"`{name}`" not in separating]
+    return f"all but {', '.join(others)}" if len(separating) > 2 * len(others) else ", ".join(separating)
 
 
 def _responses(study: Study) -> str:

@@ -48,7 +48,7 @@ def outcome(study: GroundingStudy, tracked: int = FRAMES) -> StudyOutcome:
     def of(condition: TrialCondition) -> list[ClipErrors]:
         if condition.baseline is not None:
             return [clip_errors("Known-v1", 0.010, FRAMES), clip_errors("Other-v1", 0.050, FRAMES)]
-        position_m = 0.001 if condition == TRUE_DEPTH else 0.002
+        position_m = {TRUE_DEPTH.name: 0.001, "as it is": 0.002}.get(condition.name, 0.003)
         return [clip_errors(task, position_m, tracked) for task in ("Known-v1", "Other-v1")]
 
     results = {condition.name: of(condition) for condition in study.conditions}
