@@ -174,5 +174,6 @@ SHARP_M, BLIND_M, UNKNOWN_M = 0.004, 0.010, 0.015
 which it is unknown after all. Larger ones have correlated errors: fingers that hide each other are confused."""
 FOLLOWED_RAD, FOLLOWED_M, FOLLOWED_ZOOM = float(np.deg2rad(15.0)), 0.15, 0.2
 """Largest rotation, distance and relative zoom from the first camera that are followed."""
-MIN_ON_TABLE = 0.3
-"""Least share of the features with depth on the table top that makes it the scale."""
+PATH_FEATURES, MIN_ON_TABLE = 16, 0.3
+"""Least number of features of a frame that follow the camera, and least share of those with depth that lie on the table
+top and make it the scale."""

@@ -11,13 +11,17 @@ from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array, make_pose, orthonormalize
 from kinebench_drake.grounding import bounds
 from kinebench_drake.grounding.anomaly.detection import Detection, sustained
-from kinebench_drake.grounding.registration.image import RETURN_PX, find_corners, follow_points
-from kinebench_drake.grounding.tracking.camera_path import TUKEY_PX, CameraPath, CameraWay, background
+from kinebench_drake.grounding.registration.image import follow_points
+from kinebench_drake.grounding.tracking.camera_path import CameraPath, CameraWay
 from kinebench_drake.io.frames import Frames
 from kinebench_drake.io.progress import count_steps
 
 _MAX_FEATURES, _ENOUGH_FEATURES = 100, 40  # tracked at once; of tracked ones, that more are not looked for
+_LK_CRITERIA = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 10, 0.03)  # iterations, least step [px]
+_MARGIN_PX = 15  # features this near the robot's outline may move with it
+_ROUND_TRIP_PX = 0.5  # largest error of a feature tracked forth and back
 _ROTATION_PASSES = 8
+_TUKEY_PX = 1.5  # residual beyond which a feature has no weight for the rotation
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -128,14 +132,15 @@ class FeatureTracks:
         return len(self._frames)
 
     def track(self, mask: NDArray[np.uint8]) -> tuple[Array, Array, NDArray[np.bool_]]:
-        """Track the corners in `mask` (H, W) by pyramidal Lucas-Kanade, forth and back.
+        """Track the features (Shi and Tomasi 1994) in `mask` (H, W) by pyramidal Lucas-Kanade, forth and back.
 
         Returns:
             Places (N, 2) in the first frame and (T - 1, N, 2) in the others [px]; whether (T - 1, N) they are there.
         """
         places = [(u, v) for u, v in self._column if mask[int(v), int(u)]]
         if len(places) < _ENOUGH_FEATURES:
-            places = [(float(u), float(v)) for u, v in find_corners(self._first, mask)[:_MAX_FEATURES]]
+            corners = cv2.goodFeaturesToTrack(self._first, _MAX_FEATURES, 0.01, 6, mask=mask)
+            places = [] if corners is None else [(float(u), float(v)) for u, v in corners[:, 0]]
         start = np.array(places, np.float32).reshape(-1, 2)
         new = [k for k, place in enumerate(places) if place not in self._column]
         if new and len(self) > 1:
@@ -143,7 +148,7 @@ class FeatureTracks:
             frames = count_steps(self._frames[1:], "frames compared with the first", len(self) - 1)
             others = (cv2.cvtColor(frame, cv2.COLOR_RGB2GRAY) for frame in frames)
             points = start[new]
-            tracked = [follow_points(self._first, im, points, RETURN_PX) for im in others]
+            tracked = [follow_points(self._first, im, points, _ROUND_TRIP_PX, criteria=_LK_CRITERIA) for im in others]
             self._now = np.concatenate([self._now, np.stack([now for now, _ in tracked])], axis=1)
             self._good = np.concatenate([self._good, np.stack([good for _, good in tracked])], axis=1)
         columns = [self._column[place] for place in places] if len(self) > 1 else []
@@ -159,7 +164,9 @@ def measure_camera_motion(tracks: FeatureTracks, robot: NDArray[np.bool_], camer
     """
     n = len(tracks)
     px, R_AC = np.full(n, np.nan), np.repeat(np.eye(3)[None], n, axis=0)
-    start, there, good = tracks.track(background(robot, camera.unit_px))
+    margin = np.ones((_MARGIN_PX, _MARGIN_PX), np.uint8)
+    mask = np.where(cv2.dilate(robot.astype(np.uint8), margin) > 0, 0, 255).astype(np.uint8)
+    start, there, good = tracks.track(mask)
     if len(start) >= bounds.MOTION_FEATURES:
         px[0] = 0.0
         places: dict[int, tuple[Array, Array]] = {}
@@ -192,9 +199,9 @@ def _rotation(first: Array, now: Array, camera: Camera) -> tuple[Array, float]:
     for _ in range(_ROTATION_PASSES):
         R = orthonormalize((lines[0] * weight[:, None]).T @ lines[1])
         error_px = camera.fx * np.linalg.norm(lines[0] - lines[1] @ R.T, axis=1)
-        cut = max(TUKEY_PX, 3.0 * float(np.median(error_px)))
+        cut = max(_TUKEY_PX, 3.0 * float(np.median(error_px)))
         weight = np.clip(1.0 - (error_px / cut) ** 2, 0.0, 1.0) ** 2 + 1e-9
-    return R, float((error_px < 2.0 * TUKEY_PX).mean())
+    return R, float((error_px < 2.0 * _TUKEY_PX).mean())
 
 
 def find_camera_motion(motion: CameraMotion) -> Detection:

@@ -15,18 +15,19 @@ from numpy.typing import NDArray
 from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array, make_pose, rotation_angle, rotation_exp
 from kinebench_drake.grounding import bounds
-from kinebench_drake.grounding.registration.image import RETURN_PX, find_corners, follow_points
-from kinebench_drake.grounding.registration.solver import NEAREST_M
+from kinebench_drake.grounding.registration.image import follow_points
 from kinebench_drake.io.frames import Frames, Image, map_frames
 from kinebench_drake.io.jsonl import Json
 
 _AGREEING_PX = 1.0  # residual of an explained feature, as all lengths in pixels here of an image 384 px wide
-_MARGIN_PX = 11.0  # features this near the robot's outline may move with it
+_MAX_FEATURES = 250
+_SPACING_PX = 6.0
+_ROBOT_MARGIN_PX = 11.0
+_ROUND_TRIP_PX, _DRIFT_PX = 0.7, 2.0
 _DETAIL_PX = 6.0  # scale of the details that are tracked
 _NOISE = 2.0  # grey levels of 255
 _RANSAC_PX, _MIN_INLIERS = 3.0, 0.3  # of the homography that all features of a plane follow
-TUKEY_PX = 2.5
-"""Residual beyond which a feature has no weight."""
+_TUKEY_PX = 2.5
 _STEPS, _SWEEPS = 8, 40
 _LEAST_MARGIN_PX, _MAX_MARGIN = 16.0, 0.25  # by which stabilized images are extended; the largest relative to the image
 _FAR_M = 4.0  # depth of features that do not look at the table; its inverse is a weak prior
@@ -124,7 +125,7 @@ def follow_camera(
     start, now = _track_features(frames, reference, robot, camera)
     n = len(frames)
     cameras, followed, way = np.zeros((n, 7)), np.zeros(n, dtype=bool), CameraWay.FIXED
-    enough = np.isfinite(now[..., 0]).sum(axis=1) >= bounds.MOTION_FEATURES
+    enough = np.isfinite(now[..., 0]).sum(axis=1) >= bounds.PATH_FEATURES
     if enough.any():
         problem = _Problem(start, now, camera, table_height_m)
         fit = problem.fit(CameraWay.ROTATION)
@@ -164,17 +165,19 @@ def _track_features(frames: Frames, reference: Image, robot: NDArray[np.bool_], 
     """
     unit = camera.unit_px
     first = _even_contrast(reference, unit)
-    free = background(robot, unit)
-    start = find_corners(first, free)
+    margin = 2 * round(_ROBOT_MARGIN_PX * unit) + 1
+    free = cv2.dilate(robot.astype(np.uint8), np.ones((margin, margin), np.uint8)) == 0
+    corners = cv2.goodFeaturesToTrack(first, _MAX_FEATURES, 0.005, _SPACING_PX * unit, mask=free.astype(np.uint8) * 255)
+    start = np.empty((0, 2), np.float32) if corners is None else corners[:, 0]
     tracks = np.full((len(frames), len(start), 2), np.nan)
-    if len(start) < bounds.MOTION_FEATURES:
+    if len(start) < bounds.PATH_FEATURES:
         return np.asarray(start + 0.5, np.float64), tracks
     before, last, alive = first, start.copy(), np.ones(len(start), dtype=bool)
     for i, frame in enumerate(frames):
         image = _even_contrast(frame, unit)
         chained, steady = _flow(before, image, last, last, unit)
         steady &= alive
-        H = _homography(start[steady], chained[steady], unit) if steady.sum() >= bounds.MOTION_FEATURES else None
+        H = _homography(start[steady], chained[steady], unit) if steady.sum() >= bounds.PATH_FEATURES else None
         if H is None:  # a jump
             steady, H = np.zeros(len(start), dtype=bool), _matched_homography(first, image, free, unit)
         if H is None:
@@ -182,17 +185,11 @@ def _track_features(frames: Frames, reference: Image, robot: NDArray[np.bool_], 
         near = np.asarray(cv2.perspectiveTransform(start[:, None], H)[:, 0], np.float32)
         near[steady] = chained[steady]
         now, good = _flow(first, image, start, near, unit)
-        good &= np.linalg.norm(now - near, axis=1) < _RANSAC_PX * unit
+        good &= np.linalg.norm(now - near, axis=1) < np.where(steady, _DRIFT_PX, _RANSAC_PX) * unit
         now = np.where(good[:, None], now, near)
         before, last, alive = image, now, good | steady
         tracks[i, alive] = now[alive] + 0.5
     return start.astype(np.float64) + 0.5, tracks
-
-
-def background(robot: NDArray[np.bool_], unit: float) -> NDArray[np.uint8]:
-    """Return a mask (H, W) of pixels away from those that show the `robot` (H, W)."""
-    margin = 2 * round(_MARGIN_PX * unit) + 1
-    return np.asarray(cv2.dilate(robot.astype(np.uint8), np.ones((margin, margin), np.uint8)) == 0, np.uint8)
 
 
 def _even_contrast(frame: Image, unit: float) -> Image:
@@ -211,27 +208,27 @@ def _flow(
     unit: float,
 ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
     """Return the pixels (N, 2) of features `start` (N, 2) in another image, from `near` on, and which were tracked."""
-    moved, good = follow_points(first, image, start, RETURN_PX * unit, near)
+    moved, good = follow_points(first, image, start, _ROUND_TRIP_PX * unit, near)
     return moved, good & ((moved > 4) & (moved < np.array(image.shape[::-1]) - 5)).all(axis=1)
 
 
 def _homography(first: NDArray[np.float32], now: NDArray[np.float32], unit: float) -> Array | None:
     """Return the homography that most features (N, 2) follow; None if too few do."""
     H, inlier = cv2.findHomography(first, now, cv2.RANSAC, _RANSAC_PX * unit)
-    enough = H is not None and inlier.sum() >= max(bounds.MOTION_FEATURES, _MIN_INLIERS * len(first))
+    enough = H is not None and inlier.sum() >= max(bounds.PATH_FEATURES, _MIN_INLIERS * len(first))
     return np.asarray(H) if enough else None
 
 
-def _matched_homography(first: Image, image: Image, free: NDArray[np.uint8], unit: float) -> Array | None:
+def _matched_homography(first: Image, image: Image, free: NDArray[np.bool_], unit: float) -> Array | None:
     """Return the homography of most matches of SIFT features (Lowe 2004) off the robot; None without enough."""
     sift = cv2.SIFT_create(600)  # type: ignore[attr-defined]
-    points, descriptors = sift.detectAndCompute(first, free)
+    points, descriptors = sift.detectAndCompute(first, free.astype(np.uint8) * 255)
     others, other_descriptors = sift.detectAndCompute(image, None)
-    if descriptors is None or other_descriptors is None or min(len(points), len(others)) < bounds.MOTION_FEATURES:
+    if descriptors is None or other_descriptors is None or min(len(points), len(others)) < bounds.PATH_FEATURES:
         return None
     pairs = cv2.BFMatcher().knnMatch(descriptors, other_descriptors, k=2)
     good = [m for m, n in (p for p in pairs if len(p) == 2) if m.distance < 0.75 * n.distance]
-    if len(good) < bounds.MOTION_FEATURES:
+    if len(good) < bounds.PATH_FEATURES:
         return None
     a, b = np.array([points[m.queryIdx].pt for m in good]), np.array([others[m.trainIdx].pt for m in good])
     return _homography(a.astype(np.float32), b.astype(np.float32), unit)
@@ -248,7 +245,7 @@ class _Problem:
         down = self._rays @ camera.X_BC[2, :3]  # change of height per metre of depth
         with np.errstate(divide="ignore"):
             depth_m = (table_height_m - camera.X_BC[2, 3]) / down
-        self._on_table = np.isfinite(depth_m) & (depth_m > NEAREST_M) & (depth_m < _FAR_M)
+        self._on_table = np.isfinite(depth_m) & (depth_m > 0.05) & (depth_m < _FAR_M)
         self._table = np.where(self._on_table, 1.0 / np.where(self._on_table, depth_m, 1.0), 1.0 / _FAR_M)
 
     def fit(self, way: CameraWay, start: _Fit | None = None) -> _Fit:
@@ -260,7 +257,7 @@ class _Problem:
         rho = self._table if has_place else np.zeros(len(self._table))  # without a place depths do not count
         free = {CameraWay.ROTATION: [0, 1, 2], CameraWay.ZOOM: [0, 1, 2, 6]}.get(way, [0, 1, 2, 3, 4, 5])
         for sweep in range(_SWEEPS if has_place else _STEPS):
-            reach = TUKEY_PX * self._unit * max(1.0, 64.0 * 0.4**sweep)
+            reach = _TUKEY_PX * self._unit * max(1.0, 64.0 * 0.4**sweep)
             cameras = self._step_cameras(cameras, rho, free, reach)
             if has_place and sweep >= _STEPS:
                 rho = self._step_depths(cameras, rho, reach)
@@ -275,7 +272,7 @@ class _Problem:
         """Return whether enough features that look at the table have its depth."""
         used = self._seen.any(axis=0) & self._on_table
         near = np.abs(fit.inverse_depth / self._table - 1.0) < 3 * _TABLE_SIGMA
-        return bool(used.sum() >= bounds.MOTION_FEATURES and near[used].mean() >= bounds.MIN_ON_TABLE)
+        return bool(used.sum() >= bounds.PATH_FEATURES and near[used].mean() >= bounds.MIN_ON_TABLE)
 
     def _error(self, cameras: Array, rho: Array) -> Array:
         """Return predicted less tracked pixels (T, N, 2)."""
