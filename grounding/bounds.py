@@ -143,9 +143,11 @@ CONFIRMATION = 0.6
 """Agreement from which on the edges confirm the network's poses (median), or the shape of a hand, without a fit."""
 SMALL_M = 0.0025
 """Median change of a pose by a fit to edges alone up to which they confirm the network's poses, too [m],"""
-FAR_M = 0.02
-"""and above which the change, or a gain of agreement above `CONTOUR_GAIN`, contradicts them. Largest change by a fit to
-cells and edges together, likewise."""
+FAR_M, FAR_GAIN = 0.02, 0.18
+"""and above which the change, or the gain of agreement by it, contradicts them. Largest change by a fit to cells and
+edges together, likewise."""
+FIRST_M, FIRST_RAD = 0.015, float(np.deg2rad(6.0))
+"""Largest deviation of a stated initial state from a confident estimate of the first frame, to be used."""
 SURE_SHARE = 0.8
 """Mean confidence of the poses below which a familiar video is tried as an unfamiliar one."""
 BEST_QUANTILE, BEST_SHARE = 0.75, 0.9

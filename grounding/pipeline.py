@@ -198,7 +198,7 @@ class GroundingPipeline:
         distance, angle = pose_difference(
             _initial_hand_pose(state, camera), np.stack([pose.X_CH, pose.X_CH @ X_HALF_TURN])
         )
-        return not bool(((distance <= bounds.LARGE_M) & (angle <= bounds.LARGE_RAD)).any())
+        return not bool(((distance <= bounds.FIRST_M) & (angle <= bounds.FIRST_RAD)).any())
 
     def observe(self, frames: Frames, camera: Camera, t_s: Array, priors: Priors = NO_PRIORS) -> Observation:
         """Measure each frame, without confidence and smoothing along the video.

@@ -98,7 +98,7 @@ class EdgeRefinement:
             return False
         distance = float(np.median([pose_difference(fit.X_CH, arm.X_CH)[0] for fit, arm in fits]))
         gain = float(np.median([fit.edge_agreement for fit, _ in fits])) - agreement
-        return distance <= bounds.SMALL_M or (distance <= bounds.FAR_M and gain <= bounds.CONTOUR_GAIN)
+        return distance <= bounds.SMALL_M or (distance <= bounds.FAR_M and gain <= bounds.FAR_GAIN)
 
     @property
     def domain(self) -> Domain:

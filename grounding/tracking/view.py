@@ -16,6 +16,7 @@ from kinebench_drake.models.panda.robot import GRIPPER, OPENING_SIGN, RobotPart
 
 _EXACT_SIGMA, _EXACT_FACTOR_SIGMA = 1e-3, 1e-4  # relative; depth is stored in whole millimetres
 _ESTIMATE_SIGMA, _ESTIMATE_FACTOR_SIGMA = 0.02, 0.1  # estimator of unknown accuracy
+_CALIBRATED_FACTOR_SIGMA = 0.03  # drift of the depth factor along a video
 OPENING_SIGNS = np.array([OPENING_SIGN.get(part, 0.0) for part in RobotPart])
 """(PARTS,) `OPENING_SIGN` by value of `RobotPart`; 0 where a part does not move along the hand."""
 
@@ -112,7 +113,7 @@ def replace_depth(view: GripperView, depth: ExternalDepth, number: int, camera: 
     depth_C = np.asarray(crop.warp(depth_m, camera, view.stride, nearest=True), dtype=np.float64)
     z = depth_C / (view.rays() @ crop.R_CV.T)[..., 2]
     has_depth = z > 0
-    estimate_sigma = _ESTIMATE_SIGMA if depth.calibrated else _ESTIMATE_FACTOR_SIGMA
+    estimate_sigma = _CALIBRATED_FACTOR_SIGMA if depth.calibrated else _ESTIMATE_FACTOR_SIGMA
     return replace(
         view,
         depth_m=np.where(has_depth, z, view.depth_m),
