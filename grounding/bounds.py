@@ -11,10 +11,10 @@ GOOD_M, GOOD_RAD = 0.010, float(np.deg2rad(5.0))
 """Errors [m, rad] whose probability the confidence is."""
 SAMPLED_FRAMES = 5
 """Frames that decide on a video: on its look, its region, its camera."""
-MAJORITY, FEW = 0.5, 0.1
-"""Shares that are most, and few: of features that a motion of the camera explains, of frames in which it is known, of
-poses whose arm agrees in a familiar video or with a followed camera, of frames that an estimated camera explains, of
-cells that agree with known postures; of frames of a familiar video reached by following alone, or that show a hand."""
+MAJORITY = 0.5
+"""Share that is most: of features that a motion of the camera explains, of frames in which it is known, of poses whose
+arm agrees in a familiar video or with a followed camera, of frames that an estimated camera explains, of cells that
+agree with known postures."""
 
 # Anomalies. Set on planted faults in home renders of seen assets, checked on clean ones:
 # `python -m benchmarks planted-videos --out faulty`, then `python -m benchmarks anomalies clean faulty`.
@@ -131,8 +131,8 @@ BAR_LEVELS = 7.0
 
 TRACKED_CONFIDENCE, MIN_CONFIDENCE = 0.3, 0.02
 """Least confidence of a tracked frame, and of a detection that is a gripper."""
-MIN_TRACKED = 2
-"""Fewest frames with a pose: a path needs two."""
+MIN_TRACKED, HAND_SHARE = 2, 0.1
+"""Fewest frames with a pose, since a path needs two, and least share of the frames in which a hand counts as seen."""
 EDGE_AGREEMENT = 0.4
 """Least agreement of a posture that edges confirm."""
 GOOD_OVERLAP = 0.8
@@ -148,6 +148,8 @@ FAR_M, FAR_GAIN = 0.02, 0.18
 edges together, likewise."""
 FIRST_M, FIRST_RAD = 0.015, float(np.deg2rad(6.0))
 """Largest deviation of a stated initial state from a confident estimate of the first frame, to be used."""
+MISSED_SHARE = 0.1
+"""Largest share of frames of a familiar video that are reached by following the arm alone."""
 SURE_SHARE = 0.8
 """Mean confidence of the poses below which a familiar video is tried as an unfamiliar one."""
 BEST_QUANTILE, BEST_SHARE = 0.75, 0.9
@@ -163,9 +165,8 @@ MAX_GROWTH, MAX_GROWTH_SIGMAS = 1.4, 0.3
 """Largest increase of the hand's residual by the arm: factor, and summand."""
 SHAPE_CHANGE = 0.35
 """Change of the hand's shape by a fit that has failed."""
-GAIN = 0.05
-"""Least lead of a neighbour's agreement that makes its posture of the flange the better one, and of the share of
-features that a less simple way of moving of a camera explains."""
+NEIGHBOUR_LEAD = 0.05
+"""Least lead of a neighbour's agreement that makes its posture of the flange the better one."""
 LOST_SHARE, MOUNT_LEAD = 0.8, 10.0
 """Share of the agreement of a frame below which the flange was not followed from it, and log-likelihood by which the
 mount of a gripper leads clearly."""
@@ -176,6 +177,6 @@ SHARP_M, BLIND_M, UNKNOWN_M = 0.004, 0.010, 0.015
 which it is unknown after all. Larger ones have correlated errors: fingers that hide each other are confused."""
 FOLLOWED_RAD, FOLLOWED_M, FOLLOWED_ZOOM = float(np.deg2rad(15.0)), 0.15, 0.2
 """Largest rotation, distance and relative zoom from the first camera that are followed."""
-PATH_FEATURES, MIN_ON_TABLE = 16, 0.3
-"""Least number of features of a frame that follow the camera, and least share of those with depth that lie on the table
-top and make it the scale."""
+PATH_FEATURES, PATH_GAIN, MIN_ON_TABLE = 16, 0.05, 0.3
+"""Least number of features of a frame that follow the camera, least increase of their explained share by a less simple
+way of moving, and least share of those with depth that lie on the table top and make it the scale."""

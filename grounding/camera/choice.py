@@ -223,7 +223,7 @@ class CameraChooser:
 
     def _is_lost(self, hand: PipelineResult) -> bool:
         """Return whether a hand is tracked in so few frames that it may be another gripper."""
-        least = max(bounds.MIN_TRACKED, bounds.FEW * len(hand.track.t_s))
+        least = max(bounds.MIN_TRACKED, bounds.HAND_SHARE * len(hand.track.t_s))
         return self.gripper is GripperKind.AUTO and int(hand.track.tracked.sum()) < least
 
     def _view(self, choice: CameraChoice) -> _View:

@@ -133,7 +133,7 @@ def follow_camera(
         for other in (CameraWay.ZOOM, CameraWay.PLACE):
             rival = problem.fit(other, fit)
             more = problem.explained(rival)
-            is_better = more[enough].mean() > share[enough].mean() + bounds.GAIN
+            is_better = more[enough].mean() > share[enough].mean() + bounds.PATH_GAIN
             if is_better and (other is not CameraWay.PLACE or problem.has_scale(rival)):
                 way, fit, share = other, rival, more
         turn, move = (np.linalg.norm(fit.cameras[:, part], axis=1) for part in (slice(3), slice(3, 6)))

@@ -126,7 +126,7 @@ class FlangeTracker:
                     ((_, shown),) = self._look({k: _crop_at(poses[i].X_CH)}, video)
                     proposed.append(video.flange.detect(shown, poses[i]))
                 best = max(proposed, key=_agreement)
-                if best is not None and _agreement(best) > _agreement(proposed[0]) + bounds.GAIN:
+                if best is not None and _agreement(best) > _agreement(proposed[0]) + bounds.NEIGHBOUR_LEAD:
                     poses[k] = best
 
     def _mount(self, poses: Mapping[int, FramePose], video: _Video) -> FlangeFitter:

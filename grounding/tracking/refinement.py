@@ -103,7 +103,7 @@ class EdgeRefinement:
     @property
     def domain(self) -> Domain:
         """Domain of the video, after `run`: where the network missed the gripper in many frames, its views mislead."""
-        missed = len(self._reached) > bounds.FEW * len(self.poses)
+        missed = len(self._reached) > bounds.MISSED_SHARE * len(self.poses)
         return Domain.FAMILIAR if self.is_familiar and not missed else Domain.UNFAMILIAR
 
     def run(self) -> None:
