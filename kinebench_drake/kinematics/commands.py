@@ -19,11 +19,17 @@ from kinebench_drake.kinematics.trajopt import optimize_in_tube
 from kinebench_drake.kinematics.violation import COLLISIONS, ViolationKind
 from kinebench_drake.track import GripperTrack
 
+STRETCHES = (1.0, 1.5, 2.0, 3.0, 5.0, 8.0)
+"""Factors by which a track is slowed down until a trajectory in its tube keeps the limits."""
 LONGEST_S = 600.0
 """Longest motion that is exported [s]."""
 
+_RAMP_S = 0.5  # on the clock of the spline, at either end
+_INSIDE = 1.0 - 1e-4  # greatest ratio to a limit
+_ROUNDS = 60
 # Exponents of the ratio to a limit in the factor by which the motion is slowed down; torques have a part at rest.
 _ORDERS = {"velocity": 1.0, "acceleration": 0.5, "jerk": 1.0 / 3.0, "torque": 0.25, "torque rate": 0.4}
+_SWEPT_S = 0.02  # time between the postures between which obstacles are looked for
 _FIXED = (*COLLISIONS, ViolationKind.OBSTACLE_COLLISION, ViolationKind.UNREACHABLE, ViolationKind.JOINT_LIMIT)
 
 
@@ -54,8 +60,7 @@ def plan_commands(
     t_s, finite = track.t_s - track.t_s[0], np.isfinite(track.finger_width_m)
     X_BG = np.where(track.tracked[:, None, None], track.X_BG, np.nan)
     widths = np.where(finite, track.finger_width_m, plant.finger_width_m)
-    # factors by which the track is slowed down until a trajectory in its tube keeps the limits
-    for stretch in (1.0, 1.5, 2.0, 3.0, 5.0, 8.0):
+    for stretch in STRETCHES:
         tube = optimize_in_tube(
             plant, collision, stretch * t_s, X_BG, q, tube_limit_m=tube_limit_m, finger_width_m=widths
         )
@@ -65,18 +70,17 @@ def plan_commands(
     if not tube.feasible or trajectory is None:
         raise InputError(f"no commands keep within {1000.0 * tube_limit_m:.3g} mm of the track: {tube.reason}")
     factor = 1.0
-    for _ in range(60):
+    for _ in range(_ROUNDS):
         s = _clock(trajectory, factor, rate_hz)
         if len(s) > LONGEST_S * rate_hz:
             break
         commands = trajectory.basis.evaluate(trajectory.control, s)
-        # 0.9999: greatest ratio to a limit
-        used = {name: float(ratio.max()) / 0.9999 for name, ratio in limit_ratios(plant, commands, rate_hz)}
+        used = {name: float(ratio.max()) / _INSIDE for name, ratio in limit_ratios(plant, commands, rate_hz)}
         needed = max(used[name] ** order for name, order in _ORDERS.items() if name in used)
         if needed <= 1.0:
             times = stretch * t_s - trajectory.problem.origin_s
             gap = np.interp(s, times, widths) if finite.any() else np.full(len(s), np.nan)
-            every = max(int(0.02 * rate_hz), 1)  # time between the postures between which obstacles are looked for
+            every = max(int(_SWEPT_S * rate_hz), 1)
             if contacts := sweep(plant, collision, commands[::every], gap[::every], 0.0):
                 raise InputError(f"the motion between frames meets {contacts[0].obstacle} with {contacts[0].link}")
             reached = np.interp(times, s[: np.argmax(s) + 1], np.arange(np.argmax(s) + 1)) / rate_hz
@@ -95,7 +99,7 @@ def _clock(trajectory: JointTrajectory, factor: float, rate_hz: float) -> Array:
     ramp is all ramp.
     """
     last = float(trajectory.basis.breaks_s[-1])
-    ramp = min(0.5, last)  # on the clock of the spline, at either end
+    ramp = min(_RAMP_S, last)
     t = np.arange(np.ceil((last + ramp) * factor * rate_hz) + 1) / rate_hz / factor
     return np.clip(_risen(t, ramp) - _risen(t - last, ramp), 0.0, last)
 

@@ -16,7 +16,13 @@ from kinebench_drake.models.robot import N_JOINTS
 STILL_RAD = 1e-4
 """Range of every joint below which a path counts as a rest [rad]."""
 
+_GRID = 192  # cells of the grid along the path, rounded up to whole cells per frame
 _GRID_MAX = 1600  # greatest number of cells; a track of more frames is sampled evenly in time
+_FINEST = 64  # greatest number of cells between two frames
+_HALVINGS = 4  # of cells at the edge of a rest:
+_BRINK = 0.6  # the slower end has at most this share of the faster end's speed,
+_REST = 1e-3  # unless both are slower than this share of the greatest speed
+_COARSER = (1, 0)  # halvings then: a long last cell, whose far end has no limit, may reach the speed of the last frame
 _KINDS = (ViolationKind.VELOCITY, ViolationKind.ACCELERATION, ViolationKind.TORQUE)  # limits of the speed of a path
 
 
@@ -76,8 +82,7 @@ def time_scale(plant: ArmPlant, t_s: Array, q: Array) -> TimeScale:
     if end is not None and end.constraint is ViolationKind.VELOCITY:
         return end
     rate = fastest_rates(motion.limits, 1.0, 1.0)
-    # Fewer halvings: a long last cell, whose far end has no limit, may reach the speed of the last frame.
-    for halvings in (1, 0) if rate is None else ():
+    for halvings in _COARSER if rate is None else ():
         motion = _Motion(plant, t, rows, frames, halvings)
         rate = fastest_rates(motion.limits, 1.0, 1.0)
         if rate is not None:
@@ -88,7 +93,9 @@ def time_scale(plant: ArmPlant, t_s: Array, q: Array) -> TimeScale:
 class _Motion:
     """Path of one track on a grid, with its limits."""
 
-    def __init__(self, plant: ArmPlant, t_s: Array, q: Array, frames: NDArray[np.intp], halvings: int = 4) -> None:
+    def __init__(
+        self, plant: ArmPlant, t_s: Array, q: Array, frames: NDArray[np.intp], halvings: int = _HALVINGS
+    ) -> None:
         self.plant, self.frames, self.t = plant, frames, t_s - t_s[0]
         spline: Any = CubicSpline(self.t, q)
         self.grid = _grid(self.t, spline, plant.velocity_limits, halvings)
@@ -129,16 +136,13 @@ def _grid(t: Array, spline: Any, speeds: Array, halvings: int) -> Array:
     There the speed-up of the fastest motion changes steeply, while its square is taken as linear within a cell.
     """
     cells = len(t) - 1
-    # 64: greatest number of cells between two frames
-    parts = min(-(-192 // cells), 64)  # cells of the grid along the path, rounded up to whole cells per frame
+    parts = min(-(-_GRID // cells), _FINEST)
     even = np.arange(cells * parts + 1) / parts
     grid = np.interp(even, np.arange(cells + 1), t) if cells <= _GRID_MAX else np.linspace(t[0], t[-1], _GRID_MAX + 1)
     for _ in range(halvings):
         speed = np.abs(spline(grid, 1) / speeds).max(axis=-1)
         slow, fast = np.minimum(speed[1:], speed[:-1]), np.maximum(speed[1:], speed[:-1])
-        # 0.6: greatest share of the faster end's speed at the slower end; 1e-3: of the greatest speed, below which both
-        # ends rest
-        brink = (slow < 0.6 * fast) & (fast > 1e-3 * speed.max())
+        brink = (slow < _BRINK * fast) & (fast > _REST * speed.max())
         middle = 0.5 * (grid[1:] + grid[:-1])[brink]
         if len(grid) + len(middle) > 2 * _GRID_MAX:
             break

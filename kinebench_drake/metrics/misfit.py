@@ -16,6 +16,23 @@ from kinebench_drake.segments import evenly, finite_rows
 UNREACHED, UPWARD, BELOW, CLOSE, TURNING, TILTED, SLOW = 1.0, 0.5, 0.5, 0.5, 1.0, 0.4, 1.0
 """Costs of motions that are out of reach, point upwards, run below the table, stay close to the base, turn all the
 time, are never vertical, and last for ever."""
+FLANGE = 0.4
+"""Cost of a gripper that starts upright, but turned by 45 degrees, and comes no nearer to the table than a flange does:
+so is the flange of the Panda in its rest postures."""
+
+_FRAMES = 64  # on which reach is tested
+_PAST_RAD = 1e-3  # of joint limits
+_BELOW_M = 0.03  # depth under the table that is no calibration error
+_BASE_M, _BASE_HEIGHT_M = 0.15, 0.3  # radius and height of the base, in which there is no gripper
+_CLOSE_M = 0.3  # distance from the base's axis at which hardly anybody works
+_UP = 0.5  # cosine to the vertical: within 60 degrees of straight up
+_VERTICAL = float(np.cos(np.deg2rad(1.0)))  # as simulators and scripts hold it
+_UPRIGHT = float(np.cos(np.deg2rad(6.0)))  # at the start, in a rest posture
+_TURN_RAD_S = 2.0  # mean angular speed with the full cost; the hand's limit is 2.5
+_SLOW_STEP_S, _SLOW_M_S = 0.9, 0.002  # frames that far apart in a motion that slow are in a smaller unit
+_LONG_STEP_S = 5.0  # robots are recorded faster
+_FLANGE_M = (0.1, 0.21)  # heights of the flange above a table on which the fingers work
+_SQUARE_RAD = float(np.deg2rad(2.5))
 
 
 def misfit(
@@ -38,35 +55,32 @@ def misfit(
     """
     numbers = q if X_BG is None else X_BG
     valid = finite_rows(np.asarray(numbers, dtype=np.float64).reshape(len(t_s), -1))
-    t_s, frames = t_s[valid], evenly(int(valid.sum()), 64)  # on which reach is tested
+    t_s, frames = t_s[valid], evenly(int(valid.sum()), _FRAMES)
     X = np.asarray(X_BG)[valid] if q is None else plant.forward_path(q[valid])
     distance = np.hypot(X[:, 0, 3], X[:, 1, 3])
     upward, height = X[:, 2, 2], X[:, 2, 3] - table_height_m
     duration = max(float(t_s[-1] - t_s[0]), 1e-9)
     turned = float(np.linalg.norm(rotation_steps(X[:, :3, :3]), axis=-1).sum())
     moved = float(np.linalg.norm(np.diff(X[:, :3, 3], axis=0), axis=-1).sum())
-    vertical = upward < -np.cos(np.deg2rad(1.0))  # as simulators and scripts hold it
+    vertical = upward < -_VERTICAL
     step = float(np.median(np.diff(t_s)))
-    # Robots are recorded faster than every 5 s; every 0.9 s in a motion below 2 mm/s means a smaller unit of time.
-    slow = step > 5.0 or (step > 0.9 and 0.01 < moved < 0.002 * duration)
+    slow = step > _LONG_STEP_S or (step > _SLOW_STEP_S and 0.01 < moved < _SLOW_M_S * duration)
     cost = (
-        UPWARD * (upward > 0.5).mean()  # within 60 degrees of straight up
-        + BELOW * (height < -0.03).mean()  # no calibration error
-        + CLOSE * (distance < 0.3).mean()  # hardly anybody works there
-        + TURNING * min(turned / duration / 2.0, 1.0)  # [rad/s]; the limit of the hand is 2.5
+        UPWARD * (upward > _UP).mean()
+        + BELOW * (height < -_BELOW_M).mean()
+        + CLOSE * (distance < _CLOSE_M).mean()
+        + TURNING * min(turned / duration / _TURN_RAD_S, 1.0)
         + TILTED * (1.0 - vertical.mean())
         + SLOW * slow
     )
-    # A gripper that starts upright, but turned by 45 degrees, and comes no nearer to the table than a flange whose
-    # fingers work on it, may be the flange: so it is in the Panda's rest postures.
-    if q is None and upward[0] < -np.cos(np.deg2rad(6.0)) and 0.1 < height.min() < 0.21:
+    if q is None and upward[0] < -_UPRIGHT and _FLANGE_M[0] < height.min() < _FLANGE_M[1]:
         yaw = np.arctan2(X[0, 1, 0], X[0, 0, 0]) % (np.pi / 2)
-        cost += 0.4 * (abs(yaw - np.pi / 4) < np.deg2rad(2.5))
+        cost += FLANGE * (abs(yaw - np.pi / 4) < _SQUARE_RAD)
     if cost >= enough:
         return float(cost)
     if q is not None:
-        reached = limit_excess(plant, q[valid][frames]).max(axis=-1) <= 1e-3
+        reached = limit_excess(plant, q[valid][frames]).max(axis=-1) <= _PAST_RAD
     else:
         reached = np.array([len(own) > 0 for own in within_limits(plant, grid_postures(plant, X[frames], 36))])
-    reached &= ~((distance < 0.15) & (X[:, 2, 3] < 0.3))[frames]  # inside of the base
+    reached &= ~((distance < _BASE_M) & (X[:, 2, 3] < _BASE_HEIGHT_M))[frames]
     return float(cost + UNREACHED * (1.0 - reached.mean()))

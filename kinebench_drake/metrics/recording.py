@@ -11,6 +11,11 @@ from kinebench_drake.track import GripperTrack
 
 IDLE_S = 1.0
 """Shortest rest at an end of a recording that counts as idle [s]."""
+_STILL_M, _STILL_RAD, _STILL_GAP_M = 0.005, 0.04, 0.004  # from the pose at the end; beyond sensors' noise
+LAG_S = 1.0
+"""Greatest lag that is looked for, either way [s]."""
+_CORRELATED = 0.5  # least correlation of actions with the motion that they command
+_SHARP = 0.02  # of the correlation: lags that come as near to the greatest are not told from its own
 
 
 def idle_ends(track: GripperTrack) -> list[int] | None:
@@ -24,9 +29,9 @@ def idle_ends(track: GripperTrack) -> list[int] | None:
     counts = []
     for order in (frames, frames[::-1]):
         X, gap = track.X_BG[order], track.finger_width_m[order]
-        moved = np.linalg.norm(X[:, :3, 3] - X[0, :3, 3], axis=-1) > 0.005  # beyond the noise of sensors
-        moved |= rotation_angle(X[0, :3, :3].T @ X[:, :3, :3]) > 0.04
-        moved |= np.nan_to_num(np.abs(gap - gap[0])) > 0.004
+        moved = np.linalg.norm(X[:, :3, 3] - X[0, :3, 3], axis=-1) > _STILL_M
+        moved |= rotation_angle(X[0, :3, :3].T @ X[:, :3, :3]) > _STILL_RAD
+        moved |= np.nan_to_num(np.abs(gap - gap[0])) > _STILL_GAP_M
         rest = int(np.argmax(moved)) if moved.any() else len(order)
         idle_s = abs(float(track.t_s[order[rest - 1]] - track.t_s[order[0]]))
         counts.append(rest if idle_s >= IDLE_S else 0)
@@ -41,15 +46,14 @@ def find_action_lag(state: Array, action: Array, period_s: float) -> dict[str, J
     `tolerance`: lags up to this far from it correlate as well; `correlation`.
     """
     change = np.diff(state, axis=0)
-    most = min(max(round(1.0 / period_s), 2), len(change) // 3)  # greatest lag that is looked for, either way [s]
+    most = min(max(round(LAG_S / period_s), 2), len(change) // 3)
     if most < 2 or not (np.isfinite(state).all() and np.isfinite(action).all()):
         return None
     curves = [_correlations(signal, change, most) for signal in (np.diff(action, axis=0), action[:-1])]
     values = max(curves, key=max)
     best = int(np.argmax(values))
-    # 0.02: of the correlation: lags that come as near to the greatest are not told from its own
-    tolerance = int(np.abs(np.flatnonzero(values >= values[best] - 0.02) - best).max())
-    if values[best] < 0.5 or tolerance >= most:  # least correlation of actions with the motion that they command
+    tolerance = int(np.abs(np.flatnonzero(values >= values[best] - _SHARP) - best).max())
+    if values[best] < _CORRELATED or tolerance >= most:
         return None
     return {"frames": best - most, "tolerance": tolerance, "correlation": float(values[best])}
 
