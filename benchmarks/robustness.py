@@ -20,7 +20,6 @@ from benchmarks.perception.study import (
     robustness,
     run_study,
 )
-from benchmarks.perception.summary import intervals
 from benchmarks.perception.trial import TrialCondition
 from kinebench_drake.executors.local import LocalExecutor
 from kinebench_drake.grounding import bounds
@@ -85,12 +84,11 @@ def figures(outcome: StudyOutcome) -> dict[str, float]:
     return result
 
 
-def section(outcome: StudyOutcome, tasks: Sequence[str], training: str) -> str:
+def section(outcome: StudyOutcome, training: str) -> str:
     """Return the section of the page, in Markdown.
 
     Args:
         outcome: result of `measure`.
-        tasks: tasks of the baseline's training.
         training: description of that training.
     """
     videos = outcome.results[CLEAN.name]
@@ -100,7 +98,7 @@ def section(outcome: StudyOutcome, tasks: Sequence[str], training: str) -> str:
     return markdown.section(
         "Perturbed frames, and inverse dynamics",
         wrap(_INTRODUCTION.format(training=training, figure=FIGURE.name), width=WIDTH),
-        markdown.table(head, _rows(outcome, tasks)),
+        markdown.table(head, _rows(outcome)),
         "The commands:",
         [
             f"    kinebench-drake {' '.join(HELDOUT)} --out heldout",
@@ -109,16 +107,9 @@ def section(outcome: StudyOutcome, tasks: Sequence[str], training: str) -> str:
     )
 
 
-def _rows(outcome: StudyOutcome, tasks: Sequence[str]) -> Iterator[list[str]]:
+def _rows(outcome: StudyOutcome) -> Iterator[list[str]]:
     for name in (CLEAN.name, TRUE_DEPTH.name):
         yield _row(name, [outcome.figures.get(name + suffix) for _, suffix, *_ in _STYLES])
-    for trained, label in ((True, "tasks of the network's training"), (False, "other tasks")):
-        groups = [
-            [e for e in outcome.results[CLEAN.name + suffix] if (e.task in tasks) is trained]
-            for _, suffix, *_ in _STYLES
-        ]
-        if groups[0]:
-            yield _row(f"{CLEAN.name}, {label}", [intervals(group) for group in groups])
     for name in filter(lambda name: _stands_out(outcome, name), outcome.study.required):
         yield _row(name, [outcome.figures[name + suffix] for _, suffix, *_ in _STYLES])
 

@@ -253,7 +253,7 @@ def robustness(results: Path, heldout: Path | None, work: Path, weights: Path, l
         outcome = measure(_heldout(heldout, work), weights, work / "robustness.jsonl", limit, jobs, view)
         save(draw(outcome), FIGURE)
     baseline = Baseline.load(weights)
-    _record("robustness", results, figures(outcome), section(outcome, baseline.tasks, baseline.training))
+    _record("robustness", results, figures(outcome), section(outcome, baseline.training))
 
 
 @click.command(
