@@ -145,7 +145,7 @@ def section(comparisons: Sequence[IkComparison]) -> str:
     rest = "".join(f" and those for tracks of {text}" for _, text in others)
     parts.append(
         f"{first.tracks.tracks} tracks of {tracks}. Of each solver the table has the setting with most smooth tracks, "
-        f"the fastest of these; the others{rest} stand in `benchmarks/results/ik.json`."
+        f"the fastest of these. The others{rest} stand in `benchmarks/results/ik.json`."
     )
     head = ("solver", "us a pose", "times ours", "reached, smooth")
     best = dict[str, SolverTiming]()
