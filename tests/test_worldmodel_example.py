@@ -13,6 +13,7 @@ from examples.worldmodel.pack import FRAMES, measure_pose, read_pack
 from examples.worldmodel.robot import POSE, SIZE, span_parts
 from examples.worldmodel.training import TrainConfig, train
 from kinebench_drake.camera import benchmark_camera
+from kinebench_drake.errors import SetupError
 from kinebench_drake.io.container import write_video
 from kinebench_drake.io.reader import read_video
 from kinebench_drake.kinematics.plant import ArmPlant
@@ -122,13 +123,24 @@ def test_videos_begin_with_the_first_frame_and_depend_on_the_seed(weights):
 
 
 def test_missing_weights_are_an_error_with_the_fix(tmp_path):
-    with pytest.raises(FileNotFoundError, match=r"autoencoder\.safetensors is missing"):
+    with pytest.raises(SetupError, match=r"autoencoder\.safetensors is missing"):
         Generator(tmp_path)
 
 
-def test_the_server_answers_as_a_world_model(weights, tmp_path):
+@pytest.fixture(params=["class", "server"])
+def spec(request, weights):
+    """The model as `--world-model` names it."""
+    if request.param == "class":
+        yield f"examples.worldmodel.generator:Learned?weights={weights}"
+        return
     server = make_server(Generator(weights), 0)
     threading.Thread(target=server.serve_forever, daemon=True).start()
+    yield f"http://127.0.0.1:{server.server_port}?timeout=60"
+    server.shutdown()
+    server.server_close()
+
+
+def test_the_model_answers_a_request(spec, tmp_path):
     request = Request(
         episode="PullCube-v1_s0003",
         task="PullCube-v1",
@@ -140,9 +152,4 @@ def test_the_server_answers_as_a_world_model(weights, tmp_path):
         num_frames=4,
         fps=17.0,
     )
-    try:
-        path = create(f"http://127.0.0.1:{server.server_port}?timeout=60").generate(request, tmp_path / "answer")
-    finally:
-        server.shutdown()
-        server.server_close()
-    assert read_video(path).frames.shape == (4, 64, 64, 3)
+    assert read_video(create(spec).generate(request, tmp_path / "answer")).frames.shape == (4, 64, 64, 3)

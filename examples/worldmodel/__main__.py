@@ -63,9 +63,14 @@ def train_stage(levels: str, **other: Any) -> None:
 @click.option("--port", type=int, default=8000, help="Port; 0: any free one.")
 def serve(weights: Path, dynamics: str, port: int) -> None:
     """Serve the model to `suite run --world-model http://127.0.0.1:PORT`."""
-    from .generator import Generator, make_server  # imports the package, which training does not need
+    from kinebench_drake.errors import SetupError  # training does not need the package
 
-    server = make_server(Generator(weights, dynamics), port)
+    from .generator import Generator, make_server
+
+    try:
+        server = make_server(Generator(weights, dynamics), port)
+    except SetupError as error:
+        raise click.ClickException(str(error)) from None
     click.echo(f"listening on http://127.0.0.1:{server.server_port}")
     server.serve_forever()
 

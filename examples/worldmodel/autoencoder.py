@@ -13,12 +13,11 @@ from torch.nn import functional
 
 from .robot import FIELD, LOOK, POSE, ROBOT, SIZE, Robot, make_mlp, spread_waves
 
-FEATURES = 32
+FEATURES, MAPS = 32, 64
+"""Features of a pixel of the scene, and heat maps of the encoder."""
 WIDTHS = (48, 64, 96, 128)
 """Channels at 48, 24, 12 and 6 px."""
 OBJECTS = 2
-MAPS = 64
-"""Heat maps of the encoder."""
 
 
 class Block(nn.Module):

@@ -13,6 +13,9 @@ from torch import Tensor
 from torch.nn import functional
 
 from examples.world_model_server import Handler
+from kinebench_drake.errors import SetupError
+from kinebench_drake.io.container import write_video
+from kinebench_drake.suites.worldmodels.worldmodel import Request
 
 from .autoencoder import Autoencoder, to_images, to_uv
 from .dynamics import LATENT, Dynamics, encode_prompts
@@ -21,18 +24,13 @@ from .robot import SIZE
 
 
 class Generator:
-    """The trained world model. Same first frame, prompt and seed: same video.
-
-    Args:
-        weights: folder of the weights of both stages.
-        dynamics: name of the dynamics' weights; `dynamics_01500` for those of an earlier step.
-    """
+    """The trained world model of a folder of weights; dynamics `dynamics_01500`: those of an earlier step."""
 
     def __init__(self, weights: Path, dynamics: str = "dynamics") -> None:
         self._autoencoder, self._dynamics = Autoencoder().eval(), Dynamics().eval()
         for model, name in ((self._autoencoder, "autoencoder"), (self._dynamics, dynamics)):
             if not (path := weights / f"{name}.safetensors").exists():
-                raise FileNotFoundError(f"{path} is missing; python -m examples.worldmodel train --help")
+                raise SetupError(f"{path} is missing; python -m examples.worldmodel train --help")
             model.load_state_dict({key: value.float() for key, value in load_file(path).items()})
 
     @torch.no_grad()
@@ -57,6 +55,22 @@ class Generator:
             image = (parts[:3] + parts[3:] * background).clamp(0, 1)
             frames.append((image * 255).round().byte().movedim(0, -1).numpy())
         return np.stack(frames)
+
+
+class Learned:
+    """The model as a class: `--world-model "examples.worldmodel.generator:Learned?weights=FOLDER&dynamics=NAME"`."""
+
+    def __init__(self, weights: str = "examples/worldmodel/weights", dynamics: str = "dynamics") -> None:
+        self.name, self._generator = "learned", Generator(Path(weights), dynamics)
+
+    def generate(self, request: Request, out: Path) -> Path:
+        """Write the video of a request."""
+        path, ask = out.with_name(f"{out.name}.mp4"), (request.prompt, request.seed, request.num_frames)
+        write_video(path, self._generator.generate(request.first_frame, *ask), request.fps)
+        return path
+
+    def close(self) -> None:
+        """Nothing is held."""
 
 
 def make_server(generator: Generator, port: int) -> HTTPServer:

@@ -6,8 +6,7 @@
 set -eu
 pack=$1 weights=$2 out=$3 episodes=${4:-20}
 tasks=OpenBoxEasy-v1,PullCube-v1,StackCube-v1,StoreCube-v2
-server=
-trap '[ -z "$server" ] || kill "$server"' EXIT
+model=examples.worldmodel.generator:Learned
 
 suite() { # FOLDER ARGS...
     folder=$out/$1
@@ -15,43 +14,24 @@ suite() { # FOLDER ARGS...
     kinebench-drake suite run --jobs "${JOBS:-1}" --out "$folder" "$@"
 }
 
-serve() { # FOLDER NAME
-    python -m examples.worldmodel serve --weights "$1" --dynamics "$2" --port 8765 &
-    server=$!
+cell() { # DATA STEPS FOLDER NAME
+    suite "learned-$1-$2" --suite 3 --tasks $tasks --episodes "$episodes" --tag "data=$1" --tag "steps=$2" \
+        --world-model "$model?weights=$3&dynamics=$4"
 }
 
-stop() {
-    kill "$server"
-    wait "$server" || true
-    server=
-}
-
-cell() { # DATA STEPS
-    suite "learned-$1-$2" --suite 3 --tasks $tasks --episodes "$episodes" --world-model http://127.0.0.1:8765 \
-        --model learned --tag "data=$1" --tag "steps=$2"
-}
-
-serve "$weights" dynamics
-cell 100 15000
-suite transfer --suite 1 --split unseen --tasks OpenBoxEasy-v2 --episodes "$episodes" \
-    --world-model http://127.0.0.1:8765 --model learned
-suite samples --suite 3 --tasks $tasks --episodes $((episodes / 2)) --samples 8 --rounds 1 \
-    --world-model http://127.0.0.1:8765 --model learned
-stop
+cell 100 15000 "$weights" dynamics
 for policy in still random oracle; do
     suite $policy --suite 3 --tasks $tasks --episodes "$episodes" --world-model $policy
 done
+suite transfer --suite 1 --split unseen --tasks OpenBoxEasy-v2 --episodes "$episodes" --world-model "$model?weights=$weights"
+suite samples --suite 3 --tasks $tasks --episodes $((episodes / 2)) --samples 8 --rounds 1 --world-model "$model?weights=$weights"
 for steps in 1500 4500 7500; do
-    serve "$weights" "$(printf dynamics_%05d $steps)"
-    cell 100 $steps
-    stop
+    cell 100 $steps "$weights" "$(printf dynamics_%05d $steps)"
 done
 for data in 10 25 50; do
     mkdir -p "$weights/$data"
     cp "$weights/autoencoder.safetensors" "$weights/$data"
     python -m examples.worldmodel train dynamics --demos $data --steps 7500 --minutes 100000 --pack "$pack" --out "$weights/$data"
-    serve "$weights/$data" dynamics
-    cell $data 7500
-    stop
+    cell $data 7500 "$weights/$data" dynamics
 done
 kinebench-drake suite report "$out"/learned-*/ "$out/still" "$out/random" "$out/oracle" --out "$out/report"

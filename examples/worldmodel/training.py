@@ -16,10 +16,8 @@ from .dynamics import Dynamics, encode_prompts
 from .pack import FRAMES, read_pack
 
 _log = logging.getLogger(__name__)
-RATE = 1e-3
-"""Learning rate."""
-DECAY = 0.998
-"""Share of the averaged weights that a step keeps."""
+RATE, DECAY = 1e-3, 0.998
+"""Learning rate, and the share of the averaged weights that a step keeps."""
 CLIP_FRAMES, PIXELS = 8, 256
 """Frames of each clip and pixels of each frame in a batch of the decoder."""
 START_NOISE = 0.005
