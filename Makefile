@@ -3,11 +3,17 @@
 BIN := .venv/bin
 JOBS ?= 2
 
-.PHONY: demo test test-all gate soak bench bench-ik bench-audit bench-simulation bench-rounds bench-throughput bench-streaming bench-scale check setup wheel format constraints clean
+.PHONY: demo worldmodel-demo test test-all gate soak bench bench-ik bench-audit bench-simulation bench-rounds bench-throughput bench-streaming bench-scale check setup wheel format constraints clean
 
 demo: setup
 	$(BIN)/kinebench-drake score examples/videos/manifest.jsonl --out demo-output --overlay
 	@echo "Look at demo-output/report.html (the report), demo-output/overlays (what was tracked), demo-output/results.json."
+
+# A small learned world model in closed loop (docs/worldmodel.md): one episode, about a minute.
+worldmodel-demo: setup
+	$(BIN)/kinebench-drake suite run --suite 3 --tasks PullCube-v1 --episodes 1 --out demo-output/worldmodel \
+		--world-model examples.worldmodel.generator:Learned
+	@echo "Look at demo-output/worldmodel/report.html, and at rollouts/ (generated and executed side by side)."
 
 # One thread a worker: the networks are small, and threads of several workers would wait for each other. Workers begin
 # with whole files, which share what is expensive to set up, and take over from each other at the end.

@@ -74,13 +74,18 @@ def read_labels(path: Path = LABELS) -> FootageLabels:
     """
     try:
         data: Any = read_json(path)
-        videos = {name: tuple(map(_read_frame, frames)) for name, frames in data["videos"].items()}
+        videos = {name: tuple(map(read_frame, frames)) for name, frames in data["videos"].items()}
         return FootageLabels(clean=tuple(data["clean"]), videos=videos)
     except (OSError, KeyError, TypeError, ValueError, AttributeError) as error:
         raise UsageError(f"{path.name}: not a file of labels ({cause(error)})") from None
 
 
-def _read_frame(data: Mapping[str, Any]) -> LabelledFrame:
+def read_frame(data: Mapping[str, Any]) -> LabelledFrame:
+    """Read the points of one frame.
+
+    Raises:
+        ValueError: the object has no points, or unknown ones.
+    """
     points = data["points"]
     names = [f"{pair}_{side}" for pair in _PAIRS for side in _SIDES]
     unknown = sorted(set(points) - set(names))

@@ -148,6 +148,26 @@ def extractors(work: Path, weights: Path, jobs: int, out: Path | None) -> None:
     write_section(out, text)
 
 
+@click.command(epilog="\b\nExample:\n  python -m benchmarks generated study --jobs 2 --out docs/worldmodel.md")
+@click.argument("study", type=EXISTING_FOLDER)
+@baseline_option
+@jobs_option
+@out_option
+def generated(study: Path, weights: Path, jobs: int, out: Path | None) -> None:
+    """Correlate the numbers of generated videos with success, and compare them with what a person sees.
+
+    STUDY is the folder that examples/worldmodel/study.sh made. An interrupted run continues where it was.
+    """
+    from benchmarks.generated import sections
+    from benchmarks.generated_labels import EyeStudy
+    from kinebench_drake.cli.progress import ProgressView
+
+    with ProgressView("clips") as view:
+        texts = [*sections(study, jobs, view), *EyeStudy(study, weights).sections(jobs, view)]
+    for text in texts:
+        write_section(out, text)
+
+
 @click.command(epilog="\b\nExample:\n  python -m benchmarks baseline --out baseline --jobs 2")
 @click.option("--out", type=FOLDER, required=True, help="Folder of demonstrations, checkpoints and weights.")
 @click.option("--episodes", type=COUNT, default=100, show_default=True, help="Demonstrations of each training task.")
@@ -233,4 +253,4 @@ def robots(count: int, seed: int, jobs: int) -> None:
         click.echo(line)
 
 
-COMMANDS = (causes, readings, loss, validity, extractors, baseline, trajectories)
+COMMANDS = (causes, readings, loss, validity, extractors, generated, baseline, trajectories)

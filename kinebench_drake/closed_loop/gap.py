@@ -62,19 +62,19 @@ def measure_gap(
         robot = cv2.resize(generated_robot[i].astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) > 0
         union = int((robot | executed.robot[i]).sum())
         iou[i] = (robot & executed.robot[i]).sum() / union if union else np.nan
-        psnr[i] = _signal_noise_ratio_db(executed.rgb[i], image)
-        ssim[i] = _structural_similarity(*(cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY) for rgb in (executed.rgb[i], image)))
+        psnr[i] = signal_noise_ratio_db(executed.rgb[i], image)
+        ssim[i] = structural_similarity(*(cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY) for rgb in (executed.rgb[i], image)))
     distance, angle = pose_difference(generated_X_BG[:frames], executed.X_BG)
     return Gap(robot_iou=iou, distance_m=distance, angle_rad=angle, psnr_db=psnr, ssim=ssim)
 
 
-def _signal_noise_ratio_db(a: NDArray[np.uint8], b: NDArray[np.uint8]) -> float:
+def signal_noise_ratio_db(a: NDArray[np.uint8], b: NDArray[np.uint8]) -> float:
     """Return the peak signal-to-noise ratio [dB] of two images; infinite where they are equal."""
     with np.errstate(divide="ignore"):
         return float(10.0 * np.log10(np.float64(_RANGE**2 * a.size) / cv2.norm(a, b, cv2.NORM_L2SQR)))
 
 
-def _structural_similarity(a: NDArray[np.uint8], b: NDArray[np.uint8]) -> float:
+def structural_similarity(a: NDArray[np.uint8], b: NDArray[np.uint8]) -> float:
     """Return the mean structural similarity of two grey images (H, W) over all windows of 7 x 7 px in them."""
     n, edge = _WINDOW**2, _WINDOW // 2
     x, y = a.astype(np.float64), b.astype(np.float64)

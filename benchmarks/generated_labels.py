@@ -1,0 +1,253 @@
+"""What a person sees in generated videos, beside grounding, detectors, attribution and inverse-dynamics baseline.
+
+`generated_labels.json` was filled before the grounding's results for these clips were looked at. Its ids are
+TRAINING/EPISODE of the study (`benchmarks.generated`), and stand for the episodes' first clips:
+
+    videos       points labelled in frames, as in footage_labels.json; `again`: some of these frames a second time
+    anomalies    kinds of anomalies that are seen in the clip
+    causes       cause of the episode's failure as seen in the rollout: a verdict, or "unclear"
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property, partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.footage_labels import LabelledFrame, hand_lengths_px, read_frame, read_labels, reprojection_px
+from benchmarks.generated import LEARNED, points_text
+from benchmarks.markdown import percent, section, table
+from benchmarks.perception.store import MeasurementStore, fingerprint
+from benchmarks.validity import ExecutionWorker, TrackExecution
+from kinebench_drake.anomaly import AnomalyKind
+from kinebench_drake.camera import benchmark_camera
+from kinebench_drake.executors.local import LocalExecutor
+from kinebench_drake.geometry import Array, invert, make_pose
+from kinebench_drake.io.frames import Frames
+from kinebench_drake.io.jsonl import as_object, read_json
+from kinebench_drake.io.reader import read_video
+from kinebench_drake.models.panda.robot import HAND_TO_TCP_M
+from kinebench_drake.results.row import SampleRow, Status
+from kinebench_drake.results.store import artifact_path, read_rows
+from kinebench_drake.results.trackfile import read_track
+from kinebench_drake.runs.runner import RunObserver
+from kinebench_drake.stats import PairedShares
+from kinebench_drake.suites.catalog import EpisodeSpec, load_suite
+from kinebench_drake.track import GripperTrack
+from training.baseline.network import Baseline
+
+LABELS = Path(__file__).with_name("generated_labels.json")
+SUITE, BEST = 3, f"{LEARNED}100-15000/"
+"""Suite of the study, and beginning of the ids of its longest training."""
+FAR_SHARE, SILENT_SHARE = 0.1, 0.2
+"""Reprojection errors over the hand's length: beyond the first a pose is not good, beyond the second a silent error."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Clip:
+    """First clip of an episode, to be executed through one extractor."""
+
+    id: str
+    spec: EpisodeSpec
+    video: Path
+    track: Path
+    baseline: bool
+    """True: the inverse-dynamics baseline; False: the grounding."""
+
+    def read(self, network: Baseline) -> GripperTrack:
+        """Return the extractor's track of the clip."""
+        frames = read_video(self.video).frames
+        track = read_track(self.track).track.at(np.arange(len(frames)))
+        return follow(network, frames, track.t_s) if self.baseline else track
+
+
+def follow(network: Baseline, frames: Frames, t_s: Array) -> GripperTrack:
+    """Return the track of the inverse-dynamics baseline, which has a pose in every frame."""
+    X_BG, width_m = network.predict(frames)
+    X_GH = make_pose(np.eye(3), [0.0, 0.0, -HAND_TO_TCP_M])
+    return GripperTrack(
+        t_s=t_s,
+        X_CH=invert(benchmark_camera().X_BC) @ X_BG @ X_GH,
+        X_BG=X_BG,
+        tracked=np.ones(len(X_BG), dtype=np.bool_),
+        confidence=np.ones(len(X_BG)),
+        finger_width_m=width_m,
+    )
+
+
+class _Worker:
+    """Executes the first clip of an episode through one extractor."""
+
+    def __init__(self, weights: Path) -> None:
+        self._weights, self._executor = weights, ExecutionWorker()
+
+    @cached_property
+    def _network(self) -> Baseline:
+        return Baseline.load(self._weights)
+
+    def __call__(self, clip: Clip) -> TrackExecution:
+        return self._executor.execute(clip.spec, clip.read(self._network))
+
+    def close(self) -> None:
+        """Release the simulator."""
+        self._executor.close()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GeneratedLabels:
+    """Content of generated_labels.json."""
+
+    videos: Mapping[str, tuple[LabelledFrame, ...]]
+    """Labelled frames by episode."""
+    again: Mapping[str, tuple[LabelledFrame, ...]]
+    """Frames of these that were labelled a second time, by episode."""
+    anomalies: Mapping[str, Sequence[str]]
+    """Kinds seen in a clip, by episode."""
+    causes: Mapping[str, str]
+    """Cause of the failure as seen, by episode."""
+
+
+def read_generated_labels(path: Path = LABELS) -> GeneratedLabels:
+    """Read the labels.
+
+    Raises:
+        UsageError: the file is not one of labels.
+    """
+    data: Any = read_json(path)
+    again = {name: tuple(map(read_frame, frames)) for name, frames in data["again"].items()}
+    videos = read_labels(path).videos
+    return GeneratedLabels(videos=videos, again=again, anomalies=data["anomalies"], causes=data["causes"])
+
+
+class EyeStudy:
+    """A study beside the labels."""
+
+    def __init__(self, study: Path, weights: Path) -> None:
+        """Name the folder of the study and the weights of the baseline."""
+        self._labels, self._weights, self._study = read_generated_labels(), weights, study
+        trainings = sorted(path.parent for path in study.glob(f"{LEARNED}*/samples.jsonl"))
+        self._rows = {f"{folder.name}/{id}": row for folder in trainings for id, row in read_rows(folder).items()}
+
+    def _clips(self, ids: Sequence[str], *, baseline: bool) -> list[Clip]:
+        suite, clips = load_suite(SUITE), []
+        for id in ids:
+            row, folder = self._rows[id], (self._study / id).parent
+            (spec,) = suite.specs("test", 1, tasks=[str(row.task)], offset=int(str(row.extra["seed"])))
+            video, track = folder / "videos" / f"{row.id}_r0.mp4", artifact_path(folder, "tracks", row.id)
+            clips.append(Clip(id=id, spec=spec, video=video, track=track, baseline=baseline))
+        return clips
+
+    def sections(self, jobs: int, observer: RunObserver) -> Iterator[str]:
+        """Yield the sections of docs/worldmodel.md."""
+        yield section("Frames labelled by eye", self.label_lines())
+        yield section("Anomalies beside the eye", self.anomaly_lines())
+        yield section("Causes beside the eye", self.cause_lines())
+        yield section("Beside inverse dynamics", self.execution_lines(jobs, observer))
+
+    def label_lines(self) -> Iterator[str]:
+        """Yield the table of errors of both extractors at the labelled frames, and the error of the labels."""
+        network, camera = Baseline.load(self._weights), benchmark_camera()
+        ids = list(self._labels.videos)
+        frames = [frame for id in ids for frame in self._labels.videos[id]]
+        length = np.concatenate([hand_lengths_px(self._labels.videos[id]) for id in ids])
+        rows = []
+        for baseline in (False, True):
+            px, confidence = [], []
+            for id, clip in zip(ids, self._clips(ids, baseline=baseline), strict=True):
+                track = clip.read(network)
+                for frame in self._labels.videos[id]:
+                    k = frame.frame
+                    X_CH = np.where(track.tracked[k], track.X_CH[k], np.nan)
+                    px.append(reprojection_px(frame, camera, X_CH, float(track.finger_width_m[k])))
+                    confidence.append(track.confidence[k])
+            error, tracked = np.array(px), np.isfinite(px)
+            share = (error / length)[tracked]
+            rows.append([
+                "baseline" if baseline else "grounding",
+                f"{tracked.sum()} of {len(frames)}",
+                f"{np.median(error[tracked]):.1f} px, {np.percentile(error[tracked], 95):.1f} px",
+                percent(float(np.median(share))),
+                percent(float((share <= FAR_SHARE).mean())),
+                "-" if baseline else percent(float(np.array(confidence)[tracked].mean())),
+                percent(float((share > SILENT_SHARE).mean())),
+            ])  # fmt: skip
+        head = ("", "tracked", "error, median and 95 %", "of the hand's length", "within 10 % of it")
+        yield from table((*head, "confidence, mean", "silent errors"), rows)
+        yield ""
+        twice = list(self._twice())
+        yield (
+            f"Labels of {len(twice)} frames made twice differ by {np.median(twice):.1f} px (median) and "
+            f"{np.percentile(twice, 95):.1f} px (95 %) a point. The hand is {np.median(length):.0f} px long."
+        )
+
+    def _twice(self) -> Iterator[float]:
+        for id, frames in self._labels.again.items():
+            first = {frame.frame: frame.points_px for frame in self._labels.videos[id]}
+            for frame in frames:
+                both = frame.points_px.keys() & first[frame.frame].keys()
+                yield float(np.mean([np.linalg.norm(frame.points_px[n] - first[frame.frame][n]) for n in both]))
+
+    def anomaly_lines(self) -> list[str]:
+        """Return the table of anomalies that a person sees and the detectors report in first clips."""
+        both_kinds = [(set(kinds), self._reported(self._rows[id])) for id, kinds in self._labels.anomalies.items()]
+        rows = []
+        for kind in (kind.value for kind in AnomalyKind):
+            by_eye, reported = (np.array([kind in pair[k] for pair in both_kinds]) for k in (0, 1))
+            hits, counts = int((by_eye & reported).sum()), (int(by_eye.sum()), int(reported.sum()))
+            if any(counts):
+                shares = [percent(hits / n if n else None) for n in reversed(counts)]
+                rows.append([f"`{kind}`", *map(str, counts), str(hits), *shares])
+        agree = sum(bool(by_eye) == bool(reported) for by_eye, reported in both_kinds)
+        totals = [str(sum(bool(pair[k]) for pair in both_kinds)) for k in (0, 1)]
+        rows.append(["any", *totals, f"{agree} of {len(both_kinds)} clips agree", "", ""])
+        return table(("kind", "seen", "reported", "both", "precision", "recall"), rows)
+
+    def _reported(self, row: SampleRow) -> set[str]:
+        """Return the kinds that are reported in the first clip."""
+        frames = row.extra["clip_frames"]
+        first = frames[0] if isinstance(frames, list) else 0
+        anomalies = row.metrics.get("anomalies")
+        objects = [as_object(a) for a in anomalies] if isinstance(anomalies, list) else []
+        return {str(a["kind"]) for a in objects if int(str(a["frame_start"])) < int(str(first))}
+
+    def cause_lines(self) -> list[str]:
+        """Return the table of the causes of failures as seen and as attributed."""
+        verdicts = {id: str(self._rows[id].extra.get("verdict")) for id in self._labels.causes}
+        names = sorted({*self._labels.causes.values(), *verdicts.values()})
+        pairs = [(cause, verdicts[id]) for id, cause in self._labels.causes.items()]
+        rows = [[cause, *(str(pairs.count((cause, verdict))) for verdict in names)] for cause in names]
+        agree = sum(cause == verdict for cause, verdict in pairs)
+        return [*table(("seen, attributed:", *names), rows), "", f"{agree} of {len(pairs)} agree."]
+
+    def execution_lines(self, jobs: int, observer: RunObserver) -> Iterator[str]:
+        """Yield the success of first clips executed through grounding and baseline; an interrupted run resumes."""
+        ids = sorted(id for id, row in self._rows.items() if id.startswith(BEST) and row.status is Status.OK)
+        clips = [clip for baseline in (False, True) for clip in self._clips(ids, baseline=baseline)]
+        modules, network = ["kinebench_drake.closed_loop.commands", "training.baseline.network"], self._weights
+        code = fingerprint(modules=modules, files=[network])
+        done = MeasurementStore(self._study / "executions.jsonl", TrackExecution).complete(
+            clips,
+            lambda clip: f"{code}-{fingerprint(clip.baseline, files=[clip.video, clip.track])}-{clip.id}",
+            LocalExecutor(jobs=jobs),
+            partial(_Worker, network),
+            observer,
+            lambda clip: clip.id,
+        )
+        success = np.array([outcome.success for outcome in done]).reshape(2, -1)
+        tasks = np.array([self._rows[id].task for id in ids])
+        rows = []
+        for task in (*np.unique(tasks), None):
+            own = success[:, (tasks == task) | (task is None)]
+            rows.append([task or "all", str(own.shape[1]), *map(str, own.sum(axis=1)), *map(str, _only(own))])
+        yield from table(("task", "clips", "grounding", "baseline", "grounding only", "baseline only"), rows)
+        paired = PairedShares(first=success[0].astype(float), second=success[1].astype(float))
+        yield ""
+        yield f"Success of the grounding less that of the baseline: {points_text(paired)}."
+
+
+def _only(success: NDArray[np.bool_]) -> tuple[int, int]:
+    one, other = success
+    return int((one & ~other).sum()), int((other & ~one).sum())
