@@ -51,10 +51,8 @@ class DepthKind:
 
 KINDS = (
     DepthKind(name="network", network_share=1.0),
-    DepthKind(name="half of its error", network_share=0.5),
     DepthKind(name="a fifth of its error", network_share=0.2),
     DepthKind(name="smooth error of 1 %", degradation=Degradation(field=0.01)),
-    DepthKind(name="smooth error of 0.3 %", degradation=Degradation(field=0.003)),
     DepthKind(name="exact", exact=True),
 )
 
