@@ -170,12 +170,15 @@ _TESTS = (
 
 
 def _hidden_moves(clip: ClipEvidence) -> Iterator[slice]:
-    """Yield stretches with poses but unknown gaps, unless the gap is the same before and after."""
+    """Yield stretches with poses but unknown gaps, unless the gap is the same before and after.
+
+    Nor do they hide a move if the fingers were closed before and are not seen again: these hold nothing to let go.
+    """
     gap = clip.finger_width_generated_m
     for run in segments(clip.tracked & ~_faulty(clip) & np.isnan(gap)):
         before, after = gap[: run.start], gap[run.stop :]
         before, after = before[np.isfinite(before)], after[np.isfinite(after)]
-        same = len(before) and len(after) and abs(after[0] - before[-1]) <= FINGERS_M
+        same = len(before) and (abs(after[0] - before[-1]) if len(after) else before[-1]) <= FINGERS_M
         if _length(run) >= LOST_FRAMES and not same:
             yield run
 

@@ -79,6 +79,13 @@ def test_a_finger_motion_during_lost_frames_is_attributed_to_grounding(after_m: 
     assert cause.frame_start == (None if verdict is FailureVerdict.TASK else 12)
 
 
+@pytest.mark.parametrize(("before_m", "verdict"), [(0.01, FailureVerdict.TASK), (0.04, FailureVerdict.GROUNDING)])
+def test_closed_fingers_that_are_not_seen_again_hide_no_move(before_m: float, verdict: FailureVerdict) -> None:
+    gap = np.where(np.arange(FRAMES) < 12, before_m, np.nan)
+    cause = attribute([replace(clip(), finger_width_generated_m=gap, finger_width_executed_m=gap)], "")
+    assert cause.verdict is verdict
+
+
 def test_hidden_fingers_yield_to_causes_in_execution_and_generation() -> None:
     gap = np.where(np.arange(FRAMES) < 12, 0.04, np.nan)
     assert (
