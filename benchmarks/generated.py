@@ -211,7 +211,7 @@ def correlate(cells: Sequence[Cell], *, within: bool) -> list[IntervalEstimate]:
     """Return Spearman's rho (1904) of each predictor's mean and success over the cells.
 
     With `within` both are standardised within each task, which removes the tasks' difficulty. The interval is the
-    percentile bootstrap over episodes, drawn alike in all cells of a task, as their scenes are the same.
+    percentile bootstrap over episodes, drawn alike in all cells with as many: their scenes are the same.
     """
     rng = np.random.default_rng(0)
     drawn = {n: resampled_counts(n, rng) / n for n in sorted({len(cell.success) for cell in cells})}

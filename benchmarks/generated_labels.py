@@ -1,11 +1,12 @@
 """What a person sees in generated videos, beside grounding, detectors, attribution and inverse-dynamics baseline.
 
-`generated_labels.json` was filled before the grounding's results for these clips were looked at. Its ids are
-TRAINING/EPISODE of the study (`benchmarks.generated`), and stand for the episodes' first clips:
+Ids of `generated_labels.json` are TRAINING/EPISODE of the study (`benchmarks.generated`), and stand for the episodes'
+first clips. Points and anomalies were labelled before tracks and reported anomalies of these clips were looked at, and
+so were the causes of StackCube-v1. Those of OpenBoxEasy-v1 and PullCube-v1 were judged with the verdicts known.
 
     videos       points labelled in frames, as in footage_labels.json; `again`: some of these frames a second time
     anomalies    kinds of anomalies that are seen in the clip
-    causes       cause of the episode's failure as seen in the rollout: a verdict, or "unclear"
+    causes       cause of the episode's failure as seen in the rollout: a verdict
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -17,7 +18,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.footage_labels import LabelledFrame, hand_lengths_px, read_frame, read_labels, reprojection_px
+from benchmarks.footage_labels import (
+    SILENT_SHARE,
+    LabelledFrame,
+    hand_lengths_px,
+    read_frame,
+    read_labels,
+    reprojection_px,
+)
 from benchmarks.generated import LEARNED, points_text
 from benchmarks.markdown import percent, section, table
 from benchmarks.perception.store import MeasurementStore, fingerprint
@@ -42,8 +50,8 @@ from training.baseline.network import Baseline
 LABELS = Path(__file__).with_name("generated_labels.json")
 SUITE, BEST = 3, f"{LEARNED}100-15000/"
 """Suite of the study, and beginning of the ids of its longest training."""
-FAR_SHARE, SILENT_SHARE = 0.1, 0.2
-"""Reprojection errors over the hand's length: beyond the first a pose is not good, beyond the second a silent error."""
+FAR_SHARE = 0.1
+"""Reprojection error over the hand's length beyond which a pose is not good."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -66,6 +66,8 @@ class ClipEvidence:
     """(T,) gap between the finger pads in the video [m]; NaN where unknown."""
     finger_width_executed_m: Array
     """(T,) gap of the robot [m]."""
+    gripping: bool
+    """True if the fingers hold an object at the end, as commanded."""
     violations: tuple[tuple[str, int, int], ...] = ()
     """Infeasible parts of the motion: kind, first and last frame."""
 
@@ -88,6 +90,7 @@ def _evidence(done: Round, result: KinematicResult) -> ClipEvidence:
         X_BG_executed=np.full((frames, 4, 4), np.nan) if execution is None else execution.X_BG,
         finger_width_generated_m=track.finger_width_m[:frames],
         finger_width_executed_m=np.full(frames, np.nan) if execution is None else execution.finger_width_m,
+        gripping=done.commands is None or done.commands.gripping,
         violations=tuple((v.kind.value, v.frame_start, v.frame_end) for v in result.violations),
     )
 
@@ -172,14 +175,17 @@ _TESTS = (
 def _hidden_moves(clip: ClipEvidence) -> Iterator[slice]:
     """Yield stretches with poses but unknown gaps, unless the gap is the same before and after.
 
-    Nor do they hide a move if the fingers were closed before and are not seen again: these hold nothing to let go.
+    Up to the end of the clip, fingers that were closed and hold nothing hide no move either: nothing can be let go.
     """
     gap = clip.finger_width_generated_m
     for run in segments(clip.tracked & ~_faulty(clip) & np.isnan(gap)):
         before, after = gap[: run.start], gap[run.stop :]
         before, after = before[np.isfinite(before)], after[np.isfinite(after)]
-        same = len(before) and (abs(after[0] - before[-1]) if len(after) else before[-1]) <= FINGERS_M
-        if _length(run) >= LOST_FRAMES and not same:
+        if len(after):
+            harmless = len(before) > 0 and abs(after[0] - before[-1]) <= FINGERS_M
+        else:
+            harmless = len(before) > 0 and before[-1] <= FINGERS_M and not clip.gripping
+        if _length(run) >= LOST_FRAMES and not harmless:
             yield run
 
 

@@ -23,6 +23,7 @@ def clip() -> ClipEvidence:
         X_BG_executed=X.copy(),
         finger_width_generated_m=gap,
         finger_width_executed_m=gap.copy(),
+        gripping=False,
     )
 
 
@@ -79,11 +80,20 @@ def test_a_finger_motion_during_lost_frames_is_attributed_to_grounding(after_m: 
     assert cause.frame_start == (None if verdict is FailureVerdict.TASK else 12)
 
 
-@pytest.mark.parametrize(("before_m", "verdict"), [(0.01, FailureVerdict.TASK), (0.04, FailureVerdict.GROUNDING)])
-def test_closed_fingers_that_are_not_seen_again_hide_no_move(before_m: float, verdict: FailureVerdict) -> None:
+@pytest.mark.parametrize(
+    ("before_m", "gripping", "verdict"),
+    [
+        (0.01, False, FailureVerdict.TASK),
+        (0.01, True, FailureVerdict.GROUNDING),  # a thin handle may be let go
+        (0.04, False, FailureVerdict.GROUNDING),  # open fingers may close
+    ],
+)
+def test_closed_fingers_that_hold_nothing_hide_no_move_up_to_the_end(
+    before_m: float, gripping: bool, verdict: FailureVerdict
+) -> None:
     gap = np.where(np.arange(FRAMES) < 12, before_m, np.nan)
-    cause = attribute([replace(clip(), finger_width_generated_m=gap, finger_width_executed_m=gap)], "")
-    assert cause.verdict is verdict
+    hidden = replace(clip(), finger_width_generated_m=gap, finger_width_executed_m=gap, gripping=gripping)
+    assert attribute([hidden], "").verdict is verdict
 
 
 def test_hidden_fingers_yield_to_causes_in_execution_and_generation() -> None:
