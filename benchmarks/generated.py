@@ -1,8 +1,8 @@
 """Study of a learned world model: which numbers of its videos go along with success, and what a person sees in them.
 
 The study is a folder of output folders of `suite run` on the same episodes, as `examples/worldmodel/study.sh` makes it:
-one of each training and `oracle`, the expert's videos. A cell is one task of one training. Images are compared with the
-expert's first clip, which begins with the same frame.
+the best training in closed loop, policies to compare it with, and one clip an episode of each training. A cell is one
+task of one training. Images are compared with the expert's first clip, which begins with the same frame.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -32,10 +32,10 @@ from kinebench_drake.results.store import read_rows
 from kinebench_drake.runs.runner import RunObserver
 from kinebench_drake.stats import IntervalEstimate, PairedShares, percentile_interval, resampled_counts, wilson
 
-EXPERT, STILL, SAMPLES = "oracle", "still", "samples"
-"""Folders of the expert's videos, of a video that does not move, and of several samples of each episode."""
+BEST, EXPERT, STILL, SAMPLES = "best", "oracle", "still", "samples"
+"""Folders of the best training, the expert's videos, videos that do not move, and several samples of each episode."""
 LEARNED = "learned-"
-"""Beginning of the names of trainings; other runs have no part in correlations."""
+"""Beginning of the names of the runs of one clip an episode; other runs have no part in correlations."""
 LEAST_CELLS = 8
 """Cells with some success and some failure that a correlation needs."""
 _STRIDE = 4  # every fourth frame of a clip is compared with the expert's

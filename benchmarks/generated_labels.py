@@ -1,8 +1,8 @@
 """What a person sees in generated videos, beside grounding, detectors, attribution and inverse-dynamics baseline.
 
-Ids of `generated_labels.json` are TRAINING/EPISODE of the study (`benchmarks.generated`), and stand for the episodes'
-first clips. Points and anomalies were labelled before tracks and reported anomalies of these clips were looked at, and
-so were the causes of StackCube-v1. Those of OpenBoxEasy-v1 and PullCube-v1 were judged with the verdicts known.
+Ids of `generated_labels.json` are those of the study's run `best` (`benchmarks.generated`). Points and anomalies are
+those of the episodes' first clips, labelled before their tracks and reported anomalies were looked at; the causes of
+StackCube-v1 were, too. Those of OpenBoxEasy-v1 and PullCube-v1 were judged with the verdicts known.
 
     videos       points labelled in frames, as in footage_labels.json; `again`: some of these frames a second time
     anomalies    kinds of anomalies that are seen in the clip
@@ -26,7 +26,7 @@ from benchmarks.footage_labels import (
     read_labels,
     reprojection_px,
 )
-from benchmarks.generated import LEARNED, points_text
+from benchmarks.generated import BEST, points_text
 from benchmarks.markdown import percent, section, table
 from benchmarks.perception.store import MeasurementStore, fingerprint
 from benchmarks.validity import ExecutionWorker, TrackExecution
@@ -48,8 +48,8 @@ from kinebench_drake.track import GripperTrack
 from training.baseline.network import Baseline
 
 LABELS = Path(__file__).with_name("generated_labels.json")
-SUITE, BEST = 3, f"{LEARNED}100-15000/"
-"""Suite of the study, and beginning of the ids of its longest training."""
+SUITE = 3
+"""Suite of the study."""
 FAR_SHARE = 0.1
 """Reprojection error over the hand's length beyond which a pose is not good."""
 
@@ -135,16 +135,15 @@ class EyeStudy:
 
     def __init__(self, study: Path, weights: Path) -> None:
         """Name the folder of the study and the weights of the baseline."""
-        self._labels, self._weights, self._study = read_generated_labels(), weights, study
-        trainings = sorted(path.parent for path in study.glob(f"{LEARNED}*/samples.jsonl"))
-        self._rows = {f"{folder.name}/{id}": row for folder in trainings for id, row in read_rows(folder).items()}
+        self._labels, self._weights, self._folder = read_generated_labels(), weights, study / BEST
+        self._rows = read_rows(self._folder)
 
     def _clips(self, ids: Sequence[str], *, baseline: bool) -> list[Clip]:
         suite, clips = load_suite(SUITE), []
         for id in ids:
-            row, folder = self._rows[id], (self._study / id).parent
+            row = self._rows[id]
             (spec,) = suite.specs("test", 1, tasks=[str(row.task)], offset=int(str(row.extra["seed"])))
-            video, track = folder / "videos" / f"{row.id}_r0.mp4", artifact_path(folder, "tracks", row.id)
+            video, track = self._folder / "videos" / f"{id}_r0.mp4", artifact_path(self._folder, "tracks", id)
             clips.append(Clip(id=id, spec=spec, video=video, track=track, baseline=baseline))
         return clips
 
@@ -232,11 +231,11 @@ class EyeStudy:
 
     def execution_lines(self, jobs: int, observer: RunObserver) -> Iterator[str]:
         """Yield the success of first clips executed through grounding and baseline; an interrupted run resumes."""
-        ids = sorted(id for id, row in self._rows.items() if id.startswith(BEST) and row.status is Status.OK)
+        ids = sorted(id for id, row in self._rows.items() if row.status is Status.OK)
         clips = [clip for baseline in (False, True) for clip in self._clips(ids, baseline=baseline)]
         modules, network = ["kinebench_drake.closed_loop.commands", "training.baseline.network"], self._weights
         code = fingerprint(modules=modules, files=[network])
-        done = MeasurementStore(self._study / "executions.jsonl", TrackExecution).complete(
+        done = MeasurementStore(self._folder.with_name("executions.jsonl"), TrackExecution).complete(
             clips,
             lambda clip: f"{code}-{fingerprint(clip.baseline, files=[clip.video, clip.track])}-{clip.id}",
             LocalExecutor(jobs=jobs),
