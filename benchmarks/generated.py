@@ -32,8 +32,9 @@ from kinebench_drake.results.store import read_rows
 from kinebench_drake.runs.runner import RunObserver
 from kinebench_drake.stats import IntervalEstimate, PairedShares, percentile_interval, resampled_counts, wilson
 
-BEST, EXPERT, STILL, SAMPLES = "best", "oracle", "still", "samples"
-"""Folders of the best training, the expert's videos, videos that do not move, and several samples of each episode."""
+BEST, EXPERT, STILL, TRANSFER, SAMPLES = "best", "oracle", "still", "transfer", "samples"
+"""Folders of the best training, the expert's videos, videos that do not move, a task that the best training has not
+seen, and several samples of each episode."""
 LEARNED = "learned-"
 """Beginning of the names of the runs of one clip an episode; other runs have no part in correlations."""
 LEAST_CELLS = 8
@@ -254,6 +255,13 @@ def success_lines(runs: Mapping[str, Sequence[SampleRow]]) -> list[str]:
     return table(["run", *tasks, "success", "executable", f"success less that of `{STILL}`"], lines)
 
 
+def transfer_text(rows: Sequence[SampleRow]) -> str:
+    """Return the success in a task that was not trained."""
+    hits = int(sum(map(_hit, rows)))
+    low, high = wilson(hits, len(rows))
+    return f"In {rows[0].task}, not seen in training: {hits} of {len(rows)} [{100 * low:.0f}, {100 * high:.0f}] %."
+
+
 def _pair(first: Sequence[float] | Array, second: Sequence[float] | Array, samples: int = 1) -> PairedShares:
     return PairedShares(first=np.asarray(first), second=np.asarray(second), samples=samples)
 
@@ -305,10 +313,10 @@ def best_lines(folder: Path) -> list[str]:
 def sections(study: Path, jobs: int, observer: RunObserver) -> Iterator[str]:
     """Yield the sections of docs/worldmodel.md that follow from the rows and videos of a study."""
     runs = read_runs(study)
-    samples = runs.pop(SAMPLES, None)
+    samples, transfer = runs.pop(SAMPLES, None), runs.pop(TRANSFER, None)
     trainings = {name: own for name, own in runs.items() if name.startswith(LEARNED)}
     cells = make_cells(trainings, compare_clips(study, trainings, jobs, observer))
-    yield section("Success", success_lines(runs))
+    yield section("Success", success_lines(runs), transfer_text(transfer) if transfer else "")
     one_sided = ", ".join(f"{cell.training} {cell.task}" for cell in cells if not cell.is_mixed)
     yield section(
         "Numbers beside success", correlation_lines(cells), f"All or none succeed in: {one_sided}." if one_sided else ""

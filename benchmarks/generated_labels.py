@@ -1,11 +1,13 @@
 """What a person sees in generated videos, beside grounding, detectors, attribution and inverse-dynamics baseline.
 
-Ids of `generated_labels.json` are those of the study's run `best` (`benchmarks.generated`). Points and anomalies are
-those of the episodes' first clips, labelled before their tracks and reported anomalies were looked at; the causes of
-StackCube-v1 were, too. Those of OpenBoxEasy-v1 and PullCube-v1 were judged with the verdicts known.
+Ids of `generated_labels.json` are those of the study's run `best` (`benchmarks.generated`), of anomalies those of other
+runs as well. Points and anomalies are those of the episodes' first clips, labelled before their tracks and reported
+anomalies were looked at; the causes of StackCube-v1 were, too. Those of OpenBoxEasy-v1 and PullCube-v1 were judged with
+the verdicts known. Detectors were mended after a look at the clips of `best`; the other runs are held out.
 
     videos       points labelled in frames, as in footage_labels.json; `again`: some of these frames a second time
-    anomalies    kinds of anomalies that are seen in the clip
+    anomalies    by run: kinds of anomalies that are seen in the clip
+    confirmed    by run: kinds that were reported, not seen at first, and seen when their frames were looked at again
     causes       cause of the episode's failure as seen in the rollout: a verdict
 """
 
@@ -112,8 +114,10 @@ class GeneratedLabels:
     """Labelled frames by episode."""
     again: Mapping[str, tuple[LabelledFrame, ...]]
     """Frames of these that were labelled a second time, by episode."""
-    anomalies: Mapping[str, Sequence[str]]
-    """Kinds seen in a clip, by episode."""
+    anomalies: Mapping[str, Mapping[str, Sequence[str]]]
+    """Kinds seen in a clip, by run and episode."""
+    confirmed: Mapping[str, Mapping[str, Sequence[str]]]
+    """Further kinds seen after they were reported, by run and episode."""
     causes: Mapping[str, str]
     """Cause of the failure as seen, by episode."""
 
@@ -126,8 +130,8 @@ def read_generated_labels(path: Path = LABELS) -> GeneratedLabels:
     """
     data: Any = read_json(path)
     again = {name: tuple(map(read_frame, frames)) for name, frames in data["again"].items()}
-    videos = read_labels(path).videos
-    return GeneratedLabels(videos=videos, again=again, anomalies=data["anomalies"], causes=data["causes"])
+    others = {name: data[name] for name in ("anomalies", "confirmed", "causes")}
+    return GeneratedLabels(videos=read_labels(path).videos, again=again, **others)
 
 
 class EyeStudy:
@@ -199,26 +203,19 @@ class EyeStudy:
 
     def anomaly_lines(self) -> list[str]:
         """Return the table of anomalies that a person sees and the detectors report in first clips."""
-        both_kinds = [(set(kinds), self._reported(self._rows[id])) for id, kinds in self._labels.anomalies.items()]
         rows = []
-        for kind in (kind.value for kind in AnomalyKind):
-            by_eye, reported = (np.array([kind in pair[k] for pair in both_kinds]) for k in (0, 1))
-            hits, counts = int((by_eye & reported).sum()), (int(by_eye.sum()), int(reported.sum()))
-            if any(counts):
-                shares = [percent(hits / n if n else None) for n in reversed(counts)]
-                rows.append([f"`{kind}`", *map(str, counts), str(hits), *shares])
-        agree = sum(bool(by_eye) == bool(reported) for by_eye, reported in both_kinds)
-        totals = [str(sum(bool(pair[k]) for pair in both_kinds)) for k in (0, 1)]
-        rows.append(["any", *totals, f"{agree} of {len(both_kinds)} clips agree", "", ""])
-        return table(("kind", "seen", "reported", "both", "precision", "recall"), rows)
-
-    def _reported(self, row: SampleRow) -> set[str]:
-        """Return the kinds that are reported in the first clip."""
-        frames = row.extra["clip_frames"]
-        first = frames[0] if isinstance(frames, list) else 0
-        anomalies = row.metrics.get("anomalies")
-        objects = [as_object(a) for a in anomalies] if isinstance(anomalies, list) else []
-        return {str(a["kind"]) for a in objects if int(str(a["frame_start"])) < int(str(first))}
+        for run, seen in self._labels.anomalies.items():
+            judged, confirmed = read_rows(self._folder.with_name(run)), self._labels.confirmed.get(run, {})
+            clips = [(set(kinds), _reported(judged[id]), set(confirmed.get(id, ()))) for id, kinds in seen.items()]
+            for kind in (kind.value for kind in AnomalyKind):
+                by_eye, reported, later = (np.array([kind in clip[k] for clip in clips]) for k in range(3))
+                if (by_eye | reported).any():
+                    counts = by_eye, reported, by_eye & reported, later & reported
+                    rows.append([run, f"`{kind}`", *(str(count.sum()) for count in counts)])
+            agree = sum(bool(by_eye) == bool(reported) for by_eye, reported, _ in clips)
+            totals = [str(sum(bool(clip[k]) for clip in clips)) for k in range(2)]
+            rows.append([run, "any", *totals, f"{agree} of {len(clips)} clips agree", ""])
+        return table(("run", "kind", "seen", "reported", "both", "confirmed later"), rows)
 
     def cause_lines(self) -> list[str]:
         """Return the table of the causes of failures as seen and as attributed."""
@@ -258,3 +255,12 @@ class EyeStudy:
 def _only(success: NDArray[np.bool_]) -> tuple[int, int]:
     one, other = success
     return int((one & ~other).sum()), int((other & ~one).sum())
+
+
+def _reported(row: SampleRow) -> set[str]:
+    """Return the kinds that are reported in the first clip."""
+    frames = row.extra["clip_frames"]
+    first = frames[0] if isinstance(frames, list) else 0
+    anomalies = row.metrics.get("anomalies")
+    objects = [as_object(a) for a in anomalies] if isinstance(anomalies, list) else []
+    return {str(a["kind"]) for a in objects if int(str(a["frame_start"])) < int(str(first))}

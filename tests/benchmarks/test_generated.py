@@ -102,7 +102,8 @@ def test_choice_takes_the_sample_with_the_best_verdict(tmp_path):
 def test_labels_name_known_points_kinds_and_frames():
     labels = read_generated_labels()
     assert read_labels().videos.keys().isdisjoint(labels.videos)
-    assert {kind for kinds in labels.anomalies.values() for kind in kinds} <= {kind.value for kind in AnomalyKind}
+    seen = {kind for clips in labels.anomalies.values() for kinds in clips.values() for kind in kinds}
+    assert seen <= {kind.value for kind in AnomalyKind}
     first = {(id, frame.frame) for id, frames in labels.videos.items() for frame in frames}
     assert {(id, frame.frame) for id, frames in labels.again.items() for frame in frames} <= first
     assert all(
