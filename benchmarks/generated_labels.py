@@ -219,9 +219,9 @@ class EyeStudy:
 
     def cause_lines(self) -> list[str]:
         """Return the table of the causes of failures as seen and as attributed."""
-        verdicts = {id: str(self._rows[id].extra.get("verdict")) for id in self._labels.causes}
-        names = sorted({*self._labels.causes.values(), *verdicts.values()})
-        pairs = [(cause, verdicts[id]) for id, cause in self._labels.causes.items()]
+        verdicts = {id: row.extra.get("verdict") for id, row in self._rows.items()}
+        pairs = [(cause, str(verdicts[id])) for id, cause in self._labels.causes.items() if verdicts.get(id)]
+        names = sorted({name for pair in pairs for name in pair})
         rows = [[cause, *(str(pairs.count((cause, verdict))) for verdict in names)] for cause in names]
         agree = sum(cause == verdict for cause, verdict in pairs)
         return [*table(("seen, attributed:", *names), rows), "", f"{agree} of {len(pairs)} agree."]
