@@ -8,6 +8,7 @@ task of one training. Images are compared with the expert's first clip, which be
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import accumulate
 from pathlib import Path
 
 import cv2
@@ -24,6 +25,7 @@ from kinebench_drake.closed_loop.gap import signal_noise_ratio_db, structural_si
 from kinebench_drake.errors import UsageError
 from kinebench_drake.executors.local import LocalExecutor
 from kinebench_drake.geometry import Array
+from kinebench_drake.io.jsonl import as_object
 from kinebench_drake.io.reader import read_video
 from kinebench_drake.report.suite.correlation import standardise
 from kinebench_drake.results.power import least_difference
@@ -236,6 +238,20 @@ def _rhos(cells: Sequence[Cell], weights: Sequence[Array], *, within: bool) -> A
     a, b = (rankdata(values.round(9), axis=0) - (len(cells) + 1) / 2 for values in (x, y))
     with np.errstate(invalid="ignore", divide="ignore"):
         return np.asarray((a * b).sum(axis=0) / np.sqrt((a**2).sum(axis=0) * (b**2).sum(axis=0)))
+
+
+def clip_ends(row: SampleRow) -> list[int]:
+    """Return the number of frames of an episode up to the end of each clip."""
+    frames = row.extra["clip_frames"]
+    return list(accumulate(int(str(n)) for n in frames)) if isinstance(frames, list) else []
+
+
+def reported_kinds(row: SampleRow, clip: int) -> set[str]:
+    """Return the kinds of anomalies that are reported in a clip of an episode, from 0."""
+    start, end = [0, *clip_ends(row)][clip : clip + 2]
+    anomalies = row.metrics.get("anomalies")
+    objects = [as_object(a) for a in anomalies] if isinstance(anomalies, list) else []
+    return {str(a["kind"]) for a in objects if start <= int(str(a["frame_start"])) < end}
 
 
 def success_lines(runs: Mapping[str, Sequence[SampleRow]]) -> list[str]:

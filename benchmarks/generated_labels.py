@@ -28,7 +28,7 @@ from benchmarks.footage_labels import (
     read_labels,
     reprojection_px,
 )
-from benchmarks.generated import BEST, points_text
+from benchmarks.generated import BEST, points_text, reported_kinds
 from benchmarks.markdown import percent, section, table
 from benchmarks.perception.store import MeasurementStore, fingerprint
 from benchmarks.validity import ExecutionWorker, TrackExecution
@@ -37,10 +37,10 @@ from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.executors.local import LocalExecutor
 from kinebench_drake.geometry import Array, invert, make_pose
 from kinebench_drake.io.frames import Frames
-from kinebench_drake.io.jsonl import as_object, read_json
+from kinebench_drake.io.jsonl import read_json
 from kinebench_drake.io.reader import read_video
 from kinebench_drake.models.panda.robot import HAND_TO_TCP_M
-from kinebench_drake.results.row import SampleRow, Status
+from kinebench_drake.results.row import Status
 from kinebench_drake.results.store import artifact_path, read_rows
 from kinebench_drake.results.trackfile import read_track
 from kinebench_drake.runs.runner import RunObserver
@@ -206,7 +206,9 @@ class EyeStudy:
         rows = []
         for run, seen in self._labels.anomalies.items():
             judged, confirmed = read_rows(self._folder.with_name(run)), self._labels.confirmed.get(run, {})
-            clips = [(set(kinds), _reported(judged[id]), set(confirmed.get(id, ()))) for id, kinds in seen.items()]
+            clips = [
+                (set(kinds), reported_kinds(judged[id], 0), set(confirmed.get(id, ()))) for id, kinds in seen.items()
+            ]
             for kind in (kind.value for kind in AnomalyKind):
                 by_eye, reported, later = (np.array([kind in clip[k] for clip in clips]) for k in range(3))
                 if (by_eye | reported).any():
@@ -255,12 +257,3 @@ class EyeStudy:
 def _only(success: NDArray[np.bool_]) -> tuple[int, int]:
     one, other = success
     return int((one & ~other).sum()), int((other & ~one).sum())
-
-
-def _reported(row: SampleRow) -> set[str]:
-    """Return the kinds that are reported in the first clip."""
-    frames = row.extra["clip_frames"]
-    first = frames[0] if isinstance(frames, list) else 0
-    anomalies = row.metrics.get("anomalies")
-    objects = [as_object(a) for a in anomalies] if isinstance(anomalies, list) else []
-    return {str(a["kind"]) for a in objects if int(str(a["frame_start"])) < int(str(first))}

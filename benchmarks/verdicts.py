@@ -150,20 +150,29 @@ def extractors(work: Path, weights: Path, jobs: int, out: Path | None) -> None:
 
 @click.command(epilog="\b\nExample:\n  python -m benchmarks generated study --jobs 2 --out docs/worldmodel.md")
 @click.argument("study", type=EXISTING_FOLDER)
+@click.option(
+    "--model",
+    type=EXISTING_FOLDER,
+    default=Path("examples/worldmodel/weights"),
+    show_default=True,
+    help="The best training.",
+)
 @baseline_option
 @jobs_option
 @out_option
-def generated(study: Path, weights: Path, jobs: int, out: Path | None) -> None:
+def generated(study: Path, model: Path, weights: Path, jobs: int, out: Path | None) -> None:
     """Correlate the numbers of generated videos with success, and compare them with what a person sees.
 
     STUDY is the folder that examples/worldmodel/study.sh made. An interrupted run continues where it was.
     """
     from benchmarks.generated import sections
     from benchmarks.generated_labels import EyeStudy
+    from benchmarks.generated_truth import truth_sections
     from kinebench_drake.cli.progress import ProgressView
 
     with ProgressView("clips") as view:
-        texts = [*sections(study, jobs, view), *EyeStudy(study, weights).sections(jobs, view)]
+        eye = EyeStudy(study, weights).sections(jobs, view)
+        texts = [*sections(study, jobs, view), *truth_sections(study, model, jobs, view), *eye]
     for text in texts:
         write_section(out, text)
 

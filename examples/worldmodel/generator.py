@@ -33,13 +33,15 @@ class Generator:
                 raise SetupError(f"{path} is missing; python -m examples.worldmodel train --help")
             model.load_state_dict({key: value.float() for key, value in load_file(path).items()})
 
-    @torch.no_grad()
     def generate(self, first: NDArray[np.uint8], prompt: str, seed: int, count: int = FRAMES) -> NDArray[np.uint8]:
         """Return a video (count, H, W, 3) that begins with `first` (H, W, 3); beyond 49 frames the last is repeated."""
+        return self.paint(first, self.imagine(first, prompt, seed)[[min(k, FRAMES - 1) for k in range(count)]])
+
+    @torch.no_grad()
+    def imagine(self, first: NDArray[np.uint8], prompt: str, seed: int) -> Tensor:
+        """Return the pose numbers (FRAMES, POSE) of a video that begins with `first` (H, W, 3)."""
         noise = torch.randn(1, FRAMES, LATENT, generator=torch.Generator().manual_seed(seed % 2**63))
-        start = self._autoencoder.encoder(_shrink(first))
-        poses = self._dynamics.sample(start, encode_prompts([prompt]), noise)[0]
-        return self.paint(first, poses[[min(k, FRAMES - 1) for k in range(count)]])
+        return self._dynamics.sample(self._autoencoder.encoder(_shrink(first)), encode_prompts([prompt]), noise)[0]
 
     @torch.no_grad()
     def paint(self, first: NDArray[np.uint8], poses: Tensor) -> NDArray[np.uint8]:

@@ -47,11 +47,8 @@ def write_pack(demos: Path, pack: Path, split: str) -> int:
 
 
 def read_pack(pack: Path, split: str, demos: int | None = None) -> Arrays:
-    """Read the first `demos` clips (all if None) of each task of a split; short clips repeat their last frame.
-
-    Returns:
-        Frames (N, FRAMES, SIZE, SIZE, 3), pose numbers (N, FRAMES, POSE), and prompts.
-    """
+    """Return frames (N, FRAMES, SIZE, SIZE, 3), pose numbers (N, FRAMES, POSE) and prompts of the first `demos` clips
+    (all if None) of each task of a split; short clips repeat their last frame."""
     tasks = groupby(sorted((pack / split).glob("*.mp4")), key=lambda path: path.name.rpartition("_s")[0])
     paths = [path for _, own in tasks for path in list(own)[:demos]]
     frames = np.empty((len(paths), FRAMES, SIZE, SIZE, 3), np.uint8)

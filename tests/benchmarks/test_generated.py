@@ -17,6 +17,7 @@ from benchmarks.generated import (
     success_lines,
 )
 from benchmarks.generated_labels import read_generated_labels
+from benchmarks.generated_truth import GripperPath
 from kinebench_drake.anomaly import AnomalyKind
 from kinebench_drake.results.row import SampleRow, Status
 
@@ -109,3 +110,9 @@ def test_labels_name_known_points_kinds_and_frames():
     assert all(
         np.isfinite(list(frame.points_px.values())).all() for frames in labels.videos.values() for frame in frames
     )
+
+
+def test_numbers_of_a_clip_show_jumps():
+    p_C = np.linspace([0, 0, 0.6], [0.1, 0, 0.6], 48)
+    assert not GripperPath(p_C=p_C).jumps
+    assert GripperPath(p_C=p_C + np.where(np.arange(48)[:, None] < 20, 0.0, [0.0, 0.08, 0.0])).jumps
