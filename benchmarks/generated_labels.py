@@ -204,10 +204,10 @@ class EyeStudy:
     def anomaly_lines(self) -> list[str]:
         """Return the table of anomalies that a person sees and the detectors report in first clips."""
         rows = []
-        for run, seen in self._labels.anomalies.items():
+        for run, labels in self._labels.anomalies.items():
             judged, confirmed = read_rows(self._folder.with_name(run)), self._labels.confirmed.get(run, {})
             clips = [
-                (set(kinds), reported_kinds(judged[id], 0), set(confirmed.get(id, ()))) for id, kinds in seen.items()
+                (set(kinds), reported_kinds(judged[id], 0), set(confirmed.get(id, ()))) for id, kinds in labels.items()
             ]
             for kind in (kind.value for kind in AnomalyKind):
                 by_eye, reported, later = (np.array([kind in clip[k] for clip in clips]) for k in range(3))
