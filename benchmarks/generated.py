@@ -34,9 +34,9 @@ from kinebench_drake.results.store import read_rows
 from kinebench_drake.runs.runner import RunObserver
 from kinebench_drake.stats import IntervalEstimate, PairedShares, percentile_interval, resampled_counts, wilson
 
-BEST, EXPERT, STILL, TRANSFER, SAMPLES = "best", "oracle", "still", "transfer", "samples"
-"""Folders of the best training, the expert's videos, videos that do not move, a task that the best training has not
-seen, and several samples of each episode."""
+BEST, EXPERT, STILL, RANDOM, TRANSFER, SAMPLES = "best", "oracle", "still", "random", "transfer", "samples"
+"""Folders of the best training, the expert's videos, videos that do not move, random motions, a task that the best
+training has not seen, and several samples of each episode."""
 LEARNED = "learned-"
 """Beginning of the names of the runs of one clip an episode; other runs have no part in correlations."""
 LEAST_CELLS = 8
@@ -255,20 +255,26 @@ def reported_kinds(row: SampleRow, clip: int) -> set[str]:
 
 
 def success_lines(runs: Mapping[str, Sequence[SampleRow]]) -> list[str]:
-    """Return the table of successes by run and task, with the share that is executable and the gain over STILL."""
-    tasks = sorted({str(row.task) for own in runs.values() for row in own})
-    still = {row.id: _hit(row) for row in runs.get(STILL, ())}
-    lines = []
+    """Return the table of successes by run and task, with the share that is executable."""
+    tasks, lines = sorted({str(row.task) for own in runs.values() for row in own}), []
     for name, own in runs.items():
         hits = [[_hit(row) for row in own if row.task == task] for task in tasks]
         texts = [f"{sum(h):.0f} of {len(h)}" if h else "" for h in hits]
         executable = float(np.mean([row.executable is True for row in own]))
         low, high = wilson(round(sum(map(sum, hits))), len(own))
-        both = [row for row in own if row.id in still]
-        gain = "" if not both else points_text(_pair([_hit(row) for row in both], [still[row.id] for row in both]))
         total = f"{100 * np.mean([_hit(row) for row in own]):.0f} % [{100 * low:.0f}, {100 * high:.0f}]"
-        lines.append([name, *texts, total, f"{100 * executable:.0f} %", gain])
-    return table(["run", *tasks, "success", "executable", f"success less that of `{STILL}`"], lines)
+        lines.append([name, *texts, total, f"{100 * executable:.0f} %"])
+    return table(["run", *tasks, "success", "executable"], lines)
+
+
+def gain_text(runs: Mapping[str, Sequence[SampleRow]]) -> str:
+    """Return the difference of the best training's success and that of policies that see nothing, on their episodes."""
+    best, texts = {row.id: _hit(row) for row in runs[BEST]}, []
+    for name in (STILL, RANDOM):
+        both = [(best[row.id], _hit(row)) for row in runs.get(name, ()) if row.id in best]
+        if both:
+            texts.append(f"`{name}` {points_text(_pair(*zip(*both, strict=True)))} ({len(both)} episodes)")
+    return f"Success of `{BEST}` less that of {', of '.join(texts)}." if texts else ""
 
 
 def transfer_text(rows: Sequence[SampleRow]) -> str:
@@ -332,7 +338,7 @@ def sections(study: Path, jobs: int, observer: RunObserver) -> Iterator[str]:
     samples, transfer = runs.pop(SAMPLES, None), runs.pop(TRANSFER, None)
     trainings = {name: own for name, own in runs.items() if name.startswith(LEARNED)}
     cells = make_cells(trainings, compare_clips(study, trainings, jobs, observer))
-    yield section("Success", success_lines(runs), transfer_text(transfer) if transfer else "")
+    yield section("Success", success_lines(runs), gain_text(runs), transfer_text(transfer) if transfer else "")
     one_sided = ", ".join(f"{cell.training} {cell.task}" for cell in cells if not cell.is_mixed)
     yield section(
         "Numbers beside success", correlation_lines(cells), f"All or none succeed in: {one_sided}." if one_sided else ""

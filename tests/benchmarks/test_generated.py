@@ -13,6 +13,7 @@ from benchmarks.generated import (
     best_lines,
     correlate,
     correlation_lines,
+    gain_text,
     make_cells,
     success_lines,
 )
@@ -78,14 +79,14 @@ def test_no_correlation_of_few_cells(trainings):
 
 def test_success_is_paired_with_that_of_the_still_video(trainings):
     runs = {
-        "learned-100-8": trainings["learned-100-8"],
+        "best": trainings["learned-100-8"],
         "still": [make_row("A-v1", k, success=False) for k in range(10)],
     }
-    head, _, learned, still = success_lines(runs)
-    assert head.count("|") == learned.count("|")
-    assert "8 of 10 | 8 of 10 | 80 %" in learned
-    assert "80 points" in learned
-    assert "0 points" in still
+    head, _, best, _ = success_lines(runs)
+    assert head.count("|") == best.count("|")
+    assert "8 of 10 | 8 of 10 | 80 %" in best
+    assert "`still` 80 points" in gain_text(runs)
+    assert "(10 episodes)" in gain_text(runs)
 
 
 def test_choice_takes_the_sample_with_the_best_verdict(tmp_path):
