@@ -83,7 +83,7 @@ def truth_sections(study: Path, weights: Path, jobs: int, observer: RunObserver)
     folder = study / BEST
     rows = [row for _, row in sorted(read_rows(folder).items())]
     clips = [clip for row in rows for clip in _clips(folder, row)]
-    code = fingerprint(modules=["examples.worldmodel.generator"], files=sorted(weights.glob("*.safetensors")))
+    code = fingerprint(files=sorted(weights.glob("*.safetensors")))
     done = MeasurementStore(study / "truth.jsonl", GripperPath).complete(
         clips,
         lambda clip: f"{code}-{fingerprint(files=[clip.video])}-{clip.id}",
