@@ -100,7 +100,8 @@ def truth_sections(study: Path, weights: Path, jobs: int, observer: RunObserver)
         for k, (start, end) in enumerate(pairwise([0, *clip_ends(row)])):
             truth = truths[f"{row.id}_r{k}"]
             jumps.append((truth.jumps, AnomalyKind.TELEPORT.value in reported_kinds(row, k)))
-            errors_m.append(np.linalg.norm(p_C[start + 1 : end] - truth.p_C[: end - start - 1], axis=1))
+            own = p_C[start + 1 : end]  # a last clip ends with the task
+            errors_m.append(np.linalg.norm(own - truth.p_C[: len(own)], axis=1))
     true, reported = np.array(jumps).T
     error_mm = 1000 * np.concatenate(errors_m)
     yield section(
