@@ -273,7 +273,9 @@ def gain_text(runs: Mapping[str, Sequence[SampleRow]]) -> str:
     for name in (STILL, RANDOM):
         both = [(best[row.id], _hit(row)) for row in runs.get(name, ()) if row.id in best]
         if both:
-            texts.append(f"`{name}` {points_text(_pair(*zip(*both, strict=True)))} ({len(both)} episodes)")
+            texts.append(
+                f"`{name}` {points_text(_pair([a for a, _ in both], [b for _, b in both]))} ({len(both)} episodes)"
+            )
     return f"Success of `{BEST}` less that of {', of '.join(texts)}." if texts else ""
 
 
