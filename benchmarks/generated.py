@@ -155,8 +155,8 @@ def read_runs(study: Path) -> dict[str, list[SampleRow]]:
     """
     folders = sorted(path.parent for path in study.glob("*/samples.jsonl"))
     rows = {f.name: [r for r in read_rows(f).values() if r.status is not Status.ERROR] for f in folders}
-    if EXPERT not in rows:
-        raise UsageError(f"{study.name}: has no folder {EXPERT}; make it with examples/worldmodel/study.sh")
+    if missing := [name for name in (BEST, EXPERT) if name not in rows]:
+        raise UsageError(f"{study.name}: has no folder {missing[0]}; make it with examples/worldmodel/study.sh")
     return rows
 
 
