@@ -10,11 +10,11 @@ from benchmarks.footage import ReferenceKind
 from benchmarks.markdown import percent
 from benchmarks.perception.study import StudyPlan, evaluation, run_study
 from benchmarks.perception.tables import evaluation_json
+from kinebench_drake.environment.precision import network_precision
 from kinebench_drake.executors.base import Observer
 from kinebench_drake.executors.local import LocalExecutor
 from kinebench_drake.io.jsonl import read_object
 from kinebench_drake.models.panda.robot import GripperKind
-from kinebench_drake.results.provenance import host
 
 HELDOUT = ("suite", "demos", "--suite", "2", "--split", "unseen", "--episodes", "2", "--with-depth")
 """Arguments of the program for the renderings; `--out` is to be added."""
@@ -87,7 +87,7 @@ def figures(heldout: Mapping[str, Any], others: Sequence[Mapping[str, Any]]) -> 
 
 def section(heldout: Mapping[str, Any], others: Sequence[Mapping[str, Any]]) -> str:
     """Return the section of the page, in Markdown: videos of others first."""
-    introduction = (*_INTRODUCTION, f"Networks in {'bfloat16' if host()['bfloat16'] else 'single precision'}.")
+    introduction = (*_INTRODUCTION, f"Networks in {network_precision().value}.")
     rows = [_footage_row(_TITLES[kind], f) for kind, f in _kinds(others).items()]
     rows.append(_heldout_row(heldout["summary"], heldout["intervals"]))
     texts = (wrap(text, width=WIDTH) for text in (_other_text(others), _heldout_text(heldout["summary"])))

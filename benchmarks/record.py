@@ -9,6 +9,7 @@ from typing import Any
 
 from benchmarks.markdown import replace_section, table
 from benchmarks.structure import current_revision
+from kinebench_drake.environment.precision import network_precision
 from kinebench_drake.errors import InputError
 from kinebench_drake.io.atomic import write_atomically
 from kinebench_drake.io.jsonl import read_json, write_json
@@ -33,8 +34,7 @@ _FOLDERS = ("kinebench_drake", "grounding", "models", "suites", "benchmarks")
 def machine_text() -> str:
     """Return processor, cores and precision of the networks, such as "AMD EPYC (2 cores, networks in bfloat16)"."""
     machine = host()
-    precision = "bfloat16" if machine["bfloat16"] else "single precision"
-    return f"{machine['cpu']} ({machine['cores']} cores, networks in {precision})"
+    return f"{machine['cpu']} ({machine['cores']} cores, networks in {network_precision().value})"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

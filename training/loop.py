@@ -18,9 +18,9 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 from torch import Tensor, nn
 
+from kinebench_drake.environment.precision import multiplies_bfloat16
 from kinebench_drake.errors import UsageError
 from kinebench_drake.io.atomic import atomic_path
-from kinebench_drake.models.perception.network import supports_bfloat16
 
 Output = TypeVar("Output")
 Batch = dict[str, Tensor]
@@ -157,7 +157,7 @@ def optimise(
         if step >= schedule.fixed_from * schedule.steps:
             fix_statistics(network)
         batch = {name: values.to(device, non_blocking=True) for name, values in batch.items()}
-        with torch.autocast(device.type, torch.bfloat16, enabled=supports_bfloat16(device)):
+        with torch.autocast(device.type, torch.bfloat16, enabled=device.type == "cuda" or multiplies_bfloat16()):
             output = forward(network, batch)
         terms = losses(output, batch)
         optimizer.zero_grad(set_to_none=True)

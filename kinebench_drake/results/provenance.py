@@ -7,6 +7,7 @@ from functools import cache
 from importlib import metadata
 from pathlib import Path
 
+from kinebench_drake.environment.precision import multiplies_bfloat16, network_precision, processor_fact
 from kinebench_drake.environment.sources import trace_sources
 from kinebench_drake.io.archive import hash_file
 from kinebench_drake.io.jsonl import Json
@@ -21,10 +22,20 @@ _NOT_MEASURING = ("report", "results", "executors", "environment", "cli", "error
 
 
 def versions() -> dict[str, Json]:
-    """Return the versions of this package, of Python and of numerical packages; None for those not installed."""
+    """Return the versions of this package, of Python and of numerical packages, and the precision of the networks.
+
+    Packages that are not installed are None.
+
+    Raises:
+        UsageError: the environment names an unknown precision.
+    """
     from kinebench_drake import __version__
 
-    result: dict[str, Json] = {"kinebench_drake": __version__, "python": platform.python_version()}
+    result: dict[str, Json] = {
+        "kinebench_drake": __version__,
+        "python": platform.python_version(),
+        "precision": network_precision().value,
+    }
     for name in _PACKAGES:
         try:
             result[name] = metadata.version(name)
@@ -70,22 +81,12 @@ def report_hash() -> str:
 def host() -> dict[str, Json]:
     """Return a summary of the machine without its owner's names: system, architecture, processor, cores, bfloat16.
 
-    The last says whether the processor multiplies in bfloat16 (AVX-512 BF16): the networks then do, with slightly other
-    results than in single precision.
+    The last says whether the processor multiplies in bfloat16.
     """
     return {
         "system": platform.system(),
         "machine": platform.machine(),
-        "cpu": _cpu("model name") or platform.processor() or None,
+        "cpu": processor_fact("model name") or platform.processor() or None,
         "cores": os.cpu_count(),
-        "bfloat16": "avx512_bf16" in _cpu("flags").split(),
+        "bfloat16": multiplies_bfloat16(),
     }
-
-
-def _cpu(fact: str) -> str:
-    """Return what Linux says of the first processor; empty on other systems."""
-    try:
-        lines = Path("/proc/cpuinfo").read_text().splitlines()
-    except OSError:
-        return ""
-    return next((line.split(":", 1)[1].strip() for line in lines if line.startswith(fact)), "")

@@ -22,6 +22,7 @@ from kinebench_drake.closed_loop.attribution import find_cause
 from kinebench_drake.closed_loop.commands import CommandPlanner
 from kinebench_drake.closed_loop.gap import GAP_METRICS, average_gaps, measure_gap
 from kinebench_drake.closed_loop.loop import ClosedLoop, EpisodeRun, LoopOptions, PendingRound
+from kinebench_drake.environment.precision import network_precision
 from kinebench_drake.errors import count_noun
 from kinebench_drake.executors.base import ExecutorKind
 from kinebench_drake.io.atomic import make_folder, write_atomically
@@ -276,6 +277,7 @@ class EpisodeEvaluator(Evaluator[EpisodeSample, EpisodeResources]):
         spec = sample.spec
         return {
             "weights": weights_hash(),
+            "precision": network_precision().value,
             "world_model": self.world_model.identity,
             "loop": [self.loop.to_json(), FRAMES],
             "episode": [spec.task, spec.seed, spec.pool.value, spec.variant.value],

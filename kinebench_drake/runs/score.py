@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from kinebench_drake.camera import CameraSource
+from kinebench_drake.environment.precision import network_precision
 from kinebench_drake.errors import InputError
 from kinebench_drake.formats.videos.find import find_samples
 from kinebench_drake.formats.videos.sample import VideoSample, VideoSamples
@@ -191,6 +192,7 @@ class VideoEvaluator(Evaluator[VideoSample, Tools]):
                 "first_frame": grounding.first_frame.value,
                 "domain": grounding.domain.value,
                 "anomalies_not_looked_for": [kind.value for kind in grounding.anomalies_not_looked_for],
+                "anomaly_scores": {kind.value: round(score, 4) for kind, score in grounding.detections.scores.items()},
                 **({} if draws_hand else {"gripper": grounding.gripper.value}),
                 "frames": len(track.t_s),
                 "idle_ends": idle_ends(track),
@@ -248,6 +250,7 @@ class VideoEvaluator(Evaluator[VideoSample, Tools]):
         initial = sample.initial_state
         return {
             "weights": weights_hash(),
+            "precision": network_precision().value,
             "camera": sample.camera.to_json(),
             "camera_source": sample.camera_source.value,
             "option_period_s": self.config.frame_period_s,

@@ -243,8 +243,3 @@ def use_onednn(network: GripperNetwork) -> GripperNetwork:
                 if clamps:
                     setattr(module, last, nn.Identity())
     return network
-
-
-def supports_bfloat16(device: torch.device) -> bool:
-    """Return whether bfloat16 is fast: always on a GPU, on a CPU only with AVX-512 BF16 instructions."""
-    return device.type == "cuda" or bool(torch.cpu._is_avx512_bf16_supported())

@@ -4,7 +4,6 @@ import pytest
 import torch
 
 from kinebench_drake.environment import sources
-from kinebench_drake.models.perception.network import supports_bfloat16
 from kinebench_drake.results import provenance
 from kinebench_drake.results.provenance import RUNS, code_hash
 
@@ -85,4 +84,4 @@ def test_each_run_kind_has_its_own_code_hash():
 
 
 def test_the_host_record_states_whether_networks_compute_in_bfloat16():
-    assert provenance.host()["bfloat16"] is supports_bfloat16(torch.device("cpu"))
+    assert provenance.host()["bfloat16"] is torch.cpu._is_avx512_bf16_supported()

@@ -8,8 +8,8 @@ import pytest
 import torch
 
 from kinebench_drake.camera import benchmark_camera
+from kinebench_drake.environment.precision import PRECISION_VARIABLE
 from kinebench_drake.grounding.pipeline import GroundingPipeline
-from kinebench_drake.grounding.tracking import estimator as module
 from kinebench_drake.grounding.tracking.crop import Crop
 from kinebench_drake.grounding.tracking.estimator import NetworkEstimator
 from kinebench_drake.grounding.tracking.view import GripperView
@@ -44,7 +44,7 @@ def assert_alike(view: GripperView, exact: GripperView) -> None:
 def exact(monkeypatch: pytest.MonkeyPatch) -> GripperView:
     """Estimates on the CPU in single precision."""
     with monkeypatch.context() as patch:
-        patch.setattr(module, "supports_bfloat16", lambda device: False)
+        patch.setenv(PRECISION_VARIABLE, "float32")
         return estimate("cpu")
 
 
@@ -54,7 +54,7 @@ def exact(monkeypatch: pytest.MonkeyPatch) -> GripperView:
 def test_bfloat16_changes_estimates_by_less_than_their_sigmas(
     monkeypatch: pytest.MonkeyPatch, exact: GripperView
 ) -> None:
-    monkeypatch.setattr(module, "supports_bfloat16", lambda device: True)
+    monkeypatch.setenv(PRECISION_VARIABLE, "bfloat16")
     reduced = estimate("cpu")
     assert not np.array_equal(reduced.depth_m, exact.depth_m)
     assert_alike(reduced, exact)
