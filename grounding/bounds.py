@@ -19,10 +19,15 @@ agree with known postures."""
 # Anomalies. Set on planted faults in home renders of seen assets, checked on clean ones:
 # `python -m benchmarks planted-videos --out faulty`, then `python -m benchmarks anomalies clean faulty`.
 
+SCORE_SPREAD = 0.25
+"""Relative distance of a detector's score from its bound, 1, within which it decides nothing: scores near the bound
+differ by up to a factor of 1.3 between float32 and bfloat16 (`python -m benchmarks precision`)."""
 PRESENCE_FRAMES = 3
 """Least number of frames of a vanished or a second gripper; fewer may be an occlusion."""
 ABSENT_CONFIDENCE, ABSENT_CELLS = 0.01, 50.0
 """Confidence, or cells explained by the posed gripper, below which it is absent: a third of a gripper explains 100."""
+ABSENT_AGREEMENT = 0.2
+"""Share of the hand's contours on image edges below which they lie there by chance, as where there is no hand."""
 HIDDEN_SHARE = 0.4
 """Share of a gripper's core behind links of the arm from which on it may be hidden altogether."""
 MEASURABLE_SHARE = 0.9

@@ -76,6 +76,11 @@ class PipelineResult:
         return self.detections.anomalies
 
     @property
+    def anomalies_open(self) -> tuple[AnomalyKind, ...]:
+        """Kinds of anomaly about which the measurements leave it open whether they occur."""
+        return self.detections.open_kinds
+
+    @property
     def anomalies_not_looked_for(self) -> tuple[AnomalyKind, ...]:
         """Kinds of anomaly that the look of the video excludes."""
         return NOT_LOOKED_FOR[self.domain]

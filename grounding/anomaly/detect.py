@@ -59,7 +59,8 @@ class AnomalyEvidence:
     expected: NDArray[np.bool_]
     """(T,) frames in which the gripper should be seen (`expect_gripper`)."""
     explained: Array
-    """(T,) cells of the crop explained by the posed gripper; 0 without a detection, infinite where edges confirm it."""
+    """(T,) cells of the crop explained by the posed gripper, or as many as the edges confirm; 0 without a detection,
+    infinite where edges confirm the hand."""
     finger_width_m: Array
     """(T,) gripper width [m] where it is measured precisely."""
     other: Array
@@ -123,8 +124,12 @@ def gather_evidence(
         if pose is None:
             continue
         explained[i] = pose.hand.points * pose.overlap
-        if pose.arm is not None and pose.arm.agrees and pose.arm.hand_agreement >= bounds.EDGE_AGREEMENT:
-            explained[i] = np.inf
+        if pose.arm is not None and pose.arm.agrees:
+            agreement = float(np.nan_to_num(pose.arm.hand_agreement))
+            if agreement >= bounds.EDGE_AGREEMENT:
+                explained[i] = np.inf
+            elif domain is Domain.UNFAMILIAR:
+                explained[i] = max(explained[i], bounds.ABSENT_CELLS * agreement / bounds.ABSENT_AGREEMENT)
         p_C[i] = transform_points(pose.X_CH, GRIPPER_CENTRE_H[None])[0]
         if confidence[i] >= bounds.FAIR_CONFIDENCE:
             hand = pose.hand_without_silhouette
@@ -184,7 +189,10 @@ def _side_cosine(pose: FramePose) -> float:
 
 
 def find_anomalies(evidence: AnomalyEvidence) -> AnomalyDetections:
-    """Apply every detector; the jump that ends a freeze is part of the freeze, no teleport."""
+    """Apply every detector; the jump that ends a freeze is part of the freeze, no teleport.
+
+    An anomaly whose score is nearer to its bound than the spread between number formats is none: its kind is open.
+    """
     e = evidence
     freezes = find_freezes(e.p_C, e.fair, e.still, e.t_s)
     by_cells = (
@@ -200,7 +208,7 @@ def find_anomalies(evidence: AnomalyEvidence) -> AnomalyDetections:
         find_camera_motion(e.motion),
         find_finger_faults(e.finger_width_m),
     )
-    return AnomalyDetections(by_kind={detection.kind: detection for detection in detections})
+    return AnomalyDetections(by_kind={found.kind: found.beyond_spread() for found in detections})
 
 
 def _find_vanishing(e: AnomalyEvidence) -> Detection:

@@ -1,7 +1,7 @@
 """Result of an anomaly detector, and operations on per-frame series that detectors share."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -10,6 +10,7 @@ from scipy.ndimage import grey_opening
 from kinebench_drake.anomaly import Anomaly, AnomalyKind
 from kinebench_drake.errors import InputError
 from kinebench_drake.geometry import Array
+from kinebench_drake.grounding import bounds
 from kinebench_drake.segments import segments
 
 
@@ -39,6 +40,20 @@ class Detection:
         """Largest score of a frame."""
         return float(self.score.max(initial=0.0))
 
+    @property
+    def is_open(self) -> bool:
+        """True if the score comes so near to its bound that another number format could decide otherwise."""
+        return not self.anomalies and self.peak * (1.0 + bounds.SCORE_SPREAD) >= 1.0
+
+    def beyond_spread(self) -> "Detection":
+        """Return the detection with those anomalies alone that any number format shows."""
+        sure = tuple(
+            anomaly
+            for anomaly in self.anomalies
+            if self.score[anomaly.frame_start : anomaly.frame_end + 1].max() >= 1.0 + bounds.SCORE_SPREAD
+        )
+        return replace(self, anomalies=sure)
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AnomalyDetections:
@@ -61,6 +76,11 @@ class AnomalyDetections:
         """All anomalies in the order of their frames."""
         anomalies = [anomaly for detection in self.by_kind.values() for anomaly in detection.anomalies]
         return tuple(sorted(anomalies, key=lambda a: (a.frame_start, a.frame_end, a.kind.value)))
+
+    @property
+    def open_kinds(self) -> tuple[AnomalyKind, ...]:
+        """Kinds about which the measurements leave it open whether they occur."""
+        return tuple(kind for kind, detection in self.by_kind.items() if detection.is_open)
 
     @property
     def scores(self) -> dict[AnomalyKind, float]:

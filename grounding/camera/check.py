@@ -1,6 +1,6 @@
 """Checks of a camera against the arm: agreement with it, and other cameras that explain the arm better."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -34,6 +34,17 @@ from kinebench_drake.track import Domain
 
 SEARCHED = 8
 """Frames that those are chosen from that check a camera."""
+_AGREEMENT_FRAMES = 15
+"""Frames whose median is the agreement of a track: that of 5 differs by up to 0.12 between number formats."""
+_SCREENED = 3  # frames that tell which readings and lenses are fitted
+_FITTED_READINGS = 2
+_UPRIGHT_SHARE = 0.3
+"""Agreement of unfitted postures from which on a picture is upright: turned ones have 0.16 at most, right ones of the
+benchmark 0.45 at least."""
+_NOT_UPRIGHT = (Reading.UPSIDE_DOWN, Reading.ROWS_REVERSED, Reading.TURNED_LEFT, Reading.TURNED_RIGHT)
+_LENS_SHARE = 0.8
+"""Share of the agreement of unfitted postures with a camera from which on another lens is fitted: next to right cameras
+others have 0.75 of it at most."""
 _CROP_ZOOMS = (1.1, 1.25, 1.45)  # focal lengths of cropped pictures over that of the camera
 _CROP_PLACES = np.array([[0.0, 0.0], [-1.0, -1.0], [-1.0, 1.0], [1.0, -1.0], [1.0, 1.0]])
 """Places of a cropped picture in the whole one: its middle and its corners."""
@@ -98,7 +109,7 @@ class CameraChecker:
         )
         if not len(fitted):
             return None
-        chosen = fitted[evenly(len(fitted), bounds.SAMPLED_FRAMES)]
+        chosen = fitted[evenly(len(fitted), _AGREEMENT_FRAMES)]
         finger_m = np.nan_to_num(track.finger_width_m[chosen] / 2, nan=UNSEEN_FINGER_M)
         scene = ArmScene(lens=Lens.of_camera(camera), q=q[chosen], finger_m=finger_m)
         images = self._fitter.images(frames[chosen], camera)
@@ -111,28 +122,81 @@ class CameraChecker:
     ) -> BetterReading | None:
         """Return the reading of picture or camera with which the arm agrees clearly better; None if there is none.
 
-        It has to reach the agreement `least`, besides being better than frames and camera as they are.
+        It has to reach the agreement `least`, besides being better than frames and camera as they are. Only readings
+        that lead before any fit, in a few frames, are fitted.
         """
+        leading = self._leading_readings(frames, camera, readings)
+        if not leading:
+            return None
         frames = frames[evenly(len(frames), SEARCHED)]
-        unread = self.detect(frames, camera)
-        own = self._agreement(unread, frames, camera)
-        shares: list[tuple[float, Reading, Camera]] = []
+        best: BetterReading | None = None
+        for reading in leading:
+            fitted = self._fit_reading(reading, frames, camera)
+            if fitted is not None and (best is None or fitted.better > best.better):
+                best = fitted
+        if best is None or best.better < least:
+            return None
+        own = self._agreement(self.detect(frames, camera), frames, camera)
+        return replace(best, agreement=own) if best.better >= own + bounds.CLEARLY else None
+
+    def _leading_readings(self, frames: Frames, camera: Camera, readings: tuple[Reading, ...]) -> list[Reading]:
+        """Return the readings under which unfitted postures agree better with a few frames than as they are.
+
+        The best ones first, and no more than are fitted.
+        """
+        few = frames[evenly(len(frames), _SCREENED)]
+        unread = self._find_in_all(few, camera)
+        own = self._screen(unread, few, [camera])
+        shares: dict[Reading, float] = {}
         for reading in readings:
             if reading is Reading.CROPPED:
-                crop = None if unread is None else self._fit_crop(unread, frames, camera)
-                shares += [] if crop is None else [(crop.agreement, reading, crop.scene.lens.to_camera())]
+                shares[reading] = self._screen(unread, few, [prior.lens.camera for prior in _crops(camera)])
                 continue
-            picture = reading.frames(frames)
+            if own >= _UPRIGHT_SHARE and reading in _NOT_UPRIGHT:
+                continue
+            picture = reading.frames(few)
             try:
                 lens = reading.camera(camera).resized(picture.shape[2], picture.shape[1])
             except UsageError:  # a picture that is not square, on its side
                 continue
-            turned = unread if picture is frames else self.detect(picture, lens)
-            shares.append((self._agreement(turned, picture, lens), reading, lens))
-        better, reading, lens = max(shares, key=lambda share: share[0], default=(0.0, Reading.CROPPED, camera))
-        if better < max(least, own + bounds.CLEARLY):
-            return None
-        return BetterReading(reading=reading, agreement=own, better=better, camera=lens)
+            turned = unread if picture is few else self._find_in_all(picture, lens)
+            shares[reading] = self._screen(turned, picture, [lens])
+        leading = sorted((reading for reading in shares if shares[reading] > own), key=lambda reading: -shares[reading])
+        return leading[:_FITTED_READINGS]
+
+    def _find_in_all(self, few: Frames, camera: Camera) -> ArmDetections | None:
+        """Return the robot in all of a few frames (T, H, W, 3); None if none shows a hand."""
+        return find_robot(self._estimator, few, camera, len(few), searched=len(few))
+
+    def _screen(self, detections: ArmDetections | None, frames: Frames, cameras: Sequence[Camera]) -> float:
+        """Return the mean agreement of unfitted postures with frames, of the camera that explains the cells best.
+
+        Frames without the robot, or with one that is not explained, count as 0.
+        """
+        if detections is None:
+            return 0.0
+        search = ChainSearch(detections.cells, detections.finger_m, self._fitter.model)
+        best = min((search.explain(Lens.of_camera(camera)) for camera in cameras), key=lambda found: found.cost)
+        rows = finite_rows(best.q)
+        if not rows.any():
+            return 0.0
+        scene = ArmScene(lens=best.lens, q=best.q[rows], finger_m=detections.finger_m[rows])
+        images = self._fitter.images(frames[detections.rows[rows]], best.lens.camera)
+        return float(images.agreement(scene).sum()) / len(frames)
+
+    def _fit_reading(self, reading: Reading, frames: Frames, camera: Camera) -> BetterReading | None:
+        """Return a reading fitted to contours, its agreement as it is left at 0; None if no arm is seen."""
+        if reading is Reading.CROPPED:
+            detections = self.detect(frames, camera)
+            crop = None if detections is None else self._fit_crop(detections, frames, camera)
+            if crop is None:
+                return None
+            better, lens = crop.agreement, crop.scene.lens.to_camera()
+        else:
+            picture = reading.frames(frames)
+            lens = reading.camera(camera).resized(picture.shape[2], picture.shape[1])
+            better = self._agreement(self.detect(picture, lens), picture, lens)
+        return BetterReading(reading=reading, agreement=0.0, better=better, camera=lens)
 
     def detect(
         self, frames: Frames, camera: Camera, used: int = bounds.SAMPLED_FRAMES, searched: int = SEARCHED
@@ -153,19 +217,7 @@ class CameraChecker:
 
     def _fit_crop(self, detections: ArmDetections, frames: Frames, camera: Camera) -> Candidate | None:
         """Return the camera at the same place whose picture is a part of that of `camera`; None if no arm is seen."""
-        trials = []
-        for zoom in _CROP_ZOOMS:
-            margin = 0.5 * (zoom - 1.0) * np.array([camera.width, camera.height])
-            for place in _CROP_PLACES:
-                cx, cy = np.array([camera.cx, camera.cy]) + place * margin
-                part = replace(with_focal(camera, zoom * camera.fx), cx=float(cx), cy=float(cy))
-                prior = Prior(
-                    lens=Lens.of_camera(part),
-                    log_focal_sigma=_CROP_LOG_SIGMA,
-                    centre_sigma_px=_CROP_CENTRE_SIGMA * camera.width,
-                    place_free=False,
-                )
-                trials.append((prior.lens, prior))
+        trials = [(prior.lens, prior) for prior in _crops(camera)]
         return self._fit_best(detections, frames[detections.rows], trials)
 
     def _fit_best(
@@ -196,8 +248,15 @@ class CameraChecker:
         """Return another camera under which the arm agrees clearly better with the images; None if there is none.
 
         Focal lengths within a factor of 1.6 are tried at the place of the camera, and both are then fitted. The arm has
-        to agree with the result, in all frames that show it.
+        to agree with the result, in all frames that show it. Nothing is fitted where no other focal length comes near
+        in a few frames.
         """
+        lenses = [with_focal(camera, zoom * camera.fx) for zoom in _ZOOMS]
+        few = frames[evenly(len(frames), _SCREENED)]
+        seen = self._find_in_all(few, camera)
+        least = _LENS_SHARE * self._screen(seen, few, [camera])
+        if all(self._screen(seen, few, [lens]) < least for lens in lenses if lens.fx != camera.fx):
+            return None
         detections = self.detect(frames, camera, bounds.SAMPLED_FRAMES + 1, 2 * SEARCHED)
         if detections is None:
             return None
@@ -207,7 +266,7 @@ class CameraChecker:
             return None
         own = Lens.of_camera(camera)
         prior = Prior(lens=own, log_focal_sigma=LOG_FOCAL_SIGMA)
-        trials = [(replace(own, camera=with_focal(camera, zoom * camera.fx)), prior) for zoom in _ZOOMS]
+        trials = [(replace(own, camera=lens), prior) for lens in lenses]
         best = self._fit_best(
             detections, frames[detections.rows], trials, bounds.LEAST_EXPLAINED * len(detections.rows)
         )
@@ -256,3 +315,18 @@ class CameraChecker:
         images = self._fitter.images(frames, lens.camera)
         scene, _ = self._fitter.fit_contours(fit, images, Prior(lens=lens, log_focal_sigma=0.0), MIDDLE)
         return float(np.median(images.agreement(scene)))
+
+
+def _crops(camera: Camera) -> Iterator[Prior]:
+    """Yield priors of cameras at the same place whose picture is a part of that of `camera`."""
+    for zoom in _CROP_ZOOMS:
+        margin = 0.5 * (zoom - 1.0) * np.array([camera.width, camera.height])
+        for place in _CROP_PLACES:
+            cx, cy = np.array([camera.cx, camera.cy]) + place * margin
+            part = replace(with_focal(camera, zoom * camera.fx), cx=float(cx), cy=float(cy))
+            yield Prior(
+                lens=Lens.of_camera(part),
+                log_focal_sigma=_CROP_LOG_SIGMA,
+                centre_sigma_px=_CROP_CENTRE_SIGMA * camera.width,
+                place_free=False,
+            )

@@ -60,6 +60,7 @@ def find_discontinuities(
     noise: TrackNoise,
     q: Array | None = None,
     joints: tuple[str, ...] = (),
+    tolerance: float = 1.0,
 ) -> tuple[Violation, ...]:
     """Find jumps of the TCP, and of recorded joint angles, within runs of tracked frames.
 
@@ -74,6 +75,7 @@ def find_discontinuities(
         noise: noise of the poses; where unknown (NaN), no step counts as a jump.
         q: (T, 7) recorded joint angles [rad], NaN where unknown; not those of inverse kinematics.
         joints: names of the columns of `q`.
+        tolerance: factor of the thresholds of poses.
     """
     violations: list[Violation] = []
     for run in segments(tracked):
@@ -85,7 +87,7 @@ def find_discontinuities(
             ("m", np.diff(X_BG[run, :3, 3], axis=0), noise.position_m, _floor(t, JUMP_M, ACCELERATION_M_S2)),
             ("rad", rotation_steps(X_BG[run, :3, :3]), noise.rotation_rad, _floor(t, JUMP_RAD, ACCELERATION_RAD_S2)),
         ):
-            jumps = _jumps(t, step, floor, _noise_norm(sigma, 3, n, FREEDOM_PER_FRAME))
+            jumps = _jumps(t, step, floor, _noise_norm(sigma, 3, n, FREEDOM_PER_FRAME), tolerance)
             alone = [jump for jump in jumps if moved.isdisjoint(range(jump.start, jump.end))]
             moved.update(frame for jump in alone for frame in range(jump.start, jump.end))
             violations += [_violation(jump, run, None, unit) for jump in alone]
@@ -130,16 +132,19 @@ def _noise_norm(sigma: float, axes: int, frames: int, freedom: float, groups: in
     return float(np.sqrt(6.0 * axes * fdtri(axes, max(freedom * frames, 1.0), chance)) * sigma)
 
 
-def _jumps(t_s: Array, steps: Array, floor: Array, noise_norm: float) -> list[_Jump]:
-    """Find jumps among `steps` (n - 1, axes) between the times `t_s` (n,) [s], in order of frames."""
+def _jumps(t_s: Array, steps: Array, floor: Array, noise_norm: float, tolerance: float = 1.0) -> list[_Jump]:
+    """Find jumps among `steps` (n - 1, axes) between the times `t_s` (n,) [s], in order of frames.
+
+    Thresholds are multiplied by `tolerance`.
+    """
     dt = np.diff(t_s)
     velocity, middle = steps / dt[:, None], 0.5 * (t_s[:-1] + t_s[1:])
-    sizes, thresholds = _excursions(middle, velocity, dt, floor, noise_norm)
+    sizes, thresholds = _excursions(middle, velocity, dt, tolerance * floor, tolerance * noise_norm)
     while True:
         usable = sizes == 0.0
         speed, beside, factor = _deviation(middle, velocity, usable)
         deviation = speed * dt
-        threshold = np.maximum(np.maximum(factor * floor, SHARE * beside * dt), noise_norm)  # NaN: noise unknown
+        threshold = tolerance * np.maximum(np.maximum(factor * floor, SHARE * beside * dt), noise_norm)  # NaN: unknown
         jumps = np.flatnonzero(~usable)  # their neighbours deviate because of them and are not tested
         threshold[jumps[jumps > 0] - 1] = threshold[jumps[jumps < len(dt) - 1] + 1] = np.inf
         for i in np.argsort(-np.nan_to_num(deviation / threshold)).tolist():

@@ -14,6 +14,8 @@ UNDECIDED = "undecided"
 """Too few frames are measured for a verdict on the motion, or there is no base frame."""
 LOST = "lost"
 """Frames without a pose that are not bridged soundly."""
+OPEN = "open"
+"""Kind of anomaly whose measure is nearer to its bound than its spread."""
 UNCHECKED = "unchecked"
 """Kinds of limits that the robot does not state."""
 
@@ -21,18 +23,24 @@ _NOT_OF_THE_ROBOT = frozenset({AnomalyKind.CAMERA.value})
 
 
 def judge_evidence(
-    feasible: bool | None, lost: int, anomalies: Iterable[Mapping[str, Any]] = (), unchecked: Sequence[str] = ()
+    feasible: bool | None,
+    lost: int,
+    anomalies: Iterable[Mapping[str, Any]] = (),
+    unchecked: Sequence[str] = (),
+    open_kinds: Iterable[str] = (),
 ) -> tuple[bool | None, tuple[str, ...]]:
     """Return whether the robot can execute a video, and the reasons why not, or why it is open.
 
     False if something speaks against the video: its motion is infeasible, or it has an anomaly that no robot can show.
-    None if nothing does, but frames were not measured, limits not checked, or the verdict on the motion is open.
+    None if nothing does, but frames were not measured, limits not checked, or the verdict on the motion or on a kind of
+    anomaly is open.
 
     Args:
         feasible: verdict on the motion.
         lost: number of frames that are neither measured nor bridged.
         anomalies: anomalies of the video, as in its row.
         unchecked: kinds of limits that could not be checked.
+        open_kinds: kinds of anomaly of which it is open whether they occur.
     """
     frames = Counter[str]()
     for a in anomalies:
@@ -43,12 +51,13 @@ def judge_evidence(
     ]
     missing = [UNDECIDED] if feasible is None else []
     missing += [f"{LOST}: {count_noun(lost, 'frame')}"] if lost else []
+    missing += [f"{OPEN}: {kind}" for kind in sorted(open_kinds) if kind not in _NOT_OF_THE_ROBOT]
     missing += [f"{UNCHECKED}: {', '.join(unchecked)}"] if unchecked else []
     return False if against else None if missing else True, (*against, *missing)
 
 
 def reason_kind(reason: str) -> str:
-    """Return the kind of a reason: INFEASIBLE, UNDECIDED, LOST, UNCHECKED or a kind of anomaly, alone."""
+    """Return the kind of a reason: INFEASIBLE, UNDECIDED, LOST, OPEN, UNCHECKED or a kind of anomaly, alone."""
     return reason.partition(":")[0]
 
 

@@ -1,13 +1,14 @@
 """The kinematic verdict on a track: inverse kinematics, limit checks and optimisations combined."""
 
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 
 import numpy as np
 
 from kinebench_drake.errors import InputError
 from kinebench_drake.geometry import Array
-from kinebench_drake.kinematics.collision import CollisionModel
+from kinebench_drake.kinematics.collision import Clearance, CollisionModel
 from kinebench_drake.kinematics.ik import POSITION_TOLERANCE_M, ROTATION_TOLERANCE_RAD
 from kinebench_drake.kinematics.newton import ROTATION_ARM_M
 from kinebench_drake.kinematics.path import limit_excess
@@ -58,8 +59,26 @@ MOST_NOISE = TrackNoise(position_m=0.015, rotation_rad=float(np.deg2rad(7.5)))
 """Greatest noise that is allowed for: a track that jitters more is taken for motion and judged as exact."""
 MOST_JOINT_NOISE_RAD = 0.02
 """The same for joint angles [rad]."""
+NOISE_SPREAD = 0.25
+"""Relative change of the noise of estimated poses under which a verdict has to hold: poses in float32 and bfloat16
+differ by a part of their noise (`python -m benchmarks precision`)."""
 TUBE_M = 0.005
 """Least radius of the tube about a track in which a feasible trajectory is searched [m]; noise widens it."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _PosedPath:
+    """Joint path of a track, and what violations are found from."""
+
+    track: GripperTrack
+    joints: JointTrack
+    q: Array
+    """(T, 7) joint angles of the frames whose pose is reached [rad]; else NaN."""
+    sigma: Array
+    """Standard deviations of their noise [rad]."""
+    own: Clearance
+    table: Clearance
+    noise: TrackNoise
 
 
 class TrackJudge:
@@ -129,11 +148,63 @@ class TrackJudge:
         noise, assumed = _noise(track)
         return self._judge(track, joints, noise, assumed, joint_sigma=sigma)
 
+    def _violations(
+        self, path: "_PosedPath", checks: LimitChecks, joint_sigma: Array | None = None, tolerance: float = 1.0
+    ) -> list[Violation]:
+        """Return the violations of a joint path, causes before what follows from them.
+
+        Recorded angles have the noise `joint_sigma` (7,) [rad]. What the poses' noise explains is multiplied by
+        `tolerance`.
+        """
+        plant = self._plant
+        track = path.track
+        noise = path.noise.scaled(tolerance)
+        if joint_sigma is None:
+            limits = find_limit_violations(plant, track, path.joints, noise)
+            jumps = find_discontinuities(track.t_s, track.X_BG, track.tracked, path.noise, tolerance=tolerance)
+        else:
+            limits = find_joint_limit_violations(plant, path.q, limit_tolerance(joint_sigma))
+            jumps = find_discontinuities(track.t_s, track.X_BG, track.tracked, noise, path.q, plant.robot.joints)
+        found = (
+            *find_unreachable(path.joints, noise),
+            *limits,
+            *find_collisions(self._collision, track, path.own, path.table, checks.q_smooth, noise),
+            *find_obstacles(plant, self._collision, track, path.q, checks.q_smooth, noise),
+            *checks.violations,
+            *jumps,
+        )
+        return sorted(found, key=lambda v: v.rank)
+
+    def _settle(
+        self, path: "_PosedPath", violations: list[Violation]
+    ) -> tuple[list[Violation], tuple[ViolationKind, ...]]:
+        """Return the violations that hold for poses as exact as estimates are, and kinds of which it is open.
+
+        Estimates of two number formats differ by a part of their noise. A kind of violation holds if it is found with a
+        higher tolerance, too; it is open if it is found with a lower one alone.
+        """
+        if path.track.offset_m == 0.0:  # not an estimate
+            return violations, ()
+        if not violations:
+            low = 1.0 / (1.0 + NOISE_SPREAD)
+            possible = self._violations(path, self._check(path, low), tolerance=low)
+            return [], tuple(dict.fromkeys(violation.kind for violation in possible))
+        high = 1.0 + NOISE_SPREAD
+        sure = {violation.kind for violation in self._violations(path, self._check(path, high), tolerance=high)}
+        held = [violation for violation in violations if violation.kind in sure]
+        if held:
+            return held, ()
+        return [], tuple(dict.fromkeys(violation.kind for violation in violations))
+
+    def _check(self, path: "_PosedPath", tolerance: float) -> LimitChecks:
+        return check_limits(self._plant, path.track.t_s, path.q, tolerance * path.sigma)
+
     def _judge(
         self, track: GripperTrack, joints: JointTrack, noise: TrackNoise, assumed: bool, *, joint_sigma: Array | None
     ) -> KinematicResult:
         """Judge a joint path; `joint_sigma` (7,) is the noise of recorded angles [rad], None of a solved path."""
-        plant, t_s = self._plant, track.t_s
+        plant = self._plant
+        t_s = track.t_s
         # Velocities and torques of the nearest posture mean nothing where the pose is not reached.
         reached = np.isfinite(joints.q).all(axis=-1) & (joints.position_error_m <= POSITION_TOLERANCE_M)
         reached &= joints.rotation_error_rad <= ROTATION_TOLERANCE_RAD
@@ -142,25 +213,15 @@ class TrackJudge:
         sigma = propagate_noise(J, noise) if joint_sigma is None else joint_sigma
         own = self._collision.self_distance(q, track.finger_width_m)
         table = self._collision.table_distance(q, track.finger_width_m)
+        posed = _PosedPath(track=track, joints=joints, q=q, sigma=sigma, own=own, table=table, noise=noise)
         if joint_sigma is None:
             checks = check_limits(plant, t_s, q, sigma)
-            limits = find_limit_violations(plant, track, joints, noise)
-            jumps = find_discontinuities(t_s, track.X_BG, track.tracked, noise)
+            violations = self._violations(posed, checks)
+            violations, open_kinds = self._settle(posed, violations)
         else:
             checks = check_limits(plant, t_s, q, sigma, freedom_per_frame=JOINT_FREEDOM_PER_FRAME)
-            limits = find_joint_limit_violations(plant, q, limit_tolerance(joint_sigma))
-            jumps = find_discontinuities(t_s, track.X_BG, track.tracked, noise, q, plant.robot.joints)
-        violations = sorted(
-            (
-                *find_unreachable(joints, noise),
-                *limits,
-                *find_collisions(self._collision, track, own, table, checks.q_smooth, noise),
-                *find_obstacles(plant, self._collision, track, q, checks.q_smooth, noise),
-                *checks.violations,
-                *jumps,
-            ),
-            key=lambda v: v.rank,
-        )
+            violations = self._violations(posed, checks, joint_sigma)
+            open_kinds = ()
         joints = joints if joint_sigma is None else _with_collisions(joints, violations)
         timing = time_scale(plant, t_s, checks.q_smooth)
         # 4.5: least radius of the tube in standard deviations of the noise: white noise leaves it in one track of 300
@@ -211,7 +272,7 @@ class TrackJudge:
             noise_assumed=assumed,
         )
         metrics, reasons = kinematic_metrics(plant, track, joints, path)
-        undecided = _undecided(track, checks)
+        undecided = _undecided(track, checks) or _describe_open(open_kinds)
         if not violations and undecided is not None:
             reasons["feasible"] = undecided
         period, why = feasible_period(t_s, metrics["slowdown_min"], violations, undecided)
@@ -232,6 +293,14 @@ class TrackJudge:
             details=MappingProxyType(path_details(plant, q, path)),
             curves=MappingProxyType(track_curves(plant, joints, path)),
         )
+
+
+def _describe_open(kinds: Sequence[ViolationKind]) -> str | None:
+    """Return why a verdict is open that depends on limits of some kinds; None without any."""
+    if not kinds:
+        return None
+    names = ", ".join(kind.value for kind in kinds)
+    return f"nearer to a limit than the estimated poses are exact: {names}"
 
 
 def _noise(track: GripperTrack) -> tuple[TrackNoise, bool]:

@@ -8,7 +8,7 @@ several orders is used. The scale of the differences is their median magnitude (
 detected only in part.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from math import comb
 
 import numpy as np
@@ -46,6 +46,10 @@ class TrackNoise:
     """Greatest position error common to neighbouring poses [m], stated by the source of the track."""
     offset_rad: float = 0.0
     """Greatest rotation error common to neighbouring poses [rad], stated by the source of the track."""
+
+    def scaled(self, factor: float) -> "TrackNoise":
+        """Return the noise with every error multiplied by a factor."""
+        return TrackNoise(**{f.name: factor * getattr(self, f.name) for f in fields(self)})
 
 
 def estimate_track_noise(t_s: Array, X_BG: Array, tracked: NDArray[np.bool_]) -> TrackNoise:

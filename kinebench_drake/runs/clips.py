@@ -164,6 +164,11 @@ def visual_metrics(run: "EpisodeRun", track: GripperTrack) -> dict[str, Json]:
     }
 
 
+def open_anomalies(run: "EpisodeRun") -> list[Json]:
+    """Return the kinds of anomaly that are open in some clip."""
+    return list(sorted({kind.value for r in run.rounds for kind in r.grounding.anomalies_open}))
+
+
 def camera_paths(run: "EpisodeRun") -> dict[str, Json]:
     """Return how the view of each clip changes, null where it does not; no key if it never does."""
     paths = [None if r.grounding.camera_path is None else r.grounding.camera_path.to_json() for r in run.rounds]

@@ -40,10 +40,11 @@ from kinebench_drake.runs.clips import (
     domain,
     join_curves,
     join_tracks,
+    open_anomalies,
     rejections,
     visual_metrics,
 )
-from kinebench_drake.runs.evaluator import KINEMATIC_METRICS, PENDING, Evaluation, Evaluator
+from kinebench_drake.runs.evaluator import ANOMALIES_OPEN, KINEMATIC_METRICS, PENDING, Evaluation, Evaluator
 from kinebench_drake.runs.pictures import episode_strip, rollout_frames
 from kinebench_drake.runs.requests import request_path, write_requests
 from kinebench_drake.runs.runner import NullRunObserver, RunObserver, RunSummary, run_samples
@@ -210,6 +211,7 @@ class EpisodeEvaluator(Evaluator[EpisodeSample, EpisodeResources]):
                 "success": run.outcome.success,
                 "progress": run.outcome.progress,
                 "domain": domain(run).value,
+                ANOMALIES_OPEN: open_anomalies(run),
                 "rounds": len(run.rounds),
                 "verdict": None if cause is None else cause.verdict.value,
                 "cause": None if cause is None else cause.to_json(),

@@ -30,6 +30,8 @@ if TYPE_CHECKING:  # loads Drake
 
 SCHEMA_VERSION = 2
 
+ANOMALIES_OPEN = "anomalies_open"
+"""Key of a row with the kinds of anomaly of which it is open whether they occur."""
 PENDING = "pending"
 """Key of a row with the manifest's row of the video that it waits for."""
 KINEMATIC_METRICS = (
@@ -297,8 +299,14 @@ def judge_evaluation(evaluation: Evaluation) -> tuple[bool | None, tuple[str, ..
         faults = list(map(as_object, anomalies))
         if kinematics:
             lost &= kinematics.curves["bridged"] == 0.0
-    unchecked = kinematics.unchecked if kinematics else ()
-    return judge_evidence(kinematics.feasible if kinematics else None, int(lost.sum()), faults, unchecked)
+    open_kinds = evaluation.extra.get(ANOMALIES_OPEN)
+    return judge_evidence(
+        kinematics.feasible if kinematics else None,
+        int(lost.sum()),
+        faults,
+        kinematics.unchecked if kinematics else (),
+        [str(kind) for kind in open_kinds] if isinstance(open_kinds, list) else [],
+    )
 
 
 def _null_reasons(metrics: Mapping[str, Json], evaluation: Evaluation) -> dict[str, str]:

@@ -29,7 +29,7 @@ from kinebench_drake.results.store import artifact_path
 from kinebench_drake.results.trackfile import write_track
 from kinebench_drake.runs.actions import require_own_folder, write_actions
 from kinebench_drake.runs.config import AUTO, ScoreConfig, period_warnings
-from kinebench_drake.runs.evaluator import KINEMATIC_METRICS, Evaluation, Evaluator
+from kinebench_drake.runs.evaluator import ANOMALIES_OPEN, KINEMATIC_METRICS, Evaluation, Evaluator
 from kinebench_drake.runs.gate import close_gate
 from kinebench_drake.runs.pictures import encode_strip, worst_frame
 from kinebench_drake.runs.preparation import (
@@ -192,6 +192,7 @@ class VideoEvaluator(Evaluator[VideoSample, Tools]):
                 "first_frame": grounding.first_frame.value,
                 "domain": grounding.domain.value,
                 "anomalies_not_looked_for": [kind.value for kind in grounding.anomalies_not_looked_for],
+                ANOMALIES_OPEN: [kind.value for kind in grounding.anomalies_open],
                 "anomaly_scores": {kind.value: round(score, 4) for kind, score in grounding.detections.scores.items()},
                 **({} if draws_hand else {"gripper": grounding.gripper.value}),
                 "frames": len(track.t_s),

@@ -140,7 +140,7 @@ def _compare_row(row: SampleRow, file: TrackFile, tools: Tools | None) -> Iterat
         else:
             kinematics = tools.judge(file.track, as_number(row.extra.get("table_height_m")))
         visible = {"anomalies": row.metrics["anomalies"]} if "anomalies" in row.metrics else {}
-        executable, reasons = judge_evaluation(Evaluation(kinematics=kinematics, metrics=visible))
+        executable, reasons = judge_evaluation(Evaluation(kinematics=kinematics, metrics=visible, extra=row.extra))
         expected |= {"feasible": kinematics.feasible, "executable": executable, "executable_reasons": reasons}
         expected["violations"] = [violation.to_json() for violation in kinematics.violations]
         stated |= {name: getattr(row, name) for name in expected}
