@@ -1,6 +1,6 @@
 """Plant one fault each into the clips of `mujoco_clips.py`: what no robot shows, in another simulator's look.
 
-    MUJOCO_GL=osmesa env/bin/python -m benchmarks.mujoco_faults CLIPS OUT --seed 100 --kinds vanish,scale_drift
+    MUJOCO_GL=osmesa env/bin/python -m benchmarks.mujoco_faults CLIPS OUT --seed 100 --kinds vanish,deformation
 
 CLIPS is the output of `mujoco_clips.py --seed SEED`. Writes OUT/NAME_KIND.mp4 and OUT/manifest.jsonl with the camera,
 and the planted `fault` as kind, first and last frame.
@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 from benchmarks.mujoco_clips import HAND_TO_TCP_M, PERIOD_S, SCENES, Arm, Film, write_video
 
 GONE_FRAMES, FROZEN_FRAMES, SECOND_FRAMES, DEFORMED_FRAMES = 5, 6, 10, 12
-JUMP_M, BESIDE_M, STRETCH, SCALE = 0.1, 0.17, 0.25, 0.15
-"""Sizes of a jump, of the distance of a second gripper, of a relative stretch and of a relative size."""
+JUMP_M, BESIDE_M, STRETCH = 0.1, 0.17, 0.25
+"""Sizes of a jump, of the distance of a second gripper and of a relative stretch."""
 _SIDES_C = ((1.0, 0.0, 0.0), (-1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, -1.0, 0.0))
 _BORDER = 0.1  # share of the image in which no second gripper begins
 _LEAST_STEP_M = 0.01  # of the TCP in a frame before and through a freeze
@@ -140,13 +140,6 @@ def _deformation(clip: Clip, rng: np.random.Generator) -> Planted:
         return _altered(clip, start, DEFORMED_FRAMES)
 
 
-def _scale_drift(clip: Clip, rng: np.random.Generator) -> Planted:
-    """Render hand and fingers too large or too small throughout."""
-    factor = 1.0 + SCALE if rng.random() < 0.5 else 1.0 - SCALE
-    with clip.film.warped(factor * np.eye(3)):
-        return _altered(clip, 0, len(clip.q))
-
-
 def _teleport(clip: Clip, rng: np.random.Generator) -> Planted:
     """Displace the gripper from one frame on."""
     n, arm = len(clip.q), clip.arm
@@ -192,7 +185,6 @@ PLANTERS: dict[str, Callable[[Clip, np.random.Generator], Planted]] = {
     "teleport": _teleport,
     "freeze": _freeze,
     "deformation": _deformation,
-    "scale_drift": _scale_drift,
 }
 
 

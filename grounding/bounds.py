@@ -42,17 +42,18 @@ MAX_SIDE_COSINE, MAX_CONTOUR_COSINE = 0.4, 0.85
 """Largest cosine between fingers' axis and line of sight at which the size counts, and at which the contour does: seen
 edge-on a gripper is narrow, and its fingers hide each other. From 0.4 on the size of clean hands is biased (11 videos
 of suite 2, unseen)."""
+SIZE_FRAMES = 20
+"""Fewest frames that measure the size of a hand."""
 MISFIT, EXCESS = 0.02, 1.45
 """Least relative misfit of the shape of a deformation, and its least residual against any rigid gripper over the usual
 one of the video. Both must hold: the misfit alone gives false alarms where the gripper is seen edge-on."""
 USUAL_RESIDUAL = 0.6
 """Greatest usual residual of a video: that of videos without a deformation [standard deviations]."""
-SHAPE_FRAMES, SIZE_WINDOW = 5, 21
-"""Frames of the running medians of misfit and of size; an anomaly by contours lasts for as many as the former. Errors
-of the size last some ten frames: 5 of 110 clean clips had a wrong size with a shorter median, none has."""
-SIZE_ERROR, SIZE_ERROR_ELSEWHERE = 0.035, 0.06
-"""Least relative error of an anomalous size from the benchmark's camera, and from others or by contours: in clean
-videos of another simulator it is up to 0.051 (`python -m benchmarks footage`)."""
+SHAPE_FRAMES = 5
+"""Frames of the running median of the misfit; an anomaly by contours lasts for as many."""
+CONTOUR_SIZE = 0.06
+"""Least relative error of the size by contours of a hand that is too large or small: in clean videos of another
+simulator it is up to 0.051 (`python -m benchmarks footage`)."""
 CONTOUR_CHANGE = 0.12
 """Least relative change of the hand's contour of a deformation in an unfamiliar look."""
 CONTOUR_GAIN = 0.18

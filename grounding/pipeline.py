@@ -12,6 +12,7 @@ from kinebench_drake.anomaly import Anomaly, AnomalyKind
 from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array, invert, pose_difference
 from kinebench_drake.grounding import bounds
+from kinebench_drake.grounding.anomaly.appearance import HandSize
 from kinebench_drake.grounding.anomaly.camera_motion import CameraMotion, FeatureTracks, measure_camera_motion
 from kinebench_drake.grounding.anomaly.detect import NOT_LOOKED_FOR, AnomalyEvidence, find_anomalies, gather_evidence
 from kinebench_drake.grounding.anomaly.detection import AnomalyDetections
@@ -64,6 +65,9 @@ class PipelineResult:
     gripper is seen."""
     curves: Mapping[str, Array] = field(default_factory=dict)
     """Curves (T,) of the track file: share of matched points, their distance [m] and weight of ICP; NaN without it."""
+
+    hand_size: HandSize | None = None
+    """Size of the hand by the arm behind it; None if it is not measured."""
 
     @property
     def has_pose(self) -> NDArray[np.bool_]:
@@ -185,6 +189,7 @@ class GroundingPipeline:
             from_prior=raw.from_prior,
             first_frame=InitialStateUse.of(initial_state, priors.initial_state),
             detections=detections,
+            hand_size=evidence.size,
             camera_path=motion.path,
             camera_motion_px=None if motion.is_unknown else motion.largest_px,
             arm_consistency_px=_arm_consistency_px(poses, tracked),

@@ -12,7 +12,6 @@ class AnomalyKind(Enum):
     TELEPORT = "teleport"
     FREEZE = "freeze"
     DEFORMATION = "deformation"
-    SCALE = "scale_drift"
     CAMERA = "camera_motion"
     FINGERS = "finger_opening"
 
@@ -29,7 +28,7 @@ class Anomaly:
     severity: float
     """Measure of the kind: frames without a gripper (vanish) or frozen (freeze), share of a gripper seen twice
     (duplicate_gripper), metres jumped (teleport) or beyond what fingers can do (finger_opening), relative misfit of the
-    shape (deformation) or of the size (scale_drift), pixels moved (camera_motion)."""
+    shape (deformation), pixels moved (camera_motion)."""
 
     def to_json(self, first_frame: int = 0) -> dict[str, str | int | float]:
         """Serialize into an entry of `anomalies`, frames counted from `first_frame`."""

@@ -207,10 +207,3 @@ def benchmark_camera() -> Camera:
     return Camera(
         width=BENCHMARK_PX, height=BENCHMARK_PX, fx=focal, fy=focal, cx=192.0, cy=192.0, X_BC=invert(X_WB) @ X_WC
     )
-
-
-def is_benchmark(camera: Camera) -> bool:
-    """Return whether a camera stands where the benchmark's does and has its field of view, at any size."""
-    benchmark = benchmark_camera()
-    zoom = camera.fy / camera.height / (benchmark.fy / benchmark.height)
-    return bool(np.allclose(camera.X_BC, benchmark.X_BC, atol=1e-3) and abs(zoom - 1.0) <= 0.01)

@@ -1,15 +1,13 @@
 import json
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from kinebench_drake.camera import CameraSetting, benchmark_camera, is_benchmark
+from kinebench_drake.camera import CameraSetting, benchmark_camera
 from kinebench_drake.errors import UsageError
 from kinebench_drake.formats.camerafile import load_camera, save_camera
-from kinebench_drake.geometry import make_pose
 
 
 def test_the_benchmark_camera_sees_the_table_in_front_of_the_robot() -> None:
@@ -99,10 +97,3 @@ def test_the_camera_file_may_state_mirroring_and_table_height(tmp_path: Path) ->
 def test_mirroring_and_table_height_of_the_camera_file_are_checked(key: str, value: object) -> None:
     with pytest.raises(UsageError, match=f"mine: {key} must be"):
         CameraSetting.from_json({**benchmark_camera().to_json(), key: value}, "mine")
-
-
-def test_only_the_benchmarks_camera_is_it_at_any_size() -> None:
-    camera = benchmark_camera()
-    assert is_benchmark(camera.resized(720, 720))
-    assert not is_benchmark(replace(camera, fx=1.2 * camera.fx, fy=1.2 * camera.fy))
-    assert not is_benchmark(replace(camera, width=640, X_BC=camera.X_BC @ make_pose(np.eye(3), [0.05, 0.0, 0.0])))

@@ -41,7 +41,7 @@ class PlantedFault:
     """Last affected frame, inclusive."""
     size: float
     """Frames without gripper (vanish) or frozen (freeze), metres apart (duplicate_gripper), jumped (teleport) or opened
-    and closed (finger_opening), relative stretch (deformation) or size (scale_drift), pixels (camera_motion)."""
+    and closed (finger_opening), relative stretch (deformation), pixels (camera_motion)."""
     form: FaultForm | None = None
     """Course in time, for kinds with several."""
 
@@ -82,9 +82,6 @@ GRADES: dict[AnomalyKind, FaultGrades] = {
     AnomalyKind.TELEPORT: FaultGrades(sizes=(0.02, 0.05, 0.1, 0.15), gate=0.05, unit="cm", factor=100),
     AnomalyKind.FREEZE: FaultGrades(sizes=(3, 5, 8), gate=5, unit="f", factor=1),
     AnomalyKind.DEFORMATION: FaultGrades(sizes=(0.05, 0.1, 0.2, 0.3), gate=0.2, unit="pc", factor=100),
-    AnomalyKind.SCALE: FaultGrades(
-        sizes=(0.02, 0.05, 0.1, 0.15), gate=0.05, unit="pc", factor=100, forms=(FaultForm.CONSTANT, FaultForm.GROWING)
-    ),
     AnomalyKind.CAMERA: FaultGrades(
         sizes=(1, 2, 4, 8), gate=2, unit="px", factor=1, forms=(FaultForm.SHAKE, FaultForm.DRIFT)
     ),

@@ -225,28 +225,12 @@ def deformation(strength: float, rng: np.random.Generator) -> Warp:
     return warp
 
 
-def _scale(recording: Recording, grade: FaultGrade, rng: np.random.Generator) -> Planted:
-    """Render hand and fingers too large or too small on an unchanged arm."""
-    sign = 1.0 if rng.random() < 0.5 else -1.0
-    n, form = len(recording), grade.form or FaultForm.CONSTANT
-    share = form.course(n)
-
-    def scale_gripper(i: int) -> None:
-        factor = 1.0 + sign * grade.size * share[i]
-        recording.simulator.set_fault(RenderFault(warp=lambda p: factor * p, X_HP=np.eye(4), replaces=True))
-
-    start = int(share[0] == 0.0)
-    part = recording.render_again(range(start, n), scale_gripper)
-    return recording.plant(part, start, grade.kind, grade.size, form)
-
-
 _PLANTERS: Mapping[AnomalyKind, Callable[[Recording, FaultGrade, np.random.Generator], Planted]] = {
     AnomalyKind.VANISH: _vanish,
     AnomalyKind.DUPLICATE: _duplicate,
     AnomalyKind.TELEPORT: _teleport,
     AnomalyKind.FREEZE: _freeze,
     AnomalyKind.DEFORMATION: _deformation,
-    AnomalyKind.SCALE: _scale,
     AnomalyKind.CAMERA: _camera_motion,
     AnomalyKind.FINGERS: _fingers,
 }

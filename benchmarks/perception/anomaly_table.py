@@ -197,8 +197,10 @@ def draw_anomalies(findings: Sequence[ClipAnomalies]) -> "Figure":
     """Plot area under the curve and share detected in the right frames over size, with gates and goals."""
     figure, axes = new_figure(15.0, 7.6, 2, 4, sharey=True)
     table = [row for row in rows(findings) if row.size is not None]
-    for ax, kind in zip(axes.flat, AnomalyKind, strict=True):
+    for ax, kind in zip(axes.flat, AnomalyKind, strict=False):
         _panel(ax, kind, [row for row in table if row.kind is kind])
+    for ax in axes.flat[len(AnomalyKind) :]:
+        figure.delaxes(ax)
     for ax in axes[:, 0]:
         ax.set_ylabel("share, area under the curve")
     share = alarms(findings)["any"]

@@ -1,7 +1,7 @@
-"""Detectors of what no Franka hand looks like: one that vanishes, a second one, one of another shape or size."""
+"""Detectors of what no Franka hand looks like: one that vanishes, a second one, one of another shape."""
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass
 from functools import cache
 
 import cv2
@@ -17,6 +17,7 @@ from kinebench_drake.grounding.registration.shape import HandShape
 from kinebench_drake.grounding.registration.solver import NEAREST_M
 from kinebench_drake.grounding.tracking.crop import GRIPPER_RADIUS_M
 from kinebench_drake.grounding.tracking.view import GripperView
+from kinebench_drake.io.jsonl import Json
 from kinebench_drake.models.panda.cad import MAX_FINGER_M, part_meshes
 from kinebench_drake.models.panda.robot import OPENING_SIGN
 from kinebench_drake.segments import finite_rows, segments
@@ -25,6 +26,7 @@ _CORE_M = GRIPPER_RADIUS_M / 2  # around the centre of a gripper that is hardly 
 _MARGIN_CELLS = 2  # cells of the whole-image view around the tracked gripper that belong to it
 _MIN_CELLS = 100
 _PASSES = 4
+_SIZE_ERROR_FRAMES = 10.0  # frames that an error of the measured size lasts
 
 
 def find_vanishing(confidence: Array, explained: Array, expected: NDArray[np.bool_]) -> Detection:
@@ -199,21 +201,36 @@ def find_deformations(misfit: ArrayLike, residual: ArrayLike) -> Detection:
     return Detection.from_score(AnomalyKind.DEFORMATION, score, size)
 
 
-def find_scale_drift(scale: ArrayLike, off: float = bounds.SIZE_ERROR) -> Detection:
-    """Detect frames in which the gripper's `scale` (T,), relative to the right one, is wrong by `off` or more.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class HandSize:
+    """Size of the hand by the arm behind it. It decides nothing: a hand that is 10 % too large is not seen surely."""
 
-    Severity: the largest relative error.
+    error: float
+    """Relative error of the size: 0.1 for a hand that is a tenth too large."""
+    sigma: float
+    """Standard error of it."""
+
+    def to_json(self) -> dict[str, Json]:
+        """Serialize into `hand_size_error` and `hand_size_sigma` of samples.jsonl."""
+        return {"hand_size_error": round(self.error, 4), "hand_size_sigma": round(self.sigma, 4)}
+
+
+def measure_size(scale: Array) -> HandSize | None:
+    """Return the size of the hand: the median of its `scale` (T,), relative to the right one; NaN where unknown.
+
+    None if too few frames show it. Errors of the size last some frames, so that neighbours count as one.
     """
-    scale = np.asarray(scale, dtype=np.float64)
-    median = finite_median(np.log(scale, where=scale > 0, out=np.full(len(scale), np.nan)), bounds.SIZE_WINDOW)
-    size = np.abs(np.nan_to_num(median, nan=0.0))
-    detection = Detection.from_score(AnomalyKind.SCALE, size / off, size)
-    anomalies = tuple(replace(a, severity=float(np.expm1(a.severity))) for a in detection.anomalies)
-    return replace(detection, anomalies=anomalies)
+    known = scale[np.isfinite(scale)]
+    if len(known) < bounds.SIZE_FRAMES:
+        return None
+    median = float(np.median(known))
+    scatter = 1.4826 * float(np.median(np.abs(known - median)))
+    independent = len(known) / _SIZE_ERROR_FRAMES
+    return HandSize(error=median - 1.0, sigma=float(np.sqrt(np.pi / 2.0 / independent)) * scatter)
 
 
-def find_misshapen(shapes: Sequence[HandShape | None]) -> tuple[Detection, Detection]:
-    """Detect deformations and wrong sizes by the `shapes` (T,) of the hand's contour; severity: the largest change.
+def find_misshapen(shapes: Sequence[HandShape | None]) -> Detection:
+    """Detect deformations by the `shapes` (T,) of the hand's contour; severity: the largest change.
 
     A contour that fits no better with another shape is right. A hand of the wrong size in most frames is not deformed.
     """
@@ -221,21 +238,15 @@ def find_misshapen(shapes: Sequence[HandShape | None]) -> tuple[Detection, Detec
         [(np.nan,) * 3 if s is None else (s.log_scale, s.stretch, s.gain) for s in shapes]
     ).T
 
-    def median(values: Array, window: int) -> Array:
-        return np.nan_to_num(finite_median(values, window), nan=0.0)
+    def median(values: Array) -> Array:
+        return np.nan_to_num(finite_median(values, bounds.CONTOUR_WINDOW), nan=0.0)
 
-    drift = np.abs(median(log_scale, bounds.SIZE_WINDOW))
-    change = median(np.hypot(log_scale, stretch), bounds.CONTOUR_WINDOW)
-    wrong_size, wrong_shape = (
-        sustained(np.minimum(off, median(gain, window) / bounds.CONTOUR_GAIN), bounds.SHAPE_FRAMES)
-        for off, window in (
-            (drift / bounds.SIZE_ERROR_ELSEWHERE, bounds.SIZE_WINDOW),
-            (change / bounds.CONTOUR_CHANGE, bounds.CONTOUR_WINDOW),
-        )
-    )
-    if (wrong_size >= 1.0).mean() > 0.5:
-        wrong_shape = np.zeros(len(shapes))
-    return (
-        Detection.from_score(AnomalyKind.DEFORMATION, wrong_shape, change),
-        Detection.from_score(AnomalyKind.SCALE, wrong_size, np.expm1(drift)),
-    )
+    def lasting(off: Array) -> Array:
+        return sustained(np.minimum(off, median(gain) / bounds.CONTOUR_GAIN), bounds.SHAPE_FRAMES)
+
+    change = median(np.hypot(log_scale, stretch))
+    score = lasting(change / bounds.CONTOUR_CHANGE)
+    wrong_size = lasting(np.abs(median(log_scale)) / bounds.CONTOUR_SIZE)
+    if (wrong_size >= 1.0).mean() > bounds.MAJORITY:
+        score = np.zeros(len(shapes))
+    return Detection.from_score(AnomalyKind.DEFORMATION, score, change)

@@ -8,17 +8,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinebench_drake.anomaly import AnomalyKind
-from kinebench_drake.camera import Camera, is_benchmark
+from kinebench_drake.camera import Camera
 from kinebench_drake.errors import InputError
 from kinebench_drake.geometry import Array, invert, transform_points
 from kinebench_drake.grounding import bounds
 from kinebench_drake.grounding.anomaly.appearance import (
+    HandSize,
     expect_gripper,
     find_deformations,
     find_duplicates,
     find_misshapen,
-    find_scale_drift,
     find_vanishing,
+    measure_size,
     second_gripper,
     shape_misfit,
 )
@@ -36,7 +37,7 @@ NOT_LOOKED_FOR: Mapping[Domain, tuple[AnomalyKind, ...]] = MappingProxyType(
     {
         Domain.FAMILIAR: (),
         Domain.UNFAMILIAR: (AnomalyKind.DUPLICATE, AnomalyKind.FINGERS),
-        Domain.ARM: (AnomalyKind.DUPLICATE, AnomalyKind.DEFORMATION, AnomalyKind.SCALE, AnomalyKind.FINGERS),
+        Domain.ARM: (AnomalyKind.DUPLICATE, AnomalyKind.DEFORMATION, AnomalyKind.FINGERS),
     }
 )
 """Kinds of anomaly whose measurements mean nothing in a domain."""
@@ -77,8 +78,6 @@ class AnomalyEvidence:
     """(T,) frames that repeat the one before."""
     motion: CameraMotion
     domain: Domain = Domain.FAMILIAR
-    is_benchmark: bool = True
-    """True if the camera is the benchmark's."""
 
     def __post_init__(self) -> None:
         """Check that all series have the same length.
@@ -90,6 +89,11 @@ class AnomalyEvidence:
             value = getattr(self, field.name)
             if isinstance(value, np.ndarray | tuple) and len(value) != len(self.t_s):
                 raise InputError(f"{field.name} is of {len(value)} frames, t_s of {len(self.t_s)}; they must be equal")
+
+    @property
+    def size(self) -> HandSize | None:
+        """Size of the hand; None if too few frames show it."""
+        return measure_size(self.scale)
 
     @property
     def fair(self) -> NDArray[np.bool_]:
@@ -178,7 +182,6 @@ def gather_evidence(
         still=still_frames(frames),
         motion=motion,
         domain=domain,
-        is_benchmark=is_benchmark(camera),
     )
 
 
@@ -195,16 +198,13 @@ def find_anomalies(evidence: AnomalyEvidence) -> AnomalyDetections:
     """
     e = evidence
     freezes = find_freezes(e.p_C, e.fair, e.still, e.t_s)
-    by_cells = (
-        find_deformations(e.misfit, e.residual),
-        find_scale_drift(e.scale, bounds.SIZE_ERROR if e.is_benchmark else bounds.SIZE_ERROR_ELSEWHERE),
-    )
+    familiar = e.domain is Domain.FAMILIAR
     detections = (
         _find_vanishing(e),
         find_duplicates(e.other),
         _without(find_teleports(e.p_C, e.fair, e.good, e.t_s), {a.frame_end + 1 for a in freezes.anomalies}),
         freezes,
-        *(by_cells if e.domain is Domain.FAMILIAR else find_misshapen(e.shapes)),
+        find_deformations(e.misfit, e.residual) if familiar else find_misshapen(e.shapes),
         find_camera_motion(e.motion),
         find_finger_faults(e.finger_width_m),
     )

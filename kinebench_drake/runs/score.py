@@ -192,6 +192,7 @@ class VideoEvaluator(Evaluator[VideoSample, Tools]):
                 "first_frame": grounding.first_frame.value,
                 "domain": grounding.domain.value,
                 "anomalies_not_looked_for": [kind.value for kind in grounding.anomalies_not_looked_for],
+                **({} if grounding.hand_size is None else grounding.hand_size.to_json()),
                 ANOMALIES_OPEN: [kind.value for kind in grounding.anomalies_open],
                 "anomaly_scores": {kind.value: round(score, 4) for kind, score in grounding.detections.scores.items()},
                 **({} if draws_hand else {"gripper": grounding.gripper.value}),

@@ -43,9 +43,6 @@ def test_a_planted_fault_is_located_by_an_anomaly_of_its_kind_at_its_frames():
     vanish = replace(PLANTED, kind=AnomalyKind.VANISH, frame_end=24)
     assert located(vanish, jump(20, AnomalyKind.VANISH, 25))
     assert not located(vanish, jump(20, AnomalyKind.VANISH, 30))
-    drift = replace(PLANTED, kind=AnomalyKind.SCALE)
-    assert located(drift, jump(40, AnomalyKind.SCALE, 48))
-    assert not located(drift, jump(0, AnomalyKind.SCALE, 19))
 
 
 def test_area_under_the_roc_curve_counts_ordered_pairs_and_its_interval_has_width():

@@ -6,7 +6,7 @@ from kinebench_drake.grounding.anomaly.detection import Detection, finite_median
 
 def test_an_anomaly_is_a_run_of_scores_of_at_least_one_with_its_worst_frames_severity():
     score = np.array([1.0, 1.2, 0.9, 2.0, 0.0, 0.0, 1.0])
-    detection = Detection.from_score(AnomalyKind.SCALE, score, 10 * score)
+    detection = Detection.from_score(AnomalyKind.DEFORMATION, score, 10 * score)
     runs = [(a.frame_start, a.frame_end, a.severity) for a in detection.anomalies]
     assert runs == [(0, 1, 12.0), (3, 3, 20.0), (6, 6, 10.0)]
 
