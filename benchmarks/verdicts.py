@@ -11,6 +11,7 @@ from benchmarks.options import (
     FOLDER,
     baseline_option,
     jobs_option,
+    log,
     out_option,
     write_section,
 )
@@ -262,4 +263,28 @@ def robots(count: int, seed: int, jobs: int) -> None:
         click.echo(line)
 
 
-COMMANDS = (causes, readings, loss, validity, extractors, generated, baseline, trajectories)
+@click.command(
+    epilog="\b\nExample:\n  python -m benchmarks precision heldout examples/videos/manifest.jsonl --work precision"
+)
+@click.argument("videos", type=click.Path(path_type=Path, exists=True), nargs=-1, required=True)
+@click.option("--work", type=FOLDER, required=True, help="Output folders of score; an earlier run is resumed.")
+@jobs_option
+@out_option
+def precision(videos: tuple[Path, ...], work: Path, jobs: int, out: Path | None) -> None:
+    """Score VIDEOS with the networks in float32 and in bfloat16 and list each verdict that differs.
+
+    Exit 1 if one precision says yes where the other says no.
+    """
+    from benchmarks.precision import report, score_both
+
+    results = {}
+    for source in videos:
+        name = (source if source.is_dir() else source.parent).name
+        results[name] = score_both(source, work / name, jobs, log)
+    text, contradictions = report(results)
+    write_section(out, text)
+    if contradictions:
+        raise SystemExit(1)
+
+
+COMMANDS = (precision, causes, readings, loss, validity, extractors, generated, baseline, trajectories)
