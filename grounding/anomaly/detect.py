@@ -208,7 +208,8 @@ def find_anomalies(evidence: AnomalyEvidence) -> AnomalyDetections:
         find_camera_motion(e.motion),
         find_finger_faults(e.finger_width_m),
     )
-    return AnomalyDetections(by_kind={found.kind: found.beyond_spread() for found in detections})
+    spread = bounds.SCORE_SPREAD if familiar else bounds.SCORE_SPREAD_ELSEWHERE
+    return AnomalyDetections(by_kind={found.kind: found.beyond(spread) for found in detections}, spread=spread)
 
 
 def _find_vanishing(e: AnomalyEvidence) -> Detection:

@@ -10,7 +10,6 @@ from scipy.ndimage import grey_opening
 from kinebench_drake.anomaly import Anomaly, AnomalyKind
 from kinebench_drake.errors import InputError
 from kinebench_drake.geometry import Array
-from kinebench_drake.grounding import bounds
 from kinebench_drake.segments import segments
 
 
@@ -40,17 +39,12 @@ class Detection:
         """Largest score of a frame."""
         return float(self.score.max(initial=0.0))
 
-    @property
-    def is_open(self) -> bool:
-        """True if the score comes so near to its bound that another number format could decide otherwise."""
-        return not self.anomalies and self.peak * (1.0 + bounds.SCORE_SPREAD) >= 1.0
-
-    def beyond_spread(self) -> "Detection":
-        """Return the detection with those anomalies alone that any number format shows."""
+    def beyond(self, spread: float) -> "Detection":
+        """Return the detection with those anomalies alone whose score exceeds its bound by a relative `spread`."""
         sure = tuple(
             anomaly
             for anomaly in self.anomalies
-            if self.score[anomaly.frame_start : anomaly.frame_end + 1].max() >= 1.0 + bounds.SCORE_SPREAD
+            if self.score[anomaly.frame_start : anomaly.frame_end + 1].max() >= 1.0 + spread
         )
         return replace(self, anomalies=sure)
 
@@ -60,6 +54,9 @@ class AnomalyDetections:
     """Results of all detectors on one video."""
 
     by_kind: Mapping[AnomalyKind, Detection]
+    """Detections with the anomalies beyond the spread."""
+    spread: float = 0.0
+    """Relative difference of scores between number formats."""
 
     def __post_init__(self) -> None:
         """Check that every kind has a finite score.
@@ -80,7 +77,11 @@ class AnomalyDetections:
     @property
     def open_kinds(self) -> tuple[AnomalyKind, ...]:
         """Kinds about which the measurements leave it open whether they occur."""
-        return tuple(kind for kind, detection in self.by_kind.items() if detection.is_open)
+        return tuple(
+            kind
+            for kind, detection in self.by_kind.items()
+            if not detection.anomalies and detection.peak * (1.0 + self.spread) >= 1.0
+        )
 
     @property
     def scores(self) -> dict[AnomalyKind, float]:

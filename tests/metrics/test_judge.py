@@ -340,6 +340,25 @@ def test_metrics_of_unreachable_postures_are_null(plant: ArmPlant, judge: TrackJ
     assert [metrics[name] for name in names] == [None] * 5
 
 
+def _lowered(plant: ArmPlant, by_m: float) -> GripperTrack:
+    """Track that dips by a depth below the rest pose."""
+    X = np.tile(plant.forward(rest_q()), (40, 1, 1))
+    X[:, 2, 3] -= by_m * np.sin(np.pi * np.arange(40) / 39.0) ** 2
+    return _gripper(0.2 * np.arange(40), X)
+
+
+@pytest.mark.parametrize(("depth_m", "verdict"), [(0.006, True), (0.009, None), (0.011, None), (0.014, False)])
+def test_the_verdict_on_estimated_poses_is_open_near_a_limit(
+    plant: ArmPlant, judge: TrackJudge, depth_m: float, verdict: bool | None
+) -> None:
+    left_m = _number(judge.judge_poses(_lowered(plant, 0.15)).metrics, "table_distance_min_m")
+    result = judge.judge_poses(replace(_lowered(plant, 0.15 + left_m + depth_m), offset_m=0.01))
+    assert result.feasible is verdict
+    assert bool(result.violations) is (verdict is False)
+    if verdict is None:
+        assert "table_collision" in result.reasons["feasible"]
+
+
 def test_an_open_verdict_says_why(plant: ArmPlant, judge: TrackJudge) -> None:
     result = judge.judge_poses(_poses(plant, _gentle(3)))
     assert result.feasible is None
@@ -352,13 +371,8 @@ def test_an_open_verdict_says_why(plant: ArmPlant, judge: TrackJudge) -> None:
 def test_poses_that_may_be_off_collide_only_beyond_that(
     plant: ArmPlant, judge: TrackJudge, depth_m: float, offset_m: float, collides: bool
 ) -> None:
-    def lowered(by_m: float) -> GripperTrack:
-        X = np.tile(plant.forward(rest_q()), (40, 1, 1))
-        X[:, 2, 3] -= by_m * np.sin(np.pi * np.arange(40) / 39.0) ** 2
-        return _gripper(0.2 * np.arange(40), X)
-
-    left_m = _number(judge.judge_poses(lowered(0.15)).metrics, "table_distance_min_m")
-    found = judge.judge_poses(replace(lowered(0.15 + left_m + depth_m), offset_m=offset_m))
+    left_m = _number(judge.judge_poses(_lowered(plant, 0.15)).metrics, "table_distance_min_m")
+    found = judge.judge_poses(replace(_lowered(plant, 0.15 + left_m + depth_m), offset_m=offset_m))
     assert _number(found.metrics, "table_distance_min_m") == pytest.approx(-depth_m, abs=1e-3)
     assert (ViolationKind.TABLE_COLLISION in _kinds(found)) is collides
     assert found.details["noise"]["offset_m"] == offset_m

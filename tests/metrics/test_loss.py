@@ -228,3 +228,10 @@ def test_only_evidence_against_a_video_makes_it_not_executable(
 ) -> None:
     assert judge_evidence(feasible, lost, anomalies) == (executable, tuple(reasons))
     assert all(reason_kind(reason).isidentifier() for reason in reasons)
+
+
+def test_an_open_kind_of_anomaly_leaves_a_video_undecided() -> None:
+    assert judge_evidence(True, 0, open_kinds=["teleport"]) == (None, ("open: teleport",))
+    assert judge_evidence(True, 0, open_kinds=["camera_motion"]) == (True, ())
+    against = judge_evidence(True, 0, [_anomaly(AnomalyKind.FREEZE, 1, 6)], open_kinds=["teleport"])
+    assert against == (False, ("freeze: 6 frames", "open: teleport"))
