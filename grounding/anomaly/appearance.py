@@ -220,12 +220,12 @@ def measure_size(scale: Array) -> HandSize | None:
 
     None if too few frames show it. Errors of the size last some frames, so that neighbours count as one.
     """
-    known = scale[np.isfinite(scale)]
-    if len(known) < bounds.SIZE_FRAMES:
+    sizes = scale[np.isfinite(scale)]
+    if len(sizes) < bounds.SIZE_FRAMES:
         return None
-    median = float(np.median(known))
-    scatter = 1.4826 * float(np.median(np.abs(known - median)))
-    independent = len(known) / _SIZE_ERROR_FRAMES
+    median = float(np.median(sizes))
+    scatter = 1.4826 * float(np.median(np.abs(sizes - median)))
+    independent = len(sizes) / _SIZE_ERROR_FRAMES
     return HandSize(error=median - 1.0, sigma=float(np.sqrt(np.pi / 2.0 / independent)) * scatter)
 
 

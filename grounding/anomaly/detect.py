@@ -209,7 +209,7 @@ def find_anomalies(evidence: AnomalyEvidence) -> AnomalyDetections:
         find_finger_faults(e.finger_width_m),
     )
     spread = bounds.SCORE_SPREAD if familiar else bounds.SCORE_SPREAD_ELSEWHERE
-    return AnomalyDetections(by_kind={found.kind: found.beyond(spread) for found in detections}, spread=spread)
+    return AnomalyDetections(by_kind={each.kind: each.beyond(spread) for each in detections}, spread=spread)
 
 
 def _find_vanishing(e: AnomalyEvidence) -> Detection:

@@ -176,7 +176,9 @@ class CameraChecker:
         if detections is None:
             return 0.0
         search = ChainSearch(detections.cells, detections.finger_m, self._fitter.model)
-        best = min((search.explain(Lens.of_camera(camera)) for camera in cameras), key=lambda found: found.cost)
+        best = min(
+            (search.explain(Lens.of_camera(camera)) for camera in cameras), key=lambda hypothesis: hypothesis.cost
+        )
         rows = finite_rows(best.q)
         if not rows.any():
             return 0.0
@@ -253,9 +255,9 @@ class CameraChecker:
         """
         lenses = [with_focal(camera, zoom * camera.fx) for zoom in _ZOOMS]
         few = frames[evenly(len(frames), _SCREENED)]
-        seen = self._find_in_all(few, camera)
-        least = _LENS_SHARE * self._screen(seen, few, [camera])
-        if all(self._screen(seen, few, [lens]) < least for lens in lenses if lens.fx != camera.fx):
+        detected = self._find_in_all(few, camera)
+        least = _LENS_SHARE * self._screen(detected, few, [camera])
+        if all(self._screen(detected, few, [lens]) < least for lens in lenses if lens.fx != camera.fx):
             return None
         detections = self.detect(frames, camera, bounds.SAMPLED_FRAMES + 1, 2 * SEARCHED)
         if detections is None:

@@ -165,7 +165,7 @@ class TrackJudge:
         else:
             limits = find_joint_limit_violations(plant, path.q, limit_tolerance(joint_sigma))
             jumps = find_discontinuities(track.t_s, track.X_BG, track.tracked, noise, path.q, plant.robot.joints)
-        found = (
+        violations = (
             *find_unreachable(path.joints, noise),
             *limits,
             *find_collisions(self._collision, track, path.own, path.table, checks.q_smooth, noise),
@@ -173,7 +173,7 @@ class TrackJudge:
             *checks.violations,
             *jumps,
         )
-        return sorted(found, key=lambda v: v.rank)
+        return sorted(violations, key=lambda v: v.rank)
 
     def _settle(
         self, path: "_PosedPath", violations: list[Violation]
@@ -191,9 +191,9 @@ class TrackJudge:
             return [], tuple(dict.fromkeys(violation.kind for violation in possible))
         high = 1.0 + NOISE_SPREAD
         sure = {violation.kind for violation in self._violations(path, self._check(path, high), tolerance=high)}
-        held = [violation for violation in violations if violation.kind in sure]
-        if held:
-            return held, ()
+        certain = [violation for violation in violations if violation.kind in sure]
+        if certain:
+            return certain, ()
         return [], tuple(dict.fromkeys(violation.kind for violation in violations))
 
     def _check(self, path: "_PosedPath", tolerance: float) -> LimitChecks:
