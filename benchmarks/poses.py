@@ -15,6 +15,7 @@ from benchmarks.options import (
     log,
     one_thread,
     out_option,
+    work_folder,
     write_section,
 )
 from kinebench_drake.anomaly import AnomalyKind
@@ -156,10 +157,12 @@ def cameras(folder: Path, out: Path, presented: str, limit: int | None, jobs: in
 def gate(jobs: int) -> None:
     """Ground short clips of several programs, with and without cameras, mirrored and cropped; exit 1 if one is wrong.
 
-    The clips and their bounds are in tests/gate. The environment variable KINEBENCH_GATE_CLIPS adds a folder of your
-    own, as `cameras` takes it.
+    Two of them are also scored in float32 and in bfloat16: no verdict may be yes in one and no in the other. The clips
+    and their bounds are in tests/gate. The environment variable KINEBENCH_GATE_CLIPS adds a folder of your own, as
+    `cameras` takes it.
     """
     one_thread()
+    from benchmarks.precision import find_flips, score_both
     from benchmarks.presentations import CLIPS, CLIPS_VARIABLE, run_gate
     from kinebench_drake.cli.progress import ProgressView
     from kinebench_drake.executors.local import LocalExecutor
@@ -167,6 +170,13 @@ def gate(jobs: int) -> None:
     extra = os.environ.get(CLIPS_VARIABLE)
     with ProgressView("videos") as view:
         faults = run_gate(CLIPS, Path(extra) if extra else None, LocalExecutor(jobs=jobs), view)
+    with work_folder(None) as work:
+        rows = score_both(CLIPS / "manifest.jsonl", work, jobs, log, limit=2)
+    faults += [
+        f"{flip.id}: {flip.name} is {flip.values[0]} in float32, {flip.values[1]} in bfloat16 ({flip.measure})"
+        for flip in find_flips(*rows)
+        if flip.is_contradiction
+    ]
     for fault in faults:
         click.echo(fault)
     if faults:

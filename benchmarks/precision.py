@@ -33,8 +33,10 @@ class Flip:
         return self.values in ((True, False), (False, True))
 
 
-def score_both(folder: Path, work: Path, jobs: int, log: Callable[[str], None]) -> tuple[Rows, Rows]:
-    """Score a folder or manifest in both precisions; what an earlier call has scored is kept.
+def score_both(
+    folder: Path, work: Path, jobs: int, log: Callable[[str], None], limit: int | None = None
+) -> tuple[Rows, Rows]:
+    """Score a folder or manifest, or its first `limit` clips, in both precisions; what is scored already is kept.
 
     Raises:
         KinebenchError: a run failed.
@@ -43,8 +45,9 @@ def score_both(folder: Path, work: Path, jobs: int, log: Callable[[str], None]) 
     for precision in Precision:
         out = work / precision.value
         log(f"{folder}: {precision.value}")
+        most = [] if limit is None else ["--limit", str(limit)]
         run_program(
-            ["score", str(folder), "--out", str(out), "--replays", "0", "--jobs", str(jobs)],
+            ["score", str(folder), "--out", str(out), "--replays", "0", "--jobs", str(jobs), *most],
             environment={PRECISION_VARIABLE: precision.value},
         )
         rows.append(read_rows(out))
