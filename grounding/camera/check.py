@@ -34,8 +34,8 @@ from kinebench_drake.track import Domain
 
 SEARCHED = 8
 """Frames that those are chosen from that check a camera."""
-_AGREEMENT_FRAMES = 15
-"""Frames whose median is the agreement of a track: that of 5 differs by up to 0.12 between number formats."""
+_AGREEMENT_FRAMES = 25
+"""Frames whose mean is the agreement of a track: the median of 5 differs by up to 0.12 between number formats."""
 _SCREENED = 3  # frames that tell which readings and lenses are fitted
 _FITTED_READINGS = 2
 _UPRIGHT_SHARE = 0.3
@@ -99,7 +99,7 @@ class CameraChecker:
     def track_agreement(self, frames: Frames, camera: Camera, result: PipelineResult) -> float | None:
         """Return the share of the contours of hand and arm on image edges in the postures of a track; None without any.
 
-        Median over frames; of a moving camera those before it moves count; of the arm alone the hand's contours do not.
+        Mean over frames. Of a moving camera those before it moves count; of the arm alone the hand's contours do not.
         """
         q, track, path = result.arm_q, result.track, result.camera_path
         if not len(q):
@@ -115,7 +115,7 @@ class CameraChecker:
         images = self._fitter.images(frames[chosen], camera)
         if result.domain is Domain.ARM:
             images = images.without(RobotPart.HAND)
-        return float(np.median(images.agreement(scene)))
+        return float(images.agreement(scene).mean())
 
     def find_reading(
         self, frames: Frames, camera: Camera, least: float, readings: tuple[Reading, ...]
