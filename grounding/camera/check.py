@@ -42,9 +42,9 @@ _UPRIGHT_SHARE = 0.3
 """Agreement of unfitted postures from which on a picture is upright: turned ones have 0.16 at most, right ones of the
 benchmark 0.45 at least."""
 _NOT_UPRIGHT = (Reading.UPSIDE_DOWN, Reading.ROWS_REVERSED, Reading.TURNED_LEFT, Reading.TURNED_RIGHT)
-_LENS_SHARE = 0.8
+_LENS_SHARE = 0.85
 """Share of the agreement of unfitted postures with a camera from which on another lens is fitted: next to right cameras
-others have 0.75 of it at most."""
+other focal lengths have 0.75 of it at most, crops 0.81, and crops of cropped pictures 0.92 at least."""
 _CROP_ZOOMS = (1.1, 1.25, 1.45)  # focal lengths of cropped pictures over that of the camera
 _CROP_PLACES = np.array([[0.0, 0.0], [-1.0, -1.0], [-1.0, 1.0], [1.0, -1.0], [1.0, 1.0]])
 """Places of a cropped picture in the whole one: its middle and its corners."""
@@ -161,6 +161,8 @@ class CameraChecker:
                 continue
             turned = unread if picture is few else self._find_in_all(picture, lens)
             shares[reading] = self._screen(turned, picture, [lens])
+        if Reading.CROPPED in shares:  # a crop may lie between those tried
+            shares[Reading.CROPPED] /= _LENS_SHARE
         leading = sorted((reading for reading in shares if shares[reading] > own), key=lambda reading: -shares[reading])
         return leading[:_FITTED_READINGS]
 
