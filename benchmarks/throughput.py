@@ -119,8 +119,8 @@ def measure(videos: Path, work: Path, *, tracks: int, turns: int, log: Callable[
     """
     different = len({hashlib.sha256(path.read_bytes()).digest() for path in videos.glob("*.mp4")})
     if different < LEAST_VIDEOS:
-        held = count_noun(different, "different video")
-        raise UsageError(f"{videos}: holds {held}, expected {LEAST_VIDEOS} or more")
+        counted = count_noun(different, "different video")
+        raise UsageError(f"{videos}: holds {counted}, expected {LEAST_VIDEOS} or more")
     inputs = {Job.SCORE: videos, Job.AUDIT: work / "tracks"}
     for _ in write_set(Recipe(set=TrajectorySet.FEASIBLE, seed=0), tracks, inputs[Job.AUDIT]):
         pass
@@ -188,10 +188,10 @@ def section(costs: RunCosts, *, tracks: int) -> str:
     videos = 1 + len(next(iter(video_seconds(costs).values())))
     return markdown.section(
         "Whole runs",
-        f"`python -m benchmarks throughput` on {machine_text()}: wall times, median (minimum to maximum) of {turns} "
-        f"turns. `score`: {videos} different held-out renderings of 384x384. `audit`: {tracks} trajectories of about "
-        f"{BENCHMARK_FRAMES} frames. Start-up ends when each process has finished its first sample. One process of "
-        "`score` uses more than one core. Memory: peak of the main process and of each worker.",
+        f"`python -m benchmarks throughput` on {machine_text()}: wall times, median (minimum to maximum) of "
+        f"{count_noun(turns, 'turn')}. `score`: {videos} different held-out renderings of 384x384. `audit`: {tracks} "
+        f"trajectories of about {BENCHMARK_FRAMES} frames. Start-up ends when each process has finished its first "
+        "sample. One process of `score` uses more than one core. Memory: peak of the main process and of each worker.",
         markdown.table(("run", "start-up, s", "s a sample", "times one process", "memory, MB"), _rows(costs)),
         "Seconds a video after the start-up, in the only worker, each the median of the turns:",
         markdown.table(

@@ -4,14 +4,12 @@ from collections.abc import Iterator
 
 from kinebench_drake.errors import count_noun
 from kinebench_drake.io.jsonl import as_object
-from kinebench_drake.metrics.executable import INFEASIBLE, LOST, UNCHECKED, UNDECIDED, FailureVerdict, reason_kind
+from kinebench_drake.metrics.executable import INFEASIBLE, LOST, OPEN, UNCHECKED, UNDECIDED, FailureVerdict, reason_kind
 from kinebench_drake.metrics.trust import TRUST, TrustLevel
 from kinebench_drake.report.limits import describe_violation, format_frames, to_number
 from kinebench_drake.report.timeline import anomalies_of
 from kinebench_drake.results.row import SampleRow, Status
 
-OPEN = "open"
-"""Kind of the reasons that name a detector whose measure is too close to its bound for a decision."""
 _FAILURES = {cause.value: f"failed by {cause.value}" for cause in FailureVerdict}
 VERDICT_LABELS = {
     **{"error": "error", "infeasible": "infeasible", **_FAILURES},

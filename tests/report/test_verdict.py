@@ -42,10 +42,10 @@ def test_of_many_stretches_of_an_anomaly_the_first_are_listed():
 
 def test_an_infeasible_video_is_not_executable_by_the_limit_it_breaks():
     broken = {"feasible": False, "violations": (VELOCITY, VELOCITY)}
-    faulty = video(False, "infeasible", "scale_drift: 1 frame", anomalies=[("scale_drift", 2, 2)], **broken)
+    faulty = video(False, "infeasible", "finger_opening: 1 frame", anomalies=[("finger_opening", 2, 2)], **broken)
     assert describe_verdict(faulty) == (
         "not executable: velocity of panda_joint4, 2.6 rad/s (limit 2.175), frames 3 to 9 and 1 violation more; "
-        "scale drift, frame 2"
+        "finger opening, frame 2"
     )
 
 
@@ -55,7 +55,7 @@ def test_an_infeasible_video_is_not_executable_by_the_limit_it_breaks():
         (["undecided"], "undecided: the base frame is unknown"),
         (["lost: 12 frames"], "undecided: no pose in 12 frames"),
         (["open: teleport", "lost: 1 frame"], "undecided: teleport is open; no pose in 1 frame"),
-        (["open: scale_drift"], "undecided: scale drift is open"),
+        (["open: finger_opening"], "undecided: finger opening is open"),
         (["unchecked: torque, jerk"], "feasible as far as checked: limits of torque, jerk are not checked"),
         (["novel: 3 things"], "undecided: novel, 3 things"),
     ],
