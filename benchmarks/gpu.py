@@ -1,6 +1,7 @@
 """What a GPU changes: networks, training, images of the simulator and whole runs, with it and without it in turn."""
 
 import os
+import shutil
 import subprocess
 import sys
 import time
@@ -15,7 +16,7 @@ import torch
 from benchmarks import markdown
 from benchmarks.process import run_program, spread
 from benchmarks.record import BenchmarkRecord, machine_text
-from benchmarks.throughput import NO_GPU, Job, Setting, link_copies, run_cost
+from benchmarks.throughput import NO_GPU, Job, Setting, run_cost
 from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.environment.native import RENDER_VARIABLE, has_nvidia_vulkan
 from kinebench_drake.errors import KinebenchError, UsageError
@@ -83,6 +84,15 @@ def measure(video: Path, work: Path, *, videos: int, turns: int, log: Callable[[
                 log(f"  {name}: {cost:.3g}")
                 costs.setdefault(name, {}).setdefault(device, []).append(cost)
     return costs
+
+
+def link_copies(video: Path, paths: Sequence[Path]) -> None:
+    """Copy one file to the first path and hard-link the others to it."""
+    first, *others = paths
+    first.parent.mkdir(parents=True, exist_ok=True)
+    shutil.copyfile(video, first)
+    for path in others:
+        os.link(first, path)
 
 
 def _turn(device: Device, frames: Frames, work: Path) -> Iterator[tuple[str, float]]:
@@ -185,6 +195,7 @@ def section(costs: Costs) -> str:
         "GPU",
         f"`python -m benchmarks gpu` on {machine_text()} with {torch.cuda.get_device_name()}: wall times, median "
         f"(minimum to maximum) of {turns} turns. `score` and `suite run` (oracle, pixels only): time from one finished "
-        "sample to the next. Fits, kinematics and physics run on the CPU in both.",
+        "sample to the next. `score` runs on copies of one video: its times compare the devices and are not "
+        "those of usual videos. Fits, kinematics and physics run on the CPU in both.",
         markdown.table(("what", "CPU", "GPU", "times as fast"), rows),
     )

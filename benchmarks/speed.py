@@ -99,17 +99,19 @@ def audit(results: Path, tracks: int, audits: int) -> None:
 @click.command(epilog="\b\nExample:\n  python -m benchmarks throughput")
 @results_option
 @work_option
-@video_option
-@click.option("--count", type=click.IntRange(3), default=12, show_default=True, help="Copies of the video.")
+@click.option(
+    "--videos", type=EXISTING_FOLDER,
+    help="Output folder of `suite demos` with 24 different videos or more.  [default: made in --work]",
+)  # fmt: skip
 @click.option("--tracks", type=click.IntRange(3), default=200, show_default=True, help="Trajectories audited.")
 @click.option("--turns", type=COUNT, default=3, show_default=True, help="Runs of each setting.")
-def throughput(results: Path, work: Path | None, video: Path, count: int, tracks: int, turns: int) -> None:
-    """Measure runs of score and audit with one and two processes, without a GPU."""
+def throughput(results: Path, work: Path | None, videos: Path | None, tracks: int, turns: int) -> None:
+    """Measure runs of score and audit with one and two processes, without a GPU; score in both precisions."""
     from benchmarks.throughput import figures, measure, section
 
     with work_folder(work) as folder:
-        costs = measure(video, folder, videos=count, tracks=tracks, turns=turns, log=log)
-    _record("throughput", results, figures(costs), section(costs, videos=count, tracks=tracks))
+        costs = measure(_heldout(videos, folder), folder, tracks=tracks, turns=turns, log=log)
+    _record("throughput", results, figures(costs), section(costs, tracks=tracks))
 
 
 @click.command(epilog="\b\nExample:\n  python -m benchmarks gpu")

@@ -97,7 +97,8 @@ def run_suite(
 def read_results(out: PathName) -> "pyarrow.Table":
     """Read the samples of an output folder as a table, the worst first.
 
-    Columns: labels, verdicts, kinds of faults joined by "; ", and every metric, null where not measured.
+    Columns: labels, verdict, verdict in words, trust, kinds of faults joined by "; ", and every metric, null where not
+    measured.
 
     Raises:
         UsageError: it is no output folder.

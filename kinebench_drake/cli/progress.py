@@ -17,11 +17,11 @@ from rich.text import Text
 from kinebench_drake.cli.click_options import echo
 from kinebench_drake.errors import count_noun, name_options, one_line
 from kinebench_drake.executors.interrupt import ignore_interrupts
-from kinebench_drake.io.jsonl import Json, as_object
+from kinebench_drake.io.jsonl import Json
 from kinebench_drake.metrics.executable import UNCHECKED, FailureVerdict, reason_kind
-from kinebench_drake.metrics.trust import TRUST, trust_lines
-from kinebench_drake.report.limits import describe_violation
+from kinebench_drake.metrics.trust import trust_lines
 from kinebench_drake.report.timeline import anomalies_of
+from kinebench_drake.report.verdict import describe_trust, describe_verdict
 from kinebench_drake.results.aggregate import VERDICT_SHARES, estimate, estimate_executable, estimate_passes
 from kinebench_drake.results.drops import DROPS
 from kinebench_drake.results.inputs import input_lines
@@ -95,13 +95,9 @@ class ProgressView:
         """Count and print a sample; on a terminal only print those that failed."""
         self._count()
         if self._bar is None or row.status is not Status.OK:
-            reason = f": {row.reason}" if row.reason else ""
-            if row.violations:
-                more = f" and {count_noun(n, 'violation')} more" if (n := len(row.violations) - 1) else ""
-                reason += f"; infeasible: {describe_violation(row.violations[0])}{more}"
-            if trust := as_object(row.extra.get(TRUST)):
-                reason += f"; {trust['line']}"
-            line = f"[{self.completed}/{self.total}] {row.id} {row.status.value}{reason} ({wall_s:.1f} s)"
+            trust = describe_trust(row)
+            verdict = describe_verdict(row) + (f"; trust: {trust}" if trust else "")
+            line = f"[{self.completed}/{self.total}] {row.id} {verdict} ({wall_s:.1f} s)"
             self._print(line, _STYLES[row.status])
 
     def _count(self) -> None:

@@ -164,8 +164,13 @@ def _violation_peak(v: Mapping[str, Json], t_s: Array | None) -> LimitPeak:
     )
 
 
+def format_frames(start: object, end: object) -> str:
+    """Format a stretch of frames, such as `frames 3 to 9`; both ends are included."""
+    return f"frame {start}" if start == end else f"frames {start} to {end}"
+
+
 def _format_span(start: int, end: int, t_s: Array | None) -> str:
-    frames = f"frame {start}" if start == end else f"frames {start} to {end}"
+    frames = format_frames(start, end)
     if t_s is None or not 0 <= start <= end < len(t_s):
         return frames
     span = f"{t_s[start]:.2f} s" if start == end else f"{t_s[start]:.2f} to {t_s[end]:.2f} s"

@@ -9,24 +9,28 @@ from pathlib import Path
 from kinebench_drake.io.atomic import write_atomically
 from kinebench_drake.io.jsonl import Json, as_object
 from kinebench_drake.metrics.executable import LOST, UNCHECKED, reason_kind
-from kinebench_drake.metrics.trust import TRUST, TrustLevel, trust_lines
+from kinebench_drake.metrics.trust import trust_lines
 from kinebench_drake.report.limits import to_number
 from kinebench_drake.report.metric import BY_NAME, Metric, MetricLayout, layout_of
 from kinebench_drake.report.plot import Histogram, count_values, draw_histogram
 from kinebench_drake.report.run import read_results
 from kinebench_drake.report.sample import (
-    GOOD_VERDICTS,
-    VERDICT_LABELS,
     badness,
-    explain,
     goodness,
     has_thumbnail,
     numeric_value,
-    verdict_of,
     view_sample,
 )
 from kinebench_drake.report.table import template_environment
 from kinebench_drake.report.timeline import SEVERITY_UNITS, anomalies_of
+from kinebench_drake.report.verdict import (
+    GOOD_VERDICTS,
+    VERDICT_LABELS,
+    describe_trust,
+    explain_verdict,
+    name_verdict,
+    verdict_of,
+)
 from kinebench_drake.results.aggregate import VERDICT_SHARES, Aggregate, RunStatistics, split_rows
 from kinebench_drake.results.drops import GATED, Drop, DropReason, list_drops
 from kinebench_drake.results.inputs import input_lines, is_motionless
@@ -107,7 +111,9 @@ def build_page(out: Path, rows: Iterable[SampleRow] | None = None, statistics: R
         "chips": _fault_chips,
         "label": VERDICT_LABELS.__getitem__,
         "verdict": verdict_of,
-        "explanation": explain,
+        "named": name_verdict,
+        "explanation": explain_verdict,
+        "trust": describe_trust,
     }
     templates.filters |= {"anomalies": anomalies_of, "scalar": to_number}
     templates.filters["severity_unit"] = lambda kind: SEVERITY_UNITS.get(kind, "")
@@ -207,10 +213,8 @@ def _is_measured(total: Aggregate, name: str) -> bool:
 
 
 def _fault_chips(row: SampleRow) -> list[tuple[str, str]]:
-    """List the kinds of faults of a sample once each, and trust that needs a look, with the class of their colour."""
+    """List the kinds of faults of a sample once each, with the class of their colour."""
     chips = [(str(v["kind"]), "") for v in row.violations] + [(str(a["kind"]), "anomaly") for a in anomalies_of(row)]
     lost = [(reason, "lost") for reason in row.executable_reasons if reason_kind(reason) in (LOST, UNCHECKED)]
     lost += [("motionless", "lost")] if is_motionless(row) else []
-    level = as_object(row.extra.get(TRUST)).get("level")
-    trust = [(f"trust: {level}", "lost")] if level in (TrustLevel.CHECK.value, TrustLevel.UNKNOWN.value) else []
-    return list(dict.fromkeys((kind.replace("_", " "), css) for kind, css in [*chips, *lost, *trust]))
+    return list(dict.fromkeys((kind.replace("_", " "), css) for kind, css in [*chips, *lost]))

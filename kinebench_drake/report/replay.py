@@ -22,9 +22,9 @@ from kinebench_drake.models.panda.cad import simplify
 from kinebench_drake.report.limits import to_number
 from kinebench_drake.report.replay_scene import COLORS, LinkMesh, ReplayScene, pose_links, posed_frames
 from kinebench_drake.report.run import read_results
-from kinebench_drake.report.sample import verdict_of
 from kinebench_drake.report.table import template_environment
 from kinebench_drake.report.timeline import anomalies_of, frame_states
+from kinebench_drake.report.verdict import describe_verdict
 from kinebench_drake.results.row import SampleRow
 from kinebench_drake.results.store import artifact_path, read_rows
 from kinebench_drake.results.trackfile import TrackFile, read_track
@@ -128,10 +128,7 @@ def _add_controls(html: str, row: SampleRow, file: TrackFile, has_arm: bool) -> 
     panel = template_environment().get_template("replay.html.j2")
     controls = panel.render(
         id=row.id,
-        verdict="Feasible as far as checked"
-        if verdict_of(row) == "checked"
-        else {True: "Feasible for the robot", False: "Infeasible for the robot", None: "Not judged"}[row.feasible]
-        + ("" if row.executable is None else ", executable" if row.executable else ", not executable"),
+        verdict=describe_verdict(row),
         faults=[(css, *_describe(fault, t_s)) for fault, css in faults],
         colors={state.value: "#" + "".join(f"{round(255 * v):02x}" for v in rgb) for state, rgb in COLORS.items()},
         stretches=[(state, len(list(group))) for state, group in groupby(states)],

@@ -14,24 +14,15 @@ from markupsafe import Markup
 
 from kinebench_drake.geometry import Array
 from kinebench_drake.io.jsonl import Json, as_object
-from kinebench_drake.metrics.executable import UNCHECKED, FailureVerdict, reason_kind
 from kinebench_drake.report.curves import draw_curves
 from kinebench_drake.report.limits import LimitPeak, find_checks, find_peaks, in_unit, to_number
 from kinebench_drake.report.timeline import anomalies_of, draw_strip, fault_lanes, frame_count
+from kinebench_drake.report.verdict import VERDICT_LABELS, verdict_of
 from kinebench_drake.results.row import SampleRow, Status
 from kinebench_drake.results.store import artifact_path
 from kinebench_drake.results.trackfile import TrackFile, read_track
 from kinebench_drake.segments import segments
 
-_FAILURES = {cause.value: f"failed: {cause.value}" for cause in FailureVerdict}
-VERDICT_LABELS = {
-    **{"error": "error", "infeasible": "infeasible", **_FAILURES},
-    **{"unmeasurable": "unmeasurable", "feasible": "not executable", "unjudged": "undecided"},
-    **{"checked": "feasible as far as checked"},
-    **{"executable": "executable", "success": "success"},
-}
-"""Labels of the verdicts, the worst first."""
-GOOD_VERDICTS = ("executable", "success")
 _RANK = {verdict: rank for rank, verdict in enumerate(VERDICT_LABELS)}
 _MAX_VIOLATIONS = 20
 """Violations that a sample's table lists, the first ones by cause."""
@@ -70,25 +61,6 @@ def numeric_value(row: SampleRow, name: str) -> float | None:
     """Return a metric, or a further key of the row, as a number; None if it is none."""
     value = row.metrics.get(name, row.extra.get(name))
     return float(value) if isinstance(value, bool | int | float) else None
-
-
-def verdict_of(row: SampleRow) -> str:
-    """Return the verdict of a row, a key of VERDICT_LABELS; of a closed-loop episode its outcome."""
-    if row.status is not Status.OK:
-        return str(row.status.value)
-    if "verdict" in row.extra:
-        cause = row.extra["verdict"]
-        return "success" if row.extra.get("success") is True else cause if cause in _FAILURES else "unjudged"
-    if row.executable or row.feasible is False:
-        return "executable" if row.executable else "infeasible"
-    if row.feasible and [reason_kind(reason) for reason in row.executable_reasons] == [UNCHECKED]:
-        return "checked"
-    return "unjudged" if row.executable is None else "feasible"
-
-
-def explain(row: SampleRow) -> str:
-    """Return the reason of a missing result, or the cause of a failure; empty if there is none."""
-    return row.reason or str(as_object(row.extra.get("cause")).get("text") or "")
 
 
 def badness(row: SampleRow) -> tuple[float | str, ...]:

@@ -19,8 +19,8 @@ from kinebench_drake.report.number import (
 )
 from kinebench_drake.report.parts import choose_listed, list_links, write_parts
 from kinebench_drake.report.run import Run, check_page_folder
-from kinebench_drake.report.sample import GOOD_VERDICTS, verdict_of
 from kinebench_drake.report.table import Table, make_listing
+from kinebench_drake.report.verdict import GOOD_VERDICTS, verdict_of
 from kinebench_drake.results.row import SampleRow
 
 

@@ -4,13 +4,15 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
-from kinebench_drake.report.sample import badness, verdict_of
+from kinebench_drake.report.sample import badness
 from kinebench_drake.report.timeline import anomalies_of
+from kinebench_drake.report.verdict import describe_trust, describe_verdict, verdict_of
 from kinebench_drake.results.aggregate import OUTCOMES
 from kinebench_drake.results.row import SampleRow
 from kinebench_drake.results.store import read_rows
 
-_LABELS = ("id", "video", "task", "model", "status", "verdict", "reason", "executable", "feasible")
+_VERDICTS = ("verdict", "verdict_text", "trust", "status", "reason", "executable", "feasible")
+_LABELS = ("id", "video", "task", "model", *_VERDICTS)
 _LISTS = ("executable_reasons", "violations", "anomalies")
 
 
@@ -26,10 +28,15 @@ def read_samples(out: Path) -> Any:
 
 
 def _cells(row: SampleRow, metrics: Iterable[str]) -> list[object]:
-    values = {"status": row.status.value, "verdict": verdict_of(row)}
+    values = {
+        "verdict": verdict_of(row),
+        "verdict_text": describe_verdict(row),
+        "trust": describe_trust(row) or None,
+        "status": row.status.value,
+    }
     kinds = [sorted({str(mark.get("kind")) for mark in marks}) for marks in (row.violations, anomalies_of(row))]
     return [
-        *(values.get(label) or getattr(row, label) for label in _LABELS),
+        *(values[label] if label in values else getattr(row, label) for label in _LABELS),
         *("; ".join(texts) for texts in (row.executable_reasons, *kinds)),
         *(row.metrics.get(name, row.extra.get(name)) for name in metrics),
     ]

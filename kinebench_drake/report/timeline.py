@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from kinebench_drake.anomaly import AnomalyKind
 from kinebench_drake.geometry import Array
 from kinebench_drake.io.jsonl import Json
-from kinebench_drake.report.limits import joint_limits, limit_ratios
+from kinebench_drake.report.limits import format_frames, joint_limits, limit_ratios
 from kinebench_drake.report.plot import WIDTH, FrameSpan, merge_spans, render_plot, round_ticks
 from kinebench_drake.results.row import SampleRow
 from kinebench_drake.results.trackfile import TrackFile
@@ -182,7 +182,7 @@ def _place_bar(span: FrameSpan, n: int, left: float, wide: float) -> tuple[float
 
 
 def _format_frames(span: FrameSpan, t_s: Array | None = None) -> str:
-    frames = f"frame {span.start}" if span.start == span.end else f"frames {span.start} to {span.end}"
+    frames = format_frames(span.start, span.end)
     if t_s is None or span.end >= len(t_s):
         return frames
     return f"{frames} ({t_s[span.start]:.2f} to {t_s[span.end]:.2f} s)"

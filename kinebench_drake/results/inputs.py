@@ -8,6 +8,7 @@ from kinebench_drake.camera import CameraSource, CameraState
 from kinebench_drake.errors import count_noun
 from kinebench_drake.io.jsonl import Json
 from kinebench_drake.results.row import SampleRow, Status
+from kinebench_drake.track import Domain
 
 
 class PeriodSource(Enum):
@@ -47,6 +48,11 @@ _CAMERAS: Mapping[str, str] = {
     "recognized": "known by name, recognized by the arm",
     "estimated": "estimated from the arm",
     "none": "unknown, there is no base frame",
+}
+_LOOKS: Mapping[str, str] = {
+    Domain.FAMILIAR.value: "familiar to the networks",
+    Domain.UNFAMILIAR.value: "unfamiliar to the networks",
+    Domain.ARM.value: "no hand of Franka's, only the flange is measured",
 }
 _MOST = 3
 """Values that a line lists."""
@@ -89,10 +95,10 @@ def list_inputs(rows: Iterable[SampleRow]) -> dict[str, list[dict[str, Json]]]:
 
 
 def input_lines(rows: Sequence[SampleRow]) -> list[str]:
-    """Describe frame period and camera of the rows with their sources, and count the motionless ones, a line each.
+    """Describe frame period and camera of the rows with their sources, and their looks; count the motionless ones.
 
-    There is no line of what no row has. Where the benchmark camera fits and the period is that of the file, the first
-    line has the number of verdicts that the benchmark's period would change.
+    A line each; there is none of what no row has. Where the benchmark camera fits and the period is that of the file,
+    the first line has the number of verdicts that the benchmark's period would change.
     """
     inputs = list_inputs(rows)
     periods = [
@@ -106,6 +112,9 @@ def input_lines(rows: Sequence[SampleRow]) -> list[str]:
     if changes := [change for row in rows if (change := _changes_in_benchmark(row)) is not None]:
         count = {0: "no verdict changes", 1: "1 verdict changes"}.get(sum(changes), f"{sum(changes)} verdicts change")
         lines[0] += f"; but the benchmark camera fits: {count} at {BENCHMARK_PERIOD_S:g} s"
+    looks = Counter(domain for row in rows if isinstance(domain := row.extra.get("domain"), str))
+    if looks:
+        lines.append(f"look: {_join([(_LOOKS.get(domain, domain), n) for domain, n in looks.most_common()])}")
     if motionless := sum(map(is_motionless, rows)):
         lines.append(f"motionless: {motionless} of {count_noun(len(rows), 'sample')}")
     return lines

@@ -1,7 +1,8 @@
+import numpy as np
 import pytest
 import torch
 
-from benchmarks.gpu import Device, figures, measure, section
+from benchmarks.gpu import Device, figures, link_copies, measure, section
 from kinebench_drake.errors import UsageError
 
 COSTS = {"an image, ms": {Device.CPU: [40.0, 60.0], Device.GPU: [4.0, 5.0]}}
@@ -25,3 +26,12 @@ def test_without_a_gpu_the_measurement_is_refused(tmp_path, monkeypatch):
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
     with pytest.raises(UsageError, match="find no NVIDIA GPU"):
         measure(tmp_path / "a.mp4", tmp_path, videos=16, turns=1, log=print)
+
+
+def test_copies_are_hard_links(tmp_path):
+    film = tmp_path / "film.mp4"
+    film.write_bytes(np.random.default_rng(0).bytes(1000))
+    names = [tmp_path / "in" / f"{k}.mp4" for k in range(3)]
+    link_copies(film, names)
+    assert {name.read_bytes() for name in names} == {film.read_bytes()}
+    assert len({name.stat().st_ino for name in names}) == 1

@@ -1,8 +1,10 @@
 import numpy as np
 import pytest
 
+from benchmarks import throughput
 from benchmarks.process import ProcessMemory
-from benchmarks.throughput import Job, RunCost, Setting, link_copies, measure, section
+from benchmarks.throughput import Job, RunCost, Setting, figures, measure, section, summarize_seconds
+from kinebench_drake.environment.precision import Precision
 from kinebench_drake.errors import UsageError
 
 PEAK = ProcessMemory(main_mb=100.0, workers_mb=(900.0, 800.0))
@@ -17,35 +19,43 @@ def timed(processes, *, begins=3.0, first=2.0, each=5.0, samples=7):
 
 
 @pytest.mark.parametrize(("processes", "sample_s"), [(1, 5.0), (2, 2.5)])
-def test_start_up_time_is_separated_from_time_per_sample(processes, sample_s):
-    cost = RunCost.from_times(*timed(processes, samples=9 if processes == 1 else 8), processes, PEAK)
-    assert cost.start_up_s == pytest.approx(3.0)
-    assert cost.first_s == pytest.approx(2.0)
+def test_start_up_ends_with_the_first_sample_of_each_process(processes, sample_s):
+    samples = 9 if processes == 1 else 8
+    cost = RunCost.from_times(*timed(processes, samples=samples), processes, PEAK)
+    assert cost.start_up_s == pytest.approx(10.0)
+    assert cost.wall_s == pytest.approx([5.0] * (samples - processes))
     assert cost.sample_s == pytest.approx(sample_s)
 
 
-def test_the_table_has_ratios_within_a_turn_and_peak_memory():
-    def turn(sample_s, mb=900.0):
-        return RunCost(
-            start_up_s=3.0, first_s=2.0, sample_s=sample_s, peak=ProcessMemory(main_mb=100.0, workers_mb=(mb,))
-        )
+def turn(sample_s, mb=900.0, wall_s=(1.0, 1.0, 4.0)):
+    peak = ProcessMemory(main_mb=100.0, workers_mb=(mb,))
+    return RunCost(start_up_s=5.0, wall_s=np.array(wall_s), sample_s=sample_s, peak=peak)
 
-    one, two = (Setting(job=Job.SCORE, processes=n) for n in (1, 2))
-    text = section({one: [turn(8.0), turn(16.0)], two: [turn(5.0), turn(8.0, mb=950.0)]}, videos=12, tracks=200)
-    assert "| score, 1 process | 3.0 + 2.0 | 12.00 (8.00 to 16.00) |" in text
+
+def test_the_tables_have_ratios_within_a_turn_peak_memory_and_the_spread_of_videos():
+    one, two = (Setting(job=Job.SCORE, processes=n, precision=Precision.FLOAT32) for n in (1, 2))
+    costs = {one: [turn(8.0), turn(16.0)], two: [turn(5.0), turn(8.0, mb=950.0)]}
+    text = section(costs, tracks=200)
+    assert "| score in float32, 1 process | 5.0 | 12.00 (8.00 to 16.00) |" in text
     assert "| 1.80 (1.60 to 2.00) | 100 + 950 |" in text
-    assert "12 copies" in text
+    assert "4 different held-out renderings" in text
+    assert "| score in float32, 1 process | 2.00 | 1.00 | 3.70 | 4.00 | 2.00 |" in text
+    assert figures(costs)["score in float32, 1 process, s a video: maximum"] == 4.0
 
 
-def test_copies_are_hard_links(tmp_path):
-    film = tmp_path / "film.mp4"
-    film.write_bytes(np.random.default_rng(0).bytes(1000))
-    names = [tmp_path / "in" / f"{k}.mp4" for k in range(3)]
-    link_copies(film, names)
-    assert {name.read_bytes() for name in names} == {film.read_bytes()}
-    assert len({name.stat().st_ino for name in names}) == 1
+def test_the_mean_is_compared_with_the_faster_half_of_the_videos():
+    assert summarize_seconds(np.array([9.0, 1.0, 3.0, 3.0]))["mean / mean of the faster half"] == 2.0
 
 
-def test_too_few_samples_are_refused(tmp_path):
-    with pytest.raises(UsageError, match="2 samples are too few, expected more than 2"):
-        measure(tmp_path / "a.mp4", tmp_path, videos=2, tracks=9, turns=1, log=print)
+def test_a_setting_forces_its_precision():
+    forced = Setting(job=Job.SCORE, processes=1, precision=Precision.BFLOAT16)
+    assert forced.environment == {"KINEBENCH_DRAKE_PRECISION": "bfloat16"}
+    assert Setting(job=Job.AUDIT, processes=1).environment == {}
+
+
+def test_copies_of_a_video_count_once(tmp_path, monkeypatch):
+    monkeypatch.setattr(throughput, "LEAST_VIDEOS", 2)
+    for k in range(3):
+        (tmp_path / f"{k}.mp4").write_bytes(b"one film")
+    with pytest.raises(UsageError, match="holds 1 different video, expected 2 or more"):
+        measure(tmp_path, tmp_path, tracks=9, turns=1, log=print)

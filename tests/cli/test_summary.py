@@ -2,7 +2,7 @@
 
 import pytest
 
-from kinebench_drake.cli.progress import summary_lines
+from kinebench_drake.cli.progress import ProgressView, summary_lines
 from kinebench_drake.errors import count_noun
 from kinebench_drake.results.row import Status
 from tests.report.pages import row
@@ -81,6 +81,18 @@ def test_summary_counts_motionless_samples():
 
 def test_summary_of_episodes_begins_with_the_success_rate():
     assert lines(judged("a", True, True, success=True))[0].startswith("success: 1 of 1 sample, 100%")
+
+
+def test_the_line_of_a_sample_is_its_verdict_then_its_trust(capsys):
+    trust = {"level": "check", "reason": "the look is unfamiliar", "line": "check: the look is unfamiliar (look ...)"}
+    view = ProgressView()
+    view.start(2, 0)
+    view.finish(judged("a", True, True, trust=trust), 6.34)
+    view.finish(lost("b", "too short", Status.ERROR), 0.0)
+    assert capsys.readouterr().err.splitlines() == [
+        "[1/2] a executable; trust: check, the look is unfamiliar (6.3 s)",
+        "[2/2] b error: too short (0.0 s)",
+    ]
 
 
 @pytest.mark.parametrize(("n", "text"), [(0, "0 samples"), (1, "1 sample"), (2, "2 samples")])

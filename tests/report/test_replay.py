@@ -136,11 +136,12 @@ def test_the_track_gripper_is_shown_where_the_arm_misses_it(build, plant, file, 
 
 def test_the_gripper_alone_is_shown_without_joint_angles(build, track, tmp_path):
     write_track(tmp_path / "b.npz", track, None, {})
-    page = build(row(feasible=None, violations=()), read_track(tmp_path / "b.npz"))
+    open_row = row(feasible=None, violations=(), executable_reasons=("undecided",))
+    page = build(open_row, read_track(tmp_path / "b.npz"))
     shown = paths(page)
     assert not {p for p in shown if p.startswith("/arm")}
     assert {"/gripper/panda_hand", "/gripper/panda_leftfinger", "/gripper/panda_rightfinger", "/tcp/x"} <= shown
-    assert "Not judged" in page
+    assert "<p>undecided: the motion has no verdict</p>" in page
 
 
 def test_the_time_bar_shows_the_state_of_each_frame(build, file):

@@ -31,6 +31,12 @@ def test_several_frame_periods_are_listed_with_sample_counts_most_frequent_first
     assert list_inputs(reversed(many)) == list_inputs(many)
 
 
+def test_the_looks_of_a_run_stand_in_one_line():
+    looks = [row(str(k), extra={"domain": domain}) for k, domain in enumerate(("unfamiliar", "familiar", "familiar"))]
+    assert input_lines(looks) == ["look: familiar to the networks (2 x); unfamiliar to the networks (1 x)"]
+    assert input_lines(looks[1:]) == ["look: familiar to the networks"]
+
+
 def test_rows_without_frame_period_source_or_camera_are_not_listed():
     assert input_lines([row("a"), row("b", extra={"frame_period_s": 0.2})]) == []
 

@@ -1,0 +1,113 @@
+"""The verdict of a row in words, and the trust in it: for the lines of a run, its pages and replays."""
+
+from collections.abc import Iterator
+
+from kinebench_drake.errors import count_noun
+from kinebench_drake.io.jsonl import as_object
+from kinebench_drake.metrics.executable import INFEASIBLE, LOST, OPEN, UNCHECKED, UNDECIDED, FailureVerdict, reason_kind
+from kinebench_drake.metrics.trust import TRUST, TrustLevel
+from kinebench_drake.report.limits import describe_violation, format_frames, to_number
+from kinebench_drake.report.timeline import anomalies_of
+from kinebench_drake.results.row import SampleRow, Status
+
+_FAILURES = {cause.value: f"failed by {cause.value}" for cause in FailureVerdict}
+VERDICT_LABELS = {
+    **{"error": "error", "infeasible": "infeasible", **_FAILURES},
+    **{"unmeasurable": "unmeasurable", "feasible": "not executable, no limit broken", "unjudged": "undecided"},
+    **{"tracked": "tracked", "checked": "feasible as far as checked"},
+    **{"executable": "executable", "success": "success"},
+}
+"""Labels of the verdicts, the worst first."""
+GOOD_VERDICTS = ("executable", "success")
+_MOST_SPANS = 3  # stretches of frames that a cause lists
+
+
+def verdict_of(row: SampleRow) -> str:
+    """Return the verdict of a row, a key of VERDICT_LABELS; of a closed-loop episode its outcome."""
+    if row.status is not Status.OK:
+        return str(row.status.value)
+    if "verdict" in row.extra:
+        cause = row.extra["verdict"]
+        return "success" if row.extra.get("success") is True else cause if cause in _FAILURES else "unjudged"
+    if row.executable or row.feasible is False:
+        return "executable" if row.executable else "infeasible"
+    if row.feasible and [reason_kind(reason) for reason in row.executable_reasons] == [UNCHECKED]:
+        return "checked"
+    if row.executable is None:
+        was_judged = row.feasible is not None or row.executable_reasons
+        return "unjudged" if was_judged else "tracked"
+    return "feasible"
+
+
+def describe_verdict(row: SampleRow) -> str:
+    """Describe the verdict of a row and what decides on it, such as `not executable: vanish, frames 4 to 13`."""
+    cause = explain_verdict(row)
+    return f"{name_verdict(row)}: {cause}" if cause else name_verdict(row)
+
+
+def name_verdict(row: SampleRow) -> str:
+    """Return the verdict of a row in words: of a video whether it is executable, of a trajectory whether feasible."""
+    verdict = verdict_of(row)
+    if verdict == "tracked":
+        return _count_tracked(row)
+    if verdict == "success" and row.executable_reasons:
+        return f"success, {'executable undecided' if row.executable is None else 'not executable'}"
+    is_video = "anomalies" in row.metrics
+    if is_video and verdict in ("infeasible", "feasible"):
+        return "not executable"
+    if not is_video and verdict == "executable":
+        return "feasible"
+    return VERDICT_LABELS[verdict]
+
+
+def explain_verdict(row: SampleRow) -> str:
+    """Return what decides on the verdict of a row; empty if nothing needs to be said."""
+    cause = row.reason or as_object(row.extra.get("cause")).get("text")
+    return str(cause) if cause else "; ".join(_list_causes(row))
+
+
+def describe_trust(row: SampleRow) -> str:
+    """Return the level of trust in a row, with its reason unless it is solid; empty if the row has none."""
+    trust = as_object(row.extra.get(TRUST))
+    if not trust:
+        return ""
+    is_solid = trust["level"] == TrustLevel.SOLID.value
+    return str(trust["level"]) if is_solid else f"{trust['level']}, {trust['reason']}"
+
+
+def _count_tracked(row: SampleRow) -> str:
+    frames = row.extra.get("frames")
+    fraction = to_number(row.metrics.get("tracked_fraction"))
+    if fraction is None or not isinstance(frames, int):
+        return VERDICT_LABELS["tracked"]
+    return f"tracked {round(fraction * frames)} of {count_noun(frames, 'frame')}"
+
+
+def _list_causes(row: SampleRow) -> Iterator[str]:
+    """Describe the reasons of `executable`; where some speak against the sample, those that leave it open are left out.
+
+    A camera that moves is no such reason: a robot can execute its video.
+    """
+    open_causes = {UNDECIDED, LOST, UNCHECKED, OPEN}
+    for reason in row.executable_reasons:
+        if row.executable is not False or reason_kind(reason) not in open_causes:
+            yield _describe_reason(row, reason)
+
+
+def _describe_reason(row: SampleRow, reason: str) -> str:
+    kind, _, detail = reason.partition(": ")
+    if kind == INFEASIBLE and row.violations:
+        others = len(row.violations) - 1
+        worst = describe_violation(row.violations[0])
+        return f"{worst} and {count_noun(others, 'violation')} more" if others else worst
+    if kind == UNDECIDED:
+        return row.null_reasons.get("feasible", "the motion has no verdict")
+    if kind == LOST:
+        return f"no pose in {detail}"
+    if kind == UNCHECKED:
+        return f"limits of {detail} are not checked"
+    if kind == OPEN:
+        return f"{detail.replace('_', ' ')} is open"
+    spans = [format_frames(a["frame_start"], a["frame_end"]) for a in anomalies_of(row) if a["kind"] == kind]
+    more = [f"{len(spans) - _MOST_SPANS} more"] if len(spans) > _MOST_SPANS else []
+    return ", ".join([kind.replace("_", " "), *(spans[:_MOST_SPANS] or [detail]), *more])
