@@ -10,6 +10,7 @@ import time
 from dataclasses import dataclass, field, replace
 from enum import IntEnum
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 
@@ -75,6 +76,9 @@ class FakeResult:
     curves: dict[str, np.ndarray] = field(default_factory=dict)
     camera_path: None = None
     anomalies_not_looked_for: tuple[AnomalyKind, ...] = ()
+    anomalies_open: tuple[AnomalyKind, ...] = ()
+    detections: SimpleNamespace = field(default_factory=lambda: SimpleNamespace(scores={}))
+    hand_size: None = None
     possible: tuple[GripperTrack, ...] = ()
 
     @property

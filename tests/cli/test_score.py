@@ -412,6 +412,7 @@ def test_the_frame_period_is_that_of_option_manifest_file_or_benchmark_and_names
     assert input_lines(summary.rows) == [
         "frame period: 0.1 s, 1 / fps of the file (1 x); 0.2 s, the benchmark's, by default (1 x)",
         "camera: the benchmark's",
+        "look: familiar to the networks",
     ]
     for line in input_lines(summary.rows):
         assert f'<p class="note">{line.capitalize()}</p>' in html.unescape(summary.report.read_text())
