@@ -17,6 +17,7 @@ from kinebench_drake.anomaly import Anomaly, AnomalyKind
 from kinebench_drake.camera import Camera, CameraSource, benchmark_camera
 from kinebench_drake.errors import UnmeasurableError
 from kinebench_drake.geometry import make_pose
+from kinebench_drake.grounding.anomaly.detection import AnomalyDetections, Detection
 from kinebench_drake.grounding.camera.framing import Framing
 from kinebench_drake.grounding.camera.framing_search import find_framing
 from kinebench_drake.grounding.priors import NO_PRIORS, InitialStateUse, Priors
@@ -75,7 +76,14 @@ class FakeResult:
     curves: dict[str, np.ndarray] = field(default_factory=dict)
     camera_path: None = None
     anomalies_not_looked_for: tuple[AnomalyKind, ...] = ()
+    anomalies_open: tuple[AnomalyKind, ...] = ()
+    hand_size: None = None
     possible: tuple[GripperTrack, ...] = ()
+
+    @property
+    def detections(self):
+        score = np.zeros(len(self.frames))
+        return AnomalyDetections(by_kind={kind: Detection(kind=kind, score=score) for kind in AnomalyKind})
 
     @property
     def robot(self):
