@@ -13,24 +13,17 @@ import pytest
 from PIL import Image
 
 from kinebench_drake import cli
-from kinebench_drake.closed_loop import loop
 from kinebench_drake.formats.videos.find import find_samples
 from kinebench_drake.io.container import write_video
 from kinebench_drake.io.reader import read_video
-from kinebench_drake.runs import episodes
 from kinebench_drake.suites.catalog import VERSION
 from kinebench_drake.suites.composition import Pool, compose
 from kinebench_drake.suites.families.registry import find_expert
 from kinebench_drake.suites.rollout import render_video, run_expert
 from kinebench_drake.suites.simulator import Simulator, Snapshot
+from tests.films import shorten_clips
 
 pytestmark = [pytest.mark.sapien, pytest.mark.slow]
-
-
-def shorten_clips(patch: pytest.MonkeyPatch) -> None:
-    """Let clips have 13 frames: pictures take long without a GPU."""
-    for module in (loop, episodes):
-        patch.setattr(module, "FRAMES", 13)
 
 
 def run(out: Path, *options: str) -> tuple[int, str]:
