@@ -78,7 +78,7 @@ def test_a_finished_suite_run_is_not_repeated_and_a_second_run_has_equal_rows(or
     _, said = run(oracle, "--world-model", "oracle", "--pixels-only")
     assert "finished already" in said
     assert (oracle / "rollouts").stat().st_mtime_ns == stamp
-    assert run(tmp_path, "--world-model", "oracle", "--pixels-only")[0] == 0
+    assert run(tmp_path, "--world-model", "oracle", "--pixels-only", "--replays", "0")[0] == 0
     assert (tmp_path / "samples.jsonl").read_bytes() == before
 
 
@@ -136,7 +136,8 @@ def still(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (videos / "other_r1.mp4").touch()
     with pytest.MonkeyPatch.context() as patch:
         shorten_clips(patch)
-        assert run(out, "--world-model", "still", "--rounds", "1", "--no-rollouts", "--overwrite")[0] == 0
+        options = ("--rounds", "1", "--no-rollouts", "--replays", "0", "--overwrite")
+        assert run(out, "--world-model", "still", *options)[0] == 0
     return out
 
 
@@ -154,7 +155,8 @@ def test_a_letterboxed_video_is_grounded_and_shown_without_its_bars(oracle: Path
     film = tmp_path / "videos" / f"{row['id']}.mp4"
     write_video(film, boxed, 16)
     film.rename(film.with_suffix(".mov"))
-    assert run(tmp_path / "out", "--world-model", f"folder:{tmp_path / 'videos'}", "--pixels-only")[0] == 0
+    options = ("--pixels-only", "--replays", "0")
+    assert run(tmp_path / "out", "--world-model", f"folder:{tmp_path / 'videos'}", *options)[0] == 0
     [other] = rows(tmp_path / "out")
     assert other["success"] is True
     assert other["video"] == f"videos/{row['id']}_r0.mov"
@@ -205,7 +207,7 @@ def test_a_clip_of_150_frames_has_the_metrics_of_the_same_clip_of_49_frames(
     oracle: Path, long_film: Path, tmp_path: Path
 ) -> None:
     """Rendered, grounded and executed: metrics differ by the errors of grounding other frames, and not by the clock."""
-    options = ("--pixels-only", "--no-rollouts")
+    options = ("--pixels-only", "--no-rollouts", "--replays", "0")
     code, said = run(tmp_path / "even", "--world-model", f"folder:{long_film}", *options)
     assert code == 0
     assert "1 episode with clips of 150 frames in place of 49: each was sampled evenly over 9.6 s" in said
