@@ -1,4 +1,4 @@
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 
 import pytest
@@ -53,6 +53,28 @@ def write_arm(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., 
         return path
 
     return write
+
+
+def pytest_collection_modifyitems(items: list[pytest.Function]) -> None:
+    for item in items:
+        if item.get_closest_marker("sapien"):
+            item.fixturenames.insert(0, "renderer")
+
+
+@pytest.fixture(scope="session")
+def renderer() -> Iterator[None]:
+    """A simulator that stays open: the first picture after the last one was closed takes seven seconds without a GPU.
+
+    Tests marked `sapien` use it by themselves.
+    """
+    from kinebench_drake.camera import benchmark_camera
+    from kinebench_drake.suites.composition import compose
+    from kinebench_drake.suites.simulator import Simulator  # loads SAPIEN
+
+    with Simulator("PullCube-v1", camera=benchmark_camera().resized(32, 32)) as simulator:
+        simulator.reset(compose("PullCube-v1", 0))
+        simulator.render()
+        yield
 
 
 @pytest.fixture(scope="session")

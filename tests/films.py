@@ -1,9 +1,19 @@
-"""Films as their frames."""
+"""Films as their frames, and short ones."""
 
 from pathlib import Path
 
 import av
 import numpy as np
+import pytest
+
+from kinebench_drake.closed_loop import loop
+from kinebench_drake.runs import episodes
+
+
+def shorten_clips(patch: pytest.MonkeyPatch) -> None:
+    """Let clips of the closed loop have 13 frames: pictures take long without a GPU."""
+    for module in (loop, episodes):
+        patch.setattr(module, "FRAMES", 13)
 
 
 def decoded(path: Path) -> tuple[list[float], np.ndarray]:

@@ -17,6 +17,7 @@ from kinebench_drake.io.reader import read_video
 from kinebench_drake.results.store import read_rows
 from kinebench_drake.suites.worldmodels.factory import create
 from kinebench_drake.suites.worldmodels.worldmodel import Request
+from tests.films import shorten_clips
 
 EXAMPLES = Path(__file__).parent.parent / "examples"
 SCRIPTS = sorted(EXAMPLES.glob("*.py"))
@@ -106,7 +107,8 @@ def test_the_example_of_a_reward_server_answers_what_the_scorer_says(clip):
 
 @pytest.mark.sapien
 @pytest.mark.slow
-def test_the_example_of_a_custom_world_model_runs_in_closed_loop(run, tmp_path):
+def test_the_example_of_a_custom_world_model_runs_in_closed_loop(run, tmp_path, monkeypatch):
+    shorten_clips(monkeypatch)
     told = run("closed_loop.py", tmp_path / "out")
     assert "PullCube-v1_s0000: failure" in told
     [row] = read_rows(tmp_path / "out").values()

@@ -13,24 +13,18 @@ import pytest
 from PIL import Image
 
 from kinebench_drake import cli
-from kinebench_drake.closed_loop import loop
 from kinebench_drake.formats.videos.find import find_samples
 from kinebench_drake.io.container import write_video
 from kinebench_drake.io.reader import read_video
-from kinebench_drake.runs import episodes
 from kinebench_drake.suites.catalog import VERSION
+from kinebench_drake.suites.clock import CLIP_S, FRAME_PERIOD_S, sample_uniformly
 from kinebench_drake.suites.composition import Pool, compose
 from kinebench_drake.suites.families.registry import find_expert
 from kinebench_drake.suites.rollout import render_video, run_expert
 from kinebench_drake.suites.simulator import Simulator, Snapshot
+from tests.films import shorten_clips
 
 pytestmark = [pytest.mark.sapien, pytest.mark.slow]
-
-
-def shorten_clips(patch: pytest.MonkeyPatch) -> None:
-    """Let clips have 13 frames: pictures take long without a GPU."""
-    for module in (loop, episodes):
-        patch.setattr(module, "FRAMES", 13)
 
 
 def run(out: Path, *options: str) -> tuple[int, str]:
@@ -84,7 +78,7 @@ def test_a_finished_suite_run_is_not_repeated_and_a_second_run_has_equal_rows(or
     _, said = run(oracle, "--world-model", "oracle", "--pixels-only")
     assert "finished already" in said
     assert (oracle / "rollouts").stat().st_mtime_ns == stamp
-    assert run(tmp_path, "--world-model", "oracle", "--pixels-only")[0] == 0
+    assert run(tmp_path, "--world-model", "oracle", "--pixels-only", "--replays", "0")[0] == 0
     assert (tmp_path / "samples.jsonl").read_bytes() == before
 
 
@@ -142,7 +136,8 @@ def still(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (videos / "other_r1.mp4").touch()
     with pytest.MonkeyPatch.context() as patch:
         shorten_clips(patch)
-        assert run(out, "--world-model", "still", "--rounds", "1", "--no-rollouts", "--overwrite")[0] == 0
+        options = ("--rounds", "1", "--no-rollouts", "--replays", "0", "--overwrite")
+        assert run(out, "--world-model", "still", *options)[0] == 0
     return out
 
 
@@ -160,7 +155,8 @@ def test_a_letterboxed_video_is_grounded_and_shown_without_its_bars(oracle: Path
     film = tmp_path / "videos" / f"{row['id']}.mp4"
     write_video(film, boxed, 16)
     film.rename(film.with_suffix(".mov"))
-    assert run(tmp_path / "out", "--world-model", f"folder:{tmp_path / 'videos'}", "--pixels-only")[0] == 0
+    options = ("--pixels-only", "--replays", "0")
+    assert run(tmp_path / "out", "--world-model", f"folder:{tmp_path / 'videos'}", *options)[0] == 0
     [other] = rows(tmp_path / "out")
     assert other["success"] is True
     assert other["video"] == f"videos/{row['id']}_r0.mov"
@@ -171,14 +167,20 @@ def test_a_letterboxed_video_is_grounded_and_shown_without_its_bars(oracle: Path
 
 @pytest.fixture(scope="module")
 def long_film(oracle: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with the oracle's clip in 150 frames, as a service might return it."""
+    """A folder with the oracle's clip in 150 frames, as a service might return it.
+
+    Only the frames that lie nearest to the task's clock are rendered: the others repeat the one before.
+    """
     [row] = rows(oracle)
     episode = compose(row["task"], row["seed"], pool=Pool(row["pool"]))
     with Simulator(episode.task) as simulator:
         steps = run_expert(simulator, find_expert(episode.task), episode, every=1).snapshots[: 48 * 4 + 1]
-        video = render_video(simulator, [between(steps, at) for at in np.linspace(0, len(steps) - 1, 150)])
+        at = np.linspace(0, len(steps) - 1, 150)
+        chosen, _ = sample_uniformly(150, CLIP_S, FRAME_PERIOD_S)
+        video = render_video(simulator, [between(steps, at[number]) for number in chosen])
     folder = tmp_path_factory.mktemp("long")
-    write_video(folder / f"{row['id']}.mp4", video.rgb, 30)
+    shown = np.searchsorted(chosen, np.arange(150), side="right") - 1
+    write_video(folder / f"{row['id']}.mp4", video.rgb[shown], 30)
     return folder
 
 
@@ -205,7 +207,7 @@ def test_a_clip_of_150_frames_has_the_metrics_of_the_same_clip_of_49_frames(
     oracle: Path, long_film: Path, tmp_path: Path
 ) -> None:
     """Rendered, grounded and executed: metrics differ by the errors of grounding other frames, and not by the clock."""
-    options = ("--pixels-only", "--no-rollouts")
+    options = ("--pixels-only", "--no-rollouts", "--replays", "0")
     code, said = run(tmp_path / "even", "--world-model", f"folder:{long_film}", *options)
     assert code == 0
     assert "1 episode with clips of 150 frames in place of 49: each was sampled evenly over 9.6 s" in said
@@ -218,12 +220,12 @@ def test_a_clip_of_150_frames_has_the_metrics_of_the_same_clip_of_49_frames(
         assert other[name] == pytest.approx(one[name], rel=most), name
     (tmp_path / "first").mkdir()
     [film] = long_film.iterdir()
-    write_video(tmp_path / "first" / film.name, read_video(film).frames[:100], 30)
+    write_video(tmp_path / "first" / film.name, read_video(film).frames[:52], 30)
     options += ("--clip-timing", "native", "--rounds", "1")
     _, said = run(tmp_path / "slow", "--world-model", f"folder:{tmp_path / 'first'}", *options)
-    assert "100 frames in place of 49: 0.2 s a frame were taken" in said
+    assert "52 frames in place of 49: 0.2 s a frame were taken" in said
     [slow] = rows(tmp_path / "slow")
-    for metrics, duration_s in ((one, 48 * 0.2), (slow["metrics"], 99 * 0.2)):
+    for metrics, duration_s in ((one, 48 * 0.2), (slow["metrics"], 51 * 0.2)):
         mean, integral = metrics["manipulability_mean"], metrics["manipulability_integral"]
         assert integral == pytest.approx(mean * duration_s, rel=0.01)
 

@@ -142,10 +142,10 @@ def test_the_oracle_executes_the_commanded_actions(tmp_path: Path) -> None:
         X_GH = np.linalg.inv(simulator.link_pose(TCP_LINK)) @ simulator.link_pose(HAND_LINK)
     request = Request(
         episode=episode.id, task=episode.task, round=0, prompt="", negative_prompt="", seed=0, first_frame=first,
-        num_frames=49, fps=17,
+        num_frames=25, fps=17,
     )  # fmt: skip
     source = ActionSource(ArmPlant(), 128)
-    asked = source.track(episode, state, 49, 0.2)
+    asked = source.track(episode, state, 25, 0.2)
     source.close()
     assert np.ptp(asked.X_BG[:, :3, 3], axis=0).max() > 0.05
     for delay in (0, 2):
@@ -154,7 +154,7 @@ def test_the_oracle_executes_the_commanded_actions(tmp_path: Path) -> None:
         model.generate(request, tmp_path / "clip")
         shown = benchmark_camera().X_BC @ model.truth.X_CH[delay:]
         model.close()
-        distance, angle = pose_difference(asked.X_BG[: 49 - delay] @ X_GH, shown)
+        distance, angle = pose_difference(asked.X_BG[: 25 - delay] @ X_GH, shown)
         assert distance.max() < 1e-4
         assert angle.max() < 1e-3
-        np.testing.assert_allclose(model.truth.finger_width_m[delay:], asked.finger_width_m[: 49 - delay], atol=1e-5)
+        np.testing.assert_allclose(model.truth.finger_width_m[delay:], asked.finger_width_m[: 25 - delay], atol=1e-5)

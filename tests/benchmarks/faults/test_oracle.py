@@ -42,7 +42,7 @@ def test_a_faulty_oracle_differs_from_the_oracle_in_its_first_clip_alone(tmp_pat
     def truth(model: OracleModel, number: int) -> np.ndarray:
         request = Request(
             episode=episode.id, task=episode.task, round=number, prompt="", negative_prompt="", seed=0,
-            first_frame=first, num_frames=49, fps=17,
+            first_frame=first, num_frames=25, fps=17,
         )  # fmt: skip
         model.set_state(episode, state)
         model.generate(request, tmp_path / f"{model.name}_{number}")

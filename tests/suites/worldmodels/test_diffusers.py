@@ -1,5 +1,6 @@
 """Local diffusers pipelines on tiny checkpoints with random weights."""
 
+import importlib
 import importlib.util
 import json
 import shutil
@@ -22,17 +23,22 @@ from kinebench_drake.suites.worldmodels.spec import parse
 from kinebench_drake.suites.worldmodels.worldmodel import Request
 from tests.films import decoded
 
-for package in ("diffusers", "transformers", "peft", "accelerate"):
-    pytest.importorskip(package, reason="needs kinebench-drake[diffusers]")
+PACKAGES = ("diffusers", "transformers", "peft", "accelerate")
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(None in map(importlib.util.find_spec, PACKAGES), reason="needs kinebench-drake[diffusers]"),
+]
 
-tiny = pytest.importorskip("tests.suites.worldmodels.tiny")
-pytestmark = pytest.mark.slow
+
+def tiny() -> ModuleType:
+    """The checkpoints; loads these packages, which takes seconds that not every process of the tests has to spend."""
+    return importlib.import_module("tests.suites.worldmodels.tiny")
 
 
 @pytest.fixture(scope="module")
 def checkpoint(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A Wan 2.1 checkpoint."""
-    return tiny.wan(tmp_path_factory.mktemp("wan") / "Wan-tiny")
+    return tiny().wan(tmp_path_factory.mktemp("wan") / "Wan-tiny")
 
 
 def make(folder: Path, request: Request, out: Path, options: str = "") -> np.ndarray:
@@ -60,19 +66,23 @@ def test_wan_generates_the_requested_frames_reproducibly_by_seed(
 
 
 def test_wan_2_2_with_two_networks_generates_the_requested_frames(tmp_path: Path, request_: Request, out: Path) -> None:
-    assert make(tiny.wan(tmp_path / "wan", version="2.2"), request_, out, "&size=40x24").shape == (5, 64, 96, 3)
+    assert make(tiny().wan(tmp_path / "wan", version="2.2"), request_, out, "&size=40x24").shape == (5, 64, 96, 3)
 
 
 @pytest.mark.parametrize(
     ("save", "names", "loaded"),
     [
-        (tiny.wan_5b, "WanPipeline", "WanImageToVideoPipeline"),
-        (tiny.skyreels, "SkyReelsV2DiffusionForcingPipeline", "SkyReelsV2DiffusionForcingImageToVideoPipeline"),
-        (tiny.ltx, "LTXPipeline", "LTXImageToVideoPipeline"),
-        (lambda folder: tiny.ltx(folder, version="0.9.5"), "LTXConditionPipeline", "LTXConditionPipeline"),
-        (tiny.hunyuan, "HunyuanVideoImageToVideoPipeline", "HunyuanVideoImageToVideoPipeline"),
+        (lambda folder: tiny().wan_5b(folder), "WanPipeline", "WanImageToVideoPipeline"),
         (
-            lambda folder: tiny.hunyuan(folder, version="33ch"),
+            lambda folder: tiny().skyreels(folder),
+            "SkyReelsV2DiffusionForcingPipeline",
+            "SkyReelsV2DiffusionForcingImageToVideoPipeline",
+        ),
+        (lambda folder: tiny().ltx(folder), "LTXPipeline", "LTXImageToVideoPipeline"),
+        (lambda folder: tiny().ltx(folder, version="0.9.5"), "LTXConditionPipeline", "LTXConditionPipeline"),
+        (lambda folder: tiny().hunyuan(folder), "HunyuanVideoImageToVideoPipeline", "HunyuanVideoImageToVideoPipeline"),
+        (
+            lambda folder: tiny().hunyuan(folder, version="33ch"),
             "HunyuanVideoImageToVideoPipeline",
             "HunyuanVideoImageToVideoPipeline",
         ),
@@ -97,7 +107,7 @@ def test_published_checkpoints_load_the_image_to_video_pipeline(
 
 def test_svd_has_no_prompt_and_chooses_the_number_of_frames(tmp_path: Path, request_: Request, out: Path) -> None:
     """Arguments that its call does not take are refused by the option's name."""
-    folder = tiny.svd(tmp_path / "svd")
+    folder = tiny().svd(tmp_path / "svd")
     model = DiffusersModel(parse(f"diffusers:{folder}?steps=1&device=cpu"))
     assert decoded(model.generate(request_, out))[1].shape == (6, 64, 96, 3)
     assert model.chooses_length
@@ -147,7 +157,7 @@ def test_cosmos_generates_the_requested_frames_with_its_guardrail(
     guardrail: type, tmp_path: Path, request_: Request, out: Path
 ) -> None:
     """The guardrail is no part of the checkpoint: the pipeline brings its own."""
-    folder = tiny.cosmos(tmp_path / "cosmos", guardrail())
+    folder = tiny().cosmos(tmp_path / "cosmos", guardrail())
     assert make(folder, replace(request_, num_frames=7), out).shape == (7, 64, 96, 3)
 
 
@@ -183,7 +193,7 @@ def test_sizes_are_rounded_and_aspect_ratios_kept(checkpoint: Path, request_: Re
 def test_half_precision_gives_nearly_the_same_video(
     checkpoint: Path, tmp_path: Path, request_: Request, out: Path
 ) -> None:
-    for folder in (checkpoint, tiny.cogvideox(tmp_path / "cog", learned=False)):
+    for folder in (checkpoint, tiny().cogvideox(tmp_path / "cog", learned=False)):
         exact, half = (make(folder, request_, out, f"&dtype={name}") for name in ("float32", "bfloat16"))
         assert difference(exact, half) < 10
 
@@ -193,7 +203,7 @@ def test_cogvideox_with_learned_positions_has_a_greatest_length(
     learned: bool, shape: tuple[int, ...], tmp_path: Path, request_: Request, out: Path
 ) -> None:
     """Learned positions fix size and greatest length."""
-    folder = tiny.cogvideox(tmp_path / "cog", learned=learned)
+    folder = tiny().cogvideox(tmp_path / "cog", learned=learned)
     assert make(folder, replace(request_, num_frames=13), out, "&guidance=1").shape == shape
 
 
