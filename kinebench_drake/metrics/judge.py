@@ -19,7 +19,7 @@ from kinebench_drake.kinematics.trajopt import optimize_in_tube
 from kinebench_drake.kinematics.violation import Violation, ViolationKind
 from kinebench_drake.metrics.bridge import bridge_gaps, bridge_joints
 from kinebench_drake.metrics.discontinuity import find_discontinuities
-from kinebench_drake.metrics.limits import LimitChecks, check_limits
+from kinebench_drake.metrics.limits import KINDS, LimitChecks, check_limits
 from kinebench_drake.metrics.loss import cover_joints, cover_poses, weigh_manipulability, worst_manipulability
 from kinebench_drake.metrics.noise import (
     JOINT_FREEDOM_PER_FRAME,
@@ -62,6 +62,9 @@ MOST_JOINT_NOISE_RAD = 0.02
 NOISE_SPREAD = 0.25
 """Relative change of the noise of estimated poses under which a verdict has to hold: poses in float32 and bfloat16
 differ by a part of their noise (`python -m benchmarks precision`)."""
+LEAST_SLOWDOWN = 1.1
+"""Least slow-down that rates or torques of estimated poses need for a violation, likewise: between float32 and bfloat16
+verdicts differed up to 1.06."""
 TUBE_M = 0.005
 """Least radius of the tube about a track in which a feasible trajectory is searched [m]; noise widens it."""
 
@@ -181,7 +184,7 @@ class TrackJudge:
         """Return the violations that hold for poses as exact as estimates are, and kinds of which it is open.
 
         Estimates of two number formats differ by a part of their noise. A kind of violation holds if it is found with a
-        higher tolerance, too; it is open if it is found with a lower one alone.
+        higher tolerance, too, and by a margin in time; it is open if it is found with a lower tolerance alone.
         """
         if path.track.offset_m == 0.0:  # not an estimate
             return violations, ()
@@ -190,7 +193,10 @@ class TrackJudge:
             possible = self._violations(path, self._check(path, low), tolerance=low)
             return [], tuple(dict.fromkeys(violation.kind for violation in possible))
         high = 1.0 + NOISE_SPREAD
-        sure = {violation.kind for violation in self._violations(path, self._check(path, high), tolerance=high)}
+        checks = self._check(path, high)
+        sure = {violation.kind for violation in self._violations(path, checks, tolerance=high)}
+        if checks.slowdown is None or checks.slowdown.factor < LEAST_SLOWDOWN:
+            sure -= set(KINDS)
         certain = [violation for violation in violations if violation.kind in sure]
         if certain:
             return certain, ()

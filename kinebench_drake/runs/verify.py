@@ -1,7 +1,7 @@
 """Verification of a bundle: hashes, aggregates from the rows, and a random part of the rows from tracks or videos."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import isclose
 from pathlib import Path
 from typing import Any
@@ -10,7 +10,7 @@ import numpy as np
 
 from kinebench_drake.errors import InputError, KinebenchError, UsageError
 from kinebench_drake.geometry import pose_difference
-from kinebench_drake.io.jsonl import Json, as_number, finite
+from kinebench_drake.io.jsonl import Json, as_number, as_object, finite
 from kinebench_drake.io.reader import read_video
 from kinebench_drake.models.arm import PANDA, ROBOTS
 from kinebench_drake.results.aggregate import RunStatistics
@@ -138,7 +138,13 @@ def _compare_row(row: SampleRow, file: TrackFile, tools: Tools | None) -> Iterat
         if row.extra.get("judged") == "joints":
             kinematics = tools.judge_joints(file.track.t_s, file.q, file.track.finger_width_m)
         else:
-            kinematics = tools.judge(file.track, as_number(row.extra.get("table_height_m")))
+            noise = as_object(row.details.get("noise"))
+            track = replace(
+                file.track,
+                offset_m=as_number(noise.get("offset_m")) or 0.0,
+                offset_rad=as_number(noise.get("offset_rad")) or 0.0,
+            )
+            kinematics = tools.judge(track, as_number(row.extra.get("table_height_m")))
         visible = {"anomalies": row.metrics["anomalies"]} if "anomalies" in row.metrics else {}
         executable, reasons = judge_evaluation(Evaluation(kinematics=kinematics, metrics=visible, extra=row.extra))
         expected |= {"feasible": kinematics.feasible, "executable": executable, "executable_reasons": reasons}
