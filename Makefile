@@ -1,4 +1,4 @@
-# make demo: set up and score the example videos.  make test: set up, check and test (some 20 minutes).  make test-all:
+# make demo: set up and score the example videos.  make test: set up, check and test (some 15 minutes).  make test-all:
 # also the exhaustive tests.  make soak: hostile input and killed runs, over and over.  All are safe to repeat.
 BIN := .venv/bin
 JOBS ?= 2
