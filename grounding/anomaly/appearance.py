@@ -203,7 +203,7 @@ def find_deformations(misfit: ArrayLike, residual: ArrayLike) -> Detection:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class HandSize:
-    """Size of the hand by the arm behind it. It decides nothing: a hand that is 10 % too large is not seen surely."""
+    """Size of the hand by the arm behind it. It decides nothing: a hand that is 10 % too large often looks right."""
 
     error: float
     """Relative error of the size: 0.1 for a hand that is a tenth too large."""

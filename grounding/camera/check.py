@@ -189,13 +189,17 @@ class CameraChecker:
         return float(images.agreement(scene).sum()) / len(frames)
 
     def _fit_reading(self, reading: Reading, frames: Frames, camera: Camera) -> BetterReading | None:
-        """Return a reading fitted to contours, its agreement as it is left at 0; None if no arm is seen."""
+        """Return a reading fitted to contours; None if no arm is seen.
+
+        The agreement of the picture as it is, which a fit of its own gives, is still 0.
+        """
         if reading is Reading.CROPPED:
             detections = self.detect(frames, camera)
             crop = None if detections is None else self._fit_crop(detections, frames, camera)
             if crop is None:
                 return None
-            better, lens = crop.agreement, crop.scene.lens.to_camera()
+            better = crop.agreement
+            lens = crop.scene.lens.to_camera()
         else:
             picture = reading.frames(frames)
             lens = reading.camera(camera).resized(picture.shape[2], picture.shape[1])
