@@ -142,7 +142,8 @@ def _footage_row(title: str, f: Mapping[str, Any]) -> list[str]:
 
 
 def _heldout_row(s: Mapping[str, Any], intervals: Mapping[str, Any]) -> list[str]:
-    position, rotation = intervals["position_median_mm"], intervals["rotation_median_deg"]
+    position = intervals["position_median_mm"]
+    rotation = intervals["rotation_median_deg"]
     return [
         "this project's renderer and camera, assets and looks that no network has seen; exact poses",
         f"{s['videos']:.0f}",

@@ -80,7 +80,8 @@ def time_audits(tracks: Sequence[GripperTrack]) -> tuple[Array, int]:
     """Time whole audits with both trajectory optimisations (N,) [s], and count those with the verdict feasible."""
     judge = TrackJudge(ArmPlant())
     judge.judge_poses(tracks[0])
-    seconds, feasible = [], 0
+    seconds = []
+    feasible = 0
     for track in tracks:
         start = time.process_time()
         result = judge.judge_poses(track)
@@ -91,7 +92,8 @@ def time_audits(tracks: Sequence[GripperTrack]) -> tuple[Array, int]:
 
 def measure(*, tracks: int, audits: int, seed: int = 0, log: Callable[[str], None] = lambda text: None) -> AuditTiming:
     """Draw tracks like benchmark episodes; time the quick parts of `tracks` audits, and `audits` whole ones."""
-    arm, rng = Arm(), np.random.default_rng(seed)
+    arm = Arm()
+    rng = np.random.default_rng(seed)
     episodes = TrackSet(tracks=max(tracks, audits), frames=BENCHMARK_FRAMES, period_s=BENCHMARK_PERIOD_S)
     log(f"drawing {episodes.tracks} tracks")
     drawn = [track_of(arm, *motion) for motion in smooth_motions(rng, arm, episodes)]

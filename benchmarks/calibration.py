@@ -90,7 +90,8 @@ def measure(
     Raises:
         UsageError: the folder holds no such videos, or their truth no joint angles.
     """
-    model, calibrator = ArmModel(), calibrator or Calibrator.load()
+    model = ArmModel()
+    calibrator = calibrator or Calibrator.load()
     for clip in choose(find_clips(folder), limit):
         truth = _states(clip, model)
         images, camera = _crop_middle(read_video(clip.video).frames, clip.camera, part)
@@ -121,7 +122,8 @@ def measure(
 def _crop_middle(frames: Frames, camera: Camera, part: float) -> tuple[Frames, Camera]:
     """Return the middle of the frames (T, H, W, 3) and its camera."""
     left, top = (round(side * (1.0 - part) / 2) for side in (camera.width, camera.height))
-    width, height = camera.width - 2 * left, camera.height - 2 * top
+    width = camera.width - 2 * left
+    height = camera.height - 2 * top
     cut = np.ascontiguousarray(frames[:, top : top + height, left : left + width])
     return cut, replace(camera, width=width, height=height, cx=camera.cx - left, cy=camera.cy - top)
 
@@ -157,7 +159,8 @@ def _pair(values: Sequence[float], digits: int) -> str:
 def _states(clip: TruthClipFile, model: ArmModel) -> RobotStates:
     try:
         with np.load(clip.truth, allow_pickle=False) as truth:
-            q, width = truth["q"], truth["finger_width_m"]
+            q = truth["q"]
+            width = truth["finger_width_m"]
     except (OSError, ValueError, KeyError, IndexError) as error:
         raise UsageError(f"{clip.truth.name}: holds no joint angles of the frames ({cause(error)})") from None
     return RobotStates(q=q, X_BH=model.poses(q)[:, RobotPart.HAND], finger_m=width / 2, source="the truth")

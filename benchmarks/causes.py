@@ -103,9 +103,16 @@ class _LossyGrounder(Grounder):
 
 
 def _without(track: GripperTrack, lost: slice) -> GripperTrack:
-    X_CH, X_BG, width = track.X_CH.copy(), track.X_BG.copy(), track.finger_width_m.copy()
-    tracked, confidence = track.tracked.copy(), track.confidence.copy()
-    X_CH[lost], X_BG[lost], width[lost], tracked[lost], confidence[lost] = np.nan, np.nan, np.nan, False, 0.0
+    X_CH = track.X_CH.copy()
+    X_BG = track.X_BG.copy()
+    width = track.finger_width_m.copy()
+    tracked = track.tracked.copy()
+    confidence = track.confidence.copy()
+    X_CH[lost] = np.nan
+    X_BG[lost] = np.nan
+    width[lost] = np.nan
+    tracked[lost] = False
+    confidence[lost] = 0.0
     return replace(track, X_CH=X_CH, X_BG=X_BG, finger_width_m=width, tracked=tracked, confidence=confidence)
 
 
@@ -150,11 +157,13 @@ class _Worker:
     """Runs cases."""
 
     def __init__(self) -> None:
-        self._grounder, self._tools = _LossyGrounder(), Tools(RobotOptions())
+        self._grounder = _LossyGrounder()
+        self._tools = Tools(RobotOptions())
         self._simulators = SimulatorCache(_FaultyRobot, _SIZE_PX)
         options = LoopOptions(rounds=1, pixels_only=True)
         make: Any = partial(ClosedLoop, self._grounder, CommandPlanner(ArmPlant()))
-        self._plain, self._half = make(OracleModel(), options), make(_HalfWayModel(), options)
+        self._plain = make(OracleModel(), options)
+        self._half = make(_HalfWayModel(), options)
         self._faulty = [make(FaultyOracle(fault.kind.value, fault.size), options) for fault in FAULTS]
 
     def __call__(self, case: CauseCase) -> CauseResult:

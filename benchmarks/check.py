@@ -122,7 +122,8 @@ def _count(values: Sequence[bool], total: int, ids: Sequence[str]) -> ShareCount
 def summary_table(summaries: Sequence[KindSummary]) -> str:
     """Return the summaries as a Markdown table, with the trajectories to inspect below."""
     head = ("kind", "trajectories", "judged infeasible", "right reason named")
-    rows, notes = [], []
+    rows = []
+    notes = []
     for s in summaries:
         named = "" if s.reason_named is None else _percent(s.reason_named)
         counts = [str(len(ids)) for ids in (s.undecided, s.missing, s.errors, s.unexplained)]

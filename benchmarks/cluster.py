@@ -107,7 +107,8 @@ def two_nodes() -> Iterator[tuple[str, list[int]]]:
 def _compare(
     command: tuple[str, ...], work: Path, address: str, raylets: Sequence[int], log: Callable[[str], None]
 ) -> ClusterTrial:
-    local, ray = work / "local", work / "ray"
+    local = work / "local"
+    ray = work / "ray"
     log(f"{shlex.join(command)}: one local process")
     run_program([*command, "--out", str(local), "--jobs", "1"])
     samples = len((local / SAMPLES).read_text().splitlines())
@@ -117,7 +118,8 @@ def _compare(
     run_program([*command, "--out", str(ray), *on_cluster], on_finished=killer)
     if killer.node is None:
         raise KinebenchError(f"`{shlex.join(command)}`: no worker was at a sample after half of {samples} samples")
-    files, others = _files(local), _files(ray)
+    files = _files(local)
+    others = _files(ray)
     return ClusterTrial(
         command=command,
         samples=samples,

@@ -16,24 +16,30 @@ from kinebench_drake.runs.commands import export_commands
 from kinebench_drake.runs.tools import RobotOptions
 
 _PERIODS_S = {"own speed": 0.05, "3 times as fast": 0.05 / 3.0, "poses": 0.05}
-_FRAMES, _RATE_HZ = 120, 1000.0
+_FRAMES = 120
+_RATE_HZ = 1000.0
 
 
 def export_all(folder: Path, count: int, seed: int) -> list[str]:
     """Export `count` tracks, a third each as they are, faster and as poses, and return the shares used as a section."""
-    rng, arm = np.random.default_rng(seed), Arm()
+    rng = np.random.default_rng(seed)
+    arm = Arm()
     limits = arm.plant.robot.limits
     acceleration, jerk, torque_rate = (
         np.asarray(limit, dtype=np.float64) for limit in (limits.acceleration, limits.jerk, limits.torque_rate)
     )
-    lines, reasons = [], Counter[str]()
+    lines = []
+    reasons = Counter[str]()
     written: dict[str, list[list[float]]] = {kind: [] for kind in _PERIODS_S}
     slower: dict[str, list[float]] = {kind: [] for kind in _PERIODS_S}
     tracks = TrackSet(tracks=count, frames=_FRAMES, period_s=0.05)
     for k, (motion, t_s) in enumerate(smooth_motions(rng, arm, tracks)):
         kind = list(_PERIODS_S)[k % len(_PERIODS_S)]
-        q, width, times = motion.q(t_s), motion.width(t_s), _PERIODS_S[kind] * np.arange(_FRAMES)
-        source, out = folder / f"{k}.npz", folder / f"{k}-commands.npz"
+        q = motion.q(t_s)
+        width = motion.width(t_s)
+        times = _PERIODS_S[kind] * np.arange(_FRAMES)
+        source = folder / f"{k}.npz"
+        out = folder / f"{k}-commands.npz"
         content = {"base_from_tcp": arm.plant.forward_path(q)} if kind == "poses" else {"q": q}
         write_arrays(source, {"t_s": times, "finger_width_m": width, **content})
         try:
@@ -45,8 +51,10 @@ def export_all(folder: Path, count: int, seed: int) -> list[str]:
             commands = archive["q"]
             slower[kind].append(float(archive["slower"]))
         rest = np.concatenate([np.repeat(commands[:1], 3, axis=0), commands, np.repeat(commands[-1:], 3, axis=0)])
-        middle, half = 0.5 * (limits.upper + limits.lower), 0.5 * (limits.upper - limits.lower)
-        v, a = np.gradient(rest, 1.0 / _RATE_HZ, axis=0), np.diff(rest, 2, axis=0) * _RATE_HZ**2
+        middle = 0.5 * (limits.upper + limits.lower)
+        half = 0.5 * (limits.upper - limits.lower)
+        v = np.gradient(rest, 1.0 / _RATE_HZ, axis=0)
+        a = np.diff(rest, 2, axis=0) * _RATE_HZ**2
         torque = arm.plant.chain.torques(rest[1:-1], v[1:-1], a)
         used = [
             np.abs(rest - middle) / half,

@@ -16,11 +16,16 @@ from benchmarks.record import machine_text
 from kinebench_drake.geometry import Array
 from kinebench_drake.results.drops import Drop, DropReason
 
-_FPS, _FRAMES = 20, 120
+_FPS = 20
+_FRAMES = 120
 _LIMIT_RAD = 0.1  # beyond the limit of a joint
 _IDLE = (25, 60)  # frames of a planted rest: 1.25 to 3 s
-_LATE, _EARLY = (2, 8), (14, 19)  # frames by which actions come after the motion, and too long before it
-_END, _STILL_RAD = 20, 0.05  # frames at either end of a drawn motion in which it does not rest
+# frames by which actions come after the motion, and too long before it
+_LATE = (2, 8)
+_EARLY = (14, 19)
+# frames at either end of a drawn motion in which it does not rest
+_END = 20
+_STILL_RAD = 0.05
 _NOISE_RAD = 2e-4  # of states
 PLANTED = (
     None,
@@ -47,7 +52,8 @@ class PlantedEpisode:
 
 def draw_episodes(count: int, seed: int) -> Iterator[PlantedEpisode]:
     """Draw episodes, the faults of `PLANTED` in turn."""
-    rng, arm = np.random.default_rng(seed), Arm()
+    rng = np.random.default_rng(seed)
+    arm = Arm()
     tracks = TrackSet(tracks=8 * count, frames=_FRAMES + 1, period_s=1.0 / _FPS)
     drawn: list[PlantedEpisode] = []
     copied: list[PlantedEpisode] = []
@@ -63,7 +69,8 @@ def draw_episodes(count: int, seed: int) -> Iterator[PlantedEpisode]:
         states = np.column_stack([q, motion.width(t_s)])
         shift = 1
         if fault is DropReason.INFEASIBLE:
-            j, start = int(rng.integers(7)), int(rng.integers(20, 60))
+            j = int(rng.integers(7))
+            start = int(rng.integers(20, 60))
             bump = np.zeros(len(states))
             bump[start : start + 41] = np.sin(np.linspace(0.0, np.pi, 41)) ** 2
             states[:, j] += bump * (arm.plant.upper[j] + _LIMIT_RAD - states[:, j].max() + np.ptp(states[:, j]))
@@ -71,7 +78,8 @@ def draw_episodes(count: int, seed: int) -> Iterator[PlantedEpisode]:
             speed = np.linalg.norm(np.diff(states[:, :7], axis=0), axis=-1)
             states = np.delete(states, 20 + int(np.argmax(speed[20:-20])), axis=0)
         elif fault is DropReason.IDLE_ENDS:
-            rest, side = int(rng.integers(*_IDLE)), int(rng.integers(2))
+            rest = int(rng.integers(*_IDLE))
+            side = int(rng.integers(2))
             still = np.repeat(states[[-side]], rest, axis=0)
             still[:, :7] += _NOISE_RAD * rng.standard_normal((rest, 7))
             states = np.concatenate([states, still] if side else [still, states])
@@ -97,7 +105,8 @@ def write_dataset(folder: Path, episodes: Sequence[PlantedEpisode]) -> None:
     features = {"observation.state": vector, "action": vector, "timestamp": {"dtype": "float32", "shape": [1]}}
     info = {"codebase_version": "v2.1", "fps": _FPS, "robot_type": "panda", "features": features}
     (folder / "meta" / "info.json").write_text(json.dumps(info))
-    lines, start = [], 0
+    lines = []
+    start = 0
     for k, episode in enumerate(episodes):
         n = len(episode.state)
         table = {

@@ -42,7 +42,9 @@ def compare_folders(before: Path, after: Path) -> FolderComparison:
     }
     if not any(path.is_file() for path in before.rglob("*")):
         raise InputError(f"{before}: holds no file, expected an output folder")
-    equal, uncompared, differences = [], [], []
+    equal = []
+    uncompared = []
+    differences = []
     for name in sorted(files):
         missing = [root for root in (before, after) if not (root / name).is_file()]
         if missing:
@@ -58,7 +60,8 @@ def compare_folders(before: Path, after: Path) -> FolderComparison:
 
 def compare_files(before: Path, after: Path) -> Iterator[str]:
     """Yield the differences between two files; JSON and npz files are compared value by value where bytes differ."""
-    data, other = before.read_bytes(), after.read_bytes()
+    data = before.read_bytes()
+    other = after.read_bytes()
     if data == other:
         return
     match before.suffix:
@@ -73,7 +76,8 @@ def compare_files(before: Path, after: Path) -> Iterator[str]:
 
 
 def _compare_lines(data: bytes, other: bytes) -> Iterator[str]:
-    rows, other_rows = data.splitlines(), other.splitlines()
+    rows = data.splitlines()
+    other_rows = other.splitlines()
     if len(rows) != len(other_rows):
         yield f"{len(rows)} and {len(other_rows)} lines"
         return

@@ -42,7 +42,8 @@ if TYPE_CHECKING:
 
 FIGURE = "extractors.png"
 """Figure beside the page."""
-_TRAINING_SUITE, _RENDERED_PX = 1, 256
+_TRAINING_SUITE = 1
+_RENDERED_PX = 256
 _RESAMPLES = 2000
 _EXTRACTIONS = "extractions.jsonl"
 
@@ -89,13 +90,16 @@ class _Worker:
     """Executes the true track of a video, or the baseline's, from the initial state of its episode."""
 
     def __init__(self, weights: Path) -> None:
-        self._weights, self._executor = weights, ExecutionWorker()
+        self._weights = weights
+        self._executor = ExecutionWorker()
         self._baseline: Baseline | None = None
 
     def __call__(self, item: ExtractionItem) -> TrackExecution:
         try:
             with open_npz(item.truth) as truth:
-                t_s, X_BG, finger_width_m = truth["t_s"], truth["base_from_tcp"], truth["finger_width_m"]
+                t_s = truth["t_s"]
+                X_BG = truth["base_from_tcp"]
+                finger_width_m = truth["finger_width_m"]
             if item.extractor is Extractor.BASELINE:
                 if self._baseline is None:
                     self._baseline = Baseline.load(self._weights)
@@ -130,7 +134,8 @@ def measure(work: Path, weights: Path, jobs: int, observer: RunObserver) -> list
         SetupError: something is missing on this machine, or a worker died. What is finished is kept.
     """
     trials, _ = read_study(work)
-    specs, tasks = {spec.id: spec for spec in study_specs()}, Baseline.load(weights).tasks
+    specs = {spec.id: spec for spec in study_specs()}
+    tasks = Baseline.load(weights).tasks
     items = [
         ExtractionItem(
             id=trial.id,

@@ -10,7 +10,8 @@ from benchmarks.moves import Family, cartesian, joint_space, shipped
 from benchmarks.trajectory import Trajectory
 from kinebench_drake.geometry import Array
 
-BENCHMARK_FRAMES, BENCHMARK_PERIOD_S = 49, 0.2
+BENCHMARK_FRAMES = 49
+BENCHMARK_PERIOD_S = 0.2
 """Frames of a benchmark episode and time between them."""
 OTHER_PERIODS_S = (0.05, 1.0 / 17.0)
 """Times between frames of a fifth of the trajectories: the control period, and the period at which videos play [s]."""

@@ -168,7 +168,9 @@ def _measure(
 
 def _row(kind: str, measured: Sequence[MeasuredPoses]) -> list[str]:
     confidence = load_confidence()[Domain.ARM]
-    distances, angles, frames = list[float](), list[float](), 0
+    distances = list[float]()
+    angles = list[float]()
+    frames = 0
     for m in measured:
         raw = m.track(confidence.frame)
         probability = np.where(raw.has_pose, confidence.track.probability(raw.features()), 0.0)
@@ -177,7 +179,8 @@ def _row(kind: str, measured: Sequence[MeasuredPoses]) -> list[str]:
         distances += distance[tracked].tolist()
         angles += angle[tracked].tolist()
         frames += len(tracked)
-    d, a = np.array(distances), np.array(angles)
+    d = np.array(distances)
+    a = np.array(angles)
     right = (d <= 0.01) & (a <= np.deg2rad(5.0))
     return [
         kind,

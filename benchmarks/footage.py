@@ -106,7 +106,8 @@ def ground_video(
     With `window` the frames are cut to the square that the gripper moves in by the reference, which does not enter
     otherwise: the difference that a perfect detection would make.
     """
-    frames, camera = read_video(video.video).frames, video.camera
+    frames = read_video(video.video).frames
+    camera = video.camera
     camera = camera.resized(frames.shape[2], frames.shape[1])
     if window:
         frames, camera = cut_window(frames, camera, video.load().X_CH)
@@ -134,7 +135,8 @@ def cut_window(frames: Frames, camera: Camera, X_CH: Array) -> tuple[Frames, Cam
     centre = transform_points(X_CH, GRIPPER_CENTRE_H[None])[:, 0]
     pixel = camera.project(centre)
     reach = (_WINDOW_MARGIN * GRIPPER_RADIUS_M * camera.fx / centre[:, 2])[:, None]
-    low, high = (pixel - reach).min(axis=0), (pixel + reach).max(axis=0)
+    low = (pixel - reach).min(axis=0)
+    high = (pixel + reach).max(axis=0)
     size = min(int(np.ceil((high - low).max())), camera.width, camera.height)
     left, top = (
         int(np.clip(round(middle - size / 2), 0, side - size))

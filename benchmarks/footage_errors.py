@@ -19,7 +19,8 @@ from kinebench_drake.models.panda.robot import hand_from_tcp
 
 VISIBLE_PX = 400
 """Pixels of the gripper from which a frame is expected to be tracked."""
-SILENT_M, SILENT_RAD = 0.030, float(np.deg2rad(15.0))
+SILENT_M = 0.030
+SILENT_RAD = float(np.deg2rad(15.0))
 """Error of a tracked frame from which it is a silent error."""
 
 
@@ -97,7 +98,9 @@ def figures(errors: Sequence[PoseErrors]) -> dict[str, Json]:
         name: np.concatenate([getattr(e, name) for e in errors])
         for name in ("visible", "tracked", "detected", "arm_agrees", "silent", "good", "confidence", "frame_m")
     }
-    tracked, visible, detected = pooled["tracked"], pooled["visible"], pooled["detected"]
+    tracked = pooled["tracked"]
+    visible = pooled["visible"]
+    detected = pooled["detected"]
     result: dict[str, Json] = {
         "videos": len(errors),
         "frames": len(tracked),
@@ -131,7 +134,8 @@ def _mean(values: Array) -> float:
 
 def _spread(result: dict[str, Json], name: str, values: Array) -> None:
     finite = values[np.isfinite(values)]
-    result[f"{name}_median"], result[f"{name}_p95"] = percentile(finite, 50), percentile(finite, 95)
+    result[f"{name}_median"] = percentile(finite, 50)
+    result[f"{name}_p95"] = percentile(finite, 95)
 
 
 _HEAD = (

@@ -74,7 +74,8 @@ def _pose_lines(
         errors.setdefault(kind, []).append(compare(video.load(), track))
     kinds = {kind.value: figures(group) for kind, group in errors.items()}
     single = {e.id: figures([e]) for group in errors.values() for e in group}
-    result["kinds"], result["videos"] = kinds, single
+    result["kinds"] = kinds
+    result["videos"] = single
     if not kinds:
         return []
     return ["", *error_table(kinds), "", *error_table(single), "", *reliability_table(kinds)]

@@ -34,7 +34,12 @@ from kinebench_drake.results.store import read_rows
 from kinebench_drake.runs.runner import RunObserver
 from kinebench_drake.stats import IntervalEstimate, PairedShares, percentile_interval, resampled_counts, wilson
 
-BEST, EXPERT, STILL, RANDOM, TRANSFER, SAMPLES = "best", "oracle", "still", "random", "transfer", "samples"
+BEST = "best"
+EXPERT = "oracle"
+STILL = "still"
+RANDOM = "random"
+TRANSFER = "transfer"
+SAMPLES = "samples"
 """Folders of the best training, the expert's videos, videos that do not move, random motions, a task that the best
 training has not seen, and several samples of each episode."""
 LEARNED = "learned-"
@@ -78,7 +83,8 @@ class _Comparer:
     def __call__(self, pair: ClipPair) -> Likeness:
         generated, expert = (read_video(path).frames for path in (pair.generated, pair.expert))
         chosen = range(_STRIDE, min(len(generated), len(expert)), _STRIDE)
-        one, other = generated[list(chosen)], expert[list(chosen)]
+        one = generated[list(chosen)]
+        other = expert[list(chosen)]
         grey = [[cv2.cvtColor(frame, cv2.COLOR_RGB2GRAY) for frame in frames] for frames in (one, other)]
         like = functional.cosine_similarity(self._features(one), self._features(other))
         return Likeness(
@@ -196,7 +202,8 @@ def make_cells(
         values = [predictor.value(row, likeness.get((name, row.id))) for name, row in zip(keys, rows, strict=True)]
         numbers = np.array([np.nan if v is None else predictor.sign * v for v in values], dtype=np.float64)
         columns.append(np.where(np.isfinite(numbers), numbers, np.nanmin(numbers)))
-    numbers, success = np.stack(columns, axis=1), np.array([_hit(row) for row in rows])
+    numbers = np.stack(columns, axis=1)
+    success = np.array([_hit(row) for row in rows])
     cells: dict[tuple[str, str], list[int]] = {}
     for k in np.argsort([row.id for row in rows]).tolist():
         cells.setdefault((keys[k], str(rows[k].task)), []).append(k)
@@ -256,7 +263,8 @@ def reported_kinds(row: SampleRow, clip: int) -> set[str]:
 
 def success_lines(runs: Mapping[str, Sequence[SampleRow]]) -> list[str]:
     """Return the table of successes by run and task, with the share that is executable."""
-    tasks, lines = sorted({str(row.task) for own in runs.values() for row in own}), []
+    tasks = sorted({str(row.task) for own in runs.values() for row in own})
+    lines = []
     for name, own in runs.items():
         hits = [[_hit(row) for row in own if row.task == task] for task in tasks]
         texts = [f"{sum(h):.0f} of {len(h)}" if h else "" for h in hits]
@@ -269,7 +277,8 @@ def success_lines(runs: Mapping[str, Sequence[SampleRow]]) -> list[str]:
 
 def gain_text(runs: Mapping[str, Sequence[SampleRow]]) -> str:
     """Return the difference of the best training's success and that of policies that see nothing, on their episodes."""
-    best, texts = {row.id: _hit(row) for row in runs[BEST]}, []
+    best = {row.id: _hit(row) for row in runs[BEST]}
+    texts = []
     for name in (STILL, RANDOM):
         both = [(best[row.id], _hit(row)) for row in runs.get(name, ()) if row.id in best]
         if both:
@@ -337,7 +346,8 @@ def best_lines(folder: Path) -> list[str]:
 def sections(study: Path, jobs: int, observer: RunObserver) -> Iterator[str]:
     """Yield the sections of docs/worldmodel.md that follow from the rows and videos of a study."""
     runs = read_runs(study)
-    samples, transfer = runs.pop(SAMPLES, None), runs.pop(TRANSFER, None)
+    samples = runs.pop(SAMPLES, None)
+    transfer = runs.pop(TRANSFER, None)
     trainings = {name: own for name, own in runs.items() if name.startswith(LEARNED)}
     cells = make_cells(trainings, compare_clips(study, trainings, jobs, observer))
     yield section("Success", success_lines(runs), gain_text(runs), transfer_text(transfer) if transfer else "")

@@ -92,7 +92,8 @@ class _Worker:
     """Executes the first clip of an episode through one extractor."""
 
     def __init__(self, weights: Path) -> None:
-        self._weights, self._executor = weights, ExecutionWorker()
+        self._weights = weights
+        self._executor = ExecutionWorker()
 
     @cached_property
     def _network(self) -> Baseline:
@@ -139,15 +140,19 @@ class EyeStudy:
 
     def __init__(self, study: Path, weights: Path) -> None:
         """Name the folder of the study and the weights of the baseline."""
-        self._labels, self._weights, self._folder = read_generated_labels(), weights, study / BEST
+        self._labels = read_generated_labels()
+        self._weights = weights
+        self._folder = study / BEST
         self._rows = read_rows(self._folder)
 
     def _clips(self, ids: Sequence[str], *, baseline: bool) -> list[Clip]:
-        suite, clips = load_suite(SUITE), []
+        suite = load_suite(SUITE)
+        clips = []
         for id in ids:
             row = self._rows[id]
             (spec,) = suite.specs("test", 1, tasks=[str(row.task)], offset=int(str(row.extra["seed"])))
-            video, track = self._folder / "videos" / f"{id}_r0.mp4", artifact_path(self._folder, "tracks", id)
+            video = self._folder / "videos" / f"{id}_r0.mp4"
+            track = artifact_path(self._folder, "tracks", id)
             clips.append(Clip(id=id, spec=spec, video=video, track=track, baseline=baseline))
         return clips
 
@@ -160,13 +165,15 @@ class EyeStudy:
 
     def label_lines(self) -> Iterator[str]:
         """Yield the table of errors of both extractors at the labelled frames, and the error of the labels."""
-        network, camera = Baseline.load(self._weights), benchmark_camera()
+        network = Baseline.load(self._weights)
+        camera = benchmark_camera()
         ids = list(self._labels.videos)
         frames = [frame for id in ids for frame in self._labels.videos[id]]
         length = np.concatenate([hand_lengths_px(self._labels.videos[id]) for id in ids])
         rows = []
         for baseline in (False, True):
-            px, confidence = [], []
+            px = []
+            confidence = []
             for id, clip in zip(ids, self._clips(ids, baseline=baseline), strict=True):
                 track = clip.read(network)
                 for frame in self._labels.videos[id]:
@@ -174,7 +181,8 @@ class EyeStudy:
                     X_CH = np.where(track.tracked[k], track.X_CH[k], np.nan)
                     px.append(reprojection_px(frame, camera, X_CH, float(track.finger_width_m[k])))
                     confidence.append(track.confidence[k])
-            error, tracked = np.array(px), np.isfinite(px)
+            error = np.array(px)
+            tracked = np.isfinite(px)
             share = (error / length)[tracked]
             rows.append([
                 "baseline" if baseline else "grounding",
@@ -205,7 +213,8 @@ class EyeStudy:
         """Return the table of anomalies that a person sees and the detectors report in first clips."""
         rows = []
         for run, labels in self._labels.anomalies.items():
-            judged, confirmed = read_rows(self._folder.with_name(run)), self._labels.confirmed.get(run, {})
+            judged = read_rows(self._folder.with_name(run))
+            confirmed = self._labels.confirmed.get(run, {})
             clips = [
                 (set(kinds), reported_kinds(judged[id], 0), set(confirmed.get(id, ()))) for id, kinds in labels.items()
             ]
@@ -232,7 +241,8 @@ class EyeStudy:
         """Yield the success of first clips executed through grounding and baseline; an interrupted run resumes."""
         ids = sorted(id for id, row in self._rows.items() if row.status is Status.OK)
         clips = [clip for baseline in (False, True) for clip in self._clips(ids, baseline=baseline)]
-        modules, network = ["kinebench_drake.closed_loop.commands", "training.baseline.network"], self._weights
+        modules = ["kinebench_drake.closed_loop.commands", "training.baseline.network"]
+        network = self._weights
         code = fingerprint(modules=modules, files=[network])
         done = MeasurementStore(self._folder.with_name("executions.jsonl"), TrackExecution).complete(
             clips,

@@ -54,7 +54,8 @@ class GripperPath:
     @property
     def jumps(self) -> bool:
         """True if the gripper jumps."""
-        every, t_s = np.ones(len(self.p_C), dtype=np.bool_), np.arange(len(self.p_C), dtype=np.float64)
+        every = np.ones(len(self.p_C), dtype=np.bool_)
+        t_s = np.arange(len(self.p_C), dtype=np.float64)
         return bool(find_teleports(self.p_C, every, every, t_s).anomalies)
 
 
@@ -93,7 +94,8 @@ def truth_sections(study: Path, weights: Path, jobs: int, observer: RunObserver)
         lambda clip: clip.id,
     )
     truths = {clip.id: truth for clip, truth in zip(clips, done, strict=True)}
-    jumps, errors_m = [], []
+    jumps = []
+    errors_m = []
     for row in rows:
         track = read_track(artifact_path(folder, "tracks", row.id)).track
         p_C = transform_points(track.X_CH, [[0, 0, HAND_TO_TCP_M]])[:, 0]
@@ -114,5 +116,6 @@ def truth_sections(study: Path, weights: Path, jobs: int, observer: RunObserver)
 
 def _clips(folder: Path, row: SampleRow) -> Iterator[Clip]:
     for k in range(len(clip_ends(row))):
-        id, seed = f"{row.id}_r{k}", int(generator("world model", row.id, k, 0).integers(2**31))
+        id = f"{row.id}_r{k}"
+        seed = int(generator("world model", row.id, k, 0).integers(2**31))
         yield Clip(id=id, video=folder / "videos" / f"{id}.mp4", prompt=str(row.extra["prompt"]), seed=seed)

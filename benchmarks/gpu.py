@@ -35,7 +35,8 @@ PROCESSES = (1, 8)
 """Numbers of worker processes of `score`."""
 TASKS = ("StackCube-v1", "PickFruits-v1", "OpenDrawer-v1", "OpenFaucet-v1")
 """Tasks of the episodes; the first one's scene and images are timed by themselves."""
-STEPS, BATCH_SIZE = 12, 24
+STEPS = 12
+BATCH_SIZE = 24
 """Steps of a training that are timed, and crops of a step."""
 _WARM_UP = 2
 
@@ -108,7 +109,8 @@ def _turn(device: Device, frames: Frames, work: Path) -> Iterator[tuple[str, flo
 
 def _estimates(device: Device, frames: Frames) -> Iterator[tuple[str, float]]:
     """Yield the times of a crop through the network, transfers included; what a process does first is left out."""
-    camera, estimator = benchmark_camera(), NetworkEstimator(load_network(), device.torch_name)
+    camera = benchmark_camera()
+    estimator = NetworkEstimator(load_network(), device.torch_name)
     ahead = make_pose(np.eye(3), [0.0, 0.0, 1.0])
     crops = {WIDE_SIZE: Crop.of_frame(camera), CLOSE_SIZE: Crop.of_gripper(ahead, CLOSE_MARGIN, CLOSE_SIZE)}
     for size, crop in crops.items():

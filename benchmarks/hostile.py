@@ -22,7 +22,8 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import Any
 
-LIMIT_BYTES, LIMIT_S = 8 * 2**30, 120.0
+LIMIT_BYTES = 8 * 2**30
+LIMIT_S = 120.0
 """Address space and time that each process gets."""
 TIMEOUT_S = 6.0
 """Time-out of a request to a world model."""
@@ -55,7 +56,8 @@ def _npz(path: Path, shape: tuple[int, ...]) -> None:
 
     head = io.BytesIO()
     np.lib.format.write_array_header_1_0(head, {"descr": "|u1", "fortran_order": False, "shape": shape})
-    left, block = int(np.prod(shape)), bytes(1 << 24)
+    left = int(np.prod(shape))
+    block = bytes(1 << 24)
     with (
         zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=9) as archive,
         archive.open("frames.npy", "w", force_zip64=True) as file,
@@ -71,7 +73,9 @@ def _mp4(path: Path, width: int, height: int, count: int) -> None:
 
     with av.open(path, "w") as container:
         stream = container.add_stream("libx264", rate=5, options={"preset": "ultrafast"})
-        stream.width, stream.height, stream.pix_fmt = width, height, "yuv420p"
+        stream.width = width
+        stream.height = height
+        stream.pix_fmt = "yuv420p"
         frame = av.VideoFrame(width, height, "yuv420p")
         for plane in frame.planes:
             plane.update(bytes(plane.buffer_size))

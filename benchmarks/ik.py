@@ -63,7 +63,8 @@ class IkComparison:
     def ratio(self, name: str, to: str = OURS) -> Array | None:
         """Return time of a solver / time of another (R,), repeat by repeat; None if either was not timed."""
         by_name = {t.name: t.us_per_pose for t in self.timings}
-        one, other = by_name.get(name), by_name.get(to)
+        one = by_name.get(name)
+        other = by_name.get(to)
         return None if one is None or other is None else np.asarray(one / other)
 
 
@@ -105,7 +106,8 @@ def compare_ik(
     log: Callable[[str], None] = lambda text: None,
 ) -> list[IkComparison]:
     """Draw the tracks of each set and time all solvers on them, in `repeats` turns."""
-    arm, rng = Arm(), np.random.default_rng(seed)
+    arm = Arm()
+    rng = np.random.default_rng(seed)
     for peer in peers:
         log(f"{peer.label}: {peer.how}")
     comparisons = []

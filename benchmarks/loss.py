@@ -102,7 +102,8 @@ class LossWorker:
 
     def __init__(self, seed: int) -> None:
         """Load the robot."""
-        self._seed, self._arm = seed, Arm()
+        self._seed = seed
+        self._arm = Arm()
         self._judge = TrackJudge(self._arm.plant)
 
     def __call__(self, index: int) -> LossTrial:
@@ -112,7 +113,8 @@ class LossWorker:
         track = self._draw(rng, kind)
         tracked = finite_rows(track.X_BG.reshape(-1, 16))
         tracked &= True if track.tracked is None else track.tracked
-        results, losses = [self._measure(track, tracked)], list[LossKind]()
+        results = [self._measure(track, tracked)]
+        losses = list[LossKind]()
         usable = tracked & (results[0].curves["manipulability"] > 0.0)  # neither lost nor unreachable so far
         for _ in range(STAGES):
             loss = list(LossKind)[rng.integers(len(LossKind))]
@@ -168,10 +170,12 @@ def _choose(rng: np.random.Generator, usable: NDArray[np.bool_]) -> NDArray[np.b
 def _move_away(rng: np.random.Generator, arm: Arm, track: Trajectory, frames: NDArray[np.bool_]) -> Trajectory:
     """Replace frames by unreachable ones that move together."""
     if track.q is not None:
-        q, joint = track.q.copy(), int(rng.integers(7))
+        q = track.q.copy()
+        joint = int(rng.integers(7))
         q[frames, joint] = arm.plant.upper[joint] + rng.uniform(*_PAST_RAD)
         return replace(track, q=q)
-    X_BG, direction = track.X_BG.copy(), rng.normal(size=3)
+    X_BG = track.X_BG.copy()
+    direction = rng.normal(size=3)
     place: Array = _SHOULDER_M + rng.uniform(*_FAR_M) * direction / np.linalg.norm(direction)
     X_BG[frames, :3, 3] = place + rng.normal(0.0, rng.choice([0.0, 0.05]), size=(int(frames.sum()), 3))
     X_BG[frames, :3, :3] = rotation_exp(rng.normal(0.0, 1.0, size=3))
@@ -180,7 +184,9 @@ def _move_away(rng: np.random.Generator, arm: Arm, track: Trajectory, frames: ND
 
 def loss_table(trials: Sequence[LossTrial]) -> Iterator[str]:
     """Format, for each metric, in how many replacements it improves, stays a number or becomes null."""
-    numbers, nulls, improved = Counter[str](), Counter[str](), dict[str, list[int]]()
+    numbers = Counter[str]()
+    nulls = Counter[str]()
+    improved = dict[str, list[int]]()
     for trial in trials:
         for before, after in zip(trial.metrics, trial.metrics[1:], strict=False):
             for name in sorted(before):
@@ -244,5 +250,6 @@ def _tolerance(name: str, whole: Mapping[str, Value]) -> float:
 
 def _change(name: str, before: Mapping[str, Value], after: Mapping[str, Value]) -> float:
     """Return the size of a number's change; NaN where one of both is null."""
-    old, new = before.get(name), after.get(name)
+    old = before.get(name)
+    new = after.get(name)
     return float("nan") if old is None or new is None else abs(float(new) - float(old))

@@ -42,7 +42,8 @@ PERIOD_S = 0.2
 _SIDE_PX = 256  # of pictures by the cameras of observations; videos have the size of the task
 _USUAL_Q = np.array([0.0, np.pi / 8, 0.0, -5 * np.pi / 8, 0.0, 3 * np.pi / 4, np.pi / 4])
 _SPREAD_RAD = np.array([0.4, 0.3, 0.3, 0.35, 0.3, 0.35, 0.8])
-_LOWEST_M, _STEP_FRAMES = 0.04, 8
+_LOWEST_M = 0.04
+_STEP_FRAMES = 8
 
 
 def motion(plant: ArmPlant, frames: int, rng: np.random.Generator) -> tuple[Array, Array]:
@@ -56,7 +57,8 @@ def motion(plant: ArmPlant, frames: int, rng: np.random.Generator) -> tuple[Arra
     first = np.minimum(s.astype(int), len(stops) - 2)
     u = s - first
     u = u**3 * (10 - 15 * u + 6 * u**2)  # minimum jerk (Flash and Hogan 1985)
-    postures, gap = np.array(stops), rng.uniform(0.0, 0.08, len(stops))
+    postures = np.array(stops)
+    gap = rng.uniform(0.0, 0.08, len(stops))
     return (1 - u)[:, None] * postures[first] + u[:, None] * postures[first + 1], (1 - u) * gap[first] + u * gap[
         first + 1
     ]
@@ -72,7 +74,8 @@ class StockScene:
             task, robot_uids="panda", obs_mode="rgb", render_mode="rgb_array", sim_backend="cpu", sensor_configs=sensors
         )
         self._env.reset(seed=seed)
-        self._scene, self._robot = self._env.unwrapped.scene, self._env.unwrapped.agent.robot
+        self._scene = self._env.unwrapped.scene
+        self._robot = self._env.unwrapped.agent.robot
         cameras = self._scene.human_render_cameras if camera == "render_camera" else self._scene.sensors
         self._camera = cameras[camera]
 
@@ -85,11 +88,13 @@ class StockScene:
     def camera(self) -> Camera:
         """The camera, as the simulator states it."""
         parameters = self._camera.get_params()
-        K, X_CW = parameters["intrinsic_cv"][0].numpy(), np.eye(4)
+        K = parameters["intrinsic_cv"][0].numpy()
+        X_CW = np.eye(4)
         X_CW[:3] = parameters["extrinsic_cv"][0].numpy()[:3]
         X_CW[:3, :3] = orthonormalize(X_CW[:3, :3])
         height, width = self.image().shape[:2]
-        focal, centre = np.diag(K)[:2].astype(float), K[:2, 2].astype(float)
+        focal = np.diag(K)[:2].astype(float)
+        centre = K[:2, 2].astype(float)
         return Camera(
             width=width, height=height, fx=focal[0], fy=focal[1], cx=centre[0], cy=centre[1],
             X_BC=invert(X_CW @ self.X_WB),

@@ -95,7 +95,8 @@ def prove(arm: Arm, motion: Motion, start_s: float, end_s: float, self_distance_
     between links that is already known, of an arm of the same shape, is not computed again.
     """
     t_s = np.linspace(start_s, end_s, max(2, round((end_s - start_s) * PROOF_HZ) + 1))
-    plant, body = arm.plant, arm.body
+    plant = arm.plant
+    body = arm.body
     q, v, a, j = (motion.q(t_s, order) for order in range(4))
     width = motion.width(t_s)
     margin = float(np.minimum(q - plant.lower, plant.upper - q).min())

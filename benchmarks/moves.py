@@ -24,13 +24,16 @@ from kinebench_drake.suites.families.registry import EXPERTS
 
 KNOT_S = 0.04
 """Time between the knots of a spline [s]."""
-TABLE_X_M, TABLE_Y_M, CEILING_M = (0.3, 0.75), (-0.35, 0.35), 0.5
+TABLE_X_M = (0.3, 0.75)
+TABLE_Y_M = (-0.35, 0.35)
+CEILING_M = 0.5
 """Workspace of the gripper."""
 TOUCH_M = 1e-4
 """Height of fingertips that touch the table, against rounding [m]."""
 SHORTEST_S = 0.5
 """Least duration of a move [s]."""
-JOINT_SPEED_SHARE, JOINT_ACCELERATION_SHARE = 0.9, 0.8
+JOINT_SPEED_SHARE = 0.9
+JOINT_ACCELERATION_SHARE = 0.8
 """Greatest shares of the limits that random joint paths use."""
 SHIPPED_TASKS = (
     *("CloseBox-v1", "OpenBoxEasy-v1", "OpenBoxEasy-v2", "OpenBoxHard-v1", "OpenBoxHard-v2", "PullCube-v1"),
@@ -81,9 +84,12 @@ def cartesian(rng: np.random.Generator, arm: Arm, at_least_s: float) -> Motion |
     q = np.clip(
         plant.robot.rest_q + rng.normal(0.0, [0.15, 0.05, 0.15, 0.05, 0.1, 0.05, 0.15]), plant.lower, plant.upper
     )
-    speed_m_s, turn_rad_s = rng.uniform(0.06, 0.35), rng.uniform(0.3, 0.9)
+    speed_m_s = rng.uniform(0.06, 0.35)
+    turn_rad_s = rng.uniform(0.3, 0.9)
     start = Move(X_BG=plant.forward(q), finger_width_m=float(rng.choice([0.0, 0.04, 0.08])))
-    moves, lengths, starts = [start], list[float](), [0.0]
+    moves = [start]
+    lengths = list[float]()
+    starts = [0.0]
     end_s = 0.0
     profile = float(rng.uniform(0.2, 0.45)) if rng.random() < 0.4 else None
     while end_s < at_least_s:
@@ -138,7 +144,8 @@ def _tilted(rng: np.random.Generator) -> Array:
     yaw = rng.uniform(-0.6, 0.6) + (np.pi / 2 if rng.random() < 0.25 else 0.0)
     R = grasp_rotation(DOWN, (np.sin(yaw), -np.cos(yaw), 0.0))
     if rng.random() < 0.5:
-        direction, tilt = rng.uniform(-np.pi, np.pi), np.deg2rad(rng.uniform(0.0, 40.0))
+        direction = rng.uniform(-np.pi, np.pi)
+        tilt = np.deg2rad(rng.uniform(0.0, 40.0))
         R = rotation_exp(tilt * np.array([np.cos(direction), np.sin(direction), 0.0])) @ R
     return np.asarray(R)
 
@@ -183,7 +190,8 @@ def _push(rng: np.random.Generator, arm: Arm) -> list[Move]:
     """Push along a straight line with closed fingers."""
     start = _place(rng, arm, _tilted(rng), 0.0, _height(rng))
     end = start.copy()
-    heading, way = rng.uniform(-np.pi, np.pi), rng.uniform(0.05, 0.3)
+    heading = rng.uniform(-np.pi, np.pi)
+    way = rng.uniform(0.05, 0.3)
     end[:2, 3] = np.clip(
         end[:2, 3] + way * np.array([np.cos(heading), np.sin(heading)]),
         [TABLE_X_M[0], TABLE_Y_M[0]],
@@ -200,14 +208,16 @@ def _push(rng: np.random.Generator, arm: Arm) -> list[Move]:
 
 def _drawer(rng: np.random.Generator, arm: Arm) -> list[Move]:
     """Pull or push a handle with the gripper pointing forwards or obliquely downwards."""
-    slope, yaw = np.deg2rad(rng.uniform(0.0, 50.0)), rng.uniform(-0.5, 0.5)
+    slope = np.deg2rad(rng.uniform(0.0, 50.0))
+    yaw = rng.uniform(-0.5, 0.5)
     approach = np.array([np.cos(yaw) * np.cos(slope), np.sin(yaw) * np.cos(slope), -np.sin(slope)])
     closing = np.array([-np.sin(yaw), np.cos(yaw), 0.0]) * rng.choice([-1.0, 1.0])
     if rng.random() < 0.3:
         closing = np.cross(approach, closing)
     R = grasp_rotation(approach, closing)
     handle = make_pose(R, [rng.uniform(0.45, 0.7), rng.uniform(-0.25, 0.25), rng.uniform(0.12, 0.4)])
-    before, pulled = handle.copy(), handle.copy()
+    before = handle.copy()
+    pulled = handle.copy()
     before[:3, 3] -= rng.uniform(0.04, 0.1) * approach
     pulled[:3, 3] -= rng.uniform(0.05, 0.18) * np.array([np.cos(yaw), np.sin(yaw), 0.0])
     width = float(rng.choice([0.0, 0.02]))

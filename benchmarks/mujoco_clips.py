@@ -30,7 +30,9 @@ FINGER_M = 0.04
 _VISUAL_GROUP = 1
 _WORKSPACE = np.array([[0.32, 0.62], [-0.3, 0.3], [0.06, 0.4]])  # of the TCP in the base frame [m]
 _TABLE_LIFT_M = -0.15  # of the workspace to the table tops of the scenes, at which their cameras look
-_LEAST_PX, _LEAST_SHARE = 300, 0.8  # pixels of the gripper in an image of 384 px, and share of the frames with as many
+# pixels of the gripper in an image of 384 px, and share of the frames with as many
+_LEAST_PX = 300
+_LEAST_SHARE = 0.8
 
 
 class Arm:
@@ -63,7 +65,8 @@ class Arm:
 
     def _pose(self, body: str) -> NDArray[Any]:
         X = np.eye(4)
-        X[:3, :3], X[:3, 3] = self.data.body(body).xmat.reshape(3, 3), self.data.body(body).xpos
+        X[:3, :3] = self.data.body(body).xmat.reshape(3, 3)
+        X[:3, 3] = self.data.body(body).xpos
         return X
 
     def set(self, q: NDArray[Any], width_m: float) -> None:
@@ -104,7 +107,8 @@ def motion(
     targets = list[NDArray[Any]]()
     stops = max(2, round(frames / 16) + 1)
     while len(targets) < stops:
-        tilt, turn = rng.normal(0.0, 0.3, 2), rng.uniform(-1.2, 1.2)
+        tilt = rng.normal(0.0, 0.3, 2)
+        turn = rng.uniform(-1.2, 1.2)
         X = np.eye(4)
         X[:3, :3] = _turn(2, turn) @ _turn(0, np.pi + tilt[0]) @ _turn(1, tilt[1])
         X[:3, 3] = rng.uniform(*_WORKSPACE.T) - HAND_TO_TCP_M * X[:3, 2]
@@ -117,7 +121,8 @@ def motion(
     first = np.minimum(s.astype(int), stops - 2)
     u = s - first
     u = u**3 * (10 - 15 * u + 6 * u**2)  # minimum jerk (Flash and Hogan 1985)
-    postures, gap = np.array(targets), rng.uniform(0.0, 2 * FINGER_M, stops)
+    postures = np.array(targets)
+    gap = rng.uniform(0.0, 2 * FINGER_M, stops)
     blend = (1 - u)[:, None], u[:, None]
     return (
         blend[0] * postures[first] + blend[1] * postures[first + 1],
@@ -127,9 +132,11 @@ def motion(
 
 def _turn(axis: int, angle: float) -> NDArray[Any]:
     R = np.eye(3)
-    i, j = (axis + 1) % 3, (axis + 2) % 3
+    i = (axis + 1) % 3
+    j = (axis + 2) % 3
     R[i, i] = R[j, j] = np.cos(angle)
-    R[i, j], R[j, i] = -np.sin(angle), np.sin(angle)
+    R[i, j] = -np.sin(angle)
+    R[j, i] = np.sin(angle)
     return R
 
 
@@ -137,7 +144,8 @@ def random_camera(width: int, height: int, rng: np.random.Generator) -> dict[str
     """Return a camera.json object: in front of or beside the robot, upright, looking at its workspace."""
     fov = np.deg2rad(rng.uniform(36.0, 65.0))
     focal = height / 2 / np.tan(fov / 2)
-    azimuth, elevation = rng.uniform(-1.7, 1.7), rng.uniform(0.1, 1.05)
+    azimuth = rng.uniform(-1.7, 1.7)
+    elevation = rng.uniform(0.1, 1.05)
     target = np.array([0.3, 0.0, 0.25]) + rng.normal(0.0, 0.08, 3)
     distance = rng.uniform(0.75, 1.15) / np.tan(fov / 2) * 0.55
     away = np.array([np.cos(azimuth) * np.cos(elevation), np.sin(azimuth) * np.cos(elevation), np.sin(elevation)])
@@ -150,7 +158,8 @@ def look_at(eye: NDArray[Any], target: NDArray[Any]) -> NDArray[Any]:
     right = np.cross(forward, [0.0, 0.0, 1.0])
     right /= np.linalg.norm(right)
     X = np.eye(4)
-    X[:3, :3], X[:3, 3] = np.column_stack([right, np.cross(forward, right), forward]), eye
+    X[:3, :3] = np.column_stack([right, np.cross(forward, right), forward])
+    X[:3, 3] = eye
     return X
 
 
@@ -177,14 +186,19 @@ class Film:
 
     def __init__(self, arm: Arm, camera: dict[str, Any]) -> None:
         """Place the camera `frontview`, which every scene has."""
-        self._arm, self._camera = arm, arm.model.cam("frontview").id
-        width, height = camera["width"], camera["height"]
-        arm.model.vis.global_.offwidth, arm.model.vis.global_.offheight = width, height
+        self._arm = arm
+        self._camera = arm.model.cam("frontview").id
+        width = camera["width"]
+        height = camera["height"]
+        arm.model.vis.global_.offwidth = width
+        arm.model.vis.global_.offheight = height
         X_WC = arm.X_WB @ np.array(camera["base_from_camera"])
         quat = np.zeros(4)
         mujoco.mju_mat2Quat(quat, (X_WC[:3, :3] @ np.diag([1.0, -1.0, -1.0])).ravel())
-        arm.model.cam_pos[self._camera], arm.model.cam_quat[self._camera] = X_WC[:3, 3], quat
-        arm.model.cam_bodyid[self._camera], arm.model.cam_targetbodyid[self._camera] = 0, -1
+        arm.model.cam_pos[self._camera] = X_WC[:3, 3]
+        arm.model.cam_quat[self._camera] = quat
+        arm.model.cam_bodyid[self._camera] = 0
+        arm.model.cam_targetbodyid[self._camera] = -1
         arm.model.cam_mode[self._camera] = mujoco.mjtCamLight.mjCAMLIGHT_FIXED
         arm.model.cam_fovy[self._camera] = np.rad2deg(2 * np.arctan(height / 2 / camera["fy"]))
         self._renderer = mujoco.Renderer(arm.model, height, width)
@@ -210,7 +224,8 @@ class Film:
 
     def _gripper_geoms(self) -> list[int]:
         """Return the numbers of the geoms of hand and fingers in the scene."""
-        scene, model = self._renderer.scene, self._arm.model
+        scene = self._renderer.scene
+        model = self._arm.model
         geoms = ((i, scene.geoms[i]) for i in range(scene.ngeom))
         return [
             i for i, g in geoms if g.objtype == mujoco.mjtObj.mjOBJ_GEOM and model.geom_bodyid[g.objid] in self._gripper
@@ -219,7 +234,8 @@ class Film:
     @contextmanager
     def warped(self, A: NDArray[Any]) -> Iterator[None]:
         """Prepare a change that maps points of the gripper by `A` (3, 3) in the frame of panda_hand."""
-        model, X_WH = self._arm.model, self._arm.data.body("robot0_right_hand")
+        model = self._arm.model
+        X_WH = self._arm.data.body("robot0_right_hand")
         geoms = [g for g in range(model.ngeom) if model.geom_bodyid[g] in self._gripper and model.geom_dataid[g] >= 0]
         visual = {model.geom_dataid[g]: g for g in geoms if model.geom_group[g] == _VISUAL_GROUP}
         shape = {}
@@ -230,7 +246,8 @@ class Film:
             shape[mesh] = own, vertices, vertices @ (R_HG.T @ A @ R_HG).T
 
         def warp(scene: Any, gripper: list[int]) -> None:
-            R, p = X_WH.xmat.reshape(3, 3), X_WH.xpos
+            R = X_WH.xmat.reshape(3, 3)
+            p = X_WH.xpos
             for i in gripper:
                 scene.geoms[i].pos[:] = p + R @ A @ R.T @ (scene.geoms[i].pos - p)
             self._upload({mesh: (own, new) for mesh, (own, _, new) in shape.items()})
@@ -292,7 +309,9 @@ def write_video(path: Path, frames: Sequence[NDArray[Any]]) -> None:
 
 def write_clip(folder: Path, name: str, arm: Arm, camera: dict[str, Any], q: NDArray[Any], gap: NDArray[Any]) -> None:
     """Render a clip and write it with its truth and its line of the manifest."""
-    frames, visible, X_BH = [], [], []
+    frames = []
+    visible = []
+    X_BH = []
     for image, count in render(arm, camera, q, gap):
         frames.append(image)
         visible.append(count)

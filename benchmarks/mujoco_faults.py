@@ -19,8 +19,13 @@ from numpy.typing import NDArray
 
 from benchmarks.mujoco_clips import HAND_TO_TCP_M, PERIOD_S, SCENES, Arm, Film, write_video
 
-GONE_FRAMES, FROZEN_FRAMES, SECOND_FRAMES, DEFORMED_FRAMES = 5, 6, 10, 12
-JUMP_M, BESIDE_M, STRETCH = 0.1, 0.17, 0.25
+GONE_FRAMES = 5
+FROZEN_FRAMES = 6
+SECOND_FRAMES = 10
+DEFORMED_FRAMES = 12
+JUMP_M = 0.1
+BESIDE_M = 0.17
+STRETCH = 0.25
 """Sizes of a jump, of the distance of a second gripper and of a relative stretch."""
 _SIDES_C = ((1.0, 0.0, 0.0), (-1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, -1.0, 0.0))
 _BORDER = 0.1  # share of the image in which no second gripper begins
@@ -111,14 +116,20 @@ def _duplicate(clip: Clip, rng: np.random.Generator) -> Planted:
 
     def add(scene: Any, gripper: list[int]) -> None:
         for g in gripper:
-            new, old = scene.geoms[scene.ngeom], scene.geoms[g]
+            new = scene.geoms[scene.ngeom]
+            old = scene.geoms[g]
             mujoco.mjv_initGeom(
                 new, old.type, old.size.copy(), old.pos + offset, old.mat.ravel().astype(np.float64), old.rgba.copy()
             )
-            new.dataid, new.matid, new.objid, new.segid = old.dataid, old.matid, -1, -1
-            new.texcoord, new.emission, new.specular, new.shininess, new.reflectance = (
-                old.texcoord, old.emission, old.specular, old.shininess, old.reflectance,
-            )  # fmt: skip
+            new.dataid = old.dataid
+            new.matid = old.matid
+            new.objid = -1
+            new.segid = -1
+            new.texcoord = old.texcoord
+            new.emission = old.emission
+            new.specular = old.specular
+            new.shininess = old.shininess
+            new.reflectance = old.reflectance
             scene.ngeom += 1
 
     clip.film.change = add
@@ -132,7 +143,8 @@ def _deformation(clip: Clip, rng: np.random.Generator) -> Planted:
     """
     if (start := clip.start(DEFORMED_FRAMES)) is None:
         return None
-    angle, stretch = rng.uniform(0.0, np.pi), rng.normal(size=3)
+    angle = rng.uniform(0.0, np.pi)
+    stretch = rng.normal(size=3)
     stretch -= stretch.mean()
     stretch *= STRETCH / np.abs(stretch).max()
     R = np.array([[np.cos(angle), -np.sin(angle), 0.0], [np.sin(angle), np.cos(angle), 0.0], [0.0, 0.0, 1.0]])
@@ -142,7 +154,8 @@ def _deformation(clip: Clip, rng: np.random.Generator) -> Planted:
 
 def _teleport(clip: Clip, rng: np.random.Generator) -> Planted:
     """Displace the gripper from one frame on."""
-    n, arm = len(clip.q), clip.arm
+    n = len(clip.q)
+    arm = clip.arm
     for start in sorted(range(8, n - 8), key=lambda i: abs(i - n // 2)):
         for _ in range(4):
             direction = rng.normal(size=3)

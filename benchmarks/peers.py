@@ -23,7 +23,8 @@ from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.kinematics.track import verify_path
 from kinebench_drake.models.robot import N_JOINTS
 
-POSITION_M, ROTATION_RAD = 1e-4, 1e-3
+POSITION_M = 1e-4
+ROTATION_RAD = 1e-3
 """Tolerances of a reached pose."""
 
 _STEPS = 50  # maximum number of Newton-like steps of a solver for one pose
@@ -79,7 +80,8 @@ def frame_by_frame(step: Callable[[Array, Array], Array]) -> Solve:
     def solve(problems: Sequence[IkProblem]) -> list[Array]:
         paths = []
         for problem in problems:
-            q, path = problem.q[0], []
+            q = problem.q[0]
+            path = []
             for X_BG in problem.X_BG:
                 q = step(X_BG, q)
                 path.append(q)
@@ -122,7 +124,8 @@ def _drake(plant: ArmPlant, *, near: bool) -> Solve:
     rotation: Any = RotationMatrix
     half = np.full(3, 0.5 * POSITION_M / np.sqrt(3.0))  # it stops at the edge of the constraint, or slightly past it
     fingers = plant.drake.GetPositions(plant.context)[N_JOINTS:]
-    solver, options = SnoptSolver(), SolverOptions()
+    solver = SnoptSolver()
+    options = SolverOptions()
     # The rotation constraint is on the angle's cosine: the default of 1e-6 is coarser than a milliradian.
     options.SetOption(SnoptSolver.id(), "Major feasibility tolerance", 1e-9)
 

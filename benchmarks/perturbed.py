@@ -118,7 +118,8 @@ def _fingers(rng: np.random.Generator, arm: Arm, x: Trajectory) -> Trajectory:
 
 def _joints(rng: np.random.Generator, arm: Arm, x: Trajectory) -> Trajectory:
     """Joint angles: a random walk, or random values within limits or past them."""
-    n, plant = len(x.t_s), arm.plant
+    n = len(x.t_s)
+    plant = arm.plant
     walk = plant.robot.rest_q + np.cumsum(rng.normal(0.0, rng.choice([0.001, 0.05, 0.5]), size=(n, 7)), axis=0)
     q = walk if rng.random() < 0.7 else rng.uniform(1.2 * plant.lower, 1.2 * plant.upper, size=(n, 7))
     return Trajectory(t_s=x.t_s, X_BG=arm.body.forward(q), finger_width_m=x.finger_width_m, q=q)

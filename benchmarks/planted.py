@@ -25,9 +25,11 @@ SPEED_RATIO = (1.15, 5.0)
 """Least joint speed of any joint path / its limit, in the worst step."""
 DEPTH_M = (0.005, 0.06)
 """Depth of the gripper's lowest point in the table [m]."""
-JUMP_M, JUMP_DEG = (0.1, 0.4), (30.0, 120.0)
+JUMP_M = (0.1, 0.4)
+JUMP_DEG = (30.0, 120.0)
 """Jump of a teleport in position, rotation or both."""
-JUMP_STEP, JUMP_BEND = 1.1, 1.3
+JUMP_STEP = 1.1
+JUMP_BEND = 1.3
 """Least joint speed or acceleration of any joint path / its limit across a jump, by the sweeps."""
 LIMIT_EXCESS_RAD = (0.01, 0.3)
 """Excess of a joint angle over its limit [rad]."""
@@ -36,7 +38,10 @@ POSE_EXCESS_RAD = 0.02
 OVERLAP_M = 0.005
 """Least penetration depth of two links [m]."""
 
-_ONE_SPEED_M_S, _ONE_TURN_RAD_S, _ONE_JOINT_SHARE = 0.2, 0.8, 0.5  # mean speeds of an excursion, if there is time
+# mean speeds of an excursion, if there is time
+_ONE_SPEED_M_S = 0.2
+_ONE_TURN_RAD_S = 0.8
+_ONE_JOINT_SHARE = 0.5
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -71,13 +76,15 @@ def _moved(X_BG: Array, weight: Array, shift: Array, turn: Array) -> Array:
 def plant_reach(rng: np.random.Generator, arm: Arm, base: FeasibleMotion) -> PlantedTrajectory | None:
     """Move the gripper out of reach and back: farther from the shoulder than the stretched arm reaches."""
     good = base.trajectory(arm)
-    centre, wanted = int(rng.integers(len(good.t_s))), _size(rng, *REACH_EXCESS_M)
+    centre = int(rng.integers(len(good.t_s)))
+    wanted = _size(rng, *REACH_EXCESS_M)
     X = good.X_BG[centre]
     away = X[:3, 3] - [0.0, 0.0, 0.333]
     direction = away / np.linalg.norm(away) + rng.normal(0.0, 0.3, size=3)
     direction[2] = abs(direction[2])
     direction /= np.linalg.norm(direction)
-    low, high = 0.0, 2.0
+    low = 0.0
+    high = 2.0
     for _ in range(60):
         middle = 0.5 * (low + high)
         far = wrist_distance(_moved(X[None], np.ones(1), middle * direction, np.zeros(3)))[0] >= REACH_M + wanted
@@ -107,10 +114,12 @@ def plant_fast(rng: np.random.Generator, arm: Arm, base: FeasibleMotion) -> Plan
         centre = int(rng.choice(moving))
         factor = wanted / float(ratio[centre])
         steps = int(rng.integers(1, 5))  # of the warped frames that fall into the burst
-        warped, t_s = _burst(base, when, centre, factor, steps), base.t_s
+        warped = _burst(base, when, centre, factor, steps)
+        t_s = base.t_s
     else:
         factor = wanted / float(ratio.max())
-        warped, t_s = when, base.t_s / factor
+        warped = when
+        t_s = base.t_s / factor
     if warped is None or factor <= 1.0:
         return None
     trajectory = base.trajectory(arm, warped, t_s)
@@ -119,7 +128,8 @@ def plant_fast(rng: np.random.Generator, arm: Arm, base: FeasibleMotion) -> Plan
         return None
     period = float(t_s[1] - t_s[0])
     steps_ratio = (np.abs(np.diff(q, axis=0)) / (arm.plant.velocity_limits * period)).max(axis=-1)
-    proof, at = 0.0, 0
+    proof = 0.0
+    at = 0
     for i in np.argsort(-steps_ratio)[:3]:
         if steps_ratio[i] > proof:
             ratio_i = least_step(arm, trajectory.X_BG[i], trajectory.X_BG[i + 1], period)
@@ -163,7 +173,8 @@ def plant_table(rng: np.random.Generator, arm: Arm, base: FeasibleMotion) -> Pla
     near = np.flatnonzero(low < 0.2)
     if not len(near):
         return None
-    centre, depth = int(rng.choice(near)), _size(rng, *DEPTH_M)
+    centre = int(rng.choice(near))
+    depth = _size(rng, *DEPTH_M)
     down = float(low[centre]) + depth
     weight = _excursion(rng, base.frames, centre, down / _ONE_SPEED_M_S, base.period_s)
     moved = _moved(good.X_BG, weight, np.array([0.0, 0.0, -down]), np.zeros(3))
@@ -187,10 +198,12 @@ def plant_teleport(rng: np.random.Generator, arm: Arm, base: FeasibleMotion) -> 
         start = base.start_s + base.t_s
         to = base.motion.duration_s * rng.random()
         when = np.where(np.arange(n) < first, start, np.clip(start - start[first] + to, 0.0, base.motion.duration_s))
-        trajectory, last = base.trajectory(arm, when), n - 1
+        trajectory = base.trajectory(arm, when)
+        last = n - 1
     else:
         what = rng.integers(3)
-        shift, turn = rng.normal(size=3), rng.normal(size=3)
+        shift = rng.normal(size=3)
+        turn = rng.normal(size=3)
         shift *= (what != 1) * rng.uniform(*JUMP_M) / np.linalg.norm(shift)
         turn *= (what != 0) * np.deg2rad(rng.uniform(*JUMP_DEG)) / np.linalg.norm(turn)
         last = n - 1 if how == "shift" else min(n - 1, first + int(rng.integers(0, 6)))
@@ -234,7 +247,8 @@ def plant_limit_q(rng: np.random.Generator, arm: Arm, base: FeasibleMotion) -> P
     if good.q is None:
         return None
     plant = arm.plant
-    centre, wanted = int(rng.integers(base.frames)), _size(rng, *LIMIT_EXCESS_RAD)
+    centre = int(rng.integers(base.frames))
+    wanted = _size(rng, *LIMIT_EXCESS_RAD)
     to = np.concatenate([plant.upper + wanted - good.q[centre], plant.lower - wanted - good.q[centre]])
     near = np.flatnonzero(np.abs(to) < 1.5)
     if not len(near):
@@ -295,7 +309,8 @@ def plant_limit_pose(rng: np.random.Generator, arm: Arm, base: FeasibleMotion) -
     centre = int(rng.integers(base.frames))
     X = good.X_BG[centre]
     for _ in range(40):
-        turn, shift = rng.normal(size=3), rng.uniform(-0.25, 0.25, size=3)
+        turn = rng.normal(size=3)
+        shift = rng.uniform(-0.25, 0.25, size=3)
         turn *= np.deg2rad(rng.uniform(30.0, 150.0)) / np.linalg.norm(turn)
         target = _moved(X[None], np.ones(1), shift, turn)
         if arm.body.lowest_of_gripper(target, good.finger_width_m[centre : centre + 1])[0] < 0.01:

@@ -106,7 +106,9 @@ def plant_episode(order: PlantingOrder) -> PlantingResult:
     Each episode has its own scene, so that results do not depend on what was made before. A fault for which the clip
     has no place, or an episode that the expert cannot solve, is reported as a problem.
     """
-    spec, videos, problems = order.spec, [], []
+    spec = order.spec
+    videos = []
+    problems = []
     with FaultSimulator(spec.task, robot=order.robot, variant=spec.variant) as simulator:
         try:
             rollout = run_expert(simulator, find_expert(spec.task), spec.episode())

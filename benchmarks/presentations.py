@@ -27,12 +27,16 @@ from kinebench_drake.io.frames import Frames
 from kinebench_drake.io.reader import read_video
 from kinebench_drake.models.panda.robot import hand_from_tcp
 
-WRONG_M, WRONG_RAD = 0.03, np.deg2rad(15.0)
+WRONG_M = 0.03
+WRONG_RAD = np.deg2rad(15.0)
 """Median errors of the TCP in the base frame beyond which it is wrong."""
-RIGHT_M, RIGHT_RAD = 0.02, np.deg2rad(5.0)
+RIGHT_M = 0.02
+RIGHT_RAD = np.deg2rad(5.0)
 """Median errors up to which it is right."""
 _SAME_M = 0.005  # distance of a recognized camera from the true one beyond which it is another
-_MIDDLE, _CORNER = 0.875, 0.9  # sides of a cropped picture over those of the whole one
+# sides of a cropped picture over those of the whole one
+_MIDDLE = 0.875
+_CORNER = 0.9
 
 
 class Presentation(Enum):
@@ -80,10 +84,12 @@ class Presentation(Enum):
         if self in _FOCALS:
             return frames, with_focal(camera, _FOCALS[self] * camera.fx)
         if self is Presentation.CORNER:
-            rows, columns = round(_CORNER * height), round(_CORNER * width)
+            rows = round(_CORNER * height)
+            columns = round(_CORNER * width)
             return np.ascontiguousarray(frames[:, :rows, width - columns :]), camera
         if self in (Presentation.MIDDLE, Presentation.NAMED_MIDDLE):
-            top, left = round((1 - _MIDDLE) / 2 * height), round((1 - _MIDDLE) / 2 * width)
+            top = round((1 - _MIDDLE) / 2 * height)
+            left = round((1 - _MIDDLE) / 2 * width)
             return np.ascontiguousarray(frames[:, top : height - top, left : width - left]), camera
         return frames, camera
 
@@ -165,8 +171,10 @@ class TrialWorker:
 
     def __call__(self, trial: Trial) -> Outcome:
         """Ground a trial and compare its track with the truth."""
-        clip, presentation = trial.clip, trial.presentation
-        truth, video = clip.load(), read_video(clip.video)
+        clip = trial.clip
+        presentation = trial.presentation
+        truth = clip.load()
+        video = read_video(clip.video)
         frames, camera = presentation.apply(video.frames, clip.camera.resized(video.width, video.height))
         setting = CameraSetting(camera=camera) if presentation.names_camera else None
         start = time.process_time()
@@ -175,7 +183,8 @@ class TrialWorker:
             result = self._grounder.ground(Clip(frames=frames, t_s=truth.t_s), setting)
         except UnmeasurableError as error:
             return replace(base, reason=str(error), cpu_s=round(time.process_time() - start, 2))
-        choice, track = result.choice, result.track
+        choice = result.choice
+        track = result.track
         position_m, rotation_rad = pose_difference(track.X_BG, clip.camera.X_BC @ truth.X_CH @ hand_from_tcp())
         compared = track.tracked & np.isfinite(position_m)
         estimate = choice.estimate
@@ -283,7 +292,8 @@ def find_trials(folder: Path, extra: Path | None) -> tuple[list[Trial], dict[tup
         UsageError: a folder has no clips with truth.
     """
     bounds = json.loads((folder / "bounds.json").read_text())
-    trials, expected = [], {}
+    trials = []
+    expected = {}
     for clip in find_clips(folder):
         for name, verdict in bounds[clip.id].items():
             trials.append(Trial(clip=clip, presentation=Presentation(name)))

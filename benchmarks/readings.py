@@ -30,7 +30,9 @@ from kinebench_drake.runs.tools import RobotOptions, Tools
 
 WORLD_M = np.array([-0.56, 0.0, 0.912])
 """Base of the robot in robosuite's world."""
-_SAME_M, _SAME_RAD = 1e-4, 1e-3  # of the numbers of a file, which are rounded
+# of the numbers of a file, which are rounded
+_SAME_M = 1e-4
+_SAME_RAD = 1e-3
 _STEP_S = 0.2
 _EE = ("x", "y", "z")
 
@@ -61,9 +63,12 @@ class _Files:
     """Writes one motion in many formats."""
 
     def __init__(self, folder: Path, q: Array, X_BG: Array) -> None:
-        self._folder, self.q, self.X = folder, q, X_BG
+        self._folder = folder
+        self.q = q
+        self.X = X_BG
         self.t_s: Array = _STEP_S * np.arange(len(q), dtype=np.float64)
-        self.p, self.rotation = X_BG[:, :3, 3], Rotation.from_matrix(X_BG[:, :3, :3])
+        self.p = X_BG[:, :3, 3]
+        self.rotation = Rotation.from_matrix(X_BG[:, :3, :3])
         self.quaternion = to_quaternion(X_BG[:, :3, :3])
         self.xyzw = self.quaternion[:, [1, 2, 3, 0]]
         self.rpy, self.vector = self.rotation.as_euler("xyz"), self.rotation.as_rotvec()
@@ -111,7 +116,9 @@ class _Files:
 def plausible_files(folder: Path, q: Array, X_BG: Array) -> Iterator[ReadingCase]:
     """Write files as people have them, of joint angles (T, 7) [rad] and their poses (T, 4, 4) [m]."""
     f = _Files(folder, q, X_BG)
-    t, deg, case = f.t_s, np.rad2deg(q), ReadingCase
+    t = f.t_s
+    deg = np.rad2deg(q)
+    case = ReadingCase
     numbers = ",".join(f"joint_{k}" for k in range(1, 8))
     yield case(
         name="csv of this program", path=f.text("a.csv", "t_s," + ",".join(f"q{k}_rad" for k in range(1, 8)), t, q)
@@ -193,7 +200,9 @@ def plausible_files(folder: Path, q: Array, X_BG: Array) -> Iterator[ReadingCase
 def mistaken_files(folder: Path, q: Array, X_BG: Array) -> Iterator[ReadingCase]:
     """Write files whose names say something else than their numbers are."""
     f = _Files(folder, q, X_BG)
-    t, case, pose = f.t_s, ReadingCase, "t_s,x,y,z,qw,qx,qy,qz"
+    t = f.t_s
+    case = ReadingCase
+    pose = "t_s,x,y,z,qw,qx,qy,qz"
     flange = X_BG @ invert(TOOLS["flange"])
     yield case(
         name="quaternions x y z w", path=f.text("A.csv", pose, t, f.p, f.xyzw), keys={"layout": "quaternion_xyzw"}
@@ -253,8 +262,10 @@ def _is_same(trajectory: Trajectory, q: Array, X_BG: Array) -> bool:
 
 def outcome_lines(count: int, seed: int) -> Iterator[str]:
     """Yield a line for each file, with how often each outcome came, over `count` expert-like motions."""
-    arm, tools = Arm(), Tools(RobotOptions())
-    by_names, by_file = defaultdict[str, Counter[str]](Counter), defaultdict[str, Counter[str]](Counter)
+    arm = Arm()
+    tools = Tools(RobotOptions())
+    by_names = defaultdict[str, Counter[str]](Counter)
+    by_file = defaultdict[str, Counter[str]](Counter)
     for index in range(count):
         rng = np.random.default_rng([seed, index])
         trajectory = draw_feasible(rng, arm, family=Family.SHIPPED, proven=False).trajectory(arm)

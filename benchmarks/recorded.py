@@ -18,7 +18,9 @@ _RATE_HZ = 20
 
 def audit_recordings(source: Path, work: Path, count: int | None, jobs: int) -> list[str]:
     """Return the figures of an audit of the first `count` recordings, by the command line."""
-    tracks, out, frames = work / "tracks", work / "out", 0
+    tracks = work / "tracks"
+    out = work / "out"
+    frames = 0
     tracks.mkdir()
     files = sorted(source.glob("*.json"))[:count]
     for file in files:

@@ -61,7 +61,9 @@ class _BlendedEstimator:
     """Network whose depth errors are scaled; where the truth is unknown, its depth remains."""
 
     def __init__(self, base: DenseEstimator, depth: ExternalDepth, share: float) -> None:
-        self._base, self._depth, self._share = base, depth, share
+        self._base = base
+        self._depth = depth
+        self._share = share
 
     def estimate(self, frames: Frames, camera: Camera, crops: Mapping[int, Crop]) -> Iterator[tuple[int, GripperView]]:
         for number, view in self._base.estimate(frames, camera, crops):
@@ -98,13 +100,15 @@ class _Worker:
     """Measures trials."""
 
     def __init__(self) -> None:
-        self._estimator, self._cad = NetworkEstimator(load_network(WEIGHTS)), GripperCad()
+        self._estimator = NetworkEstimator(load_network(WEIGHTS))
+        self._cad = GripperCad()
 
     def __call__(self, trial: RegistrationTrial) -> RegistrationErrors:
         clip = trial.clip.load(with_depth=True)
         if clip.depth_m is None:
             raise UsageError(f"{clip.id}: its truth holds no depth; make the videos with --with-depth")
-        kind, depth = trial.kind, ExternalDepth(depth_m=clip.depth_m, exact=True)
+        kind = trial.kind
+        depth = ExternalDepth(depth_m=clip.depth_m, exact=True)
         estimator: DenseEstimator = self._estimator
         if kind.network_share < 1.0 and not kind.exact:
             estimator = _BlendedEstimator(estimator, depth, kind.network_share)

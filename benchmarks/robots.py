@@ -51,7 +51,8 @@ class RobotWorker:
 
     def __init__(self, seed: int) -> None:
         """Load the robots."""
-        self._seed, self._arms = seed, {name: Arm(load_robot(name)) for name in ROBOTS}
+        self._seed = seed
+        self._arms = {name: Arm(load_robot(name)) for name in ROBOTS}
         self._judges = {name: TrackJudge(arm.plant) for name, arm in self._arms.items()}
 
     def __call__(self, index: int) -> RobotTrial:
@@ -61,7 +62,8 @@ class RobotWorker:
         base = draw_feasible(rng, arm, family=Family.JOINT if index // len(self._arms) % 2 else None)
         track = base.trajectory(arm)
         q = np.asarray(track.q)
-        truths, results = {}, {}
+        truths = {}
+        results = {}
         for name, own in self._arms.items():
             distance_m = None if base.proof is None else base.proof.self_distance_m  # the arms have one shape
             proof = prove(own, base.motion, base.start_s, base.start_s + base.t_s[-1], distance_m)
@@ -94,7 +96,8 @@ def shows_excess(limits: JointLimits, t_s: Array, q: Array) -> bool:
 
 def robot_table(trials: Sequence[RobotTrial]) -> Iterator[str]:
     """Format, for each robot and truth, how many motions are judged infeasible, and the exceptions."""
-    rows, notes = [], []
+    rows = []
+    notes = []
     for name in ROBOTS:
         for truth in Truth:
             own = [trial for trial in trials if trial.truths[name] is truth]

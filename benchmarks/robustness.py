@@ -35,9 +35,11 @@ TRUE_DEPTH = TrialCondition(name="true depth", variant="true-depth", group="true
 """Grounding with the depth of the ground truth."""
 FIGURE = Path("docs/robustness.png")
 """Figure of the docs, named in the section."""
-_GROWTH, _TRACKED = 1.25, 0.99
+_GROWTH = 1.25
+_TRACKED = 0.99
 """Growth of the median position error, and share of tracked frames, beyond which a perturbation is in the table."""
-_GROUNDING, _BASELINE = "grounding", "inverse dynamics"
+_GROUNDING = "grounding"
+_BASELINE = "inverse dynamics"
 _STYLES = ((_GROUNDING, "", -0.15, POSITION), (_BASELINE, f", {LEARNED}", 0.15, ROTATION))
 # Quantity, unit, and error within which a pose is good.
 _PANELS = (("position", "mm", 1e3 * bounds.GOOD_M), ("rotation", "deg", float(np.rad2deg(bounds.GOOD_RAD))))

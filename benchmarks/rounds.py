@@ -93,7 +93,8 @@ class StageClock:
         def timed(*arguments: Any, **options: Any) -> Any:
             if self._busy:
                 return function(*arguments, **options)
-            self._busy, start = True, time.process_time()
+            self._busy = True
+            start = time.process_time()
             try:
                 return function(*arguments, **options)
             finally:
@@ -105,7 +106,8 @@ class StageClock:
     def _episode(self, evaluate: Callable[..., Evaluation]) -> Callable[..., Evaluation]:
         @wraps(evaluate)
         def timed(evaluator: EpisodeEvaluator, sample: EpisodeSample, resources: EpisodeResources) -> Evaluation:
-            self._seconds, start = dict.fromkeys(Stage, 0.0), time.process_time()
+            self._seconds = dict.fromkeys(Stage, 0.0)
+            start = time.process_time()
             result = evaluate(evaluator, sample, resources)
             self._seconds[Stage.REST] = time.process_time() - start - sum(self._seconds.values())
             self.episodes[sample.id] = self._seconds

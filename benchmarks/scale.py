@@ -39,7 +39,8 @@ from kinebench_drake.runs.runner import NullRunObserver, run_samples
 from kinebench_drake.runs.score import VideoEvaluator
 
 BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
-_TASKS, _MODELS = 20, 4
+_TASKS = 20
+_MODELS = 4
 _LINKS = 60_000  # of a file; file systems allow about 65,000
 _FAILURES = {997: (Status.ERROR, "the file holds no frame that can be decoded ({k} bytes)")}
 _FAILURES |= {17: (Status.UNMEASURABLE, "the gripper was found in {k} of 49 frames, a path needs 2")}
@@ -96,10 +97,8 @@ class StubEvaluator(VideoEvaluator):
         model = resources[k % len(resources)]
         scale = float(rng.normal(1.0, 0.1))
         for kind in ("tracks", "thumbnails"):
-            source, target = (
-                artifact_path(self.template, kind, model.id),
-                artifact_path(self.config.out, kind, sample.id),
-            )
+            source = artifact_path(self.template, kind, model.id)
+            target = artifact_path(self.config.out, kind, sample.id)
             if source.is_file():
                 target.parent.mkdir(exist_ok=True)
                 target.unlink(missing_ok=True)
@@ -132,7 +131,8 @@ def measure(
         UsageError: there is no video, or no sample in the template.
         KinebenchError: a stage failed.
     """
-    source, out = work / "videos", work / "results"
+    source = work / "videos"
+    out = work / "results"
     _link_videos(videos, source, rows)
     shards = [work / f"shard-{k}" for k in (1, 2)]
     stages: list[StageCost] = []

@@ -25,7 +25,9 @@ from kinebench_drake.suites.families.registry import find_expert
 from kinebench_drake.suites.rollout import render_video, run_expert
 from kinebench_drake.suites.simulator import Simulator, Snapshot
 
-STEPS, IMAGES, ROUNDS = 40, 8, 5
+STEPS = 40
+IMAGES = 8
+ROUNDS = 5
 """Control steps and images timed in a round, and rounds."""
 STOCK = "StackCube-v1"
 """Task that ManiSkill also has."""
@@ -124,7 +126,8 @@ class _StockTask:
 def compare_with_stock() -> tuple[Array, Array]:
     """Return times ours / ManiSkill's own (ROUNDS,) of a control step and of an image, in turn in one process."""
     stock = _StockTask()
-    steps, images = [], []
+    steps = []
+    images = []
     with Simulator(STOCK) as simulator:
         simulator.reset(compose(STOCK, 0))
         rest = simulator.snapshot()

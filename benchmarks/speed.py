@@ -42,7 +42,8 @@ heldout_option = click.option(
 def _record(name: str, results: Path, figures: Mapping[str, float], section: str) -> None:
     """Print the section, write the result, and print what became worse since the result before."""
     click.echo(section)
-    before, now = BenchmarkRecord.read(name, results), BenchmarkRecord.of(name, figures, section)
+    before = BenchmarkRecord.read(name, results)
+    now = BenchmarkRecord.of(name, figures, section)
     log(now.write(results))
     for line in compare_records(before, now) if before else ():
         log(line)

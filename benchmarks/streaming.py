@@ -72,7 +72,8 @@ def measure(
         UsageError: nothing can be cut from the videos.
         KinebenchError: the run failed.
     """
-    source, out = work / "videos", work / "results"
+    source = work / "videos"
+    out = work / "results"
     cut_videos(videos, source, samples, frames)
     arguments = ["score", str(source), "--out", str(out), "--jobs", str(jobs), "--frame-period", "0.2"]
     run = run_program(

@@ -102,7 +102,8 @@ def _files(repository: Path, revision: str) -> Iterator[tuple[str, str]]:
     at = 0
     for name, _ in objects:
         header, _, _ = blobs[at:].partition(b"\n")
-        begin, size = at + len(header) + 1, int(header.split()[2])
+        begin = at + len(header) + 1
+        size = int(header.split()[2])
         yield name, blobs[begin : begin + size].decode()
         at = begin + size + 1
 

@@ -13,10 +13,14 @@ from kinebench_drake.geometry import Array
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.models.panda.robot import HAND_TO_TCP_M
 
-SHOULDER_M, OFFSET_M, FLANGE_M = 0.333, 0.088, 0.107 + HAND_TO_TCP_M
+SHOULDER_M = 0.333
+OFFSET_M = 0.088
+FLANGE_M = 0.107 + HAND_TO_TCP_M
 """Height of the shoulder, distance of wrist and flange axis, distance of wrist and TCP along the flange axis [m]."""
 
-_D3, _D5, _A4 = 0.316, 0.384, 0.0825
+_D3 = 0.316
+_D5 = 0.384
+_A4 = 0.0825
 _HAND_YAW = -np.pi / 4
 SWEEP = 4096
 """Angles of joint 7 over a full turn."""
@@ -93,7 +97,8 @@ def least_bend(arm: Arm, X_BG: Array, period_s: float) -> float:
     q_1, q_2, q_3 = (_allowed(arm, X, period_s, 512) for X in X_BG)
     if not len(q_1) or not len(q_2) or not len(q_3):
         return np.inf
-    speed, bend = arm.plant.velocity_limits * period_s, arm.acceleration_limits * period_s**2
+    speed = arm.plant.velocity_limits * period_s
+    bend = arm.acceleration_limits * period_s**2
     near = cKDTree(q_1 / speed).query_ball_tree(cKDTree(q_2 / speed), 1.0, p=np.inf)
     onward = [2.0 * q_2[j] - q_1[i][None] for i, j in enumerate(near) if j]
     if not onward:
@@ -120,7 +125,8 @@ def all_postures(plant: ArmPlant, X_BG: Array, q7: Array) -> Array:
     sign = np.array([1.0, -1.0])
     with np.errstate(invalid="ignore", divide="ignore"):
         # Joint 4: distance of shoulder and wrist.
-        P, Q = 2.0 * (_D3 * _D5 - _A4**2), -2.0 * _A4 * (_D3 + _D5)
+        P = 2.0 * (_D3 * _D5 - _A4**2)
+        Q = -2.0 * _A4 * (_D3 + _D5)
         C = np.sum(to_shoulder**2, axis=-1)[:, None, None] - (2.0 * _A4**2 + _D3**2 + _D5**2)
         q4 = np.arctan2(Q, P) + sign[:, None] * np.arccos(C / np.hypot(P, Q))  # (n, 2, 1)
         s4_x = _A4 - _A4 * np.cos(q4) - _D3 * np.sin(q4)
@@ -150,13 +156,19 @@ def all_postures(plant: ArmPlant, X_BG: Array, q7: Array) -> Array:
 
 
 def _about_x(angle: float) -> Array:
-    c, s = round(np.cos(angle)), round(np.sin(angle))  # quarter turns
+    # quarter turns
+    c = round(np.cos(angle))
+    s = round(np.sin(angle))
     return np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])
 
 
 def _about_z(angle: Array) -> Array:
-    c, s = np.cos(angle), np.sin(angle)
+    c = np.cos(angle)
+    s = np.sin(angle)
     R = np.zeros((*np.shape(angle), 3, 3))
-    R[..., 0, 0], R[..., 0, 1], R[..., 1, 0], R[..., 1, 1] = c, -s, s, c
+    R[..., 0, 0] = c
+    R[..., 0, 1] = -s
+    R[..., 1, 0] = s
+    R[..., 1, 1] = c
     R[..., 2, 2] = 1.0
     return R

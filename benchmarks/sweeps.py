@@ -16,7 +16,9 @@ from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.kinematics.sweep import RESOLUTION_M, sweep
 from kinebench_drake.models.arm import load_robot
 
-_FRAMES, _PERIOD_S, _OBSTACLES = 25, 0.2, 4
+_FRAMES = 25
+_PERIOD_S = 0.2
+_OBSTACLES = 4
 _TOLERANCE_M = 0.002
 _SPREAD_RAD = 0.35  # of the knots of a motion about the rest posture
 _SCENES = 10  # of as many tracks each
@@ -40,13 +42,16 @@ def compare(count: int, samples: int, seed: int) -> list[str]:
                 contacts = sweep(plant, model, q, width, _TOLERANCE_M)
                 middle = time.process_time()
                 dense = _sample(plant, model, q, width, samples)
-                sweep_s, dense_s = sweep_s + middle - start, dense_s + time.process_time() - middle
+                sweep_s = sweep_s + middle - start
+                dense_s = dense_s + time.process_time() - middle
                 swept = {(c.link, c.obstacle): c.distance_m for c in contacts}
                 none = np.full(2 * _FRAMES - 1, np.inf)
                 for pair in dense.keys() | swept.keys():
-                    a, b = swept.get(pair, none), dense.get(pair, none)
+                    a = swept.get(pair, none)
+                    b = dense.get(pair, none)
                     deep = b < -_TOLERANCE_M - RESOLUTION_M
-                    slots, hits = slots + int(deep.sum()), hits + int(np.isfinite(a).sum())
+                    slots = slots + int(deep.sum())
+                    hits = hits + int(np.isfinite(a).sum())
                     missed += int((deep & np.isinf(a)).sum())
                     extra += int((np.isfinite(a) & ~(b < -_TOLERANCE_M)).sum())
                     error_m = max(error_m, float(np.max((a - b)[deep & np.isfinite(a)], initial=0.0)))
@@ -69,7 +74,8 @@ def _write_scene(folder: Path, rng: np.random.Generator) -> Path:
     """Write random obstacles in front of the arm, thin ones among them."""
     obstacles = []
     for k in range(_OBSTACLES):
-        azimuth, distance = rng.uniform(-1.2, 1.2), rng.uniform(0.35, 0.75)
+        azimuth = rng.uniform(-1.2, 1.2)
+        distance = rng.uniform(0.35, 0.75)
         place = [distance * np.cos(azimuth), distance * np.sin(azimuth), rng.uniform(0.05, 0.8)]
         turn = rng.normal(size=4)
         shape = [

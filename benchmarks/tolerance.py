@@ -42,7 +42,8 @@ def draw_tolerance(source: Path, out: Path) -> None:
             of_error = [attempt for attempt in own if attempt["error"] in (None, error.value)]
             sizes = sorted({float(str(attempt["size"])) for attempt in of_error})
             hits = [[bool(a["success"]) for a in of_error if float(str(a["size"])) == size] for size in sizes]
-            x, shares = [size * (1.0 if delay else 1000.0) for size in sizes], [sum(own) / len(own) for own in hits]
+            x = [size * (1.0 if delay else 1000.0) for size in sizes]
+            shares = [sum(own) / len(own) for own in hits]
             [lines[error]] = where.plot(x, shares, markersize=3, linewidth=1.2, **style)
     for ax in axes.flat[len(tasks) + 1 :]:
         ax.axis("off")

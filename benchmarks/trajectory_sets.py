@@ -131,7 +131,9 @@ class _Writer:
     """Draws and writes one trajectory after the other."""
 
     def __init__(self, recipe: Recipe, out: Path) -> None:
-        self._recipe, self._out, self._arm = recipe, out, Arm()
+        self._recipe = recipe
+        self._out = out
+        self._arm = Arm()
 
     def __call__(self, index: int) -> TrajectoryTruth:
         trajectory, truth = draw(self._recipe, index, self._arm)

@@ -45,12 +45,14 @@ from kinebench_drake.suites.simulator import Simulator
 from kinebench_drake.suites.simulator_cache import SimulatorCache
 from kinebench_drake.track import GripperTrack
 
-SUITE, SPLIT = 2, "unseen"
+SUITE = 2
+SPLIT = "unseen"
 """Episodes with the half of the assets and looks that the networks were not trained on."""
 SIZES = 3
 """Sizes of each kind of fault."""
 _CRF = 16
-_TRIALS, _STUDY = "trials.jsonl", "study.json"
+_TRIALS = "trials.jsonl"
+_STUDY = "study.json"
 _TRIES = 20  # episodes of each task that may fail without a fault before the study gives up
 
 
@@ -196,7 +198,8 @@ def _plant(
     order = partial(
         PlantingOrder, robot="panda", grades=grades, with_clean=True, with_depth=False, crf=_CRF, out=folder
     )
-    specs, solved = study_specs(), list[PlantingResult]()
+    specs = study_specs()
+    solved = list[PlantingResult]()
     while len(solved) < episodes:
         orders = [order(spec=spec) for spec in islice(specs, episodes - len(solved))]
         if not orders:

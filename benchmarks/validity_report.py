@@ -210,7 +210,8 @@ def draw_separation(study: Study) -> "Figure":
     image = ax.imshow(area, cmap="PuOr_r", vmin=0.0, vmax=1.0, aspect="auto")
     for i, name in enumerate(NUMBERS):
         for j, grade in enumerate(grades):
-            response, significant = study.responses[name, grade], study.is_significant(name, grade)
+            response = study.responses[name, grade]
+            significant = study.is_significant(name, grade)
             dark = abs(area[i, j] - 0.5) > 0.35
             style = {"color": "white" if dark else "black", "fontweight": "bold" if significant else "normal"}
             ax.text(j, i, f"{area[i, j]:.2f}", ha="center", va="center", fontsize=7, **style)
@@ -272,7 +273,9 @@ def draw_responses(study: Study) -> "Figure":
 
 def _draw_curve(ax: Any, responses: Sequence[Response], color: str) -> None:
     x = [0.0]
-    value, low, high = [0.0], [0.0], [0.0]
+    value = [0.0]
+    low = [0.0]
+    high = [0.0]
     for i, r in enumerate(responses, 1):
         if r.change is not None:
             ends = (r.change.low, r.change.high) if np.isfinite(r.change.low) else (r.change.value, r.change.value)
@@ -292,9 +295,11 @@ def draw_success(study: Study, correlations: Mapping[str, SuccessCorrelation]) -
     """Draw success by fault and size, and the rank correlation of each number with success, with intervals."""
     figure, axes = new_figure(13.0, 6.4, 1, 2)
     left, right = axes[0]
-    labels, x = list[str](), 0
+    labels = list[str]()
+    x = 0
     for grade, trials in [(None, study.clean), *((g, study.faulty[g]) for k in study.kinds for g in study.grades(k))]:
-        n, hits = len(trials), _successes(list(trials.values()))
+        n = len(trials)
+        hits = _successes(list(trials.values()))
         low, high = wilson(hits, n)
         color = "#5a9a4a" if grade is None else POSITION
         left.plot([low, high], [x, x], color=color, linewidth=1.6)

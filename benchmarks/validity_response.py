@@ -107,7 +107,8 @@ class Study:
                 self.faulty.setdefault(Grade(kind=t.kind, size=t.size), {})[t.episode] = t
         if not self.clean:
             raise InputError("the study has no clean video")
-        self.trials, self._seed = tuple(trials), seed
+        self.trials = tuple(trials)
+        self._seed = seed
 
     @property
     def kinds(self) -> list[AnomalyKind]:
@@ -212,7 +213,8 @@ def correlate(study: Study, name: str, seed: int = 0) -> SuccessCorrelation:
 
 def _correlation(x: Array, y: Array, group: NDArray[np.intp], counts: Array) -> IntervalEstimate:
     """Return Pearson's coefficient of (N,) values with its interval over resamples of their groups (R, G)."""
-    x, y = x - x.mean(), y - y.mean()
+    x = x - x.mean()
+    y = y - y.mean()
     sums = np.stack([np.bincount(group, weights=w) for w in (np.ones(len(x)), x, y, x * x, y * y, x * y)], axis=1)
     n, sx, sy, sxx, syy, sxy = (np.vstack([np.ones(counts.shape[1]), counts]) @ sums).T
     spread = (sxx - sx**2 / n) * (syy - sy**2 / n)

@@ -30,7 +30,9 @@ CHANGES = {
     "zoom": ViewChange(kind=ViewKind.ZOOM, size=0.05),
 }
 """Changes of the view over a clip, by name."""
-_FRAMES, _FPS, _CRF = 49, 17, 16
+_FRAMES = 49
+_FPS = 17
+_CRF = 16
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -57,7 +59,8 @@ def render(spec: EpisodeSpec, name: str, out: Path) -> None:
     Raises:
         InputError: the expert finds no path.
     """
-    episode, change = spec.episode(), CHANGES[name]
+    episode = spec.episode()
+    change = CHANGES[name]
     simulator = FaultSimulator(episode.task, variant=episode.variant)
     try:
         snapshots = run_expert(simulator, find_expert(episode.task), episode).snapshots[:_FRAMES]
@@ -75,7 +78,8 @@ def render(spec: EpisodeSpec, name: str, out: Path) -> None:
 def try_clip(id: str, name: str, path: Path, pipeline: GroundingPipeline) -> ViewTrial:
     """Ground a rendered clip and compare it with its true poses."""
     with open_npz(path.with_suffix(".npz")) as truth:
-        t_s, X_BG = truth["t_s"], truth["base_from_tcp"]
+        t_s = truth["t_s"]
+        X_BG = truth["base_from_tcp"]
     result = pipeline.ground(read_video(path.with_suffix(".mp4")).frames, benchmark_camera(), t_s)
     tracked = result.track.tracked
     distance, angle = (e[tracked] for e in pose_difference(result.track.X_BG, X_BG))

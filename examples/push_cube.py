@@ -61,7 +61,8 @@ class PushCube(Task):
 
     def expert(self, scene: Scene) -> list[Waypoint]:
         """Come down behind the cube and push it to the target's centre."""
-        cube, goal = scene.poses["cube"][:3, 3], scene.poses["target"][:3, 3]
+        cube = scene.poses["cube"][:3, 3]
+        goal = scene.poses["target"][:3, 3]
         R = grasp_rotation(DOWN, scene.X_BG[:3, 1])
         edge = scene.size("cube", "edge_m")
         behind = make_pose(R, [cube[0] - 0.7 * edge - FINGER_M - 0.01, cube[1], 0.02])

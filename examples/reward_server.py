@@ -35,9 +35,11 @@ class Handler(BaseHTTPRequestHandler):
                 raise ValueError(f"{size} bytes that are no whole npz file")
             body.seek(0)
             with np.load(body, allow_pickle=False) as ask:
-                frames, camera = ask["frames"], None
+                frames = ask["frames"]
+                camera = None
                 if "K" in ask:
-                    K, (height, width) = ask["K"], frames.shape[1:3]
+                    K = ask["K"]
+                    (height, width) = frames.shape[1:3]
                     focal = {"fx": K[0, 0], "fy": K[1, 1], "cx": K[0, 2], "cy": K[1, 2]}
                     camera = Camera(width=width, height=height, X_BC=ask["base_from_camera"], **focal)
                 answer = asdict(self.scorer(frames, camera=camera, period_s=float(ask["period_s"])))

@@ -116,7 +116,9 @@ class GroundingPipeline:
 
         The motion of a camera is checked by the faster `arm_tracker`; None for the same.
         """
-        self._tracker, self._arm_tracker, self._confidence = tracker, arm_tracker or tracker, confidence
+        self._tracker = tracker
+        self._arm_tracker = arm_tracker or tracker
+        self._confidence = confidence
         self._gripper = gripper
 
     @classmethod
@@ -161,8 +163,10 @@ class GroundingPipeline:
         if priors.initial_state is not None:
             priors = priors.with_first_pose(_initial_hand_pose(priors.initial_state, camera), len(frames))
         observation = self.observe(frames, camera, t_s, priors)
-        poses, evidence = observation.poses, observation.evidence
-        motion, detections = evidence.motion, find_anomalies(evidence)
+        poses = observation.poses
+        evidence = observation.evidence
+        motion = evidence.motion
+        detections = find_anomalies(evidence)
         no_poses = np.full((len(frames), 4, 4), np.nan)
         X_prior = no_poses if priors.X_CH is None else motion.X_AC @ priors.X_CH
         if priors.initial_state is not None and priors.X_CH is not None:
@@ -216,7 +220,8 @@ class GroundingPipeline:
         If the camera moves, it is followed, and frames warped into the orientation of the first camera are measured.
         Arguments are those of `ground`, with the camera at the size of the frames.
         """
-        stabilized, tracks = not priors.replaces_stage, FeatureTracks(frames)
+        stabilized = not priors.replaces_stage
+        tracks = FeatureTracks(frames)
         motion = self._follow(frames, tracks, camera, priors) if stabilized else None
         if motion is not None:
             tracking = self._tracker.track(*motion.stabilize(frames, camera), priors, motion.places)
@@ -318,5 +323,6 @@ def _gripper_width(poses: Sequence[FramePose | None], tracked: NDArray[np.bool_]
     by_edges = [p.gap_log_likelihood if p and ok else None for p, ok in zip(poses, tracked, strict=True)]
     if priors.finger_width_m is not None:
         from_prior = np.isfinite(priors.finger_width_m)
-        width, sigma = np.where(from_prior, priors.finger_width_m, width), np.where(from_prior, 0.0, sigma)
+        width = np.where(from_prior, priors.finger_width_m, width)
+        sigma = np.where(from_prior, 0.0, sigma)
     return np.where(tracked, smooth_gripper_width(width, sigma, by_edges), np.nan)

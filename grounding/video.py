@@ -17,7 +17,8 @@ class Grounder:
 
         The height of the table top in the robot base frame [m] is `table_height_m` where the camera states none.
         """
-        self._parts, self._table_height_m = parts or GroundingParts(), table_height_m
+        self._parts = parts or GroundingParts()
+        self._table_height_m = table_height_m
 
     def ground(
         self,

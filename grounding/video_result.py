@@ -39,7 +39,8 @@ class GroundingResult(PipelineResult):
     @property
     def unmeasurable(self) -> str | None:
         """Why the track cannot be measured although a gripper is seen; None if it can."""
-        track, tracked = self.track, int(self.track.tracked.sum())
+        track = self.track
+        tracked = int(self.track.tracked.sum())
         if tracked >= bounds.MIN_TRACKED:
             return None
         subject = "the flange" if self.domain is Domain.ARM else "a gripper"

@@ -85,7 +85,8 @@ class Camera:
         Raises:
             UsageError: the aspect ratio differs by more than 1 % (a crop or letter-box, which is no scaling).
         """
-        sx, sy = width / self.width, height / self.height
+        sx = width / self.width
+        sy = height / self.height
         if abs(sx / sy - 1.0) > 0.01:
             raise UsageError(
                 f"camera is {self.width} x {self.height}, the video {width} x {height}: the aspect ratios differ; "
@@ -150,7 +151,8 @@ class CameraSetting:
         """
         camera = Camera.from_json(data, source)
         assert isinstance(data, dict)
-        mirrored, height_m = data.get("mirrored", False), data.get("table_height_m")
+        mirrored = data.get("mirrored", False)
+        height_m = data.get("table_height_m")
         if not isinstance(mirrored, bool):
             raise UsageError(f"{source}: mirrored must be true or false, found {mirrored!r}")
         is_number = isinstance(height_m, int | float) and not isinstance(height_m, bool)

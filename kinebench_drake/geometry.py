@@ -15,7 +15,8 @@ Array = NDArray[np.float64]
 
 def make_pose(R: ArrayLike, p: ArrayLike) -> Array:
     """Return poses (..., 4, 4) from rotation matrices `R` (..., 3, 3) and positions `p` (..., 3) [m]."""
-    R, p = np.asarray(R, dtype=np.float64), np.asarray(p, dtype=np.float64)
+    R = np.asarray(R, dtype=np.float64)
+    p = np.asarray(p, dtype=np.float64)
     X = np.zeros((*np.broadcast_shapes(R.shape[:-2], p.shape[:-1]), 4, 4))
     X[..., :3, :3] = R
     X[..., :3, 3] = p
@@ -40,7 +41,8 @@ def checked_pose(X: ArrayLike) -> Array:
     if X.shape != (4, 4) or not np.isfinite(X).all():
         raise InputError(f"must be a finite 4x4 matrix, found shape {X.shape}")
     R = X[:3, :3]
-    error, det = float(np.abs(R @ R.T - np.eye(3)).max()), float(np.linalg.det(R))
+    error = float(np.abs(R @ R.T - np.eye(3)).max())
+    det = float(np.linalg.det(R))
     if error > 1e-3 or det < 0 or not np.allclose(X[3], [0, 0, 0, 1], atol=1e-9):
         raise InputError(
             f"is not a rigid pose (rotation off by {error:.1e}, determinant {det:.3f}); expected a rotation, a "
@@ -51,7 +53,8 @@ def checked_pose(X: ArrayLike) -> Array:
 
 def transform_points(X: ArrayLike, points: ArrayLike) -> Array:
     """Transform points (..., N, 3) [m] by poses `X` (..., 4, 4)."""
-    X, points = np.asarray(X, dtype=np.float64), np.asarray(points, dtype=np.float64)
+    X = np.asarray(X, dtype=np.float64)
+    points = np.asarray(points, dtype=np.float64)
     return np.asarray(points @ np.swapaxes(X[..., :3, :3], -1, -2) + X[..., None, :3, 3])
 
 
@@ -72,7 +75,8 @@ def rotation_angle(R: ArrayLike) -> Array:
 
 def pose_difference(X_1: ArrayLike, X_2: ArrayLike) -> tuple[Array, Array]:
     """Return the distance [m] of the origins and the rotation angle [rad] between poses (..., 4, 4)."""
-    X_1, X_2 = np.asarray(X_1, dtype=np.float64), np.asarray(X_2, dtype=np.float64)
+    X_1 = np.asarray(X_1, dtype=np.float64)
+    X_2 = np.asarray(X_2, dtype=np.float64)
     distance = np.linalg.norm(X_1[..., :3, 3] - X_2[..., :3, 3], axis=-1)
     return distance, rotation_angle(np.swapaxes(X_1[..., :3, :3], -1, -2) @ X_2[..., :3, :3])
 
@@ -93,7 +97,8 @@ def rotation_exp(w: ArrayLike) -> Array:
 
 def rotation_z(angle_rad: float) -> Array:
     """Rotation matrix (3, 3) about z."""
-    c, s = np.cos(angle_rad), np.sin(angle_rad)
+    c = np.cos(angle_rad)
+    s = np.sin(angle_rad)
     return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
@@ -119,6 +124,7 @@ def to_quaternion(R: ArrayLike) -> Array:
 
 def interpolate_pose(X_1: ArrayLike, X_2: ArrayLike, s: float) -> Array:
     """Return the pose (4, 4) at fraction `s` from `X_1` (s = 0) to `X_2` (s = 1): straight line, shortest rotation."""
-    X_1, X_2 = np.asarray(X_1, dtype=np.float64), np.asarray(X_2, dtype=np.float64)
+    X_1 = np.asarray(X_1, dtype=np.float64)
+    X_2 = np.asarray(X_2, dtype=np.float64)
     step = rotation_log(X_1[:3, :3].T @ X_2[:3, :3])
     return make_pose(X_1[:3, :3] @ rotation_exp(s * step), (1.0 - s) * X_1[:3, 3] + s * X_2[:3, 3])

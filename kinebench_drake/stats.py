@@ -71,7 +71,8 @@ def _means_of_many(values: Array, rng: np.random.Generator) -> Array:
     """
     n = len(values)
     order = np.argsort(np.abs(values - values.mean()), kind="stable")
-    middle, extreme = values[order[:-_EXTREME]], values[order[-_EXTREME:]]
+    middle = values[order[:-_EXTREME]]
+    extreme = values[order[-_EXTREME:]]
     counts = rng.multinomial(n, [*[1.0 / n] * _EXTREME, 1.0 - _EXTREME / n], size=RESAMPLES)
     of_middle = counts[:, -1]
     sums = of_middle * middle.mean() + np.sqrt(of_middle) * middle.std() * rng.standard_normal(RESAMPLES)
@@ -121,7 +122,8 @@ def share_interval(shares: Array, rng: np.random.Generator) -> tuple[float, floa
     their samples (cluster bootstrap; Davison and Hinkley, Bootstrap Methods and their Application, 1997, section 3.8).
     If all shares are equal it is Wilson's for as many samples as there are episodes.
     """
-    n, hits = len(shares), math.fsum(shares)
+    n = len(shares)
+    hits = math.fsum(shares)
     if np.isin(shares, (0.0, 1.0)).all():
         return wilson(round(hits), n)
     if np.ptp(shares) < 1e-12:
@@ -177,9 +179,11 @@ def independent_mean_difference(first: Array, second: Array, rng: np.random.Gene
         (p, p_low, p_high), (q, q_low, q_high) = (
             (float(own.mean()), *wilson(int(own.sum()), len(own))) for own in (a, b)
         )
-        low, high = np.hypot(p - p_low, q_high - q), np.hypot(p_high - p, q - q_low)
+        low = np.hypot(p - p_low, q_high - q)
+        high = np.hypot(p_high - p, q - q_low)
         return IntervalEstimate(value=value, low=max(-1.0, value - float(low)), high=min(1.0, value + float(high)))
-    low, high = np.nan, np.nan
+    low = np.nan
+    high = np.nan
     if min(len(a), len(b)) > 1:
         draws = resampled_means(a, rng) - resampled_means(b, rng)
         low, high = percentile_interval(draws) if np.ptp(draws) > 1e-12 else (np.nan, np.nan)
@@ -223,7 +227,8 @@ def sign_flip_test(differences: Array) -> float:
         wider[: len(probability)] += 0.5 * probability
         wider[2 * step :] += 0.5 * probability
         probability = wider
-    middle, observed = len(probability) // 2, abs(int(steps.sum()))
+    middle = len(probability) // 2
+    observed = abs(int(steps.sum()))
     return min(1.0, float(probability[: middle - observed + 1].sum() + probability[middle + observed :].sum()))
 
 
@@ -233,12 +238,16 @@ def paired_share_interval(first: Array, second: Array) -> tuple[float, float]:
     Method 10 of Newcombe (Stat. Med. 17, 1998, pp. 2635-2650): the Wilson intervals of both shares, combined with the
     phi coefficient of the outcomes, with his continuity correction where it is positive.
     """
-    n, hits_1, hits_2, both = len(first), int(first.sum()), int(second.sum()), int(first @ second)
+    n = len(first)
+    hits_1 = int(first.sum())
+    hits_2 = int(second.sum())
+    both = int(first @ second)
     (p_1, l_1, u_1), (p_2, l_2, u_2) = ((hits / n, *wilson(hits, n)) for hits in (hits_1, hits_2))
     product = hits_1 * (n - hits_1) * hits_2 * (n - hits_2)
     determinant = both * n - hits_1 * hits_2
     corrected = max(determinant - n / 2.0, 0.0) if determinant > 0 else float(determinant)
-    phi, d = float(corrected / np.sqrt(product)) if product else 0.0, (hits_1 - hits_2) / n
+    phi = float(corrected / np.sqrt(product)) if product else 0.0
+    d = (hits_1 - hits_2) / n
     low = (p_1 - l_1) ** 2 - 2.0 * phi * (p_1 - l_1) * (u_2 - p_2) + (u_2 - p_2) ** 2
     high = (u_1 - p_1) ** 2 - 2.0 * phi * (u_1 - p_1) * (p_2 - l_2) + (p_2 - l_2) ** 2
     return max(-1.0, d - float(np.sqrt(max(low, 0.0)))), min(1.0, d + float(np.sqrt(max(high, 0.0))))

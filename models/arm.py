@@ -22,14 +22,16 @@ from kinebench_drake.models.panda.robot import rest_q as panda_rest_q
 from kinebench_drake.models.robot import Robot
 from kinebench_drake.models.urdf import convert_urdf, read_allowed_pairs, read_urdf, srdf_path
 
-PANDA, FR3 = "panda", "fr3"
+PANDA = "panda"
+FR3 = "fr3"
 ROBOTS: Mapping[str, LimitTable] = MappingProxyType({PANDA: PANDA_LIMITS, FR3: FR3_LIMITS})
 """Robots by name, with their published limits; both on mani_skill's URDF of the Panda."""
 MAX_PAYLOAD_KG = 50.0
 """Greatest payload [kg]; more is taken for another unit."""
 
 _TCP = "tcp"  # attribute of the root element of a converted URDF: name of the link whose frame is G
-_TOOL_LINK, _PAYLOAD_LINK = "added_tool", "added_payload"
+_TOOL_LINK = "added_tool"
+_PAYLOAD_LINK = "added_payload"
 
 
 @cache
@@ -190,8 +192,10 @@ def _count_visuals(root: ElementTree.Element) -> dict[str, int]:
 
 def _read(urdf: Path) -> Robot:
     """Read a converted robot."""
-    root, srdf = read_urdf(urdf), srdf_path(urdf)
-    tree, tcp = LinkTree(urdf.name, root), str(root.get(_TCP))
+    root = read_urdf(urdf)
+    srdf = srdf_path(urdf)
+    tree = LinkTree(urdf.name, root)
+    tcp = str(root.get(_TCP))
     joints = tree.arm(tcp)
     names = tuple(str(joint.get("name")) for joint in joints)
     limits = read_limits(urdf.name, joints)

@@ -138,7 +138,8 @@ def read_limits(file: str, joints: Sequence[ElementTree.Element]) -> JointLimits
         if not 0.0 < velocity[k] < math.inf:
             raise InputError(f"{name} has no positive velocity limit; state it in its <limit> element")
         if joint.get("type") == "continuous":
-            lower[k], upper[k] = -math.pi, math.pi
+            lower[k] = -math.pi
+            upper[k] = math.pi
         if not -math.inf < lower[k] < upper[k] < math.inf:
             raise InputError(
                 f"{name} has the limits {lower[k]:g} and {upper[k]:g} rad, expected lower < upper, both stated"
@@ -153,7 +154,8 @@ def read_limits(file: str, joints: Sequence[ElementTree.Element]) -> JointLimits
             if not stated > 0.0:
                 raise InputError(f"{name} has the {what} limit {stated:g}, expected {unit}")
             values[field][k] = stated
-    offset, deceleration = values["velocity_offset_rad_s"], values["deceleration_rad_s2"]
+    offset = values["velocity_offset_rad_s"]
+    deceleration = values["deceleration_rad_s2"]
     if np.isnan([offset, deceleration]).any() != np.isnan([offset, deceleration]).all():
         raise InputError(f"{file}: position_based_velocity_limits need both attributes at each of the seven joints")
     depends = bool(np.isfinite(offset).all())

@@ -27,7 +27,8 @@ class LinkTree:
         self.joints = root.findall("joint")
         self.inboard: dict[str, ElementTree.Element] = {}
         for joint in self.joints:
-            name, child = joint.get("name"), end_link(joint, "child")
+            name = joint.get("name")
+            child = end_link(joint, "child")
             if joint.get("type") not in JOINT_TYPES:
                 raise InputError(f"{file}: joint {name} is {joint.get('type')}, expected {', '.join(JOINT_TYPES)}")
             for end in (end_link(joint, "parent"), child):

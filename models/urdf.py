@@ -13,7 +13,8 @@ from kinebench_drake.io.files import cache_folder
 from kinebench_drake.models.obstacles import SCHEME
 
 _CONVERSION = "5"  # version of the conversion; increment it with every change to invalidate caches
-_VISUAL_MATERIAL, _VISUAL_COLOR = "plain_white", "0.9 0.92 0.93 1"
+_VISUAL_MATERIAL = "plain_white"
+_VISUAL_COLOR = "0.9 0.92 0.93 1"
 
 
 def read_urdf(source: Path) -> ElementTree.Element:

@@ -47,15 +47,19 @@ def task_panels(executor: Executor, episodes: Sequence[Episode]) -> list[Panel]:
 
 
 def _render_panel(simulator: Simulator, episode: Episode) -> Panel:
-    text, failed = episode.prompt, False
+    text = episode.prompt
+    failed = False
     try:
         rollout = run_expert(simulator, find_expert(episode.task), episode)
         snapshots = [rollout.snapshots[0], rollout.snapshots[-1]]
         if not rollout.outcome.success:
-            text, failed = rollout.outcome.reason, True
+            text = rollout.outcome.reason
+            failed = True
     except InputError as error:
         simulator.reset(episode)
-        snapshots, text, failed = [simulator.snapshot()], str(error), True
+        snapshots = [simulator.snapshot()]
+        text = str(error)
+        failed = True
     images = []
     for snapshot in snapshots:
         simulator.set_snapshot(snapshot)

@@ -112,10 +112,12 @@ class VideoFolder(DemoFormat):
 
     @override
     def finish(self, config: DemoConfig, records: Sequence[Record]) -> list[Path]:
-        folder, options = config.out, config.options
+        folder = config.out
+        options = config.options
         timing = {"frames": options.frames, "fps": options.fps, "frame_period_s": options.frame_period_s}
         source = {"suite": config.suite.number, "split": config.split}
-        labels, lines = [], []
+        labels = []
+        lines = []
         for record in records:
             common = {"task": record.task, "seed": record.seed}
             for k, name in enumerate(_clip_names(record.task, record.id, record.clips)):
@@ -155,7 +157,9 @@ class LeRobot(DemoFormat):
 
     @override
     def write_part(self, folder: Path, simulator: Simulator, rollout: Rollout, options: RenderOptions) -> None:
-        video, id, every = render_video(simulator, rollout.snapshots), rollout.episode.id, options.every
+        video = render_video(simulator, rollout.snapshots)
+        id = rollout.episode.id
+        every = options.every
         write_arrays(truth_file(folder, id), ground_truth(rollout, video, options))
         actions = rollout.controls[every - 1 :: every]  # command until the next frame; the last frame repeats it
         action = np.concatenate([actions, actions[-1:]])
@@ -166,7 +170,8 @@ class LeRobot(DemoFormat):
     @override
     def finish(self, config: DemoConfig, records: Sequence[Record]) -> list[Path]:
         prompts = {record.id: record.prompt for record in records}
-        camera, parts = config.options.camera, config.out / PARTS
+        camera = config.options.camera
+        parts = config.out / PARTS
         size = (camera.width, camera.height)
         return lerobot.join_parts(config.out, parts, prompts, config.options.fps, camera, size=size)
 
@@ -199,7 +204,8 @@ class ManiSkill(DemoFormat):
 
     @override
     def write_part(self, folder: Path, simulator: Simulator, rollout: Rollout, options: RenderOptions) -> None:
-        recorder, controls = cast(RecordingSimulator, simulator), rollout.controls
+        recorder = cast(RecordingSimulator, simulator)
+        controls = rollout.controls
         maniskill.write_part(
             folder / PARTS / f"{rollout.episode.id}.npz",
             np.stack([Simulator.action(row[:7], row[7]) for row in controls]),
@@ -251,7 +257,8 @@ def cut_clips(rollout: Rollout, video: RolloutVideo, options: RenderOptions) -> 
     """Yield each clip of a rollout with its video; its last frame is the first of the next clip."""
     n = options.frames - 1
     for k in range(len(rollout.controls) // CLIP_STEPS):
-        frames, controls = slice(k * n, (k + 1) * n + 1), slice(k * CLIP_STEPS, (k + 1) * CLIP_STEPS)
+        frames = slice(k * n, (k + 1) * n + 1)
+        controls = slice(k * CLIP_STEPS, (k + 1) * CLIP_STEPS)
         snapshots = rollout.snapshots[frames]
         yield replace(rollout, snapshots=snapshots, controls=rollout.controls[controls]), video.select(frames)
 
@@ -265,8 +272,11 @@ def ground_truth(rollout: Rollout, video: RolloutVideo, options: RenderOptions) 
     """Return the ground truth arrays of a video's frames, by name (docs/suites.md)."""
     from kinebench_drake.suites.scene.builder import X_WB
 
-    snapshots, controls, X_BW = rollout.snapshots, rollout.controls, invert(X_WB)
-    names, joints = list(snapshots[0].objects), list(snapshots[0].joints)
+    snapshots = rollout.snapshots
+    controls = rollout.controls
+    X_BW = invert(X_WB)
+    names = list(snapshots[0].objects)
+    joints = list(snapshots[0].joints)
     objects = [[snapshot.objects[name] for name in names] for snapshot in snapshots]
     positions = np.array([[snapshot.joints[name] for name in joints] for snapshot in snapshots])
     images: dict[str, NDArray[Any]] = {}

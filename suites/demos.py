@@ -28,7 +28,8 @@ from kinebench_drake.suites.rollout import run_expert
 from kinebench_drake.suites.simulator import Simulator
 from kinebench_drake.suites.simulator_cache import SimulatorCache, SimulatorWorker, failure_reason
 
-RECORDS, SUMMARY = "demos.jsonl", "demos.json"
+RECORDS = "demos.jsonl"
+SUMMARY = "demos.json"
 EXTRA_TRIES = 10
 """A task is given up after twice the number of demonstrations plus this number of tries."""
 
@@ -51,11 +52,16 @@ class DemoSummary:
 def _attempt(simulator: Simulator, spec: EpisodeSpec, config: DemoConfig) -> Record:
     """Let the expert try an episode; write its part of the demonstrations if it succeeds."""
     episode = spec.episode()
-    success, progress, reason, clips = False, 0.0, "", 0
+    success = False
+    progress = 0.0
+    reason = ""
+    clips = 0
     try:
         rollout = run_expert(simulator, find_expert(spec.task), episode, every=config.options.every)
-        outcome, clips = rollout.outcome, len(rollout.controls) // CLIP_STEPS
-        success, progress = outcome.success and clips > 0, outcome.progress
+        outcome = rollout.outcome
+        clips = len(rollout.controls) // CLIP_STEPS
+        success = outcome.success and clips > 0
+        progress = outcome.progress
         reason = "" if success else outcome.reason or "done before anything moved"
     except Exception as error:
         reason = failure_reason(error)

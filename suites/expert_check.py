@@ -49,7 +49,8 @@ def _run_trial(simulator: Simulator, episode: Episode, policy: Policy) -> Expert
     try:
         if policy is Policy.EXPERT:
             rollout = run_expert(simulator, find_expert(episode.task), episode)
-            outcome, frames = rollout.outcome, len(rollout.snapshots)
+            outcome = rollout.outcome
+            frames = len(rollout.snapshots)
         else:
             outcome, frames = _run_open_loop(simulator, episode, policy)
     except Exception as error:
@@ -61,7 +62,8 @@ def _run_open_loop(simulator: Simulator, episode: Episode, policy: Policy) -> tu
     """Run a policy without feedback for at most the steps of the expert; return outcome and number of frames."""
     simulator.reset(episode)
     start = simulator.snapshot()
-    q, width = start.q.copy(), start.finger_width_m
+    q = start.q.copy()
+    width = start.finger_width_m
     rng = generator("random policy", episode.task, episode.seed)
     frames = 1
     for _ in range(simulator.task.card.clips * CLIP_FRAMES):
@@ -88,7 +90,8 @@ def run_trials(executor: Executor, episodes: Sequence[Episode], policy: Policy) 
 
 def task_lines(trials: Sequence[ExpertTrial]) -> list[str]:
     """Return lines to print for the trials of one task: success rate, and each failure of the expert."""
-    good, progress = sum(t.success for t in trials), sum(t.progress for t in trials) / len(trials)
+    good = sum(t.success for t in trials)
+    progress = sum(t.progress for t in trials) / len(trials)
     low, high = wilson(good, len(trials))
     rate = f"{good:4}/{len(trials)}  {low:6.1%} to {high:6.1%}"
     frames = max(t.frames for t in trials)

@@ -28,7 +28,10 @@ from kinebench_drake.suites.simulator import Simulator
 from kinebench_drake.suites.simulator_cache import SimulatorCache, SimulatorWorker
 from kinebench_drake.suites.start import first_facts
 
-MANIFEST, EPISODES, CAMERA, SUMMARY = "manifest.jsonl", "episodes.jsonl", "camera.json", "suite.json"
+MANIFEST = "manifest.jsonl"
+EPISODES = "episodes.jsonl"
+CAMERA = "camera.json"
+SUMMARY = "suite.json"
 FPS = 17
 """Playback rate of benchmark videos; the task time between two frames is `FRAME_PERIOD_S`."""
 _CHOICE = ("tasks", "episodes_per_task", "first_seed", "episodes")
@@ -96,7 +99,8 @@ def export_suite(config: ExportConfig, executor: Executor, observer: Observer) -
     write_json(config.out / SUMMARY, _summary(config, len(specs)))
     observer.start(len(specs), 0)
     frames: dict[EpisodeSpec, _FirstFrame] = {}
-    work, simulators = partial(_write_first_frame, out=config.out), SimulatorCache(Simulator, config.size)
+    work = partial(_write_first_frame, out=config.out)
+    simulators = SimulatorCache(Simulator, config.size)
     for done in executor.run(partial(SimulatorWorker, work, simulators), specs):
         if isinstance(done, WorkerCrash):
             raise SetupError(f"{done.item.task} seed {done.item.seed}: {done.reason}; run the same command again")
@@ -117,7 +121,8 @@ def export_suite(config: ExportConfig, executor: Executor, observer: Observer) -
 
 def _check_folder(config: ExportConfig, specs: Sequence[EpisodeSpec]) -> None:
     """Check that the folder is new, or holds an export of the same settings whose episodes are among `specs`."""
-    out, summary = config.out, _summary(config, len(specs))
+    out = config.out
+    summary = _summary(config, len(specs))
     used = [name for name in (SAMPLES, MANIFEST, EPISODES, SUMMARY) if (out / name).exists()]
     if not used:
         return
@@ -126,7 +131,8 @@ def _check_folder(config: ExportConfig, specs: Sequence[EpisodeSpec]) -> None:
         lines = read_text(out / MANIFEST).splitlines() if (out / MANIFEST).exists() else []
         ids = [str(as_object(parse_json(line)).get("id")) for line in lines]
     except (OSError, ValueError, InputError):
-        before, ids = {}, []
+        before = {}
+        ids = []
     if SAMPLES in used or "suite_version" not in before:
         raise UsageError(f"$out {out}: holds {used[0]}, which no export wrote; name another folder")
     for key, value in summary.items():
@@ -172,7 +178,8 @@ def _task_facts(card: TaskCard) -> dict[str, Any]:
 
 
 def _summary(config: ExportConfig, count: int) -> dict[str, Any]:
-    suite, split = config.suite, config.suite.splits[config.split]
+    suite = config.suite
+    split = config.suite.splits[config.split]
     return {
         "suite": suite.number,
         "suite_version": VERSION,

@@ -16,7 +16,8 @@ from kinebench_drake.suites.families.registry import TASKS
 _CLONE = "kinebench:"
 INSTRUCTION = "{prompt}"
 """Placeholder for the episode's own instruction in a text."""
-OTHERS, NEGATIVE = "*", "negative_prompt"
+OTHERS = "*"
+NEGATIVE = "negative_prompt"
 """Keys of the text of all tasks that have none, and of what to avoid."""
 
 
@@ -39,7 +40,8 @@ class PromptTemplate:
         Raises:
             UsageError: there is no such task, or the file is not a JSON object of texts.
         """
-        name, texts = "$prompts", cast(object, source or {})
+        name = "$prompts"
+        texts = cast(object, source or {})
         if isinstance(source, Path) and str(source).startswith(_CLONE):
             texts = _read_clone(Path(str(source).removeprefix(_CLONE)).expanduser())
         elif isinstance(source, Path):

@@ -68,7 +68,8 @@ def _run_clip(
     Returns:
         The states without the initial one, and the commands (N, 8) as in `Rollout`.
     """
-    scene, now = simulator.scene(), simulator.snapshot()
+    scene = simulator.scene()
+    now = simulator.snapshot()
     waypoints = expert(scene)
     if not waypoints:
         return None
@@ -96,7 +97,8 @@ def run_expert(simulator: Simulator, expert: Expert, episode: Episode, *, every:
     There is a snapshot after each `every` control steps.
     """
     simulator.reset(episode)
-    snapshots, controls = [simulator.snapshot()], [np.zeros((0, 8))]
+    snapshots = [simulator.snapshot()]
+    controls = [np.zeros((0, 8))]
     for _ in range(simulator.task.card.clips):
         clip = _run_clip(simulator, expert, every)
         if clip is None:
@@ -117,7 +119,9 @@ def render_video(simulator: Simulator, snapshots: Sequence[Snapshot], *, first_f
         simulator: simulator, reset to the scene of the snapshots.
         first_frame: index of the first of them in the whole video, which determines `t_s`.
     """
-    images, X_BH, X_BG = [], [], []
+    images = []
+    X_BH = []
+    X_BG = []
     for snapshot in snapshots:
         simulator.set_snapshot(snapshot)
         images.append(simulator.render())

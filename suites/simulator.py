@@ -148,7 +148,8 @@ class Simulator:
         self.camera = benchmark_camera() if camera is None else camera
         self.task = find_task(task, variant)
         self._pose_class = sapien.Pose
-        self._camera_name, self._X_BW = CAMERA, invert(X_WB)
+        self._camera_name = CAMERA
+        self._X_BW = invert(X_WB)
         with _setup_errors():
             self._env: Any = KineBenchEnv(
                 task=task,
@@ -189,7 +190,9 @@ class Simulator:
     @staticmethod
     def action(targets: ArrayLike, finger_width_m: float) -> NDArray[np.float32]:
         """Return ManiSkill's action for targets, such as `q` (7,) [rad], and a gap between the finger pads [m]."""
-        low, high = -0.01, 0.04  # of one finger joint's target, for actions -1 and 1 (ManiSkill's Panda)
+        # of one finger joint's target, for actions -1 and 1 (ManiSkill's Panda)
+        low = -0.01
+        high = 0.04
         fingers = float(np.clip(2.0 * (finger_width_m / 2.0 - low) / (high - low) - 1.0, -1.0, 1.0))
         return np.append(np.asarray(targets), fingers).astype(np.float32)
 
@@ -223,7 +226,8 @@ class Simulator:
     def outcome(self) -> TaskOutcome:
         """Evaluate the task in the current state."""
         values = {name: value[0].item() for name, value in self._env.evaluate().items()}
-        success, progress = bool(values.pop("success")), float(values.pop("progress"))
+        success = bool(values.pop("success"))
+        progress = float(values.pop("progress"))
         return TaskOutcome(success=success, progress=progress, conditions={n: bool(v) for n, v in values.items()})
 
     def snapshot(self) -> Snapshot:

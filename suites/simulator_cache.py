@@ -24,7 +24,8 @@ class SimulatorCache(Generic[S]):
     """
 
     def __init__(self, make: Callable[..., S], size: int | None = None, *, renders: bool = True) -> None:
-        self._make, self._renders = make, renders
+        self._make = make
+        self._renders = renders
         camera = benchmark_camera()
         self._camera = camera if size is None else camera.resized(size, size)
         self._simulator: S | None = None

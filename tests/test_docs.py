@@ -60,11 +60,14 @@ def spans(text):
 
 def find_command(words):
     """The command that the first of some words name, its name, and the words that follow."""
-    found, path = cli, [PROGRAM]
+    found = cli
+    path = [PROGRAM]
     while isinstance(found, click.Group) and words and not words[0].startswith("-"):
         deeper = found.get_command(click.Context(found), words[0])
         assert deeper is not None, f"{' '.join(path)} has no command {words[0]!r}"
-        found, path, words = deeper, [*path, words[0]], words[1:]
+        found = deeper
+        path = [*path, words[0]]
+        words = words[1:]
     return found, " ".join(path), words
 
 

@@ -21,7 +21,8 @@ CLIP = ROOT / "examples" / "videos" / "PickFruits-v1_s0010_unseen.mp4"
 
 def blocks(page):
     """Blocks of Python in a page of docs/, each with its heading."""
-    heading, found = "", []
+    heading = ""
+    found = []
     text = (ROOT / "docs" / page).read_text()
     for title, code in re.findall(r"^#+ ([^\n]+)$|^```python\n(.*?)^```$", text, re.DOTALL | re.MULTILINE):
         heading = title or heading

@@ -116,7 +116,8 @@ def import_cycles(sources):
     imports = {
         name: set(module_level_imports(ast.parse(text), sources.keys())) - {name} for name, text in sources.items()
     }
-    done, cycles = set(), []
+    done = set()
+    cycles = []
 
     def visit(name, path):
         if name in path:

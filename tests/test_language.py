@@ -12,7 +12,8 @@ SHIPPED = ("kinebench_drake", "grounding", "models", "suites", "benchmarks")
 PARTICIPLES = frozenset({"found", "told", "known", "given", "seen", "held", "said"})
 """Participles that say nothing about the value they name."""
 INVENTED = re.compile(r"\b(Theatre|Stagehand|TrickStage|Wanderer|HeldModel|PrivateStage|Telling|Footage|Sightings)\b")
-SENTENCE_WORDS, MEAN_WORDS = 30, 16
+SENTENCE_WORDS = 30
+MEAN_WORDS = 16
 """Greatest length of a sentence of the documentation, and of the mean of a page."""
 TURNS = re.compile(
     r"^See `[^`]+`\.?$"

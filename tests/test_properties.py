@@ -81,7 +81,8 @@ def test_rotation_vectors_below_pi_round_trip(w):
 @given(poses, poses, st.floats(0.0, 1.0))
 def test_interpolation_divides_distance_and_angle_in_proportion(X, Y, s):
     Z = g.interpolate_pose(X, Y, s)
-    whole, part = g.pose_difference(X, Y), g.pose_difference(X, Z)
+    whole = g.pose_difference(X, Y)
+    part = g.pose_difference(X, Z)
     assert part[0] == pytest.approx(s * whole[0], abs=1e-9)
     if whole[1] < 3.1:  # beyond it the shorter way round is a matter of rounding
         assert part[1] == pytest.approx(s * whole[1], abs=1e-6)

@@ -44,7 +44,8 @@ def test_swapping_the_pair_changes_only_the_sign():
     rng = np.random.default_rng(0)
     for a, b, c, d in rng.integers(0, 12, (50, 4)):
         if a + b + c + d:
-            one, other = paired(a, b, c, d), paired(a, c, b, d)
+            one = paired(a, b, c, d)
+            other = paired(a, c, b, d)
             assert one.difference == -other.difference
             assert one.p_value == pytest.approx(other.p_value)
             low, high = other.interval()
@@ -83,7 +84,8 @@ def test_wilson_interval_agrees_with_its_formula_and_widens_with_its_level():
         half = z / (n + z * z) * (hits * (n - hits) / n + z * z / 4) ** 0.5
         assert wilson(hits, n) == pytest.approx((centre - half, centre + half), abs=1e-12)
     assert wilson(0, 0) == (0.0, 1.0)
-    narrow, wide = wilson(3, 10, 0.5), wilson(3, 10, 0.99)
+    narrow = wilson(3, 10, 0.5)
+    wide = wilson(3, 10, 0.99)
     assert wide[0] < narrow[0] < 0.3 < narrow[1] < wide[1]
 
 
@@ -157,7 +159,8 @@ def test_identical_samples_of_an_episode_narrow_no_interval():
 def test_share_intervals_over_episodes_cover_the_mean_success_at_their_level():
     """40 episodes of 4 samples whose rates differ: an interval of 160 independent samples would hold it too rarely."""
     rng = np.random.default_rng(3)
-    held, naive = 0, 0
+    held = 0
+    naive = 0
     for trial in range(400):
         rates = rng.choice([0.1, 0.9], size=40)
         hits = rng.binomial(4, rates)
@@ -175,7 +178,8 @@ def test_group_means_keep_the_order_of_the_groups():
 
 def test_interval_of_independent_shares_equals_that_published_by_newcombe():
     """Published example: 56 of 70 and 48 of 80 (Newcombe, Stat. Med. 17, 1998, pp. 873-890, table II, method 10)."""
-    first, second = np.repeat([1.0, 0.0], (56, 14)), np.repeat([1.0, 0.0], (48, 32))
+    first = np.repeat([1.0, 0.0], (56, 14))
+    second = np.repeat([1.0, 0.0], (48, 32))
     value = independent_mean_difference(first, second, np.random.default_rng(0))
     assert value.value == pytest.approx(0.2)
     assert (value.low, value.high) == pytest.approx((0.0524, 0.3339), abs=5e-5)
@@ -184,7 +188,8 @@ def test_interval_of_independent_shares_equals_that_published_by_newcombe():
 
 
 def test_interval_of_independent_means_covers_their_difference_at_its_level():
-    rng, covered = np.random.default_rng(0), 0
+    rng = np.random.default_rng(0)
+    covered = 0
     for _ in range(200):
         value = independent_mean_difference(rng.normal(1.0, 1.0, 20), rng.normal(0.0, 2.0, 30), rng)
         covered += value.low <= 1.0 <= value.high

@@ -91,7 +91,8 @@ def test_a_pack_is_read_up_to_the_number_of_demonstrations(pack):
 
 def test_pixels_do_not_depend_on_the_pixels_painted_beside_them(poses):
     model = Autoencoder().eval()
-    first, numbers = torch.rand(1, 3, SIZE, SIZE), torch.from_numpy(poses[0])[None]
+    first = torch.rand(1, 3, SIZE, SIZE)
+    numbers = torch.from_numpy(poses[0])[None]
     uv = to_uv(torch.randint(SIZE, (1, 5, 40, 2)))
     with torch.no_grad():
         together, _ = model(first, numbers[:, 0], numbers, uv)
@@ -107,7 +108,8 @@ def test_a_training_that_was_stopped_goes_on_as_if_it_had_not_been(pack, tmp_pat
         return load_file(tmp_path / out / f"{stage}.safetensors")
 
     run("stopped", 1)
-    stopped, through = run("stopped", 2), run("through", 2)
+    stopped = run("stopped", 2)
+    through = run("through", 2)
     for name, value in through.items():
         assert torch.equal(stopped[name], value), name
 

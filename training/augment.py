@@ -28,11 +28,14 @@ def _blur(image: NDArray[np.float32], rng: np.random.Generator) -> NDArray[np.fl
     if kind == 0:
         return np.asarray(cv2.GaussianBlur(image, (0, 0), float(rng.uniform(0.3, 1.8))))
     if kind == 1:  # motion: a short line as kernel
-        length, angle = int(rng.integers(3, 10)), rng.uniform(0, np.pi)
+        length = int(rng.integers(3, 10))
+        angle = rng.uniform(0, np.pi)
         kernel = np.zeros((length, length), np.float32)
-        centre, reach = (length - 1) / 2, (length - 1) / 2
+        centre = (length - 1) / 2
+        reach = (length - 1) / 2
         step = np.array([np.cos(angle), np.sin(angle)]) * reach
-        start, end = (centre - step).round().astype(int), (centre + step).round().astype(int)
+        start = (centre - step).round().astype(int)
+        end = (centre + step).round().astype(int)
         cv2.line(kernel, tuple(start.tolist()), tuple(end.tolist()), 1.0)
         return np.asarray(cv2.filter2D(image, -1, kernel / kernel.sum()))
     height, width = image.shape[:2]
@@ -54,7 +57,8 @@ def _warp(image: NDArray[np.float32], rng: np.random.Generator) -> NDArray[np.fl
     field = rng.normal(0, rng.uniform(0.2, 0.8), (cells, cells, 2)).astype(np.float32)
     flow = np.asarray(cv2.resize(field, (width, height), interpolation=cv2.INTER_CUBIC))
     x, y = np.meshgrid(np.arange(width, dtype=np.float32), np.arange(height, dtype=np.float32))
-    x, y = x + flow[..., 0], y + flow[..., 1]
+    x = x + flow[..., 0]
+    y = y + flow[..., 1]
     return np.asarray(cv2.remap(image, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE))
 
 
@@ -114,7 +118,8 @@ def occlude(image: Image, part: NDArray[np.uint8], scenery: Image, rng: np.rando
         scenery: (H, W, 3) another image, whose pieces fill some of the occluders.
         rng: source of shapes, places and fillings.
     """
-    sides, scale = np.array(image.shape[1::-1]), image.shape[0] // part.shape[0]
+    sides = np.array(image.shape[1::-1])
+    scale = image.shape[0] // part.shape[0]
     size = int(sides.max())
     v, u = np.nonzero(part)
     for _ in range(rng.integers(1, 4)):

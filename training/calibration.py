@@ -85,13 +85,17 @@ class MeasuredPoses:
     @classmethod
     def from_observation(cls, observation: Observation, X_true: Array) -> "MeasuredPoses":
         """Collect what the confidence is fitted to."""
-        poses, n = observation.poses, len(X_true)
+        poses = observation.poses
+        n = len(X_true)
         domain = observation.evidence.domain
-        features, X_AH = np.full((n, len(FRAME_FEATURES[domain])), np.nan), np.full((n, 4, 4), np.nan)
+        features = np.full((n, len(FRAME_FEATURES[domain])), np.nan)
+        X_AH = np.full((n, 4, 4), np.nan)
         covariance = np.zeros((n, 6, 6))
         for i, pose in enumerate(poses):
             if pose is not None and not observation.evidence.motion.lost[i]:
-                features[i], X_AH[i], covariance[i] = frame_features(pose, domain), pose.X_CH, pose.covariance
+                features[i] = frame_features(pose, domain)
+                X_AH[i] = pose.X_CH
+                covariance[i] = pose.covariance
         return cls(domain=domain, features=features, X_AH=X_AH, covariance=covariance, X_true=X_true)
 
     @property
@@ -124,7 +128,8 @@ def degrade_video(frames: Frames, clip: TruthClip, degradation: VideoDegradation
     if degradation is VideoDegradation.DEGRADED:
         return np.stack([degrade(frame, np.random.default_rng(seed)) for frame in frames])
     if degradation is VideoDegradation.ABSENT:
-        masks, strip = clip.masks(GripperCad()), np.ones((_REMOVED_PX, _REMOVED_PX), np.uint8)
+        masks = clip.masks(GripperCad())
+        strip = np.ones((_REMOVED_PX, _REMOVED_PX), np.uint8)
         widened = [np.asarray(cv2.dilate(mask.astype(np.uint8), strip)) for mask in masks]
         return np.stack([cv2.inpaint(f, m, 3.0, cv2.INPAINT_TELEA) for f, m in zip(frames, widened, strict=True)])
     rng = np.random.default_rng(seed)
@@ -132,7 +137,8 @@ def degrade_video(frames: Frames, clip: TruthClip, degradation: VideoDegradation
     places = clip.camera.resized(frames.shape[2], frames.shape[1]).project(clip.X_CH[rng.choice(shown, 3), :3, 3])
     y, x = np.mgrid[0 : frames.shape[1], 0 : frames.shape[2]]
     near = np.min([np.hypot(x - p[0], y - p[1]) for p in places], axis=0) <= _NEAR_PX
-    occluded, draw = np.array(frames), int(rng.integers(2**32))
+    occluded = np.array(frames)
+    draw = int(rng.integers(2**32))
     for image in occluded:
         occlude(image, near.astype(np.uint8), frames[0], np.random.default_rng(draw))
     return occluded
@@ -158,7 +164,8 @@ class CalibrationWorker:
 
     def __call__(self, item: CalibrationItem) -> MeasuredPoses:
         """Measure one item."""
-        clip, frames = item.clip.load(), read_video(item.clip.video).frames
+        clip = item.clip.load()
+        frames = read_video(item.clip.video).frames
         video = degrade_video(frames, clip, item.degradation, [0, item.number])
         camera = clip.camera.resized(frames.shape[2], frames.shape[1])
         if item.degradation is VideoDegradation.CAMERA:
@@ -218,7 +225,8 @@ def calibrate_confidence(
         observer,
         lambda item: f"{item.clip.id}  {item.degradation.value}",
     )
-    confidence, lines = {Domain.ARM: load_confidence()[Domain.ARM]}, list[str]()
+    confidence = {Domain.ARM: load_confidence()[Domain.ARM]}
+    lines = list[str]()
     for domain in (Domain.FAMILIAR, Domain.UNFAMILIAR):
         chosen = [(i, m) for i, m in zip(items, measured, strict=True) if m.domain is domain]
         fitted = [(i, m) for i, m in chosen if i.degradation is not VideoDegradation.CAMERA]

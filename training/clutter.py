@@ -28,7 +28,9 @@ class Clutter:
 
     def __init__(self, sapien: Any, scene: Any, rng: np.random.Generator) -> None:
         """Build in `scene`."""
-        self._sapien, self._scene, self._rng = sapien, scene, rng
+        self._sapien = sapien
+        self._scene = scene
+        self._rng = rng
 
     def apply(self, surface: Surface, material: Any) -> Any:
         """Give a material the look of a surface, and return it."""
@@ -56,7 +58,8 @@ class Clutter:
     def object(self, half: float) -> Any:
         """Return a new hidden primitive with half thickness `half` [m]."""
         builder = self._scene.create_actor_builder()
-        material, solid = self._material(), random_solid(self._rng, half)
+        material = self._material()
+        solid = random_solid(self._rng, half)
         length = solid.half[0]
         if solid.kind is SolidKind.SPHERE:
             builder.add_sphere_visual(radius=half, material=material)
@@ -78,7 +81,8 @@ class Clutter:
         robot = loader.load(str(path))
         limits = np.clip(robot.get_qlimits(), -np.pi, np.pi)
         robot.set_qpos(rng.uniform(0.6 * limits[:, 0], 0.6 * limits[:, 1]).astype(np.float32))
-        angle, distance = rng.uniform(-np.pi, np.pi), rng.uniform(0.6, 1.2)
+        angle = rng.uniform(-np.pi, np.pi)
+        distance = rng.uniform(0.6, 1.2)
         position = [0.3 + distance * np.cos(angle), distance * np.sin(angle), rng.uniform(-0.1, 0.0)]
         turn = rng.uniform(-np.pi, np.pi)
         robot.set_root_pose(self._sapien.Pose(position, [np.cos(turn / 2), 0, 0, np.sin(turn / 2)]))

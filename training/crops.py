@@ -159,17 +159,20 @@ class Shards:
 def _double(image: NDArray[np.uint8], labels: Sequence[NDArray[np.generic]], rng: np.random.Generator) -> None:
     """Copy the gripper in `image` (S, S, 3) and in `labels` (h, w, ...), parts first, to another place."""
     part = labels[0]
-    n, scale = len(part), len(image) // len(part)
+    n = len(part)
+    scale = len(image) // len(part)
     v, u = np.nonzero(np.isin(part, GRIPPER))
     if not len(v):
         return
     dv, du = rng.integers(-n // 2, n // 2, 2)
     inside = (v + dv >= 0) & (v + dv < n) & (u + du >= 0) & (u + du < n)
-    v, u = v[inside], u[inside]
+    v = v[inside]
+    u = u[inside]
     for label_map in labels:
         label_map[v + dv, u + du] = label_map[v, u].copy()
     i, j = np.meshgrid(np.arange(scale), np.arange(scale), indexing="ij")
-    rows, columns = v[:, None] * scale + i.ravel(), u[:, None] * scale + j.ravel()
+    rows = v[:, None] * scale + i.ravel()
+    columns = u[:, None] * scale + j.ravel()
     image[rows + dv * scale, columns + du * scale] = image[rows, columns].copy()
 
 
@@ -180,7 +183,9 @@ class Crops(Dataset[dict[str, Tensor]]):
     """
 
     def __init__(self, shards: Shards, seed: int, target: CropTarget = GRIPPER_TARGET) -> None:
-        self._shards, self._seed, self._target = shards, seed, target
+        self._shards = shards
+        self._seed = seed
+        self._target = target
 
     def __getitem__(self, item: tuple[int, int]) -> dict[str, Tensor]:
         """Return the crop of (step, slot) with its labels, h = w = S / STRIDE.
@@ -234,7 +239,8 @@ class Steps(Sampler[list[tuple[int, int]]]):
     """Batches of items of `Crops`, one per training step; a batch of wide crops is smaller, as these are larger."""
 
     def __init__(self, steps: range, batch_size: int) -> None:
-        self._steps, self._batch_size = steps, batch_size
+        self._steps = steps
+        self._batch_size = batch_size
 
     def __iter__(self) -> Iterator[list[tuple[int, int]]]:
         """Yield the items of each step."""

@@ -95,7 +95,8 @@ def save_shard(frames: Sequence[RenderedFrame], shard: Path) -> None:
     )
 
 
-_SHIFT_M, _TURN_RAD = 0.06, np.deg2rad(6.0)
+_SHIFT_M = 0.06
+_TURN_RAD = np.deg2rad(6.0)
 _FOV_RAD = np.deg2rad((45.0, 75.0))
 _VARIED_FOV = 0.6  # share of cameras with a random field of view
 

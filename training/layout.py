@@ -34,7 +34,9 @@ class Surface:
 
 def random_surface(rng: np.random.Generator) -> Surface:
     """Return a textured, photographic, grey or coloured surface."""
-    kind, colour, texture = rng.random(), np.ones(3), None
+    kind = rng.random()
+    colour = np.ones(3)
+    texture = None
     if kind < 0.45:
         texture = random_texture(rng)
     elif kind < 0.6:
@@ -62,7 +64,9 @@ def random_paint(rng: np.random.Generator) -> Callable[[Array], Surface | None]:
 
     Robots are left as they are, tinted, painted in white to grey, in any colour or with textures.
     """
-    kind, tint, grey = rng.random(), rng.uniform(0.7, 1.1, 3), rng.uniform(0.25, 1.0)
+    kind = rng.random()
+    tint = rng.uniform(0.7, 1.1, 3)
+    grey = rng.uniform(0.25, 1.0)
     gloss = rng.uniform([0.1, 0.0], [1.0, 0.8])
 
     def paint(colour: Array) -> Surface | None:
@@ -100,9 +104,11 @@ def random_room(
         add_box: function of half extents and position [m] that adds a box.
         table: False where there is a table already.
     """
-    lower, upper = np.array([-3.0, -3.0, table_z + 0.03]), np.full(3, 3.0)
+    lower = np.array([-3.0, -3.0, table_z + 0.03])
+    upper = np.full(3, 3.0)
     if table:
-        length, width = _TABLE_HALF[0] * rng.uniform(0.5, 1.0), _TABLE_HALF[1] * rng.uniform(0.5, 1.0)
+        length = _TABLE_HALF[0] * rng.uniform(0.5, 1.0)
+        width = _TABLE_HALF[1] * rng.uniform(0.5, 1.0)
         thickness = _TABLE_HALF[2]
         behind = float(rng.uniform(-0.5, 0.1)) if table_z == 0.0 else float(rng.uniform(0.1, 0.3))
         add_box((length, width, thickness), (behind + length, float(rng.normal(0, 0.2)), table_z - thickness))
@@ -115,7 +121,8 @@ def random_room(
         lower[0] = rng.uniform(-2.5, -0.5)
         add_box((0.02, 4, 3), (float(lower[0]) - 0.1, 0, 1))
     if rng.random() < 0.4:
-        side, distance = float(rng.choice([-1, 1])), float(rng.uniform(0.8, 2.5))
+        side = float(rng.choice([-1, 1]))
+        distance = float(rng.uniform(0.8, 2.5))
         add_box((3, 0.02, 3), (0, side * (distance + 0.1), 1))
         lower[1], upper[1] = (-distance, 3.0) if side < 0 else (-3.0, distance)
     if rng.random() < 0.3:
@@ -221,25 +228,31 @@ def random_gripper(rng: np.random.Generator) -> list[Attachment]:
     """Return a gripper that is not Franka's, of boxes: adapter, palm, up to three fingers; often mounts and a cable."""
     surface = _dark_surface(rng) if rng.random() < 0.6 else random_surface(rng)
     other = _dark_surface(rng) if rng.random() < 0.5 else random_surface(rng)
-    R_HG, up = rotation_exp([0.0, 0.0, rng.uniform(-np.pi, np.pi)]), np.array([0.0, 0.0, 1.0])
-    gripper, top = list[Attachment](), 0.0
+    R_HG = rotation_exp([0.0, 0.0, rng.uniform(-np.pi, np.pi)])
+    up = np.array([0.0, 0.0, 1.0])
+    gripper = list[Attachment]()
+    top = 0.0
 
     def add(half: Array, p_GA: Array, R_GA: Array, look: Surface) -> None:
         X_HA = make_pose(R_HG @ R_GA, R_HG @ p_GA)
         gripper.append(Attachment(link="panda_hand", half=tuple(half.tolist()), X_LA=X_HA, surface=look))
 
-    adapter, palm = (rng.uniform(0.035, 0.048), rng.uniform(0.003, 0.02)), rng.uniform([0.025, 0.02], [0.06, 0.06])
+    adapter = (rng.uniform(0.035, 0.048), rng.uniform(0.003, 0.02))
+    palm = rng.uniform([0.025, 0.02], [0.06, 0.06])
     for (wide, high), look in ((adapter, other), (palm, surface)):
         half = np.array([wide, wide * rng.uniform(0.6, 1.0), high])
         for eighth in range(1 + (rng.random() < 0.6)):  # two boxes at 45 degrees are nearly round
             add(half, (top + high) * up, rotation_z(eighth * np.pi / 4), look)
         top += 2 * high
-    count, spread = int(rng.choice([1, 2, 3], p=[0.12, 0.73, 0.15])), rng.uniform(0.0, 0.05)
-    half, lean = rng.uniform([0.005, 0.007, 0.02], [0.014, 0.018, 0.05]), rng.uniform(-0.2, 0.9)
+    count = int(rng.choice([1, 2, 3], p=[0.12, 0.73, 0.15]))
+    spread = rng.uniform(0.0, 0.05)
+    half = rng.uniform([0.005, 0.007, 0.02], [0.014, 0.018, 0.05])
+    lean = rng.uniform(-0.2, 0.9)
     for k in range(count):
         R_GF = rotation_z(2 * np.pi * k / count)
         outward = R_GF[:, 0] * (count > 1)
-        along, knuckle = np.sin(lean) * outward + np.cos(lean) * up, spread * outward + top * up
+        along = np.sin(lean) * outward + np.cos(lean) * up
+        knuckle = spread * outward + top * up
         look = surface if rng.random() < 0.8 else other
         add(half, knuckle + half[2] * along, R_GF @ rotation_exp([0.0, lean, 0.0]), look)
         add(half, knuckle + half[2] * (2 * along + up), R_GF, look)
@@ -267,9 +280,12 @@ def _random_bracket(rng: np.random.Generator) -> list[Attachment]:
     """Return a plate between flange and gripper that holds a camera at its end; often none."""
     if rng.random() < 0.6:
         return []
-    angle, reach = rng.uniform(-np.pi, np.pi), rng.uniform(0.05, 0.1)
-    ahead, turn = np.array([np.cos(angle), np.sin(angle), 0.0]), np.array([0.0, 0.0, angle])
-    plate, camera = random_surface(rng), random_surface(rng) if rng.random() < 0.6 else _dark_surface(rng)
+    angle = rng.uniform(-np.pi, np.pi)
+    reach = rng.uniform(0.05, 0.1)
+    ahead = np.array([np.cos(angle), np.sin(angle), 0.0])
+    turn = np.array([0.0, 0.0, angle])
+    plate = random_surface(rng)
+    camera = random_surface(rng) if rng.random() < 0.6 else _dark_surface(rng)
     half = tuple(float(h) for h in rng.uniform([0.008, 0.015, 0.008], [0.02, 0.06, 0.02]))
     return [
         _attach("panda_hand", (reach / 2, float(rng.uniform(0.02, 0.045)), 0.004), 0.5 * reach * ahead, turn, plate),
@@ -281,7 +297,8 @@ def _random_cable(rng: np.random.Generator) -> list[Attachment]:
     """Return a cable along the last links; often none."""
     attachments = []
     if rng.random() < 0.2:
-        surface, angle = _dark_surface(rng), rng.uniform(-np.pi, np.pi)
+        surface = _dark_surface(rng)
+        angle = rng.uniform(-np.pi, np.pi)
         for link, height in (("panda_link5", -0.15), ("panda_link5", -0.05), ("panda_link7", 0.05)):
             p_LA = [0.07 * np.cos(angle), 0.07 * np.sin(angle), height + rng.normal(0, 0.03)]
             attachments.append(_attach(link, (0.005, 0.005, 0.06), p_LA, rng.normal(0, 0.4, 3), surface))

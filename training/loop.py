@@ -151,7 +151,8 @@ def optimise(
     if start:
         report(f"going on from step {start}")
     network.train()
-    began, sums = time.monotonic(), dict[str, float]()
+    began = time.monotonic()
+    sums = dict[str, float]()
     for step, batch in zip(range(start, schedule.steps), batches(start), strict=False):
         torch.manual_seed(schedule.seed * 1_000_003 + step)
         if step >= schedule.fixed_from * schedule.steps:

@@ -64,7 +64,8 @@ class PostureSampler:
         The arm comes to rest at each posture, where the fingers move; the path between them is straight in joint space.
         """
         q = [self.draw(rng)]
-        fingers, holds = [random_finger(rng)], [False]
+        fingers = [random_finger(rng)]
+        holds = [False]
         for _ in range(int(rng.integers(*_LEGS, endpoint=True))):
             for _ in range(_DRAWS):
                 waypoint = q[-1] + rng.normal(0, _STEP * _SPREAD_RAD)
@@ -99,7 +100,9 @@ class Motion:
         The fingers move to `finger_m` (N,) [m] in each stop; where `holds` (N,), a thing is held from then on, up to
         the next stop.
         """
-        times, knots, stops = [0.0], [q[0]], [0.0]
+        times = [0.0]
+        knots = [q[0]]
+        stops = [0.0]
         for k in range(1, len(q)):
             speed = rng.uniform(*_SPEED_RAD_S)
             stops.append(times[-1] + max(float(np.abs(q[k] - q[k - 1]).max()) / speed, 2 * frame_period_s))

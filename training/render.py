@@ -35,7 +35,8 @@ class SceneRenderer:
 
     def __init__(self, folder: Path, *, arm: bool = False) -> None:
         """Render into `folder`; with `arm` the scenes for the network of the arm alone."""
-        self._folder, self._arm = folder, arm
+        self._folder = folder
+        self._arm = arm
         self._scene: TrainingScene | None = None
 
     def __call__(self, seed: int) -> None:

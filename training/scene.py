@@ -180,5 +180,6 @@ class TrainingScene:
             ids = packed[..., 3]
         else:
             rgb = (np.clip(component.get_picture("Color")[..., :3], 0, 1) * 255).astype(np.uint8)
-            depth_m, ids = -component.get_picture("Position")[..., 2], component.get_picture("Segmentation")[..., 1]
+            depth_m = -component.get_picture("Position")[..., 2]
+            ids = component.get_picture("Segmentation")[..., 1]
         return RenderedFrame.from_image(rgb, depth_m, label_parts(ids, self._part_of_id), camera, X_BL, finger)

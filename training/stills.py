@@ -77,7 +77,8 @@ def _render(simulator: StillSimulator, spec: EpisodeSpec, folder: Path) -> bool:
 
 def render_stills(simulator: StillSimulator, rollout: Rollout, rng: np.random.Generator) -> list[RenderedFrame]:
     """Render `STILLS` frames of a rollout in its simulator, whose camera is restored."""
-    camera_before, size = simulator.camera, simulator.camera.width
+    camera_before = simulator.camera
+    size = simulator.camera.width
     plant = ArmPlant()
     frames = []
     for snapshot in _choose_snapshots(rollout.snapshots, rng):

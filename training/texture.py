@@ -38,7 +38,8 @@ def random_texture(rng: np.random.Generator) -> NDArray[np.uint8]:
     else:  # cloth: a fine weave over soft noise
         blend = 0.6 * noise + 0.4 * (0.5 + 0.25 * (np.sin(x * 400) + np.sin(y * 400)))
     blend = np.clip(blend * rng.uniform(0.4, 1.0) + 0.1 * _noise(rng, 5), 0, 1)[..., None]
-    first, second = rng.uniform(0, 255, 3), rng.uniform(0, 255, 3)
+    first = rng.uniform(0, 255, 3)
+    second = rng.uniform(0, 255, 3)
     if rng.random() < 0.5:  # similar colours are more frequent on real tables and walls
         second = np.clip(first + rng.normal(0, 40, 3), 0, 255)
     colour = first * blend + second * (1 - blend)

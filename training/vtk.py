@@ -259,8 +259,10 @@ class VtkScene:
         X_BH = np.stack([X[HAND_LINK] for X in X_BL])
         camera = self._draw_static_camera(X_BL, X_BH)
         objects = self._draw_objects(X_BH[len(X_BH) // 2])
-        grasp, X_HP = np.flatnonzero(motion.holds), random_grasp(rng)
-        frames, visible = [], []
+        grasp = np.flatnonzero(motion.holds)
+        X_HP = random_grasp(rng)
+        frames = []
+        visible = []
         for t, X in enumerate(X_BL):
             # The thing lies where it is grasped before, and where it is released afterwards.
             hidden = make_pose(np.eye(3), FAR_AWAY)
@@ -280,12 +282,14 @@ class VtkScene:
     def _draw_static_camera(self, X_BL: Sequence[Mapping[str, Array]], X_BH: Array) -> Camera:
         """Return a camera that sees the gripper in most of the frames, or the best of many draws."""
         centre_B = X_BH[:, :3, 3] + X_BH[:, :3, :3] @ GRIPPER_CENTRE_H
-        best, most = None, -1.0
+        best = None
+        most = -1.0
         for _ in range(_VIEWS):
             camera = self._draw_camera(X_BL[int(self._rng.integers(len(X_BL)))], X_BL)
             shown = _share_shown(camera, centre_B)
             if shown > most:
-                best, most = camera, shown
+                best = camera
+                most = shown
             if shown >= _IN_VIEW:
                 break
         assert best is not None

@@ -53,7 +53,8 @@ class TurningOracle(OracleModel):
     simulator = FaultSimulator
 
     def __init__(self, kind: str, size: str | float, form: str = "growing") -> None:
-        own, course = member_of(ViewKind, kind, "kind"), member_of(FaultForm, form, "form")
+        own = member_of(ViewKind, kind, "kind")
+        course = member_of(FaultForm, form, "form")
         self._view = ViewChange(kind=own, size=float(size), form=course)
         super().__init__(f"oracle, {kind} {float(size):g}, {form}")
 

@@ -20,7 +20,9 @@ from kinebench_drake.suites.seeding import generator
 from kinebench_drake.suites.simulator import GRIPPER_LINKS
 from kinebench_drake.track import MAX_WIDTH_M, IkStatus
 
-DUPLICATE_FRAMES, DEFORMED_FRAMES, FLUTTER_FRAMES = 10, 12, 8
+DUPLICATE_FRAMES = 10
+DEFORMED_FRAMES = 12
+FLUTTER_FRAMES = 8
 """Frames with a second gripper, with a deformed one, and with fluttering fingers."""
 FREEZE_SPEED_M_S = 0.05
 """Least mean speed of the gripper through frozen frames."""
@@ -90,7 +92,8 @@ def _teleport(recording: Recording, grade: FaultGrade, rng: np.random.Generator)
     The direction is the first of inwards, outwards (along y, relative to the middle of the table), up and back that
     the arm can follow to the end, beginning with the gripper in view.
     """
-    clip, snapshots = recording.video, recording.rollout.snapshots
+    clip = recording.video
+    snapshots = recording.rollout.snapshots
     start = len(recording) // 2
     inwards = -1.0 if clip.X_BG[start, 1, 3] > 0.0 else 1.0
     for direction in ((0.0, inwards, 0.0), (0.0, -inwards, 0.0), (0.0, 0.0, 1.0), (-1.0, 0.0, 0.0)):
@@ -137,7 +140,9 @@ def _camera_motion(recording: Recording, grade: FaultGrade, rng: np.random.Gener
 
     The size is the largest displacement of the image centre [px].
     """
-    n, form, camera = len(recording), grade.form or FaultForm.SHAKE, recording.video.camera
+    n = len(recording)
+    form = grade.form or FaultForm.SHAKE
+    camera = recording.video.camera
     if form is FaultForm.SHAKE:
         path = _shake(n, rng)
     else:

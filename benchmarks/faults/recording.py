@@ -26,7 +26,8 @@ def _render_prepared(
     simulator: FaultSimulator, snapshots: Sequence[Snapshot], frames: Iterable[int], prepare: Callable[[int], None]
 ) -> RolloutVideo:
     """Render consecutive frames, each after `prepare` has set a fault; faults are cleared at the end."""
-    parts, camera = [], simulator.camera
+    parts = []
+    camera = simulator.camera
     try:
         for i in frames:
             simulator.set_snapshot(snapshots[i])
@@ -120,7 +121,8 @@ def render_view(
         change: change of the view.
         rng: draws the direction of a turn or move.
     """
-    camera, course = simulator.camera, np.asarray(change.size * change.form.course(len(snapshots)))
+    camera = simulator.camera
+    course = np.asarray(change.size * change.form.course(len(snapshots)))
     direction = rng.normal(size=3) * (1.0, 1.0, change.kind is ViewKind.MOVE)
     direction /= np.linalg.norm(direction)
 
@@ -144,7 +146,8 @@ def move_camera(
 
 def _zoom(video: RolloutVideo, zoom: Array) -> RolloutVideo:
     """Return the video with its images magnified about the principal point by `zoom` (T,)."""
-    camera, size = video.camera, (video.camera.width, video.camera.height)
+    camera = video.camera
+    size = (video.camera.width, video.camera.height)
     centre = np.array([camera.cx, camera.cy]) - 0.5  # OpenCV's pixel centres are integers
     images = {name: getattr(video, name).copy() for name in ("rgb", "depth_mm", "mask", "robot")}
     for i, factor in enumerate(zoom):

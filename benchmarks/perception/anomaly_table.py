@@ -57,13 +57,16 @@ def area(faulty: ArrayLike, clean: ArrayLike) -> IntervalEstimate:
     t (1 - t) / (m n) (1 + (N - 1) ((1 - t) / (2 - t) + t / (1 + t))), N = (m + n) / 2. Its width stays positive where
     the scores separate all videos.
     """
-    faulty, clean = np.asarray(faulty, dtype=np.float64), np.asarray(clean, dtype=np.float64)
-    m, n = len(faulty), len(clean)
+    faulty = np.asarray(faulty, dtype=np.float64)
+    clean = np.asarray(clean, dtype=np.float64)
+    m = len(faulty)
+    n = len(clean)
     if not m or not n:
         return IntervalEstimate(value=float("nan"), low=0.0, high=1.0)
     ranks = rankdata(np.concatenate([faulty, clean]))
     value = float((ranks[:m].sum() - m * (m + 1) / 2) / (m * n))
-    z, more = float(norm.ppf(0.975)), (m + n) / 2 - 1
+    z = float(norm.ppf(0.975))
+    more = (m + n) / 2 - 1
 
     def error(t: float) -> float:
         return z * float(np.sqrt(t * (1 - t) / (m * n) * (1 + more * ((1 - t) / (2 - t) + t / (1 + t)))))
@@ -213,7 +216,8 @@ def draw_anomalies(findings: Sequence[ClipAnomalies]) -> "Figure":
 
 
 def _panel(ax: Any, kind: AnomalyKind, table: Sequence[AnomalyRow]) -> None:
-    gate, factor = GRADES[kind].gate, GRADES[kind].factor
+    gate = GRADES[kind].gate
+    factor = GRADES[kind].factor
     ax.set_title(kind.value.replace("_", " "))
     ax.set_xlabel(f"size [{unit_of(kind)}]")
     ax.axhline(GOALS[kind], color=FAINT, linewidth=1.0, linestyle=":", zorder=1)

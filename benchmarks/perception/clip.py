@@ -202,7 +202,8 @@ def find_clips(folder: Path, *, required: bool = True) -> list[TruthClipFile]:
         if line.entry is None:
             raise UsageError(f"{folder.name}/{NAME}: {line.problem}")
         video = folder / line.entry.video
-        name, setting = video.stem, entry_camera(line.entry, folder)
+        name = video.stem
+        setting = entry_camera(line.entry, folder)
         candidates = [path.format(name) for path in TRUTHS]
         truth = next((folder / path for path in candidates if (folder / path).is_file()), folder / candidates[0])
         if required and not truth.is_file():

@@ -26,7 +26,8 @@ CELL_M = 0.005
 """Width of the cells of a map [m]."""
 EXTENT_H = np.array([[-0.06, 0.06], [-0.11, 0.11], [-0.03, 0.13]])
 """Bounds of the maps along x, y, z of panda_hand [m]."""
-_CROP_PX, _MARGIN = 128, 1.3
+_CROP_PX = 128
+_MARGIN = 1.3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -58,7 +59,8 @@ class ErrorMap:
     def __post_init__(self) -> None:
         """Create an empty map."""
         across, up = (round(float(np.ptp(EXTENT_H[a])) / CELL_M) for a in self.axes)
-        self.total, self.count = np.zeros((up, across)), np.zeros((up, across))
+        self.total = np.zeros((up, across))
+        self.count = np.zeros((up, across))
 
     def add(self, p_H: Array, error: Array) -> None:
         """Add errors (n,) at points (n, 3) of panda_hand."""
@@ -104,7 +106,8 @@ def measure_depth(clips: Sequence[TruthClipFile], estimator: DenseEstimator) -> 
     Raises:
         UsageError: a clip's truth holds no depth.
     """
-    front, side = ErrorMap(axes=(1, 2)), ErrorMap(axes=(0, 2))
+    front = ErrorMap(axes=(1, 2))
+    side = ErrorMap(axes=(0, 2))
     errors: list[Array] = []
     example: DepthExample | None = None
     largest = 0
@@ -177,7 +180,8 @@ def draw_depth(errors: DepthErrors, label: str) -> "Figure":
     )  # fmt: skip
     example = errors.example
     depths = np.concatenate([d[np.isfinite(d)] for d in (example.true_m, example.estimated_m)])
-    low, high = float(depths.min()), float(depths.max())
+    low = float(depths.min())
+    high = float(depths.max())
     axes[1, 0].imshow(example.image)
     axes[1, 0].set_title("close view of one frame", fontsize=10)
     for ax, depth, name in zip(axes[1, 1:3], (example.true_m, example.estimated_m), ("true", "estimated"), strict=True):

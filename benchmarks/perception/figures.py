@@ -20,7 +20,9 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _COLOURS = ("#1f6fb2", "#c4622d", "#3a8f5c", "#8a5fb0", "#b5485d", "#6b7a1e", "#3b8ea5", "#946b3d", "#5b6470")
-_FLOOR_MM, _FLOOR_DEG = 0.05, 0.02  # of logarithmic axes
+# of logarithmic axes
+_FLOOR_MM = 0.05
+_FLOOR_DEG = 0.02
 
 
 def draw_evaluation(results: Results) -> "Figure":
@@ -139,7 +141,8 @@ def draw_contact_sheet(file: TruthClipFile, kinds: Sequence[PerturbationKind], s
         InputError: its video cannot be read.
     """
     clip = file.load()
-    frames, masks = read_video(clip.path).frames, clip.masks(GripperCad())
+    frames = read_video(clip.path).frames
+    masks = clip.masks(GripperCad())
     chosen = int(masks.sum(axis=(1, 2)).argmax())
     images: dict[str, NDArray[np.uint8]] = {"as it is": frames[chosen]}
     for step in (p for kind in kinds for p in ladder(kind)):

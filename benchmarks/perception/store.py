@@ -84,7 +84,8 @@ class MeasurementStore(Generic[Record]):
         Raises:
             UsageError: the file holds something else.
         """
-        self._path, self._adapter = path, TypeAdapter(record)
+        self._path = path
+        self._adapter = TypeAdapter(record)
         self._records: dict[str, Record] = {}
         if path is None or not path.is_file():
             return

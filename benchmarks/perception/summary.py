@@ -49,7 +49,8 @@ class VanishLatency:
 
 def latency(tracked: NDArray[np.bool_], start: int, end: int) -> VanishLatency:
     """Return the latency of a track (T,) for a gripper that is absent from frame `start` to `end`, inclusive."""
-    absent, after = tracked[start : end + 1], tracked[end + 1 :]
+    absent = tracked[start : end + 1]
+    after = tracked[end + 1 :]
     return VanishLatency(
         loss=len(absent) if absent.all() else int(np.argmin(absent)),
         recovery=int(np.argmax(after)) if after.any() else (len(after) if len(after) else None),

@@ -103,7 +103,8 @@ class TrialWorkerFactory:
                 masks = clip.masks(tools.cad)
                 share = clip.visible_share(masks, tools.cad)
                 loaded[trial.clip.id] = clip, read_video(clip.path).frames, masks, share
-            (clip, original, masks, share), condition = loaded[trial.clip.id], trial.condition
+            (clip, original, masks, share) = loaded[trial.clip.id]
+            condition = trial.condition
             frames = None
             if condition.reframing is not None:
                 clip, frames, shown = reframe(condition.reframing, clip, original, masks)

@@ -42,7 +42,8 @@ class VariantTools:
         Raises:
             SetupError: one of them is missing.
         """
-        estimator, cad = NetworkEstimator(load_network(weights or WEIGHTS)), GripperCad()
+        estimator = NetworkEstimator(load_network(weights or WEIGHTS))
+        cad = GripperCad()
         pipeline = GroundingPipeline(CadTracker(estimator, cad), load_confidence())
         camera = benchmark_camera()  # the first use of the network and of the ray caster is slow
         pipeline.ground(np.zeros((2, camera.height, camera.width, 3), np.uint8), camera, np.array([0.0, 1.0]))
@@ -112,7 +113,8 @@ class DegradedEstimator:
 
     def __init__(self, base: DenseEstimator, count: int, degradation: Degradation, rng: np.random.Generator) -> None:
         """Draw the errors for a video of `count` frames; the same state of `rng` gives the same errors."""
-        self._base, self._degradation = base, degradation
+        self._base = base
+        self._degradation = degradation
         self._sign = float(rng.choice([-1.0, 1.0]))
         self._fields = rng.normal(0.0, 1.0, (-(-count // _FIELD_FRAMES) + 1, _FIELD_CELLS, _FIELD_CELLS))
         self._seed = int(rng.integers(2**32))
@@ -133,7 +135,8 @@ class DegradedEstimator:
     def _field(self, number: int, view: GripperView, camera: Camera) -> Array:
         """Return the smooth error (h, w) at the cells of a view, with unit variance."""
         first, s = divmod(number / _FIELD_FRAMES, 1.0)
-        a, b = self._fields[int(first)], self._fields[min(int(first) + 1, len(self._fields) - 1)]
+        a = self._fields[int(first)]
+        b = self._fields[min(int(first) + 1, len(self._fields) - 1)]
         nodes = (np.cos(s * np.pi / 2) * a + np.sin(s * np.pi / 2) * b).astype(np.float32)
         smooth = np.asarray(cv2.resize(nodes, (camera.width // 4, camera.height // 4), interpolation=cv2.INTER_CUBIC))
         smooth /= max(float(smooth.std()), 1e-9)

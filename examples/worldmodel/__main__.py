@@ -9,7 +9,8 @@ import click
 from .pack import write_pack
 from .training import TrainConfig, train
 
-FOLDER, WORK = click.Path(path_type=Path), Path("data/worldmodel")
+FOLDER = click.Path(path_type=Path)
+WORK = Path("data/worldmodel")
 pack_option = click.option("--pack", type=FOLDER, default=WORK / "pack", help="Folder of the data pack.")
 
 

@@ -13,7 +13,8 @@ from torch.nn import functional
 
 from .robot import FIELD, LOOK, POSE, ROBOT, SIZE, Robot, make_mlp, spread_waves
 
-FEATURES, MAPS = 32, 64
+FEATURES = 32
+MAPS = 64
 """Features of a pixel of the scene, and heat maps of the encoder."""
 WIDTHS = (48, 64, 96, 128)
 """Channels at 48, 24, 12 and 6 px."""
@@ -58,8 +59,10 @@ class Modulated(nn.Module):
 
     def __init__(self, entries: int, condition: int, out: int, width: int = 128) -> None:
         super().__init__()
-        self.enter, self.middle = nn.Linear(entries, width), nn.Linear(width, width)
-        self.leave, self.condition = make_mlp(width, width, out), make_mlp(condition, 256, 4 * width)
+        self.enter = nn.Linear(entries, width)
+        self.middle = nn.Linear(width, width)
+        self.leave = make_mlp(width, width, out)
+        self.condition = make_mlp(condition, 256, 4 * width)
 
     def forward(self, x: Tensor, condition: Tensor) -> Tensor:
         a, b, c, d = (0.3 * self.condition(condition)[:, None]).chunk(4, dim=-1)
@@ -97,8 +100,10 @@ class Scene(nn.Module):
         self, first: Tensor, features: Tensor, look: Tensor, start: Tensor, pose: Tensor, uv: Tensor
     ) -> tuple[Tensor, Tensor]:
         """Paint what `Autoencoder` paints, without the robot; look, start, pose and uv are those of C T frames."""
-        seen, place = fetch(features, uv), spread_waves(uv, 4)
-        entries, copies = [fetch(first, uv), seen, place], []
+        seen = fetch(features, uv)
+        place = spread_waves(uv, 4)
+        entries = [fetch(first, uv), seen, place]
+        copies = []
         old, new = (p[:, 3 * ROBOT : -1].unflatten(1, (OBJECTS, 2, 3))[:, :, 0, None] for p in (start, pose))
         for before, now in zip(old.unbind(1), new.unbind(1), strict=True):
             distance = 1 / (1 + now[..., 2:]).clamp(min=0.1)
@@ -119,7 +124,9 @@ class Autoencoder(nn.Module):
 
     def __init__(self) -> None:
         super().__init__()
-        self.encoder, self.scene, self.robot = Encoder(), Scene(), Robot()
+        self.encoder = Encoder()
+        self.scene = Scene()
+        self.robot = Robot()
 
     def forward(self, first: Tensor, start: Tensor, poses: Tensor, uv: Tensor) -> tuple[Tensor, Tensor]:
         """Paint pixels of T frames of each of C clips.
@@ -136,7 +143,8 @@ class Autoencoder(nn.Module):
         shape = poses.shape[:2]
         features, look = self.scene.see(first)
         start, look = (x.repeat_interleave(shape[1], dim=0) for x in (start, look))
-        pose, uv = poses.flatten(0, 1), uv.flatten(0, 1)
+        pose = poses.flatten(0, 1)
+        uv = uv.flatten(0, 1)
         behind, share = self.scene(first, features, look, start, pose, uv)
         rays = functional.normalize(torch.cat([uv * FIELD, torch.ones_like(uv[..., :1])], dim=-1), dim=-1)
         colours, covered = self.robot(rays, pose, look)

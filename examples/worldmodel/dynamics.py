@@ -16,7 +16,8 @@ from torch.nn import functional
 from .pack import FRAMES
 from .robot import POSE, make_mlp
 
-WIDTH, DEPTH = 256, 6
+WIDTH = 256
+DEPTH = 6
 WORDS = 512
 """Entries of the bag of words; words are assigned to entries by hash."""
 LATENT = 40
@@ -88,7 +89,8 @@ class Dynamics(nn.Module):
     @torch.no_grad()
     def sample(self, start: Tensor, prompts: Tensor, noise: Tensor, steps: int = 40) -> Tensor:
         """Integrate the flow to pose numbers (B, FRAMES, POSE) from noise (B, FRAMES, LATENT), by Heun's method."""
-        begin, x = self.to_latent(start), noise
+        begin = self.to_latent(start)
+        x = noise
         times = torch.linspace(0, 1, steps + 1, device=x.device)
         for t, after in pairwise(times):
             slope = self(x, t.expand(len(x)), begin, prompts)

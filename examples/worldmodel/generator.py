@@ -27,7 +27,8 @@ class Generator:
     """The trained world model of a folder of weights; dynamics `dynamics_01500`: those of an earlier step."""
 
     def __init__(self, weights: Path, dynamics: str = "dynamics") -> None:
-        self._autoencoder, self._dynamics = Autoencoder().eval(), Dynamics().eval()
+        self._autoencoder = Autoencoder().eval()
+        self._dynamics = Dynamics().eval()
         for model, name in ((self._autoencoder, "autoencoder"), (self._dynamics, dynamics)):
             if not (path := weights / f"{name}.safetensors").exists():
                 raise SetupError(f"{path} is missing; python -m examples.worldmodel train --help")
@@ -46,7 +47,8 @@ class Generator:
     @torch.no_grad()
     def paint(self, first: NDArray[np.uint8], poses: Tensor) -> NDArray[np.uint8]:
         """Return a video of the pose numbers (T, POSE); frame 0 is `first` (H, W, 3) itself."""
-        small, background = _shrink(first), to_images(torch.tensor(first))
+        small = _shrink(first)
+        background = to_images(torch.tensor(first))
         uv = to_uv(torch.cartesian_prod(*[torch.arange(SIZE)] * 2))[None, None]
         frames = [first]
         for pose in poses[1:]:
@@ -63,11 +65,13 @@ class Learned:
     """The model as a class: `--world-model "examples.worldmodel.generator:Learned?weights=FOLDER&dynamics=NAME"`."""
 
     def __init__(self, weights: str = "examples/worldmodel/weights", dynamics: str = "dynamics") -> None:
-        self.name, self._generator = "learned", Generator(Path(weights), dynamics)
+        self.name = "learned"
+        self._generator = Generator(Path(weights), dynamics)
 
     def generate(self, request: Request, out: Path) -> Path:
         """Write the video of a request."""
-        path, ask = out.with_name(f"{out.name}.mp4"), (request.prompt, request.seed, request.num_frames)
+        path = out.with_name(f"{out.name}.mp4")
+        ask = (request.prompt, request.seed, request.num_frames)
         write_video(path, self._generator.generate(request.first_frame, *ask), request.fps)
         return path
 

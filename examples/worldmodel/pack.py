@@ -34,7 +34,8 @@ def write_pack(demos: Path, pack: Path, split: str) -> int:
     from kinebench_drake.kinematics.plant import ArmPlant
 
     (pack / split).mkdir(parents=True, exist_ok=True)
-    camera, plant = json.loads((demos / "camera.json").read_text()), ArmPlant()
+    camera = json.loads((demos / "camera.json").read_text())
+    plant = ArmPlant()
     rows = [json.loads(line) for line in (demos / "metadata.jsonl").read_text().splitlines()]
     for row in rows:
         path = pack / split / row["file_name"]
@@ -52,18 +53,22 @@ def read_pack(pack: Path, split: str, demos: int | None = None) -> Arrays:
     tasks = groupby(sorted((pack / split).glob("*.mp4")), key=lambda path: path.name.rpartition("_s")[0])
     paths = [path for _, own in tasks for path in list(own)[:demos]]
     frames = np.empty((len(paths), FRAMES, SIZE, SIZE, 3), np.uint8)
-    poses, prompts = np.empty((len(paths), FRAMES, POSE), np.float32), []
+    poses = np.empty((len(paths), FRAMES, POSE), np.float32)
+    prompts = []
     for n, path in enumerate(paths):
-        images, notes = read_video(path), np.load(path.with_suffix(".npz"))
+        images = read_video(path)
+        notes = np.load(path.with_suffix(".npz"))
         chosen = np.minimum(np.arange(FRAMES), len(images) - 1)
-        frames[n], poses[n] = np.stack(images)[chosen], notes["poses"][chosen]
+        frames[n] = np.stack(images)[chosen]
+        poses[n] = notes["poses"][chosen]
         prompts.append(str(notes["prompt"]))
     return frames, poses, prompts
 
 
 def read_video(path: Path) -> list[NDArray[np.uint8]]:
     """Decode the frames of a video, RGB (H, W, 3)."""
-    capture, images = cv2.VideoCapture(str(path)), []
+    capture = cv2.VideoCapture(str(path))
+    images = []
     while (answer := capture.read())[0]:
         images.append(cv2.cvtColor(answer[1], cv2.COLOR_BGR2RGB))
     if not images:

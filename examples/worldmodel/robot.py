@@ -40,7 +40,8 @@ PARTS = (
 """Rigid parts, links 1 to 6, hand and fingers: origin, two points along z, two points along y, radius [m]."""
 STATIONS = (-0.6, -0.2, 0.2, 0.6)
 """Points on a ray: distances from the point that is closest to the part's origin, in radii."""
-OCTAVES, LOOK = 5, 32
+OCTAVES = 5
+LOOK = 32
 """Frequencies of the waves, and numbers that describe light and colours of a clip."""
 SHARPNESS = 60.0
 """Steepness of the order of parts along a ray [1/m]."""

@@ -16,13 +16,16 @@ from .dynamics import Dynamics, encode_prompts
 from .pack import FRAMES, read_pack
 
 _log = logging.getLogger(__name__)
-RATE, DECAY = 1e-3, 0.998
+RATE = 1e-3
+DECAY = 0.998
 """Learning rate, and the share of the averaged weights that a step keeps."""
-CLIP_FRAMES, PIXELS = 8, 256
+CLIP_FRAMES = 8
+PIXELS = 256
 """Frames of each clip and pixels of each frame in a batch of the decoder."""
 START_NOISE = 0.005
 """Standard deviation of the noise on the first frame's pose numbers: the encoder is not exact."""
-LOG_S, SAVE_S = 20.0, 180.0
+LOG_S = 20.0
+SAVE_S = 180.0
 """Times between lines of the log and between checkpoints [s]."""
 
 
@@ -98,7 +101,8 @@ def train(config: TrainConfig) -> int:
     average = AveragedModel(model, multi_avg_fn=get_ema_multi_avg_fn(DECAY), use_buffers=True)
     optimizer = torch.optim.AdamW(model.parameters(), RATE, betas=(0.9, 0.99), weight_decay=0.01, fused=True)
     config.out.mkdir(parents=True, exist_ok=True)
-    state, step = config.out / f"{config.stage}.state", 0
+    state = config.out / f"{config.stage}.state"
+    step = 0
     if state.exists():
         stored = load_file(state)
         step = int(stored.pop("step"))
@@ -119,7 +123,8 @@ def train(config: TrainConfig) -> int:
         _replace(state, stored | {"step": torch.tensor(step)})
 
     began = saved = logged = time.monotonic()
-    total, count = torch.zeros((), device=device), 0
+    total = torch.zeros((), device=device)
+    count = 0
     while step < config.steps and (past := (time.monotonic() - began) / (60 * config.minutes)) < 1:
         draws = torch.Generator().manual_seed(config.seed * 10**8 + step)
         torch.manual_seed(config.seed * 10**8 + step + 1)
@@ -132,13 +137,17 @@ def train(config: TrainConfig) -> int:
         nn.utils.clip_grad_norm_(model.parameters(), 1.0)
         optimizer.step()
         average.update_parameters(model)
-        step, total, count = step + 1, total + loss.detach(), count + 1
+        step = step + 1
+        total = total + loss.detach()
+        count = count + 1
         if step in config.levels:
             save(f"{config.stage}_{step:05d}")
         now = time.monotonic()
         if now - logged > LOG_S:
             _log.info("step %d loss %.4f, %.2f steps/s", step, float(total) / count, count / (now - logged))
-            total, count, logged = torch.zeros_like(total), 0, now
+            total = torch.zeros_like(total)
+            count = 0
+            logged = now
         if now - saved > SAVE_S:
             save(config.stage)
             saved = now

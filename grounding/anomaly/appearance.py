@@ -64,7 +64,9 @@ def expect_gripper(
         X_SC: (T, 4, 4) camera frame in that of each image, which a moving camera shifts.
     """
     present = present & finite_rows(p_C)
-    expected, last, hidden = present.copy(), -1, True
+    expected = present.copy()
+    last = -1
+    hidden = True
     for i in np.flatnonzero(~present).tolist():
         starts = i > 0 and present[i - 1]
         if hidden and not starts:
@@ -85,14 +87,16 @@ def _inside(p_S: Array, camera: Camera) -> bool:
     """Return whether the core of a gripper around `p_S` (3,) [m] is inside the image."""
     if p_S[2] <= NEAREST_M:
         return False
-    pixel, radius_px = camera.project(p_S), np.array([camera.fx, camera.fy]) * _CORE_M / p_S[2]
+    pixel = camera.project(p_S)
+    radius_px = np.array([camera.fx, camera.fy]) * _CORE_M / p_S[2]
     size = np.array([camera.width, camera.height])
     return bool((pixel >= radius_px).all() and (pixel <= size - radius_px).all())
 
 
 def _hidden_share(p_S: Array, view: GripperView) -> float:
     """Return the share of the core of a gripper around `p_S` (3,) [m] behind links of the arm; 0 outside the view."""
-    rays_V, p_V = view.rays(), view.crop.R_CV.T @ p_S
+    rays_V = view.rays()
+    p_V = view.crop.R_CV.T @ p_S
     cosine = rays_V @ p_V / np.linalg.norm(rays_V, axis=-1) / np.linalg.norm(p_V)
     core = cosine >= np.cos(np.arctan2(_CORE_M, p_V[2]))
     hidden = view.arm[core] & (view.depth_m[core] < p_V[2])
@@ -174,7 +178,8 @@ def shape_misfit(view: GripperView, X_CH: Array, finger_m: float) -> float:
     unit = (p_H - p_H.mean(axis=0)) / 0.1
     design = np.column_stack([np.ones(len(unit)), unit, unit[:, 2] ** 2])
     weight = 1.0 / view.coordinates_sigma_m[cells] ** 2
-    robust, field = np.ones(len(unit)), np.zeros_like(offset)
+    robust = np.ones(len(unit))
+    field = np.zeros_like(offset)
     for _ in range(_PASSES):
         root = np.sqrt(weight * robust)[:, None]
         solution = np.linalg.lstsq(design * root, offset * root, rcond=None)[0]
@@ -192,7 +197,8 @@ def find_deformations(misfit: ArrayLike, residual: ArrayLike) -> Detection:
     The `misfit` (T,) of the shape (`shape_misfit`) counts with the `residual` (T,) of cells against the rigid gripper
     [standard deviations].
     """
-    misfit, residual = np.asarray(misfit, dtype=np.float64), np.asarray(residual, dtype=np.float64)
+    misfit = np.asarray(misfit, dtype=np.float64)
+    residual = np.asarray(residual, dtype=np.float64)
     finite = residual[np.isfinite(residual)]
     usual = min(float(np.median(finite)), bounds.USUAL_RESIDUAL) if finite.size else bounds.USUAL_RESIDUAL
     excess = residual / (bounds.EXCESS * usual)

@@ -16,7 +16,9 @@ from kinebench_drake.grounding.tracking.camera_path import CameraPath, CameraWay
 from kinebench_drake.io.frames import Frames
 from kinebench_drake.io.progress import count_steps
 
-_MAX_FEATURES, _ENOUGH_FEATURES = 100, 40  # tracked at once; of tracked ones, that more are not looked for
+# tracked at once; of tracked ones, that more are not looked for
+_MAX_FEATURES = 100
+_ENOUGH_FEATURES = 40
 _LK_CRITERIA = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 10, 0.03)  # iterations, least step [px]
 _MARGIN_PX = 15  # features this near the robot's outline may move with it
 _ROUND_TRIP_PX = 0.5  # largest error of a feature tracked forth and back
@@ -109,7 +111,8 @@ class CameraMotion:
             return replace(self.path, R_AC=R_AC).stabilize(frames, camera)
         if not self.moves:
             return frames, camera
-        still, n = self.lost | (np.nan_to_num(self.px) <= 0), len(frames)
+        still = self.lost | (np.nan_to_num(self.px) <= 0)
+        n = len(frames)
         R_AC = np.where(still[:, None, None], np.eye(3), self.R_AC)
         path = CameraPath(
             way=CameraWay.ROTATION, R_AC=R_AC, p_AC=np.zeros((n, 3)), zoom=np.ones(n), followed=~still, px=self.px
@@ -122,7 +125,8 @@ class FeatureTracks:
 
     def __init__(self, frames: Frames) -> None:
         """Create the tracks of `frames` (T, H, W, 3), RGB; none is computed yet."""
-        self._frames, self._first = frames, cv2.cvtColor(frames[0], cv2.COLOR_RGB2GRAY)
+        self._frames = frames
+        self._first = cv2.cvtColor(frames[0], cv2.COLOR_RGB2GRAY)
         self._column: dict[tuple[float, float], int] = {}
         self._now = np.zeros((len(frames) - 1, 0, 2), np.float32)
         self._good = np.zeros(self._now.shape[:2], dtype=bool)
@@ -163,7 +167,8 @@ def measure_camera_motion(tracks: FeatureTracks, robot: NDArray[np.bool_], camer
     according to one rotation of the camera. The first frame shows the `robot` at some (H, W) pixels.
     """
     n = len(tracks)
-    px, R_AC = np.full(n, np.nan), np.repeat(np.eye(3)[None], n, axis=0)
+    px = np.full(n, np.nan)
+    R_AC = np.repeat(np.eye(3)[None], n, axis=0)
     margin = np.ones((_MARGIN_PX, _MARGIN_PX), np.uint8)
     mask = np.where(cv2.dilate(robot.astype(np.uint8), margin) > 0, 0, 255).astype(np.uint8)
     start, there, good = tracks.track(mask)
@@ -171,7 +176,8 @@ def measure_camera_motion(tracks: FeatureTracks, robot: NDArray[np.bool_], camer
         px[0] = 0.0
         places: dict[int, tuple[Array, Array]] = {}
         for i in (1 + np.flatnonzero(good.sum(axis=1) >= bounds.MOTION_FEATURES)).tolist():
-            first, now = start[good[i - 1]], there[i - 1, good[i - 1]]
+            first = start[good[i - 1]]
+            now = there[i - 1, good[i - 1]]
             px[i] = np.quantile(np.linalg.norm(now - first, axis=1), bounds.MOTION_QUANTILE)
             places[i] = first, now
         if np.nanmax(px) >= bounds.FIXED_PX * camera.unit_px:  # else it counts as fixed
@@ -195,7 +201,8 @@ def _rotation(first: Array, now: Array, camera: Camera) -> tuple[Array, float]:
         rays = np.column_stack([(pixels - [camera.cx, camera.cy]) / [camera.fx, camera.fy], np.ones(len(pixels))])
         lines.append(rays / np.linalg.norm(rays, axis=1, keepdims=True))
     weight = np.ones(len(first))
-    R, error_px = np.eye(3), np.zeros(len(first))
+    R = np.eye(3)
+    error_px = np.zeros(len(first))
     for _ in range(_ROTATION_PASSES):
         R = orthonormalize((lines[0] * weight[:, None]).T @ lines[1])
         error_px = camera.fx * np.linalg.norm(lines[0] - lines[1] @ R.T, axis=1)

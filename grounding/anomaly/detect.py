@@ -122,7 +122,8 @@ def gather_evidence(
     none, and `wide` (T,) are views of whole images.
     """
     n = len(frames)
-    p_C, explained = np.full((n, 3), np.nan), np.zeros(n)
+    p_C = np.full((n, 3), np.nan)
+    explained = np.zeros(n)
     width, misfit, residual, scale = (np.full(n, np.nan) for _ in range(4))
     for i, pose in enumerate(poses):
         if pose is None:
@@ -226,7 +227,8 @@ def _find_vanishing(e: AnomalyEvidence) -> Detection:
 
 def _without(detection: Detection, frames: set[int]) -> Detection:
     """Return a detection without the anomalies that begin within one frame of `frames`."""
-    score, near = detection.score.copy(), {f + d for f in frames for d in (-1, 0, 1)}
+    score = detection.score.copy()
+    near = {f + d for f in frames for d in (-1, 0, 1)}
     score[[f for f in near if 0 <= f < len(score)]] = 0.0
     return replace(
         detection,

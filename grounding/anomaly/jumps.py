@@ -35,7 +35,8 @@ def jump_lengths(p: ArrayLike, fair: NDArray[np.bool_], t_s: Array) -> Array:
     if len(index) < 4:
         return lengths
     place = frame_periods(t_s)[index]
-    q, gaps = p[index], np.diff(place)
+    q = p[index]
+    gaps = np.diff(place)
     velocity = np.diff(q, axis=0) / gaps[:, None]
     for k in range(2, len(index) - 1):
         if gaps[k - 1] > _MAX_GAP + UNEVEN:
@@ -93,12 +94,15 @@ def find_freezes(p: ArrayLike, fair: NDArray[np.bool_], still: NDArray[np.bool_]
     """
     p = np.asarray(p, dtype=np.float64)
     step = np.concatenate([[np.nan], np.linalg.norm(np.diff(p, axis=0), axis=1)])
-    score, size = np.zeros(len(p)), np.zeros(len(p))
+    score = np.zeros(len(p))
+    size = np.zeros(len(p))
     for run in segments(still & ~(step > bounds.STILL_M)):
-        start, end = run.start, run.stop - 1
+        start = run.start
+        end = run.stop - 1
         if start < 2 or end + 1 >= len(p) or not fair[[start - 2, start - 1, end, end + 1]].all():
             continue
-        before, jump = step[start - 1], step[end + 1]
+        before = step[start - 1]
+        jump = step[end + 1]
         after = step[end + 2] if end + 2 < len(p) and fair[end + 2] else before
         speed = before / (t_s[start - 1] - t_s[start - 2])
         size[run] = run.stop - start
@@ -134,7 +138,8 @@ def find_finger_faults(width_m: ArrayLike) -> Detection:
     width_m = np.asarray(width_m, dtype=np.float64)
     index = np.flatnonzero(np.isfinite(width_m))
     width = width_m[index]
-    outside, amplitude = np.maximum(np.maximum(-width, width - MAX_WIDTH_M), 0.0), flutter(width)
+    outside = np.maximum(np.maximum(-width, width - MAX_WIDTH_M), 0.0)
+    amplitude = flutter(width)
     size = np.zeros(len(width_m))
     size[index] = np.maximum(outside, amplitude)
     return Detection.from_score(AnomalyKind.FINGERS, size / bounds.WIDTH_FAULT_M, size)

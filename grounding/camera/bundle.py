@@ -31,7 +31,9 @@ _POSTURE_SIGMA_RAD = np.array([10.0, *[1.5] * 6])
 """Standard deviations of unknown joint angles about their start [rad]: they keep joints that nothing shows."""
 _OPENING_INFORMATION = 25.0  # of an opening that nothing shows [1/m^2]
 _BEHIND = 1e3  # cost of a point behind the camera
-_LARGEST_STEP_RAD, _LARGEST_STEP_M, _LARGEST_ZOOM = 0.4, 0.4, 0.2
+_LARGEST_STEP_RAD = 0.4
+_LARGEST_STEP_M = 0.4
+_LARGEST_ZOOM = 0.2
 _CONVERGED = 1e-5
 
 
@@ -98,7 +100,8 @@ class Prior:
 
     def of_lens(self, lens: Lens) -> tuple[Array, Array, NDArray[np.bool_]]:
         """Return information (9,), deviation (9,) of a lens from the mean, and which unknowns are free (9,)."""
-        camera, mean = lens.camera, self.lens.camera
+        camera = lens.camera
+        mean = self.lens.camera
         sigma = np.array([*[np.inf if self.place_free else 0.0] * 6, self.log_focal_sigma, *[self.centre_sigma_px] * 2])
         free = sigma > 0
         deviation = np.array([*[0.0] * 6, np.log(camera.fx / mean.fx), camera.cx - mean.cx, camera.cy - mean.cy])
@@ -156,7 +159,8 @@ def adjust(
     if q_sigma is None:
         q_sigma = _POSTURE_SIGMA_RAD if prior.joint_sigma_rad is None else prior.joint_sigma_rad
     postures = start.q if q is None else q, np.broadcast_to(np.asarray(q_sigma, dtype=np.float64), start.q.shape)
-    scene, damping = start, 1e-3
+    scene = start
+    damping = 1e-3
     current = _Linearization(observations, scene, prior, postures, model)
     for _ in range(iterations):
         lens_step, frame_steps = current.step(damping)
@@ -164,7 +168,9 @@ def adjust(
         trial = _Linearization(observations, candidate, prior, postures, model)
         if trial.cost < current.cost:
             gain = current.cost - trial.cost
-            scene, current, damping = candidate, trial, max(damping / 5, 1e-7)
+            scene = candidate
+            current = trial
+            damping = max(damping / 5, 1e-7)
             if gain < _CONVERGED * current.cost:
                 break
         else:
@@ -175,7 +181,8 @@ def adjust(
 
 
 def _update(scene: ArmScene, step: Array, frame_steps: Array, model: ArmModel) -> ArmScene:
-    lens_step, offset_step = step[:UNKNOWNS], step[UNKNOWNS:]
+    lens_step = step[:UNKNOWNS]
+    offset_step = step[UNKNOWNS:]
     unit = 0.1 * scene.lens.camera.width
     bound = np.array([*[_LARGEST_STEP_RAD] * 3, *[_LARGEST_STEP_M] * 3, _LARGEST_ZOOM, unit, unit])
     lens_step = lens_step / max(1.0, float((np.abs(lens_step) / bound).max()))
@@ -195,8 +202,11 @@ class _Linearization:
         self, observations: Observations, scene: ArmScene, prior: Prior, postures: tuple[Array, Array], model: ArmModel
     ) -> None:
         """Linearize the errors; `postures` are mean and standard deviations (T, 7) of the joint angles [rad]."""
-        o, lens, (q, q_sigma) = observations, scene.lens, postures
-        self._scene, self._o = scene, o
+        o = observations
+        lens = scene.lens
+        (q, q_sigma) = postures
+        self._scene = scene
+        self._o = o
         X_BP, axis, point = model.poses_and_axes_of(scene.q)
         p_B = o.locate(X_BP, scene.finger_m)
         uv, z = lens.project(p_B)
@@ -227,13 +237,16 @@ class _Linearization:
         by_frame = o.whitening @ by_B @ np.swapaxes(moving, 1, 2)
         J = np.concatenate([o.whitening @ by_lens, by_offset, by_frame], axis=2)
         W = o.weight / (1.0 + square / CAUCHY**2) * ~behind
-        frames, n = len(scene.q), _SHARED + _A_FRAME
-        self._H, self._g = np.zeros((frames, n, n)), np.zeros((frames, n))
+        frames = len(scene.q)
+        n = _SHARED + _A_FRAME
+        self._H = np.zeros((frames, n, n))
+        self._g = np.zeros((frames, n))
         for t in range(frames):
             own = o.frame == t
             flat = J[own].reshape(-1, n)
             weighted = flat * np.repeat(W[own], 2)[:, None]
-            self._H[t], self._g[t] = flat.T @ weighted, weighted.T @ self._residual[own].ravel()
+            self._H[t] = flat.T @ weighted
+            self._g[t] = weighted.T @ self._residual[own].ravel()
         k = np.arange(_SHARED, _SHARED + N_JOINTS)
         self._H[:, k, k] += q_information
         self._g[:, k] += q_information * dq
@@ -249,7 +262,9 @@ class _Linearization:
 
     def _eliminate(self, damping: float) -> tuple[Array, Array, Array, Array]:
         """Return normal matrix and gradient of what frames have in common, and the frames' back substitution."""
-        c, s, k = slice(None, _SHARED), slice(_SHARED, None), np.arange(_A_FRAME)
+        c = slice(None, _SHARED)
+        s = slice(_SHARED, None)
+        k = np.arange(_A_FRAME)
         S = self._H[:, s, s].copy()
         S[:, k, k] = S[:, k, k] * (1 + damping) + 1e-9
         back = np.linalg.solve(S, np.concatenate([self._H[:, s, c], self._g[:, s, None]], axis=2))
@@ -262,16 +277,19 @@ class _Linearization:
         H, g, back, own = self._eliminate(damping)
         k = np.arange(_SHARED)
         H[k, k] += damping * self._H[:, k, k].sum(axis=0) + 1e-9
-        free, step = np.flatnonzero(self._free), np.zeros(_SHARED)
+        free = np.flatnonzero(self._free)
+        step = np.zeros(_SHARED)
         step[free] = -np.linalg.solve(H[np.ix_(free, free)], g[free])
         return step, -own - back @ step
 
     def bundle(self) -> Bundle:
         """Return the result with its information."""
         H, _, back, _ = self._eliminate(0.0)
-        c, s = slice(None, UNKNOWNS), slice(UNKNOWNS, None)
+        c = slice(None, UNKNOWNS)
+        s = slice(UNKNOWNS, None)
         offsets = np.linalg.solve(H[s, s], H[s, c]) if self._free[s].any() else np.zeros((_PARTS, UNKNOWNS))
-        information, fixed = H[c, c] - H[c, s] @ offsets, ~self._free[c]
+        information = H[c, c] - H[c, s] @ offsets
+        fixed = ~self._free[c]
         information[fixed] = information[:, fixed] = 0.0
         W = self._o.whitening
         rows = np.maximum((np.abs(W).sum(axis=2) > 0).sum(axis=1), 1)

@@ -113,7 +113,10 @@ class Calibrator:
 
         Those `detected` are of frames whose postures are known, those `tracked` hold postures where one is known.
         """
-        self._detected, self._tracked, self._cameras, self._model = detected, tracked, cameras, ArmModel()
+        self._detected = detected
+        self._tracked = tracked
+        self._cameras = cameras
+        self._model = ArmModel()
 
     @staticmethod
     def load() -> "Calibrator":
@@ -123,7 +126,8 @@ class Calibrator:
             SetupError: weights, meshes or native libraries are missing.
         """
         dense = NetworkEstimator(load_network())
-        detected, tracked = partial(detect_views, dense), partial(track_views, CadTracker(dense))
+        detected = partial(detect_views, dense)
+        tracked = partial(track_views, CadTracker(dense))
         return Calibrator(detected, tracked, CameraEstimator(dense))
 
     def calibrate(
@@ -151,7 +155,8 @@ class Calibrator:
         """
         method = _method(states)
         chosen = _chosen(states, most)
-        images, postures = frames[chosen], states.take(chosen)
+        images = frames[chosen]
+        postures = states.take(chosen)
         estimator = self._tracked if method is CalibrationMethod.POSTURE else self._detected
         view = estimator(images, guess)
         shift = _camera_shift(images, view, guess)

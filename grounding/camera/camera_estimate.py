@@ -128,9 +128,11 @@ class CameraEstimate(FittedCamera):
     @property
     def misfit(self) -> str | None:
         """Why neither the camera nor one of its `rivals` is right with certainty; None if one of them is."""
-        least, least_base = bounds.ARM_AGREEMENT, bounds.BASE_AGREEMENT
+        least = bounds.ARM_AGREEMENT
+        least_base = bounds.BASE_AGREEMENT
         if self.is_aligned:
-            least, least_base = bounds.ALIGNED_AGREEMENT, bounds.ALIGNED_BASE_AGREEMENT
+            least = bounds.ALIGNED_AGREEMENT
+            least_base = bounds.ALIGNED_BASE_AGREEMENT
         if self.agreement < least:
             return (
                 f"no estimated camera agrees with the arm (best: {self.agreement:.0%} of its contours on image edges, "
@@ -175,7 +177,8 @@ def describe(
     bundle: Bundle, part: NDArray[np.uint8], model: ArmModel, frames: NDArray[np.intp], agreement: float
 ) -> CameraEstimate:
     """Return the estimate of a fit to contours of some parts (N,) in frames of these numbers (T,)."""
-    covariance, spread = bundle.covariance, []
+    covariance = bundle.covariance
+    spread = []
     for q, response in zip(bundle.scene.q, bundle.response, strict=True):
         X_BP, axis, point = model.poses_and_axes(q)
         X_BH = X_BP[RobotPart.HAND]

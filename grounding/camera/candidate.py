@@ -77,7 +77,8 @@ class CandidateFitter:
 
     def __init__(self, model: ArmModel, matcher: EdgeMatcher) -> None:
         """Set the arm and the search for edges."""
-        self.model, self.matcher = model, matcher
+        self.model = model
+        self.matcher = matcher
 
     def images(self, frames: Frames, camera: Camera) -> ContourImages:
         """Return the images of `frames` (T, H, W, 3); only the size of `camera` matters."""
@@ -99,18 +100,22 @@ class CandidateFitter:
 
     def extend(self, candidate: Candidate, detections: ArmDetections, hypothesis: Hypothesis) -> Candidate:
         """Return a candidate with all frames that its camera explains by a hypothesis, itself included."""
-        q, finger_m = hypothesis.q.copy(), detections.finger_m.copy()
-        q[candidate.rows], finger_m[candidate.rows] = candidate.scene.q, candidate.scene.finger_m
+        q = hypothesis.q.copy()
+        finger_m = detections.finger_m.copy()
+        q[candidate.rows] = candidate.scene.q
+        finger_m[candidate.rows] = candidate.scene.finger_m
         extended = self.start(replace(detections, finger_m=finger_m), replace(hypothesis, q=q))
         return candidate if extended is None else extended
 
     def fit_cells(self, start: Candidate, prior: Prior) -> Candidate:
         """Return a candidate fitted to its cells."""
-        scene, cost = start.scene, 0.0
+        scene = start.scene
+        cost = 0.0
         for _ in range(2):
             observations = _cell_observations(start.cells, scene, self.model)
             bundle = adjust(observations, scene, prior, self.model)
-            scene, cost = bundle.scene, bundle.cost
+            scene = bundle.scene
+            cost = bundle.cost
         return replace(start, scene=scene, cost=cost)
 
     def compare(self, fit: Candidate, images: ContourImages, prior: Prior, frames: int, passes: Passes) -> Candidate:
@@ -126,7 +131,8 @@ class CandidateFitter:
         self, fit: Candidate, images: ContourImages, prior: Prior, passes: Passes
     ) -> tuple[ArmScene, Observations | None]:
         """Fit a candidate to the edges of images of its own frames, in passes; return scene and contours."""
-        scene, edges = fit.scene, None
+        scene = fit.scene
+        edges = None
         q, q_sigma = (None, _PASS_SIGMA_RAD) if prior.joint_sigma_rad is None else (fit.scene.q, None)
         for reach_px, weight in passes:
             edges = images.observe(scene, reach_px)

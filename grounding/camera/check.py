@@ -48,7 +48,8 @@ other focal lengths have 0.75 of it at most, crops 0.81, and crops of cropped pi
 _CROP_ZOOMS = (1.1, 1.25, 1.45)  # focal lengths of cropped pictures over that of the camera
 _CROP_PLACES = np.array([[0.0, 0.0], [-1.0, -1.0], [-1.0, 1.0], [1.0, -1.0], [1.0, 1.0]])
 """Places of a cropped picture in the whole one: its middle and its corners."""
-_CROP_LOG_SIGMA, _CROP_CENTRE_SIGMA = 0.15, 0.1
+_CROP_LOG_SIGMA = 0.15
+_CROP_CENTRE_SIGMA = 0.1
 """Standard deviations of the logarithm of the focal length of a cropped picture, and of its principal point over its
 width."""
 _ZOOMS = (0.63, 0.72, 0.85, 1.0, 1.2, 1.4, 1.6)  # focal lengths over that of a camera in doubt
@@ -94,14 +95,17 @@ class CameraChecker:
 
     def __init__(self, estimator: DenseEstimator, fitter: CandidateFitter) -> None:
         """Check with the dense estimates of `estimator`."""
-        self._estimator, self._fitter = estimator, fitter
+        self._estimator = estimator
+        self._fitter = fitter
 
     def track_agreement(self, frames: Frames, camera: Camera, result: PipelineResult) -> float | None:
         """Return the share of the contours of hand and arm on image edges in the postures of a track; None without any.
 
         Mean over frames. Of a moving camera those before it moves count; of the arm alone the hand's contours do not.
         """
-        q, track, path = result.arm_q, result.track, result.camera_path
+        q = result.arm_q
+        track = result.track
+        path = result.camera_path
         if not len(q):
             return None
         fitted = np.flatnonzero(
@@ -305,7 +309,8 @@ class CameraChecker:
 
         None if it explains too few of the frames in which the robot is detected.
         """
-        start, lens = self._fitter.start(detections, hypothesis), hypothesis.lens
+        start = self._fitter.start(detections, hypothesis)
+        lens = hypothesis.lens
         if start is None:
             return None
         images = self._fitter.images(frames[detections.rows[start.rows]], lens.camera)

@@ -232,7 +232,8 @@ class CameraChooser:
         Raises:
             UnmeasurableError: the shape of the video differs from that of the camera's image, and nothing explains it.
         """
-        camera, shown = choice.camera, choice.shown
+        camera = choice.camera
+        shown = choice.shown
         clip = self.clip.flipped(rows=shown is Reading.ROWS_REVERSED, columns=shown is Reading.MIRRORED)
         framing = find_framing(clip.frames, camera, clip.conditioning, choice.source)
         priors = self.priors

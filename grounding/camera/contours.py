@@ -33,7 +33,8 @@ DIFFERENT_TURN_RAD = np.deg2rad(20.0)
 _WITH_FINGERS_PX = 6.0  # reach beyond which fingers count, too: grippers have fingers of many forms
 _RIGHT_RAD = np.deg2rad(15.0)  # from a right angle, of turns that are one
 _FRAMES = 6
-_STEP_RAD, _TOPS = np.deg2rad(5.0), 6
+_STEP_RAD = np.deg2rad(5.0)
+_TOPS = 6
 _FINE_STEPS_RAD = np.deg2rad([-3.75, -2.5, -1.25, 1.25, 2.5, 3.75])
 
 
@@ -130,7 +131,8 @@ class ContourImages:
 
     def base_share(self, scene: ArmScene) -> float:
         """Return the share of the visible contours of the base link that lies on image edges; 0 if too few are seen."""
-        on_edges, points_visible = 0.0, 0
+        on_edges = 0.0
+        points_visible = 0
         for image, points in self._project(scene, (RobotPart.LINK0,)):
             if points is not None and len(points.part) >= MIN_POINTS:
                 on_edges += float(self.matcher.edge_shares(image, points).sum())
@@ -143,12 +145,14 @@ class ContourImages:
         At least one, the best first; only that of the scene itself where no other is within the limits of joint 1.
         """
         rows = evenly(len(scene.q), _FRAMES)
-        few, images = scene.take(rows), self.take(rows)
+        few = scene.take(rows)
+        images = self.take(rows)
 
         def shares(angles: Array) -> Array:
             return np.array([images.base_share(few.turned(angle)) for angle in angles])
 
-        lower, upper = self.model.lower[0] - scene.q[:, 0].min(), self.model.upper[0] - scene.q[:, 0].max()
+        lower = self.model.lower[0] - scene.q[:, 0].min()
+        upper = self.model.upper[0] - scene.q[:, 0].max()
         angles = np.arange(lower, upper, _STEP_RAD)
         if not len(angles):
             return [BaseTurn(angle_rad=0.0, share=images.base_share(few))]
@@ -156,7 +160,8 @@ class ContourImages:
         # Contours are narrower than a step: the best steps are searched closely.
         tops = angles[np.argsort(-share, kind="stable")[:_TOPS]]
         fine = np.unique(np.clip((tops[:, None] + _FINE_STEPS_RAD).ravel(), angles[0], angles[-1]))
-        angles, share = np.concatenate([angles, fine]), np.concatenate([share, shares(fine)])
+        angles = np.concatenate([angles, fine])
+        share = np.concatenate([share, shares(fine)])
         turns: list[BaseTurn] = []
         for k in np.argsort(-share, kind="stable"):
             if all(abs(angles[k] - turn.angle_rad) > DIFFERENT_TURN_RAD for turn in turns):

@@ -75,7 +75,8 @@ class RobotPoints:
 
         The errors of such points correlate.
         """
-        p, R = X_BP[..., :3, 3], X_BP[..., :3, :3]
+        p = X_BP[..., :3, 3]
+        R = X_BP[..., :3, :3]
         near = np.linalg.norm(p[:, None] - p[None], axis=-1) <= bounds.GOOD_M
         cosine = (np.einsum("spij,tpij->stp", R, R) - 1.0) / 2.0
         alike = np.maximum(1, (near & (cosine >= np.cos(_ALIKE_RAD))).sum(axis=1))
@@ -147,7 +148,8 @@ def _part_cells(row: int, view: GripperView, part: RobotPart, camera: Camera) ->
     v, u = np.nonzero(view.part == part)
     if len(v) > _PART_CELLS:
         chosen = np.linspace(0, len(v) - 1, _PART_CELLS).astype(int)
-        v, u = v[chosen], u[chosen]
+        v = v[chosen]
+        u = u[chosen]
     n = len(v)
     rays = view.rays()[v, u] @ view.crop.R_CV.T
     return CalibrationCorrespondences(

@@ -115,7 +115,8 @@ def _approach(
         for row, view in estimator.estimate(frames, camera, crops):
             hand = fit(view)
             if hand is not None and (own or row not in close or _hand_share(view) > _hand_share(close[row])):
-                close[row], hands[row] = view, hand
+                close[row] = view
+                hands[row] = hand
     return close
 
 

@@ -39,7 +39,8 @@ JOINT_SIGMA_RAD = 0.01
 """Standard deviation of known joint angles [rad]: offsets of the joints, and clocks."""
 FRAMES = 12
 """Greatest number of frames that a camera is estimated from: each adds eight unknowns."""
-_CANDIDATES, _FITTED = 16, 6
+_CANDIDATES = 16
+_FITTED = 6
 """Numbers of hypotheses compared, and of those fitted to the cells besides."""
 _ROUNDS = ((4, COARSE, 8), (6, MIDDLE, 5))
 """Successive comparisons of candidates: frames, passes, candidates kept."""
@@ -55,7 +56,8 @@ class CameraEstimator:
         Raises:
             SetupError: meshes, native libraries or the robot description are missing.
         """
-        self.estimator, self.fitter = estimator, CandidateFitter(ArmModel(), EdgeMatcher())
+        self.estimator = estimator
+        self.fitter = CandidateFitter(ArmModel(), EdgeMatcher())
 
     def estimate(self, frames: Frames, camera: Camera | None = None, *, focal_free: bool = True) -> CameraEstimate:
         """Estimate place and focal length of the static camera of a video.
@@ -167,7 +169,8 @@ class CameraEstimator:
 
     def _find_surroundings(self, estimate: CameraEstimate, frames: Frames) -> Surroundings | None:
         """Return the lines of frames (T, H, W, 3) along the axes of the base of an estimate; None without them."""
-        lens, upwards = estimate.scene.lens, estimate.scene.lens.X_CB[:3, 2]
+        lens = estimate.scene.lens
+        upwards = estimate.scene.lens.X_CB[:3, 2]
         X_CP = lens.X_CB @ self.fitter.model.poses(estimate.scene.q)
         lines = find_lines(frames, lens.camera, X_CP, self.fitter.matcher)
         return find_surroundings(lines, lens, float(upwards @ estimate.bundle.covariance[:3, :3] @ upwards) ** 0.5)

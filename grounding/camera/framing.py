@@ -61,7 +61,8 @@ class Framing:
     @classmethod
     def filling(cls, image: tuple[float, float], video: tuple[int, int]) -> "Framing":
         """Return the framing of an image of (width, height) scaled to a video of (width, height)."""
-        (w, h), (width, height) = image, video
+        (w, h) = image
+        (width, height) = video
         return cls(
             width=width,
             height=height,
@@ -115,7 +116,8 @@ class Framing:
         """Return the camera of the frames with their bars, from that of the image (at any size)."""
         if self.source is FramingSource.SIZE and not self.changes:
             return camera.resized(self.width, self.height)
-        x, y = self.scale_x * self.image_width / camera.width, self.scale_y * self.image_height / camera.height
+        x = self.scale_x * self.image_width / camera.width
+        y = self.scale_y * self.image_height / camera.height
         return replace(
             camera,
             width=self.width,

@@ -22,7 +22,9 @@ from kinebench_drake.io.frames import Frames
 from kinebench_drake.io.video import MIN_SIDE_PX
 from kinebench_drake.segments import evenly
 
-_COARSE_PX, _FINE_PX = (48, 96), (192, 384)  # longer side of the frame at the levels of the image pyramid
+# longer side of the frame at the levels of the image pyramid
+_COARSE_PX = (48, 96)
+_FINE_PX = (192, 384)
 _MAX_STEPS = 12
 _CONVERGED_PX = 0.01
 _MIN_VARIANCE = 1.0  # of an image's grey levels; one of a single grey cannot be aligned
@@ -47,7 +49,8 @@ def align(image: NDArray[np.uint8], frame: NDArray[np.uint8]) -> Framing | None:
 
     Returns the framing, exactly a usual one if it is near one; None if the frame does not show the image.
     """
-    size, video = (image.shape[1], image.shape[0]), (frame.shape[1], frame.shape[0])
+    size = (image.shape[1], image.shape[0])
+    video = (frame.shape[1], frame.shape[0])
     usual = placements(size, video)
     greys = [cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY).astype(np.float32) for rgb in (image, frame)]
     best = _refine(usual[0], greys, (*_COARSE_PX, *_FINE_PX))
@@ -112,7 +115,8 @@ def _with_inverse_map(inverse: Array, framing: Framing, level: _PyramidLevel) ->
     frame_px, image_px = _level_scales(framing, level)
     scale = image_px / (inverse[:, 0] * frame_px)
     offset = -inverse[:, 1] * scale / image_px
-    (scale_x, scale_y), (offset_x, offset_y) = scale.tolist(), offset.tolist()
+    (scale_x, scale_y) = scale.tolist()
+    (offset_x, offset_y) = offset.tolist()
     return replace(framing, scale_x=scale_x, scale_y=scale_y, offset_x=offset_x, offset_y=offset_y)
 
 
@@ -219,7 +223,8 @@ def find_framing(
         UnmeasurableError: the shapes differ, and neither first frame nor bars determine the framing; or too little of
             the image is left.
     """
-    video, camera_size = (frames.shape[2], frames.shape[1]), (camera.width, camera.height)
+    video = (frames.shape[2], frames.shape[1])
+    camera_size = (camera.width, camera.height)
     filled = Framing.filling(camera_size, video)
     framing: Framing | None = None
     named = "" if source is None else f"{source.value} "

@@ -25,12 +25,16 @@ from kinebench_drake.models.panda.robot import ARM, RobotPart
 from kinebench_drake.models.robot import N_JOINTS
 from kinebench_drake.segments import evenly
 
-_ANGLES, _COARSE_ANGLES = 36, 9  # angles of a joint whose next link is visible, and of another
+# angles of a joint whose next link is visible, and of another
+_ANGLES = 36
+_COARSE_ANGLES = 9
 _BEAM = 100
 _CELLS = 8  # cells of a link that are compared
 _CAP = 16.0  # of a cell's squared error in standard deviations
 _EXPLAINED = 9.0  # mean capped error of a frame above which its hand is no hand, or the camera another
-_SLACK_M, _SLACK_PX = 0.02, 2.0  # standard deviation that the start of the chain adds, and of the cells
+# standard deviation that the start of the chain adds, and of the cells
+_SLACK_M = 0.02
+_SLACK_PX = 2.0
 _LINK_FACTOR = 0.4  # of the cells' standard deviations: a wrong chain is farther off than they are
 _DEPTH_SIGMA = 0.04
 _ROLL_SIGMA_RAD = np.deg2rad(12.0)
@@ -38,7 +42,9 @@ _USUAL_SIGMA = np.array([1.2, 0.7, 0.6, 0.7, 0.7, 0.7, 1.3])
 _PRIOR_WEIGHT = 0.05
 _TIE = 1e-3  # difference of costs that says nothing
 _DISTANCES = np.exp(np.array([0.0, -0.16, -0.08, 0.08, 0.16]))  # of the hand, over that of its pose
-_COMPARED_FRAMES, _KEPT = 6, 32  # frames in which all chains are compared, and chains compared in all frames
+# frames in which all chains are compared, and chains compared in all frames
+_COMPARED_FRAMES = 6
+_KEPT = 32
 _FLIP_COST = 0.5  # of a gripper turned against its cells
 
 
@@ -65,7 +71,8 @@ class ChainSearch:
 
     def __init__(self, cells: CalibrationCorrespondences, finger_m: Array, model: ArmModel) -> None:
         """Sort the cells of T frames, whose fingers are each opened by `finger_m` (T,), by frame and part."""
-        self._model, self._frames = model, len(finger_m)
+        self._model = model
+        self._frames = len(finger_m)
         frames = [cells.take(cells.frame == t) for t in range(self._frames)]
         self._gripper = [self._opened(own, finger) for own, finger in zip(frames, finger_m, strict=True)]
         self._links = [self._link_cells(own) for own in frames]
@@ -128,7 +135,9 @@ class ChainSearch:
     def follow(self, frame: int, X_CH: Array, camera: Camera) -> tuple[Array, float]:
         """Return base pose X_CB (4, 4) and mean cost of the best chain of one frame."""
         links = self._links[frame]
-        X, q, cost = (X_CH @ self._X_H7)[None], np.zeros((1, N_JOINTS)), np.zeros(1)
+        X = (X_CH @ self._X_H7)[None]
+        q = np.zeros((1, N_JOINTS))
+        cost = np.zeros(1)
         count = 1e-9
         for joint in range(N_JOINTS - 1, -1, -1):
             part = int(ARM[joint])
@@ -145,7 +154,9 @@ class ChainSearch:
                 ((q_next[:, joint] - USUAL_Q[joint]) / _USUAL_SIGMA[joint]) ** 2, 9.0
             )
             best = np.argsort(total, kind="stable")[:_BEAM] if cells is not None else _spread(total, 4 * _BEAM)
-            X, q, cost = X_next[best], q_next[best], total[best]
+            X = X_next[best]
+            q = q_next[best]
+            cost = total[best]
         cost = cost / count + self._prior(X, q)
         first = int(cost.argmin())
         return X[first], float(cost[first])
@@ -171,7 +182,8 @@ class ChainSearch:
         """
         X = np.repeat(X_CH[None], len(_DISTANCES), axis=0)
         X[:, :3, 3] *= _DISTANCES[:, None]
-        hand, links = self._gripper[frame], self._links[frame]
+        hand = self._gripper[frame]
+        links = self._links[frame]
         hand_cost = np.zeros(len(X))
         if hand is not None:
             hand_cost = self._errors(X, _some(hand, 2 * _CELLS), lens.camera).mean(axis=1)
@@ -179,12 +191,15 @@ class ChainSearch:
         q = analytic_ik((X_BH @ self._model.X_HF)[:, None], LAST_ANGLES_RAD).reshape(-1, N_JOINTS)
         start = np.repeat(np.tile(hand_cost, 2) + _FLIP_COST * (np.arange(len(X_BH)) >= len(X)), len(q) // len(X_BH))
         flipped = np.repeat(np.arange(len(X_BH)) >= len(X), len(q) // len(X_BH))
-        lower, upper = self._model.lower - OVER_LIMIT_RAD, self._model.upper + OVER_LIMIT_RAD
+        lower = self._model.lower - OVER_LIMIT_RAD
+        upper = self._model.upper + OVER_LIMIT_RAD
         with np.errstate(invalid="ignore"):
             possible = np.flatnonzero(((q >= lower) & (q <= upper)).all(axis=1))
         if not len(possible):
             return None
-        q, start, flipped = q[possible], start[possible], flipped[possible]
+        q = q[possible]
+        start = start[possible]
+        flipped = flipped[possible]
         X_CP = lens.X_CB @ self._model.poses(q)
         errors = [self._errors(X_CP[:, part], cells, lens.camera).mean(axis=1) for part, cells in links.items()]
         cost = (np.sum(errors, axis=0) + start) / (len(links) + 1)

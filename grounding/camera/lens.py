@@ -15,7 +15,9 @@ USUAL_FOV_DEG = 55.0
 """Field of view along the longer side of a camera of which nothing is known [degrees]."""
 _SHOULDER_M = 0.333  # height of the shoulder above the base
 _CONSENSUS_PX = 6.0  # largest error of an inlier, in an image 384 px wide
-_SAME_RAD, _SAME_SHARE, _SAME_ZOOM = np.deg2rad(3.0), 0.03, 0.05
+_SAME_RAD = np.deg2rad(3.0)
+_SAME_SHARE = 0.03
+_SAME_ZOOM = 0.05
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -35,8 +37,10 @@ class Lens:
     def displace(self, step: Array) -> "Lens":
         """Return the lens after a step (9,) of the unknowns; the base turns about the axes of C."""
         X_CB = make_pose(rotation_exp(step[:3]) @ self.X_CB[:3, :3], self.X_CB[:3, 3] + step[3:6])
-        zoom, own = float(np.exp(step[6])), self.camera
-        cx, cy = own.cx + float(step[7]), own.cy + float(step[8])
+        zoom = float(np.exp(step[6]))
+        own = self.camera
+        cx = own.cx + float(step[7])
+        cy = own.cy + float(step[8])
         return Lens(camera=replace(own, fx=own.fx * zoom, fy=own.fy * zoom, cx=cx, cy=cy), X_CB=X_CB)
 
     def to_camera(self) -> Camera:
@@ -47,14 +51,16 @@ class Lens:
         """Project points (N, 3) in B to pixels (N, 2) and depths (N,) [m], points behind the camera included."""
         p_C = transform_points(self.X_CB, p_B)
         z = np.where(np.abs(p_C[:, 2]) < 1e-3, 1e-3, p_C[:, 2])
-        f, c = [self.camera.fx, self.camera.fy], [self.camera.cx, self.camera.cy]
+        f = [self.camera.fx, self.camera.fy]
+        c = [self.camera.cx, self.camera.cy]
         return np.asarray(p_C[:, :2] / z[:, None] * f + c), z
 
     def derivatives(self, p_B: Array) -> tuple[Array, Array]:
         """Return the derivatives of the pixels of points (N, 3) by the unknowns (N, 2, 9) and by p_C (N, 2, 3)."""
         offset = p_B @ self.X_CB[:3, :3].T
         x, y, z = (offset + self.X_CB[:3, 3]).T
-        fx, fy = self.camera.fx, self.camera.fy
+        fx = self.camera.fx
+        fy = self.camera.fy
         zero = np.zeros_like(z)
         by_C = np.stack(
             [np.stack([fx / z, zero, -fx * x / z**2], axis=-1), np.stack([zero, fy / z, -fy * y / z**2], axis=-1)],
@@ -63,7 +69,8 @@ class Lens:
         J = np.empty((len(z), 2, UNKNOWNS))
         J[:, :, :3] = np.cross(offset[:, None], by_C)  # d p_C / d w = -[offset]x
         J[:, :, 3:6] = by_C
-        J[:, 0, 6], J[:, 1, 6] = fx * x / z, fy * y / z
+        J[:, 0, 6] = fx * x / z
+        J[:, 1, 6] = fy * y / z
         J[:, :, 7:] = np.eye(2)
         return J, by_C
 
@@ -83,8 +90,10 @@ class Lens:
         Tolerances are `factor` times 3 degrees, 3 % of the distance and 5 % of the focal length.
         """
         zoom = abs(float(np.log(self.camera.fx / other.camera.fx)))
-        axis, other_axis = self.X_CB[:3, 2], other.X_CB[:3, 2]
-        shoulder, other_shoulder = self.X_CB[:3, 3] + _SHOULDER_M * axis, other.X_CB[:3, 3] + _SHOULDER_M * other_axis
+        axis = self.X_CB[:3, 2]
+        other_axis = other.X_CB[:3, 2]
+        shoulder = self.X_CB[:3, 3] + _SHOULDER_M * axis
+        other_shoulder = other.X_CB[:3, 3] + _SHOULDER_M * other_axis
         far = float(np.linalg.norm(shoulder - other_shoulder) / np.linalg.norm(shoulder))
         along = float(axis @ other_axis) >= np.cos(factor * _SAME_RAD)
         return along and zoom <= factor * _SAME_ZOOM and far <= factor * _SAME_SHARE

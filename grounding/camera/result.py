@@ -119,8 +119,11 @@ class CameraCalibration(FittedCamera):
 
 def describe(solution: LensSolution, model: ArmModel, basis: CalibrationBasis) -> CameraCalibration:
     """Return the calibration of a camera that was fitted to cells."""
-    bundle, cells, p_B = solution.bundle, solution.cells, solution.p_B
-    lens, error_px = bundle.scene.lens, bundle.error_px
+    bundle = solution.bundle
+    cells = solution.cells
+    p_B = solution.p_B
+    lens = bundle.scene.lens
+    error_px = bundle.error_px
     sigma_px = cells.sigma_px(lens, p_B)
     inlier = error_px <= _INLIER_SIGMAS * sigma_px
     sure = np.where(inlier, cells.weight / sigma_px**2, 0.0)
@@ -161,7 +164,8 @@ def describe_estimate(estimate: CameraEstimate, model: ArmModel, basis: Calibrat
 
 def _spread(solution: LensSolution, model: ArmModel) -> tuple[Array, Array]:
     """Return distances [m] and angles [rad] between the camera and those of single frames, at fixed focal length."""
-    scene, cells = solution.bundle.scene, solution.cells
+    scene = solution.bundle.scene
+    cells = solution.cells
     X_BC = scene.lens.to_camera().X_BC
     deviations = []
     for frame in np.unique(cells.frame):
@@ -175,7 +179,8 @@ def _spread(solution: LensSolution, model: ArmModel) -> tuple[Array, Array]:
 
 def format_lines(calibration: CameraCalibration) -> list[str]:
     """Format the calibration as lines of text."""
-    c, camera = calibration, calibration.camera
+    c = calibration
+    camera = calibration.camera
     place = ", ".join(f"{1e3 * x:.0f}" for x in camera.X_BC[:3, 3])
     fov = np.rad2deg(2 * np.arctan(camera.width / 2 / camera.fx))
     sure = f" +- {100 * c.focal_sigma:.1f} %" if c.basis.focal_free else ", fixed"
@@ -210,7 +215,8 @@ def require_determined(calibration: CameraCalibration) -> None:
             quantity and the reason.
     """
     unit = calibration.camera.unit_px
-    misfit, agreement = calibration.part_px["gripper"], calibration.agreement
+    misfit = calibration.part_px["gripper"]
+    agreement = calibration.agreement
     if agreement is not None and agreement < bounds.AGREEMENT:
         raise UnmeasurableError(
             f"{calibration.basis.source}: with no camera does the robot lie on the edges of the images "

@@ -104,7 +104,8 @@ def _solve_lens_and_postures(
     _require_enough(cells)
     finger_m = np.where(np.isfinite(states.finger_m), states.finger_m, view.finger_m)[rows]
     q_sigma = np.where(fixed[rows, None], _FIXED_SIGMA_RAD, _POSTURE_SIGMA_RAD)
-    q, X_BP = q[rows], model.poses(q[rows])
+    X_BP = model.poses(q[rows])
+    q = q[rows]
     bundle = fit_cells(cells, start, model, X_BP, finger_m, focal_free=focal_free, q=q, q_sigma=q_sigma)
     return LensSolution(bundle=bundle, cells=cells, X_BP=model.poses(bundle.scene.q), rows=rows)
 
@@ -135,7 +136,8 @@ def fit_cells(
         rounds: number of rounds, each with newly computed standard deviations of the cells.
     """
     prior = Prior(lens=start, log_focal_sigma=np.inf if focal_free else 0.0)
-    p_B, repeats = cells.locate(X_BP, finger_m), cells.count_repeats(X_BP)
+    p_B = cells.locate(X_BP, finger_m)
+    repeats = cells.count_repeats(X_BP)
 
     def adjusted(scene: ArmScene, weight: Array, steps: int = 20) -> Bundle:
         points = p_B if q is None else cells.locate(model.poses(scene.q), scene.finger_m)

@@ -198,7 +198,8 @@ def _at(trajectory: Trajectory, t_s: Array, name: str) -> Trajectory:
         mixed = (1.0 - s)[:, None] * values[after - 1] + s[:, None] * values[after]
         return np.where(near[:, None], mixed, np.nan)
 
-    q, X_BG = trajectory.q, trajectory.X_BG
+    q = trajectory.q
+    X_BG = trajectory.X_BG
     if X_BG is not None:
         X_BG = np.stack(
             [

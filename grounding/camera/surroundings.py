@@ -23,12 +23,20 @@ _LEAST_LENGTH = 0.05  # of a line over the larger side of the image
 _LEAST_LINES = 8
 _TURNS_RAD = np.deg2rad(np.arange(-45.0, 45.0, 0.5))
 _WIDTH_RAD = np.deg2rad(1.5)  # within which a line runs along an axis, at the camera that the arm shows
-_LEAST_SHARE, _LEAST_RATIO = 0.3, 2.0  # of the lines along the axes; over that at any other turn
+# of the lines along the axes; over that at any other turn
+_LEAST_SHARE = 0.3
+_LEAST_RATIO = 2.0
 _OTHER_TURN_RAD = np.deg2rad(10.0)
-_SIGMAS, _LARGEST_TURN_RAD = 2.5, np.deg2rad(6.0)  # of the arm's turn about the vertical, to take the axes as its own
+# of the arm's turn about the vertical, to take the axes as its own
+_SIGMAS = 2.5
+_LARGEST_TURN_RAD = np.deg2rad(6.0)
 _PASS_RAD = np.deg2rad(4.0)  # from its axis beyond which a line is left out
-_SIGMA_PX, _SIGMA_RAD = 0.3, np.deg2rad(0.15)  # of a line's ends, and of its direction
-_ASKEW_RAD, _ASKEW_PASSES = np.deg2rad(0.2), 6  # standard deviation of each angle between surroundings and base
+# of a line's ends, and of its direction
+_SIGMA_PX = 0.3
+_SIGMA_RAD = np.deg2rad(0.15)
+# standard deviation of each angle between surroundings and base
+_ASKEW_RAD = np.deg2rad(0.2)
+_ASKEW_PASSES = 6
 _DIFFERENCE = 1e-5
 _INDEPENDENT = 8.0  # independent lines that those along one axis count as at most
 _ALONG = np.array([0.1, 0.5, 0.9])  # places on a line that are compared with the robot
@@ -88,7 +96,9 @@ class Surroundings:
         """
         sigma = np.hypot(_SIGMA_PX, _SIGMA_RAD * self.lines.length_px / 2)
         weight = np.minimum(1.0, _INDEPENDENT / np.bincount(self.axis)[self.axis])
-        rows, askew, stiff = np.arange(len(self.axis)), np.zeros(3), np.eye(3) / _ASKEW_RAD**2
+        rows = np.arange(len(self.axis))
+        askew = np.zeros(3)
+        stiff = np.eye(3) / _ASKEW_RAD**2
 
         def residual(step: Array, askew: Array) -> Array:
             offsets = self.lines.offsets(lens.displace(step), rotation_exp(askew).T)
@@ -103,8 +113,10 @@ class Surroundings:
             askew = askew - np.linalg.solve(own, A.T @ (W * here) + stiff @ askew)
         here = residual(still, askew)
         W = weight / (1.0 + here**2 / CAUCHY**2)
-        J, A = _slopes(lambda x: residual(x, askew), still), _slopes(lambda x: residual(still, x), askew)
-        WJ, WA = W[:, None] * J, W[:, None] * A
+        J = _slopes(lambda x: residual(x, askew), still)
+        A = _slopes(lambda x: residual(still, x), askew)
+        WJ = W[:, None] * J
+        WA = W[:, None] * A
         H = J.T @ WJ - J.T @ WA @ np.linalg.solve(A.T @ WA + stiff, A.T @ WJ)
         cost = float((weight * CAUCHY**2 * np.log1p(here**2 / CAUCHY**2)).sum() + askew @ stiff @ askew)
         return cost, H, J.T @ (W * here)

@@ -25,7 +25,9 @@ from kinebench_drake.io.frames import Frames
 from kinebench_drake.io.npz import open_npz, read_npy
 from kinebench_drake.plugin import is_class_name, load_class
 
-_NEAR_M, _FAR_M = 0.02, 50.0  # range of the median depth of a scene with a robot
+# range of the median depth of a scene with a robot
+_NEAR_M = 0.02
+_FAR_M = 50.0
 _MOGE = "moge:"
 
 

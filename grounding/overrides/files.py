@@ -98,7 +98,8 @@ def true_depth(archive: Archive) -> Array:
 
 def true_mask(archive: Archive) -> NDArray[np.bool_]:
     """Return the gripper mask (T, H, W) of a demonstration; it is packed along the width, whose size is the depth's."""
-    shape, packed = archive.shape("depth_mm"), archive["mask"]
+    shape = archive.shape("depth_mm")
+    packed = archive["mask"]
     if packed.dtype != np.uint8 or len(shape) != 3 or packed.shape != (*shape[:2], -(-shape[2] // 8)):
         raise InputError(f"the mask is {packed.dtype} of shape {packed.shape}, which does not fit the depth's {shape}")
     return np.unpackbits(packed, axis=-1, count=shape[2]).astype(bool)
@@ -247,7 +248,8 @@ def _read_texts(folder: Path, frames: int) -> Array:
     if not files:
         raise InputError("holds no text files with numbered names, expected one for every frame")
     numbers = [number for number, _ in files]
-    first, last = numbers[0], numbers[-1]
+    first = numbers[0]
+    last = numbers[-1]
     if len(set(numbers)) < len(numbers):
         raise InputError("two text files bear the same number, expected one for every frame")
     start = first if len(files) == frames == last - first + 1 else int(first > 0 and last == frames)

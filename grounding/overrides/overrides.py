@@ -12,7 +12,8 @@ from kinebench_drake.grounding.priors import NO_PRIORS, Priors
 from kinebench_drake.io.frames import Frames
 from kinebench_drake.track import InitialState
 
-TRUTH, TRACKS = "truth", "tracks"
+TRUTH = "truth"
+TRACKS = "tracks"
 """Subfolder of a demonstration folder, and of the output folder of another run."""
 _POSE_PLACES = (TRUTH, TRACKS)
 
@@ -104,7 +105,9 @@ class Overrides:
             InputError: a source has nothing for the video, does not fit it or is broken; the message names the stage.
             SetupError: the plug-in cannot be created.
         """
-        priors, mask, depth = NO_PRIORS, None, None
+        priors = NO_PRIORS
+        mask = None
+        depth = None
         if self.masks is not None:
             with errors_naming("$masks"):
                 mask = read_masks(find_entry(self.masks, video))

@@ -97,7 +97,8 @@ class ArmEdgeFitter(ArmFitter):
             with_cells = followed is None and reach_px == _EDGE_REACHES_PX[0]
             matched = []
             for i, X_CP in zip(numbers, self._poses(arm), strict=True):
-                points, camera = contours.get(i), images[i].camera
+                points = contours.get(i)
+                camera = images[i].camera
                 if points is None or reach_px > _SAME_CONTOUR_PX:
                     points = self._edges.project(X_CP, camera, ROBOT if with_cells else RIGID, FIT_POINTS)
                 else:
@@ -218,7 +219,8 @@ class ArmEdgeFitter(ArmFitter):
             solution = solve(arm, Correspondences.stack([Correspondences.join([links, edges])]), [LINKS_DEPTH_SIGMA])
             if not solution.valid[0]:
                 return None
-            arm, fit = solution.model, self._arm_fits(solution, [links], [None])[0]
+            arm = solution.model
+            fit = self._arm_fits(solution, [links], [None])[0]
         if fit is None:
             return None
         X_CP = self._poses(arm)[0]
@@ -238,7 +240,8 @@ class ArmEdgeFitter(ArmFitter):
 
         Also how well the edges agree with the contours of the wrist, and of the hand alone.
         """
-        groups, evidence = (WRIST, FLANGE, (RobotPart.HAND,)), []
+        groups = (WRIST, FLANGE, (RobotPart.HAND,))
+        evidence = []
         for image, X_CP, turned in zip(images, self._poses(arm), self._poses(half_turn(arm)), strict=True):
             wrist, as_fitted, hand = self._edges.agreements(image, X_CP, groups)
             difference = as_fitted - self._edges.agreement(image, turned, FLANGE)
@@ -273,7 +276,8 @@ def _solve_in_passes(
 
     Returns the numbers of the frames that have a fit in every pass, and their fits; None without any.
     """
-    numbers, solution = list(numbers), None
+    numbers = list(numbers)
+    solution = None
     sigma, log_depth_factor = depth_priors([views[i] for i in numbers])
     for reach in reaches:
         cells = {k: own for k, own in enumerate(match(arm, numbers, reach)) if own is not None}
@@ -286,6 +290,8 @@ def _solve_in_passes(
         if not len(kept):
             return [], None
         solution = solution.take(solution.valid)
-        numbers, sigma = [numbers[k] for k in kept], sigma[kept]
-        arm, log_depth_factor = solution.model, solution.log_depth_factor
+        numbers = [numbers[k] for k in kept]
+        sigma = sigma[kept]
+        arm = solution.model
+        log_depth_factor = solution.log_depth_factor
     return numbers, solution

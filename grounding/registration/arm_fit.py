@@ -95,7 +95,8 @@ class ArmFitter:
     def __init__(self, camera: Camera, model: ArmModel, places: Array | None = None) -> None:
         """Create the fitter; a moving camera has `places` (T, 3) in the frame of `camera` [m]."""
         X_BC = camera.X_BC if places is None else camera.X_BC @ make_pose(np.eye(3), places)
-        self._model, self._camera = model, camera
+        self._model = model
+        self._camera = camera
         self._X_CB = invert(X_BC).reshape(-1, 4, 4)  # of each frame, or of all
         self._tolerance_px = bounds.MAX_CONSISTENCY_PX * camera.unit_px
 
@@ -124,7 +125,8 @@ class ArmFitter:
         if not initial:
             return fits
         rows = list(initial)
-        views, rims = [views[b] for b in rows], [rims[b] for b in rows]
+        views = [views[b] for b in rows]
+        rims = [rims[b] for b in rows]
         cells = [view.cells for view in views]
         joined = [
             own if rim is None else Correspondences.join([own, rim]) for own, rim in zip(cells, rims, strict=True)
@@ -136,7 +138,8 @@ class ArmFitter:
         scale = self._scale(solution, cells, views)
         fitted = self._arm_fits(solution, [view.links for view in views], [view.hand for view in views])
         for row, (b, arm) in enumerate(zip(rows, fitted, strict=True)):
-            view, (_, cost, flipped_cost) = views[row], initial[b]
+            view = views[row]
+            (_, cost, flipped_cost) = initial[b]
             if arm is not None:
                 growth = solution.growth(row, len(view.gripper))
                 agrees = arm.agrees and _is_consistent(arm.X_CH, view.hand, growth)
@@ -180,7 +183,8 @@ class ArmFitter:
 
         The distance of the `cells` of each frame is its consistency; the fingers are unknown without a fit of the hand.
         """
-        arm, unknown = solution.model, float("nan")
+        arm = solution.model
+        unknown = float("nan")
         covariance = np.linalg.inv(solution.information + 1e-6 * np.eye(8))
         X_CH, J = arm.hand()
         of_hand = J @ covariance[:, :7, :7] @ J.swapaxes(1, 2)
@@ -203,7 +207,8 @@ class ArmFitter:
     @staticmethod
     def _scale(solution: Solution[ArmHandModel], cells: Sequence[Correspondences], views: Sequence[ArmView]) -> Array:
         """Return the hands' distances (B,) according to the links over those according to their apparent sizes."""
-        arm, (sigma, _) = solution.model, depth_priors(views)
+        arm = solution.model
+        (sigma, _) = depth_priors(views)
         stacked = Correspondences.stack(cells)
         by_links = np.where(stacked.part >= RobotPart.LINK0, 1.0, _LINKS_ONLY_WEIGHT) * stacked.weight
         by_links_only = replace(stacked, weight=by_links)

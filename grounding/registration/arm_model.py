@@ -43,7 +43,8 @@ class ArmModel:
             SetupError: the robot description is missing.
         """
         plant = ArmPlant()
-        self.lower, self.upper = plant.lower, plant.upper
+        self.lower = plant.lower
+        self.upper = plant.upper
         self._chain = plant.chain
         parts = [part for part in RobotPart if part is not RobotPart.BACKGROUND]
         names = [HAND_LINK if part in GRIPPER else LINK_OF[part] for part in parts]
@@ -92,7 +93,8 @@ class ArmHandModel:
         """Return the poses of the parts, each moved by the joints between it and the base."""
         X_BP, axis, point = self.model.poses_and_axes_of(self.q)
         R_BC = self.X_CB[:, :3, :3].swapaxes(1, 2)
-        axis_C, point_C = axis @ R_BC, point @ R_BC + self.X_CB[:, None, :3, 3]
+        axis_C = axis @ R_BC
+        point_C = point @ R_BC + self.X_CB[:, None, :3, 3]
         return Placement(
             X_CP=self.X_CB[:, None] @ X_BP,
             finger_m=self.finger_m,
@@ -121,7 +123,8 @@ class ArmHandModel:
     def hand(self) -> tuple[Array, Array]:
         """Return the hands' poses (B, 4, 4) in C [m] and their derivatives (B, 6, 7) by the joints, rotation first."""
         placement = self.place()
-        X_CH, twist = placement.X_CP[:, RobotPart.HAND], placement.twist
+        X_CH = placement.X_CP[:, RobotPart.HAND]
+        twist = placement.twist
         rotation = twist[:, :3]
         velocity = twist[:, 3:] + cross(rotation.swapaxes(1, 2), X_CH[:, None, :3, 3]).swapaxes(1, 2)
         return X_CH, np.concatenate([rotation, velocity], axis=1)
@@ -145,7 +148,8 @@ def find_posture(
     best: list[tuple[float, Array | None]] = []
     scored = subsample(links)
     for postures in (q, flipped):
-        lower, upper = model.lower - OVER_LIMIT_RAD, model.upper + OVER_LIMIT_RAD
+        lower = model.lower - OVER_LIMIT_RAD
+        upper = model.upper + OVER_LIMIT_RAD
         candidates = postures[((postures >= lower) & (postures <= upper)).all(axis=1)]
         if not len(candidates):
             best.append((COST_CAP, None))

@@ -26,11 +26,14 @@ from kinebench_drake.grounding.registration.solver import Placement, Solution, s
 from kinebench_drake.models.panda.robot import ARM, RobotPart
 from kinebench_drake.models.robot import N_JOINTS
 
-MIN_ROOT_CELLS, MIN_LINK_CELLS = 30, 10
+MIN_ROOT_CELLS = 30
+MIN_LINK_CELLS = 10
 """Least number of cells of the link that a fit begins with, and of the last link, or of one that a camera explains."""
 _ROOTS = (RobotPart.LINK6, RobotPart.LINK5)
 _ANGLES = 72
-_LEAST_CELLS, _COMPARED = 8, 60  # cells of a link that determine a joint, and greatest number of them compared
+# cells of a link that determine a joint, and greatest number of them compared
+_LEAST_CELLS = 8
+_COMPARED = 60
 UNKNOWNS = 6 + N_JOINTS
 """Number of parameters of a `ChainModel`."""
 _ALIGN_PASSES = 6
@@ -55,7 +58,8 @@ class ChainModel:
         X_BP, axis, point = self.model.poses_and_axes_of(self.q)
         X_CB = self.X_CH @ invert(X_BP[:, RobotPart.HAND])
         R_BC = X_CB[:, :3, :3].swapaxes(1, 2)
-        axis_C, point_C = axis @ R_BC, point @ R_BC + X_CB[:, None, :3, 3]
+        axis_C = axis @ R_BC
+        point_C = point @ R_BC + X_CB[:, None, :3, 3]
         joints = np.concatenate([axis_C, cross(point_C, axis_C)], axis=2).swapaxes(1, 2)
         return Placement(
             X_CP=X_CB[:, None] @ X_BP,
@@ -136,17 +140,21 @@ class ChainFitter:
 
     def _follow(self, root: RobotPart, own: Correspondences, cells: Correspondences) -> ChainModel:
         """Return the chain from the pose of one link, joint by joint to both sides."""
-        X_root, q = _align_robustly(own), USUAL_Q.copy()
+        X_root = _align_robustly(own)
+        q = USUAL_Q.copy()
         X = X_root
         for part in range(root + 1, RobotPart.LINK7 + 1):
             joint = part - ARM[1]
             k = self._best(cells, part, X @ self._X_after[joint], joint)
-            q[joint], X = self._angle[joint, k], X @ self._X_after[joint, k]
-        X_CH, X = X @ self._X_7H, X_root
+            q[joint] = self._angle[joint, k]
+            X = X @ self._X_after[joint, k]
+        X_CH = X @ self._X_7H
+        X = X_root
         for part in range(root - 1, RobotPart.LINK0 - 1, -1):
             joint = part - ARM[0]
             k = self._best(cells, part, X @ invert(self._X_after[joint]), joint)
-            q[joint], X = self._angle[joint, k], X @ invert(self._X_after[joint, k])
+            q[joint] = self._angle[joint, k]
+            X = X @ invert(self._X_after[joint, k])
         return self.at(X_CH, q)
 
     def _best(self, cells: Correspondences, part: int, X_CP: Array, joint: int) -> int:
@@ -169,7 +177,8 @@ def misfit(cells: Correspondences, X_CP: Array) -> Array:
 def _align_robustly(cells: Correspondences) -> Array:
     """Return the pose (4, 4) of the part in the camera frame that matches its cells, by reweighted least squares."""
     weight = 1.0 / (cells.sigma_m[:, 0] ** 2 + (cells.range_sigma * cells.range_m) ** 2)
-    robust, X = np.ones(len(cells)), np.eye(4)
+    robust = np.ones(len(cells))
+    X = np.eye(4)
     for _ in range(_ALIGN_PASSES):
         X = align(cells.p_C, cells.p_P, weight * robust)
         error = np.linalg.norm(cells.p_C - cells.p_P @ X[:3, :3].T - X[:3, 3], axis=1)

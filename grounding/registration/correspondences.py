@@ -105,7 +105,8 @@ class Correspondences:
         v, u = np.nonzero(mask)
         if len(v) > limit:
             subset = np.linspace(0, len(v) - 1, limit).astype(int)
-            v, u = v[subset], u[subset]
+            v = v[subset]
+            u = u[subset]
         rays = view.rays_at(v, u) @ view.crop.R_CV.T
         length = np.sqrt((rays**2).sum(axis=1))
         return Correspondences(
@@ -125,7 +126,9 @@ def line_frames(z: Array) -> Array:
     # y x z as first axis: a line of sight is never parallel to the camera's y axis.
     length = np.sqrt(z[:, 0] ** 2 + z[:, 2] ** 2)
     R = np.empty((len(z), 3, 3))
-    R[:, 0, 0], R[:, 0, 1], R[:, 0, 2] = z[:, 2] / length, 0.0, -z[:, 0] / length
+    R[:, 0, 0] = z[:, 2] / length
+    R[:, 0, 1] = 0.0
+    R[:, 0, 2] = -z[:, 0] / length
     R[:, 1, 0], R[:, 1, 1], R[:, 1, 2] = z[:, 1] * R[:, 0, 2], length, -z[:, 1] * R[:, 0, 0]
     R[:, 2] = z
     return R

@@ -36,7 +36,9 @@ INDEPENDENT = 120.0
 """Greatest number of independent measurements that the edges of an image count as."""
 LEAST_GRADIENT = 6.0
 """Least gradient of an edge, of an image in 0..255 [1/px]."""
-_SEARCH_PX, _ON_CONTOUR_PX = 8.0, 1.0  # where the agreement looks for the strongest edge, and how near it must lie
+# where the agreement looks for the strongest edge, and how near it must lie
+_SEARCH_PX = 8.0
+_ON_CONTOUR_PX = 1.0
 MAX_POINTS = 700
 """Points on the contours of an image, where they are compared with those of another camera."""
 FIT_POINTS = 350
@@ -52,7 +54,9 @@ OPENINGS = 5
 """Openings at which the contours of a gripper are known, from open to closed."""
 _TOLERANCE_PX = 2.0  # standard deviation of the gripper's contours: openings between two of them fit either
 _GRIPPER = (RobotPart.HAND,)
-_BODY_RADIUS_M, _BODY_LENGTH_M = 0.038, 0.09  # body that hides the flange where an unknown gripper would
+# body that hides the flange where an unknown gripper would
+_BODY_RADIUS_M = 0.038
+_BODY_LENGTH_M = 0.09
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -114,9 +118,13 @@ class EdgeMatcher:
         contours = [self._edges[p].contour(invert(X_CP[p])[:3, 3]) for p in parts]
         placed = [ends @ X_CP[p, :3, :3].T + X_CP[p, :3, 3] for p, ends in zip(parts, contours, strict=True)]
         of = np.repeat(np.array(parts, np.uint8), [len(ends) for ends in contours])
-        a, a_P = np.concatenate(placed), np.concatenate(contours)
-        x, y, z = a[..., 0], a[..., 1], np.maximum(a[..., 2], 1e-9)
-        u, v = camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy
+        a = np.concatenate(placed)
+        a_P = np.concatenate(contours)
+        x = a[..., 0]
+        y = a[..., 1]
+        z = np.maximum(a[..., 2], 1e-9)
+        u = camera.fx * x / z + camera.cx
+        v = camera.fy * y / z + camera.cy
         inside = (z > NEAREST_M) & (u > 0) & (u < camera.width) & (v > 0) & (v < camera.height)
         shown = np.flatnonzero(inside[:, 0] & inside[:, 1])
         du, dv = (side[shown, 1] - side[shown, 0] for side in (u, v))
@@ -128,16 +136,23 @@ class EdgeMatcher:
         ends_at = np.cumsum(length)
         at = np.arange(0.5 * _SPACING_PX, total, max(_SPACING_PX, total / (_HIDDEN * points)))
         row = np.searchsorted(ends_at, at).clip(max=len(length) - 1)
-        edge, size = shown[row], np.maximum(length[row], 1e-9)
+        edge = shown[row]
+        size = np.maximum(length[row], 1e-9)
         t = (1.0 - (ends_at[row] - at) / size).clip(0, 1)[:, None]
         p_C = a[edge, 0] + t * (a[edge, 1] - a[edge, 0])
         normal = np.column_stack([-dv[row] / size, du[row] / size])
         side = self._outer_side(X_CP, p_C, normal, camera)
         contour = side != 0
-        edge, t, p_C, normal = edge[contour], t[contour], p_C[contour], (side[:, None] * normal)[contour]
+        edge = edge[contour]
+        t = t[contour]
+        p_C = p_C[contour]
+        normal = (side[:, None] * normal)[contour]
         if len(edge) > points:
             subset = np.linspace(0, len(edge) - 1, points).astype(int)
-            edge, t, p_C, normal = edge[subset], t[subset], p_C[subset], normal[subset]
+            edge = edge[subset]
+            t = t[subset]
+            p_C = p_C[subset]
+            normal = normal[subset]
         if not len(edge):
             return None
         return EdgePoints(
@@ -159,11 +174,13 @@ class EdgeMatcher:
         visible = np.flatnonzero(self.caster.first_hits(X_CP, directions)[0] > p_C[:, 2] - _BEHIND_M)
         if not len(visible):
             return side
-        depth, directions = p_C[visible, 2], directions[visible]
+        depth = p_C[visible, 2]
+        directions = directions[visible]
         beside = np.column_stack([_BESIDE_PX * normal[visible] / [camera.fx, camera.fy], np.zeros(len(visible))])
         sides = np.concatenate([directions - beside, directions + beside])
         against, along = self.caster.first_hits(X_CP, sides)[0].reshape(2, -1)
-        surface, beyond = np.minimum(against, along), np.maximum(against, along)
+        surface = np.minimum(against, along)
+        beyond = np.maximum(against, along)
         is_contour = (np.abs(surface - depth) < _BULGE_M) & (beyond > np.maximum(surface, depth) + _JUMP_M)
         side[visible] = np.where(is_contour, np.where(along > against, 1.0, -1.0), 0.0)
         return side

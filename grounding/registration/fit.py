@@ -19,7 +19,9 @@ MIN_CELLS = 12
 """Least number of gripper cells for a fit."""
 UNSEEN_FINGER_M = 0.02
 """Assumed finger travel where none is measured [m]."""
-_MAX_CELLS, _INDEPENDENT = 400, 40.0  # of the gripper in a view, and measurements that they count as
+# of the gripper in a view, and measurements that they count as
+_MAX_CELLS = 400
+_INDEPENDENT = 40.0
 _MIN_FINGER_CELLS = 6
 _FIXED = 1e12  # information of a fixed parameter
 
@@ -122,7 +124,8 @@ def align(p_A: Array, p_B: Array, weight: Array) -> Array:
     Points (..., N, 3) [m] have weights (..., N).
     """
     w = (weight / weight.sum(axis=-1, keepdims=True))[..., None]
-    mean_A, mean_B = (w * p_A).sum(axis=-2), (w * p_B).sum(axis=-2)
+    mean_A = (w * p_A).sum(axis=-2)
+    mean_B = (w * p_B).sum(axis=-2)
     covariance = np.swapaxes((p_A - mean_A[..., None, :]) * w, -1, -2) @ (p_B - mean_B[..., None, :])
     R = orthonormalize(covariance)
     return make_pose(R, mean_A - (R @ mean_B[..., None])[..., 0])
@@ -133,10 +136,13 @@ def _closed_form(cells: Correspondences, finger_m: Array) -> HandModel:
 
     Travels from priors, `finger_m` (B,) [m], are kept; NaN where there is none.
     """
-    cloud, sign, exists = cells.p_C, cells.opening_sign, cells.weight > 0
+    cloud = cells.p_C
+    sign = cells.opening_sign
+    exists = cells.weight > 0
     weight = exists / (cells.sigma_m[..., 0] ** 2 + (cells.range_sigma * cells.range_m) ** 2)
     unknown = np.isnan(finger_m)
-    finger, robust = np.where(unknown, UNSEEN_FINGER_M, finger_m), np.ones(exists.shape)
+    finger = np.where(unknown, UNSEEN_FINGER_M, finger_m)
+    robust = np.ones(exists.shape)
     X_CH = np.tile(np.eye(4), (len(cloud), 1, 1))
     for _ in range(6):
         model_H = cells.p_P.copy()
@@ -210,7 +216,8 @@ def fit_all(
     start = _closed_form(stacked, np.array([np.nan if finger_m[b] is None else finger_m[b] for b in cells], float))
     fixed = {row: X for row, b in enumerate(cells) if (X := X_CH[b]) is not None}
     for row, X in fixed.items():
-        start.X_CH[row], start.pose_free[row] = X, False
+        start.X_CH[row] = X
+        start.pose_free[row] = False
     solution = solve(start, stacked, np.array([views[b].depth_factor_sigma for b in cells]))
     points = [int(views[b].gripper.sum()) for b in cells]
     solved = _fits_of(solution, list(cells.values()), points, [finger_m[b] is not None for b in cells])

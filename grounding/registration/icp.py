@@ -37,13 +37,19 @@ from kinebench_drake.models.panda.cad import GripperCad
 _MAX_CELLS = 500  # cells of the gripper that are registered
 _PRECISE_WEIGHT = 0.3  # weight from which on all cells are
 _MIN_POINTS = 30
-_PASSES, _MAX_ITERATIONS = 3, 8
-_CONVERGED_M, _LEVER_M = 3e-4, 0.05  # least change that another pass follows; metres of a radian
+_PASSES = 3
+_MAX_ITERATIONS = 8
+# least change that another pass follows; metres of a radian
+_CONVERGED_M = 3e-4
+_LEVER_M = 0.05
 _GATE_M = (2.5e-3, 0.03)  # least and largest distance between matched points
 _GATE_SIGMAS = 3.0  # this distance in robust standard deviations of the residuals
 _EDGE_JUMP = 0.03  # relative depth step to an adjacent cell that marks a depth edge
-_BLOCKS, _INDEPENDENT = 12, 2.0  # number of blocks, and of independent measurements that they count as
-_DEGREES_OF_FREEDOM, _MIN_BLOCKS = 6, 7
+# number of blocks, and of independent measurements that they count as
+_BLOCKS = 12
+_INDEPENDENT = 2.0
+_DEGREES_OF_FREEDOM = 6
+_MIN_BLOCKS = 7
 _LEAST_VARIANCE_M2 = 1e-10
 _REGULARIZATION = np.diag([1e-6] * 3 + [1e-4] * 3)  # information of unobservable directions, relative to a point's
 _FIT_VARIANCE_RATIO = 3.5  # mean squared error of fits over their covariance, on held-out videos
@@ -131,33 +137,39 @@ class IcpRefiner:
         row = np.arange(len(surface_only)) % max(1, -(-int(surface_only.sum()) // cells)) == 0
         v, u = np.nonzero(surface_only & row[:, None])
         rays = view.rays()[v, u]
-        X_VH, points = invert(view.crop.X_CV) @ X_CH, rays * view.depth_m[v, u][:, None]
-        source, gate = self._geometry.PointCloud(), _GATE_M[1]
+        X_VH = invert(view.crop.X_CV) @ X_CH
+        points = rays * view.depth_m[v, u][:, None]
+        source = self._geometry.PointCloud()
+        gate = _GATE_M[1]
         for number in range(_PASSES):
             surface = self._cad.cast(X_VH, rays, finger_m)
             hit = surface.part > 0
             if hit.sum() < _MIN_POINTS:
                 return None
-            on_surface, normal = rays[hit] * surface.distance[hit, None], surface.normal[hit]
+            on_surface = rays[hit] * surface.distance[hit, None]
+            normal = surface.normal[hit]
             if number == 0:
                 ratio = surface.distance[hit] / view.depth_m[v, u][hit]
                 points *= np.exp(_log_depth_factor(ratio, view.depth_factor_sigma, X_CH[:3, 3], covariance))
                 source.points = self._vector(points)
                 gate = _gate(((points[hit] - on_surface) * normal).sum(axis=1), gate)
-            target_H, normal_H = transform_points(invert(X_VH), on_surface), normal @ X_VH[:3, :3]
+            target_H = transform_points(invert(X_VH), on_surface)
+            normal_H = normal @ X_VH[:3, :3]
             result = self._match(source, target_H, normal_H, gate, X_VH)
             i, j = np.asarray(result.correspondence_set).reshape(-1, 2).T
             if len(i) < _MIN_POINTS:
                 return None
             previous, X_VH = X_VH, invert(result.transformation)
-            offset, normal = target_H[j] @ X_VH[:3, :3].T, normal_H[j] @ X_VH[:3, :3].T
+            offset = target_H[j] @ X_VH[:3, :3].T
+            normal = normal_H[j] @ X_VH[:3, :3].T
             residual = ((points[i] - X_VH[:3, 3] - offset) * normal).sum(axis=1)
             if _change_m(previous, X_VH) < _CONVERGED_M:
                 break
             gate = _gate(residual, gate)
         width = max(1, round((int(surface_only.sum()) / _BLOCKS) ** 0.5))
         block = v[i] // width * view.part.shape[1] + u[i] // width
-        R_CV, p = view.crop.R_CV, points[i] @ view.crop.R_CV.T
+        R_CV = view.crop.R_CV
+        p = points[i] @ view.crop.R_CV.T
         return IcpRegistration(
             X_CH=view.crop.X_CV @ X_VH,
             fitness=len(i) / len(points),
@@ -168,7 +180,8 @@ class IcpRefiner:
     def _match(self, source: Any, target_H: Array, normal_H: Array, gate_m: float, X_VH: Array) -> Any:
         """Return Open3D's registration of `source` in V to a surface in H, from the pose `X_VH` on."""
         target = self._geometry.PointCloud()
-        target.points, target.normals = self._vector(target_H), self._vector(normal_H)
+        target.points = self._vector(target_H)
+        target.normals = self._vector(normal_H)
         estimation = self._icp.TransformationEstimationPointToPlane(self._icp.TukeyLoss(k=gate_m))
         criteria = self._icp.ICPConvergenceCriteria(1e-4, 1e-4, _MAX_ITERATIONS)
         return self._icp.registration_icp(source, target, gate_m, invert(X_VH), estimation, criteria)
@@ -244,7 +257,8 @@ def fuse(X_CH: Array, covariance: Array, registration: IcpRegistration) -> Fused
     square = (axes.T @ difference) ** 2 / _FIT_VARIANCE_RATIO
     consistent = (square / (1.0 + _INFLATIONS[:, None] * ratio)).sum(axis=1) <= _LARGEST_SQUARE
     of_registration = of_registration * _INFLATIONS[consistent.argmax() if consistent.any() else -1]
-    of_fit, of_icp = np.linalg.inv(not_singular), np.linalg.inv(of_registration)
+    of_fit = np.linalg.inv(not_singular)
+    of_icp = np.linalg.inv(of_registration)
     ratio = eigh(of_icp, of_fit, eigvals_only=True)
     log_determinant = np.log(1.0 - _WEIGHTS[:, None] * (1.0 - ratio)).sum(axis=1)
     weight = float(_WEIGHTS[log_determinant.argmax()])

@@ -25,12 +25,20 @@ _KEPT_PIXELS = 12_000_000  # of images whose gradients are kept: 9 bytes each
 _LARGEST_PX = 640  # images larger than this are reduced
 _SMOOTHING_PX = 0.8
 _STEP_PX = 0.5
-_BAND_PX, _OUTER_SHARE = 4.0, 0.45  # how far outside and how strong an outline is next to a stronger edge
+# how far outside and how strong an outline is next to a stronger edge
+_BAND_PX = 4.0
+_OUTER_SHARE = 0.45
 _RIM_SIGMAS = 5.0  # standard deviations of a segmented rim beyond which nothing is near it
 _OFF_RIM = 0.1  # weight of edges of the hand far from its segmented rim
-_CORNERS, _QUALITY, _SPACING_PX = 200, 0.005, 4.0
-_MASK_PX, _MARGIN_PX = 4, 5  # step of the rays that find the robot, and distance of the corners from its outline
-_WINDOW_PX, _LEVELS = 15, 4  # of the following of surfaces
+_CORNERS = 200
+_QUALITY = 0.005
+_SPACING_PX = 4.0
+# step of the rays that find the robot, and distance of the corners from its outline
+_MASK_PX = 4
+_MARGIN_PX = 5
+# of the following of surfaces
+_WINDOW_PX = 15
+_LEVELS = 4
 RETURN_PX = 1.0
 """Largest distance of a point from its origin after it was followed forwards and back."""
 _LEAST_POINTS = 8
@@ -66,10 +74,12 @@ class GradientImage:
         """Compute the gradients of `image` (H, W, 3), taken by `camera`."""
         scale = min(1.0, _LARGEST_PX / max(camera.width, camera.height))
         if scale < 1.0:
-            width, height = round(camera.width * scale), round(camera.height * scale)
+            width = round(camera.width * scale)
+            height = round(camera.height * scale)
             image = np.asarray(cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA), dtype=np.uint8)
             camera = camera.resized(width, height)
-        self.camera, self.gray = camera, cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
+        self.camera = camera
+        self.gray = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
         self._dx, self._dy = _gradient(image)
         self._near_rim: NDArray[np.float32] | None = None
 
@@ -100,7 +110,8 @@ class GradientImage:
         """
         offset = np.arange(-reach_px, reach_px + _STEP_PX / 2, _STEP_PX)
         place = points.pixel[:, None] + offset[:, None] * points.normal[:, None] - 0.5
-        u, v = place[..., 0].astype(np.float32), place[..., 1].astype(np.float32)
+        u = place[..., 0].astype(np.float32)
+        v = place[..., 1].astype(np.float32)
         dx, dy = (self._sample(d, u, v) for d in (self._dx, self._dy))
         gradient = np.abs(dx * points.normal[:, None, 0] + dy * points.normal[:, None, 1]).astype(np.float64)
         likely = gradient * np.exp(-0.5 * (offset / (0.6 * reach_px)) ** 2)
@@ -116,7 +127,9 @@ class GradientImage:
         outer = is_peak & (ahead > 0) & (ahead <= _BAND_PX) & (gradient >= _OUTER_SHARE * gradient[rows, best][:, None])
         last = outer.shape[1] - 1 - outer[:, ::-1].argmax(axis=1)
         best = np.where(outer.any(axis=1), last, best)
-        before, peak, after = gradient[rows, best - 1], gradient[rows, best], gradient[rows, best + 1]
+        before = gradient[rows, best - 1]
+        peak = gradient[rows, best]
+        after = gradient[rows, best + 1]
         curvature = before - 2 * peak + after
         shift = np.where(curvature < 0, 0.5 * (before - after) / np.minimum(curvature, -1e-9), 0.0).clip(-1, 1)
         return np.asarray(offset[best] + _STEP_PX * shift), np.asarray(peak)
@@ -131,7 +144,8 @@ class GradientImages:
 
     def __init__(self, frames: Frames, camera: Camera) -> None:
         """Serve the images of `frames` (T, H, W, 3), taken by `camera`."""
-        self._frames, self._camera = frames, camera
+        self._frames = frames
+        self._camera = camera
         self._kept: dict[int, GradientImage] = {}
 
     def __len__(self) -> int:
@@ -180,9 +194,12 @@ def follow_points(
 
     Pyramidal Lucas-Kanade forth and back, with `options` of OpenCV, from the points `near` (N, 2) on or from the same.
     """
-    start, forth_from, back_from = points[:, None], None, None
+    start = points[:, None]
+    forth_from = None
+    back_from = None
     if near is not None:
-        options["flags"], forth_from = cv2.OPTFLOW_USE_INITIAL_FLOW, near[:, None].copy()
+        options["flags"] = cv2.OPTFLOW_USE_INITIAL_FLOW
+        forth_from = near[:, None].copy()
     forth, status, _ = cv2.calcOpticalFlowPyrLK(before, after, start, forth_from, **options)
     if near is not None:
         back_from = start + forth - near[:, None]
@@ -209,7 +226,9 @@ def follow_surface(
     hit = np.isfinite(depth) & ~np.isin(part, GRIPPER[1:])  # fingers move in the hand
     if hit.sum() < _LEAST_POINTS:
         return None
-    rays, depth, part = rays[hit], depth[hit], part[hit]
+    rays = rays[hit]
+    depth = depth[hit]
+    part = part[hit]
     X_PC = invert(X_CP)[part]
     towards = _rays(moved[kept][hit] + 0.5, before.camera)
     return Correspondences.without_range(

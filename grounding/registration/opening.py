@@ -71,7 +71,9 @@ def _contour_log_likelihood(edges: EdgeMatcher, hand: HandImage, points: EdgePoi
 
     A point counts by the square of how fast the gap moves it across the contour.
     """
-    camera, y_C, count = hand.image.camera, hand.X_CP[RobotPart.HAND, :3, 1], len(changes_m)
+    camera = hand.image.camera
+    y_C = hand.X_CP[RobotPart.HAND, :3, 1]
+    count = len(changes_m)
     direction = OPENING_SIGNS[points.part][:, None] * y_C
     p_C = (points.p_C + changes_m[:, None, None] / 2 * direction).reshape(-1, 3)
     moved = EdgePoints(

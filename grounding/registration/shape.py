@@ -17,8 +17,12 @@ from kinebench_drake.models.panda.robot import RobotPart
 _REACHES_PX = (8.0, 6.0, 4.0, 3.0)  # farthest image edges in successive passes
 _LEAST_POINTS = 30
 _STARTS = (1.0, 0.88, 1.12)  # sizes from which the fit starts
-_MOVED_PX, _STRETCHED = 1.0, 0.2  # standard deviations of the flange in the image, and of the relative stretch
-_TUKEY, _LEAST_SCATTER_PX, _PASSES = 4.0, 0.5, 4
+# standard deviations of the flange in the image, and of the relative stretch
+_MOVED_PX = 1.0
+_STRETCHED = 0.2
+_TUKEY = 4.0
+_LEAST_SCATTER_PX = 0.5
+_PASSES = 4
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -48,12 +52,14 @@ def fit_shape(edges: EdgeMatcher, image: GradientImage, X_CP: Array) -> HandShap
     if share >= bounds.CONFIRMATION:
         return HandShape()
     flange = image.camera.project(X_CP[RobotPart.HAND, :3, 3])
-    best, A = share, np.eye(2)
+    best = share
+    A = np.eye(2)
     for start in _STARTS:
         other, shift = _fit(image, points, flange, start * np.eye(2))
         resized = float(edges.edge_shares(image, _mapped(points, flange, other, shift)).mean())
         if resized > best:
-            best, A = resized, other
+            best = resized
+            A = other
     symmetric = 0.5 * (A + A.T)
     scale = 0.5 * float(np.trace(symmetric))
     stretch = float(np.linalg.norm(symmetric - scale * np.eye(2)))
@@ -83,7 +89,8 @@ def _fit(image: GradientImage, points: EdgePoints, flange: Array, A: Array) -> t
             break
         across = mapped.normal[:, :, None] * arm_px[:, None, :] / length
         design = np.column_stack([mapped.normal, across.reshape(len(offset), 4)])
-        target, weight = offset + design @ x, on_edge.astype(np.float64)
+        target = offset + design @ x
+        weight = on_edge.astype(np.float64)
         for _ in range(_PASSES):
             weighted = design * (POINTS_INDEPENDENT * weight / max(1.0, weight.sum()))[:, None]
             x = np.linalg.solve(weighted.T @ design + prior, weighted.T @ target)

@@ -35,7 +35,8 @@ class SilhouetteMatcher:
     def overlap(self, view: GripperView, X_CH: Array, finger_m: float) -> float:
         """Return the intersection over union of the segmented and the rendered gripper, links in front excluded."""
         _, part = self._render(view, X_CH, finger_m)
-        rendered, segmented = (part > 0) & view.in_image, view.gripper & view.in_image
+        rendered = (part > 0) & view.in_image
+        segmented = view.gripper & view.in_image
         union = (rendered & ~view.arm) | segmented
         return float((rendered & segmented).sum() / max(1, union.sum()))
 
@@ -49,11 +50,14 @@ class SilhouetteMatcher:
         X_VH = invert(view.crop.X_CV) @ X_CH
         shape = view.part.shape
         depth, part = self._render(view, X_CH, finger_m)
-        rendered, segmented = (part > 0) & view.in_image, view.gripper & view.in_image
+        rendered = (part > 0) & view.in_image
+        segmented = view.gripper & view.in_image
         if not segmented.any() or not rendered.any():
             return None
-        distance, target = _signed_distance(rendered), _signed_distance(segmented)
-        normal_rendered, normal_segmented = _outward_normal(distance), _outward_normal(target)
+        distance = _signed_distance(rendered)
+        target = _signed_distance(segmented)
+        normal_rendered = _outward_normal(distance)
+        normal_segmented = _outward_normal(target)
         inner = np.pad(np.ones(np.subtract(shape, 4), bool), 2)
         rim = rendered & (distance > -1.0) & ~_dilated(view.arm) & ~_dilated(~view.in_image) & inner
         step = target - distance
@@ -62,7 +66,8 @@ class SilhouetteMatcher:
         v, u = np.nonzero(rim)
         if len(v) < _MIN_POINTS:
             return None
-        normal, move = normal_segmented[v, u], step[v, u]
+        normal = normal_segmented[v, u]
+        move = step[v, u]
         normal = normal / np.linalg.norm(normal, axis=1, keepdims=True)
         focal = view.crop.focal / view.stride
         line = view.rays_at(v, u)
@@ -79,7 +84,8 @@ class SilhouetteMatcher:
 
     def _render(self, view: GripperView, X_CH: Array, finger_m: float) -> tuple[Array, NDArray[np.uint8]]:
         """Return depth [m] and part of each cell (h, w) of the rendered gripper."""
-        X_VH, rays = invert(view.crop.X_CV) @ X_CH, view.rays().reshape(-1, 3)
+        X_VH = invert(view.crop.X_CV) @ X_CH
+        rays = view.rays().reshape(-1, 3)
         depth, part = self._cad.first_hits(X_VH, rays, finger_m)
         return depth.reshape(view.part.shape), part.reshape(view.part.shape)
 

@@ -86,7 +86,8 @@ class Solution(Generic[ModelType]):
 
     def growth(self, frame: int, n: int | None = None) -> float:
         """Return the robust root mean square across the line of sight of a frame's first `n` residuals, or of all."""
-        robust, r = self.robust[frame, :2, :n], self.residual[frame, :2, :n]
+        robust = self.robust[frame, :2, :n]
+        r = self.residual[frame, :2, :n]
         return float(np.sqrt((robust * r**2).sum() / robust.sum()))
 
 
@@ -167,8 +168,10 @@ def residuals(placement: Placement, cells: CellRows, log_depth_factor: Array) ->
     r[:, 2] = (np.log(np.maximum(z, 1e-3) / cells.range_m) - log_depth_factor[:, None]) * inverse_range
     frames, _, n = p_L.shape
     twist = np.empty((frames, 6, 3, n))  # by residual: moment of the gradient about the camera's centre, gradient
-    moment, gradient = twist[:, :3], twist[:, 3:]
-    line, slope = cells.R_LC[:, 2], p_L[:, :2] / z[:, None]
+    moment = twist[:, :3]
+    gradient = twist[:, 3:]
+    line = cells.R_LC[:, 2]
+    slope = p_L[:, :2] / z[:, None]
     for k in (0, 1):
         gradient[:, :, k] = (cells.R_LC[:, k] - slope[:, None, k] * line) * inverse[:, None, k]
     gradient[:, :, 2] = line * (inverse_range / z)[:, None]
@@ -203,21 +206,25 @@ def solve(
         iterations: greatest number of steps.
     """
     rows = CellRows.of(cells)
-    sigma, count = np.asarray(depth_factor_sigma, dtype=np.float64), len(rows.weight)
+    sigma = np.asarray(depth_factor_sigma, dtype=np.float64)
+    count = len(rows.weight)
     log_factor = np.zeros(count) if log_depth_factor is None else np.array(log_depth_factor, dtype=np.float64)
-    active, moving = np.arange(count), rows
+    active = np.arange(count)
+    moving = rows
     for _ in range(iterations):
         _, _, H, g = _normal_equations(model.take(active), moving, sigma[active], log_factor[active])
         diagonal = np.einsum("bii->bi", H)
         diagonal += 1e-6 * diagonal + 1e-9
         step = np.zeros((count, g.shape[1]))
         step[active] = -np.linalg.solve(H, g[..., None])[..., 0]
-        model, log_factor = model.updated(step[:, :-1]), log_factor + step[:, -1]
+        model = model.updated(step[:, :-1])
+        log_factor = log_factor + step[:, -1]
         further = ~(np.abs(step[active]).max(axis=1) < 1e-4)
         if not further.any():
             break
         if not further.all():
-            active, moving = active[further], moving.take(further)
+            active = active[further]
+            moving = moving.take(further)
     r, robust, H, _ = _normal_equations(model, rows, sigma, log_factor)
     placement = model.place()
     p_C, _ = rows.place(placement.X_CP, placement.finger_m)

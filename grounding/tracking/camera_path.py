@@ -23,13 +23,19 @@ _AGREEING_PX = 1.0  # residual of an explained feature, as all lengths in pixels
 _MAX_FEATURES = 250
 _SPACING_PX = 6.0
 _ROBOT_MARGIN_PX = 11.0
-_ROUND_TRIP_PX, _DRIFT_PX = 0.7, 2.0
+_ROUND_TRIP_PX = 0.7
+_DRIFT_PX = 2.0
 _DETAIL_PX = 6.0  # scale of the details that are tracked
 _NOISE = 2.0  # grey levels of 255
-_RANSAC_PX, _MIN_INLIERS = 3.0, 0.3  # of the homography that all features of a plane follow
+# of the homography that all features of a plane follow
+_RANSAC_PX = 3.0
+_MIN_INLIERS = 0.3
 _TUKEY_PX = 2.5
-_STEPS, _SWEEPS = 8, 40
-_LEAST_MARGIN_PX, _MAX_MARGIN = 16.0, 0.25  # by which stabilized images are extended; the largest relative to the image
+_STEPS = 8
+_SWEEPS = 40
+# by which stabilized images are extended; the largest relative to the image
+_LEAST_MARGIN_PX = 16.0
+_MAX_MARGIN = 0.25
 _FAR_M = 4.0  # depth of features that do not look at the table; its inverse is a weak prior
 _TABLE_SIGMA = 0.02  # relative standard deviation of the inverse depth of a feature on the table
 
@@ -80,7 +86,9 @@ class CameraPath:
 
         Where cameras show more than A does the images are extended at all sides, if `extends`, like their camera.
         """
-        size, K, n = np.array([camera.width, camera.height]), camera.K, len(frames)
+        size = np.array([camera.width, camera.height])
+        K = camera.K
+        n = len(frames)
         K_C = np.repeat(K[None], n, axis=0)
         K_C[:, [0, 1], [0, 1]] *= self.zoom[:, None]
         M_AC = K @ self.R_AC @ np.linalg.inv(K_C)
@@ -90,7 +98,8 @@ class CameraPath:
         over = max(0.0, float(-shown.min(initial=0.0)), float((shown - size).max(initial=0.0)))
         extends = extends and over > _LEAST_MARGIN_PX * camera.unit_px
         margin = 0 if not extends else int(np.ceil(min(over, _MAX_MARGIN * size.max())))
-        width, height = camera.width + 2 * margin, camera.height + 2 * margin
+        width = camera.width + 2 * margin
+        height = camera.height + 2 * margin
         wide = replace(camera, width=width, height=height, cx=camera.cx + margin, cy=camera.cy + margin)
         half = np.array([[1.0, 0.0, 0.5], [0.0, 1.0, 0.5], [0.0, 0.0, 1.0]])  # OpenCV's pixel centres are integers
         shift = np.array([[1.0, 0.0, margin], [0.0, 1.0, margin], [0.0, 0.0, 1.0]])
@@ -124,18 +133,23 @@ def follow_camera(
     """
     start, now = _track_features(frames, reference, robot, camera)
     n = len(frames)
-    cameras, followed, way = np.zeros((n, 7)), np.zeros(n, dtype=bool), CameraWay.FIXED
+    cameras = np.zeros((n, 7))
+    followed = np.zeros(n, dtype=bool)
+    way = CameraWay.FIXED
     enough = np.isfinite(now[..., 0]).sum(axis=1) >= bounds.PATH_FEATURES
     if enough.any():
         problem = _Problem(start, now, camera, table_height_m)
         fit = problem.fit(CameraWay.ROTATION)
-        way, share = CameraWay.ROTATION, problem.explained(fit)
+        way = CameraWay.ROTATION
+        share = problem.explained(fit)
         for other in (CameraWay.ZOOM, CameraWay.PLACE):
             rival = problem.fit(other, fit)
             more = problem.explained(rival)
             is_better = more[enough].mean() > share[enough].mean() + bounds.PATH_GAIN
             if is_better and (other is not CameraWay.PLACE or problem.has_scale(rival)):
-                way, fit, share = other, rival, more
+                way = other
+                fit = rival
+                share = more
         turn, move = (np.linalg.norm(fit.cameras[:, part], axis=1) for part in (slice(3), slice(3, 6)))
         within = (
             (turn <= bounds.FOLLOWED_RAD)
@@ -172,14 +186,17 @@ def _track_features(frames: Frames, reference: Image, robot: NDArray[np.bool_], 
     tracks = np.full((len(frames), len(start), 2), np.nan)
     if len(start) < bounds.PATH_FEATURES:
         return np.asarray(start + 0.5, np.float64), tracks
-    before, last, alive = first, start.copy(), np.ones(len(start), dtype=bool)
+    before = first
+    last = start.copy()
+    alive = np.ones(len(start), dtype=bool)
     for i, frame in enumerate(frames):
         image = _even_contrast(frame, unit)
         chained, steady = _flow(before, image, last, last, unit)
         steady &= alive
         H = _homography(start[steady], chained[steady], unit) if steady.sum() >= bounds.PATH_FEATURES else None
         if H is None:  # a jump
-            steady, H = np.zeros(len(start), dtype=bool), _matched_homography(first, image, free, unit)
+            steady = np.zeros(len(start), dtype=bool)
+            H = _matched_homography(first, image, free, unit)
         if H is None:
             continue
         near = np.asarray(cv2.perspectiveTransform(start[:, None], H)[:, 0], np.float32)
@@ -187,7 +204,9 @@ def _track_features(frames: Frames, reference: Image, robot: NDArray[np.bool_], 
         now, good = _flow(first, image, start, near, unit)
         good &= np.linalg.norm(now - near, axis=1) < np.where(steady, _DRIFT_PX, _RANSAC_PX) * unit
         now = np.where(good[:, None], now, near)
-        before, last, alive = image, now, good | steady
+        before = image
+        last = now
+        alive = good | steady
         tracks[i, alive] = now[alive] + 0.5
     return start.astype(np.float64) + 0.5, tracks
 
@@ -230,7 +249,8 @@ def _matched_homography(first: Image, image: Image, free: NDArray[np.bool_], uni
     good = [m for m, n in (p for p in pairs if len(p) == 2) if m.distance < 0.75 * n.distance]
     if len(good) < bounds.PATH_FEATURES:
         return None
-    a, b = np.array([points[m.queryIdx].pt for m in good]), np.array([others[m.trainIdx].pt for m in good])
+    a = np.array([points[m.queryIdx].pt for m in good])
+    b = np.array([others[m.trainIdx].pt for m in good])
     return _homography(a.astype(np.float32), b.astype(np.float32), unit)
 
 
@@ -238,7 +258,8 @@ class _Problem:
     """Tracks of features, and the cameras that explain them."""
 
     def __init__(self, start: Array, now: Array, camera: Camera, table_height_m: float) -> None:
-        self._now, self._camera = now, camera
+        self._now = now
+        self._camera = camera
         self._unit = camera.unit_px
         self._seen = np.isfinite(now[..., 0])
         self._rays = np.column_stack([(start - [camera.cx, camera.cy]) / [camera.fx, camera.fy], np.ones(len(start))])
@@ -292,7 +313,8 @@ class _Problem:
         weight = self._weight(error, reach_px)
         step = 1e-5
         J = np.stack([(self._error(cameras + step * np.eye(7)[k], rho) - error) / step for k in free], axis=-1)
-        J, error = np.nan_to_num(J), np.nan_to_num(error)
+        J = np.nan_to_num(J)
+        error = np.nan_to_num(error)
         H = np.einsum("tn,tnia,tnib->tab", weight, J, J) + 1e-3 * np.eye(len(free))
         g = np.einsum("tn,tnia,tni->ta", weight, J, error)
         updated = cameras.copy()

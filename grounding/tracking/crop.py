@@ -17,7 +17,8 @@ GRIPPER_CENTRE_H = np.array([0.0, 0.0, 0.045])
 """Centre of the gripper's bounding sphere in panda_hand [m]."""
 GRIPPER_RADIUS_M = 0.115
 """Radius of that sphere [m]."""
-WRIST_CENTRE_H, WRIST_RADIUS_M = np.array([0.044, 0.0, -0.15]), 0.17
+WRIST_CENTRE_H = np.array([0.044, 0.0, -0.15])
+WRIST_RADIUS_M = 0.17
 """The same for the last links."""
 WIDE_SIZE = 192
 """Width of the crop that holds the whole image, for detection [px]."""
@@ -72,7 +73,8 @@ class Crop:
 
     def homography(self, camera: Camera, stride: int = 1) -> Array:
         """Return the (3, 3) homography from cells of the crop to pixels of `camera`, centres at half-integers."""
-        f, c = self.focal / stride, self.size / stride / 2
+        f = self.focal / stride
+        c = self.size / stride / 2
         K_V_inverse = np.array([[1 / f, 0.0, -c / f], [0.0, 1 / f, -c / f], [0.0, 0.0, 1.0]])
         return np.asarray(camera.K @ self.R_CV @ K_V_inverse)
 

@@ -29,8 +29,12 @@ _WIDE_REACHES_PX = (14.0, 10.0, *FOLLOWED_REACHES_PX)  # of a gripper, which the
 _LINKS = (RobotPart.LINK4, *LAST_LINKS)  # links whose edges are matched
 _FLANGE = (RobotPart.LINK7,)
 _POINTS = 300
-_STARTS, _START_SIGMA_RAD = 4, np.deg2rad(15.0)  # turns from which a frame is fitted with a gripper, and their prior
-_ON_EDGES, _OFF_CELLS = 15.0, 0.5  # log-likelihood of a turn per share of contours on edges, and per misfit of cells
+# turns from which a frame is fitted with a gripper, and their prior
+_STARTS = 4
+_START_SIGMA_RAD = np.deg2rad(15.0)
+# log-likelihood of a turn per share of contours on edges, and per misfit of cells
+_ON_EDGES = 15.0
+_OFF_CELLS = 0.5
 _ON_GRIPPER = 30.0  # likewise per share of the gripper's contours, which stand out on two sides
 _UNSEEN_SIGMA_M = 0.1
 _BEHIND_M = 10.0
@@ -52,7 +56,8 @@ class FlangeFitter:
 
     def __init__(self, chain: ChainFitter, shape: FlangeShape) -> None:
         """Fit chains of `chain` with the contours of `shape`."""
-        self._chain, self.shape = chain, shape
+        self._chain = chain
+        self.shape = shape
 
     def detect(self, shown: FlangeView, near: FramePose | None = None) -> FramePose | None:
         """Return the pose in a frame by its cells, or from the posture `near` in a neighbouring one on.
@@ -180,7 +185,8 @@ class FlangeFitter:
         self, start: ChainModel, points: Correspondences, image: GradientImage, reaches_px: Sequence[float]
     ) -> Solution[ChainModel] | None:
         """Fit a chain to points of the links and to edges together; None if it diverges or no edges are near."""
-        chain, (matcher,) = None, self.shape.at_likeliest(image, self._place(start, _LINKS)[0]).edges
+        chain = None
+        (matcher,) = self.shape.at_likeliest(image, self._place(start, _LINKS)[0]).edges
         parts = (*_LINKS, *self.shape.gripper)
         for reach_px in reaches_px:
             model = start if chain is None else chain.model

@@ -36,8 +36,12 @@ from kinebench_drake.track import Domain
 
 # Cells of a gripper are taken for a hand, and lie where the wrist is.
 _SEEN = (*LAST_LINKS, RobotPart.HAND)
-_QUANTILES, _MARGIN = (5.0, 95.0), 0.8  # of the cells of the wrist; half size of its crop over their extent
-_SHOWN, _COARSE = 12, 3  # frames and openings that tell how a gripper is mounted
+# of the cells of the wrist; half size of its crop over their extent
+_QUANTILES = (5.0, 95.0)
+_MARGIN = 0.8
+# frames and openings that tell how a gripper is mounted
+_SHOWN = 12
+_COARSE = 3
 _MOUNT_GRID_RAD = np.deg2rad(np.arange(0.0, 360.0, 9.0))
 _MOUNT_STEPS = (0, 5, 10, 15)  # of that grid, from panda_hand to a gripper: eighths of a turn
 _MOUNT_OFFSETS_M = (0.0, 0.012)  # with and without an adapter
@@ -63,7 +67,9 @@ class FlangeTracker:
 
     def __init__(self, estimator: DenseEstimator, gripper: GripperKind = GripperKind.NONE) -> None:
         """Track with dense estimates of `estimator`; the contours of a gripper whose shape is known count, too."""
-        self._estimator, self._model, self._links = estimator, ArmModel(), links_shape()
+        self._estimator = estimator
+        self._model = ArmModel()
+        self._links = links_shape()
         self._gripper = gripper
         self._chain = ChainFitter(self._model)
 
@@ -135,7 +141,9 @@ class FlangeTracker:
         total = np.zeros((len(_MOUNT_STEPS), len(offsets)))
         surest = sorted(poses, key=lambda k: -poses[k].overlap)[:_SHOWN]
         for i in surest:
-            pose, image, chain = poses[i], video.images[i], video.flange.chain_of(poses[i])
+            pose = poses[i]
+            image = video.images[i]
+            chain = video.flange.chain_of(poses[i])
             by_link = video.flange.log_likelihood(chain, _MOUNT_GRID_RAD, pose.view, image, pose.overlap)
             for k, fitter in enumerate(offsets):
                 by_gripper = fitter.gripper_log_likelihood(chain, _MOUNT_GRID_RAD, image, pose.overlap)
@@ -164,22 +172,28 @@ class FlangeTracker:
 
     def _turn(self, poses: dict[int, FramePose], video: _Video) -> None:
         """Turn the last joint as contours and cells of the last link are likeliest along the whole video."""
-        flange, images = video.flange, video.images
+        flange = video.flange
+        images = video.images
         shown = dict(self._look({i: _crop_at(pose.X_CH) for i, pose in poses.items()}, video))
         chains = {i: flange.chain_of(pose) for i, pose in poses.items()}
-        turns, sigma = np.zeros(len(images)), np.zeros(len(images))
+        turns = np.zeros(len(images))
+        sigma = np.zeros(len(images))
         for grid in (TURNS_RAD, OFFSETS_RAD):
-            log_likelihood, changes = np.zeros((len(turns), len(grid))), np.full(len(turns) - 1, np.nan)
+            log_likelihood = np.zeros((len(turns), len(grid)))
+            changes = np.full(len(turns) - 1, np.nan)
             for i, chain in chains.items():
                 likeliest = flange.at_likeliest(chain, images[i])
-                view, agreement = shown[i].view, poses[i].overlap
+                view = shown[i].view
+                agreement = poses[i].overlap
                 log_likelihood[i] = likeliest.log_likelihood(chain, turns[i] + grid, view, images[i], agreement)
                 if i + 1 in chains:
                     changes[i] = flange.turn_change(chain, chains[i + 1], images[i], images[i + 1])
             offsets, own_sigma = likeliest_turns(grid, log_likelihood, changes - np.diff(turns))
-            turns, sigma = turns + offsets, np.maximum(sigma, own_sigma)
+            turns = turns + offsets
+            sigma = np.maximum(sigma, own_sigma)
             chains = {i: self._chain.turned(chain, turns[i : i + 1]) for i, chain in chains.items()}
-        reaches_px, before = REACHES_PX[0 if flange.shape.gripper else -2 :], dict(poses)
+        reaches_px = REACHES_PX[0 if flange.shape.gripper else -2 :]
+        before = dict(poses)
         for i, chain in chains.items():
             points = []
             for k in {i - 1, i + 1} & chains.keys():
@@ -218,7 +232,8 @@ def _with_turn_sigma(pose: FramePose, sigma_rad: float) -> FramePose:
     """Return a pose whose covariance includes a standard deviation of its turn about the flange's axis."""
     if pose.arm is None:
         return pose
-    covariance, axis = pose.arm.covariance.copy(), pose.X_CH[:3, 2]
+    covariance = pose.arm.covariance.copy()
+    axis = pose.X_CH[:3, 2]
     covariance[:3, :3] += sigma_rad**2 * np.outer(axis, axis)
     hand = replace(pose.hand, covariance=covariance)
     arm = replace(pose.arm, covariance=covariance)

@@ -28,7 +28,8 @@ _SMALL_PX = 32.0  # diameter of a gripper in the crop of the whole image below w
 _LEVELS = (2, 4)  # sizes of the image over that of a tile
 _LEAST_TILE_PX = 128.0  # in smaller ones a gripper that larger ones do not show is too small to be measured
 _MARGIN = 1.25  # size of the region over that of the box around the robot
-_WRIST, _WRIST_BONUS = (RobotPart.LINK6, RobotPart.LINK7), 4.0
+_WRIST = (RobotPart.LINK6, RobotPart.LINK7)
+_WRIST_BONUS = 4.0
 _WHOLE_SHARE = 0.8  # size from which the whole image is taken
 
 
@@ -103,7 +104,8 @@ def _centres(length: float, size: float) -> NDArray[np.float64]:
 
 
 def _region(boxes: Array, camera: Camera) -> Crop | None:
-    low, high = boxes[:, :2].min(axis=0), boxes[:, 2:].max(axis=0)
+    low = boxes[:, :2].min(axis=0)
+    high = boxes[:, 2:].max(axis=0)
     largest = max(camera.width, camera.height)
     size = _MARGIN * float((high - low).max())
     return None if size >= _WHOLE_SHARE * largest else _crop_around((low + high) / 2, size, camera)

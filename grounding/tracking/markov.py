@@ -38,13 +38,17 @@ OFFSETS_RAD = np.deg2rad(np.arange(-15.0, 15.1, 3.0))
 """Offsets from turns that are known roughly [rad]."""
 _STATES = 5  # states from one turn of the grid to the next
 _STEP_RAD = np.deg2rad(8.0)  # standard deviation of a step from frame to frame, and of a change that is measured badly
-_CHANGE_RAD, _BADLY = np.deg2rad(1.5), 0.1  # standard deviation of a measured change, and share of the bad ones
+# standard deviation of a measured change, and share of the bad ones
+_CHANGE_RAD = np.deg2rad(1.5)
+_BADLY = 0.1
 _BLUNT_FACTOR = 2.5  # factor by which the error of a width that is not sharp exceeds its standard deviation
 _OUTLIER_SHARE = 0.02
 _EDGE_OUTLIERS = 0.05
 _SPEEDS = np.array([0, *(s * k for k in (1, 2, 3, 4, 6, 10, 15, 25, 40) for s in (-1, 1))])
 """Changes of the width per frame in grid steps; the first is rest."""
-_REST, _GO_ON = 0.96, 0.6  # probabilities that resting, or moving, fingers continue so in the next frame
+# probabilities that resting, or moving, fingers continue so in the next frame
+_REST = 0.96
+_GO_ON = 0.6
 _BLUR = (0.1, 0.8, 0.1)  # probabilities of one step less, none, one more than the speed
 
 
@@ -55,7 +59,8 @@ def _likeliest_states(own: Sequence[Array] | Array, steps: Sequence[Array]) -> l
         own: (T, S) log-likelihood of each state by its frame alone.
         steps: (T - 1, S, S) log-probability of each state (rows) after each other (columns).
     """
-    best, origins = own[0], []
+    best = own[0]
+    origins = []
     for step, row in zip(steps, own[1:], strict=True):
         reached = best + step
         origins.append(reached.argmax(axis=1))
@@ -131,7 +136,8 @@ def _step(state: Array, change_rad: float) -> Array:
     if not np.isfinite(change_rad):
         return np.asarray(_log_normal(moved, _STEP_RAD))
     error = moved - change_rad
-    good, bad = np.log(1.0 - _BADLY) + _log_normal(error, _CHANGE_RAD), np.log(_BADLY) + _log_normal(error, _STEP_RAD)
+    good = np.log(1.0 - _BADLY) + _log_normal(error, _CHANGE_RAD)
+    bad = np.log(_BADLY) + _log_normal(error, _STEP_RAD)
     return np.asarray(np.logaddexp(good, bad))
 
 
@@ -159,7 +165,8 @@ def smooth_gripper_width(
         sigma_m: (T,) their standard deviations [m]; 0 of widths taken from priors.
         by_edges: (T,) log-likelihoods (G,) of `GAPS_M` by the edges of the image; None where there are none.
     """
-    width_m, sigma_m = np.asarray(width_m, dtype=np.float64), np.asarray(sigma_m, dtype=np.float64)
+    width_m = np.asarray(width_m, dtype=np.float64)
+    sigma_m = np.asarray(sigma_m, dtype=np.float64)
     shown = {i: row for i, row in enumerate(by_edges or ()) if row is not None and sigma_m[i] != 0.0}
     if not shown and not np.isfinite(width_m).any():
         return np.full(len(width_m), np.nan)
@@ -193,7 +200,8 @@ def _likelihoods(width_m: Array, sigma_m: Array, widths: Array) -> Array:
     """Return the likelihoods (T, S) of the states, whose widths are `widths` (S,), given the measurements (T,)."""
     sigma_m = np.where(sigma_m <= bounds.SHARP_M, np.maximum(sigma_m, GAP_STEP_M / 2), _BLUNT_FACTOR * sigma_m)
     usable = np.isfinite(width_m) & (sigma_m <= _BLUNT_FACTOR * bounds.BLIND_M)
-    width_m, sigma_m = np.where(usable, width_m, 0.0)[:, None], np.where(usable, sigma_m, 1.0)[:, None]
+    width_m = np.where(usable, width_m, 0.0)[:, None]
+    sigma_m = np.where(usable, sigma_m, 1.0)[:, None]
     fits = np.exp(-0.5 * ((widths - width_m) / sigma_m) ** 2) / sigma_m
     return np.where(usable[:, None], (1.0 - _OUTLIER_SHARE) * fits + _OUTLIER_SHARE / (2 * MAX_FINGER_M), 1.0)
 
@@ -205,7 +213,8 @@ def _normalized(probabilities: Array) -> Array:
 @lru_cache(maxsize=1)
 def _model() -> tuple[Array, Array, Array]:
     """Return the width (S,) [m] and initial probability (S,) of each state, and the transition matrix (S, S)."""
-    n, k = len(GAPS_M), len(_SPEEDS)
+    n = len(GAPS_M)
+    k = len(_SPEEDS)
     change = np.full((k, k), (1.0 - _GO_ON) / (2 * (k - 1)))  # moving fingers stop as often as they change speed
     change[:, 0] += (1.0 - _GO_ON) / 2
     change[np.arange(k), np.arange(k)] = _GO_ON

@@ -67,11 +67,14 @@ class EdgeRefinement:
             measure: measures frames in these crops, and returns the poses of those that show a gripper.
             may_be_familiar: False if the edges cannot confirm the network, as where the camera was fitted to them.
         """
-        self._measure, self._may_be_familiar = measure, may_be_familiar
+        self._measure = measure
+        self._may_be_familiar = may_be_familiar
         self.poses = dict(poses)
         """Refined poses by frame number."""
-        self._wide, self._images = wide, GradientImages(frames, camera)
-        self._fitter, self._silhouette = arm_fitter, silhouette
+        self._wide = wide
+        self._images = GradientImages(frames, camera)
+        self._fitter = arm_fitter
+        self._silhouette = silhouette
         self._sharp: dict[int, tuple[ArmFit, ArmFit]] = {}  # by frame: fit to the cells, and to cells and edges
         self._reached: set[int] = set()  # frames whose pose comes from following the arm
 
@@ -127,10 +130,12 @@ class EdgeRefinement:
 
     def _follow_from(self, near: int, number: int) -> None:
         """Measure a frame again where the arm of a sure frame went, and keep the pose that the edges confirm more."""
-        before, fitter = self.poses[near].arm, self._fitter.at([number])
+        before = self.poses[near].arm
+        fitter = self._fitter.at([number])
         if before is None:
             return
-        X_CP, images = self._fitter.at([near]).poses(before), (self._images[near], self._images[number])
+        X_CP = self._fitter.at([near]).poses(before)
+        images = (self._images[near], self._images[number])
         arm = fitter.follow(before, X_CP, *images)
         if arm is None:
             return
@@ -203,7 +208,8 @@ class EdgeRefinement:
 
     def _refined(self, starts: Mapping[int, ArmFit]) -> dict[int, ArmFit | None]:
         """Return the fits of frames to their edges, from postures by frame number."""
-        numbers, fits = list(starts), dict[int, ArmFit | None]()
+        numbers = list(starts)
+        fits = dict[int, ArmFit | None]()
         for first in range(0, len(numbers), BATCH):
             batch = numbers[first : first + BATCH]
             shown = [self._view(i) for i in batch], [self._images[i] for i in batch]

@@ -17,7 +17,8 @@ HALF_WINDOW = 3
 """Number of frames before and after a frame that its pose is smoothed with."""
 _DEGREE = 2
 _MIN_NEIGHBOURS = 4
-_L1_PASSES, _TUKEY_PASSES = 4, 2
+_L1_PASSES = 4
+_TUKEY_PASSES = 2
 _FLOOR = np.array([1e-2] * 3 + [1e-3] * 3)  # least standard deviations of a frame [rad, m]
 
 
@@ -29,8 +30,10 @@ def _local_values(offset: Array, values: Array, weight: Array, information: Arra
     """
     A = offset[..., None] ** np.arange(_DEGREE + 1)
     axes = "n" if A.ndim == 2 else "mn"
-    count, size = len(values), 6 * (_DEGREE + 1)
-    robust, coefficients = np.ones_like(weight), np.zeros((count, _DEGREE + 1, 6))
+    count = len(values)
+    size = 6 * (_DEGREE + 1)
+    robust = np.ones_like(weight)
+    coefficients = np.zeros((count, _DEGREE + 1, 6))
     for number in range(1 + _L1_PASSES + _TUKEY_PASSES):
         weighted = (weight * robust)[..., None, None] * information
         H = np.einsum(f"{axes}a,{axes}b,mnij->maibj", A, A, weighted, optimize=True).reshape(count, size, size)
@@ -65,7 +68,8 @@ def smooth_track(
         place: (T,) times in frame periods (`frame_periods`); None: the frames are evenly spaced.
         leave_out: predict each frame from its neighbours alone; NaN where there are fewer than four.
     """
-    X, weight = np.asarray(X, dtype=np.float64), np.asarray(weight, dtype=np.float64)
+    X = np.asarray(X, dtype=np.float64)
+    weight = np.asarray(weight, dtype=np.float64)
     has_pose = np.isfinite(X).all(axis=(1, 2))
     information = np.full((len(X), 6, 6), np.nan)
     information[has_pose] = np.linalg.inv(np.asarray(covariance)[has_pose] + np.diag(_FLOOR**2))
@@ -85,7 +89,8 @@ def smooth_track(
     rows = np.flatnonzero(has_pose & (counts.sum(axis=1) >= _MIN_NEIGHBOURS))
     if not len(rows):
         return smoothed
-    near, counts = np.where(counts, near, np.arange(len(X))[:, None])[rows], counts[rows]
+    near = np.where(counts, near, np.arange(len(X))[:, None])[rows]
+    counts = counts[rows]
     after = after if after.ndim == 1 else np.where(counts, after[rows], 0.0)
     kernel = (1.0 - np.abs(after / (HALF_WINDOW + 1)) ** 3) ** 3
     weight_near = np.where(counts, kernel * np.maximum(weight[near], 1e-3), 0.0)

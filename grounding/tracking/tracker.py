@@ -96,11 +96,13 @@ class CadTracker:
         confidence: Mapping[Domain, Confidence] | None = None,
     ) -> None:
         """Track with dense estimates of `estimator`; `confidence` (default: the shipped one) decides on the domain."""
-        self._estimator, self._confidence = estimator, confidence or load_confidence()
+        self._estimator = estimator
+        self._confidence = confidence or load_confidence()
         self._cad = cad or GripperCad()
         self._icp = IcpRefiner(self._cad)
         self._silhouette = SilhouetteMatcher(self._cad)
-        self._arm, self._edges = ArmModel(), EdgeMatcher()
+        self._arm = ArmModel()
+        self._edges = EdgeMatcher()
 
     def track(
         self, frames: Frames, camera: Camera, priors: Priors = NO_PRIORS, places: Array | None = None
@@ -113,7 +115,8 @@ class CadTracker:
         def detect(region: Crop) -> tuple[dict[int, GripperView], dict[int, Crop]]:
             """Return the view of `region` by frame number, and crops around the gripper where it is detected."""
             estimates = estimator.estimate(frames, camera, dict.fromkeys(range(len(frames)), region))
-            wide, crops = dict[int, GripperView](), dict[int, Crop]()
+            wide = dict[int, GripperView]()
+            crops = dict[int, Crop]()
             while views := dict(islice(estimates, BATCH)):
                 wide |= views
                 crops |= self._detected_crops(views, priors)
@@ -127,7 +130,8 @@ class CadTracker:
 
         def measure(crops: dict[int, Crop]) -> dict[int, FramePose]:
             """Return the poses of the frames of `crops` that show a gripper."""
-            estimates, poses = estimator.estimate(frames, camera, crops), dict[int, FramePose]()
+            estimates = estimator.estimate(frames, camera, crops)
+            poses = dict[int, FramePose]()
             while views := dict(islice(estimates, BATCH)):
                 poses |= self._measure(views, wide, arm, priors)
             return poses
@@ -149,13 +153,15 @@ class CadTracker:
             poses = self._register_all(start)
         else:
             refinement = refine(may_be_familiar=not priors.camera_is_fitted)
-            poses, domain = self._register_all(refinement.poses), refinement.domain
+            poses = self._register_all(refinement.poses)
+            domain = refinement.domain
             expected = self._expected(poses, domain)
             is_settled = not refinement.is_familiar or priors.camera_is_assumed
             if not is_settled and expected < bounds.SURE_SHARE * len(poses):
                 other = self._register_all(refine(may_be_familiar=False).poses)
                 if self._expected(other, Domain.UNFAMILIAR) > expected:
-                    poses, domain = other, Domain.UNFAMILIAR
+                    poses = other
+                    domain = Domain.UNFAMILIAR
         if domain is Domain.UNFAMILIAR:
             poses |= self._with_contours(poses, arm, frames, camera)
         return Tracking(
@@ -175,7 +181,8 @@ class CadTracker:
             if pose.arm is not None and pose.arm.agrees
         }
         gaps = gap_log_likelihoods(self._edges, hands)
-        views, X_CH = [poses[i].view for i in hands], [poses[i].X_CH for i in hands]
+        views = [poses[i].view for i in hands]
+        X_CH = [poses[i].X_CH for i in hands]
         fits = fit_all(views, X_CH, [None] * len(hands))
         refined = {}
         for (i, hand), fit in zip(hands.items(), fits, strict=True):
@@ -198,7 +205,9 @@ class CadTracker:
 
         The network's own depth is not scaled: its error varies along a video as much as between videos.
         """
-        X_CH, depth, finger_m = priors.pose(0), priors.depth, priors.finger_m(0)
+        X_CH = priors.pose(0)
+        depth = priors.depth
+        finger_m = priors.finger_m(0)
         if X_CH is None or depth is None or depth.exact:
             return priors
         crop = Crop.of_gripper(X_CH, CLOSE_MARGIN, CLOSE_SIZE)

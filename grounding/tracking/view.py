@@ -14,8 +14,12 @@ from kinebench_drake.grounding.tracking.crop import Crop
 from kinebench_drake.io.frames import Frames
 from kinebench_drake.models.panda.robot import GRIPPER, OPENING_SIGN, RobotPart
 
-_EXACT_SIGMA, _EXACT_FACTOR_SIGMA = 1e-3, 1e-4  # relative; depth is stored in whole millimetres
-_ESTIMATE_SIGMA, _ESTIMATE_FACTOR_SIGMA = 0.02, 0.1  # estimator of unknown accuracy
+# relative; depth is stored in whole millimetres
+_EXACT_SIGMA = 1e-3
+_EXACT_FACTOR_SIGMA = 1e-4
+# estimator of unknown accuracy
+_ESTIMATE_SIGMA = 0.02
+_ESTIMATE_FACTOR_SIGMA = 0.1
 _CALIBRATED_FACTOR_SIGMA = 0.03  # drift of the depth factor along a video
 OPENING_SIGNS = np.array([OPENING_SIGN.get(part, 0.0) for part in RobotPart])
 """(PARTS,) `OPENING_SIGN` by value of `RobotPart`; 0 where a part does not move along the hand."""
@@ -86,7 +90,8 @@ class OverrideEstimator:
 
     def __init__(self, base: DenseEstimator, priors: Priors) -> None:
         """Replace the estimates of `base` by those in `priors`."""
-        self._base, self._priors = base, priors
+        self._base = base
+        self._priors = priors
 
     def estimate(self, frames: Frames, camera: Camera, crops: Mapping[int, Crop]) -> Iterator[tuple[int, GripperView]]:
         """Estimate one view per crop, like `DenseEstimator.estimate`."""

@@ -53,7 +53,8 @@ def reward_of(row: SampleRow) -> float:
     """
     if row.status is not Status.OK:
         return 0.0
-    confidence, tracked = row.metrics.get("confidence_mean"), row.metrics.get("tracked_fraction")
+    confidence = row.metrics.get("confidence_mean")
+    tracked = row.metrics.get("tracked_fraction")
     evidence = 0.0
     if isinstance(confidence, int | float) and isinstance(tracked, int | float):
         evidence = confidence * tracked
@@ -153,7 +154,8 @@ def _evaluator(period_s: float) -> VideoEvaluator:
 def _score(tools: Tools, frames: NDArray[np.uint8], camera: CameraSetting | None, period_s: float) -> Score:
     check_period(period_s)
     sample = VideoSample(id="clip", path=Path("clip"), video="clip").filmed_by(camera, CameraSource.ARGUMENT)
-    evaluator, video = _evaluator(period_s), Video(frames=np.asarray(frames), fps=None, stamps_s=None)
+    evaluator = _evaluator(period_s)
+    video = Video(frames=np.asarray(frames), fps=None, stamps_s=None)
     with one_thread():
         row = evaluator.row_of(sample, lambda: evaluator.measure(sample, video, tools)[1], "")
     numbers = {name: float(value) for name, value in row.metrics.items() if isinstance(value, bool | int | float)}

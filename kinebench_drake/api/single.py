@@ -217,7 +217,8 @@ def audit_trajectory(
         print(result.feasible, result.violations, result.metrics["manipulability_min"])
     """
     config = _config(AuditConfig, **options)
-    robot, rate_hz = config.robot_options(), config.rate_hz
+    robot = config.robot_options()
+    rate_hz = config.rate_hz
     _warn(*robot.load().remarks)
     if isinstance(reading, str | PathLike):
         reading = Path(reading)

@@ -158,7 +158,8 @@ def _plant(out: Path) -> "ArmPlant":
     from kinebench_drake.report.run import read_results
 
     config = as_object(read_results(out).get("config"))
-    id, name = config.get("robot_id"), str(config.get("robot") or PANDA)
+    id = config.get("robot_id")
+    name = str(config.get("robot") or PANDA)
     robot = load_converted(str(id))
     if robot is None and name in ROBOTS:
         robot = load_robot(name)

@@ -71,7 +71,8 @@ class ProgressView:
 
     def start(self, total: int, completed: int) -> None:
         """Set the length of the bar."""
-        self.total, self.completed = total, completed
+        self.total = total
+        self.completed = completed
         if completed:
             self._print(f"{completed} of {total} {self._unit} are finished already and kept")
         if self._bar:
@@ -208,7 +209,8 @@ def _has_anomalies(rows: Sequence[SampleRow]) -> bool:
 def _share(name: str, rows: Sequence[SampleRow]) -> str:
     """Describe the share of a truth value; empty if no row has it. Open verdicts on execution count as no."""
     if name == "executable":
-        share, n = estimate_executable(rows), len(rows)
+        share = estimate_executable(rows)
+        n = len(rows)
         if share.low is None or all(row.executable is None for row in rows):
             return ""
         hits, open_ = (sum(row.executable is verdict for row in rows) for verdict in (True, None))
@@ -221,7 +223,8 @@ def _share(name: str, rows: Sequence[SampleRow]) -> str:
     share = estimate([v for v, _ in judged], total=len(rows), episodes=[episode for _, episode in judged])
     if share.mean is None or share.low is None or share.high is None:
         return ""
-    hits, missing = sum(value for value, _ in judged), share.total - share.n
+    hits = sum(value for value, _ in judged)
+    missing = share.total - share.n
     bound = f"; at least {hits / share.total:.0%} of all {share.total}" if missing else ""
     counted = count_noun(share.n, "judged sample" if missing else "sample")
     return f"{name}: {hits} of {counted}, {share.mean:.0%} (95% interval {share.low:.0%} to {share.high:.0%}{bound})"

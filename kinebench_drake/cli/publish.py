@@ -56,7 +56,8 @@ def verify(ctx: click.Context, /, file: Path, samples: int, videos: Path | None,
         outcome = verify_bundle(opened, samples, seed, videos)
     for fault in outcome.faults:
         echo(fault)
-    n, source = len(outcome.measured), "tracks" if videos is None else "tracks and videos"
+    n = len(outcome.measured)
+    source = "tracks" if videos is None else "tracks and videos"
     echo(
         f"{file}: {'does not hold' if outcome.faults else 'holds'}: hashes and aggregates of "
         f"{count_noun(outcome.samples, 'sample')}, {n} of {outcome.candidates} measurable ones anew from {source} "

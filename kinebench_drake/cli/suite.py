@@ -49,7 +49,8 @@ def _episodes(
         seeds = range(seed, seed + count)
         having = with_variant(chosen, own, named=names is not None)
         return [compose(task, s, variant=own) for task in having for s in seeds]
-    suite, name = load_suite(number), split or "test"
+    suite = load_suite(number)
+    name = split or "test"
     specs = suite.specs(name, count, tasks=chosen_tasks(suite, name, tasks, own), offset=seed, variant=own)
     return [spec.episode() for spec in specs]
 

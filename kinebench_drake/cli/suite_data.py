@@ -52,7 +52,8 @@ def _dataset(suite: int, split: str, tasks: str | None, variant: str, **others: 
     from kinebench_drake.suites.catalog import chosen_tasks, load_suite
     from kinebench_drake.suites.families.task import TaskVariant
 
-    loaded, task_variant = load_suite(suite), TaskVariant(variant)
+    loaded = load_suite(suite)
+    task_variant = TaskVariant(variant)
     chosen = chosen_tasks(loaded, split, tasks, task_variant)
     return {**others, "suite": loaded, "split": loaded.split_name(split), "tasks": chosen, "variant": task_variant}
 

@@ -85,7 +85,8 @@ def plan(difference: float, success: float, samples: list[int], correlation: flo
             icc=icc,
             power=power / 100,
         )
-        paired, unpaired = design.paired_episodes(), design.unpaired_episodes()
+        paired = design.paired_episodes()
+        unpaired = design.unpaired_episodes()
         rows.append((count, paired, paired * count, unpaired, unpaired * count))
     columns = plain_columns(
         samples="Samples an episode", paired="Episodes, paired", paired_clips="Clips of each model",

@@ -144,7 +144,8 @@ def summarize_following(clips: Sequence[ActionFollowing], period_s: float) -> di
         for suffix, name in _FIELDS.items()
     }
     lags = [_median([clip.lagged[k].distance_m for clip in clips]) for k in range(_LAGS)]
-    error, chance = medians["action_error_m"], medians["action_shuffled_m"]
+    error = medians["action_error_m"]
+    chance = medians["action_shuffled_m"]
     best = min((lag for lag in lags if lag is not None), default=None)
     follows = best is not None and error is not None and chance is not None and error < 0.5 * chance
     return {

@@ -19,7 +19,8 @@ from kinebench_drake.metrics.executable import FailureVerdict
 from kinebench_drake.metrics.result import KinematicResult
 from kinebench_drake.segments import segments
 
-ASTRAY_M, ASTRAY_RAD = 0.03, float(np.deg2rad(15.0))
+ASTRAY_M = 0.03
+ASTRAY_RAD = float(np.deg2rad(15.0))
 """Deviation of the executed from the generated gripper that counts as failed execution; servos err by 5 mm at most."""
 FINGERS_M = 0.02
 """Deviation of the gap between the fingers that counts as failed execution."""
@@ -81,7 +82,8 @@ def find_cause(run: EpisodeRun, results: Sequence[KinematicResult]) -> Cause | N
 
 
 def _evidence(done: Round, result: KinematicResult) -> ClipEvidence:
-    track, execution = done.grounding.track, done.execution
+    track = done.grounding.track
+    execution = done.execution
     frames = len(track.t_s) if execution is None else len(execution.snapshots)
     return ClipEvidence(
         tracked=track.tracked[:frames],
@@ -110,7 +112,8 @@ def attribute(clips: Sequence[ClipEvidence], goal: str) -> Cause:
     for verdict, find in _TESTS:
         for number, clip in enumerate(clips):
             for run, text, value, limit in find(clip):
-                start, end = run.start, run.stop - 1
+                start = run.start
+                end = run.stop - 1
                 return Cause(
                     verdict=verdict, round=number, frame_start=start, frame_end=end, value=value, limit=limit, text=text
                 )
@@ -127,9 +130,11 @@ def _lost_poses(clip: ClipEvidence) -> _Evidence:
     longest = max(segments(lost), key=_length, default=None)
     if longest is not None and (_length(longest) >= LOST_FRAMES or lost.mean() > LOST_SHARE):
         text = f"no pose in {int(lost.sum())} of {len(lost)} frames, {_length(longest)} of them in a row"
-        value, limit = float(_length(longest)), float(LOST_FRAMES - 1)
+        value = float(_length(longest))
+        limit = float(LOST_FRAMES - 1)
         if value <= limit:
-            value, limit = float(lost.mean()), LOST_SHARE
+            value = float(lost.mean())
+            limit = LOST_SHARE
         yield longest, text, value, limit
 
 
@@ -179,8 +184,10 @@ def _hidden_moves(clip: ClipEvidence) -> Iterator[slice]:
     """
     gap = clip.finger_width_generated_m
     for run in segments(clip.tracked & ~_faulty(clip) & np.isnan(gap)):
-        before, after = gap[: run.start], gap[run.stop :]
-        before, after = before[np.isfinite(before)], after[np.isfinite(after)]
+        before = gap[: run.start]
+        after = gap[run.stop :]
+        before = before[np.isfinite(before)]
+        after = after[np.isfinite(after)]
         if len(after):
             harmless = len(before) > 0 and abs(after[0] - before[-1]) <= FINGERS_M
         else:

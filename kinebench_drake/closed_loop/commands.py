@@ -29,7 +29,8 @@ LEAD_S = 0.1
 """Lag of the servos of ManiSkill's Panda: damping over stiffness, 100 / 1000."""
 SQUEEZE_M = 0.008
 """Reduction of the gap commanded to fingers that hold an object: 4 N per finger at their stiffness."""
-GRIP_M, RELEASE_M = 0.006, 0.010
+GRIP_M = 0.006
+RELEASE_M = 0.010
 """Decrease of the gap at which fingers grip, and increase at which they release: hysteresis against noise."""
 
 
@@ -173,7 +174,9 @@ class CommandPlanner:
     def _limit_speed(self, q: Array, q_start: Array) -> tuple[Array, NDArray[np.bool_]]:
         """Return targets (N, 7) within speed and joint limits, and a mask (N,) of steps that a speed limit reduced."""
         most = self.plant.velocity_limits * CONTROL_PERIOD_S
-        targets, slowed, now = np.empty_like(q), np.zeros(len(q), dtype=bool), q_start
+        targets = np.empty_like(q)
+        slowed = np.zeros(len(q), dtype=bool)
+        now = q_start
         for i, wanted in enumerate(np.clip(q, self.plant.lower, self.plant.upper)):
             step = np.clip(wanted - now, -most, most)
             # 1e-3: reductions of a step by speed limits below this are not reported
@@ -185,10 +188,12 @@ class CommandPlanner:
 def _bridge(X_BG: Array, tracked: NDArray[np.bool_]) -> Array:
     """Interpolate untracked poses of (T, 4, 4); the first one counts as tracked."""
     mask = np.append(True, tracked[1:])
-    valid, bridged = np.flatnonzero(mask), X_BG.copy()
+    valid = np.flatnonzero(mask)
+    bridged = X_BG.copy()
     for i in np.flatnonzero(~mask):
         k = int(np.searchsorted(valid, i))
-        before, after = valid[k - 1], valid[min(k, len(valid) - 1)]
+        before = valid[k - 1]
+        after = valid[min(k, len(valid) - 1)]
         share = (i - before) / (after - before) if after > before else 0.0
         bridged[i] = interpolate_pose(X_BG[before], X_BG[after], float(share))
     return bridged
@@ -205,12 +210,14 @@ def _interpolate(t_s: Array, q: Array, valid: NDArray[np.bool_]) -> Array:
 def _plan_fingers(finger_width_m: Array, X_BG: Array, start: RobotState) -> tuple[Array, bool]:
     """Return the gap (T,) [m] to command in each frame, and whether the fingers hold an object at the end."""
     width = _interpolate_width(np.concatenate([[start.finger_width_m], finger_width_m[1:]]), X_BG)
-    gripping, extreme = start.gripping, width[0]
+    gripping = start.gripping
+    extreme = width[0]
     targets = np.empty_like(width)
     for i, gap in enumerate(width):
         extreme = min(extreme, gap) if gripping else max(extreme, gap)
         if abs(gap - extreme) > (RELEASE_M if gripping else GRIP_M):
-            gripping, extreme = not gripping, gap
+            gripping = not gripping
+            extreme = gap
         targets[i] = gap - SQUEEZE_M if gripping else gap
     return targets, gripping
 
@@ -227,7 +234,8 @@ def _interpolate_width(width: Array, X_BG: Array) -> Array:
     for before, after in pairwise(valid):
         if after > before + 1 and abs(width[after] - width[before]) > GRIP_M:
             wait = before + int(np.argmin(pace[before:after]))
-            whole[before : wait + 1], whole[wait + 1 : after] = width[before], width[after]
+            whole[before : wait + 1] = width[before]
+            whole[wait + 1 : after] = width[after]
     return whole
 
 
@@ -255,7 +263,8 @@ class Execution:
 
 def execute(simulator: Simulator, commands: Commands, control: Control) -> Execution:
     """Execute commands from the current state on, until the task succeeds or they end, by the simulator's control."""
-    snapshots, X_BG = [simulator.snapshot()], [simulator.link_pose(TCP_LINK)]
+    snapshots = [simulator.snapshot()]
+    X_BG = [simulator.link_pose(TCP_LINK)]
     for start, end in pairwise(commands.frame_steps):
         for i in range(start, end):
             if control is Control.JOINTS:

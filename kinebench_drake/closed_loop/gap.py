@@ -76,17 +76,22 @@ def signal_noise_ratio_db(a: NDArray[np.uint8], b: NDArray[np.uint8]) -> float:
 
 def structural_similarity(a: NDArray[np.uint8], b: NDArray[np.uint8]) -> float:
     """Return the mean structural similarity of two grey images (H, W) over all windows of 7 x 7 px in them."""
-    n, edge = _WINDOW**2, _WINDOW // 2
-    x, y = a.astype(np.float64), b.astype(np.float64)
+    n = _WINDOW**2
+    edge = _WINDOW // 2
+    x = a.astype(np.float64)
+    y = b.astype(np.float64)
 
     def mean(image: Array) -> Array:
         return np.asarray(cv2.boxFilter(image, -1, (_WINDOW, _WINDOW)))[edge:-edge, edge:-edge]
 
-    mean_x, mean_y = mean(x), mean(y)
-    product, squares = mean_x * mean_y, mean_x**2 + mean_y**2
+    mean_x = mean(x)
+    mean_y = mean(y)
+    product = mean_x * mean_y
+    squares = mean_x**2 + mean_y**2
     covariance = n / (n - 1) * (mean(x * y) - product)
     variances = n / (n - 1) * (mean(x * x + y * y) - squares)
-    c_1, c_2 = (0.01 * _RANGE) ** 2, (0.03 * _RANGE) ** 2
+    c_1 = (0.01 * _RANGE) ** 2
+    c_2 = (0.03 * _RANGE) ** 2
     return float(((2.0 * product + c_1) * (2.0 * covariance + c_2) / ((squares + c_1) * (variances + c_2))).mean())
 
 
@@ -97,7 +102,8 @@ def average_gaps(gaps: Sequence[Gap]) -> tuple[dict[str, float | None], dict[str
     are None if the generated one is lost in any of these frames, since the mean over the others may be smaller. Frames
     that are equal to the last pixel, whose signal-to-noise ratio is infinite, are left out of its mean.
     """
-    metrics, reasons = dict[str, float | None](), dict[str, str]()
+    metrics = dict[str, float | None]()
+    reasons = dict[str, str]()
     for metric, name in GAP_METRICS.items():
         values = np.concatenate([np.empty(0), *(getattr(gap, name)[1:] for gap in gaps)])
         lost = int(np.isnan(values).sum())

@@ -154,7 +154,10 @@ class ClosedLoop:
         options: LoopOptions,
         actions: ActionSource | None = None,
     ) -> None:
-        self._grounder, self._planner, self._model, self._options = grounder, planner, model, options
+        self._grounder = grounder
+        self._planner = planner
+        self._model = model
+        self._options = options
         self._actions = actions
 
     def run(self, simulator: Simulator, episode: Episode, videos: Path, sample: int = 0) -> EpisodeRun:
@@ -170,13 +173,17 @@ class ClosedLoop:
             InputError: its video cannot be read.
             SetupError: something is missing on this machine.
         """
-        model, options = self._model, self._options
+        model = self._model
+        options = self._options
         if not isinstance(model, OfflineModel):  # the folder of an offline model may be this one
             _remove_earlier_clips(videos)
         simulator.reset(episode)
-        rounds, gripping, pending = list[Round](), False, None
+        rounds = list[Round]()
+        gripping = False
+        pending = None
         for number in range(options.rounds):
-            state, first_frame = RobotState.of(simulator.snapshot(), gripping=gripping), simulator.render().rgb
+            state = RobotState.of(simulator.snapshot(), gripping=gripping)
+            first_frame = simulator.render().rgb
             request = self._request(episode, videos.name, sample, number, first_frame)
             if self._actions is not None:
                 here = simulator.simulation_state()
@@ -231,7 +238,8 @@ class ClosedLoop:
 
     def _times(self, frames: int) -> tuple[ClipTiming, NDArray[np.intp], Array]:
         """Return the timing of a clip of so many frames, the indices (T,) of those to use, and their times (T,) [s]."""
-        options, model = self._options, self._model
+        options = self._options
+        model = self._model
         own = isinstance(model, ChoosesLength) and model.chooses_length
         timing = options.clip_timing or (ClipTiming.UNIFORM if own else ClipTiming.NATIVE)
         period_s = options.frame_period_s

@@ -27,8 +27,12 @@ _NVIDIA_CONTROL = Path("/dev/nvidiactl")
 _DRIVER_VARIABLES = ("VK_DRIVER_FILES", "VK_ICD_FILENAMES")
 
 
-_M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD, _M_ARENA_MAX = -1, -3, -8  # of malloc.h
-_KEPT_BYTES, _LARGEST_BYTES = 1 << 28, 1 << 25
+# of malloc.h
+_M_TRIM_THRESHOLD = -1
+_M_MMAP_THRESHOLD = -3
+_M_ARENA_MAX = -8
+_KEPT_BYTES = 1 << 28
+_LARGEST_BYTES = 1 << 25
 
 
 def _listed(purpose: str) -> list[Path]:
@@ -41,7 +45,8 @@ def _preload(purpose: str) -> None:
     """Load the libraries of `ROOT/purpose.txt`, in any order that their dependencies allow."""
     waiting = _listed(purpose)
     while waiting:
-        failed, reason = [], ""
+        failed = []
+        reason = ""
         for library in waiting:
             try:
                 ctypes.CDLL(str(library))

@@ -12,7 +12,8 @@ from kinebench_drake.errors import SetupError
 from kinebench_drake.io.files import cache_folder
 from kinebench_drake.io.jsonl import read_object, write_json
 
-_TOP, _PACKAGE = Path(__file__).parents[1], "kinebench_drake"
+_TOP = Path(__file__).parents[1]
+_PACKAGE = "kinebench_drake"
 _FOLLOWED = (_PACKAGE, "benchmarks", "training")
 """Top names of imports that are followed; the developers' tools stand beside the package in a clone alone."""
 _CACHE = "sources.json"

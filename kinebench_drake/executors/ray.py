@@ -122,7 +122,8 @@ def _outcomes(make_worker: MakeWorker[Item, Result], items: Sequence[Item], size
         max_task_retries=1,
         runtime_env={"env_vars": dict.fromkeys(THREAD_VARIABLES, "1")},
     )(RayWorker)
-    arguments, queue = (os.getcwd(), code_hash(*RUNS), make_worker), deque(items)
+    arguments = (os.getcwd(), code_hash(*RUNS), make_worker)
+    queue = deque(items)
     actors: list[Any] = []
     running: dict[Any, tuple[Any, Item | None]] = {}  # by answer; no item while the actor loads its models
 

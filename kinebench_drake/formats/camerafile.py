@@ -44,7 +44,8 @@ class NamedCamera:
 
     def describe(self) -> str:
         """Describe the camera in one line."""
-        camera, height_m = self.setting.camera, self.setting.table_height_m
+        camera = self.setting.camera
+        height_m = self.setting.table_height_m
         names = ", ".join((self.name, *self.also))
         table = "" if height_m is None else f", table {height_m:g} m"
         ways = "".join(f", also {way}" for way in self.presented)
@@ -55,7 +56,8 @@ class NamedCamera:
 
     def to_json(self) -> dict[str, Json]:
         """Serialize for `kinebench-drake cameras --json`."""
-        setting, camera = self.setting, self.setting.camera
+        setting = self.setting
+        camera = self.setting.camera
         return {
             "name": self.name,
             "also": list(self.also),

@@ -23,7 +23,8 @@ from kinebench_drake.io.jsonl import as_object, as_type, read_object
 from kinebench_drake.track import InitialState
 
 ENVIRONMENT = "environment.json"
-_VIDEO, _FORMAT = "video.json", "dream-exe.video-output"
+_VIDEO = "video.json"
+_FORMAT = "dream-exe.video-output"
 SITE_M = 0.097
 """Distance of robosuite's grip site from panda_hand along z [m]."""
 
@@ -51,7 +52,8 @@ def read_scene(path: Path) -> Scene:
     state = read_object(path)
     calibration = as_object(as_object(state.get("camera")).get("calibration"))
     eef = as_object(as_object(state.get("raw")).get("eef"))
-    K, E = as_object(calibration.get("K")), as_object(calibration.get("E"))
+    K = as_object(calibration.get("K"))
+    E = as_object(calibration.get("E"))
     try:
         X_WC = make_pose(np.array(E.get("R_c2w"), dtype=np.float64), np.array(E.get("t_c2w"), dtype=np.float64))
         X_WS, X_BS = (_pose(as_object(eef.get(name))) for name in ("tcp_world", "tcp_base"))

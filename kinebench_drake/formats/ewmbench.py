@@ -19,7 +19,8 @@ from kinebench_drake.errors import InputError
 from kinebench_drake.formats.videos.sample import Search, VideoSample
 from kinebench_drake.io.files import IMAGE_SUFFIXES, read_text
 
-_SUFFIX, _TRUE = "_dataset", "gt"
+_SUFFIX = "_dataset"
+_TRUE = "gt"
 _PROMPTS = ("introduction.txt", "prompt.txt")
 
 

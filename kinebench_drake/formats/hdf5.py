@@ -28,7 +28,8 @@ def list_hdf5(path: Path, search: Search) -> list[VideoSample]:
     sample = search.part_sample(path)
     samples = []
     for episode, videos in episodes.items():
-        about, part = metadata.get(episode), episode.rpartition("/")[2]
+        about = metadata.get(episode)
+        part = episode.rpartition("/")[2]
         samples.append(
             replace(
                 sample,

@@ -36,7 +36,8 @@ def find_source(source: Path) -> Path:
 
 
 def _fetch(source: Path) -> Path:
-    match, address = _ADDRESS.fullmatch(source.as_posix()), hub_address(source)
+    match = _ADDRESS.fullmatch(source.as_posix())
+    address = hub_address(source)
     if match is None or ".." in source.parts:
         raise UsageError(f"{address}: expected hf://datasets/ORG/NAME, with @REVISION or /FOLDER if needed")
     try:

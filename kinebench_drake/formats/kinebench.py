@@ -36,7 +36,8 @@ from kinebench_drake.results.inputs import BENCHMARK_PERIOD_S
 from kinebench_drake.results.row import SampleRow, Status
 from kinebench_drake.track import MAX_WIDTH_M
 
-INFO, SUMMARY = "info.json", "summary.csv"
+INFO = "info.json"
+SUMMARY = "summary.csv"
 H5_FORMAT = "kinebench_rollout_v1"
 _VIDEO = "observation.images.base_camera.mp4"
 _STAMP = re.compile(r"_\d{8}_\d{6}")
@@ -61,7 +62,8 @@ def list_kinebench(folder: Path, search: Search) -> list[VideoSample]:
             search.part_sample(folder / _VIDEO), id=case[0], dataset_period_s=BENCHMARK_PERIOD_S, task=task
         )
         return [replace(sample, seed=int(case["number"]))]
-    info, samples = read_object(folder / INFO), []
+    info = read_object(folder / INFO)
+    samples = []
     names = [folder.resolve().parents[1].name, folder.resolve().parent.name, folder.resolve().name]
     for rollout in _rollouts(info):
         attempt = as_type(rollout.get("attempt_dir"), str) or ""

@@ -186,12 +186,17 @@ def list_manifest(path: Path, search: Search) -> list[VideoSample]:
 
 
 def _sample(line: ManifestLine, folder: Path, search: Search) -> VideoSample:
-    video, id = as_type(line.data.get("video"), str) or "", as_type(line.data.get("id"), str)
+    video = as_type(line.data.get("video"), str) or ""
+    id = as_type(line.data.get("id"), str)
     name = video or f"line-{line.number}"
     stem = Path(name).name if os.path.isdir(folder / name) else Path(name).stem
     id = shorten(id) if id else stem
     id = id if stem in id else f"{id}-{stem}"
-    entry, problem, camera, path, first_frame = line.entry, line.problem, None, folder, None
+    entry = line.entry
+    problem = line.problem
+    camera = None
+    path = folder
+    first_frame = None
     if entry is not None:
         try:
             path = join_relative(folder, entry.video, "video", links_out=False)

@@ -49,7 +49,8 @@ def list_maniskill(path: Path, video: str) -> list[TrajectorySample]:
     if not names:
         return [replace(unread, problem=f"holds no trajectory traj_0, traj_1, ... but {content or 'nothing'}")]
     about, note = _read_metadata(path.with_suffix(".json"))
-    info, episodes = as_object(about.get("env_info")), about.get("episodes")
+    info = as_object(about.get("env_info"))
+    episodes = about.get("episodes")
     entries = map(as_object, episodes if isinstance(episodes, list) else [])
     by_id = {entry["episode_id"]: entry for entry in entries if isinstance(entry.get("episode_id"), int)}
     samples = []
@@ -132,7 +133,8 @@ def join_parts(
                 for name in arrays.files:
                     file.create_dataset(f"traj_{k}/{name}", data=arrays[name])
                 steps = len(arrays["actions"])
-            seed, others = episode["seed"], {key: value for key, value in episode.items() if key != "seed"}
+            seed = episode["seed"]
+            others = {key: value for key, value in episode.items() if key != "seed"}
             rows.append(
                 {
                     "episode_id": k,

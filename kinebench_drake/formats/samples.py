@@ -8,7 +8,8 @@ from hashlib import blake2b
 from pathlib import Path
 from typing import TypeVar
 
-MIN_PERIOD_S, MAX_PERIOD_S = 1e-4, 1e3
+MIN_PERIOD_S = 1e-4
+MAX_PERIOD_S = 1e3
 """Shortest and longest task time between two frames [s]."""
 
 
@@ -60,11 +61,13 @@ def unique_ids(wanted: Sequence[tuple[str, tuple[str, ...]]]) -> list[str]:
         safe("-".join((*folders, id))) if counts[safe(id).casefold()] > 1 and folders else safe(id)
         for id, folders in wanted
     ]
-    repeats, used = Counter[str](), {id.casefold() for id in candidates}
+    repeats = Counter[str]()
+    used = {id.casefold() for id in candidates}
     unique = []
     for id in candidates:
         repeats[id.casefold()] += 1
-        number, final = repeats[id.casefold()], id
+        number = repeats[id.casefold()]
+        final = id
         while number > 1 and final.casefold() in used:
             final = f"{id}-{number}"
             number += 1

@@ -24,7 +24,8 @@ from kinebench_drake.io.jsonl import as_object, as_type, read_json, read_object
 _FOLDER = re.compile(r"(?P<model>.+?)(?P<variant>_[12])?_(?:sort|test|val|arena)(?P<changed>_[12])?")
 _VIDEO = re.compile(r"(?P<task>.+?)_?episode_?(?P<number>\d+)")
 _SUMMARY = "summary.json"
-_README, _FIELD = "model_readme.md", re.compile(r"^(model_name|version):[ \t]*(\S.*?)[ \t]*$", re.MULTILINE)
+_README = "model_readme.md"
+_FIELD = re.compile(r"^(model_name|version):[ \t]*(\S.*?)[ \t]*$", re.MULTILINE)
 
 
 def is_submission(folder: Path) -> bool:
@@ -95,7 +96,8 @@ def _read_prompts(places: tuple[Path, ...], search: Search) -> dict[object, str]
         return {}
     prompts: dict[object, str] = {}
     for entry in map(as_object, entries if isinstance(entries, list) else []):
-        prompt, true = entry.get("prompt"), entry.get("gt_path")
+        prompt = entry.get("prompt")
+        true = entry.get("gt_path")
         prompt = prompt[0] if isinstance(prompt, list) and prompt else prompt
         if isinstance(prompt, str) and isinstance(true, str):
             video = Path(true)

@@ -23,7 +23,9 @@ def write_zip(path: Path, files: Mapping[str, Path | bytes]) -> None:
     """Write an archive of files or bytes by the name of their entry, sorted; equal content gives equal bytes."""
     with atomic_path(path) as part, zipfile.ZipFile(part, "w") as archive:
         for name in sorted(files):
-            entry, content = zipfile.ZipInfo(name), files[name]  # of a fixed date: clock times would change the bytes
+            # of a fixed date: clock times would change the bytes
+            entry = zipfile.ZipInfo(name)
+            content = files[name]
             if isinstance(content, bytes):
                 archive.writestr(entry, content)
                 continue

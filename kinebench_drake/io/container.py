@@ -26,7 +26,8 @@ _OPTIONS = {"format_whitelist": "mov,matroska,avi,gif", "protocol_whitelist": "f
 _DECODER = {"max_pixels": str(MAX_PIXELS)}
 _PARAMETERS = "no-mbtree=1"
 """Of x264: its tree of macroblocks reads memory that nobody has written, so that small films differ each time."""
-_SQUARE, _STRETCHED = 0.01, 4.0
+_SQUARE = 0.01
+_STRETCHED = 4.0
 """Deviation from 1 below which pixels count as square, and greatest ratio of their sides, either way."""
 
 
@@ -108,7 +109,9 @@ def _displayed(frame: VideoFrame, pixel_aspect: Fraction) -> NDArray[np.uint8]:
         # Pixel (x, y) is shown at (a x + c y, b x + d y) from the corner of the image: libavutil/display.h.
         (a, b), (c, d) = np.sign(np.frombuffer(bytes(cast(SideData, matrix)), np.int32).reshape(3, 3)[:2, :2])
         if b and c:
-            image, a, d = image.transpose(1, 0, 2), c, b
+            image = image.transpose(1, 0, 2)
+            a = c
+            d = b
         image = image[:: d or 1, :: a or 1]
     return np.ascontiguousarray(image).astype(np.uint8, copy=False)
 
@@ -186,7 +189,9 @@ def join_videos(path: Path, parts: Iterable[Path]) -> None:
                     if packet.pts is None or packet.dts is None:  # end marker
                         continue
                     end = max(end, packet.pts + (packet.duration or 0))
-                    packet.pts, packet.dts, packet.stream = packet.pts + shift, packet.dts + shift, joined
+                    packet.pts = packet.pts + shift
+                    packet.dts = packet.dts + shift
+                    packet.stream = joined
                     container.mux(packet)
                 shift += end
 

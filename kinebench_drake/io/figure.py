@@ -8,7 +8,9 @@ from kinebench_drake.io.atomic import atomic_path
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-POSITION, ROTATION, FAINT = "#1f6fb2", "#c4622d", "#b8bec4"
+POSITION = "#1f6fb2"
+ROTATION = "#c4622d"
+FAINT = "#b8bec4"
 """Colours of position, of rotation, and of background elements."""
 
 

@@ -23,7 +23,8 @@ class Budget:
 
     def __init__(self, most: int, exceeded: InputError) -> None:
         """Allow `most` bytes; `exceeded` is raised beyond them."""
-        self._left, self.exceeded = most, exceeded
+        self._left = most
+        self.exceeded = exceeded
 
     def require(self, size: int) -> None:
         """Raise `exceeded` unless `size` more bytes are left."""

@@ -131,10 +131,13 @@ def collect_frames(name: str, images: Iterable[tuple[str, Image]]) -> Frames:
     Raises:
         InputError: there are none, they differ in size, are too many or too large, or the disk is full.
     """
-    array, file, count = np.empty((0, 0, 0, 3), np.uint8), None, 0
+    array = np.empty((0, 0, 0, 3), np.uint8)
+    file = None
+    count = 0
     for label, image in count_steps(images, "frames read"):
         if count and image.shape != array.shape[1:]:
-            (height, width), (first_height, first_width) = image.shape[:2], array.shape[1:3]
+            (height, width) = image.shape[:2]
+            (first_height, first_width) = array.shape[1:3]
             raise InputError(f"{label}: size {width} x {height}, the first frame has {first_width} x {first_height}")
         require_size(name, (count + 1, *image.shape))
         if not count:  # pages of it that are never written take no memory

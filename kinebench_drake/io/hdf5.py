@@ -21,7 +21,8 @@ DAMAGED = (OSError, RuntimeError, KeyError, ValueError, TypeError, AttributeErro
 """Exceptions that h5py raises for damaged files."""
 
 _IMAGE_MAGIC = (b"\xff\xd8\xff", b"\x89PNG")
-_MOST_ROW, _MOST_CHUNK = 2**26, 2**29
+_MOST_ROW = 2**26
+_MOST_CHUNK = 2**29
 """Most bytes of an encoded image, and of the values that are stored, and thus read, together."""
 
 

@@ -38,7 +38,8 @@ def tell(line: str) -> None:
 
 def count_steps(steps: Iterable[T], done: str, total: int | None = None) -> Iterator[T]:
     """Yield the steps of some work, and tell how many are `done`, as in "1200 of 2000 frames decoded"."""
-    of, last_s = "" if total is None else f" of {total}", time.monotonic()
+    of = "" if total is None else f" of {total}"
+    last_s = time.monotonic()
     for number, step in enumerate(steps, 1):
         yield step
         if time.monotonic() - last_s >= EVERY_S:

@@ -19,8 +19,14 @@ N_BRANCHES = 8
 
 # Lengths of the URDF [m]: base to shoulder, shoulder to elbow, elbow to wrist, the elbow's offset, wrist to flange
 # axis, link 7 to flange.
-_D1, _D3, _D5, _A4, _A7, _D_FLANGE = 0.333, 0.316, 0.384, 0.0825, 0.088, 0.107
-_UPPER, _LOWER = float(np.hypot(_D3, _A4)), float(np.hypot(_D5, _A4))
+_D1 = 0.333
+_D3 = 0.316
+_D5 = 0.384
+_A4 = 0.0825
+_A7 = 0.088
+_D_FLANGE = 0.107
+_UPPER = float(np.hypot(_D3, _A4))
+_LOWER = float(np.hypot(_D5, _A4))
 # Angle at the elbow joint from the shoulder (at q4 = 0) to the wrist.
 _ELBOW = float(np.arctan2(_D5, -_A4) - np.arctan2(-_D3, -_A4))
 _REACH = _UPPER + _LOWER
@@ -41,12 +47,22 @@ def flange_pose(q: ArrayLike) -> Array:
     q = np.asarray(q, dtype=np.float64)
     X = np.broadcast_to(np.eye(4), (*q.shape[:-1], 4, 4))
     for j, (a, d, alpha) in enumerate(_CHAIN):
-        c, s = np.cos(q[..., j]), np.sin(q[..., j])
-        ca, sa = np.cos(alpha), np.sin(alpha)
+        c = np.cos(q[..., j])
+        s = np.sin(q[..., j])
+        ca = np.cos(alpha)
+        sa = np.sin(alpha)
         step = np.zeros((*q.shape[:-1], 4, 4))
-        step[..., 0, 0], step[..., 0, 1], step[..., 0, 3] = c, -s, a
-        step[..., 1, 0], step[..., 1, 1], step[..., 1, 2], step[..., 1, 3] = s * ca, c * ca, -sa, -d * sa
-        step[..., 2, 0], step[..., 2, 1], step[..., 2, 2], step[..., 2, 3] = s * sa, c * sa, ca, d * ca
+        step[..., 0, 0] = c
+        step[..., 0, 1] = -s
+        step[..., 0, 3] = a
+        step[..., 1, 0] = s * ca
+        step[..., 1, 1] = c * ca
+        step[..., 1, 2] = -sa
+        step[..., 1, 3] = -d * sa
+        step[..., 2, 0] = s * sa
+        step[..., 2, 1] = c * sa
+        step[..., 2, 2] = ca
+        step[..., 2, 3] = d * ca
         step[..., 3, 3] = 1.0
         X = X @ step
     return np.asarray(X + _D_FLANGE * X[..., :, 2:3] * np.array([0.0, 0.0, 0.0, 1.0]))
@@ -64,8 +80,10 @@ def reach_window(X_BF: ArrayLike) -> tuple[Array, Array, Array]:
     """
     X_BF = np.asarray(X_BF, dtype=np.float64)
     p = X_BF[..., :3, 3] - _D_FLANGE * X_BF[..., :3, 2] - np.array([0.0, 0.0, _D1])
-    x, y = np.sum(p * X_BF[..., :3, 0], axis=-1), np.sum(p * X_BF[..., :3, 1], axis=-1)
-    side, square = np.hypot(x, y), np.sum(p * p, axis=-1) + _A7**2
+    x = np.sum(p * X_BF[..., :3, 0], axis=-1)
+    y = np.sum(p * X_BF[..., :3, 1], axis=-1)
+    side = np.hypot(x, y)
+    square = np.sum(p * p, axis=-1) + _A7**2
     cos = (square - _REACH**2) / np.maximum(2 * _A7 * side, 1e-12)
     least = np.sqrt(np.maximum(square - 2 * _A7 * side, 0.0))
     return np.arctan2(-y, x), np.arccos(np.clip(cos, -1.0, 1.0)), np.maximum(least - _REACH, 0.0)
@@ -90,15 +108,21 @@ def analytic_ik(X_BF: ArrayLike, q7: ArrayLike, branch: int | None = None) -> Ar
     this one is returned (..., 1, 7). Rows are NaN where there is no solution. Angles lie in [-pi, pi), except joint 4
     in (-3 pi/2, pi/2] and joint 6 in [-pi/2, 3 pi/2), the ranges of their limits, and joint 7, as `q7`.
     """
-    X_BF, q7 = np.asarray(X_BF, dtype=np.float64), np.asarray(q7, dtype=np.float64)
+    X_BF = np.asarray(X_BF, dtype=np.float64)
+    q7 = np.asarray(q7, dtype=np.float64)
     shape = np.broadcast_shapes(X_BF.shape[:-2], q7.shape)
     X_BF = X_BF[(None,) * (len(shape) + 2 - X_BF.ndim)]
     # Axes of link 6 in the base, and the way from the shoulder to its origin (wrist) along them.
-    c, s = np.cos(q7), np.sin(q7)
+    c = np.cos(q7)
+    s = np.sin(q7)
     x7, y7, z7, p = np.moveaxis(X_BF[..., :3, :], (-1, -2), (0, 1))
-    x6, y6, z6 = c * x7 - s * y7, -z7, s * x7 + c * y7
+    x6 = c * x7 - s * y7
+    y6 = -z7
+    z6 = s * x7 + c * y7
     p = p - _D_FLANGE * z7 - np.reshape([0.0, 0.0, _D1], (3, *[1] * (p.ndim - 1)))
-    u, v, w = _dot(p, x6) - _A7, _dot(p, y6), _dot(p, z6)
+    u = _dot(p, x6) - _A7
+    v = _dot(p, y6)
+    w = _dot(p, z6)
 
     signs = np.reshape([1.0, -1.0], (2, *[1] * len(shape)))
     elbow, wrist = (signs, signs) if branch is None else (signs[[branch // 4]], signs[[branch // 2 % 2]])
@@ -109,7 +133,8 @@ def analytic_ik(X_BF: ArrayLike, q7: ArrayLike, branch: int | None = None) -> Ar
         q4 = (elbow * bend - _ELBOW + 2 * np.pi * (elbow < 0.0))[:, None]  # (elbow, 1, ...)
         q4 -= 2 * np.pi * (q4 > np.pi / 2)
         # In frame 4, whose y is joint 5's axis: from the shoulder to the wrist.
-        c4, s4 = np.cos(q4), np.sin(q4)
+        c4 = np.cos(q4)
+        s4 = np.sin(q4)
         along_x = c4 * _A4 + s4 * _D3 - _A4
         along_y = -s4 * _A4 + c4 * _D3 + _D5
 
@@ -131,7 +156,8 @@ def analytic_ik(X_BF: ArrayLike, q7: ArrayLike, branch: int | None = None) -> Ar
         z3 = s4 * x4[0] + c4 * z5[0], s4 * x4[1] + c4 * z5[1], s4 * x4[2]
         z3_B = [_dot((x6[k], y6[k], z6[k]), z3) for k in range(3)]
         x3_z, y3_z = (_dot((x6[2], y6[2], z6[2]), axis) for axis in (x3, (-z4[0], -z4[1], -z4[2])))
-    q1, q2 = np.arctan2(z3_B[1], z3_B[0]), np.arctan2(np.hypot(z3_B[0], z3_B[1]), z3_B[2])
+    q1 = np.arctan2(z3_B[1], z3_B[0])
+    q2 = np.arctan2(np.hypot(z3_B[0], z3_B[1]), z3_B[2])
     q3 = np.arctan2(y3_z, -x3_z)
     q[0, :, :, 0], q[1, :, :, 0], q[2, :, :, 0] = q1, q2, q3
     q[0, :, :, 1], q[1, :, :, 1], q[2, :, :, 1] = q1 - np.copysign(np.pi, q1), -q2, q3 - np.copysign(np.pi, q3)

@@ -68,7 +68,8 @@ class LinkChain:
         self._point = np.where(turning, [X_BF[:3, 3] for X_BF in X], 0.0)
         rotary = np.where(turning, self._axis, 0.0)
         K = np.array([[[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]] for x, y, z in rotary])  # their cross products
-        self._K, self._K_squared = K, K @ K
+        self._K = K
+        self._K_squared = K @ K
         first = [next(name for name in names if self.stage[name] == i + 1) for i in range(len(moving))]
         self._carried = [drake.GetBodyByName(name) for name in first]
         self._to_zero = invert([home[name] for name in first])
@@ -110,7 +111,8 @@ class LinkChain:
 
     def _steps(self, positions: Array) -> Array:
         """Return the motion (N, J, 4, 4) of each joint by `positions` (N, J) [rad or m] (Rodrigues' formula)."""
-        s, c = np.sin(positions)[..., None, None], np.cos(positions)[..., None, None]
+        s = np.sin(positions)[..., None, None]
+        c = np.cos(positions)[..., None, None]
         R = np.eye(3) + s * self._K + (1.0 - c) * self._K_squared
         return make_pose(R, self._point - (R @ self._point[..., None])[..., 0] + positions[..., None] * self._shift)
 
@@ -130,7 +132,8 @@ class LinkChain:
     def axes(self, motions: Array) -> tuple[Array, Array]:
         """Return the unit axes (N, 7, 3) of the arm's joints in B and a point (N, 7, 3) [m] on each, from `motions`."""
         M = motions[:, [self._parents[i] for i in self._arm]]
-        axis, point = self._axis[self._arm], self._point[self._arm]
+        axis = self._axis[self._arm]
+        point = self._point[self._arm]
         return (
             np.asarray((M[..., :3, :3] @ axis[..., None])[..., 0]),
             np.asarray((M[..., :3, :3] @ point[..., None])[..., 0] + M[..., :3, 3]),
@@ -168,7 +171,8 @@ class LinkChain:
         R = M[..., :3, :3]
         center = (R @ self._center[..., None])[..., 0] + M[..., :3, 3]
         inertia = R @ self._inertia @ np.swapaxes(R, -1, -2)
-        turn, shift = np.cumsum(axis * v, axis=-2), np.cumsum(lever * v, axis=-2)
+        turn = np.cumsum(axis * v, axis=-2)
+        shift = np.cumsum(lever * v, axis=-2)
         turn_rate = np.cumsum(axis * a + cross(turn, axis * v), axis=-2)
         shift_rate = np.cumsum(lever * a + cross(turn, lever * v) + cross(shift, axis * v), axis=-2)
         acceleration = shift_rate + cross(turn_rate, center) + cross(turn, shift + cross(turn, center))

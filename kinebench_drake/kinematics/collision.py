@@ -202,7 +202,8 @@ class CollisionModel:
         least = np.full((2, len(q)), np.inf)
         solids: list[list[tuple[Solid, Solid] | None]] = [[None] * len(q), [None] * len(q)]
         for (id_A, id_B), entries in near.items():
-            A, B = self._solids[id_A], self._solids[id_B]
+            A = self._solids[id_A]
+            B = self._solids[id_B]
             entries = [(i, pair) for i, pair in entries if pair.distance <= closest[i] + _DOUBT_M]
             if not entries:
                 continue
@@ -216,7 +217,8 @@ class CollisionModel:
             kind = int(bool(self._blocks & {id_A, id_B}))
             for frame, value in zip(frames, distance, strict=True):
                 if value < least[kind, frame]:
-                    least[kind, frame], solids[kind][frame] = value, (A, B)
+                    least[kind, frame] = value
+                    solids[kind][frame] = (A, B)
         least[np.isinf(least)] = np.nan
         return least, solids, near
 
@@ -253,8 +255,10 @@ class CollisionModel:
         moment = _cross(point.T, axis.T).T
         near = []
         for pair in query.ComputeSignedDistancePairwiseClosestPoints(within_m):
-            A, B = self._solids[pair.id_A], self._solids[pair.id_B]
-            distance, n = pair.distance, np.asarray(pair.nhat_BA_W)
+            A = self._solids[pair.id_A]
+            B = self._solids[pair.id_B]
+            distance = pair.distance
+            n = np.asarray(pair.nhat_BA_W)
             n = n if np.isfinite(n).all() else np.zeros(3)
             a = query.GetPoseInWorld(pair.id_A) @ pair.p_ACa
             b = query.GetPoseInWorld(pair.id_B) @ pair.p_BCb
@@ -289,7 +293,8 @@ class CollisionModel:
         query = self._plant.query(q, finger_width_m)
         for pair in query.ComputeSignedDistancePairwiseClosestPoints(within_m):
             if self._blocks & {pair.id_A, pair.id_B}:
-                A, B = self._solids[pair.id_A], self._solids[pair.id_B]
+                A = self._solids[pair.id_A]
+                B = self._solids[pair.id_B]
                 a, b = (A, B) if pair.id_B in self._blocks else (B, A)
                 place = self.movable.index(a), self.obstacles.index(b)
                 if wanted[place]:

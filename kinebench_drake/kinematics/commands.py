@@ -57,7 +57,8 @@ def plan_commands(
     Raises:
         InputError: there are no such commands, with the reason.
     """
-    t_s, finite = track.t_s - track.t_s[0], np.isfinite(track.finger_width_m)
+    t_s = track.t_s - track.t_s[0]
+    finite = np.isfinite(track.finger_width_m)
     X_BG = np.where(track.tracked[:, None, None], track.X_BG, np.nan)
     widths = np.where(finite, track.finger_width_m, plant.finger_width_m)
     for stretch in STRETCHES:
@@ -116,9 +117,11 @@ def limit_ratios(plant: ArmPlant, q: Array, rate_hz: float) -> Iterator[tuple[st
     The robot rests before and after. Torques are those of inverse dynamics at central differences. Position: the
     distance from the middle of the range over half of it. Limits that the robot does not state are left out.
     """
-    dt, limits = 1.0 / rate_hz, plant.robot.limits
+    dt = 1.0 / rate_hz
+    limits = plant.robot.limits
     q = np.concatenate([np.repeat(q[:1], 3, axis=0), q, np.repeat(q[-1:], 3, axis=0)])
-    middle, half = 0.5 * (plant.upper + plant.lower), 0.5 * (plant.upper - plant.lower)
+    middle = 0.5 * (plant.upper + plant.lower)
+    half = 0.5 * (plant.upper - plant.lower)
     yield "position", (np.abs(q - middle) / half).max(axis=0)
     v = np.diff(q, axis=0) / dt
     yield "velocity", (np.abs(v) / np.minimum(limits.speeds(q[:-1], v), limits.speeds(q[1:], v))).max(axis=0)

@@ -37,7 +37,8 @@ def solve_stepwise(plant: ArmPlant, X_BG: Array, q_start: Array) -> tuple[Array,
         The joint path (N, 7) [rad] up to the first pose that is not reached, NaN from there on, and the solution of
         that pose; None if all poses are reached.
     """
-    q, seed = np.full((len(X_BG), 7), np.nan), q_start
+    q = np.full((len(X_BG), 7), np.nan)
+    seed = q_start
     for i, X in enumerate(X_BG):
         solution = solve_pose(plant, X, seed)
         if solution.status is not IkStatus.OK:
@@ -76,7 +77,8 @@ def continue_path(plant: ArmPlant, t_s: Array, X_BG: Array, q_start: Array) -> A
 
 def _candidates(plant: ArmPlant, t_s: Array, X_BG: Array, q_start: Array) -> Iterator[Array]:
     """Yield paths (T, 7), which may pass limits, the ones that cost least time first. Arguments as `continue_path`."""
-    solver, anchors = posture_solver(plant), _spread_anchors(tuple(t_s), ANCHORS_S[0])
+    solver = posture_solver(plant)
+    anchors = _spread_anchors(tuple(t_s), ANCHORS_S[0])
     guess = _interpolate_layers(plant, t_s, anchors, solver.along_branch(X_BG[anchors.frames], q_start), q_start)
     if guess is not None:
         yield solver.nearest(X_BG, guess)

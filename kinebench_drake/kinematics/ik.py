@@ -62,7 +62,8 @@ def solve_pose(plant: ArmPlant, X_BG: ArrayLike, q_seed: ArrayLike) -> IkSolutio
     Raises:
         InputError: the pose is not a finite 4x4 matrix.
     """
-    X_BG, q_seed = np.asarray(X_BG, dtype=np.float64), np.asarray(q_seed, dtype=np.float64)
+    X_BG = np.asarray(X_BG, dtype=np.float64)
+    q_seed = np.asarray(q_seed, dtype=np.float64)
     if X_BG.shape != (4, 4) or not np.isfinite(X_BG).all():
         raise InputError(f"X_BG must be a finite 4x4 pose, found shape {X_BG.shape} with values {X_BG.ravel()[:4]}...")
     X_BG = make_pose(orthonormalize(X_BG[:3, :3]), X_BG[:3, 3])
@@ -100,9 +101,11 @@ def _solve_anywhere(plant: ArmPlant, X_BG: Array, q_seed: Array, near: Array, ne
         reached = any(_solution(plant, X_BG, q).status is IkStatus.OK for q in free)
         failure = IkStatus.JOINT_LIMIT if reached else IkStatus.UNREACHABLE
         starts = [*starts, *free] if reached else starts
-    best, error = near, near_error
+    best = near
+    error = near_error
     for start in starts:
         q, e = solve_newton(plant, X_BG, start)
         if e < error:
-            best, error = q, e
+            best = q
+            error = e
     return _solution(plant, X_BG, best, failure)

@@ -15,7 +15,8 @@ from kinebench_drake.kinematics.violation import RATES, Violation, ViolationKind
 
 def describe_violation(violation: Violation) -> str:
     """Describe a violation at one frame in a line."""
-    kind, unit = violation.kind.value.replace("_", " "), violation.unit
+    kind = violation.kind.value.replace("_", " ")
+    unit = violation.unit
     joint = f" of {violation.joint}" if violation.joint else ""
     return (
         f"{kind}{joint} near frame {violation.frame_start}: {violation.value:.4g} {unit}, "
@@ -70,7 +71,9 @@ def find_rate_violation(
     `ratios` are the control points (n - k, 7) of the k-th derivative of the spline / limit, less `offset`, for k =
     1..3; None without a limit. `offset` is 1 if they are excesses over the limit.
     """
-    worst, least = None, 1.0 - offset + 1e-3  # of a limit, above which it counts as broken
+    # of a limit, above which it counts as broken
+    worst = None
+    least = 1.0 - offset + 1e-3
     for k, (kind, ratio, limit) in enumerate(zip(RATES, ratios, problem.limits.rates, strict=True)):
         if ratio is None or limit is None or ratio.max(initial=0.0) <= least:
             continue

@@ -81,7 +81,8 @@ def compute_manipulability(plant: ArmPlant, q: ArrayLike, J: ArrayLike | None = 
     Raises:
         UsageError: the shapes do not fit.
     """
-    J, q = np.asarray(plant.chain.jacobians(q) if J is None else J, dtype=np.float64), np.asarray(q, dtype=np.float64)
+    J = np.asarray(plant.chain.jacobians(q) if J is None else J, dtype=np.float64)
+    q = np.asarray(q, dtype=np.float64)
     if q.ndim != 2 or q.shape[1] != N_JOINTS or J.shape != (len(q), 6, N_JOINTS):
         raise UsageError(f"J has shape {J.shape} and q {q.shape}, expected (T, 6, {N_JOINTS}) and (T, {N_JOINTS})")
     finite = np.isfinite(q).all(axis=-1) & np.isfinite(J).all(axis=(1, 2))
@@ -90,7 +91,8 @@ def compute_manipulability(plant: ArmPlant, q: ArrayLike, J: ArrayLike | None = 
     parts = (scale * J_finite, J_finite[:, :3], J_finite[:, 3:])
     full, rotation, linear = (np.linalg.svd(part, compute_uv=False) for part in parts)  # greatest first
     w = np.prod(full, axis=-1) / scale[3:].prod()
-    greatest, least = full[:, 0], full[:, -1]
+    greatest = full[:, 0]
+    least = full[:, -1]
     w_linear = np.prod(linear, axis=-1)
     values = {
         "full": w,
@@ -108,6 +110,7 @@ def time_integral(t_s: ArrayLike, values: ArrayLike) -> float | None:
 
     NaN values are left out and interpolated linearly; None if fewer than two values are finite.
     """
-    t_s, values = np.asarray(t_s, dtype=np.float64), np.asarray(values, dtype=np.float64)
+    t_s = np.asarray(t_s, dtype=np.float64)
+    values = np.asarray(values, dtype=np.float64)
     finite = np.isfinite(values)
     return float(np.trapezoid(values[finite], t_s[finite])) if int(finite.sum()) > 1 else None

@@ -12,7 +12,10 @@ ROTATION_ARM_M = 0.1
 REACHED_M = 1e-10
 """Weighted error [m] below which the pose counts as reached and the iteration ends."""
 
-_PATH_STEPS, _PATH_STEP_RAD, _PATH_DAMPING = 6, 0.5, 1e-6  # Newton steps for a whole path
+# Newton steps for a whole path
+_PATH_STEPS = 6
+_PATH_STEP_RAD = 0.5
+_PATH_DAMPING = 1e-6
 
 
 def _error(X_BG: Array, X_now: Array) -> Array:
@@ -76,7 +79,8 @@ def solve_newton(
     X_now, J = plant.forward_and_jacobian(q)
     e = weight * _error(X_BG, X_now)
     cost = float(e @ e)
-    damping, slow = 1e-8, 0
+    damping = 1e-8
+    slow = 0
     for _ in range(iterations):
         if cost < REACHED_M**2:
             break
@@ -89,7 +93,10 @@ def solve_newton(
         if cost_new < cost:
             # 1e-4: relative gain below which a step counts as slow; three slow steps end the iteration
             slow = slow + 1 if cost_new > (1.0 - 1e-4) * cost else 0
-            q, J, e, cost = q_new, J_new, e_new, cost_new
+            q = q_new
+            J = J_new
+            e = e_new
+            cost = cost_new
             damping = max(damping * 0.1, 1e-12)
         else:
             slow += damping > 1.0

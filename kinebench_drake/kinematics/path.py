@@ -18,7 +18,8 @@ from kinebench_drake.kinematics.postures import posture_solver
 from kinebench_drake.kinematics.relaxation import ALLOWANCE, FROM_REST, peak_ratio, relax
 from kinebench_drake.segments import spread
 
-SAMPLES, ROUNDS = (36, 72, 240), (0, 5, 5)
+SAMPLES = (36, 72, 240)
+ROUNDS = (0, 5, 5)
 """Samples of the redundancy per pose (of the Panda: joint 7 every 10 degrees) and halvings of intervals whose postures
 are far apart; a finer grid is used only if the path of the coarser one is infeasible."""
 
@@ -83,7 +84,8 @@ def search_path(
         allowed: for some frames, a function that returns which (N,) of postures (N, 7) may be used; the relaxation
             does not move these frames.
     """
-    best, least = np.full((len(t_s), 7), np.nan), (np.inf, np.inf)
+    best = np.full((len(t_s), 7), np.nan)
+    least = (np.inf, np.inf)
     if len(t_s) == 0:
         return best
     allowed = allowed or {}
@@ -108,7 +110,8 @@ def search_path(
         peak = peak_ratio(plant, t_s[kept], path[kept], noise_rad)
         worst = float(outside.sum()) + len(path) - len(kept), peak
         if worst < least:
-            best, least = path, worst
+            best = path
+            least = worst
         if least[0] == 0.0 and least[1] <= 1.0:
             break
     return best

@@ -64,7 +64,8 @@ class ArmPlant:
         self._fingers = np.array([joint.position_start() for joint in fingers], dtype=np.intp)
         self._opening = np.array([[j.position_lower_limit(), j.position_upper_limit()] for j in fingers]).reshape(-1, 2)
         limits = self.robot.limits
-        self.lower, self.upper = limits.lower, limits.upper
+        self.lower = limits.lower
+        self.upper = limits.upper
         """(7,) lower and upper joint limits [rad]."""
         self.velocity_limits = limits.velocity
         """(7,) joint speed limits at any position [rad/s]; `limits.speeds` are those at one position."""
@@ -76,7 +77,8 @@ class ArmPlant:
         """(7,) joint torque limits [N m]."""
         self.finger_width_m = finger_width_m
         """Default gap between the finger pads [m]."""
-        low, high = plant.GetPositionLowerLimits(), plant.GetPositionUpperLimits()
+        low = plant.GetPositionLowerLimits()
+        high = plant.GetPositionUpperLimits()
         self._default = np.clip(np.zeros(plant.num_positions()), low, high)
         self._default[self._fingers] = np.clip(finger_width_m / 2.0, *self._opening.T)
         self._positions = self._default.copy()
@@ -148,8 +150,10 @@ class ArmPlant:
 
     def forward_path(self, q: ArrayLike) -> Array:
         """Return `forward` (N, 4, 4) [m] of postures `q` (N, 7) [rad]."""
-        context, poses = self.context, []
-        set_positions, pose_in_world = self.drake.SetPositions, self.tcp_frame.CalcPoseInWorld
+        context = self.context
+        poses = []
+        set_positions = self.drake.SetPositions
+        pose_in_world = self.tcp_frame.CalcPoseInWorld
         for positions in self.positions(q):
             set_positions(context, positions)
             poses.append(pose_in_world(context).GetAsMatrix4())

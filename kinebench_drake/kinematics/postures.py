@@ -82,8 +82,10 @@ class ClosedFormSolver(PostureSolver):
             near = analytic_ik(X_BF[:, None], (q7_near + np.pi) % (2 * np.pi) - np.pi)
             layers = [np.vstack([layer, _listed(row)]) for layer, row in zip(layers, near, strict=True)]
         frame = np.repeat(np.arange(len(X_BG)), samples)
-        low, high = np.tile(q7[:-1], len(X_BG)), np.tile(q7[1:], len(X_BG))
-        q_low, q_high = q[:, :-1].reshape(-1, N_BRANCHES, 7), q[:, 1:].reshape(-1, N_BRANCHES, 7)
+        low = np.tile(q7[:-1], len(X_BG))
+        high = np.tile(q7[1:], len(X_BG))
+        q_low = q[:, :-1].reshape(-1, N_BRANCHES, 7)
+        q_high = q[:, 1:].reshape(-1, N_BRANCHES, 7)
         for _ in range(rounds):
             finite = np.isfinite(q_low[..., 0]), np.isfinite(q_high[..., 0])
             with np.errstate(invalid="ignore"):
@@ -98,8 +100,10 @@ class ClosedFormSolver(PostureSolver):
             for i in np.unique(frame):
                 layers[i] = np.vstack([layers[i], _listed(q_middle[frame == i])])
             frame = np.concatenate([frame, frame])
-            low, high = np.concatenate([low, middle]), np.concatenate([middle, high])
-            q_low, q_high = np.concatenate([q_low, q_middle]), np.concatenate([q_middle, q_high])
+            low = np.concatenate([low, middle])
+            high = np.concatenate([middle, high])
+            q_low = np.concatenate([q_low, q_middle])
+            q_high = np.concatenate([q_middle, q_high])
         return layers
 
     @override

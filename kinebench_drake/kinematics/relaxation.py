@@ -15,8 +15,11 @@ FROM_REST = 1e-3
 
 _NEAR_LIMIT_RAD = 0.005  # margin to the joint limits where possible
 _LIMIT_WEIGHT = 1e4
-_STEPS, _PEAK_STEPS = 8, 40
-_PEAK_WEIGHT, _PEAK_AT_MOST = 10.0, 3.0  # weight of a ratio's eighth power beside its square, up to this ratio
+_STEPS = 8
+_PEAK_STEPS = 40
+# weight of a ratio's eighth power beside its square, up to this ratio
+_PEAK_WEIGHT = 10.0
+_PEAK_AT_MOST = 3.0
 _LARGEST_STEP_RAD = 0.3
 
 
@@ -51,7 +54,8 @@ def relax(
     """
     if len(q) < 2:
         return q
-    problem, solver = _Smoothing(plant, t_s, noise_rad), posture_solver(plant)
+    problem = _Smoothing(plant, t_s, noise_rad)
+    solver = posture_solver(plant)
     residual = problem.residuals(q)
     weights = [np.ones_like(r) for r in residual]
     damping = 1e-3
@@ -79,7 +83,9 @@ def relax(
             if step >= _STEPS:
                 break
             continue
-        q, residual, damping = q_new, residual_new, max(damping * 0.1, 1e-6)
+        q = q_new
+        residual = residual_new
+        damping = max(damping * 0.1, 1e-6)
         if step < _STEPS and cost - cost_new < 1e-4 * cost and problem.peak(residual) <= 1.0:
             break
     return q
@@ -96,12 +102,14 @@ class _Smoothing:
             # 5.0: acceleration limit / speed limit [1/s] of arms that publish none
             accelerations = 5.0 * plant.velocity_limits
         self._rest = plant.robot.rest_q
-        self._lower, self._upper = plant.lower + _NEAR_LIMIT_RAD, plant.upper - _NEAR_LIMIT_RAD
+        self._lower = plant.lower + _NEAR_LIMIT_RAD
+        self._upper = plant.upper - _NEAR_LIMIT_RAD
         v = 1.0 / (dt * plant.velocity_limits + np.sqrt(2.0) * noise)  # (T-1, 7)
         self._stencils = [[-v, v]]
         if len(dt) > 1:
             mean = 0.5 * (dt[1:] + dt[:-1])
-            before, after = 1.0 / (dt[:-1] * mean), 1.0 / (dt[1:] * mean)
+            before = 1.0 / (dt[:-1] * mean)
+            after = 1.0 / (dt[1:] * mean)
             stencil = np.stack([before, -before - after, after])
             self._stencils.append([*(stencil / (accelerations + noise * np.linalg.norm(stencil, axis=0)))])  # (T-2, 7)
 

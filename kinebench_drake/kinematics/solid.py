@@ -54,7 +54,8 @@ def slab_width(A: Solid, B: Solid, M: Array, n: Array) -> Array:
 
     It is at most the distance between them, and equal to it where `n` is the direction between the nearest points.
     """
-    X_A, X_B = M[:, A.stage], M[:, B.stage]
+    X_A = M[:, A.stage]
+    X_B = M[:, B.stage]
     offset = np.einsum("ni,ni->n", n, X_A[:, :3, 3] - X_B[:, :3, 3])
     n_A, n_B = (np.einsum("ni,nij->nj", n, X[:, :3, :3]) for X in (X_A, X_B))
     return np.asarray(A.least(n_A) + B.least(-n_B) + offset)
@@ -67,12 +68,15 @@ def nearest_points(A: Solid, B: Solid, M: Array) -> tuple[Array, Array]:
     at 1 by a heavy weight (C. L. Lawson and R. J. Hanson, "Solving Least Squares Problems", 1974, ch. 22 and 23).
     """
     points_A, points_B = (transform_points(M[solid.stage], solid.points) for solid in (A, B))
-    heavy, n = 1e3, len(points_A)
+    heavy = 1e3
+    n = len(points_A)
     system = np.zeros((5, n + len(points_B)))
-    system[:3, :n], system[:3, n:] = points_A.T, -points_B.T
+    system[:3, :n] = points_A.T
+    system[:3, n:] = -points_B.T
     system[3, :n] = system[4, n:] = heavy
     weights, _ = nnls(system, np.array([0.0, 0.0, 0.0, heavy, heavy]), maxiter=100 * system.shape[1])
-    a, b = weights[:n], weights[n:]
+    a = weights[:n]
+    b = weights[n:]
     return np.asarray(a @ points_A / a.sum()), np.asarray(b @ points_B / b.sum())
 
 

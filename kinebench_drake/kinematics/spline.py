@@ -20,7 +20,9 @@ ORDER = 4
 """Cubic: acceleration is continuous, jerk is bounded."""
 _DEGREE = ORDER - 1
 
-_SHORTEST, _LONGEST = 0.25, 2.0  # spans allowed, times the median of the frames' spacing
+# spans allowed, times the median of the frames' spacing
+_SHORTEST = 0.25
+_LONGEST = 2.0
 
 
 class SplineBasis:

@@ -46,9 +46,12 @@ def sweep(plant: ArmPlant, model: CollisionModel, q: Array, finger_width_m: Arra
     width = np.where(np.isfinite(finger_width_m), finger_width_m, plant.finger_width_m)
     low, high = np.swapaxes([block.box() for block in model.obstacles], 0, 1)
     least = np.full((2 * len(q) - 1, len(model.movable), len(model.obstacles)), np.inf)
-    start, end = slots // 2 + 0.0, (slots + 1) // 2 + 0.0  # stretches of the path, in postures
+    # stretches of the path, in postures
+    start = slots // 2 + 0.0
+    end = (slots + 1) // 2 + 0.0
     while len(slots):
-        middle, first = 0.5 * (start + end), slots // 2
+        middle = 0.5 * (start + end)
+        first = slots // 2
         share = (middle - first)[:, None]
         rows = (1.0 - share) * q[first] + share * q[first + slots % 2]
         gaps = np.interp(middle, np.arange(len(q)), width)
@@ -69,8 +72,12 @@ def sweep(plant: ArmPlant, model: CollisionModel, q: Array, finger_width_m: Arra
                 if distance < -tolerance_m:
                     least[slots[i], a, b] = min(least[slots[i], a, b], distance)
                 halved[i] |= way[i, a] > RESOLUTION_M and bound - way[i, a] < of_interest[i, a, b]
-        slots, start, end, middle = np.repeat(slots[halved], 2), start[halved], end[halved], middle[halved]
-        start, end = np.stack([start, middle], axis=1).ravel(), np.stack([middle, end], axis=1).ravel()
+        slots = np.repeat(slots[halved], 2)
+        start = start[halved]
+        end = end[halved]
+        middle = middle[halved]
+        start = np.stack([start, middle], axis=1).ravel()
+        end = np.stack([middle, end], axis=1).ravel()
     contacts: dict[tuple[str, str], Array] = {}
     for a, b in np.argwhere(np.isfinite(least).any(axis=0)):
         pair = model.movable[a].link, model.obstacles[b].link

@@ -70,7 +70,8 @@ def time_scale(plant: ArmPlant, t_s: Array, q: Array) -> TimeScale:
         q: (T, 7) joint angles [rad], denoised; rows with NaN are left out.
     """
     frames = np.flatnonzero(np.isfinite(q).all(axis=-1) & np.isfinite(t_s))
-    t, rows = t_s[frames], q[frames]
+    t = t_s[frames]
+    rows = q[frames]
     if len(frames) < 2:
         return TimeScale(reason="fewer than two frames with joint angles: there is no path")
     if not (np.diff(t) > 0.0).all():
@@ -96,7 +97,9 @@ class _Motion:
     def __init__(
         self, plant: ArmPlant, t_s: Array, q: Array, frames: NDArray[np.intp], halvings: int = _HALVINGS
     ) -> None:
-        self.plant, self.frames, self.t = plant, frames, t_s - t_s[0]
+        self.plant = plant
+        self.frames = frames
+        self.t = t_s - t_s[0]
         spline: Any = CubicSpline(self.t, q)
         self.grid = _grid(self.t, spline, plant.velocity_limits, halvings)
         q, v, a = (np.asarray(spline(self.grid, order)) for order in range(3))
@@ -120,7 +123,8 @@ class _Motion:
 
         `rate` (...) is ds/dt there, `change` (...) d2s/dt2.
         """
-        rate, change = np.asarray(rate)[..., None], np.asarray(change)[..., None]
+        rate = np.asarray(rate)[..., None]
+        change = np.asarray(change)[..., None]
         limits = self.limits
         both = limits.slope[points] * change + limits.bend[points] * rate**2 + limits.rest[points]
         return np.concatenate([self.speed[points] * rate, both], axis=-1).reshape(*both.shape[:-1], 3, N_JOINTS)
@@ -141,7 +145,8 @@ def _grid(t: Array, spline: Any, speeds: Array, halvings: int) -> Array:
     grid = np.interp(even, np.arange(cells + 1), t) if cells <= _GRID_MAX else np.linspace(t[0], t[-1], _GRID_MAX + 1)
     for _ in range(halvings):
         speed = np.abs(spline(grid, 1) / speeds).max(axis=-1)
-        slow, fast = np.minimum(speed[1:], speed[:-1]), np.maximum(speed[1:], speed[:-1])
+        slow = np.minimum(speed[1:], speed[:-1])
+        fast = np.maximum(speed[1:], speed[:-1])
         brink = (slow < _BRINK * fast) & (fast > _REST * speed.max())
         middle = 0.5 * (grid[1:] + grid[:-1])[brink]
         if len(grid) + len(middle) > 2 * _GRID_MAX:
@@ -155,7 +160,8 @@ def _describe(motion: _Motion, rate: Array) -> TimeScale:
     change = np.diff(rate**2) / (2.0 * np.diff(motion.grid))
     spent = 2.0 * np.diff(motion.grid) / (rate[1:] + rate[:-1])
     share, active = _usage(motion, rate, change, spent)
-    kinds, joints = _KINDS, motion.plant.robot.joints
+    kinds = _KINDS
+    joints = motion.plant.robot.joints
     order = [np.unravel_index(i, share.shape) for i in np.argsort(-share, axis=None, kind="stable")]
     c, j = order[0]
     slowest = None
@@ -175,14 +181,16 @@ def _describe(motion: _Motion, rate: Array) -> TimeScale:
 
 def _usage(motion: _Motion, rate: Array, change: Array, spent: Array) -> tuple[Array, NDArray[np.bool_]]:
     """Return the share of time (3, 7) in which each limit is active, and whether it is in each cell (G - 1, 3, 7)."""
-    near, far = motion.ratios(slice(None, -1), rate[:-1], change), motion.ratios(slice(1, None), rate[1:], change)
+    near = motion.ratios(slice(None, -1), rate[:-1], change)
+    far = motion.ratios(slice(1, None), rate[1:], change)
     active = np.abs([near, far]) >= 0.98  # share of a limit from which on it counts as active
     return np.einsum("k,ikcj->cj", 0.5 * spent / spent.sum(), active), np.asarray(active.any(axis=0))
 
 
 def _explain(motion: _Motion) -> TimeScale:
     """Explain why no timing is feasible: a posture that the motors cannot hold, else a speed at one of the ends."""
-    joints, still = motion.plant.robot.joints, np.zeros(len(motion.grid))
+    joints = motion.plant.robot.joints
+    still = np.zeros(len(motion.grid))
     weight = motion.ratios(slice(None), still, still)[:, 2]
     heaviest, j = np.unravel_index(np.argmax(np.abs(weight)), weight.shape)
     if abs(weight[heaviest, j]) > 1.0:
@@ -214,7 +222,8 @@ def _broken_end(motion: _Motion) -> TimeScale | None:
         ratio = _least_ratios(motion, index)
         c, j = np.unravel_index(np.argmax(ratio), ratio.shape)
         if ratio[c, j] > 1.0:
-            kind, joint = _KINDS[c], motion.plant.robot.joints[j]
+            kind = _KINDS[c]
+            joint = motion.plant.robot.joints[j]
             text = f"at its speed in the {end} frame {joint} is beyond its {kind.value} limit ({ratio[c, j]:.2f} x)"
             return TimeScale(reason=text, constraint=kind, joint=joint, frame=motion.frame(index))
     return None

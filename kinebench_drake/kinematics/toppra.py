@@ -38,25 +38,33 @@ def fastest_rates(limits: PathLimits, start: float, end: float) -> Array | None:
     """
     step = 2.0 * np.diff(limits.s)[:, None]
     # With x = (ds/dt)^2 at the near point of a cell and y at the far one, d2s/dt2 = (y - x) / step.
-    near, far = limits.slope[:-1] / step, limits.slope[1:] / step
+    near = limits.slope[:-1] / step
+    far = limits.slope[1:] / step
     of_x = np.concatenate([limits.bend[:-1] - near, -far], axis=-1)
     of_y = np.concatenate([near, limits.bend[1:] + far], axis=-1)
     rest = np.concatenate([limits.rest[:-1], limits.rest[1:]], axis=-1)
     for factor in (of_x, of_y, rest):
         factor[-1, limits.rest.shape[1] :] = 0.0
     most = limits.fastest**2
-    back, ahead = _bands(of_x, of_y, rest, most[:-1]), _bands(of_y, of_x, rest, most[1:])
+    back = _bands(of_x, of_y, rest, most[:-1])
+    ahead = _bands(of_y, of_x, rest, most[1:])
 
-    low, high = np.empty(len(most)), np.empty(len(most))  # values of x from which the end can be reached
+    # values of x from which the end can be reached
+    low = np.empty(len(most))
+    high = np.empty(len(most))
     low[-1] = high[-1] = end**2
     for k in range(len(step) - 1, -1, -1):
-        y_low, y_high = max(low[k + 1], back.low[k]), min(high[k + 1], back.high[k])
-        incline, above, below = back.incline[k], back.above[k], back.below[k]
+        y_low = max(low[k + 1], back.low[k])
+        y_high = min(high[k + 1], back.high[k])
+        incline = back.incline[k]
+        above = back.above[k]
+        below = back.below[k]
         top = _greatest(incline, above, below, y_low, y_high)
         bottom = _greatest(-incline, -below, -above, y_low, y_high)
         if top is None or bottom is None:
             return None
-        low[k], high[k] = -bottom, top
+        low[k] = -bottom
+        high[k] = top
     x = np.empty(len(most))
     x[0] = start**2
     if not (1.0 - _ROUNDING) * low[0] <= x[0] <= (1.0 + _ROUNDING) * high[0]:
@@ -92,9 +100,11 @@ def _bands(of_x: Array, of_y: Array, rest: Array, most: Array) -> _Bands:
     width = np.where(flat, np.inf, np.abs(1.0 / divisor))
     incline = np.where(flat, 0.0, -of_y / divisor)
     # A limit without x bounds y, or is kept, or broken, whatever both are.
-    alone, void = flat & (of_y != 0.0), flat & (of_y == 0.0) & (np.abs(rest) > 1.0)
+    alone = flat & (of_y != 0.0)
+    void = flat & (of_y == 0.0) & (np.abs(rest) > 1.0)
     divisor = np.where(alone, of_y, 1.0)
-    middle_y, width_y = np.where(alone, -rest / divisor, 0.0), np.where(alone, np.abs(1.0 / divisor), np.inf)
+    middle_y = np.where(alone, -rest / divisor, 0.0)
+    width_y = np.where(alone, np.abs(1.0 / divisor), np.inf)
     edge = np.zeros((len(most), 1))
     return _Bands(
         incline=np.hstack([incline, edge]),
@@ -132,8 +142,10 @@ def _bound(incline: Array, above: Array, below: Array, y: float, other: float) -
     """Return the first y on the way to `other` that has an x, the greatest x there and its derivative; None if none."""
     for _ in range(_STEPS):
         line = incline * y
-        upper, lower = above + line, below + line
-        i, j = upper.argmin(), lower.argmax()
+        upper = above + line
+        lower = below + line
+        i = upper.argmin()
+        j = lower.argmax()
         gap = upper[i] - lower[j]
         if gap >= -_ROUNDING * min(above[i] - below[i], above[j] - below[j]):
             return y, float(upper[i]), float(incline[i])

@@ -55,7 +55,8 @@ def solve_track(
     if not (np.diff(track.t_s) > 0.0).all():
         raise InputError("t_s must increase from frame to frame")
     frames = np.flatnonzero(track.tracked)
-    t_s, X_BG = track.t_s[frames], track.X_BG[frames]
+    t_s = track.t_s[frames]
+    X_BG = track.X_BG[frames]
     if not np.isfinite(X_BG).all():
         bad = int(frames[np.flatnonzero(~np.isfinite(X_BG).all(axis=(1, 2)))[0]])
         raise InputError(f"frame {bad} is tracked but its pose is not finite")
@@ -96,8 +97,10 @@ def verify_path(plant: ArmPlant, t_s: Array, X_BG: Array, path: Array) -> JointT
     status = [IkStatus.OK] * len(q)
     for i in np.flatnonzero(~ok):
         solution = solve_pose(plant, X_BG[i], q[i] if finite[i] or i == 0 else q[i - 1])
-        q[i], status[i] = solution.q, solution.status
-        position[i], rotation[i] = solution.position_error_m, solution.rotation_error_rad
+        q[i] = solution.q
+        status[i] = solution.status
+        position[i] = solution.position_error_m
+        rotation[i] = solution.rotation_error_rad
     return JointTrack(t_s=t_s, q=q, status=tuple(status), position_error_m=position, rotation_error_rad=rotation)
 
 

@@ -87,7 +87,9 @@ class JointTrajectory:
 
     def __init__(self, problem: TubeProblem, basis: SplineBasis, control: Array) -> None:
         """Set the control points (n, 7) [rad]."""
-        self.problem, self.basis, self.control = problem, basis, control
+        self.problem = problem
+        self.basis = basis
+        self.control = control
 
     @cached_property
     def q(self) -> Array:
@@ -146,7 +148,8 @@ class JointTrajectory:
         `NEAR_M`.
         """
         collision = self.problem.collision
-        t, q = self.samples_s, self.motion[0]
+        t = self.samples_s
+        q = self.motion[0]
         if collision is None:
             return np.full(len(t), np.nan), np.full(len(t), np.nan)
         widths = self.problem.widths(t)
@@ -164,7 +167,8 @@ class JointTrajectory:
             for kind, distance in zip(COLLISIONS, self._distances, strict=True)
             if np.isfinite(distance).any()
         }
-        own, collision = least.get(ViolationKind.SELF_COLLISION), self.problem.collision
+        own = least.get(ViolationKind.SELF_COLLISION)
+        collision = self.problem.collision
         if own is not None and collision is not None and collision.obstacles:
             widths = self.problem.widths(self.samples_s)
             at = slice(own[1], own[1] + 1)
@@ -176,11 +180,13 @@ class JointTrajectory:
     @property
     def contact(self) -> Violation | None:
         """Distance farthest below the least allowed one; None if both are kept."""
-        worst, least_margin = None, 0.0
+        worst = None
+        least_margin = 0.0
         for kind, (distance, sample) in self.least_distances.items():
             limit = self.problem.allowed_distance(kind)
             if distance - limit < least_margin:
-                frame, least_margin = self.problem.nearest_frame(float(self.samples_s[sample])), distance - limit
+                frame = self.problem.nearest_frame(float(self.samples_s[sample]))
+                least_margin = distance - limit
                 worst = Violation.at(kind, frame, None, distance, limit)
         return worst
 
@@ -192,18 +198,21 @@ class JointTrajectory:
         k, j = np.unravel_index(np.argmax(ratio), ratio.shape)
         if ratio[k, j] <= 1.0:
             return None
-        frame, value = self.problem.nearest_frame(float(self.samples_s[k])), float(self.torque[k, j])
+        frame = self.problem.nearest_frame(float(self.samples_s[k]))
+        value = float(self.torque[k, j])
         return Violation.at(ViolationKind.TORQUE, frame, plant.robot.joints[j], value, float(plant.effort_limits[j]))
 
     @property
     def speeding(self) -> Violation | None:
         """Speed farthest beyond a limit that depends on the position, at the samples; None if all are within limits."""
-        limits, (q, v, _) = self.problem.plant.robot.limits, self.motion
+        limits = self.problem.plant.robot.limits
+        (q, v, _) = self.motion
         bounds = limits.speeds(q, v)
         k, j = np.unravel_index(np.argmax(np.abs(v) / bounds), v.shape)
         if limits.deceleration is None or abs(v[k, j]) <= KEPT * bounds[k, j]:
             return None
-        frame, joint = self.problem.nearest_frame(float(self.samples_s[k])), self.problem.plant.robot.joints[j]
+        frame = self.problem.nearest_frame(float(self.samples_s[k]))
+        joint = self.problem.plant.robot.joints[j]
         return Violation.at(ViolationKind.VELOCITY, frame, joint, float(v[k, j]), float(bounds[k, j]))
 
     def obstacles(self) -> list[Obstacle]:
@@ -243,8 +252,11 @@ class JointTrajectory:
 
         Ratios are those of values to their limits; None where no limit is published, or without a collision model.
         """
-        plant, (q, v, a) = self.problem.plant, self.motion
-        accelerations, jerk = plant.acceleration_limits, self.usage[2]  # the jerk is constant in every span
+        plant = self.problem.plant
+        (q, v, a) = self.motion
+        # the jerk is constant in every span
+        accelerations = plant.acceleration_limits
+        jerk = self.usage[2]
         own, table = (self.least_distances.get(kind) for kind in COLLISIONS)
         return {
             "position_error_max_m": self.deviations[0],

@@ -27,12 +27,21 @@ LARGEST_M = 0.1
 RATIO = 1.25
 """Ratio between upper and lower bound of the radius at which the search ends."""
 
-_CONFINED, _CONFINED_BEYOND = 0.1, 0.02  # proximity cost / radius (within the tube's limit, beyond it) above which
+# proximity cost / radius (within the tube's limit, beyond it) above which
+_CONFINED = 0.1
+_CONFINED_BEYOND = 0.02
 # another program, linearised about the new path, may find a smaller tube
-_TIGHTER, _LOOSER = 4.0, 0.25  # factors of the proximity weight after a step that failed and one that succeeded
+# factors of the proximity weight after a step that failed and one that succeeded
+_TIGHTER = 4.0
+_LOOSER = 0.25
 # Greatest numbers of programs with free radius, then with fixed radius:
-_FULL, _REFINED_EFFORT, _ROUND_EFFORT = (5, 3), (3, 1), (2, 1)  # first search, on the finer spline, per round
-_ROUNDS, _FEWER_ROUNDS = 4, 2  # of collision avoidance; the latter if the tube is infeasible anyway
+# first search, on the finer spline, per round
+_FULL = (5, 3)
+_REFINED_EFFORT = (3, 1)
+_ROUND_EFFORT = (2, 1)
+# of collision avoidance; the latter if the tube is infeasible anyway
+_ROUNDS = 4
+_FEWER_ROUNDS = 2
 _TORQUE_AIM = 0.95  # share of the torque limit aimed at by the reduction
 
 
@@ -116,7 +125,8 @@ class _TubeSearch:
     """State of the search for the smallest tube of one track."""
 
     def __init__(self, problem: TubeProblem, tube_limit_m: float) -> None:
-        self.problem, self.tube_limit_m = problem, tube_limit_m
+        self.problem = problem
+        self.tube_limit_m = tube_limit_m
         self.limits = problem.limits
         self.infeasible_m: float | None = None
 
@@ -178,7 +188,8 @@ class _TubeSearch:
     @cached_property
     def _start(self) -> Array:
         """Joint path (T, 7) [rad]; from the first frame past a limit on, poses are solved again within limits."""
-        q, limits = self.problem.q, self.limits
+        q = self.problem.q
+        limits = self.limits
         outside = np.flatnonzero(((q < limits.lower) | (q > limits.upper)).any(axis=-1))
         if len(outside) == 0:
             return q
@@ -193,7 +204,9 @@ class _TubeSearch:
         """Find the smallest tube near the joint path `q` (T, 7): programs with free radius, then bisection."""
         best: JointTrajectory | None = None
         # 0.5: initial weight of `solve_tube`; raised after a step that widened the tube
-        proximity, looser, low = 0.5, _LOOSER, SMALLEST_M
+        proximity = 0.5
+        looser = _LOOSER
+        low = SMALLEST_M
         for _ in range(effort[0]):
             solution = solve_tube(basis, self.problem.linearise(q), self.limits, None, proximity, obstacles)
             if solution is None:
@@ -202,7 +215,8 @@ class _TubeSearch:
             candidate = JointTrajectory(self.problem, basis, solution.control)
             cost = proximity_cost_m(candidate.q, q, proximity)
             if best is not None and candidate.radius_m >= best.radius_m:
-                proximity, looser = _TIGHTER * proximity, 1.0
+                proximity = _TIGHTER * proximity
+                looser = 1.0
             else:
                 best = candidate
                 proximity *= looser if candidate.radius_m <= RATIO * low else 1.0
@@ -273,7 +287,8 @@ class _TubeSearch:
         A pose far out of reach; else the rate exceeded by the elastic program; else a limit or pose of the initial
         path.
         """
-        problem, limit = self.problem, self.tube_limit_m
+        problem = self.problem
+        limit = self.tube_limit_m
         # 1.5: factor of the tube's limit above which the error of a posture is the cause, whatever else is
         violation = find_pose_violation(problem, limit, 1.5)
         if violation is not None:

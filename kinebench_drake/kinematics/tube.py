@@ -102,7 +102,8 @@ def solve_tube(
         elastic: True to let derivatives exceed their limits: the sum of relative excesses is minimised (the tube is
             widened too, but only where no excess helps).
     """
-    n, frames = basis.size, len(poses.t_s)
+    n = basis.size
+    frames = len(poses.t_s)
     still: Any = np.zeros((N_JOINTS, n))
     spline: Any = BsplineTrajectory(BsplineBasis(ORDER, basis.knots.tolist()), still)
     kto: Any = KinematicTrajectoryOptimization(spline)
@@ -123,7 +124,8 @@ def solve_tube(
     else:
         prog.AddBoundingBoxConstraint(0.0, _MM * radius_m, r)
 
-    rows, sizes = [], []
+    rows = []
+    sizes = []
     for D, limit in zip(basis.derivatives[1:], limits.rates, strict=True):
         sizes.append(D.shape[0] if limit is not None else 0)
         if limit is not None:

@@ -16,7 +16,8 @@ from kinebench_drake.geometry import Array, make_pose, pose_difference
 from kinebench_drake.segments import finite_rows, segments
 from kinebench_drake.track import GripperTrack
 
-BRIDGE_M, BRIDGE_RAD = 0.010, float(np.deg2rad(5.0))
+BRIDGE_M = 0.010
+BRIDGE_RAD = float(np.deg2rad(5.0))
 """Errors within which a bridged pose is sound: those of a good pose."""
 BRIDGE_FRAMES = 5
 """Longest gap that is bridged [frames]."""
@@ -85,7 +86,8 @@ def longest_bridge(track: GripperTrack) -> int:
 
 def _knots(tracked: NDArray[np.bool_], gap: slice) -> NDArray[np.intp]:
     """Return the frames that a bridge over a gap goes through."""
-    before, after = np.flatnonzero(tracked[: gap.start]), np.flatnonzero(tracked[gap.stop :]) + gap.stop
+    before = np.flatnonzero(tracked[: gap.start])
+    after = np.flatnonzero(tracked[gap.stop :]) + gap.stop
     return np.concatenate([before[-_SIDE:], after[:_SIDE]])
 
 

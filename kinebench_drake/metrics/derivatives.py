@@ -127,7 +127,9 @@ def _smooth_run(t_s: Array, q: Array, variance: Array) -> Array:
         DwD[k, : len(D) - k] = np.sum(D[: len(D) - k, k:] * D[k:, : _ROUGHNESS + 1 - k] * shared, axis=-1)
     stiffness = (2.0 - 2.0 * np.cos(np.pi * np.arange(n) / n)) ** _ROUGHNESS  # approximate eigenvalues of D^T D
     # 0.25: lowest cut-off frequency of `smooth_path`, however noisy the path [Hz]
-    best, low, high = q, -4.0, max(-4.0, -2.0 * _ROUGHNESS * np.log10(2.0 * np.pi * 0.25 * period))
+    best = q
+    low = -4.0
+    high = max(-4.0, -2.0 * _ROUGHNESS * np.log10(2.0 * np.pi * 0.25 * period))
     for _ in range(10):
         middle = 0.5 * (low + high)
         banded = DwD.copy()
@@ -139,7 +141,8 @@ def _smooth_run(t_s: Array, q: Array, variance: Array) -> Array:
         correction *= w[:, None]
         freedom = float(np.sum(1.0 / (1.0 + 10.0**middle * stiffness)))
         if float(np.sum(correction**2 / variance)) <= (n - freedom) * q.shape[1]:
-            best, low = q - correction, middle
+            best = q - correction
+            low = middle
         else:
             high = middle
     return best

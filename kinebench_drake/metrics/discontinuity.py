@@ -28,7 +28,9 @@ JUMP_M = 0.06
 """Floor of a jump of the TCP's position for steps of 0.2 s [m]."""
 JUMP_RAD = 0.35
 """Floor of a jump of the TCP's orientation, or of a joint, for steps of 0.2 s [rad]."""
-ACCELERATION_M_S2, ACCELERATION_RAD_S2, JOINT_ACCELERATION_RAD_S2 = 13.0, 25.0, 20.0
+ACCELERATION_M_S2 = 13.0
+ACCELERATION_RAD_S2 = 25.0
+JOINT_ACCELERATION_RAD_S2 = 20.0
 """Acceleration limits of the Panda that bound the floors over shorter steps: Cartesian, and of its fastest joint.
 
 Source: libfranka, `rate_limiting.h` (limits of the Franka Emika Robot, also in its control interface's documentation).
@@ -37,7 +39,8 @@ CONTRAST = 3.0
 """Least ratio of the deviation of a jump to the median of the steps before it, or of those after it."""
 SHARE = 0.6
 """Least ratio of the deviation to the longer neighbouring step: a fast motion may change direction fast."""
-NEAR_END, AT_END = 2.0, 4.0
+NEAR_END = 2.0
+AT_END = 4.0
 """Factors of the floor where one side has only one step, and where it has none."""
 FALSE_ALARM = 0.001
 """Greatest probability of a jump by white noise alone on a track at rest, for each of position, rotation, joints."""
@@ -82,7 +85,8 @@ def find_discontinuities(
         n = run.stop - run.start
         if n <= 2:
             continue
-        t, moved = t_s[run], set[int]()
+        t = t_s[run]
+        moved = set[int]()
         for unit, step, sigma, floor in (
             ("m", np.diff(X_BG[run, :3, 3], axis=0), noise.position_m, _floor(t, JUMP_M, ACCELERATION_M_S2)),
             ("rad", rotation_steps(X_BG[run, :3, :3]), noise.rotation_rad, _floor(t, JUMP_RAD, ACCELERATION_RAD_S2)),
@@ -100,7 +104,8 @@ def _joint_jumps(t_s: Array, q: Array, joints: tuple[str, ...]) -> list[Violatio
     sigma = estimate_joint_noise(t_s, q)
     violations = []
     for run in segments(finite_rows(q)):
-        t, n = t_s[run], run.stop - run.start
+        t = t_s[run]
+        n = run.stop - run.start
         floor = _floor(t, JUMP_RAD, JOINT_ACCELERATION_RAD_S2)
         for j, name in enumerate(joints):
             step = np.diff(q[run, j : j + 1], axis=0)
@@ -138,7 +143,8 @@ def _jumps(t_s: Array, steps: Array, floor: Array, noise_norm: float, tolerance:
     Thresholds are multiplied by `tolerance`.
     """
     dt = np.diff(t_s)
-    velocity, middle = steps / dt[:, None], 0.5 * (t_s[:-1] + t_s[1:])
+    velocity = steps / dt[:, None]
+    middle = 0.5 * (t_s[:-1] + t_s[1:])
     sizes, thresholds = _excursions(middle, velocity, dt, tolerance * floor, tolerance * noise_norm)
     while True:
         usable = sizes == 0.0
@@ -151,7 +157,8 @@ def _jumps(t_s: Array, steps: Array, floor: Array, noise_norm: float, tolerance:
             if not deviation[i] > threshold[i]:
                 return _merged(velocity, dt, sizes, thresholds)
             if deviation[i] > CONTRAST * _usual(deviation, i):
-                sizes[i], thresholds[i] = deviation[i], threshold[i]
+                sizes[i] = deviation[i]
+                thresholds[i] = threshold[i]
                 break
         else:
             return _merged(velocity, dt, sizes, thresholds)
@@ -168,13 +175,16 @@ def _merged(velocity: Array, dt: Array, sizes: Array, thresholds: Array) -> list
     jumps = []
     for run in segments(sizes > 0.0):
         worst = run.start + int(np.argmax(sizes[run]))
-        first, last, size = run.start, run.stop - 1, float(sizes[worst])
+        first = run.start
+        last = run.stop - 1
+        size = float(sizes[worst])
         pairs = [(i, i + 1) for i in range(max(last - 1, 0), min(first + 1, len(dt) - 1)) if last - first <= 1]
         for pair in pairs:  # the return of an outlying frame may be below the threshold
             beside = [k for k in (pair[0] - 1, pair[1] + 1) if 0 <= k < len(dt)]
             left = (velocity[list(pair)] - velocity[beside].mean(axis=0)) * dt[list(pair), None]
             if float(np.linalg.norm(left.sum(axis=0))) < 0.5 * size:
-                (first, last), size = pair, 0.5 * float(np.linalg.norm(left[0] - left[1]))
+                (first, last) = pair
+                size = 0.5 * float(np.linalg.norm(left[0] - left[1]))
                 break
         if size > thresholds[worst]:
             jumps.append(_Jump(start=first, end=last + 1, size=size, threshold=float(thresholds[worst])))
@@ -195,10 +205,12 @@ def _excursions(t_s: Array, velocity: Array, dt: Array, floor: Array, noise_norm
         return sizes, thresholds
     away, home = np.zeros((2, len(out), velocity.shape[1]))
     for steps, here, side in ((away, out, -1), (home, back, 1)):
-        near, far = here + side, here + 2 * side
+        near = here + side
+        far = here + 2 * side
         slope = (velocity[near] - velocity[far]) / (t_s[near] - t_s[far])[:, None]
         steps[:] = _beyond(velocity[here], velocity[near], velocity[near] + slope * (t_s[here] - t_s[near])[:, None])
-    away, home = away * dt[out, None], home * dt[back, None]
+    away = away * dt[out, None]
+    home = home * dt[back, None]
     quiet = 0.5 * (velocity[out - 1] + velocity[back + 1])
     still = (velocity[out + 1] - quiet) * dt[out + 1, None]
     size = np.minimum(np.linalg.norm(away, axis=-1), np.linalg.norm(home, axis=-1))
@@ -207,7 +219,8 @@ def _excursions(t_s: Array, velocity: Array, dt: Array, floor: Array, noise_norm
     threshold = np.maximum(np.maximum(floor[out], 1.2 * beside * dt[out]), noise_norm)
     returns = np.linalg.norm(away + home, axis=-1) < 0.5 * size
     for i in np.flatnonzero((size > threshold) & returns & (np.linalg.norm(still, axis=-1) < 0.5 * size)):
-        sizes[out[i] : back[i] + 1], thresholds[out[i] : back[i] + 1] = size[i], threshold[i]
+        sizes[out[i] : back[i] + 1] = size[i]
+        thresholds[out[i] : back[i] + 1] = threshold[i]
     return sizes, thresholds
 
 
@@ -230,13 +243,16 @@ def _deviation(t_s: Array, velocity: Array, usable: NDArray[np.bool_]) -> tuple[
     n = len(t_s)
     index = np.flatnonzero(usable)
     here = np.searchsorted(index, np.arange(n))
-    constant, linear = np.zeros_like(velocity), np.zeros_like(velocity)
+    constant = np.zeros_like(velocity)
+    linear = np.zeros_like(velocity)
     beside = np.zeros(n)
-    ones, twos = np.zeros(n, dtype=int), np.zeros(n, dtype=int)
+    ones = np.zeros(n, dtype=int)
+    twos = np.zeros(n, dtype=int)
     for near, far in ((here - 1, here - 2), (here + 1, here + 2)):
         has = usable & (near >= 0) & (near < len(index))
         two = has & (far >= 0) & (far < len(index))
-        a, b = index[np.clip(near, 0, len(index) - 1)], index[np.clip(far, 0, len(index) - 1)]
+        a = index[np.clip(near, 0, len(index) - 1)]
+        b = index[np.clip(far, 0, len(index) - 1)]
         constant[has] += velocity[a[has]]
         linear[has] += velocity[a[has]]
         slope = (velocity[a[two]] - velocity[b[two]]) / (t_s[a[two]] - t_s[b[two]])[:, None]

@@ -251,7 +251,9 @@ class TrackJudge:
             free = find_free(plant, self._collision, track, asked, contact_tolerance(noise))
             filled, bridged = bridge_gaps(track)
         else:
-            free, filled, bridged = joints.ok, track, np.zeros(len(t_s), dtype=bool)
+            free = joints.ok
+            filled = track
+            bridged = np.zeros(len(t_s), dtype=bool)
         w = weigh_manipulability(plant, coverage, bridge_joints(t_s, coverage.q, bridged))
         path = PathMeasurements(
             reached=reached,
@@ -330,7 +332,8 @@ def _joint_noise(t_s: Array, q: Array) -> Array:
 
 def _undecided(track: GripperTrack, checks: LimitChecks) -> str | None:
     """Return why the verdict on a track without violations is open; None if it is feasible."""
-    n, tracked = len(track.t_s), int(track.tracked.sum())
+    n = len(track.t_s)
+    tracked = int(track.tracked.sum())
     if tracked < max(MIN_TRACKED_FRAMES, MIN_TRACKED_FRACTION * n):
         return f"{tracked} of {n} frames are tracked; {MIN_TRACKED_FRAMES} and half of all are needed for a verdict"
     speed = checks.checks.get(ViolationKind.VELOCITY)

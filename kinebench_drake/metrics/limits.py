@@ -111,7 +111,8 @@ def check_limits(
         sigma: (7,) or (T, 7) standard deviations of the noise of `q` [rad]; NaN if unknown: then no limit is broken.
         freedom_per_frame: degrees of freedom of `sigma` per frame; JOINT_FREEDOM_PER_FRAME for `estimate_joint_noise`.
     """
-    frames, q_smooth = int(finite_rows(q).sum()), smooth_path(t_s, q, sigma)
+    frames = int(finite_rows(q).sum())
+    q_smooth = smooth_path(t_s, q, sigma)
     z = noise_allowance(frames * q.shape[1] * len(KINDS), freedom_per_frame * frames)
     checks: dict[ViolationKind, LimitCheck] = {}
     reasons: dict[ViolationKind, str] = {}
@@ -156,7 +157,8 @@ def _speed_limits(plant: ArmPlant, q: Array, sigma: Array, velocity: Derivative,
     if limits.deceleration is None:
         return np.broadcast_to(limits.velocity, q.shape)
     frames = np.flatnonzero(finite_rows(velocity.value))
-    near, towards = z * np.nan_to_num(np.broadcast_to(sigma, q.shape)[frames]), np.ones((len(frames), 7))
+    near = z * np.nan_to_num(np.broadcast_to(sigma, q.shape)[frames])
+    towards = np.ones((len(frames), 7))
     up, down = (limits.speeds(q[frames] - sign * near, sign * towards) for sign in (1.0, -1.0))
     size = min(velocity.window, len(frames))
     first = np.clip(np.arange(len(frames)) - size // 2, 0, len(frames) - size)
@@ -212,9 +214,11 @@ def _check(
 
     `slowdown` returns the slow-downs (T, 7) that values need less an allowance (T, 7).
     """
-    value, error = estimate.value, estimate.standard_error
+    value = estimate.value
+    error = estimate.standard_error
     limits = np.broadcast_to(limits, value.shape)
-    least, own = slowdown(z * error), slowdown(np.zeros_like(error))
+    least = slowdown(z * error)
+    own = slowdown(np.zeros_like(error))
     magnitude = np.abs(value)
     broken = np.asarray(least > 1.0)
     significant = np.isfinite(value) & (~(z * error > limits) | broken)  # other values may be noise alone

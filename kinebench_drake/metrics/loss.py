@@ -26,7 +26,9 @@ COST_MAX = 1000.0
 """Greatest manipulability cost of a frame, that of a lost or unreachable one. PyRoki's own, 1e6 at a singularity, would
 leave nothing of a mean but the share of such frames."""
 
-_SAMPLES, _ROUNDS = 128, 5  # angles of the redundancy among which the worst posture is searched, and their halvings
+# angles of the redundancy among which the worst posture is searched, and their halvings
+_SAMPLES = 128
+_ROUNDS = 5
 _PRODUCTS = ("full", "translation", "rotation", "limited")  # fields of Manipulability that shrink with the weight
 
 
@@ -57,7 +59,9 @@ class Coverage:
     @property
     def reason(self) -> str:
         """Why numbers of an incomplete track are missing."""
-        n, lost, unreachable = len(self.lost), int(self.lost.sum()), int(self.unreachable.sum())
+        n = len(self.lost)
+        lost = int(self.lost.sum())
+        unreachable = int(self.unreachable.sum())
         counts = {"lost": lost, "out of reach": unreachable}
         return ", ".join(f"{count} of {n} frames are {kind}" for kind, count in counts.items() if count)
 
@@ -68,7 +72,8 @@ def cover_poses(plant: ArmPlant, track: GripperTrack, joints: JointTrack, reache
     The errors of missed poses are those of `solve_pose` from the rest posture: they depend on the pose alone. A common
     error of the track (`offset_m`, `offset_rad`) greater than MISS_M replaces it.
     """
-    weight, q = reached.astype(np.float64), np.where(reached[:, None], joints.q, np.nan)
+    weight = reached.astype(np.float64)
+    q = np.where(reached[:, None], joints.q, np.nan)
     position_error_m = joints.position_error_m.copy()
     limit_m = max(MISS_M, float(np.hypot(track.offset_m, ROTATION_ARM_M * track.offset_rad)))
     for i in np.flatnonzero(track.tracked & ~reached):
@@ -76,7 +81,8 @@ def cover_poses(plant: ArmPlant, track: GripperTrack, joints: JointTrack, reache
         position_error_m[i] = nearest.position_error_m
         error_m = float(np.hypot(nearest.position_error_m, ROTATION_ARM_M * nearest.rotation_error_rad))
         if error_m < limit_m:
-            weight[i], q[i] = 1.0 - error_m / limit_m, nearest.q
+            weight[i] = 1.0 - error_m / limit_m
+            q[i] = nearest.q
     return Coverage(lost=~track.tracked, weight=weight, q=q, position_error_m=position_error_m)
 
 

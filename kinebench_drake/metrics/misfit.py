@@ -13,7 +13,13 @@ from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.metrics.noise import rotation_steps
 from kinebench_drake.segments import evenly, finite_rows
 
-UNREACHED, UPWARD, BELOW, CLOSE, TURNING, TILTED, SLOW = 1.0, 0.5, 0.5, 0.5, 1.0, 0.4, 1.0
+UNREACHED = 1.0
+UPWARD = 0.5
+BELOW = 0.5
+CLOSE = 0.5
+TURNING = 1.0
+TILTED = 0.4
+SLOW = 1.0
 """Costs of motions that are out of reach, point upwards, run below the table, stay close to the base, turn all the
 time, are never vertical, and last for ever."""
 FLANGE = 0.4
@@ -23,13 +29,17 @@ so is the flange of the Panda in its rest postures."""
 _FRAMES = 64  # on which reach is tested
 _PAST_RAD = 1e-3  # of joint limits
 _BELOW_M = 0.03  # depth under the table that is no calibration error
-_BASE_M, _BASE_HEIGHT_M = 0.15, 0.3  # radius and height of the base, in which there is no gripper
+# radius and height of the base, in which there is no gripper
+_BASE_M = 0.15
+_BASE_HEIGHT_M = 0.3
 _CLOSE_M = 0.3  # distance from the base's axis at which hardly anybody works
 _UP = 0.5  # cosine to the vertical: within 60 degrees of straight up
 _VERTICAL = float(np.cos(np.deg2rad(1.0)))  # as simulators and scripts hold it
 _UPRIGHT = float(np.cos(np.deg2rad(6.0)))  # at the start, in a rest posture
 _TURN_RAD_S = 2.0  # mean angular speed with the full cost; the hand's limit is 2.5
-_SLOW_STEP_S, _SLOW_M_S = 0.9, 0.002  # frames that far apart in a motion that slow are in a smaller unit
+# frames that far apart in a motion that slow are in a smaller unit
+_SLOW_STEP_S = 0.9
+_SLOW_M_S = 0.002
 _LONG_STEP_S = 5.0  # robots are recorded faster
 _FLANGE_M = (0.1, 0.21)  # heights of the flange above a table on which the fingers work
 _SQUARE_RAD = float(np.deg2rad(2.5))
@@ -55,10 +65,12 @@ def misfit(
     """
     numbers = q if X_BG is None else X_BG
     valid = finite_rows(np.asarray(numbers, dtype=np.float64).reshape(len(t_s), -1))
-    t_s, frames = t_s[valid], evenly(int(valid.sum()), _FRAMES)
+    t_s = t_s[valid]
+    frames = evenly(int(valid.sum()), _FRAMES)
     X = np.asarray(X_BG)[valid] if q is None else plant.forward_path(q[valid])
     distance = np.hypot(X[:, 0, 3], X[:, 1, 3])
-    upward, height = X[:, 2, 2], X[:, 2, 3] - table_height_m
+    upward = X[:, 2, 2]
+    height = X[:, 2, 3] - table_height_m
     duration = max(float(t_s[-1] - t_s[0]), 1e-9)
     turned = float(np.linalg.norm(rotation_steps(X[:, :3, :3]), axis=-1).sum())
     moved = float(np.linalg.norm(np.diff(X[:, :3, 3], axis=0), axis=-1).sum())

@@ -117,7 +117,8 @@ def _rounding(values: Array) -> float:
     the last decimal.
     """
     for decimals in range(3, 7):
-        unit, rounded = 10.0**-decimals, values.round(decimals)
+        unit = 10.0**-decimals
+        rounded = values.round(decimals)
         # 10: least number of different values that tell that all were rounded
         if len(np.unique(rounded)) >= 10 and np.abs(values - rounded).max() < 0.05 * unit:
             return float(unit / np.sqrt(12.0))
@@ -150,7 +151,8 @@ def smooth_poses(track: GripperTrack, noise: TrackNoise) -> Array:
     Positions and quaternions are smoothed like joint paths (`derivatives.smooth_path`); a quaternion changes by half
     the angle, so its noise is half that of the rotation.
     """
-    frames, n = np.flatnonzero(track.tracked), len(track.t_s)
+    frames = np.flatnonzero(track.tracked)
+    n = len(track.t_s)
     turned = to_quaternion(track.X_BG[frames, :3, :3])
     # q and -q are the same rotation: each gets the sign nearest to the previous one.
     flips = np.sum(turned[1:] * turned[:-1], axis=-1) < 0.0

@@ -118,7 +118,8 @@ def find_obstacles(
 
     Both as recorded, `q` (T, 7), and smoothed, `q_smooth` (T, 7) [rad]. `value` and `limit` as in `find_collisions`.
     """
-    limit, width = contact_tolerance(noise), track.finger_width_m
+    limit = contact_tolerance(noise)
+    width = track.finger_width_m
     contacts = sweep(plant, model, q, width, limit)
     depth = max(CONTACT_TOLERANCE_M, noise.offset_m)
     smooth = (

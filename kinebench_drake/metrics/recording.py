@@ -11,7 +11,10 @@ from kinebench_drake.track import GripperTrack
 
 IDLE_S = 1.0
 """Shortest rest at an end of a recording that counts as idle [s]."""
-_STILL_M, _STILL_RAD, _STILL_GAP_M = 0.005, 0.04, 0.004  # from the pose at the end; beyond sensors' noise
+# from the pose at the end; beyond sensors' noise
+_STILL_M = 0.005
+_STILL_RAD = 0.04
+_STILL_GAP_M = 0.004
 LAG_S = 1.0
 """Greatest lag that is looked for, either way [s]."""
 _CORRELATED = 0.5  # least correlation of actions with the motion that they command
@@ -28,7 +31,8 @@ def idle_ends(track: GripperTrack) -> list[int] | None:
         return None
     counts = []
     for order in (frames, frames[::-1]):
-        X, gap = track.X_BG[order], track.finger_width_m[order]
+        X = track.X_BG[order]
+        gap = track.finger_width_m[order]
         moved = np.linalg.norm(X[:, :3, 3] - X[0, :3, 3], axis=-1) > _STILL_M
         moved |= rotation_angle(X[0, :3, :3].T @ X[:, :3, :3]) > _STILL_RAD
         moved |= np.nan_to_num(np.abs(gap - gap[0])) > _STILL_GAP_M
@@ -63,7 +67,8 @@ def _correlations(signal: Array, change: Array, most: int) -> Array:
     moves = (np.ptp(signal, axis=0) > 0.0) & (np.ptp(change, axis=0) > 0.0)
     if not moves.any():
         return np.zeros(2 * most + 1)
-    signal, change = signal[:, moves], change[:, moves]
+    signal = signal[:, moves]
+    change = change[:, moves]
     weight = np.linalg.norm(change, axis=0)
     values = []
     for lag in range(-most, most + 1):

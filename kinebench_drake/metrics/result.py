@@ -102,7 +102,8 @@ def kinematic_metrics(
     Values are those of measured and bridged frames, unreachable ones at their worst.
     """
     metrics, reasons = _path_metrics(plant, track, joints, path)
-    smooth, coverage = path.smoothness, path.coverage
+    smooth = path.smoothness
+    coverage = path.coverage
     for name, value in smooth.metrics.items():
         if value is None:
             reasons[name] = smooth.reasons.get(name.partition("_floor_")[0], "") or "the track's noise is unknown"
@@ -161,7 +162,10 @@ def _path_metrics(
     plant: ArmPlant, track: GripperTrack, joints: JointTrack, path: PathMeasurements
 ) -> tuple[dict[str, Value], dict[str, str]]:
     """Return the metrics of the frames that are neither lost nor unreachable, and why some are None."""
-    w, checks, timing, tube = path.manipulability, path.checks, path.timing, path.tube
+    w = path.manipulability
+    checks = path.checks
+    timing = path.timing
+    tube = path.tube
     no_value = "no frame is tracked" if not track.tracked.any() else "no frame's pose is reached"
     margin = limit_margin(plant, np.where(path.reached[:, None], joints.q, np.nan))
     lowest = _over_finite(np.min, margin)  # no posture within limits reaches unreachable frames: theirs is 0 at most
@@ -219,7 +223,8 @@ def track_curves(plant: ArmPlant, joints: JointTrack, path: PathMeasurements) ->
 def path_details(plant: ArmPlant, q: Array, path: PathMeasurements) -> dict[str, Json]:
     """Serialize measurements into the field `details` of samples.jsonl; `q` (T, 7) is NaN where not reached [rad]."""
     residual = (path.checks.q_smooth - q)[finite_rows(path.checks.q_smooth)]
-    slowdown, timing = path.checks.slowdown, path.timing
+    slowdown = path.checks.slowdown
+    timing = path.timing
     return {
         "limits": {
             "joints": list(plant.robot.joints),
@@ -264,7 +269,8 @@ def _check(check: LimitCheck) -> dict[str, Json]:
 
 
 def _tube(tube: TubeResult, limit_m: float) -> dict[str, Json]:
-    against, certificate = tube.violation, tube.certificate
+    against = tube.violation
+    certificate = tube.certificate
     return {
         "tube_limit_m": limit_m,
         "infeasible_radius_m": tube.infeasible_radius_m,

@@ -60,9 +60,11 @@ def sparc(speed: Array, sampling_hz: float, cutoff_hz: float = CUTOFF_HZ, thresh
         spectrum = spectrum[:, :kept]
     magnitude = np.sqrt(spectrum.real**2 + spectrum.imag**2)
     magnitude /= magnitude.max(axis=-1, keepdims=True)
-    frequency, magnitude = frequency[:kept], magnitude[:, :kept]
+    frequency = frequency[:kept]
+    magnitude = magnitude[:, :kept]
     above = magnitude >= threshold
-    first, last = np.argmax(above, axis=-1), kept - 1 - np.argmax(above[:, ::-1], axis=-1)
+    first = np.argmax(above, axis=-1)
+    last = kept - 1 - np.argmax(above[:, ::-1], axis=-1)
     index = np.arange(kept - 1)
     inside = (index >= first[:, None]) & (index < last[:, None])
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -122,14 +124,16 @@ def _even_speeds(t_s: Array, lengths: Array) -> Array:
     speed = lengths / dt
     period = 1.0 / _rate(t_s)
     if float(np.abs(dt - period).max()) > 1e-3 * period:
-        middle, even = 0.5 * (t_s[:-1] + t_s[1:]), t_s[0] + period * (np.arange(len(dt)) + 0.5)
+        middle = 0.5 * (t_s[:-1] + t_s[1:])
+        even = t_s[0] + period * (np.arange(len(dt)) + 0.5)
         speed = np.array([np.interp(even, middle, row) for row in speed])
     return np.asarray(speed)
 
 
 METRICS = ("sparc", "sparc_rotation", "ldlj", "sparc_filtered", "sparc_rotation_filtered")
 """Names of the metrics."""
-_OF_POSITION, _OF_ROTATION = ("sparc", "ldlj", "sparc_filtered"), ("sparc_rotation", "sparc_rotation_filtered")
+_OF_POSITION = ("sparc", "ldlj", "sparc_filtered")
+_OF_ROTATION = ("sparc_rotation", "sparc_rotation_filtered")
 _FLOORS = {"low": 5.0, "median": 50.0, "high": 95.0}  # percentiles
 
 
@@ -160,7 +164,8 @@ def measure_smoothness(
         measured: (T,) frames that are neither lost, bridged nor out of reach; None: the tracked ones.
     """
     measured = track.tracked if measured is None else measured
-    n, lost = len(track.t_s), int((~measured).sum())
+    n = len(track.t_s)
+    lost = int((~measured).sum())
     run = max(segments(track.tracked), key=lambda run: run.stop - run.start, default=slice(0, 0))
     left_out = n - (run.stop - run.start)
     whole = _measure_run(track, run, noise, seed)
@@ -176,11 +181,14 @@ def measure_smoothness(
 def _least_values(track: GripperTrack, tracked: NDArray[np.bool_]) -> dict[str, float]:
     """Return the least SPARC and LDLJ over all motions in frames other than `tracked`; none of a gripper at rest."""
     t_s = track.t_s
-    rate, stepped = _rate(t_s), tracked[1:] & tracked[:-1]
-    p, R = track.X_BG[:, :3, 3], np.where(tracked[:, None, None], track.X_BG[:, :3, :3], np.eye(3))
+    rate = _rate(t_s)
+    stepped = tracked[1:] & tracked[:-1]
+    p = track.X_BG[:, :3, 3]
+    R = np.where(tracked[:, None, None], track.X_BG[:, :3, :3], np.eye(3))
     lengths = np.linalg.norm([np.diff(p, axis=0), rotation_steps(R)], axis=-1)
     moved, turned = _even_speeds(t_s, np.where(stepped, lengths, np.nan))
-    bins, cutoff_hz = _bins(len(moved)), min(CUTOFF_HZ, rate / 2.0)
+    bins = _bins(len(moved))
+    cutoff_hz = min(CUTOFF_HZ, rate / 2.0)
     values = {}
     if _rests(p[tracked]) is None:
         values["sparc"] = least_arc(moved, rate, bins, cutoff_hz)
@@ -222,13 +230,15 @@ def _measure_run(track: GripperTrack, run: slice, noise: TrackNoise | None, seed
     STILL_RAD (rotation). Noise floors are based on the motion as smoothed by `smooth_path`, which is slightly smoother
     than the true one for few frames per move (at six frames per move and 3 mm of noise by 0.1 to 0.4 of SPARC).
     """
-    X, t_s = track.X_BG[run], track.t_s[run]
+    X = track.X_BG[run]
+    t_s = track.t_s[run]
     n = len(t_s)
     if n < MIN_FRAMES:
         short = f"the longest run of tracked frames has {n}, {MIN_FRAMES} are needed"
         return _smoothness({}, dict.fromkeys(METRICS, short))
     noise = noise or estimate_track_noise(track.t_s, track.X_BG, track.tracked)
-    p, R = X[:, :3, 3], X[:, :3, :3]
+    p = X[:, :3, 3]
+    R = X[:, :3, :3]
     # The cumulative sum of the rotation vectors between frames is a path whose steps are those of the rotation.
     turned = np.concatenate([np.zeros((1, 3)), np.cumsum(rotation_steps(R), axis=0)])
     rng = np.random.default_rng(seed)
@@ -253,7 +263,8 @@ def _measure(
         smooth = smooth_path(t_s, p, np.full(3, sigma))
         # 64: noisy copies of the smoothed motion that determine a noise floor
         paths = np.concatenate([paths, smooth[:, None] + sigma * rng.standard_normal((len(p), 64, 3))], axis=1)
-    rate, speeds = _rate(t_s), _even_speeds(t_s, np.linalg.norm(np.diff(paths, axis=0), axis=-1).T)
+    rate = _rate(t_s)
+    speeds = _even_speeds(t_s, np.linalg.norm(np.diff(paths, axis=0), axis=-1).T)
     for name in names:
         if name == "ldlj":
             values = ldlj(speeds, rate)

@@ -54,8 +54,12 @@ def assess_trust(extra: Mapping[str, Json], metrics: Mapping[str, Json], period:
     `metrics` has `tracked_fraction` and `confidence_mean`; `period` is the frame period and its source, in words,
     `is_measured` whether the row has results.
     """
-    state, agreement, domain = extra.get("camera_state"), extra.get("camera_agreement"), extra.get("domain")
-    tracked, confidence, frames = metrics.get("tracked_fraction"), metrics.get("confidence_mean"), extra.get("frames")
+    state = extra.get("camera_state")
+    agreement = extra.get("camera_agreement")
+    domain = extra.get("domain")
+    tracked = metrics.get("tracked_fraction")
+    confidence = metrics.get("confidence_mean")
+    frames = extra.get("frames")
     camera = f"camera {state}"
     if isinstance(agreement, float):
         camera += f", {agreement:.0%} of the arm's contours on image edges"

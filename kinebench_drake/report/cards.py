@@ -27,11 +27,10 @@ def write_card(
         time_s: Unix time at which the run's bundle was written [s].
     """
     name = re.sub(r"[^\w.-]+", "-", f"{model} {part}".strip()).strip("-.") or "model"
-    match, version = (
-        _HUB.match(str(run.config.get("source"))),
-        str(as_object(run.results.get("versions")).get(_LIBRARY)),
-    )
-    dataset, revision = run.tags.get("dataset") or (match and match[1]), match and match[2]
+    match = _HUB.match(str(run.config.get("source")))
+    version = str(as_object(run.results.get("versions")).get(_LIBRARY))
+    dataset = run.tags.get("dataset") or (match and match[1])
+    revision = match and match[2]
     title = part or str(run.config.get("source") or run.kind)
     source = {"dataset_name": dataset or title, "source_type": "hf_dataset" if dataset else "other"}
     path = out / f"{name}.json"
@@ -58,7 +57,8 @@ def write_card(
     write_json(path, card)
     yield path
     if dataset:
-        path, lines = path.with_suffix(".yaml"), []
+        path = path.with_suffix(".yaml")
+        lines = []
         for share, value in shares.items():
             task = re.sub(r"\W+", "_", f"{part or run.kind} {share}".lower()).strip("_")
             most = f", at most {value.upper:.2%}" if (value.upper or 0.0) > (value.mean or 0.0) else ""

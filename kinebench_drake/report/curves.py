@@ -18,7 +18,8 @@ _TITLES = {
     "jerk": "Joint jerk / limit, at least:",
     "torque": "Joint torque / limit:",
 }
-_MIN_ERROR_M, _MIN_ERROR_RAD = 1e-5, 1e-4
+_MIN_ERROR_M = 1e-5
+_MIN_ERROR_RAD = 1e-4
 """Errors of inverse kinematics below which no plot is drawn."""
 Bands = Mapping[str, Sequence[plot.FrameSpan]]
 
@@ -36,7 +37,8 @@ def draw_curves(row: SampleRow, file: TrackFile) -> list[Markup]:
 
 
 def _joint_plots(row: SampleRow, file: TrackFile, bands: Bands) -> Iterator[Markup]:
-    limits, t_s = joint_limits(row), file.track.t_s
+    limits = joint_limits(row)
+    t_s = file.track.t_s
     labels = _short_names(limits.joints)
 
     def by_joint(values: Array) -> list[plot.Curve]:

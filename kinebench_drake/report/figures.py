@@ -19,7 +19,8 @@ if TYPE_CHECKING:
 COLOURS = ("#2f7fc1", "#d06a2a", "#2a9d7f", "#9b62c4", "#b3902f", "#cf5a8e", "#7a8794", "#4f9bd9", "#a65a5a", "#5f8f3e")
 """Colours that can be distinguished on a light and on a dark background."""
 _MARKERS = "os^Dv<>PX*"
-SUCCESS, NEUTRAL = "#2563ab", "#9aa5b1"
+SUCCESS = "#2563ab"
+NEUTRAL = "#9aa5b1"
 _THEME = {"#000000": "var(--ink)", "#ffffff": "var(--card)", "#e6e8ea": "var(--line)", "#b8bec4": "var(--faint)"}
 """Replacements of drawn colours on a page."""
 
@@ -132,7 +133,8 @@ def write_figure(figure: ReportFigure, folder: Path) -> Markup:
 
 def inline_svg(svg: str, name: str, title: str) -> str:
     """Convert a drawing to a part of an html page: unique ids, the page's colours, no external addresses."""
-    body, name = svg[svg.index("<svg") :], re.sub(r"[^\w.-]", "_", name)
+    body = svg[svg.index("<svg") :]
+    name = re.sub(r"[^\w.-]", "_", name)
     body = re.sub(r"<metadata>.*?</metadata>", "", body, flags=re.DOTALL)
     body = re.sub(r"<style[^>]*>.*?</style>", "", body, flags=re.DOTALL)
     body = re.sub(r"<!--.*?-->", "", body, flags=re.DOTALL)

@@ -48,7 +48,8 @@ class ModelEntry:
     @property
     def shares(self) -> dict[str, Estimate]:
         """Shares that were judged: success (unmeasured episodes are failures), executable, feasible."""
-        rows, shares = self.rows, dict[str, Estimate]()
+        rows = self.rows
+        shares = dict[str, Estimate]()
         options: dict[str, Any] = {"total": len(rows), "episodes": [row.episode for row in rows]}
         if any("success" in row.extra for row in rows):
             hits = [row.status is Status.OK and row.extra.get("success") is True for row in rows]
@@ -134,7 +135,8 @@ def _correct(
             shares = c.paired
             if c.second == model:
                 shares = replace(shares, first=shares.second, second=shares.first)
-            ratio, ceiling = shares.ratio(), shares.rates[1]
+            ratio = shares.ratio()
+            ceiling = shares.rates[1]
             low, high = (None if isnan(end) else end for end in (ratio.low, ratio.high))
             mean = None if isnan(ratio.value) else ratio.value
             return Estimate(mean=mean, low=low, high=high, n=shares.n, total=shares.n), ceiling
@@ -165,7 +167,8 @@ def _compare(numbers: Callable[[], Sequence[NumberComparison]]) -> tuple[list[Nu
 
 def _tabulate(entries: Sequence[ModelEntry]) -> Table:
     def cells(entry: ModelEntry) -> dict[str, Value]:
-        shares, n = entry.shares, len(entry.rows)
+        shares = entry.shares
+        n = len(entry.rows)
         optional = {"part": entry.part or None, "corrected": entry.corrected, "ceiling": entry.ceiling, **shares}
         if "executable" in shares:
             optional["executable_most"] = shares["executable"].upper

@@ -145,9 +145,11 @@ def in_unit(kind: str, value: float) -> tuple[float, str]:
 
 def _violation_peak(v: Mapping[str, Json], t_s: Array | None) -> LimitPeak:
     kind = str(v.get("kind"))
-    start, end = v.get("frame_start"), v.get("frame_end")
+    start = v.get("frame_start")
+    end = v.get("frame_end")
     joint = f"{v['link']} with {v['body']}" if "body" in v else v.get("joint")
-    value, limit = to_number(v.get("value")), to_number(v.get("limit"))
+    value = to_number(v.get("value"))
+    limit = to_number(v.get("limit"))
     factor, unit = _SHOWN.get(str(v.get("unit", _KINDS.get(kind))), (1.0, ""))
     inside = t_s is not None and isinstance(start, int) and 0 <= start < len(t_s)
     return LimitPeak(
@@ -184,8 +186,10 @@ def _limit_at(file: TrackFile, limits: JointLimits, kind: str, joint: int, frame
 
 
 def _unbroken_peaks(row: SampleRow, file: TrackFile) -> Iterator[LimitPeak]:
-    limits, t_s = joint_limits(row), file.track.t_s
-    ratios, checks = limit_ratios(file, limits), find_checks(row.details)
+    limits = joint_limits(row)
+    t_s = file.track.t_s
+    ratios = limit_ratios(file, limits)
+    checks = find_checks(row.details)
 
     def peak(
         kind: str, joint: str | None, time: float | None, value: float, limit: float, ratio: float | None
@@ -205,14 +209,17 @@ def _unbroken_peaks(row: SampleRow, file: TrackFile) -> Iterator[LimitPeak]:
         )
 
     for kind in RATES:
-        check, ratio = checks.get(kind, {}), ratios.get(kind)
-        ratio_max, joint = to_number(check.get("ratio_max")), check.get("joint")
+        check = checks.get(kind, {})
+        ratio = ratios.get(kind)
+        ratio_max = to_number(check.get("ratio_max"))
+        joint = check.get("joint")
         if ratio_max is not None and joint in limits.joints and kind in limits.rates:
             limit = _limit_at(file, limits, kind, limits.joints.index(str(joint)), check.get("frame"))
             yield peak(kind, str(joint), to_number(check.get("t_worst_s")), ratio_max * limit, limit, ratio_max)
         elif ratio is not None and np.isfinite(ratio).any():
             frame, j = np.unravel_index(np.nanargmax(ratio), ratio.shape)
-            value, limit = abs(float(file.curves[kind][frame, j])), _limit_at(file, limits, kind, int(j), int(frame))
+            value = abs(float(file.curves[kind][frame, j]))
+            limit = _limit_at(file, limits, kind, int(j), int(frame))
             yield peak(kind, limits.joints[j], t_s[frame], value, limit, ratio[frame, j])
     if limits.position is not None and np.isfinite(file.q).any():
         lower, upper = limits.position

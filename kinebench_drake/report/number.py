@@ -148,7 +148,8 @@ def _compare(metric: Metric, pairs: Sequence[RowsPair], **labels: str) -> Number
 
     An episode has the mean of its samples, and is complete if all of them have a value.
     """
-    share, sign = metric.name in SHARES, -1.0 if metric.name in LOWER_IS_BETTER else 1.0
+    share = metric.name in SHARES
+    sign = -1.0 if metric.name in LOWER_IS_BETTER else 1.0
     samples, bounds = (
         [[[read(row, metric.name) for row in rows] for rows in pair] for pair in pairs] for read in (value_of, worst_of)
     )
@@ -279,7 +280,8 @@ def verdict_line(
         paired: truth values of the shared samples, missing ones as false.
         uppers: the shares if all missing truth values were true; None where they are the same.
     """
-    difference, (low, high) = paired.difference, paired.interval()
+    difference = paired.difference
+    (low, high) = paired.interval()
     sides = list(zip((first, second), paired.rates, uppers, strict=True))
     if difference < 0.0:
         sides, difference, low, high = sides[::-1], -difference, -high, -low
@@ -295,7 +297,8 @@ def verdict_line(
     )
     if low > 0.0 and paired.p_value < 1.0 - CONFIDENCE:
         return f"{one} is better than {other}: {text}"
-    needed, least = episodes_to_decide(paired), least_difference(paired)
+    needed = episodes_to_decide(paired)
+    least = least_difference(paired)
     if needed is not None:
         text += f"; about {needed} such samples would decide"
     elif least is not None:

@@ -174,7 +174,8 @@ def _group_rows(rows: Sequence[SampleRow], key: str, statistics: RunStatistics) 
 
 def _count_metrics(rows: Sequence[SampleRow], total: Aggregate, layout: MetricLayout) -> list[Histogram]:
     """Count the values of the metrics that a page shows first, where they differ."""
-    histograms, verdicts = [], [verdict_of(row) for row in rows]
+    histograms = []
+    verdicts = [verdict_of(row) for row in rows]
     for name in dict.fromkeys((*layout.headlines, *layout.columns)):
         if _is_measured(total, name):
             values = [

@@ -85,7 +85,8 @@ def list_links(folder: Path | None, row: SampleRow, out: Path) -> list[tuple[str
     """
     if folder is None:
         return []
-    base, home = folder.resolve(), out.resolve()
+    base = folder.resolve()
+    home = out.resolve()
     if not base.is_relative_to(home.parent):
         return []
     files = (
@@ -102,7 +103,8 @@ def list_links(folder: Path | None, row: SampleRow, out: Path) -> list[tuple[str
 
 def choose_listed(items: Sequence[Item], group: Callable[[Item], Hashable], good: Callable[[Item], bool]) -> list[Item]:
     """Choose LISTED samples, those that are not good first, evenly over the groups."""
-    counts, turns = Counter[Hashable](), []
+    counts = Counter[Hashable]()
+    turns = []
     for index, item in enumerate(items):
         key = (group(item), good(item))
         turns.append((good(item), counts[key], index))

@@ -18,7 +18,11 @@ from kinebench_drake.results.aggregate import Estimate
 
 WIDTH = 430.0
 """Width of all plots."""
-_HEIGHT, _LEFT, _RIGHT, _TOP, _BOTTOM = 128.0, 44.0, WIDTH - 8.0, 8.0, 108.0
+_HEIGHT = 128.0
+_LEFT = 44.0
+_RIGHT = WIDTH - 8.0
+_TOP = 8.0
+_BOTTOM = 108.0
 """Height of plots over time, and ends of their axes."""
 _MAX_POINTS = 240
 
@@ -110,12 +114,14 @@ def draw_plot(
         limits: range of the vertical axis; None fits the values.
     """
     low, high = limits or _value_range([c.values for c in curves], lines)
-    x, y = Axis(float(t_s[0]), float(t_s[-1]), _LEFT, _RIGHT), Axis(high, low, _TOP, _BOTTOM)
+    x = Axis(float(t_s[0]), float(t_s[-1]), _LEFT, _RIGHT)
+    y = Axis(high, low, _TOP, _BOTTOM)
     half_frame = ((x.last - x.first) or 1.0) / max(len(t_s) - 1, 1) / 2.0
 
     def shade(css: str, band: FrameSpan) -> tuple[str, float, float, str]:
         start, end = (min(max(frame, 0), len(t_s) - 1) for frame in (band.start, band.end))
-        left, right = x(t_s[start] - half_frame), x(t_s[end] + half_frame)
+        left = x(t_s[start] - half_frame)
+        right = x(t_s[end] + half_frame)
         return css, left, max(right - left, 1.5), band.text
 
     return render_plot(
@@ -140,7 +146,8 @@ def _value_range(values: Sequence[Array], lines: Sequence[float]) -> tuple[float
     finite = np.concatenate([*(v[np.isfinite(v)] for v in values), np.asarray(lines, dtype=np.float64)])
     if not finite.size:
         return 0.0, 1.0
-    low, high = float(finite.min()), float(finite.max())
+    low = float(finite.min())
+    high = float(finite.max())
     margin = 0.08 * (high - low) or max(abs(high) * 0.1, 1e-3)
     return low - margin, high + margin
 
@@ -179,8 +186,13 @@ def _thin(values: Array) -> NDArray[np.intp]:
     return np.array(sorted(kept), dtype=np.intp)
 
 
-_MAX_BINS, _MIN_BINS = 24, 8
-_H_HEIGHT, _H_LEFT, _H_RIGHT, _H_TOP, _H_BOTTOM = 150.0, 30.0, WIDTH - 10.0, 10.0, 130.0
+_MAX_BINS = 24
+_MIN_BINS = 8
+_H_HEIGHT = 150.0
+_H_LEFT = 30.0
+_H_RIGHT = WIDTH - 10.0
+_H_TOP = 10.0
+_H_BOTTOM = 130.0
 """Height of histograms, and ends of their axes."""
 
 
@@ -216,14 +228,16 @@ def count_values(metric: Metric, values: Sequence[tuple[str, float | None]], est
     if finite.size < 2 or np.ptp(finite) <= 1e-9 * np.abs(finite).max():
         return None
     first, median, third = (float(v) for v in np.quantile(finite, (0.25, 0.5, 0.75)))
-    low, high = float(finite.min()), float(finite.max())
+    low = float(finite.min())
+    high = float(finite.max())
     # 3.0: interquartile ranges beyond the quartiles that make a value an outlier (Tukey 1977, Exploratory Data
     # Analysis)
     reach = 3.0 * (third - first)
     inside = finite[(finite >= first - reach) & (finite <= third + reach)]
     # 4.0: ratio of the ranges with and without outliers above which these are counted in the outermost bins
     if 0.0 < 4.0 * (inside.max() - inside.min()) < high - low:
-        low, high = float(inside.min()), float(inside.max())
+        low = float(inside.min())
+        high = float(inside.max())
     bins = int(np.clip(np.ceil(2.0 * finite.size ** (1.0 / 3.0)), _MIN_BINS, _MAX_BINS))
     edges = np.linspace(low, high, bins + 1)
     counts = {}
@@ -238,7 +252,8 @@ def count_values(metric: Metric, values: Sequence[tuple[str, float | None]], est
 def draw_histogram(h: Histogram, names: Mapping[str, str]) -> Markup:
     """Draw counts as a `<figure>`: bars stacked by verdict, the mean as a line with its interval shaded."""
     peak = int(np.sum(list(h.counts.values()), axis=0).max())
-    x, y = Axis(float(h.edges[0]), float(h.edges[-1]), _H_LEFT, _H_RIGHT), Axis(0.0, peak, _H_BOTTOM, _H_TOP)
+    x = Axis(float(h.edges[0]), float(h.edges[-1]), _H_LEFT, _H_RIGHT)
+    y = Axis(0.0, peak, _H_BOTTOM, _H_TOP)
     pattern = h.metric.pattern if "%" in h.metric.pattern else "{:.4g}"
 
     def bins() -> Iterator[tuple[str, float, float, float, float, str]]:
@@ -246,14 +261,18 @@ def draw_histogram(h: Histogram, names: Mapping[str, str]) -> Markup:
         for verdict, counts in h.counts.items():
             for k, count in enumerate(counts):
                 if count:
-                    left, right = x(float(h.edges[k])), x(float(h.edges[k + 1]))
-                    base, top = y(float(below[k])), y(float(below[k] + count))
+                    left = x(float(h.edges[k]))
+                    right = x(float(h.edges[k + 1]))
+                    base = y(float(below[k]))
+                    top = y(float(below[k] + count))
                     span = f"{pattern.format(h.edges[k])} to {pattern.format(h.edges[k + 1])}"
                     text = f"{span}: {count} {names.get(verdict, verdict)}"
                     yield verdict, left + 0.5, top, right - left - 1.0, base - top, text
             below += np.array(counts)
 
-    e, interval, tooltip = h.estimate, None, ""
+    e = h.estimate
+    interval = None
+    tooltip = ""
     if e.mean is not None:
         tooltip = f"mean {h.metric.pattern.format(e.mean)}"
         if e.low is not None and e.high is not None:

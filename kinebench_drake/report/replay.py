@@ -59,7 +59,8 @@ def write_replays(out: Path, ids: Sequence[str], plant: ArmPlant | None = None, 
     for id in ids:
         if id not in rows:
             raise UsageError(f"{out}: holds no sample {id!r}")
-        track, path = artifact_path(out, "tracks", id), artifact_path(out, "replays", id)
+        track = artifact_path(out, "tracks", id)
+        path = artifact_path(out, "replays", id)
         file = read_track(track) if track.is_file() else None
         if file is None or not posed_frames(file).any():
             continue
@@ -68,7 +69,8 @@ def write_replays(out: Path, ids: Sequence[str], plant: ArmPlant | None = None, 
         own_m = to_number(rows[id].extra.get("table_height_m"))
         height_m = height or 0.0 if own_m is None else own_m
         if rerun:
-            path, data = path.with_suffix(".rrd"), record_track(plant, meshes, rows[id], file)
+            path = path.with_suffix(".rrd")
+            data = record_track(plant, meshes, rows[id], file)
         else:
             data = build_replay(plant, meshes, rows[id], file, table_height_m=height_m).encode()
         write_atomically(path, data)
@@ -197,7 +199,8 @@ def _to_mesh(shape: Any) -> Any:
 
 def _simplify(link: str, mesh: Any) -> LinkMesh:
     """Reduce a mesh to MAX_TRIANGLES at most."""
-    vertices, faces = mesh.vertices, mesh.faces
+    vertices = mesh.vertices
+    faces = mesh.faces
     if len(faces) > MAX_TRIANGLES:
         vertices, faces = simplify(vertices, faces, MAX_TRIANGLES)
     return LinkMesh(link=link, vertices=np.asarray(vertices, dtype=np.float64), faces=np.asarray(faces, dtype=np.int32))
@@ -216,13 +219,16 @@ def record_track(plant: ArmPlant, meshes: Sequence[LinkMesh], row: SampleRow, fi
     recording = rr.RecordingStream("kinebench-drake", recording_id=row.id, send_properties=False)
     recording.disable_timeline("log_time")  # times of this program, not of the track
     memory = recording.memory_recording()
-    t_s, X_BG, colors = file.track.t_s, file.track.X_BG, [COLORS[state] for state in frame_states(row, file)]
+    t_s = file.track.t_s
+    X_BG = file.track.X_BG
+    colors = [COLORS[state] for state in frame_states(row, file)]
 
     def move(path: str, frames: NDArray[np.bool_], X: Array) -> None:
         columns = rr.Transform3D.columns(translation=X[:, :3, 3], mat3x3=X[:, :3, :3])
         recording.send_columns(path, [rr.TimeColumn("t", duration=t_s[frames])], columns)
 
-    posed, solved = posed_frames(file), np.asarray(np.isfinite(file.q).all(axis=1), dtype=bool)
+    posed = posed_frames(file)
+    solved = np.asarray(np.isfinite(file.q).all(axis=1), dtype=bool)
     recording.log("base", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
     points = rr.Points3D(X_BG[posed, :3, 3], colors=np.array(colors)[posed], radii=0.004)
     recording.log("base/path", points, static=True)

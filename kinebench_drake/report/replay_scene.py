@@ -82,9 +82,13 @@ class ReplayScene:
         Args:
             file: the track, with a pose in at least one frame.
         """
-        self._plant, self._meshes, self._meshcat = plant, meshes, meshcat
-        self._row, self._t_s = row, file.track.t_s
-        self._X_BG, self._q = file.track.X_BG, file.q
+        self._plant = plant
+        self._meshes = meshes
+        self._meshcat = meshcat
+        self._row = row
+        self._t_s = file.track.t_s
+        self._X_BG = file.track.X_BG
+        self._q = file.q
         self._posed = posed_frames(file)
         self._solved = np.isfinite(file.q).all(axis=-1)
         self._states = frame_states(row, file)
@@ -156,7 +160,8 @@ class ReplayScene:
             ends = np.stack([np.zeros(3), 0.06 * np.eye(3)[axis]])
             self._mesh(f"/tcp/{name}", *_tube(ends, 0.002), color)
         if self.has_arm:
-            t_solved, q_solved = self._t_s[self._solved], self._q[self._solved]
+            t_solved = self._t_s[self._solved]
+            q_solved = self._q[self._solved]
             q = np.stack([np.interp(times, t_solved, q_solved[:, j]) for j in range(q_solved.shape[1])], axis=-1)
             for mesh, poses in zip(self._meshes, pose_links(self._plant, self._meshes, q, width), strict=True):
                 path = f"/arm/{mesh.link}"
@@ -260,7 +265,8 @@ def _tube(points: Array, radius: float) -> tuple[Array, NDArray[np.int32]]:
     angle = 2.0 * np.pi * np.arange(_SIDES) / _SIDES
     ring = np.cos(angle)[None, :, None] * aside[:, None] + np.sin(angle)[None, :, None] * up[:, None]
     k, s = np.meshgrid(np.arange(n - 1) * _SIDES, np.arange(_SIDES), indexing="ij")
-    a, b = (k + s).ravel(), (k + (s + 1) % _SIDES).ravel()
+    a = (k + s).ravel()
+    b = (k + (s + 1) % _SIDES).ravel()
     faces = np.concatenate([np.stack([a, b, b + _SIDES], axis=-1), np.stack([a, b + _SIDES, a + _SIDES], axis=-1)])
     return (points[:, None] + radius * ring).reshape(-1, 3), faces.astype(np.int32)
 

@@ -65,7 +65,8 @@ def read_runs(paths: Sequence[Path]) -> list[Run]:
     runs = [_read_run(path) for path in paths]
     for run in runs[1:]:
         for name in _VERSIONS:
-            one, other = runs[0].results.get(name), run.results.get(name)
+            one = runs[0].results.get(name)
+            other = run.results.get(name)
             if one != other:
                 raise UsageError(
                     f"{runs[0].path} has {name} {one} and {run.path} {other}: their numbers cannot be compared; "
@@ -80,7 +81,8 @@ def _read_run(path: Path) -> Run:
     if not (path / RESULTS).is_file():
         raise UsageError(f"{path}: holds no {RESULTS}; run the same command again to finish it")
     try:
-        rows, results = read_rows(path), read_results(path)
+        rows = read_rows(path)
+        results = read_results(path)
     except InputError as error:
         raise UsageError(str(error)) from None
     if not rows:

@@ -187,7 +187,8 @@ def _noise(row: SampleRow) -> str | None:
 
 
 def _slowdown(row: SampleRow, t_s: Array | None) -> str | None:
-    factor, limit = to_number(row.metrics.get("slowdown_min")), _format_limit(row.details.get("slowdown"), t_s)
+    factor = to_number(row.metrics.get("slowdown_min"))
+    limit = _format_limit(row.details.get("slowdown"), t_s)
     if factor is None:
         return None
     least_s = to_number(row.metrics.get("feasible_from_period_s"))
@@ -196,24 +197,30 @@ def _slowdown(row: SampleRow, t_s: Array | None) -> str | None:
 
 
 def _fastest(row: SampleRow, t_s: Array | None) -> str | None:
-    scale, limit = to_number(row.metrics.get("time_scale")), _format_limit(row.details.get("time_scale"), t_s)
+    scale = to_number(row.metrics.get("time_scale"))
+    limit = _format_limit(row.details.get("time_scale"), t_s)
     return None if scale is None else f"{scale:.3g} of its own duration{limit and f', limited by {limit}'}"
 
 
 def _trajectory(row: SampleRow, t_s: Array | None) -> str | None:
-    feasible, radius = row.metrics.get("trajopt_feasible"), to_number(row.metrics.get("trajopt_position_tube_m"))
+    feasible = row.metrics.get("trajopt_feasible")
+    radius = to_number(row.metrics.get("trajopt_position_tube_m"))
     if not isinstance(feasible, bool):
         return None
     section = as_object(row.details.get("trajopt"))
-    tube, obstacle = to_number(section.get("tube_limit_m")), section.get("against")
+    tube = to_number(section.get("tube_limit_m"))
+    obstacle = section.get("against")
     bound = "" if tube is None else f" (allowed: {tube * 1000.0:.3g} mm)"
     text = f"within {radius * 1000.0:.3g} mm of the track{bound}" if radius is not None else f"none{bound}"
     if feasible or not isinstance(obstacle, Mapping):
         return text
-    value, limit = to_number(obstacle.get("value")), to_number(obstacle.get("limit"))
-    kind, numbers = str(obstacle.get("kind")), ""
+    value = to_number(obstacle.get("value"))
+    limit = to_number(obstacle.get("limit"))
+    kind = str(obstacle.get("kind"))
+    numbers = ""
     if value is not None and limit is not None:
-        (shown, unit), (most, _) = in_unit(kind, value), in_unit(kind, limit)
+        (shown, unit) = in_unit(kind, value)
+        (most, _) = in_unit(kind, limit)
         numbers = f", {shown:.4g} against {most:.4g} {unit}".rstrip()
     return f"{text}; prevented by {_format_limit({**obstacle, 'limit': kind}, t_s)}{numbers}"
 

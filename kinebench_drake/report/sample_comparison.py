@@ -49,7 +49,8 @@ class ModelPair:
     @property
     def title(self) -> str:
         """The models, the shared samples and how they are paired, in one line."""
-        shared, counts = count_noun(len(self.pairs), "shared sample"), " and ".join(map(str, self.samples))
+        shared = count_noun(len(self.pairs), "shared sample")
+        counts = " and ".join(map(str, self.samples))
         return f"{self.first} - {self.second}: {shared} (of {counts}), paired by {self.key}"
 
 

@@ -23,7 +23,8 @@ def read_samples(out: Path) -> Any:
     rows = sorted(read_rows(out).values(), key=badness)
     metrics = dict.fromkeys(name for row in rows for name, value in row.metrics.items() if not isinstance(value, list))
     metrics |= dict.fromkeys(name for name in OUTCOMES if any(name in row.extra for row in rows))
-    heads, lines = [*_LABELS, *_LISTS, *metrics], [_cells(row, metrics) for row in rows]
+    heads = [*_LABELS, *_LISTS, *metrics]
+    lines = [_cells(row, metrics) for row in rows]
     return pyarrow.table({head: _column([line[k] for line in lines]) for k, head in enumerate(heads)})
 
 

@@ -21,7 +21,8 @@ _FORMULA = ("=", "+", "-", "@", "\t", "\r")
 _TAILS = ("", "_low", "_high", "_n", "_bound")  # of the columns of an estimate in a CSV file
 DASH = "–"
 """Text of a missing value."""
-FIRST, SECOND = "$first", "$second"
+FIRST = "$first"
+SECOND = "$second"
 """Places of the names of two models in the headings of a table that compares models."""
 
 
@@ -118,7 +119,8 @@ class Table:
             groups.setdefault(tuple(str(row[k]) for k in heads), []).append(i)
         tables = []
         for number, ((first, second, *part), rows) in enumerate(groups.items()):
-            own, room = self.select(others, rows), letters
+            own = self.select(others, rows)
+            room = letters
             while (one := shorten(first, room)) == (other := shorten(second, room)) and first != second:
                 room += letters
             columns = [replace(c, label=c.label.replace(FIRST, one).replace(SECOND, other)) for c in own.columns]
@@ -166,7 +168,8 @@ def make_table(
         patterns: format of each row's estimates, where rows are different quantities.
         values: by name of the placeholder.
     """
-    rows, caption = list(rows), read_caption("tables", key, **values)
+    rows = list(rows)
+    caption = read_caption("tables", key, **values)
     own = list(_list_columns(caption.pop("columns"), rows, values))
     columns = (*own, *(column for column, _ in more))
     places = {column.key: k for k, column in enumerate(columns)}

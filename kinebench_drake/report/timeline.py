@@ -36,8 +36,11 @@ LEGEND = {
     "unsure": "pose doubtful",
 }
 """Classes of bars and their meaning, the most severe first."""
-_LEFT, _RIGHT, _LANE = 118.0, WIDTH - 8.0, 19.0
-_STRIP_WIDTH, _STRIP_HEIGHT = 150.0, 9.0
+_LEFT = 118.0
+_RIGHT = WIDTH - 8.0
+_LANE = 19.0
+_STRIP_WIDTH = 150.0
+_STRIP_HEIGHT = 9.0
 
 
 class FrameState(Enum):
@@ -80,7 +83,8 @@ def covered_frames(marks: Sequence[Mapping[str, Json]], n: int) -> NDArray[np.bo
     """Return which of n frames any of some violations or anomalies covers."""
     covered = np.zeros(n, dtype=bool)
     for mark in marks:
-        start, end = mark.get("frame_start"), mark.get("frame_end")
+        start = mark.get("frame_start")
+        end = mark.get("frame_end")
         if isinstance(start, int) and isinstance(end, int):
             covered[max(start, 0) : max(end + 1, 0)] = True
     return covered
@@ -88,7 +92,8 @@ def covered_frames(marks: Sequence[Mapping[str, Json]], n: int) -> NDArray[np.bo
 
 def frame_states(row: SampleRow, file: TrackFile) -> tuple[FrameState, ...]:
     """Return the state of each of the T frames."""
-    track, n = file.track, len(file.track.t_s)
+    track = file.track
+    n = len(file.track.t_s)
     doubt = covered_frames(anomalies_of(row), n) | (track.confidence < MIN_CONFIDENCE)
     for ratio in limit_ratios(file, joint_limits(row)).values():
         doubt |= (np.nan_to_num(ratio) > 1.0).any(axis=-1)
@@ -120,7 +125,8 @@ def fault_lanes(row: SampleRow, file: TrackFile | None) -> list[FaultLane]:
 def _marked_lanes(marks: Sequence[Mapping[str, Json]], css: str) -> Iterator[FaultLane]:
     kinds: dict[str, list[FrameSpan]] = {}
     for mark in marks:
-        start, end = mark.get("frame_start"), mark.get("frame_end")
+        start = mark.get("frame_start")
+        end = mark.get("frame_end")
         if isinstance(start, int) and isinstance(end, int) and end >= 0:
             kind = str(mark.get("kind")).replace("_", " ")
             joint = mark.get("joint")
@@ -144,7 +150,8 @@ def draw_timeline(lanes: Sequence[FaultLane], n: int, t_s: Array | None = None) 
     Args:
         t_s: (n,) time [s], shown beside the frames; None if unknown.
     """
-    height, wide = _LANE * len(lanes) + 24.0, _RIGHT - _LEFT
+    height = _LANE * len(lanes) + 24.0
+    wide = _RIGHT - _LEFT
     frames = [frame for frame in round_ticks(0.0, max(n - 1, 1)) if frame == int(frame)]
     spans = [
         [

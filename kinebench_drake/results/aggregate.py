@@ -180,7 +180,8 @@ def _columns(rows: Sequence[SampleRow]) -> dict[str, _Column]:
 
 def estimate_executable(rows: Sequence[SampleRow], seed: int = 0) -> Estimate:
     """Estimate the share of executable samples among all: open verdicts are no, and yes in `upper`."""
-    episodes, total = [row.episode for row in rows], len(rows)
+    episodes = [row.episode for row in rows]
+    total = len(rows)
     lower = estimate([row.executable is True for row in rows], total=total, seed=seed, episodes=episodes)
     upper = estimate([row.executable is not False for row in rows], total=total, episodes=episodes)
     return replace(lower, upper=upper.mean)

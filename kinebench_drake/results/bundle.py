@@ -44,7 +44,8 @@ def write_bundle(run: Path, path: Path) -> None:
     """
     require_output(run)
     try:
-        metadata, rows = read_metadata(run), read_rows(run)
+        metadata = read_metadata(run)
+        rows = read_rows(run)
         if metadata is None or not metadata.finished:
             raise UsageError(f"{run}: holds no {RESULTS}; run the same command again to finish it")
         paths = [artifact_path(run, kind, id) for id in rows for kind in _ARTIFACTS]
@@ -89,5 +90,6 @@ def open_bundle(path: Path) -> Iterator[Bundle]:
         except (InputError, OSError) as error:
             reason = cause(error) if isinstance(error, OSError) else str(error)
             raise UsageError(f"{path}: cannot be read as a bundle: {reason}") from None
-        stated, videos = as_object(content.get("files")), as_object(content.get("videos"))
+        stated = as_object(content.get("files"))
+        videos = as_object(content.get("videos"))
         yield Bundle(path=path, folder=folder, files=files, stated=stated, videos=videos)

@@ -33,7 +33,8 @@ class DropReason(Enum):
     DUPLICATE = "duplicate", "The motion is a copy of another sample's."
 
     def __init__(self, key: str, meaning: str) -> None:
-        self.key, self.meaning = key, meaning
+        self.key = key
+        self.meaning = meaning
 
     @property
     def drops_all(self) -> bool:
@@ -93,16 +94,19 @@ def _faults(row: SampleRow, usual_lag: float) -> Iterable[tuple[DropReason, tupl
     if isinstance(gaps, list) and gaps:
         at = [int(str(frame)) for frame in gaps]
         yield DropReason.DROPPED_SAMPLES, (at[0], at[-1]), f"{count_noun(len(at), 'sample')} missing"
-    idle, count = extra.get("idle_ends"), extra.get("frames")
+    idle = extra.get("idle_ends")
+    count = extra.get("frames")
     if isinstance(idle, list) and isinstance(count, int):
         start, end = (int(str(rest)) for rest in idle)
         if start:
             yield DropReason.IDLE_ENDS, (0, start - 1), f"rests for {start} frames at the start"
         if end:
             yield DropReason.IDLE_ENDS, (count - end, count - 1), f"rests for {end} frames at the end"
-    lag, period_s = as_object(extra.get("action_lag")), extra.get("frame_period_s")
+    lag = as_object(extra.get("action_lag"))
+    period_s = extra.get("frame_period_s")
     if lag and isinstance(period_s, float):
-        value, doubt = int(str(lag["frames"])), int(str(lag["tolerance"]))
+        value = int(str(lag["frames"]))
+        doubt = int(str(lag["tolerance"]))
         late = value - doubt > 0.5 / period_s  # longest time in which a controlled arm follows its commands [s]
         if value + doubt < 0 or late or abs(value - usual_lag) > doubt + 1:
             detail = f"states follow actions by {count_noun(value, 'frame')}, in the data set by {usual_lag:g}"

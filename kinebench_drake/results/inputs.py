@@ -62,7 +62,8 @@ BENCHMARK_PERIOD_S = 0.2
 
 def describe_period(extra: Mapping[str, Json]) -> str:
     """Describe the frame period of a row and its source by the row's further keys."""
-    period_s, source = extra.get("frame_period_s"), str(extra.get("frame_period_source"))
+    period_s = extra.get("frame_period_s")
+    source = str(extra.get("frame_period_source"))
     if not isinstance(period_s, int | float):
         return "unknown"
     return f"{period_s:.4g} s, {_PERIODS.get(source, source)}"
@@ -75,9 +76,11 @@ def list_inputs(rows: Iterable[SampleRow]) -> dict[str, list[dict[str, Json]]]:
         `frame_periods`: objects of frame_period_s [s], source and number of samples; `cameras`: of source and number of
         samples that were measured. A row without one of them is not counted there.
     """
-    periods, cameras = Counter[tuple[float, str]](), Counter[str]()
+    periods = Counter[tuple[float, str]]()
+    cameras = Counter[str]()
     for row in rows:
-        period_s, source = row.extra.get("frame_period_s"), row.extra.get("frame_period_source")
+        period_s = row.extra.get("frame_period_s")
+        source = row.extra.get("frame_period_source")
         if isinstance(period_s, int | float) and isinstance(source, str):
             periods[float(f"{period_s:.4g}"), source] += 1
         if row.status is Status.OK and isinstance(camera := row.extra.get("camera_source"), str):
@@ -130,7 +133,8 @@ def _changes_in_benchmark(row: SampleRow) -> bool | None:
 
     None unless the arm confirms the benchmark's camera, the period is that of the file, and both verdicts are known.
     """
-    extra, least_s = row.extra, row.metrics.get("feasible_from_period_s")
+    extra = row.extra
+    least_s = row.metrics.get("feasible_from_period_s")
     fits = extra.get("camera_source") == CameraSource.BENCHMARK.value
     fits = fits and extra.get("camera_state") == CameraState.CONFIRMED.value
     if not fits or extra.get("frame_period_source") != PeriodSource.FPS.value or row.feasible is None:

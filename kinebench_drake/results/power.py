@@ -33,7 +33,8 @@ class PowerDesign:
         Raises:
             UsageError: there are not.
         """
-        p, q = self.success, self.success + self.difference
+        p = self.success
+        q = self.success + self.difference
         if not 0.0 <= p <= 1.0:
             raise UsageError(f"$success is {100 * p:g}, expected 0 to 100 [%]")
         if self.difference == 0.0 or not -1e-9 <= q <= 1.0 + 1e-9:
@@ -61,7 +62,8 @@ class PowerDesign:
     @property
     def _variances(self) -> tuple[float, float]:
         """Variances of a single outcome of the two models."""
-        p, q = self.success, self.success + self.difference
+        p = self.success
+        q = self.success + self.difference
         return max(p * (1.0 - p), 0.0), max(q * (1.0 - q), 0.0)
 
     @property
@@ -114,7 +116,8 @@ def _episodes(difference: float, null: float, variance: float, samples: int, pow
     """
     from scipy.stats import norm
 
-    z_a, z_b = float(norm.ppf(0.5 + 0.5 * CONFIDENCE)), float(norm.ppf(power))
+    z_a = float(norm.ppf(0.5 + 0.5 * CONFIDENCE))
+    z_b = float(norm.ppf(power))
     n = (z_a * math.sqrt(null) + z_b * math.sqrt(max(variance, 0.0))) ** 2 / difference**2
     return math.ceil(0.25 * n * (1.0 + math.sqrt(1.0 + 4.0 / (n * difference * samples))) ** 2 - 1e-9)
 
@@ -143,7 +146,8 @@ def least_difference(paired: PairedShares) -> float | None:
     if paired.n < 2 or _paired(1.0, 0.0, paired.samples, POWER) > paired.n:
         return None
     variance = float(differences.var(ddof=1))
-    low, high = 0.0, 1.0
+    low = 0.0
+    high = 1.0
     if _paired(high, variance, paired.samples, POWER) > paired.n:
         return None
     while high - low > 1e-4:

@@ -48,7 +48,9 @@ class RowLine:
     __slots__ = ("file", "size", "start")
 
     def __init__(self, file: RowFile, start: int, size: int) -> None:
-        self.file, self.start, self.size = file, start, size
+        self.file = file
+        self.start = start
+        self.size = size
 
     def read(self) -> bytes:
         """Return the bytes of the line, with its line feed."""
@@ -64,7 +66,8 @@ class StoredObject(Mapping[str, Json]):
     __slots__ = ("_line", "_name")
 
     def __init__(self, line: RowLine, name: str) -> None:
-        self._line, self._name = line, name
+        self._line = line
+        self._name = name
 
     def __getitem__(self, key: str) -> Json:
         return self._parse()[key]
@@ -96,7 +99,8 @@ class PackedObject(Mapping[str, Json]):
     __slots__ = ("_places", "_values")
 
     def __init__(self, values: Mapping[str, Json]) -> None:
-        self._places, self._values = _places(tuple(values)), tuple(map(_pack_value, values.values()))
+        self._places = _places(tuple(values))
+        self._values = tuple(map(_pack_value, values.values()))
 
     def __getitem__(self, key: str) -> Json:
         return self._values[self._places[key]]

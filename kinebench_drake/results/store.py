@@ -11,7 +11,10 @@ from kinebench_drake.io.atomic import disk_errors, lock_folder, remove
 from kinebench_drake.io.jsonl import Json, append_line, dump, parse_json, parse_lines, write_json, write_raw_lines
 from kinebench_drake.results.row import RowFile, RowLine, SampleRow
 
-SAMPLES, TIMINGS, RESULTS, REPORT = "samples.jsonl", "timings.jsonl", "results.json", "report.html"
+SAMPLES = "samples.jsonl"
+TIMINGS = "timings.jsonl"
+RESULTS = "results.json"
+REPORT = "report.html"
 RUN = "run.json"
 """Metadata of a run that has no `results.json` yet."""
 ARTIFACTS = {"tracks": "npz", "overlays": "mp4", "rollouts": "mp4", "thumbnails": "jpg", "replays": "html"}
@@ -169,7 +172,8 @@ class ResultStore:
         write_raw_lines(self.out / SAMPLES, (line.read() for line in lines))
         self._file = RowFile(self.out / SAMPLES)
         for line, start in zip(lines, ends, strict=False):
-            line.file, line.start = self._file, start
+            line.file = self._file
+            line.start = start
 
     def _sweep(self, *, everything: bool) -> None:
         """Remove unfinished files of killed processes, and on demand everything that the run wrote by its rows."""

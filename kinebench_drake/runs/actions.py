@@ -116,7 +116,8 @@ def _write_robowm(folder: Path, motions: Iterator[_Motion]) -> None:
     """Write numbered files with a line `[q1, ..., q7, f, f]` per command: joint angles [rad], finger joints [m]."""
     episodes = []
     for number, motion in enumerate(motions):
-        valid, measured = motion.valid, np.isfinite(motion.width_m)
+        valid = motion.valid
+        measured = np.isfinite(motion.width_m)
         # 20 Hz: rate of RoboWM-Bench's commands (https://github.com/fffstrong/RoboWM-Bench,
         # scripts/robot/eval_franka.py)
         times = np.arange(0.0, motion.t_s[-1] + 1e-6, 1.0 / 20.0)
@@ -135,12 +136,15 @@ def _write_robowm(folder: Path, motions: Iterator[_Motion]) -> None:
 
 def _write_lerobot(folder: Path, parts: Path, motions: Iterator[_Motion], warn: Callable[[str], None]) -> None:
     prompts: dict[str, str] = {}
-    fps, size = 0.0, (0, 0)
+    fps = 0.0
+    size = (0, 0)
     for motion in motions:
-        sample, rate = motion.sample, 1.0 / motion.period_s
+        sample = motion.sample
+        rate = 1.0 / motion.period_s
         video = read_video(sample.path, sample.part)
         if not prompts:
-            fps, size = float(max(round(rate), 1)), (video.width, video.height)
+            fps = float(max(round(rate), 1))
+            size = (video.width, video.height)
         if abs(rate / fps - 1.0) > _WHOLE and not prompts:
             raise UsageError(
                 f"{sample.id}: {rate:.4g} frames per second of task time, LeRobot asks for a whole number: give "
@@ -161,10 +165,14 @@ def _write_lerobot(folder: Path, parts: Path, motions: Iterator[_Motion], warn: 
 
 def _columns(motion: _Motion) -> dict[str, NDArray[np.generic]]:
     """Return the columns of an episode: the action of a frame is the state of the next one, of the last its own."""
-    valid, measured, n = motion.valid, np.isfinite(motion.width_m), len(motion.t_s)
-    source, after = _last_valid(valid), np.minimum(np.arange(n) + 1, n - 1)
+    valid = motion.valid
+    measured = np.isfinite(motion.width_m)
+    n = len(motion.t_s)
+    source = _last_valid(valid)
+    after = np.minimum(np.arange(n) + 1, n - 1)
     width = motion.width_m[_last_valid(measured)] if measured.any() else np.full(n, MAX_WIDTH_M)
-    state, X_BG = np.column_stack([motion.q[source], width]), motion.X_BG[source]
+    state = np.column_stack([motion.q[source], width])
+    X_BG = motion.X_BG[source]
     pose = lerobot.pose_columns(X_BG)
     turns = rotation_log(X_BG[after, :3, :3] @ np.swapaxes(X_BG[:, :3, :3], 1, 2))
     usable = valid & np.append(valid[1:], False)

@@ -83,7 +83,8 @@ def audit_trajectories(config: AuditConfig, observer: RunObserver | None = None)
     """Judge every trajectory of `config.source` and fill the output folder."""
     observer = observer or NullRunObserver()
     warnings: list[str] = []
-    choice, labels = config.trajectory_options(), {"model": config.model, "task": config.task}
+    choice = config.trajectory_options()
+    labels = {"model": config.model, "task": config.task}
     samples = find_trajectories(config.source, choice, out=config.out, warnings=warnings, **labels)
     for warning in warnings:
         observer.warn(warning)
@@ -117,7 +118,8 @@ class TrajectoryEvaluator(Evaluator[TrajectorySample, Tools]):
             trajectory = read_trajectory(sample, choice)
         except InputError as error:
             raise InputError(f"{error}; {doubt}" if doubt else str(error)) from None
-        track, path = _pose_track(trajectory), artifact_path(self.config.out, "tracks", sample.id)
+        track = _pose_track(trajectory)
+        path = artifact_path(self.config.out, "tracks", sample.id)
         result = None if doubt else judge_trajectory(tools, trajectory)
         if result is None:
             write_track(path, track, None, {})

@@ -85,7 +85,8 @@ def combine(tracks: Sequence[GripperTrack], results: Sequence[KinematicResult]) 
     """
     if len(results) == 1:
         return results[0]
-    track, starts = join_tracks(tracks), clip_starts(tracks)
+    track = join_tracks(tracks)
+    starts = clip_starts(tracks)
     durations = [float(t.t_s[-1] - t.t_s[0]) for t in tracks]
     first = results[0]
     details: dict[str, Json] = {name: value for name, value in first.details.items() if name == "limits"}

@@ -42,7 +42,8 @@ def export_commands(
     tools = load_tools(Tools, options)
     result = judge_trajectory(tools, read_trajectory(samples[0], choice))
     tube_m = as_number(as_object(result.details["trajopt"])["tube_limit_m"]) or 0.0
-    plant, track = tools.plant, result.track
+    plant = tools.plant
+    track = result.track
     collision = CollisionModel(plant, table_height_m=options.table_height_m)
     commands = plan_commands(plant, collision, track, result.joints.q, rate_hz=rate_hz, tube_limit_m=tube_m)
     t_s = np.arange(len(commands.q)) / rate_hz

@@ -78,7 +78,8 @@ class Assessment:
         """Why there is no verdict by the names; None if there is no doubt."""
         if self.best is self.by_names:
             return None
-        named, best = self.by_names, self.best
+        named = self.by_names
+        best = self.best
         return (
             f"{named.reading.describe()} fits the robot badly (cost {named.cost:.2f}), {best.name} far better "
             f"({best.cost:.2f}): $reading FILE with {json.dumps(best.reading.keys(best.changed))} reads them so, with "

@@ -70,7 +70,8 @@ def run_suite(config: SuiteConfig, observer: RunObserver | None = None) -> RunSu
     observer = observer or NullRunObserver()
     with closing(LazyWorldModel(config.world_model)) as world_model:
         model = world_model.get()
-        name, offline = model.name, isinstance(model, OfflineModel)
+        name = model.name
+        offline = isinstance(model, OfflineModel)
         if not offline and (config.jobs > 1 or config.engine is not ExecutorKind.LOCAL):
             world_model.close()  # workers load their own, and may need the memory
         evaluator = EpisodeEvaluator(
@@ -182,7 +183,8 @@ class EpisodeEvaluator(Evaluator[EpisodeSample, EpisodeResources]):
         executed = [None if r.execution is None else render_video(simulator, r.execution.snapshots) for r in run.rounds]
         tracks = [r.grounding.track for r in run.rounds]
         results = [resources.tools.judge(track) for track in tracks]
-        track, kinematics = join_tracks(tracks), combine(tracks, results)
+        track = join_tracks(tracks)
+        kinematics = combine(tracks, results)
         curves = {
             **kinematics.curves,
             **join_curves([r.grounding.curves for r in run.rounds]),
@@ -297,7 +299,8 @@ class EpisodeEvaluator(Evaluator[EpisodeSample, EpisodeResources]):
 
     def labels(self, sample: EpisodeSample) -> Mapping[str, Json]:
         """Return seed, number of the sample, pool, variant, frame period and camera."""
-        spec, period_s = sample.spec, self.loop.frame_period_s
+        spec = sample.spec
+        period_s = self.loop.frame_period_s
         source = PeriodSource.BENCHMARK if period_s == FRAME_PERIOD_S else PeriodSource.OPTION
         return {
             "seed": spec.seed,
@@ -313,7 +316,8 @@ class EpisodeEvaluator(Evaluator[EpisodeSample, EpisodeResources]):
 
 def _warn_of_lengths(rows: Sequence[SampleRow], loop: LoopOptions, observer: RunObserver) -> None:
     """Warn of clips that do not have the requested number of frames, and say how they were used."""
-    period_s, expected = loop.frame_period_s, FRAMES
+    period_s = loop.frame_period_s
+    expected = FRAMES
     clip_s = period_s * (expected - 1)
     uses = {
         ClipTiming.UNIFORM: f"each was sampled evenly over {clip_s:g} s ($clip_timing native: {period_s:g} s a frame)",

@@ -234,7 +234,8 @@ class Evaluator(ABC, Generic[SampleT, ResourcesT]):
             return self.failed_row(sample, Status.ERROR, reason, content_hash)
 
     def _ok_row(self, sample: SampleT, evaluation: Evaluation, content_hash: str) -> SampleRow:
-        kinematics, verdict = evaluation.kinematics, evaluation.kinematics or evaluation.agreed
+        kinematics = evaluation.kinematics
+        verdict = evaluation.kinematics or evaluation.agreed
         metrics = {
             **dict.fromkeys(self.metric_names),
             **evaluation.metrics,
@@ -288,13 +289,15 @@ def judge_evaluation(evaluation: Evaluation) -> tuple[bool | None, tuple[str, ..
 
     Bridges count in videos alone: of a trajectory every frame is expected.
     """
-    kinematics, anomalies = evaluation.kinematics or evaluation.agreed, evaluation.metrics.get("anomalies")
+    kinematics = evaluation.kinematics or evaluation.agreed
+    anomalies = evaluation.metrics.get("anomalies")
     tracked = kinematics.track.tracked if kinematics else evaluation.tracked
     if tracked is None:
         return None, ()
     from kinebench_drake.metrics.executable import judge_evidence
 
-    lost, faults = ~tracked, []
+    lost = ~tracked
+    faults = []
     if isinstance(anomalies, list):
         faults = list(map(as_object, anomalies))
         if kinematics:
@@ -311,7 +314,8 @@ def judge_evaluation(evaluation: Evaluation) -> tuple[bool | None, tuple[str, ..
 
 def _null_reasons(metrics: Mapping[str, Json], evaluation: Evaluation) -> dict[str, str]:
     """Return why each null metric is null, in the metrics' order."""
-    kinematics, others = evaluation.kinematics, evaluation.reasons
+    kinematics = evaluation.kinematics
+    others = evaluation.reasons
     stated = {**others, **(kinematics.reasons if kinematics else {})}
     reasons = {}
     for name, value in metrics.items():

@@ -74,7 +74,8 @@ def merge_folders(folders: Sequence[Path], out: Path, observer: RunObserver | No
     for warning in _merge_warnings([shard.run for shard in shards], run, len(rows)):
         observer.warn(warning)
     new = [id for id, shard in sources.items() if shard is not earlier]
-    most, replays = run.config.get("replays"), {*rows}
+    most = run.config.get("replays")
+    replays = {*rows}
     if isinstance(most, int):  # a single run would have written those of its worst samples alone
         replays = {*worst_samples(rows.values(), lambda id: sources[id].artifact("tracks", id), most)}
     observer.start(total=len(rows), completed=len(rows) - len(new))
@@ -98,7 +99,8 @@ def _read_shard(path: Path) -> ShardFolder:
     """Read one output folder."""
     require_output(path)
     try:
-        metadata, rows = read_metadata(path), read_rows(path)
+        metadata = read_metadata(path)
+        rows = read_rows(path)
         clips = _find_clips(path, rows)
     except (InputError, OSError) as error:
         raise UsageError(str(error)) from None
@@ -156,7 +158,8 @@ def _read_earlier_merge(out: Path) -> ShardFolder | None:
 
 def _check_same_run(one: ShardFolder, other: ShardFolder, fix: str) -> None:
     """Check that two folders are of one run."""
-    a, b = _identity(one.run), _identity(other.run)
+    a = _identity(one.run)
+    b = _identity(other.run)
     differences = [name for name in {**a, **b} if a.get(name) != b.get(name)]
     if differences:
         values = "; ".join(f"{name} is {_brief(a.get(name))} and {_brief(b.get(name))}" for name in differences)

@@ -67,7 +67,8 @@ class Option:
             return Path(value) if isinstance(value, str | PathLike) else value
         if self.kind is str:
             return fspath(value) if isinstance(value, PathLike) else value
-        low, high = self.least, self.most
+        low = self.least
+        high = self.most
         if (low is not None and value < low) or (high is not None and value > high):
             raise UsageError(f"${self.name} is {value}, expected {low}{' or more' if high is None else f' to {high}'}")
         return value

@@ -57,10 +57,13 @@ def time_frames(sample: VideoSample, video: Video, option_s: float | None, durat
     count = len(video.frames)
     if duration_s is None:
         t_s, period_s, source = _times(sample, video, option_s)
-        rows, timing = np.arange(count), ClipTiming.NATIVE
+        rows = np.arange(count)
+        timing = ClipTiming.NATIVE
     else:
         rows, t_s = sample_uniformly(count, duration_s, option_s or BENCHMARK_PERIOD_S)
-        period_s, source, timing = duration_s / (len(t_s) - 1), PeriodSource.TASK_DURATION, ClipTiming.UNIFORM
+        period_s = duration_s / (len(t_s) - 1)
+        source = PeriodSource.TASK_DURATION
+        timing = ClipTiming.UNIFORM
     return TimedFrames(rows=rows, t_s=t_s, period_s=period_s, source=source, timing=timing)
 
 
@@ -117,7 +120,8 @@ def with_initial_states(samples: Iterable[VideoSample]) -> list[VideoSample]:
     plant: ArmPlant | None = None
     completed = []
     for sample in samples:
-        task, seed = sample.task, sample.seed
+        task = sample.task
+        seed = sample.seed
         if sample.initial_state is None and seed is not None and task is not None and task in START_WIDTH_M:
             plant = plant or ArmPlant()
             q = start_q(task, seed)

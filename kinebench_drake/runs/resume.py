@@ -31,7 +31,8 @@ def resume(
         UsageError: finished rows would be lost that this run does not evaluate again, or the metadata are damaged.
     """
     noun = evaluator.config.kind.noun
-    ids, selected_ids = {sample.id for sample in samples}, {sample.id for sample in selected}
+    ids = {sample.id for sample in samples}
+    selected_ids = {sample.id for sample in selected}
     current = {s.id for s in samples if s.id in store.rows and evaluator.is_current(s, store.rows[s.id])}
     # The cause of an error may be gone: errors are evaluated again.
     waiting = [s for s in selected if s.id not in current or store.rows[s.id].status is Status.ERROR]
@@ -66,7 +67,8 @@ def _subject_difference(before: RunMetadata, now: RunMetadata) -> str:
     if before.kind != now.kind:
         return f"of a run of kind {before.kind}, this one is of kind {now.kind}"
     for key in _SUBJECT:
-        stored, current = before.config.get(key), now.config.get(key)
+        stored = before.config.get(key)
+        current = now.config.get(key)
         if stored != current:
             return f"of {key.replace('_', ' ')} {stored!r}, this run is of {current!r}"
     return ""

@@ -99,7 +99,8 @@ def run_samples(
             with closing(executor.run(partial(_start_worker, evaluator), waiting)) as outcomes:
                 for outcome in outcomes:
                     if isinstance(outcome, WorkerCrash):
-                        row, wall_s = evaluator.failed_row(outcome.item, Status.ERROR, outcome.reason), 0.0
+                        row = evaluator.failed_row(outcome.item, Status.ERROR, outcome.reason)
+                        wall_s = 0.0
                     else:
                         row, wall_s = outcome.result
                     stored = store.rows.get(row.id)

@@ -111,7 +111,8 @@ def _judge_possible(tracks: Sequence[GripperTrack], tools: Tools) -> "KinematicR
 
 def plan_videos(config: ScoreConfig, observer: RunObserver | None = None) -> Iterator[SampleRow]:
     """Read the videos of a run and yield a row of each with size, frame period and camera; nothing is written."""
-    observer, inputs = observer or NullRunObserver(), find_videos(config)
+    observer = observer or NullRunObserver()
+    inputs = find_videos(config)
     for warning in inputs.warnings:
         observer.warn(warning)
     reader = _VideoReader(config=config, overrides=config.overrides())
@@ -163,8 +164,11 @@ class VideoEvaluator(Evaluator[VideoSample, Tools]):
             video, sample, self.overrides, tools.grounder, config.frame_period_s, config.gripper,
             duration_s=config.task_duration_s,
         )  # fmt: skip
-        draws_hand, judges = grounding.domain is not Domain.ARM, config.kind.judges and grounding.unmeasurable is None
-        track, path, reason = grounding.visible_track, grounding.camera_path, grounding.choice.reason
+        draws_hand = grounding.domain is not Domain.ARM
+        judges = config.kind.judges and grounding.unmeasurable is None
+        track = grounding.visible_track
+        path = grounding.camera_path
+        reason = grounding.choice.reason
         height_m = sample.table_height_m if sample.camera_source.is_named else grounding.choice.table_height_m
         measures_base = grounding.unmeasurable is None and reason is None
         kinematics = tools.judge(track, height_m) if judges and measures_base else None
@@ -220,8 +224,11 @@ class VideoEvaluator(Evaluator[VideoSample, Tools]):
         self, sample: VideoSample, video: Video, tools: Tools, grounding: "GroundingResult", evaluation: Evaluation
     ) -> None:
         """Write the artifacts of a video."""
-        out, track, kinematics = self.config.out, grounding.visible_track, evaluation.kinematics
-        draws_hand, path = grounding.domain is not Domain.ARM, grounding.camera_path
+        out = self.config.out
+        track = grounding.visible_track
+        kinematics = evaluation.kinematics
+        draws_hand = grounding.domain is not Domain.ARM
+        path = grounding.camera_path
         zoom = np.ones(len(track.t_s)) if path is None else path.zoom
         if self.config.overlay:
             native = len(grounding.frames) == len(video.frames)

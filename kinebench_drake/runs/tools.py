@@ -92,7 +92,8 @@ class Tools:
         """
         from kinebench_drake.kinematics.plant import ArmPlant
 
-        self._table_height_m, self.plant = options.table_height_m, ArmPlant(options.load())
+        self._table_height_m = options.table_height_m
+        self.plant = ArmPlant(options.load())
         """Drake plant of the robot, which all methods share."""
         self._judges: dict[float, TrackJudge] = {}
         self._judge(self._table_height_m)
@@ -152,7 +153,9 @@ class Tools:
         """Return how badly a trajectory fits the robot (`metrics.misfit`)."""
         from kinebench_drake.metrics.misfit import misfit
 
-        t_s, X_BG, q = trajectory.t_s, trajectory.X_BG, trajectory.q
+        t_s = trajectory.t_s
+        X_BG = trajectory.X_BG
+        q = trajectory.q
         return misfit(self.plant, t_s, X_BG, q, table_height_m=self._table_height_m, enough=enough)
 
     def overlay(

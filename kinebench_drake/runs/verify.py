@@ -27,9 +27,11 @@ from kinebench_drake.runs.score import VideoEvaluator, find_videos, mean_confide
 from kinebench_drake.runs.tools import RobotOptions, Tools, load_tools
 from kinebench_drake.track import GripperTrack
 
-RELATIVE, ABSOLUTE = 1e-3, 1e-6
+RELATIVE = 1e-3
+ABSOLUTE = 1e-6
 """Tolerances of a number: it holds within either."""
-POSITION_M, ROTATION_RAD = 0.01, float(np.deg2rad(5.0))
+POSITION_M = 0.01
+ROTATION_RAD = float(np.deg2rad(5.0))
 """Tolerances of a pose that is measured from the video anew."""
 FRAMES = 0.05
 """Share of the frames that may be beyond them, or be tracked in one measurement only."""
@@ -87,7 +89,8 @@ def _read(bundle: Bundle) -> tuple[dict[str, SampleRow], RunMetadata, Mapping[st
 
     try:
         stated = read_results(bundle.folder)
-        run, rows = RunMetadata.from_json(stated), read_rows(bundle.folder)
+        run = RunMetadata.from_json(stated)
+        rows = read_rows(bundle.folder)
     except InputError as error:
         raise UsageError(f"{bundle.path}: {error}") from None
     if run.schema_version != SCHEMA_VERSION or run.kind not in [kind.value for kind in RunKind]:
@@ -108,7 +111,8 @@ def list_differences(stated: object, expected: object, verb: str, name: str = ""
         for k, (one, other) in enumerate(zip(stated, expected, strict=True)):
             yield from list_differences(one, other, verb, f"{name}[{k}]")
     else:
-        a, b = as_number(stated), as_number(expected)
+        a = as_number(stated)
+        b = as_number(expected)
         alike = stated == expected if a is None or b is None else isclose(a, b, rel_tol=RELATIVE, abs_tol=ABSOLUTE)
         if not alike:
             texts = (f"{value:.6g}" if isinstance(value, float) else f"{value!r:.60}" for value in (stated, expected))
@@ -130,7 +134,9 @@ def _robot_options(run: RunMetadata) -> RobotOptions:
 
 def _compare_row(row: SampleRow, file: TrackFile, tools: Tools | None) -> Iterator[str]:
     """Describe in what a row differs from the numbers of its track, which without `tools` are not judged."""
-    stated, expected, metrics = dict[str, Json](), dict[str, Json](), dict[str, Json]()
+    stated = dict[str, Json]()
+    expected = dict[str, Json]()
+    metrics = dict[str, Json]()
     if "tracked_fraction" in row.metrics:
         metrics["tracked_fraction"] = float(np.mean(file.track.tracked))
         metrics["confidence_mean"] = mean_confidence(file.track)
@@ -188,7 +194,9 @@ class _Regrounder:
             grounding, evaluation = self._evaluator.measure(sample, read_video(sample.path, sample.part), self._tools)
         except KinebenchError as error:
             return [f"{row.video}: {error}"]
-        verdict, again, n = evaluation.kinematics or evaluation.agreed, grounding.visible_track, len(track.t_s)
+        verdict = evaluation.kinematics or evaluation.agreed
+        again = grounding.visible_track
+        n = len(track.t_s)
         if len(again.t_s) != n:
             return [f"track has {n} frames, its video gives {len(again.t_s)}"]
         both = track.tracked & again.tracked

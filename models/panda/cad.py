@@ -44,8 +44,10 @@ def link_meshes() -> dict[RobotPart, trimesh.Trimesh]:
 @cache
 def part_meshes() -> dict[RobotPart, trimesh.Trimesh]:
     """Load the meshes of hand, left and right finger (closed), in the frame of the hand."""
-    hand, finger = _visual(RobotPart.HAND), _visual(RobotPart.LEFT_FINGER)
-    left, right = finger.copy(), finger.copy()
+    hand = _visual(RobotPart.HAND)
+    finger = _visual(RobotPart.LEFT_FINGER)
+    left = finger.copy()
+    right = finger.copy()
     right.apply_transform(trimesh.transformations.rotation_matrix(np.pi, [0, 0, 1]))
     for mesh in (left, right):
         mesh.apply_translation(FINGER_ORIGIN_H)
@@ -106,7 +108,8 @@ class PartCaster:
 
     def _trace(self, X_VP: Array, rays_V: Array, normal: Array | None) -> tuple[Array, NDArray[np.uint8]]:
         """Return distances (N,) and parts (N,) of first hits; fill `normal` (N, 3), not normalized, if there is one."""
-        distance, parts = np.full(len(rays_V), np.inf, np.float32), np.zeros(len(rays_V), np.uint8)
+        distance = np.full(len(rays_V), np.inf, np.float32)
+        parts = np.zeros(len(rays_V), np.uint8)
         X_PV = invert(X_VP)
         for (part, scene), towards in zip(self._scenes.items(), self._towards(X_VP, rays_V), strict=True):
             index = np.flatnonzero(towards)
@@ -118,7 +121,8 @@ class PartCaster:
             t = hits["t_hit"].numpy()
             nearer = t < distance[index]
             index = index[nearer]
-            distance[index], parts[index] = t[nearer], part
+            distance[index] = t[nearer]
+            parts[index] = part
             if normal is not None:
                 normal[index] = hits["primitive_normals"].numpy()[nearer] @ X_PV[part, :3, :3]
         return distance.astype(np.float64), parts
@@ -159,7 +163,8 @@ class GripperCad:
 
 def open_fingers(X_VP: Array, finger_m: ArrayLike) -> Array:
     """Return the poses (..., PARTS, 4, 4) of parts with the fingers moved apart by `finger_m` (...) each [m]."""
-    opened, travel = X_VP.copy(), np.asarray(finger_m, dtype=np.float64)[..., None]
+    opened = X_VP.copy()
+    travel = np.asarray(finger_m, dtype=np.float64)[..., None]
     for part in GRIPPER:
         opened[..., part, :3, 3] += OPENING_SIGN[part] * travel * X_VP[..., part, :3, 1]
     return opened

@@ -103,7 +103,8 @@ class _Encoder(nn.Module):
         self._conv_stem = nn.Conv2d(3, 32, 3, 2, bias=False)
         self._bn0 = nn.BatchNorm2d(32, eps=1e-3, momentum=0.01)
         self._relu0 = nn.ReLU6()
-        blocks, channels = [], 32
+        blocks = []
+        channels = 32
         for repeats, kernel, stride, expand, cout in _STAGES:
             for i in range(repeats):
                 blocks.append(_Block(channels, cout, kernel, stride if i == 0 else 1, expand))
@@ -212,7 +213,8 @@ class _Convolution(nn.Module):
         self._shape = (*(list(pair) for pair in shape), convolution.groups)
         clamps = {nn.ReLU: ("relu", [], ""), nn.ReLU6: ("hardtanh", [0.0, 6.0], ""), nn.Identity: ("none", [], "")}
         self._clamp = clamps[type(activation)]
-        self.weight, self.bias = convolution.weight, convolution.bias
+        self.weight = convolution.weight
+        self.bias = convolution.bias
         self._reordered: dict[torch.Size, Tensor] = {}
 
     def forward(self, x: Tensor) -> Tensor:

@@ -18,9 +18,14 @@ from kinebench_drake.geometry import Array, make_pose, rotation_exp, rotation_z
 CLOSED_RAD = 0.8
 """Turn of the knuckles from open to closed [rad]."""
 _FILE = Path(__file__).with_name("robotiq_2f85.npz")
-_OUTER_KNUCKLE, _INNER_KNUCKLE = (0.0, 0.0306011, 0.054904), (0.0, 0.0127, 0.06142)
-_OUTER_FINGER, _INNER_FINGER = (0.0, 0.0315, -0.0041), (0.0, 0.0376, 0.043)  # in the frame of the outer knuckle
-_PAD, _PAD_SIZE = (0.0, -0.0220203, 0.03242), (0.022, 0.00635, 0.0375)  # in the frame of the inner finger
+_OUTER_KNUCKLE = (0.0, 0.0306011, 0.054904)
+_INNER_KNUCKLE = (0.0, 0.0127, 0.06142)
+# in the frame of the outer knuckle
+_OUTER_FINGER = (0.0, 0.0315, -0.0041)
+_INNER_FINGER = (0.0, 0.0376, 0.043)
+# in the frame of the inner finger
+_PAD = (0.0, -0.0220203, 0.03242)
+_PAD_SIZE = (0.022, 0.00635, 0.0375)
 
 
 @cache

@@ -80,7 +80,8 @@ class SceneGeometry:
         arm, tool = self._add_links()
         free, avoided = self._add_objects(scene)
         manager = self._graph.collision_filter_manager()
-        links, objects = GeometrySet([*arm, *tool]), GeometrySet([*free, *avoided])
+        links = GeometrySet([*arm, *tool])
+        objects = GeometrySet([*free, *avoided])
         manager.Apply(CollisionFilterDeclaration().ExcludeWithin(links).ExcludeWithin(objects))
         manager.Apply(CollisionFilterDeclaration().ExcludeBetween(GeometrySet(tool), GeometrySet(free)))
         self._context: Any = self._graph.CreateDefaultContext()
@@ -94,7 +95,8 @@ class SceneGeometry:
 
     def _add_links(self) -> tuple[list[Any], list[Any]]:
         """Register the moving links; return the geometry of the arm and of the tool."""
-        plant, inspector = self._plant, self._plant.query(self._plant.robot.rest_q).inspector()
+        plant = self._plant
+        inspector = self._plant.query(self._plant.robot.rest_q).inspector()
         arm: list[Any] = []
         tool: list[Any] = []
         for key in inspector.GetAllGeometryIds(Role.kProximity):

@@ -20,7 +20,10 @@ from kinebench_drake.suites.clock import CONTROL_PERIOD_S
 from kinebench_drake.suites.expert.clearance import SceneGeometry
 from kinebench_drake.suites.families.task import Scene
 
-SPEED_M_S, TURN_RATE_RAD_S, FINGER_SPEED_M_S, SHORTEST_S = 0.2, 0.8, 0.3, 0.35
+SPEED_M_S = 0.2
+TURN_RATE_RAD_S = 0.8
+FINGER_SPEED_M_S = 0.3
+SHORTEST_S = 0.35
 """Mean speeds by which the clip's time is divided among the moves, and the least duration of a move."""
 CLEARANCE_STEPS = 4
 """Number of control steps between collision checks."""
@@ -194,7 +197,8 @@ def _check_rates(plant: ArmPlant, q_start: Array, q: Array) -> None:
 
 def _check_clearance(plant: ArmPlant, q: Array, widths: Array, scene: Scene | None) -> None:
     """Raise InputError if the arm collides with itself, the table or a static object."""
-    model, every = CollisionModel(plant), slice(None, None, CLEARANCE_STEPS)
+    model = CollisionModel(plant)
+    every = slice(None, None, CLEARANCE_STEPS)
     gaps = np.clip(widths[every], 0.0, plant.finger_width_m)
     for hit in () if scene is None else SceneGeometry(plant, scene).penetrations(q[every], gaps):
         if hit.depth_m > 0.001:  # tolerated penetration of objects in the scene

@@ -86,8 +86,10 @@ def load_task(spec: str) -> OwnTask:
     id = OwnTask(task.card.id)
     if id in TASKS and id not in _OWN:
         raise UsageError(f"$tasks {spec}: a shipped task has the id {id}; choose another one")
-    id.file, id.class_name = Path(file).resolve(), name
-    TASKS[id], _OWN[id] = task, id
+    id.file = Path(file).resolve()
+    id.class_name = name
+    TASKS[id] = task
+    _OWN[id] = id
     if (expert := getattr(task, "expert", None)) is not None:
         EXPERTS[id] = expert
     return id

@@ -214,7 +214,8 @@ class JointTask(Task):
     def conditions(self, state: "State") -> "dict[str, Tensor]":
         """Return the conditions of the joint's position and of rest."""
         [name] = self.slots
-        position, goal = state.joints[name], self.goal(state)
+        position = state.joints[name]
+        goal = self.goal(state)
         reached = position >= goal if self.reached == "open" else position <= goal
         return {self.reached: reached, **self.rest_conditions(state)}
 

@@ -19,7 +19,8 @@ X_WB = make_pose(np.eye(3), [-0.615, 0.0, 0.0])
 """Pose (4, 4) of the robot base in the ManiSkill world [m]."""
 CAMERA = "base_camera"
 """Name of the camera."""
-_NEAR_M, _FAR_M = 0.01, 20.0
+_NEAR_M = 0.01
+_FAR_M = 20.0
 
 
 def to_pose(X: Array) -> sapien.Pose:
@@ -58,7 +59,9 @@ def place_camera(sensor: Any, camera: Camera) -> None:
 def _render_material(surface: SurfaceFinish) -> sapien.render.RenderMaterial:
     material = sapien.render.RenderMaterial()
     material.base_color = [*surface.color, 1.0]
-    material.roughness, material.metallic, material.specular = surface.roughness, surface.metallic, surface.specular
+    material.roughness = surface.roughness
+    material.metallic = surface.metallic
+    material.specular = surface.specular
     if surface.texture is not None:
         opaque = np.full((*surface.texture.shape[:2], 1), 255, np.uint8)
         image = np.concatenate([surface.texture, opaque], axis=-1)
@@ -163,7 +166,8 @@ def build_actor(
         physics: "dynamic", "kinematic" or "static".
     """
     builder = _ActorBuilder()
-    builder.scene, builder.body = scene, body
+    builder.scene = scene
+    builder.body = body
     builder.set_scene_idxs(list(scene_idxs))
     builder.set_physx_body_type(physics)
     builder.initial_pose = to_pose(X_WA)

@@ -69,7 +69,8 @@ class KineBenchEnv(BaseEnv):  # type: ignore[misc]
             UsageError: the task is unknown or has no such variant.
         """
         self.task = find_task(task, TaskVariant(variant))
-        self._pool, self._variant = Pool(pool), TaskVariant(variant)
+        self._pool = Pool(pool)
+        self._variant = TaskVariant(variant)
         self._camera = benchmark_camera() if camera is None else camera
         self.episodes: list[Episode] = []
         self.layouts: list[SceneLayout] = []
@@ -198,13 +199,16 @@ class KineBenchEnv(BaseEnv):  # type: ignore[misc]
             for name, placement in layout.placements.items():
                 if placement.model.asset_id != self.layouts[i].placements[name].model.asset_id:
                     raise InputError(f"{name} has another asset: that needs options={{'reconfigure': True}}")
-            self.episodes[i], self.layouts[i] = new, layout
+            self.episodes[i] = new
+            self.layouts[i] = layout
 
     def _store_starts(self, env_idx: Tensor) -> None:
         """Store the current poses and joint positions of some scenes as those of the episode's start."""
-        poses, joints = self._body_poses(), self._joints()
+        poses = self._body_poses()
+        joints = self._joints()
         if not self._starts or len(env_idx) == self.num_envs:
-            self._starts, self._joint_starts = poses, joints
+            self._starts = poses
+            self._joint_starts = joints
             return
         for now, start in ((poses, self._starts), (joints, self._joint_starts)):
             for name, value in now.items():

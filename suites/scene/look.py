@@ -208,7 +208,8 @@ def _slab(size: tuple[float, float, float], center: tuple[float, float, float], 
 
 def surroundings(table: TiledFinish, background: Background) -> dict[str, RigidBody]:
     """Return the static bodies of table, wall and floor by name, in B."""
-    wall_height_m, foot_m = WALL_TOP_M - FLOOR_M, FLOOR_M + 0.5 * SKIRTING_M[2]
+    wall_height_m = WALL_TOP_M - FLOOR_M
+    foot_m = FLOOR_M + 0.5 * SKIRTING_M[2]
     skirting = TiledFinish(surface=background.skirting, uv_per_m=1.0)
     return {
         "table": RigidBody(

@@ -89,12 +89,14 @@ def flat_mesh(vertices: ArrayLike, faces: ArrayLike, *, uv_per_m: float = 1.0) -
 
 def smooth_mesh(vertices: ArrayLike, faces: ArrayLike, uv: ArrayLike, *, crease_rad: float = 0.6) -> Mesh:
     """Return a mesh whose vertex normals average the adjacent triangles that face within `crease_rad` of each other."""
-    points, texture = np.asarray(vertices, dtype=np.float64), np.asarray(uv, dtype=np.float64)
+    points = np.asarray(vertices, dtype=np.float64)
+    texture = np.asarray(uv, dtype=np.float64)
     triangles = np.asarray(faces, dtype=np.intp)
     a, b, c = (points[triangles[:, i]] for i in range(3))
     area = np.cross(b - a, c - a)
     keep = np.linalg.norm(area, axis=1) > 1e-15
-    triangles, area = triangles[keep], area[keep]
+    triangles = triangles[keep]
+    area = area[keep]
     corners = triangles.reshape(-1)
     unit = area / np.linalg.norm(area, axis=1, keepdims=True)
     _, place = np.unique(np.round(points, 7), axis=0, return_inverse=True)
@@ -113,7 +115,8 @@ def smooth_mesh(vertices: ArrayLike, faces: ArrayLike, uv: ArrayLike, *, crease_
 
 def sweep(centers: ArrayLike, radii: ArrayLike, *, sections: int = 16, uv_per_m: float = 1.0) -> Mesh:
     """Return a round tube along points (N, 3) with radii (N,) [m] and flat ends."""
-    p, r = np.asarray(centers, dtype=np.float64), np.asarray(radii, dtype=np.float64)
+    p = np.asarray(centers, dtype=np.float64)
+    r = np.asarray(radii, dtype=np.float64)
     tangent = np.gradient(p, axis=0)
     tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
     side = np.cross(tangent[0], np.eye(3)[np.argmin(np.abs(tangent[0]))])
@@ -125,13 +128,16 @@ def sweep(centers: ArrayLike, radii: ArrayLike, *, sections: int = 16, uv_per_m:
         up = np.cross(tangent[i], side)
         rings.append(p[i] + r[i] * (np.cos(angle)[:, None] * side + np.sin(angle)[:, None] * up))
     along = arc_length(p)
-    vertices, columns = np.concatenate([*rings, np.repeat(p[[0, -1]], sections + 1, axis=0)]), sections + 1
+    vertices = np.concatenate([*rings, np.repeat(p[[0, -1]], sections + 1, axis=0)])
+    columns = sections + 1
     uv = np.concatenate(
         [np.column_stack([angle * r.max(), np.full(columns, s)]) for s in [*along, along[0], along[-1]]]
     )
-    j, n = np.arange(sections), len(p)
+    j = np.arange(sections)
+    n = len(p)
     a = np.arange(n - 1) * columns + j[:, None]
-    sides, end = _band(a, a + columns).reshape(sections, -1), (n - 1) * columns + j
+    sides = _band(a, a + columns).reshape(sections, -1)
+    end = (n - 1) * columns + j
     ends = np.stack([j + 1, j, n * columns + j, end, end + 1, (n + 1) * columns + j], axis=1)
     return smooth_mesh(vertices, np.concatenate([sides, ends], axis=1).reshape(-1, 3), uv_per_m * uv)
 
@@ -167,7 +173,8 @@ def sparse_hull(points: Array, directions: int) -> Array:
     return np.unique(np.concatenate(extreme), axis=0)
 
 
-_IDENTITY, _X_IDENTITY = np.eye(3), np.eye(4)
+_IDENTITY = np.eye(3)
+_X_IDENTITY = np.eye(4)
 
 
 def box_collider(size: ArrayLike, center: ArrayLike, *, R: ArrayLike = _IDENTITY) -> Collider:
@@ -234,10 +241,12 @@ class BodyParts:
         self, low: ArrayLike, high: ArrayLike, surface: SurfaceFinish, *, bevel_m: float = 0.001, solid: bool = True
     ) -> None:
         """Add the box between two corners (3,) [m]; without a collider if not `solid`."""
-        low, high = np.asarray(low, dtype=np.float64), np.asarray(high, dtype=np.float64)
+        low = np.asarray(low, dtype=np.float64)
+        high = np.asarray(high, dtype=np.float64)
         self.box(high - low, 0.5 * (low + high), surface, bevel_m=bevel_m, solid=solid)
 
     def body(self, name: str, material: Material, joint: Joint | None = None) -> RigidBody:
         """Return all parts as one body."""
-        visuals, colliders = tuple(self.visuals), tuple(self.colliders)
+        visuals = tuple(self.visuals)
+        colliders = tuple(self.colliders)
         return RigidBody(name=name, visuals=visuals, colliders=colliders, material=material, joint=joint)

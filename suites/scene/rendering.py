@@ -56,7 +56,8 @@ def software_shaders() -> ShaderConfig:
     packs = Path(sapien.__file__).parent / "vulkan_shader"
     sources = (path for name in ("common", "minimal") for path in sorted((packs / name).iterdir()))
     files = {path.relative_to(packs): path.read_text() for path in sources}
-    shadow, color = Path("common/shadow.glsl"), Path("minimal/gbuffer.frag")
+    shadow = Path("common/shadow.glsl")
+    color = Path("minimal/gbuffer.frag")
     if "PCF_SampleCount = 25;" not in files.get(shadow, "") or color not in files:
         return minimal
     files[shadow] = _SHADOW_PATTERN.sub(_SHADOW, files[shadow])

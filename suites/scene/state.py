@@ -9,7 +9,8 @@ from torch import Tensor
 
 from kinebench_drake.suites.scene.model import AssetModel
 
-STILL_M_S, STILL_RAD_S = 0.02, 0.05
+STILL_M_S = 0.02
+STILL_RAD_S = 0.05
 """Speeds up to which objects and drawers, or lids and handles, count as at rest."""
 CLEAR_M = 0.03
 """Least distance of the TCP from the part it moved for that part to count as released."""

@@ -11,7 +11,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from kinebench_drake.geometry import Array
 
-_SMALL, _LARGE = 256, 512  # rows and columns of textures
+# rows and columns of textures
+_SMALL = 256
+_LARGE = 512
 Texture = NDArray[np.uint8]
 """(H, W, 3) sRGB."""
 WOODS: dict[str, tuple[tuple[int, int, int], tuple[int, int, int]]] = {
@@ -75,7 +77,8 @@ def shade(image: ArrayLike, factor: Array) -> Texture:
 
 def mix(first: ArrayLike, second: ArrayLike, weight: Array) -> Texture:
     """Blend a second image or colour over the first (H, W, 3) with the weights (H, W) 0..1."""
-    a, b = np.asarray(first, dtype=np.float64), np.asarray(second, dtype=np.float64)
+    a = np.asarray(first, dtype=np.float64)
+    b = np.asarray(second, dtype=np.float64)
     return _image(a + np.clip(weight, 0.0, 1.0)[..., None] * (b - a))
 
 
@@ -179,13 +182,15 @@ def marble(rng: np.random.Generator, ground: ArrayLike, vein: ArrayLike) -> Text
 
 def granite(rng: np.random.Generator, kind: str = "grey") -> Texture:
     """Return granite of one of `STONES`; about 0.25 m."""
-    crystals, fine = _patches(rng, _SMALL, _SMALL // 6), _patches(rng, _SMALL, _SMALL // 3)
+    crystals = _patches(rng, _SMALL, _SMALL // 6)
+    fine = _patches(rng, _SMALL, _SMALL // 3)
     return gradient(STONES[kind], 0.72 * np.digitize(crystals, [0.22, 0.75]) / 2.0 + 0.28 * fine)
 
 
 def concrete(rng: np.random.Generator, color: ArrayLike = (158, 156, 152)) -> Texture:
     """Return cast concrete or stucco: cloudy, with fine grain and a few pores; about 1 m."""
-    clouds, fine = tileable_noise(rng, _LARGE, slope=1.4) - 0.5, grains(rng, _LARGE, _LARGE / 4.0) - 0.5
+    clouds = tileable_noise(rng, _LARGE, slope=1.4) - 0.5
+    fine = grains(rng, _LARGE, _LARGE / 4.0) - 0.5
     pores = np.clip(grains(rng, _LARGE, _LARGE / 14.0) - 0.93, 0.0, 0.07)
     return shade(fill(color, _LARGE), 1.0 + 0.35 * clouds + 0.14 * fine - 5.0 * pores)
 
@@ -231,7 +236,8 @@ def tartan(rng: np.random.Generator, colors: Sequence[ArrayLike]) -> Texture:
     threads = 96
     own = np.array(np.broadcast_to(np.asarray(colors[0], dtype=np.float64), (threads, 3)))
     for color in colors[1:]:
-        start, width = int(rng.integers(0, threads)), int(rng.integers(2, threads // 5))
+        start = int(rng.integers(0, threads))
+        width = int(rng.integers(2, threads // 5))
         for begin in (start, start + 2 * width):
             own[np.arange(begin, begin + width) % threads] = np.asarray(color)
     return woven(rng, own, own, threads=threads)
@@ -246,7 +252,8 @@ def stripes(rng: np.random.Generator, colors: Sequence[ArrayLike], *, count: int
 
 def carpet(rng: np.random.Generator, color: ArrayLike) -> Texture:
     """Return a short-pile carpet; about 0.5 m."""
-    tufts, clouds = grains(rng, _SMALL, _SMALL / 4.0) - 0.5, tileable_noise(rng, _SMALL, slope=1.2) - 0.5
+    tufts = grains(rng, _SMALL, _SMALL / 4.0) - 0.5
+    clouds = tileable_noise(rng, _SMALL, slope=1.2) - 0.5
     return shade(fill(color, _SMALL), 1.0 + 0.8 * tufts + 0.2 * clouds)
 
 
@@ -299,7 +306,8 @@ def tiles(
 def wallpaper(rng: np.random.Generator, ground: ArrayLike, figure: ArrayLike, motif: str = "dots") -> Texture:
     """Return wallpaper with a motif of "dots", "diamonds", "waves", "leaves" or "stripes"; about 0.4 m."""
     turn = 2.0 * np.pi * (np.arange(_SMALL) + 0.5) / _SMALL
-    u, v = turn[None, :], turn[:, None]
+    u = turn[None, :]
+    v = turn[:, None]
     count = 4
     value = {
         "dots": np.cos(count * u) + np.cos(count * v) - 1.2,

@@ -87,7 +87,9 @@ def add_lora(pipeline: Any, lora: str, scale: float) -> None:
     Raises:
         SetupError: the weights cannot be loaded.
     """
-    name, folder, file = checkpoint_name(lora), lora, _LORA_FILE
+    name = checkpoint_name(lora)
+    folder = lora
+    file = _LORA_FILE
     if lora.endswith(".safetensors"):
         folder, _, file = lora.rpartition("/")
         folder = folder or "."

@@ -63,7 +63,8 @@ class CloudModel(ABC, Generic[_Options]):
         options = self._options
         if web_address(options.base) is None:
             raise spec.unusable("base= expected an http or https address without name and password")
-        self._model, self._limits = spec.rest or self.default_model, limits or Limits()
+        self._model = spec.rest or self.default_model
+        self._limits = limits or Limits()
         self._client = HttpClient(self.service, options.base, key=key_from(self.key), limits=self._limits)
         self.name = options.name or self._model
 
@@ -98,13 +99,16 @@ class CloudModel(ABC, Generic[_Options]):
 
 
 _SUBMIT = "/api/v1/services/aigc/video-generation/video-synthesis"
-_MODERATED, _ARREARS = "DataInspectionFailed", "Arrearage"
+_MODERATED = "DataInspectionFailed"
+_ARREARS = "Arrearage"
 
 
 class DashScopeModel(CloudModel[DashScopeOptions]):
     """Wan image-to-video on DashScope."""
 
-    service, key, default_model = "DashScope", "DASHSCOPE_API_KEY", "wan2.6-i2v"
+    service = "DashScope"
+    key = "DASHSCOPE_API_KEY"
+    default_model = "wan2.6-i2v"
     options_class = DashScopeOptions
 
     @override
@@ -136,12 +140,14 @@ class DashScopeModel(CloudModel[DashScopeOptions]):
     def _result(self, task: str, deadline: Deadline) -> str | None:
         answer = self._client.call("GET", f"/api/v1/tasks/{quote(task, safe='')}", deadline)
         output = _object(answer, "output")
-        status, address = output.get("task_status"), output.get("video_url")
+        status = output.get("task_status")
+        address = output.get("video_url")
         if status in ("PENDING", "RUNNING"):
             return None
         if status == "SUCCEEDED" and isinstance(address, str):
             return address
-        code, reason = str(output.get("code") or ""), clean(output.get("message") or "no reason given")
+        code = str(output.get("code") or "")
+        reason = clean(output.get("message") or "no reason given")
         if code == _MODERATED:
             raise self._moderated(reason)
         raise WorldModelError(f"DashScope's task ended as {clean(status)}: {clean(code)} {reason}")
@@ -153,7 +159,9 @@ _RATE_LIMIT = 1002
 class MiniMaxModel(CloudModel[MiniMaxOptions]):
     """Hailuo image-to-video on MiniMax. The service accepts neither a seed nor a negative prompt."""
 
-    service, key, default_model = "MiniMax", "MINIMAX_API_KEY", "MiniMax-Hailuo-02"
+    service = "MiniMax"
+    key = "MINIMAX_API_KEY"
+    default_model = "MiniMax-Hailuo-02"
     options_class = MiniMaxOptions
 
     @override
@@ -179,7 +187,8 @@ class MiniMaxModel(CloudModel[MiniMaxOptions]):
     def _result(self, task: str, deadline: Deadline) -> str | None:
         path = f"/v1/query/video_generation?task_id={quote(task, safe='')}"
         answer = self._client.call("GET", path, deadline, check=self._check)
-        status, file = answer.get("status"), answer.get("file_id")
+        status = answer.get("status")
+        file = answer.get("file_id")
         if status in ("Preparing", "Queueing", "Processing"):
             return None
         if status == "Success" and isinstance(file, str | int) and str(file):
@@ -197,7 +206,8 @@ class MiniMaxModel(CloudModel[MiniMaxOptions]):
 
     def _check(self, answer: dict[str, Any], transient: tuple[int, ...] = (1000, 1001, _RATE_LIMIT)) -> None:
         """Raise the error in an answer: MiniMax reports most of them with HTTP status 200."""
-        code, reason = _object(answer, "base_resp").get("status_code"), _status_message(answer)
+        code = _object(answer, "base_resp").get("status_code")
+        reason = _status_message(answer)
         message = f"MiniMax answered {clean(code)}: {reason}"
         if code in transient:  # unknown error, time-out, too many requests: to be retried by the manual
             raise BusyError(message, code=str(code))

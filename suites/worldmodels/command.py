@@ -60,7 +60,9 @@ class CommandModel(WorldModel):
         part = unfinished(out)
         with disk_errors(out.name), tempfile.TemporaryDirectory(prefix=f"{part.name}.", dir=part.parent) as name:
             folder = Path(name)
-            first_frame, video, log = folder / "first_frame.png", folder / "video.mp4", folder / "log"
+            first_frame = folder / "first_frame.png"
+            video = folder / "video.mp4"
+            log = folder / "log"
             first_frame.write_bytes(png(request.first_frame))
             fields = _request_fields(request, first_frame, video)
             actions = {} if request.actions is None else {"actions": request.actions.to_json()}

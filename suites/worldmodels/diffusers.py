@@ -112,7 +112,8 @@ class DiffusersModel:
         """Return the arguments of the pipeline's call for a request, and the image's width and height [px]."""
         import torch
 
-        options, pipeline = self._options, self._pipeline
+        options = self._options
+        pipeline = self._pipeline
         accepted = arguments_of(type(pipeline))
         for option, argument in {"size": "width", "guidance": "guidance_scale", "steps": "num_inference_steps"}.items():
             if getattr(options, option) is not None and argument not in accepted:
@@ -138,7 +139,8 @@ class DiffusersModel:
 
     def _size(self, frame: NDArray[np.uint8]) -> tuple[int, int]:
         """Return the supported width and height [px] nearest to the requested ones."""
-        pipeline, config = self._pipeline, _network(self._pipeline).config
+        pipeline = self._pipeline
+        config = _network(self._pipeline).config
         scale = _attribute(pipeline, _SPATIAL, 8)
         if getattr(config, "use_learned_positional_embeddings", False):
             # Learned position embeddings exist for one size only.
@@ -175,7 +177,8 @@ def _own_frames(pipeline: Any) -> int:
 
 def _supported_frames(pipeline: Any, wanted: int) -> int:
     """Return the supported number of frames: the next one from `wanted`, at most the largest."""
-    config, period = _network(pipeline).config, _attribute(pipeline, _TEMPORAL, 1)
+    config = _network(pipeline).config
+    period = _attribute(pipeline, _TEMPORAL, 1)
     if type(pipeline).__name__ == _DROPPING and getattr(config, "image_condition_type", None) == "latent_concat":
         wanted += period
     frames = math.ceil((wanted - 1) / period) * period + 1
@@ -194,7 +197,8 @@ def _to_bytes(frames: NDArray[np.floating], first: NDArray[np.uint8]) -> list[ND
     if not np.isfinite(frames).all():
         raise WorldModelError("the video has values that are not numbers; another dtype= may help")
     images = (np.clip(frames, 0, 1) * 255).round().astype(np.uint8)
-    (height, width), (first_height, first_width) = images.shape[1:3], first.shape[:2]
+    (height, width) = images.shape[1:3]
+    (first_height, first_width) = first.shape[:2]
     if width * first_height == height * first_width:
         return list(images)
     size = (first_width, first_height)

@@ -98,7 +98,8 @@ class FolderModel(WorldModel):
         """Return the videos and folders by their stems, listed again when the folder has changed."""
         changed_ns = self._folder.stat().st_mtime_ns
         if changed_ns != self._listed_ns:
-            self._listed_ns, self._stems = changed_ns, {}
+            self._listed_ns = changed_ns
+            self._stems = {}
             for path in sorted(self._folder.iterdir()):
                 if path.suffix.lower() in VIDEO_SUFFIXES and not path.is_dir():
                     self._stems.setdefault(path.stem, []).append(path)

@@ -22,7 +22,9 @@ from kinebench_drake.suites.worldmodels.remote import Limits, ServiceError, clea
 from kinebench_drake.suites.worldmodels.spec import Spec, TimeoutOptions
 from kinebench_drake.suites.worldmodels.worldmodel import Request, WorldModelError
 
-_PATHS, _URLS, _ENCODED = ("video_path", "path", "output_path"), ("video_url", "url"), ("video_base64", "video")
+_PATHS = ("video_path", "path", "output_path")
+_URLS = ("video_url", "url")
+_ENCODED = ("video_base64", "video")
 """Keys of an answer for a file of this machine, an address and a file in base64; the first is the documented one."""
 _ANSWERS = (*_PATHS, *_URLS, *_ENCODED)
 _NO_SUCH_PAGE = (
@@ -57,9 +59,11 @@ class HttpModel:
                 "expected http://HOST:PORT/PATH, http:URL or https://..., without name, password and query; a key is "
                 "given with ?key_env=VARIABLE"
             )
-        base, self._style = str(url), options.style
+        base = str(url)
+        self._style = options.style
         if base.rstrip("/").endswith(PATH) and self._style != "simple":
-            base, self._style = base.rstrip("/").removesuffix(PATH), "predict"
+            base = base.rstrip("/").removesuffix(PATH)
+            self._style = "predict"
         self._timeout_s = options.timeout
         key = key_from(options.key_env) if options.key_env else None
         self._client = HttpClient(f"the world model at {url.netloc.decode()}", base, key=key, limits=limits)
@@ -114,7 +118,8 @@ class HttpModel:
                 f"the world model's answer has {' and '.join(kinds) or 'no video'}; expected exactly one of "
                 f"{', '.join(keys[0] for keys in (_PATHS, _URLS, _ENCODED))}, a string"
             )
-        kind, value = kinds[0], answer[kinds[0]]
+        kind = kinds[0]
+        value = answer[kinds[0]]
         if kind in _URLS:
             self._client.download(value, part, deadline)
         elif kind in _PATHS:

@@ -77,7 +77,8 @@ class Deadline:
 
 
 _REDIRECTS = 5
-_HEAD, _QUOTED = 4096, 80
+_HEAD = 4096
+_QUOTED = 80
 """Bytes of an invalid answer that are read for a message, and characters that it quotes."""
 _FINAL = (HTTPStatus.NOT_IMPLEMENTED, HTTPStatus.HTTP_VERSION_NOT_SUPPORTED)
 _UNSENT = (httpx.ConnectError, httpx.ConnectTimeout, httpx.PoolTimeout, httpx.ProxyError)

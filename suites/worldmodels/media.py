@@ -131,7 +131,8 @@ def encode_answer(frames: Iterable[NDArray[np.uint8]], fps: float, out: Path) ->
 
 def place_beside(video: Path, out: Path) -> Path:
     """Return the path of a video, or folder of frames, beside `out`; copy it from another folder, replacing others."""
-    here, source = out.parent.resolve(), video.resolve()
+    here = out.parent.resolve()
+    source = video.resolve()
     if video.parent.resolve() == here:
         return video
     copy = out.with_name(f"{out.name}{video.suffix}" if video.is_file() else out.name)

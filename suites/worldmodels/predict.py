@@ -111,7 +111,9 @@ class PredictService:
             first = error.errors(include_url=False, include_context=False)[0]
             key = ".".join(map(str, first["loc"]))
             raise SetupError(f"the world model's capabilities: {key}: {first['msg']}") from None
-        self._client, self._version, self._profile = client, capabilities.model_version, capabilities.profile()
+        self._client = client
+        self._version = capabilities.model_version
+        self._profile = capabilities.profile()
 
     def frames(self, request: Request, deadline: Deadline) -> Iterator[NDArray[np.uint8]]:
         """Request a clip and decode its frames (H, W, 3) RGB, the first of them that of the request, one at a time.
@@ -133,7 +135,9 @@ class PredictService:
             deadline.left()
 
     def _body(self, request: Request, actions: ActionTrack, first: NDArray[np.uint8]) -> dict[str, Any]:
-        profile, start = self._profile, self._profile.context_frames.min  # before the clip the robot stands still
+        # before the clip the robot stands still
+        profile = self._profile
+        start = self._profile.context_frames.min
         vectors = np.column_stack([actions.q, actions.finger_width_m]).round(9).tolist()
         height, width = first.shape[:2]
         form = {"encoding": "png_base64", "color_space": "RGB", "height": height, "width": width, "channels": 3}

@@ -68,7 +68,8 @@ class UnreachableError(BusyError):
 
 _FILE_BYTES = 4096
 """Length of strings in an answer above which they are set aside."""
-_LARGE, _ESCAPED = 1 << 24, 16
+_LARGE = 1 << 24
+_ESCAPED = 16
 """Size of an answer from which on escapes are rare, and the least bytes for each: base64 with line breaks and escaped
 slashes has about 35."""
 _STRING = re.compile(rb'"[^"\\]*+(?:\\.[^"\\]*+)*+"', re.DOTALL)
@@ -86,7 +87,9 @@ def parse_answer(data: bytearray, files: Collection[str], budget: Budget) -> obj
     """
     if len(data) > _LARGE and data.count(b"\\") * _ESCAPED > len(data):
         raise budget.exceeded
-    text, cut, start = bytearray(), dict[str, memoryview](), 0
+    text = bytearray()
+    cut = dict[str, memoryview]()
+    start = 0
     while (begin := data.find(b'"', start)) >= 0:
         string = _STRING.match(data, begin)
         if string is None:

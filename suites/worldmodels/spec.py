@@ -78,7 +78,8 @@ class Spec:
             return model.model_validate(self.options)
         except ValidationError as error:
             first = error.errors(include_url=False, include_context=False)[0]
-            key, valid = str(first["loc"][0]), model.model_fields
+            key = str(first["loc"][0])
+            valid = model.model_fields
             match first["type"]:
                 case "extra_forbidden":
                     problem = f"{key} is not an option{suggestion(key, valid)}"

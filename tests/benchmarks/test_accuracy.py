@@ -53,7 +53,8 @@ def test_the_section_replaces_its_predecessor_in_the_page():
 
 def test_lower_is_better_for_every_figure():
     better = [{**OTHERS[1], "kinds": {ReferenceKind.SIMULATOR.value: {**POSES, "tracked": 1.0, "silent": 0.0}}}]
-    before, now = figures(HELDOUT, OTHERS[1:]), figures(HELDOUT, better)
+    before = figures(HELDOUT, OTHERS[1:])
+    now = figures(HELDOUT, better)
     assert before.keys() == now.keys()
     assert all(now[name] <= before[name] for name in now)
     assert now != before

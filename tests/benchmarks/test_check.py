@@ -64,8 +64,11 @@ def test_detections_and_named_reasons_have_wilson_intervals(verdicts):
     assert v.reason_named.ids == ("fast-1", "fast-2")
     assert v.missing == ()
     # Wilson's interval of 3 in 4, by the closed form
-    n, p, z = 4, 0.75, 1.959963984540054
-    middle, half = (p + z**2 / (2 * n)), z * (p * (1 - p) / n + z**2 / (4 * n**2)) ** 0.5
+    n = 4
+    p = 0.75
+    z = 1.959963984540054
+    middle = p + z**2 / (2 * n)
+    half = z * (p * (1 - p) / n + z**2 / (4 * n**2)) ** 0.5
     assert v.judged_infeasible.share.low == pytest.approx((middle - half) / (1 + z**2 / n))
     assert v.judged_infeasible.share.high == pytest.approx((middle + half) / (1 + z**2 / n))
 

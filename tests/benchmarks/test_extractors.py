@@ -45,7 +45,8 @@ def test_changed_verdicts_are_those_that_differ_from_the_true_track(extractions:
 def test_intervals_are_over_episodes_and_not_videos() -> None:
     twice = [extraction(i, True, i % 2 == 0, True, kind) for i in range(8) for kind in (None, AnomalyKind.FREEZE)]
     once = [e for e in twice if e.kind is None]
-    two, one = changed(twice, Extractor.GROUNDING), changed(once, Extractor.GROUNDING)
+    two = changed(twice, Extractor.GROUNDING)
+    one = changed(once, Extractor.GROUNDING)
     assert (two.value, two.low, two.high) == (one.value, one.low, one.high)
 
 

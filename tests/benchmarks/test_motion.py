@@ -22,7 +22,8 @@ def swing(arm, joint, size, duration):
 
 
 def test_limit_ratios_of_a_sine_match_its_derivatives(arm):
-    size, duration = 0.8, 2.0
+    size = 0.8
+    duration = 2.0
     proof = prove(arm, swing(arm, 0, size, duration), 0.5, 1.5)  # away from the ends, which are at rest
     rate = np.pi / duration
     assert proof.velocity_ratio == pytest.approx(0.5 * size * rate / 2.175, rel=1e-4)

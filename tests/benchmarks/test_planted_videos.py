@@ -55,7 +55,8 @@ def test_the_same_arguments_give_the_same_bytes(tmp_path: Path) -> None:
         assert result.exit_code == 0, result.output
         return {str(p.relative_to(out)): p.read_bytes() for p in sorted(out.rglob("*")) if p.is_file()}
 
-    first, second = made("a"), made("b")
+    first = made("a")
+    second = made("b")
     assert first == second
     out = tmp_path / "a"
     lines = [json.loads(line) for line in (out / "manifest.jsonl").read_text().splitlines()]

@@ -66,7 +66,8 @@ def test_rows_hold_both_extractors(study: GroundingStudy) -> None:
 
 
 def test_lost_frames_worsen_the_share_of_tracked_frames(study: GroundingStudy) -> None:
-    whole, half = figures(outcome(study)), figures(outcome(study, tracked=FRAMES // 2))
+    whole = figures(outcome(study))
+    half = figures(outcome(study, tracked=FRAMES // 2))
     assert whole.keys() == half.keys()
     assert {name for name in whole if whole[name] != half[name]} == {
         name for name in whole if name.startswith("grounding") and name.endswith("not tracked")

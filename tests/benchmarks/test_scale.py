@@ -10,7 +10,8 @@ from tests.results.test_store import make_track
 @pytest.mark.slow
 def test_every_stage_of_a_small_run_is_measured(tmp_path):
     """Few rows: what is left of a run without its measurements ends, and its folders hold every sample."""
-    template, videos = tmp_path / "template", tmp_path / "films"
+    template = tmp_path / "template"
+    videos = tmp_path / "films"
     videos.mkdir()
     (videos / "a.mp4").write_bytes(b"not read")
     with ResultStore(template) as store:

@@ -39,7 +39,8 @@ def test_reach_trajectories_leave_the_wrists_sphere(planted):
 
 def test_fast_trajectories_exceed_the_least_step_at_velocity_limits(arm, planted):
     trajectory, truth = planted[TrajectoryKind.FAST]
-    i, period = truth.parameters["step"], truth.parameters["period_s"]
+    i = truth.parameters["step"]
+    period = truth.parameters["period_s"]
     assert trajectory.t_s[i + 1] - trajectory.t_s[i] == pytest.approx(period)
     assert least_step(arm, *trajectory.X_BG[i : i + 2], period) >= SPEED_RATIO[0]
 

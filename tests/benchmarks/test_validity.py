@@ -45,7 +45,8 @@ def trials() -> list[ValidityTrial]:
     rng = np.random.default_rng(0)
     result = []
     for i in range(EPISODES):
-        sparc, noise = rng.normal(-3.0, 0.1), rng.normal(size=3)
+        sparc = rng.normal(-3.0, 0.1)
+        noise = rng.normal(size=3)
         result.append(trial(i, None, 0.0, True, sparc=sparc, ldlj=-5.0, table_distance_min_m=noise[0]))
         for size in (1.0, 10.0):
             numbers = {"sparc": sparc - 0.1 * size, "ldlj": -5.0 + size, "table_distance_min_m": noise[1]}
@@ -92,9 +93,11 @@ def test_exchanging_clean_and_faulty_videos_reflects_the_area_under_roc(trials: 
             kind, size = (AnomalyKind.VANISH, 10.0) if t.kind is None else (None, 0.0)
             swapped.append(trial(int(t.episode), kind, size, t.success, **t.numbers))  # type: ignore[arg-type]
     grade = Grade(kind=AnomalyKind.VANISH, size=10.0)
-    before, after = Study(trials), Study(swapped)
+    before = Study(trials)
+    after = Study(swapped)
     for name in ("sparc", "ldlj", "manipulability_mean", "table_distance_min_m"):
-        a, b = before.responses[name, grade], after.responses[name, grade]
+        a = before.responses[name, grade]
+        b = after.responses[name, grade]
         assert a.area.value == pytest.approx(1.0 - b.area.value)
         assert (a.worse, a.better) == (b.better, b.worse)
 
@@ -150,7 +153,8 @@ def test_three_episodes_give_no_verdicts(trials: list[ValidityTrial], tmp_path: 
 
 
 def test_the_report_command_replaces_the_sections_of_the_page(trials: list[ValidityTrial], tmp_path: Path) -> None:
-    work, page = tmp_path / "work", tmp_path / "page.md"
+    work = tmp_path / "work"
+    page = tmp_path / "page.md"
     work.mkdir()
     page.write_text("# Title\n\nIntroduction.\n\n## Success in closed loop\n\nformer text\n")
     missing = CliRunner().invoke(main, ["validity", "report", str(work)])

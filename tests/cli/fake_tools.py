@@ -156,7 +156,8 @@ class FakeGrounder:
         return result
 
     def track(self, clip, known):
-        act, t_s = act_of(clip.frames), clip.t_s
+        act = act_of(clip.frames)
+        t_s = clip.t_s
         self.infeasible = act is Act.INFEASIBLE
         n = len(t_s)
         s = np.linspace(0.0, 1.0, n)
@@ -198,7 +199,8 @@ class FakeTools:
         self._infeasible = False
 
     def judge(self, track, table_height_m=None):
-        n, infeasible = len(track.t_s), self._infeasible or self.grounder.infeasible
+        n = len(track.t_s)
+        infeasible = self._infeasible or self.grounder.infeasible
         q = np.linspace(-0.5, 0.5, n)[:, None] * np.ones(7)
         q[~track.tracked] = np.nan
         joints = JointTrack(

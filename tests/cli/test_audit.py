@@ -138,7 +138,8 @@ def test_audit_writes_one_track_file_with_joints_poses_and_curves_per_measured_t
 def test_outputs_are_byte_equal_between_runs_and_for_any_number_of_jobs(run, tmp_path):
     run(out=tmp_path / "a")
     run(out=tmp_path / "b")
-    first, second = content(tmp_path / "a"), content(tmp_path / "b")
+    first = content(tmp_path / "a")
+    second = content(tmp_path / "b")
     assert first == second
     run(out=tmp_path / "c", jobs=2)
     third = content(tmp_path / "c")
@@ -148,7 +149,8 @@ def test_outputs_are_byte_equal_between_runs_and_for_any_number_of_jobs(run, tmp
 
 class Count(NullRunObserver):
     def __init__(self):
-        self.done, self.warnings = [], []
+        self.done = []
+        self.warnings = []
 
     def finish(self, row, wall_s):
         self.done.append(row.id)
@@ -302,7 +304,8 @@ def test_shards_split_the_trajectories_within_one_file(run, source, tmp_path):
 def test_audit_of_an_audit_output_folder_reads_its_tracks_with_their_ids_and_tasks(run, source, tmp_path):
     run(source=source / "demo.h5")
     run(source=tmp_path / "out", out=tmp_path / "again")
-    first, again = read_rows(tmp_path / "out"), read_rows(tmp_path / "again")
+    first = read_rows(tmp_path / "out")
+    again = read_rows(tmp_path / "again")
     assert first.keys() == again.keys()
     assert {row.extra["judged"] for row in again.values()} == {"poses"}
     assert {row.task for row in again.values()} == {"StackCube-v1"}

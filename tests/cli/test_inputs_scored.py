@@ -86,11 +86,14 @@ def test_a_video_with_variable_frame_rate_is_timed_by_its_time_stamps(config, tm
     camera = benchmark_camera()
     with av.open(tmp_path / "videos" / "a.mp4", "w") as container:
         stream = container.add_stream("libx264", rate=20)
-        stream.height, stream.width, stream.pix_fmt = camera.height, camera.width, "yuv420p"
+        stream.height = camera.height
+        stream.width = camera.width
+        stream.pix_fmt = "yuv420p"
         stream.codec_context.time_base = Fraction(1, 1000)
         for stamp in stamps:
             frame = av.VideoFrame.from_ndarray(np.zeros((camera.height, camera.width, 3), np.uint8), format="rgb24")
-            frame.pts, frame.time_base = stamp, Fraction(1, 1000)
+            frame.pts = stamp
+            frame.time_base = Fraction(1, 1000)
             container.mux(stream.encode(frame))
         container.mux(stream.encode())
     score_videos(config())

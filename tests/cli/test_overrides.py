@@ -12,7 +12,8 @@ from kinebench_drake.geometry import make_pose
 from kinebench_drake.results.store import read_rows
 from kinebench_drake.runs.score import score_videos
 
-T, SIDE = 8, 96
+T = 8
+SIDE = 96
 MASK = np.zeros((T, SIDE, SIDE), dtype=bool)
 MASK[:, :, :24] = True
 DEPTH_MM = np.broadcast_to(600 + 10 * np.arange(T)[:, None, None], MASK.shape).astype(np.uint16)

@@ -72,7 +72,8 @@ def config(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Sui
     """A run of two episodes on that stage."""
     did.clear()
     module = ModuleType("my_models")
-    module.Model, module.Stored = Model, Stored
+    module.Model = Model
+    module.Stored = Stored
     monkeypatch.setitem(sys.modules, "my_models", module)
     monkeypatch.setattr(episodes, "Simulator", Stage)
 

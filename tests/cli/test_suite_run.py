@@ -87,7 +87,9 @@ def test_two_rounds_from_a_video_folder_equal_two_rounds_of_a_live_model(
 ) -> None:
     """Each command ends with the first frames of the next round; the last row differs in the model's identity only."""
     shorten_clips(monkeypatch)
-    live, offline, videos = tmp_path / "live", tmp_path / "offline", tmp_path / "videos"
+    live = tmp_path / "live"
+    offline = tmp_path / "offline"
+    videos = tmp_path / "videos"
     videos.mkdir()
     (tmp_path / "prompts.json").write_text('{"*": "{prompt} Slowly."}')
     prompts = ("--prompts", str(tmp_path / "prompts.json"))
@@ -186,7 +188,8 @@ def long_film(oracle: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def between(steps: Sequence[Snapshot], at: float) -> Snapshot:
     """The state between two control steps."""
-    one, other = steps[int(at)], steps[min(int(at) + 1, len(steps) - 1)]
+    one = steps[int(at)]
+    other = steps[min(int(at) + 1, len(steps) - 1)]
     share = at - int(at)
 
     def mix(a: np.ndarray, b: np.ndarray) -> np.ndarray:
@@ -211,11 +214,13 @@ def test_a_clip_of_150_frames_has_the_metrics_of_the_same_clip_of_49_frames(
     code, said = run(tmp_path / "even", "--world-model", f"folder:{long_film}", *options)
     assert code == 0
     assert "1 episode with clips of 150 frames in place of 49: each was sampled evenly over 9.6 s" in said
-    [reference], [row] = rows(oracle), rows(tmp_path / "even")
+    [reference] = rows(oracle)
+    [row] = rows(tmp_path / "even")
     assert row["success"] is True
     assert (row["clip_timing"], row["clip_frames"], row["frames"]) == ("uniform", [150], 49)
     assert (reference["clip_timing"], reference["clip_frames"]) == ("native", [49])
-    one, other = reference["metrics"], row["metrics"]
+    one = reference["metrics"]
+    other = row["metrics"]
     for name, most in (("sparc", 0.02), ("sparc_filtered", 0.02), ("ldlj", 0.05), ("manipulability_integral", 0.01)):
         assert other[name] == pytest.approx(one[name], rel=most), name
     (tmp_path / "first").mkdir()
@@ -226,7 +231,8 @@ def test_a_clip_of_150_frames_has_the_metrics_of_the_same_clip_of_49_frames(
     assert "52 frames in place of 49: 0.2 s a frame were taken" in said
     [slow] = rows(tmp_path / "slow")
     for metrics, duration_s in ((one, 48 * 0.2), (slow["metrics"], 51 * 0.2)):
-        mean, integral = metrics["manipulability_mean"], metrics["manipulability_integral"]
+        mean = metrics["manipulability_mean"]
+        integral = metrics["manipulability_integral"]
         assert integral == pytest.approx(mean * duration_s, rel=0.01)
 
 

@@ -108,7 +108,8 @@ def test_lost_frames_never_improve_action_errors(lost: set[int], delay: int) -> 
     tracked = ~np.isin(np.arange(49), list(lost))
     X_BG = np.where(tracked[:, None, None], whole.X_BG, np.nan)
     fingers = np.where(tracked, whole.finger_width_m, np.nan)
-    before, after = summary(whole), summary(replace(whole, X_BG=X_BG, tracked=tracked, finger_width_m=fingers))
+    before = summary(whole)
+    after = summary(replace(whole, X_BG=X_BG, tracked=tracked, finger_width_m=fingers))
     for name in ("action_error_m", "action_error_rad", "action_error_finger_m"):
         assert after[name] is None or after[name] >= before[name] - 1e-9
     assert after["action_following"] is None or after["action_following"] <= before["action_following"] + 1e-9
@@ -138,7 +139,8 @@ def test_the_oracle_executes_the_commanded_actions(tmp_path: Path) -> None:
     episode = compose("PullCube-v1", 0)
     with Simulator(episode.task, camera=benchmark_camera().resized(128, 128)) as simulator:
         simulator.reset(episode)
-        state, first = simulator.simulation_state(), simulator.render().rgb
+        state = simulator.simulation_state()
+        first = simulator.render().rgb
         X_GH = np.linalg.inv(simulator.link_pose(TCP_LINK)) @ simulator.link_pose(HAND_LINK)
     request = Request(
         episode=episode.id, task=episode.task, round=0, prompt="", negative_prompt="", seed=0, first_frame=first,

@@ -29,8 +29,10 @@ def clip() -> ClipEvidence:
 
 def lost(start: int, end: int) -> ClipEvidence:
     fine = clip()
-    tracked, X = fine.tracked.copy(), fine.X_BG_generated.copy()
-    tracked[start : end + 1], X[start : end + 1] = False, np.nan
+    tracked = fine.tracked.copy()
+    X = fine.X_BG_generated.copy()
+    tracked[start : end + 1] = False
+    X[start : end + 1] = np.nan
     return replace(fine, tracked=tracked, X_BG_generated=X)
 
 
@@ -41,7 +43,8 @@ def vanished(of: ClipEvidence, start: int, end: int) -> ClipEvidence:
 
 def astray(metres: float, turn_rad: float, gap_m: float) -> ClipEvidence:
     fine = clip()
-    X, gap = fine.X_BG_executed.copy(), fine.finger_width_executed_m + gap_m * (np.arange(FRAMES) >= 12)
+    X = fine.X_BG_executed.copy()
+    gap = fine.finger_width_executed_m + gap_m * (np.arange(FRAMES) >= 12)
     X[12:15, 1, 3] += metres
     X[12:15, :3, :3] = rotation_exp([0.0, 0.0, turn_rad])
     return replace(fine, X_BG_executed=X, finger_width_executed_m=gap)
@@ -74,7 +77,8 @@ def test_the_value_of_lost_poses_exceeds_its_limit() -> None:
 )
 def test_a_finger_motion_during_lost_frames_is_attributed_to_grounding(after_m: float, verdict: FailureVerdict) -> None:
     gap = np.full(FRAMES, 0.04)
-    gap[12:20], gap[20:] = np.nan, after_m
+    gap[12:20] = np.nan
+    gap[20:] = after_m
     cause = attribute([replace(clip(), finger_width_generated_m=gap, finger_width_executed_m=gap)], "")
     assert cause.verdict is verdict
     assert cause.frame_start == (None if verdict is FailureVerdict.TASK else 12)

@@ -10,7 +10,8 @@ from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.suites.clock import CONTROL_PERIOD_S
 from kinebench_drake.suites.start import START_Q
 
-FRAMES, STEPS = 25, 4
+FRAMES = 25
+STEPS = 4
 T_S = CONTROL_PERIOD_S * STEPS * np.arange(FRAMES)
 START = RobotState(q=START_Q, finger_width_m=0.08, gripping=False)
 SEEN = np.ones(FRAMES, dtype=bool)
@@ -48,8 +49,10 @@ def test_each_pose_is_commanded_ahead_by_the_lag_of_the_servos(plant: ArmPlant, 
 
 def test_untracked_frames_are_bridged_and_reported_as_rejections(plant: ArmPlant, planner: CommandPlanner) -> None:
     X = along(plant, np.array([0.0, 0.12, 0.0]))
-    broken, tracked = X.copy(), SEEN.copy()
-    broken[10:13], tracked[10:13] = np.nan, False
+    broken = X.copy()
+    tracked = SEEN.copy()
+    broken[10:13] = np.nan
+    tracked[10:13] = False
     commands = planner.plan(broken, np.full(FRAMES, 0.08), tracked, T_S, START)
     assert [(r.reason, r.frame_start, r.frame_end) for r in commands.rejections] == [
         (RejectionReason.NOT_TRACKED, 10, 12)
@@ -105,7 +108,8 @@ def test_a_track_without_tracked_frames_is_refused(plant: ArmPlant, planner: Com
 
 
 def test_tracks_with_a_period_below_the_control_period_are_followed(plant: ArmPlant, planner: CommandPlanner) -> None:
-    X, period = along(plant, np.array([0.05, 0.05, -0.05])), 1.0 / 30.0
+    X = along(plant, np.array([0.05, 0.05, -0.05]))
+    period = 1.0 / 30.0
     commands = planner.plan(X, np.full(FRAMES, 0.08), SEEN, period * np.arange(FRAMES), START)
     assert commands.rejections == ()
     assert commands.frame_steps[-1] == len(commands.q) == round(period * (FRAMES - 1) / CONTROL_PERIOD_S)
@@ -116,7 +120,8 @@ def test_an_opening_of_hidden_fingers_is_placed_where_the_hand_rests(plant: ArmP
     X = along(plant, np.array([0.0, 0.12, 0.0]))
     X = X[np.concatenate([np.arange(0, 12), np.full(5, 12), np.arange(13, 21)])]  # it waits in frames 12 to 16
     width = np.full(FRAMES, 0.04)
-    width[8:22], width[22:] = np.nan, 0.08
+    width[8:22] = np.nan
+    width[22:] = 0.08
     held = RobotState(q=START_Q, finger_width_m=0.04, gripping=False)
     commands = planner.plan(X, width, SEEN, T_S, held).finger_width_m
     at_s = CONTROL_PERIOD_S * np.arange(1, len(commands) + 1) + LEAD_S

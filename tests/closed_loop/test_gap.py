@@ -10,7 +10,8 @@ from kinebench_drake.closed_loop.gap import GAP_METRICS, average_gaps, measure_g
 from kinebench_drake.geometry import Array, make_pose
 from kinebench_drake.suites.rollout import RolloutVideo
 
-FRAMES, SIDE = 6, 32
+FRAMES = 6
+SIDE = 32
 POSES = make_pose(np.eye(3), np.linspace([0.4, 0.0, 0.2], [0.6, 0.0, 0.2], FRAMES))
 
 
@@ -53,7 +54,8 @@ def test_psnr_and_ssim_equal_those_of_scikit_image(rgb: Any, noise: float) -> No
 
 
 def test_the_gripper_gap_is_null_when_generated_frames_are_lost(rgb: Any) -> None:
-    film, error = executed(rgb), np.array([0.0, 0.001, 0.001, 0.4, 0.4, 0.001])
+    film = executed(rgb)
+    error = np.array([0.0, 0.001, 0.001, 0.4, 0.4, 0.001])
     whole, _ = average_gaps([measure_gap(rgb, film.robot, poses_off_by(error), film)])
     assert whole["gap_gripper_m"] == pytest.approx(error[1:].mean())
     poses = poses_off_by(error)
@@ -66,7 +68,8 @@ def test_the_gripper_gap_is_null_when_generated_frames_are_lost(rgb: Any) -> Non
 
 
 def test_the_first_frame_of_a_clip_does_not_count(rgb: Any) -> None:
-    film, poses = executed(rgb), poses_off_by(np.full(FRAMES, 0.01))
+    film = executed(rgb)
+    poses = poses_off_by(np.full(FRAMES, 0.01))
     poses[0] = np.nan
     gap = measure_gap(rgb, film.robot, poses, film)
     assert average_gaps([gap, gap])[0]["gap_gripper_m"] == pytest.approx(0.01)

@@ -133,7 +133,8 @@ def test_a_conda_environment_is_repaired_and_a_conda_base_is_not(
 
 def test_the_shim_is_a_wheel_that_pip_accepts(tmp_path: Path) -> None:
     (tmp_path / "other").mkdir()
-    wheel, again = cv2_shim.write_wheel(tmp_path), cv2_shim.write_wheel(tmp_path / "other")
+    wheel = cv2_shim.write_wheel(tmp_path)
+    again = cv2_shim.write_wheel(tmp_path / "other")
     assert wheel.read_bytes() == again.read_bytes()
     pip = [sys.executable, "-m", "pip", "--disable-pip-version-check", "-q", "install", "--no-index", "--no-deps"]
     subprocess.run([*pip, "--target", str(tmp_path / "site"), str(wheel)], check=True)

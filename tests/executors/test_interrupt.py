@@ -21,7 +21,8 @@ def make_slow():
 
 
 def test_the_first_interrupt_finishes_running_items_and_the_second_stops():
-    engine, told = LocalExecutor(jobs=1), []
+    engine = LocalExecutor(jobs=1)
+    told = []
     before = signal.getsignal(signal.SIGINT)
     signal.signal(signal.SIGINT, signal.default_int_handler)
     try:

@@ -115,7 +115,8 @@ def test_every_item_has_a_result():
 @pytest.mark.parametrize("started", [1, 2])
 def test_an_interrupt_during_the_start_of_a_worker_leaves_it_without_an_item(monkeypatch, started):
     """It is held back till the process is there, and delivered at once then."""
-    engine, unblocked = LocalExecutor(jobs=2), []
+    engine = LocalExecutor(jobs=2)
+    unblocked = []
 
     def mask(how, signals, before=signal.pthread_sigmask):
         blocked = before(how, signals)

@@ -33,7 +33,10 @@ class StandIn(SimpleNamespace):
     """Ray in this process: calls are made when they are waited for, the oldest first, one at a time."""
 
     def __init__(self):
-        self.alive, self.started, self.on, self.cpus = [], 0, False, 2.0
+        self.alive = []
+        self.started = 0
+        self.on = False
+        self.cpus = 2.0
         self.__spec__ = "known to find_spec"
         self.exceptions = SimpleNamespace(RayError=RayError)
 
@@ -41,7 +44,8 @@ class StandIn(SimpleNamespace):
         return self.on
 
     def init(self, **options):
-        self.on, self.options = True, options
+        self.on = True
+        self.options = options
         signal.signal(signal.SIGTERM, signal.SIG_DFL)
 
     def shutdown(self):
@@ -93,7 +97,8 @@ def ray(monkeypatch):
 
 def doubling(losses=(), equips=()):
     """A maker of workers that double numbers; the numbers in `losses` and the starts in `equips` are lost."""
-    losses, equips = list(losses), list(equips)
+    losses = list(losses)
+    equips = list(equips)
 
     def make():
         if equips:

@@ -26,7 +26,8 @@ COMMIT = "0123456789abcdef0123456789abcdef01234567"
 @pytest.fixture
 def hub(tmp_path, monkeypatch):
     """A server of the data set lab/set with the tag v1; returns the files that were fetched from it."""
-    root, fetched = tmp_path / "hub", []
+    root = tmp_path / "hub"
+    fetched = []
     write_video(root / "videos" / "clip.mp4", np.zeros((4, 64, 64, 3), np.uint8), 10)
     (root / "tracks").mkdir()
     np.savez(root / "tracks" / "swing.npz", t_s=np.arange(5) * 0.1, q=np.zeros((5, 7)))

@@ -53,7 +53,8 @@ def view(model: ArmModel, q: Array, crop: Crop, *, noise_m: float, depth_factor:
     rng = np.random.default_rng(seed)
     X_VP = invert(crop.X_CV) @ invert(CAMERA.X_BC) @ model.poses(q[None])[0]
     n = crop.size // 2
-    part, depth = np.zeros((n, n), np.uint8), np.full((n, n), np.inf)
+    part = np.zeros((n, n), np.uint8)
+    depth = np.full((n, n), np.inf)
     coordinates = np.zeros((n, n, 3))
     for value, mesh in {**part_meshes(), **link_meshes()}.items():
         points = trimesh.sample.sample_surface(mesh, 6000, seed=seed)[0]
@@ -62,7 +63,9 @@ def view(model: ArmModel, q: Array, crop: Crop, *, noise_m: float, depth_factor:
         u, v = np.floor(p_V[:, :2] / p_V[:, 2:] * crop.focal / 2 + n / 2).astype(int).T
         for i in np.flatnonzero((p_V[:, 2] > 0.1) & (u >= 0) & (u < n) & (v >= 0) & (v < n)):
             if p_V[i, 2] < depth[v[i], u[i]]:
-                depth[v[i], u[i]], part[v[i], u[i]], coordinates[v[i], u[i]] = p_V[i, 2], value, points[i]
+                depth[v[i], u[i]] = p_V[i, 2]
+                part[v[i], u[i]] = value
+                coordinates[v[i], u[i]] = points[i]
     return GripperView(
         crop=crop,
         stride=2,
@@ -140,7 +143,8 @@ def test_edges_correct_an_offset_common_to_all_coordinates(model: ArmModel, seed
     X_CH, close, wide = views(model, q, seed)
     shift = 0.004 * np.array([1.0, 0.0, 1.0])  # of the coordinates, which noise would not average
     close, wide = (replace(v, coordinates_P=v.coordinates_P + shift) for v in (close, wide))
-    hand, fitter = fit(close), ArmEdgeFitter(CAMERA, model, EdgeMatcher())
+    hand = fit(close)
+    fitter = ArmEdgeFitter(CAMERA, model, EdgeMatcher())
     assert hand is not None
     arm = fit_arm(fitter, hand, close, wide)
     assert arm is not None
@@ -214,7 +218,8 @@ def test_the_links_determine_the_flange_only_if_link_7_is_visible(model: ArmMode
 
 
 def test_turning_joint_7_moves_no_link_before_it(model: ArmModel) -> None:
-    q, fitter = posture(1), ChainFitter(model)
+    q = posture(1)
+    fitter = ChainFitter(model)
     X_BP = model.poses(q[None])[0]
     chain = fitter.at(X_BP[RobotPart.HAND], q)
     angles = np.array([q[6], q[6] + 0.5, -1.0])
@@ -241,7 +246,9 @@ class PartialEstimator:
     """Views of a video whose network sees the robot in some frames alone."""
 
     def __init__(self, model: ArmModel, q: Array, blind: set[int]) -> None:
-        self._model, self._q, self._blind = model, q, blind
+        self._model = model
+        self._q = q
+        self._blind = blind
 
     def estimate(
         self, frames: NDArray[np.uint8], camera: Camera, crops: Mapping[int, Crop]
@@ -263,7 +270,8 @@ def test_the_flange_is_tracked_through_frames_without_network_detections(model: 
     for i, (pose, X) in enumerate(zip(poses, X_CH, strict=True)):
         assert pose is not None
         distance, angle = pose_difference(pose.X_CH, X)
-        R, axis = X[:3, :3].T @ pose.X_CH[:3, :3], pose.X_CH[:3, 2]
+        R = X[:3, :3].T @ pose.X_CH[:3, :3]
+        axis = pose.X_CH[:3, 2]
         turn = np.arctan2(R[1, 0] - R[0, 1], R[0, 0] + R[1, 1])
         assert abs(turn) < 2.0 * np.sqrt(axis @ pose.covariance[:3, :3] @ axis)
         if i in blind:
@@ -284,11 +292,13 @@ def test_the_fitter_of_a_moving_camera_uses_the_place_of_each_frame(model: ArmMo
 def test_batch_fits_of_a_moving_camera_equal_those_of_single_frames(model: ArmModel) -> None:
     """The camera of the second frame is at the place of the first one's, so that both see the same."""
     _, close, wide = views(model, posture(0), 0)
-    hand, image = fit(close), GradientImage(drawn(model, posture(0)), CAMERA)
+    hand = fit(close)
+    image = GradientImage(drawn(model, posture(0)), CAMERA)
     assert hand is not None
     places = np.array([[0.05, -0.02, 0.03], [0.0, 0.0, 0.0], [0.01, 0.0, 0.01]])
     moving = ArmEdgeFitter(CAMERA, model, EdgeMatcher(), places)
-    numbers, count = [1, 2], 2
+    numbers = [1, 2]
+    count = 2
     shown = [ArmView.of(hand, close, wide)] * count
     arms = moving.at(numbers).fit_all(shown, [None] * count)
     fixed = fit_arm(ArmEdgeFitter(CAMERA, model, EdgeMatcher()), hand, close, wide)

@@ -189,7 +189,8 @@ def test_the_likeliest_gap_is_that_of_the_image_for_either_mount_of_the_fingers(
     matcher: EdgeMatcher, model: ArmModel, mount_m: float
 ) -> None:
     closed = invert(CAMERA.X_BC) @ model.poses(np.array(POSTURES[:1]))[0]
-    hands, gaps = {}, (0.008, 0.04, 0.07)
+    hands = {}
+    gaps = (0.008, 0.04, 0.07)
     for number, gap in enumerate(gaps):
         shown = open_fingers(closed, gap / 2)
         fingers = [RobotPart.LEFT_FINGER, RobotPart.RIGHT_FINGER]

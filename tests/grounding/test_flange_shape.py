@@ -63,7 +63,8 @@ def test_an_unknown_gripper_occludes_the_same_link_contours_at_any_turn(
     scene: tuple[FlangeShape, GradientImage, Array],
 ) -> None:
     *_, X_CP = scene
-    turned, removed = turn_gripper(X_CP, np.pi / 2), X_CP.copy()
+    turned = turn_gripper(X_CP, np.pi / 2)
+    removed = X_CP.copy()
     removed[RobotPart.HAND, 2, 3] = -10.0
     (matcher,) = links_shape().edges
     shown = [matcher.project(X, CAMERA, LAST_LINKS, 5000) for X in (X_CP, turned, removed)]

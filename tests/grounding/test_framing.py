@@ -28,7 +28,8 @@ def scene(seed):
     rng = np.random.default_rng(seed)
     image = np.full((384, 384, 3), rng.integers(60, 180, 3), np.uint8)
     for _ in range(25):
-        centre, radius = rng.integers(0, 384, 2).tolist(), int(rng.integers(8, 60))
+        centre = rng.integers(0, 384, 2).tolist()
+        radius = int(rng.integers(8, 60))
         cv2.circle(image, centre, radius, rng.integers(0, 255, 3).tolist(), -1, cv2.LINE_AA)
     return cv2.GaussianBlur(image, (0, 0), 1.0)
 
@@ -48,7 +49,8 @@ def shown(framing, picture=IMAGE, frames=3):
     dimmed = np.clip(0.9 * image + 8.0 + noise, 0, 255) * inside
     video = np.stack([dimmed.astype(np.uint8)] * frames)
     for k, frame in enumerate(video):
-        x, y = framing.width // 2 + 4 * k, framing.height // 2
+        x = framing.width // 2 + 4 * k
+        y = framing.height // 2
         frame[y : y + 20, x : x + 20] = 255
     return video
 

@@ -123,8 +123,10 @@ def test_fusion_lowers_the_uncertainty_of_the_fit_but_not_below_both_in_any_dire
 
 
 def test_a_far_more_certain_estimate_determines_the_fused_pose() -> None:
-    X_CH, other = hand_pose(0), start(hand_pose(0), 1)
-    sure, unsure = 1e-8 * np.eye(6), 1e-2 * np.eye(6)
+    X_CH = hand_pose(0)
+    other = start(hand_pose(0), 1)
+    sure = 1e-8 * np.eye(6)
+    unsure = 1e-2 * np.eye(6)
     np.testing.assert_allclose(fuse(X_CH, unsure, registered(other, sure)).X_CH, other, atol=1e-6)
     np.testing.assert_array_equal(fuse(X_CH, sure, registered(other, unsure)).X_CH, X_CH)
 

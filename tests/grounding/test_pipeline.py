@@ -128,7 +128,8 @@ def test_a_followed_camera_is_compared_with_a_fixed_one_only_if_frames_show_the_
 def test_the_initial_state_is_used_unless_the_first_frame_contradicts_it(
     pipeline: GroundingPipeline, clip: TruthClip
 ) -> None:
-    frames, t_s = read_video(clip.path).frames[:6], clip.t_s[:6]
+    frames = read_video(clip.path).frames[:6]
+    t_s = clip.t_s[:6]
     used = pipeline.ground(frames, clip.camera, t_s, Priors(initial_state=clip.initial_state))
     assert used.first_frame is InitialStateUse.USED
     assert used.from_prior.tolist() == [True] + [False] * 5

@@ -16,7 +16,8 @@ from kinebench_drake.models.panda.cad import GripperCad
 from kinebench_drake.models.panda.robot import ARM, RobotPart
 from tests.grounding.conftest import hand_pose, perfect_view
 
-FRAMES, CELLS = 3, 40
+FRAMES = 3
+CELLS = 40
 
 
 def random_cells(rng: np.random.Generator, parts: list[RobotPart], around: Array) -> Correspondences:
@@ -80,12 +81,14 @@ def depths(model: FitModel, rows: CellRows) -> Array:
 def test_jacobians_are_finite_differences_of_the_residuals(make: object) -> None:
     """Of angles at the first distance, and of log ranges with the first standard deviation."""
     model, cells = make(np.random.default_rng(0))  # type: ignore[operator]
-    rows, step = CellRows.of(cells), 1e-6
+    rows = CellRows.of(cells)
+    step = 1e-6
     z = depths(model, rows)
     _, J = residuals(model.place(), rows, np.zeros(FRAMES))
 
     def residuals_at(moved: FitModel, log_depth_factor: Array) -> Array:
-        r, there = residuals(moved.place(), rows, log_depth_factor)[0].copy(), depths(moved, rows)
+        r = residuals(moved.place(), rows, log_depth_factor)[0].copy()
+        there = depths(moved, rows)
         r[:, :2] *= (z / there)[:, None]
         with np.errstate(invalid="ignore"):  # cells without a range have infinite ones
             r[:, 2] *= np.hypot(rows.range_sigma, rows.sigma_m / there) / np.hypot(rows.range_sigma, rows.sigma_m / z)

@@ -34,9 +34,13 @@ def turn(vector: np.ndarray) -> np.ndarray:
 
 def replay(poses: np.ndarray, deltas: np.ndarray) -> tuple[float, float]:
     """Add up changes (T - 1, 6) from the first of the poses (T, 7); return the greatest distance from the others."""
-    p, R, position_m, rotation = poses[0, :3].copy(), matrix(poses[0, 3:]), 0.0, 0.0
+    p = poses[0, :3].copy()
+    R = matrix(poses[0, 3:])
+    position_m = 0.0
+    rotation = 0.0
     for delta, pose in zip(deltas, poses[1:], strict=True):
-        p, R = p + delta[:3], turn(delta[3:6]) @ R
+        p = p + delta[:3]
+        R = turn(delta[3:6]) @ R
         position_m = max(position_m, np.linalg.norm(p - pose[:3]))
         rotation = max(rotation, np.abs(R - matrix(pose[3:])).max())
     return position_m, rotation
@@ -67,7 +71,8 @@ def main(root: Path, truths: list[Path]) -> None:
         if k < len(truths):
             X_BG = np.load(truths[k])["base_from_tcp"]
             errors = np.linalg.norm(column["pose_action"][:-1, :3] - X_BG[1:, :3, 3], axis=1)[usable[:-1]]
-            median_mm, most_mm = 1e3 * np.median(errors), 1e3 * errors.max()
+            median_mm = 1e3 * np.median(errors)
+            most_mm = 1e3 * errors.max()
             print(f"    replayed poses are {median_mm:.1f} mm (median), at most {most_mm:.1f} mm, from the truth")
 
 

@@ -18,7 +18,9 @@ from kinebench_drake.io.npz import check_bytes, open_npz
 from kinebench_drake.io.reader import read_video
 from kinebench_drake.io.video import Video
 
-T, H, W = 20, 96, 130
+T = 20
+H = 96
+W = 130
 
 
 @pytest.fixture(scope="module")
@@ -41,7 +43,8 @@ def encode(path, frames, codec, pixel_format, *, options=None, stamps=None):
         for k, image in enumerate(frames):
             frame = av.VideoFrame.from_ndarray(image, format="rgb24")
             if stamps:
-                frame.pts, frame.time_base = stamps[k], Fraction(1, 1000)
+                frame.pts = stamps[k]
+                frame.time_base = Fraction(1, 1000)
             container.mux(stream.encode(frame))
         container.mux(stream.encode())
 
@@ -76,7 +79,8 @@ def with_display_matrix(path, a, b, c, d):
 )
 def test_a_display_matrix_turns_and_mirrors_the_picture_as_players_do(tmp_path, matrix, shown):
     with_display_matrix(tmp_path / "a.mp4", *matrix)
-    frame, expected = read_video(tmp_path / "a.mp4").frames[0], shown(QUARTERS)
+    frame = read_video(tmp_path / "a.mp4").frames[0]
+    expected = shown(QUARTERS)
     assert frame.shape == expected.shape
     assert np.abs(frame.astype(int) - expected).mean() < 6.0
 
@@ -334,7 +338,8 @@ def test_array_headers_that_exceed_the_file_or_the_size_limit_are_refused(tmp_pa
     with pytest.raises(InputError, match=r"an array of shape \(2, 64, 64, 3\), 24576 bytes, the file holds 1000"):
         read_video(tmp_path / "a.npy")
     np.savez_compressed(tmp_path / "big.npz", q=np.zeros(2**18))
-    message, check = "unpacks to 2 MiB; the limit is 1 MiB", partial(check_bytes, most=2**20)
+    message = "unpacks to 2 MiB; the limit is 1 MiB"
+    check = partial(check_bytes, most=2**20)
     with pytest.raises(InputError, match=message), open_npz(tmp_path / "big.npz", check) as archive:
         archive["q"]
 

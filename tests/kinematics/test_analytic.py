@@ -24,7 +24,8 @@ def test_solving_one_branch_gives_its_row_of_all_branches(plant: ArmPlant) -> No
     rng = np.random.default_rng(3)
     branches = set()
     for q in rng.uniform(plant.lower, plant.upper, size=(200, 7)):
-        X_BF, branch = flange_pose(q), branch_of(q)
+        X_BF = flange_pose(q)
+        branch = branch_of(q)
         branches.add(branch)
         alone = analytic_ik(X_BF, q[6], branch)
         assert alone.shape == (1, 7)

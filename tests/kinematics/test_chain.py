@@ -25,7 +25,8 @@ def test_jacobians_equal_drakes(plant: ArmPlant, postures: np.ndarray) -> None:
 
 def test_torques_equal_drakes(plant: ArmPlant, postures: np.ndarray) -> None:
     rng = np.random.default_rng(1)
-    v, a = rng.normal(0.0, 2.0, postures.shape), rng.normal(0.0, 8.0, postures.shape)
+    v = rng.normal(0.0, 2.0, postures.shape)
+    a = rng.normal(0.0, 8.0, postures.shape)
     expected = [plant.torque(*row) for row in zip(postures, v, a, strict=True)]
     np.testing.assert_allclose(plant.chain.torques(postures, v, a), expected, atol=1e-11)
     at_rest = np.zeros_like(v)

@@ -51,7 +51,8 @@ def test_near_pairs_contain_no_allowed_pair(plant: ArmPlant, model: CollisionMod
 
 def test_least_distance_is_that_of_the_nearest_pair(plant: ArmPlant, model: CollisionModel) -> None:
     q = _random(plant, 50)
-    itself, table = model.self_distance(q), model.table_distance(q)
+    itself = model.self_distance(q)
+    table = model.table_distance(q)
     for i, row in enumerate(q):
         nearest = _nearest_by_pair(model, row, 10.0)
         tables = {pair: d for pair, d in nearest.items() if pair[1] == TABLE}
@@ -64,7 +65,8 @@ def test_least_distance_is_that_of_the_nearest_pair(plant: ArmPlant, model: Coll
 
 def test_distance_gradients_are_finite_differences(plant: ArmPlant, model: CollisionModel) -> None:
     h = 1e-6
-    errors, penetrating = [], 0
+    errors = []
+    penetrating = 0
     for q in _random(plant, 25, seed=3):
         first = {}
         for p in model.near_pairs(q, 0.3):
@@ -84,7 +86,8 @@ def test_distance_gradients_are_finite_differences(plant: ArmPlant, model: Colli
 def _by_optimisation(query: Any, pair: Any) -> float:
     """Distance of two of Drake's geometries as a quadratic program over their vertices' weights."""
     program = MathematicalProgram()
-    a, b = program.NewContinuousVariables(3), program.NewContinuousVariables(3)
+    a = program.NewContinuousVariables(3)
+    b = program.NewContinuousVariables(3)
     VPolytope(query, pair.id_A).AddPointInSetConstraints(program, a)
     VPolytope(query, pair.id_B).AddPointInSetConstraints(program, b)
     Q = 2.0 * np.kron([[1.0, -1.0], [-1.0, 1.0]], np.eye(3))

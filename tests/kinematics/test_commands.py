@@ -11,7 +11,8 @@ from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.models.panda.robot import rest_q
 from kinebench_drake.track import GripperTrack
 
-RATE_HZ, TUBE_M = 500.0, 0.005
+RATE_HZ = 500.0
+TUBE_M = 0.005
 
 
 def swing(period_s: float, size_rad: float = 0.4, frames: int = 25) -> tuple[Array, Array]:
@@ -34,7 +35,8 @@ def commands_of(plant: ArmPlant, t_s: Array, q: Array, X_BG: Array | None = None
 def test_commands_keep_limits_start_and_end_at_rest_and_reach_every_frame(plant: ArmPlant, period_s: float) -> None:
     t_s, q = swing(period_s)
     commands = commands_of(plant, t_s, q)
-    c, dt = commands.q, 1.0 / RATE_HZ
+    c = commands.q
+    dt = 1.0 / RATE_HZ
     assert (c >= plant.lower).all()
     assert (c <= plant.upper).all()
     padded = np.concatenate([np.repeat(c[:1], 3, axis=0), c, np.repeat(c[-1:], 3, axis=0)])
@@ -60,7 +62,9 @@ def test_ratios_are_those_of_the_derivatives_of_a_known_motion(plant: ArmPlant) 
     for _ in range(3):
         f.append(np.gradient(f[-1], 1.0 / rate_hz, axis=0))
     size = 0.2 * np.ones(7)
-    q, v, a = rest_q() + f[0] * size, f[1] * size, f[2] * size
+    q = rest_q() + f[0] * size
+    v = f[1] * size
+    a = f[2] * size
     torque = plant.chain.torques(q, v, a)
     limits = plant.robot.limits
     expected = {

@@ -91,7 +91,8 @@ def test_a_pose_of_a_joint_exactly_at_its_limit_is_solved(plant: ArmPlant, joint
 
 def test_newton_exceeds_joint_limits_only_if_unbounded(plant: ArmPlant) -> None:
     q = np.array(PAST_LIMIT["panda_joint2"])
-    X_BG, start = plant.forward(q), np.clip(q, plant.lower, plant.upper)
+    X_BG = plant.forward(q)
+    start = np.clip(q, plant.lower, plant.upper)
     free, free_error = solve_newton(plant, X_BG, start, bounded=False, iterations=100)
     held, held_error = solve_newton(plant, X_BG, start, iterations=100)
     assert free_error < 1e-9

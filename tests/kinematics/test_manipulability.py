@@ -44,7 +44,8 @@ def test_w_scales_with_the_cube_of_the_length_unit(plant: ArmPlant) -> None:
 
 def test_condition_number_is_that_of_the_jacobian_over_characteristic_length(plant: ArmPlant) -> None:
     q = np.random.default_rng(5).uniform(plant.lower, plant.upper, size=(10, 7))
-    result, J = compute_manipulability(plant, q), plant.chain.jacobians(q)
+    result = compute_manipulability(plant, q)
+    J = plant.chain.jacobians(q)
     J[:, 3:] /= characteristic_length(plant)
     np.testing.assert_allclose(result.condition, np.linalg.cond(J))
     assert np.isinf(compute_manipulability(plant, q[:1], np.zeros((1, 6, 7))).condition)
@@ -60,7 +61,9 @@ def test_characteristic_length_balances_rotation_and_translation(plant: ArmPlant
 
 def test_limit_weight_within_the_limits_is_the_published_formula() -> None:
     """Against the derivative of H = (upper - lower)^2 / (4 (upper - q) (q - lower)) by differences."""
-    lower, upper, h = -1.2, 2.9, 1e-6
+    lower = -1.2
+    upper = 2.9
+    h = 1e-6
     q = np.linspace(lower + 0.1, upper - 0.1, 25)
 
     def H(q: np.ndarray) -> np.ndarray:

@@ -82,8 +82,10 @@ def test_anchors_keep_their_spacing_and_include_both_ends(period: float) -> None
 def test_the_numeric_solver_agrees_with_the_analytic_one(plant: ArmPlant, monkeypatch: pytest.MonkeyPatch) -> None:
     """What serves arms without a closed form, tried on the Panda, whose postures are known."""
     q = _path(12, seed=2)
-    X_BG, t_s = _poses(plant, q), 0.2 * np.arange(12)
-    numeric, closed = NumericSolver(plant), posture_solver(plant)
+    X_BG = _poses(plant, q)
+    t_s = 0.2 * np.arange(12)
+    numeric = NumericSolver(plant)
+    closed = posture_solver(plant)
     cross = np.einsum("ti,ti->t", numeric.direction(X_BG, q), closed.direction(X_BG, q))
     np.testing.assert_allclose(np.abs(cross), 1.0, atol=1e-6)
     np.testing.assert_allclose(numeric.nearest(X_BG, q), q, atol=1e-6)

@@ -21,7 +21,10 @@ def _dh_forward(q: np.ndarray) -> np.ndarray:
     )
     X = np.eye(4)
     for a, d, alpha, theta in table:
-        ct, st, ca, sa = np.cos(theta), np.sin(theta), np.cos(alpha), np.sin(alpha)
+        ct = np.cos(theta)
+        st = np.sin(theta)
+        ca = np.cos(alpha)
+        sa = np.sin(alpha)
         X = X @ [[ct, -st, 0, a], [st * ca, ct * ca, -sa, -d * sa], [st * sa, ct * sa, ca, d * ca], [0, 0, 0, 1]]
     c = np.sqrt(0.5)
     return X @ [[c, c, 0, 0], [-c, c, 0, 0], [0, 0, 1, 0.107 + 0.1034], [0, 0, 0, 1]]
@@ -59,7 +62,8 @@ def test_jacobian_is_the_finite_difference_of_forward(plant: ArmPlant) -> None:
     for q in rng.uniform(plant.lower, plant.upper, size=(10, 7)):
         J = plant.jacobian(q)
         for j, dq in enumerate(h * np.eye(7)):
-            X_minus, X_plus = plant.forward(q - dq), plant.forward(q + dq)
+            X_minus = plant.forward(q - dq)
+            X_plus = plant.forward(q + dq)
             angular = rotation_log(X_plus[:3, :3] @ X_minus[:3, :3].T) / (2 * h)
             linear = (X_plus[:3, 3] - X_minus[:3, 3]) / (2 * h)
             np.testing.assert_allclose(J[:, j], [*angular, *linear], atol=1e-8)

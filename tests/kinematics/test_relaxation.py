@@ -22,7 +22,8 @@ def _poses(plant: ArmPlant, q: Array) -> Array:
 def test_relaxing_keeps_the_poses_and_lowers_joint_speeds(plant: ArmPlant) -> None:
     """A path that wags along the redundancy, straightened."""
     q = _path(30)
-    X_BG, t_s = _poses(plant, q), 0.1 * np.arange(30)
+    X_BG = _poses(plant, q)
+    t_s = 0.1 * np.arange(30)
     wagging = q.copy()
     wagging[:, 6] += 0.15 * (-1.0) ** np.arange(30)
     wagging = posture_solver(plant).nearest(X_BG, wagging)
@@ -36,7 +37,8 @@ def test_relaxing_keeps_the_poses_and_lowers_joint_speeds(plant: ArmPlant) -> No
 def test_relaxing_brings_a_path_back_within_joint_limits(plant: ArmPlant) -> None:
     q = _path(20, seed=1)
     q[:, 6] += plant.upper[6] - 0.02 - q[:, 6].max()
-    X_BG, t_s = _poses(plant, q), 0.2 * np.arange(20)
+    X_BG = _poses(plant, q)
+    t_s = 0.2 * np.arange(20)
     past = posture_solver(plant).nearest(X_BG, q + 0.06 * np.eye(7)[6])
     assert limit_excess(plant, past).max() > 0.01
     assert limit_excess(plant, relax(plant, t_s, X_BG, past)).max() == 0.0

@@ -23,7 +23,8 @@ def test_curve_and_derivatives_lie_within_the_hull_of_their_control_points(basis
     control = np.random.default_rng(1).normal(size=(basis.size, 3))
     t = np.linspace(0.0, 0.9, 1000)
     for k, D in enumerate(basis.derivatives):
-        value, hull = basis.evaluate(control, t, k), D @ control
+        value = basis.evaluate(control, t, k)
+        hull = D @ control
         assert (value <= hull.max(axis=0) + 1e-9).all()
         assert (value >= hull.min(axis=0) - 1e-9).all()
 

@@ -69,14 +69,16 @@ def test_a_way_that_ends_before_the_plate_is_free(tmp_path: Path) -> None:
 
 
 def test_no_contact_is_looked_for_across_unknown_postures(tmp_path: Path) -> None:
-    plant, q = make_plant(tmp_path, PLATE), turn(-0.6, 0.6, 3)
+    plant = make_plant(tmp_path, PLATE)
+    q = turn(-0.6, 0.6, 3)
     q[1] = np.nan
     assert not sweep(plant, CollisionModel(plant), q, np.full(3, 0.04), TOLERANCE_M)
 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_contacts_are_those_of_dense_sampling(tmp_path: Path, seed: int) -> None:
-    plant, rng = make_plant(tmp_path, PLATE, *OTHERS), np.random.default_rng(seed)
+    plant = make_plant(tmp_path, PLATE, *OTHERS)
+    rng = np.random.default_rng(seed)
     model = CollisionModel(plant)
     q = np.clip(rest_q() + np.cumsum(rng.normal(0.0, 0.12, (6, 7)), axis=0), plant.lower, plant.upper)
     width = rng.uniform(0.0, 0.08, 6)

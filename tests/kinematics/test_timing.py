@@ -41,7 +41,9 @@ def test_a_move_from_rest_to_rest_takes_the_time_of_a_trapezoidal_profile(
 
 def test_time_scale_keeps_the_speeds_at_both_ends(plant: ArmPlant) -> None:
     """At half the speed limit throughout: accelerate from there, cruise at the limit, brake to there again."""
-    v, a, way = plant.velocity_limits[0], 15.0, 1.0
+    v = plant.velocity_limits[0]
+    a = 15.0
+    way = 1.0
     t = np.linspace(0.0, way / (0.5 * v), 49)
     scale = time_scale(plant, t, rest_q() + (0.5 * v * t)[:, None] * SWING)
     ramp = 0.5 * v / a
@@ -62,7 +64,8 @@ def test_time_scale_of_an_irregularly_sampled_path_is_below_one(plant: ArmPlant)
 def test_playing_a_move_slower_lowers_the_time_scale_in_proportion(plant: ArmPlant) -> None:
     u = np.linspace(0.0, 1.0, 49)
     q = rest_q() + 0.8 * _rest_to_rest(u)[:, None] * np.array([1.0, 0.2, 0.3, -0.4, 0.2, 0.1, 0.5])
-    fast, slow = time_scale(plant, 2.0 * u, q), time_scale(plant, 6.0 * u, q)
+    fast = time_scale(plant, 2.0 * u, q)
+    slow = time_scale(plant, 6.0 * u, q)
     assert fast.value is not None
     assert slow.value == pytest.approx(fast.value / 3.0, rel=5e-3)
     assert (fast.constraint, fast.joint) == (slow.constraint, slow.joint)
@@ -124,7 +127,8 @@ def test_an_arm_too_weak_for_its_weight_names_torque_and_joint(
 
 @pytest.mark.parametrize("frames", [2, 3, 4])
 def test_two_frames_suffice_for_a_time_scale(plant: ArmPlant, frames: int) -> None:
-    v, t = plant.velocity_limits[0], np.linspace(0.0, 1.0, frames)
+    v = plant.velocity_limits[0]
+    t = np.linspace(0.0, 1.0, frames)
     ramp = (v - 1.0) / 15.0  # from the track's 1 rad/s to the limit
     expected = 2.0 * ramp + (1.0 - ramp * (v + 1.0)) / v
     assert time_scale(plant, t, rest_q() + t[:, None] * SWING).value == pytest.approx(expected, rel=2e-3)

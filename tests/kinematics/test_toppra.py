@@ -15,13 +15,16 @@ ENDS = 1.0, 1.0
 
 def _drakes_rates(plant: ArmPlant, t: np.ndarray, q: np.ndarray, grid: np.ndarray) -> np.ndarray | None:
     """Return ds/dt (G,) by Drake's Toppra; its solver needs (ds/dt)^2 of the order of 1e4."""
-    stretch, spline, n = 100.0, CubicSpline(t, q), plant.drake.num_velocities()
+    stretch = 100.0
+    spline = CubicSpline(t, q)
+    n = plant.drake.num_velocities()
     rates = np.zeros((len(t), n))
     rates[:, plant.arm_rates] = spline(t, 1) / stretch
     path = PiecewisePolynomial.CubicHermite(stretch * t, plant.positions(spline(t)).T, rates.T)
     toppra = Toppra(path, plant.drake, stretch * grid)
     speed, acceleration, torque = (np.full(n, 1e9) for _ in range(3))
-    speed[plant.arm_rates], torque[plant.arm_rates] = plant.velocity_limits, plant.effort_limits
+    speed[plant.arm_rates] = plant.velocity_limits
+    torque[plant.arm_rates] = plant.effort_limits
     acceleration[plant.arm_rates] = plant.acceleration_limits
     toppra.AddJointVelocityLimit(-speed, speed)
     toppra.AddJointAccelerationLimit(-acceleration, acceleration, ToppraDiscretization.kInterpolation)
@@ -37,7 +40,8 @@ def test_path_rates_equal_drakes_toppra(plant: ArmPlant, seed: int) -> None:
     t -= t[0]
     q = rest_q() + 0.2 * np.sin(rng.uniform(0.3, 1.5, 7) * t[:, None] + rng.uniform(0.0, 6.0, 7))
     motion = _Motion(plant, t, q, np.arange(len(t)))
-    ours, drakes = fastest_rates(motion.limits, *ENDS), _drakes_rates(plant, t, q, motion.grid)
+    ours = fastest_rates(motion.limits, *ENDS)
+    drakes = _drakes_rates(plant, t, q, motion.grid)
     assert ours is not None
     assert drakes is not None
     np.testing.assert_allclose(ours, drakes, rtol=1e-6)
@@ -47,7 +51,8 @@ def test_path_rates_equal_drakes_toppra(plant: ArmPlant, seed: int) -> None:
 def test_path_rates_are_the_optimum_of_one_linear_program(seed: int) -> None:
     """The fastest s(t) is fastest at every point, so that it maximises the sum of (ds/dt)^2."""
     rng = np.random.default_rng(seed)
-    n, rows = 25, 5
+    n = 25
+    rows = 5
     s = np.cumsum(rng.uniform(0.05, 0.15, n))
     limits = PathLimits(
         s=s,

@@ -91,7 +91,9 @@ class _MovingObstacle:
     """Self-collision of one posture of each path that is tested as a whole: that of its frame 0, 1, 2 and so on."""
 
     def __init__(self, frames: int, limit: int) -> None:
-        self.frames, self.limit, self.paths = frames, limit, 0
+        self.frames = frames
+        self.limit = limit
+        self.paths = 0
         self.colliding: list[Array] = []
 
     def self_distance(self, q: Array, finger_width_m: Array) -> Clearance:
@@ -122,7 +124,8 @@ def test_a_frame_is_in_collision_only_if_its_own_posture_collides(plant: ArmPlan
 
 def _joint_paths(plant: ArmPlant, count: int, seed: int, share: float) -> list[tuple[Array, float]]:
     """Joint paths (49, 7) all over the joint ranges and the frame period [s] at which they use `share` of limits."""
-    rng, found = np.random.default_rng(seed), []
+    rng = np.random.default_rng(seed)
+    found = []
     while len(found) < count:
         knots = rng.uniform(plant.lower, plant.upper, size=(4, 7))
         q = CubicSpline(np.linspace(0, 1, 4), knots)(np.linspace(0, 1, 49))
@@ -160,7 +163,8 @@ def test_a_warm_started_path_is_solved_within_speed_limits(plant: ArmPlant) -> N
 
 def test_a_continued_path_is_sound_or_nan(plant: ArmPlant) -> None:
     for q, period in _joint_paths(plant, 10, seed=11, share=0.9):
-        X_BG, t_s = plant.forward_path(q), period * np.arange(len(q))
+        X_BG = plant.forward_path(q)
+        t_s = period * np.arange(len(q))
         for step_s in (1.0, 0.05):  # at the second no joint is fast enough
             path = continue_path(plant, step_s * t_s, X_BG, q[0])
             assert is_sound(plant, step_s * t_s, path) or np.isnan(path).all()

@@ -4,7 +4,9 @@ import pytest
 from kinebench_drake.kinematics.spline import SplineBasis
 from kinebench_drake.kinematics.tube import LimitSet, Obstacle, PoseLinearisation, solve_tube
 
-FRAMES, DURATION_S, SPEED = 21, 2.0, 0.5
+FRAMES = 21
+DURATION_S = 2.0
+SPEED = 0.5
 
 
 @pytest.fixture

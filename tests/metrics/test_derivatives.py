@@ -50,7 +50,8 @@ def test_derivatives_stay_within_the_range_of_the_true_ones(order: int) -> None:
     """Sums of sines, whose derivatives are known: the value lies within the range of the true one."""
     rng = np.random.default_rng(2)
     for t_s in (0.2 * np.arange(50), 0.03 * np.arange(80), _uneven()):
-        w, phase = rng.uniform(0.5, 12.0, (5, 7)), rng.uniform(0, 6.3, (5, 7))
+        w = rng.uniform(0.5, 12.0, (5, 7))
+        phase = rng.uniform(0, 6.3, (5, 7))
         fine = np.linspace(t_s[0], t_s[-1], 4000)
         true = sum(w[k] ** order * np.sin(w[k] * fine[:, None] + phase[k] + order * np.pi / 2) for k in range(5))
         q = sum(np.sin(w[k] * t_s[:, None] + phase[k]) for k in range(5))
@@ -99,7 +100,9 @@ def test_the_standard_error_is_the_scatter_of_noisy_derivatives(order: int, even
 
 @pytest.mark.parametrize("order", [1, 2, 3])
 def test_the_window_is_the_shortest_with_noise_below_its_share_of_the_limit(order: int) -> None:
-    t_s, q, limits = 0.02 * np.arange(200), np.zeros((200, 7)), np.full(7, 10.0)
+    t_s = 0.02 * np.arange(200)
+    q = np.zeros((200, 7))
+    limits = np.full(7, 10.0)
     sizes = []
     for sigma in (0.0, 1e-5, 1e-4, 1e-3, 1e-2, 100.0):
         d = differentiate(t_s, q, np.full(7, sigma), order, limits)

@@ -70,7 +70,8 @@ def _number(metrics: Mapping[str, float | bool | None], name: str) -> float:
 def test_a_gentle_track_is_feasible_and_has_every_metric(plant: ArmPlant, judge: TrackJudge) -> None:
     track = _poses(plant, _gentle())
     result = judge.judge_poses(track)
-    metrics, q = result.metrics, result.joints.q
+    metrics = result.metrics
+    q = result.joints.q
     assert result.feasible is True
     assert result.violations == ()
     assert set(KINEMATIC_METRICS) <= set(metrics)
@@ -324,7 +325,8 @@ def test_rounding_at_a_limit_is_within_it(plant: ArmPlant, judge: TrackJudge) ->
 @pytest.mark.parametrize("seed", [0, 2])
 def test_jittering_stamps_make_no_feasible_motion_infeasible(judge: TrackJudge, seed: int) -> None:
     """Stamps of a 250 Hz recording that are off by 0.5 ms: as they are, and as an audit reads them."""
-    rng, even = np.random.default_rng(seed), np.arange(500) / 250
+    rng = np.random.default_rng(seed)
+    even = np.arange(500) / 250
     q = rest_q() + 0.4 * np.sin(3 * even)[:, None] * np.linspace(1.0, 0.2, 7) + 1e-5 * rng.normal(size=(500, 7))
     stamps = even + np.clip(5e-4 * rng.normal(size=500), -1e-3, 1e-3)
     width = np.full(500, 0.04)

@@ -90,7 +90,8 @@ def test_a_burst_of_speed_is_reported_with_joint_frames_and_time(plant: ArmPlant
 
 def test_torque_ratio_is_that_of_inverse_dynamics(plant: ArmPlant) -> None:
     t_s = 0.002 * np.arange(400)
-    w, phase = np.linspace(1.0, 2.0, 7), np.arange(7)
+    w = np.linspace(1.0, 2.0, 7)
+    phase = np.arange(7)
     check = check_limits(plant, t_s, _wave(t_s, plant), EXACT).checks[ViolationKind.TORQUE]
     ratio = max(
         float(np.abs(tau / plant.effort_limits).max())
@@ -127,7 +128,8 @@ def test_the_slowdown_is_infinite_if_the_arm_cannot_carry_its_weight(weak: ArmPl
 
 def _bound_by(kind: ViolationKind) -> ArmPlant:
     """An arm that has this limit alone; of torque, one that must carry its weight, too."""
-    limits, wide = panda().limits, np.full(7, 1e9)
+    limits = panda().limits
+    wide = np.full(7, 1e9)
     own = {name: getattr(limits, name) for name in ("velocity", "acceleration", "jerk")}
     own["torque"] = np.array([9.0, 60.0, 60.0, 60.0, 12.0, 12.0, 12.0])
     return ArmPlant(_with_limits(**{name: limit if name == kind.value else wide for name, limit in own.items()}))
@@ -168,12 +170,14 @@ def test_the_slowdown_exceeds_one_exactly_if_a_limit_is_violated(plant: ArmPlant
 def test_torque_slowdown_is_the_least_factor_that_keeps_the_torque_limits() -> None:
     rng = np.random.default_rng(0)
     limits = np.full(7, 10.0)
-    gravity, rest = rng.uniform(-9.0, 9.0, (50, 7)), rng.normal(scale=20.0, size=(50, 7))
+    gravity = rng.uniform(-9.0, 9.0, (50, 7))
+    rest = rng.normal(scale=20.0, size=(50, 7))
     error = rng.uniform(0.0, 5.0, (50, 7))
     k = torque_slowdown(gravity, rest, limits, error)
 
     def kept(k: Array) -> Array:
-        value, room = gravity + rest / k**2, error / k**2
+        value = gravity + rest / k**2
+        room = error / k**2
         return np.asarray((value - room <= limits) & (value + room >= -limits))
 
     moving = k > 0.0

@@ -39,7 +39,8 @@ def _least(speed: Array, unknown: set[int]) -> tuple[float, float]:
 
 @given(speed=SPEEDS, first=FRAMES, second=FRAMES)
 def test_unknown_speeds_never_raise_smoothness(speed: Array, first: set[int], second: set[int]) -> None:
-    few, many = _least(speed, first), _least(speed, first | second)
+    few = _least(speed, first)
+    many = _least(speed, first | second)
     assert many[0] <= few[0] + 1e-9
     assert many[1] <= few[1] + 1e-9
 
@@ -71,7 +72,8 @@ def test_the_bound_of_jerk_is_taken() -> None:
 def test_losing_frames_never_improves_smoothness(steps: Array, order: list[int]) -> None:
     path = np.cumsum(steps, axis=0)
     X_BG = np.tile(np.eye(4), (N, 1, 1))
-    X_BG[:, :3, 3], X_BG[:, :3, :3] = path[:, :3], rotation_exp(path[:, 3:])
+    X_BG[:, :3, 3] = path[:, :3]
+    X_BG[:, :3, :3] = rotation_exp(path[:, 3:])
     tracked = np.ones(N, dtype=bool)
     before = measure_smoothness(_gripper(X_BG, tracked)).metrics
     for lost in order[:3]:
@@ -122,7 +124,8 @@ def _lose(judge: TrackJudge, track: GripperTrack, frames: list[int]) -> Kinemati
 
 
 def test_a_lost_frame_has_no_manipulability(judge: TrackJudge, reach: GripperTrack) -> None:
-    whole, result = judge.judge_poses(reach).metrics, _lose(judge, reach, [12])
+    whole = judge.judge_poses(reach).metrics
+    result = _lose(judge, reach, [12])
     metrics = result.metrics
     assert not any(name.endswith("_bound") for name in whole)
     assert metrics["manipulability_min_bound"] == 0.0
@@ -139,7 +142,8 @@ def test_a_lost_frame_has_no_manipulability(judge: TrackJudge, reach: GripperTra
 def test_bridged_frames_leave_the_values_where_they_are(
     judge: TrackJudge, reach: GripperTrack, lost: list[int]
 ) -> None:
-    whole, result = judge.judge_poses(reach).metrics, _lose(judge, reach, lost)
+    whole = judge.judge_poses(reach).metrics
+    result = _lose(judge, reach, lost)
     assert np.flatnonzero(result.curves["bridged"]).tolist() == lost
     for name in ("sparc", "ldlj", "sparc_rotation", "manipulability_mean", "manipulability_min"):
         assert result.metrics[name] == pytest.approx(whole[name], rel=0.05)
@@ -155,7 +159,8 @@ def test_gaps_at_the_ends_and_long_ones_stay_open(judge: TrackJudge, reach: Grip
 
 def test_a_missed_pose_loses_its_manipulability_with_the_distance(plant: ArmPlant, judge: TrackJudge) -> None:
     X = plant.forward(plant.robot.rest_q)
-    near, far = X.copy(), X.copy()
+    near = X.copy()
+    far = X.copy()
     far[0, 3] += 1.0
     while far[0, 3] - near[0, 3] > 1e-6:  # the end of reach along x
         middle = 0.5 * (near + far)

@@ -34,8 +34,10 @@ def _track(n: int = 50, period_s: float = 0.1, size_m: float = 0.3, size_rad: fl
 
 
 def _with_gap(track: GripperTrack, lost: slice) -> GripperTrack:
-    X, tracked = track.X_BG.copy(), track.tracked.copy()
-    X[lost], tracked[lost] = np.nan, False
+    X = track.X_BG.copy()
+    tracked = track.tracked.copy()
+    X[lost] = np.nan
+    tracked[lost] = False
     return replace(track, X_CH=X, X_BG=X, tracked=tracked)
 
 
@@ -105,10 +107,13 @@ def test_mirrored_bins_would_double_the_arc() -> None:
 
 
 def test_both_fall_with_every_stop_and_with_noise() -> None:
-    one, three = _bell(101), np.concatenate([_bell(34)] * 3)
+    one = _bell(101)
+    three = np.concatenate([_bell(34)] * 3)
     noisy = one + 0.4 * np.random.default_rng(0).normal(size=101)
     for metric in (sparc, ldlj):
-        smooth, stops, rough = metric(one, 50.0), metric(three, 50.0), metric(noisy, 50.0)
+        smooth = metric(one, 50.0)
+        stops = metric(three, 50.0)
+        rough = metric(noisy, 50.0)
         assert stops < smooth - 0.3
         assert rough < smooth - 0.05
 
@@ -137,7 +142,8 @@ def test_a_track_is_judged_by_its_two_speeds() -> None:
 
 
 def test_translation_and_rotation_are_measured_separately() -> None:
-    slides, turns = measure_smoothness(_track(size_rad=0.0)), measure_smoothness(_track(size_m=0.0))
+    slides = measure_smoothness(_track(size_rad=0.0))
+    turns = measure_smoothness(_track(size_m=0.0))
     assert slides.metrics["sparc"] is not None
     assert slides.metrics["sparc_rotation"] is None
     assert turns.metrics["sparc"] is None
@@ -155,8 +161,10 @@ def test_tracking_noise_of_a_still_gripper_is_not_judged() -> None:
 
 def test_the_value_is_that_of_the_run_that_holds_nearly_all_frames() -> None:
     whole = _track(60)
-    gap, rest = _with_gap(whole, slice(0, 3)), whole.at(np.arange(3, 60))
-    ours, expected = measure_smoothness(gap), measure_smoothness(rest).metrics
+    gap = _with_gap(whole, slice(0, 3))
+    rest = whole.at(np.arange(3, 60))
+    ours = measure_smoothness(gap)
+    expected = measure_smoothness(rest).metrics
     for name in ("sparc", "ldlj"):
         assert ours.metrics[name] == pytest.approx(expected[name], rel=1e-6)
         assert ours.bounds[name] < ours.metrics[name]
@@ -191,7 +199,8 @@ def test_filtered_sparc_bears_noise_at_high_frame_rates() -> None:
     """Noise that changes the plain SPARC beyond recognition leaves the filtered one nearly as it was."""
     t_s, X = reach_and_place(1.0 / 30.0)
     noisy = with_noise(X, 0.002, 0.0, np.random.default_rng(0))
-    clean, rough = measure_smoothness(gripper(t_s, X)), measure_smoothness(gripper(t_s, noisy))
+    clean = measure_smoothness(gripper(t_s, X))
+    rough = measure_smoothness(gripper(t_s, noisy))
     assert clean.metrics["sparc"] is not None
     assert clean.metrics["sparc_filtered"] is not None
     assert rough.metrics["sparc"] is not None

@@ -28,10 +28,12 @@ def _chain(robot: Robot, q: np.ndarray) -> np.ndarray:
     """Pose of the made-up arm's tool, written out: 0.2 m up, then a turn about z or y, seven times."""
     X = np.eye(4)
     for i, angle in enumerate(q):
-        c, s = np.cos(angle), np.sin(angle)
+        c = np.cos(angle)
+        s = np.sin(angle)
         R = [[c, -s, 0], [s, c, 0], [0, 0, 1]] if i % 2 == 0 else [[c, 0, s], [0, 1, 0], [-s, 0, c]]
         step = np.eye(4)
-        step[:3, :3], step[2, 3] = R, 0.2
+        step[:3, :3] = R
+        step[2, 3] = 0.2
         X = X @ step
     tool = np.eye(4)
     tool[2, 3] = 0.1
@@ -39,7 +41,8 @@ def _chain(robot: Robot, q: np.ndarray) -> np.ndarray:
 
 
 def test_loading_the_pandas_urdf_gives_the_panda_without_its_published_limits() -> None:
-    loaded, own = load_robot(source_urdf(), TCP_LINK), panda()
+    loaded = load_robot(source_urdf(), TCP_LINK)
+    own = panda()
     for name in ("base_link", "tcp_link", "hand_link", "joints", "finger_joints", "links", "allowed_pairs"):
         assert getattr(loaded, name) == getattr(own, name)
     np.testing.assert_array_equal(loaded.rest_q, own.rest_q)
@@ -80,7 +83,8 @@ def test_arm_joints_need_not_come_first_in_drakes_order(write_arm: Write) -> Non
         + joints[-1].split("</joint>", 1)[0]
         + "</joint></robot>"
     )
-    plant, plain = ArmPlant(load_robot(urdf, "tool")), ArmPlant(load_robot(write_arm(limits=strong), "tool"))
+    plant = ArmPlant(load_robot(urdf, "tool"))
+    plain = ArmPlant(load_robot(write_arm(limits=strong), "tool"))
     assert plant.robot.finger_joints == ("a_slide",)
     rng = np.random.default_rng(1)
     q, v, a = rng.uniform(plant.lower, plant.upper, size=(3, 7))
@@ -93,7 +97,8 @@ def test_arm_joints_need_not_come_first_in_drakes_order(write_arm: Write) -> Non
     assert np.abs(plant.forward(solve_newton(plant, plant.forward(q), q - 0.1)[0]) - plant.forward(q)).max() < 1e-5
     t = np.linspace(0.0, 4.0, 30)
     path = plant.robot.rest_q + 0.4 * np.sin(t)[:, None] * np.array([1.0, 0.2, -1.0, 0.3, 1.0, -0.2, 1.0])
-    scale, expected = time_scale(plant, t, path), time_scale(plain, t, path)
+    scale = time_scale(plant, t, path)
+    expected = time_scale(plain, t, path)
     assert expected.value is not None
     assert scale.value == pytest.approx(expected.value, rel=1e-3)
     assert (scale.constraint, scale.joint) == (expected.constraint, expected.joint)
@@ -107,7 +112,8 @@ def test_each_finger_opens_by_half_the_width_and_closed_fingers_may_touch(write_
     assert plant.robot.hand_link == "l7"
     q = plant.robot.rest_q[None]
     for width, apart in ((0.0, 0.0), (0.05, 0.05), (0.2, 0.06)):
-        M, chain = plant.chain.motions(q, [width])[0], plant.chain
+        M = plant.chain.motions(q, [width])[0]
+        chain = plant.chain
         left, right = ((M[chain.stage[link]] @ chain.home[link])[:3, 3] for link in ("f1", "f2"))
         assert np.linalg.norm(left - right) == pytest.approx(apart)
     model = CollisionModel(plant)
@@ -143,7 +149,8 @@ def test_table_distances_of_primitive_shapes_are_exact(write_arm: Write) -> None
     plant = ArmPlant(load_robot(write_arm(shapes=shapes), "tool"))
     q = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.5, 0.0])
     lowest = {p.link_a: p.distance_m for p in CollisionModel(plant).near_pairs(q, 10.0) if p.link_b == "table"}
-    c, s = np.cos(0.5), np.sin(0.5)
+    c = np.cos(0.5)
+    s = np.sin(0.5)
     assert lowest["l1"] == pytest.approx(0.2 + 0.1 - 0.05)  # a box 0.1 m high
     assert lowest["l6"] == pytest.approx(1.2 + 0.1 * c - 0.03)
     assert lowest["l7"] == pytest.approx(1.2 + 0.3 * c - 0.05 * c - 0.03 * s)

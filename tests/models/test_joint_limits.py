@@ -25,7 +25,8 @@ def fr3() -> ArmPlant:
 
 
 def test_no_limit_of_the_fr3_is_looser_than_its_table(fr3: ArmPlant) -> None:
-    table, limits = ROBOTS["fr3"], fr3.robot.limits
+    table = ROBOTS["fr3"]
+    limits = fr3.robot.limits
     for name, stated in (
         *(("lower", table.lower_rad), ("upper", table.upper_rad), ("velocity", table.velocity_rad_s)),
         *(("acceleration", table.acceleration_rad_s2), ("jerk", table.jerk_rad_s3), ("torque", table.torque_nm)),
@@ -40,7 +41,8 @@ def test_speeds_of_the_fr3_near_a_joint_limit_are_those_of_frankas_formula(fr3: 
     limits = fr3.robot.limits
     q = np.random.default_rng(0).uniform(limits.lower, limits.upper, size=(1000, 7))
     table = ROBOTS["fr3"]
-    offset, deceleration = np.array(table.velocity_offset_rad_s), np.array(table.deceleration_rad_s2)
+    offset = np.array(table.velocity_offset_rad_s)
+    deceleration = np.array(table.deceleration_rad_s2)
     for v, room in ((np.ones(7), limits.upper - q), (-np.ones(7), q - limits.lower)):
         expected = np.minimum(limits.velocity, np.maximum(0.0, np.sqrt(2.0 * deceleration * room) - offset))
         np.testing.assert_allclose(limits.speeds(q, np.tile(v, (1000, 1))), expected, atol=1e-6)
@@ -77,7 +79,9 @@ def test_speed_beyond_the_limit_of_its_position_is_a_violation_only_towards_the_
 
 
 def test_noise_that_explains_the_speed_near_a_joint_limit_is_no_violation(fr3: ArmPlant) -> None:
-    rng, sigma, false_alarms = np.random.default_rng(2), np.full(7, 2e-3), 0
+    rng = np.random.default_rng(2)
+    sigma = np.full(7, 2e-3)
+    false_alarms = 0
     limits = fr3.robot.limits
     t_s = np.linspace(0.0, 2.0, 41)
     for _ in range(50):
@@ -112,8 +116,10 @@ def test_the_default_tool_of_the_panda_as_a_pose_gives_the_same_robot() -> None:
 
 
 def test_a_payload_adds_its_weight_at_the_tcp_to_the_torques() -> None:
-    loaded, plant = ArmPlant(load_robot(payload_kg=2.0)), ArmPlant()
-    still, rng = np.zeros(7), np.random.default_rng(4)
+    loaded = ArmPlant(load_robot(payload_kg=2.0))
+    plant = ArmPlant()
+    still = np.zeros(7)
+    rng = np.random.default_rng(4)
     for q in rng.uniform(plant.lower, plant.upper, size=(5, 7)):
         added = loaded.torque(q, still, still) - plant.torque(q, still, still)
         np.testing.assert_allclose(added, plant.jacobian(q)[3:].T @ [0.0, 0.0, 2.0 * 9.81], atol=1e-9)
@@ -126,7 +132,8 @@ def test_a_payload_adds_its_weight_at_the_tcp_to_the_torques() -> None:
 def test_a_limits_file_replaces_what_it_states_and_nothing_else(tmp_path: Path) -> None:
     path = tmp_path / "limits.json"
     path.write_text(json.dumps({"source": "a data sheet", "velocity_rad_s": [1, 1, 1, 1, 2, 2, 2]}))
-    own, table = panda().limits, load_robot("panda", limits=path).limits
+    own = panda().limits
+    table = load_robot("panda", limits=path).limits
     np.testing.assert_array_equal(table.velocity, [1, 1, 1, 1, 2, 2, 2])
     for field in fields(JointLimits):
         if field.name != "velocity":

@@ -196,7 +196,8 @@ def damage_npz(random: Random, data: bytes) -> bytes:
 def damage_csv(random: Random, data: bytes) -> bytes:
     """Change cells, rows, columns, separators or the encoding of a table."""
     rows = [line.split(",") for line in data.decode().splitlines()]
-    k, j = random.randrange(len(rows)), random.randrange(len(rows[0]))
+    k = random.randrange(len(rows))
+    j = random.randrange(len(rows[0]))
     kind = random.randrange(6)
     if kind == 0:
         rows = [row[:j] + row[j + 1 :] for row in rows]
@@ -213,7 +214,8 @@ def damage_csv(random: Random, data: bytes) -> bytes:
 def damage_parquet(random: Random, data: bytes) -> bytes:
     """Change, remove or rename a column, or the number of rows."""
     table = parquet.read_table(io.BytesIO(data))
-    k, n = random.randrange(table.num_columns), table.num_rows
+    k = random.randrange(table.num_columns)
+    n = table.num_rows
     columns = (
         pyarrow.nulls(n),
         pyarrow.array([float("nan")] * n),

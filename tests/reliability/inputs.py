@@ -22,7 +22,9 @@ from kinebench_drake.track import GripperTrack
 from tests.reliability.damage import Tree, npy
 from tests.report.suite.synthetic import write_run
 
-SIDE_PX, FRAMES, FPS = 96, 4, 10
+SIDE_PX = 96
+FRAMES = 4
+FPS = 10
 CAMERA_KEY = "observation.images.front"
 
 IMAGES = np.zeros((FRAMES, SIDE_PX, SIDE_PX, 3), np.uint8)
@@ -176,7 +178,8 @@ REQUEST_ID = "0" * 36
 
 def answers() -> list[Tree]:
     """Answers of a world model behind HTTP: the video itself, and one frame for each action."""
-    size, one_to_ten = {"height": SIDE_PX, "width": SIDE_PX}, {"min": 1, "max": 10}
+    size = {"height": SIDE_PX, "width": SIDE_PX}
+    one_to_ten = {"min": 1, "max": 10}
     ranges = {"context_frames": one_to_ten, "prediction_frames": one_to_ten}
     profile = {"profile_id": "franka", "image": size, **ranges, "action": {"dimension": 8}}
     frames = [{"data": base64.b64encode(image_file()).decode()}] * (FRAMES - 1)

@@ -21,7 +21,10 @@ class Page(HTMLParser):
 
     def __init__(self, text):
         super().__init__()
-        self.links, self.open, self.ids, self.scripts = [], [], [], 0
+        self.links = []
+        self.open = []
+        self.ids = []
+        self.scripts = 0
         self.feed(text)
         self.close()
 

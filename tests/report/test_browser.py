@@ -56,7 +56,8 @@ def folder(tmp_path):
     speed = {"kind": "velocity", "frame_start": 2, "frame_end": 3, "joint": EVIL, "value": 3.0, "limit": None}
     with ResultStore(tmp_path) as store:
         for k in range(130):
-            id, metrics = f"sample_with_a_rather_long_name_{k:03d}", {"sparc": -1.5 - 0.01 * (k * 37 % 130)}
+            id = f"sample_with_a_rather_long_name_{k:03d}"
+            metrics = {"sparc": -1.5 - 0.01 * (k * 37 % 130)}
             task = "good" if k % 65 == 3 else f"Task{k % 9}"
             store.append(row(id, feasible=k > 0, metrics=metrics, violations=(speed,) * (k == 0), task=task), 0.1)
             write_track(tmp_path / "tracks" / f"{id}.npz", track, None, {})

@@ -123,7 +123,8 @@ def test_the_page_of_hostile_labels_works_in_a_browser_on_a_phone(bundle, tmp_pa
 
 
 def test_bundles_of_different_kinds_or_of_one_name_are_refused(suite, bundle, tmp_path):
-    one, other = suite("wan", [True]), bundle("clips", [row("a", executable=True)])
+    one = suite("wan", [True])
+    other = bundle("clips", [row("a", executable=True)])
     with pytest.raises(UsageError, match="one leaderboard has one kind"):
         write_leaderboard([one, other], tmp_path / "board")
     with pytest.raises(UsageError, match="two bundles have this name"):

@@ -59,7 +59,9 @@ def test_without_a_track_violations_are_stated_by_frames(judged):
 def test_the_nearest_approach_to_each_limit_is_taken_from_the_curves(judged, file):
     peaks = by_kind(find_peaks(judged(), file()))
     assert not any(peak.broken for peak in peaks.values())
-    speed, angle, table = peaks["velocity"], peaks["joint_limit"], peaks["table_collision"]
+    speed = peaks["velocity"]
+    angle = peaks["joint_limit"]
+    table = peaks["table_collision"]
     assert (speed.joint, speed.when, speed.value) == ("arm_joint3", "1.40 s", 1.9)
     assert speed.ratio == pytest.approx(0.95)
     assert (angle.joint, angle.when, angle.unit) == ("arm_joint6", "1.20 s", "°")
@@ -91,7 +93,8 @@ def test_details_that_name_an_unknown_joint_are_ignored(judged, file):
 
 def test_joints_without_a_limit_have_no_ratio(judged, file):
     torque = np.zeros((10, 7))
-    torque[6, 1], torque[6, 5] = 40.0, 1e6
+    torque[6, 1] = 40.0
+    torque[6, 5] = 1e6
     peak = by_kind(find_peaks(judged(), file(torque=torque)))["torque"]
     assert (peak.joint, peak.ratio) == ("arm_joint2", 0.5)
 

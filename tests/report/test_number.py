@@ -50,7 +50,8 @@ def compare(name, first, second):
 @given(values=st.lists(st.tuples(VALUES, VALUES), min_size=1, max_size=12), place=st.integers(0, 11))
 @settings(max_examples=60, deadline=None)
 def test_a_missing_value_never_improves_the_comparison_of_its_model(name, values, place):
-    first, second = [a for a, _ in values], [b for _, b in values]
+    first = [a for a, _ in values]
+    second = [b for _, b in values]
     place %= len(values)
     before = compare(name, first, second)
     removed = [None if k == place else v for k, v in enumerate(first)]
@@ -59,7 +60,8 @@ def test_a_missing_value_never_improves_the_comparison_of_its_model(name, values
         return
     assert after.better[0] <= before.better[0]
     assert after.better[1] >= before.better[1]
-    share, sign = name in SHARES, -1 if name in LOWER_IS_BETTER else 1
+    share = name in SHARES
+    sign = -1 if name in LOWER_IS_BETTER else 1
     others = [sign * v for v in (*removed, *second) if v is not None]
     if share or (first[place] is not None and min(others, default=np.inf) <= sign * first[place]):
         assert sign * after.bound.mean <= sign * before.bound.mean + 1e-12
@@ -69,8 +71,10 @@ def test_a_missing_value_never_improves_the_comparison_of_its_model(name, values
 @given(values=st.lists(st.tuples(VALUES, VALUES), min_size=1, max_size=10))
 @settings(max_examples=40, deadline=None)
 def test_exchanging_the_models_negates_the_difference(name, values):
-    first, second = [a for a, _ in values], [b for _, b in values]
-    one, other = compare(name, first, second), compare(name, second, first)
+    first = [a for a, _ in values]
+    second = [b for _, b in values]
+    one = compare(name, first, second)
+    other = compare(name, second, first)
     assert (one is None) == (other is None)
     if one is not None:
         assert one.better == other.better[::-1]
@@ -200,14 +204,16 @@ def test_equal_models_are_undecided_with_the_difference_that_would_have_shown():
 
 
 def test_open_verdicts_count_as_no_with_the_share_that_is_possible_beside_it():
-    one, other = rows("executable", [True, None, None, False]), rows("executable", [True, True, False, False])
+    one = rows("executable", [True, None, None, False])
+    other = rows("executable", [True, True, False, False])
     [line] = verdict_lines(compare_numbers([((a,), (b,)) for a, b in zip(one, other, strict=True)], "a", "b"))
     assert "executable 50% against 25% (at most 75%) of 4 shared samples" in line
 
 
 def test_the_table_on_a_terminal_fits_100_columns_whatever_the_names():
     names = "command:python serve.py step=1000", "command:python serve.py step=2000"
-    rng, values = np.random.default_rng(0), [name for name in NUMBERS if name in BY_NAME]
+    rng = np.random.default_rng(0)
+    values = [name for name in NUMBERS if name in BY_NAME]
     pairs = [
         tuple(
             (

@@ -96,7 +96,9 @@ def test_faults_closer_than_a_pixel_are_drawn_as_one_bar(judged):
 
 def test_joints_are_drawn_within_their_own_limits(judged, file):
     q = np.full((10, 7), -0.5)  # the middle of -2 to 1 rad
-    q[3, 1], q[5, 2], q[6] = 1.0, -2.0, np.nan
+    q[3, 1] = 1.0
+    q[5, 2] = -2.0
+    q[6] = np.nan
     [svg] = [plot for plot in draw_curves(judged(), replace(file(), q=q)) if "Joint angle" in plot]
     upper, lower = (float(y) for y in re.findall(r'class="limit" d="M\d+ ([\d.]+)H', svg)[::-1])
     lines = re.findall(r'<polyline class="curve c\d" points="([^"]*)"', svg)

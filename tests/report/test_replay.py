@@ -43,7 +43,8 @@ def joints(plant):
     q = plant.robot.rest_q + np.outer(np.sin(t_s), [0.3, 0.0, 0.0, 0.2, 0.0, 0.0, 0.0])
     q[5] = np.nan
     status = [IkStatus.OK] * N
-    status[5], status[8] = IkStatus.NOT_TRACKED, IkStatus.UNREACHABLE
+    status[5] = IkStatus.NOT_TRACKED
+    status[8] = IkStatus.UNREACHABLE
     error = np.where(np.isfinite(q[:, 0]), 0.0, np.nan)
     error[8] = 0.05
     return JointTrack(t_s=t_s, q=q, status=tuple(status), position_error_m=error, rotation_error_rad=error * 0.0)
@@ -207,7 +208,8 @@ def test_a_track_of_one_frame_has_a_replay_and_an_empty_one_is_refused(build, fi
         confidence=one * 0.0,
         finger_width_m=np.full(N, np.nan),
     )
-    q, ok = np.full((N, 7), np.nan), np.zeros(N, dtype=bool)
+    q = np.full((N, 7), np.nan)
+    ok = np.zeros(N, dtype=bool)
     assert "/gripper/panda_hand" in paths(build(row(), TrackFile(track=lone, q=q, ik_ok=ok, status=None, curves={})))
     with pytest.raises(UnmeasurableError, match="nothing to show"):
         build(row(), TrackFile(track=none, q=q, ik_ok=ok, status=None, curves={}))
@@ -221,7 +223,8 @@ def test_replays_of_a_folder_are_written_for_named_samples_with_tracks(tmp_path,
         for id in ("a", "b"):
             write_track(tmp_path / "out" / "tracks" / f"{id}.npz", track, joints, {})
         store.finish({"config": {"table_height_m": -0.02}})
-    rows, tracks = read_rows(tmp_path / "out").values(), partial(artifact_path, tmp_path / "out", "tracks")
+    rows = read_rows(tmp_path / "out").values()
+    tracks = partial(artifact_path, tmp_path / "out", "tracks")
     assert worst_samples(rows, tracks, 5) == ["b", "a"]
     assert worst_samples(rows, tracks, 1) == ["b"]
     written = write_replays(tmp_path / "out", ["b", "trackless"], plant)
@@ -257,7 +260,8 @@ def test_srgb_colours_are_converted_to_linear():
 
 def test_a_recording_for_rerun_is_sound_and_holds_arm_path_and_curves(plant, file, tmp_path):
     pytest.importorskip("rerun")
-    meshes, path = link_meshes(plant), tmp_path / "a.rrd"
+    meshes = link_meshes(plant)
+    path = tmp_path / "a.rrd"
     path.write_bytes(record_track(plant, meshes, row(), file))
     verified, listed = (
         subprocess.run(

@@ -9,7 +9,10 @@ from kinebench_drake.report.limits import joint_limits, limit_ratios
 from kinebench_drake.report.timeline import FrameState, covered_frames, frame_states
 from kinebench_drake.track import IkStatus
 
-OK, DOUBT, BROKEN, UNTRACKED = FrameState.OK, FrameState.DOUBT, FrameState.BROKEN, FrameState.UNTRACKED
+OK = FrameState.OK
+DOUBT = FrameState.DOUBT
+BROKEN = FrameState.BROKEN
+UNTRACKED = FrameState.UNTRACKED
 
 
 def test_tracked_frames_without_a_fault_are_ok(judged, file):
@@ -24,7 +27,8 @@ def test_a_violation_outranks_other_frame_states(judged, file):
 def test_poses_not_reached_without_a_violation_are_in_doubt(judged, file):
     track = file()
     status = list(track.status)
-    status[1], status[2] = IkStatus.UNREACHABLE, IkStatus.JOINT_LIMIT
+    status[1] = IkStatus.UNREACHABLE
+    status[2] = IkStatus.JOINT_LIMIT
     violation = {"kind": "unreachable", "frame_start": 1, "frame_end": 1, "joint": None, "value": 0.1, "limit": 1e-6}
     states = frame_states(judged(violations=(violation,)), replace(track, status=tuple(status)))
     assert states[:4] == (OK, BROKEN, DOUBT, OK)

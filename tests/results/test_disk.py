@@ -93,7 +93,8 @@ def test_a_read_only_file_system_is_an_error_that_keeps_finished_rows(tmp_path, 
 def test_a_jumping_system_clock_changes_no_deadline_and_no_row(tmp_path, monkeypatch, jump_s):
     from kinebench_drake.suites.worldmodels.http_client import Deadline
 
-    true, calls = time.time, iter(range(10**9))
+    true = time.time
+    calls = iter(range(10**9))
     monkeypatch.setattr(time, "time", lambda: true() + jump_s * (next(calls) % 2))
     deadline = Deadline(60.0)
     assert 59.0 < deadline.left() <= 60.0

@@ -252,7 +252,9 @@ def test_damaged_or_absent_track_files_are_refused(tmp_path):
 
 
 def test_wilson_interval_agrees_with_the_formula():
-    k, n, z = 7, 10, 1.959963984540054
+    k = 7
+    n = 10
+    z = 1.959963984540054
     found = estimate([True] * k + [False] * (n - k) + [None], total=12)
     centre = (k + z * z / 2) / (n + z * z)
     half = z / (n + z * z) * (k * (n - k) / n + z * z / 4) ** 0.5
@@ -343,7 +345,8 @@ def test_rows_stay_readable_while_their_file_is_sorted_and_replaced(tmp_path):
     with ResultStore(tmp_path) as store:
         for id in "cab":
             store.append(_long(id), 0.1)
-        before, read = dict(store.rows), read_rows(tmp_path)
+        before = dict(store.rows)
+        read = read_rows(tmp_path)
         store.finish({})
         store.append(_long("aa"), 0.1)
         (tmp_path / results.SAMPLES).rename(tmp_path / "elsewhere")

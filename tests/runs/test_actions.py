@@ -23,7 +23,8 @@ from kinebench_drake.runs.score import score_videos
 from kinebench_drake.runs.tools import RobotOptions, Tools
 from kinebench_drake.track import GripperTrack, IkStatus, JointTrack
 
-FRAMES, LOST = 6, 2
+FRAMES = 6
+LOST = 2
 """Frames of a video, and the one that is not tracked."""
 Q = np.linspace(0.0, 0.5, FRAMES)[:, None] * np.ones(7)
 WIDTH = np.linspace(0.08, 0.03, FRAMES)

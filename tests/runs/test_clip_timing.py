@@ -14,7 +14,8 @@ from kinebench_drake.suites.clock import CLIP_S, FRAME_PERIOD_S, sample_uniforml
 from kinebench_drake.track import GripperTrack
 
 TRUTH = Path(__file__).parents[2] / "examples" / "videos" / "truth"
-NOISE_M, NOISE_RAD = 0.0015, 0.0075
+NOISE_M = 0.0015
+NOISE_RAD = 0.0075
 SMOOTHNESS = ("sparc", "ldlj", "sparc_filtered", "sparc_rotation")
 
 
@@ -57,7 +58,8 @@ def sampled(analyzer: Tools, motion: PchipInterpolator, frames: int, noise: floa
 
 def test_49_and_150_frames_have_the_same_metrics(analyzer: Tools, motion: PchipInterpolator) -> None:
     """Within the noise floor of the smoothness, and within 2 % of manipulability."""
-    short, long = sampled(analyzer, motion, 49), sampled(analyzer, motion, 150)
+    short = sampled(analyzer, motion, 49)
+    long = sampled(analyzer, motion, 150)
     assert short.feasible is long.feasible is True
     for name in SMOOTHNESS:
         width = short.metrics[f"{name}_floor_high"] - short.metrics[f"{name}_floor_low"]
@@ -69,7 +71,8 @@ def test_49_and_150_frames_have_the_same_metrics(analyzer: Tools, motion: PchipI
 
 def test_without_noise_smoothness_is_the_same_for_49_and_150_frames(analyzer: Tools, motion: PchipInterpolator) -> None:
     """Frames at their own times; at times rounded to the period LDLJ would be off by 0.4 to 1.4."""
-    short, long = sampled(analyzer, motion, 49, noise=0.0), sampled(analyzer, motion, 150, noise=0.0)
+    short = sampled(analyzer, motion, 49, noise=0.0)
+    long = sampled(analyzer, motion, 150, noise=0.0)
     assert long.metrics["sparc"] == pytest.approx(short.metrics["sparc"], abs=0.05)
     assert long.metrics["ldlj"] == pytest.approx(short.metrics["ldlj"], abs=0.2)
 

@@ -38,7 +38,8 @@ def judged(analyzer, *clips):
 
 
 def test_combining_a_single_clip_leaves_its_judgement_unchanged(analyzer):
-    alone, combined = analyzer.judge(clip()), judged(analyzer, clip())
+    alone = analyzer.judge(clip())
+    combined = judged(analyzer, clip())
     assert combined.metrics == alone.metrics
     assert combined.violations == alone.violations
 
@@ -50,8 +51,11 @@ def test_a_jump_of_the_pose_between_clips_is_no_violation(analyzer):
 
 
 def test_extremes_are_taken_integrals_summed_and_smoothness_averaged_over_clips(analyzer):
-    slow, fast = clip(reach=0.05), clip(reach=0.25)
-    a, b, both = analyzer.judge(slow).metrics, analyzer.judge(fast).metrics, judged(analyzer, slow, fast).metrics
+    slow = clip(reach=0.05)
+    fast = clip(reach=0.25)
+    a = analyzer.judge(slow).metrics
+    b = analyzer.judge(fast).metrics
+    both = judged(analyzer, slow, fast).metrics
     assert both.keys() == a.keys()
     assert both["velocity_ratio_max"] == max(a["velocity_ratio_max"], b["velocity_ratio_max"]) > a["velocity_ratio_max"]
     assert both["slowdown_min"] == max(a["slowdown_min"], b["slowdown_min"])
@@ -62,7 +66,8 @@ def test_extremes_are_taken_integrals_summed_and_smoothness_averaged_over_clips(
 
 def test_frame_numbers_of_violations_continue_across_clips(analyzer):
     down = clip(shift=(0.0, 0.0, -0.5))  # through the table
-    alone, both = analyzer.judge(down), judged(analyzer, clip(), down)
+    alone = analyzer.judge(down)
+    both = judged(analyzer, clip(), down)
     assert both.feasible is False
     assert [v["kind"] for v in both.violations] == [v["kind"] for v in alone.violations]
     starts = [v["frame_start"] for v in alone.violations]
@@ -83,7 +88,8 @@ def test_a_clip_without_a_track_leaves_the_verdict_undecided(analyzer):
 
 
 def test_join_tracks_drops_the_frame_shared_by_consecutive_clips():
-    one, other = clip(), replace(clip(), finger_width_m=np.full(N, 0.01))
+    one = clip()
+    other = replace(clip(), finger_width_m=np.full(N, 0.01))
     joined = join_tracks([one, other])
     assert joined.finger_width_m.tolist() == [0.04] * N + [0.01] * (N - 1)
     np.testing.assert_allclose(np.diff(joined.t_s), 0.2)

@@ -110,7 +110,8 @@ def test_merged_shards_equal_one_run_except_for_jobs_and_host(shards, tmp_path):
     assert ear.warnings == []
     assert [row.id for row in summary.rows] == IDS
     assert summary.report == tmp_path / "out" / "report.html"
-    merged, whole = content(tmp_path / "out"), content(tmp_path / "whole")
+    merged = content(tmp_path / "out")
+    whole = content(tmp_path / "whole")
     told, expected = (json.loads(c.pop("results.json")) for c in (merged, whole))
     assert (told["config"].pop("jobs"), expected["config"].pop("jobs")) == (None, 1)
     assert (told.pop("host"), expected.pop("host")) == ({"cores": None}, {"cores": 2})
@@ -137,7 +138,8 @@ def test_changing_a_merged_file_leaves_the_shard_unchanged(shards, tmp_path):
 
 
 def test_absent_shards_are_warned_about_and_can_be_merged_later(shards, tmp_path):
-    ear, out = Ear(), tmp_path / "out"
+    ear = Ear()
+    out = tmp_path / "out"
     merge_folders([shards[0], shards[2]], out, ear)
     assert ear.warnings == ["2 of 7 samples are absent: no folder is of shard 2/3"]
     assert json.loads((out / "results.json").read_text())["samples_found"] == 7

@@ -19,7 +19,8 @@ def bundle(tmp_path_factory):
     """A bundle of two recordings of joint angles, one too fast, and two of poses."""
     work = tmp_path_factory.mktemp("verify")
     (work / "in").mkdir()
-    plant, t_s = ArmPlant(), np.arange(30) * 0.05
+    plant = ArmPlant()
+    t_s = np.arange(30) * 0.05
     for k, (radius, rate_hz) in enumerate([(0.05, 0.5), (0.6, 2.0), (0.1, 0.5), (0.15, 0.7)]):
         q = plant.robot.rest_q + radius * np.sin(2.0 * np.pi * rate_hz * t_s)[:, None] * np.linspace(-1.0, 1.0, 7)
         motion = {"q": q} if k < 2 else {"base_from_tcp": plant.forward_path(q)}

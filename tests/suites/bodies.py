@@ -39,7 +39,8 @@ def solid_points(body: RigidBody) -> Array:
 def initial_state(episodes: Sequence[Episode]) -> State:
     """Return the state in which the episodes begin, everything at rest, the TCP at B."""
     scenes = [episode.layout().scene(np.eye(4)) for episode in episodes]
-    n, names = len(scenes), list(scenes[0].models)
+    n = len(scenes)
+    names = list(scenes[0].models)
     poses = {
         name: torch.tensor(np.stack([s.poses[name] for s in scenes]), dtype=torch.float32) for name in scenes[0].poses
     }

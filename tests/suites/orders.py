@@ -20,7 +20,8 @@ class Recorder(Observer):
         self.lines: list[str] = []
 
     def start(self, total: int, completed: int) -> None:
-        self.total, self.completed = total, completed
+        self.total = total
+        self.completed = completed
 
     def advance(self, line: str, *, ok: bool = True) -> None:
         self.lines.append(line)

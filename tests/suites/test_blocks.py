@@ -114,7 +114,8 @@ def test_pull_succeeds_when_the_cube_lies_on_the_target(simulator: tuple[Simulat
     own, _ = simulator
     own.reset(compose("PullCube-v1", 4))
     scene = own.scene()
-    radius, half = scene.size("target", "radius_m"), scene.size("cube", "edge_m") / 2.0
+    radius = scene.size("target", "radius_m")
+    half = scene.size("cube", "edge_m") / 2.0
     for x, y, z, failed in (
         (radius - 0.002, 0.0, half, set()),
         (0.0, radius + 0.002, half, {"on_target"}),
@@ -131,7 +132,8 @@ def test_obstacles_fall_only_beyond_their_tipping_angle(simulator: tuple[Simulat
     own, variant = simulator
     for lean, falls in ((0.1, False), (0.7, True)):
         own.reset(compose("StackCube-v1", 7, variant=variant))
-        start, X = own.snapshot(), own.scene().poses["obstacle"]
+        start = own.snapshot()
+        X = own.scene().poses["obstacle"]
         lifted = X[:3, 3] + [0.0, 0.0, own.scene().size("obstacle", "radius_m") * np.sin(lean)]
         outcome_with(own, {"obstacle": make_pose(rotation_exp(np.array([lean, 0.0, 0.0])) @ X[:3, :3], lifted)})
         for _ in range(30):
@@ -141,7 +143,8 @@ def test_obstacles_fall_only_beyond_their_tipping_angle(simulator: tuple[Simulat
 
 def standing(lean_rad: float) -> Array:
     """Return the rotation (3, 3) of a peg whose red end is up, tilted by an angle."""
-    s, c = np.sin(lean_rad), np.cos(lean_rad)
+    s = np.sin(lean_rad)
+    c = np.cos(lean_rad)
     return np.array([[s, 0.0, c], [0.0, 1.0, 0.0], [-c, 0.0, s]])
 
 

@@ -33,7 +33,8 @@ def _lid_pose(box: AssetModel, angle: float) -> np.ndarray:
 def test_lid_lies_on_the_walls_and_never_enters_the_box(asset_id: str) -> None:
     box = model(asset_id)
     base, lid = box.bodies
-    low, high = solid_points(base).min(axis=0), solid_points(base).max(axis=0)
+    low = solid_points(base).min(axis=0)
+    high = solid_points(base).max(axis=0)
     shut = transform_points(_lid_pose(box, 0.0), solid_points(lid))
     assert shut[:, 2].min() == pytest.approx(high[2])
     assert high[2] == pytest.approx(box.size["height_m"])
@@ -55,7 +56,8 @@ def test_flush_lid_clears_the_table_when_the_box_lies() -> None:
 
 def test_a_tight_hinge_differs_only_in_damping() -> None:
     box = model(f"{RIMMED}/03")
-    hinge, tighter = box.bodies[1].joint, with_tight_hinge(box).bodies[1].joint
+    hinge = box.bodies[1].joint
+    tighter = with_tight_hinge(box).bodies[1].joint
     assert hinge is not None
     assert tighter is not None
     assert tighter.damping > hinge.damping
@@ -64,7 +66,8 @@ def test_a_tight_hinge_differs_only_in_damping() -> None:
 
 def _state(task: str, angles: list[float], p_HG: list[list[float]], speed: float = 0.0, arm: float = 0.0) -> State:
     """Return scenes of seed 3 with these lid angles and TCP positions in the hinge's frame."""
-    state, n = initial_state([compose(task, 3)] * len(angles)), len(angles)
+    state = initial_state([compose(task, 3)] * len(angles))
+    n = len(angles)
     X_BG = state.X_BG.clone()
     X_BG[:, :3, 3] = (
         state.site("box", "hinge") @ torch.tensor([[*p, 1.0] for p in p_HG], dtype=torch.float32)[..., None]
@@ -80,7 +83,9 @@ def _state(task: str, angles: list[float], p_HG: list[list[float]], speed: float
 @pytest.mark.parametrize("task", TASKS[1:])
 def test_open_requires_the_goal_angle_at_rest_and_released(task: str) -> None:
     stop = compose(task, 3).layout().placements["box"].model.size["open_rad"]
-    clear, touching, behind = [0.07, 0.0, 0.1], [0.1 * np.cos(stop), 0.0, 0.1 * np.sin(stop) + 0.01], [-0.2, 0.0, 0.15]
+    clear = [0.07, 0.0, 0.1]
+    touching = [0.1 * np.cos(stop), 0.0, 0.1 * np.sin(stop) + 0.01]
+    behind = [-0.2, 0.0, 0.15]
     state = _state(task, [stop, 0.85 * stop, stop, stop], [clear, clear, touching, behind])
     conditions = find_task(task).conditions(state)
     assert conditions["open"].tolist() == [True, False, True, True]
@@ -94,7 +99,8 @@ def test_open_requires_the_goal_angle_at_rest_and_released(task: str) -> None:
 
 def test_shut_requires_the_goal_angle_and_release() -> None:
     up = -1.0 if compose("CloseBox-v1", 3).layout().placements["box"].X_BM[2, 1] < 0.0 else 1.0
-    clear, touching = [0.1, 0.12 * up, 0.06], [0.1, 0.04 * up, 0.015]
+    clear = [0.1, 0.12 * up, 0.06]
+    touching = [0.1, 0.04 * up, 0.015]
     state = _state("CloseBox-v1", [0.02, 0.2, 0.02], [clear, clear, touching])
     conditions = find_task("CloseBox-v1").conditions(state)
     assert conditions["shut"].tolist() == [True, False, True]
@@ -118,7 +124,8 @@ def test_lids_start_half_their_range_from_the_goal_and_boxes_stand_on_the_table(
 def test_box_experts_succeed_and_an_untouched_lid_stays(task: str) -> None:
     with Simulator(task, renders=False) as simulator:
         simulator.reset(compose(task, 5))
-        before, q = simulator.scene().joints["box"], simulator.snapshot().q
+        before = simulator.scene().joints["box"]
+        q = simulator.snapshot().q
         for _ in range(40):
             simulator.step(q, 0.0)
         assert simulator.scene().joints["box"] == pytest.approx(before, abs=0.005)
@@ -130,7 +137,8 @@ def test_box_experts_succeed_and_an_untouched_lid_stays(task: str) -> None:
 def test_a_released_lid_stops_soon_without_bouncing_back() -> None:
     with Simulator("OpenBoxEasy-v1", renders=False) as simulator:
         simulator.reset(compose("OpenBoxEasy-v1", 0))
-        box, q = simulator._env.objects["box"], ArmPlant().robot.rest_q
+        box = simulator._env.objects["box"]
+        q = ArmPlant().robot.rest_q
         for speed in (2.0, -0.5):
             before = simulator.scene().joints["box"]
             box.set_qvel(np.array([[speed]], dtype=np.float32))

@@ -45,7 +45,8 @@ def test_suite_0_draws_all_tasks_alike_for_training_and_test() -> None:
 
 def test_suite_1_evaluates_seven_tasks_outside_the_ten_trained_ones() -> None:
     suite = load_suite(1)
-    trained, unseen = suite.tasks_of("train"), suite.tasks_of("unseen")
+    trained = suite.tasks_of("train")
+    unseen = suite.tasks_of("unseen")
     assert (len(trained), len(unseen)) == (10, 7)
     assert not set(trained) & set(unseen)
     assert {"CloseBox-v1", "OpenBoxEasy-v1", "CloseLaptopEasy-v1"} <= set(trained)
@@ -65,19 +66,22 @@ def test_suite_2_splits_assets_and_looks_into_disjoint_halves() -> None:
 
 
 def test_episodes_of_suite_2_use_only_assets_of_their_half() -> None:
-    suite, tasks = load_suite(2), ("PullCube-v1", "StackCube-v1")
+    suite = load_suite(2)
+    tasks = ("PullCube-v1", "StackCube-v1")
     shown = {name: [drawn(s.episode()) for s in suite.specs(name, 8, tasks=tasks)] for name in suite.splits}
     assert not set().union(*shown["train"], *shown["seen"]) & set().union(*shown["unseen"])
 
 
 def test_suite_3_has_the_episodes_of_suite_0() -> None:
-    suite, zero = load_suite(3), load_suite(0)
+    suite = load_suite(3)
+    zero = load_suite(0)
     assert suite.splits == zero.splits
     assert suite.tasks == zero.tasks
 
 
 def test_a_longer_list_of_episodes_begins_with_the_shorter_one() -> None:
-    suite, tasks = load_suite(0), ("StackCube-v1",)
+    suite = load_suite(0)
+    tasks = ("StackCube-v1",)
     more = suite.specs("test", 5, tasks=tasks)
     assert suite.specs("test", 2, tasks=tasks) == more[:2]
     assert suite.specs("test", 2, tasks=tasks, offset=3) == more[3:]

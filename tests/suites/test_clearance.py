@@ -50,7 +50,8 @@ COLLIDERS = (
 @pytest.mark.parametrize("collider", COLLIDERS, ids=lambda c: c.kind.value)
 def test_a_solid_at_the_fingertips_penetrates_the_gripper_alone(collider: Collider) -> None:
     plant = ArmPlant()
-    q, width = plant.robot.rest_q[None], np.array([0.0])
+    q = plant.robot.rest_q[None]
+    width = np.array([0.0])
     tip = plant.forward(q[0])[:3, 3]
     marks = {"avoided": frozenset({"post"})}
     touched = {t.link for t in SceneGeometry(plant, scene_with(collider, tip, **marks)).penetrations(q, width)}
@@ -63,7 +64,8 @@ def test_a_solid_at_the_fingertips_penetrates_the_gripper_alone(collider: Collid
 def test_a_cylinder_has_the_axis_that_it_has_in_sapien() -> None:
     """A cylinder turned upright reaches its half length up, and is thin."""
     plant = ArmPlant()
-    q, width = plant.robot.rest_q[None], np.array([0.0])
+    q = plant.robot.rest_q[None]
+    width = np.array([0.0])
     tip = plant.forward(q[0])[:3, 3]
     marks = {"avoided": frozenset({"post"})}
     for offset, touches in (([0.0, 0.0, -0.12], True), ([0.0, 0.06, -0.1], False)):
@@ -73,7 +75,8 @@ def test_a_cylinder_has_the_axis_that_it_has_in_sapien() -> None:
 
 def test_the_gripper_may_touch_fixed_objects_and_no_link_avoided_ones() -> None:
     plant = ArmPlant()
-    q, width = plant.robot.rest_q[None], np.array([0.0])
+    q = plant.robot.rest_q[None]
+    width = np.array([0.0])
     tip = plant.forward(q[0])[:3, 3]
     free = scene_with(COLLIDERS[0], tip)
     for scene, touches in (

@@ -68,7 +68,8 @@ def test_each_clip_begins_with_the_last_frame_of_its_predecessor(filmed: Filmed)
 def test_a_lerobot_dataset_round_trips_the_rollout(filmed: Filmed, tmp_path: Path) -> None:
     simulator, rollout, _ = filmed
     order = an_order(tmp_path, FormatKind.LEROBOT, 1, replace(OPTIONS, fps=5.0))
-    form, both = LeRobot(), [rollout, replace(rollout, episode=replace(rollout.episode, id="other"))]
+    form = LeRobot()
+    both = [rollout, replace(rollout, episode=replace(rollout.episode, id="other"))]
     for one in both:
         form.write_part(tmp_path, simulator, one, order.options)
     files = form.finish(order, [record_of(one) for one in both])
@@ -106,7 +107,9 @@ def test_a_lerobot_dataset_round_trips_the_rollout(filmed: Filmed, tmp_path: Pat
 @pytest.mark.sapien
 def test_a_video_folder_names_each_clip_with_its_caption(filmed: Filmed, tmp_path: Path) -> None:
     simulator, rollout, _ = filmed
-    form, record, order = VideoFolder(), record_of(rollout), an_order(tmp_path, FormatKind.MP4, 1)
+    form = VideoFolder()
+    record = record_of(rollout)
+    order = an_order(tmp_path, FormatKind.MP4, 1)
     form.write_part(tmp_path, simulator, rollout, order.options)
     assert all(path.is_file() for path in form.part_files(tmp_path, record))
     form.finish(order, [record])
@@ -131,7 +134,9 @@ def test_a_video_folder_names_each_clip_with_its_caption(filmed: Filmed, tmp_pat
 @pytest.mark.sapien
 def test_the_manifest_states_the_robot_in_the_first_frame_of_each_clip(filmed: Filmed, tmp_path: Path) -> None:
     simulator, rollout, film = filmed
-    long, form, order = doubled(rollout), VideoFolder(), an_order(tmp_path, FormatKind.MP4, 1)
+    long = doubled(rollout)
+    form = VideoFolder()
+    order = an_order(tmp_path, FormatKind.MP4, 1)
     form.write_part(tmp_path, simulator, long, order.options)
     form.finish(order, [record_of(long)])
     for k, sample in enumerate(find_samples(tmp_path / "manifest.jsonl").samples):

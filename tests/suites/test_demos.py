@@ -39,7 +39,9 @@ class FakeEngine:
     """Makes attempts at once: those of some seeds fail, and after so many of them the program is killed."""
 
     def __init__(self, out: Path, failing: set[int], *, until: int | None = None) -> None:
-        self.out, self.failing, self.until = out, failing, until
+        self.out = out
+        self.failing = failing
+        self.until = until
         self.tried: list[int] = []
 
     def run(

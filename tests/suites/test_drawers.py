@@ -43,7 +43,8 @@ def test_the_drawer_slides_without_overlap_and_stays_in_the_cabinet(asset_id: st
 @pytest.mark.parametrize("asset_id", IDS)
 def test_a_cube_fits_into_the_drawer_at_any_yaw(asset_id: str) -> None:
     cabinet = model(asset_id)
-    size, diagonal = cabinet.size, 2.0**0.5 * EDGE_M[1]
+    size = cabinet.size
+    diagonal = 2.0**0.5 * EDGE_M[1]
     for name, (low, high) in {
         "width_m": cabinets.WIDTH_M,
         "depth_m": cabinets.DEPTH_M,
@@ -72,7 +73,8 @@ def simulator(request: pytest.FixtureRequest) -> Iterator[Simulator]:
 @pytest.mark.parametrize("simulator", ["CloseDrawer-v1"], indirect=True)
 def test_an_untouched_drawer_stays_and_a_pushed_one_stops(simulator: Simulator) -> None:
     simulator.reset(compose(simulator.task.card.id, 3))
-    start, cabinet = simulator.snapshot(), simulator._env.objects["cabinet"]
+    start = simulator.snapshot()
+    cabinet = simulator._env.objects["cabinet"]
     travel = simulator.scene().size("cabinet", "travel_m")
     for _ in range(20):
         simulator.step(start.q, 0.08)
@@ -88,7 +90,8 @@ def test_an_untouched_drawer_stays_and_a_pushed_one_stops(simulator: Simulator) 
 @pytest.mark.sapien
 def test_drawer_conditions_hold_only_at_the_goal(simulator: Simulator) -> None:
     simulator.reset(compose(simulator.task.card.id, 4))
-    start, scene = simulator.snapshot(), simulator.scene()
+    start = simulator.snapshot()
+    scene = simulator.scene()
     assert not simulator.outcome().success
     assert simulator.outcome().progress < 0.02
     opens = simulator.task.card.id.startswith("Open")

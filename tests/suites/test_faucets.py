@@ -36,7 +36,8 @@ def test_faucet_sizes_are_in_bounds_and_leave_room_for_the_sweeping_finger(asset
         assert low <= faucet.size[name] <= high
     base, handle = faucet.bodies
     p = visual_points(base)
-    radius, direction = np.hypot(p[:, 0], p[:, 1]), np.arctan2(p[:, 1], p[:, 0])
+    radius = np.hypot(p[:, 0], p[:, 1])
+    direction = np.arctan2(p[:, 1], p[:, 0])
     sector = 0.5 * faucet.size["range_rad"] + 0.4
     swept = (radius > HUB_M) & (radius < faucet.size["lever_m"] + 0.03) & (np.abs(direction) < sector)
     assert p[swept, 2].max(initial=0.0) < faucet.size["height_m"] - 0.02
@@ -66,7 +67,8 @@ def test_every_shape_comes_in_several_finishes() -> None:
 @pytest.mark.sapien
 @pytest.mark.parametrize("task", NAMES)
 def test_the_gripper_in_its_start_posture_touches_no_faucet(task: str) -> None:
-    plant, margin = ArmPlant(), np.linspace(-0.03, 0.03, 3)
+    plant = ArmPlant()
+    margin = np.linspace(-0.03, 0.03, 3)
     for seed in range(12):
         layout = compose(task, seed).layout()
         placement = layout.placements["faucet"]
@@ -100,7 +102,8 @@ def test_a_released_handle_stops_and_stays(simulator: Simulator) -> None:
     for shape in range(6):
         seed = next(s for s in range(200) if int(compose(task, s).assets["faucet"][-2:]) % 6 == shape)
         simulator.reset(compose(task, seed))
-        snapshot, handle = simulator.snapshot(), simulator._env.objects["faucet"]
+        snapshot = simulator.snapshot()
+        handle = simulator._env.objects["faucet"]
         travel = simulator.scene().size("faucet", "range_rad")
         handle.set_qpos(np.array([[0.5 * travel]], dtype=np.float32))
         handle.set_qvel(np.array([[1.0]], dtype=np.float32))

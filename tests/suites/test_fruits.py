@@ -63,7 +63,8 @@ def test_every_container_holds_a_fruit_and_stands_on_the_table() -> None:
 
 @pytest.mark.parametrize("variant", list(TaskVariant))
 def test_every_fruit_scene_has_the_same_names_and_gaps_for_the_fingers(variant: TaskVariant) -> None:
-    names, targets = set(), set()
+    names = set()
+    targets = set()
     for seed in range(60):
         layout = compose("PickFruits-v1", seed, variant=variant).layout()
         names.add(tuple(layout.placements))
@@ -82,7 +83,8 @@ def test_every_fruit_scene_has_the_same_names_and_gaps_for_the_fingers(variant: 
 
 
 def test_a_fruit_counts_only_inside_the_container_and_released() -> None:
-    task, episodes = find_task("PickFruits-v1"), [compose("PickFruits-v1", seed) for seed in (3, 4)]
+    task = find_task("PickFruits-v1")
+    episodes = [compose("PickFruits-v1", seed) for seed in (3, 4)]
     layouts = [episode.layout() for episode in episodes]
 
     def into(name: str, up_m: float = 0.0) -> list[Array]:
@@ -105,7 +107,8 @@ def test_a_fruit_counts_only_inside_the_container_and_released() -> None:
 
 
 def test_fruits_are_stored_in_the_order_of_the_compartments() -> None:
-    task, episodes = find_task("StoreFruitsBox-v1"), [compose("StoreFruitsBox-v1", seed) for seed in (3, 5)]
+    task = find_task("StoreFruitsBox-v1")
+    episodes = [compose("StoreFruitsBox-v1", seed) for seed in (3, 5)]
     layouts = [episode.layout() for episode in episodes]
 
     def stored(cells: tuple[int, ...]) -> dict[str, list[Array]]:
@@ -113,7 +116,8 @@ def test_fruits_are_stored_in_the_order_of_the_compartments() -> None:
         for name, cell in zip(ORDER, cells, strict=True):
             moved[name] = []
             for layout in layouts:
-                crate, size = layout.placements["crate"], layout.placements[name].model.size
+                crate = layout.placements["crate"]
+                size = layout.placements[name].model.size
                 p = crate.X_BM[:3, :3] @ compartment_center(crate.model.size.__getitem__, cell) + crate.X_BM[:3, 3]
                 moved[name].append(make_pose(np.eye(3), [p[0], p[1], p[2] + size["rest_m"]]))
         return moved

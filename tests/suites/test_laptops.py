@@ -26,7 +26,8 @@ def _lid_at(laptop: AssetModel, angle_rad: float) -> Array:
     """Return the lid's collider points in the base."""
     joint = laptop.bodies[1].joint
     assert joint is not None
-    c, s = np.cos(angle_rad), np.sin(angle_rad)
+    c = np.cos(angle_rad)
+    s = np.sin(angle_rad)
     turn = make_pose([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]], np.zeros(3))
     X = joint.X_ParentJ @ turn @ np.linalg.inv(joint.X_BodyJ)
     return np.asarray(solid_points(laptop.bodies[1]) @ X[:3, :3].T + X[:3, 3])
@@ -35,7 +36,8 @@ def _lid_at(laptop: AssetModel, angle_rad: float) -> Array:
 @pytest.mark.parametrize("asset_id", asset_ids("laptop"))
 def test_laptop_sizes_are_within_bounds(asset_id: str) -> None:
     laptop = model(asset_id)
-    base, lid = solid_points(laptop.bodies[0]), _lid_at(laptop, 0.0)
+    base = solid_points(laptop.bodies[0])
+    lid = _lid_at(laptop, 0.0)
     for (low, high), extent in ((assets.DEPTH_M, np.ptp(base[:, 0])), (assets.WIDTH_M, np.ptp(base[:, 1]))):
         assert low - 1e-9 <= extent <= high + 1e-9
     assert base[:, 2].min() > 0.0
@@ -46,7 +48,8 @@ def test_laptop_sizes_are_within_bounds(asset_id: str) -> None:
 @pytest.mark.parametrize("asset_id", asset_ids("laptop"))
 def test_lid_stays_above_the_base_at_all_angles(asset_id: str) -> None:
     laptop = model(asset_id)
-    top, back = laptop.size["top_m"], -laptop.size["depth_m"] / 2.0
+    top = laptop.size["top_m"]
+    back = -laptop.size["depth_m"] / 2.0
     for angle in np.linspace(0.0, GREATEST_RAD, 40):
         lid = _lid_at(laptop, float(angle))
         assert lid[lid[:, 0] > back, 2].min() > top

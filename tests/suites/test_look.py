@@ -11,7 +11,9 @@ from kinebench_drake.suites.scene import look, texture
 from kinebench_drake.suites.scene.look import WALL_M, WALL_TOP_M, surroundings
 from kinebench_drake.suites.scene.texture import Texture
 
-RED, SAND, SLATE = (170, 50, 50), (200, 190, 170), (80, 90, 100)
+RED = (170, 50, 50)
+SAND = (200, 190, 170)
+SLATE = (80, 90, 100)
 MAKERS: dict[str, Callable[[np.random.Generator], Texture]] = {
     "wood": lambda rng: texture.wood(rng, "walnut"),
     "planks": lambda rng: texture.planks(rng, "pine", boards=5),
@@ -90,7 +92,8 @@ def test_lights_come_from_all_sides_above_the_wall_and_are_bright_enough() -> No
 
 def test_the_table_top_is_at_height_zero() -> None:
     table = surroundings(look.table("table/00"), look.background("background/00"))["table"]
-    [top], [visual] = table.colliders, table.visuals
+    [top] = table.colliders
+    [visual] = table.visuals
     assert top.X_BodyC[2, 3] + top.size[2] == pytest.approx(0.0, abs=1e-12)
     assert (visual.mesh.vertices[:, 2] + visual.X_BodyV[2, 3]).max() == pytest.approx(0.0, abs=1e-12)
 

@@ -86,7 +86,8 @@ def test_grasp_rotations_are_right_handed_and_level_axes_horizontal() -> None:
     assert np.allclose(R[:, 2], DOWN)
     rng = np.random.default_rng(0)
     for yaw in rng.uniform(-np.pi, np.pi, 10):
-        c, s = np.cos(yaw), np.sin(yaw)
+        c = np.cos(yaw)
+        s = np.sin(yaw)
         upright = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
         for faces in (np.eye(3), np.eye(3)[:, [1, 2, 0]]):  # whichever face the box lies on
             axes = level_axes(upright @ faces)

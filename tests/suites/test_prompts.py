@@ -20,7 +20,8 @@ def test_an_empty_template_leaves_the_instruction_unchanged() -> None:
 
 
 def test_a_text_replaces_the_instruction_of_its_task_or_of_all_others(tmp_path: Path) -> None:
-    fruit, cube = compose("PickFruits-v1", 3), compose("StackCube-v1", 3)
+    fruit = compose("PickFruits-v1", 3)
+    cube = compose("StackCube-v1", 3)
     texts = {"*": "Still camera. {prompt} Slowly.", "StackCube-v1": " Pile up. ", "negative_prompt": "blur"}
     (tmp_path / "p.json").write_text(json.dumps(texts))
     template = PromptTemplate.parse(tmp_path / "p.json")

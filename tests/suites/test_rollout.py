@@ -71,7 +71,8 @@ def test_masked_pixels_lie_on_the_gripper_by_depth_and_pose(filmed: Filmed) -> N
         assert clip.mask[i].sum() > 100
         z_m = (clip.depth_mm[i][clip.mask[i]] + 0.5) / 1000.0  # the renderer drops fractions of a millimetre
         p_H = transform_points(invert(clip.X_CH[i]), z_m[:, None] * rays[clip.mask[i]])
-        low, high = p_H.min(axis=0), p_H.max(axis=0)
+        low = p_H.min(axis=0)
+        high = p_H.max(axis=0)
         assert (low > [-0.04, -0.11, -0.03]).all()
         assert (high < [0.04, 0.11, 0.12]).all()
         assert high[1] - low[1] > 0.15  # both sides of the 0.2 m wide hand are seen

@@ -37,7 +37,8 @@ BENCHMARK = [
 SEEDS = (21, 22)
 HOLD_STEPS = 60
 """Number of control steps: three seconds."""
-DRIFT_M, DRIFT_SHARE = 0.004, 0.01
+DRIFT_M = 0.004
+DRIFT_SHARE = 0.01
 """Tolerated motion at rest: of an object as it settles, and of a joint as a fraction of its range."""
 
 
@@ -74,7 +75,8 @@ def test_colliders_coincide_with_visuals(kind: str) -> None:
         for body in model(asset_id).bodies:
             if not body.colliders:
                 continue
-            visual, solid = visual_points(body), solid_points(body)
+            visual = visual_points(body)
+            solid = solid_points(body)
             assert np.abs(visual.min(axis=0) - solid.min(axis=0)).max() < 0.012, f"{asset_id} {body.name}"
             assert np.abs(visual.max(axis=0) - solid.max(axis=0)).max() < 0.012, f"{asset_id} {body.name}"
 
@@ -95,7 +97,8 @@ def test_initial_scenes_are_at_rest_and_unsolved(simulator: tuple[Simulator, Tas
         outcome = own.outcome()
         assert not outcome.success
         assert outcome.progress <= 0.05
-        before, start = own.scene(), own.snapshot()
+        before = own.scene()
+        start = own.snapshot()
         for _ in range(HOLD_STEPS):
             own.step(start.q, start.finger_width_m)
         after = own.scene()

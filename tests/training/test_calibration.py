@@ -63,7 +63,8 @@ def drawn_video(rng: np.random.Generator, frames: int = 30) -> MeasuredPoses:
     X_AH = X_true.copy()
     X_AH[features[:, 0] < -0.5, :3, 3] += rng.uniform(0.02, 0.05, 3)
     features[:, 0] *= 4.0
-    features[-1], X_AH[-1] = np.nan, np.nan
+    features[-1] = np.nan
+    X_AH[-1] = np.nan
     covariance = np.tile(1e-6 * np.eye(6), (frames, 1, 1))
     return MeasuredPoses(domain=Domain.UNFAMILIAR, features=features, X_AH=X_AH, covariance=covariance, X_true=X_true)
 

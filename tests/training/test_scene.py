@@ -100,16 +100,20 @@ def test_crops_of_the_wrist_show_the_last_links(other_shards: Shards) -> None:
 
 
 def test_crops_depend_on_seed_and_index_alone(shards: Shards) -> None:
-    first, again, other = Crops(shards, 3), Crops(shards, 3), Crops(shards, 4)
+    first = Crops(shards, 3)
+    again = Crops(shards, 3)
+    other = Crops(shards, 4)
     again[0, 0]
     np.testing.assert_array_equal(first[7, 1]["image"], again[7, 1]["image"])
     assert (first[7, 1]["image"] != other[7, 1]["image"]).any()
 
 
 def test_all_crops_of_a_step_have_one_size(shards: Shards) -> None:
-    crops, batches = Crops(shards, 0), list(Steps(range(2 * CLOSE_EVERY), 9))
+    crops = Crops(shards, 0)
+    batches = list(Steps(range(2 * CLOSE_EVERY), 9))
     sizes = [{crops[item]["image"].shape for item in batch} for batch in batches]
-    close, wide = {(3, CLOSE_SIZE, CLOSE_SIZE)}, {(3, WIDE_SIZE, WIDE_SIZE)}
+    close = {(3, CLOSE_SIZE, CLOSE_SIZE)}
+    wide = {(3, WIDE_SIZE, WIDE_SIZE)}
     assert sizes == [close, *[wide] * (CLOSE_EVERY - 1)] * 2
     assert [len(batch) for batch in batches] == [9, *[4] * (CLOSE_EVERY - 1)] * 2
     item = crops[0, 0]
@@ -118,13 +122,15 @@ def test_all_crops_of_a_step_have_one_size(shards: Shards) -> None:
 
 def test_arm_labels_are_points_of_their_links(shards: Shards) -> None:
     """A link's points stay where they are in the link whatever the arm does: their box is that of the link's mesh."""
-    low, high = np.full((len(RobotPart), 3), np.inf), np.full((len(RobotPart), 3), -np.inf)
+    low = np.full((len(RobotPart), 3), np.inf)
+    high = np.full((len(RobotPart), 3), -np.inf)
     for i in clear_frames(shards):
         part, coordinates, _ = label(shards[i], Crop.of_gripper(shards[i].X_CH, 3.0, CLOSE_SIZE))
         for value in ARM:
             points = coordinates[part == value] * COORDINATE_SCALE_M
             if len(points):
-                low[value], high[value] = np.minimum(low[value], points.min(0)), np.maximum(high[value], points.max(0))
+                low[value] = np.minimum(low[value], points.min(0))
+                high[value] = np.maximum(high[value], points.max(0))
     seen = [value for value in ARM if np.isfinite(low[value]).all()]
     assert len(seen) >= 4
     for value in seen:

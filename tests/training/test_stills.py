@@ -14,12 +14,15 @@ from training.stills import STILLS, render_rollouts
 @pytest.mark.sapien
 @pytest.mark.slow
 def test_a_shard_has_labelled_frames_of_a_successful_rollout_and_is_kept(tmp_path: Path) -> None:
-    specs, lines = load_suite(2).specs("train", 1, tasks=["PullCube-v1"]), []
+    specs = load_suite(2).specs("train", 1, tasks=["PullCube-v1"])
+    lines = []
     render_rollouts(tmp_path, specs, 1, lines.append)
     assert lines == [f"[1/1] {specs[0].id}"]
     shard = tmp_path / specs[0].id
     assert {file.name for file in shard.iterdir()} == set(FILES)
-    part, depth, truth = np.load(shard / "part.npy"), np.load(shard / "depth.npy"), np.load(shard / "truth.npz")
+    part = np.load(shard / "part.npy")
+    depth = np.load(shard / "depth.npy")
+    truth = np.load(shard / "truth.npz")
     assert len(part) == STILLS
     gripper = np.isin(part, GRIPPER)
     assert gripper.any(axis=(1, 2)).mean() > 0.8

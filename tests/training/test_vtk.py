@@ -39,7 +39,8 @@ def test_the_renderer_draws_the_gripper_where_the_cad_model_lies(folder: Path, c
 
 def test_ground_truth_poses_follow_from_the_joint_angles(folder: Path) -> None:
     (file,) = find_clips(folder)
-    clip, frames = file.load(), read_video(file.video).frames
+    clip = file.load()
+    frames = read_video(file.video).frames
     with open_npz(file.truth) as truth:
         arrays = {name: truth[name] for name in truth.files}
     assert len(frames) == len(clip.t_s) == len(arrays["q"]) == len(arrays["visible"])

@@ -91,7 +91,8 @@ def compare(clip: Demonstration, camera: Camera, baseline: Baseline, pipeline: G
     frames = read_video(clip.path).frames
     if len(frames) != len(clip.t_s):
         raise InputError(f"{clip.path.name}: has {len(frames)} frames, its truth has {len(clip.t_s)}")
-    always, track = errors(clip, *baseline.predict(frames)), pipeline.ground(frames, camera, clip.t_s).track
+    always = errors(clip, *baseline.predict(frames))
+    track = pipeline.ground(frames, camera, clip.t_s).track
     return ClipComparison(
         id=clip.id,
         task=clip.task,

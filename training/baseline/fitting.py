@@ -39,7 +39,9 @@ SCHEDULE = Schedule(steps=2400, learning_rate=1e-3, batch_size=8, checkpoint_eve
 """Schedule of the comparison in the README, on 400 clips of ten tasks."""
 _ROTATION_WEIGHT = 2.0  # 1 cm weighs as much as 3 degrees ...
 _FINGER_WEIGHT = 0.5  # ... or 8 mm of the gap
-_ROUND_M, _ROUND_RAD = 1e-3, 5e-3  # where the losses change from quadratic to linear
+# where the losses change from quadratic to linear
+_ROUND_M = 1e-3
+_ROUND_RAD = 5e-3
 _HOW = "make one with `kinebench-drake suite demos --suite 1 --split train --out FOLDER`"
 
 
@@ -149,7 +151,10 @@ class Windows(Dataset[dict[str, Tensor]]):
         self, clips: Sequence[Demonstration], frames: Sequence[NDArray[np.uint8]], seed: int, length: int
     ) -> None:
         """Prepare `length` windows from `clips` with `frames` (T, S, S, 3) each."""
-        self._clips, self._frames, self._seed, self._length = clips, frames, seed, length
+        self._clips = clips
+        self._frames = frames
+        self._seed = seed
+        self._length = length
         tasks = sorted({clip.task for clip in clips})
         self._of_task = [[i for i, clip in enumerate(clips) if clip.task == task] for task in tasks]
 
@@ -162,12 +167,15 @@ class Windows(Dataset[dict[str, Tensor]]):
         rng = np.random.default_rng([self._seed, index])
         members = self._of_task[rng.integers(len(self._of_task))]
         number = members[rng.integers(len(members))]
-        clip, frames = self._clips[number], self._frames[number]
+        clip = self._clips[number]
+        frames = self._frames[number]
         start = int(rng.integers(max(1, len(frames) - LABELLED + 1)))
         numbers = np.clip(np.arange(start - CONTEXT, start + LABELLED + CONTEXT), 0, len(frames) - 1)
         images = np.array(frames[numbers])
-        degrading, occluding = rng.random() < _DEGRADED, rng.random() < _OCCLUDED
-        draw, scenery = int(rng.integers(2**32)), np.array(frames[0])
+        degrading = rng.random() < _DEGRADED
+        occluding = rng.random() < _OCCLUDED
+        draw = int(rng.integers(2**32))
+        scenery = np.array(frames[0])
         for k, image in enumerate(images):
             if occluding:
                 occlude(image, np.zeros((1, 1), np.uint8), scenery, np.random.default_rng([draw, 0]))
@@ -231,7 +239,8 @@ def train(config: BaselineConfig, report: Callable[[str], None]) -> Path:
     Raises:
         UsageError: the data cannot be used, or `config.out` holds a training with other settings.
     """
-    schedule, demonstrations = config.schedule, load_demonstrations(config.data)
+    schedule = config.schedule
+    demonstrations = load_demonstrations(config.data)
     clips = demonstrations.clips
     report(f"{len(clips)} clips of {len(demonstrations.tasks)} tasks")
     frames = decode(clips, config.out / "frames", config.size, report)

@@ -131,7 +131,9 @@ class PoseNetwork(nn.Module):
         """Return embeddings (N, D) of frames (N, 3, S, S)."""
         images = images.contiguous(memory_format=torch.channels_last)
         features = self.encoder(images * 2.0 - 1.0)
-        f_8, f_16, f_32 = features[-3], features[-2], features[-1]
+        f_8 = features[-3]
+        f_16 = features[-2]
+        f_32 = features[-1]
         x = functional.interpolate(self.squeeze(f_32), size=f_16.shape[-2:], mode="bilinear", align_corners=False)
         x = self.join_16(torch.cat([x, f_16], dim=1))
         x = functional.interpolate(x, size=f_8.shape[-2:], mode="bilinear", align_corners=False)
@@ -175,7 +177,10 @@ class Baseline:
         """Wrap a `network` for frames of `size` px, trained on videos of `tasks` by `camera`; `training` says how."""
         self._device = pick_device()
         self._network = network.to(self._device).eval()
-        self._size, self.tasks, self._camera, self.training = size, tasks, camera, training
+        self._size = size
+        self.tasks = tasks
+        self._camera = camera
+        self.training = training
 
     @classmethod
     def load(cls, path: Path) -> "Baseline":
@@ -223,7 +228,8 @@ class Baseline:
         embedded = torch.cat(
             [self._network.embed(part.to(self._device) / 255.0) for part in torch.split(images, _BATCH)]
         )
-        before, after = embedded[:1].expand(CONTEXT, -1), embedded[-1:].expand(CONTEXT, -1)
+        before = embedded[:1].expand(CONTEXT, -1)
+        after = embedded[-1:].expand(CONTEXT, -1)
         output = self._network.fuse(torch.cat([before, embedded, after])[None])
         rotation, position = (x[0].cpu().double().numpy() for x in (output.rotation, output.position))
         return make_pose(rotation, position), output.finger_width[0].cpu().double().numpy()

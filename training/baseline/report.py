@@ -20,7 +20,8 @@ from training.baseline.comparison import (
 from training.baseline.fitting import load_demonstrations
 from training.baseline.network import Baseline
 
-_NAME, _CELL = 24, 22
+_NAME = 24
+_CELL = 22
 
 
 def _format(figure: IntervalEstimate) -> str:
@@ -86,7 +87,8 @@ def comparison_lines(
         UsageError: a folder cannot be used, or its camera is not the one of the training.
         SetupError: weights are missing.
     """
-    baseline, sources = Baseline.load(weights), [load_demonstrations(folder) for folder in folders]
+    baseline = Baseline.load(weights)
+    sources = [load_demonstrations(folder) for folder in folders]
     for source in sources:
         baseline.require_camera(source.camera)
     pipeline = GroundingPipeline.create(weights=grounding_weights)

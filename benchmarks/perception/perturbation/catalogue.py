@@ -24,7 +24,9 @@ from kinebench_drake.io.frames import Frames
 from kinebench_drake.io.reader import read_video
 
 _FPS = 17.0
-_TIME, _SIDE = 4, 8  # frames and pixels per latent of the VAEs of Wan and CogVideoX
+# frames and pixels per latent of the VAEs of Wan and CogVideoX
+_TIME = 4
+_SIDE = 8
 _SHIFTS = ((0, 0), (4, 4))
 _STILL_PX = 0.5  # motion from the previous to the next frame below which the gripper rests
 _SAMPLES_PX = 8  # samples per pixel of the line of a motion blur
@@ -79,7 +81,8 @@ def _code_group(frames: NDArray[np.uint8], keep: int) -> NDArray[np.uint8]:
 def _code_blocks(colour: NDArray[np.float32], keep: int) -> NDArray[np.float32]:
     """Return frames (4, H, W, 3), H and W multiples of 8, from the `keep` largest coefficients of each block."""
     t, height, width, c = colour.shape
-    rows, columns = height // _SIDE, width // _SIDE
+    rows = height // _SIDE
+    columns = width // _SIDE
     blocks = colour.reshape(t, rows, _SIDE, columns, _SIDE, c).transpose(1, 3, 0, 2, 4, 5)
     coefficients = dctn(blocks, axes=(2, 3, 4), norm="ortho").reshape(rows, columns, -1)
     size = np.abs(coefficients)
@@ -117,7 +120,8 @@ def blur_motion(frames: Frames, masks: Masks, rng: np.random.Generator, length_p
 def directions(points: Array, start: float) -> Array:
     """Return the direction (T,) [rad] of the motion of `points` (T, 2); `start` before any motion."""
     n = len(points)
-    angle, angles = start, []
+    angle = start
+    angles = []
     for i in range(n):
         step = points[min(i + 1, n - 1)] - points[max(i - 1, 0)]
         if np.hypot(*step) > _STILL_PX:
@@ -132,8 +136,10 @@ def line_kernel(length_px: float, angle: float) -> NDArray[np.float32]:
     kernel = np.zeros((2 * half + 1, 2 * half + 1))
     count = max(1, round(_SAMPLES_PX * length_px))
     s = ((np.arange(count) + 0.5) / count - 0.5) * length_px
-    x, y = half + s * np.cos(angle), half + s * np.sin(angle)
-    u, v = np.floor(x).astype(int), np.floor(y).astype(int)
+    x = half + s * np.cos(angle)
+    y = half + s * np.sin(angle)
+    u = np.floor(x).astype(int)
+    v = np.floor(y).astype(int)
     for du, wu in ((0, 1 - (x - u)), (1, x - u)):
         for dv, wv in ((0, 1 - (y - v)), (1, y - v)):
             np.add.at(kernel, (v + dv, u + du), wu * wv)

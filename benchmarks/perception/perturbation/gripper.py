@@ -33,7 +33,8 @@ def smooth_noise(rng: np.random.Generator, frames: int, period: int, shape: tupl
     """Return random values (frames, *shape) of unit variance, interpolated smoothly between draws `period` apart."""
     keys = rng.normal(0.0, 1.0, (-(-frames // period) + 1, *shape))
     number, s = np.divmod(np.arange(frames) / period, 1.0)
-    a, b = keys[number.astype(int)], keys[number.astype(int) + 1]
+    a = keys[number.astype(int)]
+    b = keys[number.astype(int) + 1]
     angle = (s * np.pi / 2).reshape(-1, *[1] * len(shape))
     return np.asarray(np.cos(angle) * a + np.sin(angle) * b)
 
@@ -61,7 +62,8 @@ def deform(frames: Frames, masks: Masks, rng: np.random.Generator, rms_px: float
         if mask.sum() >= _MIN_PX:
             shift = displacement(mask, nodes[i], middle[i], rms_px)
             v, u = np.mgrid[0 : mask.shape[0], 0 : mask.shape[1]].astype(np.float32)
-            x, y = u + shift[..., 0].astype(np.float32), v + shift[..., 1].astype(np.float32)
+            x = u + shift[..., 0].astype(np.float32)
+            y = v + shift[..., 1].astype(np.float32)
             out[i] = cv2.remap(frames[i], x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     return out, masks
 
@@ -94,10 +96,13 @@ def displacement(mask: NDArray[np.bool_], nodes: Array, middle: Array, rms_px: f
 
 def _similarity(where: Array, moved: Array, everywhere: Array) -> Array:
     """Fit a similarity to offsets `moved` (n, 2) at points `where` (n, 2); return its offsets at all points."""
-    (x, y), one, none = where.T, np.ones(len(where)), np.zeros(len(where))
+    (x, y) = where.T
+    one = np.ones(len(where))
+    none = np.zeros(len(where))
     A = np.concatenate([np.stack([one, none, x, -y], axis=1), np.stack([none, one, y, x], axis=1)])
     a, b, size, turn = np.linalg.lstsq(A, moved.T.reshape(-1), rcond=None)[0]
-    x, y = everywhere[..., 0], everywhere[..., 1]
+    x = everywhere[..., 0]
+    y = everywhere[..., 1]
     return np.stack([a + size * x - turn * y, b + size * y + turn * x], axis=-1)
 
 
@@ -126,7 +131,8 @@ def occlude(frames: Frames, masks: Masks, rng: np.random.Generator, share: float
     outlines = rng.uniform(0, 2 * np.pi, (_SHAPES, len(_LOBES)))
     turns = rng.uniform(-0.04, 0.04, _SHAPES)  # [rad / frame]
     textures = [texture(rng) for _ in range(_SHAPES)]
-    out, left = np.array(frames, np.float32), masks.copy()
+    out = np.array(frames, np.float32)
+    left = masks.copy()
     height, width = masks.shape[1:]
     y, x = np.mgrid[0:height, 0:width].astype(np.float64)
     for i, mask in enumerate(masks):

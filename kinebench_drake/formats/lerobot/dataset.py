@@ -24,7 +24,9 @@ PLACE = ("chunk_index", "file_index")
 """Keys of the file in which an episode lies (v3), below `data` and `videos/CAMERA`."""
 SPAN = ("from_timestamp", "to_timestamp")
 """Keys of an episode's part of a video, below `videos/CAMERA` [s]."""
-EPISODE, FRAME, TIME = "episode_index", "frame_index", "timestamp"
+EPISODE = "episode_index"
+FRAME = "frame_index"
+TIME = "timestamp"
 """Columns with the number of the episode, of the frame in it, and its time [s]."""
 
 _VIDEO_V2 = "videos/chunk-{episode_chunk:03d}/{video_key}/episode_{episode_index:06d}.mp4"

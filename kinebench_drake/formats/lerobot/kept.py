@@ -41,7 +41,8 @@ def write_kept(source: Path, target: Path, numbers: Iterable[int]) -> None:
     Raises:
         InputError: no episode is left, the dataset is damaged, or writing failed.
     """
-    dataset, wanted = LeRobotDataset.open(source), set(numbers)
+    dataset = LeRobotDataset.open(source)
+    wanted = set(numbers)
     kept = [episode for episode in dataset.episodes() if episode.number in wanted]
     if not kept:
         raise InputError("no episode is left")
@@ -102,7 +103,8 @@ def _write_v2(
     dataset: LeRobotDataset, work: Path, kept: Sequence[LeRobotEpisode]
 ) -> tuple[list[int], list[Statistics]]:
     """Write rows, videos and lists of v2; return the length and, of v2.1, the statistics of each episode."""
-    source, places = dataset.folder, {episode.number: k for k, episode in enumerate(kept)}
+    source = dataset.folder
+    places = {episode.number: k for k, episode in enumerate(kept)}
     lengths = [pq.read_metadata(episode.data).num_rows for episode in kept]
     starts = [0, *accumulate(lengths)]
     for k, episode in enumerate(kept):

@@ -58,7 +58,9 @@ def list_lerobot_videos(folder: Path, search: Search) -> list[VideoSample]:
     period_s = None if fps is None or not 1.0 / MAX_PERIOD_S <= fps <= 1.0 / MIN_PERIOD_S else 1.0 / fps
     samples = []
     for episode in dataset.episodes(key):
-        problem, path, part = None, episode.data, VideoPart(key=key, episode=episode.number, frames=episode.length)
+        problem = None
+        path = episode.data
+        part = VideoPart(key=key, episode=episode.number, frames=episode.length)
         if not in_parquet:
             try:
                 path, part = dataset.video_part(episode, key)
@@ -140,7 +142,8 @@ def _columns(dataset: LeRobotDataset) -> tuple[Column, ...]:
     columns = []
     for name, feature in dataset.features.items():
         about = as_object(feature)
-        shape, dtype = about.get("shape"), about.get("dtype")
+        shape = about.get("shape")
+        dtype = about.get("dtype")
         if dtype in _NO_NUMBERS or not isinstance(shape, list) or len(shape) != 1 or name in _INDEX_COLUMNS:
             continue
         names = tuple(_flat(about.get("names")))
@@ -188,7 +191,8 @@ def _matrix(table: pyarrow.Table, name: str) -> Array:
         raise InputError(
             f"{name} holds {column.type} with {column.null_count} gaps, expected a list of numbers per frame"
         )
-    flat, lengths = column.flatten(), compute.list_value_length(column).unique()
+    flat = column.flatten()
+    lengths = compute.list_value_length(column).unique()
     if flat.null_count or len(lengths) != 1:
         raise InputError(f"{name} holds rows of different lengths or with gaps")
     return require_numbers(name, flat.to_numpy(zero_copy_only=False)).reshape(len(column), lengths[0].as_py())
@@ -206,7 +210,8 @@ def _vector(table: pyarrow.Table, name: str) -> NDArray[np.generic] | None:
 
 def _times(table: pyarrow.Table, fps: float | None) -> NDArray[np.generic] | None:
     """Return frame / fps if the time stamps, rounded to single precision, agree with it, else the stamps."""
-    frames, stamps = _vector(table, FRAME), _vector(table, TIME)
+    frames = _vector(table, FRAME)
+    stamps = _vector(table, TIME)
     if frames is None or fps is None or not fps > 0:
         return stamps
     even = require_numbers(FRAME, frames) / float(fps)

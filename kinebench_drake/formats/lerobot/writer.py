@@ -37,7 +37,9 @@ from kinebench_drake.io.npz import write_arrays
 
 VERSION = "v3.0"
 CAMERA = "observation.images.benchmark"
-STATE, POSE, ACTION = "observation.state", "observation.tcp_pose", "action"
+STATE = "observation.state"
+POSE = "observation.tcp_pose"
+ACTION = "action"
 _JOINTS = [f"joint_{i}" for i in range(1, 8)]
 _POSE = ["x", "y", "z", "qw", "qx", "qy", "qz"]
 STATES: Mapping[str, Sequence[str]] = {
@@ -46,8 +48,11 @@ STATES: Mapping[str, Sequence[str]] = {
     ACTION: [*_JOINTS, "gripper_width"],
 }
 """Columns of a recording and their elements: radians and metres, poses in the robot base frame."""
-POSE_ACTION, DELTA_ACTION = "pose_action", "delta_action"
-CONFIDENCE, USABLE, GRIPPER_KNOWN = "confidence", "usable", "gripper_known"
+POSE_ACTION = "pose_action"
+DELTA_ACTION = "delta_action"
+CONFIDENCE = "confidence"
+USABLE = "usable"
+GRIPPER_KNOWN = "gripper_known"
 ESTIMATES: Mapping[str, Sequence[str]] = {
     **STATES,
     POSE_ACTION: [*_POSE, "gripper_width"],
@@ -60,7 +65,9 @@ ESTIMATES: Mapping[str, Sequence[str]] = {
 COUNTERS = {TIME: "float32", **dict.fromkeys((FRAME, EPISODE, "index", "task_index"), "int64")}
 """Columns of every LeRobot dataset."""
 
-_CHUNK_FILES, _DATA_MB, _VIDEO_MB = 1000, 100, 200
+_CHUNK_FILES = 1000
+_DATA_MB = 100
+_VIDEO_MB = 200
 
 Columns = dict[str, NDArray[Any]]
 
@@ -125,7 +132,8 @@ def join_parts(
     """
     tasks = list(dict.fromkeys(prompts.values()))
     columns, histograms = _read_columns(parts, prompts, fps, tasks, features)
-    tables, videos = [_table(own, features) for own in columns], [part_files(parts, id)[1] for id in prompts]
+    tables = [_table(own, features) for own in columns]
+    videos = [part_files(parts, id)[1] for id in prompts]
     data_places = _places([table.nbytes for table in tables], _DATA_MB)
     video_places = _places([video.stat().st_size for video in videos], _VIDEO_MB)
     data_files = [folder / DATA.format(**place) for place in data_places]
@@ -134,9 +142,11 @@ def join_parts(
         _write_tables(path, [table for table, file in zip(tables, data_files, strict=True) if file == path])
     for path in dict.fromkeys(video_files):
         join_videos(path, [video for video, file in zip(videos, video_files, strict=True) if file == path])
-    episodes, frames = [], Counter[Path]()
+    episodes = []
+    frames = Counter[Path]()
     for k, (prompt, own) in enumerate(zip(prompts.values(), columns, strict=True)):
-        index, begin = own["index"], frames[video_files[k]]
+        index = own["index"]
+        begin = frames[video_files[k]]
         end = frames[video_files[k]] = begin + len(index)
         span = zip(SPAN, (begin / fps, end / fps), strict=True)
         statistics = feature_statistics([own], {CAMERA: [histograms[k]]})
@@ -169,7 +179,9 @@ def _read_columns(
     parts: Path, prompts: Mapping[str, str], fps: float, tasks: Sequence[str], features: Mapping[str, Sequence[str]]
 ) -> tuple[list[Columns], list[NDArray[Any]]]:
     """Return the columns of each episode and the histograms of its images."""
-    columns, histograms, frames_before = [], [], 0
+    columns = []
+    histograms = []
+    frames_before = 0
     for k, (id, prompt) in enumerate(prompts.items()):
         with np.load(part_files(parts, id)[0]) as archive:
             own = {name: archive[name] for name in features}
@@ -196,10 +208,13 @@ def _table(columns: Columns, features: Mapping[str, Sequence[str]]) -> pa.Table:
 
 def _places(sizes: Sequence[int], most_mb: int) -> list[dict[str, int]]:
     """Return chunk and file of each of some items of these sizes [bytes], with at most `most_mb` in a file."""
-    places, number, filled = [], 0, 0
+    places = []
+    number = 0
+    filled = 0
     for size in sizes:
         if filled and filled + size > most_mb * 2**20:
-            number, filled = number + 1, 0
+            number = number + 1
+            filled = 0
         filled += size
         places.append(dict(zip(PLACE, divmod(number, _CHUNK_FILES), strict=True)))
     return places

@@ -25,7 +25,8 @@ _OTHER_WORDS = {
     *("effort", "efforts", "delta", "deltas", "target", "targets", "goal", "desired", "commanded", "command"),
     *("error", "errors", "action", "actions"),
 }
-_JOINT_WORDS, _ANGLE_WORDS = {"joint", "joints"}, {"pos", "position", "positions", "state", "states", "angle", "angles"}
+_JOINT_WORDS = {"joint", "joints"}
+_ANGLE_WORDS = {"pos", "position", "positions", "state", "states", "angle", "angles"}
 _TOOL_WORDS = {"ee", "eef", "tcp", "pose", "poses", "hand", "gripper", "cartesian", "base"}
 _TIME = re.compile(
     r"(?:.*[^a-z])?(?:t|times?|timestamps?|time_stamps?|stamps?|clock)(?:[_. ](?P<unit>s|secs?|seconds|ms|us|ns))?"
@@ -235,7 +236,8 @@ def _with_units(table: Table, reading: Reading) -> Reading:
         names += [name]
     words = {_words(name)[-1] for name in names if _words(name)}
     units = {_UNITS[word] for word in words if word in _UNITS}
-    lengths, angles = units & {"m", "cm", "mm"}, units & {"rad", "deg"}
+    lengths = units & {"m", "cm", "mm"}
+    angles = units & {"rad", "deg"}
     length = reading.length or (min(lengths) if len(lengths) == 1 else None)
     return reading.change(length=length, angle=reading.angle or (min(angles) if len(angles) == 1 else None))
 
@@ -249,7 +251,8 @@ def _role(element: str) -> str:
     if vector:
         axis = vector["axis"]
         return f"v{'xyz'.index(axis)}" if axis in "xyz" else f"v{axis}"
-    last, before = words[-1], set(words[:-1])
+    last = words[-1]
+    before = set(words[:-1])
     if last in ("roll", "pitch", "yaw") or re.fullmatch(r"[qrw][wxyz]", last):
         return last
     if match := re.fullmatch(r"(?P<kind>[pt])?(?P<axis>[wxyz])", last):

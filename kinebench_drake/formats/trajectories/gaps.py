@@ -13,7 +13,9 @@ DOUBLED = (1.4, 2.8)
 """Range of the ratio of the step to the mean of its neighbours: accelerations change it."""
 
 _LEVER_M = 0.2  # at which a rotation counts as a motion
-_SIZE, _DEGREE = 6, 3  # samples and degree of a fit
+# samples and degree of a fit
+_SIZE = 6
+_DEGREE = 3
 _NEAR = 0.25  # deviation of a stamped step from one or two periods [periods]
 
 
@@ -27,7 +29,8 @@ def fill_gaps(t_s: Array, X_BG: Array | None, q: Array | None) -> tuple[Array, t
     """
     if len(t_s) < 2 * _SIZE:
         return t_s, ()
-    steps, period = np.diff(t_s), float(np.median(np.diff(t_s)))
+    steps = np.diff(t_s)
+    period = float(np.median(np.diff(t_s)))
     if (np.abs(steps / period - 1.0) < _NEAR).mean() < 0.8:  # least share of the steps that are one period
         return t_s, ()
     stamped = np.flatnonzero(np.abs(steps / period - 2.0) < _NEAR)
@@ -35,7 +38,8 @@ def fill_gaps(t_s: Array, X_BG: Array | None, q: Array | None) -> tuple[Array, t
     # 0.1: longest period at which lost samples are looked for: between slower ones robots start and stop [s]
     if period > 0.1 or not np.isfinite(path).all():
         return t_s, tuple((stamped + 1).tolist())
-    t_s, lost = t_s.copy(), set(stamped.tolist())
+    t_s = t_s.copy()
+    lost = set(stamped.tolist())
     for _ in range(10):  # lost samples that lie close together are found one after the other
         fresh = _find(t_s, path, period)
         if not fresh:
@@ -55,9 +59,11 @@ def _path(X_BG: Array | None) -> Array:
 
 def _find(t_s: Array, path: Array, period: float) -> list[int]:
     """Return the steps that lack a sample, of close ones the clearest."""
-    n, step = len(t_s), np.arange(1, len(t_s) - 2)
+    n = len(t_s)
+    step = np.arange(1, len(t_s) - 2)
     around = np.clip(step - 2, 0, n - _SIZE)[:, None] + np.arange(_SIZE)
-    times, points = t_s[around], path[around]
+    times = t_s[around]
+    points = path[around]
     as_is, filled = (_residuals(t, points) for t in (times, times + period * (around > step[:, None])))
     speed = np.linalg.norm(np.diff(path, axis=0), axis=-1) / np.diff(t_s)
     ratio = 2.0 * speed[step] / np.maximum(speed[step - 1] + speed[step + 1], 1e-12)

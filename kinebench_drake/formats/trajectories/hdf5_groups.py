@@ -91,7 +91,8 @@ def _column(name: str, data: h5py.Dataset) -> Column | None:
     joints, rest = divmod(size - _ROOT, 2)
     if name.startswith(_STATES) and _ROBOT.search(name) and joints >= N_JOINTS and not rest:
         fingers = [f"finger_joint_{k}" for k in range(1, joints - N_JOINTS + 1)]
-        root, rates = [f"root_{k}" for k in range(_ROOT)], [f"rate_{k}" for k in range(joints)]
+        root = [f"root_{k}" for k in range(_ROOT)]
+        rates = [f"rate_{k}" for k in range(joints)]
         return Column(name=name, size=size, names=(*root, *(f"joint_{k}" for k in range(1, 8)), *fingers, *rates))
     return Column(name=name, size=size) if size <= 256 else None  # numbers of a frame; more are images
 

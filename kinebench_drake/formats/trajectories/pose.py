@@ -60,8 +60,11 @@ def rotations_of(layout: str, numbers: Array, angle_rad: float) -> tuple[Array, 
         numbers: (T, n) numbers of the rotations.
         angle_rad: unit of angles [rad].
     """
-    R, finite = np.full((len(numbers), 3, 3), np.nan), np.isfinite(numbers).all(axis=-1)
-    frames, own, repairs = np.flatnonzero(finite), numbers[finite], tuple[str, ...]()
+    R = np.full((len(numbers), 3, 3), np.nan)
+    finite = np.isfinite(numbers).all(axis=-1)
+    frames = np.flatnonzero(finite)
+    own = numbers[finite]
+    repairs = tuple[str, ...]()
     if layout.startswith("quaternion"):
         repairs = _check_norms(own, frames)
         R[finite] = Rotation.from_quat(own, scalar_first=layout == "quaternion_wxyz").as_matrix()

@@ -122,7 +122,8 @@ class Reading(BaseModel):
             raise UsageError(f"$reading {error}") from None
         except ValidationError as error:
             first = error.errors(include_url=False, include_context=False)[0]
-            key, text = str(first["loc"][0]), first["msg"].removeprefix("Value error, ")
+            key = str(first["loc"][0])
+            text = first["msg"].removeprefix("Value error, ")
             if first["type"] == "extra_forbidden":
                 text = f"is no key{suggestion(key, cls.model_fields)}; there are {', '.join(cls.model_fields)}"
             raise UsageError(f"{name}: {key} {text}") from None
@@ -150,13 +151,16 @@ class Reading(BaseModel):
         Raises:
             InputError: the columns do not fit the layout, or hold no rotations.
         """
-        names, layout = self.columns or (), self.layout or JOINTS
+        names = self.columns or ()
+        layout = self.layout or JOINTS
         values = table.numbers(names)
         if values.shape[1] not in LAYOUTS[layout]:
             expected = " or ".join(map(str, LAYOUTS[layout]))
             raise InputError(f"{', '.join(names)}: {values.shape[1]} numbers per frame, {layout} has {expected}")
         repairs: tuple[str, ...] = ()
-        fingers, width, length = self.fingers, self.width, LENGTHS[self.length or "m"]
+        fingers = self.fingers
+        width = self.width
+        length = LENGTHS[self.length or "m"]
         gap = None if width is None else length * table.numbers([width])[:, 0]
         if gap is None and fingers:
             gap = np.asarray(2.0 * length * table.numbers(fingers).mean(axis=1))
@@ -183,7 +187,8 @@ class Reading(BaseModel):
 
     def _poses(self, values: Array, layout: str) -> tuple[Array, tuple[str, ...]]:
         """Return the recorded poses (T, 4, 4) [m], and messages about repairs."""
-        length, repairs = LENGTHS[self.length or "m"], tuple[str, ...]()
+        length = LENGTHS[self.length or "m"]
+        repairs = tuple[str, ...]()
         if values.shape[1] == 16:
             X = values.reshape(-1, 4, 4)
             X = np.array(np.swapaxes(X, -1, -2) if layout == "matrix_columns" else X)

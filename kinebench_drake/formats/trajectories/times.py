@@ -92,7 +92,8 @@ def undo_jitter(t_s: Array, path: Array, warnings: list[str]) -> Array:
     # 0.01: the same in seconds: operating systems delay by milliseconds
     if not 1e-6 * step < deviation <= min(0.4 * step, 0.01):  # deviation from even times that counts as none [steps]
         return t_s
-    rough, smooth = prediction_error(t_s, path), prediction_error(even, path)
+    rough = prediction_error(t_s, path)
+    smooth = prediction_error(even, path)
     if not smooth < 0.8 * rough:  # ratio of errors from which the motion counts as smoother; noise alone gives 1
         return t_s
     warnings.append(
@@ -108,7 +109,8 @@ def prediction_error(t_s: Array, path: Array) -> float:
     NaN if no five consecutive samples are known.
     """
     near = np.stack([np.arange(k, len(t_s) - 4 + k) for k in (0, 1, 3, 4)], axis=1)
-    times, middle = t_s[near], t_s[2:-2]
+    times = t_s[near]
+    middle = t_s[2:-2]
     predicted = np.zeros((len(near), path.shape[1]))
     for k in range(4):
         others = [i for i in range(4) if i != k]

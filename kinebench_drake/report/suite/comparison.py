@@ -85,7 +85,9 @@ def _compose(result: EpisodeResult) -> "Episode":
 
     extra = result.row.extra
     try:
-        seed, pool, variant = int(str(extra["seed"])), Pool(extra["pool"]), TaskVariant(extra["variant"])
+        seed = int(str(extra["seed"]))
+        pool = Pool(extra["pool"])
+        variant = TaskVariant(extra["variant"])
     except (KeyError, ValueError) as error:
         raise UsageError(f"{result.folder}: row {result.row.id} does not identify its episode ({error})") from None
     return EpisodeSpec(task=result.task, seed=seed, pool=pool, variant=variant).episode()

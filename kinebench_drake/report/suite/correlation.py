@@ -99,13 +99,16 @@ class CorrelationStudy:
         draws have the same rho.
         """
         chosen = np.array([part in (None, p.part) for p in self.points], dtype=bool)
-        x, y = self.metric[chosen], self.success[chosen]
+        x = self.metric[chosen]
+        y = self.success[chosen]
         some = np.isfinite(x).any(axis=0)
-        x, y = x[:, some], y[:, some]
+        x = x[:, some]
+        y = y[:, some]
         points, tasks = x.shape
         rho = float(_rho(x, y, np.ones((1, tasks)))[0]) if points >= MIN_POINTS else np.nan
         defined = bool(np.isfinite(rho))
-        low, high = None, None
+        low = None
+        high = None
         if defined and tasks >= 2:  # tasks needed for an interval, which resamples them
             low, high = percentile_interval(_rho(x, y, resampled_counts(tasks, np.random.default_rng(0))))
             low, high = (low, high) if high - low > 1e-12 else (None, None)
@@ -125,7 +128,8 @@ def study_correlation(episodes: Sequence[EpisodeResult], predictor: Predictor = 
     names = list(group_by(episodes, lambda e: (e.part, e.model)))
     column = {key: k for k, key in enumerate(tasks)}
     line = {key: k for k, key in enumerate(names)}
-    x, s = np.full((len(names), len(tasks)), np.nan), np.full((len(names), len(tasks)), np.nan)
+    x = np.full((len(names), len(tasks)), np.nan)
+    s = np.full((len(names), len(tasks)), np.nan)
     for (part, model, task), means in _means_by_task(episodes, predictor).items():
         cell = line[part, model], column[part, task]
         x[cell], s[cell] = means
@@ -135,7 +139,8 @@ def study_correlation(episodes: Sequence[EpisodeResult], predictor: Predictor = 
         counts = valid.sum(axis=1)
         valid[rows & (2 * counts < counts[rows].max())] = False
     valid &= valid.sum(axis=0) >= 2
-    x[~valid], z = np.nan, standardise(np.where(valid, s, np.nan))
+    x[~valid] = np.nan
+    z = standardise(np.where(valid, s, np.nan))
     kept = np.flatnonzero(valid.any(axis=1))
     points = [
         CorrelationPoint(

@@ -116,7 +116,8 @@ def draw_manipulability(episodes: Sequence[EpisodeResult]) -> ReportFigure | Non
     if all(e.cost_scaled is None for e in episodes):
         return None
     scaled = [replace(e, cost_scaled=1.0) if e.cost_scaled is None else e for e in episodes]
-    models, parts = list_models(scaled), sorted({e.part for e in scaled})
+    models = list_models(scaled)
+    parts = sorted({e.part for e in scaled})
     crowded = len(models) > len(COLOURS)
     widths = [len(list_models(e for e in scaled if e.part == p)) for p in parts]
     figure, axes = new_figure(

@@ -82,7 +82,9 @@ def _read_kinebench(path: Path) -> SuiteRun:
 def _check_kind(run: Run) -> SuiteRun:
     if run.kind != _KIND:
         raise UsageError(f"{run.path}: is of a run of kind {run.kind!r}, expected {_KIND!r}")
-    suite, split, variant = run.config.get("suite"), run.config.get("split"), run.config.get("variant", "plain")
+    suite = run.config.get("suite")
+    split = run.config.get("split")
+    variant = run.config.get("variant", "plain")
     if not isinstance(suite, int) or not all(isinstance(v, str) and _NAME.fullmatch(v) for v in (split, variant)):
         raise UsageError(
             f"{run.path / RESULTS}: config names no suite, split and variant, expected those of a suite run"
@@ -110,7 +112,8 @@ def pool_episodes(runs: Sequence[SuiteRun]) -> list[EpisodeResult]:
     Raises:
         UsageError: two folders of the same name hold the same episode of a model.
     """
-    labels, order = _label_models(runs), list(dict.fromkeys(model for run in runs for model in run.models))
+    labels = _label_models(runs)
+    order = list(dict.fromkeys(model for run in runs for model in run.models))
     conflicts = _conflicting_specs(runs, labels)
     names = {
         (k, model): f"{label} (spec={runs[k].spec})" if label in conflicts else label
@@ -127,7 +130,8 @@ def pool_episodes(runs: Sequence[SuiteRun]) -> list[EpisodeResult]:
     clashing: set[tuple[str, SuitePart]] = set()
     for (one, these), (other, those) in combinations(keys.items(), 2):
         if one[:2] == other[:2] and these & those:
-            a, b = runs[one[2]], runs[other[2]]
+            a = runs[one[2]]
+            b = runs[other[2]]
             if a.name == b.name:
                 raise UsageError(
                     f"{a.path} and {b.path} hold the same episodes of {one[0]}: name one of them, or distinguish them "

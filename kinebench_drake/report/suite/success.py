@@ -111,7 +111,8 @@ def tabulate_suites(episodes: Sequence[EpisodeResult]) -> Table:
 
     The best models of each part are bold, see `best_models`.
     """
-    parts, models = sorted({e.part for e in episodes}), list_models(episodes)
+    parts = sorted({e.part for e in episodes})
+    models = list_models(episodes)
     tallies = tally_runs(episodes)
     executable = {m: executable_share(own, episodes) for m, own in group_by(episodes, lambda e: e.model).items()}
     return make_table(
@@ -186,7 +187,8 @@ def tabulate_summary(episodes: Sequence[EpisodeResult]) -> Table:
 
 def tabulate_tasks(episodes: Sequence[EpisodeResult]) -> Table:
     """Build the table of all counts, a row per part, task and model."""
-    samples, groups = _most_samples(episodes), group_by(episodes, lambda e: (e.part, e.task, e.model)).items()
+    samples = _most_samples(episodes)
+    groups = group_by(episodes, lambda e: (e.part, e.task, e.model)).items()
     lines = ((key, tally(own, episodes)) for key, own in sorted(groups, key=lambda item: item[0][:2]))
     rows = [
         {"part": part.title, "task": task, "model": model, **_cells(t, samples), "success": t.pooled}
@@ -212,10 +214,12 @@ def _most_samples(episodes: Sequence[EpisodeResult]) -> int:
 
 def draw_success(episodes: Sequence[EpisodeResult]) -> list[ReportFigure]:
     """Draw success by task and model, one figure per part."""
-    models, figures = list_models(episodes), []
+    models = list_models(episodes)
+    figures = []
     interval = "95 % interval over episodes" if has_samples(episodes) else "95 % Wilson interval"
     for part, own in sorted(group_by(episodes, lambda e: e.part).items()):
-        tasks, here = sorted({e.task for e in own}, reverse=True), [m for m in models if any(e.model == m for e in own)]
+        tasks = sorted({e.task for e in own}, reverse=True)
+        here = [m for m in models if any(e.model == m for e in own)]
         rates = {key: tally(some).pooled for key, some in group_by(own, lambda e: (e.model, e.task)).items()}
         by_model = {m: [(task, rate) for (model, task), rate in rates.items() if model == m] for m in here}
         figure = draw_intervals(tasks, by_model, assign_numbers(models, here), f"success, {interval}")

@@ -80,7 +80,8 @@ def _drop_parts(runs: Sequence[SuiteRun], episodes: Sequence[EpisodeResult]) -> 
 
 
 def _correlation_parts(episodes: Sequence[EpisodeResult], predictor: correlation.Predictor) -> list[Part]:
-    study, points = correlation.study_correlation(episodes, predictor), correlation.MIN_POINTS
+    study = correlation.study_correlation(episodes, predictor)
+    points = correlation.MIN_POINTS
     return [
         correlation.draw_correlation(episodes, study) or make_missing("correlation_points", **predictor.captions),
         correlation.tabulate_correlation(study)

@@ -13,7 +13,8 @@ from kinebench_drake.report.table import Table, Value, make_table
 from kinebench_drake.results.aggregate import Estimate
 from kinebench_drake.stats import PairedShares, adjust_p_values, independent_mean_difference
 
-SEEN, UNSEEN = "seen", "unseen"
+SEEN = "seen"
+UNSEEN = "unseen"
 """Splits that are compared."""
 Samples = Sequence[EpisodeResult]
 """All samples of one episode."""
@@ -88,11 +89,13 @@ def _paired(suite: int, model: str, task: str, pairs: Sequence[tuple[Samples, Sa
     rates = np.array([[_rate(samples) for samples in pair] for pair in pairs], dtype=np.float64)
     complete = rates[np.isfinite(rates).all(axis=1)]
     bound = float(np.mean([_rate(one, 1.0) - _rate(other, 0.0) for one, other in pairs]))
-    drop, p = Estimate(mean=None, low=None, high=None, n=0, total=len(pairs)), None
+    drop = Estimate(mean=None, low=None, high=None, n=0, total=len(pairs))
+    p = None
     if len(complete):
         samples = max(len(own) for pair in pairs for own in pair)
         shares = PairedShares(first=complete[:, 0], second=complete[:, 1], samples=samples)
-        drop, p = share_difference(shares, len(pairs)), shares.p_value
+        drop = share_difference(shares, len(pairs))
+        p = shares.p_value
     return SeenUnseenDrop(
         suite=suite,
         model=model,
@@ -160,11 +163,13 @@ def _row(d: SeenUnseenDrop) -> dict[str, Value]:
 
 def draw_drops(drops: Sequence[SeenUnseenDrop]) -> list[ReportFigure]:
     """Draw the drops by task and model, a figure for each suite."""
-    models, figures = list(dict.fromkeys(d.model for d in drops)), []
+    models = list(dict.fromkeys(d.model for d in drops))
+    figures = []
     for suite, own in group_by(drops, lambda d: d.suite).items():
         tasks = sorted({d.task for d in own}, key=lambda task: (task != ALL_TASKS, task), reverse=True)
         values = {m: [(d.task, d.drop) for d in own if d.model == m] for m in models if any(d.model == m for d in own)}
-        numbers, label = assign_numbers(models, [*values]), "drop of success, seen minus unseen"
+        numbers = assign_numbers(models, [*values])
+        label = "drop of success, seen minus unseen"
         figure = draw_intervals(tasks, values, numbers, label, low=-1.0)
         figures.append(make_figure("seen_unseen", figure, suite=suite))
     return figures

@@ -23,9 +23,12 @@ COLORS = {"red": (0.65, 0.03, 0.03), "green": (0.04, 0.42, 0.06), "blue": (0.03,
 """Linear RGB of cubes."""
 EDGE_M = (0.036, 0.044)
 """Least and greatest edge of a cube."""
-PEG_LENGTH_M, PEG_WIDTH_M = (0.205, 0.235), (0.042, 0.050)
+PEG_LENGTH_M = (0.205, 0.235)
+PEG_WIDTH_M = (0.042, 0.050)
 """Least and greatest length, and width and height, of a peg."""
-_PEG_RED, _PEG_BLUE, _PEG_BAND = (0.62, 0.03, 0.03), (0.03, 0.10, 0.55), (0.75, 0.72, 0.66)
+_PEG_RED = (0.62, 0.03, 0.03)
+_PEG_BLUE = (0.03, 0.10, 0.55)
+_PEG_BAND = (0.75, 0.72, 0.66)
 _PIXELS = 64
 
 
@@ -67,7 +70,8 @@ def _cube(name: str, asset_id: str, index: int, rng: np.random.Generator) -> Ass
     parts = BodyParts(uv_per_m=1.0 / edge)
     parts.box([edge] * 3, np.zeros(3), surface, bevel_m=0.0015)
     material = Material(density=float(rng.uniform(350.0, 700.0)), static_friction=0.9, dynamic_friction=0.8)
-    body, words = parts.body("cube", material), f"{name} cube"
+    body = parts.body("cube", material)
+    words = f"{name} cube"
     return AssetModel(asset_id=asset_id, words=words, bodies=(body,), size={"edge_m": edge})
 
 
@@ -78,8 +82,10 @@ def _peg_surface(color: ArrayLike, grained: bool, rng: np.random.Generator) -> S
 
 
 def _peg(asset_id: str, index: int, rng: np.random.Generator) -> AssetModel:
-    length, width = float(rng.uniform(*PEG_LENGTH_M)), float(rng.uniform(*PEG_WIDTH_M))
-    grained, banded = index % 2 == 1, index % 4 >= 2
+    length = float(rng.uniform(*PEG_LENGTH_M))
+    width = float(rng.uniform(*PEG_WIDTH_M))
+    grained = index % 2 == 1
+    banded = index % 4 >= 2
     band = float(rng.uniform(0.006, 0.014)) if banded else 0.0
     half = 0.5 * (length - band)
     pieces = [
@@ -92,7 +98,8 @@ def _peg(asset_id: str, index: int, rng: np.random.Generator) -> AssetModel:
     for piece, x, surface in pieces:
         parts.box([piece, width, width], [x, 0.0, 0.0], surface, bevel_m=0.0015, solid=False)
     material = Material(density=float(rng.uniform(800.0, 1000.0)), static_friction=0.3, dynamic_friction=0.3)
-    body, size = parts.body("peg", material), {"length_m": length, "width_m": width}
+    body = parts.body("peg", material)
+    size = {"length_m": length, "width_m": width}
     return AssetModel(asset_id=asset_id, words="red and blue peg", bodies=(body,), size=size)
 
 
@@ -134,7 +141,9 @@ def _parts(*shapes: tuple[Array, SurfaceFinish], colliders: list[Collider]) -> B
 
 
 def _bottle(h: float, r: float, rng: np.random.Generator) -> BodyParts:
-    neck, shoulder, collar = 0.42 * r, 0.62 * h, 0.80 * h
+    neck = 0.42 * r
+    shoulder = 0.62 * h
+    collar = 0.80 * h
     cap = 0.16 * h
     body = np.array(
         [[0.0, 0.0], [r - 0.002, 0.0], [r, 0.002], [r, shoulder], [0.92 * r, shoulder + 0.25 * (collar - shoulder)],
@@ -165,7 +174,9 @@ def _can(h: float, r: float, rng: np.random.Generator) -> BodyParts:
 
 
 def _post(h: float, r: float, rng: np.random.Generator) -> BodyParts:
-    foot, stem, ball = 0.008, 0.45 * r, 0.55 * r
+    foot = 0.008
+    stem = 0.45 * r
+    ball = 0.55 * r
     angle = np.linspace(-1.0, np.pi / 2.0, 9)
     wood = np.clip(np.array([0.5, 0.3, 0.13]) * rng.uniform(0.6, 1.3), 0.0, 1.0)
     profile = np.concatenate(
@@ -186,7 +197,8 @@ def _post(h: float, r: float, rng: np.random.Generator) -> BodyParts:
 
 def _block(h: float, r: float, rng: np.random.Generator) -> BodyParts:
     side = np.sqrt(2.0) * r
-    size, center = [side, side, h], [0.0, 0.0, h / 2.0]
+    size = [side, side, h]
+    center = [0.0, 0.0, h / 2.0]
     surface = SurfaceFinish(color=_color(rng), roughness=float(rng.uniform(0.5, 0.9)))
     parts = BodyParts(uv_per_m=1.0)
     parts.box(size, center, surface, bevel_m=0.002)
@@ -204,7 +216,8 @@ _SHAPES: tuple[tuple[str, Callable[[float, float, np.random.Generator], BodyPart
 
 def _obstacle(asset_id: str, index: int, rng: np.random.Generator) -> AssetModel:
     # Least and greatest radius of an obstacle's foot; of a block, half its diagonal.
-    height, radius = float(rng.uniform(*OBSTACLE_HEIGHT_M)), float(rng.uniform(0.018, 0.026))
+    height = float(rng.uniform(*OBSTACLE_HEIGHT_M))
+    radius = float(rng.uniform(0.018, 0.026))
     words, make, density = _SHAPES[index % len(_SHAPES)]
     material = Material(density=density, static_friction=0.6, dynamic_friction=0.5, angular_damping=0.1)
     return AssetModel(

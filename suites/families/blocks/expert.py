@@ -38,13 +38,17 @@ PULL_HEIGHT_M = 0.018
 
 def stack_cube(scene: Scene) -> list[Waypoint]:
     """Put the green cube on the red one and release it, passing above an obstacle."""
-    X_BA, X_BT = scene.poses["green"], scene.poses["red"]
+    X_BA = scene.poses["green"]
+    X_BT = scene.poses["red"]
     height = 0.5 * (scene.size("green", "edge_m") + scene.size("red", "edge_m"))
-    axes, landings = level_axes(X_BA[:3, :3]), level_axes(X_BT[:3, :3])
-    over, preferred = ABOVE_M, scene.X_BG[:3, 1]
+    axes = level_axes(X_BA[:3, :3])
+    landings = level_axes(X_BT[:3, :3])
+    over = ABOVE_M
+    preferred = scene.X_BG[:3, 1]
     if "obstacle" in scene.poses:
         over = max(over, scene.size("obstacle", "height_m") + OVER_M - X_BA[2, 3])
-        obstacle, room = scene.poses["obstacle"][:3, 3], scene.size("obstacle", "radius_m") + HAND_M
+        obstacle = scene.poses["obstacle"][:3, 3]
+        room = scene.size("obstacle", "radius_m") + HAND_M
         axes = _clear_axes(axes, obstacle - X_BA[:3, 3], room)
         landings = _clear_axes(landings, obstacle - X_BT[:3, 3], room)
         # 0.5: preferred yaw of the hand before a wide turn, away from rest towards the middle of the wrist's range
@@ -76,7 +80,8 @@ def pull_cube(scene: Scene) -> list[Waypoint]:
     The hand tilts sideways, away from the middle, so that the cube is visible from the front; and forward, so that the
     slanted back of the finger that touches the cube is vertical.
     """
-    cube, goal = scene.poses["cube"][:3, 3], scene.poses["target"][:3, 3]
+    cube = scene.poses["cube"][:3, 3]
+    goal = scene.poses["target"][:3, 3]
     back = (goal - cube) * [1.0, 1.0, 0.0]
     back /= np.linalg.norm(back)
     outward = np.cross(back, [0.0, 0.0, 1.0]) * (1.0 if cube[1] >= 0.0 else -1.0)
@@ -111,12 +116,14 @@ def lift_peg_upright(scene: Scene) -> list[Waypoint]:
     The gripper points down throughout: the light grasp acts as a hinge, and the blue end stays low by its weight. (A
     firm grasp would require the hand to turn by 90 degrees, at the edge of the workspace.)
     """
-    X_BP, half = scene.poses["peg"], 0.5 * scene.size("peg", "length_m")
+    X_BP = scene.poses["peg"]
+    half = 0.5 * scene.size("peg", "length_m")
     along = X_BP[:3, 0] * [1.0, 1.0, 0.0]
     along /= np.linalg.norm(along)
     # 0.020: distance of the grasp from the peg's red end, so short that this end turns under the palm without touching
     # it
-    R, grip = grasp_rotation(DOWN, (along[1], -along[0], 0.0)), half - 0.020
+    R = grasp_rotation(DOWN, (along[1], -along[0], 0.0))
+    grip = half - 0.020
     # 0.008: commanded finger width below the peg's width: the pads press so lightly (about 4 N each) that the peg turns
     # between them under its weight
     width = scene.size("peg", "width_m") - 0.008

@@ -62,7 +62,8 @@ class StackCube(Task):
             while np.linalg.norm(points[0] - points[1]) < APART_M:
                 points = rng.uniform([0.48, -0.15], [0.66, 0.15], size=(2, 2))
         else:
-            middle, angle = rng.uniform([0.52, -0.04], [0.60, 0.04]), rng.uniform(-0.5, 0.5)
+            middle = rng.uniform([0.52, -0.04], [0.60, 0.04])
+            angle = rng.uniform(-0.5, 0.5)
             side = rng.choice([-1.0, 1.0]) * np.array([np.sin(angle), np.cos(angle)])
             points = np.stack([middle + rng.uniform(0.11, 0.15) * side, middle - rng.uniform(0.11, 0.15) * side])
             prompt += f" It does not touch the {models['obstacle'].words} that stands between them."
@@ -112,7 +113,8 @@ class PullCube(Task):
 
     def layout(self, models: Mapping[str, AssetModel], rng: np.random.Generator, variant: TaskVariant) -> SceneLayout:
         """Place the target, and the cube 13 to 18 cm farther from the robot."""
-        target, angle = rng.uniform([0.43, -0.10], [0.48, 0.10]), rng.uniform(-0.3, 0.3)
+        target = rng.uniform([0.43, -0.10], [0.48, 0.10])
+        angle = rng.uniform(-0.3, 0.3)
         cube = target + rng.uniform(0.13, 0.18) * np.array([np.cos(angle), np.sin(angle)])
         yaw = angle + rng.uniform(-0.25, 0.25)
         return SceneLayout(

@@ -33,11 +33,15 @@ from kinebench_drake.suites.scene.texture import (
     wood,
 )
 
-RIMMED, FLUSH = "box/rimmed", "box/flush"
+RIMMED = "box/rimmed"
+FLUSH = "box/flush"
 """Kinds of boxes: the lid overhangs the front and the sides, or ends flush with the walls."""
-WIDTH_M, DEPTH_M, HEIGHT_M = (0.14, 0.18), (0.12, 0.145), (0.085, 0.11)
+WIDTH_M = (0.14, 0.18)
+DEPTH_M = (0.12, 0.145)
+HEIGHT_M = (0.085, 0.11)
 """Least and greatest extent of rimmed boxes: along the hinge, from hinge to front, and height without the lid."""
-FLUSH_WIDTH_M, FLUSH_HEIGHT_M = (0.11, 0.14), (0.075, 0.10)
+FLUSH_WIDTH_M = (0.11, 0.14)
+FLUSH_HEIGHT_M = (0.075, 0.10)
 """The same of flush boxes, narrow enough for the fingers to reach down beside them when they lie."""
 OVERHANG_M = (0.010, 0.014)
 """Least and greatest overhang of a rimmed lid at the front and the sides."""
@@ -83,33 +87,45 @@ def _design(index: int, rng: np.random.Generator) -> _BoxDesign:
     material = MATERIALS[index % len(MATERIALS)]
     first, second, third = _PALETTE[rng.permutation(len(_PALETTE))[:3]] * rng.uniform(0.85, 1.1, (3, 1))
     plain = partial(SurfaceFinish, roughness=float(rng.uniform(0.35, 0.8)))
-    lining, trim = plain(color=linear_rgb(third)), plain(color=linear_rgb(second))
+    lining = plain(color=linear_rgb(third))
+    trim = plain(color=linear_rgb(second))
     steel = SurfaceFinish(color=(0.42, 0.42, 0.44), roughness=0.35, metallic=0.6)
-    word, density = material, 500.0
+    word = material
+    density = 500.0
     match material:
         case "cardboard":
             walls = SurfaceFinish(texture=cardboard(rng), roughness=0.9)
-            lid, lining, density = SurfaceFinish(texture=cardboard(rng), roughness=0.9), walls, 350.0
+            lid = SurfaceFinish(texture=cardboard(rng), roughness=0.9)
+            lining = walls
+            density = 350.0
             trim = SurfaceFinish(color=linear_rgb([206, 178, 128]), roughness=0.35)  # tape
         case "wood":
             tree, other = rng.permutation(["oak", "pine", "walnut", "cherry", "teak", "mahogany", "maple"])[:2]
             walls = SurfaceFinish(texture=planks(rng, str(tree), boards=6), roughness=0.6)
             lid = SurfaceFinish(texture=wood(rng, str(other if index % 4 < 2 else tree)), roughness=0.5)
-            word, trim, density = "wooden", steel, 600.0
+            word = "wooden"
+            trim = steel
+            density = 600.0
         case "plastic":
-            walls, lid = plain(color=linear_rgb(first)), plain(color=linear_rgb(second))
-            trim, density = plain(color=linear_rgb([236, 236, 232])), 800.0
+            walls = plain(color=linear_rgb(first))
+            lid = plain(color=linear_rgb(second))
+            trim = plain(color=linear_rgb([236, 236, 232]))
+            density = 800.0
         case "tin":
             walls = SurfaceFinish(texture=brushed(rng, 0.75 * first + 40.0), roughness=0.4, metallic=0.35)
             lid = SurfaceFinish(texture=brushed(rng, 0.75 * second + 40.0), roughness=0.35, metallic=0.35)
-            lining, word, density = SurfaceFinish(texture=brushed(rng), roughness=0.4, metallic=0.5), "tin", 900.0
+            lining = SurfaceFinish(texture=brushed(rng), roughness=0.4, metallic=0.5)
+            word = "tin"
+            density = 900.0
         case "leather":
             walls, lid = (SurfaceFinish(texture=leather(rng, color), roughness=0.55) for color in (first, 0.8 * first))
             trim = steel
         case _:
             pattern = _paper(rng, index, first, second)
-            walls, lid = SurfaceFinish(texture=pattern, roughness=0.8), plain(color=linear_rgb(second))
-            word, density = "gift", 400.0
+            walls = SurfaceFinish(texture=pattern, roughness=0.8)
+            lid = plain(color=linear_rgb(second))
+            word = "gift"
+            density = 400.0
     return _BoxDesign(
         walls=walls, lid=lid, lining=lining, trim=trim, label=bool(rng.random() < 0.6), words=word, density=density
     )
@@ -127,7 +143,9 @@ def _paper(rng: np.random.Generator, index: int, first: Array, second: Array) ->
 
 
 def _base(width: float, depth: float, height: float, wall: float, design: _BoxDesign) -> RigidBody:
-    x, y, t = depth / 2.0, width / 2.0, wall
+    x = depth / 2.0
+    y = width / 2.0
+    t = wall
     parts = BodyParts()
     parts.panel([-x, -y, 0.0], [x, y, t], design.walls)
     parts.panel([-x, -y, t], [-x + t, y, height], design.walls)
@@ -136,7 +154,8 @@ def _base(width: float, depth: float, height: float, wall: float, design: _BoxDe
     parts.panel([-x + t, y - t, t], [x - t, y, height], design.walls)
     parts.panel([-x + t, -y + t, t], [x - t, y - t, t + _THIN_M], design.lining, bevel_m=0.0, solid=False)
     if design.label:
-        low, high = [x, -0.22 * width, 0.25 * height], [x + _THIN_M, 0.22 * width, 0.65 * height]
+        low = [x, -0.22 * width, 0.25 * height]
+        high = [x + _THIN_M, 0.22 * width, 0.65 * height]
         parts.panel(low, high, design.trim, bevel_m=0.0, solid=False)
     knuckle = cylinder_mesh(0.0035, 0.2 * width, sections=16)
     R_YZ = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
@@ -148,28 +167,35 @@ def _base(width: float, depth: float, height: float, wall: float, design: _BoxDe
 def _lid(
     length: float, width: float, thick: float, depth: float, wall: float, design: _BoxDesign, joint: Joint
 ) -> RigidBody:
-    parts, y, inner = BodyParts(), width / 2.0, 0.5 * width - 2.5 * wall
+    parts = BodyParts()
+    y = width / 2.0
+    inner = 0.5 * width - 2.5 * wall
     parts.panel([0.0, -y, 0.0], [length, y, thick], design.lid, bevel_m=0.0015)
-    low, high = [2.0 * wall, -inner, -_THIN_M], [depth - 2.0 * wall, inner, 0.0]
+    low = [2.0 * wall, -inner, -_THIN_M]
+    high = [depth - 2.0 * wall, inner, 0.0]
     parts.panel(low, high, design.lining, bevel_m=0.0, solid=False)
     if design.label:
-        low, high = [0.35 * length, -y, thick], [0.55 * length, y, thick + _THIN_M]
+        low = [0.35 * length, -y, thick]
+        high = [0.55 * length, y, thick + _THIN_M]
         parts.panel(low, high, design.trim, bevel_m=0.0, solid=False)
     return parts.body("lid", Material(density=design.density, static_friction=0.5, dynamic_friction=0.4), joint)
 
 
 def _box(kind: str, asset_id: str, index: int, rng: np.random.Generator) -> AssetModel:
-    flush, design = kind == FLUSH, _design(index, rng)
+    flush = kind == FLUSH
+    design = _design(index, rng)
     width = float(rng.uniform(*(FLUSH_WIDTH_M if flush else WIDTH_M)))
     depth = float(rng.uniform(*DEPTH_M))
     height = float(rng.uniform(*(FLUSH_HEIGHT_M if flush else HEIGHT_M)))
-    wall, thick = float(rng.uniform(0.004, 0.006)), float(rng.uniform(0.005, 0.008))
+    wall = float(rng.uniform(0.004, 0.006))
+    thick = float(rng.uniform(0.005, 0.008))
     overhang = float(rng.uniform(*OVERHANG_M))
     # 0.001: inset of a flush lid at its sides, which is its clearance from the table when the box lies
     front, side = (0.0, -0.001) if flush else (overhang, overhang)
     open_rad = float(rng.uniform(*OPEN_RAD))
     p_hinge = [-depth / 2.0, 0.0, height]
-    friction, damping = float(rng.uniform(0.0, 0.05)), float(rng.uniform(0.03, 0.08))
+    friction = float(rng.uniform(0.0, 0.05))
+    damping = float(rng.uniform(0.03, 0.08))
     joint = lid_hinge(p_hinge, open_rad, friction=friction, damping=damping)
     return AssetModel(
         asset_id=asset_id,

@@ -19,7 +19,8 @@ from kinebench_drake.suites.expert.grasp import (
 from kinebench_drake.suites.expert.motion import Arc, Waypoint
 from kinebench_drake.suites.families.task import Scene
 
-TIP_M, HALF_Y_M = 0.0092, 0.0150
+TIP_M = 0.0092
+HALF_Y_M = 0.0150
 """Contact geometry of the closed fingertips: extent beyond the TCP, and half extent along the closing axis."""
 BESIDE_WALL_M = 0.003
 """Gap between the fingertips under a rim and the wall of the box."""
@@ -31,9 +32,11 @@ RETREAT_M = 0.09
 """Distance by which the gripper retreats from an open lid."""
 GOAL_FRACTION = 0.97
 """Opening to which the lid is pushed, as a fraction of its range."""
-PUSH_DEPTH_M, PUSH_TILT_RAD = 0.022, np.radians(-12.0)
+PUSH_DEPTH_M = 0.022
+PUSH_TILT_RAD = np.radians(-12.0)
 """Depth and tilt of the fingers under the front edge while pushing."""
-SIDE_TILT_RAD, PRY_SIDE_TILT_RAD = np.radians(60.0), np.radians(48.0)
+SIDE_TILT_RAD = np.radians(60.0)
+PRY_SIDE_TILT_RAD = np.radians(48.0)
 """Angle of the fingers from the vertical at the side of a lid while pushing and while prying."""
 SIDE_DEPTH_M = 0.024
 """Depth of the fingers under the side of a lid while pushing, along the fingers."""
@@ -171,7 +174,8 @@ def open_shut_side(scene: Scene) -> list[Waypoint]:
 
 def close_lying(scene: Scene) -> list[Waypoint]:
     """Fold the lid of a lying box shut from outside, press, and retreat."""
-    X_BH, angle = scene.site("box", "hinge"), scene.joints["box"]
+    X_BH = scene.site("box", "hinge")
+    angle = scene.joints["box"]
     R_BH = X_BH[:3, :3]
     # 0.030: distance of the TCP below the upper edge of a lying box's lid: the greatest at which the palm stays clear
     # of it
@@ -189,7 +193,8 @@ def close_lying(scene: Scene) -> list[Waypoint]:
         p = X_BH[:3, 3] + R_BH @ p_H
         return make_pose(R, [p[0], p[1], height])
 
-    start, last = outside(angle, 0.004), outside(0.0, -PRESS_M)
+    start = outside(angle, 0.004)
+    last = outside(0.0, -PRESS_M)
     before = outside(angle, 0.05)
     return [
         *closed_passage(lift(scene.X_BG, 0.04), lift(before, 0.09), before, start),

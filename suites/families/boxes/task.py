@@ -67,7 +67,8 @@ class OpenBox(_MoveLid):
         Args:
             ajar: True if the lid is slightly open at the start.
         """
-        self._ajar, self._to_the_right = ajar, to_the_right
+        self._ajar = ajar
+        self._to_the_right = to_the_right
         self.card = TaskCard(
             id=name,
             family="boxes",
@@ -88,9 +89,12 @@ class OpenBox(_MoveLid):
         """Place a box in front of the robot, close enough that its lid does not touch the gripper at the start."""
         yaw = rng.uniform(-YAW_RAD, YAW_RAD)
         if self._to_the_right:
-            x, y, yaw = rng.uniform(0.42, 0.47), rng.uniform(0.03, 0.10), yaw - np.pi / 2.0
+            x = rng.uniform(0.42, 0.47)
+            y = rng.uniform(0.03, 0.10)
+            yaw = yaw - np.pi / 2.0
         else:
-            x, y = rng.uniform(0.46, 0.50), rng.uniform(-0.10, 0.10)
+            x = rng.uniform(0.46, 0.50)
+            y = rng.uniform(-0.10, 0.10)
         if self._to_the_right and not self._ajar:
             model = with_tight_hinge(model)
         joint = float(rng.uniform(*AJAR_RAD)) if self._ajar else 0.0

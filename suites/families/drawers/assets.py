@@ -21,11 +21,15 @@ from kinebench_drake.suites.scene.model import (
 )
 from kinebench_drake.suites.scene.texture import brushed, mix, rgb, wood
 
-WIDTH_M, DEPTH_M, HEIGHT_M = (0.172, 0.198), (0.168, 0.188), (0.114, 0.126)
+WIDTH_M = (0.172, 0.198)
+DEPTH_M = (0.168, 0.188)
+HEIGHT_M = (0.114, 0.126)
 """Least and greatest extents: perpendicular to the drawer's travel, along it, and height."""
 TRAVEL_M = (0.108, 0.124)
 """Least and greatest travel of the drawer."""
-HANDLES, FINISHES, FEET = ("bar", "knob", "lip"), ("wood", "paint", "metal", "front"), ("legs", "plinth")
+HANDLES = ("bar", "knob", "lip")
+FINISHES = ("wood", "paint", "metal", "front")
+FEET = ("legs", "plinth")
 """Kinds of handles (bow, knob, or a ledge along the upper edge of the front), of finishes (wood, paint, metal, or wood
 with a painted front), and of feet."""
 _CLEARANCE_M = 0.003  # between the drawer and the cabinet
@@ -122,7 +126,10 @@ def _carcass(
     m: _Dimensions, feet: str, outside: SurfaceFinish, inside: SurfaceFinish, fitting: SurfaceFinish
 ) -> BodyParts:
     """Make the cabinet without its drawer."""
-    parts, x, y, p = BodyParts(_WOOD_PER_M), m.face, m.width / 2.0, m.panel
+    parts = BodyParts(_WOOD_PER_M)
+    x = m.face
+    y = m.width / 2.0
+    p = m.panel
     parts.panel([-x, -y, m.height - p], [x, y, m.height], outside, bevel_m=0.002)
     parts.panel([-x, -y + p, m.foot], [x, y - p, m.foot + p], inside)
     parts.panel([-x, -y, m.foot], [x, -y + p, m.height - p], outside)
@@ -140,7 +147,8 @@ def _carcass(
 
 def _tray(m: _Dimensions, front: SurfaceFinish, inside: SurfaceFinish) -> BodyParts:
     """Make the drawer without its handle."""
-    parts, y = BodyParts(_WOOD_PER_M), m.tray_width / 2.0
+    parts = BodyParts(_WOOD_PER_M)
+    y = m.tray_width / 2.0
     back, face = m.tray_x
     top = m.floor + m.wall
     parts.panel([back - _WALL_M, -y - _WALL_M, m.floor - _FLOOR_M], [face, y + _WALL_M, m.floor], inside, bevel_m=0.0)
@@ -162,11 +170,13 @@ def _add_handle(
     out = m.tray_x[1] + m.front
     z = m.front_bottom + 0.36 * (m.front_top - m.front_bottom)
     if handle == "lip":
-        reach, wide = 0.009 + 0.006 * size, m.width / 2.0 - 0.001
+        reach = 0.009 + 0.006 * size
+        wide = m.width / 2.0 - 0.001
         parts.panel([out, -wide, m.front_top - 0.011], [out + reach, wide, m.front_top], front, bevel_m=0.003)
         return out + reach
     if handle == "knob":
-        r, length = 0.010 + 0.003 * size, 0.022
+        r = 0.010 + 0.003 * size
+        length = 0.022
         profile = [
             [0.0, 0.0], [0.6 * r, 0.0], [0.45 * r, 0.35 * length], [0.9 * r, 0.55 * length], [r, 0.7 * length],
             [0.9 * r, 0.87 * length], [0.5 * r, 0.97 * length], [0.0, length],
@@ -176,7 +186,10 @@ def _add_handle(
         X = make_pose(np.eye(3), [out + length / 2.0, 0.0, z])
         parts.collider(ColliderKind.CYLINDER, (0.9 * r, length / 2.0), X)
         return out
-    half, reach, r, bend = 0.024 + 0.014 * size, 0.020, 0.0036, 0.008
+    half = 0.024 + 0.014 * size
+    reach = 0.020
+    r = 0.0036
+    bend = 0.008
     turn = np.linspace(0.0, np.pi / 2.0, 6)
     arc = np.stack([reach - bend + bend * np.sin(turn), half - bend + bend * np.cos(turn)], axis=1)
     side = np.concatenate([[[0.0, half]], arc])
@@ -191,7 +204,8 @@ def _add_handle(
 
 def _surfaces(finish: str, rng: np.random.Generator) -> tuple[str, SurfaceFinish, SurfaceFinish, SurfaceFinish]:
     """Draw the name, and the surfaces of the cabinet, of the drawer's front and of the inside."""
-    kind, paint = str(rng.choice(_WOOD_KINDS)), str(rng.choice(list(_PAINTS)))
+    kind = str(rng.choice(_WOOD_KINDS))
+    paint = str(rng.choice(list(_PAINTS)))
     shade = rng.uniform(0.85, 1.1)
     color = rgb(min(shade * c, 1.0) for c in _PAINTS[paint])
     painted = SurfaceFinish(color=color, roughness=float(rng.uniform(0.35, 0.7)))
@@ -213,7 +227,8 @@ def _surfaces(finish: str, rng: np.random.Generator) -> tuple[str, SurfaceFinish
 
 
 def _cabinet(asset_id: str, index: int, rng: np.random.Generator) -> AssetModel:
-    handle, finish = HANDLES[index % 3], FINISHES[(index // 3) % 4]
+    handle = HANDLES[index % 3]
+    finish = FINISHES[(index // 3) % 4]
     m = _draw_dimensions(rng)
     words, outside, front, inside = _surfaces(finish, rng)
     fitting = _FITTINGS[int(rng.integers(len(_FITTINGS)))]

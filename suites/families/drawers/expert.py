@@ -56,9 +56,12 @@ def _local(scene: Scene, X_BS: Array) -> Array:
 
 def open_drawer(scene: Scene) -> list[Waypoint]:
     """Reach into the gap, pull the drawer out, retreat."""
-    face, front = _local(scene, scene.site("cabinet", "edge"))[0], _local(scene, scene.site("cabinet", "pull"))
+    face = _local(scene, scene.site("cabinet", "edge"))[0]
+    front = _local(scene, scene.site("cabinet", "pull"))
     last = front[0] - scene.joints["cabinet"] + scene.size("cabinet", "travel_m") - 0.002
-    middle, tip, high = 0.5 * (face + front[0]), front[2] - HOOK_M, front[2] + ABOVE_M
+    middle = 0.5 * (face + front[0])
+    tip = front[2] - HOOK_M
+    high = front[2] + ABOVE_M
     return [
         closed_waypoint(_pose(scene, middle, 0.0, high), through=True),
         closed_waypoint(_pose(scene, middle, 0.0, tip), pace=1.5),
@@ -71,8 +74,10 @@ def open_drawer(scene: Scene) -> list[Waypoint]:
 def close_drawer(scene: Scene) -> list[Waypoint]:
     """Push the drawer shut from outside, retreat."""
     front = _local(scene, scene.site("cabinet", "push"))
-    start, last = front[0] + HALF_TIP_M + 0.025, front[0] - scene.joints["cabinet"] + HALF_TIP_M
-    low, high = front[2] - HOOK_M, front[2] + ABOVE_M
+    start = front[0] + HALF_TIP_M + 0.025
+    last = front[0] - scene.joints["cabinet"] + HALF_TIP_M
+    low = front[2] - HOOK_M
+    high = front[2] + ABOVE_M
     return [
         closed_waypoint(_pose(scene, start, 0.0, high), through=True),
         closed_waypoint(_pose(scene, start, 0.0, low), pace=1.3),
@@ -93,9 +98,11 @@ def store_cube_by_dropping(scene: Scene) -> list[Waypoint]:
     """Grasp the cube, drop it into the open drawer, push the drawer shut."""
     if _cube_in_tray(scene):
         return close_drawer(scene)
-    X_BC, edge = scene.poses["cube"], scene.size("cube", "edge_m")
+    X_BC = scene.poses["cube"]
+    edge = scene.size("cube", "edge_m")
     grasp = make_pose(grasp_rotation(DOWN, nearest_axis(level_axes(X_BC[:3, :3]), _rotation(scene)[:, 1])), X_BC[:3, 3])
-    top, front = _local(scene, scene.site("cabinet", "edge")), _local(scene, scene.site("cabinet", "pull"))
+    top = _local(scene, scene.site("cabinet", "edge"))
+    front = _local(scene, scene.site("cabinet", "pull"))
     floor = _local(scene, scene.site("cabinet", "tray"))[2]
     middle = 0.5 * (top[0] + front[0])
     drop = floor + edge / 2.0 + DROP_M - TIP_M
@@ -114,13 +121,16 @@ def store_cube_by_dragging(scene: Scene) -> list[Waypoint]:
     """Drag the cube over the edge into the open drawer, push the drawer shut."""
     if _cube_in_tray(scene):
         return close_drawer(scene)
-    cube, edge = _local(scene, scene.poses["cube"]), _local(scene, scene.site("cabinet", "edge"))
+    cube = _local(scene, scene.poses["cube"])
+    edge = _local(scene, scene.site("cabinet", "edge"))
     faces = level_axes((invert(scene.poses["cabinet"]) @ scene.poses["cube"])[:3, :3])
     half = 0.5 * scene.size("cube", "edge_m") * float(np.abs(faces[:2, 0]).sum())
     # 0.006: distance past the edge to which the fingers drag a cube
-    behind, over = cube[0] - half - HALF_TIP_M - BEHIND_M, edge[0] - HALF_TIP_M + 0.006
+    behind = cube[0] - half - HALF_TIP_M - BEHIND_M
+    over = edge[0] - HALF_TIP_M + 0.006
     # 0.005: height of the fingertips above the cabinet's top while dragging
-    low, high = edge[2] + 0.005, edge[2] + scene.size("cube", "edge_m") + PASS_M
+    low = edge[2] + 0.005
+    high = edge[2] + scene.size("cube", "edge_m") + PASS_M
     return [
         closed_waypoint(_pose(scene, behind, cube[1], high), through=True),
         closed_waypoint(_pose(scene, behind, cube[1], low)),

@@ -50,7 +50,8 @@ def _distance_from_tray(state: State, poses: Mapping[str, Tensor]) -> Tensor:
 
 def _sideways(x_m: tuple[float, float], rng: np.random.Generator) -> Array:
     """Draw the pose (4, 4) of a cabinet at `x_m` whose drawer opens to the robot's left or right."""
-    side, x = int(rng.choice([-1, 1])), rng.uniform(*x_m)
+    side = int(rng.choice([-1, 1]))
+    x = rng.uniform(*x_m)
     yaw = side * np.pi / 2.0 + rng.uniform(-YAW_RAD, YAW_RAD)
     return make_pose(rotation_z(yaw), [x, -side * rng.uniform(0.065, 0.095), 0.0])
 
@@ -59,7 +60,9 @@ def _forwards(model: AssetModel, rng: np.random.Generator) -> Array:
     """Draw the pose (4, 4) of a cabinet whose drawer opens away from the robot, towards the camera."""
     reach = model.size["depth_m"] / 2.0 + model.size["travel_m"] + model.size["reach_m"]
     yaw = rng.uniform(-YAW_RAD, YAW_RAD)
-    front, aside = rng.uniform(0.635, 0.66), rng.uniform(-0.09, 0.09)  # of the handle, the drawer fully open
+    # of the handle, the drawer fully open
+    front = rng.uniform(0.635, 0.66)
+    aside = rng.uniform(-0.09, 0.09)
     return make_pose(rotation_z(yaw), [front - reach * np.cos(yaw), aside - reach * np.sin(yaw), 0.0])
 
 
@@ -148,7 +151,8 @@ class _StoreCube(Task):
 
     def layout(self, models: Mapping[str, AssetModel], rng: np.random.Generator, variant: TaskVariant) -> SceneLayout:
         """Place the cabinet with the cube on top."""
-        cabinet, cube = models["cabinet"], models["cube"]
+        cabinet = models["cabinet"]
+        cube = models["cube"]
         X_BM, (back, aside), yaw_rad = self._draw_poses(cabinet, rng)
         p_MC = [cabinet.size["depth_m"] / 2.0 - back, aside, cabinet.size["height_m"] + cube.size["edge_m"] / 2.0]
         opening = rng.uniform(START_FRACTION, 1.0) * cabinet.size["travel_m"]

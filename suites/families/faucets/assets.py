@@ -47,7 +47,8 @@ class _FaucetParts(BodyParts):
 
     def tube(self, points: ArrayLike, radii: ArrayLike, surface: SurfaceFinish) -> None:
         """Add a round tube along a smooth curve (N, 3), with radii interpolated from evenly spaced ones."""
-        p, knots = np.asarray(points, dtype=np.float64), np.atleast_1d(radii)
+        p = np.asarray(points, dtype=np.float64)
+        knots = np.atleast_1d(radii)
         r = np.interp(np.linspace(0.0, 1.0, len(p)), np.linspace(0.0, 1.0, len(knots)), knots)
         self.visual(sweep(p, r, sections=20), surface)
         chain = np.unique(np.append(np.arange(0, len(p), max(1, len(p) // 8)), len(p) - 1))
@@ -115,11 +116,13 @@ The handle's frame has its origin on the axis at the lever's height and x along 
 
 def _mixer(d: _FaucetDesign, base: _FaucetParts, handle: _FaucetParts) -> float:
     """Make a basin mixer: cylinder, short spout, one flat lever on top."""
-    r, top = float(d.rng.uniform(0.021, 0.026)), d.height - 0.012
+    r = float(d.rng.uniform(0.021, 0.026))
+    top = d.height - 0.012
     base.revolve(
         [[0.0, 0.0], [1.25 * r, 0.0], [1.25 * r, 0.006], [1.05 * r, 0.009], [r, 0.012], [r, top], [0.0, top]], d.metal
     )
-    z, reach = 0.55 * d.height, float(d.rng.uniform(0.085, 0.11))
+    z = 0.55 * d.height
+    reach = float(d.rng.uniform(0.085, 0.11))
     spout = [[0.0, z], [0.5 * reach, z + 0.012], [reach, z + 0.012], [reach + 0.004, z - 0.022]]
     base.tube(_curve(_at(d.spout, spout)), 0.0105, d.metal)
     handle.revolve(
@@ -137,7 +140,8 @@ def _cross(d: _FaucetDesign, base: _FaucetParts, handle: _FaucetParts) -> float:
          [0.021, 0.72 * h], [0.012, 0.76 * h], [0.010, h - 0.014], [0.0, h - 0.014]],
         d.metal,
     )  # fmt: skip
-    z, reach = 0.6 * h, float(d.rng.uniform(0.085, 0.11))
+    z = 0.6 * h
+    reach = float(d.rng.uniform(0.085, 0.11))
     spout = [[0.0, z], [0.45 * reach, z + 0.006], [0.9 * reach, z + 0.008], [reach, z - 0.03]]
     base.tube(_curve(_at(d.spout, spout)), [0.013, 0.010], d.metal)
     handle.revolve([[0.0, -0.0135], [0.013, -0.0135], [0.015, 0.0], [0.013, 0.009], [0.0, 0.0115]], d.metal)
@@ -150,10 +154,12 @@ def _cross(d: _FaucetDesign, base: _FaucetParts, handle: _FaucetParts) -> float:
 
 def _gooseneck(d: _FaucetDesign, base: _FaucetParts, handle: _FaucetParts) -> float:
     """Make a kitchen faucet: a plate with a high bent neck at one end and the lever's post at the other."""
-    gap, h = float(d.rng.uniform(0.10, 0.12)), d.height
+    gap = float(d.rng.uniform(0.10, 0.12))
+    h = d.height
     base.block([gap + 0.06, 0.052, 0.012], [-0.5 * gap, 0.0, 0.006], d.metal)
     base.revolve([[0.0, 0.012], [0.020, 0.012], [0.017, 0.02], [0.016, h - 0.012], [0.0, h - 0.012]], d.metal)
-    high, reach = float(d.rng.uniform(0.165, 0.19)), float(d.rng.uniform(0.08, 0.10))
+    high = float(d.rng.uniform(0.165, 0.19))
+    reach = float(d.rng.uniform(0.08, 0.10))
     away = np.sign(d.spout) * (np.pi - 0.7)
     neck = [[0.0, 0.012], [0.0, 0.75 * high], [0.0, high], [reach, high], [reach, 0.66 * high]]
     end = [[reach, 0.66 * high], [reach, 0.58 * high]]
@@ -169,11 +175,13 @@ def _gooseneck(d: _FaucetDesign, base: _FaucetParts, handle: _FaucetParts) -> fl
 
 def _modern(d: _FaucetDesign, base: _FaucetParts, handle: _FaucetParts) -> float:
     """Make a square faucet: a pillar, a straight spout, a long flat lever."""
-    a, h = float(d.rng.uniform(0.036, 0.044)), d.height
+    a = float(d.rng.uniform(0.036, 0.044))
+    h = d.height
     square = round(d.spout / (np.pi / 2.0)) * np.pi / 2.0
     base.block([a + 0.016, a + 0.016, 0.006], [0.0, 0.0, 0.003], d.metal)
     base.block([a, a, h - 0.012], [0.0, 0.0, 0.5 * (h - 0.012)], d.metal)
-    reach, z = float(d.rng.uniform(0.09, 0.12)), 0.58 * h
+    reach = float(d.rng.uniform(0.09, 0.12))
+    z = 0.58 * h
     base.block([reach, 0.026, 0.016], _at(square, [[0.5 * reach + 0.01, z]])[0], d.metal, yaw_rad=square)
     base.block([0.016, 0.016, 0.006], _at(square, [[reach, z - 0.010]])[0], d.accent, yaw_rad=square)
     handle.block([a, a, 0.018], [0.0, 0.0, -0.002], d.metal)
@@ -183,7 +191,8 @@ def _modern(d: _FaucetDesign, base: _FaucetParts, handle: _FaucetParts) -> float
 
 def _garden(d: _FaucetDesign, base: _FaucetParts, handle: _FaucetParts) -> float:
     """Make a garden tap on a board: a pipe, a nozzle that bends down, a handle with two wings."""
-    back, h = float(d.rng.uniform(0.10, 0.115)), d.height
+    back = float(d.rng.uniform(0.10, 0.115))
+    h = d.height
     z = h - 0.052
     wood = np.array([0.34, 0.2, 0.09]) * d.rng.uniform(0.7, 1.3)
     plank = SurfaceFinish(color=rgb(wood), roughness=0.8)
@@ -256,8 +265,10 @@ def _faucet(asset_id: str, index: int, rng: np.random.Generator) -> AssetModel:
         accent=SurfaceFinish(color=_ACCENTS[rng.integers(len(_ACCENTS))], roughness=0.35, specular=0.5),
         rng=rng,
     )
-    base, handle = _FaucetParts(uv_per_m=1.0), _FaucetParts(uv_per_m=1.0)
-    half_width, travel = make(design, base, handle), float(rng.uniform(*RANGE_RAD))
+    base = _FaucetParts(uv_per_m=1.0)
+    handle = _FaucetParts(uv_per_m=1.0)
+    half_width = make(design, base, handle)
+    travel = float(rng.uniform(*RANGE_RAD))
     axis = [0.0, 0.0, design.height]
     joint = Joint(
         kind=JointKind.HINGE,

@@ -15,7 +15,8 @@ BELOW_M = 0.002
 """Height of the lever's centre line above the TCP."""
 ABOVE_M = 0.075
 """Height above the lever from which the gripper approaches and to which it retreats."""
-OPEN_GOAL, CLOSED_GOAL = 0.96, 0.01
+OPEN_GOAL = 0.96
+CLOSED_GOAL = 0.01
 """Openings to which the lever is pushed, as fractions of its travel."""
 LEAN_RAD = 0.3
 """Tilt of the hand to the side that the lever points to, so that handle and fingers stay visible."""
@@ -42,9 +43,11 @@ def sweep_lever(goal: float, scene: Scene) -> list[Waypoint]:
         along = 0.75 * scene.size("faucet", "lever_m") * np.array([np.cos(angle), np.sin(angle), 0.0])
         return make_pose(R, axis + along - behind * ahead - [0.0, 0.0, BELOW_M])
 
-    first, last = touching(start, CLEARANCE_M), touching(start + turn, 0.0)
+    first = touching(start, CLEARANCE_M)
+    last = touching(start + turn, 0.0)
     clear = touching(start + turn, 0.015)  # gap between finger and lever before the gripper moves up
-    a, b = first[:2, 3] - axis[:2], last[:2, 3] - axis[:2]
+    a = first[:2, 3] - axis[:2]
+    b = last[:2, 3] - axis[:2]
     angle = float(np.arctan2(sense * (a[0] * b[1] - a[1] * b[0]), a @ b))
     arc = Arc(point=axis, axis=np.array([0.0, 0.0, 1.0]), angle_rad=sense * (angle % (2.0 * np.pi)))
     return [

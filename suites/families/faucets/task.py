@@ -58,7 +58,9 @@ class OpenFaucet(_TurnFaucet):
 
     card = TaskCard(id="OpenFaucet-v1", family="faucets", difficulty=Difficulty.EASY, articulated_dof=1, axes="z")
     prompt = "The robot arm opens the {}: it sweeps the handle counter-clockwise with its closed gripper."
-    reached, fraction, side = "open", OPEN_FRACTION, -1.0
+    reached = "open"
+    fraction = OPEN_FRACTION
+    side = -1.0
 
 
 class CloseFaucet(_TurnFaucet):
@@ -73,7 +75,9 @@ class CloseFaucet(_TurnFaucet):
 
     card = TaskCard(id="CloseFaucet-v1", family="faucets", difficulty=Difficulty.EASY, articulated_dof=1, axes="z")
     prompt = "The robot arm closes the {}: it sweeps the handle clockwise with its closed gripper."
-    reached, fraction, side = "closed", CLOSED_FRACTION, 1.0
+    reached = "closed"
+    fraction = CLOSED_FRACTION
+    side = 1.0
 
 
 TASKS = (CloseFaucet(), OpenFaucet())

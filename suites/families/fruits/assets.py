@@ -20,7 +20,8 @@ from kinebench_drake.suites.scene.model import AssetModel, Material, Mesh, Surfa
 
 FRUITS = ("apple", "banana", "orange", "peach", "pear", "strawberry")
 """Names of the fruits."""
-_BROWN, _GREEN = (0.11, 0.06, 0.025), (0.07, 0.2, 0.03)
+_BROWN = (0.11, 0.06, 0.025)
+_GREEN = (0.07, 0.2, 0.03)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -62,7 +63,8 @@ def _profile(knots: ArrayLike, count: int = 26) -> Array:
 def _stalk(foot: ArrayLike, head: ArrayLike, radius_m: float, color: tuple[float, float, float] = _BROWN) -> Visual:
     """Return a thin stalk, slightly thicker at its head."""
     s = np.linspace(0.0, 1.0, 6)[:, None]
-    a, b = np.asarray(foot, dtype=np.float64), np.asarray(head, dtype=np.float64)
+    a = np.asarray(foot, dtype=np.float64)
+    b = np.asarray(head, dtype=np.float64)
     bow = 0.12 * np.linalg.norm(b - a) * np.sin(np.pi * s) * np.array([0.0, 1.0, 0.0])
     radii = radius_m * np.array([0.8, 0.75, 0.7, 0.8, 1.2, 1.2])
     mesh = sweep(a + s * (b - a) + bow, radii, sections=8)
@@ -95,7 +97,8 @@ def _apple(rng: np.random.Generator, index: int) -> _FruitShape:
     top = float(rng.uniform(0.42, 0.52))
     knots = [[0.0, -0.78], [0.16, -0.86], [0.36, -1.0], [0.62, -0.86], [0.88, -0.42], [1.0, 0.12], [0.93, 0.55],
              [top + 0.24, 0.86], [top, 0.96], [0.26, 0.86], [0.08, 0.62], [0.0, 0.58]]  # fmt: skip
-    lobes, phase = float(rng.uniform(0.01, 0.025)), rng.uniform(0.0, 2.0 * np.pi)
+    lobes = float(rng.uniform(0.01, 0.025))
+    phase = rng.uniform(0.0, 2.0 * np.pi)
     skin = _globe(
         _profile(knots) * [r, h], lambda angle, v: 1.0 + lobes * np.cos(5.0 * angle + phase) * np.abs(2.0 * v - 1.0)
     )
@@ -125,7 +128,8 @@ def _peach(rng: np.random.Generator, index: int) -> _FruitShape:
     h = float(rng.uniform(0.88, 0.94)) * r
     knots = [[0.0, -0.98], [0.35, -0.94], [0.68, -0.74], [0.92, -0.38], [1.0, 0.05], [0.93, 0.45], [0.70, 0.78],
              [0.42, 0.95], [0.22, 0.93], [0.07, 0.8], [0.0, 0.76]]  # fmt: skip
-    deep, wide = float(rng.uniform(0.05, 0.09)), float(rng.uniform(0.14, 0.2))
+    deep = float(rng.uniform(0.05, 0.09))
+    wide = float(rng.uniform(0.14, 0.2))
     phase = rng.uniform(-np.pi, np.pi)
 
     def crease(angle: Array, v: Array) -> Array:
@@ -138,7 +142,8 @@ def _peach(rng: np.random.Generator, index: int) -> _FruitShape:
 
 def _pear(rng: np.random.Generator, index: int) -> _FruitShape:
     r = float(rng.uniform(0.0245, 0.0275))
-    long, neck = float(rng.uniform(1.75, 2.1)) * r, float(rng.uniform(0.42, 0.52))
+    long = float(rng.uniform(1.75, 2.1)) * r
+    neck = float(rng.uniform(0.42, 0.52))
     knots = [[0.0, -0.80 * r], [0.2 * r, -0.86 * r], [0.42 * r, -0.84 * r], [0.78 * r, -0.58 * r], [r, 0.0],
              [0.88 * r, 0.45 * r], [0.5 * (neck + 0.8) * r, 0.48 * long], [neck * r, 0.78 * long],
              [0.75 * neck * r, 0.96 * long], [0.3 * neck * r, long], [0.0, 0.97 * long]]  # fmt: skip
@@ -153,7 +158,8 @@ def _strawberry(rng: np.random.Generator, index: int) -> _FruitShape:
     knots = [[0.0, -long], [0.24 * r, -0.95 * long], [0.55 * r, -0.66 * long], [0.82 * r, -0.32 * long], [r, 0.0],
              [0.93 * r, 0.3 * r], [0.66 * r, 0.5 * r], [0.25 * r, 0.53 * r], [0.0, 0.5 * r]]  # fmt: skip
     skin = _globe(_profile(knots))
-    leaves, phase = [], rng.uniform(0.0, 1.0)
+    leaves = []
+    phase = rng.uniform(0.0, 1.0)
     count = int(rng.integers(6, 9))
     for i in range(count):
         vertices, faces = _leaf(rng.uniform(0.72, 0.9) * r, 0.36 * r, 0.09 * r)
@@ -172,7 +178,8 @@ def _strawberry(rng: np.random.Generator, index: int) -> _FruitShape:
 
 
 def _banana(rng: np.random.Generator, index: int) -> _FruitShape:
-    r, length = float(rng.uniform(0.0165, 0.0182)), float(rng.uniform(0.125, 0.145))
+    r = float(rng.uniform(0.0165, 0.0182))
+    length = float(rng.uniform(0.125, 0.145))
     turn = float(rng.uniform(0.8, 1.15))
     bow = length / turn
     s = np.linspace(-0.5, 0.5, 33)

@@ -28,7 +28,8 @@ def _add_shell(parts: BodyParts, inner: Array, thick_m: float) -> None:
     """
     half = np.pi / _SECTORS
     apothem = 2.0 * np.cos(half) / (1.0 + np.cos(half))
-    floor, depth = apothem * inner[0, 0], 0.5 * inner[0, 1]
+    floor = apothem * inner[0, 0]
+    depth = 0.5 * inner[0, 1]
     for k in range(_SECTORS):
         R = rotation_exp([0.0, 0.0, 2.0 * half * k])
         if k < _SECTORS // 2:
@@ -67,7 +68,8 @@ def _round(
     along = np.gradient(inner, axis=0)
     along /= np.linalg.norm(along, axis=1, keepdims=True)
     outer = inner + thick_m * np.column_stack([along[:, 1], -along[:, 0]])
-    outer[0], outer[-1] = [inner[0, 0] - 0.002, 0.0], inner[-1] + [thick_m, 0.0]
+    outer[0] = [inner[0, 0] - 0.002, 0.0]
+    outer[-1] = inner[-1] + [thick_m, 0.0]
     outer[:, 1] = np.maximum(outer[:, 1], 0.0)
     rim = inner[-1]
     lip = [[rim[0] + 0.5 * thick_m + 0.5 * thick_m * np.cos(a), rim[1] + 0.5 * thick_m * np.sin(a)]
@@ -102,8 +104,10 @@ def _glazed(rng: np.random.Generator) -> SurfaceFinish:
 
 
 def _bowl(asset_id: str, index: int, rng: np.random.Generator) -> AssetModel:
-    rim, floor = float(rng.uniform(0.080, 0.088)), float(rng.uniform(0.045, 0.054))
-    height, thick = float(rng.uniform(0.042, 0.050)), float(rng.uniform(0.004, 0.006))
+    rim = float(rng.uniform(0.080, 0.088))
+    floor = float(rng.uniform(0.045, 0.054))
+    height = float(rng.uniform(0.042, 0.050))
+    thick = float(rng.uniform(0.004, 0.006))
     s = np.linspace(0.0, 1.0, 9)
     inner = np.column_stack([floor + (rim - floor) * np.sin(0.5 * np.pi * s), thick + (height - thick) * s**1.6])
     wooden = index % 3 == 2
@@ -112,16 +116,20 @@ def _bowl(asset_id: str, index: int, rng: np.random.Generator) -> AssetModel:
 
 
 def _plate(asset_id: str, index: int, rng: np.random.Generator) -> AssetModel:
-    rim, floor = float(rng.uniform(0.086, 0.094)), float(rng.uniform(0.068, 0.074))
-    height, thick = float(rng.uniform(0.026, 0.030)), 0.004
+    rim = float(rng.uniform(0.086, 0.094))
+    floor = float(rng.uniform(0.068, 0.074))
+    height = float(rng.uniform(0.026, 0.030))
+    thick = 0.004
     s = np.linspace(0.0, 1.0, 7)
     inner = np.column_stack([floor + (rim - floor) * s, thick + (height - thick) * s**0.8])
     return _round(asset_id, "deep plate", inner, thick, _glazed(rng), 0.6)
 
 
 def _basket(asset_id: str, index: int, rng: np.random.Generator) -> AssetModel:
-    rim, floor = float(rng.uniform(0.080, 0.088)), float(rng.uniform(0.068, 0.074))
-    height, thick = float(rng.uniform(0.042, 0.050)), 0.006
+    rim = float(rng.uniform(0.080, 0.088))
+    floor = float(rng.uniform(0.068, 0.074))
+    height = float(rng.uniform(0.042, 0.050))
+    thick = 0.006
     s = np.linspace(0.0, 1.0, 7)
     inner = np.column_stack([floor + (rim - floor) * s**0.8, thick + (height - thick) * s])
     straw = np.array([190, 148, 92]) * rng.uniform(0.75, 1.1)
@@ -140,8 +148,11 @@ def _basket(asset_id: str, index: int, rng: np.random.Generator) -> AssetModel:
 
 
 def _tray(asset_id: str, index: int, rng: np.random.Generator) -> AssetModel:
-    x, y = float(rng.uniform(0.145, 0.160)), float(rng.uniform(0.155, 0.170))
-    height, thick, floor = float(rng.uniform(0.030, 0.040)), float(rng.uniform(0.007, 0.010)), 0.006
+    x = float(rng.uniform(0.145, 0.160))
+    y = float(rng.uniform(0.155, 0.170))
+    height = float(rng.uniform(0.030, 0.040))
+    thick = float(rng.uniform(0.007, 0.010))
+    floor = 0.006
     grain = wood(rng, str(rng.choice(_WOODS)))
     painted = index % 8 >= 4
     if painted:
@@ -171,9 +182,13 @@ _STYLES = (_bowl, _basket, _tray, _plate)
 
 
 def _crate(asset_id: str, index: int, rng: np.random.Generator) -> AssetModel:
-    cell, deep = float(rng.uniform(0.082, 0.086)), float(rng.uniform(0.150, 0.158))
-    divider, thick, floor = 0.005, float(rng.uniform(0.007, 0.009)), 0.005
-    height, low = float(rng.uniform(0.034, 0.042)), float(rng.uniform(0.018, 0.022))
+    cell = float(rng.uniform(0.082, 0.086))
+    deep = float(rng.uniform(0.150, 0.158))
+    divider = 0.005
+    thick = float(rng.uniform(0.007, 0.009))
+    floor = 0.005
+    height = float(rng.uniform(0.034, 0.042))
+    low = float(rng.uniform(0.018, 0.022))
     wide = COMPARTMENTS * cell + (COMPARTMENTS - 1) * divider
     kind = _WOODS[index % len(_WOODS)]
     grain = wood(rng, kind)

@@ -19,7 +19,8 @@ OVER_M = 0.028
 
 def _grasp(scene: Scene, name: str) -> tuple[Array, float]:
     """Return the TCP pose (4, 4) that grasps a fruit and the finger width before it closes [m]."""
-    X, axis_y = scene.poses[name], scene.X_BG[:3, 1]
+    X = scene.poses[name]
+    axis_y = scene.X_BG[:3, 1]
     closing = np.array([0.0, np.sign(axis_y[1]) or 1.0, 0.0])
     if scene.size(name, "oblong") > 0.5:
         across = X[:3, 1] * [1.0, 1.0, 0.0]
@@ -56,7 +57,8 @@ def _carry(
     # 0.012: height of the TCP above a rim that the fingertips must clear
     height = max(target[2] + below + drop_m, rim_m + 0.012)
     place = make_pose(landing, [target[0], target[1], height])
-    above, passage = lift(grasp, ABOVE_M), []
+    above = lift(grasp, ABOVE_M)
+    passage = []
     if over is not None:
         passage = [lift(make_pose(landing, over), below + OVER_M)]
         above[2, 3] = passage[0][2, 3]

@@ -36,7 +36,8 @@ def _dots(rng: np.random.Generator, count: int, radius_px: float, *, low: float 
         radius_px * rng.uniform(0.6, 1.4, count),
         strict=True,
     ):
-        row, column = round(v * SIZE), round(u * SIZE)
+        row = round(v * SIZE)
+        column = round(u * SIZE)
         off = np.hypot((row + near - v * SIZE)[:, None], (column + near - u * SIZE)[None, :])
         patch = np.ix_((row + near) % SIZE, (column + near) % SIZE)
         weight[patch] = np.maximum(weight[patch], np.clip(r + 0.5 - off, 0.0, 1.0))
@@ -48,7 +49,8 @@ def apple(rng: np.random.Generator, index: int) -> Texture:
     ground = _jitter(rng, [(206, 190, 84), (222, 190, 78), (138, 176, 52), (214, 172, 76)][index % 4])
     blush = _jitter(rng, [(166, 22, 24), (196, 44, 30), (176, 198, 76), (140, 12, 26)][index % 4])
     streaks = tileable_noise(rng, SIZE, slope=1.0, stretch=12.0).T
-    v, u = _HEIGHT, _AROUND
+    v = _HEIGHT
+    u = _AROUND
     cheek = 0.5 + 0.5 * np.cos(u - rng.uniform(0.0, 2.0 * np.pi))
     cover = (0.95, 0.35, 0.45, 1.0)[index % 4] + 0.55 * (cheek - 0.5) + 1.4 * (streaks - 0.5)
     cover = _ramp(cover, 0.1, 0.85) * _ramp(v, 0.03, 0.2) * (1.0 - 0.8 * _ramp(v, 0.78, 0.93))
@@ -103,16 +105,19 @@ def banana(rng: np.random.Generator, index: int) -> Texture:
 
 def strawberry(rng: np.random.Generator, index: int) -> Texture:
     """Return a strawberry skin: red with rows of pale seeds in dents, paler under the leaves."""
-    v, u = _HEIGHT, _AROUND
+    v = _HEIGHT
+    u = _AROUND
     top = _jitter(rng, (214, 60, 40) if index % 3 else (228, 120, 84))
     skin = gradient((_jitter(rng, (176, 12, 24)), _jitter(rng, (196, 20, 28)), top), v + np.zeros_like(u))
-    dent, seed = np.zeros((SIZE, SIZE)), np.zeros((SIZE, SIZE))
+    dent = np.zeros((SIZE, SIZE))
+    seed = np.zeros((SIZE, SIZE))
     rows = 11
     for row in range(rows):
         middle = (row + 0.7) / (rows + 0.6)
         count = max(4, round(15 * np.sin(np.pi * (0.08 + 0.75 * middle))))
         turn = (u / (2.0 * np.pi) * count + 0.5 * (row % 2)) % 1.0 - 0.5
-        wide, high = turn / count * 2.0, (v - middle) * 0.95
+        wide = turn / count * 2.0
+        high = (v - middle) * 0.95
         far = np.hypot(wide / 0.022, high / 0.03)
         dent = np.maximum(dent, 1.0 - _ramp(far, 0.6, 1.25))
         seed = np.maximum(seed, 1.0 - _ramp(far, 0.35, 0.6))

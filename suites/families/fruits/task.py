@@ -33,7 +33,8 @@ ORDER = ("first", "second", "third")
 def in_container(state: State, name: str, container: str) -> Tensor:
     """Return (N,) bool: True where a fruit's centre is within the rim's outline and its underside below the rim."""
     p = to_frame(state.poses[container], state.position(name))
-    half_x, half_y = 0.5 * state.size(container, "inner_x_m"), 0.5 * state.size(container, "inner_y_m")
+    half_x = 0.5 * state.size(container, "inner_x_m")
+    half_y = 0.5 * state.size(container, "inner_y_m")
     radius = torch.linalg.norm(p[:, :2], dim=-1)
     in_rectangle = (p[:, 0].abs() <= half_x) & (p[:, 1].abs() <= half_y)
     in_outline = torch.where(state.size(container, "round") > 0.5, radius <= half_x, in_rectangle)
@@ -112,7 +113,8 @@ class PickFruits(Task):
         """Place the container left or right and the fruits beside it, at least `GAP_M` apart."""
         names = _shuffle(models, FRUITS)[: 1 + len(OTHERS)]
         fruits = dict(zip(("target", *OTHERS), (models[name] for name in names), strict=True))
-        container, side = models["container"], 1.0 if rng.random() < 0.5 else -1.0
+        container = models["container"]
+        side = 1.0 if rng.random() < 0.5 else -1.0
         middle = np.array([rng.uniform(0.49, 0.58), side * rng.uniform(0.13, 0.16)])
         occupied = [(middle, container.size["reach_m"])]
         points = {}
@@ -192,7 +194,8 @@ class StoreFruitsBox(Task):
         """Place the crate near the robot and the fruits in a row beyond it."""
         names = _shuffle(models, ("apple", "banana", "orange"))
         fruits = dict(zip(ORDER, (models[name] for name in names), strict=True))
-        x, y = rng.uniform(0.43, 0.46), rng.uniform(-0.03, 0.03)
+        x = rng.uniform(0.43, 0.46)
+        y = rng.uniform(-0.03, 0.03)
         crate = Placement.upright(models["crate"], (x, y, 0.0), rng.uniform(-0.08, 0.08))
         edge = x + 0.5 * models["crate"].size["outer_x_m"]
         row_y = rng.permutation([-0.15, 0.0, 0.15]) + rng.uniform(-0.02, 0.02, 3)
@@ -224,7 +227,8 @@ class StoreFruitsBox(Task):
         }
 
     def _in_compartment(self, state: State, name: str, number: int) -> Tensor:
-        p, pitch = to_frame(state.poses["crate"], state.position(name)), state.size("crate", "pitch_m")
+        p = to_frame(state.poses["crate"], state.position(name))
+        pitch = state.size("crate", "pitch_m")
         in_y = (p[:, 1] - (number - 0.5 * (COMPARTMENTS - 1)) * pitch).abs() <= 0.5 * pitch
         in_x = p[:, 0].abs() <= 0.5 * state.size("crate", "inner_x_m")
         return in_y & in_x & _below_rim(state, name, "crate", p)

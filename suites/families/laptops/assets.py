@@ -15,13 +15,18 @@ from kinebench_drake.suites.scene.mesh import BodyParts, cylinder_mesh, flat_mes
 from kinebench_drake.suites.scene.model import AssetModel, Material, Mesh, SurfaceFinish, lid_hinge, site_at
 from kinebench_drake.suites.scene.texture import gradient, rgb, tileable_noise
 
-WIDTH_M, DEPTH_M = (0.20, 0.25), (0.135, 0.16)
+WIDTH_M = (0.20, 0.25)
+DEPTH_M = (0.135, 0.16)
 """Least and greatest extents of the base along and across the hinge."""
-BASE_M, FEET_M, LID_M = (0.0145, 0.0165), (0.003, 0.004), (0.006, 0.0075)
+BASE_M = (0.0145, 0.0165)
+FEET_M = (0.003, 0.004)
+LID_M = (0.006, 0.0075)
 """Least and greatest thickness of base and lid, and height of the feet."""
 GREATEST_RAD = np.deg2rad(130.0)
 """Upper limit of the hinge."""
-HINGE_FROM_BACK_M, HINGE_ABOVE_BASE_M, GAP_M = 0.006, 0.003, 0.0005
+HINGE_FROM_BACK_M = 0.006
+HINGE_ABOVE_BASE_M = 0.003
+GAP_M = 0.0005
 """Position of the hinge's axis, and the gap between base and shut lid."""
 COLORS = {
     "silver": (0.60, 0.61, 0.63),
@@ -42,7 +47,8 @@ _SKIN_M = 0.0003  # distance of decals from the surface below
 
 def _rounded(low: ArrayLike, high: ArrayLike, z_m: float, radius_m: float) -> Array:
     """Return the outline (N, 3) of a horizontal rectangle with round corners, counter-clockwise seen from above."""
-    (x0, y0), (x1, y1) = np.asarray(low, dtype=np.float64) + radius_m, np.asarray(high, dtype=np.float64) - radius_m
+    (x0, y0) = np.asarray(low, dtype=np.float64) + radius_m
+    (x1, y1) = np.asarray(high, dtype=np.float64) - radius_m
     quarter = np.linspace(0.0, np.pi / 2.0, 8)
     corners = [
         np.array([x, y]) + radius_m * np.column_stack([np.cos(turn + quarter), np.sin(turn + quarter)])
@@ -67,12 +73,14 @@ def _sheet(low: ArrayLike, high: ArrayLike, z_m: float, *, up: bool = True) -> M
 
     `up`: True to face up; else it faces down, and as the lid's inside is upright for the user.
     """
-    (x0, y0), (x1, y1) = np.asarray(low, dtype=np.float64), np.asarray(high, dtype=np.float64)
+    (x0, y0) = np.asarray(low, dtype=np.float64)
+    (x1, y1) = np.asarray(high, dtype=np.float64)
     vertices = np.array([[x0, y0, z_m], [x1, y0, z_m], [x1, y1, z_m], [x0, y1, z_m]])
     uv = np.array([[0.0, 0.0], [0.0, 1.0], [1.0, 1.0], [1.0, 0.0]])  # the first row of the image is at 0
     faces = np.array([[0, 1, 2], [0, 2, 3]])
     if not up:
-        faces, uv = faces[:, ::-1], uv * [1.0, -1.0] + [0.0, 1.0]
+        faces = faces[:, ::-1]
+        uv = uv * [1.0, -1.0] + [0.0, 1.0]
     normals = np.tile([0.0, 0.0, 1.0 if up else -1.0], (4, 1))
     return Mesh(vertices=vertices, faces=faces, normals=normals, uv=uv)
 
@@ -91,12 +99,14 @@ def _keyboard(size_m: tuple[float, float], keys: ArrayLike, well: ArrayLike, mar
     )
     gap = 3
     for i, row in enumerate(rows):
-        top, bottom = round(gap + i * (height - gap) / 5), round((i + 1) * (height - gap) / 5)
+        top = round(gap + i * (height - gap) / 5)
+        bottom = round((i + 1) * (height - gap) / 5)
         edges = np.round(gap + np.concatenate([[0.0], np.cumsum(row)]) / sum(row) * (width - gap)).astype(int)
         for left, right in zip(edges[:-1], edges[1:] - gap, strict=True):
             image[top:bottom, left:right] = keys
             if right - left < 3 * (bottom - top):
-                y, x = (top + bottom) // 2, (left + right) // 2
+                y = (top + bottom) // 2
+                x = (left + right) // 2
                 image[y - 4 : y + 4, x - 1 : x + 1] = marks
                 image[y - 4 : y - 2, x - 3 : x + 3] = marks
     return np.asarray(np.clip(image, 0, 255), dtype=np.uint8)
@@ -104,7 +114,8 @@ def _keyboard(size_m: tuple[float, float], keys: ArrayLike, well: ArrayLike, mar
 
 def _desktop(rng: np.random.Generator, index: int) -> NDArray[np.uint8]:
     """Draw a screen: a wallpaper with a task bar, icons and one or two windows."""
-    height, width = 256, 410
+    height = 256
+    width = 410
     wallpaper = gradient((rng.uniform(10, 120, 3), rng.uniform(120, 250, 3)), tileable_noise(rng, height, slope=2.2))
     image = np.repeat(wallpaper.astype(np.float64), 2, axis=1)[:, :width]
     image[-14:] = 0.25 * image[-14:] + 0.75 * np.array([30.0, 32.0, 38.0])
@@ -113,7 +124,8 @@ def _desktop(rng: np.random.Generator, index: int) -> NDArray[np.uint8]:
     for i in range(int(rng.integers(3, 7))):
         image[12 + 28 * i : 26 + 28 * i, 12:26] = rng.uniform(60, 255, 3)
     for _ in range(1 + index % 2):
-        y, x = int(rng.integers(12, 90)), int(rng.integers(40, 230))
+        y = int(rng.integers(12, 90))
+        x = int(rng.integers(40, 230))
         h = min(int(rng.integers(90, 150)), height - 20 - y)
         w = min(int(rng.integers(120, 200)), width - 8 - x)
         image[y : y + h, x : x + w] = rng.uniform(225, 250)
@@ -130,7 +142,8 @@ def _logo(shape: str, radius_m: float) -> Mesh:
     outer = np.where((shape == "star") & (np.arange(corners) % 2 == 1), 0.45, 1.0) * radius_m
     rim = np.column_stack([outer * np.cos(angle), outer * np.sin(angle), np.zeros(corners)])
     inner = (0.62 if shape == "ring" else 0.0) * rim
-    here, after = np.arange(corners), np.roll(np.arange(corners), -1)
+    here = np.arange(corners)
+    after = np.roll(np.arange(corners), -1)
     faces = np.concatenate(
         [np.column_stack([corners + here, here, after]), np.column_stack([corners + here, after, corners + after])]
     )
@@ -139,9 +152,14 @@ def _logo(shape: str, radius_m: float) -> Mesh:
 
 def _base(rng: np.random.Generator, size: dict[str, float], case: SurfaceFinish, *, dark_keys: bool) -> BodyParts:
     """Make the base."""
-    w, d, feet, top = size["width_m"], size["depth_m"], size["feet_m"], size["top_m"]
-    radius, undercut = float(rng.uniform(0.006, 0.012)), 0.75 * (top - feet)
-    low, high = np.array([-d / 2.0, -w / 2.0]), np.array([d / 2.0, w / 2.0])
+    w = size["width_m"]
+    d = size["depth_m"]
+    feet = size["feet_m"]
+    top = size["top_m"]
+    radius = float(rng.uniform(0.006, 0.012))
+    undercut = 0.75 * (top - feet)
+    low = np.array([-d / 2.0, -w / 2.0])
+    high = np.array([d / 2.0, w / 2.0])
     points = np.concatenate(
         [
             _rounded(low + 0.0008, high - 0.0008, top, radius),
@@ -151,13 +169,16 @@ def _base(rng: np.random.Generator, size: dict[str, float], case: SurfaceFinish,
         ]
     )
     ink, key = ((215, 215, 215), rng.uniform(18, 40)) if dark_keys else ((60, 60, 64), rng.uniform(200, 235))
-    back, keys_depth = -d / 2.0 + 0.022, 0.5 * d
-    keys_low, keys_high = [back, -0.44 * w], [back + keys_depth, 0.44 * w]
+    back = -d / 2.0 + 0.022
+    keys_depth = 0.5 * d
+    keys_low = [back, -0.44 * w]
+    keys_high = [back + keys_depth, 0.44 * w]
     image = _keyboard((keys_depth, 0.88 * w), key * np.ones(3), 0.45 * key * np.ones(3), ink)
     pad = float(rng.uniform(0.13, 0.19)) * w
     pad_color = rgb(np.array(case.color) * 0.72 + (0.03 if max(case.color) < 0.1 else 0.0))
     dark = SurfaceFinish(color=(0.01, 0.01, 0.011), roughness=0.8)
-    parts, decal_z = _slab(points, case), top + 0.5 * _SKIN_M
+    parts = _slab(points, case)
+    decal_z = top + 0.5 * _SKIN_M
     parts.visual(_sheet(keys_low, keys_high, decal_z), SurfaceFinish(texture=image, roughness=0.8))
     pad_sheet = _sheet([back + keys_depth + 0.006, -pad], [d / 2.0 - 0.007, pad], decal_z)
     parts.visual(pad_sheet, SurfaceFinish(color=pad_color, roughness=0.35, specular=0.5))
@@ -176,9 +197,14 @@ def _base(rng: np.random.Generator, size: dict[str, float], case: SurfaceFinish,
 
 def _lid(rng: np.random.Generator, index: int, size: dict[str, float], case: SurfaceFinish) -> BodyParts:
     """Make the lid in its own frame."""
-    w, near, far = size["width_m"], 0.004, size["reach_m"]
-    inner, outer, radius = size["inside_m"], size["outside_m"], float(rng.uniform(0.006, 0.012))
-    low, high = np.array([near, -w / 2.0]), np.array([far, w / 2.0])
+    w = size["width_m"]
+    near = 0.004
+    far = size["reach_m"]
+    inner = size["inside_m"]
+    outer = size["outside_m"]
+    radius = float(rng.uniform(0.006, 0.012))
+    low = np.array([near, -w / 2.0])
+    high = np.array([far, w / 2.0])
     points = np.concatenate(
         [
             _rounded(low + 0.0008, high - 0.0008, inner, radius),
@@ -188,8 +214,10 @@ def _lid(rng: np.random.Generator, index: int, size: dict[str, float], case: Sur
         ]
     )
     border = float(rng.uniform(0.006, 0.011))
-    frame_low, frame_high = low + 0.004, high - 0.004
-    screen_low, screen_high = low + np.array([0.004 + 1.4 * border, 0.004 + border]), high - 0.004 - border
+    frame_low = low + 0.004
+    frame_high = high - 0.004
+    screen_low = low + np.array([0.004 + 1.4 * border, 0.004 + border])
+    screen_high = high - 0.004 - border
     logo = rgb(np.array(case.color) * 0.4 if max(case.color) > 0.3 else np.array([0.75, 0.75, 0.75]))
     X_logo = make_pose(np.eye(3), [0.5 * (near + far), 0.0, outer + 0.5 * _SKIN_M])
     parts = _slab(points, case)
@@ -228,7 +256,8 @@ def _laptop(asset_id: str, index: int, rng: np.random.Generator) -> AssetModel:
     base = _base(rng, size, case, dark_keys=name != "white" and index % 3 != 1)
     lid = _lid(rng, index, size, case)
     p_hinge = [size["hinge_x_m"], 0.0, size["hinge_z_m"]]
-    friction, damping = float(rng.uniform(0.02, 0.06)), float(rng.uniform(0.06, 0.14))
+    friction = float(rng.uniform(0.02, 0.06))
+    damping = float(rng.uniform(0.06, 0.14))
     joint = lid_hinge(p_hinge, GREATEST_RAD, friction=friction, damping=damping)
     material = Material(
         density=float(rng.uniform(900.0, 1300.0)), static_friction=0.45, dynamic_friction=0.4, restitution=0.0

@@ -74,8 +74,10 @@ class _HingePlane:
         return self._tcp(corner, 0.0, FINGER_M)
 
     def _tcp(self, corner: ArrayLike, tilt_rad: float, offset_m: float) -> Array:
-        s, c = np.sin(tilt_rad), np.cos(tilt_rad)
-        approach, out = np.array([-s, -c]), np.array([c, -s])
+        s = np.sin(tilt_rad)
+        c = np.cos(tilt_rad)
+        approach = np.array([-s, -c])
+        out = np.array([c, -s])
         tcp = np.asarray(corner, dtype=np.float64) - TIP_M * approach - offset_m * out
         return make_pose(grasp_rotation(self.direction(approach), self.closing), self.point + self.direction(tcp))
 
@@ -92,14 +94,17 @@ class _HingePlane:
 
 def _on_lid(angle_rad: float, along_m: float, height_m: float) -> Array:
     """Return a point (2,) of a lid opened by an angle, from its distance along the lid and height above it if shut."""
-    c, s = np.cos(angle_rad), np.sin(angle_rad)
+    c = np.cos(angle_rad)
+    s = np.sin(angle_rad)
     return np.array([along_m * c - height_m * s, along_m * s + height_m * c])
 
 
 def open_laptop(scene: Scene) -> list[Waypoint]:
     """Put the tip of one finger under the lid's edge, lift it, then rotate the hand with it about the hinge."""
-    plane, angle = _HingePlane.of(scene), scene.joints["laptop"]
-    reach, inside = scene.size("laptop", "reach_m"), scene.size("laptop", "inside_m")
+    plane = _HingePlane.of(scene)
+    angle = scene.joints["laptop"]
+    reach = scene.size("laptop", "reach_m")
+    inside = scene.size("laptop", "inside_m")
     edge = _on_lid(angle, reach, inside)
     # 0.004: gap between fingertip and table
     height = max(edge[1] - BELOW_M, 0.004 + FINGER_M * np.sin(TILT_RAD) - plane.point[2])
@@ -127,8 +132,10 @@ def open_laptop(scene: Scene) -> list[Waypoint]:
 
 def close_laptop_easy(scene: Scene) -> list[Waypoint]:
     """Press the lid down from above with closed fingers until it lies on the base."""
-    plane, angle = _HingePlane.of(scene), scene.joints["laptop"]
-    along, outside = scene.size("laptop", "reach_m") - 0.03, scene.size("laptop", "outside_m")
+    plane = _HingePlane.of(scene)
+    angle = scene.joints["laptop"]
+    along = scene.size("laptop", "reach_m") - 0.03
+    outside = scene.size("laptop", "outside_m")
     corner = _on_lid(angle, along, outside)
     return [
         *closed_passage(*(plane.closed_pose(np.add(corner, [0.0, z])) for z in (0.07, 0.01))),
@@ -138,8 +145,10 @@ def close_laptop_easy(scene: Scene) -> list[Waypoint]:
 
 def close_laptop_hard(scene: Scene) -> list[Waypoint]:
     """Reach behind the lid with closed fingers, pull it forward over the vertical, then press it down."""
-    plane, angle = _HingePlane.of(scene), scene.joints["laptop"]
-    reach, outside = scene.size("laptop", "reach_m"), scene.size("laptop", "outside_m")
+    plane = _HingePlane.of(scene)
+    angle = scene.joints["laptop"]
+    reach = scene.size("laptop", "reach_m")
+    outside = scene.size("laptop", "outside_m")
     upright = np.pi / 2.0
     if angle < upright:
         return close_laptop_easy(scene)

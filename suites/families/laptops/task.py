@@ -21,7 +21,8 @@ SHUT_RAD = float(np.deg2rad(4.0))
 def _distance_to_lid(state: State) -> Tensor:
     """Return the distance (N,) of the TCP from the lid's box [m]."""
     p = to_frame(state.poses["laptop/lid"], state.X_BG[:, :3, 3])
-    half_width, zero = 0.5 * state.size("laptop", "width_m"), torch.zeros_like(p[:, 0])
+    half_width = 0.5 * state.size("laptop", "width_m")
+    zero = torch.zeros_like(p[:, 0])
     low = torch.stack([zero, -half_width, state.size("laptop", "inside_m")], dim=-1)
     high = torch.stack([state.size("laptop", "reach_m"), half_width, state.size("laptop", "outside_m")], dim=-1)
     distance: Tensor = torch.linalg.norm(p - torch.minimum(torch.maximum(p, low), high), dim=-1)
@@ -42,7 +43,9 @@ class _MoveLid(JointTask):
     @override
     def place(self, model: AssetModel, rng: np.random.Generator) -> Placement:
         """Place a laptop whose hinge is on the robot's left."""
-        x, y = rng.uniform(0.45, 0.52), rng.uniform(*self.side_m)  # least and greatest x of the base's centre
+        # least and greatest x of the base's centre
+        x = rng.uniform(0.45, 0.52)
+        y = rng.uniform(*self.side_m)
         yaw = np.deg2rad(rng.uniform(*self.turn_deg) - 90.0)
         return Placement.upright(model, (x, y, 0.0), yaw, joint=float(np.deg2rad(rng.uniform(*self.start_deg))))
 
@@ -70,7 +73,8 @@ class OpenLaptopEasy(_MoveLid):
         "laptop is open."
     )
     reached = "open"
-    start_deg, turn_deg = (18.0, 32.0), (15.0, 35.0)
+    start_deg = (18.0, 32.0)
+    turn_deg = (15.0, 35.0)
 
 
 class OpenLaptopHard(_MoveLid):
@@ -90,7 +94,8 @@ class OpenLaptopHard(_MoveLid):
         "the laptop is open."
     )
     reached = "open"
-    start_deg, turn_deg = (0.0, 0.0), (15.0, 35.0)
+    start_deg = (0.0, 0.0)
+    turn_deg = (15.0, 35.0)
 
 
 class CloseLaptopEasy(_MoveLid):
@@ -105,7 +110,8 @@ class CloseLaptopEasy(_MoveLid):
     card = TaskCard(id="CloseLaptopEasy-v1", family="laptops", difficulty=Difficulty.EASY, articulated_dof=1, axes="x")
     prompt = "The robot arm presses the lid of the half-open {} down until the laptop is shut."
     reached = "shut"
-    start_deg, turn_deg = (37.0, 47.0), (-15.0, 20.0)
+    start_deg = (37.0, 47.0)
+    turn_deg = (-15.0, 20.0)
 
 
 class CloseLaptopHard(_MoveLid):
@@ -126,7 +132,8 @@ class CloseLaptopHard(_MoveLid):
         "the laptop is shut."
     )
     reached = "shut"
-    start_deg, turn_deg = (110.0, 125.0), (-25.0, 0.0)
+    start_deg = (110.0, 125.0)
+    turn_deg = (-25.0, 0.0)
     side_m = (-0.02, 0.02)
 
 

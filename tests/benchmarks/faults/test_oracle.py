@@ -37,7 +37,8 @@ def test_a_faulty_oracle_differs_from_the_oracle_in_its_first_clip_alone(tmp_pat
     episode = compose("StackCube-v1", 0)
     with Simulator(episode.task, camera=benchmark_camera().resized(96, 96)) as simulator:
         simulator.reset(episode)
-        state, first = simulator.simulation_state(), simulator.render().rgb
+        state = simulator.simulation_state()
+        first = simulator.render().rgb
 
     def truth(model: OracleModel, number: int) -> np.ndarray:
         request = Request(
@@ -50,7 +51,8 @@ def test_a_faulty_oracle_differs_from_the_oracle_in_its_first_clip_alone(tmp_pat
         assert model.truth is not None
         return model.truth.X_CH
 
-    perfect, faulty = truth(OracleModel(), 0), FaultyOracle("teleport", 0.1)
+    perfect = truth(OracleModel(), 0)
+    faulty = FaultyOracle("teleport", 0.1)
     moved = np.linalg.norm((truth(faulty, 0) - perfect)[:, :3, 3], axis=1)
     assert moved[0] == 0.0
     assert moved[-1] == pytest.approx(0.1, abs=1e-4)

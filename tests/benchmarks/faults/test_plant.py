@@ -32,7 +32,8 @@ def assert_only_altered(clip: RolloutVideo, faulty: RolloutVideo, fault: Planted
     frames = np.arange(len(clip.t_s))
     inside = (frames >= fault.frame_start) & (frames <= fault.frame_end)
     for name in ("rgb", "depth_mm", "mask", "q", "X_CH", "X_BG", "finger_width_m"):
-        before, after = getattr(clip, name), getattr(faulty, name)
+        before = getattr(clip, name)
+        after = getattr(faulty, name)
         assert np.array_equal(before[~inside], after[~inside])
     altered = (clip.rgb != faulty.rgb).any(axis=(1, 2, 3))
     assert altered[inside].mean() >= 0.5  # every other frame of a flutter may be as it was

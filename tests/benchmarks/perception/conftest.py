@@ -20,7 +20,8 @@ from kinebench_drake.grounding.priors import InitialStateUse
 from kinebench_drake.io.container import write_video
 from kinebench_drake.track import Domain, GripperTrack
 
-FRAMES, SIDE = 12, 96
+FRAMES = 12
+SIDE = 96
 
 
 @pytest.fixture(scope="session")
@@ -95,7 +96,8 @@ def errors(clip: TruthClip, grounded: Callable[..., PipelineResult]) -> Callable
         share: float = 1.0,
         id: str = "Some-v1_s0",
     ) -> ClipErrors:
-        X_CH, true = clip.X_CH.copy(), clip.X_CH.copy()
+        X_CH = clip.X_CH.copy()
+        true = clip.X_CH.copy()
         X_CH[:, 1, 3] += offset_m
         if gone is not None:
             true[gone] = np.nan
@@ -111,7 +113,8 @@ def square() -> tuple[np.ndarray, np.ndarray]:
     """Frames (12, 96, 96, 3) with a dark square of 30 px that moves 2 px a frame, and its masks."""
     rng = np.random.default_rng(0)
     background = np.kron(rng.integers(90, 200, (12, 12, 3)), np.ones((8, 8, 1)))
-    frames, masks = np.empty((FRAMES, SIDE, SIDE, 3), np.uint8), np.zeros((FRAMES, SIDE, SIDE), dtype=bool)
+    frames = np.empty((FRAMES, SIDE, SIDE, 3), np.uint8)
+    masks = np.zeros((FRAMES, SIDE, SIDE), dtype=bool)
     for i in range(FRAMES):
         masks[i, 30:60, 20 + 2 * i : 50 + 2 * i] = True
         frames[i] = np.where(masks[i][..., None], 40 + 30 * (np.arange(SIDE) % 7 < 3)[None, :, None], background)

@@ -47,12 +47,14 @@ def test_a_planted_fault_is_located_by_an_anomaly_of_its_kind_at_its_frames():
 
 def test_area_under_the_roc_curve_counts_ordered_pairs_and_its_interval_has_width():
     rng = np.random.default_rng(0)
-    x, y = rng.normal(1, 1, 40), rng.normal(0, 1, 60).round(1)
+    x = rng.normal(1, 1, 40)
+    y = rng.normal(0, 1, 60).round(1)
     pairs = (x[:, None] > y).mean() + 0.5 * (x[:, None] == y).mean()
     told = area(x, y)
     assert told.value == pytest.approx(pairs)
     assert told.low < told.value < told.high
-    apart, mixed = area([2, 3, 4], [0, 1, 1]), area([0, 0], [1, 1, 1])
+    apart = area([2, 3, 4], [0, 1, 1])
+    mixed = area([0, 0], [1, 1, 1])
     assert (apart.value, apart.high) == (1.0, 1.0)
     assert 0.3 < apart.low < 0.95
     assert (mixed.value, mixed.low) == (0.0, 0.0)

@@ -78,7 +78,9 @@ def test_deformation_has_its_nominal_rms_displacement_and_no_rigid_motion(square
     v, u = np.nonzero(mask)
     middle = np.array([u.mean(), v.mean()])
     shift = displacement(mask, nodes, middle, 3.0)
-    inside, x, y = shift[mask], u - middle[0], v - middle[1]
+    inside = shift[mask]
+    x = u - middle[0]
+    y = v - middle[1]
     assert np.sqrt((inside**2).sum(axis=1).mean()) == pytest.approx(3.0, rel=1e-6)
     np.testing.assert_allclose(inside.mean(axis=0), 0.0, atol=1e-9)
     assert (x * inside[:, 1] - y * inside[:, 0]).mean() == pytest.approx(0.0, abs=1e-8)  # turn

@@ -40,7 +40,9 @@ class FakeWorkers:
     """Errors that grow with the strength of the perturbation; stops like a killed program after so many trials."""
 
     def __init__(self, errors: Callable[..., ClipErrors], patience: int = 10_000) -> None:
-        self.errors, self.patience, self.made = errors, patience, 0
+        self.errors = errors
+        self.patience = patience
+        self.made = 0
 
     def __call__(self) -> Callable[[GroundingTrial], ClipErrors]:
         def measure(trial: GroundingTrial) -> ClipErrors:
@@ -57,7 +59,8 @@ class Recall:
     """A baseline that knows the poses, and is off by a distance [m] along the base's z axis."""
 
     def __init__(self, clip: TruthClip, offset_m: float) -> None:
-        self.X_BG, self.width_m = clip.camera.X_BC @ clip.X_CH @ hand_from_tcp(), clip.finger_width_m
+        self.X_BG = clip.camera.X_BC @ clip.X_CH @ hand_from_tcp()
+        self.width_m = clip.finger_width_m
         self.X_BG[:, 2, 3] += offset_m
 
     def predict(self, frames: Frames) -> tuple[Array, Array]:
@@ -80,7 +83,8 @@ def test_with_a_baseline_every_perturbation_is_measured_on_both_extractors(tmp_p
     weights = tmp_path / "baseline.safetensors"
     weights.write_bytes(b"one")
     both = study.robustness([PerturbationKind.NOISE], weights)
-    own, learned = both.conditions[::2], both.conditions[1::2]
+    own = both.conditions[::2]
+    learned = both.conditions[1::2]
     assert own == study.robustness([PerturbationKind.NOISE]).conditions
     assert [c.perturbation for c in learned] == [c.perturbation for c in own]
     assert {c.group for c in learned} == {study.LEARNED}
@@ -102,7 +106,8 @@ def test_an_interrupted_study_resumes_and_equals_an_uninterrupted_one(
         study.run_study(noise, plan, EXECUTOR, SilentObserver(), first)
     with (tmp_path / "kept.clips.jsonl").open("a") as file:
         file.write('{"key": "torn')
-    second, observer = FakeWorkers(errors), SilentObserver()
+    second = FakeWorkers(errors)
+    observer = SilentObserver()
     whole = study.run_study(noise, plan, EXECUTOR, observer, second)
     assert observer.completed == 5
     assert second.made == 3 * 4 - 5

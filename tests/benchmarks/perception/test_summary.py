@@ -48,7 +48,8 @@ def test_tracked_when_seen_counts_frames_that_show_30_percent_of_the_gripper(err
 
 def test_bootstrap_intervals_contain_the_figure_and_repeat_by_seed(errors: Callable[..., ClipErrors]) -> None:
     group = [errors(0.001 * i) for i in range(1, 12)]
-    first, again = intervals(group, seed=3), intervals(group, seed=3)
+    first = intervals(group, seed=3)
+    again = intervals(group, seed=3)
     figure = first["position_median_mm"]
     assert figure == again["position_median_mm"]
     assert figure.value == pytest.approx(6.0)

@@ -26,7 +26,8 @@ def _columns(k: int) -> dict[str, np.ndarray]:
 
 @pytest.fixture
 def v3(tmp_path: Path) -> Path:
-    parts, folder = tmp_path / "parts", tmp_path / "v3"
+    parts = tmp_path / "parts"
+    folder = tmp_path / "v3"
     parts.mkdir()
     for k, n in enumerate(LENGTHS):
         write_part(parts, str(k), np.full((n, 32, 32, 3), 40 * k, dtype=np.uint8), _columns(k), fps=10, crf=10)
@@ -44,7 +45,8 @@ def v2(v3: Path, tmp_path: Path) -> Path:
     info |= {"codebase_version": "v2.1", "chunks_size": 1000, "total_videos": 4, "data_path": None, "video_path": None}
     (folder / "meta" / "info.json").write_text(json.dumps(info))
     table = pq.read_table(v3 / "data" / "chunk-000" / "file-000.parquet")
-    rows, stats = [], []
+    rows = []
+    stats = []
     for k, n in enumerate(LENGTHS):
         data = folder / "data" / "chunk-000" / f"episode_{k:06d}.parquet"
         video = folder / "videos" / "chunk-000" / CAMERA / f"episode_{k:06d}.mp4"
@@ -63,7 +65,8 @@ def v2(v3: Path, tmp_path: Path) -> Path:
 def test_kept_episodes_have_their_rows_videos_and_prompts(
     version: str, request: pytest.FixtureRequest, tmp_path: Path
 ) -> None:
-    source, target = request.getfixturevalue(version), tmp_path / "kept"
+    source = request.getfixturevalue(version)
+    target = tmp_path / "kept"
     write_kept(source, target, KEPT)
     dataset = LeRobotDataset.open(target)
     episodes = list(dataset.episodes(CAMERA))

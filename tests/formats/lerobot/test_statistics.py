@@ -6,7 +6,8 @@ from kinebench_drake.formats.lerobot.statistics import histogram_statistics, row
 def test_histogram_statistics_equal_those_of_the_pixels() -> None:
     pixels = np.random.default_rng(0).integers(3, 250, (1000, 3))
     counts = np.stack([np.bincount(pixels[:, c], minlength=256) for c in range(3)])
-    rows, levels = row_statistics(pixels / 255.0), histogram_statistics(counts, 7)
+    rows = row_statistics(pixels / 255.0)
+    levels = histogram_statistics(counts, 7)
     assert levels["count"] == [7]
     for name in ("min", "max", "mean", "std", "q01", "q50", "q99"):
         assert np.allclose(np.ravel(levels[name]), rows[name], atol=1.0 / 255.0)

@@ -56,8 +56,10 @@ def test_uneven_time_stamps_are_kept_unless_a_rate_is_set(dataset, q):
 
 
 def test_poses_are_read_in_every_rotation_layout(dataset, X_BG, quaternion):
-    p, R = X_BG[:, :3, 3], X_BG[:, :3, :3]
-    yaw, pitch = np.arctan2(R[:, 1, 0], R[:, 0, 0]), -np.arcsin(R[:, 2, 0])
+    p = X_BG[:, :3, 3]
+    R = X_BG[:, :3, :3]
+    yaw = np.arctan2(R[:, 1, 0], R[:, 0, 0])
+    pitch = -np.arcsin(R[:, 2, 0])
     roll = np.arctan2(R[:, 2, 1], R[:, 2, 2])  # R = Rz(yaw) Ry(pitch) Rx(roll)
     layouts = {
         "wxyz": (["x", "y", "z", "qw", "qx", "qy", "qz"], np.hstack([p, quaternion])),

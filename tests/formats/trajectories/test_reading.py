@@ -24,7 +24,8 @@ def apply(rows, **keys):
 
 def numbers(layout, X):
     """The numbers of poses (T, 4, 4) in a layout."""
-    R, p = X[:, :3, :3], X[:, :3, 3]
+    R = X[:, :3, :3]
+    p = X[:, :3, 3]
     rotation = Rotation.from_matrix(R)
     return {
         "quaternion_wxyz": lambda: np.hstack([p, rotation.as_quat(scalar_first=True)]),
@@ -55,7 +56,8 @@ def test_units_frames_and_tools_are_undone(X_BG):
 
 def _pose(numbers):
     X = np.eye(4)
-    X[:3, :3], X[:3, 3] = Rotation.from_quat(numbers[3:], scalar_first=True).as_matrix(), numbers[:3]
+    X[:3, :3] = Rotation.from_quat(numbers[3:], scalar_first=True).as_matrix()
+    X[:3, 3] = numbers[:3]
     return X
 
 

@@ -46,7 +46,9 @@ def test_joint_angles_have_precedence_over_poses(csv_file, poses, q):
 
 
 def test_quaternions_are_normalized_near_norm_1_and_refused_beyond(csv_file, X_BG, poses):
-    near, far, flipped = poses.copy(), poses.copy(), poses.copy()
+    near = poses.copy()
+    far = poses.copy()
+    flipped = poses.copy()
     near[4, 4:] *= 1.0005
     found = read(csv_file(["t_s", *POSE], near))
     np.testing.assert_allclose(found.X_BG, X_BG, atol=1e-12)

@@ -31,7 +31,8 @@ def levels(frames):
 @contextmanager
 def usual_priority():
     """SVT-AV1 gives the thread that starts it real-time priority, where it may, and leaves it there."""
-    policy, parameters = os.sched_getscheduler(0), os.sched_getparam(0)
+    policy = os.sched_getscheduler(0)
+    parameters = os.sched_getparam(0)
     try:
         yield
     finally:

@@ -128,7 +128,8 @@ def test_images_in_parquet_files_are_read_as_videos(tmp_path):
         Image.fromarray(image).save(buffer, format="png")
         return {"bytes": buffer.getvalue(), "path": None}
 
-    root, key = tmp_path / "ds", "observation.images.image"
+    root = tmp_path / "ds"
+    key = "observation.images.image"
     write_info(root, "v3.0", 10, {key: {"dtype": "image", "shape": [SIDE, SIDE, 3]}})
     write_v3_episodes(root, (), (3, 2), 10)
     rows = [{key: coded(image), "episode_index": k} for k, n in enumerate((3, 2)) for image in frames_of(k, n)]

@@ -52,11 +52,13 @@ def test_anomalies_are_reported_exactly_where_scores_reach_one(clean):
 
 
 def test_low_confidence_in_an_unfamiliar_video_is_an_anomaly_only_if_the_gripper_vanishes(clean):
-    confidence, explained = clean.confidence.copy(), clean.explained.copy()
+    confidence = clean.confidence.copy()
+    explained = clean.explained.copy()
     confidence[20:26] = 0.005
     unfamiliar = replace(clean, domain=Domain.UNFAMILIAR)
     assert not find_anomalies(replace(unfamiliar, confidence=confidence)).anomalies
-    confidence[20:26], explained[20:26] = 0.0, 0.0
+    confidence[20:26] = 0.0
+    explained[20:26] = 0.0
     gone = replace(unfamiliar, confidence=confidence, explained=explained)
     assert [a.kind for a in find_anomalies(gone).anomalies] == [AnomalyKind.VANISH]
     confidence[:10] = 0.05
@@ -64,8 +66,10 @@ def test_low_confidence_in_an_unfamiliar_video_is_an_anomaly_only_if_the_gripper
 
 
 def test_the_jump_at_the_end_of_a_freeze_is_no_separate_teleport(clean):
-    p, still = clean.p_C.copy(), clean.still.copy()
-    p[20:28], still[20:28] = p[19], True
+    p = clean.p_C.copy()
+    still = clean.still.copy()
+    p[20:28] = p[19]
+    still[20:28] = True
     result = find_anomalies(replace(clean, p_C=p, still=still))
     assert [a.kind for a in result.anomalies] == [AnomalyKind.FREEZE]
     assert result.scores[AnomalyKind.TELEPORT] < 1.0

@@ -40,9 +40,12 @@ def test_the_shape_misfit_of_a_mostly_hidden_gripper_is_unknown(cad):
 
 
 def test_a_lasting_misfit_is_a_deformation_and_a_misfit_of_one_frame_is_none():
-    misfit, residual = np.full(49, 0.01), np.full(49, 0.5)
-    misfit[12], residual[12] = 0.3, 2.0
-    misfit[30:42], residual[30:42] = 0.15, 1.0
+    misfit = np.full(49, 0.01)
+    residual = np.full(49, 0.5)
+    misfit[12] = 0.3
+    residual[12] = 2.0
+    misfit[30:42] = 0.15
+    residual[30:42] = 1.0
     (result,) = find_deformations(misfit, residual).anomalies
     assert (result.frame_start, result.frame_end, result.severity) == (30, 41, 0.15)
 
@@ -74,7 +77,8 @@ def test_the_size_of_a_hand_that_few_frames_show_is_unknown():
     assert measure_size(scale) is None
 
 
-LARGE, BENT = HandShape(log_scale=0.14, stretch=0.03, gain=0.3), HandShape(log_scale=0.05, stretch=0.2, gain=0.3)
+LARGE = HandShape(log_scale=0.14, stretch=0.03, gain=0.3)
+BENT = HandShape(log_scale=0.05, stretch=0.2, gain=0.3)
 
 
 def test_a_contour_of_another_size_throughout_is_no_deformation():

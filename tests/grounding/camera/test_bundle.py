@@ -101,7 +101,8 @@ def test_an_offset_for_each_part_absorbs_errors_common_to_its_contours(model):
         offsets = prior(offset_sigma=offset_sigma)
         return adjust(moved, truth(q), offsets, model, q_sigma=LOOSE, iterations=iterations)
 
-    rigid, free = fit(0.0), fit(1.0)
+    rigid = fit(0.0)
+    free = fit(1.0)
     far, near = (pose_difference(b.scene.lens.to_camera().X_BC, CAMERA.X_BC)[0] for b in (rigid, free))
     assert near < 0.1 * far
     assert free.scene.offset[ARM[3]] == pytest.approx(0.4 / 0.5, rel=0.05)

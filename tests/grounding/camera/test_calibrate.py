@@ -52,11 +52,13 @@ def program(monkeypatch, capsys, estimator):
 
 
 def test_calibrate_writes_a_camera_file_its_figures_and_a_check_image(program, video, estimator, tmp_path):
-    out, figure = tmp_path / "camera.json", tmp_path / "check.png"
+    out = tmp_path / "camera.json"
+    figure = tmp_path / "check.png"
     joints = tmp_path / "joints.npz"
     code, stated, err = program("calibrate", video, "--joints", joints, "--out", out, "--figure", figure, "--json")
     assert (code, err) == (0, "")
-    camera, figures = load_camera(out).camera, json.loads(stated)
+    camera = load_camera(out).camera
+    figures = json.loads(stated)
     assert float(pose_difference(camera.X_BC, estimator.camera.X_BC)[0]) < 0.02
     assert camera.fx == pytest.approx(400.0, rel=0.03)
     assert figures["camera"] == json.loads(out.read_text())

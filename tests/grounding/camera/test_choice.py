@@ -36,7 +36,10 @@ class Tracker:
     """A pipeline that tracks everything or nothing, and notes that it was asked."""
 
     def __init__(self, parts, name, domain, *, tracks):
-        self.parts, self.name, self.domain, self.tracks = parts, name, domain, tracks
+        self.parts = parts
+        self.name = name
+        self.domain = domain
+        self.tracks = tracks
 
     def ground(self, frames, camera, t_s, priors):
         self.parts.asked.append("assumed" if priors.camera_is_assumed else self.name)
@@ -68,16 +71,18 @@ class Evidence:
     """Parts of the grounding whose evidence for cameras is known in advance, and that note what is asked of them."""
 
     def __init__(self, *, agreements=(0.7,), recognized=None, estimate=None, contradiction=None, reading=None, hands=8):
-        self.agreements, self.recognized, self.estimated = list(agreements), recognized, estimate
-        self.contradiction, self.reading, self.hands = contradiction, reading, hands
+        self.agreements = list(agreements)
+        self.recognized = recognized
+        self.estimated = estimate
+        self.contradiction = contradiction
+        self.reading = reading
+        self.hands = hands
         self.asked = []
-        self.domain, self.fitted, self.arm_seen, self.arm_tracks, self.hand_tracks = (
-            Domain.FAMILIAR,
-            True,
-            True,
-            False,
-            True,
-        )
+        self.domain = Domain.FAMILIAR
+        self.fitted = True
+        self.arm_seen = True
+        self.arm_tracks = False
+        self.hand_tracks = True
         self.checker = self.cameras = self
 
     @property
@@ -259,7 +264,8 @@ def test_no_camera_is_estimated_for_a_video_without_any_hand():
 @pytest.mark.parametrize("agreement", [CONFIRMED, CONFIRMED - 0.01])
 def test_a_video_without_a_hand_is_grounded_by_the_arm_if_it_confirms_the_assumed_camera(agreement):
     evidence = Evidence(hands=0, agreements=[agreement])
-    evidence.arm_tracks, evidence.hand_tracks = True, False
+    evidence.arm_tracks = True
+    evidence.hand_tracks = False
     if agreement < CONFIRMED:
         with pytest.raises(UnmeasurableError, match="no Franka hand"):
             ground(evidence)
@@ -334,7 +340,8 @@ def test_an_estimated_camera_needs_the_agreement_of_the_final_track(agreement):
 
 def test_a_named_camera_that_the_arm_confirms_is_not_compared_with_other_readings():
     for source in (CameraSource.FOLDER, CameraSource.ARGUMENT):
-        sure, unsure = Evidence(agreements=[bounds.SURE_AGREEMENT]), Evidence(agreements=[CONFIRMED - 0.01])
+        sure = Evidence(agreements=[bounds.SURE_AGREEMENT])
+        unsure = Evidence(agreements=[CONFIRMED - 0.01])
         assert ground(sure, source=source).choice.state is CameraState.NAMED
         assert sure.asked == ["ground"]
         ground(unsure, source=source)
@@ -348,7 +355,8 @@ def test_a_named_camera_far_from_one_that_explains_the_arm_better_gives_no_base_
         evidence.fitted = fitted
         return ground(evidence, source=CameraSource.FOLDER).choice
 
-    near, far = choose(0.5 * bounds.LARGE_M), choose(2 * bounds.LARGE_M)
+    near = choose(0.5 * bounds.LARGE_M)
+    far = choose(2 * bounds.LARGE_M)
     assert near.reason is None
     assert near.to_json()["camera_contradiction"]["focal_ratio"] == 0.7
     assert "1.43 times as long" in far.reason
@@ -366,7 +374,8 @@ def test_a_doubtful_named_camera_without_a_better_one_is_kept_if_the_arm_agrees(
 @pytest.mark.parametrize("arm_seen", [True, False])
 def test_a_named_camera_gives_no_base_frame_if_a_visible_arm_agrees_in_no_frame(arm_seen):
     evidence = Evidence()
-    evidence.fitted, evidence.arm_seen = False, arm_seen
+    evidence.fitted = False
+    evidence.arm_seen = arm_seen
     choice = ground(evidence, source=CameraSource.FOLDER).choice
     assert (choice.reason is not None) == arm_seen
     assert not arm_seen or "no tracked frame" in choice.reason

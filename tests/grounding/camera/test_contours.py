@@ -87,7 +87,8 @@ def test_the_contours_of_the_base_determine_its_turn_about_joint_1(estimator, mo
     images = estimator.fitter.images(frames, CAMERA)
     right = start(q, model, np.zeros(7)).scene
     wrong = right.turned(np.deg2rad(turn_deg))
-    X_CP, same = right.lens.X_CB @ model.poses(right.q), wrong.lens.X_CB @ model.poses(wrong.q)
+    X_CP = right.lens.X_CB @ model.poses(right.q)
+    same = wrong.lens.X_CB @ model.poses(wrong.q)
     arm = [part for part in RobotPart if part > RobotPart.LINK0 or part == RobotPart.HAND]
     assert np.allclose(X_CP[:, arm], same[:, arm])
     turns = images.find_turns(wrong)
@@ -102,7 +103,8 @@ def test_the_choice_between_similar_base_turns_follows_the_agreement_of_their_fi
     q, frames = film
     images = estimator.fitter.images(frames, CAMERA)
     right = start(q, model, np.zeros(7))
-    wrong, better = BaseTurn(angle_rad=1.2, share=0.5), BaseTurn(angle_rad=0.0, share=0.45)
+    wrong = BaseTurn(angle_rad=1.2, share=0.5)
+    better = BaseTurn(angle_rad=0.0, share=0.45)
     prior = Prior(lens=right.scene.lens, log_focal_sigma=0.0)
 
     def fit(*turns):
@@ -148,7 +150,8 @@ def test_camera_and_focal_length_are_estimated_from_cells_and_contours_without_a
 def test_pnp_of_random_points_gives_no_pose(monkeypatch):
     monkeypatch.setattr(lens, "_CONSENSUS_PX", 1e-6)
     rng = np.random.default_rng(0)
-    p, uv = rng.normal(size=(12, 3)), rng.uniform(0, 320, (12, 2))
+    p = rng.normal(size=(12, 3))
+    uv = rng.uniform(0, 320, (12, 2))
     assert solve_pnp(p, uv, CAMERA) is None
 
 

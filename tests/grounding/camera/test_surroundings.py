@@ -47,7 +47,8 @@ def test_lines_along_the_base_axes_meet_at_their_vanishing_points():
 
 @pytest.mark.parametrize("turn_deg", [-3.0, 2.0])
 def test_lines_determine_the_base_turn_that_an_arm_without_its_base_leaves_open(turn_deg):
-    model, q = ArmModel(), postures(6)
+    model = ArmModel()
+    q = postures(6)
     lens = displaced(turn_deg, (0.0, 0.0, 1.0), zoom=1.03)
     surroundings = find_surroundings(tiles(), lens, SIGMA_RAD)
     assert len(surroundings.lines) == len(tiles())
@@ -80,7 +81,8 @@ def test_the_gradient_is_the_finite_difference_of_the_cost():
     assert np.linalg.eigvalsh(H).min() > -1e-6 * np.linalg.eigvalsh(H).max()
     for k in (0, 1, 2, 6):
         step = 1e-4 * np.eye(9)[k]
-        above, below = term.linearize(lens.displace(step))[0], term.linearize(lens.displace(-step))[0]
+        above = term.linearize(lens.displace(step))[0]
+        below = term.linearize(lens.displace(-step))[0]
         assert (above - below) / 2e-4 == pytest.approx(2 * g[k], rel=0.02, abs=0.02 * np.abs(g).max())
 
 
@@ -98,7 +100,8 @@ def test_lines_are_detected_outside_the_robot_only():
         cv2.line(
             frame, *[tuple(int(v) for v in np.round(end - 0.5)) for end in (a, b)], (220, 220, 220), 2, cv2.LINE_AA
         )
-    model, matcher = ArmModel(), EdgeMatcher()
+    model = ArmModel()
+    matcher = EdgeMatcher()
     X_CP = TRUE.X_CB @ model.poses(np.array([[0.0, 0.4, 0.0, -2.0, 0.0, 2.4, 0.8]]))
     lines = find_lines(np.stack([frame] * 3), CAMERA, X_CP, matcher)
     assert len(lines) >= 8

@@ -97,7 +97,9 @@ class FakeMoge:
     """Stand-in for MoGe: depth is the red channel in metres; dark pixels are sky."""
 
     def __init__(self, checkpoint: str) -> None:
-        self.checkpoint, self.device, self.asked = checkpoint, "", list[SimpleNamespace]()
+        self.checkpoint = checkpoint
+        self.device = ""
+        self.asked = list[SimpleNamespace]()
 
     def to(self, device: str) -> "FakeMoge":
         self.device = device

@@ -44,7 +44,8 @@ def test_cells_without_external_depth_do_not_calibrate_its_scale(cad: GripperCad
         assert depth is not None
         return depth
 
-    X_CH, camera = hand_pose(3), benchmark_camera()
+    X_CH = hand_pose(3)
+    camera = benchmark_camera()
     frames = np.zeros((2, camera.height, camera.width, 3), np.uint8)
     whole, some, none = (calibrate(rows) for rows in (slice(None), slice(1, None, 4), slice(0)))
     assert [whole.calibrated, some.calibrated, none.calibrated] == [True, True, False]

@@ -43,7 +43,8 @@ def npz(path: Path) -> Path:
 
 
 def truth(path: Path) -> Path:
-    packed, poses = np.packbits(MASKS, axis=-1), np.zeros((11, 4, 4))
+    packed = np.packbits(MASKS, axis=-1)
+    poses = np.zeros((11, 4, 4))
     np.savez(path / "v.npz", mask=packed, depth_mm=np.zeros(MASKS.shape, np.uint16), camera_from_hand=poses)
     return path / "v.npz"
 

@@ -39,7 +39,8 @@ def view(camera, table=True):
 
 def path(turn_rad=0.0, move_m=0.0, zoom=1.0, direction=(0.6, 0.8, 0.0)):
     """Cameras and images of a slow motion."""
-    cameras, images = [], []
+    cameras = []
+    images = []
     for s in np.linspace(0.0, 1.0, FRAMES):
         X = make_pose(rotation_exp(s * turn_rad * np.array(direction)), s * move_m * np.array(direction))
         factor = 1.0 + s * (zoom - 1.0)

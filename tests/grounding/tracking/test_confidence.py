@@ -46,11 +46,9 @@ def test_calibration_bins_show_an_overconfident_probability() -> None:
 
 
 def test_frames_without_neighbours_have_an_indicator_feature_and_zero_distance() -> None:
-    confidence, distance, angle = (
-        np.array([0.5, 0.5, 1.0]),
-        np.array([0.01, np.nan, 0.1]),
-        np.array([0.05, np.nan, 0.5]),
-    )
+    confidence = np.array([0.5, 0.5, 1.0])
+    distance = np.array([0.01, np.nan, 0.1])
+    angle = np.array([0.05, np.nan, 0.5])
     features = track_features(confidence, distance, angle)
     np.testing.assert_allclose(features[0], 0.0, atol=1e-12)
     np.testing.assert_allclose(features[1], [0.0, 0.0, 0.0, 1.0], atol=1e-12)

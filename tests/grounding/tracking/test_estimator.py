@@ -67,7 +67,8 @@ def test_onednn_convolutions_with_fused_clamping_give_the_same_outputs() -> None
     for count, size in ((2, 64), (1, 96), (3, 64), (2, 96)):  # in turn: each size has its own order of the weights
         images = torch.rand(count, 3, size, size, generator=random).contiguous(memory_format=torch.channels_last)
         with torch.inference_mode():
-            plain, fused = network(images), clamping(images)
+            plain = network(images)
+            fused = clamping(images)
         torch.testing.assert_close(fused.log_depth, plain.log_depth, atol=1e-4, rtol=0.0)
         torch.testing.assert_close(fused.coordinates, plain.coordinates, atol=1e-4, rtol=0.0)
 
@@ -77,7 +78,8 @@ def test_whole_batches_have_one_size_and_run_in_one_thread(exact: GripperView, m
     frames = read_video(VIDEO).frames[:3]
     estimator = NetworkEstimator(load_network(), "cpu")
     monkeypatch.setattr(estimator, "_whole_batch", 2)
-    sizes, threads = [], set()
+    sizes = []
+    threads = set()
 
     def spy(network: torch.nn.Module, inputs: tuple[torch.Tensor, ...]) -> None:
         sizes.append(len(inputs[0]))
@@ -102,13 +104,15 @@ def test_estimates_of_gpu_and_cpu_agree(exact: GripperView) -> None:
 @pytest.mark.slow
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="no GPU")
 def test_tracks_of_gpu_and_cpu_agree() -> None:
-    frames, camera = read_video(VIDEO).frames, benchmark_camera()
+    frames = read_video(VIDEO).frames
+    camera = benchmark_camera()
 
     def track(device: str) -> GripperTrack:
         pipeline = GroundingPipeline.create(NetworkEstimator(load_network(), device))
         return pipeline.ground(frames, camera, 0.2 * np.arange(len(frames))).track
 
-    on_gpu, exact = track("cuda"), track("cpu")
+    on_gpu = track("cuda")
+    exact = track("cpu")
     assert exact.tracked.sum() > 40
     np.testing.assert_array_equal(on_gpu.tracked, exact.tracked)
     off_m = np.linalg.norm((on_gpu.X_BG - exact.X_BG)[exact.tracked, :3, 3], axis=-1)

@@ -25,7 +25,10 @@ class SharpEyes:
     """An estimator that sees the gripper at `X_CH` where its crop shows it at least `least_px` wide."""
 
     def __init__(self, cad: GripperCad, X_CH: Array, least_px: float) -> None:
-        self._cad, self._X_CH, self._least_px, self.views = cad, X_CH, least_px, 0
+        self._cad = cad
+        self._X_CH = X_CH
+        self._least_px = least_px
+        self.views = 0
 
     def estimate(self, frames: Frames, camera: Camera, crops: Mapping[int, Crop]) -> Iterator[tuple[int, GripperView]]:
         for i, crop in crops.items():

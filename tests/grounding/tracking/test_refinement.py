@@ -20,7 +20,8 @@ from tests.grounding.conftest import fitted_pose, hand_pose, perfect_view
 CAMERA = benchmark_camera().resized(64, 64)
 FRAMES = 12
 SHARPENED = 1e-3
-WRONG, RIGHT = 1.0, 0.0
+WRONG = 1.0
+RIGHT = 0.0
 """First joint angle of a wrong posture, which the edges contradict, and of the right one."""
 NO_POINTS = object()
 
@@ -46,7 +47,10 @@ class Fitter:
     def __init__(
         self, reach: float = 0.5, network_agreement: float = 0.2, *, moved_m: float = 0.03, follows: bool = False
     ) -> None:
-        self.reach, self.network_agreement, self.moved_m, self.follows = reach, network_agreement, moved_m, follows
+        self.reach = reach
+        self.network_agreement = network_agreement
+        self.moved_m = moved_m
+        self.follows = follows
         self.refined = 0
         self.sharpened: list[float] = []
 

@@ -47,7 +47,8 @@ def test_uniform_likelihoods_give_a_large_sigma() -> None:
 
 def test_measured_changes_between_frames_combine_their_likelihoods() -> None:
     truth = 0.4 + 0.6 * np.sin(np.linspace(0.0, 6.0, 30))
-    log_likelihood, change = peaks(truth, 1.0), np.diff(truth)
+    log_likelihood = peaks(truth, 1.0)
+    change = np.diff(truth)
     turns, sigma = likeliest_turns(TURNS_RAD, log_likelihood, change)
     _, alone = likeliest_turns(TURNS_RAD, log_likelihood, unknown(30))
     assert np.abs(turns - truth).max() < np.deg2rad(5.0)

@@ -57,7 +57,8 @@ def test_the_balanced_mean_weights_every_task_equally():
 
 
 def test_intervals_of_the_balanced_mean_cover_the_true_mean_in_95_percent():
-    rng, covered = np.random.default_rng(0), 0
+    rng = np.random.default_rng(0)
+    covered = 0
     for seed in range(200):
         groups = {f"{k}": rng.normal(k, 1.0, 15).tolist() for k in range(4)}
         result = balanced_mean(groups, seed=seed)
@@ -155,7 +156,8 @@ def grid(tmp_path, sparc, hits):
 
 def test_rank_correlation_equals_spearmans(tmp_path):
     rng = np.random.default_rng(3)
-    sparc, hits = rng.uniform(-4, -1, (5, 6)), rng.integers(0, 11, (5, 6))
+    sparc = rng.uniform(-4, -1, (5, 6))
+    hits = rng.integers(0, 11, (5, 6))
     study = study_correlation(grid(tmp_path, sparc.tolist(), hits.tolist()))
     z = (hits - hits.mean(axis=0)) / hits.std(axis=0)
     expected = spearmanr(sparc.mean(axis=1), z.mean(axis=1)).statistic

@@ -153,7 +153,8 @@ def test_sections_without_data_are_listed_with_what_they_need(tmp_path):
     run = write_run(tmp_path / "a" / "b" / "one", {"T": [True, False]}, suite=3, tags={"data": "10"})
     (run / "report.html").write_text("page")
     file = write_suite_report([run], tmp_path / "report")
-    text, names = file.read_text(), {path.name for path in file.parent.iterdir()}
+    text = file.read_text()
+    names = {path.name for path in file.parent.iterdir()}
     missing = text[text.index("Not shown") : text.index('id="episodes"')]
     assert "Rank correlation" in missing
     assert "--tag steps=N" in missing

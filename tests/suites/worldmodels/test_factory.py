@@ -112,7 +112,9 @@ class Nameless(Model):
 @pytest.fixture
 def module(monkeypatch: pytest.MonkeyPatch) -> None:
     made = ModuleType("my_models")
-    made.Model, made.Nameless, made.Path = Model, Nameless, Path
+    made.Model = Model
+    made.Nameless = Nameless
+    made.Path = Path
     monkeypatch.setitem(sys.modules, "my_models", made)
 
 

@@ -121,7 +121,9 @@ def test_the_loss_is_zero_at_the_truth_and_reports_errors_in_mm_and_degrees() ->
 
 
 def test_windows_depend_on_seed_and_index_alone(windows: Callable[[int], Windows]) -> None:
-    first, again, other = windows(3), windows(3), windows(4)
+    first = windows(3)
+    again = windows(3)
+    other = windows(4)
     again[0]
     for name, value in first[7].items():
         torch.testing.assert_close(value, again[7][name], rtol=0, atol=0)
@@ -168,7 +170,8 @@ def test_an_interrupted_baseline_training_resumes_to_the_same_weights(folder: Pa
     from training.baseline import fitting
 
     whole = load_file(train(config(folder, tmp_path / "whole"), lambda _: None))
-    calls, right = [], fitting.losses
+    calls = []
+    right = fitting.losses
 
     def cut_at_step_3(output: PoseOutput, batch: dict[str, Tensor]) -> object:
         calls.append(output)
@@ -230,7 +233,8 @@ def test_demonstrations_without_manifest_or_truth_are_refused(tmp_path: Path) ->
 def test_resizing_in_two_steps_equals_resizing_at_once() -> None:
     y, x = np.mgrid[:384, :384]
     picture = np.stack([x / 2, y / 2, 0 * x], axis=-1).astype(np.uint8)[None]
-    direct, over = resize_frames(picture, 224), resize_frames(resize_frames(picture, 256), 224)
+    direct = resize_frames(picture, 224)
+    over = resize_frames(resize_frames(picture, 256), 224)
     assert np.abs(direct.astype(int) - over).max() <= 1
 
 
