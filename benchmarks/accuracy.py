@@ -14,7 +14,7 @@ from kinebench_drake.environment.precision import network_precision
 from kinebench_drake.executors.base import Observer
 from kinebench_drake.executors.local import LocalExecutor
 from kinebench_drake.io.jsonl import read_object
-from kinebench_drake.models.panda.robot import GripperKind
+from kinebench_drake.models.panda.description import GripperKind
 
 HELDOUT = ("suite", "demos", "--suite", "2", "--split", "unseen", "--episodes", "2", "--with-depth")
 """Arguments of the program for the renderings; `--out` is to be added."""

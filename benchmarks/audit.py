@@ -15,9 +15,9 @@ from benchmarks.record import machine_text
 from kinebench_drake.geometry import Array
 from kinebench_drake.kinematics.manipulability import compute_manipulability
 from kinebench_drake.kinematics.plant import ArmPlant
-from kinebench_drake.kinematics.track import solve_track
+from kinebench_drake.kinematics.track_ik import solve_track
 from kinebench_drake.metrics.judge import TrackJudge
-from kinebench_drake.metrics.limits import check_limits
+from kinebench_drake.metrics.limit_checks import check_limits
 from kinebench_drake.metrics.noise import estimate_track_noise, propagate_noise
 from kinebench_drake.metrics.smoothness import measure_smoothness
 from kinebench_drake.track import GripperTrack

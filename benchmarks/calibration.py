@@ -12,14 +12,14 @@ from kinebench_drake.camera import Camera
 from kinebench_drake.errors import UnmeasurableError, UsageError, cause
 from kinebench_drake.geometry import pose_difference
 from kinebench_drake.grounding.camera.calibrate import Calibrator
+from kinebench_drake.grounding.camera.calibration_result import CalibrationMethod, CameraCalibration
 from kinebench_drake.grounding.camera.lens import USUAL_FOV_DEG, focal_px, with_focal
-from kinebench_drake.grounding.camera.result import CalibrationMethod, CameraCalibration
 from kinebench_drake.grounding.camera.states import RobotStates, unknown_states
 from kinebench_drake.grounding.registration.arm_model import ArmModel
 from kinebench_drake.io.frames import Frames
 from kinebench_drake.io.jsonl import Json
 from kinebench_drake.io.reader import read_video
-from kinebench_drake.models.panda.robot import RobotPart
+from kinebench_drake.models.panda.description import RobotPart
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

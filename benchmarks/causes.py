@@ -21,9 +21,6 @@ from typing_extensions import override
 from benchmarks.faults.fault import FaultGrade
 from benchmarks.faults.oracle import FaultyOracle
 from kinebench_drake.anomaly import AnomalyKind
-from kinebench_drake.closed_loop.attribution import find_cause
-from kinebench_drake.closed_loop.commands import CommandPlanner
-from kinebench_drake.closed_loop.loop import ClosedLoop, LoopOptions
 from kinebench_drake.errors import InputError, KinebenchError
 from kinebench_drake.executors.base import Executor, WorkerCrash
 from kinebench_drake.grounding.priors import Clip
@@ -31,8 +28,11 @@ from kinebench_drake.grounding.video import Grounder
 from kinebench_drake.grounding.video_result import GroundingResult
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.metrics.executable import FailureVerdict
-from kinebench_drake.runs.tools import RobotOptions, Tools
+from kinebench_drake.runs.resources import Resources, RobotOptions
 from kinebench_drake.suites.catalog import EpisodeSpec
+from kinebench_drake.suites.closed_loop.attribution import find_cause
+from kinebench_drake.suites.closed_loop.execution import CommandPlanner
+from kinebench_drake.suites.closed_loop.loop import ClosedLoop, LoopOptions
 from kinebench_drake.suites.composition import Episode
 from kinebench_drake.suites.expert.motion import Waypoint
 from kinebench_drake.suites.families.registry import Expert, find_expert
@@ -158,7 +158,7 @@ class _Worker:
 
     def __init__(self) -> None:
         self._grounder = _LossyGrounder()
-        self._tools = Tools(RobotOptions())
+        self._tools = Resources(RobotOptions())
         self._simulators = SimulatorCache(_FaultyRobot, _SIZE_PX)
         options = LoopOptions(rounds=1, pixels_only=True)
         make: Any = partial(ClosedLoop, self._grounder, CommandPlanner(ArmPlant()))

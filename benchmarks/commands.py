@@ -12,8 +12,8 @@ from benchmarks.record import machine_text
 from kinebench_drake.errors import KinebenchError
 from kinebench_drake.formats.trajectories.reading import TrajectoryOptions
 from kinebench_drake.io.npz import write_arrays
-from kinebench_drake.runs.commands import export_commands
-from kinebench_drake.runs.tools import RobotOptions
+from kinebench_drake.runs.command_export import export_commands
+from kinebench_drake.runs.resources import RobotOptions
 
 _PERIODS_S = {"own speed": 0.05, "3 times as fast": 0.05 / 3.0, "poses": 0.05}
 _FRAMES = 120

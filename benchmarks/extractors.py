@@ -147,7 +147,7 @@ def measure(work: Path, weights: Path, jobs: int, observer: RunObserver) -> list
         for trial in trials
         for extractor in (Extractor.TRUTH, Extractor.BASELINE)
     ]
-    modules = ["kinebench_drake.closed_loop.commands"]
+    modules = ["kinebench_drake.suites.closed_loop.execution"]
     code = {
         Extractor.TRUTH: fingerprint(modules=modules),
         Extractor.BASELINE: fingerprint(modules=[*modules, "training.baseline.network"], files=[weights]),

@@ -18,7 +18,7 @@ from kinebench_drake.grounding.tracking.confidence import CALIBRATION, load_conf
 from kinebench_drake.io.atomic import make_folder, write_atomically
 from kinebench_drake.io.frames import Frames
 from kinebench_drake.io.reader import read_video
-from kinebench_drake.models.panda.robot import GRIPPER, HAND_LINK, LINK_OF, GripperKind
+from kinebench_drake.models.panda.description import GRIPPER, HAND_LINK, LINK_OF, GripperKind
 from kinebench_drake.models.perception.network import ARM_WEIGHTS
 from kinebench_drake.models.robotiq.cad import CLOSED_RAD, robotiq_mesh
 from kinebench_drake.track import Domain

@@ -27,7 +27,7 @@ from kinebench_drake.grounding.tracking.crop import GRIPPER_CENTRE_H, GRIPPER_RA
 from kinebench_drake.io.container import write_video
 from kinebench_drake.io.frames import Frames
 from kinebench_drake.io.reader import read_video
-from kinebench_drake.models.panda.robot import GripperKind
+from kinebench_drake.models.panda.description import GripperKind
 from kinebench_drake.track import GripperTrack
 
 _Micro = Annotated[Array, Stored(".6f")]

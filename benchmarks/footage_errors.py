@@ -15,7 +15,7 @@ from benchmarks.perception.summary import percentile, reliability_curve
 from kinebench_drake.geometry import Array, pose_difference
 from kinebench_drake.grounding import bounds
 from kinebench_drake.io.jsonl import Json
-from kinebench_drake.models.panda.robot import hand_from_tcp
+from kinebench_drake.models.panda.description import hand_from_tcp
 
 VISIBLE_PX = 400
 """Pixels of the gripper from which a frame is expected to be tracked."""

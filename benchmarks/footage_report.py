@@ -12,7 +12,7 @@ from benchmarks.structure import current_revision
 from kinebench_drake.errors import UsageError
 from kinebench_drake.io.atomic import make_folder, write_atomically
 from kinebench_drake.io.jsonl import Json, dump, finite
-from kinebench_drake.models.panda.robot import GripperKind
+from kinebench_drake.models.panda.description import GripperKind
 
 _POSES = (ReferenceKind.SIMULATOR, ReferenceKind.JOINTS, ReferenceKind.EDGES)
 

@@ -21,18 +21,18 @@ from torch.nn import functional
 from benchmarks.markdown import section, table
 from benchmarks.perception.store import MeasurementStore, Milli, fingerprint
 from kinebench_drake.api.scorer import reward_of
-from kinebench_drake.closed_loop.gap import signal_noise_ratio_db, structural_similarity
 from kinebench_drake.errors import UsageError
 from kinebench_drake.executors.local import LocalExecutor
 from kinebench_drake.geometry import Array
 from kinebench_drake.io.jsonl import as_object
 from kinebench_drake.io.reader import read_video
-from kinebench_drake.report.suite.correlation import standardise
 from kinebench_drake.results.power import least_difference
 from kinebench_drake.results.row import SampleRow, Status
 from kinebench_drake.results.store import read_rows
 from kinebench_drake.runs.runner import RunObserver
 from kinebench_drake.stats import IntervalEstimate, PairedShares, percentile_interval, resampled_counts, wilson
+from kinebench_drake.suites.closed_loop.gap import signal_noise_ratio_db, structural_similarity
+from kinebench_drake.suites.report.correlation import standardise
 
 BEST = "best"
 EXPERT = "oracle"

@@ -39,7 +39,7 @@ from kinebench_drake.geometry import Array, invert, make_pose
 from kinebench_drake.io.frames import Frames
 from kinebench_drake.io.jsonl import read_json
 from kinebench_drake.io.reader import read_video
-from kinebench_drake.models.panda.robot import HAND_TO_TCP_M
+from kinebench_drake.models.panda.description import HAND_TO_TCP_M
 from kinebench_drake.results.row import Status
 from kinebench_drake.results.store import artifact_path, read_rows
 from kinebench_drake.results.trackfile import read_track
@@ -241,7 +241,7 @@ class EyeStudy:
         """Yield the success of first clips executed through grounding and baseline; an interrupted run resumes."""
         ids = sorted(id for id, row in self._rows.items() if row.status is Status.OK)
         clips = [clip for baseline in (False, True) for clip in self._clips(ids, baseline=baseline)]
-        modules = ["kinebench_drake.closed_loop.commands", "training.baseline.network"]
+        modules = ["kinebench_drake.suites.closed_loop.execution", "training.baseline.network"]
         network = self._weights
         code = fingerprint(modules=modules, files=[network])
         done = MeasurementStore(self._folder.with_name("executions.jsonl"), TrackExecution).complete(

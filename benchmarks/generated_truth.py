@@ -23,7 +23,7 @@ from kinebench_drake.executors.local import LocalExecutor
 from kinebench_drake.geometry import Array, transform_points
 from kinebench_drake.grounding.anomaly.jumps import find_teleports
 from kinebench_drake.io.reader import read_video
-from kinebench_drake.models.panda.robot import HAND_TO_TCP_M
+from kinebench_drake.models.panda.description import HAND_TO_TCP_M
 from kinebench_drake.results.row import SampleRow
 from kinebench_drake.results.store import artifact_path, read_rows
 from kinebench_drake.results.trackfile import read_track

@@ -26,7 +26,7 @@ from kinebench_drake.grounding.tracking.estimator import NetworkEstimator
 from kinebench_drake.io.container import read_container
 from kinebench_drake.io.frames import Frames
 from kinebench_drake.io.video import WHOLE
-from kinebench_drake.models.panda.robot import RobotPart
+from kinebench_drake.models.panda.description import RobotPart
 from kinebench_drake.models.perception.network import STRIDE, load_network
 from training.loop import Batch, Schedule, optimise
 from training.train import forward, losses

@@ -19,7 +19,7 @@ from benchmarks.perturbed import add_noise, perturb
 from benchmarks.trajectory import Trajectory
 from kinebench_drake.geometry import Array, rotation_exp
 from kinebench_drake.metrics.judge import TrackJudge
-from kinebench_drake.metrics.result import KinematicResult, Value
+from kinebench_drake.metrics.kinematic_result import KinematicResult, Value
 from kinebench_drake.results.direction import BOUND, HIGHER_IS_BETTER, LOWER_IS_BETTER, improves
 from kinebench_drake.results.store import artifact_path, read_rows
 from kinebench_drake.results.trackfile import read_track

@@ -20,7 +20,7 @@ from kinebench_drake.environment.native import prepare_vulkan
 from kinebench_drake.geometry import Array, invert, orthonormalize
 from kinebench_drake.io.container import write_video
 from kinebench_drake.kinematics.plant import ArmPlant
-from kinebench_drake.models.panda.robot import hand_from_tcp
+from kinebench_drake.models.panda.description import hand_from_tcp
 
 VIEWS = (
     ("PickCube-v1", "render_camera"),

@@ -20,7 +20,7 @@ from kinebench_drake.kinematics.analytic import analytic_ik
 from kinebench_drake.kinematics.continuation import continue_path
 from kinebench_drake.kinematics.path import search_path
 from kinebench_drake.kinematics.plant import ArmPlant
-from kinebench_drake.kinematics.track import verify_path
+from kinebench_drake.kinematics.track_ik import verify_path
 from kinebench_drake.models.robot import N_JOINTS
 
 POSITION_M = 1e-4

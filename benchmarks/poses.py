@@ -48,7 +48,7 @@ KINDS = tuple(kind.value for kind in AnomalyKind)
 def calibration(folder: Path, limit: int | None, frames: int, part: float, quick: bool, json_out: Path | None) -> None:
     """Calibrate the cameras of rendered videos with all kinds of prior information about the robot."""
     from benchmarks.calibration import CONDITIONS, measure, trial_table
-    from kinebench_drake.grounding.camera.result import CalibrationMethod
+    from kinebench_drake.grounding.camera.calibration_result import CalibrationMethod
 
     conditions = [c for c in CONDITIONS if c.method is CalibrationMethod.JOINTS] if quick else CONDITIONS
     trials = []
@@ -112,7 +112,7 @@ def footage(
     """
     one_thread()
     from benchmarks.footage_report import measure
-    from kinebench_drake.models.panda.robot import GripperKind
+    from kinebench_drake.models.panda.description import GripperKind
 
     names = None if videos is None else videos.split(",")
     kind = GripperKind(gripper)

@@ -20,12 +20,12 @@ from kinebench_drake.errors import UnmeasurableError
 from kinebench_drake.executors.base import Executor, Observer
 from kinebench_drake.geometry import pose_difference
 from kinebench_drake.grounding.camera.lens import with_focal
-from kinebench_drake.grounding.camera.reading import Reading
+from kinebench_drake.grounding.camera.picture_reading import PictureReading
 from kinebench_drake.grounding.priors import Clip
 from kinebench_drake.grounding.video import Grounder
 from kinebench_drake.io.frames import Frames
 from kinebench_drake.io.reader import read_video
-from kinebench_drake.models.panda.robot import hand_from_tcp
+from kinebench_drake.models.panda.description import hand_from_tcp
 
 WRONG_M = 0.03
 WRONG_RAD = np.deg2rad(15.0)
@@ -95,13 +95,13 @@ class Presentation(Enum):
 
 
 _PICTURES = {
-    Presentation.MIRRORED: Reading.MIRRORED,
-    Presentation.NAMED_MIRRORED: Reading.MIRRORED,
-    Presentation.ROWS_REVERSED: Reading.ROWS_REVERSED,
-    Presentation.UPSIDE_DOWN: Reading.UPSIDE_DOWN,
-    Presentation.TURNED: Reading.TURNED_LEFT,
+    Presentation.MIRRORED: PictureReading.MIRRORED,
+    Presentation.NAMED_MIRRORED: PictureReading.MIRRORED,
+    Presentation.ROWS_REVERSED: PictureReading.ROWS_REVERSED,
+    Presentation.UPSIDE_DOWN: PictureReading.UPSIDE_DOWN,
+    Presentation.TURNED: PictureReading.TURNED_LEFT,
 }
-_MATRICES = {Presentation.OPENGL_AXES: Reading.OPENGL_AXES, Presentation.INVERTED: Reading.INVERTED}
+_MATRICES = {Presentation.OPENGL_AXES: PictureReading.OPENGL_AXES, Presentation.INVERTED: PictureReading.INVERTED}
 _FOCALS = {Presentation.SHORT_FOCAL: 0.7, Presentation.LONG_FOCAL: 1.4}
 
 

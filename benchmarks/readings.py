@@ -25,8 +25,8 @@ from kinebench_drake.formats.trajectories.reading import TOOLS, Reading, Traject
 from kinebench_drake.formats.trajectories.source import find_trajectories, read_trajectory
 from kinebench_drake.formats.trajectories.trajectory import Trajectory
 from kinebench_drake.geometry import Array, invert, make_pose, pose_difference, to_quaternion
-from kinebench_drake.runs.doubt import assess_readings
-from kinebench_drake.runs.tools import RobotOptions, Tools
+from kinebench_drake.runs.reading_check import assess_readings
+from kinebench_drake.runs.resources import Resources, RobotOptions
 
 WORLD_M = np.array([-0.56, 0.0, 0.912])
 """Base of the robot in robosuite's world."""
@@ -234,7 +234,7 @@ def mistaken_files(folder: Path, q: Array, X_BG: Array) -> Iterator[ReadingCase]
     )
 
 
-def check_case(case: ReadingCase, tools: Tools, q: Array, X_BG: Array) -> ReadingOutcome:
+def check_case(case: ReadingCase, tools: Resources, q: Array, X_BG: Array) -> ReadingOutcome:
     """Read a file by its names and by its reading file, and compare it with the motion."""
     outcomes = []
     for keys in ({}, case.keys):
@@ -263,7 +263,7 @@ def _is_same(trajectory: Trajectory, q: Array, X_BG: Array) -> bool:
 def outcome_lines(count: int, seed: int) -> Iterator[str]:
     """Yield a line for each file, with how often each outcome came, over `count` expert-like motions."""
     arm = Arm()
-    tools = Tools(RobotOptions())
+    tools = Resources(RobotOptions())
     by_names = defaultdict[str, Counter[str]](Counter)
     by_file = defaultdict[str, Counter[str]](Counter)
     for index in range(count):

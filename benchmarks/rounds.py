@@ -12,16 +12,16 @@ from unittest.mock import patch
 
 from benchmarks import markdown
 from benchmarks.record import machine_text
-from kinebench_drake.closed_loop import loop
-from kinebench_drake.closed_loop.commands import CommandPlanner
 from kinebench_drake.errors import KinebenchError
 from kinebench_drake.grounding.video import Grounder
-from kinebench_drake.runs import episodes
-from kinebench_drake.runs.episodes import EpisodeEvaluator, EpisodeResources, EpisodeSample, run_suite
 from kinebench_drake.runs.evaluator import Evaluation
+from kinebench_drake.runs.resources import Resources
 from kinebench_drake.runs.runner import RunObserver
-from kinebench_drake.runs.suite_config import SuiteConfig
-from kinebench_drake.runs.tools import Tools
+from kinebench_drake.suites.closed_loop import loop
+from kinebench_drake.suites.closed_loop.execution import CommandPlanner
+from kinebench_drake.suites.runs import episodes
+from kinebench_drake.suites.runs.episodes import EpisodeEvaluator, EpisodeResources, EpisodeSample, run_suite
+from kinebench_drake.suites.runs.suite_config import SuiteConfig
 from kinebench_drake.suites.simulator import Simulator
 from kinebench_drake.suites.worldmodels.reference import OracleModel
 
@@ -52,7 +52,7 @@ _FUNCTIONS: tuple[tuple[Any, str, Stage], ...] = (
     (CommandPlanner, "plan", Stage.COMMANDS),
     (loop, "execute", Stage.EXECUTION),
     (episodes, "render_video", Stage.EXECUTED_IMAGES),
-    (Tools, "judge", Stage.KINEMATICS),
+    (Resources, "judge", Stage.KINEMATICS),
     (episodes, "measure_gap", Stage.GAP),
     (episodes, "write_video", Stage.FILM),
 )

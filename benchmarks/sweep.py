@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 from benchmarks.motion import Arm
 from kinebench_drake.geometry import Array
 from kinebench_drake.kinematics.plant import ArmPlant
-from kinebench_drake.models.panda.robot import HAND_TO_TCP_M
+from kinebench_drake.models.panda.description import HAND_TO_TCP_M
 
 SHOULDER_M = 0.333
 OFFSET_M = 0.088

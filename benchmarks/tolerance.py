@@ -4,9 +4,9 @@ from collections.abc import Mapping, Sequence
 from math import ceil
 from pathlib import Path
 
-from kinebench_drake.closed_loop.tolerance import PoseError
 from kinebench_drake.io.figure import new_figure, save
 from kinebench_drake.io.jsonl import read_object
+from kinebench_drake.suites.closed_loop.tolerance import PoseError
 
 _COLUMNS = 5
 _STYLES = {

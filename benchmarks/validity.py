@@ -24,7 +24,6 @@ from benchmarks.planted_videos import PlantedVideo, PlantingOrder, PlantingResul
 from benchmarks.structure import current_revision
 from kinebench_drake.anomaly import AnomalyKind
 from kinebench_drake.camera import benchmark_camera
-from kinebench_drake.closed_loop.commands import CommandPlanner, RobotState, execute
 from kinebench_drake.errors import InputError, UnmeasurableError, UsageError
 from kinebench_drake.executors.base import Executor
 from kinebench_drake.executors.local import LocalExecutor
@@ -40,6 +39,7 @@ from kinebench_drake.runs.score import score_videos
 from kinebench_drake.segments import finite_rows
 from kinebench_drake.suites.catalog import EpisodeSpec, load_suite
 from kinebench_drake.suites.clock import Control
+from kinebench_drake.suites.closed_loop.execution import CommandPlanner, RobotState, execute
 from kinebench_drake.suites.families.registry import TASKS
 from kinebench_drake.suites.simulator import Simulator
 from kinebench_drake.suites.simulator_cache import SimulatorCache
@@ -176,7 +176,7 @@ def measure(work: Path, episodes: int, sizes: int, jobs: int, observer: RunObser
         for v in videos
     ]
     store = MeasurementStore(work / "executions.jsonl", TrackExecution)
-    code = fingerprint(modules=["kinebench_drake.closed_loop.commands"])
+    code = fingerprint(modules=["kinebench_drake.suites.closed_loop.execution"])
 
     def key(item: ExecutionItem) -> str:
         return f"{code}-{item.id}-{rows[item.id].content_hash}"

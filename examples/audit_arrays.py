@@ -9,7 +9,7 @@ import numpy as np
 
 from kinebench_drake import audit_trajectory
 from kinebench_drake.geometry import make_pose
-from kinebench_drake.metrics.result import KinematicResult
+from kinebench_drake.metrics.kinematic_result import KinematicResult
 
 DOWN = np.diag([1.0, -1.0, -1.0])
 """Rotation of panda_hand_tcp in the base frame: its z axis, along the fingers, points to the table."""

@@ -15,7 +15,7 @@ from kinebench_drake.grounding.tracking.crop import GRIPPER_CENTRE_H, GRIPPER_RA
 from kinebench_drake.io.atomic import atomic_path
 from kinebench_drake.io.frames import Frames
 from kinebench_drake.models.panda.cad import GripperCad, PartCaster, link_meshes, open_fingers, part_meshes
-from kinebench_drake.models.panda.robot import ARM, GRIPPER, RobotPart, hand_from_tcp
+from kinebench_drake.models.panda.description import ARM, GRIPPER, RobotPart, hand_from_tcp
 from kinebench_drake.track import GripperTrack
 
 Image = NDArray[np.uint8]

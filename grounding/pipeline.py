@@ -27,7 +27,7 @@ from kinebench_drake.grounding.tracking.smoothing import RawTrack
 from kinebench_drake.grounding.tracking.tracker import CadTracker, PoseTracker
 from kinebench_drake.grounding.tracking.view import DenseEstimator, GripperView
 from kinebench_drake.io.frames import Frames
-from kinebench_drake.models.panda.robot import GripperKind, hand_from_tcp
+from kinebench_drake.models.panda.description import GripperKind, hand_from_tcp
 from kinebench_drake.models.perception.network import ARM_WEIGHTS, WEIGHTS, load_network
 from kinebench_drake.models.robot import N_JOINTS
 from kinebench_drake.segments import evenly

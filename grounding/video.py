@@ -3,21 +3,21 @@
 from kinebench_drake.camera import CameraSetting, CameraSource, benchmark_camera
 from kinebench_drake.grounding.camera.choice import CameraChooser, PriorSource
 from kinebench_drake.grounding.camera.evidence import CameraChoice
-from kinebench_drake.grounding.parts import GroundingParts
+from kinebench_drake.grounding.components import GroundingComponents
 from kinebench_drake.grounding.priors import NO_PRIORS, Clip, Priors
 from kinebench_drake.grounding.video_result import GroundingResult
-from kinebench_drake.models.panda.robot import GripperKind
+from kinebench_drake.models.panda.description import GripperKind
 
 
 class Grounder:
     """Grounding of videos; one instance serves any number of them."""
 
-    def __init__(self, parts: GroundingParts | None = None, table_height_m: float = 0.0) -> None:
+    def __init__(self, parts: GroundingComponents | None = None, table_height_m: float = 0.0) -> None:
         """Ground with `parts`; None: the shipped networks.
 
         The height of the table top in the robot base frame [m] is `table_height_m` where the camera states none.
         """
-        self._parts = parts or GroundingParts()
+        self._parts = parts or GroundingComponents()
         self._table_height_m = table_height_m
 
     def ground(

@@ -12,7 +12,7 @@ from kinebench_drake.grounding.camera.evidence import CameraChoice
 from kinebench_drake.grounding.camera.framing import Framing
 from kinebench_drake.grounding.pipeline import PipelineResult
 from kinebench_drake.io.frames import Frames
-from kinebench_drake.models.panda.robot import RobotPart
+from kinebench_drake.models.panda.description import RobotPart
 from kinebench_drake.track import Domain, GripperTrack
 
 

@@ -16,9 +16,9 @@ from kinebench_drake.io.files import absence, cache_folder
 from kinebench_drake.models.joint_limits import LimitTable, read_limit_table, read_limits, write_limits
 from kinebench_drake.models.link_tree import LinkTree, end_link
 from kinebench_drake.models.obstacles import PREFIX, read_obstacles
+from kinebench_drake.models.panda.description import ARM_JOINTS, FLANGE_LINK, PANDA_LIMITS, TCP_LINK, source_urdf
+from kinebench_drake.models.panda.description import rest_q as panda_rest_q
 from kinebench_drake.models.panda.fr3 import FR3_LIMITS, REMARK, add_inertial, make_fr3
-from kinebench_drake.models.panda.robot import ARM_JOINTS, FLANGE_LINK, PANDA_LIMITS, TCP_LINK, source_urdf
-from kinebench_drake.models.panda.robot import rest_q as panda_rest_q
 from kinebench_drake.models.robot import Robot
 from kinebench_drake.models.urdf import convert_urdf, read_allowed_pairs, read_urdf, srdf_path
 

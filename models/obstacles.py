@@ -69,7 +69,7 @@ class Obstacle(BaseModel):
         return element
 
 
-class _Scene(BaseModel):
+class _ObstacleFile(BaseModel):
     model_config = ConfigDict(extra="forbid")
 
     obstacles: tuple[Obstacle, ...]
@@ -82,7 +82,7 @@ def read_obstacles(path: Path) -> tuple[Obstacle, ...]:
         UsageError: it cannot be read, is no such file, or two obstacles have the same name.
     """
     try:
-        obstacles = _Scene.model_validate(json.loads(path.read_bytes())).obstacles
+        obstacles = _ObstacleFile.model_validate(json.loads(path.read_bytes())).obstacles
     except ValidationError as error:
         first = error.errors()[0]
         where = " ".join(map(str, first["loc"])) or "its content"

@@ -16,7 +16,7 @@ from kinebench_drake.formats.camerafile import save_camera
 from kinebench_drake.io.atomic import atomic_path, make_folder
 from kinebench_drake.io.files import read_text
 from kinebench_drake.io.jsonl import as_object, parse_json, read_object, write_json, write_lines
-from kinebench_drake.models.panda.robot import TCP_LINK
+from kinebench_drake.models.panda.description import TCP_LINK
 from kinebench_drake.results.store import SAMPLES
 from kinebench_drake.suites.catalog import VERSION, EpisodeSpec, Suite
 from kinebench_drake.suites.clock import CLIP_FRAMES, FRAME_PERIOD_S

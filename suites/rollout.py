@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array, invert
 from kinebench_drake.kinematics.plant import ArmPlant
-from kinebench_drake.models.panda.robot import HAND_LINK, TCP_LINK
+from kinebench_drake.models.panda.description import HAND_LINK, TCP_LINK
 from kinebench_drake.suites.clock import CLIP_FRAMES, FRAME_PERIOD_S, STEPS_PER_FRAME
 from kinebench_drake.suites.composition import Episode
 from kinebench_drake.suites.expert.motion import plan

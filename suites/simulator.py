@@ -20,7 +20,7 @@ from kinebench_drake.environment.native import ignore_vulkan_warning, prepare_vu
 from kinebench_drake.errors import SetupError, UsageError
 from kinebench_drake.geometry import Array, from_quaternion, invert
 from kinebench_drake.kinematics.plant import ArmPlant
-from kinebench_drake.models.panda.robot import FINGER_LINKS, HAND_LINK
+from kinebench_drake.models.panda.description import FINGER_LINKS, HAND_LINK
 from kinebench_drake.suites.clock import Control
 from kinebench_drake.suites.composition import Episode
 from kinebench_drake.suites.families.registry import find_task

@@ -6,8 +6,8 @@ import av
 import numpy as np
 import pytest
 
-from kinebench_drake.closed_loop import loop
-from kinebench_drake.runs import episodes
+from kinebench_drake.suites.closed_loop import loop
+from kinebench_drake.suites.runs import episodes
 
 
 def shorten_clips(patch: pytest.MonkeyPatch) -> None:

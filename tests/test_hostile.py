@@ -16,12 +16,12 @@ from kinebench_drake.formats.videos.find import find_samples
 from kinebench_drake.io.files import read_bytes
 from kinebench_drake.io.jsonl import parse_json
 from kinebench_drake.report.page import write_report
-from kinebench_drake.report.suite.suite_page import write_suite_report
 from kinebench_drake.report.table import format_csv
 from kinebench_drake.results.row import Status
 from kinebench_drake.results.store import ResultStore
+from kinebench_drake.suites.report.suite_page import write_suite_report
 from tests.report.pages import Page, row
-from tests.report.suite.synthetic import write_run
+from tests.suites.report.synthetic import write_run
 
 # What users hand in
 

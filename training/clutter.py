@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from kinebench_drake.models.panda.robot import source_urdf
+from kinebench_drake.models.panda.description import source_urdf
 from training.layout import (
     FAR_AWAY,
     Attachment,

@@ -22,7 +22,7 @@ from kinebench_drake.grounding.tracking.crop import (
     WRIST_RADIUS_M,
     Crop,
 )
-from kinebench_drake.models.panda.robot import ARM, GRIPPER, OPENING_SIGN, RobotPart
+from kinebench_drake.models.panda.description import ARM, GRIPPER, OPENING_SIGN, RobotPart
 from kinebench_drake.models.perception.network import COORDINATE_SCALE_M, DEPTH_CENTRE, STRIDE
 from training.augment import degrade, occlude, replace_background
 from training.frame import DEPTH_UNIT_M, RenderedFrame

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from kinebench_drake.camera import Camera, benchmark_camera
 from kinebench_drake.geometry import Array, invert, make_pose, rotation_exp
-from kinebench_drake.models.panda.robot import ARM, GRIPPER, HAND_LINK, LINK_OF, RobotPart
+from kinebench_drake.models.panda.description import ARM, GRIPPER, HAND_LINK, LINK_OF, RobotPart
 
 DEPTH_UNIT_M = 1e-4
 """Unit of stored depth [m]."""

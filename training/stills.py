@@ -17,7 +17,7 @@ from kinebench_drake.executors.base import WorkerCrash
 from kinebench_drake.executors.local import LocalExecutor
 from kinebench_drake.geometry import Array
 from kinebench_drake.kinematics.plant import ArmPlant
-from kinebench_drake.models.panda.robot import LINK_OF, RobotPart
+from kinebench_drake.models.panda.description import LINK_OF, RobotPart
 from kinebench_drake.suites.catalog import EpisodeSpec
 from kinebench_drake.suites.families.registry import find_expert
 from kinebench_drake.suites.rollout import Rollout, run_expert

@@ -9,7 +9,7 @@ from torch import nn
 from torch.nn import functional
 from torch.utils.data import DataLoader
 
-from kinebench_drake.models.panda.robot import ARM, RobotPart
+from kinebench_drake.models.panda.description import ARM, RobotPart
 from kinebench_drake.models.perception.network import ARM_WEIGHTS, WEIGHTS, DenseOutput, GripperNetwork, load_network
 from training.crops import GRIPPER_TARGET, WRIST_TARGET, Crops, Shards, Steps
 from training.loop import Batch, LossTerms, Schedule, load_imagenet, optimise, pick_device, save_weights

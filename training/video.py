@@ -11,7 +11,7 @@ from kinebench_drake.geometry import invert
 from kinebench_drake.io.container import write_video
 from kinebench_drake.io.jsonl import append_line, as_object, drop_torn_line, read_lines
 from kinebench_drake.io.npz import write_arrays
-from kinebench_drake.models.panda.robot import hand_from_tcp
+from kinebench_drake.models.panda.description import hand_from_tcp
 from training.vtk import RenderedVideo, VtkScene
 
 _STREAM = 0x5654  # separates these random streams from others with the same seed

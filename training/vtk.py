@@ -46,7 +46,7 @@ from kinebench_drake.io.frames import Frames
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.models.arm import panda
 from kinebench_drake.models.panda.cad import FINGER_ORIGIN_H, visual_file
-from kinebench_drake.models.panda.robot import GRIPPER, HAND_LINK, LINK_OF, OPENING_SIGN, RobotPart
+from kinebench_drake.models.panda.description import GRIPPER, HAND_LINK, LINK_OF, OPENING_SIGN, RobotPart
 from training.layout import (
     FAR_AWAY,
     Solid,

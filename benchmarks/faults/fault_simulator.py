@@ -12,7 +12,7 @@ from typing_extensions import override
 
 from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array, invert, to_quaternion, transform_points
-from kinebench_drake.models.panda.robot import HAND_LINK
+from kinebench_drake.models.panda.description import HAND_LINK
 from kinebench_drake.suites.simulator import GRIPPER_LINKS, CameraImage, Simulator
 
 Warp = Callable[[Array], Array]

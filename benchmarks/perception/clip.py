@@ -23,7 +23,7 @@ from kinebench_drake.grounding.overrides.files import true_depth, true_mask
 from kinebench_drake.grounding.tracking.crop import Crop
 from kinebench_drake.io.npz import open_npz
 from kinebench_drake.models.panda.cad import GripperCad
-from kinebench_drake.models.panda.robot import hand_from_tcp
+from kinebench_drake.models.panda.description import hand_from_tcp
 from kinebench_drake.track import InitialState
 
 TRUTHS = ("truth/{}.npz", "{}.gt.npz", "gt/{}.npz", "gt/{}.edge.npz")

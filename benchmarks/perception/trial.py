@@ -27,7 +27,7 @@ from kinebench_drake.geometry import Array, invert
 from kinebench_drake.grounding.overrides.depth import DepthPlugIn
 from kinebench_drake.io.frames import Frames
 from kinebench_drake.io.reader import read_video
-from kinebench_drake.models.panda.robot import hand_from_tcp
+from kinebench_drake.models.panda.description import hand_from_tcp
 from kinebench_drake.track import GripperTrack
 from training.baseline.network import Baseline
 

@@ -19,7 +19,7 @@ from kinebench_drake.grounding.tracking.crop import GRIPPER_RADIUS_M
 from kinebench_drake.grounding.tracking.view import GripperView
 from kinebench_drake.io.jsonl import Json
 from kinebench_drake.models.panda.cad import MAX_FINGER_M, part_meshes
-from kinebench_drake.models.panda.robot import OPENING_SIGN
+from kinebench_drake.models.panda.description import OPENING_SIGN
 from kinebench_drake.segments import finite_rows, segments
 
 _CORE_M = GRIPPER_RADIUS_M / 2  # around the centre of a gripper that is hardly cut or hidden

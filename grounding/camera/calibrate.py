@@ -13,13 +13,7 @@ from kinebench_drake.formats.camerafile import load_camera
 from kinebench_drake.geometry import Array, pose_difference
 from kinebench_drake.grounding import bounds
 from kinebench_drake.grounding.anomaly.camera_motion import FeatureTracks, measure_camera_motion
-from kinebench_drake.grounding.camera.camera_estimate import CameraEstimate
-from kinebench_drake.grounding.camera.candidate import Candidate
-from kinebench_drake.grounding.camera.correspondences import LensView, ViewEstimator, track_views
-from kinebench_drake.grounding.camera.detections import detect_views
-from kinebench_drake.grounding.camera.estimate import FRAMES, CameraEstimator
-from kinebench_drake.grounding.camera.lens import USUAL_FOV_DEG, centred_camera, focal_px
-from kinebench_drake.grounding.camera.result import (
+from kinebench_drake.grounding.camera.calibration_result import (
     CalibrationBasis,
     CalibrationMethod,
     CameraCalibration,
@@ -28,6 +22,12 @@ from kinebench_drake.grounding.camera.result import (
     require_determined,
     warnings_of,
 )
+from kinebench_drake.grounding.camera.camera_estimate import CameraEstimate
+from kinebench_drake.grounding.camera.candidate import CameraCandidate
+from kinebench_drake.grounding.camera.detections import detect_views
+from kinebench_drake.grounding.camera.estimate import FRAMES, CameraEstimator
+from kinebench_drake.grounding.camera.lens import USUAL_FOV_DEG, centred_camera, focal_px
+from kinebench_drake.grounding.camera.robot_points import LensView, ViewEstimator, track_views
 from kinebench_drake.grounding.camera.solve import LensSolution, solve
 from kinebench_drake.grounding.camera.states import (
     RobotStates,
@@ -231,10 +231,10 @@ def calibrate(config: CalibrationConfig, calibrator: Calibrator | None = None) -
     )
 
 
-def _start(solved: LensSolution) -> Candidate:
+def _start(solved: LensSolution) -> CameraCandidate:
     """Return the solution from the cells as the start of the fit to contours."""
     costs = np.zeros(len(solved.rows))
-    return Candidate(scene=solved.bundle.scene, rows=solved.rows, cells=solved.cells, costs=costs, cost=0.0)
+    return CameraCandidate(scene=solved.bundle.scene, rows=solved.rows, cells=solved.cells, costs=costs, cost=0.0)
 
 
 def _states(config: CalibrationConfig, video: Video, model: ArmModel) -> RobotStates:

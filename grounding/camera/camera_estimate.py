@@ -7,17 +7,17 @@ from numpy.typing import NDArray
 
 from kinebench_drake.camera import Camera
 from kinebench_drake.grounding import bounds
-from kinebench_drake.grounding.camera.bundle import ArmScene, Bundle
+from kinebench_drake.grounding.camera.bundle_adjustment import ArmScene, BundleAdjustment
 from kinebench_drake.grounding.registration.arm_model import ArmModel
 from kinebench_drake.io.jsonl import Json
-from kinebench_drake.models.panda.robot import HAND_TO_TCP_M, RobotPart
+from kinebench_drake.models.panda.description import HAND_TO_TCP_M, RobotPart
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FittedCamera:
     """Camera fitted to cells or contours of the robot in T frames."""
 
-    bundle: Bundle
+    bundle: BundleAdjustment
     """Fit; joint angles are NaN where unknown."""
     frames: NDArray[np.intp]
     """(T,) numbers of the frames used."""
@@ -174,7 +174,7 @@ class CameraEstimate(FittedCamera):
 
 
 def describe(
-    bundle: Bundle, part: NDArray[np.uint8], model: ArmModel, frames: NDArray[np.intp], agreement: float
+    bundle: BundleAdjustment, part: NDArray[np.uint8], model: ArmModel, frames: NDArray[np.intp], agreement: float
 ) -> CameraEstimate:
     """Return the estimate of a fit to contours of some parts (N,) in frames of these numbers (T,)."""
     covariance = bundle.covariance

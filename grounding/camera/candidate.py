@@ -1,4 +1,4 @@
-"""Candidate cameras of a video, with the postures of some of its frames, and their fits to cells and contours."""
+"""CameraCandidate cameras of a video, with the postures of some of its frames, and their fits to cells and contours."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -10,22 +10,22 @@ from kinebench_drake.camera import Camera
 from kinebench_drake.errors import UnmeasurableError
 from kinebench_drake.geometry import Array
 from kinebench_drake.grounding import bounds
-from kinebench_drake.grounding.camera.bundle import ArmScene, Observations, Prior, adjust
+from kinebench_drake.grounding.camera.bundle_adjustment import ArmScene, Observations, Prior, adjust
 from kinebench_drake.grounding.camera.camera_estimate import CameraEstimate, describe
 from kinebench_drake.grounding.camera.contours import ContourImages
-from kinebench_drake.grounding.camera.correspondences import (
+from kinebench_drake.grounding.camera.detections import ArmDetections
+from kinebench_drake.grounding.camera.hypotheses import Hypothesis
+from kinebench_drake.grounding.camera.robot_points import (
     LINK_SIGMAS,
     MIN_FRAMES,
     PIXEL_SIGMA,
     CalibrationCorrespondences,
 )
-from kinebench_drake.grounding.camera.detections import ArmDetections
-from kinebench_drake.grounding.camera.hypotheses import Hypothesis
 from kinebench_drake.grounding.registration.arm_model import ArmModel
 from kinebench_drake.grounding.registration.edges import EdgeMatcher
 from kinebench_drake.grounding.registration.image import GradientImage
 from kinebench_drake.io.frames import Frames
-from kinebench_drake.models.panda.robot import ARM
+from kinebench_drake.models.panda.description import ARM
 from kinebench_drake.segments import evenly
 
 Passes = Sequence[tuple[float, float]]
@@ -43,7 +43,7 @@ _OFFSET_SIGMA = 0.4  # of a part's contours: 0.3 px, twice those of own renders
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Candidate:
+class CameraCandidate:
     """Camera and postures of some of the frames that show the robot."""
 
     scene: ArmScene
@@ -58,7 +58,7 @@ class Candidate:
     agreement: float = 0.0
     """Median share of the contours on image edges."""
 
-    def take(self, chosen: NDArray[np.intp]) -> "Candidate":
+    def take(self, chosen: NDArray[np.intp]) -> "CameraCandidate":
         """Select frames."""
         return replace(
             self,
@@ -85,12 +85,12 @@ class CandidateFitter:
         images = tuple(GradientImage(frame, camera) for frame in frames)
         return ContourImages(images=images, model=self.model, matcher=self.matcher)
 
-    def start(self, detections: ArmDetections, hypothesis: Hypothesis) -> Candidate | None:
+    def start(self, detections: ArmDetections, hypothesis: Hypothesis) -> CameraCandidate | None:
         """Return a hypothesis as a candidate; None if it explains too few frames."""
         rows = np.flatnonzero(np.isfinite(hypothesis.q).all(axis=1))
         if len(rows) < MIN_FRAMES:
             return None
-        return Candidate(
+        return CameraCandidate(
             scene=ArmScene(lens=hypothesis.lens, q=hypothesis.q[rows], finger_m=detections.finger_m[rows]),
             rows=rows,
             cells=detections.cells.flip(hypothesis.flipped).of_frames(rows).thin(),
@@ -98,7 +98,7 @@ class CandidateFitter:
             cost=hypothesis.cost,
         )
 
-    def extend(self, candidate: Candidate, detections: ArmDetections, hypothesis: Hypothesis) -> Candidate:
+    def extend(self, candidate: CameraCandidate, detections: ArmDetections, hypothesis: Hypothesis) -> CameraCandidate:
         """Return a candidate with all frames that its camera explains by a hypothesis, itself included."""
         q = hypothesis.q.copy()
         finger_m = detections.finger_m.copy()
@@ -107,7 +107,7 @@ class CandidateFitter:
         extended = self.start(replace(detections, finger_m=finger_m), replace(hypothesis, q=q))
         return candidate if extended is None else extended
 
-    def fit_cells(self, start: Candidate, prior: Prior) -> Candidate:
+    def fit_cells(self, start: CameraCandidate, prior: Prior) -> CameraCandidate:
         """Return a candidate fitted to its cells."""
         scene = start.scene
         cost = 0.0
@@ -118,7 +118,9 @@ class CandidateFitter:
             cost = bundle.cost
         return replace(start, scene=scene, cost=cost)
 
-    def compare(self, fit: Candidate, images: ContourImages, prior: Prior, frames: int, passes: Passes) -> Candidate:
+    def compare(
+        self, fit: CameraCandidate, images: ContourImages, prior: Prior, frames: int, passes: Passes
+    ) -> CameraCandidate:
         """Return a candidate fitted to contours of the frames that it explains best, `frames` at most."""
         # Hands that the hypothesis explains badly are often none.
         likely = np.sort(np.argsort(fit.costs, kind="stable")[: max(MIN_FRAMES, len(fit.rows) // 2)])
@@ -128,7 +130,7 @@ class CandidateFitter:
         return replace(candidate, scene=scene, agreement=float(np.median(images.agreement(scene))))
 
     def fit_contours(
-        self, fit: Candidate, images: ContourImages, prior: Prior, passes: Passes
+        self, fit: CameraCandidate, images: ContourImages, prior: Prior, passes: Passes
     ) -> tuple[ArmScene, Observations | None]:
         """Fit a candidate to the edges of images of its own frames, in passes; return scene and contours."""
         scene = fit.scene
@@ -146,8 +148,8 @@ class CandidateFitter:
         return scene, edges
 
     def settle(
-        self, candidate: Candidate, images: ContourImages, prior: Prior, total: int
-    ) -> tuple[Candidate, Observations | None]:
+        self, candidate: CameraCandidate, images: ContourImages, prior: Prior, total: int
+    ) -> tuple[CameraCandidate, Observations | None]:
         """Fit a candidate to the contours of its frames without those that disagree; return it and the contours.
 
         Its agreement is less where it explains few of the `total` frames that show the robot.
@@ -165,7 +167,7 @@ class CandidateFitter:
             candidate = candidate.take(good)
         return candidate, edges
 
-    def finish(self, candidate: Candidate, images: ContourImages, prior: Prior, total: int) -> CameraEstimate:
+    def finish(self, candidate: CameraCandidate, images: ContourImages, prior: Prior, total: int) -> CameraEstimate:
         """Settle a candidate that is right within some pixels, of `total` frames with the robot; compute its sigmas.
 
         Raises:

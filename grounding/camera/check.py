@@ -9,26 +9,26 @@ from kinebench_drake.camera import CONFIRMED, Camera
 from kinebench_drake.errors import UsageError
 from kinebench_drake.geometry import invert, pose_difference
 from kinebench_drake.grounding import bounds
-from kinebench_drake.grounding.camera.bundle import ArmScene, Prior
+from kinebench_drake.grounding.camera.bundle_adjustment import ArmScene, Prior
 from kinebench_drake.grounding.camera.candidate import (
     COARSE,
     LOG_FOCAL_SIGMA,
     MIDDLE,
-    Candidate,
+    CameraCandidate,
     CandidateFitter,
 )
-from kinebench_drake.grounding.camera.correspondences import MIN_FRAMES
 from kinebench_drake.grounding.camera.detections import ArmDetections, find_robot
 from kinebench_drake.grounding.camera.hypotheses import ChainSearch, Hypothesis
 from kinebench_drake.grounding.camera.lens import Lens, with_focal
-from kinebench_drake.grounding.camera.reading import BetterReading, Reading
+from kinebench_drake.grounding.camera.picture_reading import BetterReading, PictureReading
+from kinebench_drake.grounding.camera.robot_points import MIN_FRAMES
 from kinebench_drake.grounding.pipeline import PipelineResult
 from kinebench_drake.grounding.registration.fit import UNSEEN_FINGER_M
 from kinebench_drake.grounding.tracking.localization import PART_CELLS
 from kinebench_drake.grounding.tracking.view import DenseEstimator
 from kinebench_drake.io.frames import Frames
 from kinebench_drake.io.jsonl import Json
-from kinebench_drake.models.panda.robot import RobotPart, hand_from_tcp
+from kinebench_drake.models.panda.description import RobotPart, hand_from_tcp
 from kinebench_drake.segments import evenly, finite_rows
 from kinebench_drake.track import Domain
 
@@ -41,7 +41,12 @@ _FITTED_READINGS = 2
 _UPRIGHT_SHARE = 0.3
 """Agreement of unfitted postures from which on a picture is upright: turned ones have 0.16 at most, right ones of the
 benchmark 0.45 at least."""
-_NOT_UPRIGHT = (Reading.UPSIDE_DOWN, Reading.ROWS_REVERSED, Reading.TURNED_LEFT, Reading.TURNED_RIGHT)
+_NOT_UPRIGHT = (
+    PictureReading.UPSIDE_DOWN,
+    PictureReading.ROWS_REVERSED,
+    PictureReading.TURNED_LEFT,
+    PictureReading.TURNED_RIGHT,
+)
 _LENS_SHARE = 0.85
 """Share of the agreement of unfitted postures with a camera from which on another lens is fitted: next to right cameras
 other focal lengths have 0.75 of it at most, crops 0.81, and crops of cropped pictures 0.92 at least."""
@@ -122,7 +127,7 @@ class CameraChecker:
         return float(images.agreement(scene).mean())
 
     def find_reading(
-        self, frames: Frames, camera: Camera, least: float, readings: tuple[Reading, ...]
+        self, frames: Frames, camera: Camera, least: float, readings: tuple[PictureReading, ...]
     ) -> BetterReading | None:
         """Return the reading of picture or camera with which the arm agrees clearly better; None if there is none.
 
@@ -143,7 +148,9 @@ class CameraChecker:
         own = self._agreement(self.detect(frames, camera), frames, camera)
         return replace(best, agreement=own) if best.better >= own + bounds.CLEARLY else None
 
-    def _leading_readings(self, frames: Frames, camera: Camera, readings: tuple[Reading, ...]) -> list[Reading]:
+    def _leading_readings(
+        self, frames: Frames, camera: Camera, readings: tuple[PictureReading, ...]
+    ) -> list[PictureReading]:
         """Return the readings under which unfitted postures agree better with a few frames than as they are.
 
         The best ones first, and no more than are fitted.
@@ -151,9 +158,9 @@ class CameraChecker:
         few = frames[evenly(len(frames), _SCREENED)]
         unread = self._find_in_all(few, camera)
         own = self._screen(unread, few, [camera])
-        shares: dict[Reading, float] = {}
+        shares: dict[PictureReading, float] = {}
         for reading in readings:
-            if reading is Reading.CROPPED:
+            if reading is PictureReading.CROPPED:
                 shares[reading] = self._screen(unread, few, [prior.lens.camera for prior in _crops(camera)])
                 continue
             if own >= _UPRIGHT_SHARE and reading in _NOT_UPRIGHT:
@@ -165,8 +172,8 @@ class CameraChecker:
                 continue
             turned = unread if picture is few else self._find_in_all(picture, lens)
             shares[reading] = self._screen(turned, picture, [lens])
-        if Reading.CROPPED in shares:  # a crop may lie between those tried
-            shares[Reading.CROPPED] /= _LENS_SHARE
+        if PictureReading.CROPPED in shares:  # a crop may lie between those tried
+            shares[PictureReading.CROPPED] /= _LENS_SHARE
         leading = sorted((reading for reading in shares if shares[reading] > own), key=lambda reading: -shares[reading])
         return leading[:_FITTED_READINGS]
 
@@ -192,12 +199,12 @@ class CameraChecker:
         images = self._fitter.images(frames[detections.rows[rows]], best.lens.camera)
         return float(images.agreement(scene).sum()) / len(frames)
 
-    def _fit_reading(self, reading: Reading, frames: Frames, camera: Camera) -> BetterReading | None:
+    def _fit_reading(self, reading: PictureReading, frames: Frames, camera: Camera) -> BetterReading | None:
         """Return a reading fitted to contours; None if no arm is seen.
 
         The agreement of the picture as it is, which a fit of its own gives, is still 0.
         """
-        if reading is Reading.CROPPED:
+        if reading is PictureReading.CROPPED:
             detections = self.detect(frames, camera)
             crop = None if detections is None else self._fit_crop(detections, frames, camera)
             if crop is None:
@@ -227,14 +234,14 @@ class CameraChecker:
         fixed = self.fit_postures(detections, frames, self.explain(detections, camera))
         return 0.0 if fixed is None else fixed.agreement
 
-    def _fit_crop(self, detections: ArmDetections, frames: Frames, camera: Camera) -> Candidate | None:
+    def _fit_crop(self, detections: ArmDetections, frames: Frames, camera: Camera) -> CameraCandidate | None:
         """Return the camera at the same place whose picture is a part of that of `camera`; None if no arm is seen."""
         trials = [(prior.lens, prior) for prior in _crops(camera)]
         return self._fit_best(detections, frames[detections.rows], trials)
 
     def _fit_best(
         self, detections: ArmDetections, frames: Frames, trials: Sequence[tuple[Lens, Prior]], least: float = 0.0
-    ) -> Candidate | None:
+    ) -> CameraCandidate | None:
         """Return the lens that agrees best with the contours, of those that explain the cells best; None without any.
 
         `trials` are initial lenses with their priors; each has to explain `least` of the frames detected.
@@ -304,7 +311,7 @@ class CameraChecker:
         search = ChainSearch(detections.cells, detections.finger_m, self._fitter.model)
         return search.explain(Lens.of_camera(camera))
 
-    def fit_postures(self, detections: ArmDetections, frames: Frames, hypothesis: Hypothesis) -> Candidate | None:
+    def fit_postures(self, detections: ArmDetections, frames: Frames, hypothesis: Hypothesis) -> CameraCandidate | None:
         """Return the postures of a hypothesis fitted to contours in frames (T, H, W, 3), its camera kept.
 
         None if it explains too few of the frames in which the robot is detected.
@@ -318,11 +325,11 @@ class CameraChecker:
         scene, _ = self._fitter.fit_contours(start, images, prior, _PASSES)
         return replace(start, scene=scene, agreement=float(np.median(images.agreement(scene))))
 
-    def base_agreement(self, frames: Frames, fit: Candidate) -> float:
+    def base_agreement(self, frames: Frames, fit: CameraCandidate) -> float:
         """Return the share of the base link's contours on image edges in the frames (T, H, W, 3) of a fit; 0 unseen."""
         return self._fitter.images(frames, fit.scene.lens.camera).base_share(fit.scene)
 
-    def freed_agreement(self, frames: Frames, fit: Candidate) -> float:
+    def freed_agreement(self, frames: Frames, fit: CameraCandidate) -> float:
         """Return the agreement after a fit of the place of the camera as well, in the frames (T, H, W, 3) of a fit."""
         lens = fit.scene.lens
         images = self._fitter.images(frames, lens.camera)

@@ -16,14 +16,14 @@ from kinebench_drake.grounding.camera.estimate import usual_camera
 from kinebench_drake.grounding.camera.evidence import CameraChoice, check_named, find_reading
 from kinebench_drake.grounding.camera.framing import Framing, apply_framing
 from kinebench_drake.grounding.camera.framing_search import find_framing
-from kinebench_drake.grounding.camera.reading import BetterReading, Reading
+from kinebench_drake.grounding.camera.picture_reading import BetterReading, PictureReading
 from kinebench_drake.grounding.camera.recognition import Recognition
-from kinebench_drake.grounding.parts import GroundingParts
+from kinebench_drake.grounding.components import GroundingComponents
 from kinebench_drake.grounding.pipeline import PipelineResult
 from kinebench_drake.grounding.priors import Clip, Priors
 from kinebench_drake.grounding.video_result import GroundingResult
 from kinebench_drake.io.frames import Frames
-from kinebench_drake.models.panda.robot import GripperKind
+from kinebench_drake.models.panda.description import GripperKind
 from kinebench_drake.track import Domain, GripperTrack
 
 _SIGMAS = 2.0  # standard deviations of an estimated camera that its poses may be off by
@@ -63,7 +63,7 @@ class _View:
 class CameraChooser:
     """Grounding of one video with the cameras that come into question."""
 
-    parts: GroundingParts
+    parts: GroundingComponents
     clip: Clip
     priors: PriorSource | Priors
     gripper: GripperKind
@@ -117,7 +117,9 @@ class CameraChooser:
         if assumed is not None and view is not None:
             reading = None if recognition is None else recognition.as_better_reading(assumed.choice.agreement or 0.0)
             least = max(CONFIRMED, assumed.choice.agreement or 0.0)
-            reading = reading or self.parts.checker.find_reading(view.frames, view.camera, least, (Reading.CROPPED,))
+            reading = reading or self.parts.checker.find_reading(
+                view.frames, view.camera, least, (PictureReading.CROPPED,)
+            )
             if reading is not None:
                 return view.result(assumed, _misread(assumed.choice, reading))
         usual = usual_camera(self.clip.frames.shape[2], self.clip.frames.shape[1])
@@ -234,7 +236,7 @@ class CameraChooser:
         """
         camera = choice.camera
         shown = choice.shown
-        clip = self.clip.flipped(rows=shown is Reading.ROWS_REVERSED, columns=shown is Reading.MIRRORED)
+        clip = self.clip.flipped(rows=shown is PictureReading.ROWS_REVERSED, columns=shown is PictureReading.MIRRORED)
         framing = find_framing(clip.frames, camera, clip.conditioning, choice.source)
         priors = self.priors
         if not isinstance(priors, Priors):

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinebench_drake.geometry import Array
-from kinebench_drake.grounding.camera.bundle import ArmScene, Observations
+from kinebench_drake.grounding.camera.bundle_adjustment import ArmScene, Observations
 from kinebench_drake.grounding.registration.arm_model import ArmModel
 from kinebench_drake.grounding.registration.correspondences import MIN_POINTS
 from kinebench_drake.grounding.registration.edges import (
@@ -25,7 +25,7 @@ from kinebench_drake.grounding.registration.edges import (
 from kinebench_drake.grounding.registration.image import EdgePoints, GradientImage
 from kinebench_drake.grounding.tracking.view import OPENING_SIGNS
 from kinebench_drake.models.panda.cad import open_fingers
-from kinebench_drake.models.panda.robot import RobotPart
+from kinebench_drake.models.panda.description import RobotPart
 from kinebench_drake.segments import evenly
 
 DIFFERENT_TURN_RAD = np.deg2rad(20.0)

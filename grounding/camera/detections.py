@@ -14,13 +14,13 @@ from numpy.typing import NDArray
 from kinebench_drake.camera import Camera
 from kinebench_drake.errors import UnmeasurableError
 from kinebench_drake.geometry import Array
-from kinebench_drake.grounding.camera.correspondences import CalibrationCorrespondences, LensView, find_correspondences
+from kinebench_drake.grounding.camera.robot_points import CalibrationCorrespondences, LensView, find_correspondences
 from kinebench_drake.grounding.registration.fit import UNSEEN_FINGER_M, HandFit, finger_or_default, fit
 from kinebench_drake.grounding.tracking.crop import CLOSE_MARGIN, CLOSE_SIZE, Crop
 from kinebench_drake.grounding.tracking.localization import PART_CELLS, find_region, likeliest_gripper
 from kinebench_drake.grounding.tracking.view import DenseEstimator, GripperView
 from kinebench_drake.io.frames import Frames
-from kinebench_drake.models.panda.robot import ARM, RobotPart
+from kinebench_drake.models.panda.description import ARM, RobotPart
 from kinebench_drake.models.robot import N_JOINTS
 from kinebench_drake.segments import evenly
 

@@ -10,27 +10,27 @@ from kinebench_drake.camera import Camera
 from kinebench_drake.errors import UnmeasurableError
 from kinebench_drake.geometry import pose_difference
 from kinebench_drake.grounding import bounds
-from kinebench_drake.grounding.camera.bundle import Prior
+from kinebench_drake.grounding.camera.bundle_adjustment import Prior
 from kinebench_drake.grounding.camera.camera_estimate import CameraEstimate, Rival
 from kinebench_drake.grounding.camera.candidate import (
     COARSE,
     LOG_FOCAL_SIGMA,
     MIDDLE,
-    Candidate,
+    CameraCandidate,
     CandidateFitter,
     explained,
 )
 from kinebench_drake.grounding.camera.contours import DIFFERENT_TURN_RAD, BaseTurn, ContourImages
-from kinebench_drake.grounding.camera.correspondences import MIN_FRAMES
 from kinebench_drake.grounding.camera.detections import ArmDetections, find_robot
 from kinebench_drake.grounding.camera.hypotheses import ChainSearch, Hypothesis
 from kinebench_drake.grounding.camera.lens import USUAL_FOV_DEG, Lens, centred_camera, focal_px
+from kinebench_drake.grounding.camera.robot_points import MIN_FRAMES
 from kinebench_drake.grounding.camera.surroundings import Surroundings, find_lines, find_surroundings
 from kinebench_drake.grounding.registration.arm_model import ArmModel
 from kinebench_drake.grounding.registration.edges import EdgeMatcher
 from kinebench_drake.grounding.tracking.view import DenseEstimator
 from kinebench_drake.io.frames import Frames
-from kinebench_drake.models.panda.robot import RobotPart
+from kinebench_drake.models.panda.description import RobotPart
 
 _Ranked = TypeVar("_Ranked")
 
@@ -143,7 +143,7 @@ class CameraEstimator:
         return replace(estimate, others=tuple(others))
 
     def _turn(
-        self, arm: Candidate, turns: Sequence[BaseTurn], images: ContourImages, prior: Prior, total: int
+        self, arm: CameraCandidate, turns: Sequence[BaseTurn], images: ContourImages, prior: Prior, total: int
     ) -> tuple[CameraEstimate, BaseTurn]:
         """Return the estimate with the base turned as its contours show it, and the turn; `turns` are best first.
 
@@ -175,7 +175,9 @@ class CameraEstimator:
         lines = find_lines(frames, lens.camera, X_CP, self.fitter.matcher)
         return find_surroundings(lines, lens, float(upwards @ estimate.bundle.covariance[:3, :3] @ upwards) ** 0.5)
 
-    def _candidates(self, detections: ArmDetections, hypotheses: Sequence[Hypothesis], prior: Prior) -> list[Candidate]:
+    def _candidates(
+        self, detections: ArmDetections, hypotheses: Sequence[Hypothesis], prior: Prior
+    ) -> list[CameraCandidate]:
         """Return different cameras that explain the cells, as hypothesized and fitted to the cells."""
         starts = _distinct([(h.lens, h) for h in hypotheses])[:_CANDIDATES]
         raw = [_without_base(start) for h in starts if (start := self.fitter.start(detections, h)) is not None]
@@ -184,7 +186,7 @@ class CameraEstimator:
         return _distinct([(c.scene.lens, c) for c in (*fits, *raw)])[:_CANDIDATES]
 
     def refine(
-        self, frames: Frames, camera: Camera, start: Candidate, *, focal_free: bool, centre_sigma_px: float = 0.0
+        self, frames: Frames, camera: Camera, start: CameraCandidate, *, focal_free: bool, centre_sigma_px: float = 0.0
     ) -> CameraEstimate:
         """Fit a camera to the contours of the robot at known joint angles, those of `start`, in frames (T, H, W, 3).
 
@@ -204,7 +206,7 @@ class CameraEstimator:
         candidate = replace(start, scene=replace(scene, q=start.scene.q))
         return self.fitter.finish(candidate, images, prior, len(frames))
 
-    def _extend(self, candidate: Candidate, detections: ArmDetections, search: ChainSearch) -> Candidate:
+    def _extend(self, candidate: CameraCandidate, detections: ArmDetections, search: ChainSearch) -> CameraCandidate:
         """Return a candidate with all frames that its camera explains."""
         lens = candidate.scene.lens
         return _without_base(self.fitter.extend(candidate, detections, search.explain(lens)))
@@ -224,13 +226,13 @@ def _distinct(ranked: Sequence[tuple[Lens, _Ranked]], factor: float = 1.0) -> li
     return [item for _, item in kept]
 
 
-def _rivals(arm: Candidate, turns: Sequence[BaseTurn], gain: float) -> tuple[Rival, ...]:
+def _rivals(arm: CameraCandidate, turns: Sequence[BaseTurn], gain: float) -> tuple[Rival, ...]:
     """Return the cameras of an arm with the base turned, granted the `gain` of a fit."""
     return tuple(
         Rival(camera=arm.scene.turned(turn.angle_rad).lens.to_camera(), share=turn.share + gain) for turn in turns
     )
 
 
-def _without_base(candidate: Candidate) -> Candidate:
+def _without_base(candidate: CameraCandidate) -> CameraCandidate:
     """Return a candidate without the cells of the base link, which a wrong turn of the base puts elsewhere."""
     return replace(candidate, cells=candidate.cells.take(candidate.cells.part != RobotPart.LINK0))

@@ -8,13 +8,13 @@ from kinebench_drake.formats.camerafile import NamedCamera
 from kinebench_drake.grounding import bounds
 from kinebench_drake.grounding.camera.camera_estimate import CameraEstimate
 from kinebench_drake.grounding.camera.check import CameraChecker, CameraContradiction
-from kinebench_drake.grounding.camera.reading import BetterReading, Reading
+from kinebench_drake.grounding.camera.picture_reading import BetterReading, PictureReading
 from kinebench_drake.grounding.pipeline import PipelineResult
 from kinebench_drake.io.frames import Frames
 from kinebench_drake.io.jsonl import Json
 from kinebench_drake.track import Domain
 
-_LIKELY = (Reading.MIRRORED, Reading.CROPPED)
+_LIKELY = (PictureReading.MIRRORED, PictureReading.CROPPED)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -28,14 +28,14 @@ class CameraChoice:
     """Share of the contours of hand and arm on image edges in the postures of the track; None if none was fitted."""
     named: NamedCamera | None = None
     """Camera by name, where the arm is to confirm it."""
-    shown: Reading | None = None
+    shown: PictureReading | None = None
     """How its picture is turned before it is measured; None: not at all."""
     estimate: CameraEstimate | None = None
     """Estimated camera; None if none was estimated."""
     contradiction: CameraContradiction | None = None
     """Camera that explains the arm better than the named one; None if none was found."""
     reading: BetterReading | None = None
-    """Reading of picture or matrix that explains the arm better; None if none was found."""
+    """PictureReading of picture or matrix that explains the arm better; None if none was found."""
     reason: str | None = None
     """Why there is no base frame; None if there is one."""
 
@@ -86,7 +86,7 @@ def find_reading(
     if agreement is not None and agreement >= bounds.SURE_AGREEMENT:
         return None
     confirmed = agreement is not None and agreement >= CONFIRMED
-    readings = _LIKELY if confirmed else tuple(Reading)
+    readings = _LIKELY if confirmed else tuple(PictureReading)
     return checker.find_reading(frames, camera, max(CONFIRMED, agreement or 0.0), readings)
 
 

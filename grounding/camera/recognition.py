@@ -12,19 +12,25 @@ import numpy as np
 from kinebench_drake.camera import Camera
 from kinebench_drake.formats.camerafile import BENCHMARK, NamedCamera, named_cameras
 from kinebench_drake.grounding import bounds
-from kinebench_drake.grounding.camera.candidate import Candidate
+from kinebench_drake.grounding.camera.candidate import CameraCandidate
 from kinebench_drake.grounding.camera.check import SEARCHED, CameraChecker
 from kinebench_drake.grounding.camera.estimate import usual_camera
 from kinebench_drake.grounding.camera.framing import placements
 from kinebench_drake.grounding.camera.lens import Lens
-from kinebench_drake.grounding.camera.reading import BetterReading, Reading
+from kinebench_drake.grounding.camera.picture_reading import BetterReading, PictureReading
 from kinebench_drake.io.frames import Frames
 from kinebench_drake.segments import evenly
 
 _FITTED = 5  # cameras that are fitted to contours
 _SAME = 0.3  # of the tolerances of `Lens.sees_same_arm`, within which two pictures are the same
 _MARGIN = 0.05  # of the sides of a picture, by which the foot of the robot may lie outside
-_TURNS = (Reading.MIRRORED, Reading.ROWS_REVERSED, Reading.UPSIDE_DOWN, Reading.TURNED_LEFT, Reading.TURNED_RIGHT)
+_TURNS = (
+    PictureReading.MIRRORED,
+    PictureReading.ROWS_REVERSED,
+    PictureReading.UPSIDE_DOWN,
+    PictureReading.TURNED_LEFT,
+    PictureReading.TURNED_RIGHT,
+)
 """Other ways to read a picture; those by which it is not published are tried with the benchmark camera alone."""
 
 
@@ -35,7 +41,7 @@ class Recognition:
     named: NamedCamera
     camera: Camera
     """Camera of the frames as read."""
-    reading: Reading | None
+    reading: PictureReading | None
     """How the frames have to be read; None: as they are."""
     agreement: float
     """Share of the contours of hand and arm on image edges."""
@@ -70,10 +76,10 @@ class _Trial:
     """Camera that comes into question, with the robot's postures fitted to it."""
 
     named: NamedCamera
-    reading: Reading | None
+    reading: PictureReading | None
     frames: Frames
     """(T, H, W, 3) those of the fit, as read."""
-    fit: Candidate
+    fit: CameraCandidate
     base_agreement: float
 
     @property
@@ -94,7 +100,7 @@ def recognize(frames: Frames, checker: CameraChecker) -> Recognition | None:
     for reading in (None, *_TURNS):
         names = [named for named in named_cameras().values() if _is_tried(named, reading)]
         if best is not None and best.is_clear:  # seen from ahead an arm looks much the same in a mirror, no other way
-            names = [best.named] if reading is Reading.MIRRORED else []
+            names = [best.named] if reading is PictureReading.MIRRORED else []
         own = _trials(reading, names, frames, checker) if names else []
         if own:
             trials += own
@@ -102,7 +108,7 @@ def recognize(frames: Frames, checker: CameraChecker) -> Recognition | None:
     return best if best is not None and best.is_clear else None
 
 
-def _is_tried(named: NamedCamera, reading: Reading | None) -> bool:
+def _is_tried(named: NamedCamera, reading: PictureReading | None) -> bool:
     return reading is None or reading.value in named.presented or named.name == BENCHMARK
 
 
@@ -122,7 +128,7 @@ def _best(trials: Sequence[_Trial], checker: CameraChecker) -> Recognition:
 
 
 def _trials(
-    reading: Reading | None, names: Sequence[NamedCamera], frames: Frames, checker: CameraChecker
+    reading: PictureReading | None, names: Sequence[NamedCamera], frames: Frames, checker: CameraChecker
 ) -> list[_Trial]:
     """Return the cameras that come into question for frames (T, H, W, 3), read in one way."""
     frames = frames if reading is None else reading.frames(frames)

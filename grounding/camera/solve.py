@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 from kinebench_drake.camera import Camera
 from kinebench_drake.errors import UnmeasurableError
 from kinebench_drake.geometry import Array
-from kinebench_drake.grounding.camera.bundle import ArmScene, Bundle, Observations, Prior, adjust
-from kinebench_drake.grounding.camera.correspondences import MIN_FRAMES, CalibrationCorrespondences, LensView
+from kinebench_drake.grounding.camera.bundle_adjustment import ArmScene, BundleAdjustment, Observations, Prior, adjust
 from kinebench_drake.grounding.camera.lens import Lens, focal_px, solve_pnp, with_focal
+from kinebench_drake.grounding.camera.robot_points import MIN_FRAMES, CalibrationCorrespondences, LensView
 from kinebench_drake.grounding.camera.states import RobotStates
 from kinebench_drake.grounding.registration.arm_model import MIN_CELLS, ArmModel
 from kinebench_drake.grounding.registration.solver import CAUCHY
@@ -27,7 +27,7 @@ _FIXED_SIGMA_RAD = 1e-3
 class LensSolution:
     """Lens fitted to cells of T frames."""
 
-    bundle: Bundle
+    bundle: BundleAdjustment
     """Fit; its joint angles are NaN where unknown."""
     cells: CalibrationCorrespondences
     X_BP: Array
@@ -121,7 +121,7 @@ def fit_cells(
     q: Array | None = None,
     q_sigma: Array | None = None,
     rounds: int = 2,
-) -> Bundle:
+) -> BundleAdjustment:
     """Fit a lens to cells, with postures and openings or at known ones; parts at rest count once in its information.
 
     Args:
@@ -139,7 +139,7 @@ def fit_cells(
     p_B = cells.locate(X_BP, finger_m)
     repeats = cells.count_repeats(X_BP)
 
-    def adjusted(scene: ArmScene, weight: Array, steps: int = 20) -> Bundle:
+    def adjusted(scene: ArmScene, weight: Array, steps: int = 20) -> BundleAdjustment:
         points = p_B if q is None else cells.locate(model.poses(scene.q), scene.finger_m)
         observed = replace(Observations.of_cells(cells, cells.sigma_px(scene.lens, points)), weight=weight)
         if q is None:
@@ -176,7 +176,9 @@ def _require_enough(cells: CalibrationCorrespondences) -> None:
         )
 
 
-def _misread(cells: CalibrationCorrespondences, bundle: Bundle, X_BP: Array, finger_m: Array) -> NDArray[np.bool_]:
+def _misread(
+    cells: CalibrationCorrespondences, bundle: BundleAdjustment, X_BP: Array, finger_m: Array
+) -> NDArray[np.bool_]:
     """Return (T,) frames whose gripper cells fit better with the gripper rotated by 180 degrees about its axis."""
     lens = bundle.scene.lens
     turned = cells.flip(np.ones(len(X_BP), dtype=bool))

@@ -12,7 +12,7 @@ from kinebench_drake.formats.trajectories.source import find_trajectories, read_
 from kinebench_drake.formats.trajectories.trajectory import Trajectory, TrajectorySample
 from kinebench_drake.geometry import Array, interpolate_pose, invert
 from kinebench_drake.grounding.registration.arm_model import ArmModel
-from kinebench_drake.models.panda.robot import GRIPPER, RobotPart, hand_from_tcp, rest_q
+from kinebench_drake.models.panda.description import GRIPPER, RobotPart, hand_from_tcp, rest_q
 from kinebench_drake.models.robot import N_JOINTS
 from kinebench_drake.segments import spread
 

@@ -31,7 +31,7 @@ from kinebench_drake.grounding.registration.fit import UNSEEN_FINGER_M
 from kinebench_drake.grounding.registration.image import EdgePoints, GradientImage, follow_surface
 from kinebench_drake.grounding.registration.solver import Solution, solve
 from kinebench_drake.grounding.tracking.view import GripperView
-from kinebench_drake.models.panda.robot import ARM, RobotPart
+from kinebench_drake.models.panda.description import ARM, RobotPart
 from kinebench_drake.models.robot import N_JOINTS
 
 LINKS_DEPTH_SIGMA = 0.1

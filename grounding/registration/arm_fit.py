@@ -32,7 +32,7 @@ from kinebench_drake.grounding.registration.fit import (
 from kinebench_drake.grounding.registration.solver import CellRows, Solution, solve
 from kinebench_drake.grounding.tracking.view import GripperView
 from kinebench_drake.models.panda.cad import open_fingers
-from kinebench_drake.models.panda.robot import RobotPart
+from kinebench_drake.models.panda.description import RobotPart
 
 _LINKS_ONLY_WEIGHT = 0.03  # weight of the hand's cells where the links alone determine its distance
 

@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 from kinebench_drake.geometry import Array, cross, invert
 from kinebench_drake.grounding.registration.correspondences import CELLS_INDEPENDENT, Correspondences
 from kinebench_drake.grounding.registration.fit import clip_finger, finger_information
-from kinebench_drake.grounding.registration.solver import CellRows, Placement
+from kinebench_drake.grounding.registration.solver import CellRows, PartPlacement
 from kinebench_drake.kinematics.analytic import analytic_ik
 from kinebench_drake.kinematics.plant import ArmPlant
-from kinebench_drake.models.panda.robot import ARM_LINKS, GRIPPER, HAND_LINK, LINK_OF, RobotPart
+from kinebench_drake.models.panda.description import ARM_LINKS, GRIPPER, HAND_LINK, LINK_OF, RobotPart
 from kinebench_drake.models.robot import N_JOINTS
 
 OVER_LIMIT_RAD = 0.1
@@ -89,13 +89,13 @@ class ArmHandModel:
     q_sigma: Array = field(default_factory=lambda: np.full(N_JOINTS, POSTURE_SIGMA_RAD))
     """(7,) standard deviations of the prior of the joint angles [rad]."""
 
-    def place(self) -> Placement:
+    def place(self) -> PartPlacement:
         """Return the poses of the parts, each moved by the joints between it and the base."""
         X_BP, axis, point = self.model.poses_and_axes_of(self.q)
         R_BC = self.X_CB[:, :3, :3].swapaxes(1, 2)
         axis_C = axis @ R_BC
         point_C = point @ R_BC + self.X_CB[:, None, :3, 3]
-        return Placement(
+        return PartPlacement(
             X_CP=self.X_CB[:, None] @ X_BP,
             finger_m=self.finger_m,
             twist=np.concatenate([axis_C, cross(point_C, axis_C)], axis=2).swapaxes(1, 2),

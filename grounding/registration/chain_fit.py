@@ -22,8 +22,8 @@ from kinebench_drake.grounding.registration.arm_model import (
 )
 from kinebench_drake.grounding.registration.correspondences import Correspondences
 from kinebench_drake.grounding.registration.fit import align, pose_twist
-from kinebench_drake.grounding.registration.solver import Placement, Solution, solve
-from kinebench_drake.models.panda.robot import ARM, RobotPart
+from kinebench_drake.grounding.registration.solver import PartPlacement, Solution, solve
+from kinebench_drake.models.panda.description import ARM, RobotPart
 from kinebench_drake.models.robot import N_JOINTS
 
 MIN_ROOT_CELLS = 30
@@ -53,7 +53,7 @@ class ChainModel:
     q_sigma: Array = field(default_factory=lambda: np.full(N_JOINTS, POSTURE_SIGMA_RAD))
     """(7,) standard deviations of their prior [rad]."""
 
-    def place(self) -> Placement:
+    def place(self) -> PartPlacement:
         """Return the poses of the parts; a joint turns what is behind it against the hand."""
         X_BP, axis, point = self.model.poses_and_axes_of(self.q)
         X_CB = self.X_CH @ invert(X_BP[:, RobotPart.HAND])
@@ -61,7 +61,7 @@ class ChainModel:
         axis_C = axis @ R_BC
         point_C = point @ R_BC + X_CB[:, None, :3, 3]
         joints = np.concatenate([axis_C, cross(point_C, axis_C)], axis=2).swapaxes(1, 2)
-        return Placement(
+        return PartPlacement(
             X_CP=X_CB[:, None] @ X_BP,
             finger_m=None,
             twist=np.concatenate([pose_twist(self.X_CH), joints], axis=2),

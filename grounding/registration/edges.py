@@ -21,7 +21,7 @@ from kinebench_drake.grounding.registration.image import EdgePoints, GradientIma
 from kinebench_drake.grounding.registration.solver import NEAREST_M
 from kinebench_drake.grounding.tracking.view import OPENING_SIGNS
 from kinebench_drake.models.panda.cad import PartCaster, link_meshes, part_meshes
-from kinebench_drake.models.panda.robot import OPENING_SIGN, RobotPart
+from kinebench_drake.models.panda.description import OPENING_SIGN, RobotPart
 from kinebench_drake.models.robotiq.cad import CLOSED_RAD, robotiq_mesh
 
 _HIDDEN = 3  # points on edges per point that is seen

@@ -10,10 +10,10 @@ from numpy.typing import ArrayLike, NDArray
 from kinebench_drake.geometry import Array, cross, make_pose, orthonormalize, rotation_exp
 from kinebench_drake.grounding.priors import ExternalDepth
 from kinebench_drake.grounding.registration.correspondences import Correspondences
-from kinebench_drake.grounding.registration.solver import Placement, Solution, solve
+from kinebench_drake.grounding.registration.solver import PartPlacement, Solution, solve
 from kinebench_drake.grounding.tracking.view import GripperView
 from kinebench_drake.models.panda.cad import MAX_FINGER_M
-from kinebench_drake.models.panda.robot import RobotPart
+from kinebench_drake.models.panda.description import RobotPart
 
 MIN_CELLS = 12
 """Least number of gripper cells for a fit."""
@@ -39,9 +39,9 @@ class HandModel:
     pose_free: NDArray[np.bool_]
     """(B,) whether the pose is estimated."""
 
-    def place(self) -> Placement:
+    def place(self) -> PartPlacement:
         """Return the poses of the parts: all of them move with the hand."""
-        return Placement(
+        return PartPlacement(
             X_CP=np.repeat(self.X_CH[:, None], len(RobotPart), axis=1),
             finger_m=self.finger_m,
             twist=pose_twist(self.X_CH),
@@ -67,7 +67,7 @@ class HandModel:
 
 
 def pose_twist(X_CH: Array) -> Array:
-    """Return the twists (B, 6, 6), as in `Placement`, of hands (B, 4, 4): turn about the camera's axes, shift."""
+    """Return the twists (B, 6, 6), as in `PartPlacement`, of hands (B, 4, 4): turn about the camera's axes, shift."""
     twist = np.zeros((len(X_CH), 6, 6))
     twist[:, :3, :3] = twist[:, 3:, 3:] = np.eye(3)
     twist[:, 3:, :3] = cross(X_CH[:, None, :3, 3], np.eye(3)).swapaxes(1, 2)

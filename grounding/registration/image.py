@@ -19,7 +19,7 @@ from kinebench_drake.grounding.registration.correspondences import POINTS_INDEPE
 from kinebench_drake.grounding.registration.solver import BATCH
 from kinebench_drake.io.frames import Frames
 from kinebench_drake.models.panda.cad import PartCaster
-from kinebench_drake.models.panda.robot import GRIPPER, RobotPart
+from kinebench_drake.models.panda.description import GRIPPER, RobotPart
 
 _KEPT_PIXELS = 12_000_000  # of images whose gradients are kept: 9 bytes each
 _LARGEST_PX = 640  # images larger than this are reduced

@@ -14,7 +14,7 @@ from kinebench_drake.grounding.registration.edges import EdgeMatcher
 from kinebench_drake.grounding.registration.image import EdgePoints, GradientImage
 from kinebench_drake.grounding.tracking.view import OPENING_SIGNS
 from kinebench_drake.models.panda.cad import MAX_FINGER_M, open_fingers
-from kinebench_drake.models.panda.robot import RobotPart
+from kinebench_drake.models.panda.description import RobotPart
 from kinebench_drake.segments import evenly
 
 GAP_STEP_M = 0.002

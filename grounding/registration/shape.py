@@ -12,7 +12,7 @@ from kinebench_drake.grounding import bounds
 from kinebench_drake.grounding.registration.correspondences import POINTS_INDEPENDENT
 from kinebench_drake.grounding.registration.edges import LEAST_GRADIENT, EdgeMatcher
 from kinebench_drake.grounding.registration.image import EdgePoints, GradientImage
-from kinebench_drake.models.panda.robot import RobotPart
+from kinebench_drake.models.panda.description import RobotPart
 
 _REACHES_PX = (8.0, 6.0, 4.0, 3.0)  # farthest image edges in successive passes
 _LEAST_POINTS = 30

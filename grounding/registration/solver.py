@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from kinebench_drake.geometry import Array
 from kinebench_drake.grounding.registration.correspondences import Correspondences
-from kinebench_drake.models.panda.robot import RobotPart
+from kinebench_drake.models.panda.description import RobotPart
 
 BATCH = 8
 """Frames that are best solved together: their cells still fit into a processor's cache."""
@@ -27,7 +27,7 @@ NEAREST_M = 0.05
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Placement:
+class PartPlacement:
     """Poses of the parts of B frames, and their derivatives by the D parameters that move parts."""
 
     X_CP: Array
@@ -43,7 +43,7 @@ class Placement:
 class FitModel(Protocol):
     """Model of B frames with K parameters each: those that move parts, then the finger travel if there is one."""
 
-    def place(self) -> Placement:
+    def place(self) -> PartPlacement:
         """Return the poses of the parts."""
         ...
 
@@ -153,7 +153,7 @@ class CellRows:
         return np.asarray((self.R_LC * p_C[:, None]).sum(axis=2))
 
 
-def residuals(placement: Placement, cells: CellRows, log_depth_factor: Array) -> tuple[Array, Array]:
+def residuals(placement: PartPlacement, cells: CellRows, log_depth_factor: Array) -> tuple[Array, Array]:
     """Return the residuals (B, 3, N), as in `Solution`, and their derivatives (B, K + 1, 3, N).
 
     The last ones are by `log_depth_factor` (B,), the logarithm of true range over estimated range.

@@ -16,7 +16,7 @@ from kinebench_drake.grounding.tracking.crop import CLOSE_SIZE, Crop
 from kinebench_drake.grounding.tracking.view import GripperView
 from kinebench_drake.io.frames import Frames
 from kinebench_drake.io.progress import count_steps
-from kinebench_drake.models.panda.robot import ARM
+from kinebench_drake.models.panda.description import ARM
 from kinebench_drake.models.perception.network import (
     COORDINATE_SCALE_M,
     DEPTH_CENTRE,

@@ -21,7 +21,7 @@ from kinebench_drake.grounding.registration.solver import Solution
 from kinebench_drake.grounding.tracking.markov import TURNS_RAD
 from kinebench_drake.grounding.tracking.pose import FramePose
 from kinebench_drake.grounding.tracking.view import GripperView
-from kinebench_drake.models.panda.robot import ARM, RobotPart
+from kinebench_drake.models.panda.description import ARM, RobotPart
 
 REACHES_PX = (8.0, 5.0, 3.0, 2.0)
 """Farthest edges of the last links in successive passes [px]."""

@@ -31,7 +31,7 @@ from kinebench_drake.grounding.tracking.pose import FramePose
 from kinebench_drake.grounding.tracking.tracker import Tracking
 from kinebench_drake.grounding.tracking.view import DenseEstimator, GripperView
 from kinebench_drake.io.frames import Frames
-from kinebench_drake.models.panda.robot import GripperKind, RobotPart
+from kinebench_drake.models.panda.description import GripperKind, RobotPart
 from kinebench_drake.track import Domain
 
 # Cells of a gripper are taken for a hand, and lie where the wrist is.
@@ -50,7 +50,7 @@ _TURN_SIGMA_RAD = np.deg2rad(6.0)  # of the likeliest turns, before each frame i
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Video:
+class _FlangeVideo:
     """Input of one call."""
 
     frames: Frames
@@ -82,7 +82,7 @@ class FlangeTracker:
         region = find_region(self._estimator, frames, camera, wide)
         if region is not None:
             wide = dict(self._estimator.estimate(frames, camera, dict.fromkeys(whole, region)))
-        video = _Video(
+        video = _FlangeVideo(
             frames=frames,
             camera=camera,
             wide=wide,
@@ -105,12 +105,12 @@ class FlangeTracker:
             domain=Domain.ARM,
         )
 
-    def _look(self, crops: Mapping[int, Crop], video: _Video) -> Iterator[tuple[int, FlangeView]]:
+    def _look(self, crops: Mapping[int, Crop], video: _FlangeVideo) -> Iterator[tuple[int, FlangeView]]:
         """Yield what some frames show of the last links, by frame number."""
         for i, view in self._estimator.estimate(video.frames, video.camera, crops):
             yield i, FlangeView(view=view, cells=_link_cells(view, video.wide[i]), image=video.images[i])
 
-    def _detect(self, video: _Video) -> dict[int, FramePose]:
+    def _detect(self, video: _FlangeVideo) -> dict[int, FramePose]:
         """Return the poses of the frames that show the last links, each by itself."""
         crops = {i: crop for i, view in video.wide.items() if (crop := _wrist_crop(view)) is not None}
         for i, shown in self._look(dict(crops), video):
@@ -120,7 +120,7 @@ class FlangeTracker:
         detected = {i: video.flange.detect(shown) for i, shown in self._look(crops, video)}
         return {i: pose for i, pose in detected.items() if pose is not None}
 
-    def _spread(self, poses: dict[int, FramePose], video: _Video) -> None:
+    def _spread(self, poses: dict[int, FramePose], video: _FlangeVideo) -> None:
         """Take the arm from the surest frames to their neighbours, where its contours then lie better on edges."""
         waiting = set(video.wide)
         while rest := waiting & poses.keys():
@@ -135,7 +135,7 @@ class FlangeTracker:
                 if best is not None and _agreement(best) > _agreement(proposed[0]) + bounds.NEIGHBOUR_LEAD:
                     poses[k] = best
 
-    def _mount(self, poses: Mapping[int, FramePose], video: _Video) -> FlangeFitter:
+    def _mount(self, poses: Mapping[int, FramePose], video: _FlangeVideo) -> FlangeFitter:
         """Return a fitter with the gripper as it is likeliest mounted, by the frames whose contours lie best."""
         offsets = [FlangeFitter(self._chain, robotiq_shape(0.0, offset_m, _COARSE)) for offset_m in _MOUNT_OFFSETS_M]
         total = np.zeros((len(_MOUNT_STEPS), len(offsets)))
@@ -160,17 +160,17 @@ class FlangeTracker:
         shown_poses = {i: poses[i] for i in surest}
         return max(mounted, key=lambda flange: self._support(shown_poses, replace(video, flange=flange)))
 
-    def _support(self, poses: Mapping[int, FramePose], video: _Video) -> float:
+    def _support(self, poses: Mapping[int, FramePose], video: _FlangeVideo) -> float:
         """Return the log-likelihood of a gripper by frames that are fitted with it."""
         fitted = self._fit_gripper(poses, video)
         return sum(video.flange.support(pose, video.images[i]) for i, pose in fitted.items())
 
-    def _fit_gripper(self, poses: Mapping[int, FramePose], video: _Video) -> dict[int, FramePose]:
+    def _fit_gripper(self, poses: Mapping[int, FramePose], video: _FlangeVideo) -> dict[int, FramePose]:
         """Return the poses fitted anew with the contours of the gripper."""
         crops = {i: _crop_at(pose.X_CH) for i, pose in poses.items()}
         return {i: video.flange.fit_gripper(poses[i], shown) or poses[i] for i, shown in self._look(crops, video)}
 
-    def _turn(self, poses: dict[int, FramePose], video: _Video) -> None:
+    def _turn(self, poses: dict[int, FramePose], video: _FlangeVideo) -> None:
         """Turn the last joint as contours and cells of the last link are likeliest along the whole video."""
         flange = video.flange
         images = video.images
@@ -205,7 +205,7 @@ class FlangeTracker:
                 based = None if flange.shape.gripper else self._on_base(pose, i, video)
                 poses[i] = _with_turn_sigma(based or pose, sigma[i])
 
-    def _on_base(self, pose: FramePose, number: int, video: _Video) -> FramePose | None:
+    def _on_base(self, pose: FramePose, number: int, video: _FlangeVideo) -> FramePose | None:
         """Return a pose that the base of the camera confirms, with the arm on it; None if it does not."""
         links = _link_cells(pose.view, video.wide[number])
         image = video.images[number]

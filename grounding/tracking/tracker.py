@@ -39,7 +39,7 @@ from kinebench_drake.grounding.tracking.refinement import EdgeRefinement
 from kinebench_drake.grounding.tracking.view import DenseEstimator, GripperView, OverrideEstimator
 from kinebench_drake.io.frames import Frames
 from kinebench_drake.models.panda.cad import GripperCad, open_fingers
-from kinebench_drake.models.panda.robot import RobotPart
+from kinebench_drake.models.panda.description import RobotPart
 from kinebench_drake.track import Domain
 
 _RECENTRE = 0.2  # offset of the gripper from the crop's centre, over half the crop, beyond which a new crop is taken

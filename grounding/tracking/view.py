@@ -12,7 +12,7 @@ from kinebench_drake.geometry import Array
 from kinebench_drake.grounding.priors import ExternalDepth, Priors
 from kinebench_drake.grounding.tracking.crop import Crop
 from kinebench_drake.io.frames import Frames
-from kinebench_drake.models.panda.robot import GRIPPER, OPENING_SIGN, RobotPart
+from kinebench_drake.models.panda.description import GRIPPER, OPENING_SIGN, RobotPart
 
 # relative; depth is stored in whole millimetres
 _EXACT_SIGMA = 1e-3

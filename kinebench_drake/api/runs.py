@@ -12,7 +12,7 @@ from kinebench_drake.results.store import require_output
 from kinebench_drake.runs import score
 from kinebench_drake.runs.config import RunConfig, ScoreConfig
 from kinebench_drake.runs.runner import NullRunObserver, RunObserver, RunSummary
-from kinebench_drake.runs.suite_config import SuiteConfig
+from kinebench_drake.suites.runs.suite_config import SuiteConfig
 
 if TYPE_CHECKING:
     import pyarrow
@@ -87,7 +87,7 @@ def run_suite(
         summary = run_suite(0, world_model="oracle", tasks=["StackCube-v1"], episodes=2, out="ceiling")
         print(summary.success.mean, [row.extra["verdict"] for row in summary.rows])
     """
-    from kinebench_drake.runs import episodes
+    from kinebench_drake.suites.runs import episodes
 
     config = _config(SuiteConfig, suite=suite, world_model=world_model, out=out, **options)
     return episodes.run_suite(config, observer or Warner())

@@ -23,8 +23,8 @@ from kinebench_drake.grounding.overrides.overrides import Overrides
 from kinebench_drake.io.video import Video
 from kinebench_drake.results.row import SampleRow, Status
 from kinebench_drake.runs.config import ScoreConfig, check_period
+from kinebench_drake.runs.resources import Resources
 from kinebench_drake.runs.score import VideoEvaluator
-from kinebench_drake.runs.tools import Tools
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -84,7 +84,7 @@ class Scorer:
         if jobs < 1:
             raise UsageError(f"jobs is {jobs}, expected 1 or more")
         self._jobs = jobs
-        self._tools: Tools | None = None
+        self._tools: Resources | None = None
         self._pool: ProcessPoolExecutor | None = None
 
     @own_arguments()
@@ -151,7 +151,7 @@ def _evaluator(period_s: float) -> VideoEvaluator:
     return VideoEvaluator(config=config, overrides=Overrides())
 
 
-def _score(tools: Tools, frames: NDArray[np.uint8], camera: CameraSetting | None, period_s: float) -> Score:
+def _score(tools: Resources, frames: NDArray[np.uint8], camera: CameraSetting | None, period_s: float) -> Score:
     check_period(period_s)
     sample = VideoSample(id="clip", path=Path("clip"), video="clip").filmed_by(camera, CameraSource.ARGUMENT)
     evaluator = _evaluator(period_s)
@@ -169,8 +169,8 @@ def _score(tools: Tools, frames: NDArray[np.uint8], camera: CameraSetting | None
     )
 
 
-_own: list[Tools] = []
-"""Tools of a worker process."""
+_own: list[Resources] = []
+"""Resources of a worker process."""
 
 
 def _start() -> None:

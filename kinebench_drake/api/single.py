@@ -30,26 +30,26 @@ from kinebench_drake.runs.audit import AuditConfig, judge_trajectory
 from kinebench_drake.runs.config import RunConfig, ScoreConfig, period_warnings
 from kinebench_drake.runs.evaluator import SampleInfo
 from kinebench_drake.runs.preparation import ground_sample, with_initial_states
-from kinebench_drake.runs.tools import RobotOptions, Tools, ToolsFactory, load_tools
+from kinebench_drake.runs.resources import Resources, ResourcesFactory, RobotOptions, load_resources
 from kinebench_drake.track import GripperTrack, InitialState
 
 if TYPE_CHECKING:  # torch, Open3D and Drake take seconds to load
     from kinebench_drake.grounding.video_result import GroundingResult
-    from kinebench_drake.metrics.result import KinematicResult
+    from kinebench_drake.metrics.kinematic_result import KinematicResult
 
-make_tools: ToolsFactory = Tools
+make_resources: ResourcesFactory = Resources
 AnySample = TypeVar("AnySample", bound=SampleInfo)
 
 
-def _tools_for(options: RobotOptions) -> Tools:
+def _tools_for(options: RobotOptions) -> Resources:
     """Return the tools for a robot, cached between calls unless a file of the user defines it."""
     own = not options.is_named or options.limits is not None
-    return load_tools(make_tools, options) if own else _cached_tools(options)
+    return load_resources(make_resources, options) if own else _cached_tools(options)
 
 
 @lru_cache(maxsize=4)
-def _cached_tools(options: RobotOptions) -> Tools:
-    return load_tools(make_tools, options)
+def _cached_tools(options: RobotOptions) -> Resources:
+    return load_resources(make_resources, options)
 
 
 def _one(samples: Sequence[AnySample], source: Path, id: str | None) -> AnySample:

@@ -56,9 +56,9 @@ def compare(folders: tuple[Path, ...], out: Path | None) -> None:
     runs = read_runs(folders)
     if any(run.kind == "suite" for run in runs):
         from kinebench_drake.report.number import number_lines
-        from kinebench_drake.report.suite.comparison import read_comparison
-        from kinebench_drake.report.suite.pooling import spec_warnings
-        from kinebench_drake.report.suite.suite_page import write_comparison
+        from kinebench_drake.suites.report.comparison import read_comparison
+        from kinebench_drake.suites.report.pooling import spec_warnings
+        from kinebench_drake.suites.report.suite_page import write_comparison
 
         episodes = read_comparison(folders)
         for warning in spec_warnings(episodes.runs):

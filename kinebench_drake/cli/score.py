@@ -132,8 +132,8 @@ def reading(source: Path, table_height_m: float, robot: str, tool: str | None) -
     """
     import json
 
-    from kinebench_drake.runs.doubt import assess_path
-    from kinebench_drake.runs.tools import RobotOptions
+    from kinebench_drake.runs.reading_check import assess_path
+    from kinebench_drake.runs.resources import RobotOptions
 
     options = RobotOptions(table_height_m=table_height_m, robot=robot, tool=tool)
     click.echo(json.dumps(assess_path(source, options).to_json(), indent=2))
@@ -165,8 +165,8 @@ def export_commands(source: Path, out: Path, rate_hz: float, reading: Path | Non
     and the exit status is 1.
     """
     from kinebench_drake.formats.trajectories.reading import Reading, TrajectoryOptions
-    from kinebench_drake.runs.commands import export_commands
-    from kinebench_drake.runs.tools import RobotOptions
+    from kinebench_drake.runs.command_export import export_commands
+    from kinebench_drake.runs.resources import RobotOptions
 
     check_suffix("--out", out, ".npz", ".csv")
     check_parent("--out", out)

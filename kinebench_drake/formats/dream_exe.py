@@ -35,14 +35,14 @@ def hand_from_site() -> Array:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Scene:
+class DreamScene:
     """Camera and robot of a case in its first frame."""
 
     camera: CameraSetting
     first: InitialState
 
 
-def read_scene(path: Path) -> Scene:
+def read_scene(path: Path) -> DreamScene:
     """Read an environment.json.
 
     Raises:
@@ -60,7 +60,7 @@ def read_scene(path: Path) -> Scene:
     except (TypeError, ValueError) as error:
         raise InputError(f"{path.name}: no camera and pose of the gripper as Dream.exe writes them ({error})") from None
     camera = CameraSetting.from_json({**K, "base_from_camera": (X_BS @ invert(X_WS) @ X_WC).tolist()}, path.name)
-    return Scene(camera=camera, first=InitialState(X_BG=X_BS @ invert(hand_from_site()) @ TOOLS["hand"]))
+    return DreamScene(camera=camera, first=InitialState(X_BG=X_BS @ invert(hand_from_site()) @ TOOLS["hand"]))
 
 
 def _pose(pose: Mapping[str, object]) -> Array:

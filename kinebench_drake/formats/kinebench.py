@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from kinebench_drake.errors import InputError, UsageError, cause
-from kinebench_drake.formats.trajectories.table import Column, Table
+from kinebench_drake.formats.trajectories.column_table import ColumnTable, NumberColumn
 from kinebench_drake.formats.trajectories.trajectory import MAX_BYTES, TrajectoryFormat, TrajectorySample
 from kinebench_drake.formats.videos.sample import Search, VideoSample
 from kinebench_drake.geometry import Array, make_pose
@@ -162,7 +162,7 @@ def list_executed(file: h5py.File, path: Path, video: str) -> list[TrajectorySam
 
 
 @contextmanager
-def open_executed_table(sample: TrajectorySample) -> Iterator[Table]:
+def open_executed_table(sample: TrajectorySample) -> Iterator[ColumnTable]:
     """Open the commands of an attempt: TCP poses from x, y, z and Euler angles XYZ, and the label of the gripper.
 
     Raises:
@@ -180,8 +180,8 @@ def open_executed_table(sample: TrajectorySample) -> Iterator[Table]:
         "base_from_tcp": make_pose(Rotation.from_euler("XYZ", actions[:, 3:6]).as_matrix(), actions[:, :3]),
         "finger_width_m": np.where(actions[:, 6] > 0.0, MAX_WIDTH_M, 0.0),
     }
-    columns = tuple(Column(name=name, size=array[0].size) for name, array in arrays.items())
-    yield Table(columns=columns, load=arrays.__getitem__, rate_hz=sample.rate_hz)
+    columns = tuple(NumberColumn(name=name, size=array[0].size) for name, array in arrays.items())
+    yield ColumnTable(columns=columns, load=arrays.__getitem__, rate_hz=sample.rate_hz)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -9,7 +9,7 @@ import numpy as np
 from kinebench_drake.api.runs import PathName
 from kinebench_drake.api.single import ground_video
 from kinebench_drake.errors import UnmeasurableError, UsageError
-from kinebench_drake.formats.dream_exe import ENVIRONMENT, Scene, hand_from_site, read_scene
+from kinebench_drake.formats.dream_exe import ENVIRONMENT, DreamScene, hand_from_site, read_scene
 
 
 class PoseBackend:
@@ -68,7 +68,7 @@ class PoseBackend:
             pose_cam=X_CS, valid=valid, source=self.backend_id, pose_quality=confidence if valid else 0.0, meta=meta
         )
 
-    def _scene(self, mesh: Path) -> Scene:
+    def _scene(self, mesh: Path) -> DreamScene:
         # case: env/geometry/eef/visual.obj; a run's copy of it: artifacts/init/cad/, beside artifacts/env/
         places = (folder / part / ENVIRONMENT for folder in mesh.resolve().parents for part in (".", "env"))
         path = self._environment or next((place for place in places if place.is_file()), None)

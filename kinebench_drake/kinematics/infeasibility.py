@@ -5,11 +5,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from kinebench_drake.geometry import Array
+from kinebench_drake.kinematics.joint_trajectory import TubeProblem
 from kinebench_drake.kinematics.newton import solve_newton
 from kinebench_drake.kinematics.path import limit_excess
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.kinematics.spline import SplineBasis
-from kinebench_drake.kinematics.trajectory import TubeProblem
 from kinebench_drake.kinematics.violation import RATES, Violation, ViolationKind
 
 

@@ -78,20 +78,20 @@ def time_scale(plant: ArmPlant, t_s: Array, q: Array) -> TimeScale:
         return TimeScale(reason="the times do not increase from frame to frame")
     if (np.ptp(rows, axis=0) < STILL_RAD).all():
         return TimeScale(reason="the joints do not move: a rest has no fastest duration")
-    motion = _Motion(plant, t, rows, frames)
+    motion = _PathMotion(plant, t, rows, frames)
     end = _broken_end(motion)
     if end is not None and end.constraint is ViolationKind.VELOCITY:
         return end
     rate = fastest_rates(motion.limits, 1.0, 1.0)
     for halvings in _COARSER if rate is None else ():
-        motion = _Motion(plant, t, rows, frames, halvings)
+        motion = _PathMotion(plant, t, rows, frames, halvings)
         rate = fastest_rates(motion.limits, 1.0, 1.0)
         if rate is not None:
             break
     return _explain(motion) if rate is None else _describe(motion, rate)
 
 
-class _Motion:
+class _PathMotion:
     """Path of one track on a grid, with its limits."""
 
     def __init__(
@@ -155,7 +155,7 @@ def _grid(t: Array, spline: Any, speeds: Array, halvings: int) -> Array:
     return grid
 
 
-def _describe(motion: _Motion, rate: Array) -> TimeScale:
+def _describe(motion: _PathMotion, rate: Array) -> TimeScale:
     # ds/dt squared is linear in s between grid points, so the change is constant there.
     change = np.diff(rate**2) / (2.0 * np.diff(motion.grid))
     spent = 2.0 * np.diff(motion.grid) / (rate[1:] + rate[:-1])
@@ -179,7 +179,7 @@ def _describe(motion: _Motion, rate: Array) -> TimeScale:
     )
 
 
-def _usage(motion: _Motion, rate: Array, change: Array, spent: Array) -> tuple[Array, NDArray[np.bool_]]:
+def _usage(motion: _PathMotion, rate: Array, change: Array, spent: Array) -> tuple[Array, NDArray[np.bool_]]:
     """Return the share of time (3, 7) in which each limit is active, and whether it is in each cell (G - 1, 3, 7)."""
     near = motion.ratios(slice(None, -1), rate[:-1], change)
     far = motion.ratios(slice(1, None), rate[1:], change)
@@ -187,7 +187,7 @@ def _usage(motion: _Motion, rate: Array, change: Array, spent: Array) -> tuple[A
     return np.einsum("k,ikcj->cj", 0.5 * spent / spent.sum(), active), np.asarray(active.any(axis=0))
 
 
-def _explain(motion: _Motion) -> TimeScale:
+def _explain(motion: _PathMotion) -> TimeScale:
     """Explain why no timing is feasible: a posture that the motors cannot hold, else a speed at one of the ends."""
     joints = motion.plant.robot.joints
     still = np.zeros(len(motion.grid))
@@ -216,7 +216,7 @@ def _explain(motion: _Motion) -> TimeScale:
     return TimeScale(reason=text, constraint=kind, joint=joints[j], frame=motion.frame(k))
 
 
-def _broken_end(motion: _Motion) -> TimeScale | None:
+def _broken_end(motion: _PathMotion) -> TimeScale | None:
     """Return the limit that the own speed of the first or last frame violates for any d2s/dt2 there; None if none."""
     for index, end in ((0, "first"), (len(motion.grid) - 1, "last")):
         ratio = _least_ratios(motion, index)
@@ -229,7 +229,7 @@ def _broken_end(motion: _Motion) -> TimeScale | None:
     return None
 
 
-def _least_ratios(motion: _Motion, index: int) -> Array:
+def _least_ratios(motion: _PathMotion, index: int) -> Array:
     """Return |ratios| (3, 7) at a grid point at the own speed, for the d2s/dt2 that minimises their maximum."""
     fixed, moved = motion.ratios(index, np.ones(2), np.array([0.0, 1.0]))
     slope = moved - fixed

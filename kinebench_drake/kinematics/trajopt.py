@@ -13,11 +13,11 @@ from kinebench_drake.kinematics.infeasibility import (
     find_rate_violation,
     find_start_violation,
 )
+from kinebench_drake.kinematics.joint_trajectory import JointTrajectory, TubeProblem
 from kinebench_drake.kinematics.newton import solve_newton
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.kinematics.spline import SplineBasis
-from kinebench_drake.kinematics.trajectory import JointTrajectory, TubeProblem
-from kinebench_drake.kinematics.tube import Obstacle, proximity_cost_m, solve_tube
+from kinebench_drake.kinematics.tube import DistanceBound, proximity_cost_m, solve_tube
 from kinebench_drake.kinematics.violation import Violation
 
 SMALLEST_M = 1e-4
@@ -199,7 +199,7 @@ class _TubeSearch:
         return q
 
     def _shrink(
-        self, basis: SplineBasis, q: Array, obstacles: tuple[Obstacle, ...], effort: tuple[int, int]
+        self, basis: SplineBasis, q: Array, obstacles: tuple[DistanceBound, ...], effort: tuple[int, int]
     ) -> JointTrajectory | None:
         """Find the smallest tube near the joint path `q` (T, 7): programs with free radius, then bisection."""
         best: JointTrajectory | None = None
@@ -244,7 +244,7 @@ class _TubeSearch:
 
     def _avoid_collisions(self, trajectory: JointTrajectory, rounds: int) -> JointTrajectory | None:
         """Return the trajectory moved out of collisions; None if that fails."""
-        obstacles: list[Obstacle] = []
+        obstacles: list[DistanceBound] = []
         for _ in range(rounds):
             if trajectory.contact is None:
                 return trajectory

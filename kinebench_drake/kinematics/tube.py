@@ -56,7 +56,7 @@ class PoseLinearisation:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Obstacle:
+class DistanceBound:
     """Linearised lower bound of a distance."""
 
     t_s: float
@@ -87,7 +87,7 @@ def solve_tube(
     limits: LimitSet,
     radius_m: float | None,
     proximity: float,
-    obstacles: Sequence[Obstacle] = (),
+    obstacles: Sequence[DistanceBound] = (),
     *,
     elastic: bool = False,
 ) -> TubeSolution | None:
@@ -194,7 +194,7 @@ def _row(matrix: Any, i: int, x: Any) -> tuple[Any, Array]:
     return x[N_JOINTS * first : N_JOINTS * (first + len(values))], values
 
 
-def _add_obstacles(prog: Any, basis: SplineBasis, x: Any, obstacles: Sequence[Obstacle]) -> None:
+def _add_obstacles(prog: Any, basis: SplineBasis, x: Any, obstacles: Sequence[DistanceBound]) -> None:
     """Add the linearised distances to the program, each with its own slack."""
     count = len(obstacles)
     B = basis.values(np.array([o.t_s for o in obstacles])).tocoo()

@@ -14,13 +14,21 @@ from kinebench_drake.kinematics.newton import ROTATION_ARM_M
 from kinebench_drake.kinematics.path import limit_excess
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.kinematics.timing import time_scale
-from kinebench_drake.kinematics.track import branch_jumps, find_free, solve_track
+from kinebench_drake.kinematics.track_ik import branch_jumps, find_free, solve_track
 from kinebench_drake.kinematics.trajopt import optimize_in_tube
 from kinebench_drake.kinematics.violation import Violation, ViolationKind
 from kinebench_drake.metrics.bridge import bridge_gaps, bridge_joints
+from kinebench_drake.metrics.coverage import cover_joints, cover_poses, weigh_manipulability, worst_manipulability
 from kinebench_drake.metrics.discontinuity import find_discontinuities
-from kinebench_drake.metrics.limits import KINDS, LimitChecks, check_limits
-from kinebench_drake.metrics.loss import cover_joints, cover_poses, weigh_manipulability, worst_manipulability
+from kinebench_drake.metrics.kinematic_result import (
+    KinematicResult,
+    PathMeasurements,
+    feasible_period,
+    kinematic_metrics,
+    path_details,
+    track_curves,
+)
+from kinebench_drake.metrics.limit_checks import KINDS, LimitChecks, check_limits
 from kinebench_drake.metrics.noise import (
     JOINT_FREEDOM_PER_FRAME,
     TrackNoise,
@@ -37,14 +45,6 @@ from kinebench_drake.metrics.reach import (
     find_obstacles,
     find_unreachable,
     limit_tolerance,
-)
-from kinebench_drake.metrics.result import (
-    KinematicResult,
-    PathMeasurements,
-    feasible_period,
-    kinematic_metrics,
-    path_details,
-    track_curves,
 )
 from kinebench_drake.metrics.smoothness import measure_smoothness, stands_still
 from kinebench_drake.results.direction import BOUND

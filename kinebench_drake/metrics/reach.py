@@ -12,7 +12,7 @@ from kinebench_drake.kinematics.newton import ROTATION_ARM_M
 from kinebench_drake.kinematics.path import limit_excess
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.kinematics.sweep import sweep
-from kinebench_drake.kinematics.track import CONTACT_TOLERANCE_M
+from kinebench_drake.kinematics.track_ik import CONTACT_TOLERANCE_M
 from kinebench_drake.kinematics.violation import Violation, ViolationKind
 from kinebench_drake.metrics.noise import TrackNoise
 from kinebench_drake.models.obstacles import PREFIX

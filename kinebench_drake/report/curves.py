@@ -7,7 +7,7 @@ from markupsafe import Markup
 
 from kinebench_drake.geometry import Array
 from kinebench_drake.report import plot
-from kinebench_drake.report.limits import joint_limits, limit_ratios
+from kinebench_drake.report.limit_table import joint_limits, limit_ratios
 from kinebench_drake.report.timeline import draw_timeline, fault_lanes
 from kinebench_drake.results.row import SampleRow
 from kinebench_drake.results.trackfile import TrackFile

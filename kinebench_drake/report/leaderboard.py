@@ -13,17 +13,17 @@ from kinebench_drake.io.archive import hash_file
 from kinebench_drake.report.cards import write_card
 from kinebench_drake.report.number import ALL_TASKS, HEADLINES, NumberComparison, tabulate_numbers
 from kinebench_drake.report.page import choose_gallery
-from kinebench_drake.report.parts import Part, make_missing, write_parts
+from kinebench_drake.report.page_parts import Part, make_missing, write_parts
 from kinebench_drake.report.run import Run, check_page_folder, read_runs
 from kinebench_drake.report.sample import badness, embed_thumbnail
 from kinebench_drake.report.sample_comparison import compare_samples, label_samples, tabulate_samples
-from kinebench_drake.report.suite.comparison import compare
-from kinebench_drake.report.suite.episode_result import group_by, tabulate_episodes
-from kinebench_drake.report.suite.pooling import pool_episodes, read_suite_runs
 from kinebench_drake.report.table import Table, Value, make_table
 from kinebench_drake.results.aggregate import Estimate, estimate, estimate_executable
 from kinebench_drake.results.bundle import open_bundle
 from kinebench_drake.results.row import SampleRow, Status
+from kinebench_drake.suites.report.comparison import compare
+from kinebench_drake.suites.report.episode_result import group_by, tabulate_episodes
+from kinebench_drake.suites.report.pooling import pool_episodes, read_suite_runs
 
 PAGE = "index.html"
 ORACLE = "oracle"

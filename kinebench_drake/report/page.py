@@ -10,7 +10,7 @@ from kinebench_drake.io.atomic import write_atomically
 from kinebench_drake.io.jsonl import Json, as_object
 from kinebench_drake.metrics.executable import LOST, UNCHECKED, reason_kind
 from kinebench_drake.metrics.trust import trust_lines
-from kinebench_drake.report.limits import to_number
+from kinebench_drake.report.limit_table import to_number
 from kinebench_drake.report.metric import BY_NAME, Metric, MetricLayout, layout_of
 from kinebench_drake.report.plot import Histogram, count_values, draw_histogram
 from kinebench_drake.report.run import read_results

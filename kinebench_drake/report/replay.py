@@ -19,7 +19,7 @@ from kinebench_drake.io.atomic import write_atomically
 from kinebench_drake.io.jsonl import Json, as_object
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.models.panda.cad import simplify
-from kinebench_drake.report.limits import to_number
+from kinebench_drake.report.limit_table import to_number
 from kinebench_drake.report.replay_scene import COLORS, LinkMesh, ReplayScene, pose_links, posed_frames
 from kinebench_drake.report.run import read_results
 from kinebench_drake.report.table import template_environment

@@ -15,7 +15,7 @@ from markupsafe import Markup
 from kinebench_drake.geometry import Array
 from kinebench_drake.io.jsonl import Json, as_object
 from kinebench_drake.report.curves import draw_curves
-from kinebench_drake.report.limits import LimitPeak, find_checks, find_peaks, in_unit, to_number
+from kinebench_drake.report.limit_table import LimitPeak, find_checks, find_peaks, in_unit, to_number
 from kinebench_drake.report.timeline import anomalies_of, draw_strip, fault_lanes, frame_count
 from kinebench_drake.report.verdict import VERDICT_LABELS, verdict_of
 from kinebench_drake.results.row import SampleRow, Status

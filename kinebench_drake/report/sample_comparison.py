@@ -17,7 +17,7 @@ from kinebench_drake.report.number import (
     value_of,
     verdict_lines,
 )
-from kinebench_drake.report.parts import choose_listed, list_links, write_parts
+from kinebench_drake.report.page_parts import choose_listed, list_links, write_parts
 from kinebench_drake.report.run import Run, check_page_folder
 from kinebench_drake.report.table import Table, make_listing
 from kinebench_drake.report.verdict import GOOD_VERDICTS, verdict_of

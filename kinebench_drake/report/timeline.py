@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from kinebench_drake.anomaly import AnomalyKind
 from kinebench_drake.geometry import Array
 from kinebench_drake.io.jsonl import Json
-from kinebench_drake.report.limits import format_frames, joint_limits, limit_ratios
+from kinebench_drake.report.limit_table import format_frames, joint_limits, limit_ratios
 from kinebench_drake.report.plot import WIDTH, FrameSpan, merge_spans, render_plot, round_ticks
 from kinebench_drake.results.row import SampleRow
 from kinebench_drake.results.trackfile import TrackFile

@@ -6,7 +6,7 @@ from kinebench_drake.errors import count_noun
 from kinebench_drake.io.jsonl import as_object
 from kinebench_drake.metrics.executable import INFEASIBLE, LOST, OPEN, UNCHECKED, UNDECIDED, FailureVerdict, reason_kind
 from kinebench_drake.metrics.trust import TRUST, TrustLevel
-from kinebench_drake.report.limits import describe_violation, format_frames, to_number
+from kinebench_drake.report.limit_table import describe_violation, format_frames, to_number
 from kinebench_drake.report.timeline import anomalies_of
 from kinebench_drake.results.row import SampleRow, Status
 

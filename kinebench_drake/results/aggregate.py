@@ -149,7 +149,7 @@ class RunStatistics:
 
 
 @dataclass(frozen=True, slots=True)
-class _Column:
+class _MetricValues:
     """Values of a verdict or metric over the rows of a group."""
 
     values: list[Json] = field(default_factory=list)
@@ -163,9 +163,9 @@ class _Column:
         self.episodes.append(episode)
 
 
-def _columns(rows: Sequence[SampleRow]) -> dict[str, _Column]:
+def _columns(rows: Sequence[SampleRow]) -> dict[str, _MetricValues]:
     """Return the values of verdicts and metrics by name; a null verdict on execution is no if any row has one."""
-    columns: dict[str, _Column] = {name: _Column() for name in VERDICT_SHARES}
+    columns: dict[str, _MetricValues] = {name: _MetricValues() for name in VERDICT_SHARES}
     for row in rows if any(row.executable is not None for row in rows) else ():
         columns["executable"].add(row.executable is True, row.executable is True, row.episode)
     for row in (r for r in rows if r.status is Status.OK):
@@ -174,7 +174,7 @@ def _columns(rows: Sequence[SampleRow]) -> dict[str, _Column]:
         for name, value in {**row.metrics, **extra}.items():
             if (value is None or isinstance(value, bool | int | float)) and not name.endswith(BOUND):
                 bound = value if name in extra else row.bound(name)
-                columns.setdefault(name, _Column()).add(value, bound, row.episode)
+                columns.setdefault(name, _MetricValues()).add(value, bound, row.episode)
     return columns
 
 

@@ -12,23 +12,23 @@ from kinebench_drake.formats.trajectories.reading import Reading, TrajectoryOpti
 from kinebench_drake.formats.trajectories.source import find_trajectories, read_trajectory
 from kinebench_drake.formats.trajectories.trajectory import Trajectory, TrajectorySample
 from kinebench_drake.io.jsonl import Json
-from kinebench_drake.metrics.recording import find_action_lag, fingerprint, idle_ends
+from kinebench_drake.metrics.recording_faults import find_action_lag, fingerprint, idle_ends
 from kinebench_drake.models.arm import PANDA, ROBOTS
 from kinebench_drake.results.inputs import PeriodSource
 from kinebench_drake.results.row import SampleRow
 from kinebench_drake.results.store import artifact_path
 from kinebench_drake.results.trackfile import write_track
 from kinebench_drake.runs.config import RunConfig, RunKind, SourceConfig
-from kinebench_drake.runs.doubt import assess_readings, doubt_robot
 from kinebench_drake.runs.evaluator import KINEMATIC_METRICS, Evaluation, Evaluator
 from kinebench_drake.runs.gate import close_gate
 from kinebench_drake.runs.option import Option
+from kinebench_drake.runs.reading_check import assess_readings, doubt_robot
+from kinebench_drake.runs.resources import Resources, load_resources
 from kinebench_drake.runs.runner import NullRunObserver, RunObserver, RunSummary, run_samples
-from kinebench_drake.runs.tools import Tools, load_tools
 from kinebench_drake.track import GripperTrack
 
 if TYPE_CHECKING:  # loads Drake
-    from kinebench_drake.metrics.result import KinematicResult
+    from kinebench_drake.metrics.kinematic_result import KinematicResult
 
 _MOST_WARNINGS = 5  # shown on the terminal
 
@@ -101,16 +101,16 @@ def audit_trajectories(config: AuditConfig, observer: RunObserver | None = None)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class TrajectoryEvaluator(Evaluator[TrajectorySample, Tools]):
+class TrajectoryEvaluator(Evaluator[TrajectorySample, Resources]):
     """Evaluation of the trajectories of one run."""
 
     config: AuditConfig
 
-    def setup(self) -> Tools:
+    def setup(self) -> Resources:
         """Load the robot."""
-        return load_tools(self.config.make_tools, self.config.robot_options())
+        return load_resources(self.config.make_resources, self.config.robot_options())
 
-    def evaluate(self, sample: TrajectorySample, tools: Tools) -> Evaluation:
+    def evaluate(self, sample: TrajectorySample, tools: Resources) -> Evaluation:
         """Read, judge, write; without a verdict where it is doubtful how the numbers are to be read."""
         choice = self.config.trajectory_options()
         doubt = self._doubt(sample, choice, tools)
@@ -150,7 +150,7 @@ class TrajectoryEvaluator(Evaluator[TrajectorySample, Tools]):
             },
         )
 
-    def _doubt(self, sample: TrajectorySample, choice: TrajectoryOptions, tools: Tools) -> str | None:
+    def _doubt(self, sample: TrajectorySample, choice: TrajectoryOptions, tools: Resources) -> str | None:
         """Return why the numbers have no verdict; None if there is no doubt how to read them."""
         if self.config.robot == PANDA and (other := doubt_robot(sample, choice)):
             return other
@@ -187,7 +187,7 @@ class TrajectoryEvaluator(Evaluator[TrajectorySample, Tools]):
         return {"format": sample.format.value, "seed": sample.seed, "prompt": sample.prompt, **success}
 
 
-def judge_trajectory(tools: Tools, trajectory: Trajectory) -> "KinematicResult":
+def judge_trajectory(tools: Resources, trajectory: Trajectory) -> "KinematicResult":
     """Judge a trajectory: joint angles as recorded, poses by the best joint path that follows them."""
     if trajectory.q is not None:
         return tools.judge_joints(trajectory.t_s, trajectory.q, trajectory.finger_width_m)

@@ -14,13 +14,13 @@ from kinebench_drake.grounding.overrides.overrides import Overrides
 from kinebench_drake.io.jsonl import Json
 from kinebench_drake.kinematics.violation import ViolationKind
 from kinebench_drake.models.arm import PANDA, ROBOTS
-from kinebench_drake.models.panda.robot import GripperKind
+from kinebench_drake.models.panda.description import GripperKind
 from kinebench_drake.report.metric import BY_NAME
 from kinebench_drake.results.aggregate import VERDICT_SHARES
 from kinebench_drake.results.drops import DropReason
 from kinebench_drake.results.metadata import Shard
 from kinebench_drake.runs.option import Option, options_json, parse_options
-from kinebench_drake.runs.tools import RobotOptions, Tools, ToolsFactory
+from kinebench_drake.runs.resources import Resources, ResourcesFactory, RobotOptions
 from kinebench_drake.suites.clock import CLIP_S
 
 AUTO = "auto"
@@ -38,7 +38,7 @@ class ModelSource(Enum):
     """The first folder below the source."""
 
 
-class ActionFormat(Enum):
+class ActionFileFormat(Enum):
     """Format of actions."""
 
     LEROBOT = "lerobot-v3"
@@ -115,7 +115,7 @@ class RunConfig:
         Option("Write 3D replays of the N worst samples (3 MB each); `view` writes one of any.", least=0, metavar="N"),
     ] = 3
     """None keeps the replays that `view` wrote and writes none."""
-    make_tools: ToolsFactory = Tools
+    make_resources: ResourcesFactory = Resources
     """Creates the tools of a worker process; picklable."""
 
     def __post_init__(self) -> None:
@@ -306,7 +306,7 @@ class ScoreConfig(SourceConfig):
         Path | None, Option("Poses of panda_hand in the camera frame that replace the tracker's.", metavar="DIR")
     ] = None
     format: Annotated[
-        ActionFormat | None,
+        ActionFileFormat | None,
         Option(
             "Also write the actions of all videos: a LeRobot dataset, or the files that RoboWM-Bench executes.",
             key=None,

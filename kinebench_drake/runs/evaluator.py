@@ -26,7 +26,7 @@ from kinebench_drake.results.store import artifact_path
 from kinebench_drake.runs.config import RunConfig
 
 if TYPE_CHECKING:  # loads Drake
-    from kinebench_drake.metrics.result import KinematicResult
+    from kinebench_drake.metrics.kinematic_result import KinematicResult
 
 SCHEMA_VERSION = 2
 
@@ -170,7 +170,7 @@ class Evaluator(ABC, Generic[SampleT, ResourcesT]):
 
     def content_hash(self, sample: SampleT) -> str:
         """Return the SHA-256 of all that determines a sample's row: input bytes, labels, options, code and robot."""
-        make = self.config.make_tools
+        make = self.config.make_resources
         key: dict[str, Json] = {
             "schema": SCHEMA_VERSION,
             "kind": self.config.kind.value,

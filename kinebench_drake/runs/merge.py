@@ -24,8 +24,8 @@ from kinebench_drake.results.store import (
 )
 from kinebench_drake.runs.config import RunKind
 from kinebench_drake.runs.evaluator import PENDING, SCHEMA_VERSION
-from kinebench_drake.runs.requests import request_path, write_requests
 from kinebench_drake.runs.runner import NullRunObserver, RunObserver, RunSummary, close_run, summarize
+from kinebench_drake.suites.runs.requests import request_path, write_requests
 
 _SHARD_SETTINGS = ("limit", "shard", "jobs", "engine")
 """Settings in which shards of one run may differ: they distribute the work and do not affect results."""

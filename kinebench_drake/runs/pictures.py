@@ -9,12 +9,12 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from kinebench_drake.camera import BENCHMARK_PX
-from kinebench_drake.runs.tools import Tools
+from kinebench_drake.runs.resources import Resources
 from kinebench_drake.track import GripperTrack
 
 if TYPE_CHECKING:  # loads Drake and ManiSkill
-    from kinebench_drake.closed_loop.loop import EpisodeRun
-    from kinebench_drake.metrics.result import KinematicResult
+    from kinebench_drake.metrics.kinematic_result import KinematicResult
+    from kinebench_drake.suites.closed_loop.loop import EpisodeRun
     from kinebench_drake.suites.rollout import RolloutVideo
 
 
@@ -35,7 +35,7 @@ def encode_strip(images: list[NDArray[np.uint8]]) -> bytes:
 
 
 def rollout_frames(
-    run: "EpisodeRun", executed: "Sequence[RolloutVideo | None]", tools: Tools
+    run: "EpisodeRun", executed: "Sequence[RolloutVideo | None]", tools: Resources
 ) -> Iterator[NDArray[np.uint8]]:
     """Yield generated frames, executed frames, and the generated gripper drawn on the executed frames, side by side."""
     for number, (done, execution) in enumerate(zip(run.rounds, executed, strict=True), 1):

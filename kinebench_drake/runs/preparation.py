@@ -18,7 +18,7 @@ from kinebench_drake.grounding.priors import Clip, InitialStateUse, Priors
 from kinebench_drake.io.images import read_image
 from kinebench_drake.io.jsonl import Json
 from kinebench_drake.io.video import WHOLE, Video
-from kinebench_drake.models.panda.robot import GripperKind
+from kinebench_drake.models.panda.description import GripperKind
 from kinebench_drake.results.inputs import BENCHMARK_PERIOD_S, PeriodSource
 from kinebench_drake.results.row import SampleRow, Status
 from kinebench_drake.runs.config import AUTO
@@ -245,7 +245,7 @@ def _is_unconfirmed(row: SampleRow) -> bool:
 def camera_frame_metrics(track: GripperTrack, reason: str) -> tuple[Mapping[str, Json], Mapping[str, str]]:
     """Return the smoothness of a track in the camera frame, and the reasons of metrics and verdicts that it lacks."""
     from kinebench_drake.metrics.smoothness import measure_smoothness
-    from kinebench_drake.models.panda.robot import hand_from_tcp
+    from kinebench_drake.models.panda.description import hand_from_tcp
 
     reason = name_options(reason)
     X_CG: Array = track.X_CH @ hand_from_tcp()

@@ -21,13 +21,13 @@ from kinebench_drake.io.images import frame_files
 from kinebench_drake.io.jsonl import Json
 from kinebench_drake.io.reader import read_video
 from kinebench_drake.io.video import Video
-from kinebench_drake.metrics.recording import fingerprint, idle_ends
-from kinebench_drake.models.panda.robot import GripperKind
+from kinebench_drake.metrics.recording_faults import fingerprint, idle_ends
+from kinebench_drake.models.panda.description import GripperKind
 from kinebench_drake.results.provenance import weights_hash
 from kinebench_drake.results.row import SampleRow
 from kinebench_drake.results.store import artifact_path
 from kinebench_drake.results.trackfile import write_track
-from kinebench_drake.runs.actions import require_own_folder, write_actions
+from kinebench_drake.runs.action_export import require_own_folder, write_actions
 from kinebench_drake.runs.config import AUTO, ScoreConfig, period_warnings
 from kinebench_drake.runs.evaluator import ANOMALIES_OPEN, KINEMATIC_METRICS, Evaluation, Evaluator
 from kinebench_drake.runs.gate import close_gate
@@ -42,13 +42,13 @@ from kinebench_drake.runs.preparation import (
     with_camera_option,
     with_initial_states,
 )
+from kinebench_drake.runs.resources import Resources, load_resources
 from kinebench_drake.runs.runner import NullRunObserver, RunObserver, RunSummary, run_samples
-from kinebench_drake.runs.tools import Tools, load_tools
 from kinebench_drake.track import Domain, GripperTrack
 
 if TYPE_CHECKING:  # loads torch and Open3D
     from kinebench_drake.grounding.video_result import GroundingResult
-    from kinebench_drake.metrics.result import KinematicResult
+    from kinebench_drake.metrics.kinematic_result import KinematicResult
 
 VISUAL_METRICS = ("tracked_fraction", "confidence_mean", "camera_motion_px", "arm_consistency_px", "anomalies")
 """Metrics of every row of a video; null where not measurable."""
@@ -95,7 +95,7 @@ def compare_extractors(track: GripperTrack, reference_X_BG: Array | None) -> dic
     }
 
 
-def _judge_possible(tracks: Sequence[GripperTrack], tools: Tools) -> "KinematicResult | None":
+def _judge_possible(tracks: Sequence[GripperTrack], tools: Resources) -> "KinematicResult | None":
     """Return the verdict that holds with each of the possible tracks of a video; None if there is none.
 
     It is that of the first track. Of its violations it has those whose kind occurs in all tracks; without one it does
@@ -137,18 +137,18 @@ def find_videos(config: ScoreConfig) -> VideoSamples:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class VideoEvaluator(Evaluator[VideoSample, Tools]):
+class VideoEvaluator(Evaluator[VideoSample, Resources]):
     """Evaluation of the videos of one run."""
 
     config: ScoreConfig
     overrides: Overrides
     """Stages of the grounding that are replaced."""
 
-    def setup(self) -> Tools:
+    def setup(self) -> Resources:
         """Load the robot."""
-        return load_tools(self.config.make_tools, self.config.robot_options())
+        return load_resources(self.config.make_resources, self.config.robot_options())
 
-    def evaluate(self, sample: VideoSample, tools: Tools) -> Evaluation:
+    def evaluate(self, sample: VideoSample, tools: Resources) -> Evaluation:
         """Read, ground, judge, write."""
         if sample.problem is not None:
             raise InputError(sample.problem)
@@ -157,7 +157,7 @@ class VideoEvaluator(Evaluator[VideoSample, Tools]):
         self._write(sample, video, tools, grounding, evaluation)
         return evaluation
 
-    def measure(self, sample: VideoSample, video: Video, tools: Tools) -> "tuple[GroundingResult, Evaluation]":
+    def measure(self, sample: VideoSample, video: Video, tools: Resources) -> "tuple[GroundingResult, Evaluation]":
         """Ground and judge a decoded video; nothing is written."""
         config = self.config
         timed, grounding = ground_sample(
@@ -221,7 +221,7 @@ class VideoEvaluator(Evaluator[VideoSample, Tools]):
         )
 
     def _write(
-        self, sample: VideoSample, video: Video, tools: Tools, grounding: "GroundingResult", evaluation: Evaluation
+        self, sample: VideoSample, video: Video, tools: Resources, grounding: "GroundingResult", evaluation: Evaluation
     ) -> None:
         """Write the artifacts of a video."""
         out = self.config.out
@@ -303,7 +303,7 @@ class VideoEvaluator(Evaluator[VideoSample, Tools]):
 class _VideoReader(VideoEvaluator):
     """Evaluation that ends before the grounding."""
 
-    def evaluate(self, sample: VideoSample, tools: Tools) -> Evaluation:
+    def evaluate(self, sample: VideoSample, tools: Resources) -> Evaluation:
         """Read the video, check size and shape, determine its times."""
         if sample.problem is not None:
             raise InputError(sample.problem)

@@ -22,9 +22,9 @@ from kinebench_drake.results.trackfile import TrackFile, read_track
 from kinebench_drake.runs.config import RunKind, ScoreConfig
 from kinebench_drake.runs.evaluator import SCHEMA_VERSION, Evaluation, judge_evaluation
 from kinebench_drake.runs.option import options_of
+from kinebench_drake.runs.resources import Resources, RobotOptions, load_resources
 from kinebench_drake.runs.runner import summarize
 from kinebench_drake.runs.score import VideoEvaluator, find_videos, mean_confidence
-from kinebench_drake.runs.tools import RobotOptions, Tools, load_tools
 from kinebench_drake.track import GripperTrack
 
 RELATIVE = 1e-3
@@ -68,7 +68,7 @@ def verify_bundle(bundle: Bundle, samples: int, seed: int, videos: Path | None =
     candidates = [id for id, row in rows.items() if row.status is Status.OK and row.extra.get("rounds", 1) == 1]
     chosen = np.random.default_rng(seed).permutation(len(candidates))[:samples]
     ids = sorted(candidates[k] for k in chosen)
-    tools = load_tools(Tools, _robot_options(run)) if ids and RunKind(run.kind).judges else None
+    tools = load_resources(Resources, _robot_options(run)) if ids and RunKind(run.kind).judges else None
     grounder = None if videos is None else _Regrounder(run, videos)
     for id in ids:
         row = rows[id]
@@ -132,7 +132,7 @@ def _robot_options(run: RunMetadata) -> RobotOptions:
     return options
 
 
-def _compare_row(row: SampleRow, file: TrackFile, tools: Tools | None) -> Iterator[str]:
+def _compare_row(row: SampleRow, file: TrackFile, tools: Resources | None) -> Iterator[str]:
     """Describe in what a row differs from the numbers of its track, which without `tools` are not judged."""
     stated = dict[str, Json]()
     expected = dict[str, Json]()

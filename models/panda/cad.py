@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from kinebench_drake.environment import native
 from kinebench_drake.geometry import Array, invert
-from kinebench_drake.models.panda.robot import ARM, GRIPPER, LINK_OF, OPENING_SIGN, RobotPart, source_urdf
+from kinebench_drake.models.panda.description import ARM, GRIPPER, LINK_OF, OPENING_SIGN, RobotPart, source_urdf
 
 FINGER_ORIGIN_H = np.array([0.0, 0.0, 0.0584])
 """(3,) origin of the finger frames when closed (panda_finger_joint1/2) [m]."""

@@ -17,7 +17,7 @@ from torch.nn import functional
 from torch.nn.utils import fuse_conv_bn_eval
 
 from kinebench_drake.errors import SetupError
-from kinebench_drake.models.panda.robot import RobotPart
+from kinebench_drake.models.panda.description import RobotPart
 
 WEIGHTS = Path(__file__).with_name("gripper.safetensors")
 """Shipped weights, in half precision."""

@@ -23,7 +23,7 @@ from kinebench_drake.environment import native
 from kinebench_drake.io.atomic import atomic_folder, disk_errors, write_atomically
 from kinebench_drake.io.files import cache_folder
 from kinebench_drake.models.panda.cad import simplify
-from kinebench_drake.models.panda.robot import ARM, LINK_OF
+from kinebench_drake.models.panda.description import ARM, LINK_OF
 
 _VERSION = b"1"  # of shaders and meshes; increment it with every change to invalidate caches
 _SHADOW = """float ShadowMapPCF(

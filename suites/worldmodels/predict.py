@@ -44,7 +44,7 @@ class Range(BaseModel):
     max: _Count
 
 
-class ActionFormat(BaseModel):
+class ActionProfile(BaseModel):
     """Actions of a profile."""
 
     dimension: _Count
@@ -63,7 +63,7 @@ class Profile(BaseModel):
     image: ImageFormat
     context_frames: Range
     prediction_frames: Range
-    action: ActionFormat
+    action: ActionProfile
     instruction: Instruction = Instruction()
 
 

@@ -12,18 +12,18 @@ from kinebench_drake.errors import UsageError
 from kinebench_drake.formats.videos.sample import VideoSample
 from kinebench_drake.geometry import Array
 from kinebench_drake.runs.evaluator import Evaluation
-from kinebench_drake.runs.tools import Tools
+from kinebench_drake.runs.resources import Resources
 from kinebench_drake.track import GripperTrack
 
 FRAMES = 25
 
 
 @pytest.fixture(scope="module")
-def tools() -> Tools:
+def tools() -> Resources:
     return _evaluator(0.2).setup()
 
 
-def follow(q: Array, tools: Tools) -> GripperTrack:
+def follow(q: Array, tools: Resources) -> GripperTrack:
     """Track that a video of joint angles shows."""
     X_BG = tools.plant.forward_path(q)
     confidence = np.linspace(0.9, 1.0, FRAMES)
@@ -42,7 +42,7 @@ def lose(track: GripperTrack, frames: Array) -> GripperTrack:
     )  # fmt: skip
 
 
-def reward(track: GripperTrack, tools: Tools) -> float:
+def reward(track: GripperTrack, tools: Resources) -> float:
     share = float(track.tracked.mean())
     metrics = {"tracked_fraction": share, "confidence_mean": float(track.confidence[track.tracked].mean())}
 
@@ -59,7 +59,7 @@ def motions() -> dict[str, Array]:
     return {"slow": slow, "jump": jump, "still": slow[:1].repeat(FRAMES, axis=0)}
 
 
-def test_only_a_motion_that_can_be_executed_is_worth_more_than_half(tools: Tools) -> None:
+def test_only_a_motion_that_can_be_executed_is_worth_more_than_half(tools: Resources) -> None:
     rewards = {name: reward(follow(q, tools), tools) for name, q in motions().items()}
     assert 0.9 < rewards["slow"] <= 1.0
     assert rewards["jump"] <= 0.5
@@ -67,7 +67,7 @@ def test_only_a_motion_that_can_be_executed_is_worth_more_than_half(tools: Tools
 
 
 @pytest.mark.parametrize("name", ["slow", "jump"])
-def test_losing_frames_never_raises_the_reward(name: str, tools: Tools) -> None:
+def test_losing_frames_never_raises_the_reward(name: str, tools: Resources) -> None:
     rng = np.random.default_rng(0)
     track = follow(motions()[name], tools)
     before = reward(track, tools)

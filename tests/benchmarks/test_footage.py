@@ -30,7 +30,7 @@ from kinebench_drake.errors import UsageError
 from kinebench_drake.geometry import make_pose, rotation_exp
 from kinebench_drake.grounding.tracking.markov import X_HALF_TURN
 from kinebench_drake.models.panda.cad import FINGER_ORIGIN_H, part_meshes
-from kinebench_drake.models.panda.robot import GripperKind, RobotPart
+from kinebench_drake.models.panda.description import GripperKind, RobotPart
 
 T = 4
 CAMERA = benchmark_camera()

@@ -5,8 +5,8 @@ import pytest
 
 from benchmarks import rounds
 from benchmarks.rounds import RoundTiming, Stage, StageClock, figures, section
-from kinebench_drake.closed_loop.commands import CommandPlanner
-from kinebench_drake.runs.episodes import EpisodeEvaluator
+from kinebench_drake.suites.closed_loop.execution import CommandPlanner
+from kinebench_drake.suites.runs.episodes import EpisodeEvaluator
 from kinebench_drake.suites.simulator import Simulator
 
 

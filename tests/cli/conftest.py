@@ -11,7 +11,7 @@ from kinebench_drake.results.provenance import code_hash
 from kinebench_drake.runs import audit, score
 from kinebench_drake.runs import runner as run
 from kinebench_drake.runs.config import ScoreConfig
-from kinebench_drake.runs.tools import Tools
+from kinebench_drake.runs.resources import Resources
 
 HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE))
@@ -56,7 +56,7 @@ def config(tmp_path):
             **{
                 "source": tmp_path / "videos",
                 "out": tmp_path / "out",
-                "make_tools": FakeTools,
+                "make_resources": FakeTools,
                 "replays": None,
                 **changes,
             }
@@ -70,8 +70,8 @@ def program(capfd, monkeypatch):
     """Runs the program in this process with the fake analyzer; returns exit status, standard output and error."""
     for config in (score.ScoreConfig, audit.AuditConfig):
         defaults = config.__init__.__kwdefaults__
-        assert defaults["make_tools"] is Tools
-        monkeypatch.setitem(defaults, "make_tools", FakeTools)
+        assert defaults["make_resources"] is Resources
+        monkeypatch.setitem(defaults, "make_resources", FakeTools)
 
     monkeypatch.setattr(run, "_replay", lambda *_: None)  # needs Drake and seconds
 

@@ -22,10 +22,11 @@ from kinebench_drake.io.reader import read_video
 from kinebench_drake.results.row import Status
 from kinebench_drake.results.store import read_rows
 from kinebench_drake.results.trackfile import read_track
-from kinebench_drake.runs import episodes, score
+from kinebench_drake.runs import score
 from kinebench_drake.runs.config import ScoreConfig
 from kinebench_drake.runs.option import options_of
-from kinebench_drake.runs.suite_config import SuiteConfig
+from kinebench_drake.suites.runs import episodes
+from kinebench_drake.suites.runs.suite_config import SuiteConfig
 from kinebench_drake.track import InitialState
 
 NOISE = np.random.default_rng(0).integers(0, 255, (4, 96, 200, 3), np.uint8)
@@ -35,7 +36,7 @@ EXAMPLES = Path(__file__).parents[2] / "examples" / "videos"
 @pytest.fixture
 def quick(monkeypatch):
     """Single samples are worked on by the fake analyzer, too."""
-    monkeypatch.setattr(single, "make_tools", FakeTools)
+    monkeypatch.setattr(single, "make_resources", FakeTools)
     single._cached_tools.cache_clear()  # another test may have loaded the real one
     yield
     single._cached_tools.cache_clear()
@@ -246,7 +247,7 @@ def test_error_messages_name_python_arguments_and_not_command_line_options(tmp_p
 def test_warnings_point_at_the_caller(tmp_path, film, quick, monkeypatch):
     film("videos/a.mp4")
     np.save(tmp_path / "videos" / "b.npy", np.zeros((2, 96, 96, 3), np.uint8))
-    monkeypatch.setitem(ScoreConfig.__init__.__kwdefaults__, "make_tools", FakeTools)
+    monkeypatch.setitem(ScoreConfig.__init__.__kwdefaults__, "make_resources", FakeTools)
     with pytest.warns(UserWarning, match="videos in npy or npz files ignored") as caught:
         score_videos(tmp_path / "videos", out=tmp_path / "out", replays=0)
     with pytest.warns(UserWarning, match="frame period of 200 s") as more:

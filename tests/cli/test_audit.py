@@ -46,7 +46,7 @@ def source(tmp_path):
 @pytest.fixture
 def run(source, tmp_path):
     def call(observer=None, **changes):
-        config = {"source": source, "out": tmp_path / "out", "make_tools": FakeTools, **changes}
+        config = {"source": source, "out": tmp_path / "out", "make_resources": FakeTools, **changes}
         return audit_trajectories(AuditConfig(**{"replays": None, **config}), observer)
 
     return call

@@ -87,7 +87,7 @@ class UnsureTools(FakeTools):
 
 def test_an_untrusted_sample_still_has_a_track_with_poses_and_an_overlay(film, config, tmp_path):
     film("videos/a.mp4")
-    score_videos(config(make_tools=UnsureTools, camera="benchmark", overlay=True))
+    score_videos(config(make_resources=UnsureTools, camera="benchmark", overlay=True))
     row = read_rows(tmp_path / "out")["a"]
     assert row.status is Status.UNMEASURABLE
     assert "trusted in 0" in row.reason

@@ -13,7 +13,7 @@ from fake_tools import Act, broken
 from kinebench_drake.io import progress
 from kinebench_drake.results.store import read_rows
 from kinebench_drake.runs import score
-from kinebench_drake.runs.tools import load_tools
+from kinebench_drake.runs.resources import load_resources
 
 COMMANDS = ["score", "ground", "audit", "report", "doctor"]
 
@@ -120,7 +120,7 @@ def test_usage_errors_end_with_status_2_and_one_line(program, film, tmp_path, mo
 
 def test_missing_dependencies_end_with_status_1_and_one_line_that_names_doctor(program, film, tmp_path, monkeypatch):
     film("videos/a.mp4")
-    monkeypatch.setattr(score, "load_tools", lambda make, options: load_tools(broken, options))
+    monkeypatch.setattr(score, "load_tools", lambda make, options: load_resources(broken, options))
     code, _, err = program("score", tmp_path / "videos", "--out", tmp_path / "out")
     assert code == 1
     assert "doctor" in one_line(err)
@@ -150,7 +150,7 @@ signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background
 from fake_tools import FakeTools
 from kinebench_drake import cli
 from kinebench_drake.runs.config import ScoreConfig
-ScoreConfig.__init__.__kwdefaults__["make_tools"] = FakeTools
+ScoreConfig.__init__.__kwdefaults__["make_resources"] = FakeTools
 if __name__ == "__main__":
     cli.main(sys.argv[1:])
 """

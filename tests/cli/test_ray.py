@@ -133,4 +133,4 @@ def test_an_interrupted_run_keeps_finished_rows_and_resumes(film, tmp_path, scor
 def test_missing_dependencies_of_workers_stop_the_run_with_a_setup_error(film, scored):
     film("videos/a.mp4")
     with pytest.raises(SetupError, match="doctor"):
-        scored(make_tools=broken)
+        scored(make_resources=broken)

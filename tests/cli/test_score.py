@@ -24,7 +24,7 @@ from kinebench_drake.executors.base import ExecutorKind
 from kinebench_drake.formats.camerafile import save_camera
 from kinebench_drake.io.atomic import disk_errors
 from kinebench_drake.io.reader import read_video
-from kinebench_drake.models.panda.robot import GripperKind
+from kinebench_drake.models.panda.description import GripperKind
 from kinebench_drake.report import replay
 from kinebench_drake.results import store
 from kinebench_drake.results.inputs import input_lines, list_inputs
@@ -378,7 +378,7 @@ def test_an_analyzer_that_cannot_be_loaded_stops_the_run_before_any_row(film, co
         film(f"videos/v{k}.mp4")
     for jobs in (1, 2):
         with pytest.raises(SetupError, match="doctor"):
-            score_videos(config(make_tools=broken, jobs=jobs))
+            score_videos(config(make_resources=broken, jobs=jobs))
     assert read_rows(tmp_path / "out") == {}
 
 
@@ -476,7 +476,7 @@ from kinebench_drake.runs.score import score_videos
 from kinebench_drake.runs.config import ScoreConfig
 if __name__ == "__main__":
     source, out, jobs = sys.argv[1:]
-    score_videos(ScoreConfig(source=Path(source), out=Path(out), jobs=int(jobs), make_tools=FakeTools))
+    score_videos(ScoreConfig(source=Path(source), out=Path(out), jobs=int(jobs), make_resources=FakeTools))
 """
 
 
@@ -648,7 +648,7 @@ class ArmTools(FakeTools):
 
 def test_an_arm_without_gripper_is_reported_with_the_gripper_of_the_configuration(film, config, tmp_path):
     film("videos/a.mp4")
-    score_videos(config(make_tools=ArmTools))
+    score_videos(config(make_resources=ArmTools))
     (row,) = read_rows(tmp_path / "out").values()
     assert (row.extra["domain"], row.extra["gripper"]) == ("arm_alone", "robotiq-2f85")
     with pytest.raises(UsageError, match="gripper is 'claw', expected 'franka'"):

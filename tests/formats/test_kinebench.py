@@ -13,10 +13,10 @@ from kinebench_drake.formats.kinebench import read_rows
 from kinebench_drake.formats.trajectories.reading import TrajectoryOptions
 from kinebench_drake.formats.trajectories.source import find_trajectories, read_trajectory
 from kinebench_drake.formats.videos.find import find_samples
-from kinebench_drake.report.suite.suite_page import write_suite_report
 from kinebench_drake.runs.score import compare_extractors
 from kinebench_drake.suites.composition import compose
 from kinebench_drake.suites.prompts import PromptTemplate
+from kinebench_drake.suites.report.suite_page import write_suite_report
 from kinebench_drake.track import GripperTrack
 
 FRAMES = 5

@@ -8,7 +8,7 @@ from kinebench_drake.grounding.tracking.crop import Crop
 from kinebench_drake.grounding.tracking.pose import FramePose
 from kinebench_drake.grounding.tracking.view import GripperView
 from kinebench_drake.models.panda.cad import GripperCad
-from kinebench_drake.models.panda.robot import RobotPart
+from kinebench_drake.models.panda.description import RobotPart
 
 
 def hand_pose(seed: int) -> Array:

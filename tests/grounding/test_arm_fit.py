@@ -30,7 +30,7 @@ from kinebench_drake.grounding.tracking.crop import CLOSE_SIZE, Crop
 from kinebench_drake.grounding.tracking.flange_tracker import FlangeTracker
 from kinebench_drake.grounding.tracking.view import GripperView
 from kinebench_drake.models.panda.cad import PartCaster, link_meshes, open_fingers, part_meshes
-from kinebench_drake.models.panda.robot import ARM, OPENING_SIGN, GripperKind, RobotPart
+from kinebench_drake.models.panda.description import ARM, OPENING_SIGN, GripperKind, RobotPart
 from kinebench_drake.models.robotiq.cad import robotiq_mesh
 
 CAMERA = benchmark_camera()

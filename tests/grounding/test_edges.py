@@ -18,7 +18,7 @@ from kinebench_drake.grounding.registration.opening import GAPS_M, MOUNTS_M, Han
 from kinebench_drake.grounding.registration.shape import HandShape, fit_shape
 from kinebench_drake.grounding.registration.solver import solve
 from kinebench_drake.models.panda.cad import PartCaster, link_meshes, open_fingers, part_meshes
-from kinebench_drake.models.panda.robot import RobotPart
+from kinebench_drake.models.panda.description import RobotPart
 
 CAMERA = benchmark_camera().resized(320, 320)
 FINGER_M = 0.03

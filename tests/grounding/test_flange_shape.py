@@ -9,7 +9,7 @@ from kinebench_drake.grounding.registration.arm_edge_fit import LAST_LINKS
 from kinebench_drake.grounding.registration.arm_model import ArmModel
 from kinebench_drake.grounding.registration.edges import FlangeShape, links_shape, robotiq_shape
 from kinebench_drake.grounding.registration.image import GradientImage
-from kinebench_drake.models.panda.robot import RobotPart
+from kinebench_drake.models.panda.description import RobotPart
 
 CAMERA = benchmark_camera()
 

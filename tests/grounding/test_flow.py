@@ -12,7 +12,7 @@ from kinebench_drake.grounding.registration.arm_model import ArmModel
 from kinebench_drake.grounding.registration.edges import EdgeMatcher
 from kinebench_drake.grounding.registration.image import GradientImage, follow_surface
 from kinebench_drake.models.panda.cad import open_fingers
-from kinebench_drake.models.panda.robot import RobotPart
+from kinebench_drake.models.panda.description import RobotPart
 
 CAMERA = benchmark_camera().resized(320, 320)
 START = np.array([0.0, 0.1, 0.0, -2.2, 0.0, 2.3, 0.8])

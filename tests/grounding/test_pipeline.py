@@ -30,7 +30,7 @@ from kinebench_drake.grounding.tracking.tracker import CadTracker, Tracking
 from kinebench_drake.io.frames import Frames
 from kinebench_drake.io.reader import read_video
 from kinebench_drake.models.panda.cad import GripperCad
-from kinebench_drake.models.panda.robot import hand_from_tcp
+from kinebench_drake.models.panda.description import hand_from_tcp
 from kinebench_drake.models.perception.network import load_network
 from kinebench_drake.track import Domain
 

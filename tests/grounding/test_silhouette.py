@@ -11,7 +11,7 @@ from kinebench_drake.grounding.registration.solver import solve
 from kinebench_drake.grounding.tracking.crop import CLOSE_SIZE, Crop
 from kinebench_drake.grounding.tracking.view import GripperView
 from kinebench_drake.models.panda.cad import GripperCad
-from kinebench_drake.models.panda.robot import RobotPart
+from kinebench_drake.models.panda.description import RobotPart
 
 FINGER_M = 0.03
 X_CH = make_pose(rotation_exp([2.2, 0.5, 0.3]), [0.05, -0.02, 0.9])

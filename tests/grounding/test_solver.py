@@ -13,7 +13,7 @@ from kinebench_drake.grounding.registration.correspondences import Correspondenc
 from kinebench_drake.grounding.registration.fit import HandModel, fit, fit_all, gripper_cells
 from kinebench_drake.grounding.registration.solver import CellRows, FitModel, residuals, solve
 from kinebench_drake.models.panda.cad import GripperCad
-from kinebench_drake.models.panda.robot import ARM, RobotPart
+from kinebench_drake.models.panda.description import ARM, RobotPart
 from tests.grounding.conftest import hand_pose, perfect_view
 
 FRAMES = 3

@@ -9,7 +9,7 @@ from pydrake.solvers import ClarabelSolver, MathematicalProgram
 from kinebench_drake.errors import UsageError
 from kinebench_drake.kinematics.collision import TABLE, CollisionModel
 from kinebench_drake.kinematics.plant import ArmPlant
-from kinebench_drake.models.panda.robot import rest_q
+from kinebench_drake.models.panda.description import rest_q
 
 FOLDED = np.array([0.0, -1.2, 0.0, -3.05, 0.0, 0.3, 0.785])
 """The forearm folded onto the upper arm, the gripper turned back into the shoulder."""

@@ -8,7 +8,7 @@ from kinebench_drake.kinematics.newton import solve_newton
 from kinebench_drake.kinematics.path import limit_excess
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.kinematics.postures import posture_solver
-from kinebench_drake.models.panda.robot import rest_q
+from kinebench_drake.models.panda.description import rest_q
 from kinebench_drake.track import IkStatus
 
 FAR_POSE = make_pose(np.eye(3), [2.0, 0.0, 0.0])

@@ -10,7 +10,7 @@ from kinebench_drake.kinematics.manipulability import (
     time_integral,
 )
 from kinebench_drake.kinematics.plant import ArmPlant
-from kinebench_drake.models.panda.robot import rest_q
+from kinebench_drake.models.panda.description import rest_q
 
 
 def test_w_is_the_product_of_the_singular_values(plant: ArmPlant) -> None:

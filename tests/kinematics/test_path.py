@@ -8,7 +8,7 @@ from kinebench_drake.kinematics import relaxation
 from kinebench_drake.kinematics.path import find_cheapest_path, limit_excess, search_path, select_anchors, speed_ratios
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.kinematics.postures import NumericSolver, posture_solver
-from kinebench_drake.models.panda.robot import rest_q
+from kinebench_drake.models.panda.description import rest_q
 
 
 def _path(n: int, seed: int = 0) -> Array:

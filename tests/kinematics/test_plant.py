@@ -7,7 +7,7 @@ import pytest
 from kinebench_drake.errors import UsageError
 from kinebench_drake.geometry import rotation_log
 from kinebench_drake.kinematics.plant import ArmPlant
-from kinebench_drake.models.panda.robot import hand_from_tcp, rest_q
+from kinebench_drake.models.panda.description import hand_from_tcp, rest_q
 
 
 def _dh_forward(q: np.ndarray) -> np.ndarray:

@@ -6,7 +6,7 @@ from kinebench_drake.kinematics.path import limit_excess, speed_ratios
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.kinematics.postures import posture_solver
 from kinebench_drake.kinematics.relaxation import peak_ratio, relax
-from kinebench_drake.models.panda.robot import rest_q
+from kinebench_drake.models.panda.description import rest_q
 
 
 def _path(n: int, seed: int = 0) -> Array:

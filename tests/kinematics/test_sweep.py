@@ -13,7 +13,7 @@ from kinebench_drake.kinematics.sweep import RESOLUTION_M, sweep
 from kinebench_drake.kinematics.violation import ViolationKind
 from kinebench_drake.metrics.judge import TrackJudge
 from kinebench_drake.models.arm import load_robot
-from kinebench_drake.models.panda.robot import rest_q
+from kinebench_drake.models.panda.description import rest_q
 
 PLATE = {"name": "plate", "box_m": [0.4, 0.002, 0.6], "position_m": [0.6, 0.0, 0.3]}
 OTHERS = [
@@ -114,7 +114,7 @@ def test_poses_past_an_obstacle_are_followed_by_postures_that_avoid_it(tmp_path:
     X = free.forward_path(turn(-0.05, 0.05, 8))
     elbow["position_m"] = free.link_poses(rest_q())["panda_link4"][:3, 3].tolist()
     plant = make_plant(tmp_path, elbow)
-    from kinebench_drake.kinematics.track import solve_track
+    from kinebench_drake.kinematics.track_ik import solve_track
     from kinebench_drake.track import GripperTrack
 
     n = len(X)

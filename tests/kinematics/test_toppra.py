@@ -6,9 +6,9 @@ from scipy.interpolate import CubicSpline
 from scipy.optimize import linprog
 
 from kinebench_drake.kinematics.plant import ArmPlant
-from kinebench_drake.kinematics.timing import _Motion
+from kinebench_drake.kinematics.timing import _PathMotion
 from kinebench_drake.kinematics.toppra import PathLimits, fastest_rates
-from kinebench_drake.models.panda.robot import rest_q
+from kinebench_drake.models.panda.description import rest_q
 
 ENDS = 1.0, 1.0
 
@@ -39,7 +39,7 @@ def test_path_rates_equal_drakes_toppra(plant: ArmPlant, seed: int) -> None:
     t = np.sort(rng.uniform(0.0, 6.0, 30))
     t -= t[0]
     q = rest_q() + 0.2 * np.sin(rng.uniform(0.3, 1.5, 7) * t[:, None] + rng.uniform(0.0, 6.0, 7))
-    motion = _Motion(plant, t, q, np.arange(len(t)))
+    motion = _PathMotion(plant, t, q, np.arange(len(t)))
     ours = fastest_rates(motion.limits, *ENDS)
     drakes = _drakes_rates(plant, t, q, motion.grid)
     assert ours is not None

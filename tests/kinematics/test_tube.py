@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from kinebench_drake.kinematics.spline import SplineBasis
-from kinebench_drake.kinematics.tube import LimitSet, Obstacle, PoseLinearisation, solve_tube
+from kinebench_drake.kinematics.tube import DistanceBound, LimitSet, PoseLinearisation, solve_tube
 
 FRAMES = 21
 DURATION_S = 2.0
@@ -86,7 +86,9 @@ def test_the_radius_is_the_larger_of_rotation_and_position_errors(basis: SplineB
 def test_an_obstacle_keeps_the_trajectory_at_its_least_distance(basis: SplineBasis) -> None:
     poses = _rail(np.full(FRAMES, -0.02))
     gradient = np.eye(7)[0]
-    wall = [Obstacle(t_s=t, offset_m=0.0, gradient=gradient, least_m=-0.005) for t in np.linspace(0.0, DURATION_S, 41)]
+    wall = [
+        DistanceBound(t_s=t, offset_m=0.0, gradient=gradient, least_m=-0.005) for t in np.linspace(0.0, DURATION_S, 41)
+    ]
     solution = solve_tube(basis, poses, _limits(), radius_m=None, proximity=1e-6, obstacles=wall)
     assert solution is not None
     assert solution.radius_m == pytest.approx(0.015, rel=1e-3)

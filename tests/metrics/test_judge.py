@@ -12,8 +12,8 @@ from kinebench_drake.kinematics.manipulability import compute_manipulability
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.kinematics.violation import Violation, ViolationKind
 from kinebench_drake.metrics.judge import TrackJudge
-from kinebench_drake.metrics.result import KinematicResult
-from kinebench_drake.models.panda.robot import rest_q
+from kinebench_drake.metrics.kinematic_result import KinematicResult
+from kinebench_drake.models.panda.description import rest_q
 from kinebench_drake.runs.evaluator import KINEMATIC_METRICS
 from kinebench_drake.track import GripperTrack, IkStatus
 

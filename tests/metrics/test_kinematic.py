@@ -1,7 +1,7 @@
 import numpy as np
 
 from kinebench_drake.kinematics.plant import ArmPlant
-from kinebench_drake.metrics.result import limit_margin
+from kinebench_drake.metrics.kinematic_result import limit_margin
 
 
 def test_limit_margin_is_one_in_the_middle_and_zero_at_limits(plant: ArmPlant) -> None:

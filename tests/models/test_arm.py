@@ -10,7 +10,7 @@ from kinebench_drake.kinematics.newton import solve_newton
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.kinematics.timing import time_scale
 from kinebench_drake.models.arm import load_robot, panda
-from kinebench_drake.models.panda.robot import TCP_LINK, source_urdf
+from kinebench_drake.models.panda.description import TCP_LINK, source_urdf
 from kinebench_drake.models.robot import Robot
 
 Write = Callable[..., Path]

@@ -20,7 +20,7 @@ from kinebench_drake.io.npz import pack_arrays
 from kinebench_drake.results.trackfile import write_track
 from kinebench_drake.track import GripperTrack
 from tests.reliability.damage import Tree, npy
-from tests.report.suite.synthetic import write_run
+from tests.suites.report.synthetic import write_run
 
 SIDE_PX = 96
 FRAMES = 4

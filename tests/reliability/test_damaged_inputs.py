@@ -16,10 +16,10 @@ from kinebench_drake.formats.trajectories.reading import TrajectoryOptions
 from kinebench_drake.formats.trajectories.source import find_trajectories, read_trajectory
 from kinebench_drake.formats.videos.find import find_samples
 from kinebench_drake.io.reader import read_video
-from kinebench_drake.report.suite.comparison import read_comparison
 from kinebench_drake.results.metadata import read_metadata
 from kinebench_drake.results.store import ResultStore
 from kinebench_drake.results.trackfile import read_track
+from kinebench_drake.suites.report.comparison import read_comparison
 from kinebench_drake.suites.worldmodels.http import HttpModel
 from kinebench_drake.suites.worldmodels.remote import Limits
 from kinebench_drake.suites.worldmodels.spec import parse

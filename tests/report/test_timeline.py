@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from kinebench_drake.report.limits import joint_limits, limit_ratios
+from kinebench_drake.report.limit_table import joint_limits, limit_ratios
 from kinebench_drake.report.timeline import FrameState, covered_frames, frame_states
 from kinebench_drake.track import IkStatus
 

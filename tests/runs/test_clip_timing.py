@@ -8,8 +8,8 @@ from scipy.interpolate import PchipInterpolator
 
 from kinebench_drake.geometry import Array, rotation_exp
 from kinebench_drake.kinematics.plant import ArmPlant
-from kinebench_drake.metrics.result import KinematicResult
-from kinebench_drake.runs.tools import RobotOptions, Tools
+from kinebench_drake.metrics.kinematic_result import KinematicResult
+from kinebench_drake.runs.resources import Resources, RobotOptions
 from kinebench_drake.suites.clock import CLIP_S, FRAME_PERIOD_S, sample_uniformly
 from kinebench_drake.track import GripperTrack
 
@@ -20,8 +20,8 @@ SMOOTHNESS = ("sparc", "ldlj", "sparc_filtered", "sparc_rotation")
 
 
 @pytest.fixture(scope="module")
-def analyzer() -> Tools:
-    return Tools(RobotOptions())
+def analyzer() -> Resources:
+    return Resources(RobotOptions())
 
 
 @pytest.fixture(scope="module", params=["CloseLaptopEasy", "OpenFaucet", "PickFruits"])
@@ -32,7 +32,7 @@ def motion(request: pytest.FixtureRequest) -> PchipInterpolator:
 
 
 def judge(
-    analyzer: Tools, motion: PchipInterpolator, frames: int, t_s: Array, chosen: Array, noise: float = 1.0
+    analyzer: Resources, motion: PchipInterpolator, frames: int, t_s: Array, chosen: Array, noise: float = 1.0
 ) -> KinematicResult:
     """Judge the chosen frames of a clip of the motion with white noise, the same in equal frames."""
     plant = ArmPlant()
@@ -51,12 +51,12 @@ def judge(
     return analyzer.judge(track)
 
 
-def sampled(analyzer: Tools, motion: PchipInterpolator, frames: int, noise: float = 1.0) -> KinematicResult:
+def sampled(analyzer: Resources, motion: PchipInterpolator, frames: int, noise: float = 1.0) -> KinematicResult:
     chosen, t_s = sample_uniformly(frames, CLIP_S, FRAME_PERIOD_S)
     return judge(analyzer, motion, frames, t_s, chosen, noise)
 
 
-def test_49_and_150_frames_have_the_same_metrics(analyzer: Tools, motion: PchipInterpolator) -> None:
+def test_49_and_150_frames_have_the_same_metrics(analyzer: Resources, motion: PchipInterpolator) -> None:
     """Within the noise floor of the smoothness, and within 2 % of manipulability."""
     short = sampled(analyzer, motion, 49)
     long = sampled(analyzer, motion, 150)
@@ -69,7 +69,9 @@ def test_49_and_150_frames_have_the_same_metrics(analyzer: Tools, motion: PchipI
     assert long.metrics["slowdown_min"] == pytest.approx(short.metrics["slowdown_min"], rel=0.1)
 
 
-def test_without_noise_smoothness_is_the_same_for_49_and_150_frames(analyzer: Tools, motion: PchipInterpolator) -> None:
+def test_without_noise_smoothness_is_the_same_for_49_and_150_frames(
+    analyzer: Resources, motion: PchipInterpolator
+) -> None:
     """Frames at their own times; at times rounded to the period LDLJ would be off by 0.4 to 1.4."""
     short = sampled(analyzer, motion, 49, noise=0.0)
     long = sampled(analyzer, motion, 150, noise=0.0)
@@ -78,7 +80,7 @@ def test_without_noise_smoothness_is_the_same_for_49_and_150_frames(analyzer: To
 
 
 def test_150_frames_at_the_frame_period_of_49_have_different_metrics(
-    analyzer: Tools, motion: PchipInterpolator
+    analyzer: Resources, motion: PchipInterpolator
 ) -> None:
     """What uniform timing is for: the same frames, played at one frame period each, are a third as fast."""
     short = sampled(analyzer, motion, 49)

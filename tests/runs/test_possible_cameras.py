@@ -7,8 +7,8 @@ import pytest
 
 from kinebench_drake.geometry import make_pose
 from kinebench_drake.kinematics.violation import ViolationKind
+from kinebench_drake.runs.resources import Resources, RobotOptions
 from kinebench_drake.runs.score import _judge_possible
-from kinebench_drake.runs.tools import RobotOptions, Tools
 from kinebench_drake.track import GripperTrack
 
 T = 12
@@ -17,7 +17,7 @@ DOWN = np.diag([1.0, -1.0, -1.0])
 
 @pytest.fixture(scope="module")
 def tools():
-    return Tools(RobotOptions())
+    return Resources(RobotOptions())
 
 
 def track(x_m, z_m=0.3):

@@ -7,7 +7,7 @@ from kinebench_drake.errors import InputError
 from kinebench_drake.geometry import make_pose, pose_difference
 from kinebench_drake.kinematics.continuation import minimum_jerk
 from kinebench_drake.kinematics.plant import ArmPlant
-from kinebench_drake.models.panda.robot import rest_q
+from kinebench_drake.models.panda.description import rest_q
 from kinebench_drake.suites.clock import CONTROL_PERIOD_S
 from kinebench_drake.suites.expert.grasp import DOWN, grasp_rotation, level_axes, lift
 from kinebench_drake.suites.expert.motion import Waypoint, cartesian_path, plan

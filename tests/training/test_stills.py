@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from kinebench_drake.models.panda.robot import GRIPPER
+from kinebench_drake.models.panda.description import GRIPPER
 from kinebench_drake.suites.catalog import load_suite
 from training.frame import DEPTH_UNIT_M, FILES
 from training.stills import STILLS, render_rollouts

@@ -7,7 +7,7 @@ import torch
 from safetensors.torch import load_file
 
 from kinebench_drake.errors import SetupError, UsageError
-from kinebench_drake.models.panda.robot import RobotPart
+from kinebench_drake.models.panda.description import RobotPart
 from kinebench_drake.models.perception.network import DenseOutput, load_network
 from training import loop
 from training.crops import Shards

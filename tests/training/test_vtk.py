@@ -11,7 +11,7 @@ from kinebench_drake.io.reader import read_video
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.models.arm import panda
 from kinebench_drake.models.panda.cad import GripperCad
-from kinebench_drake.models.panda.robot import HAND_LINK
+from kinebench_drake.models.panda.description import HAND_LINK
 from training.video import render_videos
 
 CLEAR_PX = 1500

@@ -15,9 +15,9 @@ from kinebench_drake.errors import InputError
 from kinebench_drake.formats.camerafile import CAMERA_NAME
 from kinebench_drake.formats.lerobot.dataset import FRAME, INFO, TIME, LeRobotDataset, read_table
 from kinebench_drake.formats.samples import MAX_PERIOD_S, MIN_PERIOD_S
+from kinebench_drake.formats.trajectories.column_table import ColumnTable, NumberColumn
 from kinebench_drake.formats.trajectories.columns import complete
 from kinebench_drake.formats.trajectories.reading import Reading, TrajectoryOptions
-from kinebench_drake.formats.trajectories.table import Column, Table
 from kinebench_drake.formats.trajectories.trajectory import (
     MAX_FRAMES,
     TrajectoryFormat,
@@ -92,7 +92,7 @@ def list_lerobot_trajectories(folder: Path, name: str, choice: TrajectoryOptions
     """
     dataset = LeRobotDataset.open(folder)
     # Reported once, not per episode.
-    complete(Table(columns=_columns(dataset), load=_no_values, t_s=np.empty(0)), choice.reading or Reading())
+    complete(ColumnTable(columns=_columns(dataset), load=_no_values, t_s=np.empty(0)), choice.reading or Reading())
     samples = [
         TrajectorySample(
             id=f"{folder.resolve().name}-{episode.name}",
@@ -113,7 +113,7 @@ def list_lerobot_trajectories(folder: Path, name: str, choice: TrajectoryOptions
 
 
 @contextmanager
-def open_lerobot_table(sample: TrajectorySample) -> Iterator[Table]:
+def open_lerobot_table(sample: TrajectorySample) -> Iterator[ColumnTable]:
     """Open one episode.
 
     Raises:
@@ -134,10 +134,10 @@ def open_lerobot_table(sample: TrajectorySample) -> Iterator[Table]:
 
     columns = _columns(dataset)
     times = _times(read_table(sample.path, optional=(TIME, FRAME), episode=number), dataset.fps)
-    yield Table(columns=columns, load=cache(load), t_s=times)
+    yield ColumnTable(columns=columns, load=cache(load), t_s=times)
 
 
-def _columns(dataset: LeRobotDataset) -> tuple[Column, ...]:
+def _columns(dataset: LeRobotDataset) -> tuple[NumberColumn, ...]:
     """Return the columns of number lists, the state first."""
     columns = []
     for name, feature in dataset.features.items():
@@ -149,7 +149,7 @@ def _columns(dataset: LeRobotDataset) -> tuple[Column, ...]:
         names = tuple(_flat(about.get("names")))
         whole = len(names) == shape[0] and all(isinstance(element, str) for element in names)
         if isinstance(shape[0], int):
-            columns.append(Column(name=name, size=shape[0], names=names if whole else ()))
+            columns.append(NumberColumn(name=name, size=shape[0], names=names if whole else ()))
     return tuple(sorted(columns, key=lambda column: column.name != "observation.state"))
 
 
@@ -162,14 +162,14 @@ def _flat(names: object) -> Iterator[str]:
 
 
 @contextmanager
-def open_parquet_table(sample: TrajectorySample) -> Iterator[Table]:
+def open_parquet_table(sample: TrajectorySample) -> Iterator[ColumnTable]:
     """Open a parquet file of one trajectory that is no part of a LeRobot dataset: columns of numbers or of lists."""
     table = read_table(sample.path, every=True)
     first = table.slice(0, 1).to_pylist()
     row = first[0] if first else {}
-    columns = tuple(Column(name=k, size=len(v) if isinstance(v, list) else 1) for k, v in row.items())
+    columns = tuple(NumberColumn(name=k, size=len(v) if isinstance(v, list) else 1) for k, v in row.items())
     vectors = {column.name for column in columns if isinstance(row[column.name], list)}
-    yield Table(
+    yield ColumnTable(
         columns=columns,
         load=lambda name: _matrix(table, name) if name in vectors else np.asarray(_vector(table, name)),
     )

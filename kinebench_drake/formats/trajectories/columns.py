@@ -5,8 +5,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from kinebench_drake.errors import InputError
+from kinebench_drake.formats.trajectories.column_table import ColumnTable, NumberColumn, reference
 from kinebench_drake.formats.trajectories.reading import JOINTS, LAYOUTS, Reading
-from kinebench_drake.formats.trajectories.table import Column, Table, reference
 from kinebench_drake.formats.trajectories.trajectory import JOINT_SIZES, N_JOINTS
 
 _NUMBERED = re.compile(
@@ -55,7 +55,7 @@ _ROTATION_ARRAYS = (
 class _Group:
     """Numbers of one column with names, or all single columns of a table."""
 
-    places: tuple[tuple[Column, int], ...]
+    places: tuple[tuple[NumberColumn, int], ...]
     names: tuple[str, ...]
 
     def references(self, indices: Sequence[int]) -> tuple[str, ...]:
@@ -67,7 +67,7 @@ class _Group:
         return tuple(self.places[k][0].name for k in indices)
 
 
-def complete(table: Table, wanted: Reading) -> Reading:
+def complete(table: ColumnTable, wanted: Reading) -> Reading:
     """Return a reading with columns, layout, units, times and gripper: those of `wanted`, else by their names."""
     reading = _named(table, wanted) if wanted.columns is not None else _by_names(table, wanted)
     groups = [*_groups(table, reading)]
@@ -83,14 +83,14 @@ def complete(table: Table, wanted: Reading) -> Reading:
     return _with_units(table, reading)
 
 
-def _named(table: Table, wanted: Reading) -> Reading:
+def _named(table: ColumnTable, wanted: Reading) -> Reading:
     """Return the reading of named columns, with their layout where names or count determine it."""
     size = table.size(wanted.columns or ())
     if wanted.layout is not None:
         return wanted
     [*rest] = [column for column in table.columns if column.name in (wanted.columns or ())]
     for find in (_find_joints, _find_pose):
-        reading = find(Table(columns=tuple(rest), load=table.load), wanted.change(columns=None))
+        reading = find(ColumnTable(columns=tuple(rest), load=table.load), wanted.change(columns=None))
         if reading is not None and table.size(reading.columns or ()) <= size <= 9:
             return reading.change(columns=wanted.columns if len(rest) == 1 and size == 16 else reading.columns)
     fitting = [layout for layout, sizes in LAYOUTS.items() if size in sizes and "euler" not in layout]
@@ -101,7 +101,7 @@ def _named(table: Table, wanted: Reading) -> Reading:
     return wanted.change(layout=certain)
 
 
-def _by_names(table: Table, wanted: Reading) -> Reading:
+def _by_names(table: ColumnTable, wanted: Reading) -> Reading:
     for find in (_find_joints, _find_pose):
         reading = find(table, wanted)
         if reading is not None:
@@ -116,10 +116,10 @@ def _by_names(table: Table, wanted: Reading) -> Reading:
     )
 
 
-def _groups(table: Table, wanted: Reading) -> Iterator[_Group]:
+def _groups(table: ColumnTable, wanted: Reading) -> Iterator[_Group]:
     """Yield the numbers with names that may be read, of the arm that `wanted` names."""
     arm = (wanted.arm or "").lower()
-    single: list[tuple[Column, str]] = []
+    single: list[tuple[NumberColumn, str]] = []
     for column in _allowed(table):
         if column.names:
             kept = [k for k, name in enumerate(column.names) if arm in name.lower() or arm in column.name.lower()]
@@ -129,7 +129,7 @@ def _groups(table: Table, wanted: Reading) -> Iterator[_Group]:
     yield _Group(places=tuple((column, 0) for column, _ in single), names=tuple(name for _, name in single))
 
 
-def _allowed(table: Table) -> Iterator[Column]:
+def _allowed(table: ColumnTable) -> Iterator[NumberColumn]:
     """Yield the columns that may be read without being named: no commands and no velocities."""
     for column in table.columns:
         if column.name not in table.optional and not _OTHER_WORDS & set(_words(column.name)):
@@ -146,7 +146,7 @@ def _arms(group: _Group) -> dict[str, dict[int, int]]:
     return {arm: n for arm, n in arms.items() if len(n) == N_JOINTS and max(n) - min(n) == N_JOINTS - 1}
 
 
-def _find_joints(table: Table, wanted: Reading) -> Reading | None:
+def _find_joints(table: ColumnTable, wanted: Reading) -> Reading | None:
     """Find seven joint angles: consecutively numbered names of one arm, or an array with such a name."""
     if wanted.layout not in (None, JOINTS):
         return None
@@ -163,7 +163,7 @@ def _find_joints(table: Table, wanted: Reading) -> Reading | None:
     return None
 
 
-def _find_pose(table: Table, wanted: Reading) -> Reading | None:
+def _find_pose(table: ColumnTable, wanted: Reading) -> Reading | None:
     """Find a pose whose names determine the kind of rotation, unless the layout is stated."""
     if wanted.layout == JOINTS:
         return None
@@ -212,14 +212,14 @@ def _find_pose(table: Table, wanted: Reading) -> Reading | None:
     return None
 
 
-def _arrays(table: Table, wanted: Reading) -> Iterator[Column]:
+def _arrays(table: ColumnTable, wanted: Reading) -> Iterator[NumberColumn]:
     """Yield the columns without names of their numbers that may be read."""
     for column in _allowed(table):
         if column.size > 1 and not column.names and (wanted.arm or "").lower() in column.name.lower():
             yield column
 
 
-def _with_times(table: Table, reading: Reading) -> Reading:
+def _with_times(table: ColumnTable, reading: Reading) -> Reading:
     """Return the reading with the column of the times, and their unit if its name ends with it."""
     stamps = [(c.name, match) for c in table.columns if c.size == 1 and (match := _TIME.fullmatch(c.name.lower()))]
     if not stamps:
@@ -229,7 +229,7 @@ def _with_times(table: Table, reading: Reading) -> Reading:
     return reading.change(time=name, time_unit=reading.time_unit or unit)
 
 
-def _with_units(table: Table, reading: Reading) -> Reading:
+def _with_units(table: ColumnTable, reading: Reading) -> Reading:
     """Return the reading with the units in which all names end, where they are not stated."""
     names: list[str] = []
     for name in reading.columns or ():

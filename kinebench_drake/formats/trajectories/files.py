@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinebench_drake.errors import InputError, cause
-from kinebench_drake.formats.trajectories.table import Column, Table
+from kinebench_drake.formats.trajectories.column_table import ColumnTable, NumberColumn
 from kinebench_drake.formats.trajectories.trajectory import MAX_BYTES, MAX_FRAMES, TrajectorySample, parse_number
 from kinebench_drake.io.files import read_text
 from kinebench_drake.io.jsonl import read_object
@@ -24,24 +24,24 @@ _DELIMITERS = (",", ";", "\t")
 
 
 @contextmanager
-def open_npz_table(sample: TrajectorySample) -> Iterator[Table]:
+def open_npz_table(sample: TrajectorySample) -> Iterator[ColumnTable]:
     """Open an npz file. The angles of a track file (it has `ik_ok`) were computed from its poses."""
     with open_npz(sample.path, partial(check_bytes, most=MAX_BYTES)) as archive:
         shapes = {name: archive.shape(name) for name in archive.files}
         optional = frozenset({"q", "camera_from_hand"} if "ik_ok" in shapes else ())
-        yield Table(columns=_columns(shapes), load=archive.__getitem__, optional=optional)
+        yield ColumnTable(columns=_columns(shapes), load=archive.__getitem__, optional=optional)
 
 
 @contextmanager
-def open_npy_table(sample: TrajectorySample) -> Iterator[Table]:
+def open_npy_table(sample: TrajectorySample) -> Iterator[ColumnTable]:
     """Open an npy file: joint angles (T, 7) to (T, 9), or poses (T, 4, 4)."""
     array = read_npy(sample.path, partial(check_bytes, most=MAX_BYTES))
     name = "base_from_tcp" if array.ndim == 3 else "q"
-    yield Table(columns=_columns({name: array.shape}), load={name: array}.__getitem__)
+    yield ColumnTable(columns=_columns({name: array.shape}), load={name: array}.__getitem__)
 
 
 @contextmanager
-def open_json_table(sample: TrajectorySample) -> Iterator[Table]:
+def open_json_table(sample: TrajectorySample) -> Iterator[ColumnTable]:
     """Open a json file: an object of lists, one of numbers per frame."""
     arrays: dict[str, NDArray[np.generic]] = {}
     for name, value in read_object(sample.path).items():
@@ -50,18 +50,18 @@ def open_json_table(sample: TrajectorySample) -> Iterator[Table]:
                 arrays[name] = np.array(value, dtype=np.float64)
             except (TypeError, ValueError):
                 continue  # texts, or rows of different lengths
-    yield Table(columns=_columns({name: array.shape for name, array in arrays.items()}), load=arrays.__getitem__)
+    yield ColumnTable(columns=_columns({name: array.shape for name, array in arrays.items()}), load=arrays.__getitem__)
 
 
-def _columns(shapes: Mapping[str, tuple[int, ...]]) -> tuple[Column, ...]:
+def _columns(shapes: Mapping[str, tuple[int, ...]]) -> tuple[NumberColumn, ...]:
     """Return the arrays with a row per frame."""
     sizes = {name: int(np.prod(shape[1:])) for name, shape in shapes.items() if 1 <= len(shape) <= 3}
     # 1024: numbers of a frame; more are images
-    return tuple(Column(name=name, size=size) for name, size in sizes.items() if size <= 1024)
+    return tuple(NumberColumn(name=name, size=size) for name, size in sizes.items() if size <= 1024)
 
 
 @contextmanager
-def open_text_table(sample: TrajectorySample) -> Iterator[Table]:
+def open_text_table(sample: TrajectorySample) -> Iterator[ColumnTable]:
     """Open a table of text: commas, semicolons, tabs or blanks between the fields, names in the first line.
 
     The first line may be a comment (#); without names the columns are `column_0`, `column_1`, ...
@@ -80,7 +80,7 @@ def open_text_table(sample: TrajectorySample) -> Iterator[Table]:
         k = header.index(name)
         return np.array([_number(fields[k], name, line) for line, fields in rows], dtype=np.float64)
 
-    yield Table(columns=tuple(Column(name=name, size=1) for name in header), load=load)
+    yield ColumnTable(columns=tuple(NumberColumn(name=name, size=1) for name in header), load=load)
 
 
 def _read_text(path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:

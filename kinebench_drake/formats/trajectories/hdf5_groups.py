@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from kinebench_drake.errors import InputError, cause
 from kinebench_drake.formats.kinebench import H5_FORMAT, list_executed
 from kinebench_drake.formats.maniskill import list_maniskill
-from kinebench_drake.formats.trajectories.table import Column, Table
+from kinebench_drake.formats.trajectories.column_table import ColumnTable, NumberColumn
 from kinebench_drake.formats.trajectories.trajectory import MAX_BYTES, N_JOINTS, TrajectoryFormat, TrajectorySample
 from kinebench_drake.io.hdf5 import DAMAGED, open_hdf5, read_all
 from kinebench_drake.io.jsonl import as_number, as_object, parse_json
@@ -47,7 +47,7 @@ def list_hdf5_trajectories(path: Path, video: str) -> list[TrajectorySample]:
 
 
 @contextmanager
-def open_hdf5_table(sample: TrajectorySample) -> Iterator[Table]:
+def open_hdf5_table(sample: TrajectorySample) -> Iterator[ColumnTable]:
     """Open an episode. Data sets in other files are not read.
 
     Raises:
@@ -59,7 +59,7 @@ def open_hdf5_table(sample: TrajectorySample) -> Iterator[Table]:
             episode = file[group]
             if not isinstance(episode, h5py.Group):
                 raise InputError(f"{group} is a data set, expected a group of them")
-            columns: list[Column] = []
+            columns: list[NumberColumn] = []
 
             def visit(name: str, item: object) -> None:
                 readable = isinstance(name, str)  # names that are not valid text come as bytes
@@ -72,7 +72,7 @@ def open_hdf5_table(sample: TrajectorySample) -> Iterator[Table]:
             def load(name: str) -> NDArray[np.generic]:
                 return read_all(episode[name], MAX_BYTES)
 
-            yield Table(
+            yield ColumnTable(
                 columns=tuple(columns),
                 load=load,
                 rate_hz=sample.rate_hz,
@@ -83,7 +83,7 @@ def open_hdf5_table(sample: TrajectorySample) -> Iterator[Table]:
         raise InputError(f"{group} cannot be read ({cause(error)})") from None
 
 
-def _column(name: str, data: h5py.Dataset) -> Column | None:
+def _column(name: str, data: h5py.Dataset) -> NumberColumn | None:
     """Return the column of a data set with a row per frame; that of a robot's state in ManiSkill names its joints."""
     if data.dtype.kind not in "iufb" or not data.shape or len(data.shape) > 3:
         return None
@@ -93,8 +93,8 @@ def _column(name: str, data: h5py.Dataset) -> Column | None:
         fingers = [f"finger_joint_{k}" for k in range(1, joints - N_JOINTS + 1)]
         root = [f"root_{k}" for k in range(_ROOT)]
         rates = [f"rate_{k}" for k in range(joints)]
-        return Column(name=name, size=size, names=(*root, *(f"joint_{k}" for k in range(1, 8)), *fingers, *rates))
-    return Column(name=name, size=size) if size <= 256 else None  # numbers of a frame; more are images
+        return NumberColumn(name=name, size=size, names=(*root, *(f"joint_{k}" for k in range(1, 8)), *fingers, *rates))
+    return NumberColumn(name=name, size=size) if size <= 256 else None  # numbers of a frame; more are images
 
 
 def _rate(env_args: object) -> float | None:

@@ -12,8 +12,8 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationEr
 
 from kinebench_drake.errors import InputError, UsageError, suggestion
 from kinebench_drake.formats.samples import MAX_PERIOD_S, MIN_PERIOD_S
+from kinebench_drake.formats.trajectories.column_table import ColumnTable
 from kinebench_drake.formats.trajectories.pose import rotations_of
-from kinebench_drake.formats.trajectories.table import Table
 from kinebench_drake.formats.trajectories.trajectory import N_JOINTS, RawTrajectory
 from kinebench_drake.geometry import Array, from_quaternion, make_pose, rotation_z
 from kinebench_drake.io.jsonl import Json, read_object
@@ -145,7 +145,7 @@ class Reading(BaseModel):
         """Return columns and layout for results."""
         return f"{', '.join(self.columns or ())}: {self.layout}"
 
-    def apply(self, table: Table) -> RawTrajectory:
+    def apply(self, table: ColumnTable) -> RawTrajectory:
         """Return the trajectory that a table holds; `columns` and `layout` are set.
 
         Raises:
@@ -204,7 +204,7 @@ class Reading(BaseModel):
             total.append(make_pose(step[:3, :3] @ total[-1][:3, :3], step[:3, 3] + total[-1][:3, 3]))
         return np.stack(total[: len(X)]), repairs
 
-    def _times(self, table: Table) -> NDArray[np.generic] | None:
+    def _times(self, table: ColumnTable) -> NDArray[np.generic] | None:
         if self.time is None:
             rows = len(table.numbers(self.columns or ()))
             return table.t_s if table.t_s is not None or not table.rate_hz else np.arange(rows) / table.rate_hz

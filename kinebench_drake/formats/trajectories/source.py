@@ -18,11 +18,11 @@ from kinebench_drake.formats.lerobot.reader import (
 )
 from kinebench_drake.formats.samples import finish_samples
 from kinebench_drake.formats.trajectories.check import check
+from kinebench_drake.formats.trajectories.column_table import ColumnTable
 from kinebench_drake.formats.trajectories.columns import complete
 from kinebench_drake.formats.trajectories.files import open_json_table, open_npy_table, open_npz_table, open_text_table
 from kinebench_drake.formats.trajectories.hdf5_groups import list_hdf5_trajectories, open_hdf5_table
 from kinebench_drake.formats.trajectories.reading import Reading, TrajectoryOptions
-from kinebench_drake.formats.trajectories.table import Table
 from kinebench_drake.formats.trajectories.trajectory import Trajectory, TrajectoryFormat, TrajectorySample
 from kinebench_drake.io.files import absence
 from kinebench_drake.io.hdf5 import HDF5_SUFFIXES
@@ -34,7 +34,7 @@ EXPECTED = (
     "a trajectory (npz, npy, csv, txt, h5, json, parquet), a LeRobot dataset, an output folder or its tracks/, "
     "or a folder of these"
 )
-_TABLES: Mapping[TrajectoryFormat, Callable[[TrajectorySample], AbstractContextManager[Table]]] = {
+_TABLES: Mapping[TrajectoryFormat, Callable[[TrajectorySample], AbstractContextManager[ColumnTable]]] = {
     TrajectoryFormat.NPZ: open_npz_table,
     TrajectoryFormat.NPY: open_npy_table,
     TrajectoryFormat.CSV: open_text_table,
@@ -121,7 +121,7 @@ def read_trajectory(sample: TrajectorySample, choice: TrajectoryOptions) -> Traj
 
 
 @contextmanager
-def open_table(sample: TrajectorySample) -> Iterator[Table]:
+def open_table(sample: TrajectorySample) -> Iterator[ColumnTable]:
     """Open the numbers of a trajectory.
 
     Raises:
@@ -135,7 +135,7 @@ def open_table(sample: TrajectorySample) -> Iterator[Table]:
         yield replace(table, load=cache(table.load))  # read several times by several readings
 
 
-def apply_reading(sample: TrajectorySample, table: Table, reading: Reading, rate_hz: float | None) -> Trajectory:
+def apply_reading(sample: TrajectorySample, table: ColumnTable, reading: Reading, rate_hz: float | None) -> Trajectory:
     """Return the checked trajectory of a table by a complete reading."""
     raw = reading.apply(table)
     return check(replace(raw, warnings=(*sample.warnings, *raw.warnings)), rate_hz)

@@ -38,7 +38,7 @@ def distance_to_lid(state: State) -> Tensor:
     return distance
 
 
-class _MoveLid(JointTask):
+class _MoveBoxLid(JointTask):
     """Common part of the tasks with a box."""
 
     @override
@@ -46,7 +46,7 @@ class _MoveLid(JointTask):
         return state.rest_conditions("box", distance_to_lid(state))
 
 
-class OpenBox(_MoveLid):
+class OpenBox(_MoveBoxLid):
     """Open the lid of an upright box.
 
     Description: a box stands on the table; lift its lid with the fingertips, push it fully open and retreat. In
@@ -105,7 +105,7 @@ class OpenBox(_MoveLid):
         return OPEN_FRACTION * state.size("box", "open_rad")
 
 
-class CloseBox(_MoveLid):
+class CloseBox(_MoveBoxLid):
     """Press the lid of a lying box shut.
 
     Description: a box lies on its side, its opening towards the camera, its lid wide open on a vertical hinge; fold the

@@ -29,7 +29,7 @@ def _distance_to_lid(state: State) -> Tensor:
     return distance
 
 
-class _MoveLid(JointTask):
+class _MoveLaptopLid(JointTask):
     """Common part of the tasks with a laptop."""
 
     slots: ClassVar[Mapping[str, str]] = {"laptop": "laptop"}
@@ -58,7 +58,7 @@ class _MoveLid(JointTask):
         return state.rest_conditions("laptop", _distance_to_lid(state))
 
 
-class OpenLaptopEasy(_MoveLid):
+class OpenLaptopEasy(_MoveLaptopLid):
     """Push a laptop that is ajar open.
 
     Description: the lid is slightly open; put a finger under its edge and push it up and over until it stands.
@@ -77,7 +77,7 @@ class OpenLaptopEasy(_MoveLid):
     turn_deg = (15.0, 35.0)
 
 
-class OpenLaptopHard(_MoveLid):
+class OpenLaptopHard(_MoveLaptopLid):
     """Pry a shut laptop's lid up and push it open.
 
     Description: the laptop is shut; pry the lid's edge up with a fingertip, then push it up and over until it stands.
@@ -98,7 +98,7 @@ class OpenLaptopHard(_MoveLid):
     turn_deg = (15.0, 35.0)
 
 
-class CloseLaptopEasy(_MoveLid):
+class CloseLaptopEasy(_MoveLaptopLid):
     """Press a half-open laptop shut.
 
     Description: the lid is partly open; press it down from above until it lies on the base.
@@ -114,7 +114,7 @@ class CloseLaptopEasy(_MoveLid):
     turn_deg = (-15.0, 20.0)
 
 
-class CloseLaptopHard(_MoveLid):
+class CloseLaptopHard(_MoveLaptopLid):
     """Shut a laptop that is wide open.
 
     Description: the lid leans back past the vertical; reach behind it, pull it forward over the vertical, then press it

@@ -14,7 +14,7 @@ from kinebench_drake.grounding.tracking.crop import Crop
 from kinebench_drake.grounding.tracking.view import GripperView
 from kinebench_drake.io.frames import Frames
 from kinebench_drake.models.panda.cad import GripperCad
-from kinebench_drake.models.panda.robot import RobotPart
+from kinebench_drake.models.panda.description import RobotPart
 
 
 @pytest.fixture

@@ -23,7 +23,7 @@ from kinebench_drake.executors.base import ExecutorKind, Observer, create_execut
 from kinebench_drake.geometry import Array
 from kinebench_drake.io.figure import save
 from kinebench_drake.io.frames import Frames
-from kinebench_drake.models.panda.robot import hand_from_tcp
+from kinebench_drake.models.panda.description import hand_from_tcp
 from training.baseline.network import Baseline
 
 EXECUTOR = create_executor(ExecutorKind.LOCAL, 1)

@@ -17,7 +17,7 @@ from kinebench_drake.grounding.priors import ExternalDepth, Priors
 from kinebench_drake.grounding.tracking.crop import Crop
 from kinebench_drake.grounding.tracking.view import GripperView, OverrideEstimator
 from kinebench_drake.io.frames import Frames
-from kinebench_drake.models.panda.robot import RobotPart
+from kinebench_drake.models.panda.description import RobotPart
 
 
 class Flat:

@@ -7,10 +7,10 @@ import pytest
 from pyarrow import parquet
 
 from kinebench_drake.errors import InputError, UsageError
+from kinebench_drake.formats.trajectories.column_table import ColumnTable, NumberColumn
 from kinebench_drake.formats.trajectories.columns import complete
 from kinebench_drake.formats.trajectories.reading import Reading, TrajectoryOptions
 from kinebench_drake.formats.trajectories.source import find_trajectories, read_trajectory
-from kinebench_drake.formats.trajectories.table import Column, Table
 from kinebench_drake.geometry import pose_difference, rotation_log
 
 NUMBERED = [f"joint_{j}" for j in range(7)]
@@ -87,8 +87,8 @@ def table(**columns):
     described = []
     for name, names in columns.items():
         size, names = (names, ()) if isinstance(names, int) else (len(names), tuple(names))
-        described.append(Column(name=name.replace("__", "."), size=size, names=names))
-    return Table(columns=tuple(described), load={}.__getitem__, t_s=np.zeros(1))
+        described.append(NumberColumn(name=name.replace("__", "."), size=size, names=names))
+    return ColumnTable(columns=tuple(described), load={}.__getitem__, t_s=np.zeros(1))
 
 
 @pytest.mark.parametrize(

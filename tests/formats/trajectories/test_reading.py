@@ -9,16 +9,18 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from kinebench_drake.errors import UsageError
+from kinebench_drake.formats.trajectories.column_table import ColumnTable, NumberColumn
 from kinebench_drake.formats.trajectories.reading import EULER, LAYOUTS, START_Q, TOOLS, Reading
-from kinebench_drake.formats.trajectories.table import Column, Table
 from kinebench_drake.geometry import invert, pose_difference
-from kinebench_drake.models.panda.robot import hand_from_tcp, rest_q
+from kinebench_drake.models.panda.description import hand_from_tcp, rest_q
 
 DOCS = Path(__file__).parents[3] / "docs" / "formats.md"
 
 
 def apply(rows, **keys):
-    table = Table(columns=(Column(name="a", size=rows.shape[1]),), load={"a": rows}.__getitem__, rate_hz=10.0)
+    table = ColumnTable(
+        columns=(NumberColumn(name="a", size=rows.shape[1]),), load={"a": rows}.__getitem__, rate_hz=10.0
+    )
     return Reading(columns=("a",), **keys).apply(table)
 
 
@@ -70,9 +72,11 @@ def test_changes_add_up_to_the_motion_from_their_start(q):
 def test_times_since_1970_show_their_unit(q, unit, first):
     stamps = first + 0.05 * np.arange(len(q)) / {"s": 1, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}[unit]
     data = {"q": q, "stamp": stamps}
-    columns = (Column(name="q", size=7), Column(name="stamp", size=1))
+    columns = (NumberColumn(name="q", size=7), NumberColumn(name="stamp", size=1))
     t_s = (
-        Reading(columns=("q",), layout="joints", time="stamp").apply(Table(columns=columns, load=data.__getitem__)).t_s
+        Reading(columns=("q",), layout="joints", time="stamp")
+        .apply(ColumnTable(columns=columns, load=data.__getitem__))
+        .t_s
     )
     np.testing.assert_allclose(np.diff(t_s), 0.05, atol=1e-5)
 

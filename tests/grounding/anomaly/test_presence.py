@@ -15,7 +15,7 @@ from kinebench_drake.grounding.anomaly.appearance import (
     second_gripper,
 )
 from kinebench_drake.grounding.tracking.crop import Crop
-from kinebench_drake.models.panda.robot import RobotPart
+from kinebench_drake.models.panda.description import RobotPart
 from tests.grounding.conftest import hand_pose, perfect_view
 
 CAMERA = benchmark_camera()

@@ -6,11 +6,11 @@ import numpy as np
 
 from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array, invert, transform_points
-from kinebench_drake.grounding.camera.bundle import ArmScene, Bundle
+from kinebench_drake.grounding.camera.bundle_adjustment import ArmScene, BundleAdjustment
 from kinebench_drake.grounding.camera.camera_estimate import CameraEstimate
-from kinebench_drake.grounding.camera.correspondences import CalibrationCorrespondences, LensView
+from kinebench_drake.grounding.camera.robot_points import CalibrationCorrespondences, LensView
 from kinebench_drake.grounding.registration.arm_model import ArmModel
-from kinebench_drake.models.panda.robot import OPENING_SIGN, RobotPart, rest_q
+from kinebench_drake.models.panda.description import OPENING_SIGN, RobotPart, rest_q
 
 VISIBLE = (
     RobotPart.HAND,
@@ -81,9 +81,9 @@ class PerfectEstimator:
         )
 
 
-def certain_bundle(scene: ArmScene) -> Bundle:
+def certain_bundle(scene: ArmScene) -> BundleAdjustment:
     """Result of a fit without errors."""
-    return Bundle(
+    return BundleAdjustment(
         scene=scene,
         cost=0.0,
         error_px=np.zeros(len(VISIBLE)),

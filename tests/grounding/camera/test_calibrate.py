@@ -13,7 +13,7 @@ from kinebench_drake.grounding.camera import calibrate as calibration
 from kinebench_drake.grounding.camera.calibrate import CalibrationConfig, Calibrator, calibrate
 from kinebench_drake.grounding.camera.lens import with_focal
 from kinebench_drake.grounding.overlay import render_parts
-from kinebench_drake.models.panda.robot import RobotPart
+from kinebench_drake.models.panda.description import RobotPart
 from tests.grounding.camera.robot import CellsAlone, PerfectEstimator, postures
 
 T = 6

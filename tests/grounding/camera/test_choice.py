@@ -12,17 +12,17 @@ from kinebench_drake.formats.camerafile import named_cameras
 from kinebench_drake.geometry import make_pose
 from kinebench_drake.grounding import bounds
 from kinebench_drake.grounding.anomaly.detection import AnomalyDetections, Detection
-from kinebench_drake.grounding.camera.bundle import ArmScene
+from kinebench_drake.grounding.camera.bundle_adjustment import ArmScene
 from kinebench_drake.grounding.camera.camera_estimate import CameraEstimate, Rival
 from kinebench_drake.grounding.camera.check import CameraContradiction
 from kinebench_drake.grounding.camera.estimate import usual_camera
 from kinebench_drake.grounding.camera.lens import Lens
-from kinebench_drake.grounding.camera.reading import BetterReading, Reading
+from kinebench_drake.grounding.camera.picture_reading import BetterReading, PictureReading
 from kinebench_drake.grounding.camera.recognition import Recognition
 from kinebench_drake.grounding.pipeline import PipelineResult
 from kinebench_drake.grounding.priors import Clip, InitialStateUse, Priors
 from kinebench_drake.grounding.video import Grounder
-from kinebench_drake.models.panda.robot import GripperKind
+from kinebench_drake.models.panda.description import GripperKind
 from kinebench_drake.track import Domain, GripperTrack
 from tests.grounding.camera.robot import certain_bundle
 
@@ -102,7 +102,7 @@ class Evidence:
         return self.recognized
 
     def find_reading(self, frames, camera, least, readings):
-        names = {len(Reading): "readings", 1: "crop"}
+        names = {len(PictureReading): "readings", 1: "crop"}
         self.asked.append(names.get(len(readings), "likely readings"))
         return self.reading
 
@@ -148,7 +148,7 @@ def recognition(name, shown=None):
     )
 
 
-def reading(kind=Reading.MIRRORED):
+def reading(kind=PictureReading.MIRRORED):
     return BetterReading(reading=kind, agreement=0.5, better=0.72, camera=benchmark_camera())
 
 
@@ -206,7 +206,9 @@ def test_a_recognized_camera_gives_a_base_frame_if_the_track_with_it_confirms_it
 
 
 @pytest.mark.parametrize(
-    ("shown", "axis"), [(Reading.ROWS_REVERSED, 1), (Reading.MIRRORED, 2)], ids=["rows reversed", "mirrored"]
+    ("shown", "axis"),
+    [(PictureReading.ROWS_REVERSED, 1), (PictureReading.MIRRORED, 2)],
+    ids=["rows reversed", "mirrored"],
 )
 def test_pictures_that_are_published_turned_are_turned_before_they_are_measured(shown, axis):
     frames = SQUARE.copy()
@@ -219,7 +221,7 @@ def test_pictures_that_are_published_turned_are_turned_before_they_are_measured(
 
 
 def test_a_picture_turned_as_its_camera_does_not_publish_it_is_reported_without_a_base_frame():
-    evidence = Evidence(agreements=[0.3], recognized=recognition("benchmark", Reading.MIRRORED))
+    evidence = Evidence(agreements=[0.3], recognized=recognition("benchmark", PictureReading.MIRRORED))
     grounded = ground(evidence)
     assert grounded.choice.to_json()["camera_reading"]["reading"] == "mirrored"
     assert np.isnan(grounded.track.X_BG).all()
@@ -227,7 +229,7 @@ def test_a_picture_turned_as_its_camera_does_not_publish_it_is_reported_without_
 
 
 def test_a_turned_picture_is_not_recognized_for_masks_of_the_picture_as_it_is():
-    evidence = Evidence(agreements=[0.3], recognized=recognition("libero-tabletop", Reading.MIRRORED))
+    evidence = Evidence(agreements=[0.3], recognized=recognition("libero-tabletop", PictureReading.MIRRORED))
     clip = Clip(frames=SQUARE, t_s=0.1 * np.arange(T))
     with pytest.raises(UnmeasurableError, match="turn all of them first"):
         Grounder(evidence).ground(clip, priors=Priors(mask=np.zeros((T, 96, 96), bool)))
@@ -392,7 +394,7 @@ def test_the_track_of_an_arm_without_a_hand_needs_the_same_agreement(agreement):
 
 
 def test_the_arm_alone_is_not_tried_if_another_camera_reading_explains_the_hand():
-    evidence = Evidence(reading=reading(Reading.OPENGL_AXES))
+    evidence = Evidence(reading=reading(PictureReading.OPENGL_AXES))
     evidence.hand_tracks = False
     with pytest.raises(UnmeasurableError, match="OpenGL axes"):
         ground(evidence, source=CameraSource.FOLDER)

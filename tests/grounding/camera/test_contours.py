@@ -9,15 +9,15 @@ from kinebench_drake.grounding import bounds
 from kinebench_drake.grounding.camera import check as contradiction
 from kinebench_drake.grounding.camera import estimate as estimate_module
 from kinebench_drake.grounding.camera import lens
-from kinebench_drake.grounding.camera.bundle import ArmScene, Prior
-from kinebench_drake.grounding.camera.candidate import Candidate
+from kinebench_drake.grounding.camera.bundle_adjustment import ArmScene, Prior
+from kinebench_drake.grounding.camera.candidate import CameraCandidate
 from kinebench_drake.grounding.camera.check import CameraChecker
 from kinebench_drake.grounding.camera.contours import DIFFERENT_TURN_RAD, BaseTurn
 from kinebench_drake.grounding.camera.detections import ArmDetections
 from kinebench_drake.grounding.camera.estimate import JOINT_SIGMA_RAD, CameraEstimator, usual_camera
 from kinebench_drake.grounding.camera.lens import Lens, solve_pnp, with_focal
 from kinebench_drake.models.panda.cad import PartCaster, link_meshes, open_fingers, part_meshes
-from kinebench_drake.models.panda.robot import RobotPart, hand_from_tcp
+from kinebench_drake.models.panda.description import RobotPart, hand_from_tcp
 from tests.grounding.camera.robot import postures, project_robot
 
 CAMERA = benchmark_camera().resized(320, 320)
@@ -50,7 +50,7 @@ def start(q, model, step):
     lens = Lens.of_camera(CAMERA).displace(np.array([*step, 0.0, 0.0]))
     scene = ArmScene(lens=lens, q=q, finger_m=np.full(len(q), FINGER_M))
     cells = project_robot(CAMERA, q, model, finger_m=FINGER_M)
-    return Candidate(scene=scene, rows=np.arange(len(q)), cells=cells, costs=np.zeros(len(q)), cost=0.0)
+    return CameraCandidate(scene=scene, rows=np.arange(len(q)), cells=cells, costs=np.zeros(len(q)), cost=0.0)
 
 
 @pytest.mark.parametrize("joint_sigma_rad", [JOINT_SIGMA_RAD, 0.1 * JOINT_SIGMA_RAD])

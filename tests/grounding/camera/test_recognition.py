@@ -8,9 +8,9 @@ import pytest
 
 from kinebench_drake.formats.camerafile import find_camera, named_cameras
 from kinebench_drake.grounding import bounds
-from kinebench_drake.grounding.camera.reading import Reading
+from kinebench_drake.grounding.camera.picture_reading import PictureReading
 from kinebench_drake.grounding.camera.recognition import Recognition, cameras_of
-from kinebench_drake.grounding.parts import GroundingParts
+from kinebench_drake.grounding.components import GroundingComponents
 from kinebench_drake.io.reader import read_video
 
 CLIP = Path("tests/gate/benchmark.mp4")
@@ -67,11 +67,15 @@ def test_a_camera_is_clear_if_arm_and_base_agree_and_neither_another_nor_a_freed
     assert replace(clear, **changes).is_clear is is_clear
 
 
-@pytest.mark.parametrize("reading", [None, Reading.MIRRORED, Reading.TURNED_RIGHT])
+@pytest.mark.parametrize("reading", [None, PictureReading.MIRRORED, PictureReading.TURNED_RIGHT])
 def test_the_camera_of_a_clip_is_recognized_and_how_its_picture_is_turned(reading):
-    turned = {None: None, Reading.MIRRORED: Reading.MIRRORED, Reading.TURNED_RIGHT: Reading.TURNED_LEFT}[reading]
+    turned = {
+        None: None,
+        PictureReading.MIRRORED: PictureReading.MIRRORED,
+        PictureReading.TURNED_RIGHT: PictureReading.TURNED_LEFT,
+    }[reading]
     frames = np.asarray(read_video(CLIP).frames)
-    recognition = GroundingParts().recognize(frames if turned is None else turned.frames(frames))
+    recognition = GroundingComponents().recognize(frames if turned is None else turned.frames(frames))
     assert recognition is not None
     assert recognition.named.name == "benchmark"
     assert recognition.reading is reading

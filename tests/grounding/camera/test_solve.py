@@ -5,9 +5,7 @@ import pytest
 
 from kinebench_drake.errors import UnmeasurableError
 from kinebench_drake.geometry import make_pose, pose_difference, rotation_exp
-from kinebench_drake.grounding.camera.correspondences import LensView
-from kinebench_drake.grounding.camera.lens import Lens, with_focal
-from kinebench_drake.grounding.camera.result import (
+from kinebench_drake.grounding.camera.calibration_result import (
     CalibrationBasis,
     CalibrationMethod,
     CameraCalibration,
@@ -15,9 +13,11 @@ from kinebench_drake.grounding.camera.result import (
     require_determined,
     warnings_of,
 )
+from kinebench_drake.grounding.camera.lens import Lens, with_focal
+from kinebench_drake.grounding.camera.robot_points import LensView
 from kinebench_drake.grounding.camera.solve import solve
 from kinebench_drake.grounding.camera.states import RobotStates
-from kinebench_drake.models.panda.robot import RobotPart
+from kinebench_drake.models.panda.description import RobotPart
 from tests.grounding.camera.robot import VISIBLE, postures, project_robot
 
 

@@ -5,7 +5,7 @@ from kinebench_drake.errors import InputError, UsageError
 from kinebench_drake.grounding.camera.calibrate import CalibrationMethod, _method, _times
 from kinebench_drake.grounding.camera.states import make_posture_states, parse_posture, read_states
 from kinebench_drake.io.video import Video
-from kinebench_drake.models.panda.robot import RobotPart, hand_from_tcp
+from kinebench_drake.models.panda.description import RobotPart, hand_from_tcp
 from tests.grounding.camera.robot import postures
 
 

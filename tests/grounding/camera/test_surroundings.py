@@ -6,14 +6,14 @@ import pytest
 
 from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.geometry import invert, make_pose, pose_difference, rotation_exp, rotation_z
-from kinebench_drake.grounding.camera.bundle import ArmScene, adjust
+from kinebench_drake.grounding.camera.bundle_adjustment import ArmScene, adjust
 from kinebench_drake.grounding.camera.lens import Lens
 from kinebench_drake.grounding.camera.surroundings import Lines, Surroundings, find_lines, find_surroundings
 from kinebench_drake.grounding.registration.arm_model import ArmModel
 from kinebench_drake.grounding.registration.edges import EdgeMatcher
-from kinebench_drake.models.panda.robot import ARM, GRIPPER
+from kinebench_drake.models.panda.description import ARM, GRIPPER
 from tests.grounding.camera.robot import postures, project_robot
-from tests.grounding.camera.test_bundle import LOOSE, observe, prior
+from tests.grounding.camera.test_bundle_adjustment import LOOSE, observe, prior
 
 CAMERA = benchmark_camera()
 TRUE = Lens(camera=CAMERA, X_CB=invert(CAMERA.X_BC))

@@ -13,7 +13,7 @@ from kinebench_drake.grounding.tracking.localization import _tiles, find_region,
 from kinebench_drake.grounding.tracking.view import GripperView
 from kinebench_drake.io.frames import Frames
 from kinebench_drake.models.panda.cad import GripperCad
-from kinebench_drake.models.panda.robot import RobotPart
+from kinebench_drake.models.panda.description import RobotPart
 from tests.grounding.conftest import perfect_view
 
 CAMERA = Camera(width=960, height=540, fx=700.0, fy=700.0, cx=480.0, cy=270.0, X_BC=np.eye(4))

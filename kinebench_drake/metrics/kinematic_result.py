@@ -1,0 +1,297 @@
+"""The result of judging one track: verdict, violations, metrics, and the measurements behind them as JSON."""
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinebench_drake.geometry import Array
+from kinebench_drake.io.jsonl import Json
+from kinebench_drake.kinematics.collision import Clearance
+from kinebench_drake.kinematics.manipulability import Manipulability, time_integral
+from kinebench_drake.kinematics.path import limit_margin
+from kinebench_drake.kinematics.plant import ArmPlant
+from kinebench_drake.kinematics.timing import TimeScale
+from kinebench_drake.kinematics.trajopt import TubeResult
+from kinebench_drake.kinematics.violation import Violation
+from kinebench_drake.metrics.coverage import Coverage
+from kinebench_drake.metrics.limit_checks import KINDS, LimitCheck, LimitChecks
+from kinebench_drake.metrics.noise import TrackNoise
+from kinebench_drake.metrics.smoothness import Smoothness
+from kinebench_drake.results.direction import BOUND
+from kinebench_drake.segments import finite_rows
+from kinebench_drake.track import GripperTrack, JointTrack
+
+Value = float | bool | None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class KinematicResult:
+    """Kinematic verdict and metrics of one track, or of the joined clips of an episode."""
+
+    track: GripperTrack
+    """The track that was judged; of given joint angles their forward kinematics."""
+    joints: JointTrack
+    """The joint path, with collisions in its status."""
+    feasible: bool | None
+    """False if there is a violation, None if too few frames are tracked to decide, else True."""
+    violations: tuple[Violation, ...]
+    """Limits broken, by cause and frame (`Violation.rank`)."""
+    metrics: Mapping[str, Value]
+    """Metric names of the output format; None where not measurable. Of a track with lost or unreachable frames also
+    NAME_bound, the worst that NAME can be whatever happens there; None if there is no worst."""
+    unchecked: tuple[str, ...] = ()
+    """Kinds of limits that the robot does not state: `feasible` says nothing about them."""
+    reasons: Mapping[str, str] = field(default_factory=dict)
+    """Why a metric is None, by its name; why the verdict is open, by "feasible"."""
+    details: Mapping[str, Json] = field(default_factory=dict)
+    """The field `details` of samples.jsonl: noise, limits and checks joint by joint, timing, tube."""
+    curves: Mapping[str, Array] = field(default_factory=dict)
+    """Arrays (T,) or (T, 7) along the track for its npz file; NaN where not measured. `bridged` is 1 where bridged."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PathMeasurements:
+    """Measurements along a joint path, from which metrics, curves and details are taken."""
+
+    reached: NDArray[np.bool_]
+    """(T,) frames whose pose is reached within tolerance."""
+    coverage: Coverage
+    """Lost and unreachable frames."""
+    manipulability: Manipulability
+    """Manipulability along the path (`loss.weigh_manipulability`): 0 where unreachable, NaN where lost, not bridged."""
+    manipulability_worst: Manipulability
+    """The least that the manipulability of each frame can be (`loss.worst_manipulability`)."""
+    self_clearance: Clearance
+    """Distances of the arm from itself."""
+    table_clearance: Clearance
+    """Distances of the arm from the table."""
+    free: NDArray[np.bool_]
+    """(T,) frames with a posture that is free of collisions whatever the path (`track.find_free`); of a complete track
+    only those where the path itself fails, of recorded joint angles those that are free."""
+    smoothness: Smoothness
+    """Smoothness of the gripper's track."""
+    checks: LimitChecks
+    """Velocity, acceleration, jerk and torque against their limits."""
+    timing: TimeScale
+    """Time-optimal parametrisation (Toppra)."""
+    tube: TubeResult
+    """Smallest tube about the track that contains a feasible trajectory."""
+    tube_limit_m: float
+    """Largest tube radius of a feasible track [m]."""
+    branch_jumps: NDArray[np.intp]
+    """(N,) frames before which the joint path changes its branch."""
+    bridged: NDArray[np.bool_]
+    """(T,) lost frames that are bridged (`bridge.bridge_gaps`)."""
+    p_BG: Array
+    """(T, 3) denoised positions of the TCP [m]; NaN where lost, not bridged."""
+    motionless: bool | None
+    """True if the gripper neither moves nor turns; None if no frame is tracked."""
+    noise: TrackNoise
+    """Noise of the track, measured or assumed."""
+    noise_assumed: bool
+    """True if the track is too short to measure its noise."""
+
+
+def kinematic_metrics(
+    plant: ArmPlant, track: GripperTrack, joints: JointTrack, path: PathMeasurements
+) -> tuple[dict[str, Value], dict[str, str]]:
+    """Return the metrics by name, with their bounds if frames are lost or out of reach, and why some are None.
+
+    Values are those of measured and bridged frames, unreachable ones at their worst.
+    """
+    metrics, reasons = _path_metrics(plant, track, joints, path)
+    smooth = path.smoothness
+    coverage = path.coverage
+    for name, value in smooth.metrics.items():
+        if value is None:
+            reasons[name] = smooth.reasons.get(name.partition("_floor_")[0], "") or "the track's noise is unknown"
+    if coverage.complete:
+        return {**smooth.metrics, **metrics}, reasons
+    worst: dict[str, Value] = {**dict.fromkeys(metrics), **smooth.bounds}
+    if metrics["manipulability_mean"] is not None:
+        worst |= _manipulability_metrics(track.t_s, path.manipulability_worst)
+    if track.tracked.any():
+        worst["ik_success_rate"] = float(path.free.mean())
+    if not coverage.lost.any():
+        worst |= {name: metrics[name] for name in ("ik_position_error_max_m", "joint_limit_margin_min")}
+    if metrics["trajopt_feasible"] is False:  # nor is there a trajectory through more frames
+        worst["trajopt_feasible"] = False
+    bounds: dict[str, Value] = {name + BOUND: value for name, value in worst.items()}
+    reasons |= {name: coverage.reason for name, value in bounds.items() if value is None}
+    return {**smooth.metrics, **metrics, **bounds}, reasons
+
+
+def path_length(p: Array) -> float | None:
+    """Return the length [m] of a path `p` (T, 3) through its finite positions; None without two."""
+    finite = p[finite_rows(p)]
+    return float(np.linalg.norm(np.diff(finite, axis=0), axis=-1).sum()) if len(finite) > 1 else None
+
+
+def feasible_period(
+    t_s: Array, slowdown: Value, violations: Iterable[Violation], undecided: str | None
+) -> tuple[float | None, str]:
+    """Return the shortest frame period at which a track is feasible [s], or None and why there is none.
+
+    Slower by k = `slowdown_min` the track keeps every limit of speed, acceleration, jerk and torque; nothing else
+    depends on time.
+    """
+    others = sorted({v.kind.value for v in violations if v.kind not in KINDS})
+    if others:
+        return None, f"no frame period changes {', '.join(others)}"
+    if undecided is not None or slowdown is None:
+        return None, undecided or "the least slow-down is unknown"
+    return float(slowdown * np.median(np.diff(t_s))), ""
+
+
+def _manipulability_metrics(t_s: Array, w: Manipulability) -> dict[str, Value]:
+    return {
+        "manipulability_mean": _over_finite(np.mean, w.full),
+        "manipulability_min": _over_finite(np.min, w.full),
+        "manipulability_integral": time_integral(t_s, w.full),
+        "manipulability_cost_mean": _over_finite(np.mean, w.cost),
+        "manipulability_translation_mean": _over_finite(np.mean, w.translation),
+        "manipulability_rotation_mean": _over_finite(np.mean, w.rotation),
+        "manipulability_limited_mean": _over_finite(np.mean, w.limited),
+        "manipulability_limited_min": _over_finite(np.min, w.limited),
+    }
+
+
+def _path_metrics(
+    plant: ArmPlant, track: GripperTrack, joints: JointTrack, path: PathMeasurements
+) -> tuple[dict[str, Value], dict[str, str]]:
+    """Return the metrics of the frames that are neither lost nor unreachable, and why some are None."""
+    w = path.manipulability
+    checks = path.checks
+    timing = path.timing
+    tube = path.tube
+    no_value = "no frame is tracked" if not track.tracked.any() else "no frame's pose is reached"
+    margin = limit_margin(plant, np.where(path.reached[:, None], joints.q, np.nan))
+    lowest = _over_finite(np.min, margin)  # no posture within limits reaches unreachable frames: theirs is 0 at most
+    measured: dict[str, Value] = {
+        **_manipulability_metrics(track.t_s, w),
+        "condition_number_max": _over_finite(np.max, w.condition),
+        "ik_success_rate": float((joints.ok | path.free)[track.tracked].mean()) if track.tracked.any() else None,
+        "ik_position_error_max_m": _over_finite(np.max, path.coverage.position_error_m),
+        "joint_limit_margin_min": lowest if lowest is None or not path.coverage.unreachable.any() else min(0.0, lowest),
+        "self_distance_min_m": _over_finite(np.min, path.self_clearance.distance_m),
+        "table_distance_min_m": _over_finite(np.min, path.table_clearance.distance_m),
+    }
+    rows: dict[str, tuple[Value, str]] = {name: (value, no_value) for name, value in measured.items()}
+    for kind in KINDS:
+        check = checks.checks.get(kind)
+        ratio = None if check is None or not np.isfinite(check.ratio_max) else check.ratio_max
+        rows[f"{kind.value}_ratio_max"] = ratio, checks.reasons.get(kind, "noise hides it throughout")
+    rows["time_scale"] = timing.value, timing.reason or "Toppra gave none"
+    slowdown = checks.slowdown
+    if slowdown is None:
+        why = "too few frames are reached to take a derivative, or noise hides all of them"
+        rows["slowdown_min"] = None, why
+    else:
+        why = f"however slow, the arm's own weight exceeds the torque limit of {slowdown.joint}"
+        rows["slowdown_min"] = None if np.isinf(slowdown.factor) else slowdown.factor, why
+    for name, value in (("trajopt_feasible", tube.feasible), ("trajopt_position_tube_m", tube.radius_m)):
+        rows[name] = value, tube.reason or "no tube was found"
+    rows["path_length_m"] = path_length(path.p_BG), no_value
+    rows["motionless"] = path.motionless, no_value
+    jumps = float(len(path.branch_jumps)) if path.reached.sum() > 1 else None
+    rows["branch_jumps"] = jumps, "fewer than two poses are reached"
+    metrics = {name: value for name, (value, _) in rows.items()}
+    return metrics, {name: why for name, (value, why) in rows.items() if value is None}
+
+
+def track_curves(plant: ArmPlant, joints: JointTrack, path: PathMeasurements) -> dict[str, Array]:
+    """Return arrays (T,) or (T, 7) by name, for the track's file."""
+    w = path.manipulability
+    return {
+        "bridged": path.bridged.astype(np.float64),
+        "manipulability": w.full,
+        "manipulability_translation": w.translation,
+        "manipulability_rotation": w.rotation,
+        "manipulability_weighted": w.limited,
+        "condition_number": w.condition,
+        "joint_margin": limit_margin(plant, joints.q).min(axis=-1),
+        "self_distance_m": path.self_clearance.distance_m,
+        "table_distance_m": path.table_clearance.distance_m,
+        "q_smooth": path.checks.q_smooth,
+        **{kind.value: check.value for kind, check in path.checks.checks.items()},
+        **{f"{kind.value}_limit": c.limits for kind, c in path.checks.checks.items() if np.ptp(c.limits, axis=0).any()},
+    }
+
+
+def path_details(plant: ArmPlant, q: Array, path: PathMeasurements) -> dict[str, Json]:
+    """Serialize measurements into the field `details` of samples.jsonl; `q` (T, 7) is NaN where not reached [rad]."""
+    residual = (path.checks.q_smooth - q)[finite_rows(path.checks.q_smooth)]
+    slowdown = path.checks.slowdown
+    timing = path.timing
+    return {
+        "limits": {
+            "joints": list(plant.robot.joints),
+            "position": {"lower": _list(plant.lower), "upper": _list(plant.upper)},
+            "velocity": _list(plant.velocity_limits),
+            "acceleration": _list(plant.acceleration_limits),
+            "jerk": _list(plant.jerk_limits),
+            "torque": _list(plant.effort_limits),
+        },
+        "coverage": {
+            "lost": int(path.coverage.lost.sum()),
+            "unreachable": int(path.coverage.unreachable.sum()),
+        },
+        "noise": {
+            "position_m": path.noise.position_m,
+            "rotation_rad": path.noise.rotation_rad,
+            "assumed": path.noise_assumed,
+            "offset_m": path.noise.offset_m,
+            "offset_rad": path.noise.offset_rad,
+            "fit_residual_rad": float(np.sqrt(np.mean(residual**2))) if residual.size else None,
+            "allowance_sigmas": path.checks.z,
+        },
+        "checks": {kind.value: _check(check) for kind, check in path.checks.checks.items()},
+        "slowdown": None
+        if slowdown is None
+        else {"limit": slowdown.kind.value, "joint": slowdown.joint, "frame": slowdown.frame},
+        "time_scale": {
+            "limit": timing.constraint.value if timing.constraint else None,
+            "joint": timing.joint,
+            "frame": timing.frame,
+            "reason": timing.reason,
+            "active": [{"limit": a.constraint.value, "joint": a.joint, "share": a.share} for a in timing.active],
+        },
+        "trajopt": _tube(path.tube, path.tube_limit_m),
+        "branch_jump_frames": [int(frame) for frame in path.branch_jumps],
+    }
+
+
+def _check(check: LimitCheck) -> dict[str, Json]:
+    names = ("ratio_max", "joint", "frame", "t_worst_s", "ratios", "margins", "noise_ratio", "window_s", "bandwidth_hz")
+    return {name: _list(v) if isinstance(v := getattr(check, name), np.ndarray) else v for name in names}
+
+
+def _tube(tube: TubeResult, limit_m: float) -> dict[str, Json]:
+    against = tube.violation
+    certificate = tube.certificate
+    return {
+        "tube_limit_m": limit_m,
+        "infeasible_radius_m": tube.infeasible_radius_m,
+        "reason": tube.reason,
+        "against": None
+        if against is None
+        else {
+            "kind": against.kind.value,
+            "frame": against.frame_start,
+            "joint": against.joint,
+            "value": against.value,
+            "limit": against.limit,
+        },
+        "certificate": None if certificate is None else certificate.figures(),
+    }
+
+
+def _list(values: Array | None) -> list[Json] | None:
+    return None if values is None else [float(v) if np.isfinite(v) else None for v in values]
+
+
+def _over_finite(reduce: Callable[[Array], float], values: Array) -> float | None:
+    finite = values[np.isfinite(values)]
+    return float(reduce(finite)) if finite.size else None

@@ -1,0 +1,182 @@
+"""`kinebench-drake suite`."""
+
+import json
+from dataclasses import asdict
+from enum import Enum
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from kinebench_drake.cli.click_options import PathParameter, check_parent, check_suffix, config_options
+from kinebench_drake.errors import UsageError
+from kinebench_drake.io.atomic import write_atomically
+from kinebench_drake.suites.commands.suite_data import demos, export
+from kinebench_drake.suites.commands.suite_results import ceiling, report, tolerance
+from kinebench_drake.suites.commands.suite_run import plan, run
+from kinebench_drake.suites.runs.suite_config import SuiteConfig
+
+if TYPE_CHECKING:  # slow to import
+    from kinebench_drake.suites.composition import Episode
+
+_SEED = click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Seed of the first episode.")
+
+
+_SUITE = click.option(
+    "--suite", "number", type=click.IntRange(0, 3), metavar="N",
+    help="Take tasks, seeds and assets from a suite's split.  [default: all tasks, seeds as they are, all assets]",
+)  # fmt: skip
+_SPLIT = click.option(
+    "--split", type=click.Choice(["train", "test", "seen", "unseen"]), help="Split, with --suite.  [default: test]"
+)
+
+
+def _episodes(
+    number: int | None, split: str | None, tasks: str | None, count: int, seed: int, variant: str = "plain"
+) -> "list[Episode]":
+    """Return `count` episodes of each task, of a suite's split or of all tasks, in order."""
+    from kinebench_drake.suites.catalog import chosen_tasks, load_suite, task_names, with_variant
+    from kinebench_drake.suites.composition import compose
+    from kinebench_drake.suites.families.registry import TASKS, find_task
+    from kinebench_drake.suites.families.task import TaskVariant
+
+    own = TaskVariant(variant)
+    if number is None:
+        if split is not None:
+            raise UsageError(f"--split {split}: of which suite? add --suite N")
+        names = task_names(tasks)
+        chosen = list(TASKS) if names is None else [find_task(name).card.id for name in names]
+        seeds = range(seed, seed + count)
+        having = with_variant(chosen, own, named=names is not None)
+        return [compose(task, s, variant=own) for task in having for s in seeds]
+    suite = load_suite(number)
+    name = split or "test"
+    specs = suite.specs(name, count, tasks=chosen_tasks(suite, name, tasks, own), offset=seed, variant=own)
+    return [spec.episode() for spec in specs]
+
+
+@click.group(
+    epilog="\b\nExamples:\n"
+    "  kinebench-drake suite list --suites\n"
+    "  kinebench-drake suite export --suite 0 --episodes 10 --out suite0/\n"
+    "  kinebench-drake suite demos --task StackCube-v1 --episodes 10 --out demos/"
+)
+def suite() -> None:
+    """Work with the benchmark's tasks and suites."""
+
+
+suite.add_command(export)
+suite.add_command(demos)
+suite.add_command(run)
+suite.add_command(plan)
+suite.add_command(tolerance)
+suite.add_command(ceiling)
+suite.add_command(report)
+
+
+@suite.command(
+    "list",
+    epilog="\b\nExamples:\n  kinebench-drake suite list --json\n  kinebench-drake suite list --suites",
+)
+@click.option("--json", "as_json", is_flag=True, help="Full descriptions as JSON; prompt: that of seed 0.")
+@click.option("--suites", is_flag=True, help="List the suites and their splits instead.")
+def list_tasks(as_json: bool, suites: bool) -> None:
+    """List the tasks, one plain id a line."""
+    from kinebench_drake.suites.families.registry import TASKS
+
+    if suites:
+        _list_suites(as_json)
+    elif as_json:
+        from kinebench_drake.suites.composition import compose
+
+        texts = {name: compose(name, 0).prompt for name in TASKS}
+        _echo_json([{**asdict(t.card), "horizon": t.card.horizon, "prompt": texts[name]} for name, t in TASKS.items()])
+    else:
+        click.echo("\n".join(TASKS))
+
+
+def _list_suites(as_json: bool) -> None:
+    from kinebench_drake.suites.catalog import NUMBERS, load_suite
+
+    loaded = [load_suite(number) for number in NUMBERS]
+    if as_json:
+        _echo_json([asdict(suite) for suite in loaded])
+        return
+    for suite in loaded:
+        click.echo(f"{suite.number}  {suite.title}: {suite.about}")
+        for name, split in suite.splits.items():
+            judged = ", judged on" if name == suite.evaluated else ""
+            facts = f"{len(suite.tasks_of(name))} tasks, assets and looks: {split.pool.value}{judged}"
+            click.echo(f"   {name:7}{facts}. {split.about}")
+
+
+def _echo_json(facts: list[dict[str, Any]]) -> None:
+    click.echo(json.dumps(facts, indent=1, default=lambda x: x.value if isinstance(x, Enum) else str(x)))
+
+
+@suite.command(epilog="\b\nExample:\n  kinebench-drake suite check --tasks StackCube-v1 --episodes 100 --jobs 2")
+@_SUITE
+@_SPLIT
+@config_options(SuiteConfig, "tasks", "episodes")
+@_SEED
+@click.option(
+    "--policy", type=click.Choice(["expert", "still", "random"]), default="expert", show_default=True,
+    help="Policy that moves the robot.",
+)  # fmt: skip
+@config_options(SuiteConfig, "variant")
+@click.option("--json", "json_out", type=PathParameter(dir_okay=False), help="Write the trials as JSON.")
+@config_options(SuiteConfig, "jobs")
+def check(
+    number: int | None,
+    split: str | None,
+    tasks: str | None,
+    episodes: int,
+    seed: int,
+    policy: str,
+    variant: str,
+    json_out: Path | None,
+    jobs: int,
+) -> None:
+    """Run a scripted policy on tasks; print success rates with 95 % intervals and the reasons of failures."""
+    from kinebench_drake.executors.base import ExecutorKind, create_executor
+    from kinebench_drake.suites.expert_check import ExpertTrial, Policy, run_trials, task_lines
+
+    if json_out is not None:
+        check_parent("--json", json_out)
+    todo = _episodes(number, split, tasks, episodes, seed, variant)
+    trials: dict[str, list[ExpertTrial]] = {task: [] for task in sorted({episode.task for episode in todo})}
+    for trial in run_trials(create_executor(ExecutorKind.LOCAL, jobs), todo, Policy(policy)):
+        own = trials[trial.episode.task]
+        own.append(trial)
+        if len(own) == episodes:
+            own.sort(key=lambda t: t.episode.seed)
+            click.echo("\n".join(task_lines(own)))
+    if json_out is not None:
+        records = [
+            {"task": t.episode.task, "seed": t.episode.seed, "policy": policy, "success": t.success,
+             "progress": t.progress, "reason": t.reason, "frames": t.frames}
+            for own in trials.values()
+            for t in own
+        ]  # fmt: skip
+        write_atomically(json_out, (json.dumps(records, indent=1) + "\n").encode())
+
+
+@suite.command(epilog="\b\nExample:\n  kinebench-drake suite sheet --out tasks.jpg --seed 3 --jobs 2")
+@click.option("--out", type=PathParameter(dir_okay=False), required=True, help="Image file, PNG or JPEG.")
+@_SUITE
+@_SPLIT
+@config_options(SuiteConfig, "tasks")
+@_SEED
+@config_options(SuiteConfig, "jobs")
+def sheet(out: Path, number: int | None, split: str | None, tasks: str | None, seed: int, jobs: int) -> None:
+    """Draw a contact sheet: first and last frame of each task's expert."""
+    from kinebench_drake.executors.base import ExecutorKind, create_executor
+    from kinebench_drake.io.figure import save
+    from kinebench_drake.suites.contact_sheet import draw_sheet, task_panels
+
+    check_suffix("--out", out, ".png", ".jpg", ".jpeg")
+    check_parent("--out", out)
+    episodes = _episodes(number, split, tasks, 1, seed)
+    panels = task_panels(create_executor(ExecutorKind.LOCAL, jobs), episodes)
+    save(draw_sheet(panels), out)
+    click.echo(f"{out}: {len(panels)} panels, {sum(panel.failed for panel in panels)} failed")

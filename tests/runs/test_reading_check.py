@@ -1,0 +1,63 @@
+"""Readings that fit far better than the names say: named, and without a verdict."""
+
+import numpy as np
+import pytest
+
+from kinebench_drake.formats.trajectories.reading import TOOLS, Reading, TrajectoryOptions
+from kinebench_drake.formats.trajectories.source import find_trajectories
+from kinebench_drake.formats.trajectories.trajectory import TrajectoryFormat, TrajectorySample
+from kinebench_drake.geometry import invert, make_pose, rotation_z, to_quaternion
+from kinebench_drake.runs.reading_check import assess_readings, doubt_robot
+from kinebench_drake.runs.resources import Resources, RobotOptions
+
+T_S = 0.05 * np.arange(60)
+S = np.linspace(0.0, 1.0, 60)[:, None]
+DOWN = np.diag([1.0, -1.0, -1.0])
+"""A gripper that points down and turns by 20 degrees while it approaches the table."""
+X_BG = make_pose(
+    np.stack([rotation_z(a) @ DOWN for a in np.deg2rad(20.0) * S[:, 0]]), [0.5, -0.1, 0.2] + S * [0.05, 0.2, -0.18]
+)
+
+
+@pytest.fixture(scope="module")
+def tools():
+    return Resources(RobotOptions())
+
+
+def written(tmp_path, p=None, quaternion=None, t_s=T_S, X=X_BG):
+    p = X[:, :3, 3] if p is None else p
+    quaternion = to_quaternion(X[:, :3, :3]) if quaternion is None else quaternion
+    path = tmp_path / "a.csv"
+    np.savetxt(path, np.column_stack([t_s, p, quaternion]), delimiter=",", header="t_s,x,y,z,qw,qx,qy,qz", comments="")
+    return path
+
+
+CASES = {
+    "quaternion_xyzw": ("layout", {"quaternion": to_quaternion(X_BG[:, :3, :3])[:, [1, 2, 3, 0]]}),
+    "mm": ("length", {"p": 1e3 * X_BG[:, :3, 3]}),
+    "ns": ("time_unit", {"t_s": 1e9 * T_S}),
+    "flange": ("tool", {"X": X_BG @ invert(TOOLS["flange"])}),
+}
+
+
+@pytest.mark.parametrize("value", CASES)
+def test_a_mistaken_convention_is_named_and_its_key_ends_the_doubt(tmp_path, tools, value):
+    key, numbers = CASES[value]
+    [sample] = find_trajectories(written(tmp_path, **numbers), TrajectoryOptions())
+    assessment = assess_readings(tools, (sample,), TrajectoryOptions())
+    assert getattr(assessment.best.reading, key) == value
+    assert f'"{key}": "{value}"' in assessment.doubt
+    choice = TrajectoryOptions(reading=Reading(**{key: value}))
+    assert assess_readings(tools, (sample,), choice).doubt is None
+
+
+def test_a_right_file_is_not_doubted(tmp_path, tools):
+    [sample] = find_trajectories(written(tmp_path), TrajectoryOptions())
+    assert assess_readings(tools, (sample,), TrajectoryOptions()).doubt is None
+
+
+@pytest.mark.parametrize(("name", "doubted"), [("xarm7", True), ("ur5", True), ("fr3", True), ("panda", False)])
+def test_another_robot_than_the_panda_is_named_unless_the_reading_insists(tmp_path, name, doubted):
+    sample = TrajectorySample(id="a", path=tmp_path, video="a", format=TrajectoryFormat.LEROBOT, robot=name)
+    assert (doubt_robot(sample, TrajectoryOptions()) is not None) is doubted
+    assert doubt_robot(sample, TrajectoryOptions(reading=Reading(robot="panda"))) is None
