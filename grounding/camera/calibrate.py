@@ -46,7 +46,14 @@ from kinebench_drake.models.perception.network import load_network
 from kinebench_drake.segments import evenly
 
 _DEFAULT_FRAMES = 24
-_CENTRE_SIGMA = 0.06  # standard deviation of an unknown principal point over the image's width
+_CENTRE_SIGMA = 0.06
+"""Standard deviation of an unknown principal point over the image's width."""
+_OTHER_M = 0.03
+"""Distance from the initial camera from which on the frames are measured again: the views depend on the camera [m]."""
+_OTHER_RAD = float(np.deg2rad(5.0))
+"""Angle to the initial camera from which on they are [rad]."""
+_OTHER_ZOOM = 0.05
+"""Logarithm of the ratio of focal lengths from which on they are."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -296,8 +303,8 @@ def _camera_shift(frames: Frames, view: LensView, camera: Camera) -> tuple[str, 
 def _is_other(camera: Camera, guess: Camera) -> bool:
     """Return whether a camera differs much from another one."""
     distance, angle = pose_difference(camera.X_BC, guess.X_BC)
-    moved = distance > bounds.LARGE_M or angle > bounds.LARGE_RAD
-    return bool(abs(np.log(camera.fx / guess.fx)) > bounds.FOCAL_LIMIT or moved)
+    moved = distance > _OTHER_M or angle > _OTHER_RAD
+    return bool(abs(np.log(camera.fx / guess.fx)) > _OTHER_ZOOM or moved)
 
 
 def _method(states: RobotStates) -> CalibrationMethod:

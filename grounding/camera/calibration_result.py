@@ -8,15 +8,31 @@ import numpy as np
 from kinebench_drake.errors import UnmeasurableError
 from kinebench_drake.geometry import Array, pose_difference
 from kinebench_drake.grounding import bounds
-from kinebench_drake.grounding.camera.camera_estimate import CameraEstimate, FittedCamera
+from kinebench_drake.grounding.camera.camera_estimate import GRIPPER_SIGMA_RAD, CameraEstimate, FittedCamera
 from kinebench_drake.grounding.camera.solve import LensSolution, fit_cells
 from kinebench_drake.grounding.registration.arm_model import MIN_CELLS, ArmModel
 from kinebench_drake.io.jsonl import Json
 from kinebench_drake.models.panda.description import ARM, GRIPPER, RobotPart
 
+# Chosen by hand; checked by `python -m benchmarks calibration FOLDER`.
+_FOCAL_LIMIT = 0.05
+"""Relative standard deviation of the focal length that is an error."""
+_POSITION_LIMIT_M = 0.05
+"""Standard deviation of the camera's place that is an error [m]."""
+_ROTATION_LIMIT_RAD = GRIPPER_SIGMA_RAD
+"""Standard deviation of the camera's turn that is an error [rad]."""
+_MISFIT_LIMIT_PX = 6.0
+"""Median error of the gripper in a fit to cells that is an error [px of an image 384 px wide]."""
+_INLIER_SHARE = 0.5
+"""Least share of the cells that agree with a fit to cells."""
+_WARNING_SHARE = 0.4
+"""Share of these limits from which on there is a warning."""
+_MIN_MOTION_M = 0.1
+"""Distance between hand positions below which a video shows one posture [m]."""
+_MIN_DEPTH_RATIO = 1.25
+"""Ratio of farthest to nearest depth below which perspective hardly determines the focal length."""
 _GROUPS = {"gripper": GRIPPER, "arm": ARM[1:], "base": ARM[:1]}
 _INLIER_SIGMAS = 4.0
-# Standard deviations that are errors, and that give warnings: of focal length, place and turn of the camera.
 
 
 class CalibrationMethod(Enum):
@@ -224,26 +240,26 @@ def require_determined(calibration: CameraCalibration) -> None:
             "Franka hand, is the camera static and its lens free of distortion, and do joint angles belong to these "
             "frames, in radians?"
         )
-    if agreement is None and (misfit > bounds.MISFIT_LIMIT_PX * unit or calibration.inlier_share < bounds.MAJORITY):
+    if agreement is None and (misfit > _MISFIT_LIMIT_PX * unit or calibration.inlier_share < _INLIER_SHARE):
         raise UnmeasurableError(
             f"{calibration.basis.source} contradicts the images: the gripper is {misfit:.1f} px off (median, at most "
-            f"{bounds.MISFIT_LIMIT_PX * unit:.1f}), {calibration.inlier_share:.0%} of the cells agree; do the angles "
+            f"{_MISFIT_LIMIT_PX * unit:.1f}), {calibration.inlier_share:.0%} of the cells agree; do the angles "
             "belong to this video and the times of its frames, in radians? Is the lens free of distortion?"
         )
-    if calibration.focal_sigma > bounds.FOCAL_LIMIT:
+    if calibration.focal_sigma > _FOCAL_LIMIT:
         raise UnmeasurableError(
             f"the focal length is not determined ({calibration.focal_sigma:.1%} standard deviation, at most "
-            f"{bounds.FOCAL_LIMIT:.0%}): {_why(calibration)}; give $focal_px PX or $camera FILE, or a video in which "
+            f"{_FOCAL_LIMIT:.0%}): {_why(calibration)}; give $focal_px PX or $camera FILE, or a video in which "
             "the arm moves towards the camera"
         )
     if (
-        calibration.position_sigma_m > bounds.POSITION_LIMIT_M
-        or calibration.rotation_sigma_rad > bounds.ROTATION_LIMIT_RAD
+        calibration.position_sigma_m > _POSITION_LIMIT_M
+        or calibration.rotation_sigma_rad > _ROTATION_LIMIT_RAD
     ):
         sigmas = (
             f"{1e3 * calibration.position_sigma_m:.0f} mm and {np.rad2deg(calibration.rotation_sigma_rad):.1f} degrees "
-            f"standard deviation, at most {1e3 * bounds.POSITION_LIMIT_M:.0f} mm and "
-            f"{np.rad2deg(bounds.ROTATION_LIMIT_RAD):.0f}"
+            f"standard deviation, at most {1e3 * _POSITION_LIMIT_M:.0f} mm and "
+            f"{np.rad2deg(_ROTATION_LIMIT_RAD):.0f}"
         )
         raise UnmeasurableError(f"base_from_camera is not determined ({sigmas}): {_why(calibration)}")
 
@@ -253,24 +269,24 @@ def warnings_of(calibration: CameraCalibration) -> tuple[str, ...]:
     warnings = []
     unit = calibration.camera.unit_px
     misfit = calibration.part_px["gripper"]
-    if misfit > bounds.WARNING_SHARE * bounds.MISFIT_LIMIT_PX * unit:
+    if misfit > _WARNING_SHARE * _MISFIT_LIMIT_PX * unit:
         warnings.append(
             f"the gripper is {misfit:.1f} px off (median): the joint angles may be late or early, the joints badly "
             "calibrated, or the lens distorted"
         )
-    if calibration.focal_sigma > bounds.WARNING_SHARE * bounds.FOCAL_LIMIT:
+    if calibration.focal_sigma > _WARNING_SHARE * _FOCAL_LIMIT:
         warnings.append(f"the focal length is uncertain by {calibration.focal_sigma:.1%}: {_why(calibration)}")
     if (
-        calibration.position_sigma_m > bounds.WARNING_SHARE * bounds.POSITION_LIMIT_M
-        or calibration.rotation_sigma_rad > bounds.WARNING_SHARE * bounds.ROTATION_LIMIT_RAD
+        calibration.position_sigma_m > _WARNING_SHARE * _POSITION_LIMIT_M
+        or calibration.rotation_sigma_rad > _WARNING_SHARE * _ROTATION_LIMIT_RAD
     ):
         warnings.append(
             f"base_from_camera is uncertain by {1e3 * calibration.position_sigma_m:.0f} mm and "
             f"{np.rad2deg(calibration.rotation_sigma_rad):.1f} degrees: {_why(calibration)}"
         )
-    if calibration.basis.method is not CalibrationMethod.POSTURE and calibration.motion_m < bounds.MIN_MOTION_M:
+    if calibration.basis.method is not CalibrationMethod.POSTURE and calibration.motion_m < _MIN_MOTION_M:
         warnings.append(
-            f"the hand moves by {1e3 * calibration.motion_m:.0f} mm only, less than {1e3 * bounds.MIN_MOTION_M:.0f}: "
+            f"the hand moves by {1e3 * calibration.motion_m:.0f} mm only, less than {1e3 * _MIN_MOTION_M:.0f}: "
             "errors that all frames have in common are not averaged out"
         )
     return tuple(warnings)
@@ -282,9 +298,9 @@ def _why(calibration: CameraCalibration) -> str:
     reasons = []
     if len(calibration.frames) == 1:
         reasons.append("one frame is used")
-    elif calibration.motion_m < bounds.MIN_MOTION_M:
+    elif calibration.motion_m < _MIN_MOTION_M:
         reasons.append(f"the hand moves by {1e3 * calibration.motion_m:.0f} mm only")
-    if far < bounds.MIN_DEPTH_RATIO * near:
+    if far < _MIN_DEPTH_RATIO * near:
         reasons.append(f"the visible parts of the robot are {near:.2f} to {far:.2f} m away, at nearly the same depth")
     if not reasons:
         reasons.append(f"{sum(calibration.part_cells.values())} cells show the robot, few of them with low uncertainty")

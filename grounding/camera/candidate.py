@@ -28,6 +28,10 @@ from kinebench_drake.io.frames import Frames
 from kinebench_drake.models.panda.description import ARM
 from kinebench_drake.segments import evenly
 
+_FRAME_SHARE = 0.75
+"""Least share of the agreement of the better frames, of a frame that a camera is fitted to."""
+_EXPLAINED_SHARE = 0.5
+"""Share of the frames with the robot below which the agreement of those that a camera explains is reduced."""
 Passes = Sequence[tuple[float, float]]
 LOG_FOCAL_SIGMA = 0.5
 """Standard deviation of the logarithm of an unknown focal length."""
@@ -161,7 +165,7 @@ class CandidateFitter:
             scene, edges = self.fit_contours(candidate, own, prior, passes)
             agreement = own.agreement(scene)
             candidate = replace(candidate, scene=scene, agreement=explained(agreement, total))
-            good = np.flatnonzero(agreement >= bounds.FRAME_SHARE * np.quantile(agreement, bounds.BEST_QUANTILE))
+            good = np.flatnonzero(agreement >= _FRAME_SHARE * np.quantile(agreement, bounds.BEST_QUANTILE))
             if number + 1 == len(rounds) or len(good) == len(agreement) or len(good) < MIN_FRAMES:
                 break
             candidate = candidate.take(good)
@@ -190,7 +194,7 @@ class CandidateFitter:
 
 def explained(agreement: Array, total: int) -> float:
     """Return the median of the agreements (T,) of frames, less if they are few of the `total` with the robot."""
-    return float(np.median(agreement)) * min(1.0, len(agreement) / (bounds.MAJORITY * total))
+    return float(np.median(agreement)) * min(1.0, len(agreement) / (_EXPLAINED_SHARE * total))
 
 
 def _cell_observations(cells: CalibrationCorrespondences, scene: ArmScene, model: ArmModel) -> Observations:

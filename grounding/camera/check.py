@@ -32,6 +32,18 @@ from kinebench_drake.models.panda.description import RobotPart, hand_from_tcp
 from kinebench_drake.segments import evenly, finite_rows
 from kinebench_drake.track import Domain
 
+# Checked on right and wrong cameras, of which no wrong one may be accepted:
+# `python -m benchmarks cameras FOLDER --out OUT --presented plain,named,mirrored,short_focal,long_focal`.
+_CONTRADICTING = 0.5
+"""Least agreement with another camera that contradicts the assumed one."""
+CLEARLY = 0.1
+"""Least lead of the agreement with another camera or reading that contradicts the assumed one."""
+LARGE_M = 0.03
+"""Displacement of the gripper by the other camera from which on there is no verdict [m]."""
+_LARGE_RAD = float(np.deg2rad(5.0))
+"""The same of its rotation [rad]."""
+_LEAST_EXPLAINED = 0.75
+"""Least share of the frames with the robot that another lens explains."""
 SEARCHED = 8
 """Frames that those are chosen from that check a camera."""
 _AGREEMENT_FRAMES = 25
@@ -80,7 +92,7 @@ class CameraContradiction:
     @property
     def is_large(self) -> bool:
         """True if no verdict bears it."""
-        return self.gripper_m > bounds.LARGE_M or self.gripper_rad > bounds.LARGE_RAD
+        return self.gripper_m > LARGE_M or self.gripper_rad > _LARGE_RAD
 
     def describe(self) -> str:
         """Describe both agreements, the focal length and the displacement."""
@@ -146,7 +158,7 @@ class CameraChecker:
         if best is None or best.better < least:
             return None
         own = self._agreement(self.detect(frames, camera), frames, camera)
-        return replace(best, agreement=own) if best.better >= own + bounds.CLEARLY else None
+        return replace(best, agreement=own) if best.better >= own + CLEARLY else None
 
     def _leading_readings(
         self, frames: Frames, camera: Camera, readings: tuple[PictureReading, ...]
@@ -287,9 +299,9 @@ class CameraChecker:
         prior = Prior(lens=own, log_focal_sigma=LOG_FOCAL_SIGMA)
         trials = [(replace(own, camera=lens), prior) for lens in lenses]
         best = self._fit_best(
-            detections, frames[detections.rows], trials, bounds.LEAST_EXPLAINED * len(detections.rows)
+            detections, frames[detections.rows], trials, _LEAST_EXPLAINED * len(detections.rows)
         )
-        if best is None or best.agreement < max(bounds.CONTRADICTING, fixed.agreement + bounds.CLEARLY):
+        if best is None or best.agreement < max(_CONTRADICTING, fixed.agreement + CLEARLY):
             return None
         X_CB = best.scene.lens.X_CB
         X_CG = X_CB @ self._fitter.model.poses(best.scene.q)[:, RobotPart.HAND] @ hand_from_tcp()

@@ -14,6 +14,10 @@ from kinebench_drake.io.frames import Frames
 from kinebench_drake.io.jsonl import Json
 from kinebench_drake.track import Domain
 
+# Checked on right and wrong cameras, of which no wrong one may be accepted:
+# `python -m benchmarks cameras FOLDER --out OUT --presented plain,named,mirrored,short_focal,long_focal`.
+SURE_AGREEMENT = 0.68
+"""Agreement from which on no other reading of the picture is tried, not even a mirrored one."""
 _LIKELY = (PictureReading.MIRRORED, PictureReading.CROPPED)
 
 
@@ -83,7 +87,7 @@ def find_reading(
     Where the arm confirms the camera only those are tried that a camera in the plane of symmetry, or a narrow margin,
     hides. `agreement` is that of the track with `camera` in frames (T, H, W, 3); None if it has no posture.
     """
-    if agreement is not None and agreement >= bounds.SURE_AGREEMENT:
+    if agreement is not None and agreement >= SURE_AGREEMENT:
         return None
     confirmed = agreement is not None and agreement >= CONFIRMED
     readings = _LIKELY if confirmed else tuple(PictureReading)

@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array
-from kinebench_drake.grounding import bounds
 from kinebench_drake.grounding.camera.lens import Lens
 from kinebench_drake.grounding.registration.fit import UNSEEN_FINGER_M
 from kinebench_drake.grounding.registration.solver import NEAREST_M
@@ -29,6 +28,8 @@ PIXEL_SIGMA = 0.5
 """Least standard deviation of a cell in an image 384 px wide [px]: the raster of the views."""
 _THIN = 3  # one of so many cells is used where postures are estimated
 _PART_CELLS = 60  # of one part in one view, at most
+_ALIKE_M = 0.010
+"""Distance between poses of a part that count as one [m]."""
 _ALIKE_RAD = np.deg2rad(2.0)  # between poses of a part that count as one
 _INDEPENDENT = 8.0  # their total weight, in independent measurements, at most: their errors correlate
 
@@ -77,7 +78,7 @@ class RobotPoints:
         """
         p = X_BP[..., :3, 3]
         R = X_BP[..., :3, :3]
-        near = np.linalg.norm(p[:, None] - p[None], axis=-1) <= bounds.GOOD_M
+        near = np.linalg.norm(p[:, None] - p[None], axis=-1) <= _ALIKE_M
         cosine = (np.einsum("spij,tpij->stp", R, R) - 1.0) / 2.0
         alike = np.maximum(1, (near & (cosine >= np.cos(_ALIKE_RAD))).sum(axis=1))
         return np.asarray(alike[self.frame, self.part])

@@ -34,6 +34,11 @@ from kinebench_drake.grounding.tracking.view import GripperView
 from kinebench_drake.models.panda.description import ARM, RobotPart
 from kinebench_drake.models.robot import N_JOINTS
 
+# Chosen by hand on own renders; checked by `python -m benchmarks evaluate` on these, by `footage` on others' videos.
+_SHARPENING_GROWTH_PX = 1.0
+"""Largest increase of the links' distance by a fit to cells and edges [px of an image 384 px wide].
+
+Beyond it, the edges are those beside the right ones."""
 LINKS_DEPTH_SIGMA = 0.1
 """Relative standard deviation of the depth factor where only links are measured: looks are often unfamiliar."""
 FOLLOWED_REACHES_PX = (6.0, 4.0, 3.0, 2.0)
@@ -179,7 +184,7 @@ class ArmEdgeFitter(ArmFitter):
             grown_px = fitted.consistency_px - arms[b].consistency_px
             if (
                 pose_difference(fitted.X_CH, arms[b].X_CH)[0] <= bounds.FAR_M
-                and grown_px <= bounds.SHARPENING_GROWTH_PX * self._camera.unit_px
+                and grown_px <= _SHARPENING_GROWTH_PX * self._camera.unit_px
             ):
                 sharpened[b] = replace(fitted, scale=arms[b].scale, evidence=arms[b].evidence)
         return sharpened

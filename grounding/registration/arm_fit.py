@@ -34,6 +34,17 @@ from kinebench_drake.grounding.tracking.view import GripperView
 from kinebench_drake.models.panda.cad import open_fingers
 from kinebench_drake.models.panda.description import RobotPart
 
+# Chosen by hand on own renders; checked by `python -m benchmarks evaluate` on these, by `footage` on others' videos.
+_MAX_CONSISTENCY_PX = 6.0
+"""Largest median distance between links as estimated and as posed, of an arm that agrees [px of an image 384 px wide]."""
+_MAX_ACROSS_M = 0.025
+"""Largest deviation of a hand posed by an arm that agrees from the fit of the hand alone, across the line of sight [m]."""
+_MAX_ALONG_M = 0.08
+"""The same along the line of sight [m]."""
+_MAX_GROWTH = 1.4
+"""Largest increase of the hand's residual by the arm: factor."""
+_MAX_GROWTH_SIGMAS = 0.3
+"""Summand of this increase [standard deviations]."""
 _LINKS_ONLY_WEIGHT = 0.03  # weight of the hand's cells where the links alone determine its distance
 
 
@@ -98,7 +109,7 @@ class ArmFitter:
         self._model = model
         self._camera = camera
         self._X_CB = invert(X_BC).reshape(-1, 4, 4)  # of each frame, or of all
-        self._tolerance_px = bounds.MAX_CONSISTENCY_PX * camera.unit_px
+        self._tolerance_px = _MAX_CONSISTENCY_PX * camera.unit_px
 
     def at(self, numbers: Sequence[int]) -> Self:
         """Return the fitter of some frames, in their order: this one, unless the camera moves."""
@@ -247,10 +258,10 @@ def _is_consistent(X_CH: Array, hand: HandFit, residual: float) -> bool:
     """Return whether a hand posed by its arm, with the `residual` of its cells there, is near the pose of its own."""
     along, across = _split(X_CH[:3, 3] - hand.X_CH[:3, 3], hand.X_CH[:3, 3])
     return bool(
-        along <= bounds.MAX_ALONG_M
-        and across <= bounds.MAX_ACROSS_M
+        along <= _MAX_ALONG_M
+        and across <= _MAX_ACROSS_M
         and pose_difference(X_CH, hand.X_CH)[1] <= bounds.MAX_ANGLE_RAD
-        and residual <= bounds.MAX_GROWTH * hand.residual + bounds.MAX_GROWTH_SIGMAS
+        and residual <= _MAX_GROWTH * hand.residual + _MAX_GROWTH_SIGMAS
     )
 
 

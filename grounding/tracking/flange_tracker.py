@@ -34,6 +34,18 @@ from kinebench_drake.io.frames import Frames
 from kinebench_drake.models.panda.description import GripperKind, RobotPart
 from kinebench_drake.track import Domain
 
+# Chosen by hand on own renders; checked by `python -m benchmarks evaluate` on these, by `footage` on others' videos.
+_NEIGHBOUR_LEAD = 0.05
+"""Least lead of a neighbour's agreement that makes its posture of the flange the better one."""
+_LOST_SHARE = 0.8
+"""Share of the agreement of a frame below which the flange was not followed from it."""
+_MOUNT_LEAD = 10.0
+"""Log-likelihood by which the mount of a gripper leads clearly."""
+_ON_BASE_M = 0.06
+"""Largest displacement of a flange by the base of its arm [m]."""
+_BASE_LOSS = 0.1
+"""Largest loss of agreement by the base of the arm."""
+
 # Cells of a gripper are taken for a hand, and lie where the wrist is.
 _SEEN = (*LAST_LINKS, RobotPart.HAND)
 # of the cells of the wrist; half size of its crop over their extent
@@ -128,11 +140,11 @@ class FlangeTracker:
             waiting.remove(i)
             for k in {i - 1, i + 1} & waiting:
                 proposed = [poses.get(k), video.flange.follow(poses[i], video.images[i], video.images[k])]
-                if _agreement(proposed[1]) < bounds.LOST_SHARE * _agreement(poses[i]):
+                if _agreement(proposed[1]) < _LOST_SHARE * _agreement(poses[i]):
                     ((_, shown),) = self._look({k: _crop_at(poses[i].X_CH)}, video)
                     proposed.append(video.flange.detect(shown, poses[i]))
                 best = max(proposed, key=_agreement)
-                if best is not None and _agreement(best) > _agreement(proposed[0]) + bounds.NEIGHBOUR_LEAD:
+                if best is not None and _agreement(best) > _agreement(proposed[0]) + _NEIGHBOUR_LEAD:
                     poses[k] = best
 
     def _mount(self, poses: Mapping[int, FramePose], video: _FlangeVideo) -> FlangeFitter:
@@ -149,7 +161,7 @@ class FlangeTracker:
                 by_gripper = fitter.gripper_log_likelihood(chain, _MOUNT_GRID_RAD, image, pose.overlap)
                 total[:, k] += [logsumexp(by_link + np.roll(by_gripper, -step)) for step in _MOUNT_STEPS]
         likeliest = np.argsort(-total, axis=None)[:_MOUNTS]
-        likeliest = likeliest[total.flat[likeliest] > total.max() - bounds.MOUNT_LEAD]
+        likeliest = likeliest[total.flat[likeliest] > total.max() - _MOUNT_LEAD]
         turn, offset = np.unravel_index(likeliest, total.shape)
         mounted = [
             FlangeFitter(self._chain, robotiq_shape(_MOUNT_GRID_RAD[_MOUNT_STEPS[t]], _MOUNT_OFFSETS_M[o]))
@@ -210,10 +222,10 @@ class FlangeTracker:
         links = _link_cells(pose.view, video.wide[number])
         image = video.images[number]
         arm = video.arm.at([number]).fit_links(pose.X_CH, _TURN_SIGMA_RAD, links, image)
-        if arm is None or arm.edge_agreement < max(bounds.EDGE_AGREEMENT, pose.overlap - bounds.BASE_LOSS):
+        if arm is None or arm.edge_agreement < max(bounds.EDGE_AGREEMENT, pose.overlap - _BASE_LOSS):
             return None
         distance, angle = pose_difference(arm.X_CH, pose.X_CH)
-        if distance > bounds.ON_BASE_M or angle > bounds.MAX_ANGLE_RAD:
+        if distance > _ON_BASE_M or angle > bounds.MAX_ANGLE_RAD:
             return None
         return replace(pose, X_CH=arm.X_CH, arm=arm, overlap=arm.edge_agreement)
 

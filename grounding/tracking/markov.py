@@ -27,6 +27,13 @@ from kinebench_drake.grounding.registration.opening import GAP_STEP_M, GAPS_M
 from kinebench_drake.grounding.tracking.pose import FramePose
 from kinebench_drake.models.panda.cad import MAX_FINGER_M
 
+# Chosen by hand on own renders; checked by `python -m benchmarks evaluate` on these, by `footage` on others' videos.
+_BLIND_M = 0.010
+"""Standard deviation of a width from which on it is ignored [m]."""
+_UNKNOWN_M = 0.015
+"""Standard deviation of a width above which it is unknown after all [m].
+
+Large errors of widths correlate: fingers that hide each other are confused."""
 X_HALF_TURN = make_pose(rotation_exp([0.0, 0.0, np.pi]), np.zeros(3))
 """Pose (4, 4) of the flipped hand in the hand frame: 180 degrees about z."""
 _CAP_WITH_EDGES = 2.0  # where poses had to be fitted to edges, the CAD coordinates are less sure
@@ -186,7 +193,7 @@ def smooth_gripper_width(
     posterior /= posterior.sum(axis=1, keepdims=True)
     spread = np.sqrt(np.maximum(posterior @ GAPS_M**2 - (posterior @ GAPS_M) ** 2, 0.0))
     median = [_median(probabilities) for probabilities in posterior]
-    return np.where(sigma_m == 0.0, width_m, np.where(spread <= bounds.UNKNOWN_M, median, np.nan))
+    return np.where(sigma_m == 0.0, width_m, np.where(spread <= _UNKNOWN_M, median, np.nan))
 
 
 def _median(probabilities: Array) -> float:
@@ -199,7 +206,7 @@ def _median(probabilities: Array) -> float:
 def _likelihoods(width_m: Array, sigma_m: Array, widths: Array) -> Array:
     """Return the likelihoods (T, S) of the states, whose widths are `widths` (S,), given the measurements (T,)."""
     sigma_m = np.where(sigma_m <= bounds.SHARP_M, np.maximum(sigma_m, GAP_STEP_M / 2), _BLUNT_FACTOR * sigma_m)
-    usable = np.isfinite(width_m) & (sigma_m <= _BLUNT_FACTOR * bounds.BLIND_M)
+    usable = np.isfinite(width_m) & (sigma_m <= _BLUNT_FACTOR * _BLIND_M)
     width_m = np.where(usable, width_m, 0.0)[:, None]
     sigma_m = np.where(usable, sigma_m, 1.0)[:, None]
     fits = np.exp(-0.5 * ((widths - width_m) / sigma_m) ** 2) / sigma_m

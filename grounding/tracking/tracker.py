@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array, interpolate_pose, transform_points
-from kinebench_drake.grounding import bounds
 from kinebench_drake.grounding.priors import NO_PRIORS, Priors
 from kinebench_drake.grounding.registration.arm_edge_fit import ArmEdgeFitter
 from kinebench_drake.grounding.registration.arm_fit import ArmFitter, ArmView
@@ -42,6 +41,9 @@ from kinebench_drake.models.panda.cad import GripperCad, open_fingers
 from kinebench_drake.models.panda.description import RobotPart
 from kinebench_drake.track import Domain
 
+# Chosen by hand on own renders; checked by `python -m benchmarks evaluate` on these, by `footage` on others' videos.
+_SURE_SHARE = 0.8
+"""Mean confidence of the poses below which a familiar video is tried as an unfamiliar one."""
 _RECENTRE = 0.2  # offset of the gripper from the crop's centre, over half the crop, beyond which a new crop is taken
 _RESCALE = 1.25  # likewise the factor between its size in the crop and the desired one
 _MAX_GAP = 12  # frames over which the crop of a lost gripper is interpolated
@@ -157,7 +159,7 @@ class CadTracker:
             domain = refinement.domain
             expected = self._expected(poses, domain)
             is_settled = not refinement.is_familiar or priors.camera_is_assumed
-            if not is_settled and expected < bounds.SURE_SHARE * len(poses):
+            if not is_settled and expected < _SURE_SHARE * len(poses):
                 other = self._register_all(refine(may_be_familiar=False).poses)
                 if self._expected(other, Domain.UNFAMILIAR) > expected:
                     poses = other
