@@ -25,7 +25,8 @@ _ROBOT_COLOURS = ((ARM[:1], (255, 140, 0)), (ARM[1:], (70, 110, 255)), (GRIPPER,
 _AXES = ((235, 60, 60), (60, 200, 60), (70, 110, 255))
 _AXIS_M = 0.05
 _OPACITY = 0.35
-_LEAST_SIDE_PX = 640  # of a picture of the robot
+_LEAST_SIDE_PX = 640
+"""Least side of a picture of the robot [px]."""
 
 
 def _part_map(camera: Camera, X_CH: Array, finger_m: float, cad: GripperCad) -> NDArray[np.uint8]:

@@ -56,11 +56,14 @@ _CONTOUR_WINDOW = 9
 """Frames of the running median of the contour's change."""
 _WRONG_SIZE_SHARE = 0.5
 """Share of the frames with a hand of the wrong size above which the hand is not deformed."""
-_CORE_M = GRIPPER_RADIUS_M / 2  # around the centre of a gripper that is hardly cut or hidden
-_MARGIN_CELLS = 2  # cells of the whole-image view around the tracked gripper that belong to it
+_CORE_M = GRIPPER_RADIUS_M / 2
+"""Radius around the centre of a gripper within which it is hardly cut or hidden [m]."""
+_MARGIN_CELLS = 2
+"""Cells of the whole-image view around the tracked gripper that belong to it."""
 _MIN_CELLS = 100
 _PASSES = 4
-_SIZE_ERROR_FRAMES = 10.0  # frames that an error of the measured size lasts
+_SIZE_ERROR_FRAMES = 10.0
+"""Frames that an error of the measured size lasts."""
 
 
 def find_vanishing(confidence: Array, explained: Array, expected: NDArray[np.bool_]) -> Detection:

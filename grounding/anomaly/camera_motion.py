@@ -33,14 +33,19 @@ _UNKNOWN_SHARE = 0.5
 _ROTATION_SHARE = 0.5
 """Least share of the features that move as one rotation of the camera, of a motion of the camera."""
 
-# tracked at once; of tracked ones, that more are not looked for
 _MAX_FEATURES = 100
+"""Features that are tracked at once."""
 _ENOUGH_FEATURES = 40
-_LK_CRITERIA = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 10, 0.03)  # iterations, least step [px]
-_MARGIN_PX = 15  # features this near the robot's outline may move with it
-_ROUND_TRIP_PX = 0.5  # largest error of a feature tracked forth and back
+"""Tracked features in a mask from which on no others are looked for."""
+_LK_CRITERIA = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 10, 0.03)
+"""End of the iterations of Lucas-Kanade: their number, and least step [px]."""
+_MARGIN_PX = 15
+"""Width of the margin of the robot's outline in which features may move with it [px]."""
+_ROUND_TRIP_PX = 0.5
+"""Largest error of a feature tracked forth and back [px]."""
 _ROTATION_PASSES = 8
-_TUKEY_PX = 1.5  # residual beyond which a feature has no weight for the rotation
+_TUKEY_PX = 1.5
+"""Residual beyond which a feature has no weight for the rotation [px]."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

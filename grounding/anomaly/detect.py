@@ -36,16 +36,16 @@ from kinebench_drake.track import Domain
 # Set on planted faults in home renders of seen assets, and checked on clean ones:
 # `python -m benchmarks planted-videos --out faulty`, then `python -m benchmarks anomalies clean faulty`.
 _SCORE_SPREAD = 0.06
-"""Relative distance of a detector's score from its bound, 1, within which it decides nothing, in familiar videos.
+"""Relative distance of a detector's score from its bound, 1, within which it decides nothing in familiar videos.
 
-Between float32 and bfloat16, scores near the bound differ by up to a factor of 1.12 there, and of 1.5 in other videos
+Scores near the bound differ by up to a factor of 1.12 there between float32 and bfloat16, and of 1.5 in other videos
 (`python -m benchmarks precision`)."""
 _SCORE_SPREAD_ELSEWHERE = 0.25
 """The same in unfamiliar videos."""
 _ABSENT_AGREEMENT = 0.2
 """Share of the hand's contours on image edges below which they lie there by chance, as where there is no hand."""
 _MEASURABLE_SHARE = 0.9
-"""Least share of frames with a fair position, of an unfamiliar video in which a gripper that is not detected has vanished.
+"""Least share of frames with a fair position of an unfamiliar video in which an undetected gripper has vanished.
 
 Frames without a gripper do not count."""
 _FAIR_CONFIDENCE = 0.1
@@ -59,7 +59,7 @@ _MAX_SIDE_COSINE = 0.4
 
 From here on the size of clean hands is biased (11 videos of suite 2, unseen)."""
 _MAX_CONTOUR_COSINE = 0.85
-"""Largest such cosine at which the contour counts: seen edge-on a gripper is narrow, and its fingers hide each other."""
+"""Largest such cosine at which the contour counts: edge-on a gripper is narrow, and its fingers hide each other."""
 _WIDTH_SIGMA_M = 0.006
 """Largest standard deviation of a width that counts for an anomaly [m]."""
 NOT_LOOKED_FOR: Mapping[Domain, tuple[AnomalyKind, ...]] = MappingProxyType(
@@ -174,11 +174,7 @@ def gather_evidence(
         if confidence[i] >= bounds.TRACKED_CONFIDENCE:
             sigma_m = 2 * pose.hand.finger_sigma_m
             width[i] = 2 * pose.finger_m if sigma_m <= _WIDTH_SIGMA_M else np.nan
-            if (
-                _side_cosine(pose) <= _MAX_SIDE_COSINE
-                and pose.arm is not None
-                and confidence[i] >= _GOOD_CONFIDENCE
-            ):
+            if _side_cosine(pose) <= _MAX_SIDE_COSINE and pose.arm is not None and confidence[i] >= _GOOD_CONFIDENCE:
                 scale[i] = pose.arm.scale
     X_SA = invert(motion.X_AS)
     other = np.array(
@@ -192,9 +188,7 @@ def gather_evidence(
         for series in (width, misfit, residual, scale, other):
             series[:] = np.nan
     shapes = [
-        pose.shape
-        if pose is not None and c >= _GOOD_CONFIDENCE and _side_cosine(pose) <= _MAX_CONTOUR_COSINE
-        else None
+        pose.shape if pose is not None and c >= _GOOD_CONFIDENCE and _side_cosine(pose) <= _MAX_CONTOUR_COSINE else None
         for pose, c in zip(poses, confidence, strict=True)
     ]
     return AnomalyEvidence(

@@ -26,14 +26,19 @@ _FREEZE_SPEED_M_S = 0.035
 _FREEZE_JUMP = 2.0
 """Least length of the step that ends a freeze, over the longer of the steps before the freeze and after that step."""
 _STILL_LEVELS = 4.0
-"""Change of a slightly blurred pixel below which it is still [grey levels of 255]; a frame is still if 99.5 % of its pixels are."""
+"""Change of a slightly blurred pixel below which it is still [grey levels of 255].
+
+A frame is still if 99.5 % of its pixels are."""
 _STILL_M = 0.004
 """Greatest motion of the track between still frames, due to noise of codec and network [m]."""
 _WIDTH_FAULT_M = 0.015
 """Least excess of a width over the largest, or amplitude of alternate opening and closing over four frames [m]."""
-_STEPS = 3  # steps to each side whose median is the velocity at a jump
-_AROUND = 8  # frames to each side whose median is the usual jump length
-_MAX_GAP = 2  # frames that may be missing at a jump
+_STEPS = 3
+"""Steps to each side whose median is the velocity at a jump."""
+_AROUND = 8
+"""Frames to each side whose median is the usual jump length."""
+_MAX_GAP = 2
+"""Greatest number of frames that may be missing at a jump."""
 _FLUTTER_FRAMES = 4
 
 
@@ -80,9 +85,7 @@ def find_teleports(p: ArrayLike, fair: NDArray[np.bool_], good: NDArray[np.bool_
     for i in np.flatnonzero(lengths).tolist():
         around = [k for k in range(max(0, i - _AROUND), min(len(lengths), i + _AROUND + 1)) if abs(k - i) > 2]
         usual = [lengths[k] for k in around if lengths[k] > 0]
-        score[i] = lengths[i] / max(
-            _TELEPORT_M, _TELEPORT_CONTRAST * float(np.median(usual)) if usual else 0.0
-        )
+        score[i] = lengths[i] / max(_TELEPORT_M, _TELEPORT_CONTRAST * float(np.median(usual)) if usual else 0.0)
     return Detection.from_score(AnomalyKind.TELEPORT, _suppress_non_maxima(score, lengths), lengths)
 
 

@@ -252,10 +252,7 @@ def require_determined(calibration: CameraCalibration) -> None:
             f"{_FOCAL_LIMIT:.0%}): {_why(calibration)}; give $focal_px PX or $camera FILE, or a video in which "
             "the arm moves towards the camera"
         )
-    if (
-        calibration.position_sigma_m > _POSITION_LIMIT_M
-        or calibration.rotation_sigma_rad > _ROTATION_LIMIT_RAD
-    ):
+    if calibration.position_sigma_m > _POSITION_LIMIT_M or calibration.rotation_sigma_rad > _ROTATION_LIMIT_RAD:
         sigmas = (
             f"{1e3 * calibration.position_sigma_m:.0f} mm and {np.rad2deg(calibration.rotation_sigma_rad):.1f} degrees "
             f"standard deviation, at most {1e3 * _POSITION_LIMIT_M:.0f} mm and "

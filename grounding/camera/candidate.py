@@ -38,12 +38,18 @@ LOG_FOCAL_SIGMA = 0.5
 COARSE = ((14.0, 1.0), (14.0, 1.0), (10.0, 0.6), (6.0, 0.3), (4.0, 0.1))
 MIDDLE = ((8.0, 0.3), (5.0, 0.2), (4.0, 0.1), (3.0, 0.0))
 """Successive reaches of the search for edges [px of an image of at most 640 px], and weights of the cells."""
-_PASS_SIGMA_RAD = 0.5  # of joint angles about those of the pass before
-_FACTOR = 1.5  # of the networks' standard deviations for links, and of their least one
-_FINE = ((8.0, 0.3), (5.0, 0.1), (4.0, 0.0), (3.0, 0.0), (3.0, 0.0), (2.0, 0.0), (2.0, 0.0))  # as `COARSE`
-_PART_INDEPENDENT = 4.0  # independent measurements of the contours of a part in an image, whose errors correlate
-_JOINTS_INDEPENDENT = 2.0  # the same at known joint angles, whose errors the contours have in common
-_OFFSET_SIGMA = 0.4  # of a part's contours: 0.3 px, twice those of own renders
+_PASS_SIGMA_RAD = 0.5
+"""Standard deviation of joint angles about those of the pass before [rad]."""
+_FACTOR = 1.5
+"""Factor of the networks' standard deviations for links, and of their least one."""
+_FINE = ((8.0, 0.3), (5.0, 0.1), (4.0, 0.0), (3.0, 0.0), (3.0, 0.0), (2.0, 0.0), (2.0, 0.0))
+"""The same for a candidate that is right within some pixels."""
+_PART_INDEPENDENT = 4.0
+"""Independent measurements of the contours of a part in an image, whose errors correlate."""
+_JOINTS_INDEPENDENT = 2.0
+"""The same at known joint angles, whose errors the contours have in common."""
+_OFFSET_SIGMA = 0.4
+"""Standard deviation of the offset of a part's contours: 0.3 px, twice those of own renders."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -48,7 +48,8 @@ SEARCHED = 8
 """Frames that those are chosen from that check a camera."""
 _AGREEMENT_FRAMES = 25
 """Frames whose mean is the agreement of a track: the median of 5 differs by up to 0.12 between number formats."""
-_SCREENED = 3  # frames that tell which readings and lenses are fitted
+_SCREENED = 3
+"""Frames that tell which readings and lenses are fitted."""
 _FITTED_READINGS = 2
 _UPRIGHT_SHARE = 0.3
 """Agreement of unfitted postures from which on a picture is upright: turned ones have 0.16 at most, right ones of the
@@ -62,15 +63,18 @@ _NOT_UPRIGHT = (
 _LENS_SHARE = 0.85
 """Share of the agreement of unfitted postures with a camera from which on another lens is fitted: next to right cameras
 other focal lengths have 0.75 of it at most, crops 0.81, and crops of cropped pictures 0.92 at least."""
-_CROP_ZOOMS = (1.1, 1.25, 1.45)  # focal lengths of cropped pictures over that of the camera
+_CROP_ZOOMS = (1.1, 1.25, 1.45)
+"""Focal lengths of cropped pictures over that of the camera."""
 _CROP_PLACES = np.array([[0.0, 0.0], [-1.0, -1.0], [-1.0, 1.0], [1.0, -1.0], [1.0, 1.0]])
 """Places of a cropped picture in the whole one: its middle and its corners."""
 _CROP_LOG_SIGMA = 0.15
 _CROP_CENTRE_SIGMA = 0.1
 """Standard deviations of the logarithm of the focal length of a cropped picture, and of its principal point over its
 width."""
-_ZOOMS = (0.63, 0.72, 0.85, 1.0, 1.2, 1.4, 1.6)  # focal lengths over that of a camera in doubt
-_FITTED = 3  # other lenses that are fitted to contours
+_ZOOMS = (0.63, 0.72, 0.85, 1.0, 1.2, 1.4, 1.6)
+"""Focal lengths over that of a camera in doubt."""
+_FITTED = 3
+"""Other lenses that are fitted to contours."""
 _PASSES = (*COARSE, *MIDDLE[1:])
 
 
@@ -298,9 +302,7 @@ class CameraChecker:
         own = Lens.of_camera(camera)
         prior = Prior(lens=own, log_focal_sigma=LOG_FOCAL_SIGMA)
         trials = [(replace(own, camera=lens), prior) for lens in lenses]
-        best = self._fit_best(
-            detections, frames[detections.rows], trials, _LEAST_EXPLAINED * len(detections.rows)
-        )
+        best = self._fit_best(detections, frames[detections.rows], trials, _LEAST_EXPLAINED * len(detections.rows))
         if best is None or best.agreement < max(_CONTRADICTING, fixed.agreement + CLEARLY):
             return None
         X_CB = best.scene.lens.X_CB

@@ -30,8 +30,10 @@ _HAND_SHARE = 0.1
 """Least share of the frames in which a hand counts as seen."""
 _TRACKED_SHARE = 0.5
 """Least share of the frames with a tracked flange, of an arm that is measured without its gripper's name."""
-_SIGMAS = 2.0  # standard deviations of an estimated camera that its poses may be off by
-_MOST_RIVALS = 3  # cameras beside the estimated one under which a track is judged: each is another grounding
+_SIGMAS = 2.0
+"""Standard deviations of an estimated camera that its poses may be off by."""
+_MOST_RIVALS = 3
+"""Cameras beside the estimated one under which a track is judged: each is another grounding."""
 PriorSource = Callable[[Camera], Priors]
 """Function from the camera of the whole frames to quantities that replace estimates."""
 

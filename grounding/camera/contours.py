@@ -30,8 +30,10 @@ from kinebench_drake.segments import evenly
 
 DIFFERENT_TURN_RAD = np.deg2rad(20.0)
 """Least angle between turns that count as different."""
-_WITH_FINGERS_PX = 6.0  # reach beyond which fingers count, too: grippers have fingers of many forms
-_RIGHT_RAD = np.deg2rad(15.0)  # from a right angle, of turns that are one
+_WITH_FINGERS_PX = 6.0
+"""Reach beyond which fingers count, too [px]: grippers have fingers of many forms."""
+_RIGHT_RAD = np.deg2rad(15.0)
+"""Tolerance of a right angle between two turns [rad]."""
 _FRAMES = 6
 _STEP_RAD = np.deg2rad(5.0)
 _TOPS = 6

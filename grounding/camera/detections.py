@@ -24,11 +24,16 @@ from kinebench_drake.models.panda.description import ARM, RobotPart
 from kinebench_drake.models.robot import N_JOINTS
 from kinebench_drake.segments import evenly
 
-_SEARCHED = 36  # frames of which the best seen ones are used
-_TRIED = 2  # frames tried for each one used
-_ROUNDS = 2  # close views of a hand: where its frame shows it, then where another one does
-_CLOSE_HAND_CELLS = 120  # cells of the hand in a close view from which it is surely a hand
-_CLOSE_WEIGHT = 6.0  # of a hand seen from close by, in parts of the arm
+_SEARCHED = 36
+"""Frames of which the best seen ones are used."""
+_TRIED = 2
+"""Frames tried for each one used."""
+_ROUNDS = 2
+"""Close views of a hand: where its frame shows it, then where another one does."""
+_CLOSE_HAND_CELLS = 120
+"""Cells of the hand in a close view from which it is surely a hand."""
+_CLOSE_WEIGHT = 6.0
+"""Visibility of a hand seen from close by, in parts of the arm."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -38,7 +38,8 @@ _ASKEW_LOSS = 0.2
 """Loss of the base's agreement from which on lines along its axes are those of something askew."""
 _Ranked = TypeVar("_Ranked")
 
-_FOV_DEG = (30.0, 42.0, 55.0, 72.0)  # along the longer side, at which the search starts
+_FOV_DEG = (30.0, 42.0, 55.0, 72.0)
+"""Fields of view along the longer side at which the search starts [degrees]."""
 JOINT_SIGMA_RAD = 0.01
 """Standard deviation of known joint angles [rad]: offsets of the joints, and clocks."""
 FRAMES = 12
@@ -48,7 +49,8 @@ _FITTED = 6
 """Numbers of hypotheses compared, and of those fitted to the cells besides."""
 _ROUNDS = ((4, COARSE, 8), (6, MIDDLE, 5))
 """Successive comparisons of candidates: frames, passes, candidates kept."""
-_CLEARLY = 3.0  # of the tolerances within which cameras are the same: beyond, they contradict each other
+_CLEARLY = 3.0
+"""Multiple of the tolerances within which cameras are the same beyond which they contradict each other."""
 
 
 class CameraEstimator:

@@ -27,16 +27,21 @@ _LEAST_CORRELATION = 0.75
 _BAR_LEVELS = 7.0
 """Grey levels of 255 by which a bar may vary, over its area and in time, and by which the image beside it differs."""
 
-# longer side of the frame at the levels of the image pyramid
 _COARSE_PX = (48, 96)
+"""Longer sides of the frame at the coarse levels of the image pyramid [px]."""
 _FINE_PX = (192, 384)
+"""The same at the fine levels [px]."""
 _MAX_STEPS = 12
 _CONVERGED_PX = 0.01
-_MIN_VARIANCE = 1.0  # of an image's grey levels; one of a single grey cannot be aligned
-_MIN_SHARE = 0.2  # of the frame's pixels that the image must cover
+_MIN_VARIANCE = 1.0
+"""Least variance of an image's grey levels: one of a single grey cannot be aligned."""
+_MIN_SHARE = 0.2
+"""Least share of the frame's pixels that the image must cover."""
 _TUKEY = 4.685
-_DETAIL_PX = 10.0  # scale of the high-pass filter of the correlation
-_MARGIN_PX = 4  # blur of the edge by a codec
+_DETAIL_PX = 10.0
+"""Scale of the high-pass filter of the correlation [px]."""
+_MARGIN_PX = 4
+"""Width to which a codec blurs an edge [px]."""
 
 Grey = NDArray[np.float32]
 

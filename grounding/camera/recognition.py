@@ -31,9 +31,12 @@ _LIKELY_COST = 6.0
 """Greatest mean error of the cells (`Hypothesis.cost`) of a named camera that comes into question."""
 _LIKELY_COST_LEAD = 0.8
 """Greatest difference of this error from that of the best named camera."""
-_FITTED = 5  # cameras that are fitted to contours
-_SAME = 0.3  # of the tolerances of `Lens.sees_same_arm`, within which two pictures are the same
-_MARGIN = 0.05  # of the sides of a picture, by which the foot of the robot may lie outside
+_FITTED = 5
+"""Cameras that are fitted to contours."""
+_SAME = 0.3
+"""Factor of the tolerances of `Lens.sees_same_arm` within which two pictures are the same."""
+_MARGIN = 0.05
+"""Share of the sides of a picture by which the foot of the robot may lie outside."""
 _TURNS = (
     PictureReading.MIRRORED,
     PictureReading.ROWS_REVERSED,
@@ -66,9 +69,7 @@ class Recognition:
     def is_clear(self) -> bool:
         """True if the arm confirms it, and no other."""
         agrees = self.agreement >= bounds.AGREEMENT and self.base_agreement >= bounds.BASE_AGREEMENT
-        return (
-            agrees and self.lead >= RECOGNITION_LEAD and self.freed <= self.agreement + RECOGNITION_LEAD
-        )
+        return agrees and self.lead >= RECOGNITION_LEAD and self.freed <= self.agreement + RECOGNITION_LEAD
 
     @property
     def is_usual(self) -> bool:

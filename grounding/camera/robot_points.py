@@ -26,12 +26,16 @@ LINK_SIGMAS = 3.0
 """Factor of the network's standard deviations for cells of links, of which it is overconfident."""
 PIXEL_SIGMA = 0.5
 """Least standard deviation of a cell in an image 384 px wide [px]: the raster of the views."""
-_THIN = 3  # one of so many cells is used where postures are estimated
-_PART_CELLS = 60  # of one part in one view, at most
+_THIN = 3
+"""One of so many cells is used where postures are estimated."""
+_PART_CELLS = 60
+"""Greatest number of cells of one part in one view."""
 _ALIKE_M = 0.010
 """Distance between poses of a part that count as one [m]."""
-_ALIKE_RAD = np.deg2rad(2.0)  # between poses of a part that count as one
-_INDEPENDENT = 8.0  # their total weight, in independent measurements, at most: their errors correlate
+_ALIKE_RAD = np.deg2rad(2.0)
+"""Angle between poses of a part that count as one [rad]."""
+_INDEPENDENT = 8.0
+"""Independent measurements that cells of one part in one view count as at most: their errors correlate."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

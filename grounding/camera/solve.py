@@ -17,10 +17,14 @@ from kinebench_drake.grounding.registration.arm_model import MIN_CELLS, ArmModel
 from kinebench_drake.grounding.registration.solver import CAUCHY
 from kinebench_drake.models.robot import N_JOINTS
 
-_FOV_DEG = (35.0, 45.0, 55.0, 65.0, 75.0, 90.0)  # horizontal, at which the search for the focal length starts
-_POSTURE_SIGMA_RAD = np.array([10.0, *[0.7] * 6])  # of an initial posture; that of joint 1 is uninformative
-_STARTS = 2  # initial lenses that are refined
+_FOV_DEG = (35.0, 45.0, 55.0, 65.0, 75.0, 90.0)
+"""Horizontal fields of view at which the search for the focal length starts [degrees]."""
+_POSTURE_SIGMA_RAD = np.array([10.0, *[0.7] * 6])
+"""Standard deviations of an initial posture [rad]; that of joint 1 is uninformative."""
+_STARTS = 2
+"""Initial lenses that are refined."""
 _FIXED_SIGMA_RAD = 1e-3
+"""Standard deviation of a posture that is known [rad]."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

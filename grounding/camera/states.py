@@ -19,8 +19,11 @@ from kinebench_drake.segments import spread
 POSTURES = {"home": np.pi * np.array([0.0, -1 / 4, 0.0, -3 / 4, 0.0, 1 / 2, 1 / 4]), "rest": rest_q()}
 """Named postures (7,) [rad]: the start posture of Franka's programs (libfranka, franka_ros), and that of ManiSkill."""
 _MAX_RAD = 4.0
-_LATE_S = 0.1  # greatest time by which frames may lie outside the joint angles
-_MAX_GAP_S = 0.5  # greatest time between joint angles that are interpolated
+"""Largest joint angle [rad]: larger numbers are degrees."""
+_LATE_S = 0.1
+"""Greatest time by which frames may lie outside the joint angles [s]."""
+_MAX_GAP_S = 0.5
+"""Greatest time between joint angles that are interpolated [s]."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -45,11 +45,16 @@ FOLLOWED_REACHES_PX = (6.0, 4.0, 3.0, 2.0)
 """Farthest image edges in successive passes from a posture that followed the surface [px]."""
 LAST_LINKS = (RobotPart.LINK5, RobotPart.LINK6, RobotPart.LINK7)
 """Links whose contours say whether the flange is right; those before them may be wrong, or hidden."""
-_POINTS = 300  # points of the contours, where the posture is nearly right
-_EDGE_REACHES_PX = (10.0, 5.0, 2.0)  # farthest image edges in successive passes
-_SAME_CONTOUR_PX = 3.0  # up to which the contour of the pass before still is the visible one
-_RIM_SIGMA_CELLS = 0.7  # of the segmented rim of the hand
-_EDGE_NATS = 25.0  # log-likelihood ratio per difference of edge agreement of hand and flange
+_POINTS = 300
+"""Points of the contours, where the posture is nearly right."""
+_EDGE_REACHES_PX = (10.0, 5.0, 2.0)
+"""Farthest image edges in successive passes [px]."""
+_SAME_CONTOUR_PX = 3.0
+"""Reach up to which the contour of the pass before still is the visible one [px]."""
+_RIM_SIGMA_CELLS = 0.7
+"""Standard deviation of the segmented rim of the hand [cells]."""
+_EDGE_NATS = 25.0
+"""Log-likelihood ratio per difference of edge agreement of hand and flange."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -36,16 +36,17 @@ from kinebench_drake.models.panda.description import RobotPart
 
 # Chosen by hand on own renders; checked by `python -m benchmarks evaluate` on these, by `footage` on others' videos.
 _MAX_CONSISTENCY_PX = 6.0
-"""Largest median distance between links as estimated and as posed, of an arm that agrees [px of an image 384 px wide]."""
+"""Largest median distance between links as estimated and as posed of an arm that agrees [px of 384 px of width]."""
 _MAX_ACROSS_M = 0.025
-"""Largest deviation of a hand posed by an arm that agrees from the fit of the hand alone, across the line of sight [m]."""
+"""Largest deviation of a hand posed by an arm that agrees from the fit of the hand alone, across the view [m]."""
 _MAX_ALONG_M = 0.08
 """The same along the line of sight [m]."""
 _MAX_GROWTH = 1.4
 """Largest increase of the hand's residual by the arm: factor."""
 _MAX_GROWTH_SIGMAS = 0.3
 """Summand of this increase [standard deviations]."""
-_LINKS_ONLY_WEIGHT = 0.03  # weight of the hand's cells where the links alone determine its distance
+_LINKS_ONLY_WEIGHT = 0.03
+"""Weight of the hand's cells where the links alone determine its distance."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

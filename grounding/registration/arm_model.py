@@ -27,7 +27,8 @@ LAST_ANGLES_RAD = np.linspace(-np.pi, np.pi, 32, endpoint=False)
 """Angles of the last joint at which inverse kinematics is solved."""
 USUAL_Q = np.array([0.0, 0.3, 0.0, -2.0, 0.0, 2.3, 0.8])
 """Usual posture of links that are not seen [rad]."""
-_SHOULDER_SIGMA_RAD = 1.0  # of joints 1 and 3 about zero: half a turn of both, joint 2 reversed, looks alike
+_SHOULDER_SIGMA_RAD = 1.0
+"""Standard deviation of joints 1 and 3 about zero [rad]: half a turn of both, joint 2 reversed, looks alike."""
 COST_CAP = 25.0
 """Greatest squared residual of a cell."""
 _SCORED_CELLS = 48

@@ -31,9 +31,10 @@ MIN_LINK_CELLS = 10
 """Least number of cells of the link that a fit begins with, and of the last link, or of one that a camera explains."""
 _ROOTS = (RobotPart.LINK6, RobotPart.LINK5)
 _ANGLES = 72
-# cells of a link that determine a joint, and greatest number of them compared
 _LEAST_CELLS = 8
+"""Fewest cells of a link that determine a joint."""
 _COMPARED = 60
+"""Greatest number of them that are compared."""
 UNKNOWNS = 6 + N_JOINTS
 """Number of parameters of a `ChainModel`."""
 _ALIGN_PASSES = 6

@@ -19,11 +19,13 @@ MIN_CELLS = 12
 """Least number of gripper cells for a fit."""
 UNSEEN_FINGER_M = 0.02
 """Assumed finger travel where none is measured [m]."""
-# of the gripper in a view, and measurements that they count as
 _MAX_CELLS = 400
+"""Greatest number of cells of the gripper in a view that are fitted."""
 _INDEPENDENT = 40.0
+"""Independent measurements that these count as at most."""
 _MIN_FINGER_CELLS = 6
-_FIXED = 1e12  # information of a fixed parameter
+_FIXED = 1e12
+"""Information of a fixed parameter."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -25,11 +25,13 @@ MOUNTS_M = (0.0, -0.006)
 """Shifts of the fingers along z of panda_hand [m]: in franka_description, and in robosuite (`panda_gripper.xml` puts
 them at 52.4 mm from the hand in place of 58.4)."""
 _FINGERS = (RobotPart.LEFT_FINGER, RobotPart.RIGHT_FINGER)
-_OCCLUSIONS = 6  # gaps at which it is determined what hides the fingers
+_OCCLUSIONS = 6
+"""Number of gaps at which it is determined what hides the fingers."""
 _POINTS = 150
 _REACH_PX = 6.0
 _MOUNT_FRAMES = 8
-_CHANCE = 0.2  # share of a contour that lies on edges anywhere
+_CHANCE = 0.2
+"""Share of a contour that lies on edges by chance."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -17,12 +17,15 @@ from kinebench_drake.models.panda.description import RobotPart
 # Chosen by hand on own renders; checked by `python -m benchmarks evaluate` on these, by `footage` on others' videos.
 _SHAPE_CHANGE = 0.35
 """Change of the hand's shape by a fit that has failed."""
-_REACHES_PX = (8.0, 6.0, 4.0, 3.0)  # farthest image edges in successive passes
+_REACHES_PX = (8.0, 6.0, 4.0, 3.0)
+"""Farthest image edges in successive passes [px]."""
 _LEAST_POINTS = 30
-_STARTS = (1.0, 0.88, 1.12)  # sizes from which the fit starts
-# standard deviations of the flange in the image, and of the relative stretch
+_STARTS = (1.0, 0.88, 1.12)
+"""Sizes from which the fit starts, over that of the CAD model."""
 _MOVED_PX = 1.0
+"""Standard deviation of the flange's place in the image [px]."""
 _STRETCHED = 0.2
+"""Standard deviation of the relative stretch."""
 _TUKEY = 4.0
 _LEAST_SCATTER_PX = 0.5
 _PASSES = 4

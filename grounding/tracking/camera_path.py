@@ -33,25 +33,32 @@ _MIN_ON_TABLE = 0.3
 """Least share of the features with depth that lie on the table top and make it the scale."""
 _EXPLAINED_SHARE = 0.5
 """Least share of a frame's features that the path of the camera explains."""
-_AGREEING_PX = 1.0  # residual of an explained feature, as all lengths in pixels here of an image 384 px wide
+_AGREEING_PX = 1.0
+"""Greatest residual of an explained feature; all lengths in pixels here are of an image 384 px wide."""
 _MAX_FEATURES = 250
 _SPACING_PX = 6.0
 _ROBOT_MARGIN_PX = 11.0
 _ROUND_TRIP_PX = 0.7
 _DRIFT_PX = 2.0
-_DETAIL_PX = 6.0  # scale of the details that are tracked
-_NOISE = 2.0  # grey levels of 255
-# of the homography that all features of a plane follow
+_DETAIL_PX = 6.0
+"""Scale of the details that are tracked [px]."""
+_NOISE = 2.0
+"""Contrast below which details are noise [grey levels of 255]."""
 _RANSAC_PX = 3.0
+"""Largest error of a feature that follows the homography of a plane [px]."""
 _MIN_INLIERS = 0.3
+"""Least share of the features that follow it."""
 _TUKEY_PX = 2.5
 _STEPS = 8
 _SWEEPS = 40
-# by which stabilized images are extended; the largest relative to the image
 _LEAST_MARGIN_PX = 16.0
+"""Least margin by which stabilized images are extended [px]."""
 _MAX_MARGIN = 0.25
-_FAR_M = 4.0  # depth of features that do not look at the table; its inverse is a weak prior
-_TABLE_SIGMA = 0.02  # relative standard deviation of the inverse depth of a feature on the table
+"""Largest margin relative to the image."""
+_FAR_M = 4.0
+"""Depth of features that do not look at the table [m]; its inverse is a weak prior."""
+_TABLE_SIGMA = 0.02
+"""Relative standard deviation of the inverse depth of a feature on the table."""
 
 
 class CameraWay(Enum):
@@ -166,9 +173,7 @@ def follow_camera(
                 share = more
         turn, move = (np.linalg.norm(fit.cameras[:, part], axis=1) for part in (slice(3), slice(3, 6)))
         within = (
-            (turn <= _FOLLOWED_RAD)
-            & (move <= _FOLLOWED_M)
-            & (np.abs(np.expm1(fit.cameras[:, 6])) <= _FOLLOWED_ZOOM)
+            (turn <= _FOLLOWED_RAD) & (move <= _FOLLOWED_M) & (np.abs(np.expm1(fit.cameras[:, 6])) <= _FOLLOWED_ZOOM)
         )
         followed = enough & (share >= _EXPLAINED_SHARE) & within
         cameras[followed] = fit.cameras[followed]

@@ -25,17 +25,22 @@ from kinebench_drake.models.panda.description import ARM, RobotPart
 
 REACHES_PX = (8.0, 5.0, 3.0, 2.0)
 """Farthest edges of the last links in successive passes [px]."""
-_WIDE_REACHES_PX = (14.0, 10.0, *FOLLOWED_REACHES_PX)  # of a gripper, which the links place only roughly
-_LINKS = (RobotPart.LINK4, *LAST_LINKS)  # links whose edges are matched
+_WIDE_REACHES_PX = (14.0, 10.0, *FOLLOWED_REACHES_PX)
+"""The same of a gripper, which the links place only roughly [px]."""
+_LINKS = (RobotPart.LINK4, *LAST_LINKS)
+"""Links whose edges are matched."""
 _FLANGE = (RobotPart.LINK7,)
 _POINTS = 300
-# turns from which a frame is fitted with a gripper, and their prior
 _STARTS = 4
+"""Turns from which a frame is fitted with a gripper."""
 _START_SIGMA_RAD = np.deg2rad(15.0)
-# log-likelihood of a turn per share of contours on edges, and per misfit of cells
+"""Standard deviation of their prior [rad]."""
 _ON_EDGES = 15.0
+"""Log-likelihood of a turn per share of contours on edges."""
 _OFF_CELLS = 0.5
-_ON_GRIPPER = 30.0  # likewise per share of the gripper's contours, which stand out on two sides
+"""Log-likelihood of a turn lost per misfit of cells."""
+_ON_GRIPPER = 30.0
+"""Log-likelihood of a turn per share of the gripper's contours on edges: they stand out on two sides."""
 _UNSEEN_SIGMA_M = 0.1
 _BEHIND_M = 10.0
 

@@ -46,19 +46,25 @@ _ON_BASE_M = 0.06
 _BASE_LOSS = 0.1
 """Largest loss of agreement by the base of the arm."""
 
-# Cells of a gripper are taken for a hand, and lie where the wrist is.
 _SEEN = (*LAST_LINKS, RobotPart.HAND)
-# of the cells of the wrist; half size of its crop over their extent
+"""Parts whose cells lie where the wrist is: those of a gripper are taken for a hand."""
 _QUANTILES = (5.0, 95.0)
+"""Percentiles of the wrist's cells between which it extends."""
 _MARGIN = 0.8
-# frames and openings that tell how a gripper is mounted
+"""Half the size of the wrist's crop over this extent."""
 _SHOWN = 12
+"""Frames that tell how a gripper is mounted."""
 _COARSE = 3
+"""Openings that are compared in these."""
 _MOUNT_GRID_RAD = np.deg2rad(np.arange(0.0, 360.0, 9.0))
-_MOUNT_STEPS = (0, 5, 10, 15)  # of that grid, from panda_hand to a gripper: eighths of a turn
-_MOUNT_OFFSETS_M = (0.0, 0.012)  # with and without an adapter
-_MOUNTS = 3  # that are fitted and compared, unless one leads clearly
-_TURN_SIGMA_RAD = np.deg2rad(6.0)  # of the likeliest turns, before each frame is fitted once more
+_MOUNT_STEPS = (0, 5, 10, 15)
+"""Turns of a gripper against panda_hand, in steps of that grid: eighths of a turn."""
+_MOUNT_OFFSETS_M = (0.0, 0.012)
+"""Distances of a gripper from panda_hand, without and with an adapter [m]."""
+_MOUNTS = 3
+"""Mounts that are fitted and compared, unless one leads clearly."""
+_TURN_SIGMA_RAD = np.deg2rad(6.0)
+"""Standard deviation of the likeliest turns, before each frame is fitted once more [rad]."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -37,7 +37,8 @@ _BEST_SHARE = 0.9
 """Share of the agreement of the best frames from which on a frame is not tried again."""
 _AGREEING_SHARE = 0.5
 """Least share of the poses whose arm agrees, of a familiar video."""
-_FOLLOWED_FRAMES = 3  # frames without a sure pose across which the surface is followed at once
+_FOLLOWED_FRAMES = 3
+"""Frames without a sure pose across which the surface is followed at once."""
 
 
 def _is_doubtful(pose: FramePose) -> bool:

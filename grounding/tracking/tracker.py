@@ -44,9 +44,12 @@ from kinebench_drake.track import Domain
 # Chosen by hand on own renders; checked by `python -m benchmarks evaluate` on these, by `footage` on others' videos.
 _SURE_SHARE = 0.8
 """Mean confidence of the poses below which a familiar video is tried as an unfamiliar one."""
-_RECENTRE = 0.2  # offset of the gripper from the crop's centre, over half the crop, beyond which a new crop is taken
-_RESCALE = 1.25  # likewise the factor between its size in the crop and the desired one
-_MAX_GAP = 12  # frames over which the crop of a lost gripper is interpolated
+_RECENTRE = 0.2
+"""Offset of the gripper from the crop's centre, over half the crop, beyond which a new crop is taken."""
+_RESCALE = 1.25
+"""Factor between the gripper's size in the crop and the desired one beyond which a new crop is taken."""
+_MAX_GAP = 12
+"""Frames over which the crop of a lost gripper is interpolated."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -14,13 +14,16 @@ from kinebench_drake.grounding.tracking.crop import Crop
 from kinebench_drake.io.frames import Frames
 from kinebench_drake.models.panda.description import GRIPPER, OPENING_SIGN, RobotPart
 
-# relative; depth is stored in whole millimetres
 _EXACT_SIGMA = 1e-3
+"""Relative standard deviation of exact depth, which is stored in whole millimetres."""
 _EXACT_FACTOR_SIGMA = 1e-4
-# estimator of unknown accuracy
+"""Relative standard deviation of its factor."""
 _ESTIMATE_SIGMA = 0.02
+"""Relative standard deviation of depth by an estimator of unknown accuracy."""
 _ESTIMATE_FACTOR_SIGMA = 0.1
-_CALIBRATED_FACTOR_SIGMA = 0.03  # drift of the depth factor along a video
+"""Relative standard deviation of its factor."""
+_CALIBRATED_FACTOR_SIGMA = 0.03
+"""The same of depth that was scaled in one frame: the factor drifts along a video."""
 OPENING_SIGNS = np.array([OPENING_SIGN.get(part, 0.0) for part in RobotPart])
 """(PARTS,) `OPENING_SIGN` by value of `RobotPart`; 0 where a part does not move along the hand."""
 
