@@ -12,8 +12,9 @@ from kinebench_drake.formats.camerafile import BENCHMARK
 from kinebench_drake.geometry import Array
 from kinebench_drake.grounding import bounds
 from kinebench_drake.grounding.camera.camera_estimate import CameraEstimate
+from kinebench_drake.grounding.camera.check import check_named, find_reading
 from kinebench_drake.grounding.camera.estimate import usual_camera
-from kinebench_drake.grounding.camera.evidence import CameraChoice, check_named, find_reading
+from kinebench_drake.grounding.camera.evidence import CameraChoice
 from kinebench_drake.grounding.camera.framing import Framing, apply_framing
 from kinebench_drake.grounding.camera.framing_search import find_framing
 from kinebench_drake.grounding.camera.picture_reading import BetterReading, PictureReading

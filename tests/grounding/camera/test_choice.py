@@ -21,9 +21,9 @@ from kinebench_drake.grounding.camera.camera_estimate import (
     CameraEstimate,
     Rival,
 )
-from kinebench_drake.grounding.camera.check import LARGE_M, CameraContradiction
+from kinebench_drake.grounding.camera.check import LARGE_M, SURE_AGREEMENT
 from kinebench_drake.grounding.camera.estimate import usual_camera
-from kinebench_drake.grounding.camera.evidence import SURE_AGREEMENT
+from kinebench_drake.grounding.camera.evidence import CameraContradiction
 from kinebench_drake.grounding.camera.lens import Lens
 from kinebench_drake.grounding.camera.picture_reading import BetterReading, PictureReading
 from kinebench_drake.grounding.camera.recognition import Recognition
