@@ -1,5 +1,6 @@
 """Calibration of a static camera from a video of the robot."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -24,17 +25,15 @@ from kinebench_drake.grounding.camera.calibration_result import (
 )
 from kinebench_drake.grounding.camera.camera_estimate import CameraEstimate
 from kinebench_drake.grounding.camera.candidate import CameraCandidate
-from kinebench_drake.grounding.camera.detections import detect_views
+from kinebench_drake.grounding.camera.detections import ArmDetections, detect_all, track_all
 from kinebench_drake.grounding.camera.estimate import FRAMES, CameraEstimator
 from kinebench_drake.grounding.camera.lens import USUAL_FOV_DEG, centred_camera, focal_px
-from kinebench_drake.grounding.camera.robot_points import LensView, ViewEstimator, track_views
 from kinebench_drake.grounding.camera.solve import LensSolution, solve
 from kinebench_drake.grounding.camera.states import (
     RobotStates,
     make_posture_states,
     parse_posture,
     read_states,
-    unknown_states,
 )
 from kinebench_drake.grounding.registration.arm_model import ArmModel
 from kinebench_drake.grounding.tracking.estimator import NetworkEstimator
@@ -45,6 +44,8 @@ from kinebench_drake.io.video import Video
 from kinebench_drake.models.perception.network import load_network
 from kinebench_drake.segments import evenly
 
+RobotSource = Callable[[Frames, Camera], ArmDetections]
+"""Detection of the robot in frames (T, H, W, 3) that were taken with approximately this camera."""
 _DEFAULT_FRAMES = 24
 _CENTRE_SIGMA = 0.06
 """Standard deviation of an unknown principal point over the image's width."""
@@ -99,27 +100,11 @@ class CalibrationConfig:
             raise UsageError("$episode and $column choose from a file of joint angles, and $joints names none")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class CalibrationOutcome:
-    """Calibration with the data of its figure."""
-
-    calibration: CameraCalibration
-    frame: NDArray[np.uint8]
-    """(H, W, 3) one of the frames used."""
-    X_BP: Array
-    """(PARTS, 4, 4) frames of the parts' CAD coordinates in B in that frame [m]; NaN where unknown."""
-    finger_m: float
-    """Opening of each finger in that frame [m]."""
-
-
 class Calibrator:
     """Calibration of cameras from decoded videos; one instance serves any number of them."""
 
-    def __init__(self, detected: ViewEstimator, tracked: ViewEstimator, cameras: CameraEstimator) -> None:
-        """Set the sources of views.
-
-        Those `detected` are of frames whose postures are known, those `tracked` hold postures where one is known.
-        """
+    def __init__(self, detected: RobotSource, tracked: RobotSource, cameras: CameraEstimator) -> None:
+        """Set the sources of detections: `tracked` ones have postures where only one posture is known."""
         self._detected = detected
         self._tracked = tracked
         self._cameras = cameras
@@ -133,25 +118,23 @@ class Calibrator:
             SetupError: weights, meshes or native libraries are missing.
         """
         dense = NetworkEstimator(load_network())
-        detected = partial(detect_views, dense)
-        tracked = partial(track_views, CadTracker(dense))
-        return Calibrator(detected, tracked, CameraEstimator(dense))
+        return Calibrator(partial(detect_all, dense), partial(track_all, CadTracker(dense)), CameraEstimator(dense))
 
     def calibrate(
         self,
         frames: Frames,
-        states: RobotStates,
+        states: RobotStates | None,
         guess: Camera,
         *,
         focal_free: bool,
         centre_free: bool = False,
         most: int = _DEFAULT_FRAMES,
-    ) -> CalibrationOutcome:
+    ) -> CameraCalibration:
         """Calibrate the camera of frames (T, H, W, 3).
 
         Args:
             frames: images.
-            states: robot states in these frames.
+            states: robot states in these frames; None to estimate the camera without any.
             guess: initial camera.
             focal_free: True to estimate the focal length.
             centre_free: True if the principal point is not known exactly.
@@ -160,46 +143,44 @@ class Calibrator:
         Raises:
             UnmeasurableError: the camera moves, or the video does not determine it.
         """
+        chosen = evenly(len(frames), min(most, FRAMES)) if states is None else _chosen(states, most)
         method = _method(states)
-        chosen = _chosen(states, most)
+        source = self._tracked if method is CalibrationMethod.POSTURE else self._detected
         images = frames[chosen]
-        postures = states.take(chosen)
-        estimator = self._tracked if method is CalibrationMethod.POSTURE else self._detected
-        view = estimator(images, guess)
-        shift = _camera_shift(images, view, guess)
-        basis = CalibrationBasis(method=method, source=states.source, focal_free=focal_free)
-        if method is CalibrationMethod.MOTION:
-            calibration = describe_estimate(self._estimate(frames, None if focal_free else guess), self._model, basis)
+        robot = source(images, guess)
+        shift = _camera_shift(images, robot.robot, guess)
+        basis = CalibrationBasis(
+            method=method, source="nothing" if states is None else states.source, focal_free=focal_free
+        )
+        if states is None:
+            calibration = describe_estimate(self._estimate(frames, guess, focal_free=focal_free), self._model, basis)
         else:
-            solved = solve(view, postures, guess, self._model, focal_free=focal_free)
+            solved = solve(robot, states.take(chosen[robot.rows]), guess, self._model, focal_free=focal_free)
             camera = solved.bundle.scene.lens.to_camera()
-            if _is_other(camera, guess):  # the views depend on the camera
-                solved = solve(estimator(images, camera), postures, camera, self._model, focal_free=focal_free)
+            if _is_other(camera, guess):
+                robot = source(images, camera)
+                solved = solve(robot, states.take(chosen[robot.rows]), camera, self._model, focal_free=focal_free)
             if method is CalibrationMethod.JOINTS:
                 centre_sigma_px = _CENTRE_SIGMA * guess.width if centre_free else 0.0
+                used = images[robot.rows]
                 estimate = self._cameras.refine(
-                    images, guess, _start(solved), focal_free=focal_free, centre_sigma_px=centre_sigma_px
+                    used, guess, _start(solved), focal_free=focal_free, centre_sigma_px=centre_sigma_px
                 )
                 calibration = describe_estimate(estimate, self._model, basis)
             else:
-                calibration = describe(solved, self._model, basis)
-            calibration = replace(calibration, frames=chosen[calibration.frames])
+                calibration = describe(solved, basis)
+            calibration = replace(calibration, frames=chosen[robot.rows[calibration.frames]])
             require_determined(calibration)
-        middle = len(calibration.frames) // 2
-        return CalibrationOutcome(
-            calibration=replace(calibration, warnings=(*shift, *warnings_of(calibration))),
-            frame=frames[calibration.frames[middle]],
-            X_BP=calibration.X_BP[middle],
-            finger_m=float(calibration.scene.finger_m[middle]),
-        )
+        image = frames[calibration.frames[len(calibration.frames) // 2]]
+        return replace(calibration, warnings=(*shift, *warnings_of(calibration)), image=image)
 
-    def _estimate(self, frames: Frames, camera: Camera | None) -> CameraEstimate:
-        """Estimate the camera of frames (T, H, W, 3) without joint angles; `camera` has a fixed focal length.
+    def _estimate(self, frames: Frames, guess: Camera, *, focal_free: bool) -> CameraEstimate:
+        """Estimate the camera of frames (T, H, W, 3) without joint angles.
 
         Raises:
             UnmeasurableError: the camera is in doubt.
         """
-        estimate = self._cameras.estimate(frames, camera, focal_free=camera is None)
+        estimate = self._cameras.estimate(frames, guess, focal_free=focal_free)
         if estimate.doubt is not None:
             raise UnmeasurableError(
                 f"base_from_camera is not determined without joint angles: {estimate.doubt}; give $joints FILE, "
@@ -208,7 +189,7 @@ class Calibrator:
         return estimate
 
 
-def calibrate(config: CalibrationConfig, calibrator: Calibrator | None = None) -> CalibrationOutcome:
+def calibrate(config: CalibrationConfig, calibrator: Calibrator | None = None) -> CameraCalibration:
     """Calibrate the camera of a video.
 
     Args:
@@ -244,12 +225,11 @@ def _start(solved: LensSolution) -> CameraCandidate:
     return CameraCandidate(scene=solved.bundle.scene, rows=solved.rows, cells=solved.cells, costs=costs, cost=0.0)
 
 
-def _states(config: CalibrationConfig, video: Video, model: ArmModel) -> RobotStates:
-    n = len(video.frames)
+def _states(config: CalibrationConfig, video: Video, model: ArmModel) -> RobotStates | None:
     if config.joints is None:
-        return unknown_states(n)
+        return None
     if not Path(config.joints).exists():
-        return make_posture_states(config.joints, config.joints_frame, n, model)
+        return make_posture_states(config.joints, config.joints_frame, len(video.frames), model)
     return read_states(Path(config.joints), config.episode, config.column, _times(video, config.frame_period_s), model)
 
 
@@ -278,7 +258,7 @@ def _chosen(states: RobotStates, most: int) -> NDArray[np.intp]:
     return np.asarray(np.union1d(rows, others), dtype=np.intp)
 
 
-def _camera_shift(frames: Frames, view: LensView, camera: Camera) -> tuple[str, ...]:
+def _camera_shift(frames: Frames, robot: NDArray[np.bool_], camera: Camera) -> tuple[str, ...]:
     """Return warnings about camera motion.
 
     Raises:
@@ -286,7 +266,7 @@ def _camera_shift(frames: Frames, view: LensView, camera: Camera) -> tuple[str, 
     """
     if len(frames) < 2:
         return ()
-    moved_px = measure_camera_motion(FeatureTracks(frames), view.robot, camera).largest_px
+    moved_px = measure_camera_motion(FeatureTracks(frames), robot, camera).largest_px
     unit = camera.unit_px
     if moved_px is None:
         return ("it is unknown whether the camera is static: the background has too few features",)
@@ -307,10 +287,9 @@ def _is_other(camera: Camera, guess: Camera) -> bool:
     return bool(abs(np.log(camera.fx / guess.fx)) > _OTHER_ZOOM or moved)
 
 
-def _method(states: RobotStates) -> CalibrationMethod:
-    count = int(states.has_hand.sum())
-    if count == 0:
-        return CalibrationMethod.MOTION
+def _method(states: RobotStates | None) -> CalibrationMethod:
+    if states is None:
+        return CalibrationMethod.ESTIMATE
     if not np.isfinite(states.q).any():
         return CalibrationMethod.POSES
-    return CalibrationMethod.POSTURE if count == 1 else CalibrationMethod.JOINTS
+    return CalibrationMethod.POSTURE if states.has_hand.sum() == 1 else CalibrationMethod.JOINTS

@@ -1,16 +1,17 @@
 """Result of a camera calibration, its description, and errors and warnings about what the video does not determine."""
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from enum import Enum
 
 import numpy as np
+from numpy.typing import NDArray
 
 from kinebench_drake.errors import UnmeasurableError
-from kinebench_drake.geometry import Array, pose_difference
+from kinebench_drake.geometry import Array
 from kinebench_drake.grounding import bounds
 from kinebench_drake.grounding.camera.camera_estimate import GRIPPER_SIGMA_RAD, CameraEstimate, FittedCamera
-from kinebench_drake.grounding.camera.solve import LensSolution, fit_cells
-from kinebench_drake.grounding.registration.arm_model import MIN_CELLS, ArmModel
+from kinebench_drake.grounding.camera.solve import LensSolution
+from kinebench_drake.grounding.registration.arm_model import ArmModel
 from kinebench_drake.io.jsonl import Json
 from kinebench_drake.models.panda.description import ARM, GRIPPER, RobotPart
 
@@ -41,7 +42,7 @@ class CalibrationMethod(Enum):
     JOINTS = "joint angles of the frames"
     POSES = "poses of the gripper in the frames"
     POSTURE = "posture of one frame"
-    MOTION = "motion without joint angles"
+    ESTIMATE = "no postures"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -67,16 +68,14 @@ class CameraCalibration(FittedCamera):
     to contours the median distance from edges [px]."""
     inlier_share: float
     """Share of the cells within four standard deviations, or of the contour points on edges."""
-    spread_m: Array
-    """(K,) distances between the camera and those estimated from single frames [m]."""
-    spread_rad: Array
-    """(K,) angles between the camera and those estimated from single frames [rad]."""
     depth_m: tuple[float, float]
     """Depths of the nearest and farthest visible parts of the robot, 5th and 95th percentile [m]."""
     agreement: float | None = None
     """Share of the contours of hand and arm on image edges; None if the camera was fitted to cells alone."""
     warnings: tuple[str, ...] = ()
     """Warnings for the user."""
+    image: NDArray[np.uint8] = field(default_factory=lambda: np.zeros((0, 0, 3), np.uint8))
+    """(H, W, 3) middle one of the frames used; empty until it is set."""
 
     @property
     def part_px(self) -> dict[str, float]:
@@ -102,12 +101,6 @@ class CameraCalibration(FittedCamera):
 
     def to_json(self) -> dict[str, Json]:
         """Serialize all results; the camera as in `camera.json`."""
-
-        def quantiles(values: Array, unit: float) -> Json:
-            if not len(values):
-                return None
-            return {"median": float(np.median(values)) * unit, "95%": float(np.quantile(values, 0.95)) * unit}
-
         return {
             "camera": self.camera.to_json(),
             "method": self.basis.method.value,
@@ -125,15 +118,13 @@ class CameraCalibration(FittedCamera):
             "part_cells": dict(self.part_cells),
             "inlier_share": self.inlier_share,
             "agreement": self.agreement,
-            "frame_position_mm": quantiles(self.spread_m, 1e3),
-            "frame_rotation_deg": quantiles(self.spread_rad, 180 / np.pi),
             "depth_m": list(self.depth_m),
             "hand_motion_m": self.motion_m,
             "warnings": list(self.warnings),
         }
 
 
-def describe(solution: LensSolution, model: ArmModel, basis: CalibrationBasis) -> CameraCalibration:
+def describe(solution: LensSolution, basis: CalibrationBasis) -> CameraCalibration:
     """Return the calibration of a camera that was fitted to cells."""
     bundle = solution.bundle
     cells = solution.cells
@@ -145,7 +136,6 @@ def describe(solution: LensSolution, model: ArmModel, basis: CalibrationBasis) -
     sure = np.where(inlier, cells.weight / sigma_px**2, 0.0)
     z = lens.project(p_B)[1][inlier]
     near, far = np.quantile(z, [0.05, 0.95]) if len(z) else (np.nan, np.nan)
-    spread_m, spread_rad = _spread(solution, model)
     return CameraCalibration(
         bundle=bundle,
         frames=solution.rows,
@@ -154,8 +144,6 @@ def describe(solution: LensSolution, model: ArmModel, basis: CalibrationBasis) -
         X_BP=solution.X_BP,
         residual_px=float(np.sqrt((sure * error_px**2).sum() / max(sure.sum(), 1e-12))),
         inlier_share=float(inlier.mean()),
-        spread_m=spread_m,
-        spread_rad=spread_rad,
         depth_m=(float(near), float(far)),
     )
 
@@ -171,26 +159,9 @@ def describe_estimate(estimate: CameraEstimate, model: ArmModel, basis: Calibrat
         X_BP=X_BP,
         residual_px=estimate.residual_px,
         inlier_share=estimate.agreement,
-        spread_m=np.zeros(0),
-        spread_rad=np.zeros(0),
         depth_m=(float(near), float(far)),
         agreement=estimate.agreement,
     )
-
-
-def _spread(solution: LensSolution, model: ArmModel) -> tuple[Array, Array]:
-    """Return distances [m] and angles [rad] between the camera and those of single frames, at fixed focal length."""
-    scene = solution.bundle.scene
-    cells = solution.cells
-    X_BC = scene.lens.to_camera().X_BC
-    deviations = []
-    for frame in np.unique(cells.frame):
-        own = cells.take(cells.frame == frame)
-        if len(own) >= MIN_CELLS and len(np.unique(own.part)) > 1:
-            alone = fit_cells(own, scene.lens, model, solution.X_BP, scene.finger_m, focal_free=False, rounds=1)
-            deviations.append(pose_difference(alone.scene.lens.to_camera().X_BC, X_BC))
-    distance, angle = np.array(deviations, dtype=np.float64).reshape(-1, 2).T
-    return distance, angle
 
 
 def format_lines(calibration: CameraCalibration) -> list[str]:
@@ -211,12 +182,6 @@ def format_lines(calibration: CameraCalibration) -> list[str]:
     ]
     if c.agreement is not None:
         report.append(f"contours of hand and arm on image edges: {c.agreement:.0%}")
-    if len(c.spread_m) > 1:
-        report.append(
-            f"single frames: {1e3 * np.median(c.spread_m):.0f} mm and {np.rad2deg(np.median(c.spread_rad)):.2f} "
-            f"degrees from it (median of {len(c.spread_m)}), 95 %: {1e3 * np.quantile(c.spread_m, 0.95):.0f} mm, "
-            f"{np.rad2deg(np.quantile(c.spread_rad, 0.95)):.2f} degrees"
-        )
     report.append(
         f"depth of the robot: {c.depth_m[0]:.2f} to {c.depth_m[1]:.2f} m; the hand moves {1e3 * c.motion_m:.0f} mm"
     )

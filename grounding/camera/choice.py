@@ -164,7 +164,7 @@ class CameraChooser:
         """
         estimate: CameraEstimate | None = None
         try:
-            estimate = self.parts.cameras.estimate(self.clip.frames)
+            estimate = self.parts.cameras.estimate(self.clip.frames, usual)
             doubt = estimate.misfit
         except UnmeasurableError as error:
             doubt = str(error)

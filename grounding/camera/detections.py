@@ -5,7 +5,7 @@ out with; only the crop's shape does, a little.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
@@ -14,10 +14,11 @@ from numpy.typing import NDArray
 from kinebench_drake.camera import Camera
 from kinebench_drake.errors import UnmeasurableError
 from kinebench_drake.geometry import Array
-from kinebench_drake.grounding.camera.robot_points import CalibrationCorrespondences, LensView, find_correspondences
+from kinebench_drake.grounding.camera.robot_points import CalibrationCorrespondences, find_correspondences
 from kinebench_drake.grounding.registration.fit import UNSEEN_FINGER_M, HandFit, finger_or_default, fit
 from kinebench_drake.grounding.tracking.crop import CLOSE_MARGIN, CLOSE_SIZE, Crop
 from kinebench_drake.grounding.tracking.localization import PART_CELLS, find_region, likeliest_gripper
+from kinebench_drake.grounding.tracking.tracker import PoseTracker
 from kinebench_drake.grounding.tracking.view import DenseEstimator, GripperView
 from kinebench_drake.io.frames import Frames
 from kinebench_drake.models.panda.description import ARM, RobotPart
@@ -48,6 +49,8 @@ class ArmDetections:
     """(T,) opening of each finger [m]; a default where there is none."""
     robot: NDArray[np.bool_]
     """(H, W) pixels of the first of these frames that show the robot."""
+    q: Array | None = None
+    """(T, 7) postures for the assumed pose of the camera [rad], NaN where there is none; None if none are fitted."""
 
     def count_cells(self, part: RobotPart) -> NDArray[np.intp]:
         """Return the number (T,) of cells that show a part."""
@@ -125,8 +128,8 @@ def _approach(
     return close
 
 
-def detect_views(estimator: DenseEstimator, frames: Frames, camera: Camera) -> LensView:
-    """Return the views of frames with hand and arm, none of which needs a camera; no postures.
+def detect_all(estimator: DenseEstimator, frames: Frames, camera: Camera) -> ArmDetections:
+    """Return the robot in all frames (T, H, W, 3) that show hand and arm, whatever the camera; no postures.
 
     Raises:
         UnmeasurableError: no frame shows a hand.
@@ -136,13 +139,21 @@ def detect_views(estimator: DenseEstimator, frames: Frames, camera: Camera) -> L
         raise UnmeasurableError(
             f"no gripper is seen in the {len(frames)} frames used: is it a Panda with the Franka hand?"
         )
-    finger_m = np.full(len(frames), UNSEEN_FINGER_M)
-    finger_m[robot.rows] = robot.finger_m
-    return LensView(
-        cells=replace(robot.cells, frame=robot.rows[robot.cells.frame]),
-        finger_m=finger_m,
-        q=np.full((len(frames), N_JOINTS), np.nan),
-        robot=robot.robot,
+    return robot
+
+
+def track_all(tracker: PoseTracker, frames: Frames, camera: Camera) -> ArmDetections:
+    """Return the robot in all frames (T, H, W, 3) with the postures by a tracker, given the pose of the camera."""
+    tracked = tracker.track(frames, camera)
+    close = [(row, pose.view) for row, pose in enumerate(tracked.poses) if pose is not None]
+    finger_m = [np.nan if pose is None else pose.finger_m for pose in tracked.poses]
+    arms = [None if pose is None else pose.arm for pose in tracked.poses]
+    return ArmDetections(
+        rows=np.arange(len(frames)),
+        cells=find_correspondences([*close, *enumerate(tracked.wide)], camera),
+        finger_m=np.nan_to_num(np.array(finger_m), nan=UNSEEN_FINGER_M),
+        robot=tracked.robot,
+        q=np.stack([np.full(N_JOINTS, np.nan) if arm is None else arm.q for arm in arms]),
     )
 
 

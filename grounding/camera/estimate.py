@@ -65,18 +65,17 @@ class CameraEstimator:
         self.estimator = estimator
         self.fitter = CandidateFitter(ArmModel(), EdgeMatcher())
 
-    def estimate(self, frames: Frames, camera: Camera | None = None, *, focal_free: bool = True) -> CameraEstimate:
+    def estimate(self, frames: Frames, camera: Camera, *, focal_free: bool = True) -> CameraEstimate:
         """Estimate place and focal length of the static camera of a video.
 
         Args:
             frames: (T, H, W, 3) RGB.
-            camera: initial intrinsics; None for a centred lens with a usual field of view.
+            camera: initial intrinsics, such as those of `usual_camera`.
             focal_free: True to estimate the focal length.
 
         Raises:
             UnmeasurableError: hand and arm are seen in too few frames.
         """
-        camera = camera or usual_camera(frames.shape[2], frames.shape[1])
         detections = find_robot(self.estimator, frames, camera, FRAMES)
         if detections is None or len(detections.rows) < MIN_FRAMES:
             count = 0 if detections is None else len(detections.rows)

@@ -1,6 +1,6 @@
 """Correspondences between image cells and points of the robot, the measurements of a calibration."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Self
 
@@ -10,15 +10,11 @@ from numpy.typing import NDArray
 from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array
 from kinebench_drake.grounding.camera.lens import Lens
-from kinebench_drake.grounding.registration.fit import UNSEEN_FINGER_M
 from kinebench_drake.grounding.registration.solver import NEAREST_M
 from kinebench_drake.grounding.tracking.crop import CLOSE_SIZE
 from kinebench_drake.grounding.tracking.markov import X_HALF_TURN
-from kinebench_drake.grounding.tracking.tracker import PoseTracker
 from kinebench_drake.grounding.tracking.view import GripperView
-from kinebench_drake.io.frames import Frames
 from kinebench_drake.models.panda.description import ARM, GRIPPER, RobotPart
-from kinebench_drake.models.robot import N_JOINTS
 
 MIN_FRAMES = 3
 """Least number of frames that must show hand and arm if postures are estimated."""
@@ -166,40 +162,4 @@ def _part_cells(row: int, view: GripperView, part: RobotPart, camera: Camera) ->
         opening_sign=view.opening_sign[v, u],
         depth_per_px=rays[:, 2] * view.depth_m[v, u] / camera.fx,
         weight=np.full(n, min(1.0, _INDEPENDENT / max(1, n))),
-    )
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class LensView:
-    """Cells, openings and postures of the robot in T frames."""
-
-    cells: CalibrationCorrespondences
-    """Cells of all frames."""
-    finger_m: Array
-    """(T,) estimated opening of each finger [m]; a default where there is none."""
-    q: Array
-    """(T, 7) arm posture for the estimated hand pose, given the assumed camera pose [rad]; NaN where there is none."""
-    robot: NDArray[np.bool_]
-    """(H, W) robot pixels of the first frame."""
-
-    def of_frames(self, rows: NDArray[np.intp]) -> "LensView":
-        """Select frames."""
-        return replace(self, cells=self.cells.of_frames(rows), finger_m=self.finger_m[rows], q=self.q[rows])
-
-
-ViewEstimator = Callable[[Frames, Camera], LensView]
-"""Estimation of the views of frames (T, H, W, 3) that were taken with approximately this camera."""
-
-
-def track_views(tracker: PoseTracker, frames: Frames, camera: Camera) -> LensView:
-    """Return the views of a tracker: those of its wide crops, and the close ones of the hands that it finds."""
-    tracked = tracker.track(frames, camera)
-    close = [(row, pose.view) for row, pose in enumerate(tracked.poses) if pose is not None]
-    finger_m = [np.nan if pose is None else pose.finger_m for pose in tracked.poses]
-    arms = [None if pose is None else pose.arm for pose in tracked.poses]
-    return LensView(
-        cells=find_correspondences([*close, *enumerate(tracked.wide)], camera),
-        finger_m=np.nan_to_num(np.array(finger_m), nan=UNSEEN_FINGER_M),
-        q=np.stack([np.full(N_JOINTS, np.nan) if arm is None else arm.q for arm in arms]),
-        robot=tracked.robot,
     )

@@ -10,12 +10,14 @@ from kinebench_drake.camera import Camera
 from kinebench_drake.errors import UnmeasurableError
 from kinebench_drake.geometry import Array
 from kinebench_drake.grounding.camera.bundle_adjustment import ArmScene, BundleAdjustment, Observations, Prior, adjust
+from kinebench_drake.grounding.camera.detections import ArmDetections
 from kinebench_drake.grounding.camera.lens import Lens, focal_px, solve_pnp, with_focal
-from kinebench_drake.grounding.camera.robot_points import MIN_FRAMES, CalibrationCorrespondences, LensView
+from kinebench_drake.grounding.camera.robot_points import MIN_FRAMES, CalibrationCorrespondences
 from kinebench_drake.grounding.camera.states import RobotStates
 from kinebench_drake.grounding.registration.arm_model import MIN_CELLS, ArmModel
 from kinebench_drake.grounding.registration.solver import CAUCHY
 from kinebench_drake.models.robot import N_JOINTS
+from kinebench_drake.segments import finite_rows
 
 _FOV_DEG = (35.0, 45.0, 55.0, 65.0, 75.0, 90.0)
 """Horizontal fields of view at which the search for the focal length starts [degrees]."""
@@ -37,7 +39,7 @@ class LensSolution:
     X_BP: Array
     """(T, PARTS, 4, 4) frames of the parts' CAD coordinates in B [m]; NaN where unknown."""
     rows: NDArray[np.intp]
-    """(T,) rows of the view that were used."""
+    """(T,) rows of the detections that were used."""
 
     @property
     def p_B(self) -> Array:
@@ -45,11 +47,13 @@ class LensSolution:
         return self.cells.locate(self.X_BP, self.bundle.scene.finger_m)
 
 
-def solve(view: LensView, states: RobotStates, guess: Camera, model: ArmModel, *, focal_free: bool) -> LensSolution:
+def solve(
+    robot: ArmDetections, states: RobotStates, guess: Camera, model: ArmModel, *, focal_free: bool
+) -> LensSolution:
     """Solve the lens that projects the robot to where the frames show it, with all known postures.
 
     Args:
-        view: views of the frames.
+        robot: robot in some frames.
         states: robot states in the same frames.
         guess: initial camera.
         model: link poses of the arm.
@@ -63,19 +67,27 @@ def solve(view: LensView, states: RobotStates, guess: Camera, model: ArmModel, *
     cameras = [guess, *(with_focal(guess, fx) for fx in focal)] if focal_free else [guess]
     anchored = len(rows) == 1 and len(states.q) >= MIN_FRAMES
     free = focal_free and not anchored
-    solved = _solve_lens(view.of_frames(rows), states.take(rows), cameras, model, focal_free=free)
-    if not anchored or np.isfinite(view.q).all(axis=1).sum() < MIN_FRAMES:
+    cells = robot.cells.of_frames(rows)
+    solved = _solve_lens(cells, robot.finger_m[rows], states.take(rows), cameras, model, focal_free=free)
+    if not anchored or robot.q is None or finite_rows(robot.q).sum() < MIN_FRAMES:
         return replace(solved, rows=rows)
-    return _solve_lens_and_postures(view, states, solved.bundle.scene.lens, model, focal_free=focal_free)
+    q = np.where(states.has_posture[:, None], states.q, robot.q)
+    return _solve_lens_and_postures(robot, q, states, solved.bundle.scene.lens, model, focal_free=focal_free)
 
 
 def _solve_lens(
-    view: LensView, states: RobotStates, cameras: Sequence[Camera], model: ArmModel, *, focal_free: bool
+    cells: CalibrationCorrespondences,
+    seen_m: Array,
+    states: RobotStates,
+    cameras: Sequence[Camera],
+    model: ArmModel,
+    *,
+    focal_free: bool,
 ) -> LensSolution:
     """Solve the lens where the posture, or at least the hand pose, is known in every frame, from initial `cameras`."""
     X_BP = states.part_poses(model)
-    finger_m = np.where(np.isfinite(states.finger_m), states.finger_m, view.finger_m)
-    cells = view.cells.take(np.flatnonzero(np.isfinite(view.cells.locate(X_BP, finger_m)).all(axis=1)))
+    finger_m = np.where(np.isfinite(states.finger_m), states.finger_m, seen_m)
+    cells = cells.take(np.flatnonzero(finite_rows(cells.locate(X_BP, finger_m))))
     _require_enough(cells)
     starts = _find_consensus(cells, cells.locate(X_BP, finger_m), cameras)[:_STARTS]
     if not starts:
@@ -94,20 +106,18 @@ def _solve_lens(
 
 
 def _solve_lens_and_postures(
-    view: LensView, states: RobotStates, start: Lens, model: ArmModel, *, focal_free: bool
+    robot: ArmDetections, q: Array, states: RobotStates, start: Lens, model: ArmModel, *, focal_free: bool
 ) -> LensSolution:
     """Solve lens and postures jointly, where postures are known in few frames.
 
     A rotation of the camera about the axis of joint 1 is equivalent to other postures: only the base link, and known
     postures, determine it.
     """
-    fixed = states.has_posture
-    q = np.where(fixed[:, None], states.q, view.q)
-    rows = np.flatnonzero(np.isfinite(q).all(axis=1))
-    cells = view.cells.of_frames(rows).thin()
+    rows = np.flatnonzero(finite_rows(q))
+    cells = robot.cells.of_frames(rows).thin()
     _require_enough(cells)
-    finger_m = np.where(np.isfinite(states.finger_m), states.finger_m, view.finger_m)[rows]
-    q_sigma = np.where(fixed[rows, None], _FIXED_SIGMA_RAD, _POSTURE_SIGMA_RAD)
+    finger_m = np.where(np.isfinite(states.finger_m), states.finger_m, robot.finger_m)[rows]
+    q_sigma = np.where(states.has_posture[rows, None], _FIXED_SIGMA_RAD, _POSTURE_SIGMA_RAD)
     X_BP = model.poses(q[rows])
     q = q[rows]
     bundle = fit_cells(cells, start, model, X_BP, finger_m, focal_free=focal_free, q=q, q_sigma=q_sigma)

@@ -144,14 +144,6 @@ def read_states(path: Path, episode: str | None, column: str | None, t_s: Array,
     return RobotStates(q=np.full((len(X_BH), N_JOINTS), np.nan), X_BH=X_BH, finger_m=fingers, source=source)
 
 
-def unknown_states(frames: int) -> RobotStates:
-    """Return states that are unknown in all frames."""
-    nothing = np.full((frames, N_JOINTS), np.nan)
-    return RobotStates(
-        q=nothing, X_BH=np.full((frames, 4, 4), np.nan), finger_m=np.full(frames, np.nan), source="nothing"
-    )
-
-
 def _of_joints(q: Array, finger_m: Array, source: str, model: ArmModel) -> RobotStates:
     finite = np.asarray(np.isfinite(q).all(axis=1))
     X_BH = model.poses(np.where(finite[:, None], q, 0.0))[:, RobotPart.HAND]

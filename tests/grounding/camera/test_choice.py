@@ -121,7 +121,7 @@ class Evidence:
     def count_hands(self, frames, camera):
         return self.hands, 8
 
-    def estimate(self, frames):
+    def estimate(self, frames, camera):
         self.asked.append("estimate")
         if self.estimated is None:
             raise UnmeasurableError("no camera can be estimated: nothing is seen")
