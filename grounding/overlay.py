@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array, invert, transform_points
-from kinebench_drake.grounding.tracking.crop import GRIPPER_CENTRE_H, GRIPPER_RADIUS_M
+from kinebench_drake.grounding.tracking.view import GRIPPER_CENTRE_H, GRIPPER_RADIUS_M
 from kinebench_drake.io.atomic import atomic_path
 from kinebench_drake.io.frames import Frames
 from kinebench_drake.models.panda.cad import GripperCad, PartCaster, link_meshes, open_fingers, part_meshes

@@ -13,10 +13,9 @@ from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array, invert, transform_points
 from kinebench_drake.grounding import bounds
 from kinebench_drake.grounding.anomaly.detection import Detection, finite_median, sustained
-from kinebench_drake.grounding.registration.shape import HandShape
+from kinebench_drake.grounding.registration.hand_contour import HandShape
 from kinebench_drake.grounding.registration.solver import NEAREST_M
-from kinebench_drake.grounding.tracking.crop import GRIPPER_RADIUS_M
-from kinebench_drake.grounding.tracking.view import GripperView
+from kinebench_drake.grounding.tracking.view import GRIPPER_RADIUS_M, GripperView
 from kinebench_drake.io.jsonl import Json
 from kinebench_drake.models.panda.cad import MAX_FINGER_M, part_meshes
 from kinebench_drake.models.panda.description import OPENING_SIGN

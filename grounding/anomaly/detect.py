@@ -26,10 +26,9 @@ from kinebench_drake.grounding.anomaly.appearance import (
 from kinebench_drake.grounding.anomaly.camera_motion import CameraMotion, find_camera_motion
 from kinebench_drake.grounding.anomaly.detection import AnomalyDetections, Detection
 from kinebench_drake.grounding.anomaly.jumps import find_finger_faults, find_freezes, find_teleports, still_frames
-from kinebench_drake.grounding.registration.shape import HandShape
-from kinebench_drake.grounding.tracking.crop import GRIPPER_CENTRE_H
+from kinebench_drake.grounding.registration.hand_contour import HandShape
 from kinebench_drake.grounding.tracking.pose import FramePose
-from kinebench_drake.grounding.tracking.view import GripperView
+from kinebench_drake.grounding.tracking.view import GRIPPER_CENTRE_H, GripperView
 from kinebench_drake.io.frames import Frames
 from kinebench_drake.track import Domain
 

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinebench_drake.geometry import Array, make_pose, rotation_z
+from kinebench_drake.grounding.camera.detections import CalibrationCorrespondences, RobotPoints
 from kinebench_drake.grounding.camera.lens import UNKNOWNS, Lens
-from kinebench_drake.grounding.camera.robot_points import CalibrationCorrespondences, RobotPoints
 from kinebench_drake.grounding.camera.surroundings import Surroundings
 from kinebench_drake.grounding.registration.arm_model import OVER_LIMIT_RAD, ArmModel
 from kinebench_drake.grounding.registration.solver import CAUCHY, NEAREST_M

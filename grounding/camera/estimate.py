@@ -14,17 +14,18 @@ from kinebench_drake.grounding.camera.bundle_adjustment import Prior
 from kinebench_drake.grounding.camera.camera_estimate import CameraEstimate, Rival
 from kinebench_drake.grounding.camera.candidate import (
     COARSE,
+    DIFFERENT_TURN_RAD,
     LOG_FOCAL_SIGMA,
     MIDDLE,
+    BaseTurn,
     CameraCandidate,
     CandidateFitter,
+    ContourImages,
     explained,
 )
-from kinebench_drake.grounding.camera.contours import DIFFERENT_TURN_RAD, BaseTurn, ContourImages
-from kinebench_drake.grounding.camera.detections import ArmDetections, find_robot
+from kinebench_drake.grounding.camera.detections import MIN_FRAMES, ArmDetections, find_robot
 from kinebench_drake.grounding.camera.hypotheses import ChainSearch, Hypothesis
 from kinebench_drake.grounding.camera.lens import USUAL_FOV_DEG, Lens, centred_camera, focal_px
-from kinebench_drake.grounding.camera.robot_points import MIN_FRAMES
 from kinebench_drake.grounding.camera.surroundings import Surroundings, find_lines, find_surroundings
 from kinebench_drake.grounding.registration.arm_model import ArmModel
 from kinebench_drake.grounding.registration.edges import EdgeMatcher

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array, invert
+from kinebench_drake.grounding.camera.detections import CalibrationCorrespondences
 from kinebench_drake.grounding.camera.lens import Lens, solve_pnp, with_focal
-from kinebench_drake.grounding.camera.robot_points import CalibrationCorrespondences
 from kinebench_drake.grounding.registration.arm_model import LAST_ANGLES_RAD, OVER_LIMIT_RAD, USUAL_Q, ArmModel
 from kinebench_drake.grounding.registration.chain_fit import MIN_LINK_CELLS
 from kinebench_drake.grounding.registration.solver import NEAREST_M

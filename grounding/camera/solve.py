@@ -10,9 +10,8 @@ from kinebench_drake.camera import Camera
 from kinebench_drake.errors import UnmeasurableError
 from kinebench_drake.geometry import Array
 from kinebench_drake.grounding.camera.bundle_adjustment import ArmScene, BundleAdjustment, Observations, Prior, adjust
-from kinebench_drake.grounding.camera.detections import ArmDetections
+from kinebench_drake.grounding.camera.detections import MIN_FRAMES, ArmDetections, CalibrationCorrespondences
 from kinebench_drake.grounding.camera.lens import Lens, focal_px, solve_pnp, with_focal
-from kinebench_drake.grounding.camera.robot_points import MIN_FRAMES, CalibrationCorrespondences
 from kinebench_drake.grounding.camera.states import RobotStates
 from kinebench_drake.grounding.registration.arm_model import MIN_CELLS, ArmModel
 from kinebench_drake.grounding.registration.solver import CAUCHY

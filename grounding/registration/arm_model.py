@@ -7,9 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinebench_drake.geometry import Array, cross, invert
-from kinebench_drake.grounding.registration.correspondences import CELLS_INDEPENDENT, Correspondences
 from kinebench_drake.grounding.registration.fit import clip_finger, finger_information
-from kinebench_drake.grounding.registration.solver import CellRows, PartPlacement
+from kinebench_drake.grounding.registration.solver import CELLS_INDEPENDENT, CellRows, Correspondences, PartPlacement
 from kinebench_drake.kinematics.analytic import analytic_ik
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.models.panda.description import ARM_LINKS, GRIPPER, HAND_LINK, LINK_OF, RobotPart

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinebench_drake.geometry import Array, cross, invert, make_pose, rotation_exp
-from kinebench_drake.grounding.registration.arm_edge_fit import LINKS_DEPTH_SIGMA
+from kinebench_drake.grounding.registration.arm_fit import LINKS_DEPTH_SIGMA
 from kinebench_drake.grounding.registration.arm_model import (
     COST_CAP,
     OVER_LIMIT_RAD,
@@ -20,9 +20,8 @@ from kinebench_drake.grounding.registration.arm_model import (
     USUAL_Q,
     ArmModel,
 )
-from kinebench_drake.grounding.registration.correspondences import Correspondences
 from kinebench_drake.grounding.registration.fit import align, pose_twist
-from kinebench_drake.grounding.registration.solver import PartPlacement, Solution, solve
+from kinebench_drake.grounding.registration.solver import Correspondences, PartPlacement, Solution, solve
 from kinebench_drake.models.panda.description import ARM, RobotPart
 from kinebench_drake.models.robot import N_JOINTS
 

@@ -16,9 +16,8 @@ from numpy.typing import NDArray
 
 from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array, invert, make_pose, rotation_z
-from kinebench_drake.grounding.registration.correspondences import MIN_POINTS, Correspondences, edge_frames
 from kinebench_drake.grounding.registration.image import EdgePoints, GradientImage
-from kinebench_drake.grounding.registration.solver import NEAREST_M
+from kinebench_drake.grounding.registration.solver import MIN_POINTS, NEAREST_M, Correspondences, edge_frames
 from kinebench_drake.grounding.tracking.view import OPENING_SIGNS
 from kinebench_drake.models.panda.cad import PartCaster, link_meshes, part_meshes
 from kinebench_drake.models.panda.description import OPENING_SIGN, RobotPart

@@ -9,8 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from kinebench_drake.geometry import Array, cross, make_pose, orthonormalize, rotation_exp
 from kinebench_drake.grounding.priors import ExternalDepth
-from kinebench_drake.grounding.registration.correspondences import Correspondences
-from kinebench_drake.grounding.registration.solver import PartPlacement, Solution, solve
+from kinebench_drake.grounding.registration.solver import Correspondences, PartPlacement, Solution, solve
 from kinebench_drake.grounding.tracking.view import GripperView
 from kinebench_drake.models.panda.cad import MAX_FINGER_M
 from kinebench_drake.models.panda.description import RobotPart

@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 
 from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array, invert
-from kinebench_drake.grounding.registration.correspondences import POINTS_INDEPENDENT, Correspondences, line_frames
-from kinebench_drake.grounding.registration.solver import BATCH
+from kinebench_drake.grounding.registration.solver import BATCH, POINTS_INDEPENDENT, Correspondences, line_frames
 from kinebench_drake.io.frames import Frames
 from kinebench_drake.models.panda.cad import PartCaster
 from kinebench_drake.models.panda.description import GRIPPER, RobotPart

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
 from kinebench_drake.geometry import Array, invert, transform_points
-from kinebench_drake.grounding.registration.correspondences import (
+from kinebench_drake.grounding.registration.solver import (
     Correspondences,
     edge_frames,
 )

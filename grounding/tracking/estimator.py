@@ -12,8 +12,7 @@ from kinebench_drake.environment.native import share_heap
 from kinebench_drake.environment.precision import Precision, network_precision
 from kinebench_drake.geometry import Array
 from kinebench_drake.grounding.registration.solver import BATCH
-from kinebench_drake.grounding.tracking.crop import CLOSE_SIZE, Crop
-from kinebench_drake.grounding.tracking.view import GripperView
+from kinebench_drake.grounding.tracking.view import CLOSE_SIZE, Crop, GripperView
 from kinebench_drake.io.frames import Frames
 from kinebench_drake.io.progress import count_steps
 from kinebench_drake.models.panda.description import ARM

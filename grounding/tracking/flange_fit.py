@@ -10,14 +10,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from kinebench_drake.geometry import Array
-from kinebench_drake.grounding.registration.arm_edge_fit import FOLLOWED_REACHES_PX, LAST_LINKS
-from kinebench_drake.grounding.registration.arm_fit import ArmFit
+from kinebench_drake.grounding.registration.arm_fit import FOLLOWED_REACHES_PX, LAST_LINKS, ArmFit
 from kinebench_drake.grounding.registration.chain_fit import MIN_LINK_CELLS, UNKNOWNS, ChainFitter, ChainModel, misfit
-from kinebench_drake.grounding.registration.correspondences import Correspondences
 from kinebench_drake.grounding.registration.edges import OPENINGS, FlangeShape
 from kinebench_drake.grounding.registration.fit import HandFit
 from kinebench_drake.grounding.registration.image import GradientImage, follow_surface
-from kinebench_drake.grounding.registration.solver import Solution
+from kinebench_drake.grounding.registration.solver import Correspondences, Solution
 from kinebench_drake.grounding.tracking.markov import TURNS_RAD
 from kinebench_drake.grounding.tracking.pose import FramePose
 from kinebench_drake.grounding.tracking.view import GripperView

@@ -16,20 +16,26 @@ from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array, pose_difference
 from kinebench_drake.grounding import bounds
 from kinebench_drake.grounding.priors import NO_PRIORS, Priors
-from kinebench_drake.grounding.registration.arm_edge_fit import LAST_LINKS, ArmEdgeFitter
+from kinebench_drake.grounding.registration.arm_fit import LAST_LINKS, ArmFitter
 from kinebench_drake.grounding.registration.arm_model import ArmModel
 from kinebench_drake.grounding.registration.chain_fit import ChainFitter
-from kinebench_drake.grounding.registration.correspondences import Correspondences
 from kinebench_drake.grounding.registration.edges import links_shape, robotiq_shape
 from kinebench_drake.grounding.registration.fit import MIN_CELLS
 from kinebench_drake.grounding.registration.image import GradientImages
-from kinebench_drake.grounding.tracking.crop import CLOSE_SIZE, WRIST_CENTRE_H, WRIST_RADIUS_M, Crop
+from kinebench_drake.grounding.registration.solver import Correspondences
 from kinebench_drake.grounding.tracking.flange_fit import REACHES_PX, FlangeFitter, FlangeView
 from kinebench_drake.grounding.tracking.localization import find_region
 from kinebench_drake.grounding.tracking.markov import OFFSETS_RAD, TURNS_RAD, likeliest_turns
 from kinebench_drake.grounding.tracking.pose import FramePose
 from kinebench_drake.grounding.tracking.tracker import Tracking
-from kinebench_drake.grounding.tracking.view import DenseEstimator, GripperView
+from kinebench_drake.grounding.tracking.view import (
+    CLOSE_SIZE,
+    WRIST_CENTRE_H,
+    WRIST_RADIUS_M,
+    Crop,
+    DenseEstimator,
+    GripperView,
+)
 from kinebench_drake.io.frames import Frames
 from kinebench_drake.models.panda.description import GripperKind, RobotPart
 from kinebench_drake.track import Domain
@@ -76,7 +82,7 @@ class _FlangeVideo:
     wide: Mapping[int, GripperView]
     """Views that show the whole arm, by frame number."""
     images: GradientImages
-    arm: ArmEdgeFitter
+    arm: ArmFitter
     flange: FlangeFitter
 
 
@@ -105,7 +111,7 @@ class FlangeTracker:
             camera=camera,
             wide=wide,
             images=GradientImages(frames, camera),
-            arm=ArmEdgeFitter(camera, self._model, self._links.edges[0], places),
+            arm=ArmFitter(camera, self._model, self._links.edges[0], places),
             flange=FlangeFitter(self._chain, self._links),
         )
         poses = self._detect(video)

@@ -16,8 +16,7 @@ from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array
 from kinebench_drake.grounding import bounds
 from kinebench_drake.grounding.registration.fit import fit
-from kinebench_drake.grounding.tracking.crop import GRIPPER_RADIUS_M, WIDE_SIZE, Crop
-from kinebench_drake.grounding.tracking.view import DenseEstimator, GripperView
+from kinebench_drake.grounding.tracking.view import GRIPPER_RADIUS_M, WIDE_SIZE, Crop, DenseEstimator, GripperView
 from kinebench_drake.io.frames import Frames
 from kinebench_drake.models.panda.description import RobotPart
 from kinebench_drake.segments import evenly

@@ -23,7 +23,7 @@ from scipy.special import logsumexp, softmax
 from kinebench_drake.geometry import Array, invert, make_pose, rotation_angle, rotation_exp, transform_points
 from kinebench_drake.grounding import bounds
 from kinebench_drake.grounding.registration.arm_model import EVIDENCE_CAP
-from kinebench_drake.grounding.registration.opening import GAP_STEP_M, GAPS_M
+from kinebench_drake.grounding.registration.hand_contour import GAP_STEP_M, GAPS_M
 from kinebench_drake.grounding.tracking.pose import FramePose
 from kinebench_drake.models.panda.cad import MAX_FINGER_M
 

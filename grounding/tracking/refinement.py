@@ -9,15 +9,13 @@ import numpy as np
 from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import pose_difference
 from kinebench_drake.grounding import bounds
-from kinebench_drake.grounding.registration.arm_edge_fit import ArmEdgeFitter
-from kinebench_drake.grounding.registration.arm_fit import ArmFit, ArmView
+from kinebench_drake.grounding.registration.arm_fit import ArmFit, ArmFitter, ArmView
 from kinebench_drake.grounding.registration.fit import finger_or_default
 from kinebench_drake.grounding.registration.image import GradientImages
 from kinebench_drake.grounding.registration.silhouette import SilhouetteMatcher
 from kinebench_drake.grounding.registration.solver import BATCH
-from kinebench_drake.grounding.tracking.crop import CLOSE_MARGIN, CLOSE_SIZE, Crop
 from kinebench_drake.grounding.tracking.pose import FramePose
-from kinebench_drake.grounding.tracking.view import GripperView
+from kinebench_drake.grounding.tracking.view import CLOSE_MARGIN, CLOSE_SIZE, Crop, GripperView
 from kinebench_drake.io.frames import Frames
 from kinebench_drake.segments import evenly
 from kinebench_drake.track import Domain
@@ -65,7 +63,7 @@ class EdgeRefinement:
         wide: dict[int, GripperView],
         frames: Frames,
         camera: Camera,
-        arm_fitter: ArmEdgeFitter,
+        arm_fitter: ArmFitter,
         silhouette: SilhouetteMatcher,
         measure: Callable[[dict[int, Crop]], dict[int, FramePose]],
         *,

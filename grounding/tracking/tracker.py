@@ -11,10 +11,8 @@ from numpy.typing import NDArray
 from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array, interpolate_pose, transform_points
 from kinebench_drake.grounding.priors import NO_PRIORS, Priors
-from kinebench_drake.grounding.registration.arm_edge_fit import ArmEdgeFitter
 from kinebench_drake.grounding.registration.arm_fit import ArmFitter, ArmView
 from kinebench_drake.grounding.registration.arm_model import ArmModel
-from kinebench_drake.grounding.registration.correspondences import Correspondences
 from kinebench_drake.grounding.registration.edges import EdgeMatcher
 from kinebench_drake.grounding.registration.fit import (
     UNSEEN_FINGER_M,
@@ -24,18 +22,24 @@ from kinebench_drake.grounding.registration.fit import (
     fit_all,
     refit_all,
 )
+from kinebench_drake.grounding.registration.hand_contour import HandImage, fit_shape, gap_log_likelihoods
 from kinebench_drake.grounding.registration.icp import IcpRefiner
 from kinebench_drake.grounding.registration.image import GradientImage
-from kinebench_drake.grounding.registration.opening import HandImage, gap_log_likelihoods
-from kinebench_drake.grounding.registration.shape import fit_shape
 from kinebench_drake.grounding.registration.silhouette import SilhouetteMatcher
-from kinebench_drake.grounding.registration.solver import BATCH
+from kinebench_drake.grounding.registration.solver import BATCH, Correspondences
 from kinebench_drake.grounding.tracking.confidence import Confidence, frame_confidence, load_confidence
-from kinebench_drake.grounding.tracking.crop import CLOSE_MARGIN, CLOSE_SIZE, GRIPPER_CENTRE_H, Crop
 from kinebench_drake.grounding.tracking.localization import find_region, likeliest_gripper
 from kinebench_drake.grounding.tracking.pose import FramePose
 from kinebench_drake.grounding.tracking.refinement import EdgeRefinement
-from kinebench_drake.grounding.tracking.view import DenseEstimator, GripperView, OverrideEstimator
+from kinebench_drake.grounding.tracking.view import (
+    CLOSE_MARGIN,
+    CLOSE_SIZE,
+    GRIPPER_CENTRE_H,
+    Crop,
+    DenseEstimator,
+    GripperView,
+    OverrideEstimator,
+)
 from kinebench_drake.io.frames import Frames
 from kinebench_drake.models.panda.cad import GripperCad, open_fingers
 from kinebench_drake.models.panda.description import RobotPart
@@ -131,7 +135,7 @@ class CadTracker:
         region = find_region(estimator, frames, camera, wide)
         if region is not None:
             wide, crops = detect(region)
-        arm = ArmEdgeFitter(camera, self._arm, self._edges, places)
+        arm = ArmFitter(camera, self._arm, self._edges, places)
 
         def measure(crops: dict[int, Crop]) -> dict[int, FramePose]:
             """Return the poses of the frames of `crops` that show a gripper."""
@@ -177,7 +181,7 @@ class CadTracker:
         )
 
     def _with_contours(
-        self, poses: Mapping[int, FramePose], arm: ArmEdgeFitter, frames: Frames, camera: Camera
+        self, poses: Mapping[int, FramePose], arm: ArmFitter, frames: Frames, camera: Camera
     ) -> dict[int, FramePose]:
         """Return the poses whose arm agrees with the shape of the hand and the gap of the fingers by their contours."""
         hands = {

@@ -8,8 +8,7 @@ from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array, invert, transform_points
 from kinebench_drake.grounding.camera.bundle_adjustment import ArmScene, BundleAdjustment
 from kinebench_drake.grounding.camera.camera_estimate import CameraEstimate
-from kinebench_drake.grounding.camera.detections import ArmDetections
-from kinebench_drake.grounding.camera.robot_points import CalibrationCorrespondences
+from kinebench_drake.grounding.camera.detections import ArmDetections, CalibrationCorrespondences
 from kinebench_drake.grounding.registration.arm_model import ArmModel
 from kinebench_drake.models.panda.description import OPENING_SIGN, RobotPart, rest_q
 

@@ -9,9 +9,8 @@ from kinebench_drake.grounding.camera import check as contradiction
 from kinebench_drake.grounding.camera import estimate as estimate_module
 from kinebench_drake.grounding.camera import lens
 from kinebench_drake.grounding.camera.bundle_adjustment import ArmScene, Prior
-from kinebench_drake.grounding.camera.candidate import CameraCandidate
+from kinebench_drake.grounding.camera.candidate import DIFFERENT_TURN_RAD, BaseTurn, CameraCandidate
 from kinebench_drake.grounding.camera.check import CLEARLY, CameraChecker
-from kinebench_drake.grounding.camera.contours import DIFFERENT_TURN_RAD, BaseTurn
 from kinebench_drake.grounding.camera.detections import ArmDetections
 from kinebench_drake.grounding.camera.estimate import JOINT_SIGMA_RAD, CameraEstimator, usual_camera
 from kinebench_drake.grounding.camera.lens import Lens, solve_pnp, with_focal
