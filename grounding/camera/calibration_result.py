@@ -1,6 +1,6 @@
 """Result of a camera calibration, its description, and errors and warnings about what the video does not determine."""
 
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from enum import Enum
 
 import numpy as np
@@ -9,9 +9,7 @@ from numpy.typing import NDArray
 from kinebench_drake.errors import UnmeasurableError
 from kinebench_drake.geometry import Array
 from kinebench_drake.grounding import bounds
-from kinebench_drake.grounding.camera.camera_estimate import GRIPPER_SIGMA_RAD, CameraEstimate, FittedCamera
-from kinebench_drake.grounding.camera.solve import LensSolution
-from kinebench_drake.grounding.registration.arm_model import ArmModel
+from kinebench_drake.grounding.camera.camera_estimate import GRIPPER_SIGMA_RAD, FittedCamera
 from kinebench_drake.io.jsonl import Json
 from kinebench_drake.models.panda.description import ARM, GRIPPER, RobotPart
 
@@ -33,7 +31,6 @@ _MIN_MOTION_M = 0.1
 _MIN_DEPTH_RATIO = 1.25
 """Ratio of farthest to nearest depth below which perspective hardly determines the focal length."""
 _GROUPS = {"gripper": GRIPPER, "arm": ARM[1:], "base": ARM[:1]}
-_INLIER_SIGMAS = 4.0
 
 
 class CalibrationMethod(Enum):
@@ -122,46 +119,6 @@ class CameraCalibration(FittedCamera):
             "hand_motion_m": self.motion_m,
             "warnings": list(self.warnings),
         }
-
-
-def describe(solution: LensSolution, basis: CalibrationBasis) -> CameraCalibration:
-    """Return the calibration of a camera that was fitted to cells."""
-    bundle = solution.bundle
-    cells = solution.cells
-    p_B = solution.p_B
-    lens = bundle.scene.lens
-    error_px = bundle.error_px
-    sigma_px = cells.sigma_px(lens, p_B)
-    inlier = error_px <= _INLIER_SIGMAS * sigma_px
-    sure = np.where(inlier, cells.weight / sigma_px**2, 0.0)
-    z = lens.project(p_B)[1][inlier]
-    near, far = np.quantile(z, [0.05, 0.95]) if len(z) else (np.nan, np.nan)
-    return CameraCalibration(
-        bundle=bundle,
-        frames=solution.rows,
-        part=cells.part,
-        basis=basis,
-        X_BP=solution.X_BP,
-        residual_px=float(np.sqrt((sure * error_px**2).sum() / max(sure.sum(), 1e-12))),
-        inlier_share=float(inlier.mean()),
-        depth_m=(float(near), float(far)),
-    )
-
-
-def describe_estimate(estimate: CameraEstimate, model: ArmModel, basis: CalibrationBasis) -> CameraCalibration:
-    """Return the calibration of a camera that was fitted to contours."""
-    X_BP = model.poses(estimate.scene.q)
-    z = (estimate.scene.lens.X_CB @ X_BP)[:, np.unique(estimate.part), 2, 3]
-    near, far = np.quantile(z, [0.05, 0.95])
-    return CameraCalibration(
-        **{f.name: getattr(estimate, f.name) for f in fields(FittedCamera)},
-        basis=basis,
-        X_BP=X_BP,
-        residual_px=estimate.residual_px,
-        inlier_share=estimate.agreement,
-        depth_m=(float(near), float(far)),
-        agreement=estimate.agreement,
-    )
 
 
 def format_lines(calibration: CameraCalibration) -> list[str]:

@@ -1,6 +1,8 @@
-"""Shape of the hand by the edges of an image: whether its contour lies on edges as it is, or only resized or stretched.
+"""Gap between the fingers and shape of the hand by the edges of an image, where the pose of the hand is known.
 
-It needs no network, so it holds for looks that the network was not trained on.
+Contours of the fingers are placed at every gap of a grid, and compared with the edges. The contour of the hand lies on
+edges as it is, or only resized or stretched. It needs no network, so it holds for looks that the network was not
+trained on.
 """
 
 from collections.abc import Mapping
@@ -28,8 +30,8 @@ them at 52.4 mm from the hand in place of 58.4)."""
 _FINGERS = (RobotPart.LEFT_FINGER, RobotPart.RIGHT_FINGER)
 _OCCLUSIONS = 6
 """Number of gaps at which it is determined what hides the fingers."""
-_POINTS = 150
-_REACH_PX = 6.0
+_FINGER_POINTS = 150
+_FINGER_REACH_PX = 6.0
 _MOUNT_FRAMES = 8
 _CHANCE = 0.2
 """Share of a contour that lies on edges by chance."""
@@ -39,7 +41,7 @@ _SHAPE_CHANGE = 0.35
 _REACHES_PX = (8.0, 6.0, 4.0, 3.0)
 """Farthest image edges in successive passes [px]."""
 _LEAST_POINTS = 30
-_STARTS = (1.0, 0.88, 1.12)
+_START_SIZES = (1.0, 0.88, 1.12)
 """Sizes from which the fit starts, over that of the CAD model."""
 _MOVED_PX = 1.0
 """Standard deviation of the flange's place in the image [px]."""
@@ -78,7 +80,7 @@ def _log_likelihood(edges: EdgeMatcher, hand: HandImage, mount_m: float) -> Arra
     result = np.zeros(len(GAPS_M))
     for gaps in np.array_split(np.arange(len(GAPS_M)), _OCCLUSIONS):
         middle_m = float(GAPS_M[gaps].mean())
-        points = edges.project(open_fingers(X_CP, middle_m / 2), hand.image.camera, _FINGERS, _POINTS)
+        points = edges.project(open_fingers(X_CP, middle_m / 2), hand.image.camera, _FINGERS, _FINGER_POINTS)
         if points is not None:
             result[gaps] = _contour_log_likelihood(edges, hand, points, GAPS_M[gaps] - middle_m)
     return result
@@ -101,7 +103,7 @@ def _contour_log_likelihood(edges: EdgeMatcher, hand: HandImage, points: EdgePoi
         pixel=camera.project(p_C),
         normal=np.tile(points.normal, (count, 1)),
     )
-    shares = edges.edge_shares(hand.image, moved, reach_px=_REACH_PX)
+    shares = edges.edge_shares(hand.image, moved, reach_px=_FINGER_REACH_PX)
     depth = points.p_C[:, 2]
     speed = direction[:, :2] - points.p_C[:, :2] / depth[:, None] * direction[:, 2:]
     weight = np.clip(0.7 / depth * np.abs((speed * points.normal).sum(axis=1)), 0.0, 1.0) ** 2
@@ -137,7 +139,7 @@ def fit_shape(edges: EdgeMatcher, image: GradientImage, X_CP: Array) -> HandShap
     flange = image.camera.project(X_CP[RobotPart.HAND, :3, 3])
     best = share
     A = np.eye(2)
-    for start in _STARTS:
+    for start in _START_SIZES:
         other, shift = _fit(image, points, flange, start * np.eye(2))
         resized = float(edges.edge_shares(image, _mapped(points, flange, other, shift)).mean())
         if resized > best:

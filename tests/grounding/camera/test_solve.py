@@ -5,17 +5,16 @@ import pytest
 
 from kinebench_drake.errors import UnmeasurableError
 from kinebench_drake.geometry import make_pose, pose_difference, rotation_exp
+from kinebench_drake.grounding.camera.calibrate import describe, solve
 from kinebench_drake.grounding.camera.calibration_result import (
     CalibrationBasis,
     CalibrationMethod,
     CameraCalibration,
-    describe,
     require_determined,
     warnings_of,
 )
 from kinebench_drake.grounding.camera.detections import ArmDetections
 from kinebench_drake.grounding.camera.lens import Lens, with_focal
-from kinebench_drake.grounding.camera.solve import solve
 from kinebench_drake.grounding.camera.states import RobotStates
 from kinebench_drake.models.panda.description import RobotPart
 from tests.grounding.camera.robot import VISIBLE, postures, project_robot
