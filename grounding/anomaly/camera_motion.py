@@ -128,8 +128,7 @@ class CameraMotion:
             The frames, and their camera: that of the first frame, at larger images where the camera turns far.
         """
         if self.path is not None:
-            own = self.path.followed | self.lost
-            R_AC = np.where(own[:, None, None], self.path.R_AC, self.R_AC)
+            R_AC = np.where((self.path.followed | self.lost)[:, None, None], self.path.R_AC, self.R_AC)
             return replace(self.path, R_AC=R_AC).stabilize(frames, camera)
         if not self.moves:
             return frames, camera

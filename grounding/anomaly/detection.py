@@ -97,8 +97,7 @@ def sustained(values: ArrayLike, frames: int) -> Array:
     values = np.nan_to_num(np.asarray(values, dtype=np.float64), nan=0.0)
     if len(values) < frames:
         return np.zeros(len(values))
-    padded = np.pad(values, frames)
-    return np.asarray(grey_opening(padded, size=frames)[frames:-frames])
+    return np.asarray(grey_opening(np.pad(values, frames), size=frames)[frames:-frames])
 
 
 def finite_median(values: ArrayLike, window: int) -> Array:

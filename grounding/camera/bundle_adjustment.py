@@ -18,7 +18,7 @@ from kinebench_drake.geometry import Array, make_pose, rotation_z
 from kinebench_drake.grounding.camera.detections import CalibrationCorrespondences, RobotPoints
 from kinebench_drake.grounding.camera.lens import UNKNOWNS, Lens
 from kinebench_drake.grounding.camera.surroundings import Surroundings
-from kinebench_drake.grounding.registration.arm_model import OVER_LIMIT_RAD, ArmModel
+from kinebench_drake.grounding.registration.arm_model import ArmModel
 from kinebench_drake.grounding.registration.solver import CAUCHY, NEAREST_M
 from kinebench_drake.models.panda.cad import MAX_FINGER_M
 from kinebench_drake.models.panda.description import RobotPart
@@ -78,8 +78,7 @@ class ArmScene:
     def turned(self, angle_rad: float) -> "ArmScene":
         """Return the scene with the base turned by minus an angle about joint 1, and joint 1 by it: same links."""
         X_CB = self.lens.X_CB @ make_pose(rotation_z(-angle_rad), np.zeros(3))
-        q = self.q + angle_rad * (np.arange(N_JOINTS) == 0)
-        return replace(self, lens=replace(self.lens, X_CB=X_CB), q=q)
+        return replace(self, lens=replace(self.lens, X_CB=X_CB), q=self.q + angle_rad * (np.arange(N_JOINTS) == 0))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -192,7 +191,7 @@ def _update(scene: ArmScene, step: Array, frame_steps: Array, model: ArmModel) -
     q = scene.q + np.clip(frame_steps[:, :N_JOINTS], -_LARGEST_STEP_RAD, _LARGEST_STEP_RAD)
     return ArmScene(
         lens=scene.lens.displace(lens_step),
-        q=np.clip(q, model.lower - OVER_LIMIT_RAD, model.upper + OVER_LIMIT_RAD),
+        q=model.clip(q),
         finger_m=np.clip(scene.finger_m + frame_steps[:, N_JOINTS], 0.0, MAX_FINGER_M),
         offset=scene.offset + offset_step,
     )
@@ -210,7 +209,7 @@ class _Linearization:
         (q, q_sigma) = postures
         self._scene = scene
         self._o = o
-        X_BP, axis, point = model.poses_and_axes_of(scene.q)
+        X_BP, axis, point = model.poses_and_axes(scene.q)
         p_B = o.locate(X_BP, scene.finger_m)
         uv, z = lens.project(p_B)
         of_contour = ~o.whitening[:, 1].any(axis=1)

@@ -7,7 +7,7 @@ out with; only the crop's shape does, a little.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Self
 
@@ -19,7 +19,7 @@ from kinebench_drake.errors import UnmeasurableError
 from kinebench_drake.geometry import Array
 from kinebench_drake.grounding.camera.lens import Lens
 from kinebench_drake.grounding.registration.fit import UNSEEN_FINGER_M, HandFit, finger_or_default, fit
-from kinebench_drake.grounding.registration.solver import NEAREST_M
+from kinebench_drake.grounding.registration.solver import NEAREST_M, Rows
 from kinebench_drake.grounding.tracking.localization import PART_CELLS, find_region, likeliest_gripper
 from kinebench_drake.grounding.tracking.markov import X_HALF_TURN
 from kinebench_drake.grounding.tracking.tracker import PoseTracker
@@ -58,7 +58,7 @@ _CLOSE_WEIGHT = 6.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class RobotPoints:
+class RobotPoints(Rows):
     """N points of the robot, each seen in one of T frames of one camera."""
 
     frame: NDArray[np.intp]
@@ -77,15 +77,6 @@ class RobotPoints:
     def __len__(self) -> int:
         """Return the number of points."""
         return len(self.frame)
-
-    def take(self, chosen: NDArray[np.generic]) -> Self:
-        """Select points by index or mask."""
-        return type(self)(**{f.name: getattr(self, f.name)[chosen] for f in fields(self)})
-
-    @classmethod
-    def join(cls, parts: Sequence[Self]) -> Self:
-        """Concatenate points in the same frames."""
-        return cls(**{f.name: np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(cls)})
 
     def locate(self, X_BP: Array, finger_m: Array) -> Array:
         """Return the points (N, 3) in B at poses (T, PARTS, 4, 4) and openings of each finger (T,) [m]; NaN without."""

@@ -16,7 +16,7 @@ from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array, invert
 from kinebench_drake.grounding.camera.detections import CalibrationCorrespondences
 from kinebench_drake.grounding.camera.lens import Lens, solve_pnp, with_focal
-from kinebench_drake.grounding.registration.arm_model import LAST_ANGLES_RAD, OVER_LIMIT_RAD, USUAL_Q, ArmModel
+from kinebench_drake.grounding.registration.arm_model import LAST_ANGLES_RAD, USUAL_Q, ArmModel
 from kinebench_drake.grounding.registration.chain_fit import MIN_LINK_CELLS
 from kinebench_drake.grounding.registration.solver import NEAREST_M
 from kinebench_drake.grounding.tracking.markov import X_HALF_TURN
@@ -199,17 +199,14 @@ class ChainSearch:
             hand_cost = self._errors(X, _some(hand, 2 * _CELLS), lens.camera).mean(axis=1)
         X_BH = invert(lens.X_CB) @ np.concatenate([X, X @ X_HALF_TURN])
         q = analytic_ik((X_BH @ self._model.X_HF)[:, None], LAST_ANGLES_RAD).reshape(-1, N_JOINTS)
-        start = np.repeat(np.tile(hand_cost, 2) + _FLIP_COST * (np.arange(len(X_BH)) >= len(X)), len(q) // len(X_BH))
-        flipped = np.repeat(np.arange(len(X_BH)) >= len(X), len(q) // len(X_BH))
-        lower = self._model.lower - OVER_LIMIT_RAD
-        upper = self._model.upper + OVER_LIMIT_RAD
+        of_pose = np.repeat(np.arange(len(X_BH)), len(q) // len(X_BH))
         with np.errstate(invalid="ignore"):
-            possible = np.flatnonzero(((q >= lower) & (q <= upper)).all(axis=1))
+            possible = np.flatnonzero(self._model.within_limits(q))
         if not len(possible):
             return None
         q = q[possible]
-        start = start[possible]
-        flipped = flipped[possible]
+        flipped = of_pose[possible] >= len(X)
+        start = np.tile(hand_cost, 2)[of_pose[possible]] + _FLIP_COST * flipped
         X_CP = lens.X_CB @ self._model.poses(q)
         errors = [self._errors(X_CP[:, part], cells, lens.camera).mean(axis=1) for part, cells in links.items()]
         cost = (np.sum(errors, axis=0) + start) / (len(links) + 1)

@@ -11,14 +11,14 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from kinebench_drake.geometry import Array, cross, invert, make_pose, rotation_exp
+from kinebench_drake.geometry import Array, invert, make_pose, rotation_exp
 from kinebench_drake.grounding.registration.arm_fit import LINKS_DEPTH_SIGMA
 from kinebench_drake.grounding.registration.arm_model import (
     COST_CAP,
-    OVER_LIMIT_RAD,
     POSTURE_SIGMA_RAD,
     USUAL_Q,
     ArmModel,
+    joint_twist,
 )
 from kinebench_drake.grounding.registration.fit import align, pose_twist
 from kinebench_drake.grounding.registration.solver import Correspondences, PartPlacement, Solution, solve
@@ -55,16 +55,12 @@ class ChainModel:
 
     def place(self) -> PartPlacement:
         """Return the poses of the parts; a joint turns what is behind it against the hand."""
-        X_BP, axis, point = self.model.poses_and_axes_of(self.q)
+        X_BP, axis, point = self.model.poses_and_axes(self.q)
         X_CB = self.X_CH @ invert(X_BP[:, RobotPart.HAND])
-        R_BC = X_CB[:, :3, :3].swapaxes(1, 2)
-        axis_C = axis @ R_BC
-        point_C = point @ R_BC + X_CB[:, None, :3, 3]
-        joints = np.concatenate([axis_C, cross(point_C, axis_C)], axis=2).swapaxes(1, 2)
         return PartPlacement(
             X_CP=X_CB[:, None] @ X_BP,
             finger_m=None,
-            twist=np.concatenate([pose_twist(self.X_CH), joints], axis=2),
+            twist=np.concatenate([pose_twist(self.X_CH), joint_twist(X_CB, axis, point)], axis=2),
             moves=np.hstack([np.ones((len(RobotPart), 6)), self.model.moves - 1.0]),
         )
 
@@ -78,8 +74,8 @@ class ChainModel:
     def updated(self, step: Array) -> Self:
         """Return the chains after a change (B, 13) of their parameters, within the joint limits."""
         R = rotation_exp(step[:, :3]) @ self.X_CH[:, :3, :3]
-        q = np.clip(self.q + step[:, 6:], self.model.lower - OVER_LIMIT_RAD, self.model.upper + OVER_LIMIT_RAD)
-        return replace(self, X_CH=make_pose(R, self.X_CH[:, :3, 3] + step[:, 3:6]), q=q)
+        X_CH = make_pose(R, self.X_CH[:, :3, 3] + step[:, 3:6])
+        return replace(self, X_CH=X_CH, q=self.model.clip(self.q + step[:, 6:]))
 
     def take(self, index: NDArray[np.generic]) -> Self:
         """Return the chains of some of the frames, by index or mask."""

@@ -166,11 +166,10 @@ class FlangeTracker:
         surest = sorted(poses, key=lambda k: -poses[k].overlap)[:_SHOWN]
         for i in surest:
             pose = poses[i]
-            image = video.images[i]
-            chain = video.flange.chain_of(poses[i])
-            by_link = video.flange.log_likelihood(chain, _MOUNT_GRID_RAD, pose.view, image, pose.overlap)
+            chain = video.flange.chain_of(pose)
+            by_link = video.flange.log_likelihood(chain, _MOUNT_GRID_RAD, pose.view, video.images[i], pose.overlap)
             for k, fitter in enumerate(offsets):
-                by_gripper = fitter.gripper_log_likelihood(chain, _MOUNT_GRID_RAD, image, pose.overlap)
+                by_gripper = fitter.gripper_log_likelihood(chain, _MOUNT_GRID_RAD, video.images[i], pose.overlap)
                 total[:, k] += [logsumexp(by_link + np.roll(by_gripper, -step)) for step in _MOUNT_STEPS]
         likeliest = np.argsort(-total, axis=None)[:_MOUNTS]
         likeliest = likeliest[total.flat[likeliest] > total.max() - _MOUNT_LEAD]
@@ -182,12 +181,13 @@ class FlangeTracker:
         if len(mounted) == 1:
             return mounted[0]
         shown_poses = {i: poses[i] for i in surest}
-        return max(mounted, key=lambda flange: self._support(shown_poses, replace(video, flange=flange)))
 
-    def _support(self, poses: Mapping[int, FramePose], video: _FlangeVideo) -> float:
-        """Return the log-likelihood of a gripper by frames that are fitted with it."""
-        fitted = self._fit_gripper(poses, video)
-        return sum(video.flange.support(pose, video.images[i]) for i, pose in fitted.items())
+        def support(flange: FlangeFitter) -> float:
+            """Return the log-likelihood of a gripper by frames that are fitted with it."""
+            fitted = self._fit_gripper(shown_poses, replace(video, flange=flange))
+            return sum(flange.support(pose, video.images[i]) for i, pose in fitted.items())
+
+        return max(mounted, key=support)
 
     def _fit_gripper(self, poses: Mapping[int, FramePose], video: _FlangeVideo) -> dict[int, FramePose]:
         """Return the poses fitted anew with the contours of the gripper."""
@@ -208,8 +208,7 @@ class FlangeTracker:
             for i, chain in chains.items():
                 likeliest = flange.at_likeliest(chain, images[i])
                 view = shown[i].view
-                agreement = poses[i].overlap
-                log_likelihood[i] = likeliest.log_likelihood(chain, turns[i] + grid, view, images[i], agreement)
+                log_likelihood[i] = likeliest.log_likelihood(chain, turns[i] + grid, view, images[i], poses[i].overlap)
                 if i + 1 in chains:
                     changes[i] = flange.turn_change(chain, chains[i + 1], images[i], images[i + 1])
             offsets, own_sigma = likeliest_turns(grid, log_likelihood, changes - np.diff(turns))
@@ -232,8 +231,7 @@ class FlangeTracker:
     def _on_base(self, pose: FramePose, number: int, video: _FlangeVideo) -> FramePose | None:
         """Return a pose that the base of the camera confirms, with the arm on it; None if it does not."""
         links = _link_cells(pose.view, video.wide[number])
-        image = video.images[number]
-        arm = video.arm.at([number]).fit_links(pose.X_CH, _TURN_SIGMA_RAD, links, image)
+        arm = video.arm.at([number]).fit_links(pose.X_CH, _TURN_SIGMA_RAD, links, video.images[number])
         if arm is None or arm.edge_agreement < max(bounds.EDGE_AGREEMENT, pose.overlap - _BASE_LOSS):
             return None
         distance, angle = pose_difference(arm.X_CH, pose.X_CH)
@@ -260,8 +258,7 @@ def _with_turn_sigma(pose: FramePose, sigma_rad: float) -> FramePose:
     axis = pose.X_CH[:3, 2]
     covariance[:3, :3] += sigma_rad**2 * np.outer(axis, axis)
     hand = replace(pose.hand, covariance=covariance)
-    arm = replace(pose.arm, covariance=covariance)
-    return replace(pose, arm=arm, hand=hand, hand_without_silhouette=hand)
+    return replace(pose, arm=replace(pose.arm, covariance=covariance), hand=hand, hand_without_silhouette=hand)
 
 
 def _link_cells(close: GripperView, wide: GripperView) -> Correspondences:

@@ -191,8 +191,7 @@ class CadTracker:
         }
         gaps = gap_log_likelihoods(self._edges, hands)
         views = [poses[i].view for i in hands]
-        X_CH = [poses[i].X_CH for i in hands]
-        fits = fit_all(views, X_CH, [None] * len(hands))
+        fits = fit_all(views, [poses[i].X_CH for i in hands], [None] * len(hands))
         refined = {}
         for (i, hand), fit in zip(hands.items(), fits, strict=True):
             X_CP = open_fingers(hand.X_CP, finger_or_default(poses[i].finger_m))
@@ -307,8 +306,7 @@ class CadTracker:
             before = max((k for k in measured if i - _MAX_GAP <= k < i), default=None)
             after = min((k for k in measured if i < k <= i + _MAX_GAP), default=None)
             if before is not None and after is not None:
-                s = (i - before) / (after - before)
-                X_CH = interpolate_pose(poses[before].X_CH, poses[after].X_CH, s)
+                X_CH = interpolate_pose(poses[before].X_CH, poses[after].X_CH, (i - before) / (after - before))
             elif before is not None or after is not None:
                 X_CH = poses[before if before is not None else after].X_CH  # type: ignore[index]
             else:
