@@ -60,8 +60,7 @@ def draw_pose(frame: Image, camera: Camera, X_CH: Array, finger_width_m: float, 
     for label, colour in _COLOURS.items():
         contours, _ = cv2.findContours((labels == label).astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
         cv2.drawContours(image, contours, -1, colour, 1, cv2.LINE_AA)
-    X_CG = X_CH @ hand_from_tcp()
-    tips = transform_points(X_CG, np.vstack([np.zeros(3), _AXIS_M * np.eye(3)]))
+    tips = transform_points(X_CH @ hand_from_tcp(), np.vstack([np.zeros(3), _AXIS_M * np.eye(3)]))
     if (tips[:, 2] > 0.05).all():
         sixteenths = np.rint(16 * (camera.project(tips) - 0.5)).astype(int)  # OpenCV's pixel centres are integers
         origin, *ends = (tuple(pixel) for pixel in sixteenths.tolist())

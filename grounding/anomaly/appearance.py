@@ -164,9 +164,10 @@ def second_gripper(view: GripperView, X_CH: Array | None, camera: Camera) -> flo
 @cache
 def _hull_corners_H() -> Array:
     """Return the corners (N, 3) of the open gripper's convex hulls in the hand frame [m]."""
+    opened_m = np.array([0.0, MAX_FINGER_M, 0.0])
     return np.concatenate(
         [
-            np.asarray(mesh.convex_hull.vertices, dtype=np.float64) + [0.0, OPENING_SIGN[part] * MAX_FINGER_M, 0.0]
+            np.asarray(mesh.convex_hull.vertices, dtype=np.float64) + OPENING_SIGN[part] * opened_m
             for part, mesh in part_meshes().items()
         ]
     )

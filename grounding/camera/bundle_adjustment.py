@@ -37,6 +37,8 @@ _BEHIND = 1e3
 _LARGEST_STEP_RAD = 0.4
 _LARGEST_STEP_M = 0.4
 _LARGEST_ZOOM = 0.2
+_LARGEST_SHIFT = 0.1
+"""Largest step of the principal point over the width of the image."""
 _CONVERGED = 1e-5
 
 
@@ -183,17 +185,15 @@ def adjust(
 
 
 def _update(scene: ArmScene, step: Array, frame_steps: Array, model: ArmModel) -> ArmScene:
-    lens_step = step[:UNKNOWNS]
-    offset_step = step[UNKNOWNS:]
-    unit = 0.1 * scene.lens.camera.width
-    bound = np.array([*[_LARGEST_STEP_RAD] * 3, *[_LARGEST_STEP_M] * 3, _LARGEST_ZOOM, unit, unit])
-    lens_step = lens_step / max(1.0, float((np.abs(lens_step) / bound).max()))
+    shift_px = _LARGEST_SHIFT * scene.lens.camera.width
+    bound = np.array([*[_LARGEST_STEP_RAD] * 3, *[_LARGEST_STEP_M] * 3, _LARGEST_ZOOM, shift_px, shift_px])
+    lens_step = step[:UNKNOWNS] / max(1.0, float((np.abs(step[:UNKNOWNS]) / bound).max()))
     q = scene.q + np.clip(frame_steps[:, :N_JOINTS], -_LARGEST_STEP_RAD, _LARGEST_STEP_RAD)
     return ArmScene(
         lens=scene.lens.displace(lens_step),
         q=model.clip(q),
         finger_m=np.clip(scene.finger_m + frame_steps[:, N_JOINTS], 0.0, MAX_FINGER_M),
-        offset=scene.offset + offset_step,
+        offset=scene.offset + step[UNKNOWNS:],
     )
 
 
@@ -294,8 +294,7 @@ class _Linearization:
         fixed = ~self._free[c]
         information[fixed] = information[:, fixed] = 0.0
         W = self._o.whitening
-        rows = np.maximum((np.abs(W).sum(axis=2) > 0).sum(axis=1), 1)
-        per_px = np.sqrt((W**2).sum(axis=(1, 2)) / rows)
+        per_px = np.sqrt((W**2).sum(axis=(1, 2)) / np.maximum((np.abs(W).sum(axis=2) > 0).sum(axis=1), 1))
         return BundleAdjustment(
             scene=self._scene,
             cost=self._data_cost / max(float(self._o.weight.sum()), 1e-9),

@@ -94,8 +94,8 @@ class RobotPoints(Rows):
         R = X_BP[..., :3, :3]
         near = np.linalg.norm(p[:, None] - p[None], axis=-1) <= _ALIKE_M
         cosine = (np.einsum("spij,tpij->stp", R, R) - 1.0) / 2.0
-        alike = np.maximum(1, (near & (cosine >= np.cos(_ALIKE_RAD))).sum(axis=1))
-        return np.asarray(alike[self.frame, self.part])
+        alike = near & (cosine >= np.cos(_ALIKE_RAD))
+        return np.asarray(np.maximum(1, alike.sum(axis=1))[self.frame, self.part])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -136,8 +136,7 @@ class CalibrationCorrespondences(RobotPoints):
         """Return the cells with the gripper rotated by 180 degrees about its axis in some `frames` (T,)."""
         changed = self.of_gripper & frames[self.frame]
         p_P = np.where(changed[:, None], self.p_P @ X_HALF_TURN[:3, :3].T, self.p_P)
-        sign = np.where(changed, -self.opening_sign, self.opening_sign)
-        return replace(self, p_P=p_P, opening_sign=sign)
+        return replace(self, p_P=p_P, opening_sign=np.where(changed, -self.opening_sign, self.opening_sign))
 
 
 def find_correspondences(views: Sequence[tuple[int, GripperView]], camera: Camera) -> CalibrationCorrespondences:
@@ -258,8 +257,7 @@ def _approach(
     for number in range(2 * _ROUNDS):
         own = number < _ROUNDS
         sure = [row for row, view in close.items() if _hand_share(view) == 1.0]
-        unsure = [row for row in wide if row not in sure] if sure else []
-        starts = first if own else unsure
+        starts = first if own else [row for row in wide if sure and row not in sure]
         nearest = {row: row if own else min(sure, key=lambda other: abs(other - row)) for row in starts}
         crops = {row: Crop.of_gripper(hands[at].X_CH, CLOSE_MARGIN, CLOSE_SIZE) for row, at in nearest.items()}
         for row, view in estimator.estimate(frames, camera, crops):

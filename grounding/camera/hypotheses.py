@@ -150,8 +150,7 @@ class ChainSearch:
         cost = np.zeros(1)
         count = 1e-9
         for joint in range(N_JOINTS - 1, -1, -1):
-            part = int(ARM[joint])
-            cells = links.get(part)
+            cells = links.get(int(ARM[joint]))
             angle, step = self._grids[joint] if cells is not None else self._coarse[joint]
             X_next = (X[:, None] @ step[None]).reshape(-1, 4, 4)
             q_next = np.repeat(q, len(angle), axis=0)

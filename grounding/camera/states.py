@@ -190,8 +190,7 @@ def _at(trajectory: Trajectory, t_s: Array, name: str) -> Trajectory:
     near = step <= _MAX_GAP_S
 
     def interpolate(values: Array) -> Array:
-        mixed = (1.0 - s)[:, None] * values[after - 1] + s[:, None] * values[after]
-        return np.where(near[:, None], mixed, np.nan)
+        return np.where(near[:, None], (1.0 - s)[:, None] * values[after - 1] + s[:, None] * values[after], np.nan)
 
     q = trajectory.q
     X_BG = trajectory.X_BG
