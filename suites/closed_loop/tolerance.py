@@ -53,6 +53,8 @@ class ErrorGrade:
     size: float
 
 
+_RAD_PER_M = np.deg2rad(5.0) / 0.015
+"""Ratio of rotation errors to position errors: 5 degrees with 15 mm."""
 EXACT = ErrorGrade(error=None, size=0.0)
 
 
@@ -77,7 +79,7 @@ def grades(errors: Sequence[PoseError]) -> list[ErrorGrade]:
 def plant_error(X_BG: Array, finger_width_m: Array, grade: ErrorGrade, rng: np.random.Generator) -> tuple[Array, Array]:
     """Return poses (T, 4, 4) [m] and gaps (T,) [m] of a track with an error.
 
-    Rotation vectors are drawn like displacements, times `RAD_PER_M`.
+    Rotation vectors are drawn like displacements, times `_RAD_PER_M`.
     """
     match grade.error:
         case PoseError.BIAS:
@@ -90,8 +92,7 @@ def plant_error(X_BG: Array, finger_width_m: Array, grade: ErrorGrade, rng: np.r
             return X_BG, finger_width_m[frames]
         case None:
             return X_BG, finger_width_m
-    # Ratio of rotation errors to position errors: 5 degrees with 15 mm.
-    return make_pose(X_BG[:, :3, :3] @ rotation_exp(np.deg2rad(5.0) / 0.015 * w), X_BG[:, :3, 3] + p), finger_width_m
+    return make_pose(X_BG[:, :3, :3] @ rotation_exp(_RAD_PER_M * w), X_BG[:, :3, 3] + p), finger_width_m
 
 
 def _run_grades(simulator: Simulator, episode: Episode, errors: Sequence[PoseError]) -> list[ToleranceAttempt]:
