@@ -8,7 +8,6 @@ import numpy as np
 
 from kinebench_drake.camera import CONFIRMED, Camera, CameraSource, benchmark_camera
 from kinebench_drake.errors import UnmeasurableError
-from kinebench_drake.formats.camerafile import BENCHMARK
 from kinebench_drake.geometry import Array
 from kinebench_drake.grounding import bounds
 from kinebench_drake.grounding.camera.camera_estimate import CameraEstimate
@@ -24,6 +23,7 @@ from kinebench_drake.grounding.priors import Clip, Priors
 from kinebench_drake.grounding.video_result import GroundingResult
 from kinebench_drake.io.frames import Frames
 from kinebench_drake.models.panda.description import GripperKind
+from kinebench_drake.named_cameras import BENCHMARK
 from kinebench_drake.track import Domain, GripperTrack
 
 _SIGMAS = 2.0  # standard deviations of an estimated camera that its poses may be off by

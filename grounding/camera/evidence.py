@@ -4,7 +4,6 @@ from dataclasses import dataclass, replace
 
 from kinebench_drake.camera import CONFIRMED, Camera, CameraSource, CameraState
 from kinebench_drake.errors import name_options
-from kinebench_drake.formats.camerafile import NamedCamera
 from kinebench_drake.grounding import bounds
 from kinebench_drake.grounding.camera.camera_estimate import CameraEstimate
 from kinebench_drake.grounding.camera.check import CameraChecker, CameraContradiction
@@ -12,6 +11,7 @@ from kinebench_drake.grounding.camera.picture_reading import BetterReading, Pict
 from kinebench_drake.grounding.pipeline import PipelineResult
 from kinebench_drake.io.frames import Frames
 from kinebench_drake.io.jsonl import Json
+from kinebench_drake.named_cameras import NamedCamera
 from kinebench_drake.track import Domain
 
 _LIKELY = (PictureReading.MIRRORED, PictureReading.CROPPED)

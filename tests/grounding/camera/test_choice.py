@@ -8,7 +8,6 @@ import pytest
 from kinebench_drake.anomaly import AnomalyKind
 from kinebench_drake.camera import CONFIRMED, CameraSetting, CameraSource, CameraState, benchmark_camera
 from kinebench_drake.errors import UnmeasurableError
-from kinebench_drake.formats.camerafile import named_cameras
 from kinebench_drake.geometry import make_pose
 from kinebench_drake.grounding import bounds
 from kinebench_drake.grounding.anomaly.detection import AnomalyDetections, Detection
@@ -23,6 +22,7 @@ from kinebench_drake.grounding.pipeline import PipelineResult
 from kinebench_drake.grounding.priors import Clip, InitialStateUse, Priors
 from kinebench_drake.grounding.video import Grounder
 from kinebench_drake.models.panda.description import GripperKind
+from kinebench_drake.named_cameras import named_cameras
 from kinebench_drake.track import Domain, GripperTrack
 from tests.grounding.camera.robot import certain_bundle
 
