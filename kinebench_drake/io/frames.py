@@ -33,12 +33,10 @@ class Frames(Protocol):
     @property
     def shape(self) -> tuple[int, ...]:
         """(T, H, W, 3)."""
-        ...
 
     @property
     def dtype(self) -> Any:
         """Type of the numbers."""
-        ...
 
     def __len__(self) -> int: ...
 

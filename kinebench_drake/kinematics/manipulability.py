@@ -11,6 +11,9 @@ from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.models.robot import N_JOINTS
 from kinebench_drake.segments import spread
 
+COST_OFFSET = 1e-6
+"""Offset of the manipulability in PyRoki's cost, which is then at most 1e6."""
+
 
 def cost(w_translation: ArrayLike) -> Array:
     """Return PyRoki's manipulability cost 1 / (w + 1e-6) (...,) of translational manipulabilities; lower is better.
@@ -18,8 +21,7 @@ def cost(w_translation: ArrayLike) -> Array:
     Source: `manipulability_residual` of PyRoki (C. M. Kim et al., "PyRoki: A Modular Toolkit for Robot Kinematic
     Optimization", 2025), with w of the translational 3x7 Jacobian.
     """
-    # 1e-6: offset of the manipulability in PyRoki's cost, which is then at most 1e6
-    return np.asarray(1.0 / (np.asarray(w_translation, dtype=np.float64) + 1e-6))
+    return np.asarray(1.0 / (np.asarray(w_translation, dtype=np.float64) + COST_OFFSET))
 
 
 def limit_weight(q: ArrayLike, lower: ArrayLike, upper: ArrayLike) -> Array:

@@ -15,6 +15,8 @@ from kinebench_drake.models.robot import N_JOINTS
 
 STILL_RAD = 1e-4
 """Range of every joint below which a path counts as a rest [rad]."""
+FASTEST_REST = 1000.0
+"""Greatest speed-up of any part of a path: a rest takes a thousandth of its time."""
 
 _GRID = 192  # cells of the grid along the path, rounded up to whole cells per frame
 _GRID_MAX = 1600  # greatest number of cells; a track of more frames is sampled evenly in time
@@ -109,10 +111,9 @@ class _PathMotion:
         bounds = np.inf if plant.acceleration_limits is None else plant.acceleration_limits
         self.speed = v / plant.robot.limits.speeds(q, v)
         """(G, 7) speeds in own time over their limits."""
-        # 1000.0: greatest speed-up of any part of the path: a rest takes a thousandth of its time
         self.limits = PathLimits(
             s=self.grid,
-            fastest=1.0 / np.maximum(np.abs(self.speed).max(axis=-1), 1.0 / 1000.0),
+            fastest=1.0 / np.maximum(np.abs(self.speed).max(axis=-1), 1.0 / FASTEST_REST),
             slope=np.hstack([v / bounds, torque[1] - torque[0]]),
             bend=np.hstack([a / bounds, torque[2] - torque[0]]),
             rest=np.hstack([still, torque[0]]),

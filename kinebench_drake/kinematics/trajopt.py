@@ -26,6 +26,18 @@ LARGEST_M = 0.1
 """Greatest radius of a tube about the track [m]."""
 RATIO = 1.25
 """Ratio between upper and lower bound of the radius at which the search ends."""
+MOST_FRAMES = 1000
+"""Greatest number of frames; of a longer track only every second, third, ... frame and the last are used."""
+HOPELESS = 2.0
+"""Factor of the tube's limit: if that radius is infeasible, the finer spline is not tried."""
+REFINED_FRAMES = 200
+"""Greatest number of frames of a track that is tried on a spline twice as fine."""
+PROXIMITY = 0.5
+"""Initial proximity weight of `solve_tube`; raised after a step that widened the tube."""
+FIXED_SHARE = 0.99
+"""Share of a fixed radius used by the program; the rest covers the curvature of the poses."""
+FAR_OUT = 1.5
+"""Factor of the tube's limit above which the error of a posture is the cause, whatever else is."""
 
 # proximity cost / radius (within the tube's limit, beyond it) above which
 _CONFINED = 0.1
@@ -102,8 +114,7 @@ def optimize_in_tube(
         return TubeResult(reason="fewer than two frames with a pose and joint angles: there is no motion")
     if not (np.diff(t_s[frames]) > 0.0).all():
         return TubeResult(reason="the times do not increase from frame to frame")
-    # 1000: greatest number of frames; of a longer track only every second, third, ... frame and the last are used
-    stride = -(-len(frames) // 1000)
+    stride = -(-len(frames) // MOST_FRAMES)
     frames = np.unique(np.append(frames[::stride], frames[-1]))
     X = X_BG[frames].copy()
     X[:, :3, :3] = orthonormalize(X[:, :3, :3])
@@ -177,10 +188,8 @@ class _TubeSearch:
         if best is None:  # the program exceeds the precision of the solver; a rest is always within limits
             middle = np.clip(problem.q[len(problem.q) // 2], problem.limits.lower, problem.limits.upper)
             return fit, JointTrajectory(problem, basis, np.tile(middle, (basis.size, 1)))
-        # 2.0: factor of the tube's limit: if that radius is infeasible, the finer spline is not tried
-        hopeless = self.infeasible_m is not None and self.infeasible_m > 2.0 * self.tube_limit_m
-        # 200: greatest number of frames of a track that is tried on a spline twice as fine
-        if best.radius_m <= self.tube_limit_m or len(problem.t_s) > 200 or hopeless:
+        hopeless = self.infeasible_m is not None and self.infeasible_m > HOPELESS * self.tube_limit_m
+        if best.radius_m <= self.tube_limit_m or len(problem.t_s) > REFINED_FRAMES or hopeless:
             return fit, best
         finer = self._shrink(basis.refine(), best.q, (), _REFINED_EFFORT)
         return fit, best if finer is None or finer.radius_m > best.radius_m else finer
@@ -203,8 +212,7 @@ class _TubeSearch:
     ) -> JointTrajectory | None:
         """Find the smallest tube near the joint path `q` (T, 7): programs with free radius, then bisection."""
         best: JointTrajectory | None = None
-        # 0.5: initial weight of `solve_tube`; raised after a step that widened the tube
-        proximity = 0.5
+        proximity = PROXIMITY
         looser = _LOOSER
         low = SMALLEST_M
         for _ in range(effort[0]):
@@ -232,8 +240,7 @@ class _TubeSearch:
                 break
             middle = self.tube_limit_m if in_doubt else float(np.sqrt(low * best.radius_m))
             poses = self.problem.linearise(best.q)
-            # 0.99: share of a fixed radius used by the program; the rest covers the curvature of the poses
-            solution = solve_tube(basis, poses, self.limits, 0.99 * middle, proximity, obstacles)
+            solution = solve_tube(basis, poses, self.limits, FIXED_SHARE * middle, proximity, obstacles)
             candidate = JointTrajectory(self.problem, basis, solution.control) if solution else best
             if candidate.radius_m <= middle:
                 best = candidate
@@ -289,8 +296,7 @@ class _TubeSearch:
         """
         problem = self.problem
         limit = self.tube_limit_m
-        # 1.5: factor of the tube's limit above which the error of a posture is the cause, whatever else is
-        violation = find_pose_violation(problem, limit, 1.5)
+        violation = find_pose_violation(problem, limit, FAR_OUT)
         if violation is not None:
             return violation
         start = problem.linearise(self._start)

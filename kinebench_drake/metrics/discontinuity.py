@@ -28,6 +28,8 @@ JUMP_M = 0.06
 """Floor of a jump of the TCP's position for steps of 0.2 s [m]."""
 JUMP_RAD = 0.35
 """Floor of a jump of the TCP's orientation, or of a joint, for steps of 0.2 s [rad]."""
+STEP_S = 0.2
+"""Step above which the floors grow with the square of the time, as the effect of an acceleration does [s]."""
 ACCELERATION_M_S2 = 13.0
 ACCELERATION_RAD_S2 = 25.0
 JOINT_ACCELERATION_RAD_S2 = 20.0
@@ -122,8 +124,7 @@ def _violation(jump: _Jump, run: slice, joint: str | None, unit: str) -> Violati
 def _floor(t_s: Array, floor: float, acceleration: float) -> Array:
     """Return the floor (n - 1,) of a jump for steps between the times `t_s` (n,) [s]."""
     dt2 = np.diff(t_s) ** 2
-    # 0.2 s: the step above which the floors grow with the square of the time, as the effect of an acceleration does
-    return np.minimum(floor * np.maximum(dt2 / 0.2**2, 1.0), acceleration * dt2)
+    return np.minimum(floor * np.maximum(dt2 / STEP_S**2, 1.0), acceleration * dt2)
 
 
 def _noise_norm(sigma: float, axes: int, frames: int, freedom: float, groups: int = 1) -> float:

@@ -60,16 +60,16 @@ class PathMeasurements:
     coverage: Coverage
     """Lost and unreachable frames."""
     manipulability: Manipulability
-    """Manipulability along the path (`loss.weigh_manipulability`): 0 where unreachable, NaN where lost, not bridged."""
+    """Manipulability along the path: 0 where unreachable, NaN where lost and not bridged."""
     manipulability_worst: Manipulability
-    """The least that the manipulability of each frame can be (`loss.worst_manipulability`)."""
+    """The least that the manipulability of each frame can be."""
     self_clearance: Clearance
     """Distances of the arm from itself."""
     table_clearance: Clearance
     """Distances of the arm from the table."""
     free: NDArray[np.bool_]
-    """(T,) frames with a posture that is free of collisions whatever the path (`track.find_free`); of a complete track
-    only those where the path itself fails, of recorded joint angles those that are free."""
+    """(T,) frames with a posture free of collisions whatever the path (`track_ik.find_free`); of a complete track only
+    those where the path itself fails, of recorded joint angles those that are free."""
     smoothness: Smoothness
     """Smoothness of the gripper's track."""
     checks: LimitChecks

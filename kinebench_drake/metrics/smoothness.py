@@ -25,6 +25,10 @@ from kinebench_drake.track import GripperTrack
 
 CUTOFF_HZ = 10.0
 """Highest frequency of the spectral arc."""
+THRESHOLD = 0.05
+"""Fraction of the spectrum's maximum that the last bin of the arc reaches."""
+DRAWS = 64
+"""Noisy copies of the smoothed motion that determine a noise floor."""
 
 MAX_LOST_SHARE = 0.05
 """Largest share of lost frames at which a motion as a whole has a smoothness."""
@@ -42,8 +46,7 @@ FILTERED_CUTOFF_HZ = 2.0
 _GRID_HZ = 10.0  # least sampling rate of the filtered speed
 
 
-# 0.05: fraction of the spectrum's maximum that the last bin of the arc reaches
-def sparc(speed: Array, sampling_hz: float, cutoff_hz: float = CUTOFF_HZ, threshold: float = 0.05) -> Array:
+def sparc(speed: Array, sampling_hz: float, cutoff_hz: float = CUTOFF_HZ, threshold: float = THRESHOLD) -> Array:
     """Compute the spectral arc length (M,) of speed profiles (M, N), none all zero; NaN for one without an arc.
 
     SPARC = - integral over 0..f_c of sqrt((1 / f_c)^2 + (dV/df)^2) df with V the magnitude of the speed's spectrum over
@@ -261,8 +264,7 @@ def _measure(
     paths = p[:, None]
     if np.isfinite(sigma):
         smooth = smooth_path(t_s, p, np.full(3, sigma))
-        # 64: noisy copies of the smoothed motion that determine a noise floor
-        paths = np.concatenate([paths, smooth[:, None] + sigma * rng.standard_normal((len(p), 64, 3))], axis=1)
+        paths = np.concatenate([paths, smooth[:, None] + sigma * rng.standard_normal((len(p), DRAWS, 3))], axis=1)
     rate = _rate(t_s)
     speeds = _even_speeds(t_s, np.linalg.norm(np.diff(paths, axis=0), axis=-1).T)
     for name in names:

@@ -11,6 +11,12 @@ from kinebench_drake.geometry import Array
 
 DOUBLED = (1.4, 2.8)
 """Range of the ratio of the step to the mean of its neighbours: accelerations change it."""
+LONGEST_PERIOD_S = 0.1
+"""Longest period at which lost samples are looked for: between slower ones robots start and stop [s]."""
+LACKING = 0.4
+"""Greatest ratio of the residuals with and without the additional period."""
+UNUSUAL = 5.0
+"""Least ratio of the residual as the times are to the median residual."""
 
 _LEVER_M = 0.2  # at which a rotation counts as a motion
 # samples and degree of a fit
@@ -35,8 +41,7 @@ def fill_gaps(t_s: Array, X_BG: Array | None, q: Array | None) -> tuple[Array, t
         return t_s, ()
     stamped = np.flatnonzero(np.abs(steps / period - 2.0) < _NEAR)
     path = _path(X_BG) if q is None else q
-    # 0.1: longest period at which lost samples are looked for: between slower ones robots start and stop [s]
-    if period > 0.1 or not np.isfinite(path).all():
+    if period > LONGEST_PERIOD_S or not np.isfinite(path).all():
         return t_s, tuple((stamped + 1).tolist())
     t_s = t_s.copy()
     lost = set(stamped.tolist())
@@ -67,9 +72,9 @@ def _find(t_s: Array, path: Array, period: float) -> list[int]:
     as_is, filled = (_residuals(t, points) for t in (times, times + period * (around > step[:, None])))
     speed = np.linalg.norm(np.diff(path, axis=0), axis=-1) / np.diff(t_s)
     ratio = 2.0 * speed[step] / np.maximum(speed[step - 1] + speed[step + 1], 1e-12)
-    # 0.4: greatest ratio of the residuals with and without the additional period
-    # 5.0: least ratio of the residual as the times are to the median residual
-    lacks = (filled < 0.4 * as_is) & (as_is > 5.0 * max(float(np.median(as_is)), 1e-5))  # least residual [m or rad]
+    lacks = (filled < LACKING * as_is) & (
+        as_is > UNUSUAL * max(float(np.median(as_is)), 1e-5)
+    )  # least residual [m or rad]
     lacks &= (ratio > DOUBLED[0]) & (ratio < DOUBLED[1]) & (np.diff(t_s)[step] < (1.0 + _NEAR) * period)
     clear = np.where(lacks, as_is, 0.0)
     nearby = np.lib.stride_tricks.sliding_window_view(np.pad(clear, 3), 7).max(axis=-1)

@@ -12,6 +12,11 @@ from kinebench_drake.formats.trajectories.trajectory import (
 )
 from kinebench_drake.geometry import Array
 
+JITTER_STEPS = 0.4
+"""Greatest deviation that is taken for jitter: where a frame is missing it is half a step [steps]."""
+JITTER_S = 0.01
+"""The same in seconds: operating systems delay by milliseconds."""
+
 
 def check_times(array: NDArray[np.generic] | None, n: int, rate_hz: float | None, warnings: list[str]) -> Array:
     """Check the times (T,) of `n` frames [s], or make them from `rate_hz` [Hz]; free even ones of rounding.
@@ -88,9 +93,9 @@ def undo_jitter(t_s: Array, path: Array, warnings: list[str]) -> Array:
     step, start = np.polyfit(frames, t_s, 1)
     even = start + step * frames
     deviation = float(np.abs(t_s - even).max())
-    # 0.4: greatest deviation that is taken for jitter: where a frame is missing it is half a step [steps]
-    # 0.01: the same in seconds: operating systems delay by milliseconds
-    if not 1e-6 * step < deviation <= min(0.4 * step, 0.01):  # deviation from even times that counts as none [steps]
+    if (
+        not 1e-6 * step < deviation <= min(JITTER_STEPS * step, JITTER_S)
+    ):  # deviation from even times that counts as none [steps]
         return t_s
     rough = prediction_error(t_s, path)
     smooth = prediction_error(even, path)
