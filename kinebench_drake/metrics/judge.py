@@ -1,7 +1,7 @@
 """The kinematic verdict on a track: inverse kinematics, limit checks and optimisations combined."""
 
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from types import MappingProxyType
 
 import numpy as np
@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from kinebench_drake.errors import InputError
 from kinebench_drake.geometry import Array
-from kinebench_drake.kinematics.collision import Clearance, CollisionModel
+from kinebench_drake.kinematics.collision import CollisionModel
 from kinebench_drake.kinematics.ik import POSITION_TOLERANCE_M, ROTATION_TOLERANCE_RAD
 from kinebench_drake.kinematics.newton import ROTATION_ARM_M
 from kinebench_drake.kinematics.path import limit_excess
@@ -28,6 +28,7 @@ from kinebench_drake.metrics.coverage import (
 )
 from kinebench_drake.metrics.discontinuity import find_discontinuities
 from kinebench_drake.metrics.kinematic_result import (
+    JointPath,
     KinematicResult,
     PathMeasurements,
     feasible_period,
@@ -87,24 +88,6 @@ _CONTACTS = {
 }
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _JointPath:
-    """Joint path of a track, and what violations are found from."""
-
-    track: GripperTrack
-    joints: JointTrack
-    reached: NDArray[np.bool_]
-    """(T,) frames whose pose is reached: velocities and torques of the nearest posture mean nothing elsewhere."""
-    q: Array
-    """(T, 7) joint angles of the reached frames [rad]; else NaN."""
-    sigma: Array
-    """(7,) or (T, 7) standard deviations of their noise [rad]."""
-    own: Clearance
-    table: Clearance
-    noise: TrackNoise
-    noise_assumed: bool
-
-
 class TrackJudge:
     """Judges tracks for one robot and its table. Uses the plant's context: one object a thread."""
 
@@ -139,7 +122,7 @@ class TrackJudge:
         asked = track.tracked & ~(joints.ok & coverage.complete)
         free = find_free(self._plant, self._collision, track, asked, contact_tolerance(noise))
         measured = self._measure(path, checks, coverage, free, *bridge_gaps(track), X_BG=track.X_BG)
-        return self._result(path, measured, violations, open_kinds)
+        return self._result(measured, violations, open_kinds)
 
     def judge_joints(self, t_s: Array, q: Array, finger_width_m: Array) -> KinematicResult:
         """Judge joint angles as recorded, not the best path to the same poses.
@@ -185,15 +168,15 @@ class TrackJudge:
         bridged = np.zeros(len(t_s), dtype=bool)
         coverage = cover_joints(self._plant, path.q)
         measured = self._measure(path, checks, coverage, path.joints.ok, track, bridged, X_BG=None)
-        return self._result(path, measured, violations, ())
+        return self._result(measured, violations, ())
 
     def _path(
         self, track: GripperTrack, joints: JointTrack, sigma: Array, noise: TrackNoise, noise_assumed: bool
-    ) -> _JointPath:
+    ) -> JointPath:
         """Return the joint path of a track with its distances from collisions."""
         reached = _reached(joints)
         q = np.where(reached[:, None], joints.q, np.nan)
-        return _JointPath(
+        return JointPath(
             track=track,
             joints=joints,
             reached=reached,
@@ -205,10 +188,10 @@ class TrackJudge:
             noise_assumed=noise_assumed,
         )
 
-    def _check_poses(self, path: _JointPath, tolerance: float = 1.0) -> LimitChecks:
+    def _check_poses(self, path: JointPath, tolerance: float = 1.0) -> LimitChecks:
         return check_limits(self._plant, path.track.t_s, path.q, tolerance * path.sigma)
 
-    def _pose_violations(self, path: _JointPath, checks: LimitChecks, tolerance: float = 1.0) -> list[Violation]:
+    def _pose_violations(self, path: JointPath, checks: LimitChecks, tolerance: float = 1.0) -> list[Violation]:
         """Return the violations of a solved joint path; what the poses' noise explains is multiplied by `tolerance`."""
         track = path.track
         noise = path.noise.scaled(tolerance)
@@ -216,7 +199,7 @@ class TrackJudge:
         jumps = find_discontinuities(track.t_s, track.X_BG, track.tracked, path.noise, tolerance=tolerance)
         return self._violations(path, checks, noise, limits, jumps)
 
-    def _joint_violations(self, path: _JointPath, checks: LimitChecks) -> list[Violation]:
+    def _joint_violations(self, path: JointPath, checks: LimitChecks) -> list[Violation]:
         """Return the violations of recorded joint angles."""
         track = path.track
         limits = find_joint_limit_violations(self._plant, path.q, limit_tolerance(path.sigma))
@@ -226,7 +209,7 @@ class TrackJudge:
 
     def _violations(
         self,
-        path: _JointPath,
+        path: JointPath,
         checks: LimitChecks,
         noise: TrackNoise,
         limits: Iterable[Violation],
@@ -244,7 +227,7 @@ class TrackJudge:
         return sorted(violations, key=lambda v: v.rank)
 
     def _settle(
-        self, path: _JointPath, violations: list[Violation]
+        self, path: JointPath, violations: list[Violation]
     ) -> tuple[list[Violation], tuple[ViolationKind, ...]]:
         """Return the violations that hold for poses as exact as estimates are, and kinds of which it is open.
 
@@ -266,7 +249,7 @@ class TrackJudge:
 
     def _measure(
         self,
-        path: _JointPath,
+        path: JointPath,
         checks: LimitChecks,
         coverage: Coverage,
         free: NDArray[np.bool_],
@@ -294,12 +277,10 @@ class TrackJudge:
         jumps = branch_jumps(plant, track.X_BG[branches], path.joints.q[branches])
         w = weigh_manipulability(plant, coverage, bridge_joints(track.t_s, coverage.q, bridged))
         return PathMeasurements(
-            reached=path.reached,
+            path=path,
             coverage=coverage,
             manipulability=w,
             manipulability_worst=w if coverage.complete else worst_manipulability(plant, coverage, w, X_BG),
-            self_clearance=path.own,
-            table_clearance=path.table,
             free=free,
             bridged=bridged,
             p_BG=smooth_poses(filled, noise)[:, :3, 3],
@@ -314,21 +295,15 @@ class TrackJudge:
             tube=tube,
             tube_limit_m=tube_limit_m,
             branch_jumps=branches[jumps],
-            noise=noise,
-            noise_assumed=path.noise_assumed,
         )
 
     def _result(
-        self,
-        path: _JointPath,
-        measured: PathMeasurements,
-        violations: list[Violation],
-        open_kinds: tuple[ViolationKind, ...],
+        self, measured: PathMeasurements, violations: list[Violation], open_kinds: tuple[ViolationKind, ...]
     ) -> KinematicResult:
         """Return the verdict with all metrics; it is open on `open_kinds` of limits."""
         plant = self._plant
-        track = path.track
-        metrics, reasons = kinematic_metrics(plant, track, path.joints, measured)
+        track = measured.path.track
+        metrics, reasons = kinematic_metrics(plant, measured)
         undecided = _undecided(track, measured.checks) or _describe_open(open_kinds)
         if not violations and undecided is not None:
             reasons["feasible"] = undecided
@@ -341,14 +316,14 @@ class TrackJudge:
             reasons["feasible_from_period_s" + BOUND] = reasons["slowdown_min" + BOUND]
         return KinematicResult(
             track=track,
-            joints=path.joints,
+            joints=measured.path.joints,
             feasible=False if violations else (True if undecided is None else None),
             violations=tuple(violations),
             metrics=MappingProxyType(metrics),
             unchecked=plant.robot.limits.unstated,
             reasons=MappingProxyType(reasons),
-            details=MappingProxyType(path_details(plant, path.q, measured)),
-            curves=MappingProxyType(track_curves(plant, path.joints, measured)),
+            details=MappingProxyType(path_details(plant, measured)),
+            curves=MappingProxyType(track_curves(plant, measured)),
         )
 
 
