@@ -177,21 +177,19 @@ def _path_metrics(plant: ArmPlant, measured: PathMeasurements) -> tuple[dict[str
     checks = measured.checks
     timing = measured.timing
     tube = measured.tube
+    coverage = measured.coverage
     w = measured.manipulability
     no_value = "no frame is tracked" if not track.tracked.any() else "no frame's pose is reached"
-    lowest = _over_finite(
-        np.min, limit_margin(plant, path.q)
-    )  # no posture within limits reaches unreachable frames: theirs is 0 at most
+    lowest = _over_finite(np.min, limit_margin(plant, path.q))
+    if lowest is not None and coverage.unreachable.any():  # no posture within limits reaches these frames
+        lowest = min(0.0, lowest)
+    is_free = (path.joints.ok | measured.free)[track.tracked]
     values: dict[str, Value] = {
         **_manipulability_metrics(track.t_s, w),
         "condition_number_max": _over_finite(np.max, w.condition),
-        "ik_success_rate": float((path.joints.ok | measured.free)[track.tracked].mean())
-        if track.tracked.any()
-        else None,
-        "ik_position_error_max_m": _over_finite(np.max, measured.coverage.position_error_m),
-        "joint_limit_margin_min": lowest
-        if lowest is None or not measured.coverage.unreachable.any()
-        else min(0.0, lowest),
+        "ik_success_rate": float(is_free.mean()) if is_free.size else None,
+        "ik_position_error_max_m": _over_finite(np.max, coverage.position_error_m),
+        "joint_limit_margin_min": lowest,
         "self_distance_min_m": _over_finite(np.min, path.own.distance_m),
         "table_distance_min_m": _over_finite(np.min, path.table.distance_m),
     }
@@ -220,6 +218,7 @@ def _path_metrics(plant: ArmPlant, measured: PathMeasurements) -> tuple[dict[str
 
 def track_curves(plant: ArmPlant, measured: PathMeasurements) -> dict[str, Array]:
     """Return arrays (T,) or (T, 7) by name, for the track's file."""
+    checks = measured.checks
     w = measured.manipulability
     return {
         "bridged": measured.bridged.astype(np.float64),
@@ -231,13 +230,9 @@ def track_curves(plant: ArmPlant, measured: PathMeasurements) -> dict[str, Array
         "joint_margin": limit_margin(plant, measured.path.joints.q).min(axis=-1),
         "self_distance_m": measured.path.own.distance_m,
         "table_distance_m": measured.path.table.distance_m,
-        "q_smooth": measured.checks.q_smooth,
-        **{kind.value: check.value for kind, check in measured.checks.checks.items()},
-        **{
-            f"{kind.value}_limit": c.limits
-            for kind, c in measured.checks.checks.items()
-            if np.ptp(c.limits, axis=0).any()
-        },
+        "q_smooth": checks.q_smooth,
+        **{kind.value: check.value for kind, check in checks.checks.items()},
+        **{f"{kind.value}_limit": c.limits for kind, c in checks.checks.items() if np.ptp(c.limits, axis=0).any()},
     }
 
 

@@ -159,7 +159,7 @@ def measure_smoothness(
 
     The value is that of the longest run of consecutive tracked frames, None if that leaves out more than MAX_LOST_SHARE
     of the frames. The bounds of SPARC and LDLJ are the least values over all motions in the frames that are not
-    measured (`least_arc`, `least_ldlj`), None if more than MAX_LOST_SHARE are not; those of the filtered SPARC are None.
+    measured, None if more than MAX_LOST_SHARE are not; those of the filtered SPARC are None.
 
     Args:
         noise: noise of the track; estimated if None (`noise.estimate_track_noise`).
