@@ -181,8 +181,7 @@ def _add_payload(root: ElementTree.Element, tcp: str, payload_kg: float) -> None
     if not 0.0 <= payload_kg <= MAX_PAYLOAD_KG:
         raise UsageError(f"$payload_kg is {payload_kg}, expected kilograms from 0 to {MAX_PAYLOAD_KG:g}")
     if payload_kg:
-        link = _add_link(root, _PAYLOAD_LINK, tcp, "0 0 0", "0 0 0")
-        add_inertial(link, repr(payload_kg), *["0"] * 9)
+        add_inertial(_add_link(root, _PAYLOAD_LINK, tcp, "0 0 0", "0 0 0"), repr(payload_kg), *["0"] * 9)
 
 
 def _add_link(root: ElementTree.Element, name: str, parent: str, xyz: str, rpy: str) -> ElementTree.Element:

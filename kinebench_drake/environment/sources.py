@@ -66,8 +66,7 @@ def trace_sources(*modules: str) -> tuple[Source, ...]:
     if parsed.keys() - cache.keys():
         with suppress(OSError, SetupError):  # without a cache every call takes a second
             cache_folder().mkdir(parents=True, exist_ok=True)
-            kept = cache if len(cache) < CACHED_SOURCES else {}
-            write_json(cache_folder() / _CACHE, {**kept, **parsed})
+            write_json(cache_folder() / _CACHE, {**(cache if len(cache) < CACHED_SOURCES else {}), **parsed})
     return tuple(reached[name] for name in sorted(reached))
 
 

@@ -94,8 +94,7 @@ def nearest_points(A: Solid, B: Solid, M: Array) -> tuple[Array, Array]:
 
 def read_solid(inspector: Any, geometry: Any, link: str, chain: LinkChain) -> Solid:
     """Return a collision geometry as points and an ellipsoid, in B at the zero posture."""
-    shape = inspector.GetShape(geometry)
-    points, axes = _shape(shape, inspector.GetConvexHull(geometry))
+    points, axes = _shape(inspector.GetShape(geometry), inspector.GetConvexHull(geometry))
     X = chain.home[link] @ inspector.GetPoseInFrame(geometry).GetAsMatrix4()
     return Solid(
         link=link,
@@ -110,8 +109,7 @@ def _shape(shape: Any, hull: Any) -> tuple[Array, Array | None]:
     origin = np.zeros((1, 3))
     match shape:
         case Box():
-            signs = np.array(list(product((-1.0, 1.0), repeat=3)))
-            return 0.5 * signs * shape.size(), None
+            return 0.5 * np.array(list(product((-1.0, 1.0), repeat=3))) * shape.size(), None
         case Sphere():
             return origin, shape.radius() * np.eye(3)
         case Ellipsoid():

@@ -60,8 +60,7 @@ def plan_continuation(plant: ArmPlant, t_s: Array, X_BG: Array, q_start: Array) 
 
 def blend_from_start(plant: ArmPlant, t_s: Array, X_BG: Array, q: Array, q_start: Array) -> Array:
     """Return the path `q` (N, 7) [rad] changed to begin at `q_start` (7,), the elbow moving to the path in 2 s."""
-    fade = 1.0 - minimum_jerk(t_s / 2.0)
-    return posture_solver(plant).nearest(X_BG, q + fade[:, None] * (q_start - q[0]))
+    return posture_solver(plant).nearest(X_BG, q + (1.0 - minimum_jerk(t_s / 2.0))[:, None] * (q_start - q[0]))
 
 
 def continue_path(plant: ArmPlant, t_s: Array, X_BG: Array, q_start: Array) -> Array:

@@ -17,6 +17,8 @@ from kinebench_drake.kinematics.violation import COLLISIONS, Violation, Violatio
 
 SAMPLES = 8
 """Samples per span of the spline at which a trajectory is verified."""
+NEAREST_PAIRS = 4
+"""Nearest pairs of solids at a sample whose distances are linearised."""
 NEAR_M = 0.02
 """Margin above the least distance within which distances are computed at every sample and linearised [m]."""
 KEPT = 1.0 + 1e-6
@@ -231,7 +233,7 @@ class JointTrajectory:
         for k in sorted(chosen):
             q = self.motion[0][k]
             near_pairs = collision.near_pairs(q, NEAR_M, None if widths is None else float(widths[k]))
-            for near in near_pairs[:4]:  # nearest pairs per sample whose distances are linearised
+            for near in near_pairs[:NEAREST_PAIRS]:
                 kind = ViolationKind.TABLE_COLLISION if near.link_b == TABLE else ViolationKind.SELF_COLLISION
                 obstacles.append(
                     DistanceBound(

@@ -46,8 +46,7 @@ def characteristic_length(plant: ArmPlant) -> float:
     At the rest posture (0.48 m for the Panda). Source: J. Angeles' characteristic length as described in L. Stocco, S.
     E. Salcudean and F. Sassani, "Matrix Normalization for Optimal Robot Design", ICRA 1998.
     """
-    J = plant.jacobian(plant.robot.rest_q)
-    return float(np.sqrt(np.mean(np.sum(J[3:] ** 2, axis=0))))
+    return float(np.sqrt(np.mean(np.sum(plant.jacobian(plant.robot.rest_q)[3:] ** 2, axis=0))))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

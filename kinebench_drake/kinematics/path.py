@@ -103,8 +103,7 @@ def search_path(
     allowed = allowed or {}
     chosen = np.arange(len(t_s)) if allowed else select_anchors(t_s, ANCHOR_SPACING_S)
     fixed = np.isin(np.arange(len(t_s)), list(allowed))
-    grids = list(zip(SAMPLES, ROUNDS, strict=True))
-    for samples, rounds in grids[: RESTRICTED_GRIDS if allowed else None]:
+    for samples, rounds in list(zip(SAMPLES, ROUNDS, strict=True))[: RESTRICTED_GRIDS if allowed else None]:
         layers = grid_postures(plant, X_BG[chosen], samples, rounds)
         for i, may in allowed.items():
             layers[i] = layers[i][may(layers[i])]

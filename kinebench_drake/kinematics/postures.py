@@ -53,8 +53,7 @@ class PostureSolver(Protocol):
 @lru_cache(maxsize=4)
 def posture_solver(plant: ArmPlant) -> PostureSolver:
     """Return the closed-form solver if the arm equals the Panda up to its tool (numerically), else Newton's."""
-    rng = np.random.default_rng(0)
-    q = rng.uniform(plant.lower, plant.upper, size=(8, 7))
+    q = np.random.default_rng(0).uniform(plant.lower, plant.upper, size=(8, 7))
     X_FG = invert(flange_pose(q)) @ plant.forward_path(q)
     if np.abs(X_FG - X_FG[0]).max() < 1e-9:
         return ClosedFormSolver(X_FG[0])
@@ -105,8 +104,7 @@ class ClosedFormSolver(PostureSolver):
 
     @override
     def around(self, X_BG: Array, q: Array, offsets: Array) -> list[Array]:
-        q7 = q[:, 6, None] + offsets
-        return [_listed(q) for q in analytic_ik((X_BG @ self._X_GF)[:, None], q7)]
+        return [_listed(q) for q in analytic_ik((X_BG @ self._X_GF)[:, None], q[:, 6, None] + offsets)]
 
     @override
     def along_branch(self, X_BG: Array, q_start: Array) -> list[Array]:

@@ -72,8 +72,7 @@ def relax(
             n[fixed] = 0.0
         cost = problem.cost(residual, weights, q)
         for _ in range(3):
-            delta = problem.step(n, residual, weights, q, damping)
-            q_new = solver.nearest(X_BG, q + n * delta[:, None])
+            q_new = solver.nearest(X_BG, q + n * problem.step(n, residual, weights, q, damping)[:, None])
             strayed = ~(np.abs(q_new - q).max(axis=-1) < 2 * _LARGEST_STEP_RAD)
             q_new[strayed] = q[strayed]
             residual_new = problem.residuals(q_new)

@@ -15,6 +15,8 @@ from kinebench_drake.models.robot import N_JOINTS
 
 STILL_RAD = 1e-4
 """Range of every joint below which a path counts as a rest [rad]."""
+ACTIVE_SHARE = 0.98
+"""Share of a limit from which on it counts as active."""
 FASTEST_REST = 1000.0
 """Greatest speed-up of any part of a path: a rest takes a thousandth of its time."""
 
@@ -183,8 +185,7 @@ def _describe(motion: _PathMotion, rate: Array) -> TimeScale:
 def _usage(motion: _PathMotion, rate: Array, change: Array, spent: Array) -> tuple[Array, NDArray[np.bool_]]:
     """Return the share of time (3, 7) in which each limit is active, and whether it is in each cell (G - 1, 3, 7)."""
     near = motion.ratios(slice(None, -1), rate[:-1], change)
-    far = motion.ratios(slice(1, None), rate[1:], change)
-    active = np.abs([near, far]) >= 0.98  # share of a limit from which on it counts as active
+    active = np.abs([near, motion.ratios(slice(1, None), rate[1:], change)]) >= ACTIVE_SHARE
     return np.einsum("k,ikcj->cj", 0.5 * spent / spent.sum(), active), np.asarray(active.any(axis=0))
 
 

@@ -277,8 +277,7 @@ class _TubeSearch:
             used = float(np.abs(a / acceleration).max())
             factor = used * (_TORQUE_AIM - weight) / (abs(violation.value) / violation.limit - weight)
             self.limits = replace(self.limits, rates=(velocity, factor * acceleration, jerk))
-            obstacles = tuple(trajectory.obstacles())
-            slower = self._shrink(trajectory.basis, trajectory.q, obstacles, _ROUND_EFFORT)
+            slower = self._shrink(trajectory.basis, trajectory.q, tuple(trajectory.obstacles()), _ROUND_EFFORT)
             if slower is None or slower.radius_m > LARGEST_M or slower.contact is not None:
                 return None
             trajectory = slower
@@ -295,8 +294,7 @@ class _TubeSearch:
         violation = find_pose_violation(problem, limit, FAR_OUT)
         if violation is not None:
             return violation
-        start = problem.linearise(self._start)
-        solution = solve_tube(fit.basis, start, self.limits, limit, 0.01, elastic=True)
+        solution = solve_tube(fit.basis, problem.linearise(self._start), self.limits, limit, 0.01, elastic=True)
         return (
             (solution and find_rate_violation(problem, fit.basis, solution.excess, offset=1.0))
             or find_start_violation(problem)

@@ -116,8 +116,7 @@ def solve_tube(
     prog = kto.get_mutable_prog()
     duration = float(basis.breaks_s[-1] - basis.breaks_s[0])
     prog.AddBoundingBoxConstraint(duration, duration, kto.duration())
-    C = kto.control_points().T  # (n, 7)
-    x = C.ravel()
+    x = kto.control_points().T.ravel()  # of (n, 7)
     r = prog.NewContinuousVariables(1, "r")
     lower, upper = (np.tile(bound, n) for bound in (limits.lower, limits.upper))
     prog.AddBoundingBoxConstraint(lower, upper, x)
@@ -205,8 +204,7 @@ def _add_obstacles(prog: Any, basis: SplineBasis, x: Any, obstacles: Sequence[Di
     joint = np.arange(N_JOINTS)
     rows = np.repeat(B.row, N_JOINTS)
     columns = (N_JOINTS * B.col[:, None] + joint).ravel()
-    data = (B.data[:, None] * gradients[B.row]).ravel() * _MM
-    A = coo_matrix((data, (rows, columns)), shape=(count, len(x)))
+    A = coo_matrix(((B.data[:, None] * gradients[B.row]).ravel() * _MM, (rows, columns)), shape=(count, len(x)))
     slack = prog.NewContinuousVariables(count, "penetration")
     prog.AddBoundingBoxConstraint(0.0, np.inf, slack)
     prog.AddLinearCost(20.0 * np.ones(count), slack)  # cost of a millimetre of penetration, in millimetres of radius

@@ -212,8 +212,7 @@ def _excursions(t_s: Array, velocity: Array, dt: Array, floor: Array, noise_norm
         steps[:] = _beyond(velocity[here], velocity[near], velocity[near] + slope * (t_s[here] - t_s[near])[:, None])
     away = away * dt[out, None]
     home = home * dt[back, None]
-    quiet = 0.5 * (velocity[out - 1] + velocity[back + 1])
-    still = (velocity[out + 1] - quiet) * dt[out + 1, None]
+    still = (velocity[out + 1] - 0.5 * (velocity[out - 1] + velocity[back + 1])) * dt[out + 1, None]
     size = np.minimum(np.linalg.norm(away, axis=-1), np.linalg.norm(home, axis=-1))
     beside = np.maximum(np.linalg.norm(velocity[out - 1], axis=-1), np.linalg.norm(velocity[back + 1], axis=-1))
     # Larger than its neighbours: else a rest between two fast motions would count as an excursion.

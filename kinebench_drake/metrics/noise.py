@@ -138,8 +138,7 @@ def _unit_differences(t_s: Array, steps: Array, order: int) -> Array:
     dt = np.diff(t_s)
     if np.ptp(dt) <= 1e-6 * dt.mean():
         return np.asarray(np.diff(steps, order - 1, axis=0) / np.sqrt(comb(2 * order, order)))
-    scale = dt.mean()
-    t = t_s / scale
+    t = t_s / dt.mean()
     divided = steps / np.diff(t)[:, None]
     for k in range(2, order + 1):
         divided = np.diff(divided, axis=0) / (t[k:] - t[:-k])[:, None]

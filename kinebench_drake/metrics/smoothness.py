@@ -240,9 +240,8 @@ def _measure_run(track: GripperTrack, run: slice, noise: TrackNoise | None, seed
         return _smoothness({}, dict.fromkeys(METRICS, short))
     noise = noise or estimate_track_noise(track.t_s, track.X_BG, track.tracked)
     p = X[:, :3, 3]
-    R = X[:, :3, :3]
     # The cumulative sum of the rotation vectors between frames is a path whose steps are those of the rotation.
-    turned = np.concatenate([np.zeros((1, 3)), np.cumsum(rotation_steps(R), axis=0)])
+    turned = np.concatenate([np.zeros((1, 3)), np.cumsum(rotation_steps(X[:, :3, :3]), axis=0)])
     rng = np.random.default_rng(seed)
     values: dict[str, float] = {}
     reasons = _stillness(X)
@@ -315,8 +314,7 @@ def least_arc(speed: Array, sampling_hz: float, bins: int, cutoff_hz: float) -> 
     t = np.arange(len(speed)) / sampling_hz
     df = sampling_hz / bins
     kept = int(np.count_nonzero(df * np.arange(bins // 2 + 1) <= cutoff_hz))
-    total = float(speed[finite].sum())
-    mass = np.where(finite, speed, 0.0) / (total or 1.0)
+    mass = np.where(finite, speed, 0.0) / (float(speed[finite].sum()) or 1.0)
     spectrum = np.fft.rfft(mass, bins)[:kept]
     centres = np.linspace(t[0], t[-1], 65)[:, None]  # times about which spectra are turned
     change = np.abs(np.exp(2j * np.pi * df * centres) * spectrum[1:] - spectrum[:-1])

@@ -97,8 +97,7 @@ def write_part(
 
 def pose_columns(X_BG: Array) -> Array:
     """Return x, y, z [m] and a quaternion of poses (T, 4, 4), as a column (T, 7)."""
-    quaternions = _continuous(np.stack([to_quaternion(X[:3, :3]) for X in X_BG]))
-    return np.column_stack([X_BG[:, :3, 3], quaternions])
+    return np.column_stack([X_BG[:, :3, 3], _continuous(np.stack([to_quaternion(X[:3, :3]) for X in X_BG]))])
 
 
 def _continuous(quaternions: Array) -> Array:
