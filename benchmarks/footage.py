@@ -23,7 +23,7 @@ from kinebench_drake.geometry import Array, transform_points
 from kinebench_drake.grounding.overlay import draw_overlay
 from kinebench_drake.grounding.pipeline import GroundingPipeline, Observation
 from kinebench_drake.grounding.priors import NO_PRIORS, Priors
-from kinebench_drake.grounding.tracking.crop import GRIPPER_CENTRE_H, GRIPPER_RADIUS_M
+from kinebench_drake.grounding.tracking.view import GRIPPER_CENTRE_H, GRIPPER_RADIUS_M
 from kinebench_drake.io.container import write_video
 from kinebench_drake.io.frames import Frames
 from kinebench_drake.io.reader import read_video

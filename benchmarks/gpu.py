@@ -21,8 +21,8 @@ from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.environment.native import RENDER_VARIABLE, has_nvidia_vulkan
 from kinebench_drake.errors import KinebenchError, UsageError
 from kinebench_drake.geometry import Array, make_pose
-from kinebench_drake.grounding.tracking.crop import CLOSE_MARGIN, CLOSE_SIZE, WIDE_SIZE, Crop
 from kinebench_drake.grounding.tracking.estimator import NetworkEstimator
+from kinebench_drake.grounding.tracking.view import CLOSE_MARGIN, CLOSE_SIZE, WIDE_SIZE, Crop
 from kinebench_drake.io.container import read_container
 from kinebench_drake.io.frames import Frames
 from kinebench_drake.io.video import WHOLE

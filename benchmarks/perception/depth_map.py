@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 from benchmarks.perception.clip import TruthClipFile
 from kinebench_drake.geometry import Array, invert, transform_points
 from kinebench_drake.grounding.priors import ExternalDepth
-from kinebench_drake.grounding.tracking.crop import Crop
-from kinebench_drake.grounding.tracking.view import DenseEstimator, GripperView, replace_depth, replace_mask
+from kinebench_drake.grounding.tracking.view import Crop, DenseEstimator, GripperView, replace_depth, replace_mask
 from kinebench_drake.io.figure import new_figure
 from kinebench_drake.io.frames import Frames
 from kinebench_drake.io.reader import read_video

@@ -14,10 +14,9 @@ from kinebench_drake.grounding.overrides.depth import DepthPlugIn
 from kinebench_drake.grounding.pipeline import GroundingPipeline, PipelineResult
 from kinebench_drake.grounding.priors import ExternalDepth, Priors
 from kinebench_drake.grounding.tracking.confidence import load_confidence
-from kinebench_drake.grounding.tracking.crop import Crop
 from kinebench_drake.grounding.tracking.estimator import NetworkEstimator
 from kinebench_drake.grounding.tracking.tracker import CadTracker
-from kinebench_drake.grounding.tracking.view import DenseEstimator, GripperView
+from kinebench_drake.grounding.tracking.view import Crop, DenseEstimator, GripperView
 from kinebench_drake.io.frames import Frames
 from kinebench_drake.models.panda.cad import GripperCad
 from kinebench_drake.models.perception.network import WEIGHTS, load_network

@@ -8,7 +8,7 @@ import pytest
 
 from kinebench_drake.grounding import bounds
 from kinebench_drake.grounding.camera.picture_reading import PictureReading
-from kinebench_drake.grounding.camera.recognition import Recognition, cameras_of
+from kinebench_drake.grounding.camera.recognition import RECOGNITION_LEAD, Recognition, cameras_of
 from kinebench_drake.grounding.components import GroundingComponents
 from kinebench_drake.io.reader import read_video
 from kinebench_drake.named_cameras import find_camera, named_cameras
@@ -48,8 +48,8 @@ def test_a_camera_that_does_not_show_the_robots_foot_is_not_tried(name):
     [
         ({}, True),
         ({"agreement": bounds.AGREEMENT - 0.01}, False),
-        ({"lead": bounds.RECOGNITION_LEAD - 0.01}, False),
-        ({"freed": 0.6 + bounds.RECOGNITION_LEAD + 0.01}, False),
+        ({"lead": RECOGNITION_LEAD - 0.01}, False),
+        ({"freed": 0.6 + RECOGNITION_LEAD + 0.01}, False),
         ({"base_agreement": bounds.BASE_AGREEMENT - 0.01}, False),
     ],
 )
