@@ -27,6 +27,8 @@ class GroundingResult(PipelineResult):
     framing: Framing
     """How the camera's image lies in the video."""
     choice: CameraChoice
+    table_height_m: float
+    """Height of the table top in the robot base frame [m]: that stated with the camera, else that of the options."""
     possible: tuple[GripperTrack, ...] = ()
     """Tracks with each camera that may be right, where it cannot be seen which one is; else none."""
 

@@ -41,6 +41,7 @@ class _View:
     camera: Camera
     framing: Framing
     t_s: Array
+    table_height_m: float
     priors: Priors
 
     def result(
@@ -55,7 +56,13 @@ class _View:
         if choice.reason is not None:
             own["track"] = replace(measured.track, X_BG=np.full_like(measured.track.X_BG, np.nan))
         return GroundingResult(
-            **own, frames=self.frames, camera=self.camera, framing=self.framing, choice=choice, possible=possible
+            **own,
+            frames=self.frames,
+            camera=self.camera,
+            framing=self.framing,
+            choice=choice,
+            table_height_m=self.table_height_m,
+            possible=possible,
         )
 
 
@@ -68,6 +75,7 @@ class CameraChooser:
     priors: PriorSource | Priors
     gripper: GripperKind
     table_height_m: float
+    """Height of the table top in the robot base frame where none is stated with the camera [m]."""
 
     def ground_trusted(self, choice: CameraChoice) -> GroundingResult:
         """Ground with a camera that is taken as exact."""
@@ -139,7 +147,13 @@ class CameraChooser:
         named = recognition.named
         source = CameraSource.BENCHMARK if named.name == BENCHMARK else CameraSource.RECOGNIZED
         view = self._view(
-            CameraChoice(camera=recognition.camera, source=source, named=named, shown=recognition.reading)
+            CameraChoice(
+                camera=recognition.camera,
+                source=source,
+                table_height_m=named.setting.table_height_m,
+                named=named,
+                shown=recognition.reading,
+            )
         )
         measured = self._ground_hand(view)
         agreement = self.parts.checker.track_agreement(view.frames, view.camera, measured)
@@ -241,10 +255,11 @@ class CameraChooser:
         priors = self.priors
         if not isinstance(priors, Priors):
             priors = priors(framing.whole_camera(camera))
+        height_m = self.table_height_m if choice.table_height_m is None else choice.table_height_m
         priors = replace(
             priors.crop(*framing.window),
             camera_is_fitted=choice.source in (CameraSource.ESTIMATED, CameraSource.NONE),
-            table_height_m=self.table_height_m if choice.table_height_m is None else choice.table_height_m,
+            table_height_m=height_m,
         )
         if shown is not None and priors.replaces_stage:
             raise UnmeasurableError(
@@ -259,6 +274,7 @@ class CameraChooser:
             camera=framing.camera(camera),
             framing=framing,
             t_s=clip.t_s,
+            table_height_m=height_m,
             priors=priors,
         )
 

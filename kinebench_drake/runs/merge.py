@@ -23,7 +23,8 @@ from kinebench_drake.results.store import (
     require_output,
 )
 from kinebench_drake.runs.config import RunKind
-from kinebench_drake.runs.evaluator import PENDING, SCHEMA_VERSION
+from kinebench_drake.runs.evaluator import PENDING
+from kinebench_drake.runs.resume import SCHEMA_VERSION
 from kinebench_drake.runs.runner import NullRunObserver, RunObserver, RunSummary, close_run, summarize
 from kinebench_drake.suites.runs.requests import request_path, write_requests
 

@@ -34,7 +34,7 @@ from kinebench_drake.runs.gate import close_gate
 from kinebench_drake.runs.pictures import encode_strip, worst_frame
 from kinebench_drake.runs.preparation import (
     camera_frame_metrics,
-    conditioning_image,
+    filmed_pictures,
     ground_sample,
     override_names,
     row_warnings,
@@ -43,6 +43,7 @@ from kinebench_drake.runs.preparation import (
     with_initial_states,
 )
 from kinebench_drake.runs.resources import Resources, load_resources
+from kinebench_drake.runs.resume import hash_sample
 from kinebench_drake.runs.runner import NullRunObserver, RunObserver, RunSummary, run_samples
 from kinebench_drake.track import Domain, GripperTrack
 
@@ -95,13 +96,15 @@ def compare_extractors(track: GripperTrack, reference_X_BG: Array | None) -> dic
     }
 
 
-def _judge_possible(tracks: Sequence[GripperTrack], tools: Resources) -> "KinematicResult | None":
+def _judge_possible(
+    tracks: Sequence[GripperTrack], tools: Resources, table_height_m: float
+) -> "KinematicResult | None":
     """Return the verdict that holds with each of the possible tracks of a video; None if there is none.
 
     It is that of the first track. Of its violations it has those whose kind occurs in all tracks; without one it does
     not hold.
     """
-    results = [tools.judge(track) for track in tracks]
+    results = [tools.judge(track, table_height_m) for track in tracks]
     verdicts = {result.feasible for result in results}
     kinds = set.intersection(*({v.kind for v in result.violations} for result in results))
     if verdicts != {True} and (verdicts != {False} or not kinds):
@@ -117,7 +120,7 @@ def plan_videos(config: ScoreConfig, observer: RunObserver | None = None) -> Ite
         observer.warn(warning)
     reader = _VideoReader(config=config, overrides=config.overrides())
     tools = reader.setup()
-    yield from (reader.row(sample, tools) for sample in config.select(inputs.samples))
+    yield from (reader.row(sample, tools, hash_sample(reader, sample)) for sample in config.select(inputs.samples))
 
 
 def find_videos(config: ScoreConfig) -> VideoSamples:
@@ -169,10 +172,11 @@ class VideoEvaluator(Evaluator[VideoSample, Resources]):
         track = grounding.visible_track
         path = grounding.camera_path
         reason = grounding.choice.reason
-        height_m = sample.table_height_m if sample.camera_source.is_named else grounding.choice.table_height_m
+        height_m = grounding.table_height_m
+        stated_m = grounding.choice.table_height_m
         measures_base = grounding.unmeasurable is None and reason is None
         kinematics = tools.judge(track, height_m) if judges and measures_base else None
-        agreed = _judge_possible(grounding.possible, tools) if judges and grounding.possible else None
+        agreed = _judge_possible(grounding.possible, tools, height_m) if judges and grounding.possible else None
         smoothness: Mapping[str, Json] = {}
         reasons: Mapping[str, str] = {}
         if judges and reason is not None:
@@ -213,7 +217,7 @@ class VideoEvaluator(Evaluator[VideoSample, Resources]):
                 "clip_frames": len(video.frames),
                 **({"surplus_frames": video.surplus} if video.surplus else {}),
                 **({} if path is None else {"camera_path": path.to_json()}),
-                **({} if height_m is None else {"table_height_m": height_m}),
+                **({} if stated_m is None else {"table_height_m": stated_m}),
                 **({"mirrored": True} if sample.mirrored else {}),
                 **grounding.choice.to_json(),
                 **({} if agreed is None else {"possible_cameras": len(grounding.possible)}),
@@ -241,7 +245,7 @@ class VideoEvaluator(Evaluator[VideoSample, Resources]):
         write_atomically(artifact_path(out, "thumbnails", sample.id), strip)
         joints, curves = (kinematics.joints, kinematics.curves) if kinematics else (None, {})
         if self.config.format is not None and grounding.unmeasurable is None and grounding.choice.reason is None:
-            joints = tools.joints(track)
+            joints = tools.joints(track, grounding.table_height_m)
         write_track(artifact_path(out, "tracks", sample.id), track, joints, {**curves, **grounding.curves})
 
     @property
@@ -312,7 +316,8 @@ class _VideoReader(VideoEvaluator):
         if sample.camera_source.is_named:
             from kinebench_drake.grounding.camera.framing_search import find_framing  # loads OpenCV
 
-            find_framing(video.frames, sample.camera, conditioning_image(sample), sample.camera_source)
+            pictures, image = filmed_pictures(sample, video)
+            find_framing(pictures.frames, sample.camera, image, sample.camera_source)
         timed = time_frames(sample, video, self.config.frame_period_s, self.config.task_duration_s)
         return Evaluation(
             kinematics=None,

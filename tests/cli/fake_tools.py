@@ -68,6 +68,7 @@ class FakeResult:
     camera: Camera
     framing: Framing
     choice: FakeChoice
+    table_height_m: float | None
     camera_motion_px: float | None = 0.12
     arm_consistency_px: float | None = 2.0
     first_frame: InitialStateUse = InitialStateUse.UNKNOWN
@@ -106,6 +107,7 @@ class FakeGrounder:
         priors=NO_PRIORS,
         *,
         source=CameraSource.ARGUMENT,
+        table_height_m=None,
         gripper=GripperKind.AUTO,
         trusts_camera=False,
     ):
@@ -114,8 +116,8 @@ class FakeGrounder:
             with Path(os.environ[LOG]).open("a") as log:
                 log.write(f"{act.name} {os.getpid()}\n")
         named = camera is not None or trusts_camera
-        lens = benchmark_camera() if camera is None else camera.camera
-        choice = FakeChoice(source if named else CameraSource.BENCHMARK)
+        lens = camera or benchmark_camera()
+        choice = FakeChoice(source if named else CameraSource.BENCHMARK, table_height_m=table_height_m)
         try:
             framing = find_framing(clip.frames, lens, clip.conditioning, choice.source)
         except UnmeasurableError:
@@ -148,6 +150,7 @@ class FakeGrounder:
                 camera=framing.camera(lens),
                 framing=framing,
                 choice=choice,
+                table_height_m=table_height_m,
             )
         )
 
