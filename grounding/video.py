@@ -15,7 +15,7 @@ class Grounder:
     def __init__(self, parts: GroundingComponents | None = None, table_height_m: float = 0.0) -> None:
         """Ground with `parts`; None: the shipped networks.
 
-        The height of the table top in the robot base frame [m] is `table_height_m` where none is stated with the camera.
+        The height of the table top in the robot base frame [m] is `table_height_m` where none comes with the camera.
         """
         self._parts = parts or GroundingComponents()
         self._table_height_m = table_height_m

@@ -2,9 +2,7 @@
 
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass, fields, replace
-
-import numpy as np
+from dataclasses import dataclass, replace
 
 from kinebench_drake.camera import CONFIRMED, Camera, CameraSource, benchmark_camera
 from kinebench_drake.errors import UnmeasurableError
@@ -51,16 +49,12 @@ class _View:
         possible: tuple[GripperTrack, ...] = (),
     ) -> GroundingResult:
         """Return the result of a track, with this choice or another one, and the `possible` tracks of the clip."""
-        choice = choice or self.choice
-        own = {f.name: getattr(measured, f.name) for f in fields(PipelineResult)}
-        if choice.reason is not None:
-            own["track"] = replace(measured.track, X_BG=np.full_like(measured.track.X_BG, np.nan))
         return GroundingResult(
-            **own,
+            measured=measured,
             frames=self.frames,
             camera=self.camera,
             framing=self.framing,
-            choice=choice,
+            choice=choice or self.choice,
             table_height_m=self.table_height_m,
             possible=possible,
         )
@@ -89,7 +83,7 @@ class CameraChooser:
         if not self._seeks_other:
             hand = self._checked(view, self._ground_hand(view))
             # Where another reading explains the hand, the arm alone would agree with the wrong one, too.
-            if hand.choice.reading is not None or not self._is_lost(hand):
+            if hand.choice.reading is not None or not self._is_lost(hand.measured):
                 return hand
         arm = self._ground_arm(view)
         if arm is not None:
@@ -129,7 +123,7 @@ class CameraChooser:
                 view.frames, view.camera, least, (PictureReading.CROPPED,)
             )
             if reading is not None:
-                return view.result(assumed, _misread(assumed.choice, reading))
+                return view.result(assumed.measured, _misread(assumed.choice, reading))
         usual = usual_camera(self.clip.frames.shape[2], self.clip.frames.shape[1])
         hands, searched = self.parts.checker.count_hands(self.clip.frames, usual)
         if not hands and view is not None and (arm := self._confirmed_arm(view)) is not None:

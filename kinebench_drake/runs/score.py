@@ -167,10 +167,11 @@ class VideoEvaluator(Evaluator[VideoSample, Resources]):
             video, sample, self.overrides, tools.grounder, config.frame_period_s, config.gripper,
             duration_s=config.task_duration_s,
         )  # fmt: skip
-        draws_hand = grounding.domain is not Domain.ARM
+        measured = grounding.measured
+        draws_hand = measured.domain is not Domain.ARM
         judges = config.kind.judges and grounding.unmeasurable is None
         track = grounding.visible_track
-        path = grounding.camera_path
+        path = measured.camera_path
         reason = grounding.choice.reason
         height_m = grounding.table_height_m
         stated_m = grounding.choice.table_height_m
@@ -187,8 +188,8 @@ class VideoEvaluator(Evaluator[VideoSample, Resources]):
             metrics={
                 "tracked_fraction": int(track.tracked.sum()) / len(track.t_s),
                 "confidence_mean": mean_confidence(track),
-                "camera_motion_px": grounding.camera_motion_px,
-                "arm_consistency_px": grounding.arm_consistency_px,
+                "camera_motion_px": measured.camera_motion_px,
+                "arm_consistency_px": measured.arm_consistency_px,
                 "anomalies": [anomaly.to_json() for anomaly in grounding.anomalies],
                 **compare_extractors(track, sample.reference_X_BG),
                 **smoothness,
@@ -197,13 +198,13 @@ class VideoEvaluator(Evaluator[VideoSample, Resources]):
             tracked=track.tracked if judges else None,
             unmeasurable=grounding.unmeasurable,
             extra={
-                "first_frame": grounding.first_frame.value,
-                "domain": grounding.domain.value,
-                "anomalies_not_looked_for": [kind.value for kind in grounding.anomalies_not_looked_for],
-                **({} if grounding.hand_size is None else grounding.hand_size.to_json()),
-                ANOMALIES_OPEN: [kind.value for kind in grounding.anomalies_open],
-                "anomaly_scores": {kind.value: round(score, 4) for kind, score in grounding.detections.scores.items()},
-                **({} if draws_hand else {"gripper": grounding.gripper.value}),
+                "first_frame": measured.first_frame.value,
+                "domain": measured.domain.value,
+                "anomalies_not_looked_for": [kind.value for kind in measured.anomalies_not_looked_for],
+                **({} if measured.hand_size is None else measured.hand_size.to_json()),
+                ANOMALIES_OPEN: [kind.value for kind in measured.anomalies_open],
+                "anomaly_scores": {kind.value: round(score, 4) for kind, score in measured.detections.scores.items()},
+                **({} if draws_hand else {"gripper": measured.gripper.value}),
                 "frames": len(track.t_s),
                 "idle_ends": idle_ends(track),
                 "fingerprint": fingerprint(track.X_CH),
@@ -231,8 +232,9 @@ class VideoEvaluator(Evaluator[VideoSample, Resources]):
         out = self.config.out
         track = grounding.visible_track
         kinematics = evaluation.kinematics
-        draws_hand = grounding.domain is not Domain.ARM
-        path = grounding.camera_path
+        measured = grounding.measured
+        draws_hand = measured.domain is not Domain.ARM
+        path = measured.camera_path
         zoom = np.ones(len(track.t_s)) if path is None else path.zoom
         if self.config.overlay:
             native = len(grounding.frames) == len(video.frames)
@@ -246,7 +248,7 @@ class VideoEvaluator(Evaluator[VideoSample, Resources]):
         joints, curves = (kinematics.joints, kinematics.curves) if kinematics else (None, {})
         if self.config.format is not None and grounding.unmeasurable is None and grounding.choice.reason is None:
             joints = tools.joints(track, grounding.table_height_m)
-        write_track(artifact_path(out, "tracks", sample.id), track, joints, {**curves, **grounding.curves})
+        write_track(artifact_path(out, "tracks", sample.id), track, joints, {**curves, **measured.curves})
 
     @property
     def metric_names(self) -> tuple[str, ...]:

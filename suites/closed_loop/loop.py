@@ -259,8 +259,9 @@ class ClosedLoop:
         except UnmeasurableError as error:
             raise InputError(f"{video.name}: {error}") from None
         frames = grounding.frames
-        if grounding.camera_path is not None:
-            frames, _ = grounding.camera_path.stabilize(frames, grounding.camera, extends=False)
+        path = grounding.measured.camera_path
+        if path is not None:
+            frames, _ = path.stabilize(frames, grounding.camera, extends=False)
         return Round(
             video=video,
             timing=timing,

@@ -187,7 +187,7 @@ class EpisodeEvaluator(Evaluator[EpisodeSample, EpisodeResources]):
         kinematics = combine(tracks, results)
         curves = {
             **kinematics.curves,
-            **join_curves([r.grounding.curves for r in run.rounds]),
+            **join_curves([r.grounding.measured.curves for r in run.rounds]),
             **action_curves(tracks, [r.actions for r in run.rounds]),
         }
         write_track(artifact_path(self.config.out, "tracks", sample.id), track, kinematics.joints, curves)

@@ -83,6 +83,10 @@ class FakeResult:
     possible: tuple[GripperTrack, ...] = ()
 
     @property
+    def measured(self):
+        return self
+
+    @property
     def robot(self):
         return np.zeros(self.frames.shape[:3], bool)
 

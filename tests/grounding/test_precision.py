@@ -30,7 +30,7 @@ def test_a_clip_has_the_same_verdict_in_both_precisions(name: str, monkeypatch: 
     single, half = (ground(name, precision, monkeypatch) for precision in Precision)
     assert not np.array_equal(single.track.confidence, half.track.confidence)  # the precisions do differ
     assert single.choice.state is half.choice.state
-    assert single.domain is half.domain
+    assert single.measured.domain is half.measured.domain
     assert single.anomalies == half.anomalies == ()
     assert single.track.tracked.all()
     assert half.track.tracked.all()

@@ -266,7 +266,7 @@ def test_a_video_without_a_hand_is_grounded_by_the_arm_if_it_confirms_the_assume
             ground(evidence)
     else:
         grounded = ground(evidence)
-        assert grounded.domain is Domain.ARM
+        assert grounded.measured.domain is Domain.ARM
         assert grounded.choice.state is CameraState.CONFIRMED
 
 
