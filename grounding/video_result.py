@@ -62,11 +62,12 @@ class GroundingResult:
         """Why the track cannot be measured although a gripper is seen; None if it can."""
         track = self.measured.track
         tracked = int(track.tracked.sum())
+        detected = int(self.measured.has_pose.sum())
         if tracked >= bounds.MIN_TRACKED:
             return None
         subject = "the flange" if self.measured.domain is Domain.ARM else "a gripper"
         return (
-            f"{subject} is seen in {int(self.measured.has_pose.sum())} of {len(track.t_s)} frames, but trusted in {tracked}, a "
+            f"{subject} is seen in {detected} of {len(track.t_s)} frames, but trusted in {tracked}, a "
             f"path needs {bounds.MIN_TRACKED}: its confidence is {track.confidence.max():.2f} at most{self._doubt}"
         )
 

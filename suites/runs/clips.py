@@ -172,11 +172,9 @@ def open_anomalies(run: "EpisodeRun") -> list[Json]:
 
 def camera_paths(run: "EpisodeRun") -> dict[str, Json]:
     """Return how the view of each clip changes, null where it does not; no key if it never does."""
-    paths = [
-        None if r.grounding.measured.camera_path is None else r.grounding.measured.camera_path.to_json()
-        for r in run.rounds
-    ]
-    return {"camera_paths": paths} if any(paths) else {}
+    paths = [r.grounding.measured.camera_path for r in run.rounds]
+    entries = [None if path is None else path.to_json() for path in paths]
+    return {"camera_paths": entries} if any(entries) else {}
 
 
 def domain(run: "EpisodeRun") -> Domain:
