@@ -20,9 +20,11 @@ from kinebench_drake.camera import Camera
 from kinebench_drake.errors import UsageError
 from kinebench_drake.formats.manifest import NAME
 from kinebench_drake.geometry import Array, transform_points
+from kinebench_drake.grounding.anomaly.detect import AnomalyEvidence
 from kinebench_drake.grounding.overlay import draw_overlay
-from kinebench_drake.grounding.pipeline import GroundingPipeline, Observation
+from kinebench_drake.grounding.pipeline import GroundingPipeline
 from kinebench_drake.grounding.priors import NO_PRIORS, Priors
+from kinebench_drake.grounding.tracking.tracker import Tracking
 from kinebench_drake.grounding.tracking.view import GRIPPER_CENTRE_H, GRIPPER_RADIUS_M
 from kinebench_drake.io.container import write_video
 from kinebench_drake.io.frames import Frames
@@ -90,12 +92,14 @@ class TrackRecord:
 class ObservedPipeline(GroundingPipeline):
     """Pipeline that keeps the measurements of single frames of its last video."""
 
-    observation: Observation
+    tracking: Tracking
 
-    def observe(self, frames: Frames, camera: Camera, t_s: Array, priors: Priors = NO_PRIORS) -> Observation:
+    def observe(
+        self, frames: Frames, camera: Camera, t_s: Array, priors: Priors = NO_PRIORS
+    ) -> tuple[Tracking, AnomalyEvidence]:
         """Measure each frame, as `GroundingPipeline.observe`."""
-        self.observation = super().observe(frames, camera, t_s, priors)
-        return self.observation
+        self.tracking, evidence = super().observe(frames, camera, t_s, priors)
+        return self.tracking, evidence
 
 
 def ground_video(
@@ -116,7 +120,7 @@ def ground_video(
     cpu_s = time.process_time() - start
     if overlay is not None:
         write_overlay(overlay, frames, camera, result.track)
-    poses = pipeline.observation.poses
+    poses = pipeline.tracking.poses
     return TrackRecord(
         id=video.id,
         X_CH=result.track.X_CH,
