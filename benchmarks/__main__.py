@@ -4,7 +4,7 @@ from pathlib import Path
 
 import click
 
-from benchmarks import gate, grounding, poses, speed, verdicts
+from benchmarks import poses, speed, verdicts
 from benchmarks.options import EXISTING_FOLDER, FILE, CommandGroup
 
 
@@ -19,7 +19,7 @@ def main() -> None:
     """Validation studies and benchmarks; each command has an example."""
 
 
-for command in (*speed.COMMANDS, *verdicts.COMMANDS, *gate.COMMANDS, *poses.COMMANDS, *grounding.COMMANDS):
+for command in (*speed.COMMANDS, *verdicts.COMMANDS, *poses.COMMANDS):
     main.add_command(command)
 
 
@@ -44,17 +44,6 @@ def equivalence(before: Path, after: Path) -> None:
         raise SystemExit(1)
 
 
-@main.command(epilog="\b\nExample:\n  python -m benchmarks hostile")
-def hostile() -> None:
-    """Read hostile inputs, each in a process of its own: outcome, time and peak memory, as a Markdown table."""
-    from benchmarks.hostile import measure, table_line
-    from benchmarks.markdown import table
-
-    for line in table(("input", "outcome", "time [s]", "peak [GiB]"), ()):
-        click.echo(line)
-    measure(lambda result: click.echo(table_line(result)))
-
-
 @main.command(epilog="\b\nExample:\n  python -m benchmarks tolerance tolerance.json --out docs/tolerance.png")
 @click.argument("source", type=FILE)
 @click.option("--out", type=FILE, required=True, help="Image to write.")
@@ -63,20 +52,6 @@ def tolerance(source: Path, out: Path) -> None:
     from benchmarks.tolerance import draw_tolerance
 
     draw_tolerance(source, out)
-
-
-@main.command(epilog="\b\nExample:\n  python -m benchmarks structure --revision v0.1.0 --revision HEAD")
-@click.option(
-    "--revision", "revisions", multiple=True, default=("HEAD",), show_default=True, help="Revision; repeatable.",
-    metavar="REV",
-)  # fmt: skip
-def structure(revisions: tuple[str, ...]) -> None:
-    """Count files, lines and names of the sources at revisions, as a Markdown table."""
-    from benchmarks.structure import count_revision, structure_table
-
-    repository = Path(__file__).parent.parent
-    counts = [(revision, count_revision(repository, revision)) for revision in revisions]
-    click.echo(structure_table(counts))
 
 
 if __name__ == "__main__":

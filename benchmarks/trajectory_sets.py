@@ -18,9 +18,7 @@ from benchmarks.moves import Family
 from benchmarks.perturbed import add_noise, perturb
 from benchmarks.planted import PLANTERS
 from benchmarks.trajectory import REASONS, TRUTH, Trajectory, TrajectoryKind, TrajectoryTruth, write_truths
-from kinebench_drake.errors import KinebenchError
-from kinebench_drake.executors.base import WorkerCrash
-from kinebench_drake.executors.local import LocalExecutor
+from benchmarks.trials import run_all
 from kinebench_drake.io.atomic import write_atomically
 from kinebench_drake.io.jsonl import Json
 
@@ -149,9 +147,7 @@ def write_set(recipe: Recipe, count: int, out: Path, *, jobs: int = 1) -> Iterat
     """
     out.mkdir(parents=True, exist_ok=True)
     truths: list[TrajectoryTruth] = []
-    for outcome in LocalExecutor(jobs=jobs).run(partial(_Writer, recipe, out), range(count)):
-        if isinstance(outcome, WorkerCrash):
-            raise KinebenchError(f"trajectory {outcome.item} of the {recipe.set.value} set could not be drawn")
-        truths.append(outcome.result)
-        yield outcome.result
+    for truth in run_all(partial(_Writer, recipe, out), range(count), jobs):
+        truths.append(truth)
+        yield truth
     write_truths(out / TRUTH, truths)

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from benchmarks.faults.fault import unit_of
 from benchmarks.markdown import section, table
-from benchmarks.perception.anomaly_table import unit_of
 from benchmarks.validity import SPLIT, SUITE, ValidityTrial
 from benchmarks.validity_response import (
     FALSE_DISCOVERIES,

@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import false_discovery_control, rankdata
 
-from benchmarks.faults.fault import GRADES
-from benchmarks.perception.anomaly_table import unit_of
+from benchmarks.faults.fault import GRADES, unit_of
 from benchmarks.validity import ValidityTrial
 from kinebench_drake.anomaly import AnomalyKind
 from kinebench_drake.errors import InputError

@@ -35,29 +35,6 @@ Results = Sequence[ClipErrors]
 Statistic = Callable[[Results], float]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class VanishLatency:
-    """Latency of the track at a range of frames without a gripper."""
-
-    loss: int
-    """Frames still tracked, from the first one without a gripper; all of them if the loss is not detected."""
-    recovery: int | None
-    """Frames not tracked, from the first one with the gripper back; None if the clip ends before."""
-    false_frames: int
-    """Frames tracked although there is no gripper."""
-
-
-def latency(tracked: NDArray[np.bool_], start: int, end: int) -> VanishLatency:
-    """Return the latency of a track (T,) for a gripper that is absent from frame `start` to `end`, inclusive."""
-    absent = tracked[start : end + 1]
-    after = tracked[end + 1 :]
-    return VanishLatency(
-        loss=len(absent) if absent.all() else int(np.argmin(absent)),
-        recovery=int(np.argmax(after)) if after.any() else (len(after) if len(after) else None),
-        false_frames=int(absent.sum()),
-    )
-
-
 def open_threshold(true_width_m: Array) -> float:
     """Return the gap between closed and open [m] of an episode with true gaps (T,), of which NaN are ignored."""
     finite = true_width_m[np.isfinite(true_width_m)]
@@ -226,26 +203,16 @@ def intervals(
 def summarize(results: Results) -> dict[str, float]:
     """Return all figures of a set of clips, NaN where there is nothing to measure."""
     planted = [(e, fault) for e in results for fault in e.planted]
-    latencies = [latency(e.tracked, f.frame_start, f.frame_end) for e, f in planted if f.kind is AnomalyKind.VANISH]
     tracked = [e.tracked_fraction for e in results if e.visible.any()]
-    wall = [e.expense.wall_s * CLIP_FRAMES / len(e.tracked) for e in results]
-    cpu = [e.expense.cpu_s * CLIP_FRAMES / len(e.tracked) for e in results]
-    nan = float("nan")
     return {
         "videos": len(results),
         **{name: statistic(results) for name, statistic in {**ACCURACY, **MORE}.items()},
-        "tracked_fraction_worst": min(tracked, default=nan),
+        "tracked_fraction_worst": min(tracked, default=float("nan")),
         "longest_flip_frames": max((e.longest_flip for e in results), default=0),
-        "vanish_loss_max_frames": max((v.loss for v in latencies), default=nan),
-        "vanish_recovery_max_frames": max((v.recovery for v in latencies if v.recovery is not None), default=nan),
-        "vanish_phantom_frames": sum(v.false_frames for v in latencies) if latencies else nan,
         "faults_planted": len(planted),
         "faults_found": sum(any(matches(fault, a) for a in e.detected) for e, fault in planted),
         "anomalies_not_planted": sum(not any(matches(f, a) for f in e.planted) for e in results for a in e.detected),
-        "wall_median_s": float(np.median(wall)),
-        "wall_max_s": max(wall),
-        "cpu_median_s": float(np.median(cpu)),
-        "peak_memory_mb": max(e.expense.peak_mb for e in results),
+        "cpu_median_s": float(np.median([e.cpu_s * CLIP_FRAMES / len(e.tracked) for e in results])),
     }
 
 
