@@ -70,9 +70,7 @@ def compare(rows: Iterable[SampleRow], truths: Mapping[str, TrajectoryTruth]) ->
 def _summary(kind: TrajectoryKind, truths: Sequence[TrajectoryTruth], rows: Mapping[str, SampleRow]) -> KindSummary:
     pairs = [(truth, rows[truth.id]) for truth in truths if truth.id in rows]
     ok = [(truth, row) for truth, row in pairs if row.status is Status.OK]
-    wrong = [
-        truth.id for truth, row in pairs if truth.feasible is not None and (row.feasible is False) is truth.feasible
-    ]
+    wrong = [truth.id for truth, row in pairs if (row.feasible is False) is truth.feasible]
     named = [row.feasible is False and _names(row, truth) for truth, row in pairs]
     return KindSummary(
         kind=kind,

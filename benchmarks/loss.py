@@ -10,13 +10,11 @@ from numpy.typing import NDArray
 
 from benchmarks.feasible import draw_feasible
 from benchmarks.motion import Arm
-from benchmarks.perturbed import add_noise, perturb
-from benchmarks.trajectory import Trajectory
+from benchmarks.trajectory import Trajectory, add_noise
 from kinebench_drake.geometry import Array, rotation_exp
 from kinebench_drake.metrics.judge import TrackJudge
 from kinebench_drake.metrics.kinematic_result import KinematicResult, Value
 from kinebench_drake.results.direction import BOUND, HIGHER_IS_BETTER, LOWER_IS_BETTER, improves
-from kinebench_drake.segments import finite_rows
 from kinebench_drake.track import GripperTrack
 
 STAGES = 2
@@ -31,8 +29,6 @@ class TrackKind(Enum):
 
     FEASIBLE = "feasible"
     """Poses of a feasible motion, half of them with noise of up to 5 mm and 2.5 degrees."""
-    PERTURBED = "perturbed"
-    """The same with one to three disturbances (`perturbed`)."""
     JOINTS = "joints"
     """Joint angles of a feasible motion, as recorded."""
 
@@ -83,8 +79,7 @@ class LossWorker:
         rng = np.random.default_rng([self._seed, index])
         kind = list(TrackKind)[index % len(TrackKind)]
         track = self._draw(rng, kind)
-        tracked = finite_rows(track.X_BG.reshape(-1, 16))
-        tracked &= True if track.tracked is None else track.tracked
+        tracked = np.ones(len(track.t_s), dtype=bool)
         results = [self._measure(track, tracked)]
         losses = list[LossKind]()
         usable = tracked & (results[0].curves["manipulability"] > 0.0)  # neither lost nor unreachable so far
@@ -106,9 +101,6 @@ class LossWorker:
         track = draw_feasible(rng, self._arm, proven=False).trajectory(self._arm)
         if kind is TrackKind.JOINTS:
             return track
-        track = replace(track, q=None)
-        if kind is TrackKind.PERTURBED:
-            return replace(perturb(rng, self._arm, track)[0], q=None)
         size_mm = rng.uniform(0.0, 5.0) * (rng.random() < 0.5)
         return add_noise(rng, track, 1e-3 * size_mm, np.deg2rad(0.5 * size_mm))
 

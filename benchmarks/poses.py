@@ -233,30 +233,6 @@ def gate(jobs: int) -> None:
     click.echo("the gate holds")
 
 
-@click.command(epilog="\b\nExample:\n  python -m benchmarks views --out views")
-@click.option("--out", type=FOLDER, required=True, help="Folder for clips, views.jsonl and views.md.")
-@click.option("--changes", default="turn,move", show_default=True, help="Of still, turn, move, zoom; in turn.")
-@click.option("--episodes", type=COUNT, default=1, show_default=True, help="Episodes of each task.", metavar="K")
-@click.option("--seed", type=click.IntRange(min=0), default=40, show_default=True, help="First seed of the split.")
-@click.option("--limit", type=COUNT, help="Number of clips.")
-def views(out: Path, changes: str, episodes: int, seed: int, limit: int | None) -> None:
-    """Ground clips whose camera turns by 10 degrees, moves by 10 cm or zooms by 5 %, and compare with true poses.
-
-    The scenes are those of suite 2, unseen, with the expert's first clip. The same command resumes.
-    """
-    one_thread()
-    from benchmarks.views import CHANGES, measure
-    from kinebench_drake.suites.catalog import load_suite
-
-    names = changes.split(",")
-    if unknown := sorted(set(names) - set(CHANGES)):
-        raise click.UsageError(f"--changes {','.join(unknown)}: there are {', '.join(CHANGES)}")
-    suite = load_suite(2)
-    specs = suite.specs("unseen", episodes, offset=seed)
-    text = measure(specs[:limit], names, out, log=log)
-    click.echo(text)
-
-
 @click.command(epilog="\b\nExample:\n  python -m benchmarks flange heldout --out flange")
 @click.argument("demos", type=EXISTING_FOLDER)
 @click.option("--out", type=FOLDER, required=True, help="Folder for flange.jsonl and flange.md.")
@@ -338,4 +314,4 @@ def planted_videos(
     write_index(out, videos)
 
 
-COMMANDS = (evaluate, budget, calibration, icp, footage, cameras, gate, views, flange, planted_videos)
+COMMANDS = (evaluate, budget, calibration, icp, footage, cameras, gate, flange, planted_videos)

@@ -135,8 +135,8 @@ def simulation(results: Path, tasks: str | None) -> None:
     from benchmarks.simulation import figures, measure, section
     from kinebench_drake.suites.families.registry import TASKS
 
-    timings, steps, images = measure(list(TASKS) if tasks is None else tasks.split(","))
-    _record("simulation", results, figures(timings), section(timings, steps, images))
+    timings = measure(list(TASKS) if tasks is None else tasks.split(","))
+    _record("simulation", results, figures(timings), section(timings))
 
 
 @click.command(

@@ -13,8 +13,6 @@ from benchmarks.options import (
     jobs_option,
     log,
     out_option,
-    work_folder,
-    work_option,
     write_section,
 )
 
@@ -126,51 +124,22 @@ def extractors(work: Path, weights: Path, jobs: int, out: Path | None) -> None:
 
 @click.command(epilog="\b\nExample:\n  python -m benchmarks generated study --jobs 2 --out docs/worldmodel.md")
 @click.argument("study", type=EXISTING_FOLDER)
-@click.option(
-    "--model",
-    type=EXISTING_FOLDER,
-    default=Path("examples/worldmodel/weights"),
-    show_default=True,
-    help="The best training.",
-)
 @baseline_option
 @jobs_option
 @out_option
-def generated(study: Path, model: Path, weights: Path, jobs: int, out: Path | None) -> None:
+def generated(study: Path, weights: Path, jobs: int, out: Path | None) -> None:
     """Correlate the numbers of generated videos with success, and compare them with what a person sees.
 
     STUDY is the folder that examples/worldmodel/study.sh made. An interrupted run continues where it was.
     """
     from benchmarks.generated import sections
     from benchmarks.generated_labels import EyeStudy
-    from benchmarks.generated_truth import truth_sections
     from kinebench_drake.cli.progress import ProgressView
 
     with ProgressView("clips") as view:
-        eye = EyeStudy(study, weights).sections(jobs, view)
-        texts = [*sections(study, jobs, view), *truth_sections(study, model, jobs, view), *eye]
+        texts = [*sections(study, jobs, view), *EyeStudy(study, weights).sections(jobs, view)]
     for text in texts:
         write_section(out, text)
-
-
-@click.command(epilog="\b\nExample:\n  python -m benchmarks drops --jobs 2 --out docs/gate.md")
-@click.option("--count", type=COUNT, default=210, show_default=True, metavar="N")
-@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True)
-@jobs_option
-@work_option
-@out_option
-def drops(count: int, seed: int, jobs: int, work: Path | None, out: Path | None) -> None:
-    """Audit a data set with planted faults and compare its drop list with them."""
-    from benchmarks.drops import draw_episodes, score_list, write_dataset
-    from benchmarks.markdown import section
-    from kinebench_drake.runs.audit import AuditConfig, audit_trajectories
-
-    episodes = list(draw_episodes(count, seed))
-    with work_folder(work) as folder:
-        write_dataset(folder / "dataset", episodes)
-        config = AuditConfig(source=folder / "dataset", out=folder / "out", replays=0, jobs=jobs)
-        lines = score_list(episodes, audit_trajectories(config).drops, count)
-    write_section(out, section("Planted faults", lines))
 
 
 @click.group()
@@ -184,9 +153,9 @@ def trajectories() -> None:
 @click.option("--out", type=FOLDER, required=True, help="Folder; created if absent.")
 @click.option(
     "--kind",
-    type=click.Choice(["feasible", "infeasible", "perturbed", "noisy"]),
+    type=click.Choice(["feasible", "infeasible", "noisy"]),
     required=True,
-    help="Feasible motions (also with noise), planted faults, or random disturbances.",
+    help="Feasible motions (also with noise), or planted faults.",
 )
 @click.option("--count", type=COUNT, default=1000, show_default=True, metavar="N")
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True)
@@ -261,4 +230,4 @@ def precision(videos: tuple[Path, ...], work: Path, jobs: int, out: Path | None)
         raise SystemExit(1)
 
 
-COMMANDS = (precision, causes, loss, drops, validity, extractors, generated, trajectories)
+COMMANDS = (precision, causes, loss, validity, extractors, generated, trajectories)
