@@ -165,6 +165,7 @@ class CauseWorker:
         self._faulty = [make(FaultyOracle(fault.kind.value, fault.size), options) for fault in FAULTS]
 
     def __call__(self, case: CauseCase) -> CauseResult:
+        """Run one case."""
         episode = case.spec.episode()
         simulator = self._simulators.get(episode.task, episode.variant)
         rng = generator("causes", episode.id, case.planted.name)

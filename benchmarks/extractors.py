@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks import markdown
+from benchmarks.bootstrap import cluster_bootstrap
 from benchmarks.perception.store import MeasurementStore, fingerprint
 from benchmarks.validity import ExecutionWorker, TrackExecution, ValidityTrial, read_study, study_specs
 from kinebench_drake.anomaly import AnomalyKind
@@ -29,7 +30,7 @@ from kinebench_drake.io.figure import POSITION, ROTATION, new_figure
 from kinebench_drake.io.npz import open_npz
 from kinebench_drake.io.reader import read_video
 from kinebench_drake.runs.runner import RunObserver
-from kinebench_drake.stats import IntervalEstimate, percentile_interval, resampled_indices, wilson
+from kinebench_drake.stats import IntervalEstimate, wilson
 from kinebench_drake.suites.catalog import EpisodeSpec
 from kinebench_drake.track import GripperTrack
 from training.baseline.network import Baseline
@@ -39,7 +40,6 @@ if TYPE_CHECKING:
 
 FIGURE = "extractors.png"
 """Figure beside the page."""
-_RESAMPLES = 2000
 _EXTRACTIONS = "extractions.jsonl"
 
 
@@ -183,22 +183,14 @@ def changed(extractions: Sequence[Extraction], extractor: Extractor) -> Interval
 
     If all or none are changed, the interval is Wilson's for as many episodes; else a single episode has none.
     """
-    values = np.array([e.changes(extractor) for e in extractions], dtype=np.float64)
-    names = sorted({e.episode for e in extractions})
-    mean = float(values.mean())
-    if np.ptp(values) == 0.0 and mean in (0.0, 1.0):
-        low, high = wilson(round(mean * len(names)), len(names))
-        return IntervalEstimate(value=mean, low=low, high=high)
-    if len(names) == 1:
-        return IntervalEstimate(value=mean, low=float("nan"), high=float("nan"))
-    members = [np.flatnonzero([e.episode == name for e in extractions]) for name in names]
-    draws = [
-        float(values[np.concatenate([members[i] for i in drawn])].mean())
-        for part in resampled_indices(len(names), np.random.default_rng(0), _RESAMPLES)
-        for drawn in part
-    ]
-    low, high = percentile_interval(draws)
-    return IntervalEstimate(value=mean, low=low, high=high)
+    episodes: dict[str, list[bool]] = {}
+    for e in extractions:
+        episodes.setdefault(e.episode, []).append(e.changes(extractor))
+    share = cluster_bootstrap(list(episodes.values()), lambda drawn: float(np.mean(np.concatenate(drawn))))
+    if share.value not in (0.0, 1.0):
+        return share
+    low, high = wilson(round(share.value * len(episodes)), len(episodes))
+    return IntervalEstimate(value=share.value, low=low, high=high)
 
 
 def section(extractions: Sequence[Extraction], about: str) -> str:

@@ -24,8 +24,7 @@ from kinebench_drake.executors.local import LocalExecutor
 from kinebench_drake.formats.manifest import NAME
 from kinebench_drake.geometry import Array
 from kinebench_drake.grounding.overlay import draw_overlay
-from kinebench_drake.grounding.pipeline import GroundingPipeline, Observation
-from kinebench_drake.grounding.priors import NO_PRIORS, Priors
+from kinebench_drake.grounding.pipeline import GroundingPipeline
 from kinebench_drake.io.container import write_video
 from kinebench_drake.io.frames import Frames
 from kinebench_drake.io.reader import read_video
@@ -75,29 +74,14 @@ class TrackRecord:
     id: str
     X_CH: _Micro
     """(T, 4, 4) pose of panda_hand in the camera frame [m]; NaN where not tracked."""
-    X_CH_frame: _Micro
-    """(T, 4, 4) pose of each frame by itself, before confidence and smoothing; NaN where no gripper is detected."""
     tracked: Flags
     confidence: Confidences
     """(T,) 0..1."""
     finger_width_m: _Micro
     """(T,) gap between the finger pads [m]; NaN where unknown."""
-    arm_agrees: Flags
-    """(T,) frames in which one posture explains hand and links."""
     anomalies: tuple[Anomaly, ...]
     cpu_s: Milli
     """Processor time [s]."""
-
-
-class ObservedPipeline(GroundingPipeline):
-    """Pipeline that keeps the measurements of single frames of its last video."""
-
-    observation: Observation
-
-    def observe(self, frames: Frames, camera: Camera, t_s: Array, priors: Priors = NO_PRIORS) -> Observation:
-        """Measure each frame, as `GroundingPipeline.observe`."""
-        self.observation = super().observe(frames, camera, t_s, priors)
-        return self.observation
 
 
 class FootageWorker:
@@ -105,7 +89,7 @@ class FootageWorker:
 
     def __init__(self, gripper: GripperKind, overlays: Path) -> None:
         """Load the pipeline of a gripper; overlays are written into a folder."""
-        self._pipeline = ObservedPipeline.create(gripper=gripper)
+        self._pipeline = GroundingPipeline.create(gripper=gripper)
         self._overlays = overlays
 
     def __call__(self, video: TruthClipFile) -> TrackRecord:
@@ -116,15 +100,12 @@ class FootageWorker:
         result = self._pipeline.ground(frames, camera, np.arange(len(frames), dtype=np.float64) * video.frame_period_s)
         cpu_s = time.process_time() - start
         write_overlay(self._overlays / f"{video.id}.mp4", frames, camera, result.track)
-        poses = self._pipeline.observation.poses
         return TrackRecord(
             id=video.id,
             X_CH=result.track.X_CH,
-            X_CH_frame=np.stack([np.full((4, 4), np.nan) if p is None else p.X_CH for p in poses]),
             tracked=result.track.tracked,
             confidence=result.track.confidence,
             finger_width_m=result.track.finger_width_m,
-            arm_agrees=np.array([p is not None and p.arm is not None and p.arm.agrees for p in poses]),
             anomalies=result.anomalies,
             cpu_s=cpu_s,
         )

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from benchmarks.footage import ReferenceKind, TrackRecord, find_footage, ground_videos, reference_of
-from benchmarks.footage_errors import PoseErrors, compare, error_table, figures, reliability_table
+from benchmarks.footage_errors import PoseErrors, compare, error_table, figures
 from benchmarks.footage_labels import FootageLabels, compare_labels, label_figures, label_table, read_labels
 from benchmarks.markdown import table
 from benchmarks.perception.clip import TruthClipFile
@@ -53,7 +53,7 @@ def _pose_lines(
     result["videos"] = single
     if not kinds:
         return []
-    return ["", *error_table(kinds), "", *error_table(single), "", *reliability_table(kinds)]
+    return ["", *error_table(kinds), "", *error_table(single)]
 
 
 def _label_lines(

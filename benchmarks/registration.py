@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 
 from benchmarks import markdown
+from benchmarks.bootstrap import cluster_bootstrap
 from benchmarks.perception.clip import TruthClip, TruthClipFile, choose, find_clips
 from benchmarks.perception.perturbation.gripper import smooth_noise
 from benchmarks.perception.store import MeasurementStore, fingerprint
@@ -30,14 +31,12 @@ from kinebench_drake.io.frames import Frames
 from kinebench_drake.io.reader import read_video
 from kinebench_drake.models.panda.cad import GripperCad
 from kinebench_drake.models.perception.network import WEIGHTS, load_network
-from kinebench_drake.stats import percentile_interval, resampled_indices
 
 ERROR_CELLS = 12
 """Nodes of a smooth error across the image: about a gripper's width apart."""
 ERROR_FRAMES = 8
 """Frames from one smooth error to the next; it is interpolated in between."""
 _FLIP_RAD = np.pi / 2
-_RESAMPLES = 1000
 _POSES = ("fit", "ICP", "combined")
 
 
@@ -186,7 +185,7 @@ def section(results: Mapping[str, Sequence[RegistrationErrors]], seed: int = 0) 
     frames = sum(len(e.weight) for e in next(iter(results.values())))
     head = ["depth", "weight"]
     head += [f"{name}, mm / degrees" for name in _POSES] + ["combined less fit, mm / degrees"]
-    rows = [[name, *_cells(errors, np.random.default_rng(seed))] for name, errors in results.items()]
+    rows = [[name, *_cells(errors, seed)] for name, errors in results.items()]
     return markdown.section(
         "What ICP contributes",
         f"Written by `python -m benchmarks icp heldout --keep icp.jsonl --limit {videos} --out docs/grounding.md`: "
@@ -197,23 +196,18 @@ def section(results: Mapping[str, Sequence[RegistrationErrors]], seed: int = 0) 
     )
 
 
-def _cells(errors: Sequence[RegistrationErrors], rng: np.random.Generator) -> Iterator[str]:
+def _cells(errors: Sequence[RegistrationErrors], seed: int) -> Iterator[str]:
     yield f"{np.median(np.concatenate([e.weight for e in errors])):.2f}"
     for name in _POSES:
         position = float(np.median(np.concatenate([e.position_m[name] for e in errors])))
         rotation = float(np.median(np.concatenate([e.rotation_rad[name] for e in errors])))
         yield f"{1e3 * position:.2f} / {np.rad2deg(rotation):.2f}"
-    mm = _difference([e.position_m for e in errors], 1e3, rng)
-    yield f"{mm} / {_difference([e.rotation_rad for e in errors], float(np.rad2deg(1.0)), rng)}"
+    mm = _difference([e.position_m for e in errors], 1e3, seed)
+    yield f"{mm} / {_difference([e.rotation_rad for e in errors], float(np.rad2deg(1.0)), seed)}"
 
 
-def _difference(videos: Sequence[Mapping[str, Sequence[float]]], unit: float, rng: np.random.Generator) -> str:
+def _difference(videos: Sequence[Mapping[str, Sequence[float]]], unit: float, seed: int) -> str:
     """Return the mean of combined less fit with its interval over videos."""
     gains: list[Array] = [unit * (np.array(v["combined"]) - np.array(v["fit"])) for v in videos if len(v["fit"])]
-    drawn = [
-        float(np.mean(np.concatenate([gains[i] for i in draw])))
-        for part in resampled_indices(len(gains), rng, _RESAMPLES)
-        for draw in part
-    ]
-    low, high = percentile_interval(np.array(drawn))
-    return f"{np.mean(np.concatenate(gains)):+.2f} ({low:+.2f} to {high:+.2f})"
+    gain = cluster_bootstrap(gains, lambda drawn: float(np.mean(np.concatenate(drawn))), seed)
+    return f"{gain.value:+.2f} ({gain.low:+.2f} to {gain.high:+.2f})"

@@ -5,17 +5,17 @@ of frames of one clip are correlated (Efron 1979; Field and Welsh 2007, the clus
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.bootstrap import cluster_bootstrap
 from benchmarks.perception.errors import LASTING_FRAMES, ClipErrors
 from kinebench_drake.anomaly import Anomaly, AnomalyKind
 from kinebench_drake.geometry import Array
 from kinebench_drake.grounding import bounds
-from kinebench_drake.stats import IntervalEstimate, percentile_interval, resampled_indices, wilson
+from kinebench_drake.stats import IntervalEstimate, wilson
 
 OFF_M = 0.03
 """Position error beyond which a tracked frame is a false track [m]."""
@@ -23,7 +23,6 @@ VISIBLE_SHARE = 0.3
 """Visible share of the gripper from which a frame is expected to be tracked."""
 CLIP_FRAMES = 49
 """Frames that times are scaled to."""
-RESAMPLES = 400
 MARGIN_M = 0.008
 """Distance from the open/closed threshold within which true gaps are not evaluated [m]."""
 HALFWAY_M = 0.04
@@ -67,10 +66,6 @@ class ReliabilityBin:
     """Lower end of the share's 95 % interval (Wilson 1927), frames taken as independent."""
     good_high: float
     """Upper end of the same interval."""
-
-    def to_json(self) -> dict[str, Any]:
-        """Return the JSON object."""
-        return {name: round(value, 5) for name, value in asdict(self).items()}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -190,14 +185,7 @@ def intervals(
 
     The interval is NaN for fewer than two clips.
     """
-    rng = np.random.default_rng(seed)
-    parts = resampled_indices(len(results), rng, RESAMPLES if len(results) > 1 else 0)
-    samples = [[results[i] for i in drawn] for part in parts for drawn in part]
-    table = {}
-    for name, statistic in statistics.items():
-        low, high = percentile_interval([statistic(sample) for sample in samples])
-        table[name] = IntervalEstimate(value=statistic(results), low=low, high=high)
-    return table
+    return {name: cluster_bootstrap(results, statistic, seed) for name, statistic in statistics.items()}
 
 
 def summarize(results: Results) -> dict[str, float]:
