@@ -13,7 +13,7 @@ from kinebench_drake.geometry import pose_difference
 from kinebench_drake.grounding.camera.calibrate import Calibrator
 from kinebench_drake.grounding.camera.calibration_result import CalibrationMethod, CameraCalibration
 from kinebench_drake.grounding.camera.lens import USUAL_FOV_DEG, focal_px, with_focal
-from kinebench_drake.grounding.camera.states import RobotStates, unknown_states
+from kinebench_drake.grounding.camera.states import RobotStates
 from kinebench_drake.grounding.registration.arm_model import ArmModel
 from kinebench_drake.io.reader import read_video
 from kinebench_drake.models.panda.description import RobotPart
@@ -84,7 +84,7 @@ def measure(
                     usual if condition.focal_free else camera,
                     focal_free=condition.focal_free,
                     most=frames,
-                ).calibration
+                )
             except UnmeasurableError as error:
                 yield CalibrationTrial(clip=clip.id, condition=condition, reason=str(error))
                 continue
@@ -137,19 +137,18 @@ def _states(clip: TruthClipFile, model: ArmModel) -> RobotStates:
     return RobotStates(q=q, X_BH=model.poses(q)[:, RobotPart.HAND], finger_m=width / 2, source="the truth")
 
 
-def _prior_states(truth: RobotStates, method: CalibrationMethod) -> RobotStates:
-    """Return the part of the true states that a method uses."""
-    nothing = unknown_states(len(truth.q))
+def _prior_states(truth: RobotStates, method: CalibrationMethod) -> RobotStates | None:
+    """Return the part of the true states that a method uses; None for the one that uses none."""
     if method is CalibrationMethod.JOINTS:
         return truth
     if method is CalibrationMethod.POSES:
-        return replace(truth, q=nothing.q)
-    if method is CalibrationMethod.MOTION:
-        return nothing
+        return replace(truth, q=np.full_like(truth.q, np.nan))
+    if method is CalibrationMethod.ESTIMATE:
+        return None
     first = np.arange(len(truth.q)) == 0
     return replace(
-        nothing,
+        truth,
         q=np.where(first[:, None], truth.q, np.nan),
         X_BH=np.where(first[:, None, None], truth.X_BH, np.nan),
-        source=truth.source,
+        finger_m=np.full_like(truth.finger_m, np.nan),
     )

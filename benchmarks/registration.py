@@ -22,11 +22,10 @@ from kinebench_drake.errors import UsageError
 from kinebench_drake.executors.base import Executor, Observer
 from kinebench_drake.geometry import Array, pose_difference
 from kinebench_drake.grounding.priors import NO_PRIORS, ExternalDepth, Priors
-from kinebench_drake.grounding.tracking.crop import Crop
 from kinebench_drake.grounding.tracking.estimator import NetworkEstimator
 from kinebench_drake.grounding.tracking.pose import FramePose
 from kinebench_drake.grounding.tracking.tracker import CadTracker
-from kinebench_drake.grounding.tracking.view import DenseEstimator, GripperView, replace_depth
+from kinebench_drake.grounding.tracking.view import Crop, DenseEstimator, GripperView, replace_depth
 from kinebench_drake.io.frames import Frames
 from kinebench_drake.io.reader import read_video
 from kinebench_drake.models.panda.cad import GripperCad

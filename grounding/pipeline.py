@@ -33,6 +33,13 @@ from kinebench_drake.models.robot import N_JOINTS
 from kinebench_drake.segments import evenly
 from kinebench_drake.track import Domain, GripperTrack, InitialState
 
+_FIRST_M = 0.015
+"""Largest deviation of a stated initial state from a confident estimate of the first frame, to be used [m]."""
+_FIRST_RAD = float(np.deg2rad(6.0))
+"""The same of its rotation [rad]."""
+_FOLLOWED_SHARE = 0.5
+"""Least number of frames whose hand and arm agree with a followed camera, over that with a fixed one."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PipelineResult:
@@ -212,7 +219,7 @@ class GroundingPipeline:
         distance, angle = pose_difference(
             _initial_hand_pose(state, camera), np.stack([pose.X_CH, pose.X_CH @ X_HALF_TURN])
         )
-        return not bool(((distance <= bounds.FIRST_M) & (angle <= bounds.FIRST_RAD)).any())
+        return not bool(((distance <= _FIRST_M) & (angle <= _FIRST_RAD)).any())
 
     def observe(self, frames: Frames, camera: Camera, t_s: Array, priors: Priors = NO_PRIORS) -> Observation:
         """Measure each frame, without confidence and smoothing along the video.
@@ -259,7 +266,7 @@ class GroundingPipeline:
         if fixed == 0:
             return motion
         followed = self._arm_tracker.track(steady[chosen], wide, places=places).agreeing
-        return motion if followed >= bounds.MAJORITY * fixed else replace(motion, path=None)
+        return motion if followed >= _FOLLOWED_SHARE * fixed else replace(motion, path=None)
 
     def _measure_motion(
         self,

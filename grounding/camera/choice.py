@@ -8,12 +8,12 @@ import numpy as np
 
 from kinebench_drake.camera import CONFIRMED, Camera, CameraSource, benchmark_camera
 from kinebench_drake.errors import UnmeasurableError
-from kinebench_drake.formats.camerafile import BENCHMARK
 from kinebench_drake.geometry import Array
 from kinebench_drake.grounding import bounds
 from kinebench_drake.grounding.camera.camera_estimate import CameraEstimate
+from kinebench_drake.grounding.camera.check import check_named, find_reading
 from kinebench_drake.grounding.camera.estimate import usual_camera
-from kinebench_drake.grounding.camera.evidence import CameraChoice, check_named, find_reading
+from kinebench_drake.grounding.camera.evidence import CameraChoice
 from kinebench_drake.grounding.camera.framing import Framing, apply_framing
 from kinebench_drake.grounding.camera.framing_search import find_framing
 from kinebench_drake.grounding.camera.picture_reading import BetterReading, PictureReading
@@ -24,10 +24,17 @@ from kinebench_drake.grounding.priors import Clip, Priors
 from kinebench_drake.grounding.video_result import GroundingResult
 from kinebench_drake.io.frames import Frames
 from kinebench_drake.models.panda.description import GripperKind
+from kinebench_drake.named_cameras import BENCHMARK
 from kinebench_drake.track import Domain, GripperTrack
 
-_SIGMAS = 2.0  # standard deviations of an estimated camera that its poses may be off by
-_MOST_RIVALS = 3  # cameras beside the estimated one under which a track is judged: each is another grounding
+_HAND_SHARE = 0.1
+"""Least share of the frames in which a hand counts as seen."""
+_TRACKED_SHARE = 0.5
+"""Least share of the frames with a tracked flange, of an arm that is measured without its gripper's name."""
+_SIGMAS = 2.0
+"""Standard deviations of an estimated camera that its poses may be off by."""
+_MOST_RIVALS = 3
+"""Cameras beside the estimated one under which a track is judged: each is another grounding."""
 PriorSource = Callable[[Camera], Priors]
 """Function from the camera of the whole frames to quantities that replace estimates."""
 
@@ -157,7 +164,7 @@ class CameraChooser:
         """
         estimate: CameraEstimate | None = None
         try:
-            estimate = self.parts.cameras.estimate(self.clip.frames)
+            estimate = self.parts.cameras.estimate(self.clip.frames, usual)
             doubt = estimate.misfit
         except UnmeasurableError as error:
             doubt = str(error)
@@ -225,7 +232,7 @@ class CameraChooser:
 
     def _is_lost(self, hand: PipelineResult) -> bool:
         """Return whether a hand is tracked in so few frames that it may be another gripper."""
-        least = max(bounds.MIN_TRACKED, bounds.HAND_SHARE * len(hand.track.t_s))
+        least = max(bounds.MIN_TRACKED, _HAND_SHARE * len(hand.track.t_s))
         return self.gripper is GripperKind.AUTO and int(hand.track.tracked.sum()) < least
 
     def _view(self, choice: CameraChoice) -> _View:
@@ -279,7 +286,7 @@ class CameraChooser:
             return self.parts.arm(self.gripper).ground(*inputs)
         for gripper in (GripperKind.NONE, GripperKind.ROBOTIQ_2F85):
             arm = self.parts.arm(gripper).ground(*inputs)
-            if arm.track.tracked.mean() >= bounds.MAJORITY:
+            if arm.track.tracked.mean() >= _TRACKED_SHARE:
                 return arm
             if not arm.track.confidence.any():  # contours of a gripper are sought where there is an arm
                 break

@@ -64,7 +64,6 @@ class Executor(Protocol):
             KinebenchError: a worker raised it, which ends the run. Any other exception is a bug: it counts as a crash
                 if workers are separate processes, otherwise it propagates.
         """
-        ...
 
 
 @runtime_checkable
@@ -73,7 +72,6 @@ class SupportsDrain(Protocol):
 
     def drain(self) -> None:
         """Start no further items and let running ones finish. May be called by a signal handler during `run`."""
-        ...
 
 
 @runtime_checkable
@@ -82,7 +80,6 @@ class SupportsClose(Protocol):
 
     def close(self) -> None:
         """Release the resources."""
-        ...
 
 
 class Observer(Protocol):
@@ -90,15 +87,12 @@ class Observer(Protocol):
 
     def warn(self, message: str) -> None:
         """Report a condition the user should know about; the work continues."""
-        return None
 
     def start(self, total: int, completed: int) -> None:
         """Report the number of items, and how many of them an earlier run completed."""
-        return None
 
     def advance(self, line: str, *, ok: bool = True) -> None:
         """Report one processed item, described by `line`; `ok`: whether it counts as completed."""
-        return None
 
 
 @contextmanager

@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinebench_drake.camera import CONFIRMED, Camera, CameraSetting, CameraSource, CameraState
+from kinebench_drake.clip_timing import ClipTiming, sample_uniformly
 from kinebench_drake.errors import InputError, count_noun, name_options
-from kinebench_drake.formats.camerafile import find_camera, read_camera
+from kinebench_drake.formats.camerafile import read_camera
 from kinebench_drake.formats.videos.sample import VideoSample
 from kinebench_drake.geometry import Array
 from kinebench_drake.grounding.overrides.overrides import Overrides
@@ -19,11 +20,11 @@ from kinebench_drake.io.images import read_image
 from kinebench_drake.io.jsonl import Json
 from kinebench_drake.io.video import WHOLE, Video
 from kinebench_drake.models.panda.description import GripperKind
+from kinebench_drake.named_cameras import find_camera
 from kinebench_drake.results.inputs import BENCHMARK_PERIOD_S, PeriodSource
 from kinebench_drake.results.row import SampleRow, Status
+from kinebench_drake.runs.benchmark import load_benchmark
 from kinebench_drake.runs.config import AUTO
-from kinebench_drake.suites.clock import ClipTiming, sample_uniformly
-from kinebench_drake.suites.start import START_WIDTH_M, start_q
 from kinebench_drake.track import Domain, GripperTrack, InitialState
 
 if TYPE_CHECKING:  # loads torch and Open3D
@@ -122,11 +123,12 @@ def with_initial_states(samples: Iterable[VideoSample]) -> list[VideoSample]:
     for sample in samples:
         task = sample.task
         seed = sample.seed
-        if sample.initial_state is None and seed is not None and task is not None and task in START_WIDTH_M:
-            plant = plant or ArmPlant()
-            q = start_q(task, seed)
-            initial = InitialState(X_BG=plant.forward(q[:7]), finger_width_m=float(q[7:].sum()))
-            sample = replace(sample, initial_state=initial)
+        if sample.initial_state is None and seed is not None and task is not None:
+            q = load_benchmark().start_q(task, seed)
+            if q is not None:
+                plant = plant or ArmPlant()
+                initial = InitialState(X_BG=plant.forward(q[:7]), finger_width_m=float(q[7:].sum()))
+                sample = replace(sample, initial_state=initial)
         completed.append(sample)
     return completed
 

@@ -120,7 +120,7 @@ def run_samples(
             statistics = RunStatistics.of(store.rows.values(), config.seed)
             store.finish(summarize(store.sorted_rows(), metadata, statistics))
             try:
-                _replay(config, worst)
+                replay_samples(config, worst)
             except SetupError:  # a full disk, or no program may open a port: the report stands, the next run makes up
                 close_run(store, config.kind, config.seed, statistics)
                 raise
@@ -212,7 +212,7 @@ def summarize(rows: Sequence[SampleRow], metadata: RunMetadata, statistics: RunS
     )
 
 
-def _replay(config: RunConfig, ids: Sequence[str]) -> None:
+def replay_samples(config: RunConfig, ids: Sequence[str]) -> None:
     """Write 3D replays."""
     if ids:
         from kinebench_drake.kinematics.plant import ArmPlant

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinebench_drake.camera import Camera, CameraSetting
+from kinebench_drake.clip_timing import ClipTiming, sample_uniformly
 from kinebench_drake.errors import InputError, UnmeasurableError, UsageError
 from kinebench_drake.geometry import Array
 from kinebench_drake.grounding.camera.framing import undo_framing
@@ -23,9 +24,7 @@ from kinebench_drake.suites.clock import (
     FRAME_PERIOD_S,
     MAX_FRAME_PERIOD_S,
     MIN_FRAME_PERIOD_S,
-    ClipTiming,
     Control,
-    sample_uniformly,
 )
 from kinebench_drake.suites.closed_loop.execution import CommandPlanner, Commands, Execution, RobotState, execute
 from kinebench_drake.suites.closed_loop.following import ActionSource

@@ -11,6 +11,7 @@ from itertools import takewhile
 from pathlib import Path
 
 from kinebench_drake.camera import BENCHMARK_PX
+from kinebench_drake.clip_timing import ClipTiming
 from kinebench_drake.environment.precision import network_precision
 from kinebench_drake.errors import count_noun
 from kinebench_drake.executors.base import ExecutorKind
@@ -24,12 +25,11 @@ from kinebench_drake.results.row import SampleRow, sample_suffix
 from kinebench_drake.results.store import REQUESTS, artifact_path
 from kinebench_drake.results.trackfile import write_track
 from kinebench_drake.runs.evaluator import ANOMALIES_OPEN, KINEMATIC_METRICS, PENDING, Evaluation, Evaluator
-from kinebench_drake.runs.pictures import episode_strip, rollout_frames
 from kinebench_drake.runs.resources import Resources, load_resources
 from kinebench_drake.runs.runner import NullRunObserver, RunObserver, RunSummary, run_samples
 from kinebench_drake.runs.score import VISUAL_METRICS
 from kinebench_drake.suites.catalog import EpisodeSpec
-from kinebench_drake.suites.clock import FRAME_PERIOD_S, ClipTiming
+from kinebench_drake.suites.clock import FRAME_PERIOD_S
 from kinebench_drake.suites.closed_loop.attribution import find_cause
 from kinebench_drake.suites.closed_loop.execution import CommandPlanner
 from kinebench_drake.suites.closed_loop.following import (
@@ -55,6 +55,7 @@ from kinebench_drake.suites.runs.clips import (
     rejections,
     visual_metrics,
 )
+from kinebench_drake.suites.runs.pictures import episode_strip, rollout_frames
 from kinebench_drake.suites.runs.requests import request_path, write_requests
 from kinebench_drake.suites.runs.suite_config import SuiteConfig
 from kinebench_drake.suites.simulator import Simulator
