@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from kinebench_drake.errors import KinebenchError, UnmeasurableError
-from kinebench_drake.executors.base import Executor, WorkerCrash
+from benchmarks.trials import run_all
+from kinebench_drake.errors import UnmeasurableError
 from kinebench_drake.geometry import Array, make_pose, rotation_exp
 from kinebench_drake.io.figure import new_figure, save
 from kinebench_drake.kinematics.plant import ArmPlant
@@ -77,18 +77,15 @@ def plant_error(
     return make_pose(X_BG[:, :3, :3] @ rotation_exp(ROTATION_RAD_PER_M * w), X_BG[:, :3, 3] + p), finger_width_m
 
 
-def measure_tolerance(executor: Executor, episodes: Sequence[Episode]) -> Iterator[Attempt]:
+def measure_tolerance(episodes: Sequence[Episode], jobs: int) -> Iterator[Attempt]:
     """Execute the expert's track in each episode with every error in every size.
 
     Raises:
         KinebenchError: a worker died.
     """
-    for done in executor.run(
-        partial(SimulatorWorker, _attempt_all, SimulatorCache(Simulator, renders=False)), episodes
-    ):
-        if isinstance(done, WorkerCrash):
-            raise KinebenchError(f"{done.item.id}: {done.reason}")
-        yield from done.result
+    make_worker = partial(SimulatorWorker, _attempt_all, SimulatorCache(Simulator, renders=False))
+    for attempts in run_all(make_worker, episodes, jobs):
+        yield from attempts
 
 
 def _attempt_all(simulator: Simulator, episode: Episode) -> list[Attempt]:
