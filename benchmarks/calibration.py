@@ -8,7 +8,6 @@ import numpy as np
 
 from benchmarks.markdown import table
 from benchmarks.perception.clip import TruthClipFile, choose, find_clips
-from kinebench_drake.camera import Camera
 from kinebench_drake.errors import UnmeasurableError, UsageError, cause
 from kinebench_drake.geometry import pose_difference
 from kinebench_drake.grounding.camera.calibrate import Calibrator
@@ -16,8 +15,6 @@ from kinebench_drake.grounding.camera.calibration_result import CalibrationMetho
 from kinebench_drake.grounding.camera.lens import USUAL_FOV_DEG, focal_px, with_focal
 from kinebench_drake.grounding.camera.states import RobotStates
 from kinebench_drake.grounding.registration.arm_model import ArmModel
-from kinebench_drake.io.frames import Frames
-from kinebench_drake.io.jsonl import Json
 from kinebench_drake.io.reader import read_video
 from kinebench_drake.models.panda.description import RobotPart
 
@@ -56,36 +53,18 @@ class CalibrationTrial:
     reason: str | None = None
     """Why it failed."""
 
-    def to_json(self) -> dict[str, Json]:
-        """Return all figures."""
-        claimed = None
-        if self.calibration is not None:
-            c = self.calibration
-            claimed = (c.position_sigma_m, c.rotation_sigma_rad, c.focal_sigma)
-        return {
-            "clip": self.clip,
-            "condition": self.condition.label,
-            "distance_m": self.distance_m,
-            "angle_rad": self.angle_rad,
-            "focal": self.focal,
-            "claimed": claimed,
-            "reason": self.reason,
-        }
-
 
 def measure(
     folder: Path,
     *,
     limit: int | None,
     frames: int,
-    part: float = 1.0,
     conditions: Sequence[CalibrationCondition] = CONDITIONS,
     calibrator: Calibrator | None = None,
 ) -> Iterator[CalibrationTrial]:
     """Calibrate the cameras of a demonstration folder's videos.
 
-    Of at most `limit` videos, tasks in turn, `frames` frames each are used; of each image's width and height the share
-    `part` in the middle, which is a longer focal length. Trials come video by video.
+    Of at most `limit` videos, tasks in turn, `frames` frames each are used. Trials come video by video.
 
     Raises:
         UsageError: the folder holds no such videos, or their truth no joint angles.
@@ -94,7 +73,8 @@ def measure(
     calibrator = calibrator or Calibrator.load()
     for clip in choose(find_clips(folder), limit):
         truth = _states(clip, model)
-        images, camera = _crop_middle(read_video(clip.video).frames, clip.camera, part)
+        images = read_video(clip.video).frames
+        camera = clip.camera
         usual = with_focal(camera, focal_px(camera.width, USUAL_FOV_DEG))
         for condition in conditions:
             try:
@@ -117,15 +97,6 @@ def measure(
                 focal=calibration.camera.fx / camera.fx - 1.0,
                 calibration=calibration,
             )
-
-
-def _crop_middle(frames: Frames, camera: Camera, part: float) -> tuple[Frames, Camera]:
-    """Return the middle of the frames (T, H, W, 3) and its camera."""
-    left, top = (round(side * (1.0 - part) / 2) for side in (camera.width, camera.height))
-    width = camera.width - 2 * left
-    height = camera.height - 2 * top
-    cut = np.ascontiguousarray(frames[:, top : top + height, left : left + width])
-    return cut, replace(camera, width=width, height=height, cx=camera.cx - left, cy=camera.cy - top)
 
 
 def trial_table(trials: Sequence[CalibrationTrial]) -> list[str]:

@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from kinebench_drake.camera import Camera
-from kinebench_drake.formats.camerafile import BENCHMARK, NamedCamera, named_cameras
 from kinebench_drake.grounding import bounds
 from kinebench_drake.grounding.camera.candidate import CameraCandidate
 from kinebench_drake.grounding.camera.check import SEARCHED, CameraChecker
@@ -19,6 +18,7 @@ from kinebench_drake.grounding.camera.framing import placements
 from kinebench_drake.grounding.camera.lens import Lens
 from kinebench_drake.grounding.camera.picture_reading import BetterReading, PictureReading
 from kinebench_drake.io.frames import Frames
+from kinebench_drake.named_cameras import BENCHMARK, NamedCamera, named_cameras
 from kinebench_drake.segments import evenly
 
 # Checked on clips at stock cameras: `benchmarks/mujoco_clips.py stock`, then

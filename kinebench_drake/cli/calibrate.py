@@ -102,8 +102,8 @@ def cameras(as_json: bool) -> None:
     Each with its vertical field of view, the usual size of its pictures, the height of the table top in the base frame,
     on what it was checked, how its pictures are also published, and the source of its numbers.
     """
-    from kinebench_drake.formats.camerafile import named_cameras
     from kinebench_drake.io.jsonl import dump
+    from kinebench_drake.named_cameras import named_cameras
 
     listed = named_cameras().values()
     if as_json:

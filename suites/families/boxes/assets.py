@@ -50,8 +50,6 @@ OPEN_RAD = (np.radians(105.0), np.radians(120.0))
 MATERIALS = ("cardboard", "wood", "plastic", "tin", "leather", "paper")
 """Materials of boxes, assigned in turn."""
 
-_TIGHT = 5.0
-"""Damping of a tight hinge over that of a usual one."""
 _THIN_M = 0.0006  # thickness of linings and labels
 _PALETTE = np.array(
     [
@@ -75,10 +73,14 @@ class _BoxDesign:
     density: float
 
 
+TIGHT = 5.0
+"""Factor of the damping of a tight hinge."""
+
+
 def with_tight_hinge(model: AssetModel) -> AssetModel:
-    """Return the same box with a hinge of `_TIGHT` times the damping."""
+    """Return the same box with a hinge of `TIGHT` times the damping."""
     bodies = tuple(
-        body if body.joint is None else replace(body, joint=replace(body.joint, damping=_TIGHT * body.joint.damping))
+        body if body.joint is None else replace(body, joint=replace(body.joint, damping=TIGHT * body.joint.damping))
         for body in model.bodies
     )
     return replace(model, bodies=bodies)

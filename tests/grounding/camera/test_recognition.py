@@ -6,12 +6,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from kinebench_drake.formats.camerafile import find_camera, named_cameras
 from kinebench_drake.grounding import bounds
 from kinebench_drake.grounding.camera.picture_reading import PictureReading
 from kinebench_drake.grounding.camera.recognition import RECOGNITION_LEAD, Recognition, cameras_of
 from kinebench_drake.grounding.components import GroundingComponents
 from kinebench_drake.io.reader import read_video
+from kinebench_drake.named_cameras import find_camera, named_cameras
 
 CLIP = Path("tests/gate/benchmark.mp4")
 POINT_B = np.array([0.4, 0.1, 0.2])

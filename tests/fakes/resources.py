@@ -1,15 +1,10 @@
-"""Stages that need no network and no robot: what they do is told by the red of a video's upper left corner.
+"""Stages that need no network and no robot: what they do with a film the test says when it writes it (`Behavior`).
 
-What is known of a video shows in its track: the median of a given depth is the gripper's distance, the share of the
-picture that a given mask covers its confidence.
+Priors show in the track: the median of a given depth is the gripper's distance, the share of the picture that a given
+mask covers its confidence.
 """
 
-import os
-import signal
-import time
 from dataclasses import dataclass, field, replace
-from enum import IntEnum
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -25,24 +20,12 @@ from kinebench_drake.kinematics.violation import Violation, ViolationKind
 from kinebench_drake.metrics.kinematic_result import KinematicResult
 from kinebench_drake.models.panda.description import GripperKind
 from kinebench_drake.track import Domain, GripperTrack, IkStatus, JointTrack
+from tests.fakes.behavior import Fakes
 
-LOG = "FAKE_TOOLS_LOG"
-"""Environment variable: file to which every call of `ground` adds a line."""
-
-
-class Act(IntEnum):
-    """What to do with a video; times 40 it is the red of its upper left corner."""
-
-    FEASIBLE = 0
-    NO_ROBOT = 1
-    RAISE = 2
-    DIE = 3
-    SLOW = 4
-    INFEASIBLE = 5
-
-
-def act_of(frames):
-    return Act(round(float(frames[0, :12, :12, 0].mean()) / 40.0))
+REACH_M = 1.0
+"""Greatest x in the base frame that the fake arm reaches."""
+VANISH = 2
+"""Frames for which a gripper that vanishes is absent."""
 
 
 @dataclass(frozen=True)
@@ -68,6 +51,7 @@ class FakeResult:
     camera: Camera
     framing: Framing
     choice: FakeChoice
+    table_height_m: float | None
     camera_motion_px: float | None = 0.12
     arm_consistency_px: float | None = 2.0
     first_frame: InitialStateUse = InitialStateUse.UNKNOWN
@@ -80,6 +64,10 @@ class FakeResult:
     detections: SimpleNamespace = field(default_factory=lambda: SimpleNamespace(scores={}))
     hand_size: None = None
     possible: tuple[GripperTrack, ...] = ()
+
+    @property
+    def measured(self):
+        return self
 
     @property
     def robot(self):
@@ -95,9 +83,7 @@ class FakeResult:
 
 
 class FakeGrounder:
-    """Grounding that reads its track from the frames; an unnamed camera is the benchmark's where the shape fits."""
-
-    infeasible = False
+    """Grounding that makes its track up; an unnamed camera is the benchmark's where the shape fits."""
 
     def ground(
         self,
@@ -106,16 +92,16 @@ class FakeGrounder:
         priors=NO_PRIORS,
         *,
         source=CameraSource.ARGUMENT,
+        table_height_m=None,
         gripper=GripperKind.AUTO,
         trusts_camera=False,
     ):
-        act = act_of(clip.frames)
-        if LOG in os.environ:
-            with Path(os.environ[LOG]).open("a") as log:
-                log.write(f"{act.name} {os.getpid()}\n")
+        fakes = Fakes.of_environment()
+        fakes.note_call()
+        behavior = fakes.behavior(clip.frames)
         named = camera is not None or trusts_camera
-        lens = benchmark_camera() if camera is None else camera.camera
-        choice = FakeChoice(source if named else CameraSource.BENCHMARK)
+        lens = camera or benchmark_camera()
+        choice = FakeChoice(source if named else CameraSource.BENCHMARK, table_height_m=table_height_m)
         try:
             framing = find_framing(clip.frames, lens, clip.conditioning, choice.source)
         except UnmeasurableError:
@@ -127,80 +113,72 @@ class FakeGrounder:
             )
             lens = replace(lens, width=clip.frames.shape[2], height=clip.frames.shape[1])
             framing = find_framing(clip.frames, lens, None)
-        if act is Act.RAISE:
-            raise RuntimeError("the fake\nfell over")
-        if act is Act.DIE:
-            os.kill(os.getpid(), signal.SIGKILL)
-        if act is Act.SLOW:
-            time.sleep(0.4)
+        behavior.act()
         if not isinstance(priors, Priors):
             priors = priors(framing.whole_camera(lens))
-        track, anomalies = self.track(clip, priors)
+        track, anomalies = make_track(clip, priors, behavior)
         if choice.reason is not None:
             track = replace(track, X_BG=np.full_like(track.X_BG, np.nan))
-        if not track.tracked.any() and not trusts_camera:
+        if not behavior.has_gripper and not trusts_camera:
             raise UnmeasurableError(f"no Franka hand is found in any of {len(clip.frames)} frames")
-        return self.result(
-            FakeResult(
-                track=track,
-                anomalies=anomalies,
-                frames=framing.crop(clip.frames),
-                camera=framing.camera(lens),
-                framing=framing,
-                choice=choice,
-            )
+        result = FakeResult(
+            track=track,
+            anomalies=anomalies,
+            frames=framing.crop(clip.frames),
+            camera=framing.camera(lens),
+            framing=framing,
+            choice=replace(choice, **behavior.choice),
+            table_height_m=table_height_m,
         )
-
-    def result(self, result):
-        """What subclasses change."""
-        return result
-
-    def track(self, clip, known):
-        act = act_of(clip.frames)
-        t_s = clip.t_s
-        self.infeasible = act is Act.INFEASIBLE
-        n = len(t_s)
-        s = np.linspace(0.0, 1.0, n)
-        p = np.stack([0.4 + 0.1 * s, 0.2 * np.sin(3 * s), 0.3 + 0.05 * np.cos(5 * s)], axis=1)
-        X = make_pose(np.broadcast_to(np.diag([1.0, -1.0, -1.0]), (n, 3, 3)), p)
-        X = X if known.X_CH is None else known.X_CH.copy()
-        if known.depth is not None:
-            X[:, 2, 3] = np.median(known.depth.depth_m, axis=(1, 2))
-        if known.initial_state is not None:
-            X[0] = known.initial_state.X_BG
-        tracked = np.isfinite(X).all(axis=(1, 2))
-        anomalies = ()
-        if act is Act.NO_ROBOT:
-            tracked[:] = False
-        if self.infeasible:
-            tracked[n // 2 : n // 2 + 2] = False
-            anomalies = (Anomaly(kind=AnomalyKind.VANISH, frame_start=n // 2, frame_end=n // 2 + 1, severity=2.0),)
-        X[~tracked] = np.nan
-        confidence = np.where(tracked, 0.95 - 0.3 * np.sin(np.pi * s) ** 2, 0.0)
-        confidence = confidence if known.mask is None else known.mask.mean(axis=(1, 2))
-        width = 0.04 + 0.03 * np.cos(4 * s) if known.finger_width_m is None else known.finger_width_m
-        track = GripperTrack(
-            t_s=t_s,
-            X_CH=X,
-            X_BG=X,
-            tracked=tracked,
-            confidence=confidence,
-            finger_width_m=np.where(tracked, width, np.nan),
-        )
-        return track, anomalies
+        return replace(result, **behavior.result)
 
 
-class FakeTools:
-    make_grounder = FakeGrounder
+def make_track(clip, priors, behavior):
+    """Return the track of a film, whose poses in the camera frame are those in the base frame, and its anomalies."""
+    n = len(clip.t_s)
+    s = np.linspace(0.0, 1.0, n)
+    p = np.stack([0.4 + 0.1 * s, 0.2 * np.sin(3 * s), 0.3 + 0.05 * np.cos(5 * s)], axis=1)
+    X = make_pose(np.broadcast_to(np.diag([1.0, -1.0, -1.0]), (n, 3, 3)), p)
+    X = X if priors.X_CH is None else priors.X_CH.copy()
+    if not behavior.feasible:
+        X[:, 0, 3] += REACH_M
+    if priors.depth is not None:
+        X[:, 2, 3] = np.median(priors.depth.depth_m, axis=(1, 2))
+    if priors.initial_state is not None:
+        X[0] = priors.initial_state.X_BG
+    anomalies = ()
+    if behavior.vanishes:
+        first = n // 2
+        X[first : first + VANISH] = np.nan
+        anomalies = (Anomaly(kind=AnomalyKind.VANISH, frame_start=first, frame_end=first + VANISH - 1, severity=2.0),)
+    if not behavior.has_gripper:
+        X[:] = np.nan
+    posed = np.isfinite(X).all(axis=(1, 2))
+    tracked = posed & behavior.is_sure
+    confidence = np.where(posed, 0.95 - 0.3 * np.sin(np.pi * s) ** 2, 0.0) * (1.0 if behavior.is_sure else 0.2)
+    confidence = confidence if priors.mask is None else priors.mask.mean(axis=(1, 2))
+    width = 0.04 + 0.03 * np.cos(4 * s) if priors.finger_width_m is None else priors.finger_width_m
+    track = GripperTrack(
+        t_s=clip.t_s,
+        X_CH=X,
+        X_BG=X,
+        tracked=tracked,
+        confidence=confidence,
+        finger_width_m=np.where(posed, width, np.nan),
+    )
+    return track, anomalies
+
+
+class FakeResources:
+    """Grounding and kinematics of a worker process: a track is feasible as far as the fake arm reaches."""
 
     def __init__(self, options):
         self._options = options
-        self.grounder = self.make_grounder()
-        self._infeasible = False
+        self.grounder = FakeGrounder()
 
     def judge(self, track, table_height_m=None):
         n = len(track.t_s)
-        infeasible = self._infeasible or self.grounder.infeasible
+        infeasible = bool((track.X_BG[:, 0, 3] > REACH_M).any())
         q = np.linspace(-0.5, 0.5, n)[:, None] * np.ones(7)
         q[~track.tracked] = np.nan
         joints = JointTrack(
@@ -236,27 +214,28 @@ class FakeTools:
         )
 
     def judge_joints(self, t_s, q, finger_width_m):
-        """Infeasible where the first joint starts beyond 1 rad."""
-        known = np.isfinite(q).all(axis=1)
-        X = np.where(known[:, None, None], make_pose(np.eye(3), np.nan_to_num(q[:, :3])), np.nan)
+        """Judge joint angles, of which the first three are the position of the gripper."""
+        posed = np.isfinite(q).all(axis=1)
+        X = np.where(posed[:, None, None], make_pose(np.eye(3), np.nan_to_num(q[:, :3])), np.nan)
         track = GripperTrack(
             t_s=t_s,
             X_CH=np.full_like(X, np.nan),
             X_BG=X,
-            tracked=known,
-            confidence=known.astype(float),
+            tracked=posed,
+            confidence=posed.astype(float),
             finger_width_m=finger_width_m,
         )
-        self._infeasible = bool(q[0, 0] > 1.0)
         judgement = self.judge(track)
-        self._infeasible = False
         return replace(judgement, joints=replace(judgement.joints, q=q), details={"given": "q"})
 
     def misfit(self, trajectory, enough):
         return 0.0
 
     def overlay(self, frames, camera, track, zoom=None, *, hand=True):
-        for frame, X in zip(frames, track.X_BG, strict=True):
+        gate = Fakes.of_environment().behavior(frames).waits_in_overlay
+        for number, (frame, X) in enumerate(zip(frames, track.X_BG, strict=True)):
+            if number and gate is not None:
+                gate.wait()
             image = frame.copy()
             if np.isfinite(X).all():
                 u = int(np.clip((X[0, 3] - 0.35) / 0.2, 0, 0.9) * image.shape[1])
@@ -264,6 +243,6 @@ class FakeTools:
             yield image
 
 
-def broken(options):
-    """A factory of analyzers on a machine that lacks a library."""
+def fail_to_load(options):
+    """Create the resources of a machine that lacks a library."""
     raise ImportError("libmissing.so: cannot open shared object file")
