@@ -1,6 +1,7 @@
 """Names in backticks in docstrings exist: as a module, class, function, constant, parameter, field or string."""
 
 import ast
+import itertools
 import re
 import subprocess
 from collections import defaultdict
@@ -44,11 +45,13 @@ def names_of(path, tree):
 NAMES = {path: names_of(path, tree) for path, tree in TREES.items()}
 DEFINED = set.union(*NAMES.values()) | FOREIGN
 OWNERS = defaultdict(set)
-"""Names in the modules of each name, and in those that define a class of that name."""
+"""Names in the modules of each name, in those that define a class of that name, and in packages of that name."""
 for module, tree in TREES.items():
     for owner in (Path(module).stem, *(node.name for node in tree.body if isinstance(node, ast.ClassDef))):
         OWNERS[owner] |= NAMES[module]
-FILE_ENDINGS = {"csv", "html", "json", "jsonl", "parquet", "safetensors"}
+    for package, member in itertools.pairwise(Path(module).with_suffix("").parts):
+        OWNERS[package].add(member)
+FILE_ENDINGS = {"csv", "html", "json", "jsonl", "parquet", "safetensors", "txt"}
 
 
 def quoted(tree):
