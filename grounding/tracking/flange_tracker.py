@@ -18,12 +18,11 @@ from kinebench_drake.grounding import bounds
 from kinebench_drake.grounding.priors import NO_PRIORS, Priors
 from kinebench_drake.grounding.registration.arm_fit import LAST_LINKS, ArmFitter
 from kinebench_drake.grounding.registration.arm_model import ArmModel
-from kinebench_drake.grounding.registration.chain_fit import ChainFitter
 from kinebench_drake.grounding.registration.edges import links_shape, robotiq_shape
 from kinebench_drake.grounding.registration.fit import MIN_CELLS
 from kinebench_drake.grounding.registration.image import GradientImages
 from kinebench_drake.grounding.registration.solver import Correspondences
-from kinebench_drake.grounding.tracking.flange_fit import REACHES_PX, FlangeFitter, FlangeView
+from kinebench_drake.grounding.tracking.flange_fit import REACHES_PX, ChainFitter, FlangeFitter, FlangeView
 from kinebench_drake.grounding.tracking.localization import find_region
 from kinebench_drake.grounding.tracking.markov import OFFSETS_RAD, TURNS_RAD, likeliest_turns
 from kinebench_drake.grounding.tracking.pose import FramePose
