@@ -88,9 +88,7 @@ class CameraMotion:
     def lost(self) -> NDArray[np.bool_]:
         """(T,) frames whose camera is unknown, as it moved too far and was not followed."""
         far = np.asarray(np.nan_to_num(self.px, nan=0.0) > bounds.COMPENSABLE_PX * self.unit_px)
-        if self.path is None:
-            return far
-        return (far | np.isnan(self.px)) & ~self.path.followed
+        return far if self.path is None else (far | np.isnan(self.px)) & ~self.path.followed
 
     @property
     def X_AC(self) -> Array:

@@ -158,7 +158,6 @@ def find_finger_faults(width_m: ArrayLike) -> Detection:
     index = np.flatnonzero(np.isfinite(width_m))
     width = width_m[index]
     outside = np.maximum(np.maximum(-width, width - MAX_WIDTH_M), 0.0)
-    amplitude = flutter(width)
     size = np.zeros(len(width_m))
-    size[index] = np.maximum(outside, amplitude)
+    size[index] = np.maximum(outside, flutter(width))
     return Detection.from_score(AnomalyKind.FINGERS, size / _WIDTH_FAULT_M, size)

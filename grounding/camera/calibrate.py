@@ -195,7 +195,6 @@ def fit_cells(
     """
     prior = Prior(lens=start, log_focal_sigma=np.inf if focal_free else 0.0)
     p_B = cells.locate(X_BP, finger_m)
-    repeats = cells.count_repeats(X_BP)
 
     def adjusted(scene: ArmScene, weight: Array, steps: int = 20) -> BundleAdjustment:
         points = p_B if q is None else cells.locate(model.poses(scene.q), scene.finger_m)
@@ -207,18 +206,14 @@ def fit_cells(
     scene = ArmScene(lens=start, q=np.zeros((len(X_BP), N_JOINTS)) if q is None else q, finger_m=finger_m)
     for _ in range(rounds):
         scene = adjusted(scene, cells.weight).scene
-    return adjusted(scene, cells.weight / repeats, 0)
+    return adjusted(scene, cells.weight / cells.count_repeats(X_BP), 0)
 
 
 def _find_consensus(cells: CalibrationCorrespondences, p_B: Array, cameras: Sequence[Camera]) -> list[Lens]:
     """Return initial lenses by RANSAC from the cells' points `p_B` (N, 3) [m], by decreasing number of inliers."""
-    ranked = []
-    for camera in cameras:
-        solution = solve_pnp(p_B, cells.uv_px, camera)
-        if solution is not None:
-            X_CB, inliers = solution
-            ranked.append((inliers, Lens(camera=camera, X_CB=X_CB)))
-    return [lens for _, lens in sorted(ranked, key=lambda pair: -pair[0])]
+    solutions = [(camera, solve_pnp(p_B, cells.uv_px, camera)) for camera in cameras]
+    solved = [(camera, *solution) for camera, solution in solutions if solution is not None]
+    return [Lens(camera=camera, X_CB=X_CB) for camera, X_CB, _ in sorted(solved, key=lambda one: -one[2])]
 
 
 def _require_enough(cells: CalibrationCorrespondences) -> None:
@@ -391,10 +386,9 @@ def calibrate(config: CalibrationConfig, calibrator: Calibrator | None = None) -
         video.require_measurable()
     except UnmeasurableError as error:
         raise UnmeasurableError(f"{config.video.name}: {error}") from None
-    states = _states(config, video, ArmModel())
     return (calibrator or Calibrator.load()).calibrate(
         video.frames,
-        states,
+        _states(config, video, ArmModel()),
         _guess(config, intrinsics, video.width, video.height),
         focal_free=config.camera is None and config.focal_px is None,
         centre_free=config.camera is None,
@@ -466,9 +460,8 @@ def _times(video: Video, period_s: float | None) -> Array:
 
 def _guess(config: CalibrationConfig, intrinsics: Camera | None, width: int, height: int) -> Camera:
     """Return the initial camera: the pose of the benchmark camera unless a camera is provided."""
-    if intrinsics is not None:
-        return intrinsics.resized(width, height)
-    return centred_camera(width, height, config.focal_px or focal_px(max(width, height), USUAL_FOV_DEG))
+    focal = config.focal_px or focal_px(max(width, height), USUAL_FOV_DEG)
+    return centred_camera(width, height, focal) if intrinsics is None else intrinsics.resized(width, height)
 
 
 def _chosen(states: RobotStates, most: int) -> NDArray[np.intp]:

@@ -300,8 +300,7 @@ class CameraChecker:
         if start is None:
             return None
         images = self._fitter.images(frames[detections.rows[start.rows]], lens.camera)
-        prior = Prior(lens=lens, log_focal_sigma=0.0, place_free=False)
-        return self._fitter.fit(start, images, prior, _PASSES)
+        return self._fitter.fit(start, images, Prior(lens=lens, log_focal_sigma=0.0, place_free=False), _PASSES)
 
     def base_agreement(self, frames: Frames, fit: CameraCandidate) -> float:
         """Return the share of the base link's contours on image edges in the frames (T, H, W, 3) of a fit; 0 unseen."""

@@ -147,11 +147,13 @@ def find_correspondences(views: Sequence[tuple[int, GripperView]], camera: Camer
         camera: camera of the crops.
     """
     close = {row for row, view in views if _is_close(view)}
-    cells = []
-    for row, view in views:
-        parts = (*GRIPPER, *ARM) if _is_close(view) or row not in close else ARM
-        cells += [_part_cells(row, view, part, camera) for part in parts]
-    return CalibrationCorrespondences.join(cells)
+    return CalibrationCorrespondences.join(
+        [
+            _part_cells(row, view, part, camera)
+            for row, view in views
+            for part in ((*GRIPPER, *ARM) if _is_close(view) or row not in close else ARM)
+        ]
+    )
 
 
 def _is_close(view: GripperView) -> bool:

@@ -156,9 +156,9 @@ class CameraEstimator:
         Turns that differ too little before the contours of the base are fitted are compared afterwards: a right one has
         more of them on image edges then.
         """
-        close = list(turns[:1])
-        if turns[0].share >= bounds.BASE_AGREEMENT:  # with less there is no base frame, however the base is turned
-            close = [turn for turn in turns if turn.share > turns[0].share - bounds.LEAD]
+        # With less agreement there is no base frame, however the base is turned.
+        is_seen = turns[0].share >= bounds.BASE_AGREEMENT
+        close = [turn for turn in turns if turn.share > turns[0].share - bounds.LEAD] if is_seen else list(turns[:1])
         fits = []
         for turn in close:
             fit = self.fitter.finish(replace(arm, scene=arm.scene.turned(turn.angle_rad)), images, prior, total)

@@ -95,9 +95,8 @@ class ChainSearch:
     def _opened(cells: CalibrationCorrespondences, finger_m: float) -> CalibrationCorrespondences | None:
         """Return the cells of the gripper in the hand's frame, opened by `finger_m`; None if there are too few."""
         cells = cells.take(cells.of_gripper)
-        if len(cells) < MIN_LINK_CELLS:
-            return None
-        return replace(cells, p_P=cells.p_P + cells.opening_sign[:, None] * [0.0, finger_m, 0.0])
+        opened_H = cells.p_P + cells.opening_sign[:, None] * [0.0, finger_m, 0.0]
+        return replace(cells, p_P=opened_H) if len(cells) >= MIN_LINK_CELLS else None
 
     @staticmethod
     def _link_cells(cells: CalibrationCorrespondences) -> dict[int, CalibrationCorrespondences]:
@@ -115,13 +114,9 @@ class ChainSearch:
 
     def hands(self, camera: Camera) -> list[Array | None]:
         """Return the poses X_CH (4, 4) of the hand in all frames by perspective-n-point; None where it fails."""
-        poses: list[Array | None] = [None] * self._frames
-        for t, cells in enumerate(self._gripper):
-            if cells is not None:
-                solution = solve_pnp(cells.p_P, cells.uv_px, camera)
-                if solution is not None and solution[0][2, 3] > NEAREST_M:
-                    poses[t] = solution[0]
-        return poses
+        solutions = [None if cells is None else solve_pnp(cells.p_P, cells.uv_px, camera) for cells in self._gripper]
+        poses = (None if solution is None else solution[0] for solution in solutions)
+        return [X_CH if X_CH is not None and X_CH[2, 3] > NEAREST_M else None for X_CH in poses]
 
     def _errors(self, X_CP: Array, cells: CalibrationCorrespondences, camera: Camera) -> Array:
         """Return the capped squared errors (M, n) of cells of one part at poses `X_CP` (M, 4, 4)."""

@@ -160,10 +160,11 @@ def _read(sample: TrajectorySample, choice: TrajectoryOptions) -> Trajectory:
 
 def _episode(samples: tuple[TrajectorySample, ...], path: Path, episode: str | None) -> TrajectorySample:
     names = [sample.part or sample.id for sample in samples]
-    if episode is not None:
-        chosen = [s for s, name in zip(samples, names, strict=True) if episode in (name, name.removeprefix("traj_"))]
-    else:
-        chosen = list(samples)
+    chosen = [
+        sample
+        for sample, name in zip(samples, names, strict=True)
+        if episode in (None, name, name.removeprefix("traj_"))
+    ]
     if len(chosen) != 1:
         content = f"no episode {episode}" if not chosen else f"{len(chosen)} episodes"
         few = ", ".join(names[:8]) + (", ..." if len(names) > 8 else "")

@@ -421,9 +421,8 @@ class ArmFitter:
         if points is None:
             return None
         solution = solve(self._links_at(near.q[None]), Correspondences.stack([points]), np.array([LINKS_DEPTH_SIGMA]))
-        if not solution.valid[0]:
-            return None
-        return FollowedArm(q=solution.model.q[0], X_CH=solution.model.hand()[0][0], points=points)
+        arm = solution.model
+        return FollowedArm(q=arm.q[0], X_CH=arm.hand()[0][0], points=points) if solution.valid[0] else None
 
     def fit_links(
         self, X_CH: Array, turn_sigma_rad: float, links: Correspondences, image: GradientImage

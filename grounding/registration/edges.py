@@ -244,11 +244,10 @@ class EdgeMatcher:
         camera = image.camera
         place = (points.pixel + move[:, None] * points.normal)[strong]
         ray = np.column_stack([(place - [camera.cx, camera.cy]) / [camera.fx, camera.fy], np.ones(len(place))])
-        sigma_m = SIGMA_PX / camera.fx * points.p_C[strong, 2]
         return Correspondences.without_range(
             edge_frames(ray, points.normal[strong]),
             points.p_P[strong],
-            np.column_stack([sigma_m, np.full(len(place), np.inf)]),
+            np.column_stack([SIGMA_PX / camera.fx * points.p_C[strong, 2], np.full(len(place), np.inf)]),
             points.part[strong],
             INDEPENDENT,
             opening_sign=OPENING_SIGNS[points.part[strong]],
@@ -281,9 +280,8 @@ class FlangeShape:
 
     def at_likeliest(self, image: GradientImage, X_CP: Array) -> "FlangeShape":
         """Return the shape at the opening alone whose contours lie best on edges of the image."""
-        if len(self.edges) == 1:
-            return self
-        return replace(self, edges=(self.edges[int(self.gripper_agreement(image, X_CP).argmax())],))
+        likeliest = 0 if len(self.edges) == 1 else int(self.gripper_agreement(image, X_CP).argmax())
+        return replace(self, edges=(self.edges[likeliest],))
 
 
 def links_shape() -> FlangeShape:

@@ -72,11 +72,10 @@ class SilhouetteMatcher:
         focal = view.crop.focal / view.stride
         line = view.rays_at(v, u)
         p_V = line * depth[v, u, None]
-        p_P = transform_points(invert(X_VH), p_V)
         line[:, :2] -= normal * step[v, u, None] / focal
         return Correspondences.without_range(
             edge_frames(line, normal) @ view.crop.R_CV.T,
-            p_P,
+            transform_points(invert(X_VH), p_V),
             np.column_stack([_SIGMA_CELLS / focal * p_V[:, 2], np.full(len(v), np.inf)]),
             part[v, u],
             _INDEPENDENT,
@@ -84,8 +83,8 @@ class SilhouetteMatcher:
 
     def _render(self, view: GripperView, X_CH: Array, finger_m: float) -> tuple[Array, NDArray[np.uint8]]:
         """Return depth [m] and part of each cell (h, w) of the rendered gripper."""
-        X_VH = invert(view.crop.X_CV) @ X_CH
-        depth, part = self._cad.first_hits(X_VH, view.rays().reshape(-1, 3), finger_m)
+        rays = view.rays().reshape(-1, 3)
+        depth, part = self._cad.first_hits(invert(view.crop.X_CV) @ X_CH, rays, finger_m)
         return depth.reshape(view.part.shape), part.reshape(view.part.shape)
 
 

@@ -91,15 +91,13 @@ class ChainModel:
 
     def prior(self) -> tuple[Array, Array]:
         """Return the information (B, 13, 13) that keeps unobserved joints near `q_start`, and its gradient (B, 13)."""
-        information = np.diag([*[0.0] * 6, *self.q_sigma**-2])
         gradient = np.zeros((len(self.q), 6 + N_JOINTS))
         gradient[:, 6:] = (self.q - self.q_start) / self.q_sigma**2
-        return np.tile(information, (len(self.q), 1, 1)), gradient
+        return np.tile(np.diag([*[0.0] * 6, *self.q_sigma**-2]), (len(self.q), 1, 1)), gradient
 
     def updated(self, step: Array) -> Self:
         """Return the chains after a change (B, 13) of their parameters, within the joint limits."""
-        R = rotation_exp(step[:, :3]) @ self.X_CH[:, :3, :3]
-        X_CH = make_pose(R, self.X_CH[:, :3, 3] + step[:, 3:6])
+        X_CH = make_pose(rotation_exp(step[:, :3]) @ self.X_CH[:, :3, :3], self.X_CH[:, :3, 3] + step[:, 3:6])
         return replace(self, X_CH=X_CH, q=self.model.clip(self.q + step[:, 6:]))
 
     def take(self, index: NDArray[np.generic]) -> Self:
@@ -128,15 +126,17 @@ class ChainFitter:
         """Fit the chain to cells of links; None if the last links are not seen."""
         if (cells.part == RobotPart.LINK7).sum() < MIN_LINK_CELLS:
             return None
-        solutions = []
-        for root in _ROOTS:
-            own = cells.take(cells.part == root)
-            enough = len(own) >= MIN_ROOT_CELLS
-            solution = self.refit(self._follow(root, own, cells), cells, iterations=15) if enough else None
-            if solution is not None:
-                square = np.minimum((solution.residual[:, :2] ** 2).sum(axis=1), COST_CAP)
-                solutions.append((float(square.mean()), solution))
-        return min(solutions, key=lambda pair: pair[0])[1] if solutions else None
+        roots = {root: cells.take(cells.part == root) for root in _ROOTS}
+        solutions = [
+            self.refit(self._follow(root, own, cells), cells, iterations=15)
+            for root, own in roots.items()
+            if len(own) >= MIN_ROOT_CELLS
+        ]
+
+        def cost(solution: Solution[ChainModel]) -> float:
+            return float(np.minimum((solution.residual[:, :2] ** 2).sum(axis=1), COST_CAP).mean())
+
+        return min((solution for solution in solutions if solution is not None), key=cost, default=None)
 
     def turned(self, chain: ChainModel, angle_rad: Array, sigma_rad: float = POSTURE_SIGMA_RAD) -> ChainModel:
         """Return a single chain with its last joint at each of some angles (M,), the other links where they are.
@@ -181,9 +181,8 @@ class ChainFitter:
     def _best(self, cells: Correspondences, part: int, X_CP: Array, joint: int) -> int:
         """Return the number of the angle at which a link at poses `X_CP` (M, 4, 4) matches its cells best."""
         own = cells.take(cells.part == part)
-        if len(own) < _LEAST_CELLS:
-            return int(np.abs(self._angle[joint] - USUAL_Q[joint]).argmin())
-        return int(misfit(own, X_CP).argmin())
+        unusual = np.abs(self._angle[joint] - USUAL_Q[joint])
+        return int((misfit(own, X_CP) if len(own) >= _LEAST_CELLS else unusual).argmin())
 
 
 def misfit(cells: Correspondences, X_CP: Array) -> Array:

@@ -217,11 +217,12 @@ class FlangeTracker:
         reaches_px = REACHES_PX[0 if flange.shape.gripper else -2 :]
         before = dict(poses)
         for i, chain in chains.items():
-            points = []
-            for k in {i - 1, i + 1} & chains.keys():
-                flow = flange.flow(chains[k], images[k], images[i])
-                if flow is not None:
-                    points.append(replace(flow, weight=_certainty(before[k], before[i]) * flow.weight))
+            flows = {k: flange.flow(chains[k], images[k], images[i]) for k in {i - 1, i + 1} & chains.keys()}
+            points = [
+                replace(flow, weight=_certainty(before[k], before[i]) * flow.weight)
+                for k, flow in flows.items()
+                if flow is not None
+            ]
             pose = flange.fit_turned(chain, turns[i], _TURN_SIGMA_RAD, shown[i], reaches_px, points)
             if pose is not None:
                 based = None if flange.shape.gripper else self._on_base(pose, i, video)
@@ -234,9 +235,8 @@ class FlangeTracker:
         if arm is None or arm.edge_agreement < max(bounds.EDGE_AGREEMENT, pose.overlap - _BASE_LOSS):
             return None
         distance, angle = pose_difference(arm.X_CH, pose.X_CH)
-        if distance > _ON_BASE_M or angle > bounds.MAX_ANGLE_RAD:
-            return None
-        return replace(pose, X_CH=arm.X_CH, arm=arm, overlap=arm.edge_agreement)
+        is_near = distance <= _ON_BASE_M and angle <= bounds.MAX_ANGLE_RAD
+        return replace(pose, X_CH=arm.X_CH, arm=arm, overlap=arm.edge_agreement) if is_near else None
 
 
 def _agreement(pose: FramePose | None) -> float:

@@ -190,8 +190,7 @@ class CadTracker:
             if pose.arm is not None and pose.arm.agrees
         }
         gaps = gap_log_likelihoods(self._edges, hands)
-        views = [poses[i].view for i in hands]
-        fits = fit_all(views, [poses[i].X_CH for i in hands], [None] * len(hands))
+        fits = fit_all([poses[i].view for i in hands], [poses[i].X_CH for i in hands], [None] * len(hands))
         refined = {}
         for (i, hand), fit in zip(hands.items(), fits, strict=True):
             X_CP = open_fingers(hand.X_CP, finger_or_default(poses[i].finger_m))
@@ -268,9 +267,8 @@ class CadTracker:
 
     def _rim(self, view: GripperView, hand: HandFit, priors: Priors, number: int) -> Correspondences | None:
         """Return the correspondences of the silhouette where the pose depends on it."""
-        if priors.pose(number) is not None or priors.has_exact_depth:
-            return None
-        return self._silhouette.match(view, hand.X_CH, finger_or_default(hand.finger_m))
+        is_exact = priors.pose(number) is not None or priors.has_exact_depth
+        return None if is_exact else self._silhouette.match(view, hand.X_CH, finger_or_default(hand.finger_m))
 
     def _register_all(self, poses: Mapping[int, FramePose]) -> dict[int, FramePose]:
         """Return the poses combined with their registration by ICP."""
