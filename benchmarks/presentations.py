@@ -19,8 +19,8 @@ from kinebench_drake.camera import Camera
 from kinebench_drake.errors import UnmeasurableError
 from kinebench_drake.executors.base import Executor, Observer
 from kinebench_drake.geometry import pose_difference
+from kinebench_drake.grounding.camera.evidence import PictureReading
 from kinebench_drake.grounding.camera.lens import with_focal
-from kinebench_drake.grounding.camera.picture_reading import PictureReading
 from kinebench_drake.grounding.priors import Clip
 from kinebench_drake.grounding.video import Grounder
 from kinebench_drake.io.frames import Frames

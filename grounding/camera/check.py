@@ -21,10 +21,9 @@ from kinebench_drake.grounding.camera.candidate import (
     CandidateFitter,
 )
 from kinebench_drake.grounding.camera.detections import MIN_FRAMES, ArmDetections, find_robot
-from kinebench_drake.grounding.camera.evidence import CameraChoice, CameraContradiction
+from kinebench_drake.grounding.camera.evidence import BetterReading, CameraChoice, CameraContradiction, PictureReading
 from kinebench_drake.grounding.camera.hypotheses import ChainSearch, Hypothesis
 from kinebench_drake.grounding.camera.lens import Lens, with_focal
-from kinebench_drake.grounding.camera.picture_reading import BetterReading, PictureReading
 from kinebench_drake.grounding.pipeline import PipelineResult
 from kinebench_drake.grounding.registration.fit import UNSEEN_FINGER_M
 from kinebench_drake.grounding.tracking.localization import PART_CELLS

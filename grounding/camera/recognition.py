@@ -14,9 +14,9 @@ from kinebench_drake.grounding import bounds
 from kinebench_drake.grounding.camera.candidate import CameraCandidate
 from kinebench_drake.grounding.camera.check import SEARCHED, CameraChecker
 from kinebench_drake.grounding.camera.estimate import usual_camera
+from kinebench_drake.grounding.camera.evidence import BetterReading, PictureReading
 from kinebench_drake.grounding.camera.framing import placements
 from kinebench_drake.grounding.camera.lens import Lens
-from kinebench_drake.grounding.camera.picture_reading import BetterReading, PictureReading
 from kinebench_drake.io.frames import Frames
 from kinebench_drake.named_cameras import BENCHMARK, NamedCamera, named_cameras
 from kinebench_drake.segments import evenly

@@ -15,7 +15,7 @@ SHAPING = (
     *("camera", "geometry", "track", "io.reader", "models.panda.cad", "models.perception.network"),
     *("grounding.pipeline", "grounding.tracking.tracker", "grounding.tracking.confidence"),
     *("grounding.registration.fit", "grounding.registration.solver", "grounding.camera.framing_search"),
-    *("grounding.overrides.depth", "grounding.anomaly.detect"),
+    *("grounding.overrides.overrides", "grounding.anomaly.detect"),
 )
 STUDIES = ("errors", "clip", "variants", "reframing", "perturbation.gripper", "perturbation.catalogue")
 PRESENTING = ("anomaly_table", "depth_map", "figures", "study", "summary", "tables")

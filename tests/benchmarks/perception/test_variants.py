@@ -12,7 +12,7 @@ from benchmarks.perception.study import depth_ablation
 from benchmarks.perception.variants import Degradation, DegradedEstimator, external
 from kinebench_drake.camera import Camera
 from kinebench_drake.errors import InputError, UsageError
-from kinebench_drake.grounding.overrides.depth import DepthPlugIn
+from kinebench_drake.grounding.overrides.overrides import DepthPlugIn
 from kinebench_drake.grounding.priors import ExternalDepth, Priors
 from kinebench_drake.grounding.tracking.view import Crop, GripperView, OverrideEstimator
 from kinebench_drake.io.frames import Frames
