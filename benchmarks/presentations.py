@@ -195,7 +195,7 @@ class TrialWorker:
             state=choice.state.value,
             reason=choice.reason or result.unmeasurable,
             agreement=choice.agreement,
-            reading=None if choice.reading is None else choice.reading.reading.value,
+            reading=None if choice.better_reading is None else choice.better_reading.reading.value,
             name=None if choice.named is None else choice.named.name,
             tracked=round(float(track.tracked.mean()), 4),
             position_m=float(np.median(position_m[compared])) if compared.any() else None,

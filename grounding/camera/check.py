@@ -356,7 +356,7 @@ def check_named(
         return choice if agreement is None else replace(choice, reason=_explain_disagreement(agreement, result))
     reading = find_reading(frames, camera, agreement, checker)
     if reading is not None:
-        return replace(choice, reading=reading, reason=f"the base frame is unknown: {reading.describe()}")
+        return replace(choice, better_reading=reading, reason=f"the base frame is unknown: {reading.describe()}")
     if agreement is not None and agreement >= CONFIRMED:
         return choice
     other = None if result.domain is Domain.ARM else checker.find_contradiction(frames, camera)

@@ -141,14 +141,14 @@ class CameraChoice:
     """Height of the table top in the robot base frame that is stated with the camera [m]; None if none is."""
     named: NamedCamera | None = None
     """Camera by name, where the arm is to confirm it."""
-    shown: PictureReading | None = None
-    """How its picture is turned before it is measured; None: not at all."""
+    applied_reading: PictureReading | None = None
+    """How the picture of a recognized camera is turned before it is measured; None: not at all."""
     estimate: CameraEstimate | None = None
     """Estimated camera; None if none was estimated."""
     contradiction: CameraContradiction | None = None
     """Camera that explains the arm better than the named one; None if none was found."""
-    reading: BetterReading | None = None
-    """PictureReading of picture or matrix that explains the arm better; None if none was found."""
+    better_reading: BetterReading | None = None
+    """Reading of picture or matrix that explains the arm better than what was measured; None if none was found."""
     reason: str | None = None
     """Why there is no base frame; None if there is one."""
 
@@ -167,14 +167,14 @@ class CameraChoice:
         data: dict[str, Json] = {"camera_source": source.value, "camera_state": self.state.value}
         if self.named is not None:
             data["camera_name"] = self.named.name
-        if self.shown is not None:
-            data["camera_shown"] = self.shown.value
+        if self.applied_reading is not None:
+            data["camera_shown"] = self.applied_reading.value
         if self.agreement is not None:
             data["camera_agreement"] = round(self.agreement, 4)
         for key, part in (
             ("camera_estimate", self.estimate),
             ("camera_contradiction", self.contradiction),
-            ("camera_reading", self.reading),
+            ("camera_reading", self.better_reading),
         ):
             if part is not None:
                 data[key] = part.to_json()
