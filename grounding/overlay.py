@@ -44,11 +44,9 @@ def _part_map(camera: Camera, X_CH: Array, finger_m: float, cad: GripperCad) -> 
     left, right = (int(np.clip(x, 0, camera.width)) for x in (u - reach, u + reach))
     top, bottom = (int(np.clip(y, 0, camera.height)) for y in (v - reach, v + reach))
     if left < right and top < bottom:
-        width = right - left
-        height = bottom - top
-        window = replace(camera, width=width, height=height, cx=camera.cx - left, cy=camera.cy - top)
+        window = replace(camera, width=right - left, height=bottom - top, cx=camera.cx - left, cy=camera.cy - top)
         _, part = cad.first_hits(X_CH, window.rays().reshape(-1, 3), finger_m)
-        labels[top:bottom, left:right] = part.reshape(height, width)
+        labels[top:bottom, left:right] = part.reshape(window.height, window.width)
     return labels
 
 

@@ -6,7 +6,7 @@ from functools import cache
 
 import cv2
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from kinebench_drake.anomaly import Anomaly, AnomalyKind
 from kinebench_drake.camera import Camera
@@ -187,7 +187,7 @@ def _outline(view: GripperView, X_CH: Array, camera: Camera) -> NDArray[np.uint8
     return outline
 
 
-def find_duplicates(share: ArrayLike) -> Detection:
+def find_duplicates(share: Array) -> Detection:
     """Detect frames with a large `share` (T,) of a second gripper (`second_gripper`); severity: the largest."""
     size = sustained(share, _PRESENCE_FRAMES)
     return Detection.from_score(AnomalyKind.DUPLICATE, size / _DUPLICATE_SHARE, size)
@@ -228,14 +228,12 @@ def shape_misfit(view: GripperView, X_CH: Array, finger_m: float) -> float:
     return float(np.sqrt((total * (field**2).sum(axis=1)).sum() / spread))
 
 
-def find_deformations(misfit: ArrayLike, residual: ArrayLike) -> Detection:
+def find_deformations(misfit: Array, residual: Array) -> Detection:
     """Detect frames with a deformed gripper; severity: the largest median misfit.
 
     The `misfit` (T,) of the shape (`shape_misfit`) counts with the `residual` (T,) of cells against the rigid gripper
     [standard deviations].
     """
-    misfit = np.asarray(misfit, dtype=np.float64)
-    residual = np.asarray(residual, dtype=np.float64)
     finite = residual[np.isfinite(residual)]
     usual = min(float(np.median(finite)), _USUAL_RESIDUAL) if finite.size else _USUAL_RESIDUAL
     excess = residual / (_EXCESS * usual)

@@ -4,11 +4,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike
 from scipy.ndimage import grey_opening
 
 from kinebench_drake.anomaly import Anomaly, AnomalyKind
-from kinebench_drake.errors import InputError
 from kinebench_drake.geometry import Array
 from kinebench_drake.segments import segments
 
@@ -58,16 +56,6 @@ class AnomalyDetections:
     spread: float = 0.0
     """Relative difference of scores between number formats."""
 
-    def __post_init__(self) -> None:
-        """Check that every kind has a finite score.
-
-        Raises:
-            InputError: a kind is missing, or its score is not finite.
-        """
-        for kind in AnomalyKind:
-            if kind not in self.by_kind or not np.isfinite(self.by_kind[kind].score).all():
-                raise InputError(f"no finite score of {kind.value}; expected one for each kind of anomaly")
-
     @property
     def anomalies(self) -> tuple[Anomaly, ...]:
         """All anomalies in the order of their frames."""
@@ -89,19 +77,18 @@ class AnomalyDetections:
         return {kind: detection.peak for kind, detection in self.by_kind.items()}
 
 
-def sustained(values: ArrayLike, frames: int) -> Array:
+def sustained(values: Array, frames: int) -> Array:
     """Return for each frame (T,) the largest value that `frames` consecutive frames around it all reach; NaN is 0.
 
     A grey opening (Serra 1982): shorter peaks are removed, longer ones stay.
     """
-    values = np.nan_to_num(np.asarray(values, dtype=np.float64), nan=0.0)
-    opened = np.asarray(grey_opening(np.pad(values, frames), size=frames)[frames:-frames])
+    padded = np.pad(np.nan_to_num(values, nan=0.0), frames)
+    opened = np.asarray(grey_opening(padded, size=frames)[frames:-frames])
     return opened if len(values) >= frames else np.zeros(len(values))
 
 
-def finite_median(values: ArrayLike, window: int) -> Array:
+def finite_median(values: Array, window: int) -> Array:
     """Return the running median (T,) over `window` frames; NaN where fewer than half of them are finite."""
-    values = np.asarray(values, dtype=np.float64)
     half = window // 2
     smoothed = np.full(len(values), np.nan)
     for i in range(len(values)):

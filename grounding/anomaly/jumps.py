@@ -4,7 +4,7 @@ from itertools import pairwise
 
 import cv2
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from kinebench_drake.anomaly import AnomalyKind
 from kinebench_drake.geometry import Array
@@ -42,7 +42,7 @@ _MAX_GAP = 2
 _FLUTTER_FRAMES = 4
 
 
-def jump_lengths(p: ArrayLike, fair: NDArray[np.bool_], t_s: Array) -> Array:
+def jump_lengths(p: Array, fair: NDArray[np.bool_], t_s: Array) -> Array:
     """Return the length (T,) of the path's jump just before each frame [m].
 
     The displacement from each of the two frames before to each of the two from it on, less what the median velocity of
@@ -51,7 +51,6 @@ def jump_lengths(p: ArrayLike, fair: NDArray[np.bool_], t_s: Array) -> Array:
     speed accelerates and decelerates. A displacement over a missing frame counts half. 0 where a side has less than two
     frames; positions `p` (T, n) [m] count in `fair` (T,) frames.
     """
-    p = np.asarray(p, dtype=np.float64)
     index = np.flatnonzero(fair & finite_rows(p))
     lengths = np.zeros(len(p))
     if len(index) < 4:
@@ -71,14 +70,14 @@ def jump_lengths(p: ArrayLike, fair: NDArray[np.bool_], t_s: Array) -> Array:
     return lengths
 
 
-def find_teleports(p: ArrayLike, fair: NDArray[np.bool_], good: NDArray[np.bool_], t_s: Array) -> Detection:
+def find_teleports(p: Array, fair: NDArray[np.bool_], good: NDArray[np.bool_], t_s: Array) -> Detection:
     """Detect jumps of the gripper; start and end: the first frame after the jump; severity: its length [m].
 
     The score is the length over the larger of its least one and `_TELEPORT_CONTRAST` times the median length
     around it. Positions `p` (T, 3) [m] count in `fair` (T,) frames; a jump starts from and leads to `good` (T,) ones.
     """
     lengths = jump_lengths(p, fair, t_s)
-    index = np.flatnonzero(fair & finite_rows(np.asarray(p, dtype=np.float64)))
+    index = np.flatnonzero(fair & finite_rows(p))
     lengths[index[1:][~(good[index[1:]] & good[index[:-1]])]] = 0.0
     score = np.zeros(len(lengths))
     for i in np.flatnonzero(lengths).tolist():
@@ -104,14 +103,13 @@ def still_frames(frames: Frames) -> NDArray[np.bool_]:
     return np.array([False, *(c < _STILL_LEVELS for c in change)])
 
 
-def find_freezes(p: ArrayLike, fair: NDArray[np.bool_], still: NDArray[np.bool_], t_s: Array) -> Detection:
+def find_freezes(p: Array, fair: NDArray[np.bool_], still: NDArray[np.bool_], t_s: Array) -> Detection:
     """Detect runs of still frames that begin in motion and end with a jump; severity: their number of frames.
 
     A dwell slows down before and is no freeze. The score of a run is the least of its length, of the speed before, and
     of the last step over its neighbours', each over its bound. Positions `p` (T, 3) [m] count in `fair` (T,) frames;
     `still` (T,) ones repeat the one before.
     """
-    p = np.asarray(p, dtype=np.float64)
     step = np.concatenate([[np.nan], np.linalg.norm(np.diff(p, axis=0), axis=1)])
     score = np.zeros(len(p))
     size = np.zeros(len(p))
@@ -149,12 +147,11 @@ def flutter(width_m: Array) -> Array:
     return amplitude
 
 
-def find_finger_faults(width_m: ArrayLike) -> Detection:
+def find_finger_faults(width_m: Array) -> Detection:
     """Detect widths (T,) [m] that flutter or exceed the gripper's range; severity: the largest excess [m].
 
     A fast change is none: joint sensors of a real Franka Hand record 41 mm in 0.1 s.
     """
-    width_m = np.asarray(width_m, dtype=np.float64)
     index = np.flatnonzero(np.isfinite(width_m))
     width = width_m[index]
     outside = np.maximum(np.maximum(-width, width - MAX_WIDTH_M), 0.0)

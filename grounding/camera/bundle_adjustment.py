@@ -57,8 +57,7 @@ class Observations(RobotPoints):
 
     def at_rest(self, p_B: Array) -> "Observations":
         """Return them as points `p_B` (N, 3) of the base's frame [m] that no joint moves."""
-        part = np.full(len(self), RobotPart.BACKGROUND, np.uint8)
-        return replace(self, part=part, p_P=p_B, opening_sign=np.zeros(len(self)))
+        return replace(self, part=np.zeros_like(self.part), p_P=p_B, opening_sign=np.zeros(len(self)))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -4,7 +4,7 @@
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -83,13 +83,12 @@ _FITTED = 3
 _PASSES = (*COARSE, *MIDDLE[1:])
 
 
+@dataclass(frozen=True, slots=True)
 class CameraChecker:
     """Checks of cameras, each by frames (T, H, W, 3) RGB and their camera; one instance serves any number of videos."""
 
-    def __init__(self, estimator: DenseEstimator, fitter: CandidateFitter) -> None:
-        """Check with the dense estimates of `estimator`."""
-        self._estimator = estimator
-        self._fitter = fitter
+    _estimator: DenseEstimator
+    _fitter: CandidateFitter
 
     def track_agreement(self, frames: Frames, camera: Camera, result: PipelineResult) -> float | None:
         """Return the share of the contours of hand and arm on image edges in the postures of a track; None without any.
@@ -240,8 +239,10 @@ class CameraChecker:
         Only the size of the camera matters, and its focal length a little.
         """
         detections = find_robot(self._estimator, frames, camera, SEARCHED, searched=SEARCHED)
-        count = 0 if detections is None else int((detections.count_cells(RobotPart.HAND) >= PART_CELLS).sum())
-        return count, min(SEARCHED, len(frames))
+        if detections is None:
+            return 0, min(SEARCHED, len(frames))
+        cells_of_hand = np.bincount(detections.cells.frame[detections.cells.part == RobotPart.HAND])
+        return int((cells_of_hand >= PART_CELLS).sum()), min(SEARCHED, len(frames))
 
     def find_contradiction(self, frames: Frames, camera: Camera) -> CameraContradiction | None:
         """Return another camera under which the arm agrees clearly better with the images; None if there is none.

@@ -195,10 +195,6 @@ class ArmDetections:
     q: Array | None = None
     """(T, 7) postures for the assumed pose of the camera [rad], NaN where there is none; None if none are fitted."""
 
-    def count_cells(self, part: RobotPart) -> NDArray[np.intp]:
-        """Return the number (T,) of cells that show a part."""
-        return np.bincount(self.cells.frame[self.cells.part == part], minlength=len(self.rows))
-
 
 def find_robot(
     estimator: DenseEstimator, frames: Frames, camera: Camera, most: int, *, searched: int = _SEARCHED

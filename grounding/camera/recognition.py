@@ -112,7 +112,11 @@ def recognize(frames: Frames, checker: CameraChecker) -> Recognition | None:
     best: Recognition | None = None
     frames = np.asarray(frames[evenly(len(frames), SEARCHED)])
     for reading in (None, *_TURNS):
-        names = [named for named in named_cameras().values() if _is_tried(named, reading)]
+        names = [
+            named
+            for named in named_cameras().values()
+            if reading is None or reading.value in named.presented or named.name == BENCHMARK
+        ]
         if best is not None and best.is_clear:  # seen from ahead an arm looks much the same in a mirror, no other way
             names = [best.named] if reading is PictureReading.MIRRORED else []
         own = _trials(reading, names, frames, checker) if names else []
@@ -120,10 +124,6 @@ def recognize(frames: Frames, checker: CameraChecker) -> Recognition | None:
             trials += own
             best = _best(trials, checker)
     return best if best is not None and best.is_clear else None
-
-
-def _is_tried(named: NamedCamera, reading: PictureReading | None) -> bool:
-    return reading is None or reading.value in named.presented or named.name == BENCHMARK
 
 
 def _best(trials: Sequence[_Trial], checker: CameraChecker) -> Recognition:

@@ -6,6 +6,8 @@ complex structures", PAMI 2002, with the rim of a mask in place of image edges).
 finger travel: a mask shows the gap only from the front and then too coarsely, so the travel comes from the cells.
 """
 
+from dataclasses import dataclass
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -30,11 +32,11 @@ _MIN_COSINE = 0.3
 """Least cosine between the normals of rendered and segmented rim."""
 
 
+@dataclass(frozen=True, slots=True)
 class SilhouetteMatcher:
     """Comparison of the rendered with the segmented silhouette of the gripper."""
 
-    def __init__(self, cad: GripperCad) -> None:
-        self._cad = cad
+    _cad: GripperCad
 
     def overlap(self, view: GripperView, X_CH: Array, finger_m: float) -> float:
         """Return the intersection over union of the segmented and the rendered gripper, links in front excluded."""
@@ -70,7 +72,7 @@ class SilhouetteMatcher:
         normal = normal_segmented[v, u]
         normal = normal / np.linalg.norm(normal, axis=1, keepdims=True)
         focal = view.crop.focal / view.stride
-        line = view.rays_at(v, u)
+        line = view.rays()[v, u]
         p_V = line * depth[v, u, None]
         line[:, :2] -= normal * step[v, u, None] / focal
         return Correspondences.without_range(

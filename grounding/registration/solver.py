@@ -128,7 +128,7 @@ class Correspondences(Rows):
             subset = np.linspace(0, len(v) - 1, limit).astype(int)
             v = v[subset]
             u = u[subset]
-        rays = view.rays_at(v, u) @ view.crop.R_CV.T
+        rays = view.rays()[v, u] @ view.crop.R_CV.T
         length = np.sqrt((rays**2).sum(axis=1))
         return Correspondences(
             R_LC=line_frames(rays / length[:, None]),

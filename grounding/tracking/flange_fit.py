@@ -217,13 +217,12 @@ class FlangeView:
     image: GradientImage
 
 
+@dataclass(frozen=True, slots=True)
 class FlangeFitter:
     """Fitter of the last links, with one gripper, to single frames."""
 
-    def __init__(self, chain: ChainFitter, shape: FlangeShape) -> None:
-        """Fit chains of `chain` with the contours of `shape`."""
-        self._chain = chain
-        self.shape = shape
+    _chain: ChainFitter
+    shape: FlangeShape
 
     def detect(self, shown: FlangeView, near: FramePose | None = None) -> FramePose | None:
         """Return the pose in a frame by its cells, or from the posture `near` in a neighbouring one on.

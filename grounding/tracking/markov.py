@@ -17,7 +17,6 @@ from functools import lru_cache
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import ArrayLike
 from scipy.special import logsumexp, softmax
 
 from kinebench_drake.geometry import Array, invert, make_pose, rotation_angle, rotation_exp, transform_points
@@ -166,9 +165,7 @@ def _forward(own: Array, steps: list[Array]) -> Array:
     return np.array(forward)
 
 
-def smooth_gripper_width(
-    width_m: ArrayLike, sigma_m: ArrayLike, by_edges: Sequence[Array | None] | None = None
-) -> Array:
+def smooth_gripper_width(width_m: Array, sigma_m: Array, by_edges: Sequence[Array | None] | None = None) -> Array:
     """Return the gripper width (T,) [m], NaN where neither the frame nor its neighbours determine it.
 
     It is the median of the posterior by two kinds of evidence.
@@ -178,8 +175,6 @@ def smooth_gripper_width(
         sigma_m: (T,) their standard deviations [m]; 0 of widths taken from priors.
         by_edges: (T,) log-likelihoods (G,) of `GAPS_M` by the edges of the image; None where there are none.
     """
-    width_m = np.asarray(width_m, dtype=np.float64)
-    sigma_m = np.asarray(sigma_m, dtype=np.float64)
     shown = {i: row for i, row in enumerate(by_edges or ()) if row is not None and sigma_m[i] != 0.0}
     if not shown and not np.isfinite(width_m).any():
         return np.full(len(width_m), np.nan)

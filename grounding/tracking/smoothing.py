@@ -4,7 +4,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from kinebench_drake.anomaly import Anomaly, AnomalyKind
 from kinebench_drake.geometry import Array, make_pose, pose_difference, rotation_exp, rotation_log
@@ -51,9 +51,9 @@ def _local_values(offset: Array, values: Array, weight: Array, information: Arra
 
 
 def smooth_track(
-    X: ArrayLike,
-    covariance: ArrayLike,
-    weight: ArrayLike,
+    X: Array,
+    covariance: Array,
+    weight: Array,
     breaks: Iterable[int] = (),
     *,
     place: Array | None = None,
@@ -69,11 +69,9 @@ def smooth_track(
         place: (T,) times in frame periods (`frame_periods`); None: the frames are evenly spaced.
         leave_out: predict each frame from its neighbours alone; NaN where there are fewer than four.
     """
-    X = np.asarray(X, dtype=np.float64)
-    weight = np.asarray(weight, dtype=np.float64)
     has_pose = np.isfinite(X).all(axis=(1, 2))
     information = np.full((len(X), 6, 6), np.nan)
-    information[has_pose] = np.linalg.inv(np.asarray(covariance)[has_pose] + np.diag(_FLOOR**2))
+    information[has_pose] = np.linalg.inv(covariance[has_pose] + np.diag(_FLOOR**2))
     segment = np.zeros(len(X), dtype=int)
     for frame in breaks:
         segment[frame:] += 1

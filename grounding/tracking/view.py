@@ -170,12 +170,6 @@ class GripperView:
         """Return the viewing directions (h, w, 3) of the cells in the crop's frame, scaled to z = 1."""
         return self.crop.rays(self.stride)
 
-    def rays_at(self, v: NDArray[np.intp], u: NDArray[np.intp]) -> Array:
-        """Return the viewing directions (N, 3) of the cells in rows `v` and columns `u`, like `rays`."""
-        centre = self.crop.size / 2
-        columns = [((index + 0.5) * self.stride - centre) / self.crop.focal for index in (u, v)]
-        return np.column_stack([*columns, np.ones(len(u))])
-
     def to_frame(self, cells: NDArray[np.bool_], camera: Camera) -> NDArray[np.bool_]:
         """Return the pixels (H, W) of the camera image that are covered by `cells` (h, w)."""
         return self.crop.unwarp(cells.astype(np.uint8), camera, self.stride) > 0

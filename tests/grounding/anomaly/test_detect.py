@@ -7,7 +7,6 @@ from kinebench_drake.anomaly import AnomalyKind
 from kinebench_drake.errors import InputError
 from kinebench_drake.grounding.anomaly.camera_motion import CameraMotion
 from kinebench_drake.grounding.anomaly.detect import AnomalyEvidence, find_anomalies
-from kinebench_drake.grounding.anomaly.detection import AnomalyDetections
 from kinebench_drake.track import Domain
 
 
@@ -86,8 +85,6 @@ def test_a_video_without_any_measurement_has_no_anomaly(clean):
     assert max(find_anomalies(blind).scores.values()) == 0.0
 
 
-def test_missing_kinds_and_series_of_unequal_length_are_refused(clean):
-    with pytest.raises(InputError, match="vanish"):
-        AnomalyDetections(by_kind={})
+def test_series_of_unequal_length_are_refused(clean):
     with pytest.raises(InputError, match="scale"):
         replace(clean, scale=clean.scale[:5])
