@@ -43,9 +43,7 @@ class InitialStateUse(Enum):
     @classmethod
     def of(cls, provided: InitialState | None, used: InitialState | None) -> "InitialStateUse":
         """Compare the state that was provided with the one that was used."""
-        if provided is None:
-            return cls.UNKNOWN
-        return cls.CONTRADICTED if used is None else cls.USED
+        return cls.UNKNOWN if provided is None else cls.CONTRADICTED if used is None else cls.USED
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -105,8 +103,7 @@ class Priors:
         """Return the priors at a selection of the frames."""
         arrays = {name: getattr(self, name) for name in ("mask", "X_CH", "finger_width_m")}
         chosen: dict[str, Any] = {name: None if array is None else array[frames] for name, array in arrays.items()}
-        depth = self.depth and replace(self.depth, depth_m=self.depth.depth_m[frames])
-        return replace(self, **chosen, depth=depth)
+        return replace(self, **chosen, depth=self.depth and replace(self.depth, depth_m=self.depth.depth_m[frames]))
 
     def with_first_pose(self, X_CH: Array, frames: int) -> "Priors":
         """Return the priors with pose (4, 4) [m] and gripper width of the initial state as those of frame 0."""

@@ -182,8 +182,7 @@ def _outline(view: GripperView, X_CH: Array, camera: Camera) -> NDArray[np.uint8
         return outline
     pixel = np.column_stack([camera.project(p_C), np.ones(len(p_C))])
     cell = pixel @ np.linalg.inv(view.crop.homography(camera, view.stride)).T
-    corners = np.round(cell[:, :2] / cell[:, 2:] - 0.5).astype(np.int32)
-    cv2.fillConvexPoly(outline, cv2.convexHull(corners), 1)
+    cv2.fillConvexPoly(outline, cv2.convexHull(np.round(cell[:, :2] / cell[:, 2:] - 0.5).astype(np.int32)), 1)
     return outline
 
 

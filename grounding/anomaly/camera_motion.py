@@ -97,8 +97,7 @@ class CameraMotion:
         Where the camera was not followed it is a pure rotation: for the few pixels that are compensated, a translation
         of the camera looks nearly the same.
         """
-        R_AC = self.R_AC if self.moves else np.repeat(np.eye(3)[None], len(self.px), axis=0)
-        X_AC = make_pose(R_AC, np.zeros(3))
+        X_AC = make_pose(self.R_AC if self.moves else np.tile(np.eye(3), (len(self.px), 1, 1)), np.zeros(3))
         if self.path is not None:
             X_AC[self.path.followed] = self.path.X_AC[self.path.followed]
         return X_AC

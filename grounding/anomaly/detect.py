@@ -150,6 +150,7 @@ def gather_evidence(
     none, and `wide` (T,) are views of whole images.
     """
     n = len(frames)
+    familiar = domain is Domain.FAMILIAR
     p_C = np.full((n, 3), np.nan)
     explained = np.zeros(n)
     width, misfit, residual, scale = (np.full(n, np.nan) for _ in range(4))
@@ -164,28 +165,21 @@ def gather_evidence(
             elif domain is Domain.UNFAMILIAR:
                 explained[i] = max(explained[i], bounds.ABSENT_CELLS * agreement / _ABSENT_AGREEMENT)
         p_C[i] = transform_points(pose.X_CH, GRIPPER_CENTRE_H[None])[0]
-        if confidence[i] >= _FAIR_CONFIDENCE:
+        if familiar and confidence[i] >= _FAIR_CONFIDENCE:
             hand = pose.hand_without_silhouette
             sharp = 2 * hand.finger_sigma_m <= bounds.SHARP_M
-            if domain is not Domain.ARM:
-                misfit[i] = shape_misfit(pose.view, hand.X_CH, hand.finger_m if sharp else np.nan)
+            misfit[i] = shape_misfit(pose.view, hand.X_CH, hand.finger_m if sharp else np.nan)
             residual[i] = hand.residual
-        if confidence[i] >= bounds.TRACKED_CONFIDENCE:
-            sigma_m = 2 * pose.hand.finger_sigma_m
-            width[i] = 2 * pose.finger_m if sigma_m <= _WIDTH_SIGMA_M else np.nan
+        if familiar and confidence[i] >= bounds.TRACKED_CONFIDENCE:
+            width[i] = 2 * pose.finger_m if 2 * pose.hand.finger_sigma_m <= _WIDTH_SIGMA_M else np.nan
             if _side_cosine(pose) <= _MAX_SIDE_COSINE and pose.arm is not None and confidence[i] >= _GOOD_CONFIDENCE:
                 scale[i] = pose.arm.scale
     X_SA = invert(motion.X_AS)
-    other = np.array(
-        [
-            second_gripper(view, None if pose is None else X @ pose.X_CH, camera)
-            for view, pose, X in zip(wide, poses, X_SA, strict=True)
-        ]
-    )
+    other = [
+        second_gripper(view, None if pose is None else X @ pose.X_CH, camera) if familiar else np.nan
+        for view, pose, X in zip(wide, poses, X_SA, strict=True)
+    ]
     present = (confidence >= _FAIR_CONFIDENCE) & (explained >= bounds.ABSENT_CELLS)
-    if domain is not Domain.FAMILIAR:
-        for series in (width, misfit, residual, scale, other):
-            series[:] = np.nan
     shapes = [
         pose.shape if pose is not None and c >= _GOOD_CONFIDENCE and _side_cosine(pose) <= _MAX_CONTOUR_COSINE else None
         for pose, c in zip(poses, confidence, strict=True)
@@ -197,7 +191,7 @@ def gather_evidence(
         expected=expect_gripper(p_C, present, camera, wide, X_SA),
         explained=explained,
         finger_width_m=width,
-        other=other,
+        other=np.array(other),
         misfit=misfit,
         residual=residual,
         scale=scale,

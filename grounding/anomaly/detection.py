@@ -59,7 +59,7 @@ class AnomalyDetections:
     @property
     def anomalies(self) -> tuple[Anomaly, ...]:
         """All anomalies in the order of their frames."""
-        anomalies = [anomaly for detection in self.by_kind.values() for anomaly in detection.anomalies]
+        anomalies = (anomaly for detection in self.by_kind.values() for anomaly in detection.anomalies)
         return tuple(sorted(anomalies, key=lambda a: (a.frame_start, a.frame_end, a.kind.value)))
 
     @property

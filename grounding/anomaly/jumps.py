@@ -119,14 +119,13 @@ def find_freezes(p: Array, fair: NDArray[np.bool_], still: NDArray[np.bool_], t_
         if start < 2 or end + 1 >= len(p) or not fair[[start - 2, start - 1, end, end + 1]].all():
             continue
         before = step[start - 1]
-        jump = step[end + 1]
         after = step[end + 2] if end + 2 < len(p) and fair[end + 2] else before
         speed = before / (t_s[start - 1] - t_s[start - 2])
         size[run] = run.stop - start
         score[run] = min(
             size[start] / _FREEZE_FRAMES,
             speed / _FREEZE_SPEED_M_S,
-            jump / (_FREEZE_JUMP * max(before, after, _STILL_M)),
+            step[end + 1] / (_FREEZE_JUMP * max(before, after, _STILL_M)),
         )
     return Detection.from_score(AnomalyKind.FREEZE, score, size)
 

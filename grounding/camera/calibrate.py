@@ -85,11 +85,6 @@ class LensSolution:
     rows: NDArray[np.intp]
     """(T,) rows of the detections that were used."""
 
-    @property
-    def p_B(self) -> Array:
-        """(N, 3) points of the cells [m]."""
-        return self.cells.locate(self.X_BP, self.bundle.scene.finger_m)
-
 
 def solve(
     robot: ArmDetections, states: RobotStates, guess: Camera, model: ArmModel, *, focal_free: bool
@@ -121,7 +116,7 @@ def solve(
 
 def _solve_lens(
     cells: CalibrationCorrespondences,
-    seen_m: Array,
+    opening_m: Array,
     states: RobotStates,
     cameras: Sequence[Camera],
     model: ArmModel,
@@ -130,7 +125,7 @@ def _solve_lens(
 ) -> LensSolution:
     """Solve the lens where the posture, or at least the hand pose, is known in every frame, from initial `cameras`."""
     X_BP = states.part_poses(model)
-    finger_m = np.where(np.isfinite(states.finger_m), states.finger_m, seen_m)
+    finger_m = np.where(np.isfinite(states.finger_m), states.finger_m, opening_m)
     cells = cells.take(np.flatnonzero(finite_rows(cells.locate(X_BP, finger_m))))
     _require_enough(cells)
     starts = _find_consensus(cells, cells.locate(X_BP, finger_m), cameras)[:_STARTS]
@@ -162,8 +157,8 @@ def _solve_lens_and_postures(
     _require_enough(cells)
     finger_m = np.where(np.isfinite(states.finger_m), states.finger_m, robot.finger_m)[rows]
     q_sigma = np.where(states.has_posture[rows, None], _FIXED_SIGMA_RAD, _POSTURE_SIGMA_RAD)
-    X_BP = model.poses(q[rows])
     q = q[rows]
+    X_BP = model.poses(q)
     bundle = fit_cells(cells, start, model, X_BP, finger_m, focal_free=focal_free, q=q, q_sigma=q_sigma)
     return LensSolution(bundle=bundle, cells=cells, X_BP=model.poses(bundle.scene.q), rows=rows)
 
@@ -178,7 +173,6 @@ def fit_cells(
     focal_free: bool,
     q: Array | None = None,
     q_sigma: Array | None = None,
-    rounds: int = 2,
 ) -> BundleAdjustment:
     """Fit a lens to cells, with postures and openings or at known ones; parts at rest count once in its information.
 
@@ -191,7 +185,6 @@ def fit_cells(
         focal_free: True to estimate the focal length.
         q: (T, 7) initial joint angles to be estimated, too [rad]; None to keep all parts where they are.
         q_sigma: (T, 7) their standard deviations [rad].
-        rounds: number of rounds, each with newly computed standard deviations of the cells.
     """
     prior = Prior(lens=start, log_focal_sigma=np.inf if focal_free else 0.0)
     p_B = cells.locate(X_BP, finger_m)
@@ -204,7 +197,7 @@ def fit_cells(
         return adjust(observed, scene, prior, model, q=q, q_sigma=q_sigma, iterations=steps)
 
     scene = ArmScene(lens=start, q=np.zeros((len(X_BP), N_JOINTS)) if q is None else q, finger_m=finger_m)
-    for _ in range(rounds):
+    for _ in range(2):  # each with newly computed standard deviations of the cells
         scene = adjusted(scene, cells.weight).scene
     return adjusted(scene, cells.weight / cells.count_repeats(X_BP), 0)
 
@@ -400,7 +393,7 @@ def describe(solution: LensSolution, basis: CalibrationBasis) -> CameraCalibrati
     """Return the calibration of a camera that was fitted to cells."""
     bundle = solution.bundle
     cells = solution.cells
-    p_B = solution.p_B
+    p_B = cells.locate(solution.X_BP, bundle.scene.finger_m)
     lens = bundle.scene.lens
     error_px = bundle.error_px
     sigma_px = cells.sigma_px(lens, p_B)

@@ -121,10 +121,9 @@ class CameraCalibration(FittedCamera):
         }
 
 
-def format_lines(calibration: CameraCalibration) -> list[str]:
-    """Format the calibration as lines of text."""
-    c = calibration
-    camera = calibration.camera
+def format_lines(c: CameraCalibration) -> list[str]:
+    """Format a calibration as lines of text."""
+    camera = c.camera
     place = ", ".join(f"{1e3 * x:.0f}" for x in camera.X_BC[:3, 3])
     fov = np.rad2deg(2 * np.arctan(camera.width / 2 / camera.fx))
     sure = f" +- {100 * c.focal_sigma:.1f} %" if c.basis.focal_free else ", fixed"

@@ -188,9 +188,8 @@ class ContourImages:
         def shares(angles: Array) -> Array:
             return np.array([images.base_share(few.turned(angle)) for angle in angles])
 
-        lower = self.model.lower[0] - scene.q[:, 0].min()
-        upper = self.model.upper[0] - scene.q[:, 0].max()
-        angles = np.arange(lower, upper, _STEP_RAD)
+        q_1 = scene.q[:, 0]
+        angles = np.arange(self.model.lower[0] - q_1.min(), self.model.upper[0] - q_1.max(), _STEP_RAD)
         if not len(angles):
             return [BaseTurn(angle_rad=0.0, share=images.base_share(few))]
         share = shares(angles)

@@ -335,10 +335,9 @@ def find_reading(
     Where the arm confirms the camera only those are tried that a camera in the plane of symmetry, or a narrow margin,
     hides. `agreement` is that of the track with `camera` in frames (T, H, W, 3); None if it has no posture.
     """
-    if agreement is not None and agreement >= SURE_AGREEMENT:
+    if (agreement or 0.0) >= SURE_AGREEMENT:
         return None
-    confirmed = agreement is not None and agreement >= CONFIRMED
-    readings = _LIKELY if confirmed else tuple(PictureReading)
+    readings = _LIKELY if (agreement or 0.0) >= CONFIRMED else tuple(PictureReading)
     return checker.find_reading(frames, camera, max(CONFIRMED, agreement or 0.0), readings)
 
 

@@ -134,8 +134,7 @@ class ChainSearch:
         """Return the cost (M,) of unusual postures and of cameras that are not upright."""
         roll = np.arctan2(X_CB[:, 0, 2], -X_CB[:, 1, 2])
         tilt = np.minimum((roll * np.hypot(X_CB[:, 0, 2], X_CB[:, 1, 2]) / _ROLL_SIGMA_RAD) ** 2, 9.0)
-        posture = np.minimum(((q - USUAL_Q) / _USUAL_SIGMA) ** 2, 9.0).sum(axis=1)
-        return np.asarray(_PRIOR_WEIGHT * (tilt + posture))
+        return np.asarray(_PRIOR_WEIGHT * (tilt + np.minimum(((q - USUAL_Q) / _USUAL_SIGMA) ** 2, 9.0).sum(axis=1)))
 
     def follow(self, frame: int, X_CH: Array, camera: Camera) -> tuple[Array, float]:
         """Return base pose X_CB (4, 4) and mean cost of the best chain of one frame."""

@@ -180,6 +180,6 @@ def cameras_of(named: NamedCamera, width: int, height: int) -> Iterator[Camera]:
         pictures = [rendered, centred.whole_camera(camera), first.whole_camera(camera)]
     for own in pictures:
         foot_C = Lens.of_camera(own).X_CB[:3, 3]
-        place = own.project(foot_C) / [width, height]
-        if foot_C[2] > 0 and bool((np.abs(place - 0.5) <= 0.5 + _MARGIN).all()):
+        off_centre = np.abs(own.project(foot_C) / [width, height] - 0.5)
+        if foot_C[2] > 0 and bool((off_centre <= 0.5 + _MARGIN).all()):
             yield own

@@ -281,10 +281,9 @@ class Overrides:
         files: list[Path] = []
         try:
             for stage, folder in self.folders.items():
-                if stage == "poses":
-                    files += pose_files(folder, find_entry(folder, video, _POSE_PLACES))
-                else:
-                    files += array_files(find_entry(folder, video))
+                is_pose = stage == "poses"
+                entry = find_entry(folder, video, _POSE_PLACES if is_pose else (TRUTH,))
+                files += pose_files(folder, entry) if is_pose else array_files(entry)
         except InputError:
             return files  # the video becomes an error row, which is never reused
         return files if self._plug_in is None else [*files, *self._plug_in.files]

@@ -135,14 +135,10 @@ def fit_shape(edges: EdgeMatcher, image: GradientImage, X_CP: Array) -> HandShap
     if share >= bounds.CONFIRMATION:
         return HandShape()
     flange = image.camera.project(X_CP[RobotPart.HAND, :3, 3])
-    best = share
-    A = np.eye(2)
-    for start in _START_SIZES:
-        other, shift = _fit(image, points, flange, start * np.eye(2))
-        resized = float(edges.edge_shares(image, _mapped(points, flange, other, shift)).mean())
-        if resized > best:
-            best = resized
-            A = other
+    fits = [_fit(image, points, flange, size * np.eye(2)) for size in _START_SIZES]
+    shares = [float(edges.edge_shares(image, _mapped(points, flange, *fit)).mean()) for fit in fits]
+    best = max(share, *shares)
+    A = fits[int(np.argmax(shares))][0] if best > share else np.eye(2)
     symmetric = 0.5 * (A + A.T)
     scale = 0.5 * float(np.trace(symmetric))
     stretch = float(np.linalg.norm(symmetric - scale * np.eye(2)))

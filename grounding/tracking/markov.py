@@ -149,8 +149,7 @@ def _step(state: Array, change_rad: float) -> Array:
         return np.asarray(_log_normal(moved, _STEP_RAD))
     error = moved - change_rad
     good = np.log(1.0 - _BADLY) + _log_normal(error, _CHANGE_RAD)
-    bad = np.log(_BADLY) + _log_normal(error, _STEP_RAD)
-    return np.asarray(np.logaddexp(good, bad))
+    return np.asarray(np.logaddexp(good, np.log(_BADLY) + _log_normal(error, _STEP_RAD)))
 
 
 def _log_normal(error: Array, sigma: float) -> Array:

@@ -139,15 +139,12 @@ class RawTrack:
         """
         X_AH = np.stack([np.full((4, 4), np.nan) if p is None else p.X_CH for p in poses])
         X_AH[(confidence < bounds.MIN_CONFIDENCE) | lost] = np.nan
-        breaks: list[int] = []
-        for anomaly in anomalies:
-            after = anomaly.frame_end + 1
-            if anomaly.kind is AnomalyKind.VANISH:  # a detection there is false
-                X_AH[anomaly.frame_start : after] = np.nan
-            if anomaly.kind in (AnomalyKind.TELEPORT, AnomalyKind.VANISH, AnomalyKind.FREEZE):
-                breaks.append(anomaly.frame_start)
-            if anomaly.kind in (AnomalyKind.VANISH, AnomalyKind.FREEZE):
-                breaks.append(after)
+        gaps = [anomaly for anomaly in anomalies if anomaly.kind in (AnomalyKind.VANISH, AnomalyKind.FREEZE)]
+        for gap in gaps:
+            if gap.kind is AnomalyKind.VANISH:  # a detection there is false
+                X_AH[gap.frame_start : gap.frame_end + 1] = np.nan
+        jumps = [anomaly.frame_start for anomaly in anomalies if anomaly.kind is AnomalyKind.TELEPORT]
+        breaks = [*jumps, *(frame for gap in gaps for frame in (gap.frame_start, gap.frame_end + 1))]
         from_prior = np.asarray(np.isfinite(X_prior).all(axis=(1, 2)))
         X_AH[from_prior] = X_prior[from_prior]
         return cls(

@@ -183,13 +183,12 @@ class DenseEstimator(Protocol):
         ...
 
 
+@dataclass(frozen=True, slots=True)
 class OverrideEstimator:
     """Estimator with its mask, its depth or both replaced by priors."""
 
-    def __init__(self, base: DenseEstimator, priors: Priors) -> None:
-        """Replace the estimates of `base` by those in `priors`."""
-        self._base = base
-        self._priors = priors
+    _base: DenseEstimator
+    _priors: Priors
 
     def estimate(self, frames: Frames, camera: Camera, crops: Mapping[int, Crop]) -> Iterator[tuple[int, GripperView]]:
         """Estimate one view per crop, like `DenseEstimator.estimate`."""
