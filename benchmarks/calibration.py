@@ -10,8 +10,7 @@ from benchmarks.markdown import table
 from benchmarks.perception.clip import TruthClipFile, choose, find_clips
 from kinebench_drake.errors import UnmeasurableError, UsageError, cause
 from kinebench_drake.geometry import pose_difference
-from kinebench_drake.grounding.camera.calibrate import Calibrator
-from kinebench_drake.grounding.camera.calibration_result import CalibrationMethod, CameraCalibration
+from kinebench_drake.grounding.camera.calibrate import CalibrationMethod, Calibrator, CameraCalibration
 from kinebench_drake.grounding.camera.lens import USUAL_FOV_DEG, focal_px, with_focal
 from kinebench_drake.grounding.camera.states import RobotStates
 from kinebench_drake.grounding.registration.arm_model import ArmModel

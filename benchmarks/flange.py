@@ -14,7 +14,7 @@ from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array, invert, make_pose, pose_difference, rotation_z
 from kinebench_drake.grounding import bounds
 from kinebench_drake.grounding.pipeline import GroundingPipeline
-from kinebench_drake.grounding.tracking.confidence import CALIBRATION, load_confidence, save_confidence
+from kinebench_drake.grounding.tracking.pose import CALIBRATION, load_confidence, save_confidence
 from kinebench_drake.io.atomic import make_folder, write_atomically
 from kinebench_drake.io.frames import Frames
 from kinebench_drake.io.reader import read_video

@@ -111,7 +111,7 @@ def budget(folder: Path, limit: int | None, keep: Path | None, jobs: int) -> Non
 def calibration(folder: Path, limit: int | None, frames: int, quick: bool) -> None:
     """Calibrate the cameras of rendered videos with all kinds of prior information about the robot."""
     from benchmarks.calibration import CONDITIONS, measure, trial_table
-    from kinebench_drake.grounding.camera.calibration_result import CalibrationMethod
+    from kinebench_drake.grounding.camera.calibrate import CalibrationMethod
 
     conditions = [c for c in CONDITIONS if c.method is CalibrationMethod.JOINTS] if quick else CONDITIONS
     trials = []

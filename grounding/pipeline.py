@@ -18,11 +18,16 @@ from kinebench_drake.grounding.anomaly.detect import NOT_LOOKED_FOR, AnomalyEvid
 from kinebench_drake.grounding.anomaly.detection import AnomalyDetections
 from kinebench_drake.grounding.priors import NO_PRIORS, InitialStateUse, Priors
 from kinebench_drake.grounding.tracking.camera_path import CameraPath, follow_camera
-from kinebench_drake.grounding.tracking.confidence import CALIBRATION, Confidence, frame_confidence, load_confidence
 from kinebench_drake.grounding.tracking.estimator import NetworkEstimator
 from kinebench_drake.grounding.tracking.flange_tracker import FlangeTracker
 from kinebench_drake.grounding.tracking.markov import X_HALF_TURN, resolve_flips, smooth_gripper_width
-from kinebench_drake.grounding.tracking.pose import FramePose
+from kinebench_drake.grounding.tracking.pose import (
+    CALIBRATION,
+    Confidence,
+    FramePose,
+    frame_confidence,
+    load_confidence,
+)
 from kinebench_drake.grounding.tracking.smoothing import RawTrack
 from kinebench_drake.grounding.tracking.tracker import CadTracker, PoseTracker, Tracking
 from kinebench_drake.grounding.tracking.view import DenseEstimator, GripperView

@@ -113,7 +113,7 @@ def calibrate(folders: tuple[Path, ...], weights: Path | None, limit: int | None
     """
     from kinebench_drake.cli.progress import ProgressView
     from kinebench_drake.executors.base import ExecutorKind, create_executor
-    from kinebench_drake.grounding.tracking.confidence import save_confidence
+    from kinebench_drake.grounding.tracking.pose import save_confidence
     from training.calibration import ConfidenceCalibration, calibrate_confidence
 
     keep = None if out is None else out.with_name(f"{out.stem}_poses.jsonl")

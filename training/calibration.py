@@ -23,7 +23,7 @@ from kinebench_drake.geometry import Array, pose_difference
 from kinebench_drake.grounding import bounds
 from kinebench_drake.grounding.anomaly.detect import AnomalyEvidence
 from kinebench_drake.grounding.pipeline import GroundingPipeline
-from kinebench_drake.grounding.tracking.confidence import (
+from kinebench_drake.grounding.tracking.pose import (
     FRAME_FEATURES,
     Confidence,
     LogisticRegression,

@@ -12,8 +12,7 @@ from kinebench_drake.grounding.camera.camera_estimate import CameraEstimate
 from kinebench_drake.grounding.camera.check import check_named, find_reading
 from kinebench_drake.grounding.camera.estimate import usual_camera
 from kinebench_drake.grounding.camera.evidence import BetterReading, CameraChoice, PictureReading
-from kinebench_drake.grounding.camera.framing import Framing, apply_framing
-from kinebench_drake.grounding.camera.framing_search import find_framing
+from kinebench_drake.grounding.camera.framing import Framing, apply_framing, find_framing
 from kinebench_drake.grounding.camera.recognition import Recognition
 from kinebench_drake.grounding.components import GroundingComponents
 from kinebench_drake.grounding.pipeline import PipelineResult

@@ -102,10 +102,10 @@ class CameraPath:
             "followed_fraction": round(float(self.followed.mean()), 4),
         }
 
-    def stabilize(self, frames: Frames, camera: Camera) -> tuple[Frames, Camera]:
+    def stabilize(self, frames: Frames, camera: Camera, *, extends: bool = True) -> tuple[Frames, Camera]:
         """Warp the frames (T, H, W, 3) into cameras oriented like A, with its focal length.
 
-        Where cameras show more than A does the images are extended at all sides, like their camera.
+        Where cameras show more than A does the images are extended at all sides, if `extends`, like their camera.
         """
         size = np.array([camera.width, camera.height])
         K = camera.K
@@ -116,7 +116,7 @@ class CameraPath:
         shown = np.einsum("tij,nj->tni", M_AC[self.followed], corners)
         shown = shown[..., :2] / shown[..., 2:]
         over = max(0.0, float(-shown.min(initial=0.0)), float((shown - size).max(initial=0.0)))
-        extends = over > _LEAST_MARGIN_PX * camera.unit_px
+        extends = extends and over > _LEAST_MARGIN_PX * camera.unit_px
         margin = int(np.ceil(min(over, _MAX_MARGIN * size.max()))) if extends else 0
         width = camera.width + 2 * margin
         height = camera.height + 2 * margin

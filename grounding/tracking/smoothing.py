@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 from kinebench_drake.anomaly import Anomaly, AnomalyKind
 from kinebench_drake.geometry import Array, make_pose, pose_difference, rotation_exp, rotation_log
 from kinebench_drake.grounding import bounds
-from kinebench_drake.grounding.tracking.confidence import track_features
-from kinebench_drake.grounding.tracking.pose import FramePose
+from kinebench_drake.grounding.tracking.pose import FramePose, track_features
 from kinebench_drake.segments import frame_periods
 
 HALF_WINDOW = 3
@@ -69,7 +68,7 @@ def smooth_track(
         place: (T,) times in frame periods (`frame_periods`); None: the frames are evenly spaced.
         leave_out: predict each frame from its neighbours alone; NaN where there are fewer than four.
     """
-    has_pose = np.isfinite(X).all(axis=(1, 2))
+    has_pose = np.asarray(np.isfinite(X).all(axis=(1, 2)))
     information = np.full((len(X), 6, 6), np.nan)
     information[has_pose] = np.linalg.inv(covariance[has_pose] + np.diag(_FLOOR**2))
     segment = np.zeros(len(X), dtype=int)

@@ -27,9 +27,8 @@ from kinebench_drake.grounding.registration.icp import IcpRefiner
 from kinebench_drake.grounding.registration.image import GradientImage
 from kinebench_drake.grounding.registration.silhouette import SilhouetteMatcher
 from kinebench_drake.grounding.registration.solver import BATCH, Correspondences
-from kinebench_drake.grounding.tracking.confidence import Confidence, frame_confidence, load_confidence
 from kinebench_drake.grounding.tracking.localization import find_region, likeliest_gripper
-from kinebench_drake.grounding.tracking.pose import FramePose
+from kinebench_drake.grounding.tracking.pose import Confidence, FramePose, frame_confidence, load_confidence
 from kinebench_drake.grounding.tracking.refinement import EdgeRefinement
 from kinebench_drake.grounding.tracking.view import (
     CLOSE_MARGIN,

@@ -68,9 +68,8 @@ def calibrate(out: Path, figure: Path | None, as_json: bool, **options: Any) -> 
     does not determine the camera, the command fails with the reason.
     """
     from kinebench_drake.formats.camerafile import save_camera
-    from kinebench_drake.grounding.camera.calibrate import CalibrationConfig
+    from kinebench_drake.grounding.camera.calibrate import CalibrationConfig, format_lines
     from kinebench_drake.grounding.camera.calibrate import calibrate as run_calibration
-    from kinebench_drake.grounding.camera.calibration_result import format_lines
     from kinebench_drake.io.files import absence
     from kinebench_drake.io.jsonl import dump
 

@@ -316,7 +316,7 @@ class _VideoReader(VideoEvaluator):
         video = read_video(sample.path, sample.part)
         video.require_measurable()
         if sample.camera_source.is_named:
-            from kinebench_drake.grounding.camera.framing_search import find_framing  # loads OpenCV
+            from kinebench_drake.grounding.camera.framing import find_framing  # loads OpenCV
 
             pictures, image = filmed_pictures(sample, video)
             find_framing(pictures.frames, sample.camera, image, sample.camera_source)

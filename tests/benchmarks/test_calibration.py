@@ -8,8 +8,7 @@ from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.errors import UsageError
 from kinebench_drake.formats.camerafile import save_camera
 from kinebench_drake.geometry import invert
-from kinebench_drake.grounding.camera.calibrate import Calibrator
-from kinebench_drake.grounding.camera.calibration_result import CalibrationMethod
+from kinebench_drake.grounding.camera.calibrate import CalibrationMethod, Calibrator
 from kinebench_drake.grounding.registration.arm_model import ArmModel
 from kinebench_drake.models.panda.description import RobotPart
 from tests.grounding.camera.robot import CellsAlone, PerfectEstimator, postures

@@ -13,8 +13,7 @@ from kinebench_drake.anomaly import Anomaly, AnomalyKind
 from kinebench_drake.camera import Camera, CameraSource, benchmark_camera
 from kinebench_drake.errors import UnmeasurableError
 from kinebench_drake.geometry import make_pose
-from kinebench_drake.grounding.camera.framing import Framing
-from kinebench_drake.grounding.camera.framing_search import find_framing
+from kinebench_drake.grounding.camera.framing import Framing, find_framing
 from kinebench_drake.grounding.priors import NO_PRIORS, InitialStateUse, Priors
 from kinebench_drake.kinematics.violation import Violation, ViolationKind
 from kinebench_drake.metrics.kinematic_result import KinematicResult

@@ -12,11 +12,11 @@ from kinebench_drake.grounding.camera.framing import (
     Framing,
     FramingChange,
     FramingSource,
+    find_framing,
     letterboxes,
     placements,
     undo_framing,
 )
-from kinebench_drake.grounding.camera.framing_search import find_framing
 from kinebench_drake.grounding.priors import ExternalDepth, Priors
 
 SIZES = [(832, 480), (720, 480), (512, 512), (480, 832)]

@@ -19,13 +19,13 @@ from kinebench_drake.grounding import bounds
 from kinebench_drake.grounding.overlay import draw_overlay, draw_pose
 from kinebench_drake.grounding.pipeline import GroundingPipeline
 from kinebench_drake.grounding.priors import NO_PRIORS, InitialStateUse, Priors
-from kinebench_drake.grounding.tracking.confidence import (
+from kinebench_drake.grounding.tracking.estimator import NetworkEstimator
+from kinebench_drake.grounding.tracking.pose import (
     FRAME_FEATURES,
     Confidence,
     LogisticRegression,
     load_confidence,
 )
-from kinebench_drake.grounding.tracking.estimator import NetworkEstimator
 from kinebench_drake.grounding.tracking.tracker import CadTracker, Tracking
 from kinebench_drake.io.frames import Frames
 from kinebench_drake.io.reader import read_video

@@ -10,7 +10,7 @@ import pytest
 from benchmarks.perception.clip import find_clips
 from benchmarks.perception.store import MeasurementStore
 from kinebench_drake.geometry import make_pose
-from kinebench_drake.grounding.tracking.confidence import FRAME_FEATURES
+from kinebench_drake.grounding.tracking.pose import FRAME_FEATURES
 from kinebench_drake.io.reader import read_video
 from kinebench_drake.models.panda.cad import GripperCad
 from kinebench_drake.track import Domain

@@ -13,8 +13,8 @@ from kinebench_drake.environment.sources import trace_sources
 MEASURING = "benchmarks.perception.trial"
 SHAPING = (
     *("camera", "geometry", "track", "io.reader", "models.panda.cad", "models.perception.network"),
-    *("grounding.pipeline", "grounding.tracking.tracker", "grounding.tracking.confidence"),
-    *("grounding.registration.fit", "grounding.registration.solver", "grounding.camera.framing_search"),
+    *("grounding.pipeline", "grounding.tracking.tracker", "grounding.tracking.pose"),
+    *("grounding.registration.fit", "grounding.registration.solver", "grounding.camera.framing"),
     *("grounding.overrides.overrides", "grounding.anomaly.detect"),
 )
 STUDIES = ("errors", "clip", "variants", "reframing", "perturbation.gripper", "perturbation.catalogue")

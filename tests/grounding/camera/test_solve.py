@@ -5,12 +5,13 @@ import pytest
 
 from kinebench_drake.errors import UnmeasurableError
 from kinebench_drake.geometry import make_pose, pose_difference, rotation_exp
-from kinebench_drake.grounding.camera.calibrate import describe, solve
-from kinebench_drake.grounding.camera.calibration_result import (
+from kinebench_drake.grounding.camera.calibrate import (
     CalibrationBasis,
     CalibrationMethod,
     CameraCalibration,
+    describe,
     require_determined,
+    solve,
     warnings_of,
 )
 from kinebench_drake.grounding.camera.detections import ArmDetections

@@ -9,7 +9,7 @@ from scipy.special import expit
 
 from kinebench_drake.errors import SetupError
 from kinebench_drake.geometry import Array
-from kinebench_drake.grounding.tracking.confidence import (
+from kinebench_drake.grounding.tracking.pose import (
     FRAME_FEATURES,
     TRACK_FEATURES,
     Confidence,
