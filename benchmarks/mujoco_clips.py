@@ -28,11 +28,14 @@ HAND_TO_TCP_M = 0.1034
 PERIOD_S = 0.2
 FINGER_M = 0.04
 _VISUAL_GROUP = 1
-_WORKSPACE = np.array([[0.32, 0.62], [-0.3, 0.3], [0.06, 0.4]])  # of the TCP in the base frame [m]
-_TABLE_LIFT_M = -0.15  # of the workspace to the table tops of the scenes, at which their cameras look
-# pixels of the gripper in an image of 384 px, and share of the frames with as many
+_WORKSPACE = np.array([[0.32, 0.62], [-0.3, 0.3], [0.06, 0.4]])
+"""Box of the TCP's positions in the base frame [m]."""
+_TABLE_LIFT_M = -0.15
+"""Lift of the workspace to the table tops of the scenes, at which their cameras look [m]."""
 _LEAST_PX = 300
+"""Pixels of the gripper from which it is visible, in an image of 384 px."""
 _LEAST_SHARE = 0.8
+"""Least share of the frames in which it is visible."""
 
 
 class Arm:

@@ -28,8 +28,10 @@ BESIDE_M = 0.17
 STRETCH = 0.25
 """Sizes of a jump, of the distance of a second gripper and of a relative stretch."""
 _SIDES_C = ((1.0, 0.0, 0.0), (-1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, -1.0, 0.0))
-_BORDER = 0.1  # share of the image in which no second gripper begins
-_LEAST_STEP_M = 0.01  # of the TCP in a frame before and through a freeze
+_BORDER = 0.1
+"""Width of the border, as a share of the image, in which no second gripper begins."""
+_LEAST_STEP_M = 0.01
+"""Least step of the TCP in a frame, before and through a freeze [m]."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -44,7 +44,8 @@ SIZES = 3
 """Sizes of each kind of fault."""
 _TRIALS = "trials.jsonl"
 _STUDY = "study.json"
-_TRIES = 20  # episodes of each task that may fail without a fault before the study gives up
+_TRIES = 20
+"""Episodes of each task that may fail without a fault before the study gives up."""
 
 
 def study_grades(sizes: int) -> tuple[FaultGrade, ...]:
