@@ -87,7 +87,7 @@ class ValidityTrial:
     """Kinds of anomalies that the detectors report."""
 
 
-_TRIAL = TypeAdapter(ValidityTrial)
+TRIAL = TypeAdapter(ValidityTrial)
 
 
 def measure(work: Path, episodes: int, sizes: int, jobs: int, observer: RunObserver) -> None:
@@ -113,7 +113,7 @@ def measure(work: Path, episodes: int, sizes: int, jobs: int, observer: RunObser
     ]
     executions = execute_all(clips, work / "executions.jsonl", None, jobs, observer)
     trials = [_trial(v, rows[v.id], done) for v, done in zip(videos, executions, strict=True)]
-    write_lines(work / _TRIALS, [_TRIAL.dump_python(trial, mode="json") for trial in trials])
+    write_lines(work / _TRIALS, [TRIAL.dump_python(trial, mode="json") for trial in trials])
     revision = current_revision()
     write_json(work / _STUDY, {"revision": revision, "weights": weights_hash()[:12]})
 
@@ -166,5 +166,5 @@ def read_study(work: Path) -> tuple[list[ValidityTrial], dict[str, Json]]:
     """
     if not (work / _STUDY).is_file():
         raise UsageError(f"{work.name}: holds no finished study; run `python -m benchmarks validity measure` first")
-    trials = read_lines(work / _TRIALS, _TRIAL.validate_python)
+    trials = read_lines(work / _TRIALS, TRIAL.validate_python)
     return trials, dict(read_object(work / _STUDY))  # type: ignore[arg-type]
