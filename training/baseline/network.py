@@ -62,7 +62,7 @@ _DOWN = (1.0, 0.0, 0.0, 0.0, -1.0, 0.0)
 """Six numbers of a gripper that points straight down."""
 _FROZEN = ("_conv_stem", "_bn0", "_blocks.0", "_blocks.1", "_blocks.2")
 _BATCH = 16
-_TRAIN = "train it with `python -m training baseline train`"
+_TRAIN = "train it with `python -m training baseline`"
 
 
 @dataclass(frozen=True, slots=True)
@@ -189,7 +189,7 @@ class Baseline:
 
     @classmethod
     def load(cls, path: Path) -> "Baseline":
-        """Read weights that `python -m training baseline train` wrote.
+        """Read weights that `python -m training baseline` wrote.
 
         Raises:
             SetupError: the file is missing or holds something else.
