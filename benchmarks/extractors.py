@@ -60,12 +60,14 @@ def measure(work: Path, weights: Path, jobs: int, observer: RunObserver) -> list
     trials, _ = read_study(work)
     specs = {spec.id: spec for spec in study_specs()}
     tasks = Baseline.load(weights).tasks
-    sources = {
-        Extractor.TRUTH: lambda id: work / "videos" / "truth" / f"{id}.npz",
-        Extractor.BASELINE: lambda id: work / "videos" / f"{id}.mp4",
-    }
+    sources = {Extractor.TRUTH: "truth/{}.npz", Extractor.BASELINE: "{}.mp4"}
     clips = [
-        ClipTrack(id=trial.id, spec=specs[trial.episode], extractor=extractor, source=source(trial.id))
+        ClipTrack(
+            id=trial.id,
+            spec=specs[trial.episode],
+            extractor=extractor,
+            source=work / "videos" / source.format(trial.id),
+        )
         for extractor, source in sources.items()
         for trial in trials
     ]
