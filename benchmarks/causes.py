@@ -98,7 +98,8 @@ class _LossyGrounder(Grounder):
         if self.lost is None:
             return result
         start, length = (round(part * len(clip.frames)) for part in self.lost)
-        return replace(result, track=_without(result.track, slice(start, start + length)))
+        track = _without(result.measured.track, slice(start, start + length))
+        return replace(result, measured=replace(result.measured, track=track))
 
 
 def _without(track: GripperTrack, lost: slice) -> GripperTrack:

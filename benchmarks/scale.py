@@ -31,6 +31,7 @@ from kinebench_drake.results.metadata import Shard
 from kinebench_drake.results.row import SampleRow, Status
 from kinebench_drake.results.store import REPORT, RESULTS, SAMPLES, artifact_path, read_rows
 from kinebench_drake.runs.config import RunKind, ScoreConfig
+from kinebench_drake.runs.evaluator import SampleHashes
 from kinebench_drake.runs.merge import merge_folders
 from kinebench_drake.runs.runner import NullRunObserver, run_samples
 from kinebench_drake.runs.score import VideoEvaluator
@@ -81,13 +82,13 @@ class StubEvaluator(VideoEvaluator):
         """Read the rows of the template."""
         return [row for row in read_rows(self.template).values() if row.status is Status.OK]
 
-    def row(self, sample: VideoSample, resources: Any) -> SampleRow:
+    def row(self, sample: VideoSample, resources: Any, hashes: SampleHashes) -> SampleRow:
         """Return a row of the template under the sample's id, its numbers scaled; link its files."""
         rng = np.random.default_rng(list(sample.id.encode()))
         k = int(rng.integers(2**31))
         for every, (status, reason) in _FAILURES.items():
             if k % every == 0:
-                return _label(self.failed_row(sample, status, reason.format(k=k % 997)), k)
+                return _label(self.failed_row(sample, status, reason.format(k=k % 997), hashes), k)
         model = resources[k % len(resources)]
         scale = float(rng.normal(1.0, 0.1))
         for kind in ("tracks", "thumbnails"):
@@ -98,7 +99,7 @@ class StubEvaluator(VideoEvaluator):
                 target.unlink(missing_ok=True)
                 _link(source, target)
         metrics = {n: v * scale if isinstance(v, float) else v for n, v in model.metrics.items()}
-        row = replace(model, id=sample.id, video=sample.video, metrics=metrics, content_hash=self.content_hash(sample))
+        row = replace(model, id=sample.id, video=sample.video, metrics=metrics, content_hash=hashes.content)
         return _label(row, k)
 
 

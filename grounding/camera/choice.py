@@ -2,9 +2,7 @@
 
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass, fields, replace
-
-import numpy as np
+from dataclasses import dataclass, replace
 
 from kinebench_drake.camera import CONFIRMED, Camera, CameraSource, benchmark_camera
 from kinebench_drake.errors import UnmeasurableError
@@ -48,6 +46,7 @@ class _View:
     camera: Camera
     framing: Framing
     t_s: Array
+    table_height_m: float
     priors: Priors
 
     def result(
@@ -57,12 +56,14 @@ class _View:
         possible: tuple[GripperTrack, ...] = (),
     ) -> GroundingResult:
         """Return the result of a track, with this choice or another one, and the `possible` tracks of the clip."""
-        choice = choice or self.choice
-        own = {f.name: getattr(measured, f.name) for f in fields(PipelineResult)}
-        if choice.reason is not None:
-            own["track"] = replace(measured.track, X_BG=np.full_like(measured.track.X_BG, np.nan))
         return GroundingResult(
-            **own, frames=self.frames, camera=self.camera, framing=self.framing, choice=choice, possible=possible
+            measured=measured,
+            frames=self.frames,
+            camera=self.camera,
+            framing=self.framing,
+            choice=choice or self.choice,
+            table_height_m=self.table_height_m,
+            possible=possible,
         )
 
 
@@ -75,6 +76,7 @@ class CameraChooser:
     priors: PriorSource | Priors
     gripper: GripperKind
     table_height_m: float
+    """Height of the table top in the robot base frame where none is stated with the camera [m]."""
 
     def ground_trusted(self, choice: CameraChoice) -> GroundingResult:
         """Ground with a camera that is taken as exact."""
@@ -88,7 +90,7 @@ class CameraChooser:
         if not self._seeks_other:
             hand = self._checked(view, self._ground_hand(view))
             # Where another reading explains the hand, the arm alone would agree with the wrong one, too.
-            if hand.choice.reading is not None or not self._is_lost(hand):
+            if hand.choice.reading is not None or not self._is_lost(hand.measured):
                 return hand
         arm = self._ground_arm(view)
         if arm is not None:
@@ -128,7 +130,7 @@ class CameraChooser:
                 view.frames, view.camera, least, (PictureReading.CROPPED,)
             )
             if reading is not None:
-                return view.result(assumed, _misread(assumed.choice, reading))
+                return view.result(assumed.measured, _misread(assumed.choice, reading))
         usual = usual_camera(self.clip.frames.shape[2], self.clip.frames.shape[1])
         hands, searched = self.parts.checker.count_hands(self.clip.frames, usual)
         if not hands and view is not None and (arm := self._confirmed_arm(view)) is not None:
@@ -146,7 +148,13 @@ class CameraChooser:
         named = recognition.named
         source = CameraSource.BENCHMARK if named.name == BENCHMARK else CameraSource.RECOGNIZED
         view = self._view(
-            CameraChoice(camera=recognition.camera, source=source, named=named, shown=recognition.reading)
+            CameraChoice(
+                camera=recognition.camera,
+                source=source,
+                table_height_m=named.setting.table_height_m,
+                named=named,
+                shown=recognition.reading,
+            )
         )
         measured = self._ground_hand(view)
         agreement = self.parts.checker.track_agreement(view.frames, view.camera, measured)
@@ -248,10 +256,11 @@ class CameraChooser:
         priors = self.priors
         if not isinstance(priors, Priors):
             priors = priors(framing.whole_camera(camera))
+        height_m = self.table_height_m if choice.table_height_m is None else choice.table_height_m
         priors = replace(
             priors.crop(*framing.window),
             camera_is_fitted=choice.source in (CameraSource.ESTIMATED, CameraSource.NONE),
-            table_height_m=self.table_height_m if choice.table_height_m is None else choice.table_height_m,
+            table_height_m=height_m,
         )
         if shown is not None and priors.replaces_stage:
             raise UnmeasurableError(
@@ -266,6 +275,7 @@ class CameraChooser:
             camera=framing.camera(camera),
             framing=framing,
             t_s=clip.t_s,
+            table_height_m=height_m,
             priors=priors,
         )
 

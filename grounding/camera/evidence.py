@@ -52,6 +52,8 @@ class CameraChoice:
     source: CameraSource
     agreement: float | None = None
     """Share of the contours of hand and arm on image edges in the postures of the track; None if none was fitted."""
+    table_height_m: float | None = None
+    """Height of the table top in the robot base frame that is stated with the camera [m]; None if none is."""
     named: NamedCamera | None = None
     """Camera by name, where the arm is to confirm it."""
     shown: PictureReading | None = None
@@ -73,11 +75,6 @@ class CameraChoice:
         if self.source.is_named:
             return CameraState.NAMED
         return CameraState.ESTIMATED if self.source is CameraSource.ESTIMATED else CameraState.CONFIRMED
-
-    @property
-    def table_height_m(self) -> float | None:
-        """Height of the table top in the robot base frame by the camera's name [m]; None if it is unknown."""
-        return None if self.named is None else self.named.setting.table_height_m
 
     def to_json(self) -> dict[str, Json]:
         """Serialize into keys of the row."""

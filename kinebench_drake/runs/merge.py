@@ -23,7 +23,7 @@ from kinebench_drake.results.store import (
 )
 from kinebench_drake.runs.benchmark import load_benchmark
 from kinebench_drake.runs.config import RunKind
-from kinebench_drake.runs.evaluator import SCHEMA_VERSION
+from kinebench_drake.runs.resume import SCHEMA_VERSION
 from kinebench_drake.runs.runner import NullRunObserver, RunObserver, RunSummary, close_run, summarize
 
 _SHARD_SETTINGS = ("limit", "shard", "jobs", "engine")

@@ -1,6 +1,7 @@
 """Preparation of videos for the grounding: their frames, times, cameras and priors; warnings about them."""
 
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from enum import Enum
 from typing import TYPE_CHECKING
@@ -8,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from kinebench_drake.camera import CONFIRMED, Camera, CameraSetting, CameraSource, CameraState
+from kinebench_drake.camera import CONFIRMED, Camera, CameraSource, CameraState
 from kinebench_drake.clip_timing import ClipTiming, sample_uniformly
 from kinebench_drake.errors import InputError, count_noun, name_options
 from kinebench_drake.formats.camerafile import read_camera
@@ -88,23 +89,21 @@ def ground_sample(
     """
     video.require_measurable()
     timed = time_frames(sample, video, period_s, duration_s)
-    if sample.mirrored:
-        video = video.mirrored()
+    video, image = filmed_pictures(sample, video)
 
     def priors(camera: Camera) -> Priors:
         """Read the overrides, which are of all frames of the video."""
         return overrides.priors(override_names(sample), video.frames, camera, sample.initial_state).at(timed.rows)
 
-    image = conditioning_image(sample)
     frames = video.frames if timed.timing is ClipTiming.NATIVE else video.frames[timed.rows]
     clip = Clip(frames=frames, t_s=timed.t_s, conditioning=image)
     named = sample.camera_source.is_named
-    setting = CameraSetting(camera=sample.camera, table_height_m=sample.table_height_m)
     result = grounder.ground(
         clip,
-        setting if named else None,
+        sample.camera if named else None,
         priors,
         source=sample.camera_source,
+        table_height_m=sample.table_height_m if named else None,
         gripper=gripper,
         trusts_camera=overrides.poses is not None,
     )
@@ -158,13 +157,18 @@ def _times(sample: VideoSample, video: Video, option_s: float | None) -> tuple[A
     return np.arange(len(video.frames), dtype=np.float64) * period_s, period_s, source
 
 
-def conditioning_image(sample: VideoSample) -> NDArray[np.uint8] | None:
-    """Return the image from which the video was generated; None without a usable one."""
-    try:
-        image = None if sample.first_frame is None else read_image(sample.first_frame)
-    except InputError:
-        return None  # an image with the name of the video need not be its conditioning image
-    return np.ascontiguousarray(image[:, ::-1]) if image is not None and sample.mirrored else image
+def filmed_pictures(sample: VideoSample, video: Video) -> tuple[Video, NDArray[np.uint8] | None]:
+    """Return a decoded video and the image that it was generated from as the camera sees the scene, not mirrored.
+
+    The image is None where there is none that can be read: one with the name of the video need not be its own.
+    """
+    image = None
+    if sample.first_frame is not None:
+        with suppress(InputError):
+            image = read_image(sample.first_frame)
+    if not sample.mirrored:
+        return video, image
+    return video.mirrored(), None if image is None else np.ascontiguousarray(image[:, ::-1])
 
 
 def with_camera_option(samples: Sequence[VideoSample], option: str, *, mirrored: bool = False) -> Sequence[VideoSample]:

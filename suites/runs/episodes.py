@@ -188,7 +188,7 @@ class EpisodeEvaluator(Evaluator[EpisodeSample, EpisodeResources]):
         kinematics = combine(tracks, results)
         curves = {
             **kinematics.curves,
-            **join_curves([r.grounding.curves for r in run.rounds]),
+            **join_curves([r.grounding.measured.curves for r in run.rounds]),
             **action_curves(tracks, [r.actions for r in run.rounds]),
         }
         write_track(artifact_path(self.config.out, "tracks", sample.id), track, kinematics.joints, curves)
@@ -259,12 +259,11 @@ class EpisodeEvaluator(Evaluator[EpisodeSample, EpisodeResources]):
             extra={PENDING: manifest_row(id, episode, self.loop.prompts, state)},
         )
 
-    def is_current(self, sample: EpisodeSample, row: SampleRow) -> bool:
-        """Return whether the stored row is still valid; that of a pending round needs its first frame, too."""
+    def files_of(self, row: SampleRow) -> Sequence[Path]:
+        """Return the artifacts of a row, and the first frame that a pending round needs."""
         asked = as_object(row.extra.get(PENDING)).get("id")
-        return Evaluator.is_current(self, sample, row) and (
-            not isinstance(asked, str) or request_path(self.config.out, asked).is_file()
-        )
+        requests = [request_path(self.config.out, asked)] if isinstance(asked, str) else []
+        return [*Evaluator.files_of(self, row), *requests]
 
     @property
     def metric_names(self) -> tuple[str, ...]:

@@ -51,6 +51,7 @@ class FakeResult:
     camera: Camera
     framing: Framing
     choice: FakeChoice
+    table_height_m: float | None
     camera_motion_px: float | None = 0.12
     arm_consistency_px: float | None = 2.0
     first_frame: InitialStateUse = InitialStateUse.UNKNOWN
@@ -63,6 +64,10 @@ class FakeResult:
     detections: SimpleNamespace = field(default_factory=lambda: SimpleNamespace(scores={}))
     hand_size: None = None
     possible: tuple[GripperTrack, ...] = ()
+
+    @property
+    def measured(self):
+        return self
 
     @property
     def robot(self):
@@ -87,6 +92,7 @@ class FakeGrounder:
         priors=NO_PRIORS,
         *,
         source=CameraSource.ARGUMENT,
+        table_height_m=None,
         gripper=GripperKind.AUTO,
         trusts_camera=False,
     ):
@@ -94,8 +100,8 @@ class FakeGrounder:
         fakes.note_call()
         behavior = fakes.behavior(clip.frames)
         named = camera is not None or trusts_camera
-        lens = benchmark_camera() if camera is None else camera.camera
-        choice = FakeChoice(source if named else CameraSource.BENCHMARK)
+        lens = camera or benchmark_camera()
+        choice = FakeChoice(source if named else CameraSource.BENCHMARK, table_height_m=table_height_m)
         try:
             framing = find_framing(clip.frames, lens, clip.conditioning, choice.source)
         except UnmeasurableError:
@@ -122,6 +128,7 @@ class FakeGrounder:
             camera=framing.camera(lens),
             framing=framing,
             choice=replace(choice, **behavior.choice),
+            table_height_m=table_height_m,
         )
         return replace(result, **behavior.result)
 

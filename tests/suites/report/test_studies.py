@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from scipy.stats import spearmanr
 
+from kinebench_drake.report.number import ALL_TASKS
 from kinebench_drake.results.row import Status
 from kinebench_drake.stats import PairedShares
-from kinebench_drake.report.number import ALL_TASKS
 from kinebench_drake.suites.report.comparison import compare
 from kinebench_drake.suites.report.correlation import standardise, study_correlation
 from kinebench_drake.suites.report.episode_result import balanced_mean, list_models
