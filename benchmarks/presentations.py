@@ -19,8 +19,8 @@ from kinebench_drake.camera import Camera
 from kinebench_drake.errors import UnmeasurableError
 from kinebench_drake.executors.base import Executor, Observer
 from kinebench_drake.geometry import pose_difference
+from kinebench_drake.grounding.camera.evidence import PictureReading
 from kinebench_drake.grounding.camera.lens import with_focal
-from kinebench_drake.grounding.camera.picture_reading import PictureReading
 from kinebench_drake.grounding.priors import Clip
 from kinebench_drake.grounding.video import Grounder
 from kinebench_drake.io.frames import Frames
@@ -196,7 +196,7 @@ class TrialWorker:
             state=choice.state.value,
             reason=choice.reason or result.unmeasurable,
             agreement=choice.agreement,
-            reading=None if choice.reading is None else choice.reading.reading.value,
+            reading=None if choice.better_reading is None else choice.better_reading.reading.value,
             name=None if choice.named is None else choice.named.name,
             tracked=round(float(track.tracked.mean()), 4),
             position_m=float(np.median(position_m[compared])) if compared.any() else None,

@@ -1,6 +1,6 @@
 """Overlay of the CAD model on frames: of the tracked gripper, and of the robot that calibrates a camera."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -21,7 +21,11 @@ from kinebench_drake.track import GripperTrack
 Image = NDArray[np.uint8]
 
 _COLOURS = {RobotPart.HAND: (0, 190, 200), RobotPart.LEFT_FINGER: (255, 140, 0), RobotPart.RIGHT_FINGER: (230, 60, 160)}
-_ROBOT_COLOURS = ((ARM[:1], (255, 140, 0)), (ARM[1:], (70, 110, 255)), (GRIPPER, (0, 190, 200)))
+_ROBOT_COLOURS = {
+    **dict.fromkeys(ARM[:1], (255, 140, 0)),
+    **dict.fromkeys(ARM[1:], (70, 110, 255)),
+    **dict.fromkeys(GRIPPER, (0, 190, 200)),
+}
 _AXES = ((235, 60, 60), (60, 200, 60), (70, 110, 255))
 _AXIS_M = 0.05
 _OPACITY = 0.35
@@ -48,20 +52,25 @@ def _part_map(camera: Camera, X_CH: Array, finger_m: float, cad: GripperCad) -> 
     return labels
 
 
+def _tint(frame: Image, labels: NDArray[np.uint8], colours: Mapping[RobotPart, tuple[int, int, int]]) -> Image:
+    """Return a copy of `frame` (H, W, 3) with the parts that `labels` (H, W) show tinted and outlined."""
+    out = frame.astype(np.float32)
+    for label, colour in colours.items():
+        region = labels == label
+        out[region] = (1 - _OPACITY) * out[region] + _OPACITY * np.array(colour, np.float32)
+    image = np.ascontiguousarray(out.astype(np.uint8))
+    for label, colour in colours.items():
+        contours, _ = cv2.findContours((labels == label).astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+        cv2.drawContours(image, contours, -1, colour, 1, cv2.LINE_AA)
+    return image
+
+
 def draw_pose(frame: Image, camera: Camera, X_CH: Array, finger_width_m: float, cad: GripperCad | None) -> Image:
     """Return `frame` (H, W, 3) with the axes of the TCP at `X_CH` (4, 4) of the hand and the gripper, tinted."""
     finger_m = finger_width_m / 2 if np.isfinite(finger_width_m) else 0.02
     labels = np.zeros(frame.shape[:2], np.uint8) if cad is None else _part_map(camera, X_CH, finger_m, cad)
-    out = frame.astype(np.float32)
-    for label, colour in _COLOURS.items():
-        region = labels == label
-        out[region] = (1 - _OPACITY) * out[region] + _OPACITY * np.array(colour, np.float32)
-    image = np.ascontiguousarray(out.astype(np.uint8))
-    for label, colour in _COLOURS.items():
-        contours, _ = cv2.findContours((labels == label).astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-        cv2.drawContours(image, contours, -1, colour, 1, cv2.LINE_AA)
-    X_CG = X_CH @ hand_from_tcp()
-    tips = transform_points(X_CG, np.vstack([np.zeros(3), _AXIS_M * np.eye(3)]))
+    image = _tint(frame, labels, _COLOURS)
+    tips = transform_points(X_CH @ hand_from_tcp(), np.vstack([np.zeros(3), _AXIS_M * np.eye(3)]))
     if (tips[:, 2] > 0.05).all():
         sixteenths = np.rint(16 * (camera.project(tips) - 0.5)).astype(int)  # OpenCV's pixel centres are integers
         origin, *ends = (tuple(pixel) for pixel in sixteenths.tolist())
@@ -126,14 +135,7 @@ def draw_robot(frame: Image, camera: Camera, X_BP: Array, finger_m: float) -> Im
     times = max(1, -(-_LEAST_SIDE_PX // min(camera.width, camera.height)))
     camera = camera.resized(times * camera.width, times * camera.height)
     image = np.asarray(cv2.resize(frame, (camera.width, camera.height), interpolation=cv2.INTER_CUBIC), np.uint8)
-    labels = render_parts(camera, X_BP, finger_m)
-    for parts, colour in _ROBOT_COLOURS:
-        shown = np.isin(labels, parts)
-        image[shown] = ((1 - _OPACITY) * image[shown] + _OPACITY * np.array(colour)).astype(np.uint8)
-        for part in parts:
-            contours, _ = cv2.findContours((labels == part).astype(np.uint8), cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
-            cv2.drawContours(image, contours, -1, colour, 1, cv2.LINE_AA)
-    return image
+    return _tint(image, render_parts(camera, X_BP, finger_m), _ROBOT_COLOURS)
 
 
 def save_image(image: Image, path: Path) -> None:

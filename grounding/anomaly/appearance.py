@@ -125,8 +125,7 @@ def _inside(p_S: Array, camera: Camera) -> bool:
         return False
     pixel = camera.project(p_S)
     radius_px = np.array([camera.fx, camera.fy]) * _CORE_M / p_S[2]
-    size = np.array([camera.width, camera.height])
-    return bool((pixel >= radius_px).all() and (pixel <= size - radius_px).all())
+    return bool((pixel >= radius_px).all() and (pixel <= np.array([camera.width, camera.height]) - radius_px).all())
 
 
 def _hidden_share(p_S: Array, view: GripperView) -> float:
@@ -165,11 +164,13 @@ def second_gripper(view: GripperView, X_CH: Array | None, camera: Camera) -> flo
 @cache
 def _hull_corners_H() -> Array:
     """Return the corners (N, 3) of the open gripper's convex hulls in the hand frame [m]."""
-    corners = []
-    for part, mesh in part_meshes().items():
-        hull = np.asarray(mesh.convex_hull.vertices, dtype=np.float64)
-        corners.append(hull + np.array([0.0, OPENING_SIGN[part] * MAX_FINGER_M, 0.0]))
-    return np.concatenate(corners)
+    opened_m = np.array([0.0, MAX_FINGER_M, 0.0])
+    return np.concatenate(
+        [
+            np.asarray(mesh.convex_hull.vertices, dtype=np.float64) + OPENING_SIGN[part] * opened_m
+            for part, mesh in part_meshes().items()
+        ]
+    )
 
 
 def _outline(view: GripperView, X_CH: Array, camera: Camera) -> NDArray[np.uint8]:
@@ -288,7 +289,6 @@ def find_misshapen(shapes: Sequence[HandShape | None]) -> Detection:
 
     change = median(np.hypot(log_scale, stretch))
     score = lasting(change / _CONTOUR_CHANGE)
-    wrong_size = lasting(np.abs(median(log_scale)) / _CONTOUR_SIZE)
-    if (wrong_size >= 1.0).mean() > _WRONG_SIZE_SHARE:
+    if (lasting(np.abs(median(log_scale)) / _CONTOUR_SIZE) >= 1.0).mean() > _WRONG_SIZE_SHARE:
         score = np.zeros(len(shapes))
     return Detection.from_score(AnomalyKind.DEFORMATION, score, change)

@@ -88,9 +88,7 @@ class CameraMotion:
     def lost(self) -> NDArray[np.bool_]:
         """(T,) frames whose camera is unknown, as it moved too far and was not followed."""
         far = np.asarray(np.nan_to_num(self.px, nan=0.0) > bounds.COMPENSABLE_PX * self.unit_px)
-        if self.path is None:
-            return far
-        return (far | np.isnan(self.px)) & ~self.path.followed
+        return far if self.path is None else (far | np.isnan(self.px)) & ~self.path.followed
 
     @property
     def X_AC(self) -> Array:
@@ -128,8 +126,7 @@ class CameraMotion:
             The frames, and their camera: that of the first frame, at larger images where the camera turns far.
         """
         if self.path is not None:
-            own = self.path.followed | self.lost
-            R_AC = np.where(own[:, None, None], self.path.R_AC, self.R_AC)
+            R_AC = np.where((self.path.followed | self.lost)[:, None, None], self.path.R_AC, self.R_AC)
             return replace(self.path, R_AC=R_AC).stabilize(frames, camera)
         if not self.moves:
             return frames, camera

@@ -239,12 +239,10 @@ def _find_vanishing(e: AnomalyEvidence) -> Detection:
     """Detect a vanished gripper; in an unfamiliar video a doubtful pose is none, unless most others are fair."""
     if e.domain is Domain.FAMILIAR:
         return find_vanishing(e.confidence, e.explained, e.expected)
-    detected = (e.confidence > 0.0).astype(np.float64)
-    detection = find_vanishing(detected, e.explained, e.expected)
+    detection = find_vanishing((e.confidence > 0.0).astype(np.float64), e.explained, e.expected)
     others = e.fair[detection.score <= 1.0]
-    if len(others) and others.mean() >= _MEASURABLE_SHARE:
-        return detection
-    return Detection(kind=detection.kind, score=np.zeros(len(e.t_s)))
+    is_measurable = len(others) and others.mean() >= _MEASURABLE_SHARE
+    return detection if is_measurable else Detection(kind=detection.kind, score=np.zeros(len(e.t_s)))
 
 
 def _without(detection: Detection, frames: set[int]) -> Detection:

@@ -95,10 +95,8 @@ def sustained(values: ArrayLike, frames: int) -> Array:
     A grey opening (Serra 1982): shorter peaks are removed, longer ones stay.
     """
     values = np.nan_to_num(np.asarray(values, dtype=np.float64), nan=0.0)
-    if len(values) < frames:
-        return np.zeros(len(values))
-    padded = np.pad(values, frames)
-    return np.asarray(grey_opening(padded, size=frames)[frames:-frames])
+    opened = np.asarray(grey_opening(np.pad(values, frames), size=frames)[frames:-frames])
+    return opened if len(values) >= frames else np.zeros(len(values))
 
 
 def finite_median(values: ArrayLike, window: int) -> Array:

@@ -79,8 +79,7 @@ def find_teleports(p: ArrayLike, fair: NDArray[np.bool_], good: NDArray[np.bool_
     """
     lengths = jump_lengths(p, fair, t_s)
     index = np.flatnonzero(fair & finite_rows(np.asarray(p, dtype=np.float64)))
-    doubtful = ~(good[index[1:]] & good[index[:-1]])
-    lengths[index[1:][doubtful]] = 0.0
+    lengths[index[1:][~(good[index[1:]] & good[index[:-1]])]] = 0.0
     score = np.zeros(len(lengths))
     for i in np.flatnonzero(lengths).tolist():
         around = [k for k in range(max(0, i - _AROUND), min(len(lengths), i + _AROUND + 1)) if abs(k - i) > 2]
@@ -159,7 +158,6 @@ def find_finger_faults(width_m: ArrayLike) -> Detection:
     index = np.flatnonzero(np.isfinite(width_m))
     width = width_m[index]
     outside = np.maximum(np.maximum(-width, width - MAX_WIDTH_M), 0.0)
-    amplitude = flutter(width)
     size = np.zeros(len(width_m))
-    size[index] = np.maximum(outside, amplitude)
+    size[index] = np.maximum(outside, flutter(width))
     return Detection.from_score(AnomalyKind.FINGERS, size / _WIDTH_FAULT_M, size)

@@ -18,7 +18,7 @@ from kinebench_drake.geometry import Array, make_pose, rotation_z
 from kinebench_drake.grounding.camera.detections import CalibrationCorrespondences, RobotPoints
 from kinebench_drake.grounding.camera.lens import UNKNOWNS, Lens
 from kinebench_drake.grounding.camera.surroundings import Surroundings
-from kinebench_drake.grounding.registration.arm_model import OVER_LIMIT_RAD, ArmModel
+from kinebench_drake.grounding.registration.arm_model import ArmModel
 from kinebench_drake.grounding.registration.solver import CAUCHY, NEAREST_M
 from kinebench_drake.models.panda.cad import MAX_FINGER_M
 from kinebench_drake.models.panda.description import RobotPart
@@ -37,6 +37,8 @@ _BEHIND = 1e3
 _LARGEST_STEP_RAD = 0.4
 _LARGEST_STEP_M = 0.4
 _LARGEST_ZOOM = 0.2
+_LARGEST_SHIFT = 0.1
+"""Largest step of the principal point over the width of the image."""
 _CONVERGED = 1e-5
 
 
@@ -78,8 +80,7 @@ class ArmScene:
     def turned(self, angle_rad: float) -> "ArmScene":
         """Return the scene with the base turned by minus an angle about joint 1, and joint 1 by it: same links."""
         X_CB = self.lens.X_CB @ make_pose(rotation_z(-angle_rad), np.zeros(3))
-        q = self.q + angle_rad * (np.arange(N_JOINTS) == 0)
-        return replace(self, lens=replace(self.lens, X_CB=X_CB), q=q)
+        return replace(self, lens=replace(self.lens, X_CB=X_CB), q=self.q + angle_rad * (np.arange(N_JOINTS) == 0))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -184,17 +185,15 @@ def adjust(
 
 
 def _update(scene: ArmScene, step: Array, frame_steps: Array, model: ArmModel) -> ArmScene:
-    lens_step = step[:UNKNOWNS]
-    offset_step = step[UNKNOWNS:]
-    unit = 0.1 * scene.lens.camera.width
-    bound = np.array([*[_LARGEST_STEP_RAD] * 3, *[_LARGEST_STEP_M] * 3, _LARGEST_ZOOM, unit, unit])
-    lens_step = lens_step / max(1.0, float((np.abs(lens_step) / bound).max()))
+    shift_px = _LARGEST_SHIFT * scene.lens.camera.width
+    bound = np.array([*[_LARGEST_STEP_RAD] * 3, *[_LARGEST_STEP_M] * 3, _LARGEST_ZOOM, shift_px, shift_px])
+    lens_step = step[:UNKNOWNS] / max(1.0, float((np.abs(step[:UNKNOWNS]) / bound).max()))
     q = scene.q + np.clip(frame_steps[:, :N_JOINTS], -_LARGEST_STEP_RAD, _LARGEST_STEP_RAD)
     return ArmScene(
         lens=scene.lens.displace(lens_step),
-        q=np.clip(q, model.lower - OVER_LIMIT_RAD, model.upper + OVER_LIMIT_RAD),
+        q=model.clip(q),
         finger_m=np.clip(scene.finger_m + frame_steps[:, N_JOINTS], 0.0, MAX_FINGER_M),
-        offset=scene.offset + offset_step,
+        offset=scene.offset + step[UNKNOWNS:],
     )
 
 
@@ -210,7 +209,7 @@ class _Linearization:
         (q, q_sigma) = postures
         self._scene = scene
         self._o = o
-        X_BP, axis, point = model.poses_and_axes_of(scene.q)
+        X_BP, axis, point = model.poses_and_axes(scene.q)
         p_B = o.locate(X_BP, scene.finger_m)
         uv, z = lens.project(p_B)
         of_contour = ~o.whitening[:, 1].any(axis=1)
@@ -295,8 +294,7 @@ class _Linearization:
         fixed = ~self._free[c]
         information[fixed] = information[:, fixed] = 0.0
         W = self._o.whitening
-        rows = np.maximum((np.abs(W).sum(axis=2) > 0).sum(axis=1), 1)
-        per_px = np.sqrt((W**2).sum(axis=(1, 2)) / rows)
+        per_px = np.sqrt((W**2).sum(axis=(1, 2)) / np.maximum((np.abs(W).sum(axis=2) > 0).sum(axis=1), 1))
         return BundleAdjustment(
             scene=self._scene,
             cost=self._data_cost / max(float(self._o.weight.sum()), 1e-9),

@@ -195,7 +195,6 @@ def fit_cells(
     """
     prior = Prior(lens=start, log_focal_sigma=np.inf if focal_free else 0.0)
     p_B = cells.locate(X_BP, finger_m)
-    repeats = cells.count_repeats(X_BP)
 
     def adjusted(scene: ArmScene, weight: Array, steps: int = 20) -> BundleAdjustment:
         points = p_B if q is None else cells.locate(model.poses(scene.q), scene.finger_m)
@@ -207,18 +206,14 @@ def fit_cells(
     scene = ArmScene(lens=start, q=np.zeros((len(X_BP), N_JOINTS)) if q is None else q, finger_m=finger_m)
     for _ in range(rounds):
         scene = adjusted(scene, cells.weight).scene
-    return adjusted(scene, cells.weight / repeats, 0)
+    return adjusted(scene, cells.weight / cells.count_repeats(X_BP), 0)
 
 
 def _find_consensus(cells: CalibrationCorrespondences, p_B: Array, cameras: Sequence[Camera]) -> list[Lens]:
     """Return initial lenses by RANSAC from the cells' points `p_B` (N, 3) [m], by decreasing number of inliers."""
-    ranked = []
-    for camera in cameras:
-        solution = solve_pnp(p_B, cells.uv_px, camera)
-        if solution is not None:
-            X_CB, inliers = solution
-            ranked.append((inliers, Lens(camera=camera, X_CB=X_CB)))
-    return [lens for _, lens in sorted(ranked, key=lambda pair: -pair[0])]
+    solutions = [(camera, solve_pnp(p_B, cells.uv_px, camera)) for camera in cameras]
+    solved = [(camera, *solution) for camera, solution in solutions if solution is not None]
+    return [Lens(camera=camera, X_CB=X_CB) for camera, X_CB, _ in sorted(solved, key=lambda one: -one[2])]
 
 
 def _require_enough(cells: CalibrationCorrespondences) -> None:
@@ -243,8 +238,7 @@ def _misread(
     other_px = np.linalg.norm(lens.project(turned.locate(X_BP, finger_m))[0] - cells.uv_px, axis=1)
     scale = CAUCHY * cells.sigma_px(lens, cells.locate(X_BP, finger_m))
     gain = np.log1p((bundle.error_px / scale) ** 2) - np.log1p((other_px / scale) ** 2)
-    better = np.bincount(cells.frame, weights=gain * cells.of_gripper, minlength=len(X_BP))
-    return np.asarray(better > 0.0)
+    return np.asarray(np.bincount(cells.frame, weights=gain * cells.of_gripper, minlength=len(X_BP)) > 0.0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -273,16 +267,10 @@ class CalibrationConfig:
         """Check the options without reading files.
 
         Raises:
-            UsageError: a number is out of range, or two options contradict each other.
+            UsageError: two options contradict each other.
         """
-        if self.frames < 1:
-            raise UsageError(f"$frames is {self.frames}, expected 1 or more")
-        if self.focal_px is not None and not 1.0 <= self.focal_px <= 1e5:
-            raise UsageError(f"$focal_px is {self.focal_px:g}, expected pixels from 1 to 100000, such as 600")
         if self.focal_px is not None and self.camera is not None:
             raise UsageError("$focal_px and $camera exclude each other: the camera file states the focal length")
-        if self.frame_period_s is not None and not 1e-4 <= self.frame_period_s <= 1e3:
-            raise UsageError(f"$frame_period_s is {self.frame_period_s:g}, expected seconds from 0.0001 to 1000")
         if self.joints is None and self.joints_frame:
             raise UsageError(f"$joints_frame {self.joints_frame}: there is no $joints, whose posture it would be")
         is_file = self.joints is not None and (Path(self.joints).exists() or parse_posture(self.joints) is None)
@@ -398,10 +386,9 @@ def calibrate(config: CalibrationConfig, calibrator: Calibrator | None = None) -
         video.require_measurable()
     except UnmeasurableError as error:
         raise UnmeasurableError(f"{config.video.name}: {error}") from None
-    states = _states(config, video, ArmModel())
     return (calibrator or Calibrator.load()).calibrate(
         video.frames,
-        states,
+        _states(config, video, ArmModel()),
         _guess(config, intrinsics, video.width, video.height),
         focal_free=config.camera is None and config.focal_px is None,
         centre_free=config.camera is None,
@@ -473,9 +460,8 @@ def _times(video: Video, period_s: float | None) -> Array:
 
 def _guess(config: CalibrationConfig, intrinsics: Camera | None, width: int, height: int) -> Camera:
     """Return the initial camera: the pose of the benchmark camera unless a camera is provided."""
-    if intrinsics is not None:
-        return intrinsics.resized(width, height)
-    return centred_camera(width, height, config.focal_px or focal_px(max(width, height), USUAL_FOV_DEG))
+    focal = config.focal_px or focal_px(max(width, height), USUAL_FOV_DEG)
+    return centred_camera(width, height, focal) if intrinsics is None else intrinsics.resized(width, height)
 
 
 def _chosen(states: RobotStates, most: int) -> NDArray[np.intp]:
@@ -513,8 +499,8 @@ def _camera_shift(frames: Frames, robot: NDArray[np.bool_], camera: Camera) -> t
 def _is_other(camera: Camera, guess: Camera) -> bool:
     """Return whether a camera differs much from another one."""
     distance, angle = pose_difference(camera.X_BC, guess.X_BC)
-    moved = distance > _OTHER_M or angle > _OTHER_RAD
-    return bool(abs(np.log(camera.fx / guess.fx)) > _OTHER_ZOOM or moved)
+    zoom = abs(np.log(camera.fx / guess.fx))
+    return bool(zoom > _OTHER_ZOOM or distance > _OTHER_M or angle > _OTHER_RAD)
 
 
 def _method(states: RobotStates | None) -> CalibrationMethod:

@@ -199,10 +199,8 @@ def describe(
     """Return the estimate of a fit to contours of some parts (N,) in frames of these numbers (T,)."""
     covariance = bundle.covariance
     spread = []
-    for q, response in zip(bundle.scene.q, bundle.response, strict=True):
-        X_BP, axis, point = model.poses_and_axes(q)
-        X_BH = X_BP[RobotPart.HAND]
-        tcp = X_BH[:3, 3] + HAND_TO_TCP_M * X_BH[:3, 2]
+    for X_BP, axis, point, response in zip(*model.poses_and_axes(bundle.scene.q), bundle.response, strict=True):
+        tcp = X_BP[RobotPart.HAND, :3, 3] + HAND_TO_TCP_M * X_BP[RobotPart.HAND, :3, 2]
         J = np.concatenate([np.cross(axis, tcp - point).T, axis.T]) @ response
         spread.append(J @ covariance @ J.T)
     traces = [(np.trace(V[:3, :3]), np.trace(V[3:, 3:])) for V in spread]

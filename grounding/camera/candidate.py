@@ -233,16 +233,15 @@ class CameraCandidate:
         )
 
 
+@dataclass(frozen=True, slots=True)
 class CandidateFitter:
     """Fits of candidates to the cells of the networks' views, and to the contours of the robot.
 
     Images are those of the detections; passes are reaches of the search for edges, and weights of the cells.
     """
 
-    def __init__(self, model: ArmModel, matcher: EdgeMatcher) -> None:
-        """Set the arm and the search for edges."""
-        self.model = model
-        self.matcher = matcher
+    model: ArmModel
+    matcher: EdgeMatcher
 
     def images(self, frames: Frames, camera: Camera) -> ContourImages:
         """Return the images of `frames` (T, H, W, 3); only the size of `camera` matters."""
@@ -273,14 +272,12 @@ class CandidateFitter:
 
     def fit_cells(self, start: CameraCandidate, prior: Prior) -> CameraCandidate:
         """Return a candidate fitted to its cells."""
-        scene = start.scene
-        cost = 0.0
+        fitted = start
         for _ in range(2):
-            observations = _cell_observations(start.cells, scene, self.model)
-            bundle = adjust(observations, scene, prior, self.model)
-            scene = bundle.scene
-            cost = bundle.cost
-        return replace(start, scene=scene, cost=cost)
+            observations = _cell_observations(start.cells, fitted.scene, self.model)
+            bundle = adjust(observations, fitted.scene, prior, self.model)
+            fitted = replace(start, scene=bundle.scene, cost=bundle.cost)
+        return fitted
 
     def compare(
         self, fit: CameraCandidate, images: ContourImages, prior: Prior, frames: int, passes: Passes
@@ -289,7 +286,10 @@ class CandidateFitter:
         # Hands that the hypothesis explains badly are often none.
         likely = np.sort(np.argsort(fit.costs, kind="stable")[: max(MIN_FRAMES, len(fit.rows) // 2)])
         candidate = fit.take(likely[evenly(len(likely), frames)])
-        images = images.take(candidate.rows)
+        return self.fit(candidate, images.take(candidate.rows), prior, passes)
+
+    def fit(self, candidate: CameraCandidate, images: ContourImages, prior: Prior, passes: Passes) -> CameraCandidate:
+        """Return a candidate fitted to the contours of images of its own frames, with its agreement."""
         scene, _ = self.fit_contours(candidate, images, prior, passes)
         return replace(candidate, scene=scene, agreement=float(np.median(images.agreement(scene))))
 
@@ -360,6 +360,5 @@ def explained(agreement: Array, total: int) -> float:
 def _cell_observations(cells: CalibrationCorrespondences, scene: ArmScene, model: ArmModel) -> Observations:
     """Return the cells of the networks' views as observations, with standard deviations at a scene."""
     p_B = cells.locate(model.poses(scene.q), scene.finger_m)
-    factor = np.where(np.isin(cells.part, ARM), _FACTOR / LINK_SIGMAS, 1.0)
-    own = replace(cells, sigma_m=cells.sigma_m * factor)
+    own = replace(cells, sigma_m=cells.sigma_m * np.where(np.isin(cells.part, ARM), _FACTOR / LINK_SIGMAS, 1.0))
     return Observations.of_cells(cells, own.sigma_px(scene.lens, p_B, _FACTOR * PIXEL_SIGMA))

@@ -21,10 +21,9 @@ from kinebench_drake.grounding.camera.candidate import (
     CandidateFitter,
 )
 from kinebench_drake.grounding.camera.detections import MIN_FRAMES, ArmDetections, find_robot
-from kinebench_drake.grounding.camera.evidence import CameraChoice, CameraContradiction
+from kinebench_drake.grounding.camera.evidence import BetterReading, CameraChoice, CameraContradiction, PictureReading
 from kinebench_drake.grounding.camera.hypotheses import ChainSearch, Hypothesis
 from kinebench_drake.grounding.camera.lens import Lens, with_focal
-from kinebench_drake.grounding.camera.picture_reading import BetterReading, PictureReading
 from kinebench_drake.grounding.pipeline import PipelineResult
 from kinebench_drake.grounding.registration.fit import UNSEEN_FINGER_M
 from kinebench_drake.grounding.tracking.localization import PART_CELLS
@@ -188,18 +187,20 @@ class CameraChecker:
 
         The agreement of the picture as it is, which a fit of its own gives, is still 0.
         """
-        if reading is PictureReading.CROPPED:
-            detections = self.detect(frames, camera)
-            crop = None if detections is None else self._fit_crop(detections, frames, camera)
-            if crop is None:
-                return None
-            better = crop.agreement
-            lens = crop.scene.lens.to_camera()
-        else:
+        if reading is not PictureReading.CROPPED:
             picture = reading.frames(frames)
             lens = reading.camera(camera).resized(picture.shape[2], picture.shape[1])
             better = self._agreement(self.detect(picture, lens), picture, lens)
-        return BetterReading(reading=reading, agreement=0.0, better=better, camera=lens)
+            return BetterReading(reading=reading, agreement=0.0, better=better, camera=lens)
+        detections = self.detect(frames, camera)
+        if detections is None:
+            return None
+        # A crop is a camera at the same place whose picture is a part of that of `camera`.
+        crop = self._fit_best(detections, frames[detections.rows], [(prior.lens, prior) for prior in _crops(camera)])
+        if crop is None:
+            return None
+        camera = crop.scene.lens.to_camera()
+        return BetterReading(reading=reading, agreement=0.0, better=crop.agreement, camera=camera)
 
     def detect(
         self, frames: Frames, camera: Camera, used: int = bounds.SAMPLED_FRAMES, searched: int = SEARCHED
@@ -217,11 +218,6 @@ class CameraChecker:
             return 0.0
         fixed = self.fit_postures(detections, frames, self.explain(detections, camera))
         return 0.0 if fixed is None else fixed.agreement
-
-    def _fit_crop(self, detections: ArmDetections, frames: Frames, camera: Camera) -> CameraCandidate | None:
-        """Return the camera at the same place whose picture is a part of that of `camera`; None if no arm is seen."""
-        trials = [(prior.lens, prior) for prior in _crops(camera)]
-        return self._fit_best(detections, frames[detections.rows], trials)
 
     def _fit_best(
         self, detections: ArmDetections, frames: Frames, trials: Sequence[tuple[Lens, Prior]], least: float = 0.0
@@ -303,9 +299,7 @@ class CameraChecker:
         if start is None:
             return None
         images = self._fitter.images(frames[detections.rows[start.rows]], lens.camera)
-        prior = Prior(lens=lens, log_focal_sigma=0.0, place_free=False)
-        scene, _ = self._fitter.fit_contours(start, images, prior, _PASSES)
-        return replace(start, scene=scene, agreement=float(np.median(images.agreement(scene))))
+        return self._fitter.fit(start, images, Prior(lens=lens, log_focal_sigma=0.0, place_free=False), _PASSES)
 
     def base_agreement(self, frames: Frames, fit: CameraCandidate) -> float:
         """Return the share of the base link's contours on image edges in the frames (T, H, W, 3) of a fit; 0 unseen."""
@@ -315,8 +309,7 @@ class CameraChecker:
         """Return the agreement after a fit of the place of the camera as well, in the frames (T, H, W, 3) of a fit."""
         lens = fit.scene.lens
         images = self._fitter.images(frames, lens.camera)
-        scene, _ = self._fitter.fit_contours(fit, images, Prior(lens=lens, log_focal_sigma=0.0), MIDDLE)
-        return float(np.median(images.agreement(scene)))
+        return self._fitter.fit(fit, images, Prior(lens=lens, log_focal_sigma=0.0), MIDDLE).agreement
 
 
 def _crops(camera: Camera) -> Iterator[Prior]:
@@ -324,10 +317,9 @@ def _crops(camera: Camera) -> Iterator[Prior]:
     for zoom in _CROP_ZOOMS:
         margin = 0.5 * (zoom - 1.0) * np.array([camera.width, camera.height])
         for place in _CROP_PLACES:
-            cx, cy = np.array([camera.cx, camera.cy]) + place * margin
-            part = replace(with_focal(camera, zoom * camera.fx), cx=float(cx), cy=float(cy))
+            cx, cy = (np.array([camera.cx, camera.cy]) + place * margin).tolist()
             yield Prior(
-                lens=Lens.of_camera(part),
+                lens=Lens.of_camera(replace(with_focal(camera, zoom * camera.fx), cx=cx, cy=cy)),
                 log_focal_sigma=_CROP_LOG_SIGMA,
                 centre_sigma_px=_CROP_CENTRE_SIGMA * camera.width,
                 place_free=False,
@@ -364,7 +356,7 @@ def check_named(
         return choice if agreement is None else replace(choice, reason=_explain_disagreement(agreement, result))
     reading = find_reading(frames, camera, agreement, checker)
     if reading is not None:
-        return replace(choice, reading=reading, reason=f"the base frame is unknown: {reading.describe()}")
+        return replace(choice, better_reading=reading, reason=f"the base frame is unknown: {reading.describe()}")
     if agreement is not None and agreement >= CONFIRMED:
         return choice
     other = None if result.domain is Domain.ARM else checker.find_contradiction(frames, camera)

@@ -11,10 +11,9 @@ from kinebench_drake.grounding import bounds
 from kinebench_drake.grounding.camera.camera_estimate import CameraEstimate
 from kinebench_drake.grounding.camera.check import check_named, find_reading
 from kinebench_drake.grounding.camera.estimate import usual_camera
-from kinebench_drake.grounding.camera.evidence import CameraChoice
+from kinebench_drake.grounding.camera.evidence import BetterReading, CameraChoice, PictureReading
 from kinebench_drake.grounding.camera.framing import Framing, apply_framing
 from kinebench_drake.grounding.camera.framing_search import find_framing
-from kinebench_drake.grounding.camera.picture_reading import BetterReading, PictureReading
 from kinebench_drake.grounding.camera.recognition import Recognition
 from kinebench_drake.grounding.components import GroundingComponents
 from kinebench_drake.grounding.pipeline import PipelineResult
@@ -90,7 +89,7 @@ class CameraChooser:
         if not self._seeks_other:
             hand = self._checked(view, self._ground_hand(view))
             # Where another reading explains the hand, the arm alone would agree with the wrong one, too.
-            if hand.choice.reading is not None or not self._is_lost(hand.measured):
+            if hand.choice.better_reading is not None or not self._is_lost(hand.measured):
                 return hand
         arm = self._ground_arm(view)
         if arm is not None:
@@ -118,7 +117,7 @@ class CameraChooser:
             view = self._view(benchmark)
         if view is not None:
             assumed = self._ground_as_assumed(view)
-            if assumed.choice.reason is None or assumed.choice.reading is not None:
+            if assumed.choice.reason is None or assumed.choice.better_reading is not None:
                 return assumed
         recognition = self.parts.recognize(self.clip.frames if view is None else view.frames)
         if recognition is not None and recognition.is_usual:
@@ -153,7 +152,7 @@ class CameraChooser:
                 source=source,
                 table_height_m=named.setting.table_height_m,
                 named=named,
-                shown=recognition.reading,
+                applied_reading=recognition.reading,
             )
         )
         measured = self._ground_hand(view)
@@ -199,7 +198,7 @@ class CameraChooser:
                 possible = (measured.track, *tracks) if len(tracks) == len(rivals) else ()
         source = CameraSource.ESTIMATED if doubt is None else CameraSource.NONE
         reason = None if doubt is None else f"the base frame is unknown: no camera is named, {against}, and {doubt}"
-        choice = replace(choice, source=source, agreement=agreement, reading=reading, reason=reason)
+        choice = replace(choice, source=source, agreement=agreement, better_reading=reading, reason=reason)
         return view.result(measured, choice, possible)
 
     def _ground_rival(self, choice: CameraChoice, camera: Camera, estimate: CameraEstimate) -> GripperTrack | None:
@@ -250,8 +249,8 @@ class CameraChooser:
             UnmeasurableError: the shape of the video differs from that of the camera's image, and nothing explains it.
         """
         camera = choice.camera
-        shown = choice.shown
-        clip = self.clip.flipped(rows=shown is PictureReading.ROWS_REVERSED, columns=shown is PictureReading.MIRRORED)
+        turn = choice.applied_reading
+        clip = self.clip.flipped(rows=turn is PictureReading.ROWS_REVERSED, columns=turn is PictureReading.MIRRORED)
         framing = find_framing(clip.frames, camera, clip.conditioning, choice.source)
         priors = self.priors
         if not isinstance(priors, Priors):
@@ -262,9 +261,9 @@ class CameraChooser:
             camera_is_fitted=choice.source in (CameraSource.ESTIMATED, CameraSource.NONE),
             table_height_m=height_m,
         )
-        if shown is not None and priors.replaces_stage:
+        if turn is not None and priors.replaces_stage:
             raise UnmeasurableError(
-                f"the pictures are {shown.value.replace('_', ' ')}, as those of the camera are published, but masks, "
+                f"the pictures are {turn.value.replace('_', ' ')}, as those of the camera are published, but masks, "
                 "depth or poses are of the frames as they are: turn all of them first"
             )
         if clip.is_view and clip.conditioning is not None:
@@ -315,7 +314,7 @@ def _misread(choice: CameraChoice, reading: BetterReading) -> CameraChoice:
     """Return the choice of the benchmark camera for a picture that has to be read in another way."""
     described = reading.describe()
     reason = f"the base frame is unknown: no camera is named, and with the benchmark camera {described}"
-    return replace(choice, reading=reading, reason=reason)
+    return replace(choice, better_reading=reading, reason=reason)
 
 
 def _share(agreement: float | None) -> str:

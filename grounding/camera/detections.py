@@ -7,7 +7,7 @@ out with; only the crop's shape does, a little.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Self
 
@@ -19,7 +19,7 @@ from kinebench_drake.errors import UnmeasurableError
 from kinebench_drake.geometry import Array
 from kinebench_drake.grounding.camera.lens import Lens
 from kinebench_drake.grounding.registration.fit import UNSEEN_FINGER_M, HandFit, finger_or_default, fit
-from kinebench_drake.grounding.registration.solver import NEAREST_M
+from kinebench_drake.grounding.registration.solver import NEAREST_M, Rows
 from kinebench_drake.grounding.tracking.localization import PART_CELLS, find_region, likeliest_gripper
 from kinebench_drake.grounding.tracking.markov import X_HALF_TURN
 from kinebench_drake.grounding.tracking.tracker import PoseTracker
@@ -58,7 +58,7 @@ _CLOSE_WEIGHT = 6.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class RobotPoints:
+class RobotPoints(Rows):
     """N points of the robot, each seen in one of T frames of one camera."""
 
     frame: NDArray[np.intp]
@@ -78,15 +78,6 @@ class RobotPoints:
         """Return the number of points."""
         return len(self.frame)
 
-    def take(self, chosen: NDArray[np.generic]) -> Self:
-        """Select points by index or mask."""
-        return type(self)(**{f.name: getattr(self, f.name)[chosen] for f in fields(self)})
-
-    @classmethod
-    def join(cls, parts: Sequence[Self]) -> Self:
-        """Concatenate points in the same frames."""
-        return cls(**{f.name: np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(cls)})
-
     def locate(self, X_BP: Array, finger_m: Array) -> Array:
         """Return the points (N, 3) in B at poses (T, PARTS, 4, 4) and openings of each finger (T,) [m]; NaN without."""
         X = X_BP[self.frame, self.part]
@@ -103,8 +94,8 @@ class RobotPoints:
         R = X_BP[..., :3, :3]
         near = np.linalg.norm(p[:, None] - p[None], axis=-1) <= _ALIKE_M
         cosine = (np.einsum("spij,tpij->stp", R, R) - 1.0) / 2.0
-        alike = np.maximum(1, (near & (cosine >= np.cos(_ALIKE_RAD))).sum(axis=1))
-        return np.asarray(alike[self.frame, self.part])
+        alike = near & (cosine >= np.cos(_ALIKE_RAD))
+        return np.asarray(np.maximum(1, alike.sum(axis=1))[self.frame, self.part])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -145,8 +136,7 @@ class CalibrationCorrespondences(RobotPoints):
         """Return the cells with the gripper rotated by 180 degrees about its axis in some `frames` (T,)."""
         changed = self.of_gripper & frames[self.frame]
         p_P = np.where(changed[:, None], self.p_P @ X_HALF_TURN[:3, :3].T, self.p_P)
-        sign = np.where(changed, -self.opening_sign, self.opening_sign)
-        return replace(self, p_P=p_P, opening_sign=sign)
+        return replace(self, p_P=p_P, opening_sign=np.where(changed, -self.opening_sign, self.opening_sign))
 
 
 def find_correspondences(views: Sequence[tuple[int, GripperView]], camera: Camera) -> CalibrationCorrespondences:
@@ -157,11 +147,13 @@ def find_correspondences(views: Sequence[tuple[int, GripperView]], camera: Camer
         camera: camera of the crops.
     """
     close = {row for row, view in views if _is_close(view)}
-    cells = []
-    for row, view in views:
-        parts = (*GRIPPER, *ARM) if _is_close(view) or row not in close else ARM
-        cells += [_part_cells(row, view, part, camera) for part in parts]
-    return CalibrationCorrespondences.join(cells)
+    return CalibrationCorrespondences.join(
+        [
+            _part_cells(row, view, part, camera)
+            for row, view in views
+            for part in ((*GRIPPER, *ARM) if _is_close(view) or row not in close else ARM)
+        ]
+    )
 
 
 def _is_close(view: GripperView) -> bool:
@@ -267,8 +259,7 @@ def _approach(
     for number in range(2 * _ROUNDS):
         own = number < _ROUNDS
         sure = [row for row, view in close.items() if _hand_share(view) == 1.0]
-        unsure = [row for row in wide if row not in sure] if sure else []
-        starts = first if own else unsure
+        starts = first if own else [row for row in wide if sure and row not in sure]
         nearest = {row: row if own else min(sure, key=lambda other: abs(other - row)) for row in starts}
         crops = {row: Crop.of_gripper(hands[at].X_CH, CLOSE_MARGIN, CLOSE_SIZE) for row, at in nearest.items()}
         for row, view in estimator.estimate(frames, camera, crops):

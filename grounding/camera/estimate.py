@@ -156,13 +156,12 @@ class CameraEstimator:
         Turns that differ too little before the contours of the base are fitted are compared afterwards: a right one has
         more of them on image edges then.
         """
-        close = list(turns[:1])
-        if turns[0].share >= bounds.BASE_AGREEMENT:  # with less there is no base frame, however the base is turned
-            close = [turn for turn in turns if turn.share > turns[0].share - bounds.LEAD]
+        # With less agreement there is no base frame, however the base is turned.
+        is_seen = turns[0].share >= bounds.BASE_AGREEMENT
+        close = [turn for turn in turns if turn.share > turns[0].share - bounds.LEAD] if is_seen else list(turns[:1])
         fits = []
         for turn in close:
-            start = replace(arm, scene=arm.scene.turned(turn.angle_rad))
-            fit = self.fitter.finish(start, images, prior, total)
+            fit = self.fitter.finish(replace(arm, scene=arm.scene.turned(turn.angle_rad)), images, prior, total)
             share = images.take(fit.frames).base_share(fit.scene) if len(close) > 1 else turn.share
             fits.append(replace(fit, agreement=arm.agreement, base_agreement=share))
         best, turn = max(zip(fits, close, strict=True), key=lambda pair: pair[0].base_agreement)
@@ -209,13 +208,11 @@ class CameraEstimator:
         )
         images = self.fitter.images(frames, camera)
         scene, _ = self.fitter.fit_contours(start, images.take(start.rows), prior, COARSE)
-        candidate = replace(start, scene=replace(scene, q=start.scene.q))
-        return self.fitter.finish(candidate, images, prior, len(frames))
+        return self.fitter.finish(replace(start, scene=replace(scene, q=start.scene.q)), images, prior, len(frames))
 
     def _extend(self, candidate: CameraCandidate, detections: ArmDetections, search: ChainSearch) -> CameraCandidate:
         """Return a candidate with all frames that its camera explains."""
-        lens = candidate.scene.lens
-        return _without_base(self.fitter.extend(candidate, detections, search.explain(lens)))
+        return _without_base(self.fitter.extend(candidate, detections, search.explain(candidate.scene.lens)))
 
 
 def usual_camera(width: int, height: int) -> Camera:

@@ -1,18 +1,103 @@
 """Evidence for a video's camera: how well the arm of the reported track agrees with it, and what agrees better.
 
-What the evidence decides about a named camera stands in `check.py`.
+A camera with which the arm agrees poorly is often the right one, read wrongly: the picture may be mirrored, upside
+down, sideways or cropped, the matrix in another convention. All readings are compared by the same evidence: the share
+of the arm's contours on image edges. What the evidence decides about a named camera stands in `check.py`.
 """
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from enum import Enum
 
 import numpy as np
+from numpy.typing import NDArray
 
 from kinebench_drake.camera import Camera, CameraSource, CameraState
 from kinebench_drake.errors import name_options
+from kinebench_drake.geometry import Array, invert
 from kinebench_drake.grounding.camera.camera_estimate import CameraEstimate
-from kinebench_drake.grounding.camera.picture_reading import BetterReading, PictureReading
+from kinebench_drake.io.frames import Frames
 from kinebench_drake.io.jsonl import Json
 from kinebench_drake.named_cameras import NamedCamera
+
+
+class PictureReading(Enum):
+    """How a picture or a camera matrix may have to be read."""
+
+    MIRRORED = "mirrored"
+    UPSIDE_DOWN = "upside_down"
+    ROWS_REVERSED = "rows_reversed"
+    TURNED_LEFT = "turned_left"
+    TURNED_RIGHT = "turned_right"
+    OPENGL_AXES = "opengl_axes"
+    INVERTED = "inverted"
+    CROPPED = "cropped"
+
+    def frames(self, frames: Frames) -> Frames:
+        """Return the frames (T, H, W, 3) as read; the very same where the picture is not turned."""
+        return np.ascontiguousarray(_TURNS[self](np.asarray(frames))) if self in _TURNS else frames
+
+    def camera(self, camera: Camera) -> Camera:
+        """Return the camera as read; that of a cropped picture is found by a search."""
+        return replace(camera, X_BC=_MATRICES[self](camera.X_BC)) if self in _MATRICES else camera
+
+
+_TURNS: dict[PictureReading, Callable[[NDArray[np.uint8]], NDArray[np.uint8]]] = {
+    PictureReading.MIRRORED: lambda frames: frames[:, :, ::-1],
+    PictureReading.UPSIDE_DOWN: lambda frames: frames[:, ::-1, ::-1],
+    PictureReading.ROWS_REVERSED: lambda frames: frames[:, ::-1],
+    PictureReading.TURNED_LEFT: lambda frames: np.rot90(frames, 1, (1, 2)),
+    PictureReading.TURNED_RIGHT: lambda frames: np.rot90(frames, -1, (1, 2)),
+}
+_MATRICES: dict[PictureReading, Callable[[Array], Array]] = {
+    PictureReading.OPENGL_AXES: lambda X_BC: X_BC @ np.diag([1.0, -1.0, -1.0, 1.0]),
+    PictureReading.INVERTED: invert,
+}
+_SUBJECTS = {
+    PictureReading.MIRRORED: "the picture mirrored left-right",
+    PictureReading.UPSIDE_DOWN: "the picture turned upside down",
+    PictureReading.ROWS_REVERSED: "the picture with its rows reversed",
+    PictureReading.TURNED_LEFT: "the picture turned by 90 degrees to the left",
+    PictureReading.TURNED_RIGHT: "the picture turned by 90 degrees to the right",
+    PictureReading.OPENGL_AXES: "base_from_camera read in OpenGL axes (y up, z backwards)",
+    PictureReading.INVERTED: "the inverse of base_from_camera (camera_from_base)",
+    PictureReading.CROPPED: "a cropped picture",
+}
+_REMEDIES = {
+    **dict.fromkeys(PictureReading, "turn the frames before they are scored"),
+    PictureReading.MIRRORED: 'if it is mirrored, set "mirrored": true in camera.json, or take $mirrored=True',
+    PictureReading.OPENGL_AXES: "negate its second and third column",
+    PictureReading.INVERTED: "invert it",
+    PictureReading.CROPPED: "state the cropped picture's own fx, fy, cx and cy in a camera.json",
+}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BetterReading:
+    """PictureReading with which the arm agrees clearly better than with the picture and the camera as they are."""
+
+    reading: PictureReading
+    agreement: float
+    """Share of the contours of hand and arm on image edges as they are."""
+    better: float
+    """The same as read."""
+    camera: Camera
+    """Camera as read, of the frames as read."""
+
+    def describe(self) -> str:
+        """Describe the reading, both agreements and the remedy."""
+        return (
+            f"{_SUBJECTS[self.reading]} agrees better with the arm ({self.better:.0%} of its contours on image edges "
+            f"against {self.agreement:.0%}): {_REMEDIES[self.reading]}"
+        )
+
+    def to_json(self) -> dict[str, Json]:
+        """Serialize into `camera_reading` of samples.jsonl."""
+        return {
+            "reading": self.reading.value,
+            "agreement": round(self.agreement, 4),
+            "better": round(self.better, 4),
+        }
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -56,14 +141,14 @@ class CameraChoice:
     """Height of the table top in the robot base frame that is stated with the camera [m]; None if none is."""
     named: NamedCamera | None = None
     """Camera by name, where the arm is to confirm it."""
-    shown: PictureReading | None = None
-    """How its picture is turned before it is measured; None: not at all."""
+    applied_reading: PictureReading | None = None
+    """How the picture of a recognized camera is turned before it is measured; None: not at all."""
     estimate: CameraEstimate | None = None
     """Estimated camera; None if none was estimated."""
     contradiction: CameraContradiction | None = None
     """Camera that explains the arm better than the named one; None if none was found."""
-    reading: BetterReading | None = None
-    """PictureReading of picture or matrix that explains the arm better; None if none was found."""
+    better_reading: BetterReading | None = None
+    """Reading of picture or matrix that explains the arm better than what was measured; None if none was found."""
     reason: str | None = None
     """Why there is no base frame; None if there is one."""
 
@@ -82,14 +167,14 @@ class CameraChoice:
         data: dict[str, Json] = {"camera_source": source.value, "camera_state": self.state.value}
         if self.named is not None:
             data["camera_name"] = self.named.name
-        if self.shown is not None:
-            data["camera_shown"] = self.shown.value
+        if self.applied_reading is not None:
+            data["camera_shown"] = self.applied_reading.value
         if self.agreement is not None:
             data["camera_agreement"] = round(self.agreement, 4)
         for key, part in (
             ("camera_estimate", self.estimate),
             ("camera_contradiction", self.contradiction),
-            ("camera_reading", self.reading),
+            ("camera_reading", self.better_reading),
         ):
             if part is not None:
                 data[key] = part.to_json()

@@ -64,15 +64,13 @@ class Framing:
     @classmethod
     def filling(cls, image: tuple[float, float], video: tuple[int, int]) -> "Framing":
         """Return the framing of an image of (width, height) scaled to a video of (width, height)."""
-        (w, h) = image
-        (width, height) = video
         return cls(
-            width=width,
-            height=height,
-            image_width=w,
-            image_height=h,
-            scale_x=width / w,
-            scale_y=height / h,
+            width=video[0],
+            height=video[1],
+            image_width=image[0],
+            image_height=image[1],
+            scale_x=video[0] / image[0],
+            scale_y=video[1] / image[1],
             offset_x=0.0,
             offset_y=0.0,
         )

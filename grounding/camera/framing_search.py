@@ -78,8 +78,7 @@ def align(image: NDArray[np.uint8], frame: NDArray[np.uint8]) -> Framing | None:
 
 def _corner_distance_px(a: Framing, b: Framing) -> float:
     """Return the largest displacement of a corner of the visible part of `b` by using the map of `a` instead [px]."""
-    size = np.array([b.width, b.height])
-    visible = np.clip(b.corners, 0.0, size)
+    visible = np.clip(b.corners, 0.0, np.array([b.width, b.height]))
     points = (visible - b.map[:, 2]) / np.diag(b.map)  # in the image
     return float(np.abs(points * np.diag(a.map) + a.map[:, 2] - visible).max())
 
@@ -191,10 +190,8 @@ def find_bars(frames: Frames, image: tuple[float, float]) -> Framing | None:
 
     Every bar must have one constant colour and end at the edge of the image.
     """
-    some = evenly(len(frames), bounds.SAMPLED_FRAMES)
-    subset = np.asarray(frames[some]).astype(np.float32)
-    size = frames.shape[2], frames.shape[1]
-    for framing in letterboxes(image, size):
+    subset = np.asarray(frames[evenly(len(frames), bounds.SAMPLED_FRAMES)]).astype(np.float32)
+    for framing in letterboxes(image, (frames.shape[2], frames.shape[1])):
         rows, columns = framing.window
         across = columns.stop - columns.start < framing.width
         strips = np.swapaxes(subset, 1, 2) if across else subset  # bars as the first and last rows
@@ -240,8 +237,7 @@ def find_framing(
     named = "" if source is None else f"{source.value} "
     if image is not None:
         size = image.shape[1], image.shape[0]
-        own_camera = camera_size == video and camera_size != size
-        if not own_camera and not Framing.filling(size, camera_size).changes:
+        if (camera_size != video or camera_size == size) and not Framing.filling(size, camera_size).changes:
             framing = align(image, frames[0])
     if framing is None and not filled.changes:
         return filled

@@ -16,9 +16,9 @@ from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array, invert
 from kinebench_drake.grounding.camera.detections import CalibrationCorrespondences
 from kinebench_drake.grounding.camera.lens import Lens, solve_pnp, with_focal
-from kinebench_drake.grounding.registration.arm_model import LAST_ANGLES_RAD, OVER_LIMIT_RAD, USUAL_Q, ArmModel
-from kinebench_drake.grounding.registration.chain_fit import MIN_LINK_CELLS
+from kinebench_drake.grounding.registration.arm_model import LAST_ANGLES_RAD, USUAL_Q, ArmModel
 from kinebench_drake.grounding.registration.solver import NEAREST_M
+from kinebench_drake.grounding.tracking.flange_fit import MIN_LINK_CELLS
 from kinebench_drake.grounding.tracking.markov import X_HALF_TURN
 from kinebench_drake.kinematics.analytic import analytic_ik
 from kinebench_drake.models.panda.description import ARM, RobotPart
@@ -95,9 +95,8 @@ class ChainSearch:
     def _opened(cells: CalibrationCorrespondences, finger_m: float) -> CalibrationCorrespondences | None:
         """Return the cells of the gripper in the hand's frame, opened by `finger_m`; None if there are too few."""
         cells = cells.take(cells.of_gripper)
-        if len(cells) < MIN_LINK_CELLS:
-            return None
-        return replace(cells, p_P=cells.p_P + cells.opening_sign[:, None] * [0.0, finger_m, 0.0])
+        opened_H = cells.p_P + cells.opening_sign[:, None] * [0.0, finger_m, 0.0]
+        return replace(cells, p_P=opened_H) if len(cells) >= MIN_LINK_CELLS else None
 
     @staticmethod
     def _link_cells(cells: CalibrationCorrespondences) -> dict[int, CalibrationCorrespondences]:
@@ -115,13 +114,9 @@ class ChainSearch:
 
     def hands(self, camera: Camera) -> list[Array | None]:
         """Return the poses X_CH (4, 4) of the hand in all frames by perspective-n-point; None where it fails."""
-        poses: list[Array | None] = [None] * self._frames
-        for t, cells in enumerate(self._gripper):
-            if cells is not None:
-                solution = solve_pnp(cells.p_P, cells.uv_px, camera)
-                if solution is not None and solution[0][2, 3] > NEAREST_M:
-                    poses[t] = solution[0]
-        return poses
+        solutions = [None if cells is None else solve_pnp(cells.p_P, cells.uv_px, camera) for cells in self._gripper]
+        poses = (None if solution is None else solution[0] for solution in solutions)
+        return [X_CH if X_CH is not None and X_CH[2, 3] > NEAREST_M else None for X_CH in poses]
 
     def _errors(self, X_CP: Array, cells: CalibrationCorrespondences, camera: Camera) -> Array:
         """Return the capped squared errors (M, n) of cells of one part at poses `X_CP` (M, 4, 4)."""
@@ -150,8 +145,7 @@ class ChainSearch:
         cost = np.zeros(1)
         count = 1e-9
         for joint in range(N_JOINTS - 1, -1, -1):
-            part = int(ARM[joint])
-            cells = links.get(part)
+            cells = links.get(int(ARM[joint]))
             angle, step = self._grids[joint] if cells is not None else self._coarse[joint]
             X_next = (X[:, None] @ step[None]).reshape(-1, 4, 4)
             q_next = np.repeat(q, len(angle), axis=0)
@@ -199,17 +193,14 @@ class ChainSearch:
             hand_cost = self._errors(X, _some(hand, 2 * _CELLS), lens.camera).mean(axis=1)
         X_BH = invert(lens.X_CB) @ np.concatenate([X, X @ X_HALF_TURN])
         q = analytic_ik((X_BH @ self._model.X_HF)[:, None], LAST_ANGLES_RAD).reshape(-1, N_JOINTS)
-        start = np.repeat(np.tile(hand_cost, 2) + _FLIP_COST * (np.arange(len(X_BH)) >= len(X)), len(q) // len(X_BH))
-        flipped = np.repeat(np.arange(len(X_BH)) >= len(X), len(q) // len(X_BH))
-        lower = self._model.lower - OVER_LIMIT_RAD
-        upper = self._model.upper + OVER_LIMIT_RAD
+        of_pose = np.repeat(np.arange(len(X_BH)), len(q) // len(X_BH))
         with np.errstate(invalid="ignore"):
-            possible = np.flatnonzero(((q >= lower) & (q <= upper)).all(axis=1))
+            possible = np.flatnonzero(self._model.within_limits(q))
         if not len(possible):
             return None
         q = q[possible]
-        start = start[possible]
-        flipped = flipped[possible]
+        flipped = of_pose[possible] >= len(X)
+        start = np.tile(hand_cost, 2)[of_pose[possible]] + _FLIP_COST * flipped
         X_CP = lens.X_CB @ self._model.poses(q)
         errors = [self._errors(X_CP[:, part], cells, lens.camera).mean(axis=1) for part, cells in links.items()]
         cost = (np.sum(errors, axis=0) + start) / (len(links) + 1)

@@ -42,11 +42,16 @@ class Lens:
     def displace(self, step: Array) -> "Lens":
         """Return the lens after a step (9,) of the unknowns; the base turns about the axes of C."""
         X_CB = make_pose(rotation_exp(step[:3]) @ self.X_CB[:3, :3], self.X_CB[:3, 3] + step[3:6])
-        zoom = float(np.exp(step[6]))
         own = self.camera
-        cx = own.cx + float(step[7])
-        cy = own.cy + float(step[8])
-        return Lens(camera=replace(own, fx=own.fx * zoom, fy=own.fy * zoom, cx=cx, cy=cy), X_CB=X_CB)
+        zoom = float(np.exp(step[6]))
+        displaced = replace(
+            own,
+            fx=own.fx * zoom,
+            fy=own.fy * zoom,
+            cx=own.cx + float(step[7]),
+            cy=own.cy + float(step[8]),
+        )
+        return Lens(camera=displaced, X_CB=X_CB)
 
     def to_camera(self) -> Camera:
         """Return the camera with its pose."""
@@ -56,9 +61,8 @@ class Lens:
         """Project points (N, 3) in B to pixels (N, 2) and depths (N,) [m], points behind the camera included."""
         p_C = transform_points(self.X_CB, p_B)
         z = np.where(np.abs(p_C[:, 2]) < 1e-3, 1e-3, p_C[:, 2])
-        f = [self.camera.fx, self.camera.fy]
-        c = [self.camera.cx, self.camera.cy]
-        return np.asarray(p_C[:, :2] / z[:, None] * f + c), z
+        own = self.camera
+        return np.asarray(p_C[:, :2] / z[:, None] * [own.fx, own.fy] + [own.cx, own.cy]), z
 
     def derivatives(self, p_B: Array) -> tuple[Array, Array]:
         """Return the derivatives of the pixels of points (N, 3) by the unknowns (N, 2, 9) and by p_C (N, 2, 3)."""

@@ -14,9 +14,9 @@ from kinebench_drake.grounding import bounds
 from kinebench_drake.grounding.camera.candidate import CameraCandidate
 from kinebench_drake.grounding.camera.check import SEARCHED, CameraChecker
 from kinebench_drake.grounding.camera.estimate import usual_camera
+from kinebench_drake.grounding.camera.evidence import BetterReading, PictureReading
 from kinebench_drake.grounding.camera.framing import placements
 from kinebench_drake.grounding.camera.lens import Lens
-from kinebench_drake.grounding.camera.picture_reading import BetterReading, PictureReading
 from kinebench_drake.io.frames import Frames
 from kinebench_drake.named_cameras import BENCHMARK, NamedCamera, named_cameras
 from kinebench_drake.segments import evenly
@@ -68,8 +68,12 @@ class Recognition:
     @property
     def is_clear(self) -> bool:
         """True if the arm confirms it, and no other."""
-        agrees = self.agreement >= bounds.AGREEMENT and self.base_agreement >= bounds.BASE_AGREEMENT
-        return agrees and self.lead >= RECOGNITION_LEAD and self.freed <= self.agreement + RECOGNITION_LEAD
+        return (
+            self.agreement >= bounds.AGREEMENT
+            and self.base_agreement >= bounds.BASE_AGREEMENT
+            and self.lead >= RECOGNITION_LEAD
+            and self.freed <= self.agreement + RECOGNITION_LEAD
+        )
 
     @property
     def is_usual(self) -> bool:
@@ -99,8 +103,7 @@ class _Trial:
 
     def is_same(self, other: "_Trial") -> bool:
         """Return whether another one has practically the same picture."""
-        same_arm = self.fit.scene.lens.sees_same_arm(other.fit.scene.lens, _SAME)
-        return self.reading is other.reading and same_arm
+        return self.reading is other.reading and self.fit.scene.lens.sees_same_arm(other.fit.scene.lens, _SAME)
 
 
 def recognize(frames: Frames, checker: CameraChecker) -> Recognition | None:

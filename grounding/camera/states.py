@@ -160,10 +160,11 @@ def _read(sample: TrajectorySample, choice: TrajectoryOptions) -> Trajectory:
 
 def _episode(samples: tuple[TrajectorySample, ...], path: Path, episode: str | None) -> TrajectorySample:
     names = [sample.part or sample.id for sample in samples]
-    if episode is not None:
-        chosen = [s for s, name in zip(samples, names, strict=True) if episode in (name, name.removeprefix("traj_"))]
-    else:
-        chosen = list(samples)
+    chosen = [
+        sample
+        for sample, name in zip(samples, names, strict=True)
+        if episode in (None, name, name.removeprefix("traj_"))
+    ]
     if len(chosen) != 1:
         content = f"no episode {episode}" if not chosen else f"{len(chosen)} episodes"
         few = ", ".join(names[:8]) + (", ..." if len(names) > 8 else "")
@@ -190,8 +191,7 @@ def _at(trajectory: Trajectory, t_s: Array, name: str) -> Trajectory:
     near = step <= _MAX_GAP_S
 
     def interpolate(values: Array) -> Array:
-        mixed = (1.0 - s)[:, None] * values[after - 1] + s[:, None] * values[after]
-        return np.where(near[:, None], mixed, np.nan)
+        return np.where(near[:, None], (1.0 - s)[:, None] * values[after - 1] + s[:, None] * values[after], np.nan)
 
     q = trajectory.q
     X_BG = trajectory.X_BG

@@ -16,7 +16,7 @@ from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array, rotation_exp, rotation_z
 from kinebench_drake.grounding.camera.lens import UNKNOWNS, Lens
 from kinebench_drake.grounding.registration.edges import EdgeMatcher
-from kinebench_drake.grounding.registration.solver import CAUCHY
+from kinebench_drake.grounding.registration.solver import CAUCHY, Rows
 from kinebench_drake.io.frames import Frames
 
 _LEAST_LENGTH = 0.05
@@ -54,7 +54,7 @@ _ON_ROBOT = 0.2
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Lines:
+class Lines(Rows):
     """Straight lines of an image."""
 
     ends_px: Array
@@ -77,18 +77,13 @@ class Lines:
         one = np.ones((len(self), 1))
         end = np.hstack([self.ends_px[:, 1], one])
         middle = np.hstack([self.ends_px.mean(axis=1), one])
-        vanishing = axes_B @ lens.X_CB[:3, :3].T @ lens.camera.K.T
-        line = np.cross(middle[:, None], vanishing)
+        line = np.cross(middle[:, None], axes_B @ lens.X_CB[:3, :3].T @ lens.camera.K.T)
         along = np.maximum(np.linalg.norm(line[..., :2], axis=-1), 1e-12)
         return np.asarray(np.einsum("nkj,nj->nk", line, end) / along)
 
     def angles(self, lens: Lens, axes_B: Array) -> Array:
         """Return the angles (N, K) between lines and directions (K, 3) in the image [rad], 0 to pi/2."""
         return np.asarray(np.arcsin(np.clip(2 * np.abs(self.offsets(lens, axes_B)) / self.length_px[:, None], 0, 1)))
-
-    def take(self, chosen: NDArray[np.generic]) -> "Lines":
-        """Select lines by index or mask."""
-        return Lines(ends_px=self.ends_px[chosen])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -119,8 +114,7 @@ class Surroundings:
             here = residual(still, askew)
             W = weight / (1.0 + here**2 / CAUCHY**2)
             A = _slopes(lambda x: residual(still, x), askew)
-            own = A.T @ (W[:, None] * A) + stiff
-            askew = askew - np.linalg.solve(own, A.T @ (W * here) + stiff @ askew)
+            askew = askew - np.linalg.solve(A.T @ (W[:, None] * A) + stiff, A.T @ (W * here) + stiff @ askew)
         here = residual(still, askew)
         W = weight / (1.0 + here**2 / CAUCHY**2)
         J = _slopes(lambda x: residual(x, askew), still)

@@ -59,9 +59,7 @@ def pick(archive: Archive, names: Sequence[str]) -> tuple[str, NDArray[np.generi
 
 def array_files(entry: Path) -> list[Path]:
     """Return the files of a video's masks or depth; those of a folder in natural order: 2.png before 10.png."""
-    if entry.is_dir():
-        return [file for file in frame_files(entry) if file.suffix.lower() == ".png"]
-    return [entry]
+    return [file for file in frame_files(entry) if file.suffix.lower() == ".png"] if entry.is_dir() else [entry]
 
 
 def read_pngs(folder: Path) -> NDArray[np.generic]:

@@ -201,12 +201,10 @@ class ArmFitter:
         scale = self._scale(solution, cells, views)
         fitted = self._arm_fits(solution, [view.links for view in views], [view.hand for view in views])
         for row, (b, arm) in enumerate(zip(rows, fitted, strict=True)):
-            view = views[row]
-            (_, cost, flipped_cost) = initial[b]
             if arm is not None:
-                growth = solution.growth(row, len(view.gripper))
-                agrees = arm.agrees and _is_consistent(arm.X_CH, view.hand, growth)
-                evidence = flip_evidence(cost, flipped_cost)
+                growth = solution.growth(row, len(views[row].gripper))
+                agrees = arm.agrees and _is_consistent(arm.X_CH, views[row].hand, growth)
+                evidence = flip_evidence(*initial[b][1:])
                 fits[b] = replace(arm, agrees=agrees, scale=float(scale[row]), evidence=evidence)
         return fits
 
@@ -271,11 +269,11 @@ class ArmFitter:
     def _scale(solution: Solution[ArmHandModel], cells: Sequence[Correspondences], views: Sequence[ArmView]) -> Array:
         """Return the hands' distances (B,) according to the links over those according to their apparent sizes."""
         arm = solution.model
-        (sigma, _) = depth_priors(views)
-        stacked = Correspondences.stack(cells)
-        by_links = np.where(stacked.part >= RobotPart.LINK0, 1.0, _LINKS_ONLY_WEIGHT) * stacked.weight
-        by_links_only = replace(stacked, weight=by_links)
-        links_solution = solve(arm, by_links_only, sigma, solution.log_depth_factor, iterations=4)
+        sigma, _ = depth_priors(views)
+        by_links = Correspondences.stack(cells)
+        weight = np.where(by_links.part >= RobotPart.LINK0, 1.0, _LINKS_ONLY_WEIGHT) * by_links.weight
+        by_links = replace(by_links, weight=weight)
+        links_solution = solve(arm, by_links, sigma, solution.log_depth_factor, iterations=4)
         free = HandModel(
             X_CH=np.stack([view.hand.X_CH for view in views]),
             finger_m=arm.finger_m,
@@ -296,8 +294,7 @@ class ArmFitter:
         cells = Correspondences.stack(links)
         rows = CellRows.of(cells)
         p_L = rows.in_line_frames(rows.place(arm.X_CB[:, None] @ self._model.poses(arm.q))[0])
-        distance = np.hypot(p_L[:, 0], p_L[:, 1]) / p_L[:, 2]
-        return self._camera.fx * masked_median(distance, cells.weight > 0)
+        return self._camera.fx * masked_median(np.hypot(p_L[:, 0], p_L[:, 1]) / p_L[:, 2], cells.weight > 0)
 
     def refine(
         self, q: Array, view: ArmView, image: GradientImage, followed: Correspondences | None = None
@@ -406,12 +403,11 @@ class ArmFitter:
         solution = solve(start.take(frames), Correspondences.stack(joined), *depth_priors(views), iterations=3)
         fits = self._arm_fits(solution, [view.links for view in views], [view.hand for view in views])
         for b, fitted in zip(frames, fits, strict=True):
-            if fitted is None or not fitted.agrees:
-                continue
-            grown_px = fitted.consistency_px - arms[b].consistency_px
             if (
-                pose_difference(fitted.X_CH, arms[b].X_CH)[0] <= bounds.FAR_M
-                and grown_px <= _SHARPENING_GROWTH_PX * self._camera.unit_px
+                fitted is not None
+                and fitted.agrees
+                and pose_difference(fitted.X_CH, arms[b].X_CH)[0] <= bounds.FAR_M
+                and fitted.consistency_px - arms[b].consistency_px <= _SHARPENING_GROWTH_PX * self._camera.unit_px
             ):
                 sharpened[b] = replace(fitted, scale=arms[b].scale, evidence=arms[b].evidence)
         return sharpened
@@ -425,9 +421,8 @@ class ArmFitter:
         if points is None:
             return None
         solution = solve(self._links_at(near.q[None]), Correspondences.stack([points]), np.array([LINKS_DEPTH_SIGMA]))
-        if not solution.valid[0]:
-            return None
-        return FollowedArm(q=solution.model.q[0], X_CH=solution.model.hand()[0][0], points=points)
+        arm = solution.model
+        return FollowedArm(q=arm.q[0], X_CH=arm.hand()[0][0], points=points) if solution.valid[0] else None
 
     def fit_links(
         self, X_CH: Array, turn_sigma_rad: float, links: Correspondences, image: GradientImage
@@ -533,16 +528,11 @@ def depth_priors(views: Sequence[ArmView]) -> tuple[Array, Array]:
 
 def _is_consistent(X_CH: Array, hand: HandFit, residual: float) -> bool:
     """Return whether a hand posed by its arm, with the `residual` of its cells there, is near the pose of its own."""
-    along, across = _split(X_CH[:3, 3] - hand.X_CH[:3, 3], hand.X_CH[:3, 3])
+    difference = X_CH[:3, 3] - hand.X_CH[:3, 3]
+    along = float(difference @ hand.X_CH[:3, 3] / np.linalg.norm(hand.X_CH[:3, 3]))
     return bool(
-        along <= _MAX_ALONG_M
-        and across <= _MAX_ACROSS_M
+        abs(along) <= _MAX_ALONG_M
+        and max(0.0, float(difference @ difference) - along**2) ** 0.5 <= _MAX_ACROSS_M
         and pose_difference(X_CH, hand.X_CH)[1] <= bounds.MAX_ANGLE_RAD
         and residual <= _MAX_GROWTH * hand.residual + _MAX_GROWTH_SIGMAS
     )
-
-
-def _split(difference: Array, direction: Array) -> tuple[float, float]:
-    """Return the lengths of a difference (3,) along and across a direction (3,)."""
-    along = float(difference @ direction / np.linalg.norm(direction))
-    return abs(along), max(0.0, float(difference @ difference) - along**2) ** 0.5

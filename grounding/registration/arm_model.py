@@ -31,6 +31,7 @@ _SHOULDER_SIGMA_RAD = 1.0
 COST_CAP = 25.0
 """Greatest squared residual of a cell."""
 _SCORED_CELLS = 48
+"""Number of cells that are compared with many postures."""
 
 
 class ArmModel:
@@ -59,13 +60,16 @@ class ArmModel:
         """Return the poses (M, PARTS, 4, 4) of the parts' CAD frames in B, fingers closed, at postures `q` (M, 7)."""
         return np.asarray(self._chain.motions(q)[:, self._stage] @ self._home)
 
-    def poses_and_axes(self, q: Array) -> tuple[Array, Array, Array]:
-        """Return poses (PARTS, 4, 4), joint axes (7, 3) and a point (7, 3) on each axis in B, at one posture (7,)."""
-        X, axis, point = self.poses_and_axes_of(q[None])
-        return X[0], axis[0], point[0]
+    def within_limits(self, q: Array) -> NDArray[np.bool_]:
+        """Return which postures (..., 7) are within the joint limits and their tolerance; none with NaN."""
+        return np.asarray(((q >= self.lower - OVER_LIMIT_RAD) & (q <= self.upper + OVER_LIMIT_RAD)).all(axis=-1))
 
-    def poses_and_axes_of(self, q: Array) -> tuple[Array, Array, Array]:
-        """Return the same of postures `q` (M, 7), each with a leading dimension M."""
+    def clip(self, q: Array) -> Array:
+        """Clip postures (..., 7) to the joint limits and their tolerance [rad]."""
+        return np.clip(q, self.lower - OVER_LIMIT_RAD, self.upper + OVER_LIMIT_RAD)
+
+    def poses_and_axes(self, q: Array) -> tuple[Array, Array, Array]:
+        """Return poses (M, PARTS, 4, 4), joint axes (M, 7, 3) and a point (M, 7, 3) on each in B at postures (M, 7)."""
         M = self._chain.motions(q)
         axis, point = self._chain.axes(M)
         return np.asarray(M[:, self._stage] @ self._home), axis, point
@@ -91,14 +95,11 @@ class ArmHandModel:
 
     def place(self) -> PartPlacement:
         """Return the poses of the parts, each moved by the joints between it and the base."""
-        X_BP, axis, point = self.model.poses_and_axes_of(self.q)
-        R_BC = self.X_CB[:, :3, :3].swapaxes(1, 2)
-        axis_C = axis @ R_BC
-        point_C = point @ R_BC + self.X_CB[:, None, :3, 3]
+        X_BP, axis, point = self.model.poses_and_axes(self.q)
         return PartPlacement(
             X_CP=self.X_CB[:, None] @ X_BP,
             finger_m=self.finger_m,
-            twist=np.concatenate([axis_C, cross(point_C, axis_C)], axis=2).swapaxes(1, 2),
+            twist=joint_twist(self.X_CB, axis, point),
             moves=self.model.moves,
         )
 
@@ -112,8 +113,7 @@ class ArmHandModel:
 
     def updated(self, step: Array) -> Self:
         """Return the arms after a change (B, 8) of their parameters, within the joint limits."""
-        q = np.clip(self.q + step[:, :7], self.model.lower - OVER_LIMIT_RAD, self.model.upper + OVER_LIMIT_RAD)
-        return replace(self, q=q, finger_m=clip_finger(self.finger_m + step[:, 7]))
+        return replace(self, q=self.model.clip(self.q + step[:, :7]), finger_m=clip_finger(self.finger_m + step[:, 7]))
 
     def take(self, index: NDArray[np.generic]) -> Self:
         """Return the arms of some of the frames, by index or mask."""
@@ -130,6 +130,14 @@ class ArmHandModel:
         return X_CH, np.concatenate([rotation, velocity], axis=1)
 
 
+def joint_twist(X_CB: Array, axis: Array, point: Array) -> Array:
+    """Return the twists (B, 6, 7), as in `PartPlacement`, of joints whose axes (B, 7, 3) pass points (B, 7, 3) in B."""
+    R_BC = X_CB[:, :3, :3].swapaxes(1, 2)
+    axis_C = axis @ R_BC
+    point_C = point @ R_BC + X_CB[:, None, :3, 3]
+    return np.concatenate([axis_C, cross(point_C, axis_C)], axis=2).swapaxes(1, 2)
+
+
 def find_posture(
     model: ArmModel, X_CH: Array, links: Correspondences, X_CB: Array
 ) -> tuple[Array, float, float] | None:
@@ -140,21 +148,19 @@ def find_posture(
     """
     if len(links) < MIN_CELLS:
         return None
-    X_BF = invert(X_CB) @ X_CH @ model.X_HF
-    q = analytic_ik(X_BF, LAST_ANGLES_RAD).reshape(-1, 7)
+    q = analytic_ik(invert(X_CB) @ X_CH @ model.X_HF, LAST_ANGLES_RAD).reshape(-1, 7)
     q = q[np.isfinite(q).all(axis=1)]
     flipped = q.copy()
     flipped[:, 6] = (flipped[:, 6] + 2 * np.pi) % (2 * np.pi) - np.pi
     best: list[tuple[float, Array | None]] = []
-    scored = subsample(links)
+    scored = links.take(np.linspace(0, len(links) - 1, _SCORED_CELLS).astype(int))
     for postures in (q, flipped):
-        lower = model.lower - OVER_LIMIT_RAD
-        upper = model.upper + OVER_LIMIT_RAD
-        candidates = postures[((postures >= lower) & (postures <= upper)).all(axis=1)]
+        candidates = postures[model.within_limits(postures)]
         if not len(candidates):
             best.append((COST_CAP, None))
             continue
-        costs = posture_costs(model, candidates, scored, X_CB) + _shoulder_cost(candidates)
+        shoulder = ((candidates[:, [0, 2]] / _SHOULDER_SIGMA_RAD) ** 2).sum(axis=1) / CELLS_INDEPENDENT
+        costs = posture_costs(model, candidates, scored, X_CB) + shoulder
         best.append((float(costs.min()), candidates[costs.argmin()]))
     (cost, posture), (flipped_cost, _) = best
     return None if posture is None else (posture, cost, flipped_cost)
@@ -172,16 +178,6 @@ def half_turn(arm: ArmHandModel) -> ArmHandModel:
     """Return the arm with its last joint turned by 180 degrees."""
     q = arm.q + np.pi * (np.arange(7) == 6) * np.where(arm.q[:, 6:] < 0, 1.0, -1.0)
     return replace(arm, q=q, q_start=q)
-
-
-def _shoulder_cost(q: Array) -> Array:
-    """Return the cost (M,) of how far the shoulder is turned at postures `q` (M, 7), in the unit of a cell's."""
-    return np.asarray(((q[:, [0, 2]] / _SHOULDER_SIGMA_RAD) ** 2).sum(axis=1) / CELLS_INDEPENDENT)
-
-
-def subsample(links: Correspondences) -> Correspondences:
-    """Return as many cells as are compared with many postures."""
-    return links.take(np.linspace(0, len(links) - 1, _SCORED_CELLS).astype(int))
 
 
 def flip_evidence(cost: float, flipped_cost: float) -> float:

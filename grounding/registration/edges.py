@@ -128,11 +128,9 @@ class EdgeMatcher:
         of = np.repeat(np.array(parts, np.uint8), [len(ends) for ends in contours])
         a = np.concatenate(placed)
         a_P = np.concatenate(contours)
-        x = a[..., 0]
-        y = a[..., 1]
         z = np.maximum(a[..., 2], 1e-9)
-        u = camera.fx * x / z + camera.cx
-        v = camera.fy * y / z + camera.cy
+        u = camera.fx * a[..., 0] / z + camera.cx
+        v = camera.fy * a[..., 1] / z + camera.cy
         inside = (z > NEAREST_M) & (u > 0) & (u < camera.width) & (v > 0) & (v < camera.height)
         shown = np.flatnonzero(inside[:, 0] & inside[:, 1])
         du, dv = (side[shown, 1] - side[shown, 0] for side in (u, v))
@@ -150,25 +148,20 @@ class EdgeMatcher:
         p_C = a[edge, 0] + t * (a[edge, 1] - a[edge, 0])
         normal = np.column_stack([-dv[row] / size, du[row] / size])
         side = self._outer_side(X_CP, p_C, normal, camera)
-        contour = side != 0
-        edge = edge[contour]
-        t = t[contour]
-        p_C = p_C[contour]
-        normal = (side[:, None] * normal)[contour]
-        if len(edge) > points:
-            subset = np.linspace(0, len(edge) - 1, points).astype(int)
-            edge = edge[subset]
-            t = t[subset]
-            p_C = p_C[subset]
-            normal = normal[subset]
-        if not len(edge):
+        kept = np.flatnonzero(side)
+        if not len(kept):
             return None
+        if len(kept) > points:
+            kept = kept[np.linspace(0, len(kept) - 1, points).astype(int)]
+        edge = edge[kept]
+        t = t[kept]
+        p_C = p_C[kept]
         return EdgePoints(
             part=of[edge],
             p_P=a_P[edge, 0] + t * (a_P[edge, 1] - a_P[edge, 0]),
             p_C=p_C,
             pixel=camera.project(p_C),
-            normal=normal,
+            normal=side[kept, None] * normal[kept],
         )
 
     def _outer_side(self, X_CP: Array, p_C: Array, normal: Array, camera: Camera) -> Array:
@@ -251,11 +244,10 @@ class EdgeMatcher:
         camera = image.camera
         place = (points.pixel + move[:, None] * points.normal)[strong]
         ray = np.column_stack([(place - [camera.cx, camera.cy]) / [camera.fx, camera.fy], np.ones(len(place))])
-        sigma_m = SIGMA_PX / camera.fx * points.p_C[strong, 2]
         return Correspondences.without_range(
             edge_frames(ray, points.normal[strong]),
             points.p_P[strong],
-            np.column_stack([sigma_m, np.full(len(place), np.inf)]),
+            np.column_stack([SIGMA_PX / camera.fx * points.p_C[strong, 2], np.full(len(place), np.inf)]),
             points.part[strong],
             INDEPENDENT,
             opening_sign=OPENING_SIGNS[points.part[strong]],
@@ -288,9 +280,8 @@ class FlangeShape:
 
     def at_likeliest(self, image: GradientImage, X_CP: Array) -> "FlangeShape":
         """Return the shape at the opening alone whose contours lie best on edges of the image."""
-        if len(self.edges) == 1:
-            return self
-        return replace(self, edges=(self.edges[int(self.gripper_agreement(image, X_CP).argmax())],))
+        likeliest = 0 if len(self.edges) == 1 else int(self.gripper_agreement(image, X_CP).argmax())
+        return replace(self, edges=(self.edges[likeliest],))
 
 
 def links_shape() -> FlangeShape:

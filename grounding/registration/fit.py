@@ -1,7 +1,7 @@
 """Fit of the gripper's pose to one view, from CAD coordinates and depth: closed form, then robust least squares."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from kinebench_drake.geometry import Array, cross, make_pose, orthonormalize, rotation_exp
 from kinebench_drake.grounding.priors import ExternalDepth
-from kinebench_drake.grounding.registration.solver import Correspondences, PartPlacement, Solution, solve
+from kinebench_drake.grounding.registration.solver import Correspondences, PartPlacement, Rows, Solution, solve
 from kinebench_drake.grounding.tracking.view import GripperView
 from kinebench_drake.models.panda.cad import MAX_FINGER_M
 from kinebench_drake.models.panda.description import RobotPart
@@ -28,7 +28,7 @@ _FIXED = 1e12
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class HandModel:
+class HandModel(Rows):
     """`FitModel` of free hands; 7 parameters: rotation about the camera's axes, translation, finger travel."""
 
     X_CH: Array
@@ -58,13 +58,8 @@ class HandModel:
 
     def updated(self, step: Array) -> Self:
         """Return the hands after a change (B, 7) of their parameters, fingers within their range."""
-        R = rotation_exp(step[:, :3]) @ self.X_CH[:, :3, :3]
-        X_CH = make_pose(R, self.X_CH[:, :3, 3] + step[:, 3:6])
+        X_CH = make_pose(rotation_exp(step[:, :3]) @ self.X_CH[:, :3, :3], self.X_CH[:, :3, 3] + step[:, 3:6])
         return replace(self, X_CH=X_CH, finger_m=clip_finger(self.finger_m + step[:, 6]))
-
-    def take(self, index: NDArray[np.generic]) -> Self:
-        """Return the hands of some of the frames, by index or mask."""
-        return type(self)(**{f.name: getattr(self, f.name)[index] for f in fields(self)})
 
 
 def pose_twist(X_CH: Array) -> Array:
@@ -255,6 +250,6 @@ def calibrate_depth(depth: ExternalDepth, view: GripperView, X_CH: Array, finger
     if len(cells) < MIN_CELLS:
         return depth
     opened_H = cells.p_P + cells.opening_sign[:, None] * np.array([0.0, finger_m, 0.0])
-    p_C = opened_H @ X_CH[:3, :3].T + X_CH[:3, 3]
-    factor = float(np.median(np.linalg.norm(p_C, axis=1) / cells.range_m))
+    distance_m = np.linalg.norm(opened_H @ X_CH[:3, :3].T + X_CH[:3, 3], axis=1)
+    factor = float(np.median(distance_m / cells.range_m))
     return replace(depth, depth_m=depth.depth_m * factor, calibrated=True)

@@ -91,16 +91,14 @@ def _contour_log_likelihood(edges: EdgeMatcher, hand: HandImage, points: EdgePoi
 
     A point counts by the square of how fast the gap moves it across the contour.
     """
-    camera = hand.image.camera
-    y_C = hand.X_CP[RobotPart.HAND, :3, 1]
     count = len(changes_m)
-    direction = OPENING_SIGNS[points.part][:, None] * y_C
+    direction = OPENING_SIGNS[points.part][:, None] * hand.X_CP[RobotPart.HAND, :3, 1]
     p_C = (points.p_C + changes_m[:, None, None] / 2 * direction).reshape(-1, 3)
     moved = EdgePoints(
         part=np.tile(points.part, count),
         p_P=np.tile(points.p_P, (count, 1)),
         p_C=p_C,
-        pixel=camera.project(p_C),
+        pixel=hand.image.camera.project(p_C),
         normal=np.tile(points.normal, (count, 1)),
     )
     shares = edges.edge_shares(hand.image, moved, reach_px=_FINGER_REACH_PX)
@@ -148,9 +146,8 @@ def fit_shape(edges: EdgeMatcher, image: GradientImage, X_CP: Array) -> HandShap
     symmetric = 0.5 * (A + A.T)
     scale = 0.5 * float(np.trace(symmetric))
     stretch = float(np.linalg.norm(symmetric - scale * np.eye(2)))
-    if np.hypot(scale - 1.0, stretch) > _SHAPE_CHANGE:
-        return None
-    return HandShape(log_scale=float(np.log(scale)), stretch=stretch, gain=best - share)
+    has_failed = np.hypot(scale - 1.0, stretch) > _SHAPE_CHANGE
+    return None if has_failed else HandShape(log_scale=float(np.log(scale)), stretch=stretch, gain=best - share)
 
 
 def _mapped(points: EdgePoints, flange: Array, A: Array, shift: Array) -> EdgePoints:

@@ -80,10 +80,9 @@ class GradientImage:
         """Compute the gradients of `image` (H, W, 3), taken by `camera`."""
         scale = min(1.0, _LARGEST_PX / max(camera.width, camera.height))
         if scale < 1.0:
-            width = round(camera.width * scale)
-            height = round(camera.height * scale)
-            image = np.asarray(cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA), dtype=np.uint8)
-            camera = camera.resized(width, height)
+            camera = camera.resized(round(camera.width * scale), round(camera.height * scale))
+            size = (camera.width, camera.height)
+            image = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
         self.camera = camera
         self.gray = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
         self._dx, self._dy = _gradient(image)
@@ -131,8 +130,7 @@ class GradientImage:
         is_peak[:, 1:-1] = (inner >= gradient[:, :-2]) & (inner > gradient[:, 2:])
         ahead = offset - offset[best][:, None]
         outer = is_peak & (ahead > 0) & (ahead <= _BAND_PX) & (gradient >= _OUTER_SHARE * gradient[rows, best][:, None])
-        last = outer.shape[1] - 1 - outer[:, ::-1].argmax(axis=1)
-        best = np.where(outer.any(axis=1), last, best)
+        best = np.where(outer.any(axis=1), outer.shape[1] - 1 - outer[:, ::-1].argmax(axis=1), best)
         before = gradient[rows, best - 1]
         peak = gradient[rows, best]
         after = gradient[rows, best + 1]
@@ -182,12 +180,6 @@ def _gradient(image: NDArray[np.uint8]) -> tuple[NDArray[np.float32], NDArray[np
     return strongest[0], strongest[1]
 
 
-def find_corners(image: NDArray[np.uint8], mask: NDArray[np.uint8]) -> NDArray[np.float32]:
-    """Return the strongest corners (N, 2) of a grey image (Shi and Tomasi 1994) where `mask` (H, W) is not 0 [px]."""
-    corners = cv2.goodFeaturesToTrack(image, _CORNERS, _QUALITY, _SPACING_PX, mask=mask)
-    return np.empty((0, 2), np.float32) if corners is None else np.asarray(corners[:, 0], np.float32)
-
-
 def follow_points(
     before: NDArray[np.uint8],
     after: NDArray[np.uint8],
@@ -201,14 +193,11 @@ def follow_points(
     Pyramidal Lucas-Kanade forth and back, with `options` of OpenCV, from the points `near` (N, 2) on or from the same.
     """
     start = points[:, None]
-    forth_from = None
-    back_from = None
     if near is not None:
         options["flags"] = cv2.OPTFLOW_USE_INITIAL_FLOW
-        forth_from = near[:, None].copy()
+    forth_from = None if near is None else near[:, None].copy()
     forth, status, _ = cv2.calcOpticalFlowPyrLK(before, after, start, forth_from, **options)
-    if near is not None:
-        back_from = start + forth - near[:, None]
+    back_from = None if near is None else start + forth - near[:, None]
     back, status_back, _ = cv2.calcOpticalFlowPyrLK(after, before, forth, back_from, **options)
     returned = np.linalg.norm((back - start)[:, 0], axis=1) < return_px
     return forth[:, 0], (status[:, 0] > 0) & (status_back[:, 0] > 0) & returned
@@ -221,9 +210,11 @@ def follow_surface(
 
     In the image before, of the same camera, the parts of `caster` are at `X_CP` (PARTS, 4, 4) [m].
     """
-    corners = find_corners(before.gray, _inner_mask(caster, X_CP, before.camera))
-    if not len(corners):
+    mask = _inner_mask(caster, X_CP, before.camera)
+    strongest = cv2.goodFeaturesToTrack(before.gray, _CORNERS, _QUALITY, _SPACING_PX, mask=mask)  # Shi and Tomasi 1994
+    if strongest is None:
         return None
+    corners = np.asarray(strongest[:, 0], np.float32)
     moved, kept = follow_points(
         before.gray, after.gray, corners, RETURN_PX, winSize=(_WINDOW_PX, _WINDOW_PX), maxLevel=_LEVELS
     )

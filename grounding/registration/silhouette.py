@@ -41,8 +41,7 @@ class SilhouetteMatcher:
         _, part = self._render(view, X_CH, finger_m)
         rendered = (part > 0) & view.in_image
         segmented = view.gripper & view.in_image
-        union = (rendered & ~view.arm) | segmented
-        return float((rendered & segmented).sum() / max(1, union.sum()))
+        return float((rendered & segmented).sum() / max(1, ((rendered & ~view.arm) | segmented).sum()))
 
     def coverage(self, view: GripperView, X_CH: Array, finger_m: float) -> float:
         """Return the share of the rendered gripper that is segmented as any part of the robot."""
@@ -52,7 +51,6 @@ class SilhouetteMatcher:
     def match(self, view: GripperView, X_CH: Array, finger_m: float) -> Correspondences | None:
         """Return correspondences of the rim for a hand near `X_CH` (4, 4); None if too little of it is visible."""
         X_VH = invert(view.crop.X_CV) @ X_CH
-        shape = view.part.shape
         depth, part = self._render(view, X_CH, finger_m)
         rendered = (part > 0) & view.in_image
         segmented = view.gripper & view.in_image
@@ -62,25 +60,22 @@ class SilhouetteMatcher:
         target = _signed_distance(segmented)
         normal_rendered = _outward_normal(distance)
         normal_segmented = _outward_normal(target)
-        inner = np.pad(np.ones(np.subtract(shape, 4), bool), 2)
+        inner = np.pad(np.ones(np.subtract(view.part.shape, 4), bool), 2)
         rim = rendered & (distance > -1.0) & ~_dilated(view.arm) & ~_dilated(~view.in_image) & inner
         step = target - distance
-        agree = (normal_rendered * normal_segmented).sum(axis=-1) > _MIN_COSINE
-        rim &= agree & (np.abs(step) <= _GATE_CELLS)
+        rim &= ((normal_rendered * normal_segmented).sum(axis=-1) > _MIN_COSINE) & (np.abs(step) <= _GATE_CELLS)
         v, u = np.nonzero(rim)
         if len(v) < _MIN_POINTS:
             return None
         normal = normal_segmented[v, u]
-        move = step[v, u]
         normal = normal / np.linalg.norm(normal, axis=1, keepdims=True)
         focal = view.crop.focal / view.stride
         line = view.rays_at(v, u)
         p_V = line * depth[v, u, None]
-        p_P = transform_points(invert(X_VH), p_V)
-        line[:, :2] -= normal * move[:, None] / focal
+        line[:, :2] -= normal * step[v, u, None] / focal
         return Correspondences.without_range(
             edge_frames(line, normal) @ view.crop.R_CV.T,
-            p_P,
+            transform_points(invert(X_VH), p_V),
             np.column_stack([_SIGMA_CELLS / focal * p_V[:, 2], np.full(len(v), np.inf)]),
             part[v, u],
             _INDEPENDENT,
@@ -88,9 +83,8 @@ class SilhouetteMatcher:
 
     def _render(self, view: GripperView, X_CH: Array, finger_m: float) -> tuple[Array, NDArray[np.uint8]]:
         """Return depth [m] and part of each cell (h, w) of the rendered gripper."""
-        X_VH = invert(view.crop.X_CV) @ X_CH
         rays = view.rays().reshape(-1, 3)
-        depth, part = self._cad.first_hits(X_VH, rays, finger_m)
+        depth, part = self._cad.first_hits(invert(view.crop.X_CV) @ X_CH, rays, finger_m)
         return depth.reshape(view.part.shape), part.reshape(view.part.shape)
 
 
@@ -102,8 +96,7 @@ def _signed_distance(mask: NDArray[np.bool_]) -> Array:
 
 def _outward_normal(distance: Array) -> Array:
     """Return the unit gradient (h, w, 2) of a signed distance, x first."""
-    smooth = cv2.GaussianBlur(distance, (0, 0), 1.0)
-    dy, dx = np.gradient(smooth)
+    dy, dx = np.gradient(cv2.GaussianBlur(distance, (0, 0), 1.0))
     gradient = np.stack([dx, dy], axis=-1)
     return np.asarray(gradient / np.maximum(np.linalg.norm(gradient, axis=-1, keepdims=True), 1e-6))
 

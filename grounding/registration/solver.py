@@ -36,7 +36,21 @@ NEAREST_M = 0.05
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Correspondences:
+class Rows:
+    """Base of records all of whose fields are arrays with the same number of rows."""
+
+    def take(self, index: NDArray[np.generic]) -> Self:
+        """Select rows by index or mask."""
+        return type(self)(**{f.name: getattr(self, f.name)[index] for f in fields(self)})
+
+    @classmethod
+    def join(cls, parts: Sequence[Self]) -> Self:
+        """Concatenate records."""
+        return cls(**{f.name: np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(cls)})
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Correspondences(Rows):
     """N correspondences, from one view or several that share the camera's centre.
 
     Those of several frames (`stack`) have a leading dimension of frames in every field.
@@ -67,17 +81,6 @@ class Correspondences:
     def p_C(self) -> Array:
         """(N, 3) points in the camera frame according to their ranges [m]."""
         return np.asarray(self.R_LC[..., 2, :] * self.range_m[..., None])
-
-    def take(self, index: NDArray[np.generic]) -> "Correspondences":
-        """Return a subset, by index or mask."""
-        return Correspondences(**{f.name: getattr(self, f.name)[index] for f in fields(self)})
-
-    @staticmethod
-    def join(parts: "Sequence[Correspondences]") -> "Correspondences":
-        """Concatenate correspondences."""
-        return Correspondences(
-            **{f.name: np.concatenate([getattr(c, f.name) for c in parts]) for f in fields(Correspondences)}
-        )
 
     @staticmethod
     def stack(frames: "Sequence[Correspondences]") -> "Correspondences":
@@ -227,12 +230,11 @@ class Solution(Generic[ModelType]):
     def growth(self, frame: int, n: int | None = None) -> float:
         """Return the robust root mean square across the line of sight of a frame's first `n` residuals, or of all."""
         robust = self.robust[frame, :2, :n]
-        r = self.residual[frame, :2, :n]
-        return float(np.sqrt((robust * r**2).sum() / robust.sum()))
+        return float(np.sqrt((robust * self.residual[frame, :2, :n] ** 2).sum() / robust.sum()))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class CellRows:
+class CellRows(Rows):
     """Correspondences of B frames as rows of N cells."""
 
     R_LC: Array
@@ -265,10 +267,6 @@ class CellRows:
             weight=cells.weight,
             is_part=(cells.part[:, None] == np.arange(len(RobotPart))[:, None]).astype(np.float64),
         )
-
-    def take(self, index: NDArray[np.generic]) -> "CellRows":
-        """Return the rows of some of the frames, by index or mask."""
-        return CellRows(**{name: getattr(self, name)[index] for name in self.__slots__})
 
     def place(self, X_CP: Array, finger_m: Array | None = None) -> tuple[Array, Array]:
         """Return the CAD points (B, 3, N) in the camera frame [m], and the direction (B, 3, N) of open fingers.

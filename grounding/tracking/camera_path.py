@@ -105,12 +105,11 @@ class CameraPath:
     def stabilize(self, frames: Frames, camera: Camera, *, extends: bool = True) -> tuple[Frames, Camera]:
         """Warp the frames (T, H, W, 3) into cameras oriented like A, with its focal length.
 
-        Where cameras show more than A does the images are extended at all sides, if `extends`, like their camera.
+        If `extends`, the images are extended at all sides, like their camera, where cameras show more than A does.
         """
         size = np.array([camera.width, camera.height])
         K = camera.K
-        n = len(frames)
-        K_C = np.repeat(K[None], n, axis=0)
+        K_C = np.repeat(K[None], len(frames), axis=0)
         K_C[:, [0, 1], [0, 1]] *= self.zoom[:, None]
         M_AC = K @ self.R_AC @ np.linalg.inv(K_C)
         corners = np.array([[x, y, 1.0] for x in (0.0, size[0]) for y in (0.0, size[1])])
@@ -118,7 +117,7 @@ class CameraPath:
         shown = shown[..., :2] / shown[..., 2:]
         over = max(0.0, float(-shown.min(initial=0.0)), float((shown - size).max(initial=0.0)))
         extends = extends and over > _LEAST_MARGIN_PX * camera.unit_px
-        margin = 0 if not extends else int(np.ceil(min(over, _MAX_MARGIN * size.max())))
+        margin = int(np.ceil(min(over, _MAX_MARGIN * size.max()))) if extends else 0
         width = camera.width + 2 * margin
         height = camera.height + 2 * margin
         wide = replace(camera, width=width, height=height, cx=camera.cx + margin, cy=camera.cy + margin)
@@ -178,8 +177,7 @@ def follow_camera(
         followed = enough & (share >= _EXPLAINED_SHARE) & within
         cameras[followed] = fit.cameras[followed]
     px = np.full(n, np.nan)
-    moved = np.linalg.norm(now - start, axis=2)
-    px[followed] = np.nanmedian(moved[followed], axis=1)
+    px[followed] = np.nanmedian(np.linalg.norm(now - start, axis=2)[followed], axis=1)
     return CameraPath(
         way=way,
         R_AC=rotation_exp(cameras[:, :3]),

@@ -18,12 +18,11 @@ from kinebench_drake.grounding import bounds
 from kinebench_drake.grounding.priors import NO_PRIORS, Priors
 from kinebench_drake.grounding.registration.arm_fit import LAST_LINKS, ArmFitter
 from kinebench_drake.grounding.registration.arm_model import ArmModel
-from kinebench_drake.grounding.registration.chain_fit import ChainFitter
 from kinebench_drake.grounding.registration.edges import links_shape, robotiq_shape
 from kinebench_drake.grounding.registration.fit import MIN_CELLS
 from kinebench_drake.grounding.registration.image import GradientImages
 from kinebench_drake.grounding.registration.solver import Correspondences
-from kinebench_drake.grounding.tracking.flange_fit import REACHES_PX, FlangeFitter, FlangeView
+from kinebench_drake.grounding.tracking.flange_fit import REACHES_PX, ChainFitter, FlangeFitter, FlangeView
 from kinebench_drake.grounding.tracking.localization import find_region
 from kinebench_drake.grounding.tracking.markov import OFFSETS_RAD, TURNS_RAD, likeliest_turns
 from kinebench_drake.grounding.tracking.pose import FramePose
@@ -166,11 +165,10 @@ class FlangeTracker:
         surest = sorted(poses, key=lambda k: -poses[k].overlap)[:_SHOWN]
         for i in surest:
             pose = poses[i]
-            image = video.images[i]
-            chain = video.flange.chain_of(poses[i])
-            by_link = video.flange.log_likelihood(chain, _MOUNT_GRID_RAD, pose.view, image, pose.overlap)
+            chain = video.flange.chain_of(pose)
+            by_link = video.flange.log_likelihood(chain, _MOUNT_GRID_RAD, pose.view, video.images[i], pose.overlap)
             for k, fitter in enumerate(offsets):
-                by_gripper = fitter.gripper_log_likelihood(chain, _MOUNT_GRID_RAD, image, pose.overlap)
+                by_gripper = fitter.gripper_log_likelihood(chain, _MOUNT_GRID_RAD, video.images[i], pose.overlap)
                 total[:, k] += [logsumexp(by_link + np.roll(by_gripper, -step)) for step in _MOUNT_STEPS]
         likeliest = np.argsort(-total, axis=None)[:_MOUNTS]
         likeliest = likeliest[total.flat[likeliest] > total.max() - _MOUNT_LEAD]
@@ -182,12 +180,13 @@ class FlangeTracker:
         if len(mounted) == 1:
             return mounted[0]
         shown_poses = {i: poses[i] for i in surest}
-        return max(mounted, key=lambda flange: self._support(shown_poses, replace(video, flange=flange)))
 
-    def _support(self, poses: Mapping[int, FramePose], video: _FlangeVideo) -> float:
-        """Return the log-likelihood of a gripper by frames that are fitted with it."""
-        fitted = self._fit_gripper(poses, video)
-        return sum(video.flange.support(pose, video.images[i]) for i, pose in fitted.items())
+        def support(flange: FlangeFitter) -> float:
+            """Return the log-likelihood of a gripper by frames that are fitted with it."""
+            fitted = self._fit_gripper(shown_poses, replace(video, flange=flange))
+            return sum(flange.support(pose, video.images[i]) for i, pose in fitted.items())
+
+        return max(mounted, key=support)
 
     def _fit_gripper(self, poses: Mapping[int, FramePose], video: _FlangeVideo) -> dict[int, FramePose]:
         """Return the poses fitted anew with the contours of the gripper."""
@@ -208,8 +207,7 @@ class FlangeTracker:
             for i, chain in chains.items():
                 likeliest = flange.at_likeliest(chain, images[i])
                 view = shown[i].view
-                agreement = poses[i].overlap
-                log_likelihood[i] = likeliest.log_likelihood(chain, turns[i] + grid, view, images[i], agreement)
+                log_likelihood[i] = likeliest.log_likelihood(chain, turns[i] + grid, view, images[i], poses[i].overlap)
                 if i + 1 in chains:
                     changes[i] = flange.turn_change(chain, chains[i + 1], images[i], images[i + 1])
             offsets, own_sigma = likeliest_turns(grid, log_likelihood, changes - np.diff(turns))
@@ -219,11 +217,12 @@ class FlangeTracker:
         reaches_px = REACHES_PX[0 if flange.shape.gripper else -2 :]
         before = dict(poses)
         for i, chain in chains.items():
-            points = []
-            for k in {i - 1, i + 1} & chains.keys():
-                flow = flange.flow(chains[k], images[k], images[i])
-                if flow is not None:
-                    points.append(replace(flow, weight=_certainty(before[k], before[i]) * flow.weight))
+            flows = {k: flange.flow(chains[k], images[k], images[i]) for k in {i - 1, i + 1} & chains.keys()}
+            points = [
+                replace(flow, weight=_certainty(before[k], before[i]) * flow.weight)
+                for k, flow in flows.items()
+                if flow is not None
+            ]
             pose = flange.fit_turned(chain, turns[i], _TURN_SIGMA_RAD, shown[i], reaches_px, points)
             if pose is not None:
                 based = None if flange.shape.gripper else self._on_base(pose, i, video)
@@ -232,14 +231,12 @@ class FlangeTracker:
     def _on_base(self, pose: FramePose, number: int, video: _FlangeVideo) -> FramePose | None:
         """Return a pose that the base of the camera confirms, with the arm on it; None if it does not."""
         links = _link_cells(pose.view, video.wide[number])
-        image = video.images[number]
-        arm = video.arm.at([number]).fit_links(pose.X_CH, _TURN_SIGMA_RAD, links, image)
+        arm = video.arm.at([number]).fit_links(pose.X_CH, _TURN_SIGMA_RAD, links, video.images[number])
         if arm is None or arm.edge_agreement < max(bounds.EDGE_AGREEMENT, pose.overlap - _BASE_LOSS):
             return None
         distance, angle = pose_difference(arm.X_CH, pose.X_CH)
-        if distance > _ON_BASE_M or angle > bounds.MAX_ANGLE_RAD:
-            return None
-        return replace(pose, X_CH=arm.X_CH, arm=arm, overlap=arm.edge_agreement)
+        is_near = distance <= _ON_BASE_M and angle <= bounds.MAX_ANGLE_RAD
+        return replace(pose, X_CH=arm.X_CH, arm=arm, overlap=arm.edge_agreement) if is_near else None
 
 
 def _agreement(pose: FramePose | None) -> float:
@@ -260,8 +257,7 @@ def _with_turn_sigma(pose: FramePose, sigma_rad: float) -> FramePose:
     axis = pose.X_CH[:3, 2]
     covariance[:3, :3] += sigma_rad**2 * np.outer(axis, axis)
     hand = replace(pose.hand, covariance=covariance)
-    arm = replace(pose.arm, covariance=covariance)
-    return replace(pose, arm=arm, hand=hand, hand_without_silhouette=hand)
+    return replace(pose, arm=replace(pose.arm, covariance=covariance), hand=hand, hand_without_silhouette=hand)
 
 
 def _link_cells(close: GripperView, wide: GripperView) -> Correspondences:

@@ -77,9 +77,7 @@ def likeliest_gripper(view: GripperView) -> GripperView:
 def _gripper_px(view: GripperView) -> float:
     """Return the diameter of the gripper's bounding sphere in a crop [px], from a fit; 0 without a gripper."""
     hand = fit(likeliest_gripper(view))
-    if hand is None:
-        return 0.0
-    return 2 * GRIPPER_RADIUS_M / float(np.linalg.norm(hand.X_CH[:3, 3])) * view.crop.focal
+    return 0.0 if hand is None else 2 * GRIPPER_RADIUS_M / float(np.linalg.norm(hand.X_CH[:3, 3])) * view.crop.focal
 
 
 def _robot_box(view: GripperView, camera: Camera) -> Array | None:

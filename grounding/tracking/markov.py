@@ -93,17 +93,14 @@ def flip_evidence(pose: FramePose) -> float:
     cells = view.gripper
     cloud_V = view.rays()[cells] * (view.depth_m[cells] * pose.hand.depth_factor)[:, None]
     p_H = transform_points(invert(pose.X_CH) @ view.crop.X_CV, cloud_V)
-    finger = pose.finger_m if np.isfinite(pose.finger_m) else 0.0
-    p_H[:, 1] -= view.opening_sign[cells] * finger
+    p_H[:, 1] -= view.opening_sign[cells] * (pose.finger_m if np.isfinite(pose.finger_m) else 0.0)
     scale = view.coordinates_sigma_m[cells] / np.sqrt(2.0)
     estimated_H = view.coordinates_P[cells]
     as_fitted = np.abs(p_H - estimated_H).sum(axis=1) / scale
     flipped = np.abs(p_H * [-1.0, -1.0, 1.0] - estimated_H).sum(axis=1) / scale
     of_hand = float((flipped - as_fitted).mean())
-    if pose.arm is None:
-        return float(np.clip(of_hand, -EVIDENCE_CAP, EVIDENCE_CAP))
-    cap = EVIDENCE_CAP if np.isnan(pose.arm.edge_agreement) else _CAP_WITH_EDGES
-    return float(np.clip(of_hand, -cap, cap)) + pose.arm.evidence
+    cap = EVIDENCE_CAP if pose.arm is None or np.isnan(pose.arm.edge_agreement) else _CAP_WITH_EDGES
+    return float(np.clip(of_hand, -cap, cap)) + (0.0 if pose.arm is None else pose.arm.evidence)
 
 
 def _rotation_cost(X_1: Array, X_2: Array) -> float:
@@ -189,8 +186,7 @@ def smooth_gripper_width(
     widths, initial, transition = _model()
     likelihoods = _likelihoods(width_m, sigma_m, widths)
     for i, row in shown.items():
-        probability = softmax(row)
-        mixed = (1.0 - _EDGE_OUTLIERS) * probability + _EDGE_OUTLIERS / len(row)
+        mixed = (1.0 - _EDGE_OUTLIERS) * softmax(row) + _EDGE_OUTLIERS / len(row)
         likelihoods[i] *= np.repeat(mixed, len(_SPEEDS))
     forward = [_normalized(initial * likelihoods[0])]
     for likelihood in likelihoods[1:]:
@@ -243,5 +239,4 @@ def _model() -> tuple[Array, Array, Array]:
             for blur, share in zip((-1, 0, 1), _BLUR, strict=True):
                 end = min(max(width + steps + blur, 0), n - 1)
                 transition[width, :, end, speed] += share * change[:, speed]
-    widths = np.repeat(GAPS_M, k)
-    return widths, np.tile(change[0] / n, n), transition.reshape(n * k, n * k)
+    return np.repeat(GAPS_M, k), np.tile(change[0] / n, n), transition.reshape(n * k, n * k)

@@ -104,8 +104,7 @@ class EdgeRefinement:
         estimated = sum(not pose.from_prior for pose in self.poses.values())
         if not numbers or len(numbers) < _AGREEING_SHARE * estimated:
             return bool(self.poses) and estimated == 0
-        sample = [numbers[k] for k in evenly(len(numbers), bounds.SAMPLED_FRAMES)]
-        arms = self._sharpened(sample)
+        arms = self._sharpened([numbers[k] for k in evenly(len(numbers), bounds.SAMPLED_FRAMES)])
         agreements = [self._fitter.at([i]).edge_agreement(arm.q, self._images[i]) for i, arm in arms.items()]
         agreement = float(np.median(agreements))
         if agreement >= bounds.CONFIRMATION:
@@ -146,11 +145,8 @@ class EdgeRefinement:
         """Measure a frame again where the arm of a sure frame went, and keep the pose that the edges confirm more."""
         before = self.poses[near].arm
         fitter = self._fitter.at([number])
-        if before is None:
-            return
-        X_CP = self._fitter.at([near]).poses(before)
         images = (self._images[near], self._images[number])
-        arm = fitter.follow(before, X_CP, *images)
+        arm = None if before is None else fitter.follow(before, self._fitter.at([near]).poses(before), *images)
         if arm is None:
             return
         old = self.poses.get(number)
@@ -169,7 +165,7 @@ class EdgeRefinement:
     def _is_less_sure(self, number: int, near: int) -> bool:
         """Return whether a frame is not sure, or the edges agree less with its arm than with that of a sure frame."""
         pose = self.poses.get(number)
-        if not self._is_sure(number) or pose is None:
+        if pose is None or not self._is_sure(number):
             return pose is None or not pose.from_prior
         return not self.is_familiar and _agreement(pose) < _BEST_SHARE * _agreement(self.poses[near])
 

@@ -96,8 +96,7 @@ def smooth_track(
     kernel = (1.0 - np.abs(after / (HALF_WINDOW + 1)) ** 3) ** 3
     weight_near = np.where(counts, kernel * np.maximum(weight[near], 1e-3), 0.0)
     R = X[rows, :3, :3]
-    rotation = rotation_log(X[near, :3, :3] @ R[:, None].swapaxes(-1, -2))
-    values = np.concatenate([rotation, X[near, :3, 3]], axis=-1)
+    values = np.concatenate([rotation_log(X[near, :3, :3] @ R[:, None].swapaxes(-1, -2)), X[near, :3, 3]], axis=-1)
     value = _local_values(after, values, weight_near, information[near])
     smoothed[rows] = make_pose(rotation_exp(value[:, :3]) @ R, value[:, 3:])
     return smoothed

@@ -190,9 +190,7 @@ class CadTracker:
             if pose.arm is not None and pose.arm.agrees
         }
         gaps = gap_log_likelihoods(self._edges, hands)
-        views = [poses[i].view for i in hands]
-        X_CH = [poses[i].X_CH for i in hands]
-        fits = fit_all(views, X_CH, [None] * len(hands))
+        fits = fit_all([poses[i].view for i in hands], [poses[i].X_CH for i in hands], [None] * len(hands))
         refined = {}
         for (i, hand), fit in zip(hands.items(), fits, strict=True):
             X_CP = open_fingers(hand.X_CP, finger_or_default(poses[i].finger_m))
@@ -269,9 +267,8 @@ class CadTracker:
 
     def _rim(self, view: GripperView, hand: HandFit, priors: Priors, number: int) -> Correspondences | None:
         """Return the correspondences of the silhouette where the pose depends on it."""
-        if priors.pose(number) is not None or priors.has_exact_depth:
-            return None
-        return self._silhouette.match(view, hand.X_CH, finger_or_default(hand.finger_m))
+        is_exact = priors.pose(number) is not None or priors.has_exact_depth
+        return None if is_exact else self._silhouette.match(view, hand.X_CH, finger_or_default(hand.finger_m))
 
     def _register_all(self, poses: Mapping[int, FramePose]) -> dict[int, FramePose]:
         """Return the poses combined with their registration by ICP."""
@@ -307,8 +304,7 @@ class CadTracker:
             before = max((k for k in measured if i - _MAX_GAP <= k < i), default=None)
             after = min((k for k in measured if i < k <= i + _MAX_GAP), default=None)
             if before is not None and after is not None:
-                s = (i - before) / (after - before)
-                X_CH = interpolate_pose(poses[before].X_CH, poses[after].X_CH, s)
+                X_CH = interpolate_pose(poses[before].X_CH, poses[after].X_CH, (i - before) / (after - before))
             elif before is not None or after is not None:
                 X_CH = poses[before if before is not None else after].X_CH  # type: ignore[index]
             else:

@@ -34,7 +34,7 @@ from kinebench_drake.cli.click_options import PathParameter, check_suffix
 @click.option("--episode", metavar="NAME", help="Episode of a dataset that the video shows.")
 @click.option("--column", metavar="NAME", help="Array or column of the joint angles, if ambiguous.")
 @click.option(
-    "--frame-period", "frame_period_s", type=float, metavar="SECONDS",
+    "--frame-period", "frame_period_s", type=click.FloatRange(1e-4, 1e3), metavar="SECONDS",
     help="Time between two frames, for joint angles with times.  [default: from the video]",
 )  # fmt: skip
 @click.option(
@@ -42,7 +42,11 @@ from kinebench_drake.cli.click_options import PathParameter, check_suffix
     help="camera.json with the intrinsics; its pose is a first guess where the posture of one frame is given.",
 )  # fmt: skip
 @click.option(
-    "--focal", "focal_px", type=float, metavar="PX", help="Focal length in pixels of the video.  [default: estimated]"
+    "--focal",
+    "focal_px",
+    type=click.FloatRange(1.0, 1e5),
+    metavar="PX",
+    help="Focal length in pixels of the video.  [default: estimated]",
 )
 @click.option(
     "--frames", type=click.IntRange(min=1), default=24, show_default=True, metavar="N",

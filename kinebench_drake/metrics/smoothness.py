@@ -144,8 +144,10 @@ class Smoothness:
     """Smoothness of a gripper track."""
 
     metrics: Mapping[str, float | None]
-    """Values by name, None where they cannot be measured. The noise floor of `sparc` is `sparc_floor_low`, `_median`,
-    `_high`, and so on: percentiles 5, 50 and 95 over DRAWS copies of the smoothed motion with the track's noise."""
+    """Values by name, None where they cannot be measured.
+
+    The noise floor of `sparc` has the name with _floor_low, _floor_median and _floor_high appended, and so on:
+    percentiles 5, 50 and 95 over DRAWS copies of the smoothed motion with the track's noise."""
     reasons: Mapping[str, str]
     """Why a metric, or its noise floor, is missing, by metric."""
     bounds: Mapping[str, float | None]

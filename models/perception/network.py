@@ -152,8 +152,7 @@ class GripperNetwork(nn.Module):
         for fuse, skip in zip(self.decoder, reversed(skips), strict=True):
             x = functional.interpolate(x, size=skip.shape[-2:], mode="bilinear", align_corners=False)
             x = fuse(torch.cat([x, skip], dim=1))
-        y = self.head(x.to(self.head.weight.dtype)).float()
-        parts, coordinates, depth = y.split([PARTS, 2 * 4, 2], dim=1)
+        parts, coordinates, depth = self.head(x.to(self.head.weight.dtype)).float().split([PARTS, 2 * 4, 2], dim=1)
         coordinates = coordinates.unflatten(1, (2, 4))
         return DenseOutput(
             part_logits=parts,

@@ -20,11 +20,11 @@ from kinebench_drake.geometry import (
 )
 from kinebench_drake.grounding.registration.arm_fit import ArmFit, ArmFitter, ArmView
 from kinebench_drake.grounding.registration.arm_model import ArmModel
-from kinebench_drake.grounding.registration.chain_fit import ChainFitter
 from kinebench_drake.grounding.registration.edges import EdgeMatcher
 from kinebench_drake.grounding.registration.fit import HandFit, fit
 from kinebench_drake.grounding.registration.image import GradientImage
 from kinebench_drake.grounding.registration.solver import Correspondences
+from kinebench_drake.grounding.tracking.flange_fit import ChainFitter
 from kinebench_drake.grounding.tracking.flange_tracker import FlangeTracker
 from kinebench_drake.grounding.tracking.view import CLOSE_SIZE, Crop, GripperView
 from kinebench_drake.models.panda.cad import PartCaster, link_meshes, open_fingers, part_meshes

@@ -177,8 +177,8 @@ class StoreFruitsBox(Task):
     left compartment as seen by the camera, the second into the middle one, the third into the right one.
     Randomizations: the order; positions and yaws of all objects; sizes and skins of the fruits, kind and size of the
     crate.
-    Success: each fruit's centre is in its compartment and its underside below the rim (`first_in_left`,
-    `second_in_middle`, `third_in_right`); all are slower than `STILL_M_S` (`still`) and none is grasped (`released`).
+    Success: each fruit's centre is in its compartment and its underside below the rim (such as
+    first_in_left); all are slower than `STILL_M_S` (`still`) and none is grasped (`released`).
     Only the final places count, not the order in time.
     """
 

@@ -83,7 +83,7 @@ def test_a_focal_length_set_by_option_stays_fixed(program, video, tmp_path):
         (["--joints", "0,1,2", "--out", "c.json"], 2, "expected 7 joint angles in radians"),
         (["--joints", "none.csv", "--out", "c.json"], 2, "there is no such file"),
         (["--out", "c.txt"], 2, "--out c.txt: expected a name that ends in .json"),
-        (["--focal", "0", "--out", "c.json"], 2, "--focal is 0, expected pixels"),
+        (["--focal", "0", "--out", "c.json"], 2, "0.0 is not in the range 1.0<=x<=100000.0"),
         (["--focal", "9", "--camera", "c.json", "--out", "c.json"], 2, "exclude each other"),
         (["--joints-frame", "3", "--out", "c.json"], 2, "there is no --joints, whose posture"),
         (["--joints", "home", "--episode", "3", "--out", "c.json"], 2, "and --joints names none"),

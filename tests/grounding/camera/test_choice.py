@@ -22,9 +22,8 @@ from kinebench_drake.grounding.camera.camera_estimate import (
 )
 from kinebench_drake.grounding.camera.check import LARGE_M, SURE_AGREEMENT
 from kinebench_drake.grounding.camera.estimate import usual_camera
-from kinebench_drake.grounding.camera.evidence import CameraContradiction
+from kinebench_drake.grounding.camera.evidence import BetterReading, CameraContradiction, PictureReading
 from kinebench_drake.grounding.camera.lens import Lens
-from kinebench_drake.grounding.camera.picture_reading import BetterReading, PictureReading
 from kinebench_drake.grounding.camera.recognition import Recognition
 from kinebench_drake.grounding.pipeline import PipelineResult
 from kinebench_drake.grounding.priors import Clip, InitialStateUse, Priors

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from kinebench_drake.grounding import bounds
-from kinebench_drake.grounding.camera.picture_reading import PictureReading
+from kinebench_drake.grounding.camera.evidence import PictureReading
 from kinebench_drake.grounding.camera.recognition import RECOGNITION_LEAD, Recognition, cameras_of
 from kinebench_drake.grounding.components import GroundingComponents
 from kinebench_drake.io.reader import read_video

@@ -7,7 +7,7 @@ import pytest
 from PIL import Image
 
 from kinebench_drake.errors import InputError
-from kinebench_drake.grounding.overrides.depth import read_depth
+from kinebench_drake.grounding.overrides.overrides import read_depth
 
 DEPTH_M = np.random.default_rng(0).integers(300, 1200, (4, 6, 10)) / 1000.0
 DEPTH_M[1, :2] = 0.0

@@ -11,7 +11,7 @@ import torch
 
 from kinebench_drake.camera import Camera, benchmark_camera
 from kinebench_drake.errors import InputError, SetupError, UsageError
-from kinebench_drake.grounding.overrides.depth import DepthPlugIn
+from kinebench_drake.grounding.overrides.overrides import DepthPlugIn
 
 FRAMES = np.random.default_rng(0).integers(0, 255, (3, 48, 64, 3), dtype=np.uint8)
 
