@@ -135,8 +135,9 @@ def _independent(
 
 
 def _mean(values: Array) -> Estimate:
-    mean = float(values.mean()) if len(values) else None
-    return Estimate(mean=mean, low=None, high=None, n=len(values), total=len(values))
+    return Estimate(
+        mean=float(values.mean()) if len(values) else None, low=None, high=None, n=len(values), total=len(values)
+    )
 
 
 def _adjust(drops: Sequence[SeenUnseenDrop]) -> list[SeenUnseenDrop]:
@@ -169,7 +170,6 @@ def draw_drops(drops: Sequence[SeenUnseenDrop]) -> list[ReportFigure]:
         tasks = sorted({d.task for d in own}, key=lambda task: (task != ALL_TASKS, task), reverse=True)
         values = {m: [(d.task, d.drop) for d in own if d.model == m] for m in models if any(d.model == m for d in own)}
         numbers = assign_numbers(models, [*values])
-        label = "drop of success, seen minus unseen"
-        figure = draw_intervals(tasks, values, numbers, label, low=-1.0)
+        figure = draw_intervals(tasks, values, numbers, "drop of success, seen minus unseen", low=-1.0)
         figures.append(make_figure("seen_unseen", figure, suite=suite))
     return figures

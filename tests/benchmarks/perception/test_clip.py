@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from benchmarks.perception.depth_map import measure_depth
 
 from benchmarks.perception.clip import TruthClip, find_clips
-from benchmarks.perception.depth_map import measure_depth
 from kinebench_drake.camera import Camera, benchmark_camera
 from kinebench_drake.grounding.tracking.view import Crop, GripperView
 from kinebench_drake.io.frames import Frames
