@@ -68,14 +68,11 @@ class LoopOptions:
     """Motion that requests state."""
 
     def __post_init__(self) -> None:
-        """Check the options.
+        """Check the frame period.
 
         Raises:
-            UsageError: one of them is out of range.
+            UsageError: it is out of range.
         """
-        for name, count in (("rounds", self.rounds), ("action_repeat", self.action_repeat)):
-            if count is not None and count < 1:
-                raise UsageError(f"${name} is {count}, expected 1 or more")
         if not MIN_FRAME_PERIOD_S <= self.frame_period_s <= MAX_FRAME_PERIOD_S:
             raise UsageError(
                 f"$frame_period_s is {self.frame_period_s}, expected seconds from {MIN_FRAME_PERIOD_S:g} to "

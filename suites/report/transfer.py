@@ -63,7 +63,9 @@ def study_drops(episodes: Sequence[EpisodeResult], transfers: Mapping[str, Seque
         by_task = [_paired(suite, model, task, some) for task, some in pairs.items() if some]
         if by_task:
             every = [pair for some in pairs.values() for pair in some]
-            drops += [_paired(suite, model, ALL_TASKS, every), *_adjust(by_task)]
+            adjusted = adjust_p_values({d.task: d.p for d in by_task if d.p is not None})
+            drops.append(_paired(suite, model, ALL_TASKS, every))
+            drops += [replace(d, adjusted_p=adjusted.get(d.task)) for d in by_task]
         for task in sorted({*others} - {*trained}):
             origins = [own for name in transfers.get(task, ()) for own in trained.get(name, {}).values()]
             if origins:
@@ -138,11 +140,6 @@ def _mean(values: Array) -> Estimate:
     return Estimate(
         mean=float(values.mean()) if len(values) else None, low=None, high=None, n=len(values), total=len(values)
     )
-
-
-def _adjust(drops: Sequence[SeenUnseenDrop]) -> list[SeenUnseenDrop]:
-    by_task = adjust_p_values({d.task: d.p for d in drops if d.p is not None})
-    return [replace(d, adjusted_p=by_task.get(d.task)) for d in drops]
 
 
 def tabulate_drops(drops: Sequence[SeenUnseenDrop]) -> Table:
