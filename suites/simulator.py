@@ -192,8 +192,7 @@ class Simulator:
         """Return ManiSkill's action for targets, such as `q` (7,) [rad], and a gap between the finger pads [m]."""
         # of one finger joint's target, for actions -1 and 1 (ManiSkill's Panda)
         low = -0.01
-        high = 0.04
-        fingers = float(np.clip(2.0 * (finger_width_m / 2.0 - low) / (high - low) - 1.0, -1.0, 1.0))
+        fingers = float(np.clip(2.0 * (finger_width_m / 2.0 - low) / (0.04 - low) - 1.0, -1.0, 1.0))
         return np.append(np.asarray(targets), fingers).astype(np.float32)
 
     def step(self, q: ArrayLike, finger_width_m: float) -> None:
@@ -227,8 +226,9 @@ class Simulator:
         """Evaluate the task in the current state."""
         values = {name: value[0].item() for name, value in self._env.evaluate().items()}
         success = bool(values.pop("success"))
-        progress = float(values.pop("progress"))
-        return TaskOutcome(success=success, progress=progress, conditions={n: bool(v) for n, v in values.items()})
+        return TaskOutcome(
+            success=success, progress=float(values.pop("progress")), conditions={n: bool(v) for n, v in values.items()}
+        )
 
     def snapshot(self) -> Snapshot:
         """Return the current state of robot and objects."""
