@@ -193,6 +193,7 @@ def test_importing_modules_of_a_run_loads_nothing_heavy(module):
 
 
 WORK = """
+import os
 from pathlib import Path
 
 import numpy as np
@@ -201,11 +202,14 @@ from kinebench_drake.cli import cli
 from kinebench_drake.io.container import write_video
 from kinebench_drake.runs.config import ScoreConfig
 from kinebench_drake.runs.score import score_videos
-from tests.cli.fake_tools import FakeTools
+from tests.fakes.behavior import VARIABLE
+from tests.fakes.resources import FakeResources
 
 folder = Path({folder!r})
+os.environ[VARIABLE] = str(folder)
 write_video(folder / "a.mp4", np.zeros((8, 96, 96, 3), dtype=np.uint8), 5)
-[row] = score_videos(ScoreConfig(source=folder, out=folder / "scored", make_resources=FakeTools, replays=None)).rows
+config = ScoreConfig(source=folder, out=folder / "scored", make_resources=FakeResources, replays=None)
+[row] = score_videos(config).rows
 assert row.status.value == "ok", row
 q = [0.0, 0.3, 0.0, -2.0, 0.0, 2.0, 0.8]
 times = np.arange(12) / 10
