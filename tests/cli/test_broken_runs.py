@@ -121,7 +121,7 @@ def test_a_full_disk_stops_the_run_and_keeps_finished_rows(film, config, tmp_pat
     assert score_videos(config()).counts[Status.OK] == 3
 
 
-def test_replays_that_could_not_be_written_are_made_up_on_the_next_run(film, config, monkeypatch):
+def test_replays_that_could_not_be_written_are_made_up_on_the_next_run(film, config, tmp_path, monkeypatch):
     film("videos/a.mp4")
     written = []
 
@@ -131,6 +131,7 @@ def test_replays_that_could_not_be_written_are_made_up_on_the_next_run(film, con
     monkeypatch.setattr(replay, "write_replays", fail)
     with pytest.raises(SetupError):
         score_videos(config(replays=3))
+    assert (tmp_path / "out" / "report.html").is_file()
     monkeypatch.setattr(replay, "write_replays", lambda out, ids, plant: written.extend(ids))
     score_videos(config(replays=3))
     assert written == ["a"]
