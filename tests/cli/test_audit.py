@@ -1,22 +1,19 @@
 """Rows, files, resume and the command line of audits of tiny files."""
 
-import errno
 import json
-import os
 
 import h5py
 import numpy as np
 import pytest
 
-from kinebench_drake.errors import SetupError, UsageError, name_options
-from kinebench_drake.io.atomic import disk_errors, write_atomically
+from kinebench_drake.errors import name_options
 from kinebench_drake.results.metadata import Shard
 from kinebench_drake.results.row import Status
 from kinebench_drake.results.store import artifact_path, read_rows
 from kinebench_drake.results.trackfile import read_track
 from kinebench_drake.runs.audit import AuditConfig, TrajectoryEvaluator, audit_trajectories
 from kinebench_drake.runs.evaluator import KINEMATIC_METRICS
-from tests.fakes.records import RunRecorder, content
+from tests.fakes.records import RunRecorder
 from tests.fakes.resources import FakeResources
 
 N = 10
