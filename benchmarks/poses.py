@@ -62,7 +62,9 @@ def calibration(folder: Path, limit: int | None, frames: int, part: float, quick
         click.echo(line)
 
 
-@click.command(epilog="\b\nExample:\n  python -m benchmarks icp heldout --keep icp.jsonl --out docs/grounding.md")
+@click.command(
+    epilog="\b\nExample:\n  python -m benchmarks icp heldout --keep icp.jsonl --out docs/grounding-evidence.md"
+)
 @click.argument("videos", type=EXISTING_FOLDER)
 @click.option("--keep", type=FILE, required=True, help="File of finished measurements; an earlier run is resumed.")
 @click.option("--limit", type=COUNT, help="Number of videos, tasks in turn.")
