@@ -4,8 +4,8 @@ from pathlib import Path
 
 import click
 
-from benchmarks import gate, grounding, poses, speed, verdicts
-from benchmarks.options import EXISTING_FOLDER, FILE, CommandGroup
+from benchmarks import poses, speed, verdicts
+from benchmarks.options import COUNT, EXISTING_FOLDER, FILE, CommandGroup, jobs_option
 
 
 @click.group(
@@ -19,7 +19,7 @@ def main() -> None:
     """Validation studies and benchmarks; each command has an example."""
 
 
-for command in (*speed.COMMANDS, *verdicts.COMMANDS, *gate.COMMANDS, *poses.COMMANDS, *grounding.COMMANDS):
+for command in (*speed.COMMANDS, *verdicts.COMMANDS, *poses.COMMANDS):
     main.add_command(command)
 
 
@@ -44,39 +44,31 @@ def equivalence(before: Path, after: Path) -> None:
         raise SystemExit(1)
 
 
-@main.command(epilog="\b\nExample:\n  python -m benchmarks hostile")
-def hostile() -> None:
-    """Read hostile inputs, each in a process of its own: outcome, time and peak memory, as a Markdown table."""
-    from benchmarks.hostile import measure, table_line
-    from benchmarks.markdown import table
-
-    for line in table(("input", "outcome", "time [s]", "peak [GiB]"), ()):
-        click.echo(line)
-    measure(lambda result: click.echo(table_line(result)))
-
-
-@main.command(epilog="\b\nExample:\n  python -m benchmarks tolerance tolerance.json --out docs/tolerance.png")
-@click.argument("source", type=FILE)
+@main.command(epilog="\b\nExample:\n  python -m benchmarks tolerance --episodes 2 --out docs/tolerance.png --jobs 2")
+@click.option("--episodes", type=COUNT, default=2, show_default=True, help="Episodes of each task of suite 0.")
 @click.option("--out", type=FILE, required=True, help="Image to write.")
-def tolerance(source: Path, out: Path) -> None:
-    """Draw the JSON that `kinebench-drake suite tolerance` wrote."""
-    from benchmarks.tolerance import draw_tolerance
+@jobs_option
+def tolerance(episodes: int, out: Path, jobs: int) -> None:
+    """Execute the experts' true tracks with errors of graded size; draw success against error, task by task."""
+    from benchmarks.tolerance import SIZES, draw_tolerance, measure_tolerance, success_share
+    from kinebench_drake.suites.catalog import load_suite
 
-    draw_tolerance(source, out)
+    todo = [spec.episode() for spec in load_suite(0).specs("test", episodes)]
+    attempts = list(measure_tolerance(todo, jobs))
+    for error, sizes in SIZES.items():
+        shares = (f"{size:g}: {success_share(attempts, error, size):.1%}" for size in sizes)
+        click.echo(f"success under {error.value}: {', '.join(shares)}")
+    draw_tolerance(attempts, out)
 
 
-@main.command(epilog="\b\nExample:\n  python -m benchmarks structure --revision v0.1.0 --revision HEAD")
-@click.option(
-    "--revision", "revisions", multiple=True, default=("HEAD",), show_default=True, help="Revision; repeatable.",
-    metavar="REV",
-)  # fmt: skip
-def structure(revisions: tuple[str, ...]) -> None:
-    """Count files, lines and names of the sources at revisions, as a Markdown table."""
-    from benchmarks.structure import count_revision, structure_table
+@main.command(epilog="\b\nExample:\n  python -m benchmarks tasks --seed 4 --out docs/tasks.jpg")
+@click.option("--seed", type=click.IntRange(0), default=4, show_default=True, help="Seed of the episodes.")
+@click.option("--out", type=FILE, required=True, help="Image to write.")
+def tasks(seed: int, out: Path) -> None:
+    """Draw the first and the last frame of each task's expert."""
+    from benchmarks.task_sheet import draw_task_sheet
 
-    repository = Path(__file__).parent.parent
-    counts = [(revision, count_revision(repository, revision)) for revision in revisions]
-    click.echo(structure_table(counts))
+    draw_task_sheet(seed, out)
 
 
 if __name__ == "__main__":

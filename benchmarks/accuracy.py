@@ -1,6 +1,7 @@
 """Accuracy of the grounding on renderings with exact poses and on videos of other programs and cameras."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from textwrap import wrap
 from typing import Any
@@ -8,13 +9,14 @@ from typing import Any
 from benchmarks import footage_report, markdown
 from benchmarks.footage import ReferenceKind
 from benchmarks.markdown import percent
-from benchmarks.perception.study import StudyPlan, evaluation, run_study
-from benchmarks.perception.tables import evaluation_json
+from benchmarks.perception.study import CLEAN, StudyPlan, run_study
+from benchmarks.perception.summary import intervals, summarize
 from kinebench_drake.environment.precision import network_precision
 from kinebench_drake.executors.base import Observer
 from kinebench_drake.executors.local import LocalExecutor
 from kinebench_drake.io.jsonl import read_object
 from kinebench_drake.models.panda.description import GripperKind
+from kinebench_drake.stats import IntervalEstimate
 
 HELDOUT = ("suite", "demos", "--suite", "2", "--split", "unseen", "--episodes", "2", "--with-depth")
 """Arguments of the program for the renderings; `--out` is to be added."""
@@ -45,31 +47,38 @@ _HEAD = (
 )
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class HeldoutFigures:
+    """Figures of held-out renderings."""
+
+    summary: Mapping[str, float]
+    """See `summarize`."""
+    intervals: Mapping[str, IntervalEstimate]
+    """See `intervals`."""
+
+
 def measure(
-    heldout: Path, others: Sequence[Path], work: Path, observer: Observer, log: Callable[[str], None]
-) -> tuple[dict[str, Any], list[dict[str, Any]]]:
+    heldout: Path, others: Sequence[Path], work: Path, observer: Observer
+) -> tuple[HeldoutFigures, list[Mapping[str, Any]]]:
     """Ground held-out renderings of `suite demos` and videos of others; resumes from the folder `work`.
 
     Returns:
-        Result of `python -m benchmarks evaluate`, and one of `footage` for each folder.
+        Figures of the renderings, and the result of `footage` for each folder.
 
     Raises:
         UsageError: a folder cannot be used.
     """
     plan = StudyPlan(folder=heldout, keep=work / "heldout.clips.jsonl")
-    (results,) = run_study(evaluation("pixels"), plan, LocalExecutor(jobs=1), observer).results.values()
+    (results,) = run_study([CLEAN], plan, LocalExecutor(jobs=1), observer).results.values()
     for folder in others:
-        out = work / folder.name
-        kind = GripperKind.FRANKA
-        footage_report.measure(folder, out, None, weights=None, calibration=None, gripper=kind, window=False, log=log)
-    return evaluation_json(results, plan.seed), [
-        dict(read_object(work / folder.name / "footage.json")) for folder in others
-    ]
+        footage_report.measure(folder, work / folder.name, GripperKind.FRANKA, observer)
+    measured = HeldoutFigures(summary=summarize(results), intervals=intervals(results))
+    return measured, [read_object(work / folder.name / "footage.json") for folder in others]
 
 
-def figures(heldout: Mapping[str, Any], others: Sequence[Mapping[str, Any]]) -> dict[str, float]:
+def figures(heldout: HeldoutFigures, others: Sequence[Mapping[str, Any]]) -> dict[str, float]:
     """Return errors and shares of failures by name; of all of them less is better."""
-    summary = heldout["summary"]
+    summary = heldout.summary
     result = {
         "heldout, position median [mm]": summary["position_median_mm"],
         "heldout, position p95 [mm]": summary["position_p95_mm"],
@@ -85,12 +94,12 @@ def figures(heldout: Mapping[str, Any], others: Sequence[Mapping[str, Any]]) -> 
     return result
 
 
-def section(heldout: Mapping[str, Any], others: Sequence[Mapping[str, Any]]) -> str:
+def section(heldout: HeldoutFigures, others: Sequence[Mapping[str, Any]]) -> str:
     """Return the section of the page, in Markdown: videos of others first."""
     introduction = (*_INTRODUCTION, f"Networks in {network_precision().value}.")
     rows = [_footage_row(_TITLES[kind], f) for kind, f in _kinds(others).items()]
-    rows.append(_heldout_row(heldout["summary"], heldout["intervals"]))
-    texts = (wrap(text, width=WIDTH) for text in (_other_text(others), _heldout_text(heldout["summary"])))
+    rows.append(_heldout_row(heldout))
+    texts = (wrap(text, width=WIDTH) for text in (_other_text(others), _heldout_text(heldout.summary)))
     return markdown.section("Accuracy", introduction, markdown.table(_HEAD, rows), *texts, _COMMANDS)
 
 
@@ -112,7 +121,7 @@ def _other_text(others: Sequence[Mapping[str, Any]]) -> str:
     return " ".join(sentences)
 
 
-def _heldout_text(s: Mapping[str, Any]) -> str:
+def _heldout_text(s: Mapping[str, float]) -> str:
     return " ".join(
         [
             f"On renderings of this project {percent(s['tracked_frames_off_by_3_cm'])} of the tracked frames are off",
@@ -141,16 +150,16 @@ def _footage_row(title: str, f: Mapping[str, Any]) -> list[str]:
     ]
 
 
-def _heldout_row(s: Mapping[str, Any], intervals: Mapping[str, Any]) -> list[str]:
-    position = intervals["position_median_mm"]
-    rotation = intervals["rotation_median_deg"]
+def _heldout_row(heldout: HeldoutFigures) -> list[str]:
+    s = heldout.summary
+    position = heldout.intervals["position_median_mm"]
+    rotation = heldout.intervals["rotation_median_deg"]
     return [
         "this project's renderer and camera, assets and looks that no network has seen; exact poses",
         f"{s['videos']:.0f}",
         percent(s["tracked_fraction"]),
-        f"{position['value']:.1f} [{position['low']:.1f}, {position['high']:.1f}] / {s['position_p95_mm']:.1f} mm",
-        f"{rotation['value']:.1f} [{rotation['low']:.1f}, {rotation['high']:.1f}] / "
-        f"{s['rotation_p95_deg']:.1f} degrees",
+        f"{position.value:.1f} [{position.low:.1f}, {position.high:.1f}] / {s['position_p95_mm']:.1f} mm",
+        f"{rotation.value:.1f} [{rotation.low:.1f}, {rotation.high:.1f}] / {s['rotation_p95_deg']:.1f} degrees",
         "",
         "",
     ]

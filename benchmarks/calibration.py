@@ -8,16 +8,13 @@ import numpy as np
 
 from benchmarks.markdown import table
 from benchmarks.perception.clip import TruthClipFile, choose, find_clips
-from kinebench_drake.camera import Camera
 from kinebench_drake.errors import UnmeasurableError, UsageError, cause
 from kinebench_drake.geometry import pose_difference
 from kinebench_drake.grounding.camera.calibrate import Calibrator
 from kinebench_drake.grounding.camera.calibration_result import CalibrationMethod, CameraCalibration
 from kinebench_drake.grounding.camera.lens import USUAL_FOV_DEG, focal_px, with_focal
-from kinebench_drake.grounding.camera.states import RobotStates, unknown_states
+from kinebench_drake.grounding.camera.states import RobotStates
 from kinebench_drake.grounding.registration.arm_model import ArmModel
-from kinebench_drake.io.frames import Frames
-from kinebench_drake.io.jsonl import Json
 from kinebench_drake.io.reader import read_video
 from kinebench_drake.models.panda.description import RobotPart
 
@@ -56,36 +53,18 @@ class CalibrationTrial:
     reason: str | None = None
     """Why it failed."""
 
-    def to_json(self) -> dict[str, Json]:
-        """Return all figures."""
-        claimed = None
-        if self.calibration is not None:
-            c = self.calibration
-            claimed = (c.position_sigma_m, c.rotation_sigma_rad, c.focal_sigma)
-        return {
-            "clip": self.clip,
-            "condition": self.condition.label,
-            "distance_m": self.distance_m,
-            "angle_rad": self.angle_rad,
-            "focal": self.focal,
-            "claimed": claimed,
-            "reason": self.reason,
-        }
-
 
 def measure(
     folder: Path,
     *,
     limit: int | None,
     frames: int,
-    part: float = 1.0,
     conditions: Sequence[CalibrationCondition] = CONDITIONS,
     calibrator: Calibrator | None = None,
 ) -> Iterator[CalibrationTrial]:
     """Calibrate the cameras of a demonstration folder's videos.
 
-    Of at most `limit` videos, tasks in turn, `frames` frames each are used; of each image's width and height the share
-    `part` in the middle, which is a longer focal length. Trials come video by video.
+    Of at most `limit` videos, tasks in turn, `frames` frames each are used. Trials come video by video.
 
     Raises:
         UsageError: the folder holds no such videos, or their truth no joint angles.
@@ -94,7 +73,8 @@ def measure(
     calibrator = calibrator or Calibrator.load()
     for clip in choose(find_clips(folder), limit):
         truth = _states(clip, model)
-        images, camera = _crop_middle(read_video(clip.video).frames, clip.camera, part)
+        images = read_video(clip.video).frames
+        camera = clip.camera
         usual = with_focal(camera, focal_px(camera.width, USUAL_FOV_DEG))
         for condition in conditions:
             try:
@@ -104,7 +84,7 @@ def measure(
                     usual if condition.focal_free else camera,
                     focal_free=condition.focal_free,
                     most=frames,
-                ).calibration
+                )
             except UnmeasurableError as error:
                 yield CalibrationTrial(clip=clip.id, condition=condition, reason=str(error))
                 continue
@@ -117,15 +97,6 @@ def measure(
                 focal=calibration.camera.fx / camera.fx - 1.0,
                 calibration=calibration,
             )
-
-
-def _crop_middle(frames: Frames, camera: Camera, part: float) -> tuple[Frames, Camera]:
-    """Return the middle of the frames (T, H, W, 3) and its camera."""
-    left, top = (round(side * (1.0 - part) / 2) for side in (camera.width, camera.height))
-    width = camera.width - 2 * left
-    height = camera.height - 2 * top
-    cut = np.ascontiguousarray(frames[:, top : top + height, left : left + width])
-    return cut, replace(camera, width=width, height=height, cx=camera.cx - left, cy=camera.cy - top)
 
 
 def trial_table(trials: Sequence[CalibrationTrial]) -> list[str]:
@@ -166,19 +137,18 @@ def _states(clip: TruthClipFile, model: ArmModel) -> RobotStates:
     return RobotStates(q=q, X_BH=model.poses(q)[:, RobotPart.HAND], finger_m=width / 2, source="the truth")
 
 
-def _prior_states(truth: RobotStates, method: CalibrationMethod) -> RobotStates:
-    """Return the part of the true states that a method uses."""
-    nothing = unknown_states(len(truth.q))
+def _prior_states(truth: RobotStates, method: CalibrationMethod) -> RobotStates | None:
+    """Return the part of the true states that a method uses; None for the one that uses none."""
     if method is CalibrationMethod.JOINTS:
         return truth
     if method is CalibrationMethod.POSES:
-        return replace(truth, q=nothing.q)
-    if method is CalibrationMethod.MOTION:
-        return nothing
+        return replace(truth, q=np.full_like(truth.q, np.nan))
+    if method is CalibrationMethod.ESTIMATE:
+        return None
     first = np.arange(len(truth.q)) == 0
     return replace(
-        nothing,
+        truth,
         q=np.where(first[:, None], truth.q, np.nan),
         X_BH=np.where(first[:, None, None], truth.X_BH, np.nan),
-        source=truth.source,
+        finger_m=np.full_like(truth.finger_m, np.nan),
     )

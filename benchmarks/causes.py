@@ -21,8 +21,7 @@ from typing_extensions import override
 from benchmarks.faults.fault import FaultGrade
 from benchmarks.faults.oracle import FaultyOracle
 from kinebench_drake.anomaly import AnomalyKind
-from kinebench_drake.errors import InputError, KinebenchError
-from kinebench_drake.executors.base import Executor, WorkerCrash
+from kinebench_drake.errors import InputError
 from kinebench_drake.grounding.priors import Clip
 from kinebench_drake.grounding.video import Grounder
 from kinebench_drake.grounding.video_result import GroundingResult
@@ -99,21 +98,21 @@ class _LossyGrounder(Grounder):
         if self.lost is None:
             return result
         start, length = (round(part * len(clip.frames)) for part in self.lost)
-        return replace(result, track=_without(result.track, slice(start, start + length)))
+        track = _without(result.measured.track, slice(start, start + length))
+        return replace(result, measured=replace(result.measured, track=track))
 
 
 def _without(track: GripperTrack, lost: slice) -> GripperTrack:
-    X_CH = track.X_CH.copy()
-    X_BG = track.X_BG.copy()
-    width = track.finger_width_m.copy()
-    tracked = track.tracked.copy()
-    confidence = track.confidence.copy()
-    X_CH[lost] = np.nan
-    X_BG[lost] = np.nan
-    width[lost] = np.nan
-    tracked[lost] = False
-    confidence[lost] = 0.0
-    return replace(track, X_CH=X_CH, X_BG=X_BG, finger_width_m=width, tracked=tracked, confidence=confidence)
+    kept = np.ones(len(track.t_s), dtype=bool)
+    kept[lost] = False
+    return replace(
+        track,
+        X_CH=np.where(kept[:, None, None], track.X_CH, np.nan),
+        X_BG=np.where(kept[:, None, None], track.X_BG, np.nan),
+        finger_width_m=np.where(kept, track.finger_width_m, np.nan),
+        tracked=track.tracked & kept,
+        confidence=np.where(kept, track.confidence, 0.0),
+    )
 
 
 class _FaultyRobot(Simulator):
@@ -153,7 +152,7 @@ def _first_half(expert: Expert, scene: Scene) -> Sequence[Waypoint]:
     return [*begun, replace(last, through=False)]
 
 
-class _Worker:
+class CauseWorker:
     """Runs cases."""
 
     def __init__(self) -> None:
@@ -167,6 +166,7 @@ class _Worker:
         self._faulty = [make(FaultyOracle(fault.kind.value, fault.size), options) for fault in FAULTS]
 
     def __call__(self, case: CauseCase) -> CauseResult:
+        """Run one case."""
         episode = case.spec.episode()
         simulator = self._simulators.get(episode.task, episode.variant)
         rng = generator("causes", episode.id, case.planted.name)
@@ -196,18 +196,6 @@ class _Worker:
 def cause_cases(specs: Sequence[EpisodeSpec]) -> list[CauseCase]:
     """Return each cause on each episode."""
     return [CauseCase(spec=spec, planted=planted, number=i) for i, spec in enumerate(specs) for planted in PlantedCause]
-
-
-def run_cases(executor: Executor, cases: Sequence[CauseCase]) -> Iterator[CauseResult]:
-    """Run cases, in any order.
-
-    Raises:
-        KinebenchError: a worker died.
-    """
-    for done in executor.run(_Worker, list(cases)):
-        if isinstance(done, WorkerCrash):
-            raise KinebenchError(f"{done.item.spec.id}: {done.reason}")
-        yield done.result
 
 
 def cause_table(results: Sequence[CauseResult]) -> Iterator[str]:

@@ -7,7 +7,7 @@ from pathlib import Path, PurePosixPath
 from benchmarks.markdown import table
 from benchmarks.trajectory import TrajectoryKind, TrajectoryTruth
 from kinebench_drake.errors import InputError, cause
-from kinebench_drake.io.jsonl import Json, parse_json
+from kinebench_drake.io.jsonl import parse_json
 from kinebench_drake.results.aggregate import Estimate, estimate
 from kinebench_drake.results.row import SampleRow, Status
 
@@ -22,10 +22,6 @@ class ShareCount:
     """Numerator of the share."""
     ids: tuple[str, ...]
     """Trajectories to inspect: false alarms, misses, wrong reasons."""
-
-    def to_json(self) -> dict[str, Json]:
-        """Return the object as printed."""
-        return {"hits": self.hits, **self.share.to_json(), "ids": list(self.ids)}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -47,19 +43,6 @@ class KindSummary:
     """Rows with status error."""
     unexplained: tuple[str, ...]
     """Rows with status error, and rows without a reason for a status that is not ok or for a null metric."""
-
-    def to_json(self) -> dict[str, Json]:
-        """Return the object as printed."""
-        return {
-            "kind": self.kind.value,
-            "total": self.total,
-            "judged_infeasible": self.judged_infeasible.to_json(),
-            "reason_named": None if self.reason_named is None else self.reason_named.to_json(),
-            "undecided": list(self.undecided),
-            "missing": list(self.missing),
-            "errors": list(self.errors),
-            "unexplained": list(self.unexplained),
-        }
 
 
 def read_rows(path: Path) -> list[SampleRow]:
@@ -87,9 +70,7 @@ def compare(rows: Iterable[SampleRow], truths: Mapping[str, TrajectoryTruth]) ->
 def _summary(kind: TrajectoryKind, truths: Sequence[TrajectoryTruth], rows: Mapping[str, SampleRow]) -> KindSummary:
     pairs = [(truth, rows[truth.id]) for truth in truths if truth.id in rows]
     ok = [(truth, row) for truth, row in pairs if row.status is Status.OK]
-    wrong = [
-        truth.id for truth, row in pairs if truth.feasible is not None and (row.feasible is False) is truth.feasible
-    ]
+    wrong = [truth.id for truth, row in pairs if (row.feasible is False) is truth.feasible]
     named = [row.feasible is False and _names(row, truth) for truth, row in pairs]
     return KindSummary(
         kind=kind,

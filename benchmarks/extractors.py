@@ -7,8 +7,8 @@ succeeds where the true one fails, or fails where that succeeds: the failure is 
     extractions.jsonl    success of the true track and of the baseline's, one video a line
 """
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from enum import Enum
 from functools import partial
 from pathlib import Path
@@ -18,23 +18,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks import markdown
+from benchmarks.bootstrap import cluster_bootstrap
 from benchmarks.perception.store import MeasurementStore, fingerprint
 from benchmarks.validity import ExecutionWorker, TrackExecution, ValidityTrial, read_study, study_specs
 from kinebench_drake.anomaly import AnomalyKind
-from kinebench_drake.errors import InputError, UsageError
+from kinebench_drake.camera import benchmark_camera
+from kinebench_drake.errors import InputError
 from kinebench_drake.executors.local import LocalExecutor
 from kinebench_drake.geometry import Array
 from kinebench_drake.io.figure import POSITION, ROTATION, new_figure
 from kinebench_drake.io.npz import open_npz
 from kinebench_drake.io.reader import read_video
 from kinebench_drake.runs.runner import RunObserver
-from kinebench_drake.stats import IntervalEstimate, percentile_interval, resampled_indices, wilson
-from kinebench_drake.suites.catalog import EpisodeSpec, load_suite
-from kinebench_drake.suites.demo_config import DemoConfig, FormatKind, RenderOptions
-from kinebench_drake.suites.demos import make_demos
-from kinebench_drake.suites.families.task import TaskVariant
+from kinebench_drake.stats import IntervalEstimate, wilson
+from kinebench_drake.suites.catalog import EpisodeSpec
 from kinebench_drake.track import GripperTrack
-from training.baseline.fitting import SCHEDULE, BaselineConfig, train
 from training.baseline.network import Baseline
 
 if TYPE_CHECKING:
@@ -42,9 +40,6 @@ if TYPE_CHECKING:
 
 FIGURE = "extractors.png"
 """Figure beside the page."""
-_TRAINING_SUITE = 1
-_RENDERED_PX = 256
-_RESAMPLES = 2000
 _EXTRACTIONS = "extractions.jsonl"
 
 
@@ -86,34 +81,31 @@ class Extraction:
         return self.success[extractor] is not self.success[Extractor.TRUTH]
 
 
-class _Worker:
+class ExtractionWorker:
     """Executes the true track of a video, or the baseline's, from the initial state of its episode."""
 
     def __init__(self, weights: Path) -> None:
-        self._weights = weights
+        """Load the simulator and the weights of the baseline."""
         self._executor = ExecutionWorker()
-        self._baseline: Baseline | None = None
+        self._baseline = Baseline.load(weights)
 
     def __call__(self, item: ExtractionItem) -> TrackExecution:
+        """Execute one video."""
         try:
             with open_npz(item.truth) as truth:
-                t_s = truth["t_s"]
-                X_BG = truth["base_from_tcp"]
-                finger_width_m = truth["finger_width_m"]
+                track = certain_track(truth["t_s"], truth["base_from_tcp"], truth["finger_width_m"])
             if item.extractor is Extractor.BASELINE:
-                if self._baseline is None:
-                    self._baseline = Baseline.load(self._weights)
-                X_BG, finger_width_m = self._baseline.predict(read_video(item.video).frames)
+                track = self._baseline.track(read_video(item.video).frames, track.t_s, benchmark_camera())
         except InputError as error:
             return TrackExecution(success=False, reason=str(error))
-        return self._executor.execute(item.spec, _track(t_s, X_BG, finger_width_m))
+        return self._executor.execute(item.spec, track)
 
     def close(self) -> None:
         """Release the simulator."""
         self._executor.close()
 
 
-def _track(t_s: Array, X_BG: Array, finger_width_m: Array) -> GripperTrack:
+def certain_track(t_s: Array, X_BG: Array, finger_width_m: Array) -> GripperTrack:
     """Return the track of poses (T, 4, 4) that are certain where they are finite."""
     tracked: NDArray[np.bool_] = np.asarray(np.isfinite(X_BG).all(axis=(1, 2)))
     return GripperTrack(
@@ -157,7 +149,7 @@ def measure(work: Path, weights: Path, jobs: int, observer: RunObserver) -> list
         items,
         lambda item: f"{code[item.extractor]}-{fingerprint(files=[item.video, item.truth])}-{item.id}",
         LocalExecutor(jobs=jobs),
-        partial(_Worker, weights),
+        partial(ExtractionWorker, weights),
         observer,
         lambda item: f"{item.id}  {item.extractor.value}",
     )
@@ -191,22 +183,14 @@ def changed(extractions: Sequence[Extraction], extractor: Extractor) -> Interval
 
     If all or none are changed, the interval is Wilson's for as many episodes; else a single episode has none.
     """
-    values = np.array([e.changes(extractor) for e in extractions], dtype=np.float64)
-    names = sorted({e.episode for e in extractions})
-    mean = float(values.mean())
-    if np.ptp(values) == 0.0 and mean in (0.0, 1.0):
-        low, high = wilson(round(mean * len(names)), len(names))
-        return IntervalEstimate(value=mean, low=low, high=high)
-    if len(names) == 1:
-        return IntervalEstimate(value=mean, low=float("nan"), high=float("nan"))
-    members = [np.flatnonzero([e.episode == name for e in extractions]) for name in names]
-    draws = [
-        float(values[np.concatenate([members[i] for i in drawn])].mean())
-        for part in resampled_indices(len(names), np.random.default_rng(0), _RESAMPLES)
-        for drawn in part
-    ]
-    low, high = percentile_interval(draws)
-    return IntervalEstimate(value=mean, low=low, high=high)
+    episodes: dict[str, list[bool]] = {}
+    for e in extractions:
+        episodes.setdefault(e.episode, []).append(e.changes(extractor))
+    share = cluster_bootstrap(list(episodes.values()), lambda drawn: float(np.mean(np.concatenate(drawn))))
+    if share.value not in (0.0, 1.0):
+        return share
+    low, high = wilson(round(share.value * len(episodes)), len(episodes))
+    return IntervalEstimate(value=share.value, low=low, high=high)
 
 
 def section(extractions: Sequence[Extraction], about: str) -> str:
@@ -260,33 +244,3 @@ def draw(extractions: Sequence[Extraction]) -> "Figure":
     ax.set_xlabel("share of videos whose outcome the extractor changes, 95 % interval")
     ax.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2, frameon=False)
     return figure
-
-
-def train_baseline(
-    out: Path, episodes: int, steps: int, size: int, jobs: int, observer: RunObserver, report: Callable[[str], None]
-) -> Path:
-    """Make demonstrations of the training tasks of suite 1 and train the baseline on them; return its weights.
-
-    Both resume from `out`. Frames are `size` px wide and high.
-
-    Raises:
-        UsageError: the folder holds something else, or the expert fails with too many seeds.
-        SetupError: something is missing on this machine, or a worker died.
-    """
-    suite = load_suite(_TRAINING_SUITE)
-    config = DemoConfig(
-        suite=suite,
-        split="train",
-        tasks=tuple(suite.tasks_of("train")),
-        episodes=episodes,
-        seed=0,
-        variant=TaskVariant.PLAIN,
-        out=out / "demonstrations",
-        options=RenderOptions(size=_RENDERED_PX),
-        kind=FormatKind.MP4,
-    )
-    short = make_demos(config, LocalExecutor(jobs=jobs), observer).short
-    if short:
-        raise UsageError(f"demonstrations are missing: {short}; {config.out.name}/demos.jsonl has the reasons")
-    schedule = replace(SCHEDULE, steps=steps)
-    return train(BaselineConfig(data=config.out, out=out, schedule=schedule, size=size), report)

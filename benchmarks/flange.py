@@ -162,8 +162,7 @@ def _measure(
     if seed is not None:
         video = np.stack([degrade(frame, np.random.default_rng(seed)) for frame in video])
     t_s = 0.2 * chosen.astype(np.float64)
-    observation = pipeline.observe(video, camera, np.asarray(t_s, np.float64))
-    return MeasuredPoses.from_observation(observation, X_CH[chosen])
+    return MeasuredPoses.from_tracking(*pipeline.observe(video, camera, np.asarray(t_s, np.float64)), X_CH[chosen])
 
 
 def _row(kind: str, measured: Sequence[MeasuredPoses]) -> list[str]:

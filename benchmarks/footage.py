@@ -5,9 +5,10 @@ The reference is a file of poses (`benchmarks.perception.clip.TRUTHS`), or point
 """
 
 import time
-from collections.abc import Callable, Collection, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
 from enum import Enum
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -18,12 +19,12 @@ from benchmarks.perception.store import Confidences, Flags, MeasurementStore, Mi
 from kinebench_drake.anomaly import Anomaly
 from kinebench_drake.camera import Camera
 from kinebench_drake.errors import UsageError
+from kinebench_drake.executors.base import Observer
+from kinebench_drake.executors.local import LocalExecutor
 from kinebench_drake.formats.manifest import NAME
-from kinebench_drake.geometry import Array, transform_points
+from kinebench_drake.geometry import Array
 from kinebench_drake.grounding.overlay import draw_overlay
-from kinebench_drake.grounding.pipeline import GroundingPipeline, Observation
-from kinebench_drake.grounding.priors import NO_PRIORS, Priors
-from kinebench_drake.grounding.tracking.crop import GRIPPER_CENTRE_H, GRIPPER_RADIUS_M
+from kinebench_drake.grounding.pipeline import GroundingPipeline
 from kinebench_drake.io.container import write_video
 from kinebench_drake.io.frames import Frames
 from kinebench_drake.io.reader import read_video
@@ -31,8 +32,8 @@ from kinebench_drake.models.panda.description import GripperKind
 from kinebench_drake.track import GripperTrack
 
 _Micro = Annotated[Array, Stored(".6f")]
-_OVERLAY_FPS = 5.0
-_WINDOW_MARGIN = 2.5  # distance of the window's border from the gripper's centre, over the gripper's radius
+OVERLAY_FPS = 5.0
+"""Frame rate of overlays [1/s]: slow enough to look at."""
 
 
 class ReferenceKind(Enum):
@@ -73,109 +74,64 @@ class TrackRecord:
     id: str
     X_CH: _Micro
     """(T, 4, 4) pose of panda_hand in the camera frame [m]; NaN where not tracked."""
-    X_CH_frame: _Micro
-    """(T, 4, 4) pose of each frame by itself, before confidence and smoothing; NaN where no gripper is detected."""
     tracked: Flags
     confidence: Confidences
     """(T,) 0..1."""
     finger_width_m: _Micro
     """(T,) gap between the finger pads [m]; NaN where unknown."""
-    arm_agrees: Flags
-    """(T,) frames in which one posture explains hand and links."""
     anomalies: tuple[Anomaly, ...]
     cpu_s: Milli
     """Processor time [s]."""
 
 
-class ObservedPipeline(GroundingPipeline):
-    """Pipeline that keeps the measurements of single frames of its last video."""
+class FootageWorker:
+    """Grounds videos with their cameras, and draws the tracked gripper on them."""
 
-    observation: Observation
+    def __init__(self, gripper: GripperKind, overlays: Path) -> None:
+        """Load the pipeline of a gripper; overlays are written into a folder."""
+        self._pipeline = GroundingPipeline.create(gripper=gripper)
+        self._overlays = overlays
 
-    def observe(self, frames: Frames, camera: Camera, t_s: Array, priors: Priors = NO_PRIORS) -> Observation:
-        """Measure each frame, as `GroundingPipeline.observe`."""
-        self.observation = super().observe(frames, camera, t_s, priors)
-        return self.observation
-
-
-def ground_video(
-    pipeline: ObservedPipeline, video: TruthClipFile, overlay: Path | None, *, window: bool
-) -> TrackRecord:
-    """Ground a video with its camera, and draw the tracked gripper on it into the file `overlay`.
-
-    With `window` the frames are cut to the square that the gripper moves in by the reference, which does not enter
-    otherwise: the difference that a perfect detection would make.
-    """
-    frames = read_video(video.video).frames
-    camera = video.camera
-    camera = camera.resized(frames.shape[2], frames.shape[1])
-    if window:
-        frames, camera = cut_window(frames, camera, video.load().X_CH)
-    start = time.process_time()
-    result = pipeline.ground(frames, camera, np.arange(len(frames), dtype=np.float64) * video.frame_period_s)
-    cpu_s = time.process_time() - start
-    if overlay is not None:
-        write_overlay(overlay, frames, camera, result.track)
-    poses = pipeline.observation.poses
-    return TrackRecord(
-        id=video.id,
-        X_CH=result.track.X_CH,
-        X_CH_frame=np.stack([np.full((4, 4), np.nan) if p is None else p.X_CH for p in poses]),
-        tracked=result.track.tracked,
-        confidence=result.track.confidence,
-        finger_width_m=result.track.finger_width_m,
-        arm_agrees=np.array([p is not None and p.arm is not None and p.arm.agrees for p in poses]),
-        anomalies=result.anomalies,
-        cpu_s=cpu_s,
-    )
-
-
-def cut_window(frames: Frames, camera: Camera, X_CH: Array) -> tuple[Frames, Camera]:
-    """Return the square window of the frames (T, H, W, 3) that the gripper at `X_CH` (T, 4, 4) moves in, its camera."""
-    centre = transform_points(X_CH, GRIPPER_CENTRE_H[None])[:, 0]
-    pixel = camera.project(centre)
-    reach = (_WINDOW_MARGIN * GRIPPER_RADIUS_M * camera.fx / centre[:, 2])[:, None]
-    low = (pixel - reach).min(axis=0)
-    high = (pixel + reach).max(axis=0)
-    size = min(int(np.ceil((high - low).max())), camera.width, camera.height)
-    left, top = (
-        int(np.clip(round(middle - size / 2), 0, side - size))
-        for middle, side in zip((low + high) / 2, (camera.width, camera.height), strict=True)
-    )
-    cut = np.ascontiguousarray(frames[:, top : top + size, left : left + size])
-    return cut, replace(camera, width=size, height=size, cx=camera.cx - left, cy=camera.cy - top)
+    def __call__(self, video: TruthClipFile) -> TrackRecord:
+        """Ground one video."""
+        frames = read_video(video.video).frames
+        camera = video.camera.resized(frames.shape[2], frames.shape[1])
+        start = time.process_time()
+        result = self._pipeline.ground(frames, camera, np.arange(len(frames), dtype=np.float64) * video.frame_period_s)
+        cpu_s = time.process_time() - start
+        write_overlay(self._overlays / f"{video.id}.mp4", frames, camera, result.track)
+        return TrackRecord(
+            id=video.id,
+            X_CH=result.track.X_CH,
+            tracked=result.track.tracked,
+            confidence=result.track.confidence,
+            finger_width_m=result.track.finger_width_m,
+            anomalies=result.anomalies,
+            cpu_s=cpu_s,
+        )
 
 
 def write_overlay(path: Path, frames: Frames, camera: Camera, track: GripperTrack) -> None:
-    """Write the tracked gripper drawn on the video, slow enough to look at."""
+    """Write the tracked gripper drawn on the video."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    write_video(path, draw_overlay(frames, camera, track), _OVERLAY_FPS)
+    write_video(path, draw_overlay(frames, camera, track), OVERLAY_FPS)
 
 
 def ground_videos(
-    videos: Sequence[TruthClipFile],
-    out: Path,
-    *,
-    weights: Path | None,
-    calibration: Path | None,
-    gripper: GripperKind,
-    window: bool,
-    log: Callable[[str], None],
+    videos: Sequence[TruthClipFile], out: Path, gripper: GripperKind, observer: Observer
 ) -> list[TrackRecord]:
     """Ground the videos that `out`/tracks.jsonl does not hold yet, and write their overlays.
 
-    Measurements of other code, weights or options are ignored.
+    Measurements of other code or of another gripper are ignored.
     """
-    files = [path for path in (weights, calibration) if path is not None]
-    base = fingerprint(window, gripper.value, modules=["kinebench_drake.grounding.pipeline"], files=files)
+    base = fingerprint(gripper.value, modules=["kinebench_drake.grounding.pipeline"])
     store = MeasurementStore(out / "tracks.jsonl", TrackRecord)
-    pipeline: ObservedPipeline | None = None
-    records = []
-    for video in videos:
-        key = f"{base}-{video.digest()}-{video.id}"
-        if key not in store:
-            pipeline = pipeline or ObservedPipeline.create(weights=weights, gripper=gripper, calibration=calibration)
-            store.put(key, ground_video(pipeline, video, out / "overlays" / f"{video.id}.mp4", window=window))
-            log(f"{video.id}: {store[key].cpu_s:.0f} s of processor time")
-        records.append(store[key])
-    return records
+    make_worker = partial(FootageWorker, gripper, out / "overlays")
+    return store.complete(
+        videos,
+        lambda video: f"{base}-{video.digest()}-{video.id}",
+        LocalExecutor(jobs=1),
+        make_worker,
+        observer,
+        lambda video: video.id,
+    )

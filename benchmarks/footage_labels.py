@@ -44,7 +44,8 @@ SILENT_SHARE = 0.2
 """Reprojection error over the hand's length, beyond which a tracked frame is a silent error."""
 _PAIRS = ("corner", "end", "tip")
 _SIDES = ("left", "right")
-_HALF_OPEN_M = 0.04  # gap where the width is unknown
+HALF_OPEN_M = 0.04
+"""Gap between the finger pads that is assumed where it is unknown [m]."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -105,7 +106,7 @@ def pair_points(X_CH: Array, width_m: float) -> dict[str, Array]:
         width_m: gap between the finger pads [m]; 4 cm if NaN.
     """
     face, end = (np.where(invert(X_CH)[:2, 3] < 0, -1.0, 1.0)).tolist()
-    opening = np.array([0.0, (width_m if np.isfinite(width_m) else _HALF_OPEN_M) / 2, 0.0])
+    opening = np.array([0.0, (width_m if np.isfinite(width_m) else HALF_OPEN_M) / 2, 0.0])
     signs = {
         "corner": np.array([[face, 1.0, 1.0], [face, -1.0, 1.0]]),
         "end": np.array([[1.0, end, 1.0], [-1.0, end, 1.0]]),
@@ -180,7 +181,7 @@ def _body_scale(px: Mapping[str, Array]) -> float:
 
 def _finger_scale(px: Mapping[str, Array]) -> float:
     """Return pixels a metre from a corner and its finger tip, foreshortened; NaN without them."""
-    length_m = float(np.linalg.norm(CORNER_H - TIP_H - [0.0, _HALF_OPEN_M / 2, 0.0]))
+    length_m = float(np.linalg.norm(CORNER_H - TIP_H - [0.0, HALF_OPEN_M / 2, 0.0]))
     sides = [side for side in _SIDES if {f"corner_{side}", f"tip_{side}"} <= px.keys()]
     ratios = [float(np.linalg.norm(px[f"corner_{side}"] - px[f"tip_{side}"])) / length_m for side in sides]
     return max(ratios, default=float("nan"))
@@ -195,8 +196,6 @@ class LabelErrors:
     """(n,)."""
     share: Array
     """(n,) mean reprojection error of the tracked pose over the hand's length; NaN where there is none."""
-    frame_share: Array
-    """(n,) the same of each detected frame by itself, tracked or not."""
 
 
 def compare_labels(video: TruthClipFile, track: TrackRecord, frames: Sequence[LabelledFrame]) -> LabelErrors:
@@ -209,41 +208,25 @@ def compare_labels(video: TruthClipFile, track: TrackRecord, frames: Sequence[La
     if max(rows) >= len(track.tracked):
         raise UsageError(f"{video.id}: frame {max(rows)} is labelled, the video has {len(track.tracked)} frames")
     length = hand_lengths_px(frames)
-
-    def shares(X_CH: Array) -> Array:
-        px = [reprojection_px(f, video.camera, X_CH[f.frame], float(track.finger_width_m[f.frame])) for f in frames]
-        return np.array(px) / length
-
-    return LabelErrors(
-        id=video.id, tracked=track.tracked[rows], share=shares(track.X_CH), frame_share=shares(track.X_CH_frame)
-    )
+    px = [reprojection_px(f, video.camera, track.X_CH[f.frame], float(track.finger_width_m[f.frame])) for f in frames]
+    return LabelErrors(id=video.id, tracked=track.tracked[rows], share=np.array(px) / length)
 
 
 def label_figures(errors: Sequence[LabelErrors]) -> dict[str, Json]:
     """Return the figures of a group of videos, frames pooled; NaN where there is nothing to measure."""
     tracked = np.concatenate([e.tracked for e in errors])
     share = np.concatenate([e.share for e in errors])[tracked]
-    alone = np.concatenate([e.frame_share for e in errors])
-    alone = alone[np.isfinite(alone)]
     return {
         "frames": len(tracked),
         "tracked": float(tracked.mean()),
         "error_median": percentile(share, 50),
         "error_p95": percentile(share, 95),
         "silent": float((~(share <= SILENT_SHARE)).mean()) if len(share) else float("nan"),
-        "detected": len(alone) / len(tracked),
-        "frame_error_median": percentile(alone, 50),
     }
 
 
 def label_table(groups: Mapping[str, Mapping[str, Json]]) -> list[str]:
     """Return the lines of a Markdown table of `label_figures` by name."""
-    head = (
-        *("", "labelled frames", "tracked", "error / hand length, median", "95 %", "silent errors"),
-        *("detected", "error of detected frames by themselves, median"),
-    )
-    rows = []
-    for name, f in groups.items():
-        keys = ("tracked", "error_median", "error_p95", "silent", "detected", "frame_error_median")
-        rows.append([name, str(f["frames"]), *(percent(f[key]) for key in keys)])
-    return table(head, rows)
+    head = ("", "labelled frames", "tracked", "error / hand length, median", "95 %", "silent errors")
+    keys = ("tracked", "error_median", "error_p95", "silent")
+    return table(head, ([name, str(f["frames"]), *(percent(f[key]) for key in keys)] for name, f in groups.items()))

@@ -1,15 +1,15 @@
 """Report of the grounding on videos of other programs and cameras: footage.json and footage.md."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 from benchmarks.footage import ReferenceKind, TrackRecord, find_footage, ground_videos, reference_of
-from benchmarks.footage_errors import PoseErrors, compare, error_table, figures, reliability_table
+from benchmarks.footage_errors import PoseErrors, compare, error_table, figures
 from benchmarks.footage_labels import FootageLabels, compare_labels, label_figures, label_table, read_labels
 from benchmarks.markdown import table
 from benchmarks.perception.clip import TruthClipFile
-from benchmarks.structure import current_revision
-from kinebench_drake.errors import UsageError
+from benchmarks.record import current_revision
+from kinebench_drake.executors.base import Observer
 from kinebench_drake.io.atomic import make_folder, write_atomically
 from kinebench_drake.io.jsonl import Json, dump, finite
 from kinebench_drake.models.panda.description import GripperKind
@@ -17,21 +17,8 @@ from kinebench_drake.models.panda.description import GripperKind
 _POSES = (ReferenceKind.SIMULATOR, ReferenceKind.JOINTS, ReferenceKind.EDGES)
 
 
-def measure(
-    folder: Path,
-    out: Path,
-    names: Sequence[str] | None,
-    *,
-    weights: Path | None,
-    calibration: Path | None,
-    gripper: GripperKind,
-    window: bool,
-    log: Callable[[str], None],
-) -> str:
+def measure(folder: Path, out: Path, gripper: GripperKind, observer: Observer) -> str:
     """Ground the videos of a folder, write footage.json and footage.md, and return the Markdown.
-
-    All videos of `find_footage` if `names` is None. Weights and calibration take the place of those shipped; with
-    `window` frames are cut to where the reference is, of videos with reference poses.
 
     Raises:
         UsageError: the folder has no such videos.
@@ -39,22 +26,10 @@ def measure(
     labels = read_labels()
     videos = find_footage(folder)
     kinds = {video.id: reference_of(video, labels.videos) for video in videos}
-    unknown = sorted(set(names or ()) - {video.id for video in videos})
-    if unknown:
-        raise UsageError(f"--videos: no video {', '.join(unknown)}; there are {', '.join(v.id for v in videos)}")
-    videos = [v for v in videos if (kinds[v.id] in _POSES or not window) and (names is None or v.id in names)]
     make_folder(out)
-    tracks = ground_videos(
-        videos, out, weights=weights, calibration=calibration, gripper=gripper, window=window, log=log
-    )
-    result: dict[str, Json] = {
-        "revision": current_revision(Path(__file__).parent.parent),
-        "weights": "shipped" if weights is None else weights.name,
-        "calibration": "shipped" if calibration is None else calibration.name,
-        "gripper": gripper.value,
-        "window": window,
-    }
-    lines = [f"Revision {result['revision']}, weights {result['weights']}, calibration {result['calibration']}."]
+    tracks = ground_videos(videos, out, gripper, observer)
+    result: dict[str, Json] = {"revision": current_revision(), "gripper": gripper.value}
+    lines = [f"Revision {result['revision']}."]
     pairs = list(zip(videos, tracks, strict=True))
     lines += _pose_lines([(kinds[v.id], v, t) for v, t in pairs if kinds[v.id] in _POSES], result)
     lines += _label_lines([(v, t) for v, t in pairs if kinds[v.id] is ReferenceKind.LABELS], labels, result)
@@ -78,7 +53,7 @@ def _pose_lines(
     result["videos"] = single
     if not kinds:
         return []
-    return ["", *error_table(kinds), "", *error_table(single), "", *reliability_table(kinds)]
+    return ["", *error_table(kinds), "", *error_table(single)]
 
 
 def _label_lines(

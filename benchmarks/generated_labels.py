@@ -13,7 +13,7 @@ the verdicts known. Detectors were mended after a look at the clips of `best`; t
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -35,11 +35,8 @@ from benchmarks.validity import ExecutionWorker, TrackExecution
 from kinebench_drake.anomaly import AnomalyKind
 from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.executors.local import LocalExecutor
-from kinebench_drake.geometry import Array, invert, make_pose
-from kinebench_drake.io.frames import Frames
 from kinebench_drake.io.jsonl import read_json
 from kinebench_drake.io.reader import read_video
-from kinebench_drake.models.panda.description import HAND_TO_TCP_M
 from kinebench_drake.results.row import Status
 from kinebench_drake.results.store import artifact_path, read_rows
 from kinebench_drake.results.trackfile import read_track
@@ -71,33 +68,15 @@ class Clip:
         """Return the extractor's track of the clip."""
         frames = read_video(self.video).frames
         track = read_track(self.track).track.at(np.arange(len(frames)))
-        return follow(network, frames, track.t_s) if self.baseline else track
-
-
-def follow(network: Baseline, frames: Frames, t_s: Array) -> GripperTrack:
-    """Return the track of the inverse-dynamics baseline, which has a pose in every frame."""
-    X_BG, width_m = network.predict(frames)
-    X_GH = make_pose(np.eye(3), [0.0, 0.0, -HAND_TO_TCP_M])
-    return GripperTrack(
-        t_s=t_s,
-        X_CH=invert(benchmark_camera().X_BC) @ X_BG @ X_GH,
-        X_BG=X_BG,
-        tracked=np.ones(len(X_BG), dtype=np.bool_),
-        confidence=np.ones(len(X_BG)),
-        finger_width_m=width_m,
-    )
+        return network.track(frames, track.t_s, benchmark_camera()) if self.baseline else track
 
 
 class _Worker:
     """Executes the first clip of an episode through one extractor."""
 
     def __init__(self, weights: Path) -> None:
-        self._weights = weights
         self._executor = ExecutionWorker()
-
-    @cached_property
-    def _network(self) -> Baseline:
-        return Baseline.load(self._weights)
+        self._network = Baseline.load(weights)
 
     def __call__(self, clip: Clip) -> TrackExecution:
         return self._executor.execute(clip.spec, clip.read(self._network))

@@ -8,7 +8,6 @@ kinematics.
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -31,11 +30,8 @@ from benchmarks.record import machine_text
 from kinebench_drake.geometry import Array
 from kinebench_drake.kinematics.plant import ArmPlant
 
-IK_SETS = (
-    TrackSet(tracks=20, frames=BENCHMARK_FRAMES, period_s=BENCHMARK_PERIOD_S),
-    TrackSet(tracks=4, frames=490, period_s=0.02),
-)
-"""Benchmark episodes, and tracks of the same duration with ten times as many frames."""
+TRACKS = TrackSet(tracks=20, frames=BENCHMARK_FRAMES, period_s=BENCHMARK_PERIOD_S)
+"""Tracks like benchmark episodes."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -51,21 +47,6 @@ class SolverTiming:
     """Share of poses reached within limits, by Drake's forward kinematics."""
     within_speed: float | None
     """Share of tracks whose joint path keeps the speed limits."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class IkComparison:
-    """All solvers on one set."""
-
-    tracks: TrackSet
-    timings: tuple[SolverTiming, ...]
-
-    def ratio(self, name: str, to: str = OURS) -> Array | None:
-        """Return time of a solver / time of another (R,), repeat by repeat; None if either was not timed."""
-        by_name = {t.name: t.us_per_pose for t in self.timings}
-        one = by_name.get(name)
-        other = by_name.get(to)
-        return None if one is None or other is None else np.asarray(one / other)
 
 
 def compare_solvers(problems: Sequence[IkProblem], peers: Sequence[Peer], repeats: int) -> tuple[SolverTiming, ...]:
@@ -101,78 +82,60 @@ def compare_ik(
     *,
     repeats: int,
     seed: int = 0,
-    sets: Sequence[TrackSet] = IK_SETS,
+    tracks: TrackSet = TRACKS,
     peers: Sequence[Peer] = PEERS,
     log: Callable[[str], None] = lambda text: None,
-) -> list[IkComparison]:
-    """Draw the tracks of each set and time all solvers on them, in `repeats` turns."""
+) -> tuple[SolverTiming, ...]:
+    """Draw tracks and time all solvers on them, in `repeats` turns."""
     arm = Arm()
-    rng = np.random.default_rng(seed)
     for peer in peers:
         log(f"{peer.label}: {peer.how}")
-    comparisons = []
-    for tracks in sets:
-        log(f"inverse kinematics of {tracks.tracks} tracks of {tracks.frames} frames, {repeats} times each")
-        problems = [problem_of(arm.plant, *drawn) for drawn in smooth_motions(rng, arm, tracks)]
-        comparisons.append(IkComparison(tracks=tracks, timings=compare_solvers(problems, peers, repeats)))
-    return comparisons
+    log(f"inverse kinematics of {tracks.tracks} tracks of {tracks.frames} frames, {repeats} times each")
+    problems = [problem_of(arm.plant, *drawn) for drawn in smooth_motions(np.random.default_rng(seed), arm, tracks)]
+    return compare_solvers(problems, peers, repeats)
 
 
-def figures(comparisons: Sequence[IkComparison]) -> dict[str, float]:
+def times_ours(timings: Sequence[SolverTiming]) -> dict[str, float]:
+    """Return time of a solver / time of ours by name, the median of those of each turn."""
+    timed = {t.name: t.us_per_pose for t in timings if t.us_per_pose is not None}
+    return {name: float(np.median(us / timed[OURS])) for name, us in timed.items()}
+
+
+def figures(timings: Sequence[SolverTiming]) -> dict[str, float]:
     """Return the time of ours, and its ratio to those of the others in the same turns."""
-    costs = {}
-    for comparison in comparisons:
-        frames = f"{comparison.tracks.frames} frames"
-        for timing in comparison.timings:
-            ratio = comparison.ratio(OURS, timing.name)
-            if timing.us_per_pose is not None and timing.name == OURS:
-                costs[f"{frames}, us a pose"] = float(np.median(timing.us_per_pose))
-            elif ratio is not None:
-                costs[f"{frames}, ours / {timing.label}"] = float(np.median(ratio))
-    return costs
+    ratios = times_ours(timings)
+    costs = {f"ours / {t.label}": 1.0 / ratios[t.name] for t in timings if t.name in ratios and t.name != OURS}
+    ours = next(t.us_per_pose for t in timings if t.name == OURS)
+    return {"us a pose": float(np.median(ours)), **costs} if ours is not None else costs
 
 
-def section(comparisons: Sequence[IkComparison]) -> str:
+def section(timings: Sequence[SolverTiming]) -> str:
     """Return the section of the document."""
-    parts: list[str | list[str]] = [
-        f"`python -m benchmarks ik`, one thread, on {machine_text()}; CPU times. Expert-like tracks are reached to "
-        f"{1e3 * POSITION_M:g} mm and {1e3 * ROTATION_RAD:g} mrad from the posture of the first pose. The solvers take "
-        "turns; ratios are medians of those of a turn. Reached: share of poses, joints within limits. Smooth: share of "
-        "tracks whose joint path keeps the speed limits; any other path jumps between postures.",
+    ratios = times_ours(timings)
+    return markdown.section(
+        "Inverse kinematics along smooth tracks",
+        f"`python -m benchmarks ik`, one thread, on {machine_text()}; CPU times. {TRACKS.tracks} expert-like tracks of "
+        f"{TRACKS.frames} frames at {TRACKS.period_s:g} s are reached to {1e3 * POSITION_M:g} mm and "
+        f"{1e3 * ROTATION_RAD:g} mrad from the posture of the first pose. The solvers take turns; ratios are medians "
+        "of those of a turn. Reached: share of poses, joints within limits. Smooth: share of tracks whose joint path "
+        "keeps the speed limits; any other path jumps between postures.",
         "Ours and pytorch_kinematics solve whole tracks, the others pose by pose. Ours chooses joint 7 along the track "
         "and verifies its own result in Drake within its time. A warm start is given the true postures. "
         "`benchmarks/peers.py` has how each solver is used.",
-    ]
-    (first, tracks), *others = [(c, f"{c.tracks.frames} frames at {c.tracks.period_s:g} s") for c in comparisons]
-    rest = "".join(f" and those for tracks of {text}" for _, text in others)
-    parts.append(
-        f"{first.tracks.tracks} tracks of {tracks}. Of each solver the table has the setting with most smooth tracks, "
-        f"the fastest of these. The others{rest} stand in `benchmarks/results/ik.json`."
+        markdown.table(
+            ("solver", "us a pose", "times ours", "reached, smooth"),
+            ([timing.label, *_cells(timing, ratios.get(timing.name))] for timing in timings),
+        ),
     )
-    head = ("solver", "us a pose", "times ours", "reached, smooth")
-    best = dict[str, SolverTiming]()
-    for timing in sorted(first.timings, key=_quality):
-        best[timing.label.partition(",")[0]] = timing
-    shown = [timing for timing in first.timings if timing in best.values()]
-    parts.append(markdown.table(head, ([timing.label, *_cells(first, timing)] for timing in shown)))
-    return markdown.section("Inverse kinematics along smooth tracks", *parts)
 
 
-def _quality(timing: SolverTiming) -> tuple[float, float]:
-    """Return the share of smooth tracks, then speed; of a solver that is not installed the least."""
-    if timing.us_per_pose is None:
-        return -1.0, 0.0
-    return timing.within_speed or 0.0, -float(np.median(timing.us_per_pose))
-
-
-def _cells(comparison: IkComparison, timing: SolverTiming) -> list[str]:
-    ratio = comparison.ratio(timing.name)
+def _cells(timing: SolverTiming, ratio: float | None) -> list[str]:
     if timing.us_per_pose is None or ratio is None or timing.reached is None or timing.within_speed is None:
         return ["not installed", "", ""]
     shares = f"{timing.reached:.1%}, {timing.within_speed:.0%}"
-    return [_short(np.median(timing.us_per_pose)), _short(np.median(ratio)), shares]
+    return [_short(float(np.median(timing.us_per_pose))), _short(ratio), shares]
 
 
-def _short(value: float | np.floating[Any]) -> str:
+def _short(value: float) -> str:
     """Format a number with two or three significant digits."""
     return f"{value:.{2 if value < 1.0 else 1 if value < 100.0 else 0}f}"

@@ -1,43 +1,24 @@
-"""What lost frames do to the numbers of a track.
-
-On random tracks: the law that no number improves because frames are lost or cannot be reached. On the tracks of a run:
-how far numbers move when single frames are taken away.
-"""
+"""The law that no number of a track improves because frames are lost or cannot be reached, on random tracks."""
 
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.feasible import draw_feasible
 from benchmarks.motion import Arm
-from benchmarks.perturbed import add_noise, perturb
-from benchmarks.trajectory import Trajectory
+from benchmarks.trajectory import Trajectory, add_noise
 from kinebench_drake.geometry import Array, rotation_exp
 from kinebench_drake.metrics.judge import TrackJudge
 from kinebench_drake.metrics.kinematic_result import KinematicResult, Value
 from kinebench_drake.results.direction import BOUND, HIGHER_IS_BETTER, LOWER_IS_BETTER, improves
-from kinebench_drake.results.store import artifact_path, read_rows
-from kinebench_drake.results.trackfile import read_track
-from kinebench_drake.segments import finite_rows
 from kinebench_drake.track import GripperTrack
 
 STAGES = 2
 """Times that frames of a track are replaced, one after the other."""
-REMOVED_FRAMES = (1, 2, 3)
-"""Numbers of single frames that are taken away."""
-REMOVED_NUMBERS = (
-    *("sparc", "sparc_rotation", "ldlj", "manipulability_mean", "manipulability_min", "manipulability_integral"),
-    "path_length_m",
-)
-"""Numbers whose change is measured."""
-RELATIVE = 0.02
-"""Change of a number without a noise floor that counts as within it, relative to the number."""
-_BORDER_FRAMES = 3  # at each end, from which none is taken
 _FAR_M = (1.4, 2.0)  # distance of an unreachable TCP from the shoulder; the arm is 1.2 m long with its hand
 _PAST_RAD = (0.3, 1.0)  # angle of an unreachable posture past a joint limit
 _SHOULDER_M = np.array([0.0, 0.0, 0.333])
@@ -48,8 +29,6 @@ class TrackKind(Enum):
 
     FEASIBLE = "feasible"
     """Poses of a feasible motion, half of them with noise of up to 5 mm and 2.5 degrees."""
-    PERTURBED = "perturbed"
-    """The same with one to three disturbances (`perturbed`)."""
     JOINTS = "joints"
     """Joint angles of a feasible motion, as recorded."""
 
@@ -86,17 +65,6 @@ class LossTrial:
         return better
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RemovedFrames:
-    """Numbers of one track, whole and with frames taken away."""
-
-    id: str
-    count: int
-    """Frames taken away."""
-    whole: Mapping[str, Value]
-    rest: Mapping[str, Value]
-
-
 class LossWorker:
     """Judges random tracks with and without replaced frames."""
 
@@ -111,8 +79,7 @@ class LossWorker:
         rng = np.random.default_rng([self._seed, index])
         kind = list(TrackKind)[index % len(TrackKind)]
         track = self._draw(rng, kind)
-        tracked = finite_rows(track.X_BG.reshape(-1, 16))
-        tracked &= True if track.tracked is None else track.tracked
+        tracked = np.ones(len(track.t_s), dtype=bool)
         results = [self._measure(track, tracked)]
         losses = list[LossKind]()
         usable = tracked & (results[0].curves["manipulability"] > 0.0)  # neither lost nor unreachable so far
@@ -134,9 +101,6 @@ class LossWorker:
         track = draw_feasible(rng, self._arm, proven=False).trajectory(self._arm)
         if kind is TrackKind.JOINTS:
             return track
-        track = replace(track, q=None)
-        if kind is TrackKind.PERTURBED:
-            return replace(perturb(rng, self._arm, track)[0], q=None)
         size_mm = rng.uniform(0.0, 5.0) * (rng.random() < 0.5)
         return add_noise(rng, track, 1e-3 * size_mm, np.deg2rad(0.5 * size_mm))
 
@@ -200,56 +164,3 @@ def loss_table(trials: Sequence[LossTrial]) -> Iterator[str]:
         yield f"{name:34}{numbers[name]:16}{nulls[name]:8}{len(improved.get(name, [])):10}"
     for name, indices in sorted(improved.items()):
         yield f"{name} improves in {', '.join(map(str, indices))}"
-
-
-def remove_frames(run: Path, seed: int) -> Iterator[RemovedFrames]:
-    """Judge each complete track of a run again with one to three single frames inside taken away.
-
-    Raises:
-        UsageError: the run has no rows.
-    """
-    judge = TrackJudge(Arm().plant)
-    for _, row in sorted(read_rows(run).items()):
-        path = artifact_path(run, "tracks", row.id)
-        track = read_track(path).track if path.is_file() else None
-        if track is None or not track.tracked.all() or row.feasible is None:
-            continue
-        whole = judge.judge_poses(track).metrics
-        for count in REMOVED_FRAMES:
-            rng = np.random.default_rng([seed, count, len(track.t_s)])
-            inside = np.arange(_BORDER_FRAMES, len(track.t_s) - _BORDER_FRAMES)
-            lost = rng.choice(inside, count, replace=False)
-            tracked = track.tracked.copy()
-            tracked[lost] = False
-            X_BG = np.where(tracked[:, None, None], track.X_BG, np.nan)
-            rest = replace(track, X_BG=X_BG, tracked=tracked, confidence=np.where(tracked, track.confidence, 0.0))
-            yield RemovedFrames(id=row.id, count=count, whole=whole, rest=judge.judge_poses(rest).metrics)
-
-
-def removed_table(trials: Sequence[RemovedFrames]) -> Iterator[str]:
-    """Format by metric and number of frames how often the number stays within the noise floor of the whole track."""
-    yield f"{'metric':24}{'frames':>8}{'tracks':>8}{'within':>8}{'null':>6}{'median change':>16}{'largest':>12}"
-    for name in REMOVED_NUMBERS:
-        for count in REMOVED_FRAMES:
-            own = [t for t in trials if t.count == count and t.whole.get(name) is not None]
-            changes = np.array([_change(name, t.whole, t.rest) for t in own])
-            within = int((changes <= [_tolerance(name, t.whole) for t in own]).sum())
-            measured = changes[np.isfinite(changes)]
-            middle, largest = (np.median(measured), measured.max()) if len(measured) else (np.nan, np.nan)
-            nulls = len(changes) - len(measured)
-            yield f"{name:24}{count:8}{len(own):8}{within:8}{nulls:6}{middle:16.4f}{largest:12.4f}"
-
-
-def _tolerance(name: str, whole: Mapping[str, Value]) -> float:
-    """Return the width of the noise floor of a number, or `RELATIVE` of it where it has none."""
-    low, high, value = (whole.get(key) for key in (f"{name}_floor_low", f"{name}_floor_high", name))
-    if low is not None and high is not None:
-        return abs(float(high) - float(low))
-    return RELATIVE * abs(float(value or 0.0))
-
-
-def _change(name: str, before: Mapping[str, Value], after: Mapping[str, Value]) -> float:
-    """Return the size of a number's change; NaN where one of both is null."""
-    old = before.get(name)
-    new = after.get(name)
-    return float("nan") if old is None or new is None else abs(float(new) - float(old))

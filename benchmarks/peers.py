@@ -16,7 +16,6 @@ import numpy as np
 
 from benchmarks.motion import Motion
 from kinebench_drake.geometry import Array, invert, pose_difference, rotation_log
-from kinebench_drake.kinematics.analytic import analytic_ik
 from kinebench_drake.kinematics.continuation import continue_path
 from kinebench_drake.kinematics.path import search_path
 from kinebench_drake.kinematics.plant import ArmPlant
@@ -103,20 +102,7 @@ def _ours(plant: ArmPlant) -> Solve:
     return lambda problems: [follow(p) for p in problems]
 
 
-def _ours_fixed_q7(plant: ArmPlant) -> Solve:
-    """Return the closed form alone: joint 7 keeps its angle, the branch is that of the start posture."""
-    X_GF = _flange_in_tool(plant)
-
-    def path(problem: IkProblem) -> Array:
-        start = problem.q[0]
-        branches = analytic_ik(problem.X_BG @ X_GF, start[-1])
-        return branches[:, np.nanargmin(np.abs(branches[0] - start).max(axis=-1))]
-
-    return lambda problems: [path(p) for p in problems]
-
-
-def _drake(plant: ArmPlant, *, near: bool) -> Solve:
-    """`near`: with a quadratic cost on the distance from the previous posture, as in Drake's own course."""
+def _drake(plant: ArmPlant) -> Solve:
     from pydrake.math import RotationMatrix
     from pydrake.multibody.inverse_kinematics import InverseKinematics
     from pydrake.solvers import SnoptSolver, SolverOptions
@@ -136,8 +122,6 @@ def _drake(plant: ArmPlant, *, near: bool) -> Solve:
         turn = (plant.base_frame, rotation(X_BG[:3, :3]), plant.tcp_frame, rotation(), 0.5 * ROTATION_RAD)
         ik.AddOrientationConstraint(*turn)
         guess: Any = np.concatenate([q, fingers])
-        if near:
-            ik.prog().AddQuadraticErrorCost(np.eye(len(guess)), guess, ik.q())
         result: Any = solver.Solve(ik.prog(), guess, options)
         return np.asarray(result.GetSolution(ik.q()), dtype=np.float64)[:N_JOINTS]
 
@@ -158,7 +142,7 @@ def _newton(plant: ArmPlant) -> Solve:
     return frame_by_frame(step)
 
 
-def _pink(plant: ArmPlant, *, limited: bool) -> Solve:
+def _pink(plant: ArmPlant) -> Solve:
     import pink
     import pinocchio
 
@@ -169,11 +153,11 @@ def _pink(plant: ArmPlant, *, limited: bool) -> Solve:
         configuration,
         task,
         lambda X_BG: pinocchio.SE3(X_BG[:3, :3], X_BG[:3, 3]),
-        partial(pink.solve_ik, solver="daqp", damping=1e-12, limits=None if limited else []),
+        partial(pink.solve_ik, solver="daqp", damping=1e-12, limits=[]),
     )
 
 
-def _mink(plant: ArmPlant, *, limited: bool) -> Solve:
+def _mink(plant: ArmPlant) -> Solve:
     import mink
     import mujoco
 
@@ -183,7 +167,7 @@ def _mink(plant: ArmPlant, *, limited: bool) -> Solve:
     model = mujoco.MjModel.from_xml_string(ElementTree.tostring(urdf, encoding="unicode"))
     configuration = mink.Configuration(model)
     task = mink.FrameTask(plant.robot.tcp_link, "body", position_cost=1.0, orientation_cost=1.0)
-    solve_ik = partial(mink.solve_ik, solver="daqp", limits=None if limited else [])
+    solve_ik = partial(mink.solve_ik, solver="daqp", limits=[])
     return _frame_task(configuration, task, mink.SE3.from_matrix, solve_ik)
 
 
@@ -203,16 +187,12 @@ def _frame_task(configuration: Any, task: Any, target: Callable[[Array], Any], s
     return frame_by_frame(step)
 
 
-def _pytorch_kinematics(plant: ArmPlant, *, warm: bool) -> Solve:
-    """`warm`: from the true postures of the previous frames; else from that at the start of the track."""
+def _pytorch_kinematics(plant: ArmPlant) -> Solve:
     import pytorch_kinematics
     import torch
 
     chain = pytorch_kinematics.build_serial_chain_from_urdf(_bare_urdf(plant), plant.robot.tcp_link)
     chain = chain.to(dtype=torch.float64)
-
-    def start(p: IkProblem) -> Array:
-        return np.vstack([p.q[:1], p.q[:-1]]) if warm else np.repeat(p.q[:1], len(p.q), axis=0)
 
     def solve(problems: Sequence[IkProblem]) -> list[Array]:
         X = torch.from_numpy(np.concatenate([p.X_BG for p in problems]))
@@ -220,7 +200,9 @@ def _pytorch_kinematics(plant: ArmPlant, *, warm: bool) -> Solve:
             chain,
             pos_tolerance=POSITION_M,
             rot_tolerance=ROTATION_RAD,
-            retry_configs=torch.from_numpy(np.concatenate([start(p) for p in problems])[:, None]).flatten(1),
+            retry_configs=torch.from_numpy(
+                np.concatenate([np.vstack([p.q[:1], p.q[:-1]]) for p in problems])[:, None]
+            ).flatten(1),
             max_iterations=_STEPS,
             lr=1.0,
             early_stopping_any_converged=True,
@@ -233,16 +215,14 @@ def _pytorch_kinematics(plant: ArmPlant, *, warm: bool) -> Solve:
     return solve
 
 
-def _frankik(plant: ArmPlant, *, fixed: bool, sweep: bool) -> Solve:
-    """`fixed`: joint 7 as in the previous frame; `sweep`: 60 angles of it, or if `fixed` where that has no solution."""
+def _frankik(plant: ArmPlant) -> Solve:
     from frankik import FrankaKinematics, RobotType
 
     solver = FrankaKinematics(RobotType.PANDA)
     X_GF = _flange_in_tool(plant)  # its own constant for the hand is rounded to three digits
 
     def step(X_BG: Array, q: Array) -> Array:
-        solution = solver.inverse(X_BG @ X_GF, q0=q, q7=q[6]) if fixed else None
-        solution = solver.inverse(X_BG @ X_GF, q0=q) if solution is None and sweep else solution
+        solution = solver.inverse(X_BG @ X_GF, q0=q)
         return q if solution is None else np.asarray(solution)
 
     return frame_by_frame(step)
@@ -270,13 +250,8 @@ def _bare_urdf(plant: ArmPlant) -> str:
 
 
 OURS = "kinebench-drake"
-FIXED_Q7 = "kinebench-drake, fixed joint 7"
-PLAIN_DRAKE = "Drake InverseKinematics"
+DRAKE = "Drake InverseKinematics"
 NEWTON = "Newton on Drake's Jacobian"
-WARM_START = "pytorch_kinematics, warm start"
-"""Not ranked: it starts from the true postures, which are not available when only the poses are."""
-FRANKIK_FIXED_Q7 = "frankik, fixed joint 7, no sweep"
-"""Not ranked, as it has no solution where joint 7 has to move: to be compared with ours with fixed joint 7."""
 
 PEERS = (
     Peer(
@@ -285,55 +260,24 @@ PEERS = (
         package=None,
         make=_ours,
     ),
-    Peer(
-        name=FIXED_Q7,
-        how="closed form, `kinematics.analytic.analytic_ik`, a track at a time, joint 7 as at the start, no sweep",
-        package=None,
-        make=_ours_fixed_q7,
-    ),
-    Peer(name=PLAIN_DRAKE, how="one program a pose, SNOPT", package="drake", make=partial(_drake, near=False)),
-    Peer(
-        name=f"{PLAIN_DRAKE}, near",
-        how="the same with a quadratic cost on the distance from the previous posture",
-        package="drake",
-        make=partial(_drake, near=True),
-    ),
+    Peer(name=DRAKE, how="one program a pose, SNOPT", package="drake", make=_drake),
     Peer(name=NEWTON, how="a plain loop in Python, pseudo-inverse steps", package="drake", make=_newton),
-    Peer(name="pin-pink", how="FrameTask, daqp, its own limits", package="pin-pink", make=partial(_pink, limited=True)),
-    Peer(name="pin-pink, free", how="the same without limits", package="pin-pink", make=partial(_pink, limited=False)),
-    Peer(name="mink", how="FrameTask, daqp, its own limits", package="mink", make=partial(_mink, limited=True)),
-    Peer(name="mink, free", how="the same without limits", package="mink", make=partial(_mink, limited=False)),
+    Peer(name="pin-pink, free", how="FrameTask, daqp, no limits", package="pin-pink", make=_pink),
+    Peer(name="mink, free", how="FrameTask, daqp, no limits", package="mink", make=_mink),
     Peer(
-        name="pytorch_kinematics",
-        how="PseudoInverseIK, all poses in one batch, each from the start of its track",
+        name="pytorch_kinematics, warm start",
+        how="PseudoInverseIK, all poses in one batch, each from the true posture of the previous frame",
         package="pytorch-kinematics",
-        make=partial(_pytorch_kinematics, warm=False),
-    ),
-    Peer(
-        name=WARM_START,
-        how="the same, each pose from the true posture of the previous frame",
-        package="pytorch-kinematics",
-        make=partial(_pytorch_kinematics, warm=True),
+        make=_pytorch_kinematics,
     ),
     Peer(
         name="frankik",
         how="closed form, its sweep of joint 7, the nearest solution",
         package="frankik",
-        make=partial(_frankik, fixed=False, sweep=True),
-    ),
-    Peer(
-        name="frankik, fixed joint 7",
-        how="closed form, joint 7 as in the previous frame, the sweep where that has no solution",
-        package="frankik",
-        make=partial(_frankik, fixed=True, sweep=True),
-    ),
-    Peer(
-        name=FRANKIK_FIXED_Q7,
-        how="closed form, joint 7 as at the start, no sweep",
-        package="frankik",
-        make=partial(_frankik, fixed=True, sweep=False),
+        make=_frankik,
     ),
 )
+"""Solvers, each in the setting with most smooth tracks (of equal ones the fastest)."""
 
 
 def reached_share(plant: ArmPlant, problems: Sequence[IkProblem], paths: Sequence[Array]) -> float:

@@ -6,8 +6,8 @@ Output folder, the same bytes for the same arguments:
     ID.mp4              17 fps; ID = the episode's _ kind of fault [_ form] _ size
     camera.json         the camera of all of them
     manifest.jsonl      one object a video
-    truth/ID.npz        t_s, base_from_tcp, camera_from_hand, q, finger_width_m [, depth_mm, mask] as rendered: NaN
-                        where the gripper vanishes, the frozen pose in frozen frames
+    truth/ID.npz        t_s, base_from_tcp, camera_from_hand, q, finger_width_m as rendered: NaN where the gripper
+                        vanishes, the frozen pose in frozen frames
     truth/faults.json   for each video kind, frame_start, frame_end, size, form
     truth/outcome.json  success of each episode
 """
@@ -16,7 +16,6 @@ import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -24,16 +23,16 @@ from benchmarks.faults.fault import FaultGrade, PlantedFault
 from benchmarks.faults.fault_simulator import FaultSimulator
 from benchmarks.faults.plant import plant
 from benchmarks.faults.recording import Recording
-from kinebench_drake.errors import InputError, UsageError
+from kinebench_drake.errors import InputError
 from kinebench_drake.formats.camerafile import save_camera
 from kinebench_drake.io.container import write_video
-from kinebench_drake.suites.catalog import EpisodeSpec, load_suite
+from kinebench_drake.suites.catalog import EpisodeSpec
 from kinebench_drake.suites.clock import CLIP_FRAMES, FRAME_PERIOD_S
-from kinebench_drake.suites.composition import Pool
-from kinebench_drake.suites.families.registry import TASKS, find_expert, find_task
-from kinebench_drake.suites.families.task import TaskVariant
+from kinebench_drake.suites.families.registry import find_expert
 from kinebench_drake.suites.rollout import Rollout, RolloutVideo, render_video, run_expert
 
+CRF = 16
+"""Quality of x264."""
 FPS = 17
 """Frame rate of the mp4; the task time between frames is `FRAME_PERIOD_S`."""
 
@@ -44,16 +43,10 @@ class PlantingOrder:
 
     spec: EpisodeSpec
     """The episode."""
-    robot: str
-    """Panda of ManiSkill: "panda" or "panda_wristcam"."""
     grades: tuple[FaultGrade, ...]
     """Faults to plant, each in its own video."""
     with_clean: bool = False
     """True if the video without a fault is written, too."""
-    with_depth: bool
-    """True if the truth includes depth and masks."""
-    crf: int
-    """Quality of x264, 0 is lossless."""
     out: Path
     """Folder to write to."""
 
@@ -109,7 +102,7 @@ def plant_episode(order: PlantingOrder) -> PlantingResult:
     spec = order.spec
     videos = []
     problems = []
-    with FaultSimulator(spec.task, robot=order.robot, variant=spec.variant) as simulator:
+    with FaultSimulator(spec.task, variant=spec.variant) as simulator:
         try:
             rollout = run_expert(simulator, find_expert(spec.task), spec.episode())
         except InputError as error:
@@ -130,21 +123,16 @@ def plant_episode(order: PlantingOrder) -> PlantingResult:
     return PlantingResult(videos=tuple(videos), problems=tuple(problems))
 
 
-def _save_truth(video: RolloutVideo, path: Path, *, with_images: bool) -> None:
-    """Write the ground truth as npz, reproducible to the byte; `with_images` adds depth and packed masks.
-
-    Masks are packed along the width: `np.unpackbits(mask, axis=-1, count=width)`.
-    """
-    arrays: dict[str, Any] = {
-        "t_s": video.t_s,
-        "base_from_tcp": video.X_BG,
-        "camera_from_hand": video.X_CH,
-        "q": video.q,
-        "finger_width_m": video.finger_width_m,
-    }
-    if with_images:
-        arrays |= {"depth_mm": video.depth_mm, "mask": np.packbits(video.mask, axis=-1)}
-    np.savez_compressed(path, **arrays)
+def _save_truth(video: RolloutVideo, path: Path) -> None:
+    """Write the ground truth as npz, reproducible to the byte."""
+    np.savez_compressed(
+        path,
+        t_s=video.t_s,
+        base_from_tcp=video.X_BG,
+        camera_from_hand=video.X_CH,
+        q=video.q,
+        finger_width_m=video.finger_width_m,
+    )
 
 
 def _write(
@@ -165,8 +153,8 @@ def _write(
         success=rollout.outcome.success,
         fault=fault,
     )
-    write_video(order.out / f"{planted.id}.mp4", video.rgb, FPS, crf=order.crf)
-    _save_truth(video, order.out / "truth" / f"{planted.id}.npz", with_images=order.with_depth)
+    write_video(order.out / f"{planted.id}.mp4", video.rgb, FPS, crf=CRF)
+    _save_truth(video, order.out / "truth" / f"{planted.id}.npz")
     return planted
 
 
@@ -183,40 +171,3 @@ def write_index(out: Path, videos: Sequence[PlantedVideo]) -> None:
     (out / "truth" / "faults.json").write_text(json.dumps(faults, indent=1) + "\n")
     outcome = {v.id: {"episode_success": v.success} for v in videos}
     (out / "truth" / "outcome.json").write_text(json.dumps(outcome, indent=1) + "\n")
-
-
-def parse_seeds(text: str) -> list[int]:
-    """Parse `7`, `0:5` (end excluded) or a comma-separated list of such.
-
-    Raises:
-        UsageError: the text has another form.
-    """
-    seeds: list[int] = []
-    for part in text.split(","):
-        first, colon, end = part.partition(":")
-        try:
-            seeds += range(int(first), int(end)) if colon else [int(first)]
-        except ValueError:
-            raise UsageError(f"seeds {text!r}: expected whole numbers such as 7, 0:5 or 0:5,9") from None
-    if not seeds or min(seeds) < 0:
-        raise UsageError(f"seeds {text!r}: expected at least one, none negative, such as 0:5")
-    return seeds
-
-
-def choose_episodes(
-    tasks: str | None, seeds: str, suite: int | None, split: str, episodes: int, first: int
-) -> list[EpisodeSpec]:
-    """Return episodes of tasks: of plain seeds with all assets and looks, or of a suite's split.
-
-    Raises:
-        UsageError: a task, seed, suite or split does not exist.
-    """
-    names = None if tasks is None else tasks.split(",")
-    if suite is None:
-        ids = [find_task(task).card.id for task in names or TASKS]
-        return [
-            EpisodeSpec(task=task, seed=seed, pool=Pool.ALL, variant=TaskVariant.PLAIN)
-            for task in ids
-            for seed in parse_seeds(seeds)
-        ]
-    return load_suite(suite).specs(split, episodes, tasks=names, offset=first)

@@ -7,7 +7,6 @@ import click
 
 from benchmarks.options import (
     COUNT,
-    EXISTING_FILE,
     EXISTING_FOLDER,
     FILE,
     FOLDER,
@@ -15,15 +14,87 @@ from benchmarks.options import (
     log,
     one_thread,
     out_option,
+    weights_option,
     work_folder,
     write_section,
 )
 from kinebench_drake.anomaly import AnomalyKind
 from kinebench_drake.errors import member_of
 from kinebench_drake.io.atomic import write_atomically
-from kinebench_drake.io.jsonl import dump, finite
 
 KINDS = tuple(kind.value for kind in AnomalyKind)
+
+
+_keep_option = click.option("--keep", type=FILE, help="File of finished measurements; an earlier run is resumed.")
+_limit_option = click.option("--limit", type=COUNT, help="Number of videos, tasks in turn.", metavar="N")
+
+
+@click.command(
+    epilog="""\b
+tracked_when_seen     tracked frames / frames that show at least 30 % of the gripper
+lasting_flips         runs of 3 or more tracked frames with the gripper turned by 180 degrees
+open_or_closed_right  gap above or below the middle of the episode's range (of 0..80 mm if the range is smaller than
+                      16 mm), in frames whose true gap is more than 8 mm from there
+tracked_frames_off_by_3_cm  share of tracked frames that are off by more, or show no gripper
+cpu_median_s          processor time for 49 frames
+
+\b
+Example:
+  kinebench-drake suite demos --suite 2 --split unseen --episodes 5 --out heldout
+  python -m benchmarks evaluate heldout --keep heldout.jsonl"""
+)
+@click.argument("folder", type=EXISTING_FOLDER)
+@weights_option
+@_limit_option
+@_keep_option
+@jobs_option
+def evaluate(folder: Path, weights: Path | None, limit: int | None, keep: Path | None, jobs: int) -> None:
+    """Measure the errors of gripper tracks against ground truth.
+
+    FOLDER is the output of `suite demos` or `python -m benchmarks planted-videos`: videos, camera.json,
+    manifest.jsonl and truth/.
+    """
+    from benchmarks.perception import study, tables
+    from benchmarks.perception.summary import reliability
+    from kinebench_drake.cli.progress import ProgressView
+    from kinebench_drake.executors.local import LocalExecutor
+
+    plan = study.StudyPlan(folder=folder, weights=weights, limit=limit, keep=keep)
+    with ProgressView("videos") as view:
+        outcome = study.run_study([study.CLEAN], plan, LocalExecutor(jobs=jobs), view)
+    (results,) = outcome.results.values()
+    click.echo("median and 95th percentile of position and rotation error of panda_hand; frames are 0-based")
+    for errors in results:
+        click.echo(tables.video_line(errors))
+    for lines in (
+        tables.task_table(results),
+        tables.pooled_lines(results, plan.seed),
+        tables.reliability_lines(reliability(results)),
+    ):
+        click.echo("")
+        for line in lines:
+            click.echo(line)
+
+
+@click.command(epilog="\b\nExample:\n  python -m benchmarks budget heldout --limit 20 --keep budget.jsonl --jobs 2")
+@click.argument("folder", type=EXISTING_FOLDER)
+@_limit_option
+@_keep_option
+@jobs_option
+def budget(folder: Path, limit: int | None, keep: Path | None, jobs: int) -> None:
+    """Measure the error budget: each stage's output replaced by ground truth, one at a time and all together.
+
+    FOLDER is the output of `suite demos --with-depth`.
+    """
+    from benchmarks.perception import study
+    from kinebench_drake.cli.progress import ProgressView
+    from kinebench_drake.executors.local import LocalExecutor
+
+    plan = study.StudyPlan(folder=folder, limit=limit, keep=keep)
+    with ProgressView("measurements") as view:
+        outcome = study.run_study(study.BUDGET, plan, LocalExecutor(jobs=jobs), view)
+    for line in outcome.lines():
+        click.echo(line)
 
 
 @click.command(
@@ -32,32 +103,22 @@ KINDS = tuple(kind.value for kind in AnomalyKind)
     "  python -m benchmarks calibration heldout --limit 20",
 )
 @click.argument("folder", type=EXISTING_FOLDER)
-@click.option("--limit", type=COUNT, help="Maximum number of videos, tasks in turn.", metavar="N")
+@_limit_option
 @click.option(
     "--frames", type=click.IntRange(min=4), default=12, show_default=True, help="Frames a video.", metavar="N"
 )
-@click.option(
-    "--part",
-    type=click.FloatRange(min=0.3, max=1.0),
-    default=1.0,
-    show_default=True,
-    help="Keep the middle of each image only, this share of its sides: a longer focal length.",
-)
 @click.option("--quick", is_flag=True, help="Only with the joint angles of all frames.")
-@click.option("--json", "json_out", type=FILE, help="All figures, as JSON.")
-def calibration(folder: Path, limit: int | None, frames: int, part: float, quick: bool, json_out: Path | None) -> None:
+def calibration(folder: Path, limit: int | None, frames: int, quick: bool) -> None:
     """Calibrate the cameras of rendered videos with all kinds of prior information about the robot."""
     from benchmarks.calibration import CONDITIONS, measure, trial_table
     from kinebench_drake.grounding.camera.calibration_result import CalibrationMethod
 
     conditions = [c for c in CONDITIONS if c.method is CalibrationMethod.JOINTS] if quick else CONDITIONS
     trials = []
-    for trial in measure(folder, limit=limit, frames=frames, part=part, conditions=conditions):
+    for trial in measure(folder, limit=limit, frames=frames, conditions=conditions):
         trials.append(trial)
         if trial.condition == conditions[-1]:
             log(trial.clip)
-    if json_out is not None:
-        write_atomically(json_out, dump(finite([trial.to_json() for trial in trials]), indent=1).encode())
     for line in trial_table(trials):
         click.echo(line)
 
@@ -67,7 +128,7 @@ def calibration(folder: Path, limit: int | None, frames: int, part: float, quick
 )
 @click.argument("videos", type=EXISTING_FOLDER)
 @click.option("--keep", type=FILE, required=True, help="File of finished measurements; an earlier run is resumed.")
-@click.option("--limit", type=COUNT, help="Number of videos, tasks in turn.")
+@_limit_option
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True)
 @jobs_option
 @out_option
@@ -84,28 +145,16 @@ def icp(videos: Path, keep: Path, limit: int | None, seed: int, jobs: int, out: 
 
 @click.command(
     epilog="\b\nExamples:\n"
-    "  python -m benchmarks footage ../videos --out before\n"
-    "  python -m benchmarks footage ../videos --out after --weights gripper.safetensors --calibration confidence.json",
+    "  python -m benchmarks footage ../videos --out measured\n"
+    "  python -m benchmarks footage ../videos --gripper none --out arm-alone",
 )
 @click.argument("folder", type=EXISTING_FOLDER)
 @click.option("--out", type=FOLDER, required=True, help="Folder for footage.json, footage.md, tracks and overlays.")
-@click.option("--videos", metavar="A,B", help="Ids of videos, comma-separated.  [default: all]")
-@click.option("--weights", type=EXISTING_FILE, help="Network weights (safetensors).  [default: those shipped]")
-@click.option("--calibration", type=EXISTING_FILE, help="Calibration of the confidence.  [default: that shipped]")
 @click.option(
     "--gripper", type=click.Choice(["franka", "none"]), default="franka", show_default=True,
     help="none: measure the arm alone.",
 )  # fmt: skip
-@click.option("--window", is_flag=True, help="Cut frames to where the reference is: errors without those of detection.")
-def footage(
-    folder: Path,
-    out: Path,
-    videos: str | None,
-    weights: Path | None,
-    calibration: Path | None,
-    gripper: str,
-    window: bool,
-) -> None:
+def footage(folder: Path, out: Path, gripper: str) -> None:
     """Ground the videos of other programs and cameras in FOLDER, and compare with their references.
 
     FOLDER, or each of its subfolders, has a manifest.jsonl with a camera for each video. References are exact poses
@@ -114,11 +163,11 @@ def footage(
     """
     one_thread()
     from benchmarks.footage_report import measure
+    from kinebench_drake.cli.progress import ProgressView
     from kinebench_drake.models.panda.description import GripperKind
 
-    names = None if videos is None else videos.split(",")
-    kind = GripperKind(gripper)
-    text = measure(folder, out, names, weights=weights, calibration=calibration, gripper=kind, window=window, log=log)
+    with ProgressView("videos") as view:
+        text = measure(folder, out, GripperKind(gripper), view)
     click.echo(text)
 
 
@@ -130,7 +179,7 @@ def footage(
 @click.argument("folder", type=EXISTING_FOLDER)
 @click.option("--out", type=FOLDER, required=True, help="Folder for cameras.md and cameras.jsonl.")
 @click.option("--presented", default="plain,named", show_default=True, help="Presentations, comma-separated.")
-@click.option("--limit", type=COUNT, help="Maximum number of videos, tasks in turn.", metavar="N")
+@_limit_option
 @jobs_option
 def cameras(folder: Path, out: Path, presented: str, limit: int | None, jobs: int) -> None:
     """Ground the videos in FOLDER with and without their cameras, mirrored, cropped or turned; compare with the truth.
@@ -186,30 +235,6 @@ def gate(jobs: int) -> None:
     click.echo("the gate holds")
 
 
-@click.command(epilog="\b\nExample:\n  python -m benchmarks views --out views")
-@click.option("--out", type=FOLDER, required=True, help="Folder for clips, views.jsonl and views.md.")
-@click.option("--changes", default="turn,move", show_default=True, help="Of still, turn, move, zoom; in turn.")
-@click.option("--episodes", type=COUNT, default=1, show_default=True, help="Episodes of each task.", metavar="K")
-@click.option("--seed", type=click.IntRange(min=0), default=40, show_default=True, help="First seed of the split.")
-@click.option("--limit", type=COUNT, help="Number of clips.")
-def views(out: Path, changes: str, episodes: int, seed: int, limit: int | None) -> None:
-    """Ground clips whose camera turns by 10 degrees, moves by 10 cm or zooms by 5 %, and compare with true poses.
-
-    The scenes are those of suite 2, unseen, with the expert's first clip. The same command resumes.
-    """
-    one_thread()
-    from benchmarks.views import CHANGES, measure
-    from kinebench_drake.suites.catalog import load_suite
-
-    names = changes.split(",")
-    if unknown := sorted(set(names) - set(CHANGES)):
-        raise click.UsageError(f"--changes {','.join(unknown)}: there are {', '.join(CHANGES)}")
-    suite = load_suite(2)
-    specs = suite.specs("unseen", episodes, offset=seed)
-    text = measure(specs[:limit], names, out, log=log)
-    click.echo(text)
-
-
 @click.command(epilog="\b\nExample:\n  python -m benchmarks flange heldout --out flange")
 @click.argument("demos", type=EXISTING_FOLDER)
 @click.option("--out", type=FOLDER, required=True, help="Folder for flange.jsonl and flange.md.")
@@ -234,81 +259,61 @@ def flange(demos: Path, out: Path, count: int, calibrate: bool) -> None:
 @click.command(
     name="planted-videos",
     epilog="\b\nExamples:\n"
-    "  python -m benchmarks planted-videos --out faults --suite 2 --split unseen --episodes 1 --sizes gated\n"
-    "  python -m benchmarks planted-videos --out jumps --tasks StackCube-v1 --seeds 0:5 --kinds teleport "
-    "--sizes 0.03,0.05",
+    "  python -m benchmarks planted-videos --out faults --suite 2 --split unseen --sizes gated\n"
+    "  python -m benchmarks planted-videos --out jumps --tasks StackCube-v1 --kinds teleport --sizes 0.03,0.05",
 )
 @click.option("--out", type=FOLDER, required=True, help="Folder to write to.")
 @click.option("--tasks", metavar="A,B", help="Tasks, comma-separated.  [default: all]")
-@click.option("--seeds", default="0:1", show_default=True, help="Seeds: 7, 0:5 (end excluded), 0:5,9.")
-@click.option("--suite", type=click.IntRange(0, 3), metavar="N", help="Use a suite's episodes instead of --seeds.")
+@click.option("--suite", type=click.IntRange(0, 3), default=0, show_default=True, metavar="N", help="Suite.")
 @click.option("--split", default="test", show_default=True, help="Split of the suite.")
 @click.option("--episodes", type=COUNT, default=1, show_default=True, help="Episodes of each task.")
-@click.option("--seed", "first", type=click.IntRange(0), default=0, show_default=True, help="First seed of the split.")
-@click.option("--robot", type=click.Choice(["panda", "panda_wristcam"]), default="panda", show_default=True)
-@click.option("--with-depth", is_flag=True, help="Keep depth and gripper masks in truth/ (some MB a video).")
+@click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="First seed of the split.")
 @click.option("--kinds", default=",".join(KINDS), show_default=True, help="Kinds of faults.")
 @click.option(
     "--sizes", default="all", show_default=True, help="all, gated (must be detected), or numbers for one kind."
 )
 @click.option("--each", type=COUNT, metavar="N", help="Each fault N times, on the episodes in turn.  [default: on all]")
-@click.option("--crf", type=click.IntRange(0, 51), default=16, show_default=True, help="H.264 quality, 0 is lossless.")
 @jobs_option
 def planted_videos(
     out: Path,
     tasks: str | None,
-    seeds: str,
-    suite: int | None,
+    suite: int,
     split: str,
     episodes: int,
-    first: int,
-    robot: str,
-    with_depth: bool,
+    seed: int,
     kinds: str,
     sizes: str,
     each: int | None,
-    crf: int,
     jobs: int,
 ) -> None:
     """Render videos of the Panda, each with one planted fault, and their ground truth."""
     from benchmarks.faults.fault import choose
-    from benchmarks.planted_videos import (
-        PlantedVideo,
-        PlantingOrder,
-        choose_episodes,
-        make_planter,
-        write_index,
-    )
-    from kinebench_drake.executors.base import WorkerCrash
-    from kinebench_drake.executors.local import LocalExecutor
+    from benchmarks.planted_videos import PlantingOrder, make_planter, write_index
+    from benchmarks.trials import run_all
+    from kinebench_drake.suites.catalog import load_suite
 
     grades = choose([member_of(AnomalyKind, kind, "kinds") for kind in kinds.split(",")], sizes)
-    specs = choose_episodes(tasks, seeds, suite, split, episodes, first)
+    names = None if tasks is None else tasks.split(",")
+    specs = load_suite(suite).specs(split, episodes, tasks=names, offset=seed)
     orders = [
         PlantingOrder(
             spec=spec,
-            robot=robot,
             grades=grades if each is None else tuple(dict.fromkeys((grades * each)[i :: len(specs)])),
-            with_depth=with_depth,
-            crf=crf,
             out=out,
         )
         for i, spec in enumerate(specs)
     ]
     (out / "truth").mkdir(parents=True, exist_ok=True)
-    videos: list[PlantedVideo] = []
-    for done in LocalExecutor(jobs=jobs).run(make_planter, [order for order in orders if order.grades]):
-        if isinstance(done, WorkerCrash):
-            log(f"{done.item.spec.id}: {done.reason}")
-            continue
-        videos += done.result.videos
-        for problem in done.result.problems:
+    videos = []
+    for result in run_all(make_planter, [order for order in orders if order.grades], jobs):
+        videos += result.videos
+        for problem in result.problems:
             log(problem)
-        for video in done.result.videos:
+        for video in result.videos:
             click.echo(video.id)
     if not videos:
         raise click.ClickException("no video was made; the reasons are printed above")
     write_index(out, videos)
 
 
-COMMANDS = (calibration, icp, footage, cameras, gate, views, flange, planted_videos)
+COMMANDS = (evaluate, budget, calibration, icp, footage, cameras, gate, flange, planted_videos)

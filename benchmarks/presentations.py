@@ -15,7 +15,7 @@ import numpy as np
 from benchmarks.markdown import table
 from benchmarks.perception.clip import TruthClipFile, find_clips
 from benchmarks.perception.store import MeasurementStore, fingerprint
-from kinebench_drake.camera import Camera, CameraSetting
+from kinebench_drake.camera import Camera
 from kinebench_drake.errors import UnmeasurableError
 from kinebench_drake.executors.base import Executor, Observer
 from kinebench_drake.geometry import pose_difference
@@ -176,11 +176,12 @@ class TrialWorker:
         truth = clip.load()
         video = read_video(clip.video)
         frames, camera = presentation.apply(video.frames, clip.camera.resized(video.width, video.height))
-        setting = CameraSetting(camera=camera) if presentation.names_camera else None
         start = time.process_time()
         base = Outcome(id=clip.id, presentation=presentation.value, state="none", cpu_s=0.0)
         try:
-            result = self._grounder.ground(Clip(frames=frames, t_s=truth.t_s), setting)
+            result = self._grounder.ground(
+                Clip(frames=frames, t_s=truth.t_s), camera if presentation.names_camera else None
+            )
         except UnmeasurableError as error:
             return replace(base, reason=str(error), cpu_s=round(time.process_time() - start, 2))
         choice = result.choice

@@ -6,7 +6,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,10 +15,14 @@ import numpy as np
 from kinebench_drake.errors import KinebenchError
 from kinebench_drake.geometry import Array
 
-_FINISHED = re.compile(r"\[(\d+)/\d+\] ")  # the program's log line for a finished sample
-_WORKER = "spawn_main"  # in the command line of a worker process, not of its helper processes
-_PEAK_INTERVAL_S = 0.2
-_LAST_LINES = 8  # of the output of a program that failed, quoted in the error
+FINISHED = re.compile(r"\[(\d+)/\d+\] ")
+"""Begin of the program's log line for a finished sample."""
+WORKER = "spawn_main"
+"""Part of the command line of a worker process that helper processes lack."""
+PEAK_INTERVAL_S = 0.2
+"""Time between two readings of the peak memory [s]."""
+QUOTED_LINES = 8
+"""Last lines of the output of a program that failed, quoted in the error."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -41,12 +45,8 @@ class ProcessMemory:
 class ProcessRun:
     """Measurements of a run that succeeded."""
 
-    wall_s: float
-    """Time from the start of the process to its end [s]."""
     finished_s: tuple[float, ...]
     """Time from the start of the process to the end of each sample [s]."""
-    memory: Mapping[int, ProcessMemory]
-    """Resident memory by number of finished samples."""
     peak: ProcessMemory
     """Peak resident memory of each process."""
 
@@ -54,17 +54,13 @@ class ProcessRun:
 def run_program(
     arguments: Sequence[str],
     *,
-    reads_memory: Callable[[int], bool] = lambda finished: False,
     environment: Mapping[str, str] | None = None,
-    on_finished: Callable[[int], None] = lambda finished: None,
 ) -> ProcessRun:
     """Run `kinebench-drake` and measure it.
 
     Args:
         arguments: of the program.
-        reads_memory: True if memory is to be recorded at this number of finished samples.
         environment: variables in addition to those of this process.
-        on_finished: called with the number of finished samples each time it grows.
 
     Raises:
         KinebenchError: the program failed.
@@ -79,17 +75,13 @@ def run_program(
     )
     peaks = _PeakMemory(process)
     finished_s: list[float] = []
-    memory: dict[int, ProcessMemory] = {}
     last_lines: list[str] = []
     try:
         peaks.start()
         for line in process.stdout or ():
-            last_lines = [*last_lines[1 - _LAST_LINES :], line.strip()]
-            if _FINISHED.match(line):
+            last_lines = [*last_lines[1 - QUOTED_LINES :], line.strip()]
+            if FINISHED.match(line):
                 finished_s.append(time.monotonic() - start)
-                if reads_memory(len(finished_s)):
-                    memory[len(finished_s)] = read_memory(process.pid, "VmRSS") or peaks.peak
-                on_finished(len(finished_s))
         code = process.wait()
     finally:
         process.kill()
@@ -98,18 +90,13 @@ def run_program(
     if code:
         command = f"kinebench-drake {' '.join(arguments)}"
         raise KinebenchError(f"`{command}` ended with status {code}: {' '.join(last_lines)}")
-    return ProcessRun(wall_s=time.monotonic() - start, finished_s=tuple(finished_s), memory=memory, peak=peaks.peak)
+    return ProcessRun(finished_s=tuple(finished_s), peak=peaks.peak)
 
 
-def read_memory(pid: int, field: str) -> ProcessMemory | None:
-    """Read the memory of a process and of its workers from /proc; None if the process has ended.
-
-    Args:
-        pid: the process.
-        field: "VmRSS", resident now, or "VmHWM", the peak so far.
-    """
-    main = _status_mb(pid, field)
-    workers = [_status_mb(child, field) for child in children(pid) if _WORKER in command_line(child)]
+def read_memory(pid: int) -> ProcessMemory | None:
+    """Read the peak memory so far of a process and of its workers from /proc; None if the process has ended."""
+    main = _status_mb(pid)
+    workers = [_status_mb(child) for child in children(pid) if WORKER in command_line(child)]
     if main is None:
         return None
     return ProcessMemory(main_mb=main, workers_mb=tuple(mb for mb in workers if mb is not None))
@@ -134,12 +121,12 @@ def command_line(pid: int) -> str:
         return ""
 
 
-def _status_mb(pid: int, field: str) -> float | None:
+def _status_mb(pid: int) -> float | None:
     try:
         status = Path(f"/proc/{pid}/status").read_text()
     except OSError:
         return None
-    match = re.search(rf"^{field}:\s+(\d+) kB$", status, flags=re.MULTILINE)
+    match = re.search(r"^VmHWM:\s+(\d+) kB$", status, flags=re.MULTILINE)
     return int(match[1]) / 1024.0 if match else None
 
 
@@ -153,10 +140,10 @@ class _PeakMemory(threading.Thread):
 
     def run(self) -> None:
         while self._process.poll() is None:
-            memory = read_memory(self._process.pid, "VmHWM")
+            memory = read_memory(self._process.pid)
             if memory is not None:
                 self.peak = self.peak.maximum(memory)
-            time.sleep(_PEAK_INTERVAL_S)
+            time.sleep(PEAK_INTERVAL_S)
 
 
 def spread(values: Array, digits: int) -> str:

@@ -1,6 +1,7 @@
 """Results of benchmarks as files: figures, machine and revision; comparison with the results before; their pages."""
 
 import hashlib
+import subprocess
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
 from functools import cache
@@ -8,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.markdown import replace_section, table
-from benchmarks.structure import current_revision
 from kinebench_drake.environment.precision import network_precision
 from kinebench_drake.errors import InputError
 from kinebench_drake.io.atomic import write_atomically
@@ -20,15 +20,21 @@ RESULTS = Path("benchmarks/results")
 """Folder of the result files."""
 PAGES = {
     **dict.fromkeys(("accuracy", "robustness"), Path("docs/results.md")),
-    **dict.fromkeys(
-        ("ik", "audit", "simulation", "rounds", "throughput", "gpu", "streaming", "scale"), Path("docs/benchmarks.md")
-    ),
-    "cluster": Path("docs/cluster.md"),
+    **dict.fromkeys(("ik", "audit", "simulation", "throughput", "scale"), Path("docs/benchmarks.md")),
 }
 """Page of each benchmark, in the order in which they are measured."""
 SLOWER = 1.1
 """Ratio to the result before from which a figure is listed as worse."""
 _FOLDERS = ("kinebench_drake", "grounding", "models", "suites", "benchmarks")
+
+
+def current_revision() -> str:
+    """Return the name of the revision checked out, -dirty if files differ; "unknown" without a repository."""
+    command = ["git", "-C", str(ROOT), "describe", "--always", "--abbrev=12", "--dirty"]
+    try:
+        return subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
+    except (OSError, subprocess.CalledProcessError):
+        return "unknown"
 
 
 def machine_text() -> str:
@@ -61,7 +67,7 @@ class BenchmarkRecord:
             figures=figures,
             section=section,
             machine=host(),
-            revision=current_revision(ROOT),
+            revision=current_revision(),
             sources_sha256=sources_hash(),
         )
 

@@ -9,30 +9,33 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 
 from benchmarks import markdown
+from benchmarks.bootstrap import cluster_bootstrap
 from benchmarks.perception.clip import TruthClip, TruthClipFile, choose, find_clips
+from benchmarks.perception.perturbation.gripper import smooth_noise
 from benchmarks.perception.store import MeasurementStore, fingerprint
-from benchmarks.perception.variants import Degradation, DegradedEstimator
 from kinebench_drake.camera import Camera
 from kinebench_drake.errors import UsageError
 from kinebench_drake.executors.base import Executor, Observer
 from kinebench_drake.geometry import Array, pose_difference
 from kinebench_drake.grounding.priors import NO_PRIORS, ExternalDepth, Priors
-from kinebench_drake.grounding.tracking.crop import Crop
 from kinebench_drake.grounding.tracking.estimator import NetworkEstimator
 from kinebench_drake.grounding.tracking.pose import FramePose
 from kinebench_drake.grounding.tracking.tracker import CadTracker
-from kinebench_drake.grounding.tracking.view import DenseEstimator, GripperView, replace_depth
+from kinebench_drake.grounding.tracking.view import Crop, DenseEstimator, GripperView, replace_depth
 from kinebench_drake.io.frames import Frames
 from kinebench_drake.io.reader import read_video
 from kinebench_drake.models.panda.cad import GripperCad
 from kinebench_drake.models.perception.network import WEIGHTS, load_network
-from kinebench_drake.stats import percentile_interval, resampled_indices
 
+ERROR_CELLS = 12
+"""Nodes of a smooth error across the image: about a gripper's width apart."""
+ERROR_FRAMES = 8
+"""Frames from one smooth error to the next; it is interpolated in between."""
 _FLIP_RAD = np.pi / 2
-_RESAMPLES = 1000
 _POSES = ("fit", "ICP", "combined")
 
 
@@ -43,8 +46,8 @@ class DepthKind:
     name: str
     network_share: float = 0.0
     """Share of the network's errors, 1 for its own depth."""
-    degradation: Degradation | None = None
-    """Further errors."""
+    smooth_error: float = 0.0
+    """Root mean square of a further relative error, which varies smoothly over image and time."""
     exact: bool = False
     """True if the depth is stated to be exact."""
 
@@ -52,23 +55,42 @@ class DepthKind:
 KINDS = (
     DepthKind(name="network", network_share=1.0),
     DepthKind(name="a fifth of its error", network_share=0.2),
-    DepthKind(name="smooth error of 1 %", degradation=Degradation(field=0.01)),
+    DepthKind(name="smooth error of 1 %", smooth_error=0.01),
     DepthKind(name="exact", exact=True),
 )
 
 
-class _BlendedEstimator:
+class BlendedEstimator:
     """Network whose depth errors are scaled; where the truth is unknown, its depth remains."""
 
     def __init__(self, base: DenseEstimator, depth: ExternalDepth, share: float) -> None:
+        """Keep a share of the errors of `base` against the true `depth`."""
         self._base = base
         self._depth = depth
         self._share = share
 
     def estimate(self, frames: Frames, camera: Camera, crops: Mapping[int, Crop]) -> Iterator[tuple[int, GripperView]]:
+        """Yield the views of the network with scaled errors."""
         for number, view in self._base.estimate(frames, camera, crops):
             true_m = replace_depth(view, self._depth, number, camera).depth_m
             yield number, replace(view, depth_m=true_m * (view.depth_m / true_m) ** self._share)
+
+
+class SmoothErrorEstimator:
+    """Estimator whose depth has a relative error that varies smoothly over image and time."""
+
+    def __init__(self, base: DenseEstimator, count: int, rms: float, rng: np.random.Generator) -> None:
+        """Draw the errors, of root mean square `rms`, for a video of `count` frames."""
+        self._base = base
+        self._rms = rms
+        self._nodes = smooth_noise(rng, count, ERROR_FRAMES, (ERROR_CELLS, ERROR_CELLS)).astype(np.float32)
+
+    def estimate(self, frames: Frames, camera: Camera, crops: Mapping[int, Crop]) -> Iterator[tuple[int, GripperView]]:
+        """Yield the views of the estimator with wrong depth."""
+        for number, view in self._base.estimate(frames, camera, crops):
+            field = cv2.resize(self._nodes[number], (camera.width, camera.height), interpolation=cv2.INTER_CUBIC)
+            error = self._rms * np.asarray(field) / field.std()
+            yield number, replace(view, depth_m=view.depth_m * (1.0 + view.crop.warp(error, camera, view.stride)))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -90,10 +112,6 @@ class RegistrationErrors:
     """Rotation errors [rad]."""
     weight: list[float]
     """Weight of the registration."""
-    fitness: list[float]
-    """Share of matched cells."""
-    rmse_m: list[float]
-    """Root mean square distance of matched cells from the surface [m]."""
 
 
 class _Worker:
@@ -111,10 +129,10 @@ class _Worker:
         depth = ExternalDepth(depth_m=clip.depth_m, exact=True)
         estimator: DenseEstimator = self._estimator
         if kind.network_share < 1.0 and not kind.exact:
-            estimator = _BlendedEstimator(estimator, depth, kind.network_share)
-        if kind.degradation is not None:
+            estimator = BlendedEstimator(estimator, depth, kind.network_share)
+        if kind.smooth_error:
             rng = np.random.default_rng([trial.seed, *clip.id.encode()])
-            estimator = DegradedEstimator(estimator, len(clip.t_s), kind.degradation, rng)
+            estimator = SmoothErrorEstimator(estimator, len(clip.t_s), kind.smooth_error, rng)
         priors = Priors(depth=depth) if kind.exact else NO_PRIORS
         tracking = CadTracker(estimator, self._cad).track(read_video(clip.path).frames, clip.camera, priors)
         return _errors(clip, tracking.poses)
@@ -132,8 +150,6 @@ def _errors(clip: TruthClip, poses: Sequence[FramePose | None]) -> RegistrationE
         position_m={name: [round(float(p[k]), 7) for p, _, _ in rows] for k, name in enumerate(_POSES)},
         rotation_rad={name: [round(float(r[k]), 6) for _, r, _ in rows] for k, name in enumerate(_POSES)},
         weight=[icp.weight for *_, icp in rows],
-        fitness=[round(icp.registration.fitness, 4) for *_, icp in rows],
-        rmse_m=[round(icp.registration.rmse_m, 7) for *_, icp in rows],
     )
 
 
@@ -168,7 +184,7 @@ def section(results: Mapping[str, Sequence[RegistrationErrors]], seed: int = 0) 
     frames = sum(len(e.weight) for e in next(iter(results.values())))
     head = ["depth", "weight"]
     head += [f"{name}, mm / degrees" for name in _POSES] + ["combined less fit, mm / degrees"]
-    rows = [[name, *_cells(errors, np.random.default_rng(seed))] for name, errors in results.items()]
+    rows = [[name, *_cells(errors, seed)] for name, errors in results.items()]
     return markdown.section(
         "What ICP contributes",
         f"Written by `python -m benchmarks icp heldout --keep icp.jsonl --limit {videos} "
@@ -180,23 +196,18 @@ def section(results: Mapping[str, Sequence[RegistrationErrors]], seed: int = 0) 
     )
 
 
-def _cells(errors: Sequence[RegistrationErrors], rng: np.random.Generator) -> Iterator[str]:
+def _cells(errors: Sequence[RegistrationErrors], seed: int) -> Iterator[str]:
     yield f"{np.median(np.concatenate([e.weight for e in errors])):.2f}"
     for name in _POSES:
         position = float(np.median(np.concatenate([e.position_m[name] for e in errors])))
         rotation = float(np.median(np.concatenate([e.rotation_rad[name] for e in errors])))
         yield f"{1e3 * position:.2f} / {np.rad2deg(rotation):.2f}"
-    mm = _difference([e.position_m for e in errors], 1e3, rng)
-    yield f"{mm} / {_difference([e.rotation_rad for e in errors], float(np.rad2deg(1.0)), rng)}"
+    mm = _difference([e.position_m for e in errors], 1e3, seed)
+    yield f"{mm} / {_difference([e.rotation_rad for e in errors], float(np.rad2deg(1.0)), seed)}"
 
 
-def _difference(videos: Sequence[Mapping[str, Sequence[float]]], unit: float, rng: np.random.Generator) -> str:
+def _difference(videos: Sequence[Mapping[str, Sequence[float]]], unit: float, seed: int) -> str:
     """Return the mean of combined less fit with its interval over videos."""
     gains: list[Array] = [unit * (np.array(v["combined"]) - np.array(v["fit"])) for v in videos if len(v["fit"])]
-    drawn = [
-        float(np.mean(np.concatenate([gains[i] for i in draw])))
-        for part in resampled_indices(len(gains), rng, _RESAMPLES)
-        for draw in part
-    ]
-    low, high = percentile_interval(np.array(drawn))
-    return f"{np.mean(np.concatenate(gains)):+.2f} ({low:+.2f} to {high:+.2f})"
+    gain = cluster_bootstrap(gains, lambda drawn: float(np.mean(np.concatenate(drawn))), seed)
+    return f"{gain.value:+.2f} ({gain.low:+.2f} to {gain.high:+.2f})"

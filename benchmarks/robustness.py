@@ -1,7 +1,6 @@
 """Errors of grounding and inverse-dynamics baseline on the same videos: unchanged, with true depth, and perturbed."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from textwrap import wrap
 from typing import TYPE_CHECKING
@@ -15,12 +14,12 @@ from benchmarks.perception.perturbation.catalogue import PerturbationKind
 from benchmarks.perception.study import (
     CLEAN,
     LEARNED,
+    TRUE_DEPTH,
     StudyOutcome,
     StudyPlan,
     robustness,
     run_study,
 )
-from benchmarks.perception.trial import TrialCondition
 from kinebench_drake.executors.local import LocalExecutor
 from kinebench_drake.grounding import bounds
 from kinebench_drake.io.figure import POSITION, ROTATION, new_figure
@@ -31,8 +30,6 @@ from training.baseline.network import Baseline
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-TRUE_DEPTH = TrialCondition(name="true depth", variant="true-depth", group="true depth")
-"""Grounding with the depth of the ground truth."""
 FIGURE = Path("docs/robustness.png")
 """Figure of the docs, named in the section."""
 _GROWTH = 1.25
@@ -41,8 +38,8 @@ _TRACKED = 0.99
 _GROUNDING = "grounding"
 _BASELINE = "inverse dynamics"
 _STYLES = ((_GROUNDING, "", -0.15, POSITION), (_BASELINE, f", {LEARNED}", 0.15, ROTATION))
-# Quantity, unit, and error within which a pose is good.
 _PANELS = (("position", "mm", 1e3 * bounds.GOOD_M), ("rotation", "deg", float(np.rad2deg(bounds.GOOD_RAD))))
+"""Quantity, unit, and error within which a pose is good."""
 _INTRODUCTION = (
     "Errors of panda_hand in the camera frame on the same held-out videos, median / 95th percentile over frames: of "
     "the grounding those it tracks, of the network all. Medians have 95 % bootstrap intervals "
@@ -68,14 +65,19 @@ def measure(
     baseline = Baseline.load(weights)
     for clip in find_clips(heldout):
         baseline.require_camera(clip.camera)
-    study = robustness(tuple(PerturbationKind), weights)
-    study = replace(study, conditions=(TRUE_DEPTH, *study.conditions))
-    return run_study(study, StudyPlan(folder=heldout, limit=limit, keep=keep), LocalExecutor(jobs=jobs), observer)
+    conditions = robustness(tuple(PerturbationKind), weights)
+    return run_study(conditions, StudyPlan(folder=heldout, limit=limit, keep=keep), LocalExecutor(jobs=jobs), observer)
+
+
+def _required(outcome: StudyOutcome) -> list[str]:
+    """Return the names of the perturbations that the grounding is required to tolerate."""
+    own = [c for c in outcome.conditions if c.baseline is None]
+    return [c.name for c in own if c.perturbation is not None and c.perturbation.is_required]
 
 
 def figures(outcome: StudyOutcome) -> dict[str, float]:
     """Return errors and shares of failures by name; of all of them less is better."""
-    names = (CLEAN.name, TRUE_DEPTH.name, *outcome.study.required)
+    names = (CLEAN.name, TRUE_DEPTH.name, *_required(outcome))
     result = {}
     for extractor, suffix, *_ in _STYLES:
         for name in names:
@@ -112,7 +114,7 @@ def section(outcome: StudyOutcome, training: str) -> str:
 def _rows(outcome: StudyOutcome) -> Iterator[list[str]]:
     for name in (CLEAN.name, TRUE_DEPTH.name):
         yield _row(name, [outcome.figures.get(name + suffix) for _, suffix, *_ in _STYLES])
-    for name in filter(lambda name: _stands_out(outcome, name), outcome.study.required):
+    for name in filter(lambda name: _stands_out(outcome, name), _required(outcome)):
         yield _row(name, [outcome.figures[name + suffix] for _, suffix, *_ in _STYLES])
 
 
@@ -138,7 +140,7 @@ def _row(name: str, columns: Sequence[Mapping[str, IntervalEstimate] | None]) ->
 
 def draw(outcome: StudyOutcome) -> "Figure":
     """Draw both errors, median to 95th percentile, and the tracked share with its interval, for each condition."""
-    names = [c.name for c in outcome.study.conditions if c.baseline is None]
+    names = [c.name for c in outcome.conditions if c.baseline is None]
     figure, axes = new_figure(11.0, 0.3 * len(names) + 1.4, 1, 3, sharey=True)
     for extractor, suffix, shift, color in _STYLES:
         for row, name in enumerate(names):
@@ -159,7 +161,7 @@ def draw(outcome: StudyOutcome) -> "Figure":
         ax.axvline(good, color="#5b6470", linestyle="--", linewidth=1)
         ax.set_xlabel(f"{quantity} error [{unit}]")
     axes[0][2].set_xlabel("tracked")
-    required = set(outcome.study.required)
+    required = set(_required(outcome))
     axes[0][0].set_yticks(np.arange(len(names)), [f"{name} *" if name in required else name for name in names])
     axes[0][0].set_ylim(len(names) - 0.4, -0.6)
     figure.legend(loc="outside upper center", ncols=2, frameon=False)

@@ -7,18 +7,15 @@ replaced by a row and a track of a template run, its numbers scaled at random.
 import json
 import multiprocessing
 import os
-import re
 import shutil
-import subprocess
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from itertools import cycle
 from pathlib import Path
-from threading import Timer
 from typing import Any
 
 import numpy as np
@@ -34,20 +31,20 @@ from kinebench_drake.results.metadata import Shard
 from kinebench_drake.results.row import SampleRow, Status
 from kinebench_drake.results.store import REPORT, RESULTS, SAMPLES, artifact_path, read_rows
 from kinebench_drake.runs.config import RunKind, ScoreConfig
+from kinebench_drake.runs.evaluator import SampleHashes
 from kinebench_drake.runs.merge import merge_folders
 from kinebench_drake.runs.runner import NullRunObserver, run_samples
 from kinebench_drake.runs.score import VideoEvaluator
 
-BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 _TASKS = 20
 _MODELS = 4
-_LINKS = 60_000  # of a file; file systems allow about 65,000
-_FAILURES = {997: (Status.ERROR, "the file holds no frame that can be decoded ({k} bytes)")}
-_FAILURES |= {17: (Status.UNMEASURABLE, "the gripper was found in {k} of 49 frames, a path needs 2")}
+MAX_LINKS = 60_000
+"""Links of a file that are made; file systems allow about 65,000."""
+_FAILURES = {
+    997: (Status.ERROR, "the file holds no frame that can be decoded ({k} bytes)"),
+    17: (Status.UNMEASURABLE, "the gripper was found in {k} of 49 frames, a path needs 2"),
+}
 """One sample of so many has the status and reason; `k` varies."""
-_BROWSER_LIMIT_S = 300
-_PROBE = Path(__file__).with_name("browser_probe.html")
-"""End of a page that measures itself in the browser."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -72,8 +69,6 @@ class ScaleResult:
     """Size of samples.jsonl [MB]."""
     report_mb: float
     """Size of report.html [MB]."""
-    browser_ms: Mapping[str, float]
-    """Times in a headless browser: open, filter, sort [ms]; empty without a browser."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -87,13 +82,13 @@ class StubEvaluator(VideoEvaluator):
         """Read the rows of the template."""
         return [row for row in read_rows(self.template).values() if row.status is Status.OK]
 
-    def row(self, sample: VideoSample, resources: Any) -> SampleRow:
+    def row(self, sample: VideoSample, resources: Any, hashes: SampleHashes) -> SampleRow:
         """Return a row of the template under the sample's id, its numbers scaled; link its files."""
         rng = np.random.default_rng(list(sample.id.encode()))
         k = int(rng.integers(2**31))
         for every, (status, reason) in _FAILURES.items():
             if k % every == 0:
-                return _label(self.failed_row(sample, status, reason.format(k=k % 997)), k)
+                return _label(self.failed_row(sample, status, reason.format(k=k % 997), hashes), k)
         model = resources[k % len(resources)]
         scale = float(rng.normal(1.0, 0.1))
         for kind in ("tracks", "thumbnails"):
@@ -104,7 +99,7 @@ class StubEvaluator(VideoEvaluator):
                 target.unlink(missing_ok=True)
                 _link(source, target)
         metrics = {n: v * scale if isinstance(v, float) else v for n, v in model.metrics.items()}
-        row = replace(model, id=sample.id, video=sample.video, metrics=metrics, content_hash=self.content_hash(sample))
+        row = replace(model, id=sample.id, video=sample.video, metrics=metrics, content_hash=hashes.content)
         return _label(row, k)
 
 
@@ -114,7 +109,7 @@ def _label(row: SampleRow, k: int) -> SampleRow:
 
 def _link(source: Path, target: Path) -> None:
     """Link a file, or copy it where it has too many links."""
-    if source.stat().st_nlink < _LINKS:
+    if source.stat().st_nlink < MAX_LINKS:
         os.link(source, target)
     else:
         shutil.copyfile(source, target)
@@ -153,7 +148,6 @@ def measure(
         stages=stages,
         samples_mb=(out / SAMPLES).stat().st_size / 2**20,
         report_mb=(out / REPORT).stat().st_size / 2**20,
-        browser_ms=time_in_browser(out / REPORT, work) if BROWSER else {},
     )
 
 
@@ -209,54 +203,21 @@ def _run_stage(name: str, action: Callable[..., object], arguments: tuple[Any, .
 
 def _stage(action: Callable[..., object], arguments: tuple[Any, ...]) -> tuple[float, float]:
     action(*arguments)
-    memory = read_memory(os.getpid(), "VmHWM")
+    memory = read_memory(os.getpid())
     return time.process_time(), memory.main_mb if memory else float("nan")
 
 
-def time_in_browser(page: Path, work: Path) -> dict[str, float]:
-    """Open a page in a headless browser; filter and sort its samples. Returns times [ms] and counts.
-
-    Raises:
-        KinebenchError: the page fails.
-    """
-    probe = work / "probe.html"
-    probe.write_text(page.read_text().replace("</body>", _PROBE.read_text()))
-    options = ["--headless", "--no-sandbox", "--disable-gpu", "--window-size=1300,900", "--enable-logging=stderr"]
-    options += ["--remote-debugging-port=0", f"--user-data-dir={work / 'browser'}"]  # keeps it open
-    process = subprocess.Popen([str(BROWSER), *options, probe.as_uri()], stderr=subprocess.PIPE, text=True)
-    timer = Timer(_BROWSER_LIMIT_S, process.terminate)
-    timer.start()
-    try:
-        for line in process.stderr or ():
-            if state := re.search(r"STATE({.*})END", line):
-                return {name: float(value) for name, value in json.loads(state[1]).items()}
-    finally:
-        timer.cancel()
-        process.terminate()
-        process.wait()
-    raise KinebenchError(f"{page} did not open in the browser within {_BROWSER_LIMIT_S} s")
-
-
 def figures(result: ScaleResult) -> dict[str, float]:
-    """Return processor time and memory of each stage, the size of the report and its times in the browser."""
+    """Return processor time and memory of each stage, and the size of the report."""
     return {
         **{f"{stage.stage}, s of processor": stage.cpu_s for stage in result.stages},
         **{f"{stage.stage}, MB": stage.memory_mb for stage in result.stages},
         "report.html, MB": result.report_mb,
-        **{f"browser: {name}": value for name, value in result.browser_ms.items()},
     }
 
 
 def section(result: ScaleResult) -> str:
     """Return the section of the document."""
-    browser = result.browser_ms
-    opened = (
-        f" In a headless browser it opens in {browser['open_ms'] / 1e3:.1f} s; filtering takes "
-        f"{max(browser['filter_ms'], browser['again_ms'], browser['clear_ms']) / 1e3:.2f} s at most, sorting "
-        f"{browser['sort_ms'] / 1e3:.2f} s."
-        if browser
-        else ""
-    )
     return markdown.section(
         "A hundred thousand samples",
         f"`python -m benchmarks scale` on {machine_text()}: a run of {result.rows} samples. Their reading, grounding "
@@ -266,5 +227,5 @@ def section(result: ScaleResult) -> str:
             ("stage", "wall time, s", "memory, MB"),
             [[s.stage, f"{s.wall_s:.0f}", f"{s.memory_mb:.0f}"] for s in result.stages],
         ),
-        f"`samples.jsonl`: {result.samples_mb:.0f} MB. `report.html`: {result.report_mb:.1f} MB.{opened}",
+        f"`samples.jsonl`: {result.samples_mb:.0f} MB. `report.html`: {result.report_mb:.1f} MB.",
     )

@@ -1,7 +1,5 @@
 """Commands that measure accuracy, speed and memory: each writes a result file and compares it with the one before."""
 
-import subprocess
-import sys
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -19,16 +17,11 @@ from benchmarks.options import (
     work_folder,
     work_option,
 )
-from benchmarks.record import PAGES, RESULTS, BenchmarkRecord, compare_records, sources_hash, write_pages
+from benchmarks.record import RESULTS, BenchmarkRecord, compare_records, write_pages
 
 results_option = click.option(
     "--results", type=FOLDER, default=RESULTS, show_default=True, help="Folder of the result files."
 )
-
-video_option = click.option(
-    "--video", type=click.Path(path_type=Path, dir_okay=False, exists=True),
-    default=EXAMPLES / "StackCube-v1_s0010_unseen.mp4", show_default=True, help="Video that is processed.",
-)  # fmt: skip
 
 others_option = click.option(
     "--others", type=EXISTING_FOLDER, multiple=True, help="Videos of others, as `footage` takes them; repeatable."
@@ -115,37 +108,6 @@ def throughput(results: Path, work: Path | None, videos: Path | None, tracks: in
     _record("throughput", results, figures(costs), section(costs, tracks=tracks))
 
 
-@click.command(epilog="\b\nExample:\n  python -m benchmarks gpu")
-@results_option
-@work_option
-@video_option
-@click.option("--count", type=click.IntRange(9), default=16, show_default=True, help="Copies of the video.")
-@click.option("--turns", type=COUNT, default=2, show_default=True, help="Measurements with and without the GPU.")
-def gpu(results: Path, work: Path | None, video: Path, count: int, turns: int) -> None:
-    """Measure networks, training, images of the simulator and whole runs with and without the GPU."""
-    from benchmarks.gpu import figures, measure, section
-
-    with work_folder(work) as folder:
-        costs = measure(video, folder, videos=count, turns=turns, log=log)
-    _record("gpu", results, figures(costs), section(costs))
-
-
-@click.command(epilog="\b\nExample:\n  python -m benchmarks streaming")
-@results_option
-@work_option
-@click.option("--videos", type=EXISTING_FOLDER, default=EXAMPLES, show_default=True, help="Folder of mp4 files.")
-@click.option("--samples", type=click.IntRange(80), default=2000, show_default=True, help="Videos scored.")
-@click.option("--frames", type=click.IntRange(2), default=4, show_default=True, help="Frames of each video.")
-@click.option("--jobs", type=COUNT, default=2, show_default=True, help="Worker processes.")
-def streaming(results: Path, work: Path | None, videos: Path, samples: int, frames: int, jobs: int) -> None:
-    """Score very many short videos; measure memory, the report and a second run."""
-    from benchmarks.streaming import figures, measure, section
-
-    with work_folder(work) as folder:
-        result = measure(videos, folder, samples=samples, frames=frames, jobs=jobs, log=log)
-    _record("streaming", results, figures(result), section(result))
-
-
 @click.command(epilog="\b\nExample:\n  python -m benchmarks scale --rows 100000")
 @results_option
 @work_option
@@ -165,28 +127,6 @@ def scale(results: Path, work: Path | None, videos: Path, template: Path | None,
     _record("scale", results, figures(result), section(result))
 
 
-@click.command(epilog="\b\nExample:\n  python -m benchmarks cluster")
-@results_option
-@work_option
-@click.option(
-    "--videos", type=click.Path(path_type=Path, exists=True), default=EXAMPLES / "manifest.jsonl", show_default=True,
-    help="Videos scored.",
-)  # fmt: skip
-@click.option(
-    "--tasks", default="PullCube-v1,OpenDrawer-v1", show_default=True, help="Tasks of the suite run.", metavar="A,B"
-)
-@click.option("--episodes", type=COUNT, default=2, show_default=True, help="Episodes of each task.", metavar="K")
-def cluster(results: Path, work: Path | None, videos: Path, tasks: str, episodes: int) -> None:
-    """Score and run a suite on a Ray cluster of two local nodes, kill a worker, and compare with local runs."""
-    from benchmarks.cluster import SUITE, compare_runs, section
-
-    suite = ["suite", "run", *SUITE, "--tasks", tasks, "--episodes", str(episodes)]
-    commands = [["score", str(videos), "--overlay"], suite]
-    with work_folder(work) as folder:
-        text = section(compare_runs(commands, folder, log))
-    _record("cluster", results, {}, text)
-
-
 @click.command(epilog="\b\nExample:\n  python -m benchmarks simulation")
 @results_option
 @click.option("--tasks", help="Tasks, comma-separated.  [default: all]", metavar="A,B")
@@ -195,24 +135,8 @@ def simulation(results: Path, tasks: str | None) -> None:
     from benchmarks.simulation import figures, measure, section
     from kinebench_drake.suites.families.registry import TASKS
 
-    timings, steps, images = measure(list(TASKS) if tasks is None else tasks.split(","))
-    _record("simulation", results, figures(timings), section(timings, steps, images))
-
-
-@click.command(epilog="\b\nExample:\n  python -m benchmarks rounds --tasks StackCube-v1,OpenDrawer-v1 --episodes 2")
-@results_option
-@work_option
-@click.option("--tasks", help="Tasks, comma-separated.  [default: all of suite 0]", metavar="A,B")
-@click.option("--episodes", type=COUNT, default=1, show_default=True, help="Episodes of each task.", metavar="K")
-def rounds(results: Path, work: Path | None, tasks: str | None, episodes: int) -> None:
-    """Measure the time of a round of the closed loop, stage by stage."""
-    one_thread()
-    from benchmarks.rounds import figures, measure, section
-    from kinebench_drake.cli.progress import ProgressView
-
-    with work_folder(work) as folder, ProgressView("episodes") as view:
-        timing = measure(tasks, episodes, folder / "rounds", view)
-    _record("rounds", results, figures(timing), section(timing))
+    timings = measure(list(TASKS) if tasks is None else tasks.split(","))
+    _record("simulation", results, figures(timings), section(timings))
 
 
 @click.command(
@@ -259,48 +183,12 @@ def robustness(results: Path, heldout: Path | None, work: Path, weights: Path, l
     _record("robustness", results, figures(outcome), section(outcome, baseline.training))
 
 
-@click.command(
-    epilog="\b\nExamples:\n"
-    "  python -m benchmarks figures\n"
-    "  python -m benchmarks figures --measure accuracy --others robosuite --others clips",
-)
+@click.command(epilog="\b\nExample:\n  python -m benchmarks figures")
 @results_option
-@click.option(
-    "--measure", type=FOLDER, metavar="WORK",
-    help="Measure first what was measured with other sources; hours. WORK keeps finished poses.",
-)  # fmt: skip
-@others_option
-def figures(results: Path, measure: Path | None, others: tuple[Path, ...]) -> None:
-    """Write the tables of the pages from the result files.
-
-    With --measure benchmarks run one after the other. Their results are kept: after an interruption the same command
-    goes on with the next one.
-    """
-    arguments = {
-        "accuracy": ["--work", str(measure), *(part for path in others for part in ("--others", str(path)))],
-        "robustness": ["--work", str(measure)],
-    }
-    for name in PAGES if measure else ():
-        record = BenchmarkRecord.read(name, results)
-        if record is None or record.sources_sha256 != sources_hash():
-            command = [sys.executable, "-m", "benchmarks", name, "--results", str(results)]
-            if subprocess.run([*command, *arguments.get(name, [])]).returncode:
-                log(f"{name} failed")
+def figures(results: Path) -> None:
+    """Write the tables of the pages from the result files."""
     for line in write_pages(results):
         click.echo(line)
 
 
-COMMANDS = (
-    accuracy,
-    robustness,
-    ik,
-    audit,
-    throughput,
-    gpu,
-    streaming,
-    scale,
-    cluster,
-    simulation,
-    rounds,
-    figures,
-)
+COMMANDS = (accuracy, robustness, ik, audit, throughput, scale, simulation, figures)

@@ -19,9 +19,10 @@ from benchmarks.process import ProcessMemory, run_program, spread
 from benchmarks.record import machine_text
 from benchmarks.trajectory_sets import Recipe, TrajectorySet, write_set
 from kinebench_drake.environment.precision import PRECISION_VARIABLE, Precision
-from kinebench_drake.errors import UsageError, count_noun
+from kinebench_drake.errors import KinebenchError, UsageError, count_noun
 from kinebench_drake.geometry import Array
-from kinebench_drake.results.store import TIMINGS
+from kinebench_drake.results.row import Status
+from kinebench_drake.results.store import TIMINGS, read_rows
 
 PROCESSES = (1, 2)
 """Numbers of worker processes that are compared."""
@@ -29,7 +30,8 @@ LEAST_VIDEOS = 24
 """Different videos that a measurement needs: times differ from video to video."""
 NO_GPU = {"CUDA_VISIBLE_DEVICES": ""}
 """Environment variables of a process that sees no GPU."""
-_TAIL = 95.0  # percentile of the seconds a video that stands for the slow ones
+TAIL = 95.0
+"""Percentile of the seconds a video that stands for the slow ones."""
 
 
 class Job(Enum):
@@ -78,25 +80,40 @@ class RunCost:
     peak: ProcessMemory
 
     @classmethod
-    def from_times(
-        cls, finished_s: Sequence[float], wall_s: Sequence[float], processes: int, peak: ProcessMemory
-    ) -> "RunCost":
+    def from_samples(cls, samples: Sequence["FinishedSample"], processes: int, peak: ProcessMemory) -> "RunCost":
         """Separate start-up and further samples.
 
         Args:
-            finished_s: (N,) times from the start of the program to the end of each sample [s], ascending.
-            wall_s: (N,) duration of each sample [s], in the same order.
-            processes: number of workers; fewer than samples.
+            samples: samples in the order in which they finished; those that could not be read do not count.
+            processes: number of workers.
             peak: peak memory.
+
+        Raises:
+            KinebenchError: there are no more samples than workers.
         """
-        start_up_s = finished_s[processes - 1]
-        further = np.array(wall_s[processes:])
+        measured = [sample for sample in samples if sample.status is not Status.ERROR]
+        if len(measured) <= processes:
+            readable = f"{len(measured)} of {len(samples)} samples could be read"
+            raise KinebenchError(f"{readable}, expected more than {processes}")
+        start_up_s = measured[processes - 1].finished_s
+        further = measured[processes:]
         return cls(
             start_up_s=start_up_s,
-            wall_s=further,
-            sample_s=(finished_s[-1] - start_up_s) / len(further),
+            wall_s=np.array([sample.wall_s for sample in further]),
+            sample_s=(further[-1].finished_s - start_up_s) / len(further),
             peak=peak,
         )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FinishedSample:
+    """A sample of a run."""
+
+    finished_s: float
+    """Time from the start of the program to the end of the sample [s]."""
+    wall_s: float
+    """Duration of the sample in its process [s]."""
+    status: Status
 
 
 RunCosts = Mapping[Setting, Sequence[RunCost]]
@@ -128,21 +145,26 @@ def measure(videos: Path, work: Path, *, tracks: int, turns: int, log: Callable[
     for turn in range(turns):
         for setting, runs in costs.items():
             log(f"turn {turn + 1} of {turns}: {setting}")
-            runs.append(run_cost(setting, inputs[setting.job], work / "out", NO_GPU))
+            runs.append(run_cost(setting, inputs[setting.job], work / "out"))
     return costs
 
 
-def run_cost(setting: Setting, source: Path, out: Path, environment: Mapping[str, str]) -> RunCost:
-    """Run one setting on a folder of samples, more than processes, with additional environment variables.
+def run_cost(setting: Setting, source: Path, out: Path) -> RunCost:
+    """Run one setting on a folder of samples, more than processes, without a GPU.
 
     Raises:
-        KinebenchError: the run failed.
+        KinebenchError: the run failed, or few samples could be read.
     """
     options = ["--frame-period", "0.2"] if setting.job is Job.SCORE else []
     arguments = [setting.job.value, str(source), "--out", str(out), "--jobs", str(setting.processes), *options]
-    run = run_program([*arguments, "--overwrite"], environment={**environment, **setting.environment})
-    wall_s = [json.loads(line)["wall_s"] for line in (out / TIMINGS).read_text().splitlines()]
-    return RunCost.from_times(run.finished_s, wall_s, setting.processes, run.peak)
+    run = run_program([*arguments, "--overwrite"], environment={**NO_GPU, **setting.environment})
+    rows = read_rows(out)
+    timings = [json.loads(line) for line in (out / TIMINGS).read_text().splitlines()]
+    samples = [
+        FinishedSample(finished_s=end_s, wall_s=timing["wall_s"], status=rows[timing["id"]].status)
+        for end_s, timing in zip(run.finished_s, timings, strict=True)
+    ]
+    return RunCost.from_samples(samples, setting.processes, run.peak)
 
 
 def video_seconds(costs: RunCosts) -> dict[Setting, Array]:
@@ -160,7 +182,7 @@ def summarize_seconds(seconds: Array) -> dict[str, float]:
     return {
         "mean": float(np.mean(seconds)),
         "median": float(np.median(seconds)),
-        f"{_TAIL:.0f}th percentile": float(np.percentile(seconds, _TAIL)),
+        f"{TAIL:.0f}th percentile": float(np.percentile(seconds, TAIL)),
         "maximum": float(np.max(seconds)),
         "mean / mean of the faster half": float(np.mean(seconds) / np.mean(faster)),
     }

@@ -1,17 +1,16 @@
 """A trajectory as `audit` reads it, and its ground truth."""
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import Enum
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import TypeAdapter
 
 from kinebench_drake.errors import InputError, cause
-from kinebench_drake.geometry import Array
+from kinebench_drake.geometry import Array, rotation_exp
 from kinebench_drake.io.jsonl import Json, write_lines
 from kinebench_drake.io.npz import pack_arrays
 from kinebench_drake.kinematics.violation import ViolationKind
@@ -31,7 +30,6 @@ class TrajectoryKind(Enum):
     LIMIT_Q = "limit_q"
     SELF_Q = "self_q"
     LIMIT_POSE = "limit_pose"
-    PERTURBED = "perturbed"
     NOISY = "noisy"
 
 
@@ -54,31 +52,25 @@ class Trajectory:
     t_s: Array
     """(T,) times [s]."""
     X_BG: Array
-    """(T, 4, 4) poses of the TCP in the base [m]; NaN where not tracked."""
+    """(T, 4, 4) poses of the TCP in the base [m]."""
     finger_width_m: Array
     """(T,) gap between the finger pads [m]."""
     q: Array | None = None
     """(T, 7) joint angles [rad]; if present they are written instead of the poses."""
-    tracked: NDArray[np.bool_] | None = None
-    """(T,) tracked frames of a trajectory that is written as grounding writes its tracks; None: all frames."""
 
     def to_bytes(self) -> bytes:
         """Return the npz file; equal numbers give equal bytes."""
-        arrays: dict[str, NDArray[np.generic]] = {"t_s": self.t_s, "finger_width_m": self.finger_width_m}
-        if self.q is not None:
-            arrays["q"] = self.q
-        else:
-            arrays["base_from_tcp"] = self.X_BG
-        if self.tracked is not None:
-            n = len(self.t_s)
-            arrays |= {
-                "tracked": self.tracked,
-                "confidence": self.tracked.astype(np.float64),
-                "camera_from_hand": np.full((n, 4, 4), np.nan),
-                "q": np.full((n, 7), np.nan),
-                "ik_ok": np.zeros(n, dtype=bool),
-            }
-        return pack_arrays(arrays)
+        motion = {"base_from_tcp": self.X_BG} if self.q is None else {"q": self.q}
+        return pack_arrays({"t_s": self.t_s, "finger_width_m": self.finger_width_m, **motion})
+
+
+def add_noise(rng: np.random.Generator, trajectory: Trajectory, position_m: float, rotation_rad: float) -> Trajectory:
+    """Add white noise to the poses: standard deviations along each axis of B [m] and about each axis of G [rad]."""
+    n = len(trajectory.t_s)
+    X = trajectory.X_BG.copy()
+    X[:, :3, 3] += position_m * rng.normal(size=(n, 3))
+    X[:, :3, :3] = X[:, :3, :3] @ rotation_exp(rotation_rad * rng.normal(size=(n, 3)))
+    return replace(trajectory, X_BG=X, q=None)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -96,11 +88,9 @@ class TrajectoryTruth:
     """Sizes and places of the fault, and figures of the proof."""
 
     @property
-    def feasible(self) -> bool | None:
-        """True if the arm can execute it; None if unknown."""
-        if self.kind in (TrajectoryKind.FEASIBLE, TrajectoryKind.NOISY):
-            return True
-        return None if self.kind is TrajectoryKind.PERTURBED else False
+    def feasible(self) -> bool:
+        """True if the arm can execute it."""
+        return self.kind in (TrajectoryKind.FEASIBLE, TrajectoryKind.NOISY)
 
     def to_json(self) -> dict[str, Json]:
         """Return the object as written."""

@@ -7,7 +7,7 @@ give the same bytes, whatever the number of jobs, and a larger set begins with t
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, replace
 from enum import Enum
-from functools import lru_cache, partial
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -15,17 +15,14 @@ import numpy as np
 from benchmarks.feasible import FeasibleMotion, draw_feasible
 from benchmarks.motion import Arm
 from benchmarks.moves import Family
-from benchmarks.perturbed import add_noise, perturb
 from benchmarks.planted import PLANTERS
-from benchmarks.trajectory import REASONS, TRUTH, Trajectory, TrajectoryKind, TrajectoryTruth, write_truths
-from kinebench_drake.errors import KinebenchError
-from kinebench_drake.executors.base import WorkerCrash
-from kinebench_drake.executors.local import LocalExecutor
+from benchmarks.trajectory import REASONS, TRUTH, Trajectory, TrajectoryKind, TrajectoryTruth, add_noise, write_truths
+from benchmarks.trials import run_all
 from kinebench_drake.io.atomic import write_atomically
 from kinebench_drake.io.jsonl import Json
 
-_BASES = 200  # feasible trajectories that the perturbed ones are made from
-_PLANT_TRIES = 8  # attempts to plant a fault into one feasible trajectory
+PLANT_TRIES = 8
+"""Attempts to plant a fault into one feasible trajectory."""
 
 
 class TrajectorySet(Enum):
@@ -35,8 +32,6 @@ class TrajectorySet(Enum):
     """None may be judged infeasible."""
     INFEASIBLE = "infeasible"
     """All kinds of planted faults in turn: each must be detected, with the right reason."""
-    PERTURBED = "perturbed"
-    """Random disturbances: an audit may not fail."""
     NOISY = "noisy"
     """The feasible set as poses with measurement noise: none may be judged infeasible."""
 
@@ -55,8 +50,6 @@ class Recipe:
 
 def draw(recipe: Recipe, index: int, arm: Arm) -> tuple[Trajectory, TrajectoryTruth]:
     """Draw trajectory number `index` of a set, with its ground truth."""
-    if recipe.set is TrajectorySet.PERTURBED:
-        return _perturbed(recipe, index, arm)
     if recipe.set is TrajectorySet.INFEASIBLE:
         return _planted(recipe, index, arm)
     rng = _generator(recipe.seed, TrajectorySet.FEASIBLE, index)  # noise is added to the same trajectories
@@ -76,8 +69,12 @@ def draw(recipe: Recipe, index: int, arm: Arm) -> tuple[Trajectory, TrajectoryTr
     return trajectory, truth
 
 
+_STREAMS = {TrajectorySet.FEASIBLE: 0, TrajectorySet.INFEASIBLE: 1, TrajectorySet.NOISY: 3}
+"""Numbers of the random streams, the same as in earlier revisions, so that a seed gives the same set."""
+
+
 def _generator(seed: int, set: TrajectorySet, index: int, attempt: int = 0) -> np.random.Generator:
-    return np.random.default_rng([seed, list(TrajectorySet).index(set), index, attempt])
+    return np.random.default_rng([seed, _STREAMS[set], index, attempt])
 
 
 def _proof(base: FeasibleMotion) -> dict[str, Json]:
@@ -93,7 +90,7 @@ def _planted(recipe: Recipe, index: int, arm: Arm) -> tuple[Trajectory, Trajecto
     while True:
         rng = _generator(recipe.seed, TrajectorySet.INFEASIBLE, index, attempt)
         base = draw_feasible(rng, arm)
-        for _ in range(_PLANT_TRIES):
+        for _ in range(PLANT_TRIES):
             planted = PLANTERS[kind](rng, arm, base)
             if planted is not None:
                 parameters = {"frames": base.frames, "period_s": base.period_s, **planted.parameters}
@@ -106,25 +103,6 @@ def _planted(recipe: Recipe, index: int, arm: Arm) -> tuple[Trajectory, Trajecto
                 )
                 return planted.trajectory, truth
         attempt += 1
-
-
-def _perturbed(recipe: Recipe, index: int, arm: Arm) -> tuple[Trajectory, TrajectoryTruth]:
-    rng = _generator(recipe.seed, TrajectorySet.PERTURBED, index)
-    family, good = _base(recipe.seed, index % _BASES, arm)
-    trajectory, names = perturb(rng, arm, good)
-    truth = TrajectoryTruth(
-        id=f"perturbed-{index:05d}",
-        kind=TrajectoryKind.PERTURBED,
-        family=family.value,
-        parameters={"disturbances": names, "frames": len(trajectory.t_s)},
-    )
-    return trajectory, truth
-
-
-@lru_cache(maxsize=_BASES)
-def _base(seed: int, index: int, arm: Arm) -> tuple[Family, Trajectory]:
-    base = draw_feasible(_generator(seed, TrajectorySet.FEASIBLE, index), arm, proven=False)
-    return base.family, base.trajectory(arm)
 
 
 class _Writer:
@@ -149,9 +127,7 @@ def write_set(recipe: Recipe, count: int, out: Path, *, jobs: int = 1) -> Iterat
     """
     out.mkdir(parents=True, exist_ok=True)
     truths: list[TrajectoryTruth] = []
-    for outcome in LocalExecutor(jobs=jobs).run(partial(_Writer, recipe, out), range(count)):
-        if isinstance(outcome, WorkerCrash):
-            raise KinebenchError(f"trajectory {outcome.item} of the {recipe.set.value} set could not be drawn")
-        truths.append(outcome.result)
-        yield outcome.result
+    for truth in run_all(partial(_Writer, recipe, out), range(count), jobs):
+        truths.append(truth)
+        yield truth
     write_truths(out / TRUTH, truths)

@@ -1,25 +1,34 @@
-"""Numbered trials of a study in worker processes; trial and seed determine what is drawn."""
+"""One function over many items in worker processes; a worker that dies ends the run."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from typing import TypeVar
 
 from kinebench_drake.errors import KinebenchError
-from kinebench_drake.executors.base import WorkerCrash
+from kinebench_drake.executors.base import Item, MakeWorker, Result, WorkerCrash
 from kinebench_drake.executors.local import LocalExecutor
 
 Trial = TypeVar("Trial")
 
 
-def run_trials(
-    make_worker: Callable[[int], Callable[[int], Trial]], count: int, seed: int, jobs: int = 1
-) -> Iterator[Trial]:
-    """Run trials 0 to `count`, in any order, by workers that are made of the seed.
+def run_all(make_worker: MakeWorker[Item, Result], items: Sequence[Item], jobs: int) -> Iterator[Result]:
+    """Yield the result of each item as soon as it is available, in any order.
 
     Raises:
         KinebenchError: a worker died.
     """
-    for outcome in LocalExecutor(jobs=jobs).run(partial(make_worker, seed), range(count)):
+    for outcome in LocalExecutor(jobs=jobs).run(make_worker, items):
         if isinstance(outcome, WorkerCrash):
-            raise KinebenchError(f"trial {outcome.item} of seed {seed} crashed: {outcome.reason}")
+            raise KinebenchError(f"{outcome.item}: {outcome.reason}")
         yield outcome.result
+
+
+def run_trials(
+    make_worker: Callable[[int], Callable[[int], Trial]], count: int, seed: int, jobs: int = 1
+) -> Iterator[Trial]:
+    """Run trials 0 to `count` by workers that are made of the seed; trial and seed determine what is drawn.
+
+    Raises:
+        KinebenchError: a worker died.
+    """
+    return run_all(partial(make_worker, seed), range(count), jobs)

@@ -21,7 +21,7 @@ import numpy as np
 from benchmarks.faults.fault import GRADES, FaultGrade
 from benchmarks.perception.store import MeasurementStore, fingerprint
 from benchmarks.planted_videos import PlantedVideo, PlantingOrder, PlantingResult, make_planter, write_index
-from benchmarks.structure import current_revision
+from benchmarks.record import current_revision
 from kinebench_drake.anomaly import AnomalyKind
 from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.errors import InputError, UnmeasurableError, UsageError
@@ -50,7 +50,6 @@ SPLIT = "unseen"
 """Episodes with the half of the assets and looks that the networks were not trained on."""
 SIZES = 3
 """Sizes of each kind of fault."""
-_CRF = 16
 _TRIALS = "trials.jsonl"
 _STUDY = "study.json"
 _TRIES = 20  # episodes of each task that may fail without a fault before the study gives up
@@ -184,7 +183,7 @@ def measure(work: Path, episodes: int, sizes: int, jobs: int, observer: RunObser
     executions = store.complete(items, key, executor, ExecutionWorker, observer, lambda item: item.id)
     trials = [_trial(v, rows[v.id], done) for v, done in zip(videos, executions, strict=True)]
     write_lines(work / _TRIALS, [trial.to_json() for trial in trials])
-    revision = current_revision(Path(__file__).parent.parent)
+    revision = current_revision()
     write_json(work / _STUDY, {"revision": revision, "weights": weights_hash()[:12]})
 
 
@@ -195,9 +194,7 @@ def _plant(
     (folder / "truth").mkdir(parents=True, exist_ok=True)
     store = MeasurementStore(folder / "planted.jsonl", PlantingResult)
     labels = ",".join(grade.label for grade in grades)
-    order = partial(
-        PlantingOrder, robot="panda", grades=grades, with_clean=True, with_depth=False, crf=_CRF, out=folder
-    )
+    order = partial(PlantingOrder, grades=grades, with_clean=True, out=folder)
     specs = study_specs()
     solved = list[PlantingResult]()
     while len(solved) < episodes:

@@ -1,4 +1,4 @@
-"""Response of numbers to planted faults, and their rank correlation with success in closed loop."""
+"""Response of numbers to planted faults."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -6,11 +6,9 @@ from enum import Enum
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.stats import false_discovery_control, rankdata
+from scipy.stats import false_discovery_control
 
-from benchmarks.faults.fault import GRADES
-from benchmarks.perception.anomaly_table import unit_of
+from benchmarks.faults.fault import GRADES, unit_of
 from benchmarks.validity import ValidityTrial
 from kinebench_drake.anomaly import AnomalyKind
 from kinebench_drake.errors import InputError
@@ -181,46 +179,3 @@ def _area(clean: Array, faulty: Array, rng: np.random.Generator) -> IntervalEsti
     draws = np.einsum("ri,ij,rj->r", counts, wins, counts, optimize=True) / len(clean) ** 2
     low, high = percentile_interval(draws)
     return IntervalEstimate(value=float(wins.mean()), low=low, high=high)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SuccessCorrelation:
-    """Rank correlation of a number with success, positive if better values go with success; NaN if one is constant."""
-
-    pooled: IntervalEstimate
-    """Spearman's coefficient over all videos."""
-    within: IntervalEstimate
-    """The same of ranks minus their mean over the episode's videos: differences between episodes left out."""
-
-
-def correlate(study: Study, name: str, seed: int = 0) -> SuccessCorrelation:
-    """Return the rank correlation of a number with success; nulls rank last.
-
-    Intervals resample episodes with all their videos, which keep their ranks among all videos.
-    """
-    place = {episode: i for i, episode in enumerate(sorted(study.clean))}
-    trials = [t for t in study.trials if t.episode in place]
-    group = np.array([place[t.episode] for t in trials])
-    quality = rankdata(-badness(name, [t.numbers.get(name) for t in trials]))
-    success = rankdata([t.success for t in trials])
-    counts = resampled_counts(len(place), np.random.default_rng(seed))
-    size = np.bincount(group)
-    ranks = [r - (np.bincount(group, weights=r) / size)[group] for r in (quality, success)]
-    return SuccessCorrelation(
-        pooled=_correlation(quality, success, group, counts), within=_correlation(ranks[0], ranks[1], group, counts)
-    )
-
-
-def _correlation(x: Array, y: Array, group: NDArray[np.intp], counts: Array) -> IntervalEstimate:
-    """Return Pearson's coefficient of (N,) values with its interval over resamples of their groups (R, G)."""
-    x = x - x.mean()
-    y = y - y.mean()
-    sums = np.stack([np.bincount(group, weights=w) for w in (np.ones(len(x)), x, y, x * x, y * y, x * y)], axis=1)
-    n, sx, sy, sxx, syy, sxy = (np.vstack([np.ones(counts.shape[1]), counts]) @ sums).T
-    spread = (sxx - sx**2 / n) * (syy - sy**2 / n)
-    value = np.divide(sxy - sx * sy / n, np.sqrt(spread), out=np.full(len(n), np.nan), where=spread > _LEAST_SPREAD)
-    low, high = percentile_interval(value[1:])
-    return IntervalEstimate(value=float(value[0]), low=low, high=high)
-
-
-_LEAST_SPREAD = 1e-9  # of constant values

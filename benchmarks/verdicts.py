@@ -15,7 +15,6 @@ from benchmarks.options import (
     out_option,
     write_section,
 )
-from kinebench_drake.io.jsonl import dump
 
 
 @click.command(epilog="\b\nExample:\n  python -m benchmarks causes --episodes 5 --jobs 2")
@@ -25,54 +24,28 @@ from kinebench_drake.io.jsonl import dump
 @jobs_option
 def causes(episodes: int, seed: int, limit: int | None, jobs: int) -> None:
     """Run episodes in closed loop with one planted cause of failure each, and compare with the verdicts."""
-    from benchmarks.causes import cause_cases, cause_table, run_cases
-    from kinebench_drake.executors.base import ExecutorKind, create_executor
+    from benchmarks.causes import CauseWorker, cause_cases, cause_table
+    from benchmarks.trials import run_all
     from kinebench_drake.suites.catalog import load_suite
 
     suite = load_suite(0)
     split = suite.split_name("test")
     specs = suite.specs(split, episodes, offset=seed)
     cases = cause_cases(specs)[:limit]
-    with (
-        click.progressbar(run_cases(create_executor(ExecutorKind.LOCAL, jobs), cases), length=len(cases)) as results,
-    ):
+    with click.progressbar(run_all(CauseWorker, cases, jobs), length=len(cases)) as results:
         ordered = sorted(results, key=lambda r: (r.case.spec.id, r.case.planted.name))
     for line in cause_table(ordered):
         click.echo(line)
 
 
-@click.command(epilog="\b\nExample:\n  python -m benchmarks readings --count 5")
-@click.option("--count", type=COUNT, default=5, show_default=True, help="Motions, each written into all files.")
-@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True)
-def readings(count: int, seed: int) -> None:
-    """Read motions from files as people have them, and from files whose names mislead."""
-    from benchmarks.readings import outcome_lines
-
-    for line in outcome_lines(count, seed):
-        click.echo(line)
-
-
-@click.command(
-    epilog="\b\nExamples:\n  python -m benchmarks loss --count 1000 --jobs 2\n  python -m benchmarks loss --run results"
-)
-@click.option(
-    "--run",
-    type=EXISTING_FOLDER,
-    metavar="DIR",
-    help="Take single frames out of the tracks of this run instead.",
-)
+@click.command(epilog="\b\nExample:\n  python -m benchmarks loss --count 1000 --jobs 2")
 @click.option("--count", type=COUNT, default=1000, show_default=True, help="Random tracks.", metavar="N")
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True)
 @jobs_option
-def loss(run: Path | None, count: int, seed: int, jobs: int) -> None:
+def loss(count: int, seed: int, jobs: int) -> None:
     """Replace frames of random tracks by lost or unreachable ones; exit status 1 if a number improves."""
-    from benchmarks.loss import LossWorker, loss_table, remove_frames, removed_table
+    from benchmarks.loss import LossWorker, loss_table
     from benchmarks.trials import run_trials
-
-    if run is not None:
-        for line in removed_table(list(remove_frames(run, seed))):
-            click.echo(line)
-        return
 
     with click.progressbar(run_trials(LossWorker, count, seed, jobs), length=count) as trials:
         ordered = sorted(trials, key=lambda trial: trial.index)
@@ -151,50 +124,22 @@ def extractors(work: Path, weights: Path, jobs: int, out: Path | None) -> None:
 
 @click.command(epilog="\b\nExample:\n  python -m benchmarks generated study --jobs 2 --out docs/worldmodel.md")
 @click.argument("study", type=EXISTING_FOLDER)
-@click.option(
-    "--model",
-    type=EXISTING_FOLDER,
-    default=Path("examples/worldmodel/weights"),
-    show_default=True,
-    help="The best training.",
-)
 @baseline_option
 @jobs_option
 @out_option
-def generated(study: Path, model: Path, weights: Path, jobs: int, out: Path | None) -> None:
+def generated(study: Path, weights: Path, jobs: int, out: Path | None) -> None:
     """Correlate the numbers of generated videos with success, and compare them with what a person sees.
 
     STUDY is the folder that examples/worldmodel/study.sh made. An interrupted run continues where it was.
     """
     from benchmarks.generated import sections
     from benchmarks.generated_labels import EyeStudy
-    from benchmarks.generated_truth import truth_sections
     from kinebench_drake.cli.progress import ProgressView
 
     with ProgressView("clips") as view:
-        eye = EyeStudy(study, weights).sections(jobs, view)
-        texts = [*sections(study, jobs, view), *truth_sections(study, model, jobs, view), *eye]
+        texts = [*sections(study, jobs, view), *EyeStudy(study, weights).sections(jobs, view)]
     for text in texts:
         write_section(out, text)
-
-
-@click.command(epilog="\b\nExample:\n  python -m benchmarks baseline --out baseline --jobs 2")
-@click.option("--out", type=FOLDER, required=True, help="Folder of demonstrations, checkpoints and weights.")
-@click.option("--episodes", type=COUNT, default=100, show_default=True, help="Demonstrations of each training task.")
-@click.option("--steps", type=COUNT, default=6000, show_default=True, help="Training steps.")
-@click.option("--size", type=COUNT, default=224, show_default=True, help="Width of the frames, a multiple of 32 [px].")
-@jobs_option
-def baseline(out: Path, episodes: int, steps: int, size: int, jobs: int) -> None:
-    """Train the inverse-dynamics baseline as published: on 100 demonstrations of each training task of suite 1.
-
-    Both the demonstrations and the training continue where an interrupted run stopped.
-    """
-    from benchmarks.extractors import train_baseline
-    from kinebench_drake.cli.progress import ProgressView
-
-    with ProgressView("demonstrations") as view:
-        weights = train_baseline(out, episodes, steps, size, jobs, view, click.echo)
-    click.echo(weights)
 
 
 @click.group()
@@ -208,9 +153,9 @@ def trajectories() -> None:
 @click.option("--out", type=FOLDER, required=True, help="Folder; created if absent.")
 @click.option(
     "--kind",
-    type=click.Choice(["feasible", "infeasible", "perturbed", "noisy"]),
+    type=click.Choice(["feasible", "infeasible", "noisy"]),
     required=True,
-    help="Feasible motions (also with noise), planted faults, or random disturbances.",
+    help="Feasible motions (also with noise), or planted faults.",
 )
 @click.option("--count", type=COUNT, default=1000, show_default=True, metavar="N")
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True)
@@ -238,14 +183,12 @@ def make(out: Path, kind: str, count: int, seed: int, noise_mm: float, jobs: int
 @trajectories.command(epilog="\b\nExample:\n  python -m benchmarks trajectories check results tracks")
 @click.argument("results", type=click.Path(path_type=Path, exists=True))
 @click.argument("tracks", type=EXISTING_FOLDER)
-@click.option("--json", "as_json", is_flag=True, help="As JSON.")
-def check(results: Path, tracks: Path, as_json: bool) -> None:
+def check(results: Path, tracks: Path) -> None:
     """Compare an audit's output folder RESULTS with the ground truth in the folder TRACKS."""
     from benchmarks.check import compare, read_rows, summary_table
     from benchmarks.trajectory import TRUTH, read_truths
 
-    summaries = compare(read_rows(results), read_truths(tracks / TRUTH))
-    click.echo(dump([s.to_json() for s in summaries], indent=2) if as_json else summary_table(summaries))
+    click.echo(summary_table(compare(read_rows(results), read_truths(tracks / TRUTH))))
 
 
 @trajectories.command(epilog="\b\nExample:\n  python -m benchmarks trajectories robots --count 1000 --jobs 2")
@@ -287,4 +230,4 @@ def precision(videos: tuple[Path, ...], work: Path, jobs: int, out: Path | None)
         raise SystemExit(1)
 
 
-COMMANDS = (precision, causes, readings, loss, validity, extractors, generated, baseline, trajectories)
+COMMANDS = (precision, causes, loss, validity, extractors, generated, trajectories)

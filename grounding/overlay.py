@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array, invert, transform_points
-from kinebench_drake.grounding.tracking.crop import GRIPPER_CENTRE_H, GRIPPER_RADIUS_M
+from kinebench_drake.grounding.tracking.view import GRIPPER_CENTRE_H, GRIPPER_RADIUS_M
 from kinebench_drake.io.atomic import atomic_path
 from kinebench_drake.io.frames import Frames
 from kinebench_drake.models.panda.cad import GripperCad, PartCaster, link_meshes, open_fingers, part_meshes
@@ -25,7 +25,8 @@ _ROBOT_COLOURS = ((ARM[:1], (255, 140, 0)), (ARM[1:], (70, 110, 255)), (GRIPPER,
 _AXES = ((235, 60, 60), (60, 200, 60), (70, 110, 255))
 _AXIS_M = 0.05
 _OPACITY = 0.35
-_LEAST_SIDE_PX = 640  # of a picture of the robot
+_LEAST_SIDE_PX = 640
+"""Least side of a picture of the robot [px]."""
 
 
 def _part_map(camera: Camera, X_CH: Array, finger_m: float, cad: GripperCad) -> NDArray[np.uint8]:

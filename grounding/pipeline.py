@@ -24,7 +24,7 @@ from kinebench_drake.grounding.tracking.flange_tracker import FlangeTracker
 from kinebench_drake.grounding.tracking.markov import X_HALF_TURN, resolve_flips, smooth_gripper_width
 from kinebench_drake.grounding.tracking.pose import FramePose
 from kinebench_drake.grounding.tracking.smoothing import RawTrack
-from kinebench_drake.grounding.tracking.tracker import CadTracker, PoseTracker
+from kinebench_drake.grounding.tracking.tracker import CadTracker, PoseTracker, Tracking
 from kinebench_drake.grounding.tracking.view import DenseEstimator, GripperView
 from kinebench_drake.io.frames import Frames
 from kinebench_drake.models.panda.description import GripperKind, hand_from_tcp
@@ -32,6 +32,13 @@ from kinebench_drake.models.perception.network import ARM_WEIGHTS, WEIGHTS, load
 from kinebench_drake.models.robot import N_JOINTS
 from kinebench_drake.segments import evenly
 from kinebench_drake.track import Domain, GripperTrack, InitialState
+
+_FIRST_M = 0.015
+"""Largest deviation of a stated initial state from a confident estimate of the first frame, to be used [m]."""
+_FIRST_RAD = float(np.deg2rad(6.0))
+"""The same of its rotation [rad]."""
+_FOLLOWED_SHARE = 0.5
+"""Least number of frames whose hand and arm agree with a followed camera, over that with a fixed one."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -88,18 +95,6 @@ class PipelineResult:
     def anomalies_not_looked_for(self) -> tuple[AnomalyKind, ...]:
         """Kinds of anomaly that the look of the video excludes."""
         return NOT_LOOKED_FOR[self.domain]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Observation:
-    """Measurements of each frame, before confidence and smoothing along the video."""
-
-    poses: tuple[FramePose | None, ...]
-    """(T,) poses in the camera frame of the first frame; None where no gripper was detected."""
-    evidence: AnomalyEvidence
-    """Input of the anomaly detectors."""
-    wide: tuple[GripperView, ...]
-    """(T,) views of whole images."""
 
 
 class GroundingPipeline:
@@ -162,9 +157,8 @@ class GroundingPipeline:
             priors = replace(priors, initial_state=None)
         if priors.initial_state is not None:
             priors = priors.with_first_pose(_initial_hand_pose(priors.initial_state, camera), len(frames))
-        observation = self.observe(frames, camera, t_s, priors)
-        poses = observation.poses
-        evidence = observation.evidence
+        tracking, evidence = self.observe(frames, camera, t_s, priors)
+        poses = tracking.poses
         motion = evidence.motion
         detections = find_anomalies(evidence)
         no_poses = np.full((len(frames), 4, 4), np.nan)
@@ -197,7 +191,7 @@ class GroundingPipeline:
             camera_path=motion.path,
             camera_motion_px=None if motion.is_unknown else motion.largest_px,
             arm_consistency_px=_arm_consistency_px(poses, tracked),
-            wide=observation.wide,
+            wide=tracking.wide,
             arm_q=np.stack([_arm_posture(pose) for pose in poses]),
             X_CH_raw=invert(motion.X_AC) @ np.stack([no_poses[0] if p is None else p.X_CH for p in poses]),
             curves={**_icp_curves(poses), "repeated": evidence.still.astype(np.float64)},
@@ -212,10 +206,12 @@ class GroundingPipeline:
         distance, angle = pose_difference(
             _initial_hand_pose(state, camera), np.stack([pose.X_CH, pose.X_CH @ X_HALF_TURN])
         )
-        return not bool(((distance <= bounds.FIRST_M) & (angle <= bounds.FIRST_RAD)).any())
+        return not bool(((distance <= _FIRST_M) & (angle <= _FIRST_RAD)).any())
 
-    def observe(self, frames: Frames, camera: Camera, t_s: Array, priors: Priors = NO_PRIORS) -> Observation:
-        """Measure each frame, without confidence and smoothing along the video.
+    def observe(
+        self, frames: Frames, camera: Camera, t_s: Array, priors: Priors = NO_PRIORS
+    ) -> tuple[Tracking, AnomalyEvidence]:
+        """Measure each frame, and gather the evidence for anomalies, without confidence and smoothing along the video.
 
         If the camera moves, it is followed, and frames warped into the orientation of the first camera are measured.
         Arguments are those of `ground`, with the camera at the size of the frames.
@@ -234,11 +230,8 @@ class GroundingPipeline:
         X_AC = motion.X_AS if stabilized else motion.X_AC
         poses = [p and replace(p, X_CH=X @ p.X_CH) for p, X in zip(resolved, X_AC, strict=True)]
         confidence = np.array([frame_confidence(p, tracking.domain, self._confidence) for p in poses])
-        return Observation(
-            poses=tuple(poses),
-            evidence=gather_evidence(frames, camera, t_s, tracking.wide, poses, confidence, motion, tracking.domain),
-            wide=tracking.wide,
-        )
+        evidence = gather_evidence(frames, camera, t_s, tracking.wide, poses, confidence, motion, tracking.domain)
+        return replace(tracking, poses=tuple(poses)), evidence
 
     def _follow(self, frames: Frames, tracks: FeatureTracks, camera: Camera, priors: Priors) -> CameraMotion | None:
         """Return the motion of a camera that clearly moves and can be followed; None otherwise.
@@ -259,7 +252,7 @@ class GroundingPipeline:
         if fixed == 0:
             return motion
         followed = self._arm_tracker.track(steady[chosen], wide, places=places).agreeing
-        return motion if followed >= bounds.MAJORITY * fixed else replace(motion, path=None)
+        return motion if followed >= _FOLLOWED_SHARE * fixed else replace(motion, path=None)
 
     def _measure_motion(
         self,

@@ -1,6 +1,6 @@
 """Grounding of a video, the one way in: choose its camera, track gripper or flange, confirm the camera by the arm."""
 
-from kinebench_drake.camera import CameraSetting, CameraSource, benchmark_camera
+from kinebench_drake.camera import Camera, CameraSource, benchmark_camera
 from kinebench_drake.grounding.camera.choice import CameraChooser, PriorSource
 from kinebench_drake.grounding.camera.evidence import CameraChoice
 from kinebench_drake.grounding.components import GroundingComponents
@@ -15,7 +15,7 @@ class Grounder:
     def __init__(self, parts: GroundingComponents | None = None, table_height_m: float = 0.0) -> None:
         """Ground with `parts`; None: the shipped networks.
 
-        The height of the table top in the robot base frame [m] is `table_height_m` where the camera states none.
+        The height of the table top in the robot base frame [m] is `table_height_m` where none comes with the camera.
         """
         self._parts = parts or GroundingComponents()
         self._table_height_m = table_height_m
@@ -23,10 +23,11 @@ class Grounder:
     def ground(
         self,
         clip: Clip,
-        camera: CameraSetting | None = None,
+        camera: Camera | None = None,
         priors: PriorSource | Priors = NO_PRIORS,
         *,
         source: CameraSource = CameraSource.ARGUMENT,
+        table_height_m: float | None = None,
         gripper: GripperKind = GripperKind.AUTO,
         trusts_camera: bool = False,
     ) -> GroundingResult:
@@ -39,6 +40,7 @@ class Grounder:
             camera: the named camera; None: one known by name if the arm confirms it, else an estimated one, else none.
             priors: quantities that replace estimates, or their source.
             source: source of the named camera.
+            table_height_m: height of the table top in the robot base frame that is stated with it [m]; None: none is.
             gripper: gripper of the robot.
             trusts_camera: True to take the camera, or without one the benchmark's, as exact, and whatever is seen.
 
@@ -47,16 +49,15 @@ class Grounder:
             UnmeasurableError: the shape of the video does not fit the named camera, or no gripper is seen.
             SetupError: weights or libraries are missing.
         """
-        if camera is not None and camera.mirrored:
-            clip = clip.flipped(columns=True)
-        height_m = None if camera is None else camera.table_height_m
-        height_m = self._table_height_m if height_m is None else height_m
-        run = CameraChooser(self._parts, clip, priors, gripper, height_m)
+        run = CameraChooser(self._parts, clip, priors, gripper, self._table_height_m)
         if camera is None and not trusts_camera:
             result = run.ground_unnamed()
         else:
-            chosen = benchmark_camera() if camera is None else camera.camera
-            choice = CameraChoice(camera=chosen, source=CameraSource.BENCHMARK if camera is None else source)
+            choice = CameraChoice(
+                camera=camera or benchmark_camera(),
+                source=CameraSource.BENCHMARK if camera is None else source,
+                table_height_m=table_height_m,
+            )
             result = run.ground_trusted(choice) if trusts_camera else run.ground_named(choice)
         if not trusts_camera:
             result.require_pose()

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from kinebench_drake.anomaly import Anomaly
 from kinebench_drake.camera import Camera
 from kinebench_drake.errors import UnmeasurableError
 from kinebench_drake.grounding import bounds
@@ -17,9 +18,11 @@ from kinebench_drake.track import Domain, GripperTrack
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class GroundingResult(PipelineResult):
-    """Track of a video with the camera behind it; poses in the base frame are NaN where that is unknown."""
+class GroundingResult:
+    """Track of a video with the camera behind it."""
 
+    measured: PipelineResult
+    """Measurements with this camera; their poses in the base frame count only where that is known."""
     frames: Frames
     """(T, h, w, 3) as grounded: without letter-box bars."""
     camera: Camera
@@ -27,25 +30,44 @@ class GroundingResult(PipelineResult):
     framing: Framing
     """How the camera's image lies in the video."""
     choice: CameraChoice
+    table_height_m: float
+    """Height of the table top in the robot base frame [m]: that stated with the camera, else that of the options."""
     possible: tuple[GripperTrack, ...] = ()
     """Tracks with each camera that may be right, where it cannot be seen which one is; else none."""
+
+    @property
+    def track(self) -> GripperTrack:
+        """The track; poses in the base frame are NaN where that is unknown."""
+        track = self.measured.track
+        return track if self.choice.reason is None else replace(track, X_BG=np.full_like(track.X_BG, np.nan))
+
+    @property
+    def anomalies(self) -> tuple[Anomaly, ...]:
+        """Anomalies in the order of their frames."""
+        return self.measured.detections.anomalies
+
+    @property
+    def camera_motion_px(self) -> float | None:
+        """Largest displacement of the background [px]; None if it has too few features."""
+        return self.measured.camera_motion_px
 
     @property
     def robot(self) -> NDArray[np.bool_]:
         """(T, h, w) pixels that show the robot."""
         camera = self.camera.resized(self.frames.shape[2], self.frames.shape[1])
-        return np.stack([view.to_frame(view.part > RobotPart.BACKGROUND, camera) for view in self.wide])
+        return np.stack([view.to_frame(view.part > RobotPart.BACKGROUND, camera) for view in self.measured.wide])
 
     @property
     def unmeasurable(self) -> str | None:
         """Why the track cannot be measured although a gripper is seen; None if it can."""
-        track = self.track
-        tracked = int(self.track.tracked.sum())
+        track = self.measured.track
+        tracked = int(track.tracked.sum())
+        detected = int(self.measured.has_pose.sum())
         if tracked >= bounds.MIN_TRACKED:
             return None
-        subject = "the flange" if self.domain is Domain.ARM else "a gripper"
+        subject = "the flange" if self.measured.domain is Domain.ARM else "a gripper"
         return (
-            f"{subject} is seen in {int(self.has_pose.sum())} of {len(track.t_s)} frames, but trusted in {tracked}, a "
+            f"{subject} is seen in {detected} of {len(track.t_s)} frames, but trusted in {tracked}, a "
             f"path needs {bounds.MIN_TRACKED}: its confidence is {track.confidence.max():.2f} at most{self._doubt}"
         )
 
@@ -59,7 +81,7 @@ class GroundingResult(PipelineResult):
         track = self.track
         if self.unmeasurable is None:
             return track
-        return replace(track, X_CH=np.where(track.tracked[:, None, None], track.X_CH, self.X_CH_raw))
+        return replace(track, X_CH=np.where(track.tracked[:, None, None], track.X_CH, self.measured.X_CH_raw))
 
     def require_pose(self) -> None:
         """Check that a gripper is seen.
@@ -67,10 +89,10 @@ class GroundingResult(PipelineResult):
         Raises:
             UnmeasurableError: it is found in no frame.
         """
-        if self.has_pose.any():
+        if self.measured.has_pose.any():
             return
-        frames = len(self.track.t_s)
-        if self.domain is Domain.ARM:
+        frames = len(self.frames)
+        if self.measured.domain is Domain.ARM:
             raise UnmeasurableError(
                 f"the flange is found in none of {frames} frames: are wrist and forearm in view, and is this the "
                 f"video's camera?{self._doubt}"

@@ -91,8 +91,7 @@ def orthonormalize(R: ArrayLike) -> Array:
 def rotation_exp(w: ArrayLike) -> Array:
     """Return the rotation matrices (..., 3, 3) of rotation vectors `w` (..., 3) [rad]."""
     w = np.asarray(w, dtype=np.float64)
-    R = Rotation.from_rotvec(w.reshape(-1, 3)).as_matrix()
-    return np.asarray(R.reshape(*w.shape[:-1], 3, 3))
+    return np.asarray(Rotation.from_rotvec(w.reshape(-1, 3)).as_matrix().reshape(*w.shape[:-1], 3, 3))
 
 
 def rotation_z(angle_rad: float) -> Array:

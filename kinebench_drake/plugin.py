@@ -1,4 +1,4 @@
-"""Plug-in classes named `module:Class` or `FILE.py:Class` on the command line."""
+"""Code that is loaded by name: the benchmark, and classes named `module:Class` or `FILE.py:Class` by the user."""
 
 import importlib
 import importlib.util
@@ -10,6 +10,8 @@ from types import ModuleType
 
 from kinebench_drake.errors import UsageError
 
+BENCHMARK = "kinebench_drake.suites.entry"
+"""Module of the benchmark (`runs.benchmark`); nothing outside `suites` imports it."""
 _CLASS = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*")
 
 

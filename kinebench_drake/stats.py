@@ -16,8 +16,10 @@ PERCENTILES = (50.0 * (1.0 - CONFIDENCE), 50.0 * (1.0 + CONFIDENCE))
 """Percentiles of a bootstrap distribution at the ends of its interval."""
 RESAMPLES = 2000
 """Resamples of a bootstrap distribution."""
-# Values drawn one by one of more than MANY: no other one differs from the mean by more than 0.18 sqrt(N) deviations.
+MANY = 1000
+"""Number of values up to which a mean is resampled value by value."""
 _EXTREME = 30
+"""Values drawn one by one of more than MANY: no other differs from the mean by more than 0.18 sqrt(N) deviations."""
 # Numbers drawn at a time: all at once would take 1 GB for 20,000 samples.
 _AT_ONCE = 2_000_000
 
@@ -48,7 +50,7 @@ def bootstrap_mean(values: Array, rng: np.random.Generator) -> tuple[float, floa
     """
     from scipy.stats import bootstrap
 
-    if len(values) > 1000:  # values up to which a mean is resampled value by value
+    if len(values) > MANY:
         return percentile_interval(_means_of_many(values, rng))
 
     result = bootstrap(

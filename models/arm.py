@@ -14,13 +14,21 @@ from kinebench_drake.errors import InputError, SetupError, UsageError, suggestio
 from kinebench_drake.geometry import Array
 from kinebench_drake.io.files import absence, cache_folder
 from kinebench_drake.models.joint_limits import LimitTable, read_limit_table, read_limits, write_limits
-from kinebench_drake.models.link_tree import LinkTree, end_link
 from kinebench_drake.models.obstacles import PREFIX, read_obstacles
-from kinebench_drake.models.panda.description import ARM_JOINTS, FLANGE_LINK, PANDA_LIMITS, TCP_LINK, source_urdf
+from kinebench_drake.models.panda.description import (
+    ARM_JOINTS,
+    FLANGE_LINK,
+    FR3_LIMITS,
+    PANDA_LIMITS,
+    REMARK,
+    TCP_LINK,
+    add_inertial,
+    make_fr3,
+    source_urdf,
+)
 from kinebench_drake.models.panda.description import rest_q as panda_rest_q
-from kinebench_drake.models.panda.fr3 import FR3_LIMITS, REMARK, add_inertial, make_fr3
 from kinebench_drake.models.robot import Robot
-from kinebench_drake.models.urdf import convert_urdf, read_allowed_pairs, read_urdf, srdf_path
+from kinebench_drake.models.urdf import LinkTree, convert_urdf, end_link, read_allowed_pairs, read_urdf, srdf_path
 
 PANDA = "panda"
 FR3 = "fr3"
@@ -173,8 +181,7 @@ def _add_payload(root: ElementTree.Element, tcp: str, payload_kg: float) -> None
     if not 0.0 <= payload_kg <= MAX_PAYLOAD_KG:
         raise UsageError(f"$payload_kg is {payload_kg}, expected kilograms from 0 to {MAX_PAYLOAD_KG:g}")
     if payload_kg:
-        link = _add_link(root, _PAYLOAD_LINK, tcp, "0 0 0", "0 0 0")
-        add_inertial(link, repr(payload_kg), *["0"] * 9)
+        add_inertial(_add_link(root, _PAYLOAD_LINK, tcp, "0 0 0", "0 0 0"), repr(payload_kg), *["0"] * 9)
 
 
 def _add_link(root: ElementTree.Element, name: str, parent: str, xyz: str, rpy: str) -> ElementTree.Element:

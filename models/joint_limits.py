@@ -13,6 +13,8 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from kinebench_drake.errors import InputError, UsageError, cause, suggestion
 from kinebench_drake.geometry import Array
 
+LEAST_SPEED = 1e-6
+"""Lower bound of a speed limit that depends on the position, so that ratios to it are finite [rad/s]."""
 _Seven = tuple[float, float, float, float, float, float, float]
 
 
@@ -82,8 +84,7 @@ class JointLimits:
             return np.broadcast_to(self.velocity, np.shape(v))
         room = np.where(v >= 0.0, self.upper - q, q - self.lower)
         stopping = np.sqrt(2.0 * self.deceleration * np.maximum(room, 0.0)) - self.velocity_offset
-        # 1e-6: lower bound of a position-dependent speed limit, so that ratios to it are finite [rad/s]
-        return np.asarray(np.clip(stopping, 1e-6, self.velocity))
+        return np.asarray(np.clip(stopping, LEAST_SPEED, self.velocity))
 
     @property
     def unstated(self) -> tuple[str, ...]:

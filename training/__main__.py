@@ -153,72 +153,26 @@ def render(out: Path, videos: int) -> None:
     render_videos(out, range(videos), click.echo)
 
 
-@main.group(epilog="\b\nExample:\n  python -m training baseline train --data demos/ --out baseline/")
-def baseline() -> None:
-    """Train and measure the baseline: a network that maps pixels directly to poses.
+@main.command(epilog="\b\nExample:\n  python -m training baseline --out baseline --jobs 2")
+@click.option("--out", type=FOLDER, required=True, help="Folder of demonstrations, checkpoints and weights.")
+@click.option("--episodes", type=COUNT, default=100, show_default=True, help="Demonstrations of each training task.")
+@click.option("--steps", type=COUNT, default=6000, show_default=True, help="Training steps.")
+@click.option("--size", type=COUNT, default=224, show_default=True, help="Width of the frames, a multiple of 32 [px].")
+@jobs_option
+def baseline(out: Path, episodes: int, steps: int, size: int, jobs: int) -> None:
+    """Train the inverse-dynamics baseline on demonstrations of each training task of suite 1, made first.
 
-    It represents the inverse-dynamics networks of other benchmarks, for comparison only.
+    It represents the networks of other benchmarks that map pixels directly to poses, for comparison only. Both the
+    demonstrations and the training continue where an interrupted run stopped.
     """
-
-
-@baseline.command(
-    "train",
-    epilog="\b\nExamples:\n"
-    "  kinebench-drake suite demos --suite 1 --split train --episodes 100 --size 256 --out demos/ --jobs 2\n"
-    "  python -m training baseline train --data demos/ --out baseline/",
-)
-@click.option(
-    "--data", type=EXISTING_FOLDER, required=True,
-    help="Folder of demonstrations, as `suite demos --format mp4` writes them.",
-)  # fmt: skip
-@click.option(
-    "--out", type=FOLDER, required=True,
-    help="Folder for decoded frames, checkpoints and weights; an interrupted run resumes from it.",
-)  # fmt: skip
-@click.option("--steps", type=COUNT, default=2400, show_default=True, help="Training steps.")
-@click.option(
-    "--batch-size", type=click.IntRange(2), default=8, show_default=True, help="Windows of 5 frames per step."
-)
-@click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Seed of windows and weights.")
-def train_baseline(data: Path, out: Path, steps: int, batch_size: int, seed: int) -> None:
-    """Train the baseline on demonstrations of one camera, on the GPU when there is one."""
-    from training.baseline.fitting import SCHEDULE, BaselineConfig
+    from kinebench_drake.cli.progress import ProgressView
+    from training.baseline.fitting import SCHEDULE, BaselineConfig, make_demonstrations
     from training.baseline.fitting import train as run
 
-    schedule = replace(SCHEDULE, steps=steps, batch_size=batch_size, seed=seed)
-    weights = run(BaselineConfig(data=data, out=out, schedule=schedule), click.echo)
-    click.echo(f"weights: {weights}; next: python -m training baseline evaluate FOLDER --weights {weights}")
-
-
-@baseline.command(
-    "evaluate",
-    epilog="\b\nExamples:\n"
-    "  kinebench-drake suite demos --suite 1 --split seen --episodes 5 --out seen/\n"
-    "  kinebench-drake suite demos --suite 1 --split unseen --episodes 5 --out unseen/\n"
-    "  python -m training baseline evaluate seen/ unseen/ --weights baseline/baseline.safetensors\n",
-)
-@click.argument("folders", metavar="FOLDER...", nargs=-1, required=True, type=EXISTING_FOLDER)
-@click.option("--weights", type=FILE, required=True, help="Weights of the baseline.")
-@click.option("--grounding-weights", type=FILE, help="Weights of the grounding.  [default: those shipped]")
-@click.option("--limit", type=COUNT, default=None, help="Number of videos of each task.")
-@click.option(
-    "--out", type=FOLDER, default=Path("baseline-comparison"), show_default=True,
-    help="Folder for the table (txt, json) and the figure (png).",
-)  # fmt: skip
-def evaluate_baseline(
-    folders: tuple[Path, ...], weights: Path, grounding_weights: Path | None, limit: int | None, out: Path
-) -> None:
-    """Measure the errors of baseline and grounding against ground truth on the same videos.
-
-    A FOLDER is the output of `suite demos --format mp4`. Tasks that the baseline was trained on and unseen tasks are
-    listed separately. Errors are those of panda_hand_tcp in the base frame: in all frames for the baseline, in tracked
-    frames for the grounding, with 95 % bootstrap intervals over videos.
-    """
-    from training.baseline.report import comparison_lines
-
-    for line in comparison_lines(folders, weights, grounding_weights, limit, out):
-        click.echo(line)
-    click.echo(out)
+    with ProgressView("demonstrations") as view:
+        data = make_demonstrations(out / "demonstrations", episodes, jobs, view)
+    schedule = replace(SCHEDULE, steps=steps)
+    click.echo(run(BaselineConfig(data=data, out=out, schedule=schedule, size=size), click.echo))
 
 
 if __name__ == "__main__":

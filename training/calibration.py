@@ -21,7 +21,8 @@ from kinebench_drake.errors import UsageError
 from kinebench_drake.executors.base import Executor, Observer
 from kinebench_drake.geometry import Array, pose_difference
 from kinebench_drake.grounding import bounds
-from kinebench_drake.grounding.pipeline import GroundingPipeline, Observation
+from kinebench_drake.grounding.anomaly.detect import AnomalyEvidence
+from kinebench_drake.grounding.pipeline import GroundingPipeline
 from kinebench_drake.grounding.tracking.confidence import (
     FRAME_FEATURES,
     Confidence,
@@ -30,6 +31,7 @@ from kinebench_drake.grounding.tracking.confidence import (
     load_confidence,
 )
 from kinebench_drake.grounding.tracking.smoothing import RawTrack
+from kinebench_drake.grounding.tracking.tracker import Tracking
 from kinebench_drake.io.frames import Frames
 from kinebench_drake.io.reader import read_video
 from kinebench_drake.models.panda.cad import GripperCad
@@ -83,16 +85,15 @@ class MeasuredPoses:
     """(T, 4, 4) true poses; NaN without a gripper."""
 
     @classmethod
-    def from_observation(cls, observation: Observation, X_true: Array) -> "MeasuredPoses":
+    def from_tracking(cls, tracking: Tracking, evidence: AnomalyEvidence, X_true: Array) -> "MeasuredPoses":
         """Collect what the confidence is fitted to."""
-        poses = observation.poses
         n = len(X_true)
-        domain = observation.evidence.domain
+        domain = tracking.domain
         features = np.full((n, len(FRAME_FEATURES[domain])), np.nan)
         X_AH = np.full((n, 4, 4), np.nan)
         covariance = np.zeros((n, 6, 6))
-        for i, pose in enumerate(poses):
-            if pose is not None and not observation.evidence.motion.lost[i]:
+        for i, pose in enumerate(tracking.poses):
+            if pose is not None and not evidence.motion.lost[i]:
                 features[i] = frame_features(pose, domain)
                 X_AH[i] = pose.X_CH
                 covariance[i] = pose.covariance
@@ -172,7 +173,7 @@ class CalibrationWorker:
             camera = wrong_camera(camera, [0, item.number])
         absent = item.degradation is VideoDegradation.ABSENT
         X_true = np.full_like(clip.X_CH, np.nan) if absent else clip.X_CH
-        return MeasuredPoses.from_observation(self._pipeline.observe(video, camera, clip.t_s), X_true)
+        return MeasuredPoses.from_tracking(*self._pipeline.observe(video, camera, clip.t_s), X_true)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -13,7 +13,7 @@ from torch.utils.data import Dataset, Sampler
 from kinebench_drake.camera import Camera
 from kinebench_drake.errors import UsageError
 from kinebench_drake.geometry import Array, invert, make_pose, transform_points
-from kinebench_drake.grounding.tracking.crop import (
+from kinebench_drake.grounding.tracking.view import (
     CLOSE_SIZE,
     GRIPPER_CENTRE_H,
     GRIPPER_RADIUS_M,

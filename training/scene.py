@@ -7,7 +7,7 @@ import numpy as np
 from kinebench_drake.camera import Camera
 from kinebench_drake.environment import native
 from kinebench_drake.geometry import Array, invert, make_pose, orthonormalize, transform_points
-from kinebench_drake.grounding.tracking.crop import GRIPPER_CENTRE_H
+from kinebench_drake.grounding.tracking.view import GRIPPER_CENTRE_H
 from kinebench_drake.models.panda.description import GRIPPER, LINK_OF, RobotPart, source_urdf
 from training.clutter import Clutter
 from training.frame import RENDERED_DEPTH_BIAS_M, RenderedFrame, label_parts, varied_camera

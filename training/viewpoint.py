@@ -6,7 +6,7 @@ import numpy as np
 
 from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array, make_pose
-from kinebench_drake.grounding.tracking.crop import GRIPPER_RADIUS_M, Crop
+from kinebench_drake.grounding.tracking.view import GRIPPER_RADIUS_M, Crop
 
 _DISTANCE_M = (0.4, 2.5)
 _FOV_RAD = np.deg2rad((20.0, 100.0))

@@ -41,7 +41,7 @@ from pydrake.systems.sensors import CameraInfo
 
 from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array, make_pose, rotation_exp, transform_points
-from kinebench_drake.grounding.tracking.crop import GRIPPER_CENTRE_H
+from kinebench_drake.grounding.tracking.view import GRIPPER_CENTRE_H
 from kinebench_drake.io.frames import Frames
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.models.arm import panda

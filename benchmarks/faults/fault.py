@@ -90,6 +90,12 @@ GRADES: dict[AnomalyKind, FaultGrades] = {
 """Grades of each kind. The gripper is about 0.2 m wide; its fingers open by up to 0.08 m."""
 
 
+def unit_of(kind: AnomalyKind) -> str:
+    """Return the unit in which sizes of a kind are shown."""
+    unit = GRADES[kind].unit
+    return {"f": "frames", "pc": "%"}.get(unit, unit)
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FaultGrade:
     """Kind, size and form of a fault."""

@@ -20,7 +20,7 @@ from kinebench_drake.formats.camerafile import load_camera
 from kinebench_drake.formats.manifest import NAME, entry_camera, read_manifest
 from kinebench_drake.geometry import Array, invert
 from kinebench_drake.grounding.overrides.files import true_depth, true_mask
-from kinebench_drake.grounding.tracking.crop import Crop
+from kinebench_drake.grounding.tracking.view import Crop
 from kinebench_drake.io.npz import open_npz
 from kinebench_drake.models.panda.cad import GripperCad
 from kinebench_drake.models.panda.description import hand_from_tcp

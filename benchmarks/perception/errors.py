@@ -1,10 +1,9 @@
 """Frame-by-frame errors of the grounding of one clip against its ground truth."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 
 from benchmarks.perception.clip import TruthClip
 from benchmarks.perception.store import Confidences, Flags, Milli, Stored
@@ -13,19 +12,6 @@ from kinebench_drake.geometry import Array, pose_difference
 from kinebench_drake.grounding.pipeline import PipelineResult
 from kinebench_drake.segments import segments
 from kinebench_drake.track import GripperTrack
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Expense:
-    """Time and memory that the grounding of one clip took."""
-
-    wall_s: Milli
-    """Wall time, decoding included [s]."""
-    cpu_s: Milli
-    """Processor time of all threads [s]: more reliable than wall time on a busy machine."""
-    peak_mb: Milli
-    """Peak resident memory of the process so far [MiB]."""
-
 
 _Micro = Annotated[Array, Stored(".6f")]
 FLIP_RAD = np.pi / 2
@@ -61,7 +47,8 @@ class ClipErrors:
     """Anomalies that the grounding reports."""
     planted: tuple[Anomaly, ...]
     """Anomalies of the ground truth."""
-    expense: Expense
+    cpu_s: Milli
+    """Processor time of all threads [s]."""
 
     @property
     def finger_m(self) -> Array:
@@ -85,46 +72,39 @@ class ClipErrors:
         return max(self.flips, default=0)
 
 
-def compare(clip: TruthClip, grounding: PipelineResult, expense: Expense, share: Array | None = None) -> ClipErrors:
+def compare(clip: TruthClip, grounding: PipelineResult, cpu_s: float, share: Array | None = None) -> ClipErrors:
     """Return the errors of a grounding; `share` (T,) is the share of the gripper that each frame shows.
 
     Frames whose pose was an input are not an achievement of the grounding: they count as frames without a gripper.
     """
-    return compare_track(clip, grounding.track, expense, share, grounding.from_prior, grounding.anomalies)
+    errors = compare_track(clip, grounding.track, cpu_s, share)
+    own = ~grounding.from_prior
+    return replace(
+        errors,
+        position_m=np.where(own, errors.position_m, np.nan),
+        rotation_rad=np.where(own, errors.rotation_rad, np.nan),
+        tracked=errors.tracked & own,
+        visible=errors.visible & own,
+        share=np.where(own, errors.share, np.nan),
+        detected=grounding.anomalies,
+    )
 
 
-def compare_track(
-    clip: TruthClip,
-    track: GripperTrack,
-    expense: Expense,
-    share: Array | None = None,
-    from_prior: NDArray[np.bool_] | None = None,
-    anomalies: tuple[Anomaly, ...] = (),
-) -> ClipErrors:
-    """Return the errors of a track of any method.
-
-    Args:
-        clip: ground truth.
-        track: poses and gaps of the clip's frames.
-        expense: time and memory that they took.
-        share: (T,) share of the gripper that each frame shows; None if not measured.
-        from_prior: (T,) frames whose pose was an input; None for none.
-        anomalies: anomalies that the method reports.
-    """
-    overridden = np.zeros(len(track.tracked), dtype=bool) if from_prior is None else from_prior
+def compare_track(clip: TruthClip, track: GripperTrack, cpu_s: float, share: Array | None = None) -> ClipErrors:
+    """Return the errors of a track of any method; the other arguments are those of `compare`."""
     position, rotation = pose_difference(clip.X_CH, track.X_CH)
     return ClipErrors(
         id=clip.id,
         task=clip.task,
-        position_m=np.where(overridden, np.nan, position),
-        rotation_rad=np.where(overridden, np.nan, rotation),
+        position_m=position,
+        rotation_rad=rotation,
         width_m=track.finger_width_m,
         true_width_m=clip.finger_width_m,
-        tracked=track.tracked & ~overridden,
+        tracked=track.tracked,
         confidence=track.confidence,
-        visible=np.asarray(np.isfinite(clip.X_CH).all(axis=(1, 2)) & ~overridden),
-        share=np.full(len(clip.t_s), np.nan) if share is None else np.where(overridden, np.nan, share),
-        detected=anomalies,
+        visible=np.asarray(np.isfinite(clip.X_CH).all(axis=(1, 2))),
+        share=np.full(len(clip.t_s), np.nan) if share is None else share,
+        detected=(),
         planted=clip.faults,
-        expense=expense,
+        cpu_s=cpu_s,
     )

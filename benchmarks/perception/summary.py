@@ -5,17 +5,17 @@ of frames of one clip are correlated (Efron 1979; Field and Welsh 2007, the clus
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.bootstrap import cluster_bootstrap
 from benchmarks.perception.errors import LASTING_FRAMES, ClipErrors
 from kinebench_drake.anomaly import Anomaly, AnomalyKind
 from kinebench_drake.geometry import Array
 from kinebench_drake.grounding import bounds
-from kinebench_drake.stats import IntervalEstimate, percentile_interval, resampled_indices, wilson
+from kinebench_drake.stats import IntervalEstimate, wilson
 
 OFF_M = 0.03
 """Position error beyond which a tracked frame is a false track [m]."""
@@ -23,7 +23,6 @@ VISIBLE_SHARE = 0.3
 """Visible share of the gripper from which a frame is expected to be tracked."""
 CLIP_FRAMES = 49
 """Frames that times are scaled to."""
-RESAMPLES = 400
 MARGIN_M = 0.008
 """Distance from the open/closed threshold within which true gaps are not evaluated [m]."""
 HALFWAY_M = 0.04
@@ -33,29 +32,6 @@ BINS = 10
 
 Results = Sequence[ClipErrors]
 Statistic = Callable[[Results], float]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class VanishLatency:
-    """Latency of the track at a range of frames without a gripper."""
-
-    loss: int
-    """Frames still tracked, from the first one without a gripper; all of them if the loss is not detected."""
-    recovery: int | None
-    """Frames not tracked, from the first one with the gripper back; None if the clip ends before."""
-    false_frames: int
-    """Frames tracked although there is no gripper."""
-
-
-def latency(tracked: NDArray[np.bool_], start: int, end: int) -> VanishLatency:
-    """Return the latency of a track (T,) for a gripper that is absent from frame `start` to `end`, inclusive."""
-    absent = tracked[start : end + 1]
-    after = tracked[end + 1 :]
-    return VanishLatency(
-        loss=len(absent) if absent.all() else int(np.argmin(absent)),
-        recovery=int(np.argmax(after)) if after.any() else (len(after) if len(after) else None),
-        false_frames=int(absent.sum()),
-    )
 
 
 def open_threshold(true_width_m: Array) -> float:
@@ -90,10 +66,6 @@ class ReliabilityBin:
     """Lower end of the share's 95 % interval (Wilson 1927), frames taken as independent."""
     good_high: float
     """Upper end of the same interval."""
-
-    def to_json(self) -> dict[str, Any]:
-        """Return the JSON object."""
-        return {name: round(value, 5) for name, value in asdict(self).items()}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -213,39 +185,22 @@ def intervals(
 
     The interval is NaN for fewer than two clips.
     """
-    rng = np.random.default_rng(seed)
-    parts = resampled_indices(len(results), rng, RESAMPLES if len(results) > 1 else 0)
-    samples = [[results[i] for i in drawn] for part in parts for drawn in part]
-    table = {}
-    for name, statistic in statistics.items():
-        low, high = percentile_interval([statistic(sample) for sample in samples])
-        table[name] = IntervalEstimate(value=statistic(results), low=low, high=high)
-    return table
+    return {name: cluster_bootstrap(results, statistic, seed) for name, statistic in statistics.items()}
 
 
 def summarize(results: Results) -> dict[str, float]:
     """Return all figures of a set of clips, NaN where there is nothing to measure."""
     planted = [(e, fault) for e in results for fault in e.planted]
-    latencies = [latency(e.tracked, f.frame_start, f.frame_end) for e, f in planted if f.kind is AnomalyKind.VANISH]
     tracked = [e.tracked_fraction for e in results if e.visible.any()]
-    wall = [e.expense.wall_s * CLIP_FRAMES / len(e.tracked) for e in results]
-    cpu = [e.expense.cpu_s * CLIP_FRAMES / len(e.tracked) for e in results]
-    nan = float("nan")
     return {
         "videos": len(results),
         **{name: statistic(results) for name, statistic in {**ACCURACY, **MORE}.items()},
-        "tracked_fraction_worst": min(tracked, default=nan),
+        "tracked_fraction_worst": min(tracked, default=float("nan")),
         "longest_flip_frames": max((e.longest_flip for e in results), default=0),
-        "vanish_loss_max_frames": max((v.loss for v in latencies), default=nan),
-        "vanish_recovery_max_frames": max((v.recovery for v in latencies if v.recovery is not None), default=nan),
-        "vanish_phantom_frames": sum(v.false_frames for v in latencies) if latencies else nan,
         "faults_planted": len(planted),
         "faults_found": sum(any(matches(fault, a) for a in e.detected) for e, fault in planted),
         "anomalies_not_planted": sum(not any(matches(f, a) for f in e.planted) for e in results for a in e.detected),
-        "wall_median_s": float(np.median(wall)),
-        "wall_max_s": max(wall),
-        "cpu_median_s": float(np.median(cpu)),
-        "peak_memory_mb": max(e.expense.peak_mb for e in results),
+        "cpu_median_s": float(np.median([e.cpu_s * CLIP_FRAMES / len(e.tracked) for e in results])),
     }
 
 

@@ -1,7 +1,6 @@
-"""Measurements as tables of text and as JSON."""
+"""Measurements as tables of text."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any
 
 import numpy as np
 
@@ -14,8 +13,6 @@ from benchmarks.perception.summary import (
     Results,
     intervals,
     percentile,
-    pooled_errors,
-    reliability,
     summarize,
 )
 from kinebench_drake.anomaly import Anomaly
@@ -30,8 +27,6 @@ COMPARED = {
     "tracked_frames_off_by_3_cm": "off by > 3 cm",
 }
 """Columns of comparisons and their headings; tracked: of the frames that show at least 30 % of the gripper."""
-PERCENTILES = (5, 25, 50, 75, 95)
-"""Percentiles of errors in files."""
 _SHARES = frozenset({"tracked_fraction", "tracked_when_seen", "tracked_frames_off_by_3_cm"})
 
 
@@ -42,7 +37,7 @@ def video_line(e: ClipErrors) -> str:
         f"{e.id:34s} tracked {e.tracked_fraction:.3f}",
         f"mm {percentile(position, 50):5.2f} {percentile(position, 95):6.2f}",
         f"deg {percentile(rotation, 50):5.2f} {percentile(rotation, 95):6.2f}",
-        f"flip {e.longest_flip}  {e.expense.wall_s:4.1f} s",
+        f"flip {e.longest_flip}  {e.cpu_s:4.1f} s",
         f"planted {_ranges(e.planted)}; found {_ranges(e.detected)}",
     )
     return "  ".join(parts)
@@ -60,8 +55,8 @@ def by_task(results: Results) -> dict[str, list[ClipErrors]]:
     return dict(sorted(groups.items()))
 
 
-def task_table(results: Results) -> Iterator[str]:
-    """Yield one line per task."""
+def task_table(results: Results) -> list[str]:
+    """Return one line per task."""
     columns = {
         "videos": "videos",
         "tracked_fraction": "tracked",
@@ -75,7 +70,7 @@ def task_table(results: Results) -> Iterator[str]:
     for task, group in by_task(results).items():
         figures = summarize(group)
         rows.append([task, *(_number(name, figures[name]) for name in columns)])
-    yield from table(["task", *columns.values()], rows)
+    return table(["task", *columns.values()], rows)
 
 
 def pooled_lines(results: Results, seed: int) -> Iterator[str]:
@@ -104,18 +99,10 @@ def compared(results: Mapping[str, Results], seed: int) -> dict[str, dict[str, I
     return {name: intervals(group, chosen, seed) for name, group in results.items()}
 
 
-def comparison_table(figures: Mapping[str, Mapping[str, IntervalEstimate]], marks: Sequence[str] = ()) -> Iterator[str]:
-    """Yield one line per condition, figures with their intervals.
-
-    Args:
-        figures: by condition name, see `compared`.
-        marks: names of the conditions marked with a star.
-    """
-    rows = [
-        [name + (" *" if name in marks else ""), *(_with_interval(column, row[column]) for column in COMPARED)]
-        for name, row in figures.items()
-    ]
-    yield from table(["", *COMPARED.values()], rows)
+def comparison_table(figures: Mapping[str, Mapping[str, IntervalEstimate]]) -> list[str]:
+    """Return one line per condition, its figures (see `compared`) with their intervals."""
+    rows = [[name, *(_with_interval(column, row[column]) for column in COMPARED)] for name, row in figures.items()]
+    return table(["", *COMPARED.values()], rows)
 
 
 def _with_interval(name: str, figure: IntervalEstimate) -> str:
@@ -131,34 +118,3 @@ def _number(name: str, value: float) -> str:
     if name in ("videos", "lasting_flips"):
         return f"{value:.0f}"
     return f"{value:.3f}" if name in _SHARES or name == "open_or_closed_right" else f"{value:.2f}"
-
-
-def evaluation_json(results: Results, seed: int) -> dict[str, Any]:
-    """Return the figures of all clips, of each task and of each clip, as a JSON object."""
-    return {
-        "summary": plain(summarize(results)),
-        "intervals": intervals_json(intervals(results, {**ACCURACY, **MORE}, seed)),
-        "tasks": {task: plain(summarize(group)) for task, group in by_task(results).items()},
-        "reliability": [b.to_json() for b in reliability(results).bins],
-        "videos": {e.id: plain(summarize([e])) for e in results},
-    }
-
-
-def distribution_json(results: Results) -> dict[str, Any]:
-    """Return percentiles of the errors over the tracked frames with a gripper, and the number of these frames."""
-    position, rotation = pooled_errors(results)
-    quantiles = {
-        name: [float(v) for v in np.percentile(values, PERCENTILES).round(4)] if values.size else None
-        for name, values in (("position_mm", position), ("rotation_deg", rotation))
-    }
-    return {"frames": len(position), "percentiles": list(PERCENTILES), **quantiles}
-
-
-def intervals_json(figures: Mapping[str, IntervalEstimate]) -> dict[str, Any]:
-    """Return figures with their intervals as a JSON object."""
-    return {name: plain({"value": i.value, "low": i.low, "high": i.high}) for name, i in figures.items()}
-
-
-def plain(figures: Mapping[str, float]) -> dict[str, float | None]:
-    """Return the figures with None in place of NaN."""
-    return {name: float(value) if np.isfinite(value) else None for name, value in figures.items()}

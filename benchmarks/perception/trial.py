@@ -1,34 +1,24 @@
 """Trials: clips under conditions, measured by worker processes."""
 
-import resource
-import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.perception.clip import TruthClip, TruthClipFile
-from benchmarks.perception.errors import ClipErrors, Expense, compare, compare_track
+from benchmarks.perception.errors import ClipErrors, compare, compare_track
 from benchmarks.perception.perturbation.catalogue import Perturbation, perturb
-from benchmarks.perception.reframing import Reframing, reframe
 from benchmarks.perception.store import fingerprint
-from benchmarks.perception.variants import (
-    VARIANTS,
-    Degradation,
-    Ground,
-    VariantTools,
-    degraded,
-    external,
-)
-from kinebench_drake.geometry import Array, invert
-from kinebench_drake.grounding.overrides.depth import DepthPlugIn
+from benchmarks.perception.variants import VARIANTS, PipelineVariant
+from kinebench_drake.geometry import Array
+from kinebench_drake.grounding.pipeline import GroundingPipeline
 from kinebench_drake.io.frames import Frames
 from kinebench_drake.io.reader import read_video
-from kinebench_drake.models.panda.description import hand_from_tcp
-from kinebench_drake.track import GripperTrack
+from kinebench_drake.models.panda.cad import GripperCad
 from training.baseline.network import Baseline
 
 
@@ -42,24 +32,14 @@ class TrialCondition:
     """Key of `VARIANTS`."""
     perturbation: Perturbation | None = None
     """Perturbation of the frames."""
-    degradation: Degradation | None = None
-    """Degradation of the estimated depth."""
-    plug_in: DepthPlugIn | None = None
-    """Another depth estimator."""
-    reframing: Reframing | None = None
-    """Size and shape of the frames."""
     baseline: Path | None = None
     """Weights of the learned baseline, measured in place of the grounding."""
-    group: str = ""
-    """Conditions of one group have one colour in figures."""
 
     def identity(self) -> str:
-        """Return a text that is equal for equal conditions; plug-ins and weights count with their files, not paths."""
-        if self.baseline is not None:
-            return repr(replace(self, baseline=Path(fingerprint(files=[self.baseline]))))
-        if self.plug_in is None:
+        """Return a text that is equal for equal conditions; weights count with their content, not their path."""
+        if self.baseline is None:
             return repr(self)
-        return repr(replace(self, plug_in=DepthPlugIn(f"{self.name} {fingerprint(files=self.plug_in.files)}")))
+        return repr(replace(self, baseline=Path(fingerprint(files=[self.baseline]))))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -70,9 +50,30 @@ class GroundingTrial:
     condition: TrialCondition
 
 
-_RSS_UNIT_MB = 2**20 if sys.platform == "darwin" else 2**10  # of ru_maxrss in a megabyte
-LoadedClip = tuple[TruthClip, Frames, NDArray[np.bool_], Array]
-"""Clip with its frames, gripper masks, and the share (T,) of the gripper's silhouette that each frame shows."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LoadedClip:
+    """Clip with its frames and what they show of the gripper."""
+
+    truth: TruthClip
+    frames: Frames
+    masks: NDArray[np.bool_]
+    """(T, H, W) pixels of the gripper."""
+    share: Array
+    """(T,) share of the gripper's silhouette that each frame shows."""
+
+    @classmethod
+    def read(cls, file: TruthClipFile, cad: GripperCad, *, with_depth: bool) -> "LoadedClip":
+        """Read a clip; depth maps only if `with_depth`."""
+        truth = file.load(with_depth=with_depth)
+        masks = truth.masks(cad)
+        frames = read_video(truth.path).frames
+        return cls(truth=truth, frames=frames, masks=masks, share=truth.visible_share(masks, cad))
+
+    def perturbed(self, perturbation: Perturbation, seed: int) -> "LoadedClip":
+        """Return the clip with perturbed frames."""
+        frames, visible = perturb(perturbation, self.frames, self.masks, seed, self.truth.id)
+        left = visible.sum(axis=(1, 2)) / np.maximum(self.masks.sum(axis=(1, 2)), 1)
+        return replace(self, frames=frames, share=np.asarray(self.share * left))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -82,7 +83,7 @@ class TrialWorkerFactory:
     weights: Path | None = None
     """Weights in place of those shipped."""
     seed: int = 0
-    """Seed of perturbations and degradations."""
+    """Seed of perturbations."""
     with_depth: bool = False
     """True if some condition needs the true depth."""
 
@@ -92,75 +93,43 @@ class TrialWorkerFactory:
         Raises:
             SetupError: weights, CAD model or native libraries are missing.
         """
-        tools = VariantTools.load(self.weights)
+        pipeline = GroundingPipeline.create(weights=self.weights)
+        cad = GripperCad()
         loaded: dict[str, LoadedClip] = {}  # one clip, which consecutive trials share
-        baselines: dict[Path, Baseline] = {}
+        load_baseline = cache(Baseline.load)
 
         def measure(trial: GroundingTrial) -> ClipErrors:
             if trial.clip.id not in loaded:
                 loaded.clear()
-                clip = trial.clip.load(with_depth=self.with_depth)
-                masks = clip.masks(tools.cad)
-                share = clip.visible_share(masks, tools.cad)
-                loaded[trial.clip.id] = clip, read_video(clip.path).frames, masks, share
-            (clip, original, masks, share) = loaded[trial.clip.id]
+                loaded[trial.clip.id] = LoadedClip.read(trial.clip, cad, with_depth=self.with_depth)
+            clip = loaded[trial.clip.id]
             condition = trial.condition
-            frames = None
-            if condition.reframing is not None:
-                clip, frames, shown = reframe(condition.reframing, clip, original, masks)
-                share = np.asarray(share * shown)
-            elif condition.perturbation is not None:
-                frames, visible = perturb(condition.perturbation, original, masks, self.seed, clip.id)
-                share = np.asarray(share * (visible.sum(axis=(1, 2)) / np.maximum(masks.sum(axis=(1, 2)), 1)))
-            if (weights := condition.baseline) is not None:
-                if weights not in baselines:
-                    baselines[weights] = Baseline.load(weights)
-                return evaluate_baseline(clip, baselines[weights], original if frames is None else frames, share)
-            return evaluate(clip, self._pipeline(condition), tools, frames=frames, share=share)
+            if condition.perturbation is not None:
+                clip = clip.perturbed(condition.perturbation, self.seed)
+            if condition.baseline is not None:
+                return evaluate_baseline(clip.truth, load_baseline(condition.baseline), clip.frames, clip.share)
+            variant = VARIANTS[condition.variant]
+            return evaluate(clip.truth, variant, pipeline, frames=clip.frames, share=clip.share)
 
         return measure
-
-    def _pipeline(self, condition: TrialCondition) -> Ground:
-        if condition.plug_in is not None:
-            return external(condition.plug_in)
-        if condition.degradation is not None:
-            return degraded(condition.degradation, self.seed)
-        return VARIANTS[condition.variant].ground
 
 
 def evaluate(
     clip: TruthClip,
-    ground: Ground,
-    tools: VariantTools,
+    variant: PipelineVariant,
+    pipeline: GroundingPipeline,
     *,
     frames: Frames | None = None,
     share: Array | None = None,
 ) -> ClipErrors:
-    """Ground a clip and return its errors; decoding counts as expense unless `frames` are passed."""
-    start = time.perf_counter(), time.process_time()
-    grounding = ground(tools, clip, read_video(clip.path).frames if frames is None else frames)
-    return compare(clip, grounding, _expense_since(*start), share)
+    """Ground a clip, or other `frames` of it, and return its errors."""
+    start = time.process_time()
+    grounding = variant.ground(pipeline, clip, read_video(clip.path).frames if frames is None else frames)
+    return compare(clip, grounding, time.process_time() - start, share)
 
 
 def evaluate_baseline(clip: TruthClip, baseline: Baseline, frames: Frames, share: Array) -> ClipErrors:
     """Return the errors of the learned baseline, which has a pose in every frame."""
-    start = time.perf_counter(), time.process_time()
-    X_BG, finger_width_m = baseline.predict(frames)
-    every = np.ones(len(frames), dtype=bool)
-    track = GripperTrack(
-        t_s=clip.t_s,
-        X_CH=invert(clip.camera.X_BC) @ X_BG @ invert(hand_from_tcp()),
-        X_BG=X_BG,
-        tracked=every,
-        confidence=every.astype(np.float64),
-        finger_width_m=finger_width_m,
-    )
-    return compare_track(clip, track, _expense_since(*start), share)
-
-
-def _expense_since(wall_s: float, cpu_s: float) -> Expense:
-    return Expense(
-        wall_s=time.perf_counter() - wall_s,
-        cpu_s=time.process_time() - cpu_s,
-        peak_mb=resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / _RSS_UNIT_MB,
-    )
+    start = time.process_time()
+    track = baseline.track(frames, clip.t_s, clip.camera)
+    return compare_track(clip, track, time.process_time() - start, share)

@@ -16,14 +16,36 @@ from kinebench_drake.grounding.tracking.camera_path import CameraPath, CameraWay
 from kinebench_drake.io.frames import Frames
 from kinebench_drake.io.progress import count_steps
 
-# tracked at once; of tracked ones, that more are not looked for
+# Set on planted faults in home renders of seen assets, and checked on clean ones:
+# `python -m benchmarks planted-videos --out faulty`, then `python -m benchmarks anomalies clean faulty`.
+_CLEAR_PX = 2.0
+"""Motion from which on a camera is followed before anything else is measured [px of an image 384 px wide]."""
+_MOTION_QUANTILE = 0.3
+"""Quantile of the features' displacements that is the motion.
+
+Up to this share may be moved against it by the robot, up to the rest may be moved by the robot of a fixed camera."""
+_MOTION_FEATURES = 12
+"""Fewest features of a measured motion."""
+_MOTION_FRAMES = 2
+"""Fewest consecutive frames of a motion: a single one may have lost its features to the robot."""
+_UNKNOWN_SHARE = 0.5
+"""Share of the frames without a measured motion above which the motion of the camera is unknown."""
+_ROTATION_SHARE = 0.5
+"""Least share of the features that move as one rotation of the camera, of a motion of the camera."""
+
 _MAX_FEATURES = 100
+"""Features that are tracked at once."""
 _ENOUGH_FEATURES = 40
-_LK_CRITERIA = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 10, 0.03)  # iterations, least step [px]
-_MARGIN_PX = 15  # features this near the robot's outline may move with it
-_ROUND_TRIP_PX = 0.5  # largest error of a feature tracked forth and back
+"""Tracked features in a mask from which on no others are looked for."""
+_LK_CRITERIA = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 10, 0.03)
+"""End of the iterations of Lucas-Kanade: their number, and least step [px]."""
+_MARGIN_PX = 15
+"""Width of the margin of the robot's outline in which features may move with it [px]."""
+_ROUND_TRIP_PX = 0.5
+"""Largest error of a feature tracked forth and back [px]."""
 _ROTATION_PASSES = 8
-_TUKEY_PX = 1.5  # residual beyond which a feature has no weight for the rotation
+_TUKEY_PX = 1.5
+"""Residual beyond which a feature has no weight for the rotation [px]."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -49,12 +71,12 @@ class CameraMotion:
     @property
     def is_clear(self) -> bool:
         """True if the camera clearly moves, or its motion is unknown."""
-        return self.is_unknown or (self.largest_px or 0.0) >= bounds.CLEAR_PX * self.unit_px
+        return self.is_unknown or (self.largest_px or 0.0) >= _CLEAR_PX * self.unit_px
 
     @property
     def is_unknown(self) -> bool:
         """True if the background is lost in most frames, though the first one has features."""
-        return bool(np.isfinite(self.px[0]) and np.isnan(self.px).mean() > bounds.MAJORITY)
+        return bool(np.isfinite(self.px[0]) and np.isnan(self.px).mean() > _UNKNOWN_SHARE)
 
     @property
     def largest_px(self) -> float | None:
@@ -172,18 +194,18 @@ def measure_camera_motion(tracks: FeatureTracks, robot: NDArray[np.bool_], camer
     margin = np.ones((_MARGIN_PX, _MARGIN_PX), np.uint8)
     mask = np.where(cv2.dilate(robot.astype(np.uint8), margin) > 0, 0, 255).astype(np.uint8)
     start, there, good = tracks.track(mask)
-    if len(start) >= bounds.MOTION_FEATURES:
+    if len(start) >= _MOTION_FEATURES:
         px[0] = 0.0
         places: dict[int, tuple[Array, Array]] = {}
-        for i in (1 + np.flatnonzero(good.sum(axis=1) >= bounds.MOTION_FEATURES)).tolist():
+        for i in (1 + np.flatnonzero(good.sum(axis=1) >= _MOTION_FEATURES)).tolist():
             first = start[good[i - 1]]
             now = there[i - 1, good[i - 1]]
-            px[i] = np.quantile(np.linalg.norm(now - first, axis=1), bounds.MOTION_QUANTILE)
+            px[i] = np.quantile(np.linalg.norm(now - first, axis=1), _MOTION_QUANTILE)
             places[i] = first, now
         if np.nanmax(px) >= bounds.FIXED_PX * camera.unit_px:  # else it counts as fixed
             for i, (first, now) in places.items():
                 R, share = _rotation(first, now, camera)
-                if share >= bounds.MAJORITY or px[i] < bounds.FIXED_PX * camera.unit_px:
+                if share >= _ROTATION_SHARE or px[i] < bounds.FIXED_PX * camera.unit_px:
                     R_AC[i] = R
                 else:
                     px[i] = np.nan
@@ -213,5 +235,5 @@ def _rotation(first: Array, now: Array, camera: Camera) -> tuple[Array, float]:
 
 def find_camera_motion(motion: CameraMotion) -> Detection:
     """Detect frames in which the camera is not in its first pose; severity: the largest motion [px of the video]."""
-    px = sustained(motion.px, bounds.MOTION_FRAMES)
+    px = sustained(motion.px, _MOTION_FRAMES)
     return Detection.from_score(AnomalyKind.CAMERA, px / (bounds.MOVING_PX * motion.unit_px), px)

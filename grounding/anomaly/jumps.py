@@ -8,15 +8,37 @@ from numpy.typing import ArrayLike, NDArray
 
 from kinebench_drake.anomaly import AnomalyKind
 from kinebench_drake.geometry import Array
-from kinebench_drake.grounding import bounds
 from kinebench_drake.grounding.anomaly.detection import Detection
 from kinebench_drake.io.frames import Frames
 from kinebench_drake.segments import UNEVEN, finite_rows, frame_periods, segments
 from kinebench_drake.track import MAX_WIDTH_M
 
-_STEPS = 3  # steps to each side whose median is the velocity at a jump
-_AROUND = 8  # frames to each side whose median is the usual jump length
-_MAX_GAP = 2  # frames that may be missing at a jump
+# Set on planted faults in home renders of seen assets, and checked on clean ones:
+# `python -m benchmarks planted-videos --out faulty`, then `python -m benchmarks anomalies clean faulty`.
+_TELEPORT_M = 0.04
+"""Least length of a teleport [m]."""
+_TELEPORT_CONTRAST = 4.0
+"""Least ratio of this length to the median jump length of the path around it."""
+_FREEZE_FRAMES = 5
+"""Fewest still frames of a freeze."""
+_FREEZE_SPEED_M_S = 0.035
+"""Least speed of the gripper before a freeze [m/s]."""
+_FREEZE_JUMP = 2.0
+"""Least length of the step that ends a freeze, over the longer of the steps before the freeze and after that step."""
+_STILL_LEVELS = 4.0
+"""Change of a slightly blurred pixel below which it is still [grey levels of 255].
+
+A frame is still if 99.5 % of its pixels are."""
+_STILL_M = 0.004
+"""Greatest motion of the track between still frames, due to noise of codec and network [m]."""
+_WIDTH_FAULT_M = 0.015
+"""Least excess of a width over the largest, or amplitude of alternate opening and closing over four frames [m]."""
+_STEPS = 3
+"""Steps to each side whose median is the velocity at a jump."""
+_AROUND = 8
+"""Frames to each side whose median is the usual jump length."""
+_MAX_GAP = 2
+"""Greatest number of frames that may be missing at a jump."""
 _FLUTTER_FRAMES = 4
 
 
@@ -52,7 +74,7 @@ def jump_lengths(p: ArrayLike, fair: NDArray[np.bool_], t_s: Array) -> Array:
 def find_teleports(p: ArrayLike, fair: NDArray[np.bool_], good: NDArray[np.bool_], t_s: Array) -> Detection:
     """Detect jumps of the gripper; start and end: the first frame after the jump; severity: its length [m].
 
-    The score is the length over the larger of its least one and `bounds.TELEPORT_CONTRAST` times the median length
+    The score is the length over the larger of its least one and `_TELEPORT_CONTRAST` times the median length
     around it. Positions `p` (T, 3) [m] count in `fair` (T,) frames; a jump starts from and leads to `good` (T,) ones.
     """
     lengths = jump_lengths(p, fair, t_s)
@@ -63,9 +85,7 @@ def find_teleports(p: ArrayLike, fair: NDArray[np.bool_], good: NDArray[np.bool_
     for i in np.flatnonzero(lengths).tolist():
         around = [k for k in range(max(0, i - _AROUND), min(len(lengths), i + _AROUND + 1)) if abs(k - i) > 2]
         usual = [lengths[k] for k in around if lengths[k] > 0]
-        score[i] = lengths[i] / max(
-            bounds.TELEPORT_M, bounds.TELEPORT_CONTRAST * float(np.median(usual)) if usual else 0.0
-        )
+        score[i] = lengths[i] / max(_TELEPORT_M, _TELEPORT_CONTRAST * float(np.median(usual)) if usual else 0.0)
     return Detection.from_score(AnomalyKind.TELEPORT, _suppress_non_maxima(score, lengths), lengths)
 
 
@@ -82,7 +102,7 @@ def still_frames(frames: Frames) -> NDArray[np.bool_]:
     """Return the frames (T,) that show the same image as the one before; the first never does."""
     small = (cv2.GaussianBlur(cv2.cvtColor(f, cv2.COLOR_RGB2GRAY), (0, 0), 1.5).astype(np.float32) for f in frames)
     change = [np.percentile(np.abs(b - a), 99.5) for a, b in pairwise(small)]
-    return np.array([False, *(c < bounds.STILL_LEVELS for c in change)])
+    return np.array([False, *(c < _STILL_LEVELS for c in change)])
 
 
 def find_freezes(p: ArrayLike, fair: NDArray[np.bool_], still: NDArray[np.bool_], t_s: Array) -> Detection:
@@ -96,7 +116,7 @@ def find_freezes(p: ArrayLike, fair: NDArray[np.bool_], still: NDArray[np.bool_]
     step = np.concatenate([[np.nan], np.linalg.norm(np.diff(p, axis=0), axis=1)])
     score = np.zeros(len(p))
     size = np.zeros(len(p))
-    for run in segments(still & ~(step > bounds.STILL_M)):
+    for run in segments(still & ~(step > _STILL_M)):
         start = run.start
         end = run.stop - 1
         if start < 2 or end + 1 >= len(p) or not fair[[start - 2, start - 1, end, end + 1]].all():
@@ -107,9 +127,9 @@ def find_freezes(p: ArrayLike, fair: NDArray[np.bool_], still: NDArray[np.bool_]
         speed = before / (t_s[start - 1] - t_s[start - 2])
         size[run] = run.stop - start
         score[run] = min(
-            size[start] / bounds.FREEZE_FRAMES,
-            speed / bounds.FREEZE_SPEED_M_S,
-            jump / (bounds.FREEZE_JUMP * max(before, after, bounds.STILL_M)),
+            size[start] / _FREEZE_FRAMES,
+            speed / _FREEZE_SPEED_M_S,
+            jump / (_FREEZE_JUMP * max(before, after, _STILL_M)),
         )
     return Detection.from_score(AnomalyKind.FREEZE, score, size)
 
@@ -142,4 +162,4 @@ def find_finger_faults(width_m: ArrayLike) -> Detection:
     amplitude = flutter(width)
     size = np.zeros(len(width_m))
     size[index] = np.maximum(outside, amplitude)
-    return Detection.from_score(AnomalyKind.FINGERS, size / bounds.WIDTH_FAULT_M, size)
+    return Detection.from_score(AnomalyKind.FINGERS, size / _WIDTH_FAULT_M, size)

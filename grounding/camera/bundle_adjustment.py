@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinebench_drake.geometry import Array, make_pose, rotation_z
+from kinebench_drake.grounding.camera.detections import CalibrationCorrespondences, RobotPoints
 from kinebench_drake.grounding.camera.lens import UNKNOWNS, Lens
-from kinebench_drake.grounding.camera.robot_points import CalibrationCorrespondences, RobotPoints
 from kinebench_drake.grounding.camera.surroundings import Surroundings
 from kinebench_drake.grounding.registration.arm_model import OVER_LIMIT_RAD, ArmModel
 from kinebench_drake.grounding.registration.solver import CAUCHY, NEAREST_M
@@ -26,11 +26,14 @@ from kinebench_drake.models.robot import N_JOINTS
 
 _A_FRAME = N_JOINTS + 1
 _PARTS = len(RobotPart)
-_SHARED = UNKNOWNS + _PARTS  # unknowns that frames have in common: the camera's, and the offsets of contours
+_SHARED = UNKNOWNS + _PARTS
+"""Number of unknowns that frames have in common: the camera's, and the offsets of contours."""
 _POSTURE_SIGMA_RAD = np.array([10.0, *[1.5] * 6])
 """Standard deviations of unknown joint angles about their start [rad]: they keep joints that nothing shows."""
-_OPENING_INFORMATION = 25.0  # of an opening that nothing shows [1/m^2]
-_BEHIND = 1e3  # cost of a point behind the camera
+_OPENING_INFORMATION = 25.0
+"""Information of an opening that nothing shows [1/m^2]."""
+_BEHIND = 1e3
+"""Cost of a point behind the camera."""
 _LARGEST_STEP_RAD = 0.4
 _LARGEST_STEP_M = 0.4
 _LARGEST_ZOOM = 0.2

@@ -1,6 +1,7 @@
 """Calibration of a static camera from a video of the robot."""
 
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields, replace
 from functools import partial
 from pathlib import Path
 
@@ -13,40 +14,237 @@ from kinebench_drake.formats.camerafile import load_camera
 from kinebench_drake.geometry import Array, pose_difference
 from kinebench_drake.grounding import bounds
 from kinebench_drake.grounding.anomaly.camera_motion import FeatureTracks, measure_camera_motion
+from kinebench_drake.grounding.camera.bundle_adjustment import ArmScene, BundleAdjustment, Observations, Prior, adjust
 from kinebench_drake.grounding.camera.calibration_result import (
     CalibrationBasis,
     CalibrationMethod,
     CameraCalibration,
-    describe,
-    describe_estimate,
     require_determined,
     warnings_of,
 )
-from kinebench_drake.grounding.camera.camera_estimate import CameraEstimate
+from kinebench_drake.grounding.camera.camera_estimate import CameraEstimate, FittedCamera
 from kinebench_drake.grounding.camera.candidate import CameraCandidate
-from kinebench_drake.grounding.camera.detections import detect_views
+from kinebench_drake.grounding.camera.detections import (
+    MIN_FRAMES,
+    ArmDetections,
+    CalibrationCorrespondences,
+    detect_all,
+    track_all,
+)
 from kinebench_drake.grounding.camera.estimate import FRAMES, CameraEstimator
-from kinebench_drake.grounding.camera.lens import USUAL_FOV_DEG, centred_camera, focal_px
-from kinebench_drake.grounding.camera.robot_points import LensView, ViewEstimator, track_views
-from kinebench_drake.grounding.camera.solve import LensSolution, solve
+from kinebench_drake.grounding.camera.lens import USUAL_FOV_DEG, Lens, centred_camera, focal_px, solve_pnp, with_focal
 from kinebench_drake.grounding.camera.states import (
     RobotStates,
     make_posture_states,
     parse_posture,
     read_states,
-    unknown_states,
 )
-from kinebench_drake.grounding.registration.arm_model import ArmModel
+from kinebench_drake.grounding.registration.arm_model import MIN_CELLS, ArmModel
+from kinebench_drake.grounding.registration.solver import CAUCHY
 from kinebench_drake.grounding.tracking.estimator import NetworkEstimator
 from kinebench_drake.grounding.tracking.tracker import CadTracker
 from kinebench_drake.io.frames import Frames
 from kinebench_drake.io.reader import read_video
 from kinebench_drake.io.video import Video
 from kinebench_drake.models.perception.network import load_network
-from kinebench_drake.segments import evenly
+from kinebench_drake.models.robot import N_JOINTS
+from kinebench_drake.segments import evenly, finite_rows
 
+_FOV_DEG = (35.0, 45.0, 55.0, 65.0, 75.0, 90.0)
+"""Horizontal fields of view at which the search for the focal length starts [degrees]."""
+_POSTURE_SIGMA_RAD = np.array([10.0, *[0.7] * 6])
+"""Standard deviations of an initial posture [rad]; that of joint 1 is uninformative."""
+_STARTS = 2
+"""Initial lenses that are refined."""
+_FIXED_SIGMA_RAD = 1e-3
+"""Standard deviation of a posture that is known [rad]."""
+RobotSource = Callable[[Frames, Camera], ArmDetections]
+"""Detection of the robot in frames (T, H, W, 3) that were taken with approximately this camera."""
 _DEFAULT_FRAMES = 24
-_CENTRE_SIGMA = 0.06  # standard deviation of an unknown principal point over the image's width
+_INLIER_SIGMAS = 4.0
+"""Standard deviations within which a cell agrees with a fit."""
+_CENTRE_SIGMA = 0.06
+"""Standard deviation of an unknown principal point over the image's width."""
+_OTHER_M = 0.03
+"""Distance from the initial camera from which on the frames are measured again: the views depend on the camera [m]."""
+_OTHER_RAD = float(np.deg2rad(5.0))
+"""Angle to the initial camera from which on they are [rad]."""
+_OTHER_ZOOM = 0.05
+"""Logarithm of the ratio of focal lengths from which on they are."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LensSolution:
+    """Lens fitted to cells of T frames."""
+
+    bundle: BundleAdjustment
+    """Fit; its joint angles are NaN where unknown."""
+    cells: CalibrationCorrespondences
+    X_BP: Array
+    """(T, PARTS, 4, 4) frames of the parts' CAD coordinates in B [m]; NaN where unknown."""
+    rows: NDArray[np.intp]
+    """(T,) rows of the detections that were used."""
+
+    @property
+    def p_B(self) -> Array:
+        """(N, 3) points of the cells [m]."""
+        return self.cells.locate(self.X_BP, self.bundle.scene.finger_m)
+
+
+def solve(
+    robot: ArmDetections, states: RobotStates, guess: Camera, model: ArmModel, *, focal_free: bool
+) -> LensSolution:
+    """Solve the lens that projects the robot to where the frames show it, with all known postures.
+
+    Args:
+        robot: robot in some frames.
+        states: robot states in the same frames.
+        guess: initial camera.
+        model: link poses of the arm.
+        focal_free: True to estimate the focal length.
+
+    Raises:
+        UnmeasurableError: too little of the robot is visible, or it contradicts the postures.
+    """
+    rows = np.flatnonzero(states.has_hand)
+    focal = [focal_px(guess.width, fov) for fov in _FOV_DEG]
+    cameras = [guess, *(with_focal(guess, fx) for fx in focal)] if focal_free else [guess]
+    anchored = len(rows) == 1 and len(states.q) >= MIN_FRAMES
+    free = focal_free and not anchored
+    cells = robot.cells.of_frames(rows)
+    solved = _solve_lens(cells, robot.finger_m[rows], states.take(rows), cameras, model, focal_free=free)
+    if not anchored or robot.q is None or finite_rows(robot.q).sum() < MIN_FRAMES:
+        return replace(solved, rows=rows)
+    q = np.where(states.has_posture[:, None], states.q, robot.q)
+    return _solve_lens_and_postures(robot, q, states, solved.bundle.scene.lens, model, focal_free=focal_free)
+
+
+def _solve_lens(
+    cells: CalibrationCorrespondences,
+    seen_m: Array,
+    states: RobotStates,
+    cameras: Sequence[Camera],
+    model: ArmModel,
+    *,
+    focal_free: bool,
+) -> LensSolution:
+    """Solve the lens where the posture, or at least the hand pose, is known in every frame, from initial `cameras`."""
+    X_BP = states.part_poses(model)
+    finger_m = np.where(np.isfinite(states.finger_m), states.finger_m, seen_m)
+    cells = cells.take(np.flatnonzero(finite_rows(cells.locate(X_BP, finger_m))))
+    _require_enough(cells)
+    starts = _find_consensus(cells, cells.locate(X_BP, finger_m), cameras)[:_STARTS]
+    if not starts:
+        raise UnmeasurableError(
+            f"none of the {len(cells)} cells of the robot agree with {states.source}: do the angles belong to this "
+            "video, in the order of its frames, in radians?"
+        )
+    fits = [fit_cells(cells, lens, model, X_BP, finger_m, focal_free=focal_free) for lens in starts]
+    bundle = min(fits, key=lambda fit: fit.cost)
+    flip = _misread(cells, bundle, X_BP, finger_m)
+    if flip.any():
+        cells = cells.flip(flip)
+        bundle = fit_cells(cells, bundle.scene.lens, model, X_BP, finger_m, focal_free=focal_free)
+    scene = ArmScene(lens=bundle.scene.lens, q=states.q, finger_m=finger_m)
+    return LensSolution(bundle=replace(bundle, scene=scene), cells=cells, X_BP=X_BP, rows=np.arange(len(X_BP)))
+
+
+def _solve_lens_and_postures(
+    robot: ArmDetections, q: Array, states: RobotStates, start: Lens, model: ArmModel, *, focal_free: bool
+) -> LensSolution:
+    """Solve lens and postures jointly, where postures are known in few frames.
+
+    A rotation of the camera about the axis of joint 1 is equivalent to other postures: only the base link, and known
+    postures, determine it.
+    """
+    rows = np.flatnonzero(finite_rows(q))
+    cells = robot.cells.of_frames(rows).thin()
+    _require_enough(cells)
+    finger_m = np.where(np.isfinite(states.finger_m), states.finger_m, robot.finger_m)[rows]
+    q_sigma = np.where(states.has_posture[rows, None], _FIXED_SIGMA_RAD, _POSTURE_SIGMA_RAD)
+    X_BP = model.poses(q[rows])
+    q = q[rows]
+    bundle = fit_cells(cells, start, model, X_BP, finger_m, focal_free=focal_free, q=q, q_sigma=q_sigma)
+    return LensSolution(bundle=bundle, cells=cells, X_BP=model.poses(bundle.scene.q), rows=rows)
+
+
+def fit_cells(
+    cells: CalibrationCorrespondences,
+    start: Lens,
+    model: ArmModel,
+    X_BP: Array,
+    finger_m: Array,
+    *,
+    focal_free: bool,
+    q: Array | None = None,
+    q_sigma: Array | None = None,
+    rounds: int = 2,
+) -> BundleAdjustment:
+    """Fit a lens to cells, with postures and openings or at known ones; parts at rest count once in its information.
+
+    Args:
+        cells: cells of T frames.
+        start: initial lens.
+        model: link poses of the arm.
+        X_BP: (T, PARTS, 4, 4) poses of the parts in B [m].
+        finger_m: (T,) opening of each finger [m].
+        focal_free: True to estimate the focal length.
+        q: (T, 7) initial joint angles to be estimated, too [rad]; None to keep all parts where they are.
+        q_sigma: (T, 7) their standard deviations [rad].
+        rounds: number of rounds, each with newly computed standard deviations of the cells.
+    """
+    prior = Prior(lens=start, log_focal_sigma=np.inf if focal_free else 0.0)
+    p_B = cells.locate(X_BP, finger_m)
+    repeats = cells.count_repeats(X_BP)
+
+    def adjusted(scene: ArmScene, weight: Array, steps: int = 20) -> BundleAdjustment:
+        points = p_B if q is None else cells.locate(model.poses(scene.q), scene.finger_m)
+        observed = replace(Observations.of_cells(cells, cells.sigma_px(scene.lens, points)), weight=weight)
+        if q is None:
+            observed = observed.at_rest(p_B)
+        return adjust(observed, scene, prior, model, q=q, q_sigma=q_sigma, iterations=steps)
+
+    scene = ArmScene(lens=start, q=np.zeros((len(X_BP), N_JOINTS)) if q is None else q, finger_m=finger_m)
+    for _ in range(rounds):
+        scene = adjusted(scene, cells.weight).scene
+    return adjusted(scene, cells.weight / repeats, 0)
+
+
+def _find_consensus(cells: CalibrationCorrespondences, p_B: Array, cameras: Sequence[Camera]) -> list[Lens]:
+    """Return initial lenses by RANSAC from the cells' points `p_B` (N, 3) [m], by decreasing number of inliers."""
+    ranked = []
+    for camera in cameras:
+        solution = solve_pnp(p_B, cells.uv_px, camera)
+        if solution is not None:
+            X_CB, inliers = solution
+            ranked.append((inliers, Lens(camera=camera, X_CB=X_CB)))
+    return [lens for _, lens in sorted(ranked, key=lambda pair: -pair[0])]
+
+
+def _require_enough(cells: CalibrationCorrespondences) -> None:
+    """Check that enough of the robot is visible.
+
+    Raises:
+        UnmeasurableError: there are fewer than MIN_CELLS cells.
+    """
+    if len(cells) < MIN_CELLS:
+        raise UnmeasurableError(
+            f"{len(cells)} cells show a Panda over all frames, at least {MIN_CELLS} are needed: it is not in the "
+            "images, or its appearance differs from that of the training data"
+        )
+
+
+def _misread(
+    cells: CalibrationCorrespondences, bundle: BundleAdjustment, X_BP: Array, finger_m: Array
+) -> NDArray[np.bool_]:
+    """Return (T,) frames whose gripper cells fit better with the gripper rotated by 180 degrees about its axis."""
+    lens = bundle.scene.lens
+    turned = cells.flip(np.ones(len(X_BP), dtype=bool))
+    other_px = np.linalg.norm(lens.project(turned.locate(X_BP, finger_m))[0] - cells.uv_px, axis=1)
+    scale = CAUCHY * cells.sigma_px(lens, cells.locate(X_BP, finger_m))
+    gain = np.log1p((bundle.error_px / scale) ** 2) - np.log1p((other_px / scale) ** 2)
+    better = np.bincount(cells.frame, weights=gain * cells.of_gripper, minlength=len(X_BP))
+    return np.asarray(better > 0.0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -92,27 +290,11 @@ class CalibrationConfig:
             raise UsageError("$episode and $column choose from a file of joint angles, and $joints names none")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class CalibrationOutcome:
-    """Calibration with the data of its figure."""
-
-    calibration: CameraCalibration
-    frame: NDArray[np.uint8]
-    """(H, W, 3) one of the frames used."""
-    X_BP: Array
-    """(PARTS, 4, 4) frames of the parts' CAD coordinates in B in that frame [m]; NaN where unknown."""
-    finger_m: float
-    """Opening of each finger in that frame [m]."""
-
-
 class Calibrator:
     """Calibration of cameras from decoded videos; one instance serves any number of them."""
 
-    def __init__(self, detected: ViewEstimator, tracked: ViewEstimator, cameras: CameraEstimator) -> None:
-        """Set the sources of views.
-
-        Those `detected` are of frames whose postures are known, those `tracked` hold postures where one is known.
-        """
+    def __init__(self, detected: RobotSource, tracked: RobotSource, cameras: CameraEstimator) -> None:
+        """Set the sources of detections: `tracked` ones have postures where only one posture is known."""
         self._detected = detected
         self._tracked = tracked
         self._cameras = cameras
@@ -126,25 +308,23 @@ class Calibrator:
             SetupError: weights, meshes or native libraries are missing.
         """
         dense = NetworkEstimator(load_network())
-        detected = partial(detect_views, dense)
-        tracked = partial(track_views, CadTracker(dense))
-        return Calibrator(detected, tracked, CameraEstimator(dense))
+        return Calibrator(partial(detect_all, dense), partial(track_all, CadTracker(dense)), CameraEstimator(dense))
 
     def calibrate(
         self,
         frames: Frames,
-        states: RobotStates,
+        states: RobotStates | None,
         guess: Camera,
         *,
         focal_free: bool,
         centre_free: bool = False,
         most: int = _DEFAULT_FRAMES,
-    ) -> CalibrationOutcome:
+    ) -> CameraCalibration:
         """Calibrate the camera of frames (T, H, W, 3).
 
         Args:
             frames: images.
-            states: robot states in these frames.
+            states: robot states in these frames; None to estimate the camera without any.
             guess: initial camera.
             focal_free: True to estimate the focal length.
             centre_free: True if the principal point is not known exactly.
@@ -153,46 +333,44 @@ class Calibrator:
         Raises:
             UnmeasurableError: the camera moves, or the video does not determine it.
         """
+        chosen = evenly(len(frames), min(most, FRAMES)) if states is None else _chosen(states, most)
         method = _method(states)
-        chosen = _chosen(states, most)
+        source = self._tracked if method is CalibrationMethod.POSTURE else self._detected
         images = frames[chosen]
-        postures = states.take(chosen)
-        estimator = self._tracked if method is CalibrationMethod.POSTURE else self._detected
-        view = estimator(images, guess)
-        shift = _camera_shift(images, view, guess)
-        basis = CalibrationBasis(method=method, source=states.source, focal_free=focal_free)
-        if method is CalibrationMethod.MOTION:
-            calibration = describe_estimate(self._estimate(frames, None if focal_free else guess), self._model, basis)
+        robot = source(images, guess)
+        shift = _camera_shift(images, robot.robot, guess)
+        basis = CalibrationBasis(
+            method=method, source="nothing" if states is None else states.source, focal_free=focal_free
+        )
+        if states is None:
+            calibration = describe_estimate(self._estimate(frames, guess, focal_free=focal_free), self._model, basis)
         else:
-            solved = solve(view, postures, guess, self._model, focal_free=focal_free)
+            solved = solve(robot, states.take(chosen[robot.rows]), guess, self._model, focal_free=focal_free)
             camera = solved.bundle.scene.lens.to_camera()
-            if _is_other(camera, guess):  # the views depend on the camera
-                solved = solve(estimator(images, camera), postures, camera, self._model, focal_free=focal_free)
+            if _is_other(camera, guess):
+                robot = source(images, camera)
+                solved = solve(robot, states.take(chosen[robot.rows]), camera, self._model, focal_free=focal_free)
             if method is CalibrationMethod.JOINTS:
                 centre_sigma_px = _CENTRE_SIGMA * guess.width if centre_free else 0.0
+                used = images[robot.rows]
                 estimate = self._cameras.refine(
-                    images, guess, _start(solved), focal_free=focal_free, centre_sigma_px=centre_sigma_px
+                    used, guess, _start(solved), focal_free=focal_free, centre_sigma_px=centre_sigma_px
                 )
                 calibration = describe_estimate(estimate, self._model, basis)
             else:
-                calibration = describe(solved, self._model, basis)
-            calibration = replace(calibration, frames=chosen[calibration.frames])
+                calibration = describe(solved, basis)
+            calibration = replace(calibration, frames=chosen[robot.rows[calibration.frames]])
             require_determined(calibration)
-        middle = len(calibration.frames) // 2
-        return CalibrationOutcome(
-            calibration=replace(calibration, warnings=(*shift, *warnings_of(calibration))),
-            frame=frames[calibration.frames[middle]],
-            X_BP=calibration.X_BP[middle],
-            finger_m=float(calibration.scene.finger_m[middle]),
-        )
+        image = frames[calibration.frames[len(calibration.frames) // 2]]
+        return replace(calibration, warnings=(*shift, *warnings_of(calibration)), image=image)
 
-    def _estimate(self, frames: Frames, camera: Camera | None) -> CameraEstimate:
-        """Estimate the camera of frames (T, H, W, 3) without joint angles; `camera` has a fixed focal length.
+    def _estimate(self, frames: Frames, guess: Camera, *, focal_free: bool) -> CameraEstimate:
+        """Estimate the camera of frames (T, H, W, 3) without joint angles.
 
         Raises:
             UnmeasurableError: the camera is in doubt.
         """
-        estimate = self._cameras.estimate(frames, camera, focal_free=camera is None)
+        estimate = self._cameras.estimate(frames, guess, focal_free=focal_free)
         if estimate.doubt is not None:
             raise UnmeasurableError(
                 f"base_from_camera is not determined without joint angles: {estimate.doubt}; give $joints FILE, "
@@ -201,7 +379,7 @@ class Calibrator:
         return estimate
 
 
-def calibrate(config: CalibrationConfig, calibrator: Calibrator | None = None) -> CalibrationOutcome:
+def calibrate(config: CalibrationConfig, calibrator: Calibrator | None = None) -> CameraCalibration:
     """Calibrate the camera of a video.
 
     Args:
@@ -231,18 +409,57 @@ def calibrate(config: CalibrationConfig, calibrator: Calibrator | None = None) -
     )
 
 
+def describe(solution: LensSolution, basis: CalibrationBasis) -> CameraCalibration:
+    """Return the calibration of a camera that was fitted to cells."""
+    bundle = solution.bundle
+    cells = solution.cells
+    p_B = solution.p_B
+    lens = bundle.scene.lens
+    error_px = bundle.error_px
+    sigma_px = cells.sigma_px(lens, p_B)
+    inlier = error_px <= _INLIER_SIGMAS * sigma_px
+    sure = np.where(inlier, cells.weight / sigma_px**2, 0.0)
+    z = lens.project(p_B)[1][inlier]
+    near, far = np.quantile(z, [0.05, 0.95]) if len(z) else (np.nan, np.nan)
+    return CameraCalibration(
+        bundle=bundle,
+        frames=solution.rows,
+        part=cells.part,
+        basis=basis,
+        X_BP=solution.X_BP,
+        residual_px=float(np.sqrt((sure * error_px**2).sum() / max(sure.sum(), 1e-12))),
+        inlier_share=float(inlier.mean()),
+        depth_m=(float(near), float(far)),
+    )
+
+
+def describe_estimate(estimate: CameraEstimate, model: ArmModel, basis: CalibrationBasis) -> CameraCalibration:
+    """Return the calibration of a camera that was fitted to contours."""
+    X_BP = model.poses(estimate.scene.q)
+    z = (estimate.scene.lens.X_CB @ X_BP)[:, np.unique(estimate.part), 2, 3]
+    near, far = np.quantile(z, [0.05, 0.95])
+    return CameraCalibration(
+        **{f.name: getattr(estimate, f.name) for f in fields(FittedCamera)},
+        basis=basis,
+        X_BP=X_BP,
+        residual_px=estimate.residual_px,
+        inlier_share=estimate.agreement,
+        depth_m=(float(near), float(far)),
+        agreement=estimate.agreement,
+    )
+
+
 def _start(solved: LensSolution) -> CameraCandidate:
     """Return the solution from the cells as the start of the fit to contours."""
     costs = np.zeros(len(solved.rows))
     return CameraCandidate(scene=solved.bundle.scene, rows=solved.rows, cells=solved.cells, costs=costs, cost=0.0)
 
 
-def _states(config: CalibrationConfig, video: Video, model: ArmModel) -> RobotStates:
-    n = len(video.frames)
+def _states(config: CalibrationConfig, video: Video, model: ArmModel) -> RobotStates | None:
     if config.joints is None:
-        return unknown_states(n)
+        return None
     if not Path(config.joints).exists():
-        return make_posture_states(config.joints, config.joints_frame, n, model)
+        return make_posture_states(config.joints, config.joints_frame, len(video.frames), model)
     return read_states(Path(config.joints), config.episode, config.column, _times(video, config.frame_period_s), model)
 
 
@@ -271,7 +488,7 @@ def _chosen(states: RobotStates, most: int) -> NDArray[np.intp]:
     return np.asarray(np.union1d(rows, others), dtype=np.intp)
 
 
-def _camera_shift(frames: Frames, view: LensView, camera: Camera) -> tuple[str, ...]:
+def _camera_shift(frames: Frames, robot: NDArray[np.bool_], camera: Camera) -> tuple[str, ...]:
     """Return warnings about camera motion.
 
     Raises:
@@ -279,7 +496,7 @@ def _camera_shift(frames: Frames, view: LensView, camera: Camera) -> tuple[str, 
     """
     if len(frames) < 2:
         return ()
-    moved_px = measure_camera_motion(FeatureTracks(frames), view.robot, camera).largest_px
+    moved_px = measure_camera_motion(FeatureTracks(frames), robot, camera).largest_px
     unit = camera.unit_px
     if moved_px is None:
         return ("it is unknown whether the camera is static: the background has too few features",)
@@ -296,14 +513,13 @@ def _camera_shift(frames: Frames, view: LensView, camera: Camera) -> tuple[str, 
 def _is_other(camera: Camera, guess: Camera) -> bool:
     """Return whether a camera differs much from another one."""
     distance, angle = pose_difference(camera.X_BC, guess.X_BC)
-    moved = distance > bounds.LARGE_M or angle > bounds.LARGE_RAD
-    return bool(abs(np.log(camera.fx / guess.fx)) > bounds.FOCAL_LIMIT or moved)
+    moved = distance > _OTHER_M or angle > _OTHER_RAD
+    return bool(abs(np.log(camera.fx / guess.fx)) > _OTHER_ZOOM or moved)
 
 
-def _method(states: RobotStates) -> CalibrationMethod:
-    count = int(states.has_hand.sum())
-    if count == 0:
-        return CalibrationMethod.MOTION
+def _method(states: RobotStates | None) -> CalibrationMethod:
+    if states is None:
+        return CalibrationMethod.ESTIMATE
     if not np.isfinite(states.q).any():
         return CalibrationMethod.POSES
-    return CalibrationMethod.POSTURE if count == 1 else CalibrationMethod.JOINTS
+    return CalibrationMethod.POSTURE if states.has_hand.sum() == 1 else CalibrationMethod.JOINTS

@@ -1,22 +1,36 @@
 """Result of a camera calibration, its description, and errors and warnings about what the video does not determine."""
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field
 from enum import Enum
 
 import numpy as np
+from numpy.typing import NDArray
 
 from kinebench_drake.errors import UnmeasurableError
-from kinebench_drake.geometry import Array, pose_difference
+from kinebench_drake.geometry import Array
 from kinebench_drake.grounding import bounds
-from kinebench_drake.grounding.camera.camera_estimate import CameraEstimate, FittedCamera
-from kinebench_drake.grounding.camera.solve import LensSolution, fit_cells
-from kinebench_drake.grounding.registration.arm_model import MIN_CELLS, ArmModel
+from kinebench_drake.grounding.camera.camera_estimate import GRIPPER_SIGMA_RAD, FittedCamera
 from kinebench_drake.io.jsonl import Json
 from kinebench_drake.models.panda.description import ARM, GRIPPER, RobotPart
 
+# Chosen by hand; checked by `python -m benchmarks calibration FOLDER`.
+_FOCAL_LIMIT = 0.05
+"""Relative standard deviation of the focal length that is an error."""
+_POSITION_LIMIT_M = 0.05
+"""Standard deviation of the camera's place that is an error [m]."""
+_ROTATION_LIMIT_RAD = GRIPPER_SIGMA_RAD
+"""Standard deviation of the camera's turn that is an error [rad]."""
+_MISFIT_LIMIT_PX = 6.0
+"""Median error of the gripper in a fit to cells that is an error [px of an image 384 px wide]."""
+_INLIER_SHARE = 0.5
+"""Least share of the cells that agree with a fit to cells."""
+_WARNING_SHARE = 0.4
+"""Share of these limits from which on there is a warning."""
+_MIN_MOTION_M = 0.1
+"""Distance between hand positions below which a video shows one posture [m]."""
+_MIN_DEPTH_RATIO = 1.25
+"""Ratio of farthest to nearest depth below which perspective hardly determines the focal length."""
 _GROUPS = {"gripper": GRIPPER, "arm": ARM[1:], "base": ARM[:1]}
-_INLIER_SIGMAS = 4.0
-# Standard deviations that are errors, and that give warnings: of focal length, place and turn of the camera.
 
 
 class CalibrationMethod(Enum):
@@ -25,7 +39,7 @@ class CalibrationMethod(Enum):
     JOINTS = "joint angles of the frames"
     POSES = "poses of the gripper in the frames"
     POSTURE = "posture of one frame"
-    MOTION = "motion without joint angles"
+    ESTIMATE = "no postures"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -51,16 +65,14 @@ class CameraCalibration(FittedCamera):
     to contours the median distance from edges [px]."""
     inlier_share: float
     """Share of the cells within four standard deviations, or of the contour points on edges."""
-    spread_m: Array
-    """(K,) distances between the camera and those estimated from single frames [m]."""
-    spread_rad: Array
-    """(K,) angles between the camera and those estimated from single frames [rad]."""
     depth_m: tuple[float, float]
     """Depths of the nearest and farthest visible parts of the robot, 5th and 95th percentile [m]."""
     agreement: float | None = None
     """Share of the contours of hand and arm on image edges; None if the camera was fitted to cells alone."""
     warnings: tuple[str, ...] = ()
     """Warnings for the user."""
+    image: NDArray[np.uint8] = field(default_factory=lambda: np.zeros((0, 0, 3), np.uint8))
+    """(H, W, 3) middle one of the frames used; empty until it is set."""
 
     @property
     def part_px(self) -> dict[str, float]:
@@ -86,12 +98,6 @@ class CameraCalibration(FittedCamera):
 
     def to_json(self) -> dict[str, Json]:
         """Serialize all results; the camera as in `camera.json`."""
-
-        def quantiles(values: Array, unit: float) -> Json:
-            if not len(values):
-                return None
-            return {"median": float(np.median(values)) * unit, "95%": float(np.quantile(values, 0.95)) * unit}
-
         return {
             "camera": self.camera.to_json(),
             "method": self.basis.method.value,
@@ -109,72 +115,10 @@ class CameraCalibration(FittedCamera):
             "part_cells": dict(self.part_cells),
             "inlier_share": self.inlier_share,
             "agreement": self.agreement,
-            "frame_position_mm": quantiles(self.spread_m, 1e3),
-            "frame_rotation_deg": quantiles(self.spread_rad, 180 / np.pi),
             "depth_m": list(self.depth_m),
             "hand_motion_m": self.motion_m,
             "warnings": list(self.warnings),
         }
-
-
-def describe(solution: LensSolution, model: ArmModel, basis: CalibrationBasis) -> CameraCalibration:
-    """Return the calibration of a camera that was fitted to cells."""
-    bundle = solution.bundle
-    cells = solution.cells
-    p_B = solution.p_B
-    lens = bundle.scene.lens
-    error_px = bundle.error_px
-    sigma_px = cells.sigma_px(lens, p_B)
-    inlier = error_px <= _INLIER_SIGMAS * sigma_px
-    sure = np.where(inlier, cells.weight / sigma_px**2, 0.0)
-    z = lens.project(p_B)[1][inlier]
-    near, far = np.quantile(z, [0.05, 0.95]) if len(z) else (np.nan, np.nan)
-    spread_m, spread_rad = _spread(solution, model)
-    return CameraCalibration(
-        bundle=bundle,
-        frames=solution.rows,
-        part=cells.part,
-        basis=basis,
-        X_BP=solution.X_BP,
-        residual_px=float(np.sqrt((sure * error_px**2).sum() / max(sure.sum(), 1e-12))),
-        inlier_share=float(inlier.mean()),
-        spread_m=spread_m,
-        spread_rad=spread_rad,
-        depth_m=(float(near), float(far)),
-    )
-
-
-def describe_estimate(estimate: CameraEstimate, model: ArmModel, basis: CalibrationBasis) -> CameraCalibration:
-    """Return the calibration of a camera that was fitted to contours."""
-    X_BP = model.poses(estimate.scene.q)
-    z = (estimate.scene.lens.X_CB @ X_BP)[:, np.unique(estimate.part), 2, 3]
-    near, far = np.quantile(z, [0.05, 0.95])
-    return CameraCalibration(
-        **{f.name: getattr(estimate, f.name) for f in fields(FittedCamera)},
-        basis=basis,
-        X_BP=X_BP,
-        residual_px=estimate.residual_px,
-        inlier_share=estimate.agreement,
-        spread_m=np.zeros(0),
-        spread_rad=np.zeros(0),
-        depth_m=(float(near), float(far)),
-        agreement=estimate.agreement,
-    )
-
-
-def _spread(solution: LensSolution, model: ArmModel) -> tuple[Array, Array]:
-    """Return distances [m] and angles [rad] between the camera and those of single frames, at fixed focal length."""
-    scene = solution.bundle.scene
-    cells = solution.cells
-    X_BC = scene.lens.to_camera().X_BC
-    deviations = []
-    for frame in np.unique(cells.frame):
-        own = cells.take(cells.frame == frame)
-        if len(own) >= MIN_CELLS and len(np.unique(own.part)) > 1:
-            alone = fit_cells(own, scene.lens, model, solution.X_BP, scene.finger_m, focal_free=False, rounds=1)
-            deviations.append(pose_difference(alone.scene.lens.to_camera().X_BC, X_BC))
-    distance, angle = np.array(deviations, dtype=np.float64).reshape(-1, 2).T
-    return distance, angle
 
 
 def format_lines(calibration: CameraCalibration) -> list[str]:
@@ -195,12 +139,6 @@ def format_lines(calibration: CameraCalibration) -> list[str]:
     ]
     if c.agreement is not None:
         report.append(f"contours of hand and arm on image edges: {c.agreement:.0%}")
-    if len(c.spread_m) > 1:
-        report.append(
-            f"single frames: {1e3 * np.median(c.spread_m):.0f} mm and {np.rad2deg(np.median(c.spread_rad)):.2f} "
-            f"degrees from it (median of {len(c.spread_m)}), 95 %: {1e3 * np.quantile(c.spread_m, 0.95):.0f} mm, "
-            f"{np.rad2deg(np.quantile(c.spread_rad, 0.95)):.2f} degrees"
-        )
     report.append(
         f"depth of the robot: {c.depth_m[0]:.2f} to {c.depth_m[1]:.2f} m; the hand moves {1e3 * c.motion_m:.0f} mm"
     )
@@ -224,26 +162,23 @@ def require_determined(calibration: CameraCalibration) -> None:
             "Franka hand, is the camera static and its lens free of distortion, and do joint angles belong to these "
             "frames, in radians?"
         )
-    if agreement is None and (misfit > bounds.MISFIT_LIMIT_PX * unit or calibration.inlier_share < bounds.MAJORITY):
+    if agreement is None and (misfit > _MISFIT_LIMIT_PX * unit or calibration.inlier_share < _INLIER_SHARE):
         raise UnmeasurableError(
             f"{calibration.basis.source} contradicts the images: the gripper is {misfit:.1f} px off (median, at most "
-            f"{bounds.MISFIT_LIMIT_PX * unit:.1f}), {calibration.inlier_share:.0%} of the cells agree; do the angles "
+            f"{_MISFIT_LIMIT_PX * unit:.1f}), {calibration.inlier_share:.0%} of the cells agree; do the angles "
             "belong to this video and the times of its frames, in radians? Is the lens free of distortion?"
         )
-    if calibration.focal_sigma > bounds.FOCAL_LIMIT:
+    if calibration.focal_sigma > _FOCAL_LIMIT:
         raise UnmeasurableError(
             f"the focal length is not determined ({calibration.focal_sigma:.1%} standard deviation, at most "
-            f"{bounds.FOCAL_LIMIT:.0%}): {_why(calibration)}; give $focal_px PX or $camera FILE, or a video in which "
+            f"{_FOCAL_LIMIT:.0%}): {_why(calibration)}; give $focal_px PX or $camera FILE, or a video in which "
             "the arm moves towards the camera"
         )
-    if (
-        calibration.position_sigma_m > bounds.POSITION_LIMIT_M
-        or calibration.rotation_sigma_rad > bounds.ROTATION_LIMIT_RAD
-    ):
+    if calibration.position_sigma_m > _POSITION_LIMIT_M or calibration.rotation_sigma_rad > _ROTATION_LIMIT_RAD:
         sigmas = (
             f"{1e3 * calibration.position_sigma_m:.0f} mm and {np.rad2deg(calibration.rotation_sigma_rad):.1f} degrees "
-            f"standard deviation, at most {1e3 * bounds.POSITION_LIMIT_M:.0f} mm and "
-            f"{np.rad2deg(bounds.ROTATION_LIMIT_RAD):.0f}"
+            f"standard deviation, at most {1e3 * _POSITION_LIMIT_M:.0f} mm and "
+            f"{np.rad2deg(_ROTATION_LIMIT_RAD):.0f}"
         )
         raise UnmeasurableError(f"base_from_camera is not determined ({sigmas}): {_why(calibration)}")
 
@@ -253,24 +188,24 @@ def warnings_of(calibration: CameraCalibration) -> tuple[str, ...]:
     warnings = []
     unit = calibration.camera.unit_px
     misfit = calibration.part_px["gripper"]
-    if misfit > bounds.WARNING_SHARE * bounds.MISFIT_LIMIT_PX * unit:
+    if misfit > _WARNING_SHARE * _MISFIT_LIMIT_PX * unit:
         warnings.append(
             f"the gripper is {misfit:.1f} px off (median): the joint angles may be late or early, the joints badly "
             "calibrated, or the lens distorted"
         )
-    if calibration.focal_sigma > bounds.WARNING_SHARE * bounds.FOCAL_LIMIT:
+    if calibration.focal_sigma > _WARNING_SHARE * _FOCAL_LIMIT:
         warnings.append(f"the focal length is uncertain by {calibration.focal_sigma:.1%}: {_why(calibration)}")
     if (
-        calibration.position_sigma_m > bounds.WARNING_SHARE * bounds.POSITION_LIMIT_M
-        or calibration.rotation_sigma_rad > bounds.WARNING_SHARE * bounds.ROTATION_LIMIT_RAD
+        calibration.position_sigma_m > _WARNING_SHARE * _POSITION_LIMIT_M
+        or calibration.rotation_sigma_rad > _WARNING_SHARE * _ROTATION_LIMIT_RAD
     ):
         warnings.append(
             f"base_from_camera is uncertain by {1e3 * calibration.position_sigma_m:.0f} mm and "
             f"{np.rad2deg(calibration.rotation_sigma_rad):.1f} degrees: {_why(calibration)}"
         )
-    if calibration.basis.method is not CalibrationMethod.POSTURE and calibration.motion_m < bounds.MIN_MOTION_M:
+    if calibration.basis.method is not CalibrationMethod.POSTURE and calibration.motion_m < _MIN_MOTION_M:
         warnings.append(
-            f"the hand moves by {1e3 * calibration.motion_m:.0f} mm only, less than {1e3 * bounds.MIN_MOTION_M:.0f}: "
+            f"the hand moves by {1e3 * calibration.motion_m:.0f} mm only, less than {1e3 * _MIN_MOTION_M:.0f}: "
             "errors that all frames have in common are not averaged out"
         )
     return tuple(warnings)
@@ -282,9 +217,9 @@ def _why(calibration: CameraCalibration) -> str:
     reasons = []
     if len(calibration.frames) == 1:
         reasons.append("one frame is used")
-    elif calibration.motion_m < bounds.MIN_MOTION_M:
+    elif calibration.motion_m < _MIN_MOTION_M:
         reasons.append(f"the hand moves by {1e3 * calibration.motion_m:.0f} mm only")
-    if far < bounds.MIN_DEPTH_RATIO * near:
+    if far < _MIN_DEPTH_RATIO * near:
         reasons.append(f"the visible parts of the robot are {near:.2f} to {far:.2f} m away, at nearly the same depth")
     if not reasons:
         reasons.append(f"{sum(calibration.part_cells.values())} cells show the robot, few of them with low uncertainty")

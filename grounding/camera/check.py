@@ -1,7 +1,10 @@
-"""Checks of a camera against the arm: agreement with it, and other cameras that explain the arm better."""
+"""Checks of a camera against the arm: agreement with it, and other cameras that explain the arm better.
+
+`check_named` decides whether a named camera is rejected.
+"""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -17,26 +20,42 @@ from kinebench_drake.grounding.camera.candidate import (
     CameraCandidate,
     CandidateFitter,
 )
-from kinebench_drake.grounding.camera.detections import ArmDetections, find_robot
+from kinebench_drake.grounding.camera.detections import MIN_FRAMES, ArmDetections, find_robot
+from kinebench_drake.grounding.camera.evidence import CameraChoice, CameraContradiction
 from kinebench_drake.grounding.camera.hypotheses import ChainSearch, Hypothesis
 from kinebench_drake.grounding.camera.lens import Lens, with_focal
 from kinebench_drake.grounding.camera.picture_reading import BetterReading, PictureReading
-from kinebench_drake.grounding.camera.robot_points import MIN_FRAMES
 from kinebench_drake.grounding.pipeline import PipelineResult
 from kinebench_drake.grounding.registration.fit import UNSEEN_FINGER_M
 from kinebench_drake.grounding.tracking.localization import PART_CELLS
 from kinebench_drake.grounding.tracking.view import DenseEstimator
 from kinebench_drake.io.frames import Frames
-from kinebench_drake.io.jsonl import Json
 from kinebench_drake.models.panda.description import RobotPart, hand_from_tcp
 from kinebench_drake.segments import evenly, finite_rows
 from kinebench_drake.track import Domain
 
+# Checked on right and wrong cameras, of which no wrong one may be accepted:
+# `python -m benchmarks cameras FOLDER --out OUT --presented plain,named,mirrored,short_focal,long_focal`.
+SURE_AGREEMENT = 0.68
+"""Agreement from which on no other reading of the picture is tried, not even a mirrored one."""
+_CONTRADICTING = 0.5
+"""Least agreement with another camera that contradicts the assumed one."""
+CLEARLY = 0.1
+"""Least lead of the agreement with another camera or reading that contradicts the assumed one."""
+LARGE_M = 0.03
+"""Displacement of the gripper by the other camera from which on there is no verdict [m]."""
+_LARGE_RAD = float(np.deg2rad(5.0))
+"""The same of its rotation [rad]."""
+_LEAST_EXPLAINED = 0.75
+"""Least share of the frames with the robot that another lens explains."""
 SEARCHED = 8
 """Frames that those are chosen from that check a camera."""
 _AGREEMENT_FRAMES = 25
 """Frames whose mean is the agreement of a track: the median of 5 differs by up to 0.12 between number formats."""
-_SCREENED = 3  # frames that tell which readings and lenses are fitted
+_LIKELY = (PictureReading.MIRRORED, PictureReading.CROPPED)
+"""Readings that a camera in the plane of symmetry, or a narrow margin, hides."""
+_SCREENED = 3
+"""Frames that tell which readings and lenses are fitted."""
 _FITTED_READINGS = 2
 _UPRIGHT_SHARE = 0.3
 """Agreement of unfitted postures from which on a picture is upright: turned ones have 0.16 at most, right ones of the
@@ -50,49 +69,19 @@ _NOT_UPRIGHT = (
 _LENS_SHARE = 0.85
 """Share of the agreement of unfitted postures with a camera from which on another lens is fitted: next to right cameras
 other focal lengths have 0.75 of it at most, crops 0.81, and crops of cropped pictures 0.92 at least."""
-_CROP_ZOOMS = (1.1, 1.25, 1.45)  # focal lengths of cropped pictures over that of the camera
+_CROP_ZOOMS = (1.1, 1.25, 1.45)
+"""Focal lengths of cropped pictures over that of the camera."""
 _CROP_PLACES = np.array([[0.0, 0.0], [-1.0, -1.0], [-1.0, 1.0], [1.0, -1.0], [1.0, 1.0]])
 """Places of a cropped picture in the whole one: its middle and its corners."""
 _CROP_LOG_SIGMA = 0.15
 _CROP_CENTRE_SIGMA = 0.1
 """Standard deviations of the logarithm of the focal length of a cropped picture, and of its principal point over its
 width."""
-_ZOOMS = (0.63, 0.72, 0.85, 1.0, 1.2, 1.4, 1.6)  # focal lengths over that of a camera in doubt
-_FITTED = 3  # other lenses that are fitted to contours
+_ZOOMS = (0.63, 0.72, 0.85, 1.0, 1.2, 1.4, 1.6)
+"""Focal lengths over that of a camera in doubt."""
+_FITTED = 3
+"""Other lenses that are fitted to contours."""
 _PASSES = (*COARSE, *MIDDLE[1:])
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class CameraContradiction:
-    """Camera that explains the arm clearly better than the assumed one."""
-
-    agreement: float
-    """Share of the contours of hand and arm on image edges with the assumed camera."""
-    better: float
-    """The same with the other one."""
-    focal_ratio: float
-    """Focal length of the assumed camera over that of the other one."""
-    gripper_m: float
-    """Distance between the TCPs that the two give in the base frame, median over the frames [m]."""
-    gripper_rad: float
-    """Angle between them [rad]."""
-
-    @property
-    def is_large(self) -> bool:
-        """True if no verdict bears it."""
-        return self.gripper_m > bounds.LARGE_M or self.gripper_rad > bounds.LARGE_RAD
-
-    def describe(self) -> str:
-        """Describe both agreements, the focal length and the displacement."""
-        return (
-            f"the arm contradicts the camera of the input: {self.agreement:.0%} of its contours lie on image edges, "
-            f"{self.better:.0%} with a focal length {1 / self.focal_ratio:.2f} times as long, which moves the gripper "
-            f"by {1e3 * self.gripper_m:.0f} mm and {np.rad2deg(self.gripper_rad):.0f} degrees in the base frame"
-        )
-
-    def to_json(self) -> dict[str, Json]:
-        """Serialize into `camera_contradiction` of samples.jsonl."""
-        return {name: round(getattr(self, name), 4) for name in self.__slots__}
 
 
 class CameraChecker:
@@ -135,18 +124,13 @@ class CameraChecker:
         that lead before any fit, in a few frames, are fitted.
         """
         leading = self._leading_readings(frames, camera, readings)
-        if not leading:
-            return None
         frames = frames[evenly(len(frames), SEARCHED)]
-        best: BetterReading | None = None
-        for reading in leading:
-            fitted = self._fit_reading(reading, frames, camera)
-            if fitted is not None and (best is None or fitted.better > best.better):
-                best = fitted
+        fits = [self._fit_reading(reading, frames, camera) for reading in leading]
+        best = max((fit for fit in fits if fit is not None), key=lambda fit: fit.better, default=None)
         if best is None or best.better < least:
             return None
         own = self._agreement(self.detect(frames, camera), frames, camera)
-        return replace(best, agreement=own) if best.better >= own + bounds.CLEARLY else None
+        return replace(best, agreement=own) if best.better >= own + CLEARLY else None
 
     def _leading_readings(
         self, frames: Frames, camera: Camera, readings: tuple[PictureReading, ...]
@@ -286,10 +270,8 @@ class CameraChecker:
         own = Lens.of_camera(camera)
         prior = Prior(lens=own, log_focal_sigma=LOG_FOCAL_SIGMA)
         trials = [(replace(own, camera=lens), prior) for lens in lenses]
-        best = self._fit_best(
-            detections, frames[detections.rows], trials, bounds.LEAST_EXPLAINED * len(detections.rows)
-        )
-        if best is None or best.agreement < max(bounds.CONTRADICTING, fixed.agreement + bounds.CLEARLY):
+        best = self._fit_best(detections, frames[detections.rows], trials, _LEAST_EXPLAINED * len(detections.rows))
+        if best is None or best.agreement < max(_CONTRADICTING, fixed.agreement + CLEARLY):
             return None
         X_CB = best.scene.lens.X_CB
         X_CG = X_CB @ self._fitter.model.poses(best.scene.q)[:, RobotPart.HAND] @ hand_from_tcp()
@@ -350,3 +332,62 @@ def _crops(camera: Camera) -> Iterator[Prior]:
                 centre_sigma_px=_CROP_CENTRE_SIGMA * camera.width,
                 place_free=False,
             )
+
+
+def find_reading(
+    frames: Frames, camera: Camera, agreement: float | None, checker: CameraChecker
+) -> BetterReading | None:
+    """Return a reading of picture or matrix that agrees clearly better than the track does; None if there is none.
+
+    Where the arm confirms the camera only those are tried that a camera in the plane of symmetry, or a narrow margin,
+    hides. `agreement` is that of the track with `camera` in frames (T, H, W, 3); None if it has no posture.
+    """
+    if agreement is not None and agreement >= SURE_AGREEMENT:
+        return None
+    confirmed = agreement is not None and agreement >= CONFIRMED
+    readings = _LIKELY if confirmed else tuple(PictureReading)
+    return checker.find_reading(frames, camera, max(CONFIRMED, agreement or 0.0), readings)
+
+
+def check_named(
+    choice: CameraChoice, frames: Frames, camera: Camera, result: PipelineResult, checker: CameraChecker
+) -> CameraChoice:
+    """Check a named camera, and the track with it in frames (T, H, W, 3), against the arm.
+
+    If the contours of hand and arm, in the postures of the track, lie on edges of the image, the camera stays, unless
+    the mirrored picture agrees clearly better. Otherwise other readings and other cameras are tried. One that explains
+    the arm clearly better and puts the gripper elsewhere leaves the base frame unknown, and so does a low agreement.
+    """
+    agreement = checker.track_agreement(frames, camera, result)
+    choice = replace(choice, agreement=agreement)
+    if result.camera_path is not None:  # other readings and cameras are sought in pictures of one camera alone
+        return choice if agreement is None else replace(choice, reason=_explain_disagreement(agreement, result))
+    reading = find_reading(frames, camera, agreement, checker)
+    if reading is not None:
+        return replace(choice, reading=reading, reason=f"the base frame is unknown: {reading.describe()}")
+    if agreement is not None and agreement >= CONFIRMED:
+        return choice
+    other = None if result.domain is Domain.ARM else checker.find_contradiction(frames, camera)
+    reason = None
+    if other is not None and (other.gripper_m > LARGE_M or other.gripper_rad > _LARGE_RAD):
+        reason = f"the base frame is unknown: {other.describe()}"
+    elif other is None:
+        reason = _explain_disagreement(agreement, result)
+    return replace(choice, contradiction=other, reason=reason)
+
+
+def _explain_disagreement(agreement: float | None, result: PipelineResult) -> str | None:
+    """Return why a camera that no other explains better gives no base frame; None if it does."""
+    if agreement is None:
+        if result.arm_consistency_px is None or not result.has_pose.any():  # nothing could agree or disagree
+            return None
+        return (
+            "the base frame is unknown: the arm contradicts the camera of the input: it is seen, but agrees with the "
+            "hand in no tracked frame"
+        )
+    if agreement >= bounds.AGREEMENT:
+        return None
+    return (
+        f"the base frame is unknown: the arm contradicts the camera of the input: {agreement:.0%} of its contours lie "
+        f"on image edges, at least {bounds.AGREEMENT:.0%} are needed"
+    )

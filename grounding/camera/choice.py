@@ -2,18 +2,16 @@
 
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass, fields, replace
-
-import numpy as np
+from dataclasses import dataclass, replace
 
 from kinebench_drake.camera import CONFIRMED, Camera, CameraSource, benchmark_camera
 from kinebench_drake.errors import UnmeasurableError
-from kinebench_drake.formats.camerafile import BENCHMARK
 from kinebench_drake.geometry import Array
 from kinebench_drake.grounding import bounds
 from kinebench_drake.grounding.camera.camera_estimate import CameraEstimate
+from kinebench_drake.grounding.camera.check import check_named, find_reading
 from kinebench_drake.grounding.camera.estimate import usual_camera
-from kinebench_drake.grounding.camera.evidence import CameraChoice, check_named, find_reading
+from kinebench_drake.grounding.camera.evidence import CameraChoice
 from kinebench_drake.grounding.camera.framing import Framing, apply_framing
 from kinebench_drake.grounding.camera.framing_search import find_framing
 from kinebench_drake.grounding.camera.picture_reading import BetterReading, PictureReading
@@ -24,10 +22,17 @@ from kinebench_drake.grounding.priors import Clip, Priors
 from kinebench_drake.grounding.video_result import GroundingResult
 from kinebench_drake.io.frames import Frames
 from kinebench_drake.models.panda.description import GripperKind
+from kinebench_drake.named_cameras import BENCHMARK
 from kinebench_drake.track import Domain, GripperTrack
 
-_SIGMAS = 2.0  # standard deviations of an estimated camera that its poses may be off by
-_MOST_RIVALS = 3  # cameras beside the estimated one under which a track is judged: each is another grounding
+_HAND_SHARE = 0.1
+"""Least share of the frames in which a hand counts as seen."""
+_TRACKED_SHARE = 0.5
+"""Least share of the frames with a tracked flange, of an arm that is measured without its gripper's name."""
+_SIGMAS = 2.0
+"""Standard deviations of an estimated camera that its poses may be off by."""
+_MOST_RIVALS = 3
+"""Cameras beside the estimated one under which a track is judged: each is another grounding."""
 PriorSource = Callable[[Camera], Priors]
 """Function from the camera of the whole frames to quantities that replace estimates."""
 
@@ -41,6 +46,7 @@ class _View:
     camera: Camera
     framing: Framing
     t_s: Array
+    table_height_m: float
     priors: Priors
 
     def result(
@@ -50,12 +56,14 @@ class _View:
         possible: tuple[GripperTrack, ...] = (),
     ) -> GroundingResult:
         """Return the result of a track, with this choice or another one, and the `possible` tracks of the clip."""
-        choice = choice or self.choice
-        own = {f.name: getattr(measured, f.name) for f in fields(PipelineResult)}
-        if choice.reason is not None:
-            own["track"] = replace(measured.track, X_BG=np.full_like(measured.track.X_BG, np.nan))
         return GroundingResult(
-            **own, frames=self.frames, camera=self.camera, framing=self.framing, choice=choice, possible=possible
+            measured=measured,
+            frames=self.frames,
+            camera=self.camera,
+            framing=self.framing,
+            choice=choice or self.choice,
+            table_height_m=self.table_height_m,
+            possible=possible,
         )
 
 
@@ -68,6 +76,7 @@ class CameraChooser:
     priors: PriorSource | Priors
     gripper: GripperKind
     table_height_m: float
+    """Height of the table top in the robot base frame where none is stated with the camera [m]."""
 
     def ground_trusted(self, choice: CameraChoice) -> GroundingResult:
         """Ground with a camera that is taken as exact."""
@@ -81,7 +90,7 @@ class CameraChooser:
         if not self._seeks_other:
             hand = self._checked(view, self._ground_hand(view))
             # Where another reading explains the hand, the arm alone would agree with the wrong one, too.
-            if hand.choice.reading is not None or not self._is_lost(hand):
+            if hand.choice.reading is not None or not self._is_lost(hand.measured):
                 return hand
         arm = self._ground_arm(view)
         if arm is not None:
@@ -121,7 +130,7 @@ class CameraChooser:
                 view.frames, view.camera, least, (PictureReading.CROPPED,)
             )
             if reading is not None:
-                return view.result(assumed, _misread(assumed.choice, reading))
+                return view.result(assumed.measured, _misread(assumed.choice, reading))
         usual = usual_camera(self.clip.frames.shape[2], self.clip.frames.shape[1])
         hands, searched = self.parts.checker.count_hands(self.clip.frames, usual)
         if not hands and view is not None and (arm := self._confirmed_arm(view)) is not None:
@@ -139,7 +148,13 @@ class CameraChooser:
         named = recognition.named
         source = CameraSource.BENCHMARK if named.name == BENCHMARK else CameraSource.RECOGNIZED
         view = self._view(
-            CameraChoice(camera=recognition.camera, source=source, named=named, shown=recognition.reading)
+            CameraChoice(
+                camera=recognition.camera,
+                source=source,
+                table_height_m=named.setting.table_height_m,
+                named=named,
+                shown=recognition.reading,
+            )
         )
         measured = self._ground_hand(view)
         agreement = self.parts.checker.track_agreement(view.frames, view.camera, measured)
@@ -157,7 +172,7 @@ class CameraChooser:
         """
         estimate: CameraEstimate | None = None
         try:
-            estimate = self.parts.cameras.estimate(self.clip.frames)
+            estimate = self.parts.cameras.estimate(self.clip.frames, usual)
             doubt = estimate.misfit
         except UnmeasurableError as error:
             doubt = str(error)
@@ -225,7 +240,7 @@ class CameraChooser:
 
     def _is_lost(self, hand: PipelineResult) -> bool:
         """Return whether a hand is tracked in so few frames that it may be another gripper."""
-        least = max(bounds.MIN_TRACKED, bounds.HAND_SHARE * len(hand.track.t_s))
+        least = max(bounds.MIN_TRACKED, _HAND_SHARE * len(hand.track.t_s))
         return self.gripper is GripperKind.AUTO and int(hand.track.tracked.sum()) < least
 
     def _view(self, choice: CameraChoice) -> _View:
@@ -241,10 +256,11 @@ class CameraChooser:
         priors = self.priors
         if not isinstance(priors, Priors):
             priors = priors(framing.whole_camera(camera))
+        height_m = self.table_height_m if choice.table_height_m is None else choice.table_height_m
         priors = replace(
             priors.crop(*framing.window),
             camera_is_fitted=choice.source in (CameraSource.ESTIMATED, CameraSource.NONE),
-            table_height_m=self.table_height_m if choice.table_height_m is None else choice.table_height_m,
+            table_height_m=height_m,
         )
         if shown is not None and priors.replaces_stage:
             raise UnmeasurableError(
@@ -259,6 +275,7 @@ class CameraChooser:
             camera=framing.camera(camera),
             framing=framing,
             t_s=clip.t_s,
+            table_height_m=height_m,
             priors=priors,
         )
 
@@ -279,7 +296,7 @@ class CameraChooser:
             return self.parts.arm(self.gripper).ground(*inputs)
         for gripper in (GripperKind.NONE, GripperKind.ROBOTIQ_2F85):
             arm = self.parts.arm(gripper).ground(*inputs)
-            if arm.track.tracked.mean() >= bounds.MAJORITY:
+            if arm.track.tracked.mean() >= _TRACKED_SHARE:
                 return arm
             if not arm.track.confidence.any():  # contours of a gripper are sought where there is an arm
                 break

@@ -14,17 +14,18 @@ from kinebench_drake.grounding.camera.bundle_adjustment import Prior
 from kinebench_drake.grounding.camera.camera_estimate import CameraEstimate, Rival
 from kinebench_drake.grounding.camera.candidate import (
     COARSE,
+    DIFFERENT_TURN_RAD,
     LOG_FOCAL_SIGMA,
     MIDDLE,
+    BaseTurn,
     CameraCandidate,
     CandidateFitter,
+    ContourImages,
     explained,
 )
-from kinebench_drake.grounding.camera.contours import DIFFERENT_TURN_RAD, BaseTurn, ContourImages
-from kinebench_drake.grounding.camera.detections import ArmDetections, find_robot
+from kinebench_drake.grounding.camera.detections import MIN_FRAMES, ArmDetections, find_robot
 from kinebench_drake.grounding.camera.hypotheses import ChainSearch, Hypothesis
 from kinebench_drake.grounding.camera.lens import USUAL_FOV_DEG, Lens, centred_camera, focal_px
-from kinebench_drake.grounding.camera.robot_points import MIN_FRAMES
 from kinebench_drake.grounding.camera.surroundings import Surroundings, find_lines, find_surroundings
 from kinebench_drake.grounding.registration.arm_model import ArmModel
 from kinebench_drake.grounding.registration.edges import EdgeMatcher
@@ -32,9 +33,14 @@ from kinebench_drake.grounding.tracking.view import DenseEstimator
 from kinebench_drake.io.frames import Frames
 from kinebench_drake.models.panda.description import RobotPart
 
+# Checked on right and wrong cameras, of which no wrong one may be accepted:
+# `python -m benchmarks cameras FOLDER --out OUT --presented plain,named,mirrored,short_focal,long_focal`.
+_ASKEW_LOSS = 0.2
+"""Loss of the base's agreement from which on lines along its axes are those of something askew."""
 _Ranked = TypeVar("_Ranked")
 
-_FOV_DEG = (30.0, 42.0, 55.0, 72.0)  # along the longer side, at which the search starts
+_FOV_DEG = (30.0, 42.0, 55.0, 72.0)
+"""Fields of view along the longer side at which the search starts [degrees]."""
 JOINT_SIGMA_RAD = 0.01
 """Standard deviation of known joint angles [rad]: offsets of the joints, and clocks."""
 FRAMES = 12
@@ -44,7 +50,8 @@ _FITTED = 6
 """Numbers of hypotheses compared, and of those fitted to the cells besides."""
 _ROUNDS = ((4, COARSE, 8), (6, MIDDLE, 5))
 """Successive comparisons of candidates: frames, passes, candidates kept."""
-_CLEARLY = 3.0  # of the tolerances within which cameras are the same: beyond, they contradict each other
+_CLEARLY = 3.0
+"""Multiple of the tolerances within which cameras are the same beyond which they contradict each other."""
 
 
 class CameraEstimator:
@@ -59,18 +66,17 @@ class CameraEstimator:
         self.estimator = estimator
         self.fitter = CandidateFitter(ArmModel(), EdgeMatcher())
 
-    def estimate(self, frames: Frames, camera: Camera | None = None, *, focal_free: bool = True) -> CameraEstimate:
+    def estimate(self, frames: Frames, camera: Camera, *, focal_free: bool = True) -> CameraEstimate:
         """Estimate place and focal length of the static camera of a video.
 
         Args:
             frames: (T, H, W, 3) RGB.
-            camera: initial intrinsics; None for a centred lens with a usual field of view.
+            camera: initial intrinsics, such as those of `usual_camera`.
             focal_free: True to estimate the focal length.
 
         Raises:
             UnmeasurableError: hand and arm are seen in too few frames.
         """
-        camera = camera or usual_camera(frames.shape[2], frames.shape[1])
         detections = find_robot(self.estimator, frames, camera, FRAMES)
         if detections is None or len(detections.rows) < MIN_FRAMES:
             count = 0 if detections is None else len(detections.rows)
@@ -122,7 +128,7 @@ class CameraEstimator:
             start = self._extend(replace(best, scene=estimate.scene, rows=estimate.frames), detections, search)
             aligned = self.fitter.finish(start, images, replace(prior, surroundings=surroundings), total)
             shares = [images.take(e.frames).base_share(e.scene) for e in (estimate, aligned)]
-            if shares[1] >= shares[0] - bounds.ASKEW_LOSS:
+            if shares[1] >= shares[0] - _ASKEW_LOSS:
                 own = arm_images.take(aligned.frames).agreement(aligned.scene)
                 estimate = replace(
                     aligned,

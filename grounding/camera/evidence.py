@@ -1,20 +1,46 @@
-"""Evidence for a video's camera: how well the arm of the reported track agrees with it, and what agrees better."""
+"""Evidence for a video's camera: how well the arm of the reported track agrees with it, and what agrees better.
 
-from dataclasses import dataclass, replace
+What the evidence decides about a named camera stands in `check.py`.
+"""
 
-from kinebench_drake.camera import CONFIRMED, Camera, CameraSource, CameraState
+from dataclasses import dataclass
+
+import numpy as np
+
+from kinebench_drake.camera import Camera, CameraSource, CameraState
 from kinebench_drake.errors import name_options
-from kinebench_drake.formats.camerafile import NamedCamera
-from kinebench_drake.grounding import bounds
 from kinebench_drake.grounding.camera.camera_estimate import CameraEstimate
-from kinebench_drake.grounding.camera.check import CameraChecker, CameraContradiction
 from kinebench_drake.grounding.camera.picture_reading import BetterReading, PictureReading
-from kinebench_drake.grounding.pipeline import PipelineResult
-from kinebench_drake.io.frames import Frames
 from kinebench_drake.io.jsonl import Json
-from kinebench_drake.track import Domain
+from kinebench_drake.named_cameras import NamedCamera
 
-_LIKELY = (PictureReading.MIRRORED, PictureReading.CROPPED)
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CameraContradiction:
+    """Camera that explains the arm clearly better than the assumed one."""
+
+    agreement: float
+    """Share of the contours of hand and arm on image edges with the assumed camera."""
+    better: float
+    """The same with the other one."""
+    focal_ratio: float
+    """Focal length of the assumed camera over that of the other one."""
+    gripper_m: float
+    """Distance between the TCPs that the two give in the base frame, median over the frames [m]."""
+    gripper_rad: float
+    """Angle between them [rad]."""
+
+    def describe(self) -> str:
+        """Describe both agreements, the focal length and the displacement."""
+        return (
+            f"the arm contradicts the camera of the input: {self.agreement:.0%} of its contours lie on image edges, "
+            f"{self.better:.0%} with a focal length {1 / self.focal_ratio:.2f} times as long, which moves the gripper "
+            f"by {1e3 * self.gripper_m:.0f} mm and {np.rad2deg(self.gripper_rad):.0f} degrees in the base frame"
+        )
+
+    def to_json(self) -> dict[str, Json]:
+        """Serialize into `camera_contradiction` of samples.jsonl."""
+        return {name: round(getattr(self, name), 4) for name in self.__slots__}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -26,6 +52,8 @@ class CameraChoice:
     source: CameraSource
     agreement: float | None = None
     """Share of the contours of hand and arm on image edges in the postures of the track; None if none was fitted."""
+    table_height_m: float | None = None
+    """Height of the table top in the robot base frame that is stated with the camera [m]; None if none is."""
     named: NamedCamera | None = None
     """Camera by name, where the arm is to confirm it."""
     shown: PictureReading | None = None
@@ -48,11 +76,6 @@ class CameraChoice:
             return CameraState.NAMED
         return CameraState.ESTIMATED if self.source is CameraSource.ESTIMATED else CameraState.CONFIRMED
 
-    @property
-    def table_height_m(self) -> float | None:
-        """Height of the table top in the robot base frame by the camera's name [m]; None if it is unknown."""
-        return None if self.named is None else self.named.setting.table_height_m
-
     def to_json(self) -> dict[str, Json]:
         """Serialize into keys of the row."""
         source = self.source if self.source.is_named or self.reason is None else CameraSource.NONE
@@ -73,62 +96,3 @@ class CameraChoice:
         if self.reason is not None:
             data["base_frame_reason"] = name_options(self.reason)
         return data
-
-
-def find_reading(
-    frames: Frames, camera: Camera, agreement: float | None, checker: CameraChecker
-) -> BetterReading | None:
-    """Return a reading of picture or matrix that agrees clearly better than the track does; None if there is none.
-
-    Where the arm confirms the camera only those are tried that a camera in the plane of symmetry, or a narrow margin,
-    hides. `agreement` is that of the track with `camera` in frames (T, H, W, 3); None if it has no posture.
-    """
-    if agreement is not None and agreement >= bounds.SURE_AGREEMENT:
-        return None
-    confirmed = agreement is not None and agreement >= CONFIRMED
-    readings = _LIKELY if confirmed else tuple(PictureReading)
-    return checker.find_reading(frames, camera, max(CONFIRMED, agreement or 0.0), readings)
-
-
-def check_named(
-    choice: CameraChoice, frames: Frames, camera: Camera, result: PipelineResult, checker: CameraChecker
-) -> CameraChoice:
-    """Check a named camera, and the track with it in frames (T, H, W, 3), against the arm.
-
-    If the contours of hand and arm, in the postures of the track, lie on edges of the image, the camera stays, unless
-    the mirrored picture agrees clearly better. Otherwise other readings and other cameras are tried. One that explains
-    the arm clearly better and puts the gripper elsewhere leaves the base frame unknown, and so does a low agreement.
-    """
-    agreement = checker.track_agreement(frames, camera, result)
-    choice = replace(choice, agreement=agreement)
-    if result.camera_path is not None:  # other readings and cameras are sought in pictures of one camera alone
-        return choice if agreement is None else replace(choice, reason=_explain_disagreement(agreement, result))
-    reading = find_reading(frames, camera, agreement, checker)
-    if reading is not None:
-        return replace(choice, reading=reading, reason=f"the base frame is unknown: {reading.describe()}")
-    if agreement is not None and agreement >= CONFIRMED:
-        return choice
-    other = None if result.domain is Domain.ARM else checker.find_contradiction(frames, camera)
-    reason = None
-    if other is not None and other.is_large:
-        reason = f"the base frame is unknown: {other.describe()}"
-    elif other is None:
-        reason = _explain_disagreement(agreement, result)
-    return replace(choice, contradiction=other, reason=reason)
-
-
-def _explain_disagreement(agreement: float | None, result: PipelineResult) -> str | None:
-    """Return why a camera that no other explains better gives no base frame; None if it does."""
-    if agreement is None:
-        if result.arm_consistency_px is None or not result.has_pose.any():  # nothing could agree or disagree
-            return None
-        return (
-            "the base frame is unknown: the arm contradicts the camera of the input: it is seen, but agrees with the "
-            "hand in no tracked frame"
-        )
-    if agreement >= bounds.AGREEMENT:
-        return None
-    return (
-        f"the base frame is unknown: the arm contradicts the camera of the input: {agreement:.0%} of its contours lie "
-        f"on image edges, at least {bounds.AGREEMENT:.0%} are needed"
-    )

@@ -11,11 +11,14 @@ from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array
 from kinebench_drake.io.frames import Frames
 
-_SQUARE = 0.01  # relative difference of the scales that counts as none (`Camera.resized` allows as much)
+_SQUARE = 0.01
+"""Relative difference of the scales that counts as none (`Camera.resized` allows as much)."""
 PART_PX = 0.75
 """Least width of a bar or crop, or displacement of a corner; less is rounding [px]."""
-_PLACES = (0.5, 0.0, 1.0)  # centred, at the beginning, at the end
-_ZOOMS = (1.15, 1.35)  # crops tighter than needed to fill the video
+_PLACES = (0.5, 0.0, 1.0)
+"""Places of an image in a longer side: centred, at the beginning, at the end."""
+_ZOOMS = (1.15, 1.35)
+"""Crops tighter than needed to fill the video."""
 
 ImageType = TypeVar("ImageType", np.uint8, np.bool_)
 

@@ -22,16 +22,26 @@ from kinebench_drake.io.frames import Frames
 from kinebench_drake.io.video import MIN_SIDE_PX
 from kinebench_drake.segments import evenly
 
-# longer side of the frame at the levels of the image pyramid
+_LEAST_CORRELATION = 0.75
+"""Least correlation of a first frame that shows the conditioning image."""
+_BAR_LEVELS = 7.0
+"""Grey levels of 255 by which a bar may vary, over its area and in time, and by which the image beside it differs."""
+
 _COARSE_PX = (48, 96)
+"""Longer sides of the frame at the coarse levels of the image pyramid [px]."""
 _FINE_PX = (192, 384)
+"""The same at the fine levels [px]."""
 _MAX_STEPS = 12
 _CONVERGED_PX = 0.01
-_MIN_VARIANCE = 1.0  # of an image's grey levels; one of a single grey cannot be aligned
-_MIN_SHARE = 0.2  # of the frame's pixels that the image must cover
+_MIN_VARIANCE = 1.0
+"""Least variance of an image's grey levels: one of a single grey cannot be aligned."""
+_MIN_SHARE = 0.2
+"""Least share of the frame's pixels that the image must cover."""
 _TUKEY = 4.685
-_DETAIL_PX = 10.0  # scale of the high-pass filter of the correlation
-_MARGIN_PX = 4  # blur of the edge by a codec
+_DETAIL_PX = 10.0
+"""Scale of the high-pass filter of the correlation [px]."""
+_MARGIN_PX = 4
+"""Width to which a codec blurs an edge [px]."""
 
 Grey = NDArray[np.float32]
 
@@ -54,11 +64,11 @@ def align(image: NDArray[np.uint8], frame: NDArray[np.uint8]) -> Framing | None:
     usual = placements(size, video)
     greys = [cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY).astype(np.float32) for rgb in (image, frame)]
     best = _refine(usual[0], greys, (*_COARSE_PX, *_FINE_PX))
-    if (best.correlation or 0.0) < bounds.FRAMING_CORRELATION or _corner_distance_px(usual[0], best) > PART_PX:
+    if (best.correlation or 0.0) < _LEAST_CORRELATION or _corner_distance_px(usual[0], best) > PART_PX:
         candidates = [_refine(start, greys, _COARSE_PX) for start in (*usual, *deeper_crops(size, video))]
         candidates = sorted(candidates, key=lambda f: -(f.correlation or 0.0))[:3]
         best = max((_refine(start, greys, _FINE_PX) for start in candidates), key=lambda f: f.correlation or 0.0)
-    if (best.correlation or 0.0) < bounds.FRAMING_CORRELATION:
+    if (best.correlation or 0.0) < _LEAST_CORRELATION:
         return None
     near = [u for u in usual if _corner_distance_px(u, best) <= PART_PX]
     if near:
@@ -200,8 +210,8 @@ def _is_bar(bar: NDArray[np.float32], inside: NDArray[np.float32]) -> bool:
     area = bar[:, : max(1, bar.shape[1] - _MARGIN_PX)]
     colour = np.median(area, axis=(0, 1, 2))
     edge = inside[:, _MARGIN_PX : 2 * _MARGIN_PX]
-    constant = float(np.percentile(np.abs(area - colour), 99)) <= bounds.BAR_LEVELS
-    return constant and float(np.abs(edge - colour).max(axis=-1).mean()) >= bounds.BAR_LEVELS
+    constant = float(np.percentile(np.abs(area - colour), 99)) <= _BAR_LEVELS
+    return constant and float(np.abs(edge - colour).max(axis=-1).mean()) >= _BAR_LEVELS
 
 
 def find_framing(

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array, invert
+from kinebench_drake.grounding.camera.detections import CalibrationCorrespondences
 from kinebench_drake.grounding.camera.lens import Lens, solve_pnp, with_focal
-from kinebench_drake.grounding.camera.robot_points import CalibrationCorrespondences
 from kinebench_drake.grounding.registration.arm_model import LAST_ANGLES_RAD, OVER_LIMIT_RAD, USUAL_Q, ArmModel
 from kinebench_drake.grounding.registration.chain_fit import MIN_LINK_CELLS
 from kinebench_drake.grounding.registration.solver import NEAREST_M
@@ -25,27 +25,37 @@ from kinebench_drake.models.panda.description import ARM, RobotPart
 from kinebench_drake.models.robot import N_JOINTS
 from kinebench_drake.segments import evenly
 
-# angles of a joint whose next link is visible, and of another
 _ANGLES = 36
+"""Angles of a joint whose next link is visible."""
 _COARSE_ANGLES = 9
+"""Angles of a joint whose next link is not visible."""
 _BEAM = 100
-_CELLS = 8  # cells of a link that are compared
-_CAP = 16.0  # of a cell's squared error in standard deviations
-_EXPLAINED = 9.0  # mean capped error of a frame above which its hand is no hand, or the camera another
-# standard deviation that the start of the chain adds, and of the cells
+_CELLS = 8
+"""Cells of a link that are compared."""
+_CAP = 16.0
+"""Greatest squared error of a cell [variances]."""
+_EXPLAINED = 9.0
+"""Mean capped error of a frame above which its hand is no hand, or the camera another."""
 _SLACK_M = 0.02
+"""Standard deviation that the start of the chain adds to a cell [m]."""
 _SLACK_PX = 2.0
-_LINK_FACTOR = 0.4  # of the cells' standard deviations: a wrong chain is farther off than they are
+"""The same in the image [px]."""
+_LINK_FACTOR = 0.4
+"""Factor of the cells' standard deviations: a wrong chain is farther off than they are."""
 _DEPTH_SIGMA = 0.04
 _ROLL_SIGMA_RAD = np.deg2rad(12.0)
 _USUAL_SIGMA = np.array([1.2, 0.7, 0.6, 0.7, 0.7, 0.7, 1.3])
 _PRIOR_WEIGHT = 0.05
-_TIE = 1e-3  # difference of costs that says nothing
-_DISTANCES = np.exp(np.array([0.0, -0.16, -0.08, 0.08, 0.16]))  # of the hand, over that of its pose
-# frames in which all chains are compared, and chains compared in all frames
+_TIE = 1e-3
+"""Difference of costs that says nothing."""
+_DISTANCES = np.exp(np.array([0.0, -0.16, -0.08, 0.08, 0.16]))
+"""Distances of a hand that are tried, over that of its pose."""
 _COMPARED_FRAMES = 6
+"""Frames in which all chains are compared."""
 _KEPT = 32
-_FLIP_COST = 0.5  # of a gripper turned against its cells
+"""Chains that are compared in all frames."""
+_FLIP_COST = 0.5
+"""Cost of a gripper turned against its cells."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -13,11 +13,16 @@ UNKNOWNS = 9
 point [px]."""
 USUAL_FOV_DEG = 55.0
 """Field of view along the longer side of a camera of which nothing is known [degrees]."""
-_SHOULDER_M = 0.333  # height of the shoulder above the base
-_CONSENSUS_PX = 6.0  # largest error of an inlier, in an image 384 px wide
+_SHOULDER_M = 0.333
+"""Height of the shoulder above the base [m]."""
+_CONSENSUS_PX = 6.0
+"""Largest error of an inlier [px of an image 384 px wide]."""
 _SAME_RAD = np.deg2rad(3.0)
+"""Angle between the axes of joint 1 within which two cameras see the same arm [rad]."""
 _SAME_SHARE = 0.03
+"""Distance between the shoulders, over that from the camera, within which they do."""
 _SAME_ZOOM = 0.05
+"""Logarithm of the ratio of focal lengths within which they do."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from kinebench_drake.camera import Camera
-from kinebench_drake.formats.camerafile import BENCHMARK, NamedCamera, named_cameras
 from kinebench_drake.grounding import bounds
 from kinebench_drake.grounding.camera.candidate import CameraCandidate
 from kinebench_drake.grounding.camera.check import SEARCHED, CameraChecker
@@ -19,11 +18,25 @@ from kinebench_drake.grounding.camera.framing import placements
 from kinebench_drake.grounding.camera.lens import Lens
 from kinebench_drake.grounding.camera.picture_reading import BetterReading, PictureReading
 from kinebench_drake.io.frames import Frames
+from kinebench_drake.named_cameras import BENCHMARK, NamedCamera, named_cameras
 from kinebench_drake.segments import evenly
 
-_FITTED = 5  # cameras that are fitted to contours
-_SAME = 0.3  # of the tolerances of `Lens.sees_same_arm`, within which two pictures are the same
-_MARGIN = 0.05  # of the sides of a picture, by which the foot of the robot may lie outside
+# Checked on clips at stock cameras: `benchmarks/mujoco_clips.py stock`, then
+# `python -m benchmarks cameras stock --out OUT --presented plain`.
+RECOGNITION_LEAD = 0.05
+"""Least lead of a camera known by name in the agreements of arm and base together.
+
+Also how much more of the arm's agreement a camera may have that is freed from its place."""
+_LIKELY_COST = 6.0
+"""Greatest mean error of the cells (`Hypothesis.cost`) of a named camera that comes into question."""
+_LIKELY_COST_LEAD = 0.8
+"""Greatest difference of this error from that of the best named camera."""
+_FITTED = 5
+"""Cameras that are fitted to contours."""
+_SAME = 0.3
+"""Factor of the tolerances of `Lens.sees_same_arm` within which two pictures are the same."""
+_MARGIN = 0.05
+"""Share of the sides of a picture by which the foot of the robot may lie outside."""
 _TURNS = (
     PictureReading.MIRRORED,
     PictureReading.ROWS_REVERSED,
@@ -56,9 +69,7 @@ class Recognition:
     def is_clear(self) -> bool:
         """True if the arm confirms it, and no other."""
         agrees = self.agreement >= bounds.AGREEMENT and self.base_agreement >= bounds.BASE_AGREEMENT
-        return (
-            agrees and self.lead >= bounds.RECOGNITION_LEAD and self.freed <= self.agreement + bounds.RECOGNITION_LEAD
-        )
+        return agrees and self.lead >= RECOGNITION_LEAD and self.freed <= self.agreement + RECOGNITION_LEAD
 
     @property
     def is_usual(self) -> bool:
@@ -141,7 +152,7 @@ def _trials(
     explained.sort(key=lambda one: one[0].cost)
     trials = []
     for hypothesis, named in explained[:_FITTED]:
-        likely = hypothesis.cost <= min(bounds.LIKELY_COST, explained[0][0].cost + bounds.LIKELY_COST_LEAD)
+        likely = hypothesis.cost <= min(_LIKELY_COST, explained[0][0].cost + _LIKELY_COST_LEAD)
         fit = checker.fit_postures(detections, frames, hypothesis) if likely else None
         if fit is not None:
             own = frames[detections.rows[fit.rows]]

@@ -19,8 +19,11 @@ from kinebench_drake.segments import spread
 POSTURES = {"home": np.pi * np.array([0.0, -1 / 4, 0.0, -3 / 4, 0.0, 1 / 2, 1 / 4]), "rest": rest_q()}
 """Named postures (7,) [rad]: the start posture of Franka's programs (libfranka, franka_ros), and that of ManiSkill."""
 _MAX_RAD = 4.0
-_LATE_S = 0.1  # greatest time by which frames may lie outside the joint angles
-_MAX_GAP_S = 0.5  # greatest time between joint angles that are interpolated
+"""Largest joint angle [rad]: larger numbers are degrees."""
+_LATE_S = 0.1
+"""Greatest time by which frames may lie outside the joint angles [s]."""
+_MAX_GAP_S = 0.5
+"""Greatest time between joint angles that are interpolated [s]."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -139,14 +142,6 @@ def read_states(path: Path, episode: str | None, column: str | None, t_s: Array,
         return _of_joints(by_rows.q, fingers, source, model)
     X_BH = (by_rows.X_BG if by_rows.X_BG is not None else np.empty((0, 4, 4))) @ invert(hand_from_tcp())
     return RobotStates(q=np.full((len(X_BH), N_JOINTS), np.nan), X_BH=X_BH, finger_m=fingers, source=source)
-
-
-def unknown_states(frames: int) -> RobotStates:
-    """Return states that are unknown in all frames."""
-    nothing = np.full((frames, N_JOINTS), np.nan)
-    return RobotStates(
-        q=nothing, X_BH=np.full((frames, 4, 4), np.nan), finger_m=np.full(frames, np.nan), source="nothing"
-    )
 
 
 def _of_joints(q: Array, finger_m: Array, source: str, model: ArmModel) -> RobotStates:

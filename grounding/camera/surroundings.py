@@ -19,28 +19,38 @@ from kinebench_drake.grounding.registration.edges import EdgeMatcher
 from kinebench_drake.grounding.registration.solver import CAUCHY
 from kinebench_drake.io.frames import Frames
 
-_LEAST_LENGTH = 0.05  # of a line over the larger side of the image
+_LEAST_LENGTH = 0.05
+"""Least length of a line over the larger side of the image."""
 _LEAST_LINES = 8
 _TURNS_RAD = np.deg2rad(np.arange(-45.0, 45.0, 0.5))
-_WIDTH_RAD = np.deg2rad(1.5)  # within which a line runs along an axis, at the camera that the arm shows
-# of the lines along the axes; over that at any other turn
+_WIDTH_RAD = np.deg2rad(1.5)
+"""Angle within which a line runs along an axis, at the camera that the arm shows [rad]."""
 _LEAST_SHARE = 0.3
+"""Least share of the lines' length along the axes."""
 _LEAST_RATIO = 2.0
+"""Least ratio of this share to that at any other turn."""
 _OTHER_TURN_RAD = np.deg2rad(10.0)
-# of the arm's turn about the vertical, to take the axes as its own
+"""Least difference of another turn [rad]."""
 _SIGMAS = 2.5
+"""Standard deviations of the arm's turn about the vertical within which the axes are those of the base."""
 _LARGEST_TURN_RAD = np.deg2rad(6.0)
-_PASS_RAD = np.deg2rad(4.0)  # from its axis beyond which a line is left out
-# of a line's ends, and of its direction
+"""Largest turn of the axes against those that the arm shows [rad]."""
+_PASS_RAD = np.deg2rad(4.0)
+"""Angle to its axis beyond which a line is left out [rad]."""
 _SIGMA_PX = 0.3
+"""Standard deviation of a line's ends [px]."""
 _SIGMA_RAD = np.deg2rad(0.15)
-# standard deviation of each angle between surroundings and base
+"""Standard deviation of a line's direction [rad]."""
 _ASKEW_RAD = np.deg2rad(0.2)
+"""Standard deviation of each angle between surroundings and base [rad]."""
 _ASKEW_PASSES = 6
 _DIFFERENCE = 1e-5
-_INDEPENDENT = 8.0  # independent lines that those along one axis count as at most
-_ALONG = np.array([0.1, 0.5, 0.9])  # places on a line that are compared with the robot
-_ON_ROBOT = 0.2  # share of these places, all frames together, that the robot covers
+_INDEPENDENT = 8.0
+"""Independent lines that those along one axis count as at most."""
+_ALONG = np.array([0.1, 0.5, 0.9])
+"""Places on a line that are compared with the robot."""
+_ON_ROBOT = 0.2
+"""Share of these places, all frames together, that the robot covers."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

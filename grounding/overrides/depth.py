@@ -25,9 +25,10 @@ from kinebench_drake.io.frames import Frames
 from kinebench_drake.io.npz import open_npz, read_npy
 from kinebench_drake.plugin import is_class_name, load_class
 
-# range of the median depth of a scene with a robot
 _NEAR_M = 0.02
+"""Least median depth of a scene with a robot [m]."""
 _FAR_M = 50.0
+"""Greatest median depth of a scene with a robot [m]."""
 _MOGE = "moge:"
 
 

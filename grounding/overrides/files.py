@@ -22,9 +22,12 @@ MESH_NAME = "mesh_from_hand.txt"
 """File with the pose (4, 4) of panda_hand in the frame of the tracked mesh."""
 _FOUNDATION_POSE = "ob_in_cam"
 _FAR_M = 10.0
-_TOLERANCE_M = 0.01  # of the gripper width
-_HALF_MM = 0.5  # stored depth is truncated
-_MAX_SHARE = 0.9  # of all pixels; a gripper that fills the image cannot be tracked anyway
+_TOLERANCE_M = 0.01
+"""Tolerance of the gripper width [m]."""
+_HALF_MM = 0.5
+"""Mean truncation of stored depth [mm]."""
+_MAX_SHARE = 0.9
+"""Greatest share of the pixels in a mask: a gripper that fills the image cannot be tracked anyway."""
 
 
 @contextmanager

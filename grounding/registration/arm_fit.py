@@ -3,9 +3,11 @@
 The base is fixed and the link lengths are known, so the arm determines where the hand is, above all its distance, which
 the hand alone determines poorly. The initial posture comes from closed-form inverse kinematics of the hand's own pose
 over the angles of the last joint; then all joints are fitted to the cells of links and gripper together.
+
+From a posture that is nearly right, or from one of a neighbouring frame, the arm is fitted to the edges of the image.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from typing import Self
@@ -16,25 +18,73 @@ from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array, invert, make_pose, pose_difference
 from kinebench_drake.grounding import bounds
 from kinebench_drake.grounding.registration.arm_model import (
+    EVIDENCE_CAP,
+    POSTURE_SIGMA_RAD,
     ArmHandModel,
     ArmModel,
     find_posture,
     flip_evidence,
+    half_turn,
 )
-from kinebench_drake.grounding.registration.correspondences import Correspondences
+from kinebench_drake.grounding.registration.edges import (
+    FIT_POINTS,
+    FLANGE,
+    RIGID,
+    ROBOT,
+    SIGMA_PX,
+    WRIST,
+    EdgeMatcher,
+)
 from kinebench_drake.grounding.registration.fit import (
+    UNSEEN_FINGER_M,
     HandFit,
     HandModel,
     finger_or_default,
     gripper_cells,
     masked_median,
 )
-from kinebench_drake.grounding.registration.solver import CellRows, Solution, solve
+from kinebench_drake.grounding.registration.image import EdgePoints, GradientImage, follow_surface
+from kinebench_drake.grounding.registration.solver import CellRows, Correspondences, Solution, solve
 from kinebench_drake.grounding.tracking.view import GripperView
 from kinebench_drake.models.panda.cad import open_fingers
-from kinebench_drake.models.panda.description import RobotPart
+from kinebench_drake.models.panda.description import ARM, RobotPart
+from kinebench_drake.models.robot import N_JOINTS
 
-_LINKS_ONLY_WEIGHT = 0.03  # weight of the hand's cells where the links alone determine its distance
+# Chosen by hand on own renders; checked by `python -m benchmarks evaluate` on these, by `footage` on others' videos.
+_SHARPENING_GROWTH_PX = 1.0
+"""Largest increase of the links' distance by a fit to cells and edges [px of an image 384 px wide].
+
+Beyond it, the edges are those beside the right ones."""
+LINKS_DEPTH_SIGMA = 0.1
+"""Relative standard deviation of the depth factor where only links are measured: looks are often unfamiliar."""
+FOLLOWED_REACHES_PX = (6.0, 4.0, 3.0, 2.0)
+"""Farthest image edges in successive passes from a posture that followed the surface [px]."""
+LAST_LINKS = (RobotPart.LINK5, RobotPart.LINK6, RobotPart.LINK7)
+"""Links whose contours say whether the flange is right; those before them may be wrong, or hidden."""
+_POINTS = 300
+"""Points of the contours, where the posture is nearly right."""
+_EDGE_REACHES_PX = (10.0, 5.0, 2.0)
+"""Farthest image edges in successive passes [px]."""
+_SAME_CONTOUR_PX = 3.0
+"""Reach up to which the contour of the pass before still is the visible one [px]."""
+_RIM_SIGMA_CELLS = 0.7
+"""Standard deviation of the segmented rim of the hand [cells]."""
+_EDGE_NATS = 25.0
+"""Log-likelihood ratio per difference of edge agreement of hand and flange."""
+_MAX_CONSISTENCY_PX = 6.0
+"""Largest median distance between links as estimated and as posed of an arm that agrees [px of 384 px of width]."""
+_MAX_ACROSS_M = 0.025
+"""Largest deviation of a hand posed by an arm that agrees from the fit of the hand alone, across the view [m]."""
+_MAX_ALONG_M = 0.08
+"""The same along the line of sight [m]."""
+_MAX_GROWTH = 1.4
+"""Largest increase of the hand's residual by the arm: factor."""
+_MAX_GROWTH_SIGMAS = 0.3
+"""Summand of this increase [standard deviations]."""
+_LINKS_ONLY_WEIGHT = 0.03
+"""Weight of the hand's cells where the links alone determine its distance."""
+_Match = Callable[[ArmHandModel, Sequence[int], float], Sequence[Correspondences | None]]
+"""Correspondences of arms of some frames, by their numbers, within a reach; None for a frame that has too few."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -89,16 +139,29 @@ class ArmView:
         return Correspondences.join([self.gripper, self.links])
 
 
-class ArmFitter:
-    """Fitter of the arm to views of one camera."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FollowedArm:
+    """Posture that followed the surface of the arm from another frame."""
 
-    def __init__(self, camera: Camera, model: ArmModel, places: Array | None = None) -> None:
+    q: Array
+    """(7,) joint angles [rad]."""
+    X_CH: Array
+    """(4, 4) pose of panda_hand in the camera frame [m]."""
+    points: Correspondences
+    """Points of the surface."""
+
+
+class ArmFitter:
+    """Fitter of the arm to views and edges of one camera."""
+
+    def __init__(self, camera: Camera, model: ArmModel, edges: EdgeMatcher, places: Array | None = None) -> None:
         """Create the fitter; a moving camera has `places` (T, 3) in the frame of `camera` [m]."""
         X_BC = camera.X_BC if places is None else camera.X_BC @ make_pose(np.eye(3), places)
         self._model = model
+        self._edges = edges
         self._camera = camera
         self._X_CB = invert(X_BC).reshape(-1, 4, 4)  # of each frame, or of all
-        self._tolerance_px = bounds.MAX_CONSISTENCY_PX * camera.unit_px
+        self._tolerance_px = _MAX_CONSISTENCY_PX * camera.unit_px
 
     def at(self, numbers: Sequence[int]) -> Self:
         """Return the fitter of some frames, in their order: this one, unless the camera moves."""
@@ -236,6 +299,231 @@ class ArmFitter:
         distance = np.hypot(p_L[:, 0], p_L[:, 1]) / p_L[:, 2]
         return self._camera.fx * masked_median(distance, cells.weight > 0)
 
+    def refine(
+        self, q: Array, view: ArmView, image: GradientImage, followed: Correspondences | None = None
+    ) -> ArmFit | None:
+        """Fit the arm of one frame as `refine_all`.
+
+        Points of the surface that led to the posture, `followed`, count in place of the cells, in all passes.
+        """
+        return self.refine_all(q[None], [view], [image], followed)[0]
+
+    def refine_all(
+        self,
+        q: Array,
+        views: Sequence[ArmView],
+        images: Sequence[GradientImage],
+        followed: Correspondences | None = None,
+    ) -> list[ArmFit | None]:
+        """Fit the arms of B frames to the edges of their images, from postures; None where that diverges.
+
+        The first pass also counts the cells, and it alone the fingers: grippers have fingers of many forms. Near the
+        hand, whose bevels look like outlines, the edge nearest to its segmented rim is taken.
+
+        The postures `q` (B, 7) [rad] are of these frames or of neighbouring ones.
+        """
+        images = [self._with_rim(image, view.close) for image, view in zip(images, views, strict=True)]
+        contours: dict[int, EdgePoints | None] = {}
+
+        def match(arm: ArmHandModel, numbers: Sequence[int], reach_px: float) -> list[Correspondences | None]:
+            with_cells = followed is None and reach_px == _EDGE_REACHES_PX[0]
+            matched = []
+            for i, X_CP in zip(numbers, self._poses(arm), strict=True):
+                points = contours.get(i)
+                camera = images[i].camera
+                if points is None or reach_px > _SAME_CONTOUR_PX:
+                    points = self._edges.project(X_CP, camera, ROBOT if with_cells else RIGID, FIT_POINTS)
+                else:
+                    points = points.moved(X_CP, camera)
+                contours[i] = points
+                edges = None if points is None else self._edges.match_points(images[i], points, reach_px)
+                extra = views[i].cells if with_cells else followed
+                matched.append(edges if edges is None or extra is None else Correspondences.join([extra, edges]))
+            return matched
+
+        fits: list[ArmFit | None] = [None] * len(views)
+        reaches_px = _EDGE_REACHES_PX if followed is None else FOLLOWED_REACHES_PX
+        start = self._start(q, [view.hand.finger_m for view in views], views, self._bases(len(views)))
+        numbers, solution = _solve_in_passes(start, range(len(views)), match, reaches_px, views)
+        if solution is None:
+            return fits
+        evidence = self._edge_evidence(solution.model, [images[i] for i in numbers])
+        for i, fit in zip(numbers, self._with_evidence(solution, evidence, [views[i] for i in numbers]), strict=True):
+            fits[i] = fit
+        contours.clear()
+        doubtful = np.flatnonzero([of_turn < 0 for of_turn, _, _ in evidence])
+        if len(doubtful):
+            turned = half_turn(solution.model.take(doubtful))
+            numbers = [numbers[k] for k in doubtful]
+            numbers, solution = _solve_in_passes(turned, numbers, match, _EDGE_REACHES_PX[-2:], views)
+        if len(doubtful) and solution is not None:
+            evidence = self._edge_evidence(solution.model, [images[i] for i in numbers])
+            refits = self._with_evidence(solution, evidence, [views[i] for i in numbers])
+            for i, (of_turn, _, _), fit in zip(numbers, evidence, refits, strict=True):
+                if of_turn > 0:
+                    fits[i] = fit
+        return fits
+
+    def _with_evidence(
+        self, solution: Solution[ArmHandModel], evidence: Sequence[tuple[float, float, float]], views: Sequence[ArmView]
+    ) -> list[ArmFit | None]:
+        """Return the fits of B frames with what the edges say about them (`_edge_evidence`)."""
+        fits = self._arm_fits(solution, [view.cells for view in views], [view.hand for view in views])
+        return [
+            fit
+            and replace(
+                fit,
+                agrees=agreement >= bounds.EDGE_AGREEMENT,
+                evidence=of_turn,
+                edge_agreement=agreement,
+                hand_agreement=of_hand,
+            )
+            for fit, (of_turn, agreement, of_hand) in zip(fits, evidence, strict=True)
+        ]
+
+    def sharpen_all(
+        self, arms: Sequence[ArmFit], views: Sequence[ArmView], images: Sequence[GradientImage]
+    ) -> list[ArmFit]:
+        """Fit postures of B frames that are right within a few pixels to cells and edges together.
+
+        The edges are more precise, above all in depth, and the cells keep to the right ones among them. Fits `arms` to
+        the cells are returned where too few edges are near or the fit moves far away.
+        """
+        sharpened = list(arms)
+        X_CB = self._bases(len(arms))
+        start = self._start(np.stack([arm.q for arm in arms]), [arm.finger_m for arm in arms], views, X_CB)
+        rimmed = [self._with_rim(image, view.close) for image, view in zip(images, views, strict=True)]
+        matched = {
+            b: own
+            for b, (image, X_CP) in enumerate(zip(rimmed, self._poses(start), strict=True))
+            if (own := self._edges.match(image, X_CP, FOLLOWED_REACHES_PX[1], RIGID, _POINTS)) is not None
+        }
+        if not matched:
+            return sharpened
+        frames = np.array(list(matched))
+        views = [views[b] for b in frames]
+        joined = [Correspondences.join([v.gripper, v.links, matched[b]]) for b, v in zip(frames, views, strict=True)]
+        solution = solve(start.take(frames), Correspondences.stack(joined), *depth_priors(views), iterations=3)
+        fits = self._arm_fits(solution, [view.links for view in views], [view.hand for view in views])
+        for b, fitted in zip(frames, fits, strict=True):
+            if fitted is None or not fitted.agrees:
+                continue
+            grown_px = fitted.consistency_px - arms[b].consistency_px
+            if (
+                pose_difference(fitted.X_CH, arms[b].X_CH)[0] <= bounds.FAR_M
+                and grown_px <= _SHARPENING_GROWTH_PX * self._camera.unit_px
+            ):
+                sharpened[b] = replace(fitted, scale=arms[b].scale, evidence=arms[b].evidence)
+        return sharpened
+
+    def follow(self, near: ArmFit, X_CP: Array, before: GradientImage, after: GradientImage) -> FollowedArm | None:
+        """Return where the surface of the arm `near` went since a neighbouring frame; None if it cannot be followed.
+
+        Its parts are at `X_CP` (PARTS, 4, 4) in the camera frame of that frame [m].
+        """
+        points = follow_surface(self._edges.caster, X_CP, before, after)
+        if points is None:
+            return None
+        solution = solve(self._links_at(near.q[None]), Correspondences.stack([points]), np.array([LINKS_DEPTH_SIGMA]))
+        if not solution.valid[0]:
+            return None
+        return FollowedArm(q=solution.model.q[0], X_CH=solution.model.hand()[0][0], points=points)
+
+    def fit_links(
+        self, X_CH: Array, turn_sigma_rad: float, links: Correspondences, image: GradientImage
+    ) -> ArmFit | None:
+        """Fit the arm to cells and edges of its links alone; None if the base is out of reach or no edges are near.
+
+        The hand still hides what is behind it: other grippers are as large. Its pose `X_CH` (4, 4) [m] is right within
+        some pixels, its turn about the flange's axis has the standard deviation `turn_sigma_rad`, and the cells of the
+        links also tell postures with this pose apart.
+        """
+        initial = find_posture(self._model, X_CH, links, self._X_CB[0])
+        if initial is None:
+            return None
+        q_sigma = np.array([*[POSTURE_SIGMA_RAD] * (N_JOINTS - 1), turn_sigma_rad])
+        arm = replace(self._links_at(initial[0][None]), q_sigma=q_sigma)
+        fit = None
+        for reach_px in FOLLOWED_REACHES_PX:
+            edges = self._edges.match(image, self._poses(arm)[0], reach_px, ARM, _POINTS)
+            if edges is None:
+                return None
+            solution = solve(arm, Correspondences.stack([Correspondences.join([links, edges])]), [LINKS_DEPTH_SIGMA])
+            if not solution.valid[0]:
+                return None
+            arm = solution.model
+            fit = self._arm_fits(solution, [links], [None])[0]
+        if fit is None:
+            return None
+        X_CP = self._poses(arm)[0]
+        return replace(
+            fit,
+            agrees=True,
+            edge_agreement=self._edges.agreement(image, X_CP, LAST_LINKS),
+            hand_agreement=self._edges.agreement(image, X_CP, (RobotPart.LINK7,)),
+        )
+
+    def edge_agreement(self, q: Array, image: GradientImage) -> float:
+        """Return the share of the contour of hand and wrist at a posture (7,) that lies on edges of the image."""
+        return self._edges.agreement(image, self._X_CB[0] @ self._model.poses(q[None])[0])
+
+    def _edge_evidence(self, arm: ArmHandModel, images: Sequence[GradientImage]) -> list[tuple[float, float, float]]:
+        """Return the log-likelihood ratio of each posture against half a turn of the last joint, from the edges.
+
+        Also how well the edges agree with the contours of the wrist, and of the hand alone.
+        """
+        groups = (WRIST, FLANGE, (RobotPart.HAND,))
+        evidence = []
+        for image, X_CP, turned in zip(images, self._poses(arm), self._poses(half_turn(arm)), strict=True):
+            wrist, as_fitted, hand = self._edges.agreements(image, X_CP, groups)
+            difference = as_fitted - self._edges.agreement(image, turned, FLANGE)
+            evidence.append((float(np.clip(_EDGE_NATS * difference, -EVIDENCE_CAP, EVIDENCE_CAP)), wrist, hand))
+        return evidence
+
+    def _with_rim(self, image: GradientImage, close: GripperView) -> GradientImage:
+        """Return the image with the rim of the segmented gripper."""
+        cell_px = close.stride * self._camera.fx / close.crop.focal
+        return image.with_hand(close.to_frame(close.gripper, self._camera), _RIM_SIGMA_CELLS * cell_px + SIGMA_PX)
+
+    def _links_at(self, q: Array) -> ArmHandModel:
+        """Return postures (B, 7) of one frame with fixed fingers."""
+        return ArmHandModel(
+            model=self._model,
+            X_CB=self._bases(len(q)),
+            q=q,
+            q_start=q,
+            finger_m=np.full(len(q), UNSEEN_FINGER_M),
+            finger_free=np.zeros(len(q), dtype=bool),
+        )
+
+
+def _solve_in_passes(
+    arm: ArmHandModel, numbers: Sequence[int], match: _Match, reaches: Sequence[float], views: Sequence[ArmView]
+) -> tuple[list[int], Solution[ArmHandModel] | None]:
+    """Fit arms of the frames `numbers` of `views` to what `match` returns of them within each of `reaches`.
+
+    Returns the numbers of the frames that have a fit in every pass, and their fits; None without any.
+    """
+    numbers = list(numbers)
+    solution = None
+    sigma, log_depth_factor = depth_priors([views[i] for i in numbers])
+    for reach in reaches:
+        cells = {k: own for k, own in enumerate(match(arm, numbers, reach)) if own is not None}
+        if not cells:
+            return [], None
+        matched = np.array(list(cells))
+        stacked = Correspondences.stack(list(cells.values()))
+        solution = solve(arm.take(matched), stacked, sigma[matched], log_depth_factor[matched], iterations=4)
+        kept = matched[solution.valid]
+        if not len(kept):
+            return [], None
+        solution = solution.take(solution.valid)
+        numbers = [numbers[k] for k in kept]
+        sigma = sigma[kept]
+        arm = solution.model
+        log_depth_factor = solution.log_depth_factor
+    return numbers, solution
+
 
 def depth_priors(views: Sequence[ArmView]) -> tuple[Array, Array]:
     """Return the relative standard deviations (B,) of the depth factors, and their logarithms (B,) by the hands."""
@@ -247,10 +535,10 @@ def _is_consistent(X_CH: Array, hand: HandFit, residual: float) -> bool:
     """Return whether a hand posed by its arm, with the `residual` of its cells there, is near the pose of its own."""
     along, across = _split(X_CH[:3, 3] - hand.X_CH[:3, 3], hand.X_CH[:3, 3])
     return bool(
-        along <= bounds.MAX_ALONG_M
-        and across <= bounds.MAX_ACROSS_M
+        along <= _MAX_ALONG_M
+        and across <= _MAX_ACROSS_M
         and pose_difference(X_CH, hand.X_CH)[1] <= bounds.MAX_ANGLE_RAD
-        and residual <= bounds.MAX_GROWTH * hand.residual + bounds.MAX_GROWTH_SIGMAS
+        and residual <= _MAX_GROWTH * hand.residual + _MAX_GROWTH_SIGMAS
     )
 
 

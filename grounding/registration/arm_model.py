@@ -7,9 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinebench_drake.geometry import Array, cross, invert
-from kinebench_drake.grounding.registration.correspondences import CELLS_INDEPENDENT, Correspondences
 from kinebench_drake.grounding.registration.fit import clip_finger, finger_information
-from kinebench_drake.grounding.registration.solver import CellRows, PartPlacement
+from kinebench_drake.grounding.registration.solver import CELLS_INDEPENDENT, CellRows, Correspondences, PartPlacement
 from kinebench_drake.kinematics.analytic import analytic_ik
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.models.panda.description import ARM_LINKS, GRIPPER, HAND_LINK, LINK_OF, RobotPart
@@ -27,7 +26,8 @@ LAST_ANGLES_RAD = np.linspace(-np.pi, np.pi, 32, endpoint=False)
 """Angles of the last joint at which inverse kinematics is solved."""
 USUAL_Q = np.array([0.0, 0.3, 0.0, -2.0, 0.0, 2.3, 0.8])
 """Usual posture of links that are not seen [rad]."""
-_SHOULDER_SIGMA_RAD = 1.0  # of joints 1 and 3 about zero: half a turn of both, joint 2 reversed, looks alike
+_SHOULDER_SIGMA_RAD = 1.0
+"""Standard deviation of joints 1 and 3 about zero [rad]: half a turn of both, joint 2 reversed, looks alike."""
 COST_CAP = 25.0
 """Greatest squared residual of a cell."""
 _SCORED_CELLS = 48

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinebench_drake.geometry import Array, cross, invert, make_pose, rotation_exp
-from kinebench_drake.grounding.registration.arm_edge_fit import LINKS_DEPTH_SIGMA
+from kinebench_drake.grounding.registration.arm_fit import LINKS_DEPTH_SIGMA
 from kinebench_drake.grounding.registration.arm_model import (
     COST_CAP,
     OVER_LIMIT_RAD,
@@ -20,9 +20,8 @@ from kinebench_drake.grounding.registration.arm_model import (
     USUAL_Q,
     ArmModel,
 )
-from kinebench_drake.grounding.registration.correspondences import Correspondences
 from kinebench_drake.grounding.registration.fit import align, pose_twist
-from kinebench_drake.grounding.registration.solver import PartPlacement, Solution, solve
+from kinebench_drake.grounding.registration.solver import Correspondences, PartPlacement, Solution, solve
 from kinebench_drake.models.panda.description import ARM, RobotPart
 from kinebench_drake.models.robot import N_JOINTS
 
@@ -31,9 +30,10 @@ MIN_LINK_CELLS = 10
 """Least number of cells of the link that a fit begins with, and of the last link, or of one that a camera explains."""
 _ROOTS = (RobotPart.LINK6, RobotPart.LINK5)
 _ANGLES = 72
-# cells of a link that determine a joint, and greatest number of them compared
 _LEAST_CELLS = 8
+"""Fewest cells of a link that determine a joint."""
 _COMPARED = 60
+"""Greatest number of them that are compared."""
 UNKNOWNS = 6 + N_JOINTS
 """Number of parameters of a `ChainModel`."""
 _ALIGN_PASSES = 6

@@ -16,29 +16,35 @@ from numpy.typing import NDArray
 
 from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array, invert, make_pose, rotation_z
-from kinebench_drake.grounding.registration.correspondences import MIN_POINTS, Correspondences, edge_frames
 from kinebench_drake.grounding.registration.image import EdgePoints, GradientImage
-from kinebench_drake.grounding.registration.solver import NEAREST_M
+from kinebench_drake.grounding.registration.solver import MIN_POINTS, NEAREST_M, Correspondences, edge_frames
 from kinebench_drake.grounding.tracking.view import OPENING_SIGNS
 from kinebench_drake.models.panda.cad import PartCaster, link_meshes, part_meshes
 from kinebench_drake.models.panda.description import OPENING_SIGN, RobotPart
 from kinebench_drake.models.robotiq.cad import CLOSED_RAD, robotiq_mesh
 
-_HIDDEN = 3  # points on edges per point that is seen
-_SPACING_PX = 2.0  # distance of the points along an edge
-_BEHIND_M = 0.01  # a point farther than this behind the surface is hidden
-_BULGE_M = 0.03  # greatest difference of depth between a contour and the surface beside it
-_JUMP_M = 0.015  # least jump of the depth at a contour
-_BESIDE_PX = 1.5  # distance from the edge at which the jump is measured
+_HIDDEN = 3
+"""Points on edges that are cast for each point that is visible."""
+_SPACING_PX = 2.0
+"""Least distance of the points along an edge [px]."""
+_BEHIND_M = 0.01
+"""Depth behind the surface beyond which a point is hidden [m]."""
+_BULGE_M = 0.03
+"""Greatest difference of depth between a contour and the surface beside it [m]."""
+_JUMP_M = 0.015
+"""Least jump of the depth at a contour [m]."""
+_BESIDE_PX = 1.5
+"""Distance from the edge at which the jump is measured [px]."""
 SIGMA_PX = 0.7
 """Standard deviation of an image edge across itself [px]."""
 INDEPENDENT = 120.0
 """Greatest number of independent measurements that the edges of an image count as."""
 LEAST_GRADIENT = 6.0
 """Least gradient of an edge, of an image in 0..255 [1/px]."""
-# where the agreement looks for the strongest edge, and how near it must lie
 _SEARCH_PX = 8.0
+"""Reach within which the agreement looks for the strongest edge [px]."""
 _ON_CONTOUR_PX = 1.0
+"""Standard deviation of the distance between a contour and its edge [px]."""
 MAX_POINTS = 700
 """Points on the contours of an image, where they are compared with those of another camera."""
 FIT_POINTS = 350
@@ -52,11 +58,13 @@ FLANGE = (RobotPart.HAND, RobotPart.LINK7)
 """Parts that look different after half a turn of the last joint."""
 OPENINGS = 5
 """Openings at which the contours of a gripper are known, from open to closed."""
-_TOLERANCE_PX = 2.0  # standard deviation of the gripper's contours: openings between two of them fit either
+_TOLERANCE_PX = 2.0
+"""The same of a gripper's contours [px]: openings between two of them fit either."""
 _GRIPPER = (RobotPart.HAND,)
-# body that hides the flange where an unknown gripper would
 _BODY_RADIUS_M = 0.038
+"""Radius of the body that hides the flange where an unknown gripper would [m]."""
 _BODY_LENGTH_M = 0.09
+"""Length of this body [m]."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

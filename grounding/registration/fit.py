@@ -9,8 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from kinebench_drake.geometry import Array, cross, make_pose, orthonormalize, rotation_exp
 from kinebench_drake.grounding.priors import ExternalDepth
-from kinebench_drake.grounding.registration.correspondences import Correspondences
-from kinebench_drake.grounding.registration.solver import PartPlacement, Solution, solve
+from kinebench_drake.grounding.registration.solver import Correspondences, PartPlacement, Solution, solve
 from kinebench_drake.grounding.tracking.view import GripperView
 from kinebench_drake.models.panda.cad import MAX_FINGER_M
 from kinebench_drake.models.panda.description import RobotPart
@@ -19,11 +18,13 @@ MIN_CELLS = 12
 """Least number of gripper cells for a fit."""
 UNSEEN_FINGER_M = 0.02
 """Assumed finger travel where none is measured [m]."""
-# of the gripper in a view, and measurements that they count as
 _MAX_CELLS = 400
+"""Greatest number of cells of the gripper in a view that are fitted."""
 _INDEPENDENT = 40.0
+"""Independent measurements that these count as at most."""
 _MIN_FINGER_CELLS = 6
-_FIXED = 1e12  # information of a fixed parameter
+_FIXED = 1e12
+"""Information of a fixed parameter."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

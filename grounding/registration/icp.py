@@ -34,27 +34,38 @@ from kinebench_drake.geometry import (
 from kinebench_drake.grounding.tracking.view import GripperView
 from kinebench_drake.models.panda.cad import GripperCad
 
-_MAX_CELLS = 500  # cells of the gripper that are registered
-_PRECISE_WEIGHT = 0.3  # weight from which on all cells are
+_MAX_CELLS = 500
+"""Greatest number of cells of the gripper that are registered first."""
+_PRECISE_WEIGHT = 0.3
+"""Weight of the registration from which on all cells are registered."""
 _MIN_POINTS = 30
 _PASSES = 3
 _MAX_ITERATIONS = 8
-# least change that another pass follows; metres of a radian
 _CONVERGED_M = 3e-4
+"""Least change of the pose that another pass follows [m]."""
 _LEVER_M = 0.05
-_GATE_M = (2.5e-3, 0.03)  # least and largest distance between matched points
-_GATE_SIGMAS = 3.0  # this distance in robust standard deviations of the residuals
-_EDGE_JUMP = 0.03  # relative depth step to an adjacent cell that marks a depth edge
-# number of blocks, and of independent measurements that they count as
+"""Distance at which a rotation counts as a displacement [m]."""
+_GATE_M = (2.5e-3, 0.03)
+"""Least and largest distance between matched points [m]."""
+_GATE_SIGMAS = 3.0
+"""Largest distance between matched points in robust standard deviations of the residuals."""
+_EDGE_JUMP = 0.03
+"""Relative step of the depth to an adjacent cell that marks a depth edge."""
 _BLOCKS = 12
+"""Number of blocks of cells whose means give the variance."""
 _INDEPENDENT = 2.0
+"""Independent measurements that all blocks together count as."""
 _DEGREES_OF_FREEDOM = 6
 _MIN_BLOCKS = 7
 _LEAST_VARIANCE_M2 = 1e-10
-_REGULARIZATION = np.diag([1e-6] * 3 + [1e-4] * 3)  # information of unobservable directions, relative to a point's
-_FIT_VARIANCE_RATIO = 3.5  # mean squared error of fits over their covariance, on held-out videos
-_FIT_FLOOR = np.diag([1e-8] * 3 + [1e-10] * 3)  # least covariance of a fit [rad^2, m^2]: an arm may be stretched out
-_LARGEST_SQUARE = 12.6  # 95 % quantile of chi-square with six degrees of freedom
+_REGULARIZATION = np.diag([1e-6] * 3 + [1e-4] * 3)
+"""Information of unobservable directions, relative to that of a point."""
+_FIT_VARIANCE_RATIO = 3.5
+"""Mean squared error of fits over their covariance, on held-out videos."""
+_FIT_FLOOR = np.diag([1e-8] * 3 + [1e-10] * 3)
+"""Least covariance of a fit [rad^2, m^2]: an arm may be stretched out."""
+_LARGEST_SQUARE = 12.6
+"""95 % quantile of chi-square with six degrees of freedom."""
 _INFLATIONS = np.geomspace(1.0, 1e8, 161)
 _WEIGHTS = np.linspace(0.0, 1.0, 101)
 

@@ -15,30 +15,36 @@ from numpy.typing import NDArray
 
 from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array, invert
-from kinebench_drake.grounding.registration.correspondences import POINTS_INDEPENDENT, Correspondences, line_frames
-from kinebench_drake.grounding.registration.solver import BATCH
+from kinebench_drake.grounding.registration.solver import BATCH, POINTS_INDEPENDENT, Correspondences, line_frames
 from kinebench_drake.io.frames import Frames
 from kinebench_drake.models.panda.cad import PartCaster
 from kinebench_drake.models.panda.description import GRIPPER, RobotPart
 
-_KEPT_PIXELS = 12_000_000  # of images whose gradients are kept: 9 bytes each
-_LARGEST_PX = 640  # images larger than this are reduced
+_KEPT_PIXELS = 12_000_000
+"""Greatest total number of pixels of images whose gradients are kept, at 9 bytes each."""
+_LARGEST_PX = 640
+"""Longer side to which larger images are reduced [px]."""
 _SMOOTHING_PX = 0.8
 _STEP_PX = 0.5
-# how far outside and how strong an outline is next to a stronger edge
 _BAND_PX = 4.0
+"""Greatest distance of an outline outside of a stronger edge [px]."""
 _OUTER_SHARE = 0.45
-_RIM_SIGMAS = 5.0  # standard deviations of a segmented rim beyond which nothing is near it
-_OFF_RIM = 0.1  # weight of edges of the hand far from its segmented rim
+"""Least gradient of an outline next to a stronger edge, over that of this edge."""
+_RIM_SIGMAS = 5.0
+"""Standard deviations from a segmented rim beyond which nothing is near it."""
+_OFF_RIM = 0.1
+"""Weight of edges of the hand far from its segmented rim."""
 _CORNERS = 200
 _QUALITY = 0.005
 _SPACING_PX = 4.0
-# step of the rays that find the robot, and distance of the corners from its outline
 _MASK_PX = 4
+"""Step of the rays that find the robot in an image [px]."""
 _MARGIN_PX = 5
-# of the following of surfaces
+"""Least distance of followed corners from the robot's outline [px]."""
 _WINDOW_PX = 15
+"""Width of the window in which a corner is followed [px]."""
 _LEVELS = 4
+"""Highest level of the image pyramid in which it is followed."""
 RETURN_PX = 1.0
 """Largest distance of a point from its origin after it was followed forwards and back."""
 _LEAST_POINTS = 8

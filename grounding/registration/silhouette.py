@@ -12,18 +12,22 @@ from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
 from kinebench_drake.geometry import Array, invert, transform_points
-from kinebench_drake.grounding.registration.correspondences import (
+from kinebench_drake.grounding.registration.solver import (
     Correspondences,
     edge_frames,
 )
 from kinebench_drake.grounding.tracking.view import GripperView
 from kinebench_drake.models.panda.cad import GripperCad
 
-_INDEPENDENT = 80.0  # independent measurements that a silhouette counts as at most
+_INDEPENDENT = 80.0
+"""Independent measurements that a silhouette counts as at most."""
 _MIN_POINTS = 12
-_GATE_CELLS = 4.0  # distance of the farthest pairs of rendered and segmented rim
-_SIGMA_CELLS = 0.5  # standard deviation of the rim of a mask
-_MIN_COSINE = 0.3  # between the normals of rendered and segmented rim
+_GATE_CELLS = 4.0
+"""Greatest distance between rendered and segmented rim of a pair [cells]."""
+_SIGMA_CELLS = 0.5
+"""Standard deviation of the rim of a mask [cells]."""
+_MIN_COSINE = 0.3
+"""Least cosine between the normals of rendered and segmented rim."""
 
 
 class SilhouetteMatcher:

@@ -41,7 +41,8 @@ image, and the standard deviations of position and rotation."""
 TRACK_FEATURES = ("frame_logit", "log_distance", "log_angle", "alone")
 """Features of a frame in its track: the log-odds of the frame alone, its deviation from the pose predicted by its
 neighbours, and whether there are too few of them for a prediction."""
-_CERTAIN = 1e-3  # least distance of a single frame's confidence from 0 and 1
+_CERTAIN = 1e-3
+"""Least distance of a single frame's confidence from 0 and 1."""
 
 
 def frame_features(pose: FramePose, domain: Domain) -> Array:

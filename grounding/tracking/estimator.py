@@ -12,8 +12,7 @@ from kinebench_drake.environment.native import share_heap
 from kinebench_drake.environment.precision import Precision, network_precision
 from kinebench_drake.geometry import Array
 from kinebench_drake.grounding.registration.solver import BATCH
-from kinebench_drake.grounding.tracking.crop import CLOSE_SIZE, Crop
-from kinebench_drake.grounding.tracking.view import GripperView
+from kinebench_drake.grounding.tracking.view import CLOSE_SIZE, Crop, GripperView
 from kinebench_drake.io.frames import Frames
 from kinebench_drake.io.progress import count_steps
 from kinebench_drake.models.panda.description import ARM
@@ -28,10 +27,12 @@ from kinebench_drake.models.perception.network import (
     use_onednn,
 )
 
-_BATCH_ON_GPU = 64  # crops of any size; always as many, since cuDNN plans for seconds for each number of them
+_BATCH_ON_GPU = 64
+"""Crops of any size in a batch; always as many, since cuDNN plans for seconds for each number of them."""
 DEPTH_FACTOR_SIGMA = 0.012
 """Relative standard deviation of the depth error that the network makes alike on all of the robot."""
-_LAPLACE_TO_SIGMA = np.sqrt(2.0)  # standard deviation of a Laplace distribution of scale 1
+_LAPLACE_TO_SIGMA = np.sqrt(2.0)
+"""Standard deviation of a Laplace distribution of scale 1."""
 
 
 class NetworkEstimator:

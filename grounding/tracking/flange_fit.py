@@ -10,14 +10,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from kinebench_drake.geometry import Array
-from kinebench_drake.grounding.registration.arm_edge_fit import FOLLOWED_REACHES_PX, LAST_LINKS
-from kinebench_drake.grounding.registration.arm_fit import ArmFit
+from kinebench_drake.grounding.registration.arm_fit import FOLLOWED_REACHES_PX, LAST_LINKS, ArmFit
 from kinebench_drake.grounding.registration.chain_fit import MIN_LINK_CELLS, UNKNOWNS, ChainFitter, ChainModel, misfit
-from kinebench_drake.grounding.registration.correspondences import Correspondences
 from kinebench_drake.grounding.registration.edges import OPENINGS, FlangeShape
 from kinebench_drake.grounding.registration.fit import HandFit
 from kinebench_drake.grounding.registration.image import GradientImage, follow_surface
-from kinebench_drake.grounding.registration.solver import Solution
+from kinebench_drake.grounding.registration.solver import Correspondences, Solution
 from kinebench_drake.grounding.tracking.markov import TURNS_RAD
 from kinebench_drake.grounding.tracking.pose import FramePose
 from kinebench_drake.grounding.tracking.view import GripperView
@@ -25,17 +23,22 @@ from kinebench_drake.models.panda.description import ARM, RobotPart
 
 REACHES_PX = (8.0, 5.0, 3.0, 2.0)
 """Farthest edges of the last links in successive passes [px]."""
-_WIDE_REACHES_PX = (14.0, 10.0, *FOLLOWED_REACHES_PX)  # of a gripper, which the links place only roughly
-_LINKS = (RobotPart.LINK4, *LAST_LINKS)  # links whose edges are matched
+_WIDE_REACHES_PX = (14.0, 10.0, *FOLLOWED_REACHES_PX)
+"""The same of a gripper, which the links place only roughly [px]."""
+_LINKS = (RobotPart.LINK4, *LAST_LINKS)
+"""Links whose edges are matched."""
 _FLANGE = (RobotPart.LINK7,)
 _POINTS = 300
-# turns from which a frame is fitted with a gripper, and their prior
 _STARTS = 4
+"""Turns from which a frame is fitted with a gripper."""
 _START_SIGMA_RAD = np.deg2rad(15.0)
-# log-likelihood of a turn per share of contours on edges, and per misfit of cells
+"""Standard deviation of their prior [rad]."""
 _ON_EDGES = 15.0
+"""Log-likelihood of a turn per share of contours on edges."""
 _OFF_CELLS = 0.5
-_ON_GRIPPER = 30.0  # likewise per share of the gripper's contours, which stand out on two sides
+"""Log-likelihood of a turn lost per misfit of cells."""
+_ON_GRIPPER = 30.0
+"""Log-likelihood of a turn per share of the gripper's contours on edges: they stand out on two sides."""
 _UNSEEN_SIGMA_M = 0.1
 _BEHIND_M = 10.0
 

@@ -16,37 +16,61 @@ from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array, pose_difference
 from kinebench_drake.grounding import bounds
 from kinebench_drake.grounding.priors import NO_PRIORS, Priors
-from kinebench_drake.grounding.registration.arm_edge_fit import LAST_LINKS, ArmEdgeFitter
+from kinebench_drake.grounding.registration.arm_fit import LAST_LINKS, ArmFitter
 from kinebench_drake.grounding.registration.arm_model import ArmModel
 from kinebench_drake.grounding.registration.chain_fit import ChainFitter
-from kinebench_drake.grounding.registration.correspondences import Correspondences
 from kinebench_drake.grounding.registration.edges import links_shape, robotiq_shape
 from kinebench_drake.grounding.registration.fit import MIN_CELLS
 from kinebench_drake.grounding.registration.image import GradientImages
-from kinebench_drake.grounding.tracking.crop import CLOSE_SIZE, WRIST_CENTRE_H, WRIST_RADIUS_M, Crop
+from kinebench_drake.grounding.registration.solver import Correspondences
 from kinebench_drake.grounding.tracking.flange_fit import REACHES_PX, FlangeFitter, FlangeView
 from kinebench_drake.grounding.tracking.localization import find_region
 from kinebench_drake.grounding.tracking.markov import OFFSETS_RAD, TURNS_RAD, likeliest_turns
 from kinebench_drake.grounding.tracking.pose import FramePose
 from kinebench_drake.grounding.tracking.tracker import Tracking
-from kinebench_drake.grounding.tracking.view import DenseEstimator, GripperView
+from kinebench_drake.grounding.tracking.view import (
+    CLOSE_SIZE,
+    WRIST_CENTRE_H,
+    WRIST_RADIUS_M,
+    Crop,
+    DenseEstimator,
+    GripperView,
+)
 from kinebench_drake.io.frames import Frames
 from kinebench_drake.models.panda.description import GripperKind, RobotPart
 from kinebench_drake.track import Domain
 
-# Cells of a gripper are taken for a hand, and lie where the wrist is.
+# Chosen by hand on own renders; checked by `python -m benchmarks evaluate` on these, by `footage` on others' videos.
+_NEIGHBOUR_LEAD = 0.05
+"""Least lead of a neighbour's agreement that makes its posture of the flange the better one."""
+_LOST_SHARE = 0.8
+"""Share of the agreement of a frame below which the flange was not followed from it."""
+_MOUNT_LEAD = 10.0
+"""Log-likelihood by which the mount of a gripper leads clearly."""
+_ON_BASE_M = 0.06
+"""Largest displacement of a flange by the base of its arm [m]."""
+_BASE_LOSS = 0.1
+"""Largest loss of agreement by the base of the arm."""
+
 _SEEN = (*LAST_LINKS, RobotPart.HAND)
-# of the cells of the wrist; half size of its crop over their extent
+"""Parts whose cells lie where the wrist is: those of a gripper are taken for a hand."""
 _QUANTILES = (5.0, 95.0)
+"""Percentiles of the wrist's cells between which it extends."""
 _MARGIN = 0.8
-# frames and openings that tell how a gripper is mounted
+"""Half the size of the wrist's crop over this extent."""
 _SHOWN = 12
+"""Frames that tell how a gripper is mounted."""
 _COARSE = 3
+"""Openings that are compared in these."""
 _MOUNT_GRID_RAD = np.deg2rad(np.arange(0.0, 360.0, 9.0))
-_MOUNT_STEPS = (0, 5, 10, 15)  # of that grid, from panda_hand to a gripper: eighths of a turn
-_MOUNT_OFFSETS_M = (0.0, 0.012)  # with and without an adapter
-_MOUNTS = 3  # that are fitted and compared, unless one leads clearly
-_TURN_SIGMA_RAD = np.deg2rad(6.0)  # of the likeliest turns, before each frame is fitted once more
+_MOUNT_STEPS = (0, 5, 10, 15)
+"""Turns of a gripper against panda_hand, in steps of that grid: eighths of a turn."""
+_MOUNT_OFFSETS_M = (0.0, 0.012)
+"""Distances of a gripper from panda_hand, without and with an adapter [m]."""
+_MOUNTS = 3
+"""Mounts that are fitted and compared, unless one leads clearly."""
+_TURN_SIGMA_RAD = np.deg2rad(6.0)
+"""Standard deviation of the likeliest turns, before each frame is fitted once more [rad]."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -58,7 +82,7 @@ class _FlangeVideo:
     wide: Mapping[int, GripperView]
     """Views that show the whole arm, by frame number."""
     images: GradientImages
-    arm: ArmEdgeFitter
+    arm: ArmFitter
     flange: FlangeFitter
 
 
@@ -87,7 +111,7 @@ class FlangeTracker:
             camera=camera,
             wide=wide,
             images=GradientImages(frames, camera),
-            arm=ArmEdgeFitter(camera, self._model, self._links.edges[0], places),
+            arm=ArmFitter(camera, self._model, self._links.edges[0], places),
             flange=FlangeFitter(self._chain, self._links),
         )
         poses = self._detect(video)
@@ -128,11 +152,11 @@ class FlangeTracker:
             waiting.remove(i)
             for k in {i - 1, i + 1} & waiting:
                 proposed = [poses.get(k), video.flange.follow(poses[i], video.images[i], video.images[k])]
-                if _agreement(proposed[1]) < bounds.LOST_SHARE * _agreement(poses[i]):
+                if _agreement(proposed[1]) < _LOST_SHARE * _agreement(poses[i]):
                     ((_, shown),) = self._look({k: _crop_at(poses[i].X_CH)}, video)
                     proposed.append(video.flange.detect(shown, poses[i]))
                 best = max(proposed, key=_agreement)
-                if best is not None and _agreement(best) > _agreement(proposed[0]) + bounds.NEIGHBOUR_LEAD:
+                if best is not None and _agreement(best) > _agreement(proposed[0]) + _NEIGHBOUR_LEAD:
                     poses[k] = best
 
     def _mount(self, poses: Mapping[int, FramePose], video: _FlangeVideo) -> FlangeFitter:
@@ -149,7 +173,7 @@ class FlangeTracker:
                 by_gripper = fitter.gripper_log_likelihood(chain, _MOUNT_GRID_RAD, image, pose.overlap)
                 total[:, k] += [logsumexp(by_link + np.roll(by_gripper, -step)) for step in _MOUNT_STEPS]
         likeliest = np.argsort(-total, axis=None)[:_MOUNTS]
-        likeliest = likeliest[total.flat[likeliest] > total.max() - bounds.MOUNT_LEAD]
+        likeliest = likeliest[total.flat[likeliest] > total.max() - _MOUNT_LEAD]
         turn, offset = np.unravel_index(likeliest, total.shape)
         mounted = [
             FlangeFitter(self._chain, robotiq_shape(_MOUNT_GRID_RAD[_MOUNT_STEPS[t]], _MOUNT_OFFSETS_M[o]))
@@ -210,10 +234,10 @@ class FlangeTracker:
         links = _link_cells(pose.view, video.wide[number])
         image = video.images[number]
         arm = video.arm.at([number]).fit_links(pose.X_CH, _TURN_SIGMA_RAD, links, image)
-        if arm is None or arm.edge_agreement < max(bounds.EDGE_AGREEMENT, pose.overlap - bounds.BASE_LOSS):
+        if arm is None or arm.edge_agreement < max(bounds.EDGE_AGREEMENT, pose.overlap - _BASE_LOSS):
             return None
         distance, angle = pose_difference(arm.X_CH, pose.X_CH)
-        if distance > bounds.ON_BASE_M or angle > bounds.MAX_ANGLE_RAD:
+        if distance > _ON_BASE_M or angle > bounds.MAX_ANGLE_RAD:
             return None
         return replace(pose, X_CH=arm.X_CH, arm=arm, overlap=arm.edge_agreement)
 

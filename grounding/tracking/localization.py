@@ -16,21 +16,25 @@ from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array
 from kinebench_drake.grounding import bounds
 from kinebench_drake.grounding.registration.fit import fit
-from kinebench_drake.grounding.tracking.crop import GRIPPER_RADIUS_M, WIDE_SIZE, Crop
-from kinebench_drake.grounding.tracking.view import DenseEstimator, GripperView
+from kinebench_drake.grounding.tracking.view import GRIPPER_RADIUS_M, WIDE_SIZE, Crop, DenseEstimator, GripperView
 from kinebench_drake.io.frames import Frames
 from kinebench_drake.models.panda.description import RobotPart
 from kinebench_drake.segments import evenly
 
 PART_CELLS = 40
 """Cells from which a part counts as seen, or the robot in a tile."""
-_SMALL_PX = 32.0  # diameter of a gripper in the crop of the whole image below which the region is enlarged
-_LEVELS = (2, 4)  # sizes of the image over that of a tile
-_LEAST_TILE_PX = 128.0  # in smaller ones a gripper that larger ones do not show is too small to be measured
-_MARGIN = 1.25  # size of the region over that of the box around the robot
+_SMALL_PX = 32.0
+"""Diameter of a gripper in the crop of the whole image below which the region is enlarged [px]."""
+_LEVELS = (2, 4)
+"""Sizes of the image over that of a tile."""
+_LEAST_TILE_PX = 128.0
+"""Least size of a tile: in smaller ones a gripper that larger ones do not show is too small to be measured [px]."""
+_MARGIN = 1.25
+"""Size of the region over that of the box around the robot."""
 _WRIST = (RobotPart.LINK6, RobotPart.LINK7)
 _WRIST_BONUS = 4.0
-_WHOLE_SHARE = 0.8  # size from which the whole image is taken
+_WHOLE_SHARE = 0.8
+"""Size of the region over that of the image from which on the whole image is taken."""
 
 
 def find_region(

@@ -23,33 +23,49 @@ from scipy.special import logsumexp, softmax
 from kinebench_drake.geometry import Array, invert, make_pose, rotation_angle, rotation_exp, transform_points
 from kinebench_drake.grounding import bounds
 from kinebench_drake.grounding.registration.arm_model import EVIDENCE_CAP
-from kinebench_drake.grounding.registration.opening import GAP_STEP_M, GAPS_M
+from kinebench_drake.grounding.registration.hand_contour import GAP_STEP_M, GAPS_M
 from kinebench_drake.grounding.tracking.pose import FramePose
 from kinebench_drake.models.panda.cad import MAX_FINGER_M
 
+# Chosen by hand on own renders; checked by `python -m benchmarks evaluate` on these, by `footage` on others' videos.
+_BLIND_M = 0.010
+"""Standard deviation of a width from which on it is ignored [m]."""
+_UNKNOWN_M = 0.015
+"""Standard deviation of a width above which it is unknown after all [m].
+
+Large errors of widths correlate: fingers that hide each other are confused."""
 X_HALF_TURN = make_pose(rotation_exp([0.0, 0.0, np.pi]), np.zeros(3))
 """Pose (4, 4) of the flipped hand in the hand frame: 180 degrees about z."""
-_CAP_WITH_EDGES = 2.0  # where poses had to be fitted to edges, the CAD coordinates are less sure
-_ROTATION_SIGMA_RAD = np.deg2rad(20.0)  # usual rotation between frames
-_ROTATION_CAP = 40.0  # cost of a jump: half a turn in one frame is no motion of an arm
+_CAP_WITH_EDGES = 2.0
+"""Greatest log-likelihood ratio by CAD coordinates, which are less sure where poses had to be fitted to edges."""
+_ROTATION_SIGMA_RAD = np.deg2rad(20.0)
+"""Usual rotation between frames [rad]."""
+_ROTATION_CAP = 40.0
+"""Cost of a jump: half a turn in one frame is no motion of an arm."""
 TURNS_RAD = np.deg2rad(np.arange(-170.0, 171.0, 10.0))
 """Turns over the range of the joint [rad]."""
 OFFSETS_RAD = np.deg2rad(np.arange(-15.0, 15.1, 3.0))
 """Offsets from turns that are known roughly [rad]."""
-_STATES = 5  # states from one turn of the grid to the next
-_STEP_RAD = np.deg2rad(8.0)  # standard deviation of a step from frame to frame, and of a change that is measured badly
-# standard deviation of a measured change, and share of the bad ones
+_STATES = 5
+"""States from one turn of the grid to the next."""
+_STEP_RAD = np.deg2rad(8.0)
+"""Standard deviation of a step from frame to frame, and of a change that is measured badly [rad]."""
 _CHANGE_RAD = np.deg2rad(1.5)
+"""Standard deviation of a measured change [rad]."""
 _BADLY = 0.1
-_BLUNT_FACTOR = 2.5  # factor by which the error of a width that is not sharp exceeds its standard deviation
+"""Share of the changes that are measured badly."""
+_BLUNT_FACTOR = 2.5
+"""Factor by which the error of a width that is not sharp exceeds its standard deviation."""
 _OUTLIER_SHARE = 0.02
 _EDGE_OUTLIERS = 0.05
 _SPEEDS = np.array([0, *(s * k for k in (1, 2, 3, 4, 6, 10, 15, 25, 40) for s in (-1, 1))])
 """Changes of the width per frame in grid steps; the first is rest."""
-# probabilities that resting, or moving, fingers continue so in the next frame
 _REST = 0.96
+"""Probability that resting fingers rest in the next frame."""
 _GO_ON = 0.6
-_BLUR = (0.1, 0.8, 0.1)  # probabilities of one step less, none, one more than the speed
+"""Probability that moving fingers keep their speed in the next frame."""
+_BLUR = (0.1, 0.8, 0.1)
+"""Probabilities of one step less than the speed, of the speed, and of one step more."""
 
 
 def _likeliest_states(own: Sequence[Array] | Array, steps: Sequence[Array]) -> list[int]:
@@ -186,7 +202,7 @@ def smooth_gripper_width(
     posterior /= posterior.sum(axis=1, keepdims=True)
     spread = np.sqrt(np.maximum(posterior @ GAPS_M**2 - (posterior @ GAPS_M) ** 2, 0.0))
     median = [_median(probabilities) for probabilities in posterior]
-    return np.where(sigma_m == 0.0, width_m, np.where(spread <= bounds.UNKNOWN_M, median, np.nan))
+    return np.where(sigma_m == 0.0, width_m, np.where(spread <= _UNKNOWN_M, median, np.nan))
 
 
 def _median(probabilities: Array) -> float:
@@ -199,7 +215,7 @@ def _median(probabilities: Array) -> float:
 def _likelihoods(width_m: Array, sigma_m: Array, widths: Array) -> Array:
     """Return the likelihoods (T, S) of the states, whose widths are `widths` (S,), given the measurements (T,)."""
     sigma_m = np.where(sigma_m <= bounds.SHARP_M, np.maximum(sigma_m, GAP_STEP_M / 2), _BLUNT_FACTOR * sigma_m)
-    usable = np.isfinite(width_m) & (sigma_m <= _BLUNT_FACTOR * bounds.BLIND_M)
+    usable = np.isfinite(width_m) & (sigma_m <= _BLUNT_FACTOR * _BLIND_M)
     width_m = np.where(usable, width_m, 0.0)[:, None]
     sigma_m = np.where(usable, sigma_m, 1.0)[:, None]
     fits = np.exp(-0.5 * ((widths - width_m) / sigma_m) ** 2) / sigma_m

@@ -5,8 +5,8 @@ from dataclasses import dataclass, replace
 from kinebench_drake.geometry import Array
 from kinebench_drake.grounding.registration.arm_fit import ArmFit
 from kinebench_drake.grounding.registration.fit import HandFit
+from kinebench_drake.grounding.registration.hand_contour import HandShape
 from kinebench_drake.grounding.registration.icp import FusedPose
-from kinebench_drake.grounding.registration.shape import HandShape
 from kinebench_drake.grounding.tracking.view import GripperView
 
 

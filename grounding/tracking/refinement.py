@@ -9,24 +9,38 @@ import numpy as np
 from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import pose_difference
 from kinebench_drake.grounding import bounds
-from kinebench_drake.grounding.registration.arm_edge_fit import ArmEdgeFitter
-from kinebench_drake.grounding.registration.arm_fit import ArmFit, ArmView
+from kinebench_drake.grounding.registration.arm_fit import ArmFit, ArmFitter, ArmView
 from kinebench_drake.grounding.registration.fit import finger_or_default
 from kinebench_drake.grounding.registration.image import GradientImages
 from kinebench_drake.grounding.registration.silhouette import SilhouetteMatcher
 from kinebench_drake.grounding.registration.solver import BATCH
-from kinebench_drake.grounding.tracking.crop import CLOSE_MARGIN, CLOSE_SIZE, Crop
 from kinebench_drake.grounding.tracking.pose import FramePose
-from kinebench_drake.grounding.tracking.view import GripperView
+from kinebench_drake.grounding.tracking.view import CLOSE_MARGIN, CLOSE_SIZE, Crop, GripperView
 from kinebench_drake.io.frames import Frames
 from kinebench_drake.segments import evenly
 from kinebench_drake.track import Domain
 
-_FOLLOWED_FRAMES = 3  # frames without a sure pose across which the surface is followed at once
+# Chosen by hand on own renders; checked by `python -m benchmarks evaluate` on these, by `footage` on others' videos.
+_GOOD_OVERLAP = 0.8
+"""Overlap of the mask from which on a pose whose arm agrees is not doubtful."""
+_MIN_COVERAGE = 0.6
+"""Least share of a gripper fitted to edges that shows the robot: without it 30 % of absent ones are tracked."""
+_SMALL_M = 0.0025
+"""Median change of a pose by a fit to edges alone up to which they confirm the network's poses, too [m]."""
+_FAR_GAIN = 0.18
+"""Gain of agreement by a fit to edges alone above which they contradict the network's poses."""
+_MISSED_SHARE = 0.1
+"""Largest share of frames of a familiar video that are reached by following the arm alone."""
+_BEST_SHARE = 0.9
+"""Share of the agreement of the best frames from which on a frame is not tried again."""
+_AGREEING_SHARE = 0.5
+"""Least share of the poses whose arm agrees, of a familiar video."""
+_FOLLOWED_FRAMES = 3
+"""Frames without a sure pose across which the surface is followed at once."""
 
 
 def _is_doubtful(pose: FramePose) -> bool:
-    return not pose.from_prior and not (pose.arm_agrees and pose.overlap >= bounds.GOOD_OVERLAP)
+    return not pose.from_prior and not (pose.arm_agrees and pose.overlap >= _GOOD_OVERLAP)
 
 
 def _agreement(pose: FramePose) -> float:
@@ -49,7 +63,7 @@ class EdgeRefinement:
         wide: dict[int, GripperView],
         frames: Frames,
         camera: Camera,
-        arm_fitter: ArmEdgeFitter,
+        arm_fitter: ArmFitter,
         silhouette: SilhouetteMatcher,
         measure: Callable[[dict[int, Crop]], dict[int, FramePose]],
         *,
@@ -88,7 +102,7 @@ class EdgeRefinement:
             return False
         numbers = [i for i, pose in sorted(self.poses.items()) if pose.arm_agrees and not pose.from_prior]
         estimated = sum(not pose.from_prior for pose in self.poses.values())
-        if not numbers or len(numbers) < bounds.MAJORITY * estimated:
+        if not numbers or len(numbers) < _AGREEING_SHARE * estimated:
             return bool(self.poses) and estimated == 0
         sample = [numbers[k] for k in evenly(len(numbers), bounds.SAMPLED_FRAMES)]
         arms = self._sharpened(sample)
@@ -101,12 +115,12 @@ class EdgeRefinement:
             return False
         distance = float(np.median([pose_difference(fit.X_CH, arm.X_CH)[0] for fit, arm in fits]))
         gain = float(np.median([fit.edge_agreement for fit, _ in fits])) - agreement
-        return distance <= bounds.SMALL_M or (distance <= bounds.FAR_M and gain <= bounds.FAR_GAIN)
+        return distance <= _SMALL_M or (distance <= bounds.FAR_M and gain <= _FAR_GAIN)
 
     @property
     def domain(self) -> Domain:
         """Domain of the video, after `run`: where the network missed the gripper in many frames, its views mislead."""
-        missed = len(self._reached) > bounds.MISSED_SHARE * len(self.poses)
+        missed = len(self._reached) > _MISSED_SHARE * len(self.poses)
         return Domain.FAMILIAR if self.is_familiar and not missed else Domain.UNFAMILIAR
 
     def run(self) -> None:
@@ -157,7 +171,7 @@ class EdgeRefinement:
         pose = self.poses.get(number)
         if not self._is_sure(number) or pose is None:
             return pose is None or not pose.from_prior
-        return not self.is_familiar and _agreement(pose) < bounds.BEST_SHARE * _agreement(self.poses[near])
+        return not self.is_familiar and _agreement(pose) < _BEST_SHARE * _agreement(self.poses[near])
 
     def _is_sure(self, number: int) -> bool:
         """Return whether the arm of a frame agrees with its hand and, in unfamiliar videos, with its edges."""
@@ -194,7 +208,7 @@ class EdgeRefinement:
             self._keep_better(i, fit)
         for step in (1, -1):
             agreements = [_agreement(pose) for pose in self.confirmed.values()]
-            enough = bounds.BEST_SHARE * float(np.quantile(agreements, bounds.BEST_QUANTILE)) if agreements else 0.0
+            enough = _BEST_SHARE * float(np.quantile(agreements, bounds.BEST_QUANTILE)) if agreements else 0.0
             for i in ordered[::step]:
                 near = self.poses.get(i - step)
                 own = _agreement(self.poses[i])
@@ -226,5 +240,5 @@ class EdgeRefinement:
         if arm is None or not arm.agrees or arm.edge_agreement <= _agreement(pose):
             return
         hand = pose.view, arm.X_CH, finger_or_default(arm.finger_m)
-        if self._silhouette.coverage(*hand) >= bounds.MIN_COVERAGE:
+        if self._silhouette.coverage(*hand) >= _MIN_COVERAGE:
             self.poses[number] = pose.with_arm(arm, self._silhouette.overlap(*hand))

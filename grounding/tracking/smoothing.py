@@ -19,7 +19,8 @@ _DEGREE = 2
 _MIN_NEIGHBOURS = 4
 _L1_PASSES = 4
 _TUKEY_PASSES = 2
-_FLOOR = np.array([1e-2] * 3 + [1e-3] * 3)  # least standard deviations of a frame [rad, m]
+_FLOOR = np.array([1e-2] * 3 + [1e-3] * 3)
+"""Least standard deviations of a frame [rad, m]."""
 
 
 def _local_values(offset: Array, values: Array, weight: Array, information: Array) -> Array:

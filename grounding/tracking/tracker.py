@@ -10,12 +10,9 @@ from numpy.typing import NDArray
 
 from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array, interpolate_pose, transform_points
-from kinebench_drake.grounding import bounds
 from kinebench_drake.grounding.priors import NO_PRIORS, Priors
-from kinebench_drake.grounding.registration.arm_edge_fit import ArmEdgeFitter
 from kinebench_drake.grounding.registration.arm_fit import ArmFitter, ArmView
 from kinebench_drake.grounding.registration.arm_model import ArmModel
-from kinebench_drake.grounding.registration.correspondences import Correspondences
 from kinebench_drake.grounding.registration.edges import EdgeMatcher
 from kinebench_drake.grounding.registration.fit import (
     UNSEEN_FINGER_M,
@@ -25,26 +22,38 @@ from kinebench_drake.grounding.registration.fit import (
     fit_all,
     refit_all,
 )
+from kinebench_drake.grounding.registration.hand_contour import HandImage, fit_shape, gap_log_likelihoods
 from kinebench_drake.grounding.registration.icp import IcpRefiner
 from kinebench_drake.grounding.registration.image import GradientImage
-from kinebench_drake.grounding.registration.opening import HandImage, gap_log_likelihoods
-from kinebench_drake.grounding.registration.shape import fit_shape
 from kinebench_drake.grounding.registration.silhouette import SilhouetteMatcher
-from kinebench_drake.grounding.registration.solver import BATCH
+from kinebench_drake.grounding.registration.solver import BATCH, Correspondences
 from kinebench_drake.grounding.tracking.confidence import Confidence, frame_confidence, load_confidence
-from kinebench_drake.grounding.tracking.crop import CLOSE_MARGIN, CLOSE_SIZE, GRIPPER_CENTRE_H, Crop
 from kinebench_drake.grounding.tracking.localization import find_region, likeliest_gripper
 from kinebench_drake.grounding.tracking.pose import FramePose
 from kinebench_drake.grounding.tracking.refinement import EdgeRefinement
-from kinebench_drake.grounding.tracking.view import DenseEstimator, GripperView, OverrideEstimator
+from kinebench_drake.grounding.tracking.view import (
+    CLOSE_MARGIN,
+    CLOSE_SIZE,
+    GRIPPER_CENTRE_H,
+    Crop,
+    DenseEstimator,
+    GripperView,
+    OverrideEstimator,
+)
 from kinebench_drake.io.frames import Frames
 from kinebench_drake.models.panda.cad import GripperCad, open_fingers
 from kinebench_drake.models.panda.description import RobotPart
 from kinebench_drake.track import Domain
 
-_RECENTRE = 0.2  # offset of the gripper from the crop's centre, over half the crop, beyond which a new crop is taken
-_RESCALE = 1.25  # likewise the factor between its size in the crop and the desired one
-_MAX_GAP = 12  # frames over which the crop of a lost gripper is interpolated
+# Chosen by hand on own renders; checked by `python -m benchmarks evaluate` on these, by `footage` on others' videos.
+_SURE_SHARE = 0.8
+"""Mean confidence of the poses below which a familiar video is tried as an unfamiliar one."""
+_RECENTRE = 0.2
+"""Offset of the gripper from the crop's centre, over half the crop, beyond which a new crop is taken."""
+_RESCALE = 1.25
+"""Factor between the gripper's size in the crop and the desired one beyond which a new crop is taken."""
+_MAX_GAP = 12
+"""Frames over which the crop of a lost gripper is interpolated."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -126,7 +135,7 @@ class CadTracker:
         region = find_region(estimator, frames, camera, wide)
         if region is not None:
             wide, crops = detect(region)
-        arm = ArmEdgeFitter(camera, self._arm, self._edges, places)
+        arm = ArmFitter(camera, self._arm, self._edges, places)
 
         def measure(crops: dict[int, Crop]) -> dict[int, FramePose]:
             """Return the poses of the frames of `crops` that show a gripper."""
@@ -157,7 +166,7 @@ class CadTracker:
             domain = refinement.domain
             expected = self._expected(poses, domain)
             is_settled = not refinement.is_familiar or priors.camera_is_assumed
-            if not is_settled and expected < bounds.SURE_SHARE * len(poses):
+            if not is_settled and expected < _SURE_SHARE * len(poses):
                 other = self._register_all(refine(may_be_familiar=False).poses)
                 if self._expected(other, Domain.UNFAMILIAR) > expected:
                     poses = other
@@ -172,7 +181,7 @@ class CadTracker:
         )
 
     def _with_contours(
-        self, poses: Mapping[int, FramePose], arm: ArmEdgeFitter, frames: Frames, camera: Camera
+        self, poses: Mapping[int, FramePose], arm: ArmFitter, frames: Frames, camera: Camera
     ) -> dict[int, FramePose]:
         """Return the poses whose arm agrees with the shape of the hand and the gap of the fingers by their contours."""
         hands = {

@@ -1,25 +1,24 @@
 """Runs over many samples into an output folder, as the commands make them; its rows as a table."""
 
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from kinebench_drake.errors import KinebenchError, name_arguments
 from kinebench_drake.results.store import require_output
 from kinebench_drake.runs import audit, score
 from kinebench_drake.runs.audit import AuditConfig
-from kinebench_drake.runs.config import RunConfig, ScoreConfig
+from kinebench_drake.runs.benchmark import load_benchmark
+from kinebench_drake.runs.config import ScoreConfig
 from kinebench_drake.runs.runner import NullRunObserver, RunObserver, RunSummary
-from kinebench_drake.suites.runs.suite_config import SuiteConfig
 
 if TYPE_CHECKING:
     import pyarrow
 
 PathName: TypeAlias = str | PathLike[str]
-_Config = TypeVar("_Config", bound=RunConfig)
 
 
 @contextmanager
@@ -57,7 +56,8 @@ def score_videos(source: PathName, *, out: PathName, observer: RunObserver | Non
         for row in summary.rows:
             print(row.id, row.status.value, row.feasible, row.metrics["sparc"])
     """
-    return score.score_videos(_config(ScoreConfig, source=source, out=out, **options), observer or Warner())
+    options |= {"source": source, "out": out}
+    return score.score_videos(ScoreConfig(**_without_none(options)), observer or Warner())
 
 
 @own_arguments()
@@ -82,7 +82,8 @@ def audit_trajectories(
         summary = audit_trajectories("dataset", out="audited", jobs=2)
         print(summary.feasible, [row.id for row in summary.rows if row.feasible is False])
     """
-    return audit.audit_trajectories(_config(AuditConfig, source=source, out=out, **options), observer or Warner())
+    options |= {"source": source, "out": out}
+    return audit.audit_trajectories(AuditConfig(**_without_none(options)), observer or Warner())
 
 
 @own_arguments()
@@ -113,10 +114,8 @@ def run_suite(
         summary = run_suite(0, world_model="oracle", tasks=["StackCube-v1"], episodes=2, out="ceiling")
         print(summary.success.mean, [row.extra["verdict"] for row in summary.rows])
     """
-    from kinebench_drake.suites.runs import episodes
-
-    config = _config(SuiteConfig, suite=suite, world_model=world_model, out=out, **options)
-    return episodes.run_suite(config, observer or Warner())
+    options |= {"suite": suite, "world_model": world_model, "out": out}
+    return load_benchmark().run(_without_none(options), observer or Warner())
 
 
 @own_arguments()
@@ -148,6 +147,6 @@ class Warner(NullRunObserver):
         warnings.warn(name_arguments(message), stacklevel=5)
 
 
-def _config(kind: type[_Config], **options: Any) -> _Config:
-    """Build a configuration of the options that are not None."""
-    return kind(**{name: value for name, value in options.items() if value is not None})
+def _without_none(options: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the options that are not None."""
+    return {name: value for name, value in options.items() if value is not None}

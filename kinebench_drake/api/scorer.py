@@ -23,6 +23,7 @@ from kinebench_drake.grounding.overrides.overrides import Overrides
 from kinebench_drake.io.video import Video
 from kinebench_drake.results.row import SampleRow, Status
 from kinebench_drake.runs.config import ScoreConfig, check_period
+from kinebench_drake.runs.evaluator import SampleHashes
 from kinebench_drake.runs.resources import Resources
 from kinebench_drake.runs.score import VideoEvaluator
 
@@ -157,7 +158,9 @@ def _score(tools: Resources, frames: NDArray[np.uint8], camera: CameraSetting | 
     evaluator = _evaluator(period_s)
     video = Video(frames=np.asarray(frames), fps=None, stamps_s=None)
     with one_thread():
-        row = evaluator.row_of(sample, lambda: evaluator.measure(sample, video, tools)[1], "")
+        row = evaluator.row_of(
+            sample, lambda: evaluator.measure(sample, video, tools)[1], SampleHashes(content="", input=None)
+        )
     numbers = {name: float(value) for name, value in row.metrics.items() if isinstance(value, bool | int | float)}
     reasons = row.executable_reasons if row.reason is None else (row.reason,)
     return Score(

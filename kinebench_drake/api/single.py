@@ -123,8 +123,8 @@ def ground_video(
     Returns:
         `track`: (T,) times [s], poses (T, 4, 4) of panda_hand in the camera frame and of panda_hand_tcp in the base
         frame [m], NaN where not tracked, confidence, gap between the pads [m]; `anomalies`; `camera_motion_px`;
-        `arm_consistency_px`; `robot` (T, H, W), the pixels that show the robot; `first_frame`; `domain`;
-        `gripper`, the one looked for; `curves`, the fitness and distance [m] of ICP in each frame and its weight.
+        `robot` (T, H, W), the pixels that show the robot; `choice`, the camera and the evidence for it; `measured`, the
+        measurements behind them (`PipelineResult`).
 
     Raises:
         UsageError: an argument cannot be used, or the path holds no video or several.

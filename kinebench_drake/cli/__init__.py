@@ -23,7 +23,7 @@ _COMMANDS = {
     "export-commands": ("score", "Write the commands with which a robot executes a trajectory."),
     "calibrate": ("calibrate", "Estimate a static camera from a video of the robot."),
     "cameras": ("calibrate", "List the cameras that are known by name."),
-    "suite": ("suite", "Task suites: closed-loop runs, demonstrations, exports, reports."),
+    "suite": ("", "Task suites: closed-loop runs, demonstrations, exports, reports."),
     "report": ("outputs", "Write the html report of output folders again."),
     "compare": ("outputs", "Compare output folders."),
     "merge": ("outputs", "Merge output folders of shards."),
@@ -33,7 +33,7 @@ _COMMANDS = {
     "leaderboard": ("publish", "Rank the models of bundles on a static page."),
 }
 """Command name to (module in `kinebench_drake.cli`, short help); the command is the module's object of that name,
-with underscores."""
+with underscores. That of the benchmark comes from its registry."""
 
 _HINTS = {
     "--fps": "the time between two frames is --frame-period SECONDS (1 / fps), of `audit` --rate HZ",
@@ -52,6 +52,10 @@ class LazyGroup(click.Group):
         """Import and return a command, or None if the name is unknown."""
         if cmd_name not in _COMMANDS:
             return None
+        if cmd_name == "suite":
+            from kinebench_drake.runs.benchmark import load_benchmark
+
+            return load_benchmark().commands()
         module = importlib.import_module(f"{__name__}.{_COMMANDS[cmd_name][0]}")
         return cast(click.Command, getattr(module, cmd_name.replace("-", "_")))
 

@@ -60,8 +60,8 @@ def calibrate(out: Path, figure: Path | None, as_json: bool, **options: Any) -> 
     Files of joint angles are those of `audit` (docs/calibration.md): npz with q, csv with q1_rad..q7_rad, ManiSkill h5,
     a LeRobot dataset; one row per frame, or times t_s. Poses of the TCP in the base frame may replace joint angles.
 
-    Without joint angles the motion of the robot determines the camera, if the base is visible. If the video does not
-    determine the camera, the command fails with the reason.
+    Without joint angles the camera is estimated from the arm and its base, as by `score --camera auto`. If the video
+    does not determine the camera, the command fails with the reason.
     """
     from kinebench_drake.formats.camerafile import save_camera
     from kinebench_drake.grounding.camera.calibrate import CalibrationConfig
@@ -74,17 +74,18 @@ def calibrate(out: Path, figure: Path | None, as_json: bool, **options: Any) -> 
         raise click.UsageError(f"{options['video']}: {absence(options['video'])}")
     check_suffix("--out", out, ".json")
     check_suffix("--figure", figure, ".png")
-    outcome = run_calibration(CalibrationConfig(**options))
-    camera = outcome.calibration.camera
-    save_camera(camera, out)
+    calibration = run_calibration(CalibrationConfig(**options))
+    save_camera(calibration.camera, out)
     if figure is not None:
         from kinebench_drake.grounding.overlay import draw_robot, save_image
 
-        save_image(draw_robot(outcome.frame, camera, outcome.X_BP, outcome.finger_m), figure)
+        middle = len(calibration.frames) // 2
+        finger_m = float(calibration.scene.finger_m[middle])
+        save_image(draw_robot(calibration.image, calibration.camera, calibration.X_BP[middle], finger_m), figure)
     if as_json:
-        click.echo(dump(outcome.calibration.to_json(), indent=2), nl=False)
+        click.echo(dump(calibration.to_json(), indent=2), nl=False)
         return
-    for line in format_lines(outcome.calibration):
+    for line in format_lines(calibration):
         click.echo(line)
     click.echo(f"camera: {out}")
 
@@ -97,8 +98,8 @@ def cameras(as_json: bool) -> None:
     Each with its vertical field of view, the usual size of its pictures, the height of the table top in the base frame,
     on what it was checked, how its pictures are also published, and the source of its numbers.
     """
-    from kinebench_drake.formats.camerafile import named_cameras
     from kinebench_drake.io.jsonl import dump
+    from kinebench_drake.named_cameras import named_cameras
 
     listed = named_cameras().values()
     if as_json:

@@ -16,12 +16,14 @@ def doctor(ctx: click.Context, fix: bool, dry_run: bool) -> None:
     """
     from kinebench_drake.environment.doctor import render, run_checks
     from kinebench_drake.environment.repair import repair_environment
+    from kinebench_drake.runs.benchmark import load_benchmark
 
     if dry_run and not fix:
         raise click.UsageError("--dry-run goes with --fix")
-    results = run_checks()
+    check_rendering = load_benchmark().check
+    results = [*run_checks(), check_rendering()]
     click.echo(render(results))
     if fix and repair_environment(results, click.echo, dry_run=dry_run):
-        results = run_checks()
+        results = [*run_checks(), check_rendering()]
         click.echo(render(results))
     ctx.exit(0 if all(check.ok for check in results) else 1)

@@ -52,32 +52,17 @@ def compare(folders: tuple[Path, ...], out: Path | None) -> None:
     for all tasks together, some for each.
     """
     from kinebench_drake.report.run import read_runs
+    from kinebench_drake.report.sample_comparison import compare_samples
+    from kinebench_drake.runs.benchmark import Comparison, load_benchmark
+    from kinebench_drake.runs.config import RunKind
 
     runs = read_runs(folders)
-    if any(run.kind == "suite" for run in runs):
-        from kinebench_drake.report.number import number_lines
-        from kinebench_drake.suites.report.comparison import read_comparison
-        from kinebench_drake.suites.report.pooling import spec_warnings
-        from kinebench_drake.suites.report.suite_page import write_comparison
-
-        episodes = read_comparison(folders)
-        for warning in spec_warnings(episodes.runs):
-            echo(f"warning: {warning}", err=True)
-        page = None if out is None else write_comparison(episodes, out)
-        lines = [*episodes.leads, "", *number_lines(episodes.numbers)]
-    else:
-        from kinebench_drake.report.sample_comparison import (
-            compare_samples,
-            sample_comparison_lines,
-            write_sample_comparison,
-        )
-
-        comparison = compare_samples(runs)
-        for warning in comparison.warnings:
-            echo(f"warning: {warning}", err=True)
-        page = None if out is None else write_sample_comparison(comparison, out)
-        lines = list(sample_comparison_lines(comparison))
-    for line in lines:
+    has_episodes = any(run.kind == RunKind.SUITE.value for run in runs)
+    comparison: Comparison = load_benchmark().compare(folders) if has_episodes else compare_samples(runs)
+    for warning in comparison.warnings:
+        echo(f"warning: {warning}", err=True)
+    page = None if out is None else comparison.write(out)
+    for line in comparison.lines:
         echo(line)
     if page is not None:
         echo(page)

@@ -27,6 +27,7 @@ from kinebench_drake.results.drops import DROPS
 from kinebench_drake.results.inputs import input_lines
 from kinebench_drake.results.row import SampleRow, Status
 from kinebench_drake.results.store import REQUESTS
+from kinebench_drake.runs.gate import passes
 from kinebench_drake.runs.runner import RunObserver, RunSummary
 
 _MOST_REASONS = 5  # in a closing line
@@ -130,7 +131,7 @@ def run(job: Callable[[RunObserver], RunSummary], out: Path, view: ProgressView 
     _print_summary(out, summary)
     for line in summary.missed:
         echo(f"bound missed: {line}", err=True)
-    return 0 if (summary.counts[Status.OK] or summary.pending) and not summary.missed else 1
+    return 0 if passes(summary) else 1
 
 
 def _print_summary(out: Path, summary: RunSummary) -> None:

@@ -82,6 +82,7 @@ def leaderboard(files: tuple[Path, ...], out: Path) -> None:
     set there.
     """
     from kinebench_drake.report.leaderboard import write_leaderboard
+    from kinebench_drake.runs.benchmark import load_benchmark
 
-    for path in write_leaderboard(files, out):
+    for path in write_leaderboard(files, out, load_benchmark().rank):
         echo(path)

@@ -46,21 +46,20 @@ def run_checks() -> list[Check]:
     Libraries that could crash are loaded in separate processes.
     """
     return [
-        _check("Python", _python, f"make a virtual environment with Python 3.11 or 3.12 and install into it; {CLONE}"),
-        _check("native libraries", _native, FIX),
-        _check("Drake", _drake, f"{FIX}; a damaged package: {_reinstall('drake')}"),
-        _check("torch", _torch, f"{_reinstall('torch')}; {CLONE}"),
-        _check("Open3D", _open3d, f"{FIX}; a damaged package: {_reinstall('open3d')}"),
-        _check("Vulkan device", _vulkan, f"{FIX}; beside a broken NVIDIA driver with KINEBENCH_DRAKE_RENDER=cpu set"),
-        _check(CV2_CHECK, _cv2, FIX),
-        _check("video decoding", _video, f"{_reinstall('av')}: PyAV's wheel from the index brings the codecs"),
-        _check("Panda URDF", _panda, f"{_reinstall('mani-skill')}; {CLONE}"),
-        _check(
+        check("Python", _python, f"make a virtual environment with Python 3.11 or 3.12 and install into it; {CLONE}"),
+        check("native libraries", _native, FIX),
+        check("Drake", _drake, f"{FIX}; a damaged package: {_reinstall('drake')}"),
+        check("torch", _torch, f"{_reinstall('torch')}; {CLONE}"),
+        check("Open3D", _open3d, f"{FIX}; a damaged package: {_reinstall('open3d')}"),
+        check(CV2_CHECK, _cv2, FIX),
+        check("video decoding", _video, f"{_reinstall('av')}: PyAV's wheel from the index brings the codecs"),
+        check("Panda URDF", _panda, f"{_reinstall('mani-skill')}; {CLONE}"),
+        check(
             "perception weights",
             _weights,
             "install kinebench-drake's wheel again; in a clone, restore models/perception/ from the repository",
         ),
-        _check("cache folder", _cache_folder, "set XDG_CACHE_HOME to a folder that you can write to"),
+        check("cache folder", _cache_folder, "set XDG_CACHE_HOME to a folder that you can write to"),
     ]
 
 
@@ -77,9 +76,10 @@ def render(checks: Sequence[Check]) -> str:
     return "\n".join(lines)
 
 
-def _check(name: str, probe: Callable[[], str], fix: str) -> Check:
+def check(name: str, run: Callable[[], str], fix: str) -> Check:
+    """Return the outcome of a check; `run` returns its detail or raises why it fails."""
     try:
-        return Check(name, True, probe(), fix)
+        return Check(name, True, run(), fix)
     except Exception as error:  # any failure on this machine is a result
         return Check(name, False, _one_line(error), fix)
 
@@ -89,7 +89,7 @@ def _one_line(error: Exception) -> str:
     return lines[0] if lines else type(error).__name__
 
 
-def _probe(code: str) -> str:
+def probe(code: str) -> str:
     """Run code in a new interpreter; return its last line of output, or raise with the last line of its errors."""
     try:
         # -P: a file in the working directory must not shadow a library of the same name.
@@ -117,7 +117,7 @@ def _python() -> str:
 
 def _native() -> str:
     """Load each library that was unpacked below the environment."""
-    damage = _probe("from kinebench_drake.environment import native\nprint(native.damage())")
+    damage = probe("from kinebench_drake.environment import native\nprint(native.damage())")
     if damage != "None":
         raise _BrokenError(damage)
     wanted = native.ROOT / "wanted.txt"
@@ -125,7 +125,7 @@ def _native() -> str:
 
 
 def _drake() -> str:
-    _probe(
+    probe(
         "from kinebench_drake.environment import native\n"
         "native.prepare_drake()\n"
         "from pydrake.multibody.plant import MultibodyPlant\n"
@@ -136,7 +136,7 @@ def _drake() -> str:
 
 
 def _torch() -> str:
-    return _probe(
+    return probe(
         "import torch\n"
         "gpu = torch.cuda.is_available()\n"
         "torch.ones(2, device='cuda' if gpu else 'cpu').sum().item()\n"
@@ -146,28 +146,11 @@ def _torch() -> str:
 
 
 def _open3d() -> str:
-    return _probe(
+    return probe(
         "from kinebench_drake.environment import native\n"
         "open3d = native.load_open3d()\n"
         "open3d.t.geometry.RaycastingScene()\n"
         "print(open3d.__version__)"
-    )
-
-
-def _vulkan() -> str:
-    """Render one image: a device may be listed and yet fail when it is used."""
-    return _probe(
-        "from kinebench_drake.environment import native\n"
-        "backend = native.prepare_vulkan()\n"
-        "import sapien\n"
-        "device = sapien.Device('cuda' if backend == 'gpu' else 'cpu')\n"
-        "scene = sapien.Scene([sapien.physx.PhysxCpuSystem(), sapien.render.RenderSystem(device)])\n"
-        "camera = scene.add_camera('camera', 16, 16, 1.0, 0.1, 10.0)\n"
-        "scene.update_render()\n"
-        "camera.take_picture()\n"
-        "assert camera.get_picture('Color').shape == (16, 16, 4)\n"
-        "name = next(x for x in sapien.render.get_device_summary().splitlines() if x.startswith('GPU:'))\n"
-        "print(f'{name[4:].strip()} (render backend {backend})')"
     )
 
 
@@ -189,7 +172,7 @@ def _cv2() -> str:
     owners = cv2_owners()
     if owners != ["opencv-python-headless"]:
         raise _BrokenError(f"cv2 comes from {' and '.join(owners) or 'nowhere'}, expected opencv-python-headless alone")
-    return f"{_probe('import cv2; print(cv2.__version__)')}, opencv-python-headless alone"
+    return f"{probe('import cv2; print(cv2.__version__)')}, opencv-python-headless alone"
 
 
 def _video() -> str:

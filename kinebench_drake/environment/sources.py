@@ -18,6 +18,8 @@ _FOLLOWED = (_PACKAGE, "benchmarks", "training")
 """Top names of imports that are followed; the developers' tools stand beside the package in a clone alone."""
 _CACHE = "sources.json"
 """File in the cache folder: code hash and imports of sources by the hash of their bytes; parsing takes a second."""
+CACHED_SOURCES = 3000
+"""Sources in that file; beyond, those of earlier versions are dropped."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -64,9 +66,7 @@ def trace_sources(*modules: str) -> tuple[Source, ...]:
     if parsed.keys() - cache.keys():
         with suppress(OSError, SetupError):  # without a cache every call takes a second
             cache_folder().mkdir(parents=True, exist_ok=True)
-            # 3000: sources in that file; beyond, those of earlier versions are dropped
-            kept = cache if len(cache) < 3000 else {}
-            write_json(cache_folder() / _CACHE, {**kept, **parsed})
+            write_json(cache_folder() / _CACHE, {**(cache if len(cache) < CACHED_SOURCES else {}), **parsed})
     return tuple(reached[name] for name in sorted(reached))
 
 

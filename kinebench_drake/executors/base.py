@@ -64,7 +64,6 @@ class Executor(Protocol):
             KinebenchError: a worker raised it, which ends the run. Any other exception is a bug: it counts as a crash
                 if workers are separate processes, otherwise it propagates.
         """
-        ...
 
 
 @runtime_checkable
@@ -73,7 +72,6 @@ class SupportsDrain(Protocol):
 
     def drain(self) -> None:
         """Start no further items and let running ones finish. May be called by a signal handler during `run`."""
-        ...
 
 
 @runtime_checkable
@@ -82,7 +80,6 @@ class SupportsClose(Protocol):
 
     def close(self) -> None:
         """Release the resources."""
-        ...
 
 
 class Observer(Protocol):

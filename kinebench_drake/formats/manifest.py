@@ -12,13 +12,14 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationErr
 
 from kinebench_drake.camera import CameraSetting, CameraSource
 from kinebench_drake.errors import InputError, UsageError, cause
-from kinebench_drake.formats.camerafile import find_camera, load_camera
+from kinebench_drake.formats.camerafile import load_camera
 from kinebench_drake.formats.folders import join_relative
 from kinebench_drake.formats.samples import MAX_PERIOD_S, MIN_PERIOD_S, shorten
 from kinebench_drake.formats.videos.sample import Search, VideoSample, image_beside
 from kinebench_drake.geometry import checked_pose
 from kinebench_drake.io.files import read_text
 from kinebench_drake.io.jsonl import as_type, parse_json
+from kinebench_drake.named_cameras import find_camera
 from kinebench_drake.track import MAX_WIDTH_M, InitialState
 
 NAME = "manifest.jsonl"

@@ -146,5 +146,4 @@ def join_parts(
                     **others,
                 }
             )
-    about = {"env_info": environment, "episodes": rows, **_SOURCE}
-    write_json(path.with_suffix(".json"), about)
+    write_json(path.with_suffix(".json"), {"env_info": environment, "episodes": rows, **_SOURCE})

@@ -22,8 +22,7 @@ def disk_errors(name: str) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        full = error.errno in (errno.ENOSPC, errno.EDQUOT)
-        fix = "free some space" if full else "make the folder writable"
+        fix = "free some space" if error.errno in (errno.ENOSPC, errno.EDQUOT) else "make the folder writable"
         raise SetupError(
             f"cannot write {name} ({error.strerror or error}): {fix} and run the same command again, "
             "finished files are kept (unless by $overwrite=True)"

@@ -26,6 +26,8 @@ _OPTIONS = {"format_whitelist": "mov,matroska,avi,gif", "protocol_whitelist": "f
 _DECODER = {"max_pixels": str(MAX_PIXELS)}
 _PARAMETERS = "no-mbtree=1"
 """Of x264: its tree of macroblocks reads memory that nobody has written, so that small films differ each time."""
+LEAD_S = 1.0
+"""Time by which decoding starts earlier: seeking uses the decoding order, not the display order [s]."""
 _SQUARE = 0.01
 _STRETCHED = 4.0
 """Deviation from 1 below which pixels count as square, and greatest ratio of their sides, either way."""
@@ -78,9 +80,7 @@ def _decode(
     half_s = 0.5 / float(rate) if rate else 0.0
     aspect = _pixel_aspect(name, stream)
     if part.from_s and stream.time_base:
-        # 1.0: decoding starts this much earlier: seeking uses the decoding order, not the display order
-        begin_s = max(0.0, part.from_s - 1.0)
-        container.seek(int(begin_s / stream.time_base), stream=stream)
+        container.seek(int(max(0.0, part.from_s - LEAD_S) / stream.time_base), stream=stream)
     for frame in container.decode(stream):
         if part.to_s is not None and frame.time is not None and frame.time >= part.to_s - half_s:
             break
@@ -102,8 +102,7 @@ def _span(part: VideoPart) -> str:
 
 def _displayed(frame: VideoFrame, pixel_aspect: Fraction) -> NDArray[np.uint8]:
     """Return the image as players show it: with square pixels, turned or mirrored as its display matrix says."""
-    width = round(frame.width * pixel_aspect)
-    image = frame.to_ndarray(format="rgb24", width=width, height=frame.height)
+    image = frame.to_ndarray(format="rgb24", width=round(frame.width * pixel_aspect), height=frame.height)
     matrix = frame.side_data.get("DISPLAYMATRIX")
     if matrix is not None:
         # Pixel (x, y) is shown at (a x + c y, b x + d y) from the corner of the image: libavutil/display.h.

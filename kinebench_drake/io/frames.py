@@ -33,12 +33,10 @@ class Frames(Protocol):
     @property
     def shape(self) -> tuple[int, ...]:
         """(T, H, W, 3)."""
-        ...
 
     @property
     def dtype(self) -> Any:
         """Type of the numbers."""
-        ...
 
     def __len__(self) -> int: ...
 
@@ -102,8 +100,7 @@ def require_frames(name: str, shape: tuple[int, ...], dtype: object) -> None:
         InputError: it is not (T, H, W, 3) uint8, there are none, or they are too many or too large.
     """
     if dtype != np.uint8 or len(shape) != 4 or shape[3] != 3:
-        channel_first = len(shape) == 4 and shape[1] == 3
-        hint = "; looks channel-first: transpose(0, 2, 3, 1)" if channel_first else ""
+        hint = "; looks channel-first: transpose(0, 2, 3, 1)" if len(shape) == 4 and shape[1] == 3 else ""
         raise InputError(f"{name}: found {dtype} of shape {shape}, expected uint8 (T, H, W, 3) in RGB{hint}")
     if 0 in shape:
         raise InputError(f"{name}: holds no frame")

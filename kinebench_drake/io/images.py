@@ -28,8 +28,7 @@ _DAMAGED = (
 
 def natural_key(name: str) -> list[tuple[int, str]]:
     """Return a sort key for natural order: frame_2.png before frame_10.png."""
-    parts = enumerate(re.split(r"(\d+)", name))
-    numbers = (part.lstrip("0") if k % 2 else part for k, part in parts)
+    numbers = (part.lstrip("0") if k % 2 else part for k, part in enumerate(re.split(r"(\d+)", name)))
     return [(len(part) if k % 2 else 0, part) for k, part in enumerate(numbers)]
 
 

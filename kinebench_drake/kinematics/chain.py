@@ -112,8 +112,7 @@ class LinkChain:
     def _steps(self, positions: Array) -> Array:
         """Return the motion (N, J, 4, 4) of each joint by `positions` (N, J) [rad or m] (Rodrigues' formula)."""
         s = np.sin(positions)[..., None, None]
-        c = np.cos(positions)[..., None, None]
-        R = np.eye(3) + s * self._K + (1.0 - c) * self._K_squared
+        R = np.eye(3) + s * self._K + (1.0 - np.cos(positions)[..., None, None]) * self._K_squared
         return make_pose(R, self._point - (R @ self._point[..., None])[..., 0] + positions[..., None] * self._shift)
 
     def current(self, context: Any) -> Array:

@@ -19,6 +19,8 @@ from kinebench_drake.track import IkStatus
 
 ANCHORS_S = (0.8, 0.4)
 """Least time between poses of the search: on the branch of the start, then on all branches [s]."""
+SPACING_RAD = 0.3
+"""Spacing of the redundancy's angles [rad]."""
 
 
 def minimum_jerk(s: Array) -> Array:
@@ -58,8 +60,7 @@ def plan_continuation(plant: ArmPlant, t_s: Array, X_BG: Array, q_start: Array) 
 
 def blend_from_start(plant: ArmPlant, t_s: Array, X_BG: Array, q: Array, q_start: Array) -> Array:
     """Return the path `q` (N, 7) [rad] changed to begin at `q_start` (7,), the elbow moving to the path in 2 s."""
-    fade = 1.0 - minimum_jerk(t_s / 2.0)
-    return posture_solver(plant).nearest(X_BG, q + fade[:, None] * (q_start - q[0]))
+    return posture_solver(plant).nearest(X_BG, q + (1.0 - minimum_jerk(t_s / 2.0))[:, None] * (q_start - q[0]))
 
 
 def continue_path(plant: ArmPlant, t_s: Array, X_BG: Array, q_start: Array) -> Array:
@@ -122,6 +123,5 @@ def _interpolate_layers(
     plant: ArmPlant, t_s: Array, anchors: _Anchors, layers: list[Array], q_start: Array
 ) -> Array | None:
     """Return the path (T, 7) near the cheapest of `layers`, the postures of the anchors; None if an anchor has none."""
-    # 0.3: spacing of the redundancy's angles
-    path = find_cheapest_path(plant, t_s[anchors.frames], within_limits(plant, layers), q_start, 0.3)
+    path = find_cheapest_path(plant, t_s[anchors.frames], within_limits(plant, layers), q_start, SPACING_RAD)
     return anchors.weights @ path if len(path) > 1 and np.isfinite(path).all() else None

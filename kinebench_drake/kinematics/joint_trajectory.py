@@ -17,10 +17,14 @@ from kinebench_drake.kinematics.violation import COLLISIONS, Violation, Violatio
 
 SAMPLES = 8
 """Samples per span of the spline at which a trajectory is verified."""
+NEAREST_PAIRS = 4
+"""Nearest pairs of solids at a sample whose distances are linearised."""
 NEAR_M = 0.02
 """Margin above the least distance within which distances are computed at every sample and linearised [m]."""
 KEPT = 1.0 + 1e-6
 """Greatest ratio to a limit that counts as within it."""
+DISTANCE_RESERVE_M = 5e-4
+"""Length added to the least distance in linearised bounds, which the curvature may use up [m]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -229,15 +233,14 @@ class JointTrajectory:
         for k in sorted(chosen):
             q = self.motion[0][k]
             near_pairs = collision.near_pairs(q, NEAR_M, None if widths is None else float(widths[k]))
-            for near in near_pairs[:4]:  # nearest pairs per sample whose distances are linearised
+            for near in near_pairs[:NEAREST_PAIRS]:
                 kind = ViolationKind.TABLE_COLLISION if near.link_b == TABLE else ViolationKind.SELF_COLLISION
-                # 5e-4: added to the least distance in linearised bounds
                 obstacles.append(
                     DistanceBound(
                         t_s=float(self.samples_s[k]),
                         offset_m=near.distance_m - float(near.gradient @ q),
                         gradient=near.gradient,
-                        least_m=self.problem.allowed_distance(kind) + 5e-4,
+                        least_m=self.problem.allowed_distance(kind) + DISTANCE_RESERVE_M,
                     )
                 )
         return obstacles

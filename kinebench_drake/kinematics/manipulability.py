@@ -11,6 +11,9 @@ from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.models.robot import N_JOINTS
 from kinebench_drake.segments import spread
 
+COST_OFFSET = 1e-6
+"""Offset of the manipulability in PyRoki's cost, which is then at most 1e6."""
+
 
 def cost(w_translation: ArrayLike) -> Array:
     """Return PyRoki's manipulability cost 1 / (w + 1e-6) (...,) of translational manipulabilities; lower is better.
@@ -18,8 +21,7 @@ def cost(w_translation: ArrayLike) -> Array:
     Source: `manipulability_residual` of PyRoki (C. M. Kim et al., "PyRoki: A Modular Toolkit for Robot Kinematic
     Optimization", 2025), with w of the translational 3x7 Jacobian.
     """
-    # 1e-6: offset of the manipulability in PyRoki's cost, which is then at most 1e6
-    return np.asarray(1.0 / (np.asarray(w_translation, dtype=np.float64) + 1e-6))
+    return np.asarray(1.0 / (np.asarray(w_translation, dtype=np.float64) + COST_OFFSET))
 
 
 def limit_weight(q: ArrayLike, lower: ArrayLike, upper: ArrayLike) -> Array:
@@ -44,8 +46,7 @@ def characteristic_length(plant: ArmPlant) -> float:
     At the rest posture (0.48 m for the Panda). Source: J. Angeles' characteristic length as described in L. Stocco, S.
     E. Salcudean and F. Sassani, "Matrix Normalization for Optimal Robot Design", ICRA 1998.
     """
-    J = plant.jacobian(plant.robot.rest_q)
-    return float(np.sqrt(np.mean(np.sum(J[3:] ** 2, axis=0))))
+    return float(np.sqrt(np.mean(np.sum(plant.jacobian(plant.robot.rest_q)[3:] ** 2, axis=0))))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

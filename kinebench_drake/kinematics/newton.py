@@ -11,6 +11,8 @@ ROTATION_ARM_M = 0.1
 
 REACHED_M = 1e-10
 """Weighted error [m] below which the pose counts as reached and the iteration ends."""
+SLOW_GAIN = 1e-4
+"""Relative gain below which a step counts as slow; three slow steps end the iteration."""
 
 # Newton steps for a whole path
 _PATH_STEPS = 6
@@ -91,8 +93,7 @@ def solve_newton(
         e_new = weight * _error(X_BG, X_new)
         cost_new = float(e_new @ e_new)
         if cost_new < cost:
-            # 1e-4: relative gain below which a step counts as slow; three slow steps end the iteration
-            slow = slow + 1 if cost_new > (1.0 - 1e-4) * cost else 0
+            slow = slow + 1 if cost_new > (1.0 - SLOW_GAIN) * cost else 0
             q = q_new
             J = J_new
             e = e_new

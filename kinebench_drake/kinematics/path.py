@@ -22,6 +22,18 @@ SAMPLES = (36, 72, 240)
 ROUNDS = (0, 5, 5)
 """Samples of the redundancy per pose (of the Panda: joint 7 every 10 degrees) and halvings of intervals whose postures
 are far apart; a finer grid is used only if the path of the coarser one is infeasible."""
+RESTRICTED_GRIDS = 2
+"""Grids used where postures are restricted, which is slow."""
+ANCHOR_SPACING_S = 0.15
+"""Least time between poses of the grid search [s]; postures between are interpolated."""
+PAST_LIMIT_COST = 30.0
+"""Cost of a posture past a limit [1/rad]."""
+FROM_START = 1e-2
+"""Weight of the squared distance of the first posture from the start [1/rad^2]."""
+FAST_WEIGHT = 4.0
+"""Weight of the eighth power of a step's speed ratio beside its square."""
+TOO_FAST_WEIGHT = 1000.0
+"""Weight of a step that no joint speed allows."""
 
 _BETWEEN_RAD = np.array([-0.05, 0.0, 0.05])  # joint-7 offsets about the interpolated path
 _PAST_LIMIT_RAD = 0.05  # allowed limit excess of grid postures: a path along a limit lies between grid points
@@ -89,12 +101,9 @@ def search_path(
     if len(t_s) == 0:
         return best
     allowed = allowed or {}
-    # 0.15: least time between poses of the grid search; postures between are interpolated [s]
-    chosen = np.arange(len(t_s)) if allowed else select_anchors(t_s, 0.15)
+    chosen = np.arange(len(t_s)) if allowed else select_anchors(t_s, ANCHOR_SPACING_S)
     fixed = np.isin(np.arange(len(t_s)), list(allowed))
-    grids = list(zip(SAMPLES, ROUNDS, strict=True))
-    # 2: grids used where postures are restricted by `allowed`, which is slow
-    for samples, rounds in grids[: 2 if allowed else None]:
+    for samples, rounds in list(zip(SAMPLES, ROUNDS, strict=True))[: RESTRICTED_GRIDS if allowed else None]:
         layers = grid_postures(plant, X_BG[chosen], samples, rounds)
         for i, may in allowed.items():
             layers[i] = layers[i][may(layers[i])]
@@ -163,13 +172,12 @@ def find_cheapest_path(
     slots = np.arange(counts.max()) < counts[:, None]  # of each layer in an array for all
     q = np.zeros((*slots.shape, 7))
     q[slots] = np.concatenate([layers[i] for i in frames])
-    # 30.0: weight of a posture past a limit, per radian
-    own = 30.0 * limit_excess(plant, q).max(axis=-1) + FROM_REST * np.sum((q - plant.robot.rest_q) ** 2, axis=-1)
+    own = FROM_REST * np.sum((q - plant.robot.rest_q) ** 2, axis=-1)
+    own += PAST_LIMIT_COST * limit_excess(plant, q).max(axis=-1)
     own[~slots] = np.inf
     dt = np.diff(t_s[frames]) + ALLOWANCE * np.sqrt(2.0) * noise_rad / plant.velocity_limits.min()
     steps = _step_costs(q / plant.velocity_limits, counts, dt, spacing / plant.velocity_limits.min())
-    # 1e-2: weight of the squared distance from the start [1/rad^2]
-    cost = 1e-2 * np.sum((q[0] - q_start) ** 2, axis=-1) + own[0]
+    cost = FROM_START * np.sum((q[0] - q_start) ** 2, axis=-1) + own[0]
     parents = []
     for k, step in enumerate(steps, start=1):
         total = cost[: step.shape[1]] + step
@@ -199,9 +207,9 @@ def _step_costs(scaled: Array, counts: NDArray[np.intp], dt: Array, slack_s: flo
     def costs(time_s: Array, step_s: Array | float) -> Array:
         square = (time_s / step_s) ** 2
         fast = np.square(square**2)  # several times as fast as a power of 8
-        # 4.0: weight of the eighth power of a step's speed ratio beside its square
-        # 1000.0: weight of a step that no joint speed allows
-        return np.asarray(square + 4.0 * fast + 1000.0 * np.maximum((time_s - slack_s) / step_s - 1.0, 0.0) ** 2)
+        return np.asarray(
+            square + FAST_WEIGHT * fast + TOO_FAST_WEIGHT * np.maximum((time_s - slack_s) / step_s - 1.0, 0.0) ** 2
+        )
 
     if len(dt) * scaled.shape[1] ** 2 <= _PAIRS_AT_ONCE:
         joints = np.moveaxis(scaled, -1, 0)

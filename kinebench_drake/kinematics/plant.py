@@ -78,8 +78,7 @@ class ArmPlant:
         self.finger_width_m = finger_width_m
         """Default gap between the finger pads [m]."""
         low = plant.GetPositionLowerLimits()
-        high = plant.GetPositionUpperLimits()
-        self._default = np.clip(np.zeros(plant.num_positions()), low, high)
+        self._default = np.clip(np.zeros(plant.num_positions()), low, plant.GetPositionUpperLimits())
         self._default[self._fingers] = np.clip(finger_width_m / 2.0, *self._opening.T)
         self._positions = self._default.copy()
         self.chain = LinkChain(plant, self.robot, self.positions)
@@ -190,8 +189,7 @@ class ArmPlant:
         self._rates[:, self.arm_rates] = v, a
         self.drake.SetVelocities(self.context, self._rates[0])
         inverse = self.drake.CalcInverseDynamics(self.context, self._rates[1], self._no_forces)
-        gravity = self.drake.CalcGravityGeneralizedForces(self.context)
-        return np.asarray((inverse - gravity)[self.arm_rates])
+        return np.asarray((inverse - self.drake.CalcGravityGeneralizedForces(self.context))[self.arm_rates])
 
     def mass_matrix(self, q: ArrayLike) -> Array:
         """Return the mass matrix (7, 7) [kg m^2] of the arm at `q` (7,) [rad], fingers fixed."""
@@ -219,8 +217,7 @@ class ArmPlant:
 
     def _contacts(self, q: Array) -> frozenset[frozenset[str]]:
         """Return the pairs of links in contact at `q` (7,) [rad], Drake's own exclusions and obstacles left out."""
-        root = self.diagram.CreateDefaultContext()
-        context = self.drake.GetMyMutableContextFromRoot(root)
+        context = self.drake.GetMyMutableContextFromRoot(self.diagram.CreateDefaultContext())
         self.drake.SetPositions(context, self.positions(q[None])[0])
         query = self.drake.get_geometry_query_input_port().Eval(context)
         inspector = query.inspector()

@@ -15,6 +15,10 @@ from kinebench_drake.kinematics.newton import REACHED_M, solve_newton
 from kinebench_drake.kinematics.plant import ArmPlant
 
 _STARTS = 24  # starts of the numeric search
+FAR_RAD = 0.15
+"""Distance of the ends of an interval of the grid above which it is halved [rad]."""
+DUPLICATE_RAD = 0.05
+"""Distance of postures of the numeric search below which they are duplicates [rad]."""
 
 
 class PostureSolver(Protocol):
@@ -25,11 +29,9 @@ class PostureSolver(Protocol):
 
         Intervals of the grid are halved up to `rounds` times where their ends are far apart, as near singularities.
         """
-        ...
 
     def around(self, X_BG: Array, q: Array, offsets: Array) -> list[Array]:
         """Return for each pose the postures (N_t, 7) [rad] of all branches near guesses `q` (T, 7), limits ignored."""
-        ...
 
     def along_branch(self, X_BG: Array, q_start: Array) -> list[Array]:
         """Return for each pose postures (N_t, 7) [rad] of the branch of `q_start` (7,).
@@ -37,26 +39,21 @@ class PostureSolver(Protocol):
         The postures are on a coarse grid of the redundancy about that of `q_start`, NaN where there is none; no rows
         where branches are unknown.
         """
-        ...
 
     def direction(self, X_BG: Array, q: Array) -> Array:
         """Return unit vectors (T, 7) of the null motion of postures `q` (T, 7); 0 where unknown."""
-        ...
 
     def nearest(self, X_BG: Array, q: Array) -> Array:
         """Return postures (T, 7) [rad] that reach poses (T, 4, 4) near guesses `q` (T, 7); NaN where there is none."""
-        ...
 
     def out_of_reach_m(self, X_BG: Array) -> Array:
         """Return the distance (T,) [m] by which poses (T, 4, 4) are provably out of reach; 0 if not proven."""
-        ...
 
 
 @lru_cache(maxsize=4)
 def posture_solver(plant: ArmPlant) -> PostureSolver:
     """Return the closed-form solver if the arm equals the Panda up to its tool (numerically), else Newton's."""
-    rng = np.random.default_rng(0)
-    q = rng.uniform(plant.lower, plant.upper, size=(8, 7))
+    q = np.random.default_rng(0).uniform(plant.lower, plant.upper, size=(8, 7))
     X_FG = invert(flange_pose(q)) @ plant.forward_path(q)
     if np.abs(X_FG - X_FG[0]).max() < 1e-9:
         return ClosedFormSolver(X_FG[0])
@@ -89,8 +86,7 @@ class ClosedFormSolver(PostureSolver):
         for _ in range(rounds):
             finite = np.isfinite(q_low[..., 0]), np.isfinite(q_high[..., 0])
             with np.errstate(invalid="ignore"):
-                # 0.15: intervals of the grid whose ends are farther apart than this are halved
-                far = np.abs(q_high - q_low)[..., :6].max(axis=-1) > 0.15
+                far = np.abs(q_high - q_low)[..., :6].max(axis=-1) > FAR_RAD
             split = ((finite[0] & finite[1] & far) | (finite[0] ^ finite[1])).any(axis=-1)
             if not split.any():
                 break
@@ -108,8 +104,7 @@ class ClosedFormSolver(PostureSolver):
 
     @override
     def around(self, X_BG: Array, q: Array, offsets: Array) -> list[Array]:
-        q7 = q[:, 6, None] + offsets
-        return [_listed(q) for q in analytic_ik((X_BG @ self._X_GF)[:, None], q7)]
+        return [_listed(q) for q in analytic_ik((X_BG @ self._X_GF)[:, None], q[:, 6, None] + offsets)]
 
     @override
     def along_branch(self, X_BG: Array, q_start: Array) -> list[Array]:
@@ -154,8 +149,7 @@ class NumericSolver(PostureSolver):
             postures: list[Array] = []
             for start in (*before, *self._starts[: max(4, min(samples // 4, _STARTS))]):
                 q, error = solve_newton(self._plant, X, start, iterations=25)
-                # 0.05: postures of the numeric search closer than this are duplicates
-                if error <= REACHED_M and all(np.abs(q - other).max() > 0.05 for other in postures):
+                if error <= REACHED_M and all(np.abs(q - other).max() > DUPLICATE_RAD for other in postures):
                     postures.append(q)
             before = np.reshape(postures, (-1, 7))
             layers.append(before)

@@ -12,6 +12,8 @@ ALLOWANCE = 4.0
 """Standard deviations of the noise by which limits of speed and acceleration are widened."""
 FROM_REST = 1e-3
 """Weight of the squared distance from the rest posture [1/rad^2]."""
+ASSUMED_ACCELERATION_PER_SPEED = 5.0
+"""Acceleration limit / speed limit of arms that publish no acceleration limit [1/s]."""
 
 _NEAR_LIMIT_RAD = 0.005  # margin to the joint limits where possible
 _LIMIT_WEIGHT = 1e4
@@ -70,8 +72,7 @@ def relax(
             n[fixed] = 0.0
         cost = problem.cost(residual, weights, q)
         for _ in range(3):
-            delta = problem.step(n, residual, weights, q, damping)
-            q_new = solver.nearest(X_BG, q + n * delta[:, None])
+            q_new = solver.nearest(X_BG, q + n * problem.step(n, residual, weights, q, damping)[:, None])
             strayed = ~(np.abs(q_new - q).max(axis=-1) < 2 * _LARGEST_STEP_RAD)
             q_new[strayed] = q[strayed]
             residual_new = problem.residuals(q_new)
@@ -99,8 +100,7 @@ class _Smoothing:
         dt = np.diff(t_s)[:, None]
         accelerations = plant.acceleration_limits
         if accelerations is None:
-            # 5.0: acceleration limit / speed limit [1/s] of arms that publish none
-            accelerations = 5.0 * plant.velocity_limits
+            accelerations = ASSUMED_ACCELERATION_PER_SPEED * plant.velocity_limits
         self._rest = plant.robot.rest_q
         self._lower = plant.lower + _NEAR_LIMIT_RAD
         self._upper = plant.upper - _NEAR_LIMIT_RAD

@@ -121,8 +121,7 @@ def limit_ratios(plant: ArmPlant, q: Array, rate_hz: float) -> Iterator[tuple[st
     limits = plant.robot.limits
     q = np.concatenate([np.repeat(q[:1], 3, axis=0), q, np.repeat(q[-1:], 3, axis=0)])
     middle = 0.5 * (plant.upper + plant.lower)
-    half = 0.5 * (plant.upper - plant.lower)
-    yield "position", (np.abs(q - middle) / half).max(axis=0)
+    yield "position", (np.abs(q - middle) / (0.5 * (plant.upper - plant.lower))).max(axis=0)
     v = np.diff(q, axis=0) / dt
     yield "velocity", (np.abs(v) / np.minimum(limits.speeds(q[:-1], v), limits.speeds(q[1:], v))).max(axis=0)
     for name, order, limit in (("acceleration", 2, plant.acceleration_limits), ("jerk", 3, plant.jerk_limits)):

@@ -97,8 +97,7 @@ class SplineBasis:
                 residuals; small enough not to change the residuals, it makes the solution unique.
         """
         B = self.values(t_s)
-        span = float(np.median(np.diff(self.breaks_s)))
-        D = self.derivatives[2] * span**2
+        D = self.derivatives[2] * float(np.median(np.diff(self.breaks_s))) ** 2
         return np.asarray(splu((B.T @ B + stiffness * (D.T @ D)).tocsc()).solve(B.T @ q))
 
     def evaluate(self, control: Array, t_s: Array, derivative: int = 0) -> Array:

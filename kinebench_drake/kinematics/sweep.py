@@ -17,6 +17,8 @@ from kinebench_drake.segments import finite_rows
 
 RESOLUTION_M = 5e-4
 """Contacts deeper than the tolerance by this are never missed [m]."""
+DEPTH_FACTOR = 1.1
+"""Depths are known to a tenth, where that is more than `RESOLUTION_M`."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -62,8 +64,7 @@ def sweep(plant: ArmPlant, model: CollisionModel, q: Array, finger_width_m: Arra
         beyond = np.maximum(low - center[:, :, None], center[:, :, None] - high)  # of the boxes around the obstacles
         apart = np.linalg.norm(np.maximum(beyond, 0.0), axis=-1) - model.radii[:, None]
         depth_m = np.where(np.isfinite(least[slots]), least[slots], 0.0)
-        # 1.1: depths are known to a tenth, where that is more
-        of_interest = np.minimum(-tolerance_m, np.minimum(depth_m - RESOLUTION_M, 1.1 * depth_m))
+        of_interest = np.minimum(-tolerance_m, np.minimum(depth_m - RESOLUTION_M, DEPTH_FACTOR * depth_m))
         near = apart - way[..., None] < of_interest
         halved = np.zeros(len(slots), dtype=bool)
         for i in np.flatnonzero(near.any(axis=(1, 2))):

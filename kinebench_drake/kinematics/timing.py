@@ -15,6 +15,10 @@ from kinebench_drake.models.robot import N_JOINTS
 
 STILL_RAD = 1e-4
 """Range of every joint below which a path counts as a rest [rad]."""
+ACTIVE_SHARE = 0.98
+"""Share of a limit from which on it counts as active."""
+FASTEST_REST = 1000.0
+"""Greatest speed-up of any part of a path: a rest takes a thousandth of its time."""
 
 _GRID = 192  # cells of the grid along the path, rounded up to whole cells per frame
 _GRID_MAX = 1600  # greatest number of cells; a track of more frames is sampled evenly in time
@@ -109,10 +113,9 @@ class _PathMotion:
         bounds = np.inf if plant.acceleration_limits is None else plant.acceleration_limits
         self.speed = v / plant.robot.limits.speeds(q, v)
         """(G, 7) speeds in own time over their limits."""
-        # 1000.0: greatest speed-up of any part of the path: a rest takes a thousandth of its time
         self.limits = PathLimits(
             s=self.grid,
-            fastest=1.0 / np.maximum(np.abs(self.speed).max(axis=-1), 1.0 / 1000.0),
+            fastest=1.0 / np.maximum(np.abs(self.speed).max(axis=-1), 1.0 / FASTEST_REST),
             slope=np.hstack([v / bounds, torque[1] - torque[0]]),
             bend=np.hstack([a / bounds, torque[2] - torque[0]]),
             rest=np.hstack([still, torque[0]]),
@@ -182,8 +185,7 @@ def _describe(motion: _PathMotion, rate: Array) -> TimeScale:
 def _usage(motion: _PathMotion, rate: Array, change: Array, spent: Array) -> tuple[Array, NDArray[np.bool_]]:
     """Return the share of time (3, 7) in which each limit is active, and whether it is in each cell (G - 1, 3, 7)."""
     near = motion.ratios(slice(None, -1), rate[:-1], change)
-    far = motion.ratios(slice(1, None), rate[1:], change)
-    active = np.abs([near, far]) >= 0.98  # share of a limit from which on it counts as active
+    active = np.abs([near, motion.ratios(slice(1, None), rate[1:], change)]) >= ACTIVE_SHARE
     return np.einsum("k,ikcj->cj", 0.5 * spent / spent.sum(), active), np.asarray(active.any(axis=0))
 
 

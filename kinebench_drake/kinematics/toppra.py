@@ -13,6 +13,8 @@ from kinebench_drake.geometry import Array
 
 _ROUNDING = 1e-9  # share of a limit that counts as rounding
 _STEPS = 100  # greatest number of lines tried for one optimum; two are typical
+FLAT = 1e-9
+"""Ratio of the factors of two variables below which a limit bounds only the other one."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -93,8 +95,7 @@ class _Bands:
 
 def _bands(of_x: Array, of_y: Array, rest: Array, most: Array) -> _Bands:
     """Return the limits |of_x * x + of_y * y + rest| <= 1 (K, R) and 0 <= x <= most (K,), solved for x."""
-    # 1e-9: ratio of the factors of two variables below which a limit bounds only the other one
-    flat = np.abs(of_x) <= 1e-9 * np.abs(of_y)
+    flat = np.abs(of_x) <= FLAT * np.abs(of_y)
     divisor = np.where(flat, 1.0, of_x)
     middle = np.where(flat, 0.0, -rest / divisor)
     width = np.where(flat, np.inf, np.abs(1.0 / divisor))

@@ -21,6 +21,8 @@ CONTACT_TOLERANCE_M = 0.002
 """Penetration depth [m] up to which a contact is no collision: tasks touch the table."""
 JUMP_RAD = 0.5
 """Joint step beyond the one that the gripper's motion explains, above which it is a jump between branches [rad]."""
+PROBES = 24
+"""Colliding frames that are tested for collision-free postures before the path is searched again."""
 
 _CONTACTS = (IkStatus.SELF_COLLISION, IkStatus.TABLE_COLLISION, IkStatus.OBSTACLE_COLLISION)
 
@@ -137,8 +139,7 @@ def _avoid_collisions(
         stuck |= {int(i) for i in np.flatnonzero(colliding & of_tool)}
         fresh = sorted({int(i) for i in np.flatnonzero(colliding)} - stuck - set(allowed))
         # Of many frames a sample is tested first: if none of it has a free posture, the rest is taken to have none.
-        # 24: colliding frames that are tested for collision-free postures before the path is searched again
-        probes = {fresh[k] for k in np.linspace(0, len(fresh) - 1, min(len(fresh), 24)).astype(int)}
+        probes = {fresh[k] for k in np.linspace(0, len(fresh) - 1, min(len(fresh), PROBES)).astype(int)}
         hopeless = {i for i in probes if is_hopeless(i)}
         if hopeless == probes:
             break

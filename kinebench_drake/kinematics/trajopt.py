@@ -1,5 +1,6 @@
 """Trajectory optimisation: the smallest tube about a track that contains a feasible joint trajectory."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -7,18 +8,13 @@ import numpy as np
 
 from kinebench_drake.geometry import Array, orthonormalize
 from kinebench_drake.kinematics.collision import CollisionModel
-from kinebench_drake.kinematics.infeasibility import (
-    describe_violation,
-    find_pose_violation,
-    find_rate_violation,
-    find_start_violation,
-)
 from kinebench_drake.kinematics.joint_trajectory import JointTrajectory, TubeProblem
 from kinebench_drake.kinematics.newton import solve_newton
+from kinebench_drake.kinematics.path import limit_excess
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.kinematics.spline import SplineBasis
 from kinebench_drake.kinematics.tube import DistanceBound, proximity_cost_m, solve_tube
-from kinebench_drake.kinematics.violation import Violation
+from kinebench_drake.kinematics.violation import RATES, Violation, ViolationKind
 
 SMALLEST_M = 1e-4
 """Radius below which the search does not continue [m]."""
@@ -26,6 +22,18 @@ LARGEST_M = 0.1
 """Greatest radius of a tube about the track [m]."""
 RATIO = 1.25
 """Ratio between upper and lower bound of the radius at which the search ends."""
+MOST_FRAMES = 1000
+"""Greatest number of frames; of a longer track only every second, third, ... frame and the last are used."""
+HOPELESS = 2.0
+"""Factor of the tube's limit: if that radius is infeasible, the finer spline is not tried."""
+REFINED_FRAMES = 200
+"""Greatest number of frames of a track that is tried on a spline twice as fine."""
+PROXIMITY = 0.5
+"""Initial proximity weight of `solve_tube`; raised after a step that widened the tube."""
+FIXED_SHARE = 0.99
+"""Share of a fixed radius used by the program; the rest covers the curvature of the poses."""
+FAR_OUT = 1.5
+"""Factor of the tube's limit above which the error of a posture is the cause, whatever else is."""
 
 # proximity cost / radius (within the tube's limit, beyond it) above which
 _CONFINED = 0.1
@@ -102,8 +110,7 @@ def optimize_in_tube(
         return TubeResult(reason="fewer than two frames with a pose and joint angles: there is no motion")
     if not (np.diff(t_s[frames]) > 0.0).all():
         return TubeResult(reason="the times do not increase from frame to frame")
-    # 1000: greatest number of frames; of a longer track only every second, third, ... frame and the last are used
-    stride = -(-len(frames) // 1000)
+    stride = -(-len(frames) // MOST_FRAMES)
     frames = np.unique(np.append(frames[::stride], frames[-1]))
     X = X_BG[frames].copy()
     X[:, :3, :3] = orthonormalize(X[:, :3, :3])
@@ -177,10 +184,8 @@ class _TubeSearch:
         if best is None:  # the program exceeds the precision of the solver; a rest is always within limits
             middle = np.clip(problem.q[len(problem.q) // 2], problem.limits.lower, problem.limits.upper)
             return fit, JointTrajectory(problem, basis, np.tile(middle, (basis.size, 1)))
-        # 2.0: factor of the tube's limit: if that radius is infeasible, the finer spline is not tried
-        hopeless = self.infeasible_m is not None and self.infeasible_m > 2.0 * self.tube_limit_m
-        # 200: greatest number of frames of a track that is tried on a spline twice as fine
-        if best.radius_m <= self.tube_limit_m or len(problem.t_s) > 200 or hopeless:
+        hopeless = self.infeasible_m is not None and self.infeasible_m > HOPELESS * self.tube_limit_m
+        if best.radius_m <= self.tube_limit_m or len(problem.t_s) > REFINED_FRAMES or hopeless:
             return fit, best
         finer = self._shrink(basis.refine(), best.q, (), _REFINED_EFFORT)
         return fit, best if finer is None or finer.radius_m > best.radius_m else finer
@@ -203,8 +208,7 @@ class _TubeSearch:
     ) -> JointTrajectory | None:
         """Find the smallest tube near the joint path `q` (T, 7): programs with free radius, then bisection."""
         best: JointTrajectory | None = None
-        # 0.5: initial weight of `solve_tube`; raised after a step that widened the tube
-        proximity = 0.5
+        proximity = PROXIMITY
         looser = _LOOSER
         low = SMALLEST_M
         for _ in range(effort[0]):
@@ -232,8 +236,7 @@ class _TubeSearch:
                 break
             middle = self.tube_limit_m if in_doubt else float(np.sqrt(low * best.radius_m))
             poses = self.problem.linearise(best.q)
-            # 0.99: share of a fixed radius used by the program; the rest covers the curvature of the poses
-            solution = solve_tube(basis, poses, self.limits, 0.99 * middle, proximity, obstacles)
+            solution = solve_tube(basis, poses, self.limits, FIXED_SHARE * middle, proximity, obstacles)
             candidate = JointTrajectory(self.problem, basis, solution.control) if solution else best
             if candidate.radius_m <= middle:
                 best = candidate
@@ -274,8 +277,7 @@ class _TubeSearch:
             used = float(np.abs(a / acceleration).max())
             factor = used * (_TORQUE_AIM - weight) / (abs(violation.value) / violation.limit - weight)
             self.limits = replace(self.limits, rates=(velocity, factor * acceleration, jerk))
-            obstacles = tuple(trajectory.obstacles())
-            slower = self._shrink(trajectory.basis, trajectory.q, obstacles, _ROUND_EFFORT)
+            slower = self._shrink(trajectory.basis, trajectory.q, tuple(trajectory.obstacles()), _ROUND_EFFORT)
             if slower is None or slower.radius_m > LARGEST_M or slower.contact is not None:
                 return None
             trajectory = slower
@@ -289,15 +291,85 @@ class _TubeSearch:
         """
         problem = self.problem
         limit = self.tube_limit_m
-        # 1.5: factor of the tube's limit above which the error of a posture is the cause, whatever else is
-        violation = find_pose_violation(problem, limit, 1.5)
+        violation = find_pose_violation(problem, limit, FAR_OUT)
         if violation is not None:
             return violation
-        start = problem.linearise(self._start)
-        solution = solve_tube(fit.basis, start, self.limits, limit, 0.01, elastic=True)
+        solution = solve_tube(fit.basis, problem.linearise(self._start), self.limits, limit, 0.01, elastic=True)
         return (
             (solution and find_rate_violation(problem, fit.basis, solution.excess, offset=1.0))
             or find_start_violation(problem)
             or find_rate_violation(problem, fit.basis, fit.usage)
             or find_pose_violation(problem, limit)
         )
+
+
+def describe_violation(violation: Violation) -> str:
+    """Describe a violation at one frame in a line."""
+    kind = violation.kind.value.replace("_", " ")
+    unit = violation.unit
+    joint = f" of {violation.joint}" if violation.joint else ""
+    return (
+        f"{kind}{joint} near frame {violation.frame_start}: {violation.value:.4g} {unit}, "
+        f"limit {violation.limit:.4g} {unit}"
+    )
+
+
+def find_pose_violation(problem: TubeProblem, tube_limit_m: float, margin: float = 1.0) -> Violation | None:
+    """Find the worst frame whose pose the arm cannot take near its posture, whatever the time; None if there is none.
+
+    The error is the root of both squared errors, rotation by its arm: up to sqrt(2) times the radius of a tube. It is
+    reported above `margin` times its limit `tube_limit_m` [m].
+    """
+    least_m = margin * tube_limit_m
+    plant = problem.plant
+    error = np.linalg.norm(problem.errors(np.clip(problem.q, plant.lower, plant.upper)), axis=-1)
+    for i in np.argsort(-error, kind="stable")[:10]:  # frames of the greatest errors whose poses are solved one by one
+        if error[i] <= least_m:
+            return None
+        _, bounded = solve_newton(plant, problem.X_BG[i], problem.q[i])
+        if bounded <= least_m:
+            continue
+        q, free = solve_newton(plant, problem.X_BG[i], problem.q[i], bounded=False)
+        past = limit_excess(plant, q)
+        j = int(np.argmax(past))
+        frame = int(problem.frames[i])
+        if free > least_m or past[j] <= 0.0:
+            return Violation.at(ViolationKind.UNREACHABLE, frame, None, bounded, tube_limit_m)
+        return _joint_limit_violation(plant, frame, j, float(q[j]))
+    return None
+
+
+def find_start_violation(problem: TubeProblem) -> Violation | None:
+    """Find the joint angle of the initial path that is farthest past its limit; None if all are within limits."""
+    past = limit_excess(problem.plant, problem.q)
+    i, j = np.unravel_index(np.argmax(past), past.shape)
+    if past[i, j] <= 0.0:
+        return None
+    return _joint_limit_violation(problem.plant, int(problem.frames[i]), int(j), float(problem.q[i, j]))
+
+
+def _joint_limit_violation(plant: ArmPlant, frame: int, joint: int, value: float) -> Violation:
+    limit = float(plant.upper[joint] if value > plant.upper[joint] else plant.lower[joint])
+    return Violation.at(ViolationKind.JOINT_LIMIT, frame, plant.robot.joints[joint], value, limit)
+
+
+def find_rate_violation(
+    problem: TubeProblem, basis: SplineBasis, ratios: Sequence[Array | None], offset: float = 0.0
+) -> Violation | None:
+    """Find the rate that exceeds its limit most, relative to it; None if none does.
+
+    `ratios` are the control points (n - k, 7) of the k-th derivative of the spline / limit, less `offset`, for k =
+    1..3; None without a limit. `offset` is 1 if they are excesses over the limit.
+    """
+    # of a limit, above which it counts as broken
+    worst = None
+    least = 1.0 - offset + 1e-3
+    for k, (kind, ratio, limit) in enumerate(zip(RATES, ratios, problem.limits.rates, strict=True)):
+        if ratio is None or limit is None or ratio.max(initial=0.0) <= least:
+            continue
+        i, j = np.unravel_index(np.argmax(ratio), ratio.shape)
+        least = float(ratio[i, j])
+        frame = problem.nearest_frame(float(basis.centres(k + 1)[i]))
+        value = float(limit[j] * (offset + least))
+        worst = Violation.at(kind, frame, problem.plant.robot.joints[j], value, float(limit[j]))
+    return worst

@@ -23,6 +23,12 @@ from kinebench_drake.models.robot import N_JOINTS
 
 INSIDE = 1.0 - 1e-6
 """Share of each limit that the program may use; the rest covers the tolerance of the solver."""
+WIDENING_COST = 100.0
+"""Cost of a millimetre by which the tube of an elastic program is widened."""
+ASSUMED_ACCELERATION = 10.0
+"""Acceleration limit in the cost where none is published [rad/s^2]."""
+ACCELERATION_COST = 1e-3
+"""Cost of accelerations at their limits throughout, in millimetres of radius."""
 
 _MM = 1000.0  # radii and slacks are in millimetres within the program, so that costs are of the order of one
 _FRAMES = 49.0  # frames of a typical clip, to which costs summed over frames are normalised
@@ -110,8 +116,7 @@ def solve_tube(
     prog = kto.get_mutable_prog()
     duration = float(basis.breaks_s[-1] - basis.breaks_s[0])
     prog.AddBoundingBoxConstraint(duration, duration, kto.duration())
-    C = kto.control_points().T  # (n, 7)
-    x = C.ravel()
+    x = kto.control_points().T.ravel()  # of (n, 7)
     r = prog.NewContinuousVariables(1, "r")
     lower, upper = (np.tile(bound, n) for bound in (limits.lower, limits.upper))
     prog.AddBoundingBoxConstraint(lower, upper, x)
@@ -119,8 +124,7 @@ def solve_tube(
         prog.AddLinearCost(np.ones(1), r)
     elif elastic:
         prog.AddBoundingBoxConstraint(_MM * radius_m, np.inf, r)
-        # 100.0: cost of a millimetre by which the tube of an elastic program is widened
-        prog.AddLinearCost(np.full(1, 100.0), r)
+        prog.AddLinearCost(np.full(1, WIDENING_COST), r)
     else:
         prog.AddBoundingBoxConstraint(0.0, _MM * radius_m, r)
 
@@ -158,13 +162,11 @@ def solve_tube(
         weight = 2.0 * proximity / (_STEP_RAD**2 * _FRAMES)
         Q = weight * np.kron(np.outer(values, values), np.eye(N_JOINTS))
         prog.AddQuadraticCost(Q, -weight * np.kron(values, poses.q[i]), near, is_convex=True)
-    # 10.0: acceleration limit in the cost where none is published [rad/s^2]
-    scale = 10.0 if limits.rates[1] is None else limits.rates[1]
+    scale = ASSUMED_ACCELERATION if limits.rates[1] is None else limits.rates[1]
     D = basis.derivatives[2]
     for k in range(D.shape[0]):
         near, values = _row(D, k, x)
-        # 1e-3: cost [mm] of accelerations at their limits throughout
-        Q = 2.0 * 1e-3 / _FRAMES * np.kron(np.outer(values, values), np.diag(np.ones(N_JOINTS) / scale**2))
+        Q = 2.0 * ACCELERATION_COST / _FRAMES * np.kron(np.outer(values, values), np.diag(np.ones(N_JOINTS) / scale**2))
         prog.AddQuadraticCost(Q, np.zeros(len(near)), near, is_convex=True)
     if obstacles:
         _add_obstacles(prog, basis, x, obstacles)
@@ -202,8 +204,7 @@ def _add_obstacles(prog: Any, basis: SplineBasis, x: Any, obstacles: Sequence[Di
     joint = np.arange(N_JOINTS)
     rows = np.repeat(B.row, N_JOINTS)
     columns = (N_JOINTS * B.col[:, None] + joint).ravel()
-    data = (B.data[:, None] * gradients[B.row]).ravel() * _MM
-    A = coo_matrix((data, (rows, columns)), shape=(count, len(x)))
+    A = coo_matrix(((B.data[:, None] * gradients[B.row]).ravel() * _MM, (rows, columns)), shape=(count, len(x)))
     slack = prog.NewContinuousVariables(count, "penetration")
     prog.AddBoundingBoxConstraint(0.0, np.inf, slack)
     prog.AddLinearCost(20.0 * np.ones(count), slack)  # cost of a millimetre of penetration, in millimetres of radius

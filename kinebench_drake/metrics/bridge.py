@@ -21,6 +21,8 @@ BRIDGE_RAD = float(np.deg2rad(5.0))
 """Errors within which a bridged pose is sound: those of a good pose."""
 BRIDGE_FRAMES = 5
 """Longest gap that is bridged [frames]."""
+SURE = 0.5
+"""Least confidence of the poses on both sides of a gap."""
 _SIDE = 3  # poses on each side that determine a bridge
 
 
@@ -39,8 +41,7 @@ def bridge_gaps(track: GripperTrack) -> tuple[GripperTrack, NDArray[np.bool_]]:
     longest = None
     for gap in segments(~track.tracked):
         inside = gap.start > 0 and gap.stop < len(track.t_s)
-        # 0.5: least confidence of the poses on both sides of a gap
-        if not inside or track.confidence[[gap.start - 1, gap.stop]].min() < 0.5:
+        if not inside or track.confidence[[gap.start - 1, gap.stop]].min() < SURE:
             continue
         longest = longest_bridge(track) if longest is None else longest
         if gap.stop - gap.start <= longest:

@@ -30,6 +30,8 @@ No joint of the Panda can stay at a limit for much longer: it crosses its range 
 """
 NEGLIGIBLE_RAD = 1e-4
 """Noise below which a path is not smoothed [rad]."""
+LEAST_CUTOFF_HZ = 0.25
+"""Lowest cut-off frequency of `smooth_path`, however noisy the path [Hz]."""
 
 _ROUGHNESS = 3  # order of the differences that smooth_path minimises
 
@@ -126,10 +128,9 @@ def _smooth_run(t_s: Array, q: Array, variance: Array) -> Array:
         shared = w[k + np.arange(len(D) - k)[:, None] + np.arange(_ROUGHNESS + 1 - k)]
         DwD[k, : len(D) - k] = np.sum(D[: len(D) - k, k:] * D[k:, : _ROUGHNESS + 1 - k] * shared, axis=-1)
     stiffness = (2.0 - 2.0 * np.cos(np.pi * np.arange(n) / n)) ** _ROUGHNESS  # approximate eigenvalues of D^T D
-    # 0.25: lowest cut-off frequency of `smooth_path`, however noisy the path [Hz]
     best = q
     low = -4.0
-    high = max(-4.0, -2.0 * _ROUGHNESS * np.log10(2.0 * np.pi * 0.25 * period))
+    high = max(-4.0, -2.0 * _ROUGHNESS * np.log10(2.0 * np.pi * LEAST_CUTOFF_HZ * period))
     for _ in range(10):
         middle = 0.5 * (low + high)
         banded = DwD.copy()

@@ -28,6 +28,8 @@ JUMP_M = 0.06
 """Floor of a jump of the TCP's position for steps of 0.2 s [m]."""
 JUMP_RAD = 0.35
 """Floor of a jump of the TCP's orientation, or of a joint, for steps of 0.2 s [rad]."""
+STEP_S = 0.2
+"""Step above which the floors grow with the square of the time, as the effect of an acceleration does [s]."""
 ACCELERATION_M_S2 = 13.0
 ACCELERATION_RAD_S2 = 25.0
 JOINT_ACCELERATION_RAD_S2 = 20.0
@@ -122,8 +124,7 @@ def _violation(jump: _Jump, run: slice, joint: str | None, unit: str) -> Violati
 def _floor(t_s: Array, floor: float, acceleration: float) -> Array:
     """Return the floor (n - 1,) of a jump for steps between the times `t_s` (n,) [s]."""
     dt2 = np.diff(t_s) ** 2
-    # 0.2 s: the step above which the floors grow with the square of the time, as the effect of an acceleration does
-    return np.minimum(floor * np.maximum(dt2 / 0.2**2, 1.0), acceleration * dt2)
+    return np.minimum(floor * np.maximum(dt2 / STEP_S**2, 1.0), acceleration * dt2)
 
 
 def _noise_norm(sigma: float, axes: int, frames: int, freedom: float, groups: int = 1) -> float:
@@ -211,8 +212,7 @@ def _excursions(t_s: Array, velocity: Array, dt: Array, floor: Array, noise_norm
         steps[:] = _beyond(velocity[here], velocity[near], velocity[near] + slope * (t_s[here] - t_s[near])[:, None])
     away = away * dt[out, None]
     home = home * dt[back, None]
-    quiet = 0.5 * (velocity[out - 1] + velocity[back + 1])
-    still = (velocity[out + 1] - quiet) * dt[out + 1, None]
+    still = (velocity[out + 1] - 0.5 * (velocity[out - 1] + velocity[back + 1])) * dt[out + 1, None]
     size = np.minimum(np.linalg.norm(away, axis=-1), np.linalg.norm(home, axis=-1))
     beside = np.maximum(np.linalg.norm(velocity[out - 1], axis=-1), np.linalg.norm(velocity[back + 1], axis=-1))
     # Larger than its neighbours: else a rest between two fast motions would count as an excursion.

@@ -1,14 +1,15 @@
 """The kinematic verdict on a track: inverse kinematics, limit checks and optimisations combined."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable
+from dataclasses import replace
 from types import MappingProxyType
 
 import numpy as np
+from numpy.typing import NDArray
 
 from kinebench_drake.errors import InputError
 from kinebench_drake.geometry import Array
-from kinebench_drake.kinematics.collision import Clearance, CollisionModel
+from kinebench_drake.kinematics.collision import CollisionModel
 from kinebench_drake.kinematics.ik import POSITION_TOLERANCE_M, ROTATION_TOLERANCE_RAD
 from kinebench_drake.kinematics.newton import ROTATION_ARM_M
 from kinebench_drake.kinematics.path import limit_excess
@@ -18,9 +19,16 @@ from kinebench_drake.kinematics.track_ik import branch_jumps, find_free, solve_t
 from kinebench_drake.kinematics.trajopt import optimize_in_tube
 from kinebench_drake.kinematics.violation import Violation, ViolationKind
 from kinebench_drake.metrics.bridge import bridge_gaps, bridge_joints
-from kinebench_drake.metrics.coverage import cover_joints, cover_poses, weigh_manipulability, worst_manipulability
+from kinebench_drake.metrics.coverage import (
+    Coverage,
+    cover_joints,
+    cover_poses,
+    weigh_manipulability,
+    worst_manipulability,
+)
 from kinebench_drake.metrics.discontinuity import find_discontinuities
 from kinebench_drake.metrics.kinematic_result import (
+    JointPath,
     KinematicResult,
     PathMeasurements,
     feasible_period,
@@ -59,6 +67,10 @@ MOST_NOISE = TrackNoise(position_m=0.015, rotation_rad=float(np.deg2rad(7.5)))
 """Greatest noise that is allowed for: a track that jitters more is taken for motion and judged as exact."""
 MOST_JOINT_NOISE_RAD = 0.02
 """The same for joint angles [rad]."""
+ASSUMED_NOISE = TrackNoise(position_m=0.005, rotation_rad=float(np.deg2rad(2.5)))
+"""Noise of tracks too short to measure theirs: that of a fair tracker."""
+JOINT_LEVER_M = 0.3
+"""Length [m] by which position noise is divided: about the joint noise that it causes."""
 NOISE_SPREAD = 0.25
 """Relative change of the noise of estimated poses under which a verdict has to hold: poses in float32 and bfloat16
 differ by a part of their noise (`python -m benchmarks precision`)."""
@@ -67,21 +79,13 @@ LEAST_SLOWDOWN = 1.1
 verdicts differed up to 1.06."""
 TUBE_M = 0.005
 """Least radius of the tube about a track in which a feasible trajectory is searched [m]; noise widens it."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _PosedPath:
-    """Joint path of a track, and what violations are found from."""
-
-    track: GripperTrack
-    joints: JointTrack
-    q: Array
-    """(T, 7) joint angles of the frames whose pose is reached [rad]; else NaN."""
-    sigma: Array
-    """Standard deviations of their noise [rad]."""
-    own: Clearance
-    table: Clearance
-    noise: TrackNoise
+TUBE_SIGMAS = 4.5
+"""Least radius of that tube in standard deviations of the noise: white noise leaves it in one track of 300."""
+_CONTACTS = {
+    ViolationKind.SELF_COLLISION: IkStatus.SELF_COLLISION,
+    ViolationKind.TABLE_COLLISION: IkStatus.TABLE_COLLISION,
+    ViolationKind.OBSTACLE_COLLISION: IkStatus.OBSTACLE_COLLISION,
+}
 
 
 class TrackJudge:
@@ -100,16 +104,25 @@ class TrackJudge:
     def judge_poses(self, track: GripperTrack) -> KinematicResult:
         """Judge a track of poses: infeasible only if no joint path follows it."""
         noise, assumed = _noise(track)
-        # 0.3: position noise divided by this is about the joint noise that it causes
         joints = solve_track(
             self._plant,
             track,
             self._collision,
             contact_tolerance_m=contact_tolerance(noise),
-            noise_rad=noise.rotation_rad + noise.position_m / 0.3,
+            noise_rad=noise.rotation_rad + noise.position_m / JOINT_LEVER_M,
             X_plan=None if assumed else smooth_poses(track, noise),
         )
-        return self._judge(track, joints, noise, assumed, joint_sigma=None)
+        reached = _reached(joints)
+        J = spread(self._plant.chain.jacobians(joints.q[reached]), reached, len(reached))
+        path = self._path(track, joints, propagate_noise(J, noise), noise, assumed)
+        checks = self._check_poses(path)
+        violations, open_kinds = self._settle(path, self._pose_violations(path, checks))
+        coverage = cover_poses(self._plant, track, joints, reached)
+        # Where the track is incomplete, the path, which other lost frames may change, must not decide.
+        asked = track.tracked & ~(joints.ok & coverage.complete)
+        free = find_free(self._plant, self._collision, track, asked, contact_tolerance(noise))
+        measured = self._measure(path, checks, coverage, free, *bridge_gaps(track), X_BG=track.X_BG)
+        return self._result(measured, violations, open_kinds)
 
     def judge_joints(self, t_s: Array, q: Array, finger_width_m: Array) -> KinematicResult:
         """Judge joint angles as recorded, not the best path to the same poses.
@@ -148,38 +161,73 @@ class TrackJudge:
             position_error_m=error,
             rotation_error_rad=error,
         )
-        noise, assumed = _noise(track)
-        return self._judge(track, joints, noise, assumed, joint_sigma=sigma)
+        path = self._path(track, joints, sigma, *_noise(track))
+        checks = check_limits(self._plant, t_s, path.q, sigma, freedom_per_frame=JOINT_FREEDOM_PER_FRAME)
+        violations = self._joint_violations(path, checks)
+        path = replace(path, joints=_with_collisions(joints, violations))
+        bridged = np.zeros(len(t_s), dtype=bool)
+        coverage = cover_joints(self._plant, path.q)
+        measured = self._measure(path, checks, coverage, path.joints.ok, track, bridged, X_BG=None)
+        return self._result(measured, violations, ())
 
-    def _violations(
-        self, path: "_PosedPath", checks: LimitChecks, joint_sigma: Array | None = None, tolerance: float = 1.0
-    ) -> list[Violation]:
-        """Return the violations of a joint path, causes before what follows from them.
+    def _path(
+        self, track: GripperTrack, joints: JointTrack, sigma: Array, noise: TrackNoise, noise_assumed: bool
+    ) -> JointPath:
+        """Return the joint path of a track with its distances from collisions."""
+        reached = _reached(joints)
+        q = np.where(reached[:, None], joints.q, np.nan)
+        return JointPath(
+            track=track,
+            joints=joints,
+            reached=reached,
+            q=q,
+            sigma=sigma,
+            own=self._collision.self_distance(q, track.finger_width_m),
+            table=self._collision.table_distance(q, track.finger_width_m),
+            noise=noise,
+            noise_assumed=noise_assumed,
+        )
 
-        Recorded angles have the noise `joint_sigma` (7,) [rad]. What the poses' noise explains is multiplied by
-        `tolerance`.
-        """
-        plant = self._plant
+    def _check_poses(self, path: JointPath, tolerance: float = 1.0) -> LimitChecks:
+        return check_limits(self._plant, path.track.t_s, path.q, tolerance * path.sigma)
+
+    def _pose_violations(self, path: JointPath, checks: LimitChecks, tolerance: float = 1.0) -> list[Violation]:
+        """Return the violations of a solved joint path; what the poses' noise explains is multiplied by `tolerance`."""
         track = path.track
         noise = path.noise.scaled(tolerance)
-        if joint_sigma is None:
-            limits = find_limit_violations(plant, track, path.joints, noise)
-            jumps = find_discontinuities(track.t_s, track.X_BG, track.tracked, path.noise, tolerance=tolerance)
-        else:
-            limits = find_joint_limit_violations(plant, path.q, limit_tolerance(joint_sigma))
-            jumps = find_discontinuities(track.t_s, track.X_BG, track.tracked, noise, path.q, plant.robot.joints)
+        limits = find_limit_violations(self._plant, track, path.joints, noise)
+        jumps = find_discontinuities(track.t_s, track.X_BG, track.tracked, path.noise, tolerance=tolerance)
+        return self._violations(path, checks, noise, limits, jumps)
+
+    def _joint_violations(self, path: JointPath, checks: LimitChecks) -> list[Violation]:
+        """Return the violations of recorded joint angles."""
+        track = path.track
+        limits = find_joint_limit_violations(self._plant, path.q, limit_tolerance(path.sigma))
+        joints = self._plant.robot.joints
+        jumps = find_discontinuities(track.t_s, track.X_BG, track.tracked, path.noise, path.q, joints)
+        return self._violations(path, checks, path.noise, limits, jumps)
+
+    def _violations(
+        self,
+        path: JointPath,
+        checks: LimitChecks,
+        noise: TrackNoise,
+        limits: Iterable[Violation],
+        jumps: Iterable[Violation],
+    ) -> list[Violation]:
+        """Return all violations of a joint path, causes before what follows from them."""
         violations = (
             *find_unreachable(path.joints, noise),
             *limits,
-            *find_collisions(self._collision, track, path.own, path.table, checks.q_smooth, noise),
-            *find_obstacles(plant, self._collision, track, path.q, checks.q_smooth, noise),
+            *find_collisions(self._collision, path.track, path.own, path.table, checks.q_smooth, noise),
+            *find_obstacles(self._plant, self._collision, path.track, path.q, checks.q_smooth, noise),
             *checks.violations,
             *jumps,
         )
         return sorted(violations, key=lambda v: v.rank)
 
     def _settle(
-        self, path: "_PosedPath", violations: list[Violation]
+        self, path: JointPath, violations: list[Violation]
     ) -> tuple[list[Violation], tuple[ViolationKind, ...]]:
         """Return the violations that hold for poses as exact as estimates are, and kinds of which it is open.
 
@@ -188,102 +236,78 @@ class TrackJudge:
         """
         if path.track.offset_m == 0.0:  # not an estimate
             return violations, ()
+        tolerance = 1.0 + NOISE_SPREAD if violations else 1.0 / (1.0 + NOISE_SPREAD)
+        checks = self._check_poses(path, tolerance)
+        others = self._pose_violations(path, checks, tolerance)
         if not violations:
-            low = 1.0 / (1.0 + NOISE_SPREAD)
-            possible = self._violations(path, self._check(path, low), tolerance=low)
-            return [], tuple(dict.fromkeys(violation.kind for violation in possible))
-        high = 1.0 + NOISE_SPREAD
-        checks = self._check(path, high)
-        sure = {violation.kind for violation in self._violations(path, checks, tolerance=high)}
+            return [], tuple(dict.fromkeys(violation.kind for violation in others))
+        sure = {violation.kind for violation in others}
         if checks.slowdown is None or checks.slowdown.factor < LEAST_SLOWDOWN:
             sure -= set(KINDS)
         certain = [violation for violation in violations if violation.kind in sure]
-        if certain:
-            return certain, ()
-        return [], tuple(dict.fromkeys(violation.kind for violation in violations))
+        return certain, () if certain else tuple(dict.fromkeys(violation.kind for violation in violations))
 
-    def _check(self, path: "_PosedPath", tolerance: float) -> LimitChecks:
-        return check_limits(self._plant, path.track.t_s, path.q, tolerance * path.sigma)
-
-    def _judge(
-        self, track: GripperTrack, joints: JointTrack, noise: TrackNoise, assumed: bool, *, joint_sigma: Array | None
-    ) -> KinematicResult:
-        """Judge a joint path; `joint_sigma` (7,) is the noise of recorded angles [rad], None of a solved path."""
+    def _measure(
+        self,
+        path: JointPath,
+        checks: LimitChecks,
+        coverage: Coverage,
+        free: NDArray[np.bool_],
+        filled: GripperTrack,
+        bridged: NDArray[np.bool_],
+        *,
+        X_BG: Array | None,
+    ) -> PathMeasurements:
+        """Measure a joint path; `X_BG` (T, 4, 4) are the poses that it follows [m], None for recorded joint angles."""
         plant = self._plant
-        t_s = track.t_s
-        # Velocities and torques of the nearest posture mean nothing where the pose is not reached.
-        reached = np.isfinite(joints.q).all(axis=-1) & (joints.position_error_m <= POSITION_TOLERANCE_M)
-        reached &= joints.rotation_error_rad <= ROTATION_TOLERANCE_RAD
-        q = np.where(reached[:, None], joints.q, np.nan)
-        J = spread(plant.chain.jacobians(joints.q[reached]), reached, len(q))
-        sigma = propagate_noise(J, noise) if joint_sigma is None else joint_sigma
-        own = self._collision.self_distance(q, track.finger_width_m)
-        table = self._collision.table_distance(q, track.finger_width_m)
-        posed = _PosedPath(track=track, joints=joints, q=q, sigma=sigma, own=own, table=table, noise=noise)
-        if joint_sigma is None:
-            checks = check_limits(plant, t_s, q, sigma)
-            violations = self._violations(posed, checks)
-            violations, open_kinds = self._settle(posed, violations)
-        else:
-            checks = check_limits(plant, t_s, q, sigma, freedom_per_frame=JOINT_FREEDOM_PER_FRAME)
-            violations = self._violations(posed, checks, joint_sigma)
-            open_kinds = ()
-        joints = joints if joint_sigma is None else _with_collisions(joints, violations)
-        timing = time_scale(plant, t_s, checks.q_smooth)
-        # 4.5: least radius of the tube in standard deviations of the noise: white noise leaves it in one track of 300
-        tube_limit = max(TUBE_M, 4.5 * max(noise.position_m, ROTATION_ARM_M * noise.rotation_rad))
+        track = path.track
+        noise = path.noise
+        tube_limit_m = max(TUBE_M, TUBE_SIGMAS * max(noise.position_m, ROTATION_ARM_M * noise.rotation_rad))
         tube = optimize_in_tube(
             plant,
             self._collision,
-            t_s,
+            track.t_s,
             np.where(track.tracked[:, None, None], track.X_BG, np.nan),
-            joints.q,
-            tube_limit_m=tube_limit,
+            path.joints.q,
+            tube_limit_m=tube_limit_m,
             table_tolerance_m=contact_tolerance(noise),
             finger_width_m=np.where(np.isfinite(track.finger_width_m), track.finger_width_m, plant.finger_width_m),
         )
-        branches = np.flatnonzero(reached)
-        coverage = cover_poses(plant, track, joints, reached) if joint_sigma is None else cover_joints(plant, q)
-        poses = track.X_BG if joint_sigma is None else None
-        if joint_sigma is None:
-            # Where the track is incomplete, the path, which other lost frames may change, must not decide.
-            asked = track.tracked & ~(joints.ok & coverage.complete)
-            free = find_free(plant, self._collision, track, asked, contact_tolerance(noise))
-            filled, bridged = bridge_gaps(track)
-        else:
-            free = joints.ok
-            filled = track
-            bridged = np.zeros(len(t_s), dtype=bool)
-        w = weigh_manipulability(plant, coverage, bridge_joints(t_s, coverage.q, bridged))
-        path = PathMeasurements(
-            reached=reached,
+        branches = np.flatnonzero(path.reached)
+        jumps = branch_jumps(plant, track.X_BG[branches], path.joints.q[branches])
+        w = weigh_manipulability(plant, coverage, bridge_joints(track.t_s, coverage.q, bridged))
+        return PathMeasurements(
+            path=path,
             coverage=coverage,
             manipulability=w,
-            manipulability_worst=w if coverage.complete else worst_manipulability(plant, coverage, w, poses),
-            self_clearance=own,
-            table_clearance=table,
+            manipulability_worst=w if coverage.complete else worst_manipulability(plant, coverage, w, X_BG),
             free=free,
             bridged=bridged,
             p_BG=smooth_poses(filled, noise)[:, :3, 3],
             motionless=stands_still(track.X_BG[track.tracked]) if track.tracked.any() else None,
             smoothness=measure_smoothness(
                 replace(filled, tracked=filled.tracked & ~coverage.unreachable),
-                None if assumed else noise,
+                None if path.noise_assumed else noise,
                 measured=track.tracked & ~coverage.unreachable,
             ),
             checks=checks,
-            timing=timing,
+            timing=time_scale(plant, track.t_s, checks.q_smooth),
             tube=tube,
-            tube_limit_m=tube_limit,
-            branch_jumps=branches[branch_jumps(plant, track.X_BG[branches], joints.q[branches])],
-            noise=noise,
-            noise_assumed=assumed,
+            tube_limit_m=tube_limit_m,
+            branch_jumps=branches[jumps],
         )
-        metrics, reasons = kinematic_metrics(plant, track, joints, path)
-        undecided = _undecided(track, checks) or _describe_open(open_kinds)
+
+    def _result(
+        self, measured: PathMeasurements, violations: list[Violation], open_kinds: tuple[ViolationKind, ...]
+    ) -> KinematicResult:
+        """Return the verdict with all metrics; it is open on `open_kinds` of limits."""
+        plant = self._plant
+        track = measured.path.track
+        metrics, reasons = kinematic_metrics(plant, measured)
+        undecided = _undecided(track, measured.checks) or _describe_open(open_kinds)
         if not violations and undecided is not None:
             reasons["feasible"] = undecided
-        period, why = feasible_period(t_s, metrics["slowdown_min"], violations, undecided)
+        period, why = feasible_period(track.t_s, metrics["slowdown_min"], violations, undecided)
         metrics["feasible_from_period_s"] = period
         if period is None:
             reasons["feasible_from_period_s"] = why
@@ -292,31 +316,34 @@ class TrackJudge:
             reasons["feasible_from_period_s" + BOUND] = reasons["slowdown_min" + BOUND]
         return KinematicResult(
             track=track,
-            joints=joints,
+            joints=measured.path.joints,
             feasible=False if violations else (True if undecided is None else None),
             violations=tuple(violations),
             metrics=MappingProxyType(metrics),
             unchecked=plant.robot.limits.unstated,
             reasons=MappingProxyType(reasons),
-            details=MappingProxyType(path_details(plant, q, path)),
-            curves=MappingProxyType(track_curves(plant, joints, path)),
+            details=MappingProxyType(path_details(plant, measured)),
+            curves=MappingProxyType(track_curves(plant, measured)),
         )
 
 
-def _describe_open(kinds: Sequence[ViolationKind]) -> str | None:
+def _reached(joints: JointTrack) -> NDArray[np.bool_]:
+    """Return the frames (T,) whose pose the joint path reaches."""
+    near = (joints.position_error_m <= POSITION_TOLERANCE_M) & (joints.rotation_error_rad <= ROTATION_TOLERANCE_RAD)
+    return np.asarray(np.isfinite(joints.q).all(axis=-1) & near)
+
+
+def _describe_open(kinds: tuple[ViolationKind, ...]) -> str | None:
     """Return why a verdict is open that depends on limits of some kinds; None without any."""
-    if not kinds:
-        return None
     names = ", ".join(kind.value for kind in kinds)
-    return f"nearer to a limit than the estimated poses are exact: {names}"
+    return f"nearer to a limit than the estimated poses are exact: {names}" if kinds else None
 
 
 def _noise(track: GripperTrack) -> tuple[TrackNoise, bool]:
     """Return the track's noise, 0 where it exceeds MOST_NOISE, and whether it was assumed."""
     noise = estimate_track_noise(track.t_s, track.X_BG, track.tracked)
     assumed = not np.isfinite([noise.position_m, noise.rotation_rad]).all()
-    # Noise assumed for tracks too short to measure theirs: that of a fair tracker.
-    noise = TrackNoise(position_m=0.005, rotation_rad=float(np.deg2rad(2.5))) if assumed else noise
+    noise = ASSUMED_NOISE if assumed else noise
     position = noise.position_m if noise.position_m <= MOST_NOISE.position_m else 0.0
     rotation = noise.rotation_rad if noise.rotation_rad <= MOST_NOISE.rotation_rad else 0.0
     offsets = {"offset_m": track.offset_m, "offset_rad": track.offset_rad}
@@ -345,14 +372,9 @@ def _undecided(track: GripperTrack, checks: LimitChecks) -> str | None:
 
 def _with_collisions(joints: JointTrack, violations: list[Violation]) -> JointTrack:
     """Return recorded joint angles with collisions in their status, as inverse kinematics reports them."""
-    kinds = {
-        ViolationKind.SELF_COLLISION: IkStatus.SELF_COLLISION,
-        ViolationKind.TABLE_COLLISION: IkStatus.TABLE_COLLISION,
-        ViolationKind.OBSTACLE_COLLISION: IkStatus.OBSTACLE_COLLISION,
-    }
     status = list(joints.status)
     for violation in violations:
         for i in range(violation.frame_start, violation.frame_end + 1):
-            if violation.kind in kinds and status[i] is IkStatus.OK:
-                status[i] = kinds[violation.kind]
+            if violation.kind in _CONTACTS and status[i] is IkStatus.OK:
+                status[i] = _CONTACTS[violation.kind]
     return replace(joints, status=tuple(status))

@@ -52,24 +52,41 @@ class KinematicResult:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class JointPath:
+    """Joint path of a track, and what violations are found from."""
+
+    track: GripperTrack
+    joints: JointTrack
+    reached: NDArray[np.bool_]
+    """(T,) frames whose pose is reached: velocities and torques of the nearest posture mean nothing elsewhere."""
+    q: Array
+    """(T, 7) joint angles of the reached frames [rad]; else NaN."""
+    sigma: Array
+    """(7,) or (T, 7) standard deviations of their noise [rad]."""
+    own: Clearance
+    """Distances of the arm from itself."""
+    table: Clearance
+    """Distances of the arm from the table."""
+    noise: TrackNoise
+    """Noise of the track, measured or assumed."""
+    noise_assumed: bool
+    """True if the track is too short to measure its noise."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class PathMeasurements:
     """Measurements along a joint path, from which metrics, curves and details are taken."""
 
-    reached: NDArray[np.bool_]
-    """(T,) frames whose pose is reached within tolerance."""
+    path: JointPath
     coverage: Coverage
     """Lost and unreachable frames."""
     manipulability: Manipulability
-    """Manipulability along the path (`loss.weigh_manipulability`): 0 where unreachable, NaN where lost, not bridged."""
+    """Manipulability along the path: 0 where unreachable, NaN where lost and not bridged."""
     manipulability_worst: Manipulability
-    """The least that the manipulability of each frame can be (`loss.worst_manipulability`)."""
-    self_clearance: Clearance
-    """Distances of the arm from itself."""
-    table_clearance: Clearance
-    """Distances of the arm from the table."""
+    """The least that the manipulability of each frame can be."""
     free: NDArray[np.bool_]
-    """(T,) frames with a posture that is free of collisions whatever the path (`track.find_free`); of a complete track
-    only those where the path itself fails, of recorded joint angles those that are free."""
+    """(T,) frames with a posture free of collisions whatever the path (`track_ik.find_free`); of a complete track only
+    those where the path itself fails, of recorded joint angles those that are free."""
     smoothness: Smoothness
     """Smoothness of the gripper's track."""
     checks: LimitChecks
@@ -88,22 +105,17 @@ class PathMeasurements:
     """(T, 3) denoised positions of the TCP [m]; NaN where lost, not bridged."""
     motionless: bool | None
     """True if the gripper neither moves nor turns; None if no frame is tracked."""
-    noise: TrackNoise
-    """Noise of the track, measured or assumed."""
-    noise_assumed: bool
-    """True if the track is too short to measure its noise."""
 
 
-def kinematic_metrics(
-    plant: ArmPlant, track: GripperTrack, joints: JointTrack, path: PathMeasurements
-) -> tuple[dict[str, Value], dict[str, str]]:
+def kinematic_metrics(plant: ArmPlant, measured: PathMeasurements) -> tuple[dict[str, Value], dict[str, str]]:
     """Return the metrics by name, with their bounds if frames are lost or out of reach, and why some are None.
 
     Values are those of measured and bridged frames, unreachable ones at their worst.
     """
-    metrics, reasons = _path_metrics(plant, track, joints, path)
-    smooth = path.smoothness
-    coverage = path.coverage
+    metrics, reasons = _path_metrics(plant, measured)
+    track = measured.path.track
+    smooth = measured.smoothness
+    coverage = measured.coverage
     for name, value in smooth.metrics.items():
         if value is None:
             reasons[name] = smooth.reasons.get(name.partition("_floor_")[0], "") or "the track's noise is unknown"
@@ -111,9 +123,9 @@ def kinematic_metrics(
         return {**smooth.metrics, **metrics}, reasons
     worst: dict[str, Value] = {**dict.fromkeys(metrics), **smooth.bounds}
     if metrics["manipulability_mean"] is not None:
-        worst |= _manipulability_metrics(track.t_s, path.manipulability_worst)
+        worst |= _manipulability_metrics(track.t_s, measured.manipulability_worst)
     if track.tracked.any():
-        worst["ik_success_rate"] = float(path.free.mean())
+        worst["ik_success_rate"] = float(measured.free.mean())
     if not coverage.lost.any():
         worst |= {name: metrics[name] for name in ("ik_position_error_max_m", "joint_limit_margin_min")}
     if metrics["trajopt_feasible"] is False:  # nor is there a trajectory through more frames
@@ -158,27 +170,30 @@ def _manipulability_metrics(t_s: Array, w: Manipulability) -> dict[str, Value]:
     }
 
 
-def _path_metrics(
-    plant: ArmPlant, track: GripperTrack, joints: JointTrack, path: PathMeasurements
-) -> tuple[dict[str, Value], dict[str, str]]:
+def _path_metrics(plant: ArmPlant, measured: PathMeasurements) -> tuple[dict[str, Value], dict[str, str]]:
     """Return the metrics of the frames that are neither lost nor unreachable, and why some are None."""
-    w = path.manipulability
-    checks = path.checks
-    timing = path.timing
-    tube = path.tube
+    path = measured.path
+    track = path.track
+    checks = measured.checks
+    timing = measured.timing
+    tube = measured.tube
+    coverage = measured.coverage
+    w = measured.manipulability
     no_value = "no frame is tracked" if not track.tracked.any() else "no frame's pose is reached"
-    margin = limit_margin(plant, np.where(path.reached[:, None], joints.q, np.nan))
-    lowest = _over_finite(np.min, margin)  # no posture within limits reaches unreachable frames: theirs is 0 at most
-    measured: dict[str, Value] = {
+    lowest = _over_finite(np.min, limit_margin(plant, path.q))
+    if lowest is not None and coverage.unreachable.any():  # no posture within limits reaches these frames
+        lowest = min(0.0, lowest)
+    is_free = (path.joints.ok | measured.free)[track.tracked]
+    values: dict[str, Value] = {
         **_manipulability_metrics(track.t_s, w),
         "condition_number_max": _over_finite(np.max, w.condition),
-        "ik_success_rate": float((joints.ok | path.free)[track.tracked].mean()) if track.tracked.any() else None,
-        "ik_position_error_max_m": _over_finite(np.max, path.coverage.position_error_m),
-        "joint_limit_margin_min": lowest if lowest is None or not path.coverage.unreachable.any() else min(0.0, lowest),
-        "self_distance_min_m": _over_finite(np.min, path.self_clearance.distance_m),
-        "table_distance_min_m": _over_finite(np.min, path.table_clearance.distance_m),
+        "ik_success_rate": float(is_free.mean()) if is_free.size else None,
+        "ik_position_error_max_m": _over_finite(np.max, coverage.position_error_m),
+        "joint_limit_margin_min": lowest,
+        "self_distance_min_m": _over_finite(np.min, path.own.distance_m),
+        "table_distance_min_m": _over_finite(np.min, path.table.distance_m),
     }
-    rows: dict[str, tuple[Value, str]] = {name: (value, no_value) for name, value in measured.items()}
+    rows: dict[str, tuple[Value, str]] = {name: (value, no_value) for name, value in values.items()}
     for kind in KINDS:
         check = checks.checks.get(kind)
         ratio = None if check is None or not np.isfinite(check.ratio_max) else check.ratio_max
@@ -193,38 +208,41 @@ def _path_metrics(
         rows["slowdown_min"] = None if np.isinf(slowdown.factor) else slowdown.factor, why
     for name, value in (("trajopt_feasible", tube.feasible), ("trajopt_position_tube_m", tube.radius_m)):
         rows[name] = value, tube.reason or "no tube was found"
-    rows["path_length_m"] = path_length(path.p_BG), no_value
-    rows["motionless"] = path.motionless, no_value
-    jumps = float(len(path.branch_jumps)) if path.reached.sum() > 1 else None
+    rows["path_length_m"] = path_length(measured.p_BG), no_value
+    rows["motionless"] = measured.motionless, no_value
+    jumps = float(len(measured.branch_jumps)) if path.reached.sum() > 1 else None
     rows["branch_jumps"] = jumps, "fewer than two poses are reached"
     metrics = {name: value for name, (value, _) in rows.items()}
     return metrics, {name: why for name, (value, why) in rows.items() if value is None}
 
 
-def track_curves(plant: ArmPlant, joints: JointTrack, path: PathMeasurements) -> dict[str, Array]:
+def track_curves(plant: ArmPlant, measured: PathMeasurements) -> dict[str, Array]:
     """Return arrays (T,) or (T, 7) by name, for the track's file."""
-    w = path.manipulability
+    checks = measured.checks
+    w = measured.manipulability
     return {
-        "bridged": path.bridged.astype(np.float64),
+        "bridged": measured.bridged.astype(np.float64),
         "manipulability": w.full,
         "manipulability_translation": w.translation,
         "manipulability_rotation": w.rotation,
         "manipulability_weighted": w.limited,
         "condition_number": w.condition,
-        "joint_margin": limit_margin(plant, joints.q).min(axis=-1),
-        "self_distance_m": path.self_clearance.distance_m,
-        "table_distance_m": path.table_clearance.distance_m,
-        "q_smooth": path.checks.q_smooth,
-        **{kind.value: check.value for kind, check in path.checks.checks.items()},
-        **{f"{kind.value}_limit": c.limits for kind, c in path.checks.checks.items() if np.ptp(c.limits, axis=0).any()},
+        "joint_margin": limit_margin(plant, measured.path.joints.q).min(axis=-1),
+        "self_distance_m": measured.path.own.distance_m,
+        "table_distance_m": measured.path.table.distance_m,
+        "q_smooth": checks.q_smooth,
+        **{kind.value: check.value for kind, check in checks.checks.items()},
+        **{f"{kind.value}_limit": c.limits for kind, c in checks.checks.items() if np.ptp(c.limits, axis=0).any()},
     }
 
 
-def path_details(plant: ArmPlant, q: Array, path: PathMeasurements) -> dict[str, Json]:
-    """Serialize measurements into the field `details` of samples.jsonl; `q` (T, 7) is NaN where not reached [rad]."""
-    residual = (path.checks.q_smooth - q)[finite_rows(path.checks.q_smooth)]
-    slowdown = path.checks.slowdown
-    timing = path.timing
+def path_details(plant: ArmPlant, measured: PathMeasurements) -> dict[str, Json]:
+    """Serialize measurements into the field `details` of samples.jsonl."""
+    path = measured.path
+    checks = measured.checks
+    residual = (checks.q_smooth - path.q)[finite_rows(checks.q_smooth)]
+    slowdown = checks.slowdown
+    timing = measured.timing
     return {
         "limits": {
             "joints": list(plant.robot.joints),
@@ -235,8 +253,8 @@ def path_details(plant: ArmPlant, q: Array, path: PathMeasurements) -> dict[str,
             "torque": _list(plant.effort_limits),
         },
         "coverage": {
-            "lost": int(path.coverage.lost.sum()),
-            "unreachable": int(path.coverage.unreachable.sum()),
+            "lost": int(measured.coverage.lost.sum()),
+            "unreachable": int(measured.coverage.unreachable.sum()),
         },
         "noise": {
             "position_m": path.noise.position_m,
@@ -245,9 +263,9 @@ def path_details(plant: ArmPlant, q: Array, path: PathMeasurements) -> dict[str,
             "offset_m": path.noise.offset_m,
             "offset_rad": path.noise.offset_rad,
             "fit_residual_rad": float(np.sqrt(np.mean(residual**2))) if residual.size else None,
-            "allowance_sigmas": path.checks.z,
+            "allowance_sigmas": checks.z,
         },
-        "checks": {kind.value: _check(check) for kind, check in path.checks.checks.items()},
+        "checks": {kind.value: _check(check) for kind, check in checks.checks.items()},
         "slowdown": None
         if slowdown is None
         else {"limit": slowdown.kind.value, "joint": slowdown.joint, "frame": slowdown.frame},
@@ -258,8 +276,8 @@ def path_details(plant: ArmPlant, q: Array, path: PathMeasurements) -> dict[str,
             "reason": timing.reason,
             "active": [{"limit": a.constraint.value, "joint": a.joint, "share": a.share} for a in timing.active],
         },
-        "trajopt": _tube(path.tube, path.tube_limit_m),
-        "branch_jump_frames": [int(frame) for frame in path.branch_jumps],
+        "trajopt": _tube(measured.tube, measured.tube_limit_m),
+        "branch_jump_frames": [int(frame) for frame in measured.branch_jumps],
     }
 
 

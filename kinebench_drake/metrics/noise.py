@@ -29,6 +29,12 @@ frames on (its 99.99 % quantile to 9 % from 16 frames on; below 10 frames Studen
 """
 JOINT_FREEDOM_PER_FRAME = 0.2
 """Degrees of freedom per frame of `estimate_joint_noise`, measured as 0.21 to 0.23: one axis, not the mean of three."""
+NORMAL_MEDIAN = 0.6744897501960817
+"""Median of |x| for a standard normal x."""
+MIN_DIFFERENCES = 3
+"""Least number of differences of an order; with fewer, the order is not used."""
+DIFFERENT_VALUES = 10
+"""Least number of different values that tell that all were rounded."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -100,10 +106,9 @@ def _variance(times: list[Array], steps: list[Array], axes: int) -> Array:
     for order in ORDERS:
         differences = [_unit_differences(t, d, order) for t, d in zip(times, steps, strict=True) if len(t) > order]
         pooled = np.concatenate([np.empty((0, axes)), *differences])
-        if len(pooled) < 3:  # least number of differences of an order; with fewer, the order is not used
+        if len(pooled) < MIN_DIFFERENCES:
             break
-        # 0.6744897501960817: median of |x| for a standard normal x
-        variance = (np.median(np.abs(pooled), axis=0) / 0.6744897501960817) ** 2
+        variance = (np.median(np.abs(pooled), axis=0) / NORMAL_MEDIAN) ** 2
         # All axes share the order of the least total: a choice per axis would increase the bias of the minimum.
         if not variance.sum() >= least.sum():
             least = variance
@@ -119,8 +124,7 @@ def _rounding(values: Array) -> float:
     for decimals in range(3, 7):
         unit = 10.0**-decimals
         rounded = values.round(decimals)
-        # 10: least number of different values that tell that all were rounded
-        if len(np.unique(rounded)) >= 10 and np.abs(values - rounded).max() < 0.05 * unit:
+        if len(np.unique(rounded)) >= DIFFERENT_VALUES and np.abs(values - rounded).max() < 0.05 * unit:
             return float(unit / np.sqrt(12.0))
     return 0.0
 
@@ -134,8 +138,7 @@ def _unit_differences(t_s: Array, steps: Array, order: int) -> Array:
     dt = np.diff(t_s)
     if np.ptp(dt) <= 1e-6 * dt.mean():
         return np.asarray(np.diff(steps, order - 1, axis=0) / np.sqrt(comb(2 * order, order)))
-    scale = dt.mean()
-    t = t_s / scale
+    t = t_s / dt.mean()
     divided = steps / np.diff(t)[:, None]
     for k in range(2, order + 1):
         divided = np.diff(divided, axis=0) / (t[k:] - t[:-k])[:, None]

@@ -45,8 +45,7 @@ def find_unreachable(joints: JointTrack, noise: TrackNoise) -> Iterator[Violatio
     """
     error = _pose_error(joints)
     limit = _noise_limit(noise)
-    missed = _has(joints, IkStatus.UNREACHABLE) & (error > limit)
-    for run in segments(missed):
+    for run in segments(_has(joints, IkStatus.UNREACHABLE) & (error > limit)):
         yield Violation.of_run(ViolationKind.UNREACHABLE, run, None, float(error[run].max()), limit)
 
 

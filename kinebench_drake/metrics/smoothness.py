@@ -17,7 +17,6 @@ from scipy.interpolate import CubicSpline
 from scipy.ndimage import convolve1d
 
 from kinebench_drake.geometry import Array, rotation_angle
-from kinebench_drake.metrics.completion import least_arc, least_ldlj
 from kinebench_drake.metrics.derivatives import smooth_path
 from kinebench_drake.metrics.noise import TrackNoise, estimate_track_noise, rotation_steps
 from kinebench_drake.segments import segments
@@ -25,6 +24,10 @@ from kinebench_drake.track import GripperTrack
 
 CUTOFF_HZ = 10.0
 """Highest frequency of the spectral arc."""
+THRESHOLD = 0.05
+"""Fraction of the spectrum's maximum that the last bin of the arc reaches."""
+DRAWS = 64
+"""Noisy copies of the smoothed motion that determine a noise floor."""
 
 MAX_LOST_SHARE = 0.05
 """Largest share of lost frames at which a motion as a whole has a smoothness."""
@@ -42,8 +45,7 @@ FILTERED_CUTOFF_HZ = 2.0
 _GRID_HZ = 10.0  # least sampling rate of the filtered speed
 
 
-# 0.05: fraction of the spectrum's maximum that the last bin of the arc reaches
-def sparc(speed: Array, sampling_hz: float, cutoff_hz: float = CUTOFF_HZ, threshold: float = 0.05) -> Array:
+def sparc(speed: Array, sampling_hz: float, cutoff_hz: float = CUTOFF_HZ, threshold: float = THRESHOLD) -> Array:
     """Compute the spectral arc length (M,) of speed profiles (M, N), none all zero; NaN for one without an arc.
 
     SPARC = - integral over 0..f_c of sqrt((1 / f_c)^2 + (dV/df)^2) df with V the magnitude of the speed's spectrum over
@@ -157,7 +159,7 @@ def measure_smoothness(
 
     The value is that of the longest run of consecutive tracked frames, None if that leaves out more than MAX_LOST_SHARE
     of the frames. The bounds of SPARC and LDLJ are the least values over all motions in the frames that are not
-    measured (`completion`), None if more than MAX_LOST_SHARE are not; those of the filtered SPARC are None.
+    measured, None if more than MAX_LOST_SHARE are not; those of the filtered SPARC are None.
 
     Args:
         noise: noise of the track; estimated if None (`noise.estimate_track_noise`).
@@ -238,9 +240,8 @@ def _measure_run(track: GripperTrack, run: slice, noise: TrackNoise | None, seed
         return _smoothness({}, dict.fromkeys(METRICS, short))
     noise = noise or estimate_track_noise(track.t_s, track.X_BG, track.tracked)
     p = X[:, :3, 3]
-    R = X[:, :3, :3]
     # The cumulative sum of the rotation vectors between frames is a path whose steps are those of the rotation.
-    turned = np.concatenate([np.zeros((1, 3)), np.cumsum(rotation_steps(R), axis=0)])
+    turned = np.concatenate([np.zeros((1, 3)), np.cumsum(rotation_steps(X[:, :3, :3]), axis=0)])
     rng = np.random.default_rng(seed)
     values: dict[str, float] = {}
     reasons = _stillness(X)
@@ -261,8 +262,7 @@ def _measure(
     paths = p[:, None]
     if np.isfinite(sigma):
         smooth = smooth_path(t_s, p, np.full(3, sigma))
-        # 64: noisy copies of the smoothed motion that determine a noise floor
-        paths = np.concatenate([paths, smooth[:, None] + sigma * rng.standard_normal((len(p), 64, 3))], axis=1)
+        paths = np.concatenate([paths, smooth[:, None] + sigma * rng.standard_normal((len(p), DRAWS, 3))], axis=1)
     rate = _rate(t_s)
     speeds = _even_speeds(t_s, np.linalg.norm(np.diff(paths, axis=0), axis=-1).T)
     for name in names:
@@ -292,3 +292,59 @@ def _smoothness(values: Mapping[str, float], reasons: Mapping[str, str]) -> Smoo
         reasons=MappingProxyType({name: reasons[name] for name in METRICS if name in reasons}),
         bounds=MappingProxyType({}),
     )
+
+
+def least_arc(speed: Array, sampling_hz: float, bins: int, cutoff_hz: float) -> float:
+    """Return a lower bound of SPARC over all speeds in place of the unknown ones.
+
+    The spectrum of a profile is the mean of exp(-2 pi i f t) over its samples, weighted by speed: a mixture (1 - s) K +
+    s U of the known and the unknown samples. From one frequency to the next, df higher, its magnitude V changes by at
+    most |exp(2 pi i df c) (V e)(f + df) - (V e)(f)| with e its phase, for any time c. That is at most (1 - s) A + s H,
+    where A is this difference for K and H = max |2 sin(pi df (t - c))| over the unknown times t; hence at most max(A,
+    H), minimised over c. The arc is longest with these changes and with the end, of all up to the cut-off, that makes
+    it longest. A known sample that becomes unknown moves its part of A into H, so that max(A, H) does not fall.
+
+    Args:
+        speed: (N,) speeds at evenly spaced times; NaN where unknown.
+        sampling_hz: sampling rate.
+        bins: length of the zero-padded spectrum.
+        cutoff_hz: greatest frequency of the arc [Hz].
+    """
+    finite = np.isfinite(speed)
+    t = np.arange(len(speed)) / sampling_hz
+    df = sampling_hz / bins
+    kept = int(np.count_nonzero(df * np.arange(bins // 2 + 1) <= cutoff_hz))
+    mass = np.where(finite, speed, 0.0) / (float(speed[finite].sum()) or 1.0)
+    spectrum = np.fft.rfft(mass, bins)[:kept]
+    centres = np.linspace(t[0], t[-1], 65)[:, None]  # times about which spectra are turned
+    change = np.abs(np.exp(2j * np.pi * df * centres) * spectrum[1:] - spectrum[:-1])
+    if not finite.all():
+        apart = np.abs(np.sin(np.pi * df * (t[~finite] - centres))).max(axis=-1, keepdims=True)
+        change = np.maximum(change, 2.0 * apart)
+    change = change.min(axis=0)
+    steps = 1.0 / np.arange(1, kept)  # the width of a step over the length of the arc's frequency range
+    return -max(float(np.hypot(step, change[:last]).sum()) for last, step in enumerate(steps, 1))
+
+
+def least_ldlj(speed: Array, sampling_hz: float) -> float:
+    """Return the least log dimensionless jerk over all speeds in place of the unknown ones; infinite without jerk.
+
+    `speed` (N,) is that at evenly spaced times, NaN where unknown. The value falls with the sum of squared second
+    differences of the speed over its peak: a convex function of the unknown samples and of the scale of the known ones,
+    all in 0..1, so that its greatest value is taken with each of them 0 or 1. Dynamic programming over the last two
+    samples finds it.
+    """
+    finite = np.isfinite(speed)
+    peak = float(speed[finite].max(initial=0.0)) or 1.0
+    greatest = 0.0
+    for scale in (0.0, 1.0):
+        options = [(scale * v / peak,) if k else (0.0, 1.0) for v, k in zip(speed.tolist(), finite, strict=True)]
+        sums = {(a, b): 0.0 for a in options[0] for b in options[1]}
+        for choice in options[2:]:
+            extended: dict[tuple[float, float], float] = {}
+            for (a, b), value in sums.items():
+                for c in choice:
+                    extended[b, c] = max(extended.get((b, c), 0.0), value + (a - 2.0 * b + c) ** 2)
+            sums = extended
+        greatest = max(greatest, *sums.values())
+    return -float(np.log(len(speed) ** 3 * greatest)) if greatest > 0.0 else np.inf

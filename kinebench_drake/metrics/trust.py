@@ -13,6 +13,10 @@ from kinebench_drake.track import Domain
 TRUST = "trust"
 """Key of a row."""
 _FILE_RATE = "fps"  # source of a frame period that is 1 / fps of the file
+LOW_CONFIDENCE = 0.8
+"""Mean confidence of the tracked frames below which poses deserve a look."""
+FEW_TRACKED = 0.95
+"""Share of frames with a pose below which the rest deserves a look."""
 
 
 class TrustLevel(Enum):
@@ -69,15 +73,13 @@ def assess_trust(extra: Mapping[str, Json], metrics: Mapping[str, Json], period:
     facts.append(f"frame period {period}")
     if isinstance(tracked, float) and isinstance(frames, int):
         facts.append(f"{round((1.0 - tracked) * frames)} of {count_noun(frames, 'frame')} not measured")
-    # 0.8: mean confidence of the tracked frames below which poses deserve a look
-    # 0.95: share of frames with a pose below which the rest deserves a look
     doubts = {
         "the camera is estimated from the arm": state == CameraState.ESTIMATED.value,
         "the arm does not confirm the named camera": state == CameraState.NAMED.value
         and isinstance(agreement, float)
         and agreement < CONFIRMED,
-        "frames could not be measured": isinstance(tracked, float) and tracked < 0.95,
-        "the mean confidence is low": isinstance(confidence, float) and confidence < 0.8,
+        "frames could not be measured": isinstance(tracked, float) and tracked < FEW_TRACKED,
+        "the mean confidence is low": isinstance(confidence, float) and confidence < LOW_CONFIDENCE,
         "the look is unfamiliar": domain == Domain.UNFAMILIAR.value,
         "the flange is measured without a hand": domain == Domain.ARM.value,
         "the benchmark camera fits, but the frame period is not the benchmark's 0.2 s": extra.get("frame_period_source")

@@ -2,11 +2,10 @@
 
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import chain
-from math import isnan
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 from kinebench_drake.errors import UsageError
 from kinebench_drake.io.archive import hash_file
@@ -18,16 +17,11 @@ from kinebench_drake.report.run import Run, check_page_folder, read_runs
 from kinebench_drake.report.sample import badness, embed_thumbnail
 from kinebench_drake.report.sample_comparison import compare_samples, label_samples, tabulate_samples
 from kinebench_drake.report.table import Table, Value, make_table
-from kinebench_drake.results.aggregate import Estimate, estimate, estimate_executable
+from kinebench_drake.results.aggregate import Estimate, estimate, estimate_executable, group_by
 from kinebench_drake.results.bundle import open_bundle
 from kinebench_drake.results.row import SampleRow, Status
-from kinebench_drake.suites.report.comparison import compare
-from kinebench_drake.suites.report.episode_result import group_by, tabulate_episodes
-from kinebench_drake.suites.report.pooling import pool_episodes, read_suite_runs
 
 PAGE = "index.html"
-ORACLE = "oracle"
-"""World model whose success is the ceiling of all others."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -73,8 +67,17 @@ class ModelEntry:
         return None if None in counts else sum(n or 0 for n in counts)
 
 
-def write_leaderboard(bundles: Sequence[Path], out: Path) -> list[Path]:
+Ranking: TypeAlias = tuple[Sequence[ModelEntry], Sequence[Part], Table]
+"""Models, further tables, and the listing of all samples."""
+
+
+def write_leaderboard(
+    bundles: Sequence[Path], out: Path, rank_suites: Callable[[Sequence[Path]], Ranking]
+) -> list[Path]:
     """Write the leaderboard of bundles of one kind; the same bundles give the same bytes.
+
+    Args:
+        rank_suites: returns the ranking of output folders of suite runs.
 
     Returns:
         The page and the result cards.
@@ -90,7 +93,7 @@ def write_leaderboard(bundles: Sequence[Path], out: Path) -> list[Path]:
         runs = read_runs(folders)
         if kinds := {run.kind for run in runs} - {runs[0].kind}:
             raise UsageError(f"bundles of kind {runs[0].kind} and {min(kinds)}: one leaderboard has one kind")
-        entries, parts, listing = _suite_parts(folders) if runs[0].kind == "suite" else _sample_parts(runs)
+        entries, parts, listing = rank_suites(folders) if runs[0].kind == "suite" else _rank_samples(runs)
         ranked = sorted(entries, key=lambda entry: (entry.part, entry.rank))
         page = write_parts(
             "leaderboard.html.j2",
@@ -107,54 +110,20 @@ def write_leaderboard(bundles: Sequence[Path], out: Path) -> list[Path]:
         return [page, *chain.from_iterable(cards)]
 
 
-def _suite_parts(folders: Sequence[Path]) -> tuple[list[ModelEntry], list[Part], Table]:
-    """Return models, tables of the comparison, and the listing of suite runs."""
-    own = {run.path: run for run in read_suite_runs(folders)}
-    episodes = pool_episodes(list(own.values()))
-    oracles = {e.model for e in episodes if e.folder and own[e.folder].config.get("world_model") == ORACLE}
-    numbers, comparison = _compare(lambda: compare(episodes))
-    entries = []
-    for (part, model), some in group_by(episodes, lambda e: (e.part, e.model)).items():
-        of = [own[path] for path in dict.fromkeys(e.folder for e in some if e.folder)]
-        corrected, ceiling = _correct([c for c in numbers if c.part == part.title], model, oracles)
-        entry = ModelEntry(part=part.title, model=model, runs=of, rows=[e.row for e in some])
-        entries.append(replace(entry, corrected=corrected, ceiling=ceiling))
-    parts = [comparison, *([] if oracles else [make_missing("ceiling")])]
-    return entries, parts, tabulate_episodes(episodes)
-
-
-def _correct(
-    numbers: Sequence[NumberComparison], model: str, oracles: set[str]
-) -> tuple[Estimate | None, float | None]:
-    """Return success over that of the oracle, and the oracle's success, in the episodes that both have."""
-    if model in oracles:
-        return None, None
-    for c in numbers:
-        models = {c.first, c.second}
-        if c.paired and c.metric.name == "success" and model in models and models & oracles:
-            shares = c.paired
-            if c.second == model:
-                shares = replace(shares, first=shares.second, second=shares.first)
-            ratio = shares.ratio()
-            ceiling = shares.rates[1]
-            low, high = (None if isnan(end) else end for end in (ratio.low, ratio.high))
-            mean = None if isnan(ratio.value) else ratio.value
-            return Estimate(mean=mean, low=low, high=high, n=shares.n, total=shares.n), ceiling
-    return None, None
-
-
-def _sample_parts(runs: Sequence[Run]) -> tuple[list[ModelEntry], list[Part], Table]:
-    """Return models, tables of the comparison, and the listing of other runs."""
+def _rank_samples(runs: Sequence[Run]) -> Ranking:
+    """Return the ranking of runs without episodes."""
     samples = label_samples(runs)
     entries = []
     for model, own in group_by(samples, lambda sample: sample.model).items():
         of = list({sample.run.path: sample.run for sample in own}.values())
         entries.append(ModelEntry(part="", model=model, runs=of, rows=[sample.row for sample in own]))
-    _, comparison = _compare(lambda: compare_samples(runs).numbers)
+    _, comparison = tabulate_headlines(lambda: compare_samples(runs).numbers)
     return entries, [comparison], tabulate_samples(samples)
 
 
-def _compare(numbers: Callable[[], Sequence[NumberComparison]]) -> tuple[list[NumberComparison], Part]:
+def tabulate_headlines(
+    numbers: Callable[[], Sequence[NumberComparison]],
+) -> tuple[list[NumberComparison], Part]:
     """Return the headline numbers over all tasks, and their table without the columns that are for single tasks."""
     try:
         chosen = [n for n in numbers() if n.task == ALL_TASKS and n.metric.name in HEADLINES]

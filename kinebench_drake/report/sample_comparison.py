@@ -74,6 +74,25 @@ class SampleComparison:
         verdicts = list(verdict_lines(self.numbers)) or ["No sample has a verdict that would rank the models"]
         return [*verdicts, *motionless_lines(models)]
 
+    @property
+    def lines(self) -> list[str]:
+        """Text for a terminal: the better models, how samples are paired, numbers of all tasks together."""
+        return [*self.leads, *(pair.title for pair in self.pairs), "", *number_lines(self.numbers)]
+
+    def write(self, out: Path) -> Path:
+        """Write page and tables; return the page."""
+        check_page_folder(out)
+        listed = choose_listed(self.samples, lambda s: s.model, lambda s: verdict_of(s.row) in GOOD_VERDICTS)
+        return write_parts(
+            "comparison_page.html.j2",
+            "Comparison of models",
+            out,
+            [tabulate_numbers(self.numbers)],
+            tabulate_samples(self.samples),
+            comparison=self,
+            lines=[(s, list_links(s.run.path, s.row, out)) for s in listed],
+        )
+
 
 def compare_samples(runs: Sequence[Run]) -> SampleComparison:
     """Compare the models of runs of one kind, two by two, on the samples that they share.
@@ -94,30 +113,6 @@ def compare_samples(runs: Sequence[Run]) -> SampleComparison:
     ]
     return SampleComparison(
         runs=runs, samples=samples, pairs=pairs, numbers=numbers, warnings=list(list_differences(pairs, runs))
-    )
-
-
-def sample_comparison_lines(comparison: SampleComparison) -> Iterator[str]:
-    """Format a comparison for a terminal: the better models, how samples are paired, numbers of all tasks together."""
-    yield from comparison.leads
-    for pair in comparison.pairs:
-        yield pair.title
-    yield ""
-    yield from number_lines(comparison.numbers)
-
-
-def write_sample_comparison(comparison: SampleComparison, out: Path) -> Path:
-    """Write a comparison: page and tables; returns the page."""
-    check_page_folder(out)
-    listed = choose_listed(comparison.samples, lambda s: s.model, lambda s: verdict_of(s.row) in GOOD_VERDICTS)
-    return write_parts(
-        "comparison_page.html.j2",
-        "Comparison of models",
-        out,
-        [tabulate_numbers(comparison.numbers)],
-        tabulate_samples(comparison.samples),
-        comparison=comparison,
-        lines=[(s, list_links(s.run.path, s.row, out)) for s in listed],
     )
 
 

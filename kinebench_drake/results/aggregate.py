@@ -2,8 +2,9 @@
 
 import math
 from collections import Counter
-from collections.abc import Hashable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
+from typing import TypeVar
 
 import numpy as np
 
@@ -12,6 +13,9 @@ from kinebench_drake.io.jsonl import Json
 from kinebench_drake.results.direction import BOUND, worst_value
 from kinebench_drake.results.row import SampleRow, Status
 from kinebench_drake.stats import bootstrap_mean, group_means, pass_at_k, share_interval
+
+Item = TypeVar("Item")
+Key = TypeVar("Key", bound=Hashable)
 
 VERDICT_SHARES = ("executable", "feasible")
 """Shares of a group that are no metrics."""
@@ -296,3 +300,11 @@ def _anomaly_kinds(row: SampleRow) -> set[str]:
     if isinstance(anomalies, str) or not isinstance(anomalies, Sequence):
         return set()
     return {str(a.get("kind")) for a in anomalies if isinstance(a, Mapping)}
+
+
+def group_by(items: Iterable[Item], key: Callable[[Item], Key]) -> dict[Key, list[Item]]:
+    """Group items, such as rows, by a key, in the order of the keys' first occurrence."""
+    groups: dict[Key, list[Item]] = {}
+    for item in items:
+        groups.setdefault(key(item), []).append(item)
+    return groups

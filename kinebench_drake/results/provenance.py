@@ -11,11 +11,12 @@ from kinebench_drake.environment.precision import multiplies_bfloat16, network_p
 from kinebench_drake.environment.sources import trace_sources
 from kinebench_drake.io.archive import hash_file
 from kinebench_drake.io.jsonl import Json
+from kinebench_drake.plugin import BENCHMARK
 
 _TOP = Path(__file__).parents[1]
 _PACKAGES = ("numpy", "scipy", "drake", "open3d", "torch", "av", "mani_skill", "sapien")
 
-RUNS = ("kinebench_drake.runs.score", "kinebench_drake.runs.audit", "kinebench_drake.suites.runs.episodes")
+RUNS = ("kinebench_drake.runs.score", "kinebench_drake.runs.audit", BENCHMARK)
 """Modules that measure samples."""
 _NOT_MEASURING = ("report", "results", "executors", "environment", "cli", "errors", "stats")
 """Parts of the package on which no number of a row depends: storage, statistics, presentation, distribution of work."""

@@ -21,7 +21,6 @@ from kinebench_drake.results.drops import DropReason
 from kinebench_drake.results.metadata import Shard
 from kinebench_drake.runs.option import Option, options_json, parse_options
 from kinebench_drake.runs.resources import Resources, ResourcesFactory, RobotOptions
-from kinebench_drake.suites.clock import CLIP_S
 
 AUTO = "auto"
 """Value of `camera` by which it is chosen for each video."""
@@ -335,7 +334,7 @@ class ScoreConfig(SourceConfig):
         if duration_s is not None and not MIN_PERIOD_S <= duration_s <= MAX_PERIOD_S:
             raise UsageError(
                 f"$task_duration_s is {duration_s}, expected seconds from {MIN_PERIOD_S:g} to {MAX_PERIOD_S:g}, such "
-                f"as {CLIP_S:g}"
+                "as 9.6"
             )
 
     def overrides(self) -> Overrides:

@@ -1,12 +1,9 @@
-"""Evaluation of one sample: the boundary that turns every failure into a row, and what makes a stored row valid."""
+"""Evaluation of one sample: the boundary that turns every failure into a row."""
 
-import hashlib
 import math
-import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Generic, Protocol, TypeVar
 
@@ -14,10 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinebench_drake.errors import KinebenchError, SetupError, UnmeasurableError, name_options, one_line
-from kinebench_drake.executors.base import SupportsClose
-from kinebench_drake.io.archive import hash_file
-from kinebench_drake.io.jsonl import Json, as_object, dump, finite
-from kinebench_drake.io.progress import named
+from kinebench_drake.io.jsonl import Json, as_object
 from kinebench_drake.metrics.trust import TRUST, assess_trust
 from kinebench_drake.results.inputs import describe_period
 from kinebench_drake.results.provenance import code_hash
@@ -27,8 +21,6 @@ from kinebench_drake.runs.config import RunConfig
 
 if TYPE_CHECKING:  # loads Drake
     from kinebench_drake.metrics.kinematic_result import KinematicResult
-
-SCHEMA_VERSION = 2
 
 ANOMALIES_OPEN = "anomalies_open"
 """Key of a row with the kinds of anomaly of which it is open whether they occur."""
@@ -79,6 +71,16 @@ class SampleInfo(Protocol):
 SampleT = TypeVar("SampleT", bound=SampleInfo)
 ResourcesT = TypeVar("ResourcesT")
 """Resources that a worker process loads once: networks, robot, simulator."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SampleHashes:
+    """Hashes of a sample before it is evaluated."""
+
+    content: str
+    """SHA-256 of all that determines its row (`runs.resume`)."""
+    input: str | None
+    """SHA-256 of its input files; None without files."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -168,57 +170,25 @@ class Evaluator(ABC, Generic[SampleT, ResourcesT]):
             SetupError: something is missing on this machine, or the disk is full.
         """
 
-    def content_hash(self, sample: SampleT) -> str:
-        """Return the SHA-256 of all that determines a sample's row: input bytes, labels, options, code and robot."""
-        make = self.config.make_resources
-        key: dict[str, Json] = {
-            "schema": SCHEMA_VERSION,
-            "kind": self.config.kind.value,
-            "tools": f"{make.__module__}:{make.__qualname__}",
-            "code": self.code,
-            "table_height_m": self.config.robot_options().table_height_m,
-            "robot": self.robot_id,
-            "sample": [sample.id, sample.video, sample.task, sample.model],
-            **self.cache_key(sample),
-        }
-        try:
-            text = dump(key)
-        except ValueError:  # labels of a broken sample may be NaN
-            text = dump(finite(key))
-        digest = hashlib.sha256(text.encode())
-        for file in self.input_files(sample):
-            digest.update(file.name.encode(errors="surrogateescape") + b"\0" + _digest(file))
-        return digest.hexdigest()
-
-    def input_hash(self, sample: SampleT) -> str | None:
-        """Return the SHA-256 of the only input file, of several that of `sha256sum FILES`; None without files."""
-        files = self.input_files(sample)
-        if len(files) == 1:
-            return _digest(files[0]).hex()
-        lines = [f"{_digest(file).hex()}  {file.name}\n".encode(errors="surrogateescape") for file in files]
-        return hashlib.sha256(b"".join(lines)).hexdigest() if lines else None
-
-    def is_current(self, sample: SampleT, row: SampleRow) -> bool:
-        """Return whether the stored row is still valid: same content hash, all artifacts present."""
+    def files_of(self, row: SampleRow) -> Sequence[Path]:
+        """Return the files without which a stored row is not valid: of a sample of status ok one of each artifact."""
         artifacts = self.artifacts if row.status is Status.OK else ()
-        present = all(artifact_path(self.config.out, name, row.id).is_file() for name in artifacts)
-        return present and row.content_hash == self.content_hash(sample)
+        return [artifact_path(self.config.out, name, row.id) for name in artifacts]
 
-    def failed_row(self, sample: SampleT, status: Status, reason: str, content_hash: str | None = None) -> SampleRow:
+    def failed_row(self, sample: SampleT, status: Status, reason: str, hashes: SampleHashes) -> SampleRow:
         """Return the row of a sample without results: every metric is null."""
-        row = self._ok_row(sample, Evaluation(kinematics=None), content_hash or self.content_hash(sample))
+        row = self._ok_row(sample, Evaluation(kinematics=None), hashes)
         return replace(row, status=status, reason=one_line(name_options(reason)), null_reasons={})
 
-    def row(self, sample: SampleT, resources: ResourcesT) -> SampleRow:
+    def row(self, sample: SampleT, resources: ResourcesT, hashes: SampleHashes) -> SampleRow:
         """Evaluate a sample; any failure but a SetupError ends here and becomes its row."""
-        content_hash = self.content_hash(sample)  # of the bytes before: a file that changes meanwhile is measured again
-        return self.row_of(sample, lambda: self.evaluate(sample, resources), content_hash)
+        return self.row_of(sample, lambda: self.evaluate(sample, resources), hashes)
 
-    def row_of(self, sample: SampleT, evaluate: Callable[[], Evaluation], content_hash: str) -> SampleRow:
+    def row_of(self, sample: SampleT, evaluate: Callable[[], Evaluation], hashes: SampleHashes) -> SampleRow:
         """Return the row of an evaluation; any failure of it but a SetupError becomes the row."""
         try:
             evaluation = evaluate()
-            row = self._ok_row(sample, evaluation, content_hash)
+            row = self._ok_row(sample, evaluation, hashes)
             if evaluation.unmeasurable is None:
                 return row
             reason = one_line(name_options(evaluation.unmeasurable))
@@ -226,14 +196,14 @@ class Evaluator(ABC, Generic[SampleT, ResourcesT]):
         except SetupError:
             raise
         except UnmeasurableError as error:
-            return self.failed_row(sample, Status.UNMEASURABLE, str(error), content_hash)
+            return self.failed_row(sample, Status.UNMEASURABLE, str(error), hashes)
         except KinebenchError as error:
-            return self.failed_row(sample, Status.ERROR, str(error), content_hash)
+            return self.failed_row(sample, Status.ERROR, str(error), hashes)
         except Exception as error:
             reason = f"unexpected {type(error).__name__}: {error}"
-            return self.failed_row(sample, Status.ERROR, reason, content_hash)
+            return self.failed_row(sample, Status.ERROR, reason, hashes)
 
-    def _ok_row(self, sample: SampleT, evaluation: Evaluation, content_hash: str) -> SampleRow:
+    def _ok_row(self, sample: SampleT, evaluation: Evaluation, hashes: SampleHashes) -> SampleRow:
         kinematics = evaluation.kinematics
         verdict = evaluation.kinematics or evaluation.agreed
         metrics = {
@@ -242,7 +212,7 @@ class Evaluator(ABC, Generic[SampleT, ResourcesT]):
             **(kinematics.metrics if kinematics else {}),
         }
         executable, obstacles = judge_evaluation(evaluation)
-        extra = {**self.labels(sample), "input_sha256": self.input_hash(sample), **evaluation.extra}
+        extra = {**self.labels(sample), "input_sha256": hashes.input, **evaluation.extra}
         if "domain" in extra:  # a video was grounded
             trust = assess_trust(extra, metrics, describe_period(extra), is_measured=evaluation.unmeasurable is None)
             extra[TRUST] = trust.to_json()
@@ -253,7 +223,7 @@ class Evaluator(ABC, Generic[SampleT, ResourcesT]):
             model=sample.model,
             status=Status.OK,
             reason=None,
-            content_hash=content_hash,
+            content_hash=hashes.content,
             feasible=verdict.feasible if verdict else None,
             executable=executable,
             executable_reasons=obstacles,
@@ -263,25 +233,6 @@ class Evaluator(ABC, Generic[SampleT, ResourcesT]):
             details=dict(kinematics.details) if kinematics else {},
             extra=extra,
         )
-
-
-@dataclass(frozen=True, slots=True)
-class SampleWorker(Generic[SampleT, ResourcesT]):
-    """Evaluates samples in one process."""
-
-    evaluator: Evaluator[SampleT, ResourcesT]
-    resources: ResourcesT
-
-    def __call__(self, sample: SampleT) -> tuple[SampleRow, float]:
-        """Return the sample's row and the wall time it took [s]."""
-        start = time.perf_counter()
-        with named(sample.id):
-            return self.evaluator.row(sample, self.resources), time.perf_counter() - start
-
-    def close(self) -> None:
-        """Release the resources."""
-        if isinstance(self.resources, SupportsClose):
-            self.resources.close()
 
 
 def judge_evaluation(evaluation: Evaluation) -> tuple[bool | None, tuple[str, ...]]:
@@ -328,17 +279,3 @@ def _null_reasons(metrics: Mapping[str, Json], evaluation: Evaluation) -> dict[s
     if kinematics and kinematics.feasible is None:
         reasons["feasible"] = stated.get("feasible", "cannot be measured on this sample")
     return reasons
-
-
-def _digest(file: Path) -> bytes:
-    """Return the SHA-256 of a file's bytes; a file shared by many samples is read once."""
-    try:
-        state = file.stat()
-        return _digest_of(file, state.st_ino, state.st_size, state.st_mtime_ns, state.st_ctime_ns)
-    except OSError as error:
-        return f"unreadable: {error.strerror}".encode()
-
-
-@lru_cache(maxsize=256)
-def _digest_of(file: Path, *_state: int) -> bytes:
-    return bytes.fromhex(hash_file(file))

@@ -30,6 +30,11 @@ def close_gate(config: SourceConfig, summary: RunSummary) -> RunSummary:
     return replace(summary, missed=tuple(_missed(config, summary)))
 
 
+def passes(summary: RunSummary) -> bool:
+    """Return whether a run succeeded: something was measured or waits for a video, and no bound is missed."""
+    return bool(summary.counts[Status.OK] or summary.pending) and not summary.missed
+
+
 def _missed(config: SourceConfig, summary: RunSummary) -> Iterator[str]:
     """Describe the faults that no sample may have, and the means below their bounds; what is not measurable is."""
     for kind in config.faults:

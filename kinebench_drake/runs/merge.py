@@ -1,14 +1,13 @@
 """Merging of the output folders of shards into one, as if a single run had processed all samples."""
 
 import json
-import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from kinebench_drake.errors import InputError, UsageError, count_noun
 from kinebench_drake.io.atomic import atomic_path, write_atomically
-from kinebench_drake.io.jsonl import Json, as_object
+from kinebench_drake.io.jsonl import Json
 from kinebench_drake.report.sample import worst_samples
 from kinebench_drake.results.aggregate import RunStatistics
 from kinebench_drake.results.metadata import RunMetadata, read_metadata
@@ -22,15 +21,13 @@ from kinebench_drake.results.store import (
     read_rows,
     require_output,
 )
+from kinebench_drake.runs.benchmark import load_benchmark
 from kinebench_drake.runs.config import RunKind
-from kinebench_drake.runs.evaluator import PENDING, SCHEMA_VERSION
+from kinebench_drake.runs.resume import SCHEMA_VERSION
 from kinebench_drake.runs.runner import NullRunObserver, RunObserver, RunSummary, close_run, summarize
-from kinebench_drake.suites.runs.requests import request_path, write_requests
 
 _SHARD_SETTINGS = ("limit", "shard", "jobs", "engine")
 """Settings in which shards of one run may differ: they distribute the work and do not affect results."""
-_CLIP = re.compile(r"(?P<id>.+)_r\d+(\.[^.]+)?")
-"""Names of the clips that a world model generated for an episode."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -42,8 +39,8 @@ class ShardFolder:
     finished: bool
     """True if the run has ended."""
     rows: Mapping[str, SampleRow]
-    clips: Mapping[str, Sequence[Path]]
-    """Video files and frame folders in `videos/` by the id of their episode."""
+    episode_files: Mapping[str, Sequence[Path]]
+    """Files besides artifacts, by the id of their episode; empty for runs without episodes."""
 
     def artifact(self, kind: str, id: str) -> Path:
         """Return the path of an artifact of a sample."""
@@ -91,7 +88,8 @@ def merge_folders(folders: Sequence[Path], out: Path, observer: RunObserver | No
         statistics = RunStatistics.of(rows.values(), run.bootstrap_seed)
         store.finish(summarize(store.sorted_rows(), run, statistics))
         summary = close_run(store, RunKind(run.kind), run.bootstrap_seed, statistics)
-        write_requests(out, summary.pending)
+        if run.kind == RunKind.SUITE.value:
+            load_benchmark().write_requests(out, summary.pending)
         return summary
 
 
@@ -101,7 +99,6 @@ def _read_shard(path: Path) -> ShardFolder:
     try:
         metadata = read_metadata(path)
         rows = read_rows(path)
-        clips = _find_clips(path, rows)
     except (InputError, OSError) as error:
         raise UsageError(str(error)) from None
     if metadata is None:
@@ -118,17 +115,8 @@ def _read_shard(path: Path) -> ShardFolder:
     kinds = [kind.value for kind in RunKind]
     if run.kind not in kinds:
         raise UsageError(f"{path}: is of a run of kind {run.kind!r}, expected one of {', '.join(kinds)}")
-    return ShardFolder(path=path, run=run, finished=metadata.finished, rows=rows, clips=clips)
-
-
-def _find_clips(path: Path, rows: Mapping[str, SampleRow]) -> dict[str, list[Path]]:
-    clips: dict[str, list[Path]] = {}
-    folder = path / "videos"
-    for clip in sorted(folder.iterdir()) if folder.is_dir() else ():
-        match = _CLIP.fullmatch(clip.name)
-        if match and match["id"] in rows:
-            clips.setdefault(match["id"], []).append(clip)
-    return clips
+    episode_files = load_benchmark().list_files(path, rows) if run.kind == RunKind.SUITE.value else {}
+    return ShardFolder(path=path, run=run, finished=metadata.finished, rows=rows, episode_files=episode_files)
 
 
 def _check_paths(folders: Sequence[Path], out: Path) -> None:
@@ -273,13 +261,7 @@ def _absent_shards(runs: Sequence[RunMetadata]) -> str:
 def _sample_files(row: SampleRow, shard: ShardFolder, *, with_replay: bool) -> Iterator[Path]:
     """Yield every file of a sample."""
     kinds = [kind for kind in ARTIFACTS if kind != "replays" or with_replay]
-    files = [shard.artifact(kind, row.id) for kind in kinds]
-    asked = as_object(row.extra.get(PENDING)).get("id")
-    if isinstance(asked, str) and asked == Path(asked).name:
-        image = request_path(shard.path, asked)
-        files += [image, image.with_suffix(".json")]
-    for clip in shard.clips.get(row.id, ()):
-        files += sorted(clip.rglob("*")) if clip.is_dir() else [clip]
+    files = [*(shard.artifact(kind, row.id) for kind in kinds), *shard.episode_files.get(row.id, ())]
     return (file for file in files if file.is_file())
 
 

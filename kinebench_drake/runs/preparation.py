@@ -1,6 +1,7 @@
 """Preparation of videos for the grounding: their frames, times, cameras and priors; warnings about them."""
 
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from enum import Enum
 from typing import TYPE_CHECKING
@@ -8,9 +9,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from kinebench_drake.camera import CONFIRMED, Camera, CameraSetting, CameraSource, CameraState
+from kinebench_drake.camera import CONFIRMED, Camera, CameraSource, CameraState
+from kinebench_drake.clip_timing import ClipTiming, sample_uniformly
 from kinebench_drake.errors import InputError, count_noun, name_options
-from kinebench_drake.formats.camerafile import find_camera, read_camera
+from kinebench_drake.formats.camerafile import read_camera
 from kinebench_drake.formats.videos.sample import VideoSample
 from kinebench_drake.geometry import Array
 from kinebench_drake.grounding.overrides.overrides import Overrides
@@ -19,11 +21,11 @@ from kinebench_drake.io.images import read_image
 from kinebench_drake.io.jsonl import Json
 from kinebench_drake.io.video import WHOLE, Video
 from kinebench_drake.models.panda.description import GripperKind
+from kinebench_drake.named_cameras import find_camera
 from kinebench_drake.results.inputs import BENCHMARK_PERIOD_S, PeriodSource
 from kinebench_drake.results.row import SampleRow, Status
+from kinebench_drake.runs.benchmark import load_benchmark
 from kinebench_drake.runs.config import AUTO
-from kinebench_drake.suites.clock import ClipTiming, sample_uniformly
-from kinebench_drake.suites.start import START_WIDTH_M, start_q
 from kinebench_drake.track import Domain, GripperTrack, InitialState
 
 if TYPE_CHECKING:  # loads torch and Open3D
@@ -87,23 +89,21 @@ def ground_sample(
     """
     video.require_measurable()
     timed = time_frames(sample, video, period_s, duration_s)
-    if sample.mirrored:
-        video = video.mirrored()
+    video, image = filmed_pictures(sample, video)
 
     def priors(camera: Camera) -> Priors:
         """Read the overrides, which are of all frames of the video."""
         return overrides.priors(override_names(sample), video.frames, camera, sample.initial_state).at(timed.rows)
 
-    image = conditioning_image(sample)
     frames = video.frames if timed.timing is ClipTiming.NATIVE else video.frames[timed.rows]
     clip = Clip(frames=frames, t_s=timed.t_s, conditioning=image)
     named = sample.camera_source.is_named
-    setting = CameraSetting(camera=sample.camera, table_height_m=sample.table_height_m)
     result = grounder.ground(
         clip,
-        setting if named else None,
+        sample.camera if named else None,
         priors,
         source=sample.camera_source,
+        table_height_m=sample.table_height_m if named else None,
         gripper=gripper,
         trusts_camera=overrides.poses is not None,
     )
@@ -122,11 +122,12 @@ def with_initial_states(samples: Iterable[VideoSample]) -> list[VideoSample]:
     for sample in samples:
         task = sample.task
         seed = sample.seed
-        if sample.initial_state is None and seed is not None and task is not None and task in START_WIDTH_M:
-            plant = plant or ArmPlant()
-            q = start_q(task, seed)
-            initial = InitialState(X_BG=plant.forward(q[:7]), finger_width_m=float(q[7:].sum()))
-            sample = replace(sample, initial_state=initial)
+        if sample.initial_state is None and seed is not None and task is not None:
+            q = load_benchmark().start_q(task, seed)
+            if q is not None:
+                plant = plant or ArmPlant()
+                initial = InitialState(X_BG=plant.forward(q[:7]), finger_width_m=float(q[7:].sum()))
+                sample = replace(sample, initial_state=initial)
         completed.append(sample)
     return completed
 
@@ -156,13 +157,18 @@ def _times(sample: VideoSample, video: Video, option_s: float | None) -> tuple[A
     return np.arange(len(video.frames), dtype=np.float64) * period_s, period_s, source
 
 
-def conditioning_image(sample: VideoSample) -> NDArray[np.uint8] | None:
-    """Return the image from which the video was generated; None without a usable one."""
-    try:
-        image = None if sample.first_frame is None else read_image(sample.first_frame)
-    except InputError:
-        return None  # an image with the name of the video need not be its conditioning image
-    return np.ascontiguousarray(image[:, ::-1]) if image is not None and sample.mirrored else image
+def filmed_pictures(sample: VideoSample, video: Video) -> tuple[Video, NDArray[np.uint8] | None]:
+    """Return a decoded video and the image that it was generated from as the camera sees the scene, not mirrored.
+
+    The image is None where there is none that can be read: one with the name of the video need not be its own.
+    """
+    image = None
+    if sample.first_frame is not None:
+        with suppress(InputError):
+            image = read_image(sample.first_frame)
+    if not sample.mirrored:
+        return video, image
+    return video.mirrored(), None if image is None else np.ascontiguousarray(image[:, ::-1])
 
 
 def with_camera_option(samples: Sequence[VideoSample], option: str, *, mirrored: bool = False) -> Sequence[VideoSample]:

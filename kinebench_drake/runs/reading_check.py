@@ -23,6 +23,8 @@ MARGIN = 0.3
 """Difference of costs (`metrics.misfit`) from which another reading fits far better."""
 REFUSED = 3.0
 """Cost of a reading by which a file cannot be used: more than that of any motion."""
+PRINTED = 5
+"""Further readings that are printed."""
 
 _CHANGES = 3  # keys that are changed together
 _OTHERS = re.compile(
@@ -70,8 +72,7 @@ class Assessment:
         """Return the JSON object, which is also a reading file: that of the best reading."""
         doubt = None if self.doubt is None else name_options(self.doubt)
         others = [self.by_names, *self.others] if self.doubt else [*self.others]
-        # 5: that are printed
-        return {**self.best.to_json(), "doubt": doubt, "others": [other.to_json() for other in others[:5]]}
+        return {**self.best.to_json(), "doubt": doubt, "others": [other.to_json() for other in others[:PRINTED]]}
 
     @property
     def doubt(self) -> str | None:

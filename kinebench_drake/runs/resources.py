@@ -120,10 +120,11 @@ class Resources:
             self._judges[table_height_m] = TrackJudge(self.plant, table_height_m=table_height_m)
         return self._judges[table_height_m]
 
-    def joints(self, track: GripperTrack) -> JointTrack:
+    def joints(self, track: GripperTrack, table_height_m: float) -> JointTrack:
         """Return joint angles for a robot that executes a track: near its rest posture, each near those before.
 
-        Where these come to a limit, they are those of `judge`, which may bend the arm in another way.
+        Where these come to a limit, they are those of `judge` with this height of the table [m], which may bend the arm
+        in another way.
         """
         from kinebench_drake.kinematics.continuation import solve_stepwise
 
@@ -131,7 +132,7 @@ class Resources:
         q = np.full((len(track.t_s), 7), np.nan)
         q[tracked], failure = solve_stepwise(self.plant, track.X_BG[tracked], self.plant.robot.rest_q)
         if failure is not None:
-            return self.judge(track).joints
+            return self.judge(track, table_height_m).joints
         position_m, rotation_rad = np.full((2, len(q)), np.nan)
         reached = self.plant.forward_path(q[tracked])
         position_m[tracked], rotation_rad[tracked] = pose_difference(reached, track.X_BG[tracked])

@@ -1,13 +1,20 @@
-"""Resumption of a run: which stored rows are kept, and which samples are evaluated."""
+"""Resumption of a run: what makes a stored row valid, which rows are kept, and which samples are evaluated."""
 
+import hashlib
 from collections.abc import Callable, Sequence
+from functools import lru_cache
+from pathlib import Path
 
 from kinebench_drake.errors import InputError, UsageError
+from kinebench_drake.io.archive import hash_file
+from kinebench_drake.io.jsonl import Json, dump, finite
 from kinebench_drake.results.metadata import RunMetadata, read_metadata
-from kinebench_drake.results.row import Status
+from kinebench_drake.results.row import SampleRow, Status
 from kinebench_drake.results.store import ResultStore
-from kinebench_drake.runs.evaluator import Evaluator, ResourcesT, SampleT
+from kinebench_drake.runs.evaluator import Evaluator, ResourcesT, SampleHashes, SampleT
 
+SCHEMA_VERSION = 2
+"""Version of the format of the output folder."""
 _SUBJECT = ("source", "suite", "split", "variant", "world_model")
 """Keys of a run's configuration that identify the subject of its results; the other options may change."""
 
@@ -33,7 +40,7 @@ def resume(
     noun = evaluator.config.kind.noun
     ids = {sample.id for sample in samples}
     selected_ids = {sample.id for sample in selected}
-    current = {s.id for s in samples if s.id in store.rows and evaluator.is_current(s, store.rows[s.id])}
+    current = {s.id for s in samples if s.id in store.rows and is_current(evaluator, s, store.rows[s.id])}
     # The cause of an error may be gone: errors are evaluated again.
     waiting = [s for s in selected if s.id not in current or store.rows[s.id].status is Status.ERROR]
     finished = {id for id, row in store.rows.items() if row.status is not Status.ERROR}
@@ -60,6 +67,54 @@ def resume(
         store.begin(metadata.to_json())
     store.keep_rows(lambda row: row.id in current)
     return waiting
+
+
+def is_current(evaluator: Evaluator[SampleT, ResourcesT], sample: SampleT, row: SampleRow) -> bool:
+    """Return whether a stored row is still valid: same content hash, all files present."""
+    present = all(file.is_file() for file in evaluator.files_of(row))
+    return present and row.content_hash == hash_sample(evaluator, sample).content
+
+
+def hash_sample(evaluator: Evaluator[SampleT, ResourcesT], sample: SampleT) -> SampleHashes:
+    """Hash all that determines a sample's row, and its input files.
+
+    The content is labels, options, code, robot, and name and SHA-256 of each input file. The hash of the input is that
+    of the only file, of several files that of `sha256sum FILES`.
+    """
+    config = evaluator.config
+    make = config.make_resources
+    key: dict[str, Json] = {
+        "schema": SCHEMA_VERSION,
+        "kind": config.kind.value,
+        "tools": f"{make.__module__}:{make.__qualname__}",
+        "code": evaluator.code,
+        "table_height_m": config.robot_options().table_height_m,
+        "robot": evaluator.robot_id,
+        "sample": [sample.id, sample.video, sample.task, sample.model],
+        **evaluator.cache_key(sample),
+    }
+    content = hashlib.sha256(dump(finite(key)).encode())  # labels of a broken sample may be NaN
+    digests = [(file.name.encode(errors="surrogateescape"), _digest(file)) for file in evaluator.input_files(sample)]
+    for name, digest in digests:
+        content.update(name + b"\0" + digest)
+    if len(digests) == 1:
+        return SampleHashes(content=content.hexdigest(), input=digests[0][1].hex())
+    lines = b"".join(f"{digest.hex()}  ".encode() + name + b"\n" for name, digest in digests)
+    return SampleHashes(content=content.hexdigest(), input=hashlib.sha256(lines).hexdigest() if lines else None)
+
+
+def _digest(file: Path) -> bytes:
+    """Return the SHA-256 of a file's bytes; a file shared by many samples is read once."""
+    try:
+        state = file.stat()
+        return _digest_of(file, state.st_ino, state.st_size, state.st_mtime_ns, state.st_ctime_ns)
+    except OSError as error:
+        return f"unreadable: {error.strerror}".encode()
+
+
+@lru_cache(maxsize=256)
+def _digest_of(file: Path, *_state: int) -> bytes:
+    return bytes.fromhex(hash_file(file))
 
 
 def _subject_difference(before: RunMetadata, now: RunMetadata) -> str:

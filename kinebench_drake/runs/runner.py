@@ -3,19 +3,27 @@
 import os
 import platform
 import threading
+import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager, closing, nullcontext
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Protocol
+from typing import Generic, Protocol
 
 from kinebench_drake.errors import SetupError
-from kinebench_drake.executors.base import Executor, Observer, SupportsDrain, WorkerCrash, create_executor
+from kinebench_drake.executors.base import (
+    Executor,
+    Observer,
+    SupportsClose,
+    SupportsDrain,
+    WorkerCrash,
+    create_executor,
+)
 from kinebench_drake.executors.interrupt import graceful_interrupt
 from kinebench_drake.io.atomic import disk_errors
 from kinebench_drake.io.jsonl import Json, as_object, write_lines
-from kinebench_drake.io.progress import listen
+from kinebench_drake.io.progress import listen, named
 from kinebench_drake.report.sample import worst_samples
 from kinebench_drake.results.aggregate import Estimate, RunStatistics, estimate, estimate_executable
 from kinebench_drake.results.drops import DROPS, GATED, Drop, list_drops
@@ -25,8 +33,8 @@ from kinebench_drake.results.provenance import host, versions, weights_hash
 from kinebench_drake.results.row import SampleRow, Status
 from kinebench_drake.results.store import REPORT, RESULTS, RUN, ResultStore, artifact_path
 from kinebench_drake.runs.config import RunConfig, RunKind
-from kinebench_drake.runs.evaluator import PENDING, SCHEMA_VERSION, Evaluator, ResourcesT, SampleT, SampleWorker
-from kinebench_drake.runs.resume import resume
+from kinebench_drake.runs.evaluator import PENDING, Evaluator, ResourcesT, SampleT
+from kinebench_drake.runs.resume import SCHEMA_VERSION, hash_sample, resume
 
 
 class RunObserver(Observer, Protocol):
@@ -99,7 +107,8 @@ def run_samples(
             with closing(executor.run(partial(_start_worker, evaluator), waiting)) as outcomes:
                 for outcome in outcomes:
                     if isinstance(outcome, WorkerCrash):
-                        row = evaluator.failed_row(outcome.item, Status.ERROR, outcome.reason)
+                        hashes = hash_sample(evaluator, outcome.item)
+                        row = evaluator.failed_row(outcome.item, Status.ERROR, outcome.reason, hashes)
                         wall_s = 0.0
                     else:
                         row, wall_s = outcome.result
@@ -120,7 +129,7 @@ def run_samples(
             statistics = RunStatistics.of(store.rows.values(), config.seed)
             store.finish(summarize(store.sorted_rows(), metadata, statistics))
             try:
-                _replay(config, worst)
+                replay_samples(config, worst)
             except SetupError:  # a full disk, or no program may open a port: the report stands, the next run makes up
                 close_run(store, config.kind, config.seed, statistics)
                 raise
@@ -141,6 +150,26 @@ def _is_complete(config: RunConfig, metadata: RunMetadata) -> bool:
     stored = read_metadata(config.out)
     finished = stored is not None and stored.finished and stored.run.to_json() == metadata.to_json()
     return finished and (not config.kind.judges or is_report_current(config.out))
+
+
+@dataclass(frozen=True, slots=True)
+class SampleWorker(Generic[SampleT, ResourcesT]):
+    """Evaluates samples in one process."""
+
+    evaluator: Evaluator[SampleT, ResourcesT]
+    resources: ResourcesT
+
+    def __call__(self, sample: SampleT) -> tuple[SampleRow, float]:
+        """Return the sample's row and the wall time it took [s]."""
+        start = time.perf_counter()
+        hashes = hash_sample(self.evaluator, sample)  # before: a file that changes meanwhile is measured again
+        with named(sample.id):
+            return self.evaluator.row(sample, self.resources, hashes), time.perf_counter() - start
+
+    def close(self) -> None:
+        """Release the resources."""
+        if isinstance(self.resources, SupportsClose):
+            self.resources.close()
 
 
 def _start_worker(evaluator: Evaluator[SampleT, ResourcesT]) -> Callable[[SampleT], tuple[SampleRow, float]]:
@@ -212,7 +241,7 @@ def summarize(rows: Sequence[SampleRow], metadata: RunMetadata, statistics: RunS
     )
 
 
-def _replay(config: RunConfig, ids: Sequence[str]) -> None:
+def replay_samples(config: RunConfig, ids: Sequence[str]) -> None:
     """Write 3D replays."""
     if ids:
         from kinebench_drake.kinematics.plant import ArmPlant

@@ -34,7 +34,7 @@ from kinebench_drake.runs.gate import close_gate
 from kinebench_drake.runs.pictures import encode_strip, worst_frame
 from kinebench_drake.runs.preparation import (
     camera_frame_metrics,
-    conditioning_image,
+    filmed_pictures,
     ground_sample,
     override_names,
     row_warnings,
@@ -43,6 +43,7 @@ from kinebench_drake.runs.preparation import (
     with_initial_states,
 )
 from kinebench_drake.runs.resources import Resources, load_resources
+from kinebench_drake.runs.resume import hash_sample
 from kinebench_drake.runs.runner import NullRunObserver, RunObserver, RunSummary, run_samples
 from kinebench_drake.track import Domain, GripperTrack
 
@@ -95,13 +96,15 @@ def compare_extractors(track: GripperTrack, reference_X_BG: Array | None) -> dic
     }
 
 
-def _judge_possible(tracks: Sequence[GripperTrack], tools: Resources) -> "KinematicResult | None":
+def _judge_possible(
+    tracks: Sequence[GripperTrack], tools: Resources, table_height_m: float
+) -> "KinematicResult | None":
     """Return the verdict that holds with each of the possible tracks of a video; None if there is none.
 
     It is that of the first track. Of its violations it has those whose kind occurs in all tracks; without one it does
     not hold.
     """
-    results = [tools.judge(track) for track in tracks]
+    results = [tools.judge(track, table_height_m) for track in tracks]
     verdicts = {result.feasible for result in results}
     kinds = set.intersection(*({v.kind for v in result.violations} for result in results))
     if verdicts != {True} and (verdicts != {False} or not kinds):
@@ -117,7 +120,7 @@ def plan_videos(config: ScoreConfig, observer: RunObserver | None = None) -> Ite
         observer.warn(warning)
     reader = _VideoReader(config=config, overrides=config.overrides())
     tools = reader.setup()
-    yield from (reader.row(sample, tools) for sample in config.select(inputs.samples))
+    yield from (reader.row(sample, tools, hash_sample(reader, sample)) for sample in config.select(inputs.samples))
 
 
 def find_videos(config: ScoreConfig) -> VideoSamples:
@@ -164,15 +167,17 @@ class VideoEvaluator(Evaluator[VideoSample, Resources]):
             video, sample, self.overrides, tools.grounder, config.frame_period_s, config.gripper,
             duration_s=config.task_duration_s,
         )  # fmt: skip
-        draws_hand = grounding.domain is not Domain.ARM
+        measured = grounding.measured
+        draws_hand = measured.domain is not Domain.ARM
         judges = config.kind.judges and grounding.unmeasurable is None
         track = grounding.visible_track
-        path = grounding.camera_path
+        path = measured.camera_path
         reason = grounding.choice.reason
-        height_m = sample.table_height_m if sample.camera_source.is_named else grounding.choice.table_height_m
+        height_m = grounding.table_height_m
+        stated_m = grounding.choice.table_height_m
         measures_base = grounding.unmeasurable is None and reason is None
         kinematics = tools.judge(track, height_m) if judges and measures_base else None
-        agreed = _judge_possible(grounding.possible, tools) if judges and grounding.possible else None
+        agreed = _judge_possible(grounding.possible, tools, height_m) if judges and grounding.possible else None
         smoothness: Mapping[str, Json] = {}
         reasons: Mapping[str, str] = {}
         if judges and reason is not None:
@@ -183,8 +188,8 @@ class VideoEvaluator(Evaluator[VideoSample, Resources]):
             metrics={
                 "tracked_fraction": int(track.tracked.sum()) / len(track.t_s),
                 "confidence_mean": mean_confidence(track),
-                "camera_motion_px": grounding.camera_motion_px,
-                "arm_consistency_px": grounding.arm_consistency_px,
+                "camera_motion_px": measured.camera_motion_px,
+                "arm_consistency_px": measured.arm_consistency_px,
                 "anomalies": [anomaly.to_json() for anomaly in grounding.anomalies],
                 **compare_extractors(track, sample.reference_X_BG),
                 **smoothness,
@@ -193,13 +198,13 @@ class VideoEvaluator(Evaluator[VideoSample, Resources]):
             tracked=track.tracked if judges else None,
             unmeasurable=grounding.unmeasurable,
             extra={
-                "first_frame": grounding.first_frame.value,
-                "domain": grounding.domain.value,
-                "anomalies_not_looked_for": [kind.value for kind in grounding.anomalies_not_looked_for],
-                **({} if grounding.hand_size is None else grounding.hand_size.to_json()),
-                ANOMALIES_OPEN: [kind.value for kind in grounding.anomalies_open],
-                "anomaly_scores": {kind.value: round(score, 4) for kind, score in grounding.detections.scores.items()},
-                **({} if draws_hand else {"gripper": grounding.gripper.value}),
+                "first_frame": measured.first_frame.value,
+                "domain": measured.domain.value,
+                "anomalies_not_looked_for": [kind.value for kind in measured.anomalies_not_looked_for],
+                **({} if measured.hand_size is None else measured.hand_size.to_json()),
+                ANOMALIES_OPEN: [kind.value for kind in measured.anomalies_open],
+                "anomaly_scores": {kind.value: round(score, 4) for kind, score in measured.detections.scores.items()},
+                **({} if draws_hand else {"gripper": measured.gripper.value}),
                 "frames": len(track.t_s),
                 "idle_ends": idle_ends(track),
                 "fingerprint": fingerprint(track.X_CH),
@@ -213,7 +218,7 @@ class VideoEvaluator(Evaluator[VideoSample, Resources]):
                 "clip_frames": len(video.frames),
                 **({"surplus_frames": video.surplus} if video.surplus else {}),
                 **({} if path is None else {"camera_path": path.to_json()}),
-                **({} if height_m is None else {"table_height_m": height_m}),
+                **({} if stated_m is None else {"table_height_m": stated_m}),
                 **({"mirrored": True} if sample.mirrored else {}),
                 **grounding.choice.to_json(),
                 **({} if agreed is None else {"possible_cameras": len(grounding.possible)}),
@@ -227,8 +232,9 @@ class VideoEvaluator(Evaluator[VideoSample, Resources]):
         out = self.config.out
         track = grounding.visible_track
         kinematics = evaluation.kinematics
-        draws_hand = grounding.domain is not Domain.ARM
-        path = grounding.camera_path
+        measured = grounding.measured
+        draws_hand = measured.domain is not Domain.ARM
+        path = measured.camera_path
         zoom = np.ones(len(track.t_s)) if path is None else path.zoom
         if self.config.overlay:
             native = len(grounding.frames) == len(video.frames)
@@ -241,8 +247,8 @@ class VideoEvaluator(Evaluator[VideoSample, Resources]):
         write_atomically(artifact_path(out, "thumbnails", sample.id), strip)
         joints, curves = (kinematics.joints, kinematics.curves) if kinematics else (None, {})
         if self.config.format is not None and grounding.unmeasurable is None and grounding.choice.reason is None:
-            joints = tools.joints(track)
-        write_track(artifact_path(out, "tracks", sample.id), track, joints, {**curves, **grounding.curves})
+            joints = tools.joints(track, grounding.table_height_m)
+        write_track(artifact_path(out, "tracks", sample.id), track, joints, {**curves, **measured.curves})
 
     @property
     def metric_names(self) -> tuple[str, ...]:
@@ -312,7 +318,8 @@ class _VideoReader(VideoEvaluator):
         if sample.camera_source.is_named:
             from kinebench_drake.grounding.camera.framing_search import find_framing  # loads OpenCV
 
-            find_framing(video.frames, sample.camera, conditioning_image(sample), sample.camera_source)
+            pictures, image = filmed_pictures(sample, video)
+            find_framing(pictures.frames, sample.camera, image, sample.camera_source)
         timed = time_frames(sample, video, self.config.frame_period_s, self.config.task_duration_s)
         return Evaluation(
             kinematics=None,

@@ -20,9 +20,10 @@ from kinebench_drake.results.row import SampleRow, Status
 from kinebench_drake.results.store import RESULTS, artifact_path, read_rows
 from kinebench_drake.results.trackfile import TrackFile, read_track
 from kinebench_drake.runs.config import RunKind, ScoreConfig
-from kinebench_drake.runs.evaluator import SCHEMA_VERSION, Evaluation, judge_evaluation
+from kinebench_drake.runs.evaluator import Evaluation, judge_evaluation
 from kinebench_drake.runs.option import options_of
 from kinebench_drake.runs.resources import Resources, RobotOptions, load_resources
+from kinebench_drake.runs.resume import SCHEMA_VERSION, hash_sample
 from kinebench_drake.runs.runner import summarize
 from kinebench_drake.runs.score import VideoEvaluator, find_videos, mean_confidence
 from kinebench_drake.track import GripperTrack
@@ -188,7 +189,7 @@ class _Regrounder:
     def compare(self, row: SampleRow, track: GripperTrack, stated: object) -> list[str]:
         """Describe in what a row and its track differ from its video, whose SHA-256 is `stated`."""
         sample = self._samples.get(row.id)
-        if sample is None or stated != self._evaluator.input_hash(sample):
+        if sample is None or stated != hash_sample(self._evaluator, sample).input:
             return [f"{row.video} {'is absent' if sample is None else 'is another video: its SHA-256 differs'}"]
         try:
             grounding, evaluation = self._evaluator.measure(sample, read_video(sample.path, sample.part), self._tools)

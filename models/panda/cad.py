@@ -82,8 +82,7 @@ class PartCaster:
         for part, mesh in meshes.items():
             scene = open3d.t.geometry.RaycastingScene(nthreads=1)
             vertices = np.asarray(mesh.vertices, np.float32)
-            faces = np.asarray(mesh.faces, np.uint32)
-            scene.add_triangles(self._tensor(vertices), self._tensor(faces))
+            scene.add_triangles(self._tensor(vertices), self._tensor(np.asarray(mesh.faces, np.uint32)))
             self._scenes[part] = scene
         self._centre = np.array([mesh.bounding_box.centroid for mesh in meshes.values()])
         reach = [mesh.vertices - centre for mesh, centre in zip(meshes.values(), self._centre, strict=True)]
@@ -133,8 +132,7 @@ class PartCaster:
         centre = (X_VP[parts, :3, :3] @ self._centre[..., None])[..., 0] + X_VP[parts, :3, 3]
         along = centre @ rays_V.T
         away = (centre**2).sum(axis=1, keepdims=True) - self._radius[:, None] ** 2
-        square = (rays_V**2).sum(axis=1)
-        return np.asarray((away <= 0) | ((along > 0) & (along**2 >= away * square)))
+        return np.asarray((away <= 0) | ((along > 0) & (along**2 >= away * (rays_V**2).sum(axis=1))))
 
 
 class GripperCad:

@@ -99,7 +99,7 @@ def _evidence(done: Round, result: KinematicResult) -> ClipEvidence:
 
 def _unexplained(grounding: GroundingResult) -> tuple[Anomaly, ...]:
     """Return the anomalies without the motion of a camera that was followed: it does no harm."""
-    path = grounding.camera_path
+    path = grounding.measured.camera_path
     return tuple(
         a
         for a in grounding.anomalies

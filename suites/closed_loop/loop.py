@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from kinebench_drake.camera import Camera, CameraSetting
+from kinebench_drake.camera import Camera
+from kinebench_drake.clip_timing import ClipTiming, sample_uniformly
 from kinebench_drake.errors import InputError, UnmeasurableError, UsageError
 from kinebench_drake.geometry import Array
 from kinebench_drake.grounding.camera.framing import undo_framing
@@ -23,9 +24,7 @@ from kinebench_drake.suites.clock import (
     FRAME_PERIOD_S,
     MAX_FRAME_PERIOD_S,
     MIN_FRAME_PERIOD_S,
-    ClipTiming,
     Control,
-    sample_uniformly,
 )
 from kinebench_drake.suites.closed_loop.execution import CommandPlanner, Commands, Execution, RobotState, execute
 from kinebench_drake.suites.closed_loop.following import ActionSource
@@ -255,14 +254,13 @@ class ClosedLoop:
         timing, chosen, t_s = self._times(len(decoded))
         clip = Clip(frames=decoded[chosen], t_s=t_s, conditioning=first_frame, is_view=True)
         try:
-            grounding = self._grounder.ground(
-                clip, CameraSetting(camera=camera), self._priors(state, chosen), trusts_camera=True
-            )
+            grounding = self._grounder.ground(clip, camera, self._priors(state, chosen), trusts_camera=True)
         except UnmeasurableError as error:
             raise InputError(f"{video.name}: {error}") from None
         frames = grounding.frames
-        if grounding.camera_path is not None:
-            frames, _ = grounding.camera_path.stabilize(frames, grounding.camera, extends=False)
+        path = grounding.measured.camera_path
+        if path is not None:
+            frames, _ = path.stabilize(frames, grounding.camera, extends=False)
         return Round(
             video=video,
             timing=timing,

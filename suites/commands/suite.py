@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from kinebench_drake.cli.click_options import PathParameter, check_parent, check_suffix, config_options
+from kinebench_drake.cli.click_options import PathParameter, check_parent, config_options
 from kinebench_drake.errors import UsageError
 from kinebench_drake.io.atomic import write_atomically
 from kinebench_drake.suites.commands.suite_data import demos, export
-from kinebench_drake.suites.commands.suite_results import ceiling, report, tolerance
+from kinebench_drake.suites.commands.suite_results import report
 from kinebench_drake.suites.commands.suite_run import plan, run
 from kinebench_drake.suites.runs.suite_config import SuiteConfig
 
@@ -69,8 +69,6 @@ suite.add_command(export)
 suite.add_command(demos)
 suite.add_command(run)
 suite.add_command(plan)
-suite.add_command(tolerance)
-suite.add_command(ceiling)
 suite.add_command(report)
 
 
@@ -159,24 +157,3 @@ def check(
             for t in own
         ]  # fmt: skip
         write_atomically(json_out, (json.dumps(records, indent=1) + "\n").encode())
-
-
-@suite.command(epilog="\b\nExample:\n  kinebench-drake suite sheet --out tasks.jpg --seed 3 --jobs 2")
-@click.option("--out", type=PathParameter(dir_okay=False), required=True, help="Image file, PNG or JPEG.")
-@_SUITE
-@_SPLIT
-@config_options(SuiteConfig, "tasks")
-@_SEED
-@config_options(SuiteConfig, "jobs")
-def sheet(out: Path, number: int | None, split: str | None, tasks: str | None, seed: int, jobs: int) -> None:
-    """Draw a contact sheet: first and last frame of each task's expert."""
-    from kinebench_drake.executors.base import ExecutorKind, create_executor
-    from kinebench_drake.io.figure import save
-    from kinebench_drake.suites.contact_sheet import draw_sheet, task_panels
-
-    check_suffix("--out", out, ".png", ".jpg", ".jpeg")
-    check_parent("--out", out)
-    episodes = _episodes(number, split, tasks, 1, seed)
-    panels = task_panels(create_executor(ExecutorKind.LOCAL, jobs), episodes)
-    save(draw_sheet(panels), out)
-    click.echo(f"{out}: {len(panels)} panels, {sum(panel.failed for panel in panels)} failed")

@@ -11,9 +11,9 @@ from kinebench_drake.geometry import Array
 from kinebench_drake.io.figure import FAINT, new_figure, plain, shorten
 from kinebench_drake.report.figures import COLOURS, ReportFigure, add_legend, make_figure, style
 from kinebench_drake.report.table import Table, Value, make_table
-from kinebench_drake.results.aggregate import Estimate
+from kinebench_drake.results.aggregate import Estimate, group_by
 from kinebench_drake.stats import percentile_interval, resampled_counts
-from kinebench_drake.suites.report.episode_result import EpisodeResult, SuitePart, group_by, worst_metric
+from kinebench_drake.suites.report.episode_result import EpisodeResult, SuitePart, worst_metric
 from kinebench_drake.suites.report.pooling import model_of
 
 MIN_POINTS = 3

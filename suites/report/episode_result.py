@@ -1,23 +1,20 @@
 """One episode of a suite run as a row of reports, and means over episodes in which every task counts the same."""
 
-from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TypeVar
 
 import numpy as np
 
 from kinebench_drake.io.jsonl import Json, dump, finite
 from kinebench_drake.report.table import Table, Value, make_listing
-from kinebench_drake.results.aggregate import Estimate
+from kinebench_drake.results.aggregate import Estimate, group_by
 from kinebench_drake.results.direction import worst_value
 from kinebench_drake.results.row import SampleRow, Status
 from kinebench_drake.stats import group_means, percentile_interval, resampled_means
 
 COST = "manipulability_cost_mean"
 """Metric that is scaled over all episodes of a report."""
-Item = TypeVar("Item")
-Key = TypeVar("Key", bound=Hashable)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, order=True)
@@ -118,14 +115,6 @@ class EpisodeResult:
         if self.row.status is not Status.OK or not isinstance(value, bool | int | float) or not np.isfinite(value):
             return None
         return float(value)
-
-
-def group_by(items: Iterable[Item], key: Callable[[Item], Key]) -> dict[Key, list[Item]]:
-    """Group items, such as episodes, by a key, in the order of the keys' first occurrence."""
-    groups: dict[Key, list[Item]] = {}
-    for item in items:
-        groups.setdefault(key(item), []).append(item)
-    return groups
 
 
 def group_by_run(episodes: Iterable[EpisodeResult]) -> list[tuple[SuitePart, str, list[EpisodeResult]]]:

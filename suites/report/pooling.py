@@ -11,9 +11,10 @@ from kinebench_drake.errors import UsageError
 from kinebench_drake.formats.kinebench import is_run, read_rows
 from kinebench_drake.io.jsonl import Json, dump
 from kinebench_drake.report.run import Run, read_runs
+from kinebench_drake.results.aggregate import group_by
 from kinebench_drake.results.row import SampleRow
 from kinebench_drake.results.store import RESULTS
-from kinebench_drake.suites.report.episode_result import EpisodeResult, SuitePart, group_by
+from kinebench_drake.suites.report.episode_result import EpisodeResult, SuitePart
 
 _KIND = "suite"
 _NAME = re.compile(r"[A-Za-z0-9_-]{1,40}")

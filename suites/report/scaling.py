@@ -9,8 +9,8 @@ from typing import Any
 from kinebench_drake.io.figure import new_figure
 from kinebench_drake.report.figures import ReportFigure, make_figure, style
 from kinebench_drake.report.table import Column, Table, make_table
-from kinebench_drake.results.aggregate import Estimate
-from kinebench_drake.suites.report.episode_result import EpisodeResult, group_by, mean_over_tasks
+from kinebench_drake.results.aggregate import Estimate, group_by
+from kinebench_drake.suites.report.episode_result import EpisodeResult, mean_over_tasks
 from kinebench_drake.suites.report.pooling import SuiteRun, model_of
 
 SUITE = 3

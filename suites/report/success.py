@@ -19,13 +19,12 @@ from kinebench_drake.report.figures import (
     stack_bars,
 )
 from kinebench_drake.report.table import Column, Table, Value, make_table
-from kinebench_drake.results.aggregate import Estimate, estimate, estimate_passes
+from kinebench_drake.results.aggregate import Estimate, estimate, estimate_passes, group_by
 from kinebench_drake.results.row import Status
 from kinebench_drake.suites.report.episode_result import (
     EpisodeResult,
     SuitePart,
     executable_share,
-    group_by,
     group_by_run,
     has_samples,
     list_models,

@@ -3,12 +3,11 @@
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from kinebench_drake.report.number import tabulate_numbers
 from kinebench_drake.report.page_parts import Part, choose_listed, list_links, make_missing, write_parts
 from kinebench_drake.report.run import check_page_folder
+from kinebench_drake.results.aggregate import group_by
 from kinebench_drake.suites.report import correlation, kinematics, scaling, success, transfer
-from kinebench_drake.suites.report.comparison import ModelComparison
-from kinebench_drake.suites.report.episode_result import EpisodeResult, group_by, has_samples, tabulate_episodes
+from kinebench_drake.suites.report.episode_result import EpisodeResult, has_samples, tabulate_episodes
 from kinebench_drake.suites.report.pooling import (
     SuiteRun,
     differing_settings,
@@ -101,13 +100,6 @@ def _scaling_parts(runs: Sequence[SuiteRun], episodes: Sequence[EpisodeResult]) 
     for study, figure in scaling.draw_studies(studies):
         parts.append(figure or make_missing("scaling_curves", model=study.model))
     return parts
-
-
-def write_comparison(comparison: ModelComparison, out: Path) -> Path:
-    """Write a comparison: page and tables; returns the page."""
-    check_page_folder(out)
-    parts = [tabulate_numbers(comparison.numbers)]
-    return write_page("Comparison of models", comparison.runs, comparison.episodes, out, parts, comparison.leads)
 
 
 def write_page(

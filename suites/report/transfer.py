@@ -9,9 +9,9 @@ from kinebench_drake.geometry import Array
 from kinebench_drake.report.figures import ReportFigure, assign_numbers, draw_intervals, make_figure
 from kinebench_drake.report.number import ALL_TASKS, share_difference
 from kinebench_drake.report.table import Table, Value, make_table
-from kinebench_drake.results.aggregate import Estimate
+from kinebench_drake.results.aggregate import Estimate, group_by
 from kinebench_drake.stats import PairedShares, adjust_p_values, independent_mean_difference
-from kinebench_drake.suites.report.episode_result import EpisodeResult, group_by
+from kinebench_drake.suites.report.episode_result import EpisodeResult
 
 SEEN = "seen"
 UNSEEN = "unseen"

@@ -149,7 +149,7 @@ def _join_joints(t_s: Array, clips: Sequence[JointTrack]) -> JointTrack:
 
 def visual_metrics(run: "EpisodeRun", track: GripperTrack) -> dict[str, Json]:
     """Return the visual metrics over all clips, frames counted through all of them."""
-    groundings = [r.grounding for r in run.rounds]
+    groundings = [r.grounding.measured for r in run.rounds]
     motions = [np.nan if g.camera_motion_px is None else g.camera_motion_px for g in groundings]
     distances = [g.arm_consistency_px for g in groundings if g.arm_consistency_px is not None]
     return {
@@ -167,18 +167,19 @@ def visual_metrics(run: "EpisodeRun", track: GripperTrack) -> dict[str, Json]:
 
 def open_anomalies(run: "EpisodeRun") -> list[Json]:
     """Return the kinds of anomaly that are open in some clip."""
-    return list(sorted({kind.value for r in run.rounds for kind in r.grounding.anomalies_open}))
+    return list(sorted({kind.value for r in run.rounds for kind in r.grounding.measured.anomalies_open}))
 
 
 def camera_paths(run: "EpisodeRun") -> dict[str, Json]:
     """Return how the view of each clip changes, null where it does not; no key if it never does."""
-    paths = [None if r.grounding.camera_path is None else r.grounding.camera_path.to_json() for r in run.rounds]
-    return {"camera_paths": paths} if any(paths) else {}
+    paths = [r.grounding.measured.camera_path for r in run.rounds]
+    entries = [None if path is None else path.to_json() for path in paths]
+    return {"camera_paths": entries} if any(entries) else {}
 
 
 def domain(run: "EpisodeRun") -> Domain:
     """Return whether all clips are familiar."""
-    familiar = all(r.grounding.domain is Domain.FAMILIAR for r in run.rounds)
+    familiar = all(r.grounding.measured.domain is Domain.FAMILIAR for r in run.rounds)
     return Domain.FAMILIAR if familiar else Domain.UNFAMILIAR
 
 

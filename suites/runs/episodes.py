@@ -11,6 +11,7 @@ from itertools import takewhile
 from pathlib import Path
 
 from kinebench_drake.camera import BENCHMARK_PX
+from kinebench_drake.clip_timing import ClipTiming
 from kinebench_drake.environment.precision import network_precision
 from kinebench_drake.errors import count_noun
 from kinebench_drake.executors.base import ExecutorKind
@@ -24,12 +25,11 @@ from kinebench_drake.results.row import SampleRow, sample_suffix
 from kinebench_drake.results.store import REQUESTS, artifact_path
 from kinebench_drake.results.trackfile import write_track
 from kinebench_drake.runs.evaluator import ANOMALIES_OPEN, KINEMATIC_METRICS, PENDING, Evaluation, Evaluator
-from kinebench_drake.runs.pictures import episode_strip, rollout_frames
 from kinebench_drake.runs.resources import Resources, load_resources
 from kinebench_drake.runs.runner import NullRunObserver, RunObserver, RunSummary, run_samples
 from kinebench_drake.runs.score import VISUAL_METRICS
 from kinebench_drake.suites.catalog import EpisodeSpec
-from kinebench_drake.suites.clock import FRAME_PERIOD_S, ClipTiming
+from kinebench_drake.suites.clock import FRAME_PERIOD_S
 from kinebench_drake.suites.closed_loop.attribution import find_cause
 from kinebench_drake.suites.closed_loop.execution import CommandPlanner
 from kinebench_drake.suites.closed_loop.following import (
@@ -55,6 +55,7 @@ from kinebench_drake.suites.runs.clips import (
     rejections,
     visual_metrics,
 )
+from kinebench_drake.suites.runs.pictures import episode_strip, rollout_frames
 from kinebench_drake.suites.runs.requests import request_path, write_requests
 from kinebench_drake.suites.runs.suite_config import SuiteConfig
 from kinebench_drake.suites.simulator import Simulator
@@ -187,7 +188,7 @@ class EpisodeEvaluator(Evaluator[EpisodeSample, EpisodeResources]):
         kinematics = combine(tracks, results)
         curves = {
             **kinematics.curves,
-            **join_curves([r.grounding.curves for r in run.rounds]),
+            **join_curves([r.grounding.measured.curves for r in run.rounds]),
             **action_curves(tracks, [r.actions for r in run.rounds]),
         }
         write_track(artifact_path(self.config.out, "tracks", sample.id), track, kinematics.joints, curves)
@@ -258,12 +259,11 @@ class EpisodeEvaluator(Evaluator[EpisodeSample, EpisodeResources]):
             extra={PENDING: manifest_row(id, episode, self.loop.prompts, state)},
         )
 
-    def is_current(self, sample: EpisodeSample, row: SampleRow) -> bool:
-        """Return whether the stored row is still valid; that of a pending round needs its first frame, too."""
+    def files_of(self, row: SampleRow) -> Sequence[Path]:
+        """Return the artifacts of a row, and the first frame that a pending round needs."""
         asked = as_object(row.extra.get(PENDING)).get("id")
-        return Evaluator.is_current(self, sample, row) and (
-            not isinstance(asked, str) or request_path(self.config.out, asked).is_file()
-        )
+        requests = [request_path(self.config.out, asked)] if isinstance(asked, str) else []
+        return [*Evaluator.files_of(self, row), *requests]
 
     @property
     def metric_names(self) -> tuple[str, ...]:

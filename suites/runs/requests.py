@@ -1,5 +1,6 @@
-"""Videos that the episodes of a run wait for: first frames, manifest and camera, for a model that runs elsewhere."""
+"""Files of episodes: clips, and first frames, manifest and camera of the videos that a model elsewhere is to make."""
 
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -8,7 +9,12 @@ from kinebench_drake.formats.camerafile import CAMERA_NAME, save_camera
 from kinebench_drake.formats.manifest import NAME
 from kinebench_drake.io.atomic import disk_errors
 from kinebench_drake.io.jsonl import as_object, read_lines, write_lines
+from kinebench_drake.results.row import SampleRow
 from kinebench_drake.results.store import REQUESTS
+from kinebench_drake.runs.evaluator import PENDING
+
+_CLIP = re.compile(r"(?P<id>.+)_r\d+(\.[^.]+)?")
+"""Names of the clips that a world model generated for an episode."""
 
 
 def request_path(out: Path, id: str) -> Path:
@@ -37,3 +43,22 @@ def write_requests(out: Path, requests: Sequence[Mapping[str, object]]) -> None:
 def _files(requests: Sequence[Mapping[str, object]]) -> set[str]:
     """Return the names of the files of some requests."""
     return {name for row in requests for key in ("first_frame", "actions") if isinstance(name := row.get(key), str)}
+
+
+def list_files(out: Path, rows: Mapping[str, SampleRow]) -> dict[str, list[Path]]:
+    """List the clips of the episodes in an output folder, and the files of a video that one waits for, by its id."""
+    files: dict[str, list[Path]] = {id: _pending_files(out, row) for id, row in rows.items()}
+    folder = out / "videos"
+    for clip in sorted(folder.iterdir()) if folder.is_dir() else ():
+        match = _CLIP.fullmatch(clip.name)
+        if match and match["id"] in rows:
+            files[match["id"]] += sorted(clip.rglob("*")) if clip.is_dir() else [clip]
+    return files
+
+
+def _pending_files(out: Path, row: SampleRow) -> list[Path]:
+    asked = as_object(row.extra.get(PENDING)).get("id")
+    if not isinstance(asked, str) or asked != Path(asked).name:
+        return []
+    image = request_path(out, asked)
+    return [image, image.with_suffix(".json")]

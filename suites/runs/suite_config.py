@@ -6,10 +6,11 @@ from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
+from kinebench_drake.clip_timing import ClipTiming
 from kinebench_drake.io.jsonl import Json
 from kinebench_drake.runs.config import RunConfig, RunKind
 from kinebench_drake.runs.option import Option
-from kinebench_drake.suites.clock import FRAME_PERIOD_S, ClipTiming, Control
+from kinebench_drake.suites.clock import FRAME_PERIOD_S, Control
 from kinebench_drake.suites.families.task import TaskVariant
 from kinebench_drake.suites.worldmodels.spec import parse
 from kinebench_drake.suites.worldmodels.worldmodel import Condition

@@ -11,7 +11,7 @@ from kinebench_drake.api.scorer import _evaluator, reward_of
 from kinebench_drake.errors import UsageError
 from kinebench_drake.formats.videos.sample import VideoSample
 from kinebench_drake.geometry import Array
-from kinebench_drake.runs.evaluator import Evaluation
+from kinebench_drake.runs.evaluator import Evaluation, SampleHashes
 from kinebench_drake.runs.resources import Resources
 from kinebench_drake.track import GripperTrack
 
@@ -49,7 +49,11 @@ def reward(track: GripperTrack, tools: Resources) -> float:
     def evaluate() -> Evaluation:
         return Evaluation(kinematics=tools.judge(track), metrics={**metrics, "anomalies": []}, tracked=track.tracked)
 
-    return reward_of(_evaluator(0.2).row_of(VideoSample(id="x", path=Path("x"), video="x"), evaluate, ""))
+    return reward_of(
+        _evaluator(0.2).row_of(
+            VideoSample(id="x", path=Path("x"), video="x"), evaluate, SampleHashes(content="", input=None)
+        )
+    )
 
 
 def motions() -> dict[str, Array]:

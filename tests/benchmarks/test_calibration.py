@@ -40,7 +40,7 @@ def folder(tmp_path, estimator):
 
 
 def test_calibration_from_perfect_estimates_is_within_5_mm(folder, estimator):
-    conditions = [c for c in CONDITIONS if not c.focal_free and c.method is not CalibrationMethod.MOTION]
+    conditions = [c for c in CONDITIONS if not c.focal_free and c.method is not CalibrationMethod.ESTIMATE]
     trials = list(measure(folder, limit=None, frames=T, conditions=conditions, calibrator=cells_alone(estimator)))
     assert [t.condition for t in trials] == conditions
     for trial in trials:

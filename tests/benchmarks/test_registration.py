@@ -9,8 +9,7 @@ import pytest
 from benchmarks.registration import RegistrationErrors, _BlendedEstimator, section
 from kinebench_drake.camera import Camera, benchmark_camera
 from kinebench_drake.grounding.priors import ExternalDepth
-from kinebench_drake.grounding.tracking.crop import Crop
-from kinebench_drake.grounding.tracking.view import GripperView
+from kinebench_drake.grounding.tracking.view import Crop, GripperView
 from kinebench_drake.io.frames import Frames
 from kinebench_drake.models.panda.cad import GripperCad
 from tests.grounding.conftest import hand_pose, perfect_view

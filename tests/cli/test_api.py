@@ -2,12 +2,10 @@
 
 import inspect
 import re
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from fake_tools import Act, FakeGrounder, FakeTools
 
 import kinebench_drake
 from kinebench_drake import audit_trajectory, ground_video, run_suite, score_videos
@@ -28,25 +26,20 @@ from kinebench_drake.runs.option import options_of
 from kinebench_drake.suites.runs import episodes
 from kinebench_drake.suites.runs.suite_config import SuiteConfig
 from kinebench_drake.track import InitialState
+from tests.fakes.records import content
+from tests.fakes.resources import FakeResources
 
 NOISE = np.random.default_rng(0).integers(0, 255, (4, 96, 200, 3), np.uint8)
 EXAMPLES = Path(__file__).parents[2] / "examples" / "videos"
 
 
 @pytest.fixture
-def quick(monkeypatch):
+def quick(monkeypatch, fakes):
     """Single samples are worked on by the fake analyzer, too."""
-    monkeypatch.setattr(single, "make_resources", FakeTools)
+    monkeypatch.setattr(single, "make_resources", FakeResources)
     single._cached_tools.cache_clear()  # another test may have loaded the real one
     yield
     single._cached_tools.cache_clear()
-
-
-def content(out):
-    """Every byte of an output folder but the timings."""
-    return {
-        p.relative_to(out).as_posix(): p.read_bytes() for p in out.rglob("*") if p.is_file() and "timings" not in p.name
-    }
 
 
 def command(*names):
@@ -112,8 +105,8 @@ def test_package_exports_every_function_and_rejects_unknown_attributes():
 
 def test_score_videos_writes_the_same_files_as_the_score_command(program, film, tmp_path):
     film("videos/a.mp4")
-    film("videos/b.mp4", Act.INFEASIBLE)
-    film("videos/c.mp4", Act.NO_ROBOT)
+    film("videos/b.mp4", feasible=False)
+    film("videos/c.mp4", has_gripper=False)
     options = ("--tag", "x=1", "--frame-period", "0.1", "--table-height", "0.01", "--model", "m")
     assert program("score", tmp_path / "videos", "--out", tmp_path / "command", *options)[0] == 0
     summary = score_videos(
@@ -149,18 +142,10 @@ def test_ground_video_returns_the_track_that_the_ground_command_writes(program, 
             np.testing.assert_array_equal(getattr(grounded.track, name), getattr(written, name))
 
 
-class Contradicted(FakeGrounder):
-    """Finds that the arm contradicts the camera."""
-
-    def result(self, result):
-        return replace(result, choice=replace(result.choice, reason="1.43 times as long"))
-
-
 @pytest.mark.usefixtures("quick")
-def test_a_camera_contradicted_by_the_arm_raises_a_warning(film, monkeypatch):
-    monkeypatch.setattr(FakeTools, "make_grounder", Contradicted)
+def test_a_camera_contradicted_by_the_arm_raises_a_warning(film):
     with pytest.warns(UserWarning, match="1.43 times as long"):
-        ground_video(film("clip.mp4"), camera=benchmark_camera())
+        ground_video(film("clip.mp4", choice={"reason": "1.43 times as long"}), camera=benchmark_camera())
 
 
 @pytest.mark.usefixtures("quick")
@@ -247,7 +232,7 @@ def test_error_messages_name_python_arguments_and_not_command_line_options(tmp_p
 def test_warnings_point_at_the_caller(tmp_path, film, quick, monkeypatch):
     film("videos/a.mp4")
     np.save(tmp_path / "videos" / "b.npy", np.zeros((2, 96, 96, 3), np.uint8))
-    monkeypatch.setitem(ScoreConfig.__init__.__kwdefaults__, "make_resources", FakeTools)
+    monkeypatch.setitem(ScoreConfig.__init__.__kwdefaults__, "make_resources", FakeResources)
     with pytest.warns(UserWarning, match="videos in npy or npz files ignored") as caught:
         score_videos(tmp_path / "videos", out=tmp_path / "out", replays=0)
     with pytest.warns(UserWarning, match="frame period of 200 s") as more:

@@ -7,7 +7,6 @@ import os
 import h5py
 import numpy as np
 import pytest
-from fake_tools import LOG, FakeTools
 
 from kinebench_drake.errors import SetupError, UsageError, name_options
 from kinebench_drake.io.atomic import disk_errors, write_atomically
@@ -17,7 +16,8 @@ from kinebench_drake.results.store import artifact_path, read_rows
 from kinebench_drake.results.trackfile import read_track
 from kinebench_drake.runs.audit import AuditConfig, TrajectoryEvaluator, audit_trajectories
 from kinebench_drake.runs.evaluator import KINEMATIC_METRICS
-from kinebench_drake.runs.runner import NullRunObserver
+from tests.fakes.records import RunRecorder, content
+from tests.fakes.resources import FakeResources
 
 N = 10
 Q = 0.1 * np.ones((N, 7)) + 0.01 * np.arange(N)[:, None]
@@ -44,18 +44,12 @@ def source(tmp_path):
 
 
 @pytest.fixture
-def run(source, tmp_path):
+def run(source, tmp_path, fakes):
     def call(observer=None, **changes):
-        config = {"source": source, "out": tmp_path / "out", "make_resources": FakeTools, **changes}
+        config = {"source": source, "out": tmp_path / "out", "make_resources": FakeResources, **changes}
         return audit_trajectories(AuditConfig(**{"replays": None, **config}), observer)
 
     return call
-
-
-def content(out):
-    return {
-        p.relative_to(out).as_posix(): p.read_bytes() for p in out.rglob("*") if p.is_file() and "timings" not in p.name
-    }
 
 
 def test_a_file_changed_during_its_audit_is_audited_again_by_the_next_run(run, source, tmp_path, monkeypatch):
@@ -147,23 +141,11 @@ def test_outputs_are_byte_equal_between_runs_and_for_any_number_of_jobs(run, tmp
     assert str(tmp_path) not in b"".join(first.values()).decode(errors="ignore")
 
 
-class Count(NullRunObserver):
-    def __init__(self):
-        self.done = []
-        self.warnings = []
-
-    def finish(self, row, wall_s):
-        self.done.append(row.id)
-
-    def warn(self, message):
-        self.warnings.append(message)
-
-
 def test_resume_skips_finished_trajectories_unless_their_inputs_changed(run, source, tmp_path):
     def done(**changes):
-        count = Count()
-        run(count, **changes)
-        return set(count.done)
+        observer = RunRecorder()
+        run(observer, **changes)
+        return set(observer.finished)
 
     reading = source.parent / "reading.json"
     reading.write_text('{"tool": "tcp"}')
@@ -189,11 +171,11 @@ def test_results_of_deleted_files_are_dropped_with_a_warning(run, source, tmp_pa
     run()
     before = read_rows(tmp_path / "out").keys()
     (source / "good.npz").unlink()
-    count = Count()
-    run(count)
+    observer = RunRecorder()
+    run(observer)
     assert read_rows(tmp_path / "out").keys() == before - {"good"}
     told = f"1 earlier results are dropped: they are not among the {len(before) - 1} trajectories named now"
-    assert told in count.warnings[0]
+    assert told in observer.warnings[0]
 
 
 def test_an_output_folder_of_another_source_is_refused_without_overwrite(run, source, tmp_path):
@@ -238,9 +220,9 @@ def test_another_robot_limits_or_payload_invalidate_stored_rows(run, tmp_path):
 
 
 def test_assumptions_about_a_urdf_are_warnings_and_stand_in_results_json(run, tmp_path, write_arm):
-    count = Count()
-    run(count, robot=write_arm(types={3: "continuous"}), tool="tool")
-    warned = [text.removeprefix("small.urdf: ") for text in count.warnings if text.startswith("small.urdf: ")]
+    observer = RunRecorder()
+    run(observer, robot=write_arm(types={3: "continuous"}), tool="tool")
+    warned = [text.removeprefix("small.urdf: ") for text in observer.warnings if text.startswith("small.urdf: ")]
     assert any("limited to -pi..pi: j3" in text for text in warned)
     assert any("no small.srdf beside the URDF" in text for text in warned)
     assert any("acceleration and jerk, which are not checked" in text for text in warned)
@@ -251,9 +233,9 @@ def test_assumptions_about_a_urdf_are_warnings_and_stand_in_results_json(run, tm
 
 
 def run_counted(run, **changes):
-    count = Count()
-    run(count, **changes)
-    return count.done
+    observer = RunRecorder()
+    run(observer, **changes)
+    return observer.finished
 
 
 def test_replays_show_the_worst_samples_of_all_resumed_runs_together(run, tmp_path, monkeypatch):
@@ -266,7 +248,7 @@ def test_replays_show_the_worst_samples_of_all_resumed_runs_together(run, tmp_pa
     def replayed():
         return {path.stem for path in tmp_path.glob("out/replays/*")}
 
-    monkeypatch.setattr("kinebench_drake.runs.runner._replay", write)
+    monkeypatch.setattr("kinebench_drake.runs.runner.replay_samples", write)
     run(limit=2, replays=1)
     assert replayed() == {"demo-traj_0"}
     run(replays=1)
@@ -324,11 +306,9 @@ def test_models_are_named_by_the_subfolders_of_the_source(run, source, tmp_path)
     )
 
 
-def test_audit_runs_no_grounding(run, tmp_path, monkeypatch):
-    log = tmp_path / "log"
-    monkeypatch.setenv(LOG, str(log))
+def test_audit_runs_no_grounding(run, fakes):
     run()
-    assert not log.exists()
+    assert not fakes.take_calls()
 
 
 def test_audit_prints_summary_warnings_and_report_path(program, source, tmp_path):

@@ -1,7 +1,6 @@
 from dataclasses import replace
 
 import numpy as np
-from fake_tools import Act, FakeGrounder, FakeTools
 
 from kinebench_drake.camera import CameraSource, benchmark_camera
 from kinebench_drake.formats.camerafile import save_camera
@@ -11,6 +10,7 @@ from kinebench_drake.results.row import Status
 from kinebench_drake.results.store import read_rows
 from kinebench_drake.runs.preparation import with_camera_option
 from kinebench_drake.runs.score import score_videos
+from tests.fakes.behavior import Behavior
 
 WIDE = np.zeros((12, 96, 160, 3), np.uint8)
 
@@ -45,10 +45,9 @@ def test_without_a_base_frame_only_smoothness_and_anomalies_are_measured(film, c
         assert np.isfinite(track["camera_from_hand"]).all()
 
 
-def test_anomalies_are_against_execution_without_a_base_frame_too(config, program, tmp_path):
-    frames = WIDE.copy()
-    frames[:, :20, :20] = [40 * Act.INFEASIBLE, 0, 0]
-    np.save(tmp_path / "wide.npy", frames)
+def test_anomalies_are_against_execution_without_a_base_frame_too(config, program, fakes, tmp_path):
+    np.save(tmp_path / "wide.npy", WIDE)
+    fakes.prepare(WIDE, Behavior(vanishes=True))
     score_videos(config(source=tmp_path / "wide.npy"))
     row = read_rows(tmp_path / "out")["wide"]
     assert "base_frame_reason" in row.extra
@@ -69,25 +68,9 @@ def test_camera_benchmark_makes_videos_of_another_aspect_ratio_unmeasurable(film
     assert "aspect ratios differ" in row.reason
 
 
-class Unsure(FakeGrounder):
-    """Sees the gripper everywhere and trusts it nowhere."""
-
-    def track(self, clip, known):
-        track, anomalies = super().track(clip, known)
-        tracked = np.zeros(len(track.t_s), bool)
-        return replace(track, tracked=tracked, confidence=0.2 * track.confidence), anomalies
-
-    def ground(self, *arguments, **options):
-        return super().ground(*arguments, **{**options, "trusts_camera": True})
-
-
-class UnsureTools(FakeTools):
-    make_grounder = Unsure
-
-
 def test_an_untrusted_sample_still_has_a_track_with_poses_and_an_overlay(film, config, tmp_path):
-    film("videos/a.mp4")
-    score_videos(config(make_resources=UnsureTools, camera="benchmark", overlay=True))
+    film("videos/a.mp4", is_sure=False)
+    score_videos(config(camera="benchmark", overlay=True))
     row = read_rows(tmp_path / "out")["a"]
     assert row.status is Status.UNMEASURABLE
     assert "trusted in 0" in row.reason

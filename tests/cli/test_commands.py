@@ -1,19 +1,13 @@
 """The program as a user meets it: exit statuses, one-line errors, help."""
 
-import os
 import re
-import signal
-import subprocess
-import sys
-import time
 
 import pytest
-from fake_tools import Act, broken
 
 from kinebench_drake.io import progress
 from kinebench_drake.results.store import read_rows
-from kinebench_drake.runs import score
-from kinebench_drake.runs.resources import load_resources
+from kinebench_drake.runs.config import ScoreConfig
+from tests.fakes.resources import fail_to_load
 
 COMMANDS = ["score", "ground", "audit", "report", "doctor"]
 
@@ -26,8 +20,8 @@ def one_line(err):
 
 def test_score_prints_progress_summary_warnings_and_report_path(program, film, tmp_path):
     film("videos/a.mp4")
-    film("videos/b.mp4", Act.INFEASIBLE)
-    film("videos/c.mp4", Act.RAISE)
+    film("videos/b.mp4", feasible=False)
+    film("videos/c.mp4", raises=RuntimeError())
     code, out, err = program(
         "score", tmp_path / "videos", "--out", tmp_path / "out", "--tag", "run=7", "--tag", "x=a=b"
     )
@@ -69,7 +63,7 @@ def test_ground_writes_results_and_overlay_and_report_renders_only_run_folders(p
 
 
 def test_score_exits_with_status_1_when_nothing_could_be_measured(program, film, tmp_path):
-    film("videos/a.mp4", Act.NO_ROBOT)
+    film("videos/a.mp4", has_gripper=False)
     (tmp_path / "videos" / "b.mp4").write_text("text")
     code, _, err = program("score", tmp_path / "videos", "--out", tmp_path / "out")
     assert code == 1
@@ -120,7 +114,7 @@ def test_usage_errors_end_with_status_2_and_one_line(program, film, tmp_path, mo
 
 def test_missing_dependencies_end_with_status_1_and_one_line_that_names_doctor(program, film, tmp_path, monkeypatch):
     film("videos/a.mp4")
-    monkeypatch.setattr(score, "load_tools", lambda make, options: load_resources(broken, options))
+    monkeypatch.setitem(ScoreConfig.__init__.__kwdefaults__, "make_resources", fail_to_load)
     code, _, err = program("score", tmp_path / "videos", "--out", tmp_path / "out")
     assert code == 1
     assert "doctor" in one_line(err)
@@ -142,45 +136,6 @@ def test_help_lists_every_command_and_version_prints_the_program_name(program):
     assert "conjure" in one_line(err)
     code, out, _ = program("--version")
     assert (code, out.startswith("kinebench-drake")) == (0, True)
-
-
-SCORE = """
-import signal, sys
-signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background jobs are born deaf to it
-from fake_tools import FakeTools
-from kinebench_drake import cli
-from kinebench_drake.runs.config import ScoreConfig
-ScoreConfig.__init__.__kwdefaults__["make_resources"] = FakeTools
-if __name__ == "__main__":
-    cli.main(sys.argv[1:])
-"""
-
-
-@pytest.mark.parametrize("jobs", ["1", "2"])
-@pytest.mark.parametrize("signal_sent", [signal.SIGINT, signal.SIGTERM])
-def test_an_interrupted_run_prints_how_to_resume(program, film, tmp_path, jobs, signal_sent):
-    for k in range(6):
-        film(f"videos/v{k}.mp4", Act.SLOW)
-    script = tmp_path / "score.py"
-    script.write_text(SCORE)
-    out = tmp_path / "out"
-    arguments = ["score", tmp_path / "videos", "--out", out, "--jobs", jobs]
-    process = subprocess.Popen(
-        [sys.executable, script, *arguments], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, process_group=0
-    )
-    deadline = time.monotonic() + 60
-    while not (out.is_dir() and read_rows(out)) and time.monotonic() < deadline:
-        time.sleep(0.02)
-    os.killpg(process.pid, signal_sent) if signal_sent == signal.SIGINT else process.send_signal(signal_sent)
-    _, err = process.communicate(timeout=30)
-    assert process.returncode == 130
-    assert "Traceback" not in err
-    assert re.search(r"interrupted with \d of 6 samples finished; run the same command again", err.splitlines()[-1])
-    kept = len(read_rows(out))
-    assert 1 <= kept < 6
-    code, _, err = program(*arguments)
-    assert code == 0
-    assert f"{kept} of 6 samples are finished already" in err
 
 
 def test_an_unknown_command_is_answered_with_the_nearest_command_or_the_list(program):

@@ -6,12 +6,12 @@ import re
 import numpy as np
 import pyarrow
 import pytest
-from fake_tools import FakeTools
 from pyarrow import parquet
 
 from kinebench_drake import cli
 from kinebench_drake.errors import UsageError, name_options
 from kinebench_drake.runs.audit import AuditConfig, audit_trajectories
+from tests.fakes.resources import FakeResources
 
 FPS = 20
 NAMES = [f"panda_joint{j}.pos" for j in range(1, 8)]
@@ -47,7 +47,13 @@ def dataset(tmp_path):
 @pytest.fixture
 def audit(dataset, tmp_path):
     def run(**changes):
-        config = {"source": dataset, "out": tmp_path / "out", "make_resources": FakeTools, "replays": None, **changes}
+        config = {
+            "source": dataset,
+            "out": tmp_path / "out",
+            "make_resources": FakeResources,
+            "replays": None,
+            **changes,
+        }
         return audit_trajectories(AuditConfig(**config))
 
     return run
@@ -77,7 +83,7 @@ def test_kept_episodes_are_those_without_an_entry_but_for_idle_ends(audit, datas
     rows = (tmp_path / "kept" / "meta" / "episodes.jsonl").read_text().splitlines()
     assert [json.loads(row)["length"] for row in rows] == [80, 110]
     again = audit_trajectories(
-        AuditConfig(source=tmp_path / "kept", out=tmp_path / "again", make_resources=FakeTools, replays=None)
+        AuditConfig(source=tmp_path / "kept", out=tmp_path / "again", make_resources=FakeResources, replays=None)
     )
     assert {drop.reason.key for drop in again.drops} == {"idle_ends"}
     assert len(json.loads((tmp_path / "log.sarif").read_text())["runs"][0]["results"]) == 4
@@ -126,7 +132,9 @@ def test_kept_episodes_of_anything_but_a_lerobot_dataset_are_refused_before_the_
 
 @pytest.mark.parametrize(("fail_on", "status"), [("idle_ends", 1), ("dropped_samples", 0)])
 def test_the_exit_status_is_1_if_a_bound_is_missed(dataset, tmp_path, monkeypatch, capsys, fail_on, status):
-    monkeypatch.setattr(AuditConfig, "__init__", _with(AuditConfig.__init__, make_resources=FakeTools, replays=None))
+    monkeypatch.setattr(
+        AuditConfig, "__init__", _with(AuditConfig.__init__, make_resources=FakeResources, replays=None)
+    )
     with pytest.raises(SystemExit) as exit:
         cli.main(["audit", str(dataset), "--out", str(tmp_path / "out"), "--fail-on", fail_on])
     assert exit.value.code == status

@@ -6,23 +6,18 @@ import subprocess
 from pathlib import Path
 
 import pytest
-from fake_tools import LOG, Act
 
 from kinebench_drake.results.store import read_rows
+from tests.fakes.records import content
 
 EXAMPLES = Path(__file__).parent.parent.parent / "examples"
 
 
-def content(out):
-    return {
-        p.relative_to(out).as_posix(): p.read_bytes() for p in out.rglob("*") if p.is_file() and "timings" not in p.name
-    }
-
-
 @pytest.mark.parametrize("command", ["score", "ground"])
-def test_merged_shards_equal_one_run_byte_by_byte(film, program, tmp_path, monkeypatch, command):
-    for k, act in enumerate([Act.FEASIBLE, Act.INFEASIBLE, Act.NO_ROBOT, Act.RAISE, Act.FEASIBLE]):
-        film(f"videos/v{k}.mp4", act, side=160)
+def test_merged_shards_equal_one_run_byte_by_byte(film, program, fakes, tmp_path, command):
+    behaviors = ({}, {"feasible": False}, {"has_gripper": False}, {"raises": RuntimeError()}, {})
+    for k, behavior in enumerate(behaviors):
+        film(f"videos/v{k}.mp4", side=160, **behavior)
     shared = [command, tmp_path / "videos", "--overlay", "--tag", "run=7", "--model", "m"]
     program(*shared, "--out", tmp_path / "whole")
     parts = [tmp_path / f"part{k}" for k in (1, 2, 3)]
@@ -37,10 +32,10 @@ def test_merged_shards_equal_one_run_byte_by_byte(film, program, tmp_path, monke
 
     code, _, err = program("merge", *parts[:2], "--out", tmp_path / "most")
     assert (code, err) == (0, "warning: 1 of 5 samples are absent: no folder is of shard 3/3\n")
-    monkeypatch.setenv(LOG, str(tmp_path / "log"))
+    fakes.take_calls()
     program(*shared, "--out", tmp_path / "most")
     assert content(tmp_path / "most") == content(tmp_path / "whole")
-    assert len((tmp_path / "log").read_text().splitlines()) == 2  # the absent one, and the one that had failed
+    assert len(fakes.take_calls()) == 2  # the absent one, and the one that had failed
 
 
 def test_shards_of_different_configurations_are_refused_in_one_line(film, program, tmp_path):

@@ -5,7 +5,6 @@ import sys
 
 import numpy as np
 import pytest
-from fake_tools import LOG
 from PIL import Image
 
 from kinebench_drake.geometry import make_pose
@@ -117,15 +116,7 @@ def test_a_mask_file_that_does_not_fit_its_video_is_an_error_of_that_sample(film
     assert "none.npz, none.npy, none/" in rows["none"].reason
 
 
-def test_resume_skips_finished_samples_unless_override_files_changed(film, config, folder, tmp_path, monkeypatch):
-    log = tmp_path / "log"
-    monkeypatch.setenv(LOG, str(log))
-
-    def grounded(**changes):
-        log.write_text("")
-        score_videos(config(**changes))
-        return len(log.read_text().splitlines())
-
+def test_resume_skips_finished_samples_unless_override_files_changed(film, grounded, folder, tmp_path):
     film("videos/a.mp4")
     masks = tmp_path / "masks"
     masks.mkdir()

@@ -31,7 +31,7 @@ def test_a_check_that_raises_fails_with_the_first_line_of_its_error() -> None:
     def look() -> str:
         raise ImportError("libEGL.so.1: cannot open\nmore")
 
-    assert doctor._check("Open3D", look, "again") == Check("Open3D", False, "libEGL.so.1: cannot open", "again")
+    assert doctor.check("Open3D", look, "again") == Check("Open3D", False, "libEGL.so.1: cannot open", "again")
 
 
 @pytest.mark.parametrize(
@@ -43,24 +43,24 @@ def test_a_check_that_raises_fails_with_the_first_line_of_its_error() -> None:
     ],
 )
 def test_a_crash_of_the_probed_process_is_a_failed_check_with_its_reason(code: str, reason: str) -> None:
-    check = doctor._check("probe", lambda: doctor._probe(code), "")
+    check = doctor.check("probe", lambda: doctor.probe(code), "")
     assert (check.ok, check.detail) == (False, reason)
 
 
 def test_a_probe_without_an_answer_fails_after_its_timeout(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(doctor, "PROBE_TIMEOUT_S", 0.2)
-    check = doctor._check("probe", lambda: doctor._probe("import time; time.sleep(60)"), "")
+    check = doctor.check("probe", lambda: doctor.probe("import time; time.sleep(60)"), "")
     assert (check.ok, "no answer" in check.detail) == (False, True)
 
 
 def test_probe_ignores_files_of_the_current_folder(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     (tmp_path / "click.py").write_text("raise RuntimeError('shadowed')")
     monkeypatch.chdir(tmp_path)
-    assert doctor._probe("import click; print('real')") == "real"
+    assert doctor.probe("import click; print('real')") == "real"
 
 
 def test_probe_returns_the_last_line() -> None:
-    assert doctor._probe("print('noise'); print('1.2.3')") == "1.2.3"
+    assert doctor.probe("print('noise'); print('1.2.3')") == "1.2.3"
 
 
 @pytest.mark.parametrize(
@@ -70,7 +70,7 @@ def test_only_python_3_11_and_3_12_pass(
     monkeypatch: pytest.MonkeyPatch, version: tuple[int, int, int], ok: bool
 ) -> None:
     monkeypatch.setattr(sys, "version_info", version)
-    assert doctor._check("Python", doctor._python, "").ok is ok
+    assert doctor.check("Python", doctor._python, "").ok is ok
 
 
 def owned_by(monkeypatch: pytest.MonkeyPatch, owners: dict[str, list[str]]) -> None:
@@ -84,7 +84,7 @@ def owned_by(monkeypatch: pytest.MonkeyPatch, owners: dict[str, list[str]]) -> N
 
 def test_cv2_installed_by_two_distributions_fails(monkeypatch: pytest.MonkeyPatch) -> None:
     owned_by(monkeypatch, {"opencv-python": ["cv2/cv2.so"], "opencv-python-headless": ["cv2/cv2.so"]})
-    check = doctor._check("cv2", doctor._cv2, "")
+    check = doctor.check("cv2", doctor._cv2, "")
     assert not check.ok
     assert "opencv-python and opencv-python-headless" in check.detail
 
@@ -93,12 +93,12 @@ def test_the_opencv_python_shim_does_not_count_as_owner_of_cv2(monkeypatch: pyte
     owned_by(
         monkeypatch, {"opencv-python": ["opencv_python.dist-info/RECORD"], "opencv-python-headless": ["cv2/cv2.so"]}
     )
-    assert doctor._check("cv2", doctor._cv2, "").ok
+    assert doctor.check("cv2", doctor._cv2, "").ok
 
 
 def test_cv2_of_the_full_opencv_python_fails(monkeypatch: pytest.MonkeyPatch) -> None:
     owned_by(monkeypatch, {"opencv-python": ["cv2/cv2.so"]})
-    assert not doctor._check("cv2", doctor._cv2, "").ok
+    assert not doctor.check("cv2", doctor._cv2, "").ok
 
 
 def test_the_weights_check_counts_the_parameters_of_each_network(
@@ -115,14 +115,14 @@ def test_a_weights_file_that_is_empty_or_a_git_lfs_pointer_is_named(
 ) -> None:
     monkeypatch.setattr(doctor, "WEIGHTS", tmp_path)
     (tmp_path / "net.safetensors").write_bytes(content)
-    check = doctor._check("weights", doctor._weights, "")
+    check = doctor.check("weights", doctor._weights, "")
     assert not check.ok
     assert "net.safetensors cannot be read" in check.detail
 
 
 def test_missing_weights_fail(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setattr(doctor, "WEIGHTS", tmp_path)
-    assert not doctor._check("weights", doctor._weights, "").ok
+    assert not doctor.check("weights", doctor._weights, "").ok
 
 
 def test_an_unwritable_cache_folder_fails_and_the_check_leaves_no_file(
@@ -130,16 +130,16 @@ def test_an_unwritable_cache_folder_fails_and_the_check_leaves_no_file(
 ) -> None:
     (tmp_path / "file").touch()
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file"))
-    assert not doctor._check("cache", doctor._cache_folder, "").ok
+    assert not doctor.check("cache", doctor._cache_folder, "").ok
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    assert doctor._check("cache", doctor._cache_folder, "").ok
+    assert doctor.check("cache", doctor._cache_folder, "").ok
     assert list((tmp_path / "kinebench_drake").iterdir()) == []
 
 
 def test_a_missing_panda_urdf_fails(monkeypatch: pytest.MonkeyPatch) -> None:
-    assert doctor._check("Panda URDF", doctor._panda, "").ok
+    assert doctor.check("Panda URDF", doctor._panda, "").ok
     monkeypatch.setattr(importlib.util, "find_spec", lambda _: None)
-    check = doctor._check("Panda URDF", doctor._panda, "")
+    check = doctor.check("Panda URDF", doctor._panda, "")
     assert not check.ok
     assert "mani_skill is not installed" in check.detail
 

@@ -12,6 +12,7 @@ from kinebench_drake.cli.doctor import doctor as command
 from kinebench_drake.environment import cv2_shim, doctor, repair
 from kinebench_drake.environment.doctor import Check
 from kinebench_drake.errors import SetupError
+from kinebench_drake.suites import vulkan
 
 
 class Machine:
@@ -68,8 +69,9 @@ def test_each_failed_native_check_reinstalls_the_native_libraries(machine: Machi
 
 
 def test_repairable_checks_exist_and_their_fix_names_doctor_fix(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(doctor, "_check", lambda name, look, fix: Check(name, True, "", fix))
-    names = {check.name: check.fix for check in doctor.run_checks()}
+    monkeypatch.setattr(doctor, "check", lambda name, look, fix: Check(name, True, "", fix))
+    monkeypatch.setattr(vulkan, "check", lambda name, look, fix: Check(name, True, "", fix))
+    names = {check.name: check.fix for check in (*doctor.run_checks(), vulkan.check_vulkan())}
     assert {*doctor.NATIVE_CHECKS, doctor.CV2_CHECK} <= set(names)
     assert all("doctor --fix" in names[name] for name in (*doctor.NATIVE_CHECKS, doctor.CV2_CHECK))
 
@@ -151,6 +153,7 @@ def test_the_exit_status_is_that_of_the_checks_after_the_repair(
 ) -> None:
     found = iter([checks("cv2"), checks() if after else checks("cv2")])
     monkeypatch.setattr(doctor, "run_checks", lambda: next(found))
+    monkeypatch.setattr(vulkan, "check_vulkan", lambda: Check("Vulkan device", True, "", ""))
     done = CliRunner().invoke(command, arguments)
     assert done.exit_code == code
     assert "uninstall --yes opencv-python" in done.output

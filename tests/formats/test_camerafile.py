@@ -7,9 +7,10 @@ import pytest
 
 from kinebench_drake.camera import CameraSource, benchmark_camera
 from kinebench_drake.errors import UsageError
-from kinebench_drake.formats.camerafile import find_camera, named_cameras, read_camera, save_camera
+from kinebench_drake.formats.camerafile import read_camera, save_camera
 from kinebench_drake.formats.videos.find import find_samples
 from kinebench_drake.geometry import pose_difference
+from kinebench_drake.named_cameras import find_camera, named_cameras
 
 
 def test_cameras_known_by_name_are_distinct_upright_and_look_at_the_workspace():

@@ -4,9 +4,8 @@ import numpy as np
 
 from kinebench_drake.geometry import Array, invert, make_pose, rotation_exp, transform_points
 from kinebench_drake.grounding.registration.fit import fit
-from kinebench_drake.grounding.tracking.crop import Crop
 from kinebench_drake.grounding.tracking.pose import FramePose
-from kinebench_drake.grounding.tracking.view import GripperView
+from kinebench_drake.grounding.tracking.view import Crop, GripperView
 from kinebench_drake.models.panda.cad import GripperCad
 from kinebench_drake.models.panda.description import RobotPart
 

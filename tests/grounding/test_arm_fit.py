@@ -18,17 +18,15 @@ from kinebench_drake.geometry import (
     rotation_z,
     transform_points,
 )
-from kinebench_drake.grounding.registration.arm_edge_fit import ArmEdgeFitter
-from kinebench_drake.grounding.registration.arm_fit import ArmFit, ArmView
+from kinebench_drake.grounding.registration.arm_fit import ArmFit, ArmFitter, ArmView
 from kinebench_drake.grounding.registration.arm_model import ArmModel
 from kinebench_drake.grounding.registration.chain_fit import ChainFitter
-from kinebench_drake.grounding.registration.correspondences import Correspondences
 from kinebench_drake.grounding.registration.edges import EdgeMatcher
 from kinebench_drake.grounding.registration.fit import HandFit, fit
 from kinebench_drake.grounding.registration.image import GradientImage
-from kinebench_drake.grounding.tracking.crop import CLOSE_SIZE, Crop
+from kinebench_drake.grounding.registration.solver import Correspondences
 from kinebench_drake.grounding.tracking.flange_tracker import FlangeTracker
-from kinebench_drake.grounding.tracking.view import GripperView
+from kinebench_drake.grounding.tracking.view import CLOSE_SIZE, Crop, GripperView
 from kinebench_drake.models.panda.cad import PartCaster, link_meshes, open_fingers, part_meshes
 from kinebench_drake.models.panda.description import ARM, OPENING_SIGN, GripperKind, RobotPart
 from kinebench_drake.models.robotiq.cad import robotiq_mesh
@@ -99,7 +97,7 @@ def views(model: ArmModel, q: Array, seed: int) -> tuple[Array, GripperView, Gri
     return X_CH, close, wide
 
 
-def fit_arm(fitter: ArmEdgeFitter, hand: HandFit, close: GripperView, wide: GripperView) -> ArmFit | None:
+def fit_arm(fitter: ArmFitter, hand: HandFit, close: GripperView, wide: GripperView) -> ArmFit | None:
     """Fit the arm behind one hand, without silhouette."""
     return fitter.fit_all([ArmView.of(hand, close, wide)], [None])[0]
 
@@ -110,7 +108,7 @@ def test_the_arm_corrects_the_distance_of_the_hand(
     X_CH, close, wide = scene
     hand = fit(close)
     assert hand is not None
-    arm = fit_arm(ArmEdgeFitter(CAMERA, model, EdgeMatcher()), hand, close, wide)
+    arm = fit_arm(ArmFitter(CAMERA, model, EdgeMatcher()), hand, close, wide)
     assert arm is not None
     assert arm.agrees
     assert arm.consistency_px < 3.0
@@ -144,7 +142,7 @@ def test_edges_correct_an_offset_common_to_all_coordinates(model: ArmModel, seed
     shift = 0.004 * np.array([1.0, 0.0, 1.0])  # of the coordinates, which noise would not average
     close, wide = (replace(v, coordinates_P=v.coordinates_P + shift) for v in (close, wide))
     hand = fit(close)
-    fitter = ArmEdgeFitter(CAMERA, model, EdgeMatcher())
+    fitter = ArmFitter(CAMERA, model, EdgeMatcher())
     assert hand is not None
     arm = fit_arm(fitter, hand, close, wide)
     assert arm is not None
@@ -166,7 +164,7 @@ def test_a_hand_displaced_from_the_arm_does_not_agree_with_it(
     away = hand_alone(close, moved)
     elsewhere = fit(away)
     assert elsewhere is not None
-    arm = fit_arm(ArmEdgeFitter(CAMERA, model, EdgeMatcher()), elsewhere, away, wide)
+    arm = fit_arm(ArmFitter(CAMERA, model, EdgeMatcher()), elsewhere, away, wide)
     assert arm is None or not arm.agrees
 
 
@@ -175,7 +173,7 @@ def test_the_scale_of_the_arm_fit_shows_an_oversized_hand(
 ) -> None:
     """A hand 8 % too large appears 8 % nearer than the arm implies."""
     X_CH, close, wide = scene
-    fitter = ArmEdgeFitter(CAMERA, model, EdgeMatcher())
+    fitter = ArmFitter(CAMERA, model, EdgeMatcher())
     hand = fit(close)
     assert hand is not None
     usual = fit_arm(fitter, hand, close, wide)
@@ -197,7 +195,7 @@ def test_a_view_without_links_has_no_arm_fit(scene: tuple[Array, GripperView, Gr
     close, wide = (
         replace(v, part=np.where(v.part >= RobotPart.LINK0, 0, v.part).astype(np.uint8)) for v in (close, wide)
     )
-    assert fit_arm(ArmEdgeFitter(CAMERA, model, EdgeMatcher()), hand, close, wide) is None
+    assert fit_arm(ArmFitter(CAMERA, model, EdgeMatcher()), hand, close, wide) is None
 
 
 def link_cells(*views: GripperView) -> Correspondences:
@@ -234,7 +232,7 @@ def test_base_and_link_edges_refine_the_flange_pose(model: ArmModel, seed: int) 
     X_CH, close, wide = views(model, q, seed)
     start = X_CH @ make_pose(rotation_exp([0.03, 0.0, 0.05]), [0.01, 0.0, 0.01])
     image = GradientImage(drawn(model, q), CAMERA)
-    arm = ArmEdgeFitter(CAMERA, model, EdgeMatcher()).fit_links(start, 0.1, link_cells(close, wide), image)
+    arm = ArmFitter(CAMERA, model, EdgeMatcher()).fit_links(start, 0.1, link_cells(close, wide), image)
     assert arm is not None
     assert arm.agrees
     distance, angle = pose_difference(arm.X_CH, X_CH)
@@ -283,7 +281,7 @@ def test_the_flange_is_tracked_through_frames_without_network_detections(model: 
 
 def test_the_fitter_of_a_moving_camera_uses_the_place_of_each_frame(model: ArmModel) -> None:
     places = np.array([[0.0, 0.0, 0.0], [0.05, -0.02, 0.03]])
-    fitter = ArmEdgeFitter(CAMERA, model, EdgeMatcher(), places)
+    fitter = ArmFitter(CAMERA, model, EdgeMatcher(), places)
     q = posture(0)
     image = GradientImage(drawn(model, q), CAMERA)
     assert fitter.at([0]).edge_agreement(q, image) > 2 * fitter.at([1]).edge_agreement(q, image)
@@ -296,12 +294,12 @@ def test_batch_fits_of_a_moving_camera_equal_those_of_single_frames(model: ArmMo
     image = GradientImage(drawn(model, posture(0)), CAMERA)
     assert hand is not None
     places = np.array([[0.05, -0.02, 0.03], [0.0, 0.0, 0.0], [0.01, 0.0, 0.01]])
-    moving = ArmEdgeFitter(CAMERA, model, EdgeMatcher(), places)
+    moving = ArmFitter(CAMERA, model, EdgeMatcher(), places)
     numbers = [1, 2]
     count = 2
     shown = [ArmView.of(hand, close, wide)] * count
     arms = moving.at(numbers).fit_all(shown, [None] * count)
-    fixed = fit_arm(ArmEdgeFitter(CAMERA, model, EdgeMatcher()), hand, close, wide)
+    fixed = fit_arm(ArmFitter(CAMERA, model, EdgeMatcher()), hand, close, wide)
     assert fixed is not None
     assert arms[0] is not None
     np.testing.assert_allclose(arms[0].X_CH, fixed.X_CH, atol=1e-8)

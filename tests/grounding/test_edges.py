@@ -11,12 +11,17 @@ from numpy.typing import NDArray
 from kinebench_drake.camera import Camera, benchmark_camera
 from kinebench_drake.geometry import Array, invert, pose_difference
 from kinebench_drake.grounding.registration.arm_model import ArmHandModel, ArmModel
-from kinebench_drake.grounding.registration.correspondences import Correspondences
 from kinebench_drake.grounding.registration.edges import EdgeMatcher
+from kinebench_drake.grounding.registration.hand_contour import (
+    GAPS_M,
+    MOUNTS_M,
+    HandImage,
+    HandShape,
+    fit_shape,
+    gap_log_likelihoods,
+)
 from kinebench_drake.grounding.registration.image import EdgePoints, GradientImage
-from kinebench_drake.grounding.registration.opening import GAPS_M, MOUNTS_M, HandImage, gap_log_likelihoods
-from kinebench_drake.grounding.registration.shape import HandShape, fit_shape
-from kinebench_drake.grounding.registration.solver import solve
+from kinebench_drake.grounding.registration.solver import Correspondences, solve
 from kinebench_drake.models.panda.cad import PartCaster, link_meshes, open_fingers, part_meshes
 from kinebench_drake.models.panda.description import RobotPart
 

@@ -5,7 +5,7 @@ import pytest
 
 from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.geometry import Array, invert, make_pose, rotation_z
-from kinebench_drake.grounding.registration.arm_edge_fit import LAST_LINKS
+from kinebench_drake.grounding.registration.arm_fit import LAST_LINKS
 from kinebench_drake.grounding.registration.arm_model import ArmModel
 from kinebench_drake.grounding.registration.edges import FlangeShape, links_shape, robotiq_shape
 from kinebench_drake.grounding.registration.image import GradientImage

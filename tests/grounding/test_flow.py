@@ -6,8 +6,7 @@ from numpy.typing import NDArray
 
 from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.geometry import Array, invert, pose_difference, transform_points
-from kinebench_drake.grounding.registration.arm_edge_fit import ArmEdgeFitter
-from kinebench_drake.grounding.registration.arm_fit import ArmFit
+from kinebench_drake.grounding.registration.arm_fit import ArmFit, ArmFitter
 from kinebench_drake.grounding.registration.arm_model import ArmModel
 from kinebench_drake.grounding.registration.edges import EdgeMatcher
 from kinebench_drake.grounding.registration.image import GradientImage, follow_surface
@@ -64,7 +63,7 @@ def test_a_posture_follows_the_surface_to_the_next_frame(matcher: EdgeMatcher, m
     images = [GradientImage(draw(matcher, part_poses(model, q)), CAMERA) for q in (START, START + STEP)]
     X_CH = [part_poses(model, q)[RobotPart.HAND] for q in (START, START + STEP)]
     near = arm_at(START)
-    fitter = ArmEdgeFitter(CAMERA, model, matcher)
+    fitter = ArmFitter(CAMERA, model, matcher)
     followed = fitter.follow(near, fitter.poses(near), *images)
     assert followed is not None
     before, after = (np.array(pose_difference(X, X_CH[1])) for X in (X_CH[0], followed.X_CH))

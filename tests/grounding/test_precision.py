@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from kinebench_drake.camera import CameraSetting, CameraSource
+from kinebench_drake.camera import CameraSource
 from kinebench_drake.environment.precision import PRECISION_VARIABLE, Precision
 from kinebench_drake.formats.videos.find import find_samples
 from kinebench_drake.grounding.priors import Clip
@@ -21,7 +21,7 @@ def ground(name: str, precision: Precision, monkeypatch: pytest.MonkeyPatch) -> 
     frames = read_video(sample.path).frames
     clip = Clip(frames=frames, t_s=0.2 * np.arange(len(frames)))
     monkeypatch.setenv(PRECISION_VARIABLE, precision.value)
-    return Grounder().ground(clip, CameraSetting(camera=sample.camera), source=CameraSource.MANIFEST)
+    return Grounder().ground(clip, sample.camera, source=CameraSource.MANIFEST)
 
 
 @pytest.mark.slow
@@ -30,7 +30,7 @@ def test_a_clip_has_the_same_verdict_in_both_precisions(name: str, monkeypatch: 
     single, half = (ground(name, precision, monkeypatch) for precision in Precision)
     assert not np.array_equal(single.track.confidence, half.track.confidence)  # the precisions do differ
     assert single.choice.state is half.choice.state
-    assert single.domain is half.domain
+    assert single.measured.domain is half.measured.domain
     assert single.anomalies == half.anomalies == ()
     assert single.track.tracked.all()
     assert half.track.tracked.all()

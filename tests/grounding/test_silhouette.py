@@ -4,12 +4,10 @@ import numpy as np
 import pytest
 
 from kinebench_drake.geometry import Array, invert, make_pose, pose_difference, rotation_exp, transform_points
-from kinebench_drake.grounding.registration.correspondences import Correspondences
 from kinebench_drake.grounding.registration.fit import HandModel, gripper_cells
 from kinebench_drake.grounding.registration.silhouette import SilhouetteMatcher
-from kinebench_drake.grounding.registration.solver import solve
-from kinebench_drake.grounding.tracking.crop import CLOSE_SIZE, Crop
-from kinebench_drake.grounding.tracking.view import GripperView
+from kinebench_drake.grounding.registration.solver import Correspondences, solve
+from kinebench_drake.grounding.tracking.view import CLOSE_SIZE, Crop, GripperView
 from kinebench_drake.models.panda.cad import GripperCad
 from kinebench_drake.models.panda.description import RobotPart
 

@@ -9,9 +9,8 @@ from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.geometry import Array, invert, make_pose
 from kinebench_drake.grounding.registration.arm_model import ArmHandModel, ArmModel
 from kinebench_drake.grounding.registration.chain_fit import ChainModel
-from kinebench_drake.grounding.registration.correspondences import Correspondences
 from kinebench_drake.grounding.registration.fit import HandModel, fit, fit_all, gripper_cells
-from kinebench_drake.grounding.registration.solver import CellRows, FitModel, residuals, solve
+from kinebench_drake.grounding.registration.solver import CellRows, Correspondences, FitModel, residuals, solve
 from kinebench_drake.models.panda.cad import GripperCad
 from kinebench_drake.models.panda.description import ARM, RobotPart
 from tests.grounding.conftest import hand_pose, perfect_view

@@ -7,11 +7,17 @@ from scipy.interpolate import BSpline
 from kinebench_drake.geometry import pose_difference, rotation_exp
 from kinebench_drake.kinematics import trajopt
 from kinebench_drake.kinematics.collision import CollisionModel
-from kinebench_drake.kinematics.infeasibility import describe_violation
 from kinebench_drake.kinematics.joint_trajectory import JointTrajectory
 from kinebench_drake.kinematics.newton import solve_newton
 from kinebench_drake.kinematics.plant import ArmPlant
-from kinebench_drake.kinematics.trajopt import LARGEST_M, RATIO, SMALLEST_M, TubeResult, optimize_in_tube
+from kinebench_drake.kinematics.trajopt import (
+    LARGEST_M,
+    RATIO,
+    SMALLEST_M,
+    TubeResult,
+    describe_violation,
+    optimize_in_tube,
+)
 from kinebench_drake.kinematics.violation import ViolationKind
 from kinebench_drake.models.panda.description import rest_q
 

@@ -17,12 +17,11 @@ from kinebench_drake.kinematics.ik import solve_pose
 from kinebench_drake.kinematics.manipulability import compute_manipulability
 from kinebench_drake.kinematics.newton import ROTATION_ARM_M
 from kinebench_drake.kinematics.plant import ArmPlant
-from kinebench_drake.metrics.completion import least_arc, least_ldlj
 from kinebench_drake.metrics.coverage import COST_MAX, MISS_M
 from kinebench_drake.metrics.executable import judge_evidence, reason_kind
 from kinebench_drake.metrics.judge import TrackJudge
 from kinebench_drake.metrics.kinematic_result import KinematicResult
-from kinebench_drake.metrics.smoothness import MAX_LOST_SHARE, ldlj, measure_smoothness, sparc
+from kinebench_drake.metrics.smoothness import MAX_LOST_SHARE, ldlj, least_arc, least_ldlj, measure_smoothness, sparc
 from kinebench_drake.track import GripperTrack, IkStatus
 
 N = 40

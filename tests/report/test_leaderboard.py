@@ -13,6 +13,7 @@ from kinebench_drake.report.leaderboard import write_leaderboard
 from kinebench_drake.results.bundle import write_bundle
 from kinebench_drake.results.row import Status
 from kinebench_drake.results.store import ResultStore
+from kinebench_drake.runs.benchmark import load_benchmark
 from kinebench_drake.stats import PairedShares
 from tests.report.pages import BROWSER, EVIL, Page, probe, row
 from tests.report.test_browser import PICTURE
@@ -65,6 +66,10 @@ def suite(bundle):
     return write
 
 
+def make_leaderboard(bundles, out):
+    return write_leaderboard(bundles, out, load_benchmark().rank)
+
+
 def cells(out, model):
     """Cells of a model in leaderboard.csv, by their heading."""
     heads, *lines = [line.split(",") for line in (out / "leaderboard.csv").read_text().splitlines()]
@@ -74,7 +79,7 @@ def cells(out, model):
 def test_success_is_corrected_by_that_of_the_oracle_in_the_shared_episodes(suite, tmp_path):
     oracle = suite("oracle", [True, True, True, True, False, True])
     wan = suite("wan", [True, False, None, True, False])
-    page, *_ = write_leaderboard([wan, oracle], tmp_path / "board")
+    page, *_ = make_leaderboard([wan, oracle], tmp_path / "board")
     own = cells(tmp_path / "board", "wan")
     assert float(own["success"]) == 0.4
     assert float(own["ceiling"]) == 0.8
@@ -90,7 +95,7 @@ def test_success_is_corrected_by_that_of_the_oracle_in_the_shared_episodes(suite
 
 
 def test_a_board_without_an_oracle_says_so(suite, tmp_path):
-    page, *_ = write_leaderboard([suite("wan", [True, False])], tmp_path / "board")
+    page, *_ = make_leaderboard([suite("wan", [True, False])], tmp_path / "board")
     assert "suite run --world-model oracle" in page.read_text()
     assert "two models that share a sample" in page.read_text()
     assert "corrected" not in (tmp_path / "board" / "leaderboard.csv").read_text()
@@ -109,7 +114,7 @@ def test_the_ratio_of_paired_shares_is_one_of_equal_ones_and_has_no_value_over_n
 def test_the_same_bundles_give_the_same_bytes(suite, tmp_path):
     bundles = [suite("wan", [True, False]), suite("cog", [False, False])]
     for name in ("one", "two"):
-        write_leaderboard(bundles, tmp_path / name)
+        make_leaderboard(bundles, tmp_path / name)
     one, two = ({p.name: p.read_bytes() for p in (tmp_path / n).rglob("*") if p.is_file()} for n in ("one", "two"))
     assert one == two
 
@@ -117,7 +122,7 @@ def test_the_same_bundles_give_the_same_bytes(suite, tmp_path):
 @pytest.mark.skipif(BROWSER is None, reason="no chromium is installed")
 def test_the_page_of_hostile_labels_works_in_a_browser_on_a_phone(bundle, tmp_path):
     rows = [row(f"clip{k}", executable=k > 1, feasible=k > 0, model=EVIL, task=EVIL) for k in range(5)]
-    page, *_ = write_leaderboard([bundle("one", rows, source=EVIL)], tmp_path / "board")
+    page, *_ = make_leaderboard([bundle("one", rows, source=EVIL)], tmp_path / "board")
     assert Page(page.read_text()).scripts == 1
     assert probe(page, PROBE, tmp_path / "profile") == {"errors": [], "wide": 0, "broken": 0}
 
@@ -126,15 +131,15 @@ def test_bundles_of_different_kinds_or_of_one_name_are_refused(suite, bundle, tm
     one = suite("wan", [True])
     other = bundle("clips", [row("a", executable=True)])
     with pytest.raises(UsageError, match="one leaderboard has one kind"):
-        write_leaderboard([one, other], tmp_path / "board")
+        make_leaderboard([one, other], tmp_path / "board")
     with pytest.raises(UsageError, match="two bundles have this name"):
-        write_leaderboard([one, one], tmp_path / "board")
+        make_leaderboard([one, one], tmp_path / "board")
     assert not (tmp_path / "board").exists()
 
 
 def test_cards_hold_the_shares_with_their_bounds(suite, tmp_path):
     tags = {"dataset": "lab/benchmark", "organization": 'Lab: "A"'}
-    _, *paths = write_leaderboard([suite("wan", [True, False, None], tags=tags)], tmp_path / "board")
+    _, *paths = make_leaderboard([suite("wan", [True, False, None], tags=tags)], tmp_path / "board")
     assert [path.name for path in paths] == ["wan-Suite-0.json", "wan-Suite-0.yaml"]
     card = json.loads(paths[0].read_text())
     success, executable = card["evaluation_results"]
@@ -152,6 +157,6 @@ def test_cards_hold_the_shares_with_their_bounds(suite, tmp_path):
 
 def test_a_run_over_the_hub_names_its_dataset_and_revision(bundle, tmp_path):
     rows = [row("a", executable=True, model="m")]
-    _, _, path = write_leaderboard([bundle("x", rows, source="hf://datasets/lab/set@v1")], tmp_path / "board")
+    _, _, path = make_leaderboard([bundle("x", rows, source="hf://datasets/lab/set@v1")], tmp_path / "board")
     (entry,) = parse_eval_result_entries(yaml.safe_load(path.read_text()))
     assert (entry.dataset_id, entry.dataset_revision, entry.task_id) == ("lab/set", "v1", "score_executable")

@@ -8,7 +8,7 @@ from kinebench_drake.cli import main
 from kinebench_drake.errors import UsageError
 from kinebench_drake.io.jsonl import dump
 from kinebench_drake.report.run import read_runs
-from kinebench_drake.report.sample_comparison import compare_samples, write_sample_comparison
+from kinebench_drake.report.sample_comparison import compare_samples
 from kinebench_drake.results.row import SampleRow, Status
 from kinebench_drake.results.store import RESULTS, SAMPLES
 from tests.report.pages import BROWSER, EVIL, WIDTH, Page, probe
@@ -162,13 +162,13 @@ def test_a_comparison_of_scores_is_printed_and_written(folders, tmp_path, capsys
     with (out / "samples.csv").open() as file:
         assert len(list(csv.DictReader(file))) == 80
     before = {path.name: path.read_bytes() for path in out.iterdir()}
-    write_sample_comparison(compared(*folders), out)
+    compared(*folders).write(out)
     assert {path.name: path.read_bytes() for path in out.iterdir()} == before
 
 
 def test_the_folder_of_a_run_is_not_overwritten(folders):
     with pytest.raises(UsageError, match="whose own report"):
-        write_sample_comparison(compared(*folders), folders[0])
+        compared(*folders).write(folders[0])
 
 
 @pytest.mark.skipif(BROWSER is None, reason="no chromium is installed")
@@ -180,5 +180,5 @@ def test_the_page_fits_a_phone(folders, tmp_path):
       const state = {errors: window.troubles, wide: wide.length, rows: rows};
       document.documentElement.setAttribute("data-state", JSON.stringify(state));
     });</script>"""
-    page = write_sample_comparison(compared(*folders), tmp_path / "out")
+    page = compared(*folders).write(tmp_path / "out")
     assert probe(page, script, tmp_path / "profile", WIDTH) == {"errors": [], "wide": 0, "rows": 80}

@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 from kinebench_drake.errors import UsageError
 from kinebench_drake.formats.videos.find import find_samples
 from kinebench_drake.formats.videos.sample import VideoSample
+from kinebench_drake.geometry import make_pose
 from kinebench_drake.io.container import write_video
 from kinebench_drake.io.reader import read_video
 from kinebench_drake.results.row import SampleRow, Status
@@ -129,10 +130,24 @@ def test_joints_follow_the_track_from_the_posture_in_which_arms_are_filmed() -> 
         t_s=0.2 * np.arange(FRAMES), X_CH=X_BG, X_BG=X_BG, tracked=tracked, confidence=np.ones(FRAMES),
         finger_width_m=WIDTH,
     )  # fmt: skip
-    joints = tools.joints(track)
+    joints = tools.joints(track, 0.0)
     assert np.array_equal(joints.ok, tracked)
     assert np.nanmax(joints.position_error_m) < 1e-4
     assert np.abs(joints.q[tracked] - q[tracked]).max() < 0.3  # the elbow of another solution is over a radian away
+
+
+def test_where_no_joints_follow_the_track_those_of_its_verdict_are_taken_with_the_table_of_its_sample() -> None:
+    tools = Resources(RobotOptions())
+    X_BG = np.stack([make_pose(np.diag([1.0, -1.0, -1.0]), [0.45 + 0.1 * k, 0.0, 0.05]) for k in range(FRAMES)])
+    everywhere = np.ones(FRAMES, dtype=bool)
+    track = GripperTrack(
+        t_s=0.2 * np.arange(FRAMES), X_CH=X_BG, X_BG=X_BG, tracked=everywhere, confidence=np.ones(FRAMES),
+        finger_width_m=WIDTH,
+    )  # fmt: skip
+    raised, low = (tools.joints(track, height_m) for height_m in (0.2, -0.5))
+    assert raised.status == tools.judge(track, 0.2).joints.status
+    assert low.status == tools.judge(track, -0.5).joints.status
+    assert raised.status != low.status
 
 
 @pytest.mark.parametrize("format", ActionFileFormat)

@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 from scipy.interpolate import PchipInterpolator
 
+from kinebench_drake.clip_timing import sample_uniformly
 from kinebench_drake.geometry import Array, rotation_exp
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.metrics.kinematic_result import KinematicResult
 from kinebench_drake.runs.resources import Resources, RobotOptions
-from kinebench_drake.suites.clock import CLIP_S, FRAME_PERIOD_S, sample_uniformly
+from kinebench_drake.suites.clock import CLIP_S, FRAME_PERIOD_S
 from kinebench_drake.track import GripperTrack
 
 TRUTH = Path(__file__).parents[2] / "examples" / "videos" / "truth"

@@ -4,7 +4,8 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from kinebench_drake.suites.clock import CLIP_S, FRAME_PERIOD_S, sample_uniformly
+from kinebench_drake.clip_timing import sample_uniformly
+from kinebench_drake.suites.clock import CLIP_S, FRAME_PERIOD_S
 
 
 @given(st.integers(2, 400), st.floats(0.05, 60.0), st.floats(0.02, 2.0))

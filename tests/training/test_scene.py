@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from kinebench_drake.geometry import invert, transform_points
-from kinebench_drake.grounding.tracking.crop import CLOSE_SIZE, WIDE_SIZE, Crop
+from kinebench_drake.grounding.tracking.view import CLOSE_SIZE, WIDE_SIZE, Crop
 from kinebench_drake.models.panda.cad import GripperCad, link_meshes
 from kinebench_drake.models.panda.description import ARM, RobotPart
 from kinebench_drake.models.perception.network import COORDINATE_SCALE_M

@@ -5,7 +5,7 @@ import pytest
 
 from benchmarks.perception.clip import find_clips
 from kinebench_drake.geometry import pose_difference, transform_points
-from kinebench_drake.grounding.tracking.crop import GRIPPER_CENTRE_H
+from kinebench_drake.grounding.tracking.view import GRIPPER_CENTRE_H
 from kinebench_drake.io.npz import open_npz
 from kinebench_drake.io.reader import read_video
 from kinebench_drake.kinematics.plant import ArmPlant

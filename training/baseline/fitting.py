@@ -14,9 +14,15 @@ from torch.utils.data import DataLoader, Dataset, Subset
 from benchmarks.perception.clip import TruthClipFile, find_clips
 from kinebench_drake.camera import Camera
 from kinebench_drake.errors import InputError, UsageError, cause
+from kinebench_drake.executors.local import LocalExecutor
 from kinebench_drake.geometry import Array
 from kinebench_drake.io.atomic import atomic_path
 from kinebench_drake.io.reader import read_video
+from kinebench_drake.runs.runner import RunObserver
+from kinebench_drake.suites.catalog import load_suite
+from kinebench_drake.suites.demo_config import DemoConfig, FormatKind, RenderOptions
+from kinebench_drake.suites.demos import make_demos
+from kinebench_drake.suites.families.task import TaskVariant
 from training.augment import degrade, occlude
 from training.baseline.network import (
     CONTEXT,
@@ -28,6 +34,10 @@ from training.baseline.network import (
 )
 from training.loop import LossTerms, Schedule, load_imagenet, optimise, pick_device, save_weights
 
+TRAINING_SUITE = 1
+"""Suite whose training tasks are demonstrated."""
+RENDERED_PX = 256
+"""Width and height of the demonstrations [px]."""
 LABELLED = 3
 """Frames of a window with labels; CONTEXT more frames lie on each side."""
 _DEGRADED = 0.75  # share of windows
@@ -205,6 +215,31 @@ class BaselineConfig:
     """Width and height of the frames [px]."""
     workers: int = 1
     """Processes that prepare batches."""
+
+
+def make_demonstrations(folder: Path, episodes: int, jobs: int, observer: RunObserver) -> Path:
+    """Make `episodes` demonstrations of each training task of suite 1 in a folder, and return it; resumes.
+
+    Raises:
+        UsageError: the folder holds something else, or the expert fails with too many seeds.
+        SetupError: something is missing on this machine, or a worker died.
+    """
+    suite = load_suite(TRAINING_SUITE)
+    config = DemoConfig(
+        suite=suite,
+        split="train",
+        tasks=tuple(suite.tasks_of("train")),
+        episodes=episodes,
+        seed=0,
+        variant=TaskVariant.PLAIN,
+        out=folder,
+        options=RenderOptions(size=RENDERED_PX),
+        kind=FormatKind.MP4,
+    )
+    short = make_demos(config, LocalExecutor(jobs=jobs), observer).short
+    if short:
+        raise UsageError(f"demonstrations are missing: {short}; {folder.name}/demos.jsonl has the reasons")
+    return folder
 
 
 def _rounded(square: Tensor, radius: float) -> Tensor:

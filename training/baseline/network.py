@@ -23,9 +23,11 @@ from torch.nn import functional
 
 from kinebench_drake.camera import Camera
 from kinebench_drake.errors import SetupError, UsageError
-from kinebench_drake.geometry import Array, make_pose
+from kinebench_drake.geometry import Array, invert, make_pose
 from kinebench_drake.io.frames import Frames
+from kinebench_drake.models.panda.description import hand_from_tcp
 from kinebench_drake.models.perception.network import GripperNetwork
+from kinebench_drake.track import GripperTrack
 from training.loop import pick_device
 
 
@@ -233,3 +235,15 @@ class Baseline:
         output = self._network.fuse(torch.cat([before, embedded, after])[None])
         rotation, position = (x[0].cpu().double().numpy() for x in (output.rotation, output.position))
         return make_pose(rotation, position), output.finger_width[0].cpu().double().numpy()
+
+    def track(self, frames: Frames, t_s: Array, camera: Camera) -> GripperTrack:
+        """Return the predictions for frames (T, H, W, 3) at times (T,) [s] as a track that is certain everywhere."""
+        X_BG, finger_width_m = self.predict(frames)
+        return GripperTrack(
+            t_s=t_s,
+            X_CH=invert(camera.X_BC) @ X_BG @ invert(hand_from_tcp()),
+            X_BG=X_BG,
+            tracked=np.ones(len(frames), dtype=bool),
+            confidence=np.ones(len(frames)),
+            finger_width_m=finger_width_m,
+        )

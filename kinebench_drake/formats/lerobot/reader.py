@@ -32,6 +32,8 @@ from kinebench_drake.io.video import VideoPart
 
 _NO_NUMBERS = ("video", "image", "string", "bool")
 _INDEX_COLUMNS = ("timestamp", "frame_index", "episode_index", "index", "task_index")
+ROUNDING_S = 1e-4
+"""Greatest difference between a time stamp and frame / fps to which it is rounded: LeRobot's own tolerance [s]."""
 
 
 def is_lerobot(folder: Path) -> bool:
@@ -218,6 +220,5 @@ def _times(table: pyarrow.Table, fps: float | None) -> NDArray[np.generic] | Non
     if stamps is None:
         return even
     times = require_numbers(TIME, stamps)
-    # 1e-4: greatest difference between a time stamp and frame / fps to which it is rounded (LeRobot's own tolerance)
-    allowed = 1e-4 + np.spacing(np.float32(np.abs(even).max(initial=0.0)))
+    allowed = ROUNDING_S + np.spacing(np.float32(np.abs(even).max(initial=0.0)))
     return even if times.shape == even.shape and np.abs(times - even).max(initial=0.0) <= allowed else stamps

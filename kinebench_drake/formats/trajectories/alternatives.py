@@ -9,6 +9,8 @@ from kinebench_drake.formats.trajectories.reading import ANGLES, JOINTS, LAYOUTS
 _UNITS = {"length": LENGTHS, "angle": ANGLES, "time_unit": TIMES}
 _NOUNS = {"mm": "millimetres", "cm": "centimetres", "m": "metres", "deg": "degrees", "rad": "radians"}
 _NOUNS |= {"ms": "milliseconds", "us": "microseconds", "ns": "nanoseconds", "s": "seconds"}
+UNIT_COST = 0.05
+"""Cost of one other unit."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -72,7 +74,6 @@ def alternatives(reading: Reading) -> Iterator[Alternative]:
         present = reading.keys(_UNITS)
         change = {key: unit for key, unit in zip(_UNITS, units, strict=True) if unit != present[key]}
         if change and (is_pose or "length" not in change) and (reading.time is not None or "time_unit" not in change):
-            # 0.05: cost of one other unit
             yield Alternative(
-                name=", ".join(_NOUNS[unit] for unit in change.values()), cost=0.05 * len(change), change=change
+                name=", ".join(_NOUNS[unit] for unit in change.values()), cost=UNIT_COST * len(change), change=change
             )

@@ -4,9 +4,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinebench_drake.errors import InputError, UnmeasurableError, count_noun
-from kinebench_drake.formats.trajectories.gaps import fill_gaps
 from kinebench_drake.formats.trajectories.pose import rigid_poses
-from kinebench_drake.formats.trajectories.times import check_times, undo_jitter
+from kinebench_drake.formats.trajectories.times import check_times, fill_gaps, undo_jitter
 from kinebench_drake.formats.trajectories.trajectory import (
     JOINT_SIZES,
     MAX_FRAMES,

@@ -21,6 +21,8 @@ from kinebench_drake.io.npz import check_bytes, open_npz, read_npy
 
 _MOST_COLUMNS = 1000
 _DELIMITERS = (",", ";", "\t")
+FRAME_NUMBERS = 1024
+"""Most numbers of a frame; more are images."""
 
 
 @contextmanager
@@ -56,8 +58,7 @@ def open_json_table(sample: TrajectorySample) -> Iterator[ColumnTable]:
 def _columns(shapes: Mapping[str, tuple[int, ...]]) -> tuple[NumberColumn, ...]:
     """Return the arrays with a row per frame."""
     sizes = {name: int(np.prod(shape[1:])) for name, shape in shapes.items() if 1 <= len(shape) <= 3}
-    # 1024: numbers of a frame; more are images
-    return tuple(NumberColumn(name=name, size=size) for name, size in sizes.items() if size <= 1024)
+    return tuple(NumberColumn(name=name, size=size) for name, size in sizes.items() if size <= FRAME_NUMBERS)
 
 
 @contextmanager

@@ -61,9 +61,8 @@ def open_hdf5_table(sample: TrajectorySample) -> Iterator[ColumnTable]:
                 raise InputError(f"{group} is a data set, expected a group of them")
             columns: list[NumberColumn] = []
 
-            def visit(name: str, item: object) -> None:
-                readable = isinstance(name, str)  # names that are not valid text come as bytes
-                if readable and isinstance(item, h5py.Dataset) and (column := _column(name, item)):
+            def visit(name: str, item: object) -> None:  # names that are not valid text come as bytes
+                if isinstance(name, str) and isinstance(item, h5py.Dataset) and (column := _column(name, item)):
                     columns.append(column)
 
             episode.visititems(visit)

@@ -239,8 +239,7 @@ def _add_up(deltas: Array, start: tuple[float, ...]) -> Array:
 def frame_of(X_BG: Array, position_m: tuple[float, float, float]) -> tuple[float, ...]:
     """Return `base_from_world` that brings the middle of the poses (T, 4, 4) to a position in the base [m]."""
     p = X_BG[:, :3, 3]
-    middle = 0.5 * (np.nanmin(p, axis=0) + np.nanmax(p, axis=0))
-    return tuple(np.round(position_m - middle, 3).tolist())
+    return tuple(np.round(position_m - 0.5 * (np.nanmin(p, axis=0) + np.nanmax(p, axis=0)), 3).tolist())
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -58,6 +58,8 @@ _NAMED = {
     **dict.fromkeys((".txt", ".tsv"), TrajectoryFormat.CSV),
 }
 """The same of files that count only if they are named: in a folder they may be anything."""
+ALIKE = 8
+"""Trajectories of a file that show how all are to be read."""
 
 
 def find_trajectories(
@@ -147,8 +149,7 @@ def _with_alike(samples: Sequence[TrajectorySample]) -> list[TrajectorySample]:
     for sample in samples:
         if sample.part is not None and sample.problem is None:
             groups.setdefault((*sample.about, sample.path)[0], []).append(sample)
-    # 8: trajectories of a file that show how all are to be read
-    chosen = {key: tuple(group[k] for k in evenly(len(group), 8)) for key, group in groups.items()}
+    chosen = {key: tuple(group[k] for k in evenly(len(group), ALIKE)) for key, group in groups.items()}
     return [replace(sample, alike=chosen.get((*sample.about, sample.path)[0], ())) for sample in samples]
 
 

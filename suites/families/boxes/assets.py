@@ -73,10 +73,14 @@ class _BoxDesign:
     density: float
 
 
+TIGHT = 5.0
+"""Factor of the damping of a tight hinge."""
+
+
 def with_tight_hinge(model: AssetModel) -> AssetModel:
     """Return the same box with a hinge of `TIGHT` times the damping."""
     bodies = tuple(
-        body if body.joint is None else replace(body, joint=replace(body.joint, damping=5.0 * body.joint.damping))
+        body if body.joint is None else replace(body, joint=replace(body.joint, damping=TIGHT * body.joint.damping))
         for body in model.bodies
     )
     return replace(model, bodies=bodies)

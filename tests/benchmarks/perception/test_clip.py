@@ -10,8 +10,7 @@ import pytest
 from benchmarks.perception.clip import TruthClip, find_clips
 from benchmarks.perception.depth_map import measure_depth
 from kinebench_drake.camera import Camera, benchmark_camera
-from kinebench_drake.grounding.tracking.crop import Crop
-from kinebench_drake.grounding.tracking.view import GripperView
+from kinebench_drake.grounding.tracking.view import Crop, GripperView
 from kinebench_drake.io.frames import Frames
 from kinebench_drake.models.panda.cad import GripperCad
 from kinebench_drake.models.panda.description import RobotPart

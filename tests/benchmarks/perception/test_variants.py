@@ -14,8 +14,7 @@ from kinebench_drake.camera import Camera
 from kinebench_drake.errors import InputError, UsageError
 from kinebench_drake.grounding.overrides.depth import DepthPlugIn
 from kinebench_drake.grounding.priors import ExternalDepth, Priors
-from kinebench_drake.grounding.tracking.crop import Crop
-from kinebench_drake.grounding.tracking.view import GripperView, OverrideEstimator
+from kinebench_drake.grounding.tracking.view import Crop, GripperView, OverrideEstimator
 from kinebench_drake.io.frames import Frames
 from kinebench_drake.models.panda.description import RobotPart
 

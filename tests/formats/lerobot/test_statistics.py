@@ -1,6 +1,6 @@
 import numpy as np
 
-from kinebench_drake.formats.lerobot.statistics import histogram_statistics, row_statistics
+from kinebench_drake.formats.lerobot.writer import histogram_statistics, row_statistics
 
 
 def test_histogram_statistics_equal_those_of_the_pixels() -> None:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from kinebench_drake.formats.trajectories.gaps import fill_gaps
+from kinebench_drake.formats.trajectories.times import fill_gaps
 
 T_S = 0.05 * np.arange(120)
 Q = 0.4 * np.sin(0.7 * T_S)[:, None] * np.linspace(1.0, 0.3, 7)

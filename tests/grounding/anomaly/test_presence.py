@@ -14,7 +14,7 @@ from kinebench_drake.grounding.anomaly.appearance import (
     find_vanishing,
     second_gripper,
 )
-from kinebench_drake.grounding.tracking.crop import Crop
+from kinebench_drake.grounding.tracking.view import Crop
 from kinebench_drake.models.panda.description import RobotPart
 from tests.grounding.conftest import hand_pose, perfect_view
 

@@ -12,7 +12,7 @@ from kinebench_drake.grounding.anomaly.appearance import (
     shape_misfit,
 )
 from kinebench_drake.grounding.registration.fit import fit
-from kinebench_drake.grounding.registration.shape import HandShape
+from kinebench_drake.grounding.registration.hand_contour import HandShape
 from tests.grounding.conftest import hand_pose, perfect_view
 
 NOISE_M = 0.004

@@ -8,7 +8,7 @@ from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array, invert, transform_points
 from kinebench_drake.grounding.camera.bundle_adjustment import ArmScene, BundleAdjustment
 from kinebench_drake.grounding.camera.camera_estimate import CameraEstimate
-from kinebench_drake.grounding.camera.robot_points import CalibrationCorrespondences, LensView
+from kinebench_drake.grounding.camera.detections import ArmDetections, CalibrationCorrespondences
 from kinebench_drake.grounding.registration.arm_model import ArmModel
 from kinebench_drake.models.panda.description import OPENING_SIGN, RobotPart, rest_q
 
@@ -73,7 +73,8 @@ class PerfectEstimator:
     def estimate(self, frames, camera):
         cells = project_robot(self.camera, self.q[frames[:, 0, 0, 0]], self.model, noise_px=self.noise_px)
         T = len(frames)
-        return LensView(
+        return ArmDetections(
+            rows=np.arange(T),
             cells=cells,
             finger_m=np.full(T, 0.01),
             q=self.q[frames[:, 0, 0, 0]],

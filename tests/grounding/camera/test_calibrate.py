@@ -120,7 +120,8 @@ def test_the_camera_is_estimated_from_the_arm_without_joint_angles(video, estima
     class Cameras:
         def estimate(self, frames, camera, *, focal_free):
             assert len(frames) == T
-            assert focal_free is (camera is None) is (focal_px is None)
+            assert focal_free is (focal_px is None)
+            assert focal_free or camera.fx == focal_px
             return SimpleNamespace(doubt="two turns of the base explain its contours")
 
     with pytest.raises(UnmeasurableError, match=r"two turns of the base .*; give \$joints FILE"):

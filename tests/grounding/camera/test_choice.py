@@ -6,16 +6,23 @@ import numpy as np
 import pytest
 
 from kinebench_drake.anomaly import AnomalyKind
-from kinebench_drake.camera import CONFIRMED, CameraSetting, CameraSource, CameraState, benchmark_camera
+from kinebench_drake.camera import CONFIRMED, CameraSource, CameraState, benchmark_camera
 from kinebench_drake.errors import UnmeasurableError
-from kinebench_drake.formats.camerafile import named_cameras
 from kinebench_drake.geometry import make_pose
 from kinebench_drake.grounding import bounds
 from kinebench_drake.grounding.anomaly.detection import AnomalyDetections, Detection
 from kinebench_drake.grounding.camera.bundle_adjustment import ArmScene
-from kinebench_drake.grounding.camera.camera_estimate import CameraEstimate, Rival
-from kinebench_drake.grounding.camera.check import CameraContradiction
+from kinebench_drake.grounding.camera.camera_estimate import (
+    ALIGNED_AGREEMENT,
+    ALIGNED_BASE_AGREEMENT,
+    ARM_AGREEMENT,
+    GRIPPER_SIGMA_M,
+    CameraEstimate,
+    Rival,
+)
+from kinebench_drake.grounding.camera.check import LARGE_M, SURE_AGREEMENT
 from kinebench_drake.grounding.camera.estimate import usual_camera
+from kinebench_drake.grounding.camera.evidence import CameraContradiction
 from kinebench_drake.grounding.camera.lens import Lens
 from kinebench_drake.grounding.camera.picture_reading import BetterReading, PictureReading
 from kinebench_drake.grounding.camera.recognition import Recognition
@@ -23,6 +30,7 @@ from kinebench_drake.grounding.pipeline import PipelineResult
 from kinebench_drake.grounding.priors import Clip, InitialStateUse, Priors
 from kinebench_drake.grounding.video import Grounder
 from kinebench_drake.models.panda.description import GripperKind
+from kinebench_drake.named_cameras import named_cameras
 from kinebench_drake.track import Domain, GripperTrack
 from tests.grounding.camera.robot import certain_bundle
 
@@ -113,7 +121,7 @@ class Evidence:
     def count_hands(self, frames, camera):
         return self.hands, 8
 
-    def estimate(self, frames):
+    def estimate(self, frames, camera):
         self.asked.append("estimate")
         if self.estimated is None:
             raise UnmeasurableError("no camera can be estimated: nothing is seen")
@@ -128,7 +136,7 @@ def estimate(**changes):
         "frames": np.arange(4),
         "gripper_sigma_m": 0.01,
         "gripper_sigma_rad": 0.01,
-        "agreement": bounds.ARM_AGREEMENT + 0.1,
+        "agreement": ARM_AGREEMENT + 0.1,
         "base_agreement": bounds.BASE_AGREEMENT + 0.1,
         "residual_px": 0.4,
         "part": np.zeros(0, np.uint8),
@@ -156,9 +164,9 @@ def contradiction(gripper_m):
     return CameraContradiction(agreement=0.3, better=0.7, focal_ratio=0.7, gripper_m=gripper_m, gripper_rad=0.01)
 
 
-def ground(evidence, frames=SQUARE, *, source=None, gripper=GripperKind.AUTO, **setting):
+def ground(evidence, frames=SQUARE, *, source=None, gripper=GripperKind.AUTO):
     """Ground a video, unnamed if there is no source."""
-    camera = None if source is None else CameraSetting(camera=benchmark_camera(), **setting)
+    camera = None if source is None else benchmark_camera()
     clip = Clip(frames=frames, t_s=0.1 * np.arange(len(frames)))
     return Grounder(evidence).ground(clip, camera, source=source or CameraSource.ARGUMENT, gripper=gripper)
 
@@ -166,8 +174,8 @@ def ground(evidence, frames=SQUARE, *, source=None, gripper=GripperKind.AUTO, **
 @pytest.mark.parametrize(
     ("agreement", "asked"),
     [
-        (bounds.SURE_AGREEMENT, ["assumed"]),
-        (bounds.SURE_AGREEMENT - 0.01, ["assumed", "likely readings"]),
+        (SURE_AGREEMENT, ["assumed"]),
+        (SURE_AGREEMENT - 0.01, ["assumed", "likely readings"]),
         (CONFIRMED, ["assumed", "likely readings"]),
     ],
 )
@@ -248,13 +256,6 @@ def test_a_camera_reading_that_agrees_better_is_reported_and_leaves_no_base_fram
     assert np.isnan(grounded.track.X_BG).all()
 
 
-def test_mirrored_frames_are_flipped_before_grounding():
-    frames = SQUARE.copy()
-    frames[:, :, 50:] = 200
-    grounded = ground(Evidence(), frames, source=CameraSource.FOLDER, mirrored=True)
-    assert (grounded.frames[0, 30, :40] == 200).all()
-
-
 def test_no_camera_is_estimated_for_a_video_without_any_hand():
     evidence = Evidence(hands=0)
     evidence.hand_tracks = False
@@ -273,7 +274,7 @@ def test_a_video_without_a_hand_is_grounded_by_the_arm_if_it_confirms_the_assume
             ground(evidence)
     else:
         grounded = ground(evidence)
-        assert grounded.domain is Domain.ARM
+        assert grounded.measured.domain is Domain.ARM
         assert grounded.choice.state is CameraState.CONFIRMED
 
 
@@ -290,13 +291,13 @@ def test_a_camera_is_estimated_if_a_detected_hand_has_no_track_with_the_benchmar
     [
         (estimate(), None),
         (None, "nothing is seen"),
-        (estimate(agreement=bounds.ARM_AGREEMENT - 0.01), "no estimated camera agrees"),
-        (estimate(agreement=bounds.ALIGNED_AGREEMENT - 0.01, is_aligned=True), "no estimated camera agrees"),
+        (estimate(agreement=ARM_AGREEMENT - 0.01), "no estimated camera agrees"),
+        (estimate(agreement=ALIGNED_AGREEMENT - 0.01, is_aligned=True), "no estimated camera agrees"),
         (estimate(others=(rival(0.9),)), "two different cameras"),
         (estimate(base_agreement=bounds.BASE_AGREEMENT - 0.01), "cannot be seen"),
-        (estimate(base_agreement=bounds.ALIGNED_BASE_AGREEMENT - 0.01, is_aligned=True), "cannot be seen"),
+        (estimate(base_agreement=ALIGNED_BASE_AGREEMENT - 0.01, is_aligned=True), "cannot be seen"),
         (estimate(turns=(rival(bounds.BASE_AGREEMENT + 0.09),)), "two turns"),
-        (estimate(gripper_sigma_m=bounds.GRIPPER_SIGMA_M + 0.01), "uncertain by 30 mm"),
+        (estimate(gripper_sigma_m=GRIPPER_SIGMA_M + 0.01), "uncertain by 30 mm"),
     ],
 )
 def test_an_estimated_camera_gives_a_base_frame_only_if_it_agrees_and_is_determined(best, words):
@@ -323,7 +324,7 @@ def test_a_clip_with_several_possible_cameras_has_a_track_with_each_if_its_arm_c
 
 
 def test_lines_along_the_base_axes_lower_the_agreement_required_of_an_estimated_camera():
-    few = estimate(agreement=bounds.ALIGNED_AGREEMENT + 0.01, base_agreement=bounds.ALIGNED_BASE_AGREEMENT + 0.01)
+    few = estimate(agreement=ALIGNED_AGREEMENT + 0.01, base_agreement=ALIGNED_BASE_AGREEMENT + 0.01)
     assert few.doubt is not None
     assert replace(few, is_aligned=True).doubt is None
 
@@ -342,7 +343,7 @@ def test_an_estimated_camera_needs_the_agreement_of_the_final_track(agreement):
 
 def test_a_named_camera_that_the_arm_confirms_is_not_compared_with_other_readings():
     for source in (CameraSource.FOLDER, CameraSource.ARGUMENT):
-        sure = Evidence(agreements=[bounds.SURE_AGREEMENT])
+        sure = Evidence(agreements=[SURE_AGREEMENT])
         unsure = Evidence(agreements=[CONFIRMED - 0.01])
         assert ground(sure, source=source).choice.state is CameraState.NAMED
         assert sure.asked == ["ground"]
@@ -357,8 +358,8 @@ def test_a_named_camera_far_from_one_that_explains_the_arm_better_gives_no_base_
         evidence.fitted = fitted
         return ground(evidence, source=CameraSource.FOLDER).choice
 
-    near = choose(0.5 * bounds.LARGE_M)
-    far = choose(2 * bounds.LARGE_M)
+    near = choose(0.5 * LARGE_M)
+    far = choose(2 * LARGE_M)
     assert near.reason is None
     assert near.to_json()["camera_contradiction"]["focal_ratio"] == 0.7
     assert "1.43 times as long" in far.reason

@@ -5,14 +5,12 @@ import pytest
 
 from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.geometry import invert, pose_difference
-from kinebench_drake.grounding import bounds
 from kinebench_drake.grounding.camera import check as contradiction
 from kinebench_drake.grounding.camera import estimate as estimate_module
 from kinebench_drake.grounding.camera import lens
 from kinebench_drake.grounding.camera.bundle_adjustment import ArmScene, Prior
-from kinebench_drake.grounding.camera.candidate import CameraCandidate
-from kinebench_drake.grounding.camera.check import CameraChecker
-from kinebench_drake.grounding.camera.contours import DIFFERENT_TURN_RAD, BaseTurn
+from kinebench_drake.grounding.camera.candidate import DIFFERENT_TURN_RAD, BaseTurn, CameraCandidate
+from kinebench_drake.grounding.camera.check import CLEARLY, CameraChecker
 from kinebench_drake.grounding.camera.detections import ArmDetections
 from kinebench_drake.grounding.camera.estimate import JOINT_SIGMA_RAD, CameraEstimator, usual_camera
 from kinebench_drake.grounding.camera.lens import Lens, solve_pnp, with_focal
@@ -169,6 +167,6 @@ def test_a_camera_with_a_wrong_focal_length_is_contradicted(estimator, model, fi
     for zoom in (0.7, 1.4):
         found = checker.find_contradiction(frames, with_focal(CAMERA, zoom * CAMERA.fx))
         assert found.focal_ratio == pytest.approx(zoom, rel=0.05)
-        assert found.better > found.agreement + bounds.CLEARLY
+        assert found.better > found.agreement + CLEARLY
 
         assert found.gripper_m == pytest.approx(abs(zoom - 1.0) * distance_m, rel=0.15)

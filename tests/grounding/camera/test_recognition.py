@@ -6,12 +6,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from kinebench_drake.formats.camerafile import find_camera, named_cameras
 from kinebench_drake.grounding import bounds
 from kinebench_drake.grounding.camera.picture_reading import PictureReading
-from kinebench_drake.grounding.camera.recognition import Recognition, cameras_of
+from kinebench_drake.grounding.camera.recognition import RECOGNITION_LEAD, Recognition, cameras_of
 from kinebench_drake.grounding.components import GroundingComponents
 from kinebench_drake.io.reader import read_video
+from kinebench_drake.named_cameras import find_camera, named_cameras
 
 CLIP = Path("tests/gate/benchmark.mp4")
 POINT_B = np.array([0.4, 0.1, 0.2])
@@ -48,8 +48,8 @@ def test_a_camera_that_does_not_show_the_robots_foot_is_not_tried(name):
     [
         ({}, True),
         ({"agreement": bounds.AGREEMENT - 0.01}, False),
-        ({"lead": bounds.RECOGNITION_LEAD - 0.01}, False),
-        ({"freed": 0.6 + bounds.RECOGNITION_LEAD + 0.01}, False),
+        ({"lead": RECOGNITION_LEAD - 0.01}, False),
+        ({"freed": 0.6 + RECOGNITION_LEAD + 0.01}, False),
         ({"base_agreement": bounds.BASE_AGREEMENT - 0.01}, False),
     ],
 )

@@ -5,17 +5,16 @@ import pytest
 
 from kinebench_drake.errors import UnmeasurableError
 from kinebench_drake.geometry import make_pose, pose_difference, rotation_exp
+from kinebench_drake.grounding.camera.calibrate import describe, solve
 from kinebench_drake.grounding.camera.calibration_result import (
     CalibrationBasis,
     CalibrationMethod,
     CameraCalibration,
-    describe,
     require_determined,
     warnings_of,
 )
+from kinebench_drake.grounding.camera.detections import ArmDetections
 from kinebench_drake.grounding.camera.lens import Lens, with_focal
-from kinebench_drake.grounding.camera.robot_points import LensView
-from kinebench_drake.grounding.camera.solve import solve
 from kinebench_drake.grounding.camera.states import RobotStates
 from kinebench_drake.models.panda.description import RobotPart
 from tests.grounding.camera.robot import VISIBLE, postures, project_robot
@@ -26,12 +25,13 @@ def states_of(q, model):
 
 
 def view_of(cells, q):
-    return LensView(cells=cells, finger_m=np.full(len(q), 0.01), q=q, robot=np.zeros((2, 2), dtype=bool))
+    robot = np.zeros((2, 2), dtype=bool)
+    return ArmDetections(rows=np.arange(len(q)), cells=cells, finger_m=np.full(len(q), 0.01), q=q, robot=robot)
 
 
-def described(solved, model, *, focal_free=True):
+def described(solved, *, focal_free=True):
     basis = CalibrationBasis(method=CalibrationMethod.JOINTS, source="joints.csv", focal_free=focal_free)
-    return describe(solved, model, basis)
+    return describe(solved, basis)
 
 
 def calibrated(
@@ -41,7 +41,7 @@ def calibrated(
     cells = project_robot(camera, q, model, noise_px=noise_px, parts=parts)
     states = states_of(q if stated is None else stated, model)
     solved = solve(view_of(cells, q), states, guess or camera, model, focal_free=focal_free)
-    return described(solved, model, focal_free=focal_free)
+    return described(solved, focal_free=focal_free)
 
 
 def off(camera, found):
@@ -92,7 +92,7 @@ def test_a_distant_robot_does_not_determine_the_focal_length_and_the_error_says_
 def test_a_frame_with_a_flipped_gripper_is_corrected(camera, model):
     q = postures(5)
     wrong = project_robot(camera, q, model).flip(np.arange(5) == 2)
-    found = described(solve(view_of(wrong, q), states_of(q, model), camera, model, focal_free=True), model)
+    found = described(solve(view_of(wrong, q), states_of(q, model), camera, model, focal_free=True))
     assert max(off(camera, found.camera)) < 1e-5
 
 

@@ -8,9 +8,8 @@ import pytest
 from kinebench_drake.camera import Camera, benchmark_camera
 from kinebench_drake.grounding.priors import ExternalDepth, Priors
 from kinebench_drake.grounding.registration.fit import calibrate_depth
-from kinebench_drake.grounding.tracking.crop import Crop
 from kinebench_drake.grounding.tracking.tracker import CadTracker
-from kinebench_drake.grounding.tracking.view import GripperView
+from kinebench_drake.grounding.tracking.view import Crop, GripperView
 from kinebench_drake.io.frames import Frames
 from kinebench_drake.models.panda.cad import GripperCad
 from tests.grounding.conftest import hand_pose, perfect_view

@@ -3,7 +3,7 @@ import pytest
 
 from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.geometry import make_pose, transform_points
-from kinebench_drake.grounding.tracking.crop import GRIPPER_CENTRE_H, Crop
+from kinebench_drake.grounding.tracking.view import GRIPPER_CENTRE_H, Crop
 
 
 def test_a_point_of_the_crop_lies_on_the_same_ray_of_the_frame() -> None:

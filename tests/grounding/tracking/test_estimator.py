@@ -10,9 +10,8 @@ import torch
 from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.environment.precision import PRECISION_VARIABLE
 from kinebench_drake.grounding.pipeline import GroundingPipeline
-from kinebench_drake.grounding.tracking.crop import Crop
 from kinebench_drake.grounding.tracking.estimator import NetworkEstimator
-from kinebench_drake.grounding.tracking.view import GripperView
+from kinebench_drake.grounding.tracking.view import Crop, GripperView
 from kinebench_drake.io.reader import read_video
 from kinebench_drake.models.perception.network import fold_batch_normalisation, load_network, use_onednn
 from kinebench_drake.track import GripperTrack

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from kinebench_drake.grounding.registration.opening import GAPS_M
+from kinebench_drake.grounding.registration.hand_contour import GAPS_M
 from kinebench_drake.grounding.tracking.markov import smooth_gripper_width
 
 WIDTH = np.where(np.arange(30) < 15, 0.08, 0.0)

@@ -8,9 +8,8 @@ import pytest
 
 from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array, make_pose
-from kinebench_drake.grounding.tracking.crop import WIDE_SIZE, Crop
 from kinebench_drake.grounding.tracking.localization import _tiles, find_region, likeliest_gripper
-from kinebench_drake.grounding.tracking.view import GripperView
+from kinebench_drake.grounding.tracking.view import WIDE_SIZE, Crop, GripperView
 from kinebench_drake.io.frames import Frames
 from kinebench_drake.models.panda.cad import GripperCad
 from kinebench_drake.models.panda.description import RobotPart

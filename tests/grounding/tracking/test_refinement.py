@@ -8,11 +8,10 @@ import pytest
 
 from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.geometry import Array, make_pose
-from kinebench_drake.grounding.registration.arm_edge_fit import FollowedArm
-from kinebench_drake.grounding.registration.arm_fit import ArmFit
-from kinebench_drake.grounding.tracking.crop import Crop
+from kinebench_drake.grounding.registration.arm_fit import ArmFit, FollowedArm
 from kinebench_drake.grounding.tracking.pose import FramePose
 from kinebench_drake.grounding.tracking.refinement import EdgeRefinement
+from kinebench_drake.grounding.tracking.view import Crop
 from kinebench_drake.models.panda.cad import GripperCad
 from kinebench_drake.track import Domain
 from tests.grounding.conftest import fitted_pose, hand_pose, perfect_view
@@ -42,7 +41,7 @@ def arm_fit(angle: float, agreement: float = float("nan"), *, agrees: bool = Tru
 
 
 class Fitter:
-    """Stands for `ArmEdgeFitter`: a fit goes to the right posture from within `reach` of it, else stays where it is."""
+    """Stands for `ArmFitter`: a fit goes to the right posture from within `reach` of it, else stays where it is."""
 
     def __init__(
         self, reach: float = 0.5, network_agreement: float = 0.2, *, moved_m: float = 0.03, follows: bool = False

@@ -6,8 +6,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from kinebench_drake.clip_timing import ClipTiming
 from kinebench_drake.errors import InputError
-from kinebench_drake.suites.clock import ClipTiming
 from kinebench_drake.suites.closed_loop import loop as module
 from kinebench_drake.suites.closed_loop.loop import ClosedLoop, LoopOptions, Round
 from kinebench_drake.suites.composition import compose

@@ -28,7 +28,7 @@ from kinebench_drake.suites.runs.suite_config import SuiteConfig
 from kinebench_drake.suites.simulator import Snapshot, TaskOutcome
 from kinebench_drake.suites.worldmodels.worldmodel import ActionTrack
 from kinebench_drake.track import GripperTrack
-from tests.cli.fake_tools import FakeTools
+from tests.fakes.resources import FakeResources
 
 did: Counter[str] = Counter()
 
@@ -79,7 +79,7 @@ def config(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Sui
 
     def make(world_model: str, **changes: object) -> SuiteConfig:
         told = {"suite": 0, "tasks": ("PullCube-v1",), "episodes": 2, "replays": None}
-        told |= {"out": tmp_path / "out", "make_resources": FakeTools, "world_model": world_model}
+        told |= {"out": tmp_path / "out", "make_resources": FakeResources, "world_model": world_model}
         return SuiteConfig(**{**told, **changes})
 
     return make

@@ -13,11 +13,12 @@ import pytest
 from PIL import Image
 
 from kinebench_drake import cli
+from kinebench_drake.clip_timing import sample_uniformly
 from kinebench_drake.formats.videos.find import find_samples
 from kinebench_drake.io.container import write_video
 from kinebench_drake.io.reader import read_video
 from kinebench_drake.suites.catalog import VERSION
-from kinebench_drake.suites.clock import CLIP_S, FRAME_PERIOD_S, sample_uniformly
+from kinebench_drake.suites.clock import CLIP_S, FRAME_PERIOD_S
 from kinebench_drake.suites.composition import Pool, compose
 from kinebench_drake.suites.families.registry import find_expert
 from kinebench_drake.suites.rollout import render_video, run_expert
@@ -256,15 +257,3 @@ def test_unknown_world_model_specifications_are_refused(tmp_path: Path) -> None:
     code, said = run(tmp_path / "out", "--world-model", "oracel")
     assert code == 2
     assert "one of" in said
-
-
-def test_ceiling_compares_success_with_direct_execution_and_refuses_the_run_folder_as_output(
-    oracle: Path, tmp_path: Path
-) -> None:
-    code, said = invoke("suite", "ceiling", str(oracle), "--out", str(tmp_path))
-    assert code == 0
-    assert "success in 1 of 1, direct execution in 1, 100.0% of it" in said
-    assert (tmp_path / "report.html").is_file()
-    code, said = invoke("suite", "ceiling", str(oracle), "--out", str(oracle))  # before any execution
-    assert code == 2
-    assert "the output folder of a run" in said

@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 from scipy.stats import spearmanr
 
+from kinebench_drake.report.number import ALL_TASKS
 from kinebench_drake.results.row import Status
 from kinebench_drake.stats import PairedShares
-from kinebench_drake.suites.report.comparison import ALL_TASKS, compare
+from kinebench_drake.suites.report.comparison import compare
 from kinebench_drake.suites.report.correlation import standardise, study_correlation
 from kinebench_drake.suites.report.episode_result import balanced_mean, list_models
 from kinebench_drake.suites.report.kinematics import robust_normalize, scale_costs, tabulate_following

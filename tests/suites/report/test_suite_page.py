@@ -13,7 +13,7 @@ from kinebench_drake.report.table import Column, Table, escape_latex, table_csv,
 from kinebench_drake.results.aggregate import Estimate
 from kinebench_drake.suites.report.comparison import read_comparison
 from kinebench_drake.suites.report.pooling import pool_episodes, read_suite_runs, spec_warnings
-from kinebench_drake.suites.report.suite_page import write_comparison, write_page, write_suite_report
+from kinebench_drake.suites.report.suite_page import write_page, write_suite_report
 from tests.report.pages import BROWSER, WIDTH, Page, probe
 from tests.suites.report.synthetic import EVIL, change, outcome, write_run
 
@@ -170,7 +170,7 @@ def test_dollar_signs_in_names_are_not_parsed_as_mathematics(tmp_path, crowd):
     tasks = {rf"T$\b${k}": [outcome(True, cost=6.0 + k), outcome(False, sparc=-3.0)] for k in range(2)}
     runs = [write_run(tmp_path / f"{k}", tasks, model=name) for k, name in enumerate(names)]
     assert write_suite_report(runs, tmp_path / "report").is_file()
-    assert write_comparison(read_comparison(runs[:2]), tmp_path / "comparison").is_file()
+    assert read_comparison(runs[:2]).write(tmp_path / "comparison").is_file()
 
 
 @pytest.mark.filterwarnings("error")
@@ -180,7 +180,7 @@ def test_figures_have_room_for_long_names(tmp_path):
     tasks = {"CloseLaptopEasy-v1": [True, False], "StoreFruitsBox-v1": [outcome(True, sparc=-3.0), False]}
     runs = [write_run(tmp_path / f"{k}", tasks, model=name) for k, name in enumerate(names)]
     assert write_suite_report(runs, tmp_path / "report").is_file()
-    assert write_comparison(read_comparison(runs), tmp_path / "comparison").is_file()
+    assert read_comparison(runs).write(tmp_path / "comparison").is_file()
 
 
 def test_runs_outside_the_parent_folder_are_not_linked(tmp_path):
@@ -192,7 +192,7 @@ def test_runs_outside_the_parent_folder_are_not_linked(tmp_path):
 
 def write_comparison_page(tmp_path, run):
     other = write_run(tmp_path / "far" / "two", {"T": [False]}, model="two")
-    return write_comparison(read_comparison([run, other]), tmp_path / "near" / "out").read_text()
+    return read_comparison([run, other]).write(tmp_path / "near" / "out").read_text()
 
 
 def test_a_comparison_is_printed_and_written(runs, tmp_path, capsys):
