@@ -90,7 +90,12 @@ class SmoothErrorEstimator:
         for number, view in self._base.estimate(frames, camera, crops):
             field = cv2.resize(self._nodes[number], (camera.width, camera.height), interpolation=cv2.INTER_CUBIC)
             error = self._rms * np.asarray(field) / field.std()
-            yield number, replace(view, depth_m=view.depth_m * (1.0 + view.crop.warp(error, camera, view.stride)))
+            yield (
+                number,
+                replace(
+                    view, depth_m=view.depth_m * (1.0 + np.asarray(view.crop.warp(error, camera, view.stride), float))
+                ),
+            )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -17,7 +17,8 @@ from kinebench_drake.suites.simulator import GRIPPER_LINKS, CameraImage, Simulat
 
 Warp = Callable[[Array], Array]
 """Maps points (N, 3) of the gripper to warped ones, in the frame of panda_hand [m]."""
-_STEP_M = 1e-4  # of the finite differences for normals
+_STEP_M = 1e-4
+"""Step of the finite differences for normals [m]."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
