@@ -119,7 +119,8 @@ def section(extractions: Sequence[Extraction], about: str) -> str:
     return markdown.section(
         "Outcomes by extractor",
         f"{len(extractions)} videos of {episodes} episodes, each executed through its true track, through that of the "
-        f"grounding, and through that of the [inverse-dynamics baseline](grounding.md#learned-baseline) ({about}). "
+        "grounding, and through that of the [inverse-dynamics baseline](grounding-evidence.md#learned-baseline) "
+        f"({about}). "
         "Changed: the outcome differs from that of the true track. In brackets: 95 % bootstrap intervals over "
         "episodes. Of the faults the table has those under which the grounding changes outcomes (interval above 0).",
         f"![Outcomes that an extractor changes]({FIGURE})",

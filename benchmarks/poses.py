@@ -123,7 +123,9 @@ def calibration(folder: Path, limit: int | None, frames: int, quick: bool) -> No
         click.echo(line)
 
 
-@click.command(epilog="\b\nExample:\n  python -m benchmarks icp heldout --keep icp.jsonl --out docs/grounding.md")
+@click.command(
+    epilog="\b\nExample:\n  python -m benchmarks icp heldout --keep icp.jsonl --out docs/grounding-evidence.md"
+)
 @click.argument("videos", type=EXISTING_FOLDER)
 @click.option("--keep", type=FILE, required=True, help="File of finished measurements; an earlier run is resumed.")
 @_limit_option
