@@ -3,7 +3,7 @@
 BIN := .venv/bin
 JOBS ?= 2
 
-.PHONY: demo worldmodel-demo test test-all gate soak bench bench-ik bench-audit bench-simulation bench-rounds bench-throughput bench-streaming bench-scale check setup wheel format constraints clean
+.PHONY: demo worldmodel-demo test test-all gate soak bench bench-ik bench-audit bench-simulation bench-throughput bench-scale check setup wheel format constraints clean
 
 demo: setup
 	$(BIN)/kinebench-drake score examples/videos/manifest.jsonl --out demo-output --overlay
@@ -34,13 +34,13 @@ soak: setup
 	$(PYTEST) --hypothesis-profile soak tests/reliability tests/test_properties.py
 	for round in $$(seq 20); do $(PYTEST) tests/cli -k "kill or interrupt" || exit 1; done
 
-# Inverse kinematics compared with other packages (installed first), audits, simulation, whole runs of the program, memory
-# over 2,000 samples, and a run of 100,000 without its measurements. Results go to benchmarks/results, tables from there
+# Inverse kinematics compared with other packages (installed first), audits, simulation, whole runs of the program, and a
+# run of 100,000 samples without its measurements. Results go to benchmarks/results, tables from there
 # into the pages; what became worse since the result before is printed.
-bench: bench-ik bench-audit bench-simulation bench-rounds bench-throughput bench-streaming bench-scale
+bench: bench-ik bench-audit bench-simulation bench-throughput bench-scale
 	$(BIN)/python -m benchmarks figures
 
-bench-ik bench-audit bench-simulation bench-rounds bench-throughput bench-streaming bench-scale: bench-%: setup
+bench-ik bench-audit bench-simulation bench-throughput bench-scale: bench-%: setup
 	$(if $(filter bench-ik,$@),-$(BIN)/python -m pip --disable-pip-version-check install --quiet -c setup/constraints.txt -e '.[bench]')
 	$(BIN)/python -m benchmarks $*
 

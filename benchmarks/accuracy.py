@@ -52,9 +52,9 @@ class HeldoutFigures:
     """Figures of held-out renderings."""
 
     summary: Mapping[str, float]
-    """See `summarize`."""
+    """Figures of all frames, of `summarize`."""
     intervals: Mapping[str, IntervalEstimate]
-    """See `intervals`."""
+    """Figures with their intervals over videos, of `intervals`."""
 
 
 def measure(

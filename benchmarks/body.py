@@ -19,7 +19,8 @@ from kinebench_drake.geometry import Array, make_pose, rotation_exp
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.models.robot import N_JOINTS
 
-_OPEN_M = 0.04  # a gap within the range of every such gripper
+_OPEN_M = 0.04
+"""A gap within the range of every such gripper [m]."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

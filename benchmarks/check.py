@@ -1,4 +1,4 @@
-"""Comparison of an audit's rows with the ground truth: false alarms, detections, right reasons, missing reasons."""
+"""Comparison of an audit's rows with the ground truth: false alarms, detections, right reasons."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -9,7 +9,7 @@ from benchmarks.trajectory import TrajectoryKind, TrajectoryTruth
 from kinebench_drake.errors import InputError, cause
 from kinebench_drake.io.jsonl import parse_json
 from kinebench_drake.results.aggregate import Estimate, estimate
-from kinebench_drake.results.row import SampleRow, Status
+from kinebench_drake.results.row import SampleRow
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -39,10 +39,6 @@ class KindSummary:
     """Rows whose `feasible` is null."""
     missing: tuple[str, ...]
     """Trajectories without a row."""
-    errors: tuple[str, ...]
-    """Rows with status error."""
-    unexplained: tuple[str, ...]
-    """Rows with status error, and rows without a reason for a status that is not ok or for a null metric."""
 
 
 def read_rows(path: Path) -> list[SampleRow]:
@@ -69,7 +65,6 @@ def compare(rows: Iterable[SampleRow], truths: Mapping[str, TrajectoryTruth]) ->
 
 def _summary(kind: TrajectoryKind, truths: Sequence[TrajectoryTruth], rows: Mapping[str, SampleRow]) -> KindSummary:
     pairs = [(truth, rows[truth.id]) for truth in truths if truth.id in rows]
-    ok = [(truth, row) for truth, row in pairs if row.status is Status.OK]
     wrong = [truth.id for truth, row in pairs if (row.feasible is False) is truth.feasible]
     named = [row.feasible is False and _names(row, truth) for truth, row in pairs]
     return KindSummary(
@@ -79,21 +74,13 @@ def _summary(kind: TrajectoryKind, truths: Sequence[TrajectoryTruth], rows: Mapp
         reason_named=_count(named, len(truths), [t.id for (t, _), right in zip(pairs, named, strict=True) if not right])
         if truths[0].reasons
         else None,
-        undecided=tuple(truth.id for truth, row in ok if row.feasible is None),
+        undecided=tuple(truth.id for truth, row in pairs if row.feasible is None),
         missing=tuple(truth.id for truth in truths if truth.id not in rows),
-        errors=tuple(truth.id for truth, row in pairs if row.status is Status.ERROR),
-        unexplained=tuple(truth.id for truth, row in pairs if _unexplained(row)),
     )
 
 
 def _names(row: SampleRow, truth: TrajectoryTruth) -> bool:
     return bool({reason.value for reason in truth.reasons} & {str(v.get("kind")) for v in row.violations})
-
-
-def _unexplained(row: SampleRow) -> bool:
-    if row.status is Status.OK:
-        return any(value is None and not row.null_reasons.get(name) for name, value in row.metrics.items())
-    return row.status is Status.ERROR or not row.reason
 
 
 def _count(values: Sequence[bool], total: int, ids: Sequence[str]) -> ShareCount:
@@ -107,7 +94,7 @@ def summary_table(summaries: Sequence[KindSummary]) -> str:
     notes = []
     for s in summaries:
         named = "" if s.reason_named is None else _percent(s.reason_named)
-        counts = [str(len(ids)) for ids in (s.undecided, s.missing, s.errors, s.unexplained)]
+        counts = [str(len(ids)) for ids in (s.undecided, s.missing)]
         rows.append([s.kind.value, str(s.total), _percent(s.judged_infeasible), named, *counts])
         feasible = s.kind in (TrajectoryKind.FEASIBLE, TrajectoryKind.NOISY)
         wrong_reason = () if s.reason_named is None else s.reason_named.ids
@@ -116,8 +103,6 @@ def summary_table(summaries: Sequence[KindSummary]) -> str:
             ("another reason named", tuple(i for i in wrong_reason if i not in s.judged_infeasible.ids)),
             ("undecided", s.undecided),
             ("missing", s.missing),
-            ("errors", s.errors),
-            ("unexplained", s.unexplained),
         ):
             if ids:
                 notes.append(f"{s.kind.value}, {name}: {' '.join(ids)}")
@@ -125,8 +110,8 @@ def summary_table(summaries: Sequence[KindSummary]) -> str:
     if len(planted) > 1:
         detected = _pooled([s.judged_infeasible for s in planted])
         named = _pooled([s.reason_named for s in planted if s.reason_named is not None])
-        rows.append(["all planted", str(sum(s.total for s in planted)), detected, named, *[""] * 4])
-    lines = table((*head, "undecided", "missing", "errors", "unexplained"), rows)
+        rows.append(["all planted", str(sum(s.total for s in planted)), detected, named, "", ""])
+    lines = table((*head, "undecided", "missing"), rows)
     return "\n".join([*lines, *(["", *notes] if notes else [])])
 
 

@@ -9,30 +9,19 @@ succeeds where the true one fails, or fails where that succeeds: the failure is 
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from enum import Enum
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from benchmarks import markdown
 from benchmarks.bootstrap import cluster_bootstrap
-from benchmarks.perception.store import MeasurementStore, fingerprint
-from benchmarks.validity import ExecutionWorker, TrackExecution, ValidityTrial, read_study, study_specs
+from benchmarks.executions import ClipTrack, Extractor, execute_all
+from benchmarks.validity import read_study, study_specs
 from kinebench_drake.anomaly import AnomalyKind
-from kinebench_drake.camera import benchmark_camera
-from kinebench_drake.errors import InputError
-from kinebench_drake.executors.local import LocalExecutor
-from kinebench_drake.geometry import Array
 from kinebench_drake.io.figure import POSITION, ROTATION, new_figure
-from kinebench_drake.io.npz import open_npz
-from kinebench_drake.io.reader import read_video
 from kinebench_drake.runs.runner import RunObserver
 from kinebench_drake.stats import IntervalEstimate, wilson
-from kinebench_drake.suites.catalog import EpisodeSpec
-from kinebench_drake.track import GripperTrack
 from training.baseline.network import Baseline
 
 if TYPE_CHECKING:
@@ -41,26 +30,6 @@ if TYPE_CHECKING:
 FIGURE = "extractors.png"
 """Figure beside the page."""
 _EXTRACTIONS = "extractions.jsonl"
-
-
-class Extractor(Enum):
-    """Source of the track that is executed."""
-
-    TRUTH = "truth"
-    GROUNDING = "grounding"
-    BASELINE = "baseline"
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ExtractionItem:
-    """Video to execute through one extractor."""
-
-    id: str
-    """Id of the video."""
-    spec: EpisodeSpec
-    video: Path
-    truth: Path
-    extractor: Extractor
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -81,43 +50,6 @@ class Extraction:
         return self.success[extractor] is not self.success[Extractor.TRUTH]
 
 
-class ExtractionWorker:
-    """Executes the true track of a video, or the baseline's, from the initial state of its episode."""
-
-    def __init__(self, weights: Path) -> None:
-        """Load the simulator and the weights of the baseline."""
-        self._executor = ExecutionWorker()
-        self._baseline = Baseline.load(weights)
-
-    def __call__(self, item: ExtractionItem) -> TrackExecution:
-        """Execute one video."""
-        try:
-            with open_npz(item.truth) as truth:
-                track = certain_track(truth["t_s"], truth["base_from_tcp"], truth["finger_width_m"])
-            if item.extractor is Extractor.BASELINE:
-                track = self._baseline.track(read_video(item.video).frames, track.t_s, benchmark_camera())
-        except InputError as error:
-            return TrackExecution(success=False, reason=str(error))
-        return self._executor.execute(item.spec, track)
-
-    def close(self) -> None:
-        """Release the simulator."""
-        self._executor.close()
-
-
-def certain_track(t_s: Array, X_BG: Array, finger_width_m: Array) -> GripperTrack:
-    """Return the track of poses (T, 4, 4) that are certain where they are finite."""
-    tracked: NDArray[np.bool_] = np.asarray(np.isfinite(X_BG).all(axis=(1, 2)))
-    return GripperTrack(
-        t_s=t_s,
-        X_CH=np.full_like(X_BG, np.nan),
-        X_BG=X_BG,
-        tracked=tracked,
-        confidence=np.asarray(tracked, dtype=np.float64),
-        finger_width_m=finger_width_m,
-    )
-
-
 def measure(work: Path, weights: Path, jobs: int, observer: RunObserver) -> list[Extraction]:
     """Execute the videos of a validity study through truth and baseline; an interrupted measurement resumes.
 
@@ -128,44 +60,29 @@ def measure(work: Path, weights: Path, jobs: int, observer: RunObserver) -> list
     trials, _ = read_study(work)
     specs = {spec.id: spec for spec in study_specs()}
     tasks = Baseline.load(weights).tasks
-    items = [
-        ExtractionItem(
+    sources = {Extractor.TRUTH: "truth/{}.npz", Extractor.BASELINE: "{}.mp4"}
+    clips = [
+        ClipTrack(
             id=trial.id,
             spec=specs[trial.episode],
-            video=work / "videos" / f"{trial.id}.mp4",
-            truth=work / "videos" / "truth" / f"{trial.id}.npz",
             extractor=extractor,
+            source=work / "videos" / source.format(trial.id),
+        )
+        for extractor, source in sources.items()
+        for trial in trials
+    ]
+    done = execute_all(clips, work / _EXTRACTIONS, weights, jobs, observer)
+    success = {(clip.extractor, clip.id): outcome.success for clip, outcome in zip(clips, done, strict=True)}
+    return [
+        Extraction(
+            id=trial.id,
+            episode=trial.episode,
+            kind=trial.kind,
+            trained=trial.task in tasks,
+            success={Extractor.GROUNDING: trial.success, **{e: success[e, trial.id] for e in sources}},
         )
         for trial in trials
-        for extractor in (Extractor.TRUTH, Extractor.BASELINE)
     ]
-    modules = ["kinebench_drake.suites.closed_loop.execution"]
-    code = {
-        Extractor.TRUTH: fingerprint(modules=modules),
-        Extractor.BASELINE: fingerprint(modules=[*modules, "training.baseline.network"], files=[weights]),
-    }
-    store = MeasurementStore(work / _EXTRACTIONS, TrackExecution)
-    done = store.complete(
-        items,
-        lambda item: f"{code[item.extractor]}-{fingerprint(files=[item.video, item.truth])}-{item.id}",
-        LocalExecutor(jobs=jobs),
-        partial(ExtractionWorker, weights),
-        observer,
-        lambda item: f"{item.id}  {item.extractor.value}",
-    )
-    success = {(item.id, item.extractor): outcome.success for item, outcome in zip(items, done, strict=True)}
-    return [_extraction(trial, success, tasks) for trial in trials]
-
-
-def _extraction(trial: ValidityTrial, success: dict[tuple[str, Extractor], bool], tasks: Sequence[str]) -> Extraction:
-    others = {e: success[trial.id, e] for e in (Extractor.TRUTH, Extractor.BASELINE)}
-    return Extraction(
-        id=trial.id,
-        episode=trial.episode,
-        kind=trial.kind,
-        trained=trial.task in tasks,
-        success={**others, Extractor.GROUNDING: trial.success},
-    )
 
 
 def _groups(extractions: Sequence[Extraction]) -> Iterator[tuple[str, list[Extraction]]]:
@@ -202,7 +119,8 @@ def section(extractions: Sequence[Extraction], about: str) -> str:
     return markdown.section(
         "Outcomes by extractor",
         f"{len(extractions)} videos of {episodes} episodes, each executed through its true track, through that of the "
-        f"grounding, and through that of the [inverse-dynamics baseline](grounding.md#learned-baseline) ({about}). "
+        "grounding, and through that of the [inverse-dynamics baseline](grounding-evidence.md#learned-baseline) "
+        f"({about}). "
         "Changed: the outcome differs from that of the true track. In brackets: 95 % bootstrap intervals over "
         "episodes. Of the faults the table has those under which the grounding changes outcomes (interval above 0).",
         f"![Outcomes that an extractor changes]({FIGURE})",

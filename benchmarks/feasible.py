@@ -18,7 +18,8 @@ OTHER_PERIODS_S = (0.05, 1.0 / 17.0)
 
 _SHARES = {Family.CARTESIAN: 0.7, Family.SHIPPED: 0.15, Family.JOINT: 0.15}
 _DRAW = {Family.CARTESIAN: cartesian, Family.SHIPPED: shipped, Family.JOINT: joint_space}
-_WINDOWS = 4  # tracks cut out of one long motion
+_WINDOWS = 4
+"""Tracks cut out of one long motion."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -34,8 +35,6 @@ class FeasibleMotion:
     period_s: float
     """Time between frames [s]."""
     frames: int
-    cut: bool
-    """True if the frames may begin or end while the arm moves."""
 
     @property
     def t_s(self) -> Array:
@@ -85,7 +84,7 @@ def draw_feasible(
         proof = prove(arm, motion, start, start + span) if proven else None
         if proof is None or proof.holds:
             return FeasibleMotion(
-                family=family, motion=motion, proof=proof, start_s=start, period_s=period, frames=frames, cut=cut
+                family=family, motion=motion, proof=proof, start_s=start, period_s=period, frames=frames
             )
 
 

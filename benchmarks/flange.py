@@ -31,8 +31,10 @@ _Video = tuple[Frames, Camera, Array]
 """Frames (T, H, W, 3), camera and true poses (T, 4, 4) of panda_hand in its frame [m]."""
 FRAMES = 16
 """Frames of a video that are measured, from its middle."""
-_DARK = 0.7  # share of scenes whose Robotiq gripper is dark, as it is sold
-_HALVES = ((0.05, 0.08, 0.05), (0.012, 0.02, 0.06), (0.012, 0.02, 0.06))  # of palm and fingers [m]
+_DARK = 0.7
+"""Share of scenes whose Robotiq gripper is dark, as it is sold."""
+_HALVES = ((0.05, 0.08, 0.05), (0.012, 0.02, 0.06), (0.012, 0.02, 0.06))
+"""Half sides of palm and fingers [m]."""
 _CENTRES = ((0.0, 0.0, 0.05), (0.0, 0.06, 0.15), (0.0, -0.06, 0.15))
 
 

@@ -13,13 +13,13 @@ the verdicts known. Detectors were mended after a look at the clips of `best`; t
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.executions import ClipTrack, Extractor, execute_all
 from benchmarks.footage_labels import (
     SILENT_SHARE,
     LabelledFrame,
@@ -30,60 +30,22 @@ from benchmarks.footage_labels import (
 )
 from benchmarks.generated import BEST, points_text, reported_kinds
 from benchmarks.markdown import percent, section, table
-from benchmarks.perception.store import MeasurementStore, fingerprint
-from benchmarks.validity import ExecutionWorker, TrackExecution
 from kinebench_drake.anomaly import AnomalyKind
 from kinebench_drake.camera import benchmark_camera
-from kinebench_drake.executors.local import LocalExecutor
 from kinebench_drake.io.jsonl import read_json
-from kinebench_drake.io.reader import read_video
 from kinebench_drake.results.row import Status
 from kinebench_drake.results.store import artifact_path, read_rows
-from kinebench_drake.results.trackfile import read_track
 from kinebench_drake.runs.runner import RunObserver
 from kinebench_drake.stats import PairedShares
-from kinebench_drake.suites.catalog import EpisodeSpec, load_suite
-from kinebench_drake.track import GripperTrack
+from kinebench_drake.suites.catalog import load_suite
 from training.baseline.network import Baseline
 
 LABELS = Path(__file__).with_name("generated_labels.json")
 SUITE = 3
 """Suite of the study."""
+_EXTRACTORS = (Extractor.GROUNDING, Extractor.BASELINE)
 FAR_SHARE = 0.1
 """Reprojection error over the hand's length beyond which a pose is not good."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Clip:
-    """First clip of an episode, to be executed through one extractor."""
-
-    id: str
-    spec: EpisodeSpec
-    video: Path
-    track: Path
-    baseline: bool
-    """True: the inverse-dynamics baseline; False: the grounding."""
-
-    def read(self, network: Baseline) -> GripperTrack:
-        """Return the extractor's track of the clip."""
-        frames = read_video(self.video).frames
-        track = read_track(self.track).track.at(np.arange(len(frames)))
-        return network.track(frames, track.t_s, benchmark_camera()) if self.baseline else track
-
-
-class _Worker:
-    """Executes the first clip of an episode through one extractor."""
-
-    def __init__(self, weights: Path) -> None:
-        self._executor = ExecutionWorker()
-        self._network = Baseline.load(weights)
-
-    def __call__(self, clip: Clip) -> TrackExecution:
-        return self._executor.execute(clip.spec, clip.read(self._network))
-
-    def close(self) -> None:
-        """Release the simulator."""
-        self._executor.close()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -124,15 +86,15 @@ class EyeStudy:
         self._folder = study / BEST
         self._rows = read_rows(self._folder)
 
-    def _clips(self, ids: Sequence[str], *, baseline: bool) -> list[Clip]:
+    def _clips(self, ids: Sequence[str], extractor: Extractor) -> list[ClipTrack]:
         suite = load_suite(SUITE)
         clips = []
         for id in ids:
             row = self._rows[id]
             (spec,) = suite.specs("test", 1, tasks=[str(row.task)], offset=int(str(row.extra["seed"])))
             video = self._folder / "videos" / f"{id}_r0.mp4"
-            track = artifact_path(self._folder, "tracks", id)
-            clips.append(Clip(id=id, spec=spec, video=video, track=track, baseline=baseline))
+            source = video if extractor is Extractor.BASELINE else artifact_path(self._folder, "tracks", id)
+            clips.append(ClipTrack(id=id, spec=spec, extractor=extractor, source=source))
         return clips
 
     def sections(self, jobs: int, observer: RunObserver) -> Iterator[str]:
@@ -150,10 +112,10 @@ class EyeStudy:
         frames = [frame for id in ids for frame in self._labels.videos[id]]
         length = np.concatenate([hand_lengths_px(self._labels.videos[id]) for id in ids])
         rows = []
-        for baseline in (False, True):
+        for extractor in _EXTRACTORS:
             px = []
             confidence = []
-            for id, clip in zip(ids, self._clips(ids, baseline=baseline), strict=True):
+            for id, clip in zip(ids, self._clips(ids, extractor), strict=True):
                 track = clip.read(network)
                 for frame in self._labels.videos[id]:
                     k = frame.frame
@@ -164,12 +126,12 @@ class EyeStudy:
             tracked = np.isfinite(px)
             share = (error / length)[tracked]
             rows.append([
-                "baseline" if baseline else "grounding",
+                extractor.value,
                 f"{tracked.sum()} of {len(frames)}",
                 f"{np.median(error[tracked]):.1f} px, {np.percentile(error[tracked], 95):.1f} px",
                 percent(float(np.median(share))),
                 percent(float((share <= FAR_SHARE).mean())),
-                "-" if baseline else percent(float(np.array(confidence)[tracked].mean())),
+                "-" if extractor is Extractor.BASELINE else percent(float(np.array(confidence)[tracked].mean())),
                 percent(float((share > SILENT_SHARE).mean())),
             ])  # fmt: skip
         head = ("", "tracked", "error, median and 95 %", "of the hand's length", "within 10 % of it")
@@ -219,18 +181,8 @@ class EyeStudy:
     def execution_lines(self, jobs: int, observer: RunObserver) -> Iterator[str]:
         """Yield the success of first clips executed through grounding and baseline; an interrupted run resumes."""
         ids = sorted(id for id, row in self._rows.items() if row.status is Status.OK)
-        clips = [clip for baseline in (False, True) for clip in self._clips(ids, baseline=baseline)]
-        modules = ["kinebench_drake.suites.closed_loop.execution", "training.baseline.network"]
-        network = self._weights
-        code = fingerprint(modules=modules, files=[network])
-        done = MeasurementStore(self._folder.with_name("executions.jsonl"), TrackExecution).complete(
-            clips,
-            lambda clip: f"{code}-{fingerprint(clip.baseline, files=[clip.video, clip.track])}-{clip.id}",
-            LocalExecutor(jobs=jobs),
-            partial(_Worker, network),
-            observer,
-            lambda clip: clip.id,
-        )
+        clips = [clip for extractor in _EXTRACTORS for clip in self._clips(ids, extractor)]
+        done = execute_all(clips, self._folder.with_name("executions.jsonl"), self._weights, jobs, observer)
         success = np.array([outcome.success for outcome in done]).reshape(2, -1)
         tasks = np.array([self._rows[id].task for id in ids])
         rows = []

@@ -19,8 +19,10 @@ from kinebench_drake.track import GripperTrack
 
 STAGES = 2
 """Times that frames of a track are replaced, one after the other."""
-_FAR_M = (1.4, 2.0)  # distance of an unreachable TCP from the shoulder; the arm is 1.2 m long with its hand
-_PAST_RAD = (0.3, 1.0)  # angle of an unreachable posture past a joint limit
+_FAR_M = (1.4, 2.0)
+"""Range of the distance of an unreachable TCP from the shoulder [m]; the arm is 1.2 m long with its hand."""
+_PAST_RAD = (0.3, 1.0)
+"""Range of the angle of an unreachable posture past a joint limit [rad]."""
 _SHOULDER_M = np.array([0.0, 0.0, 0.333])
 
 

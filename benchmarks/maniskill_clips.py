@@ -39,7 +39,8 @@ VIEWS = (
 """Tasks, and the camera of each: that of its videos, or that of its policies' observations."""
 PERIOD_S = 0.2
 """Task time between two frames [s]."""
-_SIDE_PX = 256  # of pictures by the cameras of observations; videos have the size of the task
+_SIDE_PX = 256
+"""Width and height of pictures by the cameras of observations [px]; videos have the size of the task."""
 _USUAL_Q = np.array([0.0, np.pi / 8, 0.0, -5 * np.pi / 8, 0.0, 3 * np.pi / 4, np.pi / 4])
 _SPREAD_RAD = np.array([0.4, 0.3, 0.3, 0.35, 0.3, 0.35, 0.8])
 _LOWEST_M = 0.04

@@ -16,8 +16,10 @@ PROOF_HZ = 500.0
 CLEARANCE_M = 0.001
 """Least distance between links that may not touch [m]."""
 
-_FAR_M = 0.05  # greater distances are not computed
-_DEGREE = 5  # a continuous fourth derivative: acceleration and jerk are exact, not differences
+_FAR_M = 0.05
+"""Distance of two links beyond which it is not computed [m]."""
+_DEGREE = 5
+"""Degree of the splines: the fourth derivative is continuous, so acceleration and jerk are exact, not differences."""
 
 
 class Arm:

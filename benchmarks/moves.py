@@ -248,7 +248,8 @@ def _lid(rng: np.random.Generator, arm: Arm) -> list[Move]:
 
 _TASKS = (_pick_and_place, _push, _drawer, _lid)
 
-_STEPS = 192  # control steps of a benchmark episode
+_STEPS = 192
+"""Control steps of a benchmark episode."""
 _JOINT_KNOTS = 40
 
 

@@ -11,8 +11,7 @@ software renderer needs Debian's libosmesa6.
 
 import argparse
 import json
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -28,11 +27,14 @@ HAND_TO_TCP_M = 0.1034
 PERIOD_S = 0.2
 FINGER_M = 0.04
 _VISUAL_GROUP = 1
-_WORKSPACE = np.array([[0.32, 0.62], [-0.3, 0.3], [0.06, 0.4]])  # of the TCP in the base frame [m]
-_TABLE_LIFT_M = -0.15  # of the workspace to the table tops of the scenes, at which their cameras look
-# pixels of the gripper in an image of 384 px, and share of the frames with as many
+_WORKSPACE = np.array([[0.32, 0.62], [-0.3, 0.3], [0.06, 0.4]])
+"""Box of the TCP's positions in the base frame [m]."""
+_TABLE_LIFT_M = -0.15
+"""Lift of the workspace to the table tops of the scenes, at which their cameras look [m]."""
 _LEAST_PX = 300
+"""Pixels of the gripper from which it is visible, in an image of 384 px."""
 _LEAST_SHARE = 0.8
+"""Least share of the frames in which it is visible."""
 
 
 class Arm:
@@ -211,58 +213,12 @@ class Film:
             for b in bodies
             if arm.model.body(b).name == "robot0_right_hand" or "gripper0_right" in arm.model.body(b).name
         ]
-        self.change: Callable[[Any, list[int]], None] | None = None
-        """Changes a scene before it is rendered; it gets the numbers of the gripper's geoms in the scene."""
 
     def image(self) -> NDArray[Any]:
         """Return the image (H, W, 3)."""
         mujoco.mj_forward(self._arm.model, self._arm.data)
         self._renderer.update_scene(self._arm.data, camera=self._camera, scene_option=self._option)
-        if self.change is not None:
-            self.change(self._renderer.scene, self._gripper_geoms())
         return np.asarray(self._renderer.render())
-
-    def _gripper_geoms(self) -> list[int]:
-        """Return the numbers of the geoms of hand and fingers in the scene."""
-        scene = self._renderer.scene
-        model = self._arm.model
-        geoms = ((i, scene.geoms[i]) for i in range(scene.ngeom))
-        return [
-            i for i, g in geoms if g.objtype == mujoco.mjtObj.mjOBJ_GEOM and model.geom_bodyid[g.objid] in self._gripper
-        ]
-
-    @contextmanager
-    def warped(self, A: NDArray[Any]) -> Iterator[None]:
-        """Prepare a change that maps points of the gripper by `A` (3, 3) in the frame of panda_hand."""
-        model = self._arm.model
-        X_WH = self._arm.data.body("robot0_right_hand")
-        geoms = [g for g in range(model.ngeom) if model.geom_bodyid[g] in self._gripper and model.geom_dataid[g] >= 0]
-        visual = {model.geom_dataid[g]: g for g in geoms if model.geom_group[g] == _VISUAL_GROUP}
-        shape = {}
-        for mesh, g in visual.items():
-            own = slice(model.mesh_vertadr[mesh], model.mesh_vertadr[mesh] + model.mesh_vertnum[mesh])
-            R_HG = X_WH.xmat.reshape(3, 3).T @ self._arm.data.geom_xmat[g].reshape(3, 3)
-            vertices = model.mesh_vert[own].copy()
-            shape[mesh] = own, vertices, vertices @ (R_HG.T @ A @ R_HG).T
-
-        def warp(scene: Any, gripper: list[int]) -> None:
-            R = X_WH.xmat.reshape(3, 3)
-            p = X_WH.xpos
-            for i in gripper:
-                scene.geoms[i].pos[:] = p + R @ A @ R.T @ (scene.geoms[i].pos - p)
-            self._upload({mesh: (own, new) for mesh, (own, _, new) in shape.items()})
-
-        self.change = warp
-        try:
-            yield
-        finally:
-            self.change = None
-            self._upload({mesh: (own, old) for mesh, (own, old, _) in shape.items()})
-
-    def _upload(self, meshes: dict[int, tuple[slice, NDArray[Any]]]) -> None:
-        for mesh, (own, vertices) in meshes.items():
-            self._arm.model.mesh_vert[own] = vertices
-            mujoco.mjr_uploadMesh(self._arm.model, self._renderer._mjr_context, mesh)
 
     def gripper_px(self) -> int:
         """Return the number of pixels that show hand or fingers."""

@@ -16,7 +16,7 @@ from kinebench_drake.errors import KinebenchError, UsageError, name_options
 
 EXAMPLES = Path("examples/videos")
 BASELINE = Path("benchmarks/baseline.safetensors")
-"""Weights that `python -m benchmarks baseline` made."""
+"""Weights that `python -m training baseline` made."""
 FOLDER = PathParameter(file_okay=False)
 FILE = PathParameter(dir_okay=False)
 EXISTING_FILE = PathParameter(dir_okay=False, exists=True)

@@ -26,7 +26,8 @@ POSITION_M = 1e-4
 ROTATION_RAD = 1e-3
 """Tolerances of a reached pose."""
 
-_STEPS = 50  # maximum number of Newton-like steps of a solver for one pose
+_STEPS = 50
+"""Maximum number of Newton-like steps of a solver for one pose."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

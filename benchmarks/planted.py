@@ -37,11 +37,10 @@ POSE_EXCESS_RAD = 0.02
 """Least excess of the worst joint, over all postures of a pose that is reachable without limits [rad]."""
 OVERLAP_M = 0.005
 """Least penetration depth of two links [m]."""
-
-# mean speeds of an excursion, if there is time
 _ONE_SPEED_M_S = 0.2
 _ONE_TURN_RAD_S = 0.8
 _ONE_JOINT_SHARE = 0.5
+"""Mean speeds of an excursion, if there is time: of the gripper, of its rotation, of a joint over its limit."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

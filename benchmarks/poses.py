@@ -123,7 +123,9 @@ def calibration(folder: Path, limit: int | None, frames: int, quick: bool) -> No
         click.echo(line)
 
 
-@click.command(epilog="\b\nExample:\n  python -m benchmarks icp heldout --keep icp.jsonl --out docs/grounding.md")
+@click.command(
+    epilog="\b\nExample:\n  python -m benchmarks icp heldout --keep icp.jsonl --out docs/grounding-evidence.md"
+)
 @click.argument("videos", type=EXISTING_FOLDER)
 @click.option("--keep", type=FILE, required=True, help="File of finished measurements; an earlier run is resumed.")
 @_limit_option
@@ -286,7 +288,7 @@ def planted_videos(
 ) -> None:
     """Render videos of the Panda, each with one planted fault, and their ground truth."""
     from benchmarks.faults.fault import choose
-    from benchmarks.planted_videos import PlantingOrder, make_planter, write_index
+    from benchmarks.planted_videos import PlantedVideo, PlantingOrder, make_planter, write_index
     from benchmarks.trials import run_all
     from kinebench_drake.suites.catalog import load_suite
 
@@ -302,7 +304,7 @@ def planted_videos(
         for i, spec in enumerate(specs)
     ]
     (out / "truth").mkdir(parents=True, exist_ok=True)
-    videos = []
+    videos: list[PlantedVideo] = []
     for result in run_all(make_planter, [order for order in orders if order.grades], jobs):
         videos += result.videos
         for problem in result.problems:

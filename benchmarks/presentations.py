@@ -33,10 +33,11 @@ WRONG_RAD = np.deg2rad(15.0)
 RIGHT_M = 0.02
 RIGHT_RAD = np.deg2rad(5.0)
 """Median errors up to which it is right."""
-_SAME_M = 0.005  # distance of a recognized camera from the true one beyond which it is another
-# sides of a cropped picture over those of the whole one
+_SAME_M = 0.005
+"""Distance of a recognized camera from the true one beyond which it is another [m]."""
 _MIDDLE = 0.875
 _CORNER = 0.9
+"""Sides of a cropped picture over those of the whole one."""
 
 
 class Presentation(Enum):

@@ -1,10 +1,8 @@
 """Results of benchmarks as files: figures, machine and revision; comparison with the results before; their pages."""
 
-import hashlib
 import subprocess
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
-from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +23,6 @@ PAGES = {
 """Page of each benchmark, in the order in which they are measured."""
 SLOWER = 1.1
 """Ratio to the result before from which a figure is listed as worse."""
-_FOLDERS = ("kinebench_drake", "grounding", "models", "suites", "benchmarks")
 
 
 def current_revision() -> str:
@@ -55,9 +52,7 @@ class BenchmarkRecord:
     """Section of its page (`PAGES`)."""
     machine: Mapping[str, Any]
     revision: str
-    """Commit that was checked out."""
-    sources_sha256: str
-    """Hash of all sources, committed or not."""
+    """Commit that was checked out, -dirty if files differed from it."""
 
     @classmethod
     def of(cls, name: str, figures: Mapping[str, float], section: str) -> "BenchmarkRecord":
@@ -68,7 +63,6 @@ class BenchmarkRecord:
             section=section,
             machine=host(),
             revision=current_revision(),
-            sources_sha256=sources_hash(),
         )
 
     @classmethod
@@ -116,15 +110,4 @@ def write_pages(folder: Path = RESULTS) -> Iterator[str]:
             continue
         section = f"{record.section}\n\nRevision {record.revision}."
         write_atomically(page, replace_section(page.read_text(), section).encode())
-        state = "these sources" if record.sources_sha256 == sources_hash() else "other sources"
-        yield f"{name}: {page}, measured at {record.revision} with {state}"
-
-
-@cache
-def sources_hash() -> str:
-    """Return the SHA-256 of all Python sources of the package and of the benchmarks."""
-    digest = hashlib.sha256()
-    for folder in _FOLDERS:
-        for path in sorted((ROOT / folder).rglob("*.py")):
-            digest.update(path.relative_to(ROOT).as_posix().encode() + b"\0" + path.read_bytes())
-    return digest.hexdigest()
+        yield f"{name}: {page}, measured at {record.revision}"

@@ -90,7 +90,12 @@ class SmoothErrorEstimator:
         for number, view in self._base.estimate(frames, camera, crops):
             field = cv2.resize(self._nodes[number], (camera.width, camera.height), interpolation=cv2.INTER_CUBIC)
             error = self._rms * np.asarray(field) / field.std()
-            yield number, replace(view, depth_m=view.depth_m * (1.0 + view.crop.warp(error, camera, view.stride)))
+            yield (
+                number,
+                replace(
+                    view, depth_m=view.depth_m * (1.0 + np.asarray(view.crop.warp(error, camera, view.stride), float))
+                ),
+            )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -179,7 +184,7 @@ def measure(
 
 
 def section(results: Mapping[str, Sequence[RegistrationErrors]], seed: int = 0) -> str:
-    """Return the section of docs/grounding.md: medians by kind of depth, with intervals over videos."""
+    """Return the section of docs/grounding-evidence.md: medians by kind of depth, with intervals over videos."""
     videos = len(next(iter(results.values())))
     frames = sum(len(e.weight) for e in next(iter(results.values())))
     head = ["depth", "weight"]
@@ -187,8 +192,9 @@ def section(results: Mapping[str, Sequence[RegistrationErrors]], seed: int = 0) 
     rows = [[name, *_cells(errors, seed)] for name, errors in results.items()]
     return markdown.section(
         "What ICP contributes",
-        f"Written by `python -m benchmarks icp heldout --keep icp.jsonl --limit {videos} --out docs/grounding.md`: "
-        f"{frames} single frames of {videos} held-out videos, before smoothing. The depth is the network's, the true "
+        f"Written by `python -m benchmarks icp heldout --keep icp.jsonl --limit {videos} "
+        f"--out docs/grounding-evidence.md`: {frames} single frames of {videos} held-out videos, before smoothing. "
+        "The depth is the network's, the true "
         "one with errors, or exact. All columns but the last are medians. The last is the mean difference in the same "
         "frames, with its 95 % bootstrap interval over videos.",
         markdown.table(head, rows),

@@ -45,7 +45,7 @@ _INTRODUCTION = (
     "the grounding those it tracks, of the network all. Medians have 95 % bootstrap intervals "
     "over videos. Tracked: of the frames in which at least 30 % of the gripper is visible. The programs that perturb "
     "these frames are not used in training, but training images of both networks are degraded in similar ways. "
-    "The network is the [learned baseline](grounding.md#learned-baseline), trained on {training}. "
+    "The network is the [learned baseline](grounding-evidence.md#learned-baseline), trained on {training}. "
     "The table has the perturbations that cost the grounding 1 % of the frames or a quarter of its exactness. "
     "Rotations and all strengths: [{figure}]({figure})."
 )

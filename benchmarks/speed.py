@@ -154,7 +154,7 @@ def accuracy(results: Path, heldout: Path | None, others: tuple[Path, ...], work
     from kinebench_drake.cli.progress import ProgressView
 
     with ProgressView("videos") as view:
-        measured = measure(_heldout(heldout, work), others, work, view, log)
+        measured = measure(_heldout(heldout, work), others, work, view)
     _record("accuracy", results, figures(*measured), section(*measured))
 
 

@@ -30,7 +30,8 @@ SLACK_RAD = 0.01
 REACH_M = float(np.hypot(0.316, 0.0825) + np.hypot(0.384, 0.0825))
 """Greatest distance of wrist centre and shoulder [m]: the arm stretched, with the elbow's offset."""
 
-_RESOLUTION = 0.02  # step of a sweep / what the slowest joint can move between two frames
+_RESOLUTION = 0.02
+"""Step of a sweep / what the slowest joint can move between two frames."""
 
 
 def wrist_distance(X_BG: Array) -> Array:

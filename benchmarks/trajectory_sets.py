@@ -5,14 +5,14 @@ give the same bytes, whatever the number of jobs, and a larger set begins with t
 """
 
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from enum import Enum
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 
-from benchmarks.feasible import FeasibleMotion, draw_feasible
+from benchmarks.feasible import draw_feasible
 from benchmarks.motion import Arm
 from benchmarks.moves import Family
 from benchmarks.planted import PLANTERS
@@ -55,7 +55,7 @@ def draw(recipe: Recipe, index: int, arm: Arm) -> tuple[Trajectory, TrajectoryTr
     rng = _generator(recipe.seed, TrajectorySet.FEASIBLE, index)  # noise is added to the same trajectories
     base = draw_feasible(rng, arm)
     trajectory = base.trajectory(arm)
-    parameters = _proof(base)
+    parameters: dict[str, Json] = {"frames": base.frames, "period_s": base.period_s}
     if recipe.set is TrajectorySet.NOISY:
         noise = _generator(recipe.seed, TrajectorySet.NOISY, index)
         trajectory = add_noise(noise, trajectory, recipe.noise_m, recipe.noise_rad)
@@ -75,13 +75,6 @@ _STREAMS = {TrajectorySet.FEASIBLE: 0, TrajectorySet.INFEASIBLE: 1, TrajectorySe
 
 def _generator(seed: int, set: TrajectorySet, index: int, attempt: int = 0) -> np.random.Generator:
     return np.random.default_rng([seed, _STREAMS[set], index, attempt])
-
-
-def _proof(base: FeasibleMotion) -> dict[str, Json]:
-    figures: dict[str, Json] = {"frames": base.frames, "period_s": base.period_s, "cut": base.cut}
-    if base.proof is not None:
-        figures |= asdict(base.proof)
-    return figures
 
 
 def _planted(recipe: Recipe, index: int, arm: Arm) -> tuple[Trajectory, TrajectoryTruth]:

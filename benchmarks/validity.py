@@ -10,40 +10,32 @@ Work folder, all of which an interrupted measurement resumes from:
 """
 
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import partial
 from itertools import islice
 from pathlib import Path
-from typing import Any
 
 import numpy as np
+from pydantic import TypeAdapter
 
+from benchmarks.executions import ClipTrack, Extractor, TrackExecution, execute_all
 from benchmarks.faults.fault import GRADES, FaultGrade
-from benchmarks.perception.store import MeasurementStore, fingerprint
+from benchmarks.perception.store import MeasurementStore
 from benchmarks.planted_videos import PlantedVideo, PlantingOrder, PlantingResult, make_planter, write_index
 from benchmarks.record import current_revision
 from kinebench_drake.anomaly import AnomalyKind
-from kinebench_drake.camera import benchmark_camera
-from kinebench_drake.errors import InputError, UnmeasurableError, UsageError
+from kinebench_drake.errors import UsageError
 from kinebench_drake.executors.base import Executor
 from kinebench_drake.executors.local import LocalExecutor
 from kinebench_drake.io.jsonl import Json, as_object, read_lines, read_object, write_json, write_lines
-from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.results.provenance import weights_hash
 from kinebench_drake.results.row import SampleRow
 from kinebench_drake.results.store import artifact_path
-from kinebench_drake.results.trackfile import read_track
 from kinebench_drake.runs.config import ScoreConfig
 from kinebench_drake.runs.runner import RunObserver
 from kinebench_drake.runs.score import score_videos
-from kinebench_drake.segments import finite_rows
 from kinebench_drake.suites.catalog import EpisodeSpec, load_suite
-from kinebench_drake.suites.clock import Control
-from kinebench_drake.suites.closed_loop.execution import CommandPlanner, RobotState, execute
 from kinebench_drake.suites.families.registry import TASKS
-from kinebench_drake.suites.simulator import Simulator
-from kinebench_drake.suites.simulator_cache import SimulatorCache
-from kinebench_drake.track import GripperTrack
 
 SUITE = 2
 SPLIT = "unseen"
@@ -52,7 +44,8 @@ SIZES = 3
 """Sizes of each kind of fault."""
 _TRIALS = "trials.jsonl"
 _STUDY = "study.json"
-_TRIES = 20  # episodes of each task that may fail without a fault before the study gives up
+_TRIES = 20
+"""Episodes of each task that may fail without a fault before the study gives up."""
 
 
 def study_grades(sizes: int) -> tuple[FaultGrade, ...]:
@@ -93,69 +86,8 @@ class ValidityTrial:
     anomalies: tuple[str, ...]
     """Kinds of anomalies that the detectors report."""
 
-    def to_json(self) -> dict[str, Any]:
-        """Return the JSON object."""
-        return {**asdict(self), "kind": None if self.kind is None else self.kind.value}
 
-    @classmethod
-    def from_json(cls, data: dict[str, Any]) -> "ValidityTrial":
-        """Read the object that `to_json` returns."""
-        kind = None if data["kind"] is None else AnomalyKind(data["kind"])
-        return cls(**{**data, "kind": kind, "anomalies": tuple(data["anomalies"])})
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class TrackExecution:
-    """Outcome of a video's track in the simulator."""
-
-    success: bool
-    reason: str
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ExecutionItem:
-    """Track to execute."""
-
-    id: str
-    """Id of the video."""
-    spec: EpisodeSpec
-    track: Path
-    """Track file; absent if the video could not be measured."""
-
-
-class ExecutionWorker:
-    """Executes tracks from the initial state of their episodes, without rendering."""
-
-    def __init__(self) -> None:
-        """Load the robot."""
-        self._simulators = SimulatorCache(Simulator, benchmark_camera().width, renders=False)
-        self._planner = CommandPlanner(ArmPlant())
-
-    def __call__(self, item: ExecutionItem) -> TrackExecution:
-        """Execute one track."""
-        try:
-            track = read_track(item.track).track
-        except InputError as error:
-            return TrackExecution(success=False, reason=str(error))
-        return self.execute(item.spec, track)
-
-    def execute(self, spec: EpisodeSpec, track: GripperTrack) -> TrackExecution:
-        """Execute a track of an episode."""
-        simulator = self._simulators.get(spec.task, spec.variant)
-        simulator.reset(spec.episode())
-        start = RobotState.of(simulator.snapshot())
-        try:
-            # Where the arm contradicts the camera, a tracked gripper has no pose in the base frame.
-            tracked = track.tracked & finite_rows(track.X_BG.reshape(-1, 16))
-            commands = self._planner.plan(track.X_BG, track.finger_width_m, tracked, track.t_s, start)
-        except UnmeasurableError as error:
-            return TrackExecution(success=False, reason=str(error))
-        outcome = execute(simulator, commands, Control.JOINTS).outcome
-        return TrackExecution(success=outcome.success, reason=outcome.reason)
-
-    def close(self) -> None:
-        """Release the simulator."""
-        self._simulators.close()
+TRIAL = TypeAdapter(ValidityTrial)
 
 
 def measure(work: Path, episodes: int, sizes: int, jobs: int, observer: RunObserver) -> None:
@@ -170,19 +102,18 @@ def measure(work: Path, episodes: int, sizes: int, jobs: int, observer: RunObser
     config = ScoreConfig(source=work / "videos" / "manifest.jsonl", out=work / "score", jobs=jobs, replays=None)
     rows = {row.id: row for row in score_videos(config, observer).rows}
     specs = {spec.id: spec for spec in study_specs()}
-    items = [
-        ExecutionItem(id=v.id, spec=specs[v.episode], track=artifact_path(work / "score", "tracks", v.id))
+    clips = [
+        ClipTrack(
+            id=v.id,
+            spec=specs[v.episode],
+            extractor=Extractor.GROUNDING,
+            source=artifact_path(work / "score", "tracks", v.id),
+        )
         for v in videos
     ]
-    store = MeasurementStore(work / "executions.jsonl", TrackExecution)
-    code = fingerprint(modules=["kinebench_drake.suites.closed_loop.execution"])
-
-    def key(item: ExecutionItem) -> str:
-        return f"{code}-{item.id}-{rows[item.id].content_hash}"
-
-    executions = store.complete(items, key, executor, ExecutionWorker, observer, lambda item: item.id)
+    executions = execute_all(clips, work / "executions.jsonl", None, jobs, observer)
     trials = [_trial(v, rows[v.id], done) for v, done in zip(videos, executions, strict=True)]
-    write_lines(work / _TRIALS, [trial.to_json() for trial in trials])
+    write_lines(work / _TRIALS, [TRIAL.dump_python(trial, mode="json") for trial in trials])
     revision = current_revision()
     write_json(work / _STUDY, {"revision": revision, "weights": weights_hash()[:12]})
 
@@ -235,5 +166,5 @@ def read_study(work: Path) -> tuple[list[ValidityTrial], dict[str, Json]]:
     """
     if not (work / _STUDY).is_file():
         raise UsageError(f"{work.name}: holds no finished study; run `python -m benchmarks validity measure` first")
-    trials = read_lines(work / _TRIALS, lambda row: ValidityTrial.from_json(row))  # type: ignore[arg-type]
+    trials = read_lines(work / _TRIALS, TRIAL.validate_python)
     return trials, dict(read_object(work / _STUDY))  # type: ignore[arg-type]

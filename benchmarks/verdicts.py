@@ -128,7 +128,7 @@ def extractors(work: Path, weights: Path, jobs: int, out: Path | None) -> None:
 @jobs_option
 @out_option
 def generated(study: Path, weights: Path, jobs: int, out: Path | None) -> None:
-    """Correlate the numbers of generated videos with success, and compare them with what a person sees.
+    """Tabulate the success of generated videos, and compare verdicts and tracks with what a person sees.
 
     STUDY is the folder that examples/worldmodel/study.sh made. An interrupted run continues where it was.
     """
@@ -137,7 +137,7 @@ def generated(study: Path, weights: Path, jobs: int, out: Path | None) -> None:
     from kinebench_drake.cli.progress import ProgressView
 
     with ProgressView("clips") as view:
-        texts = [*sections(study, jobs, view), *EyeStudy(study, weights).sections(jobs, view)]
+        texts = [*sections(study), *EyeStudy(study, weights).sections(jobs, view)]
     for text in texts:
         write_section(out, text)
 

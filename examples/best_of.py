@@ -10,8 +10,7 @@ import sys
 import time
 from pathlib import Path
 
-from kinebench_drake import Scorer
-from kinebench_drake.io.reader import read_video
+from kinebench_drake import Scorer, read_video
 
 HERE = Path(__file__).parent
 PERIOD_S = 0.2

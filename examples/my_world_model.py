@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from kinebench_drake.io.container import write_video
+from kinebench_drake import write_video
 from kinebench_drake.suites.worldmodels.worldmodel import Request, WorldModelError
 
 

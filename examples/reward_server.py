@@ -15,9 +15,7 @@ from http.server import BaseHTTPRequestHandler, HTTPServer
 
 import numpy as np
 
-from kinebench_drake import Scorer
-from kinebench_drake.camera import Camera
-from kinebench_drake.errors import KinebenchError
+from kinebench_drake import Camera, KinebenchError, Scorer
 
 MOST_BYTES = 1 << 30
 

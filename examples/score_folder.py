@@ -9,10 +9,7 @@ camera.json. Without FOLDER: the example videos. A second call evaluates only wh
 import sys
 from pathlib import Path
 
-from kinebench_drake import score_videos
-from kinebench_drake.results.row import Status
-from kinebench_drake.results.store import artifact_path
-from kinebench_drake.results.trackfile import read_track
+from kinebench_drake import read_track, score_videos
 
 HERE = Path(__file__).parent
 FRAME_PERIOD_S = 0.2
@@ -22,7 +19,7 @@ FRAME_PERIOD_S = 0.2
 def main(folder: Path, out: Path) -> None:
     summary = score_videos(folder, out=out, frame_period_s=FRAME_PERIOD_S)
     for row in summary.rows:
-        if row.status is not Status.OK:
+        if row.status.value != "ok":
             print(f"{row.id}: {row.status.value}, {row.reason}")
             continue
         verdict = {True: "feasible", False: "infeasible", None: "undecided"}[row.feasible]
@@ -31,7 +28,7 @@ def main(folder: Path, out: Path) -> None:
         whole = {True: "yes", False: "no", None: "undecided"}[row.executable]
         print("  executable as a whole:", ", ".join([whole, *(r for r in row.executable_reasons if r != "undecided")]))
         print(f"  tracked {row.metrics['tracked_fraction']:.0%}, anomalies: {row.metrics['anomalies'] or 'none'}")
-        track = read_track(artifact_path(out, "tracks", row.id)).track
+        track = read_track(out / "tracks" / f"{row.id}.npz").track
         start, end = track.X_BG[track.tracked][[0, -1], :3, 3]
         print(f"  the gripper goes from {start.round(3)} to {end.round(3)} m in {track.t_s[-1]:.1f} s")
     if summary.executable is not None and summary.executable.mean is not None:

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from kinebench_drake.io.container import write_video
+from kinebench_drake import write_video
 
 
 class Handler(BaseHTTPRequestHandler):

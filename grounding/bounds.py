@@ -15,7 +15,7 @@ SAMPLED_FRAMES = 5
 """Frames that decide on a video: on its look, its region, its camera."""
 
 # Anomalies. Set on planted faults in home renders of seen assets, checked on clean ones:
-# `python -m benchmarks planted-videos --out faulty`, then `python -m benchmarks anomalies clean faulty`.
+# `python -m benchmarks planted-videos --out faulty`, then `python -m benchmarks evaluate faulty`.
 
 ABSENT_CELLS = 50.0
 """Cells explained by the posed gripper below which it is absent: a third of a gripper explains 100."""

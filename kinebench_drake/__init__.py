@@ -1,21 +1,54 @@
 """Judge robot videos by geometry: gripper tracks from pixels, kinematics in Drake.
 
-The Python interface (docs/api.md) is `score_videos`, `ground_video`, `audit_trajectory`, `run_suite`, `read_results`,
-and `Scorer` for training loops. They are imported on first use.
+The Python interface (docs/api.md) is imported on first use: functions that do what the commands do, those that read
+what the commands write, and the types of their arguments.
 """
 
 from typing import TYPE_CHECKING
 
-__all__ = ["Scorer", "__version__", "audit_trajectory", "ground_video", "read_results", "run_suite", "score_videos"]
+__all__ = [
+    "Camera",
+    "InitialState",
+    "KinebenchError",
+    "NullRunObserver",
+    "Scorer",
+    "__version__",
+    "audit_trajectories",
+    "audit_trajectory",
+    "ground_video",
+    "read_results",
+    "read_rows",
+    "read_track",
+    "read_video",
+    "run_suite",
+    "score_videos",
+    "write_video",
+]
 
 __version__ = "0.2.0"
 
 if TYPE_CHECKING:
-    from kinebench_drake.api import Scorer, audit_trajectory, ground_video, read_results, run_suite, score_videos
+    from kinebench_drake.api import (
+        Camera,
+        InitialState,
+        KinebenchError,
+        NullRunObserver,
+        Scorer,
+        audit_trajectories,
+        audit_trajectory,
+        ground_video,
+        read_results,
+        read_rows,
+        read_track,
+        read_video,
+        run_suite,
+        score_videos,
+        write_video,
+    )
 else:
 
     def __getattr__(name: str) -> object:
-        """Import a function of the Python interface on first use (PEP 562)."""
+        """Import a name of the Python interface on first use (PEP 562)."""
         if name in __all__:
             from kinebench_drake import api
 

@@ -157,8 +157,7 @@ def task_names(names: str | Sequence[str] | None) -> list[str] | None:
     """
     if names is None:
         return None
-    listed = names.split(",") if isinstance(names, str) else names
-    return list(dict.fromkeys(map(_task_id, listed)))
+    return list(dict.fromkeys(map(_task_id, names.split(",") if isinstance(names, str) else names)))
 
 
 def _task_id(name: str) -> str:

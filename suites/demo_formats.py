@@ -18,6 +18,7 @@ from kinebench_drake.geometry import from_quaternion, invert
 from kinebench_drake.io.container import write_video
 from kinebench_drake.io.jsonl import write_lines
 from kinebench_drake.io.npz import write_arrays
+from kinebench_drake.results.aggregate import group_by
 from kinebench_drake.suites.clock import CONTROL_PERIOD_S
 from kinebench_drake.suites.composition import Episode
 from kinebench_drake.suites.demo_config import CLIP_STEPS, DemoConfig, FormatKind, RenderOptions
@@ -218,9 +219,7 @@ class ManiSkill(DemoFormat):
     def finish(self, config: DemoConfig, records: Sequence[Record]) -> list[Path]:
         from kinebench_drake.suites.scene.environment import environment_id
 
-        tasks: dict[str, list[Record]] = {}
-        for record in records:
-            tasks.setdefault(record.task, []).append(record)
+        tasks = group_by(records, lambda record: record.task)
         for task, own in tasks.items():
             environment = {
                 "env_id": environment_id(task),

@@ -85,8 +85,7 @@ def make_demos(config: DemoConfig, executor: Executor, observer: Observer) -> De
     lock = lock_folder(config.out)
     try:
         records = _read_records(config)
-        before = _read_summary(config, records)
-        if not _is_complete(config, before):
+        if not _is_complete(config, _read_summary(config, records)):
             form = FORMATS[config.kind]
             records = {
                 key: record

@@ -100,8 +100,7 @@ def export_suite(config: ExportConfig, executor: Executor, observer: Observer) -
     observer.start(len(specs), 0)
     frames: dict[EpisodeSpec, _FirstFrame] = {}
     work = partial(_write_first_frame, out=config.out)
-    simulators = SimulatorCache(Simulator, config.size)
-    for done in executor.run(partial(SimulatorWorker, work, simulators), specs):
+    for done in executor.run(partial(SimulatorWorker, work, SimulatorCache(Simulator, config.size)), specs):
         if isinstance(done, WorkerCrash):
             raise SetupError(f"{done.item.task} seed {done.item.seed}: {done.reason}; run the same command again")
         frames[done.item] = done.result

@@ -40,7 +40,7 @@ def _exempt_libraries() -> None:
 
 
 @contextmanager
-def _setup_errors() -> Iterator[None]:
+def setup_errors() -> Iterator[None]:
     """Turn errors of a missing library or driver into SetupError with the remedy; others propagate."""
     try:
         yield
@@ -135,7 +135,7 @@ class Simulator:
     ) -> None:
         ignore_vulkan_warning()  # SAPIEN looks for Vulkan when it is imported
         backend = prepare_vulkan() if renders else "none"
-        with _setup_errors():
+        with setup_errors():
             import sapien
 
             from kinebench_drake.suites.scene.builder import CAMERA, X_WB
@@ -150,8 +150,8 @@ class Simulator:
         self._pose_class = sapien.Pose
         self._camera_name = CAMERA
         self._X_BW = invert(X_WB)
-        with _setup_errors():
-            self._env: Any = KineBenchEnv(
+        with setup_errors():
+            self.env: Any = KineBenchEnv(
                 task=task,
                 obs_mode="none",
                 reward_mode="none",
@@ -162,6 +162,7 @@ class Simulator:
                 camera=self.camera,
                 variant=variant.value,
             )
+            """The ManiSkill environment."""
 
     def __enter__(self) -> Self:
         return self
@@ -171,20 +172,20 @@ class Simulator:
 
     def close(self) -> None:
         """Release the scene."""
-        self._env.close()
+        self.env.close()
 
     def reset(self, episode: Episode) -> None:
         """Set up the scene of an episode."""
-        self._env.reset(seed=episode.seed, options={"episodes": [episode], "reconfigure": True})
+        self.env.reset(seed=episode.seed, options={"episodes": [episode], "reconfigure": True})
 
     def scene(self) -> Scene:
         """Return the current placement of robot and objects."""
-        scene: Scene = self._env.first_scene()
+        scene: Scene = self.env.first_scene()
         return scene
 
     def link_pose(self, link: str) -> Array:
         """Return the pose (4, 4) of a robot link in the base frame [m]."""
-        raw = np.asarray(self._env.agent.robot.links_map[link].pose.raw_pose[0], dtype=np.float64)
+        raw = np.asarray(self.env.agent.robot.links_map[link].pose.raw_pose[0], dtype=np.float64)
         return self._X_BW @ from_quaternion(raw[3:], raw[:3])
 
     @staticmethod
@@ -192,23 +193,22 @@ class Simulator:
         """Return ManiSkill's action for targets, such as `q` (7,) [rad], and a gap between the finger pads [m]."""
         # of one finger joint's target, for actions -1 and 1 (ManiSkill's Panda)
         low = -0.01
-        high = 0.04
-        fingers = float(np.clip(2.0 * (finger_width_m / 2.0 - low) / (high - low) - 1.0, -1.0, 1.0))
+        fingers = float(np.clip(2.0 * (finger_width_m / 2.0 - low) / (0.04 - low) - 1.0, -1.0, 1.0))
         return np.append(np.asarray(targets), fingers).astype(np.float32)
 
     def step(self, q: ArrayLike, finger_width_m: float) -> None:
         """Simulate one control step with joint targets `q` (7,) [rad] and a gap between the finger pads [m]."""
-        self._env.advance(self.action(q, finger_width_m))
+        self.env.advance(self.action(q, finger_width_m))
 
     def step_pose(self, X_BG: ArrayLike, finger_width_m: float) -> None:
         """Simulate one control step towards a pose (4, 4) of panda_hand_tcp in B [m], under `Control.POSE`."""
         X = np.asarray(X_BG, dtype=np.float64)
         angles = Rotation.from_matrix(X[:3, :3]).as_euler("XYZ")  # convention of ManiSkill's controller
-        self._env.advance(self.action(np.append(X[:3, 3], angles), finger_width_m))
+        self.env.advance(self.action(np.append(X[:3, 3], angles), finger_width_m))
 
     def simulation_state(self) -> SimulatorState:
         """Return ManiSkill's state: pose and velocities (13,) of actors, with joint states for articulations."""
-        kinds: dict[str, Any] = self._env.get_state_dict()
+        kinds: dict[str, Any] = self.env.get_state_dict()
         return {
             kind: {name: value[0].cpu().numpy() for name, value in kinds.get(kind, {}).items()}
             for kind in ("actors", "articulations")
@@ -218,22 +218,23 @@ class Simulator:
         """Set the `simulation_state` of another simulator of the same episode."""
         import torch
 
-        self._env.set_state_dict(
+        self.env.set_state_dict(
             {kind: {name: torch.from_numpy(value)[None] for name, value in members.items()}
              for kind, members in state.items()}
         )  # fmt: skip
 
     def outcome(self) -> TaskOutcome:
         """Evaluate the task in the current state."""
-        values = {name: value[0].item() for name, value in self._env.evaluate().items()}
+        values = {name: value[0].item() for name, value in self.env.evaluate().items()}
         success = bool(values.pop("success"))
-        progress = float(values.pop("progress"))
-        return TaskOutcome(success=success, progress=progress, conditions={n: bool(v) for n, v in values.items()})
+        return TaskOutcome(
+            success=success, progress=float(values.pop("progress")), conditions={n: bool(v) for n, v in values.items()}
+        )
 
     def snapshot(self) -> Snapshot:
         """Return the current state of robot and objects."""
-        qpos = np.asarray(self._env.agent.robot.get_qpos()[0], dtype=np.float64)
-        things = self._env.objects
+        qpos = np.asarray(self.env.agent.robot.get_qpos()[0], dtype=np.float64)
+        things = self.env.objects
         return Snapshot(
             q=qpos[:7],
             fingers_m=qpos[7:9],
@@ -243,9 +244,9 @@ class Simulator:
 
     def set_snapshot(self, snapshot: Snapshot) -> None:
         """Set the state of robot and objects, without simulating."""
-        self._env.agent.robot.set_qpos(np.concatenate([snapshot.q, snapshot.fingers_m])[None].astype(np.float32))
+        self.env.agent.robot.set_qpos(np.concatenate([snapshot.q, snapshot.fingers_m])[None].astype(np.float32))
         for name, raw in snapshot.objects.items():
-            thing = self._env.objects[name]
+            thing = self.env.objects[name]
             thing.set_pose(self._pose_class(raw[:3], raw[3:]))
             if name in snapshot.joints:
                 thing.set_qpos(np.array([[snapshot.joints[name]]], dtype=np.float32))
@@ -254,7 +255,7 @@ class Simulator:
         """Show or hide robot links."""
         import sapien
 
-        for name, link in self._env.agent.robot.links_map.items():
+        for name, link in self.env.agent.robot.links_map.items():
             if name in links:
                 body = link._objs[0].entity.find_component_by_type(sapien.render.RenderBodyComponent)
                 if body is not None:
@@ -273,18 +274,18 @@ class Simulator:
             )
         from kinebench_drake.suites.scene.builder import place_camera
 
-        place_camera(self._env._sensors[self._camera_name], camera)
+        place_camera(self.env._sensors[self._camera_name], camera)
         self.camera = camera
 
     def _capture(self) -> tuple[NDArray[np.uint8], NDArray[np.uint16], NDArray[np.integer[Any]], dict[str, int]]:
         """Return colour (H, W, 3), depth (H, W) [mm], segmentation ids (H, W), and the ids of the links by name."""
-        self._env.scene.update_render(update_sensors=True, update_human_render_cameras=False)
-        sensor = self._env._sensors[self._camera_name]
+        self.env.scene.update_render(update_sensors=True, update_human_render_cameras=False)
+        sensor = self.env._sensors[self._camera_name]
         sensor.capture()
         [camera] = sensor.camera._render_cameras  # without ManiSkill's tensors, which take a sixth of the image's time
         place = camera.get_picture("PositionSegmentation")  # x, y, z in OpenGL's axes [mm], segmentation id
         depth = np.clip(-place[..., 2], 0, None).astype(np.uint16)
-        ids = {name: int(link.per_scene_id[0]) for name, link in self._env.agent.robot.links_map.items()}
+        ids = {name: int(link.per_scene_id[0]) for name, link in self.env.agent.robot.links_map.items()}
         return np.array(camera.get_picture("Color")[..., :3]), depth, place[..., 3], ids
 
     def render(self) -> CameraImage:

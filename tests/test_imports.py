@@ -198,14 +198,13 @@ from pathlib import Path
 import numpy as np
 
 from kinebench_drake.cli import cli
-from kinebench_drake.io.container import write_video
 from kinebench_drake.runs.config import ScoreConfig
 from kinebench_drake.runs.score import score_videos
-from tests.cli.fake_tools import FakeTools
+from tests.fakes.resources import FakeResources
 
 folder = Path({folder!r})
-write_video(folder / "a.mp4", np.zeros((8, 96, 96, 3), dtype=np.uint8), 5)
-[row] = score_videos(ScoreConfig(source=folder, out=folder / "scored", make_resources=FakeTools, replays=None)).rows
+config = ScoreConfig(source=folder / "a.mp4", out=folder / "scored", make_resources=FakeResources, replays=None)
+[row] = score_videos(config).rows
 assert row.status.value == "ok", row
 q = [0.0, 0.3, 0.0, -2.0, 0.0, 2.0, 0.8]
 times = np.arange(12) / 10
@@ -215,7 +214,8 @@ assert cli.main(audit, standalone_mode=False) == 0
 """
 
 
-def test_scoring_and_auditing_load_nothing_of_the_benchmark(tmp_path):
+def test_scoring_and_auditing_load_nothing_of_the_benchmark(film, tmp_path):
+    film("a.mp4")
     loaded = modules_loaded_by(WORK.format(folder=str(tmp_path)))
     assert "kinebench_drake.metrics.judge" in loaded
     assert not {name for name in loaded if name.startswith(f"{PACKAGE}.suites")}

@@ -12,9 +12,6 @@ SHIPPED = ("kinebench_drake", "grounding", "models", "suites", "benchmarks")
 PARTICIPLES = frozenset({"found", "told", "known", "given", "seen", "held", "said"})
 """Participles that say nothing about the value they name."""
 INVENTED = re.compile(r"\b(Theatre|Stagehand|TrickStage|Wanderer|HeldModel|PrivateStage|Telling|Footage|Sightings)\b")
-SENTENCE_WORDS = 30
-MEAN_WORDS = 16
-"""Greatest length of a sentence of the documentation, and of the mean of a page."""
 TURNS = re.compile(
     r"^See `[^`]+`\.?$"
     r"|\bwhat (comes|became|is made) of\b"
@@ -78,34 +75,6 @@ def test_identifiers_and_docstrings_are_plain(path):
 @pytest.mark.parametrize("page", sorted([*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md")]), ids=lambda p: p.name)
 def test_pages_of_the_documentation_are_plain(page):
     assert not TURNS.search(page.read_text())
-
-
-def sentences(text):
-    """Sentences of a page as lists of words: without code, tables, headings, images and the targets of links."""
-    text = re.sub(r"^```.*?^```$", "\n", text, flags=re.DOTALL | re.MULTILINE)
-    text = re.sub(r"^(    .*|\|.*|#.*|!\[.*)$", "\n", text, flags=re.MULTILINE)
-    text = re.sub(r"\]\([^)]*\)", "]", text)
-    blocks = re.split(r"\n\s*\n|^\s*(?:[-*]|\d+\.) ", text, flags=re.MULTILINE)
-    for block in blocks:
-        for sentence in re.split(r"(?<=[.!?])[*)]*\s+(?=[^a-z])", block):
-            if words := [word for word in sentence.split() if re.search(r"\w", word)]:
-                yield words
-
-
-@pytest.mark.parametrize(
-    "page", sorted([ROOT / "README.md", *(ROOT / "docs").glob("*.md")]), ids=lambda p: p.relative_to(ROOT).as_posix()
-)
-def test_sentences_of_the_documentation_are_short(page):
-    lengths = [(len(words), " ".join(words)) for words in sentences(page.read_text())]
-    too_long = [text for n, text in lengths if n > SENTENCE_WORDS]
-    mean = sum(n for n, _ in lengths) / len(lengths)
-    assert not too_long
-    assert mean <= MEAN_WORDS
-
-
-def test_sentences_are_counted_without_code_tables_and_targets_of_links():
-    page = "# A title\n\nSee [this page](a.md). It ends.\n\n    code of a block\n\n| a | b |\n\n- one item\n- another\n"
-    assert [len(words) for words in sentences(page)] == [3, 2, 2, 1]
 
 
 def test_banned_identifiers_and_turns_of_phrase_are_detected(tmp_path):

@@ -39,10 +39,14 @@ from kinebench_drake.track import Domain
 from training.augment import degrade, occlude
 
 _Stored = Annotated[Array, Stored(".7g")]
-_PENALTY = 1.0  # ridge
-_NEAR_PX = 40.0  # distance of occluders to the path of the gripper
-_REMOVED_PX = 9  # width of the strip around a removed gripper that is painted over, too
-_FOCAL_ERROR = (0.05, 0.3)  # logarithm of the factor by which a wrong focal length is off
+_PENALTY = 1.0
+"""Ridge penalty of the logistic regressions."""
+_NEAR_PX = 40.0
+"""Greatest distance of occluders from the path of the gripper [px]."""
+_REMOVED_PX = 9
+"""Width of the strip around a removed gripper that is painted over, too [px]."""
+_FOCAL_ERROR = (0.05, 0.3)
+"""Range of the logarithm of the factor by which a wrong focal length is off."""
 
 
 class VideoDegradation(Enum):

@@ -30,14 +30,22 @@ from training.frame import DEPTH_UNIT_M, RenderedFrame
 CLOSE_EVERY = 4
 """Interval of the steps on close crops of the gripper; the others use wide ones, which show frames or arms."""
 _MIN_TARGET_PX = 60
-_DOUBLED = 0.12  # share of wide crops with a second gripper
-_OCCLUDED = 0.4  # share of crops with occluders
-_CLEAN = 0.3  # share of crops that are not degraded
-_OTHER_BACKGROUND = 0.2  # share of crops whose background is replaced
-_ELSEWHERE = 0.1  # share of wide crops of any part of the frame
-_WIDE_GRIPPER_PX = (13.0, 115.0)  # diameter of the gripper's bounding sphere in wide crops
-_LARGEST_WIDE = 1.3  # size of the largest wide crop over that of the frame
-_NARROW = 0.4  # share of draws that take the narrower of two grippers
+_DOUBLED = 0.12
+"""Share of wide crops with a second gripper."""
+_OCCLUDED = 0.4
+"""Share of crops with occluders."""
+_CLEAN = 0.3
+"""Share of crops that are not degraded."""
+_OTHER_BACKGROUND = 0.2
+"""Share of crops whose background is replaced."""
+_ELSEWHERE = 0.1
+"""Share of wide crops of any part of the frame."""
+_WIDE_GRIPPER_PX = (13.0, 115.0)
+"""Range of the diameter of the gripper's bounding sphere in wide crops [px]."""
+_LARGEST_WIDE = 1.3
+"""Size of the largest wide crop over that of the frame."""
+_NARROW = 0.4
+"""Share of draws that take the narrower of two grippers."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -98,7 +98,8 @@ def save_shard(frames: Sequence[RenderedFrame], shard: Path) -> None:
 _SHIFT_M = 0.06
 _TURN_RAD = np.deg2rad(6.0)
 _FOV_RAD = np.deg2rad((45.0, 75.0))
-_VARIED_FOV = 0.6  # share of cameras with a random field of view
+_VARIED_FOV = 0.6
+"""Share of cameras with a random field of view."""
 
 
 def varied_camera(rng: np.random.Generator, size: int) -> Camera:

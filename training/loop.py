@@ -28,7 +28,8 @@ Batch = dict[str, Tensor]
 REPORT_EVERY = 50
 """Steps between two reports of the losses."""
 _WEIGHT_DECAY = 0.02
-_TENSOR = "tensor of the file"  # key in the JSON of a checkpoint
+_TENSOR = "tensor of the file"
+"""Key in the JSON of a checkpoint under which the name of a tensor stands."""
 _GRADIENT_CLIP = 5.0
 
 

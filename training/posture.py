@@ -13,11 +13,16 @@ from training.layout import random_finger
 _REST = np.array([0.0, 0.4, 0.0, -2.0, 0.0, 2.4, 0.785])
 _SPREAD_RAD = np.array([0.6, 0.5, 0.4, 0.5, 0.5, 0.5, 1.2])
 _WRIST = ("panda_link5", "panda_link6", "panda_link7")
-_STEP = 0.5  # spread of a motion's waypoint about the one before, over that of postures
-_LEGS = (3, 4)  # fewest and most motions between two stops
-_GRASPS = 0.5  # share of the stops at which the gripper closes on something, as long as it has not
-_SPEED_RAD_S = (0.4, 1.5)  # mean speed of the fastest joint between two stops
-_PAUSE_S = 0.6  # time in which the fingers move at a stop
+_STEP = 0.5
+"""Spread of a motion's waypoint about the one before, over that of postures."""
+_LEGS = (3, 4)
+"""Fewest and most motions between two stops."""
+_GRASPS = 0.5
+"""Share of the stops at which the gripper closes on something, as long as it has not."""
+_SPEED_RAD_S = (0.4, 1.5)
+"""Range of the mean speed of the fastest joint between two stops [rad/s]."""
+_PAUSE_S = 0.6
+"""Time in which the fingers move at a stop [s]."""
 _DRAWS = 20_000
 
 

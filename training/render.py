@@ -20,7 +20,8 @@ OTHERS = (ShownGripper.OTHER, ShownGripper.OTHER, ShownGripper.NONE, ShownGrippe
 """Grippers of successive scenes for the network of the arm alone."""
 
 _REPORT_EVERY = 20
-_STREAM = 0x4B42  # separates these random streams from others with the same seed
+_STREAM = 0x4B42
+"""Number that separates these random streams from others with the same seed."""
 
 
 def _gripper(seed: int, *, arm: bool) -> ShownGripper:

@@ -30,8 +30,10 @@ IMAGE_SIZE = 384
 """Width and height of frames [px]."""
 
 _OPENCV_FROM_SAPIEN = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
-_MINIMAL = 0.5  # share of scenes with the fast shader, without shadows and reflections
-_NEAR_BENCHMARK = 0.2  # share of frames from near the benchmark camera
+_MINIMAL = 0.5
+"""Share of scenes with the fast shader, without shadows and reflections."""
+_NEAR_BENCHMARK = 0.2
+"""Share of frames from near the benchmark camera."""
 _FAR_M = 15.0
 _ATTACHMENTS = {ShownGripper.FRANKA: random_attachments, ShownGripper.OTHER: random_gripper}
 

@@ -28,10 +28,14 @@ from training.frame import FILES, RENDERED_DEPTH_BIAS_M, RenderedFrame, label_pa
 
 STILLS = 32
 """Frames of a rollout."""
-_MOVED_SHARE = 0.4  # share of frames with a moved arm
-_BENCHMARK_SHARE = 0.4  # share of frames from the benchmark camera itself
-_SPREAD_RAD = np.array([0.2, 0.2, 0.2, 0.25, 0.3, 0.3, 0.6])  # standard deviation of the joints of a moved arm
-_LEAST_Z_M = 0.012  # of a tool centre point above the table
+_MOVED_SHARE = 0.4
+"""Share of frames with a moved arm."""
+_BENCHMARK_SHARE = 0.4
+"""Share of frames from the benchmark camera itself."""
+_SPREAD_RAD = np.array([0.2, 0.2, 0.2, 0.25, 0.3, 0.3, 0.6])
+"""Standard deviation of the joints of a moved arm [rad]."""
+_LEAST_Z_M = 0.012
+"""Least height of a TCP above the table [m]."""
 _TRIES = 200
 
 

@@ -14,8 +14,10 @@ from kinebench_drake.models.perception.network import ARM_WEIGHTS, WEIGHTS, Dens
 from training.crops import GRIPPER_TARGET, WRIST_TARGET, Crops, Shards, Steps
 from training.loop import Batch, LossTerms, Schedule, load_imagenet, optimise, pick_device, save_weights
 
-_PIXEL_WEIGHTS = (1.0, 1.0, 5.0, 5.0, *[1.0] * len(ARM))  # by RobotPart
-_ARM_WEIGHT = 0.6  # weight of the arm's coordinates and depth / weight of the gripper's
+_PIXEL_WEIGHTS = (1.0, 1.0, 5.0, 5.0, *[1.0] * len(ARM))
+"""Weight of a pixel in the losses, by `RobotPart`."""
+_ARM_WEIGHT = 0.6
+"""Weight of the arm's coordinates and depth / weight of the gripper's."""
 _FIXED_FROM = 0.3
 """Part of the steps after which batch normalisation is frozen, as the statistics of close and wide crops differ."""
 

@@ -14,8 +14,10 @@ from kinebench_drake.io.npz import write_arrays
 from kinebench_drake.models.panda.description import hand_from_tcp
 from training.vtk import RenderedVideo, VtkScene
 
-_STREAM = 0x5654  # separates these random streams from others with the same seed
-_CRF = (14, 30)  # quality of the codec, best and worst
+_STREAM = 0x5654
+"""Number that separates these random streams from others with the same seed."""
+_CRF = (14, 30)
+"""Quality of x264, best and worst."""
 
 
 def render_videos(folder: Path, seeds: Iterable[int], report: Callable[[str], None]) -> None:

@@ -12,16 +12,21 @@ _DISTANCE_M = (0.4, 2.5)
 _FOV_RAD = np.deg2rad((20.0, 100.0))
 _GRIPPER_PX = (26.0, 300.0)
 """Diameter of the gripper's bounding sphere in the image [px], where distance and field of view permit it."""
-_LARGEST_GRIPPER = 0.8  # greatest diameter of it over the smaller side of the image
+_LARGEST_GRIPPER = 0.8
+"""Greatest diameter of the gripper's bounding sphere over the smaller side of the image."""
 _ELEVATION_RAD = np.deg2rad((-12.0, 85.0))
-_BEHIND = 0.35  # share of directions drawn from all around; the others lie in front of and beside the robot
+_BEHIND = 0.35
+"""Share of directions drawn from all around; the others lie in front of and beside the robot."""
 _FRONT_RAD = np.deg2rad(120.0)
 _ROLLED = 0.15
 _ROLL_RAD = np.deg2rad(35.0)
 _USUAL_ROLL_RAD = np.deg2rad(4.0)
-_CUT_OFF = 0.15  # share of images with the gripper near or across the border
-_OFF_CENTRE = 0.2  # share of cameras with a principal point away from the centre
-_OFF_CENTRE_SHARE = 0.15  # its greatest distance from the centre over the image size
+_CUT_OFF = 0.15
+"""Share of images with the gripper near or across the border."""
+_OFF_CENTRE = 0.2
+"""Share of cameras with a principal point away from the centre."""
+_OFF_CENTRE_SHARE = 0.15
+"""Greatest distance of such a principal point from the centre over the image size."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -67,14 +67,18 @@ from training.viewpoint import random_camera
 SIZES = ((384, 384), (320, 240), (640, 480), (512, 512), (640, 360), (480, 640), (256, 256), (960, 540))
 """Width and height of images [px]."""
 _FAR_M = 15.0
-_SCENERY = 100  # render label of all but the robot
+_SCENERY = 100
+"""Render label of all but the robot."""
 _RENDERER = "vtk"
-_SHADOWS = 0.4  # share of scenes with shadows
+_SHADOWS = 0.4
+"""Share of scenes with shadows."""
 _Z_UP = make_pose(rotation_exp(np.array([-np.pi / 2, 0.0, 0.0])), np.zeros(3))
 """Drake turns glTF meshes from y up to z up; the Panda's are z up as they are."""
 _HALF_TURN = make_pose(rotation_exp(np.array([0.0, 0.0, np.pi])), np.zeros(3))
-_VIEWS = 200  # draws of a camera that sees a whole motion
-_IN_VIEW = 0.75  # share of frames whose gripper's centre is in the image
+_VIEWS = 200
+"""Draws of a camera that sees a whole motion."""
+_IN_VIEW = 0.75
+"""Share of frames whose gripper's centre is in the image."""
 
 
 @cache

@@ -17,7 +17,8 @@ from kinebench_drake.suites.simulator import GRIPPER_LINKS, CameraImage, Simulat
 
 Warp = Callable[[Array], Array]
 """Maps points (N, 3) of the gripper to warped ones, in the frame of panda_hand [m]."""
-_STEP_M = 1e-4  # of the finite differences for normals
+_STEP_M = 1e-4
+"""Step of the finite differences for normals [m]."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -53,7 +54,7 @@ class FaultSimulator(Simulator):
         fault = self._fault
         if fault is None:
             return super().render()
-        scene = self._env.scene.sub_scenes[0]
+        scene = self.env.scene.sub_scenes[0]
         gripper = self._warped_gripper(fault.warp)
         X_WP = invert(self._X_BW) @ self.link_pose(HAND_LINK) @ fault.X_HP
         gripper.set_pose(self._pose_class(X_WP[:3, 3], to_quaternion(X_WP[:3, :3])))
@@ -62,7 +63,7 @@ class FaultSimulator(Simulator):
         try:
             image = super().render()
             if fault.replaces:
-                labels = self._env._sensors[self._camera_name].get_obs(
+                labels = self.env._sensors[self._camera_name].get_obs(
                     rgb=False, depth=False, position=False, segmentation=True
                 )["segmentation"]
                 mask = labels[0, ..., 0].cpu().numpy() == gripper.per_scene_id
@@ -78,7 +79,7 @@ class FaultSimulator(Simulator):
 
         body = sapien.render.RenderBodyComponent()
         X_HB = invert(self.link_pose(HAND_LINK))
-        for name, link in self._env.agent.robot.links_map.items():
+        for name, link in self.env.agent.robot.links_map.items():
             own = link._objs[0].entity.find_component_by_type(sapien.render.RenderBodyComponent)
             if name not in GRIPPER_LINKS or own is None:
                 continue

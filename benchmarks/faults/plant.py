@@ -26,11 +26,15 @@ FLUTTER_FRAMES = 8
 """Frames with a second gripper, with a deformed one, and with fluttering fingers."""
 FREEZE_SPEED_M_S = 0.05
 """Least mean speed of the gripper through frozen frames."""
-_MAX_STEP_RAD = 0.6  # largest step of a joint between two frames on a displaced path
-_SHAKE_FRAMES = 1.5  # standard deviation of the smoothing kernel of a shake
-_LEVER_M = 0.1  # half the gripper's length: a bend of strength s moves points so far from the hand by s/2 of it
+_MAX_STEP_RAD = 0.6
+"""Largest step of a joint between two frames on a displaced path [rad]."""
+_SHAKE_FRAMES = 1.5
+"""Standard deviation of the smoothing kernel of a shake [frames]."""
+_LEVER_M = 0.1
+"""Half the gripper's length [m]: a bend of strength s moves points at this distance from the hand by s/2 of it."""
 _MIDDLE_H = np.array([[0.0, 0.0, 0.05]])
-_LEAST_SHOWN = 0.6  # least visible area of the second gripper, relative to that of the first
+_LEAST_SHOWN = 0.6
+"""Least visible area of the second gripper, relative to that of the first."""
 
 Planted = tuple[RolloutVideo, PlantedFault]
 """Video with a fault, and the fault."""

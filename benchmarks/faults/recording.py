@@ -19,7 +19,8 @@ from kinebench_drake.suites.simulator import Snapshot
 
 LEAST_VISIBLE = 0.01
 """Share of the image that the gripper must cover for a fault to be visible."""
-_UNCHANGED = ("camera", "t_s")  # fields that no fault changes
+_UNCHANGED = ("camera", "t_s")
+"""Fields that no fault changes."""
 
 
 def _render_prepared(

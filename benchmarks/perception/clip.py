@@ -29,9 +29,12 @@ from kinebench_drake.track import InitialState
 TRUTHS = ("truth/{}.npz", "{}.gt.npz", "gt/{}.npz", "gt/{}.edge.npz")
 """Files of ground truth: of the suites; exact poses of another renderer; of a real arm from its joint angles; of an arm
 fitted to image edges. They hold `camera_from_hand` or `base_from_hand`, and `finger_width_m`."""
-_MARGIN = 1.1  # half width of a crop over the gripper's radius
-_MASK_PX = 160  # width of the crop in which silhouettes for masks are rendered
-_SHARE_PX = 64  # width of the crop in which silhouettes for visible shares are rendered
+_MARGIN = 1.1
+"""Half width of a crop over the gripper's radius."""
+_MASK_PX = 160
+"""Width of the crop in which silhouettes for masks are rendered [px]."""
+_SHARE_PX = 64
+"""Width of the crop in which silhouettes for visible shares are rendered [px]."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

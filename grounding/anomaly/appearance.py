@@ -22,7 +22,7 @@ from kinebench_drake.models.panda.description import OPENING_SIGN
 from kinebench_drake.segments import finite_rows, segments
 
 # Set on planted faults in home renders of seen assets, and checked on clean ones:
-# `python -m benchmarks planted-videos --out faulty`, then `python -m benchmarks anomalies clean faulty`.
+# `python -m benchmarks planted-videos --out faulty`, then `python -m benchmarks evaluate faulty`.
 _PRESENCE_FRAMES = 3
 """Fewest frames of a vanished or of a second gripper: fewer may be an occlusion."""
 _ABSENT_CONFIDENCE = 0.01

@@ -17,7 +17,7 @@ from kinebench_drake.io.frames import Frames
 from kinebench_drake.io.progress import count_steps
 
 # Set on planted faults in home renders of seen assets, and checked on clean ones:
-# `python -m benchmarks planted-videos --out faulty`, then `python -m benchmarks anomalies clean faulty`.
+# `python -m benchmarks planted-videos --out faulty`, then `python -m benchmarks evaluate faulty`.
 _CLEAR_PX = 2.0
 """Motion from which on a camera is followed before anything else is measured [px of an image 384 px wide]."""
 _MOTION_QUANTILE = 0.3

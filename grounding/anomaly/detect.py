@@ -33,7 +33,7 @@ from kinebench_drake.io.frames import Frames
 from kinebench_drake.track import Domain
 
 # Set on planted faults in home renders of seen assets, and checked on clean ones:
-# `python -m benchmarks planted-videos --out faulty`, then `python -m benchmarks anomalies clean faulty`.
+# `python -m benchmarks planted-videos --out faulty`, then `python -m benchmarks evaluate faulty`.
 _SCORE_SPREAD = 0.06
 """Relative distance of a detector's score from its bound, 1, within which it decides nothing in familiar videos.
 

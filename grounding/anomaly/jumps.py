@@ -14,7 +14,7 @@ from kinebench_drake.segments import UNEVEN, finite_rows, frame_periods, segment
 from kinebench_drake.track import MAX_WIDTH_M
 
 # Set on planted faults in home renders of seen assets, and checked on clean ones:
-# `python -m benchmarks planted-videos --out faulty`, then `python -m benchmarks anomalies clean faulty`.
+# `python -m benchmarks planted-videos --out faulty`, then `python -m benchmarks evaluate faulty`.
 _TELEPORT_M = 0.04
 """Least length of a teleport [m]."""
 _TELEPORT_CONTRAST = 4.0

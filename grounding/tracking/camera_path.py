@@ -105,7 +105,7 @@ class CameraPath:
     def stabilize(self, frames: Frames, camera: Camera, *, extends: bool = True) -> tuple[Frames, Camera]:
         """Warp the frames (T, H, W, 3) into cameras oriented like A, with its focal length.
 
-        Where cameras show more than A does the images are extended at all sides, if `extends`, like their camera.
+        If `extends`, the images are extended at all sides, like their camera, where cameras show more than A does.
         """
         size = np.array([camera.width, camera.height])
         K = camera.K

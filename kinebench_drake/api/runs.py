@@ -1,4 +1,4 @@
-"""Runs over many samples into an output folder: `score_videos` and `run_suite`; its rows: `read_results`."""
+"""Runs over many samples into an output folder, as the commands make them; its rows as a table."""
 
 import warnings
 from collections.abc import Iterator, Mapping
@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 from kinebench_drake.errors import KinebenchError, name_arguments
 from kinebench_drake.results.store import require_output
-from kinebench_drake.runs import score
+from kinebench_drake.runs import audit, score
+from kinebench_drake.runs.audit import AuditConfig
 from kinebench_drake.runs.benchmark import load_benchmark
 from kinebench_drake.runs.config import ScoreConfig
 from kinebench_drake.runs.runner import NullRunObserver, RunObserver, RunSummary
@@ -57,6 +58,32 @@ def score_videos(source: PathName, *, out: PathName, observer: RunObserver | Non
     """
     options |= {"source": source, "out": out}
     return score.score_videos(ScoreConfig(**_without_none(options)), observer or Warner())
+
+
+@own_arguments()
+def audit_trajectories(
+    source: PathName, *, out: PathName, observer: RunObserver | None = None, **options: Any
+) -> RunSummary:
+    """Judge trajectories as `kinebench-drake audit` does: verdicts, margins, a report.
+
+    `out`, `jobs`, broken samples and the return value are as in `score_videos`.
+
+    Args:
+        source: file or dataset of trajectories, a folder of them, or an output folder (docs/formats.md).
+        out: output folder, created if absent.
+        observer: receives warnings and progress; None: warnings are Python warnings.
+        **options: fields of `AuditConfig`, which are the options of the command; None for the default.
+
+    Raises:
+        UsageError: an argument, the input or the output folder cannot be used.
+        SetupError: something is missing on this machine, or the disk is full. Finished samples are kept.
+
+    Example:
+        summary = audit_trajectories("dataset", out="audited", jobs=2)
+        print(summary.feasible, [row.id for row in summary.rows if row.feasible is False])
+    """
+    options |= {"source": source, "out": out}
+    return audit.audit_trajectories(AuditConfig(**_without_none(options)), observer or Warner())
 
 
 @own_arguments()

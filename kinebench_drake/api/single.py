@@ -44,11 +44,11 @@ AnySample = TypeVar("AnySample", bound=SampleInfo)
 def _tools_for(options: RobotOptions) -> Resources:
     """Return the tools for a robot, cached between calls unless a file of the user defines it."""
     own = not options.is_named or options.limits is not None
-    return load_resources(make_resources, options) if own else _cached_tools(options)
+    return load_resources(make_resources, options) if own else cached_resources(options)
 
 
 @lru_cache(maxsize=4)
-def _cached_tools(options: RobotOptions) -> Resources:
+def cached_resources(options: RobotOptions) -> Resources:
     return load_resources(make_resources, options)
 
 

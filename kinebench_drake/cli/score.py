@@ -60,7 +60,7 @@ def score(ctx: click.Context, /, dry_run: bool, **options: Any) -> None:
     camera.json beside the videos gives their camera (docs/formats.md).
 
     --masks, --depth and --poses replace stages of the grounding by results of other tools. Each DIR holds ID.npz,
-    ID.npy or a folder ID/ for every video (docs/grounding.md), or is a demonstration folder with its truth.
+    ID.npy or a folder ID/ for every video (docs/overrides.md), or is a demonstration folder with its truth.
     """
     ctx.exit(_score(ScoreConfig(**options), dry_run=dry_run))
 
@@ -85,7 +85,7 @@ def ground(ctx: click.Context, /, dry_run: bool, **options: Any) -> None:
     to overlays/ID.mp4.
 
     --masks, --depth and --poses replace stages of the grounding by results of other tools. Each DIR holds ID.npz,
-    ID.npy or a folder ID/ for every video (docs/grounding.md), or is a demonstration folder with its truth.
+    ID.npy or a folder ID/ for every video (docs/overrides.md), or is a demonstration folder with its truth.
     """
     ctx.exit(_score(ScoreConfig(kind=RunKind.GROUND, replays=None, **options), dry_run=dry_run))
 

@@ -22,8 +22,8 @@ ROOT = Path(sys.prefix) / "share" / "kinebench_drake" / "native"
 RENDER_VARIABLE = "KINEBENCH_DRAKE_RENDER"
 """Environment variable; `cpu` selects the software driver although an NVIDIA driver is installed."""
 
-_DRIVER_FOLDERS = (Path("/usr/share/vulkan/icd.d"), Path("/etc/vulkan/icd.d"))
-_NVIDIA_CONTROL = Path("/dev/nvidiactl")
+DRIVER_FOLDERS = (Path("/usr/share/vulkan/icd.d"), Path("/etc/vulkan/icd.d"))
+NVIDIA_CONTROL = Path("/dev/nvidiactl")
 _DRIVER_VARIABLES = ("VK_DRIVER_FILES", "VK_ICD_FILENAMES")
 
 
@@ -104,8 +104,8 @@ def load_open3d() -> Any:
 
 def has_nvidia_vulkan() -> bool:
     """Return whether an NVIDIA Vulkan driver and device are present."""
-    return _NVIDIA_CONTROL.exists() and any(
-        driver for folder in _DRIVER_FOLDERS for driver in folder.glob("*nvidia*.json")
+    return NVIDIA_CONTROL.exists() and any(
+        driver for folder in DRIVER_FOLDERS for driver in folder.glob("*nvidia*.json")
     )
 
 

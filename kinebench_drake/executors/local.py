@@ -37,7 +37,7 @@ from kinebench_drake.io.progress import listen, tell
 
 THREAD_VARIABLES = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS", "LP_NUM_THREADS")
 """Environment variables that set the number of threads of numeric libraries, and of the renderer on the CPU."""
-_GRACE_S = 10.0
+GRACE_S = 10.0
 """Time that terminated workers have to end their own child processes, such as a world model's program [s]."""
 _TERMINATED = 128 + signal.SIGTERM
 """Exit status, by shell convention, of a worker that was terminated and has cleaned up."""
@@ -125,7 +125,7 @@ class _ProcessPool(Generic[Item, Result]):
         finally:
             for worker in self._workers:
                 worker.process.terminate()
-            deadline = time.monotonic() + _GRACE_S
+            deadline = time.monotonic() + GRACE_S
             for worker in self._workers:
                 worker.process.join(max(0.0, deadline - time.monotonic()))
                 worker.process.kill()

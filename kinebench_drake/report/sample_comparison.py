@@ -21,6 +21,7 @@ from kinebench_drake.report.page_parts import choose_listed, list_links, write_p
 from kinebench_drake.report.run import Run, check_page_folder
 from kinebench_drake.report.table import Table, make_listing
 from kinebench_drake.report.verdict import GOOD_VERDICTS, verdict_of
+from kinebench_drake.results.aggregate import group_by
 from kinebench_drake.results.row import SampleRow
 
 
@@ -68,9 +69,7 @@ class SampleComparison:
     @property
     def leads(self) -> list[str]:
         """The better of every two models, a line each; motionless samples."""
-        models: dict[str, list[SampleRow]] = {}
-        for sample in self.samples:
-            models.setdefault(sample.model, []).append(sample.row)
+        models = {model: [s.row for s in own] for model, own in group_by(self.samples, lambda s: s.model).items()}
         verdicts = list(verdict_lines(self.numbers)) or ["No sample has a verdict that would rank the models"]
         return [*verdicts, *motionless_lines(models)]
 
@@ -202,9 +201,7 @@ def pair_models(samples: Sequence[ModelSample]) -> list[ModelPair]:
     Raises:
         UsageError: there are not two models, no two share a sample, or two paired samples are of different tasks.
     """
-    models: dict[str, list[SampleRow]] = {}
-    for sample in samples:
-        models.setdefault(sample.model, []).append(sample.row)
+    models = {model: [s.row for s in own] for model, own in group_by(samples, lambda s: s.model).items()}
     if len(models) < 2:
         raise UsageError(
             f"all samples are of one model, {next(iter(models))}: there is nothing to compare; name folders of two "

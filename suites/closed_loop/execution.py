@@ -203,8 +203,7 @@ def _interpolate(t_s: Array, q: Array, valid: NDArray[np.bool_]) -> Array:
     """Interpolate the path (T, 7) between its `valid` (T,) frames; it is constant outside of them."""
     if valid.sum() == 1:
         return np.repeat(q[valid], len(q), axis=0)
-    within = np.clip(t_s, t_s[valid][0], t_s[valid][-1])
-    return np.asarray(PchipInterpolator(t_s[valid], q[valid])(within))
+    return np.asarray(PchipInterpolator(t_s[valid], q[valid])(np.clip(t_s, t_s[valid][0], t_s[valid][-1])))
 
 
 def _plan_fingers(finger_width_m: Array, X_BG: Array, start: RobotState) -> tuple[Array, bool]:

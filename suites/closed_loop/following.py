@@ -162,8 +162,7 @@ def action_curves(tracks: Sequence[GripperTrack], actions: Sequence[ActionTrack 
         if own is None:
             return {}
         t_s = track.t_s[number > 0 :] - track.t_s[0]
-        columns = [np.interp(t_s, own.t_s, column) for column in own.q.T]
-        curves["commanded_q"].append(np.column_stack(columns))
+        curves["commanded_q"].append(np.column_stack([np.interp(t_s, own.t_s, column) for column in own.q.T]))
         curves["commanded_finger_width_m"].append(np.interp(t_s, own.t_s, own.finger_width_m))
     return {name: np.concatenate(parts) for name, parts in curves.items()}
 

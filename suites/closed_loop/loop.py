@@ -68,14 +68,11 @@ class LoopOptions:
     """Motion that requests state."""
 
     def __post_init__(self) -> None:
-        """Check the options.
+        """Check the frame period.
 
         Raises:
-            UsageError: one of them is out of range.
+            UsageError: it is out of range.
         """
-        for name, count in (("rounds", self.rounds), ("action_repeat", self.action_repeat)):
-            if count is not None and count < 1:
-                raise UsageError(f"${name} is {count}, expected 1 or more")
         if not MIN_FRAME_PERIOD_S <= self.frame_period_s <= MAX_FRAME_PERIOD_S:
             raise UsageError(
                 f"$frame_period_s is {self.frame_period_s}, expected seconds from {MIN_FRAME_PERIOD_S:g} to "
@@ -195,8 +192,9 @@ class ClosedLoop:
                 request = replace(request, actions=actions)
             asks = number > 0 or request.actions is not None  # `suite export` writes first frames without actions
             if asks and isinstance(model, OfflineModel) and not model.files(videos.name, episode.task, number):
-                X_BG = simulator.link_pose(TCP_LINK)
-                pending = PendingRound(request=request, X_BG=X_BG, finger_width_m=state.finger_width_m)
+                pending = PendingRound(
+                    request=request, X_BG=simulator.link_pose(TCP_LINK), finger_width_m=state.finger_width_m
+                )
                 break
             if isinstance(model, PrivilegedModel):
                 model.set_state(episode, simulator.simulation_state())
@@ -276,8 +274,9 @@ class ClosedLoop:
             return Priors(X_CH=truth.X_CH[frames], finger_width_m=truth.finger_width_m[frames])
         if self._options.pixels_only:
             return Priors()
-        X_BG = self._planner.plant.forward(state.q)
-        return Priors(initial_state=InitialState(X_BG=X_BG, finger_width_m=state.finger_width_m))
+        return Priors(
+            initial_state=InitialState(X_BG=self._planner.plant.forward(state.q), finger_width_m=state.finger_width_m)
+        )
 
     def _plan(self, track: GripperTrack, state: RobotState) -> tuple[Commands | None, str | None]:
         """Return the commands of a track, or the reason why there are none."""

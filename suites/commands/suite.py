@@ -12,47 +12,12 @@ from kinebench_drake.cli.click_options import PathParameter, check_parent, confi
 from kinebench_drake.errors import UsageError
 from kinebench_drake.io.atomic import write_atomically
 from kinebench_drake.suites.commands.suite_data import demos, export
-from kinebench_drake.suites.commands.suite_results import report
-from kinebench_drake.suites.commands.suite_run import plan, run
+from kinebench_drake.suites.commands.suite_run import plan, report, run
 from kinebench_drake.suites.runs.suite_config import SuiteConfig
 
 if TYPE_CHECKING:  # slow to import
     from kinebench_drake.suites.composition import Episode
-
-_SEED = click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Seed of the first episode.")
-
-
-_SUITE = click.option(
-    "--suite", "number", type=click.IntRange(0, 3), metavar="N",
-    help="Take tasks, seeds and assets from a suite's split.  [default: all tasks, seeds as they are, all assets]",
-)  # fmt: skip
-_SPLIT = click.option(
-    "--split", type=click.Choice(["train", "test", "seen", "unseen"]), help="Split, with --suite.  [default: test]"
-)
-
-
-def _episodes(
-    number: int | None, split: str | None, tasks: str | None, count: int, seed: int, variant: str = "plain"
-) -> "list[Episode]":
-    """Return `count` episodes of each task, of a suite's split or of all tasks, in order."""
-    from kinebench_drake.suites.catalog import chosen_tasks, load_suite, task_names, with_variant
-    from kinebench_drake.suites.composition import compose
-    from kinebench_drake.suites.families.registry import TASKS, find_task
     from kinebench_drake.suites.families.task import TaskVariant
-
-    own = TaskVariant(variant)
-    if number is None:
-        if split is not None:
-            raise UsageError(f"--split {split}: of which suite? add --suite N")
-        names = task_names(tasks)
-        chosen = list(TASKS) if names is None else [find_task(name).card.id for name in names]
-        seeds = range(seed, seed + count)
-        having = with_variant(chosen, own, named=names is not None)
-        return [compose(task, s, variant=own) for task in having for s in seeds]
-    suite = load_suite(number)
-    name = split or "test"
-    specs = suite.specs(name, count, tasks=chosen_tasks(suite, name, tasks, own), offset=seed, variant=own)
-    return [spec.episode() for spec in specs]
 
 
 @click.group(
@@ -113,10 +78,15 @@ def _echo_json(facts: list[dict[str, Any]]) -> None:
 
 
 @suite.command(epilog="\b\nExample:\n  kinebench-drake suite check --tasks StackCube-v1 --episodes 100 --jobs 2")
-@_SUITE
-@_SPLIT
+@click.option(
+    "--suite", "number", type=click.IntRange(0, 3), metavar="N",
+    help="Take tasks, seeds and assets from a suite's split.  [default: all tasks, seeds as they are, all assets]",
+)  # fmt: skip
+@click.option(
+    "--split", type=click.Choice(["train", "test", "seen", "unseen"]), help="Split, with --suite.  [default: test]"
+)
 @config_options(SuiteConfig, "tasks", "episodes")
-@_SEED
+@click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Seed of the first episode.")
 @click.option(
     "--policy", type=click.Choice(["expert", "still", "random"]), default="expert", show_default=True,
     help="Policy that moves the robot.",
@@ -138,10 +108,11 @@ def check(
     """Run a scripted policy on tasks; print success rates with 95 % intervals and the reasons of failures."""
     from kinebench_drake.executors.base import ExecutorKind, create_executor
     from kinebench_drake.suites.expert_check import ExpertTrial, Policy, run_trials, task_lines
+    from kinebench_drake.suites.families.task import TaskVariant
 
     if json_out is not None:
         check_parent("--json", json_out)
-    todo = _episodes(number, split, tasks, episodes, seed, variant)
+    todo = _episodes(number, split, tasks, episodes, seed, TaskVariant(variant))
     trials: dict[str, list[ExpertTrial]] = {task: [] for task in sorted({episode.task for episode in todo})}
     for trial in run_trials(create_executor(ExecutorKind.LOCAL, jobs), todo, Policy(policy)):
         own = trials[trial.episode.task]
@@ -157,3 +128,24 @@ def check(
             for t in own
         ]  # fmt: skip
         write_atomically(json_out, (json.dumps(records, indent=1) + "\n").encode())
+
+
+def _episodes(
+    number: int | None, split: str | None, tasks: str | None, count: int, seed: int, variant: "TaskVariant"
+) -> "list[Episode]":
+    """Return `count` episodes of each task, of a suite's split or of all tasks, in order."""
+    from kinebench_drake.suites.catalog import chosen_tasks, load_suite, task_names, with_variant
+    from kinebench_drake.suites.composition import compose
+    from kinebench_drake.suites.families.registry import TASKS, find_task
+
+    if number is None:
+        if split is not None:
+            raise UsageError(f"--split {split}: of which suite? add --suite N")
+        names = task_names(tasks)
+        chosen = list(TASKS) if names is None else [find_task(name).card.id for name in names]
+        having = with_variant(chosen, variant, named=names is not None)
+        return [compose(task, s, variant=variant) for task in having for s in range(seed, seed + count)]
+    suite = load_suite(number)
+    name = split or "test"
+    tasks_of_split = chosen_tasks(suite, name, tasks, variant)
+    return [spec.episode() for spec in suite.specs(name, count, tasks=tasks_of_split, offset=seed, variant=variant)]

@@ -1,10 +1,12 @@
-"""`kinebench-drake suite run` and `suite plan`."""
+"""`kinebench-drake suite run`, `suite report` and `suite plan`."""
 
+from pathlib import Path
 from typing import Any
 
 import click
 
-from kinebench_drake.cli.click_options import config_options
+from kinebench_drake.cli.click_options import PathParameter, config_options, echo
+from kinebench_drake.cli.outputs import folders_argument
 from kinebench_drake.cli.progress import run as carry_out
 from kinebench_drake.suites.runs.suite_config import SuiteConfig
 
@@ -31,6 +33,30 @@ def run(ctx: click.Context, /, **options: Any) -> None:
 
     config = SuiteConfig(**options)
     ctx.exit(carry_out(lambda observer: run_suite(config, observer), config.out))
+
+
+@click.command(
+    short_help="Report on suite runs.",
+    epilog="\b\nExamples:\n"
+    "  kinebench-drake suite report runs/wan-suite0/ runs/wan-suite2/ --out report/\n"
+    "  kinebench-drake suite report scaling/*/ --out report/",
+)
+@folders_argument
+@click.option(
+    "--paper",
+    is_flag=True,
+    help="Only what the KineBench paper shows: success and kinematics by suite and model, their correlation, the loss "
+    "from seen to unseen, scaling.",
+)
+@click.option("--out", type=PathParameter(file_okay=False), required=True, help="Folder to write to.")
+def report(folders: tuple[Path, ...], out: Path, paper: bool) -> None:
+    """Report on output folders DIR of `suite run`: report.html, figures (png, svg), tables (csv, LaTeX).
+
+    Folders of one model on one suite are pooled, such as shards, unless their tags or settings differ.
+    """
+    from kinebench_drake.suites.report.suite_page import write_suite_report
+
+    echo(write_suite_report(folders, out, warn=lambda message: echo(f"warning: {message}", err=True), paper=paper))
 
 
 def _numbers(ctx: click.Context, param: click.Parameter, text: str) -> list[int]:

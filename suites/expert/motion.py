@@ -116,10 +116,8 @@ def cartesian_path(
     X = np.stack([np.asarray(X_BG_start, dtype=np.float64), *(w.X_BG for w in waypoints)])
     widths = np.array([finger_width_start_m, *(w.finger_width_m for w in waypoints)])
     # 0.3: rest at the end of every path, for the joint servos to catch up (their lag is 0.1 s)
-    duration_s = steps * CONTROL_PERIOD_S - 0.3
-    starts_s, lengths_s = _schedule(X, widths, waypoints, duration_s)
-    t_s = CONTROL_PERIOD_S * np.arange(1, steps + 1)
-    done = minimum_jerk((t_s[:, None] - starts_s) / lengths_s)
+    starts_s, lengths_s = _schedule(X, widths, waypoints, steps * CONTROL_PERIOD_S - 0.3)
+    done = minimum_jerk(((CONTROL_PERIOD_S * np.arange(1, steps + 1))[:, None] - starts_s) / lengths_s)
     p = X[0, :3, 3] + sum(
         _displacement(X[i, :3, 3], X[i + 1, :3, 3], waypoint.arc, done[:, i]) for i, waypoint in enumerate(waypoints)
     )

@@ -112,8 +112,7 @@ class CorrelationStudy:
         if defined and tasks >= 2:  # tasks needed for an interval, which resamples them
             low, high = percentile_interval(_rho(x, y, resampled_counts(tasks, np.random.default_rng(0))))
             low, high = (low, high) if high - low > 1e-12 else (None, None)
-        mean = rho if defined else None
-        return Estimate(mean=mean, low=low, high=high, n=points, total=points), tasks
+        return Estimate(mean=rho if defined else None, low=low, high=high, n=points, total=points), tasks
 
 
 def study_correlation(episodes: Sequence[EpisodeResult], predictor: Predictor = SPARC) -> CorrelationStudy:

@@ -153,9 +153,14 @@ def balanced_mean(
     values = [own for own in values if len(own)]
     if not values:
         return Estimate(mean=None, low=None, high=None, n=0, total=total, bound=bound)
-    n = sum(map(len, values))
-    mean = float(np.mean([own.mean() for own in values]))
-    pointwise = Estimate(mean=mean, low=None, high=None, n=n, total=total, bound=bound)
+    pointwise = Estimate(
+        mean=float(np.mean([own.mean() for own in values])),
+        low=None,
+        high=None,
+        n=sum(map(len, values)),
+        total=total,
+        bound=bound,
+    )
     if min(map(len, values)) < 2:
         return pointwise
     rng = np.random.default_rng(seed)

@@ -58,8 +58,7 @@ def robust_normalize(values: Array) -> Array:
     NaN. If both percentiles are equal there is no scale: smaller values become 0, greater ones 1 and equal ones 0.5.
     The result compares episodes of one report, never of several.
     """
-    finite = values[np.isfinite(values)]
-    bottom, top = np.percentile(finite, _PERCENTILES)
+    bottom, top = np.percentile(values[np.isfinite(values)], _PERCENTILES)
     if top > bottom:
         scaled = np.clip((values - bottom) / (top - bottom), 0.0, 1.0)
     else:

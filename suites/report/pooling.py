@@ -90,8 +90,12 @@ def _check_kind(run: Run) -> SuiteRun:
         raise UsageError(
             f"{run.path / RESULTS}: config names no suite, split and variant, expected those of a suite run"
         )
-    part = SuitePart(suite=suite, split=str(split), variant=str(variant))
-    return SuiteRun(path=run.path, rows=run.rows, results=run.results, part=part)
+    return SuiteRun(
+        path=run.path,
+        rows=run.rows,
+        results=run.results,
+        part=SuitePart(suite=suite, split=str(split), variant=str(variant)),
+    )
 
 
 def _format_setting(value: object) -> str:
@@ -196,5 +200,4 @@ def _label(model: str, run: SuiteRun, differing: Sequence[str]) -> str:
 
 def _natural(text: str) -> list[tuple[int, int, str]]:
     """Return a sort key that compares the numbers within names as numbers."""
-    parts = re.split(r"(\d+)", text)
-    return [(0, int(part), "") if part.isdecimal() else (1, 0, part) for part in parts]
+    return [(0, int(part), "") if part.isdecimal() else (1, 0, part) for part in re.split(r"(\d+)", text)]

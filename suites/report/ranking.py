@@ -48,6 +48,7 @@ def _correct(
             ratio = shares.ratio()
             ceiling = shares.rates[1]
             low, high = (None if isnan(end) else end for end in (ratio.low, ratio.high))
-            mean = None if isnan(ratio.value) else ratio.value
-            return Estimate(mean=mean, low=low, high=high, n=shares.n, total=shares.n), ceiling
+            return Estimate(
+                mean=None if isnan(ratio.value) else ratio.value, low=low, high=high, n=shares.n, total=shares.n
+            ), ceiling
     return None, None

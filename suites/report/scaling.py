@@ -1,7 +1,7 @@
 """Success against demonstrations and optimisation steps, by difficulty of the tasks (suite 3)."""
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -117,12 +117,6 @@ def tabulate_scaling(studies: Sequence[Scaling]) -> Table:
             for level in levels
         ],
     )
-
-
-def draw_studies(studies: Sequence[Scaling]) -> Iterator[tuple[Scaling, ReportFigure | None]]:
-    """Draw each study as `draw_scaling` does; the figures are numbered if there are several."""
-    for number, study in enumerate(studies, 1):
-        yield study, draw_scaling(study, "scaling_curves" if len(studies) == 1 else f"scaling_{number}_curves")
 
 
 def draw_scaling(study: Scaling, name: str) -> ReportFigure | None:

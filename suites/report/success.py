@@ -137,8 +137,7 @@ def tabulate_suites(episodes: Sequence[EpisodeResult]) -> Table:
 
 def tally_runs(episodes: Sequence[EpisodeResult]) -> dict[tuple[str, SuitePart], Tally]:
     """Count the episodes of every model on every part."""
-    groups = group_by(episodes, lambda e: (e.model, e.part)).items()
-    return {key: tally(own, episodes) for key, own in groups}
+    return {key: tally(own, episodes) for key, own in group_by(episodes, lambda e: (e.model, e.part)).items()}
 
 
 def best_models(tallies: Mapping[tuple[str, SuitePart], Tally], part: SuitePart) -> set[str]:
@@ -222,8 +221,7 @@ def draw_success(episodes: Sequence[EpisodeResult]) -> list[ReportFigure]:
         rates = {key: tally(some).pooled for key, some in group_by(own, lambda e: (e.model, e.task)).items()}
         by_model = {m: [(task, rate) for (model, task), rate in rates.items() if model == m] for m in here}
         figure = draw_intervals(tasks, by_model, assign_numbers(models, here), f"success, {interval}")
-        intervals = interval.replace("interval", "intervals")
-        figures.append(make_figure("success", figure, part=part, intervals=intervals))
+        figures.append(make_figure("success", figure, part=part, intervals=interval.replace("interval", "intervals")))
     return figures
 
 

@@ -40,9 +40,17 @@ def write_suite_report(
         warn(message)
     episodes = kinematics.scale_costs(pool_episodes(runs))
     following = None if paper else kinematics.tabulate_following(episodes)
+    details: list[Part] = []
+    if not paper:
+        details = [
+            success.tabulate_summary(episodes),
+            *success.draw_success(episodes),
+            success.tabulate_tasks(episodes),
+            success.draw_verdicts(episodes),
+        ]
     parts: list[Part] = [
         success.tabulate_suites(episodes),
-        *([] if paper else _detail_parts(episodes)),
+        *details,
         kinematics.tabulate_kinematics(episodes),
         *([following] if following else []),
         *_drop_parts(runs, episodes),
@@ -52,16 +60,6 @@ def write_suite_report(
         *_scaling_parts(runs, episodes),
     ]
     return write_page("Suite report", runs, episodes, out, parts)
-
-
-def _detail_parts(episodes: Sequence[EpisodeResult]) -> list[Part]:
-    """Return success by task, and the causes of failure."""
-    return [
-        success.tabulate_summary(episodes),
-        *success.draw_success(episodes),
-        success.tabulate_tasks(episodes),
-        success.draw_verdicts(episodes),
-    ]
 
 
 def _drop_parts(runs: Sequence[SuiteRun], episodes: Sequence[EpisodeResult]) -> list[Part]:
@@ -97,8 +95,9 @@ def _scaling_parts(runs: Sequence[SuiteRun], episodes: Sequence[EpisodeResult]) 
         return [*parts, make_missing("scaling")]
     studies = scaling.study_scaling(runs, episodes, scaling.task_difficulties())
     parts.append(scaling.tabulate_scaling(studies))
-    for study, figure in scaling.draw_studies(studies):
-        parts.append(figure or make_missing("scaling_curves", model=study.model))
+    for number, study in enumerate(studies, 1):
+        name = "scaling_curves" if len(studies) == 1 else f"scaling_{number}_curves"
+        parts.append(scaling.draw_scaling(study, name) or make_missing("scaling_curves", model=study.model))
     return parts
 
 

@@ -63,7 +63,9 @@ def study_drops(episodes: Sequence[EpisodeResult], transfers: Mapping[str, Seque
         by_task = [_paired(suite, model, task, some) for task, some in pairs.items() if some]
         if by_task:
             every = [pair for some in pairs.values() for pair in some]
-            drops += [_paired(suite, model, ALL_TASKS, every), *_adjust(by_task)]
+            adjusted = adjust_p_values({d.task: d.p for d in by_task if d.p is not None})
+            drops.append(_paired(suite, model, ALL_TASKS, every))
+            drops += [replace(d, adjusted_p=adjusted.get(d.task)) for d in by_task]
         for task in sorted({*others} - {*trained}):
             origins = [own for name in transfers.get(task, ()) for own in trained.get(name, {}).values()]
             if origins:
@@ -135,13 +137,9 @@ def _independent(
 
 
 def _mean(values: Array) -> Estimate:
-    mean = float(values.mean()) if len(values) else None
-    return Estimate(mean=mean, low=None, high=None, n=len(values), total=len(values))
-
-
-def _adjust(drops: Sequence[SeenUnseenDrop]) -> list[SeenUnseenDrop]:
-    by_task = adjust_p_values({d.task: d.p for d in drops if d.p is not None})
-    return [replace(d, adjusted_p=by_task.get(d.task)) for d in drops]
+    return Estimate(
+        mean=float(values.mean()) if len(values) else None, low=None, high=None, n=len(values), total=len(values)
+    )
 
 
 def tabulate_drops(drops: Sequence[SeenUnseenDrop]) -> Table:
@@ -169,7 +167,6 @@ def draw_drops(drops: Sequence[SeenUnseenDrop]) -> list[ReportFigure]:
         tasks = sorted({d.task for d in own}, key=lambda task: (task != ALL_TASKS, task), reverse=True)
         values = {m: [(d.task, d.drop) for d in own if d.model == m] for m in models if any(d.model == m for d in own)}
         numbers = assign_numbers(models, [*values])
-        label = "drop of success, seen minus unseen"
-        figure = draw_intervals(tasks, values, numbers, label, low=-1.0)
+        figure = draw_intervals(tasks, values, numbers, "drop of success, seen minus unseen", low=-1.0)
         figures.append(make_figure("seen_unseen", figure, suite=suite))
     return figures

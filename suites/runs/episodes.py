@@ -186,12 +186,16 @@ class EpisodeEvaluator(Evaluator[EpisodeSample, EpisodeResources]):
         results = [resources.tools.judge(track) for track in tracks]
         track = join_tracks(tracks)
         kinematics = combine(tracks, results)
-        curves = {
-            **kinematics.curves,
-            **join_curves([r.grounding.measured.curves for r in run.rounds]),
-            **action_curves(tracks, [r.actions for r in run.rounds]),
-        }
-        write_track(artifact_path(self.config.out, "tracks", sample.id), track, kinematics.joints, curves)
+        write_track(
+            artifact_path(self.config.out, "tracks", sample.id),
+            track,
+            kinematics.joints,
+            {
+                **kinematics.curves,
+                **join_curves([r.grounding.measured.curves for r in run.rounds]),
+                **action_curves(tracks, [r.actions for r in run.rounds]),
+            },
+        )
         write_atomically(artifact_path(self.config.out, "thumbnails", sample.id), episode_strip(run, executed))
         if self.config.rollouts:
             path = artifact_path(self.config.out, "rollouts", sample.id)

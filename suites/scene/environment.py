@@ -137,8 +137,11 @@ class KineBenchEnv(BaseEnv):  # type: ignore[misc]
                 [body] = placement.model.bodies
                 if placement.decor:
                     body = replace(body, colliders=())
-                physics = "kinematic" if placement.decor else "dynamic"
-                built.append(build_actor(self.scene, own_name, body, X_WM, [i], physics=physics))
+                built.append(
+                    build_actor(
+                        self.scene, own_name, body, X_WM, [i], physics="kinematic" if placement.decor else "dynamic"
+                    )
+                )
         if self.num_envs == 1:
             return built[0]
         for part in built:  # replaced by one merged entry for all scenes

@@ -76,8 +76,7 @@ def flat_mesh(vertices: ArrayLike, faces: ArrayLike, *, uv_per_m: float = 1.0) -
     triangles = np.asarray(vertices, dtype=np.float64)[np.asarray(faces)]
     n = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     n /= np.maximum(np.linalg.norm(n, axis=1, keepdims=True), 1e-12)
-    axis = np.argmax(np.abs(n), axis=1)
-    others = np.array([[1, 2], [0, 2], [0, 1]])[axis]
+    others = np.array([[1, 2], [0, 2], [0, 1]])[np.argmax(np.abs(n), axis=1)]
     uv = np.take_along_axis(triangles, others[:, None, :], axis=2).reshape(-1, 2)
     return Mesh(
         vertices=triangles.reshape(-1, 3),
@@ -247,6 +246,6 @@ class BodyParts:
 
     def body(self, name: str, material: Material, joint: Joint | None = None) -> RigidBody:
         """Return all parts as one body."""
-        visuals = tuple(self.visuals)
-        colliders = tuple(self.colliders)
-        return RigidBody(name=name, visuals=visuals, colliders=colliders, material=material, joint=joint)
+        return RigidBody(
+            name=name, visuals=tuple(self.visuals), colliders=tuple(self.colliders), material=material, joint=joint
+        )

@@ -81,8 +81,7 @@ class State:
     def distance_progress(self, name: str, goal: Tensor) -> Tensor:
         """Return the fraction (N,) of the distance from an object to `goal` (N, 3) [m] covered since the start."""
         before = torch.linalg.norm(self.starts[name][:, :3, 3] - goal, dim=-1)
-        now = torch.linalg.norm(self.position(name) - goal, dim=-1)
-        left: Tensor = now / before.clamp(min=1e-6)
+        left: Tensor = torch.linalg.norm(self.position(name) - goal, dim=-1) / before.clamp(min=1e-6)
         return 1.0 - left
 
     def release_conditions(self, name: str) -> dict[str, Tensor]:

@@ -78,8 +78,7 @@ def shade(image: ArrayLike, factor: Array) -> Texture:
 def mix(first: ArrayLike, second: ArrayLike, weight: Array) -> Texture:
     """Blend a second image or colour over the first (H, W, 3) with the weights (H, W) 0..1."""
     a = np.asarray(first, dtype=np.float64)
-    b = np.asarray(second, dtype=np.float64)
-    return _image(a + np.clip(weight, 0.0, 1.0)[..., None] * (b - a))
+    return _image(a + np.clip(weight, 0.0, 1.0)[..., None] * (np.asarray(second, dtype=np.float64) - a))
 
 
 def fill(color: ArrayLike, size: int) -> Texture:
@@ -154,8 +153,7 @@ def planks(rng: np.random.Generator, kind: str = "oak", *, boards: int = 4) -> T
     for board in range(boards):
         rows = slice(board * _LARGE // boards, (board + 1) * _LARGE // boards)
         image[rows] = np.roll(grain, rng.integers(0, _LARGE, 2), (0, 1))[rows]
-    tone = rng.normal(1.0, 0.06, boards)[cell]
-    return shade(image, tone * (1.0 - 0.45 * np.clip(1.6 - edge, 0.0, 1.0)))
+    return shade(image, rng.normal(1.0, 0.06, boards)[cell] * (1.0 - 0.45 * np.clip(1.6 - edge, 0.0, 1.0)))
 
 
 def parquet(rng: np.random.Generator, kind: str = "oak") -> Texture:
@@ -219,8 +217,7 @@ def woven(rng: np.random.Generator, warp: ArrayLike, weft: ArrayLike, *, threads
     tones = rng.normal(1.0, 0.035, (2, threads))
     colors = [np.broadcast_to(np.asarray(c, dtype=np.float64), (threads, 3)) for c in (warp, weft)]
     along, across = (c[number] * (t[number] * round_)[:, None] for c, t in zip(colors, tones, strict=True))
-    over = (number[:, None] + number[None, :]) % 2 == 0
-    image = np.where(over[..., None], along[None, :], across[:, None])
+    image = np.where(((number[:, None] + number[None, :]) % 2 == 0)[..., None], along[None, :], across[:, None])
     return shade(image, 1.0 + 0.16 * (tileable_noise(rng, _SMALL, slope=1.0) - 0.5))
 
 
@@ -253,8 +250,7 @@ def stripes(rng: np.random.Generator, colors: Sequence[ArrayLike], *, count: int
 def carpet(rng: np.random.Generator, color: ArrayLike) -> Texture:
     """Return a short-pile carpet; about 0.5 m."""
     tufts = grains(rng, _SMALL, _SMALL / 4.0) - 0.5
-    clouds = tileable_noise(rng, _SMALL, slope=1.2) - 0.5
-    return shade(fill(color, _SMALL), 1.0 + 0.8 * tufts + 0.2 * clouds)
+    return shade(fill(color, _SMALL), 1.0 + 0.8 * tufts + 0.2 * (tileable_noise(rng, _SMALL, slope=1.2) - 0.5))
 
 
 def leather(rng: np.random.Generator, color: ArrayLike) -> Texture:

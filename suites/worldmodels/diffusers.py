@@ -165,8 +165,7 @@ def _patch(config: Any) -> tuple[int, ...]:
     """Return the sides, in latents, of the smallest area that the denoising network processes."""
     patch = getattr(config, "patch_size", None)
     if patch is None:  # a U-Net halves the sides between its blocks
-        blocks = getattr(config, "block_out_channels", ())
-        return (2 ** max(len(blocks) - 1, 0),)
+        return (2 ** max(len(getattr(config, "block_out_channels", ())) - 1, 0),)
     return (patch,) if isinstance(patch, int) else tuple(patch[-2:])
 
 

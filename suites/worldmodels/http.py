@@ -65,8 +65,12 @@ class HttpModel:
             base = base.rstrip("/").removesuffix(PATH)
             self._style = "predict"
         self._timeout_s = options.timeout
-        key = key_from(options.key_env) if options.key_env else None
-        self._client = HttpClient(f"the world model at {url.netloc.decode()}", base, key=key, limits=limits)
+        self._client = HttpClient(
+            f"the world model at {url.netloc.decode()}",
+            base,
+            key=key_from(options.key_env) if options.key_env else None,
+            limits=limits,
+        )
         self._predict: PredictService | None = None
         self.name = options.name or f"{url.netloc.decode()}{url.path.rstrip('/').removesuffix(PATH)}"
 

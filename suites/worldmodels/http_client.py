@@ -297,8 +297,9 @@ class HttpClient:
         # A 5xx may come from a gateway behind which the request was accepted; 429 means that it was not.
         transient = status >= HTTPStatus.INTERNAL_SERVER_ERROR and status not in _FINAL
         if status == HTTPStatus.TOO_MANY_REQUESTS or (transient and repeatable):
-            after_s = retry_after(response.headers.get("Retry-After", ""))
-            raise BusyError(message, status=status, code=code, after_s=after_s)
+            raise BusyError(
+                message, status=status, code=code, after_s=retry_after(response.headers.get("Retry-After", ""))
+            )
         if status in (HTTPStatus.UNAUTHORIZED, HTTPStatus.FORBIDDEN) and origin(response.url) == origin(self._base):
             missing = "no key was sent; name one with key_env=VARIABLE"
             raise SetupError(f"{message}; {'is the key right, and meant for this address?' if self._key else missing}")

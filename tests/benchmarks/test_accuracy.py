@@ -1,6 +1,7 @@
-from benchmarks.accuracy import figures, section
+from benchmarks.accuracy import HeldoutFigures, figures, section
 from benchmarks.footage import ReferenceKind
 from benchmarks.markdown import replace_section
+from kinebench_drake.stats import IntervalEstimate
 
 POSES = {
     "videos": 3, "tracked": 0.9, "hand_mm_median": 4.25, "hand_mm_p95": 14.0, "rotation_deg_median": 1.0,
@@ -17,18 +18,18 @@ OTHERS = [
         "anomalies": {"clean_videos": 0, "clean_videos_with_anomalies": 0},
     },
 ]
-HELDOUT = {
-    "summary": {
+HELDOUT = HeldoutFigures(
+    summary={
         "videos": 22.0, "tracked_fraction": 0.995, "position_median_mm": 1.39, "position_p95_mm": 3.9,
         "rotation_median_deg": 0.59, "rotation_p95_deg": 1.8, "tracked_frames_off_by_3_cm": 0.0, "cpu_median_s": 5.0,
         "finger_width_known": 0.95, "finger_width_median_mm": 0.7, "finger_width_p95_mm": 3.5,
         "calibration_error": 0.01, "anomalies_not_planted": 1.0,
     },
-    "intervals": {
-        "position_median_mm": {"value": 1.39, "low": 1.25, "high": 1.54},
-        "rotation_median_deg": {"value": 0.59, "low": 0.55, "high": 0.66},
+    intervals={
+        "position_median_mm": IntervalEstimate(value=1.39, low=1.25, high=1.54),
+        "rotation_median_deg": IntervalEstimate(value=0.59, low=0.55, high=0.66),
     },
-}  # fmt: skip
+)  # fmt: skip
 
 
 def test_external_videos_come_before_renderings_of_this_project():

@@ -29,7 +29,6 @@ def row(name, feasible, kinds=(), **changes):
 @pytest.fixture
 def verdicts():
     truths = [truth(TrajectoryKind.FEASIBLE, n) for n in range(4)] + [truth(TrajectoryKind.FAST, n) for n in range(4)]
-    truths += [truth(TrajectoryKind.PERTURBED, n) for n in range(3)]
     rows = [
         row("feasible-0", True, metrics={"sparc": None}, null_reasons={"sparc": "nearly still"}),
         row("feasible-1", False, ["jerk"]),
@@ -38,9 +37,6 @@ def verdicts():
         row("fast-1", False, ["torque"]),
         row("fast-2", True),
         row("renamed", False, ["velocity"], video="folder/fast-3.npz"),
-        row("perturbed-0", None, status=Status.UNMEASURABLE, reason="no frame is tracked"),
-        row("perturbed-1", None, status=Status.ERROR, reason="it failed"),
-        row("perturbed-2", None, status=Status.UNMEASURABLE),
     ]
     return {v.kind: v for v in compare(rows, {t.id: t for t in truths})}
 
@@ -53,7 +49,6 @@ def test_feasible_trajectories_judged_infeasible_are_false_alarms(verdicts):
     assert v.reason_named is None
     assert v.undecided == ("feasible-2",)
     assert v.missing == ("feasible-3",)
-    assert v.unexplained == ("feasible-2",)
 
 
 def test_detections_and_named_reasons_have_wilson_intervals(verdicts):
@@ -71,13 +66,6 @@ def test_detections_and_named_reasons_have_wilson_intervals(verdicts):
     half = z * (p * (1 - p) / n + z**2 / (4 * n**2)) ** 0.5
     assert v.judged_infeasible.share.low == pytest.approx((middle - half) / (1 + z**2 / n))
     assert v.judged_infeasible.share.high == pytest.approx((middle + half) / (1 + z**2 / n))
-
-
-def test_errors_and_verdicts_without_a_reason_are_unexplained(verdicts):
-    v = verdicts[TrajectoryKind.PERTURBED]
-    assert v.errors == ("perturbed-1",)
-    assert v.unexplained == ("perturbed-1", "perturbed-2")
-    assert v.judged_infeasible.ids == ()
 
 
 def test_the_table_names_misses_and_false_alarms(verdicts):

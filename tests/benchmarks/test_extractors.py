@@ -1,6 +1,7 @@
 """Outcomes by extractor: counts with known answers, and the execution of true and estimated tracks."""
 
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 import pytest
@@ -8,12 +9,16 @@ from click.testing import CliRunner
 
 from benchmarks import extractors
 from benchmarks.__main__ import main
-from benchmarks.extractors import Extraction, ExtractionItem, Extractor, changed, section
-from benchmarks.validity import ExecutionWorker, TrackExecution
+from benchmarks.executions import ClipTrack, Extractor
+from benchmarks.extractors import Extraction, changed, section
 from kinebench_drake.anomaly import AnomalyKind
-from kinebench_drake.geometry import Array
-from kinebench_drake.suites.catalog import EpisodeSpec, load_suite
+from kinebench_drake.camera import Camera
+from kinebench_drake.errors import InputError
+from kinebench_drake.geometry import Array, make_pose
+from kinebench_drake.suites.catalog import load_suite
+from kinebench_drake.suites.clock import FRAME_PERIOD_S
 from kinebench_drake.track import GripperTrack
+from training.baseline.network import Baseline
 
 
 def extraction(
@@ -72,39 +77,35 @@ def test_the_section_has_a_row_for_each_group(extractions: list[Extraction], tmp
     extractors.draw(extractions).savefig(tmp_path / "figure.png")
 
 
-class _Recorder(ExecutionWorker):
-    """Accepts tracks that start at x = 0."""
+class Recall:
+    """A baseline that sees the gripper at x = 1 in every frame."""
 
-    def __init__(self) -> None:
-        pass
-
-    def execute(self, spec: EpisodeSpec, track: GripperTrack) -> TrackExecution:
-        return TrackExecution(success=bool(track.X_BG[0, 0, 3] == 0.0), reason=str(int(track.tracked.sum())))
-
-
-class _FixedBaseline:
-    def predict(self, frames: Array) -> tuple[Array, Array]:
-        return np.tile(np.eye(4), (len(frames), 1, 1)) + 1.0, np.zeros(len(frames))
-
-
-def test_the_worker_takes_the_track_of_its_extractor(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    X_BG = np.tile(np.eye(4), (5, 1, 1))
-    X_BG[3] = np.nan
-    np.savez(tmp_path / "a.npz", t_s=np.arange(5.0), base_from_tcp=X_BG, finger_width_m=np.zeros(5))
-    monkeypatch.setattr(extractors, "ExecutionWorker", _Recorder)
-    monkeypatch.setattr(extractors.Baseline, "load", lambda _: _FixedBaseline())
-    monkeypatch.setattr(extractors, "read_video", lambda _: type("V", (), {"frames": np.zeros((5, 8, 8, 3), np.uint8)}))
-    worker = extractors._Worker(tmp_path / "weights")
-    spec = load_suite(2).specs("unseen", 1, tasks=["PullCube-v1"])[0]
-
-    def run(extractor: Extractor, truth: str) -> TrackExecution:
-        return worker(
-            ExtractionItem(id="a", spec=spec, video=tmp_path / "a.mp4", truth=tmp_path / truth, extractor=extractor)
+    def track(self, frames: Array, t_s: Array, camera: Camera) -> GripperTrack:
+        X_BG = np.tile(make_pose(np.eye(3), [1.0, 0.0, 0.0]), (len(frames), 1, 1))
+        every = np.ones(len(frames), dtype=bool)
+        return GripperTrack(
+            t_s=t_s, X_CH=X_BG, X_BG=X_BG, tracked=every, confidence=every * 1.0, finger_width_m=np.zeros(len(frames))
         )
 
-    assert run(Extractor.TRUTH, "a.npz") == TrackExecution(success=True, reason="4")
-    assert run(Extractor.BASELINE, "a.npz") == TrackExecution(success=False, reason="5")
-    assert not run(Extractor.TRUTH, "absent.npz").success
+
+def test_a_clip_is_read_by_its_extractor(tmp_path: Path) -> None:
+    X_BG = np.tile(np.eye(4), (5, 1, 1))
+    X_BG[3] = np.nan
+    np.savez(tmp_path / "truth.npz", t_s=np.arange(5.0), base_from_tcp=X_BG, finger_width_m=np.zeros(5))
+    np.save(tmp_path / "video.npy", np.zeros((5, 8, 8, 3), np.uint8))
+    spec = load_suite(2).specs("unseen", 1, tasks=["PullCube-v1"])[0]
+
+    def read(extractor: Extractor, source: str) -> GripperTrack:
+        clip = ClipTrack(id="a", spec=spec, extractor=extractor, source=tmp_path / source)
+        return clip.read(cast(Baseline, Recall()))
+
+    truth = read(Extractor.TRUTH, "truth.npz")
+    assert truth.tracked.tolist() == [True, True, True, False, True]
+    baseline = read(Extractor.BASELINE, "video.npy")
+    assert (baseline.X_BG[:, 0, 3] == 1.0).all()
+    np.testing.assert_allclose(np.diff(baseline.t_s), FRAME_PERIOD_S)
+    with pytest.raises(InputError):
+        read(Extractor.TRUTH, "absent.npz")
 
 
 def test_a_folder_without_a_study_is_refused(tmp_path: Path) -> None:

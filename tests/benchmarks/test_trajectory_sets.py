@@ -1,5 +1,3 @@
-import io
-
 import numpy as np
 import pytest
 
@@ -89,16 +87,6 @@ def test_noisy_trajectories_are_feasible_ones_with_noise_of_the_requested_size(a
     off = noisy.X_BG[:, :3, 3] - clean.X_BG[:, :3, 3]
     assert off.std() == pytest.approx(3e-3, rel=0.3)
     assert noisy.q is None
-
-
-def test_perturbed_trajectories_are_valid_files_without_a_label(arm):
-    for i in range(40):
-        trajectory, truth = draw(Recipe(set=TrajectorySet.PERTURBED, seed=4), i, arm)
-        assert truth.feasible is None
-        with np.load(io.BytesIO(trajectory.to_bytes()), allow_pickle=False) as arrays:
-            assert (np.diff(arrays["t_s"]) > 0.0).all()
-            name = "base_from_tcp" if "base_from_tcp" in arrays.files else "q"
-            assert len(arrays[name]) == len(arrays["t_s"]) == truth.parameters["frames"]
 
 
 def test_trajectories_of_one_seed_have_the_same_bytes(tmp_path):

@@ -7,20 +7,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from scipy.stats import spearmanr
 
-from benchmarks import validity
+from benchmarks import executions, validity
 from benchmarks.__main__ import main
+from benchmarks.executions import ClipTrack, ExecutionWorker, Extractor
 from benchmarks.faults.fault import GRADES, FaultGrade, PlantedFault
 from benchmarks.perception.store import MeasurementStore
 from benchmarks.planted_videos import PlantedVideo, PlantingResult
-from benchmarks.validity import ExecutionWorker, ValidityTrial, study_grades, study_specs
-from benchmarks.validity_report import FIGURES, RESPONSES, write_report
-from benchmarks.validity_response import NUMBERS, Grade, Study, Verdict, correlate
+from benchmarks.validity import TRIAL, ValidityTrial, study_grades, study_specs
+from benchmarks.validity_report import FIGURE, RESPONSES, write_report
+from benchmarks.validity_response import NUMBERS, Grade, Study, Verdict
 from kinebench_drake.anomaly import AnomalyKind
 from kinebench_drake.suites.composition import Pool
 from kinebench_drake.suites.families.registry import TASKS
-from kinebench_drake.track import GripperTrack
 
 EPISODES = 24
 
@@ -45,8 +44,8 @@ def trials() -> list[ValidityTrial]:
     rng = np.random.default_rng(0)
     result = []
     for i in range(EPISODES):
-        sparc = rng.normal(-3.0, 0.1)
-        noise = rng.normal(size=3)
+        sparc = float(rng.normal(-3.0, 0.1))
+        noise = rng.normal(size=3).tolist()
         result.append(trial(i, None, 0.0, True, sparc=sparc, ldlj=-5.0, table_distance_min_m=noise[0]))
         for size in (1.0, 10.0):
             numbers = {"sparc": sparc - 0.1 * size, "ldlj": -5.0 + size, "table_distance_min_m": noise[1]}
@@ -102,35 +101,12 @@ def test_exchanging_clean_and_faulty_videos_reflects_the_area_under_roc(trials: 
         assert (a.worse, a.better) == (b.better, b.worse)
 
 
-def test_a_number_that_equals_success_has_correlation_1(trials: list[ValidityTrial]) -> None:
-    """A number that is greater exactly where episodes succeed has correlation 1; a constant one has none."""
-    study = Study([trial_with(t, sparc=float(t.success)) for t in trials])
-    found = correlate(study, "sparc")
-    assert found.pooled.value == pytest.approx(1.0)
-    assert found.within.value == pytest.approx(1.0)
-    assert found.within.low == pytest.approx(1.0)
-    assert np.isnan(correlate(study, "self_distance_min_m").pooled.value)
-    study = Study(trials)
-    sparc = [t.numbers["sparc"] for t in trials]
-    assert correlate(study, "sparc").pooled.value == pytest.approx(
-        spearmanr(sparc, [t.success for t in trials]).statistic
-    )
-    # The sign follows the better side, whatever an episode adds to all of its videos.
-    study = Study([trial_with(t, slowdown_min=int(t.episode) - 0.1 * t.success) for t in trials])
-    lower = correlate(study, "slowdown_min")
-    assert lower.within.value > 0.9 > lower.pooled.value
-
-
-def trial_with(t: ValidityTrial, **numbers: float) -> ValidityTrial:
-    return ValidityTrial.from_json({**t.to_json(), "numbers": {**t.numbers, **numbers}})
-
-
 def test_the_report_has_tables_of_faults_verdicts_responses_and_success(
     trials: list[ValidityTrial], tmp_path: Path
 ) -> None:
     sections = write_report(trials, {"revision": "r", "weights": "w"}, tmp_path)
-    assert all((tmp_path / name).stat().st_size > 10_000 for name in FIGURES)
-    faults, verdicts, responses, success = sections
+    assert (tmp_path / FIGURE).stat().st_size > 10_000
+    faults, verdicts, responses = sections
     assert "| none |  | 100%" in faults
     assert f"{EPISODES} to {EPISODES} a size" in faults
     assert f"| `ldlj` | `vanish` | 1 frame | {EPISODES} of {EPISODES} videos | +1 |" in verdicts
@@ -140,8 +116,6 @@ def test_the_report_has_tables_of_faults_verdicts_responses_and_success(
     table = (tmp_path / RESPONSES).read_text().splitlines()
     assert len(table) == 1 + 3 * len(NUMBERS)
     assert f"vanish,1 frame,manipulability_mean,,,,{EPISODES},0,{EPISODES},1" in table
-    assert "| `sparc` | 0." in success
-    assert "| `feasible` |" not in success  # a constant has no correlation
 
 
 def test_three_episodes_give_no_verdicts(trials: list[ValidityTrial], tmp_path: Path) -> None:
@@ -156,19 +130,19 @@ def test_the_report_command_replaces_the_sections_of_the_page(trials: list[Valid
     work = tmp_path / "work"
     page = tmp_path / "page.md"
     work.mkdir()
-    page.write_text("# Title\n\nIntroduction.\n\n## Success in closed loop\n\nformer text\n")
+    page.write_text("# Title\n\nIntroduction.\n\n## Dose and response\n\nformer text\n")
     missing = CliRunner().invoke(main, ["validity", "report", str(work)])
     assert missing.exit_code == 2
     assert "no finished study" in missing.output
-    (work / "trials.jsonl").write_text("".join(json.dumps(t.to_json()) + "\n" for t in trials))
+    (work / "trials.jsonl").write_text("".join(json.dumps(TRIAL.dump_python(t, mode="json")) + "\n" for t in trials))
     (work / "study.json").write_text('{"revision": "r", "weights": "w"}')
     for _ in range(2):  # the second time replaces the sections
         result = CliRunner().invoke(main, ["validity", "report", str(work), "--out", str(page)])
         assert result.exit_code == 0, result.output
     text = page.read_text()
-    assert text.count("## Success in closed loop") == text.count("## Episodes and faults") == 1
+    assert text.count("## Dose and response") == text.count("## Episodes and faults") == 1
     assert "former text" not in text
-    assert all(name in text for name in FIGURES)
+    assert FIGURE in text
 
 
 def test_the_study_covers_all_kinds_on_unseen_single_clip_episodes() -> None:
@@ -185,11 +159,6 @@ def test_the_study_covers_all_kinds_on_unseen_single_clip_episodes() -> None:
     assert all(TASKS[spec.task].card.clips == 1 for spec in specs)
 
 
-def test_validity_trials_survive_json(trials: list[ValidityTrial]) -> None:
-    for t in trials[:4]:
-        assert ValidityTrial.from_json(json.loads(json.dumps(t.to_json()))) == t
-
-
 def test_planted_videos_survive_storage_as_json(tmp_path: Path) -> None:
     fault = PlantedFault(kind=AnomalyKind.FREEZE, frame_start=3, frame_end=7, size=5.0)
     video = PlantedVideo(id="a_f", episode="a", task="t", seed=0, prompt="", success=True, fault=fault)
@@ -199,19 +168,13 @@ def test_planted_videos_survive_storage_as_json(tmp_path: Path) -> None:
 
 
 @pytest.mark.sapien
-def test_executing_a_track_without_a_base_frame_fails() -> None:
+def test_executing_a_track_without_a_base_frame_fails(tmp_path: Path) -> None:
     nowhere = np.full((5, 4, 4), np.nan)
-    track = GripperTrack(
-        t_s=0.2 * np.arange(5),
-        X_CH=np.tile(np.eye(4), (5, 1, 1)),
-        X_BG=nowhere,
-        tracked=np.ones(5, dtype=bool),
-        confidence=np.ones(5),
-        finger_width_m=np.full(5, 0.04),
-    )
-    worker = ExecutionWorker()
+    np.savez(tmp_path / "a.npz", t_s=0.2 * np.arange(5), base_from_tcp=nowhere, finger_width_m=np.full(5, 0.04))
+    worker = ExecutionWorker(None)
+    clip = ClipTrack(id="a", spec=next(study_specs()), extractor=Extractor.TRUTH, source=tmp_path / "a.npz")
     try:
-        done = worker.execute(next(study_specs()), track)
+        done = worker(clip)
     finally:
         worker.close()
     assert not done.success
@@ -238,7 +201,7 @@ def test_a_second_measurement_of_validity_renders_and_executes_nothing(
     (line,) = (tmp_path / "videos" / "planted.jsonl").read_text().splitlines()
     assert len(json.loads(line)["videos"]) == 2
     monkeypatch.setattr(validity, "make_planter", None)  # what is finished is not made again
-    monkeypatch.setattr(validity, "execute", None)
+    monkeypatch.setattr(executions, "execute", None)
     again = CliRunner().invoke(main, arguments)
     assert again.exit_code == 0, again.output
     assert validity.read_study(tmp_path)[0] == rows

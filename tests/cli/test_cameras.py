@@ -26,10 +26,9 @@ def test_the_camera_option_replaces_the_camera_of_every_video(tmp_path):
     assert insisted.mirrored
 
 
-def test_without_a_base_frame_only_smoothness_and_anomalies_are_measured(film, config, tmp_path):
-    (tmp_path / "videos").mkdir()
-    np.save(tmp_path / "videos" / "wide.npy", WIDE)
-    score_videos(config(source=tmp_path / "videos" / "wide.npy"))
+def test_without_a_base_frame_only_smoothness_and_anomalies_are_measured(config, tmp_path):
+    np.save(tmp_path / "wide.npy", WIDE)
+    score_videos(config(source=tmp_path / "wide.npy"))
     row = read_rows(tmp_path / "out")["wide"]
     assert row.status is Status.OK
     assert row.feasible is None
@@ -45,7 +44,7 @@ def test_without_a_base_frame_only_smoothness_and_anomalies_are_measured(film, c
         assert np.isfinite(track["camera_from_hand"]).all()
 
 
-def test_anomalies_are_against_execution_without_a_base_frame_too(config, program, fakes, tmp_path):
+def test_anomalies_are_against_execution_without_a_base_frame_too(config, refusal, fakes, tmp_path):
     np.save(tmp_path / "wide.npy", WIDE)
     fakes.prepare(WIDE, Behavior(vanishes=True))
     score_videos(config(source=tmp_path / "wide.npy"))
@@ -53,19 +52,17 @@ def test_anomalies_are_against_execution_without_a_base_frame_too(config, progra
     assert "base_frame_reason" in row.extra
     assert row.executable is False
     assert list(map(reason_kind, row.executable_reasons)) == ["vanish", "undecided", "lost"]
-    code, _, err = program("view", tmp_path / "out", "wide")
-    assert code == 2
-    assert "no base frame" in err
+    assert "no base frame" in refusal("view", tmp_path / "out", "wide")
     assert "kinebench-drake view OUT" not in (tmp_path / "out" / "report.html").read_text()
 
 
-def test_camera_benchmark_makes_videos_of_another_aspect_ratio_unmeasurable(film, config, tmp_path):
-    (tmp_path / "videos").mkdir()
-    np.save(tmp_path / "videos" / "wide.npy", WIDE)
-    score_videos(config(source=tmp_path / "videos" / "wide.npy", camera="benchmark"))
+def test_camera_benchmark_makes_videos_of_another_aspect_ratio_unmeasurable(config, tmp_path):
+    np.save(tmp_path / "wide.npy", WIDE)
+    score_videos(config(source=tmp_path / "wide.npy", camera="benchmark"))
     row = read_rows(tmp_path / "out")["wide"]
-    assert row.status is Status.UNMEASURABLE
+    assert (row.status, row.extra["camera_source"]) == (Status.UNMEASURABLE, "option")
     assert "aspect ratios differ" in row.reason
+    assert row.reason.endswith("its conditioning image: save it as ID.png beside ID.mp4")
 
 
 def test_an_untrusted_sample_still_has_a_track_with_poses_and_an_overlay(film, config, tmp_path):

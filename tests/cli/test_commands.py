@@ -9,13 +9,7 @@ from kinebench_drake.results.store import read_rows
 from kinebench_drake.runs.config import ScoreConfig
 from tests.fakes.resources import fail_to_load
 
-COMMANDS = ["score", "ground", "audit", "report", "doctor"]
-
-
-def one_line(err):
-    assert len(err.splitlines()) == 1, err
-    assert "Traceback" not in err
-    return err
+COMMANDS = ["score", "ground", "audit", "report", "doctor", "view"]
 
 
 def test_score_prints_progress_summary_warnings_and_report_path(program, film, tmp_path):
@@ -46,7 +40,7 @@ def test_progress_within_a_long_video_is_printed_with_its_name(program, film, tm
     assert err.splitlines()[:3] == [f"[0/1] a: {k} frames read" for k in (1, 2, 3)]
 
 
-def test_ground_writes_results_and_overlay_and_report_renders_only_run_folders(program, film, tmp_path):
+def test_ground_writes_results_and_overlay_and_report_renders_only_run_folders(program, refusal, film, tmp_path):
     film("a.mp4")
     code, out, _ = program(
         "ground", tmp_path / "a.mp4", "--out", tmp_path / "out", "--overlay", "--frame-period", "0.2"
@@ -57,9 +51,7 @@ def test_ground_writes_results_and_overlay_and_report_renders_only_run_folders(p
     code, out, _ = program("report", tmp_path / "out")
     assert code == 0
     assert (tmp_path / "out" / "report.html").read_text().startswith("<!doctype html>")
-    code, _, err = program("report", tmp_path)
-    assert code == 2
-    assert "samples.jsonl" in one_line(err)
+    assert "samples.jsonl" in refusal("report", tmp_path)
 
 
 def test_score_exits_with_status_1_when_nothing_could_be_measured(program, film, tmp_path):
@@ -98,7 +90,7 @@ def test_score_exits_with_status_1_when_nothing_could_be_measured(program, film,
         (["empty.jsonl", "--out", "out"], "is empty"),
     ],
 )
-def test_usage_errors_end_with_status_2_and_one_line(program, film, tmp_path, monkeypatch, arguments, told):
+def test_usage_errors_end_with_status_2_and_one_line(refusal, film, tmp_path, monkeypatch, arguments, told):
     film("videos/a.mp4")
     film("bad_camera/a.mp4")
     (tmp_path / "bad_camera" / "camera.json").write_text('{"width": "wide"}')
@@ -106,9 +98,7 @@ def test_usage_errors_end_with_status_2_and_one_line(program, film, tmp_path, mo
     for name in ("file", "text.txt", "empty.jsonl"):
         (tmp_path / name).touch()
     monkeypatch.chdir(tmp_path)
-    code, out, err = program("score", *arguments)
-    assert (code, out) == (2, "")
-    assert told in one_line(err)
+    assert told in refusal("score", *arguments)
     assert not (tmp_path / "out").exists()
 
 
@@ -117,7 +107,8 @@ def test_missing_dependencies_end_with_status_1_and_one_line_that_names_doctor(p
     monkeypatch.setitem(ScoreConfig.__init__.__kwdefaults__, "make_resources", fail_to_load)
     code, _, err = program("score", tmp_path / "videos", "--out", tmp_path / "out")
     assert code == 1
-    assert "doctor" in one_line(err)
+    assert "doctor" in err
+    assert len(err.splitlines()) == 1
 
 
 @pytest.mark.parametrize("command", COMMANDS)
@@ -131,14 +122,10 @@ def test_help_lists_every_command_and_version_prints_the_program_name(program):
     code, out, _ = program("--help")
     assert code == 0
     assert all(re.search(rf"^  {command} ", out, re.MULTILINE) for command in COMMANDS)
-    code, _, err = program("conjure")
-    assert code == 2
-    assert "conjure" in one_line(err)
     code, out, _ = program("--version")
     assert (code, out.startswith("kinebench-drake")) == (0, True)
 
 
-def test_an_unknown_command_is_answered_with_the_nearest_command_or_the_list(program):
-    code, _, err = program("scor")
-    assert (code, err.partition(";")[0]) == (2, "kinebench-drake: no command 'scor' (did you mean score?)")
-    assert "no command 'frobnicate'; there are doctor, score" in program("frobnicate")[2]
+def test_an_unknown_command_is_answered_with_the_nearest_command_or_the_list(refusal):
+    assert refusal("scor").startswith("kinebench-drake: no command 'scor' (did you mean score?);")
+    assert "no command 'frobnicate'; there are doctor, score" in refusal("frobnicate")

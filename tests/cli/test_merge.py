@@ -38,14 +38,12 @@ def test_merged_shards_equal_one_run_byte_by_byte(film, program, fakes, tmp_path
     assert len(fakes.take_calls()) == 2  # the absent one, and the one that had failed
 
 
-def test_shards_of_different_configurations_are_refused_in_one_line(film, program, tmp_path):
+def test_shards_of_different_configurations_are_refused_in_one_line(film, program, refusal, tmp_path):
     film("videos/a.mp4")
     program("score", tmp_path / "videos", "--out", tmp_path / "one")
     program("score", tmp_path / "videos", "--out", tmp_path / "two", "--frame-period", "0.1")
-    code, _, err = program("merge", tmp_path / "one", tmp_path / "two", "--out", tmp_path / "out")
-    assert code == 2
-    assert err.count("\n") == 1
-    assert "frame_period_s is null and 0.1" in err
+    line = refusal("merge", tmp_path / "one", tmp_path / "two", "--out", tmp_path / "out")
+    assert "frame_period_s is null and 0.1" in line
     assert read_rows(tmp_path / "one").keys() == {"a"}
     for arguments in ([], ["--out", tmp_path / "out"], [tmp_path / "videos", "--out", tmp_path / "out"]):
         assert program("merge", *arguments)[0] == 2

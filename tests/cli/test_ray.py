@@ -89,7 +89,7 @@ def test_a_sample_that_kills_its_worker_twice_becomes_an_error_row(film, fakes, 
     scored()
     rows = read_rows(tmp_path / "out")
     assert [rows[f"v{k}"].status for k in range(3)] == [Status.OK, Status.ERROR, Status.OK]
-    assert "lost 2 times over this sample" in rows["v1"].reason
+    assert "lost twice over this sample" in rows["v1"].reason
     assert len(fakes.take_calls()) == 4
 
 

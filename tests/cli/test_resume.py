@@ -14,10 +14,10 @@ from kinebench_drake.results.store import read_rows
 from kinebench_drake.runs import score
 from kinebench_drake.runs.config import RunKind
 from kinebench_drake.runs.score import score_videos
-from tests.fakes.records import content
+from tests.fakes.records import RunRecorder, content
 
 
-def test_resume_skips_finished_samples_unless_inputs_or_options_changed(film, grounded, tmp_path):
+def test_resume_skips_finished_samples_unless_inputs_or_options_changed(film, config, grounded, tmp_path):
     film("videos/a.mp4")
     film("videos/b.mp4", has_gripper=False)
     assert grounded() == 2
@@ -40,7 +40,9 @@ def test_resume_skips_finished_samples_unless_inputs_or_options_changed(film, gr
     (tmp_path / "out" / "tracks" / "c.npz").unlink()
     assert grounded(frame_period_s=0.2, model="m") == 1
     (tmp_path / "videos" / "c.mp4").unlink()
-    assert grounded(frame_period_s=0.2, model="m") == 0
+    observer = RunRecorder()
+    score_videos(config(frame_period_s=0.2, model="m"), observer)
+    assert "1 earlier results are dropped: they are not among the 2 videos named now" in observer.warnings[0]
     assert set(read_rows(tmp_path / "out")) == {"a", "b"}
     assert not (tmp_path / "out" / "tracks" / "c.npz").exists()
 

@@ -1,20 +1,17 @@
 """The view command: its replay, its messages and its refusals."""
 
-import importlib
 import shutil
 
 import numpy as np
 import pytest
 
-from kinebench_drake import cli
+from kinebench_drake.cli import outputs
 from kinebench_drake.geometry import make_pose
 from kinebench_drake.models.arm import load_robot
 from kinebench_drake.results.row import SampleRow, Status
 from kinebench_drake.results.store import ResultStore
 from kinebench_drake.results.trackfile import write_track
 from kinebench_drake.track import GripperTrack
-
-view_module = importlib.import_module("kinebench_drake.cli.outputs")
 
 
 def make_track(n=4, *, tracked=True):
@@ -45,19 +42,8 @@ def out(tmp_path):
     return tmp_path
 
 
-@pytest.fixture
-def program(capfd):
-    def call(*arguments):
-        with pytest.raises(SystemExit) as stop:
-            cli.main(["view", *map(str, arguments)])
-        out, err = capfd.readouterr()
-        return stop.value.code, out, err
-
-    return call
-
-
 def test_view_writes_the_replay_and_prints_only_its_path(program, out):
-    code, told, err = program(out, "reach_01")
+    code, told, err = program("view", out, "reach_01")
     assert (code, err) == (0, "")
     assert told == f"{out / 'replays' / 'reach_01.html'}\n"
     assert "reach_01" in (out / "replays" / "reach_01.html").read_text()
@@ -68,8 +54,8 @@ def test_view_with_open_launches_the_browser_and_warns_if_there_is_none(program,
     opened = []
     path = out / "replays" / "reach_01.html"
     monkeypatch.setattr("kinebench_drake.report.replay.write_replays", lambda *_, **__: [path])
-    monkeypatch.setattr(view_module.click, "launch", lambda url: opened.append(url) or status)
-    code, _, err = program(out, "reach_01", "--open")
+    monkeypatch.setattr(outputs.click, "launch", lambda url: opened.append(url) or status)
+    code, _, err = program("view", out, "reach_01", "--open")
     assert code == 0
     assert told in err
     assert opened == [path.resolve().as_uri()]
@@ -85,25 +71,13 @@ def test_view_with_open_launches_the_browser_and_warns_if_there_is_none(program,
         ("reach_02", "not a track file"),
     ],
 )
-def test_samples_without_a_replayable_track_are_refused_in_one_line(program, out, id, told):
-    code, printed, err = program(out, id)
-    assert (code, printed) == (2, "")
-    assert len(err.splitlines()) == 1
-    assert told in err
+def test_samples_without_a_replayable_track_are_refused_in_one_line(refusal, out, id, told):
+    assert told in refusal("view", out, id)
     assert not list(out.glob("replays/*"))
 
 
-def test_a_folder_that_is_no_run_output_is_refused(program, tmp_path):
-    code, _, err = program(tmp_path / "nowhere", "a")
-    assert code == 2
-    assert "output folder of a run" in err
-
-
-def test_view_help_has_an_example(program):
-    code, told, err = program("--help")
-    assert (code, err) == (0, "")
-    assert "kinebench-drake view" in told
-    assert "Example" in told
+def test_a_folder_that_is_no_run_output_is_refused(refusal, tmp_path):
+    assert "output folder of a run" in refusal("view", tmp_path / "nowhere", "a")
 
 
 @pytest.mark.parametrize("robot", ["fr3", "arm.urdf"])
@@ -115,9 +89,9 @@ def test_a_replay_shows_the_robot_that_the_run_was_judged_by(program, out, write
     monkeypatch.setattr(
         "kinebench_drake.report.replay.write_replays", lambda *a, **_: shown.append(a[2].robot) or [out / "a.html"]
     )
-    assert program(out, "reach_01")[0] == 0
+    assert program("view", out, "reach_01")[0] == 0
     assert [(r.id, r.tcp_link, r.joints) for r in shown] == [(loaded.id, loaded.tcp_link, loaded.joints)]
     shutil.rmtree(loaded.urdf.parent)
-    code, _, err = program(out, "reach_01")
+    code, _, err = program("view", out, "reach_01")
     assert code == (0 if robot == "fr3" else 2)
     assert robot == "fr3" or "its robot arm.urdf is not in the cache of this machine" in err

@@ -3,7 +3,6 @@
 import os
 import signal
 import subprocess
-import time
 from contextlib import closing, suppress
 
 import numpy as np
@@ -21,14 +20,14 @@ def make_doubling():
 
 
 def make_busy():
-    """Work that starts a program, writes its number into the file that it is given, and waits; or answers, or dies."""
+    """Work that starts a program, writes its number into the pipe that it is given, and waits; or answers, or dies."""
 
     def work(item):
         if item == "idle":
-            return time.sleep(0.02)
+            return
         if item == "terminated":
             os.kill(os.getpid(), signal.SIGTERM)
-        program = subprocess.Popen(["sleep", "60"], start_new_session=True)
+        program = subprocess.Popen(["cat"], stdin=subprocess.PIPE, start_new_session=True)  # waits for input
         try:
             item.write_text(str(program.pid))
             program.wait()
@@ -60,16 +59,16 @@ def test_every_worker_computes_with_one_thread(jobs):
 
 def test_a_terminated_worker_terminates_its_child_processes(tmp_path):
     note = tmp_path / "note"
-    with closing(LocalExecutor(jobs=2).run(make_busy, [note, *["idle"] * 1000])) as outcomes:
-        for _ in outcomes:
-            if note.exists() and note.read_text():
-                break
+    os.mkfifo(note)
+    with closing(LocalExecutor(jobs=2).run(make_busy, [note, "idle"])) as outcomes:
+        next(outcomes)
+        program = int(note.read_text())
     with pytest.raises(ProcessLookupError):
-        os.kill(int(note.read_text()), 0)
+        os.kill(program, 0)
 
 
 def test_a_worker_that_ignores_sigterm_is_killed(monkeypatch):
-    monkeypatch.setattr(local, "_GRACE_S", 0.5)
+    monkeypatch.setattr(local, "GRACE_S", 0.5)
     with closing(LocalExecutor(jobs=2).run(make_stubborn, ["deaf", "well"])) as outcomes:
         assert next(outcomes).item == "well"
 
@@ -78,7 +77,7 @@ def make_stubborn():
     def work(item):
         while item == "deaf":
             with suppress(SystemExit):
-                time.sleep(60)
+                signal.pause()
         return item
 
     return work

@@ -96,3 +96,16 @@ def program(capfd, fakes, monkeypatch):
         return stop.value.code, out, err
 
     return call
+
+
+@pytest.fixture
+def refusal(program):
+    """Runs the program with arguments that it refuses in one line, and returns the line."""
+
+    def call(*arguments):
+        code, out, err = program(*arguments)
+        assert (code, out) == (2, "")
+        assert len(err.splitlines()) == 1, err
+        return err
+
+    return call

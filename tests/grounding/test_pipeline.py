@@ -12,7 +12,7 @@ from benchmarks.perception.clip import TruthClip, find_clips
 from benchmarks.perception.errors import ClipErrors
 from benchmarks.perception.summary import summarize
 from benchmarks.perception.trial import evaluate
-from benchmarks.perception.variants import VARIANTS, VariantTools
+from benchmarks.perception.variants import VARIANTS
 from kinebench_drake.camera import Camera, benchmark_camera
 from kinebench_drake.geometry import Array, make_pose
 from kinebench_drake.grounding import bounds
@@ -49,13 +49,8 @@ def pipeline(estimator: NetworkEstimator, cad: GripperCad) -> GroundingPipeline:
 
 
 @pytest.fixture(scope="session")
-def tools(estimator: NetworkEstimator, cad: GripperCad, pipeline: GroundingPipeline) -> VariantTools:
-    return VariantTools(estimator=estimator, cad=cad, shipped=pipeline)
-
-
-@pytest.fixture(scope="session")
-def results(tools: VariantTools) -> list[ClipErrors]:
-    return [evaluate(c.load(), VARIANTS["pixels"].ground, tools) for c in find_clips(EXAMPLES)]
+def results(pipeline: GroundingPipeline) -> list[ClipErrors]:
+    return [evaluate(c.load(), VARIANTS["pixels"], pipeline) for c in find_clips(EXAMPLES)]
 
 
 @pytest.fixture(scope="session")
@@ -217,7 +212,7 @@ def test_the_overlay_draws_the_axes_at_the_projected_tcp() -> None:
 
 @pytest.mark.sapien
 def test_true_mask_and_depth_give_errors_below_a_millimetre_and_half_a_degree(
-    tmp_path: Path, tools: VariantTools
+    tmp_path: Path, pipeline: GroundingPipeline
 ) -> None:
     from click.testing import CliRunner
 
@@ -227,7 +222,7 @@ def test_true_mask_and_depth_give_errors_below_a_millimetre_and_half_a_degree(
     assert CliRunner().invoke(cli, arguments).exit_code == 0
     (clip,) = (c.load(with_depth=True) for c in find_clips(tmp_path))
     assert isinstance(clip, TruthClip)
-    errors = evaluate(clip, VARIANTS["true-mask-and-depth"].ground, tools)
+    errors = evaluate(clip, VARIANTS["true-mask-and-depth"], pipeline)
     figures = summarize([errors])
     assert figures["tracked_fraction"] >= 0.95
     assert figures["position_median_mm"] <= 1.0

@@ -9,9 +9,7 @@ import pytest
 from kinebench_drake.geometry import Array, make_pose, rotation_exp, to_quaternion
 from kinebench_drake.suites.composition import asset_ids, compose, model
 from kinebench_drake.suites.families.blocks import assets as blocks
-from kinebench_drake.suites.families.registry import find_expert
 from kinebench_drake.suites.families.task import TaskVariant
-from kinebench_drake.suites.rollout import run_expert
 from kinebench_drake.suites.scene.state import MOVED_M
 from kinebench_drake.suites.simulator import Simulator, TaskOutcome
 from tests.suites.bodies import visual_points
@@ -181,11 +179,3 @@ def test_a_standing_peg_keeps_standing(simulator: tuple[Simulator, TaskVariant])
     for _ in range(40):
         own.step(start.q, 0.08)
     assert own.outcome().success
-
-
-@pytest.mark.sapien
-@pytest.mark.parametrize("seed", [31, pytest.param(32, marks=pytest.mark.exhaustive)])
-def test_experts_of_block_tasks_succeed(simulator: tuple[Simulator, TaskVariant], seed: int) -> None:
-    own, variant = simulator
-    task = own.task.card.id
-    assert run_expert(own, find_expert(task), compose(task, seed, variant=variant)).outcome.success

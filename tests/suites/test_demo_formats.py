@@ -165,7 +165,7 @@ def test_maniskill_trajectories_replay_to_success(tmp_path: Path) -> None:
         [draw] = order.attempts(TASK, 1)
         stage.reset(draw.episode())
         for action in actions:
-            stage._env.step(action)
+            stage.env.step(action)
         assert stage.outcome().success
         assert track.q is not None
         assert np.allclose(stage.snapshot().q, track.q[-1], atol=1e-6)

@@ -12,11 +12,9 @@ from kinebench_drake.suites.composition import Episode, asset_ids, compose, mode
 from kinebench_drake.suites.families.fruits.assets import FRUITS
 from kinebench_drake.suites.families.fruits.containers import COMPARTMENTS, compartment_center
 from kinebench_drake.suites.families.fruits.task import GAP_M, ORDER, OTHERS
-from kinebench_drake.suites.families.registry import find_expert, find_task
+from kinebench_drake.suites.families.registry import find_task
 from kinebench_drake.suites.families.task import TaskVariant
-from kinebench_drake.suites.rollout import run_expert
 from kinebench_drake.suites.scene.state import State
-from kinebench_drake.suites.simulator import Simulator
 from tests.suites.bodies import collider_points, initial_state, solid_points
 
 GRIP_M = (0.030, 0.062)
@@ -137,31 +135,3 @@ def test_fruits_are_stored_in_the_order_of_the_compartments() -> None:
     words = [layout.placements[name].model.words for layout in layouts[:1] for name in ORDER]
     asset = [layouts[0].prompt.index(f"the {word} into") for word in words]
     assert asset == sorted(asset)
-
-
-@pytest.mark.sapien
-@pytest.mark.parametrize("task", ["PickFruits-v1", "StoreFruitsBox-v1"])
-def test_untouched_fruits_stay_where_they_are(task: str) -> None:
-    with Simulator(task, renders=False) as simulator:
-        simulator.reset(compose(task, 7))
-        start = simulator.snapshot()
-        for _ in range(200):
-            simulator.step(start.q, 0.08)
-        end = simulator.snapshot()
-    for name, pose in start.objects.items():
-        assert np.linalg.norm(end.objects[name][:3] - pose[:3]) < 0.003, name
-
-
-@pytest.mark.sapien
-@pytest.mark.parametrize(
-    ("task", "seed", "variant"),
-    [
-        ("PickFruits-v1", 7, TaskVariant.PLAIN),
-        ("PickFruits-v1", 39, TaskVariant.OBSTACLES),
-        ("StoreFruitsBox-v1", 0, TaskVariant.PLAIN),
-    ],
-)
-def test_fruit_experts_succeed(task: str, seed: int, variant: TaskVariant) -> None:
-    with Simulator(task, renders=False, variant=variant) as simulator:
-        performance = run_expert(simulator, find_expert(task), compose(task, seed, variant=variant))
-    assert performance.outcome.success, performance.outcome.conditions

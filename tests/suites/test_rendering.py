@@ -31,7 +31,7 @@ def _images(states: Sequence[Snapshot]) -> tuple[int, list[CameraImage]]:
 
     with Simulator(TASK) as simulator:
         simulator.reset(compose(TASK, 0))
-        links = (link._objs[0].entity for link in simulator._env.agent.robot.links_map.values())
+        links = (link._objs[0].entity for link in simulator.env.agent.robot.links_map.values())
         bodies = (link.find_component_by_type(sapien.render.RenderBodyComponent) for link in links)
         shapes = (shape for body in bodies if body is not None for shape in body.render_shapes)
         count = sum(len(part.triangles) for shape in shapes for part in shape.parts)

@@ -10,9 +10,9 @@ from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.suites.clock import FRAME_PERIOD_S
 from kinebench_drake.suites.composition import compose
 from kinebench_drake.suites.families.registry import TASKS, find_expert
+from kinebench_drake.suites.families.task import TaskVariant
 from kinebench_drake.suites.rollout import Rollout, RolloutVideo, render_video, run_expert
 from kinebench_drake.suites.simulator import Simulator, TaskOutcome
-from tests.suites.scenes import EACH_TASK
 
 Filmed = tuple[Simulator, Rollout, RolloutVideo]
 
@@ -40,26 +40,28 @@ def test_the_sapien_camera_looks_along_its_x_axis() -> None:
 
 
 @pytest.mark.sapien
-@pytest.mark.parametrize("task", EACH_TASK)
-def test_experts_succeed_within_speed_limits(task: str) -> None:
-    assert_expert_succeeds(task, "panda", seed=11)
-
-
-@pytest.mark.sapien
-def test_the_expert_succeeds_with_a_wrist_camera() -> None:
-    assert_expert_succeeds("StackCube-v1", "panda_wristcam", seed=13)
-
-
-def assert_expert_succeeds(task: str, robot: str, *, seed: int) -> None:
+@pytest.mark.parametrize("seed", [11, pytest.param(12, marks=pytest.mark.exhaustive)])
+@pytest.mark.parametrize(
+    ("task", "variant", "robot"),
+    [
+        *((task, variant, "panda") for task, t in TASKS.items() for variant in t.card.variants),
+        ("StackCube-v1", TaskVariant.PLAIN, "panda_wristcam"),
+    ],
+)
+def test_experts_succeed_within_speed_limits(task: str, variant: TaskVariant, robot: str, seed: int) -> None:
     plant = ArmPlant()
-    with Simulator(task, robot=robot, renders=robot != "panda") as stage:
-        performance = run_expert(stage, find_expert(task), compose(task, seed))
-    assert performance.outcome.success, f"{task} seed {seed} failed: {performance.outcome}"
+    with Simulator(task, robot=robot, variant=variant, renders=robot != "panda") as stage:
+        performance = run_expert(stage, find_expert(task), compose(task, seed, variant=variant))
+    assert performance.outcome.success, performance.outcome
     q = np.stack([snapshot.q for snapshot in performance.snapshots])
     assert len(q) in [48 * clips + 1 for clips in range(1, TASKS[task].card.clips + 1)]
     assert (np.abs(np.diff(q, axis=0)) / FRAME_PERIOD_S <= plant.velocity_limits).all()
     assert (q > plant.lower).all()
     assert (q < plant.upper).all()
+    for name in performance.snapshots[0].joints:
+        joints = np.array([snapshot.joints[name] for snapshot in performance.snapshots])
+        wrong_way = -np.sign(joints[-1] - joints[0]) * np.diff(joints)
+        assert wrong_way.max() < 0.005 * np.ptp(joints)
 
 
 @pytest.mark.sapien

@@ -6,7 +6,7 @@ import sys
 import pytest
 
 from kinebench_drake.errors import SetupError
-from kinebench_drake.suites.simulator import _setup_errors
+from kinebench_drake.suites.simulator import setup_errors
 
 
 @pytest.mark.parametrize(
@@ -18,14 +18,14 @@ from kinebench_drake.suites.simulator import _setup_errors
     ],
 )
 def test_a_missing_driver_or_library_is_reported_with_its_fix(error: Exception) -> None:
-    with pytest.raises(SetupError, match="doctor --fix") as caught, _setup_errors():
+    with pytest.raises(SetupError, match="doctor --fix") as caught, setup_errors():
         raise error
     assert str(error) in str(caught.value)
 
 
 @pytest.mark.parametrize("error", [RuntimeError("a joint is out of range"), ValueError("no vk:: at all")])
 def test_errors_unrelated_to_setup_are_passed_on(error: Exception) -> None:
-    with pytest.raises(type(error)) as caught, _setup_errors():
+    with pytest.raises(type(error)) as caught, setup_errors():
         raise error
     assert caught.value is error
 

@@ -122,7 +122,7 @@ def test_batched_conditions_and_progress_equal_those_of_single_scenes(simulator:
     single = []
     for seed in SEEDS:
         own.reset(compose(own.task.card.id, seed, variant=variant))
-        single.append(own._env.state())
+        single.append(own.env.state())
 
     def both(name: str) -> dict[str, torch.Tensor]:
         parts = [getattr(state, name) for state in single]

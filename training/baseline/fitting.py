@@ -40,18 +40,23 @@ RENDERED_PX = 256
 """Width and height of the demonstrations [px]."""
 LABELLED = 3
 """Frames of a window with labels; CONTEXT more frames lie on each side."""
-_DEGRADED = 0.75  # share of windows
-_OCCLUDED = 0.15  # share of windows
-_REPORT_EVERY = 100  # videos
+_DEGRADED = 0.75
+"""Share of windows that are degraded."""
+_OCCLUDED = 0.15
+"""Share of windows that are occluded."""
+_REPORT_EVERY = 100
+"""Number of decoded videos between two reports."""
 WEIGHTS = "baseline.safetensors"
 """Name of the weights file in the output folder."""
 SCHEDULE = Schedule(steps=2400, learning_rate=1e-3, batch_size=8, checkpoint_every=200)
 """Schedule of the comparison in the README, on 400 clips of ten tasks."""
-_ROTATION_WEIGHT = 2.0  # 1 cm weighs as much as 3 degrees ...
-_FINGER_WEIGHT = 0.5  # ... or 8 mm of the gap
-# where the losses change from quadratic to linear
+_ROTATION_WEIGHT = 2.0
+"""Weight of the rotation: 1 cm counts as much as 3 degrees."""
+_FINGER_WEIGHT = 0.5
+"""Weight of the gap: 1 cm counts as much as 8 mm of it."""
 _ROUND_M = 1e-3
 _ROUND_RAD = 5e-3
+"""Errors at which the losses change from quadratic to linear."""
 _HOW = "make one with `kinebench-drake suite demos --suite 1 --split train --out FOLDER`"
 
 

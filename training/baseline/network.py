@@ -51,15 +51,18 @@ POSITION_SCALE_M = 0.1
 FINGER_SCALE_M = 0.04
 """Unit of the gap between the fingers of the network [m]; its zero is half open."""
 
-_CHANNELS = (40, 112, 320)  # of the encoder at strides 8, 16, 32
-_PYRAMID = (64, 128)  # of the pyramid at strides 8, 16
+_CHANNELS = (40, 112, 320)
+"""Channels of the encoder at strides 8, 16, 32."""
+_PYRAMID = (64, 128)
+"""Channels of the pyramid at strides 8, 16."""
 _HEADS = 16
 _WIDTH = 256
 _DROPOUT = 0.1
-_DOWN = (1.0, 0.0, 0.0, 0.0, -1.0, 0.0)  # six numbers of a gripper that points straight down
+_DOWN = (1.0, 0.0, 0.0, 0.0, -1.0, 0.0)
+"""Six numbers of a gripper that points straight down."""
 _FROZEN = ("_conv_stem", "_bn0", "_blocks.0", "_blocks.1", "_blocks.2")
 _BATCH = 16
-_TRAIN = "train it with `python -m training baseline train`"
+_TRAIN = "train it with `python -m training baseline`"
 
 
 @dataclass(frozen=True, slots=True)
@@ -186,7 +189,7 @@ class Baseline:
 
     @classmethod
     def load(cls, path: Path) -> "Baseline":
-        """Read weights that `python -m training baseline train` wrote.
+        """Read weights that `python -m training baseline` wrote.
 
         Raises:
             SetupError: the file is missing or holds something else.

@@ -24,12 +24,14 @@ from kinebench_drake.io.frames import Frames
 from kinebench_drake.io.reader import read_video
 
 _FPS = 17.0
-# frames and pixels per latent of the VAEs of Wan and CogVideoX
 _TIME = 4
 _SIDE = 8
+"""Frames and pixels per latent of the VAEs of Wan and CogVideoX."""
 _SHIFTS = ((0, 0), (4, 4))
-_STILL_PX = 0.5  # motion from the previous to the next frame below which the gripper rests
-_SAMPLES_PX = 8  # samples per pixel of the line of a motion blur
+_STILL_PX = 0.5
+"""Motion from the previous to the next frame below which the gripper rests [px]."""
+_SAMPLES_PX = 8
+"""Samples per pixel of the line of a motion blur."""
 
 
 def code_h264(frames: Frames, masks: Masks, rng: np.random.Generator, crf: float) -> tuple[Frames, Masks]:

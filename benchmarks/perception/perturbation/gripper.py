@@ -44,8 +44,10 @@ def to_bytes(values: NDArray[np.floating]) -> Frames:
     return np.asarray(np.clip(np.rint(values), 0, 255).astype(np.uint8))
 
 
-_NODES = 5  # of the deformation field across the gripper
-_PERIOD = 8  # frames between two random deformation fields
+_NODES = 5
+"""Nodes of the deformation field across the gripper."""
+_PERIOD = 8
+"""Frames between two random deformation fields."""
 _MIN_PX = 20
 
 
@@ -113,10 +115,14 @@ def _window(mask: NDArray[np.bool_], reach: float) -> Array:
 
 
 _SHAPES = 2
-_LOBES = (2, 3, 5)  # bumps around the outline of a shape
-_BUMP = 0.16  # their height / the radius of the shape
-_TEXTURE_PERIOD = 16  # frames between two random places of a shape
-_DRIFT = 0.45  # distance of a shape from the gripper's centroid / the gripper's radius
+_LOBES = (2, 3, 5)
+"""Numbers of bumps around the outline of a shape."""
+_BUMP = 0.16
+"""Height of the bumps / the radius of the shape."""
+_TEXTURE_PERIOD = 16
+"""Frames between two random places of a shape."""
+_DRIFT = 0.45
+"""Distance of a shape from the gripper's centroid / the gripper's radius."""
 _TEXTURE_PX = 128
 _MIN_OCCLUDER_PX = 20
 

@@ -71,8 +71,7 @@ def _cube(name: str, asset_id: str, index: int, rng: np.random.Generator) -> Ass
     parts.box([edge] * 3, np.zeros(3), surface, bevel_m=0.0015)
     material = Material(density=float(rng.uniform(350.0, 700.0)), static_friction=0.9, dynamic_friction=0.8)
     body = parts.body("cube", material)
-    words = f"{name} cube"
-    return AssetModel(asset_id=asset_id, words=words, bodies=(body,), size={"edge_m": edge})
+    return AssetModel(asset_id=asset_id, words=f"{name} cube", bodies=(body,), size={"edge_m": edge})
 
 
 def _peg_surface(color: ArrayLike, grained: bool, rng: np.random.Generator) -> SurfaceFinish:
@@ -99,8 +98,9 @@ def _peg(asset_id: str, index: int, rng: np.random.Generator) -> AssetModel:
         parts.box([piece, width, width], [x, 0.0, 0.0], surface, bevel_m=0.0015, solid=False)
     material = Material(density=float(rng.uniform(800.0, 1000.0)), static_friction=0.3, dynamic_friction=0.3)
     body = parts.body("peg", material)
-    size = {"length_m": length, "width_m": width}
-    return AssetModel(asset_id=asset_id, words="red and blue peg", bodies=(body,), size=size)
+    return AssetModel(
+        asset_id=asset_id, words="red and blue peg", bodies=(body,), size={"length_m": length, "width_m": width}
+    )
 
 
 TARGET_HEIGHT_M = 0.0008

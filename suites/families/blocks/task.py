@@ -116,10 +116,9 @@ class PullCube(Task):
         target = rng.uniform([0.43, -0.10], [0.48, 0.10])
         angle = rng.uniform(-0.3, 0.3)
         cube = target + rng.uniform(0.13, 0.18) * np.array([np.cos(angle), np.sin(angle)])
-        yaw = angle + rng.uniform(-0.25, 0.25)
         return SceneLayout(
             placements={
-                "cube": _on_table(models["cube"], cube, yaw),
+                "cube": _on_table(models["cube"], cube, angle + rng.uniform(-0.25, 0.25)),
                 "target": Placement.upright(models["target"], (target[0], target[1], 0.0), decor=True),
             },
             prompt="The robot arm closes its gripper, reaches over the blue cube and drags it back "

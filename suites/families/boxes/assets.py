@@ -125,8 +125,7 @@ def _design(index: int, rng: np.random.Generator) -> _BoxDesign:
             walls, lid = (SurfaceFinish(texture=leather(rng, color), roughness=0.55) for color in (first, 0.8 * first))
             trim = steel
         case _:
-            pattern = _paper(rng, index, first, second)
-            walls = SurfaceFinish(texture=pattern, roughness=0.8)
+            walls = SurfaceFinish(texture=_paper(rng, index, first, second), roughness=0.8)
             lid = plain(color=linear_rgb(second))
             word = "gift"
             density = 400.0
@@ -159,8 +158,7 @@ def _base(width: float, depth: float, height: float, wall: float, design: _BoxDe
     parts.panel([-x + t, -y + t, t], [x - t, y - t, t + _THIN_M], design.lining, bevel_m=0.0, solid=False)
     if design.label:
         low = [x, -0.22 * width, 0.25 * height]
-        high = [x + _THIN_M, 0.22 * width, 0.65 * height]
-        parts.panel(low, high, design.trim, bevel_m=0.0, solid=False)
+        parts.panel(low, [x + _THIN_M, 0.22 * width, 0.65 * height], design.trim, bevel_m=0.0, solid=False)
     knuckle = cylinder_mesh(0.0035, 0.2 * width, sections=16)
     R_YZ = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
     for side in (-1.0, 1.0):
@@ -199,8 +197,7 @@ def _box(kind: str, asset_id: str, index: int, rng: np.random.Generator) -> Asse
     open_rad = float(rng.uniform(*OPEN_RAD))
     p_hinge = [-depth / 2.0, 0.0, height]
     friction = float(rng.uniform(0.0, 0.05))
-    damping = float(rng.uniform(0.03, 0.08))
-    joint = lid_hinge(p_hinge, open_rad, friction=friction, damping=damping)
+    joint = lid_hinge(p_hinge, open_rad, friction=friction, damping=float(rng.uniform(0.03, 0.08)))
     return AssetModel(
         asset_id=asset_id,
         words=f"{design.words} box",

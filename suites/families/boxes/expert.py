@@ -60,8 +60,7 @@ def _under_front(scene: Scene, angle: float, depth_m: float, tilt: float) -> Arr
     below = np.array([np.sin(angle), 0.0, -np.cos(angle)])
     up_finger = np.cos(tilt) * out - np.sin(tilt) * below
     to_lid = -np.cos(tilt) * below - np.sin(tilt) * out
-    drop = CLEAR_M + depth_m * max(0.0, np.tan(tilt))
-    corner = (scene.size("box", "lid_m") - depth_m) * out + drop * below
+    corner = (scene.size("box", "lid_m") - depth_m) * out + (CLEAR_M + depth_m * max(0.0, np.tan(tilt))) * below
     p_H = corner + TIP_M * up_finger - HALF_Y_M * to_lid
     R_BH = X_BH[:3, :3]
     return make_pose(_rotation(scene, -R_BH @ up_finger, R_BH @ to_lid), X_BH[:3, 3] + R_BH @ p_H)
@@ -135,14 +134,14 @@ def _carry_side(scene: Scene, start: float, end: float, depth_m: float, tilt: fl
     X_1, contact = _under_side(scene, start, depth_m, tilt)
     X_2, _ = _under_side(scene, end, depth_m, tilt)
     X_BH = scene.site("box", "hinge")
-    arc = Arc(point=X_BH[:3, 3] + X_1[:3, 3] - contact, axis=-X_BH[:3, 1], angle_rad=end - start)
-    return closed_waypoint(X_2, arc=arc)
+    return closed_waypoint(
+        X_2, arc=Arc(point=X_BH[:3, 3] + X_1[:3, 3] - contact, axis=-X_BH[:3, 1], angle_rad=end - start)
+    )
 
 
 def _push_side(scene: Scene, angle: float) -> list[Waypoint]:
     """Push a lid opened by `angle` fully open from under its side, and retreat."""
-    goal = GOAL_FRACTION * scene.size("box", "open_rad")
-    push = _carry_side(scene, angle, goal, SIDE_DEPTH_M, SIDE_TILT_RAD)
+    push = _carry_side(scene, angle, GOAL_FRACTION * scene.size("box", "open_rad"), SIDE_DEPTH_M, SIDE_TILT_RAD)
     away = shift(push.X_BG, scene.site("box", "hinge")[:3, :3] @ [RETREAT_M, 0.0, 0.02])
     start, _ = _under_side(scene, angle, SIDE_DEPTH_M, SIDE_TILT_RAD)
     return [closed_waypoint(start, through=True), push, closed_waypoint(away)]

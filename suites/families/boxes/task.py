@@ -97,8 +97,7 @@ class OpenBox(_MoveBoxLid):
             y = rng.uniform(-0.10, 0.10)
         if self._to_the_right and not self._ajar:
             model = with_tight_hinge(model)
-        joint = float(rng.uniform(*AJAR_RAD)) if self._ajar else 0.0
-        return Placement.upright(model, (x, y, 0.0), yaw, joint=joint)
+        return Placement.upright(model, (x, y, 0.0), yaw, joint=float(rng.uniform(*AJAR_RAD)) if self._ajar else 0.0)
 
     @override
     def goal(self, state: State) -> Tensor:
@@ -127,8 +126,11 @@ class CloseBox(_MoveBoxLid):
         R_lying = np.array([[0.0, 0.0, 1.0], [-left, 0.0, 0.0], [0.0, -left, 0.0]])
         R = rotation_z(rng.uniform(-YAW_RAD, YAW_RAD)) @ R_lying
         opening = np.array([rng.uniform(0.50, 0.54), left * rng.uniform(-0.03, 0.05), model.size["width_m"] / 2.0])
-        joint = float(rng.uniform(*WIDE_FRACTION)) * model.size["open_rad"]
-        return Placement(model=model, X_BM=make_pose(R, opening - model.size["height_m"] * R[:, 2]), joint=joint)
+        return Placement(
+            model=model,
+            X_BM=make_pose(R, opening - model.size["height_m"] * R[:, 2]),
+            joint=float(rng.uniform(*WIDE_FRACTION)) * model.size["open_rad"],
+        )
 
     @override
     def goal(self, state: State) -> float:

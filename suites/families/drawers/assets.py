@@ -181,8 +181,7 @@ def _add_handle(
             [0.0, 0.0], [0.6 * r, 0.0], [0.45 * r, 0.35 * length], [0.9 * r, 0.55 * length], [r, 0.7 * length],
             [0.9 * r, 0.87 * length], [0.5 * r, 0.97 * length], [0.0, length],
         ]  # fmt: skip
-        mesh = lathe(profile, sections=28, crease_rad=0.9)
-        parts.visual(mesh, fitting, make_pose(_R_OUTWARD, [out, 0.0, z]))
+        parts.visual(lathe(profile, sections=28, crease_rad=0.9), fitting, make_pose(_R_OUTWARD, [out, 0.0, z]))
         X = make_pose(np.eye(3), [out + length / 2.0, 0.0, z])
         parts.collider(ColliderKind.CYLINDER, (0.9 * r, length / 2.0), X)
         return out
@@ -207,8 +206,9 @@ def _surfaces(finish: str, rng: np.random.Generator) -> tuple[str, SurfaceFinish
     kind = str(rng.choice(_WOOD_KINDS))
     paint = str(rng.choice(list(_PAINTS)))
     shade = rng.uniform(0.85, 1.1)
-    color = rgb(min(shade * c, 1.0) for c in _PAINTS[paint])
-    painted = SurfaceFinish(color=color, roughness=float(rng.uniform(0.35, 0.7)))
+    painted = SurfaceFinish(
+        color=rgb(min(shade * c, 1.0) for c in _PAINTS[paint]), roughness=float(rng.uniform(0.35, 0.7))
+    )
     wooden = SurfaceFinish(texture=wood(rng, kind), roughness=float(rng.uniform(0.5, 0.8)))
     pale = SurfaceFinish(texture=wood(rng, str(rng.choice(["maple", "pine", "ash"]))), roughness=0.8)
     if finish == "wood":

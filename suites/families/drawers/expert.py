@@ -105,12 +105,11 @@ def store_cube_by_dropping(scene: Scene) -> list[Waypoint]:
     front = _local(scene, scene.site("cabinet", "pull"))
     floor = _local(scene, scene.site("cabinet", "tray"))[2]
     middle = 0.5 * (top[0] + front[0])
-    drop = floor + edge / 2.0 + DROP_M - TIP_M
     return pick_and_place(
         lift(grasp, ABOVE_M),
         grasp,
         [lift(grasp, 2.0 * PASS_M), _pose(scene, middle, 0.0, top[2] + edge / 2.0 + PASS_M)],
-        _pose(scene, middle, 0.0, drop),
+        _pose(scene, middle, 0.0, floor + edge / 2.0 + DROP_M - TIP_M),
         _pose(scene, middle, 0.0, front[2] + ABOVE_M),
         release_m=edge + RELEASE_M,
         then=close_drawer(scene),

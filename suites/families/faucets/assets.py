@@ -42,8 +42,7 @@ class _FaucetParts(BodyParts):
         self.visual(lathe(rz, sections=36), surface)
         for low, high in pairwise(rz):
             if high[1] - low[1] > 1e-4:
-                ends = [(max(r, 5e-4), z) for r, z in (low, high)]
-                self.colliders.append(frustum(*ends, sections=_SECTIONS))
+                self.colliders.append(frustum(*[(max(r, 5e-4), z) for r, z in (low, high)], sections=_SECTIONS))
 
     def tube(self, points: ArrayLike, radii: ArrayLike, surface: SurfaceFinish) -> None:
         """Add a round tube along a smooth curve (N, 3), with radii interpolated from evenly spaced ones."""
@@ -194,8 +193,7 @@ def _garden(d: _FaucetDesign, base: _FaucetParts, handle: _FaucetParts) -> float
     back = float(d.rng.uniform(0.10, 0.115))
     h = d.height
     z = h - 0.052
-    wood = np.array([0.34, 0.2, 0.09]) * d.rng.uniform(0.7, 1.3)
-    plank = SurfaceFinish(color=rgb(wood), roughness=0.8)
+    plank = SurfaceFinish(color=rgb(np.array([0.34, 0.2, 0.09]) * d.rng.uniform(0.7, 1.3)), roughness=0.8)
     base.block([0.018, 0.10, z + 0.03], [-back, 0.0, 0.5 * (z + 0.03)], plank)
     base.block([0.075, 0.10, 0.012], [-back + 0.028, 0.0, 0.006], plank)
     base.tube([[-back, 0.0, z], [0.0, 0.0, z]], 0.0115, d.metal)
@@ -269,10 +267,9 @@ def _faucet(asset_id: str, index: int, rng: np.random.Generator) -> AssetModel:
     handle = _FaucetParts(uv_per_m=1.0)
     half_width = make(design, base, handle)
     travel = float(rng.uniform(*RANGE_RAD))
-    axis = [0.0, 0.0, design.height]
     joint = Joint(
         kind=JointKind.HINGE,
-        X_ParentJ=make_pose(rotation_z(-travel / 2.0) @ _TURN, axis),
+        X_ParentJ=make_pose(rotation_z(-travel / 2.0) @ _TURN, [0.0, 0.0, design.height]),
         X_BodyJ=make_pose(_TURN, np.zeros(3)),
         upper=travel,
         friction=float(rng.uniform(0.05, 0.2)),

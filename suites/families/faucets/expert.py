@@ -49,11 +49,14 @@ def sweep_lever(goal: float, scene: Scene) -> list[Waypoint]:
     a = first[:2, 3] - axis[:2]
     b = last[:2, 3] - axis[:2]
     angle = float(np.arctan2(sense * (a[0] * b[1] - a[1] * b[0]), a @ b))
-    arc = Arc(point=axis, axis=np.array([0.0, 0.0, 1.0]), angle_rad=sense * (angle % (2.0 * np.pi)))
     return [
         closed_waypoint(lift(first, ABOVE_M), through=True),
         closed_waypoint(first),
-        closed_waypoint(last, arc=arc, pace=1.3),
+        closed_waypoint(
+            last,
+            arc=Arc(point=axis, axis=np.array([0.0, 0.0, 1.0]), angle_rad=sense * (angle % (2.0 * np.pi))),
+            pace=1.3,
+        ),
         closed_waypoint(clear, through=True),
         closed_waypoint(lift(clear, ABOVE_M)),
     ]

@@ -34,8 +34,12 @@ class _TurnFaucet(JointTask):
         x, y = rng.uniform([0.52, -0.02], [0.59, 0.09])
         yaw = self.side * np.deg2rad(rng.uniform(55.0, 100.0))
         start = rng.uniform(0.0, START_FRACTION)
-        joint = (start if self.reached == "open" else 1.0 - start) * model.size["range_rad"]
-        return Placement.upright(model, (x, self.side * y, 0.0), yaw, joint=joint)
+        return Placement.upright(
+            model,
+            (x, self.side * y, 0.0),
+            yaw,
+            joint=(start if self.reached == "open" else 1.0 - start) * model.size["range_rad"],
+        )
 
     @override
     def goal(self, state: State) -> Tensor:

@@ -66,9 +66,10 @@ def _stalk(foot: ArrayLike, head: ArrayLike, radius_m: float, color: tuple[float
     a = np.asarray(foot, dtype=np.float64)
     b = np.asarray(head, dtype=np.float64)
     bow = 0.12 * np.linalg.norm(b - a) * np.sin(np.pi * s) * np.array([0.0, 1.0, 0.0])
-    radii = radius_m * np.array([0.8, 0.75, 0.7, 0.8, 1.2, 1.2])
-    mesh = sweep(a + s * (b - a) + bow, radii, sections=8)
-    return Visual(mesh=mesh, surface=SurfaceFinish(color=color, roughness=0.9))
+    return Visual(
+        mesh=sweep(a + s * (b - a) + bow, radius_m * np.array([0.8, 0.75, 0.7, 0.8, 1.2, 1.2]), sections=8),
+        surface=SurfaceFinish(color=color, roughness=0.9),
+    )
 
 
 def _leaf(length_m: float, width_m: float, bow_m: float) -> tuple[Array, Array]:
@@ -186,8 +187,7 @@ def _banana(rng: np.random.Generator, index: int) -> _FruitShape:
     middle = np.column_stack([bow * np.sin(turn * s), bow * (np.cos(turn * s) - 1.0), 0.0 * s])
     knots = [(-0.5, 0.0), (-0.499, 0.2), (-0.475, 0.27), (-0.44, 0.55), (-0.36, 0.83), (-0.2, 0.98), (0.0, 1.0),
              (0.2, 0.96), (0.34, 0.8), (0.4, 0.5), (0.435, 0.32), (0.495, 0.27), (0.5, 0.0)]  # fmt: skip
-    radii = r * PchipInterpolator(*np.transpose(knots))(s)
-    tube = sweep(middle, radii, sections=25)
+    tube = sweep(middle, r * PchipInterpolator(*np.transpose(knots))(s), sections=25)
     uv = tube.uv / tube.uv.max(axis=0)
     angle = 2.0 * np.pi * uv[:, 0]
     axis = np.stack([np.interp(uv[:, 1], s + 0.5, middle[:, i]) for i in range(3)], axis=1)
@@ -263,8 +263,7 @@ def _fruit(name: str, asset_id: str, index: int, rng: np.random.Generator) -> As
 
 def _thickness(skin: Mesh) -> float:
     """Return the finger width that grasps the fruit at the origin [m]."""
-    near = np.abs(skin.vertices[:, 0]) < 0.006
-    return float(np.ptp(skin.vertices[near, 1]))
+    return float(np.ptp(skin.vertices[np.abs(skin.vertices[:, 0]) < 0.006, 1]))
 
 
 KINDS = {f"fruit/{name}": partial(_fruit, name) for name in FRUITS}

@@ -81,15 +81,20 @@ def _round(
     parts.visual(lathe(profile, sections=56, uv_per_m=6.0), surface)
     parts.visuals += extra
     _add_shell(parts, inner[coarse], thick_m)
-    size = {
-        "inner_x_m": 2.0 * float(rim[0]),
-        "inner_y_m": 2.0 * float(rim[0]),
-        "round": 1.0,
-        "reach_m": float(rim[0] + thick_m),
-        "floor_m": float(inner[0, 1]),
-        "rim_m": float(rim[1] + 0.5 * thick_m),
-    }
-    return _asset(asset_id, words, parts, size, mass_kg)
+    return _asset(
+        asset_id,
+        words,
+        parts,
+        {
+            "inner_x_m": 2.0 * float(rim[0]),
+            "inner_y_m": 2.0 * float(rim[0]),
+            "round": 1.0,
+            "reach_m": float(rim[0] + thick_m),
+            "floor_m": float(inner[0, 1]),
+            "rim_m": float(rim[1] + 0.5 * thick_m),
+        },
+        mass_kg,
+    )
 
 
 def _glazed(rng: np.random.Generator) -> SurfaceFinish:
@@ -154,8 +159,7 @@ def _tray(asset_id: str, index: int, rng: np.random.Generator) -> AssetModel:
     thick = float(rng.uniform(0.007, 0.010))
     floor = 0.006
     grain = wood(rng, str(rng.choice(_WOODS)))
-    painted = index % 8 >= 4
-    if painted:
+    if index % 8 >= 4:
         color = np.array([(196, 60, 48), (64, 110, 150), (232, 226, 210)][index % 3], dtype=np.float64)
         grain = shade(fill(color, 256), grain.mean(axis=-1) / grain.mean())
     side = SurfaceFinish(texture=grain, roughness=0.55)
@@ -165,8 +169,13 @@ def _tray(asset_id: str, index: int, rng: np.random.Generator) -> AssetModel:
     for extents, center in _walls(x, y, height, thick):
         parts.box(extents, center, side, bevel_m=0.0016)
     reach = float(np.hypot(x / 2.0 + thick, y / 2.0 + thick))
-    size = {"inner_x_m": x, "inner_y_m": y, "round": 0.0, "reach_m": reach, "floor_m": floor, "rim_m": height}
-    return _asset(asset_id, "tray", parts, size, 0.6)
+    return _asset(
+        asset_id,
+        "tray",
+        parts,
+        {"inner_x_m": x, "inner_y_m": y, "round": 0.0, "reach_m": reach, "floor_m": floor, "rim_m": height},
+        0.6,
+    )
 
 
 def _walls(x: float, y: float, height: float, thick: float) -> list[tuple[list[float], list[float]]]:
@@ -190,8 +199,7 @@ def _crate(asset_id: str, index: int, rng: np.random.Generator) -> AssetModel:
     height = float(rng.uniform(0.034, 0.042))
     low = float(rng.uniform(0.018, 0.022))
     wide = COMPARTMENTS * cell + (COMPARTMENTS - 1) * divider
-    kind = _WOODS[index % len(_WOODS)]
-    grain = wood(rng, kind)
+    grain = wood(rng, _WOODS[index % len(_WOODS)])
     side = SurfaceFinish(texture=shade(grain, np.full(grain.shape[:2], rng.uniform(0.85, 1.1))), roughness=0.75)
     dark = SurfaceFinish(texture=shade(grain, np.full(grain.shape[:2], 0.75)), roughness=0.85)
     parts = BodyParts(colliders=[box_collider([deep, wide, floor], [0.0, 0.0, floor / 2.0])])
@@ -211,15 +219,20 @@ def _crate(asset_id: str, index: int, rng: np.random.Generator) -> AssetModel:
         for sx, sy in product((-1.0, 1.0), repeat=2):
             center = [sx * (deep + thick) / 2.0, sy * (wide + thick) / 2.0, 0.48 * height]
             parts.box([0.6 * thick, 0.6 * thick, 0.96 * height], center, dark, solid=False)
-    size = {
-        "inner_x_m": deep,
-        "inner_y_m": wide,
-        "outer_x_m": deep + 2.0 * thick,
-        "pitch_m": cell + divider,
-        "floor_m": floor,
-        "rim_m": height,
-    }
-    return _asset(asset_id, "crate", parts, size, 1.2)
+    return _asset(
+        asset_id,
+        "crate",
+        parts,
+        {
+            "inner_x_m": deep,
+            "inner_y_m": wide,
+            "outer_x_m": deep + 2.0 * thick,
+            "pitch_m": cell + divider,
+            "floor_m": floor,
+            "rim_m": height,
+        },
+        1.2,
+    )
 
 
 def compartment_center(size: Callable[[str], float], number: int) -> Array:

@@ -55,8 +55,7 @@ def _carry(
     below = grasp[2, 3] - scene.poses[name][2, 3] + scene.size(name, "rest_m")  # from the fruit's underside to the TCP
     landing = grasp_rotation(DOWN, nearest_axis([across, -across], grasp[:3, 1]))
     # 0.012: height of the TCP above a rim that the fingertips must clear
-    height = max(target[2] + below + drop_m, rim_m + 0.012)
-    place = make_pose(landing, [target[0], target[1], height])
+    place = make_pose(landing, [target[0], target[1], max(target[2] + below + drop_m, rim_m + 0.012)])
     above = lift(grasp, ABOVE_M)
     passage = []
     if over is not None:

@@ -50,8 +50,7 @@ def apple(rng: np.random.Generator, index: int) -> Texture:
     blush = _jitter(rng, [(166, 22, 24), (196, 44, 30), (176, 198, 76), (140, 12, 26)][index % 4])
     streaks = tileable_noise(rng, SIZE, slope=1.0, stretch=12.0).T
     v = _HEIGHT
-    u = _AROUND
-    cheek = 0.5 + 0.5 * np.cos(u - rng.uniform(0.0, 2.0 * np.pi))
+    cheek = 0.5 + 0.5 * np.cos(_AROUND - rng.uniform(0.0, 2.0 * np.pi))
     cover = (0.95, 0.35, 0.45, 1.0)[index % 4] + 0.55 * (cheek - 0.5) + 1.4 * (streaks - 0.5)
     cover = _ramp(cover, 0.1, 0.85) * _ramp(v, 0.03, 0.2) * (1.0 - 0.8 * _ramp(v, 0.78, 0.93))
     skin = mix(gradient((ground, blush), cover), (96, 110, 40), 0.6 * _ramp(v, 0.9, 0.99) + np.zeros_like(cover))
@@ -75,8 +74,7 @@ def orange(rng: np.random.Generator, index: int) -> Texture:
     )
     bumps = grains(rng, SIZE, 30.0)
     skin = shade(skin, 1.0 + 0.4 * (np.roll(bumps, 1, (0, 1)) - bumps) - 0.5 * np.clip(bumps - 0.62, 0.0, 0.3))
-    star = _ramp(_HEIGHT + 0.012 * np.cos(5.0 * _AROUND), 0.945, 0.965)
-    return mix(skin, _jitter(rng, (116, 122, 46)), star)
+    return mix(skin, _jitter(rng, (116, 122, 46)), _ramp(_HEIGHT + 0.012 * np.cos(5.0 * _AROUND), 0.945, 0.965))
 
 
 def pear(rng: np.random.Generator, index: int) -> Texture:
@@ -115,10 +113,8 @@ def strawberry(rng: np.random.Generator, index: int) -> Texture:
     for row in range(rows):
         middle = (row + 0.7) / (rows + 0.6)
         count = max(4, round(15 * np.sin(np.pi * (0.08 + 0.75 * middle))))
-        turn = (u / (2.0 * np.pi) * count + 0.5 * (row % 2)) % 1.0 - 0.5
-        wide = turn / count * 2.0
-        high = (v - middle) * 0.95
-        far = np.hypot(wide / 0.022, high / 0.03)
+        wide = ((u / (2.0 * np.pi) * count + 0.5 * (row % 2)) % 1.0 - 0.5) / count * 2.0
+        far = np.hypot(wide / 0.022, ((v - middle) * 0.95) / 0.03)
         dent = np.maximum(dent, 1.0 - _ramp(far, 0.6, 1.25))
         seed = np.maximum(seed, 1.0 - _ramp(far, 0.35, 0.6))
     return mix(shade(skin, 1.0 - 0.25 * dent), (228, 196, 92), seed)

@@ -43,8 +43,7 @@ def in_container(state: State, name: str, container: str) -> Tensor:
 
 def _below_rim(state: State, name: str, container: str, p: Tensor) -> Tensor:
     """Return (N,) bool: True where a fruit at `p` (N, 3) in a container's frame has its underside below the rim."""
-    underside = p[:, 2] - state.size(name, "rest_m")
-    return (p[:, 2] > 0.0) & (underside <= state.size(container, "rim_m"))
+    return (p[:, 2] > 0.0) & ((p[:, 2] - state.size(name, "rest_m")) <= state.size(container, "rim_m"))
 
 
 def _shuffle(models: Mapping[str, AssetModel], names: Sequence[str]) -> list[str]:

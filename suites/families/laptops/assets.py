@@ -81,8 +81,7 @@ def _sheet(low: ArrayLike, high: ArrayLike, z_m: float, *, up: bool = True) -> M
     if not up:
         faces = faces[:, ::-1]
         uv = uv * [1.0, -1.0] + [0.0, 1.0]
-    normals = np.tile([0.0, 0.0, 1.0 if up else -1.0], (4, 1))
-    return Mesh(vertices=vertices, faces=faces, normals=normals, uv=uv)
+    return Mesh(vertices=vertices, faces=faces, normals=np.tile([0.0, 0.0, 1.0 if up else -1.0], (4, 1)), uv=uv)
 
 
 def _keyboard(size_m: tuple[float, float], keys: ArrayLike, well: ArrayLike, marks: ArrayLike) -> NDArray[np.uint8]:
@@ -257,8 +256,7 @@ def _laptop(asset_id: str, index: int, rng: np.random.Generator) -> AssetModel:
     lid = _lid(rng, index, size, case)
     p_hinge = [size["hinge_x_m"], 0.0, size["hinge_z_m"]]
     friction = float(rng.uniform(0.02, 0.06))
-    damping = float(rng.uniform(0.06, 0.14))
-    joint = lid_hinge(p_hinge, GREATEST_RAD, friction=friction, damping=damping)
+    joint = lid_hinge(p_hinge, GREATEST_RAD, friction=friction, damping=float(rng.uniform(0.06, 0.14)))
     material = Material(
         density=float(rng.uniform(900.0, 1300.0)), static_friction=0.45, dynamic_friction=0.4, restitution=0.0
     )

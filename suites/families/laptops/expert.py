@@ -77,8 +77,7 @@ class _HingePlane:
         s = np.sin(tilt_rad)
         c = np.cos(tilt_rad)
         approach = np.array([-s, -c])
-        out = np.array([c, -s])
-        tcp = np.asarray(corner, dtype=np.float64) - TIP_M * approach - offset_m * out
+        tcp = np.asarray(corner, dtype=np.float64) - TIP_M * approach - offset_m * np.array([c, -s])
         return make_pose(grasp_rotation(self.direction(approach), self.closing), self.point + self.direction(tcp))
 
     def project(self, X_BG: Array) -> Array:
@@ -88,8 +87,9 @@ class _HingePlane:
 
     def arc(self, angle_rad: float, offset: ArrayLike = (0.0, 0.0)) -> Arc:
         """Return the rotation that opens the lid by an angle, about the axis displaced by `offset` (2,)."""
-        axis = np.cross(self.forward, [0.0, 0.0, 1.0])
-        return Arc(point=self.point + self.direction(offset), axis=axis, angle_rad=angle_rad)
+        return Arc(
+            point=self.point + self.direction(offset), axis=np.cross(self.forward, [0.0, 0.0, 1.0]), angle_rad=angle_rad
+        )
 
 
 def _on_lid(angle_rad: float, along_m: float, height_m: float) -> Array:

@@ -22,8 +22,7 @@ def _distance_to_lid(state: State) -> Tensor:
     """Return the distance (N,) of the TCP from the lid's box [m]."""
     p = to_frame(state.poses["laptop/lid"], state.X_BG[:, :3, 3])
     half_width = 0.5 * state.size("laptop", "width_m")
-    zero = torch.zeros_like(p[:, 0])
-    low = torch.stack([zero, -half_width, state.size("laptop", "inside_m")], dim=-1)
+    low = torch.stack([torch.zeros_like(p[:, 0]), -half_width, state.size("laptop", "inside_m")], dim=-1)
     high = torch.stack([state.size("laptop", "reach_m"), half_width, state.size("laptop", "outside_m")], dim=-1)
     distance: Tensor = torch.linalg.norm(p - torch.minimum(torch.maximum(p, low), high), dim=-1)
     return distance

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from benchmarks.perception.clip import TruthClip
-from benchmarks.perception.errors import ClipErrors, Expense, compare
+from benchmarks.perception.errors import ClipErrors, compare
 from kinebench_drake.anomaly import Anomaly, AnomalyKind
 from kinebench_drake.camera import Camera, benchmark_camera
 from kinebench_drake.formats.camerafile import save_camera
@@ -102,8 +102,7 @@ def errors(clip: TruthClip, grounded: Callable[..., PipelineResult]) -> Callable
         if gone is not None:
             true[gone] = np.nan
         planted = replace(clip, X_CH=true, faults=faults, id=id)
-        expense = Expense(wall_s=1.0, cpu_s=0.5, peak_mb=100.0)
-        return compare(planted, grounded(clip, X_CH, tracked, confidence), expense, np.full(FRAMES, share))
+        return compare(planted, grounded(clip, X_CH, tracked, confidence), 0.5, np.full(FRAMES, share))
 
     return make
 

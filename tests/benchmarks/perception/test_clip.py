@@ -1,19 +1,13 @@
-"""Visible share of the gripper and maps of depth errors, by the CAD model without rendering."""
+"""Visible share of the gripper, by the CAD model without rendering."""
 
-from collections.abc import Iterator, Mapping
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from benchmarks.perception.clip import TruthClip, find_clips
-from benchmarks.perception.depth_map import measure_depth
-from kinebench_drake.camera import Camera, benchmark_camera
-from kinebench_drake.grounding.tracking.view import Crop, GripperView
-from kinebench_drake.io.frames import Frames
+from benchmarks.perception.clip import TruthClip
+from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.models.panda.cad import GripperCad
-from kinebench_drake.models.panda.description import RobotPart
 
 
 @pytest.fixture
@@ -49,32 +43,3 @@ def test_a_stored_mask_takes_precedence_over_the_cad_outline(small: TruthClip, c
     assert half.masks(cad) is stored
     expected = stored[0].sum() / outline[0].sum()
     assert half.visible_share(stored, cad)[0] == pytest.approx(expected, abs=0.05)
-
-
-class TooFar:
-    """Estimator of a flat hand 2 % too far."""
-
-    def estimate(self, frames: Frames, camera: Camera, crops: Mapping[int, Crop]) -> Iterator[tuple[int, GripperView]]:
-        for number, crop in crops.items():
-            n = crop.size // 2
-            z_V = 0.7005 / (crop.rays(2) @ crop.R_CV.T)[..., 2]
-            part = np.full((n, n), RobotPart.HAND, np.uint8)
-            flat = np.full((n, n), 0.01)
-            view = GripperView(
-                crop=crop, stride=2, in_image=part > 0, part=part, depth_m=1.02 * z_V, depth_sigma=flat,
-                depth_factor_sigma=0.012, coordinates_P=np.zeros((n, n, 3)), coordinates_sigma_m=flat,
-            )  # fmt: skip
-            yield number, view
-
-
-def test_a_constant_depth_error_appears_unchanged_in_median_and_maps(folder: Path) -> None:
-    errors = measure_depth(find_clips(folder), TooFar())
-    assert errors is not None
-    assert errors.median == pytest.approx(0.02, abs=1e-5)
-    assert errors.level_median == pytest.approx(0.02, abs=1e-5)
-    for errormap in (errors.front, errors.side):
-        mean = errormap.mean()
-        assert np.isfinite(mean).any()
-        np.testing.assert_allclose(mean[np.isfinite(mean)], 0.02, atol=1e-5)
-    on_gripper = np.isfinite(errors.example.error)
-    np.testing.assert_allclose(errors.example.error[on_gripper], 0.02, atol=1e-5)

@@ -138,7 +138,6 @@ def test_unknown_suites_splits_tasks_and_frame_counts_are_usage_errors(suite, or
             "PullCube-v1 has no variant 'obstacles'; tasks",
         ),
         (("check", "--json", "absent/x.json"), "there is no folder absent"),
-        (("sheet", "--out", "absent/x.png"), "there is no folder absent"),
         (("check", "--split", "unseen"), "add --suite N"),
         (("check", "--suite", 1, "--split", "train", "--tasks", "StoreCube-v2"), "not in suite 1's split train"),
     ],

@@ -15,13 +15,6 @@ from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.errors import SetupError, UsageError
 from kinebench_drake.formats.camerafile import save_camera
 from kinebench_drake.geometry import make_pose, rotation_exp
-from training.baseline.comparison import (
-    ClipComparison,
-    Extractor,
-    Quantity,
-    groups,
-    percentiles,
-)
 from training.baseline.fitting import (
     LABELLED,
     BaselineConfig,
@@ -236,33 +229,3 @@ def test_resizing_in_two_steps_equals_resizing_at_once() -> None:
     direct = resize_frames(picture, 224)
     over = resize_frames(resize_frames(picture, 256), 224)
     assert np.abs(direct.astype(int) - over).max() <= 1
-
-
-def test_groups_pool_frames_by_task_and_separate_trained_from_unseen() -> None:
-    clips = [
-        ClipComparison(
-            id=f"{task}{i}",
-            task=task,
-            trained=task != "C",
-            tracked_fraction=1.0,
-            errors={m: dict.fromkeys(Quantity, np.full(10, i + 1.0)) for m in Extractor},
-        )
-        for task in "ABC"
-        for i in range(3)
-    ]
-    found = list(groups(clips))
-    assert [g.name for g in found] == ["A", "B", "trained tasks", "C", "unseen tasks"]
-    assert [g.videos for g in found] == [3, 3, 6, 3, 3]
-    assert found[2].figures[Extractor.BASELINE, Quantity.POSITION][0].value == pytest.approx(2.0)
-
-
-def test_the_interval_is_over_videos_not_frames() -> None:
-    rng = np.random.default_rng(0)
-    few = [np.full(1000, level) for level in rng.uniform(1, 9, 12)]
-    many = [rng.uniform(1, 9, 1000) for _ in range(12)]
-    spread = [percentiles(videos, np.random.default_rng(1))[0] for videos in (few, many)]
-    assert all(f.low <= f.value <= f.high for f in spread)
-    assert spread[0].high - spread[0].low > 5 * (spread[1].high - spread[1].low)
-    one, _ = percentiles([few[0], np.full(5, np.nan)], rng)
-    assert one.value == few[0][0]
-    assert np.isnan(one.low)
