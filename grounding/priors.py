@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, replace
 from enum import Enum
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -98,6 +98,12 @@ class Priors:
         depth = self.depth and replace(self.depth, depth_m=self.depth.depth_m[:, rows, columns])
         image = None if self.image is None else self.image[rows, columns]
         return replace(self, image=image, mask=None if self.mask is None else self.mask[:, rows, columns], depth=depth)
+
+    def at(self, frames: NDArray[np.intp]) -> "Priors":
+        """Return the priors at a selection of the frames."""
+        arrays = {name: getattr(self, name) for name in ("mask", "X_CH", "finger_width_m")}
+        chosen: dict[str, Any] = {name: None if array is None else array[frames] for name, array in arrays.items()}
+        return replace(self, **chosen, depth=self.depth and replace(self.depth, depth_m=self.depth.depth_m[frames]))
 
     def with_first_pose(self, X_CH: Array, frames: int) -> "Priors":
         """Return the priors with pose (4, 4) [m] and gripper width of the initial state as those of frame 0."""
