@@ -214,10 +214,9 @@ def _rotation(first: Array, now: Array, camera: Camera) -> tuple[Array, float]:
     Kabsch (1976) on lines of sight with Tukey's weights, so that moved objects have no influence. The share is that of
     the features that move according to the rotation.
     """
-    lines = []
-    for pixels in (first, now):
-        rays = np.column_stack([(pixels - [camera.cx, camera.cy]) / [camera.fx, camera.fy], np.ones(len(pixels))])
-        lines.append(rays / np.linalg.norm(rays, axis=1, keepdims=True))
+    one = np.ones(len(first))
+    rays = [np.column_stack([(px - [camera.cx, camera.cy]) / [camera.fx, camera.fy], one]) for px in (first, now)]
+    lines = [ray / np.linalg.norm(ray, axis=1, keepdims=True) for ray in rays]
     weight = np.ones(len(first))
     R = np.eye(3)
     error_px = np.zeros(len(first))

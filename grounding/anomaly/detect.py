@@ -154,9 +154,7 @@ def gather_evidence(
     p_C = np.full((n, 3), np.nan)
     explained = np.zeros(n)
     width, misfit, residual, scale = (np.full(n, np.nan) for _ in range(4))
-    for i, pose in enumerate(poses):
-        if pose is None:
-            continue
+    for i, pose in ((i, pose) for i, pose in enumerate(poses) if pose is not None):
         explained[i] = pose.hand.points * pose.overlap
         if pose.arm is not None and pose.arm.agrees:
             agreement = float(np.nan_to_num(pose.arm.hand_agreement))

@@ -540,8 +540,15 @@ class Calibrator:
             if method is CalibrationMethod.JOINTS:
                 centre_sigma_px = _CENTRE_SIGMA * guess.width if centre_free else 0.0
                 used = images[robot.rows]
+                start = CameraCandidate(
+                    scene=solved.bundle.scene,
+                    rows=solved.rows,
+                    cells=solved.cells,
+                    costs=np.zeros(len(solved.rows)),
+                    cost=0.0,
+                )
                 estimate = self._cameras.refine(
-                    used, guess, _start(solved), focal_free=focal_free, centre_sigma_px=centre_sigma_px
+                    used, guess, start, focal_free=focal_free, centre_sigma_px=centre_sigma_px
                 )
                 calibration = describe_estimate(estimate, self._model, basis)
             else:
@@ -633,12 +640,6 @@ def describe_estimate(estimate: CameraEstimate, model: ArmModel, basis: Calibrat
         depth_m=(float(near), float(far)),
         agreement=estimate.agreement,
     )
-
-
-def _start(solved: LensSolution) -> CameraCandidate:
-    """Return the solution from the cells as the start of the fit to contours."""
-    costs = np.zeros(len(solved.rows))
-    return CameraCandidate(scene=solved.bundle.scene, rows=solved.rows, cells=solved.cells, costs=costs, cost=0.0)
 
 
 def _states(config: CalibrationConfig, video: Video, model: ArmModel) -> RobotStates | None:

@@ -144,8 +144,7 @@ class CameraChecker:
         for reading in readings:
             if reading is PictureReading.CROPPED:
                 shares[reading] = self._screen(unread, few, [prior.lens.camera for prior in _crops(camera)])
-                continue
-            if own >= _UPRIGHT_SHARE and reading in _NOT_UPRIGHT:
+            if reading is PictureReading.CROPPED or (own >= _UPRIGHT_SHARE and reading in _NOT_UPRIGHT):
                 continue
             picture = reading.frames(few)
             try:

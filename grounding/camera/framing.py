@@ -206,12 +206,6 @@ def letterboxes(image: tuple[float, float], video: tuple[int, int]) -> list[Fram
     return placements(image, video)[1 : 1 + len(_PLACES)]
 
 
-def deeper_crops(image: tuple[float, float], video: tuple[int, int]) -> list[Framing]:
-    """Return centred crops tighter than needed to fill the video: initial values of a search for any crop."""
-    filled = Framing.filling(image, video)
-    return [_placed(filled, zoom * max(filled.scale_x, filled.scale_y), 0.5) for zoom in _ZOOMS]
-
-
 def _is_square(framing: Framing) -> bool:
     return abs(framing.scale_x / framing.scale_y - 1.0) <= _SQUARE
 
@@ -276,7 +270,9 @@ def align(image: NDArray[np.uint8], frame: NDArray[np.uint8]) -> Framing | None:
     greys = [cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY).astype(np.float32) for rgb in (image, frame)]
     best = _refine(usual[0], greys, (*_COARSE_PX, *_FINE_PX))
     if (best.correlation or 0.0) < _LEAST_CORRELATION or _corner_distance_px(usual[0], best) > PART_PX:
-        candidates = [_refine(start, greys, _COARSE_PX) for start in (*usual, *deeper_crops(size, video))]
+        filled = usual[0]
+        deeper = [_placed(filled, zoom * max(filled.scale_x, filled.scale_y), 0.5) for zoom in _ZOOMS]
+        candidates = [_refine(start, greys, _COARSE_PX) for start in (*usual, *deeper)]
         candidates = sorted(candidates, key=lambda f: -(f.correlation or 0.0))[:3]
         best = max((_refine(start, greys, _FINE_PX) for start in candidates), key=lambda f: f.correlation or 0.0)
     if (best.correlation or 0.0) < _LEAST_CORRELATION:
@@ -387,11 +383,10 @@ def _correlation(framing: Framing, level: _PyramidLevel) -> float:
     image, inside = _warp(level.image, _inverse_map(framing, level), level.frame.shape)
     if inside.mean() < _MIN_SHARE:
         return 0.0
-    details = []
-    for grey in (image, level.frame):
-        blurred = cv2.GaussianBlur(np.where(inside, grey, grey[inside].mean()), (0, 0), _DETAIL_PX)
-        details.append((grey - blurred)[inside])
-    a, b = (d - d.mean() for d in details)
+    filled = [np.where(inside, grey, grey[inside].mean()) for grey in (image, level.frame)]
+    blurred = [cv2.GaussianBlur(grey, (0, 0), _DETAIL_PX) for grey in filled]
+    details = [(grey - smooth)[inside] for grey, smooth in zip((image, level.frame), blurred, strict=True)]
+    a, b = (detail - detail.mean() for detail in details)
     norm = float(np.sqrt((a @ a) * (b @ b)))
     return float(a @ b) / norm if norm > 0 else 0.0
 

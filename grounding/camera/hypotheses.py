@@ -170,12 +170,11 @@ class ChainSearch:
         flipped = np.zeros(self._frames, dtype=bool)
         costs = np.full(self._frames, np.nan)
         for t, X_CH in enumerate(self.hands(lens.camera) if hands is None else hands):
-            if X_CH is None or not self._links[t]:
-                continue
-            fit = self._posture(X_CH, t, lens)
-            costs[t] = _CAP
-            if fit is not None and fit[2] <= _EXPLAINED:
-                q[t], flipped[t], costs[t] = fit
+            if X_CH is not None and self._links[t]:
+                fit = self._posture(X_CH, t, lens)
+                costs[t] = _CAP
+                if fit is not None and fit[2] <= _EXPLAINED:
+                    q[t], flipped[t], costs[t] = fit
         return Hypothesis(lens=lens, q=q, flipped=flipped, costs=costs)
 
     def _posture(self, X_CH: Array, frame: int, lens: Lens) -> tuple[Array, bool, float] | None:

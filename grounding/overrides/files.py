@@ -231,12 +231,8 @@ def _numbers(array: NDArray[np.generic]) -> Array:
 def _numbered(folder: Path) -> list[tuple[int, Path]]:
     """Return the text files with the last number in their names, sorted by it."""
     inner = folder / _FOUNDATION_POSE
-    numbered = []
-    for file in (inner if inner.is_dir() else folder).glob("*.txt"):
-        digits = re.findall(r"\d+", file.stem)
-        if digits:
-            numbered.append((int(digits[-1]), file))
-    return sorted(numbered)
+    files = (inner if inner.is_dir() else folder).glob("*.txt")
+    return sorted((int(digits[-1]), file) for file in files if (digits := re.findall(r"\d+", file.stem)))
 
 
 def _read_texts(folder: Path, frames: int) -> Array:

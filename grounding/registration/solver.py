@@ -273,18 +273,14 @@ class CellRows(Rows):
 
         Parts are at `X_CP` (B, PARTS, 4, 4), fingers opened by `finger_m` (B,) or closed.
         """
-        X = self._part_poses(X_CP)
+        frames, parts = X_CP.shape[:2]
+        rows = X_CP[:, :, :3].reshape(frames, parts, 12).swapaxes(1, 2) @ self.is_part
+        X = rows.reshape(frames, 3, 4, -1)  # first rows of the pose of each cell's part
         p_P = self.p_P
         if finger_m is not None:
             p_P = p_P.copy()
             p_P[:, 1] += self.opening_sign * finger_m[:, None]
         return (X[:, :, :3] * p_P[:, None]).sum(axis=2) + X[:, :, 3], X[:, :, 1]
-
-    def _part_poses(self, X_CP: Array) -> Array:
-        """Return the first rows (B, 3, 4, N) of the pose of each cell's part."""
-        frames, parts = X_CP.shape[:2]
-        rows = X_CP[:, :, :3].reshape(frames, parts, 12).swapaxes(1, 2) @ self.is_part
-        return np.asarray(rows.reshape(frames, 3, 4, -1))
 
     def in_line_frames(self, p_C: Array) -> Array:
         """Return points (B, 3, N) of the camera frame in the frames L of their cells [m]."""

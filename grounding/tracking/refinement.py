@@ -39,10 +39,6 @@ _FOLLOWED_FRAMES = 3
 """Frames without a sure pose across which the surface is followed at once."""
 
 
-def _is_doubtful(pose: FramePose) -> bool:
-    return not pose.from_prior and not (pose.arm_agrees and pose.overlap >= _GOOD_OVERLAP)
-
-
 def _agreement(pose: FramePose) -> float:
     """Return the share of the contour on edges of the image at a pose that was fitted to them; 0 at others."""
     return float(np.nan_to_num(pose.arm.edge_agreement)) if pose.arm is not None and pose.arm.agrees else 0.0
@@ -124,12 +120,15 @@ class EdgeRefinement:
 
     def run(self) -> None:
         """Replace the poses: all of an unfamiliar video, else the doubtful ones."""
-        self.fit([i for i, pose in self.poses.items() if _is_doubtful(pose) or not self.is_familiar])
+        doubtful = [i for i, p in self.poses.items() if not (p.arm_agrees and p.overlap >= _GOOD_OVERLAP)]
+        self.fit(doubtful if self.is_familiar else list(self.poses))
         self._follow()
         if self.is_familiar:
             self._sharpen()
-        else:
-            self._reject()
+            return
+        for i, pose in self.poses.items():  # where the edges do not confirm a pose, hand and arm do not agree
+            if i not in self.confirmed and pose.arm is not None and not pose.from_prior:
+                self.poses[i] = replace(pose, arm=replace(pose.arm, agrees=False))
 
     def _follow(self) -> None:
         """Follow the arm from sure frames into those beside them that are less sure, forwards and back."""
@@ -190,12 +189,6 @@ class EdgeRefinement:
             fits = self._fitter.at(batch).sharpen_all([arms[i] for i in batch], *shown)
             self._sharp.update({i: (arms[i], fit) for i, fit in zip(batch, fits, strict=True)})
         return {i: self._sharp[i][1] for i in arms}
-
-    def _reject(self) -> None:
-        """Mark the poses of an unfamiliar video that the edges do not confirm: hand and arm do not agree in them."""
-        for i, pose in self.poses.items():
-            if i not in self.confirmed and pose.arm is not None and not pose.from_prior:
-                self.poses[i] = replace(pose, arm=replace(pose.arm, agrees=False))
 
     def fit(self, numbers: Iterable[int]) -> None:
         """Fit frames to the edges, from their own postures, then from those of the frames before and after."""
