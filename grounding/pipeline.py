@@ -197,7 +197,7 @@ class GroundingPipeline:
             camera_motion_px=None if motion.is_unknown else motion.largest_px,
             arm_consistency_px=_arm_consistency_px(poses, tracked),
             wide=tracking.wide,
-            arm_q=np.stack([_arm_posture(pose) for pose in poses]),
+            arm_q=np.stack([p.arm.q if p and p.arm and p.arm.agrees else np.full(N_JOINTS, np.nan) for p in poses]),
             X_CH_raw=invert(motion.X_AC) @ np.stack([no_poses[0] if p is None else p.X_CH for p in poses]),
             curves={**_icp_curves(poses), "repeated": evidence.still.astype(np.float64)},
         )
@@ -298,11 +298,6 @@ def _initial_hand_pose(state: InitialState, camera: Camera) -> Array:
 def _arm_consistency_px(poses: Sequence[FramePose | None], tracked: NDArray[np.bool_]) -> float | None:
     distances = [p.arm.consistency_px for p, ok in zip(poses, tracked, strict=True) if ok and p and p.arm is not None]
     return float(np.median(distances)) if distances else None
-
-
-def _arm_posture(pose: FramePose | None) -> Array:
-    """Return the fitted joint angles (7,) [rad]; NaN where hand and arm do not agree."""
-    return np.full(N_JOINTS, np.nan) if pose is None or pose.arm is None or not pose.arm_agrees else pose.arm.q
 
 
 def _icp_curves(poses: Sequence[FramePose | None]) -> dict[str, Array]:

@@ -164,11 +164,11 @@ def adjust(
     postures = start.q if q is None else q, np.broadcast_to(np.asarray(q_sigma, dtype=np.float64), start.q.shape)
     scene = start
     damping = 1e-3
-    current = _Linearization(observations, scene, prior, postures, model)
+    current = _Linearization(observations, scene, prior, *postures, model)
     for _ in range(iterations):
         lens_step, frame_steps = current.step(damping)
         candidate = _update(scene, lens_step, frame_steps, model)
-        trial = _Linearization(observations, candidate, prior, postures, model)
+        trial = _Linearization(observations, candidate, prior, *postures, model)
         if trial.cost < current.cost:
             gain = current.cost - trial.cost
             scene = candidate
@@ -200,12 +200,11 @@ class _Linearization:
     """Cost and normal equations at one scene."""
 
     def __init__(
-        self, observations: Observations, scene: ArmScene, prior: Prior, postures: tuple[Array, Array], model: ArmModel
+        self, observations: Observations, scene: ArmScene, prior: Prior, q: Array, q_sigma: Array, model: ArmModel
     ) -> None:
-        """Linearize the errors; `postures` are mean and standard deviations (T, 7) of the joint angles [rad]."""
+        """Linearize the errors; `q` and `q_sigma` (T, 7) are mean and standard deviations of the joint angles [rad]."""
         o = observations
         lens = scene.lens
-        (q, q_sigma) = postures
         self._scene = scene
         self._o = o
         X_BP, axis, point = model.poses_and_axes(scene.q)

@@ -530,7 +530,13 @@ class Calibrator:
             method=method, source="nothing" if states is None else states.source, focal_free=focal_free
         )
         if states is None:
-            calibration = describe_estimate(self._estimate(frames, guess, focal_free=focal_free), self._model, basis)
+            estimate = self._cameras.estimate(frames, guess, focal_free=focal_free)
+            if estimate.doubt is not None:
+                raise UnmeasurableError(
+                    f"base_from_camera is not determined without joint angles: {estimate.doubt}; give $joints FILE, "
+                    "or the posture of one frame ($joints q1,...,q7)"
+                )
+            calibration = describe_estimate(estimate, self._model, basis)
         else:
             solved = solve(robot, states.take(chosen[robot.rows]), guess, self._model, focal_free=focal_free)
             camera = solved.bundle.scene.lens.to_camera()
@@ -557,20 +563,6 @@ class Calibrator:
             require_determined(calibration)
         image = frames[calibration.frames[len(calibration.frames) // 2]]
         return replace(calibration, warnings=(*shift, *warnings_of(calibration)), image=image)
-
-    def _estimate(self, frames: Frames, guess: Camera, *, focal_free: bool) -> CameraEstimate:
-        """Estimate the camera of frames (T, H, W, 3) without joint angles.
-
-        Raises:
-            UnmeasurableError: the camera is in doubt.
-        """
-        estimate = self._cameras.estimate(frames, guess, focal_free=focal_free)
-        if estimate.doubt is not None:
-            raise UnmeasurableError(
-                f"base_from_camera is not determined without joint angles: {estimate.doubt}; give $joints FILE, "
-                "or the posture of one frame ($joints q1,...,q7)"
-            )
-        return estimate
 
 
 def calibrate(config: CalibrationConfig, calibrator: Calibrator | None = None) -> CameraCalibration:

@@ -97,8 +97,7 @@ class CameraEstimator:
         prior = Prior(lens=Lens(camera=camera, X_CB=np.eye(4)), log_focal_sigma=LOG_FOCAL_SIGMA if focal_free else 0.0)
         search = ChainSearch(detections.cells, detections.finger_m, self.fitter.model)
         side = max(camera.width, camera.height)
-        focals = [focal_px(side, fov) for fov in _FOV_DEG] if focal_free else [camera.fx]
-        hypotheses = search.run(camera, focals)
+        hypotheses = search.run(camera, [focal_px(side, fov) for fov in _FOV_DEG] if focal_free else [camera.fx])
         candidates = self._candidates(detections, hypotheses, prior)
         if not candidates:
             raise UnmeasurableError(

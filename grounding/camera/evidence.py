@@ -164,20 +164,14 @@ class CameraChoice:
     def to_json(self) -> dict[str, Json]:
         """Serialize into keys of the row."""
         source = self.source if self.source.is_named or self.reason is None else CameraSource.NONE
-        data: dict[str, Json] = {"camera_source": source.value, "camera_state": self.state.value}
-        if self.named is not None:
-            data["camera_name"] = self.named.name
-        if self.applied_reading is not None:
-            data["camera_shown"] = self.applied_reading.value
-        if self.agreement is not None:
-            data["camera_agreement"] = round(self.agreement, 4)
-        for key, part in (
-            ("camera_estimate", self.estimate),
-            ("camera_contradiction", self.contradiction),
-            ("camera_reading", self.better_reading),
-        ):
-            if part is not None:
-                data[key] = part.to_json()
-        if self.reason is not None:
-            data["base_frame_reason"] = name_options(self.reason)
-        return data
+        optional: dict[str, Json] = {
+            "camera_name": self.named and self.named.name,
+            "camera_shown": self.applied_reading and self.applied_reading.value,
+            "camera_agreement": None if self.agreement is None else round(self.agreement, 4),
+            "camera_estimate": self.estimate and self.estimate.to_json(),
+            "camera_contradiction": self.contradiction and self.contradiction.to_json(),
+            "camera_reading": self.better_reading and self.better_reading.to_json(),
+            "base_frame_reason": None if self.reason is None else name_options(self.reason),
+        }
+        stated = {key: value for key, value in optional.items() if value is not None}
+        return {"camera_source": source.value, "camera_state": self.state.value, **stated}

@@ -129,14 +129,13 @@ def recognize(frames: Frames, checker: CameraChecker) -> Recognition | None:
 def _best(trials: Sequence[_Trial], checker: CameraChecker) -> Recognition:
     """Return the camera of the best trial, compared with those that have another picture."""
     best = max(trials, key=lambda trial: trial.score)
-    others = [trial.score for trial in trials if not trial.is_same(best)]
     return Recognition(
         named=best.named,
         camera=best.fit.scene.lens.to_camera(),
         reading=best.reading,
         agreement=best.fit.agreement,
         base_agreement=best.base_agreement,
-        lead=best.score - max(others, default=0.0),
+        lead=best.score - max((trial.score for trial in trials if not trial.is_same(best)), default=0.0),
         freed=checker.freed_agreement(best.frames, best.fit),
     )
 

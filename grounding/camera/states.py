@@ -83,8 +83,9 @@ def make_posture_states(text: str, frame: int, frames: int, model: ArmModel) -> 
         )
     if not 0 <= frame < frames:
         raise UsageError(f"$joints_frame is {frame}, expected 0 to {frames - 1}: the video has {frames} frames")
-    angles = spread(q[None], np.array([frame]), frames)
-    return _of_joints(angles, np.full(frames, np.nan), f"posture {text} in frame {frame}", model)
+    return _of_joints(
+        spread(q[None], np.array([frame]), frames), np.full(frames, np.nan), f"posture {text} in frame {frame}", model
+    )
 
 
 def parse_posture(text: str) -> Array | None:
@@ -95,9 +96,8 @@ def parse_posture(text: str) -> Array | None:
     """
     if text in POSTURES:
         return POSTURES[text]
-    fields = text.split(",")
     try:
-        q = np.array([float(field) for field in fields])
+        q = np.array([float(field) for field in text.split(",")])
     except ValueError:
         return None
     if len(q) != N_JOINTS or not np.isfinite(q).all() or np.abs(q).max() > _MAX_RAD:

@@ -296,15 +296,6 @@ class ArmFitter:
         p_L = rows.in_line_frames(rows.place(arm.X_CB[:, None] @ self._model.poses(arm.q))[0])
         return self._camera.fx * masked_median(np.hypot(p_L[:, 0], p_L[:, 1]) / p_L[:, 2], cells.weight > 0)
 
-    def refine(
-        self, q: Array, view: ArmView, image: GradientImage, followed: Correspondences | None = None
-    ) -> ArmFit | None:
-        """Fit the arm of one frame as `refine_all`.
-
-        Points of the surface that led to the posture, `followed`, count in place of the cells, in all passes.
-        """
-        return self.refine_all(q[None], [view], [image], followed)[0]
-
     def refine_all(
         self,
         q: Array,
@@ -317,7 +308,8 @@ class ArmFitter:
         The first pass also counts the cells, and it alone the fingers: grippers have fingers of many forms. Near the
         hand, whose bevels look like outlines, the edge nearest to its segmented rim is taken.
 
-        The postures `q` (B, 7) [rad] are of these frames or of neighbouring ones.
+        The postures `q` (B, 7) [rad] are of these frames or of neighbouring ones. Points of the surface that led to one
+        of a single frame, `followed`, count in place of the cells, in all passes.
         """
         images = [self._with_rim(image, view.close) for image, view in zip(images, views, strict=True)]
         contours: dict[int, EdgePoints | None] = {}

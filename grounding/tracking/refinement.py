@@ -153,7 +153,7 @@ class EdgeRefinement:
         if pose is None:
             return
         self.poses[number] = pose
-        self._keep_better(number, fitter.refine(arm.q, self._view(number), images[1], followed=arm.points))
+        self._keep_better(number, fitter.refine_all(arm.q[None], [self._view(number)], [images[1]], arm.points)[0])
         if not self._is_sure(number) or (old is not None and _agreement(self.poses[number]) < _agreement(old)):
             del self.poses[number]
             if old is not None:

@@ -63,14 +63,14 @@ class Fitter:
         self.sharpened += [float(arm.q[0]) for arm in arms]
         return [replace(arm, q=arm.q + SHARPENED) for arm in arms]
 
-    def refine(self, q: Array, *views: object, followed: object = None) -> ArmFit | None:
+    def refine(self, q: Array, followed: object) -> ArmFit | None:
         self.refined += 1
         right = followed is not None or abs(q[0] - RIGHT) < self.reach
         arm = arm_fit(RIGHT, 0.7) if right else arm_fit(q[0], 0.2, agrees=False)
         return replace(arm, X_CH=make_pose(np.eye(3), [self.moved_m, 0.0, 0.0]))
 
-    def refine_all(self, q: Array, *views: object) -> list[ArmFit | None]:
-        return [self.refine(own) for own in q]
+    def refine_all(self, q: Array, views: object, images: object, followed: object = None) -> list[ArmFit | None]:
+        return [self.refine(own, followed) for own in q]
 
     def poses(self, arm: ArmFit) -> Array:
         return np.full((1, 4, 4), arm.q[0])
