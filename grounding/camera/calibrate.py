@@ -691,8 +691,7 @@ def _camera_shift(frames: Frames, robot: NDArray[np.bool_], camera: Camera) -> t
 def _is_other(camera: Camera, guess: Camera) -> bool:
     """Return whether a camera differs much from another one."""
     distance, angle = pose_difference(camera.X_BC, guess.X_BC)
-    zoom = abs(np.log(camera.fx / guess.fx))
-    return bool(zoom > _OTHER_ZOOM or distance > _OTHER_M or angle > _OTHER_RAD)
+    return bool(distance > _OTHER_M or angle > _OTHER_RAD or abs(np.log(camera.fx / guess.fx)) > _OTHER_ZOOM)
 
 
 def _method(states: RobotStates | None) -> CalibrationMethod:

@@ -79,10 +79,9 @@ class CameraEstimator:
         """
         detections = find_robot(self.estimator, frames, camera, FRAMES)
         if detections is None or len(detections.rows) < MIN_FRAMES:
-            count = 0 if detections is None else len(detections.rows)
             raise UnmeasurableError(
-                f"no camera can be estimated: a gripper is seen in {count} of the frames searched, at least "
-                f"{MIN_FRAMES} are needed"
+                f"no camera can be estimated: a gripper is seen in {len(detections.rows) if detections else 0} of the "
+                f"frames searched, at least {MIN_FRAMES} are needed"
             )
         estimate = self.solve(detections, frames[detections.rows], camera, focal_free=focal_free)
         return replace(estimate, frames=detections.rows[estimate.frames])

@@ -134,8 +134,8 @@ def joint_twist(X_CB: Array, axis: Array, point: Array) -> Array:
     """Return the twists (B, 6, 7), as in `PartPlacement`, of joints whose axes (B, 7, 3) pass points (B, 7, 3) in B."""
     R_BC = X_CB[:, :3, :3].swapaxes(1, 2)
     axis_C = axis @ R_BC
-    point_C = point @ R_BC + X_CB[:, None, :3, 3]
-    return np.concatenate([axis_C, cross(point_C, axis_C)], axis=2).swapaxes(1, 2)
+    moment_C = cross(point @ R_BC + X_CB[:, None, :3, 3], axis_C)
+    return np.concatenate([axis_C, moment_C], axis=2).swapaxes(1, 2)
 
 
 def find_posture(

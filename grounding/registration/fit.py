@@ -251,5 +251,4 @@ def calibrate_depth(depth: ExternalDepth, view: GripperView, X_CH: Array, finger
         return depth
     opened_H = cells.p_P + cells.opening_sign[:, None] * np.array([0.0, finger_m, 0.0])
     distance_m = np.linalg.norm(opened_H @ X_CH[:3, :3].T + X_CH[:3, 3], axis=1)
-    factor = float(np.median(distance_m / cells.range_m))
-    return replace(depth, depth_m=depth.depth_m * factor, calibrated=True)
+    return replace(depth, depth_m=depth.depth_m * float(np.median(distance_m / cells.range_m)), calibrated=True)
