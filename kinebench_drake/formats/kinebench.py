@@ -30,7 +30,7 @@ from kinebench_drake.formats.trajectories.trajectory import MAX_BYTES, Trajector
 from kinebench_drake.formats.videos.sample import Search, VideoSample
 from kinebench_drake.geometry import Array, make_pose
 from kinebench_drake.io.files import read_text
-from kinebench_drake.io.hdf5 import DAMAGED, open_hdf5, read_all
+from kinebench_drake.io.hdf5 import open_hdf5, read_all
 from kinebench_drake.io.jsonl import as_number, as_object, as_type, read_object
 from kinebench_drake.results.inputs import BENCHMARK_PERIOD_S
 from kinebench_drake.results.row import SampleRow, Status
@@ -168,14 +168,11 @@ def open_executed_table(sample: TrajectorySample) -> Iterator[ColumnTable]:
     Raises:
         InputError: the file is damaged.
     """
-    try:
-        with open_hdf5(sample.path) as file:
-            data = file[f"{sample.part}/actions"]
-            if not isinstance(data, h5py.Dataset):
-                raise InputError(f"{sample.part}/actions is a group, expected a data set")
-            actions = np.asarray(read_all(data, MAX_BYTES), dtype=np.float64).reshape(-1, 7)
-    except DAMAGED as error:
-        raise InputError(f"{sample.part} cannot be read ({cause(error)})") from None
+    with open_hdf5(sample.path, f"{sample.part}/actions") as file:
+        data = file[f"{sample.part}/actions"]
+        if not isinstance(data, h5py.Dataset):
+            raise InputError(f"{sample.part}/actions is a group, expected a data set")
+        actions = np.asarray(read_all(data, MAX_BYTES), dtype=np.float64).reshape(-1, 7)
     arrays: dict[str, NDArray[np.generic]] = {
         "base_from_tcp": make_pose(Rotation.from_euler("XYZ", actions[:, 3:6]).as_matrix(), actions[:, :3]),
         "finger_width_m": np.where(actions[:, 6] > 0.0, MAX_WIDTH_M, 0.0),

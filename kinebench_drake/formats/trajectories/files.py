@@ -6,7 +6,6 @@ import re
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +16,7 @@ from kinebench_drake.formats.trajectories.column_table import ColumnTable, Numbe
 from kinebench_drake.formats.trajectories.trajectory import MAX_BYTES, MAX_FRAMES, TrajectorySample, parse_number
 from kinebench_drake.io.files import read_text
 from kinebench_drake.io.jsonl import read_object
-from kinebench_drake.io.npz import check_bytes, open_npz, read_npy
+from kinebench_drake.io.npz import open_npz, read_npy
 
 _MOST_COLUMNS = 1000
 _DELIMITERS = (",", ";", "\t")
@@ -28,7 +27,7 @@ FRAME_NUMBERS = 1024
 @contextmanager
 def open_npz_table(sample: TrajectorySample) -> Iterator[ColumnTable]:
     """Open an npz file. The angles of a track file (it has `ik_ok`) were computed from its poses."""
-    with open_npz(sample.path, partial(check_bytes, most=MAX_BYTES)) as archive:
+    with open_npz(sample.path, MAX_BYTES) as archive:
         shapes = {name: archive.shape(name) for name in archive.files}
         optional = frozenset({"q", "camera_from_hand"} if "ik_ok" in shapes else ())
         yield ColumnTable(columns=_columns(shapes), load=archive.__getitem__, optional=optional)
@@ -37,7 +36,7 @@ def open_npz_table(sample: TrajectorySample) -> Iterator[ColumnTable]:
 @contextmanager
 def open_npy_table(sample: TrajectorySample) -> Iterator[ColumnTable]:
     """Open an npy file: joint angles (T, 7) to (T, 9), or poses (T, 4, 4)."""
-    array = read_npy(sample.path, partial(check_bytes, most=MAX_BYTES))
+    array = read_npy(sample.path, MAX_BYTES)
     name = "base_from_tcp" if array.ndim == 3 else "q"
     yield ColumnTable(columns=_columns({name: array.shape}), load={name: array}.__getitem__)
 

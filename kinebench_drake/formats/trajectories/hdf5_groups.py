@@ -8,14 +8,13 @@ from pathlib import Path
 
 import h5py
 import numpy as np
-from numpy.typing import NDArray
 
-from kinebench_drake.errors import InputError, cause
+from kinebench_drake.errors import InputError
 from kinebench_drake.formats.kinebench import H5_FORMAT, list_executed
 from kinebench_drake.formats.maniskill import list_maniskill
 from kinebench_drake.formats.trajectories.column_table import ColumnTable, NumberColumn
 from kinebench_drake.formats.trajectories.trajectory import MAX_BYTES, N_JOINTS, TrajectoryFormat, TrajectorySample
-from kinebench_drake.io.hdf5 import DAMAGED, open_hdf5, read_all
+from kinebench_drake.io.hdf5 import open_hdf5, read_all
 from kinebench_drake.io.jsonl import as_number, as_object, parse_json
 
 _EPISODE = re.compile(r"(?:data/)?(?:demo|episode)_(?P<number>\d{1,9})", re.ASCII)
@@ -26,6 +25,7 @@ _ROOT = 13  # numbers of an articulation's state before its joints: pose (7) and
 
 def list_hdf5_trajectories(path: Path, video: str) -> list[TrajectorySample]:
     """List the episodes of a file, called `video` in results, by their numbers, without reading them."""
+    whole = TrajectorySample(id=path.stem, path=path, video=video, format=TrajectoryFormat.HDF5)
     try:
         with open_hdf5(path) as file:
             if file.attrs.get("format") == H5_FORMAT:
@@ -33,12 +33,12 @@ def list_hdf5_trajectories(path: Path, video: str) -> list[TrajectorySample]:
             if any(name.startswith("traj_") for name in map(str, file)):
                 return list_maniskill(path, video)
             data = file.get("data")
-            below = [f"data/{name}" for name in data] if isinstance(data, h5py.Group) else list(map(str, file))
-            rate_hz = _rate(data.attrs.get("env_args")) if isinstance(data, h5py.Group) else None
-    except DAMAGED as error:
-        problem = cause(error)
-        return [TrajectorySample(id=path.stem, path=path, video=video, format=TrajectoryFormat.HDF5, problem=problem)]
-    whole = TrajectorySample(id=path.stem, path=path, video=video, format=TrajectoryFormat.HDF5, rate_hz=rate_hz)
+            below = list(map(str, file))
+            if isinstance(data, h5py.Group):
+                below = [f"data/{name}" for name in data]
+                whole = replace(whole, rate_hz=_rate(data.attrs.get("env_args")))
+    except InputError as error:
+        return [replace(whole, problem=str(error))]
     episodes = sorted((int(match["number"]), name) for name in below if (match := _EPISODE.fullmatch(name)))
     names = [(name, name.rpartition("/")[2]) for _, name in episodes]
     return [replace(whole, id=f"{path.stem}-{own}", video=f"{video}#{own}", part=name) for name, own in names] or [
@@ -54,32 +54,25 @@ def open_hdf5_table(sample: TrajectorySample) -> Iterator[ColumnTable]:
         InputError: the file is damaged.
     """
     group = sample.part or "/"
-    try:
-        with open_hdf5(sample.path) as file:
-            episode = file[group]
-            if not isinstance(episode, h5py.Group):
-                raise InputError(f"{group} is a data set, expected a group of them")
-            columns: list[NumberColumn] = []
+    with open_hdf5(sample.path, group) as file:
+        episode = file[group]
+        if not isinstance(episode, h5py.Group):
+            raise InputError(f"{group} is a data set, expected a group of them")
+        columns: list[NumberColumn] = []
 
-            def visit(name: str, item: object) -> None:  # names that are not valid text come as bytes
-                if isinstance(name, str) and isinstance(item, h5py.Dataset) and (column := _column(name, item)):
-                    columns.append(column)
+        def visit(name: str, item: object) -> None:  # names that are not valid text come as bytes
+            if isinstance(name, str) and isinstance(item, h5py.Dataset) and (column := _column(name, item)):
+                columns.append(column)
 
-            episode.visititems(visit)
-            robots = [c.name for c in columns if c.name.startswith(_STATES) and c.names]
-
-            def load(name: str) -> NDArray[np.generic]:
-                return read_all(episode[name], MAX_BYTES)
-
-            yield ColumnTable(
-                columns=tuple(columns),
-                load=load,
-                rate_hz=sample.rate_hz,
-                optional=frozenset(robots if len(robots) > 1 else ())
-                | {c.name for c in columns if c.name.startswith(("next_obs/", "actions"))},
-            )
-    except DAMAGED as error:
-        raise InputError(f"{group} cannot be read ({cause(error)})") from None
+        episode.visititems(visit)
+        robots = [c.name for c in columns if c.name.startswith(_STATES) and c.names]
+        others = [c.name for c in columns if c.name.startswith(("next_obs/", "actions"))]
+        yield ColumnTable(
+            columns=tuple(columns),
+            load=lambda name: read_all(episode[name], MAX_BYTES),
+            rate_hz=sample.rate_hz,
+            optional=frozenset([*others, *(robots if len(robots) > 1 else ())]),
+        )
 
 
 def _column(name: str, data: h5py.Dataset) -> NumberColumn | None:
