@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
-from kinebench_drake.geometry import Array
+from kinebench_drake.geometry import Array, make_pose, rotation_z
 from kinebench_drake.models.robot import N_JOINTS
 
 N_BRANCHES = 8
@@ -47,24 +47,8 @@ def flange_pose(q: ArrayLike) -> Array:
     q = np.asarray(q, dtype=np.float64)
     X = np.broadcast_to(np.eye(4), (*q.shape[:-1], 4, 4))
     for j, (a, d, alpha) in enumerate(_CHAIN):
-        c = np.cos(q[..., j])
-        s = np.sin(q[..., j])
-        ca = np.cos(alpha)
-        sa = np.sin(alpha)
-        step = np.zeros((*q.shape[:-1], 4, 4))
-        step[..., 0, 0] = c
-        step[..., 0, 1] = -s
-        step[..., 0, 3] = a
-        step[..., 1, 0] = s * ca
-        step[..., 1, 1] = c * ca
-        step[..., 1, 2] = -sa
-        step[..., 1, 3] = -d * sa
-        step[..., 2, 0] = s * sa
-        step[..., 2, 1] = c * sa
-        step[..., 2, 2] = ca
-        step[..., 2, 3] = d * ca
-        step[..., 3, 3] = 1.0
-        X = X @ step
+        roll = np.array([[1.0, 0.0, 0.0], [0.0, np.cos(alpha), -np.sin(alpha)], [0.0, np.sin(alpha), np.cos(alpha)]])
+        X = X @ make_pose(roll @ rotation_z(q[..., j]), roll @ [a, 0.0, d])
     return np.asarray(X + _D_FLANGE * X[..., :, 2:3] * np.array([0.0, 0.0, 0.0, 1.0]))
 
 

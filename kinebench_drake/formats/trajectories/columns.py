@@ -88,7 +88,7 @@ def _named(table: ColumnTable, wanted: Reading) -> Reading:
     size = table.size(wanted.columns or ())
     if wanted.layout is not None:
         return wanted
-    [*rest] = [column for column in table.columns if column.name in (wanted.columns or ())]
+    rest = [column for column in table.columns if column.name in (wanted.columns or ())]
     for find in (_find_joints, _find_pose):
         reading = find(ColumnTable(columns=tuple(rest), load=table.load), wanted.change(columns=None))
         if reading is not None and table.size(reading.columns or ()) <= size <= 9:
@@ -231,10 +231,7 @@ def _with_times(table: ColumnTable, reading: Reading) -> Reading:
 
 def _with_units(table: ColumnTable, reading: Reading) -> Reading:
     """Return the reading with the units in which all names end, where they are not stated."""
-    names: list[str] = []
-    for name in reading.columns or ():
-        names += [name]
-    words = {_words(name)[-1] for name in names if _words(name)}
+    words = {_words(name)[-1] for name in reading.columns or () if _words(name)}
     units = {_UNITS[word] for word in words if word in _UNITS}
     lengths = units & {"m", "cm", "mm"}
     angles = units & {"rad", "deg"}

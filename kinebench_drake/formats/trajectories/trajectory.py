@@ -137,6 +137,11 @@ def parse_number(text: str) -> float:
     return float(text)
 
 
+def first_index(bad: NDArray[np.bool_]) -> int | None:
+    """Return the first place of a fault in a mask; None if there is none."""
+    return int(np.argmax(bad)) if bad.any() else None
+
+
 def others_text(bad: NDArray[np.bool_]) -> str:
     """Return " (and at N more places)" for a mask of faults of which one is reported."""
     count = int(bad.sum()) - 1
