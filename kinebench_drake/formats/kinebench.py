@@ -65,7 +65,7 @@ def list_kinebench(folder: Path, search: Search) -> list[VideoSample]:
     info = read_object(folder / INFO)
     samples = []
     names = [folder.resolve().parents[1].name, folder.resolve().parent.name, folder.resolve().name]
-    for rollout in _rollouts(info):
+    for rollout in map(as_object, as_type(info.get("rollouts"), list) or []):
         attempt = as_type(rollout.get("attempt_dir"), str) or ""
         video = folder / Path(attempt).name / "generated.mp4"
         labels = replace(
@@ -81,11 +81,6 @@ def list_kinebench(folder: Path, search: Search) -> list[VideoSample]:
         missing = None if video.is_file() else f"{attempt} holds no generated.mp4: run with output.save_generated: true"
         samples.append(replace(labels, problem=missing))
     return samples
-
-
-def _rollouts(info: Mapping[str, object]) -> list[Mapping[str, object]]:
-    rollouts = info.get("rollouts")
-    return [as_object(rollout) for rollout in rollouts] if isinstance(rollouts, list) else []
 
 
 def _executed_poses(meta: Mapping[str, object]) -> Array | None:

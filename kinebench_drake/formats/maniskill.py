@@ -50,8 +50,7 @@ def list_maniskill(path: Path, video: str) -> list[TrajectorySample]:
         return [replace(unread, problem=f"holds no trajectory traj_0, traj_1, ... but {content or 'nothing'}")]
     about, note = _read_metadata(path.with_suffix(".json"))
     info = as_object(about.get("env_info"))
-    episodes = about.get("episodes")
-    entries = map(as_object, episodes if isinstance(episodes, list) else [])
+    entries = map(as_object, as_type(about.get("episodes"), list) or [])
     by_id = {entry["episode_id"]: entry for entry in entries if isinstance(entry.get("episode_id"), int)}
     samples = []
     for number, name in sorted((int(name.removeprefix("traj_")), name) for name in names):

@@ -9,7 +9,6 @@ poses and angles.
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from kinebench_drake.geometry import Array, make_pose, rotation_z
 from kinebench_drake.models.robot import N_JOINTS
@@ -42,9 +41,8 @@ _CHAIN = (
 )
 
 
-def flange_pose(q: ArrayLike) -> Array:
+def flange_pose(q: Array) -> Array:
     """Return the pose X_BF (..., 4, 4) [m] of the flange (panda_link8) at joint angles `q` (..., 7) [rad]."""
-    q = np.asarray(q, dtype=np.float64)
     X = np.broadcast_to(np.eye(4), (*q.shape[:-1], 4, 4))
     for j, (a, d, alpha) in enumerate(_CHAIN):
         roll = np.array([[1.0, 0.0, 0.0], [0.0, np.cos(alpha), -np.sin(alpha)], [0.0, np.sin(alpha), np.cos(alpha)]])
@@ -52,7 +50,7 @@ def flange_pose(q: ArrayLike) -> Array:
     return np.asarray(X + _D_FLANGE * X[..., :, 2:3] * np.array([0.0, 0.0, 0.0, 1.0]))
 
 
-def reach_window(X_BF: ArrayLike) -> tuple[Array, Array, Array]:
+def reach_window(X_BF: Array) -> tuple[Array, Array, Array]:
     """Return the joint-7 angles at which flange poses (..., 4, 4) are within reach of the stretched arm.
 
     As joint 7 turns, the wrist moves on a circle; the window is its part within the stretched arm's sphere about the
@@ -62,7 +60,6 @@ def reach_window(X_BF: ArrayLike) -> tuple[Array, Array, Array]:
         Centre (...) of the window [rad]; its half width (...) [rad], pi if all angles are in it, 0 if none is; distance
         (...) [m] by which the wrist is out of reach at the centre, 0 within reach.
     """
-    X_BF = np.asarray(X_BF, dtype=np.float64)
     p = X_BF[..., :3, 3] - _D_FLANGE * X_BF[..., :3, 2] - np.array([0.0, 0.0, _D1])
     x = np.sum(p * X_BF[..., :3, 0], axis=-1)
     y = np.sum(p * X_BF[..., :3, 1], axis=-1)
@@ -73,18 +70,18 @@ def reach_window(X_BF: ArrayLike) -> tuple[Array, Array, Array]:
     return np.arctan2(-y, x), np.arccos(np.clip(cos, -1.0, 1.0)), np.maximum(least - _REACH, 0.0)
 
 
-def branch_of(q: ArrayLike) -> int:
+def branch_of(q: Array) -> int:
     """Return the branch of a posture `q` (7,) [rad]: `analytic_ik` of its flange pose and joint 7 has it there.
 
     By the signs of the angles of elbow, wrist and shoulder in `analytic_ik`. That of the wrist, `half`, has the sign of
     z6 . (way x z5) = along_x z4 . z6, and z4 . z6 = cos q5.
     """
-    _, q2, _, q4, q5, _, _ = np.asarray(q, dtype=np.float64)
+    _, q2, _, q4, q5, _, _ = q
     along_x = np.cos(q4) * _A4 + np.sin(q4) * _D3 - _A4
     return 4 * bool(np.sin(q4 + _ELBOW) < 0.0) + 2 * bool(along_x * np.cos(q5) < 0.0) + bool(q2 < 0.0)
 
 
-def analytic_ik(X_BF: ArrayLike, q7: ArrayLike, branch: int | None = None) -> Array:
+def analytic_ik(X_BF: Array, q7: Array, branch: int | None = None) -> Array:
     """Return the joint angles (..., 8, 7) [rad] that bring the flange to `X_BF` for joint-7 angles `q7`.
 
     Poses (..., 4, 4) of panda_link8 in panda_link0 [m] and angles (...) [rad] are broadcast. The branch index is 4 *
@@ -92,8 +89,6 @@ def analytic_ik(X_BF: ArrayLike, q7: ArrayLike, branch: int | None = None) -> Ar
     this one is returned (..., 1, 7). Rows are NaN where there is no solution. Angles lie in [-pi, pi), except joint 4
     in (-3 pi/2, pi/2] and joint 6 in [-pi/2, 3 pi/2), the ranges of their limits, and joint 7, as `q7`.
     """
-    X_BF = np.asarray(X_BF, dtype=np.float64)
-    q7 = np.asarray(q7, dtype=np.float64)
     shape = np.broadcast_shapes(X_BF.shape[:-2], q7.shape)
     X_BF = X_BF[(None,) * (len(shape) + 2 - X_BF.ndim)]
     # Axes of link 6 in the base, and the way from the shoulder to its origin (wrist) along them.

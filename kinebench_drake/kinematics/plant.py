@@ -98,7 +98,6 @@ class ArmPlant:
         self.tool = frozenset(plant.get_body(index).name() for index in moved)
         """Links beyond the last arm joint: fixed relative to the TCP, but for the fingers."""
         self._links = {name: plant.GetFrameByName(name) for name in self.robot.links}
-        self._origin = np.zeros(3)
         self._rates = np.zeros((2, plant.num_velocities()))
         self._no_forces = MultibodyForces(plant)
 
@@ -175,7 +174,7 @@ class ArmPlant:
         """Return `forward(q)` and `jacobian(q)`, setting the context once."""
         X_BG = self.forward(q)
         J = self.drake.CalcJacobianSpatialVelocity(
-            self.context, JacobianWrtVariable.kV, self.tcp_frame, self._origin, self.base_frame, self.base_frame
+            self.context, JacobianWrtVariable.kV, self.tcp_frame, np.zeros(3), self.base_frame, self.base_frame
         )
         return X_BG, np.asarray(J[:, self.arm_rates])
 

@@ -65,11 +65,8 @@ class Coverage:
     @property
     def reason(self) -> str:
         """Why numbers of an incomplete track are missing."""
-        n = len(self.lost)
-        lost = int(self.lost.sum())
-        unreachable = int(self.unreachable.sum())
-        counts = {"lost": lost, "out of reach": unreachable}
-        return ", ".join(f"{count} of {n} frames are {kind}" for kind, count in counts.items() if count)
+        counts = {"lost": int(self.lost.sum()), "out of reach": int(self.unreachable.sum())}
+        return ", ".join(f"{count} of {len(self.lost)} frames are {kind}" for kind, count in counts.items() if count)
 
 
 def cover_poses(plant: ArmPlant, track: GripperTrack, joints: JointTrack, reached: NDArray[np.bool_]) -> Coverage:
