@@ -4,7 +4,7 @@ Dynamic programming over grids of postures selects branch and coarse path global
 minimise joint speed over its limit, the relaxation also acceleration.
 """
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from itertools import accumulate, pairwise
 
 import numpy as np
@@ -37,7 +37,6 @@ TOO_FAST_WEIGHT = 1000.0
 
 _BETWEEN_RAD = np.array([-0.05, 0.0, 0.05])  # joint-7 offsets about the interpolated path
 _PAST_LIMIT_RAD = 0.05  # allowed limit excess of grid postures: a path along a limit lies between grid points
-_PAIRS_AT_ONCE = 2**17  # most pairs of postures whose steps are computed in one array
 
 
 def limit_excess(plant: ArmPlant, q: Array) -> Array:
@@ -168,54 +167,35 @@ def find_cheapest_path(
     frames = [i for i, layer in enumerate(layers) if len(layer)]
     if not frames:
         return path
-    counts = np.array([len(layers[i]) for i in frames])
-    slots = np.arange(counts.max()) < counts[:, None]  # of each layer in an array for all
-    q = np.zeros((*slots.shape, 7))
-    q[slots] = np.concatenate([layers[i] for i in frames])
-    own = FROM_REST * np.sum((q - plant.robot.rest_q) ** 2, axis=-1)
-    own += PAST_LIMIT_COST * limit_excess(plant, q).max(axis=-1)
-    own[~slots] = np.inf
+    rows = np.concatenate([layers[i] for i in frames])
+    own = FROM_REST * np.sum((rows - plant.robot.rest_q) ** 2, axis=-1)
+    own += PAST_LIMIT_COST * limit_excess(plant, rows).max(axis=-1)
+    ends = np.cumsum([len(layers[i]) for i in frames])[:-1]
+    scaled = np.split(rows / plant.velocity_limits, ends)
+    costs = np.split(own, ends)
     dt = np.diff(t_s[frames]) + ALLOWANCE * np.sqrt(2.0) * noise_rad / plant.velocity_limits.min()
-    steps = _step_costs(q / plant.velocity_limits, counts, dt, spacing / plant.velocity_limits.min())
-    cost = FROM_START * np.sum((q[0] - q_start) ** 2, axis=-1) + own[0]
+    slack_s = spacing / plant.velocity_limits.min()
+    cost = FROM_START * np.sum((layers[frames[0]] - q_start) ** 2, axis=-1) + costs[0]
     parents = []
-    for k, step in enumerate(steps, start=1):
-        total = cost[: step.shape[1]] + step
+    for (before, after), step_s, added in zip(pairwise(scaled), dt, costs[1:], strict=True):
+        total = cost + _step_costs(cdist(after, before, "chebyshev"), step_s, slack_s)
         best = total.argmin(axis=-1)
         parents.append(best)
-        cost = total[np.arange(len(best)), best] + own[k, : len(best)]
+        cost = total[np.arange(len(best)), best] + added
     k = int(np.argmin(cost))
     for n in range(len(frames) - 1, -1, -1):
-        path[frames[n]] = q[n, k]
+        path[frames[n]] = layers[frames[n]][k]
         if n:
             k = int(parents[n - 1][k])
     return path
 
 
-def _step_costs(scaled: Array, counts: NDArray[np.intp], dt: Array, slack_s: float) -> Iterator[Array]:
-    """Yield the cost of each step between consecutive layers, rows the later postures, columns the earlier ones.
+def _step_costs(time_s: Array, step_s: float, slack_s: float) -> Array:
+    """Return the costs of steps that take `time_s` at the speed limits [s] and have `step_s`.
 
-    Small layers are computed in one array, which is faster, and yielded with the rows and columns beyond their counts.
-
-    Args:
-        scaled: (T, N, 7) postures over the speed limits [s], of which each layer has the first `counts` (T,).
-        counts: (T,) numbers of postures.
-        dt: (T - 1,) times between layers [s].
-        slack_s: time by which a step may exceed the speed limits, as the grid explains it [s].
+    They may exceed the limits by `slack_s`, as the spacing of the grid explains it [s].
     """
-
-    def costs(time_s: Array, step_s: Array | float) -> Array:
-        square = (time_s / step_s) ** 2
-        fast = np.square(square**2)  # several times as fast as a power of 8
-        return np.asarray(
-            square + FAST_WEIGHT * fast + TOO_FAST_WEIGHT * np.maximum((time_s - slack_s) / step_s - 1.0, 0.0) ** 2
-        )
-
-    if len(dt) * scaled.shape[1] ** 2 <= _PAIRS_AT_ONCE:
-        joints = np.moveaxis(scaled, -1, 0)
-        times = np.abs(joints[:, 1:, :, None] - joints[:, :-1, None, :]).max(axis=0)
-        yield from costs(times, dt[:, None, None])
-    else:
-        rows = [row[:count] for row, count in zip(scaled, counts, strict=True)]
-        for (before, after), step_s in zip(pairwise(rows), dt, strict=True):
-            yield costs(cdist(after, before, "chebyshev"), float(step_s))
+    square = (time_s / step_s) ** 2
+    fast = np.square(square**2)  # several times as fast as a power of 8
+    too_fast = np.maximum((time_s - slack_s) / step_s - 1.0, 0.0) ** 2
+    return np.asarray(square + FAST_WEIGHT * fast + TOO_FAST_WEIGHT * too_fast)
