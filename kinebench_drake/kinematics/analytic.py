@@ -81,13 +81,13 @@ def branch_of(q: Array) -> int:
     return 4 * bool(np.sin(q4 + _ELBOW) < 0.0) + 2 * bool(along_x * np.cos(q5) < 0.0) + bool(q2 < 0.0)
 
 
-def analytic_ik(X_BF: Array, q7: Array, branch: int | None = None) -> Array:
+def analytic_ik(X_BF: Array, q7: Array) -> Array:
     """Return the joint angles (..., 8, 7) [rad] that bring the flange to `X_BF` for joint-7 angles `q7`.
 
     Poses (..., 4, 4) of panda_link8 in panda_link0 [m] and angles (...) [rad] are broadcast. The branch index is 4 *
-    elbow + 2 * wrist + shoulder; a branch is continuous in the pose and q7 away from singularities. With `branch` only
-    this one is returned (..., 1, 7). Rows are NaN where there is no solution. Angles lie in [-pi, pi), except joint 4
-    in (-3 pi/2, pi/2] and joint 6 in [-pi/2, 3 pi/2), the ranges of their limits, and joint 7, as `q7`.
+    elbow + 2 * wrist + shoulder; a branch is continuous in the pose and q7 away from singularities. Rows are NaN where
+    there is no solution. Angles lie in [-pi, pi), except joint 4 in (-3 pi/2, pi/2] and joint 6 in [-pi/2, 3 pi/2), the
+    ranges of their limits, and joint 7, as `q7`.
     """
     shape = np.broadcast_shapes(X_BF.shape[:-2], q7.shape)
     X_BF = X_BF[(None,) * (len(shape) + 2 - X_BF.ndim)]
@@ -104,12 +104,11 @@ def analytic_ik(X_BF: Array, q7: Array, branch: int | None = None) -> Array:
     w = _dot(p, z6)
 
     signs = np.reshape([1.0, -1.0], (2, *[1] * len(shape)))
-    elbow, wrist = (signs, signs) if branch is None else (signs[[branch // 4]], signs[[branch // 2 % 2]])
-    q = np.empty((N_JOINTS, len(elbow), len(wrist), 2, *shape))  # joint, elbow, wrist, shoulder
+    q = np.empty((N_JOINTS, 2, 2, 2, *shape))  # joint, elbow, wrist, shoulder
     with np.errstate(invalid="ignore", divide="ignore"):
         # Elbow: the triangle shoulder, elbow joint, wrist has three known sides.
         bend = np.arccos((_UPPER**2 + _LOWER**2 - u * u - v * v - w * w) / (2 * _UPPER * _LOWER))  # NaN out of reach
-        q4 = (elbow * bend - _ELBOW + 2 * np.pi * (elbow < 0.0))[:, None]  # (elbow, 1, ...)
+        q4 = (signs * bend - _ELBOW + 2 * np.pi * (signs < 0.0))[:, None]  # (elbow, 1, ...)
         q4 -= 2 * np.pi * (q4 > np.pi / 2)
         # In frame 4, whose y is joint 5's axis: from the shoulder to the wrist.
         c4 = np.cos(q4)
@@ -120,7 +119,7 @@ def analytic_ik(X_BF: Array, q7: Array, branch: int | None = None) -> Array:
         # Wrist: joint 5's axis z5 is normal to z6 and has the component along_y of the way (u, v, w). From here on
         # vectors are in the axes of link 6.
         half = np.arccos(along_y / np.hypot(u, v))  # NaN where joint 6 cannot turn that far
-        phi = np.arctan2(v, u) + wrist * half  # (elbow, wrist, ...)
+        phi = np.arctan2(v, u) + signs * half  # (elbow, wrist, ...)
         z5 = np.cos(phi), np.sin(phi)
         # Frame 4: y4 = z5, (u, v, w) = along_x x4 + along_y y4 and z4 = x4 x y4.
         x4 = (u - along_y * z5[0]) / along_x, (v - along_y * z5[1]) / along_x, w / along_x
@@ -143,8 +142,6 @@ def analytic_ik(X_BF: Array, q7: Array, branch: int | None = None) -> Array:
     q[3], q[4], q[5], q[6] = q4[:, :, None], q5[:, :, None], q6[:, :, None], q7
     q = np.moveaxis(q.reshape(N_JOINTS, -1, *shape), (0, 1), (-1, -2))
     q[~np.isfinite(q[..., 4])] = np.nan
-    if branch is not None:
-        q = q[..., [branch % 2], :]
     return np.ascontiguousarray(q)
 
 

@@ -91,8 +91,6 @@ def compute_manipulability(plant: ArmPlant, q: ArrayLike, J: ArrayLike | None = 
     parts = (scale * J_finite, J_finite[:, :3], J_finite[:, 3:])
     full, rotation, linear = (np.linalg.svd(part, compute_uv=False) for part in parts)  # greatest first
     w = np.prod(full, axis=-1) / scale[3:].prod()
-    greatest = full[:, 0]
-    least = full[:, -1]
     w_linear = np.prod(linear, axis=-1)
     values = {
         "full": w,
@@ -100,7 +98,7 @@ def compute_manipulability(plant: ArmPlant, q: ArrayLike, J: ArrayLike | None = 
         "rotation": np.prod(rotation, axis=-1),
         "limited": w * limit_weight(q[finite], plant.lower, plant.upper).prod(axis=-1),
         "cost": cost(w_linear),
-        "condition": np.divide(greatest, least, out=np.full_like(greatest, np.inf), where=least > 0.0),
+        "condition": np.divide(full[:, 0], full[:, -1], out=np.full(len(full), np.inf), where=full[:, -1] > 0.0),
     }
     return Manipulability(**{name: spread(value, finite, len(q)) for name, value in values.items()})
 

@@ -146,16 +146,9 @@ class ArmPlant:
         self.set_posture(q)
         return np.asarray(self.tcp_frame.CalcPoseInWorld(self.context).GetAsMatrix4())
 
-    def forward_path(self, q: ArrayLike) -> Array:
+    def forward_path(self, q: Array) -> Array:
         """Return `forward` (N, 4, 4) [m] of postures `q` (N, 7) [rad]."""
-        context = self.context
-        poses = []
-        set_positions = self.drake.SetPositions
-        pose_in_world = self.tcp_frame.CalcPoseInWorld
-        for positions in self.positions(q):
-            set_positions(context, positions)
-            poses.append(pose_in_world(context).GetAsMatrix4())
-        return np.reshape(poses, (-1, 4, 4))
+        return np.reshape([self.forward(row) for row in q], (-1, 4, 4))
 
     def link_poses(self, q: ArrayLike) -> dict[str, Array]:
         """Return the poses (4, 4) in B [m] of `robot.links`, by name, at joint angles `q` (7,) [rad]."""

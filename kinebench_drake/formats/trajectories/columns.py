@@ -129,11 +129,9 @@ def _groups(table: ColumnTable, wanted: Reading) -> Iterator[_Group]:
     yield _Group(places=tuple((column, 0) for column, _ in single), names=tuple(name for _, name in single))
 
 
-def _allowed(table: ColumnTable) -> Iterator[NumberColumn]:
-    """Yield the columns that may be read without being named: no commands and no velocities."""
-    for column in table.columns:
-        if column.name not in table.optional and not _OTHER_WORDS & set(_words(column.name)):
-            yield column
+def _allowed(table: ColumnTable) -> list[NumberColumn]:
+    """Return the columns that may be read without being named: no commands and no velocities."""
+    return [c for c in table.columns if c.name not in table.optional and not _OTHER_WORDS & set(_words(c.name))]
 
 
 def _arms(group: _Group) -> dict[str, dict[int, int]]:
@@ -190,7 +188,7 @@ def _find_pose(table: ColumnTable, wanted: Reading) -> Reading | None:
         if len(matches) == 16:
             columns = group.references([k for _, k, _ in sorted(matches)])
             return found_as(columns, "matrix_columns" if _BY_COLUMNS.fullmatch(matches[0][2]) else "matrix_rows")
-    arrays = list(_arrays(table, wanted))
+    arrays = _arrays(table, wanted)
     for column in arrays:
         words = set(_words(column.name))
         if column.size == 16 and (words & _TOOL_WORDS or _BY_COLUMNS.fullmatch(column.name.lower())):
@@ -212,11 +210,10 @@ def _find_pose(table: ColumnTable, wanted: Reading) -> Reading | None:
     return None
 
 
-def _arrays(table: ColumnTable, wanted: Reading) -> Iterator[NumberColumn]:
-    """Yield the columns without names of their numbers that may be read."""
-    for column in _allowed(table):
-        if column.size > 1 and not column.names and (wanted.arm or "").lower() in column.name.lower():
-            yield column
+def _arrays(table: ColumnTable, wanted: Reading) -> list[NumberColumn]:
+    """Return the columns without names of their numbers that may be read."""
+    arm = (wanted.arm or "").lower()
+    return [c for c in _allowed(table) if c.size > 1 and not c.names and arm in c.name.lower()]
 
 
 def _with_times(table: ColumnTable, reading: Reading) -> Reading:
