@@ -1,7 +1,7 @@
 """Drake plant of the arm: forward kinematics, Jacobian, limits, inverse dynamics, collision geometry."""
 
 import logging
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
@@ -146,7 +146,7 @@ class ArmPlant:
         self.set_posture(q)
         return np.asarray(self.tcp_frame.CalcPoseInWorld(self.context).GetAsMatrix4())
 
-    def forward_path(self, q: Array) -> Array:
+    def forward_path(self, q: Iterable[ArrayLike]) -> Array:
         """Return `forward` (N, 4, 4) [m] of postures `q` (N, 7) [rad]."""
         return np.reshape([self.forward(row) for row in q], (-1, 4, 4))
 

@@ -158,7 +158,7 @@ def rigid_poses(X: Array, valid: NDArray[np.bool_]) -> tuple[Array, tuple[str, .
         value = "NaN" if np.isnan(matrices[k]).any() else "infinity"
         more = f" and {int(broken.sum()) - 1} more frames" if broken.sum() > 1 else ""
         raise InputError(f"the pose of frame {frames[k]}{more} holds {value}, expected finite numbers")
-    off: Array = np.abs(matrices[:, 3] - np.eye(4)[3]).max(axis=-1, initial=0.0)
+    off = np.abs(matrices[:, 3] - np.eye(4)[3]).max(axis=-1, initial=0.0)
     if (k := first_index(off > REPAIRABLE)) is not None:
         row = ", ".join(f"{v:.4g}" for v in matrices[k, 3])
         turned = np.abs(matrices[k, :, 3] - np.eye(4)[3]).max() <= REPAIRABLE

@@ -5,7 +5,7 @@ from enum import Enum
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from kinebench_drake.errors import InputError
 from kinebench_drake.formats.samples import Sample
@@ -137,9 +137,9 @@ def parse_number(text: str) -> float:
     return float(text)
 
 
-def first_index(bad: NDArray[np.bool_]) -> int | None:
+def first_index(bad: ArrayLike) -> int | None:
     """Return the first place of a fault in a mask; None if there is none."""
-    return int(np.argmax(bad)) if bad.any() else None
+    return int(np.argmax(bad)) if np.any(bad) else None
 
 
 def others_text(bad: NDArray[np.bool_]) -> str:
