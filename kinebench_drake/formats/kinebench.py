@@ -25,8 +25,13 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from kinebench_drake.errors import InputError, UsageError, cause
-from kinebench_drake.formats.trajectories.column_table import ColumnTable, NumberColumn
-from kinebench_drake.formats.trajectories.trajectory import MAX_BYTES, TrajectoryFormat, TrajectorySample
+from kinebench_drake.formats.trajectories.trajectory import (
+    MAX_BYTES,
+    ColumnTable,
+    NumberColumn,
+    TrajectoryFormat,
+    TrajectorySample,
+)
 from kinebench_drake.formats.videos.sample import Search, VideoSample
 from kinebench_drake.geometry import Array, make_pose
 from kinebench_drake.io.files import read_text

@@ -11,7 +11,6 @@ from math import inf
 from pathlib import Path
 
 from kinebench_drake.errors import InputError, UnmeasurableError, UsageError, name_options
-from kinebench_drake.formats.trajectories.column_table import ColumnTable
 from kinebench_drake.formats.trajectories.columns import complete
 from kinebench_drake.formats.trajectories.reading import (
     ANGLES,
@@ -24,7 +23,7 @@ from kinebench_drake.formats.trajectories.reading import (
     frame_of,
 )
 from kinebench_drake.formats.trajectories.source import apply_reading, find_trajectories, open_table
-from kinebench_drake.formats.trajectories.trajectory import TrajectorySample
+from kinebench_drake.formats.trajectories.trajectory import ColumnTable, TrajectorySample
 from kinebench_drake.io.jsonl import Json
 from kinebench_drake.runs.resources import Resources, ResourcesFactory, RobotOptions, load_resources
 

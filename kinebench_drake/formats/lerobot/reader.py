@@ -15,11 +15,12 @@ from kinebench_drake.errors import InputError
 from kinebench_drake.formats.camerafile import CAMERA_NAME
 from kinebench_drake.formats.lerobot.dataset import EPISODE, FRAME, INFO, TIME, LeRobotDataset
 from kinebench_drake.formats.samples import MAX_PERIOD_S, MIN_PERIOD_S
-from kinebench_drake.formats.trajectories.column_table import ColumnTable, NumberColumn
 from kinebench_drake.formats.trajectories.columns import complete
 from kinebench_drake.formats.trajectories.reading import Reading, TrajectoryOptions
 from kinebench_drake.formats.trajectories.trajectory import (
     MAX_FRAMES,
+    ColumnTable,
+    NumberColumn,
     TrajectoryFormat,
     TrajectorySample,
     require_numbers,

@@ -5,9 +5,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from kinebench_drake.errors import InputError
-from kinebench_drake.formats.trajectories.column_table import ColumnTable, NumberColumn, reference
 from kinebench_drake.formats.trajectories.reading import JOINTS, LAYOUTS, Reading
-from kinebench_drake.formats.trajectories.trajectory import JOINT_SIZES, N_JOINTS
+from kinebench_drake.formats.trajectories.trajectory import JOINT_SIZES, N_JOINTS, ColumnTable, NumberColumn, reference
 
 _NUMBERED = re.compile(
     r"(?P<arm>|.*[^a-z0-9])(?:joint|j|q|(?:joint[_. ]?)?(?:positions?|pos|angles?))[_. ]?(?:pos|position|angle)?"

@@ -14,8 +14,7 @@ from scipy.spatial.transform import Rotation
 from kinebench_drake.errors import InputError, UsageError, suggestion
 from kinebench_drake.formats.samples import MAX_PERIOD_S, MIN_PERIOD_S
 from kinebench_drake.formats.trajectories.check import REPAIRABLE, ROUNDING
-from kinebench_drake.formats.trajectories.column_table import ColumnTable
-from kinebench_drake.formats.trajectories.trajectory import N_JOINTS, RawTrajectory, first_index
+from kinebench_drake.formats.trajectories.trajectory import N_JOINTS, ColumnTable, RawTrajectory, first_index
 from kinebench_drake.geometry import Array, from_quaternion, make_pose, rotation_z
 from kinebench_drake.io.jsonl import Json, read_object
 
