@@ -103,8 +103,8 @@ class Prior:
 
     def of_lens(self, lens: Lens) -> tuple[Array, Array, NDArray[np.bool_]]:
         """Return information (9,), deviation (9,) of a lens from the mean, and which unknowns are free (9,)."""
-        camera = lens.camera
-        mean = self.lens.camera
+        camera = lens.intrinsics
+        mean = self.lens.intrinsics
         sigma = np.array([*[np.inf if self.place_free else 0.0] * 6, self.log_focal_sigma, *[self.centre_sigma_px] * 2])
         free = sigma > 0
         deviation = np.array([*[0.0] * 6, np.log(camera.fx / mean.fx), camera.cx - mean.cx, camera.cy - mean.cy])
@@ -184,7 +184,7 @@ def adjust(
 
 
 def _update(scene: ArmScene, step: Array, frame_steps: Array, model: ArmModel) -> ArmScene:
-    shift_px = _LARGEST_SHIFT * scene.lens.camera.width
+    shift_px = _LARGEST_SHIFT * scene.lens.intrinsics.width
     bound = np.array([*[_LARGEST_STEP_RAD] * 3, *[_LARGEST_STEP_M] * 3, _LARGEST_ZOOM, shift_px, shift_px])
     lens_step = step[:UNKNOWNS] / max(1.0, float((np.abs(step[:UNKNOWNS]) / bound).max()))
     q = scene.q + np.clip(frame_steps[:, :N_JOINTS], -_LARGEST_STEP_RAD, _LARGEST_STEP_RAD)

@@ -412,7 +412,7 @@ def _find_consensus(cells: CalibrationCorrespondences, p_B: Array, cameras: Sequ
     """Return initial lenses by RANSAC from the cells' points `p_B` (N, 3) [m], by decreasing number of inliers."""
     solutions = [(camera, solve_pnp(p_B, cells.uv_px, camera)) for camera in cameras]
     solved = [(camera, *solution) for camera, solution in solutions if solution is not None]
-    return [Lens(camera=camera, X_CB=X_CB) for camera, X_CB, _ in sorted(solved, key=lambda one: -one[2])]
+    return [Lens(intrinsics=camera, X_CB=X_CB) for camera, X_CB, _ in sorted(solved, key=lambda one: -one[2])]
 
 
 def _require_enough(cells: CalibrationCorrespondences) -> None:

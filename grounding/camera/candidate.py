@@ -115,7 +115,7 @@ class ContourImages:
         used = tuple(part for part in parts if part not in self.left_out)
         X_CP = open_fingers(scene.lens.X_CB @ self.model.poses(scene.q), scene.finger_m)
         for image, own in zip(self.images, X_CP, strict=True):
-            camera = scene.lens.camera.resized(image.camera.width, image.camera.height)
+            camera = scene.lens.intrinsics.resized(image.camera.width, image.camera.height)
             yield image, self.matcher.project(own, camera, used)
 
     def observe(self, scene: ArmScene, reach_px: float) -> Observations | None:
@@ -133,7 +133,7 @@ class ContourImages:
             n = len(strong)
             if n < MIN_POINTS:
                 continue
-            zoom = scene.lens.camera.width / image.camera.width
+            zoom = scene.lens.intrinsics.width / image.camera.width
             normal = points.normal[strong]
             whitening = np.zeros((n, 2, 2))
             whitening[:, 0] = normal / (SIGMA_PX * zoom)

@@ -143,7 +143,7 @@ class CameraChecker:
         shares: dict[PictureReading, float] = {}
         for reading in readings:
             if reading is PictureReading.CROPPED:
-                shares[reading] = self._screen(unread, few, [prior.lens.camera for prior in _crops(camera)])
+                shares[reading] = self._screen(unread, few, [prior.lens.intrinsics for prior in _crops(camera)])
             if reading is PictureReading.CROPPED or (own >= _UPRIGHT_SHARE and reading in _NOT_UPRIGHT):
                 continue
             picture = reading.frames(few)
@@ -177,7 +177,7 @@ class CameraChecker:
         if not rows.any():
             return 0.0
         scene = ArmScene(lens=best.lens, q=best.q[rows], finger_m=detections.finger_m[rows])
-        images = self._fitter.images(frames[detections.rows[rows]], best.lens.camera)
+        images = self._fitter.images(frames[detections.rows[rows]], best.lens.intrinsics)
         return float(images.agreement(scene).sum()) / len(frames)
 
     def _fit_reading(self, reading: PictureReading, frames: Frames, camera: Camera) -> BetterReading | None:
@@ -265,14 +265,14 @@ class CameraChecker:
             return None
         own = Lens.of_camera(camera)
         prior = Prior(lens=own, log_focal_sigma=LOG_FOCAL_SIGMA)
-        trials = [(replace(own, camera=lens), prior) for lens in lenses]
+        trials = [(replace(own, intrinsics=lens), prior) for lens in lenses]
         best = self._fit_best(detections, frames[detections.rows], trials, _LEAST_EXPLAINED * len(detections.rows))
         if best is None or best.agreement < max(_CONTRADICTING, fixed.agreement + CLEARLY):
             return None
         X_CB = best.scene.lens.X_CB
         X_CG = X_CB @ self._fitter.model.poses(best.scene.q)[:, RobotPart.HAND] @ hand_from_tcp()
         # What the assumed camera makes of the pose of the gripper that its focal length gives.
-        zoom = camera.fx / best.scene.lens.camera.fx
+        zoom = camera.fx / best.scene.lens.intrinsics.fx
         X_assumed = X_CG.copy()
         X_assumed[:, :3, 3] *= zoom
         moved_m, turned_rad = pose_difference(camera.X_BC @ X_assumed, invert(X_CB) @ X_CG)
@@ -298,17 +298,17 @@ class CameraChecker:
         lens = hypothesis.lens
         if start is None:
             return None
-        images = self._fitter.images(frames[detections.rows[start.rows]], lens.camera)
+        images = self._fitter.images(frames[detections.rows[start.rows]], lens.intrinsics)
         return self._fitter.fit(start, images, Prior(lens=lens, log_focal_sigma=0.0, place_free=False), _PASSES)
 
     def base_agreement(self, frames: Frames, fit: CameraCandidate) -> float:
         """Return the share of the base link's contours on image edges in the frames (T, H, W, 3) of a fit; 0 unseen."""
-        return self._fitter.images(frames, fit.scene.lens.camera).base_share(fit.scene)
+        return self._fitter.images(frames, fit.scene.lens.intrinsics).base_share(fit.scene)
 
     def freed_agreement(self, frames: Frames, fit: CameraCandidate) -> float:
         """Return the agreement after a fit of the place of the camera as well, in the frames (T, H, W, 3) of a fit."""
         lens = fit.scene.lens
-        images = self._fitter.images(frames, lens.camera)
+        images = self._fitter.images(frames, lens.intrinsics)
         return self._fitter.fit(fit, images, Prior(lens=lens, log_focal_sigma=0.0), MIDDLE).agreement
 
 

@@ -124,8 +124,8 @@ class CalibrationCorrespondences(RobotPoints):
         It is `floor` at least in an image 384 px wide.
         """
         _, z = lens.project(p_B)
-        spread = lens.camera.fx * self.sigma_m / np.maximum(np.abs(z), NEAREST_M)
-        return np.asarray(np.hypot(floor * lens.camera.unit_px, spread))
+        spread = lens.intrinsics.fx * self.sigma_m / np.maximum(np.abs(z), NEAREST_M)
+        return np.asarray(np.hypot(floor * lens.intrinsics.unit_px, spread))
 
     @property
     def of_gripper(self) -> NDArray[np.bool_]:

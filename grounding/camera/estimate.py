@@ -93,7 +93,9 @@ class CameraEstimator:
             UnmeasurableError: too little of the arm is seen.
         """
         images = self.fitter.images(frames, camera)
-        prior = Prior(lens=Lens(camera=camera, X_CB=np.eye(4)), log_focal_sigma=LOG_FOCAL_SIGMA if focal_free else 0.0)
+        prior = Prior(
+            lens=Lens(intrinsics=camera, X_CB=np.eye(4)), log_focal_sigma=LOG_FOCAL_SIGMA if focal_free else 0.0
+        )
         search = ChainSearch(detections.cells, detections.finger_m, self.fitter.model)
         side = max(camera.width, camera.height)
         hypotheses = search.run(camera, [focal_px(side, fov) for fov in _FOV_DEG] if focal_free else [camera.fx])
@@ -175,7 +177,7 @@ class CameraEstimator:
         lens = estimate.scene.lens
         upwards = estimate.scene.lens.X_CB[:3, 2]
         X_CP = lens.X_CB @ self.fitter.model.poses(estimate.scene.q)
-        lines = find_lines(frames, lens.camera, X_CP, self.fitter.matcher)
+        lines = find_lines(frames, lens.intrinsics, X_CP, self.fitter.matcher)
         return find_surroundings(lines, lens, float(upwards @ estimate.bundle.covariance[:3, :3] @ upwards) ** 0.5)
 
     def _candidates(
@@ -199,7 +201,7 @@ class CameraEstimator:
             UnmeasurableError: the images show no edges where the arm should be.
         """
         prior = Prior(
-            lens=Lens(camera=camera, X_CB=np.eye(4)),
+            lens=Lens(intrinsics=camera, X_CB=np.eye(4)),
             log_focal_sigma=LOG_FOCAL_SIGMA if focal_free else 0.0,
             centre_sigma_px=centre_sigma_px,
             joint_sigma_rad=JOINT_SIGMA_RAD,

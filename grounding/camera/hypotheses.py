@@ -169,7 +169,7 @@ class ChainSearch:
         q = np.full((self._frames, N_JOINTS), np.nan)
         flipped = np.zeros(self._frames, dtype=bool)
         costs = np.full(self._frames, np.nan)
-        for t, X_CH in enumerate(self.hands(lens.camera) if hands is None else hands):
+        for t, X_CH in enumerate(self.hands(lens.intrinsics) if hands is None else hands):
             if X_CH is not None and self._links[t]:
                 fit = self._posture(X_CH, t, lens)
                 costs[t] = _CAP
@@ -188,7 +188,7 @@ class ChainSearch:
         links = self._links[frame]
         hand_cost = np.zeros(len(X))
         if hand is not None:
-            hand_cost = self._errors(X, _some(hand, 2 * _CELLS), lens.camera).mean(axis=1)
+            hand_cost = self._errors(X, _some(hand, 2 * _CELLS), lens.intrinsics).mean(axis=1)
         X_BH = invert(lens.X_CB) @ np.concatenate([X, X @ X_HALF_TURN])
         q = analytic_ik((X_BH @ self._model.X_HF)[:, None], LAST_ANGLES_RAD).reshape(-1, N_JOINTS)
         of_pose = np.repeat(np.arange(len(X_BH)), len(q) // len(X_BH))
@@ -200,7 +200,7 @@ class ChainSearch:
         flipped = of_pose[possible] >= len(X)
         start = np.tile(hand_cost, 2)[of_pose[possible]] + _FLIP_COST * flipped
         X_CP = lens.X_CB @ self._model.poses(q)
-        errors = [self._errors(X_CP[:, part], cells, lens.camera).mean(axis=1) for part, cells in links.items()]
+        errors = [self._errors(X_CP[:, part], cells, lens.intrinsics).mean(axis=1) for part, cells in links.items()]
         cost = (np.sum(errors, axis=0) + start) / (len(links) + 1)
         cost = cost + self._prior(np.repeat(lens.X_CB[None], len(q), axis=0), q)
         best = int(cost.argmin())
@@ -220,7 +220,7 @@ class ChainSearch:
             for t, X_CH in enumerate(hands):
                 if X_CH is not None and len(self._links[t]) >= 2:
                     X_CB, _ = self.follow(t, X_CH, lens_camera)
-                    lens = Lens(camera=lens_camera, X_CB=X_CB)
+                    lens = Lens(intrinsics=lens_camera, X_CB=X_CB)
                     compared.append((self.explain(lens, some).cost, lens, hands))
         best = sorted(compared, key=lambda entry: entry[0])[:_KEPT]
         return sorted((self.explain(lens, hands) for _, lens, hands in best), key=lambda h: h.cost)

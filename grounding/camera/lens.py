@@ -27,22 +27,25 @@ _SAME_ZOOM = 0.05
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Lens:
-    """Camera parameterised by the pose of the robot base in its frame."""
+    """Camera as unknowns of a fit: intrinsics, and the pose of the robot base in the frame of the camera.
 
-    camera: Camera
-    """Intrinsics; its pose is ignored."""
+    The steps of a fit turn and move the base as the camera shows it, so this pose is kept, not `Camera.X_BC`, its inverse.
+    """
+
+    intrinsics: Camera
+    """Size, focal lengths and principal point; the pose of this camera is ignored."""
     X_CB: Array
     """(4, 4) pose of the base in the camera frame [m]."""
 
     @classmethod
     def of_camera(cls, camera: Camera) -> "Lens":
         """Return the lens of a camera of known pose."""
-        return cls(camera=camera, X_CB=invert(camera.X_BC))
+        return cls(intrinsics=camera, X_CB=invert(camera.X_BC))
 
     def displace(self, step: Array) -> "Lens":
         """Return the lens after a step (9,) of the unknowns; the base turns about the axes of C."""
         X_CB = make_pose(rotation_exp(step[:3]) @ self.X_CB[:3, :3], self.X_CB[:3, 3] + step[3:6])
-        own = self.camera
+        own = self.intrinsics
         zoom = float(np.exp(step[6]))
         displaced = replace(
             own,
@@ -51,25 +54,25 @@ class Lens:
             cx=own.cx + float(step[7]),
             cy=own.cy + float(step[8]),
         )
-        return Lens(camera=displaced, X_CB=X_CB)
+        return Lens(intrinsics=displaced, X_CB=X_CB)
 
     def to_camera(self) -> Camera:
         """Return the camera with its pose."""
-        return replace(self.camera, X_BC=invert(self.X_CB))
+        return replace(self.intrinsics, X_BC=invert(self.X_CB))
 
     def project(self, p_B: Array) -> tuple[Array, Array]:
         """Project points (N, 3) in B to pixels (N, 2) and depths (N,) [m], points behind the camera included."""
         p_C = transform_points(self.X_CB, p_B)
         z = np.where(np.abs(p_C[:, 2]) < 1e-3, 1e-3, p_C[:, 2])
-        own = self.camera
+        own = self.intrinsics
         return np.asarray(p_C[:, :2] / z[:, None] * [own.fx, own.fy] + [own.cx, own.cy]), z
 
     def derivatives(self, p_B: Array) -> tuple[Array, Array]:
         """Return the derivatives of the pixels of points (N, 3) by the unknowns (N, 2, 9) and by p_C (N, 2, 3)."""
         offset = p_B @ self.X_CB[:3, :3].T
         x, y, z = (offset + self.X_CB[:3, 3]).T
-        fx = self.camera.fx
-        fy = self.camera.fy
+        fx = self.intrinsics.fx
+        fy = self.intrinsics.fy
         zero = np.zeros_like(z)
         by_C = np.stack(
             [np.stack([fx / z, zero, -fx * x / z**2], axis=-1), np.stack([zero, fy / z, -fy * y / z**2], axis=-1)],
@@ -98,7 +101,7 @@ class Lens:
 
         Tolerances are `factor` times 3 degrees, 3 % of the distance and 5 % of the focal length.
         """
-        zoom = abs(float(np.log(self.camera.fx / other.camera.fx)))
+        zoom = abs(float(np.log(self.intrinsics.fx / other.intrinsics.fx)))
         axis = self.X_CB[:3, 2]
         other_axis = other.X_CB[:3, 2]
         shoulder = self.X_CB[:3, 3] + _SHOULDER_M * axis

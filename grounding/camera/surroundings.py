@@ -77,7 +77,7 @@ class Lines(Rows):
         one = np.ones((len(self), 1))
         end = np.hstack([self.ends_px[:, 1], one])
         middle = np.hstack([self.ends_px.mean(axis=1), one])
-        line = np.cross(middle[:, None], axes_B @ lens.X_CB[:3, :3].T @ lens.camera.K.T)
+        line = np.cross(middle[:, None], axes_B @ lens.X_CB[:3, :3].T @ lens.intrinsics.K.T)
         along = np.maximum(np.linalg.norm(line[..., :2], axis=-1), 1e-12)
         return np.asarray(np.einsum("nkj,nj->nk", line, end) / along)
 

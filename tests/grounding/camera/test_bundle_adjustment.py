@@ -24,11 +24,11 @@ def observe(cells, sigma_px):
 
 
 def prior(**changes):
-    return Prior(**{"lens": Lens(camera=CAMERA, X_CB=np.eye(4)), "log_focal_sigma": 0.5, **changes})
+    return Prior(**{"lens": Lens(intrinsics=CAMERA, X_CB=np.eye(4)), "log_focal_sigma": 0.5, **changes})
 
 
 def truth(q):
-    return ArmScene(lens=Lens(camera=CAMERA, X_CB=invert(CAMERA.X_BC)), q=q, finger_m=np.full(len(q), 0.01))
+    return ArmScene(lens=Lens(intrinsics=CAMERA, X_CB=invert(CAMERA.X_BC)), q=q, finger_m=np.full(len(q), 0.01))
 
 
 def test_camera_focal_length_and_postures_are_recovered_together(model):
@@ -45,7 +45,7 @@ def test_camera_focal_length_and_postures_are_recovered_together(model):
     distance, angle = pose_difference(fitted.lens.to_camera().X_BC, CAMERA.X_BC)
     assert distance < 1e-3
     assert angle < 1e-3
-    assert fitted.lens.camera.fx == pytest.approx(CAMERA.fx, rel=1e-3)
+    assert fitted.lens.intrinsics.fx == pytest.approx(CAMERA.fx, rel=1e-3)
     assert fitted.q == pytest.approx(q, abs=2e-3)
 
 
@@ -62,7 +62,7 @@ def test_errors_of_the_camera_match_the_stated_sigmas(model):
             [
                 _rotation(lens.X_CB, invert(CAMERA.X_BC)),
                 lens.X_CB[:3, 3] - invert(CAMERA.X_BC)[:3, 3],
-                [np.log(lens.camera.fx / CAMERA.fx)],
+                [np.log(lens.intrinsics.fx / CAMERA.fx)],
             ]
         )
         squares.append(error @ bundle.information[:7, :7] @ error / 7)
@@ -83,7 +83,7 @@ def test_fixed_parameters_keep_their_value_and_have_no_information(model):
     assert np.array_equal(place.scene.lens.X_CB, start.lens.X_CB)
     assert not place.information.any()
     focal = adjust(observations, start, prior(log_focal_sigma=0.0), model)
-    assert focal.scene.lens.camera.fx == CAMERA.fx
+    assert focal.scene.lens.intrinsics.fx == CAMERA.fx
     assert not focal.information[6].any()
     assert (np.diag(focal.information)[:6] > 0).all()
 
@@ -131,7 +131,7 @@ def test_the_chain_search_finds_the_camera_without_an_initial_estimate(model, zo
     cells = project_robot(camera, q, model, parts=PARTS, cells=20)
     search = ChainSearch(cells, np.full(FRAMES, 0.01), model)
     best = search.run(CAMERA, [250.0, 330.0, 430.0])[0]
-    assert best.lens.camera.fx == (330.0 if zoom == 1.0 else 430.0)
+    assert best.lens.intrinsics.fx == (330.0 if zoom == 1.0 else 430.0)
     start = ArmScene(lens=best.lens, q=best.q, finger_m=np.full(FRAMES, 0.01))
     observations = observe(cells.flip(best.flipped), 0.5)
     fitted = adjust(observations, start, prior(), model, q_sigma=LOOSE, iterations=60).scene.lens

@@ -16,7 +16,7 @@ from tests.grounding.camera.robot import postures, project_robot
 from tests.grounding.camera.test_bundle_adjustment import LOOSE, observe, prior
 
 CAMERA = benchmark_camera()
-TRUE = Lens(camera=CAMERA, X_CB=invert(CAMERA.X_BC))
+TRUE = Lens(intrinsics=CAMERA, X_CB=invert(CAMERA.X_BC))
 SIGMA_RAD = np.deg2rad(1.5)
 
 
@@ -35,7 +35,7 @@ def tiles(turn_rad=0.0):
 def displaced(degrees, axis, zoom=1.0):
     X = make_pose(rotation_exp(np.deg2rad(degrees) * np.array(axis)), np.zeros(3))
     camera = replace(CAMERA, fx=CAMERA.fx * zoom, fy=CAMERA.fy * zoom)
-    return Lens(camera=camera, X_CB=TRUE.X_CB @ X)
+    return Lens(intrinsics=camera, X_CB=TRUE.X_CB @ X)
 
 
 def test_lines_along_the_base_axes_meet_at_their_vanishing_points():
@@ -58,7 +58,7 @@ def test_lines_determine_the_base_turn_that_an_arm_without_its_base_leaves_open(
     fitted = adjust(observations, start, aligned, model, q=q, q_sigma=LOOSE, iterations=60).scene
     _, angle = pose_difference(fitted.lens.X_CB, TRUE.X_CB)
     assert angle < np.deg2rad(0.05)
-    assert fitted.lens.camera.fx == pytest.approx(CAMERA.fx, rel=2e-3)
+    assert fitted.lens.intrinsics.fx == pytest.approx(CAMERA.fx, rel=2e-3)
 
 
 def test_lines_oblique_to_the_base_axes_give_no_surroundings():
