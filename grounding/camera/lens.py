@@ -29,7 +29,7 @@ _SAME_ZOOM = 0.05
 class Lens:
     """Camera as unknowns of a fit: intrinsics, and the pose of the robot base in the frame of the camera.
 
-    The steps of a fit turn and move the base as the camera shows it, so this pose is kept, not `Camera.X_BC`, its inverse.
+    The steps of a fit turn and move the base as the camera shows it, so its pose is kept instead of `Camera.X_BC`.
     """
 
     intrinsics: Camera
