@@ -224,7 +224,7 @@ class CameraChecker:
 
         `trials` are initial lenses with their priors; each has to explain `least` of the frames detected.
         """
-        images = self._fitter.images(frames, trials[0][0].camera)
+        images = self._fitter.images(frames, trials[0][0].intrinsics)
         search = ChainSearch(detections.cells, detections.finger_m, self._fitter.model)
         starts = [(self._fitter.start(detections, search.explain(lens)), prior) for lens, prior in trials]
         likely = [(start, prior) for start, prior in starts if start is not None and len(start.rows) >= least]
