@@ -165,12 +165,12 @@ class CameraChoice:
         """Serialize into keys of the row."""
         source = self.source if self.source.is_named or self.reason is None else CameraSource.NONE
         optional: dict[str, Json] = {
-            "camera_name": self.named and self.named.name,
+            "camera_name": None if self.named is None else self.named.name,
             "camera_shown": self.applied_reading and self.applied_reading.value,
             "camera_agreement": None if self.agreement is None else round(self.agreement, 4),
-            "camera_estimate": self.estimate and self.estimate.to_json(),
-            "camera_contradiction": self.contradiction and self.contradiction.to_json(),
-            "camera_reading": self.better_reading and self.better_reading.to_json(),
+            "camera_estimate": None if self.estimate is None else self.estimate.to_json(),
+            "camera_contradiction": None if self.contradiction is None else self.contradiction.to_json(),
+            "camera_reading": None if self.better_reading is None else self.better_reading.to_json(),
             "base_frame_reason": None if self.reason is None else name_options(self.reason),
         }
         stated = {key: value for key, value in optional.items() if value is not None}
