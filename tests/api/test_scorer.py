@@ -54,9 +54,7 @@ def reward(track: GripperTrack, tools: Resources) -> float:
         return Evaluation(kinematics=tools.judge(track), metrics={**metrics, "anomalies": []}, tracked=track.tracked)
 
     return reward_of(
-        EVALUATOR.row_of(
-            VideoSample(id="x", path=Path("x"), video="x"), evaluate, SampleHashes(content="", input=None)
-        )
+        EVALUATOR.row_of(VideoSample(id="x", path=Path("x"), video="x"), evaluate, SampleHashes(content="", input=None))
     )
 
 
