@@ -94,11 +94,14 @@ def rotation_exp(w: ArrayLike) -> Array:
     return np.asarray(Rotation.from_rotvec(w.reshape(-1, 3)).as_matrix().reshape(*w.shape[:-1], 3, 3))
 
 
-def rotation_z(angle_rad: float) -> Array:
-    """Rotation matrix (3, 3) about z."""
-    c = np.cos(angle_rad)
-    s = np.sin(angle_rad)
-    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+def rotation_z(angle_rad: ArrayLike) -> Array:
+    """Return the rotation matrices (..., 3, 3) about z by angles (...) [rad]."""
+    R = np.zeros((*np.shape(angle_rad), 3, 3))
+    R[..., 0, 0] = R[..., 1, 1] = np.cos(angle_rad)
+    R[..., 1, 0] = np.sin(angle_rad)
+    R[..., 0, 1] = -R[..., 1, 0]
+    R[..., 2, 2] = 1.0
+    return R
 
 
 def rotation_log(R: ArrayLike) -> Array:

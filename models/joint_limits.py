@@ -49,6 +49,13 @@ _ATTRIBUTES = {
     "deceleration_rad_s2": ("position_based_velocity_limits", "deceleration_limit"),
 }
 """Element of a joint and its attribute by field: URDF, its 2025 extension (acceleration, jerk) and Franka's own."""
+_UNBOUNDED = {
+    "torque_nm": "effort",
+    "acceleration_rad_s2": "acceleration",
+    "jerk_rad_s3": "jerk",
+    "torque_rate_nm_s": "torque rate",
+}
+"""Limits that are infinite where a joint states none, in words by field."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -106,10 +113,9 @@ def read_limit_table(path: Path) -> LimitTable:
             raise UsageError(f"$limits {path.name}: cannot be read as JSON ({cause(error)})") from None
         first = error.errors()[0]
         key = str(first["loc"][0]) if first["loc"] else ""
+        what = f"{key or 'its content'} is not valid ({first['msg']}), expected seven numbers, base first"
         if first["type"] == "extra_forbidden":
             what = f"has no key {key!r}{suggestion(key, _ATTRIBUTES)}; valid are {', '.join(LimitTable.model_fields)}"
-        else:
-            what = f"{key or 'its content'} is not valid ({first['msg']}), expected seven numbers, base first"
         raise UsageError(f"$limits {path.name}: {what}") from None
     if not table.model_dump(include=set(_ATTRIBUTES), exclude_none=True):
         raise UsageError(f"$limits {path.name}: states no limit; valid keys are {', '.join(_ATTRIBUTES)}")
@@ -132,7 +138,10 @@ def read_limits(file: str, joints: Sequence[ElementTree.Element]) -> JointLimits
     Raises:
         InputError: a joint lacks its limits of position or speed, or a limit is no positive number.
     """
-    values = {name: np.array([_read(joint, *place) for joint in joints]) for name, place in _ATTRIBUTES.items()}
+    values = {
+        name: np.array([_read(joint, *place, default=math.inf if name in _UNBOUNDED else math.nan) for joint in joints])
+        for name, place in _ATTRIBUTES.items()
+    }
     lower, upper, velocity = (values[name] for name in ("lower_rad", "upper_rad", "velocity_rad_s"))
     for k, joint in enumerate(joints):
         name = f"{file}: joint {joint.get('name')}"
@@ -145,21 +154,13 @@ def read_limits(file: str, joints: Sequence[ElementTree.Element]) -> JointLimits
             raise InputError(
                 f"{name} has the limits {lower[k]:g} and {upper[k]:g} rad, expected lower < upper, both stated"
             )
-        for field, what, unit in (
-            ("torque_nm", "effort", "a positive torque"),
-            ("acceleration_rad_s2", "acceleration", "a positive number"),
-            ("jerk_rad_s3", "jerk", "a positive number"),
-            ("torque_rate_nm_s", "torque rate", "a positive number"),
-        ):
-            stated = _read(joint, *_ATTRIBUTES[field], default=math.inf)
-            if not stated > 0.0:
-                raise InputError(f"{name} has the {what} limit {stated:g}, expected {unit}")
-            values[field][k] = stated
+        for field, what in _UNBOUNDED.items():
+            if not values[field][k] > 0.0:
+                raise InputError(f"{name} has the {what} limit {values[field][k]:g}, expected a positive number")
     offset = values["velocity_offset_rad_s"]
     deceleration = values["deceleration_rad_s2"]
     if np.isnan([offset, deceleration]).any() != np.isnan([offset, deceleration]).all():
         raise InputError(f"{file}: position_based_velocity_limits need both attributes at each of the seven joints")
-    depends = bool(np.isfinite(offset).all())
     return JointLimits(
         lower=lower,
         upper=upper,
@@ -168,8 +169,8 @@ def read_limits(file: str, joints: Sequence[ElementTree.Element]) -> JointLimits
         acceleration=_stated(values["acceleration_rad_s2"]),
         jerk=_stated(values["jerk_rad_s3"]),
         torque_rate=_stated(values["torque_rate_nm_s"]),
-        velocity_offset=offset if depends else None,
-        deceleration=deceleration if depends else None,
+        velocity_offset=_stated(offset),
+        deceleration=_stated(deceleration),
     )
 
 
@@ -182,7 +183,7 @@ def read_number(element: ElementTree.Element, attribute: str, default: float) ->
         return math.nan
 
 
-def _read(joint: ElementTree.Element, tag: str, attribute: str, default: float = math.nan) -> float:
+def _read(joint: ElementTree.Element, tag: str, attribute: str, default: float) -> float:
     element = joint.find(tag)
     return default if element is None else read_number(element, attribute, default)
 

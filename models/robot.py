@@ -3,7 +3,6 @@
 from dataclasses import dataclass
 from pathlib import Path
 
-from kinebench_drake.errors import InputError
 from kinebench_drake.geometry import Array
 from kinebench_drake.models.joint_limits import JointLimits
 
@@ -46,11 +45,3 @@ class Robot:
     def id(self) -> str:
         """Name and hash of all that defines the robot: URDF, meshes, SRDF, limits, tool, payload."""
         return self.urdf.parent.name
-
-    def __post_init__(self) -> None:
-        """Check the number of joints."""
-        if len(self.joints) != N_JOINTS:
-            raise InputError(
-                f"{self.name}: {len(self.joints)} moving joints between {self.base_link} and {self.tcp_link}, "
-                f"expected {N_JOINTS}"
-            )

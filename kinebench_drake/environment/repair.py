@@ -34,7 +34,8 @@ def repair_environment(checks: Sequence[doctor.Check], say: Callable[[str], None
     failed = {check.name for check in checks if not check.ok}
     environment = {name: value for name, value in os.environ.items() if name not in _ELSEWHERE}
     with tempfile.TemporaryDirectory() as folder:
-        repairs = [_native_commands()] if failed.intersection(doctor.NATIVE_CHECKS) else []
+        native = [["bash", str(NATIVE_SCRIPT), sys.executable, "--anew"]]
+        repairs = [native] if failed.intersection(doctor.NATIVE_CHECKS) else []
         repairs += [_cv2_commands(Path(folder))] if doctor.CV2_CHECK in failed else []
         if repairs:
             _require_environment()
@@ -60,10 +61,6 @@ def _require_environment() -> None:
         raise SetupError(
             f"{prefix} cannot be written to; run `kinebench-drake doctor --fix` as its owner, or make your own"
         )
-
-
-def _native_commands() -> list[list[str]]:
-    return [["bash", str(NATIVE_SCRIPT), sys.executable, "--anew"]]
 
 
 def _cv2_commands(folder: Path) -> list[list[str]]:

@@ -141,11 +141,17 @@ def _outcomes(make_worker: MakeWorker[Item, Result], items: Sequence[Item], size
                 try:
                     result = ray.get(answer)
                 except ray.exceptions.RayError as error:
+                    message = " ".join(str(error).split())
                     if item is None:
-                        raise _failed_start(error) from None
+                        raise SetupError(
+                            "workers on the Ray cluster die before they start: is kinebench-drake installed on every "
+                            f"node, is there enough memory? Ray says: ...{message[-300:]}"
+                        ) from None
                     ray.kill(actor)
                     start()
-                    yield _crash(item, error)
+                    memory = "its node ran out of memory: use fewer jobs" if "memory" in message.lower() else None
+                    hint = memory or "often its node is out of memory"
+                    yield WorkerCrash(item=item, reason=f"the worker was lost twice over this sample ({hint})")
                     continue
                 if isinstance(result, KinebenchError):
                     raise result
@@ -159,17 +165,3 @@ def _outcomes(make_worker: MakeWorker[Item, Result], items: Sequence[Item], size
     finally:
         for actor in actors:
             ray.kill(actor)
-
-
-def _failed_start(error: Exception) -> SetupError:
-    message = " ".join(str(error).split())
-    return SetupError(
-        "workers on the Ray cluster die before they start: is kinebench-drake installed on every node, is there enough "
-        f"memory? Ray says: ...{message[-300:]}"
-    )
-
-
-def _crash(item: Item, error: Exception) -> WorkerCrash[Item]:
-    memory = "memory" in str(error).lower()
-    hint = "its node ran out of memory: use fewer jobs" if memory else "often its node is out of memory"
-    return WorkerCrash(item=item, reason=f"the worker was lost twice over this sample ({hint})")

@@ -25,12 +25,17 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from kinebench_drake.errors import InputError, UsageError, cause
-from kinebench_drake.formats.trajectories.column_table import ColumnTable, NumberColumn
-from kinebench_drake.formats.trajectories.trajectory import MAX_BYTES, TrajectoryFormat, TrajectorySample
+from kinebench_drake.formats.trajectories.trajectory import (
+    MAX_BYTES,
+    ColumnTable,
+    NumberColumn,
+    TrajectoryFormat,
+    TrajectorySample,
+)
 from kinebench_drake.formats.videos.sample import Search, VideoSample
 from kinebench_drake.geometry import Array, make_pose
 from kinebench_drake.io.files import read_text
-from kinebench_drake.io.hdf5 import DAMAGED, open_hdf5, read_all
+from kinebench_drake.io.hdf5 import open_hdf5, read_all
 from kinebench_drake.io.jsonl import as_number, as_object, as_type, read_object
 from kinebench_drake.results.inputs import BENCHMARK_PERIOD_S
 from kinebench_drake.results.row import SampleRow, Status
@@ -65,7 +70,7 @@ def list_kinebench(folder: Path, search: Search) -> list[VideoSample]:
     info = read_object(folder / INFO)
     samples = []
     names = [folder.resolve().parents[1].name, folder.resolve().parent.name, folder.resolve().name]
-    for rollout in _rollouts(info):
+    for rollout in map(as_object, as_type(info.get("rollouts"), list) or []):
         attempt = as_type(rollout.get("attempt_dir"), str) or ""
         video = folder / Path(attempt).name / "generated.mp4"
         labels = replace(
@@ -81,11 +86,6 @@ def list_kinebench(folder: Path, search: Search) -> list[VideoSample]:
         missing = None if video.is_file() else f"{attempt} holds no generated.mp4: run with output.save_generated: true"
         samples.append(replace(labels, problem=missing))
     return samples
-
-
-def _rollouts(info: Mapping[str, object]) -> list[Mapping[str, object]]:
-    rollouts = info.get("rollouts")
-    return [as_object(rollout) for rollout in rollouts] if isinstance(rollouts, list) else []
 
 
 def _executed_poses(meta: Mapping[str, object]) -> Array | None:
@@ -168,14 +168,11 @@ def open_executed_table(sample: TrajectorySample) -> Iterator[ColumnTable]:
     Raises:
         InputError: the file is damaged.
     """
-    try:
-        with open_hdf5(sample.path) as file:
-            data = file[f"{sample.part}/actions"]
-            if not isinstance(data, h5py.Dataset):
-                raise InputError(f"{sample.part}/actions is a group, expected a data set")
-            actions = np.asarray(read_all(data, MAX_BYTES), dtype=np.float64).reshape(-1, 7)
-    except DAMAGED as error:
-        raise InputError(f"{sample.part} cannot be read ({cause(error)})") from None
+    with open_hdf5(sample.path, f"{sample.part}/actions") as file:
+        data = file[f"{sample.part}/actions"]
+        if not isinstance(data, h5py.Dataset):
+            raise InputError(f"{sample.part}/actions is a group, expected a data set")
+        actions = np.asarray(read_all(data, MAX_BYTES), dtype=np.float64).reshape(-1, 7)
     arrays: dict[str, NDArray[np.generic]] = {
         "base_from_tcp": make_pose(Rotation.from_euler("XYZ", actions[:, 3:6]).as_matrix(), actions[:, :3]),
         "finger_width_m": np.where(actions[:, 6] > 0.0, MAX_WIDTH_M, 0.0),

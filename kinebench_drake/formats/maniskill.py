@@ -14,12 +14,12 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from kinebench_drake.errors import InputError, cause
+from kinebench_drake.errors import InputError
 from kinebench_drake.formats.samples import MAX_PERIOD_S, MIN_PERIOD_S
 from kinebench_drake.formats.trajectories.trajectory import TrajectoryFormat, TrajectorySample
 from kinebench_drake.geometry import Array
 from kinebench_drake.io.atomic import atomic_path
-from kinebench_drake.io.hdf5 import DAMAGED, open_hdf5
+from kinebench_drake.io.hdf5 import open_hdf5
 from kinebench_drake.io.jsonl import as_number, as_object, as_type, read_object, write_json
 from kinebench_drake.io.npz import write_arrays
 
@@ -44,14 +44,13 @@ def list_maniskill(path: Path, video: str) -> list[TrajectorySample]:
         with open_hdf5(path) as file:
             names = [name for name in map(str, file) if _TRAJECTORY.fullmatch(name)]
             content = ", ".join(map(str, list(file)[:8]))
-    except DAMAGED as error:
-        return [replace(unread, problem=cause(error))]
+    except InputError as error:
+        return [replace(unread, problem=str(error))]
     if not names:
         return [replace(unread, problem=f"holds no trajectory traj_0, traj_1, ... but {content or 'nothing'}")]
     about, note = _read_metadata(path.with_suffix(".json"))
     info = as_object(about.get("env_info"))
-    episodes = about.get("episodes")
-    entries = map(as_object, episodes if isinstance(episodes, list) else [])
+    entries = map(as_object, as_type(about.get("episodes"), list) or [])
     by_id = {entry["episode_id"]: entry for entry in entries if isinstance(entry.get("episode_id"), int)}
     samples = []
     for number, name in sorted((int(name.removeprefix("traj_")), name) for name in names):

@@ -13,8 +13,6 @@ from dataclasses import replace
 from itertools import islice
 from pathlib import Path
 
-import pyarrow
-
 from kinebench_drake.errors import InputError, cause
 from kinebench_drake.formats.folders import join_relative
 from kinebench_drake.formats.samples import MAX_PERIOD_S, MIN_PERIOD_S
@@ -119,8 +117,8 @@ def _read_rows(file: Path, search: Search) -> list[Row]:
         if len(rows := list(islice(_READERS[file.suffix](file), _MOST_ROWS + 1))) > _MOST_ROWS:
             raise ValueError(f"it has more than {_MOST_ROWS} rows")
         return rows
-    except (OSError, ValueError, TypeError, MemoryError, csv.Error, pyarrow.ArrowException) as error:
-        search.warnings.append(f"{search.name(file)} is not read ({cause(error).replace(str(file), file.name)})")
+    except (OSError, ValueError, MemoryError, csv.Error, InputError) as error:
+        search.warnings.append(f"{search.name(file)} is not read ({cause(error)})")
         return []
 
 

@@ -90,12 +90,12 @@ def _read_prompts(places: tuple[Path, ...], search: Search) -> dict[object, str]
     if path is None:
         return {}
     try:
-        entries = read_json(path)
+        entries = as_type(read_json(path), list) or []
     except (OSError, ValueError):
         search.warnings.append(f"{_SUMMARY} cannot be read as JSON: prompts are unknown")
         return {}
     prompts: dict[object, str] = {}
-    for entry in map(as_object, entries if isinstance(entries, list) else []):
+    for entry in map(as_object, entries):
         prompt = entry.get("prompt")
         true = entry.get("gt_path")
         prompt = prompt[0] if isinstance(prompt, list) and prompt else prompt

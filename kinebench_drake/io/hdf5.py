@@ -17,7 +17,7 @@ from kinebench_drake.io.images import decode_image, natural_key
 from kinebench_drake.io.video import Video, VideoPart
 
 HDF5_SUFFIXES = frozenset({".h5", ".hdf5"})
-DAMAGED = (OSError, RuntimeError, KeyError, ValueError, TypeError, AttributeError, IndexError, MemoryError)
+_DAMAGED = (OSError, RuntimeError, KeyError, ValueError, TypeError, AttributeError, IndexError, MemoryError)
 """Exceptions that h5py raises for damaged files."""
 
 _IMAGE_MAGIC = (b"\xff\xd8\xff", b"\x89PNG")
@@ -27,22 +27,25 @@ _MOST_CHUNK = 2**29
 
 
 @contextmanager
-def open_hdf5(path: Path) -> Iterator[h5py.File]:
-    """Open a file for reading.
+def open_hdf5(path: Path, what: str = "its content") -> Iterator[h5py.File]:
+    """Open a file for reading `what`; defects that are met within the context count, too.
 
     Raises:
-        ValueError: it is empty, or no HDF5 file.
-        OSError: it cannot be read; another one of DAMAGED for other defects.
+        InputError: it is empty, no HDF5 file, cannot be read, or is damaged.
     """
-    with open_file(path) as raw:
-        if not raw.seek(0, 2):
-            raise ValueError("the file is empty (0 bytes)")
     try:
+        with open_file(path) as raw:
+            if not raw.seek(0, 2):
+                raise InputError(f"{path.name}: the file is empty (0 bytes)")
         file = h5py.File(path, "r")
-    except DAMAGED as error:
-        raise ValueError(f"not a readable HDF5 file ({str(error).splitlines()[0]})") from None
-    with file:
-        yield file
+    except _DAMAGED as error:
+        reason = getattr(error, "strerror", None) or str(error).splitlines()[0]
+        raise InputError(f"{path.name}: not a readable HDF5 file ({reason})") from None
+    try:
+        with file:
+            yield file
+    except _DAMAGED as error:
+        raise InputError(f"{path.name}: {what} cannot be read ({cause(error)})") from None
 
 
 def is_own(data: h5py.Dataset) -> bool:
@@ -80,11 +83,8 @@ def list_hdf5_videos(path: Path) -> list[str]:
         if readable and isinstance(item, h5py.Dataset) and is_own(item) and (_is_frames(item) or _is_encoded(item)):
             names.append(name)
 
-    try:
-        with open_hdf5(path) as file:
-            file.visititems(visit)
-    except DAMAGED as error:
-        raise InputError(f"{path.name}: {cause(error)}") from None
+    with open_hdf5(path) as file:
+        file.visititems(visit)
     return sorted(names, key=natural_key)
 
 
@@ -101,16 +101,13 @@ def read_hdf5(path: Path, part: VideoPart) -> Video:
             listing = ", ".join(names[:8]) or "none"
             raise InputError(f"{path.name}: holds {len(names)} videos ({listing}), expected one if none is named")
         (key,) = names
-    try:
-        with open_hdf5(path) as file:
-            data = file.get(key)
-            if not isinstance(data, h5py.Dataset) or not is_own(data):
-                raise InputError(f"{path.name}: holds no data set {key!r} of its own")
-            name = f"{path.name}: {key}"
-            images = _decode(data) if _is_encoded(data) else _frames(name, data)
-            frames = collect_frames(name, ((f"{name}: frame {k}", image) for k, image in enumerate(images)))
-    except DAMAGED as error:
-        raise InputError(f"{path.name}: {key} cannot be read ({cause(error)})") from None
+    with open_hdf5(path, key) as file:
+        data = file.get(key)
+        if not isinstance(data, h5py.Dataset) or not is_own(data):
+            raise InputError(f"{path.name}: holds no data set {key!r} of its own")
+        name = f"{path.name}: {key}"
+        images = _decode(data) if _is_encoded(data) else _frames(name, data)
+        frames = collect_frames(name, ((f"{name}: frame {k}", image) for k, image in enumerate(images)))
     return Video(frames=frames, fps=None, stamps_s=None)
 
 

@@ -6,7 +6,7 @@ import os
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, BinaryIO, TypeAlias, TypeVar
+from typing import Any, TypeAlias, TypeVar
 
 from kinebench_drake.errors import InputError, cause
 from kinebench_drake.io.atomic import atomic_path, disk_errors, write_atomically
@@ -117,16 +117,11 @@ def parse_lines(path: Path, parse: Callable[[object, int, int], Row]) -> Iterato
             try:
                 row = parse(parse_json(line), start, len(line))
             except (ValueError, InputError) as error:
-                if _is_last(file):
+                if b"\n" not in file.read():  # the last line
                     break
                 raise InputError(f"{path}: line {number} is broken ({error})") from None
             yield row
             start += len(line)
-
-
-def _is_last(file: BinaryIO) -> bool:
-    """Return whether no further line feed follows."""
-    return b"\n" not in file.read()
 
 
 def append_line(path: Path, row: Mapping[str, Any]) -> tuple[int, int]:

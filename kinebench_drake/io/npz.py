@@ -7,13 +7,13 @@ import struct
 import tokenize
 import zipfile
 import zlib
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Any, Literal
 
 import numpy as np
-from numpy.lib.format import read_array, read_array_header_1_0, read_array_header_2_0, read_magic
+from numpy.lib.format import read_array_header_1_0, read_array_header_2_0, read_magic
 from numpy.typing import NDArray
 
 from kinebench_drake.errors import InputError, cause
@@ -31,22 +31,12 @@ _DAMAGED = (
 _HEADERS = {(1, 0): read_array_header_1_0, (2, 0): read_array_header_2_0}
 
 
-def check_bytes(size: int, most: int = MOST_BYTES) -> None:
-    """Refuse an array that takes more than `most` bytes.
-
-    Raises:
-        InputError: it does.
-    """
-    if size > most:
-        raise InputError(f"unpacks to {size / 2**20:.0f} MiB; the limit is {most / 2**20:.0f} MiB")
-
-
 class Archive:
     """Open npz file."""
 
-    def __init__(self, raw: zipfile.ZipFile, check: Callable[[int], None]) -> None:
+    def __init__(self, raw: zipfile.ZipFile, most: int) -> None:
         self._raw = raw
-        self._check = check
+        self._most = most
         self._entries = {entry.filename.removesuffix(".npy"): entry for entry in raw.infolist()}
         self.files = list(self._entries)
         """Names of the arrays."""
@@ -68,16 +58,13 @@ class Archive:
         Raises:
             InputError: it is pickled, too large, or its header announces more data than there are.
         """
-        entry = self._entries[name]
-        with self._raw.open(entry) as file:
-            self._check(StoredArray(file, entry.file_size).nbytes)
-        with self._raw.open(entry) as file:
-            return read_array(file, allow_pickle=False)
+        with self.open(name) as array:
+            return array.load(self._most)
 
 
 @contextmanager
-def open_npz(path: Path, check: Callable[[int], None] = check_bytes) -> Iterator[Archive]:
-    """Open an npz file; `check` raises InputError if an array of so many bytes may not be loaded.
+def open_npz(path: Path, most: int = MOST_BYTES) -> Iterator[Archive]:
+    """Open an npz file whose arrays may take at most `most` bytes each when they are loaded.
 
     Raises:
         InputError: it is absent or damaged; messages do not name it.
@@ -89,7 +76,7 @@ def open_npz(path: Path, check: Callable[[int], None] = check_bytes) -> Iterator
             if not zipfile.is_zipfile(file):
                 raise InputError("is not a complete zip archive, expected an npz file as np.savez writes it")
             with zipfile.ZipFile(file) as raw:
-                yield Archive(raw, check)
+                yield Archive(raw, most)
     except _DAMAGED as error:
         raise InputError(f"is not a readable npz archive ({cause(error)})") from None
 
@@ -117,6 +104,17 @@ class StoredArray:
                 "bytes: it is damaged"
             )
 
+    def load(self, most: int) -> NDArray[Any]:
+        """Return the array.
+
+        Raises:
+            InputError: it takes more than `most` bytes, or the file ends before.
+        """
+        if self.nbytes > most:
+            raise InputError(f"unpacks to {self.nbytes / 2**20:.0f} MiB; the limit is {most / 2**20:.0f} MiB")
+        order: Literal["F", "C"] = "F" if self._by_columns else "C"
+        return np.ndarray(self.shape, self.dtype, bytearray(self._read(self.nbytes)), order=order)
+
     def rows(self) -> Iterator[NDArray[Any]]:
         """Yield the array row by row, each read when it is asked for.
 
@@ -126,10 +124,13 @@ class StoredArray:
         if self._by_columns:
             raise InputError("is in Fortran order; save np.ascontiguousarray(frames)")
         for _ in range(self.shape[0]):
-            data = self._file.read(self.nbytes // self.shape[0])
-            if len(data) < self.nbytes // self.shape[0]:
-                raise InputError("is cut off")
-            yield np.frombuffer(data, self.dtype).reshape(self.shape[1:])
+            yield np.frombuffer(self._read(self.nbytes // self.shape[0]), self.dtype).reshape(self.shape[1:])
+
+    def _read(self, size: int) -> bytes:
+        data = self._file.read(size)
+        if len(data) < size:
+            raise InputError("is cut off")
+        return data
 
 
 @contextmanager
@@ -150,11 +151,10 @@ def open_npy(path: Path) -> Iterator[StoredArray]:
         raise InputError(f"is not a readable npy file ({cause(error)})") from None
 
 
-def read_npy(path: Path, check: Callable[[int], None] = check_bytes) -> NDArray[np.generic]:
-    """Return the array of an npy file; `check` raises InputError if one of so many bytes may not be loaded."""
-    with open_npy(path) as array, open_file(path) as file:
-        check(array.nbytes)
-        return read_array(file, allow_pickle=False)
+def read_npy(path: Path, most: int = MOST_BYTES) -> NDArray[np.generic]:
+    """Return the array of an npy file, which may take at most `most` bytes."""
+    with open_npy(path) as array:
+        return array.load(most)
 
 
 def write_arrays(path: Path, arrays: Mapping[str, Any]) -> None:

@@ -8,7 +8,7 @@ import pyarrow
 import pyarrow.compute as compute
 from pyarrow import parquet
 
-from kinebench_drake.errors import InputError
+from kinebench_drake.errors import InputError, cause
 from kinebench_drake.io.files import MOST_BYTES, Budget, open_file
 
 _ROWS = 64  # read at once: 64 images of 4 MiB
@@ -28,16 +28,20 @@ def open_batches(
     Only rows are read `where` a column has a value, if the file has this column.
 
     Raises:
-        OSError: the file cannot be read; pyarrow.ArrowException, ValueError: it is damaged.
+        InputError: the file cannot be read, is damaged, also in the rows read within the context, or lacks a column.
     """
-    with open_file(path) as raw, parquet.ParquetFile(raw) as file:
-        names = file.schema_arrow.names
-        chosen = names if every else [*columns, *(name for name in optional if name in names)]
-        if absent := [name for name in chosen if name not in names]:
-            raise ValueError(f"it has no column {absent[0]!r}")
-        where = where if where and where[0] in names else None
-        schema = pyarrow.schema([file.schema_arrow.field(name) for name in chosen])
-        yield schema, _batches(file, chosen, where)
+    try:
+        with open_file(path) as raw, parquet.ParquetFile(raw) as file:
+            names = file.schema_arrow.names
+            chosen = names if every else [*columns, *(name for name in optional if name in names)]
+            if absent := [name for name in chosen if name not in names]:
+                raise ValueError(f"it has no column {absent[0]!r}")
+            where = where if where and where[0] in names else None
+            schema = pyarrow.schema([file.schema_arrow.field(name) for name in chosen])
+            yield schema, _batches(file, chosen, where)
+    except (OSError, ValueError, TypeError, MemoryError, pyarrow.ArrowException) as error:
+        reason = cause(error).replace(str(path), path.name)  # Arrow's messages contain paths of this machine
+        raise InputError(f"{path.name} is not a readable parquet file ({reason})") from None
 
 
 def _batches(

@@ -5,10 +5,9 @@ from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 
 import numpy as np
-import pyarrow
 from numpy.typing import NDArray
 
-from kinebench_drake.errors import InputError, cause
+from kinebench_drake.errors import InputError
 from kinebench_drake.io.container import read_container
 from kinebench_drake.io.files import VIDEO_SUFFIXES, absence
 from kinebench_drake.io.frames import collect_frames, require_frames
@@ -82,11 +81,7 @@ def read_parquet(path: Path, part: VideoPart) -> Video:
     """
     if part.key is None or part.episode is None:
         raise InputError(f"{path.name}: a parquet file is a video only as part of a LeRobot dataset; name its folder")
-    try:
-        frames = collect_frames(path.name, _parquet_images(path, part.key, part.episode))
-    except (OSError, ValueError, TypeError, MemoryError, pyarrow.ArrowException) as error:
-        reason = cause(error).replace(str(path), path.name)
-        raise InputError(f"{path.name}: the images of {part.key} cannot be read ({reason})") from None
+    frames = collect_frames(path.name, _parquet_images(path, part.key, part.episode))
     if part.frames is not None and len(frames) != part.frames:
         raise InputError(
             f"{path.name}: has {len(frames)} frames of episode {part.episode}, its metadata says {part.frames}"

@@ -9,9 +9,8 @@ poses and angles.
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from kinebench_drake.geometry import Array
+from kinebench_drake.geometry import Array, make_pose, rotation_z
 from kinebench_drake.models.robot import N_JOINTS
 
 N_BRANCHES = 8
@@ -42,33 +41,16 @@ _CHAIN = (
 )
 
 
-def flange_pose(q: ArrayLike) -> Array:
+def flange_pose(q: Array) -> Array:
     """Return the pose X_BF (..., 4, 4) [m] of the flange (panda_link8) at joint angles `q` (..., 7) [rad]."""
-    q = np.asarray(q, dtype=np.float64)
     X = np.broadcast_to(np.eye(4), (*q.shape[:-1], 4, 4))
     for j, (a, d, alpha) in enumerate(_CHAIN):
-        c = np.cos(q[..., j])
-        s = np.sin(q[..., j])
-        ca = np.cos(alpha)
-        sa = np.sin(alpha)
-        step = np.zeros((*q.shape[:-1], 4, 4))
-        step[..., 0, 0] = c
-        step[..., 0, 1] = -s
-        step[..., 0, 3] = a
-        step[..., 1, 0] = s * ca
-        step[..., 1, 1] = c * ca
-        step[..., 1, 2] = -sa
-        step[..., 1, 3] = -d * sa
-        step[..., 2, 0] = s * sa
-        step[..., 2, 1] = c * sa
-        step[..., 2, 2] = ca
-        step[..., 2, 3] = d * ca
-        step[..., 3, 3] = 1.0
-        X = X @ step
+        roll = np.array([[1.0, 0.0, 0.0], [0.0, np.cos(alpha), -np.sin(alpha)], [0.0, np.sin(alpha), np.cos(alpha)]])
+        X = X @ make_pose(roll @ rotation_z(q[..., j]), roll @ [a, 0.0, d])
     return np.asarray(X + _D_FLANGE * X[..., :, 2:3] * np.array([0.0, 0.0, 0.0, 1.0]))
 
 
-def reach_window(X_BF: ArrayLike) -> tuple[Array, Array, Array]:
+def reach_window(X_BF: Array) -> tuple[Array, Array, Array]:
     """Return the joint-7 angles at which flange poses (..., 4, 4) are within reach of the stretched arm.
 
     As joint 7 turns, the wrist moves on a circle; the window is its part within the stretched arm's sphere about the
@@ -78,7 +60,6 @@ def reach_window(X_BF: ArrayLike) -> tuple[Array, Array, Array]:
         Centre (...) of the window [rad]; its half width (...) [rad], pi if all angles are in it, 0 if none is; distance
         (...) [m] by which the wrist is out of reach at the centre, 0 within reach.
     """
-    X_BF = np.asarray(X_BF, dtype=np.float64)
     p = X_BF[..., :3, 3] - _D_FLANGE * X_BF[..., :3, 2] - np.array([0.0, 0.0, _D1])
     x = np.sum(p * X_BF[..., :3, 0], axis=-1)
     y = np.sum(p * X_BF[..., :3, 1], axis=-1)
@@ -89,27 +70,25 @@ def reach_window(X_BF: ArrayLike) -> tuple[Array, Array, Array]:
     return np.arctan2(-y, x), np.arccos(np.clip(cos, -1.0, 1.0)), np.maximum(least - _REACH, 0.0)
 
 
-def branch_of(q: ArrayLike) -> int:
+def branch_of(q: Array) -> int:
     """Return the branch of a posture `q` (7,) [rad]: `analytic_ik` of its flange pose and joint 7 has it there.
 
     By the signs of the angles of elbow, wrist and shoulder in `analytic_ik`. That of the wrist, `half`, has the sign of
     z6 . (way x z5) = along_x z4 . z6, and z4 . z6 = cos q5.
     """
-    _, q2, _, q4, q5, _, _ = np.asarray(q, dtype=np.float64)
+    _, q2, _, q4, q5, _, _ = q
     along_x = np.cos(q4) * _A4 + np.sin(q4) * _D3 - _A4
     return 4 * bool(np.sin(q4 + _ELBOW) < 0.0) + 2 * bool(along_x * np.cos(q5) < 0.0) + bool(q2 < 0.0)
 
 
-def analytic_ik(X_BF: ArrayLike, q7: ArrayLike, branch: int | None = None) -> Array:
+def analytic_ik(X_BF: Array, q7: Array) -> Array:
     """Return the joint angles (..., 8, 7) [rad] that bring the flange to `X_BF` for joint-7 angles `q7`.
 
     Poses (..., 4, 4) of panda_link8 in panda_link0 [m] and angles (...) [rad] are broadcast. The branch index is 4 *
-    elbow + 2 * wrist + shoulder; a branch is continuous in the pose and q7 away from singularities. With `branch` only
-    this one is returned (..., 1, 7). Rows are NaN where there is no solution. Angles lie in [-pi, pi), except joint 4
-    in (-3 pi/2, pi/2] and joint 6 in [-pi/2, 3 pi/2), the ranges of their limits, and joint 7, as `q7`.
+    elbow + 2 * wrist + shoulder; a branch is continuous in the pose and q7 away from singularities. Rows are NaN where
+    there is no solution. Angles lie in [-pi, pi), except joint 4 in (-3 pi/2, pi/2] and joint 6 in [-pi/2, 3 pi/2), the
+    ranges of their limits, and joint 7, as `q7`.
     """
-    X_BF = np.asarray(X_BF, dtype=np.float64)
-    q7 = np.asarray(q7, dtype=np.float64)
     shape = np.broadcast_shapes(X_BF.shape[:-2], q7.shape)
     X_BF = X_BF[(None,) * (len(shape) + 2 - X_BF.ndim)]
     # Axes of link 6 in the base, and the way from the shoulder to its origin (wrist) along them.
@@ -125,12 +104,11 @@ def analytic_ik(X_BF: ArrayLike, q7: ArrayLike, branch: int | None = None) -> Ar
     w = _dot(p, z6)
 
     signs = np.reshape([1.0, -1.0], (2, *[1] * len(shape)))
-    elbow, wrist = (signs, signs) if branch is None else (signs[[branch // 4]], signs[[branch // 2 % 2]])
-    q = np.empty((N_JOINTS, len(elbow), len(wrist), 2, *shape))  # joint, elbow, wrist, shoulder
+    q = np.empty((N_JOINTS, 2, 2, 2, *shape))  # joint, elbow, wrist, shoulder
     with np.errstate(invalid="ignore", divide="ignore"):
         # Elbow: the triangle shoulder, elbow joint, wrist has three known sides.
         bend = np.arccos((_UPPER**2 + _LOWER**2 - u * u - v * v - w * w) / (2 * _UPPER * _LOWER))  # NaN out of reach
-        q4 = (elbow * bend - _ELBOW + 2 * np.pi * (elbow < 0.0))[:, None]  # (elbow, 1, ...)
+        q4 = (signs * bend - _ELBOW + 2 * np.pi * (signs < 0.0))[:, None]  # (elbow, 1, ...)
         q4 -= 2 * np.pi * (q4 > np.pi / 2)
         # In frame 4, whose y is joint 5's axis: from the shoulder to the wrist.
         c4 = np.cos(q4)
@@ -141,7 +119,7 @@ def analytic_ik(X_BF: ArrayLike, q7: ArrayLike, branch: int | None = None) -> Ar
         # Wrist: joint 5's axis z5 is normal to z6 and has the component along_y of the way (u, v, w). From here on
         # vectors are in the axes of link 6.
         half = np.arccos(along_y / np.hypot(u, v))  # NaN where joint 6 cannot turn that far
-        phi = np.arctan2(v, u) + wrist * half  # (elbow, wrist, ...)
+        phi = np.arctan2(v, u) + signs * half  # (elbow, wrist, ...)
         z5 = np.cos(phi), np.sin(phi)
         # Frame 4: y4 = z5, (u, v, w) = along_x x4 + along_y y4 and z4 = x4 x y4.
         x4 = (u - along_y * z5[0]) / along_x, (v - along_y * z5[1]) / along_x, w / along_x
@@ -164,8 +142,6 @@ def analytic_ik(X_BF: ArrayLike, q7: ArrayLike, branch: int | None = None) -> Ar
     q[3], q[4], q[5], q[6] = q4[:, :, None], q5[:, :, None], q6[:, :, None], q7
     q = np.moveaxis(q.reshape(N_JOINTS, -1, *shape), (0, 1), (-1, -2))
     q[~np.isfinite(q[..., 4])] = np.nan
-    if branch is not None:
-        q = q[..., [branch % 2], :]
     return np.ascontiguousarray(q)
 
 

@@ -21,7 +21,6 @@ from kinebench_drake.geometry import Array, transform_points
 from kinebench_drake.kinematics.chain import LinkChain
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.models.obstacles import is_obstacle
-from kinebench_drake.models.robot import N_JOINTS
 from kinebench_drake.segments import spread
 
 
@@ -427,9 +426,12 @@ def _link_names(A: Solid, B: Solid) -> tuple[str, str]:
 
 
 def _arguments(q: ArrayLike, finger_width_m: ArrayLike | None) -> tuple[Array, Array]:
+    """Return postures (N, 7) [rad] and finger gaps (N,) [m], NaN for the plant's default, as arrays.
+
+    Raises:
+        UsageError: there are not as many gaps as postures.
+    """
     q = np.asarray(q, dtype=np.float64)
-    if q.ndim != 2 or q.shape[1] != N_JOINTS:
-        raise UsageError(f"q has shape {q.shape}, expected (N, {N_JOINTS}) arm joints in radians")
     width = np.full(len(q), np.nan) if finger_width_m is None else np.asarray(finger_width_m, dtype=np.float64)
     if width.shape != (len(q),):
         raise UsageError(f"finger_width_m has shape {width.shape}, expected ({len(q)},) as q has {len(q)} rows")

@@ -11,10 +11,9 @@ from scipy.interpolate import make_interp_spline
 from kinebench_drake.geometry import Array
 from kinebench_drake.kinematics.ik import IkSolution, solve_pose
 from kinebench_drake.kinematics.newton import solve_newton_path
-from kinebench_drake.kinematics.path import find_cheapest_path, is_sound, select_anchors, within_limits
+from kinebench_drake.kinematics.path import find_cheapest_path, is_sound, relax, select_anchors, within_limits
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.kinematics.postures import posture_solver
-from kinebench_drake.kinematics.relaxation import relax
 from kinebench_drake.track import IkStatus
 
 ANCHORS_S = (0.8, 0.4)

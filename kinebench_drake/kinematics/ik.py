@@ -3,7 +3,6 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from kinebench_drake.errors import InputError
 from kinebench_drake.geometry import Array, make_pose, orthonormalize, pose_difference
@@ -52,7 +51,7 @@ def find_least_excess(plant: ArmPlant, X_BG: Array) -> Array | None:
     return np.asarray(fine[np.argmin(limit_excess(plant, fine).max(axis=-1))])
 
 
-def solve_pose(plant: ArmPlant, X_BG: ArrayLike, q_seed: ArrayLike) -> IkSolution:
+def solve_pose(plant: ArmPlant, X_BG: Array, q_seed: Array) -> IkSolution:
     """Solve joint angles that bring the TCP to `X_BG` (4, 4) [m], made orthonormal first, near `q_seed` (7,) [rad].
 
     Newton steps from the seed converge in most cases (some 0.15 ms). If not, the posture within limits nearest to the
@@ -62,8 +61,6 @@ def solve_pose(plant: ArmPlant, X_BG: ArrayLike, q_seed: ArrayLike) -> IkSolutio
     Raises:
         InputError: the pose is not a finite 4x4 matrix.
     """
-    X_BG = np.asarray(X_BG, dtype=np.float64)
-    q_seed = np.asarray(q_seed, dtype=np.float64)
     if X_BG.shape != (4, 4) or not np.isfinite(X_BG).all():
         raise InputError(f"X_BG must be a finite 4x4 pose, found shape {X_BG.shape} with values {X_BG.ravel()[:4]}...")
     X_BG = make_pose(orthonormalize(X_BG[:3, :3]), X_BG[:3, 3])

@@ -245,11 +245,6 @@ class JointTrajectory:
                 )
         return obstacles
 
-    @property
-    def knots_s(self) -> Array:
-        """(n + 4,) knots of the spline on the clock of the track [s]."""
-        return self.basis.knots + self.problem.origin_s
-
     def figures(self) -> dict[str, float | None]:
         """Return the greatest errors at the frames and, at the samples, the extremes of all that has a limit, by name.
 

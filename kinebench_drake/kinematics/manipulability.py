@@ -15,16 +15,16 @@ COST_OFFSET = 1e-6
 """Offset of the manipulability in PyRoki's cost, which is then at most 1e6."""
 
 
-def cost(w_translation: ArrayLike) -> Array:
+def cost(w_translation: Array) -> Array:
     """Return PyRoki's manipulability cost 1 / (w + 1e-6) (...,) of translational manipulabilities; lower is better.
 
     Source: `manipulability_residual` of PyRoki (C. M. Kim et al., "PyRoki: A Modular Toolkit for Robot Kinematic
     Optimization", 2025), with w of the translational 3x7 Jacobian.
     """
-    return np.asarray(1.0 / (np.asarray(w_translation, dtype=np.float64) + COST_OFFSET))
+    return np.asarray(1.0 / (w_translation + COST_OFFSET))
 
 
-def limit_weight(q: ArrayLike, lower: ArrayLike, upper: ArrayLike) -> Array:
+def limit_weight(q: Array, lower: Array, upper: Array) -> Array:
     """Return a factor (..., n) in 0..1 per joint at `q` (..., n) [rad]: 1 mid-range, 0 at either limit and past it.
 
     p = 1 / sqrt(1 + |dH/dq|) with dH/dq = (upper - lower)^2 (2 q - upper - lower) / (4 (upper - q)^2 (q - lower)^2);
@@ -33,7 +33,6 @@ def limit_weight(q: ArrayLike, lower: ArrayLike, upper: ArrayLike) -> Array:
     1995; p of N. Vahrenkamp and T. Asfour, "Representing the robot's workspace through constrained manipulability
     analysis", Autonomous Robots 38, 2015.
     """
-    q, lower, upper = (np.asarray(a, dtype=np.float64) for a in (q, lower, upper))
     n = (upper - lower) ** 2 * np.abs(2.0 * q - upper - lower)
     d = 4.0 * (upper - q) ** 2 * (q - lower) ** 2
     inside = (q > lower) & (q < upper)
@@ -92,8 +91,6 @@ def compute_manipulability(plant: ArmPlant, q: ArrayLike, J: ArrayLike | None = 
     parts = (scale * J_finite, J_finite[:, :3], J_finite[:, 3:])
     full, rotation, linear = (np.linalg.svd(part, compute_uv=False) for part in parts)  # greatest first
     w = np.prod(full, axis=-1) / scale[3:].prod()
-    greatest = full[:, 0]
-    least = full[:, -1]
     w_linear = np.prod(linear, axis=-1)
     values = {
         "full": w,
@@ -101,17 +98,15 @@ def compute_manipulability(plant: ArmPlant, q: ArrayLike, J: ArrayLike | None = 
         "rotation": np.prod(rotation, axis=-1),
         "limited": w * limit_weight(q[finite], plant.lower, plant.upper).prod(axis=-1),
         "cost": cost(w_linear),
-        "condition": np.divide(greatest, least, out=np.full_like(greatest, np.inf), where=least > 0.0),
+        "condition": np.divide(full[:, 0], full[:, -1], out=np.full(len(full), np.inf), where=full[:, -1] > 0.0),
     }
     return Manipulability(**{name: spread(value, finite, len(q)) for name, value in values.items()})
 
 
-def time_integral(t_s: ArrayLike, values: ArrayLike) -> float | None:
+def time_integral(t_s: Array, values: Array) -> float | None:
     """Integrate `values` (T,) over `t_s` (T,) [s] by the trapezoid rule, in the values' unit times seconds.
 
     NaN values are left out and interpolated linearly; None if fewer than two values are finite.
     """
-    t_s = np.asarray(t_s, dtype=np.float64)
-    values = np.asarray(values, dtype=np.float64)
     finite = np.isfinite(values)
     return float(np.trapezoid(values[finite], t_s[finite])) if int(finite.sum()) > 1 else None

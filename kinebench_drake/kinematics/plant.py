@@ -1,7 +1,7 @@
 """Drake plant of the arm: forward kinematics, Jacobian, limits, inverse dynamics, collision geometry."""
 
 import logging
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
@@ -98,7 +98,6 @@ class ArmPlant:
         self.tool = frozenset(plant.get_body(index).name() for index in moved)
         """Links beyond the last arm joint: fixed relative to the TCP, but for the fingers."""
         self._links = {name: plant.GetFrameByName(name) for name in self.robot.links}
-        self._origin = np.zeros(3)
         self._rates = np.zeros((2, plant.num_velocities()))
         self._no_forces = MultibodyForces(plant)
 
@@ -147,16 +146,9 @@ class ArmPlant:
         self.set_posture(q)
         return np.asarray(self.tcp_frame.CalcPoseInWorld(self.context).GetAsMatrix4())
 
-    def forward_path(self, q: ArrayLike) -> Array:
+    def forward_path(self, q: Iterable[ArrayLike]) -> Array:
         """Return `forward` (N, 4, 4) [m] of postures `q` (N, 7) [rad]."""
-        context = self.context
-        poses = []
-        set_positions = self.drake.SetPositions
-        pose_in_world = self.tcp_frame.CalcPoseInWorld
-        for positions in self.positions(q):
-            set_positions(context, positions)
-            poses.append(pose_in_world(context).GetAsMatrix4())
-        return np.reshape(poses, (-1, 4, 4))
+        return np.reshape([self.forward(row) for row in q], (-1, 4, 4))
 
     def link_poses(self, q: ArrayLike) -> dict[str, Array]:
         """Return the poses (4, 4) in B [m] of `robot.links`, by name, at joint angles `q` (7,) [rad]."""
@@ -175,7 +167,7 @@ class ArmPlant:
         """Return `forward(q)` and `jacobian(q)`, setting the context once."""
         X_BG = self.forward(q)
         J = self.drake.CalcJacobianSpatialVelocity(
-            self.context, JacobianWrtVariable.kV, self.tcp_frame, self._origin, self.base_frame, self.base_frame
+            self.context, JacobianWrtVariable.kV, self.tcp_frame, np.zeros(3), self.base_frame, self.base_frame
         )
         return X_BG, np.asarray(J[:, self.arm_rates])
 

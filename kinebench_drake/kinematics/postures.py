@@ -109,7 +109,7 @@ class ClosedFormSolver(PostureSolver):
     @override
     def along_branch(self, X_BG: Array, q_start: Array) -> list[Array]:
         q7 = q_start[6] + 0.3 * np.arange(-9, 10)
-        return list(analytic_ik((X_BG @ self._X_GF)[:, None], q7, branch_of(q_start))[:, :, 0])
+        return list(analytic_ik((X_BG @ self._X_GF)[:, None], q7)[:, :, branch_of(q_start)])
 
     @override
     def direction(self, X_BG: Array, q: Array) -> Array:

@@ -159,10 +159,8 @@ class _TubeSearch:
         speeding = None if best is None else best.speeding
         cause = cause or speeding
         feasible = best is not None and best.radius_m <= self.tube_limit_m and speeding is None
-        if best is None:
-            size = f"no trajectory was found in a tube of up to {LARGEST_M:g} m"
-        else:
-            size = f"the tube needs {best.radius_m:.4g} m"
+        none = f"no trajectory was found in a tube of up to {LARGEST_M:g} m"
+        size = none if best is None else f"the tube needs {best.radius_m:.4g} m"
         why = describe_violation(cause) if cause else "the limits together forbid a narrower one, none of them alone"
         return TubeResult(
             radius_m=None if best is None else max(best.radius_m, SMALLEST_M),

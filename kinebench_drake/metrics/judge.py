@@ -18,9 +18,10 @@ from kinebench_drake.kinematics.timing import time_scale
 from kinebench_drake.kinematics.track_ik import branch_jumps, find_free, solve_track
 from kinebench_drake.kinematics.trajopt import optimize_in_tube
 from kinebench_drake.kinematics.violation import Violation, ViolationKind
-from kinebench_drake.metrics.bridge import bridge_gaps, bridge_joints
 from kinebench_drake.metrics.coverage import (
     Coverage,
+    bridge_gaps,
+    bridge_joints,
     cover_joints,
     cover_poses,
     weigh_manipulability,

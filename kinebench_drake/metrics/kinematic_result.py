@@ -100,7 +100,7 @@ class PathMeasurements:
     branch_jumps: NDArray[np.intp]
     """(N,) frames before which the joint path changes its branch."""
     bridged: NDArray[np.bool_]
-    """(T,) lost frames that are bridged (`bridge.bridge_gaps`)."""
+    """(T,) lost frames that are bridged (`coverage.bridge_gaps`)."""
     p_BG: Array
     """(T, 3) denoised positions of the TCP [m]; NaN where lost, not bridged."""
     motionless: bool | None

@@ -207,15 +207,6 @@ def stands_still(X_BG: Array) -> bool:
     return _rests(X_BG[:, :3, 3]) is not None and _keeps_orientation(X_BG[:, :3, :3]) is not None
 
 
-def _stillness(X_BG: Array) -> dict[str, str]:
-    """Return why poses (N, 4, 4) have no smoothness, by metric; empty if they move and turn."""
-    reasons = {
-        **dict.fromkeys(_OF_POSITION, _rests(X_BG[:, :3, 3])),
-        **dict.fromkeys(_OF_ROTATION, _keeps_orientation(X_BG[:, :3, :3])),
-    }
-    return {name: why for name, why in reasons.items() if why is not None}
-
-
 def _rests(p: Array) -> str | None:
     """Return why positions (N, 3) [m] have no smoothness; None if they move."""
     return None if np.linalg.norm(p - p[0], axis=-1).max() > STILL_M else f"the gripper stays within {STILL_M} m"
@@ -246,14 +237,19 @@ def _measure_run(track: GripperTrack, run: slice, noise: TrackNoise | None, seed
     turned = np.concatenate([np.zeros((1, 3)), np.cumsum(rotation_steps(X[:, :3, :3]), axis=0)])
     rng = np.random.default_rng(seed)
     values: dict[str, float] = {}
-    reasons = _stillness(X)
-    for names, path, sigma in ((_OF_POSITION, p, noise.position_m), (_OF_ROTATION, turned, noise.rotation_rad)):
-        if names[0] not in reasons:
-            for name, measured in _measure(names, t_s, path, sigma, rng):
-                if isinstance(measured, str):
-                    reasons[name] = measured
-                else:
-                    values[name] = measured
+    reasons: dict[str, str] = {}
+    for names, path, sigma, still in (
+        (_OF_POSITION, p, noise.position_m, _rests(p)),
+        (_OF_ROTATION, turned, noise.rotation_rad, _keeps_orientation(X[:, :3, :3])),
+    ):
+        if still is not None:
+            reasons |= dict.fromkeys(names, still)
+            continue
+        for name, measured in _measure(names, t_s, path, sigma, rng):
+            if isinstance(measured, str):
+                reasons[name] = measured
+            else:
+                values[name] = measured
     return _smoothness(values, reasons)
 
 

@@ -23,7 +23,6 @@ def test_render_shows_every_check_and_the_fix_of_failures_only() -> None:
         "1 of 2 checks failed.",
     ]
 
-
     assert doctor.render([Check("Drake", True, "1.51.1", "")]).endswith("All 1 checks passed.")
 
 

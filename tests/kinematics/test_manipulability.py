@@ -74,7 +74,9 @@ def test_limit_weight_within_the_limits_is_the_published_formula() -> None:
 
 
 def test_limit_weight_falls_from_one_at_the_middle_to_zero_at_the_limits() -> None:
-    np.testing.assert_array_equal(limit_weight([-2.0, -1.0, 3.0, 4.0, 1.0], -1.0, 3.0), [0.0, 0.0, 0.0, 0.0, 1.0])
+    np.testing.assert_array_equal(
+        limit_weight(np.array([-2.0, -1.0, 3.0, 4.0, 1.0]), -1.0, 3.0), [0.0, 0.0, 0.0, 0.0, 1.0]
+    )
     outwards = limit_weight(np.linspace(1.0, 3.0, 50), -1.0, 3.0)
     assert (np.diff(outwards) < 0).all()
     np.testing.assert_array_equal(limit_weight(np.array([np.nan, 0.5]), -1.0, 3.0) > 0, [False, True])
@@ -104,8 +106,8 @@ def test_precomputed_jacobians_give_the_same_manipulability(plant: ArmPlant) -> 
 def test_time_integral_interpolates_across_gaps() -> None:
     t_s = np.array([0.0, 0.1, 0.4, 1.0])
     assert time_integral(t_s, 2 * t_s) == pytest.approx(1.0)
-    assert time_integral(t_s, [0.0, np.nan, 0.8, 2.0]) == pytest.approx(1.0)
-    assert time_integral(t_s, [np.nan, np.nan, 1.0, np.nan]) is None
+    assert time_integral(t_s, np.array([0.0, np.nan, 0.8, 2.0])) == pytest.approx(1.0)
+    assert time_integral(t_s, np.array([np.nan, np.nan, 1.0, np.nan])) is None
 
 
 def test_w_vanishes_where_the_arm_is_stretched_in_its_plane(plant: ArmPlant) -> None:
@@ -128,7 +130,7 @@ def test_manipulability_does_not_depend_on_joint_1(plant: ArmPlant) -> None:
 
 
 def test_manipulability_cost_is_its_bounded_inverse() -> None:
-    np.testing.assert_allclose(cost([0.0, 1.0]), [1e6, 1.0 / 1.000001])
+    np.testing.assert_allclose(cost(np.array([0.0, 1.0])), [1e6, 1.0 / 1.000001])
 
 
 def test_manipulability_of_unknown_frames_is_unknown(plant: ArmPlant) -> None:

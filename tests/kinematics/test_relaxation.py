@@ -2,10 +2,9 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from kinebench_drake.geometry import Array, pose_difference
-from kinebench_drake.kinematics.path import limit_excess, speed_ratios
+from kinebench_drake.kinematics.path import limit_excess, peak_ratio, relax, speed_ratios
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.kinematics.postures import posture_solver
-from kinebench_drake.kinematics.relaxation import peak_ratio, relax
 from kinebench_drake.models.panda.description import rest_q
 
 

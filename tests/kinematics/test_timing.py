@@ -160,7 +160,7 @@ def test_the_grid_of_a_very_long_track_is_bounded(plant: ArmPlant) -> None:
     t = np.arange(4000) * 0.02
     q = rest_q() + 0.3 * np.sin(t)[:, None] * SWING
     assert time_scale(plant, t, q).value is not None
-    assert len(timing._Motion(plant, t, q, np.arange(4000)).grid) < 2000
+    assert len(timing._PathMotion(plant, t, q, np.arange(4000)).grid) < 2000
 
 
 @pytest.mark.parametrize("seed", range(6))

@@ -6,8 +6,7 @@ from scipy.interpolate import CubicSpline
 from scipy.optimize import linprog
 
 from kinebench_drake.kinematics.plant import ArmPlant
-from kinebench_drake.kinematics.timing import _PathMotion
-from kinebench_drake.kinematics.toppra import PathLimits, fastest_rates
+from kinebench_drake.kinematics.timing import PathLimits, _PathMotion, fastest_rates
 from kinebench_drake.models.panda.description import rest_q
 
 ENDS = 1.0, 1.0

@@ -61,7 +61,7 @@ def test_unwritable_cache_is_a_setup_error(tmp_path: Path, monkeypatch: pytest.M
     blocked = tmp_path / "file"
     blocked.write_text("")
     monkeypatch.setenv("XDG_CACHE_HOME", str(blocked))
-    description.cache_clear()
+    panda.cache_clear()
     with pytest.raises(SetupError, match="XDG_CACHE_HOME"):
         panda()
 

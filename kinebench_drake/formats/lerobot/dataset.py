@@ -1,17 +1,15 @@
 """Description of a LeRobot dataset of version 2.x or 3: names of its files and keys, its cameras and episodes."""
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-import pyarrow
-
-from kinebench_drake.errors import InputError, cause
+from kinebench_drake.errors import InputError
 from kinebench_drake.formats.folders import join_relative
-from kinebench_drake.io import parquet
 from kinebench_drake.io.files import read_text
 from kinebench_drake.io.jsonl import as_number, as_object, as_type, parse_json, read_object
+from kinebench_drake.io.parquet import read_table
 from kinebench_drake.io.video import VideoPart
 
 INFO = Path("meta") / "info.json"
@@ -32,7 +30,6 @@ TIME = "timestamp"
 _VIDEO_V2 = "videos/chunk-{episode_chunk:03d}/{video_key}/episode_{episode_index:06d}.mp4"
 _INDEX = (EPISODE, *(f"data/{key}" for key in PLACE))
 _FIELD = re.compile(r"\{(\w+)(?::0(\d)d)?\}")
-_DAMAGED = (OSError, ValueError, TypeError, MemoryError, pyarrow.ArrowException)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -182,29 +179,6 @@ class LeRobotDataset:
             return f"{numbers[match[1]]:0{match[2] or 1}d}"
 
         return join_relative(self.folder, _FIELD.sub(fill, pattern), "video_path")
-
-
-def read_table(
-    path: Path,
-    columns: Sequence[str] = (),
-    optional: Sequence[str] = (),
-    episode: int | None = None,
-    *,
-    every: bool = False,
-) -> pyarrow.Table:
-    """Read columns of a parquet file: all of `columns`, and those of `optional` that it has; or `every` one.
-
-    If `episode` is a number and the file numbers episodes, only the rows of this one are read.
-
-    Raises:
-        InputError: the file is damaged, or lacks a column.
-    """
-    try:
-        where = None if episode is None else (EPISODE, episode)
-        return parquet.read_table(path, columns, optional, where, every=every)
-    except _DAMAGED as error:
-        reason = cause(error).replace(str(path), path.name)  # Arrow's messages contain paths of this machine
-        raise InputError(f"{path.name} is not a readable parquet file ({reason})") from None
 
 
 def _read_episodes_v2(path: Path) -> dict[int, Mapping[str, object]]:

@@ -13,13 +13,14 @@ from pyarrow import compute
 
 from kinebench_drake.errors import InputError
 from kinebench_drake.formats.camerafile import CAMERA_NAME
-from kinebench_drake.formats.lerobot.dataset import FRAME, INFO, TIME, LeRobotDataset, read_table
+from kinebench_drake.formats.lerobot.dataset import EPISODE, FRAME, INFO, TIME, LeRobotDataset
 from kinebench_drake.formats.samples import MAX_PERIOD_S, MIN_PERIOD_S
-from kinebench_drake.formats.trajectories.column_table import ColumnTable, NumberColumn
 from kinebench_drake.formats.trajectories.columns import complete
 from kinebench_drake.formats.trajectories.reading import Reading, TrajectoryOptions
 from kinebench_drake.formats.trajectories.trajectory import (
     MAX_FRAMES,
+    ColumnTable,
+    NumberColumn,
     TrajectoryFormat,
     TrajectorySample,
     require_numbers,
@@ -28,6 +29,7 @@ from kinebench_drake.formats.videos.sample import Search, VideoSample
 from kinebench_drake.geometry import Array
 from kinebench_drake.io.files import absence
 from kinebench_drake.io.jsonl import as_object, as_type
+from kinebench_drake.io.parquet import read_table
 from kinebench_drake.io.video import VideoPart
 
 _NO_NUMBERS = ("video", "image", "string", "bool")
@@ -125,7 +127,7 @@ def open_lerobot_table(sample: TrajectorySample) -> Iterator[ColumnTable]:
     number = int(str(sample.part))
 
     def load(name: str) -> NDArray[np.generic]:
-        table = read_table(sample.path, optional=(name,), episode=number)
+        table = read_table(sample.path, optional=(name,), where=(EPISODE, number))
         if name not in table.column_names:
             raise InputError(f"lacks the column {name} that the dataset's description names")
         if not table.num_rows:
@@ -135,7 +137,7 @@ def open_lerobot_table(sample: TrajectorySample) -> Iterator[ColumnTable]:
         return _matrix(table, name)
 
     columns = _columns(dataset)
-    times = _times(read_table(sample.path, optional=(TIME, FRAME), episode=number), dataset.fps)
+    times = _times(read_table(sample.path, optional=(TIME, FRAME), where=(EPISODE, number)), dataset.fps)
     yield ColumnTable(columns=columns, load=cache(load), t_s=times)
 
 

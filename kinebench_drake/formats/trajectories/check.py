@@ -4,7 +4,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinebench_drake.errors import InputError, UnmeasurableError, count_noun
-from kinebench_drake.formats.trajectories.pose import rigid_poses
 from kinebench_drake.formats.trajectories.times import check_times, fill_gaps, undo_jitter
 from kinebench_drake.formats.trajectories.trajectory import (
     JOINT_SIZES,
@@ -12,15 +11,23 @@ from kinebench_drake.formats.trajectories.trajectory import (
     N_JOINTS,
     RawTrajectory,
     Trajectory,
+    first_index,
     others_text,
     require_numbers,
 )
-from kinebench_drake.geometry import Array
+from kinebench_drake.geometry import Array, make_pose, orthonormalize
+from kinebench_drake.segments import spread
 from kinebench_drake.track import MAX_WIDTH_M
 
 MIN_FRAMES = 2
 """A path needs two postures."""
 
+REPAIRABLE = 1e-3
+"""Greatest deviation of R^T R from the identity, or of a quaternion's norm from 1, that is repaired."""
+FAR_M = 10.0
+"""Greatest coordinate of the gripper in the robot base frame [m]: larger values are not in metres."""
+
+ROUNDING = 1e-5  # deviations within single precision are repaired without a warning
 _MANY_RAD = 10.0  # larger angles are taken for degrees
 _WIDTH_SLACK_M = 0.01  # overshoot of sensors and simulators
 
@@ -52,8 +59,7 @@ def check(raw: RawTrajectory, rate_hz: float | None = None) -> Trajectory:
     if n < MIN_FRAMES:
         raise UnmeasurableError(f"has {n} frame, a path needs at least {MIN_FRAMES}")
     width = None if raw.finger_width_m is None else require_numbers("finger_width_m", raw.finger_width_m)
-    q: Array | None = None
-    X_BG: Array | None = None
+    q = X_BG = None
     if raw.q is not None:
         q, fingers = _joints(values, tracked, warnings)
         path = q
@@ -94,14 +100,12 @@ def _joints(values: Array, tracked: NDArray[np.bool_], warnings: list[str]) -> t
     """Return the arm angles (T, 7) and the finger gap (T,) [m] if two finger joints follow them."""
     columns = values.shape[1]
     q = np.where(tracked[:, None], values[:, :N_JOINTS], np.nan)
-    fingers: Array | None = None
     if columns > N_JOINTS:
         warnings.append(f"q has {columns} columns: the first {N_JOINTS} are used as the arm's joints")
-    if columns == N_JOINTS + 2:  # the two finger joints of the Panda, each half of the gap
-        fingers = values[:, N_JOINTS:].sum(axis=1)
+    # the two finger joints of the Panda, each half of the gap
+    fingers = values[:, N_JOINTS:].sum(axis=1) if columns == N_JOINTS + 2 else None
     broken = tracked & ~np.isfinite(q).all(axis=1)
-    if broken.any():
-        k = int(np.argmax(broken))
+    if (k := first_index(broken)) is not None:
         value = "NaN" if np.isnan(q[k]).any() else "infinity"
         raise InputError(
             f"the joint angles of frame {k} hold {value}{others_text(broken)}, expected finite radians; "
@@ -137,3 +141,45 @@ def _widths(width: Array | None, n: int, warnings: list[str]) -> Array:
         )
         return np.full(n, np.nan)
     return np.clip(np.where(np.isfinite(width), width, np.nan), 0.0, MAX_WIDTH_M)
+
+
+@np.errstate(over="ignore", invalid="ignore")  # values that overflow are refused below
+def rigid_poses(X: Array, valid: NDArray[np.bool_]) -> tuple[Array, tuple[str, ...]]:
+    """Return rigid poses (T, 4, 4) of matrices, NaN for frames that are not `valid` (T,), and messages about repairs.
+
+    Raises:
+        InputError: a frame holds no finite number, no homogeneous matrix, a left-handed or a distorted frame, or a
+            position that cannot be in metres.
+    """
+    frames = np.flatnonzero(valid)
+    matrices = X[valid]
+    broken = ~np.isfinite(matrices).all(axis=(1, 2))
+    if (k := first_index(broken)) is not None:
+        value = "NaN" if np.isnan(matrices[k]).any() else "infinity"
+        more = f" and {int(broken.sum()) - 1} more frames" if broken.sum() > 1 else ""
+        raise InputError(f"the pose of frame {frames[k]}{more} holds {value}, expected finite numbers")
+    off = np.abs(matrices[:, 3] - np.eye(4)[3]).max(axis=-1, initial=0.0)
+    if (k := first_index(off > REPAIRABLE)) is not None:
+        row = ", ".join(f"{v:.4g}" for v in matrices[k, 3])
+        turned = np.abs(matrices[k, :, 3] - np.eye(4)[3]).max() <= REPAIRABLE
+        fix = "the matrices are transposed, store them row by row" if turned else "expected 0, 0, 0, 1"
+        raise InputError(f"the last row of the pose of frame {frames[k]} is {row}: {fix}")
+    R = matrices[:, :3, :3]
+    deviation = np.abs(np.swapaxes(R, -1, -2) @ R - np.eye(3)).max(axis=(-1, -2), initial=0.0)
+    if (k := first_index(~(deviation <= REPAIRABLE) | (np.linalg.det(R) < 0.0))) is not None:
+        reason = f"not orthonormal: R^T R is off the identity by {deviation[k]:.2g}, at most {REPAIRABLE:g} is repaired"
+        if deviation[k] <= REPAIRABLE:
+            turned = f"(determinant {np.linalg.det(R[k]):.3f}): one of its axes is mirrored"
+            reason = f"left-handed {turned}, expected a right-handed frame"
+        raise InputError(f"the rotation of frame {frames[k]} is {reason}")
+    largest = np.abs(matrices[:, :3, 3]).max(axis=-1, initial=0.0)
+    if (largest > FAR_M).any():
+        k = int(np.argmax(largest))
+        raise InputError(
+            f"positions go up to {largest[k]:.4g} m (frame {frames[k]}), no gripper is more than {FAR_M:g} m from its "
+            "robot's base: they look like millimetres, convert them to metres"
+        )
+    repaired = int((deviation > ROUNDING).sum())
+    message = f"{repaired} rotations, off by up to {deviation.max(initial=0.0):.1e}, were made orthonormal"
+    poses = make_pose(orthonormalize(R), matrices[:, :3, 3])
+    return spread(poses, valid, len(X)), ((message,) if repaired else ())

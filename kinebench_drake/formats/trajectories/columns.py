@@ -5,9 +5,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from kinebench_drake.errors import InputError
-from kinebench_drake.formats.trajectories.column_table import ColumnTable, NumberColumn, reference
 from kinebench_drake.formats.trajectories.reading import JOINTS, LAYOUTS, Reading
-from kinebench_drake.formats.trajectories.trajectory import JOINT_SIZES, N_JOINTS
+from kinebench_drake.formats.trajectories.trajectory import JOINT_SIZES, N_JOINTS, ColumnTable, NumberColumn, reference
 
 _NUMBERED = re.compile(
     r"(?P<arm>|.*[^a-z0-9])(?:joint|j|q|(?:joint[_. ]?)?(?:positions?|pos|angles?))[_. ]?(?:pos|position|angle)?"
@@ -88,7 +87,7 @@ def _named(table: ColumnTable, wanted: Reading) -> Reading:
     size = table.size(wanted.columns or ())
     if wanted.layout is not None:
         return wanted
-    [*rest] = [column for column in table.columns if column.name in (wanted.columns or ())]
+    rest = [column for column in table.columns if column.name in (wanted.columns or ())]
     for find in (_find_joints, _find_pose):
         reading = find(ColumnTable(columns=tuple(rest), load=table.load), wanted.change(columns=None))
         if reading is not None and table.size(reading.columns or ()) <= size <= 9:
@@ -129,11 +128,9 @@ def _groups(table: ColumnTable, wanted: Reading) -> Iterator[_Group]:
     yield _Group(places=tuple((column, 0) for column, _ in single), names=tuple(name for _, name in single))
 
 
-def _allowed(table: ColumnTable) -> Iterator[NumberColumn]:
-    """Yield the columns that may be read without being named: no commands and no velocities."""
-    for column in table.columns:
-        if column.name not in table.optional and not _OTHER_WORDS & set(_words(column.name)):
-            yield column
+def _allowed(table: ColumnTable) -> list[NumberColumn]:
+    """Return the columns that may be read without being named: no commands and no velocities."""
+    return [c for c in table.columns if c.name not in table.optional and not _OTHER_WORDS & set(_words(c.name))]
 
 
 def _arms(group: _Group) -> dict[str, dict[int, int]]:
@@ -190,7 +187,7 @@ def _find_pose(table: ColumnTable, wanted: Reading) -> Reading | None:
         if len(matches) == 16:
             columns = group.references([k for _, k, _ in sorted(matches)])
             return found_as(columns, "matrix_columns" if _BY_COLUMNS.fullmatch(matches[0][2]) else "matrix_rows")
-    arrays = list(_arrays(table, wanted))
+    arrays = _arrays(table, wanted)
     for column in arrays:
         words = set(_words(column.name))
         if column.size == 16 and (words & _TOOL_WORDS or _BY_COLUMNS.fullmatch(column.name.lower())):
@@ -212,11 +209,10 @@ def _find_pose(table: ColumnTable, wanted: Reading) -> Reading | None:
     return None
 
 
-def _arrays(table: ColumnTable, wanted: Reading) -> Iterator[NumberColumn]:
-    """Yield the columns without names of their numbers that may be read."""
-    for column in _allowed(table):
-        if column.size > 1 and not column.names and (wanted.arm or "").lower() in column.name.lower():
-            yield column
+def _arrays(table: ColumnTable, wanted: Reading) -> list[NumberColumn]:
+    """Return the columns without names of their numbers that may be read."""
+    arm = (wanted.arm or "").lower()
+    return [c for c in _allowed(table) if c.size > 1 and not c.names and arm in c.name.lower()]
 
 
 def _with_times(table: ColumnTable, reading: Reading) -> Reading:
@@ -231,10 +227,7 @@ def _with_times(table: ColumnTable, reading: Reading) -> Reading:
 
 def _with_units(table: ColumnTable, reading: Reading) -> Reading:
     """Return the reading with the units in which all names end, where they are not stated."""
-    names: list[str] = []
-    for name in reading.columns or ():
-        names += [name]
-    words = {_words(name)[-1] for name in names if _words(name)}
+    words = {_words(name)[-1] for name in reading.columns or () if _words(name)}
     units = {_UNITS[word] for word in words if word in _UNITS}
     lengths = units & {"m", "cm", "mm"}
     angles = units & {"rad", "deg"}

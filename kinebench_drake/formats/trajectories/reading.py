@@ -9,12 +9,12 @@ from typing import Annotated, Literal
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, field_validator
+from scipy.spatial.transform import Rotation
 
 from kinebench_drake.errors import InputError, UsageError, suggestion
 from kinebench_drake.formats.samples import MAX_PERIOD_S, MIN_PERIOD_S
-from kinebench_drake.formats.trajectories.column_table import ColumnTable
-from kinebench_drake.formats.trajectories.pose import rotations_of
-from kinebench_drake.formats.trajectories.trajectory import N_JOINTS, RawTrajectory
+from kinebench_drake.formats.trajectories.check import REPAIRABLE, ROUNDING
+from kinebench_drake.formats.trajectories.trajectory import N_JOINTS, ColumnTable, RawTrajectory, first_index
 from kinebench_drake.geometry import Array, from_quaternion, make_pose, rotation_z
 from kinebench_drake.io.jsonl import Json, read_object
 
@@ -158,19 +158,19 @@ class Reading(BaseModel):
             expected = " or ".join(map(str, LAYOUTS[layout]))
             raise InputError(f"{', '.join(names)}: {values.shape[1]} numbers per frame, {layout} has {expected}")
         repairs: tuple[str, ...] = ()
-        fingers = self.fingers
-        width = self.width
         length = LENGTHS[self.length or "m"]
-        gap = None if width is None else length * table.numbers([width])[:, 0]
-        if gap is None and fingers:
-            gap = np.asarray(2.0 * length * table.numbers(fingers).mean(axis=1))
-        q: Array | None = None
-        X_BG: Array | None = None
+        gap = None
+        if self.width is not None:
+            gap = length * table.numbers([self.width])[:, 0]
+        elif self.fingers:
+            gap = np.asarray(2.0 * length * table.numbers(self.fingers).mean(axis=1))
+        q = X_BG = None
         if layout == JOINTS:
             if gap is None and values.shape[1] == N_JOINTS + 2:
                 gap = values[:, N_JOINTS:].sum(axis=1)
             q = values[:, :N_JOINTS] * ANGLES[self.angle or "rad"]
-            q = _add_up(q, self.start or tuple(START_Q)) if self.deltas else q
+            if self.deltas:
+                q = np.cumsum(np.vstack([self.start or tuple(START_Q), q[:-1]]), axis=0)[: len(q)]
         else:
             X_WT, repairs = self._poses(values, layout)
             tool = TOOLS[self.tool] if isinstance(self.tool, str) else _pose(self.tool)
@@ -225,15 +225,65 @@ class Reading(BaseModel):
         return since * TIMES[unit]
 
 
+@np.errstate(over="ignore", invalid="ignore")
+def rotations_of(layout: str, numbers: Array, angle_rad: float) -> tuple[Array, tuple[str, ...]]:
+    """Return rotation matrices (T, 3, 3), NaN where a number is not finite, and messages about repairs.
+
+    Args:
+        layout: one of `LAYOUTS` with a rotation.
+        numbers: (T, n) numbers of the rotations.
+        angle_rad: unit of angles [rad].
+    """
+    R = np.full((len(numbers), 3, 3), np.nan)
+    finite = np.isfinite(numbers).all(axis=-1)
+    frames = np.flatnonzero(finite)
+    own = numbers[finite]
+    repairs = tuple[str, ...]()
+    if layout.startswith("quaternion"):
+        repairs = _check_norms(own, frames)
+        R[finite] = Rotation.from_quat(own, scalar_first=layout == "quaternion_wxyz").as_matrix()
+    elif layout.startswith("matrix"):
+        rows = own.reshape(-1, 3, 3)
+        R[finite] = rows if layout == "matrix_rows" else np.swapaxes(rows, -1, -2)
+    elif layout.startswith("rotation_6d"):
+        # Two axes, made orthonormal; Y. Zhou et al., CVPR 2019.
+        x = own[:, :3] / np.linalg.norm(own[:, :3], axis=-1, keepdims=True)
+        y = own[:, 3:] - np.sum(x * own[:, 3:], axis=-1, keepdims=True) * x
+        y /= np.linalg.norm(y, axis=-1, keepdims=True)
+        axes = np.stack([x, y, np.cross(x, y)], axis=-2)
+        R[finite] = axes if layout == "rotation_6d_rows" else np.swapaxes(axes, -1, -2)
+    else:
+        own = own * angle_rad
+        largest = np.abs(own).max(axis=-1, initial=0.0)
+        if (largest > 2.0 * np.pi + 1e-3).any():
+            k = int(np.argmax(largest))
+            raise InputError(
+                f"rotations go up to {largest[k]:.4g} (frame {frames[k]}), more than a full turn in radians: they look "
+                "like degrees, convert them to radians"
+            )
+        is_vector = layout == "rotation_vector"
+        turns = Rotation.from_rotvec(own) if is_vector else Rotation.from_euler(layout.removeprefix("euler_"), own)
+        R[finite] = turns.as_matrix()
+    return R, repairs
+
+
+def _check_norms(quaternions: Array, frames: NDArray[np.intp]) -> tuple[str, ...]:
+    deviation = np.abs(np.linalg.norm(quaternions, axis=-1) - 1.0)
+    if (k := first_index(~(deviation <= REPAIRABLE))) is not None:
+        raise InputError(
+            f"the quaternion of frame {frames[k]} has norm {np.linalg.norm(quaternions[k]):.4g}, expected 1; at most "
+            f"{REPAIRABLE:g} is repaired"
+        )
+    repaired = int((deviation > ROUNDING).sum())
+    message = f"{repaired} quaternions, off by up to {deviation.max(initial=0.0):.1e}, were normalized"
+    return (message,) if repaired else ()
+
+
 def _pose(numbers: tuple[float, ...] | None) -> Array:
     """Return the pose (4, 4) of x y z [m], and a quaternion wxyz if there is one."""
     if numbers is None:
         return np.eye(4)
     return from_quaternion(numbers[3:], numbers[:3]) if len(numbers) == 7 else make_pose(np.eye(3), numbers)
-
-
-def _add_up(deltas: Array, start: tuple[float, ...]) -> Array:
-    return np.cumsum(np.vstack([start, deltas[:-1]]), axis=0)[: len(deltas)]
 
 
 def frame_of(X_BG: Array, position_m: tuple[float, float, float]) -> tuple[float, ...]:

@@ -13,6 +13,7 @@ from kinebench_drake.errors import InputError
 from kinebench_drake.formats.samples import MAX_PERIOD_S, MIN_PERIOD_S
 from kinebench_drake.formats.trajectories.trajectory import (
     SLOW_STEP_S,
+    first_index,
     others_text,
     require_numbers,
 )
@@ -37,21 +38,18 @@ def check_times(array: NDArray[np.generic] | None, n: int, rate_hz: float | None
     t_s = require_numbers("t_s", array)
     if t_s.shape != (n,):
         raise InputError(f"t_s has shape {t_s.shape}, but there are {n} frames")
-    broken = ~np.isfinite(t_s)
-    if broken.any():
-        raise InputError(f"the time of frame {int(np.argmax(broken))} is {t_s[broken][0]}, expected finite seconds")
+    if (k := first_index(~np.isfinite(t_s))) is not None:
+        raise InputError(f"the time of frame {k} is {t_s[k]}, expected finite seconds")
     with np.errstate(over="ignore"):
         steps = np.diff(t_s)
     for bad, relation in ((steps < 0.0, "is before"), (steps == 0.0, "is the same as")):
-        if bad.any():
-            k = int(np.argmax(bad))
+        if (k := first_index(bad)) is not None:
             raise InputError(
                 f"the time of frame {k + 1} ({t_s[k + 1]:.6g} s) {relation} that of frame {k} ({t_s[k]:.6g} s)"
                 f"{others_text(bad)}: times must increase; sort the frames, or give $rate_hz HZ"
             )
     bad = (steps < MIN_PERIOD_S * (1.0 - 1e-6)) | (steps > MAX_PERIOD_S)
-    if bad.any():
-        k = int(np.argmax(bad))
+    if (k := first_index(bad)) is not None:
         raise InputError(
             f"frames {k} and {k + 1} are {steps[k]:.3g} s apart, expected {MIN_PERIOD_S:g} to {MAX_PERIOD_S:g} s"
             f"{others_text(bad)}: are the times in seconds? $rate_hz HZ overrides them"

@@ -7,10 +7,10 @@ import pytest
 from pyarrow import parquet
 
 from kinebench_drake.errors import InputError, UsageError
-from kinebench_drake.formats.trajectories.column_table import ColumnTable, NumberColumn
 from kinebench_drake.formats.trajectories.columns import complete
 from kinebench_drake.formats.trajectories.reading import Reading, TrajectoryOptions
 from kinebench_drake.formats.trajectories.source import find_trajectories, read_trajectory
+from kinebench_drake.formats.trajectories.trajectory import ColumnTable, NumberColumn
 from kinebench_drake.geometry import pose_difference, rotation_log
 
 NUMBERED = [f"joint_{j}" for j in range(7)]

@@ -9,8 +9,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from kinebench_drake.errors import UsageError
-from kinebench_drake.formats.trajectories.column_table import ColumnTable, NumberColumn
 from kinebench_drake.formats.trajectories.reading import EULER, LAYOUTS, START_Q, TOOLS, Reading
+from kinebench_drake.formats.trajectories.trajectory import ColumnTable, NumberColumn
 from kinebench_drake.geometry import invert, pose_difference
 from kinebench_drake.models.panda.description import hand_from_tcp, rest_q
 
