@@ -66,7 +66,7 @@ class Body:
                 joint=_depth(drake, body, depth),
                 side=float((opened[body.name()] - closed[body.name()])[:3, 3] @ self._hand_y) / _OPEN_M,
                 X_BS=closed[body.name()] @ inspector.GetPoseInFrame(geometry).GetAsMatrix4(),
-                vertices=(vertices := _vertices(inspector.GetShape(geometry))),
+                vertices=(vertices := shape_vertices(inspector.GetShape(geometry))),
                 radius=float(np.linalg.norm(vertices, axis=-1).max()),
             )
             for body in _bodies(drake)
@@ -133,7 +133,12 @@ def _about(axis: Array, point: Array, angle: Array) -> Array:
     return make_pose(R, point - R @ point)
 
 
-def _vertices(shape: Any) -> Array:
+def shape_vertices(shape: Any) -> Array:
+    """Return the corners (V, 3) of the hull of a box or a mesh in its own frame [m].
+
+    Raises:
+        InputError: the shape is neither.
+    """
     if isinstance(shape, Box):
         return np.asarray(np.array(list(product((-0.5, 0.5), repeat=3))) * shape.size())
     if isinstance(shape, Mesh | Convex):

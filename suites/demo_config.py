@@ -1,5 +1,6 @@
 """Configuration of a set of demonstrations: tasks, seeds, format and rendering."""
 
+import math
 from dataclasses import asdict, dataclass
 from enum import Enum
 from typing import Any
@@ -45,8 +46,10 @@ class RenderOptions:
         """Check the numbers of frames.
 
         Raises:
-            UsageError: the number of frames does not divide a clip's control steps.
+            UsageError: the number of frames does not divide a clip's control steps, or the rate is not finite.
         """
+        if not math.isfinite(self.fps):
+            raise UsageError(f"$fps is {self.fps}, expected a positive number")
         if self.frames not in FRAME_CHOICES:
             raise UsageError(
                 f"$frames is {self.frames}: a clip's {CLIP_STEPS} control steps can be rendered as "

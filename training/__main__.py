@@ -112,14 +112,14 @@ def calibrate(folders: tuple[Path, ...], weights: Path | None, limit: int | None
     measured.
     """
     from kinebench_drake.cli.progress import ProgressView
-    from kinebench_drake.executors.base import ExecutorKind, create_executor
+    from kinebench_drake.executors.local import LocalExecutor
     from kinebench_drake.grounding.tracking.confidence import save_confidence
     from training.calibration import ConfidenceCalibration, calibrate_confidence
 
     keep = None if out is None else out.with_name(f"{out.stem}_poses.jsonl")
     config = ConfidenceCalibration(videos=folders, weights=weights, limit=limit, keep=keep)
     with ProgressView("measurements") as view:
-        confidence, lines = calibrate_confidence(config, create_executor(ExecutorKind.LOCAL, jobs), view)
+        confidence, lines = calibrate_confidence(config, LocalExecutor(jobs=jobs), view)
     for line in lines:
         click.echo(line)
     if out is not None:

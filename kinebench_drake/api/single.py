@@ -49,6 +49,7 @@ def _tools_for(options: RobotOptions) -> Resources:
 
 @lru_cache(maxsize=4)
 def cached_resources(options: RobotOptions) -> Resources:
+    """Return the resources of a robot, loaded once."""
     return load_resources(make_resources, options)
 
 

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from pydrake.multibody.tree import BodyIndex
 
-from benchmarks.body import _vertices
+from benchmarks.body import shape_vertices
 from kinebench_drake.geometry import transform_points
 
 
@@ -26,7 +26,7 @@ def lowest_by_drake(arm, q, width, leave_out):
         if not leave_out(body.name()):
             for geometry in arm.plant.drake.GetCollisionGeometriesForBody(body):
                 X = query.GetPoseInWorld(geometry).GetAsMatrix4()
-                heights.append(transform_points(X, _vertices(inspector.GetShape(geometry)))[:, 2].min())
+                heights.append(transform_points(X, shape_vertices(inspector.GetShape(geometry)))[:, 2].min())
     return min(heights)
 
 
