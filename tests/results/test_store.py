@@ -19,28 +19,23 @@ from kinebench_drake.results.row import SampleRow, Status
 from kinebench_drake.results.store import ResultStore, read_rows
 from kinebench_drake.results.trackfile import read_track, write_track
 from kinebench_drake.track import GripperTrack
+from tests.rows import make_row, make_violation
 
 
 def row(id="a", status=Status.OK, **changes):
-    reason = None if status is Status.OK else "because"
-    return SampleRow(
-        **{
-            **{"id": id, "video": f"{id}.mp4", "task": None, "model": None, "status": status, "reason": reason},
-            **{"content_hash": "0" * 64, "feasible": True, "metrics": {"sparc": -1.5, "ldlj": float("nan")}},
-            **changes,
-        }
-    )
+    values = {"content_hash": "0" * 64, "feasible": True, "metrics": {"sparc": -1.5, "ldlj": float("nan")}}
+    return make_row(id, status, **{**values, **changes})
 
 
 def test_rows_round_trip_through_samples_jsonl_with_infinity_as_null(tmp_path):
-    violation = {"kind": "jerk", "frame_start": 1, "frame_end": 2, "joint": 3, "value": float("inf"), "limit": 1.0}
+    violation = make_violation("jerk", frame_start=1, frame_end=2, joint="3", value=float("inf"))
     first = row(extra={"frames": 9, "camera_source": "folder"}, violations=(violation,))
     with ResultStore(tmp_path) as store:
         store.append(first, 0.1)
     (read,) = read_rows(tmp_path).values()
-    assert read.extra == first.extra
-    assert read.metrics == {"sparc": -1.5, "ldlj": None}
-    assert read.violations[0]["value"] is None
+    assert (read.frames, read.camera_source) == (9, "folder")
+    assert dict(read.metrics) == {"sparc": -1.5, "ldlj": None}
+    assert np.isnan(read.violations[0].value)
     assert dump(read.to_json()) == dump(first.to_json())
 
 
@@ -61,7 +56,7 @@ def test_rows_in_memory_share_equal_strings(tmp_path):
         assert a == replace(b, id="a")
         assert [id(key) for key in a.metrics] == [id(key) for key in b.metrics]
         assert a.details["limits"]["joints"][0] is b.details["limits"]["joints"][0]
-        assert a.violations[0]["kind"] is b.violations[0]["kind"]
+        assert a.violations[0].unit is b.violations[0].unit
         assert a.content_hash is b.content_hash
 
 
@@ -97,7 +92,7 @@ def test_the_work_folder_of_a_killed_world_model_is_removed(tmp_path, overwrite)
 
 
 def test_rows_are_strict_json_without_nan():
-    assert "NaN" not in dump(row(metrics={"a": [float("nan"), {"b": float("inf")}]}).to_json())
+    assert "NaN" not in dump(row(metrics={"a": float("nan"), "b": float("inf")}).to_json())
     with pytest.raises(ValueError, match="not JSON compliant"):
         dump({"a": float("nan")})
 
