@@ -120,8 +120,8 @@ def view(out: Path, id: str, opened: bool, rerun: bool) -> None:
             hint = f"such as {', '.join(near)}" if near else "it is empty"
             raise UsageError(f"{out}: holds no sample {id!r} ({len(rows)} samples, {hint})")
         row = rows[id]
-        if isinstance(reason := row.extra.get("base_frame_reason"), str):
-            raise UsageError(f"{id}: cannot be shown with the robot, it has no base frame: {reason}")
+        if row.base_frame_reason is not None:
+            raise UsageError(f"{id}: cannot be shown with the robot, it has no base frame: {row.base_frame_reason}")
         if not artifact_path(out, "tracks", id).is_file():
             raise UsageError(f"{id}: has no track to show ({row.reason or f'tracks/{id}.npz is absent'})")
         from kinebench_drake.report.replay import write_replays

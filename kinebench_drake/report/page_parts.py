@@ -10,7 +10,6 @@ from kinebench_drake.io.atomic import write_atomically
 from kinebench_drake.report.figures import ReportFigure, write_figure
 from kinebench_drake.report.sample import relative_link
 from kinebench_drake.report.table import Table, read_caption, sort_key, table_csv, table_latex, template_environment
-from kinebench_drake.report.timeline import anomalies_of
 from kinebench_drake.report.verdict import explain_verdict, name_verdict, verdict_of
 from kinebench_drake.results.row import SampleRow
 from kinebench_drake.results.store import REPORT, artifact_path
@@ -57,7 +56,7 @@ def write_parts(
         if table.latex:
             write_atomically(out / f"{table.name}.tex", table_latex(table).encode())
     templates = template_environment()
-    templates.filters |= {"key": sort_key, "anomalies": anomalies_of}
+    templates.filters |= {"key": sort_key}
     templates.filters |= {"verdict": verdict_of, "named": name_verdict, "explanation": explain_verdict}
     text = templates.get_template(template).render(
         title=title,
