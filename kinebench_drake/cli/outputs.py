@@ -16,10 +16,6 @@ if TYPE_CHECKING:
     from kinebench_drake.kinematics.plant import ArmPlant
 
 folders_argument = click.argument("folders", metavar="DIR...", nargs=-1, required=True, type=PathParameter())
-comparison_out_option = click.option(
-    "--out", type=PathParameter(file_okay=False),
-    help="Also write report.html and tables (csv, LaTeX) to this folder.",
-)  # fmt: skip
 
 
 @click.command(epilog="\b\nExample:\n  kinebench-drake report results/")
@@ -43,7 +39,10 @@ def report(folders: tuple[Path, ...]) -> None:
     "  kinebench-drake compare runs/*/ --out comparison/"
 )
 @folders_argument
-@comparison_out_option
+@click.option(
+    "--out", type=PathParameter(file_okay=False),
+    help="Also write report.html and tables (csv, LaTeX) to this folder.",
+)  # fmt: skip
 def compare(folders: tuple[Path, ...], out: Path | None) -> None:
     """Compare the models of runs DIR of one kind, two by two, on the samples or episodes that both have.
 

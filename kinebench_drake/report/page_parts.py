@@ -73,17 +73,15 @@ def write_parts(
     return out / page
 
 
-def list_links(folder: Path | None, row: SampleRow, out: Path) -> list[tuple[str, str]]:
+def list_links(folder: Path, row: SampleRow, out: Path) -> list[tuple[str, str]]:
     """List labels and addresses of a sample's files: rollout, overlay, video, entry in the run's own report.
 
     Only for runs in the parent folder of `out` or below it: other links would reveal paths of this machine and break
     when the page is moved.
 
     Args:
-        folder: output folder of the run; None if there is none.
+        folder: output folder of the run.
     """
-    if folder is None:
-        return []
     base = folder.resolve()
     home = out.resolve()
     if not base.is_relative_to(home.parent):

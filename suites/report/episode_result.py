@@ -50,8 +50,8 @@ class EpisodeResult:
     part: SuitePart
     model: str
     """Label of the model: its name, and what distinguishes this run from its other runs."""
-    folder: Path | None
-    """Output folder of the run; None if there is none."""
+    folder: Path
+    """Output folder of the run."""
     row: SampleRow
     """Row of samples.jsonl."""
     cost_scaled: float | None = None
@@ -222,7 +222,7 @@ def tabulate_episodes(episodes: Sequence[EpisodeResult]) -> Table:
 def _row(e: EpisodeResult) -> Sequence[Value]:
     return (
         *(e.part.title, e.part.suite, e.part.split, e.row.variant, e.row.pool, e.task, e.row.seed, e.model),
-        *(e.folder.resolve().name if e.folder else None, e.row.id, e.row.status.value, e.row.reason),
+        *(e.folder.resolve().name, e.row.id, e.row.status.value, e.row.reason),
         e.row.sample_index,
         None if e.row.executable is None else int(e.row.executable),
         *(None if e.success is None else int(e.success), e.progress, e.rounds, e.verdict, e.cost_scaled),
