@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from kinebench_drake.io.figure import new_figure
+from kinebench_drake.io.figure import LABEL_PT, new_figure
 from kinebench_drake.report.figures import ReportFigure, make_figure, style
 from kinebench_drake.report.table import Column, Table, make_table
 from kinebench_drake.results.aggregate import Estimate, group_by
@@ -150,10 +150,9 @@ def draw_scaling(study: Scaling, name: str) -> ReportFigure | None:
             ax.minorticks_off()
             ax.margins(x=0.12)
             ax.set_ylim(-0.04, 1.04)
-            ax.tick_params(axis="y", labelsize=8)
-            ax.set_title(level, fontsize=9)
-            ax.set_xlabel(label, fontsize=8)
-        row[0].set_ylabel("success", fontsize=9)
+            ax.set_title(level, fontsize=LABEL_PT)
+            ax.set_xlabel(label)
+        row[0].set_ylabel("success")
         row[-1].legend(fontsize=7, frameon=False, loc="center left", bbox_to_anchor=(1.0, 0.5))
     return make_figure("scaling", figure, name=name, model=study.model)
 

@@ -9,7 +9,7 @@ from kinebench_drake.metrics.executable import FailureVerdict
 from kinebench_drake.report.figures import (
     COLOURS,
     NEUTRAL,
-    SUCCESS,
+    VERDICT_COLOURS,
     ReportFigure,
     add_legend,
     assign_numbers,
@@ -228,12 +228,8 @@ def draw_success(episodes: Sequence[EpisodeResult]) -> list[ReportFigure]:
 def draw_verdicts(episodes: Sequence[EpisodeResult]) -> ReportFigure:
     """Draw the outcomes of all episodes of every model on every part as stacked bars."""
     runs = group_by_run(episodes)
-    colours = {
-        "success": SUCCESS,
-        **dict(zip(FAILURE_CAUSES, (COLOURS[4], COLOURS[1], COLOURS[3], COLOURS[5]), strict=True)),
-        NO_VERDICT: COLOURS[8],
-        _NOT_MEASURED: NEUTRAL,
-    }
+    colours = {name: VERDICT_COLOURS[name] for name in ("success", *FAILURE_CAUSES)}
+    colours |= {NO_VERDICT: COLOURS[8], _NOT_MEASURED: NEUTRAL}
     tallies = [tally(own) for *_, own in runs]
     counts = [
         {**t.verdicts, "success": t.measured - sum(t.verdicts.values()), _NOT_MEASURED: t.unmeasurable + t.errors}
