@@ -20,13 +20,17 @@ TICK_PT = 8
 
 
 def new_figure(
-    width: float, height: float, rows: int = 1, columns: int = 1, *, layout: str = "constrained", **options: Any
+    width: float, height: float, rows: int = 1, columns: int = 1, *, arranged: bool = True, **options: Any
 ) -> "tuple[Figure, Any]":
-    """Return a figure of a size [inches] and its axes (rows, columns), drawn without a display."""
+    """Return a figure of a size [inches] and its axes (rows, columns), drawn without a display.
+
+    Args:
+        arranged: leave as much room around the axes as their texts need.
+    """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(width, height), dpi=130, layout=layout, facecolor="white")
+    figure = Figure(figsize=(width, height), dpi=130, layout="constrained" if arranged else None, facecolor="white")
     FigureCanvasAgg(figure)
     axes = figure.subplots(rows, columns, squeeze=False, **options)
     for ax in axes.flat:

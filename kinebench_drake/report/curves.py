@@ -121,7 +121,7 @@ def _draw_panels(
     heights = [_LANE_IN * len(lanes)] if bars and lanes else []
     heights += [_PANEL_IN] * len(panels)
     height = sum(heights) + _GAP_IN * len(heights) + 0.35
-    figure, axes = new_figure(_WIDTH_IN, height, len(heights), layout="none", sharex=True, height_ratios=heights)
+    figure, axes = new_figure(_WIDTH_IN, height, len(heights), arranged=False, sharex=True, height_ratios=heights)
     average = sum(heights) / len(heights)
     figure.subplots_adjust(
         left=0.17, right=0.985, top=1.0 - 0.26 / height, bottom=0.42 / height, hspace=_GAP_IN / average
