@@ -107,8 +107,8 @@ def merge(ctx: click.Context, /, folders: tuple[Path, ...], out: Path) -> None:
 def view(out: Path, id: str, opened: bool, rerun: bool) -> None:
     """Write a 3D replay of sample ID of the output folder OUT and print its path.
 
-    The replay, OUT/replays/ID.html, opens in any browser. It shows the motion of the arm, coloured by the limits that
-    it violates.
+    The replay, OUT/replays/ID.html, opens in any browser. It shows the motion of the arm, and lists the
+    violated limits with their times.
     """
     from difflib import get_close_matches
 
