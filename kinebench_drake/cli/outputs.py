@@ -53,12 +53,12 @@ def compare(folders: tuple[Path, ...], out: Path | None) -> None:
     """
     from kinebench_drake.report.run import read_runs
     from kinebench_drake.report.sample_comparison import compare_samples
-    from kinebench_drake.runs.benchmark import Comparison, load_benchmark
+    from kinebench_drake.runs.benchmark import load_benchmark
     from kinebench_drake.runs.config import RunKind
 
     runs = read_runs(folders)
     has_episodes = any(run.kind == RunKind.SUITE.value for run in runs)
-    comparison: Comparison = load_benchmark().compare(folders) if has_episodes else compare_samples(runs)
+    comparison = load_benchmark().compare(folders) if has_episodes else compare_samples(runs)
     for warning in comparison.warnings:
         echo(f"warning: {warning}", err=True)
     page = None if out is None else comparison.write(out)

@@ -1,8 +1,9 @@
 """Headline numbers of two models, compared on the samples that both have: table and text."""
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
@@ -10,6 +11,7 @@ from kinebench_drake.errors import count_noun
 from kinebench_drake.geometry import Array
 from kinebench_drake.io.jsonl import Json
 from kinebench_drake.report.metric import BY_NAME, Metric
+from kinebench_drake.report.run import check_page_folder
 from kinebench_drake.report.table import Table, Value, make_table, table_lines
 from kinebench_drake.results.aggregate import OUTCOMES, VERDICT_SHARES, Estimate, estimate
 from kinebench_drake.results.direction import LOWER_IS_BETTER
@@ -258,14 +260,6 @@ def verdict_lines(comparisons: Sequence[NumberComparison]) -> Iterator[str]:
                 yield verdict_line(c.first, c.second, c.part, name, c.paired, uppers)
 
 
-def motionless_lines(models: Mapping[str, Sequence[SampleRow]]) -> Iterator[str]:
-    """Count the motionless samples of each model, in one line; nothing if there is none."""
-    counts = {model: sum(map(is_motionless, rows)) for model, rows in models.items()}
-    if any(counts.values()):
-        shares = (f"{n} of {count_noun(len(models[model]), 'sample')} of {model}" for model, n in counts.items())
-        yield f"Motionless: {', '.join(shares)}"
-
-
 def verdict_line(
     first: str,
     second: str,
@@ -306,3 +300,40 @@ def verdict_line(
     else:
         text += "; too few samples to show any difference"
     return f"Undecided between {one} and {other}: {text}"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ModelComparison:
+    """Models of some runs, compared two by two on the samples or episodes that both have."""
+
+    rows: Mapping[str, Sequence[SampleRow]]
+    """Rows of each model."""
+    numbers: Sequence[NumberComparison]
+    pairings: Sequence[str] = ()
+    """How the samples of every two models are paired, a line each."""
+    warnings: Sequence[str]
+    """What else differs between the runs, a line each."""
+    write_page: Callable[[Path, Sequence[str]], Path]
+    """Writes page and tables to a folder, the page beginning with some lines; returns the page."""
+
+    @property
+    def leads(self) -> list[str]:
+        """The better of every two models, in success, then in executable samples; motionless samples."""
+        verdicts = list(verdict_lines(self.numbers)) or ["No sample has a verdict that would rank the models"]
+        counts = {model: sum(map(is_motionless, rows)) for model, rows in self.rows.items()}
+        shares = (f"{n} of {count_noun(len(self.rows[model]), 'sample')} of {model}" for model, n in counts.items())
+        return [*verdicts, *([f"Motionless: {', '.join(shares)}"] if any(counts.values()) else [])]
+
+    @property
+    def lines(self) -> list[str]:
+        """Text for a terminal: the better models, how samples are paired, numbers of all tasks together and of each."""
+        return [*self.leads, *self.pairings, "", *number_lines(self.numbers)]
+
+    def write(self, out: Path) -> Path:
+        """Write page and tables; return the page.
+
+        Raises:
+            UsageError: the folder is the output folder of a run.
+        """
+        check_page_folder(out)
+        return self.write_page(out, self.leads)
