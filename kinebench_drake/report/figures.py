@@ -78,13 +78,13 @@ def add_legend(figure: "Figure", labels: Sequence[str]) -> None:
     figure.legend(loc="outside upper center", ncols=columns, fontsize=8, frameon=False)
 
 
-def draw_interval(ax: Any, value: Estimate, y: float, colour: str, marker: str) -> None:
-    """Draw the mean of an estimate at height `y`, and its interval as a horizontal line."""
-    if value.mean is None:
-        return
-    if value.low is not None and value.high is not None:
-        ax.plot([value.low, value.high], [y, y], color=colour, linewidth=1.2, solid_capstyle="round")
-    ax.plot([value.mean], [y], color=colour, marker=marker, markersize=4)
+def mean_bars(estimates: Sequence[Estimate]) -> tuple[list[float], list[list[float]]]:
+    """Return the means of estimates that have one, and how far their intervals reach below and above them."""
+    means = [e.mean for e in estimates if e.mean is not None]
+    ends = [(e.low, e.high) for e in estimates if e.mean is not None]
+    below = [0.0 if low is None else mean - low for mean, (low, _) in zip(means, ends, strict=True)]
+    above = [0.0 if high is None else high - mean for mean, (_, high) in zip(means, ends, strict=True)]
+    return means, [below, above]
 
 
 def draw_intervals(
@@ -105,9 +105,10 @@ def draw_intervals(
     for k, (model, own) in enumerate(estimates.items()):
         colour, marker = style(numbers[model])
         offset = 0.62 * (0.5 - (k + 0.5) / len(estimates))
-        for row, value in own:
-            draw_interval(ax, value, rows.index(row) + offset, colour, marker)
-        ax.plot([], [], color=colour, marker=marker, markersize=4, linewidth=1.2, label=plain(shorten(model)))
+        places = [rows.index(row) + offset for row, value in own if value.mean is not None]
+        means, reach = mean_bars([value for _, value in own])
+        name = plain(shorten(model))
+        ax.errorbar(means, places, xerr=reach, fmt=marker, color=colour, markersize=4, linewidth=1.2, label=name)
     if low < 0.0:
         ax.axvline(0.0, color=FAINT, linewidth=1.2, zorder=1)
     label_shares(ax, rows, label, low)
@@ -115,25 +116,12 @@ def draw_intervals(
     return figure
 
 
-def stack_bars(
-    ax: Any, places: Sequence[int], lengths: Mapping[str, Sequence[float]], colours: Mapping[str, str], **options: Any
-) -> None:
-    """Draw stacked horizontal bars at `places` in the order of `colours`; `lengths` are by name of the colour."""
-    left = [0.0] * len(places)
-    for name, colour in colours.items():
-        if any(lengths[name]):
-            ax.barh(places, lengths[name], left=left, color=colour, **{"label": name, **options})
-            left = [a + b for a, b in zip(left, lengths[name], strict=True)]
-
-
 def label_shares(ax: Any, rows: Sequence[str], label: str, low: float = 0.0) -> None:
     """Name the rows of a chart, from bottom to top, and label its horizontal axis, from `low` to 1, in percent."""
     from matplotlib.ticker import PercentFormatter
 
     ax.set_yticks(range(len(rows)), [plain(row) for row in rows])
-    ax.set_ylim(-0.6, len(rows) - 0.4)
-    ax.set_xlabel(label)
-    ax.set_xlim(low - 0.02, 1.02)
+    ax.set(xlabel=label, xlim=(low - 0.02, 1.02), ylim=(-0.6, len(rows) - 0.4))
     ax.xaxis.set_major_formatter(PercentFormatter(xmax=1.0, decimals=0))
 
 

@@ -114,7 +114,7 @@ def find_peaks(row: SampleRow, file: TrackFile | None) -> list[LimitPeak]:
         row: violations and details; the checks in `details` take precedence over the curves of the file.
         file: the track; None if there is none: violations then have frames instead of times.
     """
-    violations = [_violation_peak(v, file.track.t_s if file else None) for v in row.violations]
+    violations = [locate_fault(v, file.track.t_s if file else None) for v in row.violations]
     kinds = {peak.kind for peak in violations}
     others = [peak for peak in _unbroken_peaks(row, file) if peak.kind not in kinds] if file else []
     return violations + sorted(others, key=lambda peak: 0.0 if peak.ratio is None else -peak.ratio)
@@ -131,7 +131,7 @@ def find_checks(details: Mapping[str, Json]) -> dict[str, Mapping[str, Json]]:
 
 def describe_violation(violation: Mapping[str, Json]) -> str:
     """Describe a violation of a row in a clause: kind, joint, value and limit with their unit, frames."""
-    peak = _violation_peak(violation, None)
+    peak = locate_fault(violation, None)
     joint = "" if peak.joint is None else f" of {peak.joint}"
     numbers = "" if None in (peak.value, peak.limit) else f", {peak.value:.4g} {peak.unit} (limit {peak.limit:.4g})"
     return f"{peak.label}{joint}{numbers}, {peak.when}"
@@ -143,7 +143,8 @@ def in_unit(kind: str, value: float) -> tuple[float, str]:
     return value * factor, unit
 
 
-def _violation_peak(v: Mapping[str, Json], t_s: Array | None) -> LimitPeak:
+def locate_fault(v: Mapping[str, Json], t_s: Array | None) -> LimitPeak:
+    """Return the worst moment of a violation, or of an anomaly, which has no value and no limit."""
     kind = str(v.get("kind"))
     start = v.get("frame_start")
     end = v.get("frame_end")

@@ -2,7 +2,6 @@
 
 from collections import Counter
 from collections.abc import Callable, Hashable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -22,22 +21,14 @@ _FILES = {"rollout": "rollouts", "overlay": "overlays"}
 """Labels of links, and the artifacts that they lead to."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class MissingPart:
-    """A table or figure that cannot be made."""
-
-    title: str
-    needs: str
-    """Data that would be needed."""
-
-
-def make_missing(key: str, **values: object) -> MissingPart:
-    """Name what a part of captions.toml needs, with `values` in its placeholders."""
+def make_missing(key: str, **values: object) -> str:
+    """Name a part of captions.toml that cannot be made, and what it needs, with `values` in its placeholders."""
     texts = read_caption("missing", key, **values)
-    return MissingPart(title=texts["title"], needs=texts["needs"])
+    return f"{texts['title']}: {texts['needs']}"
 
 
-Part = Table | ReportFigure | MissingPart
+Part = Table | ReportFigure | str
+"""A table, a figure, or the text in place of a part that cannot be made."""
 
 
 def write_parts(
@@ -64,9 +55,9 @@ def write_parts(
         parts=[
             (part, write_figure(part, out) if isinstance(part, ReportFigure) else None)
             for part in parts
-            if not isinstance(part, MissingPart)
+            if not isinstance(part, str)
         ],
-        missing=[part for part in parts if isinstance(part, MissingPart)],
+        missing=[part for part in parts if isinstance(part, str)],
         first=200,  # samples in its list until all are requested
         **context,
     )

@@ -1,7 +1,7 @@
 """3D replay of one track: a self-contained Meshcat page."""
 
 import logging
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,10 +15,10 @@ from pydrake.multibody.tree import BodyIndex
 from kinebench_drake.errors import SetupError, UnmeasurableError, UsageError, cause
 from kinebench_drake.geometry import Array
 from kinebench_drake.io.atomic import write_atomically
-from kinebench_drake.io.jsonl import Json, as_object
+from kinebench_drake.io.jsonl import as_object
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.models.panda.cad import simplify
-from kinebench_drake.report.limit_table import to_number
+from kinebench_drake.report.limit_table import locate_fault, to_number
 from kinebench_drake.report.replay_scene import PATH_COLOR, LinkMesh, draw_scene, pose_links, posed_frames
 from kinebench_drake.report.run import read_results
 from kinebench_drake.report.table import template_environment
@@ -120,7 +120,7 @@ def _add_controls(html: str, row: SampleRow, file: TrackFile) -> str:
     controls = panel.render(
         id=row.id,
         verdict=describe_verdict(row),
-        faults=[_describe(fault, t_s) for fault in (*row.violations, *anomalies_of(row))],
+        faults=[locate_fault(fault, t_s) for fault in (*row.violations, *anomalies_of(row))],
         start=float(t_s[0]),
         duration=float(t_s[-1] - t_s[0]),
         has_arm=bool(finite_rows(file.q).any()),
@@ -130,15 +130,6 @@ def _add_controls(html: str, row: SampleRow, file: TrackFile) -> str:
     html = html.replace("<title>Drake MeshCat</title>", f"<title>{escape(row.id)} · kinebench-drake</title>", 1)
     before, end, after = html.rpartition("</body>")
     return before + controls + end + after
-
-
-def _describe(fault: Mapping[str, Json], t_s: Array) -> tuple[str, float]:
-    """Return the text of a fault, and its start after the track's start [s]."""
-    start, end = (fault.get(key) for key in ("frame_start", "frame_end"))
-    first, last = (min(max(k, 0), len(t_s) - 1) if isinstance(k, int) else 0 for k in (start, end))
-    joint = f", {fault['joint']}" if fault.get("joint") is not None else ""
-    span = f"{t_s[first]:.2f}" if first == last else f"{t_s[first]:.2f} to {t_s[last]:.2f}"
-    return f"{str(fault.get('kind')).replace('_', ' ')}{joint}: {span} s", float(t_s[first] - t_s[0])
 
 
 def link_meshes(plant: ArmPlant) -> tuple[LinkMesh, ...]:

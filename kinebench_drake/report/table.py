@@ -67,18 +67,6 @@ class Table:
     patterns: tuple[str, ...] = ()
     """Format of each row's estimates where rows are different quantities; empty: the columns' formats."""
 
-    def __post_init__(self) -> None:
-        """Check that every row has as many cells as there are columns, and a format if any row has one.
-
-        Raises:
-            ValueError: it has not.
-        """
-        if self.patterns and len(self.patterns) != len(self.rows):
-            raise ValueError(f"table {self.name}: {len(self.patterns)} formats of {len(self.rows)} rows")
-        for row in self.rows:
-            if len(row) != len(self.columns):
-                raise ValueError(f"table {self.name}: a row of {len(row)} cells under {len(self.columns)} columns")
-
     @property
     def numeric(self) -> list[bool]:
         """True for each column that holds no text."""

@@ -239,11 +239,9 @@ def draw_correlation(episodes: Sequence[EpisodeResult], study: CorrelationStudy)
     left, right = axes[0]
     for part, model, metric, success in points:
         left.scatter(metric, success, **marks(model, part), s=20, alpha=0.7)
-    left.set_ylim(-0.04, 1.04)
-    left.set_ylabel("success of a task")
-    left.set_xlabel(f"mean {predictor.label} of a task ({predictor.side})")
-    right.set_xlabel(f"task-balanced mean {predictor.label}")
-    right.set_ylabel("success, standardised within tasks [sd]")
+    metric_label = f"mean {predictor.label} of a task ({predictor.side})"
+    left.set(ylim=(-0.04, 1.04), xlabel=metric_label, ylabel="success of a task")
+    right.set(xlabel=f"task-balanced mean {predictor.label}", ylabel="success, standardised within tasks [sd]")
     right.axhline(0.0, color=FAINT, linewidth=1.0)
     for point in study.points:
         right.scatter(point.metric, point.success, **marks(labels[point.model], point.part), s=42)

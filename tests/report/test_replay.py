@@ -146,8 +146,8 @@ def test_the_gripper_alone_is_shown_without_joint_angles(build, track, tmp_path)
 def test_faults_are_listed_with_their_times(build, file):
     page = build(row(), file)
     assert re.findall(r'data-time="([\d.]+)">([^<]*)<', page) == [
-        ("0.4", "velocity, panda_joint4: 0.40 to 0.60 s"),
-        ("1.6", "unreachable: 1.60 s"),
+        ("0.4", "velocity, panda_joint4: 0.40 to 0.60 s (frames 2 to 3)"),
+        ("1.6", "unreachable: 1.60 s (frame 8)"),
     ]
 
 
