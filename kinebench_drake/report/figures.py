@@ -37,6 +37,9 @@ _THEME = {
     **{_SUCCESS: "accent", DOUBT: "amber", "#8a4fb5": "c3", "#a3842b": "c4", "#c04a80": "c5"},
 }
 """Variables of a page's style sheet in place of drawn colours: they follow the colour scheme of the reader."""
+_MARK_IN = 0.45
+_LETTER_IN = 0.075
+"""Widths of a mark in a legend, and of a letter of its label [inches]."""
 _PX_PER_POINT = 1.5
 """Size of figures on a page [px of CSS / point]."""
 _LEAST_SIZE = 0.7
@@ -73,7 +76,7 @@ def assign_numbers(models: Sequence[str], here: Sequence[str]) -> dict[str, int]
 
 def add_legend(figure: "Figure", labels: Sequence[str]) -> None:
     """Put a legend above a figure, in as many columns as fit."""
-    width = 0.45 + 0.075 * max(map(len, labels), default=0)  # inches per label with its mark
+    width = _MARK_IN + _LETTER_IN * max(map(len, labels), default=0)
     columns = max(1, min(5, int(figure.get_figwidth() / width)))
     figure.legend(loc="outside upper center", ncols=columns, fontsize=8, frameon=False)
 

@@ -51,6 +51,8 @@ RANKING = ("success", "executable")
 """Shares by which models are ranked; open ones count as no, and as yes in `upper`."""
 _PRINTED = ("first_mean", "second_mean", "difference", "complete", "p", "p_adjusted")
 """Keys of the columns printed to a terminal, after that of the row."""
+_TERMINAL_LETTERS = 12
+"""Letters of a model's name in a heading on a terminal, which has about 100 columns."""
 RowPair = tuple[SampleRow, SampleRow]
 RowsPair = tuple[Sequence[SampleRow], Sequence[SampleRow]]
 """Rows of the same episode by two models, one or several samples each."""
@@ -243,7 +245,7 @@ def number_lines(comparisons: Sequence[NumberComparison]) -> Iterator[str]:
     whole = [c for c in comparisons if c.task == ALL_TASKS]
     tasks = [c for c in comparisons if c.task != ALL_TASKS and c.metric.name == "success"]
     for key, own in (("number", whole), ("task", tasks)):
-        for table in tabulate_numbers(own).by_pair(12):  # letters of a model's name: a terminal has 100 columns
+        for table in tabulate_numbers(own).by_pair(_TERMINAL_LETTERS):
             if table.rows:
                 yield table.title
                 yield from table_lines(table.select((key, *_PRINTED), range(len(table.rows))))

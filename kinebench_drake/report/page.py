@@ -43,6 +43,8 @@ PICTURED = 100
 make it slow to open."""
 DRAWN = 50
 """Samples, the worst first, whose curves are on the page: those of one take a quarter of a second to draw."""
+_HEAD = 2048
+"""Characters at the beginning of a page that hold its stamp."""
 LISTED = 1000
 """Samples in the table."""
 
@@ -75,7 +77,7 @@ def is_report_current(out: Path) -> bool:
     try:
         written = path.stat().st_mtime_ns
         with path.open(errors="replace") as page:
-            head = page.read(2048)  # characters at the beginning of the page that hold its stamp
+            head = page.read(_HEAD)
         folders = [folder for kind in ARTIFACTS if (folder := out / kind).is_dir()]
         return _stamp(out) in head and all(folder.stat().st_mtime_ns < written for folder in folders)
     except OSError:

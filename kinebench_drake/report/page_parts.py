@@ -1,7 +1,8 @@
 """Pages made of tables and figures about several runs, and these tables and figures as files."""
 
-from collections import Counter
-from collections.abc import Callable, Hashable, Sequence
+from collections import defaultdict
+from collections.abc import Callable, Hashable, Iterator, Sequence
+from itertools import count
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -17,6 +18,8 @@ from kinebench_drake.results.store import REPORT, artifact_path
 Item = TypeVar("Item")
 LISTED = 2000
 """Samples on a page: more would make it slow to open."""
+FIRST = 200
+"""Samples that the list of a page shows until all are requested."""
 _FILES = {"rollout": "rollouts", "overlay": "overlays"}
 """Labels of links, and the artifacts that they lead to."""
 
@@ -58,7 +61,7 @@ def write_parts(
             if not isinstance(part, str)
         ],
         missing=[part for part in parts if isinstance(part, str)],
-        first=200,  # samples in its list until all are requested
+        first=FIRST,
         **context,
     )
     write_atomically(out / page, text.encode())
@@ -94,11 +97,7 @@ def list_links(folder: Path | None, row: SampleRow, out: Path) -> list[tuple[str
 
 def choose_listed(items: Sequence[Item], group: Callable[[Item], Hashable], good: Callable[[Item], bool]) -> list[Item]:
     """Choose LISTED samples, those that are not good first, evenly over the groups."""
-    counts = Counter[Hashable]()
-    turns = []
-    for index, item in enumerate(items):
-        key = (group(item), good(item))
-        turns.append((good(item), counts[key], index))
-        counts[key] += 1
-    chosen = sorted(turns)[:LISTED]
-    return [items[index] for _, index in sorted((is_good, index) for is_good, _, index in chosen)]
+    places = defaultdict[Hashable, Iterator[int]](count)
+    turns = [(good(item), next(places[group(item), good(item)])) for item in items]
+    chosen = sorted(range(len(items)), key=turns.__getitem__)[:LISTED]
+    return [items[k] for k in sorted(chosen, key=lambda k: (turns[k][0], k))]

@@ -24,6 +24,8 @@ from kinebench_drake.results.trackfile import TrackFile, read_track
 from kinebench_drake.segments import segments
 
 _RANK = {verdict: rank for rank, verdict in enumerate(VERDICT_LABELS)}
+_ROUNDING = 1e-6
+"""Noise below which it is a rounding error [m], [rad]."""
 _MAX_VIOLATIONS = 20
 """Violations that a sample's table lists, the first ones by cause."""
 VIDEOS = {"rollouts": "Generated and executed, side by side", "overlays": "Video with the gripper's pose drawn on it"}
@@ -176,8 +178,9 @@ def _noise(row: SampleRow) -> str | None:
     noise = as_object(row.details.get("noise"))
     units = {"position_m": (1000.0, "mm"), "rotation_rad": (180.0 / np.pi, "°")}
     values = {name: value for name in units if (value := to_number(noise.get(name))) is not None}
-    # Values below a micrometre or a microradian are rounding errors.
-    text = ", ".join(f"{units[name][0] * v if v >= 1e-6 else 0:.4g} {units[name][1]}" for name, v in values.items())
+    text = ", ".join(
+        f"{units[name][0] * v if v >= _ROUNDING else 0:.4g} {units[name][1]}" for name, v in values.items()
+    )
     if not text:
         return None
     return f"{text} (assumed: the track is too short for an estimate)" if noise.get("assumed") is True else text

@@ -18,6 +18,8 @@ from kinebench_drake.suites.report.pooling import model_of
 
 MIN_POINTS = 3
 """Points needed: two are always in perfect order."""
+_MIN_TASKS = 2
+"""Tasks needed for an interval, which resamples them."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -109,7 +111,7 @@ class CorrelationStudy:
         defined = bool(np.isfinite(rho))
         low = None
         high = None
-        if defined and tasks >= 2:  # tasks needed for an interval, which resamples them
+        if defined and tasks >= _MIN_TASKS:
             low, high = percentile_interval(_rho(x, y, resampled_counts(tasks, np.random.default_rng(0))))
             low, high = (low, high) if high - low > 1e-12 else (None, None)
         return Estimate(mean=rho if defined else None, low=low, high=high, n=points, total=points), tasks
