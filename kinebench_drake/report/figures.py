@@ -169,6 +169,7 @@ def _inline(svg: str, title: str) -> Markup:
         body = body.replace(drawn, f"var(--{themed})")
     box = re.search(r'viewBox="0 0 ([\d.]+) [\d.]+"', body)
     width = float(box[1]) * _PX_PER_POINT if box else 0.0
-    size = f'{box[0]} width="{width:.0f}" style="min-width: {_LEAST_SIZE * width:.0f}px"' if box else ""
+    bounds = f"min-width: {_LEAST_SIZE * width:.0f}px; max-width: min(100%, {width:.0f}px)"
+    size = f'{box[0]} width="{width:.0f}" style="{bounds}"' if box else ""
     head = f'<svg {size} role="img" aria-label="{escape(title)}">'
     return Markup(re.sub(r"<svg[^>]*>", lambda _: head, body, count=1))

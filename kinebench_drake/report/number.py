@@ -20,6 +20,7 @@ from kinebench_drake.results.power import episodes_to_decide, least_difference
 from kinebench_drake.results.row import SampleRow, Status
 from kinebench_drake.stats import (
     CONFIDENCE,
+    IntervalEstimate,
     PairedShares,
     adjust_p_values,
     paired_mean_difference,
@@ -206,9 +207,13 @@ def _difference(values: Array, total: int, share: bool) -> Estimate:
         return Estimate(mean=None, low=None, high=None, n=0, total=total)
     if share:
         return share_difference(PairedShares(first=values[:, 0], second=values[:, 1]), total)
-    value = paired_mean_difference(values[:, 0], values[:, 1], np.random.default_rng(0))
-    low, high = (None if math.isnan(end) else end for end in (value.low, value.high))
-    return Estimate(mean=value.value, low=low, high=high, n=n, total=total)
+    return to_estimate(paired_mean_difference(values[:, 0], values[:, 1], np.random.default_rng(0)), n, total)
+
+
+def to_estimate(value: IntervalEstimate, n: int, total: int) -> Estimate:
+    """Return a figure as an estimate over n of some samples, NaN as None."""
+    mean, low, high = (None if math.isnan(v) else v for v in (value.value, value.low, value.high))
+    return Estimate(mean=mean, low=low, high=high, n=n, total=total)
 
 
 def share_difference(paired: PairedShares, total: int | None = None) -> Estimate:
