@@ -11,6 +11,7 @@ from kinebench_drake.report.histogram import count_values
 from kinebench_drake.report.metric import BY_NAME
 from kinebench_drake.report.timeline import fault_lanes
 from kinebench_drake.results.aggregate import estimate
+from tests.report.conftest import LIMITS
 from tests.report.pages import EVIL, Page
 
 
@@ -79,12 +80,16 @@ def texts(figure):
 
 
 def test_figures_name_faults_quantities_and_units(judged, file):
-    row = judged(violations=({"kind": EVIL, "frame_start": 2, "frame_end": 4, "joint": None},))
+    row = judged(violations=({"kind": "velocity", "frame_start": 2, "frame_end": 4, "joint": None},))
     joints, motion = draw_curves(row, file())
     assert {"Faults", "Joint angle, limits at ±1", "Joint speed / limit", "time [s]"} <= {*texts(joints)}
     assert {"Clearance [mm]", "TCP position in the base frame [m]", "time [s]"} <= {*texts(motion)}
     assert "".join(texts(joints)).count("1234567") == 1
-    for figure in (joints, motion):
+
+
+def test_drawings_are_safe_parts_of_a_page(judged, file):
+    names = [f"{EVIL} of joint {k}." for k in range(7)]
+    for figure in draw_curves(judged(details={"limits": {**LIMITS, "joints": names}}), file()):
         assert Page(figure).open == []
         assert EVIL not in figure
         assert not re.search(r"https?://", figure)
