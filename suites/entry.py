@@ -12,8 +12,8 @@ if TYPE_CHECKING:
     from kinebench_drake.environment.doctor import Check
     from kinebench_drake.geometry import Array
     from kinebench_drake.report.leaderboard import Ranking
+    from kinebench_drake.report.number import ModelComparison
     from kinebench_drake.results.row import SampleRow
-    from kinebench_drake.runs.benchmark import Comparison
     from kinebench_drake.runs.runner import RunObserver, RunSummary
 
 
@@ -42,7 +42,7 @@ def _start_q(task: str, seed: int) -> "Array | None":
     return start_q(task, seed) if task in START_WIDTH_M else None
 
 
-def _compare(folders: Sequence[Path]) -> "Comparison":
+def _compare(folders: Sequence[Path]) -> "ModelComparison":
     from kinebench_drake.suites.report.comparison import read_comparison
 
     return read_comparison(folders)

@@ -52,12 +52,12 @@ def compare(folders: tuple[Path, ...], out: Path | None) -> None:
     """
     from kinebench_drake.report.run import read_runs
     from kinebench_drake.report.sample_comparison import compare_samples
-    from kinebench_drake.runs.benchmark import Comparison, load_benchmark
+    from kinebench_drake.runs.benchmark import load_benchmark
     from kinebench_drake.runs.config import RunKind
 
     runs = read_runs(folders)
     has_episodes = any(run.kind == RunKind.SUITE.value for run in runs)
-    comparison: Comparison = load_benchmark().compare(folders) if has_episodes else compare_samples(runs)
+    comparison = load_benchmark().compare(folders) if has_episodes else compare_samples(runs)
     for warning in comparison.warnings:
         echo(f"warning: {warning}", err=True)
     page = None if out is None else comparison.write(out)
@@ -106,8 +106,8 @@ def merge(ctx: click.Context, /, folders: tuple[Path, ...], out: Path) -> None:
 def view(out: Path, id: str, opened: bool, rerun: bool) -> None:
     """Write a 3D replay of sample ID of the output folder OUT and print its path.
 
-    The replay, OUT/replays/ID.html, opens in any browser. It shows the motion of the arm, coloured by the limits that
-    it violates.
+    The replay, OUT/replays/ID.html, opens in any browser. It shows the motion of the arm, and lists the
+    violated limits with their times.
     """
     from difflib import get_close_matches
 

@@ -74,15 +74,12 @@ def verify(ctx: click.Context, /, file: Path, samples: int, videos: Path | None,
 @click.argument("files", metavar="FILE.zip...", nargs=-1, required=True, type=PathParameter())
 @click.option("--out", type=PathParameter(file_okay=False), required=True, help="Folder to write to.")
 def leaderboard(files: tuple[Path, ...], out: Path) -> None:
-    """Rank the models of bundles of one kind: a static page, index.html, with its tables (csv, LaTeX) and result cards.
+    """Rank the models of bundles of one kind: a static page, index.html, with its tables (csv, LaTeX).
 
     Success is corrected by that of the oracle, if there is its bundle with the same episodes. Executable shares have
-    a lower and an upper bound; models are compared by paired tests. cards/ has a card of each model for every-eval-ever
-    (json), and for .eval_results of the Hugging Face Hub (yaml) if the run has the tag dataset=ORG/NAME or read a data
-    set there.
+    a lower and an upper bound; models are compared by paired tests.
     """
     from kinebench_drake.report.leaderboard import write_leaderboard
     from kinebench_drake.runs.benchmark import load_benchmark
 
-    for path in write_leaderboard(files, out, load_benchmark().rank):
-        echo(path)
+    echo(write_leaderboard(files, out, load_benchmark().rank))

@@ -1,4 +1,4 @@
-"""Matplotlib figures written to files without a display."""
+"""Matplotlib figures of one style, written to files without a display."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,20 +12,34 @@ POSITION = "#1f6fb2"
 ROTATION = "#c4622d"
 FAINT = "#b8bec4"
 """Colours of position, of rotation, and of background elements."""
+GRID = "#e6e8ea"
+"""Colour of grid lines."""
+LABEL_PT = 9
+TICK_PT = 8
+"""Sizes of the text beside an axis and at its ticks [points]."""
 
 
-def new_figure(width: float, height: float, rows: int = 1, columns: int = 1, **options: Any) -> "tuple[Figure, Any]":
-    """Return a figure of a size [inches] and its axes (rows, columns), drawn without a display."""
+def new_figure(
+    width: float, height: float, rows: int = 1, columns: int = 1, *, arranged: bool = True, **options: Any
+) -> "tuple[Figure, Any]":
+    """Return a figure of a size [inches] and its axes (rows, columns), drawn without a display.
+
+    Args:
+        arranged: leave as much room around the axes as their texts need.
+    """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(width, height), dpi=130, layout="constrained", facecolor="white")
+    figure = Figure(figsize=(width, height), dpi=130, layout="constrained" if arranged else None, facecolor="white")
     FigureCanvasAgg(figure)
     axes = figure.subplots(rows, columns, squeeze=False, **options)
     for ax in axes.flat:
         ax.spines[["top", "right"]].set_visible(False)
-        ax.grid(True, color="#e6e8ea", linewidth=0.7)
+        ax.grid(True, color=GRID, linewidth=0.7)
         ax.set_axisbelow(True)
+        ax.tick_params(labelsize=TICK_PT)
+        ax.xaxis.label.set_size(LABEL_PT)
+        ax.yaxis.label.set_size(LABEL_PT)
     return figure, axes
 
 

@@ -1,5 +1,6 @@
-"""Matplotlib figures of reports as files and as parts of pages."""
+"""Matplotlib figures of reports, as files and as parts of pages."""
 
+import io
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -8,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 from markupsafe import Markup, escape
 
-from kinebench_drake.io.atomic import atomic_path
-from kinebench_drake.io.figure import FAINT, new_figure, plain, save, shorten
+from kinebench_drake.io.atomic import write_atomically
+from kinebench_drake.io.figure import FAINT, GRID, new_figure, plain, save, shorten
 from kinebench_drake.report.table import read_caption
 from kinebench_drake.results.aggregate import Estimate
 
@@ -19,10 +20,30 @@ if TYPE_CHECKING:
 COLOURS = ("#2f7fc1", "#d06a2a", "#2a9d7f", "#9b62c4", "#b3902f", "#cf5a8e", "#7a8794", "#4f9bd9", "#a65a5a", "#5f8f3e")
 """Colours that can be distinguished on a light and on a dark background."""
 _MARKERS = "os^Dv<>PX*"
-SUCCESS = "#2563ab"
+INK = "#000000"
+BAD = "#c2361c"
+DOUBT = "#d99200"
 NEUTRAL = "#9aa5b1"
-_THEME = {"#000000": "var(--ink)", "#ffffff": "var(--card)", "#e6e8ea": "var(--line)", "#b8bec4": "var(--faint)"}
-"""Replacements of drawn colours on a page."""
+_GOOD = "#1b7f4b"
+_SUCCESS = "#2563ab"
+_WARN = "#9a6700"
+VERDICT_COLOURS = {
+    **{"success": _SUCCESS, "executable": _GOOD, "feasible": _SUCCESS, "infeasible": BAD, "error": BAD},
+    **{"grounding": "#a3842b", "generation": BAD, "execution": "#8a4fb5", "task": "#c04a80", "unmeasurable": _WARN},
+}
+"""Colours of the verdicts; that of the others is NEUTRAL."""
+_THEME = {
+    **{INK: "ink", "#ffffff": "card", GRID: "line", FAINT: "faint", _GOOD: "good", BAD: "bad", _WARN: "warn"},
+    **{_SUCCESS: "accent", DOUBT: "amber", "#8a4fb5": "c3", "#a3842b": "c4", "#c04a80": "c5"},
+}
+"""Variables of a page's style sheet in place of drawn colours: they follow the colour scheme of the reader."""
+_MARK_IN = 0.45
+_LETTER_IN = 0.075
+"""Widths of a mark in a legend, and of a letter of its label [inches]."""
+_PX_PER_POINT = 1.5
+"""Size of figures on a page [px of CSS / point]."""
+_LEAST_SIZE = 0.7
+"""Share of that size below which a figure scrolls instead of getting smaller: its text would be hard to read."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -55,18 +76,18 @@ def assign_numbers(models: Sequence[str], here: Sequence[str]) -> dict[str, int]
 
 def add_legend(figure: "Figure", labels: Sequence[str]) -> None:
     """Put a legend above a figure, in as many columns as fit."""
-    width = 0.45 + 0.075 * max(map(len, labels), default=0)  # inches per label with its mark
+    width = _MARK_IN + _LETTER_IN * max(map(len, labels), default=0)
     columns = max(1, min(5, int(figure.get_figwidth() / width)))
     figure.legend(loc="outside upper center", ncols=columns, fontsize=8, frameon=False)
 
 
-def draw_interval(ax: Any, value: Estimate, y: float, colour: str, marker: str) -> None:
-    """Draw the mean of an estimate at height `y`, and its interval as a horizontal line."""
-    if value.mean is None:
-        return
-    if value.low is not None and value.high is not None:
-        ax.plot([value.low, value.high], [y, y], color=colour, linewidth=1.2, solid_capstyle="round")
-    ax.plot([value.mean], [y], color=colour, marker=marker, markersize=4)
+def mean_bars(estimates: Sequence[Estimate]) -> tuple[list[float], list[list[float]]]:
+    """Return the means of estimates that have one, and how far their intervals reach below and above them."""
+    means = [e.mean for e in estimates if e.mean is not None]
+    ends = [(e.low, e.high) for e in estimates if e.mean is not None]
+    below = [0.0 if low is None else mean - low for mean, (low, _) in zip(means, ends, strict=True)]
+    above = [0.0 if high is None else high - mean for mean, (_, high) in zip(means, ends, strict=True)]
+    return means, [below, above]
 
 
 def draw_intervals(
@@ -87,9 +108,10 @@ def draw_intervals(
     for k, (model, own) in enumerate(estimates.items()):
         colour, marker = style(numbers[model])
         offset = 0.62 * (0.5 - (k + 0.5) / len(estimates))
-        for row, value in own:
-            draw_interval(ax, value, rows.index(row) + offset, colour, marker)
-        ax.plot([], [], color=colour, marker=marker, markersize=4, linewidth=1.2, label=plain(shorten(model)))
+        places = [rows.index(row) + offset for row, value in own if value.mean is not None]
+        means, reach = mean_bars([value for _, value in own])
+        name = plain(shorten(model))
+        ax.errorbar(means, places, xerr=reach, fmt=marker, color=colour, markersize=4, linewidth=1.2, label=name)
     if low < 0.0:
         ax.axvline(0.0, color=FAINT, linewidth=1.2, zorder=1)
     label_shares(ax, rows, label, low)
@@ -97,56 +119,57 @@ def draw_intervals(
     return figure
 
 
-def stack_bars(
-    ax: Any, places: Sequence[int], lengths: Mapping[str, Sequence[float]], colours: Mapping[str, str], **options: Any
-) -> None:
-    """Draw stacked horizontal bars at `places` in the order of `colours`; `lengths` are by name of the colour."""
-    left = [0.0] * len(places)
-    for name, colour in colours.items():
-        if any(lengths[name]):
-            ax.barh(places, lengths[name], left=left, color=colour, **{"label": name, **options})
-            left = [a + b for a, b in zip(left, lengths[name], strict=True)]
-
-
 def label_shares(ax: Any, rows: Sequence[str], label: str, low: float = 0.0) -> None:
     """Name the rows of a chart, from bottom to top, and label its horizontal axis, from `low` to 1, in percent."""
     from matplotlib.ticker import PercentFormatter
 
-    ax.set_yticks(range(len(rows)), [plain(row) for row in rows], fontsize=8)
-    ax.set_ylim(-0.6, len(rows) - 0.4)
-    ax.set_xlabel(label, fontsize=9)
-    ax.set_xlim(low - 0.02, 1.02)
+    ax.set_yticks(range(len(rows)), [plain(row) for row in rows])
+    ax.set(xlabel=label, xlim=(low - 0.02, 1.02), ylim=(-0.6, len(rows) - 0.4))
     ax.xaxis.set_major_formatter(PercentFormatter(xmax=1.0, decimals=0))
-    ax.tick_params(axis="x", labelsize=8)
 
 
 def write_figure(figure: ReportFigure, folder: Path) -> Markup:
     """Write a figure as png and svg, always the same bytes; returns it as markup for a page."""
+    save(figure.figure, folder / f"{figure.name}.png")
+    drawing = _draw_svg(figure.figure, figure.name)
+    write_atomically(folder / f"{figure.name}.svg", drawing.encode())
+    return _inline(drawing, figure.title)
+
+
+def inline_figure(figure: "Figure", name: str, title: str) -> Markup:
+    """Return a figure as markup for a page, always the same.
+
+    Args:
+        name: unique on the page.
+        title: its description for readers who do not see it.
+    """
+    return _inline(_draw_svg(figure, name), title)
+
+
+def _draw_svg(figure: "Figure", name: str) -> str:
+    """Return the drawing as svg with texts as texts; its ids are hashes of the name and of what they stand for."""
     from matplotlib import rc_context
 
-    path = folder / f"{figure.name}.svg"
-    save(figure.figure, path.with_suffix(".png"))
-    with rc_context({"svg.hashsalt": figure.name}), atomic_path(path) as part:
-        figure.figure.savefig(part, format="svg", metadata={"Date": None})
-    return Markup(inline_svg(path.read_text(encoding="utf-8"), figure.name, figure.title))
+    drawing = io.StringIO()
+    with rc_context({"svg.hashsalt": name, "svg.fonttype": "none"}):
+        figure.savefig(drawing, format="svg", metadata={"Date": None})
+    return drawing.getvalue()
 
 
-def inline_svg(svg: str, name: str, title: str) -> str:
-    """Convert a drawing to a part of an html page: unique ids, the page's colours, no external addresses."""
+def _inline(svg: str, title: str) -> Markup:
+    """Convert a drawing to a part of an html page: its fonts and colours, no external addresses, short numbers."""
     body = svg[svg.index("<svg") :]
-    name = re.sub(r"[^\w.-]", "_", name)
-    body = re.sub(r"<metadata>.*?</metadata>", "", body, flags=re.DOTALL)
-    body = re.sub(r"<style[^>]*>.*?</style>", "", body, flags=re.DOTALL)
-    body = re.sub(r"<!--.*?-->", "", body, flags=re.DOTALL)
+    body = re.sub(r"<(metadata|style)\b.*?</\1>|<!--.*?-->", "", body, flags=re.DOTALL)
     body = re.sub(r'(<g) id="[^"]*"', r"\1", body)
-    body = re.sub(r'\bid="([^"]*)"', rf'id="{name}-\1"', body)
-    body = re.sub(r'xlink:href="#([^"]*)"', rf'href="#{name}-\1"', body)
-    body = re.sub(r"url\(#([^)]*)\)", rf"url(#{name}-\1)", body)
+    body = body.replace("xlink:href", "href")
+    body = re.sub(r"; font-family: [^;\"]*", "", body)
+    body = re.sub(r' (?:d|transform|[xy])="[^"]*"', lambda match: re.sub(r"(\.\d)\d+", r"\1", match[0]), body)
+    body = re.sub(r"\s+", " ", body)
     for drawn, themed in _THEME.items():
-        body = body.replace(drawn, themed)
+        body = body.replace(drawn, f"var(--{themed})")
     box = re.search(r'viewBox="0 0 ([\d.]+) [\d.]+"', body)
-    width = float(box[1]) * 1.5 if box else 0.0  # size of figures on a page [px of CSS / point]
-    # 0.7: share of that size below which a figure scrolls instead of getting smaller
-    size = f'{box[0]} width="{width:.0f}" style="min-width: {0.7 * width:.0f}px"' if box else ""
+    width = float(box[1]) * _PX_PER_POINT if box else 0.0
+    bounds = f"min-width: {_LEAST_SIZE * width:.0f}px; max-width: min(100%, {width:.0f}px)"
+    size = f'{box[0]} width="{width:.0f}" style="{bounds}"' if box else ""
     head = f'<svg {size} role="img" aria-label="{escape(title)}">'
-    return re.sub(r"<svg[^>]*>", lambda _: head, body, count=1)
+    return Markup(re.sub(r"<svg[^>]*>", lambda _: head, body, count=1))

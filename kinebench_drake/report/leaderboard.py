@@ -1,15 +1,13 @@
-"""Leaderboard of bundles: a page, its tables, and a result card of each model."""
+"""Leaderboard of bundles: a page and its tables."""
 
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
-from itertools import chain
 from pathlib import Path
 from typing import Any, TypeAlias
 
 from kinebench_drake.errors import UsageError
 from kinebench_drake.io.archive import hash_file
-from kinebench_drake.report.cards import write_card
 from kinebench_drake.report.number import ALL_TASKS, HEADLINES, NumberComparison, tabulate_numbers
 from kinebench_drake.report.page import choose_gallery
 from kinebench_drake.report.page_parts import Part, make_missing, write_parts
@@ -22,6 +20,8 @@ from kinebench_drake.results.bundle import open_bundle
 from kinebench_drake.results.row import SampleRow, Status
 
 PAGE = "index.html"
+_IN_GALLERY = 3
+"""Worst and best samples of a run that are shown."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -71,16 +71,14 @@ Ranking: TypeAlias = tuple[Sequence[ModelEntry], Sequence[Part], Table]
 """Models, further tables, and the listing of all samples."""
 
 
-def write_leaderboard(
-    bundles: Sequence[Path], out: Path, rank_suites: Callable[[Sequence[Path]], Ranking]
-) -> list[Path]:
+def write_leaderboard(bundles: Sequence[Path], out: Path, rank_suites: Callable[[Sequence[Path]], Ranking]) -> Path:
     """Write the leaderboard of bundles of one kind; the same bundles give the same bytes.
 
     Args:
         rank_suites: returns the ranking of output folders of suite runs.
 
     Returns:
-        The page and the result cards.
+        The page.
 
     Raises:
         UsageError: two bundles have one name or are of different kinds.
@@ -95,7 +93,7 @@ def write_leaderboard(
             raise UsageError(f"bundles of kind {runs[0].kind} and {min(kinds)}: one leaderboard has one kind")
         entries, parts, listing = rank_suites(folders) if runs[0].kind == "suite" else _rank_samples(runs)
         ranked = sorted(entries, key=lambda entry: (entry.part, entry.rank))
-        page = write_parts(
+        return write_parts(
             "leaderboard.html.j2",
             "Leaderboard",
             out,
@@ -105,9 +103,6 @@ def write_leaderboard(
             bundles=[(path.name, hash_file(path), run) for path, run in zip(bundles, runs, strict=True)],
             gallery=[(run, title, rows) for run in runs for title, rows in _gallery(run)],
         )
-        times = {run.path: str(int(path.stat().st_mtime)) for path, run in zip(bundles, runs, strict=True)}
-        cards = (write_card(out / "cards", e.model, e.part, e.shares, e.runs[0], times[e.runs[0].path]) for e in ranked)
-        return [page, *chain.from_iterable(cards)]
 
 
 def _rank_samples(runs: Sequence[Run]) -> Ranking:
@@ -150,7 +145,6 @@ def _tabulate(entries: Sequence[ModelEntry]) -> Table:
 
 def _gallery(run: Run) -> list[tuple[str, list[tuple[SampleRow, str]]]]:
     """Return the worst and the best samples of a run with their images."""
-    # 3: worst and best samples of a run that are shown
-    worst, best = choose_gallery(run.path, sorted(run.rows, key=badness), 3)
+    worst, best = choose_gallery(run.path, sorted(run.rows, key=badness), _IN_GALLERY)
     groups = (("worst", worst), ("best", best))
     return [(title, [(row, embed_thumbnail(run.path, row)) for row in rows]) for title, rows in groups if rows]

@@ -1,14 +1,16 @@
 """Headline numbers of two models, compared on the samples that both have: table and text."""
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
 from kinebench_drake.errors import count_noun
 from kinebench_drake.geometry import Array
 from kinebench_drake.report.metric import BY_NAME, Metric
+from kinebench_drake.report.run import check_page_folder
 from kinebench_drake.report.table import Table, Value, make_table, table_lines
 from kinebench_drake.results.aggregate import Estimate, estimate
 from kinebench_drake.results.direction import LOWER_IS_BETTER
@@ -16,6 +18,7 @@ from kinebench_drake.results.power import episodes_to_decide, least_difference
 from kinebench_drake.results.row import SampleRow, Status
 from kinebench_drake.stats import (
     CONFIDENCE,
+    IntervalEstimate,
     PairedShares,
     adjust_p_values,
     paired_mean_difference,
@@ -47,6 +50,8 @@ RANKING = ("success", "executable")
 """Shares by which models are ranked; open ones count as no, and as yes in `upper`."""
 _PRINTED = ("first_mean", "second_mean", "difference", "complete", "p", "p_adjusted")
 """Keys of the columns printed to a terminal, after that of the row."""
+_TERMINAL_LETTERS = 12
+"""Letters of a model's name in a heading on a terminal, which has about 100 columns."""
 RowPair = tuple[SampleRow, SampleRow]
 RowsPair = tuple[Sequence[SampleRow], Sequence[SampleRow]]
 """Rows of the same episode by two models, one or several samples each."""
@@ -197,9 +202,13 @@ def _difference(values: Array, total: int, share: bool) -> Estimate:
         return Estimate(mean=None, low=None, high=None, n=0, total=total)
     if share:
         return share_difference(PairedShares(first=values[:, 0], second=values[:, 1]), total)
-    value = paired_mean_difference(values[:, 0], values[:, 1], np.random.default_rng(0))
-    low, high = (None if math.isnan(end) else end for end in (value.low, value.high))
-    return Estimate(mean=value.value, low=low, high=high, n=n, total=total)
+    return to_estimate(paired_mean_difference(values[:, 0], values[:, 1], np.random.default_rng(0)), n, total)
+
+
+def to_estimate(value: IntervalEstimate, n: int, total: int) -> Estimate:
+    """Return a figure as an estimate over n of some samples, NaN as None."""
+    mean, low, high = (None if math.isnan(v) else v for v in (value.value, value.low, value.high))
+    return Estimate(mean=mean, low=low, high=high, n=n, total=total)
 
 
 def share_difference(paired: PairedShares, total: int | None = None) -> Estimate:
@@ -236,7 +245,7 @@ def number_lines(comparisons: Sequence[NumberComparison]) -> Iterator[str]:
     whole = [c for c in comparisons if c.task == ALL_TASKS]
     tasks = [c for c in comparisons if c.task != ALL_TASKS and c.metric.name == "success"]
     for key, own in (("number", whole), ("task", tasks)):
-        for table in tabulate_numbers(own).by_pair(12):  # letters of a model's name: a terminal has 100 columns
+        for table in tabulate_numbers(own).by_pair(_TERMINAL_LETTERS):
             if table.rows:
                 yield table.title
                 yield from table_lines(table.select((key, *_PRINTED), range(len(table.rows))))
@@ -251,14 +260,6 @@ def verdict_lines(comparisons: Sequence[NumberComparison]) -> Iterator[str]:
             if c.metric.name == name and c.task == ALL_TASKS and c.paired is not None:
                 uppers = c.means[0].upper, c.means[1].upper
                 yield verdict_line(c.first, c.second, c.part, name, c.paired, uppers)
-
-
-def motionless_lines(models: Mapping[str, Sequence[SampleRow]]) -> Iterator[str]:
-    """Count the motionless samples of each model, in one line; nothing if there is none."""
-    counts = {model: sum(row.metrics.motionless for row in rows) for model, rows in models.items()}
-    if any(counts.values()):
-        shares = (f"{n} of {count_noun(len(models[model]), 'sample')} of {model}" for model, n in counts.items())
-        yield f"Motionless: {', '.join(shares)}"
 
 
 def verdict_line(
@@ -301,3 +302,40 @@ def verdict_line(
     else:
         text += "; too few samples to show any difference"
     return f"Undecided between {one} and {other}: {text}"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ModelComparison:
+    """Models of some runs, compared two by two on the samples or episodes that both have."""
+
+    rows: Mapping[str, Sequence[SampleRow]]
+    """Rows of each model."""
+    numbers: Sequence[NumberComparison]
+    pairings: Sequence[str] = ()
+    """How the samples of every two models are paired, a line each."""
+    warnings: Sequence[str]
+    """What else differs between the runs, a line each."""
+    write_page: Callable[[Path, Sequence[str]], Path]
+    """Writes page and tables to a folder, the page beginning with some lines; returns the page."""
+
+    @property
+    def leads(self) -> list[str]:
+        """The better of every two models, in success, then in executable samples; motionless samples."""
+        verdicts = list(verdict_lines(self.numbers)) or ["No sample has a verdict that would rank the models"]
+        counts = {model: sum(row.metrics.motionless for row in rows) for model, rows in self.rows.items()}
+        shares = (f"{n} of {count_noun(len(self.rows[model]), 'sample')} of {model}" for model, n in counts.items())
+        return [*verdicts, *([f"Motionless: {', '.join(shares)}"] if any(counts.values()) else [])]
+
+    @property
+    def lines(self) -> list[str]:
+        """Text for a terminal: the better models, how samples are paired, numbers of all tasks together and of each."""
+        return [*self.leads, *self.pairings, "", *number_lines(self.numbers)]
+
+    def write(self, out: Path) -> Path:
+        """Write page and tables; return the page.
+
+        Raises:
+            UsageError: the folder is the output folder of a run.
+        """
+        check_page_folder(out)
+        return self.write_page(out, self.leads)

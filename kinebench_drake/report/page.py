@@ -10,8 +10,8 @@ from kinebench_drake.io.atomic import write_atomically
 from kinebench_drake.io.jsonl import Json, as_object
 from kinebench_drake.metrics.executable import LOST, UNCHECKED, reason_kind
 from kinebench_drake.metrics.trust import trust_lines
+from kinebench_drake.report.histogram import Histogram, count_values
 from kinebench_drake.report.metric import BY_NAME, Metric, MetricLayout, layout_of
-from kinebench_drake.report.plot import Histogram, count_values, draw_histogram
 from kinebench_drake.report.run import read_results
 from kinebench_drake.report.sample import (
     badness,
@@ -37,9 +37,15 @@ from kinebench_drake.results.provenance import report_hash
 from kinebench_drake.results.row import VERDICT_SHARES, SampleRow, Status
 from kinebench_drake.results.store import ARTIFACTS, REPORT, RESULTS, read_rows
 
-DRAWN = 100
-"""Samples, the worst first, whose curves and images are on the page, and that its table shows until all are asked for:
-all would make it slow to open."""
+PICTURED = 100
+"""Samples, the worst first, whose images are on the page, and that its table shows until all are requested: all would
+make it slow to open."""
+DRAWN = 50
+"""Samples, the worst first, whose curves are on the page: those of one take a quarter of a second to draw."""
+_HEAD = 2048
+"""Characters at the beginning of a page that hold its stamp."""
+LISTED = 1000
+"""Samples in the table."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -70,7 +76,7 @@ def is_report_current(out: Path) -> bool:
     try:
         written = path.stat().st_mtime_ns
         with path.open(errors="replace") as page:
-            head = page.read(2048)  # characters at the beginning of the page that hold its stamp
+            head = page.read(_HEAD)
         folders = [folder for kind in ARTIFACTS if (folder := out / kind).is_dir()]
         return _stamp(out) in head and all(folder.stat().st_mtime_ns < written for folder in folders)
     except OSError:
@@ -98,9 +104,9 @@ def build_page(out: Path, rows: Iterable[SampleRow] | None = None, statistics: R
     worst, best = choose_gallery(out, rows)
     large = {row.id for row in (*worst, *best)}
     samples = [
-        view_sample(out, row, drawn=k < DRAWN or row.id in large)
+        view_sample(out, row, pictured=k < PICTURED or row.id in large, drawn=k < DRAWN or row.id in large)
         for k, row in enumerate(rows)
-        if k < 1000 or row.id in large
+        if k < LISTED or row.id in large
     ]
     views = {sample.row.id: sample for sample in samples}
     columns = [BY_NAME[n] for n in layout.columns if _is_measured(total, n)]
@@ -129,7 +135,7 @@ def build_page(out: Path, rows: Iterable[SampleRow] | None = None, statistics: R
             if _is_measured(total, m.name)
         ],
         groups=[(key, groups) for key in ("task", "model") if (groups := _group_rows(rows, key, statistics))],
-        histograms=[draw_histogram(h, VERDICT_LABELS) for h in _count_metrics(rows, total, layout)],
+        histograms=_count_metrics(rows, total, layout),
         gallery=[(title, [views[row.id] for row in chosen]) for title, chosen in (("Worst", worst), ("Best", best))]
         if large
         else [],
@@ -138,7 +144,7 @@ def build_page(out: Path, rows: Iterable[SampleRow] | None = None, statistics: R
         samples=samples,
         pictured=any(sample.thumbnail for sample in samples),
         large=large,
-        first=DRAWN,
+        first=PICTURED,
         drawn=min(DRAWN, len(samples)),
         left_out=max(len(rows) - DRAWN, 0),
         unlisted=len(rows) - len(samples),

@@ -1,8 +1,8 @@
 """Pages made of tables and figures about several runs, and these tables and figures as files."""
 
-from collections import Counter
-from collections.abc import Callable, Hashable, Sequence
-from dataclasses import dataclass
+from collections import defaultdict
+from collections.abc import Callable, Hashable, Iterator, Sequence
+from itertools import count
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -17,26 +17,20 @@ from kinebench_drake.results.store import REPORT, artifact_path
 Item = TypeVar("Item")
 LISTED = 2000
 """Samples on a page: more would make it slow to open."""
+FIRST = 200
+"""Samples that the list of a page shows until all are requested."""
 _FILES = {"rollout": "rollouts", "overlay": "overlays"}
 """Labels of links, and the artifacts that they lead to."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class MissingPart:
-    """A table or figure that cannot be made."""
-
-    title: str
-    needs: str
-    """Data that would be needed."""
-
-
-def make_missing(key: str, **values: object) -> MissingPart:
-    """Name what a part of captions.toml needs, with `values` in its placeholders."""
+def make_missing(key: str, **values: object) -> str:
+    """Name a part of captions.toml that cannot be made, and what it needs, with `values` in its placeholders."""
     texts = read_caption("missing", key, **values)
-    return MissingPart(title=texts["title"], needs=texts["needs"])
+    return f"{texts['title']}: {texts['needs']}"
 
 
-Part = Table | ReportFigure | MissingPart
+Part = Table | ReportFigure | str
+"""A table, a figure, or the text in place of a part that cannot be made."""
 
 
 def write_parts(
@@ -63,10 +57,10 @@ def write_parts(
         parts=[
             (part, write_figure(part, out) if isinstance(part, ReportFigure) else None)
             for part in parts
-            if not isinstance(part, MissingPart)
+            if not isinstance(part, str)
         ],
-        missing=[part for part in parts if isinstance(part, MissingPart)],
-        first=200,  # samples in its list until all are requested
+        missing=[part for part in parts if isinstance(part, str)],
+        first=FIRST,
         **context,
     )
     write_atomically(out / page, text.encode())
@@ -100,11 +94,7 @@ def list_links(folder: Path, row: SampleRow, out: Path) -> list[tuple[str, str]]
 
 def choose_listed(items: Sequence[Item], group: Callable[[Item], Hashable], good: Callable[[Item], bool]) -> list[Item]:
     """Choose LISTED samples, those that are not good first, evenly over the groups."""
-    counts = Counter[Hashable]()
-    turns = []
-    for index, item in enumerate(items):
-        key = (group(item), good(item))
-        turns.append((good(item), counts[key], index))
-        counts[key] += 1
-    chosen = sorted(turns)[:LISTED]
-    return [items[index] for _, index in sorted((is_good, index) for is_good, _, index in chosen)]
+    places = defaultdict[Hashable, Iterator[int]](count)
+    turns = [(good(item), next(places[group(item), good(item)])) for item in items]
+    chosen = sorted(range(len(items)), key=turns.__getitem__)[:LISTED]
+    return [items[k] for k in sorted(chosen, key=lambda k: (turns[k][0], k))]

@@ -1,8 +1,7 @@
-"""3D replay of one track: a self-contained Meshcat page, coloured by feasibility."""
+"""3D replay of one track: a self-contained Meshcat page."""
 
 import logging
 from collections.abc import Sequence
-from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -20,15 +19,15 @@ from kinebench_drake.io.atomic import write_atomically
 from kinebench_drake.io.jsonl import as_object
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.models.panda.cad import simplify
-from kinebench_drake.report.replay_scene import COLORS, LinkMesh, ReplayScene, pose_links, posed_frames
+from kinebench_drake.report.replay_scene import PATH_COLOR, LinkMesh, draw_scene, pose_links, posed_frames
 from kinebench_drake.report.run import read_results
 from kinebench_drake.report.table import template_environment
-from kinebench_drake.report.timeline import frame_states
 from kinebench_drake.report.verdict import describe_verdict
 from kinebench_drake.results.inputs import table_height
 from kinebench_drake.results.row import SampleRow
 from kinebench_drake.results.store import artifact_path, read_rows
 from kinebench_drake.results.trackfile import TrackFile, read_track
+from kinebench_drake.segments import finite_rows
 from kinebench_drake.violation import Violation
 
 MAX_TRIANGLES = 1600
@@ -82,12 +81,7 @@ def write_replays(out: Path, ids: Sequence[str], plant: ArmPlant | None = None, 
 def build_replay(
     plant: ArmPlant, meshes: Sequence[LinkMesh], row: SampleRow, file: TrackFile, *, table_height_m: float = 0.0
 ) -> str:
-    """Build the html of a track's replay; the same track gives the same bytes.
-
-    The path of the gripper is coloured by `frame_states`. The arm moves along it where joint angles are known, in the
-    same colours, the link of a violating joint in full red; without joint angles the gripper alone moves. Where arm
-    and wanted pose differ, a second, translucent gripper shows the wanted pose and a blue line the path reached.
-    Untracked frames are interpolated.
+    """Build the html of a track's replay, see `draw_scene`; the same track gives the same bytes.
 
     Args:
         table_height_m: height of the table in B [m].
@@ -99,12 +93,8 @@ def build_replay(
     if not posed_frames(file).any():
         raise UnmeasurableError(f"{row.id}: no frame is tracked, there is nothing to show")
     meshcat = _start_server()
-    scene = ReplayScene(plant, meshes, meshcat, row, file)
-    scene.draw_table(table_height_m)
-    scene.draw_paths()
-    scene.animate()
-    scene.place_camera()
-    return _add_controls(str(meshcat.StaticHtml()), row, file, scene.has_arm)
+    draw_scene(meshcat, plant, meshes, file, table_height_m)
+    return _add_controls(str(meshcat.StaticHtml()), row, file)
 
 
 def _start_server() -> Any:
@@ -123,21 +113,18 @@ def _start_server() -> Any:
         log.setLevel(level)
 
 
-def _add_controls(html: str, row: SampleRow, file: TrackFile, has_arm: bool) -> str:
-    """Add title, controls and legend to Meshcat's page, and forbid it network access."""
+def _add_controls(html: str, row: SampleRow, file: TrackFile) -> str:
+    """Add title and controls to Meshcat's page, and forbid it network access."""
     t_s = file.track.t_s
-    faults = [(v, "broken") for v in row.violations] + [(a, "doubt") for a in row.anomalies]
-    states = [state.value for state in frame_states(row, file)]
+    faults: list[Violation | Anomaly] = [*row.violations, *row.anomalies]
     panel = template_environment().get_template("replay.html.j2")
     controls = panel.render(
         id=row.id,
         verdict=describe_verdict(row),
-        faults=[(css, *_describe(fault, t_s)) for fault, css in faults],
-        colors={state.value: "#" + "".join(f"{round(255 * v):02x}" for v in rgb) for state, rgb in COLORS.items()},
-        stretches=[(state, len(list(group))) for state, group in groupby(states)],
+        faults=[_describe(fault, t_s) for fault in faults],
         start=float(t_s[0]),
         duration=float(t_s[-1] - t_s[0]),
-        has_arm=has_arm,
+        has_arm=bool(finite_rows(file.q).any()),
     )
     head = f'<meta charset="utf-8">\n<meta http-equiv="Content-Security-Policy" content="{_POLICY}">'
     html = html.replace("<meta charset=utf-8>", head, 1)
@@ -221,16 +208,15 @@ def record_track(plant: ArmPlant, meshes: Sequence[LinkMesh], row: SampleRow, fi
     memory = recording.memory_recording()
     t_s = file.track.t_s
     X_BG = file.track.X_BG
-    colors = [COLORS[state] for state in frame_states(row, file)]
 
     def move(path: str, frames: NDArray[np.bool_], X: Array) -> None:
         columns = rr.Transform3D.columns(translation=X[:, :3, 3], mat3x3=X[:, :3, :3])
         recording.send_columns(path, [rr.TimeColumn("t", duration=t_s[frames])], columns)
 
     posed = posed_frames(file)
-    solved = np.asarray(np.isfinite(file.q).all(axis=1), dtype=bool)
+    solved = finite_rows(file.q)
     recording.log("base", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
-    points = rr.Points3D(X_BG[posed, :3, 3], colors=np.array(colors)[posed], radii=0.004)
+    points = rr.Points3D(X_BG[posed, :3, 3], colors=PATH_COLOR, radii=0.004)
     recording.log("base/path", points, static=True)
     recording.log("base/tcp", rr.TransformAxes3D(0.06), static=True)
     move("base/tcp", posed, X_BG[posed])

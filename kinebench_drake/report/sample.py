@@ -15,7 +15,6 @@ from markupsafe import Markup
 from kinebench_drake.geometry import Array
 from kinebench_drake.report.curves import draw_curves
 from kinebench_drake.report.limit_table import LimitPeak, find_checks, find_peaks, in_unit
-from kinebench_drake.report.timeline import draw_strip, fault_lanes, frame_count
 from kinebench_drake.report.verdict import VERDICT_LABELS, verdict_of
 from kinebench_drake.results.details import Details, LimitPlace, RateCheck, read_details
 from kinebench_drake.results.row import SampleRow, Status
@@ -24,6 +23,8 @@ from kinebench_drake.results.trackfile import TrackFile, read_track
 from kinebench_drake.segments import segments
 
 _RANK = {verdict: rank for rank, verdict in enumerate(VERDICT_LABELS)}
+_ROUNDING = 1e-6
+"""Noise below which it is a rounding error [m], [rad]."""
 _MAX_VIOLATIONS = 20
 """Violations that a sample's table lists, the first ones by cause."""
 VIDEOS = {"rollouts": "Generated and executed, side by side", "overlays": "Video with the gripper's pose drawn on it"}
@@ -36,8 +37,6 @@ class SampleView:
     row: SampleRow
     thumbnail: str | None
     """Image as a data URI; None if there is none, or if it is not on the page."""
-    strip: Markup | None
-    """Faults over frames, small; None without faults."""
     peaks: Sequence[LimitPeak]
     """Limits broken, and the peaks against the others."""
     left_out: int
@@ -108,11 +107,12 @@ def relative_link(file: Path, folder: Path, anchor: str = "") -> str:
     return quote(Path(os.path.relpath(file, folder)).as_posix()) + (f"#{quote(anchor)}" if anchor else "")
 
 
-def view_sample(out: Path, row: SampleRow, *, drawn: bool) -> SampleView:
+def view_sample(out: Path, row: SampleRow, *, pictured: bool, drawn: bool) -> SampleView:
     """Collect everything that the page shows of a sample.
 
     Args:
-        drawn: whether to draw its curves and include its image; otherwise only the row is used.
+        pictured: whether to include its image.
+        drawn: whether to read its track and draw its curves.
     """
     viewable = is_viewable(out, row)
     file = read_track(artifact_path(out, "tracks", row.id)) if drawn and _has_track(out, row) else None
@@ -123,11 +123,9 @@ def view_sample(out: Path, row: SampleRow, *, drawn: bool) -> SampleView:
     }
     peaks = find_peaks(row, file)
     violations = [peak for peak in peaks if peak.broken]
-    lanes = fault_lanes(row, file)
     return SampleView(
         row=row,
-        thumbnail=embed_thumbnail(out, row) if drawn and has_thumbnail(out, row) else None,
-        strip=draw_strip(lanes, frame_count(row, file, lanes)) if lanes else None,
+        thumbnail=embed_thumbnail(out, row) if pictured and has_thumbnail(out, row) else None,
         peaks=[*violations[:_MAX_VIOLATIONS], *(peak for peak in peaks if not peak.broken)],
         left_out=max(len(violations) - _MAX_VIOLATIONS, 0),
         plots=draw_curves(row, file) if file else [],
@@ -179,8 +177,7 @@ def _repeated_frames(file: TrackFile) -> Iterator[tuple[str, str]]:
 def _noise(details: Details) -> str | None:
     noise = details.noise
     units = [(noise.position_m, 1000.0, "mm"), (noise.rotation_rad, 180.0 / np.pi, "°")]
-    # Values below a micrometre or a microradian are rounding errors.
-    text = ", ".join(f"{k * v if v >= 1e-6 else 0:.4g} {unit}" for v, k, unit in units if v is not None)
+    text = ", ".join(f"{k * v if v >= _ROUNDING else 0:.4g} {unit}" for v, k, unit in units if v is not None)
     if not text:
         return None
     return f"{text} (assumed: the track is too short for an estimate)" if noise.assumed else text

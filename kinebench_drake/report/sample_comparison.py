@@ -8,17 +8,14 @@ from pathlib import Path
 from kinebench_drake.errors import UsageError, count_noun
 from kinebench_drake.report.number import (
     NUMBERS,
-    NumberComparison,
+    ModelComparison,
     RowPair,
     compare_numbers,
-    motionless_lines,
-    number_lines,
     tabulate_numbers,
     value_of,
-    verdict_lines,
 )
 from kinebench_drake.report.page_parts import choose_listed, list_links, write_parts
-from kinebench_drake.report.run import Run, check_page_folder
+from kinebench_drake.report.run import Run
 from kinebench_drake.report.table import Table, make_listing
 from kinebench_drake.report.verdict import GOOD_VERDICTS, verdict_of
 from kinebench_drake.results.aggregate import group_by
@@ -55,45 +52,7 @@ class ModelPair:
         return f"{self.first} - {self.second}: {shared} (of {counts}), paired by {self.key}"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SampleComparison:
-    """Comparison of all pairs of models of some runs."""
-
-    runs: Sequence[Run]
-    samples: Sequence[ModelSample]
-    pairs: Sequence[ModelPair]
-    numbers: Sequence[NumberComparison]
-    warnings: Sequence[str]
-    """What else differs between paired samples, a line each."""
-
-    @property
-    def leads(self) -> list[str]:
-        """The better of every two models, a line each; motionless samples."""
-        models = {model: [s.row for s in own] for model, own in group_by(self.samples, lambda s: s.model).items()}
-        verdicts = list(verdict_lines(self.numbers)) or ["No sample has a verdict that would rank the models"]
-        return [*verdicts, *motionless_lines(models)]
-
-    @property
-    def lines(self) -> list[str]:
-        """Text for a terminal: the better models, how samples are paired, numbers of all tasks together."""
-        return [*self.leads, *(pair.title for pair in self.pairs), "", *number_lines(self.numbers)]
-
-    def write(self, out: Path) -> Path:
-        """Write page and tables; return the page."""
-        check_page_folder(out)
-        listed = choose_listed(self.samples, lambda s: s.model, lambda s: verdict_of(s.row) in GOOD_VERDICTS)
-        return write_parts(
-            "comparison_page.html.j2",
-            "Comparison of models",
-            out,
-            [tabulate_numbers(self.numbers)],
-            tabulate_samples(self.samples),
-            comparison=self,
-            lines=[(s, list_links(s.run.path, s.row, out)) for s in listed],
-        )
-
-
-def compare_samples(runs: Sequence[Run]) -> SampleComparison:
+def compare_samples(runs: Sequence[Run]) -> ModelComparison:
     """Compare the models of runs of one kind, two by two, on the samples that they share.
 
     Raises:
@@ -110,9 +69,32 @@ def compare_samples(runs: Sequence[Run]) -> SampleComparison:
     numbers = [
         c for pair in pairs for c in compare_numbers([((a,), (b,)) for a, b in pair.pairs], pair.first, pair.second)
     ]
-    return SampleComparison(
-        runs=runs, samples=samples, pairs=pairs, numbers=numbers, warnings=list(list_differences(pairs, runs))
+    warnings = list(list_differences(pairs, runs))
+    pairings = [pair.title for pair in pairs]
+
+    def write_page(out: Path, leads: Sequence[str]) -> Path:
+        listed = choose_listed(samples, lambda s: s.model, lambda s: verdict_of(s.row) in GOOD_VERDICTS)
+        return write_parts(
+            "comparison_page.html.j2",
+            "Comparison of models",
+            out,
+            [tabulate_numbers(numbers)],
+            tabulate_samples(samples),
+            runs=runs,
+            leads=leads,
+            pairings=pairings,
+            warnings=warnings,
+            samples=len(samples),
+            lines=[(s, list_links(s.run.path, s.row, out)) for s in listed],
+        )
+
+    return ModelComparison(
+        rows=_group_rows(samples), numbers=numbers, pairings=pairings, warnings=warnings, write_page=write_page
     )
+
+
+def _group_rows(samples: Sequence[ModelSample]) -> dict[str, list[SampleRow]]:
+    return {model: [s.row for s in own] for model, own in group_by(samples, lambda s: s.model).items()}
 
 
 def tabulate_samples(samples: Sequence[ModelSample]) -> Table:
@@ -200,7 +182,7 @@ def pair_models(samples: Sequence[ModelSample]) -> list[ModelPair]:
     Raises:
         UsageError: there are not two models, no two share a sample, or two paired samples are of different tasks.
     """
-    models = {model: [s.row for s in own] for model, own in group_by(samples, lambda s: s.model).items()}
+    models = _group_rows(samples)
     if len(models) < 2:
         raise UsageError(
             f"all samples are of one model, {next(iter(models))}: there is nothing to compare; name folders of two "

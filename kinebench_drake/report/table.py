@@ -15,11 +15,12 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from kinebench_drake.errors import count_noun
 from kinebench_drake.io.figure import shorten
 from kinebench_drake.report.metric import BY_NAME
-from kinebench_drake.results.aggregate import Estimate
+from kinebench_drake.results.aggregate import Estimate, group_by
 
 Value: TypeAlias = str | int | float | Estimate | None
 _FORMULA = ("=", "+", "-", "@", "\t", "\r")
-_TAILS = ("", "_low", "_high", "_n", "_bound")  # of the columns of an estimate in a CSV file
+_TAILS = ("", "_low", "_high", "_n", "_bound")
+"""Endings of the columns of an estimate in a CSV file."""
 DASH = "–"
 """Text of a missing value."""
 FIRST = "$first"
@@ -68,18 +69,6 @@ class Table:
     patterns: tuple[str, ...] = ()
     """Format of each row's estimates where rows are different quantities; empty: the columns' formats."""
 
-    def __post_init__(self) -> None:
-        """Check that every row has as many cells as there are columns, and a format if any row has one.
-
-        Raises:
-            ValueError: it has not.
-        """
-        if self.patterns and len(self.patterns) != len(self.rows):
-            raise ValueError(f"table {self.name}: {len(self.patterns)} formats of {len(self.rows)} rows")
-        for row in self.rows:
-            if len(row) != len(self.columns):
-                raise ValueError(f"table {self.name}: a row of {len(row)} cells under {len(self.columns)} columns")
-
     @property
     def numeric(self) -> list[bool]:
         """True for each column that holds no text."""
@@ -115,9 +104,7 @@ class Table:
             return [self]
         heads = [keys.index(key) for key in ("first", "second", "part") if key in keys]
         others = [key for key in keys if key not in ("first", "second", "part")]
-        groups: dict[tuple[str, ...], list[int]] = {}
-        for i, row in enumerate(self.rows):
-            groups.setdefault(tuple(str(row[k]) for k in heads), []).append(i)
+        groups = group_by(range(len(self.rows)), lambda i: tuple(str(self.rows[i][k]) for k in heads))
         tables = []
         for number, ((first, second, *part), rows) in enumerate(groups.items()):
             own = self.select(others, rows)

@@ -17,7 +17,8 @@ VERDICT_LABELS = {
 }
 """Labels of the verdicts, the worst first."""
 GOOD_VERDICTS = ("executable", "success")
-_MOST_SPANS = 3  # stretches of frames that a cause lists
+_MOST_SPANS = 3
+"""Stretches of frames that a cause lists."""
 
 
 def verdict_of(row: SampleRow) -> str:

@@ -4,7 +4,7 @@ import importlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol, cast
+from typing import TYPE_CHECKING, cast
 
 from kinebench_drake.plugin import BENCHMARK
 
@@ -14,26 +14,9 @@ if TYPE_CHECKING:  # `doctor` must answer where numerical libraries are damaged
     from kinebench_drake.environment.doctor import Check
     from kinebench_drake.geometry import Array
     from kinebench_drake.report.leaderboard import Ranking
+    from kinebench_drake.report.number import ModelComparison
     from kinebench_drake.results.row import SampleRow
     from kinebench_drake.runs.runner import RunObserver, RunSummary
-
-
-class Comparison(Protocol):
-    """Comparison of the models of some runs, of samples or of episodes."""
-
-    @property
-    def warnings(self) -> Sequence[str]:
-        """What else differs between the runs."""
-        ...
-
-    @property
-    def lines(self) -> Sequence[str]:
-        """Text for a terminal."""
-        ...
-
-    def write(self, out: Path) -> Path:
-        """Write page and tables; return the page."""
-        ...
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -49,7 +32,7 @@ class Benchmark:
     start_q: "Callable[[str, int], Array | None]"
     """Returns the joint positions (9,) at the start of the episode of a task and a seed: seven of the arm [rad], two of
     the fingers [m]; None for a task that is not one of the benchmark."""
-    compare: Callable[[Sequence[Path]], Comparison]
+    compare: "Callable[[Sequence[Path]], ModelComparison]"
     """Compares the models of suite runs."""
     rank: "Callable[[Sequence[Path]], Ranking]"
     """Returns the models of suite runs with the tables of a leaderboard."""

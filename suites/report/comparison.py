@@ -1,64 +1,37 @@
 """Models compared, two by two, on the episodes that both did."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import combinations
 from pathlib import Path
 
 from kinebench_drake.errors import UsageError
 from kinebench_drake.report.number import (
+    ModelComparison,
     NumberComparison,
     RowsPair,
     compare_numbers,
-    motionless_lines,
-    number_lines,
     tabulate_numbers,
-    verdict_lines,
 )
-from kinebench_drake.report.run import check_page_folder
 from kinebench_drake.results.aggregate import group_by
 from kinebench_drake.suites.report.episode_result import EpisodeResult, list_models
-from kinebench_drake.suites.report.pooling import SuiteRun, pool_episodes, read_suite_runs, spec_warnings
+from kinebench_drake.suites.report.pooling import pool_episodes, read_suite_runs, spec_warnings
 from kinebench_drake.suites.report.suite_page import write_page
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ModelComparison:
-    """Comparison of all pairs of models of some runs."""
-
-    runs: Sequence[SuiteRun]
-    episodes: Sequence[EpisodeResult]
-    numbers: Sequence[NumberComparison]
-    """Outcomes and headline numbers on the shared episodes."""
-
-    @property
-    def leads(self) -> list[str]:
-        """The better of every two models on every part, in success, then in executable videos; motionless samples."""
-        models = group_by(self.episodes, lambda e: e.model).items()
-        return [*verdict_lines(self.numbers), *motionless_lines({model: [e.row for e in own] for model, own in models})]
-
-    @property
-    def warnings(self) -> list[str]:
-        """World models that share a name."""
-        return spec_warnings(self.runs)
-
-    @property
-    def lines(self) -> list[str]:
-        """Text for a terminal: the better models, numbers of all tasks together and of each."""
-        return [*self.leads, "", *number_lines(self.numbers)]
-
-    def write(self, out: Path) -> Path:
-        """Write page and tables; return the page."""
-        check_page_folder(out)
-        parts = [tabulate_numbers(self.numbers)]
-        return write_page("Comparison of models", self.runs, self.episodes, out, parts, self.leads)
 
 
 def read_comparison(paths: Sequence[Path]) -> ModelComparison:
     """Compare the models of some suite runs on the episodes they share."""
     runs = read_suite_runs(paths)
     episodes = pool_episodes(runs)
-    return ModelComparison(runs=runs, episodes=episodes, numbers=compare(episodes))
+    numbers = compare(episodes)
+    models = group_by(episodes, lambda e: e.model).items()
+    return ModelComparison(
+        rows={model: [e.row for e in own] for model, own in models},
+        numbers=numbers,
+        warnings=spec_warnings(runs),
+        write_page=lambda out, leads: write_page(
+            "Comparison of models", runs, episodes, out, [tabulate_numbers(numbers)], leads
+        ),
+    )
 
 
 def compare(episodes: Sequence[EpisodeResult]) -> list[NumberComparison]:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinebench_drake.geometry import Array
-from kinebench_drake.io.figure import FAINT, new_figure, plain, shorten
+from kinebench_drake.io.figure import FAINT, LABEL_PT, new_figure, plain, shorten
 from kinebench_drake.report.figures import COLOURS, ReportFigure, add_legend, make_figure, style
 from kinebench_drake.report.table import Table, Value, make_table
 from kinebench_drake.results.aggregate import Estimate, group_by
@@ -18,6 +18,8 @@ from kinebench_drake.suites.report.pooling import model_of
 
 MIN_POINTS = 3
 """Points needed: two are always in perfect order."""
+_MIN_TASKS = 2
+"""Tasks needed for an interval, which resamples them."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -109,7 +111,7 @@ class CorrelationStudy:
         defined = bool(np.isfinite(rho))
         low = None
         high = None
-        if defined and tasks >= 2:  # tasks needed for an interval, which resamples them
+        if defined and tasks >= _MIN_TASKS:
             low, high = percentile_interval(_rho(x, y, resampled_counts(tasks, np.random.default_rng(0))))
             low, high = (low, high) if high - low > 1e-12 else (None, None)
         return Estimate(mean=rho if defined else None, low=low, high=high, n=points, total=points), tasks
@@ -239,11 +241,9 @@ def draw_correlation(episodes: Sequence[EpisodeResult], study: CorrelationStudy)
     left, right = axes[0]
     for part, model, metric, success in points:
         left.scatter(metric, success, **marks(model, part), s=20, alpha=0.7)
-    left.set_ylim(-0.04, 1.04)
-    left.set_ylabel("success of a task", fontsize=9)
-    left.set_xlabel(f"mean {predictor.label} of a task ({predictor.side})", fontsize=9)
-    right.set_xlabel(f"task-balanced mean {predictor.label}", fontsize=9)
-    right.set_ylabel("success, standardised within tasks [sd]", fontsize=9)
+    metric_label = f"mean {predictor.label} of a task ({predictor.side})"
+    left.set(ylim=(-0.04, 1.04), xlabel=metric_label, ylabel="success of a task")
+    right.set(xlabel=f"task-balanced mean {predictor.label}", ylabel="success, standardised within tasks [sd]")
     right.axhline(0.0, color=FAINT, linewidth=1.0)
     for point in study.points:
         right.scatter(point.metric, point.success, **marks(labels[point.model], point.part), s=42)
@@ -251,9 +251,7 @@ def draw_correlation(episodes: Sequence[EpisodeResult], study: CorrelationStudy)
     title = "rho needs three models" if study.points else "needs two models on a task"
     if rho.mean is not None:
         title = f"Spearman's rho {rho.mean:.2f}" + ("" if rho.low is None else f" [{rho.low:.2f}, {rho.high:.2f}]")
-    right.set_title(title, fontsize=9)
-    for ax in (left, right):
-        ax.tick_params(labelsize=8)
+    right.set_title(title, fontsize=LABEL_PT)
     for model in dict.fromkeys(m for _, m, *_ in points):
         colour = style(models.index(model))[0]
         left.plot([], [], linestyle="", marker="o", color=colour, markersize=5, label=plain(shorten(model)))

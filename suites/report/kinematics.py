@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from kinebench_drake.geometry import Array
-from kinebench_drake.io.figure import new_figure, plain, shorten
+from kinebench_drake.io.figure import LABEL_PT, new_figure, plain, shorten
 from kinebench_drake.report.figures import COLOURS, ReportFigure, add_legend, assign_numbers, make_figure, style
 from kinebench_drake.report.table import Table, make_table
 from kinebench_drake.results.aggregate import Estimate
@@ -140,11 +140,10 @@ def draw_manipulability(episodes: Sequence[EpisodeResult]) -> ReportFigure | Non
             ax.plot([k, k], [low, high], color=colour, linewidth=3.2, solid_capstyle="butt")
             ax.plot([k], [middle], marker="o", color="white", markeredgecolor=colour, markersize=5)
         names = [plain(shorten(n)) for n in here] if crowded else []
-        ax.set_xticks(range(len(names)), names, fontsize=8, rotation=90)
+        ax.set_xticks(range(len(names)), names, rotation=90)
         ax.set_xlim(-0.6, len(here) - 0.4)
-        ax.set_title(plain(part.title), fontsize=9)
-        ax.tick_params(axis="y", labelsize=8)
-    axes[0, 0].set_ylabel("manipulability cost, scaled", fontsize=9)
+        ax.set_title(plain(part.title), fontsize=LABEL_PT)
+    axes[0, 0].set_ylabel("manipulability cost, scaled")
     if not crowded:
         for model in models:
             axes[0, 0].plot(

@@ -2,11 +2,10 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
-from math import isnan
 from pathlib import Path
 
 from kinebench_drake.report.leaderboard import ModelEntry, Ranking, tabulate_headlines
-from kinebench_drake.report.number import NumberComparison
+from kinebench_drake.report.number import NumberComparison, to_estimate
 from kinebench_drake.report.page_parts import make_missing
 from kinebench_drake.results.aggregate import Estimate, group_by
 from kinebench_drake.suites.report.comparison import compare
@@ -45,10 +44,5 @@ def _correct(
             shares = c.paired
             if c.second == model:
                 shares = replace(shares, first=shares.second, second=shares.first)
-            ratio = shares.ratio()
-            ceiling = shares.rates[1]
-            low, high = (None if isnan(end) else end for end in (ratio.low, ratio.high))
-            return Estimate(
-                mean=None if isnan(ratio.value) else ratio.value, low=low, high=high, n=shares.n, total=shares.n
-            ), ceiling
+            return to_estimate(shares.ratio(), shares.n, shares.n), shares.rates[1]
     return None, None

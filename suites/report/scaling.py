@@ -4,10 +4,9 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
-from kinebench_drake.io.figure import new_figure
-from kinebench_drake.report.figures import ReportFigure, make_figure, style
+from kinebench_drake.io.figure import LABEL_PT, new_figure
+from kinebench_drake.report.figures import ReportFigure, make_figure, mean_bars, style
 from kinebench_drake.report.table import Column, Table, make_table
 from kinebench_drake.results.aggregate import Estimate, group_by
 from kinebench_drake.suites.report.episode_result import EpisodeResult, mean_over_tasks
@@ -16,6 +15,8 @@ from kinebench_drake.suites.report.pooling import SuiteRun, model_of
 SUITE = 3
 """Number of the suite of the scaling study."""
 ALL_LEVELS = "all"
+_SHIFT = 1.03
+"""Ratio of the places of neighbouring lines, which would otherwise hide each other."""
 _UNKNOWN = "unknown"
 """Difficulty of tasks that are not in the suites."""
 
@@ -139,29 +140,21 @@ def draw_scaling(study: Scaling, name: str) -> ReportFigure | None:
         for ax, level in zip(row, study.levels, strict=True):
             values = sorted({getattr(b, across) for b in budgets})
             for k, value in enumerate(values):
-                line = [b for b in budgets if getattr(b, across) == value and (b, level) in study.success]
-                if line:
-                    shift = 1.03 ** (k - 0.5 * (len(values) - 1))  # keeps lines from hiding each other
-                    estimates = [study.success[b, level] for b in line]
-                    _draw_line(ax, [getattr(b, along) * shift for b in line], estimates, k, pattern.format(value))
+                line = {b: study.success.get((b, level)) for b in budgets if getattr(b, across) == value}
+                measured = {b: e for b, e in line.items() if e is not None and e.mean is not None}
+                shift = _SHIFT ** (k - 0.5 * (len(values) - 1))
+                means, reach = mean_bars(list(measured.values()))
+                colour, marker = style(k)
+                options = {"color": colour, "marker": marker, "markersize": 4, "elinewidth": 1.0}
+                places = [getattr(b, along) * shift for b in measured]
+                ax.errorbar(places, means, yerr=reach, label=pattern.format(value), **options)
             ticks = sorted({getattr(b, along) for b in budgets})
             ax.set_xscale("log")
             ax.set_xticks(ticks, [f"{tick:,}" for tick in ticks], fontsize=7)
             ax.minorticks_off()
             ax.margins(x=0.12)
-            ax.set_ylim(-0.04, 1.04)
-            ax.tick_params(axis="y", labelsize=8)
-            ax.set_title(level, fontsize=9)
-            ax.set_xlabel(label, fontsize=8)
-        row[0].set_ylabel("success", fontsize=9)
+            ax.set_title(level, fontsize=LABEL_PT)
+            ax.set(xlabel=label, ylim=(-0.04, 1.04))
+        row[0].set_ylabel("success")
         row[-1].legend(fontsize=7, frameon=False, loc="center left", bbox_to_anchor=(1.0, 0.5))
     return make_figure("scaling", figure, name=name, model=study.model)
-
-
-def _draw_line(ax: Any, x: Sequence[float], estimates: Sequence[Estimate], index: int, label: str) -> None:
-    colour, marker = style(index)
-    points = [(at, e) for at, e in zip(x, estimates, strict=True) if e.mean is not None]
-    ax.plot([a for a, _ in points], [e.mean for _, e in points], color=colour, marker=marker, markersize=4, label=label)
-    for at, e in points:
-        if e.low is not None and e.high is not None:
-            ax.plot([at, at], [e.low, e.high], color=colour, linewidth=1.0, alpha=0.7)

@@ -4,19 +4,20 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from kinebench_drake.io.figure import new_figure, shorten
 from kinebench_drake.metrics.executable import FailureVerdict
 from kinebench_drake.report.figures import (
     COLOURS,
     NEUTRAL,
-    SUCCESS,
+    VERDICT_COLOURS,
     ReportFigure,
     add_legend,
     assign_numbers,
     draw_intervals,
     label_shares,
     make_figure,
-    stack_bars,
 )
 from kinebench_drake.report.table import Column, Table, Value, make_table
 from kinebench_drake.results.aggregate import Estimate, estimate, estimate_passes, group_by
@@ -228,12 +229,8 @@ def draw_success(episodes: Sequence[EpisodeResult]) -> list[ReportFigure]:
 def draw_verdicts(episodes: Sequence[EpisodeResult]) -> ReportFigure:
     """Draw the outcomes of all episodes of every model on every part as stacked bars."""
     runs = group_by_run(episodes)
-    colours = {
-        "success": SUCCESS,
-        **dict(zip(FAILURE_CAUSES, (COLOURS[4], COLOURS[1], COLOURS[3], COLOURS[5]), strict=True)),
-        NO_VERDICT: COLOURS[8],
-        _NOT_MEASURED: NEUTRAL,
-    }
+    colours = {name: VERDICT_COLOURS[name] for name in ("success", *FAILURE_CAUSES)}
+    colours |= {NO_VERDICT: COLOURS[8], _NOT_MEASURED: NEUTRAL}
     tallies = [tally(own) for *_, own in runs]
     counts = [
         {**t.verdicts, "success": t.measured - sum(t.verdicts.values()), _NOT_MEASURED: t.unmeasurable + t.errors}
@@ -243,7 +240,11 @@ def draw_verdicts(episodes: Sequence[EpisodeResult]) -> ReportFigure:
     figure, axes = new_figure(7.2, 1.3 + 0.36 * len(runs))
     ax = axes[0, 0]
     places = [len(runs) - 1 - k for k in range(len(runs))]
-    stack_bars(ax, places, shares, colours, height=0.68, edgecolor="white", linewidth=0.6)
+    left = np.zeros(len(runs))
+    for name, colour in colours.items():
+        if any(shares[name]):
+            ax.barh(places, shares[name], 0.68, left, color=colour, edgecolor="white", linewidth=0.6, label=name)
+            left += shares[name]
     label_shares(ax, [f"{part.title} · {shorten(model)}" for part, model, _ in reversed(runs)], "share of all episodes")
     add_legend(figure, list(colours))
     return make_figure("verdicts", figure)

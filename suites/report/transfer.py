@@ -7,7 +7,7 @@ import numpy as np
 
 from kinebench_drake.geometry import Array
 from kinebench_drake.report.figures import ReportFigure, assign_numbers, draw_intervals, make_figure
-from kinebench_drake.report.number import ALL_TASKS, share_difference
+from kinebench_drake.report.number import ALL_TASKS, share_difference, to_estimate
 from kinebench_drake.report.table import Table, Value, make_table
 from kinebench_drake.results.aggregate import Estimate, group_by
 from kinebench_drake.stats import PairedShares, adjust_p_values, independent_mean_difference
@@ -32,7 +32,7 @@ class SeenUnseenDrop:
     """Tasks of the seen episodes."""
     paired: bool
     """True if each unseen episode is compared with the seen one of its task and seed."""
-    rates: tuple[Estimate, Estimate]
+    rates: tuple[float | None, float | None]
     """Success on seen and on unseen episodes, over those of `drop`."""
     drop: Estimate
     """Seen minus unseen over the episodes that are measured, of paired ones both. Bound: over all episodes, if each
@@ -119,8 +119,7 @@ def _independent(
     drop = Estimate(mean=None, low=None, high=None, n=len(first) + len(second), total=len(origins) + len(derived))
     if len(first) and len(second):
         value = independent_mean_difference(first, second, np.random.default_rng(0))
-        low, high = (value.low, value.high) if np.isfinite([value.low, value.high]).all() else (None, None)
-        drop = replace(drop, mean=value.value, low=low, high=high)
+        drop = to_estimate(value, drop.n, drop.total)
     bound = np.mean([_rate(samples, 1.0) for samples in origins]) - np.mean(
         [_rate(samples, 0.0) for samples in derived]
     )
@@ -136,10 +135,8 @@ def _independent(
     )
 
 
-def _mean(values: Array) -> Estimate:
-    return Estimate(
-        mean=float(values.mean()) if len(values) else None, low=None, high=None, n=len(values), total=len(values)
-    )
+def _mean(values: Array) -> float | None:
+    return float(values.mean()) if len(values) else None
 
 
 def tabulate_drops(drops: Sequence[SeenUnseenDrop]) -> Table:
@@ -153,7 +150,7 @@ def _row(d: SeenUnseenDrop) -> dict[str, Value]:
     return {
         **{"suite": f"Suite {d.suite}", "model": d.model, "task": d.task},
         **{"seen_tasks": "the same" if same else ", ".join(d.seen_tasks)},
-        **{"success_seen": d.rates[0].mean, "success_unseen": d.rates[1].mean, "drop": d.drop},
+        **{"success_seen": d.rates[0], "success_unseen": d.rates[1], "drop": d.drop},
         **{"p": d.p, "p_adjusted": d.adjusted_p, "comparison": "pairs of one seed" if d.paired else "independent"},
         **{"measured": d.drop.n, "episodes": d.drop.total},
     }

@@ -88,20 +88,9 @@ def test_an_audit_has_no_column_of_images(audit):
 
 def test_each_trajectory_shows_curves_against_limits(audit):
     fast = section(write_report(audit).read_text(), "fast")
-    titles = re.findall(r"<figcaption>([^<]*)", fast)
-    assert titles == [
-        "Faults over frames",
-        "Joint angle, limits ±1:",
-        "Joint speed / limit:",
-        "Manipulability",
-        "Clearance [mm]",
-        "TCP position in the base frame [m]",
-    ]
-    speed = fast[fast.index("Joint speed / limit:") :]
-    assert re.findall(r'<span class="key c(\d)">(\d)</span>', speed[: speed.index("<svg")]) == [
-        (str(k), str(k + 1)) for k in range(7)
-    ]
-    assert fast.count('class="band violation"') == len(titles) - 1  # overlapping violations are one band a plot
+    titles = ["Faults", "Joint angle, limits at ±1", "Joint speed / limit", "Manipulability", "Clearance [mm]"]
+    assert [text for text in re.findall(r"<text[^>]*>([^<]*)</text>", fast) if text in titles] == titles
+    assert fast.count("<svg") == 2
 
 
 def test_worst_moments_and_violations_are_listed_beside_the_curves(audit):
@@ -118,7 +107,7 @@ def test_worst_moments_and_violations_are_listed_beside_the_curves(audit):
 
 def test_replays_are_linked_where_they_exist(audit):
     text = write_report(audit).read_text()
-    links = [link for link in Page(text).links if not link.startswith("data:")]
+    links = [link for link in Page(text).links if not link.startswith(("data:", "#"))]
     assert links[0] == "replays/fast.html"
     assert links[1] == "replays/fast.html#t=0.400"
     assert all(link.startswith("replays/fast.html") for link in links)
@@ -130,7 +119,7 @@ def test_curves_are_drawn_only_for_the_worst_samples(audit, monkeypatch):
     text = write_report(audit).read_text()
     assert "<svg" in section(text, "fast")
     assert "<svg" not in section(text, "slow")
-    assert "for the 1 worst only" in text
+    assert "for the 1 worst samples only" in text
 
 
 def test_a_table_lists_20_violations_and_counts_the_rest(tmp_path):

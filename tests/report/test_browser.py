@@ -34,7 +34,7 @@ addEventListener("load", () => {
   state.picked = ids().length;
   document.querySelector(".open").click();
   for (const body of table.tBodies) if (!body.hidden) body.querySelector(".open").click();
-  state.figures = table.querySelectorAll("figure").length;
+  state.figures = table.querySelectorAll(".plots svg").length;
   const parts = [...document.querySelectorAll("main > *, .inner > *")];
   state.wide = parts.filter(part => part.getBoundingClientRect().right > document.documentElement.clientWidth).length;
   state.overflow = document.documentElement.scrollWidth - document.documentElement.clientWidth;

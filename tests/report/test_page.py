@@ -10,7 +10,6 @@ from kinebench_drake.errors import InputError
 from kinebench_drake.geometry import make_pose
 from kinebench_drake.io.atomic import write_atomically
 from kinebench_drake.report.page import write_report
-from kinebench_drake.report.plot import Curve, FrameSpan, draw_plot
 from kinebench_drake.results.row import Status
 from kinebench_drake.results.store import ResultStore
 from kinebench_drake.results.trackfile import write_track
@@ -76,8 +75,8 @@ def test_the_page_is_self_contained_and_its_tags_balance(out):
     text = write_report(out).read_text()
     page = Page(text)
     assert page.open == []
-    assert all(link.startswith("data:image/jpeg;base64,") for link in page.links)
-    assert not re.search(r"https?://|url\(|@import", text)
+    assert all(link.startswith(("data:image/jpeg;base64,", "#")) for link in page.links)
+    assert not re.search(r"https?://|url\((?!#)|@import", text)
     assert str(out) not in text
 
 
@@ -191,55 +190,6 @@ def test_a_damaged_track_file_is_refused_by_name(out):
     (out / "tracks" / "good.npz").write_bytes(b"PK broken")
     with pytest.raises(InputError, match=r"good\.npz"):
         write_report(out)
-
-
-def points(svg):
-    return [
-        [tuple(map(float, p.split(","))) for p in line.split()]
-        for line in re.findall(r'<polyline[^>]*points="([^"]+)"', svg)
-    ]
-
-
-def test_curves_break_at_nan_and_stay_inside_the_plot():
-    t = np.arange(10) * 0.2
-    values = np.array([0.0, 1.0, 2.0, np.nan, 4.0, 5.0, np.nan, 7.0, np.nan, np.nan])
-    svg = draw_plot(
-        "p", t, [Curve(label="a", values=values, css="c0")], {"anomaly": [FrameSpan(text="b", start=-5, end=99)]}
-    )
-    lines = points(svg)
-    assert [len(line) for line in lines] == [3, 2]
-    assert svg.count("<circle") == 1
-    ys = [y for line in lines for _, y in line]
-    assert ys == sorted(ys, reverse=True)  # greater is higher
-    assert all(0 <= x <= 430 and 0 <= y <= 128 for line in lines for x, y in line)
-
-
-@pytest.mark.parametrize("values", [np.full(5, np.nan), np.zeros(5), np.full(5, 1e9), np.array([0, 1e-12, 0, 0, 0])])
-def test_plots_of_constant_or_missing_values_contain_no_nan_or_inf(values):
-    svg = draw_plot("p", np.arange(5) * 1.0, [Curve(label="a", values=values, css="c0")])
-    assert "nan" not in svg
-    assert "inf" not in svg
-
-
-def test_long_curves_are_thinned():
-    t = np.arange(5000) * 0.01
-    (line,) = points(draw_plot("p", t, [Curve(label="a", values=np.sin(t), css="c0")]))
-    assert 100 < len(line) <= 400
-
-
-def test_peaks_survive_the_thinning():
-    t = np.arange(5000) * 0.01
-    values = np.zeros(5000)
-    values[3211] = 7.0
-    (line,) = points(draw_plot("p", t, [Curve(label="a", values=values, css="c0")], limits=(0.0, 7.0)))
-    assert min(y for _, y in line) == 8.0
-
-
-def test_a_gap_in_a_long_curve_stays_a_gap():
-    t = np.arange(5000) * 0.01
-    values = np.sin(t)
-    values[2500] = np.nan
-    assert len(points(draw_plot("p", t, [Curve(label="a", values=values, css="c0")]))) == 2
 
 
 @pytest.mark.parametrize(

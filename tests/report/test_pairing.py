@@ -4,10 +4,11 @@ import csv
 
 import pytest
 
+from kinebench_drake.cli import main
 from kinebench_drake.errors import UsageError
 from kinebench_drake.io.jsonl import dump
 from kinebench_drake.report.run import read_runs
-from kinebench_drake.report.sample_comparison import compare_samples
+from kinebench_drake.report.sample_comparison import compare_samples, label_samples, pair_models
 from kinebench_drake.results.row import Status
 from kinebench_drake.results.store import RESULTS, SAMPLES
 from tests.report.pages import BROWSER, EVIL, WIDTH, Page, probe
@@ -41,13 +42,17 @@ def compared(*paths):
     return compare_samples(read_runs(paths))
 
 
+def paired(*paths):
+    return pair_models(label_samples(read_runs(paths)))
+
+
 def labelled(model, prefix="", n=4, **fields):
     """Samples of one model with task and seed, whose ids start with a prefix."""
     return {f"{prefix}{k}": {"model": model, "task": f"T{k % 2}", "seed": k, **fields} for k in range(n)}
 
 
 def test_models_of_one_run_are_paired_by_task_and_seed(tmp_path):
-    [pair] = compared(write(tmp_path / "a", labelled("wan", "a") | labelled("cog", "b", n=3))).pairs
+    [pair] = paired(write(tmp_path / "a", labelled("wan", "a") | labelled("cog", "b", n=3)))
     assert (pair.first, pair.second, pair.key, pair.samples) == ("wan", "cog", "task and seed", (4, 3))
     assert [(a.id, b.id) for a, b in pair.pairs] == [("a0", "b0"), ("a1", "b1"), ("a2", "b2")]
 
@@ -55,36 +60,36 @@ def test_models_of_one_run_are_paired_by_task_and_seed(tmp_path):
 def test_equal_ids_in_two_folders_are_not_paired_where_task_and_seed_say_otherwise(tmp_path):
     """Both folders number their videos, in different orders."""
     b = {str(3 - k): {"model": "cog", "task": f"T{k % 2}", "seed": k} for k in range(4)}
-    [pair] = compared(write(tmp_path / "a", labelled("wan")), write(tmp_path / "b", b)).pairs
+    [pair] = paired(write(tmp_path / "a", labelled("wan")), write(tmp_path / "b", b))
     assert pair.key == "task and seed"
     assert {(a.id, b.id) for a, b in pair.pairs} == {("0", "3"), ("1", "2"), ("2", "1"), ("3", "0")}
 
 
 def test_samples_without_labels_are_paired_by_id_and_models_named_by_folder(tmp_path):
     a, b = (write(tmp_path / name, {"x": {}, "y": {}, name: {}}) for name in ("a", "b"))
-    [pair] = compared(a, b).pairs
+    [pair] = paired(a, b)
     assert (pair.first, pair.second, pair.key, len(pair.pairs)) == ("a", "b", "id", 2)
     c, d = (write(tmp_path / name / "out", {"x": {}}) for name in ("c", "d"))
-    [pair] = compared(c, d).pairs
+    [pair] = paired(c, d)
     assert (pair.first, pair.second) == ("c/out", "d/out")
 
 
 def test_one_run_of_two_models_without_seeds_is_paired_by_file_name(tmp_path):
     samples = {f"{m}-{k}": {"model": m, "video": f"{m}/{k}.mp4"} for m in ("wan", "cog") for k in range(3)}
-    [pair] = compared(write(tmp_path / "a", samples)).pairs
+    [pair] = paired(write(tmp_path / "a", samples))
     assert (pair.key, len(pair.pairs)) == ("file name", 3)
 
 
 def test_shards_are_pooled_and_other_runs_of_a_model_are_not(tmp_path):
     shards = [write(tmp_path / f"s{k}", {f"{k}{n}": {"model": "wan"} for n in range(2)}) for k in range(2)]
     other = write(tmp_path / "other", {f"{k}{n}": {"model": "cog"} for k in range(2) for n in range(2)})
-    [pair] = compared(*shards, other).pairs
+    [pair] = paired(*shards, other)
     assert (pair.first, pair.second, len(pair.pairs)) == ("wan", "cog", 4)
     again = write(tmp_path / "again", {"00": {"model": "wan"}}, config={"frame_period_s": 0.1})
-    labels = {pair.first for pair in compared(shards[0], again).pairs}
+    labels = {pair.first for pair in paired(shards[0], again)}
     assert labels == {"wan [s0]"}
     tagged = write(tmp_path / "tagged", {"00": {"model": "wan"}}, tags={"lr": "1"})
-    assert {(p.first, p.second) for p in compared(shards[0], tagged).pairs} == {("wan [s0]", "wan [tagged]")}
+    assert {(p.first, p.second) for p in paired(shards[0], tagged)} == {("wan [s0]", "wan [tagged]")}
 
 
 def test_other_differences_of_the_runs_are_warnings(tmp_path):
@@ -131,11 +136,12 @@ def folders(tmp_path):
     return tmp_path / "runs" / "wan", tmp_path / "runs" / "cog"
 
 
-def test_a_comparison_of_scores_is_printed_and_written(folders, tmp_path, program):
+def test_a_comparison_of_scores_is_printed_and_written(folders, tmp_path, capsys):
     out = tmp_path / "runs" / "comparison"
-    code, text, _ = program("compare", *folders, "--out", out)
-    assert code == 0
-    printed = text.splitlines()
+    with pytest.raises(SystemExit) as stop:
+        main(["compare", *map(str, folders), "--out", str(out)])
+    assert stop.value.code == 0
+    printed = capsys.readouterr().out.splitlines()
     assert printed[0] == "No sample has a verdict that would rank the models"
     assert printed[1] == f"wan - {EVIL}: 40 shared samples (of 40 and 40), paired by task and seed"
     assert any(line.startswith("SPARC ↑") for line in printed)

@@ -1,4 +1,4 @@
-"""Plots: each value is counted, each fault lies at its frames, joints are drawn within their limits."""
+"""Plots: each value is counted, each fault lies at its frames, curves break where values are missing."""
 
 import re
 from dataclasses import replace
@@ -7,11 +7,12 @@ import numpy as np
 import pytest
 
 from kinebench_drake.report.curves import draw_curves
+from kinebench_drake.report.histogram import count_values
 from kinebench_drake.report.metric import BY_NAME
-from kinebench_drake.report.plot import count_values, draw_histogram
-from kinebench_drake.report.timeline import draw_strip, draw_timeline, fault_lanes, frame_count
+from kinebench_drake.report.timeline import fault_lanes
 from kinebench_drake.results.aggregate import estimate
-from tests.report.pages import EVIL
+from tests.report.conftest import LIMITS
+from tests.report.pages import EVIL, Page
 
 
 def counted(values, metric="sparc"):
@@ -38,7 +39,7 @@ def test_outliers_are_counted_in_the_outermost_bins():
     assert h.outliers == 2
     assert (h.edges[0], h.edges[-1]) == (0.0, 1.0)
     assert (h.counts["infeasible"][0], h.counts["infeasible"][-1]) == (1, 1)
-    assert "2 outliers" in draw_histogram(h, {})
+    assert "2 outliers" in h.note
 
 
 @pytest.mark.parametrize("values", [[], [1.0], [2.0, 2.0, 2.0], [None, 3.0], [0.0, 0.0]])
@@ -46,63 +47,91 @@ def test_values_without_spread_have_no_histogram(values):
     assert counted([("feasible", v) for v in values]) is None
 
 
-def bars(svg, css):
-    matches = re.findall(rf'<rect class="bar-{css}" x="([\d.]+)" y="[\d.]+" width="([\d.]+)"', svg)
-    return [(float(x), float(x) + float(width)) for x, width in matches]
+def test_a_histogram_names_its_metric_and_shares_of_it_in_percent():
+    drawing = counted([("feasible", v) for v in (0.0, 0.5, 1.0)], "tracked_fraction").drawing
+    assert f'aria-label="Distribution of {BY_NAME["tracked_fraction"].label}"' in drawing
+    assert ">100%</text>" in drawing
 
 
-def test_faults_are_drawn_at_their_frames(judged, file):
-    row = judged(
-        violations=({"kind": "velocity", "frame_start": 2, "frame_end": 4, "joint": EVIL},),
-        metrics={"anomalies": [{"kind": "freeze", "frame_start": 0, "frame_end": 9, "severity": 1.0}]},
+def test_faults_cover_their_frames(judged, file):
+    violations = (
+        {"kind": "velocity", "frame_start": 2, "frame_end": 4, "joint": "j1"},
+        {"kind": "velocity", "frame_start": 4, "frame_end": 5, "joint": "j2"},
+        {"kind": "jerk", "frame_start": -3, "frame_end": 400, "joint": None},
     )
-    track = file()
-    lanes = fault_lanes(row, track)
-    assert [(lane.label, lane.css) for lane in lanes] == [
-        ("velocity", "violation"),
-        ("freeze", "anomaly"),
-        ("not tracked", "lost"),
-    ]
-    svg = draw_timeline(lanes, 10, track.track.t_s)
-    ((first, last),) = bars(svg, "anomaly")  # the whole of the axis
-    frame = (last - first) / 10
-    assert bars(svg, "violation") == [pytest.approx((first + 2 * frame, first + 5 * frame), abs=0.2)]
-    assert bars(svg, "lost") == [pytest.approx((first + 7 * frame, first + 8 * frame), abs=0.2)]
-    assert "frames 2 to 4 (1.20 to 1.40 s)" in svg
-    assert EVIL not in svg
-    assert EVIL not in draw_strip(lanes, 10)
+    freeze = {"kind": "freeze", "frame_start": 0, "frame_end": 9, "severity": 1.0}
+    track = file().track
+    confidence = track.confidence.copy()
+    confidence[0] = 0.4
+    row = judged(violations=violations, metrics={"anomalies": [freeze]})
+    lanes = fault_lanes(row, replace(track, confidence=confidence))
+    frames = {(lane.label, lane.category): np.flatnonzero(lane.frames).tolist() for lane in lanes}
+    assert frames == {
+        ("velocity", "violation"): [2, 3, 4, 5],
+        ("jerk", "violation"): list(range(10)),
+        ("freeze", "anomaly"): list(range(10)),
+        ("not tracked", "lost"): [7],
+        ("doubtful", "doubtful"): [0],
+    }
 
 
-def test_faults_beyond_the_frames_are_drawn_inside_the_strip(judged):
-    row = judged(violations=({"kind": "jerk", "frame_start": -3, "frame_end": 400, "joint": None},))
-    lanes = fault_lanes(row, None)
-    assert frame_count(row, None, lanes) == 401
-    ((first, last),) = bars(draw_strip(lanes, 10), "violation")
-    assert (first, last) == (0.0, 150.0)
+def texts(figure):
+    return re.findall(r"<text[^>]*>([^<]*)</text>", figure)
 
 
-def test_adjacent_faults_are_merged_into_one_bar(judged):
-    faults = tuple({"kind": "torque", "frame_start": k, "frame_end": k + 1, "joint": f"j{k % 7}"} for k in range(1000))
-    lanes = fault_lanes(judged(violations=faults), None)
-    assert [(span.start, span.end) for lane in lanes for span in lane.spans] == [(0, 1000)]
+def test_figures_name_faults_quantities_and_units(judged, file):
+    row = judged(violations=({"kind": "velocity", "frame_start": 2, "frame_end": 4, "joint": None},))
+    joints, motion = draw_curves(row, file())
+    assert {"Faults", "Joint angle, limits at ±1", "Joint speed / limit", "time [s]"} <= {*texts(joints)}
+    assert {"Clearance [mm]", "TCP position in the base frame [m]", "time [s]"} <= {*texts(motion)}
+    assert "".join(texts(joints)).count("1234567") == 1
 
 
-def test_faults_closer_than_a_pixel_are_drawn_as_one_bar(judged):
-    faults = tuple({"kind": "vanish", "frame_start": k, "frame_end": k, "severity": 1.0} for k in range(0, 20000, 2))
-    lanes = fault_lanes(judged(metrics={"anomalies": faults}), None)
-    assert len(lanes[0].spans) == 10000
-    assert len(bars(draw_timeline(lanes, 20000), "anomaly")) == len(bars(draw_strip(lanes, 20000), "anomaly")) == 1
+def test_drawings_are_safe_parts_of_a_page(judged, file):
+    names = [f"{EVIL} of joint {k}." for k in range(7)]
+    for figure in draw_curves(judged(details={"limits": {**LIMITS, "joints": names}}), file()):
+        assert Page(figure).open == []
+        assert EVIL not in figure
+        assert not re.search(r"https?://", figure)
+
+
+def test_the_same_track_gives_the_same_drawing_and_ids_of_its_own(judged, file):
+    one = draw_curves(judged(), file())
+    assert draw_curves(judged(), file()) == one
+    other = draw_curves(replace(judged(), id="b"), file())
+    ids = [id for figure in (*one, *other) for id in set(Page(figure).ids)]
+    assert len(set(ids)) == len(ids) > 0
+
+
+def paths(figure, colour):
+    """Points of the lines of a colour, by line."""
+    drawn = re.findall(rf'<path d="([^"]*)"[^>]*style="fill: none;[^"]*stroke: {colour}', figure)
+    return [np.array(re.findall(r"[ML] (-?[\d.]+) (-?[\d.]+)", d), dtype=float) for d in drawn]
 
 
 def test_joints_are_drawn_within_their_own_limits(judged, file):
     q = np.full((10, 7), -0.5)  # the middle of -2 to 1 rad
     q[3, 1] = 1.0
     q[5, 2] = -2.0
-    q[6] = np.nan
-    [svg] = [plot for plot in draw_curves(judged(), replace(file(), q=q)) if "Joint angle" in plot]
-    upper, lower = (float(y) for y in re.findall(r'class="limit" d="M\d+ ([\d.]+)H', svg)[::-1])
-    lines = re.findall(r'<polyline class="curve c\d" points="([^"]*)"', svg)
-    heights = [[float(point.split(",")[1]) for point in line.split()] for line in lines]
-    assert len(lines) == 14  # the frame without angles interrupts each line
-    assert (min(map(min, heights)), max(map(max, heights))) == (upper, lower)
-    assert heights[0] == [0.5 * (lower + upper)] * 6
+    figure, _ = draw_curves(judged(), replace(file(velocity=np.full((10, 7), np.nan)), q=q))
+    lower, upper = (line[0, 1] for line in paths(figure, r"var\(--bad\)")[:2])
+    second = paths(figure, "#d06a2a")[0]
+    third = paths(figure, "#2a9d7f")[0]
+    assert second[:, 1].min() == pytest.approx(upper, abs=0.2)
+    assert third[:, 1].max() == pytest.approx(lower, abs=0.2)
+    assert second[0, 1] == pytest.approx(0.5 * (lower + upper), abs=0.2)
+
+
+def test_curves_break_where_values_are_missing_and_show_lone_values(judged, file):
+    margin = np.array([0.0, 0.5, 0.1, np.nan, 0.4, 0.9, np.nan, 0.7, np.nan, np.nan])
+    _, whole = draw_curves(judged(), file(joint_margin=np.linspace(0.0, 1.0, 10) ** 2))
+    _, broken = draw_curves(judged(), file(joint_margin=margin))
+    assert broken.count("<use") == whole.count("<use") + 1  # the value of frame 7
+    line = re.findall(r'd="([^"]*)"[^>]*style="fill: none; stroke: #2f7fc1', broken)[0]
+    assert line.count("M") == 3
+
+
+@pytest.mark.parametrize("values", [np.zeros(10), np.full(10, 1e9), np.linspace(0, 1e-12, 10), np.full(10, np.inf)])
+def test_drawings_of_constant_or_missing_values_contain_no_nan_or_inf(judged, file, values):
+    for figure in draw_curves(judged(), file(joint_margin=values)):
+        assert not re.search(r"\b(nan|inf)\b", figure)
