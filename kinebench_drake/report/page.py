@@ -40,7 +40,7 @@ from kinebench_drake.results.store import ARTIFACTS, REPORT, RESULTS, read_rows
 PICTURED = 100
 """Samples, the worst first, whose images are on the page, and that its table shows until all are requested: all would
 make it slow to open."""
-DRAWN = 50
+DRAWN = 20
 """Samples, the worst first, whose curves are on the page: those of one take a quarter of a second to draw."""
 _HEAD = 2048
 """Characters at the beginning of a page that hold its stamp."""
