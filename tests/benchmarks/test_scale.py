@@ -1,10 +1,11 @@
+import numpy as np
 import pytest
 
 from benchmarks.scale import figures, measure, section
 from kinebench_drake.results.row import Status
 from kinebench_drake.results.store import ResultStore, read_rows
 from kinebench_drake.results.trackfile import write_track
-from tests.results.test_store import make_track
+from tests.metrics.motions import gripper
 from tests.rows import make_row
 
 
@@ -19,7 +20,7 @@ def test_every_stage_of_a_small_run_is_measured(tmp_path):
         metrics = {"sparc": -1.5, "anomalies": []}
         fields = {"task": None, "model": None, "status": Status.OK, "reason": None, "content_hash": ""}
         store.append(make_row(id="a", video="a.mp4", feasible=True, metrics=metrics, **fields), 0.1)
-        write_track(template / "tracks" / "a.npz", make_track(), None, {})
+        write_track(template / "tracks" / "a.npz", gripper(0.2 * np.arange(5), np.tile(np.eye(4), (5, 1, 1))), None, {})
         store.finish({})
     work = tmp_path / "work"
     result = measure(videos, template, work, rows=40, jobs=1, log=lambda line: None)

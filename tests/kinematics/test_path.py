@@ -1,24 +1,13 @@
 import numpy as np
 import pytest
-from scipy.interpolate import CubicSpline
 
-from kinebench_drake.geometry import Array, pose_difference
+from kinebench_drake.geometry import pose_difference
 from kinebench_drake.kinematics import path as path_search
-from kinebench_drake.kinematics import relaxation
 from kinebench_drake.kinematics.path import find_cheapest_path, limit_excess, search_path, select_anchors, speed_ratios
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.kinematics.postures import NumericSolver, posture_solver
 from kinebench_drake.models.panda.description import rest_q
-
-
-def _path(n: int, seed: int = 0) -> Array:
-    rng = np.random.default_rng(seed)
-    knots = rest_q() + rng.uniform(-0.4, 0.4, size=(4, 7))
-    return np.asarray(CubicSpline(np.linspace(0, 1, 4), knots)(np.linspace(0, 1, n)))
-
-
-def _poses(plant: ArmPlant, q: Array) -> Array:
-    return np.array([plant.forward(row) for row in q])
+from tests.kinematics.motions import poses_of, random_path
 
 
 def test_layers_without_a_posture_are_skipped(plant: ArmPlant) -> None:
@@ -57,12 +46,12 @@ def test_redundancy_keeps_joint_speeds_below_their_limits(plant: ArmPlant) -> No
     """Joint 7 alone turns the gripper too fast: with the whole arm's help the turn is possible."""
     q = np.tile([0.0, 0.3, 0.0, -2.0, 0.0, 2.3, 0.0], (15, 1))
     q[:, 6] = np.linspace(-1.4, 1.4, 15)
-    X_BG = _poses(plant, q)
+    X_BG = poses_of(plant, q)
     t_s = 0.95 * 0.2 / 2.61 * np.arange(15)
     assert speed_ratios(plant, t_s, q).max() > 1.0
     path = search_path(plant, t_s, X_BG, q[0])
     assert speed_ratios(plant, t_s, path).max() <= 1.0
-    assert max(d.max() for d in pose_difference(_poses(plant, path), X_BG)) < 1e-9
+    assert max(d.max() for d in pose_difference(poses_of(plant, path), X_BG)) < 1e-9
 
 
 @pytest.mark.parametrize("period", [0.02, 0.2, 1.0])
@@ -77,17 +66,16 @@ def test_anchors_keep_their_spacing_and_include_both_ends(period: float) -> None
 
 def test_the_numeric_solver_agrees_with_the_analytic_one(plant: ArmPlant, monkeypatch: pytest.MonkeyPatch) -> None:
     """What serves arms without a closed form, tried on the Panda, whose postures are known."""
-    q = _path(12, seed=2)
-    X_BG = _poses(plant, q)
+    q = random_path(12, seed=2)
+    X_BG = poses_of(plant, q)
     t_s = 0.2 * np.arange(12)
     numeric = NumericSolver(plant)
     closed = posture_solver(plant)
     cross = np.einsum("ti,ti->t", numeric.direction(X_BG, q), closed.direction(X_BG, q))
     np.testing.assert_allclose(np.abs(cross), 1.0, atol=1e-6)
     np.testing.assert_allclose(numeric.nearest(X_BG, q), q, atol=1e-6)
-    for module in (path_search, relaxation):
-        monkeypatch.setattr(module, "posture_solver", lambda plant: numeric)
+    monkeypatch.setattr(path_search, "posture_solver", lambda plant: numeric)
     path = search_path(plant, t_s, X_BG, q[0])
-    assert max(d.max() for d in pose_difference(_poses(plant, path), X_BG)) < 1e-6
+    assert max(d.max() for d in pose_difference(poses_of(plant, path), X_BG)) < 1e-6
     assert limit_excess(plant, path).max() == 0.0
     assert speed_ratios(plant, t_s, path).max() < 1.0

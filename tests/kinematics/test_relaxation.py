@@ -1,42 +1,32 @@
 import numpy as np
-from scipy.interpolate import CubicSpline
 
-from kinebench_drake.geometry import Array, pose_difference
+from kinebench_drake.geometry import pose_difference
 from kinebench_drake.kinematics.path import limit_excess, peak_ratio, relax, speed_ratios
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.kinematics.postures import posture_solver
 from kinebench_drake.models.panda.description import rest_q
-
-
-def _path(n: int, seed: int = 0) -> Array:
-    rng = np.random.default_rng(seed)
-    knots = rest_q() + rng.uniform(-0.4, 0.4, size=(4, 7))
-    return np.asarray(CubicSpline(np.linspace(0, 1, 4), knots)(np.linspace(0, 1, n)))
-
-
-def _poses(plant: ArmPlant, q: Array) -> Array:
-    return np.array([plant.forward(row) for row in q])
+from tests.kinematics.motions import poses_of, random_path
 
 
 def test_relaxing_keeps_the_poses_and_lowers_joint_speeds(plant: ArmPlant) -> None:
     """A path that wags along the redundancy, straightened."""
-    q = _path(30)
-    X_BG = _poses(plant, q)
+    q = random_path(30)
+    X_BG = poses_of(plant, q)
     t_s = 0.1 * np.arange(30)
     wagging = q.copy()
     wagging[:, 6] += 0.15 * (-1.0) ** np.arange(30)
     wagging = posture_solver(plant).nearest(X_BG, wagging)
     straight = relax(plant, t_s, X_BG, wagging)
-    assert max(d.max() for d in pose_difference(_poses(plant, straight), X_BG)) < 1e-9
+    assert max(d.max() for d in pose_difference(poses_of(plant, straight), X_BG)) < 1e-9
     before, after = (np.sum(speed_ratios(plant, t_s, path) ** 2) for path in (wagging, straight))
     assert after < 0.1 * before
     assert after <= 1.01 * np.sum(speed_ratios(plant, t_s, q) ** 2)
 
 
 def test_relaxing_brings_a_path_back_within_joint_limits(plant: ArmPlant) -> None:
-    q = _path(20, seed=1)
+    q = random_path(20, seed=1)
     q[:, 6] += plant.upper[6] - 0.02 - q[:, 6].max()
-    X_BG = _poses(plant, q)
+    X_BG = poses_of(plant, q)
     t_s = 0.2 * np.arange(20)
     past = posture_solver(plant).nearest(X_BG, q + 0.06 * np.eye(7)[6])
     assert limit_excess(plant, past).max() > 0.01

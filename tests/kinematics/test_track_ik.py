@@ -14,22 +14,14 @@ from kinebench_drake.kinematics.postures import posture_solver
 from kinebench_drake.kinematics.track_ik import branch_jumps, solve_track, verify_path
 from kinebench_drake.models.panda.description import rest_q
 from kinebench_drake.track import GripperTrack, IkStatus
+from tests.metrics.motions import gripper
 
 FAR_POSE = make_pose(np.eye(3), [2.0, 0.0, 0.0])
 
 
 def _track(X_BG: Array, period_s: float, tracked: Array | None = None) -> GripperTrack:
-    n = len(X_BG)
-    seen = np.ones(n, dtype=bool) if tracked is None else np.asarray(tracked, dtype=bool)
-    X = np.where(seen[:, None, None], X_BG, np.nan)
-    return GripperTrack(
-        t_s=period_s * np.arange(n),
-        X_CH=X,
-        X_BG=X,
-        tracked=seen,
-        confidence=np.ones(n),
-        finger_width_m=np.full(n, 0.04),
-    )
+    posed = np.ones(len(X_BG), dtype=bool) if tracked is None else np.asarray(tracked, dtype=bool)
+    return gripper(period_s * np.arange(len(X_BG)), np.where(posed[:, None, None], X_BG, np.nan))
 
 
 def _tabletop_track(n: int = 49, seed: int = 0) -> GripperTrack:

@@ -16,6 +16,7 @@ from kinebench_drake.models.panda.description import rest_q
 from kinebench_drake.runs.evaluator import KINEMATIC_METRICS
 from kinebench_drake.track import GripperTrack, IkStatus
 from kinebench_drake.violation import Violation, ViolationKind
+from tests.metrics.motions import gripper
 
 KINDS = [
     *("unreachable", "joint_limit", "self_collision", "table_collision", "obstacle_collision"),
@@ -28,21 +29,9 @@ def judge(plant: ArmPlant) -> TrackJudge:
     return TrackJudge(plant)
 
 
-def _gripper(t_s: Array, X_BG: Array) -> GripperTrack:
-    n = len(t_s)
-    return GripperTrack(
-        t_s=t_s,
-        X_CH=X_BG,
-        X_BG=X_BG,
-        tracked=np.isfinite(X_BG[:, 0, 0]),
-        confidence=np.ones(n),
-        finger_width_m=np.full(n, 0.04),
-    )
-
-
 def _poses(plant: ArmPlant, q: Array, period_s: float = 0.2) -> GripperTrack:
     """Gripper track of joint angles (T, 7)."""
-    return _gripper(period_s * np.arange(len(q)), plant.forward_path(q))
+    return gripper(period_s * np.arange(len(q)), plant.forward_path(q))
 
 
 def _given(judge: TrackJudge, q: Array, period_s: float = 0.2) -> KinematicResult:
@@ -99,9 +88,9 @@ def test_every_value_is_a_finite_number_or_has_a_reason_why_not(plant: ArmPlant,
     far = np.tile(make_pose(np.eye(3), [3.0, 0.0, 0.0]), (6, 1, 1))
     still = np.tile(plant.forward(rest_q()), (40, 1, 1))
     tracks = [
-        _gripper(0.2 * np.arange(6), X),
-        _gripper(0.2 * np.arange(6), far),
-        _gripper(0.2 * np.arange(40), still),
+        gripper(0.2 * np.arange(6), X),
+        gripper(0.2 * np.arange(6), far),
+        gripper(0.2 * np.arange(40), still),
         *(_poses(plant, _gentle(n)) for n in (2, 3, 4, 12)),
     ]
     for track in tracks:
@@ -113,7 +102,7 @@ def test_every_value_is_a_finite_number_or_has_a_reason_why_not(plant: ArmPlant,
 
 
 def test_nothing_tracked_is_not_measurable(judge: TrackJudge) -> None:
-    result = judge.judge_poses(_gripper(0.2 * np.arange(6), np.full((6, 4, 4), np.nan)))
+    result = judge.judge_poses(gripper(0.2 * np.arange(6), np.full((6, 4, 4), np.nan)))
     assert set(result.metrics.values()) == {None}
     assert result.feasible is None
 
@@ -128,7 +117,7 @@ def test_the_result_cannot_be_changed(judge: TrackJudge) -> None:
 def test_few_tracked_frames_are_no_proof(plant: ArmPlant, judge: TrackJudge, kept: int, verdict: bool | None) -> None:
     X = _poses(plant, _gentle()).X_BG.copy()
     X[kept:] = np.nan
-    result = judge.judge_poses(_gripper(0.2 * np.arange(40), X))
+    result = judge.judge_poses(gripper(0.2 * np.arange(40), X))
     assert result.feasible is verdict
     assert result.metrics.get("ik_success_rate_bound", 1.0) == kept / 40
     assert result.metrics["ik_success_rate"] == 1.0
@@ -138,7 +127,7 @@ def test_frames_out_of_reach_are_named(plant: ArmPlant, judge: TrackJudge) -> No
     q = np.array([0.0, 0.6, 0.0, -1.3, 0.0, 2.0, 0.8])
     X = np.tile(plant.forward(q), (40, 1, 1))
     X[:, 0, 3] += 0.5 * np.sin(np.pi * np.arange(40) / 39.0)
-    result = judge.judge_poses(_gripper(0.5 * np.arange(40), X))
+    result = judge.judge_poses(gripper(0.5 * np.arange(40), X))
     assert result.feasible is False
     assert _kinds(result) == {ViolationKind.UNREACHABLE}
     [violation] = result.violations
@@ -155,7 +144,7 @@ def test_frames_out_of_reach_are_named(plant: ArmPlant, judge: TrackJudge) -> No
 
 def test_a_pose_past_a_joint_limit_names_joint_value_and_limit(plant: ArmPlant, judge: TrackJudge) -> None:
     X = np.tile(plant.forward([-0.4, 2.1, -0.4, -0.6, -2.8, 2.7, -0.6]), (8, 1, 1))
-    result = judge.judge_poses(_gripper(0.2 * np.arange(8), X))
+    result = judge.judge_poses(gripper(0.2 * np.arange(8), X))
     assert result.feasible is False
     assert _kinds(result) == {ViolationKind.JOINT_LIMIT}
     for violation in result.violations:
@@ -230,11 +219,11 @@ def test_a_pose_track_whose_hand_jumps_is_discontinuous_and_too_fast(plant: ArmP
 def test_a_gripper_pushed_into_the_table_collides_by_its_depth(plant: ArmPlant, judge: TrackJudge) -> None:
     X = np.tile(plant.forward(rest_q()), (40, 1, 1))
     X[:, 2, 3] -= 0.19 * np.sin(np.pi * np.arange(40) / 39.0) ** 2
-    result = judge.judge_poses(_gripper(0.2 * np.arange(40), X))
+    result = judge.judge_poses(gripper(0.2 * np.arange(40), X))
     assert _kinds(result) == {ViolationKind.TABLE_COLLISION}
     [violation] = result.violations
     assert violation.value == _number(result.metrics, "table_distance_min_m") < violation.limit == -0.002
-    higher = TrackJudge(plant, table_height_m=-0.05).judge_poses(_gripper(0.2 * np.arange(40), X))
+    higher = TrackJudge(plant, table_height_m=-0.05).judge_poses(gripper(0.2 * np.arange(40), X))
     assert higher.feasible is True
     assert _number(higher.metrics, "table_distance_min_m") == pytest.approx(violation.value + 0.05, abs=1e-9)
 
@@ -256,7 +245,7 @@ def test_noise_alone_condemns_no_good_track(plant: ArmPlant, judge: TrackJudge, 
         X = _poses(plant, _gentle(49), period_s).X_BG.copy()
         X[:, :3, 3] += rng.normal(0.0, 1e-3 * noise_mm, size=(49, 3))
         X[:, :3, :3] = X[:, :3, :3] @ rotation_exp(rng.normal(0.0, np.deg2rad(noise_mm / 2), size=(49, 3)))
-        result = judge.judge_poses(_gripper(period_s * np.arange(49), X))
+        result = judge.judge_poses(gripper(period_s * np.arange(49), X))
         assert result.violations == ()
         assert result.details["noise"]["position_m"] == pytest.approx(1e-3 * noise_mm, rel=0.4)
         assert _number(result.metrics, "slowdown_min") <= 1.0
@@ -293,7 +282,7 @@ def test_what_jitters_more_than_any_noise_is_not_excused(plant: ArmPlant, judge:
     aside = (-1.0) ** np.arange(49)
     X = np.tile(plant.forward(rest_q()), (49, 1, 1))
     X[:, 1, 3] += 0.15 * aside
-    result = judge.judge_poses(_gripper(0.2 * np.arange(49), X))
+    result = judge.judge_poses(gripper(0.2 * np.arange(49), X))
     assert result.feasible is False
     assert result.details["noise"]["position_m"] == 0.0
     flung = _given(judge, rest_q() + 0.25 * aside[:, None], period_s=0.02)
@@ -337,7 +326,7 @@ def test_jittering_stamps_make_no_feasible_motion_infeasible(judge: TrackJudge, 
 
 def test_metrics_of_unreachable_postures_are_null(plant: ArmPlant, judge: TrackJudge) -> None:
     far = np.tile(make_pose(np.eye(3), [3.0, 0.0, 0.0]), (12, 1, 1))
-    metrics = judge.judge_poses(_gripper(0.2 * np.arange(12), far)).metrics
+    metrics = judge.judge_poses(gripper(0.2 * np.arange(12), far)).metrics
     names = ("branch_jumps", "slowdown_min", "self_distance_min_m", "table_distance_min_m", "joint_limit_margin_min")
     assert [metrics[name] for name in names] == [None] * 5
 
@@ -346,7 +335,7 @@ def _lowered(plant: ArmPlant, by_m: float) -> GripperTrack:
     """Track that dips by a depth below the rest pose."""
     X = np.tile(plant.forward(rest_q()), (40, 1, 1))
     X[:, 2, 3] -= by_m * np.sin(np.pi * np.arange(40) / 39.0) ** 2
-    return _gripper(0.2 * np.arange(40), X)
+    return gripper(0.2 * np.arange(40), X)
 
 
 @pytest.mark.parametrize(("depth_m", "verdict"), [(0.006, True), (0.009, None), (0.011, None), (0.014, False)])

@@ -3,18 +3,11 @@ import numpy as np
 from kinebench_drake.geometry import Array, make_pose, pose_difference, rotation_exp
 from kinebench_drake.metrics.noise import TrackNoise, smooth_poses
 from kinebench_drake.track import GripperTrack
+from tests.metrics.motions import gripper
 
 
 def _track(X_BG: Array) -> GripperTrack:
-    n = len(X_BG)
-    return GripperTrack(
-        t_s=0.05 * np.arange(n),
-        X_CH=X_BG,
-        X_BG=X_BG,
-        tracked=np.isfinite(X_BG[:, 0, 0]),
-        confidence=np.ones(n),
-        finger_width_m=np.full(n, 0.04),
-    )
+    return gripper(0.05 * np.arange(len(X_BG)), X_BG)
 
 
 def _swing(n: int = 80) -> Array:

@@ -8,8 +8,8 @@ import pytest
 from kinebench_drake.geometry import make_pose
 from kinebench_drake.runs.resources import Resources, RobotOptions
 from kinebench_drake.runs.score import judge_possible
-from kinebench_drake.track import GripperTrack
 from kinebench_drake.violation import ViolationKind
+from tests.metrics.motions import gripper
 
 T = 12
 DOWN = np.diag([1.0, -1.0, -1.0])
@@ -22,14 +22,7 @@ def tools():
 
 def track(x_m, z_m=0.3):
     X = np.stack([make_pose(DOWN, [x_m + 0.002 * i, 0.05, z_m]) for i in range(T)])
-    return GripperTrack(
-        t_s=0.2 * np.arange(T),
-        X_CH=X,
-        X_BG=X,
-        tracked=np.ones(T, bool),
-        confidence=np.ones(T),
-        finger_width_m=np.full(T, 0.04),
-    )
+    return gripper(0.2 * np.arange(T), X)
 
 
 def test_a_motion_that_is_feasible_with_every_camera_is_feasible(tools):

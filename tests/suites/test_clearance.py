@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from kinebench_drake.errors import InputError
-from kinebench_drake.geometry import make_pose
+from kinebench_drake.geometry import Array, make_pose
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.suites.expert.clearance import SceneGeometry
 from kinebench_drake.suites.expert.motion import Waypoint, plan
@@ -47,55 +47,54 @@ COLLIDERS = (
 )  # fmt: skip
 
 
+@pytest.fixture(scope="module")
+def plant() -> ArmPlant:
+    return ArmPlant()
+
+
+@pytest.fixture(scope="module")
+def tip(plant: ArmPlant) -> Array:
+    """Position of the fingertips of the arm at rest."""
+    return plant.forward(plant.robot.rest_q)[:3, 3]
+
+
+def touched(plant: ArmPlant, scene: Scene) -> set[str]:
+    """Return the links of the arm at rest, its fingers closed, that penetrate a scene."""
+    geometry = SceneGeometry(plant, scene)
+    return {t.link for t in geometry.penetrations(plant.robot.rest_q[None], np.zeros(1))}
+
+
 @pytest.mark.parametrize("collider", COLLIDERS, ids=lambda c: c.kind.value)
-def test_a_solid_at_the_fingertips_penetrates_the_gripper_alone(collider: Collider) -> None:
-    plant = ArmPlant()
-    q = plant.robot.rest_q[None]
-    width = np.array([0.0])
-    tip = plant.forward(q[0])[:3, 3]
-    marks = {"avoided": frozenset({"post"})}
-    touched = {t.link for t in SceneGeometry(plant, scene_with(collider, tip, **marks)).penetrations(q, width)}
-    assert touched & {"panda_leftfinger", "panda_rightfinger"}
-    assert not touched & {"panda_link3", "panda_link4"}
-    aside = tip + np.array([0.0, 0.3, 0.0])
-    assert not list(SceneGeometry(plant, scene_with(collider, aside, **marks)).penetrations(q, width))
+def test_a_solid_at_the_fingertips_penetrates_the_gripper_alone(
+    plant: ArmPlant, tip: Array, collider: Collider
+) -> None:
+    links = touched(plant, scene_with(collider, tip, avoided=frozenset({"post"})))
+    assert links & {"panda_leftfinger", "panda_rightfinger"}
+    assert not links & {"panda_link3", "panda_link4"}
+    assert not touched(plant, scene_with(collider, tip + np.array([0.0, 0.3, 0.0]), avoided=frozenset({"post"})))
 
 
-def test_a_cylinder_has_the_axis_that_it_has_in_sapien() -> None:
+def test_a_cylinder_has_the_axis_that_it_has_in_sapien(plant: ArmPlant, tip: Array) -> None:
     """A cylinder turned upright reaches its half length up, and is thin."""
-    plant = ArmPlant()
-    q = plant.robot.rest_q[None]
-    width = np.array([0.0])
-    tip = plant.forward(q[0])[:3, 3]
-    marks = {"avoided": frozenset({"post"})}
     for offset, touches in (([0.0, 0.0, -0.12], True), ([0.0, 0.06, -0.1], False)):
-        geometry = SceneGeometry(plant, scene_with(COLLIDERS[2], tip + offset, **marks))
-        assert bool(list(geometry.penetrations(q, width))) == touches
+        scene = scene_with(COLLIDERS[2], tip + offset, avoided=frozenset({"post"}))
+        assert bool(touched(plant, scene)) == touches
 
 
-def test_the_gripper_may_touch_fixed_objects_and_no_link_avoided_ones() -> None:
-    plant = ArmPlant()
-    q = plant.robot.rest_q[None]
-    width = np.array([0.0])
-    tip = plant.forward(q[0])[:3, 3]
+def test_the_gripper_may_touch_fixed_objects_and_no_link_avoided_ones(plant: ArmPlant, tip: Array) -> None:
     free = scene_with(COLLIDERS[0], tip)
     for scene, touches in (
         (free, False),
         (with_door(free), False),
         (replace(free, avoided=frozenset({"post"})), True),
     ):
-        assert bool(list(SceneGeometry(plant, scene).penetrations(q, width))) == touches
-    elbow = plant.link_poses(q[0])["panda_link4"][:3, 3]
+        assert bool(touched(plant, scene)) == touches
+    elbow = plant.link_poses(plant.robot.rest_q)["panda_link4"][:3, 3]
     fixed = with_door(scene_with(COLLIDERS[0], elbow))
-    assert {t.link for t in SceneGeometry(plant, fixed).penetrations(q, width)} & {
-        "panda_link3",
-        "panda_link4",
-        "panda_link5",
-    }
+    assert touched(plant, fixed) & {"panda_link3", "panda_link4", "panda_link5"}
 
 
-def test_a_plan_through_an_avoided_post_is_refused() -> None:
-    plant = ArmPlant()
+def test_a_plan_through_an_avoided_post_is_refused(plant: ArmPlant) -> None:
     q = plant.robot.rest_q
     X = plant.forward(q)
     beyond = X.copy()

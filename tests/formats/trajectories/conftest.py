@@ -6,6 +6,8 @@ import pyarrow
 import pyarrow.parquet as parquet
 import pytest
 
+from kinebench_drake.formats.trajectories.reading import Reading, TrajectoryOptions
+from kinebench_drake.formats.trajectories.source import find_trajectories, read_trajectory
 from kinebench_drake.geometry import make_pose, rotation_exp, to_quaternion
 
 N = 12
@@ -112,3 +114,10 @@ def dataset(tmp_path):
         return root
 
     return write
+
+
+def read_all(path, rate_hz=None, **keys):
+    """Return the samples of a source and their trajectories, read with these keys."""
+    chosen = TrajectoryOptions(rate_hz=rate_hz, reading=Reading(**keys) if keys else None)
+    samples = find_trajectories(path, chosen)
+    return samples, [read_trajectory(sample, chosen) for sample in samples]

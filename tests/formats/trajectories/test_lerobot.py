@@ -12,15 +12,10 @@ from kinebench_drake.formats.trajectories.reading import Reading, TrajectoryOpti
 from kinebench_drake.formats.trajectories.source import find_trajectories, read_trajectory
 from kinebench_drake.formats.trajectories.trajectory import ColumnTable, NumberColumn
 from kinebench_drake.geometry import pose_difference, rotation_log
+from tests.formats.trajectories.conftest import read_all
 
 NUMBERED = [f"joint_{j}" for j in range(7)]
 STATE = {"observation.state": [*NUMBERED, "gripper"]}
-
-
-def read_all(path, rate_hz=None, **keys):
-    chosen = TrajectoryOptions(rate_hz=rate_hz, reading=Reading(**keys) if keys else None)
-    samples = find_trajectories(path, chosen)
-    return samples, [read_trajectory(s, chosen) for s in samples]
 
 
 def with_gripper(q):

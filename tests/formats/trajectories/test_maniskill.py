@@ -5,14 +5,9 @@ import numpy as np
 import pytest
 
 from kinebench_drake.errors import InputError
-from kinebench_drake.formats.trajectories.reading import Reading, TrajectoryOptions
+from kinebench_drake.formats.trajectories.reading import TrajectoryOptions
 from kinebench_drake.formats.trajectories.source import find_trajectories, read_trajectory
-
-
-def read_all(path, rate_hz=None, **keys):
-    chosen = TrajectoryOptions(rate_hz=rate_hz, reading=Reading(**keys) if keys else None)
-    samples = find_trajectories(path, chosen)
-    return samples, [read_trajectory(s, chosen) for s in samples]
+from tests.formats.trajectories.conftest import read_all
 
 
 def qpos(q):

@@ -113,3 +113,11 @@ def lerobot(tmp_path):
         return root
 
     return write
+
+
+def touch(folder, *names):
+    """Write files of one byte."""
+    for name in names:
+        path = folder / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(b"x")

@@ -11,13 +11,7 @@ from kinebench_drake.errors import UsageError
 from kinebench_drake.formats.camerafile import save_camera
 from kinebench_drake.formats.videos.find import find_samples
 from kinebench_drake.geometry import make_pose, rotation_exp
-
-
-def touch(folder, *names):
-    for name in names:
-        path = folder / name
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_bytes(b"x")
+from tests.formats.videos.conftest import touch
 
 
 def write_manifest(folder, *lines):

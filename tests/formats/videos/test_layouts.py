@@ -10,14 +10,7 @@ import pytest
 from PIL import Image
 
 from kinebench_drake.formats.videos.find import find_samples
-
-
-def touch(folder, *names):
-    for name in names:
-        path = folder / name
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_bytes(b"x")
-
+from tests.formats.videos.conftest import touch
 
 ROWS = [
     {"file_name": "a.mp4", "text": "close the box", "seed": 3, "frame_period_s": 0.125, "task": "CloseBox-v1"},
