@@ -116,7 +116,7 @@ class GroundingPipeline:
 
         The motion of a camera is checked by the faster `arm_tracker`; None for the same.
         """
-        self._tracker = tracker
+        self.tracker = tracker
         self._arm_tracker = arm_tracker or tracker
         self._confidence = confidence
         self._gripper = gripper
@@ -204,7 +204,7 @@ class GroundingPipeline:
 
     def _contradicts(self, state: InitialState, frames: Frames, camera: Camera) -> bool:
         """Return whether the first frame confidently shows the gripper elsewhere; a 180-degree flip is tolerated."""
-        tracking = self._tracker.track(frames[:1], camera)
+        tracking = self.tracker.track(frames[:1], camera)
         pose = tracking.poses[0]
         if pose is None or frame_confidence(pose, tracking.domain, self._confidence) < bounds.TRACKED_CONFIDENCE:
             return False
@@ -225,12 +225,12 @@ class GroundingPipeline:
         tracks = FeatureTracks(frames)
         motion = self._follow(frames, tracks, camera, priors) if stabilized else None
         if motion is not None:
-            tracking = self._tracker.track(*motion.stabilize(frames, camera), priors, motion.places)
+            tracking = self.tracker.track(*motion.stabilize(frames, camera), priors, motion.places)
         else:
-            tracking = self._tracker.track(frames, camera, priors)
+            tracking = self.tracker.track(frames, camera, priors)
             motion = self._measure_motion(frames, tracks, tracking.robot, camera, priors)
             if stabilized and (motion.moves or motion.path is not None):
-                tracking = self._tracker.track(*motion.stabilize(frames, camera), priors, motion.places)
+                tracking = self.tracker.track(*motion.stabilize(frames, camera), priors, motion.places)
         resolved = tracking.poses if tracking.domain is Domain.ARM else resolve_flips(tracking.poses)
         X_AC = motion.X_AS if stabilized else motion.X_AC
         poses = [p and replace(p, X_CH=X @ p.X_CH) for p, X in zip(resolved, X_AC, strict=True)]

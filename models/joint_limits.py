@@ -108,15 +108,15 @@ def read_limit_table(path: Path) -> LimitTable:
     """
     try:
         table = LimitTable.model_validate(json.loads(path.read_bytes()))
-    except (OSError, ValueError) as error:
-        if not isinstance(error, ValidationError):
-            raise UsageError(f"$limits {path.name}: cannot be read as JSON ({cause(error)})") from None
+    except ValidationError as error:
         first = error.errors()[0]
         key = str(first["loc"][0]) if first["loc"] else ""
         what = f"{key or 'its content'} is not valid ({first['msg']}), expected seven numbers, base first"
         if first["type"] == "extra_forbidden":
             what = f"has no key {key!r}{suggestion(key, _ATTRIBUTES)}; valid are {', '.join(LimitTable.model_fields)}"
         raise UsageError(f"$limits {path.name}: {what}") from None
+    except (OSError, ValueError) as error:
+        raise UsageError(f"$limits {path.name}: cannot be read as JSON ({cause(error)})") from None
     if not table.model_dump(include=set(_ATTRIBUTES), exclude_none=True):
         raise UsageError(f"$limits {path.name}: states no limit; valid keys are {', '.join(_ATTRIBUTES)}")
     return table

@@ -57,15 +57,15 @@ class Obstacle(BaseModel):
     def geometry(self) -> ElementTree.Element:
         """Return its geometry element."""
         element = ElementTree.Element("geometry")
-        radius, length = self.cylinder_m or (self.sphere_m, None)
-        if self.mesh is not None:
-            ElementTree.SubElement(element, "mesh", filename=f"{SCHEME}{self.mesh}")
-        elif self.box_m is not None:
-            ElementTree.SubElement(element, "box", size=" ".join(map(repr, self.box_m)))
-        elif length is None:
-            ElementTree.SubElement(element, "sphere", radius=repr(radius))
-        else:
-            ElementTree.SubElement(element, "cylinder", radius=repr(radius), length=repr(length))
+        shapes = {
+            "mesh": self.mesh and {"filename": f"{SCHEME}{self.mesh}"},
+            "box": self.box_m and {"size": " ".join(map(repr, self.box_m))},
+            "sphere": self.sphere_m and {"radius": repr(self.sphere_m)},
+            "cylinder": self.cylinder_m and dict(zip(("radius", "length"), map(repr, self.cylinder_m), strict=True)),
+        }
+        for tag, attributes in shapes.items():
+            if isinstance(attributes, dict):
+                ElementTree.SubElement(element, tag, attributes)
         return element
 
 

@@ -49,7 +49,7 @@ class DemoSummary:
     """Number of missing demonstrations of each task that was given up."""
 
 
-def _attempt(simulator: Simulator, spec: EpisodeSpec, config: DemoConfig) -> Record:
+def attempt_demo(simulator: Simulator, spec: EpisodeSpec, config: DemoConfig) -> Record:
     """Let the expert try an episode; write its part of the demonstrations if it succeeds."""
     episode = spec.episode()
     success = False
@@ -190,7 +190,7 @@ def _run_attempts(
     observer.start(config.wanted * len(config.tasks), completed)
     form = FORMATS[config.kind]
     simulators = SimulatorCache(form.simulator, config.options.size, renders=form.renders)
-    make_worker = partial(SimulatorWorker, partial(_attempt, config=config), simulators)
+    make_worker = partial(SimulatorWorker, partial(attempt_demo, config=config), simulators)
     while todo := [spec for task in config.tasks for spec in _plan_task(config, records, task)[1]]:
         crashes = []
         for done in executor.run(make_worker, todo):

@@ -26,21 +26,9 @@ def test_rays_invert_projection() -> None:
     np.testing.assert_allclose(pixels, np.stack([u, v], axis=-1), atol=1e-9)
 
 
-def test_resizing_keeps_directions() -> None:
-    camera = benchmark_camera()
-    small = camera.resized(192, 192)
-    p = np.array([0.1, -0.05, 0.8])
-    np.testing.assert_allclose(small.project(p) * 2, camera.project(p))
+def test_a_camera_keeps_its_aspect_ratio() -> None:
     with pytest.raises(UsageError, match="aspect"):
-        camera.resized(832, 480)
-
-
-def test_camera_round_trips_through_its_file(tmp_path: Path) -> None:
-    camera = benchmark_camera()
-    save_camera(camera, tmp_path / "camera.json")
-    loaded = load_camera(tmp_path / "camera.json").camera
-    assert loaded.K.tolist() == camera.K.tolist()
-    np.testing.assert_allclose(loaded.X_BC, camera.X_BC, atol=1e-12)
+        benchmark_camera().resized(832, 480)
 
 
 def _broken(**changes: Any) -> dict[str, Any]:
@@ -63,22 +51,16 @@ def _broken(**changes: Any) -> dict[str, Any]:
         (_broken(base_from_camera=(2 * np.eye(4)).tolist()), "not a rigid pose"),
         (_broken(base_from_camera=np.diag([1.0, 1.0, -1.0, 1.0]).tolist()), "not a rigid pose"),
         ([1, 2, 3], "expected an object"),
+        ("{", "JSON"),
     ],
 )
 def test_invalid_camera_files_are_refused_in_one_line(tmp_path: Path, data: object, says: str) -> None:
     path = tmp_path / "camera.json"
-    path.write_text(json.dumps(data))
+    path.write_text(data if isinstance(data, str) else json.dumps(data))
     with pytest.raises(UsageError, match=says) as caught:
         load_camera(path)
     assert "camera.json" in str(caught.value)
     assert "\n" not in str(caught.value)
-
-
-def test_a_camera_file_that_is_no_json_is_refused(tmp_path: Path) -> None:
-    path = tmp_path / "camera.json"
-    path.write_text("{")
-    with pytest.raises(UsageError, match="JSON"):
-        load_camera(path)
 
 
 def test_the_camera_file_may_state_mirroring_and_table_height(tmp_path: Path) -> None:

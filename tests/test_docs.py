@@ -140,6 +140,12 @@ def test_modules_of_python_m_commands_exist(page):
         assert not found.submodule_search_locations or find_spec(f"{module}.__main__"), f"{module} cannot be run"
 
 
+def test_modules_that_the_architecture_names_exist():
+    for path in re.findall(r"`([a-z_]+/[a-z_/*]+)(?:\.py)?`", (ROOT / "docs" / "architecture.md").read_text()):
+        places = [*ROOT.glob(f"{path}*"), *(ROOT / "kinebench_drake").glob(f"{path}*")]
+        assert places, f"docs/architecture.md names {path}"
+
+
 def test_the_indexes_name_every_page_and_example():
     index = (ROOT / "docs" / "README.md").read_text()
     for page in (ROOT / "docs").glob("*.md"):

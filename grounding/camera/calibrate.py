@@ -521,7 +521,7 @@ class Calibrator:
             UnmeasurableError: the camera moves, or the video does not determine it.
         """
         chosen = evenly(len(frames), min(most, FRAMES)) if states is None else _chosen(states, most)
-        method = _method(states)
+        method = choose_method(states)
         source = self._tracked if method is CalibrationMethod.POSTURE else self._detected
         images = frames[chosen]
         robot = source(images, guess)
@@ -639,10 +639,12 @@ def _states(config: CalibrationConfig, video: Video, model: ArmModel) -> RobotSt
         return None
     if not Path(config.joints).exists():
         return make_posture_states(config.joints, config.joints_frame, len(video.frames), model)
-    return read_states(Path(config.joints), config.episode, config.column, _times(video, config.frame_period_s), model)
+    return read_states(
+        Path(config.joints), config.episode, config.column, frame_times(video, config.frame_period_s), model
+    )
 
 
-def _times(video: Video, period_s: float | None) -> Array:
+def frame_times(video: Video, period_s: float | None) -> Array:
     """Return the times (T,) of the frames [s]; NaN if neither the user nor the video states them."""
     if period_s is None and video.stamps_s is not None:
         return video.stamps_s
@@ -694,7 +696,8 @@ def _is_other(camera: Camera, guess: Camera) -> bool:
     return bool(distance > _OTHER_M or angle > _OTHER_RAD or abs(np.log(camera.fx / guess.fx)) > _OTHER_ZOOM)
 
 
-def _method(states: RobotStates | None) -> CalibrationMethod:
+def choose_method(states: RobotStates | None) -> CalibrationMethod:
+    """Return the method that the states allow."""
     if states is None:
         return CalibrationMethod.ESTIMATE
     if not np.isfinite(states.q).any():

@@ -120,7 +120,7 @@ class CameraEstimator:
         turns = [images.take(arm.rows).find_turns(arm.scene) for arm in arms]
         ranked = sorted(zip(arms, turns, strict=True), key=lambda pair: -(pair[0].agreement + pair[1][0].share))
         best, best_turns = ranked[0]
-        estimate, turn = self._turn(best, best_turns, images, prior, total)
+        estimate, turn = self.fit_turn(best, best_turns, images, prior, total)
         # Other cameras and turns are not fitted to the contours of the base: they are granted what that gained here.
         gain = max(0.0, estimate.base_agreement - turn.share)
         surroundings = self._find_surroundings(estimate, frames)
@@ -148,7 +148,7 @@ class CameraEstimator:
         ]
         return replace(estimate, others=tuple(others))
 
-    def _turn(
+    def fit_turn(
         self, arm: CameraCandidate, turns: Sequence[BaseTurn], images: ContourImages, prior: Prior, total: int
     ) -> tuple[CameraEstimate, BaseTurn]:
         """Return the estimate with the base turned as its contours show it, and the turn; `turns` are best first.

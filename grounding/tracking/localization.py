@@ -52,7 +52,7 @@ def find_region(
     for level in _LEVELS:
         if 2 * len(boxes) > len(keys) or max(camera.width, camera.height) / level < _LEAST_TILE_PX:
             break
-        for tile in _tiles(camera, level):
+        for tile in tile_image(camera, level):
             views = [view for _, view in estimator.estimate(frames, camera, dict.fromkeys(keys, tile))]
             boxes += [_robot_box(view, camera) for view in views if _gripper_px(view) > 0]
     corners = [box for box in boxes if box is not None]
@@ -92,7 +92,7 @@ def _robot_box(view: GripperView, camera: Camera) -> Array | None:
     return np.concatenate([low, high])
 
 
-def _tiles(camera: Camera, level: int) -> Iterator[Crop]:
+def tile_image(camera: Camera, level: int) -> Iterator[Crop]:
     """Yield crops of the size of the image over `level`, each overlapping its neighbours by half."""
     size = max(camera.width, camera.height) / level
     for v in _centres(camera.height, size):

@@ -40,7 +40,9 @@ def list_hdf5(path: Path, search: Search) -> list[VideoSample]:
         episode, camera = (match["episode"], match["camera"]) if match else ("", name)
         episodes.setdefault(episode, {})[camera] = name
     key = search.choose_camera(list(dict.fromkeys(key for videos in episodes.values() for key in videos)), path.name)
-    metadata = _maniskill_metadata(path, list(episodes))
+    # the metadata of ManiSkill's trajectories, by their group
+    listed = list_maniskill(path, path.name) if any(name.startswith("traj_") for name in episodes) else []
+    metadata = {sample.part: sample for sample in listed if sample.problem is None}
     sample = search.part_sample(path)
     samples = []
     for episode, videos in episodes.items():
@@ -60,13 +62,6 @@ def list_hdf5(path: Path, search: Search) -> list[VideoSample]:
             )
         )
     return samples
-
-
-def _maniskill_metadata(path: Path, episodes: list[str]) -> dict[str, TrajectorySample]:
-    """Return the metadata of ManiSkill's trajectories by their group; empty for other files."""
-    if not any(episode.startswith("traj_") for episode in episodes):
-        return {}
-    return {str(sample.part): sample for sample in list_maniskill(path, path.name) if sample.problem is None}
 
 
 _GROUP = re.compile(r"(?:data/)?(?:demo|episode)_(?P<number>\d{1,9})", re.ASCII)

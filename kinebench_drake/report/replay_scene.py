@@ -122,11 +122,11 @@ class ReplayScene:
         frames = np.flatnonzero(self._posed)
         points = self._X_BG[frames, :3, 3]
         for k in np.flatnonzero(np.diff(frames) > 1):
-            self._mesh(f"/wanted/gap{k}", *_tube(points[k : k + 2], 0.002), COLORS[FrameState.UNTRACKED])
+            self._mesh(f"/wanted/gap{k}", *tube(points[k : k + 2], 0.002), COLORS[FrameState.UNTRACKED])
         for run in segments(self._posed):
             kept = _thin(run.start, run.stop)
-            color = np.array([_linear(COLORS[self._states[k]]) for k in kept])
-            vertices, faces = _tube(self._X_BG[kept, :3, 3], 0.004)
+            color = np.array([linear_color(COLORS[self._states[k]]) for k in kept])
+            vertices, faces = tube(self._X_BG[kept, :3, 3], 0.004)
             colors = np.repeat(color, _SIDES, axis=0)
             arrays = (np.asfortranarray(array.T) for array in (vertices, faces, colors))
             self._meshcat.SetTriangleColorMesh(f"/wanted/{run.start}", *arrays)
@@ -138,7 +138,7 @@ class ReplayScene:
             self._mesh("/broken", beads.vertices, beads.faces, COLORS[FrameState.BROKEN])
         if self._apart.any():
             reached = self._reached[_thin(0, len(self._reached)), :3, 3]
-            self._mesh("/reached", *_tube(reached, 0.0025), (0.13, 0.38, 0.75))
+            self._mesh("/reached", *tube(reached, 0.0025), (0.13, 0.38, 0.75))
 
     def place_camera(self) -> None:
         """Point the camera at base and path from the robot's front left."""
@@ -153,12 +153,12 @@ class ReplayScene:
         animation = MeshcatAnimation(_TICKS_PER_S)
         animation.set_loop_mode(MeshcatAnimation.LoopMode.kLoopRepeat)
         animation.set_repetitions(1_000_000)
-        wanted = _interpolate(times, self._t_s[self._posed], self._X_BG[self._posed])
+        wanted = interpolate_poses(times, self._t_s[self._posed], self._X_BG[self._posed])
         width = np.interp(times, self._t_s, self._width)
         self._move(animation, "/tcp", times, wanted)
         for axis, (name, color) in enumerate(_AXES.items()):
             ends = np.stack([np.zeros(3), 0.06 * np.eye(3)[axis]])
-            self._mesh(f"/tcp/{name}", *_tube(ends, 0.002), color)
+            self._mesh(f"/tcp/{name}", *tube(ends, 0.002), color)
         if self.has_arm:
             t_solved = self._t_s[self._solved]
             q_solved = self._q[self._solved]
@@ -236,10 +236,10 @@ class ReplayScene:
 
     def _tint(self, animation: Any, path: str, colors: Sequence[Color]) -> None:
         for tick, color in self._changes(colors):
-            animation.SetProperty(tick, f"{path}/<object>", "material.color", _linear(color))
+            animation.SetProperty(tick, f"{path}/<object>", "material.color", linear_color(color))
 
 
-def _interpolate(times: Array, t_s: Array, X: Array) -> Array:
+def interpolate_poses(times: Array, t_s: Array, X: Array) -> Array:
     """Interpolate poses `X` (T, 4, 4) at `t_s` (T,) to `times` (N,): linearly, rotations by slerp."""
     if len(t_s) == 1:
         return np.repeat(X, len(times), axis=0)
@@ -253,7 +253,7 @@ def _thin(start: int, stop: int) -> NDArray[np.intp]:
     return np.unique(np.linspace(start, stop - 1, min(stop - start, _MAX_POINTS)).round().astype(np.intp))
 
 
-def _tube(points: Array, radius: float) -> tuple[Array, NDArray[np.int32]]:
+def tube(points: Array, radius: float) -> tuple[Array, NDArray[np.int32]]:
     """Compute vertices (_SIDES T, 3) and faces of a thin tube along `points` (T, 3), one ring per point in order."""
     n = len(points)
     along = np.gradient(points, axis=0) if n > 1 else np.zeros((1, 3))
@@ -271,7 +271,7 @@ def _tube(points: Array, radius: float) -> tuple[Array, NDArray[np.int32]]:
     return (points[:, None] + radius * ring).reshape(-1, 3), faces.astype(np.int32)
 
 
-def _linear(color: Color) -> list[float]:
+def linear_color(color: Color) -> list[float]:
     """Convert an sRGB colour to linear light (IEC 61966-2-1), the scale of animated material colours."""
     c = np.asarray(color)
     return [float(v) for v in np.where(c <= 0.04045, c / 12.92, ((c + 0.055) / 1.055) ** 2.4)]

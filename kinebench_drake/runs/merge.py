@@ -80,7 +80,7 @@ def merge_folders(folders: Sequence[Path], out: Path, observer: RunObserver | No
         store.begin(run.to_json())
         for id in new:
             for file in _sample_files(rows[id], sources[id], with_replay=id in replays):
-                _copy(file, out / file.relative_to(sources[id].path))
+                copy_artifact(file, out / file.relative_to(sources[id].path))
             observer.finish(rows[id], 0.0)
         store.keep_artifacts("replays", replays)
         write_atomically(out / TIMINGS, _merge_timings(shards, sources).encode())
@@ -265,7 +265,7 @@ def _sample_files(row: SampleRow, shard: ShardFolder, *, with_replay: bool) -> I
     return (file for file in files if file.is_file())
 
 
-def _copy(source: Path, target: Path) -> None:
+def copy_artifact(source: Path, target: Path) -> None:
     """Copy the bytes of a file. A hard link would let later changes of the copy change the shard."""
     with atomic_path(target) as part, part.open("wb") as copy:
         copy.writelines(_read_blocks(source))

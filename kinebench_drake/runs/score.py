@@ -96,9 +96,7 @@ def compare_extractors(track: GripperTrack, reference_X_BG: Array | None) -> dic
     }
 
 
-def _judge_possible(
-    tracks: Sequence[GripperTrack], tools: Resources, table_height_m: float
-) -> "KinematicResult | None":
+def judge_possible(tracks: Sequence[GripperTrack], tools: Resources, table_height_m: float) -> "KinematicResult | None":
     """Return the verdict that holds with each of the possible tracks of a video; None if there is none.
 
     It is that of the first track. Of its violations it has those whose kind occurs in all tracks; without one it does
@@ -177,7 +175,7 @@ class VideoEvaluator(Evaluator[VideoSample, Resources]):
         stated_m = grounding.choice.table_height_m
         measures_base = grounding.unmeasurable is None and reason is None
         kinematics = tools.judge(track, height_m) if judges and measures_base else None
-        agreed = _judge_possible(grounding.possible, tools, height_m) if judges and grounding.possible else None
+        agreed = judge_possible(grounding.possible, tools, height_m) if judges and grounding.possible else None
         smoothness: Mapping[str, Json] = {}
         reasons: Mapping[str, str] = {}
         if judges and reason is not None:

@@ -1,6 +1,8 @@
-"""Franka Panda: names of links and joints, and the URDF of the installed mani_skill package.
+"""Franka Panda: names of links and joints, and the URDF of the installed mani_skill package; Franka Research 3.
 
-ManiSkill executes the tasks with `panda_v2.urdf`; `models.arm` loads it for Drake.
+ManiSkill executes the tasks with `panda_v2.urdf`; `models.arm` loads it for Drake. The Denavit-Hartenberg parameters,
+flange and hand of the Franka Research 3 are the Panda's; its bodies are approximated by the Panda's meshes. Its limits
+and masses are those that Franka Robotics publishes.
 """
 
 import importlib.util

@@ -180,7 +180,7 @@ class ClosedLoop:
         for number in range(options.rounds):
             state = RobotState.of(simulator.snapshot(), gripping=gripping)
             first_frame = simulator.render().rgb
-            request = self._request(episode, videos.name, sample, number, first_frame)
+            request = self.make_request(episode, videos.name, sample, number, first_frame)
             if self._actions is not None:
                 here = simulator.simulation_state()
                 try:
@@ -205,8 +205,8 @@ class ClosedLoop:
                 if not rounds or not isinstance(model, PrivilegedModel):
                     raise
                 break  # likewise of the expert that is rendered
-            grounded = self._ground_video(video, first_frame, simulator.camera, state)
-            commands, rejection = self._plan(grounded.grounding.track, state)
+            grounded = self.ground_round(video, first_frame, simulator.camera, state)
+            commands, rejection = self.plan_round(grounded.grounding.track, state)
             execution = None if commands is None else execute(simulator, commands, options.control)
             rounds.append(
                 replace(grounded, actions=request.actions, commands=commands, rejection=rejection, execution=execution)
@@ -216,9 +216,10 @@ class ClosedLoop:
             gripping = commands.gripping
         return EpisodeRun(rounds=tuple(rounds), outcome=simulator.outcome(), pending=pending)
 
-    def _request(
+    def make_request(
         self, episode: Episode, name: str, sample: int, number: int, first_frame: NDArray[np.uint8]
     ) -> Request:
+        """Return the request for the video of a round, whose seed is its own."""
         options = self._options
         further = [sample] if sample else []
         return Request(
@@ -233,7 +234,7 @@ class ClosedLoop:
             fps=FPS,
         )
 
-    def _times(self, frames: int) -> tuple[ClipTiming, NDArray[np.intp], Array]:
+    def choose_frames(self, frames: int) -> tuple[ClipTiming, NDArray[np.intp], Array]:
         """Return the timing of a clip of so many frames, the indices (T,) of those to use, and their times (T,) [s]."""
         options = self._options
         model = self._model
@@ -244,12 +245,12 @@ class ClosedLoop:
             return timing, *sample_uniformly(frames, period_s * (FRAMES - 1), period_s)
         return timing, np.arange(frames), period_s * np.arange(frames, dtype=np.float64)
 
-    def _ground_video(self, video: Path, first_frame: NDArray[np.uint8], camera: Camera, state: RobotState) -> Round:
+    def ground_round(self, video: Path, first_frame: NDArray[np.uint8], camera: Camera, state: RobotState) -> Round:
         """Return the round of a video that was grounded, but not executed."""
         decoded = read_video(video).frames
         if len(decoded) < 2:
             raise InputError(f"{video.name}: has {len(decoded)} frames, expected {FRAMES}")
-        timing, chosen, t_s = self._times(len(decoded))
+        timing, chosen, t_s = self.choose_frames(len(decoded))
         clip = Clip(frames=decoded[chosen], t_s=t_s, conditioning=first_frame, is_view=True)
         try:
             grounding = self._grounder.ground(clip, camera, self._priors(state, chosen), trusts_camera=True)
@@ -278,7 +279,7 @@ class ClosedLoop:
             initial_state=InitialState(X_BG=self._planner.plant.forward(state.q), finger_width_m=state.finger_width_m)
         )
 
-    def _plan(self, track: GripperTrack, state: RobotState) -> tuple[Commands | None, str | None]:
+    def plan_round(self, track: GripperTrack, state: RobotState) -> tuple[Commands | None, str | None]:
         """Return the commands of a track, or the reason why there are none."""
         t_s: Array = track.t_s
         if (repeat := self._options.action_repeat) is not None:

@@ -62,7 +62,7 @@ def load_pipeline(
     automatic = torch.float32 if place == "cpu" else torch.bfloat16
     precision = automatic if dtype == "auto" else getattr(torch, dtype)
     try:
-        kind = _find_class(diffusers.DiffusionPipeline.load_config(source))
+        kind = find_class(diffusers.DiffusionPipeline.load_config(source))
         exact = dict.fromkeys(("vae", "image_encoder"), torch.float32) if kind.__name__.startswith(_FLOAT32_VAE) else {}
         pipeline = kind.from_pretrained(source, dtype={"default": precision, **exact}, use_safetensors=True)
         if offload == "model":
@@ -119,7 +119,7 @@ def arguments_of(kind: type) -> Mapping[str, inspect.Parameter]:
     return inspect.signature(kind.__call__).parameters
 
 
-def _find_class(index: dict[str, Any]) -> Any:
+def find_class(index: dict[str, Any]) -> Any:
     """Return the image-to-video class for a checkpoint; a ValueError says why there is none."""
     import diffusers
 

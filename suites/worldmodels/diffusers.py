@@ -70,26 +70,26 @@ class DiffusersModel:
                 raise SetupError(f"the package {package} is missing; pip install 'kinebench-drake[diffusers]'")
         lora = f"+{checkpoint_name(self._options.lora)}" if self._options.lora else ""
         self.name = self._options.name or f"{checkpoint_name(self._source)}{lora}"
-        self._pipeline: Any = None
+        self.pipeline: Any = None
 
     @property
     def chooses_length(self) -> bool:
         """True if the number of frames is that of the checkpoint or of the option `frames`, not the requested one."""
-        return self._options.frames is not None or (self._pipeline is not None and _own_frames(self._pipeline) > 0)
+        return self._options.frames is not None or (self.pipeline is not None and _own_frames(self.pipeline) > 0)
 
     def generate(self, request: Request, out: Path) -> Path:
         """Run the pipeline and write its frames as an mp4 beside `out`."""
         import torch
 
         options = self._options
-        if self._pipeline is None:
+        if self.pipeline is None:
             pipeline = load_pipeline(self._source, dtype=options.dtype, device=options.device, offload=options.offload)
             if options.lora:
                 add_lora(pipeline, options.lora, options.lora_scale)
-            self._pipeline = pipeline
+            self.pipeline = pipeline
         arguments, size = self._arguments(request)
         try:
-            output = self._pipeline(**arguments)
+            output = self.pipeline(**arguments)
         except torch.OutOfMemoryError:
             raise SetupError(
                 f"{self.name} at {size[0]}x{size[1]} needs more memory than the GPU has; use offload=model or another "
@@ -102,10 +102,10 @@ class DiffusersModel:
 
     def close(self) -> None:
         """Release the pipeline and the memory of the GPU."""
-        if self._pipeline is not None:
+        if self.pipeline is not None:
             import torch
 
-            self._pipeline = None
+            self.pipeline = None
             torch.cuda.empty_cache()
 
     def _arguments(self, request: Request) -> tuple[dict[str, Any], tuple[int, int]]:
@@ -113,7 +113,7 @@ class DiffusersModel:
         import torch
 
         options = self._options
-        pipeline = self._pipeline
+        pipeline = self.pipeline
         accepted = arguments_of(type(pipeline))
         for option, argument in {"size": "width", "guidance": "guidance_scale", "steps": "num_inference_steps"}.items():
             if getattr(options, option) is not None and argument not in accepted:
@@ -139,8 +139,8 @@ class DiffusersModel:
 
     def _size(self, frame: NDArray[np.uint8]) -> tuple[int, int]:
         """Return the supported width and height [px] nearest to the requested ones."""
-        pipeline = self._pipeline
-        config = _network(self._pipeline).config
+        pipeline = self.pipeline
+        config = _network(self.pipeline).config
         scale = _attribute(pipeline, _SPATIAL, 8)
         if getattr(config, "use_learned_positional_embeddings", False):
             # Learned position embeddings exist for one size only.

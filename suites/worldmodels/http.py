@@ -107,11 +107,11 @@ class HttpModel:
         """Request a video and store it beside `out`."""
         answer = self._client.call("POST", "", deadline, body=_body(request), patient=True, files=_ENCODED)
         with arriving(out) as part:
-            self._fetch(answer, part, deadline)
+            self.fetch(answer, part, deadline)
             deadline.left()  # decoding a large answer takes seconds
             return adopt(part, out)
 
-    def _fetch(self, answer: dict[str, Any], part: Path, deadline: Deadline) -> None:
+    def fetch(self, answer: dict[str, Any], part: Path, deadline: Deadline) -> None:
         """Store the video of an answer in a file."""
         kinds = [name for name in _ANSWERS if answer.get(name) is not None]
         if answer.get("error"):

@@ -24,7 +24,7 @@ from kinebench_drake.suites.worldmodels.worldmodel import WorldModelError
 
 _HEAD = 64
 _MATROSKA = rb"\x1a\x45\xdf\xa3"
-_FORMATS = {
+DEMUXERS = {
     ".mov": ("mov", rb".{4}ftypqt  "),
     ".mp4": ("mov", rb".{4}ftyp"),
     ".avi": ("avi", rb"RIFF.{4}AVI "),
@@ -63,7 +63,7 @@ def from_base64(text: str | memoryview) -> bytes:
 
 def suffix_of(head: bytes) -> str | None:
     """Return the suffix of the video format that begins with `head`; None if there is none."""
-    return next((suffix for suffix, (_, start) in _FORMATS.items() if re.match(start, head, re.DOTALL)), None)
+    return next((suffix for suffix, (_, start) in DEMUXERS.items() if re.match(start, head, re.DOTALL)), None)
 
 
 def check_video(path: Path) -> str:
@@ -82,7 +82,7 @@ def check_video(path: Path) -> str:
         raise WorldModelError(f"the file is not a video ({_describe(head)}); expected mp4, mov, avi, gif, webm or mkv")
     try:
         # The format is fixed: otherwise a playlist of other addresses would pass as a video.
-        with av.open(path, format=_FORMATS[suffix][0], metadata_errors="replace") as container:
+        with av.open(path, format=DEMUXERS[suffix][0], metadata_errors="replace") as container:
             if not isinstance(container, InputContainer) or not container.streams.video:
                 raise WorldModelError("the file is a media file without a video stream")
             if next(container.decode(video=0), None) is None:

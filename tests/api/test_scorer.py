@@ -7,20 +7,24 @@ import numpy as np
 import pytest
 
 from kinebench_drake import Scorer
-from kinebench_drake.api.scorer import _evaluator, reward_of
+from kinebench_drake.api.scorer import reward_of
 from kinebench_drake.errors import UsageError
 from kinebench_drake.formats.videos.sample import VideoSample
 from kinebench_drake.geometry import Array
+from kinebench_drake.grounding.overrides.overrides import Overrides
+from kinebench_drake.runs.config import ScoreConfig
 from kinebench_drake.runs.evaluator import Evaluation, SampleHashes
 from kinebench_drake.runs.resources import Resources
+from kinebench_drake.runs.score import VideoEvaluator
 from kinebench_drake.track import GripperTrack
 
 FRAMES = 25
+EVALUATOR = VideoEvaluator(config=ScoreConfig(source=Path("x"), out=Path("y")), overrides=Overrides())
 
 
 @pytest.fixture(scope="module")
 def tools() -> Resources:
-    return _evaluator(0.2).setup()
+    return EVALUATOR.setup()
 
 
 def follow(q: Array, tools: Resources) -> GripperTrack:
@@ -50,9 +54,7 @@ def reward(track: GripperTrack, tools: Resources) -> float:
         return Evaluation(kinematics=tools.judge(track), metrics={**metrics, "anomalies": []}, tracked=track.tracked)
 
     return reward_of(
-        _evaluator(0.2).row_of(
-            VideoSample(id="x", path=Path("x"), video="x"), evaluate, SampleHashes(content="", input=None)
-        )
+        EVALUATOR.row_of(VideoSample(id="x", path=Path("x"), video="x"), evaluate, SampleHashes(content="", input=None))
     )
 
 

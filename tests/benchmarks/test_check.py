@@ -5,6 +5,7 @@ from benchmarks.trajectory import REASONS, TrajectoryKind, TrajectoryTruth
 from kinebench_drake.errors import InputError
 from kinebench_drake.io.jsonl import dump
 from kinebench_drake.results.row import SampleRow, Status
+from kinebench_drake.stats import wilson
 
 
 def truth(kind, n):
@@ -58,14 +59,7 @@ def test_detections_and_named_reasons_have_wilson_intervals(verdicts):
     assert v.reason_named.hits == 2
     assert v.reason_named.ids == ("fast-1", "fast-2")
     assert v.missing == ()
-    # Wilson's interval of 3 in 4, by the closed form
-    n = 4
-    p = 0.75
-    z = 1.959963984540054
-    middle = p + z**2 / (2 * n)
-    half = z * (p * (1 - p) / n + z**2 / (4 * n**2)) ** 0.5
-    assert v.judged_infeasible.share.low == pytest.approx((middle - half) / (1 + z**2 / n))
-    assert v.judged_infeasible.share.high == pytest.approx((middle + half) / (1 + z**2 / n))
+    assert (v.judged_infeasible.share.low, v.judged_infeasible.share.high) == pytest.approx(wilson(3, 4))
 
 
 def test_the_table_names_misses_and_false_alarms(verdicts):

@@ -1,7 +1,6 @@
 """Validity study: responses to planted faults with known answers, its report, and a small measurement."""
 
 import json
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,9 +10,7 @@ from click.testing import CliRunner
 from benchmarks import executions, validity
 from benchmarks.__main__ import main
 from benchmarks.executions import ClipTrack, ExecutionWorker, Extractor
-from benchmarks.faults.fault import GRADES, FaultGrade, PlantedFault
-from benchmarks.perception.store import MeasurementStore
-from benchmarks.planted_videos import PlantedVideo, PlantingResult
+from benchmarks.faults.fault import GRADES, FaultGrade
 from benchmarks.validity import TRIAL, ValidityTrial, study_grades, study_specs
 from benchmarks.validity_report import FIGURE, RESPONSES, write_report
 from benchmarks.validity_response import NUMBERS, Grade, Study, Verdict
@@ -157,14 +154,6 @@ def test_the_study_covers_all_kinds_on_unseen_single_clip_episodes() -> None:
     assert {spec.pool for spec in specs} == {Pool.UNSEEN}
     assert len({spec.id for spec in specs}) == len(specs) > 40
     assert all(TASKS[spec.task].card.clips == 1 for spec in specs)
-
-
-def test_planted_videos_survive_storage_as_json(tmp_path: Path) -> None:
-    fault = PlantedFault(kind=AnomalyKind.FREEZE, frame_start=3, frame_end=7, size=5.0)
-    video = PlantedVideo(id="a_f", episode="a", task="t", seed=0, prompt="", success=True, fault=fault)
-    done = PlantingResult(videos=(video, replace(video, id="a", fault=None)), problems=("b",))
-    MeasurementStore(tmp_path / "planted.jsonl", PlantingResult).put("key", done)
-    assert MeasurementStore(tmp_path / "planted.jsonl", PlantingResult)["key"] == done
 
 
 @pytest.mark.sapien

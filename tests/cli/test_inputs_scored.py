@@ -1,19 +1,18 @@
 """Rows of runs over videos of other formats, sizes and clocks."""
 
 import json
-from fractions import Fraction
 
 import av
 import numpy as np
 import pytest
 from PIL import Image
 
-from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.grounding.camera.framing import letterboxes
 from kinebench_drake.io.container import join_videos, write_video
 from kinebench_drake.results.row import Status
 from kinebench_drake.results.store import read_rows
 from kinebench_drake.runs.score import score_videos
+from tests.films import encode
 from tests.formats.videos.conftest import write_info, write_v3_episodes
 
 KEY = "observation.images.front"
@@ -83,19 +82,7 @@ def test_another_first_frame_image_changes_the_content_hash(film, config, tmp_pa
 def test_a_video_with_variable_frame_rate_is_timed_by_its_time_stamps(config, tmp_path):
     stamps = [0, 50, 100, 400, 450, 500, 900, 950]
     (tmp_path / "videos").mkdir()
-    camera = benchmark_camera()
-    with av.open(tmp_path / "videos" / "a.mp4", "w") as container:
-        stream = container.add_stream("libx264", rate=20)
-        stream.height = camera.height
-        stream.width = camera.width
-        stream.pix_fmt = "yuv420p"
-        stream.codec_context.time_base = Fraction(1, 1000)
-        for stamp in stamps:
-            frame = av.VideoFrame.from_ndarray(np.zeros((camera.height, camera.width, 3), np.uint8), format="rgb24")
-            frame.pts = stamp
-            frame.time_base = Fraction(1, 1000)
-            container.mux(stream.encode(frame))
-        container.mux(stream.encode())
+    encode(tmp_path / "videos" / "a.mp4", np.zeros((8, 96, 96, 3), np.uint8), "libx264", "yuv420p", stamps=stamps)
     score_videos(config())
     row = read_rows(tmp_path / "out")["a"].extra
     assert (row["frame_period_source"], row["frame_period_s"]) == ("time_stamps", pytest.approx(0.05, abs=2e-3))

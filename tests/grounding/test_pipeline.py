@@ -110,7 +110,7 @@ def test_a_followed_camera_is_compared_with_a_fixed_one_only_if_frames_show_the_
             self.counts.append(len(frames))
             return replace(seen, poses=(pose,) * len(frames), wide=seen.wide[:1] * len(frames))
 
-    seen = pipeline._tracker.track(read_video(clip.path).frames[:1], clip.camera)
+    seen = pipeline.tracker.track(read_video(clip.path).frames[:1], clip.camera)
     pose = seen.poses[0] if agreeing else None
     rng = np.random.default_rng(0)
     wide = cv2.resize(rng.integers(0, 255, (48, 72, 3), dtype=np.uint8), (576, 384), interpolation=cv2.INTER_CUBIC)

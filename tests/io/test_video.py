@@ -16,6 +16,7 @@ from kinebench_drake.io.images import read_image
 from kinebench_drake.io.npz import open_npz
 from kinebench_drake.io.reader import read_video
 from kinebench_drake.io.video import Video
+from tests.films import encode
 
 T = 20
 H = 96
@@ -30,22 +31,6 @@ def frames():
     for k, image in enumerate(images):
         image[10 + k : 50 + k, 20 + 2 * k : 60 + 2 * k] = [200, 30, 60]
     return images
-
-
-def encode(path, frames, codec, pixel_format, *, options=None, stamps=None):
-    with av.open(path, "w", options=options or {}) as container:
-        stream = container.add_stream(codec, rate=17)
-        stream.height, stream.width = frames.shape[1:3]
-        stream.pix_fmt = pixel_format
-        if stamps:
-            stream.codec_context.time_base = Fraction(1, 1000)
-        for k, image in enumerate(frames):
-            frame = av.VideoFrame.from_ndarray(image, format="rgb24")
-            if stamps:
-                frame.pts = stamps[k]
-                frame.time_base = Fraction(1, 1000)
-            container.mux(stream.encode(frame))
-        container.mux(stream.encode())
 
 
 QUARTERS = np.zeros((H, W, 3), dtype=np.uint8)

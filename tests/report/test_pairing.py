@@ -4,7 +4,6 @@ import csv
 
 import pytest
 
-from kinebench_drake.cli import main
 from kinebench_drake.errors import UsageError
 from kinebench_drake.io.jsonl import dump
 from kinebench_drake.report.run import read_runs
@@ -131,12 +130,11 @@ def folders(tmp_path):
     return tmp_path / "runs" / "wan", tmp_path / "runs" / "cog"
 
 
-def test_a_comparison_of_scores_is_printed_and_written(folders, tmp_path, capsys):
+def test_a_comparison_of_scores_is_printed_and_written(folders, tmp_path, program):
     out = tmp_path / "runs" / "comparison"
-    with pytest.raises(SystemExit) as stop:
-        main(["compare", *map(str, folders), "--out", str(out)])
-    assert stop.value.code == 0
-    printed = capsys.readouterr().out.splitlines()
+    code, text, _ = program("compare", *folders, "--out", out)
+    assert code == 0
+    printed = text.splitlines()
     assert printed[0] == "No sample has a verdict that would rank the models"
     assert printed[1] == f"wan - {EVIL}: 40 shared samples (of 40 and 40), paired by task and seed"
     assert any(line.startswith("SPARC ↑") for line in printed)

@@ -16,7 +16,7 @@ from kinebench_drake.geometry import invert, make_pose, rotation_exp
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.report import replay
 from kinebench_drake.report.replay import build_replay, link_meshes, record_track, write_replays
-from kinebench_drake.report.replay_scene import _interpolate, _linear, _tube
+from kinebench_drake.report.replay_scene import interpolate_poses, linear_color, tube
 from kinebench_drake.report.sample import worst_samples
 from kinebench_drake.results.row import SampleRow, Status
 from kinebench_drake.results.store import ResultStore, artifact_path, read_rows
@@ -237,7 +237,7 @@ def test_replays_of_a_folder_are_written_for_named_samples_with_tracks(tmp_path,
 
 def test_tubes_surround_their_line_at_a_constant_radius():
     points = np.array([[0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [0.1, 0.0, 0.0], [0.1, 0.2, 0.1]])
-    vertices, faces = _tube(points, 0.01)
+    vertices, faces = tube(points, 0.01)
     rings = vertices.reshape(len(points), -1, 3)
     np.testing.assert_allclose(rings.mean(axis=1), points, atol=1e-12)
     np.testing.assert_allclose(np.linalg.norm(rings - points[:, None], axis=-1), 0.01, atol=1e-12)
@@ -248,14 +248,14 @@ def test_tubes_surround_their_line_at_a_constant_radius():
 
 def test_poses_between_frames_are_interpolated_on_a_line_and_at_constant_turn_rate():
     X = make_pose(rotation_exp([[0.0, 0.0, 0.0], [0.0, 0.0, 1.0]]), [[0.0, 0.0, 0.0], [0.4, 0.0, 0.0]])
-    (quarter,) = _interpolate(np.array([0.25]), np.array([0.0, 1.0]), X)
+    (quarter,) = interpolate_poses(np.array([0.25]), np.array([0.0, 1.0]), X)
     np.testing.assert_allclose(
         quarter @ invert(make_pose(rotation_exp([0.0, 0.0, 0.25]), [0.1, 0.0, 0.0])), np.eye(4), atol=1e-12
     )
 
 
 def test_srgb_colours_are_converted_to_linear():
-    assert _linear((0.0, 0.5, 1.0)) == pytest.approx([0.0, 0.21404, 1.0], abs=1e-5)
+    assert linear_color((0.0, 0.5, 1.0)) == pytest.approx([0.0, 0.21404, 1.0], abs=1e-5)
 
 
 def test_a_recording_for_rerun_is_sound_and_holds_arm_path_and_curves(plant, file, tmp_path):

@@ -1,6 +1,5 @@
 import errno
 import json
-import os
 import pickle
 import tracemalloc
 from dataclasses import replace
@@ -9,7 +8,6 @@ import numpy as np
 import pytest
 
 from kinebench_drake.errors import InputError, SetupError, UsageError
-from kinebench_drake.geometry import make_pose
 from kinebench_drake.io.atomic import write_atomically
 from kinebench_drake.io.container import write_video
 from kinebench_drake.io.jsonl import dump
@@ -17,8 +15,6 @@ from kinebench_drake.results import store as results
 from kinebench_drake.results.aggregate import aggregate, estimate, split_rows
 from kinebench_drake.results.row import SampleRow, Status
 from kinebench_drake.results.store import ResultStore, read_rows
-from kinebench_drake.results.trackfile import read_track, write_track
-from kinebench_drake.track import GripperTrack
 
 
 def row(id="a", status=Status.OK, **changes):
@@ -30,18 +26,6 @@ def row(id="a", status=Status.OK, **changes):
             **changes,
         }
     )
-
-
-def test_rows_round_trip_through_samples_jsonl_with_infinity_as_null(tmp_path):
-    violation = {"kind": "jerk", "frame_start": 1, "frame_end": 2, "joint": 3, "value": float("inf"), "limit": 1.0}
-    first = row(extra={"frames": 9, "camera_source": "folder"}, violations=(violation,))
-    with ResultStore(tmp_path) as store:
-        store.append(first, 0.1)
-    (read,) = read_rows(tmp_path).values()
-    assert read.extra == first.extra
-    assert read.metrics == {"sparc": -1.5, "ldlj": None}
-    assert read.violations[0]["value"] is None
-    assert dump(read.to_json()) == dump(first.to_json())
 
 
 def test_rows_in_memory_share_equal_strings(tmp_path):
@@ -182,24 +166,6 @@ def test_only_files_of_the_run_s_own_rows_are_removed(tmp_path):
         assert left() == ["notes.md", "replays/mine.html", "samples.jsonl"]
 
 
-def test_a_full_disk_leaves_samples_jsonl_unchanged(tmp_path, monkeypatch):
-    with ResultStore(tmp_path) as store:
-        store.append(row("a"), 0.1)
-        before = (tmp_path / results.SAMPLES).read_bytes()
-
-        def full(*_):
-            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-
-        monkeypatch.setattr(results.os, "fsync", full)
-        for write in (lambda: store.append(row("b"), 0.1), lambda: store.finish({})):
-            with pytest.raises(SetupError, match=r"No space left.*free some space.*kept") as caught:
-                write()
-            assert "\n" not in str(caught.value)
-            assert (tmp_path / results.SAMPLES).read_bytes() == before
-        assert list(store.rows) == ["a"]
-    assert not list(tmp_path.glob(".*.part"))
-
-
 def test_an_artifact_that_cannot_be_deleted_is_a_setup_error(tmp_path, monkeypatch):
     with ResultStore(tmp_path) as store:
         store.append(row("a"), 0.1)
@@ -216,50 +182,6 @@ def test_a_failed_atomic_write_keeps_the_old_file_and_leaves_no_other(tmp_path, 
         write_atomically(tmp_path / "a", b"new")
     assert (tmp_path / "a").read_bytes() == b"old"
     assert [p.name for p in tmp_path.iterdir()] == ["a"]
-
-
-def make_track(n=5):
-    X = make_pose(np.broadcast_to(np.eye(3), (n, 3, 3)), np.arange(3 * n).reshape(n, 3))
-    X[1] = np.nan
-    on = np.isfinite(X[:, 0, 0])
-    return GripperTrack(
-        t_s=np.arange(n) * 0.2, X_CH=X, X_BG=X + 0, tracked=on, confidence=on * 0.9, finger_width_m=np.full(n, 0.04)
-    )
-
-
-def test_tracks_round_trip_and_equal_tracks_have_equal_bytes(tmp_path):
-    track = make_track()
-    write_track(tmp_path / "a.npz", track, None, {})
-    write_track(tmp_path / "b.npz", track, None, {})
-    assert (tmp_path / "a.npz").read_bytes() == (tmp_path / "b.npz").read_bytes()
-    file = read_track(tmp_path / "a.npz")
-    for name in ("t_s", "X_CH", "X_BG", "tracked", "confidence", "finger_width_m"):
-        np.testing.assert_array_equal(getattr(file.track, name), getattr(track, name))
-    assert np.isnan(file.q).all()
-    assert file.q.shape == (5, 7)
-    assert file.ik_ok.dtype == bool
-    assert not file.ik_ok.any()
-    with np.load(tmp_path / "a.npz", allow_pickle=False) as archive:
-        assert {"t_s", "camera_from_hand", "base_from_tcp", "tracked", "q", "ik_ok"} <= set(archive.files)
-
-
-def test_damaged_or_absent_track_files_are_refused(tmp_path):
-    write_track(tmp_path / "a.npz", make_track(), None, {})
-    (tmp_path / "b.npz").write_bytes((tmp_path / "a.npz").read_bytes()[:200])
-    for name in ("b.npz", "absent.npz"):
-        with pytest.raises(InputError, match="not a track file"):
-            read_track(tmp_path / name)
-
-
-def test_wilson_interval_agrees_with_the_formula():
-    k = 7
-    n = 10
-    z = 1.959963984540054
-    found = estimate([True] * k + [False] * (n - k) + [None], total=12)
-    centre = (k + z * z / 2) / (n + z * z)
-    half = z / (n + z * z) * (k * (n - k) / n + z * z / 4) ** 0.5
-    assert (found.mean, found.n, found.total) == (0.7, 10, 12)
-    assert (found.low, found.high) == pytest.approx((centre - half, centre + half))
 
 
 def test_bootstrap_interval_covers_the_mean_about_as_often_as_it_says():

@@ -54,6 +54,18 @@ def test_a_track_file_without_joints_has_neither_ik_status_nor_curves(tmp_path, 
     file = read_track(tmp_path / "a.npz")
     assert file.status is None
     assert file.curves == {}
+    assert np.isnan(file.q).all()
+    assert not file.ik_ok.any()
+    with np.load(tmp_path / "a.npz", allow_pickle=False) as archive:
+        assert {"t_s", "camera_from_hand", "base_from_tcp", "tracked", "q", "ik_ok"} <= set(archive.files)
+
+
+def test_damaged_or_absent_track_files_are_refused(tmp_path, track):
+    write_track(tmp_path / "a.npz", track, None, {})
+    (tmp_path / "b.npz").write_bytes((tmp_path / "a.npz").read_bytes()[:200])
+    for name in ("b.npz", "absent.npz"):
+        with pytest.raises(InputError, match="not a track file"):
+            read_track(tmp_path / name)
 
 
 def test_curves_named_like_track_arrays_do_not_replace_them(tmp_path, track, joints):

@@ -15,7 +15,7 @@ from kinebench_drake.results.row import SampleRow, Status
 from kinebench_drake.results.store import ResultStore, artifact_path, read_rows
 from kinebench_drake.results.trackfile import write_track
 from kinebench_drake.runs.config import RunKind
-from kinebench_drake.runs.merge import _copy, merge_folders
+from kinebench_drake.runs.merge import copy_artifact, merge_folders
 from kinebench_drake.runs.runner import NullRunObserver, close_run, summarize
 from kinebench_drake.track import GripperTrack
 
@@ -266,7 +266,7 @@ def test_merged_runs_keep_replays_of_the_worst_samples_only(tmp_path):
 def test_an_unreadable_file_is_reported_as_a_read_error(tmp_path):
     sick = Path("/proc/self/mem")  # opens, but reading its beginning fails, as on a disk with a bad sector
     with pytest.raises(UsageError, match="mem: cannot be read"):
-        _copy(sick, tmp_path / "copy")
+        copy_artifact(sick, tmp_path / "copy")
     assert list(tmp_path.iterdir()) == []
 
 

@@ -8,7 +8,7 @@ import pytest
 from kinebench_drake.geometry import make_pose
 from kinebench_drake.kinematics.violation import ViolationKind
 from kinebench_drake.runs.resources import Resources, RobotOptions
-from kinebench_drake.runs.score import _judge_possible
+from kinebench_drake.runs.score import judge_possible
 from kinebench_drake.track import GripperTrack
 
 T = 12
@@ -33,14 +33,14 @@ def track(x_m, z_m=0.3):
 
 
 def test_a_motion_that_is_feasible_with_every_camera_is_feasible(tools):
-    verdict = _judge_possible([track(0.45), track(0.5)], tools, 0.0)
+    verdict = judge_possible([track(0.45), track(0.5)], tools, 0.0)
     assert verdict is not None
     assert verdict.feasible
     assert verdict.violations == ()
 
 
 def test_a_motion_that_is_infeasible_with_every_camera_has_the_kinds_of_violations_that_all_share(tools):
-    verdict = _judge_possible([track(1.2), track(1.4)], tools, 0.0)
+    verdict = judge_possible([track(1.2), track(1.4)], tools, 0.0)
     assert verdict is not None
     assert verdict.feasible is False
     assert {v.kind for v in verdict.violations} == {ViolationKind.UNREACHABLE}
@@ -55,4 +55,4 @@ def test_a_motion_that_is_infeasible_with_every_camera_has_the_kinds_of_violatio
     ],
 )
 def test_a_verdict_that_depends_on_the_camera_is_none(tools, tracks):
-    assert _judge_possible(tracks, tools, 0.0) is None
+    assert judge_possible(tracks, tools, 0.0) is None

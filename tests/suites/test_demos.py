@@ -132,7 +132,7 @@ def attempt(out: Path, monkeypatch: pytest.MonkeyPatch, error: Exception) -> Rec
 
     monkeypatch.setattr(demos, "run_expert", fail)
     order = an_order(out, FormatKind.MANISKILL, 1)
-    return demos._attempt(None, order.attempts(TASK, 1)[0], order)
+    return demos.attempt_demo(None, order.attempts(TASK, 1)[0], order)
 
 
 def test_an_error_during_a_seed_is_a_failed_attempt(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

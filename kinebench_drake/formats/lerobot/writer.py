@@ -97,10 +97,10 @@ def write_part(
 
 def pose_columns(X_BG: Array) -> Array:
     """Return x, y, z [m] and a quaternion of poses (T, 4, 4), as a column (T, 7)."""
-    return np.column_stack([X_BG[:, :3, 3], _continuous(np.stack([to_quaternion(X[:3, :3]) for X in X_BG]))])
+    return np.column_stack([X_BG[:, :3, 3], make_continuous(np.stack([to_quaternion(X[:3, :3]) for X in X_BG]))])
 
 
-def _continuous(quaternions: Array) -> Array:
+def make_continuous(quaternions: Array) -> Array:
     """Return quaternions wxyz (T, 4) whose signs do not jump: q and -q are the same rotation.
 
     The first has the sign of a gripper that points down, (0, 1, 0, 0), every other one that of the frame before.

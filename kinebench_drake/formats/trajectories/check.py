@@ -21,13 +21,13 @@ from kinebench_drake.track import MAX_WIDTH_M
 
 MIN_FRAMES = 2
 """A path needs two postures."""
-
 REPAIRABLE = 1e-3
 """Greatest deviation of R^T R from the identity, or of a quaternion's norm from 1, that is repaired."""
 FAR_M = 10.0
 """Greatest coordinate of the gripper in the robot base frame [m]: larger values are not in metres."""
+ROUNDING = 1e-5
+"""Deviation within single precision, which is repaired without a warning."""
 
-ROUNDING = 1e-5  # deviations within single precision are repaired without a warning
 _MANY_RAD = 10.0  # larger angles are taken for degrees
 _WIDTH_SLACK_M = 0.01  # overshoot of sensors and simulators
 

@@ -5,7 +5,6 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from kinebench_drake import cli
 from kinebench_drake.errors import UnmeasurableError
 from kinebench_drake.formats.camerafile import load_camera
 from kinebench_drake.geometry import invert, pose_difference, transform_points
@@ -35,20 +34,14 @@ def video(tmp_path):
 
 
 @pytest.fixture
-def program(monkeypatch, capsys, estimator):
+def program(program, monkeypatch, estimator):
+    """Runs the program with the estimator of a rendered arm."""
     monkeypatch.setattr(
         calibration,
         "calibrate",
         functools.partial(calibrate, calibrator=Calibrator(estimator.estimate, estimator.estimate, CellsAlone())),
     )
-
-    def run(*arguments):
-        with pytest.raises(SystemExit) as ended:
-            cli.main([str(a) for a in arguments])
-        stated = capsys.readouterr()
-        return ended.value.code, stated.out, stated.err
-
-    return run
+    return program
 
 
 def test_calibrate_writes_a_camera_file_its_figures_and_a_check_image(program, video, estimator, tmp_path):

@@ -106,7 +106,7 @@ def test_the_choice_between_similar_base_turns_follows_the_agreement_of_their_fi
     prior = Prior(lens=right.scene.lens, log_focal_sigma=0.0)
 
     def fit(*turns):
-        return estimator._turn(right, turns, images, prior, len(frames))[0]
+        return estimator.fit_turn(right, turns, images, prior, len(frames))[0]
 
     both = fit(wrong, better, BaseTurn(angle_rad=-1.0, share=0.2))
     assert np.allclose(both.scene.lens.X_CB, right.scene.lens.X_CB, atol=0.02)

@@ -8,7 +8,7 @@ import pytest
 
 from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array, make_pose
-from kinebench_drake.grounding.tracking.localization import _tiles, find_region, likeliest_gripper
+from kinebench_drake.grounding.tracking.localization import find_region, likeliest_gripper, tile_image
 from kinebench_drake.grounding.tracking.view import WIDE_SIZE, Crop, GripperView
 from kinebench_drake.io.frames import Frames
 from kinebench_drake.models.panda.cad import GripperCad
@@ -57,7 +57,7 @@ def test_tiles_locate_a_small_gripper_and_enlarge_its_region(cad: GripperCad, pl
 @pytest.mark.parametrize(("fx", "fy"), [(700.0, 700.0), (1400.0, 700.0), (700.0, 1400.0)])
 def test_tiles_cover_the_image_for_any_pixel_aspect_ratio(fx: float, fy: float) -> None:
     camera = replace(CAMERA, fx=fx, fy=fy)
-    covered = sum(tile.unwarp(np.ones((WIDE_SIZE, WIDE_SIZE), np.uint8), camera) > 0 for tile in _tiles(camera, 2))
+    covered = sum(tile.unwarp(np.ones((WIDE_SIZE, WIDE_SIZE), np.uint8), camera) > 0 for tile in tile_image(camera, 2))
     assert (np.asarray(covered) > 0).mean() > 0.99
 
 

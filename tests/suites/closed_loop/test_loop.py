@@ -71,11 +71,11 @@ def test_clips_of_models_that_choose_the_length_are_resampled_uniformly(
     model: SimpleNamespace, option: ClipTiming | None, timing: ClipTiming
 ) -> None:
     loop = ClosedLoop(None, None, model, LoopOptions(clip_timing=option))
-    used, chosen, t_s = loop._times(150)
+    used, chosen, t_s = loop.choose_frames(150)
     assert used is timing
     assert (len(chosen), t_s[-1]) == ((49, pytest.approx(9.6)) if timing is ClipTiming.UNIFORM else (150, 0.2 * 149))
     for frames in (2, 25, 49):
-        used, chosen, t_s = loop._times(frames)
+        used, chosen, t_s = loop.choose_frames(frames)
         assert chosen.tolist() == list(range(frames))
     np.testing.assert_array_equal(t_s, 0.2 * np.arange(49))
 
@@ -129,8 +129,8 @@ def test_an_episode_that_no_expert_can_continue_has_failed(
         video=tmp_path / "x", timing=ClipTiming.NATIVE, generated_frames=49, frames=None, robot=None,
         grounding=SimpleNamespace(track=None),
     )  # fmt: skip
-    monkeypatch.setattr(ClosedLoop, "_ground_video", lambda *_: round_)
-    monkeypatch.setattr(ClosedLoop, "_plan", lambda *_: (SimpleNamespace(gripping=False), None))
+    monkeypatch.setattr(ClosedLoop, "ground_round", lambda *_: round_)
+    monkeypatch.setattr(ClosedLoop, "plan_round", lambda *_: (SimpleNamespace(gripping=False), None))
     monkeypatch.setattr(module, "execute", lambda *_: SimpleNamespace(outcome=SimpleNamespace(success=False)))
     for tracks in (1, 0):
         stuck = Stuck(tracks)
@@ -148,6 +148,6 @@ def test_each_sample_and_round_has_its_own_seed() -> None:
     loop = ClosedLoop(None, None, SimpleNamespace(), LoopOptions())
     episode = compose("PullCube-v1", 0)
     frame = np.zeros((4, 4, 3), np.uint8)
-    seeds = [[loop._request(episode, "id", k, number, frame).seed for number in range(3)] for k in range(4)]
+    seeds = [[loop.make_request(episode, "id", k, number, frame).seed for number in range(3)] for k in range(4)]
     assert len({seed for own in seeds for seed in own}) == 12
     assert seeds[0][0] == int(generator("world model", episode.id, 0, 0).integers(2**31))

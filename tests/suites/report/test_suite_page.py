@@ -6,7 +6,6 @@ import re
 
 import pytest
 
-from kinebench_drake.cli import main
 from kinebench_drake.errors import UsageError
 from kinebench_drake.report import page_parts
 from kinebench_drake.report.table import Column, Table, escape_latex, table_csv, table_latex, table_lines
@@ -195,12 +194,10 @@ def write_comparison_page(tmp_path, run):
     return read_comparison([run, other]).write(tmp_path / "near" / "out").read_text()
 
 
-def test_a_comparison_is_printed_and_written(runs, tmp_path, capsys):
+def test_a_comparison_is_printed_and_written(runs, tmp_path, program):
     out = tmp_path / "comparison"
-    with pytest.raises(SystemExit) as stop:
-        main(["compare", str(runs[0]), str(runs[2]), "--out", str(out)])
-    assert stop.value.code == 0
-    printed = capsys.readouterr().out
+    code, printed, _ = program("compare", runs[0], runs[2], "--out", out)
+    assert code == 0
     assert printed.startswith("good is better than fair: success 70% (at most 77%) against 40% (at most 47%) of 30 ")
     assert "\nTask " in printed
     assert {p.name for p in out.iterdir()} >= {"report.html", "numbers.csv", "numbers.tex"}
@@ -252,11 +249,8 @@ def test_unfinished_repeated_or_foreign_folders_are_refused(tmp_path):
         read_comparison([run])
 
 
-def test_refusal_of_a_folder_is_one_line(tmp_path, capsys):
-    with pytest.raises(SystemExit) as stop:
-        main(["suite", "report", str(tmp_path), "--out", str(tmp_path / "x")])
-    assert stop.value.code == 2
-    assert capsys.readouterr().err.count("\n") == 1
+def test_refusal_of_a_folder_is_one_line(tmp_path, refusal):
+    assert "holds no samples.jsonl" in refusal("suite", "report", tmp_path, "--out", tmp_path / "x")
 
 
 @pytest.mark.skipif(BROWSER is None, reason="no chromium is installed")
@@ -270,25 +264,22 @@ def test_wide_tables_scroll_and_show_a_hint(runs, tmp_path):
         assert (state["overflow"], state["captions"], state["drawings"]) == (0, 0, 0)
 
 
-def test_models_of_one_name_and_different_specs_are_separated_with_a_warning(tmp_path, capsys):
+def test_models_of_one_name_and_different_specs_are_separated_with_a_warning(tmp_path, program):
     """In the tables, on the page and on the terminal; equal specs are pooled, as shards."""
     folders = [
         write_run(tmp_path / name, {"T": [True] * 2}, model="python", first_seed=2 * k, spec=spec)
         for k, (name, spec) in enumerate({"a": "a" * 64, "b": "b" * 64, "shard": "a" * 64}.items())
     ]
-    with pytest.raises(SystemExit):
-        main(["suite", "report", *map(str, folders), "--out", str(tmp_path / "report")])
+    _, _, err = program("suite", "report", *folders, "--out", tmp_path / "report")
     with (tmp_path / "report" / "summary.csv").open() as file:
         counts = {row["model"]: row["episodes"] for row in csv.DictReader(file)}
     assert counts == {"python (spec=aaaaaa)": "4", "python (spec=bbbbbb)": "2"}
     warning = "python is the name of 2 world models (aaaaaa in a, bbbbbb in b), kept apart by their specs; name each"
-    assert f"warning: {warning}" in capsys.readouterr().err
+    assert f"warning: {warning}" in err
     assert warning in (tmp_path / "report" / "report.html").read_text()
     assert "kept apart" not in write_suite_report([folders[0], folders[2]], tmp_path / "shards").read_text()
     again = write_run(tmp_path / "again", {"T": [False] * 2}, model="python", spec="b" * 64)
-    with pytest.raises(SystemExit):
-        main(["compare", str(folders[0]), str(again)])
-    out, err = capsys.readouterr()
+    _, out, err = program("compare", folders[0], again)
     assert "python is the name of 2 world models" in err
     assert "python (spec=aaaaaa)" in out
 

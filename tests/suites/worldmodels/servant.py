@@ -43,7 +43,7 @@ class Servant:
 
         class Handler(BaseHTTPRequestHandler):
             def do_GET(self) -> None:
-                servant._serve(self)
+                servant.serve(self)
 
             do_POST = do_GET
 
@@ -63,7 +63,7 @@ class Servant:
         self._server.shutdown()
         self._server.server_close()
 
-    def _serve(self, handler: BaseHTTPRequestHandler) -> None:
+    def serve(self, handler: BaseHTTPRequestHandler) -> None:
         length = int(handler.headers.get("Content-Length", 0))
         data = handler.rfile.read(length)
         asked = Asked(handler.command, handler.path, handler.headers, json.loads(data) if data else None)

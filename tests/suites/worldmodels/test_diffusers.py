@@ -97,7 +97,7 @@ def test_published_checkpoints_load_the_image_to_video_pipeline(
     model = DiffusersModel(parse(f"diffusers:{folder}?steps=1&device=cpu"))
     asked = replace(request_, num_frames=7, prompt="stack", negative_prompt="")
     red = decoded(model.generate(asked, out))[1]
-    assert type(model._pipeline).__name__ == loaded
+    assert type(model.pipeline).__name__ == loaded
     assert red.shape == (7, 64, 96, 3)
     assert not model.chooses_length
     blue = decoded(model.generate(replace(asked, first_frame=asked.first_frame[..., ::-1].copy()), out))[1]
@@ -178,7 +178,7 @@ def test_every_pipeline_with_image_and_frames_is_accepted(monkeypatch: pytest.Mo
     accepted = set()
     for name in (name for name in dir(diffusers) if name.endswith("Pipeline")):
         with suppress(ValueError):
-            accepted.add(checkpoints._find_class({"_class_name": name, "expand_timesteps": True}).__name__)
+            accepted.add(checkpoints.find_class({"_class_name": name, "expand_timesteps": True}).__name__)
     assert {*checkpoints.IMAGE_TO_VIDEO.values()} <= accepted
     assert {"StableVideoDiffusionPipeline", "Kandinsky5I2VPipeline", "Cosmos2VideoToWorldPipeline"} <= accepted
     assert not {"WanAnimatePipeline", "CogVideoXPipeline", "HunyuanVideoPipeline", "FluxPipeline"} & accepted

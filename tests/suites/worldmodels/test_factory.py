@@ -8,7 +8,7 @@ import pytest
 from kinebench_drake.errors import UsageError
 from kinebench_drake.io.files import VIDEO_SUFFIXES
 from kinebench_drake.suites.worldmodels.factory import FORMS, create
-from kinebench_drake.suites.worldmodels.media import _FORMATS, suffix_of
+from kinebench_drake.suites.worldmodels.media import DEMUXERS, suffix_of
 from kinebench_drake.suites.worldmodels.spec import Spec, parse
 from kinebench_drake.suites.worldmodels.worldmodel import Request
 from tests.films import decoded
@@ -134,7 +134,7 @@ def test_a_plugin_class_is_created_with_its_options_or_refused() -> None:
 
 
 def test_every_video_suffix_has_a_demuxer() -> None:
-    assert set(_FORMATS) == VIDEO_SUFFIXES
+    assert set(DEMUXERS) == VIDEO_SUFFIXES
 
 
 def test_the_first_bytes_of_a_video_determine_its_format(film: bytes, gif: bytes) -> None:

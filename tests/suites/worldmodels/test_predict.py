@@ -108,11 +108,6 @@ def test_requests_have_every_required_field(
         assert Image.open(io.BytesIO(base64.b64decode(frame["data"], validate=True))).size == (48, 32)
 
 
-def test_a_bearer_token_is_sent_where_one_is_named(generate: Callable[..., Path], server: Servant, keys: str) -> None:
-    generate("?key_env=MY_API_KEY")
-    assert {asked.headers["Authorization"] for asked in server.asked} == {f"Bearer {keys}"}
-
-
 def test_clips_are_no_longer_than_the_profile_allows(generate: Callable[..., Path], profile: dict[str, Any]) -> None:
     profile["prediction_frames"]["max"] = 2
     assert len(decoded(generate())[1]) == 3
