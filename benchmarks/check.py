@@ -80,7 +80,7 @@ def _summary(kind: TrajectoryKind, truths: Sequence[TrajectoryTruth], rows: Mapp
 
 
 def _names(row: SampleRow, truth: TrajectoryTruth) -> bool:
-    return bool({reason.value for reason in truth.reasons} & {str(v.get("kind")) for v in row.violations})
+    return bool({reason.value for reason in truth.reasons} & {v.kind.value for v in row.violations})
 
 
 def _count(values: Sequence[bool], total: int, ids: Sequence[str]) -> ShareCount:

@@ -14,7 +14,6 @@ from benchmarks.markdown import section, table
 from kinebench_drake.api.scorer import reward_of
 from kinebench_drake.errors import UsageError
 from kinebench_drake.geometry import Array
-from kinebench_drake.io.jsonl import as_object
 from kinebench_drake.results.power import least_difference
 from kinebench_drake.results.row import SampleRow, Status
 from kinebench_drake.results.store import read_rows
@@ -43,21 +42,18 @@ def read_runs(study: Path) -> dict[str, list[SampleRow]]:
 
 
 def _hit(row: SampleRow) -> float:
-    return float(row.extra.get("success") is True)
+    return float(row.success is True)
 
 
 def clip_ends(row: SampleRow) -> list[int]:
     """Return the number of frames of an episode up to the end of each clip."""
-    frames = row.extra["clip_frames"]
-    return list(accumulate(int(str(n)) for n in frames)) if isinstance(frames, list) else []
+    return list(accumulate(row.clip_frames)) if isinstance(row.clip_frames, tuple) else []
 
 
 def reported_kinds(row: SampleRow, clip: int) -> set[str]:
     """Return the kinds of anomalies that are reported in a clip of an episode, from 0."""
     start, end = [0, *clip_ends(row)][clip : clip + 2]
-    anomalies = row.metrics.get("anomalies")
-    objects = [as_object(a) for a in anomalies] if isinstance(anomalies, list) else []
-    return {str(a["kind"]) for a in objects if start <= int(str(a["frame_start"])) < end}
+    return {anomaly.kind.value for anomaly in row.anomalies if start <= anomaly.frame_start < end}
 
 
 def success_lines(runs: Mapping[str, Sequence[SampleRow]]) -> list[str]:

@@ -91,7 +91,7 @@ class EyeStudy:
         clips = []
         for id in ids:
             row = self._rows[id]
-            (spec,) = suite.specs("test", 1, tasks=[str(row.task)], offset=int(str(row.extra["seed"])))
+            (spec,) = suite.specs("test", 1, tasks=[str(row.task)], offset=row.seed or 0)
             video = self._folder / "videos" / f"{id}_r0.mp4"
             source = video if extractor is Extractor.BASELINE else artifact_path(self._folder, "tracks", id)
             clips.append(ClipTrack(id=id, spec=spec, extractor=extractor, source=source))
@@ -171,7 +171,7 @@ class EyeStudy:
 
     def cause_lines(self) -> list[str]:
         """Return the table of the causes of failures as seen and as attributed."""
-        verdicts = {id: row.extra.get("verdict") for id, row in self._rows.items()}
+        verdicts = {id: row.verdict for id, row in self._rows.items()}
         pairs = [(cause, str(verdicts[id])) for id, cause in self._labels.causes.items() if verdicts.get(id)]
         names = sorted({name for pair in pairs for name in pair})
         rows = [[cause, *(str(pairs.count((cause, verdict))) for verdict in names)] for cause in names]

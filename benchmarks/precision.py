@@ -8,7 +8,7 @@ from benchmarks.markdown import percent, section, table
 from benchmarks.process import run_program
 from kinebench_drake.environment.precision import PRECISION_VARIABLE, Precision
 from kinebench_drake.errors import KinebenchError
-from kinebench_drake.io.jsonl import Json, as_object
+from kinebench_drake.io.jsonl import Json
 from kinebench_drake.results.row import SampleRow
 from kinebench_drake.results.store import read_rows
 
@@ -73,34 +73,27 @@ def find_flips(single: Rows, half: Rows) -> Iterator[Flip]:
 
 def _verdicts(row: SampleRow) -> dict[str, Json]:
     """Return the verdicts of a row by name: True, False or None; the level of trust as text."""
-    trust = as_object(row.extra.get("trust"))
-    open_kinds = row.extra.get("anomalies_open")
     return {
         "feasible": row.feasible,
         "executable": row.executable,
-        "trust": str(trust.get("level")),
-        **dict.fromkeys(map(str, open_kinds if isinstance(open_kinds, list) else ()), None),
-        **dict.fromkeys((str(anomaly["kind"]) for anomaly in _anomalies(row)), True),
-        **dict.fromkeys((str(violation["kind"]) for violation in row.violations), True),
+        "trust": None if row.trust is None else row.trust.level,
+        **dict.fromkeys(row.anomalies_open or ()),
+        **dict.fromkeys((anomaly.kind.value for anomaly in row.anomalies), True),
+        **dict.fromkeys((violation.kind.value for violation in row.violations), True),
     }
-
-
-def _anomalies(row: SampleRow) -> list[Mapping[str, object]]:
-    anomalies = row.metrics.get("anomalies")
-    return [as_object(anomaly) for anomaly in anomalies] if isinstance(anomalies, list) else []
 
 
 def _measure(name: str, pair: Sequence[SampleRow]) -> str:
     """Describe the measure behind a verdict in both rows, with its bound."""
-    scores = [as_object(row.extra.get("anomaly_scores")).get(name) for row in pair]
+    scores = [(row.anomaly_scores or {}).get(name) for row in pair]
     if all(isinstance(score, float) for score in scores):
         return _numbers("score", scores, 1.0)
-    violations = [violation for row in pair for violation in row.violations if name in ("feasible", violation["kind"])]
+    violations = [v for row in pair for v in row.violations if name in ("feasible", v.kind.value)]
     if violations:
         first = violations[0]
-        return f"{first['kind']} {_text(first['value'])}, limit {_text(first['limit'])}"
+        return f"{first.kind.value} {_text(first.value)}, limit {_text(first.limit)}"
     if name == "trust":
-        return _numbers("agreement of the arm", [row.extra.get("camera_agreement") for row in pair])
+        return _numbers("agreement of the arm", [row.camera_agreement for row in pair])
     return " / ".join("; ".join(row.executable_reasons) or "nothing" for row in pair)
 
 

@@ -31,7 +31,7 @@ from kinebench_drake.results.metadata import Shard
 from kinebench_drake.results.row import SampleRow, Status
 from kinebench_drake.results.store import REPORT, RESULTS, SAMPLES, artifact_path, read_rows
 from kinebench_drake.runs.config import RunKind, ScoreConfig
-from kinebench_drake.runs.evaluator import SampleHashes
+from kinebench_drake.runs.evaluator import SampleHashes, fail_row
 from kinebench_drake.runs.merge import merge_folders
 from kinebench_drake.runs.runner import NullRunObserver, run_samples
 from kinebench_drake.runs.score import VideoEvaluator
@@ -88,7 +88,7 @@ class StubEvaluator(VideoEvaluator):
         k = int(rng.integers(2**31))
         for every, (status, reason) in _FAILURES.items():
             if k % every == 0:
-                return _label(self.failed_row(sample, status, reason.format(k=k % 997), hashes), k)
+                return _label(fail_row(self.blank_row(sample, hashes), status, reason.format(k=k % 997)), k)
         model = resources[k % len(resources)]
         scale = float(rng.normal(1.0, 0.1))
         for kind in ("tracks", "thumbnails"):
@@ -98,8 +98,8 @@ class StubEvaluator(VideoEvaluator):
                 target.parent.mkdir(exist_ok=True)
                 target.unlink(missing_ok=True)
                 _link(source, target)
-        metrics = {n: v * scale if isinstance(v, float) else v for n, v in model.metrics.items()}
-        row = replace(model, id=sample.id, video=sample.video, metrics=metrics, content_hash=hashes.content)
+        scaled = {name: v * scale for name, v in model.metrics.numbers.items() if isinstance(v, float)}
+        row = replace(model, id=sample.id, video=sample.video, content_hash=hashes.content).measured(scaled)
         return _label(row, k)
 
 

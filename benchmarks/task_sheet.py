@@ -1,5 +1,6 @@
 """Overview image of the tasks: first and last frame of each task's expert."""
 
+import textwrap
 from pathlib import Path
 
 from kinebench_drake.io.figure import new_figure, save
@@ -9,6 +10,8 @@ from kinebench_drake.suites.rollout import run_expert
 from kinebench_drake.suites.simulator import Simulator
 
 _COLUMNS = 4
+_LETTERS = 64
+"""Letters in a line below two images."""
 
 
 def draw_task_sheet(seed: int, out: Path) -> None:
@@ -26,6 +29,13 @@ def draw_task_sheet(seed: int, out: Path) -> None:
                 simulator.set_snapshot(snapshot)
                 ax.imshow(simulator.render().rgb)
         pair[0].set_title(task, fontsize=10, loc="left")
-        text = pair[0].text(0.0, -0.04, episode.prompt, fontsize=7, va="top", transform=pair[0].transAxes, wrap=True)
+        text = pair[0].text(
+            0.0,
+            -0.04,
+            "\n".join(textwrap.wrap(episode.prompt, _LETTERS)),
+            fontsize=7,
+            va="top",
+            transform=pair[0].transAxes,
+        )
         text.set_in_layout(False)  # it may be wider than its image
     save(figure, out)

@@ -13,7 +13,7 @@ from kinebench_drake.errors import InputError, cause
 from kinebench_drake.geometry import Array, rotation_exp
 from kinebench_drake.io.jsonl import Json, write_lines
 from kinebench_drake.io.npz import pack_arrays
-from kinebench_drake.kinematics.violation import ViolationKind
+from kinebench_drake.violation import ViolationKind
 
 TRUTH = "truth.jsonl"
 """Name of the file with the ground truth, beside the trajectories."""

@@ -15,7 +15,6 @@ from functools import partial
 from itertools import islice
 from pathlib import Path
 
-import numpy as np
 from pydantic import TypeAdapter
 
 from benchmarks.executions import ClipTrack, Extractor, TrackExecution, execute_all
@@ -27,7 +26,7 @@ from kinebench_drake.anomaly import AnomalyKind
 from kinebench_drake.errors import UsageError
 from kinebench_drake.executors.base import Executor
 from kinebench_drake.executors.local import LocalExecutor
-from kinebench_drake.io.jsonl import Json, as_object, read_lines, read_object, write_json, write_lines
+from kinebench_drake.io.jsonl import Json, read_lines, read_object, write_json, write_lines
 from kinebench_drake.results.provenance import weights_hash
 from kinebench_drake.results.row import SampleRow
 from kinebench_drake.results.store import artifact_path
@@ -143,8 +142,6 @@ def _plant(
 
 def _trial(video: PlantedVideo, row: SampleRow, execution: TrackExecution) -> ValidityTrial:
     numbers = {"executable": row.executable, "feasible": row.feasible}
-    measured = {name: v for name, v in row.metrics.items() if v is None or isinstance(v, bool | int | float)}
-    anomalies = row.metrics.get("anomalies")
     return ValidityTrial(
         id=video.id,
         episode=video.episode,
@@ -153,8 +150,8 @@ def _trial(video: PlantedVideo, row: SampleRow, execution: TrackExecution) -> Va
         size=0.0 if video.fault is None else video.fault.size,
         success=execution.success,
         reason=execution.reason,
-        numbers={**numbers, **{name: v if v is None or np.isfinite(v) else None for name, v in measured.items()}},
-        anomalies=tuple(sorted({str(as_object(a)["kind"]) for a in anomalies})) if isinstance(anomalies, list) else (),
+        numbers={**numbers, **row.metrics.numbers},
+        anomalies=tuple(sorted({anomaly.kind.value for anomaly in row.anomalies})),
     )
 
 

@@ -24,7 +24,7 @@ def minimum_jerk(frames: int) -> np.ndarray:
 def print_result(name: str, result: KinematicResult) -> None:
     print(f"{name}: {'feasible' if result.feasible else 'infeasible'}")
     for v in result.violations:
-        print(f"  {v['kind']} of {v['joint']} in frames {v['frame_start']} to {v['frame_end']}: {v['value']:.3g}")
+        print(f"  {v.kind.value} of {v.joint} in frames {v.frame_start} to {v.frame_end}: {v.value:.3g}")
     for metric in ("slowdown_min", "manipulability_min", "joint_limit_margin_min", "sparc"):
         value = result.metrics[metric]
         print(f"  {metric}: {result.reasons[metric] if value is None else f'{value:.3g}'}")

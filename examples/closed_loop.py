@@ -27,10 +27,9 @@ def main(out: Path) -> None:
         if row.reason is not None:
             print(f"{row.id}: {row.status.value}, {row.reason}")
             continue
-        outcome = row.extra
-        print(f"{row.id}: {'success' if outcome['success'] else 'failure'}, progress {outcome['progress']:.2f}")
-        if outcome["cause"]:
-            print(f"  {outcome['verdict']}: {outcome['cause']['text']}")
+        print(f"{row.id}: {'success' if row.success else 'failure'}, progress {row.progress:.2f}")
+        if row.cause is not None:
+            print(f"  {row.verdict}: {row.cause.text}")
         print(f"  generated and executed side by side: {out / 'rollouts' / f'{row.id}.mp4'}")
     print(f"report: {summary.report}")
 

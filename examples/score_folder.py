@@ -23,11 +23,12 @@ def main(folder: Path, out: Path) -> None:
             print(f"{row.id}: {row.status.value}, {row.reason}")
             continue
         verdict = {True: "feasible", False: "infeasible", None: "undecided"}[row.feasible]
-        why = ", ".join(f"{v['kind']} in frames {v['frame_start']} to {v['frame_end']}" for v in row.violations)
+        why = ", ".join(f"{v.kind.value} in frames {v.frame_start} to {v.frame_end}" for v in row.violations)
         print(f"{row.id}: {verdict}{f' ({why})' if why else ''}")
         whole = {True: "yes", False: "no", None: "undecided"}[row.executable]
         print("  executable as a whole:", ", ".join([whole, *(r for r in row.executable_reasons if r != "undecided")]))
-        print(f"  tracked {row.metrics['tracked_fraction']:.0%}, anomalies: {row.metrics['anomalies'] or 'none'}")
+        kinds = ", ".join(anomaly.kind.value for anomaly in row.anomalies)
+        print(f"  tracked {row.metrics.tracked_fraction:.0%}, anomalies: {kinds or 'none'}")
         track = read_track(out / "tracks" / f"{row.id}.npz").track
         start, end = track.X_BG[track.tracked][[0, -1], :3, 3]
         print(f"  the gripper goes from {start.round(3)} to {end.round(3)} m in {track.t_s[-1]:.1f} s")

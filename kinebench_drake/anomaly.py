@@ -1,6 +1,7 @@
 """Anomalies of a video: what no real gripper shows."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from enum import Enum
 
 
@@ -18,7 +19,7 @@ class AnomalyKind(Enum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Anomaly:
-    """One anomaly over a range of frames."""
+    """One anomaly over a range of frames; an entry of `anomalies` of samples.jsonl."""
 
     kind: AnomalyKind
     frame_start: int
@@ -30,11 +31,9 @@ class Anomaly:
     (duplicate_gripper), metres jumped (teleport) or beyond what fingers can do (finger_opening), relative misfit of the
     shape (deformation), pixels moved (camera_motion)."""
 
-    def to_json(self, first_frame: int = 0) -> dict[str, str | int | float]:
-        """Serialize into an entry of `anomalies`, frames counted from `first_frame`."""
-        return {
-            "kind": self.kind.value,
-            "frame_start": first_frame + int(self.frame_start),
-            "frame_end": first_frame + int(self.frame_end),
-            "severity": float(self.severity),
-        }
+    unknown: Mapping[str, object] = field(default_factory=dict, repr=False)
+    """Keys that a newer version added to the entry."""
+
+    def after(self, frames: int) -> "Anomaly":
+        """Return the anomaly with its frames counted from so many frames earlier."""
+        return replace(self, frame_start=frames + self.frame_start, frame_end=frames + self.frame_end)

@@ -24,6 +24,8 @@ _SHUT = (
 )  # fmt: skip
 START_WIDTH_M: Mapping[str, float] = {task: 0.08 if task in _OPEN else 0.0 for task in sorted(_OPEN + _SHUT)}
 """Initial gap between the finger pads of each task; not in the task modules, as these load PyTorch."""
+START_SIGMA_RAD = 0.02
+"""Standard deviation of the noise of each initial joint angle."""
 
 
 def start_q(task_id: str, seed: int, finger_width_m: float | None = None) -> NDArray[np.float64]:
@@ -39,8 +41,7 @@ def start_q(task_id: str, seed: int, finger_width_m: float | None = None) -> NDA
         if task_id not in START_WIDTH_M:
             raise UsageError(f"no task {task_id!r}; there are {', '.join(START_WIDTH_M)}")
         finger_width_m = START_WIDTH_M[task_id]
-    # 0.02: standard deviation of the noise of each initial joint angle
-    noise = generator("start", task_id, seed).normal(0.0, 0.02, 7)
+    noise = generator("start", task_id, seed).normal(0.0, START_SIGMA_RAD, 7)
     return np.concatenate([START_Q + noise, np.full(2, finger_width_m / 2.0)])
 
 

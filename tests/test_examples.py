@@ -113,7 +113,7 @@ def test_the_example_of_a_custom_world_model_runs_in_closed_loop(run, tmp_path, 
     assert "PullCube-v1_s0000: failure" in told
     [row] = read_rows(tmp_path / "out").values()
     assert row.model == "dimmer"
-    assert row.extra["verdict"] == "task"
+    assert row.verdict == "task"
 
 
 def test_the_example_server_answers_as_a_world_model(tmp_path):

@@ -21,6 +21,7 @@ from kinebench_drake.results.row import Status
 from kinebench_drake.results.store import ResultStore
 from kinebench_drake.suites.report.suite_page import write_suite_report
 from tests.report.pages import Page, row
+from tests.rows import make_violation
 from tests.suites.report.synthetic import write_run
 
 # What users hand in
@@ -126,8 +127,8 @@ HOSTILE = [
 
 @pytest.mark.parametrize("name", HOSTILE)
 def test_a_report_escapes_names(tmp_path, name):
-    fault = {"kind": name, "frame_start": 0, "frame_end": 1, "joint": 2, "value": 2.0, "limit": 1.0}
-    texts = {"prompt": name, "warnings": [name], "given": {name: name}}
+    fault = make_violation(joint=name, unit=name, link=name, body=name)
+    texts = {"prompt": name, "warnings": [name], "framing": {name: name}}
     with ResultStore(tmp_path / "out") as store:
         for id, changes in {
             "a": {"violations": (fault,), "feasible": False, "details": {name: {name: name}}, "extra": texts},

@@ -11,7 +11,18 @@ import pytest
 ROOT = Path(__file__).parent.parent
 PACKAGE = "kinebench_drake"
 
-LEAF = {"__init__", "errors", "geometry", "camera", "named_cameras", "track", "anomaly", "segments", "stats"} | {
+LEAF = {
+    "__init__",
+    "errors",
+    "geometry",
+    "camera",
+    "named_cameras",
+    "track",
+    "anomaly",
+    "violation",
+    "segments",
+    "stats",
+} | {
     "plugin",
     "clip_timing",
 }

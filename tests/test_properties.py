@@ -22,6 +22,8 @@ from kinebench_drake.results.row import SampleRow, Status
 from kinebench_drake.results.store import SAMPLES, read_rows
 from kinebench_drake.results.trackfile import read_track, write_track
 from kinebench_drake.track import GripperTrack, IkStatus, JointTrack
+from kinebench_drake.violation import ViolationKind
+from tests.rows import make_row, make_violation
 
 usual = settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 
@@ -165,8 +167,18 @@ def test_tracks_round_trip_through_their_file(tmp_path, n, seed):
 
 
 words = st.text(min_size=1, max_size=20)
+violations = st.builds(
+    make_violation,
+    kind=st.sampled_from([kind.value for kind in ViolationKind]),
+    frame_start=st.integers(0, 99),
+    joint=st.none() | texts,
+    value=st.floats(),
+    novel=strict,
+)
+names = words.filter(lambda name: name != "anomalies")
+further = {"seed": st.none() | st.integers(0, 9), "fps": st.floats(), "videos": st.lists(texts)}
 rows = st.builds(
-    SampleRow,
+    make_row,
     id=words.map(safe),
     video=texts,
     task=st.none() | texts,
@@ -175,11 +187,16 @@ rows = st.builds(
     reason=st.none() | texts,
     content_hash=texts,
     feasible=st.none() | st.booleans(),
-    violations=st.lists(st.fixed_dictionaries({"kind": texts}, optional={"value": strict}), max_size=3).map(tuple),
-    metrics=st.dictionaries(texts, strict, max_size=4),
+    violations=st.lists(violations, max_size=3),
+    metrics=st.dictionaries(
+        words.filter(lambda name: name != "anomalies"), st.none() | st.booleans() | st.floats(), max_size=4
+    ),
     null_reasons=st.dictionaries(texts, texts, max_size=3),
     details=st.dictionaries(texts, strict, max_size=3),
-    extra=st.dictionaries(words.map("x_{}".format), strict, max_size=3),
+    unknown=st.dictionaries(words.map("x_{}".format), strict, max_size=3),
+    extra=st.fixed_dictionaries(
+        {}, optional={"seed": st.none() | st.integers(0, 9), "fps": st.floats(), "videos": st.lists(texts)}
+    ),
 )
 
 

@@ -104,7 +104,7 @@ def run_suite(
 
     Returns:
         All rows of the output folder by id, counts of their statuses, the shares that are feasible and successful, the
-        report's path. `row.extra` has `success`, `progress`, `rounds`, `verdict` and `cause`.
+        report's path. Its rows have `success`, `progress`, `rounds`, `verdict` and `cause`.
 
     Raises:
         UsageError: an argument or the output folder cannot be used.
@@ -112,7 +112,7 @@ def run_suite(
 
     Example:
         summary = run_suite(0, world_model="oracle", tasks=["StackCube-v1"], episodes=2, out="ceiling")
-        print(summary.success.mean, [row.extra["verdict"] for row in summary.rows])
+        print(summary.success.mean, [row.verdict for row in summary.rows])
     """
     options |= {"suite": suite, "world_model": world_model, "out": out}
     return load_benchmark().run(_without_none(options), observer or Warner())

@@ -23,7 +23,7 @@ from kinebench_drake.grounding.overrides.overrides import Overrides
 from kinebench_drake.io.video import Video
 from kinebench_drake.results.row import SampleRow, Status
 from kinebench_drake.runs.config import ScoreConfig, check_period
-from kinebench_drake.runs.evaluator import SampleHashes
+from kinebench_drake.runs.evaluator import SampleHashes, complete_row
 from kinebench_drake.runs.resources import Resources
 from kinebench_drake.runs.score import VideoEvaluator
 
@@ -54,12 +54,8 @@ def reward_of(row: SampleRow) -> float:
     """
     if row.status is not Status.OK:
         return 0.0
-    confidence = row.metrics.get("confidence_mean")
-    tracked = row.metrics.get("tracked_fraction")
-    evidence = 0.0
-    if isinstance(confidence, int | float) and isinstance(tracked, int | float):
-        evidence = confidence * tracked
-    verdict = row.executable is True and row.metrics.get("motionless") is not True
+    evidence = (row.metrics.confidence_mean or 0.0) * (row.metrics.tracked_fraction or 0.0)
+    verdict = row.executable is True and not row.metrics.motionless
     return 0.5 * (float(verdict) + evidence)
 
 
@@ -158,10 +154,9 @@ def _score(tools: Resources, frames: NDArray[np.uint8], camera: CameraSetting | 
     evaluator = _evaluator(period_s)
     video = Video(frames=np.asarray(frames), fps=None, stamps_s=None)
     with one_thread():
-        row = evaluator.row_of(
-            sample, lambda: evaluator.measure(sample, video, tools)[1], SampleHashes(content="", input=None)
-        )
-    numbers = {name: float(value) for name, value in row.metrics.items() if isinstance(value, bool | int | float)}
+        blank = evaluator.blank_row(sample, SampleHashes(content="", input=None))
+        row = complete_row(blank, lambda row: evaluator.measure(sample, video, tools, row).row)
+    numbers = {name: float(value) for name, value in row.metrics.numbers.items() if value is not None}
     reasons = row.executable_reasons if row.reason is None else (row.reason,)
     return Score(
         executable=row.executable if row.status is Status.OK else None,

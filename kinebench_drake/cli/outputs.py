@@ -16,10 +16,6 @@ if TYPE_CHECKING:
     from kinebench_drake.kinematics.plant import ArmPlant
 
 folders_argument = click.argument("folders", metavar="DIR...", nargs=-1, required=True, type=PathParameter())
-comparison_out_option = click.option(
-    "--out", type=PathParameter(file_okay=False),
-    help="Also write report.html and tables (csv, LaTeX) to this folder.",
-)  # fmt: skip
 
 
 @click.command(epilog="\b\nExample:\n  kinebench-drake report results/")
@@ -43,7 +39,10 @@ def report(folders: tuple[Path, ...]) -> None:
     "  kinebench-drake compare runs/*/ --out comparison/"
 )
 @folders_argument
-@comparison_out_option
+@click.option(
+    "--out", type=PathParameter(file_okay=False),
+    help="Also write report.html and tables (csv, LaTeX) to this folder.",
+)  # fmt: skip
 def compare(folders: tuple[Path, ...], out: Path | None) -> None:
     """Compare the models of runs DIR of one kind, two by two, on the samples or episodes that both have.
 
@@ -120,8 +119,8 @@ def view(out: Path, id: str, opened: bool, rerun: bool) -> None:
             hint = f"such as {', '.join(near)}" if near else "it is empty"
             raise UsageError(f"{out}: holds no sample {id!r} ({len(rows)} samples, {hint})")
         row = rows[id]
-        if isinstance(reason := row.extra.get("base_frame_reason"), str):
-            raise UsageError(f"{id}: cannot be shown with the robot, it has no base frame: {reason}")
+        if row.base_frame_reason is not None:
+            raise UsageError(f"{id}: cannot be shown with the robot, it has no base frame: {row.base_frame_reason}")
         if not artifact_path(out, "tracks", id).is_file():
             raise UsageError(f"{id}: has no track to show ({row.reason or f'tracks/{id}.npz is absent'})")
         from kinebench_drake.report.replay import write_replays

@@ -4,7 +4,7 @@ import re
 import signal
 import sys
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from types import TracebackType
@@ -14,21 +14,21 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.text import Text
 
+from kinebench_drake.anomaly import Anomaly
 from kinebench_drake.cli.click_options import echo
 from kinebench_drake.errors import count_noun, name_options, one_line
 from kinebench_drake.executors.interrupt import ignore_interrupts
-from kinebench_drake.io.jsonl import Json
 from kinebench_drake.metrics.executable import UNCHECKED, FailureVerdict, reason_kind
 from kinebench_drake.metrics.trust import trust_lines
-from kinebench_drake.report.timeline import anomalies_of
 from kinebench_drake.report.verdict import describe_trust, describe_verdict
-from kinebench_drake.results.aggregate import VERDICT_SHARES, estimate, estimate_executable, estimate_passes
+from kinebench_drake.results.aggregate import estimate, estimate_executable, estimate_passes
 from kinebench_drake.results.drops import DROPS
 from kinebench_drake.results.inputs import input_lines
 from kinebench_drake.results.row import SampleRow, Status
 from kinebench_drake.results.store import REQUESTS
 from kinebench_drake.runs.gate import passes
 from kinebench_drake.runs.runner import RunObserver, RunSummary
+from kinebench_drake.violation import Violation
 
 _MOST_REASONS = 5  # in a closing line
 _STYLES = {Status.OK: "green", Status.UNMEASURABLE: "yellow", Status.ERROR: "red"}
@@ -167,12 +167,12 @@ def summary_lines(rows: Sequence[SampleRow]) -> Iterator[str]:
             for k, share in passes.items()
             if share.mean is not None
         )
-    if causes := Counter(row.extra.get("verdict") for row in rows if row.extra.get("success") is False):
+    if causes := Counter(row.verdict for row in rows if row.success is False):
         n = causes.total()
         shares = (f"{cause.value} {causes[cause.value] / n:.0%} ({causes[cause.value]})" for cause in FailureVerdict)
         unknown = f", no verdict {causes[None] / n:.0%} ({causes[None]})" if causes[None] else ""
         yield f"attribution of {count_noun(n, 'failure')}: {', '.join(shares)}{unknown}"
-    faults = [f"anomalies: {_count_samples(map(anomalies_of, rows))}"] if _has_anomalies(rows) else []
+    faults = [f"anomalies: {_count_samples(row.anomalies for row in rows)}"] if _has_anomalies(rows) else []
     if any(row.violations for row in rows) or not faults:
         faults.append(f"violated limits: {_count_samples(row.violations for row in rows)}")
     open_ = Counter(r for row in rows for r in row.executable_reasons if reason_kind(r) == UNCHECKED)
@@ -186,7 +186,7 @@ def summary_lines(rows: Sequence[SampleRow]) -> Iterator[str]:
         if reasons or name == Status.UNMEASURABLE.value
     )
     yield from input_lines(rows)
-    yield from trust_lines(row.extra for row in rows)
+    yield from trust_lines(rows)
 
 
 def _open_rows(rows: Sequence[SampleRow]) -> dict[str, list[str]]:
@@ -218,22 +218,21 @@ def _share(name: str, rows: Sequence[SampleRow]) -> str:
         upper = f"; at most {share.upper:.0%}, {open_} undecided" if open_ else ""
         interval = f"95% interval {share.low:.0%} to {share.high:.0%}"
         return f"executable: {hits} of {count_noun(n, 'sample')}, {share.mean:.0%} ({interval}{upper})"
-    verdicts = (getattr(row, name) if name in VERDICT_SHARES else row.extra.get(name) for row in rows)
-    values = [verdict if row.status is Status.OK else None for row, verdict in zip(rows, verdicts, strict=True)]
-    judged = [(value, row.episode) for value, row in zip(values, rows, strict=True) if isinstance(value, bool)]
+    verdicts = [(row.value(name), row.episode) for row in rows if row.status is Status.OK]
+    judged = [(value, episode) for value, episode in verdicts if isinstance(value, bool)]
     share = estimate([v for v, _ in judged], total=len(rows), episodes=[episode for _, episode in judged])
     if share.mean is None or share.low is None or share.high is None:
         return ""
-    hits = sum(value for value, _ in judged)
+    hits = sum(value is True for value, _ in judged)
     missing = share.total - share.n
     bound = f"; at least {hits / share.total:.0%} of all {share.total}" if missing else ""
     counted = count_noun(share.n, "judged sample" if missing else "sample")
     return f"{name}: {hits} of {counted}, {share.mean:.0%} (95% interval {share.low:.0%} to {share.high:.0%}{bound})"
 
 
-def _count_samples(faults: Iterable[Sequence[Mapping[str, Json]]]) -> str:
+def _count_samples(faults: Iterable[Sequence[Violation | Anomaly]]) -> str:
     """Count the samples with each kind of fault, the most frequent first."""
-    kinds = Counter(kind for own in faults for kind in {str(fault.get("kind")) for fault in own})
+    kinds = Counter(kind for own in faults for kind in {fault.kind.value for fault in own})
     ranked = sorted(kinds.items(), key=lambda item: (-item[1], item[0]))
     return ", ".join(f"{kind} in {count_noun(n, 'sample')}" for kind, n in ranked) or "none"
 

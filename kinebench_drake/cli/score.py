@@ -188,8 +188,7 @@ def _score(config: ScoreConfig, *, dry_run: bool) -> int:
     rows = []
     for row in plan_videos(config, ProgressView("samples")):
         rows.append(row)
-        frames, width, height = (row.extra.get(key) for key in ("frames", "width", "height"))
-        size = f"{frames} frames of {width} x {height} px" if row.status is Status.OK else str(row.reason)
+        size = f"{row.frames} frames of {row.width} x {row.height} px" if row.status is Status.OK else str(row.reason)
         labels = [f"{key} {value}" for key, value in (("task", row.task), ("model", row.model)) if value is not None]
         echo("; ".join([f"{row.id}: {size}", *input_lines([row]), *labels]))
     readable = [row for row in rows if row.status is Status.OK]

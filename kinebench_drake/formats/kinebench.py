@@ -142,8 +142,7 @@ def _row(task: Path, number: int, info: Mapping[str, object]) -> SampleRow:
         status=Status.ERROR if error else Status.OK,
         reason=error,
         content_hash="",
-        extra={"success": info.get("success") is True, "rounds": rounds, "seed": number if seed is None else seed},
-    )
+    ).extended(success=info.get("success") is True, rounds=rounds, seed=number if seed is None else seed)
 
 
 def list_executed(file: h5py.File, path: Path, video: str) -> list[TrajectorySample]:

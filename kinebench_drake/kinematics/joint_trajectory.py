@@ -13,7 +13,7 @@ from kinebench_drake.kinematics.path import limit_margin
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.kinematics.spline import SplineBasis
 from kinebench_drake.kinematics.tube import DistanceBound, LimitSet, PoseLinearisation
-from kinebench_drake.kinematics.violation import COLLISIONS, Violation, ViolationKind
+from kinebench_drake.violation import COLLISIONS, Violation, ViolationKind
 
 SAMPLES = 8
 """Samples per span of the spline at which a trajectory is verified."""

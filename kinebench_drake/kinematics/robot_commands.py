@@ -16,8 +16,8 @@ from kinebench_drake.kinematics.joint_trajectory import JointTrajectory
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.kinematics.sweep import sweep
 from kinebench_drake.kinematics.trajopt import optimize_in_tube
-from kinebench_drake.kinematics.violation import COLLISIONS, ViolationKind
 from kinebench_drake.track import GripperTrack
+from kinebench_drake.violation import COLLISIONS, ViolationKind
 
 STRETCHES = (1.0, 1.5, 2.0, 3.0, 5.0, 8.0)
 """Factors by which a track is slowed down until a trajectory in its tube keeps the limits."""

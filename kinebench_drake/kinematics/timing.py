@@ -15,8 +15,8 @@ from scipy.interpolate import CubicSpline
 
 from kinebench_drake.geometry import Array
 from kinebench_drake.kinematics.plant import ArmPlant
-from kinebench_drake.kinematics.violation import ViolationKind
 from kinebench_drake.models.robot import N_JOINTS
+from kinebench_drake.violation import ViolationKind
 
 STILL_RAD = 1e-4
 """Range of every joint below which a path counts as a rest [rad]."""

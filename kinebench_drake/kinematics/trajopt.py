@@ -14,7 +14,7 @@ from kinebench_drake.kinematics.path import limit_excess
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.kinematics.spline import SplineBasis
 from kinebench_drake.kinematics.tube import DistanceBound, proximity_cost_m, solve_tube
-from kinebench_drake.kinematics.violation import RATES, Violation, ViolationKind
+from kinebench_drake.violation import RATES, Violation, ViolationKind
 
 SMALLEST_M = 1e-4
 """Radius below which the search does not continue [m]."""

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from scipy.special import fdtri
 
 from kinebench_drake.geometry import Array
-from kinebench_drake.kinematics.violation import Violation, ViolationKind
 from kinebench_drake.metrics.noise import (
     FREEDOM_PER_FRAME,
     JOINT_FREEDOM_PER_FRAME,
@@ -23,6 +22,7 @@ from kinebench_drake.metrics.noise import (
     rotation_steps,
 )
 from kinebench_drake.segments import finite_rows, segments
+from kinebench_drake.violation import Violation, ViolationKind
 
 JUMP_M = 0.06
 """Floor of a jump of the TCP's position for steps of 0.2 s [m]."""

@@ -1,11 +1,10 @@
 """Whether a robot can execute a whole video: what speaks against it, and what could not be measured."""
 
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from enum import Enum
-from typing import Any
 
-from kinebench_drake.anomaly import AnomalyKind
+from kinebench_drake.anomaly import Anomaly, AnomalyKind
 from kinebench_drake.errors import count_noun
 
 INFEASIBLE = "infeasible"
@@ -25,7 +24,7 @@ _NOT_OF_THE_ROBOT = frozenset({AnomalyKind.CAMERA.value})
 def judge_evidence(
     feasible: bool | None,
     lost: int,
-    anomalies: Iterable[Mapping[str, Any]] = (),
+    anomalies: Iterable[Anomaly] = (),
     unchecked: Sequence[str] = (),
     open_kinds: Iterable[str] = (),
 ) -> tuple[bool | None, tuple[str, ...]]:
@@ -38,13 +37,13 @@ def judge_evidence(
     Args:
         feasible: verdict on the motion.
         lost: number of frames that are neither measured nor bridged.
-        anomalies: anomalies of the video, as in its row.
+        anomalies: anomalies of the video.
         unchecked: kinds of limits that could not be checked.
         open_kinds: kinds of anomaly of which it is open whether they occur.
     """
     frames = Counter[str]()
     for a in anomalies:
-        frames[str(a["kind"])] += int(a["frame_end"]) - int(a["frame_start"]) + 1
+        frames[a.kind.value] += a.frame_end - a.frame_start + 1
     against = [INFEASIBLE] if feasible is False else []
     against += [
         f"{kind}: {count_noun(frames[kind], 'frame')}" for kind in sorted(frames) if kind not in _NOT_OF_THE_ROBOT

@@ -17,7 +17,6 @@ from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.kinematics.timing import time_scale
 from kinebench_drake.kinematics.track_ik import branch_jumps, find_free, solve_track
 from kinebench_drake.kinematics.trajopt import optimize_in_tube
-from kinebench_drake.kinematics.violation import Violation, ViolationKind
 from kinebench_drake.metrics.coverage import (
     Coverage,
     bridge_gaps,
@@ -59,6 +58,7 @@ from kinebench_drake.metrics.smoothness import measure_smoothness, stands_still
 from kinebench_drake.results.direction import BOUND
 from kinebench_drake.segments import spread
 from kinebench_drake.track import GripperTrack, IkStatus, JointTrack
+from kinebench_drake.violation import Violation, ViolationKind
 
 MIN_TRACKED_FRAMES = 5
 """Fewest tracked frames of a feasible track."""

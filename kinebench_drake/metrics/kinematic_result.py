@@ -14,7 +14,6 @@ from kinebench_drake.kinematics.path import limit_margin
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.kinematics.timing import TimeScale
 from kinebench_drake.kinematics.trajopt import TubeResult
-from kinebench_drake.kinematics.violation import Violation
 from kinebench_drake.metrics.coverage import Coverage
 from kinebench_drake.metrics.limit_checks import KINDS, LimitCheck, LimitChecks
 from kinebench_drake.metrics.noise import TrackNoise
@@ -22,6 +21,7 @@ from kinebench_drake.metrics.smoothness import Smoothness
 from kinebench_drake.results.direction import BOUND
 from kinebench_drake.segments import finite_rows
 from kinebench_drake.track import GripperTrack, JointTrack
+from kinebench_drake.violation import Violation
 
 Value = float | bool | None
 

@@ -17,10 +17,10 @@ from scipy.special import stdtrit
 
 from kinebench_drake.geometry import Array
 from kinebench_drake.kinematics.plant import ArmPlant
-from kinebench_drake.kinematics.violation import RATES, Violation, ViolationKind
 from kinebench_drake.metrics.derivatives import Derivative, differentiate, smooth_path
 from kinebench_drake.metrics.noise import FREEDOM_PER_FRAME
 from kinebench_drake.segments import finite_rows, segments
+from kinebench_drake.violation import RATES, Violation, ViolationKind
 
 FALSE_ALARM = 0.01
 """Greatest probability that white noise alone makes a track break a limit."""

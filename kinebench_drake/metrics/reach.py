@@ -13,11 +13,11 @@ from kinebench_drake.kinematics.path import limit_excess
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.kinematics.sweep import sweep
 from kinebench_drake.kinematics.track_ik import CONTACT_TOLERANCE_M
-from kinebench_drake.kinematics.violation import Violation, ViolationKind
 from kinebench_drake.metrics.noise import TrackNoise
 from kinebench_drake.models.obstacles import PREFIX
 from kinebench_drake.segments import segments
 from kinebench_drake.track import GripperTrack, IkStatus, JointTrack
+from kinebench_drake.violation import Violation, ViolationKind
 
 NOISE_SIGMAS = 3.0
 """Standard deviations of the noise by which a pose may exceed what the robot can do."""
@@ -131,7 +131,7 @@ def find_obstacles(
                 frames = slice(run.start // 2, run.stop // 2 + 1)
                 yield Violation.of_run(
                     ViolationKind.OBSTACLE_COLLISION, frames, None, float(contact.distance_m[run].min()), -limit,
-                    pair=(contact.link, contact.obstacle.removeprefix(PREFIX)),
+                    link=contact.link, body=contact.obstacle.removeprefix(PREFIX),
                 )  # fmt: skip
 
 

@@ -5,7 +5,7 @@ import hashlib
 import numpy as np
 
 from kinebench_drake.geometry import Array, rotation_angle
-from kinebench_drake.io.jsonl import Json
+from kinebench_drake.results.row import ActionLag
 from kinebench_drake.segments import finite_rows
 from kinebench_drake.track import GripperTrack
 
@@ -42,7 +42,7 @@ def idle_ends(track: GripperTrack) -> list[int] | None:
     return [counts[0], 0] if counts[0] == len(frames) else counts
 
 
-def find_action_lag(state: Array, action: Array, period_s: float) -> dict[str, Json] | None:
+def find_action_lag(state: Array, action: Array, period_s: float) -> ActionLag | None:
     """Find by how many frames states (T, n) follow the actions (T, n) that command them; None if they do not correlate.
 
     Changes of the state are correlated with changes of the action (targets) and with the action itself (deltas); the
@@ -59,7 +59,7 @@ def find_action_lag(state: Array, action: Array, period_s: float) -> dict[str, J
     tolerance = int(np.abs(np.flatnonzero(values >= values[best] - _SHARP) - best).max())
     if values[best] < _CORRELATED or tolerance >= most:
         return None
-    return {"frames": best - most, "tolerance": tolerance, "correlation": float(values[best])}
+    return ActionLag(frames=best - most, tolerance=tolerance, correlation=float(values[best]))
 
 
 def _correlations(signal: Array, change: Array, most: int) -> Array:

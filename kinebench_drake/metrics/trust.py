@@ -1,18 +1,15 @@
 """One line of trust: what the numbers of a video rest on, and whether they can be used unseen."""
 
 from collections import Counter
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable
 from enum import Enum
 
 from kinebench_drake.camera import CONFIRMED, CameraSource, CameraState
 from kinebench_drake.errors import count_noun
-from kinebench_drake.io.jsonl import Json, as_object
+from kinebench_drake.results.inputs import PeriodSource
+from kinebench_drake.results.row import SampleRow, TrustEntry
 from kinebench_drake.track import Domain
 
-TRUST = "trust"
-"""Key of a row."""
-_FILE_RATE = "fps"  # source of a frame period that is 1 / fps of the file
 LOW_CONFIDENCE = 0.8
 """Mean confidence of the tracked frames below which poses deserve a look."""
 FEW_TRACKED = 0.95
@@ -29,82 +26,56 @@ class TrustLevel(Enum):
     """There is no base frame, or no track: there is no verdict."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Trust:
-    """Trust in the numbers of one video."""
-
-    level: TrustLevel
-    reason: str
-    """What decides on the level."""
-    facts: tuple[str, ...]
-    """Camera, look, confidence, frame period and frames without a pose, a clause each."""
-    detail: str | None = None
-    """The reason with its numbers; None if it has none."""
-
-    @property
-    def line(self) -> str:
-        """Level, reason and facts in one line."""
-        return f"{self.level.value}: {self.detail or self.reason} ({'; '.join(self.facts)})"
-
-    def to_json(self) -> dict[str, Json]:
-        """Serialize into `trust` of samples.jsonl."""
-        return {"level": self.level.value, "reason": self.reason, "line": self.line}
-
-
-def assess_trust(extra: Mapping[str, Json], metrics: Mapping[str, Json], period: str, *, is_measured: bool) -> Trust:
+def assess_trust(row: SampleRow, period: str, *, is_measured: bool) -> TrustEntry:
     """Assess a video by the keys and metrics of its row.
 
-    `extra` has `camera_state`, `camera_source`, `camera_agreement`, `domain`, `frames` and `frame_period_source`,
-    `metrics` has `tracked_fraction` and `confidence_mean`; `period` is the frame period and its source, in words,
-    `is_measured` whether the row has results.
+    Args:
+        period: the frame period and its source, in words.
+        is_measured: whether the row has results.
     """
-    state = extra.get("camera_state")
-    agreement = extra.get("camera_agreement")
-    domain = extra.get("domain")
-    tracked = metrics.get("tracked_fraction")
-    confidence = metrics.get("confidence_mean")
-    frames = extra.get("frames")
+    state = row.camera_state
+    agreement = row.camera_agreement
+    tracked = row.metrics.tracked_fraction
+    confidence = row.metrics.confidence_mean
     camera = f"camera {state}"
-    if isinstance(agreement, float):
+    if agreement is not None:
         camera += f", {agreement:.0%} of the arm's contours on image edges"
-    facts = [camera, f"look {domain}"]
-    if isinstance(confidence, float):
+    facts = [camera, f"look {row.domain}"]
+    if confidence is not None:
         facts.append(f"mean confidence {confidence:.2f}")
     facts.append(f"frame period {period}")
-    if isinstance(tracked, float) and isinstance(frames, int):
-        facts.append(f"{round((1.0 - tracked) * frames)} of {count_noun(frames, 'frame')} not measured")
+    if tracked is not None and row.frames is not None:
+        facts.append(f"{round((1.0 - tracked) * row.frames)} of {count_noun(row.frames, 'frame')} not measured")
     doubts = {
         "the camera is estimated from the arm": state == CameraState.ESTIMATED.value,
         "the arm does not confirm the named camera": state == CameraState.NAMED.value
-        and isinstance(agreement, float)
+        and agreement is not None
         and agreement < CONFIRMED,
-        "frames could not be measured": isinstance(tracked, float) and tracked < FEW_TRACKED,
-        "the mean confidence is low": isinstance(confidence, float) and confidence < LOW_CONFIDENCE,
-        "the look is unfamiliar": domain == Domain.UNFAMILIAR.value,
-        "the flange is measured without a hand": domain == Domain.ARM.value,
-        "the benchmark camera fits, but the frame period is not the benchmark's 0.2 s": extra.get("frame_period_source")
-        == _FILE_RATE
+        "frames could not be measured": tracked is not None and tracked < FEW_TRACKED,
+        "the mean confidence is low": confidence is not None and confidence < LOW_CONFIDENCE,
+        "the look is unfamiliar": row.domain == Domain.UNFAMILIAR.value,
+        "the flange is measured without a hand": row.domain == Domain.ARM.value,
+        "the benchmark camera fits, but the frame period is not the benchmark's 0.2 s": row.frame_period_source
+        == PeriodSource.FPS.value
         and state == CameraState.CONFIRMED.value
-        and extra.get("camera_source") == CameraSource.BENCHMARK.value,
+        and row.camera_source == CameraSource.BENCHMARK.value,
     }
     has_base = state != CameraState.NONE.value
     unknown = {"the base frame is unknown": not has_base, "the track is not trusted": not is_measured}
-    detail = extra.get("base_frame_reason")
-    for level, reasons in ((TrustLevel.UNKNOWN, unknown), (TrustLevel.CHECK, doubts)):
-        for reason, applies in reasons.items():
-            if applies:
-                own = detail if isinstance(detail, str) and not has_base else None
-                return Trust(level=level, reason=reason, facts=tuple(facts), detail=own)
-    return Trust(level=TrustLevel.SOLID, reason="nothing speaks against it", facts=tuple(facts))
+    level = TrustLevel.SOLID
+    reason = "nothing speaks against it"
+    for worse, reasons in ((TrustLevel.CHECK, doubts), (TrustLevel.UNKNOWN, unknown)):
+        applying = [text for text, applies in reasons.items() if applies]
+        if applying:
+            level = worse
+            reason = applying[0]
+    detail = row.base_frame_reason if row.base_frame_reason and not has_base else reason
+    return TrustEntry(level=level.value, reason=reason, line=f"{level.value}: {detail} ({'; '.join(facts)})")
 
 
-def trust_lines(rows: Iterable[Mapping[str, Json]]) -> list[str]:
-    """Count the levels of rows by their `extra`, with reasons, in one line; none if no row has one."""
-    counts = Counter[tuple[str, str]]()
-    for extra in rows:
-        trust = as_object(extra.get(TRUST))
-        if trust:
-            counts[str(trust.get("level")), str(trust.get("reason"))] += 1
+def trust_lines(rows: Iterable[SampleRow]) -> list[str]:
+    """Count the levels of rows, with reasons, in one line; none if no row has one."""
+    counts = Counter((row.trust.level, row.trust.reason) for row in rows if row.trust is not None)
     if not counts:
         return []
     parts = []

@@ -45,8 +45,8 @@ class ModelEntry:
         rows = self.rows
         shares = dict[str, Estimate]()
         options: dict[str, Any] = {"total": len(rows), "episodes": [row.episode for row in rows]}
-        if any("success" in row.extra for row in rows):
-            hits = [row.status is Status.OK and row.extra.get("success") is True for row in rows]
+        if any(row.has("success") for row in rows):
+            hits = [row.status is Status.OK and row.success is True for row in rows]
             shares["success"] = estimate(hits, **options)
         if any(row.executable is not None for row in rows):
             shares["executable"] = estimate_executable(rows)

@@ -1,16 +1,17 @@
 """The limits of a row, and the peak of its track against each: the table of broken and nearest limits."""
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from kinebench_drake.geometry import Array
-from kinebench_drake.io.jsonl import Json, as_object
-from kinebench_drake.kinematics.violation import UNITS
 from kinebench_drake.models.robot import N_JOINTS
+from kinebench_drake.results.details import RateCheck, read_details
 from kinebench_drake.results.row import SampleRow
 from kinebench_drake.results.trackfile import TrackFile
+from kinebench_drake.violation import UNITS, Violation
 
 RATES = ("velocity", "acceleration", "jerk", "torque")
 """Limits on magnitudes per joint, also the names of their curves."""
@@ -69,33 +70,22 @@ class LimitPeak:
     """Value / limit, above 1 past the limit; None if undefined."""
 
 
-def to_number(value: object) -> float | None:
-    """Convert a JSON number to a float; None for anything else, truth values included."""
-    return float(value) if isinstance(value, int | float) and not isinstance(value, bool) else None
-
-
 def joint_limits(row: SampleRow) -> RowLimits:
     """Read the limits in a row's `details`."""
-    limits = as_object(row.details.get("limits"))
-    lower, upper = (_seven(as_object(limits.get("position")).get(end)) for end in ("lower", "upper"))
-    names = limits.get("joints", row.details.get("joints"))
-    if not isinstance(names, Sequence) or isinstance(names, str) or len(names) != N_JOINTS:
-        names = [f"joint {k + 1}" for k in range(N_JOINTS)]
-    rates = {name: _seven(limits.get(name)) for name in RATES}
+    limits = read_details(row).limits
+    joints = limits.joints if len(limits.joints) == N_JOINTS else [f"joint {k + 1}" for k in range(N_JOINTS)]
+    position = limits.position
+    rates = {name: getattr(limits, name) for name in RATES}
     return RowLimits(
-        joints=tuple(str(name) for name in names),
-        position=(lower, upper) if lower is not None and upper is not None else None,
-        rates={name: limit for name, limit in rates.items() if limit is not None},
+        joints=tuple(joints),
+        position=None if position is None else (_bounds(position.lower), _bounds(position.upper)),
+        rates={name: _bounds(limit) for name, limit in rates.items() if limit is not None},
     )
 
 
-def _seven(value: object) -> Array | None:
-    """Convert seven numbers to an array, null to infinity; None for anything else."""
-    if not isinstance(value, Sequence) or len(value) != N_JOINTS:
-        return None
-    if not all(v is None or isinstance(v, int | float) for v in value):
-        return None
-    return np.array([np.inf if v is None else v for v in value], dtype=np.float64)
+def _bounds(values: Sequence[float]) -> Array:
+    """Return limits (7,) as an array, infinite where there is none."""
+    return np.where(np.isnan(values), np.inf, np.array(values, dtype=np.float64))
 
 
 def limit_ratios(file: TrackFile, limits: RowLimits) -> dict[str, Array]:
@@ -120,16 +110,13 @@ def find_peaks(row: SampleRow, file: TrackFile | None) -> list[LimitPeak]:
     return violations + sorted(others, key=lambda peak: 0.0 if peak.ratio is None else -peak.ratio)
 
 
-def find_checks(details: Mapping[str, Json]) -> dict[str, Mapping[str, Json]]:
-    """Return the checks of rate limits in details by kind, those that have a `ratio_max`."""
-    return {
-        kind: check
-        for kind, check in as_object(details.get("checks")).items()
-        if kind in RATES and isinstance(check, Mapping) and isinstance(check.get("ratio_max"), int | float)
-    }
+def find_checks(row: SampleRow) -> dict[str, RateCheck]:
+    """Return the checks of rate limits of a row by kind, those that have a ratio."""
+    checks = read_details(row).checks
+    return {kind: check for kind, check in checks.items() if kind in RATES and math.isfinite(check.ratio_max)}
 
 
-def describe_violation(violation: Mapping[str, Json]) -> str:
+def describe_violation(violation: Violation) -> str:
     """Describe a violation of a row in a clause: kind, joint, value and limit with their unit, frames."""
     peak = _violation_peak(violation, None)
     joint = "" if peak.joint is None else f" of {peak.joint}"
@@ -143,30 +130,25 @@ def in_unit(kind: str, value: float) -> tuple[float, str]:
     return value * factor, unit
 
 
-def _violation_peak(v: Mapping[str, Json], t_s: Array | None) -> LimitPeak:
-    kind = str(v.get("kind"))
-    start = v.get("frame_start")
-    end = v.get("frame_end")
-    joint = f"{v['link']} with {v['body']}" if "body" in v else v.get("joint")
-    value = to_number(v.get("value"))
-    limit = to_number(v.get("limit"))
-    factor, unit = _SHOWN.get(str(v.get("unit", _KINDS.get(kind))), (1.0, ""))
-    inside = t_s is not None and isinstance(start, int) and 0 <= start < len(t_s)
+def _violation_peak(v: Violation, t_s: Array | None) -> LimitPeak:
+    factor, unit = _SHOWN.get(v.unit, (1.0, ""))
+    is_inside = t_s is not None and 0 <= v.frame_start < len(t_s)
+    is_number = math.isfinite(v.value) and math.isfinite(v.limit)
     return LimitPeak(
-        kind=kind,
-        label=kind.replace("_", " "),
+        kind=v.kind.value,
+        label=v.kind.value.replace("_", " "),
         broken=True,
-        joint=None if joint is None else str(joint),
-        when=_format_span(start, end, t_s) if isinstance(start, int) and isinstance(end, int) else "–",
-        offset_s=float(t_s[start] - t_s[0]) if inside else None,  # type: ignore[index]
-        value=None if value is None else value * factor,
-        limit=None if limit is None else limit * factor,
+        joint=v.joint if v.body is None else f"{v.link} with {v.body}",
+        when=_format_span(v.frame_start, v.frame_end, t_s),
+        offset_s=float(t_s[v.frame_start] - t_s[0]) if is_inside else None,  # type: ignore[index]
+        value=v.value * factor if is_number else None,
+        limit=v.limit * factor if is_number else None,
         unit=unit,
-        ratio=abs(value / limit) if kind in RATES and value is not None and limit else None,
+        ratio=abs(v.value / v.limit) if v.kind.value in RATES and is_number and v.limit else None,
     )
 
 
-def format_frames(start: object, end: object) -> str:
+def format_frames(start: int, end: int) -> str:
     """Format a stretch of frames, such as `frames 3 to 9`; both ends are included."""
     return f"frame {start}" if start == end else f"frames {start} to {end}"
 
@@ -179,17 +161,17 @@ def _format_span(start: int, end: int, t_s: Array | None) -> str:
     return f"{span} ({frames})"
 
 
-def _limit_at(file: TrackFile, limits: RowLimits, kind: str, joint: int, frame: Json) -> float:
+def _limit_at(file: TrackFile, limits: RowLimits, kind: str, joint: int, frame: int | None) -> float:
     """Return the limit of a joint at a frame, of a kind whose limits may depend on the position."""
     own = file.curves.get(f"{kind}_limit")
-    return float(limits.rates[kind][joint] if own is None or not isinstance(frame, int) else own[frame, joint])
+    return float(limits.rates[kind][joint] if own is None or frame is None else own[frame, joint])
 
 
 def _unbroken_peaks(row: SampleRow, file: TrackFile) -> Iterator[LimitPeak]:
     limits = joint_limits(row)
     t_s = file.track.t_s
     ratios = limit_ratios(file, limits)
-    checks = find_checks(row.details)
+    checks = find_checks(row)
 
     def peak(
         kind: str, joint: str | None, time: float | None, value: float, limit: float, ratio: float | None
@@ -209,13 +191,11 @@ def _unbroken_peaks(row: SampleRow, file: TrackFile) -> Iterator[LimitPeak]:
         )
 
     for kind in RATES:
-        check = checks.get(kind, {})
+        check = checks.get(kind)
         ratio = ratios.get(kind)
-        ratio_max = to_number(check.get("ratio_max"))
-        joint = check.get("joint")
-        if ratio_max is not None and joint in limits.joints and kind in limits.rates:
-            limit = _limit_at(file, limits, kind, limits.joints.index(str(joint)), check.get("frame"))
-            yield peak(kind, str(joint), to_number(check.get("t_worst_s")), ratio_max * limit, limit, ratio_max)
+        if check is not None and check.joint in limits.joints and kind in limits.rates:
+            limit = _limit_at(file, limits, kind, limits.joints.index(check.joint), check.frame)
+            yield peak(kind, check.joint, check.t_worst_s, check.ratio_max * limit, limit, check.ratio_max)
         elif ratio is not None and np.isfinite(ratio).any():
             frame, j = np.unravel_index(np.nanargmax(ratio), ratio.shape)
             value = abs(float(file.curves[kind][frame, j]))

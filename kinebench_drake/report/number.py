@@ -8,12 +8,10 @@ import numpy as np
 
 from kinebench_drake.errors import count_noun
 from kinebench_drake.geometry import Array
-from kinebench_drake.io.jsonl import Json
 from kinebench_drake.report.metric import BY_NAME, Metric
 from kinebench_drake.report.table import Table, Value, make_table, table_lines
-from kinebench_drake.results.aggregate import OUTCOMES, VERDICT_SHARES, Estimate, estimate
+from kinebench_drake.results.aggregate import Estimate, estimate
 from kinebench_drake.results.direction import LOWER_IS_BETTER
-from kinebench_drake.results.inputs import is_motionless
 from kinebench_drake.results.power import episodes_to_decide, least_difference
 from kinebench_drake.results.row import SampleRow, Status
 from kinebench_drake.stats import (
@@ -100,19 +98,16 @@ class NumberComparison:
 
 def value_of(row: SampleRow, name: str) -> float | None:
     """Return a number of a row, truth values as 0 or 1; None if it was not measured."""
-    return _to_number(row, name, row.metrics.get(name))
+    return _to_number(row, row.value(name))
 
 
 def worst_of(row: SampleRow, name: str) -> float | None:
     """Return the worst that a number of a row can be, whatever happens in lost frames; None if there is no worst."""
-    return _to_number(row, name, row.bound(name))
+    return _to_number(row, row.bound(name))
 
 
-def _to_number(row: SampleRow, name: str, metric: Json) -> float | None:
-    value = getattr(row, name) if name in VERDICT_SHARES else row.extra.get(name) if name in OUTCOMES else metric
-    if row.status is not Status.OK or not isinstance(value, bool | int | float) or not math.isfinite(value):
-        return None
-    return float(value)
+def _to_number(row: SampleRow, value: float | None) -> float | None:
+    return float(value) if row.status is Status.OK and value is not None else None
 
 
 def compare_numbers(pairs: Sequence[RowsPair], first: str, second: str, part: str = "") -> list[NumberComparison]:
@@ -260,7 +255,7 @@ def verdict_lines(comparisons: Sequence[NumberComparison]) -> Iterator[str]:
 
 def motionless_lines(models: Mapping[str, Sequence[SampleRow]]) -> Iterator[str]:
     """Count the motionless samples of each model, in one line; nothing if there is none."""
-    counts = {model: sum(map(is_motionless, rows)) for model, rows in models.items()}
+    counts = {model: sum(row.metrics.motionless for row in rows) for model, rows in models.items()}
     if any(counts.values()):
         shares = (f"{n} of {count_noun(len(models[model]), 'sample')} of {model}" for model, n in counts.items())
         yield f"Motionless: {', '.join(shares)}"

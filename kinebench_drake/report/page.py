@@ -10,7 +10,6 @@ from kinebench_drake.io.atomic import write_atomically
 from kinebench_drake.io.jsonl import Json, as_object
 from kinebench_drake.metrics.executable import LOST, UNCHECKED, reason_kind
 from kinebench_drake.metrics.trust import trust_lines
-from kinebench_drake.report.limit_table import to_number
 from kinebench_drake.report.metric import BY_NAME, Metric, MetricLayout, layout_of
 from kinebench_drake.report.plot import Histogram, count_values, draw_histogram
 from kinebench_drake.report.run import read_results
@@ -22,7 +21,7 @@ from kinebench_drake.report.sample import (
     view_sample,
 )
 from kinebench_drake.report.table import template_environment
-from kinebench_drake.report.timeline import SEVERITY_UNITS, anomalies_of
+from kinebench_drake.report.timeline import SEVERITY_UNITS
 from kinebench_drake.report.verdict import (
     GOOD_VERDICTS,
     VERDICT_LABELS,
@@ -31,11 +30,11 @@ from kinebench_drake.report.verdict import (
     name_verdict,
     verdict_of,
 )
-from kinebench_drake.results.aggregate import VERDICT_SHARES, Aggregate, RunStatistics, split_rows
+from kinebench_drake.results.aggregate import Aggregate, RunStatistics, split_rows
 from kinebench_drake.results.drops import GATED, Drop, DropReason, list_drops
-from kinebench_drake.results.inputs import input_lines, is_motionless
+from kinebench_drake.results.inputs import input_lines
 from kinebench_drake.results.provenance import report_hash
-from kinebench_drake.results.row import SampleRow, Status
+from kinebench_drake.results.row import VERDICT_SHARES, SampleRow, Status
 from kinebench_drake.results.store import ARTIFACTS, REPORT, RESULTS, read_rows
 
 DRAWN = 100
@@ -115,13 +114,12 @@ def build_page(out: Path, rows: Iterable[SampleRow] | None = None, statistics: R
         "explanation": explain_verdict,
         "trust": describe_trust,
     }
-    templates.filters |= {"anomalies": anomalies_of, "scalar": to_number}
     templates.filters["severity_unit"] = lambda kind: SEVERITY_UNITS.get(kind, "")
     return templates.get_template("page.html.j2").render(
         title=_title(results),
         stamp=_stamp(out),
         results=results,
-        inputs=[*input_lines(rows), *trust_lines(row.extra for row in rows)],
+        inputs=[*input_lines(rows), *trust_lines(rows)],
         total=total,
         drops=_group_drops(list_drops(sorted(rows, key=lambda row: row.id))) if results.get("kind") in GATED else [],
         headlines=[(BY_NAME[n], total.estimates[n]) for n in layout.headlines if _is_measured(total, n)],
@@ -181,7 +179,7 @@ def _count_metrics(rows: Sequence[SampleRow], total: Aggregate, layout: MetricLa
             values = [
                 (verdict, numeric_value(row, name) if row.status is Status.OK else None)
                 for row, verdict in zip(rows, verdicts, strict=True)
-                if not isinstance(row.metrics.get(name, row.extra.get(name)), bool)
+                if not isinstance(row.value(name), bool)
             ]
             histograms.append(count_values(BY_NAME[name], values, total.estimates[name]))
     return [histogram for histogram in histograms if histogram is not None]
@@ -215,7 +213,7 @@ def _is_measured(total: Aggregate, name: str) -> bool:
 
 def _fault_chips(row: SampleRow) -> list[tuple[str, str]]:
     """List the kinds of faults of a sample once each, with the class of their colour."""
-    chips = [(str(v["kind"]), "") for v in row.violations] + [(str(a["kind"]), "anomaly") for a in anomalies_of(row)]
+    chips = [(v.kind.value, "") for v in row.violations] + [(a.kind.value, "anomaly") for a in row.anomalies]
     lost = [(reason, "lost") for reason in row.executable_reasons if reason_kind(reason) in (LOST, UNCHECKED)]
-    lost += [("motionless", "lost")] if is_motionless(row) else []
+    lost += [("motionless", "lost")] if row.metrics.motionless else []
     return list(dict.fromkeys((kind.replace("_", " "), css) for kind, css in [*chips, *lost]))

@@ -10,7 +10,6 @@ from kinebench_drake.io.atomic import write_atomically
 from kinebench_drake.report.figures import ReportFigure, write_figure
 from kinebench_drake.report.sample import relative_link
 from kinebench_drake.report.table import Table, read_caption, sort_key, table_csv, table_latex, template_environment
-from kinebench_drake.report.timeline import anomalies_of
 from kinebench_drake.report.verdict import explain_verdict, name_verdict, verdict_of
 from kinebench_drake.results.row import SampleRow
 from kinebench_drake.results.store import REPORT, artifact_path
@@ -57,7 +56,7 @@ def write_parts(
         if table.latex:
             write_atomically(out / f"{table.name}.tex", table_latex(table).encode())
     templates = template_environment()
-    templates.filters |= {"key": sort_key, "anomalies": anomalies_of}
+    templates.filters |= {"key": sort_key}
     templates.filters |= {"verdict": verdict_of, "named": name_verdict, "explanation": explain_verdict}
     text = templates.get_template(template).render(
         title=title,
@@ -74,17 +73,15 @@ def write_parts(
     return out / page
 
 
-def list_links(folder: Path | None, row: SampleRow, out: Path) -> list[tuple[str, str]]:
+def list_links(folder: Path, row: SampleRow, out: Path) -> list[tuple[str, str]]:
     """List labels and addresses of a sample's files: rollout, overlay, video, entry in the run's own report.
 
     Only for runs in the parent folder of `out` or below it: other links would reveal paths of this machine and break
     when the page is moved.
 
     Args:
-        folder: output folder of the run; None if there is none.
+        folder: output folder of the run.
     """
-    if folder is None:
-        return []
     base = folder.resolve()
     home = out.resolve()
     if not base.is_relative_to(home.parent):

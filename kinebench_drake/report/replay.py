@@ -1,7 +1,7 @@
 """3D replay of one track: a self-contained Meshcat page, coloured by feasibility."""
 
 import logging
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from itertools import groupby
 from pathlib import Path
 from typing import Any
@@ -13,21 +13,23 @@ from numpy.typing import NDArray
 from pydrake.geometry import Box, Capsule, Convex, Cylinder, Ellipsoid, Mesh, Meshcat, MeshcatParams, Role, Sphere
 from pydrake.multibody.tree import BodyIndex
 
+from kinebench_drake.anomaly import Anomaly
 from kinebench_drake.errors import SetupError, UnmeasurableError, UsageError, cause
 from kinebench_drake.geometry import Array
 from kinebench_drake.io.atomic import write_atomically
-from kinebench_drake.io.jsonl import Json, as_object
+from kinebench_drake.io.jsonl import as_object
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.models.panda.cad import simplify
-from kinebench_drake.report.limit_table import to_number
 from kinebench_drake.report.replay_scene import COLORS, LinkMesh, ReplayScene, pose_links, posed_frames
 from kinebench_drake.report.run import read_results
 from kinebench_drake.report.table import template_environment
-from kinebench_drake.report.timeline import anomalies_of, frame_states
+from kinebench_drake.report.timeline import frame_states
 from kinebench_drake.report.verdict import describe_verdict
+from kinebench_drake.results.inputs import table_height
 from kinebench_drake.results.row import SampleRow
 from kinebench_drake.results.store import artifact_path, read_rows
 from kinebench_drake.results.trackfile import TrackFile, read_track
+from kinebench_drake.violation import Violation
 
 MAX_TRIANGLES = 1600
 """Triangles that a link is simplified to."""
@@ -53,7 +55,7 @@ def write_replays(out: Path, ids: Sequence[str], plant: ArmPlant | None = None, 
         UsageError: the folder holds no such sample.
     """
     rows = read_rows(out)
-    height = to_number(as_object(read_results(out).get("config")).get("table_height_m"))
+    config = as_object(read_results(out).get("config"))
     written = []
     meshes: Sequence[LinkMesh] = ()
     for id in ids:
@@ -66,8 +68,7 @@ def write_replays(out: Path, ids: Sequence[str], plant: ArmPlant | None = None, 
             continue
         plant = plant or ArmPlant()
         meshes = meshes or link_meshes(plant)
-        own_m = to_number(rows[id].extra.get("table_height_m"))
-        height_m = height or 0.0 if own_m is None else own_m
+        height_m = table_height(rows[id], config)
         if rerun:
             path = path.with_suffix(".rrd")
             data = record_track(plant, meshes, rows[id], file)
@@ -125,7 +126,7 @@ def _start_server() -> Any:
 def _add_controls(html: str, row: SampleRow, file: TrackFile, has_arm: bool) -> str:
     """Add title, controls and legend to Meshcat's page, and forbid it network access."""
     t_s = file.track.t_s
-    faults = [(v, "broken") for v in row.violations] + [(a, "doubt") for a in anomalies_of(row)]
+    faults = [(v, "broken") for v in row.violations] + [(a, "doubt") for a in row.anomalies]
     states = [state.value for state in frame_states(row, file)]
     panel = template_environment().get_template("replay.html.j2")
     controls = panel.render(
@@ -145,13 +146,12 @@ def _add_controls(html: str, row: SampleRow, file: TrackFile, has_arm: bool) -> 
     return before + controls + end + after
 
 
-def _describe(fault: Mapping[str, Json], t_s: Array) -> tuple[str, float]:
+def _describe(fault: Violation | Anomaly, t_s: Array) -> tuple[str, float]:
     """Return the text of a fault, and its start after the track's start [s]."""
-    start, end = (fault.get(key) for key in ("frame_start", "frame_end"))
-    first, last = (min(max(k, 0), len(t_s) - 1) if isinstance(k, int) else 0 for k in (start, end))
-    joint = f", {fault['joint']}" if fault.get("joint") is not None else ""
+    first, last = (min(max(k, 0), len(t_s) - 1) for k in (fault.frame_start, fault.frame_end))
+    joint = f", {fault.joint}" if isinstance(fault, Violation) and fault.joint is not None else ""
     span = f"{t_s[first]:.2f}" if first == last else f"{t_s[first]:.2f} to {t_s[last]:.2f}"
-    return f"{str(fault.get('kind')).replace('_', ' ')}{joint}: {span} s", float(t_s[first] - t_s[0])
+    return f"{fault.kind.value.replace('_', ' ')}{joint}: {span} s", float(t_s[first] - t_s[0])
 
 
 def link_meshes(plant: ArmPlant) -> tuple[LinkMesh, ...]:

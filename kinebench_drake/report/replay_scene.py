@@ -206,7 +206,7 @@ class ReplayScene:
         joints = [
             j for j in self._plant.robot.joints if self._plant.drake.GetJointByName(j).child_body().name() == link
         ]
-        broken = covered_frames([v for v in self._row.violations if v.get("joint") in joints], len(colors))
+        broken = covered_frames([v for v in self._row.violations if v.joint in joints], len(colors))
         return [COLORS[FrameState.BROKEN] if b else color for color, b in zip(colors, broken, strict=True)]
 
     def _mesh(self, path: str, vertices: ArrayLike, faces: ArrayLike, color: Color, opacity: float = 1.0) -> None:

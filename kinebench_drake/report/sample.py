@@ -13,11 +13,11 @@ import numpy as np
 from markupsafe import Markup
 
 from kinebench_drake.geometry import Array
-from kinebench_drake.io.jsonl import Json, as_object
 from kinebench_drake.report.curves import draw_curves
-from kinebench_drake.report.limit_table import LimitPeak, find_checks, find_peaks, in_unit, to_number
-from kinebench_drake.report.timeline import anomalies_of, draw_strip, fault_lanes, frame_count
+from kinebench_drake.report.limit_table import LimitPeak, find_checks, find_peaks, in_unit
+from kinebench_drake.report.timeline import draw_strip, fault_lanes, frame_count
 from kinebench_drake.report.verdict import VERDICT_LABELS, verdict_of
+from kinebench_drake.results.details import Details, LimitPlace, RateCheck, read_details
 from kinebench_drake.results.row import SampleRow, Status
 from kinebench_drake.results.store import artifact_path
 from kinebench_drake.results.trackfile import TrackFile, read_track
@@ -45,7 +45,7 @@ class SampleView:
     plots: Sequence[Markup]
     summary: Sequence[tuple[str, str]]
     """Names and results of the checks."""
-    checks: Mapping[str, Mapping[str, Json]]
+    checks: Mapping[str, RateCheck]
     """Check of each rate limit, see `find_checks`: its window, bandwidth, noise and the ratio of each joint."""
     remarks: Sequence[tuple[str, str]]
     """Smoothness beside its noise floor, and why metrics have no value."""
@@ -58,22 +58,22 @@ class SampleView:
 
 
 def numeric_value(row: SampleRow, name: str) -> float | None:
-    """Return a metric, or a further key of the row, as a number; None if it is none."""
-    value = row.metrics.get(name, row.extra.get(name))
-    return float(value) if isinstance(value, bool | int | float) else None
+    """Return a verdict, an outcome or a metric as a number; None if it is not measured."""
+    value = row.value(name)
+    return None if value is None else float(value)
 
 
 def badness(row: SampleRow) -> tuple[float | str, ...]:
     """Return a sort key, the worst first: verdict, number of faults, share of frames tracked."""
-    tracked = numeric_value(row, "tracked_fraction")
-    faults = len(row.violations) + len(anomalies_of(row))
+    tracked = row.metrics.tracked_fraction
+    faults = len(row.violations) + len(row.anomalies)
     return _RANK[verdict_of(row)], -faults, 1.0 if tracked is None else tracked, row.id
 
 
 def goodness(row: SampleRow) -> tuple[float | str, ...]:
     """Return a sort key, the best first: the reverse of `badness`, then the least slow-down needed."""
     rank, faults, tracked, id = badness(row)
-    slowdown = numeric_value(row, "slowdown_min")
+    slowdown = row.metrics.slowdown_min
     return -float(rank), -float(faults), -float(tracked), np.inf if slowdown is None else slowdown, id
 
 
@@ -96,7 +96,7 @@ def embed_thumbnail(out: Path, row: SampleRow) -> str:
 
 def is_viewable(out: Path, row: SampleRow) -> bool:
     """Return whether `view` can show the sample: it has a track, in the base frame."""
-    return _has_track(out, row) and "base_frame_reason" not in row.extra
+    return _has_track(out, row) and row.base_frame_reason is None
 
 
 def _has_track(out: Path, row: SampleRow) -> bool:
@@ -132,7 +132,7 @@ def view_sample(out: Path, row: SampleRow, *, drawn: bool) -> SampleView:
         left_out=max(len(violations) - _MAX_VIOLATIONS, 0),
         plots=draw_curves(row, file) if file else [],
         summary=[*summarize_checks(row, file.track.t_s), *_repeated_frames(file)] if file else [],
-        checks=find_checks(row.details) if drawn else {},
+        checks=find_checks(row) if drawn else {},
         remarks=list(_list_remarks(row)) if drawn else [],
         replay=links.get("replays") if viewable else None,
         videos=[(label, links[part]) for part, label in VIDEOS.items() if part in links],
@@ -142,7 +142,7 @@ def view_sample(out: Path, row: SampleRow, *, drawn: bool) -> SampleView:
 
 def _list_remarks(row: SampleRow) -> Iterator[tuple[str, str]]:
     """List smoothness beside its noise floor, and reasons of missing metrics."""
-    for name in row.metrics:
+    for name in row.metrics.numbers:
         value, median, low, high = (
             numeric_value(row, name + suffix) for suffix in ("", "_floor_median", "_floor_low", "_floor_high")
         )
@@ -156,11 +156,12 @@ def _list_remarks(row: SampleRow) -> Iterator[tuple[str, str]]:
 
 def summarize_checks(row: SampleRow, t_s: Array | None) -> list[tuple[str, str]]:
     """Summarize noise, slow-down, fastest execution and optimised trajectory of a row, as far as it has them."""
+    details = read_details(row)
     lines = [
-        ("noise of the track", _noise(row)),
-        ("slow-down needed", _slowdown(row, t_s)),
-        ("fastest execution", _fastest(row, t_s)),
-        ("smooth trajectory within all limits", _trajectory(row, t_s)),
+        ("noise of the track", _noise(details)),
+        ("slow-down needed", _slowdown(row, details, t_s)),
+        ("fastest execution", _fastest(row, details, t_s)),
+        ("smooth trajectory within all limits", _trajectory(row, details, t_s)),
     ]
     return [(name, text) for name, text in lines if text is not None]
 
@@ -175,62 +176,56 @@ def _repeated_frames(file: TrackFile) -> Iterator[tuple[str, str]]:
         yield "frames that repeat the one before", text
 
 
-def _noise(row: SampleRow) -> str | None:
-    noise = as_object(row.details.get("noise"))
-    units = {"position_m": (1000.0, "mm"), "rotation_rad": (180.0 / np.pi, "°")}
-    values = {name: value for name in units if (value := to_number(noise.get(name))) is not None}
+def _noise(details: Details) -> str | None:
+    noise = details.noise
+    units = [(noise.position_m, 1000.0, "mm"), (noise.rotation_rad, 180.0 / np.pi, "°")]
     # Values below a micrometre or a microradian are rounding errors.
-    text = ", ".join(f"{units[name][0] * v if v >= 1e-6 else 0:.4g} {units[name][1]}" for name, v in values.items())
+    text = ", ".join(f"{k * v if v >= 1e-6 else 0:.4g} {unit}" for v, k, unit in units if v is not None)
     if not text:
         return None
-    return f"{text} (assumed: the track is too short for an estimate)" if noise.get("assumed") is True else text
+    return f"{text} (assumed: the track is too short for an estimate)" if noise.assumed else text
 
 
-def _slowdown(row: SampleRow, t_s: Array | None) -> str | None:
-    factor = to_number(row.metrics.get("slowdown_min"))
-    limit = _format_limit(row.details.get("slowdown"), t_s)
+def _slowdown(row: SampleRow, details: Details, t_s: Array | None) -> str | None:
+    factor = row.metrics.slowdown_min
+    limit = _format_limit(details.slowdown, t_s)
     if factor is None:
         return None
-    least_s = to_number(row.metrics.get("feasible_from_period_s"))
+    least_s = row.metrics.feasible_from_period_s
     period = "" if least_s is None else f"; feasible from a frame period of {least_s:.2g} s"
     return f"{'none, ' if factor <= 1.0 else ''}{factor:.3g}{limit and f', for {limit}'}{period}"
 
 
-def _fastest(row: SampleRow, t_s: Array | None) -> str | None:
-    scale = to_number(row.metrics.get("time_scale"))
-    limit = _format_limit(row.details.get("time_scale"), t_s)
+def _fastest(row: SampleRow, details: Details, t_s: Array | None) -> str | None:
+    scale = row.metrics.time_scale
+    limit = _format_limit(details.time_scale, t_s)
     return None if scale is None else f"{scale:.3g} of its own duration{limit and f', limited by {limit}'}"
 
 
-def _trajectory(row: SampleRow, t_s: Array | None) -> str | None:
-    feasible = row.metrics.get("trajopt_feasible")
-    radius = to_number(row.metrics.get("trajopt_position_tube_m"))
-    if not isinstance(feasible, bool):
+def _trajectory(row: SampleRow, details: Details, t_s: Array | None) -> str | None:
+    feasible = row.metrics.trajopt_feasible
+    radius = row.metrics.trajopt_position_tube_m
+    if feasible is None:
         return None
-    section = as_object(row.details.get("trajopt"))
-    tube = to_number(section.get("tube_limit_m"))
-    obstacle = section.get("against")
+    tube = details.trajopt.tube_limit_m
+    obstacle = details.trajopt.against
     bound = "" if tube is None else f" (allowed: {tube * 1000.0:.3g} mm)"
     text = f"within {radius * 1000.0:.3g} mm of the track{bound}" if radius is not None else f"none{bound}"
-    if feasible or not isinstance(obstacle, Mapping):
+    if feasible or obstacle is None:
         return text
-    value = to_number(obstacle.get("value"))
-    limit = to_number(obstacle.get("limit"))
-    kind = str(obstacle.get("kind"))
-    numbers = ""
-    if value is not None and limit is not None:
-        (shown, unit) = in_unit(kind, value)
-        (most, _) = in_unit(kind, limit)
-        numbers = f", {shown:.4g} against {most:.4g} {unit}".rstrip()
-    return f"{text}; prevented by {_format_limit({**obstacle, 'limit': kind}, t_s)}{numbers}"
+    value, unit = in_unit(obstacle.kind, obstacle.value)
+    limit, _ = in_unit(obstacle.kind, obstacle.limit)
+    numbers = f", {value:.4g} against {limit:.4g} {unit}".rstrip() if np.isfinite([value, limit]).all() else ""
+    place = LimitPlace(limit=obstacle.kind, joint=obstacle.joint, frame=obstacle.frame)
+    return f"{text}; prevented by {_format_limit(place, t_s)}{numbers}"
 
 
-def _format_limit(details: Json, t_s: Array | None) -> str:
-    """Format the limit, joint and time in the details of a check; empty if they name no limit."""
-    limit, joint, frame = (as_object(details).get(key) for key in ("limit", "joint", "frame"))
-    if limit is None:
+def _format_limit(place: LimitPlace | None, t_s: Array | None) -> str:
+    """Format a limit, its joint and its time; empty if there is none."""
+    if place is None or place.limit is None:
         return ""
     when = ""
-    if isinstance(frame, int):
-        when = f" at {t_s[frame]:.2f} s" if t_s is not None and 0 <= frame < len(t_s) else f" in frame {frame}"
-    return f"{str(limit).replace('_', ' ')}{'' if joint is None else f' of {joint}'}{when}"
+    if place.frame is not None:
+        inside = t_s is not None and 0 <= place.frame < len(t_s)
+        when = f" at {t_s[place.frame]:.2f} s" if inside else f" in frame {place.frame}"  # type: ignore[index]
+    return f"{place.limit.replace('_', ' ')}{'' if place.joint is None else f' of {place.joint}'}{when}"

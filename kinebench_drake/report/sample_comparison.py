@@ -121,7 +121,7 @@ def tabulate_samples(samples: Sequence[ModelSample]) -> Table:
     rows = (
         (
             *(s.model, s.run.name, s.row.id, s.row.video, s.row.task),
-            seed if isinstance(seed := s.row.extra.get("seed"), int) else None,
+            s.row.seed,
             *(s.row.status.value, s.row.reason, verdict_of(s.row)),
             *(value_of(s.row, name) for name in NUMBERS),
         )
@@ -131,8 +131,7 @@ def tabulate_samples(samples: Sequence[ModelSample]) -> Table:
 
 
 def _task_and_seed(row: SampleRow) -> Hashable | None:
-    seed = row.extra.get("seed")
-    return None if row.task is None or not isinstance(seed, int) else (row.task, seed)
+    return None if row.task is None or row.seed is None else (row.task, row.seed)
 
 
 KEYS: Mapping[str, Callable[[SampleRow], Hashable | None]] = {
@@ -232,7 +231,7 @@ def _pair(first: str, second: str, ones: Sequence[SampleRow], twos: Sequence[Sam
 
 
 def _check_same(a: SampleRow, b: SampleRow, first: str, second: str) -> None:
-    for name, one, two in (("task", a.task, b.task), ("seed", a.extra.get("seed"), b.extra.get("seed"))):
+    for name, one, two in (("task", a.task, b.task), ("seed", a.seed, b.seed)):
         if one is not None and two is not None and one != two:
             raise UsageError(
                 f"{a.id} has {name} {one} in {first} and {two} in {second}: they are different samples; name task and "
@@ -248,7 +247,7 @@ def list_differences(pairs: Sequence[ModelPair], runs: Sequence[Run]) -> Iterato
             ("camera_source", "sources of the camera", "poses may differ for that reason alone"),
             ("judged", "judged columns", "a pose track is feasible by any posture, joint angles as they are"),
         ):
-            values = [(a.extra.get(name), b.extra.get(name)) for a, b in pair.pairs]
+            values = [(getattr(a, name), getattr(b, name)) for a, b in pair.pairs]
             if unequal := [(one, two) for one, two in values if None not in (one, two) and one != two]:
                 one, two = (f"{v:.4g}" if isinstance(v, float) else v for v in unequal[0])
                 yield (

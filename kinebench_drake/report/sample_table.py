@@ -5,10 +5,8 @@ from pathlib import Path
 from typing import Any
 
 from kinebench_drake.report.sample import badness
-from kinebench_drake.report.timeline import anomalies_of
 from kinebench_drake.report.verdict import describe_trust, describe_verdict, verdict_of
-from kinebench_drake.results.aggregate import OUTCOMES
-from kinebench_drake.results.row import SampleRow
+from kinebench_drake.results.row import OUTCOMES, SampleRow
 from kinebench_drake.results.store import read_rows
 
 _VERDICTS = ("verdict", "verdict_text", "trust", "status", "reason", "executable", "feasible")
@@ -21,8 +19,8 @@ def read_samples(out: Path) -> Any:
     import pyarrow
 
     rows = sorted(read_rows(out).values(), key=badness)
-    metrics = dict.fromkeys(name for row in rows for name, value in row.metrics.items() if not isinstance(value, list))
-    metrics |= dict.fromkeys(name for name in OUTCOMES if any(name in row.extra for row in rows))
+    metrics = dict.fromkeys(name for row in rows for name in row.metrics.numbers)
+    metrics |= dict.fromkeys(name for name in OUTCOMES if any(row.has(name) for row in rows))
     heads = [*_LABELS, *_LISTS, *metrics]
     lines = [_cells(row, metrics) for row in rows]
     return pyarrow.table({head: _column([line[k] for line in lines]) for k, head in enumerate(heads)})
@@ -35,11 +33,11 @@ def _cells(row: SampleRow, metrics: Iterable[str]) -> list[object]:
         "trust": describe_trust(row) or None,
         "status": row.status.value,
     }
-    kinds = [sorted({str(mark.get("kind")) for mark in marks}) for marks in (row.violations, anomalies_of(row))]
+    kinds = [sorted({mark.kind.value for mark in marks}) for marks in (row.violations, row.anomalies)]
     return [
         *(values[label] if label in values else getattr(row, label) for label in _LABELS),
         *("; ".join(texts) for texts in (row.executable_reasons, *kinds)),
-        *(row.metrics.get(name, row.extra.get(name)) for name in metrics),
+        *(row.value(name) for name in metrics),
     ]
 
 

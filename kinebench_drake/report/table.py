@@ -2,6 +2,7 @@
 
 import csv
 import io
+import math
 import tomllib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
@@ -210,7 +211,7 @@ def format_value(value: Value, pattern: str) -> str:
     """Format a number, or the mean of an estimate; a dash if it is missing."""
     if isinstance(value, Estimate):
         value = value.mean
-    if value is None:
+    if value is None or (isinstance(value, float) and math.isnan(value)):
         return DASH
     return value if isinstance(value, str) else pattern.format(value)
 

@@ -1,6 +1,6 @@
 """Faults of a sample over its frames: the state of each frame; violations, anomalies and lost frames as bars."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from enum import Enum
 
@@ -8,15 +8,15 @@ import numpy as np
 from markupsafe import Markup
 from numpy.typing import NDArray
 
-from kinebench_drake.anomaly import AnomalyKind
+from kinebench_drake.anomaly import Anomaly, AnomalyKind
 from kinebench_drake.geometry import Array
-from kinebench_drake.io.jsonl import Json
 from kinebench_drake.report.limit_table import format_frames, joint_limits, limit_ratios
 from kinebench_drake.report.plot import WIDTH, FrameSpan, merge_spans, render_plot, round_ticks
 from kinebench_drake.results.row import SampleRow
 from kinebench_drake.results.trackfile import TrackFile
 from kinebench_drake.segments import segments
 from kinebench_drake.track import IkStatus
+from kinebench_drake.violation import Violation
 
 MIN_CONFIDENCE = 0.5
 """Confidence below which a pose is doubtful."""
@@ -64,29 +64,11 @@ class FaultLane:
     spans: tuple[FrameSpan, ...]
 
 
-def anomalies_of(row: SampleRow) -> list[Mapping[str, Json]]:
-    """Return the row's visual anomalies that have kind, frames and a numeric severity (or none)."""
-    anomalies = row.metrics.get("anomalies")
-    if not isinstance(anomalies, Sequence) or isinstance(anomalies, str):
-        return []
-    return [
-        a
-        for a in anomalies
-        if isinstance(a, Mapping)
-        and isinstance(a.get("kind"), str)
-        and all(isinstance(a.get(key), int) for key in ("frame_start", "frame_end"))
-        and isinstance(a.get("severity"), int | float | None)
-    ]
-
-
-def covered_frames(marks: Sequence[Mapping[str, Json]], n: int) -> NDArray[np.bool_]:
+def covered_frames(marks: Iterable[Violation | Anomaly], n: int) -> NDArray[np.bool_]:
     """Return which of n frames any of some violations or anomalies covers."""
     covered = np.zeros(n, dtype=bool)
     for mark in marks:
-        start = mark.get("frame_start")
-        end = mark.get("frame_end")
-        if isinstance(start, int) and isinstance(end, int):
-            covered[max(start, 0) : max(end + 1, 0)] = True
+        covered[max(mark.frame_start, 0) : max(mark.frame_end + 1, 0)] = True
     return covered
 
 
@@ -94,7 +76,7 @@ def frame_states(row: SampleRow, file: TrackFile) -> tuple[FrameState, ...]:
     """Return the state of each of the T frames."""
     track = file.track
     n = len(file.track.t_s)
-    doubt = covered_frames(anomalies_of(row), n) | (track.confidence < MIN_CONFIDENCE)
+    doubt = covered_frames(row.anomalies, n) | (track.confidence < MIN_CONFIDENCE)
     for ratio in limit_ratios(file, joint_limits(row)).values():
         doubt |= (np.nan_to_num(ratio) > 1.0).any(axis=-1)
     for name in ("joint_margin", "self_distance_m", "table_distance_m"):
@@ -111,7 +93,7 @@ def frame_states(row: SampleRow, file: TrackFile) -> tuple[FrameState, ...]:
 
 def fault_lanes(row: SampleRow, file: TrackFile | None) -> list[FaultLane]:
     """List the faults of a sample, a lane per kind: violations, visual anomalies, lost frames, doubtful frames."""
-    lanes = [*_marked_lanes(row.violations, "violation"), *_marked_lanes(anomalies_of(row), "anomaly")]
+    lanes = [*_marked_lanes(row.violations, "violation"), *_marked_lanes(row.anomalies, "anomaly")]
     if file is not None:
         on = file.track.tracked.astype(bool)
         doubtful = on & (file.track.confidence < MIN_CONFIDENCE)
@@ -122,16 +104,14 @@ def fault_lanes(row: SampleRow, file: TrackFile | None) -> list[FaultLane]:
     return lanes
 
 
-def _marked_lanes(marks: Sequence[Mapping[str, Json]], css: str) -> Iterator[FaultLane]:
+def _marked_lanes(marks: Iterable[Violation | Anomaly], css: str) -> Iterator[FaultLane]:
     kinds: dict[str, list[FrameSpan]] = {}
     for mark in marks:
-        start = mark.get("frame_start")
-        end = mark.get("frame_end")
-        if isinstance(start, int) and isinstance(end, int) and end >= 0:
-            kind = str(mark.get("kind")).replace("_", " ")
-            joint = mark.get("joint")
-            text = kind if joint is None else f"{kind} of {joint}"
-            kinds.setdefault(kind, []).append(FrameSpan(start=max(start, 0), end=end, text=text))
+        kind = mark.kind.value.replace("_", " ")
+        joint = mark.joint if isinstance(mark, Violation) else None
+        text = kind if joint is None else f"{kind} of {joint}"
+        span = FrameSpan(start=max(mark.frame_start, 0), end=mark.frame_end, text=text)
+        kinds.setdefault(kind, []).append(span)
     for kind, spans in kinds.items():
         yield FaultLane(label=kind, css=css, spans=tuple(merge_spans(spans)))
 
@@ -140,8 +120,7 @@ def frame_count(row: SampleRow, file: TrackFile | None, lanes: Sequence[FaultLan
     """Return the number of frames of a sample: of its track, else of its row, but at least up to the last fault."""
     if file is not None:
         return len(file.track.t_s)
-    frames = row.extra.get("frames")
-    return max([frames if isinstance(frames, int) else 1, *(span.end + 1 for lane in lanes for span in lane.spans)])
+    return max([row.frames or 1, *(span.end + 1 for lane in lanes for span in lane.spans)])
 
 
 def draw_timeline(lanes: Sequence[FaultLane], n: int, t_s: Array | None = None) -> Markup:

@@ -3,11 +3,9 @@
 from collections.abc import Iterator
 
 from kinebench_drake.errors import count_noun
-from kinebench_drake.io.jsonl import as_object
 from kinebench_drake.metrics.executable import INFEASIBLE, LOST, OPEN, UNCHECKED, UNDECIDED, FailureVerdict, reason_kind
-from kinebench_drake.metrics.trust import TRUST, TrustLevel
-from kinebench_drake.report.limit_table import describe_violation, format_frames, to_number
-from kinebench_drake.report.timeline import anomalies_of
+from kinebench_drake.metrics.trust import TrustLevel
+from kinebench_drake.report.limit_table import describe_violation, format_frames
 from kinebench_drake.results.row import SampleRow, Status
 
 _FAILURES = {cause.value: f"failed by {cause.value}" for cause in FailureVerdict}
@@ -26,9 +24,9 @@ def verdict_of(row: SampleRow) -> str:
     """Return the verdict of a row, a key of VERDICT_LABELS; of a closed-loop episode its outcome."""
     if row.status is not Status.OK:
         return str(row.status.value)
-    if "verdict" in row.extra:
-        cause = row.extra["verdict"]
-        return "success" if row.extra.get("success") is True else cause if cause in _FAILURES else "unjudged"
+    if row.has("verdict"):
+        cause = row.verdict if row.verdict in _FAILURES else None
+        return "success" if row.success else cause or "unjudged"
     if row.executable or row.feasible is False:
         return "executable" if row.executable else "infeasible"
     if row.feasible and [reason_kind(reason) for reason in row.executable_reasons] == [UNCHECKED]:
@@ -62,25 +60,23 @@ def name_verdict(row: SampleRow) -> str:
 
 def explain_verdict(row: SampleRow) -> str:
     """Return what decides on the verdict of a row; empty if nothing needs to be said."""
-    cause = row.reason or as_object(row.extra.get("cause")).get("text")
-    return str(cause) if cause else "; ".join(_list_causes(row))
+    cause = row.reason or (None if row.cause is None else row.cause.text)
+    return cause or "; ".join(_list_causes(row))
 
 
 def describe_trust(row: SampleRow) -> str:
     """Return the level of trust in a row, with its reason unless it is solid; empty if the row has none."""
-    trust = as_object(row.extra.get(TRUST))
-    if not trust:
+    trust = row.trust
+    if trust is None:
         return ""
-    is_solid = trust["level"] == TrustLevel.SOLID.value
-    return str(trust["level"]) if is_solid else f"{trust['level']}, {trust['reason']}"
+    return trust.level if trust.level == TrustLevel.SOLID.value else f"{trust.level}, {trust.reason}"
 
 
 def _count_tracked(row: SampleRow) -> str:
-    frames = row.extra.get("frames")
-    fraction = to_number(row.metrics.get("tracked_fraction"))
-    if fraction is None or not isinstance(frames, int):
+    fraction = row.metrics.tracked_fraction
+    if fraction is None or row.frames is None:
         return VERDICT_LABELS["tracked"]
-    return f"tracked {round(fraction * frames)} of {count_noun(frames, 'frame')}"
+    return f"tracked {round(fraction * row.frames)} of {count_noun(row.frames, 'frame')}"
 
 
 def _list_causes(row: SampleRow) -> Iterator[str]:
@@ -108,6 +104,6 @@ def _describe_reason(row: SampleRow, reason: str) -> str:
         return f"limits of {detail} are not checked"
     if kind == OPEN:
         return f"{detail.replace('_', ' ')} is open"
-    spans = [format_frames(a["frame_start"], a["frame_end"]) for a in anomalies_of(row) if a["kind"] == kind]
+    spans = [format_frames(a.frame_start, a.frame_end) for a in row.anomalies if a.kind.value == kind]
     more = [f"{len(spans) - _MOST_SPANS} more"] if len(spans) > _MOST_SPANS else []
     return ", ".join([kind.replace("_", " "), *(spans[:_MOST_SPANS] or [detail]), *more])

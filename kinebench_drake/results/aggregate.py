@@ -11,17 +11,11 @@ import numpy as np
 from kinebench_drake.geometry import Array
 from kinebench_drake.io.jsonl import Json
 from kinebench_drake.results.direction import BOUND, worst_value
-from kinebench_drake.results.row import SampleRow, Status
+from kinebench_drake.results.row import OUTCOMES, VERDICT_SHARES, SampleRow, Status
 from kinebench_drake.stats import bootstrap_mean, group_means, pass_at_k, share_interval
 
 Item = TypeVar("Item")
 Key = TypeVar("Key", bound=Hashable)
-
-VERDICT_SHARES = ("executable", "feasible")
-"""Shares of a group that are no metrics."""
-
-OUTCOMES = ("success", "progress", "rounds")
-"""Numbers of closed-loop episodes, which stand beside the metrics."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -121,8 +115,8 @@ def aggregate(rows: Sequence[SampleRow], seed: int = 0, worst: Mapping[str, floa
     return Aggregate(
         status={status: counts[status] for status in Status},
         estimates={**estimates, **passes},
-        violations=_count_kinds({str(v.get("kind")) for v in row.violations} for row in rows),
-        anomalies=_count_kinds(_anomaly_kinds(row) for row in rows),
+        violations=_count_kinds({v.kind.value for v in row.violations} for row in rows),
+        anomalies=_count_kinds({a.kind.value for a in row.anomalies} for row in rows),
         executable_reasons=_count_kinds(
             {reason.partition(":")[0] for reason in row.executable_reasons} for row in rows
         ),
@@ -156,12 +150,12 @@ class RunStatistics:
 class _MetricValues:
     """Values of a verdict or metric over the rows of a group."""
 
-    values: list[Json] = field(default_factory=list)
-    bounds: list[Json] = field(default_factory=list)
+    values: list[float | None] = field(default_factory=list)
+    bounds: list[float | None] = field(default_factory=list)
     """The worst that each can be."""
     episodes: list[Hashable] = field(default_factory=list)
 
-    def add(self, value: Json, bound: Json, episode: str) -> None:
+    def add(self, value: float | None, bound: float | None, episode: str) -> None:
         self.values.append(value)
         self.bounds.append(bound)
         self.episodes.append(episode)
@@ -174,11 +168,10 @@ def _columns(rows: Sequence[SampleRow]) -> dict[str, _MetricValues]:
         columns["executable"].add(row.executable is True, row.executable is True, row.episode)
     for row in (r for r in rows if r.status is Status.OK):
         columns["feasible"].add(row.feasible, row.feasible, row.episode)
-        extra = {name: row.extra[name] for name in OUTCOMES if name in row.extra}
-        for name, value in {**row.metrics, **extra}.items():
-            if (value is None or isinstance(value, bool | int | float)) and not name.endswith(BOUND):
-                bound = value if name in extra else row.bound(name)
-                columns.setdefault(name, _MetricValues()).add(value, bound, row.episode)
+        outcomes = {name: row.value(name) for name in OUTCOMES if row.has(name)}
+        for name, value in {**row.metrics.numbers, **outcomes}.items():
+            if not name.endswith(BOUND):
+                columns.setdefault(name, _MetricValues()).add(value, row.bound(name), row.episode)
     return columns
 
 
@@ -197,9 +190,9 @@ def estimate_passes(rows: Sequence[SampleRow], seed: int = 0) -> dict[int, Estim
     Means over the episodes with k measured samples (`stats.pass_at_k`) with intervals over episodes. In the bound
     samples that were not measured are failures. Empty if every episode has one sample.
     """
-    episodes: dict[str, list[Json]] = {}
+    episodes: dict[str, list[float | None]] = {}
     for row in rows:
-        success = row.extra.get("success") if row.status is Status.OK else None
+        success = row.success if row.status is Status.OK else None
         episodes.setdefault(row.episode, []).append(success)
     most = max(map(len, episodes.values()), default=0)
     if most < 2:
@@ -233,13 +226,13 @@ def split_rows(rows: Iterable[SampleRow], key: str) -> dict[str, list[SampleRow]
 
 
 def estimate(
-    values: Sequence[Json],
+    values: Sequence[float | None],
     *,
     total: int,
     seed: int = 0,
     worst: float | None = None,
     episodes: Sequence[Hashable] | None = None,
-    bounds: Sequence[Json] | None = None,
+    bounds: Sequence[float | None] | None = None,
 ) -> Estimate:
     """Compute mean, interval and bound of `values`, ignoring None.
 
@@ -279,27 +272,18 @@ def estimate(
     return Estimate(mean=mean, low=low, high=high, n=n, total=total, bound=bound)
 
 
-def _is_share(values: Sequence[Json]) -> bool:
+def _is_share(values: Sequence[float | None]) -> bool:
     """Return whether all values that there are are true or false."""
     return all(isinstance(v, bool) for v in values if v is not None)
 
 
-def _to_array(values: Sequence[Json]) -> Array:
-    """Return numbers and truth values (N,) as numbers; NaN for anything else."""
-    if {*map(type, values)} <= {float, int, bool, type(None)}:
-        return np.array(values, dtype=np.float64)  # None becomes NaN
-    return np.array([v if isinstance(v, bool | int | float) else np.nan for v in values], dtype=np.float64)
+def _to_array(values: Sequence[float | None]) -> Array:
+    """Return numbers and truth values (N,) as numbers; NaN where there is none."""
+    return np.array(values, dtype=np.float64)  # None becomes NaN
 
 
 def _count_kinds(samples: Iterable[set[str]]) -> dict[str, int]:
     return dict(sorted(Counter(kind for kinds in samples for kind in kinds).items()))
-
-
-def _anomaly_kinds(row: SampleRow) -> set[str]:
-    anomalies = row.metrics.get("anomalies")
-    if isinstance(anomalies, str) or not isinstance(anomalies, Sequence):
-        return set()
-    return {str(a.get("kind")) for a in anomalies if isinstance(a, Mapping)}
 
 
 def group_by(items: Iterable[Item], key: Callable[[Item], Key]) -> dict[Key, list[Item]]:

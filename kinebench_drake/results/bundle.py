@@ -63,11 +63,10 @@ def write_bundle(run: Path, path: Path) -> None:
 
 def _hash_videos(run: Path, row: SampleRow) -> Iterator[tuple[str, str]]:
     """Yield name and SHA-256 of the videos of a row: its input, or the clips that a world model generated."""
-    if isinstance(digest := row.extra.get("input_sha256"), str):
-        yield row.video, digest
-    clips = row.extra.get("videos")
-    for clip in clips if isinstance(clips, list) else ():
-        if isinstance(clip, str) and (run / clip).is_file():
+    if row.input_sha256 is not None:
+        yield row.video, row.input_sha256
+    for clip in row.videos or ():
+        if (run / clip).is_file():
             yield clip, hash_file(run / clip)
 
 

@@ -11,7 +11,7 @@ from statistics import median
 from urllib.parse import quote
 
 from kinebench_drake.errors import count_noun
-from kinebench_drake.io.jsonl import Json, as_object
+from kinebench_drake.io.jsonl import Json
 from kinebench_drake.results.row import SampleRow, Status
 
 DROPS = "drops.jsonl"
@@ -19,6 +19,8 @@ DROPS = "drops.jsonl"
 GATED = ("score", "audit")
 """Kinds of runs that end with a drop list."""
 
+LONGEST_LAG_S = 0.5
+"""Longest time in which a controlled arm follows its commands [s]."""
 _SCHEMA = "https://docs.oasis-open.org/sarif/sarif/v2.1.0/errata01/os/schemas/sarif-schema-2.1.0.json"
 
 
@@ -65,14 +67,13 @@ class Drop:
 def list_drops(rows: Iterable[SampleRow]) -> list[Drop]:
     """Return the drop list of rows, in their order; of equal motions the first stays."""
     rows = list(rows)
-    lags = [as_object(row.extra.get("action_lag")).get("frames") for row in rows]
-    usual = median([lag for lag in lags if isinstance(lag, int)] or [0])
+    usual = median([row.action_lag.frames for row in rows if row.action_lag is not None] or [0])
     first: dict[str, str] = {}
     drops = []
     for row in rows:
         faults = list(_faults(row, usual))
-        mark = row.extra.get("fingerprint")
-        if isinstance(mark, str) and first.setdefault(mark, row.id) != row.id:
+        mark = row.fingerprint
+        if mark is not None and first.setdefault(mark, row.id) != row.id:
             faults.append((DropReason.DUPLICATE, (None, None), f"same motion as {first[mark]}"))
         for reason, (start, end), detail in faults:
             drop = Drop(id=row.id, video=row.video, reason=reason, frame_start=start, frame_end=end, detail=detail)
@@ -82,34 +83,25 @@ def list_drops(rows: Iterable[SampleRow]) -> list[Drop]:
 
 def _faults(row: SampleRow, usual_lag: float) -> Iterable[tuple[DropReason, tuple[int | None, int | None], str]]:
     """Yield the reasons to drop a sample, besides that of being a copy, with frames and a clause."""
-    extra = row.extra
     if row.status is not Status.OK:
         yield DropReason.NOT_MEASURED, (None, None), row.reason or row.status.value
     if row.feasible is False:
-        runs = [(int(str(v["frame_start"])), int(str(v["frame_end"]))) for v in row.violations]
-        kinds = ", ".join(dict.fromkeys(str(v["kind"]).replace("_", " ") for v in row.violations))
-        starts, ends = zip(*runs, strict=True) if runs else ((None,), (None,))
-        yield DropReason.INFEASIBLE, (min(starts), max(ends)), kinds
-    gaps = extra.get("dropped_samples")
-    if isinstance(gaps, list) and gaps:
-        at = [int(str(frame)) for frame in gaps]
-        yield DropReason.DROPPED_SAMPLES, (at[0], at[-1]), f"{count_noun(len(at), 'sample')} missing"
-    idle = extra.get("idle_ends")
-    count = extra.get("frames")
-    if isinstance(idle, list) and isinstance(count, int):
-        start, end = (int(str(rest)) for rest in idle)
+        kinds = ", ".join(dict.fromkeys(v.kind.value.replace("_", " ") for v in row.violations))
+        start = min((v.frame_start for v in row.violations), default=None)
+        yield DropReason.INFEASIBLE, (start, max((v.frame_end for v in row.violations), default=None)), kinds
+    if gaps := row.dropped_samples:
+        yield DropReason.DROPPED_SAMPLES, (gaps[0], gaps[-1]), f"{count_noun(len(gaps), 'sample')} missing"
+    if row.idle_ends is not None and row.frames is not None:
+        start, end = row.idle_ends
         if start:
             yield DropReason.IDLE_ENDS, (0, start - 1), f"rests for {start} frames at the start"
         if end:
-            yield DropReason.IDLE_ENDS, (count - end, count - 1), f"rests for {end} frames at the end"
-    lag = as_object(extra.get("action_lag"))
-    period_s = extra.get("frame_period_s")
-    if lag and isinstance(period_s, float):
-        value = int(str(lag["frames"]))
-        doubt = int(str(lag["tolerance"]))
-        late = value - doubt > 0.5 / period_s  # longest time in which a controlled arm follows its commands [s]
-        if value + doubt < 0 or late or abs(value - usual_lag) > doubt + 1:
-            detail = f"states follow actions by {count_noun(value, 'frame')}, in the data set by {usual_lag:g}"
+            yield DropReason.IDLE_ENDS, (row.frames - end, row.frames - 1), f"rests for {end} frames at the end"
+    lag = row.action_lag
+    if lag is not None and row.frame_period_s is not None:
+        late = lag.frames - lag.tolerance > LONGEST_LAG_S / row.frame_period_s
+        if lag.frames + lag.tolerance < 0 or late or abs(lag.frames - usual_lag) > lag.tolerance + 1:
+            detail = f"states follow actions by {count_noun(lag.frames, 'frame')}, in the data set by {usual_lag:g}"
             yield DropReason.ACTION_OFFSET, (None, None), detail
 
 

@@ -6,7 +6,7 @@ from enum import Enum
 
 from kinebench_drake.camera import CameraSource, CameraState
 from kinebench_drake.errors import count_noun
-from kinebench_drake.io.jsonl import Json
+from kinebench_drake.io.jsonl import Json, as_number
 from kinebench_drake.results.row import SampleRow, Status
 from kinebench_drake.track import Domain
 
@@ -60,13 +60,17 @@ BENCHMARK_PERIOD_S = 0.2
 """Task time between two frames of the benchmark's videos (4 control steps at 20 Hz) [s]."""
 
 
-def describe_period(extra: Mapping[str, Json]) -> str:
-    """Describe the frame period of a row and its source by the row's further keys."""
-    period_s = extra.get("frame_period_s")
-    source = str(extra.get("frame_period_source"))
-    if not isinstance(period_s, int | float):
+def describe_period(row: SampleRow) -> str:
+    """Describe the frame period of a row and its source."""
+    if row.frame_period_s is None:
         return "unknown"
-    return f"{period_s:.4g} s, {_PERIODS.get(source, source)}"
+    source = str(row.frame_period_source)
+    return f"{row.frame_period_s:.4g} s, {_PERIODS.get(source, source)}"
+
+
+def table_height(row: SampleRow, config: Mapping[str, object]) -> float:
+    """Return the height of the table that a row was judged with [m]: that of its camera, else of the run's options."""
+    return row.table_height_m if row.table_height_m is not None else as_number(config.get("table_height_m")) or 0.0
 
 
 def list_inputs(rows: Iterable[SampleRow]) -> dict[str, list[dict[str, Json]]]:
@@ -79,12 +83,10 @@ def list_inputs(rows: Iterable[SampleRow]) -> dict[str, list[dict[str, Json]]]:
     periods = Counter[tuple[float, str]]()
     cameras = Counter[str]()
     for row in rows:
-        period_s = row.extra.get("frame_period_s")
-        source = row.extra.get("frame_period_source")
-        if isinstance(period_s, int | float) and isinstance(source, str):
-            periods[float(f"{period_s:.4g}"), source] += 1
-        if row.status is Status.OK and isinstance(camera := row.extra.get("camera_source"), str):
-            cameras[camera] += 1
+        if row.frame_period_s is not None and row.frame_period_source is not None:
+            periods[float(f"{row.frame_period_s:.4g}"), row.frame_period_source] += 1
+        if row.status is Status.OK and row.camera_source is not None:
+            cameras[row.camera_source] += 1
     return {
         "frame_periods": [
             {"frame_period_s": period_s, "source": source, "samples": n}
@@ -115,17 +117,12 @@ def input_lines(rows: Sequence[SampleRow]) -> list[str]:
     if changes := [change for row in rows if (change := _changes_in_benchmark(row)) is not None]:
         count = {0: "no verdict changes", 1: "1 verdict changes"}.get(sum(changes), f"{sum(changes)} verdicts change")
         lines[0] += f"; but the benchmark camera fits: {count} at {BENCHMARK_PERIOD_S:g} s"
-    looks = Counter(domain for row in rows if isinstance(domain := row.extra.get("domain"), str))
+    looks = Counter(row.domain for row in rows if row.domain is not None)
     if looks:
         lines.append(f"look: {_join([(_LOOKS.get(domain, domain), n) for domain, n in looks.most_common()])}")
-    if motionless := sum(map(is_motionless, rows)):
+    if motionless := sum(row.metrics.motionless for row in rows):
         lines.append(f"motionless: {motionless} of {count_noun(len(rows), 'sample')}")
     return lines
-
-
-def is_motionless(row: SampleRow) -> bool:
-    """Return whether the gripper of a sample neither moves nor turns."""
-    return row.metrics.get("motionless") is True
 
 
 def _changes_in_benchmark(row: SampleRow) -> bool | None:
@@ -133,13 +130,11 @@ def _changes_in_benchmark(row: SampleRow) -> bool | None:
 
     None unless the arm confirms the benchmark's camera, the period is that of the file, and both verdicts are known.
     """
-    extra = row.extra
-    least_s = row.metrics.get("feasible_from_period_s")
-    fits = extra.get("camera_source") == CameraSource.BENCHMARK.value
-    fits = fits and extra.get("camera_state") == CameraState.CONFIRMED.value
-    if not fits or extra.get("frame_period_source") != PeriodSource.FPS.value or row.feasible is None:
+    fits = row.camera_source == CameraSource.BENCHMARK.value and row.camera_state == CameraState.CONFIRMED.value
+    if not fits or row.frame_period_source != PeriodSource.FPS.value or row.feasible is None:
         return None
-    if isinstance(least_s, int | float):
+    least_s = row.metrics.feasible_from_period_s
+    if least_s is not None:
         return (least_s <= BENCHMARK_PERIOD_S) is not row.feasible
     return None if row.feasible else False
 

@@ -1,109 +1,63 @@
-"""One line of `samples.jsonl`: the result of one sample.
+"""One line of `samples.jsonl`: the result of one sample, a typed record whose fields are the keys of the line.
 
-In memory a stored row keeps its numbers and labels; what takes most bytes is read from the file on demand.
+In memory a stored row keeps its numbers and labels; what takes most bytes is read from the file on demand. The table of
+keys in docs/formats.md and the JSON schema are written from this module (`results.schema`).
 """
 
-import os
-from collections.abc import ItemsView, Iterator, Mapping
-from dataclasses import dataclass, field, fields
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, fields, replace
 from enum import Enum
 from functools import lru_cache
 from pathlib import Path
-from types import UnionType
 from typing import Any, cast
 
+from kinebench_drake.anomaly import Anomaly
 from kinebench_drake.errors import InputError
-from kinebench_drake.io.jsonl import Json, dump, finite, intern_text, parse_json
+from kinebench_drake.io.jsonl import Json, dump, intern_text
 from kinebench_drake.results.direction import BOUND
+from kinebench_drake.results.lines import RowLine, StoredObject
+from kinebench_drake.results.record import convert, field_converters, read_record, to_json
+from kinebench_drake.violation import Violation
+
+VERDICT_SHARES = ("executable", "feasible")
+"""Verdicts, whose shares stand beside the metrics."""
+OUTCOMES = ("success", "progress", "rounds")
+"""Numbers of closed-loop episodes, which stand beside the metrics."""
+MetricValue = float | tuple[Anomaly, ...] | None
+ANOMALIES = "anomalies"
+"""Name of the only metric that is no number."""
 
 
-class RowFile:
-    """A file of lines, open as long as a row refers to it: rows stay readable when the file is replaced."""
-
-    def __init__(self, path: Path) -> None:
-        """Open the file.
-
-        Raises:
-            OSError: it cannot be opened.
-        """
-        self._fd = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
-
-    def __del__(self) -> None:
-        if hasattr(self, "_fd"):
-            os.close(self._fd)
-
-    @property
-    def size(self) -> int:
-        """Size of the file [bytes]."""
-        return os.fstat(self._fd).st_size
-
-    def read(self, start: int, size: int) -> bytes:
-        """Read a part of the file."""
-        return os.pread(self._fd, size, start)
-
-
-class RowLine:
-    """Place of one row in a file: offset of its first byte and number of bytes."""
-
-    __slots__ = ("file", "size", "start")
-
-    def __init__(self, file: RowFile, start: int, size: int) -> None:
-        self.file = file
-        self.start = start
-        self.size = size
-
-    def read(self) -> bytes:
-        """Return the bytes of the line, with its line feed."""
-        return self.file.read(self.start, self.size)
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return type(None), ()  # in another process the file is not open
-
-
-class StoredObject(Mapping[str, Json]):
-    """An object of a stored row, such as `details`: read and parsed at each access."""
-
-    __slots__ = ("_line", "_name")
-
-    def __init__(self, line: RowLine, name: str) -> None:
-        self._line = line
-        self._name = name
-
-    def __getitem__(self, key: str) -> Json:
-        return self._parse()[key]
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._parse())
-
-    def __len__(self) -> int:
-        return len(self._parse())
-
-    def items(self) -> ItemsView[str, Json]:
-        """Return names and values; the row is read once."""
-        return self._parse().items()
-
-    def __repr__(self) -> str:
-        return repr(self._parse())
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return dict, (self._parse(),)
-
-    def _parse(self) -> dict[str, Json]:
-        row = cast(dict[str, Any], parse_json(self._line.read()))
-        return cast(dict[str, Json], intern_text(row[self._name]))
-
-
-class PackedObject(Mapping[str, Json]):
-    """An object with few bytes: its names are shared with all objects of the same names."""
+class Metrics(Mapping[str, MetricValue]):
+    """Metrics by name in few bytes, with those as attributes that the program reads; None if not measurable."""
 
     __slots__ = ("_places", "_values")
 
-    def __init__(self, values: Mapping[str, Json]) -> None:
+    def __init__(self, values: Mapping[str, MetricValue] | None = None) -> None:
+        values = values or {}
         self._places = _places(tuple(values))
-        self._values = tuple(map(_pack_value, values.values()))
+        self._values = tuple(values.values())
 
-    def __getitem__(self, key: str) -> Json:
-        return self._values[self._places[key]]
+    @classmethod
+    def from_json(cls, data: object) -> "Metrics":
+        """Convert the object of a row.
+
+        Raises:
+            InputError: a value is no metric.
+        """
+        if not isinstance(data, Mapping):
+            raise InputError("metrics are no object")
+        values = dict(data)
+        listed = values.get(ANOMALIES)
+        if isinstance(listed, list | tuple):
+            values[ANOMALIES] = tuple(read_record(Anomaly, anomaly) for anomaly in listed)
+        for name, value in values.items():
+            if not isinstance(value, float | int | None) and not (name == ANOMALIES and listed is not None):
+                raise InputError(f"the metric {name} is {value!r:.60}")
+        return cls(values)
+
+    def __getitem__(self, name: str) -> MetricValue:
+        return self._values[self._places[name]]
 
     def __iter__(self) -> Iterator[str]:
         return iter(self._places)
@@ -115,17 +69,62 @@ class PackedObject(Mapping[str, Json]):
         return repr(dict(self))
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return dict, (dict(self),)
+        return Metrics, (dict(self),)
 
+    @property
+    def numbers(self) -> dict[str, float | None]:
+        """Numbers and truth values by name."""
+        return {name: cast(float | None, value) for name, value in self.items() if name != ANOMALIES}
 
-def _pack_value(value: Json) -> Json:
-    if value is None or isinstance(value, float | int):  # most values: what follows takes longer
-        return value
-    if isinstance(value, Mapping | list):
-        text = dump(value)
-        # Many samples have the same camera or framing: short objects are kept and shared.
-        return _shared(text) if len(text) <= 200 else cast(Json, intern_text(value))
-    return cast(Json, intern_text(value))
+    def number(self, name: str) -> float | None:
+        """Return a number or a truth value; None if it is not measurable, or not among the metrics."""
+        value = self.get(name)
+        return None if isinstance(value, tuple) else value
+
+    @property
+    def anomalies(self) -> tuple[Anomaly, ...] | None:
+        """Anomalies of a video; None if none were looked for."""
+        return cast(tuple[Anomaly, ...] | None, self.get(ANOMALIES))
+
+    @property
+    def tracked_fraction(self) -> float | None:
+        """Share of the frames with a pose."""
+        return self.number("tracked_fraction")
+
+    @property
+    def confidence_mean(self) -> float | None:
+        """Mean confidence of the frames with a pose."""
+        return self.number("confidence_mean")
+
+    @property
+    def motionless(self) -> bool:
+        """True if the gripper neither moves nor turns."""
+        return self.get("motionless") is True
+
+    @property
+    def feasible_from_period_s(self) -> float | None:
+        """Shortest frame period at which the motion is feasible [s]."""
+        return self.number("feasible_from_period_s")
+
+    @property
+    def slowdown_min(self) -> float | None:
+        """Least k for which the track played k times slower keeps every limit."""
+        return self.number("slowdown_min")
+
+    @property
+    def time_scale(self) -> float | None:
+        """Fastest feasible duration of the path over its own."""
+        return self.number("time_scale")
+
+    @property
+    def trajopt_feasible(self) -> bool | None:
+        """Whether a trajectory within all limits exists near the track."""
+        return cast(bool | None, self.get("trajopt_feasible"))
+
+    @property
+    def trajopt_position_tube_m(self) -> float | None:
+        """Radius of the tube about the track that holds that trajectory [m]."""
+        return self.number("trajopt_position_tube_m")
 
 
 @lru_cache(maxsize=4096)
@@ -134,8 +133,8 @@ def _places(names: tuple[str, ...]) -> dict[str, int]:
 
 
 @lru_cache(maxsize=4096)
-def _shared(text: str) -> Json:
-    return cast(Json, intern_text(parse_json(text)))
+def _shared_keys(keys: tuple[str, ...]) -> tuple[str, ...]:
+    return keys
 
 
 class Status(Enum):
@@ -147,59 +146,251 @@ class Status(Enum):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class TrustEntry:
+    """Whether the numbers of a video can be used unseen (`metrics.trust`)."""
+
+    level: str
+    reason: str
+    line: str
+    """Level, reason and what the numbers rest on, in one line."""
+    unknown: Mapping[str, object] = field(default_factory=dict, repr=False)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CauseEntry:
+    """Cause of a failed episode (`suites.closed_loop.attribution`)."""
+
+    verdict: str
+    round: int | None
+    frame_start: int | None
+    frame_end: int | None
+    value: float | None
+    limit: float | None
+    text: str
+    unknown: Mapping[str, object] = field(default_factory=dict, repr=False)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ActionLag:
+    """Frames by which the states of a recording follow its actions (`metrics.recording_faults`)."""
+
+    frames: int
+    tolerance: int
+    correlation: float
+    unknown: Mapping[str, object] = field(default_factory=dict, repr=False)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class SampleRow:
-    """The result of one sample."""
+    """The result of one sample. The keys up to `details` are in every row; of the others those that it has."""
 
     id: str
+    """Name of the sample, safe as a file name."""
     video: str
-    """Video or trajectory as named by the input, relative to it."""
+    """Video or trajectory as named by the input, relative to it; a part of a file after a `#`: `demo.h5#traj_3`."""
     task: str | None
+    """Name of the task."""
     model: str | None
+    """Name of the model that made the sample."""
     status: Status
+    """Outcome: `ok`, `unmeasurable` or `error`."""
     reason: str | None
-    """Reason for a status other than ok, one line."""
+    """Reason for a status other than `ok`, one line."""
     content_hash: str
     """SHA-256 of all inputs of the result: a row with the same hash need not be computed again."""
     feasible: bool | None = None
+    """Whether the arm can do the motion that was seen; null: open."""
     executable: bool | None = None
+    """Whether a robot can execute the sample as it is seen; null: open."""
     executable_reasons: tuple[str, ...] = ()
-    """What speaks against executing the sample, and what could not be measured (`metrics.executable`)."""
-    violations: tuple[Mapping[str, Json], ...] = ()
-    """Objects of kind, frame_start, frame_end, joint, value, limit, unit; by cause, within a kind by frame."""
-    metrics: Mapping[str, Json] = field(default_factory=dict)
-    """Metrics by name: numbers, booleans, lists, or null if not measurable. Where frames are lost or out of reach,
-    NAME_bound is the worst that NAME can be."""
+    """What speaks against executing the sample, and what could not be measured."""
+    violations: tuple[Violation, ...] = ()
+    """Limits that the motion breaks, by cause, within a kind by frame."""
+    metrics: Metrics = field(default_factory=Metrics)
+    """Metrics by name: numbers, truth values, anomalies; null if not measurable. Where frames are lost or out of reach,
+    `NAME_bound` is the worst that NAME can be."""
     null_reasons: Mapping[str, str] = field(default_factory=dict)
     """Reason for each null metric, by name; for a sample that is not ok see `reason`."""
     details: Mapping[str, Json] = field(default_factory=dict)
-    """Data behind the verdict: noise, limits per joint and others."""
-    extra: Mapping[str, Json] = field(default_factory=dict)
-    """Further top-level keys. Videos: frames, width, height, fps, frame_period_s, frame_period_source,
-    camera_source, seed, prompt. Trajectories: frames, frames_tracked, duration_s, frame_period_s, judged,
-    columns, warnings, format, seed, prompt, success. Suite runs: success, progress, rounds, verdict."""
+    """Data behind the verdict: limits, noise, checks joint by joint, timing, trajectory optimisation."""
+
+    seed: int | None = None
+    """Seed of the sample's scene."""
+    prompt: str | None = None
+    """Text that the model was given."""
+    success: bool | None = None
+    """Whether the task was done: of episodes as measured, of others as labelled by the input."""
+    format: str | None = None
+    """Format of a trajectory."""
+    input_sha256: str | None = None
+    """SHA-256 of the input file, of several that of the output of `sha256sum FILES`."""
+    warnings: tuple[str, ...] | None = None
+    """What a user should know of how a trajectory was read."""
+    trust: TrustEntry | None = None
+    """What the numbers of a video rest on, in one line, and whether they can be used unseen."""
+
+    frames: int | None = None
+    """Number of frames that are used."""
+    frame_period_s: float | None = None
+    """Task time between two frames [s]."""
+    frame_period_source: str | None = None
+    """Source of the frame period."""
+    duration_s: float | None = None
+    """Duration of a trajectory [s]."""
+    clip_timing: str | None = None
+    """How the frames of a video lie in task time: `native` or `uniform`."""
+    clip_frames: int | tuple[int, ...] | None = None
+    """Number of frames of the video; of episodes of each clip."""
+    surplus_frames: int | None = None
+    """Frames beyond the table of a dataset, which are not used."""
+
+    width: int | None = None
+    """Width of the video [px]."""
+    height: int | None = None
+    """Height of the video [px]."""
+    fps: float | None = None
+    """Frames per second by the file [1/s]."""
+    framing: Mapping[str, Json] | None = None
+    """How the camera's image lies in the video."""
+    mirrored: bool | None = None
+    """True if the frames were turned left-right."""
+    replaced: Mapping[str, Json] | None = None
+    """Stages of the grounding supplied from outside, with the source of each."""
+    first_frame: str | None = None
+    """Use of the initial state: `unknown`, `used` or `contradicted`."""
+    domain: str | None = None
+    """Look of the video to the networks: `familiar`, `unfamiliar` or `arm_alone`."""
+    gripper: str | None = None
+    """Gripper other than Franka's hand that was looked for."""
+    hand_size_error: float | None = None
+    """Relative error of the hand's size by the arm behind it."""
+    hand_size_sigma: float | None = None
+    """Standard error of it."""
+    anomaly_scores: Mapping[str, Json] | None = None
+    """Greatest score of each kind of anomaly, 1 at its bound."""
+    anomalies_open: tuple[str, ...] | None = None
+    """Kinds of anomaly of which it is open whether they occur."""
+    anomalies_not_looked_for: tuple[str, ...] | None = None
+    """Kinds of anomaly that the look of the video excludes."""
+
+    camera_key: str | None = None
+    """Name of the camera in its dataset."""
+    camera_source: str | None = None
+    """Source of the camera."""
+    camera_state: str | None = None
+    """How the camera is known: `named`, `confirmed`, `estimated` or `none`."""
+    camera_name: str | None = None
+    """Name of a camera that was recognized."""
+    camera_shown: str | None = None
+    """How the pictures of a recognized camera are turned."""
+    camera_agreement: float | None = None
+    """Share of the arm's contours on image edges."""
+    camera_estimate: Mapping[str, Json] | None = None
+    """Estimate of the camera, with its errors."""
+    camera_contradiction: Mapping[str, Json] | None = None
+    """Camera that explains the arm better than the named one."""
+    camera_reading: Mapping[str, Json] | None = None
+    """Reading of picture or matrix that explains the arm better."""
+    camera_path: Mapping[str, Json] | None = None
+    """How the view of the video changes."""
+    camera_paths: tuple[Mapping[str, Json] | None, ...] | None = None
+    """The same of each clip of an episode."""
+    base_frame_reason: str | None = None
+    """Why there is no base frame, and so no verdict."""
+    possible_cameras: int | None = None
+    """Number of cameras that may be right, under all of which the verdict holds."""
+    table_height_m: float | None = None
+    """Height of the table top in the robot base frame that is stated with the camera [m]."""
+
+    judged: str | None = None
+    """Columns of a trajectory that are judged: `joints` or `poses`."""
+    columns: str | None = None
+    """Arrays or columns of a trajectory that were read."""
+    frames_tracked: int | None = None
+    """Frames of a trajectory with a pose or joint angles."""
+    dropped_samples: tuple[int, ...] | None = None
+    """Frames before which a recording lacks samples."""
+    idle_ends: tuple[int, ...] | None = None
+    """Frames in which the robot rests at the start, and at the end."""
+    fingerprint: str | None = None
+    """Hash of the motion, equal in copies."""
+    action_lag: ActionLag | None = None
+    """Frames by which the states of a recording follow its actions."""
+
+    sample_index: int = 0
+    """Number of the sample among those of its episode, from 0."""
+    pool: str | None = None
+    """Pool of the episode's objects."""
+    variant: str | None = None
+    """Variant of the episode's scene."""
+    progress: float | None = None
+    """Share of the task's steps completed."""
+    rounds: int | None = None
+    """Clips requested from the model."""
+    verdict: str | None = None
+    """Cause of a failed episode in a word; null for a success."""
+    cause: CauseEntry | None = None
+    """Cause of a failed episode, with its evidence."""
+    missed: tuple[str, ...] | None = None
+    """Conditions of the goal that do not hold."""
+    refused: tuple[Mapping[str, Json], ...] | None = None
+    """What was not commanded as generated."""
+    videos: tuple[str, ...] | None = None
+    """Clips of the episode, relative to the output folder."""
+    pending: Mapping[str, Json] | None = None
+    """Entry in a manifest of the video that the episode waits for."""
+
+    unknown: Mapping[str, Json] = field(default_factory=dict)
+    """Keys that this version does not have."""
+    keys: tuple[str, ...] = ()
+    """Keys in the order of the line, as far as it is defined; one whose value is None is null in the line."""
     line: RowLine | None = field(default=None, compare=False, repr=False)
     """Place in the file of a stored row."""
-
-    @property
-    def sample_index(self) -> int:
-        """Number of the sample among those of its episode, from 0."""
-        index = self.extra.get("sample_index")
-        return index if isinstance(index, int) else 0
 
     @property
     def episode(self) -> str:
         """Id of the episode, which is that of its first sample."""
         return self.id.removesuffix(sample_suffix(self.sample_index))
 
-    def bound(self, name: str) -> Json:
-        """Return the worst that a metric can be, by which samples are compared: its value unless frames are lost."""
-        return self.metrics.get(name + BOUND, self.metrics.get(name))
+    @property
+    def anomalies(self) -> tuple[Anomaly, ...]:
+        """Anomalies of the video; none if none were looked for."""
+        return self.metrics.anomalies or ()
+
+    def has(self, key: str) -> bool:
+        """Return whether the line has a further key, be it null."""
+        return key in self.keys or getattr(self, key) != _FURTHER[key]
+
+    def value(self, name: str) -> float | None:
+        """Return a verdict, an outcome of an episode or a metric by its name; None if it is not measured."""
+        if name in VERDICT_SHARES or name in OUTCOMES:
+            return cast(float | None, getattr(self, name))
+        return self.metrics.number(name)
+
+    def bound(self, name: str) -> float | None:
+        """Return the worst that a value can be, by which samples are compared: itself unless frames are lost."""
+        return self.metrics.number(name + BOUND) if name + BOUND in self.metrics else self.value(name)
+
+    def extended(self, **values: Any) -> "SampleRow":
+        """Return the row with further keys, appended in this order.
+
+        Raises:
+            InputError: a value is not of the type of its key.
+        """
+        converters = field_converters(SampleRow)
+        typed = {key: convert(converters, key, value) for key, value in values.items()}
+        return replace(self, **typed, keys=_shared_keys((*self.keys, *typed)))
+
+    def measured(self, metrics: Mapping[str, MetricValue]) -> "SampleRow":
+        """Return the row with further metrics; those that it has keep their place."""
+        return replace(self, metrics=Metrics({**self.metrics, **metrics}))
 
     def to_json(self) -> dict[str, Json]:
-        """Return the JSON object, in a fixed order of keys, without NaN, infinity or invalid text."""
-        values = {name: getattr(self, name) for name in _NAMES}
-        values["status"] = self.status.value
-        return cast(dict[str, Json], intern_text(finite({**values, **self.extra})))
+        """Return the JSON object, without NaN, infinity or invalid text."""
+        further = filter(self.has, _FURTHER)
+        keys = dict.fromkeys((*KEYS, *self.keys, *further, *self.unknown))
+        values = {key: self.unknown[key] if key in self.unknown else getattr(self, key) for key in keys}
+        return cast(dict[str, Json], intern_text(to_json(values)))
 
     def is_same(self, other: "SampleRow") -> bool:
         """Return whether both rows have the same JSON."""
@@ -209,7 +400,7 @@ class SampleRow:
 
     @classmethod
     def from_json(cls, data: object, line: RowLine | None = None) -> "SampleRow":
-        """Convert a parsed line; unknown keys go to `extra`.
+        """Convert a parsed line.
 
         Args:
             line: its place in a file, from which the row reads on demand what takes most memory; None: it keeps all.
@@ -219,29 +410,24 @@ class SampleRow:
         """
         if not isinstance(data, dict):
             raise InputError(f"expected an object, found {type(data).__name__}")
-        data = cast(dict[str, Any], data)
-        values: dict[str, Any] = {name: intern_text(data[name]) for name in _LABELS if name in data}
+        converters = field_converters(cls)
+        values: dict[str, Any] = {}
+        unknown: dict[str, Json] = {}
         try:
-            values["status"] = Status(values["status"])
-            values["executable_reasons"] = tuple(values.get("executable_reasons") or ())
-            values["violations"] = tuple(map(PackedObject, data.get("violations") or ()))
-            values["metrics"] = PackedObject(data.get("metrics") or {})
-            for name in _STORED:
-                stored = data.get(name) or {}
-                is_object = isinstance(stored, dict)
-                values[name] = StoredObject(line, name) if line and stored and is_object else intern_text(stored)
-            extra = PackedObject({k: v for k, v in data.items() if k not in _NAMES})
-            row = cls(**values, extra=extra, line=line)
-        except (AttributeError, KeyError, TypeError, ValueError) as error:
+            for key, value in cast(dict[str, Any], data).items():
+                if line is not None and key in _ON_DEMAND and isinstance(value, dict) and value:
+                    values[key] = StoredObject(line, key)
+                elif key in KEYS or key in _FURTHER:
+                    values[key] = convert(converters, key, value)
+                else:
+                    unknown[key] = intern_text(value)
+            keys = _shared_keys(tuple(key for key in data if key not in KEYS))
+            row = cls(**values, unknown=unknown, keys=keys, line=line)
+        except (InputError, TypeError) as error:
             raise InputError(f"not a row of samples.jsonl ({error})") from None
-        for name, kind in _TYPES.items():
-            if not isinstance(getattr(row, name), kind):
-                raise InputError(f"not a row of samples.jsonl ({name} is {getattr(row, name)!r:.60})")
         # The id names the sample's files.
         if not row.id or row.id != Path(row.id).name or row.id.startswith(".") or "\0" in row.id:
             raise InputError(f"not a row of samples.jsonl (its id {row.id!r:.60} is no file name)")
-        if not all(isinstance(v, Mapping) and isinstance(v.get("kind"), str) for v in row.violations):
-            raise InputError("not a row of samples.jsonl (a violation has no kind)")
         return row
 
 
@@ -250,14 +436,10 @@ def sample_suffix(index: int) -> str:
     return f"_k{index}" if index else ""
 
 
-_STORED = ("null_reasons", "details")
-"""Fields that are read from the file on demand."""
-_NAMES = tuple(f.name for f in fields(SampleRow) if f.name not in ("extra", "line"))
+_ALL = {f.name: f.default for f in fields(SampleRow) if f.name not in ("unknown", "keys", "line")}
+KEYS = tuple(_ALL)[: tuple(_ALL).index("details") + 1]
 """Keys of every row, in their order."""
-_LABELS = {*_NAMES} - {"violations", "metrics", *_STORED}
-_TYPES: Mapping[str, type | UnionType] = {
-    **dict.fromkeys(("id", "video", "content_hash"), str),
-    **dict.fromkeys(("task", "model", "reason"), str | None),
-    **dict.fromkeys(("metrics", "null_reasons", "details"), Mapping),
-    **dict.fromkeys(("feasible", "executable"), bool | None),
-}
+_FURTHER = {name: default for name, default in _ALL.items() if name not in KEYS}
+"""Other keys, with the value of rows that do not have them."""
+_ON_DEMAND = ("null_reasons", "details")
+"""Keys that are read from the file on demand."""

@@ -9,7 +9,8 @@ from pathlib import Path
 from kinebench_drake.errors import InputError, UsageError
 from kinebench_drake.io.atomic import disk_errors, lock_folder, remove
 from kinebench_drake.io.jsonl import Json, append_line, dump, parse_json, parse_lines, write_json, write_raw_lines
-from kinebench_drake.results.row import RowFile, RowLine, SampleRow
+from kinebench_drake.results.lines import RowFile, RowLine
+from kinebench_drake.results.row import SampleRow
 
 SAMPLES = "samples.jsonl"
 TIMINGS = "timings.jsonl"

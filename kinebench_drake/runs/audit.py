@@ -19,7 +19,7 @@ from kinebench_drake.results.row import SampleRow
 from kinebench_drake.results.store import artifact_path
 from kinebench_drake.results.trackfile import write_track
 from kinebench_drake.runs.config import RunConfig, RunKind, SourceConfig
-from kinebench_drake.runs.evaluator import KINEMATIC_METRICS, Evaluation, Evaluator
+from kinebench_drake.runs.evaluator import KINEMATIC_METRICS, Evaluator, judge_row
 from kinebench_drake.runs.gate import close_gate
 from kinebench_drake.runs.option import Option
 from kinebench_drake.runs.reading_check import assess_readings, doubt_robot
@@ -110,7 +110,7 @@ class TrajectoryEvaluator(Evaluator[TrajectorySample, Resources]):
         """Load the robot."""
         return load_resources(self.config.make_resources, self.config.robot_options())
 
-    def evaluate(self, sample: TrajectorySample, tools: Resources) -> Evaluation:
+    def evaluate(self, sample: TrajectorySample, tools: Resources, row: SampleRow) -> SampleRow:
         """Read, judge, write; without a verdict where it is doubtful how the numbers are to be read."""
         choice = self.config.trajectory_options()
         doubt = self._doubt(sample, choice, tools)
@@ -128,27 +128,24 @@ class TrajectoryEvaluator(Evaluator[TrajectorySample, Resources]):
         period_s = float(np.median(np.diff(trajectory.t_s)))
         lag = trajectory.commands and find_action_lag(*trajectory.commands, period_s)
         source = PeriodSource.TIME_STAMPS if self.config.rate_hz is None else PeriodSource.RATE
-        doubts: dict[str, Json] = {"base_frame_reason": name_options(doubt)} if doubt else {}
-        return Evaluation(
-            kinematics=result,
-            reasons={"": name_options(doubt), "feasible": name_options(doubt)} if doubt else {},
-            tracked=track.tracked,
-            extra={
-                **doubts,
-                "frames": len(trajectory.t_s),
-                "frames_tracked": int(trajectory.tracked.sum()),
-                "duration_s": float(trajectory.t_s[-1] - trajectory.t_s[0]),
-                "frame_period_s": period_s,
-                "frame_period_source": source.value,
-                "judged": "poses" if trajectory.q is None else "joints",
-                "columns": trajectory.columns,
-                "dropped_samples": list(trajectory.dropped),
-                "idle_ends": idle_ends(track if result is None else result.track),
-                "fingerprint": fingerprint(trajectory.X_BG if trajectory.q is None else trajectory.q),
-                **({} if lag is None else {"action_lag": lag}),
-                "warnings": list(map(name_options, (*([doubt] if doubt else ()), *trajectory.warnings))),
-            },
+        doubts = [name_options(doubt)] if doubt else []
+        row = row.extended(
+            **({"base_frame_reason": doubts[0]} if doubts else {}),
+            frames=len(trajectory.t_s),
+            frames_tracked=int(trajectory.tracked.sum()),
+            duration_s=float(trajectory.t_s[-1] - trajectory.t_s[0]),
+            frame_period_s=period_s,
+            frame_period_source=source.value,
+            judged="poses" if trajectory.q is None else "joints",
+            columns=trajectory.columns,
+            dropped_samples=trajectory.dropped,
+            idle_ends=idle_ends(track if result is None else result.track),
+            fingerprint=fingerprint(trajectory.X_BG if trajectory.q is None else trajectory.q),
+            **({} if lag is None else {"action_lag": lag}),
+            warnings=[*doubts, *map(name_options, trajectory.warnings)],
         )
+        reasons = dict.fromkeys(("", "feasible"), doubts[0]) if doubts else {}
+        return judge_row(row, result, reasons=reasons, tracked=track.tracked)
 
     def _doubt(self, sample: TrajectorySample, choice: TrajectoryOptions, tools: Resources) -> str | None:
         """Return why the numbers have no verdict; None if there is no doubt how to read them."""
@@ -211,7 +208,6 @@ def _warnings(rows: Sequence[SampleRow]) -> dict[str, list[str]]:
     """Return the warnings of the rows, each with the ids of its rows."""
     ids: dict[str, list[str]] = {}
     for row in rows:
-        texts = row.extra.get("warnings")
-        for text in texts if isinstance(texts, list) else ():
-            ids.setdefault(str(text), []).append(row.id)
+        for text in row.warnings or ():
+            ids.setdefault(text, []).append(row.id)
     return ids

@@ -12,15 +12,15 @@ from kinebench_drake.formats.samples import MAX_PERIOD_S, MIN_PERIOD_S, Sample
 from kinebench_drake.formats.trajectories.trajectory import SLOW_STEP_S, parse_number
 from kinebench_drake.grounding.overrides.overrides import Overrides
 from kinebench_drake.io.jsonl import Json
-from kinebench_drake.kinematics.violation import ViolationKind
 from kinebench_drake.models.arm import PANDA, ROBOTS
 from kinebench_drake.models.panda.description import GripperKind
 from kinebench_drake.report.metric import BY_NAME
-from kinebench_drake.results.aggregate import VERDICT_SHARES
 from kinebench_drake.results.drops import DropReason
 from kinebench_drake.results.metadata import Shard
+from kinebench_drake.results.row import VERDICT_SHARES
 from kinebench_drake.runs.option import Option, options_json, parse_options
 from kinebench_drake.runs.resources import Resources, ResourcesFactory, RobotOptions
+from kinebench_drake.violation import ViolationKind
 
 AUTO = "auto"
 """Value of `camera` by which it is chosen for each video."""

@@ -3,29 +3,27 @@
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Generic, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from kinebench_drake.anomaly import Anomaly
 from kinebench_drake.errors import KinebenchError, SetupError, UnmeasurableError, name_options, one_line
-from kinebench_drake.io.jsonl import Json, as_object
-from kinebench_drake.metrics.trust import TRUST, assess_trust
+from kinebench_drake.io.jsonl import Json
+from kinebench_drake.metrics.trust import assess_trust
 from kinebench_drake.results.inputs import describe_period
 from kinebench_drake.results.provenance import code_hash
-from kinebench_drake.results.row import SampleRow, Status
+from kinebench_drake.results.row import Metrics, MetricValue, SampleRow, Status
 from kinebench_drake.results.store import artifact_path
 from kinebench_drake.runs.config import RunConfig
 
 if TYPE_CHECKING:  # loads Drake
     from kinebench_drake.metrics.kinematic_result import KinematicResult
 
-ANOMALIES_OPEN = "anomalies_open"
-"""Key of a row with the kinds of anomaly of which it is open whether they occur."""
-PENDING = "pending"
-"""Key of a row with the manifest's row of the video that it waits for."""
 KINEMATIC_METRICS = (
     *("sparc", "sparc_rotation", "ldlj", "manipulability_mean", "manipulability_min", "manipulability_integral"),
     *("manipulability_cost_mean", "ik_success_rate", "ik_position_error_max_m", "joint_limit_margin_min"),
@@ -84,29 +82,6 @@ class SampleHashes:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Evaluation:
-    """Results of one measurable sample."""
-
-    kinematics: "KinematicResult | None"
-    """Verdict and metrics of the track; None where kinematics is not judged."""
-    agreed: "KinematicResult | None" = None
-    """Where it is not: the verdict that holds with every camera that may be right; None if it depends on the camera."""
-    metrics: Mapping[str, Json] = field(default_factory=dict)
-    """Metrics besides those of the kinematics."""
-    extra: Mapping[str, Json] = field(default_factory=dict)
-    """Further keys of the row."""
-    video: str | None = None
-    """Name of the video where it differs from the sample's."""
-    reasons: Mapping[str, str] = field(default_factory=dict)
-    """Why metrics besides those of the kinematics are null, by name; where kinematics is not judged, that of all others
-    by ""."""
-    tracked: NDArray[np.bool_] | None = None
-    """(T,) frames with a pose in the camera frame, where the run judges but there is no base frame to judge in."""
-    unmeasurable: str | None = None
-    """Reason why the sample cannot be measured, where the row still has further keys."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class Evaluator(ABC, Generic[SampleT, ResourcesT]):
     """Evaluation of the samples of one run; picklable, for worker processes."""
 
@@ -161,8 +136,8 @@ class Evaluator(ABC, Generic[SampleT, ResourcesT]):
         """
 
     @abstractmethod
-    def evaluate(self, sample: SampleT, resources: ResourcesT) -> Evaluation:
-        """Read the sample, measure it, write its artifacts.
+    def evaluate(self, sample: SampleT, resources: ResourcesT, row: SampleRow) -> SampleRow:
+        """Read the sample, measure it, write its artifacts, complete its blank `row`.
 
         Raises:
             InputError: the sample is broken.
@@ -175,98 +150,111 @@ class Evaluator(ABC, Generic[SampleT, ResourcesT]):
         artifacts = self.artifacts if row.status is Status.OK else ()
         return [artifact_path(self.config.out, name, row.id) for name in artifacts]
 
-    def failed_row(self, sample: SampleT, status: Status, reason: str, hashes: SampleHashes) -> SampleRow:
-        """Return the row of a sample without results: every metric is null."""
-        row = self._ok_row(sample, Evaluation(kinematics=None), hashes)
-        return replace(row, status=status, reason=one_line(name_options(reason)), null_reasons={})
-
-    def row(self, sample: SampleT, resources: ResourcesT, hashes: SampleHashes) -> SampleRow:
-        """Evaluate a sample; any failure but a SetupError ends here and becomes its row."""
-        return self.row_of(sample, lambda: self.evaluate(sample, resources), hashes)
-
-    def row_of(self, sample: SampleT, evaluate: Callable[[], Evaluation], hashes: SampleHashes) -> SampleRow:
-        """Return the row of an evaluation; any failure of it but a SetupError becomes the row."""
-        try:
-            evaluation = evaluate()
-            row = self._ok_row(sample, evaluation, hashes)
-            if evaluation.unmeasurable is None:
-                return row
-            reason = one_line(name_options(evaluation.unmeasurable))
-            return replace(row, status=Status.UNMEASURABLE, reason=reason, null_reasons={})
-        except SetupError:
-            raise
-        except UnmeasurableError as error:
-            return self.failed_row(sample, Status.UNMEASURABLE, str(error), hashes)
-        except KinebenchError as error:
-            return self.failed_row(sample, Status.ERROR, str(error), hashes)
-        except Exception as error:
-            reason = f"unexpected {type(error).__name__}: {error}"
-            return self.failed_row(sample, Status.ERROR, reason, hashes)
-
-    def _ok_row(self, sample: SampleT, evaluation: Evaluation, hashes: SampleHashes) -> SampleRow:
-        kinematics = evaluation.kinematics
-        verdict = evaluation.kinematics or evaluation.agreed
-        metrics = {
-            **dict.fromkeys(self.metric_names),
-            **evaluation.metrics,
-            **(kinematics.metrics if kinematics else {}),
-        }
-        executable, obstacles = judge_evaluation(evaluation)
-        extra = {**self.labels(sample), "input_sha256": hashes.input, **evaluation.extra}
-        if "domain" in extra:  # a video was grounded
-            trust = assess_trust(extra, metrics, describe_period(extra), is_measured=evaluation.unmeasurable is None)
-            extra[TRUST] = trust.to_json()
-        return SampleRow(
+    def blank_row(self, sample: SampleT, hashes: SampleHashes) -> SampleRow:
+        """Return the row of a sample before it is evaluated: its labels, and every metric null."""
+        row = SampleRow(
             id=sample.id,
-            video=evaluation.video or sample.video,
+            video=sample.video,
             task=sample.task,
             model=sample.model,
             status=Status.OK,
             reason=None,
             content_hash=hashes.content,
-            feasible=verdict.feasible if verdict else None,
-            executable=executable,
-            executable_reasons=obstacles,
-            violations=tuple(v.to_json() for v in verdict.violations) if verdict else (),
-            metrics=metrics,
-            null_reasons=_null_reasons(metrics, evaluation),
-            details=dict(kinematics.details) if kinematics else {},
-            extra=extra,
+            metrics=Metrics(dict.fromkeys(self.metric_names)),
         )
+        return row.extended(**self.labels(sample), input_sha256=hashes.input)
+
+    def row(self, sample: SampleT, resources: ResourcesT, hashes: SampleHashes) -> SampleRow:
+        """Evaluate a sample; any failure but a SetupError becomes its row."""
+        return complete_row(self.blank_row(sample, hashes), lambda row: self.evaluate(sample, resources, row))
 
 
-def judge_evaluation(evaluation: Evaluation) -> tuple[bool | None, tuple[str, ...]]:
+def complete_row(blank: SampleRow, evaluate: Callable[[SampleRow], SampleRow]) -> SampleRow:
+    """Evaluate the sample of a blank row; any failure but a SetupError ends here and becomes the row."""
+    try:
+        row = evaluate(blank)
+        if row.domain is None:
+            return row
+        trust = assess_trust(row, describe_period(row), is_measured=row.status is Status.OK)
+        return row.extended(trust=trust)
+    except SetupError:
+        raise
+    except UnmeasurableError as error:
+        return fail_row(blank, Status.UNMEASURABLE, str(error))
+    except KinebenchError as error:
+        return fail_row(blank, Status.ERROR, str(error))
+    except Exception as error:
+        return fail_row(blank, Status.ERROR, f"unexpected {type(error).__name__}: {error}")
+
+
+def fail_row(row: SampleRow, status: Status, reason: str) -> SampleRow:
+    """Return the row with a status other than ok; its reason stands for those of its null metrics."""
+    return replace(row, status=status, reason=one_line(name_options(reason)), null_reasons={})
+
+
+def judge_row(
+    row: SampleRow,
+    kinematics: "KinematicResult | None",
+    *,
+    agreed: "KinematicResult | None" = None,
+    reasons: Mapping[str, str] = MappingProxyType({}),
+    tracked: NDArray[np.bool_] | None = None,
+) -> SampleRow:
+    """Return a row, whose other metrics are measured, with the verdict on the motion and the metrics behind it.
+
+    Args:
+        kinematics: verdict and metrics of the track; None where kinematics is not judged.
+        agreed: where it is not: the verdict that holds with every camera that may be right.
+        reasons: why metrics besides those of the kinematics are null, by name; where kinematics is not judged, that of
+            all others by "".
+        tracked: (T,) frames with a pose, where the run judges but there is no base frame to judge in.
+    """
+    verdict = kinematics or agreed
+    executable, obstacles = judge_execution(verdict, row.metrics.anomalies, row.anomalies_open or (), tracked)
+    row = row.measured(kinematics.metrics if kinematics else {})
+    return replace(
+        row,
+        feasible=verdict.feasible if verdict else None,
+        executable=executable,
+        executable_reasons=obstacles,
+        violations=verdict.violations if verdict else (),
+        null_reasons=_null_reasons(row.metrics, reasons, kinematics, is_judged=verdict is not None),
+        details=kinematics.details if kinematics else {},
+    )
+
+
+def judge_execution(
+    verdict: "KinematicResult | None",
+    anomalies: Sequence[Anomaly] | None,
+    open_kinds: Sequence[str] = (),
+    tracked: NDArray[np.bool_] | None = None,
+) -> tuple[bool | None, tuple[str, ...]]:
     """Return whether the sample can be executed, and why not or why it is open; None and () if the run does not judge.
 
-    Bridges count in videos alone: of a trajectory every frame is expected.
+    Bridges count in videos alone, which have `anomalies`: of a trajectory every frame is expected. Without a verdict
+    the frames with a pose are `tracked` (T,).
     """
-    kinematics = evaluation.kinematics or evaluation.agreed
-    anomalies = evaluation.metrics.get("anomalies")
-    tracked = kinematics.track.tracked if kinematics else evaluation.tracked
+    tracked = verdict.track.tracked if verdict else tracked
     if tracked is None:
         return None, ()
     from kinebench_drake.metrics.executable import judge_evidence
 
     lost = ~tracked
-    faults = []
-    if isinstance(anomalies, list):
-        faults = list(map(as_object, anomalies))
-        if kinematics:
-            lost &= kinematics.curves["bridged"] == 0.0
-    open_kinds = evaluation.extra.get(ANOMALIES_OPEN)
-    return judge_evidence(
-        kinematics.feasible if kinematics else None,
-        int(lost.sum()),
-        faults,
-        kinematics.unchecked if kinematics else (),
-        [str(kind) for kind in open_kinds] if isinstance(open_kinds, list) else [],
-    )
+    if verdict and anomalies is not None:
+        lost &= verdict.curves["bridged"] == 0.0
+    feasible = verdict.feasible if verdict else None
+    unchecked = verdict.unchecked if verdict else ()
+    return judge_evidence(feasible, int(lost.sum()), anomalies or (), unchecked, open_kinds)
 
 
-def _null_reasons(metrics: Mapping[str, Json], evaluation: Evaluation) -> dict[str, str]:
-    """Return why each null metric is null, in the metrics' order."""
-    kinematics = evaluation.kinematics
-    others = evaluation.reasons
+def _null_reasons(
+    metrics: Mapping[str, MetricValue],
+    others: Mapping[str, str],
+    kinematics: "KinematicResult | None",
+    *,
+    is_judged: bool,
+) -> dict[str, str]:
+    """Return why each null metric is null, in the metrics' order, and why the verdict on the motion is open."""
     stated = {**others, **(kinematics.reasons if kinematics else {})}
     reasons = {}
     for name, value in metrics.items():
@@ -274,7 +262,7 @@ def _null_reasons(metrics: Mapping[str, Json], evaluation: Evaluation) -> dict[s
             reasons[name] = stated.get(name) or stated.get("") or "cannot be measured on this sample"
         elif isinstance(value, float) and not math.isfinite(value):
             reasons[name] = stated.get(name) or f"came out as {value}"
-    if "feasible" in others and kinematics is None and evaluation.agreed is None:
+    if "feasible" in others and not is_judged:
         reasons["feasible"] = others["feasible"]
     if kinematics and kinematics.feasible is None:
         reasons["feasible"] = stated.get("feasible", "cannot be measured on this sample")

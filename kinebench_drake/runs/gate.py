@@ -8,10 +8,9 @@ import numpy as np
 from kinebench_drake.errors import InputError, UsageError, count_noun
 from kinebench_drake.formats.lerobot.kept import write_kept
 from kinebench_drake.io.jsonl import write_json
-from kinebench_drake.results.aggregate import VERDICT_SHARES
 from kinebench_drake.results.drops import to_sarif
 from kinebench_drake.results.provenance import versions
-from kinebench_drake.results.row import Status
+from kinebench_drake.results.row import VERDICT_SHARES, Status
 from kinebench_drake.runs.config import SourceConfig
 from kinebench_drake.runs.runner import RunSummary
 
@@ -39,7 +38,7 @@ def _missed(config: SourceConfig, summary: RunSummary) -> Iterator[str]:
     """Describe the faults that no sample may have, and the means below their bounds; what is not measurable is."""
     for kind in config.faults:
         ids = {drop.id for drop in summary.drops if drop.reason.key == kind}
-        ids |= {row.id for row in summary.rows if any(v["kind"] == kind for v in row.violations)}
+        ids |= {row.id for row in summary.rows if any(v.kind.value == kind for v in row.violations)}
         if ids:
             yield f"{kind}: {count_noun(len(ids), 'sample')}, such as {min(ids)}"
     for name, least in config.fail_under.items():
@@ -48,7 +47,7 @@ def _missed(config: SourceConfig, summary: RunSummary) -> Iterator[str]:
             value = None if share is None else share.mean
         else:
             values = [row.bound(name) for row in summary.rows if row.status is Status.OK]
-            numbers = [float(v) for v in values if isinstance(v, int | float)]
+            numbers = [value for value in values if value is not None]
             value = float(np.mean(numbers)) if numbers else None
         if value is None or value < float(least):
             yield f"{name} is {'not measurable' if value is None else f'{value:.4g}'}, expected {least} or more"

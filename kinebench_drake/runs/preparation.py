@@ -18,7 +18,7 @@ from kinebench_drake.geometry import Array
 from kinebench_drake.grounding.overrides.overrides import Overrides
 from kinebench_drake.grounding.priors import Clip, InitialStateUse, Priors
 from kinebench_drake.io.images import read_image
-from kinebench_drake.io.jsonl import Json
+from kinebench_drake.io.reader import read_video
 from kinebench_drake.io.video import WHOLE, Video
 from kinebench_drake.models.panda.description import GripperKind
 from kinebench_drake.named_cameras import find_camera
@@ -157,6 +157,17 @@ def _times(sample: VideoSample, video: Video, option_s: float | None) -> tuple[A
     return np.arange(len(video.frames), dtype=np.float64) * period_s, period_s, source
 
 
+def read_sample(sample: VideoSample) -> Video:
+    """Decode the video of a sample.
+
+    Raises:
+        InputError: it cannot be read.
+    """
+    if sample.problem is not None:
+        raise InputError(sample.problem)
+    return read_video(sample.path, sample.part)
+
+
 def filmed_pictures(sample: VideoSample, video: Video) -> tuple[Video, NDArray[np.uint8] | None]:
     """Return a decoded video and the image that it was generated from as the camera sees the scene, not mirrored.
 
@@ -192,7 +203,7 @@ def row_warnings(rows: Sequence[SampleRow]) -> list[str]:
     measured = [row for row in rows if row.status is Status.OK]
 
     def count(key: str, value: Enum) -> int:
-        return sum(row.extra.get(key) == value.value for row in (measured if key == "camera_state" else rows))
+        return sum(getattr(row, key) == value.value for row in (measured if key == "camera_state" else rows))
 
     warnings = (
         (
@@ -201,7 +212,7 @@ def row_warnings(rows: Sequence[SampleRow]) -> list[str]:
             "was not used",
         ),
         (
-            sum("surplus_frames" in row.extra for row in rows),
+            sum(row.surplus_frames is not None for row in rows),
             "the video is longer than the table of its dataset in {}: of its frames the first were used, one a row",
         ),
         (
@@ -214,7 +225,7 @@ def row_warnings(rows: Sequence[SampleRow]) -> list[str]:
             "with joint angles, is more accurate",
         ),
         (
-            sum("camera_contradiction" in row.extra for row in measured),
+            sum(row.camera_contradiction is not None for row in measured),
             "the arm contradicts the camera of {}: see camera_contradiction in the rows; check width, height and focal "
             "length of camera.json, leave it out to have the camera estimated, or fit it with `calibrate --joints`",
         ),
@@ -224,7 +235,7 @@ def row_warnings(rows: Sequence[SampleRow]) -> list[str]:
             "overlays",
         ),
         (
-            sum("base_frame_reason" in row.extra for row in measured),
+            sum(row.base_frame_reason is not None for row in measured),
             "no base frame in {}: reach, limits and verdicts are null there, with the reason",
         ),
         (
@@ -243,12 +254,11 @@ def row_warnings(rows: Sequence[SampleRow]) -> list[str]:
 
 def _is_unconfirmed(row: SampleRow) -> bool:
     """Return whether the arm neither confirms nor contradicts a named camera."""
-    agreement = row.extra.get("camera_agreement")
-    low = isinstance(agreement, float) and agreement < CONFIRMED
-    return low and row.extra.get("camera_state") == CameraState.NAMED.value and "camera_contradiction" not in row.extra
+    is_low = row.camera_agreement is not None and row.camera_agreement < CONFIRMED
+    return is_low and row.camera_state == CameraState.NAMED.value and row.camera_contradiction is None
 
 
-def camera_frame_metrics(track: GripperTrack, reason: str) -> tuple[Mapping[str, Json], Mapping[str, str]]:
+def camera_frame_metrics(track: GripperTrack, reason: str) -> tuple[Mapping[str, float | None], Mapping[str, str]]:
     """Return the smoothness of a track in the camera frame, and the reasons of metrics and verdicts that it lacks."""
     from kinebench_drake.metrics.smoothness import measure_smoothness
     from kinebench_drake.models.panda.description import hand_from_tcp

@@ -22,7 +22,7 @@ from kinebench_drake.executors.base import (
 )
 from kinebench_drake.executors.interrupt import graceful_interrupt
 from kinebench_drake.io.atomic import disk_errors
-from kinebench_drake.io.jsonl import Json, as_object, write_lines
+from kinebench_drake.io.jsonl import Json, write_lines
 from kinebench_drake.io.progress import listen, named
 from kinebench_drake.report.sample import worst_samples
 from kinebench_drake.results.aggregate import Estimate, RunStatistics, estimate, estimate_executable
@@ -33,7 +33,7 @@ from kinebench_drake.results.provenance import host, versions, weights_hash
 from kinebench_drake.results.row import SampleRow, Status
 from kinebench_drake.results.store import REPORT, RESULTS, RUN, ResultStore, artifact_path
 from kinebench_drake.runs.config import RunConfig, RunKind
-from kinebench_drake.runs.evaluator import PENDING, Evaluator, ResourcesT, SampleT
+from kinebench_drake.runs.evaluator import Evaluator, ResourcesT, SampleT, fail_row
 from kinebench_drake.runs.resume import SCHEMA_VERSION, hash_sample, resume
 
 
@@ -75,9 +75,9 @@ class RunSummary:
     """Bounds of the gate that are missed, a clause each."""
 
     @property
-    def pending(self) -> list[Mapping[str, object]]:
+    def pending(self) -> list[Mapping[str, Json]]:
         """Rows of a manifest of the videos that samples wait for."""
-        return [as_object(row.extra[PENDING]) for row in self.rows if PENDING in row.extra]
+        return [row.pending for row in self.rows if row.pending is not None]
 
 
 def run_samples(
@@ -108,7 +108,7 @@ def run_samples(
                 for outcome in outcomes:
                     if isinstance(outcome, WorkerCrash):
                         hashes = hash_sample(evaluator, outcome.item)
-                        row = evaluator.failed_row(outcome.item, Status.ERROR, outcome.reason, hashes)
+                        row = fail_row(evaluator.blank_row(outcome.item, hashes), Status.ERROR, outcome.reason)
                         wall_s = 0.0
                     else:
                         row, wall_s = outcome.result
@@ -197,11 +197,11 @@ def summarize_run(store: ResultStore, kind: RunKind, seed: int) -> RunSummary:
     rows = store.sorted_rows()
     measured = [row for row in rows if row.status is Status.OK]
 
-    def share(values: Sequence[Json], members: Sequence[SampleRow]) -> Estimate:
+    def share(values: Sequence[bool | None], members: Sequence[SampleRow]) -> Estimate:
         return estimate(values, total=len(rows), seed=seed, episodes=[row.episode for row in members])
 
     feasible = share([row.feasible for row in measured], measured)
-    success = share([row.extra.get("success") for row in measured], measured)
+    success = share([row.success for row in measured], measured)
     return RunSummary(
         rows=tuple(rows),
         counts={status: sum(row.status is status for row in rows) for status in Status},

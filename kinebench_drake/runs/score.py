@@ -10,7 +10,6 @@ import numpy as np
 
 from kinebench_drake.camera import CameraSource
 from kinebench_drake.environment.precision import network_precision
-from kinebench_drake.errors import InputError
 from kinebench_drake.formats.videos.find import find_samples
 from kinebench_drake.formats.videos.sample import VideoSample, VideoSamples
 from kinebench_drake.geometry import Array, pose_difference
@@ -19,24 +18,25 @@ from kinebench_drake.io.atomic import write_atomically
 from kinebench_drake.io.container import write_video
 from kinebench_drake.io.images import frame_files
 from kinebench_drake.io.jsonl import Json
-from kinebench_drake.io.reader import read_video
 from kinebench_drake.io.video import Video
 from kinebench_drake.metrics.recording_faults import fingerprint, idle_ends
 from kinebench_drake.models.panda.description import GripperKind
 from kinebench_drake.results.provenance import weights_hash
-from kinebench_drake.results.row import SampleRow
+from kinebench_drake.results.row import SampleRow, Status
 from kinebench_drake.results.store import artifact_path
 from kinebench_drake.results.trackfile import write_track
 from kinebench_drake.runs.action_export import require_own_folder, write_actions
 from kinebench_drake.runs.config import AUTO, ScoreConfig, period_warnings
-from kinebench_drake.runs.evaluator import ANOMALIES_OPEN, KINEMATIC_METRICS, Evaluation, Evaluator
+from kinebench_drake.runs.evaluator import KINEMATIC_METRICS, Evaluator, fail_row, judge_row
 from kinebench_drake.runs.gate import close_gate
 from kinebench_drake.runs.pictures import encode_strip, worst_frame
 from kinebench_drake.runs.preparation import (
+    TimedFrames,
     camera_frame_metrics,
     filmed_pictures,
     ground_sample,
     override_names,
+    read_sample,
     row_warnings,
     time_frames,
     with_camera_option,
@@ -80,7 +80,7 @@ def mean_confidence(track: GripperTrack) -> float | None:
     return round(float(track.confidence[track.tracked].mean()), 4) if track.tracked.any() else None
 
 
-def compare_extractors(track: GripperTrack, reference_X_BG: Array | None) -> dict[str, Json]:
+def compare_extractors(track: GripperTrack, reference_X_BG: Array | None) -> dict[str, float | None]:
     """Return how far a track is from that of another extractor, over the frames that both have; empty without one."""
     if reference_X_BG is None:
         return {}
@@ -137,6 +137,61 @@ def find_videos(config: ScoreConfig) -> VideoSamples:
     return replace(inputs, samples=samples, warnings=(*inputs.warnings, *period_warnings(periods)))
 
 
+def _measured_row(
+    row: SampleRow, sample: VideoSample, video: Video, timed: TimedFrames, grounding: "GroundingResult"
+) -> SampleRow:
+    """Return the row of a video with the measurements of its grounding, as yet without a verdict."""
+    measured = grounding.measured
+    choice = grounding.choice
+    track = grounding.visible_track
+    path = measured.camera_path
+    row = row.measured(
+        {
+            "tracked_fraction": int(track.tracked.sum()) / len(track.t_s),
+            "confidence_mean": mean_confidence(track),
+            "camera_motion_px": measured.camera_motion_px,
+            "arm_consistency_px": measured.arm_consistency_px,
+            "anomalies": measured.anomalies,
+            **compare_extractors(track, sample.reference_X_BG),
+        }
+    )
+    return row.extended(
+        first_frame=measured.first_frame.value,
+        domain=measured.domain.value,
+        anomalies_not_looked_for=[kind.value for kind in measured.anomalies_not_looked_for],
+        **({} if measured.hand_size is None else measured.hand_size.to_json()),
+        anomalies_open=[kind.value for kind in measured.anomalies_open],
+        anomaly_scores={kind.value: round(score, 4) for kind, score in measured.detections.scores.items()},
+        **({"gripper": measured.gripper.value} if measured.domain is Domain.ARM else {}),
+        frames=len(track.t_s),
+        idle_ends=idle_ends(track),
+        fingerprint=fingerprint(track.X_CH),
+        width=video.width,
+        height=video.height,
+        framing=grounding.framing.to_json(),
+        fps=video.fps,
+        frame_period_s=timed.period_s,
+        frame_period_source=timed.source.value,
+        clip_timing=timed.timing.value,
+        clip_frames=len(video.frames),
+        **({"surplus_frames": video.surplus} if video.surplus else {}),
+        **({} if path is None else {"camera_path": path.to_json()}),
+        **({} if choice.table_height_m is None else {"table_height_m": choice.table_height_m}),
+        **({"mirrored": True} if sample.mirrored else {}),
+        **choice.to_json(),
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class VideoMeasurement:
+    """A video as it was measured."""
+
+    grounding: "GroundingResult"
+    kinematics: "KinematicResult | None"
+    """Verdict in the base frame; None where it is unknown, or the run does not judge."""
+    row: SampleRow
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class VideoEvaluator(Evaluator[VideoSample, Resources]):
     """Evaluation of the videos of one run."""
@@ -149,87 +204,46 @@ class VideoEvaluator(Evaluator[VideoSample, Resources]):
         """Load the robot."""
         return load_resources(self.config.make_resources, self.config.robot_options())
 
-    def evaluate(self, sample: VideoSample, tools: Resources) -> Evaluation:
+    def evaluate(self, sample: VideoSample, tools: Resources, row: SampleRow) -> SampleRow:
         """Read, ground, judge, write."""
-        if sample.problem is not None:
-            raise InputError(sample.problem)
-        video = read_video(sample.path, sample.part)
-        grounding, evaluation = self.measure(sample, video, tools)
-        self._write(sample, video, tools, grounding, evaluation)
-        return evaluation
+        video = read_sample(sample)
+        measurement = self.measure(sample, video, tools, row)
+        self._write(sample, video, tools, measurement)
+        return measurement.row
 
-    def measure(self, sample: VideoSample, video: Video, tools: Resources) -> "tuple[GroundingResult, Evaluation]":
-        """Ground and judge a decoded video; nothing is written."""
+    def measure(self, sample: VideoSample, video: Video, tools: Resources, row: SampleRow) -> VideoMeasurement:
+        """Ground and judge a decoded video and complete its `row`; nothing is written."""
         config = self.config
         timed, grounding = ground_sample(
             video, sample, self.overrides, tools.grounder, config.frame_period_s, config.gripper,
             duration_s=config.task_duration_s,
         )  # fmt: skip
-        measured = grounding.measured
-        draws_hand = measured.domain is not Domain.ARM
-        judges = config.kind.judges and grounding.unmeasurable is None
         track = grounding.visible_track
-        path = measured.camera_path
+        row = _measured_row(row, sample, video, timed, grounding)
+        if grounding.unmeasurable is not None:
+            row = judge_row(row, None)
+            row = fail_row(row, Status.UNMEASURABLE, grounding.unmeasurable)
+            return VideoMeasurement(grounding=grounding, kinematics=None, row=row)
+        if not config.kind.judges:
+            return VideoMeasurement(grounding=grounding, kinematics=None, row=judge_row(row, None))
         reason = grounding.choice.reason
-        height_m = grounding.table_height_m
-        stated_m = grounding.choice.table_height_m
-        measures_base = grounding.unmeasurable is None and reason is None
-        kinematics = tools.judge(track, height_m) if judges and measures_base else None
-        agreed = judge_possible(grounding.possible, tools, height_m) if judges and grounding.possible else None
-        smoothness: Mapping[str, Json] = {}
+        kinematics = tools.judge(track, grounding.table_height_m) if reason is None else None
+        agreed = judge_possible(grounding.possible, tools, grounding.table_height_m) if grounding.possible else None
         reasons: Mapping[str, str] = {}
-        if judges and reason is not None:
+        if reason is not None:
             smoothness, reasons = camera_frame_metrics(track, reason)
-        return grounding, Evaluation(
-            kinematics=kinematics,
-            agreed=agreed,
-            metrics={
-                "tracked_fraction": int(track.tracked.sum()) / len(track.t_s),
-                "confidence_mean": mean_confidence(track),
-                "camera_motion_px": measured.camera_motion_px,
-                "arm_consistency_px": measured.arm_consistency_px,
-                "anomalies": [anomaly.to_json() for anomaly in grounding.anomalies],
-                **compare_extractors(track, sample.reference_X_BG),
-                **smoothness,
-            },
-            reasons=reasons,
-            tracked=track.tracked if judges else None,
-            unmeasurable=grounding.unmeasurable,
-            extra={
-                "first_frame": measured.first_frame.value,
-                "domain": measured.domain.value,
-                "anomalies_not_looked_for": [kind.value for kind in measured.anomalies_not_looked_for],
-                **({} if measured.hand_size is None else measured.hand_size.to_json()),
-                ANOMALIES_OPEN: [kind.value for kind in measured.anomalies_open],
-                "anomaly_scores": {kind.value: round(score, 4) for kind, score in measured.detections.scores.items()},
-                **({} if draws_hand else {"gripper": measured.gripper.value}),
-                "frames": len(track.t_s),
-                "idle_ends": idle_ends(track),
-                "fingerprint": fingerprint(track.X_CH),
-                "width": video.width,
-                "height": video.height,
-                "framing": grounding.framing.to_json(),
-                "fps": video.fps,
-                "frame_period_s": timed.period_s,
-                "frame_period_source": timed.source.value,
-                "clip_timing": timed.timing.value,
-                "clip_frames": len(video.frames),
-                **({"surplus_frames": video.surplus} if video.surplus else {}),
-                **({} if path is None else {"camera_path": path.to_json()}),
-                **({} if stated_m is None else {"table_height_m": stated_m}),
-                **({"mirrored": True} if sample.mirrored else {}),
-                **grounding.choice.to_json(),
-                **({} if agreed is None else {"possible_cameras": len(grounding.possible)}),
-            },
-        )
+            row = row.measured(smoothness)
+        if agreed is not None:
+            row = row.extended(possible_cameras=len(grounding.possible))
+        row = judge_row(row, kinematics, agreed=agreed, reasons=reasons, tracked=track.tracked)
+        return VideoMeasurement(grounding=grounding, kinematics=kinematics, row=row)
 
-    def _write(
-        self, sample: VideoSample, video: Video, tools: Resources, grounding: "GroundingResult", evaluation: Evaluation
-    ) -> None:
+    def _write(self, sample: VideoSample, video: Video, tools: Resources, measurement: VideoMeasurement) -> None:
         """Write the artifacts of a video."""
         out = self.config.out
+        grounding = measurement.grounding
         track = grounding.visible_track
-        kinematics = evaluation.kinematics
+        kinematics = measurement.kinematics
         measured = grounding.measured
         draws_hand = measured.domain is not Domain.ARM
         path = measured.camera_path
@@ -307,11 +321,9 @@ class VideoEvaluator(Evaluator[VideoSample, Resources]):
 class _VideoReader(VideoEvaluator):
     """Evaluation that ends before the grounding."""
 
-    def evaluate(self, sample: VideoSample, tools: Resources) -> Evaluation:
+    def evaluate(self, sample: VideoSample, tools: Resources, row: SampleRow) -> SampleRow:
         """Read the video, check size and shape, determine its times."""
-        if sample.problem is not None:
-            raise InputError(sample.problem)
-        video = read_video(sample.path, sample.part)
+        video = read_sample(sample)
         video.require_measurable()
         if sample.camera_source.is_named:
             from kinebench_drake.grounding.camera.framing import find_framing  # loads OpenCV
@@ -319,15 +331,11 @@ class _VideoReader(VideoEvaluator):
             pictures, image = filmed_pictures(sample, video)
             find_framing(pictures.frames, sample.camera, image, sample.camera_source)
         timed = time_frames(sample, video, self.config.frame_period_s, self.config.task_duration_s)
-        return Evaluation(
-            kinematics=None,
-            extra={
-                "frames": len(timed.t_s),
-                **({"surplus_frames": video.surplus} if video.surplus else {}),
-                "width": video.width,
-                "height": video.height,
-                "frame_period_s": timed.period_s,
-                "frame_period_source": timed.source.value,
-                **({} if sample.camera_source.is_named else {"camera_source": AUTO}),
-            },
+        return row.extended(
+            frames=len(timed.t_s),
+            width=video.width,
+            height=video.height,
+            frame_period_s=timed.period_s,
+            frame_period_source=timed.source.value,
+            **({} if sample.camera_source.is_named else {"camera_source": AUTO}),
         )

@@ -4,29 +4,33 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import isclose
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from kinebench_drake.errors import InputError, KinebenchError, UsageError
 from kinebench_drake.geometry import pose_difference
-from kinebench_drake.io.jsonl import Json, as_number, as_object, finite
-from kinebench_drake.io.reader import read_video
+from kinebench_drake.io.jsonl import Json, as_number
 from kinebench_drake.models.arm import PANDA, ROBOTS
 from kinebench_drake.results.aggregate import RunStatistics
 from kinebench_drake.results.bundle import MANIFEST, Bundle
+from kinebench_drake.results.details import read_details
 from kinebench_drake.results.metadata import RunMetadata
 from kinebench_drake.results.row import SampleRow, Status
 from kinebench_drake.results.store import RESULTS, artifact_path, read_rows
 from kinebench_drake.results.trackfile import TrackFile, read_track
 from kinebench_drake.runs.config import RunKind, ScoreConfig
-from kinebench_drake.runs.evaluator import Evaluation, judge_evaluation
+from kinebench_drake.runs.evaluator import judge_row
 from kinebench_drake.runs.option import options_of
+from kinebench_drake.runs.preparation import read_sample
 from kinebench_drake.runs.resources import Resources, RobotOptions, load_resources
 from kinebench_drake.runs.resume import SCHEMA_VERSION, hash_sample
 from kinebench_drake.runs.runner import summarize
 from kinebench_drake.runs.score import VideoEvaluator, find_videos, mean_confidence
 from kinebench_drake.track import GripperTrack
+
+if TYPE_CHECKING:  # loads Drake
+    from kinebench_drake.metrics.kinematic_result import KinematicResult
 
 RELATIVE = 1e-3
 ABSOLUTE = 1e-6
@@ -66,7 +70,7 @@ def verify_bundle(bundle: Bundle, samples: int, seed: int, videos: Path | None =
     faults = [f"{name}: SHA-256 differs from that stated" for name in changed]
     expected = summarize(list(rows.values()), run, RunStatistics.of(rows.values(), run.bootstrap_seed))
     faults += [f"{RESULTS}: {text}" for text in list_differences(stated, expected, "the rows give")]
-    candidates = [id for id, row in rows.items() if row.status is Status.OK and row.extra.get("rounds", 1) == 1]
+    candidates = [id for id, row in rows.items() if row.status is Status.OK and row.rounds in (None, 1)]
     chosen = np.random.default_rng(seed).permutation(len(candidates))[:samples]
     ids = sorted(candidates[k] for k in chosen)
     tools = load_resources(Resources, _robot_options(run)) if ids and RunKind(run.kind).judges else None
@@ -135,33 +139,29 @@ def _robot_options(run: RunMetadata) -> RobotOptions:
 
 def _compare_row(row: SampleRow, file: TrackFile, tools: Resources | None) -> Iterator[str]:
     """Describe in what a row differs from the numbers of its track, which without `tools` are not judged."""
-    stated = dict[str, Json]()
-    expected = dict[str, Json]()
-    metrics = dict[str, Json]()
+    expected = row
     if "tracked_fraction" in row.metrics:
-        metrics["tracked_fraction"] = float(np.mean(file.track.tracked))
-        metrics["confidence_mean"] = mean_confidence(file.track)
-    if tools is not None and "base_frame_reason" not in row.extra:
-        if row.extra.get("judged") == "joints":
-            kinematics = tools.judge_joints(file.track.t_s, file.q, file.track.finger_width_m)
-        else:
-            noise = as_object(row.details.get("noise"))
-            track = replace(
-                file.track,
-                offset_m=as_number(noise.get("offset_m")) or 0.0,
-                offset_rad=as_number(noise.get("offset_rad")) or 0.0,
-            )
-            kinematics = tools.judge(track, as_number(row.extra.get("table_height_m")))
-        visible = {"anomalies": row.metrics["anomalies"]} if "anomalies" in row.metrics else {}
-        executable, reasons = judge_evaluation(Evaluation(kinematics=kinematics, metrics=visible, extra=row.extra))
-        expected |= {"feasible": kinematics.feasible, "executable": executable, "executable_reasons": reasons}
-        expected["violations"] = [violation.to_json() for violation in kinematics.violations]
-        stated |= {name: getattr(row, name) for name in expected}
-        metrics |= kinematics.metrics
-    elif row.feasible is not None and "possible_cameras" not in row.extra:
+        tracked = float(np.mean(file.track.tracked))
+        expected = row.measured({"tracked_fraction": tracked, "confidence_mean": mean_confidence(file.track)})
+    if tools is not None and row.base_frame_reason is None:
+        expected = judge_row(expected, _judge_file(row, file, tools))
+    elif row.feasible is not None and row.possible_cameras is None:
         yield f"feasible is {row.feasible}, but the row has no base frame"
-    stated["metrics"] = {name: row.metrics.get(name) for name in metrics}
-    yield from list_differences(stated, finite({**expected, "metrics": metrics}), "its track gives")
+    yield from list_differences(_verdict(row), _verdict(expected), "its track gives")
+
+
+def _judge_file(row: SampleRow, file: TrackFile, tools: Resources) -> "KinematicResult":
+    """Judge the track of a row as the run did."""
+    if row.judged == "joints":
+        return tools.judge_joints(file.track.t_s, file.q, file.track.finger_width_m)
+    noise = read_details(row).noise
+    track = replace(file.track, offset_m=noise.offset_m or 0.0, offset_rad=noise.offset_rad or 0.0)
+    return tools.judge(track, row.table_height_m)
+
+
+def _verdict(row: SampleRow) -> dict[str, Json]:
+    data = row.to_json()
+    return {name: data[name] for name in ("feasible", "executable", "executable_reasons", "violations", "metrics")}
 
 
 class _Regrounder:
@@ -192,19 +192,18 @@ class _Regrounder:
         if sample is None or stated != hash_sample(self._evaluator, sample).input:
             return [f"{row.video} {'is absent' if sample is None else 'is another video: its SHA-256 differs'}"]
         try:
-            grounding, evaluation = self._evaluator.measure(sample, read_video(sample.path, sample.part), self._tools)
+            again = self._evaluator.measure(sample, read_sample(sample), self._tools, row)
         except KinebenchError as error:
             return [f"{row.video}: {error}"]
-        verdict = evaluation.kinematics or evaluation.agreed
-        again = grounding.visible_track
+        new = again.grounding.visible_track
         n = len(track.t_s)
-        if len(again.t_s) != n:
-            return [f"track has {n} frames, its video gives {len(again.t_s)}"]
-        both = track.tracked & again.tracked
-        position_m, rotation_rad = pose_difference(track.X_CH[both], again.X_CH[both])
-        apart = int((track.tracked != again.tracked).sum())
+        if len(new.t_s) != n:
+            return [f"track has {n} frames, its video gives {len(new.t_s)}"]
+        both = track.tracked & new.tracked
+        position_m, rotation_rad = pose_difference(track.X_CH[both], new.X_CH[both])
+        apart = int((track.tracked != new.tracked).sum())
         apart += int(((position_m > POSITION_M) | (rotation_rad > ROTATION_RAD)).sum())
-        texts = list(list_differences(row.feasible, verdict and verdict.feasible, "its video gives", "feasible"))
+        texts = list(list_differences(row.feasible, again.row.feasible, "its video gives", "feasible"))
         if apart > FRAMES * n:
             texts.append(f"{apart} of {n} frames are not within {POSITION_M * 1e3:g} mm and 5 degrees of its video's")
         return texts

@@ -32,6 +32,12 @@ SQUEEZE_M = 0.008
 GRIP_M = 0.006
 RELEASE_M = 0.010
 """Decrease of the gap at which fingers grip, and increase at which they release: hysteresis against noise."""
+OWN_DEPTH_M = 0.005
+"""Allowed penetration of the arm's convex hulls, which are larger than the links."""
+TABLE_DEPTH_M = 0.015
+"""Allowed penetration of the table: pressing on it is harmless."""
+SLOWED_RAD = 1e-3
+"""Reduction of a step by a speed limit from which on it is reported."""
 
 
 class RejectionReason(Enum):
@@ -163,10 +169,8 @@ class CommandPlanner:
             The path, and masks (T,) of self-collisions and of collisions with the table.
         """
         gaps = np.clip(finger_width_m, 0.0, self.plant.finger_width_m)
-        # 0.005: allowed penetration of the arm's convex hulls, which are larger than the links
-        own = self._collisions.self_distance(q, gaps).distance_m < -0.005
-        # 0.015: allowed penetration of the table: pressing on it is harmless
-        table = self._collisions.table_distance(q, gaps).distance_m < -0.015
+        own = self._collisions.self_distance(q, gaps).distance_m < -OWN_DEPTH_M
+        table = self._collisions.table_distance(q, gaps).distance_m < -TABLE_DEPTH_M
         own[0] = table[0] = False
         last = np.maximum.accumulate(np.where(own | table, 0, np.arange(len(q))))
         return q[last], own, table & ~own
@@ -179,8 +183,7 @@ class CommandPlanner:
         now = q_start
         for i, wanted in enumerate(np.clip(q, self.plant.lower, self.plant.upper)):
             step = np.clip(wanted - now, -most, most)
-            # 1e-3: reductions of a step by speed limits below this are not reported
-            slowed[i] = np.abs(wanted - now - step).max() > 1e-3
+            slowed[i] = np.abs(wanted - now - step).max() > SLOWED_RAD
             targets[i] = now = now + step
         return targets, slowed
 

@@ -27,6 +27,12 @@ SHORTEST_S = 0.35
 """Mean speeds by which the clip's time is divided among the moves, and the least duration of a move."""
 CLEARANCE_STEPS = 4
 """Number of control steps between collision checks."""
+OVERLAP = 0.45
+"""Overlap of two moves as a fraction of the shorter one, if the waypoint between them is passed without stopping."""
+REST_S = 0.3
+"""Rest at the end of every path, for the joint servos to catch up (their lag is 0.1 s)."""
+DEPTH_M = 0.001
+"""Tolerated penetration of objects in the scene."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -88,9 +94,7 @@ def _schedule(X: Array, widths: Array, waypoints: Sequence[Waypoint], duration_s
             np.full(len(X) - 1, SHORTEST_S),
         ]
     )
-    # 0.45: overlap of two moves as a fraction of the shorter one, if the waypoint between them is passed without
-    # stopping
-    overlaps_s = 0.45 * np.minimum(lengths_s[:-1], lengths_s[1:]) * np.asarray(through[:-1], dtype=np.float64)
+    overlaps_s = OVERLAP * np.minimum(lengths_s[:-1], lengths_s[1:]) * np.asarray(through[:-1], dtype=np.float64)
     starts_s = np.concatenate([[0.0], np.cumsum(lengths_s[:-1] - overlaps_s)])
     scale = duration_s / (starts_s[-1] + lengths_s[-1])
     return scale * starts_s, scale * lengths_s
@@ -115,8 +119,7 @@ def cartesian_path(
     """
     X = np.stack([np.asarray(X_BG_start, dtype=np.float64), *(w.X_BG for w in waypoints)])
     widths = np.array([finger_width_start_m, *(w.finger_width_m for w in waypoints)])
-    # 0.3: rest at the end of every path, for the joint servos to catch up (their lag is 0.1 s)
-    starts_s, lengths_s = _schedule(X, widths, waypoints, steps * CONTROL_PERIOD_S - 0.3)
+    starts_s, lengths_s = _schedule(X, widths, waypoints, steps * CONTROL_PERIOD_S - REST_S)
     done = minimum_jerk(((CONTROL_PERIOD_S * np.arange(1, steps + 1))[:, None] - starts_s) / lengths_s)
     p = X[0, :3, 3] + sum(
         _displacement(X[i, :3, 3], X[i + 1, :3, 3], waypoint.arc, done[:, i]) for i, waypoint in enumerate(waypoints)
@@ -199,7 +202,7 @@ def _check_clearance(plant: ArmPlant, q: Array, widths: Array, scene: Scene | No
     every = slice(None, None, CLEARANCE_STEPS)
     gaps = np.clip(widths[every], 0.0, plant.finger_width_m)
     for hit in () if scene is None else SceneGeometry(plant, scene).penetrations(q[every], gaps):
-        if hit.depth_m > 0.001:  # tolerated penetration of objects in the scene
+        if hit.depth_m > DEPTH_M:
             raise InputError(
                 f"the expert's path has {hit.link} and {hit.object_name} collide by {1000.0 * hit.depth_m:.1f} mm at "
                 f"control step {CLEARANCE_STEPS * hit.step}"

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from kinebench_drake.io.jsonl import Json, dump, finite
+from kinebench_drake.io.jsonl import dump
 from kinebench_drake.report.table import Table, Value, make_listing
 from kinebench_drake.results.aggregate import Estimate, group_by
 from kinebench_drake.results.direction import worst_value
@@ -50,8 +50,8 @@ class EpisodeResult:
     part: SuitePart
     model: str
     """Label of the model: its name, and what distinguishes this run from its other runs."""
-    folder: Path | None
-    """Output folder of the run; None if there is none."""
+    folder: Path
+    """Output folder of the run."""
     row: SampleRow
     """Row of samples.jsonl."""
     cost_scaled: float | None = None
@@ -65,14 +65,13 @@ class EpisodeResult:
     @property
     def key(self) -> tuple[SuitePart, str, str]:
         """Identity of the episode across models: part, task, and seed, pool and variant as JSON."""
-        extra = self.row.extra
-        return self.part, self.task, dump(finite([extra.get(name) for name in ("seed", "pool", "variant")]))
+        row = self.row
+        return self.part, self.task, dump([row.seed, row.pool, row.variant])
 
     @property
     def success(self) -> bool | None:
         """True if the goal was reached; None if not measured, which is neither success nor failure."""
-        success = self.row.extra.get("success")
-        return success if isinstance(success, bool) and self.row.status is Status.OK else None
+        return self.row.success if self.row.status is Status.OK else None
 
     @property
     def executable(self) -> float:
@@ -94,27 +93,22 @@ class EpisodeResult:
     @property
     def progress(self) -> float | None:
         """Share of the task's steps completed, 0..1; None if not measured."""
-        return self._number(self.row.extra.get("progress"))
+        return self.metric("progress")
 
     @property
     def rounds(self) -> float | None:
         """Clips requested from the model; None if not measured."""
-        return self._number(self.row.extra.get("rounds"))
+        return self.metric("rounds")
 
     @property
     def verdict(self) -> str | None:
         """Cause of a failure; None for a success or an unexplained failure."""
-        verdict = self.row.extra.get("verdict")
-        return verdict if isinstance(verdict, str) and self.success is False else None
+        return self.row.verdict if self.success is False else None
 
     def metric(self, name: str) -> float | None:
-        """Return a metric, a truth value as 0 or 1; None if not measurable."""
-        return self._number(self.row.metrics.get(name))
-
-    def _number(self, value: Json) -> float | None:
-        if self.row.status is not Status.OK or not isinstance(value, bool | int | float) or not np.isfinite(value):
-            return None
-        return float(value)
+        """Return an outcome or a metric, a truth value as 0 or 1; None if not measurable."""
+        value = self.row.value(name)
+        return float(value) if self.row.status is Status.OK and value is not None else None
 
 
 def group_by_run(episodes: Iterable[EpisodeResult]) -> list[tuple[SuitePart, str, list[EpisodeResult]]]:
@@ -226,12 +220,9 @@ def tabulate_episodes(episodes: Sequence[EpisodeResult]) -> Table:
 
 
 def _row(e: EpisodeResult) -> Sequence[Value]:
-    variant, pool, seed = (
-        v if isinstance(v := e.row.extra.get(name), str | int | float) else None for name in ("variant", "pool", "seed")
-    )
     return (
-        *(e.part.title, e.part.suite, e.part.split, variant, pool, e.task, seed, e.model),
-        *(e.folder.resolve().name if e.folder else None, e.row.id, e.row.status.value, e.row.reason),
+        *(e.part.title, e.part.suite, e.part.split, e.row.variant, e.row.pool, e.task, e.row.seed, e.model),
+        *(e.folder.resolve().name, e.row.id, e.row.status.value, e.row.reason),
         e.row.sample_index,
         None if e.row.executable is None else int(e.row.executable),
         *(None if e.success is None else int(e.success), e.progress, e.rounds, e.verdict, e.cost_scaled),

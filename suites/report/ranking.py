@@ -21,11 +21,11 @@ def rank_models(folders: Sequence[Path]) -> Ranking:
     """Return the models of suite runs with the tables of a leaderboard."""
     own = {run.path: run for run in read_suite_runs(folders)}
     episodes = pool_episodes(list(own.values()))
-    oracles = {e.model for e in episodes if e.folder and own[e.folder].config.get("world_model") == ORACLE}
+    oracles = {e.model for e in episodes if own[e.folder].config.get("world_model") == ORACLE}
     numbers, comparison = tabulate_headlines(lambda: compare(episodes))
     entries = []
     for (part, model), some in group_by(episodes, lambda e: (e.part, e.model)).items():
-        of = [own[path] for path in dict.fromkeys(e.folder for e in some if e.folder)]
+        of = [own[path] for path in dict.fromkeys(e.folder for e in some)]
         corrected, ceiling = _correct([c for c in numbers if c.part == part.title], model, oracles)
         entry = ModelEntry(part=part.title, model=model, runs=of, rows=[e.row for e in some])
         entries.append(replace(entry, corrected=corrected, ceiling=ceiling))

@@ -55,7 +55,7 @@ def study_scaling(
     Args:
         runs: those without valid tags are skipped.
     """
-    budgets: dict[Path | None, TrainingBudget] = {
+    budgets: dict[Path, TrainingBudget] = {
         run.path: budget for run in runs if run.part.suite == SUITE and (budget := budget_of(run))
     }
     studies = []

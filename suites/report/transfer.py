@@ -76,7 +76,7 @@ def study_drops(episodes: Sequence[EpisodeResult], transfers: Mapping[str, Seque
 def _by_task(episodes: Iterable[EpisodeResult]) -> dict[str, dict[object, list[EpisodeResult]]]:
     """Group the samples of episodes by task and seed."""
     tasks = group_by(episodes, lambda e: e.task)
-    return {task: group_by(own, lambda e: str(e.row.extra.get("seed"))) for task, own in tasks.items()}
+    return {task: group_by(own, lambda e: str(e.row.seed)) for task, own in tasks.items()}
 
 
 def _rate(samples: Samples, missing: float | None = None) -> float:

@@ -15,6 +15,7 @@ from kinebench_drake.io.jsonl import Json
 from kinebench_drake.metrics.coverage import COST_MAX
 from kinebench_drake.metrics.kinematic_result import KinematicResult, Value
 from kinebench_drake.results.direction import BOUND
+from kinebench_drake.results.row import MetricValue
 from kinebench_drake.runs.score import mean_confidence
 from kinebench_drake.track import Domain, GripperTrack, JointTrack
 
@@ -147,7 +148,7 @@ def _join_joints(t_s: Array, clips: Sequence[JointTrack]) -> JointTrack:
     )
 
 
-def visual_metrics(run: "EpisodeRun", track: GripperTrack) -> dict[str, Json]:
+def visual_metrics(run: "EpisodeRun", track: GripperTrack) -> dict[str, MetricValue]:
     """Return the visual metrics over all clips, frames counted through all of them."""
     groundings = [r.grounding.measured for r in run.rounds]
     motions = [np.nan if g.camera_motion_px is None else g.camera_motion_px for g in groundings]
@@ -157,11 +158,11 @@ def visual_metrics(run: "EpisodeRun", track: GripperTrack) -> dict[str, Json]:
         "confidence_mean": mean_confidence(track),
         "camera_motion_px": None if np.isnan(motions).any() else max(motions),  # unknown in one clip: in all
         "arm_consistency_px": float(np.median(distances)) if distances else None,
-        "anomalies": [
-            anomaly.to_json(start)
+        "anomalies": tuple(
+            anomaly.after(start)
             for start, g in zip(clip_starts([g.track for g in groundings]), groundings, strict=True)
             for anomaly in g.anomalies
-        ],
+        ),
     }
 
 

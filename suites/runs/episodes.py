@@ -17,14 +17,14 @@ from kinebench_drake.errors import count_noun
 from kinebench_drake.executors.base import ExecutorKind
 from kinebench_drake.io.atomic import make_folder, write_atomically
 from kinebench_drake.io.container import write_video
-from kinebench_drake.io.jsonl import Json, as_object, write_json
+from kinebench_drake.io.jsonl import Json, write_json
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.results.inputs import PeriodSource
 from kinebench_drake.results.provenance import weights_hash
-from kinebench_drake.results.row import SampleRow, sample_suffix
+from kinebench_drake.results.row import SampleRow, Status, sample_suffix
 from kinebench_drake.results.store import REQUESTS, artifact_path
 from kinebench_drake.results.trackfile import write_track
-from kinebench_drake.runs.evaluator import ANOMALIES_OPEN, KINEMATIC_METRICS, PENDING, Evaluation, Evaluator
+from kinebench_drake.runs.evaluator import KINEMATIC_METRICS, Evaluator, fail_row, judge_row
 from kinebench_drake.runs.resources import Resources, load_resources
 from kinebench_drake.runs.runner import NullRunObserver, RunObserver, RunSummary, run_samples
 from kinebench_drake.runs.score import VISUAL_METRICS
@@ -172,7 +172,7 @@ class EpisodeEvaluator(Evaluator[EpisodeSample, EpisodeResources]):
         simulators = SimulatorCache(partial(Simulator, control=self.loop.control), BENCHMARK_PX)
         return EpisodeResources(tools, simulators, self.world_model, loop, actions)
 
-    def evaluate(self, sample: EpisodeSample, resources: EpisodeResources) -> Evaluation:
+    def evaluate(self, sample: EpisodeSample, resources: EpisodeResources, row: SampleRow) -> SampleRow:
         """Run the episode, judge its clips, attribute a failure, write its files."""
         episode = sample.spec.episode()
         simulator = resources.simulators.get(episode.task, episode.variant)
@@ -180,7 +180,7 @@ class EpisodeEvaluator(Evaluator[EpisodeSample, EpisodeResources]):
         videos.mkdir(exist_ok=True)
         run = resources.loop.run(simulator, episode, videos / sample.id, sample.index)
         if run.pending is not None:
-            return self._ask(sample, episode, run.pending)
+            return self._ask(sample, episode, run.pending, row)
         executed = [None if r.execution is None else render_video(simulator, r.execution.snapshots) for r in run.rounds]
         tracks = [r.grounding.track for r in run.rounds]
         results = [resources.tools.judge(track) for track in tracks]
@@ -209,31 +209,28 @@ class EpisodeEvaluator(Evaluator[EpisodeSample, EpisodeResources]):
             ]
         )
         clips = [f"videos/{r.video.name}" for r in run.rounds]
-        return Evaluation(
-            kinematics=kinematics,
-            video=clips[0],
-            metrics={**visual_metrics(run, track), **gap_metrics, **self._action_metrics(sample, run)},
-            reasons=gap_reasons,
-            extra={
-                "success": run.outcome.success,
-                "progress": run.outcome.progress,
-                "domain": domain(run).value,
-                ANOMALIES_OPEN: open_anomalies(run),
-                "rounds": len(run.rounds),
-                "verdict": None if cause is None else cause.verdict.value,
-                "cause": None if cause is None else cause.to_json(),
-                "missed": [name for name, satisfied in run.outcome.conditions.items() if not satisfied],
-                "refused": rejections(run),
-                "prompt": self.loop.prompts.prompt(episode),
-                "videos": clips,
-                "clip_timing": run.rounds[0].timing.value,
-                "clip_frames": [r.generated_frames for r in run.rounds],
-                "frames": len(track.t_s),
-                **camera_paths(run),
-            },
+        row = replace(row, video=clips[0]).measured(visual_metrics(run, track))
+        row = row.measured({**gap_metrics, **self._action_metrics(sample, run)})
+        row = row.extended(
+            success=run.outcome.success,
+            progress=run.outcome.progress,
+            domain=domain(run).value,
+            anomalies_open=open_anomalies(run),
+            rounds=len(run.rounds),
+            verdict=None if cause is None else cause.verdict.value,
+            cause=None if cause is None else cause.to_json(),
+            missed=[name for name, satisfied in run.outcome.conditions.items() if not satisfied],
+            refused=rejections(run),
+            prompt=self.loop.prompts.prompt(episode),
+            videos=clips,
+            clip_timing=run.rounds[0].timing.value,
+            clip_frames=[r.generated_frames for r in run.rounds],
+            frames=len(track.t_s),
+            **camera_paths(run),
         )
+        return judge_row(row, kinematics, reasons=gap_reasons)
 
-    def _action_metrics(self, sample: EpisodeSample, run: EpisodeRun) -> Mapping[str, Json]:
+    def _action_metrics(self, sample: EpisodeSample, run: EpisodeRun) -> Mapping[str, float | None]:
         """Return how far the clips follow the actions; empty without actions."""
         clips = [
             measure_following(done.grounding.track, done.actions, sample.id, number)
@@ -242,7 +239,7 @@ class EpisodeEvaluator(Evaluator[EpisodeSample, EpisodeResources]):
         ]
         return dict(summarize_following(clips, self.loop.frame_period_s)) if clips else {}
 
-    def _ask(self, sample: EpisodeSample, episode: Episode, pending: PendingRound) -> Evaluation:
+    def _ask(self, sample: EpisodeSample, episode: Episode, pending: PendingRound, row: SampleRow) -> SampleRow:
         """Write the first frame of the next round; return a row with the entry of this round in a manifest."""
         number = pending.request.round
         id = f"{sample.id}_r{number}"
@@ -257,16 +254,14 @@ class EpisodeEvaluator(Evaluator[EpisodeSample, EpisodeResources]):
             write_json(path.with_suffix(".json"), actions.to_json())
             state["actions"] = f"{id}.json"
         write_atomically(path, png(pending.request.first_frame))
-        return Evaluation(
-            kinematics=None,
-            unmeasurable=f"waits for the video of round {number + 1}: generate {id}.mp4 from {REQUESTS}/{id}.png",
-            extra={PENDING: manifest_row(id, episode, self.loop.prompts, state)},
-        )
+        row = row.extended(pending=manifest_row(id, episode, self.loop.prompts, state))
+        reason = f"waits for the video of round {number + 1}: generate {id}.mp4 from {REQUESTS}/{id}.png"
+        return fail_row(row, Status.UNMEASURABLE, reason)
 
     def files_of(self, row: SampleRow) -> Sequence[Path]:
         """Return the artifacts of a row, and the first frame that a pending round needs."""
-        asked = as_object(row.extra.get(PENDING)).get("id")
-        requests = [request_path(self.config.out, asked)] if isinstance(asked, str) else []
+        asked = None if row.pending is None else row.pending["id"]
+        requests = [request_path(self.config.out, str(asked))] if asked is not None else []
         return [*Evaluator.files_of(self, row), *requests]
 
     @property
@@ -328,8 +323,8 @@ def _warn_of_lengths(rows: Sequence[SampleRow], loop: LoopOptions, observer: Run
         ClipTiming.NATIVE: f"{period_s:g} s a frame were taken ($clip_timing uniform: {clip_s:g} s a clip)",
     }
     for timing, use in uses.items():
-        lengths = [row.extra.get("clip_frames") for row in rows if row.extra.get("clip_timing") == timing.value]
-        others = [{*clips} - {expected} for clips in lengths if isinstance(clips, list)]
+        lengths = [row.clip_frames for row in rows if row.clip_timing == timing.value]
+        others = [{*clips} - {expected} for clips in lengths if isinstance(clips, tuple)]
         if frames := sorted({n for clips in others for n in clips}):
             count = sum(bool(clips) for clips in others)
             observer.warn(

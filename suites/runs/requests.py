@@ -11,7 +11,6 @@ from kinebench_drake.io.atomic import disk_errors
 from kinebench_drake.io.jsonl import as_object, read_lines, write_lines
 from kinebench_drake.results.row import SampleRow
 from kinebench_drake.results.store import REQUESTS
-from kinebench_drake.runs.evaluator import PENDING
 
 _CLIP = re.compile(r"(?P<id>.+)_r\d+(\.[^.]+)?")
 """Names of the clips that a world model generated for an episode."""
@@ -57,8 +56,8 @@ def list_files(out: Path, rows: Mapping[str, SampleRow]) -> dict[str, list[Path]
 
 
 def _pending_files(out: Path, row: SampleRow) -> list[Path]:
-    asked = as_object(row.extra.get(PENDING)).get("id")
-    if not isinstance(asked, str) or asked != Path(asked).name:
+    asked = None if row.pending is None else str(row.pending.get("id"))
+    if asked is None or asked != Path(asked).name:
         return []
     image = request_path(out, asked)
     return [image, image.with_suffix(".json")]

@@ -43,6 +43,8 @@ _SHADOW = """float ShadowMapPCF(
 }"""  # weights of the gathered texels, (0, 1), (1, 1), (1, 0), (0, 0): sums of those of 25 bilinear squares
 _SHADOW_PATTERN = re.compile(r"float ShadowMapPCF\(.*?\n}", re.DOTALL)
 _ENVIRONMENT_PATTERN = re.compile(r"  color \+= (diffuse|specular)IBL\(.*?\);\n", re.DOTALL)
+_INWARDS = 0.1
+"""Share of the way from a corner to the middle of its triangle, where its normal is looked up."""
 
 
 @cache
@@ -126,8 +128,7 @@ def _simplify(
         border_weight=10.0,  # of the borders between two materials, against gaps
     )
     corners = points[faces]  # (N, 3, 3)
-    # 0.1: share of the way from a corner to the middle of its triangle, where its normal is looked up
-    inside = corners + 0.1 * (corners.mean(axis=1, keepdims=True) - corners)
+    inside = corners + _INWARDS * (corners.mean(axis=1, keepdims=True) - corners)
     o3d = native.load_open3d()
     original = o3d.t.geometry.RaycastingScene()
     original.add_triangles(o3d.core.Tensor(vertices), o3d.core.Tensor(triangles))

@@ -20,6 +20,8 @@ MOVED_M = 0.02
 """Greatest horizontal displacement of an obstacle."""
 ARM = "arm"
 """Key of the arm in `State.speeds`."""
+TILT_RAD = float(np.deg2rad(10.0))
+"""Greatest tilt of an obstacle's z axis from the vertical."""
 
 
 def to_frame(X: Tensor, p: Tensor) -> Tensor:
@@ -105,8 +107,7 @@ class State:
         """Return conditions (N,) that the obstacle stands upright and in its place; none without an obstacle."""
         if "obstacle" not in self.poses:
             return {}
-        # Greatest tilt of an obstacle's z axis from the vertical.
         return {
-            "obstacle_upright": self.poses["obstacle"][:, 2, 2] >= float(np.cos(np.deg2rad(10.0))),
+            "obstacle_upright": self.poses["obstacle"][:, 2, 2] >= float(np.cos(TILT_RAD)),
             "obstacle_in_place": torch.linalg.norm(self.displacement("obstacle")[:, :2], dim=-1) <= MOVED_M,
         }

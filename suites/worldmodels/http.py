@@ -35,6 +35,9 @@ _NO_SUCH_PAGE = (
     HTTPStatus.NOT_IMPLEMENTED,
 )
 
+_CONNECT_S = 5.0
+"""Time in which a server need not answer, but be connected."""
+
 
 class HttpOptions(TimeoutOptions):
     """Options of `http:`."""
@@ -87,8 +90,7 @@ class HttpModel:
 
     def check(self) -> None:
         """Check that the server listens."""
-        # 5.0: time in which a server need not answer, but be connected
-        self._client.require_connection(min(5.0, self._timeout_s))
+        self._client.require_connection(min(_CONNECT_S, self._timeout_s))
 
     def close(self) -> None:
         """Close the connections."""

@@ -21,6 +21,12 @@ from kinebench_drake.suites.worldmodels.media import encode_answer
 from kinebench_drake.suites.worldmodels.worldmodel import Request, TrueTrack, WorldModel, WorldModelError
 
 _TRIES = 20
+_TURN_RAD = 0.5
+"""Standard deviation of the rotations of random waypoints about each axis."""
+_LEAST_HEIGHT_M = 0.03
+"""Least height of random waypoints above the table."""
+_WAYPOINTS = 4
+"""Waypoints of the random policy in a clip."""
 
 
 class StillModel(WorldModel):
@@ -132,12 +138,11 @@ class RandomPolicyModel(OracleRenderer):
 
 def _draw_waypoints(rng: np.random.Generator, scene: Scene) -> list[Waypoint]:
     waypoints = []
-    for _ in range(4):  # waypoints of the random policy in a clip
+    for _ in range(_WAYPOINTS):
         X = scene.X_BG.copy()
         # Waypoints about the middle of the workspace, in B.
         X[:3, 3] = rng.normal((0.5, 0.0, 0.2), (0.12, 0.2, 0.08))
-        X[2, 3] = max(X[2, 3], 0.03)  # least height of its waypoints above the table
-        # 0.5: standard deviation of its rotations about each axis
-        X[:3, :3] = X[:3, :3] @ rotation_exp(rng.normal(0.0, 0.5, 3))
+        X[2, 3] = max(X[2, 3], _LEAST_HEIGHT_M)
+        X[:3, :3] = X[:3, :3] @ rotation_exp(rng.normal(0.0, _TURN_RAD, 3))
         waypoints.append(Waypoint(X_BG=X, finger_width_m=float(rng.choice([0.0, 0.08]))))
     return waypoints

@@ -17,6 +17,9 @@ from kinebench_drake.io.files import Budget
 from kinebench_drake.io.jsonl import parse_json
 from kinebench_drake.suites.worldmodels.worldmodel import WorldModelError
 
+_SHORTEST = 6
+"""Letters of a secret: shorter values are none, and masking them would garble words."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Limits:
@@ -129,8 +132,7 @@ def clean(message: object) -> str:
     """
     text = str(message)
     values = (v.strip() for name, v in os.environ.items() if _SECRET.search(name.upper()))
-    # 6: shorter values are no secrets; masking them would garble words
-    for value in sorted({*(v for v in values if len(v) >= 6), *_KEYS}, key=len, reverse=True):
+    for value in sorted({*(v for v in values if len(v) >= _SHORTEST), *_KEYS}, key=len, reverse=True):
         text = text.replace(value, "***")
     line = " ".join("".join(sign if sign.isprintable() else " " for sign in text).split())
     return line if len(line) <= _LONGEST else line[: _LONGEST - 3] + "..."

@@ -17,6 +17,9 @@ if TYPE_CHECKING:  # naming a world model should not load the assets
     from kinebench_drake.suites.composition import Episode
     from kinebench_drake.suites.simulator import SimulatorState
 
+DECIMALS = 9
+"""Decimals of actions in requests."""
+
 
 class Condition(Enum):
     """What a request states of the motion that the clip should show."""
@@ -47,8 +50,7 @@ class ActionTrack:
     def to_json(self) -> dict[str, Json]:
         """Serialize with the names of track files."""
         arrays = {"t_s": self.t_s, "base_from_tcp": self.X_BG, "finger_width_m": self.finger_width_m, "q": self.q}
-        # 9: digits of actions in requests
-        return {name: (array.round(9) + 0.0).tolist() for name, array in arrays.items()}  # no -0.0
+        return {name: (array.round(DECIMALS) + 0.0).tolist() for name, array in arrays.items()}  # no -0.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -1,7 +1,6 @@
 """Rewards: bounded, higher for what a robot can do, and never higher because frames are lost."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,22 +8,18 @@ import pytest
 from kinebench_drake import Scorer
 from kinebench_drake.api.scorer import reward_of
 from kinebench_drake.errors import UsageError
-from kinebench_drake.formats.videos.sample import VideoSample
 from kinebench_drake.geometry import Array
-from kinebench_drake.grounding.overrides.overrides import Overrides
-from kinebench_drake.runs.config import ScoreConfig
-from kinebench_drake.runs.evaluator import Evaluation, SampleHashes
-from kinebench_drake.runs.resources import Resources
-from kinebench_drake.runs.score import VideoEvaluator
+from kinebench_drake.runs.evaluator import judge_row
+from kinebench_drake.runs.resources import Resources, RobotOptions
 from kinebench_drake.track import GripperTrack
+from tests.rows import make_row
 
 FRAMES = 25
-EVALUATOR = VideoEvaluator(config=ScoreConfig(source=Path("x"), out=Path("y")), overrides=Overrides())
 
 
 @pytest.fixture(scope="module")
 def tools() -> Resources:
-    return EVALUATOR.setup()
+    return Resources(RobotOptions())
 
 
 def follow(q: Array, tools: Resources) -> GripperTrack:
@@ -50,12 +45,7 @@ def reward(track: GripperTrack, tools: Resources) -> float:
     share = float(track.tracked.mean())
     metrics = {"tracked_fraction": share, "confidence_mean": float(track.confidence[track.tracked].mean())}
 
-    def evaluate() -> Evaluation:
-        return Evaluation(kinematics=tools.judge(track), metrics={**metrics, "anomalies": []}, tracked=track.tracked)
-
-    return reward_of(
-        EVALUATOR.row_of(VideoSample(id="x", path=Path("x"), video="x"), evaluate, SampleHashes(content="", input=None))
-    )
+    return reward_of(judge_row(make_row(metrics={**metrics, "anomalies": []}), tools.judge(track)))
 
 
 def motions() -> dict[str, Array]:

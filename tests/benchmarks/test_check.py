@@ -4,8 +4,8 @@ from benchmarks.check import compare, read_rows, summary_table
 from benchmarks.trajectory import REASONS, TrajectoryKind, TrajectoryTruth
 from kinebench_drake.errors import InputError
 from kinebench_drake.io.jsonl import dump
-from kinebench_drake.results.row import SampleRow, Status
 from kinebench_drake.stats import wilson
+from tests.rows import make_row, make_violation
 
 
 def truth(kind, n):
@@ -13,18 +13,9 @@ def truth(kind, n):
 
 
 def row(name, feasible, kinds=(), **changes):
-    values = {
-        "id": name,
-        "video": f"{name}.npz",
-        "task": None,
-        "model": None,
-        "status": Status.OK,
-        "reason": None,
-        "content_hash": "",
-        "feasible": feasible,
-        "violations": tuple({"kind": kind} for kind in kinds),
-    }
-    return SampleRow(**{**values, **changes})
+    violations = [make_violation(kind) for kind in kinds]
+    values = {"video": f"{name}.npz", "reason": None, "feasible": feasible, "violations": violations, **changes}
+    return make_row(name, **values)
 
 
 @pytest.fixture

@@ -8,11 +8,12 @@ from benchmarks.footage_labels import read_labels
 from benchmarks.generated import best_lines, gain_text, success_lines
 from benchmarks.generated_labels import read_generated_labels
 from kinebench_drake.anomaly import AnomalyKind
-from kinebench_drake.results.row import SampleRow, Status
+from kinebench_drake.results.row import Status
+from tests.rows import make_row
 
 
-def make_row(task, seed, success, executable=True, sample=0):
-    return SampleRow(
+def episode_row(task, seed, success, executable=True, sample=0):
+    return make_row(
         id=f"{task}_s{seed:04d}" + (f"_k{sample}" if sample else ""),
         video="a.mp4",
         task=task,
@@ -28,8 +29,8 @@ def make_row(task, seed, success, executable=True, sample=0):
 
 def test_success_is_paired_with_that_of_the_still_video():
     runs = {
-        "best": [make_row(task, seed, success=seed < 8) for task in ("A-v1", "B-v1") for seed in range(10)],
-        "still": [make_row("A-v1", k, success=False) for k in range(10)],
+        "best": [episode_row(task, seed, success=seed < 8) for task in ("A-v1", "B-v1") for seed in range(10)],
+        "still": [episode_row("A-v1", k, success=False) for k in range(10)],
     }
     head, _, best, _ = success_lines(runs)
     assert head.count("|") == best.count("|")
@@ -40,7 +41,7 @@ def test_success_is_paired_with_that_of_the_still_video():
 
 def test_choice_takes_the_sample_with_the_best_verdict(tmp_path):
     rows = [
-        make_row("A-v1", seed, success=sample == 1, executable=sample == 1, sample=sample)
+        episode_row("A-v1", seed, success=sample == 1, executable=sample == 1, sample=sample)
         for seed in range(6)
         for sample in range(2)
     ]

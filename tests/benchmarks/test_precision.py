@@ -1,23 +1,16 @@
 """Comparison of verdicts in two precisions of the networks."""
 
-from dataclasses import replace
-
 import pytest
 
 from benchmarks.precision import find_flips, report
 from kinebench_drake.errors import KinebenchError
-from tests.report.pages import row as make_row
+from tests.rows import make_row
 
 
 def row_with(kinds, *, executable, score, open_kinds=()):
     anomalies = [{"kind": kind, "frame_start": 3, "frame_end": 3, "severity": 0.05} for kind in kinds]
-    row = make_row("clip")
-    return replace(
-        row,
-        executable=executable,
-        metrics={**row.metrics, "anomalies": anomalies},
-        extra={**row.extra, "anomaly_scores": {"teleport": score}, "anomalies_open": list(open_kinds)},
-    )
+    extra = {"anomaly_scores": {"teleport": score}, "anomalies_open": open_kinds}
+    return make_row("clip", executable=executable, metrics={"anomalies": anomalies}, extra=extra)
 
 
 def test_equal_verdicts_are_no_flips():

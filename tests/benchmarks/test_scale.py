@@ -1,10 +1,11 @@
 import pytest
 
 from benchmarks.scale import figures, measure, section
-from kinebench_drake.results.row import SampleRow, Status
+from kinebench_drake.results.row import Status
 from kinebench_drake.results.store import ResultStore, read_rows
 from kinebench_drake.results.trackfile import write_track
 from tests.results.test_store import make_track
+from tests.rows import make_row
 
 
 @pytest.mark.slow
@@ -17,7 +18,7 @@ def test_every_stage_of_a_small_run_is_measured(tmp_path):
     with ResultStore(template) as store:
         metrics = {"sparc": -1.5, "anomalies": []}
         fields = {"task": None, "model": None, "status": Status.OK, "reason": None, "content_hash": ""}
-        store.append(SampleRow(id="a", video="a.mp4", feasible=True, metrics=metrics, **fields), 0.1)
+        store.append(make_row(id="a", video="a.mp4", feasible=True, metrics=metrics, **fields), 0.1)
         write_track(template / "tracks" / "a.npz", make_track(), None, {})
         store.finish({})
     work = tmp_path / "work"

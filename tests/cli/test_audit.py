@@ -96,13 +96,13 @@ def test_every_kind_of_trajectory_becomes_a_row(run, tmp_path):
             assert set(row.null_reasons) == {name for name, value in row.metrics.items() if value is None}
     assert "degrees" in rows["degrees"].reason
     told = rows["demo-traj_1"]
-    assert (told.task, told.extra["seed"], told.extra["success"]) == ("StackCube-v1", 8, True)
-    assert told.extra["columns"] == "obs/agent/qpos: joints"
-    assert (told.extra["format"], told.extra["judged"], told.extra["frames"]) == ("maniskill", "joints", N)
-    assert told.extra["duration_s"] == pytest.approx((N - 1) / 20)
-    assert rows["poses"].extra["judged"] == "poses"
+    assert (told.task, told.seed, told.success) == ("StackCube-v1", 8, True)
+    assert told.columns == "obs/agent/qpos: joints"
+    assert (told.format, told.judged, told.frames) == ("maniskill", "joints", N)
+    assert told.duration_s == pytest.approx((N - 1) / 20)
+    assert rows["poses"].judged == "poses"
     assert rows["good"].details == {"given": "q"}
-    assert rows["good"].extra["dropped_samples"] == []
+    assert rows["good"].dropped_samples == []
     results = json.loads((tmp_path / "out" / "results.json").read_text())
     assert (results["kind"], results["samples_found"]) == ("audit", 8)
     assert results["aggregates"]["metrics"]["success"]["mean"] == 0.5
@@ -233,7 +233,7 @@ def test_audit_of_an_audit_output_folder_reads_its_tracks_with_their_ids_and_tas
     first = read_rows(tmp_path / "out")
     again = read_rows(tmp_path / "again")
     assert first.keys() == again.keys()
-    assert {row.extra["judged"] for row in again.values()} == {"poses"}
+    assert {row.judged for row in again.values()} == {"poses"}
     assert {row.task for row in again.values()} == {"StackCube-v1"}
 
 

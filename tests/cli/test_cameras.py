@@ -32,13 +32,13 @@ def test_without_a_base_frame_only_smoothness_and_anomalies_are_measured(config,
     row = read_rows(tmp_path / "out")["wide"]
     assert row.status is Status.OK
     assert row.feasible is None
-    assert row.null_reasons["feasible"] == row.extra["base_frame_reason"] == row.null_reasons["ik_success_rate"]
+    assert row.null_reasons["feasible"] == row.base_frame_reason == row.null_reasons["ik_success_rate"]
     assert row.metrics["sparc"] is not None
     assert row.metrics["anomalies"] == []
     assert row.executable is None
     assert row.executable_reasons == ("undecided",)
-    assert row.extra["camera_source"] == "none"
-    assert row.extra["trust"]["level"] == "unknown"
+    assert row.camera_source == "none"
+    assert row.trust["level"] == "unknown"
     with np.load(tmp_path / "out" / "tracks" / "wide.npz") as track:
         assert np.isnan(track["base_from_tcp"]).all()
         assert np.isfinite(track["camera_from_hand"]).all()
@@ -49,7 +49,7 @@ def test_anomalies_are_against_execution_without_a_base_frame_too(config, refusa
     fakes.prepare(WIDE, Behavior(vanishes=True))
     score_videos(config(source=tmp_path / "wide.npy"))
     row = read_rows(tmp_path / "out")["wide"]
-    assert "base_frame_reason" in row.extra
+    assert row.base_frame_reason is not None
     assert row.executable is False
     assert list(map(reason_kind, row.executable_reasons)) == ["vanish", "undecided", "lost"]
     assert "no base frame" in refusal("view", tmp_path / "out", "wide")
@@ -60,7 +60,7 @@ def test_camera_benchmark_makes_videos_of_another_aspect_ratio_unmeasurable(conf
     np.save(tmp_path / "wide.npy", WIDE)
     score_videos(config(source=tmp_path / "wide.npy", camera="benchmark"))
     row = read_rows(tmp_path / "out")["wide"]
-    assert (row.status, row.extra["camera_source"]) == (Status.UNMEASURABLE, "option")
+    assert (row.status, row.camera_source) == (Status.UNMEASURABLE, "option")
     assert "aspect ratios differ" in row.reason
     assert row.reason.endswith("its conditioning image: save it as ID.png beside ID.mp4")
 

@@ -16,7 +16,7 @@ from tests.fakes.records import RunRecorder
 
 
 def frame_period(row):
-    return row.extra["frame_period_s"], row.extra["frame_period_source"]
+    return row.frame_period_s, row.frame_period_source
 
 
 def test_the_frame_period_is_that_of_option_manifest_file_or_benchmark_and_names_its_source(film, config, tmp_path):
@@ -64,8 +64,8 @@ def test_with_a_task_duration_long_videos_are_resampled_to_the_frame_period(film
     score_videos(config(task_duration_s=1.8, depth=str(depth), overlay=True))
     rows = read_rows(tmp_path / "out")
     for id, clip, frames, period in (("long", 20, 10, 0.2), ("short", 4, 4, 0.6)):
-        extra = rows[id].extra
-        assert (extra["clip_timing"], extra["clip_frames"], extra["frames"]) == ("uniform", clip, frames)
+        row = rows[id]
+        assert (row.clip_timing, row.clip_frames, row.frames) == ("uniform", clip, frames)
         assert frame_period(rows[id]) == (pytest.approx(period), "task_duration")
         with np.load(tmp_path / "out" / "tracks" / f"{id}.npz") as track:
             used = np.rint(np.linspace(0, clip - 1, frames)).astype(int)
@@ -74,7 +74,7 @@ def test_with_a_task_duration_long_videos_are_resampled_to_the_frame_period(film
         assert len(read_video(tmp_path / "out" / "overlays" / f"{id}.mp4").frames) == frames
     assert json.loads((tmp_path / "out" / "results.json").read_text())["config"]["task_duration_s"] == 1.8
     score_videos(config(task_duration_s=9.6, frame_period_s=1.2, out=tmp_path / "other"))
-    assert read_rows(tmp_path / "other")["long"].extra["frames"] == 9
+    assert read_rows(tmp_path / "other")["long"].frames == 9
 
 
 def test_task_durations_out_of_range_are_refused(config):

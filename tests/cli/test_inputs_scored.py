@@ -34,14 +34,14 @@ def dataset(film, tmp_path):
 def test_each_episode_of_a_lerobot_dataset_is_a_row_with_its_prompt_camera_and_frame_period(dataset, config, tmp_path):
     summary = score_videos(config())
     assert summary.counts[Status.OK] == 2
-    first, second = (read_rows(tmp_path / "out")[f"videos-episode_{k:06d}"].extra for k in (0, 1))
-    assert (first["frames"], second["frames"]) == (8, 6)
-    assert (first["prompt"], second["prompt"]) == ("task 0", "task 1")
-    assert (first["camera_key"], first["frame_period_source"]) == (KEY, "dataset")
-    assert first["frame_period_s"] == pytest.approx(0.1)
+    first, second = (read_rows(tmp_path / "out")[f"videos-episode_{k:06d}"] for k in (0, 1))
+    assert (first.frames, second.frames) == (8, 6)
+    assert (first.prompt, second.prompt) == ("task 0", "task 1")
+    assert (first.camera_key, first.frame_period_source) == (KEY, "dataset")
+    assert first.frame_period_s == pytest.approx(0.1)
     score_videos(config(frame_period_s=0.2, overwrite=True))
-    row = read_rows(tmp_path / "out")["videos-episode_000000"].extra
-    assert (row["frame_period_s"], row["frame_period_source"]) == (0.2, "option")
+    row = read_rows(tmp_path / "out")["videos-episode_000000"]
+    assert (row.frame_period_s, row.frame_period_source) == (0.2, "option")
 
 
 def test_a_letterboxed_video_is_measured_without_its_bars(film, config, tmp_path):
@@ -56,13 +56,13 @@ def test_a_letterboxed_video_is_measured_without_its_bars(film, config, tmp_path
     score_videos(config(overlay=True))
     rows = read_rows(tmp_path / "out")
     assert rows["boxed"].status is Status.OK
-    told = rows["boxed"].extra
-    assert (told["width"], told["height"]) == (208, 120)
-    assert (told["framing"]["changes"], told["framing"]["source"]) == (["letterbox"], "bars")
+    told = rows["boxed"]
+    assert (told.width, told.height) == (208, 120)
+    assert (told.framing["changes"], told.framing["source"]) == (["letterbox"], "bars")
     with av.open(tmp_path / "out" / "overlays" / "boxed.mp4") as overlay:
         assert overlay.streams.video[0].width == 120
     assert rows["wide"].feasible is None
-    assert "the shape of the video" in rows["wide"].extra["base_frame_reason"]
+    assert "the shape of the video" in rows["wide"].base_frame_reason
 
 
 def test_another_first_frame_image_changes_the_content_hash(film, config, tmp_path):
@@ -84,8 +84,8 @@ def test_a_video_with_variable_frame_rate_is_timed_by_its_time_stamps(config, tm
     (tmp_path / "videos").mkdir()
     encode(tmp_path / "videos" / "a.mp4", np.zeros((8, 96, 96, 3), np.uint8), "libx264", "yuv420p", stamps=stamps)
     score_videos(config())
-    row = read_rows(tmp_path / "out")["a"].extra
-    assert (row["frame_period_source"], row["frame_period_s"]) == ("time_stamps", pytest.approx(0.05, abs=2e-3))
+    row = read_rows(tmp_path / "out")["a"]
+    assert (row.frame_period_source, row.frame_period_s) == ("time_stamps", pytest.approx(0.05, abs=2e-3))
     with np.load(tmp_path / "out" / "tracks" / "a.npz") as track:
         np.testing.assert_allclose(track["t_s"], np.array(stamps) / 1000.0, atol=2e-3)
     score_videos(config(frame_period_s=0.1, overwrite=True))

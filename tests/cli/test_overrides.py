@@ -58,9 +58,9 @@ def track(tmp_path):
 def test_files_of_masks_depth_and_poses_replace_their_grounding_stages(film, config, folder, track, tmp_path):
     film("videos/a.mp4")
     row, plain = track(config())
-    assert row.extra["replaced"] == {}
+    assert row.replaced == {}
     row, masked = track(config(masks=folder))
-    assert row.extra["replaced"] == {"masks": "videos"}
+    assert row.replaced == {"masks": "videos"}
     assert masked["confidence"] == pytest.approx(np.full(T, 0.25))
     assert masked["camera_from_hand"] == pytest.approx(plain["camera_from_hand"])
     _, deep = track(config(depth=str(folder)))
@@ -69,7 +69,7 @@ def test_files_of_masks_depth_and_poses_replace_their_grounding_stages(film, con
     assert posed["camera_from_hand"] == pytest.approx(X_CH)
     assert posed["finger_width_m"] == pytest.approx(np.full(T, 0.011))
     row, all_three = track(config(masks=folder, depth=str(folder), poses=folder))
-    assert row.extra["replaced"] == {"depth": "videos", "masks": "videos", "poses": "videos"}
+    assert row.replaced == {"depth": "videos", "masks": "videos", "poses": "videos"}
     assert all_three["confidence"] == pytest.approx(masked["confidence"])
     told = json.loads((tmp_path / "out" / "results.json").read_text())["config"]
     assert (told["masks"], told["depth"], told["poses"], told["depth_exact"]) == ("videos", "videos", "videos", False)
@@ -83,7 +83,7 @@ def test_a_depth_class_from_the_current_folder_loads_in_workers_too(film, config
     film("videos/a.mp4")
     for jobs in (1, 2):
         row, deep = track(config(depth="wall_of_mine:Wall", jobs=jobs, overwrite=True))
-        assert row.extra["replaced"] == {"depth": "wall_of_mine:Wall"}
+        assert row.replaced == {"depth": "wall_of_mine:Wall"}
         assert deep["camera_from_hand"][:, 2, 3] == pytest.approx(0.77)
 
 
@@ -93,7 +93,7 @@ def test_first_base_from_tcp_of_a_manifest_sets_the_first_pose(film, config, tra
     for X_BG in X_CH[:2]:  # another one is another input
         manifest.write_text(json.dumps({"video": "a.mp4", "first_base_from_tcp": X_BG.tolist()}))
         row, found = track(config(source=manifest))
-        assert row.extra["replaced"] == {"first_frame": "manifest"}
+        assert row.replaced == {"first_frame": "manifest"}
         assert found["base_from_tcp"][0] == pytest.approx(X_BG)
 
 

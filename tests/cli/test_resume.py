@@ -71,7 +71,7 @@ def test_a_partial_run_keeps_other_rows_and_refuses_to_run_if_they_are_outdated(
         assert content(tmp_path / "out") == before
     assert grounded(frame_period_s=0.1) == 3
     rows = read_rows(tmp_path / "out").items()
-    assert {id: row.extra["frame_period_s"] for id, row in rows if row.status is Status.OK} == {"a": 0.1, "b": 0.1}
+    assert {id: row.frame_period_s for id, row in rows if row.status is Status.OK} == {"a": 0.1, "b": 0.1}
 
 
 def test_an_output_folder_of_another_run_kind_is_refused_without_overwrite(film, config, tmp_path):

@@ -151,6 +151,6 @@ def test_an_arm_without_gripper_is_reported_with_the_gripper_of_the_configuratio
     film("videos/a.mp4", result={"domain": Domain.ARM, "gripper": GripperKind.ROBOTIQ_2F85})
     score_videos(config())
     (row,) = read_rows(tmp_path / "out").values()
-    assert (row.extra["domain"], row.extra["gripper"]) == ("arm_alone", "robotiq-2f85")
+    assert (row.domain, row.gripper) == ("arm_alone", "robotiq-2f85")
     with pytest.raises(UsageError, match="gripper is 'claw', expected 'franka'"):
         config(gripper="claw")

@@ -8,10 +8,11 @@ import pytest
 from kinebench_drake.cli import outputs
 from kinebench_drake.geometry import make_pose
 from kinebench_drake.models.arm import load_robot
-from kinebench_drake.results.row import SampleRow, Status
+from kinebench_drake.results.row import Status
 from kinebench_drake.results.store import ResultStore
 from kinebench_drake.results.trackfile import write_track
 from kinebench_drake.track import GripperTrack
+from tests.rows import make_row
 
 
 def make_track(n=4, *, tracked=True):
@@ -34,7 +35,7 @@ def out(tmp_path):
         ):
             reason = None if status is Status.OK else "no robot in view"
             store.append(
-                SampleRow(id=id, video="", task=None, model=None, status=status, reason=reason, content_hash="0"), 0.1
+                make_row(id=id, video="", task=None, model=None, status=status, reason=reason, content_hash="0"), 0.1
             )
         write_track(tmp_path / "tracks" / "reach_01.npz", make_track(), None, {})
         write_track(tmp_path / "tracks" / "lost.npz", make_track(tracked=False), None, {})

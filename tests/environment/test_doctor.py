@@ -10,6 +10,7 @@ from safetensors.numpy import save_file
 
 from kinebench_drake.environment import doctor
 from kinebench_drake.environment.doctor import Check
+from kinebench_drake.suites.vulkan import check_vulkan
 
 
 def test_render_shows_every_check_and_the_fix_of_failures_only() -> None:
@@ -140,7 +141,7 @@ def test_a_missing_panda_urdf_fails(monkeypatch: pytest.MonkeyPatch, outcome: Ou
 @pytest.mark.slow
 @pytest.mark.sapien
 def test_all_checks_pass_after_the_set_up() -> None:
-    checks = doctor.run_checks()
+    checks = [*doctor.run_checks(), check_vulkan()]
     assert len({check.name for check in checks}) == len(checks) == 11
     assert all(check.detail and check.fix for check in checks)
     failed = [f"{check.name}: {check.detail}" for check in checks if not check.ok]

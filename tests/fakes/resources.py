@@ -15,10 +15,10 @@ from kinebench_drake.errors import UnmeasurableError
 from kinebench_drake.geometry import make_pose
 from kinebench_drake.grounding.camera.framing import Framing, find_framing
 from kinebench_drake.grounding.priors import NO_PRIORS, InitialStateUse, Priors
-from kinebench_drake.kinematics.violation import Violation, ViolationKind
 from kinebench_drake.metrics.kinematic_result import KinematicResult
 from kinebench_drake.models.panda.description import GripperKind
 from kinebench_drake.track import Domain, GripperTrack, IkStatus, JointTrack
+from kinebench_drake.violation import Violation, ViolationKind
 from tests.fakes.behavior import Fakes
 
 REACH_M = 1.0

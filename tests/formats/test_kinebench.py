@@ -75,7 +75,7 @@ def test_the_data_set_has_a_sample_per_case(tmp_path: Path) -> None:
 
 
 def test_the_suite_report_counts_the_successes_of_a_run(run: Path, tmp_path: Path) -> None:
-    assert [(r.id, r.extra["success"], r.reason) for r in read_rows(run)] == [
+    assert [(r.id, r.success, r.reason) for r in read_rows(run)] == [
         ("CloseBox-v1-0003", True, None),
         ("CloseBox-v1-0003", False, None),
         ("PullCube-v1-0000", True, None),

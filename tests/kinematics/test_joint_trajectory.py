@@ -5,8 +5,8 @@ from kinebench_drake.kinematics.collision import CollisionModel
 from kinebench_drake.kinematics.joint_trajectory import JointTrajectory, TubeProblem
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.kinematics.spline import SplineBasis
-from kinebench_drake.kinematics.violation import ViolationKind
 from kinebench_drake.models.panda.description import rest_q
+from kinebench_drake.violation import ViolationKind
 
 T_S = np.linspace(0.0, 3.0, 25)
 

@@ -10,10 +10,10 @@ from kinebench_drake.geometry import Array
 from kinebench_drake.kinematics.collision import CollisionModel
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.kinematics.sweep import RESOLUTION_M, sweep
-from kinebench_drake.kinematics.violation import ViolationKind
 from kinebench_drake.metrics.judge import TrackJudge
 from kinebench_drake.models.arm import load_robot
 from kinebench_drake.models.panda.description import rest_q
+from kinebench_drake.violation import ViolationKind
 
 PLATE = {"name": "plate", "box_m": [0.4, 0.002, 0.6], "position_m": [0.6, 0.0, 0.3]}
 OTHERS = [

@@ -4,8 +4,8 @@ import pytest
 from kinebench_drake.kinematics import timing
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.kinematics.timing import time_scale
-from kinebench_drake.kinematics.violation import ViolationKind
 from kinebench_drake.models.panda.description import rest_q
+from kinebench_drake.violation import ViolationKind
 
 SWING = np.array([1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])  # joint 1 turns the whole arm about the vertical: no weight
 

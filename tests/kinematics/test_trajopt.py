@@ -18,8 +18,8 @@ from kinebench_drake.kinematics.trajopt import (
     describe_violation,
     optimize_in_tube,
 )
-from kinebench_drake.kinematics.violation import ViolationKind
 from kinebench_drake.models.panda.description import rest_q
+from kinebench_drake.violation import ViolationKind
 
 
 @pytest.fixture(scope="module")

@@ -3,10 +3,10 @@ import pytest
 
 from kinebench_drake.geometry import Array, make_pose, rotation_exp
 from kinebench_drake.kinematics.plant import ArmPlant
-from kinebench_drake.kinematics.violation import Violation, ViolationKind
 from kinebench_drake.metrics.discontinuity import JUMP_M, JUMP_RAD, find_discontinuities
 from kinebench_drake.metrics.noise import TrackNoise, estimate_track_noise
 from kinebench_drake.suites.expert.motion import minimum_jerk
+from kinebench_drake.violation import Violation, ViolationKind
 from tests.metrics.motions import reach_and_place, with_noise
 
 CLEAN = TrackNoise(position_m=0.0, rotation_rad=0.0)

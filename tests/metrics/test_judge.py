@@ -10,12 +10,12 @@ from kinebench_drake.formats.trajectories.trajectory import RawTrajectory
 from kinebench_drake.geometry import Array, make_pose, rotation_exp
 from kinebench_drake.kinematics.manipulability import compute_manipulability
 from kinebench_drake.kinematics.plant import ArmPlant
-from kinebench_drake.kinematics.violation import Violation, ViolationKind
 from kinebench_drake.metrics.judge import TrackJudge
 from kinebench_drake.metrics.kinematic_result import KinematicResult
 from kinebench_drake.models.panda.description import rest_q
 from kinebench_drake.runs.evaluator import KINEMATIC_METRICS
 from kinebench_drake.track import GripperTrack, IkStatus
+from kinebench_drake.violation import Violation, ViolationKind
 
 KINDS = [
     *("unreachable", "joint_limit", "self_collision", "table_collision", "obstacle_collision"),

@@ -6,7 +6,6 @@ from scipy.stats import norm
 
 from kinebench_drake.geometry import Array
 from kinebench_drake.kinematics.plant import ArmPlant
-from kinebench_drake.kinematics.violation import ViolationKind
 from kinebench_drake.metrics.limit_checks import (
     FALSE_ALARM,
     LimitChecks,
@@ -17,6 +16,7 @@ from kinebench_drake.metrics.limit_checks import (
 )
 from kinebench_drake.models.arm import panda
 from kinebench_drake.models.robot import Robot
+from kinebench_drake.violation import ViolationKind
 
 EXACT = np.zeros(7)
 MOTIONS = [ViolationKind.VELOCITY, ViolationKind.ACCELERATION, ViolationKind.JERK]

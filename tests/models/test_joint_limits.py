@@ -9,11 +9,11 @@ import pytest
 from kinebench_drake.errors import InputError, UsageError
 from kinebench_drake.geometry import from_quaternion, invert, make_pose, rotation_exp, to_quaternion
 from kinebench_drake.kinematics.plant import ArmPlant
-from kinebench_drake.kinematics.violation import ViolationKind
 from kinebench_drake.metrics.limit_checks import check_limits
 from kinebench_drake.models.arm import ROBOTS, load_robot, panda
 from kinebench_drake.models.joint_limits import JointLimits
 from kinebench_drake.models.panda.description import hand_from_tcp
+from kinebench_drake.violation import ViolationKind
 
 Write = Callable[..., Path]
 

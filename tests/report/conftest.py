@@ -2,9 +2,10 @@ import numpy as np
 import pytest
 
 from kinebench_drake.geometry import make_pose
-from kinebench_drake.results.row import SampleRow, Status
+from kinebench_drake.results.row import Status
 from kinebench_drake.results.trackfile import TrackFile
 from kinebench_drake.track import GripperTrack, IkStatus
+from tests.rows import make_row
 
 N = 10
 JOINTS = [f"arm_joint{k}" for k in range(1, 8)]
@@ -24,7 +25,7 @@ def judged():
 
     def make(**changes):
         fields = {"feasible": True, "details": {"limits": LIMITS}, **changes}
-        return SampleRow(
+        return make_row(
             id="a", video="", task=None, model=None, status=Status.OK, reason=None, content_hash="0", **fields
         )
 

@@ -6,7 +6,8 @@ import shutil
 import subprocess
 from html.parser import HTMLParser
 
-from kinebench_drake.results.row import SampleRow, Status
+from kinebench_drake.results.row import Status
+from tests.rows import make_row
 
 EVIL = "<script>alert('x')</script>"
 VOID = {"meta", "img", "input", "br", "circle", "path", "rect", "polyline", "line", "use"}
@@ -47,12 +48,7 @@ class Page(HTMLParser):
 
 
 def row(id, status=Status.OK, **changes):
-    return SampleRow(
-        **{
-            **{"id": id, "video": f"{id}.mp4", "task": "T", "model": "m", "status": status, "content_hash": "0"},
-            **{"reason": None if status is Status.OK else "because", **changes},
-        }
-    )
+    return make_row(id, status, **{"task": "T", "model": "m", **changes})
 
 
 def probe(page, script, profile, width=WIDTH):

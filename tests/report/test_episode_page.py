@@ -8,6 +8,7 @@ from kinebench_drake.report.page import write_report
 from kinebench_drake.results.row import Status
 from kinebench_drake.results.store import ResultStore
 from tests.report.pages import EVIL, Page, row
+from tests.rows import make_cause
 
 
 @pytest.fixture
@@ -16,7 +17,7 @@ def page(tmp_path):
     with ResultStore(tmp_path) as store:
         for task, verdict in (("CloseBox-v1", "task"), ("StackCube-v1", "execution")):
             for seed, failure in enumerate((None, verdict)):
-                cause = failure and {"verdict": failure, "text": f"off by {EVIL}"}
+                cause = failure and make_cause(failure, f"off by {EVIL}")
                 extra = {"success": failure is None, "progress": 0.5 + 0.5 * (failure is None), "rounds": 1 + 2 * seed}
                 extra |= {"verdict": failure, "cause": cause}
                 store.append(row(f"{task}_s{seed}", task=task, feasible=True, extra=extra), 0.1)

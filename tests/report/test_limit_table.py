@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from kinebench_drake.report.limit_table import describe_violation, find_checks, find_peaks
+from tests.rows import make_violation
 
 VIOLATION = {
     "kind": "velocity",
@@ -47,7 +48,7 @@ def test_violations_come_first_with_time_and_ratio(judged, file):
     ],
 )
 def test_a_violation_is_described_in_the_unit_for_readers(changes, text):
-    assert text in describe_violation({**VIOLATION, **changes})
+    assert text in describe_violation(make_violation(**{**VIOLATION, **changes}))
 
 
 def test_without_a_track_violations_are_stated_by_frames(judged):
@@ -103,6 +104,8 @@ def test_rows_without_details_have_only_distances(judged, file):
     assert [m.kind for m in find_peaks(judged(details={}), file())] == ["table_collision"]
 
 
-def test_checks_without_a_ratio_are_left_out():
-    check = {"ratio_max": 0.3}
-    assert find_checks({"checks": {"jerk": check, "velocity": {"ratio_max": None}, "torque": 1}}) == {"jerk": check}
+def test_checks_without_a_ratio_are_left_out(judged):
+    checks = {"jerk": {"ratio_max": 0.3}, "velocity": {"ratio_max": None}}
+    assert {kind: check.ratio_max for kind, check in find_checks(judged(details={"checks": checks})).items()} == {
+        "jerk": 0.3
+    }

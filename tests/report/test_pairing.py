@@ -8,9 +8,10 @@ from kinebench_drake.errors import UsageError
 from kinebench_drake.io.jsonl import dump
 from kinebench_drake.report.run import read_runs
 from kinebench_drake.report.sample_comparison import compare_samples
-from kinebench_drake.results.row import SampleRow, Status
+from kinebench_drake.results.row import Status
 from kinebench_drake.results.store import RESULTS, SAMPLES
 from tests.report.pages import BROWSER, EVIL, WIDTH, Page, probe
+from tests.rows import make_row
 
 
 def write(out, samples, kind="score", config=None, **results):
@@ -22,7 +23,7 @@ def write(out, samples, kind="score", config=None, **results):
         extra = {name: fields.pop(name) for name in ("seed", "frame_period_s", "camera_source") if name in fields}
         metrics = {"sparc": fields.pop("sparc"), "tracked_fraction": 1.0, "anomalies": []}
         row = {"video": f"{id}.mp4", "task": None, "model": None, "status": Status.OK, "reason": None, **fields}
-        rows.append(SampleRow(id=id, content_hash="0", metrics=metrics, extra=extra, **row))
+        rows.append(make_row(id=id, content_hash="0", metrics=metrics, extra=extra, **row))
     data = {
         "schema_version": 1,
         "kind": kind,

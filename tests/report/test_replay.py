@@ -18,10 +18,11 @@ from kinebench_drake.report import replay
 from kinebench_drake.report.replay import build_replay, link_meshes, record_track, write_replays
 from kinebench_drake.report.replay_scene import interpolate_poses, linear_color, tube
 from kinebench_drake.report.sample import worst_samples
-from kinebench_drake.results.row import SampleRow, Status
+from kinebench_drake.results.row import Status
 from kinebench_drake.results.store import ResultStore, artifact_path, read_rows
 from kinebench_drake.results.trackfile import TrackFile, read_track, write_track
 from kinebench_drake.track import GripperTrack, IkStatus, JointTrack
+from tests.rows import make_row
 
 N = 12
 
@@ -83,7 +84,7 @@ def row(id="a", **changes):
     }
     unreachable = {"kind": "unreachable", "frame_start": 8, "frame_end": 8, "joint": None, "value": 0.05, "limit": 1e-6}
     fields = {"feasible": False, "violations": (velocity, unreachable), **changes}
-    return SampleRow(id=id, video="", task=None, model=None, status=Status.OK, reason=None, content_hash="0", **fields)
+    return make_row(id=id, video="", task=None, model=None, status=Status.OK, reason=None, content_hash="0", **fields)
 
 
 def commands(html):
@@ -162,9 +163,9 @@ def test_the_time_bar_shows_the_state_of_each_frame(build, file):
 
 def test_names_are_escaped_in_html(build, file):
     evil = "<script>alert(1)</script>"
-    page = build(row(id=evil, violations=({"kind": evil, "frame_start": 0, "frame_end": 0, "joint": evil},)), file)
+    page = build(row(id=evil, violations=({"joint": evil},)), file)
     assert evil not in page
-    assert page.count("&lt;script&gt;") >= 4
+    assert page.count("&lt;script&gt;") >= 3
 
 
 def test_the_meshcat_server_is_closed_after_the_replay_is_built(build, file, monkeypatch):

@@ -5,9 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from kinebench_drake.errors import InputError
 from kinebench_drake.report.limit_table import joint_limits, limit_ratios
 from kinebench_drake.report.timeline import FrameState, covered_frames, frame_states
 from kinebench_drake.track import IkStatus
+from tests.rows import make_violation
 
 OK = FrameState.OK
 DOUBT = FrameState.DOUBT
@@ -52,20 +54,21 @@ def test_anomalies_and_low_confidence_are_in_doubt(judged, file):
     assert (states[0], states[1], states[6], states[7]) == (DOUBT, OK, DOUBT, UNTRACKED)
 
 
-def test_missing_or_malformed_limits_of_a_row_are_skipped(judged, file):
+def test_missing_limits_of_a_row_are_skipped_and_malformed_ones_are_refused(judged, file):
     limits = joint_limits(judged())
     assert limits.joints[0] == "arm_joint1"
     assert set(limits.rates) == {"velocity", "jerk", "torque"}
     assert np.isinf(limits.rates["torque"][4:]).all()
     assert limits.position[0].tolist() == [-2.0] * 7
     assert set(limit_ratios(file(), limits)) == {"velocity"}
-    for details in ({}, {"limits": None}, {"limits": {"velocity": [1.0] * 6, "position": {"lower": "x"}}}):
-        limits = joint_limits(judged(details=details))
-        assert limits.position is None
-        assert not limits.rates
-        assert len(limits.joints) == 7
+    limits = joint_limits(judged(details={}))
+    assert limits.position is None
+    assert not limits.rates
+    assert len(limits.joints) == 7
+    with pytest.raises(InputError, match="limits is"):
+        joint_limits(judged(details={"limits": {"velocity": ["x"] * 7}}))
 
 
 def test_frame_ranges_are_clipped_to_the_track():
-    marks = [{"frame_start": -3, "frame_end": 1}, {"frame_start": 4, "frame_end": 99}, {"frame_start": None}]
+    marks = [make_violation(frame_start=start, frame_end=end) for start, end in ((-3, 1), (4, 99))]
     assert covered_frames(marks, 6).tolist() == [True, True, False, False, True, True]

@@ -5,6 +5,7 @@ import pytest
 from kinebench_drake.report.verdict import VERDICT_LABELS, describe_trust, describe_verdict, name_verdict, verdict_of
 from kinebench_drake.results.row import Status
 from tests.report.pages import row
+from tests.rows import make_cause
 
 VELOCITY = {
     **{"kind": "velocity", "joint": "panda_joint4", "frame_start": 3, "frame_end": 9},
@@ -29,7 +30,9 @@ def test_a_video_without_faults_is_executable():
 
 
 def test_a_visual_anomaly_is_named_with_its_frames():
-    faulty = video(False, "vanish: 10 frames", "lost: 10 frames", anomalies=[("vanish", 4, 13), ("camera", 0, 9)])
+    faulty = video(
+        False, "vanish: 10 frames", "lost: 10 frames", anomalies=[("vanish", 4, 13), ("camera_motion", 0, 9)]
+    )
     assert describe_verdict(faulty) == "not executable: vanish, frames 4 to 13"
 
 
@@ -83,7 +86,7 @@ def test_a_sample_without_results_has_its_reason(status):
 
 
 def episode(success, executable=True, *reasons, cause=None, **fields):
-    outcome = {"success": success, "verdict": cause, "cause": {"text": "never on target"} if cause else None}
+    outcome = {"success": success, "verdict": cause, "cause": make_cause(cause) if cause else None}
     return video(executable, *reasons, extra=outcome, **fields)
 
 

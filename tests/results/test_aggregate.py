@@ -11,13 +11,14 @@ from kinebench_drake.results.aggregate import aggregate, estimate_passes, worst_
 from kinebench_drake.results.direction import HIGHER_IS_BETTER, LOWER_IS_BETTER, improves, worst_value
 from kinebench_drake.results.row import SampleRow, Status, sample_suffix
 from kinebench_drake.stats import bootstrap_mean, wilson
+from tests.rows import make_row
 
 VALUES = st.lists(st.none() | st.floats(-100.0, 100.0), min_size=1, max_size=12)
 
 
 def _row(id: str, executable: bool | None = None, reasons: tuple[str, ...] = (), **changes: object) -> SampleRow:
     fields = {"status": Status.OK, "reason": None, "task": None, "model": None, "content_hash": "", **changes}
-    return SampleRow(id=id, video=id, executable=executable, executable_reasons=reasons, **fields)
+    return make_row(id=id, video=id, executable=executable, executable_reasons=reasons, **fields)
 
 
 def _rows(name: str, values: list[float | None]) -> list[SampleRow]:

@@ -6,6 +6,7 @@ import pytest
 
 from kinebench_drake.results.drops import DropReason, list_drops, to_sarif
 from kinebench_drake.results.row import SampleRow, Status
+from tests.rows import make_row
 
 
 def _row(id: str, *, lag: int | None = None, tolerance: int = 0, **changes: object) -> SampleRow:
@@ -15,7 +16,7 @@ def _row(id: str, *, lag: int | None = None, tolerance: int = 0, **changes: obje
     fields = {"status": Status.OK, "reason": None, "task": None, "model": None, "content_hash": "", "feasible": True}
     row = {key: changes.pop(key) for key in list(changes) if key in (*fields, "violations")}
     video = f"ds/data/file 0.parquet#{id}"
-    return SampleRow(id=id, video=video, **{**fields, **row}, extra={**extra, **changes})
+    return make_row(id=id, video=video, **{**fields, **row}, extra={**extra, **changes})
 
 
 def _found(*rows: SampleRow) -> list[tuple[str, DropReason, tuple[int, int] | None]]:

@@ -15,17 +15,12 @@ from kinebench_drake.results import store as results
 from kinebench_drake.results.aggregate import aggregate, estimate, split_rows
 from kinebench_drake.results.row import SampleRow, Status
 from kinebench_drake.results.store import ResultStore, read_rows
+from tests.rows import make_row
 
 
 def row(id="a", status=Status.OK, **changes):
-    reason = None if status is Status.OK else "because"
-    return SampleRow(
-        **{
-            **{"id": id, "video": f"{id}.mp4", "task": None, "model": None, "status": status, "reason": reason},
-            **{"content_hash": "0" * 64, "feasible": True, "metrics": {"sparc": -1.5, "ldlj": float("nan")}},
-            **changes,
-        }
-    )
+    values = {"content_hash": "0" * 64, "feasible": True, "metrics": {"sparc": -1.5, "ldlj": float("nan")}}
+    return make_row(id, status, **{**values, **changes})
 
 
 def test_rows_in_memory_share_equal_strings(tmp_path):
@@ -45,7 +40,7 @@ def test_rows_in_memory_share_equal_strings(tmp_path):
         assert a == replace(b, id="a")
         assert [id(key) for key in a.metrics] == [id(key) for key in b.metrics]
         assert a.details["limits"]["joints"][0] is b.details["limits"]["joints"][0]
-        assert a.violations[0]["kind"] is b.violations[0]["kind"]
+        assert a.violations[0].unit is b.violations[0].unit
         assert a.content_hash is b.content_hash
 
 
@@ -81,7 +76,7 @@ def test_the_work_folder_of_a_killed_world_model_is_removed(tmp_path, overwrite)
 
 
 def test_rows_are_strict_json_without_nan():
-    assert "NaN" not in dump(row(metrics={"a": [float("nan"), {"b": float("inf")}]}).to_json())
+    assert "NaN" not in dump(row(metrics={"a": float("nan"), "b": float("inf")}).to_json())
     with pytest.raises(ValueError, match="not JSON compliant"):
         dump({"a": float("nan")})
 

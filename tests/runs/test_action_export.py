@@ -23,6 +23,7 @@ from kinebench_drake.runs.config import ActionFileFormat, RunKind, ScoreConfig
 from kinebench_drake.runs.resources import Resources, RobotOptions
 from kinebench_drake.runs.score import score_videos
 from kinebench_drake.track import GripperTrack, IkStatus, JointTrack
+from tests.rows import make_row
 
 FRAMES = 6
 LOST = 2
@@ -39,7 +40,7 @@ def poses() -> np.ndarray:
 
 
 def row(sample: VideoSample) -> SampleRow:
-    return SampleRow(
+    return make_row(
         id=sample.id, video=sample.video, task=None, model=None, status=Status.OK, reason=None, content_hash=""
     )
 

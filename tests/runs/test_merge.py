@@ -11,13 +11,14 @@ from kinebench_drake.errors import InputError, UsageError
 from kinebench_drake.geometry import make_pose
 from kinebench_drake.results.aggregate import RunStatistics
 from kinebench_drake.results.metadata import RunMetadata, read_metadata
-from kinebench_drake.results.row import SampleRow, Status
+from kinebench_drake.results.row import Status
 from kinebench_drake.results.store import ResultStore, artifact_path, read_rows
 from kinebench_drake.results.trackfile import write_track
 from kinebench_drake.runs.config import RunKind
 from kinebench_drake.runs.merge import copy_artifact, merge_folders
 from kinebench_drake.runs.runner import NullRunObserver, close_run, summarize
 from kinebench_drake.track import GripperTrack
+from tests.rows import make_row
 
 IDS = ["a", "b", "b_r0", "c", "d", "e", "f"]
 
@@ -43,7 +44,7 @@ def sample(id, **changes):
     told = {"video": f"videos/{id}_r0.mp4", "task": f"T{k % 2}", "model": "m", "reason": None, "status": Status.OK}
     told |= {"content_hash": id * 64, "feasible": k % 3 > 0, "extra": {"success": k % 2 == 0}}
     told["metrics"] = {"sparc": -1.5 - 0.1 * k, "manipulability_cost_mean": 8.0 + k}
-    return SampleRow(**{"id": id, **told, **changes})
+    return make_row(**{"id": id, **told, **changes})
 
 
 def failed(id, reason="because"):

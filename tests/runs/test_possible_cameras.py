@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from kinebench_drake.geometry import make_pose
-from kinebench_drake.kinematics.violation import ViolationKind
 from kinebench_drake.runs.resources import Resources, RobotOptions
 from kinebench_drake.runs.score import judge_possible
 from kinebench_drake.track import GripperTrack
+from kinebench_drake.violation import ViolationKind
 
 T = 12
 DOWN = np.diag([1.0, -1.0, -1.0])

@@ -40,7 +40,7 @@ from kinebench_drake.formats.trajectories.trajectory import (
 )
 from kinebench_drake.io.files import absence, read_text
 from kinebench_drake.io.hdf5 import HDF5_SUFFIXES
-from kinebench_drake.io.jsonl import as_type, read_object
+from kinebench_drake.io.jsonl import read_object
 from kinebench_drake.io.npz import open_npz, read_npy
 from kinebench_drake.results.store import SAMPLES, read_rows
 from kinebench_drake.segments import evenly
@@ -304,7 +304,6 @@ def _list_output(folder: Path) -> list[TrajectorySample]:
     samples = []
     for path in sorted(p for p in (folder / "tracks").glob("*.npz") if not p.name.startswith(".")):
         row = rows.get(path.stem)
-        extra = row.extra if row else {}
         samples.append(
             TrajectorySample(
                 id=path.stem,
@@ -313,8 +312,8 @@ def _list_output(folder: Path) -> list[TrajectorySample]:
                 format=TrajectoryFormat.NPZ,
                 task=row.task if row else None,
                 model=row.model if row else None,
-                seed=as_type(extra.get("seed"), int),
-                prompt=as_type(extra.get("prompt"), str),
+                seed=row.seed if row else None,
+                prompt=row.prompt if row else None,
             )
         )
     return samples

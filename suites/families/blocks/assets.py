@@ -30,6 +30,10 @@ _PEG_RED = (0.62, 0.03, 0.03)
 _PEG_BLUE = (0.03, 0.10, 0.55)
 _PEG_BAND = (0.75, 0.72, 0.66)
 _PIXELS = 64
+OBSTACLE_RADIUS_M = (0.018, 0.026)
+"""Least and greatest radius of an obstacle's foot; of a block, half its diagonal."""
+TARGET_RADIUS_M = (0.060, 0.075)
+"""Least and greatest radius of a target."""
 
 
 def _texel_positions() -> tuple[Array, Array]:
@@ -110,7 +114,7 @@ OBSTACLE_HEIGHT_M = (0.085, 0.13)
 
 
 def _target(asset_id: str, index: int, rng: np.random.Generator) -> AssetModel:
-    radius = float(rng.uniform(0.060, 0.075))  # least and greatest radius of a target
+    radius = float(rng.uniform(*TARGET_RADIUS_M))
     edges = np.linspace(radius, 0.0, (3, 5, 4)[index % 3] + 1)
     red = (float(rng.uniform(0.5, 0.75)), 0.02, float(rng.uniform(0.01, 0.04)))
     white = (float(rng.uniform(0.75, 0.9)),) * 3
@@ -215,9 +219,8 @@ _SHAPES: tuple[tuple[str, Callable[[float, float, np.random.Generator], BodyPart
 
 
 def _obstacle(asset_id: str, index: int, rng: np.random.Generator) -> AssetModel:
-    # Least and greatest radius of an obstacle's foot; of a block, half its diagonal.
     height = float(rng.uniform(*OBSTACLE_HEIGHT_M))
-    radius = float(rng.uniform(0.018, 0.026))
+    radius = float(rng.uniform(*OBSTACLE_RADIUS_M))
     words, make, density = _SHAPES[index % len(_SHAPES)]
     material = Material(density=density, static_friction=0.6, dynamic_friction=0.5, angular_damping=0.1)
     return AssetModel(

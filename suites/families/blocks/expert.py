@@ -34,6 +34,15 @@ CLEARANCE_M = 0.014
 """Gap between the cube and the fingers that come down behind it."""
 PULL_HEIGHT_M = 0.018
 """Height of the TCP above the table while pulling."""
+WIDE_YAW_RAD = 0.5
+"""Preferred yaw of the hand before a wide turn, away from rest towards the middle of the wrist's range."""
+DROP_M = 0.002
+"""Height from which a cube is released."""
+GRIP_M = 0.020
+"""Distance of the grasp from the peg's red end, so short that this end turns under the palm without touching it."""
+PRESS_M = 0.008
+"""Commanded finger width below the peg's width: the pads press so lightly (about 4 N each) that the peg turns
+between them under its weight."""
 
 
 def stack_cube(scene: Scene) -> list[Waypoint]:
@@ -51,15 +60,13 @@ def stack_cube(scene: Scene) -> list[Waypoint]:
         room = scene.size("obstacle", "radius_m") + HAND_M
         axes = _clear_axes(axes, obstacle - X_BA[:3, 3], room)
         landings = _clear_axes(landings, obstacle - X_BT[:3, 3], room)
-        # 0.5: preferred yaw of the hand before a wide turn, away from rest towards the middle of the wrist's range
-        preferred = rotation_exp(np.array([0.0, 0.0, 0.5])) @ preferred
+        preferred = rotation_exp(np.array([0.0, 0.0, WIDE_YAW_RAD])) @ preferred
     elif np.linalg.norm(X_BT[:3, 3] - X_BA[:3, 3]) < NEIGHBOUR_M:
         axes = _clear_axes(axes, X_BT[:3, 3] - X_BA[:3, 3], NEIGHBOUR_M)
     closing = nearest_axis(axes, preferred)
     landing = nearest_axis(landings, closing)
     grasp = make_pose(grasp_rotation(DOWN, closing), X_BA[:3, 3])
-    # 0.002: height from which a cube is released
-    place = make_pose(grasp_rotation(DOWN, landing), X_BT[:3, 3] + [0.0, 0.0, height + 0.002])
+    place = make_pose(grasp_rotation(DOWN, landing), X_BT[:3, 3] + [0.0, 0.0, height + DROP_M])
     above = lift(grasp, over)
     via = [above, lift(place, max(0.8 * ABOVE_M, over - height))]
     return pick_and_place(above, grasp, via, place, lift(place, 1.2 * ABOVE_M))
@@ -120,13 +127,9 @@ def lift_peg_upright(scene: Scene) -> list[Waypoint]:
     half = 0.5 * scene.size("peg", "length_m")
     along = X_BP[:3, 0] * [1.0, 1.0, 0.0]
     along /= np.linalg.norm(along)
-    # 0.020: distance of the grasp from the peg's red end, so short that this end turns under the palm without touching
-    # it
     R = grasp_rotation(DOWN, (along[1], -along[0], 0.0))
-    grip = half - 0.020
-    # 0.008: commanded finger width below the peg's width: the pads press so lightly (about 4 N each) that the peg turns
-    # between them under its weight
-    width = scene.size("peg", "width_m") - 0.008
+    grip = half - GRIP_M
+    width = scene.size("peg", "width_m") - PRESS_M
     grasp = make_pose(R, X_BP[:3, 3] - grip * along)
     standing = grasp.copy()
     standing[:3, 3] += (DRIFT_M + DRAG_M) * along

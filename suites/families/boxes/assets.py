@@ -59,6 +59,9 @@ _PALETTE = np.array(
     dtype=np.float64,
 )  # fmt: skip
 
+INSET_M = 0.001
+"""Inset of a flush lid at its sides, which is its clearance from the table when the box lies."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _BoxDesign:
@@ -192,8 +195,7 @@ def _box(kind: str, asset_id: str, index: int, rng: np.random.Generator) -> Asse
     wall = float(rng.uniform(0.004, 0.006))
     thick = float(rng.uniform(0.005, 0.008))
     overhang = float(rng.uniform(*OVERHANG_M))
-    # 0.001: inset of a flush lid at its sides, which is its clearance from the table when the box lies
-    front, side = (0.0, -0.001) if flush else (overhang, overhang)
+    front, side = (0.0, -INSET_M) if flush else (overhang, overhang)
     open_rad = float(rng.uniform(*OPEN_RAD))
     p_hinge = [-depth / 2.0, 0.0, height]
     friction = float(rng.uniform(0.0, 0.05))

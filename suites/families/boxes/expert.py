@@ -42,6 +42,12 @@ SIDE_DEPTH_M = 0.024
 """Depth of the fingers under the side of a lid while pushing, along the fingers."""
 PRESS_M = 0.003
 """Commanded distance past shut."""
+CONTACT_M = 0.03
+"""Distance of the contact at the side of a lid from its front edge."""
+BELOW_EDGE_M = 0.030
+"""Distance of the TCP below the upper edge of a lying box's lid: the greatest at which the palm stays clear of it."""
+PRESS_FRACTION = 0.78
+"""Point of the lid where the fingers press, as a fraction of the way from hinge to edge."""
 
 
 def _rotation(scene: Scene, approach: Array, closing: Array) -> Array:
@@ -119,8 +125,7 @@ def _under_side(scene: Scene, angle: float, depth_m: float, tilt: float) -> tupl
     side = -1.0 if X_BH[:3, 1] @ [0.0, X_BH[1, 3], 0.0] > 0.0 else 1.0  # towards y = 0, where there is more room
     out = np.array([np.cos(angle), 0.0, np.sin(angle)])
     edge = side * (0.5 * scene.size("box", "width_m") + scene.size("box", "overhang_m"))
-    # 0.03: distance of the contact at the side of a lid from its front edge
-    contact = (scene.size("box", "lid_m") - 0.03) * out + [0.0, edge, 0.0]
+    contact = (scene.size("box", "lid_m") - CONTACT_M) * out + [0.0, edge, 0.0]
     up_finger = np.array([0.0, side * np.sin(tilt), np.cos(tilt)])
     to_lid = np.array([0.0, -side * np.cos(tilt), np.sin(tilt)])
     p_H = contact + (TIP_M - depth_m) * up_finger - (HALF_Y_M + CLEAR_M) * to_lid + [HALF_TIP_M, 0.0, 0.0]
@@ -176,9 +181,7 @@ def close_lying(scene: Scene) -> list[Waypoint]:
     X_BH = scene.site("box", "hinge")
     angle = scene.joints["box"]
     R_BH = X_BH[:3, :3]
-    # 0.030: distance of the TCP below the upper edge of a lying box's lid: the greatest at which the palm stays clear
-    # of it
-    height = X_BH[2, 3] + 0.5 * scene.size("box", "width_m") - 0.030
+    height = X_BH[2, 3] + 0.5 * scene.size("box", "width_m") - BELOW_EDGE_M
     R = _rotation(scene, np.array([0.0, 0.0, -1.0]), R_BH[:, 0])
 
     def outside(angle: float, gap_m: float) -> Array:
@@ -186,8 +189,7 @@ def close_lying(scene: Scene) -> list[Waypoint]:
         out = np.array([np.cos(angle), 0.0, np.sin(angle)])
         normal = np.array([-np.sin(angle), 0.0, np.cos(angle)])
         half = HALF_TIP_M * abs(normal[2]) + HALF_Y_M * abs(normal[0])
-        # 0.78: point of the lid where the fingers press, as a fraction of the way from hinge to edge
-        p_H = 0.78 * scene.size("box", "lid_m") * out
+        p_H = PRESS_FRACTION * scene.size("box", "lid_m") * out
         p_H = p_H + (scene.size("box", "lid_thickness_m") + half + gap_m) * normal
         p = X_BH[:3, 3] + R_BH @ p_H
         return make_pose(R, [p[0], p[1], height])

@@ -57,6 +57,11 @@ _FITTINGS = (
     SurfaceFinish(color=(0.70, 0.68, 0.63), roughness=0.4),
 )
 
+_GAP_M = 0.001
+"""Gap between the shut drawer's front and the cabinet."""
+_INSIDE_M = 0.044
+"""Least length of the tray that stays in the cabinet."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Dimensions:
@@ -98,8 +103,7 @@ class _Dimensions:
     @property
     def tray_x(self) -> tuple[float, float]:
         """X of the tray's inner back and front, the drawer shut."""
-        # 0.001: between the shut drawer's front and the cabinet
-        return -self.face + _BACK_M + 2.0 * _CLEARANCE_M + _WALL_M, self.face + 0.001
+        return -self.face + _BACK_M + 2.0 * _CLEARANCE_M + _WALL_M, self.face + _GAP_M
 
     @property
     def tray_width(self) -> float:
@@ -109,12 +113,11 @@ class _Dimensions:
 
 def _draw_dimensions(rng: np.random.Generator) -> _Dimensions:
     depth = float(rng.uniform(*DEPTH_M))
-    # 0.044: at least so much of the tray stays in the cabinet
     return _Dimensions(
         width=float(rng.uniform(*WIDTH_M)),
         depth=depth,
         height=float(rng.uniform(*HEIGHT_M)),
-        travel=float(min(rng.uniform(*TRAVEL_M), depth - _BACK_M - 2.0 * _CLEARANCE_M - 0.044)),
+        travel=float(min(rng.uniform(*TRAVEL_M), depth - _BACK_M - 2.0 * _CLEARANCE_M - _INSIDE_M)),
         panel=float(rng.uniform(0.0095, 0.012)),
         foot=float(rng.uniform(0.007, 0.011)),
         front=float(rng.uniform(0.012, 0.016)),

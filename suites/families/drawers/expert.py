@@ -34,6 +34,10 @@ RELEASE_M = 0.03
 """Finger width in excess of the cube's edge at the release in the tray."""
 BEHIND_M = 0.012
 """Gap between the fingers and the cube behind which they come down."""
+DRAG_M = 0.006
+"""Distance past the edge to which the fingers drag a cube."""
+DRAG_HEIGHT_M = 0.005
+"""Height of the fingertips above the cabinet's top while dragging."""
 
 
 def _rotation(scene: Scene) -> Array:
@@ -124,11 +128,9 @@ def store_cube_by_dragging(scene: Scene) -> list[Waypoint]:
     edge = _local(scene, scene.site("cabinet", "edge"))
     faces = level_axes((invert(scene.poses["cabinet"]) @ scene.poses["cube"])[:3, :3])
     half = 0.5 * scene.size("cube", "edge_m") * float(np.abs(faces[:2, 0]).sum())
-    # 0.006: distance past the edge to which the fingers drag a cube
     behind = cube[0] - half - HALF_TIP_M - BEHIND_M
-    over = edge[0] - HALF_TIP_M + 0.006
-    # 0.005: height of the fingertips above the cabinet's top while dragging
-    low = edge[2] + 0.005
+    over = edge[0] - HALF_TIP_M + DRAG_M
+    low = edge[2] + DRAG_HEIGHT_M
     high = edge[2] + scene.size("cube", "edge_m") + PASS_M
     return [
         closed_waypoint(_pose(scene, behind, cube[1], high), through=True),

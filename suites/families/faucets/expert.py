@@ -22,6 +22,10 @@ LEAN_RAD = 0.3
 """Tilt of the hand to the side that the lever points to, so that handle and fingers stay visible."""
 SIDE = (0.0, -1.0, 0.0)
 """Closing direction: the fingers are side by side as seen from the camera."""
+PUSH_FRACTION = 0.75
+"""Point of the lever where the finger pushes, as a fraction of its reach."""
+FINGERS_M = (0.0105, BACK_M)
+"""Half extents of the closed fingers along the TCP frame's x and y."""
 
 
 def sweep_lever(goal: float, scene: Scene) -> list[Waypoint]:
@@ -37,10 +41,8 @@ def sweep_lever(goal: float, scene: Scene) -> list[Waypoint]:
     def touching(angle: float, gap_m: float) -> Array:
         """Return the TCP pose with the fingers' side `gap_m` behind the lever at an angle."""
         ahead = sense * np.array([-np.sin(angle), np.cos(angle), 0.0])
-        # (0.0105, BACK_M): half extents of the closed fingers along the TCP frame's x and y
-        behind = scene.size("faucet", "half_width_m") + np.abs(R[:, :2].T @ ahead) @ (0.0105, BACK_M) + gap_m
-        # 0.75: point of the lever where the finger pushes, as a fraction of its reach
-        along = 0.75 * scene.size("faucet", "lever_m") * np.array([np.cos(angle), np.sin(angle), 0.0])
+        behind = scene.size("faucet", "half_width_m") + np.abs(R[:, :2].T @ ahead) @ FINGERS_M + gap_m
+        along = PUSH_FRACTION * scene.size("faucet", "lever_m") * np.array([np.cos(angle), np.sin(angle), 0.0])
         return make_pose(R, axis + along - behind * ahead - [0.0, 0.0, BELOW_M])
 
     first = touching(start, CLEARANCE_M)

@@ -22,6 +22,10 @@ FRUITS = ("apple", "banana", "orange", "peach", "pear", "strawberry")
 """Names of the fruits."""
 _BROWN = (0.11, 0.06, 0.025)
 _GREEN = (0.07, 0.2, 0.03)
+_FLAT_M = 0.0009
+"""Depth by which a fruit's underside is flattened, as by its weight."""
+_FLAT_SIDE_M = 0.0007
+"""Depth by which long fruits are flattened on each side, so that they do not turn between the fingers."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -221,13 +225,11 @@ def _fruit(name: str, asset_id: str, index: int, rng: np.random.Generator) -> As
     shape = _SHAPES[name](rng, index)
     R = np.eye(3) if shape.R_BodyShape is None else shape.R_BodyShape
     resting = _rotate(shape.skin, R)
-    # 0.0009: depth by which a fruit's underside is flattened, as by its weight
-    floor = float(resting.vertices[:, 2].min()) + 0.0009
+    floor = float(resting.vertices[:, 2].min()) + _FLAT_M
     vertices = np.array(resting.vertices)
     vertices[:, 2] = np.maximum(vertices[:, 2], floor)
     skin = smooth_mesh(vertices, resting.faces, resting.uv, crease_rad=1.0)
-    # 0.0007: depth by which long fruits are flattened on each side, so that they do not turn between the fingers
-    half = 0.5 * _thickness(skin) - (0.0007 if shape.R_BodyShape is not None else 0.0)
+    half = 0.5 * _thickness(skin) - (_FLAT_SIDE_M if shape.R_BodyShape is not None else 0.0)
     solids = [np.maximum(points @ R.T, [-1.0, -1.0, floor]) for points in shape.solids]
     solids = solids or [np.clip(skin.vertices, [-1.0, -half, floor], [1.0, half, 1.0])]
     surface = SurfaceFinish(texture=SKINS[name](rng, index), roughness=shape.roughness)

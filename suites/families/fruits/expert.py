@@ -15,6 +15,14 @@ DROP_M = 0.014
 """Height above the floor of a container from which a fruit is released."""
 OVER_M = 0.028
 """Gap below a fruit that is carried over an obstacle."""
+EXCESS_M = 0.022
+"""Finger width in excess of the fruit's thickness before the grasp."""
+LOWEST_M = 0.022
+"""Least height of the TCP at which palm and fingertips are clear of the table."""
+RIM_M = 0.012
+"""Height of the TCP above a rim that the fingertips must clear."""
+CRATE_DROP_M = 0.004
+"""Height above the floor of a crate from which a fruit is released; its rim usually determines the height."""
 
 
 def _grasp(scene: Scene, name: str) -> tuple[Array, float]:
@@ -25,9 +33,8 @@ def _grasp(scene: Scene, name: str) -> tuple[Array, float]:
     if scene.size(name, "oblong") > 0.5:
         across = X[:3, 1] * [1.0, 1.0, 0.0]
         closing = nearest_axis([across, -across], axis_y)
-    p = np.array([*X[:2, 3], max(X[2, 3], 0.022)])  # palm and fingertips are clear of the table
-    # 0.022: finger width in excess of the fruit's thickness before the grasp
-    return make_pose(grasp_rotation(DOWN, closing), p), min(OPEN_M, scene.size(name, "grip_m") + 0.022)
+    p = np.array([*X[:2, 3], max(X[2, 3], LOWEST_M)])
+    return make_pose(grasp_rotation(DOWN, closing), p), min(OPEN_M, scene.size(name, "grip_m") + EXCESS_M)
 
 
 def _carry(
@@ -54,8 +61,7 @@ def _carry(
     grasp, open_m = _grasp(scene, name)
     below = grasp[2, 3] - scene.poses[name][2, 3] + scene.size(name, "rest_m")  # from the fruit's underside to the TCP
     landing = grasp_rotation(DOWN, nearest_axis([across, -across], grasp[:3, 1]))
-    # 0.012: height of the TCP above a rim that the fingertips must clear
-    place = make_pose(landing, [target[0], target[1], max(target[2] + below + drop_m, rim_m + 0.012)])
+    place = make_pose(landing, [target[0], target[1], max(target[2] + below + drop_m, rim_m + RIM_M)])
     above = lift(grasp, ABOVE_M)
     passage = []
     if over is not None:
@@ -85,8 +91,7 @@ def store_fruits(scene: Scene) -> list[Waypoint]:
         if low and in_y and abs(p[0]) < 0.5 * scene.size("crate", "inner_x_m"):
             continue
         target = crate[:3, :3] @ center + crate[:3, 3]
-        # 0.004: the same in a crate, where the rim usually determines the height
-        return _carry(scene, name, target, crate[:3, 1], drop_m=0.004, rim_m=scene.size("crate", "rim_m"))
+        return _carry(scene, name, target, crate[:3, 1], drop_m=CRATE_DROP_M, rim_m=scene.size("crate", "rim_m"))
     return []
 
 

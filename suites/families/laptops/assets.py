@@ -43,6 +43,8 @@ LOGOS = ("disc", "ring", "hexagon", "square", "triangle", "star")
 """Shapes on the lid's back, assigned in turn."""
 
 _SKIN_M = 0.0003  # distance of decals from the surface below
+LIP_M = (0.0085, 0.011)
+"""Least and greatest overhang of the lid over the base, under which a fingertip fits."""
 
 
 def _rounded(low: ArrayLike, high: ArrayLike, z_m: float, radius_m: float) -> Array:
@@ -238,12 +240,11 @@ def _laptop(asset_id: str, index: int, rng: np.random.Generator) -> AssetModel:
         metallic=0.35 if metal else 0.0,
         specular=0.4,
     )
-    # Least and greatest overhang of the lid over the base, under which a fingertip fits.
     size = {
         "width_m": float(rng.uniform(*WIDTH_M)),
         "depth_m": float(rng.uniform(*DEPTH_M)),
         "feet_m": float(rng.uniform(*FEET_M)),
-        "lip_m": float(rng.uniform(0.0085, 0.011)),
+        "lip_m": float(rng.uniform(*LIP_M)),
     }
     thickness = float(rng.uniform(*LID_M))
     size["top_m"] = size["feet_m"] + float(rng.uniform(*BASE_M))

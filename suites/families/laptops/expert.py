@@ -38,6 +38,14 @@ BEHIND_M = 0.022
 """Depth below the upper edge of a wide open lid to which the fingertips reach behind it."""
 OVER_M = 0.05
 """Height above that edge at which the TCP passes over it."""
+TABLE_GAP_M = 0.004
+"""Gap between fingertip and table."""
+UNDER_M = 0.006
+"""Greatest depth of the fingertip under the lid's edge."""
+WEDGE_M = 0.002
+"""Depth under the edge beyond the first contact of the slanted finger, which lifts the lid by wedging."""
+TURN_RAD = np.deg2rad(46.0)
+"""Least opening from which on the hand rotates with the lid."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -106,12 +114,9 @@ def open_laptop(scene: Scene) -> list[Waypoint]:
     reach = scene.size("laptop", "reach_m")
     inside = scene.size("laptop", "inside_m")
     edge = _on_lid(angle, reach, inside)
-    # 0.004: gap between fingertip and table
-    height = max(edge[1] - BELOW_M, 0.004 + FINGER_M * np.sin(TILT_RAD) - plane.point[2])
-    # 0.006: greatest depth of the fingertip under the lid's edge
-    # 0.002: depth under the edge beyond the first contact of the slanted finger, which lifts the lid by wedging
-    under = np.array([edge[0] - min(0.006, (edge[1] - height) * np.tan(TILT_RAD) + 0.002), height])
-    turn = max(np.deg2rad(46.0), angle + 0.2)  # opening from which on the hand rotates with the lid
+    height = max(edge[1] - BELOW_M, TABLE_GAP_M + FINGER_M * np.sin(TILT_RAD) - plane.point[2])
+    under = np.array([edge[0] - min(UNDER_M, (edge[1] - height) * np.tan(TILT_RAD) + WEDGE_M), height])
+    turn = max(TURN_RAD, angle + 0.2)
     corner = _on_lid(turn, reach - HOLD_M, inside - 0.001)
     above, before, start, lifted = (
         plane.open_pose(p, TILT_RAD) for p in (np.add(under, [0.05, 0.07]), np.add(under, [0.02, 0.0]), under, corner)

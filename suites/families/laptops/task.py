@@ -16,6 +16,8 @@ OPEN_RAD = float(np.deg2rad(90.0))
 """Least opening of an open lid."""
 SHUT_RAD = float(np.deg2rad(4.0))
 """Greatest opening of a shut lid."""
+AHEAD_M = (0.45, 0.52)
+"""Least and greatest x of the base's centre."""
 
 
 def _distance_to_lid(state: State) -> Tensor:
@@ -42,8 +44,7 @@ class _MoveLaptopLid(JointTask):
     @override
     def place(self, model: AssetModel, rng: np.random.Generator) -> Placement:
         """Place a laptop whose hinge is on the robot's left."""
-        # least and greatest x of the base's centre
-        x = rng.uniform(0.45, 0.52)
+        x = rng.uniform(*AHEAD_M)
         y = rng.uniform(*self.side_m)
         yaw = np.deg2rad(rng.uniform(*self.turn_deg) - 90.0)
         return Placement.upright(model, (x, y, 0.0), yaw, joint=float(np.deg2rad(rng.uniform(*self.start_deg))))

@@ -6,8 +6,9 @@ import pytest
 from kinebench_drake.errors import UsageError
 from kinebench_drake.formats.trajectories.reading import TrajectoryOptions
 from kinebench_drake.formats.trajectories.source import find_trajectories
-from kinebench_drake.results.row import SampleRow, Status
+from kinebench_drake.results.row import Status
 from kinebench_drake.results.store import ResultStore
+from tests.rows import make_row
 
 
 def touch(folder, *names):
@@ -39,7 +40,7 @@ def test_a_folder_yields_all_trajectory_files_except_hidden_ones_and_run_outputs
 
 
 def test_tracks_of_an_output_folder_keep_the_labels_of_their_rows(tmp_path):
-    row = SampleRow(
+    row = make_row(
         **{"id": "a", "video": "a.mp4", "task": "T", "model": "M", "status": Status.OK, "reason": None},
         content_hash="0",
         extra={"seed": 4, "prompt": "p"},

@@ -15,9 +15,9 @@ from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.errors import InputError, SetupError, UsageError
 from kinebench_drake.executors.local import LocalExecutor
 from kinebench_drake.results.metadata import Shard
+from kinebench_drake.results.row import SampleRow
 from kinebench_drake.results.store import artifact_path, read_rows
 from kinebench_drake.results.trackfile import write_track
-from kinebench_drake.runs.evaluator import Evaluation
 from kinebench_drake.runs.merge import merge_folders
 from kinebench_drake.runs.runner import NullRunObserver
 from kinebench_drake.suites.closed_loop.following import ACTION_METRICS, ActionSource
@@ -168,11 +168,11 @@ def test_every_worker_is_closed_once(tmp_path: Path, jobs: int) -> None:
 def luck(monkeypatch: pytest.MonkeyPatch) -> None:
     """Episodes without a simulator, whose outcome depends on the id of the sample."""
 
-    def evaluate(self: EpisodeEvaluator, sample: EpisodeSample, resources: object) -> Evaluation:
+    def evaluate(self: EpisodeEvaluator, sample: EpisodeSample, resources: object, row: SampleRow) -> SampleRow:
         did[sample.id] += 1
         success = hashlib.sha256(sample.id.encode()).digest()[0] % 2 == 0
         write_track(artifact_path(self.config.out, "tracks", sample.id), *made_track())
-        return Evaluation(kinematics=None, extra={"success": success, "progress": float(success), "rounds": 1})
+        return row.extended(success=success, progress=float(success), rounds=1)
 
     monkeypatch.setattr(EpisodeEvaluator, "evaluate", evaluate)
     monkeypatch.setattr(EpisodeEvaluator, "artifacts", ("tracks",))

@@ -3,8 +3,9 @@
 import json
 
 from kinebench_drake.io.jsonl import dump
-from kinebench_drake.results.row import SampleRow, Status, sample_suffix
+from kinebench_drake.results.row import Status, sample_suffix
 from kinebench_drake.results.store import RESULTS, SAMPLES
+from tests.rows import make_cause, make_row
 
 EVIL = "<script>alert('x')</script> & 50% _of_ $x$"
 
@@ -13,7 +14,7 @@ def outcome(success, progress=None, verdict=None, sparc=-2.0, cost=8.0, rounds=1
     """Fields of one episode's row, for `write_run`."""
     done = progress if progress is not None else float(success)
     failure = verdict or (None if success else "task")
-    cause = {"verdict": failure, "text": f"because of {failure}"} if failure else None
+    cause = make_cause(failure, f"because of {failure}") if failure else None
     return {
         "status": Status.OK,
         "metrics": {"sparc": sparc, "manipulability_cost_mean": cost, "tracked_fraction": 1.0, "anomalies": []},
@@ -57,7 +58,7 @@ def write_run(
             labels = {"seed": seed, "sample_index": index, "pool": "all", "variant": variant}
             row = {"id": id, "video": f"videos/{id}_r0.mp4", "task": task, "model": model, "reason": None}
             row |= {"content_hash": "0", **result, "extra": {**result["extra"], **labels}}
-            rows.append(SampleRow(**row))
+            rows.append(make_row(**row))
     config = {"suite": suite, "split": split, "variant": variant, "rounds": 3, "control": "pd_joint_pos"}
     config |= {} if spec is None else {"world_model_sha256": spec}
     results = {

@@ -69,10 +69,10 @@ def test_frame_numbers_of_violations_continue_across_clips(analyzer):
     alone = analyzer.judge(down)
     both = judged(analyzer, clip(), down)
     assert both.feasible is False
-    assert [v["kind"] for v in both.violations] == [v["kind"] for v in alone.violations]
-    starts = [v["frame_start"] for v in alone.violations]
+    assert [v.kind for v in both.violations] == [v.kind for v in alone.violations]
+    starts = [v.frame_start for v in alone.violations]
     assert starts
-    assert [v["frame_start"] for v in both.violations] == [N - 1 + s for s in starts]
+    assert [v.frame_start for v in both.violations] == [N - 1 + s for s in starts]
     assert len(both.joints.q) == len(both.track.t_s) == 2 * N - 1
     assert (np.diff(both.track.t_s) > 0).all()
     assert all(len(curve) == 2 * N - 1 for curve in both.curves.values())

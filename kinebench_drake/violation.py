@@ -1,9 +1,8 @@
 """Violations of the robot's limits by a motion."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from enum import Enum
-
-from kinebench_drake.io.jsonl import Json
 
 
 class ViolationKind(Enum):
@@ -42,7 +41,7 @@ _CAUSES = list(ViolationKind)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Violation:
-    """One limit broken over a range of frames."""
+    """One limit broken over a range of frames; an entry of `violations` of samples.jsonl."""
 
     kind: ViolationKind
     frame_start: int
@@ -52,17 +51,22 @@ class Violation:
     joint: str | None
     """Name of the joint, such as panda_joint4; None if it concerns no single joint."""
     value: float
-    """Worst value in `unit`: position error (unreachable), angle (joint_limit), ..."""
+    """Worst value in `unit`: position error (unreachable), angle (joint_limit), ...; NaN where a file has null."""
     limit: float
     """Greatest allowed value, or the least for a lower joint limit or a distance; in `unit`."""
     unit: str
-    pair: tuple[str, str] | None = None
-    """Link, and the obstacle that it meets; None of other kinds."""
+    link: str | None = None
+    """Link that meets an obstacle; None of other kinds."""
+    body: str | None = None
+    """Obstacle that the link meets; None of other kinds."""
+    unknown: Mapping[str, object] = field(default_factory=dict, repr=False)
+    """Keys that a newer version added to the entry."""
 
     @property
     def rank(self) -> tuple[int, int, int, str]:
         """Sort key: by cause, within a kind by frame."""
-        return _CAUSES.index(self.kind), self.frame_start, self.frame_end, self.joint or " ".join(self.pair or ())
+        parts = self.joint or f"{self.link or ''} {self.body or ''}".strip()
+        return _CAUSES.index(self.kind), self.frame_start, self.frame_end, parts
 
     @classmethod
     def at(cls, kind: ViolationKind, frame: int, joint: str | None, value: float, limit: float) -> "Violation":
@@ -78,33 +82,19 @@ class Violation:
         value: float,
         limit: float,
         unit: str | None = None,
-        pair: tuple[str, str] | None = None,
+        *,
+        link: str | None = None,
+        body: str | None = None,
     ) -> "Violation":
         """Return the violation over a run of frames (`segments.segments`); its unit is that of the kind if None."""
         return cls(
             kind=kind,
-            frame_start=run.start,
-            frame_end=run.stop - 1,
+            frame_start=int(run.start),
+            frame_end=int(run.stop) - 1,
             joint=joint,
-            value=value,
-            limit=limit,
+            value=float(value),
+            limit=float(limit),
             unit=unit or UNITS[kind],
-            pair=pair,
+            link=link,
+            body=body,
         )
-
-    def to_json(self) -> dict[str, Json]:
-        """Serialize into an entry of `violations` of samples.jsonl."""
-        return {
-            "kind": self.kind.value,
-            "frame_start": int(self.frame_start),
-            "frame_end": int(self.frame_end),
-            "joint": self.joint,
-            "value": float(self.value),
-            "limit": float(self.limit),
-            "unit": self.unit,
-            **({} if self.pair is None else {"link": self.pair[0], "body": self.pair[1]}),
-        }
-
-    def __getitem__(self, key: str) -> Json:
-        """Return a field by its key in samples.jsonl, so that results and rows are read alike."""
-        return self.to_json()[key]
