@@ -20,7 +20,7 @@ FOREIGN = {
     *("PoseBackendRequest", "RecordEpisode", "max_rollouts", "video_resize", "rate_limiting", "panda_gripper"),
     *("robotiq_gripper_85", "LICENSE", "traj_K", "X_AB", "column_0", "column_1", "_r1", "_r2", "ID_k1", "ID_k2"),
     *("end_left", "end_right", "tip_left", "tip_right", "manipulability_residual"),
-    *("MUJOCO_GL", "LD_LIBRARY_PATH", "NAME_KIND"),
+    *("MUJOCO_GL", "LD_LIBRARY_PATH", "NAME_KIND", "NAME_bound"),
 }
 """Names of other programs, and numbered or framed examples."""
 

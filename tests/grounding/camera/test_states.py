@@ -2,9 +2,7 @@ import numpy as np
 import pytest
 
 from kinebench_drake.errors import InputError, UsageError
-from kinebench_drake.grounding.camera.calibrate import CalibrationMethod, choose_method, frame_times
 from kinebench_drake.grounding.camera.states import make_posture_states, parse_posture, read_states
-from kinebench_drake.io.video import Video
 from kinebench_drake.models.panda.description import RobotPart, hand_from_tcp
 from tests.grounding.camera.robot import postures
 
@@ -18,7 +16,7 @@ def test_joint_angles_with_one_row_for_each_frame_are_used_whatever_their_times(
     assert np.allclose(states.finger_m, 0.02)
 
 
-def test_frames_without_joint_angles_do_not_change_the_calibration_method(tmp_path, model):
+def test_frames_without_joint_angles_have_no_state(tmp_path, model):
     q = postures(5)
     states = []
     for lost in ([], [2], [0, 1, 2]):
@@ -28,7 +26,7 @@ def test_frames_without_joint_angles_do_not_change_the_calibration_method(tmp_pa
         np.savez(tmp_path / "a.npz", t_s=np.arange(5.0), q=q, tracked=tracked)
         states.append(read_states(tmp_path / "a.npz", None, None, np.arange(5.0), model))
     assert [int(s.has_hand.sum()) for s in states] == [5, 4, 2]
-    assert {choose_method(s) for s in states} == {CalibrationMethod.JOINTS}
+    assert [int(s.has_posture.sum()) for s in states] == [5, 4, 2]
 
 
 def test_joint_angles_at_a_higher_rate_are_interpolated_at_the_frames(tmp_path, model):
@@ -59,10 +57,9 @@ def test_joint_angles_shorter_than_the_video_are_refused(tmp_path, model):
 def test_a_video_without_a_clock_needs_one_row_for_each_frame_or_a_frame_period(tmp_path, model):
     """Else every frame would have the posture of the first row."""
     np.savez(tmp_path / "a.npz", t_s=np.arange(8) * 0.1, q=postures(8))
-    clockless = Video(frames=np.zeros((5, 2, 2, 3), np.uint8), fps=None, stamps_s=None)
     assert np.array_equal(read_states(tmp_path / "a.npz", None, None, np.full(8, np.nan), model).q, postures(8))
     with pytest.raises(UsageError, match=r"8 rows, but 5 frames of a video without a clock.*frame_period_s"):
-        read_states(tmp_path / "a.npz", None, None, frame_times(clockless, None), model)
+        read_states(tmp_path / "a.npz", None, None, np.full(5, np.nan), model)
 
 
 def test_joint_files_of_several_episodes_need_an_episode_name(tmp_path, model):
