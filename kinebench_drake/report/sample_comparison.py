@@ -14,7 +14,6 @@ from kinebench_drake.report.number import (
     motionless_lines,
     number_lines,
     tabulate_numbers,
-    value_of,
     verdict_lines,
 )
 from kinebench_drake.report.page_parts import choose_listed, list_links, write_parts
@@ -123,7 +122,7 @@ def tabulate_samples(samples: Sequence[ModelSample]) -> Table:
             *(s.model, s.run.name, s.row.id, s.row.video, s.row.task),
             s.row.seed,
             *(s.row.status.value, s.row.reason, verdict_of(s.row)),
-            *(value_of(s.row, name) for name in NUMBERS),
+            *(s.row.number(name) for name in NUMBERS),
         )
         for s in samples
     )
