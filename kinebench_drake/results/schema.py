@@ -9,13 +9,11 @@ import json
 import textwrap
 from collections.abc import Mapping
 from dataclasses import MISSING, fields, is_dataclass
-from enum import Enum
 from pathlib import Path
 from types import NoneType, UnionType
 from typing import Any, get_args, get_origin, get_type_hints
 
 from kinebench_drake.anomaly import Anomaly
-from kinebench_drake.io.jsonl import Json
 from kinebench_drake.results.record import UNKNOWN
 from kinebench_drake.results.row import ANOMALIES, KEYS, Metrics, SampleRow
 
@@ -25,8 +23,8 @@ _BEGIN = "<!-- keys -->\n"
 _END = "<!-- end of keys -->\n"
 _INTERNAL = (UNKNOWN, "keys", "line")
 """Fields of records that are no keys."""
-_NUMBER: Mapping[str, Json] = {"type": ["number", "null"]}
-_PLAIN: Mapping[object, Mapping[str, Json]] = {
+_NUMBER: Mapping[str, Any] = {"type": ["number", "null"]}
+_PLAIN: Mapping[object, Mapping[str, Any]] = {
     str: {"type": "string"},
     int: {"type": "integer"},
     bool: {"type": "boolean"},
@@ -35,7 +33,7 @@ _PLAIN: Mapping[object, Mapping[str, Json]] = {
 }
 
 
-def make_schema() -> dict[str, Json]:
+def make_schema() -> dict[str, Any]:
     """Return the JSON schema of a line."""
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", "title": "samples.jsonl", **_object(SampleRow)}
 
@@ -43,7 +41,6 @@ def make_schema() -> dict[str, Json]:
 def make_table() -> str:
     """Return the table of keys, in Markdown."""
     properties = _object(SampleRow)["properties"]
-    assert isinstance(properties, Mapping)
     rows = [f"| `{key}` | {_name_type(about)} | {about['description']} |" for key, about in properties.items()]
     return "\n".join(["| key | type | meaning |", "| --- | --- | --- |", *rows]) + "\n"
 
@@ -56,7 +53,7 @@ def write_files(root: Path) -> None:
     page.write_text(before + _BEGIN + "\n" + make_table() + "\n" + _END + rest.partition(_END)[2])
 
 
-def _object(kind: Any) -> dict[str, Json]:
+def _object(kind: Any) -> dict[str, Any]:
     """Return the schema of a record; its docstrings are the descriptions."""
     hints = get_type_hints(kind)
     meanings = _describe_fields(kind)
@@ -66,7 +63,7 @@ def _object(kind: Any) -> dict[str, Json]:
     return {"type": "object", "properties": properties, "required": required}
 
 
-def _schema(annotation: Any) -> Mapping[str, Json]:
+def _schema(annotation: Any) -> Mapping[str, Any]:
     """Return the schema of a type; a number that is not finite is null."""
     arguments = get_args(annotation)
     if annotation in _PLAIN:
@@ -82,11 +79,11 @@ def _schema(annotation: Any) -> Mapping[str, Json]:
             "properties": {ANOMALIES: anomalies},
             "additionalProperties": {"type": ["number", "boolean", "null"]},
         }
+    if get_origin(annotation) is not None:
+        return {"type": "object"}
     if is_dataclass(annotation):
         return _object(annotation)
-    if isinstance(annotation, type) and issubclass(annotation, Enum):
-        return {"enum": [member.value for member in annotation]}
-    return {"type": "object"}
+    return {"type": "string", "enum": [member.value for member in annotation]}
 
 
 def _describe_fields(kind: type) -> dict[str, str]:
@@ -103,13 +100,9 @@ def _describe_fields(kind: type) -> dict[str, str]:
 
 def _name_type(schema: Mapping[str, Any]) -> str:
     """Return a type in words, without null."""
-    kinds = [own for each in schema.get("anyOf", [schema]) for own in _list_types(each) if own != "null"]
-    return " or ".join(dict.fromkeys(kinds))
-
-
-def _list_types(schema: Mapping[str, Any]) -> list[str]:
-    kind = schema.get("type", "string")
-    return kind if isinstance(kind, list) else [kind]
+    types = [each["type"] for each in schema.get("anyOf", [schema])]
+    names = [name for own in types for name in ([own] if isinstance(own, str) else own) if name != "null"]
+    return " or ".join(names)
 
 
 if __name__ == "__main__":
