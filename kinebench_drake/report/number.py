@@ -101,18 +101,10 @@ class NumberComparison:
         return self.paired.p_value if self.paired else sign_test(*self.better)
 
 
-def value_of(row: SampleRow, name: str) -> float | None:
-    """Return a number of a row, truth values as 0 or 1; None if it was not measured."""
-    return _to_number(row, row.value(name))
-
-
 def worst_of(row: SampleRow, name: str) -> float | None:
     """Return the worst that a number of a row can be, whatever happens in lost frames; None if there is no worst."""
-    return _to_number(row, row.bound(name))
-
-
-def _to_number(row: SampleRow, value: float | None) -> float | None:
-    return float(value) if row.status is Status.OK and value is not None else None
+    bound = row.bound(name)
+    return float(bound) if row.status is Status.OK and bound is not None else None
 
 
 def compare_numbers(pairs: Sequence[RowsPair], first: str, second: str, part: str = "") -> list[NumberComparison]:
@@ -130,7 +122,7 @@ def compare_numbers(pairs: Sequence[RowsPair], first: str, second: str, part: st
     comparisons = []
     for task, own, names in groups:
         for name in names:
-            if any(value_of(row, name) is not None for pair in pairs for rows in pair for row in rows):
+            if any(row.number(name) is not None for pair in pairs for rows in pair for row in rows):
                 compared = _compare(NUMBERS[name], own, part=part, task=task, first=first, second=second)
                 comparisons.append(compared)
     adjusted = {
@@ -150,9 +142,8 @@ def _compare(metric: Metric, pairs: Sequence[RowsPair], **labels: str) -> Number
     """
     share = metric.name in SHARES
     sign = -1.0 if metric.name in LOWER_IS_BETTER else 1.0
-    samples, bounds = (
-        [[[read(row, metric.name) for row in rows] for rows in pair] for pair in pairs] for read in (value_of, worst_of)
-    )
+    samples = [[[row.number(metric.name) for row in rows] for rows in pair] for pair in pairs]
+    bounds = [[[worst_of(row, metric.name) for row in rows] for rows in pair] for pair in pairs]
     every = [v for pair in (*samples, *bounds) for rows in pair for v in rows if v is not None]
     worst = 0.0 if share else sign * min(sign * v for v in every) if every else math.nan
     filled = _average(bounds, worst)
@@ -164,7 +155,7 @@ def _compare(metric: Metric, pairs: Sequence[RowsPair], **labels: str) -> Number
     means = [_mean(own, share) for own in complete.T.tolist()]
     repeats = max(len(rows) for pair in pairs for rows in pair)
     if metric.name in RANKING:
-        most = [[[float(value_of(row, metric.name) != 0.0) for row in rows] for rows in pair] for pair in pairs]
+        most = [[[float(row.number(metric.name) != 0.0) for row in rows] for rows in pair] for pair in pairs]
         means = [replace(m, upper=float(u)) for m, u in zip(means, _average(most, 1.0).mean(axis=0), strict=True)]
     return NumberComparison(
         **labels,

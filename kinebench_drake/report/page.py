@@ -183,7 +183,7 @@ def _count_metrics(rows: Sequence[SampleRow], total: Aggregate, layout: MetricLa
     for name in dict.fromkeys((*layout.headlines, *layout.columns)):
         if _is_measured(total, name):
             values = [
-                (verdict, numeric_value(row, name) if row.status is Status.OK else None)
+                (verdict, row.number(name))
                 for row, verdict in zip(rows, verdicts, strict=True)
                 if not isinstance(row.value(name), bool)
             ]

@@ -12,7 +12,6 @@ from kinebench_drake.report.number import (
     RowPair,
     compare_numbers,
     tabulate_numbers,
-    value_of,
 )
 from kinebench_drake.report.page_parts import choose_listed, list_links, write_parts
 from kinebench_drake.report.run import Run
@@ -105,7 +104,7 @@ def tabulate_samples(samples: Sequence[ModelSample]) -> Table:
             *(s.model, s.run.name, s.row.id, s.row.video, s.row.task),
             s.row.seed,
             *(s.row.status.value, s.row.reason, verdict_of(s.row)),
-            *(value_of(s.row, name) for name in NUMBERS),
+            *(s.row.number(name) for name in NUMBERS),
         )
         for s in samples
     )

@@ -6,6 +6,7 @@ Keys that a class does not have, those of newer versions, are its field `unknown
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import MISSING, Field, is_dataclass
 from enum import Enum
 from functools import lru_cache
@@ -118,19 +119,16 @@ def _converter(annotation: Any) -> Converter:
 
 def _union_converter(inner: Sequence[Converter]) -> Converter:
     """Return the converter to the first type that fits; None is None."""
-    if len(inner) == 1:
-        only = inner[0]
-        return lambda value: None if value is None else only(value)
 
-    def convert_any(value: Any) -> Any:
-        for attempt in inner[:-1]:
-            try:
-                return None if value is None else attempt(value)
-            except TypeError:
-                continue
-        return None if value is None else inner[-1](value)
+    def convert_first(value: Any) -> Any:
+        if value is None:
+            return None
+        for attempt in inner:
+            with suppress(TypeError):
+                return attempt(value)
+        raise TypeError
 
-    return convert_any
+    return convert_first
 
 
 def _checked(value: Any, *kinds: type) -> Any:

@@ -367,6 +367,11 @@ class SampleRow:
             return cast(float | None, getattr(self, name))
         return self.metrics.number(name)
 
+    def number(self, name: str) -> float | None:
+        """Return a value as a number, truth values as 0 or 1; None if it, or the sample, is not measured."""
+        value = self.value(name)
+        return float(value) if self.status is Status.OK and value is not None else None
+
     def bound(self, name: str) -> float | None:
         """Return the worst that a value can be, by which samples are compared: itself unless frames are lost."""
         return self.metrics.number(name + BOUND) if name + BOUND in self.metrics else self.value(name)

@@ -107,8 +107,7 @@ class EpisodeResult:
 
     def metric(self, name: str) -> float | None:
         """Return an outcome or a metric, a truth value as 0 or 1; None if not measurable."""
-        value = self.row.value(name)
-        return float(value) if self.row.status is Status.OK and value is not None else None
+        return self.row.number(name)
 
 
 def group_by_run(episodes: Iterable[EpisodeResult]) -> list[tuple[SuitePart, str, list[EpisodeResult]]]:

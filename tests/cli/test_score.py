@@ -61,7 +61,9 @@ def test_every_kind_of_sample_becomes_a_row(film, config, tmp_path):
     for id in ("good", "bad"):  # what is null has a reason, what is not has none
         assert set(rows[id].null_reasons) == {name for name, value in rows[id].metrics.items() if value is None}
         assert all(rows[id].null_reasons.values())
-    assert rows["bad"].metrics["anomalies"] == [{"kind": "vanish", "frame_start": 4, "frame_end": 5, "severity": 2.0}]
+    assert [(a.kind.value, a.frame_start, a.frame_end, a.severity) for a in rows["bad"].anomalies] == [
+        ("vanish", 4, 5, 2.0)
+    ]
     assert {p.stem for p in (tmp_path / "out" / "tracks").iterdir()} == {"good", "bad"}
     aggregates = json.loads((tmp_path / "out" / "results.json").read_text())["aggregates"]
     assert aggregates["feasible"]["n"] == 2
