@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from kinebench_drake.anomaly import Anomaly, AnomalyKind
 from kinebench_drake.errors import SetupError, UsageError
 from kinebench_drake.io.reader import read_video
 from kinebench_drake.models.panda.description import GripperKind
@@ -61,7 +62,8 @@ def test_every_kind_of_sample_becomes_a_row(film, config, tmp_path):
     for id in ("good", "bad"):  # what is null has a reason, what is not has none
         assert set(rows[id].null_reasons) == {name for name, value in rows[id].metrics.items() if value is None}
         assert all(rows[id].null_reasons.values())
-    assert rows["bad"].metrics["anomalies"] == [{"kind": "vanish", "frame_start": 4, "frame_end": 5, "severity": 2.0}]
+    vanish = Anomaly(kind=AnomalyKind.VANISH, frame_start=4, frame_end=5, severity=2.0)
+    assert rows["bad"].metrics["anomalies"] == (vanish,)
     assert {p.stem for p in (tmp_path / "out" / "tracks").iterdir()} == {"good", "bad"}
     aggregates = json.loads((tmp_path / "out" / "results.json").read_text())["aggregates"]
     assert aggregates["feasible"]["n"] == 2
