@@ -38,7 +38,7 @@ def test_without_a_base_frame_only_smoothness_and_anomalies_are_measured(config,
     assert row.executable is None
     assert row.executable_reasons == ("undecided",)
     assert row.camera_source == "none"
-    assert row.trust["level"] == "unknown"
+    assert row.trust.level == "unknown"
     with np.load(tmp_path / "out" / "tracks" / "wide.npz") as track:
         assert np.isnan(track["base_from_tcp"]).all()
         assert np.isfinite(track["camera_from_hand"]).all()
