@@ -55,10 +55,10 @@ def test_a_file_changed_during_its_audit_is_audited_again_by_the_next_run(run, s
             path.unlink()
     evaluate = TrajectoryEvaluator.evaluate
 
-    def change(self, sample, analyzer):
-        evaluation = evaluate(self, sample, analyzer)
+    def change(self, sample, resources, row):
+        completed = evaluate(self, sample, resources, row)
         np.savez(sample.path, t_s=T_S, q=Q + 1.0)
-        return evaluation
+        return completed
 
     with monkeypatch.context() as patch:
         patch.setattr(TrajectoryEvaluator, "evaluate", change)
