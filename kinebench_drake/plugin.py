@@ -11,7 +11,7 @@ from types import ModuleType
 from kinebench_drake.errors import UsageError
 
 BENCHMARK = "kinebench_drake.suites.entry"
-"""Module of the benchmark (`runs.benchmark`); nothing outside `suites` imports it."""
+"""Module of the benchmark (`runs.benchmark_registry`); nothing outside `suites` imports it."""
 _CLASS = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*")
 
 

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from kinebench_drake.runs.benchmark import Benchmark
+from kinebench_drake.runs.benchmark_registry import Benchmark
 
 if TYPE_CHECKING:
     import click

@@ -11,7 +11,7 @@ from kinebench_drake.errors import KinebenchError, name_arguments
 from kinebench_drake.results.store import require_output
 from kinebench_drake.runs import audit, score
 from kinebench_drake.runs.audit import AuditConfig
-from kinebench_drake.runs.benchmark import load_benchmark
+from kinebench_drake.runs.benchmark_registry import load_benchmark
 from kinebench_drake.runs.config import ScoreConfig
 from kinebench_drake.runs.runner import NullRunObserver, RunObserver, RunSummary
 

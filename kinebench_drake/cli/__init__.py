@@ -53,7 +53,7 @@ class LazyGroup(click.Group):
         if cmd_name not in _COMMANDS:
             return None
         if cmd_name == "suite":
-            from kinebench_drake.runs.benchmark import load_benchmark
+            from kinebench_drake.runs.benchmark_registry import load_benchmark
 
             return load_benchmark().commands()
         module = importlib.import_module(f"{__name__}.{_COMMANDS[cmd_name][0]}")

@@ -16,7 +16,7 @@ def doctor(ctx: click.Context, fix: bool, dry_run: bool) -> None:
     """
     from kinebench_drake.environment.doctor import render, run_checks
     from kinebench_drake.environment.repair import repair_environment
-    from kinebench_drake.runs.benchmark import load_benchmark
+    from kinebench_drake.runs.benchmark_registry import load_benchmark
 
     if dry_run and not fix:
         raise click.UsageError("--dry-run goes with --fix")

@@ -52,7 +52,7 @@ def compare(folders: tuple[Path, ...], out: Path | None) -> None:
     """
     from kinebench_drake.report.run import read_runs
     from kinebench_drake.report.sample_comparison import compare_samples
-    from kinebench_drake.runs.benchmark import load_benchmark
+    from kinebench_drake.runs.benchmark_registry import load_benchmark
     from kinebench_drake.runs.config import RunKind
 
     runs = read_runs(folders)

@@ -80,6 +80,6 @@ def leaderboard(files: tuple[Path, ...], out: Path) -> None:
     a lower and an upper bound; models are compared by paired tests.
     """
     from kinebench_drake.report.leaderboard import write_leaderboard
-    from kinebench_drake.runs.benchmark import load_benchmark
+    from kinebench_drake.runs.benchmark_registry import load_benchmark
 
     echo(write_leaderboard(files, out, load_benchmark().rank))

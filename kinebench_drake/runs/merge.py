@@ -21,7 +21,7 @@ from kinebench_drake.results.store import (
     read_rows,
     require_output,
 )
-from kinebench_drake.runs.benchmark import load_benchmark
+from kinebench_drake.runs.benchmark_registry import load_benchmark
 from kinebench_drake.runs.config import RunKind
 from kinebench_drake.runs.resume import SCHEMA_VERSION
 from kinebench_drake.runs.runner import NullRunObserver, RunObserver, RunSummary, close_run, summarize

@@ -28,17 +28,16 @@ from kinebench_drake.results.trackfile import write_track
 from kinebench_drake.runs.action_export import require_own_folder, write_actions
 from kinebench_drake.runs.config import AUTO, ScoreConfig, period_warnings
 from kinebench_drake.runs.evaluator import KINEMATIC_METRICS, Evaluator, fail_row, judge_row
+from kinebench_drake.runs.frame_period import TimedFrames, time_frames
 from kinebench_drake.runs.gate import close_gate
 from kinebench_drake.runs.pictures import encode_strip, worst_frame
 from kinebench_drake.runs.preparation import (
-    TimedFrames,
     camera_frame_metrics,
     filmed_pictures,
     ground_sample,
     override_names,
     read_sample,
     row_warnings,
-    time_frames,
     with_camera_option,
     with_initial_states,
 )

@@ -9,7 +9,7 @@ from kinebench_drake.report.leaderboard import write_leaderboard
 from kinebench_drake.results.bundle import write_bundle
 from kinebench_drake.results.row import Status
 from kinebench_drake.results.store import ResultStore
-from kinebench_drake.runs.benchmark import load_benchmark
+from kinebench_drake.runs.benchmark_registry import load_benchmark
 from kinebench_drake.stats import PairedShares
 from tests.report.pages import BROWSER, EVIL, Page, probe, row
 from tests.report.test_browser import PICTURE
