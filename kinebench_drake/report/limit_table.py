@@ -2,10 +2,11 @@
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from kinebench_drake.anomaly import Anomaly
 from kinebench_drake.geometry import Array
 from kinebench_drake.models.robot import N_JOINTS
 from kinebench_drake.results.details import RateCheck, read_details
@@ -104,7 +105,7 @@ def find_peaks(row: SampleRow, file: TrackFile | None) -> list[LimitPeak]:
         row: violations and details; the checks in `details` take precedence over the curves of the file.
         file: the track; None if there is none: violations then have frames instead of times.
     """
-    violations = [_violation_peak(v, file.track.t_s if file else None) for v in row.violations]
+    violations = [locate_fault(v, file.track.t_s if file else None) for v in row.violations]
     kinds = {peak.kind for peak in violations}
     others = [peak for peak in _unbroken_peaks(row, file) if peak.kind not in kinds] if file else []
     return violations + sorted(others, key=lambda peak: 0.0 if peak.ratio is None else -peak.ratio)
@@ -118,7 +119,7 @@ def find_checks(row: SampleRow) -> dict[str, RateCheck]:
 
 def describe_violation(violation: Violation) -> str:
     """Describe a violation of a row in a clause: kind, joint, value and limit with their unit, frames."""
-    peak = _violation_peak(violation, None)
+    peak = locate_fault(violation, None)
     joint = "" if peak.joint is None else f" of {peak.joint}"
     numbers = "" if None in (peak.value, peak.limit) else f", {peak.value:.4g} {peak.unit} (limit {peak.limit:.4g})"
     return f"{peak.label}{joint}{numbers}, {peak.when}"
@@ -130,21 +131,33 @@ def in_unit(kind: str, value: float) -> tuple[float, str]:
     return value * factor, unit
 
 
-def _violation_peak(v: Violation, t_s: Array | None) -> LimitPeak:
-    factor, unit = _SHOWN.get(v.unit, (1.0, ""))
-    is_inside = t_s is not None and 0 <= v.frame_start < len(t_s)
-    is_number = math.isfinite(v.value) and math.isfinite(v.limit)
-    return LimitPeak(
-        kind=v.kind.value,
-        label=v.kind.value.replace("_", " "),
+def locate_fault(fault: Violation | Anomaly, t_s: Array | None) -> LimitPeak:
+    """Return the worst moment of a violation, or of an anomaly, which has no value and no limit."""
+    kind = fault.kind.value
+    is_inside = t_s is not None and 0 <= fault.frame_start < len(t_s)
+    peak = LimitPeak(
+        kind=kind,
+        label=kind.replace("_", " "),
         broken=True,
-        joint=v.joint if v.body is None else f"{v.link} with {v.body}",
-        when=_format_span(v.frame_start, v.frame_end, t_s),
-        offset_s=float(t_s[v.frame_start] - t_s[0]) if is_inside else None,  # type: ignore[index]
-        value=v.value * factor if is_number else None,
-        limit=v.limit * factor if is_number else None,
+        joint=None,
+        when=_format_span(fault.frame_start, fault.frame_end, t_s),
+        offset_s=float(t_s[fault.frame_start] - t_s[0]) if is_inside else None,  # type: ignore[index]
+        value=None,
+        limit=None,
+        unit="",
+        ratio=None,
+    )
+    if isinstance(fault, Anomaly):
+        return peak
+    factor, unit = _SHOWN.get(fault.unit, (1.0, ""))
+    is_number = math.isfinite(fault.value) and math.isfinite(fault.limit)
+    return replace(
+        peak,
+        joint=fault.joint if fault.body is None else f"{fault.link} with {fault.body}",
+        value=fault.value * factor if is_number else None,
+        limit=fault.limit * factor if is_number else None,
         unit=unit,
-        ratio=abs(v.value / v.limit) if v.kind.value in RATES and is_number and v.limit else None,
+        ratio=abs(fault.value / fault.limit) if kind in RATES and is_number and fault.limit else None,
     )
 
 

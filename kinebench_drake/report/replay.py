@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 from pydrake.geometry import Box, Capsule, Convex, Cylinder, Ellipsoid, Mesh, Meshcat, MeshcatParams, Role, Sphere
 from pydrake.multibody.tree import BodyIndex
 
-from kinebench_drake.anomaly import Anomaly
 from kinebench_drake.errors import SetupError, UnmeasurableError, UsageError, cause
 from kinebench_drake.geometry import Array
 from kinebench_drake.io.atomic import write_atomically
 from kinebench_drake.io.jsonl import as_object
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.models.panda.cad import simplify
+from kinebench_drake.report.limit_table import locate_fault
 from kinebench_drake.report.replay_scene import PATH_COLOR, LinkMesh, draw_scene, pose_links, posed_frames
 from kinebench_drake.report.run import read_results
 from kinebench_drake.report.table import template_environment
@@ -28,7 +28,6 @@ from kinebench_drake.results.row import SampleRow
 from kinebench_drake.results.store import artifact_path, read_rows
 from kinebench_drake.results.trackfile import TrackFile, read_track
 from kinebench_drake.segments import finite_rows
-from kinebench_drake.violation import Violation
 
 MAX_TRIANGLES = 1600
 """Triangles that a link is simplified to."""
@@ -116,12 +115,11 @@ def _start_server() -> Any:
 def _add_controls(html: str, row: SampleRow, file: TrackFile) -> str:
     """Add title and controls to Meshcat's page, and forbid it network access."""
     t_s = file.track.t_s
-    faults: list[Violation | Anomaly] = [*row.violations, *row.anomalies]
     panel = template_environment().get_template("replay.html.j2")
     controls = panel.render(
         id=row.id,
         verdict=describe_verdict(row),
-        faults=[_describe(fault, t_s) for fault in faults],
+        faults=[locate_fault(fault, t_s) for faults in (row.violations, row.anomalies) for fault in faults],
         start=float(t_s[0]),
         duration=float(t_s[-1] - t_s[0]),
         has_arm=bool(finite_rows(file.q).any()),
@@ -131,14 +129,6 @@ def _add_controls(html: str, row: SampleRow, file: TrackFile) -> str:
     html = html.replace("<title>Drake MeshCat</title>", f"<title>{escape(row.id)} · kinebench-drake</title>", 1)
     before, end, after = html.rpartition("</body>")
     return before + controls + end + after
-
-
-def _describe(fault: Violation | Anomaly, t_s: Array) -> tuple[str, float]:
-    """Return the text of a fault, and its start after the track's start [s]."""
-    first, last = (min(max(k, 0), len(t_s) - 1) for k in (fault.frame_start, fault.frame_end))
-    joint = f", {fault.joint}" if isinstance(fault, Violation) and fault.joint is not None else ""
-    span = f"{t_s[first]:.2f}" if first == last else f"{t_s[first]:.2f} to {t_s[last]:.2f}"
-    return f"{fault.kind.value.replace('_', ' ')}{joint}: {span} s", float(t_s[first] - t_s[0])
 
 
 def link_meshes(plant: ArmPlant) -> tuple[LinkMesh, ...]:
