@@ -219,7 +219,7 @@ def judge_row(
         executable_reasons=obstacles,
         violations=verdict.violations if verdict else (),
         null_reasons=_null_reasons(row.metrics, reasons, kinematics, is_judged=verdict is not None),
-        details=kinematics.details if kinematics else {},
+        details=dict(kinematics.details) if kinematics else {},
     )
 
 

@@ -98,13 +98,13 @@ def test_a_violation_names_link_body_frames_and_depth(tmp_path: Path) -> None:
     plant = make_plant(tmp_path, PLATE)
     q = turn(-0.6, 0.61, 12)
     result = TrackJudge(plant).judge_joints(0.2 * np.arange(12), q, np.full(12, 0.04))
-    hits = [v.to_json() for v in result.violations if v.kind is ViolationKind.OBSTACLE_COLLISION]
+    hits = [v for v in result.violations if v.kind is ViolationKind.OBSTACLE_COLLISION]
     assert result.feasible is False
-    assert {hit["body"] for hit in hits} == {"plate"}
-    [hand] = [hit for hit in hits if hit["link"] == "panda_hand"]
-    assert hand["frame_start"] <= 5
-    assert hand["frame_end"] >= 6
-    assert hand["value"] < -TOLERANCE_M
+    assert {hit.body for hit in hits} == {"plate"}
+    [hand] = [hit for hit in hits if hit.link == "panda_hand"]
+    assert hand.frame_start <= 5
+    assert hand.frame_end >= 6
+    assert hand.value < -TOLERANCE_M
     assert result.metrics["self_distance_min_m"] > 0.05
 
 

@@ -200,8 +200,8 @@ def test_a_track_without_a_reached_frame_has_no_manipulability(judge: TrackJudge
     assert result.metrics["trajopt_feasible"] in (None, False)
 
 
-def _anomaly(kind: AnomalyKind, first: int, last: int) -> dict[str, Any]:
-    return Anomaly(kind=kind, frame_start=first, frame_end=last, severity=1.0).to_json()
+def _anomaly(kind: AnomalyKind, first: int, last: int) -> Anomaly:
+    return Anomaly(kind=kind, frame_start=first, frame_end=last, severity=1.0)
 
 
 @pytest.mark.parametrize(

@@ -34,8 +34,8 @@ def test_the_lag_of_targets_and_of_deltas_is_found(lag: int) -> None:
     deltas = find_action_lag(states, 7.0 * changes[at], PERIOD_S)
     assert targets is not None
     assert deltas is not None
-    assert (targets["frames"], deltas["frames"]) == (lag, lag)
-    assert targets["tolerance"] < 9
+    assert (targets.frames, deltas.frames) == (lag, lag)
+    assert targets.tolerance < 9
 
 
 @pytest.mark.parametrize("action", [np.zeros((160, 8)), np.random.default_rng(1).normal(size=(160, 8))])

@@ -1,6 +1,7 @@
 import pytest
 
-from kinebench_drake.metrics.trust import TRUST, TrustLevel, assess_trust, trust_lines
+from kinebench_drake.metrics.trust import TrustLevel, assess_trust, trust_lines
+from tests.rows import make_row
 
 EXTRA = {
     "camera_state": "named",
@@ -15,8 +16,8 @@ METRICS = {"tracked_fraction": 1.0, "confidence_mean": 0.97}
 
 
 def test_a_sample_without_doubts_is_solid_and_its_line_lists_the_evidence():
-    trust = assess_trust(EXTRA, METRICS, PERIOD, is_measured=True)
-    assert trust.level is TrustLevel.SOLID
+    trust = assess_trust(make_row(metrics=METRICS, extra=EXTRA), PERIOD, is_measured=True)
+    assert trust.level == TrustLevel.SOLID.value
     assert trust.line == (
         "solid: nothing speaks against it (camera named, 72% of the arm's contours on image edges; look familiar; mean "
         "confidence 0.97; frame period 0.2 s, from the manifest; 0 of 49 frames not measured)"
@@ -39,23 +40,28 @@ def test_a_sample_without_doubts_is_solid_and_its_line_lists_the_evidence():
     ],
 )
 def test_each_doubt_lowers_the_trust_level_and_is_its_reason(extra, metrics, is_measured, level, reason):
-    trust = assess_trust({**EXTRA, **extra}, {**METRICS, **metrics}, PERIOD, is_measured=is_measured)
-    assert trust.level is level
+    trust = assess_trust(
+        make_row(metrics={**METRICS, **metrics}, extra={**EXTRA, **extra}), PERIOD, is_measured=is_measured
+    )
+    assert trust.level == level.value
     assert reason in trust.reason
 
 
 def test_the_trust_line_of_an_unknown_base_frame_states_its_evidence():
     trust = assess_trust(
-        {**EXTRA, "camera_state": "none", "base_frame_reason": "72% against 56%"}, METRICS, PERIOD, is_measured=True
+        make_row(metrics=METRICS, extra={**EXTRA, "camera_state": "none", "base_frame_reason": "72% against 56%"}),
+        PERIOD,
+        is_measured=True,
     )
     assert trust.reason == "the base frame is unknown"
     assert trust.line.startswith("unknown: 72% against 56% (")
 
 
 def test_the_trust_line_of_a_run_counts_levels_with_their_reasons():
-    rows = [EXTRA, EXTRA, {**EXTRA, "camera_state": "none"}, {**EXTRA, "domain": "unfamiliar"}]
-    assessed = [{TRUST: assess_trust(extra, METRICS, PERIOD, is_measured=True).to_json()} for extra in rows]
-    assert trust_lines([*assessed, {}]) == [
+    labels = [EXTRA, EXTRA, {**EXTRA, "camera_state": "none"}, {**EXTRA, "domain": "unfamiliar"}]
+    rows = [make_row(metrics=METRICS, extra=extra) for extra in labels]
+    assessed = [row.extended(trust=assess_trust(row, PERIOD, is_measured=True)) for row in rows]
+    assert trust_lines([*assessed, make_row()]) == [
         "trust: 2 solid, 1 check (the look is unfamiliar: 1), 1 unknown (the base frame is unknown: 1)"
     ]
-    assert trust_lines([{}]) == []
+    assert trust_lines([make_row()]) == []

@@ -83,6 +83,9 @@ def test_a_seed_gives_the_same_motion_regardless_of_earlier_episodes(simulator: 
 def test_gymnasium_make_composes_the_same_episodes_as_the_simulator(simulator: Simulator) -> None:
     import gymnasium
 
+    from kinebench_drake.suites.scene.environment import register
+
+    register()
     simulator.reset(compose(TASK, 9))
     expected = simulator.scene()
     env = gymnasium.make(

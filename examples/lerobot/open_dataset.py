@@ -3,7 +3,7 @@
 Written for lerobot 0.4.1 (torch 2.7.1, Python 3.11) in an environment of its own, without this project:
 
     python -m venv lerobot-env; lerobot-env/bin/pip install lerobot==0.4.1
-    lerobot-env/bin/python examples/open_with_lerobot.py DIR/lerobot [TRUTH.npz ...]
+    lerobot-env/bin/python examples/lerobot/open_dataset.py DIR/lerobot [TRUTH.npz ...]
 
 TRUTH holds the true `base_from_tcp` (T, 4, 4) of each episode in turn, as the files of examples/videos/truth/. Prints
 what was read and how far the replayed motion is from the recorded poses and from the truth; fails where the data set is
