@@ -5,7 +5,7 @@ tell what its numbers are (`Storage.decidable`): these should be judged. Of the 
 but not be judged as what they are not.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from enum import Enum
 from functools import partial
@@ -18,13 +18,11 @@ from benchmarks.markdown import percent, table
 from benchmarks.motion import Arm
 from benchmarks.planted import PLANTERS
 from benchmarks.trajectory import REASONS, Trajectory, TrajectoryKind
-from kinebench_drake.errors import KinebenchError
-from kinebench_drake.executors.base import WorkerCrash
-from kinebench_drake.executors.local import LocalExecutor
+from benchmarks.trials import run_all
 from kinebench_drake.formats.trajectories.reading import TOOLS
 from kinebench_drake.geometry import Array, invert, to_quaternion
 from kinebench_drake.io.jsonl import as_object, read_lines, write_lines
-from kinebench_drake.results.row import SampleRow, Status
+from kinebench_drake.results.row import SampleRow
 
 TRUTH = "recordings.jsonl"
 """Name of the file with the ground truth, beside the recordings."""
@@ -207,20 +205,16 @@ def write_recordings(out: Path, count: int, seed: int, jobs: int) -> Iterator[Re
     out.mkdir(parents=True, exist_ok=True)
     truths: list[Recording] = []
     for faulty in (False, True):
-        for outcome in LocalExecutor(jobs=jobs).run(partial(_Writer, seed, faulty, out), range(count)):
-            if isinstance(outcome, WorkerCrash):
-                raise KinebenchError(f"recording {outcome.item} could not be drawn")
-            truths.append(outcome.result)
-            yield outcome.result
+        for truth in run_all(partial(_Writer, seed, faulty, out), range(count), jobs):
+            truths.append(truth)
+            yield truth
     write_lines(out / TRUTH, [truth.to_json() for truth in sorted(truths, key=lambda truth: truth.file)])
 
 
 def read_recordings(out: Path) -> list[Recording]:
     """Read the ground truth of a folder."""
     return [
-        Recording(
-            file=str(row["file"]), storage=Storage(row["storage"]), kind=TrajectoryKind(row["kind"])
-        )
+        Recording(file=str(row["file"]), storage=Storage(row["storage"]), kind=TrajectoryKind(row["kind"]))
         for row in read_lines(out / TRUTH, as_object)
     ]
 
