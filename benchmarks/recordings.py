@@ -223,7 +223,7 @@ def recordings_table(rows: Sequence[SampleRow], truths: Sequence[Recording]) -> 
     """Return a table of verdicts by storage: clean and faulty motions judged, false and missed ones."""
     by_file: dict[str, list[SampleRow]] = {}
     for row in sorted(rows, key=lambda row: row.id):
-        by_file.setdefault(Path(row.video).name, []).append(row)
+        by_file.setdefault(Path(row.video).name.partition("#")[0], []).append(row)
     lines = []
     for storage in Storage:
         clean = [by_file.get(t.file, []) for t in truths if t.storage is storage and t.kind is TrajectoryKind.FEASIBLE]

@@ -32,6 +32,33 @@ def evenly(count: int, most: int) -> NDArray[np.intp]:
     return np.unique(np.linspace(0, count - 1, most).round().astype(np.intp))
 
 
+DIFFERENT_VALUES = 10
+"""Least number of different values that tell that all were rounded."""
+_HALF_EXACT = 0.125
+"""Values from which a number in half precision is told from one of five decimals."""
+
+
+def rounding_unit(values: Array) -> Array:
+    """Return the unit (N,) of the last digit of the columns of finite numbers (T, N); 0 where they were not rounded.
+
+    Numbers are rounded to two to six decimals, all columns alike, or to half precision, whose unit grows with them.
+    """
+    exact = np.abs(values[np.abs(values) >= _HALF_EXACT])
+    half = np.spacing(np.minimum(np.abs(values), 6e4).astype(np.float16)).astype(np.float64)
+    unit_of_half = np.spacing(np.minimum(exact, 6e4).astype(np.float16)).astype(np.float64)
+    if (
+        len(np.unique(exact)) >= DIFFERENT_VALUES
+        and (np.abs(exact - exact.astype(np.float16)) < 0.05 * unit_of_half).all()
+    ):
+        return np.asarray(half.max(axis=0))
+    for decimals in range(2, 7):
+        unit = 10.0**-decimals
+        rounded = values.round(decimals)
+        if len(np.unique(rounded)) >= DIFFERENT_VALUES and np.abs(values - rounded).max() < 0.05 * unit:
+            return np.full(values.shape[1], unit)
+    return np.zeros(values.shape[1])
+
+
 def frame_periods(t_s: Array) -> Array:
     """Return times (T,) [s] in frame periods since the first: frame numbers, unless frames are unevenly spaced."""
     numbers = np.arange(len(t_s), dtype=np.float64)

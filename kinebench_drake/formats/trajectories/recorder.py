@@ -18,15 +18,14 @@ LEAST_HELD_SHARE = 0.1
 LIKE_STEPS = 0.25
 """Least ratio of the steps before and after a held state: an arm that stops slows down before."""
 LEAST_UNITS = 3.0
-"""Least step before and after a held state, in units of the last decimal: rounding alone repeats rows of slow
-motions."""
+"""Least step before and after a held state, in least steps of a column: rounding alone repeats rows of slow motions."""
 EMPTY_JUMP = 0.1
 """Least jump [rad or m] between a row of zeros and its neighbour that tells that the row was never filled."""
 WRAP_SLACK_RAD = 0.5
 """Greatest distance of a jump of an angle from a full turn that is taken for a wrapped angle [rad]."""
 
 
-def find_held(values: Array, unit: float = 0.0) -> NDArray[np.bool_]:
+def find_held(values: Array) -> NDArray[np.bool_]:
     """Return the mask (T,) of rows that repeat a held state: all but its first row.
 
     A state is held if the rows are equal although the arm moves: the steps into it and out of it are alike. Where
@@ -34,22 +33,23 @@ def find_held(values: Array, unit: float = 0.0) -> NDArray[np.bool_]:
 
     Args:
         values: (T, N) numbers of each row.
-        unit: unit of the last decimal of rounded numbers; 0 if they are not rounded.
     """
     rows = len(values)
     held = np.zeros(rows, dtype=bool)
     if rows < 2:
         return held
-    step = np.abs(np.diff(values, axis=0)).max(axis=1)
+    change = np.abs(np.diff(values, axis=0))
+    step = change.max(axis=1)
+    units = (change / np.where(change > 0.0, change, np.inf).min(axis=0)).max(axis=1)
     starts = np.concatenate([[0], np.flatnonzero(step > 0.0) + 1])
     lengths = np.diff(np.append(starts, rows))
     if len(starts) < LEAST_HELD_RUNS + 2:
         return held
-    into = step[starts[1:-1] - 1]
-    out_of = step[starts[2:] - 1]
+    before = starts[1:-1] - 1
+    after = starts[2:] - 1
     inner = lengths[1:-1]
-    least = np.minimum(into, out_of)
-    alike = least >= np.maximum(LIKE_STEPS * np.maximum(into, out_of), LEAST_UNITS * unit)
+    alike = np.minimum(step[before], step[after]) >= LIKE_STEPS * np.maximum(step[before], step[after])
+    alike &= np.minimum(units[before], units[after]) >= LEAST_UNITS
     moving = alike & (inner <= MOST_HELD)
     repeats = moving & (inner > 1)
     if repeats.sum() < max(LEAST_HELD_RUNS, LEAST_HELD_SHARE * moving.sum()):
