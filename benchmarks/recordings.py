@@ -33,6 +33,8 @@ _EPISODES = 3
 """Episodes in one file: the motion, and clean ones after it."""
 _ZERO_ROWS = 2
 """Rows of zeros before a recorder has its first state."""
+_EPOCH_S = 1_700_000_000
+"""Time of the first row where clocks count from 1970 [s]."""
 _DEFAULT_Q = np.array([0.0, -np.pi / 4, 0.0, -3 * np.pi / 4, 0.0, np.pi / 2, np.pi / 4])
 """Posture whose joint angles are taken off: Franka's ready pose [rad]."""
 _SHUFFLED = (2, 0, 6, 4, 1, 5, 3)
@@ -111,13 +113,12 @@ class _Writer:
         if storage is Storage.EPISODES:
             others = [self._clean(rng, joints=trajectory.q is not None) for _ in range(_EPISODES - 1)]
         header, rows = store(storage, trajectory, others)
-        form = "%.5f" if storage is Storage.FLOAT16 else "%.2f" if storage is Storage.ROUNDED else "%.9g"
+        decimals = 2 if trajectory.q is not None else 3
+        form = {Storage.FLOAT16: "%.5f", Storage.ROUNDED: f"%.{decimals}f"}.get(storage, "%.9g")
         forms = ["%.9f", *[form] * (rows.shape[1] - 1)]
-        if storage is Storage.ROUNDED and trajectory.q is None:
-            forms = ["%.9f", *["%.3f"] * (rows.shape[1] - 1)]
         if storage is Storage.NANOSECONDS:
             forms[:2] = ["%d", "%d"]
-        if storage is Storage.EPISODES:
+        elif storage is Storage.EPISODES:
             forms[1] = "%d"
         np.savetxt(self._out / file, rows, delimiter=",", header=header, comments="", fmt=forms)
         return Recording(file=file, storage=storage, kind=kind)
@@ -143,57 +144,53 @@ class _Writer:
 def store(storage: Storage, trajectory: Trajectory, others: Sequence[Trajectory] = ()) -> tuple[str, Array]:
     """Return the header and the rows (T, N) of a table, times first."""
     t_s = trajectory.t_s
+    period_s = float(np.median(np.diff(t_s)))
     values = _values(storage, trajectory)
-    names = [f"joint_{k}" for k in range(1, 8)]
-    if trajectory.q is None:
-        names = ["x", "y", "z", *(("qx", "qy", "qz", "qw") if storage is Storage.QUATERNION_ORDER else ())]
-        names = names if len(names) == 7 else [*names, "qw", "qx", "qy", "qz"]
+    names = [f"joint_{k}" for k in range(1, 8)] if trajectory.q is not None else ["x", "y", "z", "qw", "qx", "qy", "qz"]
+    names.append("gripper_width")
+    times = ["t_s"]
     if storage is Storage.HELD:
-        step = float(np.median(np.diff(t_s))) / _HOLD
         values = np.repeat(values, _HOLD, axis=0)
-        t_s = step * np.arange(len(values))
+        t_s = period_s / _HOLD * np.arange(len(values))
     elif storage is Storage.ZEROS:
-        step = float(np.median(np.diff(t_s)))
         values = np.vstack([np.zeros((_ZERO_ROWS, values.shape[1])), values])
-        t_s = step * np.arange(len(values))
+        t_s = period_s * np.arange(len(values))
     elif storage is Storage.FLOAT16:
         values = values.astype(np.float16).astype(np.float64)
     elif storage is Storage.WRAPPED:
         values = (values + np.pi) % (2 * np.pi) - np.pi
     elif storage is Storage.ALPHABETICAL:  # panda_finger_joint1, panda_finger_joint2, panda_joint1, ...
-        fingers = np.repeat(0.5 * trajectory.finger_width_m[:, None], 2, axis=1)
-        values = np.hstack([fingers, values])
+        values = np.hstack([np.repeat(0.5 * values[:, 7:], 2, axis=1), values[:, :7]])
         names = [f"position_{k}" for k in range(9)]
     elif storage is Storage.SHUFFLED:
-        values = values[:, _SHUFFLED]
-        names = [names[k] for k in _SHUFFLED]
+        values = values[:, [*_SHUFFLED, 7]]
+        names = [names[k] for k in (*_SHUFFLED, 7)]
     elif storage is Storage.OFFSETS:
-        values = values - _DEFAULT_Q
-    if storage is Storage.QUATERNION_ORDER:  # named wxyz, stored xyzw
-        names = ["x", "y", "z", "qw", "qx", "qy", "qz"]
-    if storage is Storage.NANOSECONDS:
-        seconds = np.floor(t_s + 1.7e9)
-        nanos = np.round((t_s + 1.7e9 - seconds) * 1e9)
-        return ",".join(["secs", "nsecs", *names]), np.column_stack([seconds, nanos, values])
-    if storage is Storage.EPISODES:
+        values[:, :7] -= _DEFAULT_Q
+    elif storage is Storage.NANOSECONDS:
+        seconds = np.floor(t_s)
+        times = ["secs", "nsecs"]
+        t_s = np.column_stack([_EPOCH_S + seconds, np.round((t_s - seconds) * 1e9)])
+    elif storage is Storage.EPISODES:
         parts = [trajectory, *others]
-        index = np.concatenate([np.full(len(part.t_s), k) for k, part in enumerate(parts)])
-        times = np.concatenate([part.t_s for part in parts])
-        rows = np.concatenate([_values(storage, part) for part in parts])
-        return ",".join(["t_s", "episode_index", *names]), np.column_stack([times, index, rows])
-    return ",".join(["t_s", *names]), np.column_stack([t_s, values])
+        times = ["t_s", "episode_index"]
+        t_s = np.concatenate([np.column_stack([part.t_s, np.full(len(part.t_s), k)]) for k, part in enumerate(parts)])
+        values = np.concatenate([_values(storage, part) for part in parts])
+    return ",".join([*times, *names]), np.column_stack([t_s, values])
 
 
 def _values(storage: Storage, trajectory: Trajectory) -> Array:
+    """Return the joint angles, or positions and quaternions, and the gap of the fingers (T, 8)."""
+    width = trajectory.finger_width_m[:, None]
     if trajectory.q is not None:
-        return trajectory.q
+        return np.hstack([trajectory.q, width])
     X_BG = trajectory.X_BG
     if storage is Storage.FLANGE:
         X_BG = X_BG @ invert(TOOLS["flange"])
     quaternion = to_quaternion(X_BG[:, :3, :3])
-    if storage is Storage.QUATERNION_ORDER:
+    if storage is Storage.QUATERNION_ORDER:  # named wxyz, stored xyzw
         quaternion = quaternion[:, [1, 2, 3, 0]]
-    return np.hstack([X_BG[:, :3, 3], quaternion])
+    return np.hstack([X_BG[:, :3, 3], quaternion, width])
 
 
 def write_recordings(out: Path, count: int, seed: int, jobs: int) -> Iterator[Recording]:
