@@ -38,6 +38,7 @@ _HALF_EXACT = 0.125
 """Values from which a number in half precision is told from one of five decimals."""
 
 
+@np.errstate(over="ignore", invalid="ignore")
 def rounding_unit(values: Array) -> Array:
     """Return the unit (N,) of the last digit of the columns of finite numbers (T, N); 0 where they were not rounded.
 

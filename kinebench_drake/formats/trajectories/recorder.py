@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinebench_drake.geometry import Array
+from kinebench_drake.segments import finite_rows
 
 MOST_HELD = 20
 """Most rows for which a recorder holds one state of a moving arm: a 1,000 Hz log of a state at 50 Hz."""
@@ -25,6 +26,7 @@ WRAP_SLACK_RAD = 0.5
 """Greatest distance of a jump of an angle from a full turn that is taken for a wrapped angle [rad]."""
 
 
+@np.errstate(over="ignore", invalid="ignore")
 def find_held(values: Array) -> NDArray[np.bool_]:
     """Return the mask (T,) of rows that repeat a held state: all but its first row.
 
@@ -74,12 +76,16 @@ def find_empty(values: Array) -> NDArray[np.bool_]:
     return np.asarray(zero & (nearest > EMPTY_JUMP))
 
 
+@np.errstate(over="ignore", invalid="ignore")
 def unwrap(q: Array) -> tuple[Array, NDArray[np.bool_]]:
     """Return joint angles (T, N) [rad] without jumps of about a full turn, and which joints (N,) had some.
 
     Rows of NaN are passed over.
     """
-    known = np.isfinite(q).all(axis=1)
+    frames = np.flatnonzero(finite_rows(q))
+    steps = np.diff(q[frames], axis=0)
+    turns = np.round(steps / (2.0 * np.pi))
+    turns[np.abs(steps - 2.0 * np.pi * turns) > WRAP_SLACK_RAD] = 0.0
     continuous = q.copy()
-    continuous[known] = np.unwrap(q[known], discont=2.0 * np.pi - WRAP_SLACK_RAD, axis=0)
-    return continuous, np.asarray((np.abs(continuous - q) > np.pi).any(axis=0))
+    continuous[frames[1:]] -= 2.0 * np.pi * np.cumsum(turns, axis=0)
+    return continuous, np.asarray(turns.any(axis=0))
