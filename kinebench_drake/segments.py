@@ -33,9 +33,11 @@ def evenly(count: int, most: int) -> NDArray[np.intp]:
 
 
 DIFFERENT_VALUES = 10
-"""Least number of different values that tell that all were rounded."""
+"""Least number of different values with few decimals that show that all were rounded."""
 _HALF_EXACT = 0.125
-"""Values from which a number in half precision is told from one of five decimals."""
+"""Values from which the unit of half precision is coarse against five decimals."""
+_MOST_HALF = 6e4
+"""Numbers up to which there is half precision."""
 
 
 @np.errstate(over="ignore", invalid="ignore")
@@ -44,14 +46,12 @@ def rounding_unit(values: Array) -> Array:
 
     Numbers are rounded to two to six decimals, all columns alike, or to half precision, whose unit grows with them.
     """
-    exact = np.abs(values[np.abs(values) >= _HALF_EXACT])
-    half = np.spacing(np.minimum(np.abs(values), 6e4).astype(np.float16)).astype(np.float64)
-    unit_of_half = np.spacing(np.minimum(exact, 6e4).astype(np.float16)).astype(np.float64)
-    if (
-        len(np.unique(exact)) >= DIFFERENT_VALUES
-        and (np.abs(exact - exact.astype(np.float16)) < 0.05 * unit_of_half).all()
-    ):
-        return np.asarray(half.max(axis=0))
+    half = np.minimum(np.abs(values), _MOST_HALF).astype(np.float16)
+    units = np.spacing(half).astype(np.float64)
+    large = np.abs(values) >= _HALF_EXACT
+    off = np.abs(np.abs(values) - half)[large]
+    if len(np.unique(half[large])) >= DIFFERENT_VALUES and (off < 0.05 * units[large]).all():
+        return np.asarray(units.max(axis=0))
     for decimals in range(2, 7):
         unit = 10.0**-decimals
         rounded = values.round(decimals)

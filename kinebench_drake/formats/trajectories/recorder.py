@@ -13,7 +13,7 @@ from kinebench_drake.segments import finite_rows
 MOST_HELD = 20
 """Most rows for which a recorder holds one state of a moving arm: a 1,000 Hz log of a state at 50 Hz."""
 LEAST_HELD_RUNS = 3
-"""Fewest held states that tell of a recorder; fewer may be an arm that stopped for a frame."""
+"""Fewest states that a recorder held; fewer may be an arm that stopped for a frame."""
 LEAST_HELD_SHARE = 0.1
 """Least share of the states of a moving arm that are held."""
 LIKE_STEPS = 0.25
@@ -21,7 +21,7 @@ LIKE_STEPS = 0.25
 LEAST_UNITS = 3.0
 """Least step before and after a held state, in least steps of a column: rounding alone repeats rows of slow motions."""
 EMPTY_JUMP = 0.1
-"""Least jump [rad or m] between a row of zeros and its neighbour that tells that the row was never filled."""
+"""Least jump [rad or m] between a row of zeros and its neighbour, if the row was never filled."""
 WRAP_SLACK_RAD = 0.5
 """Greatest distance of a jump of an angle from a full turn that is taken for a wrapped angle [rad]."""
 
@@ -34,19 +34,19 @@ def find_held(values: Array) -> NDArray[np.bool_]:
     most states are held for about the same number of rows, an arm at rest keeps one row of as many.
 
     Args:
-        values: (T, N) numbers of each row.
+        values: (T, N) finite numbers.
     """
     rows = len(values)
-    held = np.zeros(rows, dtype=bool)
+    repeated = np.zeros(rows, dtype=bool)
     if rows < 2:
-        return held
+        return repeated
     change = np.abs(np.diff(values, axis=0))
     step = change.max(axis=1)
     units = (change / np.where(change > 0.0, change, np.inf).min(axis=0)).max(axis=1)
     starts = np.concatenate([[0], np.flatnonzero(step > 0.0) + 1])
     lengths = np.diff(np.append(starts, rows))
     if len(starts) < LEAST_HELD_RUNS + 2:
-        return held
+        return repeated
     before = starts[1:-1] - 1
     after = starts[2:] - 1
     inner = lengths[1:-1]
@@ -55,13 +55,13 @@ def find_held(values: Array) -> NDArray[np.bool_]:
     moving = alike & (inner <= MOST_HELD)
     repeats = moving & (inner > 1)
     if repeats.sum() < max(LEAST_HELD_RUNS, LEAST_HELD_SHARE * moving.sum()):
-        return held
+        return repeated
     usual = int(np.median(inner[moving]))
     for start, length, is_held in zip(starts, lengths, [False, *repeats, False], strict=True):
         keep_every = length if is_held else max(usual, 1)
         own = np.arange(length)
-        held[start : start + length] = own % keep_every != 0
-    return held
+        repeated[start : start + length] = own % keep_every != 0
+    return repeated
 
 
 def find_empty(values: Array) -> NDArray[np.bool_]:
