@@ -32,6 +32,34 @@ def evenly(count: int, most: int) -> NDArray[np.intp]:
     return np.unique(np.linspace(0, count - 1, most).round().astype(np.intp))
 
 
+DIFFERENT_VALUES = 10
+"""Least number of different values with few decimals that show that all were rounded."""
+_HALF_EXACT = 0.125
+"""Values from which the unit of half precision is coarse against five decimals."""
+_MOST_HALF = 6e4
+"""Numbers up to which there is half precision."""
+
+
+@np.errstate(over="ignore", invalid="ignore")
+def rounding_unit(values: Array) -> Array:
+    """Return the unit (N,) of the last digit of the columns of finite numbers (T, N); 0 where they were not rounded.
+
+    Numbers are rounded to two to six decimals, all columns alike, or to half precision, whose unit grows with them.
+    """
+    half = np.minimum(np.abs(values), _MOST_HALF).astype(np.float16)
+    units = np.spacing(half).astype(np.float64)
+    large = np.abs(values) >= _HALF_EXACT
+    off = np.abs(np.abs(values) - half)[large]
+    if len(np.unique(half[large])) >= DIFFERENT_VALUES and (off < 0.05 * units[large]).all():
+        return np.asarray(units.max(axis=0))
+    for decimals in range(2, 7):
+        unit = 10.0**-decimals
+        rounded = values.round(decimals)
+        if len(np.unique(rounded)) >= DIFFERENT_VALUES and np.abs(values - rounded).max() < 0.05 * unit:
+            return np.full(values.shape[1], unit)
+    return np.zeros(values.shape[1])
+
+
 def frame_periods(t_s: Array) -> Array:
     """Return times (T,) [s] in frame periods since the first: frame numbers, unless frames are unevenly spaced."""
     numbers = np.arange(len(t_s), dtype=np.float64)

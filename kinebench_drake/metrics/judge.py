@@ -43,6 +43,7 @@ from kinebench_drake.metrics.noise import (
     estimate_joint_noise,
     estimate_track_noise,
     propagate_noise,
+    rounding_deviation,
     smooth_poses,
 )
 from kinebench_drake.metrics.reach import (
@@ -162,7 +163,15 @@ class TrackJudge:
             position_error_m=error,
             rotation_error_rad=error,
         )
-        path = self._path(track, joints, sigma, *_noise(track))
+        noise, assumed = _noise(track)
+        moved = np.square(self._plant.chain.jacobians(q[valid])) @ np.square(rounding_deviation(q[valid]))
+        rotation_rad, position_m = np.sqrt(np.median(moved.reshape(-1, 2, 3).mean(axis=-1), axis=0)).tolist()
+        noise = replace(
+            noise,
+            position_m=max(noise.position_m, position_m),
+            rotation_rad=max(noise.rotation_rad, rotation_rad),
+        )
+        path = self._path(track, joints, sigma, noise, assumed)
         checks = check_limits(self._plant, t_s, path.q, sigma, freedom_per_frame=JOINT_FREEDOM_PER_FRAME)
         violations = self._joint_violations(path, checks)
         path = replace(path, joints=_with_collisions(joints, violations))

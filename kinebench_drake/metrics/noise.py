@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from kinebench_drake.geometry import Array, from_quaternion, rotation_log, to_quaternion
 from kinebench_drake.metrics.derivatives import smooth_path
-from kinebench_drake.segments import finite_rows, segments, spread
+from kinebench_drake.segments import finite_rows, rounding_unit, segments, spread
 from kinebench_drake.track import GripperTrack
 
 ORDERS = (2, 3, 4, 5, 6)
@@ -33,8 +33,8 @@ NORMAL_MEDIAN = 0.6744897501960817
 """Median of |x| for a standard normal x."""
 MIN_DIFFERENCES = 3
 """Least number of differences of an order; with fewer, the order is not used."""
-DIFFERENT_VALUES = 10
-"""Least number of different values that tell that all were rounded."""
+ROTATION_UNITS = 2.0
+"""Rotation error of a rounded quaternion, in errors of one of its numbers."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -70,17 +70,17 @@ def estimate_track_noise(t_s: Array, X_BG: Array, tracked: NDArray[np.bool_]) ->
     moves = [np.diff(X_BG[run, :3, 3], axis=0) for run in pieces]
     turns = [rotation_steps(X_BG[run, :3, :3]) for run in pieces]
     estimated_m = float(np.sqrt(np.mean(_variance(times, moves, 3))))
-    return TrackNoise(
-        position_m=max(estimated_m, _rounding(X_BG[tracked, :3, 3])),
-        rotation_rad=float(np.sqrt(np.mean(_variance(times, turns, 3)))),
-    )
+    estimated_rad = float(np.sqrt(np.mean(_variance(times, turns, 3))))
+    rounding = float(rounding_deviation(X_BG[tracked, :3, 3]).max())
+    # Rotations are stored with as many digits as positions.
+    return TrackNoise(position_m=max(estimated_m, rounding), rotation_rad=max(estimated_rad, ROTATION_UNITS * rounding))
 
 
 def estimate_joint_noise(t_s: Array, q: Array) -> Array:
     """Estimate the noise (7,) [rad] of joint angles `q` (T, 7) at `t_s` (T,) [s], ignoring NaN; NaN if too short."""
     pieces = [run for run in segments(finite_rows(q)) if run.stop - run.start > ORDERS[0]]
     variance = _variance([t_s[run] for run in pieces], [np.diff(q[run], axis=0) for run in pieces], q.shape[1])
-    return np.asarray(np.maximum(np.sqrt(variance), _rounding(q[finite_rows(q)])))
+    return np.asarray(np.maximum(np.sqrt(variance), rounding_deviation(q[finite_rows(q)])))
 
 
 def propagate_noise(jacobians: Array, noise: TrackNoise) -> Array:
@@ -115,18 +115,13 @@ def _variance(times: list[Array], steps: list[Array], axes: int) -> Array:
     return least
 
 
-def _rounding(values: Array) -> float:
-    """Return the standard deviation of the errors of values that were rounded to 3 to 6 decimals; 0 for others.
+def rounding_deviation(values: Array) -> Array:
+    """Return the standard deviation (N,) of the errors of columns of values (T, N) that were rounded; 0 for others.
 
     Most differences of a slow motion that was rounded are 0, and hide these errors: they are uniform over one unit of
-    the last decimal.
+    the last digit.
     """
-    for decimals in range(3, 7):
-        unit = 10.0**-decimals
-        rounded = values.round(decimals)
-        if len(np.unique(rounded)) >= DIFFERENT_VALUES and np.abs(values - rounded).max() < 0.05 * unit:
-            return float(unit / np.sqrt(12.0))
-    return 0.0
+    return np.asarray(rounding_unit(values) / np.sqrt(12.0))
 
 
 def _unit_differences(t_s: Array, steps: Array, order: int) -> Array:

@@ -115,7 +115,7 @@ class TrajectoryEvaluator(Evaluator[TrajectorySample, Resources]):
         choice = self.config.trajectory_options()
         doubt = self._doubt(sample, choice, tools)
         try:
-            trajectory = read_trajectory(sample, choice)
+            trajectory = tools.undo_turns(read_trajectory(sample, choice))
         except InputError as error:
             raise InputError(f"{error}; {doubt}" if doubt else str(error)) from None
         track = _pose_track(trajectory)
@@ -170,7 +170,7 @@ class TrajectoryEvaluator(Evaluator[TrajectorySample, Resources]):
         return {
             "choice": [self.config.rate_hz, reading.to_json() if reading else None],
             "labels": [sample.seed, sample.prompt, sample.success, sample.rate_hz, sample.warnings, sample.problem],
-            "part": [sample.format.value, sample.part],
+            "part": [sample.format.value, sample.part, *(sample.rows or ())],
         }
 
     def input_files(self, sample: TrajectorySample) -> Sequence[Path]:

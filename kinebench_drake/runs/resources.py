@@ -1,7 +1,7 @@
 """The grounding and the kinematic judge of a worker process, and the robot that they are loaded for."""
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -150,13 +150,35 @@ class Resources:
         """
         return self._judge(self._table_height_m).judge_joints(t_s, q, finger_width_m)
 
+    def undo_turns(self, trajectory: Trajectory) -> Trajectory:
+        """Return joint angles that a full turn brings nearer to their limits in every frame with that turn.
+
+        Recorders wrap angles at half a turn: the Panda's joint 6 goes up to 215 degrees, stored as -145.
+        """
+        if trajectory.q is None:
+            return trajectory
+        from kinebench_drake.kinematics.path import limit_excess
+
+        q = trajectory.q.copy()
+        warnings = list(trajectory.warnings)
+        least = limit_excess(self.plant, q[trajectory.tracked]).min(axis=0)
+        for turn in (2.0 * np.pi, -2.0 * np.pi):
+            turned = limit_excess(self.plant, q[trajectory.tracked] + turn).max(axis=0) < least
+            q[:, turned] += turn
+            warnings += [
+                f"{self.plant.robot.joints[j]} is out of its limits by a full turn in all frames, as an angle that a "
+                "recorder wraps: the turn was undone"
+                for j in np.flatnonzero(turned)
+            ]
+        return replace(trajectory, q=q, warnings=tuple(warnings))
+
     def misfit(self, trajectory: Trajectory, enough: float) -> float:
         """Return how badly a trajectory fits the robot (`metrics.misfit`)."""
         from kinebench_drake.metrics.misfit import misfit
 
         t_s = trajectory.t_s
         X_BG = trajectory.X_BG
-        q = trajectory.q
+        q = self.undo_turns(trajectory).q
         return misfit(self.plant, t_s, X_BG, q, table_height_m=self._table_height_m, enough=enough)
 
     def overlay(

@@ -311,6 +311,16 @@ def test_rounding_at_a_limit_is_within_it(plant: ArmPlant, judge: TrackJudge) ->
     assert result.metrics["ik_success_rate"] == 1.0
 
 
+@pytest.mark.parametrize(("rate_hz", "decimals"), [(50, 2), (1000, 3), (1000, 2)])
+def test_rounding_is_no_motion_and_hides_no_jump(judge: TrackJudge, rate_hz: int, decimals: int) -> None:
+    t_s = np.arange(rate_hz) / rate_hz
+    q = rest_q() + 0.3 * np.sin(1.5 * t_s)[:, None] * np.linspace(1.0, 0.2, 7)
+    width = np.full(rate_hz, 0.04)
+    assert judge.judge_joints(t_s, q.round(decimals), width).feasible is True
+    q[rate_hz // 2 :, 0] += 0.4
+    assert ViolationKind.DISCONTINUITY in _kinds(judge.judge_joints(t_s, q.round(decimals), width))
+
+
 @pytest.mark.parametrize("seed", [0, 2])
 def test_jittering_stamps_make_no_feasible_motion_infeasible(judge: TrackJudge, seed: int) -> None:
     """Stamps of a 250 Hz recording that are off by 0.5 ms: as they are, and as an audit reads them."""

@@ -47,7 +47,18 @@ def test_the_noise_estimate_of_a_clean_motion_is_nearly_zero(period_s: float, mo
     assert 0.0 <= noise.rotation_rad < most_rad
 
 
-@pytest.mark.parametrize("decimals", [3, 4])
+def test_half_precision_counts_as_noise_that_grows_with_the_values() -> None:
+    t_s = 0.01 * np.arange(300)
+    q = np.outer(0.1 * np.sin(0.3 * t_s), np.ones(7)) + np.array([0.2, 0.3, 0.6, 0.8, 1.5, 2.0, 3.0])
+    stored = q.astype(np.float16).astype(np.float64)
+    for values in (stored, stored.round(5)):
+        np.testing.assert_array_less(
+            0.28 * np.spacing(q.max(axis=0).astype(np.float16)), estimate_joint_noise(t_s, values)
+        )
+    assert (estimate_joint_noise(t_s, q) < 1e-5).all()
+
+
+@pytest.mark.parametrize("decimals", [2, 3, 4])
 def test_rounding_counts_as_noise_even_in_slow_motion(decimals: int) -> None:
     t_s, X = reach_and_place(0.01)
     unit = 10.0**-decimals

@@ -4,6 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinebench_drake.errors import InputError, UnmeasurableError, count_noun
+from kinebench_drake.formats.trajectories.recorder import unwrap
 from kinebench_drake.formats.trajectories.times import check_times, fill_gaps, undo_jitter
 from kinebench_drake.formats.trajectories.trajectory import (
     JOINT_SIZES,
@@ -16,7 +17,7 @@ from kinebench_drake.formats.trajectories.trajectory import (
     require_numbers,
 )
 from kinebench_drake.geometry import Array, make_pose, orthonormalize
-from kinebench_drake.segments import spread
+from kinebench_drake.segments import finite_rows, rounding_unit, spread
 from kinebench_drake.track import MAX_WIDTH_M
 
 MIN_FRAMES = 2
@@ -25,6 +26,8 @@ REPAIRABLE = 1e-3
 """Greatest deviation of R^T R from the identity, or of a quaternion's norm from 1, that is repaired."""
 FAR_M = 10.0
 """Greatest coordinate of the gripper in the robot base frame [m]: larger values are not in metres."""
+ROUNDED_UNITS = 4.0
+"""The same of rounded rotations, in units of their last digit."""
 ROUNDING = 1e-5
 """Deviation within single precision, which is repaired without a warning."""
 
@@ -56,16 +59,27 @@ def check(raw: RawTrajectory, rate_hz: float | None = None) -> Trajectory:
         raise InputError(f"has {n} frames, at most {MAX_FRAMES} are accepted: cut it into parts")
     tracked = _tracked(raw.tracked, n)
     t_s = check_times(raw.t_s, n, rate_hz, warnings)
+    width = None if raw.finger_width_m is None else require_numbers("finger_width_m", raw.finger_width_m)
+    if raw.repeats is not None and raw.repeats.any():
+        own = ~raw.repeats
+        warnings.append(
+            f"{count_noun(int(raw.repeats.sum()), 'row')} of {n} repeat a state that the recorder held: left out, and "
+            "frames are counted without them"
+        )
+        values = values[own]
+        tracked = tracked[own]
+        t_s = t_s[own]
+        width = width[own] if width is not None and len(width) == n else width
+        n = len(t_s)
     if n < MIN_FRAMES:
         raise UnmeasurableError(f"has {n} frame, a path needs at least {MIN_FRAMES}")
-    width = None if raw.finger_width_m is None else require_numbers("finger_width_m", raw.finger_width_m)
     q = X_BG = None
     if raw.q is not None:
         q, fingers = _joints(values, tracked, warnings)
         path = q
         width = fingers if width is None else width
     else:
-        X_BG, repairs = rigid_poses(values, tracked)
+        X_BG, repairs = rigid_poses(values, tracked, repairable_deviation(values.reshape(n, -1)))
         path = X_BG[:, :3, 3]
         warnings += repairs
     if tracked.sum() < MIN_FRAMES:
@@ -86,6 +100,11 @@ def check(raw: RawTrajectory, rate_hz: float | None = None) -> Trajectory:
         columns=raw.columns,
         warnings=tuple(warnings),
     )
+
+
+def repairable_deviation(numbers: Array) -> float:
+    """Return the greatest deviation from a rotation that is repaired: more than REPAIRABLE if the rows were rounded."""
+    return max(REPAIRABLE, ROUNDED_UNITS * float(rounding_unit(numbers[finite_rows(numbers)]).min()))
 
 
 def _tracked(array: NDArray[np.generic] | None, n: int) -> NDArray[np.bool_]:
@@ -125,6 +144,11 @@ def _joints(values: Array, tracked: NDArray[np.bool_], warnings: list[str]) -> t
                 f"joint {j + 1} goes up to {largest[j]:.4g} rad, more than a full turn: are the angles in degrees? "
                 "They are interpreted as radians"
             )
+    q, wrapped = unwrap(q)
+    warnings += [
+        f"joint {j + 1} jumps by a full turn between frames, as an angle that a recorder wraps: the turns were undone"
+        for j in np.flatnonzero(wrapped)
+    ]
     return q, fingers
 
 
@@ -144,7 +168,7 @@ def _widths(width: Array | None, n: int, warnings: list[str]) -> Array:
 
 
 @np.errstate(over="ignore", invalid="ignore")  # values that overflow are refused below
-def rigid_poses(X: Array, valid: NDArray[np.bool_]) -> tuple[Array, tuple[str, ...]]:
+def rigid_poses(X: Array, valid: NDArray[np.bool_], repairable: float = REPAIRABLE) -> tuple[Array, tuple[str, ...]]:
     """Return rigid poses (T, 4, 4) of matrices, NaN for frames that are not `valid` (T,), and messages about repairs.
 
     Raises:
@@ -166,9 +190,9 @@ def rigid_poses(X: Array, valid: NDArray[np.bool_]) -> tuple[Array, tuple[str, .
         raise InputError(f"the last row of the pose of frame {frames[k]} is {row}: {fix}")
     R = matrices[:, :3, :3]
     deviation = np.abs(np.swapaxes(R, -1, -2) @ R - np.eye(3)).max(axis=(-1, -2), initial=0.0)
-    if (k := first_index(~(deviation <= REPAIRABLE) | (np.linalg.det(R) < 0.0))) is not None:
-        reason = f"not orthonormal: R^T R is off the identity by {deviation[k]:.2g}, at most {REPAIRABLE:g} is repaired"
-        if deviation[k] <= REPAIRABLE:
+    if (k := first_index(~(deviation <= repairable) | (np.linalg.det(R) < 0.0))) is not None:
+        reason = f"not orthonormal: R^T R is off the identity by {deviation[k]:.2g}, at most {repairable:g} is repaired"
+        if deviation[k] <= repairable:
             turned = f"(determinant {np.linalg.det(R[k]):.3f}): one of its axes is mirrored"
             reason = f"left-handed {turned}, expected a right-handed frame"
         raise InputError(f"the rotation of frame {frames[k]} is {reason}")

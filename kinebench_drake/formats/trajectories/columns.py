@@ -5,7 +5,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from kinebench_drake.errors import InputError
-from kinebench_drake.formats.trajectories.reading import JOINTS, LAYOUTS, Reading
+from kinebench_drake.formats.trajectories.reading import JOINTS, LAYOUTS, Reading, nanoseconds_beside
 from kinebench_drake.formats.trajectories.trajectory import JOINT_SIZES, N_JOINTS, ColumnTable, NumberColumn, reference
 
 _NUMBERED = re.compile(
@@ -21,7 +21,21 @@ _ROTATION_VECTOR = re.compile(r".*(?:axis_?angle|rot_?vec)[_. ]?(?P<axis>[xyz]|\
 _QUATERNION_WORDS = {"quat", "quaternion", "q", "orientation", "ori", "orn", "rot", "rotation"}
 _OTHER_WORDS = {
     *("vel", "velocity", "velocities", "acc", "acceleration", "accelerations", "force", "forces", "torque", "torques"),
-    *("effort", "efforts", "delta", "deltas", "target", "targets", "goal", "desired", "commanded", "command"),
+    *(
+        "tau",
+        "dtau",
+        "cmd",
+        "effort",
+        "efforts",
+        "delta",
+        "deltas",
+        "target",
+        "targets",
+        "goal",
+        "desired",
+        "commanded",
+        "command",
+    ),
     *("error", "errors", "action", "actions"),
 }
 _JOINT_WORDS = {"joint", "joints"}
@@ -219,7 +233,8 @@ def _with_times(table: ColumnTable, reading: Reading) -> Reading:
     """Return the reading with the column of the times, and their unit if its name ends with it."""
     stamps = [(c.name, match) for c in table.columns if c.size == 1 and (match := _TIME.fullmatch(c.name.lower()))]
     if not stamps:
-        return reading
+        pairs = (c.name for c in table.columns if c.size == 1 and nanoseconds_beside(table, c.name))
+        return reading.change(time=next(pairs, None))
     name, match = stamps[0]
     unit = match["unit"] and match["unit"].removesuffix("econds").removesuffix("ecs").removesuffix("ec")
     return reading.change(time=name, time_unit=reading.time_unit or unit)

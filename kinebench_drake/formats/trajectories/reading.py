@@ -1,5 +1,6 @@
 """Reading of a trajectory: which numbers of its file mean what, in which units and frames."""
 
+import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from itertools import permutations
@@ -11,9 +12,10 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, field_validator
 from scipy.spatial.transform import Rotation
 
-from kinebench_drake.errors import InputError, UsageError, suggestion
+from kinebench_drake.errors import InputError, UsageError, count_noun, suggestion
 from kinebench_drake.formats.samples import MAX_PERIOD_S, MIN_PERIOD_S
-from kinebench_drake.formats.trajectories.check import REPAIRABLE, ROUNDING
+from kinebench_drake.formats.trajectories.check import REPAIRABLE, ROUNDING, repairable_deviation
+from kinebench_drake.formats.trajectories.recorder import find_empty, find_held
 from kinebench_drake.formats.trajectories.trajectory import N_JOINTS, ColumnTable, RawTrajectory, first_index
 from kinebench_drake.geometry import Array, from_quaternion, make_pose, rotation_z
 from kinebench_drake.io.jsonl import Json, read_object
@@ -157,7 +159,17 @@ class Reading(BaseModel):
         if values.shape[1] not in LAYOUTS[layout]:
             expected = " or ".join(map(str, LAYOUTS[layout]))
             raise InputError(f"{', '.join(names)}: {values.shape[1]} numbers per frame, {layout} has {expected}")
+        tracked = table.array("tracked")
         repairs: tuple[str, ...] = ()
+        repeats = None
+        if not self.deltas:
+            numbers = np.nan_to_num(values)
+            repeats = find_held(numbers)
+            empty = find_empty(numbers)
+            if empty.any():
+                repairs += (f"{count_noun(int(empty.sum()), 'row')} of zeros: taken as not measured",)
+                tracked = ~empty if tracked is None else np.where(empty, False, tracked)
+                values = np.where(empty[:, None], np.nan, values)
         length = LENGTHS[self.length or "m"]
         gap = None
         if self.width is not None:
@@ -172,15 +184,17 @@ class Reading(BaseModel):
             if self.deltas:
                 q = np.cumsum(np.vstack([self.start or tuple(START_Q), q[:-1]]), axis=0)[: len(q)]
         else:
-            X_WT, repairs = self._poses(values, layout)
+            X_WT, repaired = self._poses(values, layout)
+            repairs += repaired
             tool = TOOLS[self.tool] if isinstance(self.tool, str) else _pose(self.tool)
             X_BG = np.asarray(_pose(self.base_from_world) @ X_WT @ tool)
         return RawTrajectory(
             t_s=self._times(table),
             X_BG=X_BG,
             q=q,
-            tracked=table.array("tracked"),
+            tracked=tracked,
             finger_width_m=gap,
+            repeats=repeats,
             columns=self.describe(),
             warnings=repairs,
         )
@@ -194,7 +208,8 @@ class Reading(BaseModel):
             X = np.array(np.swapaxes(X, -1, -2) if layout == "matrix_columns" else X)
             X[:, :3, 3] *= length
         else:
-            R, repairs = rotations_of(layout, values[:, 3:], ANGLES[self.angle or "rad"])
+            repairable = repairable_deviation(values)
+            R, repairs = rotations_of(layout, values[:, 3:], ANGLES[self.angle or "rad"], repairable)
             X = make_pose(R, length * values[:, :3])
         if not self.deltas:
             return X, repairs
@@ -209,6 +224,10 @@ class Reading(BaseModel):
             rows = len(table.numbers(self.columns or ()))
             return table.t_s if table.t_s is not None or not table.rate_hz else np.arange(rows) / table.rate_hz
         stamps = table.numbers([self.time])[:, 0]
+        if (beside := nanoseconds_beside(table, self.time)) is not None:
+            nanos = table.numbers([beside])[:, 0]
+            if (stamps == stamps.round()).all() and ((nanos >= 0.0) & (nanos < 1e9)).all():
+                return np.asarray(stamps - stamps[:1] + TIMES["ns"] * nanos)
         unit = self.time_unit
         if unit is None:  # times since 1970 show their unit
             first = abs(float(stamps[0])) if len(stamps) else 0.0
@@ -226,13 +245,16 @@ class Reading(BaseModel):
 
 
 @np.errstate(over="ignore", invalid="ignore")
-def rotations_of(layout: str, numbers: Array, angle_rad: float) -> tuple[Array, tuple[str, ...]]:
+def rotations_of(
+    layout: str, numbers: Array, angle_rad: float, repairable: float = REPAIRABLE
+) -> tuple[Array, tuple[str, ...]]:
     """Return rotation matrices (T, 3, 3), NaN where a number is not finite, and messages about repairs.
 
     Args:
         layout: one of `LAYOUTS` with a rotation.
         numbers: (T, n) numbers of the rotations.
         angle_rad: unit of angles [rad].
+        repairable: greatest deviation of a quaternion's norm from 1 that is repaired.
     """
     R = np.full((len(numbers), 3, 3), np.nan)
     finite = np.isfinite(numbers).all(axis=-1)
@@ -240,7 +262,7 @@ def rotations_of(layout: str, numbers: Array, angle_rad: float) -> tuple[Array, 
     own = numbers[finite]
     repairs = tuple[str, ...]()
     if layout.startswith("quaternion"):
-        repairs = _check_norms(own, frames)
+        repairs = _check_norms(own, frames, repairable)
         R[finite] = Rotation.from_quat(own, scalar_first=layout == "quaternion_wxyz").as_matrix()
     elif layout.startswith("matrix"):
         rows = own.reshape(-1, 3, 3)
@@ -267,12 +289,12 @@ def rotations_of(layout: str, numbers: Array, angle_rad: float) -> tuple[Array, 
     return R, repairs
 
 
-def _check_norms(quaternions: Array, frames: NDArray[np.intp]) -> tuple[str, ...]:
+def _check_norms(quaternions: Array, frames: NDArray[np.intp], repairable: float) -> tuple[str, ...]:
     deviation = np.abs(np.linalg.norm(quaternions, axis=-1) - 1.0)
-    if (k := first_index(~(deviation <= REPAIRABLE))) is not None:
+    if (k := first_index(~(deviation <= repairable))) is not None:
         raise InputError(
             f"the quaternion of frame {frames[k]} has norm {np.linalg.norm(quaternions[k]):.4g}, expected 1; at most "
-            f"{REPAIRABLE:g} is repaired"
+            f"{repairable:g} is repaired"
         )
     repaired = int((deviation > ROUNDING).sum())
     message = f"{repaired} quaternions, off by up to {deviation.max(initial=0.0):.1e}, were normalized"
@@ -284,6 +306,17 @@ def _pose(numbers: tuple[float, ...] | None) -> Array:
     if numbers is None:
         return np.eye(4)
     return from_quaternion(numbers[3:], numbers[:3]) if len(numbers) == 7 else make_pose(np.eye(3), numbers)
+
+
+_SECONDS = re.compile(r"(?P<stem>|.*[^a-z])(?:secs?|seconds)")
+_NANOSECONDS = ("nsec", "nsecs", "nanos", "nanosec", "nanosecs", "nanoseconds")
+
+
+def nanoseconds_beside(table: ColumnTable, name: str) -> str | None:
+    """Return the column of nanoseconds that belongs to a column of whole seconds, by their names; None without one."""
+    match = _SECONDS.fullmatch(name.lower())
+    names = {match["stem"] + word for word in _NANOSECONDS} if match else set()
+    return next((c.name for c in table.columns if c.size == 1 and c.name.lower() in names), None)
 
 
 def frame_of(X_BG: Array, position_m: tuple[float, float, float]) -> tuple[float, ...]:

@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import replace
 from functools import cache
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -37,6 +38,7 @@ from kinebench_drake.formats.trajectories.trajectory import (
     TrajectoryFormat,
     TrajectorySample,
     parse_number,
+    require_numbers,
 )
 from kinebench_drake.io.files import absence, read_text
 from kinebench_drake.io.hdf5 import HDF5_SUFFIXES
@@ -208,7 +210,7 @@ def find_trajectories(
 ) -> tuple[TrajectorySample, ...]:
     """List the trajectories of a file, a LeRobot dataset, an output folder or a folder of these, in a fixed order.
 
-    None of them is read.
+    None of them is read, but for what divides a file into episodes.
 
     Args:
         out: output folder of the run, whose content is never used as input.
@@ -268,8 +270,11 @@ def open_table(sample: TrajectorySample) -> Iterator[ColumnTable]:
         raise InputError(sample.problem)
     if not sample.path.is_file():
         raise InputError(f"{sample.path.name}: {absence(sample.path)}")
+    rows = slice(*sample.rows) if sample.rows else slice(None)
     with _TABLES[sample.format](sample) as table:
-        yield replace(table, load=cache(table.load))  # read several times by several readings
+        t_s = None if table.t_s is None else table.t_s[rows]
+        # read several times by several readings
+        yield replace(table, load=cache(lambda name: table.load(name)[rows]), t_s=t_s)
 
 
 def apply_reading(sample: TrajectorySample, table: ColumnTable, reading: Reading, rate_hz: float | None) -> Trajectory:
@@ -282,7 +287,7 @@ def _with_alike(samples: Sequence[TrajectorySample]) -> list[TrajectorySample]:
     """Return samples with some of the others of their file or dataset, which are described together."""
     groups: dict[Path, list[TrajectorySample]] = {}
     for sample in samples:
-        if sample.part is not None and sample.problem is None:
+        if (sample.part is not None or sample.rows is not None) and sample.problem is None:
             groups.setdefault((*sample.about, sample.path)[0], []).append(sample)
     chosen = {key: tuple(group[k] for k in evenly(len(group), ALIKE)) for key, group in groups.items()}
     return [replace(sample, alike=chosen.get((*sample.about, sample.path)[0], ())) for sample in samples]
@@ -290,9 +295,64 @@ def _with_alike(samples: Sequence[TrajectorySample]) -> list[TrajectorySample]:
 
 def _list_file(path: Path, video: str) -> list[TrajectorySample]:
     format = (_FORMATS | _NAMED)[path.suffix.lower()]
+    samples = [TrajectorySample(id=path.stem, path=path, video=video, format=format)]
     if format is TrajectoryFormat.HDF5:
-        return list_hdf5_trajectories(path, video)
-    return [TrajectorySample(id=path.stem, path=path, video=video, format=format)]
+        samples = list_hdf5_trajectories(path, video)
+    return _split_episodes(samples[0]) if len(samples) == 1 else samples
+
+
+_EPISODE = re.compile(r"(?:.*[./])?(?:episode|(?:episode|demo|traj|trajectory)_(?:index|idx|id))", re.IGNORECASE)
+"""Columns with the number of each row's episode."""
+_ENDS = re.compile(r"(?:.*[./])?episode_ends", re.IGNORECASE)
+"""Arrays with the end of each episode: the row after its last."""
+_HEAD = 65536
+"""Bytes of a table of text that hold the names of its columns."""
+
+
+def _split_episodes(whole: TrajectorySample) -> list[TrajectorySample]:
+    """Return a sample for each episode of a file whose numbers say where episodes begin; else the sample as it is."""
+    if whole.part is not None or whole.problem is not None:
+        return [whole]
+    try:
+        if whole.format is TrajectoryFormat.CSV and not re.search(rb"(?i)episode|demo_|traj", _head(whole.path)):
+            return [whole]
+        with open_table(whole) as table:
+            episodes = _episodes(table)
+    except (InputError, OSError):  # said again, in full, when the trajectory is read
+        return [whole]
+    if len(episodes) < 2:
+        return [whole]
+    numbers = [number for number, _ in episodes]
+    if len(set(numbers)) < len(numbers):
+        return [replace(whole, problem="holds several episodes whose rows are not together: sort the rows by episode")]
+    return [
+        replace(whole, id=f"{whole.id}-episode_{number}", video=f"{whole.video}#episode_{number}", rows=rows)
+        for number, rows in episodes
+    ]
+
+
+def _head(path: Path) -> bytes:
+    with path.open("rb") as file:
+        return file.read(_HEAD)
+
+
+def _episodes(table: ColumnTable) -> list[tuple[int, tuple[int, int]]]:
+    """Return number, first row and end of the episodes of a table; empty if no column tells them."""
+    for column in table.columns:
+        if column.size != 1 or not (_EPISODE.fullmatch(column.name) or _ENDS.fullmatch(column.name)):
+            continue
+        values = require_numbers(column.name, table.load(column.name)).ravel()
+        if not len(values) or (values != values.round()).any():
+            continue
+        if _ENDS.fullmatch(column.name):
+            cuts = [0, *map(int, values)]
+            numbers = list(range(len(values)))
+        else:
+            starts = [0, *(np.flatnonzero(np.diff(values)) + 1).tolist()]
+            cuts = [*starts, len(values)]
+            numbers = [int(values[start]) for start in starts]
+        return list(zip(numbers, pairwise(cuts), strict=True))
+    return []
 
 
 def _list_output(folder: Path) -> list[TrajectorySample]:

@@ -39,6 +39,8 @@ class RawTrajectory:
     """(T,) True for valid frames; None for all."""
     finger_width_m: NDArray[np.generic] | None = None
     """(T,) gap between the finger pads [m]; None if unknown."""
+    repeats: NDArray[np.bool_] | None = None
+    """(T,) True for rows that repeat a state which the recorder held; None for none."""
     columns: str
     """Names of the arrays or columns that were read."""
     warnings: tuple[str, ...] = ()
@@ -105,6 +107,8 @@ class TrajectorySample(Sample):
     format: TrajectoryFormat
     part: str | None = None
     """Part of the file: group of a ManiSkill file, number of the episode of a dataset."""
+    rows: tuple[int, int] | None = None
+    """First row of its episode, and the row after its last, in a file of several; None for all."""
     about: tuple[Path, ...] = ()
     """Further files on which its content depends."""
     rate_hz: float | None = None

@@ -110,10 +110,10 @@ def test_frames_many_seconds_apart_warn_of_milliseconds(t_s, q):
 
 
 def test_joint_angles_beyond_one_turn_warn_of_degrees(t_s, q):
-    (warning,) = check(recording(t_s=t_s, q=changed(q, (3, 4), -6.3))).warnings
-    assert "joint 5 goes up to 6.3 rad" in warning
+    (warning,) = check(recording(t_s=t_s, q=changed(q, (3, 4), -7.0))).warnings
+    assert "joint 5 goes up to 7 rad" in warning
     assert "degrees?" in warning
-    assert check(recording(t_s=t_s, q=changed(q, (3, 4), -6.28))).warnings == ()
+    assert check(recording(t_s=t_s, q=changed(q, (3, 4), -5.5))).warnings == ()
 
 
 def test_joint_angles_in_degrees_are_refused(t_s, q):
