@@ -22,7 +22,7 @@ from kinebench_drake.runs.config import RunConfig, RunKind, SourceConfig
 from kinebench_drake.runs.evaluator import KINEMATIC_METRICS, Evaluator, judge_row
 from kinebench_drake.runs.gate import close_gate
 from kinebench_drake.runs.option import Option
-from kinebench_drake.runs.reading_check import assess_readings, doubt_robot
+from kinebench_drake.runs.reading_check import assess_readings, doubt_frame, doubt_robot
 from kinebench_drake.runs.resources import Resources, load_resources
 from kinebench_drake.runs.runner import NullRunObserver, RunObserver, RunSummary, run_samples
 from kinebench_drake.track import GripperTrack
@@ -121,6 +121,9 @@ class TrajectoryEvaluator(Evaluator[TrajectorySample, Resources]):
         track = _pose_track(trajectory)
         path = artifact_path(self.config.out, "tracks", sample.id)
         result = None if doubt else judge_trajectory(tools, trajectory)
+        if result is not None and trajectory.q is None:
+            doubt = doubt_frame(tools, sample, choice, result, lambda other: judge_trajectory(tools, other))
+            result = None if doubt else result
         if result is None:
             write_track(path, track, None, {})
         else:
