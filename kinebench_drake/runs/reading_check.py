@@ -42,7 +42,7 @@ from kinebench_drake.geometry import Array, invert, pose_difference
 from kinebench_drake.io.jsonl import Json
 from kinebench_drake.runs.resources import Resources, ResourcesFactory, RobotOptions, load_resources
 from kinebench_drake.segments import evenly
-from kinebench_drake.violation import UNITS
+from kinebench_drake.track import MAX_WIDTH_M
 
 if TYPE_CHECKING:  # loads Drake
     from kinebench_drake.metrics.kinematic_result import KinematicResult
@@ -73,6 +73,7 @@ class Alternative:
         return ("base_from_world",) if self.fits_frame else tuple(self.change)
 
 
+_OFFSET_COST = -0.8  # with a posture added, right angles fit worse by 0.7 and more, offsets by 0.6 at most
 POSTURES: Mapping[str, tuple[float, ...]] = {
     "Franka's ready posture": (0.0, -np.pi / 4, 0.0, -3 * np.pi / 4, 0.0, np.pi / 2, np.pi / 4),
     "Isaac Lab's": (0.0, -0.569, 0.0, -2.81, 0.0, 3.037, 0.741),  # FRANKA_PANDA_CFG
@@ -102,7 +103,9 @@ ALTERNATIVES = (
         }.items()
     ),
     *(
-        Alternative(name=f"offsets from {name}", cost=0.0, change={"offset": tuple(np.round(posture, 4).tolist())})
+        Alternative(
+            name=f"offsets from {name}", cost=_OFFSET_COST, change={"offset": tuple(np.round(posture, 4).tolist())}
+        )
         for name, posture in POSTURES.items()
     ),
     Alternative(name="poses in a frame other than the robot's base", cost=0.6, fits_frame=True),
@@ -115,10 +118,11 @@ def alternatives(reading: Reading, table: ColumnTable) -> Iterator[Alternative]:
     """Yield the alternatives that a complete reading has: layouts of as many numbers, other units and frames."""
     is_pose = reading.layout != JOINTS
     columns = reading.columns or ()
-    if not is_pose and len(columns) == 1 and table.size(columns) == N_JOINTS + 2:
+    is_whole = not is_pose and len(columns) == 1 and table.size(columns) == N_JOINTS + 2
+    if is_whole and _has_fingers_first(table, columns):
         [name] = columns
         change = {"columns": (f"{name}[2:9]",), "fingers": (f"{name}[0:2]",)}
-        yield Alternative(name="two finger joints before those of the arm", cost=0.0, change=change)
+        yield Alternative(name="two finger joints before those of the arm", cost=2.0 * _OFFSET_COST, change=change)
     sizes = set(LAYOUTS[reading.layout or JOINTS])
     for alternative in ALTERNATIVES:
         layout = alternative.change.get("layout")
@@ -127,6 +131,8 @@ def alternatives(reading: Reading, table: ColumnTable) -> Iterator[Alternative]:
         if isinstance(layout, str) and (layout == reading.layout or not sizes & set(LAYOUTS[layout])):
             continue
         if any(getattr(reading, key) == value for key, value in alternative.change.items()):
+            continue
+        if "offset" in alternative.change and reading.offset is not None:
             continue
         yield alternative
     for units in product(*_UNITS.values()):
@@ -138,6 +144,14 @@ def alternatives(reading: Reading, table: ColumnTable) -> Iterator[Alternative]:
             )
 
 
+def _has_fingers_first(table: ColumnTable, columns: tuple[str, ...]) -> bool:
+    """Return True if of nine numbers the first two, and not the last two, can be finger joints [m]."""
+    values = table.numbers(columns)
+    fingers = ((values > -_FINGER_SLACK_M) & (values < 0.5 * MAX_WIDTH_M + _FINGER_SLACK_M)).all(axis=0)
+    return bool(fingers[:2].all() and not fingers[-2:].any())
+
+
+_FINGER_SLACK_M = 0.005  # overshoot of a finger joint
 MARGIN = 0.3
 """Difference of costs (`metrics.misfit`) from which another reading fits far better."""
 REFUSED = 3.0
@@ -189,7 +203,7 @@ class ReadingCandidate:
 
     def to_json(self) -> dict[str, Json]:
         """Return the JSON object."""
-        return {"name": self.name, "cost": round(self.cost, 3), "reading": self.reading.to_json()}
+        return {"name": self.name, "cost": round(max(self.cost, 0.0), 3), "reading": self.reading.to_json()}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -219,13 +233,14 @@ class Assessment:
             return self.mismatch
         if "offset" in best.changed:
             return (
-                f"{named.reading.describe()} fits the robot badly (cost {named.cost:.2f}), {best.name} far better "
-                f"({best.cost:.2f}): $reading FILE states the default posture [rad] that was subtracted, such as "
-                f"{json.dumps(best.reading.keys(best.changed))}, or {json.dumps(named.reading.keys(best.changed))}"
+                f"{named.reading.describe()}: not absolute angles (cost {named.misfit:.2f}), but perhaps {best.name} "
+                f'({best.misfit:.2f}): $reading FILE states the default posture that was subtracted, as {{"offset": '
+                "[7 angles in radians]}, or zeros"
             )
+        other = json.dumps(best.reading.keys(best.changed))
         return (
-            f"{named.reading.describe()} fits the robot badly (cost {named.cost:.2f}), {best.name} far better "
-            f"({best.cost:.2f}): $reading FILE with {json.dumps(best.reading.keys(best.changed))} reads them so, with "
+            f"{named.reading.describe()} fits the robot badly (cost {named.misfit:.2f}), {best.name} far better "
+            f"({best.misfit:.2f}): $reading FILE with {other} reads them so, with "
             f"{json.dumps(named.reading.keys(best.changed))} as they are named"
         )
 
@@ -253,7 +268,7 @@ def assess_readings(
             return None
         best = by_names = ReadingCandidate(name=str(named.layout), reading=named, misfit=misfit)
         others: list[ReadingCandidate] = []
-        while len(best.changed) < _CHANGES and (best.cost >= MARGIN or thorough):
+        while len(best.changed) < _CHANGES:
             enough = inf if thorough else best.cost - MARGIN  # a reading with that cost is no better one
             tried = list(_variations(tools, tables, best, wanted, choice.rate_hz, enough))
             others += tried
@@ -329,10 +344,9 @@ def _mismatch(
             evidence = _other_joints(tools, trajectory.t_s[: len(q)], q, candidate.misfit)
     if evidence is None:
         return None
-    keys = candidate.reading.keys(("columns", "layout"))
     return (
-        f"the numbers do not fit this arm: {evidence}; nor does another reading that was tried: $reading FILE with "
-        f"{json.dumps(keys)} insists on the names, with other columns, units, or an offset reads them so"
+        f"the numbers do not fit this arm: {evidence}; nor does another reading that was tried: $reading FILE states "
+        "columns and layout, or $robot the robot that they are of"
     )
 
 
@@ -406,9 +420,11 @@ def _describe(result: "KinematicResult") -> str:
     if not result.violations:
         return "feasible"
     first = result.violations[0]
-    unit = UNITS[first.kind]
+    kind = first.kind.value.replace("_", " ")
     where = f" of {first.joint}" if first.joint else ""
-    return f"infeasible ({first.kind.value}{where}: {first.value:.3g} {unit}, limit {first.limit:.3g} {unit})"
+    if first.unit == "m":
+        return f"infeasible ({kind}{where}, {1e3 * first.value:.0f} mm, limit {1e3 * first.limit:.0f} mm)"
+    return f"infeasible ({kind}{where}, {first.value:.3g} {first.unit}, limit {first.limit:.3g} {first.unit})"
 
 
 def _misfit(
@@ -452,6 +468,8 @@ def _variations(
         spent = start.spent + alternative.cost
         if spent >= enough or any(getattr(wanted, key) is not None for key in alternative.keys):
             continue
+        if {"angle", "offset"} <= {*start.changed, *change}:
+            continue  # small offsets fit any arm, which then rests in its default posture
         if alternative.fits_frame:
             try:
                 poses = apply_reading(*tables[0], start.reading, rate_hz).X_BG
