@@ -353,7 +353,8 @@ def _mismatch(
 def _other_joints(tools: Resources, t_s: Array, q: Array, misfit: float) -> str | None:
     """Return why joint angles (T, 7) [rad], whose order no name states, are in another order or of another arm."""
     last = q[:, -1]
-    low, high = float(last.min()), float(last.max())
+    low = float(last.min())
+    high = float(last.max())
     near = 0.05 * (high - low)
     at_ends = ((last <= low + near) | (last >= high - near)).mean()
     if low >= -0.01 and high <= 1.01 and high - low > 0.02 and at_ends >= _GRIPPER:
@@ -468,7 +469,7 @@ def _variations(
         spent = start.spent + alternative.cost
         if spent >= enough or any(getattr(wanted, key) is not None for key in alternative.keys):
             continue
-        if {"angle", "offset"} <= {*start.changed, *change}:
+        if ("angle" in change and start.reading.offset) or ("offset" in change and "angle" in start.changed):
             continue  # small offsets fit any arm, which then rests in its default posture
         if alternative.fits_frame:
             try:

@@ -74,7 +74,7 @@ FINGERS = np.full((60, 2), 0.02)
 
 def doubt_of(tmp_path, tools, *, reading=None, **arrays):
     """Return the doubt about an npz file."""
-    path = tmp_path / "a.npz"
+    path = tmp_path / f"{len([*tmp_path.iterdir()])}.npz"
     np.savez(path, t_s=T_S, **arrays)
     choice = TrajectoryOptions(reading=reading)
     [sample] = find_trajectories(path, choice)
