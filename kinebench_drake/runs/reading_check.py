@@ -9,7 +9,7 @@ import json
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from itertools import permutations, product
 from math import inf
@@ -330,18 +330,10 @@ def _mismatch(
     evidence = None
     if candidate.misfit >= UNFIT:
         evidence = f"cost {candidate.misfit:.2f}, right readings have less than {UNFIT:g}"
-    if trajectory.q is not None:
-        q = trajectory.q[np.isfinite(trajectory.q).all(axis=-1)]
-        excess = np.maximum(tools.plant.lower - q, q - tools.plant.upper)
-        outside = (excess > 0.0).mean(axis=0)
-        joint = int(np.argmax(outside))
-        if evidence and outside[joint] > 0.0:
-            evidence = (
-                f"joint {joint + 1} is outside its limits in {100 * outside[joint]:.0f}% of the frames, by up to "
-                f"{excess[:, joint].max():.2f} rad"
-            )
-        if evidence is None and not is_numbered(table, candidate.reading):
-            evidence = _other_joints(tools, trajectory.t_s[: len(q)], q, candidate.misfit)
+        if trajectory.q is not None:
+            evidence = _outside(tools, trajectory.q) or evidence
+    elif trajectory.q is not None and not is_numbered(table, candidate.reading):
+        evidence = _other_joints(tools, trajectory, candidate.misfit)
     if evidence is None:
         return None
     return (
@@ -350,9 +342,21 @@ def _mismatch(
     )
 
 
-def _other_joints(tools: Resources, t_s: Array, q: Array, misfit: float) -> str | None:
-    """Return why joint angles (T, 7) [rad], whose order no name states, are in another order or of another arm."""
-    last = q[:, -1]
+def _outside(tools: Resources, q: Array) -> str | None:
+    """Return which joint of angles (T, 7) [rad] is most often outside its limits; None if none is."""
+    q = q[np.isfinite(q).all(axis=-1)]
+    excess = np.maximum(tools.plant.lower - q, q - tools.plant.upper)
+    share = (excess > 0.0).mean(axis=0)
+    joint = int(np.argmax(share))
+    where = f"{100 * share[joint]:.0f}% of the frames, by up to {excess[:, joint].max():.2f} rad"
+    return f"joint {joint + 1} is outside its limits in {where}" if share[joint] > 0.0 else None
+
+
+def _other_joints(tools: Resources, trajectory: Trajectory, misfit: float) -> str | None:
+    """Return why joint angles whose order no name states are in another order, or of another arm."""
+    q = np.asarray(trajectory.q)
+    rows = q[np.isfinite(q).all(axis=-1)]
+    last = rows[:, -1]
     low = float(last.min())
     high = float(last.max())
     near = 0.05 * (high - low)
@@ -361,11 +365,11 @@ def _other_joints(tools: Resources, t_s: Array, q: Array, misfit: float) -> str 
         return f"its last number is like a gripper, {low:.2g} or {high:.2g} in {100 * at_ends:.0f}% of the frames"
     if misfit < _ORDER_GAIN:
         return None
-    rows = q[evenly(len(q), 16), :, None]
-    inside = ((rows >= tools.plant.lower) & (rows <= tools.plant.upper)).mean(axis=0)  # by column and joint
+    values = rows[evenly(len(rows), 16), :, None]
+    inside = ((values >= tools.plant.lower) & (values <= tools.plant.upper)).mean(axis=0)  # by column and joint
     orders = np.array(list(permutations(range(N_JOINTS))))
     likely = np.argsort(-np.prod(inside[orders, np.arange(N_JOINTS)], axis=1), kind="stable")[:_ORDERS]
-    costs = [tools.misfit_of_joints(t_s, q[:, order], misfit) for order in orders[likely]]
+    costs = [tools.misfit(replace(trajectory, q=q[:, order]), misfit) for order in orders[likely]]
     if misfit - min(costs) < _ORDER_GAIN:
         return None
     return f"cost {misfit:.2f}, in another order of the joints {min(costs):.2f}"

@@ -152,15 +152,11 @@ class Resources:
 
     def misfit(self, trajectory: Trajectory, enough: float) -> float:
         """Return how badly a trajectory fits the robot (`metrics.misfit`)."""
-        return self._misfit(trajectory.t_s, trajectory.X_BG, trajectory.q, enough)
-
-    def misfit_of_joints(self, t_s: Array, q: Array, enough: float) -> float:
-        """Return how badly joint angles (T, 7) [rad] at times (T,) [s] fit the robot (`metrics.misfit`)."""
-        return self._misfit(t_s, None, q, enough)
-
-    def _misfit(self, t_s: Array, X_BG: Array | None, q: Array | None, enough: float) -> float:
         from kinebench_drake.metrics.misfit import misfit
 
+        t_s = trajectory.t_s
+        X_BG = trajectory.X_BG
+        q = trajectory.q
         return misfit(self.plant, t_s, X_BG, q, table_height_m=self._table_height_m, enough=enough)
 
     def overlay(
