@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -122,7 +123,8 @@ class TrajectoryEvaluator(Evaluator[TrajectorySample, Resources]):
         path = artifact_path(self.config.out, "tracks", sample.id)
         result = None if doubt else judge_trajectory(tools, trajectory)
         if result is not None and trajectory.q is None:
-            doubt = doubt_frame(tools, sample, choice, result, lambda other: judge_trajectory(tools, other))
+            judge = partial(judge_trajectory, tools)
+            doubt = doubt_frame(tools, sample, choice, result, judge, is_franka=self.config.robot in ROBOTS)
             result = None if doubt else result
         if result is None:
             write_track(path, track, None, {})
@@ -154,7 +156,8 @@ class TrajectoryEvaluator(Evaluator[TrajectorySample, Resources]):
         """Return why the numbers have no verdict; None if there is no doubt how to read them."""
         if self.config.robot == PANDA and (other := doubt_robot(sample, choice)):
             return other
-        assessment = assess_readings(tools, sample.alike or (sample,), choice)
+        alike = sample.alike or (sample,)
+        assessment = assess_readings(tools, alike, choice, is_franka=self.config.robot in ROBOTS)
         return assessment.doubt if assessment else None
 
     @property

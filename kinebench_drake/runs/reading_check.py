@@ -121,8 +121,8 @@ def alternatives(reading: Reading, table: ColumnTable) -> Iterator[Alternative]:
     is_whole = not is_pose and len(columns) == 1 and table.size(columns) == N_JOINTS + 2
     if is_whole and _has_fingers_first(table, columns):
         [name] = columns
-        change = {"columns": (f"{name}[2:9]",), "fingers": (f"{name}[0:2]",)}
-        yield Alternative(name="two finger joints before those of the arm", cost=2.0 * _OFFSET_COST, change=change)
+        parts = {"columns": (f"{name}[2:9]",), "fingers": (f"{name}[0:2]",)}
+        yield Alternative(name="two finger joints before those of the arm", cost=2.0 * _OFFSET_COST, change=parts)
     sizes = set(LAYOUTS[reading.layout or JOINTS])
     for alternative in ALTERNATIVES:
         layout = alternative.change.get("layout")
@@ -147,8 +147,8 @@ def alternatives(reading: Reading, table: ColumnTable) -> Iterator[Alternative]:
 def _has_fingers_first(table: ColumnTable, columns: tuple[str, ...]) -> bool:
     """Return True if of nine numbers the first two, and not the last two, can be finger joints [m]."""
     values = table.numbers(columns)
-    fingers = ((values > -_FINGER_SLACK_M) & (values < 0.5 * MAX_WIDTH_M + _FINGER_SLACK_M)).all(axis=0)
-    return bool(fingers[:2].all() and not fingers[-2:].any())
+    fingers = (values > -_FINGER_SLACK_M) & (values < 0.5 * MAX_WIDTH_M + _FINGER_SLACK_M)
+    return bool(fingers[:, :2].all() and not fingers[:, -2:].all(axis=0).any())
 
 
 _FINGER_SLACK_M = 0.005  # overshoot of a finger joint
@@ -247,7 +247,12 @@ class Assessment:
 
 @lru_cache(maxsize=256)
 def assess_readings(
-    tools: Resources, samples: tuple[TrajectorySample, ...], choice: TrajectoryOptions, *, thorough: bool = False
+    tools: Resources,
+    samples: tuple[TrajectorySample, ...],
+    choice: TrajectoryOptions,
+    *,
+    thorough: bool = False,
+    is_franka: bool = True,
 ) -> Assessment | None:
     """Compare the readings of trajectories that are stored alike; None if none can be measured.
 
@@ -255,6 +260,7 @@ def assess_readings(
         samples: trajectories of one file or dataset, which share one reading.
         choice: options of the user; a key of their reading is never doubted.
         thorough: also compare readings if that by the names fits well.
+        is_franka: False for another arm than Franka's, whose default postures and whose flange are others.
     """
     with ExitStack() as stack:
         tables = [(sample, stack.enter_context(open_table(sample))) for sample in samples]
@@ -270,7 +276,7 @@ def assess_readings(
         others: list[ReadingCandidate] = []
         while len(best.changed) < _CHANGES:
             enough = inf if thorough else best.cost - MARGIN  # a reading with that cost is no better one
-            tried = list(_variations(tools, tables, best, wanted, choice.rate_hz, enough))
+            tried = list(_variations(tools, tables, best, wanted, choice.rate_hz, enough, is_franka=is_franka))
             others += tried
             better = min(tried, key=lambda candidate: candidate.cost, default=best)
             if best.cost - better.cost < MARGIN:
@@ -381,12 +387,15 @@ def doubt_frame(
     choice: TrajectoryOptions,
     result: "KinematicResult",
     judge: Callable[[Trajectory], "KinematicResult"],
+    *,
+    is_franka: bool = True,
 ) -> str | None:
     """Return which reading of poses that neither names nor numbers exclude has another verdict; None if none has.
 
     Args:
         result: verdict on the reading by the names.
         judge: judges another reading.
+        is_franka: False for another arm than Franka's, whose flange is another one.
     """
     with open_table(sample) as table:
         named = complete(table, choice.reading or Reading())
@@ -394,6 +403,8 @@ def doubt_frame(
             return None
         cost = tools.misfit(apply_reading(sample, table, named, choice.rate_hz), inf)
         for change in _untold(named, choice.reading or Reading()):
+            if "tool" in change and not is_franka:
+                continue
             bound = cost + (UNTOLD_TOOL if "tool" in change else UNTOLD)
             try:
                 other = apply_reading(sample, table, named.change(**change), choice.rate_hz)
@@ -463,6 +474,8 @@ def _variations(
     wanted: Reading,
     rate_hz: float | None,
     enough: float,
+    *,
+    is_franka: bool,
 ) -> Iterator[ReadingCandidate]:
     """Yield the readings that differ from a candidate by one alternative, can be used and leave `wanted` as it is.
 
@@ -472,6 +485,8 @@ def _variations(
         change = dict(alternative.change)
         spent = start.spent + alternative.cost
         if spent >= enough or any(getattr(wanted, key) is not None for key in alternative.keys):
+            continue
+        if "offset" in change and not is_franka:
             continue
         if ("angle" in change and start.reading.offset) or ("offset" in change and "angle" in start.changed):
             continue  # small offsets fit any arm, which then rests in its default posture
@@ -518,7 +533,11 @@ def assess_path(source: Path, options: RobotOptions, make_resources: ResourcesFa
     sample = find_trajectories(source, choice)[0]
     try:
         assessment = assess_readings(
-            load_resources(make_resources, options), sample.alike or (sample,), choice, thorough=True
+            load_resources(make_resources, options),
+            sample.alike or (sample,),
+            choice,
+            thorough=True,
+            is_franka=options.is_named,
         )
     except InputError as error:
         raise UsageError(f"{sample.video}: {error}") from None
