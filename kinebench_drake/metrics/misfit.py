@@ -25,9 +25,14 @@ time, are never vertical, and last for ever."""
 FLANGE = 0.4
 """Cost of a gripper that starts upright, but turned by 45 degrees, and comes no nearer to the table than a flange does:
 so is the flange of the Panda in its rest postures."""
+OUTSIDE = 2.0
+"""Cost of joint angles of which one is mostly outside its limits: more than that of any motion of the arm."""
+MOSTLY = 0.6
+"""Share of such frames: planted excursions over a limit take at most 0.53."""
 
 _FRAMES = 64  # on which reach is tested
 _PAST_RAD = 1e-3  # of joint limits
+_FAR_RAD = 0.02  # of joint limits: no noise, no calibration error
 _BELOW_M = 0.03  # depth under the table that is no calibration error
 # radius and height of the base, in which there is no gripper
 _BASE_M = 0.15
@@ -91,7 +96,9 @@ def misfit(
     if cost >= enough:
         return float(cost)
     if q is not None:
-        reached = limit_excess(plant, q[valid][frames]).max(axis=-1) <= _PAST_RAD
+        excess = limit_excess(plant, q[valid][frames])
+        reached = excess.max(axis=-1) <= _PAST_RAD
+        cost += OUTSIDE * ((excess > _FAR_RAD).mean(axis=0).max() > MOSTLY)
     else:
         reached = np.array([len(own) > 0 for own in within_limits(plant, grid_postures(plant, X[frames], 36))])
     reached &= ~((distance < _BASE_M) & (X[:, 2, 3] < _BASE_HEIGHT_M))[frames]

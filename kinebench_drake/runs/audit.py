@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -22,7 +23,7 @@ from kinebench_drake.runs.config import RunConfig, RunKind, SourceConfig
 from kinebench_drake.runs.evaluator import KINEMATIC_METRICS, Evaluator, judge_row
 from kinebench_drake.runs.gate import close_gate
 from kinebench_drake.runs.option import Option
-from kinebench_drake.runs.reading_check import assess_readings, doubt_robot
+from kinebench_drake.runs.reading_check import assess_readings, doubt_frame, doubt_robot
 from kinebench_drake.runs.resources import Resources, load_resources
 from kinebench_drake.runs.runner import NullRunObserver, RunObserver, RunSummary, run_samples
 from kinebench_drake.track import GripperTrack
@@ -121,6 +122,10 @@ class TrajectoryEvaluator(Evaluator[TrajectorySample, Resources]):
         track = _pose_track(trajectory)
         path = artifact_path(self.config.out, "tracks", sample.id)
         result = None if doubt else judge_trajectory(tools, trajectory)
+        if result is not None and trajectory.q is None:
+            judge = partial(judge_trajectory, tools)
+            doubt = doubt_frame(tools, sample, choice, result, judge, is_franka=self.config.robot in ROBOTS)
+            result = None if doubt else result
         if result is None:
             write_track(path, track, None, {})
         else:
@@ -151,7 +156,8 @@ class TrajectoryEvaluator(Evaluator[TrajectorySample, Resources]):
         """Return why the numbers have no verdict; None if there is no doubt how to read them."""
         if self.config.robot == PANDA and (other := doubt_robot(sample, choice)):
             return other
-        assessment = assess_readings(tools, sample.alike or (sample,), choice)
+        alike = sample.alike or (sample,)
+        assessment = assess_readings(tools, alike, choice, is_franka=self.config.robot in ROBOTS)
         return assessment.doubt if assessment else None
 
     @property

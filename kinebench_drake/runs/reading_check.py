@@ -1,17 +1,25 @@
-"""Doubt about how a trajectory's numbers are to be read: another reading of them that fits the robot far better."""
+"""Doubt about how a trajectory's numbers are to be read.
+
+There is none about the names that docs/formats.md defines, and about what a reading file states. Under other names a
+verdict needs a reading that fits the robot, that no other reading fits far better, and that has the same verdict as
+those readings of poses which the numbers cannot tell from it.
+"""
 
 import json
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
-from itertools import product
+from itertools import permutations, product
 from math import inf
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
 
 from kinebench_drake.errors import InputError, UnmeasurableError, UsageError, name_options
-from kinebench_drake.formats.trajectories.columns import complete
+from kinebench_drake.formats.trajectories.columns import complete, find_poses, is_documented, is_numbered
 from kinebench_drake.formats.trajectories.reading import (
     ANGLES,
     JOINTS,
@@ -23,9 +31,21 @@ from kinebench_drake.formats.trajectories.reading import (
     frame_of,
 )
 from kinebench_drake.formats.trajectories.source import apply_reading, find_trajectories, open_table
-from kinebench_drake.formats.trajectories.trajectory import ColumnTable, TrajectorySample
+from kinebench_drake.formats.trajectories.trajectory import (
+    N_JOINTS,
+    ColumnTable,
+    Trajectory,
+    TrajectoryFormat,
+    TrajectorySample,
+)
+from kinebench_drake.geometry import Array, invert, pose_difference
 from kinebench_drake.io.jsonl import Json
 from kinebench_drake.runs.resources import Resources, ResourcesFactory, RobotOptions, load_resources
+from kinebench_drake.segments import evenly
+from kinebench_drake.track import MAX_WIDTH_M
+
+if TYPE_CHECKING:  # loads Drake
+    from kinebench_drake.metrics.kinematic_result import KinematicResult
 
 _UNITS = {"length": LENGTHS, "angle": ANGLES, "time_unit": TIMES}
 _NOUNS = {"mm": "millimetres", "cm": "centimetres", "m": "metres", "deg": "degrees", "rad": "radians"}
@@ -53,6 +73,14 @@ class Alternative:
         return ("base_from_world",) if self.fits_frame else tuple(self.change)
 
 
+_OFFSET_COST = -0.8  # with a posture added, right angles fit worse by 0.7 and more, offsets by 0.6 at most
+POSTURES: Mapping[str, tuple[float, ...]] = {
+    "Franka's ready posture": (0.0, -np.pi / 4, 0.0, -3 * np.pi / 4, 0.0, np.pi / 2, np.pi / 4),
+    "Isaac Lab's": (0.0, -0.569, 0.0, -2.81, 0.0, 3.037, 0.741),  # FRANKA_PANDA_CFG
+    "ManiSkill's": (0.0, np.pi / 8, 0.0, -5 * np.pi / 8, 0.0, 3 * np.pi / 4, np.pi / 4),  # keyframe "rest"
+    "robosuite's": (0.0, -0.161, 0.0, -2.445, 0.0, 2.227, 0.785),  # mounted Panda, LIBERO
+}
+"""Default postures [rad] from which simulators store joint angles as offsets."""
 ALTERNATIVES = (
     Alternative(name="rotation vectors", cost=0.05, change={"layout": "rotation_vector"}),
     *(
@@ -71,24 +99,40 @@ ALTERNATIVES = (
             "LIBERO (base at -0.66 0 0.912)": (0.66, 0.0, -0.912),  # mounted Panda, table arenas
             "robosuite (base at -0.56 0 0.912)": (0.56, 0.0, -0.912),  # table of 0.8 m
             "ManiSkill (base at -0.615 0 0)": (0.615, 0.0, 0.0),  # table scenes
+            "RLBench (base at -0.268 -0.006 0.75)": (0.268, 0.006, -0.75),
         }.items()
+    ),
+    *(
+        Alternative(
+            name=f"offsets from {name}", cost=_OFFSET_COST, change={"offset": tuple(np.round(posture, 4).tolist())}
+        )
+        for name, posture in POSTURES.items()
     ),
     Alternative(name="poses in a frame other than the robot's base", cost=0.6, fits_frame=True),
 )
-"""All but those of other units."""
+"""All but those of other units, and of fingers before the arm."""
+_OF_JOINTS = {"layout", "deltas", "offset"}  # keys of the alternatives of joint angles
 
 
-def alternatives(reading: Reading) -> Iterator[Alternative]:
+def alternatives(reading: Reading, table: ColumnTable) -> Iterator[Alternative]:
     """Yield the alternatives that a complete reading has: layouts of as many numbers, other units and frames."""
     is_pose = reading.layout != JOINTS
+    columns = reading.columns or ()
+    is_whole = not is_pose and len(columns) == 1 and table.size(columns) == N_JOINTS + 2
+    if is_whole and _has_fingers_first(table, columns):
+        [name] = columns
+        parts = {"columns": (f"{name}[2:9]",), "fingers": (f"{name}[0:2]",)}
+        yield Alternative(name="two finger joints before those of the arm", cost=2.0 * _OFFSET_COST, change=parts)
     sizes = set(LAYOUTS[reading.layout or JOINTS])
     for alternative in ALTERNATIVES:
         layout = alternative.change.get("layout")
-        if not is_pose and layout is None and alternative.change != {"deltas": True}:
+        if "offset" in alternative.change if is_pose else not alternative.change.keys() & _OF_JOINTS:
             continue
         if isinstance(layout, str) and (layout == reading.layout or not sizes & set(LAYOUTS[layout])):
             continue
         if any(getattr(reading, key) == value for key, value in alternative.change.items()):
+            continue
+        if "offset" in alternative.change and reading.offset is not None:
             continue
         yield alternative
     for units in product(*_UNITS.values()):
@@ -100,6 +144,14 @@ def alternatives(reading: Reading) -> Iterator[Alternative]:
             )
 
 
+def _has_fingers_first(table: ColumnTable, columns: tuple[str, ...]) -> bool:
+    """Return True if of nine numbers the first two, and not the last two, can be finger joints [m]."""
+    values = table.numbers(columns)
+    fingers = (values > -_FINGER_SLACK_M) & (values < 0.5 * MAX_WIDTH_M + _FINGER_SLACK_M)
+    return bool(fingers[:, :2].all() and not fingers[:, -2:].all(axis=0).any())
+
+
+_FINGER_SLACK_M = 0.005  # overshoot of a finger joint
 MARGIN = 0.3
 """Difference of costs (`metrics.misfit`) from which another reading fits far better."""
 REFUSED = 3.0
@@ -107,6 +159,21 @@ REFUSED = 3.0
 PRINTED = 5
 """Further readings that are printed."""
 
+UNFIT = 2.0
+"""Cost above that of any right reading: feasible motions and planted faults have at most 1.8."""
+UNTOLD = 0.2
+"""Difference of costs up to which numbers do not tell one reading of poses from another: right readings have at most
+0.15 more than wrong ones."""
+UNTOLD_TOOL = 0.7
+"""The same of the flange and the TCP: more by the cost of a gripper below the table, which may be the fault itself."""
+
+_ORDER_GAIN = 0.6  # of another order of the joints: self-collisions have up to 1.2, but few more than this
+_ORDERS = 40  # that are tried, those most within limits first
+_GRIPPER = 0.9  # share of frames in which a binary gripper is open or closed
+_AGREEMENT = (0.01, 0.03)  # of two recordings of a pose [m, rad], in most frames
+_MOVED_M = 0.05  # by which a motion shows an agreement
+_ORDERS_OF = {"quaternion_wxyz": ("quaternion_xyzw",), "quaternion_xyzw": ("quaternion_wxyz",)}
+"""The other order of quaternions."""
 _CHANGES = 3  # keys that are changed together
 _OTHERS = re.compile(
     r"fr3|xarm|\bur\d|so-?10\d|koch|aloha|viperx|widowx|wx250|kuka|iiwa|sawyer|jaco|kinova|gen3|yam\b|piper|open_?arm|"
@@ -136,7 +203,7 @@ class ReadingCandidate:
 
     def to_json(self) -> dict[str, Json]:
         """Return the JSON object."""
-        return {"name": self.name, "cost": round(self.cost, 3), "reading": self.reading.to_json()}
+        return {"name": self.name, "cost": round(max(self.cost, 0.0), 3), "reading": self.reading.to_json()}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -148,6 +215,8 @@ class Assessment:
     """Differs from `by_names` only if it fits far better."""
     others: tuple[ReadingCandidate, ...]
     """Further readings, the best first."""
+    mismatch: str | None = None
+    """Why `by_names` cannot be right, whatever fits better."""
 
     def to_json(self) -> dict[str, Json]:
         """Return the JSON object, which is also a reading file: that of the best reading."""
@@ -158,20 +227,32 @@ class Assessment:
     @property
     def doubt(self) -> str | None:
         """Why there is no verdict by the names; None if there is no doubt."""
-        if self.best is self.by_names:
-            return None
         named = self.by_names
         best = self.best
+        if best is named or best.misfit >= UNFIT:
+            return self.mismatch
+        if "offset" in best.changed:
+            return (
+                f"{named.reading.describe()}: not absolute angles (cost {named.misfit:.2f}), but perhaps {best.name} "
+                f'({best.misfit:.2f}): $reading FILE states the default posture that was subtracted, as {{"offset": '
+                "[7 angles in radians]}, or zeros"
+            )
+        other = json.dumps(best.reading.keys(best.changed))
         return (
-            f"{named.reading.describe()} fits the robot badly (cost {named.cost:.2f}), {best.name} far better "
-            f"({best.cost:.2f}): $reading FILE with {json.dumps(best.reading.keys(best.changed))} reads them so, with "
+            f"{named.reading.describe()} fits the robot badly (cost {named.misfit:.2f}), {best.name} far better "
+            f"({best.misfit:.2f}): $reading FILE with {other} reads them so, with "
             f"{json.dumps(named.reading.keys(best.changed))} as they are named"
         )
 
 
 @lru_cache(maxsize=256)
 def assess_readings(
-    tools: Resources, samples: tuple[TrajectorySample, ...], choice: TrajectoryOptions, *, thorough: bool = False
+    tools: Resources,
+    samples: tuple[TrajectorySample, ...],
+    choice: TrajectoryOptions,
+    *,
+    thorough: bool = False,
+    is_franka: bool = True,
 ) -> Assessment | None:
     """Compare the readings of trajectories that are stored alike; None if none can be measured.
 
@@ -179,27 +260,187 @@ def assess_readings(
         samples: trajectories of one file or dataset, which share one reading.
         choice: options of the user; a key of their reading is never doubted.
         thorough: also compare readings if that by the names fits well.
+        is_franka: False for another arm than Franka's, whose default postures and whose flange are others.
     """
     with ExitStack() as stack:
         tables = [(sample, stack.enter_context(open_table(sample))) for sample in samples]
 
         wanted = choice.reading or Reading()
         named = complete(tables[0][1], wanted)
+        if not thorough and (_is_documented(*tables[0], named) or _agrees(tools, *tables[0], named, choice.rate_hz)):
+            return None
         misfit = _misfit(tools, tables, named, choice.rate_hz)
         if misfit is None:
             return None
         best = by_names = ReadingCandidate(name=str(named.layout), reading=named, misfit=misfit)
         others: list[ReadingCandidate] = []
-        while len(best.changed) < _CHANGES and (best.cost >= MARGIN or thorough):
+        while len(best.changed) < _CHANGES:
             enough = inf if thorough else best.cost - MARGIN  # a reading with that cost is no better one
-            tried = list(_variations(tools, tables, best, wanted, choice.rate_hz, enough))
+            tried = list(_variations(tools, tables, best, wanted, choice.rate_hz, enough, is_franka=is_franka))
             others += tried
             better = min(tried, key=lambda candidate: candidate.cost, default=best)
             if best.cost - better.cost < MARGIN:
                 break
             best = better
+        mismatch = None
+        if wanted.columns is None or wanted.layout is None:
+            mismatch = _mismatch(tools, tables, by_names, choice.rate_hz)
     rest = sorted((other for other in others if other is not best), key=lambda candidate: candidate.cost)
-    return Assessment(by_names=by_names, best=best, others=tuple(rest))
+    return Assessment(by_names=by_names, best=best, others=tuple(rest), mismatch=mismatch)
+
+
+def _is_documented(sample: TrajectorySample, table: ColumnTable, reading: Reading) -> bool:
+    return sample.format is not TrajectoryFormat.NPY and is_documented(table, reading)  # which names nothing
+
+
+def _agrees(
+    tools: Resources, sample: TrajectorySample, table: ColumnTable, reading: Reading, rate_hz: float | None
+) -> bool:
+    """Return True if the file has poses, too, and these are those of its joint angles, up to one constant pose."""
+    poses = find_poses(table) if reading.layout == JOINTS else None
+    if poses is None:
+        return False
+    poses = poses.change(time=reading.time, time_unit=reading.time_unit)
+    for layout in (poses.layout, *_ORDERS_OF.get(poses.layout or "", ())):
+        try:
+            q = apply_reading(sample, table, reading, rate_hz).q
+            X = apply_reading(sample, table, poses.change(layout=layout), rate_hz).X_BG
+        except (InputError, UnmeasurableError):
+            continue
+        if q is None or X is None or len(q) != len(X):
+            continue
+        valid = np.isfinite(q).all(axis=-1) & np.isfinite(X).all(axis=(-1, -2))
+        own = tools.plant.forward_path(q[valid])
+        if len(own) == 0 or np.ptp(own[:, :3, 3], axis=0).max() < _MOVED_M:
+            continue
+        for offset in (invert(X[valid]) @ own, own @ invert(X[valid])):  # of the tool, of the world
+            middle = offset[np.argsort(offset[:, 0, 3])[len(offset) // 2]]
+            differences = pose_difference(offset, middle)
+            if all(np.median(d) < bound for d, bound in zip(differences, _AGREEMENT, strict=True)):
+                return True
+    return False
+
+
+def _mismatch(
+    tools: Resources,
+    tables: Sequence[tuple[TrajectorySample, ColumnTable]],
+    candidate: ReadingCandidate,
+    rate_hz: float | None,
+) -> str | None:
+    """Return why a reading cannot be right, in numbers; None if it may be, or the file cannot be read."""
+    sample, table = tables[0]
+    try:
+        trajectory = apply_reading(sample, table, candidate.reading, rate_hz)
+    except (InputError, UnmeasurableError):
+        return None
+    evidence = None
+    if candidate.misfit >= UNFIT:
+        evidence = f"cost {candidate.misfit:.2f}, right readings have less than {UNFIT:g}"
+        if trajectory.q is not None:
+            evidence = _outside(tools, trajectory.q) or evidence
+    elif trajectory.q is not None and not is_numbered(table, candidate.reading):
+        evidence = _other_joints(tools, trajectory, candidate.misfit)
+    if evidence is None:
+        return None
+    return (
+        f"the numbers do not fit this arm: {evidence}; nor does another reading that was tried: $reading FILE states "
+        "columns and layout, or $robot the robot that they are of"
+    )
+
+
+def _outside(tools: Resources, q: Array) -> str | None:
+    """Return which joint of angles (T, 7) [rad] is most often outside its limits; None if none is."""
+    q = q[np.isfinite(q).all(axis=-1)]
+    excess = np.maximum(tools.plant.lower - q, q - tools.plant.upper)
+    share = (excess > 0.0).mean(axis=0)
+    joint = int(np.argmax(share))
+    where = f"{100 * share[joint]:.0f}% of the frames, by up to {excess[:, joint].max():.2f} rad"
+    return f"joint {joint + 1} is outside its limits in {where}" if share[joint] > 0.0 else None
+
+
+def _other_joints(tools: Resources, trajectory: Trajectory, misfit: float) -> str | None:
+    """Return why joint angles whose order no name states are in another order, or of another arm."""
+    q = np.asarray(trajectory.q)
+    rows = q[np.isfinite(q).all(axis=-1)]
+    last = rows[:, -1]
+    low = float(last.min())
+    high = float(last.max())
+    near = 0.05 * (high - low)
+    at_ends = ((last <= low + near) | (last >= high - near)).mean()
+    if low >= -0.01 and high <= 1.01 and high - low > 0.02 and at_ends >= _GRIPPER:
+        return f"its last number is like a gripper, {low:.2g} or {high:.2g} in {100 * at_ends:.0f}% of the frames"
+    if misfit < _ORDER_GAIN:
+        return None
+    values = rows[evenly(len(rows), 16), :, None]
+    inside = ((values >= tools.plant.lower) & (values <= tools.plant.upper)).mean(axis=0)  # by column and joint
+    orders = np.array(list(permutations(range(N_JOINTS))))
+    likely = np.argsort(-np.prod(inside[orders, np.arange(N_JOINTS)], axis=1), kind="stable")[:_ORDERS]
+    costs = [tools.misfit(replace(trajectory, q=q[:, order]), misfit) for order in orders[likely]]
+    if misfit - min(costs) < _ORDER_GAIN:
+        return None
+    return f"cost {misfit:.2f}, in another order of the joints {min(costs):.2f}"
+
+
+def doubt_frame(
+    tools: Resources,
+    sample: TrajectorySample,
+    choice: TrajectoryOptions,
+    result: "KinematicResult",
+    judge: Callable[[Trajectory], "KinematicResult"],
+    *,
+    is_franka: bool = True,
+) -> str | None:
+    """Return which reading of poses that neither names nor numbers exclude has another verdict; None if none has.
+
+    Args:
+        result: verdict on the reading by the names.
+        judge: judges another reading.
+        is_franka: False for another arm than Franka's, whose flange is another one.
+    """
+    with open_table(sample) as table:
+        named = complete(table, choice.reading or Reading())
+        if result.feasible is None or named.layout == JOINTS or _is_documented(sample, table, named):
+            return None
+        cost = tools.misfit(apply_reading(sample, table, named, choice.rate_hz), inf)
+        for change in _untold(named, choice.reading or Reading()):
+            if "tool" in change and not is_franka:
+                continue
+            bound = cost + (UNTOLD_TOOL if "tool" in change else UNTOLD)
+            try:
+                other = apply_reading(sample, table, named.change(**change), choice.rate_hz)
+                verdict = judge(other) if tools.misfit(other, bound) < bound else result
+            except (InputError, UnmeasurableError):
+                continue
+            if verdict.feasible is (not result.feasible):
+                names = json.dumps(named.keys(change))
+                others = json.dumps(named.change(**change).keys(change))
+                return (
+                    f"{named.describe()}: neither names nor numbers tell the frame: with {names} the motion is "
+                    f"{_describe(result)}, with {others} {_describe(verdict)}; $reading FILE states which"
+                )
+    return None
+
+
+def _untold(named: Reading, wanted: Reading) -> Iterator[dict[str, object]]:
+    """Yield the keys that differ in the readings of poses by another frame or order of quaternions."""
+    tools = ({}, {"tool": "flange"}) if named.tool is None else ({},)
+    orders = [{"layout": layout} for layout in _ORDERS_OF.get(named.layout or "", ()) if wanted.layout is None]
+    worlds = [dict(a.change) for a in ALTERNATIVES if "base_from_world" in a.change and named.base_from_world is None]
+    for tool, order, world in product(tools, ({}, *orders), ({}, *worlds)):
+        if change := {**tool, **order, **world}:
+            yield change
+
+
+def _describe(result: "KinematicResult") -> str:
+    """Return the verdict with the first violation in numbers."""
+    if not result.violations:
+        return "feasible"
+    first = result.violations[0]
+    kind = first.kind.value.replace("_", " ")
+    where = f" of {first.joint}" if first.joint else ""
+    if first.unit == "m":
+        return f"infeasible ({kind}{where}, {1e3 * first.value:.0f} mm, limit {1e3 * first.limit:.0f} mm)"
+    return f"infeasible ({kind}{where}, {first.value:.3g} {first.unit}, limit {first.limit:.3g} {first.unit})"
 
 
 def _misfit(
@@ -233,16 +474,22 @@ def _variations(
     wanted: Reading,
     rate_hz: float | None,
     enough: float,
+    *,
+    is_franka: bool,
 ) -> Iterator[ReadingCandidate]:
     """Yield the readings that differ from a candidate by one alternative, can be used and leave `wanted` as it is.
 
     Costs of `enough` or more may be lower bounds.
     """
-    for alternative in alternatives(start.reading):
+    for alternative in alternatives(start.reading, tables[0][1]):
         change = dict(alternative.change)
         spent = start.spent + alternative.cost
         if spent >= enough or any(getattr(wanted, key) is not None for key in alternative.keys):
             continue
+        if "offset" in change and not is_franka:
+            continue
+        if ("angle" in change and start.reading.offset) or ("offset" in change and "angle" in start.changed):
+            continue  # small offsets fit any arm, which then rests in its default posture
         if alternative.fits_frame:
             try:
                 poses = apply_reading(*tables[0], start.reading, rate_hz).X_BG
@@ -286,7 +533,11 @@ def assess_path(source: Path, options: RobotOptions, make_resources: ResourcesFa
     sample = find_trajectories(source, choice)[0]
     try:
         assessment = assess_readings(
-            load_resources(make_resources, options), sample.alike or (sample,), choice, thorough=True
+            load_resources(make_resources, options),
+            sample.alike or (sample,),
+            choice,
+            thorough=True,
+            is_franka=options.is_named,
         )
     except InputError as error:
         raise UsageError(f"{sample.video}: {error}") from None

@@ -231,7 +231,8 @@ class FakeResources:
         return trajectory
 
     def misfit(self, trajectory, enough):
-        return 0.0
+        """Return a cost: poses and small angles fit, others do not."""
+        return 0.0 if trajectory.q is None else float(np.nanmax(np.abs(trajectory.q)) > 1.6)
 
     def overlay(self, frames, camera, track, zoom=None, *, hand=True):
         gate = Fakes.of_environment().behavior(frames).waits_in_overlay

@@ -1,13 +1,16 @@
 """Readings that fit far better than the names say: named, and without a verdict."""
 
+import re
+
 import numpy as np
 import pytest
 
 from kinebench_drake.formats.trajectories.reading import TOOLS, Reading, TrajectoryOptions
-from kinebench_drake.formats.trajectories.source import find_trajectories
+from kinebench_drake.formats.trajectories.source import find_trajectories, read_trajectory
 from kinebench_drake.formats.trajectories.trajectory import TrajectoryFormat, TrajectorySample
 from kinebench_drake.geometry import invert, make_pose, rotation_z, to_quaternion
-from kinebench_drake.runs.reading_check import assess_readings, doubt_robot
+from kinebench_drake.runs.audit import judge_trajectory
+from kinebench_drake.runs.reading_check import POSTURES, assess_readings, doubt_frame, doubt_robot
 from kinebench_drake.runs.resources import Resources, RobotOptions
 
 T_S = 0.05 * np.arange(60)
@@ -61,3 +64,75 @@ def test_another_robot_than_the_panda_is_named_unless_the_reading_insists(tmp_pa
     sample = TrajectorySample(id="a", path=tmp_path, video="a", format=TrajectoryFormat.LEROBOT, robot=name)
     assert (doubt_robot(sample, TrajectoryOptions()) is not None) is doubted
     assert doubt_robot(sample, TrajectoryOptions(reading=Reading(robot="panda"))) is None
+
+
+READY = np.array(POSTURES["Franka's ready posture"])
+Q = READY + 0.4 * S * [1.0, 0.5, -0.3, 0.6, 0.2, 0.3, -1.0]
+"""A motion from the ready posture, within all limits."""
+FINGERS = np.full((60, 2), 0.02)
+
+
+def doubt_of(tmp_path, tools, *, reading=None, **arrays):
+    """Return the doubt about an npz file."""
+    path = tmp_path / f"{len([*tmp_path.iterdir()])}.npz"
+    np.savez(path, t_s=T_S, **arrays)
+    choice = TrajectoryOptions(reading=reading)
+    [sample] = find_trajectories(path, choice)
+    assessment = assess_readings(tools, (sample,), choice)
+    return assessment and assessment.doubt
+
+
+@pytest.mark.parametrize("numbers", [Q, np.hstack([Q, FINGERS])])
+def test_right_angles_under_any_name_are_not_doubted(tmp_path, tools, numbers):
+    assert doubt_of(tmp_path, tools, joint_positions=numbers) is None
+
+
+@pytest.mark.parametrize("posture", POSTURES.values(), ids=POSTURES)
+def test_offsets_from_a_default_posture_are_doubted_until_it_is_stated(tmp_path, tools, posture):
+    assert "offset" in doubt_of(tmp_path, tools, joint_positions=Q - posture)
+    stated = Reading(offset=posture)
+    assert doubt_of(tmp_path, tools, joint_positions=Q - posture, reading=stated) is None
+
+
+def test_fingers_before_the_arm_are_named_with_the_columns_that_end_the_doubt(tmp_path, tools):
+    numbers = np.hstack([FINGERS, Q])
+    assert "joint_positions[2:9]" in doubt_of(tmp_path, tools, joint_positions=numbers)
+    stated = Reading(columns=("joint_positions[2:9]",), layout="joints")
+    assert doubt_of(tmp_path, tools, joint_positions=numbers, reading=stated) is None
+
+
+@pytest.mark.parametrize(
+    ("numbers", "evidence"),
+    [
+        (Q[:, ::-1], r"joint \d is outside its limits in \d+% of the frames"),
+        (np.hstack([Q[:, :6], (S > 0.5).astype(float)]), "like a gripper"),
+    ],
+    ids=["reversed", "six joints and a gripper"],
+)
+def test_numbers_that_do_not_fit_the_arm_have_no_verdict(tmp_path, tools, numbers, evidence):
+    assert re.search(evidence, doubt_of(tmp_path, tools, joint_positions=numbers))
+
+
+@pytest.mark.parametrize("numbers", [Q - READY, Q[:, ::-1]], ids=["offsets", "reversed"])
+def test_documented_names_and_stated_columns_are_never_doubted(tmp_path, tools, numbers):
+    assert doubt_of(tmp_path, tools, q=numbers) is None
+
+
+def test_angles_that_agree_with_poses_of_the_same_file_are_not_doubted(tmp_path, tools):
+    q = Q + 2.5 * (np.arange(7) == 3)  # joint 4 is over its limit throughout
+    assert doubt_of(tmp_path, tools, joint_positions=q) is not None
+    X_WG = make_pose(np.eye(3), [0.3, 0.0, 0.7]) @ tools.plant.forward_path(q)
+    assert doubt_of(tmp_path, tools, joint_positions=q, tcp_pose=X_WG) is None
+
+
+@pytest.mark.parametrize("reading", [None, Reading(tool="tcp"), Reading(tool="flange")])
+def test_poses_whose_frame_decides_the_verdict_have_none_until_it_is_stated(tmp_path, tools, reading):
+    choice = TrajectoryOptions(reading=reading)
+    [sample] = find_trajectories(written(tmp_path), choice)
+    result = judge_trajectory(tools, read_trajectory(sample, choice))
+    doubt = doubt_frame(tools, sample, choice, result, lambda trajectory: judge_trajectory(tools, trajectory))
+    if reading is None:
+        assert re.search('"tool": "tcp".* feasible, .*"tool": "flange".* infeasible .table collision, -\\d+ mm', doubt)
+    else:
+        assert result.feasible is (reading.tool == "tcp")
+        assert doubt is None

@@ -21,23 +21,15 @@ _ROTATION_VECTOR = re.compile(r".*(?:axis_?angle|rot_?vec)[_. ]?(?P<axis>[xyz]|\
 _QUATERNION_WORDS = {"quat", "quaternion", "q", "orientation", "ori", "orn", "rot", "rotation"}
 _OTHER_WORDS = {
     *("vel", "velocity", "velocities", "acc", "acceleration", "accelerations", "force", "forces", "torque", "torques"),
-    *(
-        "tau",
-        "dtau",
-        "cmd",
-        "effort",
-        "efforts",
-        "delta",
-        "deltas",
-        "target",
-        "targets",
-        "goal",
-        "desired",
-        "commanded",
-        "command",
-    ),
-    *("error", "errors", "action", "actions"),
+    *("effort", "efforts", "delta", "deltas", "target", "targets", "goal", "desired", "commanded", "command", "cmd"),
+    *("error", "errors", "action", "actions", "tau", "dtau", "dq", "ddq", "current", "currents", "rel", "relative"),
+    *("cos", "cosine", "cosines", "sin", "sine", "sines"),
 }
+"""Words in names of numbers that are neither angles nor poses, or not absolute ones."""
+_TOOLS = {"tcp": "tcp", "flange": "flange"}
+"""Words in names of poses that say whose they are."""
+_CONTRACT = re.compile(r"(?:left_|right_)?(?:base_from_tcp|q|q[1-7]_rad|[xyz]_m|q[wxyz])")
+"""Names with a documented unit and frame."""
 _JOINT_WORDS = {"joint", "joints"}
 _ANGLE_WORDS = {"pos", "position", "positions", "state", "states", "angle", "angles"}
 _TOOL_WORDS = {"ee", "eef", "tcp", "pose", "poses", "hand", "gripper", "cartesian", "base"}
@@ -93,7 +85,28 @@ def complete(table: ColumnTable, wanted: Reading) -> Reading:
         reading = reading.change(width=widths[0]) if len(widths) == 1 else reading
     if reading.time is None and table.t_s is None:
         reading = _with_times(table, reading)
-    return _with_units(table, reading)
+    return _with_units(table, reading if reading.layout == JOINTS else _with_frames(reading))
+
+
+def is_documented(table: ColumnTable, reading: Reading) -> bool:
+    """Return True if all names of a complete reading are those that docs/formats.md defines, with units and frames."""
+    columns = reading.columns or ()
+    return (
+        reading.time in (None, "t_s")
+        and all(_CONTRACT.fullmatch(name) for name in columns)
+        and table.size(columns) in (N_JOINTS, 16)
+    )
+
+
+def is_numbered(table: ColumnTable, reading: Reading) -> bool:
+    """Return True if the names state the order of the joints."""
+    whole = {column.name for column in table.columns if not column.names and column.size > 1}
+    return not whole & {re.sub(r"\[[\d:]*\]$", "", name) for name in reading.columns or ()}
+
+
+def find_poses(table: ColumnTable) -> Reading | None:
+    """Return the reading of the poses of a table by their names; None if it has none."""
+    return _find_pose(table, Reading())
 
 
 def _named(table: ColumnTable, wanted: Reading) -> Reading:
@@ -120,8 +133,9 @@ def _by_names(table: ColumnTable, wanted: Reading) -> Reading:
         if reading is not None:
             return reading
     arms = sorted({arm.strip("_./ ") for group in _groups(table, wanted) for arm in _arms(group)})
-    if len(arms) > 1 and wanted.layout in (None, JOINTS):
-        several = f'{len(arms)} arms ({", ".join(arms)}): $reading FILE with {{"arm": "{arms[0]}"}} chooses one'
+    telling = [arm for arm in arms if _find_joints(table, wanted.change(arm=arm))]
+    if len(arms) > 1 and telling:
+        several = f'{len(arms)} arms ({", ".join(arms)}): $reading FILE with {{"arm": "{telling[0]}"}} chooses one'
         raise InputError(f"no column is certain to hold the seven joint angles of one arm; there are {several}")
     raise InputError(
         f"no column is known to hold seven joint angles or a pose; found {table.describe()}; name it in $reading FILE, "
@@ -238,6 +252,17 @@ def _with_times(table: ColumnTable, reading: Reading) -> Reading:
     name, match = stamps[0]
     unit = match["unit"] and match["unit"].removesuffix("econds").removesuffix("ecs").removesuffix("ec")
     return reading.change(time=name, time_unit=reading.time_unit or unit)
+
+
+def _with_frames(reading: Reading) -> Reading:
+    """Return the reading of poses with the frames that all names state, where they are not stated."""
+    names = [name.lower() for name in reading.columns or ()]
+    if all("o_t_ee" in name for name in names):  # libfranka: the end effector in the base
+        reading = reading.change(tool=reading.tool or "tcp", base_from_world=reading.base_from_world or (0.0,) * 3)
+    for word, tool in _TOOLS.items():
+        if reading.tool is None and all(word in _words(name) for name in names):
+            reading = reading.change(tool=tool)
+    return reading
 
 
 def _with_units(table: ColumnTable, reading: Reading) -> Reading:

@@ -48,6 +48,7 @@ Source: F_T_EE of the Franka Hand, in Franka's documentation of the robot's end 
 DEFAULTS: Mapping[str, Json] = {
     **{"length": "m", "angle": "rad", "time_unit": "s", "tool": "tcp", "deltas": False},
     "base_from_world": [0.0, 0.0, 0.0],
+    "offset": [0.0] * N_JOINTS,
 }
 """Values of keys that are not set and do not follow from names."""
 START_Q = np.pi * np.array([0.0, 1 / 8, 0.0, -5 / 8, 0.0, 3 / 4, 1 / 4])
@@ -90,6 +91,8 @@ class Reading(BaseModel):
     """True for changes from frame to frame, added up from `start`."""
     start: _Numbers | None = None
     """Start of deltas: 7 joint angles [rad], or x y z [m] with a quaternion wxyz."""
+    offset: Annotated[_Numbers, Field(min_length=N_JOINTS, max_length=N_JOINTS)] | None = None
+    """Posture from which joint angles are stored as offsets: 7 angles [rad]."""
     robot: str | None = None
     """Robot that the numbers are of, where the file names another one."""
 
@@ -180,7 +183,7 @@ class Reading(BaseModel):
         if layout == JOINTS:
             if gap is None and values.shape[1] == N_JOINTS + 2:
                 gap = values[:, N_JOINTS:].sum(axis=1)
-            q = values[:, :N_JOINTS] * ANGLES[self.angle or "rad"]
+            q = values[:, :N_JOINTS] * ANGLES[self.angle or "rad"] + np.array(self.offset or 0.0)
             if self.deltas:
                 q = np.cumsum(np.vstack([self.start or tuple(START_Q), q[:-1]]), axis=0)[: len(q)]
         else:
