@@ -1,6 +1,7 @@
 """Video containers through PyAV: decoding of every FFmpeg codec, and mp4 files with reproducible bytes."""
 
 import os
+from collections import Counter
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from fractions import Fraction
@@ -19,7 +20,7 @@ from kinebench_drake.errors import InputError
 from kinebench_drake.geometry import Array
 from kinebench_drake.io.atomic import atomic_path
 from kinebench_drake.io.frames import MAX_PIXELS, collect_frames, require_size
-from kinebench_drake.io.video import Video, VideoPart
+from kinebench_drake.io.video import MIN_FRAMES, Video, VideoPart
 
 _OPTIONS = {"format_whitelist": "mov,matroska,avi,gif", "protocol_whitelist": "file"}
 """FFmpeg must read no playlist: playlists name other files and addresses."""
@@ -41,10 +42,8 @@ def read_container(path: Path, part: VideoPart) -> Video:
     """
     stamps: list[float | None] = []
     try:
-        with av.open(path, options=_DECODER, container_options=_OPTIONS, metadata_errors="replace") as container:
-            stream = next((s for s in container.streams.video if s.codec_context is not None), None)
-            if stream is None:
-                raise InputError(f"{path.name}: holds no video stream of a known codec")
+        with _open(path) as container:
+            stream = _choose_stream(path, container)
             require_size(path.name, (1, stream.height, stream.width))
             stream.thread_count = 1
             stream.codec_context.options = _DECODER
@@ -52,6 +51,7 @@ def read_container(path: Path, part: VideoPart) -> Video:
             frames = collect_frames(path.name, _decode(path.name, container, stream, part, rate, stamps))
             missing = _missing_s(container, stream, stamps, rate) if part.to_s is None else None
             is_gif = container.format.name == "gif"
+            announced = stream.duration
     except (av.FFmpegError, OSError, ValueError, OverflowError, MemoryError) as error:
         progress = f" after {len(stamps)} frames" if stamps else ""
         reason = getattr(error, "strerror", None) or str(error)
@@ -63,9 +63,27 @@ def read_container(path: Path, part: VideoPart) -> Video:
         raise InputError(f"{path.name}: has {len(frames)} frames{_span(part)}, its metadata says {kept}")
     if is_gif and not _gif_ends(path):
         raise InputError(f"{path.name}: cut off after {len(frames)} frames (the gif lacks its trailer)")
-    fps = float(rate) if rate else None
+    # FFmpeg replaces delays of 0, which its announced duration lacks, by 0.1 s.
+    is_timeless = is_gif and announced != _gif_duration(path)
+    fps = float(rate) if rate and not is_timeless else None
     stamps_s = _irregular_stamps(stamps[:kept], fps)
     return Video(frames=frames[:kept], fps=fps, stamps_s=stamps_s, surplus=len(frames) - kept)
+
+
+def _open(path: Path) -> InputContainer:
+    return av.open(path, options=_DECODER, container_options=_OPTIONS, metadata_errors="replace")
+
+
+def _choose_stream(path: Path, container: InputContainer) -> VideoStream:
+    """Return the first video stream of a known codec, of several the first one that is no picture, such as a cover."""
+    streams = [stream for stream in container.streams.video if stream.codec_context is not None]
+    if not streams:
+        raise InputError(f"{path.name}: holds no video stream of a known codec")
+    if len(streams) == 1:
+        return streams[0]
+    with _open(path) as other:
+        packets = Counter(packet.stream_index for packet in other.demux(*other.streams.video) if packet.size)
+    return next((stream for stream in streams if packets[stream.index] >= MIN_FRAMES), streams[0])
 
 
 def _decode(
@@ -153,6 +171,12 @@ def _gif_ends(path: Path) -> bool:
     with path.open("rb") as file:
         file.seek(-min(64, path.stat().st_size), os.SEEK_END)
         return file.read().rstrip(b"\0").endswith(b";")
+
+
+def _gif_duration(path: Path) -> int:
+    """Return the sum of the delays of a gif as FFmpeg plays it [time base]."""
+    with _open(path) as container:
+        return sum(packet.duration or 0 for packet in container.demux(video=0))
 
 
 def _irregular_stamps(stamps: list[float | None], fps: float | None) -> Array | None:

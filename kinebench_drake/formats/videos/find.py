@@ -1,6 +1,7 @@
 """Search for videos: from a path to its samples, by the format of the file or folder."""
 
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -19,7 +20,17 @@ from kinebench_drake.io.video import VideoPart
 
 
 def list_file(path: Path, search: Search) -> list[VideoSample]:
-    """List a video or npy file, or an array of an npz file: the one that the camera key names, else the default one."""
+    """List a video or npy file, or an array of an npz file: the one that the camera key names, else the default one.
+
+    Of a file of a LeRobot dataset that holds several episodes these are listed.
+    """
+    if path.suffix.lower() in VIDEO_SUFFIXES:
+        with suppress(InputError):  # a file of a dataset that cannot be used still is a video
+            if episodes := lerobot.list_lerobot_file(path, search):
+                search.warnings.append(
+                    f"{path.name} holds {len(episodes)} episodes of a LeRobot dataset: each is a sample"
+                )
+                return episodes
     sample = search.sample(path)
     if path.suffix.lower() != ".npz" or search.camera_key is None:
         return [sample]
