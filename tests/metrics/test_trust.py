@@ -31,6 +31,8 @@ def test_a_sample_without_doubts_is_solid_and_its_line_lists_the_evidence():
         ({}, {}, False, TrustLevel.UNKNOWN, "the track is not trusted"),
         ({"camera_state": "estimated"}, {}, True, TrustLevel.CHECK, "the camera is estimated"),
         ({"camera_agreement": 0.5}, {}, True, TrustLevel.CHECK, "does not confirm the named camera"),
+        ({"camera_agreement": None}, {}, True, TrustLevel.CHECK, "does not confirm the named camera"),
+        ({"frame_period_source": "benchmark"}, {}, True, TrustLevel.CHECK, "the frame period is assumed"),
         ({}, {"tracked_fraction": 0.9}, True, TrustLevel.CHECK, "could not be measured"),
         ({}, {"confidence_mean": 0.6}, True, TrustLevel.CHECK, "confidence is low"),
         ({"domain": "unfamiliar"}, {}, True, TrustLevel.CHECK, "unfamiliar"),

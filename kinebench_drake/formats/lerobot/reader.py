@@ -99,8 +99,9 @@ def list_lerobot_file(path: Path, search: Search) -> list[VideoSample]:
     folder = next((parent for parent in path.parents if is_lerobot(parent)), None)
     if folder is None:
         return []
-    key = next((name for name in LeRobotDataset.open(folder).cameras() if name in path.parts), None)
-    if key is None:
+    dataset = LeRobotDataset.open(folder)
+    key = next((name for name in dataset.cameras() if name in path.parts), None)
+    if key is None or path.stem.startswith("episode_"):  # v2.x: a file for each episode
         return []
     of_dataset = replace(search, top=folder, cameras=CameraLookup(folder), camera_key=key)
     samples = [sample for sample in list_lerobot_videos(folder, of_dataset) if sample.path == path]

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
+from itertools import chain
 from pathlib import Path
 
 from kinebench_drake.errors import InputError, UsageError
@@ -131,7 +132,7 @@ def list_folder(folder: Path, search: Search, skipped: Sequence[Path]) -> list[V
             continue
         videos = [f for f in files if Path(f).suffix.lower() in VIDEO_SUFFIXES]
         if videos:
-            samples += [search.sample(here / f) for f in videos]
+            samples += chain.from_iterable(list_file(here / f, search) for f in videos)
         elif _is_frame_folder(files):
             samples.append(search.sample(here))
         is_video = not videos and _is_frame_folder(files)
