@@ -178,12 +178,16 @@ def _gif_ends(path: Path) -> bool:
 
 
 def _gif_delays(path: Path) -> Iterator[int]:
-    """Yield the delays after the frames of a gif that state one [1/100 s] (section 23 of the format)."""
+    """Yield the delay after each frame of a gif, 0 if none is stated [1/100 s] (section 23 of the format)."""
     data = path.read_bytes()
     at = 13 + _palette_bytes(data[10:11])
+    delay = 0
     while (kind := data[at : at + 1]) in (_GIF_EXTENSION, _GIF_IMAGE):
         if data[at : at + 2] == _GIF_CONTROL:
-            yield int.from_bytes(data[at + 4 : at + 6], "little")
+            delay = int.from_bytes(data[at + 4 : at + 6], "little")
+        if kind == _GIF_IMAGE:
+            yield delay
+            delay = 0
         at += 2 if kind == _GIF_EXTENSION else 11 + _palette_bytes(data[at + 9 : at + 10])
         while size := int.from_bytes(data[at : at + 1]):
             at += size + 1
