@@ -23,6 +23,14 @@ for command in (*speed.COMMANDS, *verdicts.COMMANDS, *poses.COMMANDS):
     main.add_command(command)
 
 
+@main.command(epilog="\b\nExample:\n  python -m benchmarks schema")
+def schema() -> None:
+    """Write the JSON schema of `samples.jsonl` and the table of its keys in docs/formats.md from the model of a row."""
+    from benchmarks.row_schema import write_files
+
+    write_files(Path.cwd())
+
+
 @main.command(epilog="\b\nExample:\n  python -m benchmarks equivalence results-before results-after")
 @click.argument("before", type=EXISTING_FOLDER)
 @click.argument("after", type=EXISTING_FOLDER)

@@ -1,7 +1,7 @@
 """One line of `samples.jsonl`: the result of one sample, a typed record whose fields are the keys of the line.
 
 In memory a stored row keeps its numbers and labels; what takes most bytes is read from the file on demand. The table of
-keys in docs/formats.md and the JSON schema are written from this module (`results.schema`).
+keys in docs/formats.md and the JSON schema are written from this module (`python -m benchmarks schema`).
 """
 
 from collections.abc import Iterator, Mapping

@@ -12,11 +12,6 @@ def postures(arm):
     return rng.uniform(arm.plant.lower, arm.plant.upper, (20, 7)), rng.uniform(0.0, 0.08, 20)
 
 
-def test_batched_forward_kinematics_equals_drakes(arm, postures):
-    q, _ = postures
-    np.testing.assert_allclose(arm.body.forward(q), [arm.plant.forward(x) for x in q], atol=1e-13)
-
-
 def lowest_by_drake(arm, q, width, leave_out):
     inspector = arm.plant.diagram.GetSubsystemByName("scene_graph").model_inspector()
     query = arm.plant.query(q, width)

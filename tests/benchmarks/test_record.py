@@ -1,10 +1,8 @@
 from dataclasses import replace
 
 import pytest
-from click.testing import CliRunner
 
 from benchmarks import record
-from benchmarks.__main__ import main
 from benchmarks.record import PAGES, BenchmarkRecord, compare_records, write_pages
 from kinebench_drake.errors import InputError
 
@@ -42,8 +40,3 @@ def test_sections_of_the_results_are_written_into_the_pages(result, tmp_path, mo
     by_name = dict(zip(PAGES, lines, strict=True))
     assert by_name.pop(result.name).endswith(f"measured at {result.revision}")
     assert by_name == {name: f"{name}: no result" for name in by_name}
-
-
-def test_every_benchmark_of_the_pages_is_a_command():
-    for name in PAGES:
-        assert CliRunner().invoke(main, [name, "--help"]).exit_code == 0

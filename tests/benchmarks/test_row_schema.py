@@ -5,17 +5,17 @@ from pathlib import Path
 
 import pytest
 
+from benchmarks.row_schema import SCHEMA, make_schema, make_table
 from kinebench_drake.errors import InputError
 from kinebench_drake.results.row import KEYS, SampleRow
-from kinebench_drake.results.schema import SCHEMA, make_schema, make_table
 from tests.rows import make_row
 
-DOCS = Path(__file__).parents[2] / "docs"
+ROOT = Path(__file__).parents[2]
 
 
 def test_the_shipped_schema_and_the_page_are_those_of_the_model() -> None:
-    assert json.loads(SCHEMA.read_text()) == make_schema()
-    assert make_table() in (DOCS / "formats.md").read_text()
+    assert json.loads((ROOT / SCHEMA).read_text()) == make_schema()
+    assert make_table() in (ROOT / "docs" / "formats.md").read_text()
 
 
 def test_every_key_has_a_meaning_and_those_of_every_row_are_required() -> None:

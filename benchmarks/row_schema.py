@@ -1,7 +1,4 @@
-"""Format of `samples.jsonl` by its model: JSON schema, and the table of keys in docs/formats.md.
-
-`python -m kinebench_drake.results.schema` in a checkout writes both.
-"""
+"""Format of `samples.jsonl` by its model: the JSON schema that is shipped, and the table of keys in docs/formats.md."""
 
 import ast
 import inspect
@@ -17,7 +14,7 @@ from kinebench_drake.anomaly import Anomaly
 from kinebench_drake.results.record import UNKNOWN
 from kinebench_drake.results.row import ANOMALIES, KEYS, Metrics, SampleRow
 
-SCHEMA = Path(__file__).with_name("samples.schema.json")
+SCHEMA = Path("kinebench_drake/results/samples.schema.json")
 """JSON schema (draft 2020-12) of a line."""
 _BEGIN = "<!-- keys -->\n"
 _END = "<!-- end of keys -->\n"
@@ -46,8 +43,8 @@ def make_table() -> str:
 
 
 def write_files(root: Path) -> None:
-    """Write the schema, and the table of a checkout."""
-    SCHEMA.write_text(json.dumps(make_schema(), indent=1) + "\n")
+    """Write schema and table of a checkout."""
+    (root / SCHEMA).write_text(json.dumps(make_schema(), indent=1) + "\n")
     page = root / "docs" / "formats.md"
     before, _, rest = page.read_text().partition(_BEGIN)
     page.write_text(before + _BEGIN + "\n" + make_table() + "\n" + _END + rest.partition(_END)[2])
@@ -103,7 +100,3 @@ def _name_type(schema: Mapping[str, Any]) -> str:
     types = [each["type"] for each in schema.get("anyOf", [schema])]
     names = [name for own in types for name in ([own] if isinstance(own, str) else own) if name != "null"]
     return " or ".join(names)
-
-
-if __name__ == "__main__":
-    write_files(Path.cwd())
